@@ -1,0 +1,4 @@
+//! Gaussian scenes as ordinary Burn tensor code: captures, model, losses, optimiser, densification, metrics, formats.
+
+pub mod capture;
+pub mod gaussians;

@@ -1,0 +1,90 @@
+//! What a render computes: model choices, numerical dials, and which outputs.
+
+use crate::error::SplatError;
+
+/// Choices and dials of a render. Start from a preset and change fields.
+///
+/// *Model choices* define the function and are judged against photographs; *numerical dials* approximate that function
+/// and are judged against [`crate::exact`] under the same choices. The two are never mixed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RenderOptions {
+    /// Model: variance added to both axes of every 2D ellipse, px². Half a pixel wide, so that a splat far below a
+    /// pixel still covers one (Kerbl et al. 2023; EWA's low-pass filter).
+    pub blur: f64,
+    /// Model: splats whose centre has camera z at or below this are left out, scene units.
+    pub near: f64,
+    /// Model: the Jacobian of the projection is evaluated no further outside the picture than this share of half its
+    /// size, because the affine approximation degrades there.
+    pub jacobian_margin: f64,
+    /// Model: multiply each opacity by the ratio of the ellipse's area before and after `blur`, floor 0.005
+    /// (Mip-Splatting, Yu et al. 2024, eq. 9).
+    pub antialias: bool,
+    /// Dial: contributions with alpha below this are skipped. Zero skips none.
+    pub alpha_min: f64,
+    /// Dial: alpha is at most this, so that every layer lets some light through.
+    pub alpha_max: f64,
+    /// Dial: the splat that would bring a pixel's transmittance to this or below, and all behind it, are left out.
+    /// Zero leaves out none.
+    pub transmittance_min: f64,
+    /// Output: also accumulate depth, `Σ wᵢ zᵢ`.
+    pub depth: bool,
+}
+
+impl RenderOptions {
+    /// The thresholds of the original implementation and of gsplat: 8-bit contributions below one level are skipped.
+    pub const fn standard() -> Self {
+        Self {
+            blur: 0.3,
+            near: 0.01,
+            jacobian_margin: 0.3,
+            antialias: false,
+            alpha_min: 1.0 / 255.0,
+            alpha_max: 0.99,
+            transmittance_min: 1e-4,
+            depth: false,
+        }
+    }
+
+    /// Cuts four times coarser than [`Self::standard`]: fewer splats per tile and per pixel. For previews.
+    pub const fn fast() -> Self {
+        Self { alpha_min: 4.0 / 255.0, transmittance_min: 1e-2, ..Self::standard() }
+    }
+
+    /// Nothing that 8-bit or 16-bit pictures could show is left out.
+    pub const fn exact() -> Self {
+        // 2⁻²⁶: a thousand such contributions stay below half a level of a 16-bit picture.
+        Self { alpha_min: 1.0 / 67_108_864.0, transmittance_min: 0.0, ..Self::standard() }
+    }
+
+    /// With or without accumulated depth.
+    pub const fn with_depth(self, depth: bool) -> Self {
+        Self { depth, ..self }
+    }
+
+    /// With or without opacity compensation.
+    pub const fn with_antialias(self, antialias: bool) -> Self {
+        Self { antialias, ..self }
+    }
+
+    pub(crate) fn check(&self) -> Result<(), SplatError> {
+        let within = |field, value: f64, low: f64, high: f64, expected| {
+            if value >= low && value <= high {
+                Ok(())
+            } else {
+                Err(SplatError::Value { field, found: value.to_string(), expected })
+            }
+        };
+        within("blur", self.blur, 0.0, 1e6, "a variance from 0 to 1e6 px²")?;
+        within("near", self.near, 0.0, 1e30, "a distance of at least 0")?;
+        within("jacobian_margin", self.jacobian_margin, 0.0, 1e6, "a share of at least 0")?;
+        within("alpha_min", self.alpha_min, 0.0, 1.0, "0 to 1")?;
+        within("alpha_max", self.alpha_max, 0.0, 1.0, "0 to 1")?;
+        within("transmittance_min", self.transmittance_min, 0.0, 1.0, "0 to 1")
+    }
+}
+
+impl Default for RenderOptions {
+    fn default() -> Self {
+        Self::standard()
+    }
+}
