@@ -1,4 +1,9 @@
-//! The scene: Gaussians with unconstrained parameters.
+//! The scene: Gaussians with unconstrained parameters, as a Burn module.
+
+use burn::module::{Module, Param};
+use burn::tensor::{Device, Tensor, TensorData, activation::sigmoid};
+use splat_op::{Colour, Splats};
+use thiserror::Error;
 
 /// The rows of a scene on the host, as files hold them. Row `i` of every field belongs to Gaussian `i`.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -17,4 +22,182 @@ pub struct GaussianRows {
     pub sh_rest: Vec<f32>,
     /// Degree of the spherical harmonics, 0 to 4.
     pub sh_degree: usize,
+}
+
+/// Rows that do not fit together.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+#[error("`{field}` holds {found} numbers, expected {expected} for {count} Gaussians of degree {sh_degree}")]
+pub struct RowsError {
+    field: &'static str,
+    found: usize,
+    expected: usize,
+    count: usize,
+    sh_degree: usize,
+}
+
+impl GaussianRows {
+    /// Number of Gaussians.
+    pub fn len(&self) -> usize {
+        self.means.len()
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.means.is_empty()
+    }
+
+    /// Higher coefficients of one Gaussian: `3 ((degree+1)² − 1)` numbers.
+    pub fn rest_per_row(&self) -> usize {
+        3 * ((self.sh_degree + 1) * (self.sh_degree + 1) - 1)
+    }
+
+    /// Refuses fields of different lengths and degrees above 4.
+    ///
+    /// # Errors
+    /// Names the field.
+    pub fn check(&self) -> Result<(), RowsError> {
+        let count = self.len();
+        let of = |field, found, expected| match found == expected {
+            true => Ok(()),
+            false => Err(RowsError { field, found, expected, count, sh_degree: self.sh_degree }),
+        };
+        of("sh_degree", self.sh_degree, self.sh_degree.min(splat_op::shade::SH_DEGREE_MAX))?;
+        of("rotations", self.rotations.len(), count)?;
+        of("log_scales", self.log_scales.len(), count)?;
+        of("logit_opacities", self.logit_opacities.len(), count)?;
+        of("sh_dc", self.sh_dc.len(), count)?;
+        of("sh_rest", self.sh_rest.len(), count * self.rest_per_row())
+    }
+}
+
+/// A scene's parameters as tensors, unconstrained: any finite value is valid, so an optimiser may step freely.
+#[derive(Module, Debug)]
+pub struct Gaussians {
+    /// `[N, 3]`: centres, world frame, scene units.
+    pub means: Param<Tensor<2>>,
+    /// `[N, 4]`: quaternions wxyz, world-from-Gaussian; normalised where they are used.
+    pub rotations: Param<Tensor<2>>,
+    /// `[N, 3]`: natural logarithms of the standard deviations.
+    pub log_scales: Param<Tensor<2>>,
+    /// `[N]`: logits of the opacities.
+    pub logit_opacities: Param<Tensor<1>>,
+    /// `[N, 1, 3]`: degree-0 coefficients.
+    pub sh_dc: Param<Tensor<3>>,
+    /// `[N, (degree+1)² − 1, 3]`: higher coefficients; absent at degree 0. Coefficients of a degree that is not yet in
+    /// use are not stored: their gradients, moments and values would all be zero.
+    pub sh_rest: Option<Param<Tensor<3>>>,
+}
+
+/// A tracked parameter on an autodiff device, a plain one elsewhere.
+pub(crate) fn parameter<const D: usize>(values: Tensor<D>) -> Param<Tensor<D>> {
+    Param::from_tensor(values)
+}
+
+impl Gaussians {
+    /// A scene from rows, on `device`; trainable if the device is an autodiff device.
+    ///
+    /// # Errors
+    /// If the rows' fields differ in length.
+    pub fn from_rows(rows: &GaussianRows, device: &Device) -> Result<Self, RowsError> {
+        rows.check()?;
+        let count = rows.len();
+        let rest = rows.rest_per_row() / 3;
+        Ok(Self {
+            means: parameter(tensor(rows.means.as_flattened(), [count, 3], device)),
+            rotations: parameter(tensor(rows.rotations.as_flattened(), [count, 4], device)),
+            log_scales: parameter(tensor(rows.log_scales.as_flattened(), [count, 3], device)),
+            logit_opacities: parameter(tensor(&rows.logit_opacities, [count], device)),
+            sh_dc: parameter(tensor(rows.sh_dc.as_flattened(), [count, 1, 3], device)),
+            sh_rest: (rest > 0).then(|| parameter(tensor(&rows.sh_rest, [count, rest, 3], device))),
+        })
+    }
+
+    /// The rows of the scene, copied to the host.
+    pub fn to_rows(&self) -> GaussianRows {
+        GaussianRows {
+            means: rows_of(self.means.val()),
+            rotations: rows_of(self.rotations.val()),
+            log_scales: rows_of(self.log_scales.val()),
+            logit_opacities: values_of(self.logit_opacities.val()),
+            sh_dc: rows_of(self.sh_dc.val().squeeze_dim::<2>(1)),
+            sh_rest: self.sh_rest.as_ref().map(|rest| values_of(rest.val())).unwrap_or_default(),
+            sh_degree: self.sh_degree(),
+        }
+    }
+
+    /// Number of Gaussians.
+    pub fn len(&self) -> usize {
+        self.means.val().dims()[0]
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// Degree of the spherical harmonics that are stored.
+    pub fn sh_degree(&self) -> usize {
+        let coefficients = 1 + self.sh_rest.as_ref().map_or(0, |rest| rest.val().dims()[1]);
+        coefficients.isqrt() - 1
+    }
+
+    /// `[N, 3]`: standard deviations, scene units.
+    pub fn scales(&self) -> Tensor<2> {
+        self.log_scales.val().exp()
+    }
+
+    /// `[N]`: opacities, 0 to 1.
+    pub fn opacities(&self) -> Tensor<1> {
+        sigmoid(self.logit_opacities.val())
+    }
+
+    /// `[N, (degree+1)², 3]`: all coefficients.
+    pub fn sh(&self) -> Tensor<3> {
+        match &self.sh_rest {
+            None => self.sh_dc.val(),
+            Some(rest) => Tensor::cat(vec![self.sh_dc.val(), rest.val()], 1),
+        }
+    }
+
+    /// The Gaussians with activated parameters, tracked as the parameters are.
+    pub fn splats(&self) -> Splats {
+        Splats {
+            means: self.means.val(),
+            rotations: self.rotations.val(),
+            scales: self.scales(),
+            opacities: self.opacities(),
+            colour: Colour::SphericalHarmonics(self.sh()),
+        }
+    }
+
+    /// The same scene without autodiff: for evaluation, where a tracked forward pass would keep its state for nothing.
+    pub fn untracked(&self) -> Self {
+        let plain = |param: &Param<Tensor<2>>| Param::from_tensor(param.val().inner());
+        let plain3 = |param: &Param<Tensor<3>>| Param::from_tensor(param.val().inner());
+        if !self.means.val().device().is_autodiff() {
+            return self.clone();
+        }
+        Self {
+            means: plain(&self.means),
+            rotations: plain(&self.rotations),
+            log_scales: plain(&self.log_scales),
+            logit_opacities: Param::from_tensor(self.logit_opacities.val().inner()),
+            sh_dc: plain3(&self.sh_dc),
+            sh_rest: self.sh_rest.as_ref().map(plain3),
+        }
+    }
+}
+
+fn tensor<const D: usize>(values: &[f32], shape: [usize; D], device: &Device) -> Tensor<D> {
+    Tensor::from_data(TensorData::new(values.to_vec(), shape), device)
+}
+
+/// All elements, row-major.
+pub(crate) fn values_of<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
+    let data = tensor.into_data().convert::<f32>();
+    data.into_vec().expect("converted to f32 in the line above")
+}
+
+fn rows_of<const W: usize>(tensor: Tensor<2>) -> Vec<[f32; W]> {
+    values_of(tensor).as_chunks::<W>().0.to_vec()
 }

@@ -1,0 +1,36 @@
+//! A loss of your own: L1 in which dark pixels count more, and opacities that are asked to decide.
+//! Run with a capture: `cargo run --release -p splat-model --example custom_loss -- CAPTURE`.
+use std::path::Path;
+
+use burn::tensor::Device;
+use splat_model::capture::{Capture, image};
+use splat_model::evaluate::evaluate;
+use splat_model::trainer::{Seen, TrainConfig, Trainer};
+
+fn main() -> Result<(), Box<dyn std::error::Error>> {
+    let folder = std::env::args().nth(1).ok_or("name a capture's folder")?;
+    let capture = Capture::load(Path::new(&folder))?;
+    let photos = image::load_all(&capture.views, Some(96), |_| {})?;
+    let config = TrainConfig { steps: 60, ..TrainConfig::default() };
+    let options = config.render_options();
+    let device = Device::flex();
+
+    let loss = |seen: &Seen| {
+        let truth = seen.truth.image();
+        let weight = truth.clone().neg() + 1.5;
+        let colour = ((seen.image.clone() - truth).abs() * weight).mean();
+        let opacity = seen.splats.opacities.clone();
+        colour + (opacity.clone() * (opacity.neg() + 1.0)).mean() * 0.01
+    };
+    let mut trainer = Trainer::new(photos.clone(), &capture.points, config, &device)?.with_loss(loss);
+    while !trainer.is_done() {
+        let report = trainer.step()?;
+        if report.step % 20 == 0 {
+            println!("step {:3}  loss {:.4}  {} Gaussians", report.step, report.loss.into_scalar::<f32>(), report.splats);
+        }
+    }
+    let splats = trainer.gaussians().untracked().splats();
+    let scores = evaluate(&splats, &photos, [0.0; 3], &options, |_, _| {})?;
+    println!("PSNR on the photographs themselves: {:.2} dB", scores.psnr);
+    Ok(())
+}

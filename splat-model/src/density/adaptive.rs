@@ -1,0 +1,239 @@
+//! Adaptive density control (Kerbl et al. 2023, section 5.2), with what the field has learned to add: a hard cap, a
+//! limit on needles, and a threshold that rises at the cap.
+
+use burn::tensor::Tensor;
+use glam::{Quat, Vec3};
+use rand::Rng;
+use rand_distr::{Distribution, StandardNormal};
+use serde::{Deserialize, Serialize};
+
+use super::rows::{RowEdit, Trained};
+use crate::gaussians::{GaussianRows, RowsError, values_of};
+
+/// When and how to densify. Defaults are those of the original implementation unless said otherwise.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct AdaptiveConfig {
+    /// Steps between refinements.
+    pub every: usize,
+    /// First step of refinement.
+    pub from: usize,
+    /// Share of the run after which the number of Gaussians is fixed: 0.5.
+    pub until_share: f64,
+    /// Gaussians whose mean gradient at the projected centre, per unit of normalised device coordinates, exceeds this
+    /// are copied or split: 2e-4.
+    pub grad_threshold: f64,
+    /// Up to this size, as a share of the scene's extent, a Gaussian is copied; above, it is split: 0.01.
+    pub split_scale: f64,
+    /// Gaussians with an opacity below this are removed: 0.005.
+    pub prune_opacity: f64,
+    /// Gaussians larger than this share of the scene's extent are removed after the first opacity reset: 0.1.
+    pub prune_scale: f64,
+    /// Steps between opacity resets, which end floaters in front of the cameras: 3,000; 0 for never.
+    pub reset_every: usize,
+    /// The number of Gaussians never exceeds this; at the cap only those with the largest gradients are copied or split.
+    pub max_splats: usize,
+    /// A Gaussian's largest standard deviation is at most this many times its middle one: 30. Needles far longer than
+    /// wide streak across views that were not trained on. (Not in the original.)
+    pub max_elongation: f64,
+}
+
+impl Default for AdaptiveConfig {
+    fn default() -> Self {
+        Self {
+            every: 100,
+            from: 500,
+            until_share: 0.5,
+            grad_threshold: 2e-4,
+            split_scale: 0.01,
+            prune_opacity: 0.005,
+            prune_scale: 0.1,
+            reset_every: 3_000,
+            max_splats: 1_000_000,
+            max_elongation: 30.0,
+        }
+    }
+}
+
+/// A split Gaussian's parts are this much smaller (Kerbl et al. 2023, section 5.2).
+const SPLIT_SHRINK: f32 = 1.6;
+
+/// Opacity after a reset, as in the original.
+const RESET_OPACITY: f64 = 0.01;
+
+/// What a refinement did.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct RefineReport {
+    /// Small Gaussians copied.
+    pub cloned: usize,
+    /// Large Gaussians split in two.
+    pub split: usize,
+    /// Gaussians removed.
+    pub pruned: usize,
+    /// The gradient above which Gaussians were copied or split; above the configured one at the cap.
+    pub threshold: f64,
+}
+
+/// Statistics between refinements, and the policy.
+#[derive(Debug)]
+pub struct Adaptive {
+    config: AdaptiveConfig,
+    extent: f64,
+    steps: usize,
+    /// `[N]`: sums of gradient lengths and numbers of steps in which there was one; absent right after an edit.
+    seen: Option<(Tensor<1>, Tensor<1>)>,
+}
+
+impl Adaptive {
+    /// For a run of `steps` over a scene of `extent` (see [`crate::optim::scene_extent`]).
+    pub fn new(config: AdaptiveConfig, extent: f64, steps: usize) -> Self {
+        Self { config, extent, steps, seen: None }
+    }
+
+    /// Whether statistics are wanted at `step`, counted from 1.
+    pub fn listens_at(&self, step: usize) -> bool {
+        (step as f64) < self.config.until_share * self.steps as f64
+    }
+
+    /// Adds one step's `∂L/∂mean2d`, `[N, 2]` per px, of a picture of `size` px.
+    pub fn observe(&mut self, grad_mean2d: Tensor<2>, size: (usize, usize)) {
+        let device = grad_mean2d.device();
+        // Pixels per unit of normalised device coordinates, which run from -1 to 1.
+        let per_ndc = Tensor::<1>::from_floats([size.0 as f32 / 2.0, size.1 as f32 / 2.0], &device);
+        let squared = (grad_mean2d * per_ndc.unsqueeze()).square().sum_dim(1).squeeze_dim::<1>(1);
+        let length = squared.sqrt();
+        let shown = length.clone().greater_elem(0.0).float();
+        self.seen = Some(match self.seen.take() {
+            Some((sum, count)) => (sum + length, count + shown),
+            None => (length, shown),
+        });
+    }
+
+    /// Refines the scene if `step`, counted from 1, calls for it.
+    ///
+    /// # Errors
+    /// If the scene's rows do not fit together.
+    pub fn refine(
+        &mut self,
+        scene: &mut Trained,
+        step: usize,
+        rng: &mut impl Rng,
+    ) -> Result<Option<RefineReport>, RowsError> {
+        let config = self.config;
+        if !self.listens_at(step) {
+            return Ok(None);
+        }
+        let mut report = None;
+        if step >= config.from && step.is_multiple_of(config.every.max(1)) {
+            report = Some(self.densify(scene, step, rng)?);
+        }
+        if config.reset_every > 0 && step.is_multiple_of(config.reset_every) {
+            let ceiling = (RESET_OPACITY / (1.0 - RESET_OPACITY)).ln();
+            let logits = scene.gaussians.logit_opacities.val().inner().clamp_max(ceiling);
+            scene.reset_opacities(logits);
+        }
+        Ok(report)
+    }
+
+    fn densify(&mut self, scene: &mut Trained, step: usize, rng: &mut impl Rng) -> Result<RefineReport, RowsError> {
+        let rows = scene.gaussians.to_rows();
+        let gradients = self.mean_gradients(rows.len());
+        let keep_largest = self.config.reset_every == 0 || step <= self.config.reset_every;
+        let doomed: Vec<bool> = (0..rows.len()).map(|i| self.is_doomed(&rows, i, keep_largest)).collect();
+        let (chosen, threshold) = self.choose(&gradients, &doomed);
+        let split_above = (self.config.split_scale * self.extent) as f32;
+
+        let mut report = RefineReport { threshold, ..Default::default() };
+        let mut edit = RowEdit::default();
+        edit.add.sh_degree = rows.sh_degree;
+        let mut replaced = doomed.clone();
+        for &i in &chosen {
+            if largest_scale(&rows, i) > split_above {
+                replaced[i] = true;
+                report.split += 1;
+                (0..2).for_each(|_| push_split(&mut edit.add, &rows, i, rng));
+            } else {
+                report.cloned += 1;
+                push_row(&mut edit.add, &rows, i);
+            }
+        }
+        edit.keep = (0..rows.len()).filter(|&i| !replaced[i]).map(|i| i as u32).collect();
+        report.pruned = doomed.iter().filter(|&&gone| gone).count();
+        scene.edit(&edit)?;
+        self.limit_elongation(scene);
+        self.seen = None;
+        Ok(report)
+    }
+
+    /// Mean gradient of each Gaussian over the steps in which it was seen.
+    fn mean_gradients(&mut self, count: usize) -> Vec<f32> {
+        match self.seen.take() {
+            Some((sum, seen)) => values_of(sum / seen.clamp_min(1.0)),
+            None => vec![0.0; count],
+        }
+    }
+
+    /// Too faint to matter, too large to be right, or not a number.
+    fn is_doomed(&self, rows: &GaussianRows, i: usize, keep_largest: bool) -> bool {
+        let opacity = 1.0 / (1.0 + (-f64::from(rows.logit_opacities[i])).exp());
+        let largest = f64::from(largest_scale(rows, i));
+        let sound = opacity >= self.config.prune_opacity && largest.is_finite();
+        !(sound && (keep_largest || largest <= self.config.prune_scale * self.extent))
+    }
+
+    /// The rows to copy or split, in order, and the threshold that chose them.
+    fn choose(&self, gradients: &[f32], doomed: &[bool]) -> (Vec<usize>, f64) {
+        let wanted = |i: &usize| !doomed[*i] && f64::from(gradients[*i]) > self.config.grad_threshold;
+        let mut chosen: Vec<usize> = (0..gradients.len()).filter(wanted).collect();
+        let surviving = doomed.iter().filter(|&&gone| !gone).count();
+        // Copying adds one row, and so does splitting.
+        let room = self.config.max_splats.saturating_sub(surviving);
+        if chosen.len() <= room {
+            return (chosen, self.config.grad_threshold);
+        }
+        chosen.sort_by(|&a, &b| gradients[b].total_cmp(&gradients[a]).then(a.cmp(&b)));
+        let threshold = f64::from(gradients[chosen[room]]);
+        chosen.truncate(room);
+        chosen.sort_unstable();
+        (chosen, threshold)
+    }
+
+    /// Holds each Gaussian's largest standard deviation at `max_elongation` times its middle one.
+    fn limit_elongation(&self, scene: &mut Trained) {
+        let logs = scene.gaussians.log_scales.val().inner();
+        let (smallest, largest) = (logs.clone().min_dim(1), logs.clone().max_dim(1));
+        let middle = logs.clone().sum_dim(1) - smallest - largest;
+        let ceiling = middle + self.config.max_elongation.ln();
+        let ceiling = ceiling.expand(logs.shape());
+        let limited = logs.clone().mask_where(logs.clone().greater(ceiling.clone()), ceiling);
+        scene.replace_log_scales(limited);
+    }
+}
+
+fn largest_scale(rows: &GaussianRows, i: usize) -> f32 {
+    rows.log_scales[i].iter().fold(f32::NEG_INFINITY, |largest, log| largest.max(*log)).exp()
+}
+
+/// Appends row `i` as it is.
+fn push_row(to: &mut GaussianRows, from: &GaussianRows, i: usize) {
+    let rest = from.rest_per_row();
+    to.means.push(from.means[i]);
+    to.rotations.push(from.rotations[i]);
+    to.log_scales.push(from.log_scales[i]);
+    to.logit_opacities.push(from.logit_opacities[i]);
+    to.sh_dc.push(from.sh_dc[i]);
+    to.sh_rest.extend_from_slice(&from.sh_rest[rest * i..rest * (i + 1)]);
+}
+
+/// Appends a smaller copy of row `i`, moved to a place drawn from the Gaussian itself.
+fn push_split(to: &mut GaussianRows, from: &GaussianRows, i: usize, rng: &mut impl Rng) {
+    push_row(to, from, i);
+    let [w, x, y, z] = from.rotations[i];
+    let world_from_gaussian = Quat::from_xyzw(x, y, z, w).normalize();
+    let scale = Vec3::from(from.log_scales[i]).exp();
+    let drawn: [f32; 3] = std::array::from_fn(|_| StandardNormal.sample(rng));
+    let offset = world_from_gaussian * (scale * Vec3::from(drawn));
+    let last = to.means.len() - 1;
+    to.means[last] = (Vec3::from(from.means[i]) + offset).to_array();
+    to.log_scales[last] = from.log_scales[i].map(|log| log - SPLIT_SHRINK.ln());
+}

@@ -1,0 +1,215 @@
+//! The only place that edits rows: of the parameters and, with them, of their Adam moments.
+
+use burn::module::Param;
+use burn::tensor::{Int, Tensor, TensorData};
+
+use crate::gaussians::{GaussianRows, Gaussians, RowsError, parameter};
+use crate::optim::{Adam, LearningRates, Moments};
+
+/// Adam's state for all parameters of a scene.
+#[derive(Clone, Debug)]
+pub struct GaussianMoments {
+    pub(crate) means: Moments<2>,
+    pub(crate) rotations: Moments<2>,
+    pub(crate) log_scales: Moments<2>,
+    pub(crate) logit_opacities: Moments<1>,
+    pub(crate) sh_dc: Moments<3>,
+    pub(crate) sh_rest: Option<Moments<3>>,
+}
+
+impl GaussianMoments {
+    /// No history.
+    pub fn new(gaussians: &Gaussians) -> Self {
+        Self {
+            means: Moments::new(&gaussians.means.val()),
+            rotations: Moments::new(&gaussians.rotations.val()),
+            log_scales: Moments::new(&gaussians.log_scales.val()),
+            logit_opacities: Moments::new(&gaussians.logit_opacities.val()),
+            sh_dc: Moments::new(&gaussians.sh_dc.val()),
+            sh_rest: gaussians.sh_rest.as_ref().map(|rest| Moments::new(&rest.val())),
+        }
+    }
+}
+
+/// A scene being trained: parameters and moments, always of the same rows.
+#[derive(Clone, Debug)]
+pub struct Trained {
+    /// The parameters.
+    pub gaussians: Gaussians,
+    pub(crate) moments: GaussianMoments,
+}
+
+/// One edit of all rows.
+#[derive(Clone, Debug, Default)]
+pub struct RowEdit {
+    /// Rows that stay, in their new order.
+    pub keep: Vec<u32>,
+    /// Rows that come after them, without history.
+    pub add: GaussianRows,
+}
+
+impl Trained {
+    /// A scene without history.
+    pub fn new(gaussians: Gaussians) -> Self {
+        let moments = GaussianMoments::new(&gaussians);
+        Self { gaussians, moments }
+    }
+
+    /// Keeps, reorders and adds rows.
+    ///
+    /// # Errors
+    /// If the added rows do not fit together or are of another degree than the scene.
+    ///
+    /// # Panics
+    /// If `keep` names a row that does not exist: that is a bug of the policy.
+    pub fn edit(&mut self, edit: &RowEdit) -> Result<(), RowsError> {
+        let device = self.gaussians.means.val().device().inner();
+        let mut add = edit.add.clone();
+        add.sh_degree = self.gaussians.sh_degree();
+        let added = Gaussians::from_rows(&add, &device)?;
+        let keep: Vec<i32> = edit.keep.iter().map(|&row| row as i32).collect();
+        let keep = Tensor::<1, Int>::from_data(TensorData::new(keep, [edit.keep.len()]), &device);
+        let (gaussians, moments) = (&mut self.gaussians, &mut self.moments);
+        edit_rows(&mut gaussians.means, &mut moments.means, &keep, &added.means);
+        edit_rows(&mut gaussians.rotations, &mut moments.rotations, &keep, &added.rotations);
+        edit_rows(&mut gaussians.log_scales, &mut moments.log_scales, &keep, &added.log_scales);
+        edit_rows(&mut gaussians.logit_opacities, &mut moments.logit_opacities, &keep, &added.logit_opacities);
+        edit_rows(&mut gaussians.sh_dc, &mut moments.sh_dc, &keep, &added.sh_dc);
+        if let (Some(rest), Some(moments), Some(added)) = (&mut gaussians.sh_rest, &mut moments.sh_rest, &added.sh_rest)
+        {
+            edit_rows(rest, moments, &keep, added);
+        }
+        Ok(())
+    }
+
+    /// Replaces the opacities' logits, whose history is forgotten.
+    pub fn reset_opacities(&mut self, logits: Tensor<1>) {
+        self.moments.logit_opacities = Moments::new(&logits);
+        replace(&mut self.gaussians.logit_opacities, logits);
+    }
+
+    /// Replaces the logarithms of the standard deviations and keeps their history.
+    pub fn replace_log_scales(&mut self, log_scales: Tensor<2>) {
+        replace(&mut self.gaussians.log_scales, log_scales);
+    }
+
+    /// Makes room for spherical harmonics up to `degree`: new coefficients and their moments are zero, just as if they
+    /// had been there from the start with zero gradients.
+    pub fn grow_sh(&mut self, degree: usize) {
+        let wanted = (degree + 1) * (degree + 1) - 1;
+        let [count, have] = match &self.gaussians.sh_rest {
+            Some(rest) => [rest.val().dims()[0], rest.val().dims()[1]],
+            None => [self.gaussians.len(), 0],
+        };
+        if wanted <= have {
+            return;
+        }
+        let like = self.gaussians.sh_dc.val().inner();
+        let zeros = Tensor::<3>::zeros([count, wanted - have, 3], (&like.device(), like.dtype()));
+        let grown = |old: Option<Tensor<3>>| match old {
+            Some(old) => Tensor::cat(vec![old, zeros.clone()], 1),
+            None => zeros.clone(),
+        };
+        let values = grown(self.gaussians.sh_rest.as_ref().map(|rest| rest.val().inner()));
+        self.moments.sh_rest = Some(match self.moments.sh_rest.take() {
+            Some(Moments { m, v }) => Moments { m: grown(Some(m)), v: grown(Some(v)) },
+            None => Moments { m: zeros.clone(), v: zeros.clone() },
+        });
+        let device = self.gaussians.means.val().device();
+        self.gaussians.sh_rest = Some(parameter(on(&device, values)));
+    }
+
+    /// One step of Adam on every parameter that has a gradient; `step` counts from 1.
+    pub fn step(&mut self, gradients: Gradients, adam: &Adam, rates: &StepRates, step: usize) {
+        let (g, m) = (&mut self.gaussians, &mut self.moments);
+        let LearningRates { scales, rotations, sh_dc, sh_rest, opacities, .. } = rates.rates;
+        update(&mut g.means, gradients.means, rates.means, &mut m.means, (adam, step));
+        update(&mut g.rotations, gradients.rotations, rotations, &mut m.rotations, (adam, step));
+        update(&mut g.log_scales, gradients.log_scales, scales, &mut m.log_scales, (adam, step));
+        update(&mut g.logit_opacities, gradients.logit_opacities, opacities, &mut m.logit_opacities, (adam, step));
+        update(&mut g.sh_dc, gradients.sh_dc, sh_dc, &mut m.sh_dc, (adam, step));
+        if let (Some(rest), Some(moments)) = (&mut g.sh_rest, &mut m.sh_rest) {
+            update(rest, gradients.sh_rest, sh_rest, moments, (adam, step));
+        }
+    }
+}
+
+/// Learning rates of one step.
+#[derive(Clone, Copy, Debug)]
+pub struct StepRates {
+    /// Those that do not change.
+    pub rates: LearningRates,
+    /// Of the centres, scene units.
+    pub means: f64,
+}
+
+/// Gradients of a scene's parameters, without autodiff; absent where the loss does not depend on one.
+#[derive(Debug, Default)]
+pub struct Gradients {
+    pub means: Option<Tensor<2>>,
+    pub rotations: Option<Tensor<2>>,
+    pub log_scales: Option<Tensor<2>>,
+    pub logit_opacities: Option<Tensor<1>>,
+    pub sh_dc: Option<Tensor<3>>,
+    pub sh_rest: Option<Tensor<3>>,
+}
+
+impl Gradients {
+    /// Takes the gradients of a scene's parameters out of those of a loss.
+    pub fn take(gaussians: &Gaussians, grads: &mut burn::tensor::Gradients) -> Self {
+        Self {
+            means: gaussians.means.val().grad_remove(grads),
+            rotations: gaussians.rotations.val().grad_remove(grads),
+            log_scales: gaussians.log_scales.val().grad_remove(grads),
+            logit_opacities: gaussians.logit_opacities.val().grad_remove(grads),
+            sh_dc: gaussians.sh_dc.val().grad_remove(grads),
+            sh_rest: gaussians.sh_rest.as_ref().and_then(|rest| rest.val().grad_remove(grads)),
+        }
+    }
+}
+
+/// `values` on the device of a parameter, tracked if that is an autodiff device.
+fn on<const D: usize>(device: &burn::tensor::Device, values: Tensor<D>) -> Tensor<D> {
+    if device.is_autodiff() { Tensor::from_inner(values) } else { values }
+}
+
+/// Puts new values in a parameter's place.
+fn replace<const D: usize>(param: &mut Param<Tensor<D>>, values: Tensor<D>) {
+    let device = param.val().device();
+    *param = parameter(on(&device, values));
+}
+
+/// Takes the values out of a parameter, so that nothing else holds them.
+fn take<const D: usize>(param: &mut Param<Tensor<D>>) -> Tensor<D> {
+    let (device, dtype) = (param.val().device(), param.val().dtype());
+    let empty = parameter(Tensor::zeros([0; D], (&device, dtype)));
+    std::mem::replace(param, empty).into_value().inner()
+}
+
+fn update<const D: usize>(
+    param: &mut Param<Tensor<D>>,
+    gradient: Option<Tensor<D>>,
+    rate: f64,
+    moments: &mut Moments<D>,
+    (adam, step): (&Adam, usize),
+) {
+    let Some(gradient) = gradient else { return };
+    let device = param.val().device();
+    let values = take(param);
+    *param = parameter(on(&device, adam.step(values, gradient, rate, moments, step)));
+}
+
+fn edit_rows<const D: usize>(
+    param: &mut Param<Tensor<D>>,
+    moments: &mut Moments<D>,
+    keep: &Tensor<1, Int>,
+    added: &Param<Tensor<D>>,
+) {
+    let added = added.val().inner();
+    let without_history = added.clone().zeros_like();
+    let edited = |old: Tensor<D>, new: &Tensor<D>| Tensor::cat(vec![old.select(0, keep.clone()), new.clone()], 0);
+    let values = edited(param.val().inner(), &added);
+    moments.m = edited(moments.m.clone(), &without_history);
+    moments.v = edited(moments.v.clone(), &without_history);
+    replace(param, values);
+}

@@ -1,0 +1,114 @@
+//! The first Gaussians of a scene: from a sparse point cloud, or random where a capture has none.
+
+use glam::{DAffine3, DVec3};
+use kiddo::{ImmutableKdTree, SquaredEuclidean};
+use rand::{Rng, RngExt};
+use rayon::prelude::*;
+use splat_op::Intrinsics;
+
+use crate::capture::PointCloud;
+use crate::gaussians::GaussianRows;
+
+/// `Y₀`: the degree-0 spherical harmonic, `1 / (2 √π)`.
+const SH_0: f32 = 0.282_094_8;
+
+/// Opacity of a Gaussian at the start (Kerbl et al. 2023, section 5.1, as their code has it).
+pub const START_OPACITY: f32 = 0.1;
+
+/// Neighbours whose mean distance is a Gaussian's first standard deviation (Kerbl et al. 2023, section 5.1).
+const NEIGHBOURS: usize = 3;
+
+/// Squared distances below this count as this, as in the original code: points at one place would have no size.
+const SMALLEST_SQUARED_DISTANCE: f32 = 1e-7;
+
+/// Gaussians made where there are no points.
+pub const RANDOM_COUNT: usize = 20_000;
+
+/// One round Gaussian per point: as large as the mean distance to its three nearest neighbours, opacity 0.1, of the
+/// point's colour, without view dependence.
+pub fn from_points(points: &PointCloud) -> GaussianRows {
+    let squared = neighbour_distances(&points.positions);
+    let count = points.positions.len();
+    let logit = (START_OPACITY / (1.0 - START_OPACITY)).ln();
+    let dc = |colour: &[u8; 3]| colour.map(|channel| (f32::from(channel) / 255.0 - 0.5) / SH_0);
+    GaussianRows {
+        means: points.positions.clone(),
+        rotations: vec![[1.0, 0.0, 0.0, 0.0]; count],
+        log_scales: squared.iter().map(|d| [0.5 * d.max(SMALLEST_SQUARED_DISTANCE).ln(); 3]).collect(),
+        logit_opacities: vec![logit; count],
+        sh_dc: points.colours.iter().map(dc).collect(),
+        sh_rest: Vec::new(),
+        sh_degree: 0,
+    }
+}
+
+/// Mean squared distance of each point to its nearest neighbours; to those there are, if they are fewer.
+fn neighbour_distances(positions: &[[f32; 3]]) -> Vec<f32> {
+    if positions.len() < 2 {
+        return vec![1.0; positions.len()];
+    }
+    let tree: ImmutableKdTree<f32, 3> = ImmutableKdTree::new_from_slice(positions);
+    let wanted = std::num::NonZero::new(NEIGHBOURS + 1).expect("one more than three");
+    let mean = |position: &[f32; 3]| {
+        // The nearest is the point itself.
+        let found = tree.nearest_n::<SquaredEuclidean>(position, wanted);
+        let others = &found[1..];
+        others.iter().map(|neighbour| neighbour.distance).sum::<f32>() / others.len() as f32
+    };
+    positions.par_iter().map(mean).collect()
+}
+
+/// Random points of random colour in the volume that the cameras look at together: each lies in a random camera's
+/// picture, at a depth between half and one and a half times the camera's distance to the point nearest to all optical
+/// axes.
+pub fn random_points(
+    cameras: &[(Intrinsics, DAffine3)],
+    count: usize,
+    rng: &mut impl Rng,
+) -> PointCloud {
+    let mut points = PointCloud::default();
+    let Some(focus) = common_focus(cameras) else { return points };
+    for _ in 0..count {
+        let (camera, cam_from_world) = &cameras[rng.random_range(0..cameras.len())];
+        let world_from_cam = cam_from_world.inverse();
+        let distance = (focus - world_from_cam.translation).length().max(f64::MIN_POSITIVE);
+        let depth = distance * rng.random_range(0.5..1.5);
+        let x = (rng.random_range(0.0..camera.width as f64) - camera.cx) / camera.fx;
+        let y = (rng.random_range(0.0..camera.height as f64) - camera.cy) / camera.fy;
+        let position = world_from_cam.transform_point3(DVec3::new(x, y, 1.0) * depth);
+        points.positions.push(position.as_vec3().to_array());
+        points.colours.push([rng.random(), rng.random(), rng.random()]);
+    }
+    points
+}
+
+/// The point with the least sum of squared distances to the optical axes; in front of a single camera, or of cameras
+/// that all look the same way, one unit ahead of their mean. `None` without cameras.
+fn common_focus(cameras: &[(Intrinsics, DAffine3)]) -> Option<DVec3> {
+    let axes = cameras.iter().map(|(_, pose)| {
+        let world_from_cam = pose.inverse();
+        (world_from_cam.translation, world_from_cam.matrix3.z_axis)
+    });
+    let (mut normal, mut right, mut ahead) = (glam::DMat3::ZERO, DVec3::ZERO, DVec3::ZERO);
+    for (centre, axis) in axes {
+        let across = glam::DMat3::IDENTITY - glam::DMat3::from_cols(axis * axis.x, axis * axis.y, axis * axis.z);
+        normal += across;
+        right += across * centre;
+        ahead += centre + axis;
+    }
+    let count = cameras.len() as f64;
+    match cameras.len() {
+        0 => None,
+        _ if normal.determinant() > 1e-6 * count.powi(3) => Some(normal.inverse() * right),
+        _ => Some(ahead / count),
+    }
+}
+
+/// The cloud itself, or every `k`th of its points if it holds more than `most`.
+pub fn thinned(points: &PointCloud, most: usize) -> PointCloud {
+    let stride = points.positions.len().div_ceil(most.max(1)).max(1);
+    PointCloud {
+        positions: points.positions.iter().copied().step_by(stride).collect(),
+        colours: points.colours.iter().copied().step_by(stride).collect(),
+    }
+}

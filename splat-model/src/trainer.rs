@@ -1,0 +1,306 @@
+//! Training: photographs in, a scene out. One step at a time, so that a caller can watch, stop or add to it.
+
+use burn::tensor::{Device, Tensor};
+use glam::DAffine3;
+use rand::SeedableRng;
+use rand::seq::SliceRandom;
+use rand_chacha::ChaCha8Rng;
+use serde::{Deserialize, Serialize};
+use splat_op::{Camera, Extras, Intrinsics, RenderOptions, SplatError, Splats, render};
+use thiserror::Error;
+
+use crate::capture::{Photo, PointCloud};
+use crate::density::rows::{Gradients, StepRates, Trained};
+use crate::density::{Adaptive, AdaptiveConfig, RefineReport};
+use crate::gaussians::{Gaussians, RowsError};
+use crate::init;
+use crate::loss::{DEFAULT_LAMBDA, Truth, photometric};
+use crate::optim::{Adam, Decay, LearningRates, STEPS_PER_SH_DEGREE, scene_extent, sh_degree_at};
+
+/// All that a run depends on besides its photographs. Defaults are those of the original implementation.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct TrainConfig {
+    /// Steps, one photograph each: 30,000.
+    pub steps: usize,
+    /// Seed of everything random.
+    pub seed: u64,
+    /// Share of D-SSIM in the loss: 0.2.
+    pub lambda: f64,
+    /// Highest degree of the spherical harmonics: 3.
+    pub sh_degree: usize,
+    /// Steps until the degree rises by one: 1,000.
+    pub sh_every: usize,
+    /// Learning rates.
+    pub learning_rates: LearningRates,
+    /// Density control.
+    pub density: AdaptiveConfig,
+    /// What shows through the Gaussians, and through photographs with alpha: RGB, 0 to 1.
+    pub background: [f32; 3],
+    /// Whether opacities are compensated for the blur (see [`RenderOptions::antialias`]).
+    pub antialias: bool,
+    /// Memory for photographs prepared for the loss, MiB; those beyond it are prepared again at each use: 512.
+    pub cache_mib: usize,
+}
+
+impl Default for TrainConfig {
+    fn default() -> Self {
+        Self {
+            steps: 30_000,
+            seed: 0,
+            lambda: DEFAULT_LAMBDA,
+            sh_degree: 3,
+            sh_every: STEPS_PER_SH_DEGREE,
+            learning_rates: LearningRates::default(),
+            density: AdaptiveConfig::default(),
+            background: [0.0; 3],
+            antialias: false,
+            cache_mib: 512,
+        }
+    }
+}
+
+impl TrainConfig {
+    /// How the run renders.
+    pub fn render_options(&self) -> RenderOptions {
+        RenderOptions::standard().with_antialias(self.antialias)
+    }
+}
+
+/// Why a run cannot start or go on.
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum TrainError {
+    /// No photographs.
+    #[error("there are no photographs to train on: with every photograph in the test split, raise `--eval-every`")]
+    NoViews,
+    /// Steps of zero.
+    #[error("`steps` is 0, expected at least 1: give `--steps N`")]
+    NoSteps,
+    /// More degrees than there are.
+    #[error("`sh_degree` is {0}, expected 0 to 4")]
+    ShDegree(usize),
+    /// The operation refused its inputs.
+    #[error(transparent)]
+    Op(#[from] SplatError),
+    /// Rows that do not fit together.
+    #[error(transparent)]
+    Rows(#[from] RowsError),
+}
+
+/// What a loss sees of one step.
+pub struct Seen<'a> {
+    /// `[H, W, 3]`: the render, tracked.
+    pub image: Tensor<3>,
+    /// `[H, W, 1]`: the share of the background that is hidden, tracked.
+    pub alpha: Tensor<3>,
+    /// The photograph, prepared; [`Truth::image`] gives it as `[H, W, 3]`.
+    pub truth: &'a Truth,
+    /// What was rendered, tracked: activated parameters.
+    pub splats: &'a Splats,
+    /// Counted from 1.
+    pub step: usize,
+    /// The photograph's name.
+    pub view: &'a str,
+}
+
+/// Something to minimise: any function of what is [`Seen`] to a `[1]` tensor.
+pub trait Loss {
+    /// The loss of one step, `[1]`, tracked.
+    fn loss(&self, seen: &Seen) -> Tensor<1>;
+}
+
+impl<F: Fn(&Seen) -> Tensor<1>> Loss for F {
+    fn loss(&self, seen: &Seen) -> Tensor<1> {
+        self(seen)
+    }
+}
+
+/// What a step did.
+#[derive(Clone, Debug)]
+pub struct StepReport {
+    /// Counted from 1.
+    pub step: usize,
+    /// `[1]`: the loss; reading it waits for the device.
+    pub loss: Tensor<1>,
+    /// The photograph's name.
+    pub view: String,
+    /// Gaussians after the step.
+    pub splats: usize,
+    /// What density control did, if it was due.
+    pub refined: Option<RefineReport>,
+}
+
+/// A photograph to train on.
+struct TrainView {
+    photo: Photo,
+    camera: Camera,
+    truth: Option<Truth>,
+}
+
+/// A run.
+pub struct Trainer {
+    config: TrainConfig,
+    device: Device,
+    scene: Trained,
+    views: Vec<TrainView>,
+    cache_left: usize,
+    density: Adaptive,
+    means_decay: Decay,
+    loss: Box<dyn Loss>,
+    rng: ChaCha8Rng,
+    /// Views still to come in this epoch.
+    queue: Vec<usize>,
+    step: usize,
+}
+
+impl Trainer {
+    /// A run over `photos` that starts from `points`, or from random points where there are none, on `device`.
+    ///
+    /// # Errors
+    /// If there are no photographs or no steps.
+    pub fn new(
+        photos: Vec<Photo>,
+        points: &PointCloud,
+        config: TrainConfig,
+        device: &Device,
+    ) -> Result<Self, TrainError> {
+        match () {
+            () if photos.is_empty() => return Err(TrainError::NoViews),
+            () if config.steps == 0 => return Err(TrainError::NoSteps),
+            () if config.sh_degree > splat_op::shade::SH_DEGREE_MAX => return Err(TrainError::ShDegree(config.sh_degree)),
+            () => {}
+        }
+        let mut rng = ChaCha8Rng::seed_from_u64(config.seed);
+        let rows = if points.positions.is_empty() {
+            let cameras: Vec<(Intrinsics, DAffine3)> =
+                photos.iter().map(|photo| (photo.intrinsics, photo.cam_from_world)).collect();
+            let count = init::RANDOM_COUNT.min(config.density.max_splats);
+            init::from_points(&init::random_points(&cameras, count, &mut rng))
+        } else {
+            init::from_points(&init::thinned(points, config.density.max_splats))
+        };
+        let centres: Vec<_> = photos.iter().map(|photo| photo.cam_from_world.inverse().translation).collect();
+        let extent = scene_extent(&centres);
+        let tracked = device.clone().autodiff();
+        let views = photos
+            .into_iter()
+            .map(|photo| {
+                let camera = Camera::new(photo.intrinsics, &photo.cam_from_world, device);
+                TrainView { photo, camera, truth: None }
+            })
+            .collect();
+        let lambda = config.lambda;
+        Ok(Self {
+            device: device.clone(),
+            scene: Trained::new(Gaussians::from_rows(&rows, &tracked)?),
+            views,
+            cache_left: config.cache_mib << 20,
+            density: Adaptive::new(config.density, extent, config.steps),
+            means_decay: config.learning_rates.means_decay(extent, config.steps),
+            loss: Box::new(move |seen: &Seen| photometric(seen.image.clone(), seen.truth, lambda)),
+            rng,
+            queue: Vec::new(),
+            step: 0,
+            config,
+        })
+    }
+
+    /// The same run with a loss of the caller's instead of L1 + D-SSIM.
+    pub fn with_loss(self, loss: impl Loss + 'static) -> Self {
+        Self { loss: Box::new(loss), ..self }
+    }
+
+    /// The scene as it is now.
+    pub fn gaussians(&self) -> &Gaussians {
+        &self.scene.gaussians
+    }
+
+    /// Steps done.
+    pub fn steps_done(&self) -> usize {
+        self.step
+    }
+
+    /// Whether the run is over.
+    pub fn is_done(&self) -> bool {
+        self.step >= self.config.steps
+    }
+
+    /// Renders a photograph's camera, compares, and moves every parameter against its gradient; then refines if it is due.
+    ///
+    /// # Errors
+    /// If the operation refuses the scene.
+    pub fn step(&mut self) -> Result<StepReport, TrainError> {
+        let view = self.next_view();
+        self.step += 1;
+        let step = self.step;
+        self.scene.grow_sh(sh_degree_at(step - 1, self.config.sh_every, self.config.sh_degree));
+
+        let splats = self.scene.gaussians.splats();
+        let tracked = splats.means.device();
+        let probe = self
+            .density
+            .listens_at(step)
+            .then(|| Tensor::<2>::zeros([self.scene.gaussians.len(), 2], &tracked).require_grad());
+        let extras = Extras {
+            background: Some(Tensor::from_floats(self.config.background, &self.device)),
+            mean2d_probe: probe.clone(),
+            ..Extras::default()
+        };
+        let truth = self.truth(view);
+        let TrainView { camera, photo, .. } = &self.views[view];
+        let rendered = render(&splats, std::slice::from_ref(camera), &extras, &self.config.render_options())?;
+        let seen = Seen {
+            image: rendered.colour.squeeze_dim(0),
+            alpha: rendered.alpha.squeeze_dim(0),
+            truth: &truth,
+            splats: &splats,
+            step,
+            view: &photo.name,
+        };
+        let loss = self.loss.loss(&seen);
+        drop(seen);
+        drop(splats);
+        let mut grads = loss.backward();
+        if let Some(grad) = probe.and_then(|probe| probe.grad_remove(&mut grads)) {
+            self.density.observe(grad, (photo.intrinsics.width, photo.intrinsics.height));
+        }
+        let gradients = Gradients::take(&self.scene.gaussians, &mut grads);
+        drop(grads);
+        let rates = StepRates { rates: self.config.learning_rates, means: self.means_decay.at(step) };
+        self.scene.step(gradients, &Adam::default(), &rates, step);
+        let refined = self.density.refine(&mut self.scene, step, &mut self.rng)?;
+        Ok(StepReport {
+            step,
+            loss: loss.inner(),
+            view: self.views[view].photo.name.clone(),
+            splats: self.scene.gaussians.len(),
+            refined,
+        })
+    }
+
+    /// Every photograph once per epoch, in random order.
+    fn next_view(&mut self) -> usize {
+        if self.queue.is_empty() {
+            self.queue = (0..self.views.len()).collect();
+            self.queue.shuffle(&mut self.rng);
+        }
+        self.queue.pop().expect("filled above, and there is at least one view")
+    }
+
+    /// A photograph prepared for the loss, kept for its next use while there is room.
+    fn truth(&mut self, view: usize) -> Truth {
+        if let Some(truth) = &self.views[view].truth {
+            return truth.clone();
+        }
+        let photo = &self.views[view].photo;
+        let truth = Truth::new(photo.rgb_over(self.config.background, &self.device));
+        // The photograph and two of its windowed moments.
+        let bytes = 3 * size_of::<f32>() * photo.rgb.len();
+        if bytes <= self.cache_left {
+            self.cache_left -= bytes;
+            self.views[view].truth = Some(truth.clone());
+        }
+        truth
+    }
+}

@@ -1,0 +1,240 @@
+//! The stages on Burn's CPU backends: each method reads its tensors, picks the float type and calls the twin.
+
+#![allow(deprecated, reason = "burn-ndarray is deprecated in favour of burn-flex; this project supports both")]
+
+use burn::backend::tensor::{FloatTensor, IntTensor};
+use burn::backend::{Flex, NdArray, TensorMetadata};
+use burn::tensor::{DType, TensorData};
+
+use super::host::{Host, HostBackend};
+use crate::blend::{self, BlendGrads, BlendInputs, BlendNeeds, BlendSpec, TraceCell};
+use crate::op::{Slot, SplatBackend};
+use crate::project::{self, COLUMNS, ProjectGrads, ProjectInputs, ProjectNeeds, ProjectSpec};
+use crate::real::Real;
+use crate::shade::{self, ShadeGrads, ShadeInputs, ShadeNeeds};
+use crate::tile::cpu::tile_cpu;
+use crate::tile::{HitCell, HitLists, tile_grid};
+
+/// Runs `$body` with `$float` standing for the float type of `$tensor`.
+macro_rules! by_type {
+    ($tensor:expr, $float:ident => $body:expr) => {
+        match $tensor.dtype() {
+            DType::F64 => {
+                type $float = f64;
+                $body
+            }
+            _ => {
+                type $float = f32;
+                $body
+            }
+        }
+    };
+}
+
+/// A gradient as a tensor of the given shape, or nothing if it was not needed.
+fn slot<B: HostBackend, F: Real>(needed: bool, elements: Vec<F>, shape: &[usize], like: &FloatTensor<B>) -> Slot<B> {
+    if needed { Slot::Have(B::from_host(elements, shape, like)) } else { Slot::Skip }
+}
+
+struct ProjectHost<F: Real>([Host<F>; 5]);
+
+impl<F: Real> ProjectHost<F> {
+    fn read<B: HostBackend>(inputs: &ProjectInputs<B>) -> Self {
+        let ProjectInputs { means, rotations, scales, opacities, cam_from_world } = inputs;
+        Self([means, rotations, scales, opacities, cam_from_world].map(|tensor| B::host(tensor.clone())))
+    }
+
+    fn inputs(&self) -> project::cpu::Inputs<'_, F> {
+        let [means, rotations, scales, opacities, cam_from_world] = &self.0;
+        project::cpu::Inputs { means, rotations, scales, opacities, cam_from_world }
+    }
+}
+
+fn project<B: HostBackend, F: Real>(inputs: ProjectInputs<B>, spec: &ProjectSpec) -> FloatTensor<B> {
+    let host = ProjectHost::<F>::read(&inputs);
+    let packed = project::cpu::project_cpu(host.inputs(), spec);
+    let count = packed.len() / COLUMNS;
+    B::from_host(packed, &[count, COLUMNS], &inputs.means)
+}
+
+fn project_backward<B: HostBackend, F: Real>(
+    inputs: ProjectInputs<B>,
+    grad: FloatTensor<B>,
+    spec: &ProjectSpec,
+    needs: ProjectNeeds,
+) -> ProjectGrads<B> {
+    let host = ProjectHost::<F>::read(&inputs);
+    let g = project::cpu::project_backward_cpu(host.inputs(), &B::host(grad), spec, needs);
+    let (count, like) = (host.inputs().opacities.len(), &inputs.means);
+    ProjectGrads {
+        means: slot(needs.means, g.means, &[count, 3], like),
+        rotations: slot(needs.rotations, g.rotations, &[count, 4], like),
+        scales: slot(needs.scales, g.scales, &[count, 3], like),
+        opacities: slot(needs.opacities, g.opacities, &[count], like),
+        cam_from_world: slot(needs.cam_from_world, g.cam_from_world, &[3, 4], like),
+        mean2d: slot(needs.mean2d, g.mean2d, &[count, 2], like),
+    }
+}
+
+struct ShadeHost<F: Real> {
+    tensors: [Host<F>; 3],
+    coefficients: usize,
+}
+
+impl<F: Real> ShadeHost<F> {
+    fn read<B: HostBackend>(inputs: &ShadeInputs<B>) -> Self {
+        let ShadeInputs { sh, means, cam_from_world } = inputs;
+        Self { tensors: [sh, means, cam_from_world].map(|tensor| B::host(tensor.clone())), coefficients: sh.shape()[1] }
+    }
+
+    fn inputs(&self) -> shade::cpu::Inputs<'_, F> {
+        let [sh, means, cam_from_world] = &self.tensors;
+        shade::cpu::Inputs { sh, means, cam_from_world, coefficients: self.coefficients }
+    }
+}
+
+fn shade<B: HostBackend, F: Real>(inputs: ShadeInputs<B>) -> FloatTensor<B> {
+    let colours = shade::cpu::shade_cpu(ShadeHost::<F>::read(&inputs).inputs());
+    let count = colours.len() / 3;
+    B::from_host(colours, &[count, 3], &inputs.means)
+}
+
+fn shade_backward<B: HostBackend, F: Real>(
+    inputs: ShadeInputs<B>,
+    grad: FloatTensor<B>,
+    needs: ShadeNeeds,
+) -> ShadeGrads<B> {
+    let host = ShadeHost::<F>::read(&inputs);
+    let g = shade::cpu::shade_backward_cpu(host.inputs(), &B::host(grad), needs);
+    let (count, like) = (host.inputs().means.len() / 3, &inputs.means);
+    ShadeGrads {
+        sh: slot(needs.sh, g.sh, &[count, host.coefficients, 3], like),
+        means: slot(needs.means, g.means, &[count, 3], like),
+        cam_from_world: slot(needs.cam_from_world, g.cam_from_world, &[3, 4], like),
+    }
+}
+
+/// The lists in the cell, computed now if nobody has yet.
+fn hit_lists<'a, F: Real>(cell: &'a HitCell, projected: &[F], spec: &BlendSpec) -> &'a HitLists {
+    cell.0.get_or_init(|| tile_cpu(projected, &spec.intrinsics, spec.options.alpha_min))
+}
+
+fn tile<B: HostBackend, F: Real>(projected: FloatTensor<B>, spec: &BlendSpec, cell: &HitCell) -> IntTensor<B> {
+    let device = projected.device();
+    let lists = hit_lists(cell, &B::host::<F>(projected), spec);
+    let counts: Vec<i32> = lists.tile_start.windows(2).map(|w| (w[1] - w[0]) as i32).collect();
+    let [tiles_x, tiles_y] = tile_grid(spec.intrinsics.width, spec.intrinsics.height);
+    B::int_from_data(TensorData::new(counts, [tiles_y, tiles_x]), &device)
+}
+
+struct BlendHost<F: Real>([Host<F>; 3]);
+
+impl<F: Real> BlendHost<F> {
+    fn read<B: HostBackend>(inputs: &BlendInputs<B>) -> Self {
+        let BlendInputs { projected, features, background } = inputs;
+        Self([projected, features, background].map(|tensor| B::host(tensor.clone())))
+    }
+
+    fn inputs(&self) -> blend::cpu::Inputs<'_, F> {
+        let [projected, features, background] = &self.0;
+        blend::cpu::Inputs { projected, features, background }
+    }
+}
+
+fn blend<B: HostBackend, F: Real>(
+    inputs: BlendInputs<B>,
+    spec: &BlendSpec,
+    hits: &HitCell,
+    trace: Option<TraceCell>,
+) -> FloatTensor<B> {
+    let host = BlendHost::<F>::read(&inputs);
+    let lists = hit_lists(hits, host.inputs().projected, spec);
+    let (planes, kept) = blend::cpu::blend_cpu(host.inputs(), spec, lists, trace.is_some());
+    if let (Some(cell), Some(kept)) = (trace, kept) {
+        // A cell that is filled already holds the same trace.
+        let _ = cell.0.set(Box::new(kept));
+    }
+    let count = spec.planes(host.inputs().background.len());
+    B::from_host(planes, &[count, spec.intrinsics.height, spec.intrinsics.width], &inputs.projected)
+}
+
+fn blend_backward<B: HostBackend, F: Real>(
+    inputs: BlendInputs<B>,
+    grad: FloatTensor<B>,
+    spec: &BlendSpec,
+    needs: BlendNeeds,
+    (hits, trace): (&HitCell, &TraceCell),
+) -> BlendGrads<B> {
+    let host = BlendHost::<F>::read(&inputs);
+    let lists = hit_lists(hits, host.inputs().projected, spec);
+    let trace = trace.0.get().and_then(|kept| kept.downcast_ref::<blend::cpu::Trace<F>>());
+    let g = blend::cpu::blend_backward_cpu(host.inputs(), &B::host(grad), spec, (lists, trace), needs);
+    let channels = host.inputs().background.len();
+    let (count, like) = (host.inputs().projected.len() / COLUMNS, &inputs.projected);
+    BlendGrads {
+        projected: slot(needs.projected, g.projected, &[count, COLUMNS], like),
+        features: slot(needs.features, g.features, &[count, channels], like),
+        background: slot(needs.background, g.background, &[channels], like),
+        mean2d_abs: slot(needs.mean2d_abs, g.mean2d_abs, &[count, 2], like),
+    }
+}
+
+macro_rules! cpu_backend {
+    ($backend:ty) => {
+        impl SplatBackend for $backend {
+            fn project(inputs: ProjectInputs<Self>, _: FloatTensor<Self>, spec: ProjectSpec) -> FloatTensor<Self> {
+                by_type!(inputs.means, F => project::<Self, F>(inputs, &spec))
+            }
+
+            fn project_backward(
+                inputs: ProjectInputs<Self>,
+                grad: FloatTensor<Self>,
+                spec: ProjectSpec,
+                needs: ProjectNeeds,
+            ) -> ProjectGrads<Self> {
+                by_type!(inputs.means, F => project_backward::<Self, F>(inputs, grad, &spec, needs))
+            }
+
+            fn shade(inputs: ShadeInputs<Self>) -> FloatTensor<Self> {
+                by_type!(inputs.means, F => shade::<Self, F>(inputs))
+            }
+
+            fn shade_backward(
+                inputs: ShadeInputs<Self>,
+                grad: FloatTensor<Self>,
+                needs: ShadeNeeds,
+            ) -> ShadeGrads<Self> {
+                by_type!(inputs.means, F => shade_backward::<Self, F>(inputs, grad, needs))
+            }
+
+            fn tile(projected: FloatTensor<Self>, spec: BlendSpec, hits: HitCell) -> IntTensor<Self> {
+                by_type!(projected, F => tile::<Self, F>(projected, &spec, &hits))
+            }
+
+            fn blend(
+                inputs: BlendInputs<Self>,
+                _: FloatTensor<Self>,
+                _: IntTensor<Self>,
+                spec: BlendSpec,
+                hits: HitCell,
+                trace: Option<TraceCell>,
+            ) -> FloatTensor<Self> {
+                by_type!(inputs.projected, F => blend::<Self, F>(inputs, &spec, &hits, trace))
+            }
+
+            fn blend_backward(
+                inputs: BlendInputs<Self>,
+                grad: FloatTensor<Self>,
+                spec: BlendSpec,
+                needs: BlendNeeds,
+                hits: HitCell,
+                trace: TraceCell,
+            ) -> BlendGrads<Self> {
+                by_type!(inputs.projected, F => blend_backward::<Self, F>(inputs, grad, &spec, needs, (&hits, &trace)))
+            }
+        }
+    };
+}
+
+cpu_backend!(Flex);
+cpu_backend!(NdArray);

@@ -1,0 +1,356 @@
+//! The CPU twin of `blend`: both passes, parallel over tiles. Each hit's gradient has a place of its own; a Gaussian's
+//! are added in a fixed order, so the number of threads never changes a result.
+
+use fearless_simd::{Level, dispatch};
+use rayon::prelude::*;
+
+use super::tile::{Footprint, Thresholds, TileView, blend_tile};
+use super::tile_backward::{MOMENTS, Scratch, TileGrad, blend_tile_backward};
+use super::{BlendNeeds, BlendSpec};
+use crate::project::{COLUMNS, Ellipse};
+use crate::real::Real;
+use crate::tile::{HitLists, TILE, TILE_PIXELS, tile_grid};
+
+/// Gaussians per task.
+const CHUNK: usize = 1024;
+
+/// Borrowed inputs, row-major.
+#[derive(Clone, Copy)]
+pub(crate) struct Inputs<'a, F> {
+    pub projected: &'a [F],
+    pub features: &'a [F],
+    pub background: &'a [F],
+}
+
+/// What the forward pass keeps for the backward pass, tile by tile.
+pub(crate) struct Trace<F>(Vec<TileTrace<F>>);
+
+struct TileTrace<F> {
+    passed: usize,
+    checkpoints: Vec<F>,
+}
+
+/// Gradients; an empty vector where none was asked for.
+pub(crate) struct Grads<F> {
+    pub projected: Vec<F>,
+    pub features: Vec<F>,
+    pub background: Vec<F>,
+    pub mean2d_abs: Vec<F>,
+}
+
+/// Inputs prepared for the tiles' loops.
+struct Prepared<'a, F> {
+    footprints: Vec<Footprint<F>>,
+    /// Features, with the depth as a further channel if the render accumulates it.
+    colours: std::borrow::Cow<'a, [F]>,
+    channels: usize,
+    grid: [usize; 2],
+    size: [usize; 2],
+    hits: &'a HitLists,
+    thresholds: [F; 3],
+}
+
+impl<'a, F: Real> Prepared<'a, F> {
+    fn new(inputs: Inputs<'a, F>, spec: &BlendSpec, hits: &'a HitLists) -> Self {
+        let options = &spec.options;
+        let alpha_min = F::of(options.alpha_min);
+        let footprint = |row: &[F]| {
+            let ellipse = Ellipse::from_row(row);
+            // Only Gaussians in the lists are read, and those have a positive opacity.
+            if ellipse.opacity > F::ZERO { Footprint::new(&ellipse, alpha_min) } else { Footprint::default() }
+        };
+        let features = inputs.background.len();
+        let colours = if options.depth {
+            let rows = inputs.features.chunks_exact(features).zip(inputs.projected.chunks_exact(COLUMNS));
+            let with_depth = rows.flat_map(|(feature, row)| {
+                feature.iter().copied().chain(std::iter::once(Ellipse::from_row(row).depth))
+            });
+            with_depth.collect::<Vec<F>>().into()
+        } else {
+            inputs.features.into()
+        };
+        Self {
+            footprints: inputs.projected.par_chunks_exact(COLUMNS).with_min_len(CHUNK).map(footprint).collect(),
+            colours,
+            channels: features + usize::from(options.depth),
+            grid: tile_grid(spec.intrinsics.width, spec.intrinsics.height),
+            size: [spec.intrinsics.width, spec.intrinsics.height],
+            hits,
+            thresholds: [alpha_min, F::of(options.alpha_max), F::of(options.transmittance_min)],
+        }
+    }
+
+    fn tiles(&self) -> usize {
+        self.grid[0] * self.grid[1]
+    }
+
+    fn view(&self, tile: usize) -> TileView<'_, F> {
+        let origin = [tile % self.grid[0] * TILE, tile / self.grid[0] * TILE];
+        TileView {
+            origin,
+            size: [0, 1].map(|axis| TILE.min(self.size[axis] - origin[axis])),
+            gaussians: &self.hits.gaussian[self.hits.tile_start[tile]..self.hits.tile_start[tile + 1]],
+            footprints: &self.footprints,
+            colours: &self.colours,
+            channels: self.channels,
+        }
+    }
+}
+
+/// Runs `$body` with the SIMD level of this processor as `$simd` and the number of channels as the constant `$c` where a
+/// special version exists, else zero.
+macro_rules! specialised {
+    ($channels:expr, $simd:ident, $c:ident => $body:expr) => {{
+        macro_rules! with {
+                ($count:literal) => {{
+                    const $c: usize = $count;
+                    dispatch!(Level::new(), $simd => $body)
+                }};
+            }
+        match $channels {
+            1 => with!(1),
+            3 => with!(3),
+            4 => with!(4),
+            _ => with!(0),
+        }
+    }};
+}
+
+/// Planes `[C + 1 (+ 1), H, W]`, and the trace if it is to be kept.
+pub(crate) fn blend_cpu<F: Real>(
+    inputs: Inputs<F>,
+    spec: &BlendSpec,
+    hits: &HitLists,
+    keep: bool,
+) -> (Vec<F>, Option<Trace<F>>) {
+    let prepared = Prepared::new(inputs, spec, hits);
+    let [alpha_min, alpha_max, transmittance_min] = prepared.thresholds;
+    let plane_count = prepared.channels + 1;
+    let mut by_tile = vec![F::ZERO; prepared.tiles() * plane_count * TILE_PIXELS];
+    let traces = by_tile
+        .par_chunks_mut(plane_count * TILE_PIXELS)
+        .enumerate()
+        .map(|(tile, planes)| {
+            let view = prepared.view(tile);
+            let mut checkpoints = Vec::new();
+            let passed = specialised!(prepared.channels, simd, C => {
+                let thresholds = Thresholds::new(simd, alpha_min, alpha_max, transmittance_min);
+                blend_tile::<_, F, C>(simd, &view, &thresholds, planes, keep.then_some(&mut checkpoints))
+            });
+            TileTrace { passed, checkpoints }
+        })
+        .collect();
+    let planes = planes_from_tiles(&by_tile, inputs.background, spec, &prepared);
+    (planes, keep.then_some(Trace(traces)))
+}
+
+/// Composes each tile's sums and transmittance over the background and lays the planes out by rows of the picture.
+fn planes_from_tiles<F: Real>(by_tile: &[F], background: &[F], spec: &BlendSpec, prepared: &Prepared<F>) -> Vec<F> {
+    let ([width, height], features) = (prepared.size, background.len());
+    let plane_count = prepared.channels + 1;
+    let mut planes = vec![F::ZERO; spec.planes(features) * width * height];
+    planes.par_chunks_mut(width).enumerate().for_each(|(line, out)| {
+        let (plane, y) = (line / height, line % height);
+        for (tile_x, out) in out.chunks_mut(TILE).enumerate() {
+            let tile = (y / TILE) * prepared.grid[0] + tile_x;
+            let row = |plane: usize| {
+                let first = (tile * plane_count + plane) * TILE_PIXELS + y % TILE * TILE;
+                &by_tile[first..first + TILE]
+            };
+            let transmittance = row(prepared.channels);
+            match plane {
+                _ if plane < features => {
+                    let composed = row(plane).iter().zip(transmittance).map(|(&sum, &t)| sum + t * background[plane]);
+                    out.iter_mut().zip(composed).for_each(|(out, value)| *out = value);
+                }
+                _ if plane == features => {
+                    out.iter_mut().zip(transmittance).for_each(|(out, &t)| *out = F::ONE - t);
+                }
+                _ => out.copy_from_slice(&row(features)[..out.len()]),
+            }
+        }
+    });
+    planes
+}
+
+/// Gradients of the inputs from `grad`, that of the planes. Without a trace the forward pass runs again.
+pub(crate) fn blend_backward_cpu<F: Real>(
+    inputs: Inputs<F>,
+    grad: &[F],
+    spec: &BlendSpec,
+    (hits, trace): (&HitLists, Option<&Trace<F>>),
+    needs: BlendNeeds,
+) -> Grads<F> {
+    let rebuilt;
+    let trace = match trace {
+        Some(trace) => trace,
+        None => {
+            rebuilt = blend_cpu(inputs, spec, hits, true).1.expect("a trace was asked for");
+            &rebuilt
+        }
+    };
+    let prepared = Prepared::new(inputs, spec, hits);
+    let columns = MOMENTS + prepared.channels + if needs.mean2d_abs { 2 } else { 0 };
+    let mut hit_sums = vec![F::ZERO; hits.gaussian.len() * columns];
+    let tasks: Vec<(usize, &mut [F])> = {
+        let mut rest = hit_sums.as_mut_slice();
+        let ends = hits.tile_start.windows(2).map(|w| w[1] - w[0]);
+        ends.enumerate()
+            .map(|(tile, count)| (tile, rest.split_off_mut(..count * columns).expect("as many hits as their lists")))
+            .collect()
+    };
+    let background: Vec<Vec<F>> = tasks
+        .into_par_iter()
+        .map_init(Buffers::default, |buffers, (tile, sums)| {
+            tile_sums(&prepared, inputs.background, grad, &trace.0[tile], (tile, sums, needs.mean2d_abs), buffers)
+        })
+        .collect();
+    let mut grads = gather(&inputs, &prepared, &hit_sums, columns, needs);
+    if needs.background {
+        grads.background = vec![F::ZERO; inputs.background.len()];
+        for part in background {
+            grads.background.iter_mut().zip(part).for_each(|(sum, value)| *sum += value);
+        }
+    }
+    grads
+}
+
+/// One thread's buffers.
+#[derive(Default)]
+struct Buffers<F> {
+    planes: Vec<F>,
+    behind: Vec<F>,
+    scratch: Scratch<F>,
+}
+
+/// Fills one tile's sums per hit and returns its share of the background's gradient.
+fn tile_sums<F: Real>(
+    prepared: &Prepared<F>,
+    background: &[F],
+    grad: &[F],
+    trace: &TileTrace<F>,
+    (tile, sums, absolute): (usize, &mut [F], bool),
+    buffers: &mut Buffers<F>,
+) -> Vec<F> {
+    let view = prepared.view(tile);
+    let features = background.len();
+    tile_gradient(prepared, &view, background, grad, buffers);
+    let Buffers { planes, behind, scratch } = buffers;
+    let tile_grad = TileGrad { planes, behind, checkpoints: &trace.checkpoints, passed: trace.passed, absolute };
+    let [alpha_min, alpha_max, transmittance_min] = prepared.thresholds;
+    let mut transmittance = [F::ZERO; TILE_PIXELS];
+    specialised!(prepared.channels, simd, C => {
+        let thresholds = Thresholds::new(simd, alpha_min, alpha_max, transmittance_min);
+        let out = (sums, &mut transmittance);
+        blend_tile_backward::<_, F, C>(simd, &view, &tile_grad, &thresholds, out, scratch);
+    });
+    let through = |plane: &[F]| plane.iter().zip(transmittance).map(|(&g, t)| g * t.abs()).sum();
+    planes.chunks_exact(TILE_PIXELS).take(features).map(through).collect()
+}
+
+/// The gradient of a tile's own planes (sums and alpha) and of what lies behind all layers, from that of the picture's.
+fn tile_gradient<F: Real>(
+    prepared: &Prepared<F>,
+    view: &TileView<F>,
+    background: &[F],
+    grad: &[F],
+    buffers: &mut Buffers<F>,
+) {
+    let ([width, height], features) = (prepared.size, background.len());
+    buffers.planes.clear();
+    buffers.planes.resize((prepared.channels + 1) * TILE_PIXELS, F::ZERO);
+    buffers.behind.clear();
+    buffers.behind.resize(TILE_PIXELS, F::ZERO);
+    for plane in 0..=prepared.channels {
+        // In the picture alpha precedes depth; in the tile it is last.
+        let source = match plane {
+            _ if plane == prepared.channels => features,
+            _ if plane == features => features + 1,
+            _ => plane,
+        };
+        for row in 0..view.size[1] {
+            let first = (source * height + view.origin[1] + row) * width + view.origin[0];
+            let values = &grad[first..first + view.size[0]];
+            let at = plane * TILE_PIXELS + row * TILE;
+            buffers.planes[at..at + view.size[0]].copy_from_slice(values);
+            if plane < features {
+                let behind = &mut buffers.behind[row * TILE..];
+                behind.iter_mut().zip(values).for_each(|(sum, &g)| *sum += g * background[plane]);
+            }
+        }
+    }
+}
+
+/// Adds each Gaussian's hits in order and turns the sums into gradients of its ellipse and features.
+fn gather<F: Real>(
+    inputs: &Inputs<F>,
+    prepared: &Prepared<F>,
+    hit_sums: &[F],
+    columns: usize,
+    needs: BlendNeeds,
+) -> Grads<F> {
+    let (count, features) = (prepared.footprints.len(), inputs.background.len());
+    let rows = |needed: bool, columns: usize| vec![F::ZERO; if needed { count * columns } else { 0 }];
+    let mut grads = Grads {
+        projected: rows(needs.projected, COLUMNS),
+        features: rows(needs.features, features),
+        background: Vec::new(),
+        mean2d_abs: rows(needs.mean2d_abs, 2),
+    };
+    let hits = prepared.hits;
+    let mut rank = vec![u32::MAX; count];
+    hits.visible.iter().enumerate().for_each(|(place, &gaussian)| rank[gaussian as usize] = place as u32);
+    let chunks = count.div_ceil(CHUNK);
+    let mut projected: Vec<&mut [F]> = grads.projected.chunks_mut(CHUNK * COLUMNS).collect();
+    let mut feature_rows: Vec<&mut [F]> = grads.features.chunks_mut(CHUNK * features).collect();
+    let mut absolute: Vec<&mut [F]> = grads.mean2d_abs.chunks_mut(CHUNK * 2).collect();
+    projected.resize_with(chunks, Default::default);
+    feature_rows.resize_with(chunks, Default::default);
+    absolute.resize_with(chunks, Default::default);
+    (projected, feature_rows, absolute).into_par_iter().enumerate().for_each(
+        |(chunk, (projected, feature, absolute))| {
+            let mut sum = vec![F::ZERO; columns];
+            for (i, &place) in rank[chunk * CHUNK..count.min((chunk + 1) * CHUNK)].iter().enumerate() {
+                if place == u32::MAX {
+                    continue;
+                }
+                let range = hits.visible_start[place as usize]..hits.visible_start[place as usize + 1];
+                sum.fill(F::ZERO);
+                for &hit in &hits.hit_of_visible[range] {
+                    let row = &hit_sums[hit as usize * columns..(hit as usize + 1) * columns];
+                    sum.iter_mut().zip(row).for_each(|(sum, &value)| *sum += value);
+                }
+                let (moments, colours) = sum.split_at(MOMENTS);
+                if needs.projected {
+                    let row = &inputs.projected[(chunk * CHUNK + i) * COLUMNS..];
+                    let depth = if prepared.channels > features { colours[features] } else { F::ZERO };
+                    let grad = ellipse_gradient(&Ellipse::from_row(row), moments, depth);
+                    projected[i * COLUMNS..(i + 1) * COLUMNS].copy_from_slice(&grad.to_row());
+                }
+                if needs.features {
+                    feature[i * features..(i + 1) * features].copy_from_slice(&colours[..features]);
+                }
+                if needs.mean2d_abs {
+                    absolute[2 * i..2 * i + 2].copy_from_slice(&colours[prepared.channels..]);
+                }
+            }
+        },
+    );
+    grads
+}
+
+/// From the sums of `h, h u, h v, h u², h u v, h v²` to the gradient of the ellipse. With `e = −(u² + v²)/2`:
+/// `∂e/∂sigma_u = u²/sigma_u`, `∂e/∂sigma_v = v²/sigma_v`, `∂e/∂shear = u v sigma_u/sigma_v`,
+/// `∂e/∂mean = (u/sigma_u − v shear/sigma_v, v/sigma_v)`; and `∂α/∂opacity = α/opacity`.
+fn ellipse_gradient<F: Real>(e: &Ellipse<F>, moments: &[F], grad_depth: F) -> Ellipse<F> {
+    let [h, hu, hv, huu, huv, hvv] = std::array::from_fn(|i| moments[i]);
+    let per_v = hv / e.sigma_v;
+    Ellipse {
+        mean_px: [hu / e.sigma_u - e.shear * per_v, per_v],
+        sigma_u: huu / e.sigma_u,
+        shear: huv * (e.sigma_u / e.sigma_v),
+        sigma_v: hvv / e.sigma_v,
+        depth: grad_depth,
+        opacity: h / e.opacity,
+    }
+}

@@ -1,0 +1,90 @@
+//! Tile lists + features → picture. Differentiable.
+//!
+//! Front to back, with `gᵢ = exp(−(u² + v²)/2)` and `αᵢ = min(alpha_max, opacityᵢ gᵢ)` (skipped below `alpha_min`):
+//! `C = Σ wᵢ cᵢ + T background`, `wᵢ = αᵢ Tᵢ`, `Tᵢ = Πⱼ₍ⱼ₌₁‥ᵢ₋₁₎ (1 − αⱼ)` (Kerbl et al. 2023, eq. 3). The Gaussian that would
+//! bring `T` to `transmittance_min` or below is left out, and so is all behind it.
+//!
+//! The backward pass goes back to front: `∂C/∂αᵢ = Tᵢ (cᵢ − Rᵢ₊₁)`, `Rᵢ = αᵢ cᵢ + (1 − αᵢ) Rᵢ₊₁`, `Rₙ₊₁ = background`.
+//! `Tᵢ` is computed forwards again from checkpoints; nothing is ever divided by `1 − α` and no prefix is taken from a
+//! total, both of which lose all digits under many layers.
+//!
+//! Shapes: packed ellipses `[N, 7]`, features `[N, C]`, background `[C]` → planes `[C + 1 (+ 1), H, W]`: features,
+//! alpha `1 − T`, and, if asked for, depth `Σ wᵢ zᵢ`.
+
+pub(crate) mod cpu;
+#[cfg(test)]
+mod tests;
+mod tile;
+mod tile_backward;
+
+use std::any::Any;
+use std::sync::{Arc, OnceLock};
+
+use burn::backend::tensor::FloatTensor;
+use burn::backend::{Backend, ExtensionType};
+
+use crate::camera::Intrinsics;
+use crate::op::Slot;
+use crate::options::RenderOptions;
+
+/// Inputs of the stage.
+#[derive(Clone, Debug, ExtensionType)]
+pub struct BlendInputs<B: Backend> {
+    /// `[N, 7]`, packed by `project`.
+    pub projected: FloatTensor<B>,
+    /// `[N, C]`.
+    pub features: FloatTensor<B>,
+    /// `[C]`.
+    pub background: FloatTensor<B>,
+}
+
+/// Gradients of the stage's inputs, each only where it was asked for.
+#[derive(Clone, Debug, ExtensionType)]
+pub struct BlendGrads<B: Backend> {
+    /// `[N, 7]`.
+    #[extension_type]
+    pub projected: Slot<B>,
+    /// `[N, C]`.
+    #[extension_type]
+    pub features: Slot<B>,
+    /// `[C]`.
+    #[extension_type]
+    pub background: Slot<B>,
+    /// `[N, 2]`: `Σ |∂L/∂mean2d|`, the absolute value taken pixel by pixel (AbsGrad, Ye et al. 2024), per px.
+    #[extension_type]
+    pub mean2d_abs: Slot<B>,
+}
+
+/// Which gradients are asked for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct BlendNeeds {
+    pub projected: bool,
+    pub features: bool,
+    pub background: bool,
+    pub mean2d_abs: bool,
+}
+
+/// The plain numbers the stage depends on.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BlendSpec {
+    pub intrinsics: Intrinsics,
+    pub options: RenderOptions,
+}
+
+impl BlendSpec {
+    /// Planes of the output for `features` channels.
+    pub(crate) fn planes(&self, features: usize) -> usize {
+        features + 1 + usize::from(self.options.depth)
+    }
+}
+
+/// Transmittances that the forward pass keeps for the backward pass. A cache: a backward pass that finds it empty
+/// computes them again.
+#[derive(Clone, Default)]
+pub struct TraceCell(pub(crate) Arc<OnceLock<Box<dyn Any + Send + Sync>>>);
+
+impl std::fmt::Debug for TraceCell {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("TraceCell").field("filled", &self.0.get().is_some()).finish()
+    }
+}

@@ -1,0 +1,283 @@
+//! One tile of the picture, forwards: the arithmetic of a layer, shared by both passes of the CPU twin so that the
+//! backward pass sees the very bits of the forward pass.
+
+use fearless_simd::prelude::*;
+
+use crate::project::Ellipse;
+use crate::real::{LANES, Real};
+use crate::tile::cpu::{half_extent, whitened_limit};
+use crate::tile::{TILE, TILE_PIXELS};
+
+/// Vectors along a row of a tile.
+pub(super) const ROW_VECTORS: usize = TILE / LANES;
+
+/// The transmittance of a tile is kept each time this many Gaussians have been passed.
+pub(super) const CHECKPOINT_EVERY: usize = 64;
+
+/// An ellipse as `blend` reads it, in what its pixels' loop multiplies by.
+#[derive(Clone, Copy, Default)]
+pub(super) struct Footprint<F> {
+    pub mean_px: [F; 2],
+    pub inverse_u: F,
+    pub inverse_v: F,
+    pub shear: F,
+    pub opacity: F,
+    /// Exponents below this give an alpha below `alpha_min` for certain.
+    pub exponent_min: F,
+    /// Half the bounding box, px.
+    pub half: [F; 2],
+}
+
+impl<F: Real> Footprint<F> {
+    pub fn new(ellipse: &Ellipse<F>, alpha_min: F) -> Self {
+        let limit = whitened_limit(ellipse.opacity, alpha_min) * F::of(1.0 + 1e-5) + F::of(1e-4);
+        Self {
+            mean_px: ellipse.mean_px,
+            inverse_u: F::ONE / ellipse.sigma_u,
+            inverse_v: F::ONE / ellipse.sigma_v,
+            shear: ellipse.shear,
+            opacity: ellipse.opacity,
+            exponent_min: -limit * F::of(0.5),
+            half: half_extent(ellipse, limit),
+        }
+    }
+
+    /// The rows and the vectors along a row of the tile at `origin` px that the bounding box meets.
+    #[inline(always)]
+    pub fn window(&self, origin: [F; 2]) -> Window {
+        // Pixel `i` has its centre at `origin + i + 0.5`; the margin covers rounding.
+        let span = |axis: usize| {
+            let margin = F::of(0.01) + F::of(8.0) * F::EPSILON * (self.mean_px[axis].abs() + self.half[axis]);
+            let centre = self.mean_px[axis] - origin[axis] - F::of(0.5);
+            let last = F::of((TILE - 1) as f64);
+            let low = (centre - self.half[axis] - margin).within(F::ZERO, last + F::ONE);
+            let high = (centre + self.half[axis] + margin).within(-F::ONE, last);
+            // Truncation only lowers `low`; `high + 1` is positive or zero.
+            (low.f64() as usize, (high + F::ONE).f64() as usize)
+        };
+        let ((first_pixel, end_pixel), (first_row, end_row)) = (span(0), span(1));
+        Window {
+            first_row,
+            end_row,
+            first_vector: first_pixel / LANES,
+            end_vector: end_pixel.div_ceil(LANES).min(ROW_VECTORS),
+        }
+    }
+}
+
+/// Part of a tile.
+#[derive(Clone, Copy)]
+pub(super) struct Window {
+    pub first_row: usize,
+    pub end_row: usize,
+    pub first_vector: usize,
+    pub end_vector: usize,
+}
+
+/// A Gaussian's constants, one copy in each lane.
+#[derive(Clone, Copy)]
+pub(super) struct Splat<S: Simd, F: Real> {
+    simd: S,
+    pub footprint: Footprint<F>,
+    mean_x: F::Lanes<S>,
+    pub inverse_u: F::Lanes<S>,
+    pub inverse_v: F::Lanes<S>,
+    shear: F::Lanes<S>,
+    opacity: F::Lanes<S>,
+    exponent_min: F::Lanes<S>,
+}
+
+impl<S: Simd, F: Real> Splat<S, F> {
+    #[inline(always)]
+    pub fn new(simd: S, footprint: Footprint<F>) -> Self {
+        let lanes = |value| F::Lanes::<S>::splat(simd, value);
+        Self {
+            simd,
+            footprint,
+            mean_x: lanes(footprint.mean_px[0]),
+            inverse_u: lanes(footprint.inverse_u),
+            inverse_v: lanes(footprint.inverse_v),
+            shear: lanes(footprint.shear),
+            opacity: lanes(footprint.opacity),
+            exponent_min: lanes(footprint.exponent_min),
+        }
+    }
+
+    /// `u, v` of the pixels with centres `x` on the row with centre `y`, px.
+    #[inline(always)]
+    pub fn whiten(&self, x: F::Lanes<S>, y: F) -> (F::Lanes<S>, F::Lanes<S>) {
+        let dx = x - self.mean_x;
+        let dy = F::Lanes::<S>::splat(self.simd, y - self.footprint.mean_px[1]);
+        (dx * self.inverse_u, (-self.shear).mul_add(dx, dy) * self.inverse_v)
+    }
+}
+
+/// Thresholds of the render, one copy in each lane.
+#[derive(Clone, Copy)]
+pub(super) struct Thresholds<S: Simd, F: Real> {
+    alpha_min: F::Lanes<S>,
+    pub alpha_max: F::Lanes<S>,
+    transmittance_min: F::Lanes<S>,
+    zero: F::Lanes<S>,
+    one: F::Lanes<S>,
+}
+
+impl<S: Simd, F: Real> Thresholds<S, F> {
+    #[inline(always)]
+    pub fn new(simd: S, alpha_min: F, alpha_max: F, transmittance_min: F) -> Self {
+        let lanes = |value| F::Lanes::<S>::splat(simd, value);
+        // A threshold of zero leaves out nothing, not even what is behind an alpha of one.
+        let never = if transmittance_min > F::ZERO { transmittance_min } else { -F::ONE };
+        Self {
+            alpha_min: lanes(alpha_min),
+            alpha_max: lanes(alpha_max),
+            transmittance_min: lanes(never),
+            zero: lanes(F::ZERO),
+            one: lanes(F::ONE),
+        }
+    }
+
+    /// Passes one Gaussian over eight pixels: their alphas (zero where it does not show) and their transmittances
+    /// behind it. A pixel that is finished has its transmittance negated; `None` if the Gaussian shows in no pixel and
+    /// finishes none.
+    #[inline(always)]
+    pub fn layer(
+        &self,
+        splat: &Splat<S, F>,
+        (u, v): (F::Lanes<S>, F::Lanes<S>),
+        transmittance: F::Lanes<S>,
+    ) -> Option<Layer<S, F>> {
+        let half = F::Lanes::<S>::splat(splat.simd, F::of(-0.5));
+        let exponent = u.mul_add(u, v * v) * half;
+        let near = exponent.simd_ge(splat.exponent_min) & transmittance.simd_ge(self.zero);
+        if !near.any_true() {
+            return None;
+        }
+        let alpha = (splat.opacity * F::exp_lanes(exponent)).min(self.alpha_max);
+        let shows = near & alpha.simd_ge(self.alpha_min);
+        if !shows.any_true() {
+            return None;
+        }
+        let behind = transmittance * (self.one - alpha);
+        let finishes = shows & behind.simd_le(self.transmittance_min);
+        let contributes = shows & !finishes;
+        let alpha = contributes.select(alpha, self.zero);
+        let kept = finishes.select(-transmittance, transmittance);
+        Some(Layer { alpha, behind: contributes.select(behind, kept), finishes })
+    }
+}
+
+/// What a Gaussian did to eight pixels.
+pub(super) struct Layer<S: Simd, F: Real> {
+    pub alpha: F::Lanes<S>,
+    pub behind: F::Lanes<S>,
+    pub finishes: <F::Lanes<S> as SimdBase<S>>::Mask,
+}
+
+/// Where a tile lies, and which Gaussians it sees.
+#[derive(Clone, Copy)]
+pub(super) struct TileView<'a, F> {
+    /// Its first pixel.
+    pub origin: [usize; 2],
+    /// Pixels of it inside the picture along x and y.
+    pub size: [usize; 2],
+    /// Gaussians of its hits, front to back.
+    pub gaussians: &'a [u32],
+    /// By Gaussian.
+    pub footprints: &'a [Footprint<F>],
+    /// `[N, channels]`, by Gaussian.
+    pub colours: &'a [F],
+    pub channels: usize,
+}
+
+impl<F: Real> TileView<'_, F> {
+    #[inline(always)]
+    pub fn corner(&self) -> [F; 2] {
+        self.origin.map(|px| F::of(px as f64))
+    }
+
+    #[inline(always)]
+    pub fn colour(&self, gaussian: u32) -> &[F] {
+        let first = gaussian as usize * self.channels;
+        &self.colours[first..first + self.channels]
+    }
+
+    /// One inside the picture, finished outside it.
+    #[inline(always)]
+    pub fn open_transmittance(&self) -> [F; TILE_PIXELS] {
+        let mut transmittance = [-F::ONE; TILE_PIXELS];
+        for row in transmittance.chunks_exact_mut(TILE).take(self.size[1]) {
+            row[..self.size[0]].fill(F::ONE);
+        }
+        transmittance
+    }
+}
+
+/// Pixel centres of a row of a tile, px.
+#[inline(always)]
+pub(super) fn centres<S: Simd, F: Real>(simd: S, left: F) -> [F::Lanes<S>; ROW_VECTORS] {
+    std::array::from_fn(|vector| {
+        F::Lanes::<S>::from_fn(simd, |lane| left + F::of((vector * LANES + lane) as f64 + 0.5))
+    })
+}
+
+/// Blends a tile: `planes` gets `[channels + 1, 256]`, the sums `Σ w c` and the transmittance (positive). Returns how
+/// many Gaussians were passed before all pixels were finished; `checkpoints`, if given, gets the transmittances before
+/// each [`CHECKPOINT_EVERY`]th Gaussian but the first.
+///
+/// `C` is the number of channels where it is known at compile time, else zero.
+#[inline(always)]
+pub(super) fn blend_tile<S: Simd, F: Real, const C: usize>(
+    simd: S,
+    view: &TileView<F>,
+    thresholds: &Thresholds<S, F>,
+    planes: &mut [F],
+    mut checkpoints: Option<&mut Vec<F>>,
+) -> usize {
+    let channels = if C == 0 { view.channels } else { C };
+    let corner = view.corner();
+    let x = centres::<S, F>(simd, corner[0]);
+    let mut transmittance = view.open_transmittance();
+    let mut open = view.size[0] * view.size[1];
+    let sums = &mut planes[..channels * TILE_PIXELS];
+    sums.fill(F::ZERO);
+    let mut passed = view.gaussians.len();
+    for (i, &gaussian) in view.gaussians.iter().enumerate() {
+        if let Some(kept) = checkpoints.as_deref_mut()
+            && i > 0
+            && i % CHECKPOINT_EVERY == 0
+        {
+            kept.extend_from_slice(&transmittance);
+        }
+        let splat = Splat::new(simd, view.footprints[gaussian as usize]);
+        let colour = view.colour(gaussian);
+        let window = splat.footprint.window(corner);
+        for row in window.first_row..window.end_row {
+            let y = corner[1] + F::of(row as f64 + 0.5);
+            for vector in window.first_vector..window.end_vector {
+                let first = row * TILE + vector * LANES;
+                let before = F::Lanes::<S>::from_slice(simd, &transmittance[first..first + LANES]);
+                let Some(layer) = thresholds.layer(&splat, splat.whiten(x[vector], y), before) else { continue };
+                layer.behind.store_slice(&mut transmittance[first..first + LANES]);
+                let weight = layer.alpha * before;
+                for channel in 0..channels {
+                    let at = channel * TILE_PIXELS + first;
+                    let sum = F::Lanes::<S>::from_slice(simd, &sums[at..at + LANES]);
+                    let colour = F::Lanes::<S>::splat(simd, colour[channel]);
+                    weight.mul_add(colour, sum).store_slice(&mut sums[at..at + LANES]);
+                }
+                if layer.finishes.any_true() {
+                    open -= layer.finishes.to_bitmask().count_ones() as usize;
+                }
+            }
+        }
+        if open == 0 {
+            passed = i + 1;
+            break;
+        }
+    }
+    for (out, t) in planes[channels * TILE_PIXELS..].iter_mut().zip(transmittance) {
+        *out = t.abs();
+    }
+    passed
+}

@@ -1,0 +1,197 @@
+//! One tile of the picture, backwards: chunk by chunk from the last, each chunk first forwards again from its
+//! checkpoint, then back to front.
+//!
+//! The gradient of the picture's planes at a pixel, `g`, is the same for every layer, so the recursion needs one number
+//! per pixel instead of one per plane: `ρᵢ = g·Rᵢ = αᵢ (g·cᵢ) + (1 − αᵢ) ρᵢ₊₁`, and `∂L/∂αᵢ = Tᵢ (g·cᵢ − ρᵢ₊₁)`.
+
+use fearless_simd::prelude::*;
+
+use super::tile::{CHECKPOINT_EVERY, Splat, Thresholds, TileView, Window, centres};
+use crate::real::{LANES, Real};
+use crate::tile::{TILE, TILE_PIXELS};
+
+/// Numbers per hit that do not depend on the channels: the sums of `h, h u, h v, h u², h u v, h v²` with
+/// `h = α ∂L/∂α` where alpha is not at its limit.
+pub(super) const MOMENTS: usize = 6;
+
+/// What the backward pass of a tile reads besides its [`TileView`].
+pub(super) struct TileGrad<'a, F> {
+    /// `[channels + 1, 256]`: gradients of the sums `Σ w c` and of alpha; zero outside the picture.
+    pub planes: &'a [F],
+    /// `[256]`: `g · background`, the recursion's start.
+    pub behind: &'a [F],
+    /// Transmittances before each [`CHECKPOINT_EVERY`]th Gaussian but the first.
+    pub checkpoints: &'a [F],
+    /// Gaussians that the forward pass passed.
+    pub passed: usize,
+    /// Whether the sums of absolute values are wanted.
+    pub absolute: bool,
+}
+
+/// Buffers that one thread reuses from tile to tile.
+#[derive(Default)]
+pub(super) struct Scratch<F> {
+    /// For each vector of pixels that a Gaussian of the chunk shows in: transmittances before it and alphas. The last
+    /// pass over a Gaussian replaces the first by its weights.
+    layers: Vec<[F; 2 * LANES]>,
+    /// Where in the tile each of them lies.
+    places: Vec<u16>,
+    /// Where each Gaussian of the chunk begins in the two.
+    starts: Vec<usize>,
+}
+
+/// Fills `hits`, `[passed, MOMENTS + channels (+ 2)]`, with each hit's sums over the tile, and returns with
+/// `transmittance` as it is behind all layers (negated where finished).
+#[inline(always)]
+pub(super) fn blend_tile_backward<S: Simd, F: Real, const C: usize>(
+    simd: S,
+    view: &TileView<F>,
+    grad: &TileGrad<F>,
+    thresholds: &Thresholds<S, F>,
+    (hits, transmittance_behind): (&mut [F], &mut [F; TILE_PIXELS]),
+    scratch: &mut Scratch<F>,
+) {
+    let channels = if C == 0 { view.channels } else { C };
+    let columns = MOMENTS + channels + if grad.absolute { 2 } else { 0 };
+    let mut rho = [F::ZERO; TILE_PIXELS];
+    rho.copy_from_slice(grad.behind);
+    let chunks = grad.passed.div_ceil(CHECKPOINT_EVERY);
+    *transmittance_behind = view.open_transmittance();
+    for chunk in (0..chunks).rev() {
+        let first = chunk * CHECKPOINT_EVERY;
+        let gaussians = &view.gaussians[first..grad.passed.min(first + CHECKPOINT_EVERY)];
+        let mut transmittance = match chunk {
+            0 => view.open_transmittance(),
+            _ => std::array::from_fn(|pixel| grad.checkpoints[(chunk - 1) * TILE_PIXELS + pixel]),
+        };
+        forwards(simd, view, gaussians, thresholds, &mut transmittance, scratch);
+        if chunk + 1 == chunks {
+            *transmittance_behind = transmittance;
+        }
+        for (i, &gaussian) in gaussians.iter().enumerate().rev() {
+            let layers = scratch.starts[i]..scratch.starts[i + 1];
+            if layers.is_empty() {
+                continue;
+            }
+            let row = &mut hits[(first + i) * columns..(first + i + 1) * columns];
+            let layers = (&mut scratch.layers[layers.clone()], &scratch.places[layers]);
+            backwards::<S, F, C>(simd, view, grad, gaussian, thresholds.alpha_max, (layers, &mut rho, row));
+        }
+    }
+}
+
+/// The forward pass over one chunk, remembering what it met.
+#[inline(always)]
+fn forwards<S: Simd, F: Real>(
+    simd: S,
+    view: &TileView<F>,
+    gaussians: &[u32],
+    thresholds: &Thresholds<S, F>,
+    transmittance: &mut [F; TILE_PIXELS],
+    scratch: &mut Scratch<F>,
+) {
+    scratch.layers.clear();
+    scratch.places.clear();
+    scratch.starts.clear();
+    let corner = view.corner();
+    let x = centres::<S, F>(simd, corner[0]);
+    for &gaussian in gaussians {
+        scratch.starts.push(scratch.layers.len());
+        let splat = Splat::new(simd, view.footprints[gaussian as usize]);
+        let Window { first_row, end_row, first_vector, end_vector } = splat.footprint.window(corner);
+        for row in first_row..end_row {
+            let y = corner[1] + F::of(row as f64 + 0.5);
+            for vector in first_vector..end_vector {
+                let first = row * TILE + vector * LANES;
+                let before = F::Lanes::<S>::from_slice(simd, &transmittance[first..first + LANES]);
+                let Some(layer) = thresholds.layer(&splat, splat.whiten(x[vector], y), before) else { continue };
+                layer.behind.store_slice(&mut transmittance[first..first + LANES]);
+                let mut kept = [F::ZERO; 2 * LANES];
+                before.store_slice(&mut kept[..LANES]);
+                layer.alpha.store_slice(&mut kept[LANES..]);
+                scratch.layers.push(kept);
+                scratch.places.push(first as u16);
+            }
+        }
+    }
+    scratch.starts.push(scratch.layers.len());
+}
+
+/// One Gaussian, back to front: its sums over the pixels it shows in, and `rho` stepped in front of it.
+#[inline(always)]
+fn backwards<S: Simd, F: Real, const C: usize>(
+    simd: S,
+    view: &TileView<F>,
+    grad: &TileGrad<F>,
+    gaussian: u32,
+    alpha_max: F::Lanes<S>,
+    ((layers, places), rho, row): ((&mut [[F; 2 * LANES]], &[u16]), &mut [F; TILE_PIXELS], &mut [F]),
+) {
+    let channels = if C == 0 { view.channels } else { C };
+    let corner = view.corner();
+    let x = centres::<S, F>(simd, corner[0]);
+    let splat = Splat::new(simd, view.footprints[gaussian as usize]);
+    let colour = view.colour(gaussian);
+    let zero = F::Lanes::<S>::splat(simd, F::ZERO);
+    let plane = |channel: usize, first: usize| {
+        let at = channel * TILE_PIXELS + first;
+        F::Lanes::<S>::from_slice(simd, &grad.planes[at..at + LANES])
+    };
+    let mut moments = [zero; MOMENTS];
+    let mut absolute = [zero; 2];
+    let mut features = [zero; C];
+    let slope = splat.inverse_v * view.footprints[gaussian as usize].shear;
+    for (layer, &place) in layers.iter_mut().zip(places) {
+        let first = place as usize;
+        let before = F::Lanes::<S>::from_slice(simd, &layer[..LANES]);
+        let alpha = F::Lanes::<S>::from_slice(simd, &layer[LANES..]);
+        let behind = F::Lanes::<S>::from_slice(simd, &rho[first..first + LANES]);
+        let mut along = plane(channels, first);
+        for channel in 0..channels {
+            along = plane(channel, first).mul_add(F::Lanes::<S>::splat(simd, colour[channel]), along);
+        }
+        let weight = alpha * before;
+        let ahead = along - behind;
+        alpha.mul_add(ahead, behind).store_slice(&mut rho[first..first + LANES]);
+        let free = alpha.simd_lt(alpha_max);
+        let h = free.select(weight * ahead, zero);
+
+        let row_px = corner[1] + F::of((first / TILE) as f64 + 0.5);
+        let (u, v) = splat.whiten(x[first % TILE / LANES], row_px);
+        let (hu, hv) = (h * u, h * v);
+        moments[0] += h;
+        moments[1] += hu;
+        moments[2] += hv;
+        moments[3] = hu.mul_add(u, moments[3]);
+        moments[4] = hu.mul_add(v, moments[4]);
+        moments[5] = hv.mul_add(v, moments[5]);
+        if grad.absolute {
+            absolute[0] += (hu * splat.inverse_u - hv * slope).abs();
+            absolute[1] += (hv * splat.inverse_v).abs();
+        }
+        if C == 0 {
+            weight.store_slice(&mut layer[..LANES]);
+        } else {
+            for channel in 0..C {
+                features[channel] = plane(channel, first).mul_add(weight, features[channel]);
+            }
+        }
+    }
+    for (out, sum) in row.iter_mut().zip(moments) {
+        *out = sum.reduce_sum();
+    }
+    for channel in 0..channels {
+        let sum = if C == 0 {
+            layers.iter().zip(places).fold(zero, |sum, (layer, &place)| {
+                plane(channel, place as usize).mul_add(F::Lanes::<S>::from_slice(simd, &layer[..LANES]), sum)
+            })
+        } else {
+            features[channel]
+        };
+        row[MOMENTS + channel] = sum.reduce_sum();
+    }
+    if grad.absolute {
+        row[MOMENTS + channels] = absolute[0].reduce_sum();
+        row[MOMENTS + channels + 1] = absolute[1].reduce_sum();
+    }
+}

@@ -1,0 +1,65 @@
+//! Checks of tensors where they enter, once: shape, float type, device.
+
+use burn::tensor::{DType, Device, Tensor, TensorCreationOptions};
+
+use crate::error::SplatError;
+
+/// The float type and device that all tensors of a call must share.
+pub(crate) struct Reference {
+    dtype: DType,
+    device: Device,
+}
+
+impl Reference {
+    /// Those of `tensor`, whose type must be one that some backend computes in.
+    pub fn new<const D: usize>(tensor: &Tensor<D>) -> Result<Self, SplatError> {
+        let dtype = tensor.dtype();
+        match dtype {
+            DType::F32 | DType::F64 => Ok(Self { dtype, device: tensor.device() }),
+            _ => Err(SplatError::DType { name: "means", found: format!("{dtype:?}"), expected: "F32 or F64".into() }),
+        }
+    }
+
+    /// For tensors made to go with the given ones.
+    pub fn options(&self) -> TensorCreationOptions {
+        (&self.device, self.dtype).into()
+    }
+
+    /// Compares a tensor with the reference and with `shape`, in which `None` is free.
+    pub fn check<const D: usize>(
+        &self,
+        name: &'static str,
+        tensor: &Tensor<D>,
+        shape: [Option<usize>; D],
+        expected: &'static str,
+    ) -> Result<(), SplatError> {
+        let dims = tensor.dims();
+        if let Some(axis) = (0..D).find(|&axis| shape[axis].is_some_and(|size| size != dims[axis])) {
+            let size = shape[axis].unwrap_or_default();
+            return Err(SplatError::Shape {
+                name,
+                found: dims.to_vec(),
+                expected,
+                hint: format!("dimension {axis} must be {size}"),
+            });
+        }
+        if tensor.dtype() != self.dtype {
+            let (found, expected) = (format!("{:?}", tensor.dtype()), format!("{:?}", self.dtype));
+            return Err(SplatError::DType { name, found, expected });
+        }
+        // Whether gradients are tracked is a matter of its own: a constant may meet a tracked tensor.
+        let (found, expected) = (tensor.device().without_autodiff(), self.device.clone().without_autodiff());
+        if found != expected {
+            return Err(SplatError::Device { name, found: format!("{found:?}"), expected: format!("{expected:?}") });
+        }
+        Ok(())
+    }
+}
+
+/// Refuses a count of zero.
+pub(crate) fn check_positive(field: &'static str, count: usize, expected: &'static str) -> Result<(), SplatError> {
+    match count {
+        0 => Err(SplatError::Value { field, found: "0".into(), expected }),
+        _ => Ok(()),
+    }
+}

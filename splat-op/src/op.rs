@@ -1,0 +1,74 @@
+//! The extension trait that each backend implements.
+
+use burn::backend::tensor::{FloatTensor, IntTensor};
+use burn::backend::{Autodiff, Backend, ExtensionType, Flex, NdArray, backend_extension};
+
+use crate::blend::{BlendGrads, BlendInputs, BlendNeeds, BlendSpec, TraceCell};
+use crate::project::{ProjectGrads, ProjectInputs, ProjectNeeds, ProjectSpec};
+use crate::shade::{ShadeGrads, ShadeInputs, ShadeNeeds};
+use crate::tile::HitCell;
+
+/// A gradient that was asked for, or not.
+#[derive(Clone, Debug, ExtensionType)]
+pub enum Slot<B: Backend> {
+    /// Its input is not tracked.
+    Skip,
+    /// The gradient.
+    Have(FloatTensor<B>),
+}
+
+/// Gaussian splatting on a Burn backend: four stages, and the backward pass of the three that have one.
+///
+/// No method has a default body: a backend that lacks one does not compile. Users call the functions of this crate, which
+/// take tensors and check them; these methods take backend primitives of the documented shapes and one float type.
+#[backend_extension(Flex, NdArray, Autodiff)]
+pub trait SplatBackend: Backend {
+    /// See `project/`. Returns `[N, 7]`. `mean2d_probe` is `[N, 2]`, or `[0, 2]` for none; its values are not read.
+    fn project(
+        #[extension_type] inputs: ProjectInputs<Self>,
+        mean2d_probe: FloatTensor<Self>,
+        spec: ProjectSpec,
+    ) -> FloatTensor<Self>;
+
+    /// Gradients of `project` from that of its output.
+    fn project_backward(
+        #[extension_type] inputs: ProjectInputs<Self>,
+        grad: FloatTensor<Self>,
+        spec: ProjectSpec,
+        needs: ProjectNeeds,
+    ) -> ProjectGrads<Self>;
+
+    /// See `shade/`. Returns `[N, 3]`.
+    fn shade(#[extension_type] inputs: ShadeInputs<Self>) -> FloatTensor<Self>;
+
+    /// Gradients of `shade` from that of its output.
+    fn shade_backward(
+        #[extension_type] inputs: ShadeInputs<Self>,
+        grad: FloatTensor<Self>,
+        needs: ShadeNeeds,
+    ) -> ShadeGrads<Self>;
+
+    /// See `tile/`. Fills `hits` and returns the number of hits per tile, `[tiles along y, tiles along x]`.
+    fn tile(projected: FloatTensor<Self>, spec: BlendSpec, hits: HitCell) -> IntTensor<Self>;
+
+    /// See `blend/`. Returns `[C + 1 (+ 1), H, W]` and fills `trace` if it is to be kept. `tile_counts` is what `tile`
+    /// returned, and orders the two; `mean2d_abs_probe` is `[N, 2]`, or `[0, 2]` for none, and not read.
+    fn blend(
+        #[extension_type] inputs: BlendInputs<Self>,
+        mean2d_abs_probe: FloatTensor<Self>,
+        tile_counts: IntTensor<Self>,
+        spec: BlendSpec,
+        hits: HitCell,
+        trace: Option<TraceCell>,
+    ) -> FloatTensor<Self>;
+
+    /// Gradients of `blend` from that of its output.
+    fn blend_backward(
+        #[extension_type] inputs: BlendInputs<Self>,
+        grad: FloatTensor<Self>,
+        spec: BlendSpec,
+        needs: BlendNeeds,
+        hits: HitCell,
+        trace: TraceCell,
+    ) -> BlendGrads<Self>;
+}

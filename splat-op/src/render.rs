@@ -1,0 +1,66 @@
+//! All stages in one call.
+
+use burn::tensor::Tensor;
+
+use crate::camera::Camera;
+use crate::check::check_positive;
+use crate::error::SplatError;
+use crate::options::RenderOptions;
+use crate::stages::{Colour, Extras, Splats, blend, project, shade, tile};
+
+/// What all cameras see. All fields are differentiable.
+#[derive(Clone, Debug)]
+pub struct Rendered {
+    /// `[B, H, W, C]`.
+    pub colour: Tensor<4>,
+    /// `[B, H, W, 1]`.
+    pub alpha: Tensor<4>,
+    /// `[B, H, W, 1]`, if asked for.
+    pub depth: Option<Tensor<4>>,
+}
+
+/// Renders Gaussians as one or several cameras of one size see them: `project`, `shade`, `tile` and `blend` in turn.
+///
+/// # Errors
+/// If there is no camera, cameras differ in size, a tensor's shape, type or device does not fit, or a camera or option is
+/// out of range.
+pub fn render(
+    splats: &Splats,
+    cameras: &[Camera],
+    extras: &Extras,
+    options: &RenderOptions,
+) -> Result<Rendered, SplatError> {
+    check_positive("cameras", cameras.len(), "at least one camera")?;
+    let size = |camera: &Camera| (camera.intrinsics.width, camera.intrinsics.height);
+    if let Some(other) = cameras.iter().find(|camera| size(camera) != size(&cameras[0])) {
+        return Err(SplatError::Value {
+            field: "cameras",
+            found: format!("pictures of {:?} and {:?} px", size(&cameras[0]), size(other)),
+            expected: "cameras of one size: render the others in a call of their own",
+        });
+    }
+    let mut pictures = Vec::with_capacity(cameras.len());
+    for camera in cameras {
+        let projected = project(splats, camera, extras.mean2d_probe.as_ref(), options)?;
+        let tiles = tile(&projected, options)?;
+        let features = match &splats.colour {
+            Colour::SphericalHarmonics(sh) => shade(sh, &splats.means, camera)?,
+            Colour::Features(features) => features.clone(),
+        };
+        pictures.push(blend(&projected, &features, &tiles, extras, options)?);
+    }
+    Ok(Rendered {
+        colour: stack(pictures.iter().map(|picture| picture.colour.clone())),
+        alpha: stack(pictures.iter().map(|picture| picture.alpha.clone())),
+        depth: options.depth.then(|| stack(pictures.iter().filter_map(|picture| picture.depth.clone()))),
+    })
+}
+
+/// `[B, H, W, C]` from pictures `[H, W, C]`; a single picture is viewed, not copied.
+fn stack(pictures: impl Iterator<Item = Tensor<3>>) -> Tensor<4> {
+    let mut all: Vec<Tensor<4>> = pictures.map(|picture| picture.unsqueeze_dim(0)).collect();
+    match all.len() {
+        1 => all.remove(0),
+        _ => Tensor::cat(all, 0),
+    }
+}

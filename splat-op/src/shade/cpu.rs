@@ -1,0 +1,168 @@
+//! The CPU twin of `shade`: both passes, generic over the float, parallel over chunks of Gaussians.
+
+use rayon::prelude::*;
+
+use super::basis::{basis, basis_backward};
+use super::{SH_COEFFICIENTS_MAX, ShadeNeeds, sh_degree};
+use crate::linalg::{Mat3, add, cross, dot, matvec, norm, scale, sub, transpose, transposed_matvec};
+use crate::real::Real;
+
+/// Gaussians per task; also the unit of the ordered sum of the pose's gradient.
+const CHUNK: usize = 1024;
+
+/// Borrowed inputs, row-major.
+#[derive(Clone, Copy)]
+pub(crate) struct Inputs<'a, F> {
+    pub sh: &'a [F],
+    pub means: &'a [F],
+    pub cam_from_world: &'a [F],
+    /// Coefficients per channel.
+    pub coefficients: usize,
+}
+
+/// Gradients; an empty vector where none was asked for.
+pub(crate) struct Grads<F> {
+    pub sh: Vec<F>,
+    pub means: Vec<F>,
+    pub cam_from_world: Vec<F>,
+}
+
+/// Where the camera is in the world: the point that the pose takes to zero, `−A⁻¹ t`. The general inverse, so that the
+/// answer holds for any invertible `A` and every entry of the pose is a free variable.
+struct Eye<F> {
+    /// `A⁻¹`.
+    world_from_cam: Mat3<F>,
+    position: [F; 3],
+}
+
+impl<F: Real> Eye<F> {
+    fn new(p: &[F]) -> Self {
+        let rows = [[p[0], p[1], p[2]], [p[4], p[5], p[6]], [p[8], p[9], p[10]]];
+        let cofactors = [cross(rows[1], rows[2]), cross(rows[2], rows[0]), cross(rows[0], rows[1])];
+        let determinant = dot(rows[0], cofactors[0]);
+        let world_from_cam = transpose(&cofactors.map(|row| scale(row, F::ONE / determinant)));
+        let position = scale(matvec(&world_from_cam, [p[3], p[7], p[11]]), -F::ONE);
+        Self { world_from_cam, position }
+    }
+
+    /// Gradient of the pose from that of the position: `∂t = −A⁻ᵀ g`, `∂A = ∂t positionᵀ`.
+    fn backward(&self, grad_position: [F; 3]) -> Vec<F> {
+        let grad_t = scale(transposed_matvec(&self.world_from_cam, grad_position), -F::ONE);
+        let mut pose = Vec::with_capacity(12);
+        for g in grad_t {
+            pose.extend(scale(self.position, g));
+            pose.push(g);
+        }
+        pose
+    }
+
+    /// Unit direction to a centre and its distance; straight ahead for a centre on the camera itself.
+    #[inline(always)]
+    fn direction(&self, mean: &[F]) -> ([F; 3], F) {
+        let to_mean = sub([mean[0], mean[1], mean[2]], self.position);
+        let distance = norm(to_mean);
+        if distance > F::ZERO {
+            (scale(to_mean, F::ONE / distance), distance)
+        } else {
+            ([F::ZERO, F::ZERO, F::ONE], distance)
+        }
+    }
+}
+
+/// The colour before the clamp.
+#[inline(always)]
+fn linear_colour<F: Real>(y: &[F; SH_COEFFICIENTS_MAX], sh: &[F]) -> [F; 3] {
+    let mut colour = [F::of(0.5); 3];
+    for (weight, c) in y.iter().zip(sh.chunks_exact(3)) {
+        colour = add(colour, scale([c[0], c[1], c[2]], *weight));
+    }
+    colour
+}
+
+/// `[N, 3]` colours.
+pub(crate) fn shade_cpu<F: Real>(inputs: Inputs<F>) -> Vec<F> {
+    let eye = Eye::new(inputs.cam_from_world);
+    let row = 3 * inputs.coefficients;
+    let degree = degree_of(inputs.coefficients);
+    let mut colours = vec![F::ZERO; inputs.means.len()];
+    colours.par_chunks_mut(3 * CHUNK).enumerate().for_each(|(chunk, out)| {
+        for (i, out) in out.chunks_exact_mut(3).enumerate() {
+            let i = chunk * CHUNK + i;
+            let (direction, _) = eye.direction(&inputs.means[3 * i..3 * i + 3]);
+            let colour = linear_colour(&basis(direction, degree), &inputs.sh[row * i..row * (i + 1)]);
+            out.copy_from_slice(&colour.map(|c| c.max_of(F::ZERO)));
+        }
+    });
+    colours
+}
+
+/// Gradients of the inputs from `grad`, the `[N, 3]` gradient of the colours.
+pub(crate) fn shade_backward_cpu<F: Real>(inputs: Inputs<F>, grad: &[F], needs: ShadeNeeds) -> Grads<F> {
+    let eye = Eye::new(inputs.cam_from_world);
+    let row = 3 * inputs.coefficients;
+    let degree = degree_of(inputs.coefficients);
+    let count = inputs.means.len() / 3;
+    let chunks = count.div_ceil(CHUNK);
+    let through_direction = needs.means || needs.cam_from_world;
+    let mut grads = Grads {
+        sh: vec![F::ZERO; if needs.sh { inputs.sh.len() } else { 0 }],
+        means: vec![F::ZERO; if needs.means { inputs.means.len() } else { 0 }],
+        cam_from_world: Vec::new(),
+    };
+    let mut sh_chunks: Vec<&mut [F]> = grads.sh.chunks_mut(row * CHUNK).collect();
+    let mut mean_chunks: Vec<&mut [F]> = grads.means.chunks_mut(3 * CHUNK).collect();
+    sh_chunks.resize_with(chunks, Default::default);
+    mean_chunks.resize_with(chunks, Default::default);
+    let positions: Vec<[F; 3]> = (sh_chunks, mean_chunks)
+        .into_par_iter()
+        .enumerate()
+        .map(|(chunk, (grad_sh, grad_means))| {
+            let mut grad_position = [F::ZERO; 3];
+            for local in 0..CHUNK.min(count - chunk * CHUNK) {
+                let i = chunk * CHUNK + local;
+                let g = [grad[3 * i], grad[3 * i + 1], grad[3 * i + 2]];
+                // Also what keeps a Gaussian that is not seen, whatever it holds, out of every sum.
+                if g == [F::ZERO; 3] {
+                    continue;
+                }
+                let sh = &inputs.sh[row * i..row * (i + 1)];
+                let (direction, distance) = eye.direction(&inputs.means[3 * i..3 * i + 3]);
+                let y = basis(direction, degree);
+                let colour = linear_colour(&y, sh);
+                let g = [0, 1, 2].map(|c| if colour[c] > F::ZERO { g[c] } else { F::ZERO });
+                if needs.sh {
+                    for (out, weight) in grad_sh[row * local..row * (local + 1)].chunks_exact_mut(3).zip(y) {
+                        out.copy_from_slice(&scale(g, weight));
+                    }
+                }
+                if through_direction && degree > 0 && distance > F::ZERO {
+                    let to_mean = direction_backward(direction, distance, degree, sh, g);
+                    if needs.means {
+                        grad_means[3 * local..3 * local + 3].copy_from_slice(&to_mean);
+                    }
+                    grad_position = sub(grad_position, to_mean);
+                }
+            }
+            grad_position
+        })
+        .collect();
+    if needs.cam_from_world {
+        grads.cam_from_world = eye.backward(positions.into_iter().fold([F::ZERO; 3], add));
+    }
+    grads
+}
+
+/// Gradient of the vector from camera to centre: through the basis, then through the normalisation.
+#[inline(always)]
+fn direction_backward<F: Real>(direction: [F; 3], distance: F, degree: usize, sh: &[F], g: [F; 3]) -> [F; 3] {
+    let mut grad_basis = [F::ZERO; SH_COEFFICIENTS_MAX];
+    for (out, c) in grad_basis.iter_mut().zip(sh.chunks_exact(3)) {
+        *out = dot(g, [c[0], c[1], c[2]]);
+    }
+    let grad = basis_backward(direction, degree, &grad_basis);
+    scale(sub(grad, scale(direction, dot(direction, grad))), F::ONE / distance)
+}
+
+fn degree_of(coefficients: usize) -> usize {
+    sh_degree(coefficients).expect("the number of coefficients is checked where tensors enter")
+}

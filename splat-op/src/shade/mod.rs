@@ -1,0 +1,62 @@
+//! Spherical harmonics → colour. Differentiable.
+//!
+//! `colour = max(0, 0.5 + Σₖ Yₖ(d) cₖ)` with `d` the unit direction from the camera's centre to the Gaussian's, `Yₖ` the
+//! real spherical harmonics in the order and with the signs of the original code (Kerbl et al. 2023; the polynomials
+//! are those of Sloan 2013, "Efficient Spherical Harmonic Evaluation"). The gradient flows to the coefficients and,
+//! through the direction, to the centre and the pose; it is zero in a channel that the clamp holds at zero.
+//!
+//! Shapes: coefficients `[N, (degree+1)², 3]`, means `[N, 3]`, pose `[3, 4]` → colours `[N, 3]`.
+
+mod basis;
+pub(crate) mod cpu;
+#[cfg(test)]
+mod tests;
+
+use burn::backend::tensor::FloatTensor;
+use burn::backend::{Backend, ExtensionType};
+
+use crate::op::Slot;
+
+/// The highest degree of spherical harmonics.
+pub const SH_DEGREE_MAX: usize = 4;
+
+/// Coefficients per channel at the highest degree.
+pub(crate) const SH_COEFFICIENTS_MAX: usize = (SH_DEGREE_MAX + 1) * (SH_DEGREE_MAX + 1);
+
+/// The degree that a number of coefficients per channel stands for; `None` unless it is 1, 4, 9, 16 or 25.
+pub fn sh_degree(coefficients: usize) -> Option<usize> {
+    (0..=SH_DEGREE_MAX).find(|degree| (degree + 1) * (degree + 1) == coefficients)
+}
+
+/// Inputs of the stage.
+#[derive(Clone, Debug, ExtensionType)]
+pub struct ShadeInputs<B: Backend> {
+    /// `[N, (degree+1)², 3]`.
+    pub sh: FloatTensor<B>,
+    /// `[N, 3]`, world frame.
+    pub means: FloatTensor<B>,
+    /// `[3, 4]`.
+    pub cam_from_world: FloatTensor<B>,
+}
+
+/// Gradients of the stage's inputs, each only where it was asked for.
+#[derive(Clone, Debug, ExtensionType)]
+pub struct ShadeGrads<B: Backend> {
+    /// `[N, (degree+1)², 3]`.
+    #[extension_type]
+    pub sh: Slot<B>,
+    /// `[N, 3]`.
+    #[extension_type]
+    pub means: Slot<B>,
+    /// `[3, 4]`, every entry taken as free.
+    #[extension_type]
+    pub cam_from_world: Slot<B>,
+}
+
+/// Which gradients are asked for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ShadeNeeds {
+    pub sh: bool,
+    pub means: bool,
+    pub cam_from_world: bool,
+}

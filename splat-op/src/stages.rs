@@ -1,0 +1,314 @@
+//! The stages as users call them, one by one, with room for tensor code between them.
+
+use burn::backend::Dispatch;
+use burn::tensor::{Int, Tensor};
+
+use crate::blend::{BlendInputs, BlendSpec};
+use crate::camera::{Camera, Intrinsics};
+use crate::check::{Reference, check_positive};
+use crate::error::SplatError;
+use crate::op::SplatBackend;
+use crate::options::RenderOptions;
+use crate::project::{COLUMNS, ProjectInputs, ProjectSpec};
+use crate::shade::{ShadeInputs, sh_degree};
+use crate::tile::{HitCell, tile_grid};
+
+/// What each Gaussian looks like.
+#[derive(Clone, Debug)]
+pub enum Colour {
+    /// Spherical-harmonics coefficients `[N, (degree+1)², 3]`, degree 0 to 4.
+    SphericalHarmonics(Tensor<3>),
+    /// Any features `[N, C]`, blended as they are.
+    Features(Tensor<2>),
+}
+
+/// Gaussians with activated parameters, one row each, all of one float type (f32; f64 on CPU devices) and on one device.
+#[derive(Clone, Debug)]
+pub struct Splats {
+    /// `[N, 3]`: centres, world frame, scene units.
+    pub means: Tensor<2>,
+    /// `[N, 4]`: quaternions wxyz, world-from-Gaussian, of any non-zero length.
+    pub rotations: Tensor<2>,
+    /// `[N, 3]`: standard deviations along the rotated axes, scene units.
+    pub scales: Tensor<2>,
+    /// `[N]`: opacities, 0 to 1.
+    pub opacities: Tensor<1>,
+    /// Colours or features.
+    pub colour: Colour,
+}
+
+/// Optional inputs of a render.
+#[derive(Clone, Debug, Default)]
+pub struct Extras {
+    /// `[C]`: what is seen through the Gaussians; zero if absent.
+    pub background: Option<Tensor<1>>,
+    /// A tracked `[N, 2]` leaf whose gradient becomes `∂L/∂mean2d` at the projected centres, summed over the cameras,
+    /// per px. (Burn keeps no gradient of an inner tensor.) The densification threshold of the field, 2e-4, is per unit
+    /// of normalised device coordinates: multiply by `[width / 2, height / 2]` before comparing.
+    pub mean2d_probe: Option<Tensor<2>>,
+    /// As `mean2d_probe`, but each pixel's contribution enters with its absolute value (AbsGrad, Ye et al. 2024).
+    pub mean2d_abs_probe: Option<Tensor<2>>,
+}
+
+/// The screen-space ellipses of a view, by name; see `project/` for the factor. To change them, take them with
+/// [`Projected::ellipses`], compute, and put them back with [`Ellipses::pack`].
+#[derive(Clone, Debug)]
+pub struct Ellipses {
+    /// `[N, 2]`: projected centres, px.
+    pub mean2d: Tensor<2>,
+    /// `[N]`: standard deviation along x, px.
+    pub sigma_u: Tensor<1>,
+    /// `[N]`: covariance of x and y over the variance of x.
+    pub shear: Tensor<1>,
+    /// `[N]`: standard deviation along y at fixed x, px.
+    pub sigma_v: Tensor<1>,
+    /// `[N]`: camera z of the centres, scene units; zero where culled.
+    pub depth: Tensor<1>,
+    /// `[N]`: opacities, compensated if the render is anti-aliased; zero where culled.
+    pub opacity: Tensor<1>,
+}
+
+/// What `project` returns for one camera.
+#[derive(Clone, Debug)]
+pub struct Projected {
+    packed: Tensor<2>,
+    intrinsics: Intrinsics,
+}
+
+/// The tile lists of one view.
+#[derive(Clone, Debug)]
+pub struct Tiles {
+    /// `[tiles along y, tiles along x]`: Gaussians listed in each 16 × 16 tile.
+    pub counts: Tensor<2, Int>,
+    hits: HitCell,
+}
+
+/// What one camera sees. All fields are differentiable.
+#[derive(Clone, Debug)]
+pub struct Picture {
+    /// `[H, W, C]`: colours or features over the background.
+    pub colour: Tensor<3>,
+    /// `[H, W, 1]`: `1 − T`, the share of the background that is hidden.
+    pub alpha: Tensor<3>,
+    /// `[H, W, 1]`: `Σ wᵢ zᵢ`, not normalised, if asked for.
+    pub depth: Option<Tensor<3>>,
+}
+
+impl Projected {
+    /// The size and projection of the camera that saw them.
+    pub fn intrinsics(&self) -> &Intrinsics {
+        &self.intrinsics
+    }
+
+    /// The ellipses by name, ready for tensor code.
+    pub fn ellipses(&self) -> Ellipses {
+        let column = |i: usize| self.packed.clone().slice([0..self.len(), i..i + 1]).squeeze_dim(1);
+        Ellipses {
+            mean2d: self.packed.clone().slice([0..self.len(), 0..2]),
+            sigma_u: column(2),
+            shear: column(3),
+            sigma_v: column(4),
+            depth: column(5),
+            opacity: column(6),
+        }
+    }
+
+    /// Number of Gaussians, culled ones included.
+    pub fn len(&self) -> usize {
+        self.packed.dims()[0]
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+}
+
+impl Ellipses {
+    /// Packs the fields for [`tile`] and [`blend`], for the camera of `intrinsics`.
+    ///
+    /// # Errors
+    /// If a field has another number of rows, type or device than `mean2d`.
+    pub fn pack(self, intrinsics: &Intrinsics) -> Result<Projected, SplatError> {
+        intrinsics.check()?;
+        let count = self.mean2d.dims()[0];
+        let reference = Reference::new(&self.mean2d)?;
+        reference.check("mean2d", &self.mean2d, [Some(count), Some(2)], "[N, 2]")?;
+        let mut columns = vec![self.mean2d];
+        for (name, column) in [
+            ("sigma_u", self.sigma_u),
+            ("shear", self.shear),
+            ("sigma_v", self.sigma_v),
+            ("depth", self.depth),
+            ("opacity", self.opacity),
+        ] {
+            reference.check(name, &column, [Some(count)], "[N]")?;
+            columns.push(column.unsqueeze_dim(1));
+        }
+        Ok(Projected { packed: Tensor::cat(columns, 1), intrinsics: *intrinsics })
+    }
+}
+
+/// Projects Gaussians onto a camera's picture: EWA splatting (Zwicker et al. 2001), as Kerbl et al. 2023, section 4.
+///
+/// A Gaussian with a value that is not finite, with a zero quaternion, or with its centre at or before `options.near` is
+/// culled: its opacity and depth are zero and so are its gradients.
+///
+/// # Errors
+/// If a tensor's shape, type or device does not fit, or the camera or an option is out of range.
+pub fn project(
+    splats: &Splats,
+    camera: &Camera,
+    mean2d_probe: Option<&Tensor<2>>,
+    options: &RenderOptions,
+) -> Result<Projected, SplatError> {
+    let reference = check_geometry(splats, camera, options)?;
+    let probe = probe_or_empty(&reference, "mean2d_probe", mean2d_probe, splats)?;
+    let inputs = ProjectInputs {
+        means: splats.means.clone().into_dispatch(),
+        rotations: splats.rotations.clone().into_dispatch(),
+        scales: splats.scales.clone().into_dispatch(),
+        opacities: splats.opacities.clone().into_dispatch(),
+        cam_from_world: camera.cam_from_world.clone().into_dispatch(),
+    };
+    let spec = ProjectSpec { intrinsics: camera.intrinsics, options: *options };
+    let packed = Tensor::from_dispatch(<Dispatch as SplatBackend>::project(inputs, probe.into_dispatch(), spec));
+    Ok(Projected { packed, intrinsics: camera.intrinsics })
+}
+
+/// Colours `[N, 3]` of Gaussians seen from a camera, from spherical harmonics `[N, (degree+1)², 3]`.
+///
+/// # Errors
+/// If a tensor's shape, type or device does not fit.
+pub fn shade(sh: &Tensor<3>, means: &Tensor<2>, camera: &Camera) -> Result<Tensor<2>, SplatError> {
+    let reference = Reference::new(means)?;
+    reference.check("means", means, [None, Some(3)], "[N, 3]")?;
+    reference.check("cam_from_world", &camera.cam_from_world, [Some(3), Some(4)], "[3, 4]")?;
+    check_sh(&reference, sh, means.dims()[0])?;
+    let inputs = ShadeInputs {
+        sh: sh.clone().into_dispatch(),
+        means: means.clone().into_dispatch(),
+        cam_from_world: camera.cam_from_world.clone().into_dispatch(),
+    };
+    Ok(Tensor::from_dispatch(<Dispatch as SplatBackend>::shade(inputs)))
+}
+
+/// Lists, for each 16 × 16 tile of the picture, the Gaussians that can show in it, front to back.
+///
+/// # Errors
+/// If an option is out of range.
+pub fn tile(projected: &Projected, options: &RenderOptions) -> Result<Tiles, SplatError> {
+    options.check()?;
+    let [tiles_x, tiles_y] = tile_grid(projected.intrinsics.width, projected.intrinsics.height);
+    if options.alpha_min == 0.0 && projected.len().saturating_mul(tiles_x * tiles_y) > u32::MAX as usize {
+        return Err(SplatError::Value {
+            field: "alpha_min",
+            found: format!("0 for {} Gaussians in {} tiles", projected.len(), tiles_x * tiles_y),
+            expected: "a value above 0, so that Gaussians are listed only in the tiles they reach",
+        });
+    }
+    let hits = HitCell::default();
+    let spec = BlendSpec { intrinsics: projected.intrinsics, options: *options };
+    let packed = projected.packed.clone().detach().into_dispatch();
+    let counts = <Dispatch as SplatBackend>::tile(packed, spec, hits.clone());
+    Ok(Tiles { counts: Tensor::from_dispatch(counts), hits })
+}
+
+/// Blends features `[N, C]` along the tile lists, front to back, over `extras.background`.
+///
+/// `tiles` must come from `projected` with the same options; only `extras.background` and `extras.mean2d_abs_probe` are
+/// read.
+///
+/// # Errors
+/// If a tensor's shape, type or device does not fit, or an option is out of range.
+pub fn blend(
+    projected: &Projected,
+    features: &Tensor<2>,
+    tiles: &Tiles,
+    extras: &Extras,
+    options: &RenderOptions,
+) -> Result<Picture, SplatError> {
+    options.check()?;
+    let reference = Reference::new(&projected.packed)?;
+    let count = projected.len();
+    reference.check("features", features, [Some(count), None], "[N, C]")?;
+    let channels = features.dims()[1];
+    check_positive("features", channels, "at least one channel")?;
+    let background = match &extras.background {
+        Some(background) => background.clone(),
+        None => Tensor::zeros([channels], reference.options()),
+    };
+    reference.check("background", &background, [Some(channels)], "[C]")?;
+    let probe = match &extras.mean2d_abs_probe {
+        Some(probe) => probe.clone(),
+        None => Tensor::zeros([0, 2], reference.options()),
+    };
+    if extras.mean2d_abs_probe.is_some() {
+        reference.check("mean2d_abs_probe", &probe, [Some(count), Some(2)], "[N, 2]")?;
+    }
+    let spec = BlendSpec { intrinsics: projected.intrinsics, options: *options };
+    let inputs = BlendInputs {
+        projected: projected.packed.clone().into_dispatch(),
+        features: features.clone().into_dispatch(),
+        background: background.into_dispatch(),
+    };
+    let counts = tiles.counts.clone().into_dispatch();
+    let planes =
+        <Dispatch as SplatBackend>::blend(inputs, probe.into_dispatch(), counts, spec, tiles.hits.clone(), None);
+    Ok(picture(Tensor::from_dispatch(planes), channels, options.depth))
+}
+
+/// Planes `[C + 1 (+ 1), H, W]` as named pictures: views, so nothing is copied.
+fn picture(planes: Tensor<3>, channels: usize, depth: bool) -> Picture {
+    let [_, height, width] = planes.dims();
+    let part = |from: usize, to: usize| planes.clone().slice([from..to, 0..height, 0..width]).permute([1, 2, 0]);
+    Picture {
+        colour: part(0, channels),
+        alpha: part(channels, channels + 1),
+        depth: depth.then(|| part(channels + 1, channels + 2)),
+    }
+}
+
+fn check_geometry(splats: &Splats, camera: &Camera, options: &RenderOptions) -> Result<Reference, SplatError> {
+    options.check()?;
+    camera.intrinsics.check()?;
+    let reference = Reference::new(&splats.means)?;
+    let count = splats.means.dims()[0];
+    reference.check("means", &splats.means, [None, Some(3)], "[N, 3]")?;
+    reference.check("rotations", &splats.rotations, [Some(count), Some(4)], "[N, 4]")?;
+    reference.check("scales", &splats.scales, [Some(count), Some(3)], "[N, 3]")?;
+    reference.check("opacities", &splats.opacities, [Some(count)], "[N]")?;
+    reference.check("cam_from_world", &camera.cam_from_world, [Some(3), Some(4)], "[3, 4]")?;
+    Ok(reference)
+}
+
+fn check_sh(reference: &Reference, sh: &Tensor<3>, count: usize) -> Result<(), SplatError> {
+    const EXPECTED: &str = "[N, (degree+1)², 3] with degree 0 to 4";
+    reference.check("sh", sh, [Some(count), None, Some(3)], EXPECTED)?;
+    match sh_degree(sh.dims()[1]) {
+        Some(_) => Ok(()),
+        None => Err(SplatError::Shape {
+            name: "sh",
+            found: sh.dims().to_vec(),
+            expected: EXPECTED,
+            hint: "give 1, 4, 9, 16 or 25 coefficients per channel".into(),
+        }),
+    }
+}
+
+fn probe_or_empty(
+    reference: &Reference,
+    name: &'static str,
+    probe: Option<&Tensor<2>>,
+    splats: &Splats,
+) -> Result<Tensor<2>, SplatError> {
+    match probe {
+        None => Ok(Tensor::zeros([0, 2], reference.options())),
+        Some(probe) => {
+            reference.check(name, probe, [Some(splats.means.dims()[0]), Some(2)], "[N, 2]")?;
+            Ok(probe.clone())
+        }
+    }
+}
+
+const _: () = assert!(COLUMNS == 7, "the columns that `Projected::ellipses` names");

@@ -1,0 +1,45 @@
+//! Ellipses → for each 16 × 16 tile of the picture, the Gaussians that can show in it, front to back.
+//!
+//! Not differentiable, and it changes no result: which Gaussian contributes to which pixel is decided in `blend`, and
+//! these lists only leave out pairs that cannot contribute. A Gaussian reaches as far as its alpha stays at or above
+//! `alpha_min`: within the ellipse `u² + v² <= 2 ln(opacity / alpha_min)`, tested exactly against each tile of its
+//! bounding box, with a margin for the rounding of `blend`.
+//!
+//! The lists live in a cell beside the tensors, because their length depends on the data. See `HitCell`.
+
+pub(crate) mod cpu;
+#[cfg(test)]
+mod tests;
+
+use std::sync::{Arc, OnceLock};
+
+/// Pixels along each side of a tile.
+pub const TILE: usize = 16;
+
+/// Pixels of a tile.
+pub(crate) const TILE_PIXELS: usize = TILE * TILE;
+
+/// Number of tiles along x and y that cover a picture.
+pub(crate) fn tile_grid(width: usize, height: usize) -> [usize; 2] {
+    [width.div_ceil(TILE), height.div_ceil(TILE)]
+}
+
+/// The lists of one view. A hit is a pair of a tile and a Gaussian.
+#[derive(Debug, Default)]
+pub(crate) struct HitLists {
+    /// `[tiles + 1]`: where each tile's hits begin; tiles run along x, then y.
+    pub tile_start: Vec<usize>,
+    /// `[H]`: the Gaussian of each hit; tile by tile, within a tile front to back.
+    pub gaussian: Vec<u32>,
+    /// `[V]`: the Gaussians that have hits, front to back: by depth, then by index.
+    pub visible: Vec<u32>,
+    /// `[V + 1]`: where each visible Gaussian's hits begin in `hit_of_visible`.
+    pub visible_start: Vec<usize>,
+    /// `[H]`: places in `gaussian` of each visible Gaussian's hits. Sums over a Gaussian's hits run in this order.
+    pub hit_of_visible: Vec<u32>,
+}
+
+/// Holds the lists of one view once they are computed. It is passed to forward and backward as an ordinary argument; the
+/// tensor of counts that `tile` returns orders them for backends that run lazily.
+#[derive(Clone, Debug, Default)]
+pub struct HitCell(pub(crate) Arc<OnceLock<HitLists>>);
