@@ -1,0 +1,280 @@
+//! Reading: any encoding, any order and type of properties.
+
+use std::fs::File;
+use std::io::{self, BufRead, BufReader, ErrorKind, Read};
+use std::path::Path;
+
+use glam::DVec3;
+use ply_rs_bw::parser::{ParseError, Parser, Reader};
+use ply_rs_bw::ply::{ElementDef, Encoding, Header, PropertyType, ScalarType};
+
+use super::row::{REQUIRED, Row, Skipped, degree_of_rest};
+use super::{ORIGIN_COMMENT, PlyError, VERTEX};
+use crate::gaussians::GaussianRows;
+
+/// A header longer than this is none; degree 4 with every property takes 3 KB.
+const MAX_HEADER_BYTES: u64 = 1 << 20;
+
+/// Reads a scene, and the origin that its positions are relative to (zero if the file names none).
+///
+/// Values of other numeric types are converted to the nearest f32; whether they are finite is not checked.
+///
+/// # Errors
+///
+/// A [`PlyError`] for every file that is not a complete scene in the layout of [this module](super). Memory is bounded
+/// by a small multiple of the file's true size, whatever its header claims.
+pub fn read(path: &Path) -> Result<(GaussianRows, DVec3), PlyError> {
+    let file = File::open(path).map_err(|source| io_error(path, "open the scene (is the path right?)", source))?;
+    let file_bytes = file.metadata().map_err(|source| io_error(path, "learn the size of the file", source))?.len();
+    let mut input = Input { path, reader: BufReader::with_capacity(1 << 20, file) };
+
+    let text = input.header_text()?;
+    let header = parse_header(path, &text)?;
+    let origin = origin(path, &header)?;
+    let vertex = vertex(path, &header)?;
+    let degree = check_properties(path, vertex)?;
+    check_size(path, &header, file_bytes.saturating_sub(text.len() as u64))?;
+    for element in header.elements.values().take_while(|element| element.name != VERTEX) {
+        input.skip(element, &header)?;
+    }
+    Ok((input.gaussians(vertex, header.encoding, degree)?, origin))
+}
+
+fn io_error(path: &Path, action: &'static str, source: io::Error) -> PlyError {
+    PlyError::Io { path: path.to_path_buf(), action, source }
+}
+
+struct Input<'a> {
+    path: &'a Path,
+    reader: BufReader<File>,
+}
+
+impl Input<'_> {
+    /// The bytes up to and including the line `end_header`.
+    fn header_text(&mut self) -> Result<Vec<u8>, PlyError> {
+        let mut text = Vec::new();
+        let mut limited = self.reader.by_ref().take(MAX_HEADER_BYTES);
+        loop {
+            let start = text.len();
+            // A first line is `ply`: a file that is none is not searched for its first line break.
+            let limit = if start == 0 { 16 } else { MAX_HEADER_BYTES };
+            limited
+                .by_ref()
+                .take(limit)
+                .read_until(b'\n', &mut text)
+                .map_err(|source| io_error(self.path, "read the header", source))?;
+            let line = text[start..].trim_ascii();
+            if start == 0 && line != b"ply" {
+                let found = String::from_utf8_lossy(line).escape_debug().to_string();
+                return Err(PlyError::NotPly { path: self.path.to_path_buf(), found });
+            }
+            if line == b"end_header" {
+                return Ok(text);
+            }
+            if text.len() == start || text.last() != Some(&b'\n') {
+                let detail = format!("no line `end_header` within {} bytes", text.len());
+                return Err(PlyError::Header { path: self.path.to_path_buf(), detail });
+            }
+        }
+    }
+
+    /// Passes over an element that stands before the Gaussians.
+    fn skip(&mut self, element: &ElementDef, header: &Header) -> Result<(), PlyError> {
+        // In binary such rows take no space, and there may be 2⁶⁴ of them to step through.
+        if element.properties.is_empty() && header.encoding != Encoding::Ascii {
+            return Ok(());
+        }
+        let mut reader = Reader::new(&mut self.reader);
+        let skipped = Parser::<Skipped>::new().read_payload_for_element(&mut reader, element, header);
+        // The parser counts rows as lines, from 1.
+        let row = reader.line().saturating_sub(1);
+        skipped.map(drop).map_err(|error| self.row_error(element, row, &error))
+    }
+
+    fn gaussians(&mut self, vertex: &ElementDef, encoding: Encoding, degree: usize) -> Result<GaussianRows, PlyError> {
+        let mut rows = empty_rows(vertex.count, degree);
+        let parser = Parser::<Row>::new();
+        let mut bytes = vec![0; usize::try_from(least_row_bytes(vertex, Encoding::BinaryLittleEndian)).unwrap_or(0)];
+        let mut line = String::new();
+        for i in 0..vertex.count {
+            let row = match encoding {
+                Encoding::Ascii => self.ascii_row(&parser, vertex, &mut line),
+                Encoding::BinaryBigEndian => {
+                    self.fill(&mut bytes).and_then(|()| parser.read_big_endian_element(&mut &bytes[..], vertex))
+                }
+                Encoding::BinaryLittleEndian => {
+                    self.fill(&mut bytes).and_then(|()| parser.read_little_endian_element(&mut &bytes[..], vertex))
+                }
+            };
+            row.map_err(|error| self.row_error(vertex, i, &error))?.push_to(&mut rows);
+        }
+        Ok(rows)
+    }
+
+    fn fill(&mut self, row: &mut [u8]) -> Result<(), ParseError> {
+        Ok(self.reader.read_exact(row)?)
+    }
+
+    fn ascii_row(&mut self, parser: &Parser<Row>, vertex: &ElementDef, line: &mut String) -> Result<Row, ParseError> {
+        line.clear();
+        if self.reader.read_line(line)? == 0 {
+            return Err(io::Error::from(ErrorKind::UnexpectedEof).into());
+        }
+        // The parser would let surplus numbers pass.
+        let (found, expected) = (line.split_ascii_whitespace().count(), vertex.properties.len());
+        if found != expected {
+            let detail = format!("the line holds {found} values, expected {expected}");
+            return Err(io::Error::new(ErrorKind::InvalidData, detail).into());
+        }
+        parser.read_ascii_element(line, vertex)
+    }
+
+    fn row_error(&self, element: &ElementDef, row: usize, error: &ParseError) -> PlyError {
+        let (path, name) = (self.path.to_path_buf(), element.name.clone());
+        match error.kind() {
+            ErrorKind::UnexpectedEof => PlyError::Truncated { path, element: name, row, rows: element.count },
+            ErrorKind::InvalidInput | ErrorKind::InvalidData => {
+                PlyError::Row { path, element: name, row, detail: brief(&error.to_string()) }
+            }
+            kind => io_error(self.path, "read the rows", io::Error::new(kind, error.to_string())),
+        }
+    }
+}
+
+/// The parser quotes whole lines over several lines; messages stay readable on one.
+fn brief(message: &str) -> String {
+    const MAX_CHARS: usize = 240;
+    let words: Vec<&str> = message.split_whitespace().collect();
+    let mut text = words.join(" ");
+    if let Some((cut, _)) = text.char_indices().nth(MAX_CHARS) {
+        text.truncate(cut);
+        text.push('…');
+    }
+    text
+}
+
+fn parse_header(path: &Path, text: &[u8]) -> Result<Header, PlyError> {
+    let broken = |detail: String| PlyError::Header { path: path.to_path_buf(), detail };
+    // Comments may be in any encoding, and everything else is ascii.
+    let text = String::from_utf8_lossy(text);
+    let header = Parser::<Row>::new()
+        .read_header(&mut Reader::new(text.as_bytes()))
+        .map_err(|error| broken(brief(&error.to_string())))?;
+    // The parser keeps the last of two equal names, and every row would then be read askew.
+    let declared = |keyword: &str| text.lines().filter(|line| line.split_whitespace().next() == Some(keyword)).count();
+    let properties = header.elements.values().map(|element| element.properties.len()).sum::<usize>();
+    if declared("element") != header.elements.len() || declared("property") != properties {
+        return Err(broken(
+            "two elements or two properties of an element have the same name, expected each once".into(),
+        ));
+    }
+    Ok(header)
+}
+
+fn origin(path: &Path, header: &Header) -> Result<DVec3, PlyError> {
+    let Some(text) = header.comments.iter().find_map(|comment| comment.trim().strip_prefix(ORIGIN_COMMENT)) else {
+        return Ok(DVec3::ZERO);
+    };
+    let numbers: Option<Vec<f64>> =
+        text.split_whitespace().map(|word| word.parse().ok().filter(|x: &f64| x.is_finite())).collect();
+    match numbers.as_deref() {
+        Some(&[x, y, z]) => Ok(DVec3::new(x, y, z)),
+        _ => Err(PlyError::Origin { path: path.to_path_buf(), found: brief(text) }),
+    }
+}
+
+fn vertex<'a>(path: &Path, header: &'a Header) -> Result<&'a ElementDef, PlyError> {
+    header
+        .elements
+        .get(VERTEX)
+        .ok_or_else(|| PlyError::MissingVertex { path: path.to_path_buf(), found: quoted(header.elements.keys()) })
+}
+
+/// Names for an error message, the first few of them.
+fn quoted<'a>(names: impl Iterator<Item = &'a String>) -> String {
+    let names: Vec<String> = names.map(|name| format!("`{name}`")).collect();
+    match names.len() {
+        0 => "none".into(),
+        1..=16 => brief(&names.join(" ")),
+        count => format!("{} and {} more", brief(&names[..16].join(" ")), count - 16),
+    }
+}
+
+/// Checks that a Gaussian can be made of the properties; the degree of its spherical harmonics.
+fn check_properties(path: &Path, vertex: &ElementDef) -> Result<usize, PlyError> {
+    let path_buf = || path.to_path_buf();
+    if let Some(list) = vertex.properties.values().find(|p| matches!(p.data_type, PropertyType::List(..))) {
+        return Err(PlyError::ListProperty { path: path_buf(), property: list.name.clone() });
+    }
+    let rest = vertex.properties.keys().filter(|name| name.starts_with("f_rest_")).count();
+    let numbered = (0..rest).map(|i| format!("f_rest_{i}"));
+    let missing = REQUIRED.into_iter().map(String::from).find(|name| !vertex.properties.contains_key(name));
+    if let Some(property) = missing {
+        return Err(PlyError::MissingProperty { path: path_buf(), property, found: quoted(vertex.properties.keys()) });
+    }
+    let degree = degree_of_rest(rest).ok_or_else(|| PlyError::RestCount { path: path_buf(), found: rest })?;
+    match numbered.into_iter().find(|name| !vertex.properties.contains_key(name)) {
+        Some(property) => {
+            let found = quoted(vertex.properties.keys().filter(|name| name.starts_with("f_rest_")));
+            Err(PlyError::MissingProperty { path: path_buf(), property, found })
+        }
+        None => Ok(degree),
+    }
+}
+
+/// Refuses a header whose rows do not fit in the file, before memory is reserved for them.
+fn check_size(path: &Path, header: &Header, payload_bytes: u64) -> Result<(), PlyError> {
+    let mut needed = 0_u64;
+    for element in header.elements.values() {
+        let row_bytes = least_row_bytes(element, header.encoding);
+        needed = needed.saturating_add(row_bytes.saturating_mul(element.count as u64));
+        // The last line of an ascii file need not be ended.
+        let slack = u64::from(header.encoding == Encoding::Ascii);
+        if needed > payload_bytes.saturating_add(slack) {
+            return Err(PlyError::TooManyRows {
+                path: path.to_path_buf(),
+                element: element.name.clone(),
+                rows: element.count,
+                needed,
+                found: payload_bytes,
+            });
+        }
+        if element.name == VERTEX {
+            break;
+        }
+    }
+    Ok(())
+}
+
+/// What a row takes at the very least, bytes.
+fn least_row_bytes(element: &ElementDef, encoding: Encoding) -> u64 {
+    if encoding == Encoding::Ascii {
+        // A digit and a separator per property; a row without any is an empty line.
+        return (2 * element.properties.len() as u64).max(1);
+    }
+    let size = |scalar: &ScalarType| match scalar {
+        ScalarType::Char | ScalarType::UChar => 1,
+        ScalarType::Short | ScalarType::UShort => 2,
+        ScalarType::Int | ScalarType::UInt | ScalarType::Float => 4,
+        ScalarType::Double => 8,
+    };
+    let least = |property: &PropertyType| match property {
+        PropertyType::Scalar(scalar) => size(scalar),
+        // An empty list is its length alone.
+        PropertyType::List(length, _) => size(length),
+    };
+    element.properties.values().map(|property| least(&property.data_type)).sum()
+}
+
+/// A scene with room for `count` rows, no longer than the file was seen to hold.
+fn empty_rows(count: usize, sh_degree: usize) -> GaussianRows {
+    GaussianRows {
+        means: Vec::with_capacity(count),
+        rotations: Vec::with_capacity(count),
+        log_scales: Vec::with_capacity(count),
+        logit_opacities: Vec::with_capacity(count),
+        sh_dc: Vec::with_capacity(count),
+        sh_rest: Vec::with_capacity(3 * super::row::rest_per_channel(sh_degree) * count),
+        sh_degree,
+    }
+}
