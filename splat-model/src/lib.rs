@@ -2,3 +2,6 @@
 
 pub mod capture;
 pub mod gaussians;
+pub mod loss;
+pub mod metrics;
+pub mod optim;
