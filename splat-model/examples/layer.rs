@@ -5,7 +5,7 @@ use burn::nn::{Linear, LinearConfig};
 use burn::tensor::activation::{relu, sigmoid};
 use burn::tensor::{Device, Tensor};
 use glam::DAffine3;
-use splat_model::optim::{Adam, Moments};
+use burn_optim::{AdamConfig, GradientsParams};
 use splat_op::{Camera, Colour, Extras, Intrinsics, RenderOptions, Splats, render};
 
 const SIDE: usize = 24;
@@ -53,7 +53,7 @@ fn main() {
     let target = target(&device);
 
     let mut painter = Painter::new(&device);
-    let mut optimiser = Optimiser::new(&painter);
+    let mut optimiser = AdamConfig::new().init();
     let mut first = None;
     for i in 1..=200 {
         let loss = (painter.forward(&means, &camera) - target.clone()).square().mean();
@@ -62,7 +62,8 @@ fn main() {
         if i % 50 == 0 {
             println!("step {i:3}  loss {value:.5}");
         }
-        painter = optimiser.step(painter, loss, i);
+        let gradients = GradientsParams::from_grads(loss.backward(), &painter);
+        painter = optimiser.step(0.01, painter, gradients);
     }
     let last = (painter.forward(&means, &camera) - target).square().mean().into_scalar::<f32>();
     println!("from {:.5} to {last:.5}", first.unwrap_or_default());

@@ -1,5 +1,12 @@
 //! Gaussian scenes as ordinary Burn tensor code: captures, model, losses, optimiser, densification, metrics, formats.
 
 pub mod capture;
+pub mod density;
+pub mod evaluate;
 pub mod gaussians;
+pub mod init;
+pub mod loss;
+pub mod metrics;
+pub mod optim;
 pub mod ply;
+pub mod trainer;

@@ -1,0 +1,29 @@
+//! Penalties on the Gaussians themselves. None is on by default; the caller weighs and adds them.
+
+use burn::tensor::Tensor;
+
+/// Mean opacity, `[1]`, of `opacities`, `[N]` or `[N, 1]`, 0 to 1.
+///
+/// Lets Gaussians that explain nothing fade, so that they can be relocated (Kheradmand et al. 2024, "3D Gaussian
+/// Splatting as Markov Chain Monte Carlo", eq. 14, weight 0.01).
+pub fn opacity<const D: usize>(opacities: Tensor<D>) -> Tensor<1> {
+    opacities.abs().mean()
+}
+
+/// Mean standard deviation, `[1]`, of `scales`, `[N, 3]`, scene units, positive.
+///
+/// Keeps Gaussians small where nothing asks for size (Kheradmand et al. 2024, eq. 14, weight 0.01).
+pub fn scale(scales: Tensor<2>) -> Tensor<1> {
+    scales.abs().mean()
+}
+
+/// How far Gaussians are needles, `[1]`: the mean of `max(0, ln(longest / shortest) − ln largest_ratio)`. `log_scales` is
+/// `[N, 3]`, natural logarithms of the standard deviations; `largest_ratio` is at least 1, 10 in the source.
+///
+/// The hinge on the ratio of axes of PhysGaussian (Xie et al. 2024, section 3.5), taken of logarithms so that neither
+/// value nor gradient can overflow.
+pub fn needles(log_scales: Tensor<2>, largest_ratio: f64) -> Tensor<1> {
+    let longest = log_scales.clone().max_dim(1);
+    let shortest = log_scales.min_dim(1);
+    (longest - shortest - largest_ratio.ln()).clamp_min(0.0).mean()
+}

@@ -1,0 +1,81 @@
+//! Image metrics as the field reports them, as numbers on the host.
+//!
+//! Pictures are `[H, W, C]` and are clamped to 0..1 first, as a picture file would. Gradients are not followed. An
+//! average over views is the mean of the views' values ([`mean_over_views`]), not the value of the mean error.
+
+use burn::tensor::Tensor;
+
+use crate::loss::ssim::{Truth, planes, similarity};
+
+/// PSNR of equal pictures, dB. The formula gives infinity, which JSON cannot hold and which would swallow every mean.
+/// 100 dB is a root mean square error of 1e-5: less than a level of a 16-bit picture, so no real score reaches it.
+pub const LARGEST_PSNR_DB: f64 = 100.0;
+
+/// Peak signal-to-noise ratio of `image` against `truth`, dB: `−10 log₁₀ MSE` with peak 1, at most [`LARGEST_PSNR_DB`].
+/// NaN if either holds NaN.
+pub fn psnr(image: Tensor<3>, truth: Tensor<3>) -> f64 {
+    let difference = displayed(image) - displayed(truth);
+    let mean_square: f64 = (difference.clone() * difference).mean().into_scalar::<f64>();
+    let psnr_db = -10.0 * mean_square.log10();
+    // Not `min`, which would turn NaN into a perfect score.
+    if psnr_db > LARGEST_PSNR_DB { LARGEST_PSNR_DB } else { psnr_db }
+}
+
+/// Mean SSIM of `image` against `truth`: 11 × 11 window, σ = 1.5, zero padding, as the evaluation of the original
+/// implementation of 3D Gaussian splatting (see [`crate::loss::ssim`]). Tools with other padding or windows give other
+/// third decimals.
+pub fn ssim(image: Tensor<3>, truth: Tensor<3>) -> f64 {
+    let truth = Truth::new(displayed(truth));
+    similarity(planes(displayed(image)), &truth, false).mean.into_scalar::<f64>()
+}
+
+/// The mean of one metric over views, as tables report it. NaN without views.
+pub fn mean_over_views(values: &[f64]) -> f64 {
+    values.iter().sum::<f64>() / values.len() as f64
+}
+
+/// What a screen would show.
+fn displayed(image: Tensor<3>) -> Tensor<3> {
+    image.inner().clamp(0.0, 1.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use burn::tensor::{Device, Distribution};
+
+    use super::*;
+
+    fn constant(value: f64) -> Tensor<3> {
+        Tensor::full([12, 9, 3], value, &Device::flex())
+    }
+
+    #[test]
+    fn psnr_has_its_known_values() {
+        assert!((psnr(constant(0.5), constant(0.6)) - 20.0).abs() < 1e-4);
+        assert!((psnr(constant(0.0), constant(1.0)) - 0.0).abs() < 1e-6);
+        assert_eq!(psnr(constant(0.3), constant(0.3)), LARGEST_PSNR_DB);
+        assert!(psnr(constant(f64::NAN), constant(0.3)).is_nan());
+    }
+
+    #[test]
+    fn pictures_are_clamped_before_they_are_compared() {
+        assert_eq!(psnr(constant(7.0), constant(1.0)), LARGEST_PSNR_DB);
+        assert!((psnr(constant(-3.0), constant(0.1)) - 20.0).abs() < 1e-4);
+        assert!((ssim(constant(7.0), constant(1.0)) - 1.0).abs() < 1e-6);
+    }
+
+    #[test]
+    fn ssim_is_that_of_the_loss() {
+        let random = || Tensor::<3>::random([20, 17, 3], Distribution::Uniform(0.0, 1.0), &Device::flex());
+        let (image, truth) = (random(), random());
+        let expected: f64 = crate::loss::ssim(image.clone(), truth.clone()).into_scalar();
+        assert!((ssim(image.clone(), truth) - expected).abs() < 1e-6);
+        assert!((ssim(image.clone(), image) - 1.0).abs() < 1e-6);
+    }
+
+    #[test]
+    fn views_count_equally() {
+        assert_eq!(mean_over_views(&[20.0, 30.0]), 25.0);
+        assert!(mean_over_views(&[]).is_nan());
+    }
+}

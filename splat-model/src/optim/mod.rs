@@ -1,0 +1,7 @@
+//! Adam and the schedules of its learning rates.
+
+pub mod adam;
+pub mod schedule;
+
+pub use adam::{Adam, Moments};
+pub use schedule::{Decay, LearningRates, scene_extent, sh_degree_at};

@@ -1,0 +1,147 @@
+//! Learning rates, their decay, and when higher spherical harmonics switch on.
+
+use glam::DVec3;
+use serde::{Deserialize, Serialize};
+
+/// Exponential decay: the logarithm of the rate falls in a straight line.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Decay {
+    /// Rate at step 0, positive.
+    pub initial: f64,
+    /// Rate at `steps` and after, positive.
+    pub last: f64,
+    /// Length of the decay. Zero means that it is over at once.
+    pub steps: usize,
+}
+
+impl Decay {
+    /// The rate at `step`: `initial^(1 − s) · last^s`, `s = min(step / steps, 1)`.
+    ///
+    /// The schedule of Plenoxels (Fridovich-Keil et al. 2022), which 3D Gaussian splatting took over without its delay.
+    pub fn at(&self, step: usize) -> f64 {
+        if step >= self.steps {
+            return self.last;
+        }
+        let share = step as f64 / self.steps as f64;
+        self.initial.powf(1.0 - share) * self.last.powf(share)
+    }
+}
+
+/// Learning rates per group of parameters. The defaults are those of the original implementation (Kerbl et al. 2023),
+/// with its later rate for opacities.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct LearningRates {
+    /// Centres at step 0, as a share of the scene's extent: 1.6e-4.
+    pub means: f64,
+    /// What is left of `means` at the last step: 0.01.
+    pub means_final_share: f64,
+    /// Logarithms of the standard deviations: 5e-3.
+    pub scales: f64,
+    /// Quaternions: 1e-3.
+    pub rotations: f64,
+    /// Degree-0 coefficients: 2.5e-3.
+    pub sh_dc: f64,
+    /// Higher coefficients: 1.25e-4, a twentieth of `sh_dc`, so that view-dependence comes after colour.
+    pub sh_rest: f64,
+    /// Logits of the opacities: 0.025.
+    pub opacities: f64,
+}
+
+impl Default for LearningRates {
+    fn default() -> Self {
+        Self {
+            means: 1.6e-4,
+            means_final_share: 0.01,
+            scales: 5e-3,
+            rotations: 1e-3,
+            sh_dc: 2.5e-3,
+            sh_rest: 1.25e-4,
+            opacities: 0.025,
+        }
+    }
+}
+
+impl LearningRates {
+    /// The decay of the rate of the centres over `steps`, scene units, for a scene of `extent` (see [`scene_extent`]).
+    pub fn means_decay(&self, extent: f64, steps: usize) -> Decay {
+        let initial = self.means * extent;
+        Decay { initial, last: initial * self.means_final_share, steps }
+    }
+}
+
+/// Steps between two degrees in the original's schedule.
+pub const STEPS_PER_SH_DEGREE: usize = 1_000;
+
+/// Degree of the spherical harmonics in use at `step`: one more every `every` steps (usually
+/// [`STEPS_PER_SH_DEGREE`]) up to `largest`, so that diffuse colour settles first (Kerbl et al. 2023, section 5.1).
+/// `every` = 0 uses all from the start.
+pub fn sh_degree_at(step: usize, every: usize, largest: usize) -> usize {
+    step.checked_div(every).map_or(largest, |degree| degree.min(largest))
+}
+
+/// The radius of the scene that learning rates and density control are relative to: 1.1 × the largest distance of a
+/// camera's centre from the mean of all centres, as the original implementation measures it. Same unit as `centres`.
+///
+/// One camera, none, or several at one place have no such radius: 1 is returned, which takes the scene's unit as it is.
+/// So it is if a centre is not finite. The remedy for a wrong unit is to scale the capture.
+pub fn scene_extent(centres: &[DVec3]) -> f64 {
+    // Relative to the first, so that geo-referenced centres lose nothing in the sum.
+    let Some(&first) = centres.first() else { return 1.0 };
+    let mean = centres.iter().map(|centre| *centre - first).sum::<DVec3>() / centres.len() as f64;
+    let largest = centres.iter().map(|centre| (*centre - first - mean).length()).fold(0.0, f64::max);
+    // Rounding puts coincident centres a few ulps apart; that is no extent.
+    let rounding = 1e-12 * centres.iter().map(|centre| centre.length()).fold(0.0, f64::max);
+    let extent = 1.1 * largest;
+    if extent > rounding && extent.is_finite() { extent } else { 1.0 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn assert_close(found: f64, expected: f64) {
+        assert!((found - expected).abs() <= 1e-12 * expected.abs().max(1e-300), "{found} instead of {expected}");
+    }
+
+    #[test]
+    fn decay_is_geometric_between_its_ends() {
+        let decay = Decay { initial: 1.6e-4, last: 1.6e-6, steps: 30_000 };
+        assert_close(decay.at(0), 1.6e-4);
+        assert_close(decay.at(15_000), 1.6e-5);
+        assert_close(decay.at(7_500), 1.6e-4 * 0.01f64.powf(0.25));
+        assert_close(decay.at(30_000), 1.6e-6);
+        assert_close(decay.at(99_999), 1.6e-6);
+        assert_close(Decay { steps: 0, ..decay }.at(0), 1.6e-6);
+    }
+
+    #[test]
+    fn means_decay_scales_with_the_scene() {
+        let decay = LearningRates::default().means_decay(2.5, 100);
+        assert_close(decay.at(0), 4e-4);
+        assert_close(decay.at(100), 4e-6);
+    }
+
+    #[test]
+    fn sh_degree_rises_by_one_per_thousand_steps() {
+        let degrees = [0, 999, 1_000, 2_500, 3_000, 50_000].map(|step| sh_degree_at(step, STEPS_PER_SH_DEGREE, 3));
+        assert_eq!(degrees, [0, 0, 1, 2, 3, 3]);
+        assert_eq!(sh_degree_at(0, 0, 2), 2);
+    }
+
+    #[test]
+    fn extent_is_the_padded_radius_of_the_cameras() {
+        let centres = [DVec3::new(-1.0, 0.0, 0.0), DVec3::new(3.0, 0.0, 0.0)];
+        assert_close(scene_extent(&centres), 2.2);
+        let far = DVec3::new(4e6, 5e6, 1e3);
+        assert!((scene_extent(&centres.map(|centre| centre + far)) - 2.2).abs() < 1e-8);
+    }
+
+    #[test]
+    fn extent_falls_back_to_one() {
+        assert_eq!(scene_extent(&[]), 1.0);
+        assert_eq!(scene_extent(&[DVec3::new(0.1, 0.2, 0.3)]), 1.0);
+        assert_eq!(scene_extent(&[DVec3::new(0.1, 1e6, 0.3); 7]), 1.0);
+        assert_eq!(scene_extent(&[DVec3::NAN, DVec3::ONE]), 1.0);
+    }
+}
