@@ -3,14 +3,14 @@
 use std::path::Path;
 
 use burn::tensor::Device;
-use splat_model::capture::{Capture, image};
+use splat_model::capture::{Capture, load_all};
 use splat_model::evaluate::evaluate;
 use splat_model::trainer::{Seen, TrainConfig, Trainer};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let folder = std::env::args().nth(1).ok_or("name a capture's folder")?;
     let capture = Capture::load(Path::new(&folder))?;
-    let photos = image::load_all(&capture.views, Some(96), |_| {})?;
+    let photos = load_all(&capture.views, Some(96), |_| {})?;
     let config = TrainConfig { steps: 60, ..TrainConfig::default() };
     let options = config.render_options();
     let device = Device::flex();

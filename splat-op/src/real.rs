@@ -7,8 +7,6 @@ use std::ops::{Add, AddAssign, Div, Mul, MulAssign, Neg, Sub, SubAssign};
 use burn::tensor::DType;
 use fearless_simd::{f32x8, f64x8, prelude::*, u32x8};
 
-use crate::bind::NdArrayReal;
-
 /// Lanes per vector, for both float types, so that a tile splits the same way for both.
 pub(crate) const LANES: usize = 8;
 
@@ -30,13 +28,14 @@ pub(crate) trait Real:
     + AddAssign
     + SubAssign
     + MulAssign
-    + NdArrayReal
+    + burn::tensor::Element
+    + bytemuck::Pod
     + 'static
 {
     /// Eight values.
     type Lanes<S: Simd>: SimdFloat<S, Element = Self>;
     /// An unsigned integer that sorts as this float does, for non-negative values.
-    type Bits: Ord + Copy + Send + Sync;
+    type SortKey: Ord + Copy + Send + Sync;
     const DTYPE: DType;
     const ZERO: Self;
     const ONE: Self;
@@ -52,7 +51,7 @@ pub(crate) trait Real:
     fn abs(self) -> Self;
     fn floor(self) -> Self;
     fn finite(self) -> bool;
-    fn bits(self) -> Self::Bits;
+    fn sort_key(self) -> Self::SortKey;
     /// `exp(x)` for `x <= 0`, within 2 ulp; zero where the result would be subnormal.
     fn exp_lanes<S: Simd>(x: Self::Lanes<S>) -> Self::Lanes<S>;
 
@@ -70,7 +69,7 @@ pub(crate) trait Real:
 
 macro_rules! scalar_functions {
     ($float:ty, $bits:ty, $dtype:expr) => {
-        type Bits = $bits;
+        type SortKey = $bits;
         const DTYPE: DType = $dtype;
         const ZERO: Self = 0.0;
         const ONE: Self = 1.0;
@@ -105,7 +104,7 @@ macro_rules! scalar_functions {
             self.is_finite()
         }
         #[inline(always)]
-        fn bits(self) -> Self::Bits {
+        fn sort_key(self) -> Self::SortKey {
             self.to_bits()
         }
     };

@@ -5,7 +5,7 @@ use burn::backend::autodiff::checkpoint::base::Checkpointer;
 use burn::backend::autodiff::checkpoint::strategy::CheckpointStrategy;
 use burn::backend::autodiff::grads::Gradients;
 use burn::backend::autodiff::ops::{Backward, Ops, OpsKind};
-use burn::backend::autodiff::{AutodiffTensor, NodeRef};
+use burn::backend::autodiff::NodeId;
 use burn::backend::tensor::{FloatTensor, IntTensor};
 
 use crate::blend::{BlendGrads, BlendInputs, BlendNeeds, BlendSpec, TraceCell};
@@ -15,9 +15,9 @@ use crate::shade::{ShadeGrads, ShadeInputs, ShadeNeeds};
 use crate::tile::HitCell;
 
 /// Hands a gradient to the parent that wants it.
-fn register<B: SplatBackend>(grads: &mut Gradients, parent: &Option<NodeRef>, slot: Slot<B>) {
+fn register<B: SplatBackend>(grads: &mut Gradients, parent: Option<NodeId>, slot: Slot<B>) {
     if let (Some(parent), Slot::Have(grad)) = (parent, slot) {
-        grads.register::<B>(parent.id, grad);
+        grads.register::<B>(parent, grad);
     }
 }
 
@@ -25,7 +25,7 @@ fn register<B: SplatBackend>(grads: &mut Gradients, parent: &Option<NodeRef>, sl
 fn constant<B: SplatBackend, C: CheckpointStrategy>(slot: Slot<B>) -> Slot<Autodiff<B, C>> {
     match slot {
         Slot::Skip => Slot::Skip,
-        Slot::Have(grad) => Slot::Have(AutodiffTensor::new(grad)),
+        Slot::Have(grad) => Slot::Have(FloatTensor::<Autodiff<B, C>>::new(grad)),
     }
 }
 
@@ -74,7 +74,8 @@ impl<B: SplatBackend> Backward<B, 6> for ProjectBackward {
         let (inputs, spec) = ops.state;
         let out = B::project_backward(inputs, grad, spec, needs);
         let slots = [out.means, out.rotations, out.scales, out.opacities, out.cam_from_world, out.mean2d];
-        ops.parents.iter().zip(slots).for_each(|(parent, slot)| register::<B>(grads, parent, slot));
+        let parents = ops.parents.map(|parent| parent.map(|node| node.id));
+        parents.into_iter().zip(slots).for_each(|(parent, slot)| register::<B>(grads, parent, slot));
     }
 }
 
@@ -89,7 +90,8 @@ impl<B: SplatBackend> Backward<B, 3> for ShadeBackward {
         let [sh, means, cam_from_world] = ops.parents.each_ref().map(Option::is_some);
         let out = B::shade_backward(ops.state, grad, ShadeNeeds { sh, means, cam_from_world });
         let slots = [out.sh, out.means, out.cam_from_world];
-        ops.parents.iter().zip(slots).for_each(|(parent, slot)| register::<B>(grads, parent, slot));
+        let parents = ops.parents.map(|parent| parent.map(|node| node.id));
+        parents.into_iter().zip(slots).for_each(|(parent, slot)| register::<B>(grads, parent, slot));
     }
 }
 
@@ -106,7 +108,8 @@ impl<B: SplatBackend> Backward<B, 4> for BlendBackward {
         let (inputs, spec, hits, trace) = ops.state;
         let out = B::blend_backward(inputs, grad, spec, needs, hits, trace);
         let slots = [out.projected, out.features, out.background, out.mean2d_abs];
-        ops.parents.iter().zip(slots).for_each(|(parent, slot)| register::<B>(grads, parent, slot));
+        let parents = ops.parents.map(|parent| parent.map(|node| node.id));
+        parents.into_iter().zip(slots).for_each(|(parent, slot)| register::<B>(grads, parent, slot));
     }
 }
 

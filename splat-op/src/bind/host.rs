@@ -8,7 +8,7 @@ use burn::backend::tensor::FloatTensor;
 use burn::backend::{Backend, Flex, NdArray, TensorMetadata};
 use burn::tensor::{DType, TensorData};
 use burn_flex::FlexTensor;
-use burn_ndarray::{NdArrayStorage, NdArrayTensor};
+use burn_ndarray::NdArrayTensor;
 
 use crate::real::Real;
 
@@ -24,9 +24,9 @@ pub(crate) trait HostBackend: Backend {
 }
 
 /// A tensor's elements.
-pub(crate) enum Host<F: Real> {
+pub(crate) enum Host<F> {
     Flex(FlexTensor),
-    NdArray(NdArrayStorage<F>),
+    NdArray(NdArrayTensor),
     Copied(Vec<F>),
 }
 
@@ -35,7 +35,7 @@ impl<F: Real> Deref for Host<F> {
     fn deref(&self) -> &[F] {
         match self {
             Self::Flex(tensor) => tensor.as_slice().expect("made contiguous when it was read, and of this type"),
-            Self::NdArray(storage) => storage.view().to_slice().expect("found contiguous when it was read"),
+            Self::NdArray(tensor) => elements(tensor).expect("found contiguous when it was read, and of this type"),
             Self::Copied(elements) => elements,
         }
     }
@@ -51,31 +51,26 @@ impl HostBackend for Flex {
 impl HostBackend for NdArray {
     fn host<F: Real>(tensor: FloatTensor<Self>) -> Host<F> {
         check_type::<F>(tensor.dtype());
-        let storage = F::from_ndarray(tensor).expect("the type was just checked");
-        if storage.view().is_standard_layout() {
-            return Host::NdArray(storage);
+        if elements::<F>(&tensor).is_some() {
+            return Host::NdArray(tensor);
         }
-        Host::Copied(storage.view().iter().copied().collect())
+        Host::Copied(match tensor {
+            NdArrayTensor::F32(storage) => storage.view().iter().map(|&value| F::of(value.into())).collect(),
+            NdArrayTensor::F64(storage) => storage.view().iter().map(|&value| F::of(value)).collect(),
+            other => unreachable!("the type was just checked: {:?}", other.dtype()),
+        })
+    }
+}
+
+/// The elements of a tensor that holds `F` contiguously, row-major.
+fn elements<F: Real>(tensor: &NdArrayTensor) -> Option<&[F]> {
+    match tensor {
+        NdArrayTensor::F32(storage) => storage.view().to_slice().and_then(|s| bytemuck::try_cast_slice(s).ok()),
+        NdArrayTensor::F64(storage) => storage.view().to_slice().and_then(|s| bytemuck::try_cast_slice(s).ok()),
+        _ => None,
     }
 }
 
 fn check_type<F: Real>(dtype: DType) {
     assert_eq!(dtype, F::DTYPE, "all tensors of a stage share one float type; the public functions check it");
-}
-
-/// The typed storage inside a tensor of the NdArray backend.
-pub(crate) trait NdArrayReal: Sized + burn::tensor::Element {
-    fn from_ndarray(tensor: NdArrayTensor) -> Option<NdArrayStorage<Self>>;
-}
-
-impl NdArrayReal for f32 {
-    fn from_ndarray(tensor: NdArrayTensor) -> Option<NdArrayStorage<f32>> {
-        if let NdArrayTensor::F32(storage) = tensor { Some(storage) } else { None }
-    }
-}
-
-impl NdArrayReal for f64 {
-    fn from_ndarray(tensor: NdArrayTensor) -> Option<NdArrayStorage<f64>> {
-        if let NdArrayTensor::F64(storage) = tensor { Some(storage) } else { None }
-    }
 }

@@ -3,5 +3,3 @@
 mod autodiff;
 mod cpu;
 mod host;
-
-pub(crate) use host::NdArrayReal;

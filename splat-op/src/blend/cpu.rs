@@ -39,7 +39,7 @@ pub(crate) struct Grads<F> {
 }
 
 /// Inputs prepared for the tiles' loops.
-struct Prepared<'a, F> {
+struct Prepared<'a, F: Real> {
     footprints: Vec<Footprint<F>>,
     /// Features, with the depth as a further channel if the render accumulates it.
     colours: std::borrow::Cow<'a, [F]>,

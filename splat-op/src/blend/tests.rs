@@ -1,1 +1,271 @@
+//! `blend` against a sum written out pixel by pixel and against central finite differences.
 
+use super::cpu::{Grads, Inputs, blend_backward_cpu, blend_cpu};
+use super::{BlendNeeds, BlendSpec};
+use crate::camera::Intrinsics;
+use crate::options::RenderOptions;
+use crate::project::{COLUMNS, Ellipse};
+use crate::real::Real;
+use crate::tile::HitLists;
+use crate::tile::cpu::tile_cpu;
+use finite::{check_gradient, inner_product};
+use random::Random;
+
+#[path = "../../../tests/src/finite.rs"]
+mod finite;
+#[path = "../../../tests/src/random.rs"]
+mod random;
+
+const ALL: BlendNeeds = BlendNeeds { projected: true, features: true, background: true, mean2d_abs: true };
+
+/// Packed ellipses, features, background.
+#[derive(Clone)]
+struct Scene {
+    inputs: [Vec<f64>; 3],
+    spec: BlendSpec,
+}
+
+impl Scene {
+    /// `opacity` is the range that opacities are drawn from.
+    fn random(
+        seed: u64,
+        count: usize,
+        (width, height): (usize, usize),
+        channels: usize,
+        opacity: [f64; 2],
+        options: RenderOptions,
+    ) -> Self {
+        let mut random = Random::new(seed);
+        let mut packed = Vec::new();
+        for _ in 0..count {
+            let ellipse = Ellipse {
+                mean_px: [random.between(-3.0, width as f64 + 3.0), random.between(-3.0, height as f64 + 3.0)],
+                sigma_u: random.between(0.7, 7.0),
+                shear: random.between(-1.5, 1.5),
+                sigma_v: random.between(0.7, 5.0),
+                depth: random.between(1.0, 9.0),
+                opacity: random.between(opacity[0], opacity[1]),
+            };
+            packed.extend(ellipse.to_row());
+        }
+        let features = random.fill(count * channels, -1.0, 1.0);
+        let background = random.fill(channels, -1.0, 1.0);
+        let spec = BlendSpec { intrinsics: Intrinsics::centred(width, height, 30.0), options };
+        Self { inputs: [packed, features, background], spec }
+    }
+
+    fn lists(&self) -> HitLists {
+        tile_cpu(&self.inputs[0], &self.spec.intrinsics, self.spec.options.alpha_min)
+    }
+
+    fn planes(&self) -> Vec<f64> {
+        blend_cpu(inputs(&self.inputs), &self.spec, &self.lists(), false).0
+    }
+
+    fn backward(&self, grad: &[f64], needs: BlendNeeds) -> Grads<f64> {
+        let lists = self.lists();
+        let (_, trace) = blend_cpu(inputs(&self.inputs), &self.spec, &lists, true);
+        blend_backward_cpu(inputs(&self.inputs), grad, &self.spec, (&lists, trace.as_ref()), needs)
+    }
+
+    fn channels(&self) -> usize {
+        self.inputs[2].len()
+    }
+
+    fn pixels(&self) -> usize {
+        self.spec.intrinsics.width * self.spec.intrinsics.height
+    }
+
+    fn random_grad(&self, seed: u64) -> Vec<f64> {
+        Random::new(seed).fill(self.spec.planes(self.channels()) * self.pixels(), -1.0, 1.0)
+    }
+
+    fn check(&self, name: &str, stride: usize) {
+        let grad = self.random_grad(77);
+        let g = self.backward(&grad, ALL);
+        let gradients = [&g.projected, &g.features, &g.background];
+        for (i, part) in ["ellipses", "features", "background"].into_iter().enumerate() {
+            check_gradient(&format!("{name}: {part}"), &self.inputs[i], gradients[i], stride, |moved| {
+                let mut scene = self.clone();
+                scene.inputs[i] = moved.to_vec();
+                inner_product(&scene.planes(), &grad)
+            });
+        }
+    }
+}
+
+fn inputs<F>([projected, features, background]: &[Vec<F>; 3]) -> Inputs<'_, F> {
+    Inputs { projected, features, background }
+}
+
+/// No cuts: the derivative exists everywhere but where an alpha meets `alpha_max`.
+fn smooth(alpha_max: f64) -> RenderOptions {
+    RenderOptions { alpha_min: 0.0, transmittance_min: 0.0, alpha_max, ..RenderOptions::standard() }
+}
+
+/// The definition, pixel by pixel.
+fn planes_by_definition(scene: &Scene) -> Vec<f64> {
+    let ([packed, features, background], options) = (&scene.inputs, &scene.spec.options);
+    let (width, channels, pixels) = (scene.spec.intrinsics.width, scene.channels(), scene.pixels());
+    let ellipses: Vec<Ellipse<f64>> = packed.chunks_exact(COLUMNS).map(Ellipse::from_row).collect();
+    let mut order: Vec<usize> = (0..ellipses.len()).collect();
+    order.sort_by(|&a, &b| ellipses[a].depth.total_cmp(&ellipses[b].depth));
+    let mut planes = vec![0.0; scene.spec.planes(channels) * pixels];
+    for pixel in 0..pixels {
+        let (x, y) = ((pixel % width) as f64 + 0.5, (pixel / width) as f64 + 0.5);
+        let mut transmittance = 1.0;
+        for &i in &order {
+            let e = &ellipses[i];
+            let (dx, dy) = (x - e.mean_px[0], y - e.mean_px[1]);
+            let (u, v) = (dx / e.sigma_u, (dy - e.shear * dx) / e.sigma_v);
+            let alpha = (e.opacity * (-0.5 * (u * u + v * v)).exp()).min(options.alpha_max);
+            if alpha < options.alpha_min {
+                continue;
+            }
+            let behind = transmittance * (1.0 - alpha);
+            if options.transmittance_min > 0.0 && behind <= options.transmittance_min {
+                break;
+            }
+            for channel in 0..channels {
+                planes[channel * pixels + pixel] += transmittance * alpha * features[i * channels + channel];
+            }
+            if options.depth {
+                planes[(channels + 1) * pixels + pixel] += transmittance * alpha * e.depth;
+            }
+            transmittance = behind;
+        }
+        for channel in 0..channels {
+            planes[channel * pixels + pixel] += transmittance * background[channel];
+        }
+        planes[channels * pixels + pixel] = 1.0 - transmittance;
+    }
+    planes
+}
+
+fn assert_close(what: &str, found: &[f64], expected: &[f64], tolerance: f64) {
+    assert_eq!(found.len(), expected.len(), "{what}");
+    for (i, (found, expected)) in found.iter().zip(expected).enumerate() {
+        let error = (found - expected).abs();
+        assert!(error <= tolerance * (1.0 + expected.abs()), "{what}[{i}]: found {found}, expected {expected}");
+    }
+}
+
+#[test]
+fn planes_are_those_of_the_definition() {
+    let sizes = [(37, 21), (16, 16), (1, 1), (1, 50), (50, 1)];
+    for (seed, size) in sizes.into_iter().enumerate() {
+        for options in [RenderOptions::standard(), RenderOptions::fast(), RenderOptions::exact(), smooth(0.95)] {
+            for (channels, depth) in [(1, false), (3, true), (3, false), (4, false), (7, true)] {
+                let options = options.with_depth(depth);
+                let scene = Scene::random(seed as u64, 300, size, channels, [0.0, 1.0], options);
+                assert_close(&format!("{size:?}"), &scene.planes(), &planes_by_definition(&scene), 1e-13);
+            }
+        }
+    }
+}
+
+#[test]
+fn every_gradient_agrees_with_finite_differences() {
+    // Each number of channels that has a loop of its own, with and without depth as a further one.
+    for channels in [1, 3, 4, 7] {
+        for depth in [false, true] {
+            let seed = 10 * channels as u64 + u64::from(depth);
+            let scene = Scene::random(seed, 14, (20, 13), channels, [0.1, 1.0], smooth(0.9).with_depth(depth));
+            let opaque = scene.inputs[0].chunks_exact(COLUMNS).filter(|row| row[6] > 0.9).count();
+            assert!(opaque > 0, "some alphas are held at their limit");
+            scene.check(&format!("{channels} channels, depth {depth}"), 1);
+        }
+    }
+}
+
+#[test]
+fn gradients_hold_over_several_checkpoints() {
+    // 150 Gaussians in one tile and a half: three chunks. The last layers still shine through.
+    for channels in [3, 5] {
+        let scene = Scene::random(50, 150, (24, 9), channels, [0.01, 0.1], smooth(0.99).with_depth(true));
+        scene.check(&format!("{channels} channels"), 3);
+    }
+}
+
+#[test]
+fn gradients_hold_where_pixels_finish_and_small_alphas_are_cut() {
+    // Dense enough that pixels finish, in different chunks. No pair is within a step of a threshold for these seeds.
+    let options = RenderOptions { transmittance_min: 1e-2, alpha_min: 1e-2, ..RenderOptions::standard() };
+    let scene = Scene::random(61, 160, (9, 7), 3, [0.2, 0.9], options.with_depth(true));
+    let finished = scene.planes()[3 * scene.pixels()..4 * scene.pixels()].iter().filter(|a| **a > 0.9).count();
+    assert!(finished > scene.pixels() / 2, "{finished} pixels nearly finished");
+    scene.check("with thresholds", 1);
+}
+
+#[test]
+fn absolute_gradients_are_the_sum_over_pixels_of_absolute_values() {
+    for (channels, depth) in [(3, true), (5, false)] {
+        let scene = Scene::random(70, 90, (20, 13), channels, [0.05, 0.6], RenderOptions::standard().with_depth(depth));
+        let grad = scene.random_grad(71);
+        let found = scene.backward(&grad, ALL).mean2d_abs;
+        let mut expected = vec![0.0; found.len()];
+        for pixel in 0..scene.pixels() {
+            let mut alone = vec![0.0; grad.len()];
+            let planes = (pixel..grad.len()).step_by(scene.pixels());
+            planes.for_each(|i| alone[i] = grad[i]);
+            let g = scene.backward(&alone, BlendNeeds { features: false, background: false, mean2d_abs: false, ..ALL });
+            for (sum, row) in expected.chunks_exact_mut(2).zip(g.projected.chunks_exact(COLUMNS)) {
+                sum[0] += row[0].abs();
+                sum[1] += row[1].abs();
+            }
+        }
+        assert_close("mean2d_abs", &found, &expected, 1e-12);
+    }
+}
+
+#[test]
+fn each_gradient_is_the_same_alone_and_without_a_trace() {
+    let scene = Scene::random(80, 120, (20, 13), 3, [0.05, 0.9], RenderOptions::standard().with_depth(true));
+    let (grad, lists) = (scene.random_grad(81), scene.lists());
+    let list = |g: Grads<f64>| [g.projected, g.features, g.background, g.mean2d_abs];
+    let all = list(scene.backward(&grad, ALL));
+    let without = blend_backward_cpu(inputs(&scene.inputs), &grad, &scene.spec, (&lists, None), ALL);
+    assert_eq!(list(without), all, "a trace is a cache");
+    for alone in 0..4 {
+        let [projected, features, background, mean2d_abs] = std::array::from_fn(|i| i == alone);
+        let needs = BlendNeeds { projected, features, background, mean2d_abs };
+        for (i, gradient) in list(scene.backward(&grad, needs)).iter().enumerate() {
+            assert_eq!(gradient, if i == alone { &all[i] } else { &Vec::new() }, "gradient {i}, asked for {alone}");
+        }
+    }
+}
+
+#[test]
+fn many_layers_behind_an_opaque_one_keep_their_digits() {
+    // Where 1 − alpha is 1e-9, dividing by it, or taking a prefix from a total, would leave noise.
+    let mut scene = Scene::random(90, 200, (6, 5), 3, [0.3, 1.0], smooth(1.0 - 1e-9));
+    let wall = Ellipse { mean_px: [2.5, 2.5], sigma_u: 4.0, shear: 0.1, sigma_v: 3.0, depth: 4.0, opacity: 1.0 };
+    scene.inputs[0][..COLUMNS].copy_from_slice(&wall.to_row());
+    let double = scene.backward(&scene.random_grad(91), ALL);
+    let single_inputs = scene.inputs.each_ref().map(|values| values.iter().map(|v| *v as f32).collect::<Vec<f32>>());
+    let single_grad: Vec<f32> = scene.random_grad(91).iter().map(|v| *v as f32).collect();
+    let lists = tile_cpu(&single_inputs[0], &scene.spec.intrinsics, 0.0);
+    let single = blend_backward_cpu(inputs(&single_inputs), &single_grad, &scene.spec, (&lists, None), ALL);
+    for (name, single, double) in
+        [("ellipses", &single.projected, &double.projected), ("features", &single.features, &double.features)]
+    {
+        let largest = double.iter().fold(0.0_f64, |m, g| m.max(g.abs()));
+        let found: Vec<f64> = single.iter().map(|g| g.f64() / largest).collect();
+        let expected: Vec<f64> = double.iter().map(|g| g / largest).collect();
+        assert_close(name, &found, &expected, 2e-5);
+    }
+}
+
+#[test]
+fn the_number_of_threads_changes_no_bit() {
+    let scene = Scene::random(95, 3000, (90, 70), 3, [0.0, 1.0], RenderOptions::standard().with_depth(true));
+    let grad = scene.random_grad(96);
+    let with = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a small pool");
+        pool.install(|| {
+            let g = scene.backward(&grad, ALL);
+            [scene.planes(), g.projected, g.features, g.background, g.mean2d_abs]
+        })
+    };
+    assert!(with(1) == with(2), "one thread and two give different bits");
+}

@@ -1,1 +1,184 @@
+//! `project` against central finite differences, and what it culls.
 
+use super::cpu::{Grads, Inputs, project_backward_cpu, project_cpu};
+use super::{COLUMNS, COMPENSATION_MIN, ProjectNeeds, ProjectSpec};
+use crate::camera::{CameraModel, Intrinsics};
+use crate::options::RenderOptions;
+use crate::real::Real;
+use finite::{check_gradient, inner_product};
+use random::Random;
+
+#[path = "../../../tests/src/finite.rs"]
+mod finite;
+#[path = "../../../tests/src/random.rs"]
+mod random;
+
+const ALL: ProjectNeeds =
+    ProjectNeeds { means: true, rotations: true, scales: true, opacities: true, cam_from_world: true, mean2d: true };
+
+fn spec(antialias: bool) -> ProjectSpec {
+    let intrinsics =
+        Intrinsics { model: CameraModel::Pinhole, width: 40, height: 28, fx: 35.0, fy: 31.0, cx: 18.0, cy: 15.5 };
+    ProjectSpec { intrinsics, options: RenderOptions::standard().with_antialias(antialias) }
+}
+
+/// Inputs on the host, in the order of the stage: means, rotations, scales, opacities, pose.
+#[derive(Clone)]
+struct Scene([Vec<f64>; 5]);
+
+impl Scene {
+    /// Gaussians in view, beyond each of the four limits of the Jacobian, thin as needles, and far below a pixel.
+    fn random(seed: u64, count: usize) -> Self {
+        let mut random = Random::new(seed);
+        let mut means = Vec::new();
+        for i in 0..count {
+            let z = random.between(2.0, 5.0);
+            // The limits lie at slopes of -0.69 and 0.80 along x, -0.64 and 0.54 along y.
+            let [x, y] = match i % 5 {
+                0 => [1.3, random.between(-0.3, 0.3)],
+                1 => [-1.2, 0.9],
+                2 => [random.between(-0.3, 0.3), -1.1],
+                _ => [random.between(-0.4, 0.4), random.between(-0.4, 0.4)],
+            };
+            means.extend([x * z, y * z, z]);
+        }
+        let mut scales = random.fill(3 * count, 0.05, 0.6);
+        scales[9] = 3.0;
+        scales[10..12].fill(3e-3);
+        scales[12..15].fill(2e-4);
+        let rotations = random.fill(4 * count, -1.5, 1.5);
+        let opacities = random.fill(count, 0.1, 1.0);
+        // Not quite a rotation: every entry of the pose is a free variable.
+        let mut pose = vec![1.0, 0.02, -0.05, 0.1, -0.03, 0.98, 0.04, -0.2, 0.06, -0.02, 1.03, 0.3];
+        pose.iter_mut().for_each(|entry| *entry += random.between(-0.01, 0.01));
+        Self([means, rotations, scales, opacities, pose])
+    }
+
+    fn project(&self, spec: &ProjectSpec) -> Vec<f64> {
+        project_cpu(inputs(&self.0), spec)
+    }
+
+    fn backward(&self, grad: &[f64], spec: &ProjectSpec, needs: ProjectNeeds) -> Grads<f64> {
+        project_backward_cpu(inputs(&self.0), grad, spec, needs)
+    }
+}
+
+fn inputs<F>([means, rotations, scales, opacities, cam_from_world]: &[Vec<F>; 5]) -> Inputs<'_, F> {
+    Inputs { means, rotations, scales, opacities, cam_from_world }
+}
+
+#[test]
+fn every_gradient_agrees_with_finite_differences() {
+    for (seed, antialias) in [(1, false), (2, true), (3, false), (4, true)] {
+        let (scene, spec) = (Scene::random(seed, 20), spec(antialias));
+        let grad = Random::new(seed + 100).fill(20 * COLUMNS, -1.0, 1.0);
+        let g = scene.backward(&grad, &spec, ALL);
+        let gradients = [&g.means, &g.rotations, &g.scales, &g.opacities, &g.cam_from_world];
+        let names = ["means", "rotations", "scales", "opacities", "pose"];
+        for (i, (name, gradient)) in names.into_iter().zip(gradients).enumerate() {
+            let name = format!("{name}, antialias {antialias}");
+            check_gradient(&name, &scene.0[i], gradient, 1, |moved| {
+                let mut scene = scene.clone();
+                scene.0[i] = moved.to_vec();
+                inner_product(&scene.project(&spec), &grad)
+            });
+        }
+        let centres: Vec<f64> = grad.chunks_exact(COLUMNS).flat_map(|row| [row[0], row[1]]).collect();
+        assert_eq!(g.mean2d, centres, "the probe hears the gradient at the projected centres");
+    }
+}
+
+#[test]
+fn each_gradient_is_the_same_alone_and_nothing_else_is_computed() {
+    let (scene, spec) = (Scene::random(5, 20), spec(true));
+    let grad = Random::new(6).fill(20 * COLUMNS, -1.0, 1.0);
+    let list = |g: Grads<f64>| [g.means, g.rotations, g.scales, g.opacities, g.cam_from_world, g.mean2d];
+    let all = list(scene.backward(&grad, &spec, ALL));
+    for alone in 0..6 {
+        let [means, rotations, scales, opacities, cam_from_world, mean2d] = std::array::from_fn(|i| i == alone);
+        let needs = ProjectNeeds { means, rotations, scales, opacities, cam_from_world, mean2d };
+        for (i, gradient) in list(scene.backward(&grad, &spec, needs)).iter().enumerate() {
+            assert_eq!(gradient, if i == alone { &all[i] } else { &Vec::new() }, "gradient {i}, asked for {alone}");
+        }
+    }
+}
+
+#[test]
+fn the_factor_is_that_of_the_covariance() {
+    let spec = spec(false);
+    let mut scene = Scene::random(7, 1);
+    // Straight ahead, axes along the camera's, pose the identity: variances are those of the axes, magnified.
+    let pose = vec![1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0];
+    scene.0 = [vec![0.0, 0.0, 4.0], vec![2.0, 0.0, 0.0, 0.0], vec![0.4, 0.2, 9.0], vec![0.5], pose];
+    let row = scene.project(&spec);
+    let variance = |scale: f64, focal: f64| ((scale * focal / 4.0).powi(2) + spec.options.blur).sqrt();
+    let expected = [18.0, 15.5, variance(0.4, 35.0), 0.0, variance(0.2, 31.0), 4.0, 0.5];
+    for (found, expected) in row.iter().zip(expected) {
+        let error = (found - expected).abs();
+        assert!(error <= 1e-14 * (1.0 + expected.abs()), "found {row:?}");
+    }
+}
+
+#[test]
+fn compensation_holds_its_floor() {
+    let (scene, spec) = (Scene::random(8, 20), spec(true));
+    let row = &scene.project(&spec)[4 * COLUMNS..5 * COLUMNS];
+    assert_eq!(row[6], scene.0[3][4] * COMPENSATION_MIN, "Gaussian 4 is far below a pixel");
+}
+
+/// Bad rows: what is wrong with Gaussian `i`, which is the `i`th here.
+fn spoil<F: Real>([means, rotations, scales, opacities, _]: &mut [Vec<F>; 5], not_finite: F) -> usize {
+    means[0] = not_finite;
+    rotations[4] = not_finite;
+    scales[6] = not_finite;
+    opacities[3] = not_finite;
+    rotations[16..20].fill(F::ZERO);
+    means[17] = F::of(-3.0);
+    6
+}
+
+#[test]
+fn bad_gaussians_are_culled_have_no_gradient_and_change_nothing_else() {
+    for not_finite in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
+        let (good, spec) = (Scene::random(9, 20), spec(true));
+        let mut bad = good.clone();
+        let spoilt = spoil(&mut bad.0, not_finite);
+        let (good_rows, rows) = (good.project(&spec), bad.project(&spec));
+        for row in rows[..spoilt * COLUMNS].chunks_exact(COLUMNS) {
+            assert_eq!(row, [0.0, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0]);
+        }
+        assert_eq!(rows[spoilt * COLUMNS..], good_rows[spoilt * COLUMNS..]);
+
+        let grad = Random::new(10).fill(20 * COLUMNS, -1.0, 1.0);
+        let (g, mut masked) = (bad.backward(&grad, &spec, ALL), grad);
+        masked[..spoilt * COLUMNS].fill(0.0);
+        let expected = good.backward(&masked, &spec, ALL);
+        assert_eq!(g.means, expected.means);
+        assert_eq!(g.rotations, expected.rotations);
+        assert_eq!(g.scales, expected.scales);
+        assert_eq!(g.opacities, expected.opacities);
+        assert_eq!(g.cam_from_world, expected.cam_from_world);
+        assert_eq!(g.mean2d, expected.mean2d);
+    }
+}
+
+#[test]
+fn extreme_scales_stay_finite_in_f32() {
+    let scene = Scene::random(11, 20);
+    let spec = spec(true);
+    for log_scale in [-50.0_f64, -20.0, 20.0, 50.0] {
+        let mut wild = scene.0.each_ref().map(|values| values.iter().map(|v| *v as f32).collect::<Vec<f32>>());
+        // One axis alone, then all three.
+        wild[2].iter_mut().step_by(6).for_each(|scale| *scale = log_scale.exp() as f32);
+        wild[2][..9].fill(log_scale.exp() as f32);
+        wild[1].iter_mut().for_each(|component| *component *= 1e-20);
+        let rows = project_cpu(inputs(&wild), &spec);
+        assert!(rows.iter().all(|value| value.is_finite()), "log scale {log_scale}: {rows:?}");
+        let widths = rows.chunks_exact(COLUMNS).all(|row| row[2] > 0.0 && row[4] > 0.0);
+        assert!(widths, "log scale {log_scale}: an ellipse without width");
+        let g = project_backward_cpu(inputs(&wild), &vec![1e-3; rows.len()], &spec, ALL);
+        for gradient in [&g.means, &g.scales, &g.opacities, &g.cam_from_world] {
+            assert!(gradient.iter().all(|value| value.is_finite()), "log scale {log_scale}: {gradient:?}");
+        }
+    }
+}

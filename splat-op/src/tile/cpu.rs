@@ -71,12 +71,12 @@ pub(crate) fn tile_cpu<F: Real>(packed: &[F], camera: &Intrinsics, alpha_min: f6
 
 /// Indices of the Gaussians that can show in the picture, by depth, then by index.
 fn depth_order<F: Real>(packed: &[F], reach: &Reach<F>) -> Vec<u32> {
-    let mut keys: Vec<(F::Bits, u32)> = packed
+    let mut keys: Vec<(F::SortKey, u32)> = packed
         .par_chunks_exact(COLUMNS)
         .enumerate()
         .filter_map(|(i, row)| {
             let ellipse = Ellipse::from_row(row);
-            reach.tiles(&ellipse).map(|_| (ellipse.depth.bits(), i as u32))
+            reach.tiles(&ellipse).map(|_| (ellipse.depth.sort_key(), i as u32))
         })
         .collect();
     keys.par_sort_unstable();
