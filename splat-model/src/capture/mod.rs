@@ -1,5 +1,7 @@
 //! Captures: photographs with their cameras and, where there is one, a sparse point cloud. One file per format.
 
+pub mod image;
+
 mod colmap;
 mod error;
 mod origin;
@@ -15,6 +17,7 @@ use splat_op::Intrinsics;
 
 pub use colmap::write_binary;
 pub use error::CaptureError;
+pub use image::Photo;
 pub use split::Split;
 
 /// A capture as its files describe it; pictures are not yet decoded.
