@@ -1,9 +1,24 @@
 //! Captures: photographs with their cameras and, where there is one, a sparse point cloud. One file per format.
 
-use std::path::PathBuf;
+pub mod image;
+
+mod colmap;
+mod error;
+mod origin;
+mod split;
+
+#[cfg(test)]
+mod testing;
+
+use std::path::{Path, PathBuf};
 
 use glam::{DAffine3, DVec3};
 use splat_op::Intrinsics;
+
+pub use colmap::write_binary;
+pub use error::CaptureError;
+pub use image::Photo;
+pub use split::Split;
 
 /// A capture as its files describe it; pictures are not yet decoded.
 #[derive(Clone, Debug)]
@@ -17,6 +32,22 @@ pub struct Capture {
     /// What was subtracted, in f64, from every position of the files: `position_file = position + origin`.
     /// Zero unless the capture lies so far from zero that f32 would lose digits.
     pub origin: DVec3,
+}
+
+impl Capture {
+    /// Reads a COLMAP folder: `images/`, and `sparse/0/` (or `sparse/`) with `cameras`, `images` and `points3D`, each as
+    /// `.bin` or else as `.txt`. Pictures are not opened.
+    ///
+    /// Without `points3D` the point cloud is empty. A capture whose mean camera centre lies further from zero than 100
+    /// times its extent is moved next to zero; [`Capture::origin`] says by how much.
+    ///
+    /// # Errors
+    ///
+    /// A [`CaptureError`] if `cameras` or `images` is missing, or if any file is cut short, contradicts another, or
+    /// holds what no capture can have.
+    pub fn load(folder: &Path) -> Result<Self, CaptureError> {
+        colmap::load(folder)
+    }
 }
 
 /// One photograph.

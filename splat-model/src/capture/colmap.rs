@@ -1,0 +1,207 @@
+//! COLMAP reconstructions: `sparse/0/{cameras,images,points3D}.{bin,txt}` beside `images/`.
+//!
+//! Format: <https://colmap.github.io/format.html>. Poses take world to camera, axes are OpenCV's, quaternions wxyz, pixel
+//! centres at +0.5: all as in this crate. Keypoints, tracks, `rigs` and `frames` play no role here and are passed over.
+
+mod binary;
+mod check;
+mod text;
+mod write;
+
+#[cfg(test)]
+mod tests;
+
+use std::collections::{HashMap, HashSet};
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+
+use glam::{DAffine3, DVec3};
+use splat_op::Intrinsics;
+
+use self::check::{At, Place};
+use super::{Capture, CaptureError, PointCloud, View, origin};
+
+pub use write::write_binary;
+
+/// One line of `cameras`.
+#[derive(Clone, Debug, PartialEq)]
+struct CameraRecord {
+    at: At,
+    id: u32,
+    intrinsics: Intrinsics,
+}
+
+/// One entry of `images`, without its keypoints.
+#[derive(Clone, Debug, PartialEq)]
+struct ImageRecord {
+    at: At,
+    id: u32,
+    camera_id: u32,
+    name: String,
+    cam_from_world: DAffine3,
+}
+
+/// One entry of `points3D`, without its track.
+#[derive(Clone, Debug, PartialEq)]
+struct PointRecord {
+    position: DVec3,
+    colour: [u8; 3],
+}
+
+/// The paths of a model's files, each binary or text by its extension.
+struct Files {
+    cameras: PathBuf,
+    images: PathBuf,
+    /// Need not exist.
+    points: PathBuf,
+}
+
+impl Files {
+    fn binary(model: &Path) -> Self {
+        Self {
+            cameras: model.join("cameras.bin"),
+            images: model.join("images.bin"),
+            points: model.join("points3D.bin"),
+        }
+    }
+
+    fn text(model: &Path) -> Self {
+        Self {
+            cameras: model.join("cameras.txt"),
+            images: model.join("images.txt"),
+            points: model.join("points3D.txt"),
+        }
+    }
+}
+
+/// See [`Capture::load`].
+pub(super) fn load(folder: &Path) -> Result<Capture, CaptureError> {
+    let files = find(folder)?;
+    let cameras = parse(&files.cameras, binary::cameras, text::cameras)?;
+    let images = parse(&files.images, binary::images, text::images)?;
+    let points = match files.points.exists() {
+        true => parse(&files.points, binary::points, text::points)?,
+        false => Vec::new(),
+    };
+    assemble(folder, &files, cameras, images, &points)
+}
+
+/// The model's files, binary before text. Cameras and images must be of one encoding, because a stale file of the other
+/// may lie beside them; points refer to nothing and are taken as they come.
+fn find(folder: &Path) -> Result<Files, CaptureError> {
+    let numbered = folder.join("sparse").join("0");
+    let model = if numbered.exists() { numbered } else { folder.join("sparse") };
+    let (binary, text) = (Files::binary(&model), Files::text(&model));
+    if binary.cameras.exists() && binary.images.exists() {
+        let points = if binary.points.exists() { binary.points } else { text.points };
+        return Ok(Files { points, ..binary });
+    }
+    if text.cameras.exists() && text.images.exists() {
+        let points = if text.points.exists() { text.points } else { binary.points };
+        return Ok(Files { points, ..text });
+    }
+    let no_cameras = !binary.cameras.exists() && !text.cameras.exists();
+    let no_images = !binary.images.exists() && !text.images.exists();
+    let (cameras, images) = ([binary.cameras, text.cameras], [binary.images, text.images]);
+    let (what, looked_for) = match (no_cameras, no_images) {
+        (true, true) => ("COLMAP model", [cameras, images].concat()),
+        (true, false) => ("cameras", cameras.to_vec()),
+        (false, true) => ("images", images.to_vec()),
+        (false, false) => ("cameras and images of one encoding", [cameras, images].concat()),
+    };
+    Err(CaptureError::Missing {
+        what,
+        looked_for,
+        fix: "Name the folder that holds `images/` and `sparse/0/`; make the model with `colmap mapper`, or convert it with \
+              `colmap model_converter`",
+    })
+}
+
+type Parser<T> = fn(&Path, &[u8]) -> Result<Vec<T>, CaptureError>;
+
+fn parse<T>(file: &Path, binary: Parser<T>, text: Parser<T>) -> Result<Vec<T>, CaptureError> {
+    let parser = if file.extension().is_some_and(|extension| extension == "bin") { binary } else { text };
+    parser(file, &read(file)?)
+}
+
+/// A whole file. Only regular files are read: a pipe would never end.
+fn read(file: &Path) -> Result<Vec<u8>, CaptureError> {
+    let fail = |reason| CaptureError::Read {
+        file: file.to_owned(),
+        reason,
+        fix: "Check that it is an ordinary file which you may read",
+    };
+    if !fs::metadata(file).map_err(fail)?.is_file() {
+        return Err(fail(io::Error::new(io::ErrorKind::InvalidInput, "not a regular file")));
+    }
+    fs::read(file).map_err(fail)
+}
+
+fn assemble(
+    folder: &Path,
+    files: &Files,
+    cameras: Vec<CameraRecord>,
+    images: Vec<ImageRecord>,
+    points: &[PointRecord],
+) -> Result<Capture, CaptureError> {
+    let cameras = by_id(&files.cameras, cameras)?;
+    check_unique(&files.images, &images)?;
+    let mut views = images
+        .into_iter()
+        .map(|image| {
+            let intrinsics = *cameras.get(&image.camera_id).ok_or_else(|| no_camera(files, &image, cameras.len()))?;
+            let image_path = folder.join("images").join(&image.name);
+            Ok(View { name: image.name, image_path, intrinsics, cam_from_world: image.cam_from_world })
+        })
+        .collect::<Result<Vec<View>, CaptureError>>()?;
+    if views.is_empty() {
+        return Err(CaptureError::NoViews { file: files.images.clone() });
+    }
+    views.sort_by(|a, b| a.name.cmp(&b.name));
+    let poses: Vec<DAffine3> = views.iter().map(|view| view.cam_from_world).collect();
+    let origin = origin::choose(&poses);
+    for view in &mut views {
+        view.cam_from_world = origin::moved(&view.cam_from_world, origin);
+    }
+    let points = PointCloud {
+        positions: points.iter().map(|point| (point.position - origin).as_vec3().to_array()).collect(),
+        colours: points.iter().map(|point| point.colour).collect(),
+    };
+    Ok(Capture { folder: folder.to_owned(), views, points, origin })
+}
+
+fn by_id(file: &Path, cameras: Vec<CameraRecord>) -> Result<HashMap<u32, Intrinsics>, CaptureError> {
+    let mut map = HashMap::with_capacity(cameras.len());
+    for camera in cameras {
+        if map.insert(camera.id, camera.intrinsics).is_some() {
+            let place = Place { file, kind: "camera", at: camera.at };
+            return Err(place.refuse(
+                "CAMERA_ID",
+                format!("{} again", camera.id),
+                "a number of its own for each camera",
+            ));
+        }
+    }
+    Ok(map)
+}
+
+fn check_unique(file: &Path, images: &[ImageRecord]) -> Result<(), CaptureError> {
+    let (mut ids, mut names) = (HashSet::new(), HashSet::new());
+    for image in images {
+        let place = Place { file, kind: "image", at: image.at };
+        if !ids.insert(image.id) {
+            return Err(place.refuse("IMAGE_ID", format!("{} again", image.id), "a number of its own for each image"));
+        }
+        if !names.insert(&image.name) {
+            return Err(place.refuse("NAME", format!("{:?} again", image.name), "a name of its own for each image"));
+        }
+    }
+    Ok(())
+}
+
+fn no_camera(files: &Files, image: &ImageRecord, cameras: usize) -> CaptureError {
+    let place = Place { file: &files.images, kind: "image", at: image.at };
+    let found = format!("{} (of image {:?})", image.camera_id, image.name);
+    place.refuse("CAMERA_ID", found, format!("one of the {cameras} cameras in {}", files.cameras.display()))
+}

@@ -1,0 +1,161 @@
+//! The binary encoding: little-endian, unpadded, each file a count and so many entries.
+//!
+//! Every count is held against the bytes that follow it before anything is allocated, so that a damaged or hostile file
+//! costs no more memory than its own size.
+
+use std::path::Path;
+
+use super::check::{At, Place};
+use super::{CameraRecord, ImageRecord, PointRecord};
+use crate::capture::CaptureError;
+
+/// Bytes of the smallest camera: id, model, width, height, three parameters.
+const CAMERA_BYTES: usize = 4 + 4 + 8 + 8 + 3 * 8;
+/// Bytes of the smallest image: id, quaternion, translation, camera, an empty name's end, the number of keypoints.
+const IMAGE_BYTES: usize = 4 + 4 * 8 + 3 * 8 + 4 + 1 + 8;
+/// Bytes of a keypoint: x, y, id of its point (−1, all bits set, where it has none).
+const KEYPOINT_BYTES: usize = 3 * 8;
+/// Bytes of the smallest point: id, position, colour, reprojection error, length of its track.
+const POINT_BYTES: usize = 8 + 3 * 8 + 3 + 8 + 8;
+/// Bytes of an element of a track: image, keypoint.
+const TRACK_BYTES: usize = 4 + 4;
+
+/// The entries of `cameras.bin`.
+pub(super) fn cameras(file: &Path, bytes: &[u8]) -> Result<Vec<CameraRecord>, CaptureError> {
+    let mut input = Input::new(file, "camera", bytes);
+    let count = input.count("cameras", CAMERA_BYTES)?;
+    input.entries(count, "cameras", |input| {
+        let id = u32::from_le_bytes(input.take("CAMERA_ID")?);
+        let model = input.place().model_by_number(i32::from_le_bytes(input.take("MODEL")?))?;
+        let size_px = [u64::from_le_bytes(input.take("WIDTH")?), u64::from_le_bytes(input.take("HEIGHT")?)];
+        let parameters = &mut [0.0; 4][..model.parameters()];
+        for parameter in parameters.iter_mut() {
+            *parameter = f64::from_le_bytes(input.take("PARAMS")?);
+        }
+        let intrinsics = input.place().intrinsics(model, size_px, parameters)?;
+        Ok(CameraRecord { at: input.place().at, id, intrinsics })
+    })
+}
+
+/// The entries of `images.bin`.
+pub(super) fn images(file: &Path, bytes: &[u8]) -> Result<Vec<ImageRecord>, CaptureError> {
+    let mut input = Input::new(file, "image", bytes);
+    let count = input.count("images", IMAGE_BYTES)?;
+    input.entries(count, "images", |input| {
+        let id = u32::from_le_bytes(input.take("IMAGE_ID")?);
+        let quaternion = input.numbers("QW QX QY QZ")?;
+        let translation = input.numbers("TX TY TZ")?;
+        let cam_from_world = input.place().pose(quaternion, translation)?;
+        let camera_id = u32::from_le_bytes(input.take("CAMERA_ID")?);
+        let name = input.name()?;
+        input.skip("POINTS2D", KEYPOINT_BYTES)?;
+        Ok(ImageRecord { at: input.place().at, id, camera_id, name, cam_from_world })
+    })
+}
+
+/// The entries of `points3D.bin`.
+pub(super) fn points(file: &Path, bytes: &[u8]) -> Result<Vec<PointRecord>, CaptureError> {
+    let mut input = Input::new(file, "point", bytes);
+    let count = input.count("points", POINT_BYTES)?;
+    input.entries(count, "points", |input| {
+        input.take::<8>("POINT3D_ID")?;
+        let xyz = input.numbers("X Y Z")?;
+        let position = input.place().position(xyz)?;
+        let colour = input.take("R G B")?;
+        input.take::<8>("ERROR")?;
+        input.skip("TRACK", TRACK_BYTES)?;
+        Ok(PointRecord { position, colour })
+    })
+}
+
+/// What is left of a file, and the entry being read.
+struct Input<'a> {
+    file: &'a Path,
+    kind: &'static str,
+    entry: usize,
+    rest: &'a [u8],
+}
+
+impl<'a> Input<'a> {
+    fn new(file: &'a Path, kind: &'static str, bytes: &'a [u8]) -> Self {
+        Self { file, kind, entry: 0, rest: bytes }
+    }
+
+    fn place(&self) -> Place<'a> {
+        Place { file: self.file, kind: self.kind, at: At::Entry(self.entry) }
+    }
+
+    /// Reads `count` entries, which must be all that the file holds: left-over bytes mean that the count and the
+    /// entries disagree, and then the entries were perhaps not what they were read as.
+    fn entries<T>(
+        &mut self,
+        count: usize,
+        what: &'static str,
+        mut read: impl FnMut(&mut Self) -> Result<T, CaptureError>,
+    ) -> Result<Vec<T>, CaptureError> {
+        let mut entries = Vec::with_capacity(count);
+        for entry in 1..=count {
+            self.entry = entry;
+            entries.push(read(self)?);
+        }
+        match self.rest.len() {
+            0 => Ok(entries),
+            left => Err(CaptureError::Trailing { file: self.file.to_owned(), what, count, left }),
+        }
+    }
+
+    fn take<const N: usize>(&mut self, field: &'static str) -> Result<[u8; N], CaptureError> {
+        let Some((head, rest)) = self.rest.split_first_chunk::<N>() else {
+            return Err(self.truncated(field, N));
+        };
+        self.rest = rest;
+        Ok(*head)
+    }
+
+    fn numbers<const N: usize>(&mut self, field: &'static str) -> Result<[f64; N], CaptureError> {
+        let mut numbers = [0.0; N];
+        for number in &mut numbers {
+            *number = f64::from_le_bytes(self.take(field)?);
+        }
+        Ok(numbers)
+    }
+
+    /// A count of things that take at least `each` bytes, and for which there is room.
+    fn count(&mut self, what: &str, each: usize) -> Result<usize, CaptureError> {
+        let count = u64::from_le_bytes(self.take("count")?);
+        let (needed, left) = (u128::from(count) * each as u128, self.rest.len());
+        match usize::try_from(count) {
+            Ok(count) if needed <= left as u128 => Ok(count),
+            _ => {
+                let (file, what) = (self.file.to_owned(), what.to_owned());
+                Err(CaptureError::Count { file, what, count, needed, left })
+            }
+        }
+    }
+
+    /// Passes over a count and so many things of `each` bytes.
+    fn skip(&mut self, what: &'static str, each: usize) -> Result<(), CaptureError> {
+        let count = self.count(&format!("{what} in {}", self.place()), each)?;
+        // `count` has seen to it that so many bytes are left.
+        self.rest = &self.rest[count * each..];
+        Ok(())
+    }
+
+    fn name(&mut self) -> Result<String, CaptureError> {
+        let Some(length) = self.rest.iter().position(|&byte| byte == 0) else {
+            return Err(self.truncated("NAME", self.rest.len() + 1));
+        };
+        let (name, rest) = self.rest.split_at(length);
+        self.rest = &rest[1..];
+        match str::from_utf8(name) {
+            Ok(name) => self.place().name(name),
+            Err(_) => Err(self.place().refuse("NAME", format!("{:?}", name.escape_ascii().to_string()), "UTF-8 text")),
+        }
+    }
+
+    fn truncated(&self, field: &'static str, needed: usize) -> CaptureError {
+        let (file, left) = (self.file.to_owned(), self.rest.len());
+        let place = if self.entry == 0 { "header".to_owned() } else { self.place().to_string() };
+        CaptureError::Truncated { file, place, field, needed, left }
+    }
+}

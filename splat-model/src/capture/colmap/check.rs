@@ -1,0 +1,189 @@
+//! What both encodings of a model must satisfy, and how a place in either is named.
+
+use std::fmt;
+use std::path::{Component, Path};
+
+use glam::{DAffine3, DQuat, DVec3};
+use splat_op::camera::MAX_SIDE_PX;
+use splat_op::{CameraModel, Intrinsics};
+
+use crate::capture::CaptureError;
+
+/// Positions and lens parameters beyond this are damage: squared, they still fit an f32, and no survey needs more.
+const MAX_MAGNITUDE: f64 = 1e15;
+
+const EXPORT_AGAIN: &str = "The file is damaged or the reconstruction failed: export it again, for instance with \
+                            `colmap model_converter`";
+
+/// Where in a file an entry stands, counted from one.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum At {
+    Entry(usize),
+    Line(usize),
+}
+
+/// An entry of a file, as errors name it.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Place<'a> {
+    pub file: &'a Path,
+    /// "camera", "image" or "point".
+    pub kind: &'static str,
+    pub at: At,
+}
+
+impl fmt::Display for Place<'_> {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.at {
+            At::Entry(index) => write!(out, "{} entry {index}", self.kind),
+            At::Line(line) => write!(out, "{} on line {line}", self.kind),
+        }
+    }
+}
+
+/// The camera models that are supported.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Model {
+    /// `f, cx, cy`.
+    SimplePinhole,
+    /// `fx, fy, cx, cy`.
+    Pinhole,
+}
+
+impl Model {
+    /// COLMAP's names, by its numbers for them (`src/colmap/sensor/models.h`); only the first two are supported.
+    const NAMES: [&str; 11] = [
+        "SIMPLE_PINHOLE",
+        "PINHOLE",
+        "SIMPLE_RADIAL",
+        "RADIAL",
+        "OPENCV",
+        "OPENCV_FISHEYE",
+        "FULL_OPENCV",
+        "FOV",
+        "SIMPLE_RADIAL_FISHEYE",
+        "RADIAL_FISHEYE",
+        "THIN_PRISM_FISHEYE",
+    ];
+
+    pub const fn parameters(self) -> usize {
+        match self {
+            Self::SimplePinhole => 3,
+            Self::Pinhole => 4,
+        }
+    }
+}
+
+impl Place<'_> {
+    /// The error for a field that holds what no good file does.
+    pub fn refuse(&self, field: &'static str, found: impl fmt::Display, expected: impl Into<String>) -> CaptureError {
+        self.refuse_with(field, found, expected, EXPORT_AGAIN)
+    }
+
+    /// The same, where exporting the file again would not help.
+    pub fn refuse_with(
+        &self,
+        field: &'static str,
+        found: impl fmt::Display,
+        expected: impl Into<String>,
+        fix: &'static str,
+    ) -> CaptureError {
+        let (found, expected) = (found.to_string().into(), expected.into().into());
+        CaptureError::Entry { file: self.file.to_owned(), place: self.to_string(), field, found, expected, fix }
+    }
+
+    pub fn model_by_number(&self, number: i32) -> Result<Model, CaptureError> {
+        match usize::try_from(number).ok().and_then(|number| Model::NAMES.get(number)) {
+            Some(name) => self.model_by_name(name),
+            None => self.model_by_name(&format!("number {number}")),
+        }
+    }
+
+    pub fn model_by_name(&self, name: &str) -> Result<Model, CaptureError> {
+        match name {
+            "SIMPLE_PINHOLE" => Ok(Model::SimplePinhole),
+            "PINHOLE" => Ok(Model::Pinhole),
+            _ => Err(self.unsupported(name)),
+        }
+    }
+
+    /// The error for a camera model that cannot be read or written yet.
+    pub fn unsupported(&self, model: &str) -> CaptureError {
+        let model = model.escape_debug().to_string();
+        CaptureError::Model { file: self.file.to_owned(), place: self.to_string(), model }
+    }
+
+    /// `parameters` as the model orders them.
+    pub fn intrinsics(&self, model: Model, size_px: [u64; 2], parameters: &[f64]) -> Result<Intrinsics, CaptureError> {
+        let (fx, fy, cx, cy) = match (model, parameters) {
+            (Model::SimplePinhole, &[f, cx, cy]) => (f, f, cx, cy),
+            (Model::Pinhole, &[fx, fy, cx, cy]) => (fx, fy, cx, cy),
+            _ => {
+                let expected = format!("{} numbers", model.parameters());
+                return Err(self.refuse("PARAMS", format!("{} numbers", parameters.len()), expected));
+            }
+        };
+        for focal in [fx, fy] {
+            if !(focal > 0.0 && focal <= MAX_MAGNITUDE) {
+                return Err(self.refuse("PARAMS", focal, "a positive, finite focal length in px"));
+            }
+        }
+        for centre in [cx, cy] {
+            self.check_magnitude("PARAMS", centre, "a finite principal point in px")?;
+        }
+        let [width, height] = [self.side("WIDTH", size_px[0])?, self.side("HEIGHT", size_px[1])?];
+        Ok(Intrinsics { model: CameraModel::Pinhole, width, height, fx, fy, cx, cy })
+    }
+
+    fn side(&self, field: &'static str, px: u64) -> Result<usize, CaptureError> {
+        match usize::try_from(px) {
+            Ok(side @ 1..=MAX_SIDE_PX) => Ok(side),
+            _ => Err(self.refuse(field, px, format!("1 to {MAX_SIDE_PX} px"))),
+        }
+    }
+
+    /// The pose of an image; the quaternion, wxyz, may have any length but zero.
+    pub fn pose(&self, quaternion: [f64; 4], translation: [f64; 3]) -> Result<DAffine3, CaptureError> {
+        for (field, value) in ["QW", "QX", "QY", "QZ"].into_iter().zip(quaternion) {
+            if !value.is_finite() {
+                return Err(self.refuse(field, value, "a finite number"));
+            }
+        }
+        for (field, value) in ["TX", "TY", "TZ"].into_iter().zip(translation) {
+            self.check_magnitude(field, value, "a finite number of at most 1e15")?;
+        }
+        // Dividing by the largest component first keeps the squares of the others from over- or underflowing.
+        let largest = quaternion.iter().fold(0.0, |most: f64, value| most.max(value.abs()));
+        if largest == 0.0 {
+            return Err(self.refuse("QW QX QY QZ", "0 0 0 0", "a quaternion that is not zero"));
+        }
+        let [w, x, y, z] = quaternion.map(|value| value / largest);
+        let rotation = DQuat::from_xyzw(x, y, z, w).normalize();
+        Ok(DAffine3::from_rotation_translation(rotation, DVec3::from_array(translation)))
+    }
+
+    pub fn position(&self, xyz: [f64; 3]) -> Result<DVec3, CaptureError> {
+        for (field, value) in ["X", "Y", "Z"].into_iter().zip(xyz) {
+            self.check_magnitude(field, value, "a finite number of at most 1e15")?;
+        }
+        Ok(DVec3::from_array(xyz))
+    }
+
+    fn check_magnitude(&self, field: &'static str, value: f64, expected: &'static str) -> Result<(), CaptureError> {
+        if value.abs() <= MAX_MAGNITUDE { Ok(()) } else { Err(self.refuse(field, value, expected)) }
+    }
+
+    /// The name of a picture. It becomes part of a path, so it must stay below the folder of pictures.
+    pub fn name(&self, name: &str) -> Result<String, CaptureError> {
+        let inside = |part| matches!(part, Component::Normal(_) | Component::CurDir);
+        let plain = !name.is_empty() && !name.contains('\0') && Path::new(name).components().all(inside);
+        if plain {
+            return Ok(name.to_owned());
+        }
+        Err(self.refuse_with(
+            "NAME",
+            format_args!("{name:?}"),
+            "a path below `images/`, neither absolute nor with `..`",
+            "Reconstruct with the folder of pictures as COLMAP's `--image_path`, so that names are relative to it",
+        ))
+    }
+}

@@ -1,0 +1,103 @@
+use super::*;
+use crate::capture::testing::{assert_says, real_capture};
+
+fn load_real(name: &str) -> Option<Capture> {
+    Some(load(&real_capture(name)?).unwrap())
+}
+
+fn check(capture: &Capture, views: usize, points: usize) {
+    assert_eq!((capture.views.len(), capture.points.positions.len()), (views, points));
+    assert_eq!(capture.points.colours.len(), points);
+    assert!(capture.views.is_sorted_by(|a, b| a.name < b.name));
+    assert!(capture.views.iter().all(|view| view.image_path.is_file()));
+    assert_eq!(capture.origin, DVec3::ZERO);
+}
+
+/// How many of the points lie before the camera and inside its picture.
+fn seen(view: &View, points: &PointCloud) -> usize {
+    let camera = &view.intrinsics;
+    let inside = |position: &&[f32; 3]| {
+        let cam = view.cam_from_world.transform_point3(glam::Vec3::from_array(**position).as_dvec3());
+        let (x, y) = (camera.fx * cam.x / cam.z + camera.cx, camera.fy * cam.y / cam.z + camera.cy);
+        cam.z > 0.0 && (0.0..camera.width as f64).contains(&x) && (0.0..camera.height as f64).contains(&y)
+    };
+    points.positions.iter().filter(inside).count()
+}
+
+#[test]
+fn fox_small() {
+    let Some(capture) = load_real("fox_small") else { return };
+    check(&capture, 50, 14_689);
+    let camera = capture.views[0].intrinsics;
+    assert_eq!((camera.width, camera.height, camera.fx), (270, 480, 347.965_685_398_842_54));
+    assert!(capture.views.iter().all(|view| seen(view, &capture.points) > 1000), "poses take world to camera");
+}
+
+#[test]
+fn fox_small_as_text_is_the_same() {
+    let Some(root) = real_capture("fox_small") else { return };
+    let folder = tempfile::tempdir().unwrap();
+    fs::create_dir(folder.path().join("sparse")).unwrap();
+    for name in ["cameras.txt", "images.txt", "points3D.txt"] {
+        fs::copy(root.join("sparse_txt/0").join(name), folder.path().join("sparse").join(name)).unwrap();
+    }
+    let (text, binary) = (load(folder.path()).unwrap(), load(&root).unwrap());
+    assert_eq!(text.points.positions.len(), 14_689);
+    // The two list their points in different orders.
+    assert_eq!(sorted(&text.points), sorted(&binary.points));
+    for (text, binary) in text.views.iter().zip(&binary.views) {
+        assert_eq!((&text.name, text.intrinsics), (&binary.name, binary.intrinsics));
+        assert_eq!(text.cam_from_world, binary.cam_from_world);
+    }
+}
+
+fn sorted(points: &PointCloud) -> Vec<([u32; 3], [u8; 3])> {
+    let bits = points.positions.iter().map(|position| position.map(f32::to_bits));
+    let mut points: Vec<_> = bits.zip(points.colours.iter().copied()).collect();
+    points.sort_unstable();
+    points
+}
+
+#[test]
+fn fox_distorted_says_what_to_do() {
+    let Some(root) = real_capture("fox_distorted") else { return };
+    let message = load(&root).unwrap_err().to_string();
+    assert_says(&message, &["cameras.bin", "camera model is OPENCV,", "colmap image_undistorter"]);
+}
+
+#[test]
+fn fox_distorted_has_unmatched_keypoints_that_pass() {
+    let Some(root) = real_capture("fox_distorted") else { return };
+    let file = root.join("sparse/0/images.bin");
+    assert_eq!(binary::images(&file, &read(&file).unwrap()).unwrap().len(), 50);
+}
+
+#[test]
+fn bonsai_has_neither_keypoints_nor_tracks() {
+    let Some(capture) = load_real("bonsai") else { return };
+    check(&capture, 252, 78_602);
+    assert!(capture.views.iter().all(|view| seen(view, &capture.points) > 1000));
+}
+
+#[test]
+fn statue_wild_has_a_camera_for_each_photo_and_two_more() {
+    let Some(capture) = load_real("statue_wild") else { return };
+    check(&capture, 84, 11_280);
+    let file = real_capture("statue_wild").unwrap().join("sparse/0/cameras.bin");
+    assert_eq!(binary::cameras(&file, &read(&file).unwrap()).unwrap().len(), 86);
+}
+
+#[test]
+fn real_captures_survive_writing() {
+    for name in ["fox_small", "statue_wild"] {
+        let Some(capture) = load_real(name) else { return };
+        let folder = tempfile::tempdir().unwrap();
+        write_binary(folder.path(), &capture.views, &capture.points).unwrap();
+        let again = load(folder.path()).unwrap();
+        assert_eq!(again.points, capture.points);
+        for (again, view) in again.views.iter().zip(&capture.views) {
+            assert_eq!((&again.name, again.intrinsics), (&view.name, view.intrinsics));
+            assert!(again.cam_from_world.abs_diff_eq(view.cam_from_world, 1e-12));
+        }
+    }
+}

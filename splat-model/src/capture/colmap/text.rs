@@ -1,0 +1,125 @@
+//! The text encoding: one entry a line (two for an image), fields between blanks, comments from `#` on a line's start.
+
+use std::path::Path;
+use std::str::FromStr;
+
+use super::check::{At, Place};
+use super::{CameraRecord, ImageRecord, PointRecord};
+use crate::capture::CaptureError;
+
+/// The entries of `cameras.txt`.
+pub(super) fn cameras(file: &Path, bytes: &[u8]) -> Result<Vec<CameraRecord>, CaptureError> {
+    let entries = lines(file, "camera", bytes)?.filter(is_entry);
+    entries
+        .map(|mut line| {
+            let id = line.parse("CAMERA_ID", "a whole number")?;
+            let model = line.field("MODEL")?;
+            let model = line.place.model_by_name(model)?;
+            let size_px = [line.parse("WIDTH", "a whole number of px")?, line.parse("HEIGHT", "a whole number of px")?];
+            let mut parameters = Vec::with_capacity(model.parameters());
+            while !line.rest.is_empty() && parameters.len() <= model.parameters() {
+                parameters.push(line.parse("PARAMS", "a number")?);
+            }
+            let intrinsics = line.place.intrinsics(model, size_px, &parameters)?;
+            Ok(CameraRecord { at: line.place.at, id, intrinsics })
+        })
+        .collect()
+}
+
+/// The entries of `images.txt`.
+pub(super) fn images(file: &Path, bytes: &[u8]) -> Result<Vec<ImageRecord>, CaptureError> {
+    let mut lines = lines(file, "image", bytes)?;
+    let mut images = Vec::new();
+    while let Some(mut line) = lines.find(is_entry) {
+        let id = line.parse("IMAGE_ID", "a whole number")?;
+        let quaternion = line.numbers(["QW", "QX", "QY", "QZ"])?;
+        let translation = line.numbers(["TX", "TY", "TZ"])?;
+        let cam_from_world = line.place.pose(quaternion, translation)?;
+        let camera_id = line.parse("CAMERA_ID", "a whole number")?;
+        // All that is left of the line: names may hold blanks.
+        let name = line.place.name(line.rest)?;
+        images.push(ImageRecord { at: line.place.at, id, camera_id, name, cam_from_world });
+        // The line after an image belongs to it whatever it holds; most often it is empty where there are no keypoints.
+        if let Some(keypoints) = lines.next() {
+            check_keypoints(&keypoints)?;
+        }
+    }
+    Ok(images)
+}
+
+/// The entries of `points3D.txt`.
+pub(super) fn points(file: &Path, bytes: &[u8]) -> Result<Vec<PointRecord>, CaptureError> {
+    let entries = lines(file, "point", bytes)?.filter(is_entry);
+    entries
+        .map(|mut line| {
+            line.parse::<u64>("POINT3D_ID", "a whole number")?;
+            let xyz = line.numbers(["X", "Y", "Z"])?;
+            let position = line.place.position(xyz)?;
+            let mut colour = [0; 3];
+            for (channel, field) in colour.iter_mut().zip(["R", "G", "B"]) {
+                *channel = line.parse(field, "a whole number from 0 to 255")?;
+            }
+            Ok(PointRecord { position, colour })
+        })
+        .collect()
+}
+
+/// Keypoints are not used, but a line that cannot hold any is the next image, of a file without lines for keypoints:
+/// passing over it would lose every other photograph.
+fn check_keypoints(line: &Line) -> Result<(), CaptureError> {
+    let count = line.rest.split_whitespace().count();
+    let last_is_id = line.rest.split_whitespace().next_back().is_none_or(|last| last.parse::<i64>().is_ok());
+    if count.is_multiple_of(3) && last_is_id {
+        return Ok(());
+    }
+    let expected = "X, Y, POINT3D_ID for each keypoint, or an empty line, after the line of each image";
+    Err(line.place.refuse("POINTS2D", format!("a line of {count} fields"), expected))
+}
+
+fn is_entry(line: &Line) -> bool {
+    !line.rest.is_empty() && !line.rest.starts_with('#')
+}
+
+/// The lines of a file, trimmed and numbered from one.
+fn lines<'a>(
+    file: &'a Path,
+    kind: &'static str,
+    bytes: &'a [u8],
+) -> Result<impl Iterator<Item = Line<'a>>, CaptureError> {
+    let text = str::from_utf8(bytes).map_err(|error| {
+        let line = 1 + bytes[..error.valid_up_to()].iter().filter(|&&byte| byte == b'\n').count();
+        Place { file, kind, at: At::Line(line) }.refuse("text", "a byte that is not UTF-8", "UTF-8 text")
+    })?;
+    let numbered = text.lines().enumerate();
+    Ok(numbered.map(move |(i, line)| Line { place: Place { file, kind, at: At::Line(i + 1) }, rest: line.trim() }))
+}
+
+/// What is left of a line.
+struct Line<'a> {
+    place: Place<'a>,
+    rest: &'a str,
+}
+
+impl<'a> Line<'a> {
+    fn field(&mut self, field: &'static str) -> Result<&'a str, CaptureError> {
+        if self.rest.is_empty() {
+            return Err(self.place.refuse(field, "missing: the line ends before it", "a value"));
+        }
+        let (value, rest) = self.rest.split_once(char::is_whitespace).unwrap_or((self.rest, ""));
+        self.rest = rest.trim_start();
+        Ok(value)
+    }
+
+    fn parse<T: FromStr>(&mut self, field: &'static str, expected: &'static str) -> Result<T, CaptureError> {
+        let value = self.field(field)?;
+        value.parse().map_err(|_| self.place.refuse(field, format!("{value:?}"), expected))
+    }
+
+    fn numbers<const N: usize>(&mut self, fields: [&'static str; N]) -> Result<[f64; N], CaptureError> {
+        let mut numbers = [0.0; N];
+        for (number, field) in numbers.iter_mut().zip(fields) {
+            *number = self.parse(field, "a number")?;
+        }
+        Ok(numbers)
+    }
+}

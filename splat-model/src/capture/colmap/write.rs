@@ -1,0 +1,164 @@
+//! Writing a model in the binary encoding.
+
+use std::fs;
+use std::path::Path;
+
+use glam::{DAffine3, DMat3, DQuat};
+use splat_op::{CameraModel, Intrinsics};
+
+use super::check::{At, Place};
+use super::{Files, assemble, binary};
+use crate::capture::{CaptureError, PointCloud, View};
+
+/// COLMAP's number for PINHOLE.
+const PINHOLE: i32 = 1;
+
+/// How far a pose may be from rigid: well above the rounding of f64, well below what a picture shows.
+const RIGID_WITHIN: f64 = 1e-6;
+
+/// Writes `cameras.bin`, `images.bin` and `points3D.bin` under `folder/sparse/0`, replacing those that are there.
+///
+/// Positions are written as they are, relative to the capture's origin if it has one. Images have no keypoints and
+/// points empty tracks; views of equal [`Intrinsics`] share a camera. Pictures are not written; each view's is expected
+/// at `folder/images/<name>`.
+///
+/// The files appear whole or not at all, one by one: each is written under another name first.
+///
+/// # Errors
+///
+/// A [`CaptureError`] if a file cannot be written, or for anything that [`Capture::load`](crate::capture::Capture::load)
+/// would refuse to read; then nothing is written.
+pub fn write_binary(folder: &Path, views: &[View], points: &PointCloud) -> Result<(), CaptureError> {
+    if points.positions.len() != points.colours.len() {
+        let (positions, colours) = (points.positions.len(), points.colours.len());
+        return Err(CaptureError::Cloud { positions, colours });
+    }
+    let model = folder.join("sparse").join("0");
+    let files = Files::binary(&model);
+    let cameras = distinct(views);
+    let camera_bytes = camera_bytes(&files.cameras, &cameras)?;
+    let image_bytes = image_bytes(&files.images, &cameras, views)?;
+    let point_bytes = point_bytes(points);
+    // Read back what is about to be written, so that reader and writer cannot disagree on what is valid.
+    assemble(
+        folder,
+        &files,
+        binary::cameras(&files.cameras, &camera_bytes)?,
+        binary::images(&files.images, &image_bytes)?,
+        &binary::points(&files.points, &point_bytes)?,
+    )?;
+    fs::create_dir_all(&model).map_err(|reason| CaptureError::Write { file: model, reason })?;
+    replace(&files.cameras, &camera_bytes)?;
+    replace(&files.images, &image_bytes)?;
+    replace(&files.points, &point_bytes)
+}
+
+/// Each of the views' intrinsics once, in order of first use.
+fn distinct(views: &[View]) -> Vec<Intrinsics> {
+    let mut cameras: Vec<Intrinsics> = Vec::new();
+    for view in views {
+        if !cameras.contains(&view.intrinsics) {
+            cameras.push(view.intrinsics);
+        }
+    }
+    cameras
+}
+
+fn camera_bytes(file: &Path, cameras: &[Intrinsics]) -> Result<Vec<u8>, CaptureError> {
+    let mut out = Bytes::counted(cameras.len());
+    for (i, camera) in cameras.iter().enumerate() {
+        let place = Place { file, kind: "camera", at: At::Entry(i + 1) };
+        let model = match camera.model {
+            CameraModel::Pinhole => PINHOLE,
+            other => return Err(place.unsupported(&format!("{other:?}"))),
+        };
+        out.add(number_of(i).to_le_bytes());
+        out.add(model.to_le_bytes());
+        out.add((camera.width as u64).to_le_bytes());
+        out.add((camera.height as u64).to_le_bytes());
+        out.numbers([camera.fx, camera.fy, camera.cx, camera.cy]);
+    }
+    Ok(out.0)
+}
+
+fn image_bytes(file: &Path, cameras: &[Intrinsics], views: &[View]) -> Result<Vec<u8>, CaptureError> {
+    let mut out = Bytes::counted(views.len());
+    for (i, view) in views.iter().enumerate() {
+        let place = Place { file, kind: "image", at: At::Entry(i + 1) };
+        let name = place.name(&view.name)?;
+        let rotation = rotation(&place, &view.cam_from_world)?;
+        out.add(number_of(i).to_le_bytes());
+        out.numbers([rotation.w, rotation.x, rotation.y, rotation.z]);
+        out.numbers(view.cam_from_world.translation.to_array());
+        // A camera with a NaN equals none, itself included; it is refused when the bytes are read back.
+        let camera = cameras.iter().position(|camera| *camera == view.intrinsics).unwrap_or(0);
+        out.add(number_of(camera).to_le_bytes());
+        out.0.extend_from_slice(name.as_bytes());
+        out.add([0]);
+        out.add(0_u64.to_le_bytes());
+    }
+    Ok(out.0)
+}
+
+fn point_bytes(points: &PointCloud) -> Vec<u8> {
+    let mut out = Bytes::counted(points.positions.len());
+    for (id, (position, colour)) in (1_u64..).zip(points.positions.iter().zip(&points.colours)) {
+        out.add(id.to_le_bytes());
+        out.numbers(position.map(f64::from));
+        out.add(*colour);
+        // COLMAP's mark for an error that was never measured.
+        out.numbers([-1.0]);
+        out.add(0_u64.to_le_bytes());
+    }
+    out.0
+}
+
+/// COLMAP's ids are 32 bits wide and count from one.
+fn number_of(index: usize) -> u32 {
+    // More than 2³² views do not fit in memory; ids that wrapped would be refused as duplicates when read back.
+    (index as u32).wrapping_add(1)
+}
+
+fn rotation(place: &Place, cam_from_world: &DAffine3) -> Result<DQuat, CaptureError> {
+    let matrix = cam_from_world.matrix3;
+    let rigid = (matrix * matrix.transpose()).abs_diff_eq(DMat3::IDENTITY, RIGID_WITHIN) && matrix.determinant() > 0.0;
+    match rigid {
+        true => Ok(DQuat::from_mat3(&matrix)),
+        false => Err(place.refuse_with(
+            "cam_from_world",
+            format!("the matrix {:?}", matrix.transpose().to_cols_array_2d()),
+            "a rotation",
+            "Give the view a rigid pose: scale the positions instead, or mirror the picture",
+        )),
+    }
+}
+
+/// Writes beside `file`, then renames: who reads meanwhile sees the old file or the new one, never a part.
+fn replace(file: &Path, bytes: &[u8]) -> Result<(), CaptureError> {
+    let temporary = file.with_extension(format!("tmp-{}", std::process::id()));
+    let written = fs::write(&temporary, bytes).and_then(|()| fs::rename(&temporary, file));
+    written.map_err(|reason| {
+        // What is left may fill the disk; the first failure is the one to report.
+        drop(fs::remove_file(&temporary));
+        CaptureError::Write { file: file.to_owned(), reason }
+    })
+}
+
+/// A file in the making.
+struct Bytes(Vec<u8>);
+
+impl Bytes {
+    fn counted(count: usize) -> Self {
+        Self((count as u64).to_le_bytes().to_vec())
+    }
+
+    fn add<const N: usize>(&mut self, bytes: [u8; N]) {
+        self.0.extend_from_slice(&bytes);
+    }
+
+    fn numbers<const N: usize>(&mut self, numbers: [f64; N]) {
+        for number in numbers {
+            self.add(number.to_le_bytes());
+        }
+    }
+}

@@ -1,0 +1,184 @@
+//! What can be wrong with a capture.
+
+use std::io;
+use std::path::PathBuf;
+
+use thiserror::Error;
+
+/// A capture that cannot be read or written. Each message names the file, what was found and what to do.
+///
+/// Reasons given by the operating system or a decoder are part of the message rather than a `source`, so that a report
+/// that prints the whole chain says them once.
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum CaptureError {
+    /// A file that the format requires is not there.
+    #[error("no {what} found: looked for {}. {fix}", list(.looked_for))]
+    Missing {
+        /// What the file would hold.
+        what: &'static str,
+        /// Every path that was tried.
+        looked_for: Vec<PathBuf>,
+        /// What to do.
+        fix: &'static str,
+    },
+    /// A file is there but cannot be read.
+    #[error("cannot read {}: {reason}. {fix}", .file.display())]
+    Read {
+        /// The file.
+        file: PathBuf,
+        /// The operating system's reason.
+        reason: io::Error,
+        /// What to do.
+        fix: &'static str,
+    },
+    /// A file cannot be written.
+    #[error("cannot write {}: {reason}. Check that the folder can be written to and that the disk has room", .file.display())]
+    Write {
+        /// The file.
+        file: PathBuf,
+        /// The operating system's reason.
+        reason: io::Error,
+    },
+    /// One field of one entry holds something that no capture can have.
+    #[error("{}: {place}: `{field}` is {found}, expected {expected}. {fix}", .file.display())]
+    Entry {
+        /// The file.
+        file: PathBuf,
+        /// The entry, such as "image entry 3" or "camera on line 4".
+        place: String,
+        /// The field, as the format's own document calls it.
+        field: &'static str,
+        /// What stands there.
+        found: Box<str>,
+        /// What may stand there.
+        expected: Box<str>,
+        /// What to do.
+        fix: &'static str,
+    },
+    /// The lens model of a camera is none that this crate renders.
+    #[error(
+        "{}: {place}: the camera model is {model}, but only SIMPLE_PINHOLE and PINHOLE are supported yet. Remove the lens \
+         distortion with `colmap image_undistorter` and use the folder that it writes",
+        .file.display()
+    )]
+    Model {
+        /// The file.
+        file: PathBuf,
+        /// The camera.
+        place: String,
+        /// Its model, by COLMAP's name where there is one.
+        model: String,
+    },
+    /// A count in a binary file is larger than the file could hold.
+    #[error(
+        "{}: the number of {what} is {count}, which takes at least {needed} bytes, but only {left} bytes follow. The file \
+         is cut short or damaged: copy or export it again",
+        .file.display()
+    )]
+    Count {
+        /// The file.
+        file: PathBuf,
+        /// What is counted.
+        what: String,
+        /// The count that the file states.
+        count: u64,
+        /// Bytes that so many entries take at least; more than 64 bits hold where the count is hostile.
+        needed: u128,
+        /// Bytes between the count and the end of the file.
+        left: usize,
+    },
+    /// A binary file ends inside an entry.
+    #[error(
+        "{}: {place}: the file ends in `{field}`, which takes {needed} bytes where {left} are left. It is cut short: copy \
+         or export it again",
+        .file.display()
+    )]
+    Truncated {
+        /// The file.
+        file: PathBuf,
+        /// The entry.
+        place: String,
+        /// The field.
+        field: &'static str,
+        /// Bytes that the field takes at least.
+        needed: usize,
+        /// Bytes that are left.
+        left: usize,
+    },
+    /// A binary file goes on after its last entry.
+    #[error(
+        "{}: {left} bytes follow the last of {count} {what}, expected none. The file is damaged or of a newer format: \
+         export it again, for instance with `colmap model_converter`",
+        .file.display()
+    )]
+    Trailing {
+        /// The file.
+        file: PathBuf,
+        /// What is counted.
+        what: &'static str,
+        /// The count that the file states.
+        count: usize,
+        /// Bytes that are left over.
+        left: usize,
+    },
+    /// The reconstruction lists no photographs.
+    #[error("{} lists no images, expected at least one. Run the reconstruction again, or choose another of its models", .file.display())]
+    NoViews {
+        /// The file.
+        file: PathBuf,
+    },
+    /// The picture of a view cannot be decoded.
+    #[error("cannot decode {}: {reason}. Expected a JPEG or PNG picture: export or copy it again", .file.display())]
+    Picture {
+        /// The picture.
+        file: PathBuf,
+        /// What the decoder said.
+        reason: String,
+    },
+    /// The picture of a view has another size than its camera.
+    #[error(
+        "{}: the picture is {} × {} px, expected {} × {} px as its camera states. Use the pictures that the reconstruction \
+         was made from, or run it again on these",
+        .file.display(), .found[0], .found[1], .expected[0], .expected[1]
+    )]
+    PictureSize {
+        /// The picture.
+        file: PathBuf,
+        /// Its width and height, px.
+        found: [usize; 2],
+        /// The width and height of its camera, px.
+        expected: [usize; 2],
+    },
+    /// A point cloud whose columns differ in length.
+    #[error("the point cloud has {positions} positions and {colours} colours, expected one colour for each position")]
+    Cloud {
+        /// Number of positions.
+        positions: usize,
+        /// Number of colours.
+        colours: usize,
+    },
+    /// A split that leaves nothing to test on.
+    #[error(
+        "all {views} views are for training and none is held out for testing, expected at least one. Set `--eval-every` to \
+         8, say, to hold out every eighth"
+    )]
+    NoTestViews {
+        /// Number of views in the split.
+        views: usize,
+    },
+    /// A split that leaves nothing to train on.
+    #[error(
+        "all {views} views are held out for testing and none is for training, expected at least one. Set `--eval-every` to \
+         8, say, or to 0 to train on all, or add photographs"
+    )]
+    NoTrainingViews {
+        /// Number of views in the split.
+        views: usize,
+    },
+}
+
+fn list(paths: &[PathBuf]) -> String {
+    let names: Vec<String> = paths.iter().map(|path| path.display().to_string()).collect();
+    names.join(" and ")
+}

@@ -1,0 +1,207 @@
+//! Decoding of photographs.
+
+use std::fs::File;
+use std::io::{self, BufReader};
+use std::path::Path;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use burn::tensor::{Device, FloatDType, Tensor, TensorData};
+use glam::DAffine3;
+use image::imageops::{self, FilterType};
+use image::{ColorType, DynamicImage, ImageDecoder, ImageReader, Limits, Rgba32FImage, RgbaImage};
+use rayon::prelude::*;
+use splat_op::Intrinsics;
+
+use super::{CaptureError, View};
+
+#[cfg(test)]
+mod tests;
+
+/// What a decoder may allocate beside the pixels: tables, metadata, a row or two.
+const DECODER_BYTES: u64 = 64 << 20;
+
+/// Bytes of the largest pixel that is decoded: four channels of 16 bits.
+const PIXEL_BYTES: u64 = 8;
+
+/// Lanczos overshoots beside edges by less than twice, and `image` clips at one. If it clipped a colour or its weight, their
+/// ratio would be another colour; so both are resized at this scale.
+const HEADROOM: f32 = 0.5;
+
+/// A decoded photograph.
+#[derive(Clone, Debug)]
+pub struct Photo {
+    /// The view's name.
+    pub name: String,
+    /// Size and projection, at the size that was loaded.
+    pub intrinsics: Intrinsics,
+    /// The view's pose.
+    pub cam_from_world: DAffine3,
+    /// `[H, W, 3]` row-major: display-referred colours, 0 to 255, not multiplied by alpha.
+    pub rgb: Vec<u8>,
+    /// `[H, W]` row-major: 255 where the photograph is opaque. None if it is opaque everywhere.
+    pub alpha: Option<Vec<u8>>,
+}
+
+impl Photo {
+    /// `[H, W, 3]`: display-referred colours in 0..1, not multiplied by alpha, in the device's float type.
+    pub fn rgb_tensor(&self, device: &Device) -> Tensor<3> {
+        unit_range(&self.rgb, [self.intrinsics.height, self.intrinsics.width, 3], device)
+    }
+
+    /// `[H, W, 1]`: opacity in 0..1, in the device's float type; None if the photograph is opaque everywhere.
+    pub fn alpha_tensor(&self, device: &Device) -> Option<Tensor<3>> {
+        let alpha = self.alpha.as_ref()?;
+        Some(unit_range(alpha, [self.intrinsics.height, self.intrinsics.width, 1], device))
+    }
+}
+
+/// Decodes the picture of a view and, if its longer side exceeds `max_side` px, downsizes it to that (Lanczos, a = 3).
+///
+/// Rotation tags (EXIF) are not applied, as COLMAP does not apply them either. 16-bit pictures are rounded to 8 bits.
+///
+/// # Errors
+///
+/// A [`CaptureError`] if the file is missing, is no JPEG or PNG picture, is damaged, or has another size than the view's
+/// camera.
+pub fn load(view: &View, max_side: Option<u32>) -> Result<Photo, CaptureError> {
+    let picture = decode(&view.image_path, &view.intrinsics)?;
+    let [width, height] = size_within([picture.width(), picture.height()], max_side);
+    let (rgb, alpha) = match with_alpha(&picture) {
+        Some(rgba) => {
+            let pixels = resize_with_alpha(rgba, width, height).into_raw();
+            let (pixels, _) = pixels.as_chunks::<4>();
+            let rgb = pixels.iter().flat_map(|&[r, g, b, _]| [r, g, b]).collect();
+            (rgb, Some(pixels.iter().map(|&[.., alpha]| alpha).collect()))
+        }
+        None => {
+            let rgb = picture.into_rgb8();
+            let unchanged = rgb.dimensions() == (width, height);
+            let rgb = if unchanged { rgb } else { imageops::resize(&rgb, width, height, FilterType::Lanczos3) };
+            (rgb.into_raw(), None)
+        }
+    };
+    Ok(Photo {
+        name: view.name.clone(),
+        intrinsics: view.intrinsics.resized(width as usize, height as usize),
+        cam_from_world: view.cam_from_world,
+        rgb,
+        alpha,
+    })
+}
+
+/// [`load`] for each of `views`, on all threads, in their order. `progress` is told, from any thread, how many are done.
+///
+/// # Errors
+///
+/// Those of [`load`]; if several pictures are faulty, the error is that of any of them.
+pub fn load_all<'a>(
+    views: impl IntoIterator<Item = &'a View>,
+    max_side: Option<u32>,
+    progress: impl Fn(usize) + Sync,
+) -> Result<Vec<Photo>, CaptureError> {
+    let views: Vec<&View> = views.into_iter().collect();
+    let done = AtomicUsize::new(0);
+    let load_one = |view: &&View| {
+        let photo = load(view, max_side)?;
+        progress(1 + done.fetch_add(1, Ordering::Relaxed));
+        Ok(photo)
+    };
+    views.par_iter().map(load_one).collect()
+}
+
+/// The size of the file is compared with the camera's before any pixel is decoded, so that a picture allocates no more
+/// than its camera led one to expect.
+fn decode(file: &Path, camera: &Intrinsics) -> Result<DynamicImage, CaptureError> {
+    let fail = |reason: &dyn std::fmt::Display| {
+        let reason = reason.to_string();
+        CaptureError::Picture { file: file.to_owned(), reason }
+    };
+    let reader = ImageReader::new(BufReader::new(open(file)?));
+    let mut reader = reader.with_guessed_format().map_err(|error| fail(&error))?;
+    reader.limits(limits(camera));
+    let decoder = reader.into_decoder().map_err(|error| fail(&error))?;
+    let (width, height) = decoder.dimensions();
+    let (found, expected) = ([width as usize, height as usize], [camera.width, camera.height]);
+    if found != expected {
+        return Err(CaptureError::PictureSize { file: file.to_owned(), found, expected });
+    }
+    if matches!(decoder.color_type(), ColorType::Rgb32F | ColorType::Rgba32F) {
+        return Err(fail(&"it holds linear light as floating-point numbers, not display-referred colours"));
+    }
+    DynamicImage::from_decoder(decoder).map_err(|error| fail(&error))
+}
+
+fn limits(camera: &Intrinsics) -> Limits {
+    let pixels = (camera.width as u64).saturating_mul(camera.height as u64);
+    let mut limits = Limits::default();
+    limits.max_alloc = Some(pixels.saturating_mul(PIXEL_BYTES).saturating_add(DECODER_BYTES));
+    limits
+}
+
+fn open(file: &Path) -> Result<File, CaptureError> {
+    let fail = |reason: io::Error| match reason.kind() {
+        io::ErrorKind::NotFound => CaptureError::Missing {
+            what: "picture",
+            looked_for: vec![file.to_owned()],
+            fix: "Put the photographs that the reconstruction was made from into `images/`, under the names that it lists",
+        },
+        _ => CaptureError::Read {
+            file: file.to_owned(),
+            reason,
+            fix: "Check that it is an ordinary file which you may read",
+        },
+    };
+    // Asked before opening: opening a pipe waits for a writer.
+    if !std::fs::metadata(file).map_err(fail)?.is_file() {
+        return Err(fail(io::Error::new(io::ErrorKind::InvalidInput, "not a regular file")));
+    }
+    File::open(file).map_err(fail)
+}
+
+/// The picture with its alpha channel, if that is not opaque everywhere.
+fn with_alpha(picture: &DynamicImage) -> Option<RgbaImage> {
+    if !picture.color().has_alpha() {
+        return None;
+    }
+    let rgba = picture.to_rgba8();
+    let seen_through = rgba.pixels().any(|pixel| pixel.0[3] != 255);
+    seen_through.then_some(rgba)
+}
+
+/// `size` shrunk so that its longer side is at most `max_side`; each side is rounded and at least one pixel.
+fn size_within(size: [u32; 2], max_side: Option<u32>) -> [u32; 2] {
+    let longer = size[0].max(size[1]);
+    let Some(max_side) = max_side.map(|side| side.max(1)).filter(|&side| side < longer) else {
+        return size;
+    };
+    let scale = f64::from(max_side) / f64::from(longer);
+    size.map(|side| ((f64::from(side) * scale).round() as u32).max(1))
+}
+
+/// Resizes colours weighted by their opacity, as what is transparent has no colour that could bleed across an edge.
+fn resize_with_alpha(rgba: RgbaImage, width: u32, height: u32) -> RgbaImage {
+    if rgba.dimensions() == (width, height) {
+        return rgba;
+    }
+    let mut weighted: Rgba32FImage = DynamicImage::ImageRgba8(rgba).into_rgba32f();
+    for pixel in weighted.pixels_mut() {
+        let [r, g, b, alpha] = pixel.0;
+        pixel.0 = [r * alpha, g * alpha, b * alpha, alpha].map(|value| value * HEADROOM);
+    }
+    let mut resized = imageops::resize(&weighted, width, height, FilterType::Lanczos3);
+    for pixel in resized.pixels_mut() {
+        let [r, g, b, alpha] = pixel.0;
+        pixel.0 = if alpha > 0.0 { [r / alpha, g / alpha, b / alpha, alpha / HEADROOM] } else { [0.0; 4] };
+    }
+    DynamicImage::ImageRgba32F(resized).into_rgba8()
+}
+
+/// Bytes as numbers in 0..1. Divided in the device's own precision, so that an f64 device gets all digits.
+fn unit_range(bytes: &[u8], shape: [usize; 3], device: &Device) -> Tensor<3> {
+    let data = if device.settings().float_dtype == FloatDType::F64 {
+        TensorData::new(bytes.iter().map(|&byte| f64::from(byte) / 255.0).collect::<Vec<f64>>(), shape)
+    } else {
+        TensorData::new(bytes.iter().map(|&byte| f32::from(byte) / 255.0).collect::<Vec<f32>>(), shape)
+    };
+    Tensor::from_data(data, device)
+}
