@@ -22,7 +22,7 @@ pub fn psnr(image: Tensor<3>, truth: Tensor<3>) -> f64 {
 }
 
 /// Mean SSIM of `image` against `truth`: 11 × 11 window, σ = 1.5, zero padding, as the evaluation of the original
-/// implementation of 3D Gaussian splatting (see [`crate::loss::ssim`]). Tools with other padding or windows give other
+/// implementation of 3D Gaussian splatting (see [`mod@crate::loss::ssim`]). Tools with other padding or windows give other
 /// third decimals.
 pub fn ssim(image: Tensor<3>, truth: Tensor<3>) -> f64 {
     let truth = Truth::new(displayed(truth));

@@ -13,7 +13,7 @@ pub fn l1(image: Tensor<3>, truth: Tensor<3>) -> Tensor<1> {
 /// `Σ w |image − truth| / (C Σ w)`, `[1]`: the mean absolute error under weights, for masks and confidences.
 ///
 /// `image` and `truth` are `[H, W, C]`, 0 to 1; `weights` is `[H, W, 1]`, not negative. Weights that are all equal give
-/// [`l1`]; weights that are all zero give 0, with gradients of 0, because such a view says nothing.
+/// [`l1()`]; weights that are all zero give 0, with gradients of 0, because such a view says nothing.
 pub fn weighted_l1(image: Tensor<3>, truth: Tensor<3>, weights: Tensor<3>) -> Tensor<1> {
     let channels = image.dims()[2] as f64;
     let total = weights.clone().sum() * channels;

@@ -13,7 +13,7 @@ pub const DEFAULT_LAMBDA: f64 = 0.2;
 /// `image` is `[H, W, C]`, 0 to 1, and may be tracked; `lambda` is 0 to 1, usually [`DEFAULT_LAMBDA`]. One pass computes
 /// the value and the gradient, so `backward` costs two elementwise operations.
 ///
-/// The subgradient at `image = truth` is 0, as that of [`super::l1`].
+/// The subgradient at `image = truth` is 0, as that of [`super::l1()`].
 pub fn photometric(image: Tensor<3>, truth: &Truth, lambda: f64) -> Tensor<1> {
     let variable = planes(image);
     let tracked = variable.is_tracked();

@@ -5,14 +5,14 @@ use burn::tensor::Tensor;
 /// Mean opacity, `[1]`, of `opacities`, `[N]` or `[N, 1]`, 0 to 1.
 ///
 /// Lets Gaussians that explain nothing fade, so that they can be relocated (Kheradmand et al. 2024, "3D Gaussian
-/// Splatting as Markov Chain Monte Carlo", eq. 14, weight 0.01).
+/// Splatting as Markov Chain Monte Carlo", the opacity term of the total loss, weight 0.01).
 pub fn opacity<const D: usize>(opacities: Tensor<D>) -> Tensor<1> {
     opacities.abs().mean()
 }
 
 /// Mean standard deviation, `[1]`, of `scales`, `[N, 3]`, scene units, positive.
 ///
-/// Keeps Gaussians small where nothing asks for size (Kheradmand et al. 2024, eq. 14, weight 0.01).
+/// Keeps Gaussians small where nothing asks for size (Kheradmand et al. 2024, the covariance term of the total loss, weight 0.01).
 pub fn scale(scales: Tensor<2>) -> Tensor<1> {
     scales.abs().mean()
 }
@@ -20,8 +20,8 @@ pub fn scale(scales: Tensor<2>) -> Tensor<1> {
 /// How far Gaussians are needles, `[1]`: the mean of `max(0, ln(longest / shortest) − ln largest_ratio)`. `log_scales` is
 /// `[N, 3]`, natural logarithms of the standard deviations; `largest_ratio` is at least 1, 10 in the source.
 ///
-/// The hinge on the ratio of axes of PhysGaussian (Xie et al. 2024, section 3.5), taken of logarithms so that neither
-/// value nor gradient can overflow.
+/// The anisotropy regulariser of PhysGaussian (Xie et al. 2024), a hinge on the ratio of axes, here on its logarithm so
+/// that neither value nor gradient can overflow.
 pub fn needles(log_scales: Tensor<2>, largest_ratio: f64) -> Tensor<1> {
     let longest = log_scales.clone().max_dim(1);
     let shortest = log_scales.min_dim(1);

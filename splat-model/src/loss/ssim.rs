@@ -13,8 +13,9 @@
 //!
 //! The window is applied as two depthwise convolutions. On Burn Flex that is the fastest of the formulations tried
 //! (banded matrix products, blocked or whole; shifted slices), because the convolution walks planes in SIMD without
-//! copies, one plane per thread. Autodiff's gradient of a depthwise convolution is far slower than the convolution. The window is symmetric and
-//! the padding zero, so `K` is its own adjoint, and [`d_ssim`] applies it to the derivatives itself.
+//! copies, one plane per thread. Autodiff's gradient of a depthwise convolution is far slower than the convolution. The
+//! window is symmetric and the padding zero, so `K` is its own adjoint, and [`d_ssim`] applies it to the derivatives
+//! itself.
 
 use burn::tensor::{Tensor, TensorData, module::conv2d, ops::ConvOptions};
 

@@ -35,8 +35,8 @@ pub struct Adam {
     pub beta1: f64,
     /// Share of the second moment that is kept per step, 0.999.
     pub beta2: f64,
-    /// Added to the root of the second moment, 1e-15: gradients of single Gaussians are tiny, and Burn's or PyTorch's
-    /// 1e-8 would stop them (the value of the original implementation).
+    /// Added to the root of the second moment, 1e-15: the value of the original implementation.
+    /// Gradients of single Gaussians are tiny, and the usual 1e-8 would slow them down.
     pub eps: f64,
 }
 
@@ -63,6 +63,8 @@ impl Adam {
     /// An infinite gradient counts as 1e17; `v` forgets such a one at the rate β₂, so that its row hardly moves for
     /// thousands of steps. NaN is passed on: the operation that made it must not.
     ///
+    /// Panics if the shapes differ.
+    ///
     /// Storage is reused where nobody else holds it: take `grad` with `grad_remove`, and hand `param` over.
     pub fn step<const D: usize>(
         &self,
@@ -72,6 +74,8 @@ impl Adam {
         moments: &mut Moments<D>,
         t: usize,
     ) -> Tensor<D> {
+        assert_eq!(param.shape(), grad.shape(), "a gradient has the shape of its parameter");
+        assert_eq!(param.shape(), moments.m.shape(), "moments have the shape of their parameter");
         // √v̂ = c √v and m̂ = b m; both factors move out of the tensors: lr m̂ / (√v̂ + ε) = (lr b/c) m / (√v + ε/c).
         let t = t as f64;
         let b = (1.0 - self.beta1) / (1.0 - self.beta1.powf(t));
@@ -126,17 +130,25 @@ impl Factors {
     fn step_slices(&self, param: &mut [f32], grad: &[f32], m: &mut [f32], v: &mut [f32]) {
         // 64 KiB of each array: large enough to hide the scheduling, small enough to share out evenly.
         const CHUNK: usize = 16_384;
-        let (beta1, beta2) = (self.beta1 as f32, self.beta2 as f32);
-        let (rate, floor, largest) = (self.rate as f32, self.floor as f32, LARGEST_GRADIENT as f32);
         let moments = m.par_chunks_mut(CHUNK).zip(v.par_chunks_mut(CHUNK));
-        param.par_chunks_mut(CHUNK).zip(grad.par_chunks(CHUNK)).zip(moments).for_each(|((param, grad), (m, v))| {
-            for (((param, grad), m), v) in param.iter_mut().zip(grad).zip(m).zip(v) {
-                let grad = grad.clamp(-largest, largest);
-                *m = *m * beta1 + grad;
-                *v = *v * beta2 + grad * grad;
-                *param -= *m / (v.sqrt() + floor) * rate;
-            }
-        });
+        param
+            .par_chunks_mut(CHUNK)
+            .zip(grad.par_chunks(CHUNK))
+            .zip(moments)
+            .for_each(|((param, grad), (m, v))| self.step_chunk(param, grad, m, v));
+    }
+
+    fn step_chunk(&self, param: &mut [f32], grad: &[f32], m: &mut [f32], v: &mut [f32]) {
+        // A constant bound, because a clamp between variables checks their order per element and is not vectorised.
+        const LARGEST: f32 = LARGEST_GRADIENT as f32;
+        let (beta1, beta2) = (self.beta1 as f32, self.beta2 as f32);
+        let (rate, floor) = (self.rate as f32, self.floor as f32);
+        for (((param, grad), m), v) in param.iter_mut().zip(grad).zip(m).zip(v) {
+            let grad = grad.clamp(-LARGEST, LARGEST);
+            *m = *m * beta1 + grad;
+            *v = *v * beta2 + grad * grad;
+            *param -= *m / (v.sqrt() + floor) * rate;
+        }
     }
 }
 

@@ -74,7 +74,7 @@ impl LearningRates {
 pub const STEPS_PER_SH_DEGREE: usize = 1_000;
 
 /// Degree of the spherical harmonics in use at `step`: one more every `every` steps (usually
-/// [`STEPS_PER_SH_DEGREE`]) up to `largest`, so that diffuse colour settles first (Kerbl et al. 2023, section 5.1).
+/// [`STEPS_PER_SH_DEGREE`]) up to `largest`, so that diffuse colour settles first (Kerbl et al. 2023, section 7.1).
 /// `every` = 0 uses all from the start.
 pub fn sh_degree_at(step: usize, every: usize, largest: usize) -> usize {
     step.checked_div(every).map_or(largest, |degree| degree.min(largest))
@@ -142,6 +142,8 @@ mod tests {
         assert_eq!(scene_extent(&[]), 1.0);
         assert_eq!(scene_extent(&[DVec3::new(0.1, 0.2, 0.3)]), 1.0);
         assert_eq!(scene_extent(&[DVec3::new(0.1, 1e6, 0.3); 7]), 1.0);
+        let ulp_apart = [DVec3::new(0.1, 1e6, 0.3), DVec3::new(0.1, 1e6 * (1.0 + f64::EPSILON), 0.3)];
+        assert_eq!(scene_extent(&ulp_apart), 1.0);
         assert_eq!(scene_extent(&[DVec3::NAN, DVec3::ONE]), 1.0);
     }
 }
