@@ -195,7 +195,7 @@ fn tensor<const D: usize>(values: &[f32], shape: [usize; D], device: &Device) ->
 /// All elements, row-major.
 pub(crate) fn values_of<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
     let data = tensor.into_data().convert::<f32>();
-    data.into_vec().expect("converted to f32 in the line above")
+    data.try_into_vec().expect("converted to f32 in the line above")
 }
 
 fn rows_of<const W: usize>(tensor: Tensor<2>) -> Vec<[f32; W]> {

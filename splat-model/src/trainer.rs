@@ -15,7 +15,8 @@ use crate::density::{Adaptive, AdaptiveConfig, RefineReport};
 use crate::gaussians::{Gaussians, RowsError};
 use crate::init;
 use crate::loss::{DEFAULT_LAMBDA, Truth, photometric};
-use crate::optim::{Adam, Decay, LearningRates, STEPS_PER_SH_DEGREE, scene_extent, sh_degree_at};
+use crate::optim::schedule::STEPS_PER_SH_DEGREE;
+use crate::optim::{Adam, Decay, LearningRates, scene_extent, sh_degree_at};
 
 /// All that a run depends on besides its photographs. Defaults are those of the original implementation.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

@@ -1,7 +1,9 @@
 //! The extension trait that each backend implements.
 
+#![allow(deprecated, reason = "burn-ndarray is deprecated in favour of burn-flex; this project supports both")]
+
 use burn::backend::tensor::{FloatTensor, IntTensor};
-use burn::backend::{Autodiff, Backend, ExtensionType, Flex, NdArray, backend_extension};
+use burn::backend::{Backend, ExtensionType, backend_extension};
 
 use crate::blend::{BlendGrads, BlendInputs, BlendNeeds, BlendSpec, TraceCell};
 use crate::project::{ProjectGrads, ProjectInputs, ProjectNeeds, ProjectSpec};
@@ -21,7 +23,6 @@ pub enum Slot<B: Backend> {
 ///
 /// No method has a default body: a backend that lacks one does not compile. Users call the functions of this crate, which
 /// take tensors and check them; these methods take backend primitives of the documented shapes and one float type.
-#[allow(deprecated, reason = "burn-ndarray is deprecated in favour of burn-flex; this project supports both")]
 #[backend_extension(Flex, NdArray, Autodiff)]
 pub trait SplatBackend: Backend {
     /// See `project/`. Returns `[N, 7]`. `mean2d_probe` is `[N, 2]`, or `[0, 2]` for none; its values are not read.

@@ -49,7 +49,6 @@ pub(crate) trait Real:
     fn sqrt(self) -> Self;
     fn ln(self) -> Self;
     fn abs(self) -> Self;
-    fn floor(self) -> Self;
     fn finite(self) -> bool;
     fn sort_key(self) -> Self::SortKey;
     /// `exp(x)` for `x <= 0`, within 2 ulp; zero where the result would be subnormal.
@@ -94,10 +93,6 @@ macro_rules! scalar_functions {
         #[inline(always)]
         fn abs(self) -> Self {
             <$float>::abs(self)
-        }
-        #[inline(always)]
-        fn floor(self) -> Self {
-            <$float>::floor(self)
         }
         #[inline(always)]
         fn finite(self) -> bool {

@@ -53,6 +53,14 @@ impl Photo {
         let alpha = self.alpha.as_ref()?;
         Some(unit_range(alpha, [self.intrinsics.height, self.intrinsics.width, 1], device))
     }
+
+    /// `[H, W, 3]`: display-referred colours in 0..1 as they look over `background`, RGB in 0..1.
+    pub fn rgb_over(&self, background: [f32; 3], device: &Device) -> Tensor<3> {
+        let rgb = self.rgb_tensor(device);
+        let Some(alpha) = self.alpha_tensor(device) else { return rgb };
+        let background = Tensor::<1>::from_floats(background, device).reshape([1, 1, 3]);
+        rgb * alpha.clone() + background * (alpha.neg() + 1.0)
+    }
 }
 
 /// Decodes the picture of a view and, if its longer side exceeds `max_side` px, downsizes it to that (Lanczos, a = 3).

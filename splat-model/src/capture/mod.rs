@@ -3,6 +3,7 @@
 pub mod image;
 
 mod colmap;
+pub mod demo;
 mod error;
 mod origin;
 mod split;
@@ -17,7 +18,7 @@ use splat_op::Intrinsics;
 
 pub use colmap::write_binary;
 pub use error::CaptureError;
-pub use image::Photo;
+pub use image::{Photo, load_all};
 pub use split::Split;
 
 /// A capture as its files describe it; pictures are not yet decoded.
