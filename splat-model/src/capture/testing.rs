@@ -11,8 +11,9 @@ pub(super) fn real_capture(name: &str) -> Option<PathBuf> {
     if folder.exists() {
         return Some(folder);
     }
-    // Written past the test harness, which swallows what passing tests print.
-    writeln!(std::io::stderr(), "SKIPPED: no {}; set SPLAT_DATA_DIR to the real captures", folder.display()).unwrap();
+    // Written past the test harness, which swallows what passing tests print, and in one piece.
+    let line = format!("SKIPPED: no {}; set SPLAT_DATA_DIR to the real captures\n", folder.display());
+    std::io::stderr().write_all(line.as_bytes()).unwrap();
     None
 }
 

@@ -98,19 +98,22 @@ fn each_side_keeps_at_least_a_pixel() {
     }
 }
 
-/// Left half opaque and orange, right half transparent and black, as renderers leave it.
+/// Left half opaque and orange, right half transparent: black, as renderers leave it, or any other colour.
 #[test]
-fn transparent_black_does_not_darken_an_edge() {
-    let half = |x, _| if x < 31 { Rgba([250, 120, 10, 255]) } else { Rgba([0, 0, 0, 0]) };
-    let (_folder, view) = saved(&RgbaImage::from_fn(60, 60, half).into(), ImageFormat::Png);
-    let photo = load(&view, Some(20)).unwrap();
-    let alpha = photo.alpha.unwrap();
-    let row = 20 * 9;
-    assert!((40..215).contains(&alpha[row + 10]), "the edge is partly transparent: {}", alpha[row + 10]);
-    for column in (0..20).filter(|column| alpha[row + column] > 8) {
-        let pixel = &photo.rgb[3 * (row + column)..][..3];
-        let close = pixel.iter().zip([250, 120, 10]).all(|(a, b): (&u8, u8)| a.abs_diff(b) <= 3);
-        assert!(close, "column {column}: {pixel:?}");
+fn transparent_colours_do_not_bleed_across_an_edge() {
+    for hidden in [[0, 0, 0], [0, 255, 0]] {
+        let [r, g, b] = hidden;
+        let half = |x, _| if x < 31 { Rgba([250, 120, 10, 255]) } else { Rgba([r, g, b, 0]) };
+        let (_folder, view) = saved(&RgbaImage::from_fn(60, 60, half).into(), ImageFormat::Png);
+        let photo = load(&view, Some(20)).unwrap();
+        let alpha = photo.alpha.unwrap();
+        let row = 20 * 9;
+        assert!((40..215).contains(&alpha[row + 10]), "the edge is partly transparent: {}", alpha[row + 10]);
+        for column in (0..20).filter(|column| alpha[row + column] > 8) {
+            let pixel = &photo.rgb[3 * (row + column)..][..3];
+            let close = pixel.iter().zip([250, 120, 10]).all(|(a, b): (&u8, u8)| a.abs_diff(b) <= 3);
+            assert!(close, "column {column} beside {hidden:?}: {pixel:?}");
+        }
     }
 }
 
