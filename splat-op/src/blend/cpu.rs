@@ -102,11 +102,11 @@ impl<'a, F: Real> Prepared<'a, F> {
 macro_rules! specialised {
     ($channels:expr, $simd:ident, $c:ident => $body:expr) => {{
         macro_rules! with {
-                ($count:literal) => {{
-                    const $c: usize = $count;
-                    dispatch!(Level::new(), $simd => $body)
-                }};
-            }
+                    ($count:literal) => {{
+                        const $c: usize = $count;
+                        dispatch!(Level::new(), $simd => $body)
+                    }};
+                }
         match $channels {
             1 => with!(1),
             3 => with!(3),
@@ -217,7 +217,7 @@ pub(crate) fn blend_backward_cpu<F: Real>(
 
 /// One thread's buffers.
 #[derive(Default)]
-struct Buffers<F> {
+struct Buffers<F: Real> {
     planes: Vec<F>,
     behind: Vec<F>,
     scratch: Scratch<F>,

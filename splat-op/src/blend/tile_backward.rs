@@ -6,7 +6,7 @@
 
 use fearless_simd::prelude::*;
 
-use super::tile::{CHECKPOINT_EVERY, Splat, Thresholds, TileView, Window, centres};
+use super::tile::{CHECKPOINT_EVERY, ROW_VECTORS, Splat, Thresholds, TileView, Window, centres};
 use crate::real::{LANES, Real};
 use crate::tile::{TILE, TILE_PIXELS};
 
@@ -28,8 +28,10 @@ pub(super) struct TileGrad<'a, F> {
     pub absolute: bool,
 }
 
-/// Buffers that one thread reuses from tile to tile.
-#[derive(Default)]
+/// Vectors of pixels in a tile.
+const TILE_VECTORS: usize = TILE_PIXELS / LANES;
+
+/// Buffers that one thread reuses from tile to tile, sized for a chunk whose Gaussians show in every pixel.
 pub(super) struct Scratch<F> {
     /// For each vector of pixels that a Gaussian of the chunk shows in: transmittances before it and alphas. The last
     /// pass over a Gaussian replaces the first by its weights.
@@ -37,7 +39,17 @@ pub(super) struct Scratch<F> {
     /// Where in the tile each of them lies.
     places: Vec<u16>,
     /// Where each Gaussian of the chunk begins in the two.
-    starts: Vec<usize>,
+    starts: [usize; CHECKPOINT_EVERY + 1],
+}
+
+impl<F: Real> Default for Scratch<F> {
+    fn default() -> Self {
+        Self {
+            layers: vec![[F::ZERO; 2 * LANES]; CHECKPOINT_EVERY * TILE_VECTORS],
+            places: vec![0; CHECKPOINT_EVERY * TILE_VECTORS],
+            starts: [0; CHECKPOINT_EVERY + 1],
+        }
+    }
 }
 
 /// Fills `hits`, `[passed, MOMENTS + channels (+ 2)]`, with each hit's sums over the tile, and returns with
@@ -56,6 +68,7 @@ pub(super) fn blend_tile_backward<S: Simd, F: Real, const C: usize>(
     let mut rho = [F::ZERO; TILE_PIXELS];
     rho.copy_from_slice(grad.behind);
     let chunks = grad.passed.div_ceil(CHECKPOINT_EVERY);
+    let x = centres::<S, F>(simd, view.corner()[0]);
     *transmittance_behind = view.open_transmittance();
     for chunk in (0..chunks).rev() {
         let first = chunk * CHECKPOINT_EVERY;
@@ -75,7 +88,16 @@ pub(super) fn blend_tile_backward<S: Simd, F: Real, const C: usize>(
             }
             let row = &mut hits[(first + i) * columns..(first + i + 1) * columns];
             let layers = (&mut scratch.layers[layers.clone()], &scratch.places[layers]);
-            backwards::<S, F, C>(simd, view, grad, gaussian, thresholds.alpha_max, (layers, &mut rho, row));
+            let splat = Splat::new(simd, view.footprints[gaussian as usize]);
+            let colour = view.colour(gaussian);
+            backwards::<S, F, C>(
+                view.corner()[1],
+                grad,
+                (&splat, colour),
+                (thresholds.alpha_max, &x),
+                layers,
+                (&mut rho, row),
+            );
         }
     }
 }
@@ -90,13 +112,11 @@ fn forwards<S: Simd, F: Real>(
     transmittance: &mut [F; TILE_PIXELS],
     scratch: &mut Scratch<F>,
 ) {
-    scratch.layers.clear();
-    scratch.places.clear();
-    scratch.starts.clear();
+    let mut met = 0;
     let corner = view.corner();
     let x = centres::<S, F>(simd, corner[0]);
-    for &gaussian in gaussians {
-        scratch.starts.push(scratch.layers.len());
+    for (i, &gaussian) in gaussians.iter().enumerate() {
+        scratch.starts[i] = met;
         let splat = Splat::new(simd, view.footprints[gaussian as usize]);
         let Window { first_row, end_row, first_vector, end_vector } = splat.footprint.window(corner);
         for row in first_row..end_row {
@@ -106,32 +126,29 @@ fn forwards<S: Simd, F: Real>(
                 let before = F::Lanes::<S>::from_slice(simd, &transmittance[first..first + LANES]);
                 let Some(layer) = thresholds.layer(&splat, splat.whiten(x[vector], y), before) else { continue };
                 layer.behind.store_slice(&mut transmittance[first..first + LANES]);
-                let mut kept = [F::ZERO; 2 * LANES];
+                let kept = &mut scratch.layers[met];
                 before.store_slice(&mut kept[..LANES]);
                 layer.alpha.store_slice(&mut kept[LANES..]);
-                scratch.layers.push(kept);
-                scratch.places.push(first as u16);
+                scratch.places[met] = first as u16;
+                met += 1;
             }
         }
     }
-    scratch.starts.push(scratch.layers.len());
+    scratch.starts[gaussians.len()] = met;
 }
 
 /// One Gaussian, back to front: its sums over the pixels it shows in, and `rho` stepped in front of it.
 #[inline(always)]
 fn backwards<S: Simd, F: Real, const C: usize>(
-    simd: S,
-    view: &TileView<F>,
+    top: F,
     grad: &TileGrad<F>,
-    gaussian: u32,
-    alpha_max: F::Lanes<S>,
-    ((layers, places), rho, row): ((&mut [[F; 2 * LANES]], &[u16]), &mut [F; TILE_PIXELS], &mut [F]),
+    (splat, colour): (&Splat<S, F>, &[F]),
+    (alpha_max, x): (F::Lanes<S>, &[F::Lanes<S>; ROW_VECTORS]),
+    (layers, places): (&mut [[F; 2 * LANES]], &[u16]),
+    (rho, row): (&mut [F; TILE_PIXELS], &mut [F]),
 ) {
-    let channels = if C == 0 { view.channels } else { C };
-    let corner = view.corner();
-    let x = centres::<S, F>(simd, corner[0]);
-    let splat = Splat::new(simd, view.footprints[gaussian as usize]);
-    let colour = view.colour(gaussian);
+    let simd = alpha_max.token();
+    let channels = if C == 0 { colour.len() } else { C };
     let zero = F::Lanes::<S>::splat(simd, F::ZERO);
     let plane = |channel: usize, first: usize| {
         let at = channel * TILE_PIXELS + first;
@@ -140,7 +157,7 @@ fn backwards<S: Simd, F: Real, const C: usize>(
     let mut moments = [zero; MOMENTS];
     let mut absolute = [zero; 2];
     let mut features = [zero; C];
-    let slope = splat.inverse_v * view.footprints[gaussian as usize].shear;
+    let slope = splat.inverse_v * splat.footprint.shear;
     for (layer, &place) in layers.iter_mut().zip(places) {
         let first = place as usize;
         let before = F::Lanes::<S>::from_slice(simd, &layer[..LANES]);
@@ -156,7 +173,7 @@ fn backwards<S: Simd, F: Real, const C: usize>(
         let free = alpha.simd_lt(alpha_max);
         let h = free.select(weight * ahead, zero);
 
-        let row_px = corner[1] + F::of((first / TILE) as f64 + 0.5);
+        let row_px = top + F::of((first / TILE) as f64 + 0.5);
         let (u, v) = splat.whiten(x[first % TILE / LANES], row_px);
         let (hu, hv) = (h * u, h * v);
         moments[0] += h;
