@@ -1,5 +1,7 @@
 //! Captures: photographs with their cameras and, where there is one, a sparse point cloud. One file per format.
 
+pub mod demo;
+
 use std::path::PathBuf;
 
 use glam::{DAffine3, DVec3};
