@@ -199,6 +199,7 @@ fn header(rows: usize, properties: &[String]) -> String {
 fn a_file_that_is_no_ply_is_refused() {
     assert_refused(b"\x89PNG\r\n\x1a\n", &["not a PLY file", "PNG", "`ply`", "pass a .ply"]);
     assert_refused(b"", &["not a PLY file"]);
+    assert!(read_bytes(&[b'x'; 100_000]).unwrap_err().to_string().len() < 300, "the file is not quoted whole");
     assert_refused(b"ply\nformat ascii 1.0\n", &["end_header", "export"]);
     assert_refused(b"ply\nformat ascii 7\nend_header\n", &["broken PLY header", "format ascii 7", "export"]);
     assert_refused(b"ply\nformat ascii 1.0\nelement face 0\nend_header\n", &["`vertex`", "`face`", "export"]);

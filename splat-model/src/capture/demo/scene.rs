@@ -1,0 +1,228 @@
+//! The still life: what stands where, and what a ray meets. World frame: z up, the platform's top at z = 0.
+
+use glam::{DAffine3, DQuat, DVec3};
+
+use super::geometry::{Cover, Ray, Shape};
+use super::texture::{Texture, srgb};
+
+/// One thing in the scene.
+#[derive(Clone, Debug)]
+pub(super) struct Object {
+    pub shape: Shape,
+    pub texture: Texture,
+    pub kind: Kind,
+    pub centre_world: DVec3,
+    pub bounding_radius: f64,
+    /// Rigid, into the frame of the shape.
+    local_from_world: DAffine3,
+    world_from_local: DAffine3,
+}
+
+/// How an object takes part in the play of light.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Kind {
+    /// Lit, and casts shadows.
+    Matte,
+    /// As matte, with a reflection on top.
+    Glossy,
+    /// Lit, too low to cast a shadow.
+    Ground,
+    /// Shines by itself.
+    Sky,
+}
+
+impl Object {
+    fn new(shape: Shape, texture: Texture, centre_world: [f64; 3], rotation: DQuat) -> Self {
+        let centre_world = DVec3::from(centre_world);
+        let world_from_local = DAffine3::from_rotation_translation(rotation, centre_world);
+        Self {
+            shape,
+            texture,
+            kind: Kind::Matte,
+            centre_world,
+            bounding_radius: shape.bounding_radius(),
+            local_from_world: world_from_local.inverse(),
+            world_from_local,
+        }
+    }
+
+    fn of_kind(self, kind: Kind) -> Self {
+        Self { kind, ..self }
+    }
+
+    /// Distance to the surface, if the ray (world frame) meets it before `limit`, and the normal in the world frame.
+    pub fn hit(&self, ray: &Ray, limit: f64) -> Option<(f64, DVec3)> {
+        let hit = self.shape.hit(&self.local(ray), limit).filter(|hit| hit.distance < limit)?;
+        Some((hit.distance, self.world_from_local.transform_vector3(hit.normal)))
+    }
+
+    /// How much of a cone around a ray of the world frame the object blocks, see [`Shape::cover`].
+    pub fn cover(&self, ray: &Ray, spread: f64) -> Cover {
+        self.shape.cover(&self.local(ray), spread)
+    }
+
+    fn local(&self, ray: &Ray) -> Ray {
+        Ray {
+            origin: self.local_from_world.transform_point3(ray.origin),
+            direction: self.local_from_world.transform_vector3(ray.direction),
+        }
+    }
+
+    /// Whether the ray passes through the bounding sphere before `limit`: cheap, and most rays do not.
+    pub fn may_be_hit(&self, ray: &Ray, limit: f64) -> bool {
+        let towards = self.centre_world - ray.origin;
+        let along = towards.dot(ray.direction);
+        let radius = self.bounding_radius;
+        along - radius < limit && towards.length_squared() - along * along <= radius * radius && along > -radius
+    }
+
+    /// Whether a cone around the ray, `spread` wider per unit of distance, comes near the bounding sphere.
+    pub fn may_be_near(&self, ray: &Ray, spread: f64) -> bool {
+        let towards = self.centre_world - ray.origin;
+        let along = towards.dot(ray.direction);
+        let reach = self.bounding_radius + spread * (along + self.bounding_radius);
+        along > -self.bounding_radius && towards.length_squared() - along * along <= reach * reach
+    }
+
+    pub fn casts_shadow(&self) -> bool {
+        matches!(self.kind, Kind::Matte | Kind::Glossy)
+    }
+
+    /// The texture's colour at a point of the surface.
+    pub fn colour(&self, position_world: DVec3, normal_world: DVec3) -> DVec3 {
+        let position = self.local_from_world.transform_point3(position_world);
+        self.texture.colour(position, self.local_from_world.transform_vector3(normal_world))
+    }
+}
+
+/// A point on a surface that a ray met.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct SurfacePoint {
+    pub object: usize,
+    pub distance: f64,
+    pub position_world: DVec3,
+    pub normal_world: DVec3,
+}
+
+/// All objects.
+#[derive(Clone, Debug)]
+pub(super) struct Scene {
+    pub objects: Vec<Object>,
+}
+
+impl Scene {
+    /// The nearest surface ahead. Within the dome every ray meets one.
+    pub fn hit(&self, ray: &Ray) -> Option<SurfacePoint> {
+        let mut nearest: Option<SurfacePoint> = None;
+        for (i, object) in self.objects.iter().enumerate() {
+            let limit = nearest.map_or(f64::INFINITY, |point| point.distance);
+            // The sky is behind everything.
+            let hidden = object.kind == Kind::Sky && nearest.is_some();
+            if hidden || !object.may_be_hit(ray, limit) {
+                continue;
+            }
+            if let Some((distance, normal_world)) = object.hit(ray, limit) {
+                nearest = Some(SurfacePoint { object: i, distance, position_world: ray.at(distance), normal_world });
+            }
+        }
+        nearest
+    }
+
+    /// The still life; with `glossy`, one of its spheres reflects the others.
+    pub fn still_life(glossy: bool) -> Self {
+        // Platform and ground first: they end most rays, which spares the search behind them. The sky last.
+        let [platform, ground, sky] = surroundings();
+        let mut objects = vec![platform, ground];
+        objects.extend(large_things());
+        objects.extend(small_things());
+        let mirror = Object::new(
+            Shape::Sphere { radius: 0.42 },
+            Texture::Marble { scale: 3.0, colours: [srgb(0x6b2c4e), srgb(0xc98aa2)] },
+            [-0.72, 1.12, 0.42],
+            about_z(40.0),
+        );
+        objects.push(mirror.of_kind(if glossy { Kind::Glossy } else { Kind::Matte }));
+        objects.push(sky);
+        Self { objects }
+    }
+}
+
+fn about_z(angle_deg: f64) -> DQuat {
+    DQuat::from_rotation_z(angle_deg.to_radians())
+}
+
+fn large_things() -> Vec<Object> {
+    let cream = srgb(0xf3e6cf);
+    let upright = about_z(-14.0) * DQuat::from_rotation_x(90_f64.to_radians());
+    vec![
+        Object::new(Shape::Sphere { radius: 0.56 }, Texture::Planet, [0.1, 0.28, 0.56], about_z(70.0)),
+        Object::new(
+            Shape::Torus { major: 1.3, minor: 0.13 },
+            Texture::Rainbow { segments: 24.0 },
+            [0.1, 0.28, 0.0],
+            upright,
+        ),
+        Object::new(
+            Shape::Cuboid { half: DVec3::new(0.34, 0.34, 0.3) },
+            Texture::Checks { side: 0.17, colours: [srgb(0xc23b32), cream] },
+            [-0.85, -0.78, 0.3],
+            about_z(28.0),
+        ),
+        Object::new(
+            Shape::Cylinder { radius: 0.2, half_height: 0.55 },
+            Texture::Helix { stripes: 2.0, turns_per_unit: 1.6, colours: [srgb(0x2c7d5b), cream] },
+            [0.98, -0.72, 0.55],
+            DQuat::IDENTITY,
+        ),
+        Object::new(
+            Shape::Sphere { radius: 0.36 },
+            Texture::Dots { colours: [srgb(0xe8792b), srgb(0xfdf1dc)] },
+            [0.86, 1.18, 0.36],
+            DQuat::from_rotation_y(0.5),
+        ),
+    ]
+}
+
+fn small_things() -> Vec<Object> {
+    let marble = |radius: f64, colours: [u32; 2], x: f64, y: f64| {
+        let texture = Texture::Marble { scale: 0.9 / radius, colours: colours.map(srgb) };
+        Object::new(Shape::Sphere { radius }, texture, [x, y, radius], about_z(200.0 * x + 90.0 * y))
+    };
+    vec![
+        Object::new(
+            Shape::Sphere { radius: 0.23 },
+            Texture::Dots { colours: [srgb(0xf2c231), srgb(0x2a3d77)] },
+            [-0.88, -0.8, 0.83],
+            DQuat::from_rotation_x(0.7),
+        ),
+        Object::new(
+            Shape::Torus { major: 0.36, minor: 0.13 },
+            Texture::Twist { major: 0.36, stripes: 6.0, colours: [srgb(0x148a94), srgb(0xe9f0dd)] },
+            [0.12, -1.2, 0.13],
+            DQuat::IDENTITY,
+        ),
+        Object::new(
+            Shape::Cuboid { half: DVec3::new(0.3, 0.2, 0.09) },
+            Texture::Checks { side: 0.12, colours: [srgb(0x2f4f9e), srgb(0xa9c3ea)] },
+            [-1.52, 0.3, 0.09],
+            about_z(-65.0),
+        ),
+        marble(0.19, [0xb83a8c, 0xf0c4dd], 0.12, -1.2),
+        marble(0.15, [0x4d9b3c, 0xd6edb6], -0.2, -0.55),
+        marble(0.13, [0xd94f2a, 0xf7d08a], 0.55, -0.3),
+        marble(0.14, [0x3a49a8, 0xc4d4f4], 1.55, 0.4),
+        marble(0.12, [0xd8a520, 0xfff0c0], 0.1, 1.5),
+        marble(0.12, [0x2a9aa8, 0xd9f4f0], -1.3, -0.2),
+    ]
+}
+
+fn surroundings() -> [Object; 3] {
+    let platform = Shape::Cylinder { radius: 1.95, half_height: 0.18 };
+    let ground = Object::new(Shape::Disc { radius: 8.0 }, Texture::Garden, [0.0, 0.0, -0.36], DQuat::IDENTITY);
+    let sky = Object::new(Shape::Dome { radius: 8.0 }, Texture::Sky, [0.0, 0.0, -0.36], DQuat::IDENTITY);
+    [
+        Object::new(platform, Texture::Wood, [0.0, 0.0, -0.18], DQuat::IDENTITY),
+        ground.of_kind(Kind::Ground),
+        sky.of_kind(Kind::Sky),
+    ]
+}
