@@ -1,0 +1,106 @@
+//! `splat eval`: scores of a scene on the photographs that were held out.
+
+use std::fs::{self, File};
+use std::io;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use anyhow::Result;
+use serde::Serialize;
+use splat_model::capture::Split;
+use splat_model::trainer::TrainConfig;
+
+use crate::device::DeviceName;
+use crate::input;
+use crate::options::PhotoArgs;
+use crate::output::OutputFolder;
+use crate::report::metrics::{Metrics, Seconds, peak_rss_mib, seconds_since};
+use crate::report::{self, METRICS, SCENE, VIEWS};
+
+/// Options of `splat eval`. The scores are those of the training run if the photographs are split and sized as there.
+#[derive(Clone, Debug, clap::Args)]
+pub struct EvalArgs {
+    /// COLMAP folder with `images/` and `sparse/0/`
+    pub capture: PathBuf,
+    /// The scene, a PLY file in the layout of the original 3D Gaussian splatting code
+    #[arg(long, value_name = "FILE")]
+    pub scene: PathBuf,
+    /// Folder for metrics.json, views/ and a copy of the scene
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+    /// Where to compute
+    #[arg(long, value_enum, default_value_t)]
+    pub device: DeviceName,
+    /// Photographs.
+    #[command(flatten)]
+    pub photos: PhotoArgs,
+    /// For scenes that were trained with this option
+    #[arg(long)]
+    pub antialias: bool,
+}
+
+/// What `metrics.json` says under `options`.
+#[derive(Serialize)]
+struct Options<'a> {
+    capture: &'a Path,
+    scene: &'a Path,
+    #[serde(flatten)]
+    photos: &'a PhotoArgs,
+    antialias: bool,
+    background: [f32; 3],
+}
+
+/// Measures, writes everything, and says where it is.
+///
+/// # Errors
+/// If the capture or the scene cannot be read, no photograph is held out, or the results cannot be written.
+pub fn run(args: &EvalArgs) -> Result<Metrics> {
+    let (device, device_name) = args.device.resolve();
+    let start = Instant::now();
+    let capture = input::capture(&args.capture)?;
+    let split = Split::every(&capture.views, args.photos.eval_every);
+    let test = split.require_test()?;
+    let splats = input::scene(&args.scene, &capture, &device)?;
+    let out = OutputFolder::prepare(&args.out, &[SCENE, METRICS], &[VIEWS])?;
+    let photos = input::photographs(&capture, test, args.photos.max_side)?;
+    let load = seconds_since(start);
+
+    let config = TrainConfig { antialias: args.antialias, ..TrainConfig::default() };
+    let start = Instant::now();
+    let scores = report::measure(&splats, &photos, config.background, &config.render_options(), &out)?;
+    let eval = seconds_since(start);
+    copy_scene(&args.scene, &out)?;
+    let options = Options {
+        capture: &args.capture,
+        scene: &args.scene,
+        photos: &args.photos,
+        antialias: args.antialias,
+        background: config.background,
+    };
+    let metrics = Metrics {
+        test: Some(scores),
+        splats: splats.means.dims()[0],
+        steps: None,
+        seconds: Seconds { load, train: None, eval },
+        peak_rss_mib: peak_rss_mib(),
+        device: device_name,
+        seed: None,
+        options: serde_json::to_value(options)?,
+        version: env!("CARGO_PKG_VERSION"),
+    };
+    report::finish(&metrics, &out)?;
+    report::say(&metrics, &out);
+    Ok(metrics)
+}
+
+/// Puts the scene beside its scores, byte for byte, unless it is there already.
+fn copy_scene(scene: &Path, out: &OutputFolder) -> Result<()> {
+    let same = |target: PathBuf| Some(fs::canonicalize(target).ok()? == fs::canonicalize(scene).ok()?);
+    if same(out.join(SCENE)).unwrap_or(false) {
+        return Ok(());
+    }
+    out.write(SCENE, |file| {
+        io::copy(&mut File::open(scene)?, file)?;
+        Ok(())
+    })
+}

@@ -1,0 +1,86 @@
+//! What the subcommands read: captures, photographs and scenes.
+
+use std::path::Path;
+
+use anyhow::{Context, Result, ensure};
+use burn::tensor::Device;
+use splat_model::capture::image::load_all;
+use splat_model::capture::{Capture, Photo};
+use splat_model::gaussians::{GaussianRows, Gaussians};
+use splat_model::ply;
+use splat_op::Splats;
+
+use crate::progress;
+
+/// Reads the cameras of a capture; no picture is opened.
+///
+/// # Errors
+/// If the folder is missing or is no capture.
+pub fn capture(folder: &Path) -> Result<Capture> {
+    ensure!(
+        folder.is_dir(),
+        "there is no capture folder {}: name the folder that holds `images/` and `sparse/0/`",
+        folder.display()
+    );
+    Ok(Capture::load(folder)?)
+}
+
+/// Decodes the photographs of some of a capture's views, on all threads.
+///
+/// # Errors
+/// If a picture is missing, cannot be decoded, or has another size than its camera.
+pub fn photographs(capture: &Capture, views: &[usize], max_side: Option<u32>) -> Result<Vec<Photo>> {
+    let counter = progress::counter("reading photographs", views.len());
+    let photos = load_all(views.iter().map(|&view| &capture.views[view]), max_side, |_| counter.inc(1));
+    counter.finish_and_clear();
+    Ok(photos?)
+}
+
+/// Reads a scene, without autodiff, with positions relative to the origin of `capture`.
+///
+/// # Errors
+/// If the file is missing or holds no scene, or the scene no Gaussian.
+pub fn scene(path: &Path, capture: &Capture, device: &Device) -> Result<Splats> {
+    let (mut rows, origin) = ply::read(path).context("cannot read the scene that `--scene` names")?;
+    ensure!(!rows.is_empty(), "{} holds no Gaussian: name a scene that was trained with `--scene`", path.display());
+    move_means(&mut rows, (origin - capture.origin).to_array());
+    Ok(Gaussians::from_rows(&rows, device)?.splats())
+}
+
+/// Adds `capture_from_scene` to every position, in f64.
+///
+/// The positions move and not the cameras. A capture keeps its cameras near zero, so that positions which end up near
+/// them have digits to spare. Cameras moved to a scene that was stored far from zero would lose theirs, and the
+/// difference of two large numbers would have to be taken in every render.
+fn move_means(rows: &mut GaussianRows, capture_from_scene: [f64; 3]) {
+    // The usual case: a scene keeps its values to the last bit.
+    if capture_from_scene == [0.0; 3] {
+        return;
+    }
+    for mean in &mut rows.means {
+        for (coordinate, offset) in mean.iter_mut().zip(capture_from_scene) {
+            *coordinate = (f64::from(*coordinate) + offset) as f32;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_scene_stored_far_away_arrives_near_zero() {
+        let far = [4_000_000.5, -250_000.25, 12.0];
+        let mut rows = GaussianRows { means: vec![far], ..GaussianRows::default() };
+        move_means(&mut rows, [-4_000_000.0, 250_000.0, 0.0]);
+        assert_eq!(rows.means, [[0.5, -0.25, 12.0]]);
+    }
+
+    #[test]
+    fn without_a_difference_nothing_changes() {
+        let means = vec![[0.1, f32::NAN, -0.0]];
+        let mut rows = GaussianRows { means: means.clone(), ..GaussianRows::default() };
+        move_means(&mut rows, [0.0; 3]);
+        assert_eq!(rows.means[0].map(f32::to_bits), means[0].map(f32::to_bits));
+    }
+}

@@ -1,0 +1,59 @@
+//! The program `splat`: trains, evaluates and renders Gaussian-splatting scenes. One file per subcommand.
+//!
+//! Standard output holds results, standard error progress and errors.
+
+pub mod options;
+
+pub mod demo;
+pub mod eval;
+pub mod render;
+pub mod train;
+
+pub mod device;
+pub mod input;
+pub mod output;
+pub mod progress;
+pub mod report;
+
+use anyhow::Result;
+
+use crate::options::Command;
+
+/// Runs one subcommand.
+///
+/// # Errors
+/// Whatever stops it, with the file or option to blame and what to do.
+pub fn run(command: &Command) -> Result<()> {
+    match command {
+        Command::Train(args) => train::run(args).map(drop),
+        Command::Eval(args) => eval::run(args).map(drop),
+        Command::Render(args) => render::run(args).map(drop),
+        Command::Demo(args) => demo::run(args),
+    }
+}
+
+/// An error as people read it: what failed, then why, one line each.
+pub fn describe(error: &anyhow::Error) -> String {
+    let mut text = format!("error: {error}");
+    for cause in error.chain().skip(1).map(ToString::to_string) {
+        // Some libraries print their cause themselves and also name it as their source.
+        if !text.contains(&cause) {
+            text.push_str("\n  because: ");
+            text.push_str(&cause);
+        }
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use anyhow::anyhow;
+
+    use super::*;
+
+    #[test]
+    fn causes_are_said_once() {
+        let error = anyhow!("disk full").context("cannot write a.png: disk full").context("no pictures");
+        assert_eq!(describe(&error), "error: no pictures\n  because: cannot write a.png: disk full");
+    }
+}

@@ -1,0 +1,66 @@
+//! The command line. What several subcommands share is here, the rest beside each of them. Defaults come from the typed
+//! configurations that the options end up in, so that there is one place to change them.
+
+use clap::{Parser, Subcommand, value_parser};
+use serde::Serialize;
+
+use crate::demo::DemoArgs;
+use crate::eval::EvalArgs;
+use crate::render::RenderArgs;
+use crate::train::TrainArgs;
+
+/// Every eighth photograph is held out, as papers since Mip-NeRF 360 (Barron et al. 2022) compare.
+pub const EVAL_EVERY: usize = 8;
+
+/// Train, evaluate and render Gaussian-splatting scenes.
+#[derive(Clone, Debug, Parser)]
+#[command(name = "splat", version)]
+pub struct Cli {
+    /// What to do.
+    #[command(subcommand)]
+    pub command: Command,
+}
+
+/// The subcommands.
+#[derive(Clone, Debug, Subcommand)]
+pub enum Command {
+    /// Train a scene on a capture, then measure it on the photographs that were held out
+    Train(TrainArgs),
+    /// Measure a scene on the photographs of a capture that were held out
+    Eval(EvalArgs),
+    /// Render a scene as the cameras of a capture see it
+    Render(RenderArgs),
+    /// Write the demo capture: a small ray-traced scene as a COLMAP folder
+    Demo(DemoArgs),
+}
+
+/// Which photographs are used, and at which size.
+#[derive(Clone, Debug, clap::Args, Serialize)]
+pub struct PhotoArgs {
+    /// Hold out every Kth photograph by name for testing, beginning with the first; 0 holds out none
+    #[arg(long, value_name = "K", default_value_t = EVAL_EVERY)]
+    pub eval_every: usize,
+    /// Downsize photographs whose longer side exceeds this, px
+    #[arg(long, value_name = "PX", value_parser = value_parser!(u32).range(1..))]
+    pub max_side: Option<u32>,
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::CommandFactory;
+
+    use super::*;
+
+    #[test]
+    fn the_command_line_is_consistent() {
+        Cli::command().debug_assert();
+    }
+
+    #[test]
+    fn a_capture_asks_for_an_output_folder_and_the_demo_does_not() {
+        assert!(Cli::try_parse_from(["splat", "train"]).is_ok());
+        assert!(Cli::try_parse_from(["splat", "train", "capture", "--out", "out"]).is_ok());
+        let error = Cli::try_parse_from(["splat", "train", "capture"]).unwrap_err().to_string();
+        assert!(error.contains("--out"), "{error}");
+    }
+}

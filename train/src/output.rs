@@ -1,0 +1,152 @@
+//! Files that appear whole or not at all: each is written under another name in the same folder, then renamed.
+
+use std::ffi::OsString;
+use std::fs::{self, File};
+use std::io::{BufWriter, Write};
+use std::path::{Path, PathBuf};
+use std::process;
+
+use anyhow::{Context, Result, bail};
+
+/// A folder for results that can be written to.
+#[derive(Debug)]
+pub struct OutputFolder {
+    path: PathBuf,
+}
+
+impl OutputFolder {
+    /// Makes the folder if need be and checks that it can hold `files` and `folders`, so that a long run does not fail
+    /// at its end.
+    ///
+    /// # Errors
+    /// If it cannot be made or written to, or if something of another kind has one of those names.
+    pub fn prepare(path: &Path, files: &[&str], folders: &[&str]) -> Result<Self> {
+        let shown = path.display();
+        fs::create_dir_all(path).with_context(|| {
+            format!(
+                "cannot make the output folder {shown}: choose another with `--out`, or move away the file in its place"
+            )
+        })?;
+        let trial = path.join(format!(".splat-trial-{}", process::id()));
+        fs::write(&trial, b"").and_then(|()| fs::remove_file(&trial)).with_context(|| {
+            format!("cannot write to the output folder {shown}: mend its permissions, or choose another with `--out`")
+        })?;
+        for (names, folder_wanted) in [(files, false), (folders, true)] {
+            for taken in names.iter().map(|name| path.join(name)).filter(|name| name.exists()) {
+                if taken.is_dir() != folder_wanted {
+                    let (found, wanted) = if folder_wanted { ("a file", "folder") } else { ("a folder", "file") };
+                    let shown = taken.display();
+                    bail!(
+                        "{shown} is {found}, but a {wanted} is to be written there: move it away, or choose another `--out`"
+                    );
+                }
+            }
+        }
+        Ok(Self { path: path.to_owned() })
+    }
+
+    /// The path of a file or folder in it.
+    pub fn join(&self, name: impl AsRef<Path>) -> PathBuf {
+        self.path.join(name)
+    }
+
+    /// Writes one file, which replaces the one of that name. See [`write`].
+    ///
+    /// # Errors
+    /// Those of [`write`].
+    pub fn write(&self, name: impl AsRef<Path>, fill: impl FnOnce(&mut BufWriter<File>) -> Result<()>) -> Result<()> {
+        write(&self.join(name), fill)
+    }
+}
+
+/// Writes a file: `fill` fills it under a temporary name, and only when it is complete does it take its own. Folders on
+/// the way are made. No temporary file is left behind unless the process is killed.
+///
+/// # Errors
+/// If a folder or the file cannot be written, or `fill` fails.
+pub fn write(path: &Path, fill: impl FnOnce(&mut BufWriter<File>) -> Result<()>) -> Result<()> {
+    let written = temporary_name(path).and_then(|temporary| {
+        if let Some(folder) = path.parent() {
+            fs::create_dir_all(folder)?;
+        }
+        let written = fill_and_rename(&temporary, path, fill);
+        if written.is_err() {
+            // Best effort: the first error is the one to report.
+            let _ = fs::remove_file(&temporary);
+        }
+        written
+    });
+    let shown = path.display();
+    written.with_context(|| format!("cannot write {shown}: check that its folder can be written to and has room left"))
+}
+
+fn fill_and_rename(temporary: &Path, path: &Path, fill: impl FnOnce(&mut BufWriter<File>) -> Result<()>) -> Result<()> {
+    let mut file = BufWriter::new(File::create(temporary)?);
+    fill(&mut file)?;
+    file.flush()?;
+    // Closed before the rename, which some systems refuse for open files.
+    drop(file);
+    Ok(fs::rename(temporary, path)?)
+}
+
+/// A hidden name in the same folder, so that renaming never crosses file systems; the process id keeps two runs apart.
+fn temporary_name(path: &Path) -> Result<PathBuf> {
+    let mut name = OsString::from(".");
+    name.push(path.file_name().context("the path names no file")?);
+    name.push(format!(".tmp-{}", process::id()));
+    Ok(path.with_file_name(name))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn names_in(folder: &Path) -> Vec<String> {
+        let entries = fs::read_dir(folder).unwrap();
+        entries.map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect()
+    }
+
+    #[test]
+    fn a_file_is_replaced_whole() {
+        let folder = tempfile::tempdir().unwrap();
+        let out = OutputFolder::prepare(folder.path(), &["a.txt"], &[]).unwrap();
+        for text in ["first, longer", "second"] {
+            out.write("a.txt", |file| Ok(file.write_all(text.as_bytes())?)).unwrap();
+            assert_eq!(fs::read_to_string(out.join("a.txt")).unwrap(), text);
+        }
+        assert_eq!(names_in(folder.path()), ["a.txt"]);
+    }
+
+    #[test]
+    fn a_failure_leaves_the_old_file_and_nothing_else() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.txt");
+        write(&path, |file| Ok(file.write_all(b"good")?)).unwrap();
+        let error = write(&path, |file| {
+            file.write_all(b"ba")?;
+            bail!("the sun went down")
+        });
+        let error = format!("{:#}", error.unwrap_err());
+        assert!(error.contains("a.txt") && error.contains("the sun went down"), "{error}");
+        assert_eq!(fs::read_to_string(&path).unwrap(), "good");
+        assert_eq!(names_in(folder.path()), ["a.txt"]);
+    }
+
+    #[test]
+    fn what_cannot_be_written_is_found_beforehand() {
+        let folder = tempfile::tempdir().unwrap();
+        let taken = folder.path().join("taken");
+        fs::write(&taken, "").unwrap();
+        fs::create_dir(folder.path().join("metrics.json")).unwrap();
+        for (path, files, folders) in [
+            (taken.clone(), vec![], vec![]),
+            (taken.join("below"), vec![], vec![]),
+            (folder.path().to_owned(), vec!["metrics.json"], vec![]),
+            (folder.path().to_owned(), vec![], vec!["taken"]),
+        ] {
+            let error = OutputFolder::prepare(&path, &files, &folders).unwrap_err().to_string();
+            let named = files.first().or(folders.first()).map_or(path.clone(), |name| path.join(name));
+            assert!(error.contains(named.to_str().unwrap()) && error.contains("--out"), "{error}");
+        }
+    }
+}

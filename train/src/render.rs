@@ -1,0 +1,160 @@
+//! `splat render`: a scene as the cameras of a capture see it.
+
+use std::fs::File;
+use std::io::BufWriter;
+use std::path::PathBuf;
+
+use anyhow::{Context, Result, anyhow};
+use burn::tensor::{Device, Tensor};
+use clap::ValueEnum;
+use image::{ImageFormat, RgbImage, Rgba32FImage};
+use npyz::WriterBuilder;
+use splat_model::capture::{Capture, View};
+use splat_model::trainer::TrainConfig;
+use splat_op::{Camera, Extras, RenderOptions, Splats};
+
+use crate::device::DeviceName;
+use crate::output::OutputFolder;
+use crate::report::pictures::{self, level};
+use crate::report::values_of;
+use crate::{input, progress};
+
+/// The name that stands for all views.
+const ALL: &str = "all";
+
+/// How many names of views an error lists.
+const NAMES_LISTED: usize = 5;
+
+/// Options of `splat render`.
+#[derive(Clone, Debug, clap::Args)]
+pub struct RenderArgs {
+    /// The scene, a PLY file in the layout of the original 3D Gaussian splatting code
+    #[arg(long, value_name = "FILE")]
+    pub scene: PathBuf,
+    /// COLMAP folder whose cameras to render; its pictures are not needed
+    #[arg(long, value_name = "CAPTURE")]
+    pub capture: PathBuf,
+    /// The name of a photograph in the capture, or `all`
+    #[arg(long, value_name = "NAME")]
+    pub view: String,
+    /// Folder for the pictures, which are named after the photographs
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+    /// Kind of file
+    #[arg(long, value_enum, default_value_t)]
+    pub format: Format,
+    /// Where to compute
+    #[arg(long, value_enum, default_value_t)]
+    pub device: DeviceName,
+    /// For scenes that were trained with this option
+    #[arg(long)]
+    pub antialias: bool,
+}
+
+/// How a picture is stored. Values are display-referred in each, as photographs are, and lie over black; alpha is the
+/// share of the background that is hidden, so colours are multiplied by it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub enum Format {
+    /// 8-bit RGB over black
+    #[default]
+    Png,
+    /// 32-bit float RGBA over black, values as rendered: display-referred, not linear light
+    Exr,
+    /// NumPy array [height, width, 4], float32, RGBA over black, values as rendered
+    Npy,
+}
+
+impl Format {
+    fn extension(self) -> &'static str {
+        match self {
+            Self::Png => "png",
+            Self::Exr => "exr",
+            Self::Npy => "npy",
+        }
+    }
+}
+
+/// Renders the views, writes them, and says where they are. Returns the paths.
+///
+/// # Errors
+/// If the capture or the scene cannot be read, there is no such view, or a picture cannot be written.
+pub fn run(args: &RenderArgs) -> Result<Vec<PathBuf>> {
+    let (device, _) = args.device.resolve();
+    let capture = input::capture(&args.capture)?;
+    let views = chosen(&capture, &args.view)?;
+    let splats = input::scene(&args.scene, &capture, &device)?;
+    let out = OutputFolder::prepare(&args.out, &[], &[])?;
+    let config = TrainConfig { antialias: args.antialias, ..TrainConfig::default() };
+    let extras = Extras { background: Some(Tensor::from_floats(config.background, &device)), ..Extras::default() };
+
+    let names = pictures::names(views.iter().map(|view| view.name.as_str()), args.format.extension());
+    let counter = progress::counter("rendering", views.len());
+    for (view, name) in views.iter().zip(&names) {
+        let picture = Rgba::render(&splats, view, &extras, &config.render_options(), &device)
+            .with_context(|| format!("cannot render the view {:?}", view.name))?;
+        out.write(name, |file| picture.write(args.format, file))?;
+        counter.inc(1);
+    }
+    counter.finish_and_clear();
+    let paths: Vec<PathBuf> = names.iter().map(|name| out.join(name)).collect();
+    for path in &paths {
+        progress::say(&path.display().to_string());
+    }
+    Ok(paths)
+}
+
+/// The views of a name, or all. A photograph whose name is "all" comes first.
+fn chosen<'a>(capture: &'a Capture, name: &str) -> Result<Vec<&'a View>> {
+    match capture.views.iter().find(|view| view.name == name) {
+        Some(view) => Ok(vec![view]),
+        None if name == ALL => Ok(capture.views.iter().collect()),
+        None => {
+            let some: Vec<&str> = capture.views.iter().take(NAMES_LISTED).map(|view| view.name.as_str()).collect();
+            let more = if capture.views.len() > NAMES_LISTED { ", ..." } else { "" };
+            let (folder, some) = (capture.folder.display(), some.join(", "));
+            Err(anyhow!("{folder} has no view {name:?}: give `--view` one of its names ({some}{more}) or `all`"))
+        }
+    }
+}
+
+/// A render on the host.
+struct Rgba {
+    width: usize,
+    height: usize,
+    /// `[height, width, 4]`: colour over black, then alpha.
+    values: Vec<f32>,
+}
+
+impl Rgba {
+    fn render(splats: &Splats, view: &View, extras: &Extras, options: &RenderOptions, device: &Device) -> Result<Self> {
+        let camera = Camera::new(view.intrinsics, &view.cam_from_world, device);
+        let rendered = splat_op::render(splats, &[camera], extras, options)?;
+        let values = values_of(Tensor::cat(vec![rendered.colour, rendered.alpha], 3));
+        Ok(Self { width: view.intrinsics.width, height: view.intrinsics.height, values })
+    }
+
+    fn write(self, format: Format, file: &mut BufWriter<File>) -> Result<()> {
+        const LENGTH: &str = "a picture has four values per pixel";
+        // The largest side of a camera fits a u32.
+        let (width, height) = (self.width as u32, self.height as u32);
+        match format {
+            Format::Png => {
+                let levels = self.values.as_chunks().0.iter().flat_map(|&[r, g, b, _]: &[f32; 4]| [r, g, b].map(level));
+                let picture = RgbImage::from_raw(width, height, levels.collect()).context(LENGTH)?;
+                picture.write_to(file, ImageFormat::Png)?;
+            }
+            Format::Exr => {
+                let picture = Rgba32FImage::from_raw(width, height, self.values).context(LENGTH)?;
+                picture.write_to(file, ImageFormat::OpenExr)?;
+            }
+            Format::Npy => {
+                let shape = [self.height as u64, self.width as u64, 4];
+                let header = npyz::WriteOptions::<f32>::new().default_dtype().shape(&shape);
+                let mut array = header.writer(file).begin_nd()?;
+                array.extend(self.values)?;
+                array.finish()?;
+            }
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,110 @@
+//! `metrics.json`.
+
+use std::io::Write;
+use std::path::Path;
+use std::time::Instant;
+
+use anyhow::Result;
+use serde::Serialize;
+use serde_json::Value;
+use splat_model::evaluate::Scores;
+
+use super::METRICS;
+use crate::output::OutputFolder;
+
+/// What a run measured and what it was made of. Keys are added over time, and never renamed.
+#[derive(Clone, Debug, Serialize)]
+pub struct Metrics {
+    /// Scores on the photographs that were held out; null if there are none.
+    pub test: Option<Scores>,
+    /// Gaussians in the scene.
+    pub splats: usize,
+    /// Training steps; null where none were made.
+    pub steps: Option<usize>,
+    /// Wall-clock times.
+    pub seconds: Seconds,
+    /// The most memory that the process held, MiB; null where the system does not say.
+    pub peak_rss_mib: Option<f64>,
+    /// Backend that computed.
+    pub device: &'static str,
+    /// Seed of everything random; null where nothing was.
+    pub seed: Option<u64>,
+    /// All options, with the defaults of those that were not given.
+    pub options: Value,
+    /// Version of the program.
+    pub version: &'static str,
+}
+
+/// Wall-clock times, s.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct Seconds {
+    /// Reading and decoding.
+    pub load: f64,
+    /// The training steps alone; null where none were made.
+    pub train: Option<f64>,
+    /// The test views, their pictures included.
+    pub eval: f64,
+}
+
+impl Metrics {
+    /// Writes `metrics.json`.
+    ///
+    /// # Errors
+    /// If it cannot be written.
+    pub fn write(&self, out: &OutputFolder) -> Result<()> {
+        out.write(METRICS, |file| {
+            serde_json::to_writer_pretty(&mut *file, self)?;
+            Ok(file.write_all(b"\n")?)
+        })
+    }
+}
+
+/// Seconds since `start`, to the millisecond.
+pub fn seconds_since(start: Instant) -> f64 {
+    (start.elapsed().as_secs_f64() * 1e3).round() / 1e3
+}
+
+/// The largest resident set of this process so far, MiB to a tenth. Linux alone tells.
+pub fn peak_rss_mib() -> Option<f64> {
+    peak_of(&std::fs::read_to_string("/proc/self/status").ok()?)
+}
+
+/// The field `VmHWM` ("high water mark", KiB) of proc(5)'s status.
+fn peak_of(status: &str) -> Option<f64> {
+    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
+    let kib: f64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
+    Some((kib / 1024.0 * 10.0).round() / 10.0)
+}
+
+/// The names of the test views in a `metrics.json`; none if there is no such file or it is not ours.
+pub(super) fn views_of(path: &Path) -> Vec<String> {
+    let read = || serde_json::from_slice::<Value>(&std::fs::read(path).ok()?).ok();
+    let metrics = read().unwrap_or_default();
+    let views = metrics["test"]["views"].as_array();
+    views.into_iter().flatten().filter_map(|view| Some(view["name"].as_str()?.to_owned())).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_high_water_mark_is_read() {
+        assert_eq!(peak_of("VmPeak:\t  9 kB\nVmHWM:\t  157286 kB\nVmRSS:\t 5 kB\n"), Some(153.6));
+        assert_eq!(peak_of("VmHWM:\t many kB\n"), None);
+        assert_eq!(peak_of(""), None);
+    }
+
+    #[test]
+    fn files_that_are_not_ours_name_no_views() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("metrics.json");
+        assert!(views_of(&path).is_empty());
+        for text in ["", "[1]", r#"{"test": null}"#, r#"{"test": {"views": [{"name": 3}, 4]}}"#] {
+            std::fs::write(&path, text).unwrap();
+            assert!(views_of(&path).is_empty(), "{text}");
+        }
+        std::fs::write(&path, r#"{"test": {"views": [{"name": "a.jpg"}]}}"#).unwrap();
+        assert_eq!(views_of(&path), ["a.jpg"]);
+    }
+}

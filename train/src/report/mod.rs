@@ -1,0 +1,91 @@
+//! What a run leaves behind besides the scene: `metrics.json` and pictures of the test views.
+
+pub mod metrics;
+pub mod pictures;
+
+use std::path::{Path, PathBuf};
+
+use anyhow::Result;
+use burn::tensor::Tensor;
+use splat_model::capture::Photo;
+use splat_model::evaluate::{Scores, evaluate};
+use splat_op::{RenderOptions, Splats};
+
+use self::metrics::Metrics;
+use crate::output::OutputFolder;
+use crate::progress;
+
+/// The trained scene.
+pub const SCENE: &str = "scene.ply";
+/// Scores, times and options.
+pub const METRICS: &str = "metrics.json";
+/// The folder of pictures.
+pub const VIEWS: &str = "views";
+
+/// Scores a scene on photographs, and writes a picture of each comparison to `views/`.
+///
+/// # Errors
+/// If a view cannot be rendered or a picture not be written.
+pub fn measure(
+    splats: &Splats,
+    photos: &[Photo],
+    background: [f32; 3],
+    options: &RenderOptions,
+    out: &OutputFolder,
+) -> Result<Scores> {
+    let names = pictures::names(photos.iter().map(|photo| photo.name.as_str()), "png");
+    let mut names = names.iter();
+    let mut written = Ok(());
+    let counter = progress::counter("measuring test views", photos.len());
+    let scores = evaluate(splats, photos, background, options, |comparison, _| {
+        if let (Ok(()), Some(name)) = (&written, names.next()) {
+            written = out.write(Path::new(VIEWS).join(name), |file| pictures::write_comparison(comparison, file));
+        }
+        counter.inc(1);
+    });
+    counter.finish_and_clear();
+    written?;
+    Ok(scores?)
+}
+
+/// Writes `metrics.json`, after removing the pictures of an earlier run's test views that this one did not have.
+///
+/// # Errors
+/// If it cannot be written.
+pub fn finish(metrics: &Metrics, out: &OutputFolder) -> Result<()> {
+    let current = metrics.test.iter().flat_map(|scores| &scores.views).map(|view| view.name.as_str());
+    let current: Vec<PathBuf> = pictures::names(current, "png");
+    let earlier = metrics::views_of(&out.join(METRICS));
+    for name in pictures::names(earlier.iter().map(String::as_str), "png") {
+        if !current.contains(&name) && pictures::stays_inside(&name) {
+            // It may have been removed by hand.
+            let _ = std::fs::remove_file(out.join(VIEWS).join(name));
+        }
+    }
+    metrics.write(out)
+}
+
+/// Says on standard output what the scores are and where everything is.
+pub fn say(metrics: &Metrics, out: &OutputFolder) {
+    match &metrics.test {
+        Some(test) => {
+            let (count, s) = (test.views.len(), if test.views.len() == 1 { "" } else { "s" });
+            progress::say(&format!("test: {:.2} dB PSNR, {:.4} SSIM, mean of {count} view{s}", test.psnr, test.ssim));
+        }
+        None => progress::say("test: none, because `--eval-every 0` holds out no photograph"),
+    }
+    let seconds = &metrics.seconds;
+    let train = seconds.train.map(|train| format!("training {train:.1} s, ")).unwrap_or_default();
+    progress::say(&format!("time: loading {:.1} s, {train}measuring {:.1} s", seconds.load, seconds.eval));
+    progress::say(&format!("scene: {} ({} splats)", out.join(SCENE).display(), metrics.splats));
+    progress::say(&format!("metrics: {}", out.join(METRICS).display()));
+    if metrics.test.is_some() {
+        progress::say(&format!("pictures (truth | render | error): {}", out.join(VIEWS).display()));
+    }
+}
+
+/// All elements, row-major.
+pub(crate) fn values_of<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
+    let data = tensor.into_data().convert::<f32>();
+    data.try_into_vec().expect("converted to f32 in the line above")
+}

@@ -1,0 +1,230 @@
+//! `splat train`: photographs in; a scene, its scores and its pictures out.
+
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use anyhow::Result;
+use clap::builder::RangedU64ValueParser;
+use serde::Serialize;
+use splat_model::capture::demo::DemoOptions;
+use splat_model::capture::{Capture, Photo, Split};
+use splat_model::ply;
+use splat_model::trainer::{TrainConfig, TrainError, Trainer};
+
+use crate::device::DeviceName;
+use crate::options::PhotoArgs;
+use crate::output::OutputFolder;
+use crate::progress::{self, StepProgress};
+use crate::report::metrics::{Metrics, Seconds, peak_rss_mib, seconds_since};
+use crate::report::{self, METRICS, SCENE, VIEWS};
+use crate::{demo, input};
+
+/// Steps of a run on the demo capture, chosen so that the whole of it takes under 3 minutes on 2 CPU cores.
+pub const DEMO_STEPS: usize = 1500;
+
+/// Degree of the spherical harmonics on the demo capture. Its surfaces are matte: their colour is the same from
+/// everywhere.
+pub const DEMO_SH_DEGREE: usize = 0;
+
+/// Where a run on the demo capture writes to unless told otherwise.
+pub const DEMO_OUT: &str = "out/demo";
+
+/// The demo capture, below the output folder.
+const DEMO_CAPTURE: &str = "demo-capture";
+
+/// Options of `splat train`.
+#[derive(Clone, Debug, clap::Args)]
+pub struct TrainArgs {
+    /// COLMAP folder with `images/` and `sparse/0/`; without one, the demo capture is made and trained on
+    #[arg(requires = "out")]
+    pub capture: Option<PathBuf>,
+    /// Folder for scene.ply, metrics.json and views/; with the demo capture `out/demo` if not given
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+    /// Training steps, one photograph each
+    #[arg(long, value_name = "N", help = format!(
+        "Training steps, one photograph each [default: {}; with the demo capture {DEMO_STEPS}]", TrainConfig::default().steps
+    ))]
+    pub steps: Option<usize>,
+    /// Where to compute
+    #[arg(long, value_enum, default_value_t)]
+    pub device: DeviceName,
+    /// Seed of everything random
+    #[arg(long, value_name = "S", default_value_t = TrainConfig::default().seed)]
+    pub seed: u64,
+    /// The number of splats never exceeds this
+    #[arg(
+        long,
+        value_name = "N",
+        default_value_t = TrainConfig::default().density.max_splats,
+        value_parser = RangedU64ValueParser::<usize>::new().range(1..)
+    )]
+    pub max_splats: usize,
+    /// Photographs.
+    #[command(flatten)]
+    pub photos: PhotoArgs,
+    /// Highest degree of the spherical harmonics
+    #[arg(long, value_name = "D", help = format!(
+        "Highest degree of the spherical harmonics, 0 to 4: how finely colour may vary with the direction of view \
+         [default: {}; with the demo capture {DEMO_SH_DEGREE}]", TrainConfig::default().sh_degree
+    ))]
+    pub sh_degree: Option<usize>,
+    /// Dim splats smaller than a pixel, so that scenes also look right from further away; evaluate and render with it too
+    #[arg(long)]
+    pub antialias: bool,
+}
+
+/// What `metrics.json` says under `options`.
+#[derive(Serialize)]
+struct Options<'a> {
+    capture: &'a Path,
+    #[serde(flatten)]
+    photos: &'a PhotoArgs,
+    #[serde(flatten)]
+    config: &'a TrainConfig,
+}
+
+impl TrainArgs {
+    /// The configuration of the run.
+    ///
+    /// # Errors
+    /// If the steps are zero or there is no such degree: found here, before anything is read or written.
+    pub fn config(&self) -> Result<TrainConfig, TrainError> {
+        let mut config = TrainConfig { seed: self.seed, antialias: self.antialias, ..TrainConfig::default() };
+        config.density.max_splats = self.max_splats;
+        if self.capture.is_none() {
+            (config.steps, config.sh_degree) = (DEMO_STEPS, DEMO_SH_DEGREE);
+        }
+        config.steps = self.steps.unwrap_or(config.steps);
+        config.sh_degree = self.sh_degree.unwrap_or(config.sh_degree);
+        match config {
+            TrainConfig { steps: 0, .. } => Err(TrainError::NoSteps),
+            TrainConfig { sh_degree, .. } if sh_degree > splat_op::shade::SH_DEGREE_MAX => {
+                Err(TrainError::ShDegree(sh_degree))
+            }
+            config => Ok(config),
+        }
+    }
+
+    /// Prepares the output folder and reads the capture, after making it if none was given.
+    fn open(&self) -> Result<(OutputFolder, Capture, Instant)> {
+        let out = self.out.as_deref().unwrap_or(Path::new(DEMO_OUT));
+        let prepare = || OutputFolder::prepare(out, &[SCENE, METRICS], &[VIEWS]);
+        match &self.capture {
+            Some(folder) => {
+                let start = Instant::now();
+                let capture = input::capture(folder)?;
+                Ok((prepare()?, capture, start))
+            }
+            None => {
+                let out = prepare()?;
+                let folder = out.join(DEMO_CAPTURE);
+                demo::ensure(&folder, &DemoOptions::default())?;
+                let start = Instant::now();
+                Ok((out, input::capture(&folder)?, start))
+            }
+        }
+    }
+}
+
+/// Trains, measures, writes everything, and says where it is.
+///
+/// # Errors
+/// If the capture cannot be read, the results not be written, or an option is out of range.
+pub fn run(args: &TrainArgs) -> Result<Metrics> {
+    let config = args.config()?;
+    let (device, device_name) = args.device.resolve();
+    let (out, capture, start) = args.open()?;
+    let (train, test) = photographs(&capture, &args.photos)?;
+    progress::note(&format!(
+        "{}: {} photographs to train on, {} to test on, {} points; on {device_name}",
+        capture.folder.display(),
+        train.len(),
+        test.len(),
+        capture.points.positions.len()
+    ));
+    let mut trainer = Trainer::new(train, &capture.points, config.clone(), &device)?;
+    let load = seconds_since(start);
+
+    let start = Instant::now();
+    let mut bar = StepProgress::new(config.steps);
+    while !trainer.is_done() {
+        bar.step(&trainer.step()?);
+    }
+    bar.finish();
+    let train = seconds_since(start);
+    let gaussians = trainer.gaussians().untracked();
+    // Photographs and moments are not needed to measure, and their memory is.
+    drop(trainer);
+    // Before measuring, so that whatever goes wrong there does not cost the scene.
+    ply::write(&out.join(SCENE), &gaussians.to_rows(), capture.origin)?;
+
+    let start = Instant::now();
+    let measure = || report::measure(&gaussians.splats(), &test, config.background, &config.render_options(), &out);
+    let test_scores = if test.is_empty() { None } else { Some(measure()?) };
+    let eval = seconds_since(start);
+    let options = Options { capture: &capture.folder, photos: &args.photos, config: &config };
+    let metrics = Metrics {
+        test: test_scores,
+        splats: gaussians.len(),
+        steps: Some(config.steps),
+        seconds: Seconds { load, train: Some(train), eval },
+        peak_rss_mib: peak_rss_mib(),
+        device: device_name,
+        seed: Some(config.seed),
+        options: serde_json::to_value(options)?,
+        version: env!("CARGO_PKG_VERSION"),
+    };
+    report::finish(&metrics, &out)?;
+    report::say(&metrics, &out);
+    Ok(metrics)
+}
+
+/// The photographs to train on and those to test on. All are decoded before the first step, so that a broken picture
+/// does not end a long run.
+fn photographs(capture: &Capture, args: &PhotoArgs) -> Result<(Vec<Photo>, Vec<Photo>)> {
+    let split = Split::every(&capture.views, args.eval_every);
+    let train = split.require_train()?;
+    // `--eval-every 0` asks for no test; any other number that leaves none is a mistake.
+    let test = if args.eval_every == 0 { &[] } else { split.require_test()? };
+    let photos = |views| input::photographs(capture, views, args.max_side);
+    Ok((photos(train)?, photos(test)?))
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser;
+
+    use super::*;
+    use crate::options::{Cli, Command};
+
+    fn config(arguments: &[&str]) -> Result<TrainConfig, TrainError> {
+        let cli = Cli::try_parse_from(["splat", "train"].iter().chain(arguments)).unwrap();
+        let Command::Train(args) = cli.command else { panic!("asked for train") };
+        args.config()
+    }
+
+    #[test]
+    fn without_options_a_capture_trains_as_the_library_does() {
+        assert_eq!(config(&["capture", "--out", "out"]).unwrap(), TrainConfig::default());
+    }
+
+    #[test]
+    fn the_demo_is_short_unless_told_otherwise() {
+        assert_eq!(config(&[]).unwrap().steps, DEMO_STEPS);
+        assert_eq!(config(&["--steps", "9"]).unwrap().steps, 9);
+    }
+
+    #[test]
+    fn options_reach_the_configuration() {
+        let arguments = ["--seed", "5", "--max-splats", "77", "--sh-degree", "2", "--antialias"];
+        let config = config(&arguments).unwrap();
+        assert_eq!((config.seed, config.density.max_splats, config.sh_degree, config.antialias), (5, 77, 2, true));
+    }
+
+    #[test]
+    fn impossible_options_are_refused() {
+        assert!(config(&["--steps", "0"]).unwrap_err().to_string().contains("--steps"));
+        assert!(config(&["--sh-degree", "5"]).unwrap_err().to_string().contains("sh_degree"));
+    }
+}

@@ -1,0 +1,205 @@
+//! The program from end to end, on a demo capture so small that a run takes a moment.
+
+mod errors;
+mod origin;
+mod run;
+
+use std::collections::BTreeSet;
+use std::fs;
+use std::path::Path;
+
+use image::GenericImageView;
+use serde_json::Value;
+
+use run::{DEMO, TRAIN, TRAINED, splat, succeed};
+
+/// The first and only test view of eight: every eighth by name, beginning with the first.
+const TEST_VIEW: &str = "0000.png";
+
+fn json(path: &Path) -> Value {
+    serde_json::from_slice(&fs::read(path).unwrap()).unwrap()
+}
+
+fn keys(value: &Value) -> BTreeSet<&str> {
+    value.as_object().unwrap().keys().map(String::as_str).collect()
+}
+
+/// All files below a folder, relative to it.
+fn files(folder: &Path) -> BTreeSet<String> {
+    let mut found = BTreeSet::new();
+    for entry in fs::read_dir(folder).unwrap().map(Result::unwrap) {
+        let name = entry.file_name().into_string().unwrap();
+        match entry.path().is_dir() {
+            true => found.extend(files(&entry.path()).iter().map(|below| format!("{name}/{below}"))),
+            false => _ = found.insert(name),
+        }
+    }
+    found
+}
+
+fn text(path: &Path) -> &str {
+    path.to_str().unwrap()
+}
+
+#[test]
+fn training_writes_the_scene_its_scores_and_its_pictures() {
+    let out = TRAINED.as_path();
+    assert_eq!(files(out), ["metrics.json", "scene.ply", "views/0000.png"].map(String::from).into());
+    let metrics = json(&out.join("metrics.json"));
+    let expected = ["test", "splats", "steps", "seconds", "peak_rss_mib", "device", "seed", "options", "version"];
+    assert_eq!(keys(&metrics), expected.into());
+    assert_eq!(keys(&metrics["test"]), ["psnr", "ssim", "views"].into());
+    assert_eq!(keys(&metrics["test"]["views"][0]), ["name", "psnr", "ssim"].into());
+    assert_eq!(keys(&metrics["seconds"]), ["load", "train", "eval"].into());
+    assert_eq!(metrics["test"]["views"].as_array().unwrap().len(), 1);
+    assert_eq!(metrics["test"]["views"][0]["name"], TEST_VIEW);
+    assert_eq!(metrics["test"]["psnr"], metrics["test"]["views"][0]["psnr"]);
+    assert!(metrics["test"]["psnr"].as_f64().unwrap() > 5.0 && metrics["test"]["ssim"].as_f64().unwrap() > 0.1);
+    assert_eq!((&metrics["steps"], &metrics["seed"]), (&16.into(), &7.into()));
+    assert_eq!(metrics["device"], "flex");
+    assert_eq!(metrics["version"], env!("CARGO_PKG_VERSION"));
+    assert_eq!(metrics["options"]["eval_every"], 8);
+    assert_eq!(metrics["options"]["max_side"], 64);
+    assert_eq!(metrics["options"]["density"]["max_splats"], 1_000_000);
+    assert_eq!(metrics["options"]["capture"], text(&DEMO));
+    assert!(metrics["splats"].as_u64().unwrap() > 100);
+    if cfg!(target_os = "linux") {
+        assert!(metrics["peak_rss_mib"].as_f64().unwrap() > 1.0);
+    }
+}
+
+#[test]
+fn pictures_show_truth_then_render_then_error() {
+    let folder = tempfile::tempdir().unwrap();
+    let scene = TRAINED.join("scene.ply");
+    let arguments = ["--scene", text(&scene), "--capture", text(&DEMO), "--view", TEST_VIEW];
+    succeed(splat(&["render"]).args(arguments).args(["--out", text(folder.path())]));
+    let panels = image::open(TRAINED.join("views").join(TEST_VIEW)).unwrap().into_rgb8();
+    let truth = image::open(DEMO.join("images").join(TEST_VIEW)).unwrap().into_rgb8();
+    let render = image::open(folder.path().join(TEST_VIEW)).unwrap().into_rgb8();
+    assert_eq!(panels.dimensions(), (3 * 64, 48));
+    assert_eq!(panels.view(0, 0, 64, 48).to_image(), truth);
+    assert_eq!(panels.view(64, 0, 64, 48).to_image(), render);
+    let error = panels.view(128, 0, 64, 48).to_image();
+    assert!(error.pixels().any(|pixel| pixel.0 != [0; 3]));
+}
+
+#[test]
+fn the_device_can_be_chosen_and_steps_are_reported() {
+    let folder = tempfile::tempdir().unwrap();
+    let output =
+        succeed(splat(&["train", text(&DEMO), "--steps", "2", "--device", "ndarray", "--out"]).arg(folder.path()));
+    assert_eq!(json(&folder.path().join("metrics.json"))["device"], "ndarray");
+    assert!(output.stderr.contains("step 2/2  loss 0."), "{}", output.stderr);
+    for part in ["dB PSNR", "scene.ply", "metrics.json", "views", "training"] {
+        assert!(output.stdout.contains(part), "{part}: {}", output.stdout);
+    }
+}
+
+#[test]
+fn a_second_run_replaces_the_first() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path();
+    succeed(splat(&TRAIN).args(["--eval-every", "2", "--out", text(out)]).arg(DEMO.as_path()));
+    let views = ["0000", "0002", "0004", "0006"].map(|name| format!("views/{name}.png"));
+    let others = ["metrics.json", "scene.ply"].map(String::from);
+    assert_eq!(files(out), views.into_iter().chain(others).collect());
+    fs::write(out.join("views/mine.png"), "kept").unwrap();
+
+    succeed(splat(&TRAIN).args(["--out", text(out)]).arg(DEMO.as_path()));
+    let expected = ["metrics.json", "scene.ply", "views/0000.png", "views/mine.png"];
+    assert_eq!(files(out), expected.map(String::from).into());
+    // The same seed, and so the same scene to the last bit.
+    assert_eq!(fs::read(out.join("scene.ply")).unwrap(), fs::read(TRAINED.join("scene.ply")).unwrap());
+}
+
+#[test]
+fn zero_holds_out_no_view_and_measures_none() {
+    let folder = tempfile::tempdir().unwrap();
+    succeed(splat(&TRAIN).args(["--eval-every", "0", "--out", text(folder.path())]).arg(DEMO.as_path()));
+    assert_eq!(json(&folder.path().join("metrics.json"))["test"], Value::Null);
+    assert_eq!(files(folder.path()), ["metrics.json", "scene.ply"].map(String::from).into());
+}
+
+#[test]
+fn evaluation_repeats_the_scores_of_training() {
+    let folder = tempfile::tempdir().unwrap();
+    let scene = TRAINED.join("scene.ply");
+    let arguments = ["eval", text(&DEMO), "--scene", text(&scene), "--out", text(folder.path())];
+    succeed(&mut splat(&arguments));
+    let (trained, evaluated) = (json(&TRAINED.join("metrics.json")), json(&folder.path().join("metrics.json")));
+    assert_eq!(keys(&evaluated), keys(&trained));
+    assert_eq!(evaluated["splats"], trained["splats"]);
+    for metric in ["psnr", "ssim"] {
+        let difference = evaluated["test"][metric].as_f64().unwrap() - trained["test"][metric].as_f64().unwrap();
+        assert!(difference.abs() <= 1e-4, "{metric}: {difference}");
+    }
+    assert_eq!(files(folder.path()), files(TRAINED.as_path()));
+    assert_eq!(fs::read(folder.path().join("scene.ply")).unwrap(), fs::read(&scene).unwrap());
+}
+
+#[test]
+fn a_scene_can_be_measured_where_it_lies() {
+    let folder = tempfile::tempdir().unwrap();
+    let scene = folder.path().join("scene.ply");
+    fs::copy(TRAINED.join("scene.ply"), &scene).unwrap();
+    let arguments = ["eval", text(&DEMO), "--scene", text(&scene), "--out", text(folder.path())];
+    succeed(&mut splat(&arguments));
+    assert_eq!(fs::read(&scene).unwrap(), fs::read(TRAINED.join("scene.ply")).unwrap());
+}
+
+#[test]
+fn every_format_of_a_render_holds_the_same_picture() {
+    let folder = tempfile::tempdir().unwrap();
+    let scene = TRAINED.join("scene.ply");
+    for format in ["png", "exr", "npy"] {
+        let arguments = ["--scene", text(&scene), "--capture", text(&DEMO), "--format", format];
+        succeed(splat(&["render", "--view", "all", "--out", text(folder.path())]).args(arguments));
+    }
+    let expected = (0..8).flat_map(|view| ["png", "exr", "npy"].map(|format| format!("{view:04}.{format}")));
+    assert_eq!(files(folder.path()), expected.collect());
+
+    let png = image::open(folder.path().join("0003.png")).unwrap();
+    let exr = image::open(folder.path().join("0003.exr")).unwrap();
+    let npy = fs::read(folder.path().join("0003.npy")).unwrap();
+    let npy = npyz::NpyFile::new(&npy[..]).unwrap();
+    assert_eq!(png.color(), image::ColorType::Rgb8);
+    assert_eq!(exr.color(), image::ColorType::Rgba32F);
+    assert_eq!(npy.shape(), [48, 64, 4]);
+    let npy: Vec<f32> = npy.into_vec().unwrap();
+    let exr = exr.into_rgba32f();
+    assert_eq!(exr.as_raw(), &npy);
+    for (pixel, values) in png.into_rgb8().pixels().zip(npy.as_chunks::<4>().0) {
+        assert!((0.0..=1.0).contains(&values[3]));
+        for channel in 0..3 {
+            let level = (values[channel].clamp(0.0, 1.0) * 255.0).round();
+            assert!((level - f32::from(pixel.0[channel])).abs() <= 0.0, "{values:?} {pixel:?}");
+        }
+    }
+}
+
+#[test]
+fn without_a_capture_the_demo_is_made_once_and_trained_on() {
+    let folder = tempfile::tempdir().unwrap();
+    let arguments = ["train", "--steps", "1", "--out", text(folder.path())];
+    succeed(&mut splat(&arguments));
+    let picture = folder.path().join("demo-capture/images/0000.png");
+    let made = fs::metadata(&picture).unwrap().modified().unwrap();
+    succeed(&mut splat(&arguments));
+    assert_eq!(fs::metadata(&picture).unwrap().modified().unwrap(), made);
+    assert!(folder.path().join("scene.ply").exists());
+    let metrics = json(&folder.path().join("metrics.json"));
+    assert_eq!(metrics["test"]["views"].as_array().unwrap().len(), 6, "every eighth of 48");
+}
+
+#[test]
+fn help_names_every_subcommand_and_default() {
+    let help = succeed(&mut splat(&["--help"])).stdout;
+    for name in ["train", "eval", "render", "demo"] {
+        assert!(help.contains(name), "{help}");
+    }
+    let help = succeed(&mut splat(&["train", "--help"])).stdout;
+    for part in ["[default: 30000; with the demo capture", "[default: 8]", "[default: 1000000]", "[default: auto]"] {
+        assert!(help.contains(part), "{part}: {help}");
+    }
+}
