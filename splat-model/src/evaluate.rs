@@ -70,3 +70,6 @@ pub fn evaluate(
     let mean = |of: fn(&ViewScore) -> f64| mean_over_views(&views.iter().map(of).collect::<Vec<_>>());
     Ok(Scores { psnr: mean(|view| view.psnr), ssim: mean(|view| view.ssim), views })
 }
+
+#[cfg(test)]
+mod tests;

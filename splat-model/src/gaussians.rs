@@ -201,3 +201,8 @@ pub(crate) fn values_of<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
 fn rows_of<const W: usize>(tensor: Tensor<2>) -> Vec<[f32; W]> {
     values_of(tensor).as_chunks::<W>().0.to_vec()
 }
+
+#[cfg(test)]
+pub(crate) mod testing;
+#[cfg(test)]
+mod tests;

@@ -8,6 +8,7 @@ use splat_op::Intrinsics;
 
 use crate::capture::PointCloud;
 use crate::gaussians::GaussianRows;
+use crate::optim::scene_extent;
 
 /// `Y₀`: the degree-0 spherical harmonic, `1 / (2 √π)`.
 const SH_0: f32 = 0.282_094_8;
@@ -15,7 +16,7 @@ const SH_0: f32 = 0.282_094_8;
 /// Opacity of a Gaussian at the start (Kerbl et al. 2023, section 5.1, as their code has it).
 pub const START_OPACITY: f32 = 0.1;
 
-/// Neighbours whose mean distance is a Gaussian's first standard deviation (Kerbl et al. 2023, section 5.1).
+/// Neighbours whose root mean square distance is the first standard deviation (Kerbl et al. 2023, section 5.1).
 const NEIGHBOURS: usize = 3;
 
 /// Squared distances below this count as this, as in the original code: points at one place would have no size.
@@ -24,8 +25,8 @@ const SMALLEST_SQUARED_DISTANCE: f32 = 1e-7;
 /// Gaussians made where there are no points.
 pub const RANDOM_COUNT: usize = 20_000;
 
-/// One round Gaussian per point: as large as the mean distance to its three nearest neighbours, opacity 0.1, of the
-/// point's colour, without view dependence.
+/// One round Gaussian per point: as large as the root mean square distance to its three nearest neighbours, opacity 0.1,
+/// of the point's colour, without view dependence.
 pub fn from_points(points: &PointCloud) -> GaussianRows {
     let squared = neighbour_distances(&points.positions);
     let count = points.positions.len();
@@ -60,18 +61,18 @@ fn neighbour_distances(positions: &[[f32; 3]]) -> Vec<f32> {
 
 /// Random points of random colour in the volume that the cameras look at together: each lies in a random camera's
 /// picture, at a depth between half and one and a half times the camera's distance to the point nearest to all optical
-/// axes.
-pub fn random_points(
-    cameras: &[(Intrinsics, DAffine3)],
-    count: usize,
-    rng: &mut impl Rng,
-) -> PointCloud {
+/// axes. A camera that stands at that point, as all do in a panorama, takes the scene's extent for the distance.
+pub fn random_points(cameras: &[(Intrinsics, DAffine3)], count: usize, rng: &mut impl Rng) -> PointCloud {
     let mut points = PointCloud::default();
     let Some(focus) = common_focus(cameras) else { return points };
+    let centres: Vec<DVec3> = cameras.iter().map(|(_, pose)| pose.inverse().translation).collect();
+    let extent = scene_extent(&centres);
     for _ in 0..count {
         let (camera, cam_from_world) = &cameras[rng.random_range(0..cameras.len())];
         let world_from_cam = cam_from_world.inverse();
-        let distance = (focus - world_from_cam.translation).length().max(f64::MIN_POSITIVE);
+        let distance = (focus - world_from_cam.translation).length();
+        // The focus is computed, so what should be zero may be a rounding error.
+        let distance = if distance > 1e-6 * extent { distance } else { extent };
         let depth = distance * rng.random_range(0.5..1.5);
         let x = (rng.random_range(0.0..camera.width as f64) - camera.cx) / camera.fx;
         let y = (rng.random_range(0.0..camera.height as f64) - camera.cy) / camera.fy;
@@ -112,3 +113,6 @@ pub fn thinned(points: &PointCloud, most: usize) -> PointCloud {
         colours: points.colours.iter().copied().step_by(stride).collect(),
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -169,7 +169,9 @@ impl Trainer {
         match () {
             () if photos.is_empty() => return Err(TrainError::NoViews),
             () if config.steps == 0 => return Err(TrainError::NoSteps),
-            () if config.sh_degree > splat_op::shade::SH_DEGREE_MAX => return Err(TrainError::ShDegree(config.sh_degree)),
+            () if config.sh_degree > splat_op::shade::SH_DEGREE_MAX => {
+                return Err(TrainError::ShDegree(config.sh_degree));
+            }
             () => {}
         }
         let mut rng = ChaCha8Rng::seed_from_u64(config.seed);
@@ -305,3 +307,8 @@ impl Trainer {
         truth
     }
 }
+
+#[cfg(test)]
+pub(crate) mod testing;
+#[cfg(test)]
+mod tests;

@@ -17,7 +17,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let cam_from_world = DAffine3::from_translation(DVec3::new(0.0, 0.0, 2.0));
     let camera = Camera::new(Intrinsics::centred(48, 24, 30.0), &cam_from_world, &device);
     let rendered = render(&splats, &[camera], &Extras::default(), &RenderOptions::standard())?;
-    for row in rendered.alpha.clone().inner().into_data().to_vec::<f32>()?.chunks(48) {
+    for row in rendered.alpha.clone().inner().into_data().try_to_vec::<f32>()?.chunks(48) {
         println!("{}", row.iter().map(|a| b" .:-=+*#%@"[(a * 9.9) as usize] as char).collect::<String>());
     }
     let gradients = rendered.colour.mean().backward();

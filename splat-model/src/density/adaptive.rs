@@ -2,7 +2,7 @@
 //! limit on needles, and a threshold that rises at the cap.
 
 use burn::tensor::Tensor;
-use glam::{Quat, Vec3};
+use glam::{DQuat, Vec3};
 use rand::Rng;
 use rand_distr::{Distribution, StandardNormal};
 use serde::{Deserialize, Serialize};
@@ -177,7 +177,7 @@ impl Adaptive {
     fn is_doomed(&self, rows: &GaussianRows, i: usize, keep_largest: bool) -> bool {
         let opacity = 1.0 / (1.0 + (-f64::from(rows.logit_opacities[i])).exp());
         let largest = f64::from(largest_scale(rows, i));
-        let sound = opacity >= self.config.prune_opacity && largest.is_finite();
+        let sound = opacity >= self.config.prune_opacity && largest.is_finite() && is_finite(rows, i);
         !(sound && (keep_largest || largest <= self.config.prune_scale * self.extent))
     }
 
@@ -210,6 +210,15 @@ impl Adaptive {
     }
 }
 
+/// Whether all parameters of row `i` are finite. No step of the optimiser makes finite what is not.
+fn is_finite(rows: &GaussianRows, i: usize) -> bool {
+    let rest = rows.rest_per_row();
+    let short = [rows.means[i], rows.log_scales[i], rows.sh_dc[i]];
+    let rest = &rows.sh_rest[rest * i..rest * (i + 1)];
+    let mut all = short.as_flattened().iter().chain(&rows.rotations[i]).chain(rest);
+    rows.logit_opacities[i].is_finite() && all.all(|value| value.is_finite())
+}
+
 fn largest_scale(rows: &GaussianRows, i: usize) -> f32 {
     rows.log_scales[i].iter().fold(f32::NEG_INFINITY, |largest, log| largest.max(*log)).exp()
 }
@@ -228,8 +237,9 @@ fn push_row(to: &mut GaussianRows, from: &GaussianRows, i: usize) {
 /// Appends a smaller copy of row `i`, moved to a place drawn from the Gaussian itself.
 fn push_split(to: &mut GaussianRows, from: &GaussianRows, i: usize, rng: &mut impl Rng) {
     push_row(to, from, i);
-    let [w, x, y, z] = from.rotations[i];
-    let world_from_gaussian = Quat::from_xyzw(x, y, z, w).normalize();
+    // In f64, because the length of a quaternion is free and its square may be too much, or too little, for f32.
+    let [w, x, y, z] = from.rotations[i].map(f64::from);
+    let world_from_gaussian = DQuat::from_xyzw(x, y, z, w).normalize().as_quat();
     let scale = Vec3::from(from.log_scales[i]).exp();
     let drawn: [f32; 3] = std::array::from_fn(|_| StandardNormal.sample(rng));
     let offset = world_from_gaussian * (scale * Vec3::from(drawn));
@@ -237,3 +247,6 @@ fn push_split(to: &mut GaussianRows, from: &GaussianRows, i: usize, rng: &mut im
     to.means[last] = (Vec3::from(from.means[i]) + offset).to_array();
     to.log_scales[last] = from.log_scales[i].map(|log| log - SPLIT_SHRINK.ln());
 }
+
+#[cfg(test)]
+mod tests;

@@ -213,3 +213,6 @@ fn edit_rows<const D: usize>(
     moments.v = edited(moments.v.clone(), &without_history);
     replace(param, values);
 }
+
+#[cfg(test)]
+mod tests;

@@ -1,11 +1,11 @@
 //! The only backward nodes of the project. Each stage is one node; its backward pass computes what is tracked.
 
 use burn::backend::Autodiff;
+use burn::backend::autodiff::NodeId;
 use burn::backend::autodiff::checkpoint::base::Checkpointer;
 use burn::backend::autodiff::checkpoint::strategy::CheckpointStrategy;
 use burn::backend::autodiff::grads::Gradients;
 use burn::backend::autodiff::ops::{Backward, Ops, OpsKind};
-use burn::backend::autodiff::NodeId;
 use burn::backend::tensor::{FloatTensor, IntTensor};
 
 use crate::blend::{BlendGrads, BlendInputs, BlendNeeds, BlendSpec, TraceCell};

@@ -16,7 +16,8 @@ const SIZES: [(usize, usize); 7] = [(64, 48), (75, 33), (1, 1), (1, 50), (50, 1)
 /// Ellipses in and around a picture: round, thin as needles along any direction, and with depths that repeat.
 fn ellipses<F: Real>(random: &mut Random, count: usize, (width, height): (usize, usize)) -> Vec<F> {
     let mut packed = Vec::new();
-    for i in 0..count {
+    let opacities = random.fill(count, 0.0, 1.0);
+    for (i, opacity) in opacities.into_iter().enumerate() {
         let mean = [random.between(-30.0, width as f64 + 30.0), random.between(-30.0, height as f64 + 30.0)];
         let needle = i % 3 == 0;
         let sigma_u = if needle { random.between(0.55, 60.0) } else { random.between(0.55, 6.0) };
@@ -24,7 +25,8 @@ fn ellipses<F: Real>(random: &mut Random, count: usize, (width, height): (usize,
         let sigma_v = if needle { 0.55 } else { random.between(0.55, 6.0) };
         // Few distinct values, so that ties occur.
         let depth = random.between(1.0, 20.0).floor();
-        let opacity = if i % 7 == 0 { random.between(0.0, 0.01) } else { random.between(0.0, 1.0) };
+        // Some that hardly show, or not at all.
+        let opacity = if i % 7 == 0 { 0.01 * opacity } else { opacity };
         let ellipse = Ellipse { mean_px: mean, sigma_u, shear, sigma_v, depth, opacity };
         packed.extend(ellipse.to_row().map(F::of));
     }
@@ -70,9 +72,12 @@ fn assert_nothing_is_missing<F: Real>(seed: u64) {
                     }
                 }
             }
-            // The test of a tile is exact for the rectangle of its pixel centres; only what falls between them is extra.
-            let total = lists.gaussian.len();
-            assert!(total <= needed + needed / 2 + 12, "{size:?}: {total} hits where {needed} would do");
+            // The test of a tile is exact for the rectangle of its pixel centres, so what is listed beyond need passes
+            // between them. (A picture within one tile keeps all that its bounding box meets.)
+            if tiles_x * tiles_y > 4 {
+                let total = lists.gaussian.len();
+                assert!(total <= needed + needed / 5 + 20, "{size:?}: {total} hits where {needed} would do");
+            }
         }
     }
 }

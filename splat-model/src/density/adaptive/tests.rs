@@ -1,0 +1,239 @@
+use burn::tensor::{Device, TensorData};
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+
+use super::*;
+use crate::gaussians::Gaussians;
+use crate::gaussians::testing::random_rows;
+
+const STEPS: usize = 30_000;
+const EXTENT: f64 = 2.0;
+/// A picture of 2 × 2 px: gradients per px are gradients per unit of normalised device coordinates.
+const UNIT: (usize, usize) = (2, 2);
+/// Below and above the share of the extent at which Gaussians are split, and above that at which they are removed.
+const SMALL: f32 = 0.019;
+const LARGE: f32 = 0.021;
+const HUGE: f32 = 0.21;
+
+fn adaptive(config: AdaptiveConfig) -> Adaptive {
+    Adaptive::new(config, EXTENT, STEPS)
+}
+
+fn rng() -> ChaCha8Rng {
+    ChaCha8Rng::seed_from_u64(5)
+}
+
+fn trained(rows: &GaussianRows) -> Trained {
+    Trained::new(Gaussians::from_rows(rows, &Device::flex().autodiff()).unwrap())
+}
+
+/// Gradients at the projected centres.
+fn gradients(values: &[[f32; 2]]) -> Tensor<2> {
+    Tensor::from_data(TensorData::new(values.as_flattened().to_vec(), [values.len(), 2]), &Device::flex())
+}
+
+/// Round Gaussians of these sizes and opacities.
+fn round(sizes_and_opacities: &[(f32, f32)]) -> GaussianRows {
+    let mut rows = random_rows(sizes_and_opacities.len(), 1, 1);
+    rows.log_scales = sizes_and_opacities.iter().map(|(size, _)| [size.ln(); 3]).collect();
+    rows.logit_opacities = sizes_and_opacities.iter().map(|(_, opacity)| (opacity / (1.0 - opacity)).ln()).collect();
+    rows
+}
+
+/// Refines once, after one picture with these gradients.
+fn refine(
+    config: AdaptiveConfig,
+    rows: &GaussianRows,
+    lengths: &[f32],
+    step: usize,
+) -> (Option<RefineReport>, GaussianRows) {
+    let (mut policy, mut scene) = (adaptive(config), trained(rows));
+    policy.observe(gradients(&lengths.iter().map(|length| [0.0, *length]).collect::<Vec<_>>()), UNIT);
+    let report = policy.refine(&mut scene, step, &mut rng()).unwrap();
+    (report, scene.gaussians.to_rows())
+}
+
+/// Row `i` as a scene of its own.
+fn row(rows: &GaussianRows, i: usize) -> GaussianRows {
+    let mut one = GaussianRows { sh_degree: rows.sh_degree, ..GaussianRows::default() };
+    push_row(&mut one, rows, i);
+    one
+}
+
+#[test]
+fn small_are_cloned_large_are_split_and_faint_are_removed() {
+    let rows = round(&[(SMALL, 0.5), (LARGE, 0.5), (SMALL, 0.5), (SMALL, 0.004), (LARGE, 0.006), (HUGE, 0.5)]);
+    let lengths = [3e-4, 3e-4, 1.9e-4, 1.0, 1e-4, 0.0];
+    let (report, after) = refine(AdaptiveConfig::default(), &rows, &lengths, 500);
+    assert_eq!(report, Some(RefineReport { cloned: 1, split: 1, pruned: 1, threshold: 2e-4 }));
+    // Those that stay in their order, then the copy, then the two parts.
+    for (now, was) in [(0, 0), (1, 2), (2, 4), (3, 5), (4, 0)] {
+        assert_eq!(row(&after, now), row(&rows, was), "row {now}");
+    }
+    assert_eq!(after.len(), 7);
+    for part in [5, 6] {
+        let mut expected = row(&rows, 1);
+        assert_ne!(after.means[part], expected.means[0]);
+        expected.means[0] = after.means[part];
+        expected.log_scales[0] = expected.log_scales[0].map(|log| log - 1.6f32.ln());
+        assert_eq!(row(&after, part), expected);
+    }
+    assert_ne!(after.means[5], after.means[6]);
+}
+
+#[test]
+fn huge_gaussians_go_after_the_first_opacity_reset() {
+    let rows = round(&[(SMALL, 0.5), (HUGE, 0.5)]);
+    for (step, left) in [(2_900, 2), (3_000, 2), (3_100, 1), (6_000, 1)] {
+        assert_eq!(refine(AdaptiveConfig::default(), &rows, &[0.0; 2], step).1.len(), left, "step {step}");
+    }
+    let never = AdaptiveConfig { reset_every: 0, ..AdaptiveConfig::default() };
+    assert_eq!(refine(never, &rows, &[0.0; 2], 3_100).1.len(), 2);
+}
+
+#[test]
+fn whatever_is_not_finite_is_removed() {
+    type Spoil = fn(&mut GaussianRows);
+    let spoils: [Spoil; 10] = [
+        |rows| rows.means[1][2] = f32::INFINITY,
+        |rows| rows.rotations[1][0] = f32::NAN,
+        |rows| rows.log_scales[1] = [f32::NAN; 3],
+        |rows| rows.log_scales[1][1] = f32::NAN,
+        |rows| rows.log_scales[1][0] = f32::INFINITY,
+        |rows| rows.log_scales[1][0] = f32::NEG_INFINITY,
+        |rows| rows.logit_opacities[1] = f32::NAN,
+        |rows| rows.logit_opacities[1] = f32::INFINITY,
+        |rows| rows.sh_dc[1][1] = f32::NAN,
+        |rows| rows.sh_rest[9 + 4] = f32::NAN,
+    ];
+    for (case, spoil) in spoils.into_iter().enumerate() {
+        let rows = round(&[(SMALL, 0.5), (SMALL, 0.5), (SMALL, 0.5)]);
+        let mut spoiled = rows.clone();
+        spoil(&mut spoiled);
+        let (report, after) = refine(AdaptiveConfig::default(), &spoiled, &[0.0, f32::NAN, 0.0], 500);
+        assert_eq!(report.unwrap().pruned, 1, "case {case}");
+        assert_eq!([row(&after, 0), row(&after, 1)], [row(&rows, 0), row(&rows, 2)], "case {case}");
+    }
+}
+
+#[test]
+fn parts_are_drawn_from_the_gaussian() {
+    let count = 500;
+    let scales = [0.01f32, 0.03, 0.3];
+    let mut rows = random_rows(count, 0, 2);
+    rows.means = vec![[1.0, 2.0, 3.0]; count];
+    rows.log_scales = vec![scales.map(f32::ln); count];
+    // A quarter turn about z takes the Gaussian's x axis to y. Quaternions of any length mean the same.
+    rows.rotations =
+        (0..count).map(|i| [1.0, 3.0, 1e-25, 1e25][i % 4]).map(|length| [length, 0.0, 0.0, length]).collect();
+    let config = AdaptiveConfig { max_elongation: 1e9, ..AdaptiveConfig::default() };
+    let (report, after) = refine(config, &rows, &vec![1.0; count], 500);
+    assert_eq!((report.unwrap().split, after.len()), (count, 2 * count));
+    for (axis, sigma) in [scales[1], scales[0], scales[2]].into_iter().enumerate() {
+        let offsets: Vec<f32> = after.means.iter().map(|mean| (mean[axis] - [1.0, 2.0, 3.0][axis]) / sigma).collect();
+        assert!(offsets.iter().all(|offset| offset.abs() < 6.0), "axis {axis}");
+        // Of 1,000 draws, five standard errors.
+        let mean = offsets.iter().sum::<f32>() / offsets.len() as f32;
+        let variance = offsets.iter().map(|offset| offset * offset).sum::<f32>() / offsets.len() as f32;
+        assert!(mean.abs() < 0.16 && (variance - 1.0).abs() < 0.23, "axis {axis}: mean {mean}, variance {variance}");
+    }
+    for logs in &after.log_scales {
+        assert!(logs.iter().zip(scales).all(|(log, scale)| (log.exp() * 1.6 / scale - 1.0).abs() < 1e-5), "{logs:?}");
+    }
+}
+
+#[test]
+fn at_the_cap_the_largest_gradients_win() {
+    let mut sizes = vec![(SMALL, 0.5); 8];
+    (sizes[1], sizes[3]) = ((LARGE, 0.5), (SMALL, 0.001));
+    let rows = round(&sizes);
+    // Row 3 is removed, so there is room for three; row 0 and 7 are not wanted.
+    let lengths = [1e-4, 9e-4, 4e-4, 1.0, 3e-4, 7e-4, 8e-4, 0.0];
+    let config = AdaptiveConfig { max_splats: 10, ..AdaptiveConfig::default() };
+    let (report, after) = refine(config, &rows, &lengths, 500);
+    let report = report.unwrap();
+    assert_eq!((report.cloned, report.split, report.pruned, after.len()), (2, 1, 1, 10));
+    assert!((report.threshold - 4e-4).abs() < 1e-9, "{}", report.threshold);
+    let copies: Vec<_> = after.means.iter().filter(|mean| [5, 6].map(|i| rows.means[i]).contains(mean)).collect();
+    assert_eq!(copies.len(), 4);
+    for max_splats in 0..=12 {
+        let (report, after) = refine(AdaptiveConfig { max_splats, ..config }, &rows, &lengths, 500);
+        // Seven survive. The cap ends growth; it removes nothing.
+        assert_eq!(after.len(), max_splats.clamp(7, 12), "cap {max_splats}");
+        let threshold = report.unwrap().threshold;
+        assert_eq!(threshold > 2.1e-4, max_splats < 12, "cap {max_splats}: {threshold}");
+    }
+}
+
+#[test]
+fn there_is_a_time_for_it() {
+    let rows = round(&[(SMALL, 0.5), (HUGE, 0.004)]);
+    let config = AdaptiveConfig { reset_every: 1, ..AdaptiveConfig::default() };
+    let counts = [(499, None), (501, None), (500, Some(1)), (14_900, Some(1)), (15_000, None), (20_000, None)];
+    for (step, pruned) in counts {
+        let (report, after) = refine(config, &rows, &[1.0; 2], step);
+        assert_eq!(report.map(|report| report.pruned), pruned, "step {step}");
+        // Opacities are reset by their own calendar, which ends when density control ends.
+        assert_eq!(after.logit_opacities[0] < 0.0, step < 15_000, "step {step}");
+        assert_eq!(adaptive(config).listens_at(step), step < 15_000, "step {step}");
+        if step >= 15_000 {
+            assert_eq!(after, rows);
+        }
+    }
+    let growing = AdaptiveConfig { from: 0, every: 7, until_share: 1.0, reset_every: 0, ..config };
+    let due: Vec<usize> = (1..22).filter(|&step| refine(growing, &rows, &[0.0; 2], step).0.is_some()).collect();
+    assert_eq!(due, [7, 14, 21]);
+}
+
+#[test]
+fn a_reset_caps_opacities() {
+    let rows = round(&[(SMALL, 0.9), (SMALL, 0.02), (SMALL, 0.007)]);
+    let (mut policy, mut scene) = (adaptive(AdaptiveConfig::default()), trained(&rows));
+    policy.refine(&mut scene, 2_999, &mut rng()).unwrap();
+    assert_eq!(scene.gaussians.to_rows(), rows);
+    policy.refine(&mut scene, 3_000, &mut rng()).unwrap();
+    let opacities = values_of(scene.gaussians.opacities());
+    for (found, expected) in opacities.iter().zip([0.01, 0.01, 0.007]) {
+        assert!((found - expected).abs() < 1e-6, "{opacities:?}");
+    }
+}
+
+#[test]
+fn needles_are_shortened() {
+    let mut rows = random_rows(4, 0, 1);
+    // Needles along each axis; a disc, which is no needle.
+    let scales = [[0.05, 0.001, 1e-4], [1e-4, 0.05, 0.001], [0.001, 1e-4, 0.05], [0.019, 1e-6, 0.019]];
+    rows.log_scales = scales.map(|scales: [f32; 3]| scales.map(f32::ln)).to_vec();
+    let (_, after) = refine(AdaptiveConfig::default(), &rows, &[0.0; 4], 500);
+    for (i, axis) in [0, 1, 2].into_iter().enumerate() {
+        assert!((after.log_scales[i][axis].exp() - 0.03).abs() < 1e-6, "{:?}", after.log_scales[i]);
+        let mut restored = after.log_scales[i];
+        restored[axis] = rows.log_scales[i][axis];
+        assert_eq!(restored, rows.log_scales[i]);
+    }
+    assert_eq!(after.log_scales[3], rows.log_scales[3]);
+}
+
+#[test]
+fn gradients_are_averaged_per_unit_of_device_coordinates() {
+    let mut policy = adaptive(AdaptiveConfig::default());
+    // Half of 32 × 24 px is 16 × 12: (3, 4) per px is (48, 48), and (1, 0) is 16.
+    policy.observe(gradients(&[[3.0, -4.0], [1.0, 0.0], [0.0, 0.0]]), (32, 24));
+    policy.observe(gradients(&[[0.0, 0.0], [0.0, -1.0], [0.0, 0.0]]), (32, 24));
+    // Steps in which a Gaussian was not seen do not count.
+    let found = policy.mean_gradients(3);
+    for (found, expected) in found.iter().zip([48.0 * 2f32.sqrt(), 14.0, 0.0]) {
+        assert!((found - expected).abs() < 1e-4, "{found} instead of {expected}");
+    }
+}
+
+#[test]
+fn statistics_start_anew_after_a_refinement() {
+    let rows = round(&[(SMALL, 0.5), (SMALL, 0.5)]);
+    let (mut policy, mut scene) = (adaptive(AdaptiveConfig::default()), trained(&rows));
+    policy.observe(gradients(&[[1.0, 0.0], [0.0, 0.0]]), UNIT);
+    assert_eq!(policy.refine(&mut scene, 500, &mut rng()).unwrap().unwrap().cloned, 1);
+    assert_eq!(policy.refine(&mut scene, 600, &mut rng()).unwrap().unwrap().cloned, 0);
+    policy.observe(gradients(&[[0.0; 2]; 3]), UNIT);
+    assert_eq!(policy.mean_gradients(3), [0.0; 3]);
+}

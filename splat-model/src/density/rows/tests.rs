@@ -1,0 +1,244 @@
+use burn::tensor::{Device, Distribution};
+
+use super::*;
+use crate::gaussians::testing::{devices, random_rows};
+use crate::gaussians::values_of;
+
+const RATES: LearningRates = LearningRates {
+    means: 0.0,
+    means_final_share: 1.0,
+    scales: 0.01,
+    rotations: 0.02,
+    sh_dc: 0.03,
+    sh_rest: 0.04,
+    opacities: 0.05,
+};
+
+fn scene(rows: &GaussianRows, device: &Device) -> Trained {
+    Trained::new(Gaussians::from_rows(rows, &device.clone().autodiff()).unwrap())
+}
+
+/// Random numbers like `param`, without autodiff.
+fn noise<const D: usize>(param: &Param<Tensor<D>>) -> Option<Tensor<D>> {
+    Some(param.val().inner().random_like(Distribution::Uniform(-1.0, 1.0)))
+}
+
+fn random_gradients(of: &Gaussians) -> Gradients {
+    Gradients {
+        means: noise(&of.means),
+        rotations: noise(&of.rotations),
+        log_scales: noise(&of.log_scales),
+        logit_opacities: noise(&of.logit_opacities),
+        sh_dc: noise(&of.sh_dc),
+        sh_rest: of.sh_rest.as_ref().and_then(noise),
+    }
+}
+
+fn step(scene: &mut Trained, gradients: Gradients, step: usize) {
+    scene.step(gradients, &Adam::default(), &StepRates { rates: RATES, means: 0.06 }, step);
+}
+
+/// A scene with history in every moment.
+fn walked(rows: &GaussianRows, device: &Device) -> Trained {
+    let mut scene = scene(rows, device);
+    for i in 1..=3 {
+        let gradients = random_gradients(&scene.gaussians);
+        step(&mut scene, gradients, i);
+    }
+    scene
+}
+
+/// Values, first and second moments of one parameter.
+type Numbers = [Vec<f32>; 3];
+
+fn numbers<const D: usize>(param: &Param<Tensor<D>>, moments: &Moments<D>) -> Numbers {
+    [values_of(param.val()), values_of(moments.m.clone()), values_of(moments.v.clone())]
+}
+
+/// All numbers of a scene, by parameter.
+fn all(scene: &Trained) -> Vec<(&'static str, Numbers)> {
+    let (g, m) = (&scene.gaussians, &scene.moments);
+    let mut all = vec![
+        ("means", numbers(&g.means, &m.means)),
+        ("rotations", numbers(&g.rotations, &m.rotations)),
+        ("log_scales", numbers(&g.log_scales, &m.log_scales)),
+        ("logit_opacities", numbers(&g.logit_opacities, &m.logit_opacities)),
+        ("sh_dc", numbers(&g.sh_dc, &m.sh_dc)),
+    ];
+    assert_eq!(g.sh_rest.is_some(), m.sh_rest.is_some());
+    if let (Some(rest), Some(moments)) = (&g.sh_rest, &m.sh_rest) {
+        all.push(("sh_rest", numbers(rest, moments)));
+    }
+    all
+}
+
+/// Whether each parameter can be trained further.
+fn all_tracked(scene: &Gaussians) -> bool {
+    let rest = scene.sh_rest.as_ref().is_none_or(|rest| rest.val().is_require_grad());
+    let two = [&scene.means, &scene.rotations, &scene.log_scales].iter().all(|param| param.val().is_require_grad());
+    rest && two && scene.logit_opacities.val().is_require_grad() && scene.sh_dc.val().is_require_grad()
+}
+
+#[test]
+fn an_edit_keeps_rows_with_their_moments() {
+    for device in devices() {
+        for degree in [0, 2] {
+            let mut scene = walked(&random_rows(9, degree, 1), &device);
+            let before = all(&scene);
+            let keep = vec![7, 2, 8, 0, 5];
+            let add = random_rows(3, degree, 2);
+            scene.edit(&RowEdit { keep: keep.clone(), add: add.clone() }).unwrap();
+
+            let added = all(&self::scene(&add, &device));
+            for (((name, new), (_, old)), (_, added)) in all(&scene).iter().zip(&before).zip(&added) {
+                for (which, ((new, old), added)) in new.iter().zip(old).zip(added).enumerate() {
+                    let width = old.len() / 9;
+                    let row = |of: u32| &old[of as usize * width..(of as usize + 1) * width];
+                    let expected: Vec<f32> = keep.iter().flat_map(|&of| row(of)).chain(added).copied().collect();
+                    assert_eq!(new, &expected, "{name} {which}");
+                    assert!(old.iter().all(|value| *value != 0.0), "{name} {which} has a history to mix up");
+                }
+            }
+            assert!(all_tracked(&scene.gaussians));
+            let gradients = random_gradients(&scene.gaussians);
+            step(&mut scene, gradients, 4);
+            assert_eq!(scene.gaussians.len(), 8);
+        }
+    }
+}
+
+#[test]
+fn all_rows_may_go_and_others_come() {
+    for device in devices() {
+        let mut scene = walked(&random_rows(4, 1, 1), &device);
+        scene.edit(&RowEdit::default()).unwrap();
+        assert!(scene.gaussians.is_empty());
+        let gradients = random_gradients(&scene.gaussians);
+        step(&mut scene, gradients, 4);
+        let add = random_rows(2, 1, 2);
+        scene.edit(&RowEdit { keep: vec![], add: add.clone() }).unwrap();
+        assert_eq!(scene.gaussians.to_rows(), add);
+    }
+}
+
+#[test]
+fn a_refused_edit_changes_nothing() {
+    let mut scene = walked(&random_rows(4, 1, 1), &Device::flex());
+    let before = all(&scene);
+    let error = scene.edit(&RowEdit { keep: vec![0], add: random_rows(2, 0, 2) }).unwrap_err();
+    assert!(error.to_string().contains("`sh_rest`"), "{error}");
+    assert_eq!(all(&scene), before);
+}
+
+/// Makes the coefficients of higher degrees than `degree` zero.
+fn cut(rest: Tensor<3>, degree: usize) -> Tensor<3> {
+    let have = (degree + 1) * (degree + 1) - 1;
+    let [count, all, _] = rest.dims();
+    Tensor::cat(vec![rest.clone().slice([0..count, 0..have]), rest.slice([0..count, have..all]).zeros_like()], 1)
+}
+
+#[test]
+fn harmonics_that_come_later_are_as_if_they_had_always_been_there() {
+    for device in devices() {
+        let rows = random_rows(6, 0, 1);
+        let (mut grown, mut full) = (scene(&rows, &device), scene(&rows, &device));
+        full.grow_sh(3);
+        for i in 1..=8 {
+            // Twice each degree.
+            let degree = (i - 1) / 2;
+            grown.grow_sh(degree);
+            assert_eq!(grown.gaussians.sh_degree(), degree);
+            assert!(all_tracked(&grown.gaussians));
+            let mut gradients = random_gradients(&full.gaussians);
+            gradients.sh_rest = gradients.sh_rest.map(|rest| cut(rest, degree));
+            let own = Gradients {
+                means: gradients.means.clone(),
+                rotations: gradients.rotations.clone(),
+                log_scales: gradients.log_scales.clone(),
+                logit_opacities: gradients.logit_opacities.clone(),
+                sh_dc: gradients.sh_dc.clone(),
+                sh_rest: gradients.sh_rest.clone().filter(|_| degree > 0).map(|rest| {
+                    let have = (degree + 1) * (degree + 1) - 1;
+                    rest.slice([0..6, 0..have])
+                }),
+            };
+            step(&mut grown, own, i);
+            step(&mut full, gradients, i);
+        }
+        assert_eq!(all(&grown), all(&full));
+        // No way back, and nothing happens twice.
+        let before = all(&grown);
+        grown.grow_sh(1);
+        grown.grow_sh(3);
+        assert_eq!(all(&grown), before);
+    }
+}
+
+/// Asserts that two scenes agree except in one parameter, and returns that of the second.
+#[track_caller]
+fn assert_only_changed(before: &Trained, after: &Trained, changed: &str) -> Numbers {
+    let mut of_changed = None;
+    for ((name, old), (_, new)) in all(before).into_iter().zip(all(after)) {
+        if name == changed {
+            of_changed = Some(new);
+        } else {
+            assert_eq!(new, old, "{name}");
+        }
+    }
+    of_changed.expect("the parameter is one of the scene's")
+}
+
+#[test]
+fn reset_opacities_forget_their_history_only() {
+    for device in devices() {
+        let before = walked(&random_rows(5, 1, 1), &device);
+        let mut after = before.clone();
+        let logits = Tensor::from_floats([-1.0, -2.0, -3.0, -4.0, -5.0], &device);
+        after.reset_opacities(logits);
+        let [values, m, v] = assert_only_changed(&before, &after, "logit_opacities");
+        assert_eq!(values, [-1.0, -2.0, -3.0, -4.0, -5.0]);
+        assert_eq!((m, v), (vec![0.0; 5], vec![0.0; 5]));
+        assert!(all_tracked(&after.gaussians));
+    }
+}
+
+#[test]
+fn replaced_log_scales_keep_their_history() {
+    let device = Device::flex();
+    let before = walked(&random_rows(2, 1, 1), &device);
+    let mut after = before.clone();
+    after.replace_log_scales(Tensor::full([2, 3], -4.0, &device));
+    let [values, m, v] = assert_only_changed(&before, &after, "log_scales");
+    assert_eq!(values, [-4.0; 6]);
+    assert_eq!([&m, &v], [&all(&before)[2].1[1], &all(&before)[2].1[2]]);
+    assert!(all_tracked(&after.gaussians));
+}
+
+#[test]
+fn parameters_without_a_gradient_stay() {
+    for device in devices() {
+        let before = walked(&random_rows(5, 1, 1), &device);
+        let mut after = before.clone();
+        step(&mut after, Gradients { rotations: noise(&before.gaussians.rotations), ..Gradients::default() }, 4);
+        let rotations = assert_only_changed(&before, &after, "rotations");
+        for (new, old) in rotations.iter().zip(&all(&before)[1].1) {
+            assert!(new.iter().zip(old).all(|(new, old)| new != old));
+        }
+    }
+}
+
+#[test]
+fn each_parameter_has_its_own_rate() {
+    // Adam's first step is as long as the learning rate, whatever the gradient.
+    let rows = random_rows(3, 1, 1);
+    let mut scene = scene(&rows, &Device::flex());
+    let before = all(&scene);
+    let gradients = random_gradients(&scene.gaussians);
+    step(&mut scene, gradients, 1);
+    let rates = [0.06, RATES.rotations, RATES.scales, RATES.opacities, RATES.sh_dc, RATES.sh_rest];
+    for (((name, new), (_, old)), rate) in all(&scene).iter().zip(&before).zip(rates) {
+        for (new, old) in new[0].iter().zip(&old[0]) {
+            assert!((f64::from((new - old).abs()) - rate).abs() < 1e-6, "{name}: {}", new - old);
+        }
+    }
+}

@@ -1,0 +1,104 @@
+use super::testing::{devices, random_rows};
+use super::*;
+
+#[test]
+fn rows_survive_a_round_trip_bit_for_bit() {
+    for device in devices() {
+        for device in [device.clone(), device.autodiff()] {
+            for degree in 0..=3 {
+                let rows = random_rows(17, degree, degree as u64);
+                let scene = Gaussians::from_rows(&rows, &device).unwrap();
+                assert_eq!(scene.to_rows(), rows);
+                assert_eq!((scene.len(), scene.sh_degree()), (17, degree));
+                assert_eq!(scene.sh_rest.is_some(), degree > 0);
+                assert_eq!(scene.sh().dims(), [17, (degree + 1) * (degree + 1), 3]);
+            }
+        }
+    }
+}
+
+#[test]
+fn accessors_activate() {
+    let ln2 = 2f32.ln();
+    let rows = GaussianRows {
+        means: vec![[1.0, 2.0, 3.0]],
+        rotations: vec![[2.0, 0.0, 0.0, 0.0]],
+        log_scales: vec![[0.0, ln2, -ln2]],
+        logit_opacities: vec![9f32.ln()],
+        sh_dc: vec![[0.1, 0.2, 0.3]],
+        sh_rest: (1..=9).map(|i| i as f32).collect(),
+        sh_degree: 1,
+    };
+    for device in devices() {
+        let scene = Gaussians::from_rows(&rows, &device).unwrap();
+        let scales = values_of(scene.scales());
+        assert!(
+            scales.iter().zip([1.0, 2.0, 0.5]).all(|(found, expected)| (found - expected).abs() < 1e-6),
+            "{scales:?}"
+        );
+        let opacity = values_of(scene.opacities())[0];
+        assert!((opacity - 0.9).abs() < 1e-6, "{opacity}");
+        // Coefficient by coefficient, the constant one first.
+        assert_eq!(values_of(scene.sh()), [0.1, 0.2, 0.3, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0]);
+    }
+}
+
+#[test]
+fn rows_that_do_not_fit_are_named() {
+    type Spoil = fn(&mut GaussianRows);
+    let cases: [(&str, Spoil); 7] = [
+        ("rotations", |rows| rows.rotations.truncate(3)),
+        ("log_scales", |rows| rows.log_scales.push([0.0; 3])),
+        ("logit_opacities", |rows| rows.logit_opacities.clear()),
+        ("sh_dc", |rows| rows.sh_dc.truncate(3)),
+        ("sh_rest", |rows| rows.sh_rest.truncate(95)),
+        ("sh_rest", |rows| rows.sh_degree = 3),
+        ("sh_degree", |rows| rows.sh_degree = 5),
+    ];
+    for (field, spoil) in cases {
+        let mut rows = random_rows(4, 2, 1);
+        assert_eq!(rows.check(), Ok(()));
+        spoil(&mut rows);
+        let message = rows.check().unwrap_err().to_string();
+        assert!(message.starts_with(&format!("`{field}` holds")), "{message}");
+        assert!(Gaussians::from_rows(&rows, &Device::flex()).is_err());
+    }
+}
+
+/// Whether each input of a render is tracked.
+fn tracked(scene: &Gaussians) -> [bool; 5] {
+    let Splats { means, rotations, scales, opacities, colour } = scene.splats();
+    let Colour::SphericalHarmonics(sh) = colour else { panic!("a scene has spherical harmonics") };
+    [means.is_tracked(), rotations.is_tracked(), scales.is_tracked(), opacities.is_tracked(), sh.is_tracked()]
+}
+
+#[test]
+fn untracked_is_the_same_scene_without_autodiff() {
+    for device in devices() {
+        for degree in [0, 2] {
+            let rows = random_rows(5, degree, 3);
+            let scene = Gaussians::from_rows(&rows, &device.clone().autodiff()).unwrap();
+            assert_eq!(tracked(&scene), [true; 5]);
+            let plain = scene.untracked();
+            assert_eq!(tracked(&plain), [false; 5]);
+            assert_eq!(plain.splats().means.device(), device);
+            assert_eq!(plain.to_rows(), rows);
+            assert_eq!(plain.untracked().to_rows(), rows);
+        }
+    }
+}
+
+#[test]
+fn a_scene_may_be_empty() {
+    for device in devices() {
+        for degree in [0, 1] {
+            let rows = GaussianRows { sh_degree: degree, ..GaussianRows::default() };
+            assert!(rows.is_empty());
+            let scene = Gaussians::from_rows(&rows, &device.clone().autodiff()).unwrap();
+            assert!(scene.is_empty());
+            assert_eq!(scene.to_rows(), rows);
+            assert_eq!(scene.sh().dims(), [0, (degree + 1) * (degree + 1), 3]);
+            assert!(scene.untracked().is_empty());
+        }
+    }
+}

@@ -1,0 +1,163 @@
+use std::f64::consts::TAU;
+
+use burn::tensor::Device;
+use glam::{DMat3, Vec3};
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use splat_op::{Camera, shade};
+
+use super::*;
+use crate::gaussians::{Gaussians, values_of};
+
+fn rng(seed: u64) -> ChaCha8Rng {
+    ChaCha8Rng::seed_from_u64(seed)
+}
+
+fn grey(positions: Vec<[f32; 3]>) -> PointCloud {
+    PointCloud { colours: vec![[128; 3]; positions.len()], positions }
+}
+
+/// The one size of a round Gaussian.
+fn sizes(points: &PointCloud) -> Vec<f32> {
+    let rows = from_points(points);
+    rows.check().unwrap();
+    rows.log_scales.iter().map(|[x, y, z]| (*x == *y && *y == *z).then(|| x.exp()).expect("round")).collect()
+}
+
+#[test]
+fn size_is_the_root_mean_square_distance_to_three_neighbours() {
+    let mut rng = rng(1);
+    let positions: Vec<[f32; 3]> = (0..300).map(|_| std::array::from_fn(|_| rng.random_range(-3.0..3.0))).collect();
+    let found = sizes(&grey(positions.clone()));
+    for (i, found) in found.into_iter().enumerate() {
+        let distance = |other: &[f32; 3]| Vec3::from(*other).distance_squared(positions[i].into());
+        let mut squared: Vec<f32> = positions.iter().map(distance).collect();
+        squared.sort_by(f32::total_cmp);
+        let expected = (squared[1..4].iter().sum::<f32>() / 3.0).sqrt();
+        assert!((found - expected).abs() <= 1e-5 * expected, "point {i}: {found} instead of {expected}");
+    }
+}
+
+#[test]
+fn few_points_use_the_neighbours_there_are() {
+    assert!(sizes(&grey(vec![])).is_empty());
+    assert_eq!(sizes(&grey(vec![[5.0, 6.0, 7.0]])), [1.0]);
+    let two = sizes(&grey(vec![[0.0; 3], [0.0, 3.0, 4.0]]));
+    assert!(two.iter().all(|size| (size - 5.0).abs() < 1e-5), "{two:?}");
+}
+
+#[test]
+fn points_at_one_place_have_a_size() {
+    let smallest = SMALLEST_SQUARED_DISTANCE.sqrt();
+    for count in [2, 4, 5_000] {
+        let found = sizes(&grey(vec![[0.3, -0.2, 1.5]; count]));
+        assert_eq!(found.len(), count);
+        assert!(found.iter().all(|size| (size - smallest).abs() < 1e-8), "{count} points");
+    }
+    // Two places, many points at each, on one plane: what a tree that splits at medians finds hardest.
+    let places: Vec<[f32; 3]> = (0..5_000).map(|i| [(i % 2) as f32, 0.0, 0.0]).collect();
+    assert!(sizes(&grey(places)).iter().all(|size| (size - smallest).abs() < 1e-8));
+}
+
+#[test]
+fn a_point_shows_its_colour_and_opacity() {
+    let colours = vec![[0, 128, 255], [255, 1, 77], [3, 200, 254]];
+    let positions = vec![[0.1, 0.2, 1.0], [-0.3, 0.0, 2.0], [0.0, 0.4, 3.0]];
+    let rows = from_points(&PointCloud { positions: positions.clone(), colours: colours.clone() });
+    assert_eq!((rows.sh_degree, &rows.means), (0, &positions));
+    let device = Device::flex();
+    let scene = Gaussians::from_rows(&rows, &device).unwrap();
+    let camera = Camera::new(Intrinsics::centred(32, 24, 30.0), &DAffine3::IDENTITY, &device);
+    let shown = values_of(shade(&scene.sh(), &scene.means.val(), &camera).unwrap());
+    for (shown, colour) in shown.iter().zip(colours.as_flattened()) {
+        assert!((shown - f32::from(*colour) / 255.0).abs() < 1e-6, "{shown} instead of {colour}/255");
+    }
+    assert!(values_of(scene.opacities()).iter().all(|opacity| (opacity - 0.1).abs() < 1e-6));
+}
+
+#[test]
+fn thinning_takes_every_kth_point_and_never_too_many() {
+    let mut cloud = grey((0..10).map(|i| [i as f32, 0.0, 0.0]).collect());
+    cloud.colours = (0..10).map(|i| [i; 3]).collect();
+    for most in 1..=12 {
+        let kept = thinned(&cloud, most);
+        assert!((1..=most).contains(&kept.positions.len()), "{} of at most {most}", kept.positions.len());
+        let positions: Vec<f32> = kept.positions.iter().map(|position| position[0]).collect();
+        let colours: Vec<f32> = kept.colours.iter().map(|colour| f32::from(colour[0])).collect();
+        assert_eq!(positions, colours);
+    }
+    assert_eq!(thinned(&cloud, 3).positions.iter().map(|position| position[0]).collect::<Vec<_>>(), [0.0, 4.0, 8.0]);
+    assert_eq!(thinned(&cloud, 10), cloud);
+    assert_eq!(thinned(&PointCloud::default(), 5), PointCloud::default());
+}
+
+/// Wider than high, with its principal point off the middle.
+fn intrinsics() -> Intrinsics {
+    Intrinsics { cx: 25.0, cy: 10.0, fy: 55.0, ..Intrinsics::centred(64, 24, 60.0) }
+}
+
+/// A camera at `centre` that looks along `forward`.
+fn camera(centre: DVec3, forward: DVec3) -> (Intrinsics, DAffine3) {
+    let z = forward.normalize();
+    let x = DVec3::Y.cross(z).normalize();
+    let cam_from_world = DMat3::from_cols(x, z.cross(x), z).transpose();
+    (intrinsics(), DAffine3::from_mat3_translation(cam_from_world, -(cam_from_world * centre)))
+}
+
+/// Depth of a point in a camera that shows it. Positions are rounded to f32: a point may fall off by a hair.
+fn depth_in((size, pose): &(Intrinsics, DAffine3), position: &[f32; 3]) -> Option<f64> {
+    let at = pose.transform_point3(Vec3::from(*position).as_dvec3());
+    let x = size.fx * at.x / at.z + size.cx;
+    let y = size.fy * at.y / at.z + size.cy;
+    let inside = |px: f64, side: usize| px > -1e-3 && px < side as f64 + 1e-3;
+    (at.z > 0.0 && inside(x, size.width) && inside(y, size.height)).then_some(at.z)
+}
+
+/// Asserts that every point is shown by a camera at a depth within `depths`, and returns the points.
+#[track_caller]
+fn assert_shown(cameras: &[(Intrinsics, DAffine3)], depths: [f64; 2]) -> PointCloud {
+    let points = random_points(cameras, 400, &mut rng(3));
+    assert_eq!((points.positions.len(), points.colours.len()), (400, 400));
+    for position in &points.positions {
+        let mut shown = cameras.iter().filter_map(|camera| depth_in(camera, position));
+        assert!(shown.any(|depth| depth >= depths[0] && depth <= depths[1]), "{position:?}");
+    }
+    points
+}
+
+#[test]
+fn random_points_lie_where_the_cameras_look() {
+    let target = DVec3::new(20.0, -3.0, 7.0);
+    let ring: Vec<_> = (0..8)
+        .map(|i| TAU * f64::from(i) / 8.0)
+        .map(|angle| DVec3::new(4.0 * angle.cos(), 1.0, 4.0 * angle.sin()))
+        .map(|offset| camera(target + offset, -offset))
+        .collect();
+    let distance = 17f64.sqrt();
+    let points = assert_shown(&ring, [0.499 * distance, 1.501 * distance]);
+    let mean = points.positions.iter().map(|&p| Vec3::from(p).as_dvec3()).sum::<DVec3>() / 400.0;
+    assert!((mean - target).length() < 1.0, "{mean}");
+    assert_eq!(points, random_points(&ring, 400, &mut rng(3)));
+    assert_ne!(points, random_points(&ring, 400, &mut rng(4)));
+    assert_eq!(random_points(&ring, 0, &mut rng(3)), PointCloud::default());
+    assert_eq!(random_points(&[], 400, &mut rng(3)), PointCloud::default());
+}
+
+#[test]
+fn cameras_without_a_common_focus_get_points_all_the_same() {
+    let (forward, aside) = (DVec3::new(0.3, 0.1, 1.0), DVec3::new(1.0, 0.0, -0.3));
+    assert_shown(&[camera(DVec3::splat(9.0), forward)], [0.499, 1.501]);
+    let parallel: Vec<_> = (0..5).map(|i| camera(aside * f64::from(i), forward)).collect();
+    assert_shown(&parallel, [0.4, 6.0]);
+    let facing = [camera(DVec3::Z * -5.0, DVec3::Z), camera(DVec3::Z * 5.0, -DVec3::Z)];
+    assert_shown(&facing, [2.4, 7.6]);
+}
+
+#[test]
+fn a_panorama_gets_points_around_it() {
+    // All axes meet in the cameras themselves, where nothing can be seen.
+    let centre = DVec3::new(2.0, -1.0, 0.5);
+    let around = |i: i32| TAU * f64::from(i) / 6.0;
+    let cameras: Vec<_> = (0..6).map(|i| camera(centre, DVec3::new(around(i).cos(), 0.2, around(i).sin()))).collect();
+    assert_shown(&cameras, [0.499, 1.501]);
+}

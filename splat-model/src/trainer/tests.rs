@@ -1,0 +1,191 @@
+use std::cell::RefCell;
+use std::rc::Rc;
+
+use super::testing::{HEIGHT, WIDTH, photos, points};
+use super::*;
+use crate::gaussians::{GaussianRows, values_of};
+
+/// Rates for a run of a few dozen steps; the default ones are for thousands.
+fn config(steps: usize) -> TrainConfig {
+    let learning_rates =
+        LearningRates { sh_dc: 0.05, opacities: 0.1, scales: 0.02, rotations: 0.01, ..LearningRates::default() };
+    TrainConfig { steps, learning_rates, ..TrainConfig::default() }
+}
+
+/// A run in which everything happens: harmonics grow, Gaussians come and go, opacities are reset.
+fn eventful() -> TrainConfig {
+    let density = AdaptiveConfig {
+        every: 5,
+        from: 5,
+        until_share: 0.9,
+        grad_threshold: 1e-5,
+        reset_every: 14,
+        max_splats: 60,
+        ..AdaptiveConfig::default()
+    };
+    TrainConfig { sh_every: 6, density, ..config(24) }
+}
+
+fn trainer(config: TrainConfig) -> Trainer {
+    Trainer::new(photos(config.background), &points(), config, &Device::flex()).unwrap()
+}
+
+/// Trains what is left of a run. Losses by step, and the scene.
+fn run(mut trainer: Trainer) -> (Vec<f32>, GaussianRows) {
+    let mut losses = Vec::new();
+    while !trainer.is_done() {
+        let next = trainer.steps_done() + 1;
+        let report = trainer.step().unwrap();
+        assert_eq!((report.step, trainer.steps_done()), (next, next));
+        assert_eq!(report.splats, trainer.gaussians().len());
+        losses.push(report.loss.into_scalar::<f32>());
+    }
+    (losses, trainer.gaussians().to_rows())
+}
+
+#[test]
+fn eight_epochs_halve_the_loss() {
+    let (losses, _) = run(trainer(config(32)));
+    assert_eq!(losses.len(), 32);
+    let mean = |losses: &[f32]| losses.iter().sum::<f32>() / losses.len() as f32;
+    let (first, last) = (mean(&losses[..4]), mean(&losses[28..]));
+    assert!(last < 0.5 * first, "from {first} to {last}");
+}
+
+#[test]
+fn a_seed_decides_everything() {
+    let seeded = |seed| trainer(TrainConfig { seed, ..eventful() });
+    let (first, second) = (run(seeded(7)), run(seeded(7)));
+    assert_eq!(first, second);
+    assert_ne!(first.1, run(seeded(8)).1);
+    // The run was as eventful as it set out to be.
+    assert!(first.1.len() > 30 && first.1.len() <= 60 && first.1.sh_degree == 3, "{}", first.1.len());
+}
+
+#[test]
+fn random_points_come_from_the_seed_too() {
+    let seeded = |seed| {
+        let density = AdaptiveConfig { max_splats: 50, ..AdaptiveConfig::default() };
+        let config = TrainConfig { seed, density, ..config(2) };
+        Trainer::new(photos([0.0; 3]), &PointCloud::default(), config, &Device::flex()).unwrap()
+    };
+    assert_eq!(seeded(1).gaussians().len(), 50);
+    assert_ne!(seeded(1).gaussians().to_rows(), seeded(2).gaussians().to_rows());
+    assert_eq!(run(seeded(1)), run(seeded(1)));
+}
+
+#[test]
+fn every_epoch_visits_every_view_once() {
+    let mut trainer = trainer(config(40));
+    let visited: Vec<String> = (0..40).map(|_| trainer.step().unwrap().view).collect();
+    let mut orders = std::collections::BTreeSet::new();
+    for epoch in visited.chunks(4) {
+        let mut sorted = epoch.to_vec();
+        sorted.sort();
+        assert_eq!(sorted, ["a", "b", "c", "d"]);
+        orders.insert(epoch.to_vec());
+    }
+    assert!(orders.len() > 3, "{} orders in ten epochs", orders.len());
+}
+
+#[test]
+fn a_loss_of_the_callers_is_what_is_minimised() {
+    let seen_views = Rc::new(RefCell::new(Vec::new()));
+    let record = seen_views.clone();
+    let loss = move |seen: &Seen| {
+        assert_eq!(seen.image.dims(), [HEIGHT, WIDTH, 3]);
+        assert_eq!(seen.alpha.dims(), [HEIGHT, WIDTH, 1]);
+        assert_eq!(seen.truth.image().dims(), [HEIGHT, WIDTH, 3]);
+        record.borrow_mut().push((seen.step, seen.view.to_string()));
+        seen.splats.opacities.clone().mean()
+    };
+    let mut trainer = trainer(config(3)).with_loss(loss);
+    let before = trainer.gaussians().to_rows();
+    let reports: Vec<StepReport> = (0..3).map(|_| trainer.step().unwrap()).collect();
+    let losses: Vec<f32> = reports.iter().map(|report| report.loss.clone().into_scalar()).collect();
+    assert!((losses[0] - init::START_OPACITY).abs() < 1e-6, "{losses:?}");
+    assert!(losses[2] < losses[1] && losses[1] < losses[0], "{losses:?}");
+    // Nothing but opacities was asked for, so nothing else moves.
+    let after = trainer.gaussians().to_rows();
+    assert_eq!(GaussianRows { logit_opacities: before.logit_opacities.clone(), ..after }, before);
+    let expected: Vec<_> = reports.into_iter().map(|report| (report.step, report.view)).collect();
+    assert_eq!(*seen_views.borrow(), expected);
+}
+
+#[test]
+fn what_cannot_start_says_what_to_do() {
+    let fails = |photos: Vec<Photo>, config: TrainConfig, parts: &[&str]| {
+        let error = Trainer::new(photos, &points(), config, &Device::flex()).err().expect("an error").to_string();
+        assert!(parts.iter().all(|part| error.contains(part)), "{error}");
+    };
+    fails(photos([0.0; 3]), config(0), &["`steps` is 0", "--steps N"]);
+    fails(vec![], config(1), &["no photographs", "--eval-every"]);
+    fails(photos([0.0; 3]), TrainConfig { sh_degree: 5, ..config(1) }, &["`sh_degree` is 5", "0 to 4"]);
+}
+
+#[test]
+fn the_cache_changes_no_result() {
+    let cached = |cache_mib| {
+        let mut trainer = trainer(TrainConfig { cache_mib, ..eventful() });
+        (0..4).for_each(|_| drop(trainer.step().unwrap()));
+        let kept = trainer.views.iter().filter(|view| view.truth.is_some()).count();
+        (kept, run(self::trainer(TrainConfig { cache_mib, ..eventful() })))
+    };
+    let ((kept_none, without), (kept_all, with)) = (cached(0), cached(512));
+    assert_eq!((kept_none, kept_all), (0, 4));
+    assert_eq!(without, with);
+}
+
+#[test]
+fn the_cache_stops_when_it_is_full() {
+    let mut trainer = trainer(config(8));
+    // Room for two photographs and a half.
+    trainer.cache_left = 5 * (3 * size_of::<f32>() * WIDTH * HEIGHT * 3) / 2;
+    (0..8).for_each(|_| drop(trainer.step().unwrap()));
+    assert_eq!(trainer.views.iter().filter(|view| view.truth.is_some()).count(), 2);
+}
+
+#[test]
+fn alpha_shows_the_background_and_so_does_the_scene() {
+    let background = [0.2, 0.5, 0.9];
+    let mut photo = photos([0.0; 3]).remove(0);
+    let alpha: Vec<u8> = (0..WIDTH * HEIGHT).map(|i| (i % 256) as u8).collect();
+    let over = |(i, byte): (usize, &u8)| {
+        let alpha = f32::from(alpha[i / 3]) / 255.0;
+        f32::from(*byte) / 255.0 * alpha + background[i % 3] * (1.0 - alpha)
+    };
+    let expected: Vec<f32> = photo.rgb.iter().enumerate().map(over).collect();
+    photo.alpha = Some(alpha.clone());
+    let loss = move |seen: &Seen| {
+        let truth = values_of(seen.truth.image());
+        assert!(truth.iter().zip(&expected).all(|(found, expected)| (found - expected).abs() < 1e-6));
+        // Nothing is in the corner of the picture.
+        let corner = &values_of(seen.image.clone())[..3];
+        assert!(values_of(seen.alpha.clone())[0] == 0.0 && corner == background, "{corner:?}");
+        seen.image.clone().mean()
+    };
+    let config = TrainConfig { background, ..config(1) };
+    let points = PointCloud { positions: vec![[0.0; 3], [0.01; 3]], colours: vec![[128; 3]; 2] };
+    let trainer = Trainer::new(vec![photo], &points, config, &Device::flex()).unwrap();
+    run(trainer.with_loss(loss));
+}
+
+#[test]
+fn harmonics_grow_by_the_calendar() {
+    let mut trainer = trainer(TrainConfig { sh_every: 2, sh_degree: 2, ..config(7) });
+    let mut degree = || {
+        trainer.step().unwrap();
+        trainer.gaussians().sh_degree()
+    };
+    assert_eq!(std::array::from_fn::<usize, 7, _>(|_| degree()), [0, 0, 1, 1, 2, 2, 2]);
+}
+
+#[test]
+fn a_scene_that_loses_all_its_gaussians_trains_on() {
+    let density = AdaptiveConfig { prune_opacity: 2.0, ..eventful().density };
+    let mut trainer = trainer(TrainConfig { density, ..eventful() });
+    let counts: Vec<usize> = (0..6).map(|_| trainer.step().unwrap().splats).collect();
+    assert_eq!(counts, [30, 30, 30, 30, 0, 0]);
+    let (losses, rows) = run(trainer);
+    assert!(rows.is_empty() && losses.iter().all(|loss| loss.is_finite()), "{losses:?}");
+}

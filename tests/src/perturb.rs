@@ -1,0 +1,79 @@
+//! What one f32 ulp in every input does to a result: the unit in which f32 errors are judged.
+
+use burn::tensor::{DType, Device};
+use splat_op::{Intrinsics, RenderOptions};
+
+use crate::random::Random;
+use crate::scene::{Evaluation, Named, Scene, Weights, evaluate};
+
+/// Random directions in which the inputs are moved. The largest change of several draws is a lower estimate of what an
+/// ulp can do.
+const DRAWS: u64 = 8;
+
+fn map_scene(scene: &Scene, mut map: impl FnMut(f64) -> f64) -> Scene {
+    let mut all = |values: &[f64]| values.iter().map(|v| map(*v)).collect::<Vec<f64>>();
+    let (means, quats, scales) = (all(&scene.means), all(&scene.quats), all(&scene.scales));
+    let (opacities, sh) = (all(&scene.opacities), all(&scene.sh));
+    let (background, pose) = (all(&scene.background), all(&scene.pose));
+    let camera = &scene.intrinsics;
+    let lens = all(&[camera.fx, camera.fy, camera.cx, camera.cy]);
+    let intrinsics = Intrinsics { fx: lens[0], fy: lens[1], cx: lens[2], cy: lens[3], ..*camera };
+    Scene { means, quats, scales, opacities, sh, background, pose, intrinsics }
+}
+
+fn map_weights(weights: &Weights, mut map: impl FnMut(f64) -> f64) -> Weights {
+    let mut all = |values: &[f64]| values.iter().map(|v| map(*v)).collect::<Vec<f64>>();
+    Weights { image: all(&weights.image), alpha: all(&weights.alpha), depth: all(&weights.depth) }
+}
+
+fn round(value: f64) -> f64 {
+    f64::from(value as f32)
+}
+
+/// The scene, weights and options that an f32 render really sees.
+pub fn rounded(scene: &Scene, weights: &Weights, options: &RenderOptions) -> (Scene, Weights, RenderOptions) {
+    let options = RenderOptions {
+        blur: round(options.blur),
+        near: round(options.near),
+        alpha_min: round(options.alpha_min),
+        alpha_max: round(options.alpha_max),
+        transmittance_min: round(options.transmittance_min),
+        ..*options
+    };
+    (map_scene(scene, round), map_weights(weights, round), options)
+}
+
+/// For every element of an evaluation, the largest change of the f64 result over several draws in which every input
+/// moves by one f32 ulp up or down. Inputs must be rounded already.
+pub fn ulp_spread(
+    scene: &Scene,
+    weights: &Weights,
+    options: &RenderOptions,
+    device: &Device,
+    plain: &Evaluation,
+) -> Evaluation {
+    let mut spread = plain.clone();
+    each(&mut spread).for_each(|tensor| tensor.values.fill(0.0));
+    for draw in 0..DRAWS {
+        let mut random = Random::new(draw);
+        let mut move_one = |value: f64| {
+            let value = value as f32;
+            f64::from(if random.between(0.0, 1.0) < 0.5 { value.next_up() } else { value.next_down() })
+        };
+        let scene = map_scene(scene, &mut move_one);
+        // A weight of zero masks a pixel; it stays zero.
+        let weights = map_weights(weights, |w| if w == 0.0 { 0.0 } else { move_one(w) });
+        let mut moved = evaluate(&scene, &weights, options, device, DType::F64);
+        let mut plain = plain.clone();
+        for ((spread, moved), plain) in each(&mut spread).zip(each(&mut moved)).zip(each(&mut plain)) {
+            for ((spread, moved), plain) in spread.values.iter_mut().zip(&moved.values).zip(&plain.values) {
+                *spread = spread.max((moved - plain).abs());
+            }
+        }
+    }
+    spread
+}
+
+fn each(evaluation: &mut Evaluation) -> impl Iterator<Item = &mut Named> {
+    evaluation.stages.iter_mut().chain(&mut evaluation.pictures).chain(&mut evaluation.gradients)
+}

@@ -1,0 +1,119 @@
+//! Reads the reference vectors: float64 renders and gradients made by other people's code.
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use safetensors::{Dtype, SafeTensors};
+use serde_json::Value;
+use splat_op::{CameraModel, Intrinsics, RenderOptions};
+
+use crate::scene::{Evaluation, Named, Scene, Weights};
+
+/// One file.
+pub struct Vector {
+    pub name: String,
+    pub scene: Scene,
+    pub weights: Weights,
+    pub options: RenderOptions,
+    pub expected: Evaluation,
+}
+
+/// Writes a line that the test harness does not hide, so that what was skipped or measured is seen.
+pub fn announce(line: &str) {
+    // A test must not fail because nobody reads its log.
+    let _ = writeln!(std::io::stderr(), "{line}");
+}
+
+/// All vectors that name a camera we have; `None` if there is no folder and none is required.
+///
+/// # Panics
+/// If the folder holds no vector, or is missing where CI must have it.
+pub fn read_vectors() -> Option<Vec<Vector>> {
+    let folder = match std::env::var_os("SPLAT_REFERENCE_DIR") {
+        Some(folder) => PathBuf::from(folder),
+        None => PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../shared/reference")),
+    };
+    if !folder.is_dir() {
+        let line = format!("no reference vectors: {} is not a folder; set SPLAT_REFERENCE_DIR", folder.display());
+        assert!(std::env::var_os("CI").is_none(), "{line}");
+        announce(&format!("SKIPPED: {line}"));
+        return None;
+    }
+    let entries = folder.read_dir().expect("a readable folder").map(|entry| entry.expect("a readable entry").path());
+    let mut files: Vec<PathBuf> = entries.filter(|path| path.extension().is_some_and(|e| e == "safetensors")).collect();
+    files.sort();
+    assert!(!files.is_empty(), "no .safetensors file in {}", folder.display());
+    Some(files.iter().filter_map(|file| read_vector(file)).collect())
+}
+
+/// `None`, with a line, for a camera that we do not have.
+fn read_vector(path: &Path) -> Option<Vector> {
+    let name = path.file_stem().expect("found by its extension").to_string_lossy().into_owned();
+    let bytes = std::fs::read(path).unwrap_or_else(|error| panic!("{name}: {error}"));
+    let (_, header) = SafeTensors::read_metadata(&bytes).unwrap_or_else(|error| panic!("{name}: {error}"));
+    let metadata = header.metadata().as_ref().unwrap_or_else(|| panic!("{name}: no metadata"));
+    let params: Value = serde_json::from_str(&metadata["params"]).unwrap_or_else(|error| panic!("{name}: {error}"));
+    let camera = params["camera"].as_str().unwrap_or_else(|| panic!("{name}: no camera"));
+    if camera != "pinhole" {
+        announce(&format!("SKIPPED: {name}: camera `{camera}` is not supported"));
+        return None;
+    }
+    let file = SafeTensors::deserialize(&bytes).unwrap_or_else(|error| panic!("{name}: {error}"));
+    let values = |key: &str| -> Vec<f64> {
+        let view = file.tensor(key).unwrap_or_else(|error| panic!("{name}: {key}: {error}"));
+        assert_eq!(view.dtype(), Dtype::F64, "{name}: {key}");
+        view.data().chunks_exact(8).map(|b| f64::from_le_bytes(b.try_into().expect("eight bytes"))).collect()
+    };
+    let number = |key: &str| params[key].as_f64().unwrap_or_else(|| panic!("{name}: no `{key}`"));
+    let k = values("K");
+    let intrinsics = Intrinsics {
+        model: CameraModel::Pinhole,
+        width: number("width") as usize,
+        height: number("height") as usize,
+        fx: k[0],
+        fy: k[4],
+        cx: k[2],
+        cy: k[5],
+    };
+    let scene = Scene {
+        means: values("means"),
+        quats: values("quats"),
+        scales: values("scales"),
+        opacities: values("opacities"),
+        sh: values("sh"),
+        background: values("background"),
+        pose: values("viewmat")[..12].to_vec(),
+        intrinsics,
+    };
+    let options = RenderOptions {
+        blur: number("eps2d"),
+        near: number("near"),
+        jacobian_margin: 0.3,
+        antialias: params["antialias"].as_bool().unwrap_or_else(|| panic!("{name}: no `antialias`")),
+        alpha_min: number("alpha_min"),
+        alpha_max: number("alpha_max"),
+        transmittance_min: number("t_min"),
+        depth: true,
+    };
+    let degree = number("sh_degree") as usize;
+    assert_eq!(scene.coefficients(), (degree + 1) * (degree + 1), "{name}: SH coefficients");
+    let named = |name, columns| Named { name, columns, values: values(name) };
+    // The last row of a pose is no parameter of ours.
+    let pose = Named { name: "g_viewmat", columns: 4, values: values("g_viewmat")[..12].to_vec() };
+    let expected = Evaluation {
+        stages: vec![named("out_means2d", 2), named("out_depths", 1), named("out_conics", 3), named("out_colors", 3)],
+        pictures: vec![named("out_image", 3), named("out_alpha", 1), named("out_depth", 1)],
+        gradients: vec![
+            named("g_means", 3),
+            named("g_quats", 4),
+            named("g_scales", 3),
+            named("g_opacities", 1),
+            named("g_sh", 3 * scene.coefficients()),
+            named("g_means2d", 2),
+            pose,
+            named("g_background", 3),
+        ],
+    };
+    let weights = Weights { image: values("w_image"), alpha: values("w_alpha"), depth: values("w_depth") };
+    Some(Vector { name, scene, weights, options, expected })
+}

@@ -1,0 +1,184 @@
+//! The composed operation against Burn's own autodiff of a dense tensor formulation, in f64 on Flex.
+
+use burn::tensor::{DType, Device, Gradients, Tensor};
+use splat_op::{Ellipses, Extras, Intrinsics, RenderOptions, Splats, blend, project, render, tile};
+use splat_tests::compare::relative_error;
+use splat_tests::dense::{self, DenseEllipses};
+use splat_tests::random::Random;
+use splat_tests::scene::{Scene, Tensors, host, tensor};
+
+/// Both sides compute in f64; they differ by rounding only.
+const TOLERANCE: f64 = 1e-11;
+
+const CAMERA: Intrinsics =
+    Intrinsics { model: splat_op::CameraModel::Pinhole, width: 20, height: 13, fx: 17.0, fy: 19.0, cx: 8.5, cy: 7.25 };
+
+fn options(antialias: bool) -> RenderOptions {
+    let smooth = RenderOptions { alpha_min: 0.0, transmittance_min: 0.0, alpha_max: 0.9, ..RenderOptions::exact() };
+    smooth.with_depth(true).with_antialias(antialias)
+}
+
+/// A scene with Gaussians inside, at the border and beyond the Jacobian's limits, some of them opaque, some tiny.
+fn scene(seed: u64) -> Scene {
+    let mut random = Random::new(seed);
+    let mut scene = Scene::random(&mut random, 12, 2, CAMERA);
+    scene.opacities[0] = 1.0;
+    scene.opacities[5] = 0.97;
+    scene.means[3] = 4.0;
+    scene.means[7] = -5.0;
+    scene.scales[3..6].fill(2.0);
+    scene.scales[6..9].fill(1.5);
+    // Far below a pixel: where the render is anti-aliased, the compensation's floor holds.
+    scene.scales[9..12].fill(1e-4);
+    scene
+}
+
+fn assert_same(what: &str, found: &[f64], expected: &[f64]) {
+    let error = relative_error(found, expected);
+    assert!(error <= TOLERANCE, "{what}: relative error {error:.3e}");
+    assert!(expected.iter().any(|e| *e != 0.0), "{what}: all zero, which proves nothing");
+}
+
+struct Pictures {
+    colour: Vec<f64>,
+    alpha: Vec<f64>,
+    depth: Vec<f64>,
+}
+
+/// Values of a picture, and the loss `Σ w·out` with the same random weights on both sides.
+fn loss<const D: usize>(colour: Tensor<D>, alpha: Tensor<D>, depth: Tensor<D>) -> (Tensor<1>, Pictures) {
+    let mut random = Random::new(99);
+    let mut weighted = |t: &Tensor<D>| {
+        let shape = t.dims();
+        let weights = random.fill(shape.iter().product(), -1.0, 1.0);
+        (t.clone() * tensor(&weights, shape, &t.device(), DType::F64)).sum()
+    };
+    let sum = weighted(&colour) + weighted(&alpha) + weighted(&depth);
+    (sum, Pictures { colour: host(colour), alpha: host(alpha), depth: host(depth) })
+}
+
+/// Gradients of the leaves of a scene, by name. A leaf that the loss does not depend on has none.
+fn gradients(leaves: &Tensors, grads: &Gradients) -> Vec<(&'static str, Vec<f64>)> {
+    let Splats { means, rotations, scales, opacities, .. } = &leaves.splats;
+    vec![
+        ("means", host(means.grad(grads).expect("tracked"))),
+        ("rotations", host(rotations.grad(grads).expect("tracked"))),
+        ("scales", host(scales.grad(grads).expect("tracked"))),
+        ("opacities", host(opacities.grad(grads).expect("tracked"))),
+        ("pose", host(leaves.camera.cam_from_world.grad(grads).expect("tracked"))),
+    ]
+}
+
+fn assert_same_gradients(what: &str, [ours, theirs]: [(&Tensors, &Gradients); 2]) {
+    for ((name, found), (_, expected)) in gradients(ours.0, ours.1).iter().zip(gradients(theirs.0, theirs.1)) {
+        assert_same(&format!("{what}: gradient of {name}"), found, &expected);
+    }
+}
+
+fn assert_same_pictures(what: &str, found: &Pictures, expected: &Pictures) {
+    assert_same(&format!("{what}: colour"), &found.colour, &expected.colour);
+    assert_same(&format!("{what}: alpha"), &found.alpha, &expected.alpha);
+    assert_same(&format!("{what}: depth"), &found.depth, &expected.depth);
+}
+
+fn dense_ellipses(leaves: &Tensors, options: &RenderOptions) -> DenseEllipses {
+    let s = &leaves.splats;
+    let geometry = [&s.means, &s.rotations, &s.scales];
+    dense::project(geometry, &s.opacities, &leaves.camera.cam_from_world, &CAMERA, options)
+}
+
+fn flat(t: Tensor<3>) -> Tensor<2> {
+    let channels = t.dims()[2];
+    t.reshape([CAMERA.width * CAMERA.height, channels])
+}
+
+#[test]
+fn render_agrees_with_autodiff_of_the_dense_formulation() {
+    let device = Device::flex().autodiff();
+    for (seed, antialias) in [(1, false), (2, true), (3, false), (4, true)] {
+        let (what, scene, options) = (format!("seed {seed}"), scene(seed), options(antialias));
+
+        let ours = scene.tensors(&device, DType::F64);
+        let extras = Extras { background: Some(ours.background.clone()), ..Extras::default() };
+        let out = render(&ours.splats, std::slice::from_ref(&ours.camera), &extras, &options).expect("a valid scene");
+        let only = |t: Tensor<4>| flat(t.squeeze_dim(0));
+        let (sum, found) = loss(only(out.colour), only(out.alpha), only(out.depth.expect("asked for")));
+        let our_grads = sum.backward();
+
+        let theirs = scene.tensors(&device, DType::F64);
+        let colours = dense::shade(&theirs.sh, &theirs.splats.means, &theirs.camera.cam_from_world);
+        let ellipses = dense_ellipses(&theirs, &options);
+        let out = dense::blend(&ellipses, &colours, &theirs.background, &CAMERA, options.alpha_max);
+        let (sum, expected) = loss(out.colour, out.alpha.unsqueeze_dim(1), out.depth.unsqueeze_dim(1));
+        let their_grads = sum.backward();
+
+        assert_same_pictures(&what, &found, &expected);
+        assert_same_gradients(&what, [(&ours, &our_grads), (&theirs, &their_grads)]);
+        let of = |leaves: &Tensors, grads| host(leaves.sh.grad(grads).expect("tracked"));
+        assert_same(&format!("{what}: gradient of sh"), &of(&ours, &our_grads), &of(&theirs, &their_grads));
+        let of = |leaves: &Tensors, grads| host(leaves.background.grad(grads).expect("tracked"));
+        assert_same(&format!("{what}: gradient of background"), &of(&ours, &our_grads), &of(&theirs, &their_grads));
+    }
+}
+
+/// Tensor code between the stages, the same for both sides: every column changes, by itself, by another column, and by a
+/// leaf `gain` of the user's own.
+fn edit(
+    sigma_u: Tensor<1>,
+    shear: Tensor<1>,
+    sigma_v: Tensor<1>,
+    depth: &Tensor<1>,
+    gain: &Tensor<1>,
+) -> [Tensor<1>; 3] {
+    let defocus = (depth.clone() - 3.0).square() * gain.clone();
+    let wide_u = (sigma_u.square() + defocus.clone()).sqrt();
+    [wide_u.clone(), shear * 0.7 + (wide_u * 0.3).sin() * 0.2, (sigma_v.square() + defocus).sqrt() * 1.1]
+}
+
+#[test]
+fn tensor_code_between_stages_and_any_features_agree_with_the_dense_formulation() {
+    let device = Device::flex().autodiff();
+    let options = options(false);
+    for channels in [1, 3, 5, 64] {
+        let (what, scene) = (format!("{channels} channels"), scene(10 + channels as u64));
+        let mut random = Random::new(channels as u64);
+        let (features, background) = (random.fill(12 * channels, -1.0, 1.0), random.fill(channels, -1.0, 1.0));
+        let gain = random.fill(12, 0.1, 0.6);
+        let own_leaves = || {
+            let features: Tensor<2> = tensor(&features, [12, channels], &device, DType::F64);
+            let background: Tensor<1> = tensor(&background, [channels], &device, DType::F64);
+            let gain: Tensor<1> = tensor(&gain, [12], &device, DType::F64);
+            (features.require_grad(), background.require_grad(), gain.require_grad())
+        };
+
+        let (ours, our_own) = (scene.tensors(&device, DType::F64), own_leaves());
+        let mut ellipses = project(&ours.splats, &ours.camera, None, &options).expect("a valid scene").ellipses();
+        let Ellipses { sigma_u, shear, sigma_v, depth, .. } = ellipses.clone();
+        [ellipses.sigma_u, ellipses.shear, ellipses.sigma_v] = edit(sigma_u, shear, sigma_v, &depth, &our_own.2);
+        let projected = ellipses.pack(&CAMERA).expect("columns of one length");
+        let tiles = tile(&projected, &options).expect("valid options");
+        let extras = Extras { background: Some(our_own.1.clone()), ..Extras::default() };
+        let out = blend(&projected, &our_own.0, &tiles, &extras, &options).expect("valid features");
+        let (sum, found) = loss(flat(out.colour), flat(out.alpha), flat(out.depth.expect("asked for")));
+        let our_grads = sum.backward();
+
+        let (theirs, their_own) = (scene.tensors(&device, DType::F64), own_leaves());
+        let mut ellipses = dense_ellipses(&theirs, &options);
+        let DenseEllipses { sigma_u, shear, sigma_v, depth, .. } = ellipses.clone();
+        [ellipses.sigma_u, ellipses.shear, ellipses.sigma_v] = edit(sigma_u, shear, sigma_v, &depth, &their_own.2);
+        let out = dense::blend(&ellipses, &their_own.0, &their_own.1, &CAMERA, options.alpha_max);
+        let (sum, expected) = loss(out.colour, out.alpha.unsqueeze_dim(1), out.depth.unsqueeze_dim(1));
+        let their_grads = sum.backward();
+
+        assert_same_pictures(&what, &found, &expected);
+        assert_same_gradients(&what, [(&ours, &our_grads), (&theirs, &their_grads)]);
+        let of = |own: &(Tensor<2>, Tensor<1>, Tensor<1>), grads| {
+            let features = host(own.0.grad(grads).expect("tracked"));
+            let (background, gain) = (own.1.grad(grads).expect("tracked"), own.2.grad(grads).expect("tracked"));
+            [("features", features), ("background", host(background)), ("gain", host(gain))]
+        };
+        for ((name, found), (_, expected)) in of(&our_own, &our_grads).iter().zip(of(&their_own, &their_grads)) {
+            assert_same(&format!("{what}: gradient of {name}"), found, &expected);
+        }
+    }
+}

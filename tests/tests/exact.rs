@@ -1,0 +1,65 @@
+//! The CPU operation against the exact renderer, with every numerical dial off.
+
+use burn::tensor::{DType, Device};
+use glam::{DMat3, DVec3};
+use splat_op::exact::{ExactGaussian, ExactPose, render_exact};
+use splat_op::{CameraModel, Extras, Intrinsics, RenderOptions, render, shade};
+use splat_tests::compare::relative_error;
+use splat_tests::devices;
+use splat_tests::random::Random;
+use splat_tests::scene::{Scene, Tensors, host};
+
+const CAMERA: Intrinsics =
+    Intrinsics { model: CameraModel::Pinhole, width: 41, height: 27, fx: 33.0, fy: 37.0, cx: 19.0, cy: 14.5 };
+
+/// Both sides compute in f64, by different formulas.
+const TOLERANCE: f64 = 1e-10;
+
+#[test]
+fn the_cpu_operation_agrees_with_the_exact_renderer() {
+    for (seed, antialias) in [(1, false), (2, true)] {
+        let mut random = Random::new(seed);
+        let mut scene = Scene::random(&mut random, 80, 1, CAMERA);
+        // One behind the camera, one beyond the Jacobian's limits, one far below a pixel.
+        scene.means[2] = -1.0;
+        scene.means[3] = 9.0;
+        scene.scales[6..9].fill(1e-4);
+        let off = RenderOptions { alpha_min: 0.0, transmittance_min: 0.0, alpha_max: 1.0, ..RenderOptions::exact() };
+        let options = off.with_depth(true).with_antialias(antialias);
+
+        let tensors = scene.tensors(&Device::flex(), DType::F64);
+        let colours = host(shade(&tensors.sh, &tensors.splats.means, &tensors.camera).expect("a valid scene"));
+        let gaussians: Vec<ExactGaussian> = (0..scene.count()).map(|i| exact_gaussian(&scene, &colours, i)).collect();
+        let p = &scene.pose;
+        let rows = [[p[0], p[1], p[2]], [p[4], p[5], p[6]], [p[8], p[9], p[10]]];
+        let pose = ExactPose {
+            rotation: DMat3::from_cols_array_2d(&rows).transpose(),
+            translation: DVec3::new(p[3], p[7], p[11]),
+        };
+        let expected = render_exact(&gaussians, &pose, &CAMERA, &scene.background, &options);
+
+        for (name, device) in devices() {
+            let Tensors { splats, camera, background, .. } = scene.tensors(&device, DType::F64);
+            let extras = Extras { background: Some(background), ..Extras::default() };
+            let out = render(&splats, &[camera], &extras, &options).expect("a valid scene");
+            let colour: Vec<f64> = expected.iter().flat_map(|pixel| pixel.features.clone()).collect();
+            let alpha: Vec<f64> = expected.iter().map(|pixel| pixel.alpha).collect();
+            let depth: Vec<f64> = expected.iter().map(|pixel| pixel.depth).collect();
+            let found = [host(out.colour), host(out.alpha), host(out.depth.expect("asked for"))];
+            for (found, expected) in found.iter().zip([colour, alpha, depth]) {
+                let error = relative_error(found, &expected);
+                assert!(error <= TOLERANCE, "{name}, antialias {antialias}: {error:.3e}");
+            }
+        }
+    }
+}
+
+fn exact_gaussian(scene: &Scene, colours: &[f64], i: usize) -> ExactGaussian {
+    ExactGaussian {
+        mean: DVec3::from_slice(&scene.means[3 * i..]),
+        rotation: std::array::from_fn(|k| scene.quats[4 * i + k]),
+        scale: DVec3::from_slice(&scene.scales[3 * i..]),
+        opacity: scene.opacities[i],
+        features: colours[3 * i..3 * i + 3].to_vec(),
+    }
+}

@@ -1,0 +1,270 @@
+//! What must hold for every scene.
+
+use burn::tensor::{DType, Device, Tensor};
+use proptest::prelude::*;
+use splat_op::{Camera, Extras, Intrinsics, RenderOptions, Rendered, Splats, render};
+use splat_tests::compare::relative_error;
+use splat_tests::devices;
+use splat_tests::random::Random;
+use splat_tests::scene::{Evaluation, Scene, Tensors, Weights, evaluate, host, tensor};
+
+const CAMERA: Intrinsics =
+    Intrinsics { model: splat_op::CameraModel::Pinhole, width: 33, height: 21, fx: 27.0, fy: 30.0, cx: 15.0, cy: 11.5 };
+
+const OPTIONS: RenderOptions = RenderOptions::standard().with_depth(true);
+
+fn picture(scene: &Scene, options: &RenderOptions, dtype: DType) -> [Vec<f64>; 3] {
+    let Tensors { splats, camera, background, .. } = scene.tensors(&Device::flex(), dtype);
+    let extras = Extras { background: Some(background), ..Extras::default() };
+    values(render(&splats, &[camera], &extras, options).expect("a valid scene"))
+}
+
+fn values(out: Rendered) -> [Vec<f64>; 3] {
+    [host(out.colour), host(out.alpha), host(out.depth.expect("asked for"))]
+}
+
+fn reorder(values: &[f64], order: &[usize]) -> Vec<f64> {
+    let columns = values.len() / order.len();
+    order.iter().flat_map(|&i| values[i * columns..(i + 1) * columns].to_vec()).collect()
+}
+
+/// The rotation matrix of a unit quaternion wxyz, row by row.
+fn rotation([w, x, y, z]: [f64; 4]) -> [[f64; 3]; 3] {
+    [
+        [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
+        [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)],
+        [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)],
+    ]
+}
+
+fn quaternion_product(a: [f64; 4], b: &[f64]) -> [f64; 4] {
+    [
+        a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
+        a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2],
+        a[0] * b[2] - a[1] * b[3] + a[2] * b[0] + a[3] * b[1],
+        a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0],
+    ]
+}
+
+/// World and camera moved together by a rotation (unit quaternion) and a translation.
+fn moved(scene: &Scene, turn: [f64; 4], shift: [f64; 3]) -> Scene {
+    let r = rotation(turn);
+    let mut out = scene.clone();
+    for mean in out.means.chunks_exact_mut(3) {
+        let turned = r.map(|row| row[0] * mean[0] + row[1] * mean[1] + row[2] * mean[2]);
+        (0..3).for_each(|i| mean[i] = turned[i] + shift[i]);
+    }
+    for quat in out.quats.chunks_exact_mut(4) {
+        quat.copy_from_slice(&quaternion_product(turn, quat));
+    }
+    // cam_from_world · world_from_moved, with x = Rᵀ (x' − shift)
+    for (row, old) in out.pose.chunks_exact_mut(4).zip(scene.pose.chunks_exact(4)) {
+        let turned = [0, 1, 2].map(|j| (0..3).map(|i| old[i] * r[j][i]).sum::<f64>());
+        row[..3].copy_from_slice(&turned);
+        row[3] = old[3] - (0..3).map(|j| turned[j] * shift[j]).sum::<f64>();
+    }
+    out
+}
+
+fn close(found: &[Vec<f64>; 3], expected: &[Vec<f64>; 3], tolerance: f64) -> Result<(), TestCaseError> {
+    for (found, expected) in found.iter().zip(expected) {
+        let error = relative_error(found, expected);
+        prop_assert!(error <= tolerance, "relative error {error:.3e}");
+    }
+    Ok(())
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 12, failure_persistence: None, ..ProptestConfig::default() })]
+
+    #[test]
+    fn the_order_of_splats_changes_no_bit(seed: u64, count in 1_usize..60) {
+        let mut random = Random::new(seed);
+        let scene = Scene::random(&mut random, count, 1, CAMERA);
+        let mut order: Vec<usize> = (0..count).collect();
+        (1..count).rev().for_each(|i| order.swap(i, random.between(0.0, i as f64 + 1.0) as usize));
+        let shuffled = Scene {
+            means: reorder(&scene.means, &order),
+            quats: reorder(&scene.quats, &order),
+            scales: reorder(&scene.scales, &order),
+            opacities: reorder(&scene.opacities, &order),
+            sh: reorder(&scene.sh, &order),
+            ..scene.clone()
+        };
+        for dtype in [DType::F32, DType::F64] {
+            prop_assert_eq!(picture(&scene, &OPTIONS, dtype), picture(&shuffled, &OPTIONS, dtype));
+        }
+    }
+
+    #[test]
+    fn moving_world_and_camera_together_changes_nothing(
+        seed: u64, turn in prop::array::uniform4(-1.0_f64..1.0), shift in prop::array::uniform3(-5.0_f64..5.0),
+    ) {
+        let length = turn.iter().map(|c| c * c).sum::<f64>().sqrt();
+        prop_assume!(length > 0.1);
+        let scene = Scene::random(&mut Random::new(seed), 30, 0, CAMERA);
+        // Without cuts: a pair within rounding of one would jump.
+        let smooth = RenderOptions { alpha_min: 0.0, transmittance_min: 0.0, ..OPTIONS };
+        let other = moved(&scene, turn.map(|c| c / length), shift);
+        close(&picture(&other, &smooth, DType::F64), &picture(&scene, &smooth, DType::F64), 1e-10)?;
+    }
+
+    #[test]
+    fn zero_opacity_shows_exactly_the_background(seed: u64) {
+        let mut scene = Scene::random(&mut Random::new(seed), 20, 1, CAMERA);
+        scene.opacities.fill(0.0);
+        for dtype in [DType::F32, DType::F64] {
+            let [colour, alpha, depth] = picture(&scene, &OPTIONS, dtype);
+            let background = host(tensor::<1>(&scene.background, [3], &Device::flex(), dtype));
+            prop_assert!(colour.chunks_exact(3).all(|pixel| pixel == background));
+            prop_assert!(alpha.iter().chain(&depth).all(|v| *v == 0.0));
+        }
+    }
+
+    #[test]
+    fn the_length_of_a_quaternion_does_not_matter(seed: u64, power in -60_i32..60, factor in 0.01_f64..100.0) {
+        let scene = Scene::random(&mut Random::new(seed), 20, 1, CAMERA);
+        let scaled = |by: f64| Scene { quats: scene.quats.iter().map(|q| q * by).collect(), ..scene.clone() };
+        let exact = scaled(2.0_f64.powi(power));
+        for dtype in [DType::F32, DType::F64] {
+            prop_assert_eq!(picture(&exact, &OPTIONS, dtype), picture(&scene, &OPTIONS, dtype));
+        }
+        let smooth = RenderOptions { alpha_min: 0.0, transmittance_min: 0.0, ..OPTIONS };
+        let original = picture(&scene, &smooth, DType::F64);
+        close(&picture(&scaled(factor), &smooth, DType::F64), &original, 1e-12)?;
+        // The opposite quaternion is the same rotation.
+        prop_assert_eq!(picture(&scaled(-1.0), &smooth, DType::F64), original);
+    }
+}
+
+#[test]
+fn one_thread_and_two_give_the_same_bits() {
+    // Several tasks in every stage.
+    let camera = Intrinsics { width: 90, height: 70, ..CAMERA };
+    let mut random = Random::new(1);
+    let mut scene = Scene::random(&mut random, 5000, 2, camera);
+    scene.scales.iter_mut().for_each(|s| *s *= 0.2);
+    let weights = Weights::random(&mut random, &camera);
+    for (name, device) in devices() {
+        for dtype in [DType::F32, DType::F64] {
+            let with = |threads: usize| {
+                let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a small pool");
+                pool.install(|| evaluate(&scene, &weights, &OPTIONS, &device, dtype))
+            };
+            let (one, two) = (with(1), with(2));
+            let all = |e: Evaluation| [e.stages, e.pictures, e.gradients].concat();
+            for (one, two) in all(one).iter().zip(all(two)) {
+                assert!(one.values == two.values, "{} differs on {name} in {dtype:?}", one.name);
+            }
+        }
+    }
+}
+
+/// The gradients of `means rotations scales opacities sh pose background probe abs_probe`, of which only those that
+/// `tracked` says are leaves.
+fn gradients_of(scene: &Scene, tracked: [bool; 9]) -> [Option<Vec<f64>>; 9] {
+    let (device, dtype, count) = (Device::flex().autodiff(), DType::F64, scene.count());
+    macro_rules! leaf {
+        ($index:literal, $values:expr, $shape:expr) => {{
+            let tensor = tensor($values, $shape, &device, dtype);
+            if tracked[$index] { tensor.require_grad() } else { tensor }
+        }};
+    }
+    let means: Tensor<2> = leaf!(0, &scene.means, [count, 3]);
+    let rotations: Tensor<2> = leaf!(1, &scene.quats, [count, 4]);
+    let scales: Tensor<2> = leaf!(2, &scene.scales, [count, 3]);
+    let opacities: Tensor<1> = leaf!(3, &scene.opacities, [count]);
+    let sh: Tensor<3> = leaf!(4, &scene.sh, [count, scene.coefficients(), 3]);
+    let pose: Tensor<2> = leaf!(5, &scene.pose, [3, 4]);
+    let background: Tensor<1> = leaf!(6, &scene.background, [3]);
+    let probe: Tensor<2> = leaf!(7, &vec![0.0; 2 * count], [count, 2]);
+    let abs_probe: Tensor<2> = leaf!(8, &vec![0.0; 2 * count], [count, 2]);
+    let splats = Splats {
+        means: means.clone(),
+        rotations: rotations.clone(),
+        scales: scales.clone(),
+        opacities: opacities.clone(),
+        colour: splat_op::Colour::SphericalHarmonics(sh.clone()),
+    };
+    let camera = Camera { intrinsics: scene.intrinsics, cam_from_world: pose.clone() };
+    let extras = Extras {
+        background: Some(background.clone()),
+        mean2d_probe: Some(probe.clone()),
+        mean2d_abs_probe: Some(abs_probe.clone()),
+    };
+    let out = render(&splats, &[camera], &extras, &OPTIONS).expect("a valid scene");
+    let mut random = Random::new(5);
+    let mut weighted = |t: Tensor<4>| {
+        let shape = t.dims();
+        let weights = random.fill(shape.iter().product(), -1.0, 1.0);
+        (t * tensor(&weights, shape, &device, dtype)).sum()
+    };
+    let loss = weighted(out.colour) + weighted(out.alpha) + weighted(out.depth.expect("asked for"));
+    let grads = loss.backward();
+    [
+        means.grad(&grads).map(host),
+        rotations.grad(&grads).map(host),
+        scales.grad(&grads).map(host),
+        opacities.grad(&grads).map(host),
+        sh.grad(&grads).map(host),
+        pose.grad(&grads).map(host),
+        background.grad(&grads).map(host),
+        probe.grad(&grads).map(host),
+        abs_probe.grad(&grads).map(host),
+    ]
+}
+
+#[test]
+fn untracked_inputs_have_no_gradient_and_do_not_change_the_others() {
+    let scene = Scene::random(&mut Random::new(3), 40, 2, CAMERA);
+    let all = gradients_of(&scene, [true; 9]);
+    assert!(all.iter().all(|g| g.as_ref().is_some_and(|g| g.iter().any(|v| *v != 0.0))), "every input matters");
+    for one in 0..9 {
+        for alone in [true, false] {
+            let tracked = std::array::from_fn(|i| (i == one) == alone);
+            let some = gradients_of(&scene, tracked);
+            for i in 0..9 {
+                let expected = if tracked[i] { all[i].as_ref() } else { None };
+                assert!(some[i].as_ref() == expected, "input {i}, tracked {tracked:?}");
+            }
+        }
+    }
+}
+
+#[test]
+fn several_cameras_in_one_call_are_separate_calls() {
+    let scene = Scene::random(&mut Random::new(4), 50, 2, CAMERA);
+    for (_, device) in devices() {
+        let device = device.autodiff();
+        let cameras = |first: &Camera| -> Vec<Camera> {
+            let other = |shift: f64| {
+                let mut pose = scene.pose.clone();
+                pose[3] += shift;
+                let cam_from_world = tensor(&pose, [3, 4], &device, DType::F32);
+                Camera { intrinsics: Intrinsics { fx: CAMERA.fx * (1.0 + shift), ..CAMERA }, cam_from_world }
+            };
+            vec![first.clone(), other(0.2), other(-0.3)]
+        };
+        let together = scene.tensors(&device, DType::F32);
+        let views = cameras(&together.camera);
+        let out = render(&together.splats, &views, &Extras::default(), &OPTIONS).expect("valid");
+        assert_eq!(out.colour.dims(), [3, CAMERA.height, CAMERA.width, 3]);
+        let grads = (out.colour.clone().sum() + out.alpha.clone().sum()).backward();
+        let gradient = host(together.splats.means.grad(&grads).expect("tracked"));
+
+        let mut sum = vec![0.0; gradient.len()];
+        let mut parts = [Vec::new(), Vec::new(), Vec::new()];
+        for view in 0..3 {
+            let alone = scene.tensors(&device, DType::F32);
+            let camera = cameras(&alone.camera).swap_remove(view);
+            let out = render(&alone.splats, &[camera], &Extras::default(), &OPTIONS).expect("valid");
+            let grads = (out.colour.clone().sum() + out.alpha.clone().sum()).backward();
+            let gradient = host(alone.splats.means.grad(&grads).expect("tracked"));
+            sum.iter_mut().zip(gradient).for_each(|(sum, g)| *sum += g);
+            parts.iter_mut().zip(values(out)).for_each(|(all, part)| all.extend(part));
+        }
+        assert!(values(out) == parts, "the pictures differ");
+        let error = relative_error(&gradient, &sum);
+        assert!(error <= 1e-6, "gradients add up to {error:.3e}");
+    }
+}

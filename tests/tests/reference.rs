@@ -1,0 +1,177 @@
+//! The operation against reference vectors made by other people's code, on every CPU device, in f64 and f32.
+
+use burn::tensor::{DType, Device};
+use splat_tests::band::boundary_band;
+use splat_tests::compare::{Finding, assert_all, keep_rows, largest, relative_error, row_errors, row_sizes, worst};
+use splat_tests::devices;
+use splat_tests::perturb::{rounded, ulp_spread};
+use splat_tests::reference::{Vector, announce, read_vectors};
+use splat_tests::scene::{Evaluation, Named, Weights, evaluate};
+
+/// In f64, relative to the largest element of the tensor, and for each row relative to its own length.
+const F64_TOLERANCE: f64 = 1e-9;
+
+/// In f32, multiples of what one ulp in every input does.
+const ULP_FACTOR: f64 = 16.0;
+/// In f32, added to that, relative to the largest element of the tensor.
+const F32_FLOOR: f64 = 1e-6;
+/// In f32, relative error of a gradient's row, and the share of rows that may exceed it.
+const F32_ROW_TOLERANCE: f64 = 1e-3;
+const F32_ROW_EXCEPTIONS: f64 = 1e-3;
+/// Share of rows that may be too ill-conditioned for that.
+const F32_ROW_CANCELLING: f64 = 0.01;
+/// Share of pixels that may lie in the boundary band.
+const BAND_SHARE: f64 = 0.01;
+
+#[test]
+fn reference_vectors_in_f64() {
+    for vector in read_vectors().unwrap_or_default() {
+        for (device_name, device) in devices() {
+            let found = evaluate(&vector.scene, &vector.weights, &vector.options, &device, DType::F64);
+            let findings = compare_f64(&vector, &found);
+            report(&vector.name, device_name, "f64", &findings);
+            assert_all(&findings);
+        }
+    }
+}
+
+#[test]
+fn reference_vectors_in_f32() {
+    for vector in read_vectors().unwrap_or_default() {
+        let yardstick = Yardstick::new(&vector, &Device::flex());
+        for (device_name, device) in devices() {
+            let Vector { scene, options, .. } = &vector;
+            let found = evaluate(scene, &yardstick.weights, options, &device, DType::F32);
+            let findings = yardstick.compare(&vector, &found);
+            report(&vector.name, device_name, "f32", &findings);
+            assert_all(&findings);
+        }
+    }
+}
+
+/// Which Gaussians have specified outputs.
+fn in_front(vector: &Vector) -> Vec<bool> {
+    vector.scene.camera_z().iter().map(|z| *z > vector.options.near).collect()
+}
+
+fn compare_f64(vector: &Vector, found: &Evaluation) -> Vec<Finding> {
+    let mut findings = Vec::new();
+    let mut compare = |found: &Named, expected: &Named| {
+        assert_eq!(found.name, expected.name);
+        let what = format!("{} {} f64", vector.name, expected.name);
+        let error = relative_error(&found.values, &expected.values);
+        findings.push(Finding { what: what.clone(), error, tolerance: F64_TOLERANCE });
+        let error = worst(row_errors(found, expected));
+        findings.push(Finding { what: what + " rows", error, tolerance: F64_TOLERANCE });
+    };
+    let in_front = in_front(vector);
+    for (found, expected) in found.stages.iter().zip(&vector.expected.stages) {
+        compare(&keep_rows(found, &in_front), &keep_rows(expected, &in_front));
+    }
+    for (found, expected) in found.pictures.iter().zip(&vector.expected.pictures) {
+        compare(found, expected);
+    }
+    for (found, expected) in found.gradients.iter().zip(&vector.expected.gradients) {
+        compare(found, expected);
+    }
+    findings
+}
+
+/// What an f32 render should give: the f64 render, itself proven against the vectors, of the rounded inputs, and how
+/// much an ulp in every input changes it. Pixels of the boundary band are left out, of the pictures and of the loss, so
+/// that they leave out no gradient of any other pixel.
+struct Yardstick {
+    weights: Weights,
+    expected: Evaluation,
+    spread: Evaluation,
+    /// Pixels that are compared.
+    kept: Vec<bool>,
+}
+
+impl Yardstick {
+    fn new(vector: &Vector, device: &Device) -> Self {
+        let (scene, mut weights, options) = rounded(&vector.scene, &vector.weights, &vector.options);
+        let kept: Vec<bool> = boundary_band(&scene, &options, device).iter().map(|band| !band).collect();
+        for (pixel, _) in kept.iter().enumerate().filter(|(_, kept)| !**kept) {
+            weights.image[3 * pixel..3 * pixel + 3].fill(0.0);
+            (weights.alpha[pixel], weights.depth[pixel]) = (0.0, 0.0);
+        }
+        let expected = evaluate(&scene, &weights, &options, device, DType::F64);
+        let spread = ulp_spread(&scene, &weights, &options, device, &expected);
+        Self { weights, expected, spread, kept }
+    }
+
+    fn compare(&self, vector: &Vector, found: &Evaluation) -> Vec<Finding> {
+        let mut findings = Vec::new();
+        let band = self.kept.iter().filter(|kept| !**kept).count();
+        let (error, what) = (band as f64 / self.kept.len() as f64, format!("{} share of band", vector.name));
+        findings.push(Finding { what, error, tolerance: BAND_SHARE });
+
+        let in_front = in_front(vector);
+        let kept_rows = |tensors: &[Named], kept: &[bool]| -> Vec<Named> {
+            tensors.iter().map(|tensor| keep_rows(tensor, kept)).collect()
+        };
+        let parts = |e: &Evaluation| [kept_rows(&e.stages, &in_front), kept_rows(&e.pictures, &self.kept)].concat();
+        let outputs = [parts(found), parts(&self.expected), parts(&self.spread)];
+        let gradients = [&found.gradients, &self.expected.gradients, &self.spread.gradients];
+        for ([found, expected, spread], rows) in tuples(outputs.each_ref())
+            .zip(std::iter::repeat(false))
+            .chain(tuples(gradients).zip(std::iter::repeat(true)))
+        {
+            let what = format!("{} {} f32", vector.name, expected.name);
+            findings.push(Finding { what: what.clone(), error: ceiling_used(found, expected, spread), tolerance: 1.0 });
+            if rows {
+                findings.extend(judge_rows(&what, found, expected, spread));
+            }
+        }
+        findings
+    }
+}
+
+/// How many rows of a gradient are off by more than [`F32_ROW_TOLERANCE`], and how many cannot be judged by it.
+///
+/// The gradient of an opacity is one number, a sum over pixels of terms of both signs. Where they cancel, one ulp in the
+/// inputs moves the f64 result itself by more than the tolerance, so no f32 computation can meet it. Such rows are judged
+/// by the ceiling per element alone; they are counted, and the count is bounded.
+fn judge_rows(what: &str, found: &Named, expected: &Named, spread: &Named) -> [Finding; 2] {
+    let conditions = row_sizes(spread, expected);
+    let errors = row_errors(found, expected);
+    assert_eq!(conditions.len(), errors.len());
+    let judged = || errors.iter().zip(&conditions).filter(|(_, condition)| **condition <= F32_ROW_TOLERANCE);
+    // Written so that NaN is an exception.
+    let exceptions = judged().filter(|(error, _)| !(**error <= F32_ROW_TOLERANCE)).count();
+    let ill = errors.len() - judged().count();
+    let (off, cancelling) = (format!("{what} rows off"), format!("{what} rows that cancel"));
+    let share = |share: f64| share * errors.len() as f64;
+    [
+        Finding { what: off, error: exceptions as f64, tolerance: share(F32_ROW_EXCEPTIONS).floor() },
+        // A small tensor may hold one such row.
+        Finding { what: cancelling, error: ill as f64, tolerance: share(F32_ROW_CANCELLING).ceil() },
+    ]
+}
+
+/// The same tensor of three evaluations.
+fn tuples(three: [&Vec<Named>; 3]) -> impl Iterator<Item = [&Named; 3]> {
+    let [a, b, c] = three;
+    a.iter().zip(b).zip(c).map(|((a, b), c)| [a, b, c])
+}
+
+/// The largest share of its ceiling that an element's error uses.
+fn ceiling_used(found: &Named, expected: &Named, spread: &Named) -> f64 {
+    let floor = (F32_FLOOR * largest(&expected.values)).max(f64::MIN_POSITIVE);
+    let elements = found.values.iter().zip(&expected.values).zip(&spread.values);
+    worst(elements.map(|((found, expected), spread)| (found - expected).abs() / (ULP_FACTOR * spread + floor)))
+}
+
+/// One line per file: the finding that came closest to its tolerance, and every one if asked for.
+fn report(vector: &str, device: &str, float: &str, findings: &[Finding]) {
+    let share = |f: &Finding| f.error / f.tolerance.max(f64::MIN_POSITIVE);
+    if std::env::var_os("SPLAT_REFERENCE_VERBOSE").is_some() {
+        findings.iter().for_each(|f| announce(&format!("  {}: {:.3e} of {:.3e}", f.what, f.error, f.tolerance)));
+    }
+    let closest = findings.iter().max_by(|a, b| share(a).total_cmp(&share(b))).expect("findings");
+    announce(&format!(
+        "{vector} on {device} in {float}: closest to its tolerance is {}, {:.2e} of {:.0e}",
+        closest.what, closest.error, closest.tolerance
+    ));
+}
