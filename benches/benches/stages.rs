@@ -29,7 +29,10 @@ fn report(view: SyntheticView) {
     let tiles = tile(&projected, &OPTIONS).expect("options are in range");
     let hits: f64 = tiles.counts.float().sum().into_scalar::<f32>().into();
     let seen = opacity.iter().filter(|&&o| o > 0.0).count();
-    println!("{view:?}: {seen} in front of the camera, {hits} hits, {:.1} per Gaussian", hits / (0.8 * view.splats as f64));
+    println!(
+        "{view:?}: {seen} in front of the camera, {hits} hits, {:.1} per Gaussian",
+        hits / (0.8 * view.splats as f64)
+    );
 }
 
 #[divan::bench(args = VIEWS)]

@@ -21,8 +21,7 @@ fn trainer(view: SyntheticView) -> Trainer {
     let device = Device::flex();
     let rgb = values(view.picture(&device, DType::F32)).iter().map(|v| (v * 255.0).round() as u8).collect();
     let intrinsics = view.camera(&device, DType::F32).intrinsics;
-    let photo =
-        Photo { name: "synthetic".into(), intrinsics, cam_from_world: DAffine3::IDENTITY, rgb, alpha: None };
+    let photo = Photo { name: "synthetic".into(), intrinsics, cam_from_world: DAffine3::IDENTITY, rgb, alpha: None };
     let means = values(view.scene(&device, DType::F32).means);
     let positions: Vec<[f32; 3]> = means.as_chunks::<3>().0.iter().map(|mean| mean.map(|v| v as f32)).collect();
     let points = PointCloud { colours: vec![[128; 3]; positions.len()], positions };

@@ -26,7 +26,12 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     while !trainer.is_done() {
         let report = trainer.step()?;
         if report.step % 20 == 0 {
-            println!("step {:3}  loss {:.4}  {} Gaussians", report.step, report.loss.into_scalar::<f32>(), report.splats);
+            println!(
+                "step {:3}  loss {:.4}  {} Gaussians",
+                report.step,
+                report.loss.into_scalar::<f32>(),
+                report.splats
+            );
         }
     }
     let splats = trainer.gaussians().untracked().splats();

@@ -4,8 +4,8 @@ use burn::module::{Module, Param};
 use burn::nn::{Linear, LinearConfig};
 use burn::tensor::activation::{relu, sigmoid};
 use burn::tensor::{Device, Tensor};
-use glam::DAffine3;
 use burn_optim::{AdamConfig, GradientsParams};
+use glam::DAffine3;
 use splat_op::{Camera, Colour, Extras, Intrinsics, RenderOptions, Splats, render};
 
 const SIDE: usize = 24;

@@ -1,4 +1,29 @@
 //! Differentiable Gaussian splatting as custom operations of the Burn framework.
+//!
+//! [`render`] takes [`Splats`] and [`Camera`]s and gives pictures; [`project`](fn@project), [`shade`](fn@shade),
+//! [`tile`](fn@tile) and [`blend`](fn@blend) are its stages, for those who put code of their own between them. Each module
+//! of a stage states its equations, their sources, shapes and units. [`exact`] is the yardstick.
+//!
+//! ```
+//! use burn::tensor::{Device, Tensor};
+//! use splat_op::{Camera, Colour, Extras, Intrinsics, RenderOptions, Splats, render};
+//!
+//! let device = Device::flex().autodiff();
+//! let means = Tensor::<2>::from_floats([[0.0, 0.0, 2.0]], &device).require_grad();
+//! let splats = Splats {
+//!     means: means.clone(),
+//!     rotations: Tensor::from_floats([[1.0, 0.0, 0.0, 0.0]], &device),
+//!     scales: Tensor::from_floats([[0.3, 0.2, 0.2]], &device),
+//!     opacities: Tensor::from_floats([0.9], &device),
+//!     colour: Colour::Features(Tensor::from_floats([[1.0, 0.5, 0.1]], &device)),
+//! };
+//! let camera = Camera::new(Intrinsics::centred(32, 24, 30.0), &glam::DAffine3::IDENTITY, &device);
+//! let rendered = render(&splats, &[camera], &Extras::default(), &RenderOptions::standard())?;
+//! assert_eq!(rendered.colour.dims(), [1, 24, 32, 3]);
+//! let gradients = rendered.colour.mean().backward();
+//! assert_eq!(means.grad(&gradients).expect("tracked").dims(), [1, 3]);
+//! # Ok::<(), splat_op::SplatError>(())
+//! ```
 
 pub mod camera;
 mod check;
@@ -24,3 +49,6 @@ pub use op::{Slot, SplatBackend};
 pub use options::RenderOptions;
 pub use render::{Rendered, render};
 pub use stages::{Colour, Ellipses, Extras, Picture, Projected, Splats, Tiles, blend, project, shade, tile};
+
+#[cfg(test)]
+mod testing;

@@ -5,6 +5,7 @@ pub mod band;
 pub mod compare;
 pub mod dense;
 pub mod perturb;
+#[path = "../../splat-op/src/testing/random.rs"]
 pub mod random;
 pub mod reference;
 pub mod scene;

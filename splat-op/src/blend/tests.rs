@@ -6,15 +6,10 @@ use crate::camera::Intrinsics;
 use crate::options::RenderOptions;
 use crate::project::{COLUMNS, Ellipse};
 use crate::real::Real;
+use crate::testing::finite::{check_gradient, inner_product};
+use crate::testing::random::Random;
 use crate::tile::HitLists;
 use crate::tile::cpu::tile_cpu;
-use finite::{check_gradient, inner_product};
-use random::Random;
-
-#[path = "../../../tests/src/finite.rs"]
-mod finite;
-#[path = "../../../tests/src/random.rs"]
-mod random;
 
 const ALL: BlendNeeds = BlendNeeds { projected: true, features: true, background: true, mean2d_abs: true };
 

@@ -5,13 +5,8 @@ use super::{COLUMNS, COMPENSATION_MIN, ProjectNeeds, ProjectSpec};
 use crate::camera::{CameraModel, Intrinsics};
 use crate::options::RenderOptions;
 use crate::real::Real;
-use finite::{check_gradient, inner_product};
-use random::Random;
-
-#[path = "../../../tests/src/finite.rs"]
-mod finite;
-#[path = "../../../tests/src/random.rs"]
-mod random;
+use crate::testing::finite::{check_gradient, inner_product};
+use crate::testing::random::Random;
 
 const ALL: ProjectNeeds =
     ProjectNeeds { means: true, rotations: true, scales: true, opacities: true, cam_from_world: true, mean2d: true };

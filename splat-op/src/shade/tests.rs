@@ -2,13 +2,8 @@
 
 use super::cpu::{Grads, Inputs, shade_backward_cpu, shade_cpu};
 use super::{ShadeNeeds, sh_degree};
-use finite::{check_gradient, inner_product};
-use random::Random;
-
-#[path = "../../../tests/src/finite.rs"]
-mod finite;
-#[path = "../../../tests/src/random.rs"]
-mod random;
+use crate::testing::finite::{check_gradient, inner_product};
+use crate::testing::random::Random;
 
 const ALL: ShadeNeeds = ShadeNeeds { sh: true, means: true, cam_from_world: true };
 const COUNT: usize = 16;

@@ -5,10 +5,7 @@ use super::{HitLists, TILE, tile_grid};
 use crate::camera::Intrinsics;
 use crate::project::{COLUMNS, Ellipse};
 use crate::real::Real;
-use random::Random;
-
-#[path = "../../../tests/src/random.rs"]
-mod random;
+use crate::testing::random::Random;
 
 /// Sizes that are multiples of a tile, are not, and have a single pixel along one side or both.
 const SIZES: [(usize, usize); 7] = [(64, 48), (75, 33), (1, 1), (1, 50), (50, 1), (16, 16), (17, 15)];

@@ -1,4 +1,4 @@
-//! Central finite differences. Only the unit tests of `splat-op` use this file; they include it by path.
+//! Central finite differences.
 
 /// Compares a gradient with differences of `loss` around `at`, in every `stride`th element.
 ///

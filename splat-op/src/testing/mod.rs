@@ -1,0 +1,4 @@
+//! What the unit tests of the stages share.
+
+pub mod finite;
+pub mod random;
