@@ -102,11 +102,11 @@ impl<'a, F: Real> Prepared<'a, F> {
 macro_rules! specialised {
     ($channels:expr, $simd:ident, $c:ident => $body:expr) => {{
         macro_rules! with {
-                            ($count:literal) => {{
-                                const $c: usize = $count;
-                                dispatch!(Level::new(), $simd => $body)
-                            }};
-                        }
+                                ($count:literal) => {{
+                                    const $c: usize = $count;
+                                    dispatch!(Level::new(), $simd => $body)
+                                }};
+                            }
         match $channels {
             1 => with!(1),
             3 => with!(3),

@@ -196,6 +196,13 @@ impl<F: Real> TileView<'_, F> {
         self.origin.map(|px| F::of(px as f64))
     }
 
+    /// Copies the footprints of the next Gaussians side by side. They lie all over memory; fetched together, one wait
+    /// serves them all.
+    #[inline(always)]
+    pub fn gather(&self, gaussians: &[u32], to: &mut [Footprint<F>; CHECKPOINT_EVERY]) {
+        to.iter_mut().zip(gaussians).for_each(|(out, &gaussian)| *out = self.footprints[gaussian as usize]);
+    }
+
     #[inline(always)]
     pub fn colour(&self, gaussian: u32) -> &[F] {
         let first = gaussian as usize * self.channels;
@@ -242,14 +249,17 @@ pub(super) fn blend_tile<S: Simd, F: Real, const C: usize>(
     let sums = &mut planes[..channels * TILE_PIXELS];
     sums.fill(F::ZERO);
     let mut passed = view.gaussians.len();
+    let mut near = [Footprint::default(); CHECKPOINT_EVERY];
     for (i, &gaussian) in view.gaussians.iter().enumerate() {
-        if let Some(kept) = checkpoints.as_deref_mut()
-            && i > 0
-            && i % CHECKPOINT_EVERY == 0
-        {
-            kept.extend_from_slice(&transmittance);
+        if i % CHECKPOINT_EVERY == 0 {
+            view.gather(&view.gaussians[i..], &mut near);
+            if let Some(kept) = checkpoints.as_deref_mut()
+                && i > 0
+            {
+                kept.extend_from_slice(&transmittance);
+            }
         }
-        let splat = Splat::new(simd, view.footprints[gaussian as usize]);
+        let splat = Splat::new(simd, near[i % CHECKPOINT_EVERY]);
         let colour = view.colour(gaussian);
         let window = splat.footprint.window(corner);
         for row in window.first_row..window.end_row {

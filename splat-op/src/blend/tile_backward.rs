@@ -6,7 +6,7 @@
 
 use fearless_simd::prelude::*;
 
-use super::tile::{CHECKPOINT_EVERY, ROW_VECTORS, Splat, Thresholds, TileView, Window, centres};
+use super::tile::{CHECKPOINT_EVERY, Footprint, ROW_VECTORS, Splat, Thresholds, TileView, Window, centres};
 use crate::real::{LANES, Real};
 use crate::tile::{TILE, TILE_PIXELS};
 
@@ -77,7 +77,10 @@ pub(super) fn blend_tile_backward<S: Simd, F: Real, const C: usize>(
             0 => view.open_transmittance(),
             _ => std::array::from_fn(|pixel| grad.checkpoints[(chunk - 1) * TILE_PIXELS + pixel]),
         };
-        forwards(simd, view, gaussians, thresholds, &mut transmittance, scratch);
+        let mut near = [Footprint::default(); CHECKPOINT_EVERY];
+        view.gather(gaussians, &mut near);
+        let near = &near[..gaussians.len()];
+        forwards(simd, view.corner(), near, thresholds, &mut transmittance, scratch);
         if chunk + 1 == chunks {
             *transmittance_behind = transmittance;
         }
@@ -88,7 +91,7 @@ pub(super) fn blend_tile_backward<S: Simd, F: Real, const C: usize>(
             }
             let row = &mut hits[(first + i) * columns..(first + i + 1) * columns];
             let layers = (&mut scratch.layers[layers.clone()], &scratch.places[layers]);
-            let splat = Splat::new(simd, view.footprints[gaussian as usize]);
+            let splat = Splat::new(simd, near[i]);
             let colour = view.colour(gaussian);
             backwards::<S, F, C>(
                 view.corner()[1],
@@ -106,18 +109,17 @@ pub(super) fn blend_tile_backward<S: Simd, F: Real, const C: usize>(
 #[inline(always)]
 fn forwards<S: Simd, F: Real>(
     simd: S,
-    view: &TileView<F>,
-    gaussians: &[u32],
+    corner: [F; 2],
+    near: &[Footprint<F>],
     thresholds: &Thresholds<S, F>,
     transmittance: &mut [F; TILE_PIXELS],
     scratch: &mut Scratch<F>,
 ) {
     let mut met = 0;
-    let corner = view.corner();
     let x = centres::<S, F>(simd, corner[0]);
-    for (i, &gaussian) in gaussians.iter().enumerate() {
+    for (i, &footprint) in near.iter().enumerate() {
         scratch.starts[i] = met;
-        let splat = Splat::new(simd, view.footprints[gaussian as usize]);
+        let splat = Splat::new(simd, footprint);
         let Window { first_row, end_row, first_vector, end_vector } = splat.footprint.window(corner);
         for row in first_row..end_row {
             let y = corner[1] + F::of(row as f64 + 0.5);
@@ -134,7 +136,7 @@ fn forwards<S: Simd, F: Real>(
             }
         }
     }
-    scratch.starts[gaussians.len()] = met;
+    scratch.starts[near.len()] = met;
 }
 
 /// One Gaussian, back to front: its sums over the pixels it shows in, and `rho` stepped in front of it.
