@@ -99,14 +99,15 @@ impl<'a, F: Real> Prepared<'a, F> {
 
 /// Runs `$body` with the SIMD level of this processor as `$simd` and the number of channels as the constant `$c` where a
 /// special version exists, else zero.
+#[rustfmt::skip] // rustfmt indents the inner macro further at every run
 macro_rules! specialised {
     ($channels:expr, $simd:ident, $c:ident => $body:expr) => {{
         macro_rules! with {
-                                ($count:literal) => {{
-                                    const $c: usize = $count;
-                                    dispatch!(Level::new(), $simd => $body)
-                                }};
-                            }
+            ($count:literal) => {{
+                const $c: usize = $count;
+                dispatch!(Level::new(), $simd => $body)
+            }};
+        }
         match $channels {
             1 => with!(1),
             3 => with!(3),
