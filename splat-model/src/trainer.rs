@@ -14,7 +14,7 @@ use crate::density::rows::{Gradients, StepRates, Trained};
 use crate::density::{Adaptive, AdaptiveConfig, RefineReport};
 use crate::gaussians::{Gaussians, RowsError};
 use crate::init;
-use crate::loss::{DEFAULT_LAMBDA, Truth, photometric};
+use crate::loss::{DEFAULT_LAMBDA, Truth, photometric, regularise};
 use crate::optim::schedule::STEPS_PER_SH_DEGREE;
 use crate::optim::{Adam, Decay, LearningRates, scene_extent, sh_degree_at};
 
@@ -40,6 +40,9 @@ pub struct TrainConfig {
     pub background: [f32; 3],
     /// Whether opacities are compensated for the blur (see [`RenderOptions::antialias`]).
     pub antialias: bool,
+    /// Weight of the mean opacity in the loss: 0 for none, 0.01 as MCMC has it (Kheradmand et al. 2024). Gaussians that no
+    /// photograph asks for, floaters in front of the background above all, then fade and are pruned.
+    pub opacity_weight: f64,
     /// Memory for photographs prepared for the loss, MiB; those beyond it are prepared again at each use: 512.
     pub cache_mib: usize,
 }
@@ -56,6 +59,7 @@ impl Default for TrainConfig {
             density: AdaptiveConfig::default(),
             background: [0.0; 3],
             antialias: false,
+            opacity_weight: 0.0,
             cache_mib: 512,
         }
     }
@@ -261,8 +265,11 @@ impl Trainer {
             step,
             view: &photo.name,
         };
-        let loss = self.loss.loss(&seen);
+        let mut loss = self.loss.loss(&seen);
         drop(seen);
+        if self.config.opacity_weight > 0.0 {
+            loss = loss + regularise::opacity(splats.opacities.clone()) * self.config.opacity_weight;
+        }
         drop(splats);
         let mut grads = loss.backward();
         if let Some(grad) = probe.and_then(|probe| probe.grad_remove(&mut grads)) {

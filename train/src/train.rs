@@ -72,6 +72,9 @@ pub struct TrainArgs {
     /// Dim splats smaller than a pixel, so that scenes also look right from further away; evaluate and render with it too
     #[arg(long)]
     pub antialias: bool,
+    /// Weight of the mean opacity in the loss, against floaters; 0.01 is usual
+    #[arg(long, value_name = "W", default_value_t = TrainConfig::default().opacity_weight)]
+    pub opacity_weight: f64,
 }
 
 /// What `metrics.json` says under `options`.
@@ -91,6 +94,7 @@ impl TrainArgs {
     /// If the steps are zero or there is no such degree: found here, before anything is read or written.
     pub fn config(&self) -> Result<TrainConfig, TrainError> {
         let mut config = TrainConfig { seed: self.seed, antialias: self.antialias, ..TrainConfig::default() };
+        config.opacity_weight = self.opacity_weight;
         config.density.max_splats = self.max_splats;
         if self.capture.is_none() {
             (config.steps, config.sh_degree) = (DEMO_STEPS, DEMO_SH_DEGREE);
@@ -217,9 +221,11 @@ mod tests {
 
     #[test]
     fn options_reach_the_configuration() {
-        let arguments = ["--seed", "5", "--max-splats", "77", "--sh-degree", "2", "--antialias"];
+        let arguments =
+            ["--seed", "5", "--max-splats", "77", "--sh-degree", "2", "--antialias", "--opacity-weight", "0.01"];
         let config = config(&arguments).unwrap();
         assert_eq!((config.seed, config.density.max_splats, config.sh_degree, config.antialias), (5, 77, 2, true));
+        assert_eq!(config.opacity_weight, 0.01);
     }
 
     #[test]

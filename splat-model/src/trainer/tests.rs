@@ -189,3 +189,13 @@ fn a_scene_that_loses_all_its_gaussians_trains_on() {
     let (losses, rows) = run(trainer);
     assert!(rows.is_empty() && losses.iter().all(|loss| loss.is_finite()), "{losses:?}");
 }
+
+#[test]
+fn a_weight_on_opacity_fades_gaussians() {
+    let mean_logit = |opacity_weight| {
+        let (_, rows) = run(trainer(TrainConfig { opacity_weight, ..config(24) }));
+        rows.logit_opacities.iter().sum::<f32>() / rows.len() as f32
+    };
+    let (without, with) = (mean_logit(0.0), mean_logit(1.0));
+    assert!(with < without - 0.2, "mean logit {with} with the weight, {without} without");
+}
