@@ -31,10 +31,14 @@ pub mod error;
 pub mod exact;
 pub mod options;
 
-pub mod blend;
+// The stages, in the order in which data flows; the blank lines keep rustfmt from sorting them.
 pub mod project;
+
 pub mod shade;
+
 pub mod tile;
+
+pub mod blend;
 
 mod bind;
 mod linalg;

@@ -31,7 +31,7 @@ pub struct Splats {
     pub rotations: Tensor<2>,
     /// `[N, 3]`: standard deviations along the rotated axes, scene units.
     pub scales: Tensor<2>,
-    /// `[N]`: opacities, 0 to 1.
+    /// `[N]`: opacities, 0 to 1. One of exactly 0 is not drawn, and gets no gradient to grow by.
     pub opacities: Tensor<1>,
     /// Colours or features.
     pub colour: Colour,
