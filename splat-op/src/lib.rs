@@ -41,6 +41,8 @@ pub mod tile;
 pub mod blend;
 
 mod bind;
+#[cfg(feature = "cube")]
+mod gpu;
 mod linalg;
 mod op;
 mod real;

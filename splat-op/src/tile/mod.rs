@@ -8,6 +8,16 @@
 //! The lists live in a cell beside the tensors, because their length depends on the data. See `HitCell`.
 
 pub(crate) mod cpu;
+#[cfg(feature = "cube")]
+mod forward;
+#[cfg(all(test, feature = "cube"))]
+mod kernel_tests;
+#[cfg(feature = "cube")]
+pub(crate) mod launch;
+#[cfg(feature = "cube")]
+mod scan;
+#[cfg(feature = "cube")]
+mod sort;
 #[cfg(test)]
 mod tests;
 

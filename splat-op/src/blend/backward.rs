@@ -1,0 +1,486 @@
+//! The kernels of `blend`, backwards. Three of them, none of which divides by what a layer lets through:
+//!
+//! 1. *Behind*, a cube per tile, a unit per pixel: what is seen behind each bucket, as far as the gradient cares,
+//!    `ρ = g·R`, from the last bucket to the first: `ρ = g·(sums of the bucket) + (share it lets through) ρ`.
+//! 2. *Layers*, a cube per bucket: all buckets of all tiles at once, however long a tile's list is. A cube takes a block of
+//!    pixels after the other. First its units are pixels: forwards through the bucket for `α` and `T`, then backwards
+//!    for `∂L/∂α`; both go to shared memory. Then its units are Gaussians and read the same numbers the other way round,
+//!    each adding up its own row over the pixels. So sums over pixels need neither atomics nor shuffles, and a row leaves
+//!    the cube once.
+//! 3. *Gather*, a unit per Gaussian: the rows become gradients of the ellipse and the features.
+//!
+//! Rows are either added into one per Gaussian, in whatever order the device comes to them, or kept one per hit and added
+//! in the order of the hits, which gives the same bits in every run.
+
+use cubecl::prelude::*;
+
+use super::forward::{BUCKET, FOOTPRINT, Footprint, Limits, Shape, colour, first_slot};
+use crate::gpu::atomic::FloatCell;
+use crate::gpu::reduce::cube_sum;
+use crate::project::COLUMNS;
+use crate::tile::forward::Frame;
+use crate::tile::{TILE, TILE_PIXELS};
+
+/// Sums of `h, h u, h v, h u², h u v, h v²` with `h = α ∂L/∂α` where alpha is not at its limit; the channels follow, then
+/// the two sums of absolute values if they are wanted.
+pub(super) const MOMENTS: usize = 6;
+
+/// Numbers of a row.
+pub(super) const fn row_len(shape: Shape, absolute: bool) -> usize {
+    MOMENTS + shape.channels() + if absolute { 2 } else { 0 }
+}
+
+/// The plane of the picture that holds channel `channel`: alpha lies before depth.
+#[cube]
+fn plane_of(channel: usize, #[comptime] shape: Shape) -> usize {
+    let mut plane = channel;
+    if comptime!(shape.depth) {
+        if channel == comptime!(shape.features) {
+            plane = channel + 1;
+        }
+    }
+    plane
+}
+
+/// Writes `ρ` behind each bucket, `[slot][pixel]`, and the tile's share of the background's gradient, `[tile][feature]`.
+#[cube(launch_unchecked)]
+pub(super) fn blend_behind_kernel(
+    projected: &[f32],
+    features: &[f32],
+    background: &[f32],
+    grad: &[f32],
+    tile_start: &[u32],
+    hit_of_place: &[u32],
+    gaussian_of_hit: &[u32],
+    kept: &[f32],
+    behind: &[f32],
+    passed: &[u32],
+    rho_behind: &mut [f32],
+    grad_background: &mut [f32],
+    frame: Frame,
+    limits: Limits,
+    #[comptime] shape: Shape,
+    #[comptime] with_background: bool,
+    #[comptime] planes: bool,
+) {
+    let channels = comptime!(shape.channels());
+    let few = comptime!(shape.few());
+    let numbers = comptime!(shape.kept());
+    let tile = CUBE_POS as u32;
+    let unit = UNIT_POS;
+    let mut shared = Shared::<[f32]>::new_slice(comptime!(TILE_PIXELS));
+    if tile < frame.tiles_x * frame.tiles_y {
+        let column = tile % frame.tiles_x * comptime!(TILE as u32) + unit % comptime!(TILE as u32);
+        let row = tile / frame.tiles_x * comptime!(TILE as u32) + unit / comptime!(TILE as u32);
+        let x = f32::cast_from(column) + 0.5;
+        let y = f32::cast_from(row) + 0.5;
+        let inside = column < frame.width && row < frame.height;
+        let plane = (frame.width * frame.height) as usize;
+        let pixel = (row * frame.width + column) as usize;
+        let first = tile_start[tile as usize];
+        let places = tile_start[tile as usize + 1] - first;
+        let slot = first_slot(first, tile);
+
+        let mut own = Array::<f32>::new(channels);
+        let mut grad_alpha = 0.0f32;
+        let mut rho = 0.0f32;
+        #[unroll(few)]
+        for channel in 0..channels {
+            own[channel] = 0.0f32;
+            if inside {
+                own[channel] = grad[plane_of(channel, shape) * plane + pixel];
+            }
+        }
+        if inside {
+            grad_alpha = grad[comptime!(shape.features) * plane + pixel];
+        }
+        #[unroll(few)]
+        for channel in 0..comptime!(shape.features) {
+            rho += own[channel] * background[channel];
+        }
+        if comptime!(with_background) {
+            let last = behind[tile as usize * comptime!(TILE_PIXELS) + unit as usize];
+            for channel in 0..comptime!(shape.features) {
+                let sum = cube_sum(own[channel] * last, &mut shared, planes);
+                if unit == 0 {
+                    grad_background[tile as usize * comptime!(shape.features) + channel] = sum;
+                }
+            }
+        }
+
+        let buckets = passed[tile as usize];
+        for step in 0..buckets {
+            let bucket = buckets - 1 - step;
+            let at = (slot + bucket) as usize * comptime!(numbers * TILE_PIXELS) + unit as usize;
+            rho_behind[(slot + bucket) as usize * comptime!(TILE_PIXELS) + unit as usize] = rho;
+            if kept[at] >= 0.0 {
+                let through = kept[at + comptime!(TILE_PIXELS)];
+                // Alpha is one more channel, of colour one: its sum is what the bucket does not let through.
+                let mut seen = grad_alpha * (1.0 - through);
+                if comptime!(few) {
+                    #[unroll]
+                    for channel in 0..channels {
+                        seen += own[channel] * kept[at + (channel + 2) * comptime!(TILE_PIXELS)];
+                    }
+                } else {
+                    seen = 0.0f32;
+                    let mut relative = 1.0f32;
+                    let end = min((bucket + 1) * comptime!(BUCKET as u32), places);
+                    let mut place = bucket * comptime!(BUCKET as u32);
+                    let mut open = true;
+                    while place < end && open {
+                        let gaussian = gaussian_of_hit[hit_of_place[(first + place) as usize] as usize] as usize;
+                        let footprint = Footprint::of(projected, gaussian, frame.alpha_min);
+                        let alpha = footprint.alpha(x, y, frame.alpha_min, limits.alpha_max);
+                        if alpha > 0.0 {
+                            let next = relative * (1.0 - alpha);
+                            if kept[at] * next <= limits.transmittance_min {
+                                open = false;
+                            } else {
+                                let mut along = grad_alpha;
+                                for channel in 0..channels {
+                                    along += own[channel] * colour(projected, features, gaussian, channel, shape);
+                                }
+                                seen += alpha * relative * along;
+                                relative = next;
+                            }
+                        }
+                        place += 1;
+                    }
+                }
+                rho = seen + through * rho;
+            }
+        }
+    }
+}
+
+/// The tile whose buckets hold `slot`: the last one that begins at or before it.
+#[cube]
+fn tile_of_slot(tile_start: &[u32], tiles: u32, slot: u32) -> u32 {
+    let mut low = 0u32;
+    let mut high = tiles;
+    while high - low > 1 {
+        let middle = low + (high - low) / 2;
+        if first_slot(tile_start[middle as usize], middle) <= slot {
+            low = middle;
+        } else {
+            high = middle;
+        }
+    }
+    low
+}
+
+/// Rows of the hits of each bucket; `units`, a multiple of 32, is the cube's size and the pixels of a block.
+///
+/// `rows` is `[H, row]` and every hit's row is written, or, with `add`, one row per Gaussian that is added to.
+#[cube(launch_unchecked)]
+pub(super) fn blend_layers_kernel<A: FloatCell>(
+    projected: &[f32],
+    features: &[f32],
+    grad: &[f32],
+    tile_start: &[u32],
+    hit_of_place: &[u32],
+    gaussian_of_hit: &[u32],
+    kept: &[f32],
+    passed: &[u32],
+    rho_behind: &[f32],
+    rows: &mut [f32],
+    sums: &[A],
+    frame: Frame,
+    limits: Limits,
+    slots: u32,
+    #[comptime] shape: Shape,
+    #[comptime] absolute: bool,
+    #[comptime] add: bool,
+    #[comptime] units: usize,
+) {
+    let channels = comptime!(shape.channels());
+    let few = comptime!(shape.few());
+    let numbers = comptime!(shape.kept());
+    let columns = comptime!(row_len(shape, absolute));
+    // One more than a block's pixels, so that neither direction of reading meets a bank twice.
+    let stride = comptime!(units + 1);
+    let parts = comptime!(units / BUCKET);
+    let mut footprints = Shared::<[f32]>::new_slice(comptime!(BUCKET * FOOTPRINT));
+    let mut colours = Shared::<[f32]>::new_slice(comptime!(if few { BUCKET * channels } else { 1 }));
+    let mut gradients = Shared::<[f32]>::new_slice(comptime!(if few { units * channels } else { 1 }));
+    let mut alphas = Shared::<[f32]>::new_slice(comptime!(BUCKET * stride));
+    let mut weights = Shared::<[f32]>::new_slice(comptime!(BUCKET * stride));
+
+    let slot = CUBE_POS as u32;
+    let unit = UNIT_POS;
+    let tiles = frame.tiles_x * frame.tiles_y;
+    if slot < slots {
+        let tile = tile_of_slot(tile_start, tiles, slot);
+        let first = tile_start[tile as usize];
+        let places = tile_start[tile as usize + 1] - first;
+        let bucket = slot - first_slot(first, tile);
+        let place = bucket * comptime!(BUCKET as u32);
+        if place < places {
+            let count = min(places - place, comptime!(BUCKET as u32));
+            let lane = unit % comptime!(BUCKET as u32);
+            let part = unit / comptime!(BUCKET as u32);
+            let mut hit = 0u32;
+            let mut gaussian = 0u32;
+            if lane < count {
+                hit = hit_of_place[(first + place + lane) as usize];
+                gaussian = gaussian_of_hit[hit as usize];
+            }
+            let mut row = Array::<f32>::new(columns);
+            #[unroll(few)]
+            for column in 0..columns {
+                row[column] = 0.0f32;
+            }
+            if bucket < passed[tile as usize] {
+                if unit < count {
+                    Footprint::of(projected, gaussian as usize, frame.alpha_min).store(&mut footprints, unit as usize);
+                    if comptime!(few) {
+                        #[unroll]
+                        for channel in 0..channels {
+                            colours[unit as usize * channels + channel] =
+                                colour(projected, features, gaussian as usize, channel, shape);
+                        }
+                    }
+                }
+                sync_cube();
+                let origin_x = tile % frame.tiles_x * comptime!(TILE as u32);
+                let origin_y = tile / frame.tiles_x * comptime!(TILE as u32);
+                let plane = (frame.width * frame.height) as usize;
+                let at = slot as usize * comptime!(numbers * TILE_PIXELS);
+
+                for block in 0..comptime!((TILE_PIXELS / units) as u32) {
+                    // The units are pixels.
+                    let pixel = block * comptime!(units as u32) + unit;
+                    let column = origin_x + pixel % comptime!(TILE as u32);
+                    let line = origin_y + pixel / comptime!(TILE as u32);
+                    let x = f32::cast_from(column) + 0.5;
+                    let y = f32::cast_from(line) + 0.5;
+                    let inside = column < frame.width && line < frame.height;
+                    let in_picture = (line * frame.width + column) as usize;
+                    let before = kept[at + pixel as usize];
+                    let mut open = before >= 0.0;
+                    let mut through = 1.0f32;
+                    for i in 0..count {
+                        let mut alpha = 0.0f32;
+                        if open {
+                            alpha = Footprint::load(&footprints, i as usize).alpha(
+                                x,
+                                y,
+                                frame.alpha_min,
+                                limits.alpha_max,
+                            );
+                            let next = through * (1.0 - alpha);
+                            if alpha > 0.0 && before * next <= limits.transmittance_min {
+                                open = false;
+                                alpha = 0.0f32;
+                            } else {
+                                weights[i as usize * stride + unit as usize] = alpha * (before * through);
+                                through = next;
+                            }
+                        }
+                        alphas[i as usize * stride + unit as usize] = alpha;
+                    }
+                    let mut grad_alpha = 0.0f32;
+                    if inside {
+                        grad_alpha = grad[comptime!(shape.features) * plane + in_picture];
+                    }
+                    if comptime!(few) {
+                        #[unroll]
+                        for channel in 0..channels {
+                            let mut value = 0.0f32;
+                            if inside {
+                                value = grad[plane_of(channel, shape) * plane + in_picture];
+                            }
+                            gradients[channel * units + unit as usize] = value;
+                        }
+                    }
+                    let mut rho = rho_behind[slot as usize * comptime!(TILE_PIXELS) + pixel as usize];
+                    for step in 0..count {
+                        let i = (count - 1 - step) as usize;
+                        let alpha = alphas[i * stride + unit as usize];
+                        if alpha > 0.0 {
+                            let mut along = grad_alpha;
+                            if comptime!(few) {
+                                #[unroll]
+                                for channel in 0..channels {
+                                    along += gradients[channel * units + unit as usize] * colours[i * channels + channel];
+                                }
+                            } else {
+                                let there = gaussian_of_hit[hit_of_place[(first + place) as usize + i] as usize] as usize;
+                                for channel in 0..channels {
+                                    along += grad[plane_of(channel, shape) * plane + in_picture]
+                                        * colour(projected, features, there, channel, shape);
+                                }
+                            }
+                            let ahead = along - rho;
+                            rho += alpha * ahead;
+                            // From here on the place of an alpha holds `h`, and that of none a weight of zero.
+                            let mut h = 0.0f32;
+                            if alpha < limits.alpha_max {
+                                h = weights[i * stride + unit as usize] * ahead;
+                            }
+                            alphas[i * stride + unit as usize] = h;
+                        } else {
+                            weights[i * stride + unit as usize] = 0.0f32;
+                        }
+                    }
+                    sync_cube();
+
+                    // The units are Gaussians, each with a part of the pixels.
+                    if lane < count {
+                        let footprint = Footprint::load(&footprints, lane as usize);
+                        let slope = footprint.inverse_v * footprint.shear;
+                        for step in 0..comptime!(BUCKET as u32) {
+                            let other = part * comptime!(BUCKET as u32) + step;
+                            let index = lane as usize * stride + other as usize;
+                            let weight = weights[index];
+                            if weight != 0.0 {
+                                let pixel = block * comptime!(units as u32) + other;
+                                let column = origin_x + pixel % comptime!(TILE as u32);
+                                let line = origin_y + pixel / comptime!(TILE as u32);
+                                let (u, v) =
+                                    footprint.whiten(f32::cast_from(column) + 0.5, f32::cast_from(line) + 0.5);
+                                let h = alphas[index];
+                                let hu = h * u;
+                                let hv = h * v;
+                                row[0] += h;
+                                row[1] += hu;
+                                row[2] += hv;
+                                row[3] += hu * u;
+                                row[4] += hu * v;
+                                row[5] += hv * v;
+                                if comptime!(few) {
+                                    #[unroll]
+                                    for channel in 0..channels {
+                                        row[comptime!(MOMENTS) + channel] +=
+                                            weight * gradients[channel * units + other as usize];
+                                    }
+                                } else {
+                                    let in_picture = (line * frame.width + column) as usize;
+                                    for channel in 0..channels {
+                                        row[comptime!(MOMENTS) + channel] +=
+                                            weight * grad[plane_of(channel, shape) * plane + in_picture];
+                                    }
+                                }
+                                if comptime!(absolute) {
+                                    row[comptime!(MOMENTS + channels)] +=
+                                        (hu * footprint.inverse_u - hv * slope).abs();
+                                    row[comptime!(MOMENTS + channels + 1)] += (hv * footprint.inverse_v).abs();
+                                }
+                            }
+                        }
+                    }
+                    sync_cube();
+                }
+
+                // The parts of a row.
+                if comptime!(parts > 1) {
+                    #[unroll(few)]
+                    for column in 0..columns {
+                        alphas[unit as usize] = row[column];
+                        sync_cube();
+                        if part == 0 {
+                            for other in 1..comptime!(parts as u32) {
+                                row[column] += alphas[(other * comptime!(BUCKET as u32) + lane) as usize];
+                            }
+                        }
+                        sync_cube();
+                    }
+                }
+            }
+            if part == 0 && lane < count {
+                if comptime!(add) {
+                    #[unroll(few)]
+                    for column in 0..columns {
+                        if row[column] != 0.0 {
+                            A::add(&sums[gaussian as usize * columns + column], row[column]);
+                        }
+                    }
+                } else {
+                    #[unroll(few)]
+                    for column in 0..columns {
+                        rows[hit as usize * columns + column] = row[column];
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// From rows to gradients. With `e = −(u² + v²)/2`: `∂e/∂sigma_u = u²/sigma_u`, `∂e/∂sigma_v = v²/sigma_v`,
+/// `∂e/∂shear = u v sigma_u/sigma_v`, `∂e/∂mean = (u/sigma_u − v shear/sigma_v, v/sigma_v)`; and `∂α/∂opacity = α/opacity`.
+///
+/// Gaussians without hits are left as they are: the gradients must hold zeros before.
+#[cube(launch_unchecked)]
+pub(super) fn blend_gather_kernel(
+    projected: &[f32],
+    order: &[u32],
+    first_hit: &[u32],
+    rows: &[f32],
+    grad_projected: &mut [f32],
+    grad_features: &mut [f32],
+    grad_absolute: &mut [f32],
+    visible: u32,
+    hits: u32,
+    #[comptime] shape: Shape,
+    #[comptime] absolute: bool,
+    #[comptime] per_hit: bool,
+    #[comptime] wanted: (bool, bool),
+) {
+    let channels = comptime!(shape.channels());
+    let columns = comptime!(row_len(shape, absolute));
+    let few = comptime!(shape.few());
+    let rank = ABSOLUTE_POS;
+    if rank < visible as usize {
+        let gaussian = order[rank] as usize;
+        let mut row = Array::<f32>::new(columns);
+        if comptime!(per_hit) {
+            let first = first_hit[rank];
+            let mut end = hits;
+            if rank + 1 < visible as usize {
+                end = first_hit[rank + 1];
+            }
+            #[unroll(few)]
+            for column in 0..columns {
+                row[column] = 0.0f32;
+            }
+            for hit in first..end {
+                #[unroll(few)]
+                for column in 0..columns {
+                    row[column] += rows[hit as usize * columns + column];
+                }
+            }
+        } else {
+            #[unroll(few)]
+            for column in 0..columns {
+                row[column] = rows[gaussian * columns + column];
+            }
+        }
+        let at = gaussian * comptime!(COLUMNS);
+        if comptime!(wanted.0) {
+            let sigma_u = projected[at + 2];
+            let shear = projected[at + 3];
+            let sigma_v = projected[at + 4];
+            let per_v = row[2] / sigma_v;
+            grad_projected[at] = row[1] / sigma_u - shear * per_v;
+            grad_projected[at + 1] = per_v;
+            grad_projected[at + 2] = row[3] / sigma_u;
+            grad_projected[at + 3] = row[4] * (sigma_u / sigma_v);
+            grad_projected[at + 4] = row[5] / sigma_v;
+            if comptime!(shape.depth) {
+                grad_projected[at + 5] = row[comptime!(MOMENTS + shape.features)];
+            }
+            grad_projected[at + 6] = row[0] / projected[at + 6];
+        }
+        if comptime!(wanted.1) {
+            #[unroll(few)]
+            for channel in 0..comptime!(shape.features) {
+                grad_features[gaussian * comptime!(shape.features) + channel] = row[comptime!(MOMENTS) + channel];
+            }
+        }
+        if comptime!(absolute) {
+            grad_absolute[2 * gaussian] = row[comptime!(MOMENTS + channels)];
+            grad_absolute[2 * gaussian + 1] = row[comptime!(MOMENTS + channels + 1)];
+        }
+    }
+}

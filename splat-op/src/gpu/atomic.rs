@@ -1,0 +1,33 @@
+//! Adding floats into a buffer from many cubes at once.
+
+use cubecl::prelude::*;
+
+/// A cell that floats can be added to.
+#[cube]
+pub(crate) trait FloatCell: CubePrimitive {
+    fn add(cell: &Self, value: f32);
+}
+
+#[cube]
+impl FloatCell for Atomic<f32> {
+    fn add(cell: &Self, value: f32) {
+        cell.fetch_add(value);
+    }
+}
+
+/// For devices without float atomics. The cell is emptied, what was in it comes along, and the sum is put back; what
+/// somebody else put there meanwhile is added in the next turn. Unlike a weak compare-and-swap, which may fail without
+/// saying so in WGSL, an exchange loses nothing.
+#[cube]
+impl FloatCell for Atomic<u32> {
+    fn add(cell: &Self, value: f32) {
+        let mut carried = value;
+        let mut busy = true;
+        while busy {
+            let sum = f32::reinterpret(cell.exchange(0u32)) + carried;
+            let displaced = cell.exchange(u32::reinterpret(sum));
+            carried = f32::reinterpret(displaced);
+            busy = (displaced & 0x7fff_ffff) != 0;
+        }
+    }
+}

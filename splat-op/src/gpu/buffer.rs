@@ -1,0 +1,75 @@
+//! Typed buffers on the device.
+
+use std::marker::PhantomData;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use bytemuck::Pod;
+use cubecl::prelude::BufferArg;
+use cubecl::server::Handle;
+
+use super::Gpu;
+
+static POISON: AtomicBool = AtomicBool::new(false);
+
+/// From now on, fill every new buffer of the kernels with the bits of NaN, so that a slot nobody wrote shows. For tests:
+/// it costs a copy per buffer.
+pub fn poison(on: bool) {
+    POISON.store(on, Ordering::Relaxed);
+}
+
+/// The bits of a quiet NaN; as an index, one beyond every buffer.
+const NAN_BITS: u32 = 0x7fc0_dead;
+
+/// `len` elements on the device.
+#[derive(Debug)]
+pub(crate) struct Buffer<T> {
+    pub handle: Handle,
+    pub len: usize,
+    element: PhantomData<fn() -> T>,
+}
+
+impl<T> Clone for Buffer<T> {
+    fn clone(&self) -> Self {
+        Self::from_handle(self.handle.clone(), self.len)
+    }
+}
+
+impl<T> Buffer<T> {
+    pub fn from_handle(handle: Handle, len: usize) -> Self {
+        Self { handle, len, element: PhantomData }
+    }
+
+    /// As an argument of a kernel.
+    pub fn arg(&self) -> BufferArg {
+        // SAFETY: a buffer is made with at least this many elements.
+        unsafe { BufferArg::from_raw_parts(self.handle.clone(), self.len) }
+    }
+}
+
+impl<T: Pod> Buffer<T> {
+    /// Elements with nothing written to them yet. Sizes are rounded up to an eighth of their power of two, so that one
+    /// that grows a little finds the same memory again.
+    pub fn new(gpu: &Gpu, len: usize) -> Self {
+        let words = (len * size_of::<T>()).div_ceil(4).max(1);
+        let step = (words.next_power_of_two() / 16).max(1);
+        let words = words.next_multiple_of(step);
+        let handle = match POISON.load(Ordering::Relaxed) {
+            true => gpu.client.create_from_slice(bytemuck::cast_slice(&vec![NAN_BITS; words])),
+            false => gpu.client.empty(4 * words),
+        };
+        Self::from_handle(handle, len)
+    }
+
+    pub fn from_slice(gpu: &Gpu, elements: &[T]) -> Self {
+        match elements.is_empty() {
+            true => Self::new(gpu, 0),
+            false => Self::from_handle(gpu.client.create_from_slice(bytemuck::cast_slice(elements)), elements.len()),
+        }
+    }
+
+    /// Waits for the device and copies the elements back.
+    pub fn read(&self, gpu: &Gpu) -> Vec<T> {
+        let bytes = gpu.client.read_one(self.handle.clone()).unwrap_or_else(|error| panic!("{error}"));
+        bytemuck::pod_collect_to_vec(&bytes[..self.len * size_of::<T>()])
+    }
+}

@@ -1,0 +1,358 @@
+//! Kernels of `tile`: what each Gaussian covers, its hits in depth order, and where each tile's hits begin.
+//!
+//! What a Gaussian covers is decided once, by floats, and stored as integers: its box of tiles, cut into at most 8 × 8
+//! cells, with one bit per cell. Counting the hits and writing them both read these integers, so they cannot disagree.
+//! The cell of a box of up to 8 × 8 tiles is one tile; in a larger box a cell is several, and its hits are those of all
+//! its tiles: some that cannot contribute are listed, none that can is lost.
+
+use cubecl::prelude::*;
+
+use super::TILE;
+use crate::gpu::math::{finite, within};
+
+/// Numbers of a [`Cover`].
+pub(super) const COVER: usize = 4;
+
+/// Cells along each side of a cover.
+const CELLS: u32 = 8;
+
+/// What `tile` and `blend` need to know of the picture.
+#[derive(CubeType, CubeLaunch, Clone, Copy)]
+#[expand(derive(Clone, Copy))]
+pub(crate) struct Frame {
+    pub width: u32,
+    pub height: u32,
+    pub tiles_x: u32,
+    pub tiles_y: u32,
+    pub alpha_min: f32,
+}
+
+/// The tiles that a Gaussian is listed in.
+#[derive(CubeType, Clone, Copy)]
+#[expand(derive(Clone, Copy))]
+struct Cover {
+    /// The first tile of the box.
+    x: u32,
+    y: u32,
+    /// Tiles of the box along x and y; zero for none.
+    width: u32,
+    height: u32,
+    /// One bit per cell, row by row: four rows each.
+    low: u32,
+    high: u32,
+}
+
+#[cube]
+impl Cover {
+    fn load(covers: &[u32], gaussian: usize) -> Cover {
+        let at = gaussian * comptime!(COVER);
+        Cover {
+            x: covers[at] & 0xffff,
+            y: covers[at] >> 16,
+            width: covers[at + 1] & 0xffff,
+            height: covers[at + 1] >> 16,
+            low: covers[at + 2],
+            high: covers[at + 3],
+        }
+    }
+
+    fn store(&self, covers: &mut [u32], gaussian: usize) {
+        let at = gaussian * comptime!(COVER);
+        covers[at] = self.x | (self.y << 16);
+        covers[at + 1] = self.width | (self.height << 16);
+        covers[at + 2] = self.low;
+        covers[at + 3] = self.high;
+    }
+
+    /// Tiles along each side of a cell.
+    fn cell_width(&self) -> u32 {
+        (self.width + comptime!(CELLS - 1)) / comptime!(CELLS)
+    }
+
+    fn cell_height(&self) -> u32 {
+        (self.height + comptime!(CELLS - 1)) / comptime!(CELLS)
+    }
+
+    /// Whether the cell that holds the box's tile `x, y` is covered.
+    fn holds(&self, x: u32, y: u32) -> bool {
+        let bit = y / self.cell_height() * comptime!(CELLS) + x / self.cell_width();
+        let mut word = self.low;
+        if bit >= 32 {
+            word = self.high;
+        }
+        ((word >> (bit & 31)) & 1) != 0
+    }
+
+    fn count(&self) -> u32 {
+        let mut count = 0u32;
+        if self.width > 0 {
+            let (cell_width, cell_height) = (self.cell_width(), self.cell_height());
+            let mut y = 0u32;
+            while y < self.height {
+                let rows = min(cell_height, self.height - y);
+                let mut x = 0u32;
+                while x < self.width {
+                    if self.holds(x, y) {
+                        count += rows * min(cell_width, self.width - x);
+                    }
+                    x += cell_width;
+                }
+                y += cell_height;
+            }
+        }
+        count
+    }
+}
+
+/// A packed ellipse and how far it reaches.
+#[derive(CubeType, Clone, Copy)]
+#[expand(derive(Clone, Copy))]
+struct Reach {
+    x: f32,
+    y: f32,
+    sigma_u: f32,
+    shear: f32,
+    sigma_v: f32,
+    /// The largest `u² + v²` that can show.
+    limit: f32,
+}
+
+#[cube]
+impl Reach {
+    /// Whether the ellipse reaches the rectangle of pixel centres from `first` to before `end` px along each axis: the
+    /// least `u² + v²` over it lies at the centre, or on a side that faces the centre, where it is the minimum of a
+    /// parabola.
+    fn meets(&self, first_x: u32, end_x: u32, first_y: u32, end_y: u32) -> bool {
+        let left = f32::cast_from(first_x) + 0.5 - self.x;
+        let right = f32::cast_from(end_x) - 0.5 - self.x;
+        let top = f32::cast_from(first_y) + 0.5 - self.y;
+        let bottom = f32::cast_from(end_y) - 0.5 - self.y;
+        let near_x = within(0.0, left, right);
+        let near_y = within(0.0, top, bottom);
+        let mut reached = true;
+        if near_x != 0.0 || near_y != 0.0 {
+            let mut least = f32::max_value();
+            if near_x != 0.0 {
+                least = min(least, self.whitened(near_x, within(self.shear * near_x, top, bottom)));
+            }
+            if near_y != 0.0 {
+                let across = self.shear * self.sigma_u;
+                let slope = across * self.sigma_u / (across * across + self.sigma_v * self.sigma_v);
+                least = min(least, self.whitened(within(slope * near_y, left, right), near_y));
+            }
+            // `dy − shear dx` loses digits when both terms are large; `blend` may then see a smaller value than this.
+            let farthest = max(left.abs(), right.abs()) * self.shear.abs() + max(top.abs(), bottom.abs());
+            let reach = self.limit.sqrt() + 1e-6 * farthest / self.sigma_v;
+            reached = !(least > reach * reach);
+        }
+        reached
+    }
+
+    fn whitened(&self, dx: f32, dy: f32) -> f32 {
+        let u = dx / self.sigma_u;
+        let v = (dy - self.shear * dx) / self.sigma_v;
+        u * u + v * v
+    }
+}
+
+/// The first tile and the tile after the last along an axis that hold a pixel centre within `half` of `mean`; the same
+/// twice for none.
+#[cube]
+fn tile_range(mean: f32, half: f32, pixels: u32) -> (u32, u32) {
+    // The margin covers the rounding of centre and extent.
+    let margin = 0.01 + 1e-6 * (mean.abs() + half);
+    let last = f32::cast_from(pixels - 1);
+    let low = mean - half - 0.5 - margin;
+    let high = mean + half - 0.5 + margin;
+    let mut first = 0u32;
+    let mut end = 0u32;
+    if high >= 0.0 && low <= last {
+        first = u32::cast_from(within(low, 0.0, last)) / comptime!(TILE as u32);
+        end = u32::cast_from(within(high, 0.0, last)) / comptime!(TILE as u32) + 1;
+    }
+    (first, end)
+}
+
+/// Stores each Gaussian's cover, its depth as a key (the largest where it covers nothing) and its own index.
+#[cube(launch_unchecked)]
+pub(super) fn cover_kernel(
+    projected: &[f32],
+    covers: &mut [u32],
+    keys: &mut [u32],
+    indices: &mut [u32],
+    frame: Frame,
+    count: u32,
+) {
+    let gaussian = ABSOLUTE_POS;
+    if gaussian < count as usize {
+        let at = gaussian * comptime!(crate::project::COLUMNS);
+        let (depth, opacity) = (projected[at + 5], projected[at + 6]);
+        let mut cover = Cover { x: 0, y: 0, width: 0, height: 0, low: 0, high: 0 };
+        let mut usable = depth > 0.0 && opacity > 0.0 && opacity >= frame.alpha_min;
+        #[unroll]
+        for column in 0..comptime!(crate::project::COLUMNS) {
+            usable = usable && finite(projected[at + column]);
+        }
+        let mut key = 0xffff_ffffu32;
+        if usable {
+            let mut limit = f32::max_value();
+            if frame.alpha_min > 0.0 {
+                // A relative margin for the logarithm, an absolute one for the exponential.
+                limit = 2.0 * (opacity / frame.alpha_min).ln() * 1.00001 + 1e-4;
+            }
+            let reach = Reach {
+                x: projected[at],
+                y: projected[at + 1],
+                sigma_u: projected[at + 2],
+                shear: projected[at + 3],
+                sigma_v: projected[at + 4],
+                limit,
+            };
+            let across = reach.shear * reach.sigma_u;
+            let radius = limit.sqrt();
+            let vertical = crate::gpu::math::Vec3::new(reach.sigma_v, across, 0.0).length();
+            let (x, end_x) = tile_range(reach.x, radius * reach.sigma_u, frame.width);
+            let (y, end_y) = tile_range(reach.y, radius * vertical, frame.height);
+            if end_x > x && end_y > y {
+                cover.x = x;
+                cover.y = y;
+                cover.width = end_x - x;
+                cover.height = end_y - y;
+                let (low, high) = covered_cells(&cover, &reach, &frame);
+                cover.low = low;
+                cover.high = high;
+                if (low | high) != 0 {
+                    key = u32::reinterpret(depth);
+                } else {
+                    cover.width = 0;
+                }
+            }
+        }
+        cover.store(covers, gaussian);
+        keys[gaussian] = key;
+        indices[gaussian] = gaussian as u32;
+    }
+}
+
+/// The bits of the cells that the ellipse reaches.
+#[cube]
+fn covered_cells(cover: &Cover, reach: &Reach, frame: &Frame) -> (u32, u32) {
+    let mut low = 0u32;
+    let mut high = 0u32;
+    let (cell_width, cell_height) = (cover.cell_width(), cover.cell_height());
+    let single = cover.width * cover.height == 1;
+    let mut y = 0u32;
+    while y < cover.height {
+        let mut x = 0u32;
+        while x < cover.width {
+            let first_x = (cover.x + x) * comptime!(TILE as u32);
+            let first_y = (cover.y + y) * comptime!(TILE as u32);
+            let end_x = (cover.x + min(x + cell_width, cover.width)) * comptime!(TILE as u32);
+            let end_y = (cover.y + min(y + cell_height, cover.height)) * comptime!(TILE as u32);
+            let met = reach.meets(first_x, min(end_x, frame.width), first_y, min(end_y, frame.height));
+            if single || met {
+                let bit = y / cell_height * comptime!(CELLS) + x / cell_width;
+                let mask = 1u32 << (bit & 31);
+                if bit < 32 {
+                    low |= mask;
+                } else {
+                    high |= mask;
+                }
+            }
+            x += cell_width;
+        }
+        y += cell_height;
+    }
+    (low, high)
+}
+
+/// Number of hits of each Gaussian in depth order, and how many Gaussians have any.
+#[cube(launch_unchecked)]
+pub(super) fn count_kernel(
+    keys: &[u32],
+    order: &[u32],
+    covers: &[u32],
+    counts: &mut [u32],
+    visible: &mut [u32],
+    count: u32,
+) {
+    let rank = ABSOLUTE_POS;
+    if rank < count as usize {
+        let shown = keys[rank] != 0xffff_ffff;
+        let mut hits = 0u32;
+        if shown {
+            hits = Cover::load(covers, order[rank] as usize).count();
+        }
+        counts[rank] = hits;
+        // Those without hits come last, so exactly one unit sees the border.
+        let mut next_shown = false;
+        if rank + 1 < count as usize {
+            next_shown = keys[rank + 1] != 0xffff_ffff;
+        }
+        if shown && !next_shown {
+            visible[0] = rank as u32 + 1;
+        }
+        if rank == 0 && !shown {
+            visible[0] = 0;
+        }
+    }
+}
+
+/// Writes the hits of each Gaussian: the tile and the Gaussian of each, and its own number.
+#[cube(launch_unchecked)]
+pub(super) fn emit_kernel(
+    order: &[u32],
+    covers: &[u32],
+    starts: &[u32],
+    tiles: &mut [u32],
+    gaussians: &mut [u32],
+    numbers: &mut [u32],
+    visible: u32,
+    tiles_x: u32,
+) {
+    let rank = ABSOLUTE_POS;
+    if rank < visible as usize {
+        let gaussian = order[rank];
+        let cover = Cover::load(covers, gaussian as usize);
+        let mut hit = starts[rank];
+        for y in 0..cover.height {
+            for x in 0..cover.width {
+                if cover.holds(x, y) {
+                    tiles[hit as usize] = (cover.y + y) * tiles_x + cover.x + x;
+                    gaussians[hit as usize] = gaussian;
+                    numbers[hit as usize] = hit;
+                    hit += 1;
+                }
+            }
+        }
+    }
+}
+
+/// Where each tile's hits begin in the sorted list, with one place more for the end, and how many each has.
+#[cube(launch_unchecked)]
+pub(super) fn ranges_kernel(sorted_tiles: &[u32], starts: &mut [u32], counts: &mut [i32], hits: u32, tiles: u32) {
+    let tile = ABSOLUTE_POS as u32;
+    if tile <= tiles {
+        let start = lower_bound(sorted_tiles, hits, tile);
+        starts[tile as usize] = start;
+        if tile < tiles {
+            counts[tile as usize] = i32::cast_from(lower_bound(sorted_tiles, hits, tile + 1) - start);
+        }
+    }
+}
+
+/// The first place whose tile is at least `tile`.
+#[cube]
+fn lower_bound(sorted_tiles: &[u32], hits: u32, tile: u32) -> u32 {
+    let mut low = 0u32;
+    let mut high = hits;
+    while low < high {
+        let middle = low + (high - low) / 2;
+        if sorted_tiles[middle as usize] < tile {
+            low = middle + 1;
+        } else {
+            high = middle;
+        }
+    }
+    low
+}
