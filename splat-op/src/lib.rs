@@ -52,7 +52,7 @@ mod stages;
 pub use camera::{Camera, CameraModel, Intrinsics};
 pub use error::SplatError;
 pub use op::{Slot, SplatBackend};
-pub use options::RenderOptions;
+pub use options::{Accumulation, RenderOptions};
 pub use render::{Rendered, render};
 pub use stages::{Colour, Ellipses, Extras, Picture, Projected, Splats, Tiles, blend, project, shade, tile};
 

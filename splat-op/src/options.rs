@@ -26,8 +26,20 @@ pub struct RenderOptions {
     /// Dial: the splat that would bring a pixel's transmittance to this or below, and all behind it, are left out.
     /// Zero leaves out none.
     pub transmittance_min: f64,
+    /// Dial: how GPUs add the gradients of a Gaussian's hits. CPU backends always add in order.
+    pub accumulation: Accumulation,
     /// Output: also accumulate depth, `Σ wᵢ zᵢ`.
     pub depth: bool,
+}
+
+/// How GPUs add the gradients of one Gaussian's hits in many tiles.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+pub enum Accumulation {
+    /// By atomic additions, in whatever order the device comes to them: the last digits differ from run to run.
+    #[default]
+    Atomic,
+    /// One row per hit, added in the order of the hits: the same bits in every run, for memory in proportion to the hits.
+    Ordered,
 }
 
 impl RenderOptions {
@@ -41,6 +53,7 @@ impl RenderOptions {
             alpha_min: 1.0 / 255.0,
             alpha_max: 0.99,
             transmittance_min: 1e-4,
+            accumulation: Accumulation::Atomic,
             depth: false,
         }
     }
@@ -64,6 +77,11 @@ impl RenderOptions {
     /// With or without opacity compensation.
     pub const fn with_antialias(self, antialias: bool) -> Self {
         Self { antialias, ..self }
+    }
+
+    /// With another way to add gradients on GPUs.
+    pub const fn with_accumulation(self, accumulation: Accumulation) -> Self {
+        Self { accumulation, ..self }
     }
 
     pub(crate) fn check(&self) -> Result<(), SplatError> {

@@ -94,6 +94,7 @@ fn read_vector(path: &Path) -> Option<Vector> {
         alpha_max: number("alpha_max"),
         transmittance_min: number("t_min"),
         depth: true,
+        ..RenderOptions::standard()
     };
     let degree = number("sh_degree") as usize;
     assert_eq!(scene.coefficients(), (degree + 1) * (degree + 1), "{name}: SH coefficients");

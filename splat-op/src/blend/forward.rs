@@ -6,7 +6,6 @@
 
 use cubecl::prelude::*;
 
-use crate::gpu::math::{Vec3, within};
 use crate::project::COLUMNS;
 use crate::tile::forward::Frame;
 use crate::tile::{TILE, TILE_PIXELS};
@@ -75,10 +74,10 @@ impl Footprint {
     pub fn of(projected: &[f32], gaussian: usize, alpha_min: f32) -> Footprint {
         let at = gaussian * comptime!(COLUMNS);
         let opacity = projected[at + 6];
-        let mut exponent_min = -f32::max_value();
+        let mut exponent_min = f32::min_value();
         if alpha_min > 0.0 {
             // A relative margin for the logarithm, an absolute one for the exponential.
-            exponent_min = -((opacity / alpha_min).ln() * 1.00001 + 5e-5);
+            exponent_min = (alpha_min / opacity).ln() * 1.00001 - 5e-5;
         }
         Footprint {
             x: projected[at],
@@ -125,7 +124,7 @@ impl Footprint {
     /// The alpha at a pixel; zero where it does not show.
     pub fn alpha(&self, x: f32, y: f32, alpha_min: f32, alpha_max: f32) -> f32 {
         let (u, v) = self.whiten(x, y);
-        let exponent = -0.5 * (u * u + v * v);
+        let exponent = -(0.5 * (u * u + v * v));
         let mut alpha = 0.0f32;
         if exponent >= self.exponent_min {
             let value = min(self.opacity * exponent.exp(), alpha_max);

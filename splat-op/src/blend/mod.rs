@@ -11,7 +11,15 @@
 //! Shapes: packed ellipses `[N, 7]`, features `[N, C]`, background `[C]` → planes `[C + 1 (+ 1), H, W]`: features,
 //! alpha `1 − T`, and, if asked for, depth `Σ wᵢ zᵢ`.
 
+#[cfg(feature = "cube")]
+mod backward;
 pub(crate) mod cpu;
+#[cfg(feature = "cube")]
+mod forward;
+#[cfg(all(test, feature = "cube"))]
+mod kernel_tests;
+#[cfg(feature = "cube")]
+pub(crate) mod launch;
 #[cfg(test)]
 mod tests;
 mod tile;

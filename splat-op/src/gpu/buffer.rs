@@ -4,10 +4,10 @@ use std::marker::PhantomData;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use bytemuck::Pod;
-use cubecl::prelude::BufferArg;
+use cubecl::prelude::*;
 use cubecl::server::Handle;
 
-use super::Gpu;
+use super::{Gpu, elementwise};
 
 static POISON: AtomicBool = AtomicBool::new(false);
 
@@ -67,9 +67,29 @@ impl<T: Pod> Buffer<T> {
         }
     }
 
+    /// Elements of zero bits.
+    pub fn zeros(gpu: &Gpu, len: usize) -> Self {
+        let buffer = Self::new(gpu, len);
+        launch_clear(gpu, &Buffer::from_handle(buffer.handle.clone(), len * size_of::<T>() / 4));
+        buffer
+    }
+
     /// Waits for the device and copies the elements back.
     pub fn read(&self, gpu: &Gpu) -> Vec<T> {
         let bytes = gpu.client.read_one(self.handle.clone()).unwrap_or_else(|error| panic!("{error}"));
         bytemuck::pod_collect_to_vec(&bytes[..self.len * size_of::<T>()])
     }
+}
+
+#[cube(launch_unchecked)]
+fn clear_kernel(words: &mut [u32], len: u32) {
+    if ABSOLUTE_POS < len as usize {
+        words[ABSOLUTE_POS] = 0u32;
+    }
+}
+
+fn launch_clear(gpu: &Gpu, words: &Buffer<u32>) {
+    let (grid, dim) = elementwise(words.len);
+    // SAFETY: every access is guarded by the length given.
+    unsafe { clear_kernel::launch_unchecked(&gpu.client, grid, dim, words.arg(), words.len as u32) };
 }

@@ -1,5 +1,9 @@
 //! What the unit tests of the stages share.
 
+#[cfg(feature = "cube")]
+pub mod ceiling;
+#[cfg(feature = "cube")]
+pub mod ellipses;
 pub mod finite;
 #[cfg(feature = "cube")]
 pub mod gpu;

@@ -9,7 +9,7 @@
 
 pub(crate) mod cpu;
 #[cfg(feature = "cube")]
-mod forward;
+pub(crate) mod forward;
 #[cfg(all(test, feature = "cube"))]
 mod kernel_tests;
 #[cfg(feature = "cube")]

@@ -1,0 +1,263 @@
+//! Kernels of `blend` against the CPU twin in f64, within what f32 can hold.
+
+use super::cpu::{Grads, Inputs, blend_backward_cpu, blend_cpu};
+use super::launch::{DeviceGrads, DeviceInputs, launch_blend, launch_blend_backward};
+use super::{BlendNeeds, BlendSpec};
+use crate::camera::Intrinsics;
+use crate::gpu::{Buffer, Gpu};
+use crate::options::{Accumulation, RenderOptions};
+use crate::project::COLUMNS;
+use crate::testing::ceiling::{ceiling, check, check_rows, moved};
+use crate::testing::ellipses::ellipses;
+use crate::testing::gpu::{gpu, gpus};
+use crate::testing::random::Random;
+use crate::tile::cpu::tile_cpu;
+use crate::tile::launch::launch_tile;
+
+const ALL: BlendNeeds = BlendNeeds { projected: true, features: true, background: true, mean2d_abs: true };
+
+#[derive(Clone)]
+struct Scene {
+    name: String,
+    projected: Vec<f64>,
+    features: Vec<f64>,
+    background: Vec<f64>,
+    spec: BlendSpec,
+}
+
+impl Scene {
+    fn random(count: usize, [width, height]: [usize; 2], channels: usize, opacity: [f64; 2], options: RenderOptions) -> Self {
+        let intrinsics = Intrinsics::centred(width, height, 30.0);
+        let seed = (count + 7 * width + channels) as u64;
+        let mut random = Random::new(seed);
+        let round = |values: Vec<f64>| values.into_iter().map(|v| f64::from(v as f32)).collect();
+        Self {
+            name: format!("{count} splats, {width} × {height}, {channels} channels, depth {}", options.depth),
+            projected: ellipses(seed, count, &intrinsics, opacity),
+            features: round(random.fill(count * channels, -1.0, 1.0)),
+            background: round(random.fill(channels, -1.0, 1.0)),
+            spec: BlendSpec { intrinsics, options },
+        }
+    }
+
+    /// As the f32 path sees the thresholds.
+    fn rounded(mut self) -> Self {
+        let options = &mut self.spec.options;
+        for threshold in [&mut options.alpha_min, &mut options.alpha_max, &mut options.transmittance_min] {
+            *threshold = f64::from(*threshold as f32);
+        }
+        self
+    }
+
+    fn inputs(&self) -> Inputs<'_, f64> {
+        Inputs { projected: &self.projected, features: &self.features, background: &self.background }
+    }
+
+    fn planes(&self) -> Vec<f64> {
+        let lists = tile_cpu(&self.projected, &self.spec.intrinsics, self.spec.options.alpha_min);
+        blend_cpu(self.inputs(), &self.spec, &lists, false).0
+    }
+
+    fn backward(&self, grad: &[f64]) -> Grads<f64> {
+        let lists = tile_cpu(&self.projected, &self.spec.intrinsics, self.spec.options.alpha_min);
+        blend_backward_cpu(self.inputs(), grad, &self.spec, (&lists, None), ALL)
+    }
+
+    fn moved(&self, random: &mut Random) -> Self {
+        Self {
+            projected: moved(&self.projected, random),
+            features: moved(&self.features, random),
+            background: moved(&self.background, random),
+            ..self.clone()
+        }
+    }
+
+    /// Pixels whose result jumps when a threshold moves by what rounding moves an alpha or a transmittance.
+    fn band(&self) -> Vec<bool> {
+        let pixels = self.spec.intrinsics.width * self.spec.intrinsics.height;
+        let plain = self.planes();
+        let mut band = vec![false; pixels];
+        for shift in [1.0 - 1e-4, 1.0 + 1e-4] {
+            let mut alpha = self.clone();
+            alpha.spec.options.alpha_min *= shift;
+            let mut transmittance = self.clone();
+            transmittance.spec.options.transmittance_min *= shift;
+            for variant in [alpha, transmittance] {
+                for (i, (a, b)) in variant.planes().iter().zip(&plain).enumerate() {
+                    band[i % pixels] |= a != b;
+                }
+            }
+        }
+        band
+    }
+
+    fn device(&self, gpu: &Gpu) -> DeviceInputs {
+        let buffer = |values: &[f64]| Buffer::from_slice(gpu, &values.iter().map(|&v| v as f32).collect::<Vec<_>>());
+        DeviceInputs {
+            projected: buffer(&self.projected),
+            features: buffer(&self.features),
+            background: buffer(&self.background),
+        }
+    }
+
+    /// Planes and gradients on the device.
+    fn on(&self, gpu: &Gpu, grad: &[f64], needs: BlendNeeds) -> (Vec<f32>, DeviceGrads) {
+        let inputs = self.device(gpu);
+        let lists = launch_tile(gpu, &inputs.projected, &self.spec.intrinsics, self.spec.options.alpha_min).0;
+        let grad = Buffer::from_slice(gpu, &grad.iter().map(|&v| v as f32).collect::<Vec<_>>());
+        let (planes, trace) = launch_blend(gpu, &inputs, &lists, &self.spec, true);
+        let plain = launch_blend(gpu, &inputs, &lists, &self.spec, false).0.read(gpu);
+        let planes = planes.read(gpu);
+        assert!(planes == plain, "{}: keeping a trace changes the picture", self.name);
+        let trace = trace.expect("asked for");
+        (planes, launch_blend_backward(gpu, &inputs, &grad, &lists, &trace, &self.spec, needs))
+    }
+
+    fn check(self) {
+        let scene = self.rounded();
+        let expected = scene.planes();
+        let band = scene.band();
+        let share = band.iter().filter(|&&b| b).count() as f64 / band.len() as f64;
+        assert!(share < 0.25, "{}: the band covers {share} of the picture, which then proves little", scene.name);
+        let outside = |i: usize, v: f64| if band[i % band.len()] { 0.0 } else { v };
+        let mask = |values: Vec<f64>| values.into_iter().enumerate().map(|(i, v)| outside(i, v)).collect::<Vec<_>>();
+        let grad = Random::new(3).fill(expected.len(), -1.0, 1.0);
+        let grad = mask(grad.into_iter().map(|v| f64::from(v as f32)).collect());
+        let planes_ceiling = ceiling(&mask(expected.clone()), 1, |random| mask(scene.moved(random).planes()));
+        let gradients = scene.backward(&grad);
+        let moved = |random: &mut Random| (scene.moved(random), moved(&grad, random));
+        let ceilings = [0, 1, 2, 3].map(|which| {
+            ceiling(part(&gradients, which), 2, |random| {
+                let (scene, grad) = moved(random);
+                part(&scene.backward(&grad), which).to_vec()
+            })
+        });
+        for (form, gpu) in gpus() {
+            for accumulation in [Accumulation::Atomic, Accumulation::Ordered] {
+                let name = format!("{}, {form}, {accumulation:?}", scene.name);
+                let mut scene = scene.clone();
+                scene.spec.options.accumulation = accumulation;
+                let (planes, grads) = scene.on(&gpu, &grad, ALL);
+                assert!(planes.iter().all(|v| v.is_finite()), "{name}: a pixel nobody wrote");
+                let planes: Vec<f32> = planes.iter().enumerate().map(|(i, &v)| outside(i, v.into()) as f32).collect();
+                check(&format!("{name}: planes"), &planes, &mask(expected.clone()), &planes_ceiling);
+                let found = [grads.projected, grads.features, grads.background, grads.mean2d_abs];
+                let columns = [COLUMNS, scene.background.len(), scene.background.len(), 2];
+                for (which, found) in found.into_iter().enumerate() {
+                    let name = format!("{name}: gradient {which}");
+                    let (found, expected) = (found.expect("asked for").read(&gpu), part(&gradients, which));
+                    check(&name, &found, expected, &ceilings[which]);
+                    check_rows(&name, &found, expected, columns[which]);
+                    check_sparsity(&name, &found, expected);
+                }
+            }
+        }
+    }
+}
+
+fn part(grads: &Grads<f64>, which: usize) -> &[f64] {
+    [&grads.projected, &grads.features, &grads.background, &grads.mean2d_abs][which]
+}
+
+/// The same elements are zero, but for what underflows in f32.
+fn check_sparsity(name: &str, found: &[f32], expected: &[f64]) {
+    for (i, (&found, &expected)) in found.iter().zip(expected).enumerate() {
+        let agree = (found == 0.0) == (expected == 0.0) || expected.abs() < 1e-30 && found.abs() < 1e-30;
+        assert!(agree, "{name}[{i}]: {found}, expected {expected}");
+    }
+}
+
+#[test]
+fn pictures_and_gradients_agree_with_the_twin() {
+    let options = RenderOptions::standard();
+    for (count, size) in [(1, [1, 1]), (3, [17, 5]), (100, [33, 47]), (1_000, [100, 70]), (20_000, [331, 203])] {
+        Scene::random(count, size, 3, [0.02, 1.0], options).check();
+    }
+}
+
+#[test]
+fn any_number_of_channels() {
+    for (channels, depth) in [(1, false), (2, true), (3, true), (4, true), (16, false), (64, true)] {
+        Scene::random(300, [50, 35], channels, [0.05, 0.9], RenderOptions::standard().with_depth(depth)).check();
+    }
+}
+
+#[test]
+fn hundreds_of_layers() {
+    // Faint, so that no pixel is finished early; and opaque, so that all are.
+    Scene::random(3_000, [40, 24], 3, [0.004, 0.01], RenderOptions::standard()).check();
+    Scene::random(3_000, [40, 24], 3, [0.9, 1.0], RenderOptions::standard()).check();
+}
+
+#[test]
+fn other_thresholds() {
+    Scene::random(400, [61, 40], 3, [0.02, 1.0], RenderOptions::exact()).check();
+    Scene::random(400, [61, 40], 3, [0.02, 1.0], RenderOptions::fast().with_depth(true)).check();
+    // Opaque layers let nothing through, and nothing may be divided by that.
+    let opaque = RenderOptions { alpha_max: 1.0, ..RenderOptions::exact() };
+    Scene::random(400, [61, 40], 3, [1.0, 1.0], opaque).check();
+}
+
+#[test]
+#[ignore = "long: a minute on a software driver"]
+fn a_hundred_thousand_splats() {
+    Scene::random(100_000, [961, 539], 3, [0.02, 1.0], RenderOptions::standard().with_depth(true)).check();
+}
+
+#[test]
+fn nothing_to_draw() {
+    let Some(gpu) = gpu() else { return };
+    for projected in [vec![], [0.0, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0].repeat(40)] {
+        let mut scene = Scene::random(projected.len() / COLUMNS, [20, 18], 3, [0.1, 0.9], RenderOptions::standard());
+        scene.projected = projected;
+        let (planes, grads) = scene.on(&gpu, &vec![1.0; 4 * 20 * 18], ALL);
+        let background: Vec<f32> = scene.background.iter().map(|&v| v as f32).collect();
+        assert!(planes[..3 * 360].chunks(360).zip(background).all(|(plane, b)| plane.iter().all(|&v| v == b)));
+        assert!(planes[3 * 360..].iter().all(|&v| v == 0.0));
+        assert!(grads.background.expect("asked for").read(&gpu).iter().all(|&v| v == 360.0));
+        for zero in [grads.projected, grads.features, grads.mean2d_abs] {
+            assert!(zero.expect("asked for").read(&gpu).iter().all(|&v| v == 0.0));
+        }
+    }
+}
+
+#[test]
+fn only_what_is_needed() {
+    let Some(gpu) = gpu() else { return };
+    let scene = Scene::random(200, [40, 33], 3, [0.02, 1.0], RenderOptions::standard());
+    let grad = Random::new(4).fill(4 * 40 * 33, -1.0, 1.0);
+    let all = scene.on(&gpu, &grad, ALL).1;
+    let all = [all.projected, all.features, all.background, all.mean2d_abs].map(|b| b.expect("asked for").read(&gpu));
+    for mask in 0..16_usize {
+        let bit = |i: usize| mask >> i & 1 == 1;
+        let needs = BlendNeeds { projected: bit(0), features: bit(1), background: bit(2), mean2d_abs: bit(3) };
+        let some = scene.on(&gpu, &grad, needs).1;
+        let some = [some.projected, some.features, some.background, some.mean2d_abs];
+        for (i, some) in some.into_iter().enumerate() {
+            assert_eq!(some.is_some(), bit(i), "gradient {i} of needs {mask:04b}");
+            if let Some(some) = some {
+                let tolerance = |v: &f32| 1e-4 * v.abs().max(1e-3);
+                let close = some.read(&gpu).iter().zip(&all[i]).all(|(a, b)| (a - b).abs() <= tolerance(b));
+                assert!(close, "gradient {i} of needs {mask:04b} differs");
+            }
+        }
+    }
+}
+
+#[test]
+fn ordered_sums_are_the_same_in_every_run() {
+    for (form, gpu) in gpus() {
+        let options = RenderOptions::standard().with_accumulation(Accumulation::Ordered);
+        let scene = Scene::random(5_000, [200, 150], 3, [0.02, 1.0], options);
+        let grad = Random::new(4).fill(4 * 200 * 150, -1.0, 1.0);
+        let run = || {
+            let (planes, grads) = scene.on(&gpu, &grad, ALL);
+            let grads = [grads.projected, grads.features, grads.background, grads.mean2d_abs];
+            (planes, grads.map(|b| b.expect("asked for").read(&gpu).iter().map(|v| v.to_bits()).collect::<Vec<_>>()))
+        };
+        let first = run();
+        for _ in 0..3 {
+            assert!(run() == first, "{form}");
+        }
+    }
+}

@@ -1,0 +1,241 @@
+//! Launches of `blend`.
+
+use cubecl::prelude::*;
+
+use super::backward::{blend_behind_kernel, blend_gather_kernel, blend_layers_kernel, row_len};
+use super::forward::{BUCKET, LimitsLaunch, Shape, blend_forward_kernel};
+use super::{BlendNeeds, BlendSpec};
+use crate::gpu::reduce::launch_column_sums;
+use crate::gpu::{Buffer, Gpu, UNITS, cubes, elementwise};
+use crate::options::Accumulation;
+use crate::project::COLUMNS;
+use crate::tile::launch::{DeviceLists, frame};
+use crate::tile::{TILE_PIXELS, tile_grid};
+
+/// Places that a cube of the forward pass loads at once.
+const BATCH: usize = 64;
+
+/// Units of a cube of the layers' kernel, and pixels of its blocks: what two arrays of 32 numbers per unit leave of 32 KiB
+/// of shared memory.
+const LAYER_UNITS: usize = 64;
+
+/// Inputs on the device, row-major.
+#[derive(Clone)]
+pub(crate) struct DeviceInputs {
+    /// `[N, 7]`.
+    pub projected: Buffer<f32>,
+    /// `[N, C]`.
+    pub features: Buffer<f32>,
+    /// `[C]`.
+    pub background: Buffer<f32>,
+}
+
+impl DeviceInputs {
+    fn shape(&self, spec: &BlendSpec) -> Shape {
+        Shape { features: self.background.len, depth: spec.options.depth }
+    }
+
+    fn count(&self) -> usize {
+        self.projected.len / COLUMNS
+    }
+}
+
+/// What the forward pass keeps for the backward pass.
+#[derive(Clone, Debug)]
+pub(crate) struct DeviceTrace {
+    /// `[slots, kept, 256]`: numbers per bucket and pixel, see [`Shape::kept`].
+    kept: Buffer<f32>,
+    /// `[tiles, 256]`: the transmittance behind all layers.
+    behind: Buffer<f32>,
+    /// `[tiles]`: buckets passed before every pixel was finished.
+    passed: Buffer<u32>,
+}
+
+/// Gradients, each only where it was asked for.
+#[derive(Default)]
+pub(crate) struct DeviceGrads {
+    /// `[N, 7]`.
+    pub projected: Option<Buffer<f32>>,
+    /// `[N, C]`.
+    pub features: Option<Buffer<f32>>,
+    /// `[C]`.
+    pub background: Option<Buffer<f32>>,
+    /// `[N, 2]`.
+    pub mean2d_abs: Option<Buffer<f32>>,
+}
+
+/// Slots of all tiles' buckets; see `first_slot`.
+fn slots(lists: &DeviceLists, tiles: usize) -> usize {
+    lists.hits / BUCKET + tiles
+}
+
+fn limits(spec: &BlendSpec) -> LimitsLaunch {
+    let least = spec.options.transmittance_min;
+    // A threshold of zero leaves out nothing, not even what is behind an alpha of one.
+    LimitsLaunch::new(spec.options.alpha_max as f32, if least > 0.0 { least as f32 } else { -1.0 })
+}
+
+/// Planes `[C + 1 (+ 1), H, W]`, and the trace if it is to be kept.
+pub(crate) fn launch_blend(
+    gpu: &Gpu,
+    inputs: &DeviceInputs,
+    lists: &DeviceLists,
+    spec: &BlendSpec,
+    keep: bool,
+) -> (Buffer<f32>, Option<DeviceTrace>) {
+    let camera = &spec.intrinsics;
+    let shape = inputs.shape(spec);
+    let [tiles_x, tiles_y] = tile_grid(camera.width, camera.height);
+    let tiles = tiles_x * tiles_y;
+    let planes = Buffer::new(gpu, spec.planes(shape.features) * camera.width * camera.height);
+    let kept_len = |len: usize| if keep { len } else { 0 };
+    let trace = DeviceTrace {
+        kept: Buffer::new(gpu, kept_len(slots(lists, tiles) * shape.kept() * TILE_PIXELS)),
+        behind: Buffer::new(gpu, kept_len(tiles * TILE_PIXELS)),
+        passed: Buffer::new(gpu, kept_len(tiles)),
+    };
+    // SAFETY: places, hits and Gaussians come from the lists, which hold none out of range; pixels are guarded.
+    unsafe {
+        blend_forward_kernel::launch_unchecked(
+            &gpu.client,
+            cubes(tiles),
+            CubeDim::new_1d(TILE_PIXELS as u32),
+            inputs.projected.arg(),
+            inputs.features.arg(),
+            inputs.background.arg(),
+            lists.tile_start.arg(),
+            lists.hit_of_place.arg(),
+            lists.gaussian_of_hit.arg(),
+            planes.arg(),
+            trace.kept.arg(),
+            trace.behind.arg(),
+            trace.passed.arg(),
+            frame(camera, spec.options.alpha_min),
+            limits(spec),
+            shape,
+            keep,
+            BATCH,
+        );
+    }
+    (planes, keep.then_some(trace))
+}
+
+/// Gradients of the inputs from `grad`, that of the planes.
+pub(crate) fn launch_blend_backward(
+    gpu: &Gpu,
+    inputs: &DeviceInputs,
+    grad: &Buffer<f32>,
+    lists: &DeviceLists,
+    trace: &DeviceTrace,
+    spec: &BlendSpec,
+    needs: BlendNeeds,
+) -> DeviceGrads {
+    let camera = &spec.intrinsics;
+    let shape = inputs.shape(spec);
+    let [tiles_x, tiles_y] = tile_grid(camera.width, camera.height);
+    let tiles = tiles_x * tiles_y;
+    let slots = slots(lists, tiles);
+    let rho_behind: Buffer<f32> = Buffer::new(gpu, slots * TILE_PIXELS);
+    let background = Buffer::new(gpu, if needs.background { tiles * shape.features } else { 0 });
+    // SAFETY: as in the forward pass; slots are those that the forward pass wrote.
+    unsafe {
+        blend_behind_kernel::launch_unchecked(
+            &gpu.client,
+            cubes(tiles),
+            CubeDim::new_1d(UNITS as u32),
+            inputs.projected.arg(),
+            inputs.features.arg(),
+            inputs.background.arg(),
+            grad.arg(),
+            lists.tile_start.arg(),
+            lists.hit_of_place.arg(),
+            lists.gaussian_of_hit.arg(),
+            trace.kept.arg(),
+            trace.behind.arg(),
+            trace.passed.arg(),
+            rho_behind.arg(),
+            background.arg(),
+            frame(camera, spec.options.alpha_min),
+            limits(spec),
+            shape,
+            needs.background,
+            gpu.planes,
+        );
+    }
+    let mut grads = DeviceGrads {
+        background: needs.background.then(|| launch_column_sums(gpu, &background, shape.features)),
+        ..DeviceGrads::default()
+    };
+    if !(needs.projected || needs.features || needs.mean2d_abs) {
+        return grads;
+    }
+
+    let columns = row_len(shape, needs.mean2d_abs);
+    let ordered = spec.options.accumulation == Accumulation::Ordered;
+    let rows = match ordered {
+        true => Buffer::new(gpu, lists.hits * columns),
+        false => Buffer::zeros(gpu, inputs.count() * columns),
+    };
+    let unused: Buffer<f32> = Buffer::new(gpu, 0);
+    let (written, added) = if ordered { (&rows, &unused) } else { (&unused, &rows) };
+    let layers = match gpu.float_atomics {
+        true => blend_layers_kernel::launch_unchecked::<Atomic<f32>>,
+        false => blend_layers_kernel::launch_unchecked::<Atomic<u32>>,
+    };
+    // SAFETY: as in the forward pass; a row belongs to a hit or a Gaussian of the lists.
+    unsafe {
+        layers(
+            &gpu.client,
+            cubes(slots),
+            CubeDim::new_1d(LAYER_UNITS as u32),
+            inputs.projected.arg(),
+            inputs.features.arg(),
+            grad.arg(),
+            lists.tile_start.arg(),
+            lists.hit_of_place.arg(),
+            lists.gaussian_of_hit.arg(),
+            trace.kept.arg(),
+            trace.passed.arg(),
+            rho_behind.arg(),
+            written.arg(),
+            added.arg(),
+            frame(camera, spec.options.alpha_min),
+            limits(spec),
+            slots as u32,
+            shape,
+            needs.mean2d_abs,
+            !ordered,
+            LAYER_UNITS,
+        );
+    }
+    let zeros = |needed: bool, columns: usize| Buffer::zeros(gpu, if needed { inputs.count() * columns } else { 0 });
+    let projected = zeros(needs.projected, COLUMNS);
+    let features = zeros(needs.features, shape.features);
+    let absolute = zeros(needs.mean2d_abs, 2);
+    let (grid, dim) = elementwise(lists.visible);
+    // SAFETY: ranks stay below the number of visible Gaussians; hits below theirs.
+    unsafe {
+        blend_gather_kernel::launch_unchecked(
+            &gpu.client,
+            grid,
+            dim,
+            inputs.projected.arg(),
+            lists.order.arg(),
+            lists.first_hit.arg(),
+            rows.arg(),
+            projected.arg(),
+            features.arg(),
+            absolute.arg(),
+            lists.visible as u32,
+            lists.hits as u32,
+            shape,
+            needs.mean2d_abs,
+            ordered,
+            (needs.projected, needs.features),
+        );
+    }
+    grads.projected = needs.projected.then_some(projected);
+    grads.features = needs.features.then_some(features);
+    grads.mean2d_abs = needs.mean2d_abs.then_some(absolute);
+    grads
+}
