@@ -47,8 +47,13 @@ impl Reference {
             let (found, expected) = (format!("{:?}", tensor.dtype()), format!("{:?}", self.dtype));
             return Err(SplatError::DType { name, found, expected });
         }
-        // Whether gradients are tracked is a matter of its own: a constant may meet a tracked tensor.
-        let (found, expected) = (tensor.device().without_autodiff(), self.device.clone().without_autodiff());
+        self.check_device(name, &tensor.device())
+    }
+
+    /// Compares a device with the reference. Whether gradients are tracked is a matter of its own: a constant may meet a
+    /// tracked tensor.
+    pub fn check_device(&self, name: &'static str, device: &Device) -> Result<(), SplatError> {
+        let (found, expected) = (device.clone().without_autodiff(), self.device.clone().without_autodiff());
         if found != expected {
             return Err(SplatError::Device { name, found: format!("{found:?}"), expected: format!("{expected:?}") });
         }

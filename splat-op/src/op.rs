@@ -10,8 +10,12 @@ use crate::project::{ProjectGrads, ProjectInputs, ProjectNeeds, ProjectSpec};
 use crate::shade::{ShadeGrads, ShadeInputs, ShadeNeeds};
 use crate::tile::HitCell;
 
+#[cfg(feature = "fusion")]
+use crate::bind::fusion;
+
 /// A gradient that was asked for, or not.
 #[derive(Clone, Debug, ExtensionType)]
+#[extension_type(fusion: cfg(feature = "fusion"))]
 pub enum Slot<B: Backend> {
     /// Its input is not tracked.
     Skip,
@@ -23,9 +27,13 @@ pub enum Slot<B: Backend> {
 ///
 /// No method has a default body: a backend that lacks one does not compile. Users call the functions of this crate, which
 /// take tensors and check them; these methods take backend primitives of the documented shapes and one float type.
-#[backend_extension(Flex, NdArray, Autodiff)]
+///
+/// With Burn's fusion, an operation on the GPU is registered first and runs later, on the device's own thread; the
+/// functions named in `#[fusion]` say what it will return.
+#[backend_extension(Cube: cfg(feature = "cube"), Flex, NdArray, Autodiff, Fusion: cfg(feature = "fusion"))]
 pub trait SplatBackend: Backend {
     /// See `project/`. Returns `[N, 7]`. `mean2d_probe` is `[N, 2]`, or `[0, 2]` for none; its values are not read.
+    #[fusion(meta = fusion::project)]
     fn project(
         #[extension_type] inputs: ProjectInputs<Self>,
         mean2d_probe: FloatTensor<Self>,
@@ -33,6 +41,7 @@ pub trait SplatBackend: Backend {
     ) -> FloatTensor<Self>;
 
     /// Gradients of `project` from that of its output.
+    #[fusion(meta = fusion::project_backward)]
     fn project_backward(
         #[extension_type] inputs: ProjectInputs<Self>,
         grad: FloatTensor<Self>,
@@ -41,9 +50,11 @@ pub trait SplatBackend: Backend {
     ) -> ProjectGrads<Self>;
 
     /// See `shade/`. Returns `[N, 3]`.
+    #[fusion(meta = fusion::shade)]
     fn shade(#[extension_type] inputs: ShadeInputs<Self>) -> FloatTensor<Self>;
 
     /// Gradients of `shade` from that of its output.
+    #[fusion(meta = fusion::shade_backward)]
     fn shade_backward(
         #[extension_type] inputs: ShadeInputs<Self>,
         grad: FloatTensor<Self>,
@@ -51,10 +62,12 @@ pub trait SplatBackend: Backend {
     ) -> ShadeGrads<Self>;
 
     /// See `tile/`. Fills `hits` and returns the number of hits per tile, `[tiles along y, tiles along x]`.
+    #[fusion(meta = fusion::tile)]
     fn tile(projected: FloatTensor<Self>, spec: BlendSpec, hits: HitCell) -> IntTensor<Self>;
 
     /// See `blend/`. Returns `[C + 1 (+ 1), H, W]` and fills `trace` if it is to be kept. `tile_counts` is what `tile`
     /// returned, and orders the two; `mean2d_abs_probe` is `[N, 2]`, or `[0, 2]` for none, and not read.
+    #[fusion(meta = fusion::blend)]
     fn blend(
         #[extension_type] inputs: BlendInputs<Self>,
         mean2d_abs_probe: FloatTensor<Self>,
@@ -64,9 +77,11 @@ pub trait SplatBackend: Backend {
         trace: Option<TraceCell>,
     ) -> FloatTensor<Self>;
 
-    /// Gradients of `blend` from that of its output.
+    /// Gradients of `blend` from that of its output. `planes` is what `blend` returned, and orders the two; not read.
+    #[fusion(meta = fusion::blend_backward)]
     fn blend_backward(
         #[extension_type] inputs: BlendInputs<Self>,
+        planes: FloatTensor<Self>,
         grad: FloatTensor<Self>,
         spec: BlendSpec,
         needs: BlendNeeds,

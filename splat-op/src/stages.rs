@@ -246,6 +246,7 @@ pub fn blend(
     if extras.mean2d_abs_probe.is_some() {
         reference.check("mean2d_abs_probe", &probe, [Some(count), Some(2)], "[N, 2]")?;
     }
+    reference.check_device("tiles", &tiles.counts.device())?;
     let spec = BlendSpec { intrinsics: projected.intrinsics, options: *options };
     let inputs = BlendInputs {
         projected: projected.packed.clone().into_dispatch(),

@@ -99,14 +99,14 @@ impl<B: SplatBackend> Backward<B, 3> for ShadeBackward {
 struct BlendBackward;
 
 impl<B: SplatBackend> Backward<B, 4> for BlendBackward {
-    type State = (BlendInputs<B>, BlendSpec, HitCell, TraceCell);
+    type State = (BlendInputs<B>, FloatTensor<B>, BlendSpec, HitCell, TraceCell);
 
     fn backward(self, ops: Ops<Self::State, 4>, grads: &mut Gradients, _: &mut Checkpointer) {
         let grad = grads.consume::<B>(&ops.node);
         let [projected, features, background, mean2d_abs] = ops.parents.each_ref().map(Option::is_some);
         let needs = BlendNeeds { projected, features, background, mean2d_abs };
-        let (inputs, spec, hits, trace) = ops.state;
-        let out = B::blend_backward(inputs, grad, spec, needs, hits, trace);
+        let (inputs, planes, spec, hits, trace) = ops.state;
+        let out = B::blend_backward(inputs, planes, grad, spec, needs, hits, trace);
         let slots = [out.projected, out.features, out.background, out.mean2d_abs];
         let parents = ops.parents.map(|parent| parent.map(|node| node.id));
         parents.into_iter().zip(slots).for_each(|(parent, slot)| register::<B>(grads, parent, slot));
@@ -154,7 +154,7 @@ impl<B: SplatBackend, C: CheckpointStrategy> SplatBackend for Autodiff<B, C> {
             OpsKind::Tracked(prep) => {
                 let trace = TraceCell::default();
                 let output = B::blend(inner.clone(), probe, tile_counts, spec, hits.clone(), Some(trace.clone()));
-                prep.finish((inner, spec, hits, trace), output)
+                prep.finish((inner, output.clone(), spec, hits, trace), output)
             }
             OpsKind::UnTracked(prep) => prep.finish(B::blend(inner, probe, tile_counts, spec, hits, None)),
         }
@@ -186,13 +186,15 @@ impl<B: SplatBackend, C: CheckpointStrategy> SplatBackend for Autodiff<B, C> {
 
     fn blend_backward(
         inputs: BlendInputs<Self>,
+        planes: FloatTensor<Self>,
         grad: FloatTensor<Self>,
         spec: BlendSpec,
         needs: BlendNeeds,
         hits: HitCell,
         trace: TraceCell,
     ) -> BlendGrads<Self> {
-        let out = B::blend_backward(inputs.inner(), grad.into_primitive(), spec, needs, hits, trace);
+        let (planes, grad) = (planes.into_primitive(), grad.into_primitive());
+        let out = B::blend_backward(inputs.inner(), planes, grad, spec, needs, hits, trace);
         BlendGrads {
             projected: constant(out.projected),
             features: constant(out.features),

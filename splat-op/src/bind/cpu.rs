@@ -13,7 +13,7 @@ use crate::project::{self, COLUMNS, ProjectGrads, ProjectInputs, ProjectNeeds, P
 use crate::real::Real;
 use crate::shade::{self, ShadeGrads, ShadeInputs, ShadeNeeds};
 use crate::tile::cpu::tile_cpu;
-use crate::tile::{HitCell, HitLists, tile_grid};
+use crate::tile::{HitCell, HitLists, Lists, tile_grid};
 
 /// Runs `$body` with `$float` standing for the float type of `$tensor`.
 macro_rules! by_type {
@@ -116,7 +116,12 @@ fn shade_backward<B: HostBackend, F: Real>(
 
 /// The lists in the cell, computed now if nobody has yet.
 fn hit_lists<'a, F: Real>(cell: &'a HitCell, projected: &[F], spec: &BlendSpec) -> &'a HitLists {
-    cell.0.get_or_init(|| tile_cpu(projected, &spec.intrinsics, spec.options.alpha_min))
+    let lists = cell.0.get_or_init(|| Lists::Host(tile_cpu(projected, &spec.intrinsics, spec.options.alpha_min)));
+    match lists {
+        Lists::Host(lists) => lists,
+        #[cfg(feature = "cube")]
+        Lists::Device(_) => unreachable!("the public functions check that lists and ellipses are on one device"),
+    }
 }
 
 fn tile<B: HostBackend, F: Real>(projected: FloatTensor<B>, spec: &BlendSpec, cell: &HitCell) -> IntTensor<B> {
@@ -224,6 +229,7 @@ macro_rules! cpu_backend {
 
             fn blend_backward(
                 inputs: BlendInputs<Self>,
+                _: FloatTensor<Self>,
                 grad: FloatTensor<Self>,
                 spec: BlendSpec,
                 needs: BlendNeeds,

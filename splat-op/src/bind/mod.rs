@@ -1,5 +1,9 @@
-//! Where the stages meet Burn: its CPU backends and its autodiff. Kernels and twins know neither.
+//! Where the stages meet Burn: its CPU and GPU backends, its fusion and its autodiff. Kernels and twins know none of them.
 
 mod autodiff;
 mod cpu;
+#[cfg(feature = "cube")]
+mod cube;
+#[cfg(feature = "fusion")]
+pub(crate) mod fusion;
 mod host;

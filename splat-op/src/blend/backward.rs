@@ -1,12 +1,9 @@
-//! The kernels of `blend`, backwards. Three of them, none of which divides by what a layer lets through:
+//! The kernels of `blend`, backwards, that surround the one over the layers. None divides by what a layer lets through.
 //!
 //! 1. *Behind*, a cube per tile, a unit per pixel: what is seen behind each bucket, as far as the gradient cares,
 //!    `ρ = g·R`, from the last bucket to the first: `ρ = g·(sums of the bucket) + (share it lets through) ρ`.
-//! 2. *Layers*, a cube per bucket: all buckets of all tiles at once, however long a tile's list is. A cube takes a block of
-//!    pixels after the other. First its units are pixels: forwards through the bucket for `α` and `T`, then backwards
-//!    for `∂L/∂α`; both go to shared memory. Then its units are Gaussians and read the same numbers the other way round,
-//!    each adding up its own row over the pixels. So sums over pixels need neither atomics nor shuffles, and a row leaves
-//!    the cube once.
+//! 2. *Layers*, a cube per bucket, all buckets of all tiles at once, however long a tile's list is: the sums of each hit over
+//!    the tile's pixels, a row per hit. In `strips.rs` for few channels, in `channels.rs` for many.
 //! 3. *Gather*, a unit per Gaussian: the rows become gradients of the ellipse and the features.
 //!
 //! Rows are either added into one per Gaussian, in whatever order the device comes to them, or kept one per hit and added
@@ -14,8 +11,7 @@
 
 use cubecl::prelude::*;
 
-use super::forward::{BUCKET, FOOTPRINT, Footprint, Limits, Shape, colour, first_slot};
-use crate::gpu::atomic::FloatCell;
+use super::forward::{BUCKET, Footprint, Limits, Shape, colour, first_slot};
 use crate::gpu::reduce::cube_sum;
 use crate::project::COLUMNS;
 use crate::tile::forward::Frame;
@@ -32,7 +28,7 @@ pub(super) const fn row_len(shape: Shape, absolute: bool) -> usize {
 
 /// The plane of the picture that holds channel `channel`: alpha lies before depth.
 #[cube]
-fn plane_of(channel: usize, #[comptime] shape: Shape) -> usize {
+pub(super) fn plane_of(channel: usize, #[comptime] shape: Shape) -> usize {
     let mut plane = channel;
     if comptime!(shape.depth) {
         if channel == comptime!(shape.features) {
@@ -131,7 +127,8 @@ pub(super) fn blend_behind_kernel(
                     while place < end && open {
                         let gaussian = gaussian_of_hit[hit_of_place[(first + place) as usize] as usize] as usize;
                         let footprint = Footprint::of(projected, gaussian, frame.alpha_min);
-                        let alpha = footprint.alpha(x, y, frame.alpha_min, limits.alpha_max);
+                        let (u, v) = footprint.whiten(x, y);
+                        let alpha = footprint.alpha(u, v, frame.alpha_min, limits.alpha_max);
                         if alpha > 0.0 {
                             let next = relative * (1.0 - alpha);
                             if kept[at] * next <= limits.transmittance_min {
@@ -156,7 +153,7 @@ pub(super) fn blend_behind_kernel(
 
 /// The tile whose buckets hold `slot`: the last one that begins at or before it.
 #[cube]
-fn tile_of_slot(tile_start: &[u32], tiles: u32, slot: u32) -> u32 {
+pub(super) fn tile_of_slot(tile_start: &[u32], tiles: u32, slot: u32) -> u32 {
     let mut low = 0u32;
     let mut high = tiles;
     while high - low > 1 {
@@ -168,243 +165,6 @@ fn tile_of_slot(tile_start: &[u32], tiles: u32, slot: u32) -> u32 {
         }
     }
     low
-}
-
-/// Rows of the hits of each bucket; `units`, a multiple of 32, is the cube's size and the pixels of a block.
-///
-/// `rows` is `[H, row]` and every hit's row is written, or, with `add`, one row per Gaussian that is added to.
-#[cube(launch_unchecked)]
-pub(super) fn blend_layers_kernel<A: FloatCell>(
-    projected: &[f32],
-    features: &[f32],
-    grad: &[f32],
-    tile_start: &[u32],
-    hit_of_place: &[u32],
-    gaussian_of_hit: &[u32],
-    kept: &[f32],
-    passed: &[u32],
-    rho_behind: &[f32],
-    rows: &mut [f32],
-    sums: &[A],
-    frame: Frame,
-    limits: Limits,
-    slots: u32,
-    #[comptime] shape: Shape,
-    #[comptime] absolute: bool,
-    #[comptime] add: bool,
-    #[comptime] units: usize,
-) {
-    let channels = comptime!(shape.channels());
-    let few = comptime!(shape.few());
-    let numbers = comptime!(shape.kept());
-    let columns = comptime!(row_len(shape, absolute));
-    // One more than a block's pixels, so that neither direction of reading meets a bank twice.
-    let stride = comptime!(units + 1);
-    let parts = comptime!(units / BUCKET);
-    let mut footprints = Shared::<[f32]>::new_slice(comptime!(BUCKET * FOOTPRINT));
-    let mut colours = Shared::<[f32]>::new_slice(comptime!(if few { BUCKET * channels } else { 1 }));
-    let mut gradients = Shared::<[f32]>::new_slice(comptime!(if few { units * channels } else { 1 }));
-    let mut alphas = Shared::<[f32]>::new_slice(comptime!(BUCKET * stride));
-    let mut weights = Shared::<[f32]>::new_slice(comptime!(BUCKET * stride));
-
-    let slot = CUBE_POS as u32;
-    let unit = UNIT_POS;
-    let tiles = frame.tiles_x * frame.tiles_y;
-    if slot < slots {
-        let tile = tile_of_slot(tile_start, tiles, slot);
-        let first = tile_start[tile as usize];
-        let places = tile_start[tile as usize + 1] - first;
-        let bucket = slot - first_slot(first, tile);
-        let place = bucket * comptime!(BUCKET as u32);
-        if place < places {
-            let count = min(places - place, comptime!(BUCKET as u32));
-            let lane = unit % comptime!(BUCKET as u32);
-            let part = unit / comptime!(BUCKET as u32);
-            let mut hit = 0u32;
-            let mut gaussian = 0u32;
-            if lane < count {
-                hit = hit_of_place[(first + place + lane) as usize];
-                gaussian = gaussian_of_hit[hit as usize];
-            }
-            let mut row = Array::<f32>::new(columns);
-            #[unroll(few)]
-            for column in 0..columns {
-                row[column] = 0.0f32;
-            }
-            if bucket < passed[tile as usize] {
-                if unit < count {
-                    Footprint::of(projected, gaussian as usize, frame.alpha_min).store(&mut footprints, unit as usize);
-                    if comptime!(few) {
-                        #[unroll]
-                        for channel in 0..channels {
-                            colours[unit as usize * channels + channel] =
-                                colour(projected, features, gaussian as usize, channel, shape);
-                        }
-                    }
-                }
-                sync_cube();
-                let origin_x = tile % frame.tiles_x * comptime!(TILE as u32);
-                let origin_y = tile / frame.tiles_x * comptime!(TILE as u32);
-                let plane = (frame.width * frame.height) as usize;
-                let at = slot as usize * comptime!(numbers * TILE_PIXELS);
-
-                for block in 0..comptime!((TILE_PIXELS / units) as u32) {
-                    // The units are pixels.
-                    let pixel = block * comptime!(units as u32) + unit;
-                    let column = origin_x + pixel % comptime!(TILE as u32);
-                    let line = origin_y + pixel / comptime!(TILE as u32);
-                    let x = f32::cast_from(column) + 0.5;
-                    let y = f32::cast_from(line) + 0.5;
-                    let inside = column < frame.width && line < frame.height;
-                    let in_picture = (line * frame.width + column) as usize;
-                    let before = kept[at + pixel as usize];
-                    let mut open = before >= 0.0;
-                    let mut through = 1.0f32;
-                    for i in 0..count {
-                        let mut alpha = 0.0f32;
-                        if open {
-                            alpha = Footprint::load(&footprints, i as usize).alpha(
-                                x,
-                                y,
-                                frame.alpha_min,
-                                limits.alpha_max,
-                            );
-                            let next = through * (1.0 - alpha);
-                            if alpha > 0.0 && before * next <= limits.transmittance_min {
-                                open = false;
-                                alpha = 0.0f32;
-                            } else {
-                                weights[i as usize * stride + unit as usize] = alpha * (before * through);
-                                through = next;
-                            }
-                        }
-                        alphas[i as usize * stride + unit as usize] = alpha;
-                    }
-                    let mut grad_alpha = 0.0f32;
-                    if inside {
-                        grad_alpha = grad[comptime!(shape.features) * plane + in_picture];
-                    }
-                    if comptime!(few) {
-                        #[unroll]
-                        for channel in 0..channels {
-                            let mut value = 0.0f32;
-                            if inside {
-                                value = grad[plane_of(channel, shape) * plane + in_picture];
-                            }
-                            gradients[channel * units + unit as usize] = value;
-                        }
-                    }
-                    let mut rho = rho_behind[slot as usize * comptime!(TILE_PIXELS) + pixel as usize];
-                    for step in 0..count {
-                        let i = (count - 1 - step) as usize;
-                        let alpha = alphas[i * stride + unit as usize];
-                        if alpha > 0.0 {
-                            let mut along = grad_alpha;
-                            if comptime!(few) {
-                                #[unroll]
-                                for channel in 0..channels {
-                                    along += gradients[channel * units + unit as usize] * colours[i * channels + channel];
-                                }
-                            } else {
-                                let there = gaussian_of_hit[hit_of_place[(first + place) as usize + i] as usize] as usize;
-                                for channel in 0..channels {
-                                    along += grad[plane_of(channel, shape) * plane + in_picture]
-                                        * colour(projected, features, there, channel, shape);
-                                }
-                            }
-                            let ahead = along - rho;
-                            rho += alpha * ahead;
-                            // From here on the place of an alpha holds `h`, and that of none a weight of zero.
-                            let mut h = 0.0f32;
-                            if alpha < limits.alpha_max {
-                                h = weights[i * stride + unit as usize] * ahead;
-                            }
-                            alphas[i * stride + unit as usize] = h;
-                        } else {
-                            weights[i * stride + unit as usize] = 0.0f32;
-                        }
-                    }
-                    sync_cube();
-
-                    // The units are Gaussians, each with a part of the pixels.
-                    if lane < count {
-                        let footprint = Footprint::load(&footprints, lane as usize);
-                        let slope = footprint.inverse_v * footprint.shear;
-                        for step in 0..comptime!(BUCKET as u32) {
-                            let other = part * comptime!(BUCKET as u32) + step;
-                            let index = lane as usize * stride + other as usize;
-                            let weight = weights[index];
-                            if weight != 0.0 {
-                                let pixel = block * comptime!(units as u32) + other;
-                                let column = origin_x + pixel % comptime!(TILE as u32);
-                                let line = origin_y + pixel / comptime!(TILE as u32);
-                                let (u, v) =
-                                    footprint.whiten(f32::cast_from(column) + 0.5, f32::cast_from(line) + 0.5);
-                                let h = alphas[index];
-                                let hu = h * u;
-                                let hv = h * v;
-                                row[0] += h;
-                                row[1] += hu;
-                                row[2] += hv;
-                                row[3] += hu * u;
-                                row[4] += hu * v;
-                                row[5] += hv * v;
-                                if comptime!(few) {
-                                    #[unroll]
-                                    for channel in 0..channels {
-                                        row[comptime!(MOMENTS) + channel] +=
-                                            weight * gradients[channel * units + other as usize];
-                                    }
-                                } else {
-                                    let in_picture = (line * frame.width + column) as usize;
-                                    for channel in 0..channels {
-                                        row[comptime!(MOMENTS) + channel] +=
-                                            weight * grad[plane_of(channel, shape) * plane + in_picture];
-                                    }
-                                }
-                                if comptime!(absolute) {
-                                    row[comptime!(MOMENTS + channels)] +=
-                                        (hu * footprint.inverse_u - hv * slope).abs();
-                                    row[comptime!(MOMENTS + channels + 1)] += (hv * footprint.inverse_v).abs();
-                                }
-                            }
-                        }
-                    }
-                    sync_cube();
-                }
-
-                // The parts of a row.
-                if comptime!(parts > 1) {
-                    #[unroll(few)]
-                    for column in 0..columns {
-                        alphas[unit as usize] = row[column];
-                        sync_cube();
-                        if part == 0 {
-                            for other in 1..comptime!(parts as u32) {
-                                row[column] += alphas[(other * comptime!(BUCKET as u32) + lane) as usize];
-                            }
-                        }
-                        sync_cube();
-                    }
-                }
-            }
-            if part == 0 && lane < count {
-                if comptime!(add) {
-                    #[unroll(few)]
-                    for column in 0..columns {
-                        if row[column] != 0.0 {
-                            A::add(&sums[gaussian as usize * columns + column], row[column]);
-                        }
-                    }
-                } else {
-                    #[unroll(few)]
-                    for column in 0..columns {
-                        rows[hit as usize * columns + column] = row[column];
-                    }
-                }
-            }
-        }
-    }
 }
 
 /// From rows to gradients. With `e = −(u² + v²)/2`: `∂e/∂sigma_u = u²/sigma_u`, `∂e/∂sigma_v = v²/sigma_v`,

@@ -1,4 +1,5 @@
-//! The kernel of `blend`, forwards: a cube per tile, a unit per pixel.
+//! The kernel of `blend`, forwards: a cube per tile, a unit per strip of pixels, whose numbers stay in registers. How many
+//! pixels a strip has is chosen by the device, see [`Strip`].
 //!
 //! A tile's places are passed in buckets of 32. Within a bucket a pixel's sums and transmittance are relative to those
 //! before it; at its end they are added in. What the backward pass needs of a bucket is then a few numbers per pixel that
@@ -12,6 +13,9 @@ use crate::tile::{TILE, TILE_PIXELS};
 
 /// Places of a bucket.
 pub(super) const BUCKET: usize = 32;
+
+/// Places that a cube loads at once.
+const BATCH: usize = 64;
 
 /// Channels up to which colours go through shared memory and sums through registers, and the trace keeps the sums of each
 /// bucket; above, all three would not fit.
@@ -54,6 +58,39 @@ impl Shape {
     }
 }
 
+/// The pixels of a unit: some columns of a tile, and of those a block of rows. Pixels in one column share `u`, and all
+/// share what is read of a Gaussian. A graphics card has units to fill, and hides the reading behind them. A software
+/// driver runs eight units at a time as one vector, and reads for each of them one after the other, ten times slower than
+/// it computes: there a strip is as long as eight units leave it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub(crate) struct Strip {
+    /// Columns of a unit.
+    pub across: usize,
+    /// Blocks that the rows of a tile are cut into.
+    pub blocks: usize,
+}
+
+impl Strip {
+    pub const fn units(&self) -> usize {
+        TILE / self.across * self.blocks
+    }
+
+    pub const fn rows(&self) -> usize {
+        TILE / self.blocks
+    }
+
+    pub const fn pixels(&self) -> usize {
+        self.across * self.rows()
+    }
+}
+
+/// Column and row in the tile of a unit's first pixel.
+#[cube]
+pub(super) fn strip_origin(#[comptime] strip: Strip) -> (u32, u32) {
+    let along = comptime!((TILE / strip.across) as u32);
+    (UNIT_POS % along * comptime!(strip.across as u32), UNIT_POS / along * comptime!(strip.rows() as u32))
+}
+
 /// An ellipse as the pixels' loop reads it.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
@@ -90,6 +127,11 @@ impl Footprint {
         }
     }
 
+    /// One that shows in no pixel.
+    pub fn nowhere() -> Footprint {
+        Footprint { x: 0.0, y: 0.0, inverse_u: 0.0, inverse_v: 0.0, shear: 0.0, opacity: 0.0, exponent_min: 1.0 }
+    }
+
     pub fn store(&self, to: &mut Shared<[f32]>, index: usize) {
         let at = index * comptime!(FOOTPRINT);
         to[at] = self.x;
@@ -114,6 +156,12 @@ impl Footprint {
         }
     }
 
+    /// `u` in the column at `x` px, and what `v` is computed from along it: `v = (y − this) inverse_v`.
+    pub fn along_column(&self, x: f32) -> (f32, f32) {
+        let dx = x - self.x;
+        (dx * self.inverse_u, self.y + self.shear * dx)
+    }
+
     /// `u, v` of a pixel with its centre at `x, y` px.
     pub fn whiten(&self, x: f32, y: f32) -> (f32, f32) {
         let dx = x - self.x;
@@ -121,19 +169,23 @@ impl Footprint {
         (dx * self.inverse_u, (dy - self.shear * dx) * self.inverse_v)
     }
 
-    /// The alpha at a pixel; zero where it does not show.
-    pub fn alpha(&self, x: f32, y: f32, alpha_min: f32, alpha_max: f32) -> f32 {
-        let (u, v) = self.whiten(x, y);
+    /// The alpha at whitened coordinates; zero where it does not show.
+    pub fn alpha(&self, u: f32, v: f32, alpha_min: f32, alpha_max: f32) -> f32 {
         let exponent = -(0.5 * (u * u + v * v));
-        let mut alpha = 0.0f32;
-        if exponent >= self.exponent_min {
-            let value = min(self.opacity * exponent.exp(), alpha_max);
-            if value >= alpha_min {
-                alpha = value;
-            }
-        }
-        alpha
+        let value = min(self.opacity * exponent.exp(), alpha_max);
+        select(exponent >= self.exponent_min && value >= alpha_min, value, 0.0)
     }
+}
+
+/// Passes a layer at a pixel: its alpha, zero if it does not contribute, and what is let through behind it relative to the
+/// bucket; negative where the pixel is finished.
+#[cube]
+pub(super) fn layer(alpha: f32, through: f32, before: f32, transmittance_min: f32) -> (f32, f32) {
+    let next = through * (1.0 - alpha);
+    let shows = alpha > 0.0 && through >= 0.0;
+    let finishes = shows && before * next <= transmittance_min;
+    let contributes = shows && !finishes;
+    (select(contributes, alpha, 0.0), select(contributes, next, select(finishes, -through, through)))
 }
 
 /// The first slot of a tile's buckets: a slot per started 32 places, so that no two tiles share one and no list of slots
@@ -167,6 +219,8 @@ pub(super) fn colour(
 
 /// Planes `[C + 1 (+ 1), H, W]`; and, if a trace is kept, the kept numbers `[slot][number][pixel]`, the transmittance
 /// behind all layers `[tile][pixel]`, and how many buckets of each tile were passed.
+///
+/// A finished pixel has its transmittance negated, and one outside the picture is finished from the start.
 #[cube(launch_unchecked)]
 pub(super) fn blend_forward_kernel(
     projected: &[f32],
@@ -183,117 +237,148 @@ pub(super) fn blend_forward_kernel(
     limits: Limits,
     #[comptime] shape: Shape,
     #[comptime] keep: bool,
-    #[comptime] batch: usize,
+    #[comptime] strip: Strip,
 ) {
     let channels = comptime!(shape.channels());
     let few = comptime!(shape.few());
+    let (rows, pixels) = comptime!((strip.rows(), strip.pixels()));
     let tile = CUBE_POS as u32;
-    let unit = UNIT_POS;
-    let mut footprints = Shared::<[f32]>::new_slice(comptime!(batch * FOOTPRINT));
-    let mut colours = Shared::<[f32]>::new_slice(comptime!(if few { batch * channels } else { 1 }));
-    let mut gaussians = Shared::<[u32]>::new_slice(batch);
+    let mut footprints = Shared::<[f32]>::new_slice(comptime!(BATCH * FOOTPRINT));
+    let mut colours = Shared::<[f32]>::new_slice(comptime!(if few { BATCH * channels } else { 1 }));
+    let mut gaussians = Shared::<[u32]>::new_slice(comptime!(BATCH));
     let mut anybody = Shared::<[u32]>::new_slice(1usize);
 
     if tile < frame.tiles_x * frame.tiles_y {
-        let column = tile % frame.tiles_x * comptime!(TILE as u32) + unit % comptime!(TILE as u32);
-        let row = tile / frame.tiles_x * comptime!(TILE as u32) + unit / comptime!(TILE as u32);
-        let x = f32::cast_from(column) + 0.5;
-        let y = f32::cast_from(row) + 0.5;
-        let inside = column < frame.width && row < frame.height;
+        let (column, row) = strip_origin(strip);
+        let first_column = tile % frame.tiles_x * comptime!(TILE as u32) + column;
+        let first_row = tile / frame.tiles_x * comptime!(TILE as u32) + row;
+        let in_tile = (row * comptime!(TILE as u32) + column) as usize;
+        let x = f32::cast_from(first_column) + 0.5;
+        let y = f32::cast_from(first_row) + 0.5;
         let first = tile_start[tile as usize];
         let places = tile_start[tile as usize + 1] - first;
         let slot = first_slot(first, tile);
 
-        let mut open = inside;
-        let mut transmittance = 1.0f32;
-        let mut sums = Array::<f32>::new(channels);
-        let mut own = Array::<f32>::new(channels);
-        #[unroll(few)]
-        for channel in 0..channels {
-            sums[channel] = 0.0f32;
+        let mut transmittance = Array::<f32>::new(pixels);
+        let mut through = Array::<f32>::new(pixels);
+        let mut sums = Array::<f32>::new(comptime!(pixels * channels));
+        let mut own = Array::<f32>::new(comptime!(pixels * channels));
+        #[unroll]
+        for p in 0..pixels {
+            let inside = first_column + comptime!((p / rows) as u32) < frame.width
+                && first_row + comptime!((p % rows) as u32) < frame.height;
+            transmittance[p] = select(inside, 1.0f32, -1.0f32);
+            #[unroll(few)]
+            for channel in 0..channels {
+                sums[comptime!(p * channels) + channel] = 0.0f32;
+            }
         }
 
         let mut place = 0u32;
         let mut running = true;
         while running && place < places {
             // The next batch, unless nobody wants it.
-            if unit == 0 {
+            let mut open = false;
+            #[unroll]
+            for p in 0..pixels {
+                open = open || transmittance[p] >= 0.0;
+            }
+            if UNIT_POS == 0 {
                 anybody[0] = 0u32;
             }
             sync_cube();
             if open {
                 anybody[0] = 1u32;
             }
-            if unit < comptime!(batch as u32) && place + unit < places {
-                let gaussian = gaussian_of_hit[hit_of_place[(first + place + unit) as usize] as usize];
-                Footprint::of(projected, gaussian as usize, frame.alpha_min).store(&mut footprints, unit as usize);
-                gaussians[unit as usize] = gaussian;
+            let count = min(places - place, comptime!(BATCH as u32));
+            let mut i = UNIT_POS;
+            while i < count {
+                let gaussian = gaussian_of_hit[hit_of_place[(first + place + i) as usize] as usize];
+                Footprint::of(projected, gaussian as usize, frame.alpha_min).store(&mut footprints, i as usize);
+                gaussians[i as usize] = gaussian;
                 if comptime!(few) {
                     #[unroll]
                     for channel in 0..channels {
-                        colours[unit as usize * channels + channel] =
+                        colours[i as usize * channels + channel] =
                             colour(projected, features, gaussian as usize, channel, shape);
                     }
                 }
+                i += comptime!(strip.units() as u32);
             }
             sync_cube();
             running = anybody[0] != 0;
             if running {
-                let count = min(places - place, comptime!(batch as u32));
                 let mut bucket = 0u32;
                 while bucket < count {
-                    let was_open = open;
-                    let mut through = 1.0f32;
-                    #[unroll(few)]
-                    for channel in 0..channels {
-                        own[channel] = 0.0f32;
-                    }
-                    let end = min(bucket + comptime!(BUCKET as u32), count);
-                    let mut i = bucket;
-                    while i < end && open {
-                        let footprint = Footprint::load(&footprints, i as usize);
-                        let alpha = footprint.alpha(x, y, frame.alpha_min, limits.alpha_max);
-                        if alpha > 0.0 {
-                            let next = through * (1.0 - alpha);
-                            if transmittance * next <= limits.transmittance_min {
-                                open = false;
-                            } else {
-                                let weight = alpha * through;
-                                if comptime!(few) {
-                                    #[unroll]
-                                    for channel in 0..channels {
-                                        own[channel] += weight * colours[i as usize * channels + channel];
-                                    }
-                                } else {
-                                    let gaussian = gaussians[i as usize] as usize;
-                                    for channel in 0..channels {
-                                        own[channel] += weight * colour(projected, features, gaussian, channel, shape);
-                                    }
-                                }
-                                through = next;
-                            }
+                    #[unroll]
+                    for p in 0..pixels {
+                        through[p] = select(transmittance[p] >= 0.0, 1.0f32, -1.0f32);
+                        #[unroll(few)]
+                        for channel in 0..channels {
+                            own[comptime!(p * channels) + channel] = 0.0f32;
                         }
-                        i += 1;
                     }
-                    if comptime!(keep) {
-                        let numbers = comptime!(shape.kept());
-                        let at = (slot + (place + bucket) / comptime!(BUCKET as u32)) as usize
-                            * comptime!(numbers * TILE_PIXELS)
-                            + unit as usize;
-                        kept[at] = select(was_open, transmittance, -transmittance);
-                        kept[at + comptime!(TILE_PIXELS)] = through;
+                    let end = select(open, min(bucket + comptime!(BUCKET as u32), count), bucket);
+                    for i in bucket..end {
+                        let footprint = Footprint::load(&footprints, i as usize);
+                        let mut colour_here = Array::<f32>::new(comptime!(if few { channels } else { 1 }));
                         if comptime!(few) {
                             #[unroll]
                             for channel in 0..channels {
-                                kept[at + (channel + 2) * comptime!(TILE_PIXELS)] = own[channel];
+                                colour_here[channel] = colours[i as usize * channels + channel];
+                            }
+                        }
+                        #[unroll]
+                        for p in 0..pixels {
+                            let (u, from) = footprint.along_column(x + comptime!((p / rows) as f32));
+                            let v = (y + comptime!((p % rows) as f32) - from) * footprint.inverse_v;
+                            let alpha = footprint.alpha(u, v, frame.alpha_min, limits.alpha_max);
+                            let before = through[p];
+                            let (alpha, next) = layer(alpha, before, transmittance[p], limits.transmittance_min);
+                            through[p] = next;
+                            if comptime!(few) {
+                                let weight = alpha * before;
+                                #[unroll]
+                                for channel in 0..channels {
+                                    own[comptime!(p * channels) + channel] += weight * colour_here[channel];
+                                }
+                            } else if alpha > 0.0 {
+                                let weight = alpha * before;
+                                let gaussian = gaussians[i as usize] as usize;
+                                for channel in 0..channels {
+                                    own[comptime!(p * channels) + channel] +=
+                                        weight * colour(projected, features, gaussian, channel, shape);
+                                }
                             }
                         }
                     }
-                    #[unroll(few)]
-                    for channel in 0..channels {
-                        sums[channel] += transmittance * own[channel];
+                    let at = (slot + (place + bucket) / comptime!(BUCKET as u32)) as usize
+                        * comptime!(shape.kept() * TILE_PIXELS)
+                        + in_tile;
+                    #[unroll]
+                    for p in 0..pixels {
+                        let before = transmittance[p];
+                        let share = through[p].abs();
+                        if comptime!(keep) {
+                            let at = at + comptime!(p % rows * TILE + p / rows);
+                            kept[at] = before;
+                            kept[at + comptime!(TILE_PIXELS)] = share;
+                            if comptime!(few) {
+                                #[unroll]
+                                for channel in 0..channels {
+                                    kept[at + (channel + 2) * comptime!(TILE_PIXELS)] =
+                                        own[comptime!(p * channels) + channel];
+                                }
+                            }
+                        }
+                        #[unroll(few)]
+                        for channel in 0..channels {
+                            sums[comptime!(p * channels) + channel] +=
+                                before.abs() * own[comptime!(p * channels) + channel];
+                        }
+                        // A pixel that finished in this bucket becomes negative here; one that had finished stays.
+                        transmittance[p] = select(before >= 0.0, before * through[p], before);
                     }
-                    transmittance *= through;
                     bucket += comptime!(BUCKET as u32);
                 }
                 place += count;
@@ -302,21 +387,33 @@ pub(super) fn blend_forward_kernel(
         }
 
         if comptime!(keep) {
-            behind[tile as usize * comptime!(TILE_PIXELS) + unit as usize] = transmittance;
-            if unit == 0 {
+            #[unroll]
+            for p in 0..pixels {
+                behind[tile as usize * comptime!(TILE_PIXELS) + in_tile + comptime!(p % rows * TILE + p / rows)] =
+                    transmittance[p].abs();
+            }
+            if UNIT_POS == 0 {
                 passed[tile as usize] = (place + comptime!(BUCKET as u32 - 1)) / comptime!(BUCKET as u32);
             }
         }
-        if inside {
-            let plane = (frame.width * frame.height) as usize;
-            let pixel = (row * frame.width + column) as usize;
-            #[unroll(few)]
-            for channel in 0..comptime!(shape.features) {
-                planes[channel * plane + pixel] = sums[channel] + transmittance * background[channel];
-            }
-            planes[comptime!(shape.features) * plane + pixel] = 1.0 - transmittance;
-            if comptime!(shape.depth) {
-                planes[comptime!(shape.features + 1) * plane + pixel] = sums[comptime!(shape.features)];
+        let plane = (frame.width * frame.height) as usize;
+        #[unroll]
+        for p in 0..pixels {
+            let column = first_column + comptime!((p / rows) as u32);
+            let row = first_row + comptime!((p % rows) as u32);
+            if column < frame.width && row < frame.height {
+                let pixel = (row * frame.width + column) as usize;
+                let left = transmittance[p].abs();
+                #[unroll(few)]
+                for channel in 0..comptime!(shape.features) {
+                    planes[channel * plane + pixel] =
+                        sums[comptime!(p * channels) + channel] + left * background[channel];
+                }
+                planes[comptime!(shape.features) * plane + pixel] = 1.0 - left;
+                if comptime!(shape.depth) {
+                    planes[comptime!(shape.features + 1) * plane + pixel] =
+                        sums[comptime!(p * channels + shape.features)];
+                }
             }
         }
     }

@@ -26,7 +26,13 @@ struct Scene {
 }
 
 impl Scene {
-    fn random(count: usize, [width, height]: [usize; 2], channels: usize, opacity: [f64; 2], options: RenderOptions) -> Self {
+    fn random(
+        count: usize,
+        [width, height]: [usize; 2],
+        channels: usize,
+        opacity: [f64; 2],
+        options: RenderOptions,
+    ) -> Self {
         let intrinsics = Intrinsics::centred(width, height, 30.0);
         let seed = (count + 7 * width + channels) as u64;
         let mut random = Random::new(seed);
@@ -103,7 +109,7 @@ impl Scene {
     /// Planes and gradients on the device.
     fn on(&self, gpu: &Gpu, grad: &[f64], needs: BlendNeeds) -> (Vec<f32>, DeviceGrads) {
         let inputs = self.device(gpu);
-        let lists = launch_tile(gpu, &inputs.projected, &self.spec.intrinsics, self.spec.options.alpha_min).0;
+        let lists = launch_tile(gpu, &inputs.projected, &self.spec.intrinsics, self.spec.options.alpha_min);
         let grad = Buffer::from_slice(gpu, &grad.iter().map(|&v| v as f32).collect::<Vec<_>>());
         let (planes, trace) = launch_blend(gpu, &inputs, &lists, &self.spec, true);
         let plain = launch_blend(gpu, &inputs, &lists, &self.spec, false).0.read(gpu);
@@ -258,6 +264,64 @@ fn ordered_sums_are_the_same_in_every_run() {
         let first = run();
         for _ in 0..3 {
             assert!(run() == first, "{form}");
+        }
+    }
+}
+
+#[test]
+#[ignore = "temporary timing"]
+fn timing() {
+    use std::time::Instant;
+    let gpu = gpu().unwrap();
+    crate::gpu::poison(false);
+    for (count, size) in [(16_000, [270, 480])] {
+        for accumulation in [Accumulation::Atomic, Accumulation::Ordered] {
+            let scene =
+                Scene::random(count, size, 3, [0.02, 1.0], RenderOptions::standard().with_accumulation(accumulation));
+            let inputs = scene.device(&gpu);
+            let sync = || cubecl::future::block_on(gpu.client.sync()).unwrap();
+            let grad = Random::new(3).fill(4 * size[0] * size[1], -1.0, 1.0);
+            let grad = Buffer::from_slice(&gpu, &grad.iter().map(|&v| v as f32).collect::<Vec<_>>());
+            let host: Vec<f32> = scene.projected.iter().map(|&v| v as f32).collect();
+            let (features, background): (Vec<f32>, Vec<f32>) =
+                (scene.features.iter().map(|&v| v as f32).collect(), vec![0.0; 3]);
+            for _ in 0..4 {
+                let t = Instant::now();
+                let lists = launch_tile(&gpu, &inputs.projected, &scene.spec.intrinsics, scene.spec.options.alpha_min);
+                sync();
+                let tile = t.elapsed();
+                let t = Instant::now();
+                let (_, trace) = launch_blend(&gpu, &inputs, &lists, &scene.spec, true);
+                sync();
+                let forward = t.elapsed();
+                let t = Instant::now();
+                let needs = BlendNeeds { background: false, mean2d_abs: false, ..ALL };
+                let _ =
+                    launch_blend_backward(&gpu, &inputs, &grad, &lists, trace.as_ref().unwrap(), &scene.spec, needs);
+                sync();
+                let backward = t.elapsed();
+                let t = Instant::now();
+                let cpu_lists = tile_cpu(&host, &scene.spec.intrinsics, scene.spec.options.alpha_min);
+                let cpu_tile = t.elapsed();
+                let t = Instant::now();
+                let i = Inputs { projected: &host, features: &features, background: &background };
+                let (_, trace) = blend_cpu(i, &scene.spec, &cpu_lists, true);
+                let cpu_forward = t.elapsed();
+                let t = Instant::now();
+                let _ = blend_backward_cpu(
+                    i,
+                    &vec![1.0_f32; 4 * size[0] * size[1]],
+                    &scene.spec,
+                    (&cpu_lists, trace.as_ref()),
+                    needs,
+                );
+                println!(
+                    "{count} {accumulation:?} hits {}: tile {tile:?} forward {forward:?} backward {backward:?}; cpu hits {} {cpu_tile:?} {cpu_forward:?} {:?}",
+                    lists.hits,
+                    cpu_lists.gaussian.len(),
+                    t.elapsed()
+                );
+            }
         }
     }
 }

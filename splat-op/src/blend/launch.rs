@@ -2,8 +2,10 @@
 
 use cubecl::prelude::*;
 
-use super::backward::{blend_behind_kernel, blend_gather_kernel, blend_layers_kernel, row_len};
-use super::forward::{BUCKET, LimitsLaunch, Shape, blend_forward_kernel};
+use super::backward::{blend_behind_kernel, blend_gather_kernel, row_len};
+use super::channels::blend_channels_kernel;
+use super::forward::{BUCKET, LimitsLaunch, Shape, Strip, blend_forward_kernel};
+use super::strips::blend_strips_kernel;
 use super::{BlendNeeds, BlendSpec};
 use crate::gpu::reduce::launch_column_sums;
 use crate::gpu::{Buffer, Gpu, UNITS, cubes, elementwise};
@@ -12,12 +14,9 @@ use crate::project::COLUMNS;
 use crate::tile::launch::{DeviceLists, frame};
 use crate::tile::{TILE_PIXELS, tile_grid};
 
-/// Places that a cube of the forward pass loads at once.
-const BATCH: usize = 64;
-
-/// Units of a cube of the layers' kernel, and pixels of its blocks: what two arrays of 32 numbers per unit leave of 32 KiB
+/// Units of a cube of the kernel for many channels, and pixels of its blocks: what two arrays of 32 numbers per unit leave of 32 KiB
 /// of shared memory.
-const LAYER_UNITS: usize = 64;
+const CHANNEL_UNITS: usize = 64;
 
 /// Inputs on the device, row-major.
 #[derive(Clone)]
@@ -64,6 +63,18 @@ pub(crate) struct DeviceGrads {
     pub mean2d_abs: Option<Buffer<f32>>,
 }
 
+fn forward_strip(gpu: &Gpu, shape: Shape) -> Strip {
+    match (shape.few(), gpu.software) {
+        (true, true) => Strip { across: 2, blocks: 1 },
+        (true, false) => Strip { across: 1, blocks: 4 },
+        (false, _) => Strip { across: 1, blocks: 16 },
+    }
+}
+
+fn backward_strip(gpu: &Gpu) -> Strip {
+    if gpu.software { Strip { across: 2, blocks: 1 } } else { Strip { across: 1, blocks: 2 } }
+}
+
 /// Slots of all tiles' buckets; see `first_slot`.
 fn slots(lists: &DeviceLists, tiles: usize) -> usize {
     lists.hits / BUCKET + tiles
@@ -85,12 +96,13 @@ pub(crate) fn launch_blend(
 ) -> (Buffer<f32>, Option<DeviceTrace>) {
     let camera = &spec.intrinsics;
     let shape = inputs.shape(spec);
+    let strip = forward_strip(gpu, shape);
     let [tiles_x, tiles_y] = tile_grid(camera.width, camera.height);
     let tiles = tiles_x * tiles_y;
     let planes = Buffer::new(gpu, spec.planes(shape.features) * camera.width * camera.height);
     let kept_len = |len: usize| if keep { len } else { 0 };
     let trace = DeviceTrace {
-        kept: Buffer::new(gpu, kept_len(slots(lists, tiles) * shape.kept() * TILE_PIXELS)),
+        kept: Buffer::with_headroom(gpu, kept_len(slots(lists, tiles) * shape.kept() * TILE_PIXELS)),
         behind: Buffer::new(gpu, kept_len(tiles * TILE_PIXELS)),
         passed: Buffer::new(gpu, kept_len(tiles)),
     };
@@ -99,7 +111,7 @@ pub(crate) fn launch_blend(
         blend_forward_kernel::launch_unchecked(
             &gpu.client,
             cubes(tiles),
-            CubeDim::new_1d(TILE_PIXELS as u32),
+            CubeDim::new_1d(strip.units() as u32),
             inputs.projected.arg(),
             inputs.features.arg(),
             inputs.background.arg(),
@@ -114,7 +126,7 @@ pub(crate) fn launch_blend(
             limits(spec),
             shape,
             keep,
-            BATCH,
+            strip,
         );
     }
     (planes, keep.then_some(trace))
@@ -135,7 +147,7 @@ pub(crate) fn launch_blend_backward(
     let [tiles_x, tiles_y] = tile_grid(camera.width, camera.height);
     let tiles = tiles_x * tiles_y;
     let slots = slots(lists, tiles);
-    let rho_behind: Buffer<f32> = Buffer::new(gpu, slots * TILE_PIXELS);
+    let rho_behind: Buffer<f32> = Buffer::with_headroom(gpu, slots * TILE_PIXELS);
     let background = Buffer::new(gpu, if needs.background { tiles * shape.features } else { 0 });
     // SAFETY: as in the forward pass; slots are those that the forward pass wrote.
     unsafe {
@@ -173,40 +185,47 @@ pub(crate) fn launch_blend_backward(
     let columns = row_len(shape, needs.mean2d_abs);
     let ordered = spec.options.accumulation == Accumulation::Ordered;
     let rows = match ordered {
-        true => Buffer::new(gpu, lists.hits * columns),
+        true => Buffer::with_headroom(gpu, lists.hits * columns),
         false => Buffer::zeros(gpu, inputs.count() * columns),
     };
     let unused: Buffer<f32> = Buffer::new(gpu, 0);
     let (written, added) = if ordered { (&rows, &unused) } else { (&unused, &rows) };
-    let layers = match gpu.float_atomics {
-        true => blend_layers_kernel::launch_unchecked::<Atomic<f32>>,
-        false => blend_layers_kernel::launch_unchecked::<Atomic<u32>>,
-    };
-    // SAFETY: as in the forward pass; a row belongs to a hit or a Gaussian of the lists.
-    unsafe {
-        layers(
-            &gpu.client,
-            cubes(slots),
-            CubeDim::new_1d(LAYER_UNITS as u32),
-            inputs.projected.arg(),
-            inputs.features.arg(),
-            grad.arg(),
-            lists.tile_start.arg(),
-            lists.hit_of_place.arg(),
-            lists.gaussian_of_hit.arg(),
-            trace.kept.arg(),
-            trace.passed.arg(),
-            rho_behind.arg(),
-            written.arg(),
-            added.arg(),
-            frame(camera, spec.options.alpha_min),
-            limits(spec),
-            slots as u32,
-            shape,
-            needs.mean2d_abs,
-            !ordered,
-            LAYER_UNITS,
-        );
+    macro_rules! launch {
+        ($kernel:path, $units:expr, $own:expr) => {
+            // SAFETY: as in the forward pass; a row belongs to a hit or a Gaussian of the lists.
+            unsafe {
+                $kernel(
+                    &gpu.client,
+                    cubes(slots),
+                    CubeDim::new_1d($units as u32),
+                    inputs.projected.arg(),
+                    inputs.features.arg(),
+                    grad.arg(),
+                    lists.tile_start.arg(),
+                    lists.hit_of_place.arg(),
+                    lists.gaussian_of_hit.arg(),
+                    trace.kept.arg(),
+                    trace.passed.arg(),
+                    rho_behind.arg(),
+                    written.arg(),
+                    added.arg(),
+                    frame(camera, spec.options.alpha_min),
+                    limits(spec),
+                    slots as u32,
+                    shape,
+                    needs.mean2d_abs,
+                    !ordered,
+                    $own,
+                )
+            }
+        };
+    }
+    let strip = backward_strip(gpu);
+    match (shape.few(), gpu.float_atomics) {
+        (true, true) => launch!(blend_strips_kernel::launch_unchecked::<Atomic<f32>>, strip.units(), strip),
+        (true, false) => launch!(blend_strips_kernel::launch_unchecked::<Atomic<u32>>, strip.units(), strip),
+        (false, true) => launch!(blend_channels_kernel::launch_unchecked::<Atomic<f32>>, CHANNEL_UNITS, CHANNEL_UNITS),
+        (false, false) => launch!(blend_channels_kernel::launch_unchecked::<Atomic<u32>>, CHANNEL_UNITS, CHANNEL_UNITS),
     }
     let zeros = |needed: bool, columns: usize| Buffer::zeros(gpu, if needed { inputs.count() * columns } else { 0 });
     let projected = zeros(needs.projected, COLUMNS);

@@ -13,6 +13,8 @@
 
 #[cfg(feature = "cube")]
 mod backward;
+#[cfg(feature = "cube")]
+mod channels;
 pub(crate) mod cpu;
 #[cfg(feature = "cube")]
 mod forward;
@@ -20,6 +22,8 @@ mod forward;
 mod kernel_tests;
 #[cfg(feature = "cube")]
 pub(crate) mod launch;
+#[cfg(feature = "cube")]
+mod strips;
 #[cfg(test)]
 mod tests;
 mod tile;
@@ -37,6 +41,7 @@ use crate::options::RenderOptions;
 
 /// Inputs of the stage.
 #[derive(Clone, Debug, ExtensionType)]
+#[extension_type(fusion: cfg(feature = "fusion"))]
 pub struct BlendInputs<B: Backend> {
     /// `[N, 7]`, packed by `project`.
     pub projected: FloatTensor<B>,
@@ -48,6 +53,7 @@ pub struct BlendInputs<B: Backend> {
 
 /// Gradients of the stage's inputs, each only where it was asked for.
 #[derive(Clone, Debug, ExtensionType)]
+#[extension_type(fusion: cfg(feature = "fusion"))]
 pub struct BlendGrads<B: Backend> {
     /// `[N, 7]`.
     #[extension_type]

@@ -47,12 +47,20 @@ impl<T> Buffer<T> {
 }
 
 impl<T: Pod> Buffer<T> {
-    /// Elements with nothing written to them yet. Sizes are rounded up to an eighth of their power of two, so that one
-    /// that grows a little finds the same memory again.
+    /// Elements with nothing written to them yet.
     pub fn new(gpu: &Gpu, len: usize) -> Self {
-        let words = (len * size_of::<T>()).div_ceil(4).max(1);
-        let step = (words.next_power_of_two() / 16).max(1);
-        let words = words.next_multiple_of(step);
+        Self::with_room(gpu, len, (len * size_of::<T>()).div_ceil(4))
+    }
+
+    /// As [`Buffer::new`] for a length that depends on the data: the memory is rounded up to an eighth of the next power
+    /// of two, so that a length that grows a little finds the same memory again.
+    pub fn with_headroom(gpu: &Gpu, len: usize) -> Self {
+        let words = (len * size_of::<T>()).div_ceil(4);
+        Self::with_room(gpu, len, words.next_multiple_of((words.next_power_of_two() / 8).max(1)))
+    }
+
+    fn with_room(gpu: &Gpu, len: usize, words: usize) -> Self {
+        let words = words.max(1);
         let handle = match POISON.load(Ordering::Relaxed) {
             true => gpu.client.create_from_slice(bytemuck::cast_slice(&vec![NAN_BITS; words])),
             false => gpu.client.empty(4 * words),

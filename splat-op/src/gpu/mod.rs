@@ -4,6 +4,7 @@
 pub(crate) mod atomic;
 mod buffer;
 pub(crate) mod math;
+#[cfg(test)]
 pub(crate) mod reduce;
 
 use cubecl::client::Client;
@@ -26,6 +27,8 @@ pub(crate) struct Gpu {
     pub client: Client,
     /// Whether the units of a plane can sum among themselves; else they go through shared memory.
     pub planes: bool,
+    /// Whether a software driver computes on the processor.
+    pub software: bool,
     /// Whether floats can be added atomically; else by compare-and-swap on their bits.
     pub float_atomics: bool,
 }
@@ -36,6 +39,7 @@ impl Gpu {
         let float = Type::atomic(Type::from(ElemType::Float(FloatKind::F32)));
         Self {
             planes: properties.features.plane.contains(Plane::Ops),
+            software: properties.identity.physical.is_none(),
             float_atomics: properties.atomic_type_usage(float).contains(AtomicUsage::Add),
             client: client.clone(),
         }

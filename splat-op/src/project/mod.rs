@@ -71,6 +71,7 @@ impl<F: Copy> Ellipse<F> {
 
 /// Inputs of the stage.
 #[derive(Clone, Debug, ExtensionType)]
+#[extension_type(fusion: cfg(feature = "fusion"))]
 pub struct ProjectInputs<B: Backend> {
     /// `[N, 3]`, world frame.
     pub means: FloatTensor<B>,
@@ -86,6 +87,7 @@ pub struct ProjectInputs<B: Backend> {
 
 /// Gradients of the stage's inputs, each only where it was asked for.
 #[derive(Clone, Debug, ExtensionType)]
+#[extension_type(fusion: cfg(feature = "fusion"))]
 pub struct ProjectGrads<B: Backend> {
     /// `[N, 3]`.
     #[extension_type]

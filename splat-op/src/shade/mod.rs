@@ -30,6 +30,7 @@ pub fn sh_degree(coefficients: usize) -> Option<usize> {
 
 /// Inputs of the stage.
 #[derive(Clone, Debug, ExtensionType)]
+#[extension_type(fusion: cfg(feature = "fusion"))]
 pub struct ShadeInputs<B: Backend> {
     /// `[N, (degree+1)², 3]`.
     pub sh: FloatTensor<B>,
@@ -41,6 +42,7 @@ pub struct ShadeInputs<B: Backend> {
 
 /// Gradients of the stage's inputs, each only where it was asked for.
 #[derive(Clone, Debug, ExtensionType)]
+#[extension_type(fusion: cfg(feature = "fusion"))]
 pub struct ShadeGrads<B: Backend> {
     /// `[N, (degree+1)², 3]`.
     #[extension_type]

@@ -1,8 +1,14 @@
-//! Scan and sort of the device against the standard library's, exactly.
+//! Scan and sort of the device against the standard library's, exactly; tile lists against the CPU twin's.
 
+use super::cpu::tile_cpu;
+use super::launch::launch_tile;
 use super::scan::launch_scan;
 use super::sort::{Pairs, launch_sort};
+use super::{HitLists, TILE, tile_grid};
+use crate::camera::Intrinsics;
 use crate::gpu::Buffer;
+use crate::project::{COLUMNS, Ellipse};
+use crate::testing::ellipses::ellipses;
 use crate::testing::gpu::gpus;
 use crate::testing::random::Random;
 
@@ -80,4 +86,77 @@ fn sort_and_scan_of_ten_million_keys() {
     check_sorts(10_000_019);
     check_scan(&random(10_000_019, 5, 100.0));
     check_scan(&vec![u32::MAX; 10_000_019]);
+}
+
+/// Gaussians of each tile, front to back.
+fn by_tile(lists: &HitLists) -> Vec<&[u32]> {
+    lists.tile_start.windows(2).map(|w| &lists.gaussian[w[0]..w[1]]).collect()
+}
+
+/// Whether a Gaussian's box of tiles is so large that its hits are listed by cells of several tiles.
+fn coarse(row: &[f32], alpha_min: f64) -> bool {
+    let ellipse = Ellipse::from_row(row);
+    let limit = super::cpu::whitened_limit(ellipse.opacity, alpha_min as f32);
+    super::cpu::half_extent(&ellipse, limit).iter().any(|half| 2.0 * half > (TILE * 6) as f32)
+}
+
+fn check_lists(count: usize, [width, height]: [usize; 2], alpha_min: f64) {
+    let camera = Intrinsics::centred(width, height, 30.0);
+    let projected: Vec<f32> = ellipses(count as u64, count, &camera, [0.003, 1.0]).iter().map(|&v| v as f32).collect();
+    // What the device lists lies between what a slightly larger and a slightly smaller threshold list.
+    let [least, most] = [1.0 + 1e-3, 1.0 - 1e-3].map(|scale| tile_cpu(&projected, &camera, alpha_min * scale));
+    let tiles = tile_grid(width, height).iter().product::<usize>();
+    for (form, gpu) in gpus() {
+        let name = format!("{count} splats, {width} × {height}, alpha_min {alpha_min}, {form}");
+        let lists = launch_tile(&gpu, &Buffer::from_slice(&gpu, &projected), &camera, alpha_min);
+        let start = lists.tile_start.read(&gpu);
+        let (hit_of_place, gaussian_of_hit) = (lists.hit_of_place.read(&gpu), lists.gaussian_of_hit.read(&gpu));
+        assert_eq!((start[0], start[tiles]), (0, lists.hits as u32), "{name}");
+        let counts: Vec<i32> = start.windows(2).map(|w| (w[1] - w[0]) as i32).collect();
+        assert_eq!(lists.counts.read(&gpu), counts, "{name}");
+
+        // Hits are numbered by Gaussian, in depth order.
+        let (order, first_hit) = (lists.order.read(&gpu), lists.first_hit.read(&gpu));
+        let key = |i: u32| (projected[i as usize * COLUMNS + 5], i);
+        assert!(order[..lists.visible].windows(2).all(|w| key(w[0]) < key(w[1])), "{name}: not in depth order");
+        for (rank, &gaussian) in order[..lists.visible].iter().enumerate() {
+            let end = if rank + 1 < lists.visible { first_hit[rank + 1] as usize } else { lists.hits };
+            let own = &gaussian_of_hit[first_hit[rank] as usize..end];
+            assert!(!own.is_empty() && own.iter().all(|&g| g == gaussian), "{name}: hits of rank {rank}");
+        }
+        let mut sorted = hit_of_place.clone();
+        sorted.sort_unstable();
+        assert!(sorted.iter().enumerate().all(|(i, &hit)| i == hit as usize), "{name}: a hit twice or nowhere");
+
+        for (tile, (least, most)) in by_tile(&least).into_iter().zip(by_tile(&most)).enumerate() {
+            let places = &hit_of_place[start[tile] as usize..start[tile + 1] as usize];
+            let found: Vec<u32> = places.iter().map(|&hit| gaussian_of_hit[hit as usize]).collect();
+            assert!(found.windows(2).all(|w| key(w[0]) < key(w[1])), "{name}: tile {tile} is not front to back");
+            for needed in least {
+                assert!(found.contains(needed), "{name}: tile {tile} lacks Gaussian {needed}");
+            }
+            for listed in &found {
+                let row = &projected[*listed as usize * COLUMNS..];
+                let allowed = coarse(row, alpha_min) || most.contains(listed);
+                assert!(allowed, "{name}: tile {tile} lists Gaussian {listed}, which does not reach it");
+            }
+        }
+    }
+}
+
+#[test]
+fn lists_agree_with_the_twin() {
+    for count in [0, 1, 10, 3_000, 100_000] {
+        check_lists(count, [331, 203], 1.0 / 255.0);
+    }
+    check_lists(500, [1, 1], 1.0 / 255.0);
+    check_lists(500, [16, 17], 1.0 / 255.0);
+    check_lists(2_000, [1_000, 777], 1e-4);
+    check_lists(200, [100, 100], 0.0);
+}
+
+#[test]
+fn pictures_of_thirty_thousand_px() {
+    check_lists(3, [32_768, 20], 1.0 / 255.0);
+    check_lists(3, [20, 32_768], 1.0 / 255.0);
 }

@@ -11,6 +11,8 @@ use crate::gpu::{Buffer, Gpu, elementwise};
 /// lies once they are sorted by tile.
 #[derive(Clone, Debug)]
 pub(crate) struct DeviceLists {
+    /// `[tiles]`: hits of each tile.
+    pub counts: Buffer<i32>,
     /// `[tiles + 1]`: where each tile's places begin; tiles run along x, then y.
     pub tile_start: Buffer<u32>,
     /// `[H]`: the hit of each place.
@@ -35,12 +37,7 @@ pub(crate) fn frame(camera: &Intrinsics, alpha_min: f64) -> FrameLaunch {
 
 /// Lists the hits of `projected`, `[count, 7]`, and counts them by tile. Waits for the device once, to learn how many hits
 /// there are.
-pub(crate) fn launch_tile(
-    gpu: &Gpu,
-    projected: &Buffer<f32>,
-    camera: &Intrinsics,
-    alpha_min: f64,
-) -> (DeviceLists, Buffer<i32>) {
+pub(crate) fn launch_tile(gpu: &Gpu, projected: &Buffer<f32>, camera: &Intrinsics, alpha_min: f64) -> DeviceLists {
     let count = projected.len / crate::project::COLUMNS;
     let [tiles_x, tiles_y] = tile_grid(camera.width, camera.height);
     let tiles = tiles_x * tiles_y;
@@ -87,8 +84,8 @@ pub(crate) fn launch_tile(
         "over 2^32 hits of {visible} Gaussians in {tiles} tiles: raise `alpha_min` or render a smaller picture"
     );
 
-    let by_tile = Pairs { keys: Buffer::new(gpu, hits), values: Buffer::new(gpu, hits) };
-    let gaussian_of_hit = Buffer::new(gpu, hits);
+    let by_tile = Pairs { keys: Buffer::with_headroom(gpu, hits), values: Buffer::with_headroom(gpu, hits) };
+    let gaussian_of_hit = Buffer::with_headroom(gpu, hits);
     let (grid, dim) = elementwise(visible);
     // SAFETY: the scan that sized the lists gives each Gaussian the places that the same covers count.
     unsafe {
@@ -122,7 +119,8 @@ pub(crate) fn launch_tile(
             tiles as u32,
         );
     }
-    let lists = DeviceLists {
+    DeviceLists {
+        counts,
         tile_start,
         hit_of_place: by_tile.values,
         gaussian_of_hit,
@@ -130,6 +128,5 @@ pub(crate) fn launch_tile(
         first_hit,
         visible,
         hits,
-    };
-    (lists, counts)
+    }
 }

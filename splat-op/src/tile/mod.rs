@@ -49,7 +49,23 @@ pub(crate) struct HitLists {
     pub hit_of_visible: Vec<u32>,
 }
 
+/// The lists of one view, where its stages run.
+#[derive(Debug)]
+pub(crate) enum Lists {
+    Host(HitLists),
+    #[cfg(feature = "cube")]
+    Device(launch::DeviceLists),
+}
+
 /// Holds the lists of one view once they are computed. It is passed to forward and backward as an ordinary argument; the
 /// tensor of counts that `tile` returns orders them for backends that run lazily.
 #[derive(Clone, Debug, Default)]
-pub struct HitCell(pub(crate) Arc<OnceLock<HitLists>>);
+pub struct HitCell(pub(crate) Arc<OnceLock<Lists>>);
+
+impl HitCell {
+    /// Where the lists lie: `None` before they are computed.
+    #[doc(hidden)]
+    pub fn on_device(&self) -> Option<bool> {
+        self.0.get().map(|lists| !matches!(lists, Lists::Host(_)))
+    }
+}

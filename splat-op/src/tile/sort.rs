@@ -131,7 +131,7 @@ pub(crate) fn launch_sort(gpu: &Gpu, pairs: Pairs, bits: u32) -> Pairs {
     let blocks = len.div_ceil(BLOCK);
     let dim = CubeDim::new_1d(UNITS as u32);
     let mut from = pairs;
-    let mut to = Pairs { keys: Buffer::new(gpu, len), values: Buffer::new(gpu, len) };
+    let mut to = Pairs { keys: Buffer::with_headroom(gpu, len), values: Buffer::with_headroom(gpu, len) };
     for shift in (0..bits).step_by(BITS as usize) {
         let counts = Buffer::new(gpu, DIGITS * blocks);
         // SAFETY: every access is guarded by the lengths given; ranks stay below `len` because they are a permutation.

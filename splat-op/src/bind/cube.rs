@@ -1,0 +1,180 @@
+//! The order of the launches on Burn's GPU backend, for every CubeCL runtime.
+
+use burn::backend::TensorMetadata;
+use burn::backend::tensor::{FloatTensor, IntTensor};
+use burn::tensor::{DType, Shape};
+use burn_cubecl::CubeBackend;
+use burn_cubecl::kernel::into_contiguous;
+use burn_cubecl::tensor::CubeTensor;
+
+use crate::blend::launch::{DeviceTrace, launch_blend, launch_blend_backward};
+use crate::blend::{self, BlendGrads, BlendInputs, BlendNeeds, BlendSpec, TraceCell};
+use crate::gpu::{Buffer, Gpu};
+use crate::op::{Slot, SplatBackend};
+use crate::project::launch::{launch_project, launch_project_backward};
+use crate::project::{self, COLUMNS, ProjectGrads, ProjectInputs, ProjectNeeds, ProjectSpec};
+use crate::shade::launch::{launch_shade, launch_shade_backward};
+use crate::shade::{self, ShadeGrads, ShadeInputs, ShadeNeeds};
+use crate::tile::launch::{DeviceLists, launch_tile};
+use crate::tile::{HitCell, Lists, tile_grid};
+
+/// A tensor's elements, row-major.
+fn buffer(tensor: CubeTensor) -> Buffer<f32> {
+    debug_assert_eq!(tensor.dtype, DType::F32, "the public functions check it");
+    let tensor = into_contiguous(tensor);
+    let len = tensor.meta.num_elements();
+    Buffer::from_handle(tensor.handle, len)
+}
+
+/// Elements as a tensor, on the device of `like`.
+fn tensor<T>(buffer: Buffer<T>, shape: impl Into<Shape>, dtype: DType, like: &CubeTensor) -> CubeTensor {
+    let (client, device) = (like.client.clone(), like.device.clone());
+    CubeTensor::new_contiguous(client, device, shape.into(), buffer.handle, dtype)
+}
+
+fn slot(grad: Option<Buffer<f32>>, shape: impl Into<Shape>, like: &CubeTensor) -> Slot<CubeBackend> {
+    match grad {
+        None => Slot::Skip,
+        Some(grad) => Slot::Have(tensor(grad, shape, DType::F32, like)),
+    }
+}
+
+impl ProjectInputs<CubeBackend> {
+    fn on_device(&self) -> project::launch::DeviceInputs {
+        project::launch::DeviceInputs {
+            means: buffer(self.means.clone()),
+            rotations: buffer(self.rotations.clone()),
+            scales: buffer(self.scales.clone()),
+            opacities: buffer(self.opacities.clone()),
+            cam_from_world: buffer(self.cam_from_world.clone()),
+        }
+    }
+}
+
+impl ShadeInputs<CubeBackend> {
+    fn on_device(&self) -> shade::launch::DeviceInputs {
+        shade::launch::DeviceInputs {
+            sh: buffer(self.sh.clone()),
+            means: buffer(self.means.clone()),
+            cam_from_world: buffer(self.cam_from_world.clone()),
+        }
+    }
+}
+
+impl BlendInputs<CubeBackend> {
+    fn on_device(&self) -> blend::launch::DeviceInputs {
+        blend::launch::DeviceInputs {
+            projected: buffer(self.projected.clone()),
+            features: buffer(self.features.clone()),
+            background: buffer(self.background.clone()),
+        }
+    }
+}
+
+/// The lists in the cell, computed now if nobody has yet.
+fn lists<'a>(gpu: &Gpu, cell: &'a HitCell, projected: &Buffer<f32>, spec: &BlendSpec) -> &'a DeviceLists {
+    let compute = || Lists::Device(launch_tile(gpu, projected, &spec.intrinsics, spec.options.alpha_min));
+    match cell.0.get_or_init(compute) {
+        Lists::Device(lists) => lists,
+        Lists::Host(_) => unreachable!("the public functions check that lists and ellipses are on one device"),
+    }
+}
+
+impl SplatBackend for CubeBackend {
+    fn project(inputs: ProjectInputs<Self>, _: FloatTensor<Self>, spec: ProjectSpec) -> FloatTensor<Self> {
+        let gpu = Gpu::new(&inputs.means.client);
+        let packed = launch_project(&gpu, &inputs.on_device(), &spec);
+        tensor(packed, [inputs.means.shape()[0], COLUMNS], DType::F32, &inputs.means)
+    }
+
+    fn project_backward(
+        inputs: ProjectInputs<Self>,
+        grad: FloatTensor<Self>,
+        spec: ProjectSpec,
+        needs: ProjectNeeds,
+    ) -> ProjectGrads<Self> {
+        let gpu = Gpu::new(&inputs.means.client);
+        let g = launch_project_backward(&gpu, &inputs.on_device(), &buffer(grad), &spec, needs);
+        let (count, like) = (inputs.means.shape()[0], &inputs.means);
+        ProjectGrads {
+            means: slot(g.means, [count, 3], like),
+            rotations: slot(g.rotations, [count, 4], like),
+            scales: slot(g.scales, [count, 3], like),
+            opacities: slot(g.opacities, [count], like),
+            cam_from_world: slot(g.cam_from_world, [3, 4], like),
+            mean2d: slot(g.mean2d, [count, 2], like),
+        }
+    }
+
+    fn shade(inputs: ShadeInputs<Self>) -> FloatTensor<Self> {
+        let gpu = Gpu::new(&inputs.means.client);
+        let colours = launch_shade(&gpu, &inputs.on_device(), inputs.sh.shape()[1]);
+        tensor(colours, [inputs.means.shape()[0], 3], DType::F32, &inputs.means)
+    }
+
+    fn shade_backward(inputs: ShadeInputs<Self>, grad: FloatTensor<Self>, needs: ShadeNeeds) -> ShadeGrads<Self> {
+        let gpu = Gpu::new(&inputs.means.client);
+        let coefficients = inputs.sh.shape()[1];
+        let g = launch_shade_backward(&gpu, &inputs.on_device(), coefficients, &buffer(grad), needs);
+        let (count, like) = (inputs.means.shape()[0], &inputs.means);
+        ShadeGrads {
+            sh: slot(g.sh, [count, coefficients, 3], like),
+            means: slot(g.means, [count, 3], like),
+            cam_from_world: slot(g.cam_from_world, [3, 4], like),
+        }
+    }
+
+    fn tile(projected: FloatTensor<Self>, spec: BlendSpec, hits: HitCell) -> IntTensor<Self> {
+        let gpu = Gpu::new(&projected.client);
+        let counts = lists(&gpu, &hits, &buffer(projected.clone()), &spec).counts.clone();
+        let [tiles_x, tiles_y] = tile_grid(spec.intrinsics.width, spec.intrinsics.height);
+        tensor(counts, [tiles_y, tiles_x], DType::I32, &projected)
+    }
+
+    fn blend(
+        inputs: BlendInputs<Self>,
+        _: FloatTensor<Self>,
+        _: IntTensor<Self>,
+        spec: BlendSpec,
+        hits: HitCell,
+        trace: Option<TraceCell>,
+    ) -> FloatTensor<Self> {
+        let gpu = Gpu::new(&inputs.projected.client);
+        let on_device = inputs.on_device();
+        let lists = lists(&gpu, &hits, &on_device.projected, &spec);
+        let (planes, kept) = launch_blend(&gpu, &on_device, lists, &spec, trace.is_some());
+        if let (Some(cell), Some(kept)) = (trace, kept) {
+            // A cell that is filled already holds the same trace.
+            let _ = cell.0.set(Box::new(kept));
+        }
+        let count = spec.planes(on_device.background.len);
+        let shape = [count, spec.intrinsics.height, spec.intrinsics.width];
+        tensor(planes, shape, DType::F32, &inputs.projected)
+    }
+
+    fn blend_backward(
+        inputs: BlendInputs<Self>,
+        _: FloatTensor<Self>,
+        grad: FloatTensor<Self>,
+        spec: BlendSpec,
+        needs: BlendNeeds,
+        hits: HitCell,
+        trace: TraceCell,
+    ) -> BlendGrads<Self> {
+        let gpu = Gpu::new(&inputs.projected.client);
+        let on_device = inputs.on_device();
+        let lists = lists(&gpu, &hits, &on_device.projected, &spec);
+        let kept = trace.0.get().and_then(|kept| kept.downcast_ref::<DeviceTrace>()).cloned();
+        let kept = kept
+            .unwrap_or_else(|| launch_blend(&gpu, &on_device, lists, &spec, true).1.expect("a trace was asked for"));
+        let g = launch_blend_backward(&gpu, &on_device, &buffer(grad), lists, &kept, &spec, needs);
+        let (count, channels) = (inputs.projected.shape()[0], on_device.background.len);
+        let like = &inputs.projected;
+        BlendGrads {
+            projected: slot(g.projected, [count, COLUMNS], like),
+            features: slot(g.features, [count, channels], like),
+            background: slot(g.background, [channels], like),
+            mean2d_abs: slot(g.mean2d_abs, [count, 2], like),
+        }
+    }
+}

@@ -1,0 +1,86 @@
+//! What each operation will return, said before it runs: Burn's fusion asks when it registers the operation.
+
+use burn::backend::fusion::custom::TensorSpec;
+use burn::tensor::{DType, Shape};
+
+use crate::blend::{BlendGradsMetadata, BlendInputsMetadata, BlendNeeds, BlendSpec, TraceCell};
+use crate::op::SlotMetadata;
+use crate::project::{COLUMNS, ProjectGradsMetadata, ProjectInputsMetadata, ProjectNeeds, ProjectSpec};
+use crate::shade::{ShadeGradsMetadata, ShadeInputsMetadata, ShadeNeeds};
+use crate::tile::{HitCell, tile_grid};
+
+/// A gradient of the shape of `like`, if it is needed.
+fn slot(needed: bool, like: &TensorSpec) -> SlotMetadata {
+    if needed { SlotMetadata::Have(like.clone()) } else { SlotMetadata::Skip }
+}
+
+/// A tensor of the float type of `like`.
+fn float<const D: usize>(shape: [usize; D], like: &TensorSpec) -> TensorSpec {
+    TensorSpec::new(Shape::from(shape), like.dtype)
+}
+
+pub(crate) fn project(inputs: &ProjectInputsMetadata, _: &TensorSpec, _: &ProjectSpec) -> TensorSpec {
+    float([inputs.opacities.shape[0], COLUMNS], &inputs.means)
+}
+
+pub(crate) fn project_backward(
+    inputs: &ProjectInputsMetadata,
+    _: &TensorSpec,
+    _: &ProjectSpec,
+    needs: &ProjectNeeds,
+) -> ProjectGradsMetadata {
+    ProjectGradsMetadata {
+        means: slot(needs.means, &inputs.means),
+        rotations: slot(needs.rotations, &inputs.rotations),
+        scales: slot(needs.scales, &inputs.scales),
+        opacities: slot(needs.opacities, &inputs.opacities),
+        cam_from_world: slot(needs.cam_from_world, &inputs.cam_from_world),
+        mean2d: slot(needs.mean2d, &float([inputs.opacities.shape[0], 2], &inputs.means)),
+    }
+}
+
+pub(crate) fn shade(inputs: &ShadeInputsMetadata) -> TensorSpec {
+    inputs.means.clone()
+}
+
+pub(crate) fn shade_backward(inputs: &ShadeInputsMetadata, _: &TensorSpec, needs: &ShadeNeeds) -> ShadeGradsMetadata {
+    ShadeGradsMetadata {
+        sh: slot(needs.sh, &inputs.sh),
+        means: slot(needs.means, &inputs.means),
+        cam_from_world: slot(needs.cam_from_world, &inputs.cam_from_world),
+    }
+}
+
+pub(crate) fn tile(_: &TensorSpec, spec: &BlendSpec, _: &HitCell) -> TensorSpec {
+    let [tiles_x, tiles_y] = tile_grid(spec.intrinsics.width, spec.intrinsics.height);
+    TensorSpec::new(Shape::from([tiles_y, tiles_x]), DType::I32)
+}
+
+pub(crate) fn blend(
+    inputs: &BlendInputsMetadata,
+    _: &TensorSpec,
+    _: &TensorSpec,
+    spec: &BlendSpec,
+    _: &HitCell,
+    _: &Option<TraceCell>,
+) -> TensorSpec {
+    let planes = spec.planes(inputs.background.shape[0]);
+    float([planes, spec.intrinsics.height, spec.intrinsics.width], &inputs.projected)
+}
+
+pub(crate) fn blend_backward(
+    inputs: &BlendInputsMetadata,
+    _: &TensorSpec,
+    _: &TensorSpec,
+    _: &BlendSpec,
+    needs: &BlendNeeds,
+    _: &HitCell,
+    _: &TraceCell,
+) -> BlendGradsMetadata {
+    BlendGradsMetadata {
+        projected: slot(needs.projected, &inputs.projected),
+        features: slot(needs.features, &inputs.features),
+        background: slot(needs.background, &inputs.background),
+        mean2d_abs: slot(needs.mean2d_abs, &float([inputs.projected.shape[0], 2], &inputs.projected)),
+    }
+}
