@@ -12,7 +12,7 @@ use crate::error::SplatError;
 pub const MAX_SIDE_PX: usize = 32_768;
 
 /// How a point in the camera's frame meets the image plane.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Default)]
 #[non_exhaustive]
 pub enum CameraModel {
     /// `u = fx x/z + cx`, `v = fy y/z + cy`.

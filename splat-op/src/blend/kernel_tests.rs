@@ -7,7 +7,7 @@ use crate::camera::Intrinsics;
 use crate::gpu::{Buffer, Gpu};
 use crate::options::{Accumulation, RenderOptions};
 use crate::project::COLUMNS;
-use crate::testing::ceiling::{ceiling, check, check_rows, moved};
+use crate::testing::ceiling::{Yardstick, rounded};
 use crate::testing::ellipses::ellipses;
 use crate::testing::gpu::{gpu, gpus};
 use crate::testing::random::Random;
@@ -69,13 +69,10 @@ impl Scene {
         blend_backward_cpu(self.inputs(), grad, &self.spec, (&lists, None), ALL)
     }
 
-    fn moved(&self, random: &mut Random) -> Self {
-        Self {
-            projected: moved(&self.projected, random),
-            features: moved(&self.features, random),
-            background: moved(&self.background, random),
-            ..self.clone()
-        }
+    /// The scene of other inputs: projected, features, background.
+    fn with(&self, inputs: &[Vec<f64>]) -> Self {
+        let [projected, features, background] = [0, 1, 2].map(|i| inputs[i].clone());
+        Self { projected, features, background, ..self.clone() }
     }
 
     /// Pixels whose result jumps when a threshold moves by what rounding moves an alpha or a transmittance.
@@ -121,55 +118,39 @@ impl Scene {
 
     fn check(self) {
         let scene = self.rounded();
-        let expected = scene.planes();
         let band = scene.band();
         let share = band.iter().filter(|&&b| b).count() as f64 / band.len() as f64;
         assert!(share < 0.25, "{}: the band covers {share} of the picture, which then proves little", scene.name);
         let outside = |i: usize, v: f64| if band[i % band.len()] { 0.0 } else { v };
         let mask = |values: Vec<f64>| values.into_iter().enumerate().map(|(i, v)| outside(i, v)).collect::<Vec<_>>();
-        let grad = Random::new(3).fill(expected.len(), -1.0, 1.0);
-        let grad = mask(grad.into_iter().map(|v| f64::from(v as f32)).collect());
-        let planes_ceiling = ceiling(&mask(expected.clone()), 1, |random| mask(scene.moved(random).planes()));
-        let gradients = scene.backward(&grad);
-        let moved = |random: &mut Random| (scene.moved(random), moved(&grad, random));
-        let ceilings = [0, 1, 2, 3].map(|which| {
-            ceiling(part(&gradients, which), 2, |random| {
-                let (scene, grad) = moved(random);
-                part(&scene.backward(&grad), which).to_vec()
-            })
+        let planes = scene.spec.planes(scene.background.len());
+        let grad = mask(rounded(&Random::new(3).fill(planes * band.len(), -1.0, 1.0)));
+        let inputs = [scene.projected.clone(), scene.features.clone(), scene.background.clone(), grad.clone()];
+        // The gradient of a pixel in the band is zero, so the others' prove as much as they can.
+        let yardstick = Yardstick::new(&inputs, |inputs| {
+            let scene = scene.with(inputs);
+            let g = scene.backward(&inputs[3]);
+            vec![mask(scene.planes()), g.projected, g.features, g.background, g.mean2d_abs]
         });
+        let classes = |rows: usize| vec![Some(0); rows];
+        let (count, channels) = (scene.projected.len() / COLUMNS, scene.background.len());
         for (form, gpu) in gpus() {
             for accumulation in [Accumulation::Atomic, Accumulation::Ordered] {
-                let name = format!("{}, {form}, {accumulation:?}", scene.name);
+                let name = |what: &str| format!("{}, {form}, {accumulation:?}: {what}", scene.name);
                 let mut scene = scene.clone();
                 scene.spec.options.accumulation = accumulation;
                 let (planes, grads) = scene.on(&gpu, &grad, ALL);
-                assert!(planes.iter().all(|v| v.is_finite()), "{name}: a pixel nobody wrote");
+                assert!(planes.iter().all(|v| v.is_finite()), "{}", name("a pixel nobody wrote"));
                 let planes: Vec<f32> = planes.iter().enumerate().map(|(i, &v)| outside(i, v.into()) as f32).collect();
-                check(&format!("{name}: planes"), &planes, &mask(expected.clone()), &planes_ceiling);
+                yardstick.check(&name("planes"), 0, &planes, &classes(planes.len()));
                 let found = [grads.projected, grads.features, grads.background, grads.mean2d_abs];
-                let columns = [COLUMNS, scene.background.len(), scene.background.len(), 2];
-                for (which, found) in found.into_iter().enumerate() {
-                    let name = format!("{name}: gradient {which}");
-                    let (found, expected) = (found.expect("asked for").read(&gpu), part(&gradients, which));
-                    check(&name, &found, expected, &ceilings[which]);
-                    check_rows(&name, &found, expected, columns[which]);
-                    check_sparsity(&name, &found, expected);
+                for (which, (found, rows)) in found.into_iter().zip([count, count, channels, count]).enumerate() {
+                    let name = name(["projected", "features", "background", "mean2d_abs"][which]);
+                    let found = found.expect("asked for").read(&gpu);
+                    yardstick.check_gradient(&name, which + 1, &found, &classes(rows), &[]);
                 }
             }
         }
-    }
-}
-
-fn part(grads: &Grads<f64>, which: usize) -> &[f64] {
-    [&grads.projected, &grads.features, &grads.background, &grads.mean2d_abs][which]
-}
-
-/// The same elements are zero, but for what underflows in f32.
-fn check_sparsity(name: &str, found: &[f32], expected: &[f64]) {
-    for (i, (&found, &expected)) in found.iter().zip(expected).enumerate() {
-        let agree = (found == 0.0) == (expected == 0.0) || expected.abs() < 1e-30 && found.abs() < 1e-30;
-        assert!(agree, "{name}[{i}]: {found}, expected {expected}");
     }
 }
 

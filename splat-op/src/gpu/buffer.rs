@@ -68,6 +68,11 @@ impl<T: Pod> Buffer<T> {
         Self::from_handle(handle, len)
     }
 
+    /// As [`Self::new`], for an output that may not be asked for.
+    pub fn if_needed(gpu: &Gpu, needed: bool, len: usize) -> Option<Self> {
+        needed.then(|| Self::new(gpu, len))
+    }
+
     pub fn from_slice(gpu: &Gpu, elements: &[T]) -> Self {
         match elements.is_empty() {
             true => Self::new(gpu, 0),

@@ -1,9 +1,9 @@
-//! Vectors, matrices and tests of floats inside kernels.
+//! Vectors, matrices, rotations and tests of floats inside kernels.
 
 use cubecl::prelude::*;
 
 /// Three numbers along the axes of a frame.
-#[derive(CubeType, Clone, Copy)]
+#[derive(CubeType, CubeTypeMut, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub(crate) struct Vec3 {
     pub x: f32,
@@ -55,15 +55,155 @@ impl Vec3 {
         }
     }
 
-    /// The length, scaled by the largest component so that no square overflows or vanishes.
+    /// The largest of the absolute components.
+    pub fn largest(&self) -> f32 {
+        max(max(self.x.abs(), self.y.abs()), self.z.abs())
+    }
+
+    /// The length, scaled so that no square overflows or vanishes.
     pub fn length(&self) -> f32 {
-        let largest = max(max(self.x.abs(), self.y.abs()), self.z.abs());
-        let mut length = 0.0f32;
-        if largest > 0.0 {
-            let scaled = Vec3 { x: self.x / largest, y: self.y / largest, z: self.z / largest };
-            length = largest * scaled.dot(scaled).sqrt();
+        let (down, up) = powers_of_two(self.largest());
+        let scaled = self.times(down);
+        scaled.dot(scaled).sqrt() * up
+    }
+}
+
+/// A power of two that takes a number of this size to between 1 and 4, or leaves it below 1 if it is subnormal, and its
+/// inverse. Multiplying by either is exact, which dividing by the size would not be: WebGPU allows 2.5 ulp.
+#[cube]
+pub(crate) fn powers_of_two(size: f32) -> (f32, f32) {
+    let exponent = min(max((u32::reinterpret(size) >> 23) & 255, 1), 253);
+    (f32::reinterpret((254 - exponent) << 23), f32::reinterpret(exponent << 23))
+}
+
+/// A matrix by its rows.
+#[derive(CubeType, CubeTypeMut, Clone, Copy)]
+#[expand(derive(Clone, Copy))]
+pub(crate) struct Mat3 {
+    pub x: Vec3,
+    pub y: Vec3,
+    pub z: Vec3,
+}
+
+#[cube]
+impl Mat3 {
+    /// `A v`.
+    pub fn apply(&self, v: Vec3) -> Vec3 {
+        Vec3 { x: self.x.dot(v), y: self.y.dot(v), z: self.z.dot(v) }
+    }
+
+    /// `Aᵀ v`.
+    pub fn apply_transposed(&self, v: Vec3) -> Vec3 {
+        self.x.times(v.x).plus(self.y.times(v.y)).plus(self.z.times(v.z))
+    }
+
+    /// `A B`.
+    pub fn times(&self, other: Mat3) -> Mat3 {
+        Mat3 { x: other.apply_transposed(self.x), y: other.apply_transposed(self.y), z: other.apply_transposed(self.z) }
+    }
+
+    pub fn transposed(&self) -> Mat3 {
+        Mat3 {
+            x: Vec3 { x: self.x.x, y: self.y.x, z: self.z.x },
+            y: Vec3 { x: self.x.y, y: self.y.y, z: self.z.y },
+            z: Vec3 { x: self.x.z, y: self.y.z, z: self.z.z },
         }
-        length
+    }
+}
+
+/// A camera's pose, `[3, 4]`: a matrix, which need not be a rotation, and a translation. Also the gradient of one.
+#[derive(CubeType, CubeTypeMut, Clone, Copy)]
+#[expand(derive(Clone, Copy))]
+pub(crate) struct Pose {
+    pub matrix: Mat3,
+    pub translation: Vec3,
+}
+
+#[cube]
+impl Pose {
+    pub fn load(from: &[f32]) -> Pose {
+        Pose {
+            matrix: Mat3 { x: Vec3::load(from, 0), y: Vec3::load(from, 4), z: Vec3::load(from, 8) },
+            translation: Vec3::new(from[3], from[7], from[11]),
+        }
+    }
+
+    /// A point of the world in the camera's frame.
+    pub fn apply(&self, point: Vec3) -> Vec3 {
+        self.matrix.apply(point).plus(self.translation)
+    }
+}
+
+/// A rotation, wxyz.
+#[derive(CubeType, CubeTypeMut, Clone, Copy)]
+#[expand(derive(Clone, Copy))]
+pub(crate) struct Quaternion {
+    pub w: f32,
+    pub x: f32,
+    pub y: f32,
+    pub z: f32,
+}
+
+#[cube]
+impl Quaternion {
+    pub fn load(from: &[f32], at: usize) -> Quaternion {
+        Quaternion { w: from[at], x: from[at + 1], y: from[at + 2], z: from[at + 3] }
+    }
+
+    pub fn store(&self, to: &mut [f32], at: usize) {
+        to[at] = self.w;
+        to[at + 1] = self.x;
+        to[at + 2] = self.y;
+        to[at + 3] = self.z;
+    }
+
+    pub fn times(&self, factor: f32) -> Quaternion {
+        Quaternion { w: self.w * factor, x: self.x * factor, y: self.y * factor, z: self.z * factor }
+    }
+
+    pub fn dot(&self, other: Quaternion) -> f32 {
+        self.w * other.w + self.x * other.x + self.y * other.y + self.z * other.z
+    }
+
+    /// The quaternion of length one, and the length of this one, scaled so that no square overflows or vanishes. Means
+    /// nothing if the length is not positive.
+    pub fn unit(&self) -> (Quaternion, f32) {
+        let (down, up) = powers_of_two(max(self.w.abs(), Vec3::new(self.x, self.y, self.z).largest()));
+        let scaled = self.times(down);
+        let length = scaled.dot(scaled).sqrt();
+        (scaled.times(1.0 / length), length * up)
+    }
+
+    /// The rotation matrix of a unit quaternion.
+    pub fn matrix(&self) -> Mat3 {
+        let (w, x, y, z) = (self.w, self.x, self.y, self.z);
+        Mat3 {
+            x: Vec3::new(1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)),
+            y: Vec3::new(2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)),
+            z: Vec3::new(2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)),
+        }
+    }
+
+    /// The gradient of a quaternion whose unit is this one, from that of its rotation matrix: through [`Self::matrix`],
+    /// then through `q / |q|`, which leaves only what is normal to the unit.
+    pub fn backward(&self, length: f32, grad: Mat3) -> Quaternion {
+        let (w, x, y, z) = (self.w, self.x, self.y, self.z);
+        let odd = Vec3::new(grad.z.y - grad.y.z, grad.x.z - grad.z.x, grad.y.x - grad.x.y);
+        let even = Vec3::new(grad.z.y + grad.y.z, grad.x.z + grad.z.x, grad.y.x + grad.x.y);
+        let half = Quaternion {
+            w: x * odd.x + y * odd.y + z * odd.z,
+            x: w * odd.x + y * even.z + z * even.y - 2.0 * x * (grad.y.y + grad.z.z),
+            y: w * odd.y + x * even.z + z * even.x - 2.0 * y * (grad.x.x + grad.z.z),
+            z: w * odd.z + x * even.y + y * even.x - 2.0 * z * (grad.x.x + grad.y.y),
+        };
+        let radial = half.dot(Quaternion { w, x, y, z });
+        let normal = Quaternion {
+            w: half.w - w * radial,
+            x: half.x - x * radial,
+            y: half.y - y * radial,
+            z: half.z - z * radial,
+        };
+        normal.times(2.0 / length)
     }
 }
 

@@ -4,7 +4,6 @@
 pub(crate) mod atomic;
 mod buffer;
 pub(crate) mod math;
-#[cfg(test)]
 pub(crate) mod reduce;
 
 use cubecl::client::Client;

@@ -17,7 +17,15 @@
 //!
 //! Shapes: means `[N, 3]`, rotations `[N, 4]`, scales `[N, 3]`, opacities `[N]`, pose `[3, 4]` → packed `[N, 7]`.
 
+#[cfg(feature = "cube")]
+mod backward;
 pub(crate) mod cpu;
+#[cfg(feature = "cube")]
+mod forward;
+#[cfg(all(test, feature = "cube"))]
+mod kernel_tests;
+#[cfg(feature = "cube")]
+pub(crate) mod launch;
 #[cfg(test)]
 mod tests;
 

@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 
 use super::basis::{basis, basis_backward};
-use super::{SH_COEFFICIENTS_MAX, ShadeNeeds, sh_degree};
+use super::{SH_COEFFICIENTS_MAX, ShadeNeeds, degree_of};
 use crate::linalg::{Mat3, add, cross, dot, matvec, norm, scale, sub, transpose, transposed_matvec};
 use crate::real::Real;
 
@@ -161,8 +161,4 @@ fn direction_backward<F: Real>(direction: [F; 3], distance: F, degree: usize, sh
     }
     let grad = basis_backward(direction, degree, &grad_basis);
     scale(sub(grad, scale(direction, dot(direction, grad))), F::ONE / distance)
-}
-
-fn degree_of(coefficients: usize) -> usize {
-    sh_degree(coefficients).expect("the number of coefficients is checked where tensors enter")
 }

@@ -7,8 +7,16 @@
 //!
 //! Shapes: coefficients `[N, (degree+1)², 3]`, means `[N, 3]`, pose `[3, 4]` → colours `[N, 3]`.
 
+#[cfg(feature = "cube")]
+mod backward;
 mod basis;
 pub(crate) mod cpu;
+#[cfg(feature = "cube")]
+mod forward;
+#[cfg(all(test, feature = "cube"))]
+mod kernel_tests;
+#[cfg(feature = "cube")]
+pub(crate) mod launch;
 #[cfg(test)]
 mod tests;
 
@@ -26,6 +34,17 @@ pub(crate) const SH_COEFFICIENTS_MAX: usize = (SH_DEGREE_MAX + 1) * (SH_DEGREE_M
 /// The degree that a number of coefficients per channel stands for; `None` unless it is 1, 4, 9, 16 or 25.
 pub fn sh_degree(coefficients: usize) -> Option<usize> {
     (0..=SH_DEGREE_MAX).find(|degree| (degree + 1) * (degree + 1) == coefficients)
+}
+
+/// [`sh_degree`] of a number of coefficients that was checked where tensors entered.
+fn degree_of(coefficients: usize) -> usize {
+    sh_degree(coefficients).expect("the number of coefficients is checked where tensors enter")
+}
+
+/// Coefficients per channel at a degree.
+#[cfg(feature = "cube")]
+const fn coefficients_of(degree: usize) -> usize {
+    (degree + 1) * (degree + 1)
 }
 
 /// Inputs of the stage.

@@ -1,48 +1,149 @@
-//! How far an f32 result may lie from the f64 one: sixteen times what one ulp in every input does to it, and a little.
+//! Kernels against their twins: how far an f32 result may be from the f64 one.
+//!
+//! The unit is what one f32 ulp in every input does to the f64 result. An element may be off by 16 such units and by 1e-6
+//! of the largest element of its column in its class: classes keep the values of extreme rows from excusing the others.
+//! Subnormal numbers count as zero, which they are on some devices.
 
 use super::random::Random;
 
-/// Draws of the perturbation: a lower estimate of what an ulp can do.
+/// Multiples of what an ulp in every input does.
+const ULP_FACTOR: f64 = 16.0;
+/// Added to that, relative to the largest element of the column and class; and the width of a band, relatively.
+const FLOOR: f64 = 1e-6;
+/// Relative error of a gradient's row, the share of rows that may exceed it, and the length relative to the longest
+/// below which a row is not judged by it.
+const ROW_TOLERANCE: f64 = 1e-3;
+const ROW_EXCEPTIONS: f64 = 1e-3;
+const ROW_FLOOR: f64 = 1e-4;
+/// Random directions in which the inputs are moved.
 const DRAWS: u64 = 6;
+/// Below this an f32, or a product on the way to it, may have become zero.
+const SMALLEST: f64 = 1e-36;
 
-/// Values moved by one f32 ulp each, up or down.
-pub fn moved(values: &[f64], random: &mut Random) -> Vec<f64> {
-    let step = |v: f32, up: bool| if up { v.next_up() } else { v.next_down() };
-    let nudge = |&v: &f64, up: bool| if v == 0.0 { v } else { f64::from(step(v as f32, up)) };
-    values.iter().map(|v| nudge(v, random.between(-1.0, 1.0) > 0.0)).collect()
+/// The class of each row; `None` for a row in the boundary band, which is not compared.
+pub type Classes = [Option<u8>];
+
+/// The nearest f32 values.
+pub fn rounded(values: &[f64]) -> Vec<f64> {
+    values.iter().map(|value| f64::from(*value as f32)).collect()
 }
 
-/// Per element, `16 × change + 1e-6 × largest`, with `result` computed from inputs that `moved` has nudged.
-pub fn ceiling(expected: &[f64], seed: u64, result: impl Fn(&mut Random) -> Vec<f64>) -> Vec<f64> {
-    let largest = expected.iter().fold(0.0_f64, |m, v| m.max(v.abs()));
-    let mut change = vec![0.0_f64; expected.len()];
-    for draw in 0..DRAWS {
-        let nudged = result(&mut Random::new(1_000 * seed + draw));
-        change.iter_mut().zip(&nudged).zip(expected).for_each(|((c, n), e)| *c = c.max((n - e).abs()));
-    }
-    change.iter().map(|c| 16.0 * c + 1e-6 * largest).collect()
+pub fn to_f32(values: &[f64]) -> Vec<f32> {
+    values.iter().map(|value| *value as f32).collect()
 }
 
-/// Compares element by element; `what` names the result in the message.
-pub fn check(what: &str, found: &[f32], expected: &[f64], ceiling: &[f64]) {
-    assert_eq!(found.len(), expected.len(), "{what}: number of elements");
-    for (i, ((&found, &expected), &tolerance)) in found.iter().zip(expected).zip(ceiling).enumerate() {
-        let error = (f64::from(found) - expected).abs();
-        assert!(error <= tolerance, "{what}[{i}]: {found}, expected {expected}, error {error}, ceiling {tolerance}");
-    }
+/// Each value one f32 ulp up or down. What is zero or not finite stays: that it is so is a statement, not a measurement.
+fn moved(values: &[f64], random: &mut Random) -> Vec<f64> {
+    let mut step = |value: f64| match value as f32 {
+        exact if exact == 0.0 || !exact.is_finite() => value,
+        value if random.between(0.0, 1.0) < 0.5 => f64::from(value.next_up()),
+        value => f64::from(value.next_down()),
+    };
+    values.iter().map(|value| step(*value)).collect()
 }
 
-/// Of the rows above 1e-4 of the largest, 99.9% have a relative L2 error of at most 1e-3.
-pub fn check_rows(what: &str, found: &[f32], expected: &[f64], columns: usize) {
-    let norm = |row: &[f64]| row.iter().map(|v| v * v).sum::<f64>().sqrt();
-    let largest = expected.chunks_exact(columns).map(norm).fold(0.0, f64::max);
-    let (mut rows, mut bad) = (0, 0);
-    for (found, expected) in found.chunks_exact(columns).zip(expected.chunks_exact(columns)) {
-        if norm(expected) > 1e-4 * largest {
-            let error: Vec<f64> = found.iter().zip(expected).map(|(f, e)| f64::from(*f) - e).collect();
-            rows += 1;
-            bad += usize::from(!(norm(&error) <= 1e-3 * norm(expected)));
+/// Tensors in f64 and the largest change of each element over several draws.
+pub struct Yardstick {
+    pub expected: Vec<Vec<f64>>,
+    pub spread: Vec<Vec<f64>>,
+}
+
+impl Yardstick {
+    /// `inputs` are rounded already.
+    pub fn new(inputs: &[Vec<f64>], evaluate: impl Fn(&[Vec<f64>]) -> Vec<Vec<f64>>) -> Self {
+        let expected = evaluate(inputs);
+        let mut spread: Vec<Vec<f64>> = expected.iter().map(|tensor| vec![0.0; tensor.len()]).collect();
+        for draw in 0..DRAWS {
+            let mut random = Random::new(1000 + draw);
+            let inputs: Vec<Vec<f64>> = inputs.iter().map(|tensor| moved(tensor, &mut random)).collect();
+            for ((spread, plain), moved) in spread.iter_mut().zip(&expected).zip(evaluate(&inputs)) {
+                let changes = plain.iter().zip(moved).map(|(plain, moved)| (plain - moved).abs());
+                spread.iter_mut().zip(changes).for_each(|(spread, change)| *spread = spread.max(change));
+            }
         }
+        Self { expected, spread }
     }
-    assert!(bad * 1000 <= rows, "{what}: {bad} of {rows} rows are off by more than 1e-3");
+
+    /// Whether each element, a relative distance from a threshold, is within rounding of it.
+    pub fn near_zero(&self, tensor: usize) -> Vec<bool> {
+        let elements = self.expected[tensor].iter().zip(&self.spread[tensor]);
+        elements.map(|(value, spread)| value.abs() <= ULP_FACTOR * spread + FLOOR).collect()
+    }
+
+    /// Asserts the ceiling, and returns the largest share of it that an element uses.
+    pub fn check(&self, what: &str, tensor: usize, found: &[f32], classes: &Classes) -> f64 {
+        let (expected, spread) = (&self.expected[tensor], &self.spread[tensor]);
+        assert_eq!(found.len(), expected.len(), "{what}");
+        let columns = expected.len() / classes.len().max(1);
+        let mut largest = vec![0.0_f64; 256 * columns];
+        for (row, class) in classes.iter().enumerate() {
+            let Some(class) = class else { continue };
+            for column in 0..columns {
+                let largest = &mut largest[usize::from(*class) * columns + column];
+                *largest = largest.max(expected[row * columns + column].abs());
+            }
+        }
+        let mut worst = 0.0_f64;
+        for (row, class) in classes.iter().enumerate() {
+            let Some(class) = class else { continue };
+            for column in 0..columns {
+                let at = row * columns + column;
+                let tolerance =
+                    ULP_FACTOR * spread[at] + FLOOR * largest[usize::from(*class) * columns + column] + SMALLEST;
+                let error = (f64::from(found[at]) - expected[at]).abs();
+                assert!(
+                    error <= tolerance,
+                    "{what}, row {row} of class {class}, column {column}: found {:e}, expected {:e}, error {error:.2e}, \
+                     tolerance {tolerance:.2e}",
+                    found[at],
+                    expected[at]
+                );
+                worst = worst.max(error / tolerance);
+            }
+        }
+        worst
+    }
+
+    /// As [`Self::check`], for a gradient: its rows are also judged as vectors, and those that are zero must be the same.
+    /// A row that one ulp in the inputs moves by more than the tolerance is judged by the ceiling alone; the share of
+    /// such rows in `ordinary` classes is bounded.
+    pub fn check_gradient(&self, what: &str, tensor: usize, found: &[f32], classes: &Classes, ordinary: &[u8]) -> f64 {
+        let worst = self.check(what, tensor, found, classes);
+        let (expected, spread) = (&self.expected[tensor], &self.spread[tensor]);
+        let columns = expected.len() / classes.len().max(1);
+        let length = |row: &mut dyn Iterator<Item = f64>| row.map(|v| v * v).sum::<f64>().sqrt();
+        let mut rows = Vec::new();
+        for (row, class) in classes.iter().enumerate() {
+            let Some(class) = class else { continue };
+            let range = row * columns..(row + 1) * columns;
+            let (found, expected, spread) = (&found[range.clone()], &expected[range.clone()], &spread[range]);
+            let size = length(&mut expected.iter().copied());
+            let error = length(&mut found.iter().zip(expected).map(|(found, expected)| f64::from(*found) - expected));
+            let uncertainty = length(&mut spread.iter().copied());
+            // Zero by decision, not by cancellation: it stays zero whatever the inputs do.
+            let none = size == 0.0 && uncertainty == 0.0;
+            let zero = found.iter().all(|value| *value == 0.0);
+            let same = if none { zero } else { !zero || size <= ULP_FACTOR * uncertainty + SMALLEST };
+            assert!(same, "{what}, row {row} of class {class}: found {found:?}, expected {expected:?}");
+            rows.push((*class, size, error, uncertainty));
+        }
+        for class in 0..=u8::MAX {
+            let of_class = || rows.iter().filter(|row| row.0 == class);
+            let floor = ROW_FLOOR * of_class().fold(0.0_f64, |largest, row| largest.max(row.1));
+            let (mut judged, mut off, mut ill) = (0, 0, 0);
+            for (_, size, error, spread) in of_class().filter(|row| row.1 > floor) {
+                judged += 1;
+                ill += usize::from(*spread > ROW_TOLERANCE * size);
+                off += usize::from(*spread <= ROW_TOLERANCE * size && !(*error <= ROW_TOLERANCE * size));
+            }
+            let allowed = (ROW_EXCEPTIONS * f64::from(judged)).floor() as usize;
+            assert!(off <= allowed, "{what}, class {class}: {off} of {judged} rows are off");
+            let cancelling = if ordinary.contains(&class) { (0.01 * f64::from(judged)).ceil() as usize } else { ill };
+            assert!(
+                ill <= cancelling,
+                "{what}, class {class}: {ill} of {judged} rows are too ill-conditioned to judge"
+            );
+        }
+        worst
+    }
 }

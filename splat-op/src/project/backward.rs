@@ -1,0 +1,196 @@
+//! Kernel of `project`, backward: one unit per Gaussian, which projects it again and goes the same way back. Outputs that
+//! nobody asked for are not arguments, and what only they need is not in the kernel.
+//!
+//! With `P = |p|`, `S = sigma_v`, `a = m1 / sigma_u` and the blur `ε`, the factor and the compensation have the differentials
+//!
+//! ```text
+//! S dS = P dP + ε a·da        d(P / S) = (ε + ε |a|²) / S² · dP / S − P / S · ε a·da / S²
+//! ```
+//!
+//! of which the second is written without a difference of almost equal numbers: where the blur is small beside the
+//! Gaussian, the compensation is almost one whatever the Gaussian does, and where there is none, exactly.
+
+use cubecl::prelude::*;
+
+use super::forward::{Axis, Gaussian, Lens, Packed, Projection, Row, project_one};
+use crate::gpu::UNITS;
+use crate::gpu::math::{Mat3, Pose, Quaternion, Vec3};
+use crate::gpu::reduce::cube_sum;
+
+/// Numbers of a pose.
+pub(super) const POSE: usize = 12;
+
+/// Whether any number is not zero, by its bits: NaN is not.
+#[cube]
+fn any(packed: &Packed) -> bool {
+    let mean = u32::reinterpret(packed.x) | u32::reinterpret(packed.y);
+    let sigmas = u32::reinterpret(packed.sigma_u) | u32::reinterpret(packed.sigma_v);
+    let rest = u32::reinterpret(packed.shear) | u32::reinterpret(packed.depth) | u32::reinterpret(packed.opacity);
+    ((mean | sigmas | rest) & 0x7fff_ffff) != 0
+}
+
+/// Gradients of `m0` and `m1`.
+#[cube]
+fn factor_backward(f: &Projection, lens: &Lens, opacity: f32, grad: &Packed) -> (Vec3, Vec3) {
+    let inverse_v = 1.0 / f.sigma_v;
+    // Both are at most one, whatever the scales.
+    let blur = lens.blur_sigma * inverse_v;
+    let blur_along = f.along.times(blur);
+    let mut grad_p = f.p.times(grad.sigma_v * inverse_v);
+    let mut along_weight = lens.blur_sigma * grad.sigma_v;
+    if comptime!(lens.antialias) {
+        if f.compensation_free {
+            let grad_compensation = grad.opacity * opacity;
+            let weight = grad_compensation * inverse_v * (blur * blur + blur_along.dot(blur_along));
+            // Not one division by `P S`, which may be out of range.
+            grad_p = grad_p.plus(f.p.times(1.0 / f.p_length).times(weight));
+            along_weight -= blur * grad_compensation * f.compensation;
+        }
+    }
+    let grad_along = blur_along.times(along_weight).plus(f.n.times(grad.shear));
+    let grad_n = f.along.times(grad.shear).plus(f.y.m.cross(grad_p));
+    let inverse_u = 1.0 / f.sigma_u;
+    let grad_sigma_u = grad.sigma_u - (grad_along.dot(f.along) + grad_n.dot(f.n)) * inverse_u;
+    let grad_m0 = grad_n.times(inverse_u).plus(f.n.times(grad_sigma_u));
+    let grad_m1 = grad_p.cross(f.n).plus(grad_along.times(inverse_u));
+    (grad_m0, grad_m1)
+}
+
+/// Gradients of what an axis of the picture is computed from.
+#[derive(CubeType, Clone, Copy)]
+#[expand(derive(Clone, Copy))]
+struct RowGrad {
+    /// Of the camera x or y of the centre, and a share of that of its z.
+    across: f32,
+    depth: f32,
+    /// Of the row of `W R`; that of the last row is less `slope` times this.
+    row: Vec3,
+}
+
+#[cube]
+fn row_backward(f: &Projection, row: &Row, axis: &Axis, grad_j: Vec3, grad_mean_px: f32) -> RowGrad {
+    let inverse = 1.0 / f.depth;
+    // j = (focal / z) (row − slope · last)
+    let grad_row = grad_j.times(axis.focal * inverse);
+    let through_slope = select(row.slope_free, grad_row.dot(f.last), 0.0);
+    let across = (grad_mean_px * axis.focal - through_slope) * inverse;
+    RowGrad { across, depth: -(grad_j.dot(row.j) * inverse) - across * row.ratio, row: grad_row }
+}
+
+#[cube(launch_unchecked)]
+pub(super) fn project_backward_kernel(
+    means: &[f32],
+    rotations: &[f32],
+    scales: &[f32],
+    opacities: &[f32],
+    cam_from_world: &[f32],
+    grad: &[f32],
+    grad_means: ComptimeOption<&mut [f32]>,
+    grad_rotations: ComptimeOption<&mut [f32]>,
+    grad_scales: ComptimeOption<&mut [f32]>,
+    grad_opacities: ComptimeOption<&mut [f32]>,
+    grad_mean2d: ComptimeOption<&mut [f32]>,
+    pose_rows: ComptimeOption<&mut [f32]>,
+    lens: Lens,
+    count: u32,
+    #[comptime] planes: bool,
+) {
+    let through_centre = comptime!(grad_means.is_some() || pose_rows.is_some());
+    let through_rotation = comptime!(through_centre || grad_rotations.is_some());
+    let through_factor = comptime!(through_rotation || grad_scales.is_some());
+
+    let gaussian = ABSOLUTE_POS;
+    let zero = Vec3::new(0.0, 0.0, 0.0);
+    let mut of_mean = zero;
+    let mut of_rotation = Quaternion { w: 0.0, x: 0.0, y: 0.0, z: 0.0 };
+    let mut of_scale = zero;
+    let mut of_opacity = 0.0f32;
+    let mut of_mean2d_x = 0.0f32;
+    let mut of_mean2d_y = 0.0f32;
+    let mut of_pose = Pose { matrix: Mat3 { x: zero, y: zero, z: zero }, translation: zero };
+
+    if gaussian < count as usize {
+        let grad = Packed::load(grad, gaussian);
+        // Most Gaussians of a large scene are out of view, and their gradient is exactly zero.
+        if any(&grad) {
+            let g = Gaussian::load(means, rotations, scales, opacities, gaussian);
+            let pose = Pose::load(cam_from_world);
+            let p = project_one(&g, &pose, &lens);
+            if p.visible {
+                of_mean2d_x = grad.x;
+                of_mean2d_y = grad.y;
+                of_opacity = grad.opacity * p.compensation;
+                if comptime!(through_factor) {
+                    let (grad_m0, grad_m1) = factor_backward(&p, &lens, g.opacity, &grad);
+                    of_scale = grad_m0.by_axis(p.x.j).plus(grad_m1.by_axis(p.y.j));
+                    if comptime!(through_rotation) {
+                        let x = row_backward(&p, &p.x, &lens.x, grad_m0.by_axis(g.scale), grad.x);
+                        let y = row_backward(&p, &p.y, &lens.y, grad_m1.by_axis(g.scale), grad.y);
+                        let to_last = x.row.times(p.x.slope).plus(y.row.times(p.y.slope));
+                        // Of `W R`, and of the centre in the camera's frame.
+                        let turned = Mat3 { x: x.row, y: y.row, z: zero.minus(to_last) };
+                        let centre = Vec3::new(x.across, y.across, grad.depth + x.depth + y.depth);
+                        of_rotation =
+                            p.quaternion.backward(p.quaternion_length, pose.matrix.transposed().times(turned));
+                        of_mean = pose.matrix.apply_transposed(centre);
+                        let from = p.world_from_gaussian;
+                        of_pose.matrix.x = from.apply(turned.x).plus(g.mean.times(centre.x));
+                        of_pose.matrix.y = from.apply(turned.y).plus(g.mean.times(centre.y));
+                        of_pose.matrix.z = from.apply(turned.z).plus(g.mean.times(centre.z));
+                        of_pose.translation = centre;
+                    }
+                }
+            }
+        }
+        #[comptime]
+        if let ComptimeOption::Some(out) = grad_means {
+            of_mean.store(out, 3 * gaussian);
+        }
+        #[comptime]
+        if let ComptimeOption::Some(out) = grad_rotations {
+            of_rotation.store(out, 4 * gaussian);
+        }
+        #[comptime]
+        if let ComptimeOption::Some(out) = grad_scales {
+            of_scale.store(out, 3 * gaussian);
+        }
+        #[comptime]
+        if let ComptimeOption::Some(out) = grad_opacities {
+            out[gaussian] = of_opacity;
+        }
+        #[comptime]
+        if let ComptimeOption::Some(out) = grad_mean2d {
+            out[2 * gaussian] = of_mean2d_x;
+            out[2 * gaussian + 1] = of_mean2d_y;
+        }
+    }
+    #[comptime]
+    if let ComptimeOption::Some(rows) = pose_rows {
+        let mut shared = Shared::<[f32]>::new_slice(comptime!(UNITS));
+        // A dispatch may hold more cubes than there are rows.
+        if CUBE_POS * comptime!(UNITS) < count as usize {
+            let (m, t) = (of_pose.matrix, of_pose.translation);
+            store_sum(m.x.x, rows, 0, &mut shared, planes);
+            store_sum(m.x.y, rows, 1, &mut shared, planes);
+            store_sum(m.x.z, rows, 2, &mut shared, planes);
+            store_sum(t.x, rows, 3, &mut shared, planes);
+            store_sum(m.y.x, rows, 4, &mut shared, planes);
+            store_sum(m.y.y, rows, 5, &mut shared, planes);
+            store_sum(m.y.z, rows, 6, &mut shared, planes);
+            store_sum(t.y, rows, 7, &mut shared, planes);
+            store_sum(m.z.x, rows, 8, &mut shared, planes);
+            store_sum(m.z.y, rows, 9, &mut shared, planes);
+            store_sum(m.z.z, rows, 10, &mut shared, planes);
+            store_sum(t.z, rows, 11, &mut shared, planes);
+        }
+    }
+}
+
+/// Writes the sum over the cube's units to its row.
+#[cube]
+fn store_sum(value: f32, rows: &mut [f32], column: usize, shared: &mut Shared<[f32]>, #[comptime] planes: bool) {
+    let sum = cube_sum(value, shared, planes);
+    if UNIT_POS == 0 {
+        rows[CUBE_POS * comptime!(POSE) + column] = sum;
+    }
+}

@@ -1,0 +1,239 @@
+//! Kernel of `project`, forward: one unit per Gaussian. The projection of one Gaussian is a function of its own, because
+//! the backward kernel computes it again rather than have it kept.
+//!
+//! Shapes as in `project`: means `[N, 3]`, rotations `[N, 4]`, scales `[N, 3]`, opacities `[N]`, pose `[3, 4]` →
+//! `[N, 7]`.
+
+use cubecl::prelude::*;
+
+use super::{COLUMNS, COMPENSATION_MIN};
+use crate::camera::CameraModel;
+use crate::gpu::math::{Mat3, Pose, Quaternion, Vec3, finite, within};
+
+/// One axis of the picture, px.
+#[derive(CubeType, CubeLaunch, Clone, Copy)]
+#[expand(derive(Clone, Copy))]
+pub(super) struct Axis {
+    pub focal: f32,
+    pub principal: f32,
+    /// `x/z` or `y/z` at which the Jacobian is held.
+    pub low: f32,
+    pub high: f32,
+}
+
+/// What the kernels know of the camera and of the options.
+#[derive(CubeType, CubeLaunch, Clone, Copy)]
+#[expand(derive(Clone, Copy))]
+pub(super) struct Lens {
+    pub x: Axis,
+    pub y: Axis,
+    /// Camera z, scene units.
+    pub near: f32,
+    /// The root of the blur, px.
+    pub blur_sigma: f32,
+    #[cube(comptime)]
+    pub model: CameraModel,
+    #[cube(comptime)]
+    pub antialias: bool,
+}
+
+/// One Gaussian's parameters.
+#[derive(CubeType, Clone, Copy)]
+#[expand(derive(Clone, Copy))]
+pub(super) struct Gaussian {
+    pub mean: Vec3,
+    pub rotation: Quaternion,
+    pub scale: Vec3,
+    pub opacity: f32,
+}
+
+#[cube]
+impl Gaussian {
+    pub fn load(means: &[f32], rotations: &[f32], scales: &[f32], opacities: &[f32], gaussian: usize) -> Gaussian {
+        Gaussian {
+            mean: Vec3::load(means, 3 * gaussian),
+            rotation: Quaternion::load(rotations, 4 * gaussian),
+            scale: Vec3::load(scales, 3 * gaussian),
+            opacity: opacities[gaussian],
+        }
+    }
+
+    fn finite(&self) -> bool {
+        let (m, q, s) = (self.mean, self.rotation, self.scale);
+        let mean = finite(m.x) && finite(m.y) && finite(m.z);
+        let rotation = finite(q.w) && finite(q.x) && finite(q.y) && finite(q.z);
+        mean && rotation && finite(s.x) && finite(s.y) && finite(s.z) && finite(self.opacity)
+    }
+}
+
+/// A row of the packed output, or of its gradient.
+#[derive(CubeType, Clone, Copy)]
+#[expand(derive(Clone, Copy))]
+pub(super) struct Packed {
+    pub x: f32,
+    pub y: f32,
+    pub sigma_u: f32,
+    pub shear: f32,
+    pub sigma_v: f32,
+    pub depth: f32,
+    pub opacity: f32,
+}
+
+#[cube]
+impl Packed {
+    pub fn load(from: &[f32], gaussian: usize) -> Packed {
+        let at = gaussian * comptime!(COLUMNS);
+        Packed {
+            x: from[at],
+            y: from[at + 1],
+            sigma_u: from[at + 2],
+            shear: from[at + 3],
+            sigma_v: from[at + 4],
+            depth: from[at + 5],
+            opacity: from[at + 6],
+        }
+    }
+
+    fn store(&self, to: &mut [f32], gaussian: usize) {
+        let at = gaussian * comptime!(COLUMNS);
+        to[at] = self.x;
+        to[at + 1] = self.y;
+        to[at + 2] = self.sigma_u;
+        to[at + 3] = self.shear;
+        to[at + 4] = self.sigma_v;
+        to[at + 5] = self.depth;
+        to[at + 6] = self.opacity;
+    }
+}
+
+/// What an axis of the picture sees of a Gaussian.
+#[derive(CubeType, Clone, Copy)]
+#[expand(derive(Clone, Copy))]
+pub(super) struct Row {
+    /// `x/z` or `y/z`, the slope at which the Jacobian is taken, and whether that is free (not held at a limit).
+    pub ratio: f32,
+    pub slope: f32,
+    pub slope_free: bool,
+    /// Row of `J W R`, and the same times the scales.
+    pub j: Vec3,
+    pub m: Vec3,
+}
+
+#[cube]
+impl Axis {
+    /// `across` is the camera x or y of the centre; `row` and `last` are rows of `W R`.
+    fn project(&self, across: f32, depth: f32, row: Vec3, last: Vec3, scale: Vec3) -> Row {
+        let ratio = across / depth;
+        let slope = within(ratio, self.low, self.high);
+        let j = row.minus(last.times(slope)).times(self.focal / depth);
+        Row { ratio, slope, slope_free: slope == ratio, j, m: j.by_axis(scale) }
+    }
+}
+
+/// What the forward pass computes on its way and the backward pass needs again. The names are those of the equations of
+/// `project`.
+#[derive(CubeType, Clone, Copy)]
+#[expand(derive(Clone, Copy))]
+pub(super) struct Projection {
+    /// Without it the rest means nothing: the Gaussian is not finite, has no rotation, or is not in front of the near
+    /// plane.
+    pub visible: bool,
+    pub depth: f32,
+    pub quaternion: Quaternion,
+    pub quaternion_length: f32,
+    pub world_from_gaussian: Mat3,
+    /// The last row of `W R`.
+    pub last: Vec3,
+    pub x: Row,
+    pub y: Row,
+    /// `m0 / sigma_u`, `m1 / sigma_u`, `n × m1` and its length.
+    pub n: Vec3,
+    pub along: Vec3,
+    pub p: Vec3,
+    pub p_length: f32,
+    pub sigma_u: f32,
+    pub shear: f32,
+    pub sigma_v: f32,
+    /// What the opacity is multiplied by, and whether that is free (not held at its floor, not one throughout).
+    pub compensation: f32,
+    pub compensation_free: bool,
+}
+
+#[cube]
+pub(super) fn project_one(gaussian: &Gaussian, pose: &Pose, lens: &Lens) -> Projection {
+    let mean_cam = pose.apply(gaussian.mean);
+    let (quaternion, quaternion_length) = gaussian.rotation.unit();
+    let world_from_gaussian = quaternion.matrix();
+    let cam_from_gaussian = pose.matrix.times(world_from_gaussian);
+    let (depth, last, scale) = (mean_cam.z, cam_from_gaussian.z, gaussian.scale);
+    let x = lens.x.project(mean_cam.x, depth, cam_from_gaussian.x, last, scale);
+    let y = lens.y.project(mean_cam.y, depth, cam_from_gaussian.y, last, scale);
+
+    let sigma_u = Vec3::new(x.m.length(), lens.blur_sigma, 0.0).length();
+    let inverse = 1.0 / sigma_u;
+    let n = x.m.times(inverse);
+    let along = y.m.times(inverse);
+    let p = n.cross(y.m);
+    let p_length = p.length();
+    let sigma_v = Vec3::new(p_length, lens.blur_sigma, lens.blur_sigma * along.length()).length();
+    let shear = n.dot(along);
+
+    let in_front = depth > lens.near && depth > 0.0 && finite(depth) && finite(x.ratio) && finite(y.ratio);
+    let wide = sigma_u > 0.0 && finite(sigma_u) && sigma_v > 0.0 && finite(sigma_v) && finite(shear);
+    let visible = gaussian.finite() && in_front && quaternion_length > 0.0 && wide;
+
+    let mut compensation = 1.0f32;
+    let mut compensation_free = false;
+    if comptime!(lens.antialias) {
+        let floor = comptime!(COMPENSATION_MIN as f32);
+        let areas = p_length / sigma_v;
+        compensation = max(areas, floor);
+        compensation_free = areas > floor;
+    }
+    Projection {
+        visible,
+        depth,
+        quaternion,
+        quaternion_length,
+        world_from_gaussian,
+        last,
+        x,
+        y,
+        n,
+        along,
+        p,
+        p_length,
+        sigma_u,
+        shear,
+        sigma_v,
+        compensation,
+        compensation_free,
+    }
+}
+
+#[cube(launch_unchecked)]
+pub(super) fn project_forward_kernel(
+    means: &[f32],
+    rotations: &[f32],
+    scales: &[f32],
+    opacities: &[f32],
+    cam_from_world: &[f32],
+    projected: &mut [f32],
+    lens: Lens,
+    count: u32,
+) {
+    if ABSOLUTE_POS < count as usize {
+        let gaussian = Gaussian::load(means, rotations, scales, opacities, ABSOLUTE_POS);
+        let p = project_one(&gaussian, &Pose::load(cam_from_world), &lens);
+        let packed = Packed {
+            x: select(p.visible, lens.x.focal * p.x.ratio + lens.x.principal, 0.0),
+            y: select(p.visible, lens.y.focal * p.y.ratio + lens.y.principal, 0.0),
+            sigma_u: select(p.visible, p.sigma_u, 1.0),
+            shear: select(p.visible, p.shear, 0.0),
+            sigma_v: select(p.visible, p.sigma_v, 1.0),
+            depth: select(p.visible, p.depth, 0.0),
+            opacity: select(p.visible, gaussian.opacity * p.compensation, 0.0),
+        };
+        packed.store(projected, ABSOLUTE_POS);
+    }
+}

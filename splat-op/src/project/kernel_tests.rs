@@ -1,0 +1,383 @@
+//! The kernels of `project` against the twin in f64.
+
+use glam::{DAffine3, DMat3, DQuat, DVec3};
+
+use super::cpu::{Grads, Inputs, project_backward_cpu, project_cpu};
+use super::launch::{DeviceGrads, DeviceInputs, launch_project, launch_project_backward};
+use super::{COLUMNS, COMPENSATION_MIN, ProjectNeeds, ProjectSpec};
+use crate::camera::{CameraModel, Intrinsics};
+use crate::gpu::{Buffer, Gpu};
+use crate::options::RenderOptions;
+use crate::testing::ceiling::{Yardstick, rounded, to_f32};
+use crate::testing::gpu::gpus;
+use crate::testing::random::Random;
+
+const ALL: ProjectNeeds =
+    ProjectNeeds { means: true, rotations: true, scales: true, opacities: true, cam_from_world: true, mean2d: true };
+const NAMES: [&str; 6] = ["means", "rotations", "scales", "opacities", "pose", "mean2d"];
+
+// Classes of Gaussians. The first two are well-conditioned.
+const CULLED: u8 = 0;
+const ORDINARY: u8 = 1;
+const NEEDLE: u8 = 2;
+const NEAR: u8 = 3;
+const HUGE: u8 = 4;
+const TINY: u8 = 5;
+const SHORT_QUATERNION: u8 = 6;
+const LONG_QUATERNION: u8 = 7;
+
+/// A camera, its pose and the options.
+struct View {
+    pose: Vec<f64>,
+    /// Width, height.
+    size: [usize; 2],
+    /// fx, fy, cx, cy.
+    lens: Vec<f64>,
+    options: RenderOptions,
+}
+
+impl View {
+    /// Centred at the origin; turned, moved, and off centre; no rotation at all, its principal point outside.
+    fn new(which: usize, blur: f64, antialias: bool) -> Self {
+        let turn = DMat3::from_quat(DQuat::from_xyzw(0.4, -0.3, 0.2, 0.8).normalize());
+        let (matrix, translation, lens, near) = match which {
+            0 => (DMat3::IDENTITY, DVec3::ZERO, [50.0, 50.0, 32.0, 24.0], 0.01),
+            1 => (turn, DVec3::new(3.0, -2.0, 5.0), [61.0, 43.0, 41.5, 13.25], 0.5),
+            _ => {
+                let bend = DMat3::from_cols_array(&[1.1, 0.05, -0.04, 0.02, 0.9, 0.06, -0.03, 0.07, 1.05]);
+                (bend * turn, DVec3::new(-40.0, 10.0, 2.0), [47.0, 55.0, -9.5, 60.0], 0.2)
+            }
+        };
+        let columns = [matrix.x_axis, matrix.y_axis, matrix.z_axis, translation];
+        let pose: Vec<f64> = (0..3).flat_map(|row| columns.map(|column| column[row])).collect();
+        let options = RenderOptions { blur: f64::from(blur as f32), antialias, ..RenderOptions::standard() };
+        let options = RenderOptions { near: f64::from(near as f32), ..options };
+        Self { pose: rounded(&pose), size: [64, 48], lens: rounded(&lens), options }
+    }
+
+    fn spec(&self, lens: &[f64]) -> ProjectSpec {
+        let ([width, height], [fx, fy, cx, cy]) = (self.size, [lens[0], lens[1], lens[2], lens[3]]);
+        let intrinsics = Intrinsics { model: CameraModel::Pinhole, width, height, fx, fy, cx, cy };
+        ProjectSpec { intrinsics, options: self.options }
+    }
+
+    /// The slopes at which the Jacobian is held: low and high along x, then y.
+    fn limits(&self, lens: &[f64]) -> [f64; 4] {
+        let axis = |size: usize, focal: f64, principal: f64| {
+            let margin = self.options.jacobian_margin * size as f64 / (2.0 * focal);
+            [-principal / focal - margin, (size as f64 - principal) / focal + margin]
+        };
+        let ([low_x, high_x], [low_y, high_y]) =
+            (axis(self.size[0], lens[0], lens[2]), axis(self.size[1], lens[1], lens[3]));
+        [low_x, high_x, low_y, high_y]
+    }
+}
+
+/// Means, rotations, scales, opacities, pose, lens, gradient, all in f32 precision; and the kind of each Gaussian.
+struct Scene {
+    tensors: Vec<Vec<f64>>,
+    kinds: Vec<u8>,
+}
+
+const POSE: usize = 4;
+const LENS: usize = 5;
+const GRAD: usize = 6;
+
+fn inputs<F>(tensors: &[Vec<F>]) -> Inputs<'_, F> {
+    let [means, rotations, scales, opacities, cam_from_world, ..] = tensors else { unreachable!("five tensors") };
+    Inputs { means, rotations, scales, opacities, cam_from_world }
+}
+
+impl Scene {
+    /// Gaussians in view, beside it and behind it, bad ones, and others without a gradient; `wild` ones too.
+    fn random(seed: u64, count: usize, view: &View, wild: bool) -> Self {
+        let mut random = Random::new(seed);
+        let p = &view.pose;
+        let column = |c: usize| DVec3::new(p[c], p[4 + c], p[8 + c]);
+        let pose = DAffine3 { matrix3: DMat3::from_cols(column(0), column(1), column(2)), translation: column(3) };
+        let [low_x, high_x, low_y, high_y] = view.limits(&view.lens);
+        let mut tensors = vec![Vec::new(); 4];
+        let mut grad = random.fill(count * COLUMNS, -1.0, 1.0);
+        let mut kinds = Vec::new();
+        for i in 0..count {
+            let mut kind = ORDINARY;
+            let mut z = random.between(0.6, 9.0);
+            let mut slopes = [random.between(low_x, high_x), random.between(low_y, high_y)];
+            let mut scale = [(); 3].map(|()| random.between(-4.0, -0.5).exp());
+            let mut rotation = [(); 4].map(|()| random.between(-1.5, 1.5));
+            let mut bad = f64::NAN;
+            match (i % 16, wild) {
+                (1, _) => slopes[i / 16 % 2] += [3.0, -3.0][i / 32 % 2],
+                (3, _) => z = -z,
+                (5, _) => scale = [(); 3].map(|()| random.between(1e-4, 4e-4)),
+                (7, _) => {
+                    // One number alone, or none.
+                    let row = grad[COLUMNS * i..COLUMNS * (i + 1)].iter_mut().enumerate();
+                    row.filter(|(column, _)| *column != i / 16 % 8).for_each(|(_, grad)| *grad = 0.0);
+                }
+                (9, _) => bad = [f64::NAN, f64::INFINITY, f64::NEG_INFINITY][i / 16 % 3],
+                (11, _) => rotation = [0.0; 4],
+                (15, _) => scale = [scale[0]; 3],
+                (2, true) => (kind, scale) = (NEEDLE, [1.0, 1e-3, 1e-3]),
+                (4, true) => (kind, z) = (NEAR, view.options.near * random.between(0.5, 2.0)),
+                (6, true) => (kind, scale) = (HUGE, [50.0, 49.0, 48.0].map(f64::exp)),
+                (8, true) => (kind, scale) = (TINY, [-50.0, -49.0, -48.0].map(f64::exp)),
+                (10, true) => (kind, scale[i / 16 % 3]) = (HUGE, 50.0_f64.exp()),
+                (12, true) => (kind, scale[i / 16 % 3]) = (NEEDLE, (-50.0_f64).exp()),
+                (13, true) => (kind, rotation) = (SHORT_QUATERNION, rotation.map(|q| 1e-20 * q)),
+                (14, true) => (kind, rotation) = (LONG_QUATERNION, rotation.map(|q| 1e20 * q)),
+                _ => {}
+            }
+            let mean = pose.inverse().transform_point3(DVec3::new(slopes[0] * z, slopes[1] * z, z));
+            tensors[0].extend(mean.to_array());
+            tensors[1].extend(rotation);
+            tensors[2].extend(scale);
+            tensors[3].push(random.between(0.1, 1.0));
+            if i % 16 == 9 {
+                let tensor = i / 16 % 4;
+                let last = tensors[tensor].len() - 1 - if tensor == 3 { 0 } else { i / 64 % 3 };
+                tensors[tensor][last] = bad;
+            }
+            kinds.push(kind);
+        }
+        tensors.extend([view.pose.clone(), view.lens.clone(), grad]);
+        Self { tensors: tensors.iter().map(|tensor| rounded(tensor)).collect(), kinds }
+    }
+
+    fn count(&self) -> usize {
+        self.kinds.len()
+    }
+
+    fn upload(&self, gpu: &Gpu) -> (DeviceInputs, Buffer<f32>) {
+        let buffer = |i: usize| Buffer::from_slice(gpu, &to_f32(&self.tensors[i]));
+        let inputs = DeviceInputs {
+            means: buffer(0),
+            rotations: buffer(1),
+            scales: buffer(2),
+            opacities: buffer(3),
+            cam_from_world: buffer(POSE),
+        };
+        (inputs, buffer(GRAD))
+    }
+
+    /// The class of each Gaussian. In the band are those that rounding may cull or not, and for the backward pass those
+    /// that it may take across a limit of the Jacobian or the floor of the compensation.
+    fn classes(&self, view: &View, backward: bool) -> Vec<Option<u8>> {
+        let spec = view.spec(&view.lens);
+        let margins = Yardstick::new(&self.tensors, |tensors| margins(tensors, view));
+        let (cull, rest) = (margins.near_zero(0), margins.near_zero(1));
+        let seen: Vec<bool> =
+            project_cpu(inputs(&self.tensors), &spec).chunks_exact(COLUMNS).map(|row| row[5] > 0.0).collect();
+        let class = |i: usize| {
+            let jumps = cull[i] || (backward && seen[i] && rest[5 * i..5 * (i + 1)].contains(&true));
+            (!jumps).then(|| if seen[i] { self.kinds[i] } else { CULLED })
+        };
+        let classes: Vec<_> = (0..self.count()).map(class).collect();
+        let band = classes.iter().filter(|class| class.is_none()).count();
+        assert!(band <= 1 + self.count() / 100, "{band} of {} Gaussians in the band", self.count());
+        classes
+    }
+}
+
+/// Relative distances from the thresholds: `[N]` from the near plane; `[N, 5]` from the limits of the Jacobian and from
+/// the floor of the compensation, which is the share of the ellipse's area that is there without the blur.
+fn margins(tensors: &[Vec<f64>], view: &View) -> Vec<Vec<f64>> {
+    let (p, limits) = (&tensors[POSE], view.limits(&tensors[LENS]));
+    let mut spec = view.spec(&tensors[LENS]);
+    let area = |spec: &ProjectSpec| -> Vec<f64> {
+        project_cpu(inputs(tensors), spec).chunks_exact(COLUMNS).map(|row| row[2] * row[4]).collect()
+    };
+    let blurred = area(&spec);
+    spec.options.blur = 0.0;
+    let areas = area(&spec);
+    let (mut near, mut rest) = (Vec::new(), Vec::new());
+    for (i, m) in tensors[0].chunks_exact(3).enumerate() {
+        let along = |row: usize| (0..3).map(|k| p[4 * row + k] * m[k]).sum::<f64>() + p[4 * row + 3];
+        let (x, y, z) = (along(0), along(1), along(2));
+        near.push(z / view.options.near - 1.0);
+        let slopes = [x / z, x / z, y / z, y / z];
+        rest.extend(slopes.iter().zip(limits).map(|(slope, limit)| (slope - limit) / (1.0 + limit.abs())));
+        rest.push(if view.options.antialias { areas[i] / blurred[i] / COMPENSATION_MIN - 1.0 } else { f64::NAN });
+    }
+    vec![near, rest]
+}
+
+fn list(g: Grads<f64>) -> Vec<Vec<f64>> {
+    vec![g.means, g.rotations, g.scales, g.opacities, g.cam_from_world, g.mean2d]
+}
+
+fn read(gpu: &Gpu, g: &DeviceGrads) -> [Option<Vec<f32>>; 6] {
+    [&g.means, &g.rotations, &g.scales, &g.opacities, &g.cam_from_world, &g.mean2d]
+        .map(|buffer| buffer.as_ref().map(|buffer| buffer.read(gpu)))
+}
+
+fn check_forward(what: &str, scene: &Scene, view: &View) -> f64 {
+    let classes = scene.classes(view, false);
+    let forward = |tensors: &[Vec<f64>]| vec![project_cpu(inputs(tensors), &view.spec(&tensors[LENS]))];
+    let yardstick = Yardstick::new(&scene.tensors, forward);
+    let mut worst = 0.0_f64;
+    for (form, gpu) in gpus() {
+        let found = launch_project(&gpu, &scene.upload(&gpu).0, &view.spec(&view.lens)).read(&gpu);
+        worst = worst.max(yardstick.check(&format!("projected, {what}, {form}"), 0, &found, &classes));
+    }
+    worst
+}
+
+/// A scene whose Gaussians in the band have no gradient, its classes, and what the twin makes of it.
+fn backward_yardstick(mut scene: Scene, view: &View) -> (Scene, Vec<Option<u8>>, Yardstick) {
+    let classes = scene.classes(view, true);
+    for (i, _) in classes.iter().enumerate().filter(|(_, class)| class.is_none()) {
+        scene.tensors[GRAD][COLUMNS * i..COLUMNS * (i + 1)].fill(0.0);
+    }
+    let yardstick = Yardstick::new(&scene.tensors, |tensors| {
+        let mut spec = view.spec(&tensors[LENS]);
+        // Without blur the compensation is one, and its gradient zero; the twin finds the latter as a difference.
+        spec.options.antialias &= spec.options.blur > 0.0;
+        list(project_backward_cpu(inputs(tensors), &tensors[GRAD], &spec, ALL))
+    });
+    (scene, classes, yardstick)
+}
+
+fn check_backward(what: &str, scene: Scene, view: &View, needs: &[ProjectNeeds]) -> f64 {
+    let (scene, classes, yardstick) = backward_yardstick(scene, view);
+    let mut worst = 0.0_f64;
+    for (form, gpu) in gpus() {
+        let (inputs, grad) = scene.upload(&gpu);
+        for needs in needs {
+            let found = launch_project_backward(&gpu, &inputs, &grad, &view.spec(&view.lens), *needs);
+            let ProjectNeeds { means, rotations, scales, opacities, cam_from_world, mean2d } = *needs;
+            let needed = [means, rotations, scales, opacities, cam_from_world, mean2d];
+            for (i, found) in read(&gpu, &found).into_iter().enumerate() {
+                let what = format!("gradient of {}, {what}, {form}", NAMES[i]);
+                assert_eq!(found.is_some(), needed[i], "{what}");
+                let Some(found) = found else { continue };
+                let share = match i {
+                    // One class and one column: the floor is relative to the largest entry.
+                    POSE => yardstick.check(&what, i, &found, &[Some(ORDINARY); 12]),
+                    _ => yardstick.check_gradient(&what, i, &found, &classes, &[CULLED, ORDINARY]),
+                };
+                worst = worst.max(share);
+            }
+        }
+    }
+    worst
+}
+
+/// Views, blurs and anti-aliasing.
+fn views() -> impl Iterator<Item = (String, View)> {
+    (0..12).map(|i| {
+        let (which, blur, antialias) = (i % 3, [0.3, 0.0][i / 3 % 2], i >= 6);
+        (format!("view {which}, blur {blur}, antialias {antialias}"), View::new(which, blur, antialias))
+    })
+}
+
+#[test]
+fn forward_agrees_with_the_twin() {
+    for (i, (what, view)) in views().enumerate() {
+        let scene = Scene::random(i as u64, 1_500, &view, true);
+        println!("{what}: {:.3}", check_forward(&what, &scene, &view));
+    }
+}
+
+#[test]
+fn backward_agrees_with_the_twin() {
+    for (i, (what, view)) in views().enumerate() {
+        for wild in [false, true] {
+            let scene = Scene::random(100 + i as u64, 1_500, &view, wild);
+            let what = format!("{what}, wild {wild}");
+            println!("{what}: {:.3}", check_backward(&what, scene, &view, &[ALL]));
+        }
+    }
+}
+
+#[test]
+fn any_number_of_gaussians() {
+    let view = View::new(1, 0.3, true);
+    for count in [1, 2, 255, 256, 257, 100_000] {
+        let what = format!("{count} Gaussians");
+        let forward = check_forward(&what, &Scene::random(count as u64, count, &view, true), &view);
+        let backward = check_backward(&what, Scene::random(count as u64, count, &view, false), &view, &[ALL]);
+        println!("{what}: {forward:.3}, {backward:.3}");
+    }
+}
+
+#[test]
+fn no_gaussians() {
+    let view = View::new(1, 0.3, true);
+    let scene = Scene::random(0, 0, &view, false);
+    for (_, gpu) in gpus() {
+        let (inputs, grad) = scene.upload(&gpu);
+        let spec = view.spec(&view.lens);
+        assert!(launch_project(&gpu, &inputs, &spec).read(&gpu).is_empty());
+        let found = read(&gpu, &launch_project_backward(&gpu, &inputs, &grad, &spec, ALL));
+        for (i, found) in found.into_iter().enumerate() {
+            assert_eq!(found, Some(vec![0.0; if i == POSE { 12 } else { 0 }]));
+        }
+    }
+}
+
+#[test]
+fn gradients_are_computed_where_asked_for() {
+    let flags = |on: [bool; 6]| {
+        let [means, rotations, scales, opacities, cam_from_world, mean2d] = on;
+        ProjectNeeds { means, rotations, scales, opacities, cam_from_world, mean2d }
+    };
+    let mut needs = vec![flags([false; 6])];
+    for i in 0..6 {
+        needs.push(flags(std::array::from_fn(|j| i == j)));
+        needs.push(flags(std::array::from_fn(|j| i != j)));
+    }
+    for antialias in [false, true] {
+        let view = View::new(1, 0.3, antialias);
+        check_backward("part", Scene::random(7, 300, &view, true), &view, &needs);
+    }
+}
+
+#[test]
+#[ignore = "long: 2 GB and a minute on a software driver"]
+fn more_cubes_than_fit_along_one_axis() {
+    let (view, few, count) = (View::new(1, 0.3, true), 1_000, 32_768 * 256 + 1_000);
+    let scene = Scene::random(9, few, &view, false);
+    let tile = |i: usize| {
+        let values = to_f32(&scene.tensors[i]);
+        let columns = values.len() / few;
+        values.into_iter().cycle().take(count * columns).collect::<Vec<f32>>()
+    };
+    let needs = ProjectNeeds { means: false, rotations: false, scales: false, mean2d: false, ..ALL };
+    for (_, gpu) in gpus() {
+        let (small, small_grad) = scene.upload(&gpu);
+        let [means, rotations, scales, opacities, grad] =
+            [0, 1, 2, 3, GRAD].map(|i| Buffer::from_slice(&gpu, &tile(i)));
+        let large = DeviceInputs { means, rotations, scales, opacities, cam_from_world: small.cam_from_world.clone() };
+        let bits = |values: Vec<f32>| values.into_iter().map(f32::to_bits).collect::<Vec<_>>();
+        let run = |inputs: &DeviceInputs, grad: &Buffer<f32>| {
+            let spec = view.spec(&view.lens);
+            let projected = bits(launch_project(&gpu, inputs, &spec).read(&gpu));
+            let [_, _, _, opacities, pose, _] =
+                read(&gpu, &launch_project_backward(&gpu, inputs, grad, &spec, needs)).map(Option::unwrap_or_default);
+            (projected, bits(opacities), pose)
+        };
+        let ((small_rows, small_opacities, small_pose), (rows, opacities, pose)) =
+            (run(&small, &small_grad), run(&large, &grad));
+        assert!(rows.chunks(few * COLUMNS).all(|chunk| *chunk == small_rows[..chunk.len()]));
+        assert!(opacities.chunks(few).all(|chunk| *chunk == small_opacities[..chunk.len()]));
+        let (times, largest) = (count as f32 / few as f32, small_pose.iter().fold(0.0_f32, |m, v| m.max(v.abs())));
+        for (found, expected) in pose.iter().zip(&small_pose) {
+            let error = (found / times - expected).abs() / largest;
+            // A few Gaussians of the last, partial copy are in excess.
+            assert!(error <= 1e-3, "found {found}, expected {times} times {expected}");
+        }
+    }
+}
+
+#[test]
+fn a_second_run_gives_the_same_bits() {
+    let view = View::new(2, 0.3, true);
+    let scene = Scene::random(8, 20_000, &view, true);
+    let bits = |values: Option<Vec<f32>>| values.expect("asked for").into_iter().map(f32::to_bits).collect::<Vec<_>>();
+    for (_, gpu) in gpus() {
+        let (inputs, grad) = scene.upload(&gpu);
+        let run = || read(&gpu, &launch_project_backward(&gpu, &inputs, &grad, &view.spec(&view.lens), ALL)).map(bits);
+        assert!(run() == run());
+    }
+}

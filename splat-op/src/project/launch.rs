@@ -1,0 +1,135 @@
+//! Launches of `project`.
+
+use super::backward::{POSE, project_backward_kernel};
+use super::forward::{AxisLaunch, LensLaunch, project_forward_kernel};
+use super::{COLUMNS, ProjectNeeds, ProjectSpec};
+use crate::gpu::reduce::launch_column_sums;
+use crate::gpu::{Buffer, Gpu, UNITS, elementwise};
+
+/// Inputs on the device, row-major.
+#[derive(Clone, Debug)]
+pub(crate) struct DeviceInputs {
+    /// `[N, 3]`, world frame.
+    pub means: Buffer<f32>,
+    /// `[N, 4]`, wxyz.
+    pub rotations: Buffer<f32>,
+    /// `[N, 3]`, scene units.
+    pub scales: Buffer<f32>,
+    /// `[N]`.
+    pub opacities: Buffer<f32>,
+    /// `[3, 4]`.
+    pub cam_from_world: Buffer<f32>,
+}
+
+/// Gradients on the device, of the inputs' shapes, each where it was asked for.
+#[derive(Clone, Debug)]
+pub(crate) struct DeviceGrads {
+    pub means: Option<Buffer<f32>>,
+    pub rotations: Option<Buffer<f32>>,
+    pub scales: Option<Buffer<f32>>,
+    pub opacities: Option<Buffer<f32>>,
+    pub cam_from_world: Option<Buffer<f32>>,
+    /// `[N, 2]`, per px.
+    pub mean2d: Option<Buffer<f32>>,
+}
+
+/// The camera and the options as an argument of the kernels. Computed in f64 and rounded once.
+fn lens(spec: &ProjectSpec) -> LensLaunch {
+    let (camera, options) = (&spec.intrinsics, &spec.options);
+    let axis = |size: usize, focal: f64, principal: f64| {
+        let margin = options.jacobian_margin * size as f64 / (2.0 * focal);
+        let (low, high) = (-principal / focal - margin, (size as f64 - principal) / focal + margin);
+        AxisLaunch::new(focal as f32, principal as f32, low as f32, high as f32)
+    };
+    LensLaunch::new(
+        axis(camera.width, camera.fx, camera.cx),
+        axis(camera.height, camera.fy, camera.cy),
+        options.near as f32,
+        options.blur.sqrt() as f32,
+        camera.model,
+        options.antialias,
+    )
+}
+
+/// Packed ellipses, `[N, 7]`.
+pub(crate) fn launch_project(gpu: &Gpu, inputs: &DeviceInputs, spec: &ProjectSpec) -> Buffer<f32> {
+    let count = inputs.opacities.len;
+    let projected = Buffer::new(gpu, count * COLUMNS);
+    if count == 0 {
+        return projected;
+    }
+    let (grid, dim) = elementwise(count);
+    // SAFETY: every access is guarded by the number of Gaussians.
+    unsafe {
+        project_forward_kernel::launch_unchecked(
+            &gpu.client,
+            grid,
+            dim,
+            inputs.means.arg(),
+            inputs.rotations.arg(),
+            inputs.scales.arg(),
+            inputs.opacities.arg(),
+            inputs.cam_from_world.arg(),
+            projected.arg(),
+            lens(spec),
+            count as u32,
+        );
+    }
+    projected
+}
+
+/// Gradients of the inputs from `grad`, `[N, 7]`. Those of the pose are summed in a fixed order.
+pub(crate) fn launch_project_backward(
+    gpu: &Gpu,
+    inputs: &DeviceInputs,
+    grad: &Buffer<f32>,
+    spec: &ProjectSpec,
+    needs: ProjectNeeds,
+) -> DeviceGrads {
+    let count = inputs.opacities.len;
+    let rows = |needed, columns| Buffer::if_needed(gpu, needed, count * columns);
+    let mut grads = DeviceGrads {
+        means: rows(needs.means, 3),
+        rotations: rows(needs.rotations, 4),
+        scales: rows(needs.scales, 3),
+        opacities: rows(needs.opacities, 1),
+        cam_from_world: None,
+        mean2d: rows(needs.mean2d, 2),
+    };
+    if count == 0 {
+        grads.cam_from_world = needs.cam_from_world.then(|| Buffer::from_slice(gpu, &[0.0; POSE]));
+        return grads;
+    }
+    let ProjectNeeds { means, rotations, scales, opacities, cam_from_world, mean2d } = needs;
+    if !(means || rotations || scales || opacities || cam_from_world || mean2d) {
+        return grads;
+    }
+    let pose_rows = Buffer::if_needed(gpu, needs.cam_from_world, count.div_ceil(UNITS) * POSE);
+    let output = |buffer: &Option<Buffer<f32>>| buffer.as_ref().map(Buffer::arg).into();
+    let (grid, dim) = elementwise(count);
+    // SAFETY: every access is guarded by the number of Gaussians.
+    unsafe {
+        project_backward_kernel::launch_unchecked(
+            &gpu.client,
+            grid,
+            dim,
+            inputs.means.arg(),
+            inputs.rotations.arg(),
+            inputs.scales.arg(),
+            inputs.opacities.arg(),
+            inputs.cam_from_world.arg(),
+            grad.arg(),
+            output(&grads.means),
+            output(&grads.rotations),
+            output(&grads.scales),
+            output(&grads.opacities),
+            output(&grads.mean2d),
+            output(&pose_rows),
+            lens(spec),
+            count as u32,
+            gpu.planes,
+        );
+    }
+    grads.cam_from_world = pose_rows.map(|rows| launch_column_sums(gpu, &rows, POSE));
+    grads
+}

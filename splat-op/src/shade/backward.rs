@@ -1,0 +1,171 @@
+//! Kernels of `shade`, backward: one unit per Gaussian, and one unit for the pose. Outputs that nobody asked for are not
+//! arguments, and what only they need is not in the kernel.
+//!
+//! A channel that the clamp holds at zero has no gradient. With `r` the vector from camera to centre and `d = r / |r|`,
+//! `∂r = (g − d (d·g)) / |r|` for `g = Σₖ (grad·cₖ) ∇Yₖ(d)`; the centre gets `∂r` and the camera's position the negative
+//! sum of all. With the position `e = −A⁻¹ t` and its gradient `g`: `∂t = −A⁻ᵀ g`, `∂A = ∂t eᵀ`.
+
+use cubecl::prelude::*;
+
+use super::coefficients_of;
+use super::forward::{Eye, NORMS, basis, linear_colour};
+use crate::gpu::UNITS;
+use crate::gpu::math::{Pose, Vec3};
+use crate::gpu::reduce::cube_sum;
+
+/// `Σₖ wₖ ∇pₖ(d)` for the polynomials `pₖ` of [`basis`], each term beside the others of its degree. Only the part normal
+/// to `d` has a meaning on the sphere.
+#[cube]
+fn polynomials_backward(d: Vec3, w: &Sequence<f32>, #[comptime] degree: usize) -> Vec3 {
+    let (x, y, z) = (d.x, d.y, d.z);
+    let (xx, yy, zz) = (x * x, y * y, z * z);
+    let mut grad = Vec3::new(w[3], w[1], w[2]);
+    if comptime!(degree >= 2) {
+        grad = grad.plus(Vec3::new(
+            w[4] * y + w[7] * z + 2.0 * x * (w[8] - w[6]),
+            w[4] * x + w[5] * z - 2.0 * y * (w[8] + w[6]),
+            w[5] * y + w[7] * x + 4.0 * z * w[6],
+        ));
+    }
+    if comptime!(degree >= 3) {
+        let (normal, twice_xy) = (3.0 * (xx - yy), 2.0 * x * y);
+        grad = grad.plus(Vec3::new(
+            3.0 * w[9] * twice_xy + w[10] * y * z - w[11] * twice_xy - 6.0 * w[12] * x * z
+                + w[13] * (4.0 * zz - 3.0 * xx - yy)
+                + 2.0 * w[14] * x * z
+                + w[15] * normal,
+            w[9] * normal + w[10] * x * z + w[11] * (4.0 * zz - xx - 3.0 * yy)
+                - 6.0 * w[12] * y * z
+                - w[13] * twice_xy
+                - 2.0 * w[14] * y * z
+                - 3.0 * w[15] * twice_xy,
+            w[10] * x * y
+                + 8.0 * w[11] * y * z
+                + w[12] * (6.0 * zz - 3.0 * (xx + yy))
+                + 8.0 * w[13] * x * z
+                + w[14] * (xx - yy),
+        ));
+    }
+    if comptime!(degree >= 4) {
+        let (one, three, last) = (7.0 * zz - 1.0, 7.0 * zz - 3.0, 21.0 * zz - 3.0);
+        let (in_x, in_y, xyz) = (x * (xx - 3.0 * yy), y * (3.0 * xx - yy), x * y * z);
+        let normal = 3.0 * z * (xx - yy);
+        grad = grad.plus(Vec3::new(
+            w[16] * in_y
+                + 6.0 * w[17] * xyz
+                + w[18] * y * one
+                + w[21] * z * three
+                + 2.0 * w[22] * x * one
+                + w[23] * normal
+                + 4.0 * w[24] * in_x,
+            w[16] * in_x + w[17] * normal + w[18] * x * one + w[19] * z * three
+                - 2.0 * w[22] * y * one
+                - 6.0 * w[23] * xyz
+                - 4.0 * w[24] * in_y,
+            w[17] * in_y
+                + 14.0 * w[18] * xyz
+                + w[19] * y * last
+                + w[20] * z * (140.0 * zz - 60.0)
+                + w[21] * x * last
+                + 14.0 * w[22] * z * (xx - yy)
+                + w[23] * in_x,
+        ));
+    }
+    grad
+}
+
+/// `sight_rows` takes the sum over each cube of the gradients of the vectors from camera to centre.
+#[cube(launch_unchecked)]
+pub(super) fn shade_backward_kernel(
+    sh: &[f32],
+    means: &[f32],
+    cam_from_world: &[f32],
+    grad: &[f32],
+    mut grad_sh: ComptimeOption<Box<[f32]>>,
+    mut grad_means: ComptimeOption<Box<[f32]>>,
+    mut sight_rows: ComptimeOption<Box<[f32]>>,
+    count: u32,
+    #[comptime] degree: usize,
+    #[comptime] planes: bool,
+) {
+    let coefficients = comptime!(coefficients_of(degree));
+    let through_direction = comptime!(degree > 0 && (grad_means.is_some() || sight_rows.is_some()));
+    let gaussian = ABSOLUTE_POS;
+    let mut of_sight = Vec3::new(0.0, 0.0, 0.0);
+    if gaussian < count as usize {
+        let g = Vec3::load(grad, 3 * gaussian);
+        let bits = u32::reinterpret(g.x) | u32::reinterpret(g.y) | u32::reinterpret(g.z);
+        // Also what keeps a Gaussian that is not seen, whatever it holds, out of every sum.
+        if (bits & 0x7fff_ffff) != 0 {
+            let sight = Eye::of(Pose::load(cam_from_world)).sight(Vec3::load(means, 3 * gaussian));
+            let y = basis(sight.direction, degree);
+            let colour = linear_colour(sh, gaussian, &y, degree);
+            let g = Vec3::new(
+                select(colour.x > 0.0, g.x, 0.0),
+                select(colour.y > 0.0, g.y, 0.0),
+                select(colour.z > 0.0, g.z, 0.0),
+            );
+            #[comptime]
+            if let ComptimeOption::Some(out) = &mut grad_sh {
+                #[unroll]
+                for k in 0..coefficients {
+                    g.times(y[k]).store(out, 3 * (gaussian * coefficients + k));
+                }
+            }
+            if comptime!(through_direction) {
+                if sight.distance > 0.0 {
+                    let mut weights = Sequence::<f32>::new();
+                    #[unroll]
+                    for k in 0..coefficients {
+                        let c = Vec3::load(sh, 3 * (gaussian * coefficients + k));
+                        weights.push(g.dot(c) * comptime!(NORMS[k]));
+                    }
+                    let d = sight.direction;
+                    let grad = polynomials_backward(d, &weights, degree);
+                    of_sight = grad.minus(d.times(d.dot(grad))).times(1.0 / sight.distance);
+                }
+            }
+        } else {
+            #[comptime]
+            if let ComptimeOption::Some(out) = &mut grad_sh {
+                #[unroll]
+                for i in 0..comptime!(3 * coefficients) {
+                    out[gaussian * comptime!(3 * coefficients) + i] = 0.0;
+                }
+            }
+        }
+        #[comptime]
+        if let ComptimeOption::Some(out) = &mut grad_means {
+            of_sight.store(out, 3 * gaussian);
+        }
+    }
+    #[comptime]
+    if let ComptimeOption::Some(rows) = &mut sight_rows {
+        let mut shared = Shared::<[f32]>::new_slice(comptime!(UNITS));
+        // A dispatch may hold more cubes than there are rows.
+        if CUBE_POS * comptime!(UNITS) < count as usize {
+            let x = cube_sum(of_sight.x, &mut shared, planes);
+            let y = cube_sum(of_sight.y, &mut shared, planes);
+            let z = cube_sum(of_sight.z, &mut shared, planes);
+            if UNIT_POS == 0 {
+                Vec3::new(x, y, z).store(rows, 3 * CUBE_POS);
+            }
+        }
+    }
+}
+
+/// The gradient of the pose from the sum of the gradients of the vectors from camera to centre, by one unit.
+#[cube(launch_unchecked)]
+pub(super) fn pose_backward_kernel(grad_sights: &[f32], cam_from_world: &[f32], grad_pose: &mut [f32]) {
+    if ABSOLUTE_POS == 0 {
+        let eye = Eye::of(Pose::load(cam_from_world));
+        // The position's gradient is the negative of that of the sights.
+        let grad_t = eye.world_from_cam.apply_transposed(Vec3::load(grad_sights, 0));
+        eye.position.times(grad_t.x).store(grad_pose, 0);
+        eye.position.times(grad_t.y).store(grad_pose, 4);
+        eye.position.times(grad_t.z).store(grad_pose, 8);
+        grad_pose[3] = grad_t.x;
+        grad_pose[7] = grad_t.y;
+        grad_pose[11] = grad_t.z;
+    }
+}

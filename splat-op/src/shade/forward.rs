@@ -1,0 +1,166 @@
+//! Kernel of `shade`, forward: one unit per Gaussian; and what the backward kernel shares with it: the camera's centre, the
+//! direction from it, and the spherical harmonics. The degree is fixed when a kernel is compiled.
+//!
+//! Shapes as in `shade`: coefficients `[N, (degree+1)², 3]`, means `[N, 3]`, pose `[3, 4]` → `[N, 3]`.
+
+use cubecl::prelude::*;
+
+use super::{SH_COEFFICIENTS_MAX, coefficients_of};
+use crate::gpu::math::{Mat3, Pose, Vec3};
+
+/// Where the camera is in the world: the point that the pose takes to zero, `−A⁻¹ t`, by the general inverse.
+#[derive(CubeType, Clone, Copy)]
+#[expand(derive(Clone, Copy))]
+pub(super) struct Eye {
+    /// `A⁻¹`.
+    pub world_from_cam: Mat3,
+    pub position: Vec3,
+}
+
+#[cube]
+impl Eye {
+    pub fn of(pose: Pose) -> Eye {
+        let a = pose.matrix;
+        let cofactors = Mat3 { x: a.y.cross(a.z), y: a.z.cross(a.x), z: a.x.cross(a.y) };
+        let inverse = 1.0 / a.x.dot(cofactors.x);
+        let scaled =
+            Mat3 { x: cofactors.x.times(inverse), y: cofactors.y.times(inverse), z: cofactors.z.times(inverse) };
+        let world_from_cam = scaled.transposed();
+        Eye { world_from_cam, position: world_from_cam.apply(pose.translation).times(-1.0) }
+    }
+
+    /// Straight ahead for a centre on the camera itself.
+    pub fn sight(&self, mean: Vec3) -> Sight {
+        let to_mean = mean.minus(self.position);
+        let distance = to_mean.length();
+        let inverse = 1.0 / distance;
+        let apart = distance > 0.0;
+        let direction = Vec3::new(
+            select(apart, to_mean.x * inverse, 0.0),
+            select(apart, to_mean.y * inverse, 0.0),
+            select(apart, to_mean.z * inverse, 1.0),
+        );
+        Sight { direction, distance }
+    }
+}
+
+/// Unit direction from the camera to a centre, and the distance, scene units.
+#[derive(CubeType, Clone, Copy)]
+#[expand(derive(Clone, Copy))]
+pub(super) struct Sight {
+    pub direction: Vec3,
+    pub distance: f32,
+}
+
+/// What the polynomials below are multiplied by, with the signs of the original code.
+pub(super) const NORMS: [f32; SH_COEFFICIENTS_MAX] = [
+    0.282_094_79,
+    -0.488_602_51,
+    0.488_602_51,
+    -0.488_602_51,
+    1.092_548_4,
+    -1.092_548_4,
+    0.315_391_57,
+    -1.092_548_4,
+    0.546_274_2,
+    -0.590_043_6,
+    2.890_611_4,
+    -0.457_045_8,
+    0.373_176_33,
+    -0.457_045_8,
+    1.445_305_7,
+    -0.590_043_6,
+    2.503_342_9,
+    -1.770_130_8,
+    0.946_174_7,
+    -0.669_046_54,
+    0.105_785_55,
+    -0.669_046_54,
+    0.473_087_35,
+    -1.770_130_8,
+    0.625_835_74,
+];
+
+/// `Yₖ(d)` for every `k` of the degree.
+#[cube]
+pub(super) fn basis(d: Vec3, #[comptime] degree: usize) -> Sequence<f32> {
+    let (x, y, z) = (d.x, d.y, d.z);
+    let (xx, yy, zz) = (x * x, y * y, z * z);
+    let mut p = Sequence::<f32>::new();
+    p.push(1.0f32.runtime());
+    if comptime!(degree >= 1) {
+        p.push(y);
+        p.push(z);
+        p.push(x);
+    }
+    if comptime!(degree >= 2) {
+        p.push(x * y);
+        p.push(y * z);
+        p.push(2.0 * zz - xx - yy);
+        p.push(x * z);
+        p.push(xx - yy);
+    }
+    if comptime!(degree >= 3) {
+        let four = 4.0 * zz - xx - yy;
+        p.push(y * (3.0 * xx - yy));
+        p.push(x * y * z);
+        p.push(y * four);
+        p.push(z * (2.0 * zz - 3.0 * (xx + yy)));
+        p.push(x * four);
+        p.push(z * (xx - yy));
+        p.push(x * (xx - 3.0 * yy));
+    }
+    if comptime!(degree >= 4) {
+        let (one, three) = (7.0 * zz - 1.0, 7.0 * zz - 3.0);
+        p.push(x * y * (xx - yy));
+        p.push(y * z * (3.0 * xx - yy));
+        p.push(x * y * one);
+        p.push(y * z * three);
+        p.push(zz * (35.0 * zz - 30.0) + 3.0);
+        p.push(x * z * three);
+        p.push((xx - yy) * one);
+        p.push(x * z * (xx - 3.0 * yy));
+        p.push(xx * (xx - 3.0 * yy) - yy * (3.0 * xx - yy));
+    }
+    let mut out = Sequence::<f32>::new();
+    #[unroll]
+    for k in 0..comptime!(coefficients_of(degree)) {
+        out.push(p[k] * comptime!(NORMS[k]));
+    }
+    out
+}
+
+/// The colour before the clamp.
+#[cube]
+pub(super) fn linear_colour(sh: &[f32], gaussian: usize, basis: &Sequence<f32>, #[comptime] degree: usize) -> Vec3 {
+    let mut colour = Vec3::new(0.5, 0.5, 0.5);
+    #[unroll]
+    for k in 0..comptime!(coefficients_of(degree)) {
+        let c = Vec3::load(sh, 3 * (gaussian * comptime!(coefficients_of(degree)) + k));
+        colour = colour.plus(c.times(basis[k]));
+    }
+    colour
+}
+
+#[cube(launch_unchecked)]
+pub(super) fn shade_forward_kernel(
+    sh: &[f32],
+    means: &[f32],
+    cam_from_world: &[f32],
+    colours: &mut [f32],
+    count: u32,
+    #[comptime] degree: usize,
+) {
+    if ABSOLUTE_POS < count as usize {
+        let eye = Eye::of(Pose::load(cam_from_world));
+        let sight = eye.sight(Vec3::load(means, 3 * ABSOLUTE_POS));
+        let colour = linear_colour(sh, ABSOLUTE_POS, &basis(sight.direction, degree), degree);
+        // Not `max`, which may turn a NaN into a colour.
+        let shown = Vec3::new(
+            select(colour.x < 0.0, 0.0, colour.x),
+            select(colour.y < 0.0, 0.0, colour.y),
+            select(colour.z < 0.0, 0.0, colour.z),
+        );
+        shown.store(colours, 3 * ABSOLUTE_POS);
+    }
+}

@@ -1,0 +1,119 @@
+//! Launches of `shade`.
+
+use cubecl::prelude::{CubeCount, CubeDim};
+
+use super::backward::{pose_backward_kernel, shade_backward_kernel};
+use super::forward::shade_forward_kernel;
+use super::{ShadeNeeds, degree_of};
+use crate::gpu::reduce::launch_column_sums;
+use crate::gpu::{Buffer, Gpu, UNITS, elementwise};
+
+/// Numbers of a pose.
+const POSE: usize = 12;
+
+/// Inputs on the device, row-major.
+#[derive(Clone, Debug)]
+pub(crate) struct DeviceInputs {
+    /// `[N, (degree+1)², 3]`.
+    pub sh: Buffer<f32>,
+    /// `[N, 3]`, world frame.
+    pub means: Buffer<f32>,
+    /// `[3, 4]`.
+    pub cam_from_world: Buffer<f32>,
+}
+
+/// Gradients on the device, of the inputs' shapes, each where it was asked for.
+#[derive(Clone, Debug)]
+pub(crate) struct DeviceGrads {
+    pub sh: Option<Buffer<f32>>,
+    pub means: Option<Buffer<f32>>,
+    pub cam_from_world: Option<Buffer<f32>>,
+}
+
+/// Colours, `[N, 3]`, from `coefficients` per channel.
+pub(crate) fn launch_shade(gpu: &Gpu, inputs: &DeviceInputs, coefficients: usize) -> Buffer<f32> {
+    let count = inputs.means.len / 3;
+    let colours = Buffer::new(gpu, 3 * count);
+    if count == 0 {
+        return colours;
+    }
+    let (grid, dim) = elementwise(count);
+    // SAFETY: every access is guarded by the number of Gaussians.
+    unsafe {
+        shade_forward_kernel::launch_unchecked(
+            &gpu.client,
+            grid,
+            dim,
+            inputs.sh.arg(),
+            inputs.means.arg(),
+            inputs.cam_from_world.arg(),
+            colours.arg(),
+            count as u32,
+            degree_of(coefficients),
+        );
+    }
+    colours
+}
+
+/// Gradients of the inputs from `grad`, `[N, 3]`. Those of the pose are summed in a fixed order.
+pub(crate) fn launch_shade_backward(
+    gpu: &Gpu,
+    inputs: &DeviceInputs,
+    coefficients: usize,
+    grad: &Buffer<f32>,
+    needs: ShadeNeeds,
+) -> DeviceGrads {
+    let (count, degree) = (inputs.means.len / 3, degree_of(coefficients));
+    let mut grads = DeviceGrads {
+        sh: Buffer::if_needed(gpu, needs.sh, inputs.sh.len),
+        means: Buffer::if_needed(gpu, needs.means, inputs.means.len),
+        cam_from_world: None,
+    };
+    // A colour of degree zero does not depend on where the camera is.
+    let through_pose = needs.cam_from_world && degree > 0 && count > 0;
+    let sight_rows = Buffer::if_needed(gpu, through_pose, count.div_ceil(UNITS) * 3);
+    if count > 0 && (needs.sh || needs.means || through_pose) {
+        let output = |buffer: &Option<Buffer<f32>>| buffer.as_ref().map(Buffer::arg).into();
+        let (grid, dim) = elementwise(count);
+        // SAFETY: every access is guarded by the number of Gaussians.
+        unsafe {
+            shade_backward_kernel::launch_unchecked(
+                &gpu.client,
+                grid,
+                dim,
+                inputs.sh.arg(),
+                inputs.means.arg(),
+                inputs.cam_from_world.arg(),
+                grad.arg(),
+                output(&grads.sh),
+                output(&grads.means),
+                output(&sight_rows),
+                count as u32,
+                degree,
+                gpu.planes,
+            );
+        }
+    }
+    grads.cam_from_world = needs.cam_from_world.then(|| match sight_rows {
+        Some(rows) => launch_pose_backward(gpu, &launch_column_sums(gpu, &rows, 3), &inputs.cam_from_world),
+        None => Buffer::from_slice(gpu, &[0.0; POSE]),
+    });
+    grads
+}
+
+/// `[3, 4]` from `grad_sights`, `[3]`.
+fn launch_pose_backward(gpu: &Gpu, grad_sights: &Buffer<f32>, cam_from_world: &Buffer<f32>) -> Buffer<f32> {
+    let grad_pose = Buffer::new(gpu, POSE);
+    // SAFETY: the kernel reads and writes as many numbers as these buffers hold.
+    unsafe {
+        pose_backward_kernel::launch_unchecked(
+            &gpu.client,
+            CubeCount::Static(1, 1, 1),
+            CubeDim::new_1d(1),
+            grad_sights.arg(),
+            cam_from_world.arg(),
+            grad_pose.arg(),
+        );
+    }
+    grad_pose
+}
