@@ -95,9 +95,14 @@ fn out_of_range(runtime: Runtime, index: usize, count: usize) -> anyhow::Error {
 }
 
 fn nothing_found(name: DeviceName, runtimes: &[Runtime]) -> anyhow::Error {
+    if runtimes.is_empty() {
+        return anyhow!(
+            "this program is built for the CPU alone: build it with its default features, or pass `--device cpu`"
+        );
+    }
     let looked_for: Vec<&str> = runtimes.iter().map(|runtime| looked_for(*runtime)).collect();
-    let advice: Vec<&str> = runtimes.iter().map(|runtime| advice(*runtime)).collect();
-    let mut advice = advice;
+    let mut advice: Vec<&str> = runtimes.iter().map(|runtime| advice(*runtime)).collect();
+    // wgpu alone and wgpu with Vulkan need the same.
     advice.dedup();
     anyhow!(
         "`--device {name}` finds no adapter: looked for {}. Install {}; or pass `--device cpu`",
@@ -227,7 +232,6 @@ mod tests {
                 assert!(message.contains(part), "{message}");
             }
         }
-        #[cfg(feature = "wgpu")]
         assert!(refused(DeviceName::Gpu, &[]).contains("--device cpu"));
     }
 }
