@@ -25,6 +25,8 @@
 //! # Ok::<(), splat_op::SplatError>(())
 //! ```
 
+#[cfg(feature = "cube")]
+mod abilities;
 pub mod camera;
 mod check;
 pub mod error;
@@ -49,6 +51,8 @@ mod real;
 mod render;
 mod stages;
 
+#[cfg(feature = "cube")]
+pub use abilities::Abilities;
 pub use camera::{Camera, CameraModel, Intrinsics};
 pub use error::SplatError;
 pub use op::{Slot, SplatBackend};

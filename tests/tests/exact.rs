@@ -5,7 +5,7 @@ use glam::{DMat3, DVec3};
 use splat_op::exact::{ExactGaussian, ExactPose, render_exact};
 use splat_op::{CameraModel, Extras, Intrinsics, RenderOptions, render, shade};
 use splat_tests::compare::relative_error;
-use splat_tests::devices;
+use splat_tests::cpu_devices;
 use splat_tests::random::Random;
 use splat_tests::scene::{Scene, Tensors, host};
 
@@ -38,7 +38,7 @@ fn the_cpu_operation_agrees_with_the_exact_renderer() {
         };
         let expected = render_exact(&gaussians, &pose, &CAMERA, &scene.background, &options);
 
-        for (name, device) in devices() {
+        for (name, device) in cpu_devices() {
             let Tensors { splats, camera, background, .. } = scene.tensors(&device, DType::F64);
             let extras = Extras { background: Some(background), ..Extras::default() };
             let out = render(&splats, &[camera], &extras, &options).expect("a valid scene");

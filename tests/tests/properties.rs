@@ -4,9 +4,9 @@ use burn::tensor::{DType, Device, Tensor};
 use proptest::prelude::*;
 use splat_op::{Camera, Extras, Intrinsics, RenderOptions, Rendered, Splats, render};
 use splat_tests::compare::relative_error;
-use splat_tests::devices;
 use splat_tests::random::Random;
 use splat_tests::scene::{Evaluation, Scene, Tensors, Weights, evaluate, host, tensor};
+use splat_tests::{cpu_devices, devices};
 
 const CAMERA: Intrinsics =
     Intrinsics { model: splat_op::CameraModel::Pinhole, width: 33, height: 21, fx: 27.0, fy: 30.0, cx: 15.0, cy: 11.5 };
@@ -145,7 +145,7 @@ fn one_thread_and_two_give_the_same_bits() {
     let mut scene = Scene::random(&mut random, 5000, 2, camera);
     scene.scales.iter_mut().for_each(|s| *s *= 0.2);
     let weights = Weights::random(&mut random, &camera);
-    for (name, device) in devices() {
+    for (name, device) in cpu_devices() {
         for dtype in [DType::F32, DType::F64] {
             let with = |threads: usize| {
                 let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a small pool");

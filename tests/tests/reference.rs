@@ -1,12 +1,12 @@
-//! The operation against reference vectors made by other people's code, on every CPU device, in f64 and f32.
+//! The operation against reference vectors made by other people's code, on every device, in f64 where it has it, and in f32.
 
 use burn::tensor::{DType, Device};
 use splat_tests::band::boundary_band;
 use splat_tests::compare::{Finding, assert_all, keep_rows, largest, relative_error, row_errors, row_sizes, worst};
-use splat_tests::devices;
 use splat_tests::perturb::{rounded, ulp_spread};
 use splat_tests::reference::{Vector, announce, read_vectors};
 use splat_tests::scene::{Evaluation, Named, Weights, evaluate};
+use splat_tests::{cpu_devices, devices};
 
 /// In f64, relative to the largest element of the tensor, and for each row relative to its own length.
 const F64_TOLERANCE: f64 = 1e-9;
@@ -26,7 +26,7 @@ const BAND_SHARE: f64 = 0.01;
 #[test]
 fn reference_vectors_in_f64() {
     for vector in read_vectors().unwrap_or_default() {
-        for (device_name, device) in devices() {
+        for (device_name, device) in cpu_devices() {
             let found = evaluate(&vector.scene, &vector.weights, &vector.options, &device, DType::F64);
             let findings = compare_f64(&vector, &found);
             report(&vector.name, device_name, "f64", &findings);

@@ -10,7 +10,7 @@ use serde::Serialize;
 use splat_model::capture::Split;
 use splat_model::trainer::TrainConfig;
 
-use crate::device::DeviceName;
+use crate::device::{self, DeviceName};
 use crate::input;
 use crate::options::PhotoArgs;
 use crate::output::OutputFolder;
@@ -29,7 +29,7 @@ pub struct EvalArgs {
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
     /// Where to compute
-    #[arg(long, value_enum, default_value_t)]
+    #[arg(long, value_name = "NAME", default_value_t, help = device::help())]
     pub device: DeviceName,
     /// Photographs.
     #[command(flatten)]
@@ -55,7 +55,7 @@ struct Options<'a> {
 /// # Errors
 /// If the capture or the scene cannot be read, no photograph is held out, or the results cannot be written.
 pub fn run(args: &EvalArgs) -> Result<Metrics> {
-    let (device, device_name) = args.device.resolve();
+    let (device, device_name) = args.device.resolve()?;
     let start = Instant::now();
     let capture = input::capture(&args.capture)?;
     let split = Split::every(&capture.views, args.photos.eval_every);

@@ -5,6 +5,7 @@
 pub mod options;
 
 pub mod demo;
+pub mod devices;
 pub mod eval;
 pub mod render;
 pub mod train;
@@ -29,6 +30,7 @@ pub fn run(command: &Command) -> Result<()> {
         Command::Eval(args) => eval::run(args).map(drop),
         Command::Render(args) => render::run(args).map(drop),
         Command::Demo(args) => demo::run(args),
+        Command::Devices => devices::run(),
     }
 }
 

@@ -10,8 +10,19 @@ use splat_train::options::Cli;
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
+/// Drivers of GPUs look for a Wayland display, whose library prints an error where nobody is logged in to a desktop and
+/// this variable is not set or empty.
+fn quieten_wayland() {
+    const FOLDER: &str = "XDG_RUNTIME_DIR";
+    if cfg!(target_os = "linux") && std::env::var_os(FOLDER).is_none_or(|folder| folder.is_empty()) {
+        // SAFETY: the program has one thread as yet, so nobody reads the environment meanwhile.
+        unsafe { std::env::set_var(FOLDER, "/nonexistent") };
+    }
+}
+
 /// 0 on success, 1 on an error, 2 (by clap) for a command line that cannot be understood.
 fn main() -> ExitCode {
+    quieten_wayland();
     match splat_train::run(&Cli::parse().command) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {

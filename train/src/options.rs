@@ -32,6 +32,8 @@ pub enum Command {
     Render(RenderArgs),
     /// Write the demo capture: a small ray-traced scene as a COLMAP folder
     Demo(DemoArgs),
+    /// List what there is to compute on, by the names that `--device` takes
+    Devices,
 }
 
 /// Which photographs are used, and at which size.

@@ -13,7 +13,7 @@ use splat_model::capture::{Capture, View};
 use splat_model::trainer::TrainConfig;
 use splat_op::{Camera, Extras, RenderOptions, Splats};
 
-use crate::device::DeviceName;
+use crate::device::{self, DeviceName};
 use crate::output::OutputFolder;
 use crate::report::pictures::{self, level};
 use crate::report::values_of;
@@ -44,7 +44,7 @@ pub struct RenderArgs {
     #[arg(long, value_enum, default_value_t)]
     pub format: Format,
     /// Where to compute
-    #[arg(long, value_enum, default_value_t)]
+    #[arg(long, value_name = "NAME", default_value_t, help = device::help())]
     pub device: DeviceName,
     /// For scenes that were trained with this option
     #[arg(long)]
@@ -79,7 +79,7 @@ impl Format {
 /// # Errors
 /// If the capture or the scene cannot be read, there is no such view, or a picture cannot be written.
 pub fn run(args: &RenderArgs) -> Result<Vec<PathBuf>> {
-    let (device, _) = args.device.resolve();
+    let (device, _) = args.device.resolve()?;
     let capture = input::capture(&args.capture)?;
     let views = chosen(&capture, &args.view)?;
     let splats = input::scene(&args.scene, &capture, &device)?;

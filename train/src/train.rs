@@ -11,7 +11,7 @@ use splat_model::capture::{Capture, Photo, Split};
 use splat_model::ply;
 use splat_model::trainer::{TrainConfig, TrainError, Trainer};
 
-use crate::device::DeviceName;
+use crate::device::{self, DeviceName};
 use crate::options::PhotoArgs;
 use crate::output::OutputFolder;
 use crate::progress::{self, StepProgress};
@@ -47,7 +47,7 @@ pub struct TrainArgs {
     ))]
     pub steps: Option<usize>,
     /// Where to compute
-    #[arg(long, value_enum, default_value_t)]
+    #[arg(long, value_name = "NAME", default_value_t, help = device::help())]
     pub device: DeviceName,
     /// Seed of everything random
     #[arg(long, value_name = "S", default_value_t = TrainConfig::default().seed)]
@@ -137,11 +137,11 @@ impl TrainArgs {
 /// If the capture cannot be read, the results not be written, or an option is out of range.
 pub fn run(args: &TrainArgs) -> Result<Metrics> {
     let config = args.config()?;
-    let (device, device_name) = args.device.resolve();
+    let (device, device_name) = args.device.resolve()?;
     let (out, capture, start) = args.open()?;
     let (train, test) = photographs(&capture, &args.photos)?;
     progress::note(&format!(
-        "{}: {} photographs to train on, {} to test on, {} points; on {device_name}",
+        "{}: {} photographs to train on, {} to test on, {} points",
         capture.folder.display(),
         train.len(),
         test.len(),

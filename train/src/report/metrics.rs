@@ -25,8 +25,8 @@ pub struct Metrics {
     pub seconds: Seconds,
     /// The most memory that the process held, MiB; null where the system does not say.
     pub peak_rss_mib: Option<f64>,
-    /// Backend that computed.
-    pub device: &'static str,
+    /// What computed: a CPU backend, or an adapter and how it was driven.
+    pub device: String,
     /// Seed of everything random; null where nothing was.
     pub seed: Option<u64>,
     /// All options, with the defaults of those that were not given.

@@ -206,6 +206,16 @@ fn a_demo_does_not_replace_a_capture() {
     refuse(&mut splat(&["demo", "--views", "1", "--out", text(&taken.join("new"))]), &["views", "2 to 9999"]);
 }
 
+#[cfg(feature = "wgpu")]
+#[test]
+fn an_adapter_that_is_not_there() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("out");
+    let arguments = ["train", text(&DEMO), "--device", "gpu:4000", "--out", text(&out)];
+    refuse(&mut splat(&arguments), &["gpu:4000"]);
+    assert!(!out.exists(), "no folder is made for a run that cannot start");
+}
+
 #[test]
 fn a_command_line_that_cannot_be_understood_ends_with_2() {
     for arguments in [

@@ -11,7 +11,7 @@ use std::path::Path;
 use image::GenericImageView;
 use serde_json::Value;
 
-use run::{DEMO, TRAIN, TRAINED, splat, succeed};
+use run::{DEMO, TRAIN, TRAINED, refuse, splat, succeed};
 
 /// The first and only test view of eight: every eighth by name, beginning with the first.
 const TEST_VIEW: &str = "0000.png";
@@ -94,6 +94,27 @@ fn the_device_can_be_chosen_and_steps_are_reported() {
     for part in ["dB PSNR", "scene.ply", "metrics.json", "views", "training"] {
         assert!(output.stdout.contains(part), "{part}: {}", output.stdout);
     }
+}
+
+#[test]
+fn devices_are_listed_by_the_names_that_can_be_passed() {
+    let listed = succeed(&mut splat(&["devices"])).stdout;
+    let mut lines = listed.lines().take_while(|line| !line.is_empty());
+    assert!(lines.next().unwrap().starts_with("--device"), "{listed}");
+    let names: Vec<&str> = lines.map(|line| line.split_whitespace().next().unwrap()).collect();
+    assert_eq!(names[..2], ["flex", "ndarray"], "{listed}");
+    for name in names {
+        // Far enough to see that the name is understood and the device there; the scene is not.
+        let arguments = ["render", "--scene", "none.ply", "--capture", "none", "--view", "all", "--device", name];
+        refuse(splat(&arguments).args(["--out", "none"]), &["computing on", "no capture folder"]);
+    }
+    assert!(listed.contains("`--device auto` takes"), "{listed}");
+}
+
+#[test]
+fn auto_says_what_it_takes() {
+    let arguments = ["render", "--scene", "none.ply", "--capture", "none", "--view", "all", "--device", "auto"];
+    refuse(splat(&arguments).args(["--out", "none"]), &["computing on", "no capture folder"]);
 }
 
 #[test]
@@ -195,10 +216,12 @@ fn without_a_capture_the_demo_is_made_once_and_trained_on() {
 #[test]
 fn help_names_every_subcommand_and_default() {
     let help = succeed(&mut splat(&["--help"])).stdout;
-    for name in ["train", "eval", "render", "demo"] {
+    for name in ["train", "eval", "render", "demo", "devices"] {
         assert!(help.contains(name), "{help}");
     }
+    // Lines may be wrapped anywhere.
     let help = succeed(&mut splat(&["train", "--help"])).stdout;
+    let help = help.split_whitespace().collect::<Vec<_>>().join(" ");
     for part in ["[default: 30000; with the demo capture", "[default: 8]", "[default: 1000000]", "[default: auto]"] {
         assert!(help.contains(part), "{part}: {help}");
     }

@@ -40,10 +40,14 @@ pub struct Ended {
     pub stderr: String,
 }
 
-/// The program with some arguments.
+/// The program with some arguments. It computes on the CPU unless they say otherwise, so that a test is the same on every
+/// machine.
 pub fn splat(arguments: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_splat"));
     command.args(arguments);
+    if matches!(arguments, ["train" | "eval" | "render", ..]) && !arguments.contains(&"--device") {
+        command.args(["--device", "cpu"]);
+    }
     command
 }
 

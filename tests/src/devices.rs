@@ -1,0 +1,119 @@
+//! The devices that tests across crates run on.
+
+use std::sync::OnceLock;
+
+use burn::tensor::Device;
+use splat_train::device::{DeviceName, open};
+
+use crate::reference::announce;
+
+/// Whether [`devices`] includes the GPU: off until every stage has its kernels, because rendering there panics before.
+pub const GPU_HAS_KERNELS: bool = false;
+
+/// The devices that every proof in f32 runs on: those of [`cpu_devices`], and the GPU by the rules of [`gpu`].
+pub fn devices() -> Vec<(&'static str, Device)> {
+    let mut devices = cpu_devices();
+    if GPU_HAS_KERNELS {
+        devices.extend(gpu().map(|device| ("gpu", device)));
+    }
+    devices
+}
+
+/// The CPU devices, for proofs in f64, which kernels do not have, and of what the CPU alone promises.
+pub fn cpu_devices() -> Vec<(&'static str, Device)> {
+    vec![("flex", Device::flex()), ("ndarray", ndarray())]
+}
+
+/// The device of the backend that this project was asked to support beside Flex.
+#[allow(deprecated, reason = "burn-ndarray is deprecated in favour of burn-flex; this project supports both")]
+pub fn ndarray() -> Device {
+    Device::ndarray()
+}
+
+/// The best adapter that the runtimes of this build reach, a driver in software if there is nothing better. The
+/// variable `SPLAT_GPU` decides: `skip` gives none, `require` fails where there is none, and unset none is given where
+/// there is none. That it is skipped, or what it is, is said once.
+///
+/// # Panics
+/// If it is required and not there, or if the variable has another value.
+pub fn gpu() -> Option<Device> {
+    static GPU: OnceLock<Option<Device>> = OnceLock::new();
+    GPU.get_or_init(|| {
+        let wish = std::env::var("SPLAT_GPU").unwrap_or_default();
+        let (line, device) = admit(&wish, find).unwrap_or_else(|failure| panic!("{failure}"));
+        announce(&line);
+        device
+    })
+    .clone()
+}
+
+/// The best adapter and its name, or why there is none.
+fn find() -> Result<(String, Device), String> {
+    let found = DeviceName::Gpu.find().map_err(|error| error.to_string())?.0.expect("`gpu` is never the CPU");
+    let facts = open(&found).map_err(|error| error.to_string())?;
+    Ok((facts.to_string(), found.device))
+}
+
+/// The rules of `SPLAT_GPU`: what to say and what to run on, or the failure.
+fn admit<D>(wish: &str, find: impl FnOnce() -> Result<(String, D), String>) -> Result<(String, Option<D>), String> {
+    match wish {
+        "skip" => Ok(("SKIPPED: tests on a GPU: SPLAT_GPU=skip".into(), None)),
+        "" | "require" => match find() {
+            Ok((name, device)) => Ok((format!("tests on a GPU run on {name}"), Some(device))),
+            Err(why) if wish == "require" => Err(format!("SPLAT_GPU=require: {why}")),
+            Err(why) => Ok((format!("SKIPPED: tests on a GPU: {why}"), None)),
+        },
+        other => Err(format!("SPLAT_GPU={other} means nothing: set it to `require` or `skip`, or not at all")),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use burn::tensor::Tensor;
+
+    use super::*;
+
+    fn there() -> Result<(String, u8), String> {
+        Ok(("a card".into(), 7))
+    }
+
+    fn not_there() -> Result<(String, u8), String> {
+        Err("no driver".into())
+    }
+
+    #[test]
+    fn require_fails_without_an_adapter() {
+        assert_eq!(admit("require", there).expect("there is one").1, Some(7));
+        let failure = admit("require", not_there).expect_err("there is none");
+        assert!(failure.contains("require") && failure.contains("no driver"), "{failure}");
+    }
+
+    #[test]
+    fn unset_skips_without_an_adapter_and_says_so() {
+        assert_eq!(admit("", there).expect("no failure").1, Some(7));
+        let (line, device) = admit("", not_there).expect("no failure");
+        assert!(device.is_none() && line.starts_with("SKIPPED") && line.contains("no driver"), "{line}");
+    }
+
+    #[test]
+    fn skip_does_not_even_look() {
+        let look = || -> Result<(String, u8), String> { panic!("looked") };
+        let (line, device) = admit("skip", look).expect("no failure");
+        assert!(device.is_none() && line.starts_with("SKIPPED"), "{line}");
+    }
+
+    #[test]
+    fn other_values_are_refused() {
+        for wish in ["required", "1", "REQUIRE"] {
+            assert!(admit(wish, there).expect_err(wish).contains(wish));
+        }
+    }
+
+    /// With Burn's own operations: that the device opens, computes and gives results back.
+    #[test]
+    fn the_gpu_computes() {
+        let Some(device) = gpu() else { return };
+        let tensor = Tensor::<1>::from_floats([1.0, 2.0, 3.0], &device) * 2.0;
+        assert_eq!(tensor.sum().into_scalar::<f32>(), 12.0);
+    }
+}

@@ -1,0 +1,237 @@
+//! Which of a machine's adapters a name stands for.
+
+use std::fmt::{self, Display};
+
+use anyhow::{Result, anyhow};
+
+use super::{DeviceName, Runtime};
+
+/// What an adapter is, best first.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Kind {
+    /// A graphics card.
+    Discrete,
+    /// Part of the processor.
+    Integrated,
+    /// Of a virtual machine.
+    Virtual,
+    /// The driver does not say.
+    Unknown,
+    /// A driver that computes on the processor.
+    Software,
+}
+
+impl Kind {
+    /// Whether it is surely a GPU.
+    fn is_gpu(self) -> bool {
+        self <= Self::Virtual
+    }
+}
+
+impl Display for Kind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Discrete => "discrete",
+            Self::Integrated => "integrated",
+            Self::Virtual => "virtual",
+            Self::Unknown => "unknown",
+            Self::Software => "software",
+        })
+    }
+}
+
+/// One line of `splat devices`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Adapter {
+    /// Through which it is reached. A card that two runtimes reach is two adapters.
+    pub runtime: Runtime,
+    /// Its place among the adapters of its runtime.
+    pub index: usize,
+    /// What it is.
+    pub kind: Kind,
+}
+
+impl Adapter {
+    /// What to pass to `--device` for this one.
+    pub fn name(&self) -> DeviceName {
+        DeviceName::Adapter(self.runtime, Some(self.index))
+    }
+}
+
+/// The adapter that a name stands for; `None` for the CPU.
+///
+/// # Errors
+/// If a GPU is asked for and none of `adapters` will do: what was looked for, and what to do.
+pub fn choose(name: DeviceName, adapters: &[Adapter]) -> Result<Option<Adapter>> {
+    let best = |admitted: &dyn Fn(&Adapter) -> bool| {
+        let admitted = adapters.iter().filter(|adapter| admitted(adapter));
+        admitted.min_by_key(|adapter| (adapter.kind, adapter.runtime, adapter.index)).copied()
+    };
+    match name {
+        DeviceName::Cpu | DeviceName::Flex | DeviceName::Ndarray => Ok(None),
+        DeviceName::Auto => Ok(best(&|adapter| adapter.kind.is_gpu())),
+        DeviceName::Gpu => best(&|_| true).map(Some).ok_or_else(|| nothing_found(name, &Runtime::built())),
+        DeviceName::Adapter(runtime, None) => {
+            best(&|adapter| adapter.runtime == runtime).map(Some).ok_or_else(|| nothing_found(name, &[runtime]))
+        }
+        DeviceName::Adapter(runtime, Some(index)) => {
+            let count = adapters.iter().filter(|adapter| adapter.runtime == runtime).count();
+            match best(&|adapter| adapter.name() == name) {
+                Some(adapter) => Ok(Some(adapter)),
+                None if count == 0 => Err(nothing_found(name, &[runtime])),
+                None => Err(out_of_range(runtime, index, count)),
+            }
+        }
+    }
+}
+
+fn out_of_range(runtime: Runtime, index: usize, count: usize) -> anyhow::Error {
+    let prefix = runtime.prefix();
+    let range = match count {
+        1 => format!("there is `{prefix}:0` alone"),
+        count => format!("numbers go from `{prefix}:0` to `{prefix}:{}`", count - 1),
+    };
+    anyhow!("there is no adapter `{prefix}:{index}`: {range}; `splat devices` lists what there is")
+}
+
+fn nothing_found(name: DeviceName, runtimes: &[Runtime]) -> anyhow::Error {
+    if runtimes.is_empty() {
+        return anyhow!(
+            "this program is built for the CPU alone: build it with its default features, or pass `--device cpu`"
+        );
+    }
+    let looked_for: Vec<&str> = runtimes.iter().map(|runtime| looked_for(*runtime)).collect();
+    let mut advice: Vec<&str> = runtimes.iter().map(|runtime| advice(*runtime)).collect();
+    // wgpu alone and wgpu with Vulkan need the same.
+    advice.dedup();
+    anyhow!(
+        "`--device {name}` finds no adapter: looked for {}. Install {}; or pass `--device cpu`",
+        looked_for.join(", "),
+        advice.join(", or ")
+    )
+}
+
+/// What a runtime needs, as wgpu and the makers' libraries look for it on this system.
+fn looked_for(runtime: Runtime) -> &'static str {
+    match runtime {
+        Runtime::Wgpu if cfg!(target_os = "macos") => "Metal adapters",
+        Runtime::Wgpu if cfg!(windows) => "Vulkan, DirectX 12 and OpenGL adapters",
+        Runtime::Wgpu => "Vulkan and OpenGL adapters",
+        Runtime::Vulkan => "Vulkan adapters",
+        Runtime::Metal => "Metal adapters",
+        Runtime::Cuda => "NVIDIA cards through the library `libcuda`",
+        Runtime::Rocm => "AMD cards through the library `libamdhip64`",
+    }
+}
+
+fn advice(runtime: Runtime) -> &'static str {
+    match runtime {
+        Runtime::Wgpu | Runtime::Vulkan if cfg!(target_os = "linux") => {
+            "the GPU's Vulkan driver and the loader (Debian and Ubuntu: `libvulkan1`, with `mesa-vulkan-drivers` for \
+             AMD, Intel and a driver in software, or NVIDIA's own driver)"
+        }
+        Runtime::Wgpu | Runtime::Vulkan => "the GPU's driver",
+        Runtime::Metal => "macOS, which alone has Metal",
+        Runtime::Cuda => "NVIDIA's driver",
+        Runtime::Rocm => "AMD's ROCm",
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn adapter(runtime: Runtime, index: usize, kind: Kind) -> Adapter {
+        Adapter { runtime, index, kind }
+    }
+
+    fn chosen(name: DeviceName, adapters: &[Adapter]) -> Option<Adapter> {
+        choose(name, adapters).expect("there is one")
+    }
+
+    fn refused(name: DeviceName, adapters: &[Adapter]) -> String {
+        choose(name, adapters).expect_err("there is none").to_string()
+    }
+
+    const WGPU: Runtime = Runtime::Wgpu;
+
+    #[test]
+    fn auto_takes_the_best_gpu_wherever_it_is_listed() {
+        let kinds = [Kind::Software, Kind::Unknown, Kind::Virtual, Kind::Integrated, Kind::Discrete, Kind::Discrete];
+        let all: Vec<Adapter> = kinds.into_iter().enumerate().map(|(i, kind)| adapter(WGPU, i, kind)).collect();
+        assert_eq!(chosen(DeviceName::Auto, &all), Some(all[4]), "the first of the discrete ones");
+        assert_eq!(chosen(DeviceName::Auto, &all[..4]), Some(all[3]), "else an integrated one");
+        assert_eq!(chosen(DeviceName::Auto, &all[..3]), Some(all[2]), "else a virtual one");
+    }
+
+    #[test]
+    fn auto_takes_the_cpu_rather_than_a_driver_in_software() {
+        assert_eq!(chosen(DeviceName::Auto, &[]), None);
+        let doubtful = [adapter(WGPU, 0, Kind::Software), adapter(WGPU, 1, Kind::Unknown)];
+        assert_eq!(chosen(DeviceName::Auto, &doubtful), None);
+    }
+
+    #[test]
+    fn names_of_the_cpu_never_take_a_gpu() {
+        let card = [adapter(WGPU, 0, Kind::Discrete)];
+        for name in [DeviceName::Cpu, DeviceName::Flex, DeviceName::Ndarray] {
+            assert_eq!(chosen(name, &card), None);
+        }
+    }
+
+    #[test]
+    fn gpu_takes_software_if_there_is_nothing_better() {
+        let software = adapter(WGPU, 0, Kind::Software);
+        let card = adapter(WGPU, 1, Kind::Integrated);
+        assert_eq!(chosen(DeviceName::Gpu, &[software]), Some(software));
+        assert_eq!(chosen(DeviceName::Gpu, &[software, card]), Some(card));
+        let unknown = adapter(WGPU, 2, Kind::Unknown);
+        assert_eq!(chosen(DeviceName::Gpu, &[software, unknown]), Some(unknown));
+    }
+
+    #[test]
+    fn of_one_card_the_maker_s_own_runtime_is_taken_and_the_better_card_before_that() {
+        let card = [WGPU, Runtime::Vulkan, Runtime::Cuda].map(|runtime| adapter(runtime, 0, Kind::Discrete));
+        assert_eq!(chosen(DeviceName::Auto, &card), Some(card[2]));
+        assert_eq!(chosen(DeviceName::Auto, &card[..2]), Some(card[1]));
+        let mixed = [adapter(WGPU, 0, Kind::Discrete), adapter(Runtime::Vulkan, 0, Kind::Software)];
+        assert_eq!(chosen(DeviceName::Gpu, &mixed), Some(mixed[0]));
+    }
+
+    #[test]
+    fn a_runtime_takes_the_best_of_its_own() {
+        let all = [
+            adapter(WGPU, 0, Kind::Discrete),
+            adapter(Runtime::Vulkan, 0, Kind::Software),
+            adapter(Runtime::Vulkan, 1, Kind::Integrated),
+        ];
+        assert_eq!(chosen(DeviceName::Adapter(Runtime::Vulkan, None), &all), Some(all[2]));
+        assert_eq!(chosen(DeviceName::Adapter(Runtime::Vulkan, Some(0)), &all), Some(all[1]));
+        assert_eq!(chosen(DeviceName::Adapter(WGPU, Some(0)), &all), Some(all[0]));
+    }
+
+    #[test]
+    fn a_number_beyond_the_last_names_the_range() {
+        let all = [
+            adapter(WGPU, 0, Kind::Discrete),
+            adapter(WGPU, 1, Kind::Software),
+            adapter(Runtime::Cuda, 0, Kind::Discrete),
+        ];
+        let message = refused(DeviceName::Adapter(WGPU, Some(2)), &all);
+        assert!(message.contains("`gpu:2`") && message.contains("`gpu:0` to `gpu:1`"), "{message}");
+        let message = refused(DeviceName::Adapter(Runtime::Cuda, Some(7)), &all);
+        assert!(message.contains("`cuda:7`") && message.contains("`cuda:0` alone"), "{message}");
+    }
+
+    #[test]
+    fn without_any_the_message_says_what_was_looked_for_and_what_to_do() {
+        let cuda = [adapter(Runtime::Cuda, 0, Kind::Discrete)];
+        for name in [DeviceName::Adapter(Runtime::Vulkan, None), DeviceName::Adapter(Runtime::Vulkan, Some(1))] {
+            let message = refused(name, &cuda);
+            for part in [&format!("--device {name}"), "looked for Vulkan", "Install", "--device cpu"] {
+                assert!(message.contains(part), "{message}");
+            }
+        }
+        assert!(refused(DeviceName::Gpu, &[]).contains("--device cpu"));
+    }
+}

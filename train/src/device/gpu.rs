@@ -1,0 +1,118 @@
+//! The adapters of this machine.
+
+use anyhow::{Result, anyhow, bail};
+use burn::backend::{CubeDevice, DispatchDevice};
+use burn::tensor::{Device, DeviceType};
+use splat_op::Abilities;
+
+use super::{Adapter, Facts, Found, Kind, Runtime};
+
+/// The adapters of some runtimes, in the order of the runtimes and then of their own numbers. Empty without a driver.
+pub fn list(runtimes: &[Runtime]) -> Vec<Found> {
+    let of = |&runtime| {
+        let found = move |(index, device)| Found { adapter: Adapter { runtime, index, kind: kind(&device) }, device };
+        enumerate(runtime).into_iter().enumerate().map(found)
+    };
+    runtimes.iter().flat_map(of).collect()
+}
+
+fn enumerate(runtime: Runtime) -> Vec<Device> {
+    let kind_of_device = match runtime {
+        #[cfg(feature = "wgpu")]
+        Runtime::Wgpu => DeviceType::Wgpu,
+        #[cfg(feature = "vulkan")]
+        Runtime::Vulkan => DeviceType::Vulkan,
+        #[cfg(feature = "metal")]
+        Runtime::Metal => DeviceType::Metal,
+        #[cfg(feature = "cuda")]
+        Runtime::Cuda => DeviceType::Cuda,
+        #[cfg(feature = "rocm")]
+        Runtime::Rocm => DeviceType::Rocm,
+        #[allow(unreachable_patterns, reason = "a build with every runtime leaves none over")]
+        _ => return Vec::new(),
+    };
+    Device::enumerate(kind_of_device).into_vec()
+}
+
+fn kind(device: &Device) -> Kind {
+    match device.as_dispatch() {
+        #[cfg(feature = "wgpu")]
+        DispatchDevice::Cube(CubeDevice::Wgpu(device)) => {
+            use burn::backend::WgpuDeviceKind;
+            match device.kind {
+                WgpuDeviceKind::DiscreteGpu(_) => Kind::Discrete,
+                WgpuDeviceKind::IntegratedGpu(_) => Kind::Integrated,
+                WgpuDeviceKind::VirtualGpu(_) => Kind::Virtual,
+                WgpuDeviceKind::Cpu => Kind::Software,
+                _ => Kind::Unknown,
+            }
+        }
+        // Makers' runtimes list cards and nothing else; almost all of them are discrete.
+        DispatchDevice::Cube(CubeDevice::Cuda(_) | CubeDevice::Hip(_)) => Kind::Discrete,
+        _ => Kind::Unknown,
+    }
+}
+
+/// Opens an adapter for the rest of the process and says what it is.
+///
+/// # Errors
+/// If its driver refuses.
+pub fn open(found: &Found) -> Result<Facts> {
+    let name = found.adapter.name();
+    let refused =
+        |why: &str| anyhow!("cannot open the adapter `{name}`: {why}. Look after its driver, or pass `--device cpu`");
+    let DispatchDevice::Cube(device) = found.device.as_dispatch() else {
+        bail!("`{name}` is no adapter");
+    };
+    let interface = open_through_wgpu(device).map_err(|error| refused(&error))?;
+    let client = device.client();
+    let abilities = Abilities::of(&found.device).ok_or_else(|| refused("there are no kernels for it"))?;
+    let language = language(client.name());
+    Ok(Facts {
+        name: client.properties().identity.name.clone(),
+        kind: found.adapter.kind,
+        runtime: interface.map_or(language.to_owned(), |interface| format!("{interface}, {language}")),
+        buffer_limit: client.properties().memory.max_page_size,
+        float_atomics: abilities.float_atomics,
+        planes: abilities.planes,
+    })
+}
+
+/// Opens what wgpu drives, in the way that reports a failure instead of panicking. The name of the graphics interface;
+/// none for other runtimes, and for what was open already.
+#[cfg(feature = "wgpu")]
+fn open_through_wgpu(device: &CubeDevice) -> Result<Option<&'static str>, String> {
+    use burn::backend::wgpu::graphics::AutoGraphicsApi;
+    use burn::backend::wgpu::{RuntimeOptions, WgpuInitError, try_init_setup};
+
+    let CubeDevice::Wgpu(device) = device else { return Ok(None) };
+    let options = RuntimeOptions::try_default().map_err(|error| error.to_string())?;
+    match try_init_setup::<AutoGraphicsApi>(device, options) {
+        Ok(setup) => Ok(Some(match setup.backend.to_str() {
+            "vulkan" => "Vulkan",
+            "metal" => "Metal",
+            "dx12" => "DirectX 12",
+            "gl" => "OpenGL",
+            other => other,
+        })),
+        Err(WgpuInitError::Registration { .. }) => Ok(None),
+        Err(error) => Err(error.to_string()),
+    }
+}
+
+#[cfg(not(feature = "wgpu"))]
+fn open_through_wgpu(_: &CubeDevice) -> Result<Option<&'static str>, String> {
+    Ok(None)
+}
+
+/// What kernels are compiled to, from CubeCL's name of the runtime.
+fn language(runtime: &str) -> &str {
+    match runtime {
+        "wgpu<wgsl>" => "WGSL",
+        "wgpu<spirv>" => "SPIR-V",
+        "wgpu<msl>" => "MSL",
+        "cuda" => "CUDA",
+        "hip" => "ROCm",
+        other => other,
+    }
+}

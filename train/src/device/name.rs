@@ -1,0 +1,190 @@
+//! What `--device` takes.
+
+use std::fmt::{self, Display};
+use std::str::FromStr;
+
+/// Where to compute, as the command line names it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum DeviceName {
+    /// A GPU if there is one, else the CPU. A software adapter is no GPU here: the CPU is faster without it.
+    #[default]
+    Auto,
+    /// The faster of the CPU backends: `flex`.
+    Cpu,
+    /// Burn's CPU backend.
+    Flex,
+    /// Burn's older CPU backend, deprecated by Burn.
+    Ndarray,
+    /// The best adapter of any runtime, one in software if there is nothing better.
+    Gpu,
+    /// An adapter of one runtime, by its number in `splat devices`; the best of them without a number.
+    Adapter(Runtime, Option<usize>),
+}
+
+/// What drives a GPU. A runtime is also a cargo feature, of the same name.
+///
+/// Ordered by preference where several reach the same card: a runtime for one maker's cards is built in only by those
+/// who want it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Runtime {
+    /// NVIDIA's CUDA.
+    Cuda,
+    /// AMD's ROCm.
+    Rocm,
+    /// Metal through wgpu, kernels in its own language.
+    Metal,
+    /// Vulkan through wgpu, kernels in SPIR-V.
+    Vulkan,
+    /// Whichever graphics interface the system offers, through wgpu.
+    Wgpu,
+}
+
+impl Runtime {
+    /// All, whether this build has them or not.
+    pub const ALL: [Self; 5] = [Self::Wgpu, Self::Vulkan, Self::Metal, Self::Cuda, Self::Rocm];
+
+    /// Whether the program was built with it.
+    pub fn is_built(self) -> bool {
+        match self {
+            Self::Wgpu => cfg!(feature = "wgpu"),
+            Self::Vulkan => cfg!(feature = "vulkan"),
+            Self::Metal => cfg!(feature = "metal"),
+            Self::Cuda => cfg!(feature = "cuda"),
+            Self::Rocm => cfg!(feature = "rocm"),
+        }
+    }
+
+    /// Those that the program was built with.
+    pub fn built() -> Vec<Self> {
+        Self::ALL.into_iter().filter(|runtime| runtime.is_built()).collect()
+    }
+
+    /// The cargo feature that builds it in.
+    pub fn feature(self) -> &'static str {
+        match self {
+            Self::Wgpu => "wgpu",
+            Self::Vulkan => "vulkan",
+            Self::Metal => "metal",
+            Self::Cuda => "cuda",
+            Self::Rocm => "rocm",
+        }
+    }
+
+    /// What its adapters are called on the command line, before the number.
+    pub fn prefix(self) -> &'static str {
+        if self == Self::Wgpu { "gpu" } else { self.feature() }
+    }
+}
+
+impl Display for DeviceName {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Auto => f.write_str("auto"),
+            Self::Cpu => f.write_str("cpu"),
+            Self::Flex => f.write_str("flex"),
+            Self::Ndarray => f.write_str("ndarray"),
+            Self::Gpu => f.write_str("gpu"),
+            Self::Adapter(runtime, None) => f.write_str(runtime.prefix()),
+            Self::Adapter(runtime, Some(index)) => write!(f, "{}:{index}", runtime.prefix()),
+        }
+    }
+}
+
+impl FromStr for DeviceName {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let (name, index) = match text.split_once(':') {
+            Some((name, index)) => (name, Some(index)),
+            None => (text, None),
+        };
+        let whole = match name {
+            "auto" => Some(Self::Auto),
+            "cpu" => Some(Self::Cpu),
+            "flex" => Some(Self::Flex),
+            "ndarray" => Some(Self::Ndarray),
+            "gpu" if index.is_none() && !Runtime::built().is_empty() => Some(Self::Gpu),
+            _ => None,
+        };
+        match (whole, index) {
+            (Some(device), None) => return Ok(device),
+            (Some(_), Some(_)) => return Err(format!("only adapters have numbers: pass `{name}`")),
+            (None, _) => {}
+        }
+        let Some(runtime) = Runtime::ALL.into_iter().find(|runtime| runtime.prefix() == name) else {
+            return Err(format!("there is no such device: pass {}", names()));
+        };
+        if !runtime.is_built() {
+            let feature = runtime.feature();
+            return Err(format!(
+                "this program was built without the runtime `{feature}`: build it with `--features {feature}`, or pass {}",
+                names()
+            ));
+        }
+        let index = index.map(|index| index.parse().map_err(|_| format!("{index:?} is no number, as in `{name}:0`")));
+        Ok(Self::Adapter(runtime, index.transpose()?))
+    }
+}
+
+/// The help of `--device`.
+pub fn help() -> String {
+    format!("Where to compute: {}; `splat devices` says what there is", names())
+}
+
+/// What this build accepts, as a list in a sentence.
+fn names() -> String {
+    let mut names: Vec<&str> = vec!["auto", "cpu", "flex", "ndarray"];
+    let built = Runtime::built();
+    if !built.is_empty() {
+        names.push("gpu");
+    }
+    names.extend(built.iter().map(|runtime| match runtime {
+        Runtime::Wgpu => "gpu:N",
+        Runtime::Vulkan => "vulkan[:N]",
+        Runtime::Metal => "metal[:N]",
+        Runtime::Cuda => "cuda[:N]",
+        Runtime::Rocm => "rocm[:N]",
+    }));
+    let last = names.pop().unwrap_or_default();
+    format!("{} or {last}", names.join(", "))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_are_read_as_they_are_written() {
+        let mut all = vec![DeviceName::Auto, DeviceName::Cpu, DeviceName::Flex, DeviceName::Ndarray];
+        if let Some(runtime) = Runtime::built().into_iter().next() {
+            all.extend([DeviceName::Gpu, DeviceName::Adapter(runtime, Some(12))]);
+        }
+        for device in all {
+            assert_eq!(device.to_string().parse(), Ok(device));
+        }
+    }
+
+    #[test]
+    fn refusals_say_what_to_pass() {
+        let refusal = |text: &str| text.parse::<DeviceName>().expect_err(text);
+        for text in ["", "CPU", "gpux", "gpus:1", ":0", "vulkan "] {
+            assert!(refusal(text).contains("auto, cpu"), "{text:?}: {}", refusal(text));
+        }
+        assert!(refusal("cpu:0").contains("pass `cpu`"));
+        for runtime in Runtime::ALL {
+            let name = format!("{}:x", runtime.prefix());
+            let expected =
+                if runtime.is_built() { "is no number".into() } else { format!("--features {}", runtime.feature()) };
+            assert!(refusal(&name).contains(&expected), "{name}: {}", refusal(&name));
+        }
+    }
+
+    #[cfg(feature = "wgpu")]
+    #[test]
+    fn numbers_are_whole() {
+        for text in ["gpu:", "gpu:-1", "gpu:1.5", "gpu:one", "gpu:0:0"] {
+            assert!(text.parse::<DeviceName>().expect_err(text).contains("`gpu:0`"), "{text}");
+        }
+        assert_eq!("gpu:3".parse(), Ok(DeviceName::Adapter(Runtime::Wgpu, Some(3))));
+    }
+}

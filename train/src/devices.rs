@@ -1,0 +1,142 @@
+//! `splat devices`: what there is to compute on.
+
+use std::num::NonZero;
+use std::thread;
+
+use anyhow::Result;
+
+use crate::device::{self, Adapter, DeviceName, Found, Runtime, choose};
+use crate::progress;
+
+/// The head of the table; the first column is what `--device` takes.
+const COLUMNS: [&str; 7] =
+    ["--device", "adapter", "kind", "runtime", "largest buffer", "f32 atomics", "plane operations"];
+
+type Row = [String; COLUMNS.len()];
+
+/// Prints the devices, the runtimes of this build, and what `auto` takes.
+///
+/// # Errors
+/// None today: an adapter that does not open is a line of the table.
+pub fn run() -> Result<()> {
+    let found = device::list(&Runtime::built());
+    let mut rows = vec![cpu(DeviceName::Flex), cpu(DeviceName::Ndarray)];
+    rows.extend(found.iter().map(adapter));
+    for line in table(&rows) {
+        progress::say(&line);
+    }
+    let adapters: Vec<Adapter> = found.iter().map(|found| found.adapter).collect();
+    progress::say("");
+    for line in remarks(&adapters)? {
+        progress::say(&line);
+    }
+    Ok(())
+}
+
+/// What cannot be said of a processor is left open.
+fn cpu(name: DeviceName) -> Row {
+    let threads = thread::available_parallelism().map_or(1, NonZero::get);
+    let adapter = format!("the CPU, {threads} {}", if threads == 1 { "thread" } else { "threads" });
+    let runtime = format!("Burn's {name} backend");
+    [name.to_string(), adapter, "processor".into(), runtime, "-".into(), "-".into(), "-".into()]
+}
+
+fn adapter(found: &Found) -> Row {
+    let (name, kind) = (found.adapter.name().to_string(), found.adapter.kind.to_string());
+    match device::open(found) {
+        Ok(facts) => {
+            let yes_or_no = |yes| if yes { "yes" } else { "no" }.to_owned();
+            let (atomics, planes) = (yes_or_no(facts.float_atomics), yes_or_no(facts.planes));
+            [name, facts.name, kind, facts.runtime, bytes(facts.buffer_limit), atomics, planes]
+        }
+        Err(error) => {
+            let dash = || "-".to_owned();
+            [name, error.to_string(), kind, found.adapter.runtime.feature().into(), dash(), dash(), dash()]
+        }
+    }
+}
+
+/// In the largest unit that leaves at least one; rounded down to a tenth, so that what is named is there.
+fn bytes(count: u64) -> String {
+    const UNITS: [&str; 5] = ["B", "KiB", "MiB", "GiB", "TiB"];
+    let power = (count.max(1).ilog2() / 10).min(UNITS.len() as u32 - 1);
+    let tenths = (u128::from(count) * 10) >> (10 * power);
+    let unit = UNITS[power as usize];
+    match tenths % 10 {
+        0 => format!("{} {unit}", tenths / 10),
+        tenth => format!("{}.{tenth} {unit}", tenths / 10),
+    }
+}
+
+/// Columns as wide as their widest cell, two spaces between them.
+fn table(rows: &[Row]) -> Vec<String> {
+    let head: Row = COLUMNS.map(String::from);
+    let rows: Vec<&Row> = [&head].into_iter().chain(rows).collect();
+    let width = |column: usize| rows.iter().map(|row| row[column].chars().count()).max().unwrap_or_default();
+    let widths: [usize; COLUMNS.len()] = std::array::from_fn(width);
+    let line = |row: &&Row| {
+        let cells = row.iter().zip(widths).map(|(cell, width)| format!("{cell:width$}"));
+        cells.collect::<Vec<_>>().join("  ").trim_end().to_owned()
+    };
+    rows.iter().map(line).collect()
+}
+
+/// What the table leaves unsaid.
+fn remarks(adapters: &[Adapter]) -> Result<Vec<String>> {
+    let (built, other): (Vec<Runtime>, Vec<Runtime>) = Runtime::ALL.into_iter().partition(|runtime| runtime.is_built());
+    let mut lines = vec![match choose(DeviceName::Auto, adapters)? {
+        Some(adapter) => format!("`--device auto` takes {}.", adapter.name()),
+        None => format!("`--device auto` takes the CPU, flex: {}.", device::why_cpu(adapters)),
+    }];
+    let features =
+        |runtimes: &[Runtime]| runtimes.iter().map(|runtime| runtime.feature()).collect::<Vec<_>>().join(", ");
+    lines.push(match built.is_empty() {
+        true => "GPU runtimes in this program: none.".into(),
+        false => format!("GPU runtimes in this program: {}.", features(&built)),
+    });
+    if !other.is_empty() {
+        lines.push(format!("Others can be built in, as cargo features: {}.", features(&other)));
+    }
+    if adapters.is_empty() && !built.is_empty() {
+        let advice = choose(DeviceName::Gpu, adapters).expect_err("there are no adapters").to_string();
+        lines.push(advice);
+    }
+    Ok(lines)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sizes_are_rounded_down() {
+        let cases = [
+            (0, "0 B"),
+            (1023, "1023 B"),
+            (128 << 20, "128 MiB"),
+            ((1 << 31) - 1, "1.9 GiB"),
+            ((1 << 31) - 4, "1.9 GiB"),
+            (1 << 31, "2 GiB"),
+            (u64::MAX, "16777215.9 TiB"),
+        ];
+        for (count, expected) in cases {
+            assert_eq!(bytes(count), expected);
+        }
+    }
+
+    #[test]
+    fn columns_are_aligned() {
+        let row = |name: &str, adapter: &str| {
+            let mut row: Row = Default::default();
+            (row[0], row[1], row[6]) = (name.into(), adapter.into(), "no".into());
+            row
+        };
+        let lines = table(&[row("flex", "é"), row("a long name", "")]);
+        assert_eq!(lines.len(), 3);
+        let start = lines[0].find("plane").expect("the last column");
+        assert!(lines[0].starts_with("--device     adapter  kind"), "{}", lines[0]);
+        for line in &lines[1..] {
+            assert_eq!(line.chars().skip(start).collect::<String>(), "no", "{line}");
+        }
+    }
+}
