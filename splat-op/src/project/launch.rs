@@ -1,8 +1,9 @@
 //! Launches of `project`.
 
-use super::backward::{POSE, project_backward_kernel};
+use super::backward::project_backward_kernel;
 use super::forward::{AxisLaunch, LensLaunch, project_forward_kernel};
 use super::{COLUMNS, ProjectNeeds, ProjectSpec};
+use crate::gpu::math::POSE;
 use crate::gpu::reduce::launch_column_sums;
 use crate::gpu::{Buffer, Gpu, UNITS, elementwise};
 
