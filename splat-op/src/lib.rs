@@ -50,6 +50,8 @@ mod op;
 mod real;
 mod render;
 mod stages;
+#[doc(hidden)]
+pub mod witness;
 
 #[cfg(feature = "cube")]
 pub use abilities::Abilities;

@@ -7,15 +7,10 @@ use splat_train::device::{DeviceName, open};
 
 use crate::reference::announce;
 
-/// Whether [`devices`] includes the GPU: off until every stage has its kernels, because rendering there panics before.
-pub const GPU_HAS_KERNELS: bool = false;
-
 /// The devices that every proof in f32 runs on: those of [`cpu_devices`], and the GPU by the rules of [`gpu`].
 pub fn devices() -> Vec<(&'static str, Device)> {
     let mut devices = cpu_devices();
-    if GPU_HAS_KERNELS {
-        devices.extend(gpu().map(|device| ("gpu", device)));
-    }
+    devices.extend(gpu().map(|device| ("gpu", device)));
     devices
 }
 
@@ -42,6 +37,7 @@ pub fn gpu() -> Option<Device> {
         let wish = std::env::var("SPLAT_GPU").unwrap_or_default();
         let (line, device) = admit(&wish, find).unwrap_or_else(|failure| panic!("{failure}"));
         announce(&line);
+        splat_op::witness::poison(true);
         device
     })
     .clone()

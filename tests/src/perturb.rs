@@ -43,6 +43,25 @@ pub fn rounded(scene: &Scene, weights: &Weights, options: &RenderOptions) -> (Sc
     (map_scene(scene, round), map_weights(weights, round), options)
 }
 
+/// The value one f32 ulp up or down.
+fn moved_value(value: f64, random: &mut Random) -> f64 {
+    let value = value as f32;
+    f64::from(if random.between(0.0, 1.0) < 0.5 { value.next_up() } else { value.next_down() })
+}
+
+/// The scene that an f32 render really sees.
+pub fn rounded_scene(scene: &Scene) -> Scene {
+    map_scene(scene, round)
+}
+
+/// The scene with every value one f32 ulp up or down, in several draws.
+pub fn moved_scenes(scene: &Scene) -> impl Iterator<Item = Scene> {
+    (0..DRAWS).map(|draw| {
+        let mut random = Random::new(draw);
+        map_scene(scene, |value| moved_value(value, &mut random))
+    })
+}
+
 /// For every element of an evaluation, the largest change of the f64 result over several draws in which every input
 /// moves by one f32 ulp up or down. Inputs must be rounded already.
 pub fn ulp_spread(
@@ -56,10 +75,7 @@ pub fn ulp_spread(
     each(&mut spread).for_each(|tensor| tensor.values.fill(0.0));
     for draw in 0..DRAWS {
         let mut random = Random::new(draw);
-        let mut move_one = |value: f64| {
-            let value = value as f32;
-            f64::from(if random.between(0.0, 1.0) < 0.5 { value.next_up() } else { value.next_down() })
-        };
+        let mut move_one = |value: f64| moved_value(value, &mut random);
         let scene = map_scene(scene, &mut move_one);
         // A weight of zero masks a pixel; it stays zero.
         let weights = map_weights(weights, |w| if w == 0.0 { 0.0 } else { move_one(w) });

@@ -14,6 +14,8 @@ use cubecl::prelude::{CubeCount, CubeDim};
 pub(crate) use buffer::Buffer;
 pub(crate) use buffer::poison;
 
+use crate::witness::count_dispatch;
+
 /// Units of a cube where a kernel has no reason to choose another number.
 pub(crate) const UNITS: usize = 256;
 
@@ -48,6 +50,7 @@ impl Gpu {
 /// A dispatch of at least `cubes` cubes, within the limits of every device. Kernels number their cubes by `CUBE_POS` and
 /// leave those beyond.
 pub(crate) fn cubes(cubes: usize) -> CubeCount {
+    count_dispatch();
     let cubes = cubes.max(1);
     match cubes <= CUBES_X {
         true => CubeCount::Static(cubes as u32, 1, 1),
