@@ -45,6 +45,7 @@ pub mod blend;
 mod bind;
 #[cfg(feature = "cube")]
 mod gpu;
+mod limits;
 mod linalg;
 mod op;
 mod real;

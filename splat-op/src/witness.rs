@@ -23,6 +23,11 @@ pub fn backend_name(device: &Device) -> String {
     Dispatch::name(device.as_dispatch())
 }
 
+/// The bytes of a GPU's largest buffer; `None` for a CPU device.
+pub fn buffer_limit(device: &Device) -> Option<u64> {
+    crate::limits::buffer_limit(device)
+}
+
 /// From now on, fill every new buffer of the kernels with the bits of NaN, so that a slot nobody wrote shows.
 pub fn poison(on: bool) {
     #[cfg(feature = "cube")]

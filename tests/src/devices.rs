@@ -27,7 +27,7 @@ pub fn ndarray() -> Device {
 
 /// The best adapter that the runtimes of this build reach, a driver in software if there is nothing better. The
 /// variable `SPLAT_GPU` decides: `skip` gives none, `require` fails where there is none, and unset none is given where
-/// there is none. That it is skipped, or what it is, is said once.
+/// there is none. That it is skipped, or what it is, is said once. From then on the kernels' buffers begin as NaN.
 ///
 /// # Panics
 /// If it is required and not there, or if the variable has another value.

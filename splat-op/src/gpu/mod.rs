@@ -32,7 +32,12 @@ pub(crate) struct Gpu {
     pub software: bool,
     /// Whether floats can be added atomically; else by compare-and-swap on their bits.
     pub float_atomics: bool,
+    /// Bytes of the largest buffer.
+    pub buffer_limit: u64,
 }
+
+/// Kernels number elements by u32, whatever a device can hold.
+const INDEX_LIMIT: u64 = 4 * (1 << 32);
 
 impl Gpu {
     pub fn new(client: &Client) -> Self {
@@ -42,6 +47,7 @@ impl Gpu {
             planes: properties.features.plane.contains(Plane::Ops),
             software: properties.identity.physical.is_none(),
             float_atomics: properties.atomic_type_usage(float).contains(AtomicUsage::Add),
+            buffer_limit: properties.memory.max_page_size.min(INDEX_LIMIT),
             client: client.clone(),
         }
     }
