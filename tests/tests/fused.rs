@@ -16,7 +16,9 @@ fn every_stage_executes_kernels_and_no_twin() {
 
     let device = device.autodiff();
     let scene = Scene::random(&mut Random::new(1), 50, 2, Intrinsics::centred(40, 30, 35.0));
-    let Tensors { splats, sh, camera, background } = scene.tensors(&device, DType::F32);
+    // Leaves of its own for each stage: Burn differentiates a graph once.
+    let leaves = || scene.tensors(&device, DType::F32);
+    let Tensors { splats, camera, .. } = leaves();
     let options = RenderOptions::standard();
     let mut before = witness::dispatches();
     let mut launched = |stage: &str| {
@@ -32,11 +34,15 @@ fn every_stage_executes_kernels_and_no_twin() {
     let loss = (ellipses.mean2d.sum() + ellipses.sigma_u.sum()).backward();
     launched_after(host(splats.means.grad(&loss).expect("tracked")), || launched("the backward pass of project"));
 
+    let Tensors { splats, sh, camera, .. } = leaves();
     let colours = shade(&sh, &splats.means, &camera).expect("a valid scene");
     launched_after(host(colours.clone()), || launched("shade"));
     let loss = colours.clone().sum().backward();
     launched_after(host(sh.grad(&loss).expect("tracked")), || launched("the backward pass of shade"));
 
+    let Tensors { splats, camera, background, .. } = leaves();
+    let projected = project(&splats, &camera, None, &options).expect("a valid scene");
+    launched_after(host(projected.ellipses().depth), || launched("project"));
     let tiles = tile(&projected, &options).expect("a valid scene");
     let hits: i64 = tiles.counts.clone().into_data().iter::<i64>().sum();
     assert!(hits > 0);

@@ -75,7 +75,8 @@ fn gradients_do_not_depend_on_what_else_is_tracked() {
 /// `colour alpha` of a render of features, and the gradients of `means features background`.
 fn features_of(scene: &Scene, channels: usize, (device, dtype): &Where) -> Vec<(&'static str, Vec<f64>)> {
     let device = device.clone().autodiff();
-    let Tensors { mut splats, camera, background, .. } = scene.tensors(&device, *dtype);
+    let plain = Scene { sh: vec![0.0; 3 * scene.count()], ..scene.clone() };
+    let Tensors { mut splats, camera, background, .. } = plain.tensors(&device, *dtype);
     let features: Tensor<2> = tensor(&scene.sh, [scene.count(), channels], &device, *dtype).require_grad();
     splats.colour = Colour::Features(features.clone());
     let extras = Extras { background: Some(background.clone()), ..Extras::default() };
@@ -133,14 +134,18 @@ fn no_splats_and_none_visible_show_the_background_and_have_no_gradient() {
             let mut scene = Scene::random(&mut Random::new(7), 40, 1, CAMERA);
             // Behind the camera.
             scene.means.chunks_exact_mut(3).for_each(|mean| mean[2] = -3.0);
-            let Tensors { splats: all, sh, camera, background } = scene.tensors(&tracked, DType::F32);
-            let first = |t: Tensor<2>| t.slice([0..count]);
+            let Tensors { camera, background, .. } = scene.tensors(&tracked, DType::F32);
+            // Burn does not track a slice of no rows, so these are leaves.
+            let rows = |values: &[f64], columns| {
+                tensor::<2>(&values[..columns * count], [count, columns], &tracked, DType::F32).require_grad()
+            };
+            let sh = tensor::<3>(&scene.sh[..12 * count], [count, 4, 3], &tracked, DType::F32).require_grad();
             let splats = Splats {
-                means: first(all.means.clone()),
-                rotations: first(all.rotations.clone()),
-                scales: first(all.scales.clone()),
-                opacities: all.opacities.clone().slice([0..count]),
-                colour: Colour::SphericalHarmonics(sh.clone().slice([0..count])),
+                means: rows(&scene.means, 3),
+                rotations: rows(&scene.quats, 4),
+                scales: rows(&scene.scales, 3),
+                opacities: tensor::<1>(&scene.opacities[..count], [count], &tracked, DType::F32).require_grad(),
+                colour: Colour::SphericalHarmonics(sh.clone()),
             };
             let probe = Tensor::<2>::zeros([count, 2], &tracked).require_grad();
             let extras = Extras {
@@ -156,7 +161,7 @@ fn no_splats_and_none_visible_show_the_background_and_have_no_gradient() {
 
             let pixels = (CAMERA.width * CAMERA.height) as f64;
             assert_eq!(host(background.grad(&grads).expect("tracked")), [pixels; 3]);
-            let means = host(all.means.grad(&grads).expect("tracked"));
+            let means = host(splats.means.grad(&grads).expect("tracked"));
             let pose = host(camera.cam_from_world.grad(&grads).expect("tracked"));
             let others = [means, pose, host(sh.grad(&grads).expect("tracked"))];
             assert!(others.iter().flatten().all(|gradient| *gradient == 0.0), "{count} splats");
