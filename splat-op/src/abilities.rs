@@ -21,13 +21,15 @@ impl Abilities {
     /// # Panics
     /// If the driver does not open the device.
     pub fn of(device: &Device) -> Option<Self> {
-        match device.clone().inner().as_dispatch() {
-            DispatchDevice::Cube(device) => {
-                let Gpu { planes, float_atomics, .. } = Gpu::new(&device.client());
-                Some(Self { planes, float_atomics })
-            }
-            _ => None,
-        }
+        gpu(device).map(|Gpu { planes, float_atomics, .. }| Self { planes, float_atomics })
+    }
+}
+
+/// As the launches see a device, which is opened for it if it was not yet; `None` for a CPU device.
+pub(crate) fn gpu(device: &Device) -> Option<Gpu> {
+    match device.clone().inner().as_dispatch() {
+        DispatchDevice::Cube(device) => Some(Gpu::new(&device.client())),
+        _ => None,
     }
 }
 

@@ -3,6 +3,7 @@
 use burn::tensor::{DType, Device, Tensor, TensorCreationOptions};
 
 use crate::error::SplatError;
+use crate::limits::{Need, buffer_limit, check_fits};
 
 /// The float type and device that all tensors of a call must share.
 pub(crate) struct Reference {
@@ -14,8 +15,13 @@ impl Reference {
     /// Those of `tensor`, whose type must be one that some backend computes in.
     pub fn new<const D: usize>(tensor: &Tensor<D>) -> Result<Self, SplatError> {
         let dtype = tensor.dtype();
+        let device = tensor.device();
         match dtype {
-            DType::F32 | DType::F64 => Ok(Self { dtype, device: tensor.device() }),
+            DType::F64 if buffer_limit(&device).is_some() => {
+                let expected = "F32, the float type of GPUs (move tensors to a CPU device for F64)".into();
+                Err(SplatError::DType { name: "means", found: "F64".into(), expected })
+            }
+            DType::F32 | DType::F64 => Ok(Self { dtype, device }),
             _ => Err(SplatError::DType { name: "means", found: format!("{dtype:?}"), expected: "F32 or F64".into() }),
         }
     }
@@ -48,6 +54,11 @@ impl Reference {
             return Err(SplatError::DType { name, found, expected });
         }
         self.check_device(name, &tensor.device())
+    }
+
+    /// Refuses what does not fit into the device's buffers.
+    pub fn check_fits(&self, needs: &[Need]) -> Result<(), SplatError> {
+        check_fits(&self.device, needs)
     }
 
     /// Compares a device with the reference. Whether gradients are tracked is a matter of its own: a constant may meet a

@@ -18,7 +18,8 @@ pub enum SplatError {
         /// What to change.
         hint: String,
     },
-    /// A tensor's element type differs from that of the means, or is neither f32 nor f64.
+    /// A tensor's element type differs from that of the means, or is none that its device computes in: f32, and f64 on
+    /// CPUs.
     #[error("`{name}` holds {found}, expected {expected}: cast it with `Tensor::cast`")]
     DType {
         /// The argument.
@@ -37,6 +38,20 @@ pub enum SplatError {
         found: String,
         /// The device of the means.
         expected: String,
+    },
+    /// Something does not fit into one buffer of the GPU.
+    #[error(
+        "`{what}` needs {needed_bytes} bytes in one buffer, and the largest of this device holds {limit_bytes} bytes: {hint}"
+    )]
+    TooLarge {
+        /// What lies in the buffer: an argument or a result.
+        what: &'static str,
+        /// Its size.
+        needed_bytes: u64,
+        /// The size of the device's largest buffer.
+        limit_bytes: u64,
+        /// What to change.
+        hint: &'static str,
     },
     /// A camera or option outside its range.
     #[error("`{field}` is {found}, expected {expected}")]

@@ -47,11 +47,14 @@ pub mod photometric;
 mod bind;
 #[cfg(feature = "cube")]
 mod gpu;
+mod limits;
 mod linalg;
 mod op;
 mod real;
 mod render;
 mod stages;
+#[doc(hidden)]
+pub mod witness;
 
 #[cfg(feature = "cube")]
 pub use abilities::Abilities;

@@ -6,7 +6,7 @@ use crate::camera::Camera;
 use crate::check::check_positive;
 use crate::error::SplatError;
 use crate::options::RenderOptions;
-use crate::stages::{Colour, Extras, Splats, blend, project, shade, tile};
+use crate::stages::{Colour, Extras, Splats, blend, check_render_fits, project, shade, tile};
 
 /// What all cameras see. All fields are differentiable.
 #[derive(Clone, Debug)]
@@ -39,6 +39,7 @@ pub fn render(
             expected: "cameras of one size: render the others in a call of their own",
         });
     }
+    check_render_fits(splats, cameras.len(), &cameras[0].intrinsics, options)?;
     let mut pictures = Vec::with_capacity(cameras.len());
     for camera in cameras {
         let projected = project(splats, camera, extras.mean2d_probe.as_ref(), options)?;

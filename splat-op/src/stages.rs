@@ -7,6 +7,7 @@ use crate::blend::{BlendInputs, BlendSpec};
 use crate::camera::{Camera, Intrinsics};
 use crate::check::{Reference, check_positive};
 use crate::error::SplatError;
+use crate::limits::{Need, check_fits};
 use crate::op::SplatBackend;
 use crate::options::RenderOptions;
 use crate::project::{COLUMNS, ProjectInputs, ProjectSpec};
@@ -164,6 +165,7 @@ pub fn project(
 ) -> Result<Projected, SplatError> {
     let reference = check_geometry(splats, camera, options)?;
     let probe = probe_or_empty(&reference, "mean2d_probe", mean2d_probe, splats)?;
+    reference.check_fits(&[packed_need(splats.means.dims()[0])])?;
     let inputs = ProjectInputs {
         means: splats.means.clone().into_dispatch(),
         rotations: splats.rotations.clone().into_dispatch(),
@@ -185,6 +187,7 @@ pub fn shade(sh: &Tensor<3>, means: &Tensor<2>, camera: &Camera) -> Result<Tenso
     reference.check("means", means, [None, Some(3)], "[N, 3]")?;
     reference.check("cam_from_world", &camera.cam_from_world, [Some(3), Some(4)], "[3, 4]")?;
     check_sh(&reference, sh, means.dims()[0])?;
+    reference.check_fits(&[sh_need(sh)])?;
     let inputs = ShadeInputs {
         sh: sh.clone().into_dispatch(),
         means: means.clone().into_dispatch(),
@@ -207,6 +210,7 @@ pub fn tile(projected: &Projected, options: &RenderOptions) -> Result<Tiles, Spl
             expected: "a value above 0, so that Gaussians are listed only in the tiles they reach",
         });
     }
+    check_fits(&projected.packed.device(), &[packed_need(projected.len())])?;
     let hits = HitCell::default();
     let spec = BlendSpec { intrinsics: projected.intrinsics, options: *options };
     let packed = projected.packed.clone().detach().into_dispatch();
@@ -234,6 +238,7 @@ pub fn blend(
     reference.check("features", features, [Some(count), None], "[N, C]")?;
     let channels = features.dims()[1];
     check_positive("features", channels, "at least one channel")?;
+    reference.check_fits(&blend_needs(features.dims(), &projected.intrinsics, options))?;
     let background = match &extras.background {
         Some(background) => background.clone(),
         None => Tensor::zeros([channels], reference.options()),
@@ -281,6 +286,42 @@ fn check_geometry(splats: &Splats, camera: &Camera, options: &RenderOptions) -> 
     reference.check("opacities", &splats.opacities, [Some(count)], "[N]")?;
     reference.check("cam_from_world", &camera.cam_from_world, [Some(3), Some(4)], "[3, 4]")?;
     Ok(reference)
+}
+
+/// Checks at once what all stages of a render of `cameras` pictures need, before the first of them runs.
+pub(crate) fn check_render_fits(
+    splats: &Splats,
+    cameras: usize,
+    intrinsics: &Intrinsics,
+    options: &RenderOptions,
+) -> Result<(), SplatError> {
+    let count = splats.means.dims()[0];
+    let (colour, channels) = match &splats.colour {
+        Colour::SphericalHarmonics(sh) => (Some(sh_need(sh)), 3),
+        Colour::Features(features) => (None, features.dims()[1]),
+    };
+    let shape = [cameras, channels, intrinsics.height, intrinsics.width];
+    let pictures = Need::floats("the pictures of all cameras", shape, "render fewer cameras in one call");
+    let needs = blend_needs([count, channels], intrinsics, options);
+    let all: Vec<Need> = needs.into_iter().chain(colour).chain([packed_need(count), pictures]).collect();
+    check_fits(&splats.means.device(), &all)
+}
+
+fn packed_need(count: usize) -> Need {
+    Need::floats("projected", [count, COLUMNS], "use fewer Gaussians")
+}
+
+fn sh_need(sh: &Tensor<3>) -> Need {
+    Need::floats("sh", sh.dims(), "use fewer Gaussians or a lower degree of the spherical harmonics")
+}
+
+fn blend_needs(features: [usize; 2], intrinsics: &Intrinsics, options: &RenderOptions) -> [Need; 2] {
+    let planes = BlendSpec { intrinsics: *intrinsics, options: *options }.planes(features[1]);
+    let picture = [planes, intrinsics.height, intrinsics.width];
+    [
+        Need::floats("features", features, "use fewer Gaussians or fewer channels"),
+        Need::floats("the picture", picture, "render a smaller picture, parts of it one by one, or fewer channels"),
+    ]
 }
 
 fn check_sh(reference: &Reference, sh: &Tensor<3>, count: usize) -> Result<(), SplatError> {

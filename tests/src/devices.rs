@@ -7,15 +7,10 @@ use splat_train::device::{DeviceName, open};
 
 use crate::reference::announce;
 
-/// Whether [`devices`] includes the GPU: off until every stage has its kernels, because rendering there panics before.
-pub const GPU_HAS_KERNELS: bool = false;
-
 /// The devices that every proof in f32 runs on: those of [`cpu_devices`], and the GPU by the rules of [`gpu`].
 pub fn devices() -> Vec<(&'static str, Device)> {
     let mut devices = cpu_devices();
-    if GPU_HAS_KERNELS {
-        devices.extend(gpu().map(|device| ("gpu", device)));
-    }
+    devices.extend(gpu().map(|device| ("gpu", device)));
     devices
 }
 
@@ -32,7 +27,7 @@ pub fn ndarray() -> Device {
 
 /// The best adapter that the runtimes of this build reach, a driver in software if there is nothing better. The
 /// variable `SPLAT_GPU` decides: `skip` gives none, `require` fails where there is none, and unset none is given where
-/// there is none. That it is skipped, or what it is, is said once.
+/// there is none. That it is skipped, or what it is, is said once. From then on the kernels' buffers begin as NaN.
 ///
 /// # Panics
 /// If it is required and not there, or if the variable has another value.
@@ -42,6 +37,7 @@ pub fn gpu() -> Option<Device> {
         let wish = std::env::var("SPLAT_GPU").unwrap_or_default();
         let (line, device) = admit(&wish, find).unwrap_or_else(|failure| panic!("{failure}"));
         announce(&line);
+        splat_op::witness::poison(true);
         device
     })
     .clone()

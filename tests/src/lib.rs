@@ -10,5 +10,6 @@ pub mod perturb;
 pub mod random;
 pub mod reference;
 pub mod scene;
+pub mod tracked;
 
 pub use devices::{cpu_devices, devices, gpu, ndarray};

@@ -3,8 +3,14 @@
 use burn::tensor::{DType, Device};
 use splat_op::{Intrinsics, RenderOptions};
 
+use crate::compare::{largest, worst};
 use crate::random::Random;
 use crate::scene::{Evaluation, Named, Scene, Weights, evaluate};
+
+/// The ceiling of f32 errors: multiples of what one ulp in every input does.
+pub const ULP_FACTOR: f64 = 16.0;
+/// Added to that, relative to the largest element of the tensor.
+pub const F32_FLOOR: f64 = 1e-6;
 
 /// Random directions in which the inputs are moved. The largest change of several draws is a lower estimate of what an
 /// ulp can do.
@@ -43,6 +49,60 @@ pub fn rounded(scene: &Scene, weights: &Weights, options: &RenderOptions) -> (Sc
     (map_scene(scene, round), map_weights(weights, round), options)
 }
 
+/// The value one f32 ulp up or down.
+fn moved_value(value: f64, random: &mut Random) -> f64 {
+    let value = value as f32;
+    f64::from(if random.between(0.0, 1.0) < 0.5 { value.next_up() } else { value.next_down() })
+}
+
+/// The scene that an f32 render really sees.
+pub fn rounded_scene(scene: &Scene) -> Scene {
+    map_scene(scene, round)
+}
+
+/// The scene with every value one f32 ulp up or down, in several draws.
+pub fn moved_scenes(scene: &Scene) -> impl Iterator<Item = Scene> {
+    (0..DRAWS).map(|draw| {
+        let mut random = Random::new(draw);
+        map_scene(scene, |value| moved_value(value, &mut random))
+    })
+}
+
+/// The largest share of its ceiling that an element's error uses.
+pub fn ceiling_used(found: &[f64], expected: &[f64], spread: &[f64]) -> f64 {
+    assert_eq!((found.len(), expected.len()), (expected.len(), spread.len()));
+    let floor = (F32_FLOOR * largest(expected)).max(f64::MIN_POSITIVE);
+    let elements = found.iter().zip(expected).zip(spread);
+    worst(elements.map(|((found, expected), spread)| (found - expected).abs() / (ULP_FACTOR * spread + floor)))
+}
+
+/// Judges what `compute` gives in f32 on `device` by what it gives in f64 on the CPU for the same rounded scene, and by how
+/// much one ulp in every input moves that. The scene and the options must leave no threshold to jump over.
+pub fn judge(
+    what: &str,
+    scene: &Scene,
+    device: &Device,
+    compute: impl Fn(&Scene, &(Device, DType)) -> Vec<(&'static str, Vec<f64>)>,
+) {
+    let in_f64 = (Device::flex(), DType::F64);
+    let scene = rounded_scene(scene);
+    let expected = compute(&scene, &in_f64);
+    let mut spreads: Vec<Vec<f64>> = expected.iter().map(|(_, values)| vec![0.0; values.len()]).collect();
+    for moved in moved_scenes(&scene) {
+        for ((spread, (_, plain)), (_, moved)) in spreads.iter_mut().zip(&expected).zip(compute(&moved, &in_f64)) {
+            let changes = plain.iter().zip(moved).map(|(plain, moved)| (plain - moved).abs());
+            spread.iter_mut().zip(changes).for_each(|(spread, change)| *spread = spread.max(change));
+        }
+    }
+    for (((name, found), (_, expected)), spread) in
+        compute(&scene, &(device.clone(), DType::F32)).iter().zip(&expected).zip(&spreads)
+    {
+        assert!(expected.iter().any(|e| *e != 0.0), "{what}: {name} is all zero, which proves nothing");
+        let used = ceiling_used(found, expected, spread);
+        assert!(used <= 1.0, "{what}: {name} is at {used:.2} of its ceiling");
+    }
+}
+
 /// For every element of an evaluation, the largest change of the f64 result over several draws in which every input
 /// moves by one f32 ulp up or down. Inputs must be rounded already.
 pub fn ulp_spread(
@@ -56,10 +116,7 @@ pub fn ulp_spread(
     each(&mut spread).for_each(|tensor| tensor.values.fill(0.0));
     for draw in 0..DRAWS {
         let mut random = Random::new(draw);
-        let mut move_one = |value: f64| {
-            let value = value as f32;
-            f64::from(if random.between(0.0, 1.0) < 0.5 { value.next_up() } else { value.next_down() })
-        };
+        let mut move_one = |value: f64| moved_value(value, &mut random);
         let scene = map_scene(scene, &mut move_one);
         // A weight of zero masks a pixel; it stays zero.
         let weights = map_weights(weights, |w| if w == 0.0 { 0.0 } else { move_one(w) });

@@ -1,20 +1,31 @@
 //! What must hold for every scene.
 
-use burn::tensor::{DType, Device, Tensor};
+use burn::tensor::{DType, Device};
 use proptest::prelude::*;
-use splat_op::{Camera, Extras, Intrinsics, RenderOptions, Rendered, Splats, render};
+use splat_op::{Accumulation, Camera, Extras, Intrinsics, RenderOptions, Rendered, render};
 use splat_tests::compare::relative_error;
 use splat_tests::random::Random;
 use splat_tests::scene::{Evaluation, Scene, Tensors, Weights, evaluate, host, tensor};
-use splat_tests::{cpu_devices, devices};
+use splat_tests::tracked::gradients_of;
+use splat_tests::{cpu_devices, devices, gpu};
 
 const CAMERA: Intrinsics =
     Intrinsics { model: splat_op::CameraModel::Pinhole, width: 33, height: 21, fx: 27.0, fy: 30.0, cx: 15.0, cy: 11.5 };
 
 const OPTIONS: RenderOptions = RenderOptions::standard().with_depth(true);
 
-fn picture(scene: &Scene, options: &RenderOptions, dtype: DType) -> [Vec<f64>; 3] {
-    let Tensors { splats, camera, background, .. } = scene.tensors(&Device::flex(), dtype);
+/// A device and a float type that it computes in.
+type Where = (Device, DType);
+
+const F64: fn() -> Where = || (Device::flex(), DType::F64);
+
+/// Both float types on the CPU, and the GPU's.
+fn everywhere() -> impl Iterator<Item = Where> {
+    [(Device::flex(), DType::F32), F64()].into_iter().chain(gpu().map(|device| (device, DType::F32)))
+}
+
+fn picture(scene: &Scene, options: &RenderOptions, (device, dtype): Where) -> [Vec<f64>; 3] {
+    let Tensors { splats, camera, background, .. } = scene.tensors(&device, dtype);
     let extras = Extras { background: Some(background), ..Extras::default() };
     values(render(&splats, &[camera], &extras, options).expect("a valid scene"))
 }
@@ -91,8 +102,8 @@ proptest! {
             sh: reorder(&scene.sh, &order),
             ..scene.clone()
         };
-        for dtype in [DType::F32, DType::F64] {
-            prop_assert_eq!(picture(&scene, &OPTIONS, dtype), picture(&shuffled, &OPTIONS, dtype));
+        for place in everywhere() {
+            prop_assert_eq!(picture(&scene, &OPTIONS, place.clone()), picture(&shuffled, &OPTIONS, place));
         }
     }
 
@@ -106,16 +117,16 @@ proptest! {
         // Without cuts: a pair within rounding of one would jump.
         let smooth = RenderOptions { alpha_min: 0.0, transmittance_min: 0.0, ..OPTIONS };
         let other = moved(&scene, turn.map(|c| c / length), shift);
-        close(&picture(&other, &smooth, DType::F64), &picture(&scene, &smooth, DType::F64), 1e-10)?;
+        close(&picture(&other, &smooth, F64()), &picture(&scene, &smooth, F64()), 1e-10)?;
     }
 
     #[test]
     fn zero_opacity_shows_exactly_the_background(seed: u64) {
         let mut scene = Scene::random(&mut Random::new(seed), 20, 1, CAMERA);
         scene.opacities.fill(0.0);
-        for dtype in [DType::F32, DType::F64] {
-            let [colour, alpha, depth] = picture(&scene, &OPTIONS, dtype);
-            let background = host(tensor::<1>(&scene.background, [3], &Device::flex(), dtype));
+        for (device, dtype) in everywhere() {
+            let background = host(tensor::<1>(&scene.background, [3], &device, dtype));
+            let [colour, alpha, depth] = picture(&scene, &OPTIONS, (device, dtype));
             prop_assert!(colour.chunks_exact(3).all(|pixel| pixel == background));
             prop_assert!(alpha.iter().chain(&depth).all(|v| *v == 0.0));
         }
@@ -126,14 +137,14 @@ proptest! {
         let scene = Scene::random(&mut Random::new(seed), 20, 1, CAMERA);
         let scaled = |by: f64| Scene { quats: scene.quats.iter().map(|q| q * by).collect(), ..scene.clone() };
         let exact = scaled(2.0_f64.powi(power));
-        for dtype in [DType::F32, DType::F64] {
-            prop_assert_eq!(picture(&exact, &OPTIONS, dtype), picture(&scene, &OPTIONS, dtype));
+        for place in everywhere() {
+            prop_assert_eq!(picture(&exact, &OPTIONS, place.clone()), picture(&scene, &OPTIONS, place));
         }
         let smooth = RenderOptions { alpha_min: 0.0, transmittance_min: 0.0, ..OPTIONS };
-        let original = picture(&scene, &smooth, DType::F64);
-        close(&picture(&scaled(factor), &smooth, DType::F64), &original, 1e-12)?;
+        let original = picture(&scene, &smooth, F64());
+        close(&picture(&scaled(factor), &smooth, F64()), &original, 1e-12)?;
         // The opposite quaternion is the same rotation.
-        prop_assert_eq!(picture(&scaled(-1.0), &smooth, DType::F64), original);
+        prop_assert_eq!(picture(&scaled(-1.0), &smooth, F64()), original);
     }
 }
 
@@ -160,69 +171,15 @@ fn one_thread_and_two_give_the_same_bits() {
     }
 }
 
-/// The gradients of `means rotations scales opacities sh pose background probe abs_probe`, of which only those that
-/// `tracked` says are leaves.
-fn gradients_of(scene: &Scene, tracked: [bool; 9]) -> [Option<Vec<f64>>; 9] {
-    let (device, dtype, count) = (Device::flex().autodiff(), DType::F64, scene.count());
-    macro_rules! leaf {
-        ($index:literal, $values:expr, $shape:expr) => {{
-            let tensor = tensor($values, $shape, &device, dtype);
-            if tracked[$index] { tensor.require_grad() } else { tensor }
-        }};
-    }
-    let means: Tensor<2> = leaf!(0, &scene.means, [count, 3]);
-    let rotations: Tensor<2> = leaf!(1, &scene.quats, [count, 4]);
-    let scales: Tensor<2> = leaf!(2, &scene.scales, [count, 3]);
-    let opacities: Tensor<1> = leaf!(3, &scene.opacities, [count]);
-    let sh: Tensor<3> = leaf!(4, &scene.sh, [count, scene.coefficients(), 3]);
-    let pose: Tensor<2> = leaf!(5, &scene.pose, [3, 4]);
-    let background: Tensor<1> = leaf!(6, &scene.background, [3]);
-    let probe: Tensor<2> = leaf!(7, &vec![0.0; 2 * count], [count, 2]);
-    let abs_probe: Tensor<2> = leaf!(8, &vec![0.0; 2 * count], [count, 2]);
-    let splats = Splats {
-        means: means.clone(),
-        rotations: rotations.clone(),
-        scales: scales.clone(),
-        opacities: opacities.clone(),
-        colour: splat_op::Colour::SphericalHarmonics(sh.clone()),
-    };
-    let camera = Camera { intrinsics: scene.intrinsics, cam_from_world: pose.clone() };
-    let extras = Extras {
-        background: Some(background.clone()),
-        mean2d_probe: Some(probe.clone()),
-        mean2d_abs_probe: Some(abs_probe.clone()),
-    };
-    let out = render(&splats, &[camera], &extras, &OPTIONS).expect("a valid scene");
-    let mut random = Random::new(5);
-    let mut weighted = |t: Tensor<4>| {
-        let shape = t.dims();
-        let weights = random.fill(shape.iter().product(), -1.0, 1.0);
-        (t * tensor(&weights, shape, &device, dtype)).sum()
-    };
-    let loss = weighted(out.colour) + weighted(out.alpha) + weighted(out.depth.expect("asked for"));
-    let grads = loss.backward();
-    [
-        means.grad(&grads).map(host),
-        rotations.grad(&grads).map(host),
-        scales.grad(&grads).map(host),
-        opacities.grad(&grads).map(host),
-        sh.grad(&grads).map(host),
-        pose.grad(&grads).map(host),
-        background.grad(&grads).map(host),
-        probe.grad(&grads).map(host),
-        abs_probe.grad(&grads).map(host),
-    ]
-}
-
 #[test]
 fn untracked_inputs_have_no_gradient_and_do_not_change_the_others() {
     let scene = Scene::random(&mut Random::new(3), 40, 2, CAMERA);
-    let all = gradients_of(&scene, [true; 9]);
+    let all = gradients_of(&scene, 1, [true; 9], &OPTIONS, &F64());
     assert!(all.iter().all(|g| g.as_ref().is_some_and(|g| g.iter().any(|v| *v != 0.0))), "every input matters");
     for one in 0..9 {
         for alone in [true, false] {
             let tracked = std::array::from_fn(|i| (i == one) == alone);
-            let some = gradients_of(&scene, tracked);
+            let some = gradients_of(&scene, 1, tracked, &OPTIONS, &F64());
             for i in 0..9 {
                 let expected = if tracked[i] { all[i].as_ref() } else { None };
                 assert!(some[i].as_ref() == expected, "input {i}, tracked {tracked:?}");
@@ -234,6 +191,7 @@ fn untracked_inputs_have_no_gradient_and_do_not_change_the_others() {
 #[test]
 fn several_cameras_in_one_call_are_separate_calls() {
     let scene = Scene::random(&mut Random::new(4), 50, 2, CAMERA);
+    let options = OPTIONS.with_accumulation(Accumulation::Ordered);
     for (_, device) in devices() {
         let device = device.autodiff();
         let cameras = |first: &Camera| -> Vec<Camera> {
@@ -247,7 +205,7 @@ fn several_cameras_in_one_call_are_separate_calls() {
         };
         let together = scene.tensors(&device, DType::F32);
         let views = cameras(&together.camera);
-        let out = render(&together.splats, &views, &Extras::default(), &OPTIONS).expect("valid");
+        let out = render(&together.splats, &views, &Extras::default(), &options).expect("valid");
         assert_eq!(out.colour.dims(), [3, CAMERA.height, CAMERA.width, 3]);
         let grads = (out.colour.clone().sum() + out.alpha.clone().sum()).backward();
         let gradient = host(together.splats.means.grad(&grads).expect("tracked"));
@@ -257,7 +215,7 @@ fn several_cameras_in_one_call_are_separate_calls() {
         for view in 0..3 {
             let alone = scene.tensors(&device, DType::F32);
             let camera = cameras(&alone.camera).swap_remove(view);
-            let out = render(&alone.splats, &[camera], &Extras::default(), &OPTIONS).expect("valid");
+            let out = render(&alone.splats, &[camera], &Extras::default(), &options).expect("valid");
             let grads = (out.colour.clone().sum() + out.alpha.clone().sum()).backward();
             let gradient = host(alone.splats.means.grad(&grads).expect("tracked"));
             sum.iter_mut().zip(gradient).for_each(|(sum, g)| *sum += g);

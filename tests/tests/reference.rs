@@ -2,8 +2,8 @@
 
 use burn::tensor::{DType, Device};
 use splat_tests::band::boundary_band;
-use splat_tests::compare::{Finding, assert_all, keep_rows, largest, relative_error, row_errors, row_sizes, worst};
-use splat_tests::perturb::{rounded, ulp_spread};
+use splat_tests::compare::{Finding, assert_all, keep_rows, relative_error, row_errors, row_sizes, worst};
+use splat_tests::perturb::{ceiling_used, rounded, ulp_spread};
 use splat_tests::reference::{Vector, announce, read_vectors};
 use splat_tests::scene::{Evaluation, Named, Weights, evaluate};
 use splat_tests::{cpu_devices, devices};
@@ -11,10 +11,6 @@ use splat_tests::{cpu_devices, devices};
 /// In f64, relative to the largest element of the tensor, and for each row relative to its own length.
 const F64_TOLERANCE: f64 = 1e-9;
 
-/// In f32, multiples of what one ulp in every input does.
-const ULP_FACTOR: f64 = 16.0;
-/// In f32, added to that, relative to the largest element of the tensor.
-const F32_FLOOR: f64 = 1e-6;
 /// In f32, relative error of a gradient's row, and the share of rows that may exceed it.
 const F32_ROW_TOLERANCE: f64 = 1e-3;
 const F32_ROW_EXCEPTIONS: f64 = 1e-3;
@@ -119,7 +115,8 @@ impl Yardstick {
             .chain(tuples(gradients).zip(std::iter::repeat(true)))
         {
             let what = format!("{} {} f32", vector.name, expected.name);
-            findings.push(Finding { what: what.clone(), error: ceiling_used(found, expected, spread), tolerance: 1.0 });
+            let error = ceiling_used(&found.values, &expected.values, &spread.values);
+            findings.push(Finding { what: what.clone(), error, tolerance: 1.0 });
             if rows {
                 findings.extend(judge_rows(&what, found, expected, spread));
             }
@@ -154,13 +151,6 @@ fn judge_rows(what: &str, found: &Named, expected: &Named, spread: &Named) -> [F
 fn tuples(three: [&Vec<Named>; 3]) -> impl Iterator<Item = [&Named; 3]> {
     let [a, b, c] = three;
     a.iter().zip(b).zip(c).map(|((a, b), c)| [a, b, c])
-}
-
-/// The largest share of its ceiling that an element's error uses.
-fn ceiling_used(found: &Named, expected: &Named, spread: &Named) -> f64 {
-    let floor = (F32_FLOOR * largest(&expected.values)).max(f64::MIN_POSITIVE);
-    let elements = found.values.iter().zip(&expected.values).zip(&spread.values);
-    worst(elements.map(|((found, expected), spread)| (found - expected).abs() / (ULP_FACTOR * spread + floor)))
 }
 
 /// One line per file: the finding that came closest to its tolerance, and every one if asked for.

@@ -14,10 +14,12 @@ use crate::real::Real;
 use crate::shade::{self, ShadeGrads, ShadeInputs, ShadeNeeds};
 use crate::tile::cpu::tile_cpu;
 use crate::tile::{HitCell, HitLists, Lists, tile_grid};
+use crate::witness::count_twin_call;
 
 /// Runs `$body` with `$float` standing for the float type of `$tensor`.
 macro_rules! by_type {
-    ($tensor:expr, $float:ident => $body:expr) => {
+    ($tensor:expr, $float:ident => $body:expr) => {{
+        count_twin_call();
         match $tensor.dtype() {
             DType::F64 => {
                 type $float = f64;
@@ -28,7 +30,7 @@ macro_rules! by_type {
                 $body
             }
         }
-    };
+    }};
 }
 
 /// A gradient as a tensor of the given shape, or nothing if it was not needed.

@@ -8,6 +8,7 @@ use cubecl::prelude::*;
 use cubecl::server::Handle;
 
 use super::{Gpu, elementwise};
+use crate::limits::Need;
 
 static POISON: AtomicBool = AtomicBool::new(false);
 
@@ -56,11 +57,20 @@ impl<T: Pod> Buffer<T> {
     /// of two, so that a length that grows a little finds the same memory again.
     pub fn with_headroom(gpu: &Gpu, len: usize) -> Self {
         let words = (len * size_of::<T>()).div_ceil(4);
-        Self::with_room(gpu, len, words.next_multiple_of((words.next_power_of_two() / 8).max(1)))
+        let roomy = words.next_multiple_of((words.next_power_of_two() / 8).max(1));
+        let fits = roomy as u64 <= gpu.buffer_limit / 4;
+        Self::with_room(gpu, len, if fits { roomy } else { words })
     }
 
     fn with_room(gpu: &Gpu, len: usize, words: usize) -> Self {
         let words = words.max(1);
+        // What is known beforehand is checked where it enters, and large buffers name themselves; this is for all others.
+        let need = Need {
+            what: "a buffer of the kernels",
+            bytes: 4 * words as u64,
+            hint: "render a smaller picture, fewer Gaussians or fewer channels, or raise `alpha_min`",
+        };
+        need.assert_fits(gpu.buffer_limit);
         let handle = match POISON.load(Ordering::Relaxed) {
             true => gpu.client.create_from_slice(bytemuck::cast_slice(&vec![NAN_BITS; words])),
             false => gpu.client.empty(4 * words),

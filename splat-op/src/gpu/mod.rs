@@ -14,6 +14,8 @@ use cubecl::prelude::{CubeCount, CubeDim};
 pub(crate) use buffer::Buffer;
 pub(crate) use buffer::poison;
 
+use crate::witness::count_dispatch;
+
 /// Units of a cube where a kernel has no reason to choose another number.
 pub(crate) const UNITS: usize = 256;
 
@@ -30,7 +32,12 @@ pub(crate) struct Gpu {
     pub software: bool,
     /// Whether floats can be added atomically; else by compare-and-swap on their bits.
     pub float_atomics: bool,
+    /// Bytes of the largest buffer.
+    pub buffer_limit: u64,
 }
+
+/// Kernels number elements by u32, whatever a device can hold.
+const INDEX_LIMIT: u64 = 4 * (1 << 32);
 
 impl Gpu {
     pub fn new(client: &Client) -> Self {
@@ -40,6 +47,7 @@ impl Gpu {
             planes: properties.features.plane.contains(Plane::Ops),
             software: properties.identity.physical.is_none(),
             float_atomics: properties.atomic_type_usage(float).contains(AtomicUsage::Add),
+            buffer_limit: properties.memory.max_page_size.min(INDEX_LIMIT),
             client: client.clone(),
         }
     }
@@ -48,6 +56,7 @@ impl Gpu {
 /// A dispatch of at least `cubes` cubes, within the limits of every device. Kernels number their cubes by `CUBE_POS` and
 /// leave those beyond.
 pub(crate) fn cubes(cubes: usize) -> CubeCount {
+    count_dispatch();
     let cubes = cubes.max(1);
     match cubes <= CUBES_X {
         true => CubeCount::Static(cubes as u32, 1, 1),

@@ -6,6 +6,7 @@ use super::sort::{Pairs, launch_sort};
 use super::tile_grid;
 use crate::camera::Intrinsics;
 use crate::gpu::{Buffer, Gpu, elementwise};
+use crate::limits::Need;
 
 /// The lists of one view on the device. Hits are numbered Gaussian by Gaussian in depth order; a place is where a hit
 /// lies once they are sorted by tile.
@@ -28,6 +29,10 @@ pub(crate) struct DeviceLists {
     /// Hits.
     pub hits: usize,
 }
+
+/// What to change when there are too many hits.
+const FEWER_HITS: &str =
+    "raise `alpha_min`, render a smaller picture, or use fewer Gaussians that cover most of it (smaller `scales`)";
 
 /// As an argument of a kernel.
 pub(crate) fn frame(camera: &Intrinsics, alpha_min: f64) -> FrameLaunch {
@@ -79,10 +84,10 @@ pub(crate) fn launch_tile(gpu: &Gpu, projected: &Buffer<f32>, camera: &Intrinsic
     let read = gpu.client.read(vec![visible.handle.clone(), hits.handle.clone()]);
     let read = read.unwrap_or_else(|error| panic!("{error}"));
     let [visible, hits] = [0, 1].map(|i| bytemuck::pod_read_unaligned::<u32>(&read[i][..4]) as usize);
-    assert!(
-        hits < u32::MAX as usize,
-        "over 2^32 hits of {visible} Gaussians in {tiles} tiles: raise `alpha_min` or render a smaller picture"
-    );
+    // The sum stops at the largest u32, which then no longer says how many there are.
+    assert!(hits < u32::MAX as usize, "2^32 or more hits of {visible} Gaussians in {tiles} tiles: {FEWER_HITS}");
+    let list = Need { what: "the list of hits", bytes: 4 * hits as u64, hint: FEWER_HITS };
+    list.assert_fits(gpu.buffer_limit);
 
     let by_tile = Pairs { keys: Buffer::with_headroom(gpu, hits), values: Buffer::with_headroom(gpu, hits) };
     let gaussian_of_hit = Buffer::with_headroom(gpu, hits);

@@ -1,0 +1,89 @@
+//! What fits into a device's buffers: the sizes that are known before anything runs, and the message for all others.
+
+use burn::tensor::Device;
+
+use crate::error::SplatError;
+
+/// A buffer that a call needs.
+pub(crate) struct Need {
+    /// What lies in it.
+    pub what: &'static str,
+    pub bytes: u64,
+    /// What to change so that it becomes smaller.
+    pub hint: &'static str,
+}
+
+impl Need {
+    /// Of f32 values.
+    pub fn floats<const D: usize>(what: &'static str, shape: [usize; D], hint: &'static str) -> Self {
+        // Saturating: a size beyond u64 fits nowhere either.
+        let elements = shape.iter().fold(1_u64, |product, size| product.saturating_mul(*size as u64));
+        Self { what, bytes: elements.saturating_mul(size_of::<f32>() as u64), hint }
+    }
+
+    fn check(&self, limit_bytes: u64) -> Result<(), SplatError> {
+        let &Self { what, bytes: needed_bytes, hint } = self;
+        match needed_bytes <= limit_bytes {
+            true => Ok(()),
+            false => Err(SplatError::TooLarge { what, needed_bytes, limit_bytes, hint }),
+        }
+    }
+
+    /// For sizes that depend on the data and are found deep within an operation, which cannot return an error: Burn hands
+    /// the panic to whoever reads the result.
+    #[cfg(feature = "cube")]
+    pub fn assert_fits(&self, limit_bytes: u64) {
+        if let Err(error) = self.check(limit_bytes) {
+            panic!("{error}");
+        }
+    }
+}
+
+/// Refuses a call that needs more than a GPU's largest buffer. On CPUs everything fits, until memory runs out.
+pub(crate) fn check_fits(device: &Device, needs: &[Need]) -> Result<(), SplatError> {
+    match buffer_limit(device) {
+        Some(limit) => needs.iter().try_for_each(|need| need.check(limit)),
+        None => Ok(()),
+    }
+}
+
+/// The bytes of a GPU's largest buffer; `None` for a CPU device.
+#[cfg(feature = "cube")]
+pub(crate) fn buffer_limit(device: &Device) -> Option<u64> {
+    crate::abilities::gpu(device).map(|gpu| gpu.buffer_limit)
+}
+
+#[cfg(not(feature = "cube"))]
+pub(crate) fn buffer_limit(_: &Device) -> Option<u64> {
+    None
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_size_at_the_limit_fits_and_one_above_names_all() {
+        let need = Need::floats("sh", [1024, 16, 16], "use fewer");
+        assert_eq!(need.bytes, 1 << 20);
+        need.check(1 << 20).expect("as large as the limit");
+        let error = need.check((1 << 20) - 1).expect_err("one byte too large");
+        assert!(matches!(error, SplatError::TooLarge { what: "sh", .. }), "{error}");
+        let message = error.to_string();
+        for part in ["`sh`", "1048576 bytes", "1048575 bytes", "use fewer"] {
+            assert!(message.contains(part), "`{part}` is missing: {message}");
+        }
+    }
+
+    #[test]
+    fn a_size_beyond_all_numbers_is_too_large() {
+        let need = Need::floats("planes", [usize::MAX, usize::MAX], "a smaller picture");
+        assert!(need.check(u64::MAX - 1).is_err());
+    }
+
+    #[test]
+    fn everything_fits_a_cpu() {
+        let need = Need::floats("sh", [usize::MAX, 25, 3], "");
+        assert_eq!(check_fits(&Device::flex().autodiff(), &[need]), Ok(()));
+    }
+}

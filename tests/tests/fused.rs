@@ -1,0 +1,67 @@
+//! That every stage on a GPU executes kernels and no CPU twin, with Burn's fusion where it is built in. A process of its
+//! own: what is counted must be this test's alone.
+
+use burn::tensor::{DType, Tensor};
+use splat_op::{Extras, Intrinsics, RenderOptions, blend, project, shade, tile, witness};
+use splat_tests::gpu;
+use splat_tests::random::Random;
+use splat_tests::scene::{Scene, Tensors, host};
+
+#[test]
+fn every_stage_executes_kernels_and_no_twin() {
+    let Some(device) = gpu() else { return };
+    let name = witness::backend_name(&device);
+    assert_eq!(name.contains("fusion"), cfg!(feature = "fusion"), "{name}");
+    assert!(name.contains("wgpu") || name.contains("cuda") || name.contains("hip"), "{name}");
+
+    let device = device.autodiff();
+    let scene = Scene::random(&mut Random::new(1), 50, 2, Intrinsics::centred(40, 30, 35.0));
+    // Leaves of its own for each stage: Burn differentiates a graph once.
+    let leaves = || scene.tensors(&device, DType::F32);
+    let Tensors { splats, camera, .. } = leaves();
+    let options = RenderOptions::standard();
+    let mut before = witness::dispatches();
+    let mut launched = |stage: &str| {
+        let after = witness::dispatches();
+        assert!(after > before, "{stage} launched nothing");
+        assert_eq!(witness::twin_calls(), 0, "{stage} ran on the CPU");
+        before = after;
+    };
+
+    let projected = project(&splats, &camera, None, &options).expect("a valid scene");
+    let ellipses = projected.ellipses();
+    launched_after(host(ellipses.depth), || launched("project"));
+    let loss = (ellipses.mean2d.sum() + ellipses.sigma_u.sum()).backward();
+    launched_after(host(splats.means.grad(&loss).expect("tracked")), || launched("the backward pass of project"));
+
+    let Tensors { splats, sh, camera, .. } = leaves();
+    let colours = shade(&sh, &splats.means, &camera).expect("a valid scene");
+    launched_after(host(colours.clone()), || launched("shade"));
+    let loss = colours.clone().sum().backward();
+    launched_after(host(sh.grad(&loss).expect("tracked")), || launched("the backward pass of shade"));
+
+    let Tensors { splats, camera, background, .. } = leaves();
+    let projected = project(&splats, &camera, None, &options).expect("a valid scene");
+    launched_after(host(projected.ellipses().depth), || launched("project"));
+    let tiles = tile(&projected, &options).expect("a valid scene");
+    let hits: i64 = tiles.counts.clone().into_data().iter::<i64>().sum();
+    assert!(hits > 0);
+    launched("tile");
+
+    let colours = Tensor::from_data(colours.into_data(), &device).require_grad();
+    let extras = Extras { background: Some(background), ..Extras::default() };
+    let picture = blend(&projected, &colours, &tiles, &extras, &options).expect("a valid scene");
+    launched_after(host(picture.colour.clone()), || launched("blend"));
+    let loss = picture.colour.sum().backward();
+    launched_after(host(colours.grad(&loss).expect("tracked")), || launched("the backward pass of blend"));
+    // The counter of twins counts.
+    let Tensors { splats, camera, .. } = scene.tensors(&burn::tensor::Device::flex(), DType::F32);
+    project(&splats, &camera, None, &options).expect("a valid scene");
+    assert_eq!(witness::twin_calls(), 1);
+}
+
+/// Fused operations run when their results are read.
+fn launched_after(read: Vec<f64>, check: impl FnOnce()) {
+    assert!(read.iter().any(|value| *value != 0.0), "all zero, which proves nothing");
+    check();
+}
