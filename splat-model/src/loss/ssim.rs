@@ -60,9 +60,9 @@ impl Window {
     fn apply(&self, x: Tensor<4>) -> Tensor<4> {
         // A GPU has an operation for it, which autodiff does not know.
         if !x.is_tracked()
-            && let Some(filtered) = splat_op::photometric::window(&x.clone().squeeze_dim(0))
+            && let Some(filtered) = splat_op::photometric::window(&x)
         {
-            return filtered.unsqueeze();
+            return filtered;
         }
         let channels = x.dims()[1];
         let along = |padding| ConvOptions::new([1, 1], padding, [1, 1], channels);
@@ -108,10 +108,9 @@ impl Truth {
         lambda: f64,
         with_derivative: bool,
     ) -> Option<(Tensor<1>, Option<Tensor<4>>)> {
-        let plane = |x: &Tensor<4>| x.clone().squeeze_dim::<3>(0);
-        let (y, mean, variance) = (plane(&self.planes), plane(&self.mean), plane(&self.variance));
-        let found = splat_op::photometric::photometric(&plane(x), [&y, &mean, &variance], lambda, with_derivative);
-        found.map(|(shares, gradient)| (shares.sum(), gradient.map(|g| g.unsqueeze())))
+        let photograph = [&self.planes, &self.mean, &self.variance];
+        let found = splat_op::photometric::photometric(x, photograph, lambda, with_derivative);
+        found.map(|(shares, gradient)| (shares.sum(), gradient))
     }
 
     /// The photograph, `[H, W, C]`.

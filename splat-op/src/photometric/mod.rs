@@ -11,7 +11,7 @@
 //! `∂S/∂x = K ∂μx + 2 x K ∂Kx² + y K ∂Kxy`, `∂Kxy = 2 A1/(B1 B2)`, `∂Kx² = −S/B2`,
 //! `∂μx = 2 μy (A2 − A1)/(B1 B2) + 2 μx S (1/B2 − 1/B1)`.
 //!
-//! Shapes: everything is `[C, H, W]`, values 0 to 1.
+//! Shapes: everything is `[.., H, W]`, of at least two dimensions, values 0 to 1.
 
 #[cfg(feature = "cube")]
 mod forward;
@@ -31,17 +31,17 @@ pub use op::{Photometric, PhotometricBackend, PhotometricInputs};
 #[cfg(feature = "cube")]
 const TAPS: usize = 11;
 
-/// The loss of `image` against a photograph, `[C, H, W]` f32 without autodiff: the shares whose sum it is, and its
+/// The loss of `image` against a photograph, `[.., H, W]` f32 without autodiff: the shares whose sum it is, and its
 /// derivative if asked for. `None` on devices that have no such operation: compute it with tensor code there.
 ///
 /// The photograph is given by itself, its mean `μy` and its variance `σy² + C2`; `lambda` weighs the dissimilarity.
 #[cfg_attr(not(feature = "cube"), expect(unused_variables, reason = "no GPU runtime is compiled in"))]
-pub fn photometric(
-    image: &Tensor<3>,
-    photograph: [&Tensor<3>; 3],
+pub fn photometric<const D: usize>(
+    image: &Tensor<D>,
+    photograph: [&Tensor<D>; 3],
     lambda: f64,
     with_gradient: bool,
-) -> Option<(Tensor<3>, Option<Tensor<3>>)> {
+) -> Option<(Tensor<D>, Option<Tensor<D>>)> {
     #[cfg(feature = "cube")]
     if taken(image) {
         return Some(op::photometric(image, photograph, lambda, with_gradient));
@@ -49,9 +49,9 @@ pub fn photometric(
     None
 }
 
-/// `Kx` of planes `[P, H, W]` f32 without autodiff. `None` as for [`photometric()`].
+/// `Kx` of planes `[.., H, W]` f32 without autodiff. `None` as for [`photometric()`].
 #[cfg_attr(not(feature = "cube"), expect(unused_variables, reason = "no GPU runtime is compiled in"))]
-pub fn window(planes: &Tensor<3>) -> Option<Tensor<3>> {
+pub fn window<const D: usize>(planes: &Tensor<D>) -> Option<Tensor<D>> {
     #[cfg(feature = "cube")]
     if taken(planes) {
         return Some(op::window(planes));
@@ -61,7 +61,7 @@ pub fn window(planes: &Tensor<3>) -> Option<Tensor<3>> {
 
 /// Whether the operations take this tensor.
 #[cfg(feature = "cube")]
-fn taken(tensor: &Tensor<3>) -> bool {
+fn taken<const D: usize>(tensor: &Tensor<D>) -> bool {
     use burn::backend::DispatchDevice;
     matches!(tensor.device().as_dispatch(), DispatchDevice::Cube(_)) && tensor.dtype() == burn::tensor::DType::F32
 }

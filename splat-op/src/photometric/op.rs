@@ -5,6 +5,7 @@ use burn::backend::tensor::FloatTensor;
 use burn::backend::{Backend, Dispatch, ExtensionType, TensorMetadata, backend_extension};
 use burn::tensor::{DType, Tensor};
 use burn_cubecl::CubeBackend;
+use burn_cubecl::tensor::CubeTensor;
 
 use super::launch::{DeviceInputs, launch_photometric, launch_window};
 use crate::bind::cube::{buffer, tensor};
@@ -61,11 +62,18 @@ fn photometric_meta(inputs: &PhotometricInputsMetadata, _: &f64, with_gradient: 
     PhotometricMetadata { shares: inputs.image.clone(), gradient }
 }
 
+/// Width and height: the last two dimensions, the other way round.
+fn picture_size(tensor: &CubeTensor) -> [usize; 2] {
+    let shape = tensor.shape();
+    let rank = shape.num_dims();
+    [shape[rank - 1], shape[rank - 2]]
+}
+
 impl PhotometricBackend for CubeBackend {
     fn photometric(inputs: PhotometricInputs<Self>, lambda: f64, with_gradient: bool) -> Photometric<Self> {
         let like = inputs.image.clone();
         let gpu = Gpu::new(&like.client);
-        let [_, height, width] = like.shape().dims();
+        let [width, height] = picture_size(&like);
         let on_device = DeviceInputs {
             image: buffer(inputs.image),
             truth: buffer(inputs.truth),
@@ -79,19 +87,19 @@ impl PhotometricBackend for CubeBackend {
 
     fn window(planes: FloatTensor<Self>) -> FloatTensor<Self> {
         let gpu = Gpu::new(&planes.client);
-        let [_, height, width] = planes.shape().dims();
+        let [width, height] = picture_size(&planes);
         let filtered = launch_window(&gpu, &buffer(planes.clone()), [width, height]);
         tensor(filtered, planes.shape(), DType::F32, &planes)
     }
 }
 
 /// See [`super::photometric()`].
-pub(super) fn photometric(
-    image: &Tensor<3>,
-    [truth, mean, variance]: [&Tensor<3>; 3],
+pub(super) fn photometric<const D: usize>(
+    image: &Tensor<D>,
+    [truth, mean, variance]: [&Tensor<D>; 3],
     lambda: f64,
     with_gradient: bool,
-) -> (Tensor<3>, Option<Tensor<3>>) {
+) -> (Tensor<D>, Option<Tensor<D>>) {
     let [image, truth, mean, variance] = [image, truth, mean, variance].map(|t| t.clone().into_dispatch());
     let inputs = PhotometricInputs { image, truth, mean, variance };
     let found = <Dispatch as PhotometricBackend>::photometric(inputs, lambda, with_gradient);
@@ -103,6 +111,6 @@ pub(super) fn photometric(
 }
 
 /// See [`super::window()`].
-pub(super) fn window(planes: &Tensor<3>) -> Tensor<3> {
+pub(super) fn window<const D: usize>(planes: &Tensor<D>) -> Tensor<D> {
     Tensor::from_dispatch(<Dispatch as PhotometricBackend>::window(planes.clone().into_dispatch()))
 }

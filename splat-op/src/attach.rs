@@ -1,0 +1,80 @@
+//! A value with a derivative that is known already.
+
+#![allow(deprecated, reason = "burn-ndarray is deprecated in favour of burn-flex; this project supports both")]
+
+use burn::backend::autodiff::checkpoint::base::Checkpointer;
+use burn::backend::autodiff::checkpoint::strategy::CheckpointStrategy;
+use burn::backend::autodiff::grads::Gradients;
+use burn::backend::autodiff::ops::{Backward, Ops, OpsKind};
+use burn::backend::tensor::FloatTensor;
+use burn::backend::{Autodiff, Backend, Dispatch, TensorMetadata, backend_extension};
+use burn::tensor::{Shape, Tensor};
+
+/// Hands a value on, with a derivative beside it for autodiff.
+#[backend_extension(Cube: cfg(feature = "cube"), Flex, NdArray, Autodiff, Fusion: cfg(feature = "fusion"))]
+pub trait AttachBackend: Backend {
+    /// Returns `value`, `[1]`, whose derivative with respect to `variable` is `gradient`, of the shape of `variable`.
+    #[fusion(dtype = value, shape = value)]
+    fn with_gradient(
+        variable: FloatTensor<Self>,
+        value: FloatTensor<Self>,
+        gradient: FloatTensor<Self>,
+    ) -> FloatTensor<Self>;
+}
+
+macro_rules! without_autodiff {
+    ($backend:ty) => {
+        impl AttachBackend for $backend {
+            fn with_gradient(
+                _: FloatTensor<Self>,
+                value: FloatTensor<Self>,
+                _: FloatTensor<Self>,
+            ) -> FloatTensor<Self> {
+                value
+            }
+        }
+    };
+}
+
+without_autodiff!(burn::backend::Flex);
+without_autodiff!(burn::backend::NdArray);
+#[cfg(feature = "cube")]
+without_autodiff!(burn_cubecl::CubeBackend);
+
+#[derive(Debug)]
+struct AttachBackward;
+
+impl<B: Backend> Backward<B, 1> for AttachBackward {
+    type State = FloatTensor<B>;
+
+    fn backward(self, ops: Ops<Self::State, 1>, grads: &mut Gradients, _: &mut Checkpointer) {
+        let grad = grads.consume::<B>(&ops.node);
+        if let [Some(parent)] = ops.parents {
+            let gradient = ops.state;
+            let grad = B::float_reshape(grad, Shape::from(vec![1; gradient.rank()]));
+            grads.register::<B>(parent.id, B::float_mul(gradient, grad));
+        }
+    }
+}
+
+impl<B: AttachBackend, C: CheckpointStrategy> AttachBackend for Autodiff<B, C> {
+    fn with_gradient(
+        variable: FloatTensor<Self>,
+        value: FloatTensor<Self>,
+        gradient: FloatTensor<Self>,
+    ) -> FloatTensor<Self> {
+        let (value, gradient) = (value.into_primitive(), gradient.into_primitive());
+        match AttachBackward.prepare::<C>([variable.node()]).compute_bound().stateful() {
+            OpsKind::Tracked(prep) => prep.finish(gradient, value),
+            OpsKind::UnTracked(prep) => prep.finish(value),
+        }
+    }
+}
+
+/// `value`, `[1]`, with `gradient` as its derivative with respect to `variable`, whose shape it has. For losses whose
+/// derivative is cheaper in closed form than as a graph of small operations. `value` and `gradient` are constants.
+pub fn with_gradient<const D: usize>(variable: Tensor<D>, value: Tensor<1>, gradient: Tensor<D>) -> Tensor<1> {
+    assert_eq!(variable.dims(), gradient.dims(), "a derivative has the shape of its variable");
+    let (value, gradient) = (value.into_dispatch(), gradient.into_dispatch());
+    Tensor::from_dispatch(<Dispatch as AttachBackend>::with_gradient(variable.into_dispatch(), value, gradient))
+}
