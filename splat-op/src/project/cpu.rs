@@ -212,16 +212,23 @@ impl<F: Real> Projection<F> {
     #[inline(always)]
     fn factor_backward(&self, lens: &Lens<F>, opacity: F, grad: &Ellipse<F>) -> ([[F; 3]; 2], F) {
         let blur = lens.blur;
-        let mut grad_sigma_v = grad.sigma_v;
         let mut grad_p = [F::ZERO; 3];
+        let mut grad_along = scale(self.n, grad.shear);
         if self.compensation_free {
+            // With P = |p| and S = sigma_v, whose square is ε + P² + ε |along|²:
+            // d(P/S) = (ε + ε |along|²)/S² dP/S − P/S ε along·d along / S². Without blur nothing is left, and it is exactly
+            // zero: no difference of almost equal numbers.
             let grad_compensation = grad.opacity * opacity;
-            grad_sigma_v -= grad_compensation * self.compensation / self.sigma_v;
-            grad_p = scale(self.p, grad_compensation / (self.sigma_v * norm(self.p)));
+            let blurred = blur.sqrt() / self.sigma_v;
+            let lost = blurred * norm([F::ONE, norm(self.along), F::ZERO]);
+            let unit = scale(self.p, F::ONE / norm(self.p));
+            grad_p = scale(unit, grad_compensation * lost * lost / self.sigma_v);
+            let along = grad_compensation * self.compensation * blurred * blurred;
+            grad_along = sub(grad_along, scale(self.along, along));
         }
-        let relative = grad_sigma_v / self.sigma_v;
+        let relative = grad.sigma_v / self.sigma_v;
         grad_p = add(grad_p, scale(self.p, relative));
-        let grad_along = add(scale(self.along, blur * relative), scale(self.n, grad.shear));
+        grad_along = add(grad_along, scale(self.along, blur * relative));
         let grad_n = add(scale(self.along, grad.shear), cross(self.m[1], grad_p));
         let inverse = F::ONE / self.sigma_u;
         let grad_sigma_u = grad.sigma_u - (dot(grad_along, self.along) + dot(grad_n, self.n)) * inverse;
