@@ -42,6 +42,8 @@ pub mod tile;
 
 pub mod blend;
 
+pub mod photometric;
+
 mod bind;
 #[cfg(feature = "cube")]
 mod gpu;

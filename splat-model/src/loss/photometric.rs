@@ -18,6 +18,12 @@ pub fn photometric(image: Tensor<3>, truth: &Truth, lambda: f64) -> Tensor<1> {
     let variable = planes(image);
     let tracked = variable.is_tracked();
     let x = variable.clone().inner();
+    if let Some((value, gradient)) = truth.on_gpu(&x, lambda, tracked) {
+        return match gradient {
+            Some(gradient) => with_gradient(variable, value, gradient),
+            None => value,
+        };
+    }
     let count = x.shape().num_elements() as f64;
 
     let difference = x.clone() - truth.planes.clone();

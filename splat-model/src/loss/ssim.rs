@@ -16,6 +16,8 @@
 //! copies, one plane per thread. Autodiff's gradient of a depthwise convolution is far slower than the convolution. The
 //! window is symmetric and the padding zero, so `K` is its own adjoint, and [`d_ssim`] applies it to the derivatives
 //! itself.
+//!
+//! On a GPU the whole loss with its derivative is one operation, see [`splat_op::photometric`].
 
 use burn::tensor::{Tensor, TensorData, module::conv2d, ops::ConvOptions};
 
@@ -56,6 +58,12 @@ impl Window {
 
     /// `Kx`, the shape of `x`.
     fn apply(&self, x: Tensor<4>) -> Tensor<4> {
+        // A GPU has an operation for it, which autodiff does not know.
+        if !x.is_tracked()
+            && let Some(filtered) = splat_op::photometric::window(&x.clone().squeeze_dim(0))
+        {
+            return filtered.unsqueeze();
+        }
         let channels = x.dims()[1];
         let along = |padding| ConvOptions::new([1, 1], padding, [1, 1], channels);
         let half = TAPS / 2;
@@ -93,6 +101,19 @@ impl Truth {
         Self { window, planes, mean, variance }
     }
 
+    /// The loss `(1 − λ) L1 + λ (1 − SSIM)` and its derivative, in the operation that GPUs have for it.
+    pub(super) fn on_gpu(
+        &self,
+        x: &Tensor<4>,
+        lambda: f64,
+        with_derivative: bool,
+    ) -> Option<(Tensor<1>, Option<Tensor<4>>)> {
+        let plane = |x: &Tensor<4>| x.clone().squeeze_dim::<3>(0);
+        let (y, mean, variance) = (plane(&self.planes), plane(&self.mean), plane(&self.variance));
+        let found = splat_op::photometric::photometric(&plane(x), [&y, &mean, &variance], lambda, with_derivative);
+        found.map(|(shares, gradient)| (shares.sum(), gradient.map(|g| g.unsqueeze())))
+    }
+
     /// The photograph, `[H, W, C]`.
     pub fn image(&self) -> Tensor<3> {
         self.planes.clone().squeeze_dim::<3>(0).permute([1, 2, 0])
@@ -113,6 +134,9 @@ pub(crate) struct Similarity {
 /// windowed maps are `∂Kxy = 2 A1/(B1B2)`, `∂Kx² = −S/B2`, `∂μx = 2 μy (A2 − A1)/(B1B2) + 2 μx S (1/B2 − 1/B1)`, and
 /// `∂x = K ∂μx + 2 x K ∂Kx² + y K ∂Kxy`.
 pub(crate) fn similarity(x: Tensor<4>, truth: &Truth, with_derivative: bool) -> Similarity {
+    if let Some((dissimilarity, gradient)) = truth.on_gpu(&x, 1.0, with_derivative) {
+        return Similarity { mean: dissimilarity.neg() + 1.0, gradient: gradient.map(Tensor::neg) };
+    }
     let Truth { window, planes: y, mean: mean_y, variance: variance_y } = truth;
     // The mean's 1/N and the derivatives' common factor 2 enter here, where they cost nothing.
     let share = 2.0 / x.shape().num_elements() as f64;

@@ -19,7 +19,7 @@ use crate::tile::launch::{DeviceLists, launch_tile};
 use crate::tile::{HitCell, Lists, tile_grid};
 
 /// A tensor's elements, row-major.
-fn buffer(tensor: CubeTensor) -> Buffer<f32> {
+pub(crate) fn buffer(tensor: CubeTensor) -> Buffer<f32> {
     debug_assert_eq!(tensor.dtype, DType::F32, "the public functions check it");
     let tensor = into_contiguous(tensor);
     let len = tensor.meta.num_elements();
@@ -27,7 +27,7 @@ fn buffer(tensor: CubeTensor) -> Buffer<f32> {
 }
 
 /// Elements as a tensor, on the device of `like`.
-fn tensor<T>(buffer: Buffer<T>, shape: impl Into<Shape>, dtype: DType, like: &CubeTensor) -> CubeTensor {
+pub(crate) fn tensor<T>(buffer: Buffer<T>, shape: impl Into<Shape>, dtype: DType, like: &CubeTensor) -> CubeTensor {
     let (client, device) = (like.client.clone(), like.device.clone());
     CubeTensor::new_contiguous(client, device, shape.into(), buffer.handle, dtype)
 }

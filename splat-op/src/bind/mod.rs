@@ -3,7 +3,7 @@
 mod autodiff;
 mod cpu;
 #[cfg(feature = "cube")]
-mod cube;
+pub(crate) mod cube;
 #[cfg(feature = "fusion")]
 pub(crate) mod fusion;
 mod host;

@@ -111,6 +111,9 @@ impl Mat3 {
     }
 }
 
+/// Numbers of a pose.
+pub(crate) const POSE: usize = 12;
+
 /// A camera's pose, `[3, 4]`: a matrix, which need not be a rotation, and a translation. Also the gradient of one.
 #[derive(CubeType, CubeTypeMut, Clone, Copy)]
 #[expand(derive(Clone, Copy))]

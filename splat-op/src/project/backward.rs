@@ -14,11 +14,8 @@ use cubecl::prelude::*;
 
 use super::forward::{Axis, Gaussian, Lens, Packed, Projection, Row, project_one};
 use crate::gpu::UNITS;
-use crate::gpu::math::{Mat3, Pose, Quaternion, Vec3};
+use crate::gpu::math::{Mat3, POSE, Pose, Quaternion, Vec3};
 use crate::gpu::reduce::cube_sum;
-
-/// Numbers of a pose.
-pub(super) const POSE: usize = 12;
 
 /// Whether any number is not zero, by its bits: NaN is not.
 #[cube]
@@ -39,8 +36,8 @@ fn factor_backward(f: &Projection, lens: &Lens, opacity: f32, grad: &Packed) -> 
     let mut grad_p = f.p.times(grad.sigma_v * inverse_v);
     let mut along_weight = lens.blur_sigma * grad.sigma_v;
     if comptime!(lens.antialias) {
+        let grad_compensation = grad.opacity * opacity;
         if f.compensation_free {
-            let grad_compensation = grad.opacity * opacity;
             let weight = grad_compensation * inverse_v * (blur * blur + blur_along.dot(blur_along));
             // Not one division by `P S`, which may be out of range.
             grad_p = grad_p.plus(f.p.times(1.0 / f.p_length).times(weight));
@@ -95,9 +92,8 @@ pub(super) fn project_backward_kernel(
     count: u32,
     #[comptime] planes: bool,
 ) {
-    let through_centre = comptime!(grad_means.is_some() || pose_rows.is_some());
-    let through_rotation = comptime!(through_centre || grad_rotations.is_some());
-    let through_factor = comptime!(through_rotation || grad_scales.is_some());
+    let through_rows = comptime!(grad_means.is_some() || grad_rotations.is_some() || pose_rows.is_some());
+    let through_factor = comptime!(through_rows || grad_scales.is_some());
 
     let gaussian = ABSOLUTE_POS;
     let zero = Vec3::new(0.0, 0.0, 0.0);
@@ -122,22 +118,30 @@ pub(super) fn project_backward_kernel(
                 of_opacity = grad.opacity * p.compensation;
                 if comptime!(through_factor) {
                     let (grad_m0, grad_m1) = factor_backward(&p, &lens, g.opacity, &grad);
-                    of_scale = grad_m0.by_axis(p.x.j).plus(grad_m1.by_axis(p.y.j));
-                    if comptime!(through_rotation) {
+                    if comptime!(grad_scales.is_some()) {
+                        of_scale = grad_m0.by_axis(p.x.j).plus(grad_m1.by_axis(p.y.j));
+                    }
+                    if comptime!(through_rows) {
                         let x = row_backward(&p, &p.x, &lens.x, grad_m0.by_axis(g.scale), grad.x);
                         let y = row_backward(&p, &p.y, &lens.y, grad_m1.by_axis(g.scale), grad.y);
                         let to_last = x.row.times(p.x.slope).plus(y.row.times(p.y.slope));
                         // Of `W R`, and of the centre in the camera's frame.
                         let turned = Mat3 { x: x.row, y: y.row, z: zero.minus(to_last) };
                         let centre = Vec3::new(x.across, y.across, grad.depth + x.depth + y.depth);
-                        of_rotation =
-                            p.quaternion.backward(p.quaternion_length, pose.matrix.transposed().times(turned));
-                        of_mean = pose.matrix.apply_transposed(centre);
-                        let from = p.world_from_gaussian;
-                        of_pose.matrix.x = from.apply(turned.x).plus(g.mean.times(centre.x));
-                        of_pose.matrix.y = from.apply(turned.y).plus(g.mean.times(centre.y));
-                        of_pose.matrix.z = from.apply(turned.z).plus(g.mean.times(centre.z));
-                        of_pose.translation = centre;
+                        if comptime!(grad_means.is_some()) {
+                            of_mean = pose.matrix.apply_transposed(centre);
+                        }
+                        if comptime!(grad_rotations.is_some()) {
+                            let unturned = pose.matrix.transposed().times(turned);
+                            of_rotation = p.quaternion.backward(p.quaternion_length, unturned);
+                        }
+                        if comptime!(pose_rows.is_some()) {
+                            let from = p.world_from_gaussian;
+                            of_pose.matrix.x = from.apply(turned.x).plus(g.mean.times(centre.x));
+                            of_pose.matrix.y = from.apply(turned.y).plus(g.mean.times(centre.y));
+                            of_pose.matrix.z = from.apply(turned.z).plus(g.mean.times(centre.z));
+                            of_pose.translation = centre;
+                        }
                     }
                 }
             }

@@ -161,6 +161,10 @@ pub(super) struct Projection {
 
 #[cube]
 pub(super) fn project_one(gaussian: &Gaussian, pose: &Pose, lens: &Lens) -> Projection {
+    // What follows is a pinhole; without equations of its own another model does not compile.
+    comptime!(match lens.model {
+        CameraModel::Pinhole => {}
+    });
     let mean_cam = pose.apply(gaussian.mean);
     let (quaternion, quaternion_length) = gaussian.rotation.unit();
     let world_from_gaussian = quaternion.matrix();

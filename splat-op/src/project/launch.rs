@@ -1,8 +1,9 @@
 //! Launches of `project`.
 
-use super::backward::{POSE, project_backward_kernel};
+use super::backward::project_backward_kernel;
 use super::forward::{AxisLaunch, LensLaunch, project_forward_kernel};
 use super::{COLUMNS, ProjectNeeds, ProjectSpec};
+use crate::gpu::math::POSE;
 use crate::gpu::reduce::launch_column_sums;
 use crate::gpu::{Buffer, Gpu, UNITS, elementwise};
 
@@ -34,7 +35,7 @@ pub(crate) struct DeviceGrads {
 }
 
 /// The camera and the options as an argument of the kernels. Computed in f64 and rounded once.
-fn lens(spec: &ProjectSpec) -> LensLaunch {
+pub(super) fn lens(spec: &ProjectSpec) -> LensLaunch {
     let (camera, options) = (&spec.intrinsics, &spec.options);
     let axis = |size: usize, focal: f64, principal: f64| {
         let margin = options.jacobian_margin * size as f64 / (2.0 * focal);

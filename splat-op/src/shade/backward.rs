@@ -113,6 +113,7 @@ pub(super) fn shade_backward_kernel(
                 }
             }
             if comptime!(through_direction) {
+                let d = sight.direction;
                 if sight.distance > 0.0 {
                     let mut weights = Sequence::<f32>::new();
                     #[unroll]
@@ -120,7 +121,6 @@ pub(super) fn shade_backward_kernel(
                         let c = Vec3::load(sh, 3 * (gaussian * coefficients + k));
                         weights.push(g.dot(c) * comptime!(NORMS[k]));
                     }
-                    let d = sight.direction;
                     let grad = polynomials_backward(d, &weights, degree);
                     of_sight = grad.minus(d.times(d.dot(grad))).times(1.0 / sight.distance);
                 }

@@ -215,6 +215,27 @@ fn a_centre_on_the_camera_has_a_colour_and_no_direction() {
 }
 
 #[test]
+#[ignore = "large: half a GB of buffers"]
+fn more_cubes_than_fit_along_one_axis() {
+    let (few, count) = (1_000, 32_768 * 256 + 1_500);
+    let scene = Scene::random(9, few, 0, false);
+    let repeated = |i: usize| to_f32(&scene.tensors[i]).into_iter().cycle().take(3 * count).collect::<Vec<f32>>();
+    for (_, gpu) in gpus() {
+        let (small, small_grad) = scene.upload(&gpu);
+        let [sh, means, grad] = [0, 1, GRAD].map(|i| Buffer::from_slice(&gpu, &repeated(i)));
+        let large = DeviceInputs { sh, means, cam_from_world: small.cam_from_world.clone() };
+        let run = |inputs: &DeviceInputs, grad: &Buffer<f32>| {
+            let found = launch_shade_backward(&gpu, inputs, 1, grad, ShadeNeeds { means: false, ..ALL });
+            [launch_shade(&gpu, inputs, 1).read(&gpu), found.sh.expect("asked for").read(&gpu)]
+        };
+        for (found, expected) in run(&large, &grad).iter().zip(run(&small, &small_grad)) {
+            let bits = |values: &[f32]| values.iter().map(|value| value.to_bits()).collect::<Vec<_>>();
+            assert!(found.chunks(3 * few).all(|chunk| bits(chunk) == bits(&expected[..chunk.len()])));
+        }
+    }
+}
+
+#[test]
 fn a_second_run_gives_the_same_bits() {
     let scene = Scene::random(9, 20_000, 3, true);
     let bits = |values: Option<Vec<f32>>| values.expect("asked for").into_iter().map(f32::to_bits).collect::<Vec<_>>();

@@ -5,11 +5,9 @@ use cubecl::prelude::{CubeCount, CubeDim};
 use super::backward::{pose_backward_kernel, shade_backward_kernel};
 use super::forward::shade_forward_kernel;
 use super::{ShadeNeeds, degree_of};
+use crate::gpu::math::POSE;
 use crate::gpu::reduce::launch_column_sums;
 use crate::gpu::{Buffer, Gpu, UNITS, elementwise};
-
-/// Numbers of a pose.
-const POSE: usize = 12;
 
 /// Inputs on the device, row-major.
 #[derive(Clone, Debug)]

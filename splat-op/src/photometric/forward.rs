@@ -1,0 +1,264 @@
+//! The four passes of the loss, and the plain window. A unit holds a strip of values along the axis of its pass.
+
+use cubecl::prelude::*;
+
+use super::TAPS;
+
+/// Taps on one side of the middle.
+const HALF: usize = TAPS / 2;
+
+/// Half the window, from the middle outwards.
+#[derive(CubeType, CubeLaunch, Clone, Copy)]
+#[expand(derive(Clone, Copy))]
+pub(super) struct Window {
+    pub t0: f32,
+    pub t1: f32,
+    pub t2: f32,
+    pub t3: f32,
+    pub t4: f32,
+    pub t5: f32,
+}
+
+/// Width and height of the planes, and their number.
+#[derive(CubeType, CubeLaunch, Clone, Copy)]
+#[expand(derive(Clone, Copy))]
+pub(super) struct Planes {
+    pub width: u32,
+    pub height: u32,
+    pub count: u32,
+}
+
+/// What weighs the terms.
+#[derive(CubeType, CubeLaunch, Clone, Copy)]
+#[expand(derive(Clone, Copy))]
+pub(super) struct Weights {
+    /// `(1 − λ)/N`
+    pub absolute: f32,
+    /// `λ`
+    pub lambda: f32,
+    /// `1/N`
+    pub share: f32,
+}
+
+/// A unit's strip.
+#[derive(CubeType, Clone, Copy)]
+#[expand(derive(Clone, Copy))]
+struct Strip {
+    /// Where its line begins, and from value to value along it.
+    base: usize,
+    stride: usize,
+    /// Its first value on the line, and values on the line.
+    first: u32,
+    len: u32,
+    /// Whether there is such a strip.
+    exists: bool,
+}
+
+/// The strip of this unit: down a column, or along a row.
+#[cube]
+fn own_strip(planes: Planes, #[comptime] vertical: bool, #[comptime] strip: usize) -> Strip {
+    let unit = ABSOLUTE_POS as u32;
+    let plane = planes.width * planes.height;
+    let mut base = 0u32;
+    let mut stride = 1u32;
+    let mut first = 0u32;
+    let mut len = planes.width;
+    let mut index = 0u32;
+    if comptime!(vertical) {
+        let blocks = (planes.height + comptime!(strip as u32 - 1)) / comptime!(strip as u32);
+        let rest = unit / planes.width;
+        index = rest / blocks;
+        first = rest % blocks * comptime!(strip as u32);
+        base = index * plane + unit % planes.width;
+        stride = planes.width;
+        len = planes.height;
+    } else {
+        let blocks = (planes.width + comptime!(strip as u32 - 1)) / comptime!(strip as u32);
+        let rest = unit / blocks;
+        index = rest / planes.height;
+        first = unit % blocks * comptime!(strip as u32);
+        base = rest * planes.width;
+    }
+    Strip { base: base as usize, stride: stride as usize, first, len, exists: index < planes.count }
+}
+
+#[cube]
+impl Strip {
+    /// The strip's values with those that the window reaches on both sides; zero outside the picture.
+    fn load(&self, from: &[f32], offset: usize, #[comptime] strip: usize) -> Array<f32> {
+        let mut values = Array::<f32>::new(comptime!(strip + 2 * HALF));
+        #[unroll]
+        for i in 0..comptime!(strip + 2 * HALF) {
+            let place = self.first + comptime!(i as u32);
+            values[i] = 0.0f32;
+            if place >= comptime!(HALF as u32) && place < self.len + comptime!(HALF as u32) {
+                values[i] = from[offset + self.base + (place - comptime!(HALF as u32)) as usize * self.stride];
+            }
+        }
+        values
+    }
+
+    /// Where the strip's value `i` lies.
+    fn at(&self, #[comptime] i: usize) -> usize {
+        self.base + (self.first + comptime!(i as u32)) as usize * self.stride
+    }
+
+    fn holds(&self, #[comptime] i: usize) -> bool {
+        self.first + comptime!(i as u32) < self.len
+    }
+}
+
+#[cube]
+impl Window {
+    /// The window on the value `i` of a strip.
+    fn on(&self, values: &Array<f32>, #[comptime] i: usize) -> f32 {
+        let m = comptime!(i + HALF);
+        self.t0 * values[m]
+            + self.t1 * (values[comptime!(m - 1)] + values[comptime!(m + 1)])
+            + self.t2 * (values[comptime!(m - 2)] + values[comptime!(m + 2)])
+            + self.t3 * (values[comptime!(m - 3)] + values[comptime!(m + 3)])
+            + self.t4 * (values[comptime!(m - 4)] + values[comptime!(m + 4)])
+            + self.t5 * (values[comptime!(m - 5)] + values[comptime!(m + 5)])
+    }
+}
+
+/// One direction of the window.
+#[cube(launch_unchecked)]
+pub(super) fn window_kernel(
+    from: &[f32],
+    to: &mut [f32],
+    window: Window,
+    planes: Planes,
+    #[comptime] vertical: bool,
+    #[comptime] strip: usize,
+) {
+    let own = own_strip(planes, vertical, strip);
+    if own.exists {
+        let values = own.load(from, 0usize, strip);
+        #[unroll]
+        for i in 0..strip {
+            if own.holds(i) {
+                to[own.at(i)] = window.on(&values, i);
+            }
+        }
+    }
+}
+
+/// Down the columns of `x`, `x²` and `x y`: `[3, C, H, W]`.
+#[cube(launch_unchecked)]
+pub(super) fn moments_kernel(
+    image: &[f32],
+    truth: &[f32],
+    moments: &mut [f32],
+    window: Window,
+    planes: Planes,
+    #[comptime] strip: usize,
+) {
+    let own = own_strip(planes, true, strip);
+    if own.exists {
+        let map = (planes.width * planes.height * planes.count) as usize;
+        let x = own.load(image, 0usize, strip);
+        let y = own.load(truth, 0usize, strip);
+        let mut xx = Array::<f32>::new(comptime!(strip + 2 * HALF));
+        let mut xy = Array::<f32>::new(comptime!(strip + 2 * HALF));
+        #[unroll]
+        for i in 0..comptime!(strip + 2 * HALF) {
+            xx[i] = x[i] * x[i];
+            xy[i] = x[i] * y[i];
+        }
+        #[unroll]
+        for i in 0..strip {
+            if own.holds(i) {
+                let at = own.at(i);
+                moments[at] = window.on(&x, i);
+                moments[map + at] = window.on(&xx, i);
+                moments[2 * map + at] = window.on(&xy, i);
+            }
+        }
+    }
+}
+
+/// Along the rows of the three moments; then each value's share of the loss, and, if asked for, the derivatives of
+/// `2 S/N` with respect to `μx`, `Kx²` (twice) and `Kxy`, `[3, C, H, W]`.
+#[cube(launch_unchecked)]
+pub(super) fn index_kernel(
+    image: &[f32],
+    truth: &[f32],
+    mean_y: &[f32],
+    variance_y: &[f32],
+    moments: &[f32],
+    shares: &mut [f32],
+    derivatives: &mut [f32],
+    window: Window,
+    planes: Planes,
+    weights: Weights,
+    #[comptime] with_gradient: bool,
+    #[comptime] strip: usize,
+) {
+    let own = own_strip(planes, false, strip);
+    if own.exists {
+        let map = (planes.width * planes.height * planes.count) as usize;
+        let m = own.load(moments, 0usize, strip);
+        let mm = own.load(moments, map, strip);
+        let mt = own.load(moments, 2 * map, strip);
+        let c1 = comptime!(1e-4f32);
+        let c2 = comptime!(9e-4f32);
+        #[unroll]
+        for i in 0..strip {
+            if own.holds(i) {
+                let at = own.at(i);
+                let mean_x = window.on(&m, i);
+                let mean_y = mean_y[at];
+                let square = mean_x * mean_x;
+                let cross = mean_x * mean_y;
+                let b1 = square + mean_y * mean_y + c1;
+                let b2 = window.on(&mm, i) - square + variance_y[at];
+                let a1 = 2.0 * cross + c1;
+                let a2 = 2.0 * (window.on(&mt, i) - cross) + c2;
+                let inverse = 2.0 * weights.share / (b1 * b2);
+                let d_xy = inverse * a1;
+                let index = d_xy * a2;
+                shares[at] =
+                    weights.absolute * (image[at] - truth[at]).abs() + weights.lambda * (weights.share - 0.5 * index);
+                if comptime!(with_gradient) {
+                    let twice_d_xx = -(index / b2);
+                    derivatives[at] = (a2 - a1) * inverse * mean_y - (index / b1 + twice_d_xx) * mean_x;
+                    derivatives[map + at] = twice_d_xx;
+                    derivatives[2 * map + at] = d_xy;
+                }
+            }
+        }
+    }
+}
+
+/// Along the rows of the three derivatives, whose columns are filtered: the derivative of the loss.
+#[cube(launch_unchecked)]
+pub(super) fn gradient_kernel(
+    image: &[f32],
+    truth: &[f32],
+    derivatives: &[f32],
+    gradient: &mut [f32],
+    window: Window,
+    planes: Planes,
+    weights: Weights,
+    #[comptime] strip: usize,
+) {
+    let own = own_strip(planes, false, strip);
+    if own.exists {
+        let map = (planes.width * planes.height * planes.count) as usize;
+        let d_mean = own.load(derivatives, 0usize, strip);
+        let d_xx = own.load(derivatives, map, strip);
+        let d_xy = own.load(derivatives, 2 * map, strip);
+        #[unroll]
+        for i in 0..strip {
+            if own.holds(i) {
+                let at = own.at(i);
+                let (x, y) = (image[at], truth[at]);
+                let similar = window.on(&d_mean, i) + window.on(&d_xx, i) * x + window.on(&d_xy, i) * y;
+                // The subgradient of the absolute value is zero where the two are equal.
+                let side = select(x > y, weights.absolute, select(x < y, -weights.absolute, 0.0));
+                gradient[at] = side - weights.lambda * similar;
+            }
+        }
+    }
+}

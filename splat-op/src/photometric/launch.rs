@@ -1,0 +1,141 @@
+//! Launches of the loss.
+
+use super::TAPS;
+use super::forward::{
+    PlanesLaunch, WeightsLaunch, WindowLaunch, gradient_kernel, index_kernel, moments_kernel, window_kernel,
+};
+use crate::gpu::{Buffer, Gpu, elementwise};
+
+/// Standard deviation of the window, px.
+const SIGMA_PX: f64 = 1.5;
+
+/// Inputs on the device, each `[C, H, W]`.
+pub(crate) struct DeviceInputs {
+    pub image: Buffer<f32>,
+    pub truth: Buffer<f32>,
+    pub mean: Buffer<f32>,
+    pub variance: Buffer<f32>,
+}
+
+/// Values of a unit down a column and along a row. A card reads a row by neighbouring units together, so there a unit takes
+/// one value of it; a software driver reads for each unit by itself, see `blend`.
+fn strips(gpu: &Gpu) -> [usize; 2] {
+    if gpu.software { [16, 16] } else { [8, 1] }
+}
+
+fn window() -> WindowLaunch {
+    let weight = |i: usize| (-(i as f64).powi(2) / (2.0 * SIGMA_PX * SIGMA_PX)).exp();
+    let sum: f64 = weight(0) + 2.0 * (1..=TAPS / 2).map(weight).sum::<f64>();
+    let [t0, t1, t2, t3, t4, t5] = [0, 1, 2, 3, 4, 5].map(|i| (weight(i) / sum) as f32);
+    WindowLaunch::new(t0, t1, t2, t3, t4, t5)
+}
+
+/// Units that a pass over `values` in lines of `len` takes.
+fn units(values: usize, len: usize, strip: usize) -> usize {
+    values / len * len.div_ceil(strip)
+}
+
+/// `Kx` of planes of the given width and height.
+pub(crate) fn launch_window(gpu: &Gpu, planes: &Buffer<f32>, [width, height]: [usize; 2]) -> Buffer<f32> {
+    let (down, along) = (Buffer::new(gpu, planes.len), Buffer::new(gpu, planes.len));
+    launch_direction(gpu, planes, &down, [width, height], true);
+    launch_direction(gpu, &down, &along, [width, height], false);
+    along
+}
+
+/// One direction of the window.
+fn launch_direction(gpu: &Gpu, from: &Buffer<f32>, to: &Buffer<f32>, [width, height]: [usize; 2], vertical: bool) {
+    let [down, along] = strips(gpu);
+    let (len, strip) = if vertical { (height, down) } else { (width, along) };
+    let (grid, dim) = elementwise(units(from.len, len, strip));
+    let planes = PlanesLaunch::new(width as u32, height as u32, (from.len / (width * height)) as u32);
+    // SAFETY: strips beyond the last plane and values beyond the line are guarded.
+    unsafe {
+        window_kernel::launch_unchecked(
+            &gpu.client,
+            grid,
+            dim,
+            from.arg(),
+            to.arg(),
+            window(),
+            planes,
+            vertical,
+            strip,
+        );
+    }
+}
+
+/// The shares of the loss, and its derivative if asked for, each `[C, H, W]`.
+pub(crate) fn launch_photometric(
+    gpu: &Gpu,
+    inputs: &DeviceInputs,
+    [width, height]: [usize; 2],
+    lambda: f64,
+    with_gradient: bool,
+) -> (Buffer<f32>, Option<Buffer<f32>>) {
+    let values = inputs.image.len;
+    let planes = || PlanesLaunch::new(width as u32, height as u32, (values / (width * height)) as u32);
+    let share = 1.0 / values as f64;
+    let weights = || WeightsLaunch::new(((1.0 - lambda) * share) as f32, lambda as f32, share as f32);
+    let [down, along] = strips(gpu);
+    let moments: Buffer<f32> = Buffer::new(gpu, 3 * values);
+    let shares = Buffer::new(gpu, values);
+    let derivatives: Buffer<f32> = Buffer::new(gpu, if with_gradient { 3 * values } else { 0 });
+    // SAFETY: strips beyond the last plane and values beyond the line are guarded.
+    unsafe {
+        let (grid, dim) = elementwise(units(values, height, down));
+        moments_kernel::launch_unchecked(
+            &gpu.client,
+            grid,
+            dim,
+            inputs.image.arg(),
+            inputs.truth.arg(),
+            moments.arg(),
+            window(),
+            planes(),
+            down,
+        );
+        let (grid, dim) = elementwise(units(values, width, along));
+        index_kernel::launch_unchecked(
+            &gpu.client,
+            grid,
+            dim,
+            inputs.image.arg(),
+            inputs.truth.arg(),
+            inputs.mean.arg(),
+            inputs.variance.arg(),
+            moments.arg(),
+            shares.arg(),
+            derivatives.arg(),
+            window(),
+            planes(),
+            weights(),
+            with_gradient,
+            along,
+        );
+    }
+    if !with_gradient {
+        return (shares, None);
+    }
+    // The moments are not read again: their memory takes the derivatives' filtered columns.
+    launch_direction(gpu, &derivatives, &moments, [width, height], true);
+    let gradient = Buffer::new(gpu, values);
+    let (grid, dim) = elementwise(units(values, width, along));
+    // SAFETY: strips beyond the last plane and values beyond the line are guarded.
+    unsafe {
+        gradient_kernel::launch_unchecked(
+            &gpu.client,
+            grid,
+            dim,
+            inputs.image.arg(),
+            inputs.truth.arg(),
+            moments.arg(),
+            gradient.arg(),
+            window(),
+            planes(),
+            weights(),
+            along,
+        );
+    }
+    (shares, Some(gradient))
+}
