@@ -9,6 +9,7 @@ use super::strips::blend_strips_kernel;
 use super::{BlendNeeds, BlendSpec};
 use crate::gpu::reduce::launch_column_sums;
 use crate::gpu::{Buffer, Gpu, UNITS, cubes, elementwise};
+use crate::limits::Need;
 use crate::options::Accumulation;
 use crate::project::COLUMNS;
 use crate::tile::launch::{DeviceLists, frame};
@@ -86,6 +87,15 @@ fn limits(spec: &BlendSpec) -> LimitsLaunch {
     LimitsLaunch::new(spec.options.alpha_max as f32, if least > 0.0 { least as f32 } else { -1.0 })
 }
 
+/// What makes a render keep less for its backward pass.
+const FEWER_BUCKETS: &str =
+    "train on smaller pictures, raise `alpha_min`, or render parts of the picture with several cameras";
+
+/// Refuses a buffer of `len` floats that the device cannot hold. How long it is, only the hits tell.
+fn assert_fits(gpu: &Gpu, what: &'static str, len: usize) {
+    Need { what, bytes: 4 * len as u64, hint: FEWER_BUCKETS }.assert_fits(gpu.buffer_limit);
+}
+
 /// Planes `[C + 1 (+ 1), H, W]`, and the trace if it is to be kept.
 pub(crate) fn launch_blend(
     gpu: &Gpu,
@@ -101,8 +111,10 @@ pub(crate) fn launch_blend(
     let tiles = tiles_x * tiles_y;
     let planes = Buffer::new(gpu, spec.planes(shape.features) * camera.width * camera.height);
     let kept_len = |len: usize| if keep { len } else { 0 };
+    let kept = kept_len(slots(lists, tiles) * shape.kept() * TILE_PIXELS);
+    assert_fits(gpu, "the trace of the backward pass", kept);
     let trace = DeviceTrace {
-        kept: Buffer::with_headroom(gpu, kept_len(slots(lists, tiles) * shape.kept() * TILE_PIXELS)),
+        kept: Buffer::with_headroom(gpu, kept),
         behind: Buffer::new(gpu, kept_len(tiles * TILE_PIXELS)),
         passed: Buffer::new(gpu, kept_len(tiles)),
     };
@@ -185,7 +197,10 @@ pub(crate) fn launch_blend_backward(
     let columns = row_len(shape, needs.mean2d_abs);
     let ordered = spec.options.accumulation == Accumulation::Ordered;
     let rows = match ordered {
-        true => Buffer::with_headroom(gpu, lists.hits * columns),
+        true => {
+            assert_fits(gpu, "the rows of ordered gradients", lists.hits * columns);
+            Buffer::with_headroom(gpu, lists.hits * columns)
+        }
         false => Buffer::zeros(gpu, inputs.count() * columns),
     };
     let unused: Buffer<f32> = Buffer::new(gpu, 0);

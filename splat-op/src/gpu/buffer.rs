@@ -58,8 +58,7 @@ impl<T: Pod> Buffer<T> {
     pub fn with_headroom(gpu: &Gpu, len: usize) -> Self {
         let words = (len * size_of::<T>()).div_ceil(4);
         let roomy = words.next_multiple_of((words.next_power_of_two() / 8).max(1));
-        let fits = roomy as u64 <= gpu.buffer_limit / 4;
-        Self::with_room(gpu, len, if fits { roomy } else { words })
+        Self::with_room(gpu, len, roomy.min((gpu.buffer_limit / 4) as usize).max(words))
     }
 
     fn with_room(gpu: &Gpu, len: usize, words: usize) -> Self {
