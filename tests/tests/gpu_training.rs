@@ -1,5 +1,4 @@
-//! The same training run on the CPU and on the GPU. Long, so only when asked for:
-//! `cargo test --release --workspace --test gpu_training -- --ignored`.
+//! The same training run on the CPU and on the GPU: two to four minutes on a driver in software.
 
 use std::path::PathBuf;
 
@@ -49,7 +48,6 @@ fn train(capture: &Capture, device: &Device) -> (usize, usize, f64) {
 }
 
 #[test]
-#[ignore = "200 steps on both devices: minutes on a driver in software"]
 fn training_on_the_gpu_is_training_on_the_cpu() {
     let (Some(device), Some(folder)) = (gpu(), fox_small()) else { return };
     // The proofs of the kernels poison; here it would only take time.

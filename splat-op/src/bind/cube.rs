@@ -73,7 +73,7 @@ impl BlendInputs<CubeBackend> {
 
 /// The lists in the cell, computed now if nobody has yet.
 fn lists<'a>(gpu: &Gpu, cell: &'a HitCell, projected: &Buffer<f32>, spec: &BlendSpec) -> &'a DeviceLists {
-    let compute = || Lists::Device(launch_tile(gpu, projected, &spec.intrinsics, spec.options.alpha_min));
+    let compute = || Lists::Device(Box::new(launch_tile(gpu, projected, &spec.intrinsics, spec.options.alpha_min)));
     match cell.0.get_or_init(compute) {
         Lists::Device(lists) => lists,
         Lists::Host(_) => unreachable!("the public functions check that lists and ellipses are on one device"),

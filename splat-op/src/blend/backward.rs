@@ -30,10 +30,8 @@ pub(super) const fn row_len(shape: Shape, absolute: bool) -> usize {
 #[cube]
 pub(super) fn plane_of(channel: usize, #[comptime] shape: Shape) -> usize {
     let mut plane = channel;
-    if comptime!(shape.depth) {
-        if channel == comptime!(shape.features) {
-            plane = channel + 1;
-        }
+    if comptime!(shape.depth) && channel == comptime!(shape.features) {
+        plane = channel + 1;
     }
     plane
 }

@@ -204,14 +204,12 @@ pub(super) fn colour(
     channel: usize,
     #[comptime] shape: Shape,
 ) -> f32 {
+    let is_depth = comptime!(shape.depth) && channel == comptime!(shape.features);
     let mut value = 0.0f32;
-    if comptime!(shape.depth) {
-        if channel == comptime!(shape.features) {
-            value = projected[gaussian * comptime!(COLUMNS) + 5];
-        } else {
-            value = features[gaussian * comptime!(shape.features) + channel];
-        }
-    } else {
+    if is_depth {
+        value = projected[gaussian * comptime!(COLUMNS) + 5];
+    }
+    if !is_depth {
         value = features[gaussian * comptime!(shape.features) + channel];
     }
     value

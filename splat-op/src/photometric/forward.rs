@@ -58,28 +58,24 @@ struct Strip {
 #[cube]
 fn own_strip(planes: Planes, #[comptime] vertical: bool, #[comptime] strip: usize) -> Strip {
     let unit = ABSOLUTE_POS as u32;
-    let plane = planes.width * planes.height;
-    let mut base = 0u32;
-    let mut stride = 1u32;
-    let mut first = 0u32;
     let mut len = planes.width;
-    let mut index = 0u32;
     if comptime!(vertical) {
-        let blocks = (planes.height + comptime!(strip as u32 - 1)) / comptime!(strip as u32);
-        let rest = unit / planes.width;
-        index = rest / blocks;
-        first = rest % blocks * comptime!(strip as u32);
-        base = index * plane + unit % planes.width;
-        stride = planes.width;
         len = planes.height;
-    } else {
-        let blocks = (planes.width + comptime!(strip as u32 - 1)) / comptime!(strip as u32);
-        let rest = unit / blocks;
-        index = rest / planes.height;
-        first = unit % blocks * comptime!(strip as u32);
-        base = rest * planes.width;
     }
-    Strip { base: base as usize, stride: stride as usize, first, len, exists: index < planes.count }
+    let blocks = (len + comptime!(strip as u32 - 1)) / comptime!(strip as u32);
+    // Neighbouring units take neighbouring columns, or neighbouring blocks of a row.
+    let mut first = unit % blocks * comptime!(strip as u32);
+    let mut line = unit / blocks;
+    let mut base = line * planes.width;
+    let mut stride = 1u32;
+    if comptime!(vertical) {
+        first = unit / planes.width % blocks * comptime!(strip as u32);
+        line = unit / planes.width / blocks * planes.height;
+        base = line * planes.width + unit % planes.width;
+        stride = planes.width;
+    }
+    let exists = line < planes.height * planes.count;
+    Strip { base: base as usize, stride: stride as usize, first, len, exists }
 }
 
 #[cube]

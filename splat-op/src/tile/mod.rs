@@ -54,7 +54,7 @@ pub(crate) struct HitLists {
 pub(crate) enum Lists {
     Host(HitLists),
     #[cfg(feature = "cube")]
-    Device(launch::DeviceLists),
+    Device(Box<launch::DeviceLists>),
 }
 
 /// Holds the lists of one view once they are computed. It is passed to forward and backward as an ordinary argument; the
