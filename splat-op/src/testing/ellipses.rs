@@ -11,7 +11,7 @@ pub fn ellipses(seed: u64, count: usize, camera: &Intrinsics, opacity: [f64; 2])
     // Many are small, so that there are about as many layers however many there are.
     let largest = (0.4 * width.max(height)).min(4.0 * width.max(height) / (count as f64).sqrt()).max(1.5);
     let mut random = Random::new(seed);
-    let mut size = |random: &mut Random| 0.55 * (largest / 0.55_f64).powf(random.between(0.0, 1.0));
+    let size = |random: &mut Random| 0.55 * (largest / 0.55_f64).powf(random.between(0.0, 1.0));
     let mut packed = Vec::new();
     for i in 0..count {
         let ellipse = Ellipse {
