@@ -51,7 +51,6 @@ pub(crate) struct HitLists {
 
 /// The lists of one view, where its stages run.
 #[derive(Debug)]
-#[allow(clippy::large_enum_variant, reason = "there is one per view, and it is never moved")]
 pub(crate) enum Lists {
     Host(HitLists),
     #[cfg(feature = "cube")]
