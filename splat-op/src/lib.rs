@@ -44,7 +44,6 @@ pub mod blend;
 
 pub mod photometric;
 
-mod attach;
 mod bind;
 #[cfg(feature = "cube")]
 mod gpu;
@@ -59,7 +58,7 @@ pub mod witness;
 
 #[cfg(feature = "cube")]
 pub use abilities::Abilities;
-pub use attach::{AttachBackend, with_gradient};
+pub use bind::attach::{AttachBackend, with_gradient};
 pub use camera::{Camera, CameraModel, Intrinsics};
 pub use error::SplatError;
 pub use op::{Slot, SplatBackend};

@@ -15,7 +15,7 @@ const BITS: u32 = 4;
 const DIGITS: usize = 1 << BITS;
 
 /// Consecutive keys of a unit.
-const PER_UNIT: usize = 8;
+const PER_UNIT: usize = 16;
 
 /// Keys of a cube.
 const BLOCK: usize = UNITS * PER_UNIT;
