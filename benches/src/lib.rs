@@ -1,5 +1,9 @@
 //! Scenes that the benches share, and what they verify before they time.
 
+mod load;
+
+pub use load::Load;
+
 use burn::tensor::{DType, Device, Tensor, TensorData};
 use glam::{DAffine3, DVec3};
 use rand::{RngExt, SeedableRng};
@@ -23,6 +27,12 @@ pub const SMALL: SyntheticView = SyntheticView { splats: 20_000, width: 270, hei
 /// A tenth of a million Gaussians at a quarter of full HD.
 pub const MEDIUM: SyntheticView = SyntheticView { splats: 100_000, width: 960, height: 540 };
 
+/// A million Gaussians at full HD.
+pub const LARGE: SyntheticView = SyntheticView { splats: 1_000_000, width: 1920, height: 1080 };
+
+/// Standard deviation on the picture below which a Gaussian, reaching some 2.5 times as far, lies in fewer than four tiles.
+const SIGMA_OF_FOUR_TILES_PX: f64 = 3.6;
+
 impl SyntheticView {
     /// The camera, at the origin, looking along +z.
     pub fn camera(&self, device: &Device, dtype: DType) -> Camera {
@@ -37,9 +47,10 @@ impl SyntheticView {
         let mut rng = ChaCha8Rng::seed_from_u64(7);
         let focal = 0.9 * self.width.max(self.height) as f64;
         // Standard deviation on the picture at which the discs of all visible Gaussians cover it about 40 times, given
-        // a reach of some 2.5 standard deviations.
+        // a reach of some 2.5 standard deviations; more if they would be in fewer than four tiles each.
         let pixels = (self.width * self.height) as f64;
         let sigma_px = (40.0 * pixels / (0.8 * self.splats as f64 * std::f64::consts::PI)).sqrt() / 2.5;
+        let sigma_px = sigma_px.max(SIGMA_OF_FOUR_TILES_PX);
         let (mut means, mut scales, mut rotations, mut opacities, mut sh) = (vec![], vec![], vec![], vec![], vec![]);
         for i in 0..self.splats {
             let depth = rng.random_range(2.0..8.0);

@@ -1,0 +1,121 @@
+//! What a scene puts the stages to, counted plainly on the CPU.
+
+use burn::tensor::Tensor;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use splat_op::{Camera, RenderOptions, Splats, project, tile};
+
+use crate::values;
+
+/// Pixels whose layers are counted one by one: enough for the mean to be good to some hundredths.
+const SAMPLED_PIXELS: usize = 256;
+
+/// Counts of one view.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Load {
+    /// Gaussians.
+    pub splats: usize,
+    /// Those whose reach, the ellipse within which alpha is at least `alpha_min`, has a bounding box that meets the picture.
+    pub visible: usize,
+    /// Pairs of a tile and a Gaussian that `tile` lists.
+    pub hits: usize,
+    /// Gaussians that contribute to a pixel, by the rules of `blend`: the mean of [`SAMPLED_PIXELS`] random pixels.
+    pub layers: f64,
+}
+
+impl Load {
+    /// Counts; `splats` and `camera` lie on a CPU device.
+    ///
+    /// # Panics
+    /// If the scene's shapes do not fit together.
+    pub fn of(splats: &Splats, camera: &Camera, options: &RenderOptions) -> Self {
+        let projected = project(splats, camera, None, options).expect("the scene's shapes fit");
+        let counts = tile(&projected, options).expect("options are in range").counts;
+        let columns = projected.ellipses();
+        let column = |values_of: Tensor<1>| values(values_of);
+        let (sigma_u, shear, sigma_v) = (column(columns.sigma_u), column(columns.shear), column(columns.sigma_v));
+        let (depth, opacity) = (column(columns.depth), column(columns.opacity));
+        let mean2d = values(columns.mean2d);
+        let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
+
+        let mut visible: Vec<Ellipse> = (0..opacity.len())
+            .filter(|&i| opacity[i] >= options.alpha_min && opacity[i] > 0.0)
+            .map(|i| Ellipse {
+                x: mean2d[2 * i],
+                y: mean2d[2 * i + 1],
+                sigma_u: sigma_u[i],
+                shear: shear[i],
+                sigma_v: sigma_v[i],
+                depth: depth[i],
+                opacity: opacity[i],
+                reach: (2.0 * (opacity[i] / options.alpha_min).ln()).sqrt(),
+            })
+            .filter(|ellipse| ellipse.meets(width as f64, height as f64))
+            .collect();
+        visible.sort_by(|a, b| a.depth.total_cmp(&b.depth));
+
+        let mut rng = ChaCha8Rng::seed_from_u64(11);
+        let mut centre = |size: usize| rng.random_range(0..size) as f64 + 0.5;
+        let layers: usize = (0..SAMPLED_PIXELS).map(|_| layers(&visible, centre(width), centre(height), options)).sum();
+        Self {
+            splats: opacity.len(),
+            visible: visible.len(),
+            hits: values(counts.float()).iter().sum::<f64>() as usize,
+            layers: layers as f64 / SAMPLED_PIXELS as f64,
+        }
+    }
+
+    /// The share of the Gaussians that are visible.
+    pub fn visible_share(&self) -> f64 {
+        self.visible as f64 / self.splats as f64
+    }
+
+    /// Tiles per visible Gaussian.
+    pub fn hits_per_visible(&self) -> f64 {
+        self.hits as f64 / self.visible as f64
+    }
+}
+
+/// A projected Gaussian; see `splat_op::Ellipses`.
+struct Ellipse {
+    x: f64,
+    y: f64,
+    sigma_u: f64,
+    shear: f64,
+    sigma_v: f64,
+    depth: f64,
+    opacity: f64,
+    /// In standard deviations.
+    reach: f64,
+}
+
+impl Ellipse {
+    fn meets(&self, width: f64, height: f64) -> bool {
+        let half_x = self.reach * self.sigma_u;
+        let half_y = self.reach * (self.shear * self.sigma_u).hypot(self.sigma_v);
+        self.x + half_x > 0.0 && self.x - half_x < width && self.y + half_y > 0.0 && self.y - half_y < height
+    }
+}
+
+/// Contributions to one pixel, front to back.
+fn layers(visible: &[Ellipse], x: f64, y: f64, options: &RenderOptions) -> usize {
+    let (mut count, mut transmittance) = (0, 1.0);
+    for ellipse in visible {
+        let u = (x - ellipse.x) / ellipse.sigma_u;
+        if u.abs() > ellipse.reach {
+            continue;
+        }
+        let v = (y - ellipse.y - ellipse.shear * (x - ellipse.x)) / ellipse.sigma_v;
+        let alpha = (ellipse.opacity * (-0.5 * (u * u + v * v)).exp()).min(options.alpha_max);
+        if alpha < options.alpha_min {
+            continue;
+        }
+        let behind = transmittance * (1.0 - alpha);
+        if behind <= options.transmittance_min {
+            break;
+        }
+        transmittance = behind;
+        count += 1;
+    }
+    count
+}
