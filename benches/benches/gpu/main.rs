@@ -117,7 +117,7 @@ fn table(job: &Job, load: &Load, opened: &Opened, base: &[f64]) -> Result<Vec<f6
         let rate = pass.bytes as f64 / times.median_s;
         let ratio = base.get(i).map_or("-".into(), |first| format!("{:.2}", times.median_s / first));
         println!(
-            "  {:<21}{:>10.2}{:>6}{:>11.1}{:>9.2}{:>8.1}%{ratio:>9}",
+            "  {:<21}{:>10.2}{:>6}{:>11.1}{:>9.3}{:>8.1}%{ratio:>9}",
             pass.name,
             1e3 * times.median_s,
             times.runs,

@@ -38,7 +38,8 @@ impl Pass {
     pub fn time(&mut self, device: &Device, budget: Duration) -> Result<Times, Box<dyn Error>> {
         let mut seconds = Vec::with_capacity(RUNS);
         let begin = Instant::now();
-        for run in 0..WARM_UP + RUNS {
+        let mut run = 0;
+        while seconds.len() < RUNS {
             // On a slow device the second warm-up would be most of the budget.
             let warm = run == 0 || run < WARM_UP && begin.elapsed() < budget / 4;
             let timed = (self.prepare)()?;
@@ -48,6 +49,7 @@ impl Pass {
             device.sync()?;
             let elapsed = start.elapsed().as_secs_f64();
             drop(kept);
+            run += 1;
             if !warm {
                 seconds.push(elapsed);
                 if begin.elapsed() > budget {
