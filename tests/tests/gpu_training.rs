@@ -12,9 +12,15 @@ use splat_op::witness;
 use splat_tests::gpu;
 use splat_tests::reference::announce;
 
-/// Rounding moves Gaussians across the threshold of densification one by one.
+/// Differences of the means over all starts.
 const COUNT_TOLERANCE: f64 = 0.01;
 const PSNR_TOLERANCE_DB: f64 = 0.2;
+/// Runs on each device, from points one f32 ulp apart. One run proves nothing: rounding moves Gaussians across the threshold
+/// of densification one by one, and on the CPU alone an ulp in the points moves the PSNR after 200 steps by up to 0.4 dB,
+/// and with the default threshold by up to 0.7 dB and the count by up to 1.4%.
+const STARTS: u8 = 6;
+/// Above the default, so that the count grows by a quarter rather than by more than its double.
+const GRAD_THRESHOLD: f64 = 6e-4;
 /// Less growth would leave density control unproven.
 const GROWTH: f64 = 1.2;
 
@@ -29,13 +35,41 @@ fn fox_small() -> Option<PathBuf> {
     Some(folder)
 }
 
-/// Gaussians before, Gaussians after, and the PSNR of the test views.
-fn train(capture: &Capture, device: &Device) -> (usize, usize, f64) {
+/// Gaussians before and after, and the PSNR of the test views.
+struct Outcome {
+    before: f64,
+    count: f64,
+    psnr: f64,
+}
+
+/// The means over all starts.
+fn train_all(capture: &Capture, name: &str, device: &Device) -> Outcome {
+    let runs: Vec<Outcome> = (0..STARTS)
+        .map(|start| {
+            let mut capture = capture.clone();
+            let scale = 1.0 + f32::from(start) * f32::EPSILON;
+            capture.points.positions.iter_mut().flatten().for_each(|coordinate| *coordinate *= scale);
+            let run = train(&capture, device);
+            announce(&format!("on {name}: {} to {} Gaussians, {:.3} dB", run.before, run.count, run.psnr));
+            run
+        })
+        .collect();
+    let mean = |of: fn(&Outcome) -> f64| runs.iter().map(of).sum::<f64>() / f64::from(STARTS);
+    Outcome { before: mean(|run| run.before), count: mean(|run| run.count), psnr: mean(|run| run.psnr) }
+}
+
+fn train(capture: &Capture, device: &Device) -> Outcome {
     let split = Split::every(&capture.views, 8);
     let photos = |views: &[usize]| -> Vec<Photo> {
         load_all(views.iter().map(|view| &capture.views[*view]), None, |_| ()).expect("readable photographs")
     };
-    let density = AdaptiveConfig { from: 50, every: 50, until_share: 1.0, ..AdaptiveConfig::default() };
+    let density = AdaptiveConfig {
+        from: 50,
+        every: 50,
+        until_share: 1.0,
+        grad_threshold: GRAD_THRESHOLD,
+        ..AdaptiveConfig::default()
+    };
     let config = TrainConfig { steps: 200, density, ..TrainConfig::default() };
     let (background, options) = (config.background, config.render_options());
     let mut trainer = Trainer::new(photos(&split.train), &capture.points, config, device).expect("a valid run");
@@ -45,24 +79,23 @@ fn train(capture: &Capture, device: &Device) -> (usize, usize, f64) {
     }
     let gaussians = trainer.gaussians().untracked();
     let scores = evaluate(&gaussians.splats(), &photos(&split.test), background, &options, |_, _| ());
-    (before, gaussians.len(), scores.expect("a valid scene").psnr)
+    let psnr = scores.expect("a valid scene").psnr;
+    Outcome { before: before as f64, count: gaussians.len() as f64, psnr }
 }
 
 #[test]
-#[ignore = "200 steps on both devices: minutes on a driver in software"]
+#[ignore = "200 steps, several times on each device: ten minutes on a driver in software"]
 fn training_on_the_gpu_is_training_on_the_cpu() {
     let (Some(device), Some(folder)) = (gpu(), fox_small()) else { return };
     // The proofs of the kernels poison; here it would only take time.
     witness::poison(false);
     let capture = Capture::load(&folder).expect("a readable capture");
-    let (before, cpu_count, cpu_psnr) = train(&capture, &Device::flex());
-    announce(&format!("on the CPU: {before} to {cpu_count} Gaussians, {cpu_psnr:.3} dB"));
-    let (_, gpu_count, gpu_psnr) = train(&capture, &device);
-    announce(&format!("on the GPU: {before} to {gpu_count} Gaussians, {gpu_psnr:.3} dB"));
-    let growth = cpu_count as f64 / before as f64;
+    let on_cpu = train_all(&capture, "the CPU", &Device::flex());
+    let on_gpu = train_all(&capture, "the GPU", &device);
+    let growth = on_cpu.count / on_cpu.before;
     assert!(growth >= GROWTH, "the count grew only {growth:.3} times");
-    let difference = (gpu_count as f64 / cpu_count as f64 - 1.0).abs();
-    assert!(difference <= COUNT_TOLERANCE, "{cpu_count} Gaussians on the CPU, {gpu_count} on the GPU");
-    let difference = (gpu_psnr - cpu_psnr).abs();
-    assert!(difference <= PSNR_TOLERANCE_DB, "{cpu_psnr:.3} dB on the CPU, {gpu_psnr:.3} dB on the GPU");
+    let (count, psnr) = (on_gpu.count / on_cpu.count - 1.0, on_gpu.psnr - on_cpu.psnr);
+    announce(&format!("the GPU against the CPU: {:+.2}% Gaussians, {psnr:+.3} dB", 100.0 * count));
+    assert!(count.abs() <= COUNT_TOLERANCE, "{} Gaussians on the CPU, {} on the GPU", on_cpu.count, on_gpu.count);
+    assert!(psnr.abs() <= PSNR_TOLERANCE_DB, "{:.3} dB on the CPU, {:.3} dB on the GPU", on_cpu.psnr, on_gpu.psnr);
 }
