@@ -11,7 +11,7 @@
 
 use cubecl::prelude::*;
 
-use super::forward::{BUCKET, Footprint, Limits, Shape, colour, first_slot};
+use super::layer::{BUCKET, Footprint, Limits, Shape, colour, first_slot};
 use crate::gpu::reduce::cube_sum;
 use crate::project::COLUMNS;
 use crate::tile::forward::Frame;

@@ -6,7 +6,7 @@
 use cubecl::prelude::*;
 
 use super::backward::{MOMENTS, plane_of, row_len, tile_of_slot};
-use super::forward::{BUCKET, FOOTPRINT, Footprint, Limits, Shape, colour, first_slot};
+use super::layer::{BUCKET, FOOTPRINT, Footprint, Limits, Shape, colour, first_slot};
 use crate::gpu::atomic::FloatCell;
 use crate::tile::forward::Frame;
 use crate::tile::{TILE, TILE_PIXELS};

@@ -4,7 +4,8 @@ use cubecl::prelude::*;
 
 use super::backward::{blend_behind_kernel, blend_gather_kernel, row_len};
 use super::channels::blend_channels_kernel;
-use super::forward::{BUCKET, LimitsLaunch, Shape, Strip, blend_forward_kernel};
+use super::forward::blend_forward_kernel;
+use super::layer::{BUCKET, LimitsLaunch, Shape, Strip};
 use super::strips::blend_strips_kernel;
 use super::{BlendNeeds, BlendSpec};
 use crate::gpu::reduce::launch_column_sums;

@@ -23,6 +23,8 @@ mod kernel_tests;
 #[cfg(feature = "cube")]
 pub(crate) mod launch;
 #[cfg(feature = "cube")]
+mod layer;
+#[cfg(feature = "cube")]
 mod strips;
 #[cfg(test)]
 mod tests;

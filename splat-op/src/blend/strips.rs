@@ -9,7 +9,7 @@
 use cubecl::prelude::*;
 
 use super::backward::{MOMENTS, plane_of, row_len, tile_of_slot};
-use super::forward::{BUCKET, FOOTPRINT, Footprint, Limits, Shape, Strip, colour, first_slot, layer, strip_origin};
+use super::layer::{BUCKET, FOOTPRINT, Footprint, Limits, Shape, Strip, colour, first_slot, layer, strip_origin};
 use crate::gpu::atomic::FloatCell;
 use crate::tile::forward::Frame;
 use crate::tile::{TILE, TILE_PIXELS};
@@ -144,8 +144,8 @@ pub(super) fn blend_strips_kernel<A: FloatCell>(
                         let footprint = Footprint::load(&footprints, i as usize);
                         #[unroll]
                         for p in 0..pixels {
-                            let (u, from) = footprint.along_column(x + comptime!((p / lines) as f32));
-                            let v = (y + comptime!((p % lines) as f32) - from) * footprint.inverse_v;
+                            let (u, below) = footprint.along_column(x + comptime!((p / lines) as f32), y);
+                            let v = (below + comptime!((p % lines) as f32)) * footprint.inverse_v;
                             let alpha = footprint.alpha(u, v, frame.alpha_min, limits.alpha_max);
                             let (_, next) = layer(alpha, through[p], before[p], limits.transmittance_min);
                             through[p] = next;
@@ -169,8 +169,8 @@ pub(super) fn blend_strips_kernel<A: FloatCell>(
                         let footprint = Footprint::load(&footprints, start as usize + k);
                         #[unroll]
                         for p in 0..pixels {
-                            let (u, from) = footprint.along_column(x + comptime!((p / lines) as f32));
-                            let v = (y + comptime!((p % lines) as f32) - from) * footprint.inverse_v;
+                            let (u, below) = footprint.along_column(x + comptime!((p / lines) as f32), y);
+                            let v = (below + comptime!((p % lines) as f32)) * footprint.inverse_v;
                             let alpha = footprint.alpha(u, v, frame.alpha_min, limits.alpha_max);
                             let (alpha, next) = layer(alpha, through[p], before[p], limits.transmittance_min);
                             alphas[comptime!(k * pixels + p)] = alpha;
@@ -190,7 +190,7 @@ pub(super) fn blend_strips_kernel<A: FloatCell>(
                         }
                         #[unroll]
                         for across in 0..comptime!(strip.across) {
-                            let (u, from) = footprint.along_column(x + comptime!(across as f32));
+                            let (u, below) = footprint.along_column(x + comptime!(across as f32), y);
                             // Sums of `h, h v, h v²` down the column, where `u` is the same.
                             let mut h_sum = 0.0f32;
                             let mut hv_sum = 0.0f32;
@@ -211,7 +211,7 @@ pub(super) fn blend_strips_kernel<A: FloatCell>(
                                 let ahead = along - rho[p];
                                 rho[p] += alpha * ahead;
                                 let h = select(alpha < limits.alpha_max, weight * ahead, 0.0);
-                                let v = (y + comptime!(line as f32) - from) * footprint.inverse_v;
+                                let v = (below + comptime!(line as f32)) * footprint.inverse_v;
                                 let hv = h * v;
                                 h_sum += h;
                                 hv_sum += hv;
