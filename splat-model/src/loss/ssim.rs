@@ -21,16 +21,9 @@
 
 use burn::tensor::{Tensor, TensorData, module::conv2d, ops::ConvOptions};
 
-use super::with_gradient;
+use splat_op::photometric::{C1, C2, SIGMA_PX, TAPS};
 
-/// Taps of the window along each axis.
-const TAPS: usize = 11;
-/// Standard deviation of the window, px.
-const SIGMA_PX: f64 = 1.5;
-/// `(0.01 L)²` for the dynamic range `L` = 1: keeps the ratio of means defined where both are black.
-const C1: f64 = 1e-4;
-/// `(0.03 L)²`: keeps the ratio of variances defined where both are flat.
-const C2: f64 = 9e-4;
+use super::with_gradient;
 
 /// The separable window, as weights of a depthwise convolution.
 #[derive(Clone, Debug)]

@@ -2,7 +2,7 @@
 
 use cubecl::prelude::*;
 
-use super::TAPS;
+use super::{C1, C2, TAPS};
 
 /// Taps on one side of the middle.
 const HALF: usize = TAPS / 2;
@@ -197,8 +197,8 @@ pub(super) fn index_kernel(
         let m = own.load(moments, 0usize, strip);
         let mm = own.load(moments, map, strip);
         let mt = own.load(moments, 2 * map, strip);
-        let c1 = comptime!(1e-4f32);
-        let c2 = comptime!(9e-4f32);
+        let c1 = comptime!(C1 as f32);
+        let c2 = comptime!(C2 as f32);
         #[unroll]
         for i in 0..strip {
             if own.holds(i) {

@@ -1,13 +1,10 @@
 //! Launches of the loss.
 
-use super::TAPS;
 use super::forward::{
     PlanesLaunch, WeightsLaunch, WindowLaunch, gradient_kernel, index_kernel, moments_kernel, window_kernel,
 };
+use super::{SIGMA_PX, TAPS};
 use crate::gpu::{Buffer, Gpu, elementwise};
-
-/// Standard deviation of the window, px.
-const SIGMA_PX: f64 = 1.5;
 
 /// Inputs on the device, each `[C, H, W]`.
 pub(crate) struct DeviceInputs {

@@ -28,8 +28,13 @@ use burn::tensor::Tensor;
 pub use op::{Photometric, PhotometricBackend, PhotometricInputs};
 
 /// Taps of the window along each axis.
-#[cfg(feature = "cube")]
-const TAPS: usize = 11;
+pub const TAPS: usize = 11;
+/// Standard deviation of the window, px.
+pub const SIGMA_PX: f64 = 1.5;
+/// `(0.01 L)²` for the dynamic range `L` = 1: keeps the ratio of means defined where both are black.
+pub const C1: f64 = 1e-4;
+/// `(0.03 L)²`: keeps the ratio of variances defined where both are flat.
+pub const C2: f64 = 9e-4;
 
 /// The loss of `image` against a photograph, `[.., H, W]` f32 without autodiff: the shares whose sum it is, and its
 /// derivative if asked for. `None` on devices that have no such operation: compute it with tensor code there.
