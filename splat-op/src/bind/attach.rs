@@ -73,6 +73,9 @@ impl<B: AttachBackend, C: CheckpointStrategy> AttachBackend for Autodiff<B, C> {
 
 /// `value`, `[1]`, with `gradient` as its derivative with respect to `variable`, whose shape it has. For losses whose
 /// derivative is cheaper in closed form than as a graph of small operations. `value` and `gradient` are constants.
+///
+/// # Panics
+/// If the shapes of `variable` and `gradient` differ.
 pub fn with_gradient<const D: usize>(variable: Tensor<D>, value: Tensor<1>, gradient: Tensor<D>) -> Tensor<1> {
     assert_eq!(variable.dims(), gradient.dims(), "a derivative has the shape of its variable");
     let (value, gradient) = (value.into_dispatch(), gradient.into_dispatch());

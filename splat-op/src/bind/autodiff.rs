@@ -1,4 +1,4 @@
-//! The only backward nodes of the project. Each stage is one node; its backward pass computes what is tracked.
+//! The backward nodes of the stages. Each stage is one node; its backward pass computes what is tracked.
 
 use burn::backend::Autodiff;
 use burn::backend::autodiff::NodeId;

@@ -61,11 +61,3 @@ pub(crate) enum Lists {
 /// tensor of counts that `tile` returns orders them for backends that run lazily.
 #[derive(Clone, Debug, Default)]
 pub struct HitCell(pub(crate) Arc<OnceLock<Lists>>);
-
-impl HitCell {
-    /// Where the lists lie: `None` before they are computed.
-    #[doc(hidden)]
-    pub fn on_device(&self) -> Option<bool> {
-        self.0.get().map(|lists| !matches!(lists, Lists::Host(_)))
-    }
-}
