@@ -52,10 +52,10 @@ pub(super) fn blend_channels_kernel<A: FloatCell>(
     let unit = UNIT_POS;
     let tiles = frame.tiles_x * frame.tiles_y;
     if slot < slots {
-        let tile = tile_of_slot(tile_start, tiles, slot);
+        let tile = tile_of_slot(tile_start, tiles, slot, shape);
         let first = tile_start[tile as usize];
         let places = tile_start[tile as usize + 1] - first;
-        let bucket = slot - first_slot(first, tile);
+        let bucket = slot - first_slot(first, tile, shape);
         let place = bucket * comptime!(BUCKET as u32);
         if place < places {
             let count = min(places - place, comptime!(BUCKET as u32));
@@ -74,7 +74,7 @@ pub(super) fn blend_channels_kernel<A: FloatCell>(
             }
             if bucket < passed[tile as usize] {
                 if unit < count {
-                    Footprint::of(projected, gaussian as usize, frame.alpha_min).store(&mut footprints, unit as usize);
+                    Footprint::of(projected, gaussian as usize).store(&mut footprints, unit as usize);
                     if comptime!(few) {
                         #[unroll]
                         for channel in 0..channels {

@@ -1,17 +1,19 @@
-//! The kernel of `blend`, forwards: a cube per tile, a unit per strip of pixels, whose numbers stay in registers. How many
-//! pixels a strip has is chosen by the device, see [`Strip`].
+//! The kernel of `blend`, forwards: a cube per tile, a unit per block of pixels, whose numbers stay in registers. How many
+//! pixels a block has is chosen by the device: a graphics card has units to fill, and hides behind them what reading takes. A
+//! driver in software runs eight units at a time as one vector, but reads for each of them one after the other, ten times
+//! slower than it computes; there a tile has eight blocks.
 //!
-//! A tile's places are passed in buckets of 32. Within a bucket a pixel's sums and transmittance are relative to those
+//! A tile's places are passed in buckets. Within a bucket a pixel's sums and transmittance are relative to those
 //! before it; at its end they are added in. What the backward pass needs of a bucket is then a few numbers per pixel that
 //! do not depend on any other bucket, and it can work on all buckets at once.
 
 use cubecl::prelude::*;
 
-use super::layer::{BUCKET, FOOTPRINT, Footprint, Limits, Shape, Strip, colour, first_slot, layer, strip_origin};
+use super::layer::{Block, FOOTPRINT, Footprint, Limits, Shape, block_origin, colour, first_slot, layer};
 use crate::tile::forward::Frame;
 use crate::tile::{TILE, TILE_PIXELS};
 
-/// Places that a cube loads at once.
+/// Places that a cube loads at once, a whole number of buckets.
 const BATCH: usize = 64;
 
 /// Planes `[C + 1 (+ 1), H, W]`; and, if a trace is kept, the kept numbers `[slot][number][pixel]`, the transmittance
@@ -34,11 +36,11 @@ pub(super) fn blend_forward_kernel(
     limits: Limits,
     #[comptime] shape: Shape,
     #[comptime] keep: bool,
-    #[comptime] strip: Strip,
+    #[comptime] block: Block,
 ) {
     let channels = comptime!(shape.channels());
     let few = comptime!(shape.few());
-    let (rows, pixels) = comptime!((strip.rows(), strip.pixels()));
+    let pixels = comptime!(block.pixels());
     let tile = CUBE_POS as u32;
     let mut footprints = Shared::<[f32]>::new_slice(comptime!(BATCH * FOOTPRINT));
     let mut colours = Shared::<[f32]>::new_slice(comptime!(if few { BATCH * channels } else { 1 }));
@@ -46,7 +48,7 @@ pub(super) fn blend_forward_kernel(
     let mut anybody = Shared::<[u32]>::new_slice(1usize);
 
     if tile < frame.tiles_x * frame.tiles_y {
-        let (column, row) = strip_origin(strip);
+        let (column, row) = block_origin(UNIT_POS, block);
         let first_column = tile % frame.tiles_x * comptime!(TILE as u32) + column;
         let first_row = tile / frame.tiles_x * comptime!(TILE as u32) + row;
         let in_tile = (row * comptime!(TILE as u32) + column) as usize;
@@ -54,7 +56,7 @@ pub(super) fn blend_forward_kernel(
         let y = f32::cast_from(first_row) + 0.5;
         let first = tile_start[tile as usize];
         let places = tile_start[tile as usize + 1] - first;
-        let slot = first_slot(first, tile);
+        let slot = first_slot(first, tile, shape);
 
         let mut transmittance = Array::<f32>::new(pixels);
         let mut through = Array::<f32>::new(pixels);
@@ -62,8 +64,8 @@ pub(super) fn blend_forward_kernel(
         let mut own = Array::<f32>::new(comptime!(pixels * channels));
         #[unroll]
         for p in 0..pixels {
-            let inside = first_column + comptime!((p / rows) as u32) < frame.width
-                && first_row + comptime!((p % rows) as u32) < frame.height;
+            let inside = first_column + comptime!(block.pixel(p)[0] as u32) < frame.width
+                && first_row + comptime!(block.pixel(p)[1] as u32) < frame.height;
             transmittance[p] = select(inside, 1.0f32, -1.0f32);
             #[unroll(few)]
             for channel in 0..channels {
@@ -91,7 +93,7 @@ pub(super) fn blend_forward_kernel(
             let mut i = UNIT_POS;
             while i < count {
                 let gaussian = gaussian_of_hit[hit_of_place[(first + place + i) as usize] as usize];
-                Footprint::of(projected, gaussian as usize, frame.alpha_min).store(&mut footprints, i as usize);
+                Footprint::of(projected, gaussian as usize).store(&mut footprints, i as usize);
                 gaussians[i as usize] = gaussian;
                 if comptime!(few) {
                     #[unroll]
@@ -100,7 +102,7 @@ pub(super) fn blend_forward_kernel(
                             colour(projected, features, gaussian as usize, channel, shape);
                     }
                 }
-                i += comptime!(strip.units() as u32);
+                i += comptime!(block.of_tile() as u32);
             }
             sync_cube();
             running = anybody[0] != 0;
@@ -115,7 +117,7 @@ pub(super) fn blend_forward_kernel(
                             own[comptime!(p * channels) + channel] = 0.0f32;
                         }
                     }
-                    let end = select(open, min(bucket + comptime!(BUCKET as u32), count), bucket);
+                    let end = select(open, min(bucket + comptime!(shape.bucket as u32), count), bucket);
                     for i in bucket..end {
                         let footprint = Footprint::load(&footprints, i as usize);
                         let mut colour_here = Array::<f32>::new(comptime!(if few { channels } else { 1 }));
@@ -127,8 +129,8 @@ pub(super) fn blend_forward_kernel(
                         }
                         #[unroll]
                         for p in 0..pixels {
-                            let (u, below) = footprint.along_column(x + comptime!((p / rows) as f32), y);
-                            let v = (below + comptime!((p % rows) as f32)) * footprint.inverse_v;
+                            let (u, below) = footprint.along_column(x + comptime!(block.pixel(p)[0] as f32), y);
+                            let v = (below + comptime!(block.pixel(p)[1] as f32)) * footprint.inverse_v;
                             let alpha = footprint.alpha(u, v, frame.alpha_min, limits.alpha_max);
                             let before = through[p];
                             let (alpha, next) = layer(alpha, before, transmittance[p], limits.transmittance_min);
@@ -149,7 +151,7 @@ pub(super) fn blend_forward_kernel(
                             }
                         }
                     }
-                    let at = (slot + (place + bucket) / comptime!(BUCKET as u32)) as usize
+                    let at = (slot + (place + bucket) / comptime!(shape.bucket as u32)) as usize
                         * comptime!(shape.kept() * TILE_PIXELS)
                         + in_tile;
                     #[unroll]
@@ -157,7 +159,7 @@ pub(super) fn blend_forward_kernel(
                         let before = transmittance[p];
                         let share = through[p].abs();
                         if comptime!(keep) {
-                            let at = at + comptime!(p % rows * TILE + p / rows);
+                            let at = at + comptime!(block.in_tile(p));
                             kept[at] = before;
                             kept[at + comptime!(TILE_PIXELS)] = share;
                             if comptime!(few) {
@@ -176,7 +178,7 @@ pub(super) fn blend_forward_kernel(
                         // A pixel that finished in this bucket becomes negative here; one that had finished stays.
                         transmittance[p] = select(before >= 0.0, before * through[p], before);
                     }
-                    bucket += comptime!(BUCKET as u32);
+                    bucket += comptime!(shape.bucket as u32);
                 }
                 place += count;
             }
@@ -186,18 +188,18 @@ pub(super) fn blend_forward_kernel(
         if comptime!(keep) {
             #[unroll]
             for p in 0..pixels {
-                behind[tile as usize * comptime!(TILE_PIXELS) + in_tile + comptime!(p % rows * TILE + p / rows)] =
+                behind[tile as usize * comptime!(TILE_PIXELS) + in_tile + comptime!(block.in_tile(p))] =
                     transmittance[p].abs();
             }
             if UNIT_POS == 0 {
-                passed[tile as usize] = (place + comptime!(BUCKET as u32 - 1)) / comptime!(BUCKET as u32);
+                passed[tile as usize] = (place + comptime!(shape.bucket as u32 - 1)) / comptime!(shape.bucket as u32);
             }
         }
         let plane = (frame.width * frame.height) as usize;
         #[unroll]
         for p in 0..pixels {
-            let column = first_column + comptime!((p / rows) as u32);
-            let row = first_row + comptime!((p % rows) as u32);
+            let column = first_column + comptime!(block.pixel(p)[0] as u32);
+            let row = first_row + comptime!(block.pixel(p)[1] as u32);
             if column < frame.width && row < frame.height {
                 let pixel = (row * frame.width + column) as usize;
                 let left = transmittance[p].abs();

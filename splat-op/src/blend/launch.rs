@@ -3,9 +3,10 @@
 use cubecl::prelude::*;
 
 use super::backward::{blend_behind_kernel, blend_gather_kernel, row_len};
+use super::buckets::blend_buckets_kernel;
 use super::channels::blend_channels_kernel;
 use super::forward::blend_forward_kernel;
-use super::layer::{BUCKET, LimitsLaunch, Shape, Strip};
+use super::layer::{BUCKET, Block, LimitsLaunch, Shape};
 use super::strips::blend_strips_kernel;
 use super::{BlendNeeds, BlendSpec};
 use crate::gpu::reduce::launch_column_sums;
@@ -20,6 +21,9 @@ use crate::tile::{TILE_PIXELS, tile_grid};
 /// of shared memory.
 const CHANNEL_UNITS: usize = 64;
 
+/// Units of a cube of the kernel for drivers in software.
+const BUCKET_UNITS: usize = 8;
+
 /// Inputs on the device, row-major.
 #[derive(Clone)]
 pub(crate) struct DeviceInputs {
@@ -32,8 +36,10 @@ pub(crate) struct DeviceInputs {
 }
 
 impl DeviceInputs {
-    fn shape(&self, spec: &BlendSpec) -> Shape {
-        Shape { features: self.background.len, depth: spec.options.depth }
+    fn shape(&self, gpu: &Gpu, spec: &BlendSpec) -> Shape {
+        let shape = Shape { features: self.background.len, depth: spec.options.depth, bucket: BUCKET };
+        // The longer, the less there is to keep; the shorter, the fewer places are missing in the last ones.
+        Shape { bucket: if gpu.software && shape.few() { 2 * BUCKET } else { BUCKET }, ..shape }
     }
 
     fn count(&self) -> usize {
@@ -65,21 +71,22 @@ pub(crate) struct DeviceGrads {
     pub mean2d_abs: Option<Buffer<f32>>,
 }
 
-fn forward_strip(gpu: &Gpu, shape: Shape) -> Strip {
+/// The pixels of a unit; see `forward.rs`.
+fn forward_block(gpu: &Gpu, shape: Shape) -> Block {
     match (shape.few(), gpu.software) {
-        (true, true) => Strip { across: 2, blocks: 1 },
-        (true, false) => Strip { across: 1, blocks: 4 },
-        (false, _) => Strip { across: 1, blocks: 16 },
+        (true, true) => Block { across: 2, down: 16 },
+        (true, false) => Block { across: 1, down: 4 },
+        (false, _) => Block { across: 1, down: 1 },
     }
 }
 
-fn backward_strip(gpu: &Gpu) -> Strip {
-    if gpu.software { Strip { across: 2, blocks: 1 } } else { Strip { across: 1, blocks: 2 } }
-}
+/// What the kernel of layers goes through at once, on a driver in software and on a card; see `buckets.rs` and `strips.rs`.
+const SQUARE: Block = Block { across: 4, down: 4 };
+const STRIP: Block = Block { across: 1, down: 8 };
 
 /// Slots of all tiles' buckets; see `first_slot`.
-fn slots(lists: &DeviceLists, tiles: usize) -> usize {
-    lists.hits / BUCKET + tiles
+fn slots(lists: &DeviceLists, tiles: usize, shape: Shape) -> usize {
+    lists.hits / shape.bucket + tiles
 }
 
 fn limits(spec: &BlendSpec) -> LimitsLaunch {
@@ -106,13 +113,13 @@ pub(crate) fn launch_blend(
     keep: bool,
 ) -> (Buffer<f32>, Option<DeviceTrace>) {
     let camera = &spec.intrinsics;
-    let shape = inputs.shape(spec);
-    let strip = forward_strip(gpu, shape);
+    let shape = inputs.shape(gpu, spec);
+    let block = forward_block(gpu, shape);
     let [tiles_x, tiles_y] = tile_grid(camera.width, camera.height);
     let tiles = tiles_x * tiles_y;
     let planes = Buffer::new(gpu, spec.planes(shape.features) * camera.width * camera.height);
     let kept_len = |len: usize| if keep { len } else { 0 };
-    let kept = kept_len(slots(lists, tiles) * shape.kept() * TILE_PIXELS);
+    let kept = kept_len(slots(lists, tiles, shape) * shape.kept() * TILE_PIXELS);
     assert_fits(gpu, "the trace of the backward pass", kept);
     let trace = DeviceTrace {
         kept: Buffer::with_headroom(gpu, kept),
@@ -124,7 +131,7 @@ pub(crate) fn launch_blend(
         blend_forward_kernel::launch_unchecked(
             &gpu.client,
             cubes(tiles),
-            CubeDim::new_1d(strip.units() as u32),
+            CubeDim::new_1d(block.of_tile() as u32),
             inputs.projected.arg(),
             inputs.features.arg(),
             inputs.background.arg(),
@@ -139,7 +146,7 @@ pub(crate) fn launch_blend(
             limits(spec),
             shape,
             keep,
-            strip,
+            block,
         );
     }
     (planes, keep.then_some(trace))
@@ -156,10 +163,10 @@ pub(crate) fn launch_blend_backward(
     needs: BlendNeeds,
 ) -> DeviceGrads {
     let camera = &spec.intrinsics;
-    let shape = inputs.shape(spec);
+    let shape = inputs.shape(gpu, spec);
     let [tiles_x, tiles_y] = tile_grid(camera.width, camera.height);
     let tiles = tiles_x * tiles_y;
-    let slots = slots(lists, tiles);
+    let slots = slots(lists, tiles, shape);
     let rho_behind: Buffer<f32> = Buffer::with_headroom(gpu, slots * TILE_PIXELS);
     let background = Buffer::new(gpu, if needs.background { tiles * shape.features } else { 0 });
     // SAFETY: as in the forward pass; slots are those that the forward pass wrote.
@@ -207,13 +214,14 @@ pub(crate) fn launch_blend_backward(
     let unused: Buffer<f32> = Buffer::new(gpu, 0);
     let (written, added) = if ordered { (&rows, &unused) } else { (&unused, &rows) };
     macro_rules! launch {
-        ($kernel:path, $units:expr, $own:expr) => {
+        ($kernel:path, $dealt:expr) => {{
+            let (count, units, own) = $dealt;
             // SAFETY: as in the forward pass; a row belongs to a hit or a Gaussian of the lists.
             unsafe {
                 $kernel(
                     &gpu.client,
-                    cubes(slots),
-                    CubeDim::new_1d($units as u32),
+                    cubes(count),
+                    CubeDim::new_1d(units as u32),
                     inputs.projected.arg(),
                     inputs.features.arg(),
                     grad.arg(),
@@ -231,17 +239,22 @@ pub(crate) fn launch_blend_backward(
                     shape,
                     needs.mean2d_abs,
                     !ordered,
-                    $own,
+                    own,
                 )
             }
-        };
+        }};
     }
-    let strip = backward_strip(gpu);
-    match (shape.few(), gpu.float_atomics) {
-        (true, true) => launch!(blend_strips_kernel::launch_unchecked::<Atomic<f32>>, strip.units(), strip),
-        (true, false) => launch!(blend_strips_kernel::launch_unchecked::<Atomic<u32>>, strip.units(), strip),
-        (false, true) => launch!(blend_channels_kernel::launch_unchecked::<Atomic<f32>>, CHANNEL_UNITS, CHANNEL_UNITS),
-        (false, false) => launch!(blend_channels_kernel::launch_unchecked::<Atomic<u32>>, CHANNEL_UNITS, CHANNEL_UNITS),
+    // Cubes, units of each, and what the kernel deals out by.
+    let strips = (slots, STRIP.of_tile(), STRIP);
+    let buckets = (slots.div_ceil(BUCKET_UNITS), BUCKET_UNITS, SQUARE);
+    let many = (slots, CHANNEL_UNITS, CHANNEL_UNITS);
+    match (shape.few(), gpu.software, gpu.float_atomics) {
+        (true, false, true) => launch!(blend_strips_kernel::launch_unchecked::<Atomic<f32>>, strips),
+        (true, false, false) => launch!(blend_strips_kernel::launch_unchecked::<Atomic<u32>>, strips),
+        (true, true, true) => launch!(blend_buckets_kernel::launch_unchecked::<Atomic<f32>>, buckets),
+        (true, true, false) => launch!(blend_buckets_kernel::launch_unchecked::<Atomic<u32>>, buckets),
+        (false, _, true) => launch!(blend_channels_kernel::launch_unchecked::<Atomic<f32>>, many),
+        (false, _, false) => launch!(blend_channels_kernel::launch_unchecked::<Atomic<u32>>, many),
     }
     let zeros = |needed: bool, columns: usize| Buffer::zeros(gpu, if needed { inputs.count() * columns } else { 0 });
     let projected = zeros(needs.projected, COLUMNS);

@@ -6,15 +6,16 @@ use cubecl::prelude::*;
 use crate::project::COLUMNS;
 use crate::tile::TILE;
 
-/// Places of a bucket.
+/// Places of a bucket of [`Shape::bucket`] where a plane of units works on it together.
 pub(super) const BUCKET: usize = 32;
 
 /// Channels up to which colours go through shared memory and sums through registers, and the trace keeps the sums of each
 /// bucket; above, all three would not fit.
 pub(super) const FEW: usize = 4;
 
-/// Numbers of an ellipse in shared memory.
-pub(super) const FOOTPRINT: usize = 7;
+/// Numbers of an ellipse that its pixels need: the columns of `mean2d, sigma_u, sigma_v, shear, opacity`.
+const NUMBERS: [usize; FOOTPRINT] = [0, 1, 2, 4, 3, 6];
+pub(super) const FOOTPRINT: usize = 6;
 
 /// Thresholds of the render besides the frame's.
 #[derive(CubeType, CubeLaunch, Clone, Copy)]
@@ -32,6 +33,8 @@ pub(crate) struct Shape {
     pub features: usize,
     /// Whether depth is accumulated, as a further channel.
     pub depth: bool,
+    /// Places of a bucket.
+    pub bucket: usize,
 }
 
 impl Shape {
@@ -50,37 +53,45 @@ impl Shape {
     }
 }
 
-/// The pixels of a unit: some columns of a tile, and of those a block of rows. Pixels in one column share `u`, and all
-/// share what is read of a Gaussian. A graphics card has units to fill, and hides the reading behind them. A software
-/// driver runs eight units at a time as one vector, and reads for each of them one after the other, ten times slower than
-/// it computes: there a strip is as long as eight units leave it.
+/// The pixels of a unit: a block of a tile. Pixels in one column share `u`, and all share what is read of a Gaussian.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub(crate) struct Strip {
-    /// Columns of a unit.
+pub(crate) struct Block {
+    /// Columns and rows.
     pub across: usize,
-    /// Blocks that the rows of a tile are cut into.
-    pub blocks: usize,
+    pub down: usize,
 }
 
-impl Strip {
-    pub const fn units(&self) -> usize {
-        TILE / self.across * self.blocks
+impl Block {
+    /// Blocks of a tile along a row.
+    pub const fn along(&self) -> usize {
+        TILE / self.across
     }
 
-    pub const fn rows(&self) -> usize {
-        TILE / self.blocks
+    /// Blocks of a tile.
+    pub const fn of_tile(&self) -> usize {
+        self.along() * (TILE / self.down)
     }
 
     pub const fn pixels(&self) -> usize {
-        self.across * self.rows()
+        self.across * self.down
+    }
+
+    /// Column and row of pixel `p`, down one column after the other.
+    pub const fn pixel(&self, p: usize) -> [usize; 2] {
+        [p / self.down, p % self.down]
+    }
+
+    /// Where pixel `p` lies from the block's first one, in planes of a tile's pixels.
+    pub const fn in_tile(&self, p: usize) -> usize {
+        p % self.down * TILE + p / self.down
     }
 }
 
-/// Column and row in the tile of a unit's first pixel.
+/// Column and row in the tile of the first pixel of a block.
 #[cube]
-pub(super) fn strip_origin(#[comptime] strip: Strip) -> (u32, u32) {
-    let along = comptime!((TILE / strip.across) as u32);
-    (UNIT_POS % along * comptime!(strip.across as u32), UNIT_POS / along * comptime!(strip.rows() as u32))
+pub(super) fn block_origin(index: u32, #[comptime] block: Block) -> (u32, u32) {
+    let along = comptime!(block.along() as u32);
+    (index % along * comptime!(block.across as u32), index / along * comptime!(block.down as u32))
 }
 
 /// An ellipse as the pixels' loop reads it.
@@ -93,35 +104,25 @@ pub(super) struct Footprint {
     pub inverse_v: f32,
     pub shear: f32,
     pub opacity: f32,
-    /// Exponents below this give an alpha below `alpha_min` for certain.
-    pub exponent_min: f32,
 }
 
 #[cube]
 impl Footprint {
     /// Of a row of the packed ellipses.
-    pub fn of(projected: &[f32], gaussian: usize, alpha_min: f32) -> Footprint {
-        let at = gaussian * comptime!(COLUMNS);
-        let opacity = projected[at + 6];
-        let mut exponent_min = f32::min_value();
-        if alpha_min > 0.0 {
-            // A relative margin for the logarithm, an absolute one for the exponential.
-            exponent_min = (alpha_min / opacity).ln() * 1.00001 - 5e-5;
-        }
+    pub fn of(projected: &[f32], gaussian: usize) -> Footprint {
         Footprint {
-            x: projected[at],
-            y: projected[at + 1],
-            inverse_u: 1.0 / projected[at + 2],
-            inverse_v: 1.0 / projected[at + 4],
-            shear: projected[at + 3],
-            opacity,
-            exponent_min,
+            x: Footprint::number(projected, gaussian, 0usize),
+            y: Footprint::number(projected, gaussian, 1usize),
+            inverse_u: Footprint::number(projected, gaussian, 2usize),
+            inverse_v: Footprint::number(projected, gaussian, 3usize),
+            shear: Footprint::number(projected, gaussian, 4usize),
+            opacity: Footprint::number(projected, gaussian, 5usize),
         }
     }
 
     /// One that shows in no pixel.
     pub fn nowhere() -> Footprint {
-        Footprint { x: 0.0, y: 0.0, inverse_u: 0.0, inverse_v: 0.0, shear: 0.0, opacity: 0.0, exponent_min: 1.0 }
+        Footprint { x: 0.0, y: 0.0, inverse_u: 0.0, inverse_v: 0.0, shear: 0.0, opacity: 0.0 }
     }
 
     pub fn store(&self, to: &mut Shared<[f32]>, index: usize) {
@@ -132,7 +133,6 @@ impl Footprint {
         to[at + 3] = self.inverse_v;
         to[at + 4] = self.shear;
         to[at + 5] = self.opacity;
-        to[at + 6] = self.exponent_min;
     }
 
     pub fn load(from: &Shared<[f32]>, index: usize) -> Footprint {
@@ -144,7 +144,24 @@ impl Footprint {
             inverse_v: from[at + 3],
             shear: from[at + 4],
             opacity: from[at + 5],
-            exponent_min: from[at + 6],
+        }
+    }
+
+    /// Number `number` of a row of the packed ellipses, in the order of the fields.
+    pub fn number(projected: &[f32], gaussian: usize, #[comptime] number: usize) -> f32 {
+        let value = projected[gaussian * comptime!(COLUMNS) + comptime!(NUMBERS[number])];
+        if comptime!(number == 2 || number == 3) { 1.0 / value } else { value }
+    }
+
+    /// Of arrays of those numbers.
+    pub fn among(numbers: &Sequence<Array<f32>>, index: usize) -> Footprint {
+        Footprint {
+            x: numbers[0][index],
+            y: numbers[1][index],
+            inverse_u: numbers[2][index],
+            inverse_v: numbers[3][index],
+            shear: numbers[4][index],
+            opacity: numbers[5][index],
         }
     }
 
@@ -167,7 +184,39 @@ impl Footprint {
     pub fn alpha(&self, u: f32, v: f32, alpha_min: f32, alpha_max: f32) -> f32 {
         let exponent = -(0.5 * (u * u + v * v));
         let value = min(self.opacity * exponent.exp(), alpha_max);
-        select(exponent >= self.exponent_min && value >= alpha_min, value, 0.0)
+        select(value >= alpha_min, value, 0.0)
+    }
+
+    /// Which blocks of the tile whose first pixel has its centre at `x, y` px the ellipse may show in, a bit each. Those left
+    /// out hold no pixel with an alpha of at least `alpha_min`: the ellipse of that alpha has the half-axes
+    /// `r sigma_u` and `r √(sigma_v² + shear² sigma_u²)` with `r² = 2 ln(opacity/alpha_min)`.
+    pub fn blocks_reached(&self, x: f32, y: f32, alpha_min: f32, #[comptime] block: Block) -> u32 {
+        let mut reach = f32::max_value();
+        if alpha_min > 0.0 {
+            // Relative and absolute margins above the rounding of logarithm, exponential and coordinates.
+            reach = (2.0002 * max((self.opacity / alpha_min).ln(), 0.0) + 1e-3).sqrt();
+        }
+        let slope = self.shear * (self.inverse_v / self.inverse_u);
+        let half_width = reach / self.inverse_u + 0.01;
+        let half_height = reach * (1.0 + slope * slope).sqrt() / self.inverse_v + 0.01;
+        let (dx, dy) = (x - self.x, y - self.y);
+        let mut columns = 0u32;
+        #[unroll]
+        for i in 0..comptime!(block.along()) {
+            let first = dx + comptime!((i * block.across) as f32);
+            if first <= half_width && first + comptime!((block.across - 1) as f32) >= -half_width {
+                columns = columns | comptime!(1u32 << i as u32);
+            }
+        }
+        let mut reached = 0u32;
+        #[unroll]
+        for i in 0..comptime!(TILE / block.down) {
+            let first = dy + comptime!((i * block.down) as f32);
+            if first <= half_height && first + comptime!((block.down - 1) as f32) >= -half_height {
+                reached = reached | columns << comptime!((i * block.along()) as u32);
+            }
+        }
+        reached
     }
 }
 
@@ -182,11 +231,11 @@ pub(super) fn layer(alpha: f32, through: f32, before: f32, transmittance_min: f3
     (select(contributes, alpha, 0.0), select(contributes, next, select(finishes, -through, through)))
 }
 
-/// The first slot of a tile's buckets: a slot per started 32 places, so that no two tiles share one and no list of slots
+/// The first slot of a tile's buckets: a slot per started bucket, so that no two tiles share one and no list of slots
 /// is needed.
 #[cube]
-pub(super) fn first_slot(first_place: u32, tile: u32) -> u32 {
-    first_place / comptime!(BUCKET as u32) + tile
+pub(super) fn first_slot(first_place: u32, tile: u32, #[comptime] shape: Shape) -> u32 {
+    first_place / comptime!(shape.bucket as u32) + tile
 }
 
 /// Channel `channel` of a Gaussian, the depth after the features.

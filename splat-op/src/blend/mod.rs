@@ -14,6 +14,8 @@
 #[cfg(feature = "cube")]
 mod backward;
 #[cfg(feature = "cube")]
+mod buckets;
+#[cfg(feature = "cube")]
 mod channels;
 pub(crate) mod cpu;
 #[cfg(feature = "cube")]

@@ -1,4 +1,5 @@
-//! The layers of a bucket, backwards, for few channels: a unit per strip of pixels, whose numbers stay in registers.
+//! The layers of a bucket, backwards, for few channels on a graphics card: a unit per strip of pixels, a column and some rows
+//! of a tile, whose numbers stay in registers.
 //!
 //! A cube takes a bucket four places at a time, from the last to the first. `α` and `T` of the four come from a forward
 //! pass through the whole bucket, which leaves `T` before each four, and from the four once more: twice the exponentials,
@@ -9,7 +10,7 @@
 use cubecl::prelude::*;
 
 use super::backward::{MOMENTS, plane_of, row_len, tile_of_slot};
-use super::layer::{BUCKET, FOOTPRINT, Footprint, Limits, Shape, Strip, colour, first_slot, layer, strip_origin};
+use super::layer::{BUCKET, Block, FOOTPRINT, Footprint, Limits, Shape, block_origin, colour, first_slot, layer};
 use crate::gpu::atomic::FloatCell;
 use crate::tile::forward::Frame;
 use crate::tile::{TILE, TILE_PIXELS};
@@ -39,12 +40,12 @@ pub(super) fn blend_strips_kernel<A: FloatCell>(
     #[comptime] shape: Shape,
     #[comptime] absolute: bool,
     #[comptime] add: bool,
-    #[comptime] strip: Strip,
+    #[comptime] block: Block,
 ) {
     let channels = comptime!(shape.channels());
     let columns = comptime!(row_len(shape, absolute));
-    let units = comptime!(strip.units());
-    let (lines, pixels) = comptime!((strip.rows(), strip.pixels()));
+    let units = comptime!(block.of_tile());
+    let (lines, pixels) = comptime!((block.down, block.pixels()));
     let mut footprints = Shared::<[f32]>::new_slice(comptime!(BUCKET * FOOTPRINT));
     let mut colours = Shared::<[f32]>::new_slice(comptime!(BUCKET * channels));
     let mut hits = Shared::<[u32]>::new_slice(comptime!(BUCKET));
@@ -52,10 +53,10 @@ pub(super) fn blend_strips_kernel<A: FloatCell>(
 
     let slot = CUBE_POS as u32;
     if slot < slots {
-        let tile = tile_of_slot(tile_start, frame.tiles_x * frame.tiles_y, slot);
+        let tile = tile_of_slot(tile_start, frame.tiles_x * frame.tiles_y, slot, shape);
         let first = tile_start[tile as usize];
         let places = tile_start[tile as usize + 1] - first;
-        let bucket = slot - first_slot(first, tile);
+        let bucket = slot - first_slot(first, tile, shape);
         let place = bucket * comptime!(BUCKET as u32);
         if place < places {
             let count = min(places - place, comptime!(BUCKET as u32));
@@ -67,7 +68,7 @@ pub(super) fn blend_strips_kernel<A: FloatCell>(
                 if i < count {
                     hit = hit_of_place[(first + place + i) as usize];
                     gaussian = gaussian_of_hit[hit as usize];
-                    Footprint::of(projected, gaussian as usize, frame.alpha_min).store(&mut footprints, i as usize);
+                    Footprint::of(projected, gaussian as usize).store(&mut footprints, i as usize);
                 } else {
                     Footprint::nowhere().store(&mut footprints, i as usize);
                 }
@@ -91,7 +92,7 @@ pub(super) fn blend_strips_kernel<A: FloatCell>(
                     }
                 }
             } else {
-                let (column, row) = strip_origin(strip);
+                let (column, row) = block_origin(UNIT_POS, block);
                 let first_column = tile % frame.tiles_x * comptime!(TILE as u32) + column;
                 let first_row = tile / frame.tiles_x * comptime!(TILE as u32) + row;
                 let in_tile = (row * comptime!(TILE as u32) + column) as usize;
@@ -108,7 +109,7 @@ pub(super) fn blend_strips_kernel<A: FloatCell>(
                 let mut through = Array::<f32>::new(pixels);
                 #[unroll]
                 for p in 0..pixels {
-                    let in_tile_too = comptime!(p % lines * TILE + p / lines);
+                    let in_tile_too = comptime!(block.in_tile(p));
                     before[p] = kept[at + in_tile_too];
                     rho[p] = rho_behind[slot as usize * comptime!(TILE_PIXELS) + in_tile + in_tile_too];
                     grad_alpha[p] = 0.0f32;
@@ -116,8 +117,8 @@ pub(super) fn blend_strips_kernel<A: FloatCell>(
                     for channel in 0..channels {
                         gradients[comptime!(p * channels) + channel] = 0.0f32;
                     }
-                    let column = first_column + comptime!((p / lines) as u32);
-                    let line = first_row + comptime!((p % lines) as u32);
+                    let column = first_column + comptime!(block.pixel(p)[0] as u32);
+                    let line = first_row + comptime!(block.pixel(p)[1] as u32);
                     if column < frame.width && line < frame.height {
                         let pixel = (line * frame.width + column) as usize;
                         grad_alpha[p] = grad[comptime!(shape.features) * plane + pixel];
@@ -144,8 +145,8 @@ pub(super) fn blend_strips_kernel<A: FloatCell>(
                         let footprint = Footprint::load(&footprints, i as usize);
                         #[unroll]
                         for p in 0..pixels {
-                            let (u, below) = footprint.along_column(x + comptime!((p / lines) as f32), y);
-                            let v = (below + comptime!((p % lines) as f32)) * footprint.inverse_v;
+                            let (u, below) = footprint.along_column(x + comptime!(block.pixel(p)[0] as f32), y);
+                            let v = (below + comptime!(block.pixel(p)[1] as f32)) * footprint.inverse_v;
                             let alpha = footprint.alpha(u, v, frame.alpha_min, limits.alpha_max);
                             let (_, next) = layer(alpha, through[p], before[p], limits.transmittance_min);
                             through[p] = next;
@@ -169,8 +170,8 @@ pub(super) fn blend_strips_kernel<A: FloatCell>(
                         let footprint = Footprint::load(&footprints, start as usize + k);
                         #[unroll]
                         for p in 0..pixels {
-                            let (u, below) = footprint.along_column(x + comptime!((p / lines) as f32), y);
-                            let v = (below + comptime!((p % lines) as f32)) * footprint.inverse_v;
+                            let (u, below) = footprint.along_column(x + comptime!(block.pixel(p)[0] as f32), y);
+                            let v = (below + comptime!(block.pixel(p)[1] as f32)) * footprint.inverse_v;
                             let alpha = footprint.alpha(u, v, frame.alpha_min, limits.alpha_max);
                             let (alpha, next) = layer(alpha, through[p], before[p], limits.transmittance_min);
                             alphas[comptime!(k * pixels + p)] = alpha;
@@ -189,7 +190,7 @@ pub(super) fn blend_strips_kernel<A: FloatCell>(
                             own[column] = 0.0f32;
                         }
                         #[unroll]
-                        for across in 0..comptime!(strip.across) {
+                        for across in 0..comptime!(block.across) {
                             let (u, below) = footprint.along_column(x + comptime!(across as f32), y);
                             // Sums of `h, h v, h v²` down the column, where `u` is the same.
                             let mut h_sum = 0.0f32;
