@@ -31,4 +31,4 @@ macro_rules! groups {
     };
 }
 
-groups!(needles);
+groups!(needles, sizes, near, opacity, depth, rotations, cameras, colour, counts);

@@ -97,7 +97,7 @@ const CUT_SHIFT: f64 = 1e-4;
 const F64_SHARE: f64 = 1e-6;
 
 /// Work, in pairs of a pixel and a Gaussian, above which the textbook is left out.
-const TEXTBOOK_PAIRS: usize = 10_000_000;
+const TEXTBOOK_PAIRS: usize = 20_000_000;
 
 /// What an f32 render should give, and how much an ulp in every input changes it.
 pub struct Yardstick {

@@ -95,13 +95,17 @@ pub const IDENTITY: [f64; 12] = [1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.
 
 /// An ordinary view, of no whole number of tiles.
 pub fn camera() -> Intrinsics {
-    Intrinsics { fx: 60.0, fy: 63.0, cx: 28.5, cy: 23.0, ..Intrinsics::centred(60, 44, 60.0) }
+    Intrinsics { fx: 60.0, fy: 63.0, cx: 28.5, cy: 22.5, ..Intrinsics::centred(60, 44, 60.0) }
 }
 
 impl Splat {
     /// A round one: its centre at `px` of [`camera`] at a depth, its standard deviation in px.
     pub fn round(px: [f64; 2], depth: f64, sigma_px: f64) -> Self {
-        let lens = camera();
+        Self::seen_by(&camera(), px, depth, sigma_px)
+    }
+
+    /// As [`Self::round`], on another camera's picture.
+    pub fn seen_by(lens: &Intrinsics, px: [f64; 2], depth: f64, sigma_px: f64) -> Self {
         Self {
             mean: [(px[0] - lens.cx) / lens.fx * depth, (px[1] - lens.cy) / lens.fy * depth, depth],
             quat: [0.9, 0.2, -0.3, 0.25],
@@ -109,6 +113,10 @@ impl Splat {
             opacity: 0.7,
             colour: vec![0.9, 0.4, 0.2],
         }
+    }
+
+    pub fn mean(self, mean: [f64; 3]) -> Self {
+        Self { mean, ..self }
     }
 
     pub fn scale(self, scale: [f64; 3]) -> Self {
@@ -184,6 +192,24 @@ impl HardScene {
 
     pub fn with_culled(self, culled: &[usize]) -> Self {
         Self { culled: culled.to_vec(), ..self }
+    }
+
+    pub fn with_background(self, background: &[f64]) -> Self {
+        Self { background: background.to_vec(), ..self }
+    }
+
+    pub fn with_draws(self, draws: u64) -> Self {
+        Self { draws, ..self }
+    }
+
+    /// Colours are coefficients of spherical harmonics.
+    pub fn with_harmonics(self, degree: usize) -> Self {
+        Self { paint: Paint::Harmonics(degree), truth: Truth::Twin, ..self }
+    }
+
+    /// Scales are logarithms and opacities logits.
+    pub fn stored(self) -> Self {
+        Self { stored: true, ..self }
     }
 
     pub fn holding_depth(self) -> Self {

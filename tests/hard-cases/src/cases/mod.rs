@@ -1,6 +1,14 @@
 //! The cases, by group. A group is a file here; to add one, add it to [`GROUPS`].
 
+mod cameras;
+mod colour;
+mod counts;
+mod depth;
+mod near;
 mod needles;
+mod opacity;
+mod rotations;
+mod sizes;
 
 use crate::case::Case;
 
@@ -16,7 +24,17 @@ pub struct Group {
 }
 
 /// All groups, in the order of the table.
-pub const GROUPS: &[Group] = &[Group { name: "needles", title: "Needles and discs", cases: needles::cases }];
+pub const GROUPS: &[Group] = &[
+    Group { name: "needles", title: "Needles and discs", cases: needles::cases },
+    Group { name: "sizes", title: "Sizes", cases: sizes::cases },
+    Group { name: "near", title: "The near plane and the border of the view", cases: near::cases },
+    Group { name: "opacity", title: "Opacity and transmittance", cases: opacity::cases },
+    Group { name: "depth", title: "Depth", cases: depth::cases },
+    Group { name: "rotations", title: "Rotations", cases: rotations::cases },
+    Group { name: "cameras", title: "Cameras", cases: cameras::cases },
+    Group { name: "colour", title: "Colour", cases: colour::cases },
+    Group { name: "counts", title: "Numbers of things", cases: counts::cases },
+];
 
 /// Every case, with its group.
 pub fn battery() -> Vec<(&'static Group, Vec<Case>)> {
