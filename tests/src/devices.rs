@@ -19,7 +19,7 @@ pub fn devices() -> Vec<(&'static str, Device)> {
 pub fn places() -> Vec<Place> {
     let place = |(name, device): (&'static str, Device)| {
         let processor = if name == "gpu" { Processor::Gpu } else { Processor::Cpu };
-        Place { name, device, processor }
+        Place { name: name.into(), device, processor }
     };
     devices().into_iter().map(place).collect()
 }

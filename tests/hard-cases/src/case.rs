@@ -41,7 +41,7 @@ pub struct Loose {
 /// A path: a device, by the name that the table gives it.
 #[derive(Clone, Debug)]
 pub struct Place {
-    pub name: &'static str,
+    pub name: String,
     pub device: Device,
     pub processor: Processor,
 }

@@ -16,7 +16,7 @@ pub fn markdown(sections: &[Section], places: &[Place]) -> String {
     let mut text = String::from(HEAD);
     let rows = || sections.iter().flat_map(|section| &section.rows);
     let count = |verdict| rows().filter(|(_, row)| row.verdict() == verdict).count();
-    let names: Vec<&str> = places.iter().map(|place| place.name).collect();
+    let names: Vec<&str> = places.iter().map(|place| place.name.as_str()).collect();
     let _ = writeln!(
         text,
         "\nPaths: {}. Of {} cases {} pass, {} are loose, {} fail.",

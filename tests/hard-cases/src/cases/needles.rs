@@ -62,8 +62,7 @@ fn in_plane() -> Vec<(String, [f64; 4])> {
 
 /// The x axis turned into each octant of space.
 fn out_of_plane() -> Vec<(String, [f64; 4])> {
-    let signs = [-1.0, 1.0];
-    let octants = signs.iter().flat_map(|x| signs.iter().flat_map(move |y| signs.iter().map(move |z| [*x, *y, *z])));
+    let octants = (0..8).map(|octant: usize| [4, 2, 1].map(|bit| if octant & bit == 0 { -1.0 } else { 1.0 }));
     octants
         .map(|[x, y, z]| {
             // Not quite a diagonal, so that no two components are equal.
