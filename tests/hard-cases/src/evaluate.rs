@@ -1,7 +1,7 @@
 //! A scene's render and gradients by the operation, on any device and float type.
 
-use burn::tensor::activation::sigmoid;
 use burn::tensor::{DType, Device, Tensor};
+use splat_model::gaussians::logistic;
 use splat_op::{Camera, Colour, Extras, Splats, project, render};
 
 use crate::scene::{HardScene, Paint, Weights};
@@ -70,7 +70,7 @@ fn leaves(scene: &HardScene, device: &Device, dtype: DType) -> Leaves {
         rotations: leaf(&scene.quats, [count, 4], device, dtype),
         // As `splat_model::Gaussians` activates what it stores.
         scales: if scene.stored { scales.clone().exp() } else { scales.clone() },
-        opacities: if scene.stored { sigmoid(opacities.clone()) } else { opacities.clone() },
+        opacities: if scene.stored { logistic(opacities.clone()) } else { opacities.clone() },
         colour: match scene.paint {
             Paint::Features(_) => Colour::Features(colours.clone()),
             Paint::Harmonics(degree) => {
