@@ -113,16 +113,34 @@ fn score(score: Score) -> String {
     if score.used <= 1.0 { format!("{error} ({share})") } else { format!("{error} (**{share}**)") }
 }
 
+/// Failures of a case that are listed.
+const FAILURES: usize = 4;
+
 /// Why a case is loose or fails, and which rows nothing but the ceiling judged.
 fn notes(case: &Case, row: &Row) -> Vec<String> {
     let mut notes = Vec::new();
-    if let Some(loose) = row.loose {
-        notes.push(format!("- *{}* is held to {} times the ceiling: {}", case.name, loose.factor, loose.why));
+    for loose in &case.loose {
+        let place = match loose.processor {
+            Processor::Cpu => "the CPU",
+            Processor::Gpu => "GPUs",
+        };
+        notes.push(format!(
+            "- *{}* is held to {} times the ceiling on {place}: {}.",
+            case.name, loose.factor, loose.why
+        ));
     }
+    notes.extend(
+        case.beyond_software.map(|why| format!("- *{}* does not run on drivers in software: {why}.", case.name)),
+    );
     let ill = row.places.iter().map(|(_, outcome)| outcome.ill_rows).max().unwrap_or_default();
     if ill > 0 {
-        notes.push(format!("- *{}*: one ulp moves {ill} rows of gradients by more than 1e-3.", case.name));
+        let rows = if ill == 1 { "row" } else { "rows" };
+        notes.push(format!("- *{}*: one ulp moves {ill} {rows} of gradients by more than 1e-3.", case.name));
     }
-    notes.extend(row.failures().into_iter().map(|failure| format!("- *{}* fails: {failure}", case.name)));
+    let failures = row.failures();
+    notes.extend(failures.iter().take(FAILURES).map(|failure| format!("- *{}* fails: {failure}.", case.name)));
+    if failures.len() > FAILURES {
+        notes.push(format!("- *{}* fails in {} more ways.", case.name, failures.len() - FAILURES));
+    }
     notes
 }
