@@ -5,6 +5,20 @@ use burn::tensor::{Device, Tensor, TensorData, activation::sigmoid};
 use splat_op::{Colour, Splats};
 use thiserror::Error;
 
+/// The logistic function `σ(x) = 1 / (1 + e⁻ˣ)` of any shape, with the derivative `σ(x) σ(−x)`. Autodiff would take it as
+/// `σ (1 − σ)`, which in f32 is zero from `x = 17` on: an opacity that came that close to one could never leave it.
+pub fn logistic<const D: usize>(x: Tensor<D>) -> Tensor<D> {
+    if !x.device().is_autodiff() {
+        return sigmoid(x);
+    }
+    let plain = x.clone().inner();
+    let value = sigmoid(plain.clone());
+    let derivative = value.clone() * sigmoid(plain.clone().neg());
+    let fixed = |tensor| Tensor::from_inner(tensor);
+    // The first term is the value, the second is zero and has the derivative.
+    fixed(value) + (x - fixed(plain)) * fixed(derivative)
+}
+
 /// The rows of a scene on the host, as files hold them. Row `i` of every field belongs to Gaussian `i`.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct GaussianRows {
@@ -148,7 +162,7 @@ impl Gaussians {
 
     /// `[N]`: opacities, 0 to 1.
     pub fn opacities(&self) -> Tensor<1> {
-        sigmoid(self.logit_opacities.val())
+        logistic(self.logit_opacities.val())
     }
 
     /// `[N, (degree+1)², 3]`: all coefficients.

@@ -14,6 +14,69 @@ pub(super) const ROW_VECTORS: usize = TILE / LANES;
 /// The transmittance of a tile is kept each time this many Gaussians have been passed.
 pub(super) const CHECKPOINT_EVERY: usize = 64;
 
+/// Sums over more Gaussians than this are sums of such sums: one by one in f32, the last of 10,000 faint layers would be
+/// too small to change the sum.
+const SUM_LENGTH: usize = 8 * CHECKPOINT_EVERY;
+
+/// Whether a list of hits is blended with [`Transmittances::lost`] and shorter sums. That takes a fifth longer. Where it is
+/// not, roundings do not add up to what an f32 picture can show: lists are short enough, or if they are not very short, no
+/// layer is so faint that it alone would change no digit. Nothing but rounding depends on it.
+pub(super) fn is_long<F: Real>(hits: usize, alpha_min: F) -> bool {
+    const LONG: usize = 2048;
+    const LONG_FOR_FAINT: usize = 256;
+    hits > if alpha_min >= F::of(1e-3) { LONG } else { LONG_FOR_FAINT }
+}
+
+/// The transmittances of a tile's pixels, in two parts: `lost` is what rounding took from `kept`, less than half an ulp of it.
+/// Without it the roundings of many layers add up.
+///
+/// Functions with the parameter `LONG`, see [`is_long`], leave it zero where that is false.
+#[derive(Clone, Copy)]
+pub(super) struct Transmittances<F> {
+    /// Negated where a pixel is finished.
+    pub kept: [F; TILE_PIXELS],
+    pub lost: [F; TILE_PIXELS],
+}
+
+impl<F: Real> Transmittances<F> {
+    pub fn new(kept: [F; TILE_PIXELS]) -> Self {
+        Self { kept, lost: [F::ZERO; TILE_PIXELS] }
+    }
+
+    /// Appends what [`Self::resume`] needs.
+    pub fn keep<const LONG: bool>(&self, checkpoints: &mut Vec<F>) {
+        checkpoints.extend_from_slice(&self.kept);
+        if LONG {
+            checkpoints.extend_from_slice(&self.lost);
+        }
+    }
+
+    /// As they were at a checkpoint, by its number.
+    pub fn resume<const LONG: bool>(checkpoints: &[F], number: usize) -> Self {
+        let parts = if LONG { 2 } else { 1 };
+        let part = |part: usize| {
+            let first = (parts * number + part) * TILE_PIXELS;
+            std::array::from_fn(|pixel| checkpoints[first + pixel])
+        };
+        Self { kept: part(0), lost: if LONG { part(1) } else { [F::ZERO; TILE_PIXELS] } }
+    }
+
+    /// Both parts of eight pixels.
+    #[inline(always)]
+    pub fn load<S: Simd, const LONG: bool>(&self, simd: S, first: usize) -> [F::Lanes<S>; 2] {
+        let part = |part: &[F]| F::Lanes::<S>::from_slice(simd, &part[first..first + LANES]);
+        [part(&self.kept), if LONG { part(&self.lost) } else { F::Lanes::<S>::splat(simd, F::ZERO) }]
+    }
+
+    #[inline(always)]
+    pub fn store<S: Simd, const LONG: bool>(&mut self, [kept, lost]: [F::Lanes<S>; 2], first: usize) {
+        kept.store_slice(&mut self.kept[first..first + LANES]);
+        if LONG {
+            lost.store_slice(&mut self.lost[first..first + LANES]);
+        }
+    }
+}
+
 /// An ellipse as `blend` reads it, in what its pixels' loop multiplies by.
 #[derive(Clone, Copy, Default)]
 pub(super) struct Footprint<F> {
@@ -119,7 +182,6 @@ pub(super) struct Thresholds<S: Simd, F: Real> {
     pub alpha_max: F::Lanes<S>,
     transmittance_min: F::Lanes<S>,
     zero: F::Lanes<S>,
-    one: F::Lanes<S>,
 }
 
 impl<S: Simd, F: Real> Thresholds<S, F> {
@@ -133,7 +195,6 @@ impl<S: Simd, F: Real> Thresholds<S, F> {
             alpha_max: lanes(alpha_max),
             transmittance_min: lanes(never),
             zero: lanes(F::ZERO),
-            one: lanes(F::ONE),
         }
     }
 
@@ -141,11 +202,11 @@ impl<S: Simd, F: Real> Thresholds<S, F> {
     /// behind it. A pixel that is finished has its transmittance negated; `None` if the Gaussian shows in no pixel and
     /// finishes none.
     #[inline(always)]
-    pub fn layer(
+    pub fn layer<const LONG: bool>(
         &self,
         splat: &Splat<S, F>,
         (u, v): (F::Lanes<S>, F::Lanes<S>),
-        transmittance: F::Lanes<S>,
+        [transmittance, lost]: [F::Lanes<S>; 2],
     ) -> Option<Layer<S, F>> {
         let half = F::Lanes::<S>::splat(splat.simd, F::of(-0.5));
         let exponent = u.mul_add(u, v * v) * half;
@@ -158,19 +219,29 @@ impl<S: Simd, F: Real> Thresholds<S, F> {
         if !shows.any_true() {
             return None;
         }
-        let behind = transmittance * (self.one - alpha);
+        // `1 − α` would be rounded before it is used, for all layers of one faint alpha the same way.
+        let [behind, lost_behind] = if LONG {
+            // (T + lost)(1 − α) as Kahan (1965) adds.
+            let change = (-alpha).mul_add(transmittance, (-alpha).mul_add(lost, lost));
+            let behind = transmittance + change;
+            [behind, change - (behind - transmittance)]
+        } else {
+            [(-alpha).mul_add(transmittance, transmittance), lost]
+        };
         let finishes = shows & behind.simd_le(self.transmittance_min);
         let contributes = shows & !finishes;
         let alpha = contributes.select(alpha, self.zero);
         let kept = finishes.select(-transmittance, transmittance);
-        Some(Layer { alpha, behind: contributes.select(behind, kept), finishes })
+        let behind = [contributes.select(behind, kept), contributes.select(lost_behind, lost)];
+        Some(Layer { alpha, behind, finishes })
     }
 }
 
 /// What a Gaussian did to eight pixels.
 pub(super) struct Layer<S: Simd, F: Real> {
     pub alpha: F::Lanes<S>,
-    pub behind: F::Lanes<S>,
+    /// Both parts of the transmittances behind it.
+    pub behind: [F::Lanes<S>; 2],
     pub finishes: <F::Lanes<S> as SimdBase<S>>::Mask,
 }
 
@@ -228,13 +299,23 @@ pub(super) fn centres<S: Simd, F: Real>(simd: S, left: F) -> [F::Lanes<S>; ROW_V
     })
 }
 
+/// Adds to totals, each with what rounding took from it (Kahan 1965), and leaves zeros.
+fn move_into<F: Real>(sums: &mut [F], totals: &mut [[F; 2]]) {
+    for ([total, lost], sum) in totals.iter_mut().zip(sums) {
+        let (change, before) = (*sum + *lost, *total);
+        *total = before + change;
+        *lost = change - (*total - before);
+        *sum = F::ZERO;
+    }
+}
+
 /// Blends a tile: `planes` gets `[channels + 1, 256]`, the sums `Σ w c` and the transmittance (positive). Returns how
 /// many Gaussians were passed before all pixels were finished; `checkpoints`, if given, gets the transmittances before
 /// each [`CHECKPOINT_EVERY`]th Gaussian but the first.
 ///
 /// `C` is the number of channels where it is known at compile time, else zero.
 #[inline(always)]
-pub(super) fn blend_tile<S: Simd, F: Real, const C: usize>(
+pub(super) fn blend_tile<S: Simd, F: Real, const C: usize, const LONG: bool>(
     simd: S,
     view: &TileView<F>,
     thresholds: &Thresholds<S, F>,
@@ -244,19 +325,24 @@ pub(super) fn blend_tile<S: Simd, F: Real, const C: usize>(
     let channels = if C == 0 { view.channels } else { C };
     let corner = view.corner();
     let x = centres::<S, F>(simd, corner[0]);
-    let mut transmittance = view.open_transmittance();
+    let mut transmittance = Transmittances::new(view.open_transmittance());
     let mut open = view.size[0] * view.size[1];
     let sums = &mut planes[..channels * TILE_PIXELS];
     sums.fill(F::ZERO);
+    let mut finished_sums = Vec::new();
     let mut passed = view.gaussians.len();
     let mut near = [Footprint::default(); CHECKPOINT_EVERY];
     for (i, &gaussian) in view.gaussians.iter().enumerate() {
         if i % CHECKPOINT_EVERY == 0 {
             view.gather(&view.gaussians[i..], &mut near);
-            if let Some(kept) = checkpoints.as_deref_mut()
-                && i > 0
-            {
-                kept.extend_from_slice(&transmittance);
+            if i > 0 {
+                if LONG || i % SUM_LENGTH == 0 {
+                    finished_sums.resize(sums.len(), [F::ZERO; 2]);
+                    move_into(sums, &mut finished_sums);
+                }
+                if let Some(checkpoints) = checkpoints.as_deref_mut() {
+                    transmittance.keep::<LONG>(checkpoints);
+                }
             }
         }
         let splat = Splat::new(simd, near[i % CHECKPOINT_EVERY]);
@@ -266,10 +352,12 @@ pub(super) fn blend_tile<S: Simd, F: Real, const C: usize>(
             let y = corner[1] + F::of(row as f64 + 0.5);
             for vector in window.first_vector..window.end_vector {
                 let first = row * TILE + vector * LANES;
-                let before = F::Lanes::<S>::from_slice(simd, &transmittance[first..first + LANES]);
-                let Some(layer) = thresholds.layer(&splat, splat.whiten(x[vector], y), before) else { continue };
-                layer.behind.store_slice(&mut transmittance[first..first + LANES]);
-                let weight = layer.alpha * before;
+                let before = transmittance.load::<S, LONG>(simd, first);
+                let Some(layer) = thresholds.layer::<LONG>(&splat, splat.whiten(x[vector], y), before) else {
+                    continue;
+                };
+                transmittance.store::<S, LONG>(layer.behind, first);
+                let weight = layer.alpha * before[0];
                 for channel in 0..channels {
                     let at = channel * TILE_PIXELS + first;
                     let sum = F::Lanes::<S>::from_slice(simd, &sums[at..at + LANES]);
@@ -286,7 +374,11 @@ pub(super) fn blend_tile<S: Simd, F: Real, const C: usize>(
             break;
         }
     }
-    for (out, t) in planes[channels * TILE_PIXELS..].iter_mut().zip(transmittance) {
+    if !finished_sums.is_empty() {
+        move_into(sums, &mut finished_sums);
+        sums.iter_mut().zip(&finished_sums).for_each(|(sum, [total, _])| *sum = *total);
+    }
+    for (out, t) in planes[channels * TILE_PIXELS..].iter_mut().zip(transmittance.kept) {
         *out = t.abs();
     }
     passed

@@ -6,7 +6,9 @@
 
 use fearless_simd::prelude::*;
 
-use super::tile::{CHECKPOINT_EVERY, Footprint, ROW_VECTORS, Splat, Thresholds, TileView, Window, centres};
+use super::tile::{
+    CHECKPOINT_EVERY, Footprint, ROW_VECTORS, Splat, Thresholds, TileView, Transmittances, Window, centres,
+};
 use crate::real::{LANES, Real};
 use crate::tile::{TILE, TILE_PIXELS};
 
@@ -20,7 +22,7 @@ pub(super) struct TileGrad<'a, F> {
     pub planes: &'a [F],
     /// `[256]`: `g · background`, the recursion's start.
     pub behind: &'a [F],
-    /// Transmittances before each [`CHECKPOINT_EVERY`]th Gaussian but the first.
+    /// What [`Transmittances::keep`] kept before each [`CHECKPOINT_EVERY`]th Gaussian but the first.
     pub checkpoints: &'a [F],
     /// Gaussians that the forward pass passed.
     pub passed: usize,
@@ -55,7 +57,7 @@ impl<F: Real> Default for Scratch<F> {
 /// Fills `hits`, `[passed, MOMENTS + channels (+ 2)]`, with each hit's sums over the tile, and returns with
 /// `transmittance` as it is behind all layers (negated where finished).
 #[inline(always)]
-pub(super) fn blend_tile_backward<S: Simd, F: Real, const C: usize>(
+pub(super) fn blend_tile_backward<S: Simd, F: Real, const C: usize, const LONG: bool>(
     simd: S,
     view: &TileView<F>,
     grad: &TileGrad<F>,
@@ -65,8 +67,9 @@ pub(super) fn blend_tile_backward<S: Simd, F: Real, const C: usize>(
 ) {
     let channels = if C == 0 { view.channels } else { C };
     let columns = MOMENTS + channels + if grad.absolute { 2 } else { 0 };
-    let mut rho = [F::ZERO; TILE_PIXELS];
-    rho.copy_from_slice(grad.behind);
+    // In two parts, as transmittances are.
+    let mut rho = Transmittances::new([F::ZERO; TILE_PIXELS]);
+    rho.kept.copy_from_slice(grad.behind);
     let chunks = grad.passed.div_ceil(CHECKPOINT_EVERY);
     let x = centres::<S, F>(simd, view.corner()[0]);
     *transmittance_behind = view.open_transmittance();
@@ -74,15 +77,15 @@ pub(super) fn blend_tile_backward<S: Simd, F: Real, const C: usize>(
         let first = chunk * CHECKPOINT_EVERY;
         let gaussians = &view.gaussians[first..grad.passed.min(first + CHECKPOINT_EVERY)];
         let mut transmittance = match chunk {
-            0 => view.open_transmittance(),
-            _ => std::array::from_fn(|pixel| grad.checkpoints[(chunk - 1) * TILE_PIXELS + pixel]),
+            0 => Transmittances::new(view.open_transmittance()),
+            _ => Transmittances::resume::<LONG>(grad.checkpoints, chunk - 1),
         };
         let mut near = [Footprint::default(); CHECKPOINT_EVERY];
         view.gather(gaussians, &mut near);
         let near = &near[..gaussians.len()];
-        forwards(simd, view.corner(), near, thresholds, &mut transmittance, scratch);
+        forwards::<S, F, LONG>(simd, view.corner(), near, thresholds, &mut transmittance, scratch);
         if chunk + 1 == chunks {
-            *transmittance_behind = transmittance;
+            *transmittance_behind = transmittance.kept;
         }
         for (i, &gaussian) in gaussians.iter().enumerate().rev() {
             let layers = scratch.starts[i]..scratch.starts[i + 1];
@@ -93,7 +96,7 @@ pub(super) fn blend_tile_backward<S: Simd, F: Real, const C: usize>(
             let layers = (&mut scratch.layers[layers.clone()], &scratch.places[layers]);
             let splat = Splat::new(simd, near[i]);
             let colour = view.colour(gaussian);
-            backwards::<S, F, C>(
+            backwards::<S, F, C, LONG>(
                 view.corner()[1],
                 grad,
                 (&splat, colour),
@@ -107,12 +110,12 @@ pub(super) fn blend_tile_backward<S: Simd, F: Real, const C: usize>(
 
 /// The forward pass over one chunk, remembering what it met.
 #[inline(always)]
-fn forwards<S: Simd, F: Real>(
+fn forwards<S: Simd, F: Real, const LONG: bool>(
     simd: S,
     corner: [F; 2],
     near: &[Footprint<F>],
     thresholds: &Thresholds<S, F>,
-    transmittance: &mut [F; TILE_PIXELS],
+    transmittance: &mut Transmittances<F>,
     scratch: &mut Scratch<F>,
 ) {
     let mut met = 0;
@@ -125,11 +128,13 @@ fn forwards<S: Simd, F: Real>(
             let y = corner[1] + F::of(row as f64 + 0.5);
             for vector in first_vector..end_vector {
                 let first = row * TILE + vector * LANES;
-                let before = F::Lanes::<S>::from_slice(simd, &transmittance[first..first + LANES]);
-                let Some(layer) = thresholds.layer(&splat, splat.whiten(x[vector], y), before) else { continue };
-                layer.behind.store_slice(&mut transmittance[first..first + LANES]);
+                let before = transmittance.load::<S, LONG>(simd, first);
+                let Some(layer) = thresholds.layer::<LONG>(&splat, splat.whiten(x[vector], y), before) else {
+                    continue;
+                };
+                transmittance.store::<S, LONG>(layer.behind, first);
                 let kept = &mut scratch.layers[met];
-                before.store_slice(&mut kept[..LANES]);
+                before[0].store_slice(&mut kept[..LANES]);
                 layer.alpha.store_slice(&mut kept[LANES..]);
                 scratch.places[met] = first as u16;
                 met += 1;
@@ -141,13 +146,13 @@ fn forwards<S: Simd, F: Real>(
 
 /// One Gaussian, back to front: its sums over the pixels it shows in, and `rho` stepped in front of it.
 #[inline(always)]
-fn backwards<S: Simd, F: Real, const C: usize>(
+fn backwards<S: Simd, F: Real, const C: usize, const LONG: bool>(
     top: F,
     grad: &TileGrad<F>,
     (splat, colour): (&Splat<S, F>, &[F]),
     (alpha_max, x): (F::Lanes<S>, &[F::Lanes<S>; ROW_VECTORS]),
     (layers, places): (&mut [[F; 2 * LANES]], &[u16]),
-    (rho, row): (&mut [F; TILE_PIXELS], &mut [F]),
+    (rho, row): (&mut Transmittances<F>, &mut [F]),
 ) {
     let simd = alpha_max.token();
     let channels = if C == 0 { colour.len() } else { C };
@@ -164,14 +169,16 @@ fn backwards<S: Simd, F: Real, const C: usize>(
         let first = place as usize;
         let before = F::Lanes::<S>::from_slice(simd, &layer[..LANES]);
         let alpha = F::Lanes::<S>::from_slice(simd, &layer[LANES..]);
-        let behind = F::Lanes::<S>::from_slice(simd, &rho[first..first + LANES]);
+        let [behind, lost] = rho.load::<S, LONG>(simd, first);
         let mut along = plane(channels, first);
         for channel in 0..channels {
             along = plane(channel, first).mul_add(F::Lanes::<S>::splat(simd, colour[channel]), along);
         }
         let weight = alpha * before;
         let ahead = along - behind;
-        alpha.mul_add(ahead, behind).store_slice(&mut rho[first..first + LANES]);
+        let change = if LONG { alpha.mul_add(ahead, (-alpha).mul_add(lost, lost)) } else { alpha * ahead };
+        let rho_here = if LONG { behind + change } else { alpha.mul_add(ahead, behind) };
+        rho.store::<S, LONG>([rho_here, change - (rho_here - behind)], first);
         let free = alpha.simd_lt(alpha_max);
         let h = free.select(weight * ahead, zero);
 
