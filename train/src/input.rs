@@ -36,15 +36,26 @@ pub fn photographs(capture: &Capture, views: &[usize], max_side: Option<u32>) ->
     Ok(photos?)
 }
 
-/// Reads a scene, without autodiff, with positions relative to the origin of `capture`.
+/// A scene that was read.
+pub struct Scene {
+    /// Without autodiff; Gaussians that cannot be rendered are masked.
+    pub splats: Splats,
+    /// How many those are.
+    pub unusable: usize,
+}
+
+/// Reads a scene, without autodiff, with positions relative to the origin of `capture`. Says so if Gaussians of it cannot be
+/// rendered.
 ///
 /// # Errors
 /// If the file is missing or holds no scene, or the scene no Gaussian.
-pub fn scene(path: &Path, capture: &Capture, device: &Device) -> Result<Splats> {
+pub fn scene(path: &Path, capture: &Capture, device: &Device) -> Result<Scene> {
     let (mut rows, origin) = ply::read(path).context("cannot read the scene that `--scene` names")?;
     ensure!(!rows.is_empty(), "{} holds no Gaussian: name a scene that was trained with `--scene`", path.display());
     move_means(&mut rows, (origin - capture.origin).to_array());
-    Ok(Gaussians::from_rows(&rows, device)?.splats())
+    let unusable = rows.unusable();
+    progress::note_unusable(path, unusable, rows.len());
+    Ok(Scene { splats: Gaussians::from_rows(&rows, device)?.splats(), unusable })
 }
 
 /// Adds `capture_from_scene` to every position, in f64.

@@ -82,7 +82,7 @@ pub fn run(args: &RenderArgs) -> Result<Vec<PathBuf>> {
     let (device, _) = args.device.resolve()?;
     let capture = input::capture(&args.capture)?;
     let views = chosen(&capture, &args.view)?;
-    let splats = input::scene(&args.scene, &capture, &device)?;
+    let splats = input::scene(&args.scene, &capture, &device)?.splats;
     let out = OutputFolder::prepare(&args.out, &[], &[])?;
     let config = TrainConfig { antialias: args.antialias, ..TrainConfig::default() };
     let extras = Extras { background: Some(Tensor::from_floats(config.background, &device)), ..Extras::default() };
