@@ -80,7 +80,7 @@ fn peak_of(status: &str) -> Option<f64> {
 }
 
 /// The names of the test views in a `metrics.json`; none if there is no such file or it is not ours.
-pub(super) fn views_of(path: &Path) -> Vec<String> {
+pub fn views_of(path: &Path) -> Vec<String> {
     let read = || serde_json::from_slice::<Value>(&std::fs::read(path).ok()?).ok();
     let metrics = read().unwrap_or_default();
     let views = metrics["test"]["views"].as_array();
