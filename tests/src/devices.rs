@@ -3,6 +3,7 @@
 use std::sync::OnceLock;
 
 use burn::tensor::Device;
+use splat_hard_cases::{Place, Processor};
 use splat_train::device::{DeviceName, open};
 
 use crate::reference::announce;
@@ -12,6 +13,15 @@ pub fn devices() -> Vec<(&'static str, Device)> {
     let mut devices = cpu_devices();
     devices.extend(gpu().map(|device| ("gpu", device)));
     devices
+}
+
+/// As [`devices`], for the battery of hard cases.
+pub fn places() -> Vec<Place> {
+    let place = |(name, device): (&'static str, Device)| {
+        let processor = if name == "gpu" { Processor::Gpu } else { Processor::Cpu };
+        Place { name: name.into(), device, processor }
+    };
+    devices().into_iter().map(place).collect()
 }
 
 /// The CPU devices, for proofs in f64, which kernels do not have, and of what the CPU alone promises.

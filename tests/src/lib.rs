@@ -2,14 +2,12 @@
 //! the reference vectors, and comparisons.
 
 pub mod band;
-pub mod compare;
 pub mod dense;
 mod devices;
 pub mod perturb;
-#[path = "../../splat-op/src/testing/random.rs"]
-pub mod random;
 pub mod reference;
 pub mod scene;
 pub mod tracked;
 
-pub use devices::{cpu_devices, devices, gpu, ndarray};
+pub use devices::{cpu_devices, devices, gpu, ndarray, places};
+pub use splat_hard_cases::{compare, random};

@@ -3,14 +3,11 @@
 use burn::tensor::{DType, Device};
 use splat_op::{Intrinsics, RenderOptions};
 
-use crate::compare::{largest, worst};
+pub use splat_hard_cases::ceiling::ceiling_used;
+use splat_hard_cases::ceiling::{moved_value, rounded as rounded_value};
+
 use crate::random::Random;
 use crate::scene::{Evaluation, Named, Scene, Weights, evaluate};
-
-/// The ceiling of f32 errors: multiples of what one ulp in every input does.
-pub const ULP_FACTOR: f64 = 16.0;
-/// Added to that, relative to the largest element of the tensor.
-pub const F32_FLOOR: f64 = 1e-6;
 
 /// Random directions in which the inputs are moved. The largest change of several draws is a lower estimate of what an
 /// ulp can do.
@@ -32,32 +29,22 @@ fn map_weights(weights: &Weights, mut map: impl FnMut(f64) -> f64) -> Weights {
     Weights { image: all(&weights.image), alpha: all(&weights.alpha), depth: all(&weights.depth) }
 }
 
-fn round(value: f64) -> f64 {
-    f64::from(value as f32)
-}
-
 /// The scene, weights and options that an f32 render really sees.
 pub fn rounded(scene: &Scene, weights: &Weights, options: &RenderOptions) -> (Scene, Weights, RenderOptions) {
     let options = RenderOptions {
-        blur: round(options.blur),
-        near: round(options.near),
-        alpha_min: round(options.alpha_min),
-        alpha_max: round(options.alpha_max),
-        transmittance_min: round(options.transmittance_min),
+        blur: rounded_value(options.blur),
+        near: rounded_value(options.near),
+        alpha_min: rounded_value(options.alpha_min),
+        alpha_max: rounded_value(options.alpha_max),
+        transmittance_min: rounded_value(options.transmittance_min),
         ..*options
     };
-    (map_scene(scene, round), map_weights(weights, round), options)
-}
-
-/// The value one f32 ulp up or down.
-fn moved_value(value: f64, random: &mut Random) -> f64 {
-    let value = value as f32;
-    f64::from(if random.between(0.0, 1.0) < 0.5 { value.next_up() } else { value.next_down() })
+    (map_scene(scene, rounded_value), map_weights(weights, rounded_value), options)
 }
 
 /// The scene that an f32 render really sees.
 pub fn rounded_scene(scene: &Scene) -> Scene {
-    map_scene(scene, round)
+    map_scene(scene, rounded_value)
 }
 
 /// The scene with every value one f32 ulp up or down, in several draws.
@@ -66,14 +53,6 @@ pub fn moved_scenes(scene: &Scene) -> impl Iterator<Item = Scene> {
         let mut random = Random::new(draw);
         map_scene(scene, |value| moved_value(value, &mut random))
     })
-}
-
-/// The largest share of its ceiling that an element's error uses.
-pub fn ceiling_used(found: &[f64], expected: &[f64], spread: &[f64]) -> f64 {
-    assert_eq!((found.len(), expected.len()), (expected.len(), spread.len()));
-    let floor = (F32_FLOOR * largest(expected)).max(f64::MIN_POSITIVE);
-    let elements = found.iter().zip(expected).zip(spread);
-    worst(elements.map(|((found, expected), spread)| (found - expected).abs() / (ULP_FACTOR * spread + floor)))
 }
 
 /// Judges what `compute` gives in f32 on `device` by what it gives in f64 on the CPU for the same rounded scene, and by how

@@ -1,6 +1,8 @@
 //! A scene on the host in f64, and its render with every output and gradient on any device and float type.
 
-use burn::tensor::{DType, Device, Tensor, TensorData};
+use burn::tensor::{DType, Device, Tensor};
+use splat_hard_cases::tensors::leaf;
+pub use splat_hard_cases::tensors::{Named, host, tensor};
 use splat_op::{Camera, Colour, Extras, Intrinsics, RenderOptions, Splats, project, render, shade};
 
 use crate::random::Random;
@@ -27,14 +29,6 @@ pub struct Weights {
     pub depth: Vec<f64>,
 }
 
-/// A tensor's values on the host. Rows are what belongs to one Gaussian or one pixel.
-#[derive(Clone, Debug)]
-pub struct Named {
-    pub name: &'static str,
-    pub columns: usize,
-    pub values: Vec<f64>,
-}
-
 /// All that a render computes.
 #[derive(Clone, Debug)]
 pub struct Evaluation {
@@ -52,16 +46,6 @@ pub struct Tensors {
     pub sh: Tensor<3>,
     pub camera: Camera,
     pub background: Tensor<1>,
-}
-
-/// A tensor of the given values and type.
-pub fn tensor<const D: usize>(values: &[f64], shape: [usize; D], device: &Device, dtype: DType) -> Tensor<D> {
-    Tensor::from_data(TensorData::new(values.to_vec(), shape), (device, dtype))
-}
-
-/// A tensor's values; of f32 ones the exact equals.
-pub fn host<const D: usize>(tensor: Tensor<D>) -> Vec<f64> {
-    tensor.into_data().iter::<f64>().collect()
 }
 
 impl Scene {
@@ -134,11 +118,6 @@ impl Scene {
             background: leaf(&self.background, [self.background.len()], device, dtype),
         }
     }
-}
-
-fn leaf<const D: usize>(values: &[f64], shape: [usize; D], device: &Device, dtype: DType) -> Tensor<D> {
-    let tensor = tensor(values, shape, device, dtype);
-    if device.is_autodiff() { tensor.require_grad() } else { tensor }
 }
 
 impl Weights {

@@ -7,6 +7,7 @@ pub mod options;
 pub mod demo;
 pub mod devices;
 pub mod eval;
+pub mod hard_cases;
 pub mod render;
 pub mod train;
 
@@ -30,6 +31,7 @@ pub fn run(command: &Command) -> Result<()> {
         Command::Eval(args) => eval::run(args).map(drop),
         Command::Render(args) => render::run(args).map(drop),
         Command::Demo(args) => demo::run(args),
+        Command::HardCases(args) => hard_cases::run(args),
         Command::Devices => devices::run(),
     }
 }

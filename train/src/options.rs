@@ -6,6 +6,7 @@ use serde::Serialize;
 
 use crate::demo::DemoArgs;
 use crate::eval::EvalArgs;
+use crate::hard_cases::HardCasesArgs;
 use crate::render::RenderArgs;
 use crate::train::TrainArgs;
 
@@ -32,6 +33,8 @@ pub enum Command {
     Render(RenderArgs),
     /// Write the demo capture: a small ray-traced scene as a COLMAP folder
     Demo(DemoArgs),
+    /// Run the battery of hard cases and write the table of how it fares
+    HardCases(HardCasesArgs),
     /// List what there is to compute on, by the names that `--device` takes
     Devices,
 }

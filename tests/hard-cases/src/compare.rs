@@ -1,6 +1,6 @@
 //! Comparisons whose failures name the tensor, and which NaN always fails.
 
-use crate::scene::Named;
+use crate::tensors::Named;
 
 /// A measured error and what it may be.
 #[derive(Clone, Debug)]

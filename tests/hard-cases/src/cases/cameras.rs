@@ -1,0 +1,72 @@
+//! Cameras: extreme fields of view, principal points and pictures.
+
+use splat_op::Intrinsics;
+
+use crate::case::Case;
+use crate::scene::{HardScene, Splat, camera};
+
+pub fn cases() -> Vec<Case> {
+    let focal = |width: usize, degrees: f64| width as f64 / (2.0 * (degrees / 2.0).to_radians().tan());
+    let plain = camera();
+    let wide = Intrinsics { fx: focal(60, 170.0), fy: focal(60, 170.0), ..plain };
+    let narrow = Intrinsics { fx: focal(60, 1.0), fy: focal(60, 1.0), ..plain };
+    let sized = |width: usize, height: usize| {
+        let lens = Intrinsics { cx: 0.47 * width as f64, cy: 0.52 * height as f64, ..plain };
+        HardScene { label: format!("{width} × {height}"), ..view(Intrinsics { width, height, ..lens }) }
+    };
+    let offset = |cx: f64, cy: f64| HardScene { label: format!("{cx}, {cy}"), ..view(Intrinsics { cx, cy, ..plain }) };
+    vec![
+        Case::scenes(
+            "1° field of view",
+            "x/z is tiny and multiplied by a focal length of thousands",
+            vec![view(narrow)],
+        )
+        .hardness("fx 3438 px"),
+        Case::scenes(
+            "170° field of view",
+            "slopes of eleven: the affine approximation is held at its limit for most of what is seen",
+            vec![view(wide)],
+        )
+        .hardness("fx 2.6 px"),
+        Case::scenes(
+            "principal point outside the picture",
+            "the projected centre is a difference of large numbers",
+            vec![offset(-400.0, 900.0), offset(30.5, -2000.0), offset(5000.0, 20.0)],
+        )
+        .hardness("5000 px"),
+        Case::scenes(
+            "fx / fy = 10 and 1/10",
+            "round splats are needles on the picture",
+            vec![view(Intrinsics { fy: 6.0, ..plain }), view(Intrinsics { fx: 6.0, ..plain })],
+        ),
+        Case::scenes("1 × 1 picture", "a tile of one pixel", vec![sized(1, 1)]),
+        Case::scenes(
+            "1 × 5000 and 5000 × 1 pictures",
+            "one pixel of every tile is in the picture, and coordinates have few digits after the point",
+            vec![sized(1, 5000), sized(5000, 1)],
+        )
+        .hardness("5000 px"),
+        Case::scenes(
+            "pictures that are no whole number of tiles",
+            "tiles at the border are cut",
+            vec![sized(17, 33), sized(31, 16), sized(16, 16), sized(15, 47)],
+        ),
+    ]
+}
+
+/// Three layers, placed and sized by the picture.
+fn view(lens: Intrinsics) -> HardScene {
+    let (width, height) = (lens.width as f64, lens.height as f64);
+    let size = (width.min(height) / 8.0).max(0.7);
+    let at = |x: f64, y: f64, depth: f64, sigma: f64| {
+        let splat = Splat::seen_by(&lens, [x * width, y * height], depth, sigma);
+        let [a, b, c] = splat.scale;
+        splat.scale([a, 0.4 * b, 1.3 * c])
+    };
+    let splats = [
+        at(0.4, 0.45, 3.0, size),
+        at(0.55, 0.5, 5.0, 2.0 * size).colour(&[0.1, 0.8, 0.5]).quat([0.3, 0.8, 0.1, -0.4]),
+        at(0.8, 0.3, 8.0, 0.6 * size).colour(&[0.9, 0.1, 0.9]).opacity(0.95),
+    ];
+    HardScene::new("plain", &splats).with_camera(lens)
+}

@@ -1,0 +1,42 @@
+//! The cases, by group. A group is a file here; to add one, add it to [`GROUPS`].
+
+mod cameras;
+mod colour;
+mod counts;
+mod depth;
+mod near;
+mod needles;
+mod opacity;
+mod rotations;
+mod sizes;
+
+use crate::case::Case;
+
+/// Cases of one kind of hardness.
+#[derive(Clone, Copy, Debug)]
+pub struct Group {
+    /// Short, for choosing it.
+    pub name: &'static str,
+    /// As the table heads it.
+    pub title: &'static str,
+    /// Builds the cases.
+    pub cases: fn() -> Vec<Case>,
+}
+
+/// All groups, in the order of the table.
+pub const GROUPS: &[Group] = &[
+    Group { name: "needles", title: "Needles and discs", cases: needles::cases },
+    Group { name: "sizes", title: "Sizes", cases: sizes::cases },
+    Group { name: "near", title: "The near plane and the border of the view", cases: near::cases },
+    Group { name: "opacity", title: "Opacity and transmittance", cases: opacity::cases },
+    Group { name: "depth", title: "Depth", cases: depth::cases },
+    Group { name: "rotations", title: "Rotations", cases: rotations::cases },
+    Group { name: "cameras", title: "Cameras", cases: cameras::cases },
+    Group { name: "colour", title: "Colour", cases: colour::cases },
+    Group { name: "counts", title: "Numbers of things", cases: counts::cases },
+];
+
+/// Every case, with its group.
+pub fn battery() -> Vec<(&'static Group, Vec<Case>)> {
+    GROUPS.iter().map(|group| (group, (group.cases)())).collect()
+}

@@ -1,0 +1,85 @@
+//! Needles and discs: one axis much longer, or much shorter, than the others.
+
+use std::f64::consts::FRAC_1_SQRT_2;
+
+use crate::case::Case;
+use crate::scene::{HardScene, Splat};
+
+/// Scale ratios.
+const RATIOS: [f64; 3] = [1e2, 1e4, 1e6];
+
+/// Standard deviation of the short axes of what is long, and of the long axes of what is thin, px.
+const SHORT_PX: f64 = 0.5;
+const LONG_PX: f64 = 6.0;
+
+pub fn cases() -> Vec<Case> {
+    let mut cases = Vec::new();
+    for ratio in RATIOS {
+        let power = ratio.log10();
+        for (plane, turns) in [("in the image plane", in_plane()), ("out of the plane", out_of_plane())] {
+            let scenes = |short: f64, long: f64, disc: bool| {
+                turns.iter().map(|(label, quat)| scene(label, *quat, short, long, disc)).collect::<Vec<_>>()
+            };
+            let named = |what: &str| format!("{what} 1e{power:.0} {plane}");
+            cases.push(
+                Case::scenes(
+                    named("long needle"),
+                    "the covariance's determinant is a difference of products that agree in most digits",
+                    scenes(SHORT_PX, SHORT_PX * ratio, false),
+                )
+                .hardness(format!("ratio {ratio:.0e}")),
+            );
+            cases.push(
+                Case::scenes(
+                    named("thin needle"),
+                    "two axes far below a pixel: their gradients are tiny beside the long one's",
+                    scenes(LONG_PX / ratio, LONG_PX, false),
+                )
+                .hardness(format!("ratio {ratio:.0e}")),
+            );
+            cases.push(
+                Case::scenes(
+                    named("thin disc"),
+                    "seen edge on it is a needle, and turning it a little changes which axis is seen",
+                    scenes(LONG_PX / ratio, LONG_PX, true),
+                )
+                .hardness(format!("ratio {ratio:.0e}")),
+            );
+        }
+    }
+    cases
+}
+
+/// Turns about the line of sight, into each octant of the picture and off its axes.
+fn in_plane() -> Vec<(String, [f64; 4])> {
+    let turn = |octant: usize| {
+        let degrees = 45.0 * octant as f64 + 17.0;
+        let half = degrees.to_radians() / 2.0;
+        (format!("{degrees}°"), [half.cos(), 0.0, 0.0, half.sin()])
+    };
+    (0..8).map(turn).collect()
+}
+
+/// The x axis turned into each octant of space.
+fn out_of_plane() -> Vec<(String, [f64; 4])> {
+    let octants = (0..8).map(|octant: usize| [4, 2, 1].map(|bit| if octant & bit == 0 { -1.0 } else { 1.0 }));
+    octants
+        .map(|[x, y, z]| {
+            // Not quite a diagonal, so that no two components are equal.
+            let v = [0.6 * x, 0.5 * y, 0.62449979983984 * z];
+            // The shortest turn from the x axis to v: (1 + x·v, x × v), of any length.
+            (format!("octant {x:+} {y:+} {z:+}"), [1.0 + v[0], 0.0, -v[2], v[1]])
+        })
+        .collect()
+}
+
+fn scene(label: &str, quat: [f64; 4], short_px: f64, long_px: f64, disc: bool) -> HardScene {
+    let hard = Splat::round([26.3, 20.6], 3.0, 1.0).quat(quat);
+    let px = hard.scale[0];
+    let scale = if disc { [long_px, long_px, short_px] } else { [long_px, short_px, short_px] };
+    let hard = hard.scale(scale.map(|s| s * px));
+    // A second layer, so that transmittances matter.
+    let behind =
+        Splat::round([30.0, 24.0], 4.0, 5.0).quat([FRAC_1_SQRT_2, 0.0, FRAC_1_SQRT_2, 0.1]).colour(&[0.1, 0.8, 0.5]);
+    HardScene::new(label, &[hard, behind])
+}

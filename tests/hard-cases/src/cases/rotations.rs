@@ -1,0 +1,69 @@
+//! Rotations: quaternions without a length, with an extreme one, and the two of each rotation.
+
+use burn::tensor::DType;
+
+use crate::case::{Case, Outcome, Place};
+use crate::evaluate::{Outputs, evaluate};
+use crate::scene::{HardScene, Splat};
+
+/// A quaternion of no special length.
+const QUAT: [f64; 4] = [0.61, -0.42, 0.37, 0.55];
+
+pub fn cases() -> Vec<Case> {
+    vec![
+        Case::scenes(
+            "zero quaternion",
+            "it has no direction: normalised, it is NaN in every implementation that does not look",
+            vec![scene("0", [0.0; 4]).with_culled(&[0]), scene("−0", [-0.0; 4]).with_culled(&[0])],
+        )
+        .hardness("|q| 0"),
+        Case::scenes(
+            "quaternions of length 1e-15 to 1e-19",
+            "the sum of squares is out of range, and the gradient is divided by the length",
+            [1e-15, 1e-19].map(|length| scene(&format!("{length:.0e}"), QUAT.map(|q| q * length))).into(),
+        )
+        .hardness("|q|² 1e-38"),
+        Case::scenes(
+            "subnormal quaternion",
+            "it has few digits left, its square none, and its true gradient is beyond what f32 holds",
+            vec![scene("1e-39", QUAT.map(|q| q * 1e-39))],
+        )
+        .hardness("|q| 1e-39"),
+        Case::scenes(
+            "quaternion of length 1e30",
+            "the sum of squares overflows",
+            vec![scene("1e30", QUAT.map(|q| q * 1e30))],
+        )
+        .hardness("|q|² 1e60"),
+        Case::check(
+            "the two signs of a rotation",
+            "q and −q are one rotation: not a bit may differ but the sign of the gradient",
+            both_signs,
+        ),
+    ]
+}
+
+fn scene(label: &str, quat: [f64; 4]) -> HardScene {
+    let hard = Splat::round([18.3, 27.6], 3.0, 1.0).scale([0.06, 0.03, 0.1]).quat(quat);
+    let neighbour = Splat::round([50.2, 8.4], 2.0, 1.3).colour(&[0.3, 0.9, 0.6]);
+    HardScene::new(label, &[hard]).with_neighbour(&neighbour)
+}
+
+fn both_signs(place: &Place) -> Outcome {
+    let [plus, minus] = [QUAT, QUAT.map(|q| -q)].map(|quat| {
+        let scene = HardScene { neighbours: 0, ..scene("both signs", quat) }.rounded();
+        evaluate(&scene, &scene.weights(), &place.device, DType::F32)
+    });
+    let mut outcome = Outcome::default();
+    let Outputs { pictures, gradients } = minus;
+    for (plus, minus) in plus.pictures.iter().zip(&pictures) {
+        outcome.require(plus.values == minus.values, || format!("{} differs", plus.name));
+    }
+    for (plus, mut minus) in plus.gradients.iter().zip(gradients) {
+        if plus.name == "rotations" {
+            minus.values[..4].iter_mut().for_each(|g| *g = -*g);
+        }
+        outcome.require(plus.values == minus.values, || format!("the gradient of {} differs", plus.name));
+    }
+    outcome
+}

@@ -1,0 +1,82 @@
+//! Sizes: from a millionth of a pixel to beyond what squares can hold.
+
+use crate::case::Case;
+use crate::scene::{HardScene, SMOOTH, Splat, Truth};
+
+pub fn cases() -> Vec<Case> {
+    let antialiased = SMOOTH.with_antialias(true);
+    let small = |sigma_px: f64| {
+        let hard = Splat::round([12.3, 30.8], 3.0, sigma_px);
+        HardScene::new(format!("{sigma_px:.0e} px"), &[hard]).with_neighbour(&neighbour())
+    };
+    let large = |label: &str, px: [f64; 2], sigma_px: f64| {
+        let hard = Splat::round(px, 3.0, sigma_px).scale([1.0, 0.8, 1.2].map(|s| s * sigma_px * 3.0 / 60.0));
+        HardScene::new(label, &[hard, Splat::round([30.0, 20.0], 5.0, 4.0).colour(&[0.2, 0.3, 0.9])])
+    };
+    vec![
+        Case::scenes(
+            "far below a pixel",
+            "its size is lost beside the blur in every sum, and so is the gradient by which it could grow",
+            vec![small(1e-3), small(1e-6)],
+        )
+        .hardness("1e-6 px"),
+        Case::scenes(
+            "far below a pixel, compensated",
+            "the compensation is a ratio of two areas of which one is almost nothing; below its floor it has no gradient",
+            [0.3, 0.06, 1e-3, 1e-6].map(|px| small(px).with_options(antialiased)).into(),
+        )
+        .hardness("1e-6 px"),
+        Case::scenes(
+            "large, compensated",
+            "the compensation is one but for what the blur adds, a difference of almost equal areas",
+            [30.0, 1e3, 1e5].map(|px| large(&format!("{px:.0e} px"), [20.0, 15.0], px).with_options(antialiased)).into(),
+        )
+        .hardness("1e5 px"),
+        Case::scenes(
+            "larger than the screen",
+            "covers every tile; moments over the picture are tiny beside its size",
+            vec![large("in view", [31.0, 18.0], 1e3), large("beside the view", [-700.0, 900.0], 1e3)],
+        )
+        .hardness("1e3 px"),
+        Case::scenes(
+            "larger than the scene",
+            "the far end of a splat is a million pictures away",
+            vec![large("in view", [31.0, 18.0], 1e7), large("beside the view", [-5e5, 7e5], 1e7)],
+        )
+        .hardness("1e7 px"),
+        Case::scenes(
+            "log-scale −50",
+            "as stored by a training run that diverged: the scale squared is below what f32 holds",
+            vec![stored("−50", [-50.0; 3], Truth::Wide).with_neighbour(&logit(neighbour()))],
+        )
+        .hardness("2e-22 units"),
+        Case::scenes(
+            "log-scale +50",
+            "as stored by a training run that diverged: the scale squared is beyond what f32 holds",
+            vec![stored("+50", [50.0, 49.5, 50.2], Truth::Wide)],
+        )
+        .hardness("5e21 units"),
+        Case::scenes(
+            "log-scale +50, −50 and 0",
+            "a needle whose determinant no float holds; the direction it points in is within rounding",
+            vec![stored("mixed", [50.0, -50.0, 0.0], Truth::Twin)],
+        )
+        .hardness("ratio 3e43"),
+    ]
+}
+
+/// Beside the hard ones.
+fn neighbour() -> Splat {
+    Splat::round([47.2, 9.4], 2.0, 1.5).colour(&[0.3, 0.9, 0.6])
+}
+
+/// With logarithms and logits.
+fn logit(splat: Splat) -> Splat {
+    let scale = splat.scale.map(f64::ln);
+    splat.scale(scale).opacity(0.85)
+}
+
+fn stored(label: &str, log_scale: [f64; 3], truth: Truth) -> HardScene {
+    let hard = Splat::round([12.3, 30.8], 3.0, 1.0).scale(log_scale).opacity(0.4);
+    HardScene::new(label, &[hard]).stored().with_truth(truth)
+}

@@ -1,0 +1,132 @@
+//! A scene's render and gradients by the operation, on any device and float type.
+
+use burn::tensor::activation::sigmoid;
+use burn::tensor::{DType, Device, Tensor};
+use splat_op::{Camera, Colour, Extras, Splats, project, render};
+
+use crate::scene::{HardScene, Paint, Weights};
+use crate::tensors::{Named, host, leaf, tensor};
+
+/// Names of the gradients, in the order of [`Outputs::gradients`]; those before [`OF_NO_SPLAT`] have a row per Gaussian.
+pub const GRADIENTS: [&str; 8] =
+    ["means", "rotations", "scales", "opacities", "colours", "mean2d", "pose", "background"];
+
+/// Where in [`GRADIENTS`] those begin that belong to no Gaussian.
+pub const OF_NO_SPLAT: usize = 6;
+
+/// All that a render computes.
+#[derive(Clone, Debug)]
+pub struct Outputs {
+    /// `image alpha depth`, a row per pixel.
+    pub pictures: Vec<Named>,
+    /// See [`GRADIENTS`].
+    pub gradients: Vec<Named>,
+}
+
+impl Outputs {
+    /// Pictures, then gradients.
+    pub fn tensors(&self) -> impl Iterator<Item = &Named> {
+        self.pictures.iter().chain(&self.gradients)
+    }
+
+    /// As [`Self::tensors`].
+    pub fn tensors_mut(&mut self) -> impl Iterator<Item = &mut Named> {
+        self.pictures.iter_mut().chain(&mut self.gradients)
+    }
+
+    /// Names and columns for the values of one render.
+    pub fn new(scene: &HardScene, pictures: [Vec<f64>; 3], gradients: [Vec<f64>; GRADIENTS.len()]) -> Self {
+        let colours = scene.colour_columns();
+        let columns = [3, 4, 3, 1, colours, 2, 4, scene.channels()];
+        let named = |((name, columns), values)| Named { name, columns, values };
+        Self {
+            pictures: ["image", "alpha", "depth"]
+                .into_iter()
+                .zip([scene.channels(), 1, 1])
+                .zip(pictures)
+                .map(named)
+                .collect(),
+            gradients: GRADIENTS.into_iter().zip(columns).zip(gradients).map(named).collect(),
+        }
+    }
+}
+
+/// Leaves of a scene, tracked on an autodiff device, and the splats made of them.
+struct Leaves {
+    splats: Splats,
+    scales: Tensor<2>,
+    opacities: Tensor<1>,
+    colours: Tensor<2>,
+    camera: Camera,
+}
+
+fn leaves(scene: &HardScene, device: &Device, dtype: DType) -> Leaves {
+    let count = scene.count();
+    let scales: Tensor<2> = leaf(&scene.scales, [count, 3], device, dtype);
+    let opacities: Tensor<1> = leaf(&scene.opacities, [count], device, dtype);
+    let colours: Tensor<2> = leaf(&scene.colours, [count, scene.colour_columns()], device, dtype);
+    let splats = Splats {
+        means: leaf(&scene.means, [count, 3], device, dtype),
+        rotations: leaf(&scene.quats, [count, 4], device, dtype),
+        // As `splat_model::Gaussians` activates what it stores.
+        scales: if scene.stored { scales.clone().exp() } else { scales.clone() },
+        opacities: if scene.stored { sigmoid(opacities.clone()) } else { opacities.clone() },
+        colour: match scene.paint {
+            Paint::Features(_) => Colour::Features(colours.clone()),
+            Paint::Harmonics(degree) => {
+                Colour::SphericalHarmonics(colours.clone().reshape([count, (degree + 1) * (degree + 1), 3]))
+            }
+        },
+    };
+    let cam_from_world = leaf(&scene.pose, [3, 4], device, dtype);
+    Leaves { splats, scales, opacities, colours, camera: Camera { intrinsics: scene.intrinsics, cam_from_world } }
+}
+
+/// Renders and differentiates on the plain `device`.
+///
+/// # Panics
+/// If the operation refuses the scene.
+pub fn evaluate(scene: &HardScene, weights: &Weights, device: &Device, dtype: DType) -> Outputs {
+    let device = device.clone().autodiff();
+    let Leaves { splats, scales, opacities, colours, camera } = leaves(scene, &device, dtype);
+    let background: Tensor<1> = leaf(&scene.background, [scene.channels()], &device, dtype);
+    let probe = Tensor::zeros([scene.count(), 2], (&device, dtype)).require_grad();
+    let extras =
+        Extras { background: Some(background.clone()), mean2d_probe: Some(probe.clone()), mean2d_abs_probe: None };
+    let out = render(&splats, std::slice::from_ref(&camera), &extras, &scene.options)
+        .unwrap_or_else(|error| panic!("{}: {error}", scene.label));
+    let depth = out.depth.expect("depth was asked for");
+
+    let [height, width] = [scene.intrinsics.height, scene.intrinsics.width];
+    let weight = |values: &[f64], channels| tensor(values, [1, height, width, channels], &device, dtype);
+    let loss = (out.colour.clone() * weight(&weights.image, scene.channels())).sum()
+        + (out.alpha.clone() * weight(&weights.alpha, 1)).sum()
+        + (depth.clone() * weight(&weights.depth, 1)).sum();
+    let grads = loss.backward();
+    // A scene without Gaussians has no gradient to hold.
+    macro_rules! of {
+        ($leaf:expr) => {
+            $leaf.grad(&grads).map(host).unwrap_or_default()
+        };
+    }
+    let gradients = [
+        of!(splats.means),
+        of!(splats.rotations),
+        of!(scales),
+        of!(opacities),
+        of!(colours),
+        of!(probe),
+        of!(camera.cam_from_world),
+        of!(background),
+    ];
+    Outputs::new(scene, [host(out.colour), host(out.alpha), host(depth)], gradients)
+}
+
+/// Which Gaussians the projection culls.
+pub fn culled(scene: &HardScene, device: &Device, dtype: DType) -> Vec<usize> {
+    let Leaves { splats, camera, .. } = leaves(scene, device, dtype);
+    let projected =
+        project(&splats, &camera, None, &scene.options).unwrap_or_else(|error| panic!("{}: {error}", scene.label));
+    let depths = host(projected.ellipses().depth);
+    depths.iter().enumerate().filter(|(_, depth)| **depth == 0.0).map(|(i, _)| i).collect()
+}

@@ -1,0 +1,354 @@
+//! Judges cases: what is true of a scene, how far one ulp in its inputs moves that, and how far a path is from it.
+
+use burn::tensor::{DType, Device};
+use glam::{DMat3, DVec3};
+use splat_op::RenderOptions;
+use splat_op::exact::{ExactGaussian, ExactPose, render_exact};
+
+use crate::case::{Case, Kind, Loose, Outcome, Place, Processor, Score};
+use crate::ceiling::{ROW_EXCEPTIONS, ROW_TOLERANCE, ceiling_used};
+use crate::compare::{largest, norm, relative_error, worst};
+use crate::evaluate::{OF_NO_SPLAT, Outputs, culled, evaluate};
+use crate::number::Wide;
+use crate::random::Random;
+use crate::scene::{HardScene, Paint, STANDARD, Truth, Weights};
+use crate::tensors::Named;
+use crate::textbook::{self, Backward};
+
+/// What came of a case.
+pub struct Row {
+    /// Of each path, in the order in which they were given.
+    pub places: Vec<(Place, Outcome)>,
+    /// Of the textbook's formulas in f32, where they differ.
+    pub textbook: Option<Outcome>,
+    /// The largest condition number of a 2D covariance; 1 for what is no scene.
+    pub condition: f64,
+    /// What is wrong with the yardstick itself.
+    pub remarks: Vec<String>,
+    /// The bound that the case was held to, if above the ceiling.
+    pub loose: Option<Loose>,
+}
+
+/// A row's last word.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Verdict {
+    Passed,
+    /// Within a bound above the ceiling.
+    Loose,
+    Failed,
+}
+
+impl Row {
+    /// Whether the case holds on all paths.
+    pub fn verdict(&self) -> Verdict {
+        let holds = self.remarks.is_empty() && self.places.iter().all(|(_, outcome)| outcome.passed());
+        match (holds, self.loose) {
+            (false, _) => Verdict::Failed,
+            (true, Some(_)) => Verdict::Loose,
+            (true, None) => Verdict::Passed,
+        }
+    }
+
+    /// The worst outcome of a kind of path; `None` if none of them ran.
+    pub fn of(&self, processor: Processor) -> Option<Outcome> {
+        let places = self.places.iter().filter(|(place, _)| place.processor == processor);
+        places.map(|(_, outcome)| outcome.clone()).reduce(Outcome::and)
+    }
+
+    /// Everything that does not hold.
+    pub fn failures(&self) -> Vec<String> {
+        let of_place = |(place, outcome): &(Place, Outcome)| {
+            outcome.failures.iter().map(|failure| format!("{}: {failure}", place.name)).collect::<Vec<_>>()
+        };
+        self.remarks.iter().cloned().chain(self.places.iter().flat_map(of_place)).collect()
+    }
+}
+
+/// Runs a case on every path.
+pub fn judge(case: &Case, places: &[Place]) -> Row {
+    let limit = case.loose.map_or(1.0, |loose| loose.factor);
+    let mut row = Row { places: Vec::new(), textbook: None, condition: 1.0, remarks: Vec::new(), loose: case.loose };
+    match &case.kind {
+        Kind::Check(check) => {
+            row.places = places.iter().map(|place| (place.clone(), check(place))).collect();
+        }
+        Kind::Scenes(scenes) => {
+            row.places = places.iter().map(|place| (place.clone(), Outcome::default())).collect();
+            for scene in scenes {
+                let yardstick = Yardstick::new(scene);
+                row.condition = row.condition.max(yardstick.condition);
+                row.remarks.extend(yardstick.remarks.iter().map(|remark| format!("{}: {remark}", scene.label)));
+                for (place, outcome) in &mut row.places {
+                    *outcome = std::mem::take(outcome).and(yardstick.judge(place, limit));
+                }
+                if let Some(outcome) = yardstick.textbook(limit) {
+                    row.textbook = Some(row.textbook.take().unwrap_or_default().and(outcome));
+                }
+            }
+        }
+    }
+    row
+}
+
+/// How far a threshold moves within f32 rounding, relatively, for pixels that jump there.
+const CUT_SHIFT: f64 = 1e-4;
+
+/// The share of its f32 ceiling that f64 may use.
+const F64_SHARE: f64 = 1e-6;
+
+/// Work, in pairs of a pixel and a Gaussian, above which the textbook is left out.
+const TEXTBOOK_PAIRS: usize = 20_000_000;
+
+/// What an f32 render should give, and how much an ulp in every input changes it.
+pub struct Yardstick {
+    scene: HardScene,
+    weights: Weights,
+    expected: Outputs,
+    spread: Outputs,
+    /// Pixels that are compared: those at which no decision is within rounding.
+    kept: Vec<bool>,
+    condition: f64,
+    remarks: Vec<String>,
+}
+
+impl Yardstick {
+    pub fn new(scene: &HardScene) -> Self {
+        let (device, scene) = (Device::flex(), scene.rounded());
+        let mut weights = scene.weights();
+        let kept = kept(&scene);
+        weights.mask(&kept);
+        let plain = evaluate(&scene, &weights, &device, DType::F64);
+        let wide = scene.truth == Truth::Wide;
+        let expected = match wide {
+            true => textbook::evaluate::<Wide>(&scene, &weights, Backward::Kept),
+            false => plain.clone(),
+        };
+        let mut spread = plain.clone();
+        spread.tensors_mut().for_each(|tensor| tensor.values.fill(0.0));
+        for draw in 0..scene.draws {
+            let mut random = Random::new(draw);
+            let (moved, weights) = (scene.moved(&mut random), weights.moved(&mut random));
+            let moved = evaluate(&moved, &weights, &device, DType::F64);
+            for ((spread, moved), plain) in spread.tensors_mut().zip(moved.tensors()).zip(plain.tensors()) {
+                for ((spread, moved), plain) in spread.values.iter_mut().zip(&moved.values).zip(&plain.values) {
+                    *spread = spread.max((moved - plain).abs());
+                }
+            }
+        }
+        let condition =
+            if scene.paint == Paint::Features(scene.channels()) { textbook::condition(&scene) } else { 1.0 };
+        let mut yardstick = Self { scene, weights, expected, spread, kept, condition, remarks: Vec::new() };
+        yardstick.check_itself(&plain);
+        yardstick
+    }
+
+    /// The truth against the CPU twin in f64, which shares no formula with it, and against the exact renderer where that
+    /// has digits left.
+    fn check_itself(&mut self, plain: &Outputs) {
+        let finite = |outputs: &Outputs| outputs.tensors().all(|tensor| tensor.values.iter().all(|v| v.is_finite()));
+        if !finite(&self.expected) || !finite(&self.spread) {
+            self.remarks.push("the truth is not finite".into());
+        }
+        let outcome = self.compare(plain, F64_SHARE);
+        self.remarks.extend(outcome.failures.into_iter().map(|failure| format!("f64 against the truth: {failure}")));
+        let options = &self.scene.options;
+        let cuts = options.alpha_min > 0.0 || options.transmittance_min > 0.0;
+        let limited = self.scene.opacities.iter().any(|opacity| *opacity > options.alpha_max);
+        if self.scene.truth == Truth::Wide && !self.scene.stored && !cuts && !limited && self.condition < 1e9 {
+            let found = exact(&self.scene);
+            for (found, expected) in found.iter().zip(&self.expected.pictures) {
+                let error = relative_error(found, &expected.values);
+                let tolerance = 1e-12 + 1e-14 * self.condition;
+                if !(error <= tolerance) {
+                    let name = expected.name;
+                    self.remarks.push(format!("{name}: the exact renderer is off by {error:.1e} of {tolerance:.1e}"));
+                }
+            }
+        }
+    }
+
+    /// Everything that is asked of a path.
+    fn judge(&self, place: &Place, limit: f64) -> Outcome {
+        let (scene, label) = (&self.scene, &self.scene.label);
+        let device = &place.device;
+        let found = evaluate(scene, &self.weights, device, DType::F32);
+        let mut outcome = self.compare(&found, limit);
+        let culled = culled(scene, device, DType::F32);
+        outcome.require(culled == scene.culled, || format!("culled {culled:?}, expected {:?}", scene.culled));
+        let standard = HardScene { options: with_cuts(&scene.options), ..scene.clone() };
+        let cut = evaluate(&standard, &self.weights, device, DType::F32);
+        for tensor in cut.tensors() {
+            let finite = tensor.values.iter().all(|v| v.is_finite());
+            outcome.require(finite, || format!("{} is not finite with the standard cuts", tensor.name));
+        }
+        if scene.neighbours > 0 {
+            outcome = outcome.and(self.judge_neighbours(&found, place));
+        }
+        outcome.failures.iter_mut().for_each(|failure| *failure = format!("{label}: {failure}"));
+        outcome
+    }
+
+    /// Whether the neighbours are, bit by bit, what they are alone: their gradients, and the pixels that no hard one
+    /// reaches.
+    fn judge_neighbours(&self, found: &Outputs, place: &Place) -> Outcome {
+        let mut outcome = Outcome::default();
+        let hard = self.scene.count() - self.scene.neighbours;
+        let (hard_ones, neighbours) = (self.scene.rows(0..hard), self.scene.rows(hard..self.scene.count()));
+        let reach = evaluate(&hard_ones, &self.weights, &Device::flex(), DType::F64).pictures.swap_remove(1).values;
+        let alone = evaluate(&neighbours, &self.weights, &place.device, DType::F32);
+        let seen = |pixel: usize| reach[pixel] <= 1e-38;
+        let shows = alone.pictures[1].values.iter().enumerate().any(|(pixel, alpha)| seen(pixel) && *alpha > 0.1);
+        outcome.require(shows, || "the neighbour is covered by the hard ones".into());
+        for (found, alone) in found.pictures.iter().zip(&alone.pictures) {
+            let rows = found.values.chunks(found.columns).zip(alone.values.chunks(alone.columns)).enumerate();
+            let changed = rows.filter(|(pixel, (found, alone))| seen(*pixel) && found != alone).count();
+            outcome.require(changed == 0, || format!("{}: {changed} pixels of a neighbour change", found.name));
+        }
+        for (found, alone) in found.gradients[..OF_NO_SPLAT].iter().zip(&alone.gradients) {
+            let same = found.values[hard * found.columns..] == alone.values;
+            outcome.require(same, || format!("{}: the gradient of a neighbour changes", found.name));
+        }
+        outcome
+    }
+
+    /// The textbook's formulas in f32; `None` where they are the same as ours, or would take too long.
+    fn textbook(&self, limit: f64) -> Option<Outcome> {
+        let scene = &self.scene;
+        let pairs = scene.count() * self.kept.len();
+        (scene.paint == Paint::Features(scene.channels()) && pairs <= TEXTBOOK_PAIRS).then(|| {
+            let found = textbook::evaluate::<f32>(scene, &self.weights, Backward::Dividing);
+            self.compare(&found, limit)
+        })
+    }
+
+    /// Pictures and gradients against `limit` times the ceiling.
+    fn compare(&self, found: &Outputs, limit: f64) -> Outcome {
+        let mut outcome = Outcome::default();
+        for (i, found) in found.pictures.iter().enumerate() {
+            let (expected, spread) = (&self.expected.pictures[i], &self.spread.pictures[i]);
+            let parts = [found, expected, spread].map(|tensor| columns(&keep(tensor, &self.kept)));
+            let score = score_parts(&parts, &mut outcome, limit);
+            outcome.forward = Some(outcome.forward.map_or(score, |sum| sum.worst(score)));
+        }
+        let hard = self.scene.count() - self.scene.neighbours;
+        for (i, found) in found.gradients.iter().enumerate() {
+            let (expected, spread) = (&self.expected.gradients[i], &self.spread.gradients[i]);
+            // The hard ones' large values must not excuse the neighbours, nor the other way round.
+            let classes = |tensor: &Named| -> Vec<Named> {
+                if i >= OF_NO_SPLAT {
+                    return vec![tensor.clone()];
+                }
+                let (hard, neighbours) = tensor.values.split_at(hard * tensor.columns);
+                [hard, neighbours].map(|values| Named { values: values.to_vec(), ..tensor.clone() }).to_vec()
+            };
+            let parts = [found, expected, spread].map(classes);
+            let score = score_parts(&parts, &mut outcome, limit);
+            outcome.gradient = Some(outcome.gradient.map_or(score, |sum| sum.worst(score)));
+            let [found, expected, spread] = &parts;
+            for ((found, expected), spread) in found.iter().zip(expected).zip(spread) {
+                judge_rows(found, expected, spread, limit, &mut outcome);
+            }
+        }
+        outcome
+    }
+}
+
+/// The worst score of parts `[found, expected, spread]`, each with its own largest element.
+fn score_parts([found, expected, spread]: &[Vec<Named>; 3], outcome: &mut Outcome, limit: f64) -> Score {
+    let mut score = Score::default();
+    for ((found, expected), spread) in found.iter().zip(expected).zip(spread) {
+        let name = found.name;
+        let finite = found.values.iter().all(|v| v.is_finite());
+        outcome.require(finite, || format!("{name} is not finite"));
+        let used = ceiling_used(&found.values, &expected.values, &spread.values);
+        outcome.require(used <= limit, || format!("{name} uses {used:.2e} of its ceiling"));
+        let largest = largest(&expected.values);
+        let errors = found.values.iter().zip(&expected.values).map(|(f, e)| (f - e).abs());
+        // Where all is zero nothing is relative to it.
+        let error = worst(errors) / if largest > 0.0 { largest } else { 1.0 };
+        score = score.worst(Score { error, used });
+    }
+    score
+}
+
+/// Rows of a gradient as vectors: off by more than the tolerance, or too ill-conditioned to be judged by it.
+fn judge_rows(found: &Named, expected: &Named, spread: &Named, limit: f64, outcome: &mut Outcome) {
+    let lengths = |values: &[f64]| values.chunks(expected.columns).map(norm).collect::<Vec<f64>>();
+    let (sizes, spreads) = (lengths(&expected.values), lengths(&spread.values));
+    let errors: Vec<f64> = found.values.iter().zip(&expected.values).map(|(f, e)| f - e).collect();
+    let floor = 1e-4 * largest(&sizes);
+    let rows = lengths(&errors).into_iter().zip(sizes).zip(spreads);
+    let (mut judged, mut off) = (0_usize, Vec::new());
+    for (row, ((error, size), spread)) in rows.enumerate().filter(|(_, ((_, size), _))| *size > floor) {
+        judged += 1;
+        match spread > ROW_TOLERANCE * size {
+            true => outcome.ill_rows += 1,
+            false if !(error <= limit * ROW_TOLERANCE * size) => off.push((row, error / size)),
+            false => {}
+        }
+    }
+    let allowed = (ROW_EXCEPTIONS * judged as f64).floor() as usize;
+    outcome.require(off.len() <= allowed, || {
+        let (row, error) = off[0];
+        format!("{}: {} of {judged} rows are off, the first is row {row} by {error:.1e}", found.name, off.len())
+    });
+}
+
+/// Rows of the pixels that are kept.
+fn keep(tensor: &Named, kept: &[bool]) -> Named {
+    let rows = tensor.values.chunks(tensor.columns).zip(kept).filter(|(_, kept)| **kept);
+    Named { values: rows.flat_map(|(row, _)| row.iter().copied()).collect(), ..tensor.clone() }
+}
+
+/// Each column on its own: channels may differ in magnitude.
+fn columns(tensor: &Named) -> Vec<Named> {
+    let column = |i: usize| tensor.values.iter().skip(i).step_by(tensor.columns).copied().collect();
+    (0..tensor.columns).map(|i| Named { columns: 1, values: column(i), ..tensor.clone() }).collect()
+}
+
+/// Which pixels no cut within rounding changes.
+fn kept(scene: &HardScene) -> Vec<bool> {
+    let options = &scene.options;
+    let pixels = scene.intrinsics.width * scene.intrinsics.height;
+    let cuts = options.alpha_min > 0.0 || options.transmittance_min > 0.0;
+    if !cuts || scene.truth == Truth::Twin {
+        return vec![true; pixels];
+    }
+    let picture = |options: RenderOptions| textbook::pictures::<Wide>(scene, &options);
+    let plain = picture(*options);
+    let mut variants = Vec::new();
+    for factor in [1.0 - CUT_SHIFT, 1.0 + CUT_SHIFT] {
+        variants.push(picture(RenderOptions { alpha_min: options.alpha_min * factor, ..*options }));
+        variants.push(picture(RenderOptions { transmittance_min: options.transmittance_min * factor, ..*options }));
+    }
+    (0..pixels).map(|pixel| variants.iter().all(|variant| variant[pixel] == plain[pixel])).collect()
+}
+
+/// The standard cuts, with the scene's model.
+fn with_cuts(options: &RenderOptions) -> RenderOptions {
+    RenderOptions { alpha_min: STANDARD.alpha_min, transmittance_min: STANDARD.transmittance_min, ..*options }
+}
+
+/// `image alpha depth` by the exact renderer.
+fn exact(scene: &HardScene) -> [Vec<f64>; 3] {
+    let gaussian = |i: usize| ExactGaussian {
+        mean: DVec3::from_slice(&scene.means[3 * i..]),
+        rotation: std::array::from_fn(|k| scene.quats[4 * i + k]),
+        scale: DVec3::from_slice(&scene.scales[3 * i..]),
+        opacity: scene.opacities[i],
+        features: scene.colours[scene.channels() * i..scene.channels() * (i + 1)].to_vec(),
+    };
+    let gaussians: Vec<ExactGaussian> = (0..scene.count()).map(gaussian).collect();
+    let p = &scene.pose;
+    let rows = [[p[0], p[1], p[2]], [p[4], p[5], p[6]], [p[8], p[9], p[10]]];
+    let pose = ExactPose {
+        rotation: DMat3::from_cols_array_2d(&rows).transpose(),
+        translation: DVec3::new(p[3], p[7], p[11]),
+    };
+    let pixels = render_exact(&gaussians, &pose, &scene.intrinsics, &scene.background, &scene.options);
+    [
+        pixels.iter().flat_map(|pixel| pixel.features.clone()).collect(),
+        pixels.iter().map(|pixel| pixel.alpha).collect(),
+        pixels.iter().map(|pixel| pixel.depth).collect(),
+    ]
+}

@@ -1,0 +1,25 @@
+//! The battery of hard cases: small scenes built in code on which splatting loses digits, runs out of range or divides by
+//! zero, each with a sentence on why. They run on every path, forwards and backwards, and are judged by what is true.
+//!
+//! [`battery`] lists the cases, [`judge`] runs one, [`table`] prints what came of them beside what the
+//! [`textbook`]'s formulas give on the same scenes.
+//!
+//! A case that is not a scene is a [`Check`]: a function of the [`Place`] that returns an [`Outcome`].
+
+pub mod ceiling;
+pub mod compare;
+#[path = "../../../splat-op/src/testing/random.rs"]
+pub mod random;
+pub mod tensors;
+
+pub mod case;
+pub mod cases;
+pub mod evaluate;
+pub mod judge;
+pub mod number;
+pub mod scene;
+pub mod table;
+pub mod textbook;
+
+pub use case::{Case, Check, Kind, Loose, Outcome, Place, Processor, Score};
+pub use cases::{GROUPS, Group, battery};

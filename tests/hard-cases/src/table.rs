@@ -1,0 +1,128 @@
+//! The table of the battery, as `HARD_CASES.md` holds it.
+
+use std::fmt::Write;
+
+use crate::case::{Case, Outcome, Place, Processor, Score};
+use crate::judge::{Row, Verdict};
+
+/// One group's cases with what came of each.
+pub struct Section {
+    pub title: &'static str,
+    pub rows: Vec<(Case, Row)>,
+}
+
+/// The file's text. Figures have two digits, so that it changes only when something does.
+pub fn markdown(sections: &[Section], places: &[Place]) -> String {
+    let mut text = String::from(HEAD);
+    let rows = || sections.iter().flat_map(|section| &section.rows);
+    let count = |verdict| rows().filter(|(_, row)| row.verdict() == verdict).count();
+    let names: Vec<&str> = places.iter().map(|place| place.name.as_str()).collect();
+    let _ = writeln!(
+        text,
+        "\nPaths: {}. Of {} cases {} pass, {} are loose, {} fail.",
+        names.join(", "),
+        rows().count(),
+        count(Verdict::Passed),
+        count(Verdict::Loose),
+        count(Verdict::Failed),
+    );
+    if !places.iter().any(|place| place.processor == Processor::Gpu) {
+        text.push_str("\nThe GPU was skipped: no adapter was found, or `SPLAT_GPU=skip`.\n");
+    }
+    for section in sections {
+        let _ = write!(text, "\n## {}\n\n{COLUMNS}", section.title);
+        section.rows.iter().for_each(|(case, row)| text.push_str(&line(case, row)));
+        let notes: Vec<String> = section.rows.iter().flat_map(|(case, row)| notes(case, row)).collect();
+        if !notes.is_empty() {
+            let _ = writeln!(text, "\n{}", notes.join("\n"));
+        }
+    }
+    text
+}
+
+const HEAD: &str = "\
+# Hard cases
+
+Written by `splat hard-cases --out DIR`; do not edit.
+
+Scenes on which splatting loses digits, runs out of range or divides by zero. Each is rendered and differentiated in f32 and
+compared with the truth: the papers' formulas in 106 bits, which the float64 renderer confirms where float64 suffices, and the
+CPU twin in f64, which shares no formula with them, everywhere.
+
+A score is *largest relative error (share of the ceiling)*. The ceiling is 16 times what the true result changes by when every
+input moves by one f32 ulp, plus 1e-6 of the largest element; rows of gradients must also be within 1e-3 of their length, unless
+one ulp moves them by more than that. A case passes if no share exceeds 1, everything is finite (with the standard cuts too), what
+must be culled is culled and nothing else, and neighbours that the hard ones do not reach keep every bit of their pixels and
+gradients. A bound above the ceiling is *loose*, with the reason below the table; it is not a pass.
+
+The columns *textbook* hold the same scenes by the formulas of most implementations, in f32 and in the same order of sums per pixel:
+determinant `a·c − b²`, an inverted covariance, an expanded quadratic form, division by `1 − α` on the way back. A dash means that
+the case does not touch them. κ is the largest condition number of a 2D covariance.
+";
+
+const COLUMNS: &str = "\
+| case | why it is hard | hardness | CPU forward | CPU gradient | GPU forward | GPU gradient | passes | textbook forward | \
+textbook gradient |
+|---|---|---|---|---|---|---|---|---|---|
+";
+
+fn line(case: &Case, row: &Row) -> String {
+    let [cpu, gpu] = [Processor::Cpu, Processor::Gpu].map(|processor| row.of(processor));
+    let verdict = match row.verdict() {
+        Verdict::Passed => "yes",
+        Verdict::Loose => "loose",
+        Verdict::Failed => "**no**",
+    };
+    let of = |outcome: &Option<Outcome>, part: fn(&Outcome) -> Option<Score>| {
+        outcome.as_ref().and_then(part).map_or("–".into(), score)
+    };
+    let (forward, gradient): (fn(&Outcome) -> _, fn(&Outcome) -> _) = (|o| o.forward, |o| o.gradient);
+    let cells = [
+        case.name.clone(),
+        case.why.into(),
+        hardness(case, row),
+        of(&cpu, forward),
+        of(&cpu, gradient),
+        of(&gpu, forward),
+        of(&gpu, gradient),
+        verdict.into(),
+        of(&row.textbook, forward),
+        of(&row.textbook, gradient),
+    ];
+    format!("| {} |\n", cells.map(|cell| cell.replace('|', "\\|")).join(" | "))
+}
+
+fn hardness(case: &Case, row: &Row) -> String {
+    let condition = (row.condition > 10.0).then(|| format!("κ {:.0e}", row.condition));
+    let parts = [Some(case.hardness.clone()).filter(|text| !text.is_empty()), condition];
+    let parts: Vec<String> = parts.into_iter().flatten().collect();
+    if parts.is_empty() { "–".into() } else { parts.join("; ") }
+}
+
+/// `error (share)`; a share that breaks the ceiling is bold.
+fn score(score: Score) -> String {
+    if !(score.error.is_finite() && score.used.is_finite()) {
+        return "**not finite**".into();
+    }
+    let share = match score.used {
+        used if used < 0.005 => "0".into(),
+        used if used < 100.0 => format!("{used:.2}"),
+        used => format!("{used:.0e}"),
+    };
+    let error = if score.error == 0.0 { "0".into() } else { format!("{:.0e}", score.error) };
+    if score.used <= 1.0 { format!("{error} ({share})") } else { format!("{error} (**{share}**)") }
+}
+
+/// Why a case is loose or fails, and which rows nothing but the ceiling judged.
+fn notes(case: &Case, row: &Row) -> Vec<String> {
+    let mut notes = Vec::new();
+    if let Some(loose) = row.loose {
+        notes.push(format!("- *{}* is held to {} times the ceiling: {}", case.name, loose.factor, loose.why));
+    }
+    let ill = row.places.iter().map(|(_, outcome)| outcome.ill_rows).max().unwrap_or_default();
+    if ill > 0 {
+        notes.push(format!("- *{}*: one ulp moves {ill} rows of gradients by more than 1e-3.", case.name));
+    }
+    notes.extend(row.failures().into_iter().map(|failure| format!("- *{}* fails: {failure}", case.name)));
+    notes
+}

@@ -1,0 +1,197 @@
+//! Splatting by the formulas of the papers (Zwicker et al. 2001; Kerbl et al. 2023), as most implementations have them:
+//! determinant `a c − b²`, an inverted covariance, an expanded quadratic form, division by `1 − α` on the way back.
+//! Dense and pixel by pixel, over any [`Number`]: in f32 it is the table's second block of columns, in [`Wide`] the
+//! truth. It shares no code with the operation.
+
+mod blend;
+mod linalg;
+mod project;
+
+use rayon::prelude::*;
+use splat_op::RenderOptions;
+
+use self::blend::{Cuts, PixelGrad};
+use self::linalg::{add, plus, zero};
+use self::project::{Conic, Gaussian, Lens, Projected, project};
+use crate::evaluate::Outputs;
+use crate::number::{Number, Wide};
+use crate::scene::{HardScene, Weights};
+
+/// How the backward pass comes by the transmittance in front of a layer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Backward {
+    /// From the last one, divided by `1 − α` layer by layer: the textbook's.
+    Dividing,
+    /// Kept from the forward pass: the truth's, which may not divide by zero.
+    Kept,
+}
+
+/// Pixels whose sums are added together before they join the others: the order is fixed.
+const CHUNK: usize = 64;
+
+/// What is known before blending.
+struct View<N> {
+    lens: Lens<N>,
+    /// The Gaussians that are seen, in the order of depth, then of input; and where they are in the input.
+    projected: Vec<(usize, Projected<N>)>,
+    colours: Vec<Vec<N>>,
+    background: Vec<N>,
+}
+
+fn all<N: Number>(values: &[f64]) -> Vec<N> {
+    values.iter().map(|v| N::of(*v)).collect()
+}
+
+/// Activated parameters of one Gaussian.
+fn gaussian<N: Number>(scene: &HardScene, i: usize) -> Gaussian<N> {
+    let take = |values: &[f64], k: usize| N::of(values[k]);
+    let one = N::of(1.0);
+    let activated = |scale: N| if scene.stored { scale.exp() } else { scale };
+    let opacity = take(&scene.opacities, i);
+    Gaussian {
+        mean: [0, 1, 2].map(|k| take(&scene.means, 3 * i + k)),
+        quat: [0, 1, 2, 3].map(|k| take(&scene.quats, 4 * i + k)),
+        scale: [0, 1, 2].map(|k| activated(take(&scene.scales, 3 * i + k))),
+        opacity: if scene.stored { one / (one + (-opacity).exp()) } else { opacity },
+    }
+}
+
+impl<N: Number> View<N> {
+    fn new(scene: &HardScene) -> Self {
+        let lens = Lens::new(&scene.pose, &scene.intrinsics, &scene.options);
+        let seen = (0..scene.count()).filter_map(|i| Some((i, project(gaussian(scene, i), &lens)?)));
+        let mut projected: Vec<(usize, Projected<N>)> = seen.collect();
+        // Stable, and without an opinion on what cannot be ordered.
+        projected
+            .sort_by(|(_, a), (_, b)| a.conic.depth.partial_cmp(&b.conic.depth).unwrap_or(std::cmp::Ordering::Equal));
+        let colour = |i: usize| all(&scene.colours[i * scene.channels()..(i + 1) * scene.channels()]);
+        let colours = projected.iter().map(|(i, _)| colour(*i)).collect();
+        Self { lens, projected, colours, background: all(&scene.background) }
+    }
+
+    fn splats(&self) -> Vec<(Conic<N>, &[N])> {
+        self.projected.iter().zip(&self.colours).map(|((_, p), colour)| (p.conic, colour.as_slice())).collect()
+    }
+}
+
+fn centre<N: Number>(scene: &HardScene, pixel: usize) -> [N; 2] {
+    let width = scene.intrinsics.width;
+    [pixel % width, pixel / width].map(|px| N::of(px as f64 + 0.5))
+}
+
+/// The largest condition number of a 2D covariance in the scene.
+pub fn condition(scene: &HardScene) -> f64 {
+    let view = View::<Wide>::new(scene);
+    view.projected.iter().map(|(_, p)| p.condition()).fold(1.0, f64::max)
+}
+
+/// `image alpha` of every pixel under some options, for boundary bands.
+pub fn pictures<N: Number>(scene: &HardScene, options: &RenderOptions) -> Vec<Vec<f64>> {
+    let view = View::<N>::new(&HardScene { options: *options, ..scene.clone() });
+    let (splats, cuts) = (view.splats(), Cuts::new(options));
+    let pixels = scene.intrinsics.width * scene.intrinsics.height;
+    let pixel = |pixel: usize| {
+        let seen = blend::forward(centre(scene, pixel), &splats, &view.background, &cuts);
+        seen.colour.iter().map(|v| v.f64()).chain([seen.transmittance.f64()]).collect()
+    };
+    (0..pixels).into_par_iter().map(pixel).collect()
+}
+
+/// One pixel's colour, alpha and depth.
+type Seen<N> = (Vec<N>, N, N);
+
+/// Sums over pixels: per seen Gaussian, and of the background.
+type Sums<N> = (Vec<(Conic<N>, Vec<N>)>, Vec<N>);
+
+/// Renders and differentiates a scene of features.
+pub fn evaluate<N: Number>(scene: &HardScene, weights: &Weights, style: Backward) -> Outputs {
+    let view = View::<N>::new(scene);
+    let (splats, cuts) = (view.splats(), Cuts::new(&scene.options));
+    let channels = scene.channels();
+    let pixels = scene.intrinsics.width * scene.intrinsics.height;
+    let nought = N::of(0.0);
+    let nothing = || Conic { mean_px: [nought; 2], conic: [nought; 3], depth: nought, opacity: nought };
+    let chunk = |first: usize| -> (Vec<Seen<N>>, Sums<N>) {
+        let mut sums: Vec<_> = splats.iter().map(|_| (nothing(), vec![nought; channels])).collect();
+        let mut background = vec![nought; channels];
+        let seen = (first..(first + CHUNK).min(pixels)).map(|pixel| {
+            let out = blend::forward(centre(scene, pixel), &splats, &view.background, &cuts);
+            let grad = PixelGrad {
+                colour: all(&weights.image[channels * pixel..channels * (pixel + 1)]),
+                alpha: N::of(weights.alpha[pixel]),
+                depth: N::of(weights.depth[pixel]),
+            };
+            blend::backward(&out, &grad, &splats, &view.background, style, &mut sums);
+            background.iter_mut().zip(&grad.colour).for_each(|(sum, g)| *sum = *sum + out.transmittance * *g);
+            (out.colour, N::of(1.0) - out.transmittance, out.depth)
+        });
+        (seen.collect(), (sums, background))
+    };
+    let chunks: Vec<_> = (0..pixels).step_by(CHUNK).collect::<Vec<_>>().into_par_iter().map(chunk).collect();
+    let mut pictures = [Vec::new(), Vec::new(), Vec::new()];
+    let mut total: Option<Sums<N>> = None;
+    for (seen, sums) in chunks {
+        for (colour, alpha, depth) in seen {
+            pictures[0].extend(colour.iter().map(|v| v.f64()));
+            pictures[1].push(alpha.f64());
+            pictures[2].push(depth.f64());
+        }
+        total = Some(match total {
+            Some(total) => added(total, sums),
+            None => sums,
+        });
+    }
+    let (sums, background) = total.expect("a picture has pixels");
+    gradients(scene, &view, &sums, &background, pictures)
+}
+
+fn added<N: Number>((mut conics, mut background): Sums<N>, (more, behind): Sums<N>) -> Sums<N> {
+    let sum = |to: &mut N, from: N| *to = *to + from;
+    for ((to, to_colour), (from, from_colour)) in conics.iter_mut().zip(more) {
+        to.mean_px.iter_mut().zip(from.mean_px).for_each(|(to, from)| sum(to, from));
+        to.conic.iter_mut().zip(from.conic).for_each(|(to, from)| sum(to, from));
+        sum(&mut to.depth, from.depth);
+        sum(&mut to.opacity, from.opacity);
+        to_colour.iter_mut().zip(from_colour).for_each(|(to, from)| sum(to, from));
+    }
+    background.iter_mut().zip(behind).for_each(|(to, from)| sum(to, from));
+    (conics, background)
+}
+
+/// From the sums over pixels to the gradients of the parameters.
+fn gradients<N: Number>(
+    scene: &HardScene,
+    view: &View<N>,
+    sums: &[(Conic<N>, Vec<N>)],
+    background: &[N],
+    pictures: [Vec<f64>; 3],
+) -> Outputs {
+    let (count, channels) = (scene.count(), scene.channels());
+    let rows = |columns: usize| vec![0.0; count * columns];
+    let [mut means, mut quats, mut scales] = [rows(3), rows(4), rows(3)];
+    let [mut opacities, mut colours, mut mean2d] = [rows(1), rows(channels), rows(2)];
+    let mut pose = (zero::<N>(), [N::of(0.0); 3]);
+    let store = |to: &mut [f64], i: usize, row: &[N]| {
+        to[i * row.len()..(i + 1) * row.len()].iter_mut().zip(row).for_each(|(to, v)| *to = v.f64());
+    };
+    for ((i, projected), (grad, grad_colour)) in view.projected.iter().zip(sums) {
+        let mut one = projected.backward(&view.lens, grad);
+        if scene.stored {
+            let activated = gaussian::<N>(scene, *i);
+            one.scale = [0, 1, 2].map(|k| one.scale[k] * activated.scale[k]);
+            // The logistic function's derivative by way of `1 − σ(x) = σ(−x)`.
+            let logit = N::of(scene.opacities[*i]);
+            one.opacity = one.opacity * activated.opacity * (N::of(1.0) / (N::of(1.0) + logit.exp()));
+        }
+        store(&mut means, *i, &one.mean);
+        store(&mut quats, *i, &one.quat);
+        store(&mut scales, *i, &one.scale);
+        store(&mut opacities, *i, &[one.opacity]);
+        store(&mut colours, *i, grad_colour);
+        store(&mut mean2d, *i, &grad.mean_px);
+        pose = (plus(&pose.0, &one.pose_rotation), add(pose.1, one.pose_translation));
+    }
+    let pose = [0, 1, 2].map(|row| [pose.0[row][0], pose.0[row][1], pose.0[row][2], pose.1[row]].map(N::f64)).concat();
+    let background = background.iter().map(|v| v.f64()).collect();
+    Outputs::new(scene, pictures, [means, quats, scales, opacities, colours, mean2d, pose, background])
+}

@@ -1,0 +1,87 @@
+//! `splat hard-cases`: the battery of hard cases, and the table of what came of it.
+
+use std::io::Write;
+use std::path::PathBuf;
+
+use anyhow::{Result, bail};
+use clap::builder::PossibleValuesParser;
+use splat_hard_cases::judge::{Verdict, judge};
+use splat_hard_cases::table::{Section, markdown};
+use splat_hard_cases::{GROUPS, Group, Place, Processor};
+
+use crate::device::{self, DeviceName};
+use crate::output::OutputFolder;
+use crate::progress;
+
+/// The file that is written.
+pub const TABLE: &str = "HARD_CASES.md";
+
+/// Options of `splat hard-cases`.
+#[derive(Clone, Debug, clap::Args)]
+pub struct HardCasesArgs {
+    /// Folder for HARD_CASES.md
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+    /// Run this group only; may be given several times
+    #[arg(long, value_name = "NAME", value_parser = PossibleValuesParser::new(GROUPS.iter().map(|group| group.name)))]
+    pub group: Vec<String>,
+    /// Run on this device only; may be given several times [default: flex, ndarray, and the best adapter if there is one]
+    #[arg(long, value_name = "NAME")]
+    pub device: Vec<DeviceName>,
+}
+
+/// Runs the battery, prints the table and writes it.
+///
+/// # Errors
+/// If a device is not there, the table cannot be written, or a case fails: then the table is there and says which.
+pub fn run(args: &HardCasesArgs) -> Result<()> {
+    let places = places(&args.device)?;
+    let out = OutputFolder::prepare(&args.out, &[TABLE], &[])?;
+    let chosen = |group: &&Group| args.group.is_empty() || args.group.iter().any(|name| name == group.name);
+    let groups: Vec<_> = GROUPS.iter().filter(chosen).map(|group| (group.title, (group.cases)())).collect();
+    let bar = progress::counter("hard cases", groups.iter().map(|(_, cases)| cases.len()).sum());
+    let mut sections = Vec::new();
+    for (title, cases) in groups {
+        let rows = cases.into_iter().map(|case| {
+            let row = judge(&case, &places);
+            bar.inc(1);
+            (case, row)
+        });
+        sections.push(Section { title, rows: rows.collect() });
+    }
+    bar.finish_and_clear();
+    let text = markdown(&sections, &places);
+    progress::say(&text);
+    out.write(TABLE, |file| Ok(file.write_all(text.as_bytes())?))?;
+    let rows = || sections.iter().flat_map(|section| &section.rows);
+    let failed = rows().filter(|(_, row)| row.verdict() == Verdict::Failed).count();
+    if failed > 0 {
+        bail!("{failed} of {} hard cases fail: {} says how", rows().count(), out.join(TABLE).display());
+    }
+    Ok(())
+}
+
+/// The paths to run on. A GPU that nobody asked for need not be there; that it is not is said.
+fn places(names: &[DeviceName]) -> Result<Vec<Place>> {
+    if !names.is_empty() {
+        return names.iter().map(|name| place(*name)).collect();
+    }
+    let mut places = vec![place(DeviceName::Flex)?, place(DeviceName::Ndarray)?];
+    match place(DeviceName::Gpu) {
+        Ok(gpu) => places.push(gpu),
+        Err(why) => progress::note(&format!("without a GPU: {why}")),
+    }
+    Ok(places)
+}
+
+fn place(name: DeviceName) -> Result<Place> {
+    let processor = match name.find()?.0 {
+        Some(found) => {
+            device::open(&found)?;
+            Processor::Gpu
+        }
+        None => Processor::Cpu,
+    };
+    let (device, name) = name.resolve()?;
+    Ok(Place { name, device, processor })
+}
