@@ -19,7 +19,7 @@ use crate::gaussians::Gaussians;
 use crate::init;
 use crate::loss::{DEFAULT_LAMBDA, Truth, photometric, regularise};
 use crate::optim::schedule::STEPS_PER_SH_DEGREE;
-use crate::optim::{Adam, Decay, LearningRates, scene_extent, sh_degree_at};
+use crate::optim::{Adam, Decay, LearningRates, near_plane, scene_extent, sh_degree_at};
 
 pub use self::checked::Stage;
 use self::checked::{Stopped, Wrong, check_gradients, check_loss, check_parameters, render_checked};
@@ -74,9 +74,9 @@ impl Default for TrainConfig {
 }
 
 impl TrainConfig {
-    /// How the run renders.
-    pub fn render_options(&self) -> RenderOptions {
-        RenderOptions::standard().with_antialias(self.antialias)
+    /// How a run whose cameras see a scene of `extent` renders (see [`scene_extent`]).
+    pub fn render_options(&self, extent: f64) -> RenderOptions {
+        RenderOptions::standard().with_antialias(self.antialias).with_near(near_plane(extent))
     }
 }
 
@@ -133,6 +133,7 @@ struct TrainView {
 /// A run.
 pub struct Trainer {
     config: TrainConfig,
+    options: RenderOptions,
     device: Device,
     scene: Trained,
     views: Vec<TrainView>,
@@ -189,6 +190,7 @@ impl Trainer {
             .collect();
         let lambda = config.lambda;
         Ok(Self {
+            options: config.render_options(extent),
             device: device.clone(),
             scene: Trained::new(Gaussians::from_rows(&rows, &tracked)?),
             views,
@@ -218,6 +220,11 @@ impl Trainer {
     /// The scene as it is now. After a step that went wrong it is still the one before that step.
     pub fn gaussians(&self) -> &Gaussians {
         &self.scene.gaussians
+    }
+
+    /// How the run renders; whoever looks at its scene should render like this.
+    pub fn render_options(&self) -> RenderOptions {
+        self.options
     }
 
     /// Steps done.
@@ -274,7 +281,7 @@ impl Trainer {
         };
         let truth = self.truth(view);
         let TrainView { camera, photo, .. } = &self.views[view];
-        let options = self.config.render_options();
+        let options = self.options;
         let (image, alpha) = if self.checks {
             let picture = render_checked(&splats, camera, &extras, &options);
             let picture = picture.map_err(|stopped| self.stopped(view, stopped))?;

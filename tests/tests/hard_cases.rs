@@ -31,4 +31,4 @@ macro_rules! groups {
     };
 }
 
-groups!(needles, sizes, near, opacity, depth, rotations, cameras, colour, counts);
+groups!(needles, sizes, near, opacity, depth, rotations, cameras, colour, far, poison, counts, loss, training);

@@ -67,7 +67,8 @@ pub fn run(args: &EvalArgs) -> Result<Metrics> {
 
     let config = TrainConfig { antialias: args.antialias, ..TrainConfig::default() };
     let start = Instant::now();
-    let scores = report::measure(&splats, &photos, config.background, &config.render_options(), &out)?;
+    let render_options = config.render_options(input::extent(&capture));
+    let scores = report::measure(&splats, &photos, config.background, &render_options, &out)?;
     let eval = seconds_since(start);
     copy_scene(&args.scene, &out)?;
     let options = Options {

@@ -7,6 +7,7 @@ use burn::tensor::Device;
 use splat_model::capture::image::load_all;
 use splat_model::capture::{Capture, Photo};
 use splat_model::gaussians::{GaussianRows, Gaussians};
+use splat_model::optim::scene_extent;
 use splat_model::ply;
 use splat_op::Splats;
 
@@ -23,6 +24,12 @@ pub fn capture(folder: &Path) -> Result<Capture> {
         folder.display()
     );
     Ok(Capture::load(folder)?)
+}
+
+/// The extent of the scene that a capture's cameras see, scene units.
+pub fn extent(capture: &Capture) -> f64 {
+    let centres: Vec<_> = capture.views.iter().map(|view| view.cam_from_world.inverse().translation).collect();
+    scene_extent(&centres)
 }
 
 /// Decodes the photographs of some of a capture's views, on all threads.

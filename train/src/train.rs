@@ -161,6 +161,7 @@ pub fn run_with(args: &TrainArgs, change: impl FnOnce(Trainer) -> Trainer) -> Re
     let trainer = Trainer::new(train, &capture.points, config.clone(), &device)?;
     let mut trainer = change(if args.check { trainer.with_checks() } else { trainer });
     let load = seconds_since(start);
+    let render_options = trainer.render_options();
 
     let start = Instant::now();
     let mut bar = StepProgress::new(config.steps);
@@ -186,7 +187,7 @@ pub fn run_with(args: &TrainArgs, change: impl FnOnce(Trainer) -> Trainer) -> Re
     drop(rows);
 
     let start = Instant::now();
-    let measure = || report::measure(&gaussians.splats(), &test, config.background, &config.render_options(), &out);
+    let measure = || report::measure(&gaussians.splats(), &test, config.background, &render_options, &out);
     let test_scores = if test.is_empty() { None } else { Some(measure()?) };
     let eval = seconds_since(start);
     let options = Options { capture: &capture.folder, photos: &args.photos, config: &config, check: args.check };

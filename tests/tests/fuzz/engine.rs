@@ -173,7 +173,8 @@ impl Watch {
                     u64::MAX => return,
                     1.. if now.saturating_sub(since) > 4 * LIMIT.as_millis() as u64 => {
                         let folder = folder(name);
-                        let _ = writeln!(std::io::stderr(), "{name}: a reader hangs; its input is in {}", folder.display());
+                        let _ =
+                            writeln!(std::io::stderr(), "{name}: a reader hangs; its input is in {}", folder.display());
                         std::process::abort();
                     }
                     _ => {}

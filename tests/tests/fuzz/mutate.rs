@@ -38,14 +38,36 @@ impl Mutator {
 
 /// Numbers as text that readers trip over.
 const TEXT_NUMBERS: [&str; 26] = [
-    "0", "-1", "1", "-0", "4294967295", "4294967296", "2147483648", "-2147483649", "18446744073709551615",
-    "18446744073709551616", "9223372036854775807", "340282350000000000000000000000000000000", "1e39", "1e309", "-1e309",
-    "1e-400", "5e-324", "nan", "NaN", "-inf", "inf", "+1", "0x10", "1_000", "00000000000000000000000000001", "1.5.5",
+    "0",
+    "-1",
+    "1",
+    "-0",
+    "4294967295",
+    "4294967296",
+    "2147483648",
+    "-2147483649",
+    "18446744073709551615",
+    "18446744073709551616",
+    "9223372036854775807",
+    "340282350000000000000000000000000000000",
+    "1e39",
+    "1e309",
+    "-1e309",
+    "1e-400",
+    "5e-324",
+    "nan",
+    "NaN",
+    "-inf",
+    "inf",
+    "+1",
+    "0x10",
+    "1_000",
+    "00000000000000000000000000001",
+    "1.5.5",
 ];
 
-const INTEGERS: [u64; 13] = [
-    0, 1, 2, 255, 0x7fff, 0x8000, 0x7fff_ffff, 0x8000_0000, 0xffff_ffff, 1 << 32, i64::MAX as u64, 1 << 63, u64::MAX,
-];
+const INTEGERS: [u64; 13] =
+    [0, 1, 2, 255, 0x7fff, 0x8000, 0x7fff_ffff, 0x8000_0000, 0xffff_ffff, 1 << 32, i64::MAX as u64, 1 << 63, u64::MAX];
 
 const FLOATS: [f64; 11] =
     [0.0, -0.0, 1.0, -1.0, f64::NAN, f64::INFINITY, f64::NEG_INFINITY, f64::MAX, 5e-324, 1e15, 1e39];
@@ -139,7 +161,8 @@ fn fields(rng: &mut Mutator, input: &[u8], target: &dyn Target, corpus: &[Vec<u8
         }
         7 => {
             // A field of another input, where formats agree: a count for a coordinate, a name for a count.
-            let others = target.split(rng.pick(corpus));
+            let other: &Vec<u8> = rng.pick(corpus);
+            let others = target.split(other);
             if !others.is_empty() {
                 fields[at] = rng.pick(&others).clone();
             }

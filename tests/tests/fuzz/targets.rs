@@ -16,8 +16,20 @@ use super::split::{self, Part};
 
 /// What a message tells its reader to do.
 const REMEDIES: [&str; 14] = [
-    "export", "copy", "correct", "remove", "Remove", "choose", "pass a", "Check", "Name", "Run", "Reconstruct", "make all",
-    "is the path right", "Use the",
+    "export",
+    "copy",
+    "correct",
+    "remove",
+    "Remove",
+    "choose",
+    "pass a",
+    "Check",
+    "Name",
+    "Run",
+    "Reconstruct",
+    "make all",
+    "is the path right",
+    "Use the",
 ];
 
 /// A message must name a file of `folder` and say what to do, on a screen's worth of printable text.
@@ -25,8 +37,12 @@ fn judge_message(message: &str, folder: &Path) -> Result<(), String> {
     let named = folder.to_str().is_some_and(|folder| message.contains(folder));
     match () {
         () if !named => Err(format!("the message names no file: {message}")),
-        () if !REMEDIES.iter().any(|word| message.contains(word)) => Err(format!("the message has no remedy: {message}")),
-        () if message.len() > 1_500 + 4 * folder.as_os_str().len() => Err(format!("a message of {} bytes", message.len())),
+        () if !REMEDIES.iter().any(|word| message.contains(word)) => {
+            Err(format!("the message has no remedy: {message}"))
+        }
+        () if message.len() > 1_500 + 4 * folder.as_os_str().len() => {
+            Err(format!("a message of {} bytes", message.len()))
+        }
         () if message.chars().any(char::is_control) => Err(format!("control characters in the message {message:?}")),
         () => Ok(()),
     }
@@ -97,11 +113,45 @@ impl Target for Ply {
 
     fn words(&self) -> &'static [&'static str] {
         &[
-            "ply", "format", "ascii", "binary_little_endian", "binary_big_endian", "1.0", "\n", "\r\n", " ", "element",
-            "vertex", "property", "float", "double", "uchar", "int", "char", "float64", "list", "property list uchar int i\n",
-            "property list int double i\n", "end_header", "end_header\n", "comment", "comment splat origin 1e308 2 3\n",
-            "comment splat origin ", "obj_info", "x", "f_rest_0", "f_rest_44", "f_rest_71", "f_rest_72", "f_dc_0", "rot_3",
-            "element vertex 18446744073709551615\n", "element a 4294967295\n", "\u{feff}", "\0", "é",
+            "ply",
+            "format",
+            "ascii",
+            "binary_little_endian",
+            "binary_big_endian",
+            "1.0",
+            "\n",
+            "\r\n",
+            " ",
+            "element",
+            "vertex",
+            "property",
+            "float",
+            "double",
+            "uchar",
+            "int",
+            "char",
+            "float64",
+            "list",
+            "property list uchar int i\n",
+            "property list int double i\n",
+            "end_header",
+            "end_header\n",
+            "comment",
+            "comment splat origin 1e308 2 3\n",
+            "comment splat origin ",
+            "obj_info",
+            "x",
+            "f_rest_0",
+            "f_rest_44",
+            "f_rest_71",
+            "f_rest_72",
+            "f_dc_0",
+            "rot_3",
+            "element vertex 18446744073709551615\n",
+            "element a 4294967295\n",
+            "\u{feff}",
+            "\0",
+            "é",
         ]
     }
 
@@ -173,7 +223,9 @@ impl Colmap {
             () if !names => Err("names are not sorted, or not unique".into()),
             () if !(poses && points && capture.origin.is_finite()) => Err("a pose or point is not finite".into()),
             () if !inside => Err("a picture lies outside of the capture".into()),
-            () if capture.points.positions.len() != capture.points.colours.len() => Err("points without colours".into()),
+            () if capture.points.positions.len() != capture.points.colours.len() => {
+                Err("points without colours".into())
+            }
             () => Ok(()),
         }
     }
@@ -190,9 +242,38 @@ impl Target for Colmap {
 
     fn words(&self) -> &'static [&'static str] {
         &[
-            "PINHOLE", "SIMPLE_PINHOLE", "OPENCV", "FULL_OPENCV", "\u{1}\0\0\0", "\u{2}\0\0\0", "\u{7f}\0\0\0", "\0", "\0\0\0\0",
-            "\0\0\0\0\0\0\0\0", "\u{1}\0\0\0\0\0\0\0", "\n", "\r\n", " ", "\t", "#", "# comment\n", "../", "../../etc/passwd", "/", "..",
-            ".", "a/../../b.png", "00.png", "C:\\x.png", "é.png", "\u{feff}", "1", "-1", "nan", "40 30", "1 0 0 0 0 0 0 1",
+            "PINHOLE",
+            "SIMPLE_PINHOLE",
+            "OPENCV",
+            "FULL_OPENCV",
+            "\u{1}\0\0\0",
+            "\u{2}\0\0\0",
+            "\u{7f}\0\0\0",
+            "\0",
+            "\0\0\0\0",
+            "\0\0\0\0\0\0\0\0",
+            "\u{1}\0\0\0\0\0\0\0",
+            "\n",
+            "\r\n",
+            " ",
+            "\t",
+            "#",
+            "# comment\n",
+            "../",
+            "../../etc/passwd",
+            "/",
+            "..",
+            ".",
+            "a/../../b.png",
+            "00.png",
+            "C:\\x.png",
+            "é.png",
+            "\u{feff}",
+            "1",
+            "-1",
+            "nan",
+            "40 30",
+            "1 0 0 0 0 0 0 1",
         ]
     }
 
@@ -256,9 +337,33 @@ impl Target for Json {
 
     fn words(&self) -> &'static [&'static str] {
         &[
-            "{", "}", "[", "]", "[[[[[[[[[[[[[[[[", "{\"a\":{\"a\":{\"a\":", ":", ",", "\"", "\\u0000", "\\ud800", "null", "true",
-            "1e999", "-0.0", "\"test\"", "\"views\"", "\"name\"", "\"../../x\"", "\"/etc/passwd\"", "\"splat demo\"", "\"steps\"",
-            "\"density\"", "\"max_splats\"", "\"background\"", "\"a\u{0}b\"", "\u{feff}",
+            "{",
+            "}",
+            "[",
+            "]",
+            "[[[[[[[[[[[[[[[[",
+            "{\"a\":{\"a\":{\"a\":",
+            ":",
+            ",",
+            "\"",
+            "\\u0000",
+            "\\ud800",
+            "null",
+            "true",
+            "1e999",
+            "-0.0",
+            "\"test\"",
+            "\"views\"",
+            "\"name\"",
+            "\"../../x\"",
+            "\"/etc/passwd\"",
+            "\"splat demo\"",
+            "\"steps\"",
+            "\"density\"",
+            "\"max_splats\"",
+            "\"background\"",
+            "\"a\u{0}b\"",
+            "\u{feff}",
         ]
     }
 
@@ -301,7 +406,9 @@ impl Target for Json {
 fn messages_are_held_to_the_rules() {
     let folder = Path::new("/somewhere");
     assert!(judge_message("/somewhere/a.ply: row 3 is short; export it again", folder).is_ok());
-    for bad in ["a.ply: row 3 is short; export it again", "/somewhere/a.ply: row 3 is short", "/somewhere/a: \u{1b}[0m export"] {
+    for bad in
+        ["a.ply: row 3 is short; export it again", "/somewhere/a.ply: row 3 is short", "/somewhere/a: \u{1b}[0m export"]
+    {
         assert!(judge_message(bad, folder).is_err(), "{bad}");
     }
     assert!(judge_message(&format!("/somewhere/a: {} export", "x".repeat(2_000)), folder).is_err());
