@@ -99,7 +99,8 @@ pub(crate) fn rotation_of<F: Real>([w, x, y, z]: [F; 4]) -> Mat3<F> {
 }
 
 /// Gradient of a quaternion of any length from that of its rotation matrix: through [`rotation_of`], then through the
-/// normalisation `q / |q|`, which leaves only what is normal to the unit quaternion.
+/// normalisation `q / |q|`, which leaves only what is normal to the unit quaternion. Where the length is so short that the
+/// gradient is beyond the float's range, it is held at its end.
 #[inline(always)]
 pub(crate) fn quaternion_backward<F: Real>(unit: [F; 4], length: F, g: &Mat3<F>) -> [F; 4] {
     let [w, x, y, z] = unit;
@@ -114,5 +115,5 @@ pub(crate) fn quaternion_backward<F: Real>(unit: [F; 4], length: F, g: &Mat3<F>)
         two * (w * az + x * sy + y * sx - two * z * (g[0][0] + g[1][1])),
     ];
     let radial = grad_unit[0] * w + grad_unit[1] * x + grad_unit[2] * y + grad_unit[3] * z;
-    [0, 1, 2, 3].map(|i| (grad_unit[i] - unit[i] * radial) / length)
+    [0, 1, 2, 3].map(|i| ((grad_unit[i] - unit[i] * radial) / length).within(-F::MAX, F::MAX))
 }

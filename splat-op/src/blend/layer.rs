@@ -175,7 +175,8 @@ impl Footprint {
 /// bucket; negative where the pixel is finished.
 #[cube]
 pub(super) fn layer(alpha: f32, through: f32, before: f32, transmittance_min: f32) -> (f32, f32) {
-    let next = through * (1.0 - alpha);
+    // Not times `1 − α`, which is rounded, for all layers of one faint alpha the same way.
+    let next = fma(-alpha, through, through);
     let shows = alpha > 0.0 && through >= 0.0;
     let finishes = shows && before * next <= transmittance_min;
     let contributes = shows && !finishes;

@@ -11,6 +11,10 @@ use crate::tile::{TILE, TILE_PIXELS};
 /// Vectors along a row of a tile.
 pub(super) const ROW_VECTORS: usize = TILE / LANES;
 
+/// Sums over more Gaussians than this are sums of sums over so many: an f32 sum of 200,000 terms one by one would lose
+/// two more digits.
+const SUM_LENGTH: usize = 512;
+
 /// The transmittance of a tile is kept each time this many Gaussians have been passed.
 pub(super) const CHECKPOINT_EVERY: usize = 64;
 
@@ -119,7 +123,6 @@ pub(super) struct Thresholds<S: Simd, F: Real> {
     pub alpha_max: F::Lanes<S>,
     transmittance_min: F::Lanes<S>,
     zero: F::Lanes<S>,
-    one: F::Lanes<S>,
 }
 
 impl<S: Simd, F: Real> Thresholds<S, F> {
@@ -133,7 +136,6 @@ impl<S: Simd, F: Real> Thresholds<S, F> {
             alpha_max: lanes(alpha_max),
             transmittance_min: lanes(never),
             zero: lanes(F::ZERO),
-            one: lanes(F::ONE),
         }
     }
 
@@ -158,7 +160,8 @@ impl<S: Simd, F: Real> Thresholds<S, F> {
         if !shows.any_true() {
             return None;
         }
-        let behind = transmittance * (self.one - alpha);
+        // Rounded once. `1 − α` would be rounded too, for all layers of one faint alpha the same way.
+        let behind = (-alpha).mul_add(transmittance, transmittance);
         let finishes = shows & behind.simd_le(self.transmittance_min);
         let contributes = shows & !finishes;
         let alpha = contributes.select(alpha, self.zero);
@@ -228,6 +231,14 @@ pub(super) fn centres<S: Simd, F: Real>(simd: S, left: F) -> [F::Lanes<S>; ROW_V
     })
 }
 
+/// Adds one to the other and leaves zeros.
+fn move_into<F: Real>(sums: &mut [F], total: &mut [F]) {
+    for (total, sum) in total.iter_mut().zip(sums) {
+        *total += *sum;
+        *sum = F::ZERO;
+    }
+}
+
 /// Blends a tile: `planes` gets `[channels + 1, 256]`, the sums `Σ w c` and the transmittance (positive). Returns how
 /// many Gaussians were passed before all pixels were finished; `checkpoints`, if given, gets the transmittances before
 /// each [`CHECKPOINT_EVERY`]th Gaussian but the first.
@@ -248,6 +259,7 @@ pub(super) fn blend_tile<S: Simd, F: Real, const C: usize>(
     let mut open = view.size[0] * view.size[1];
     let sums = &mut planes[..channels * TILE_PIXELS];
     sums.fill(F::ZERO);
+    let mut finished_sums = Vec::new();
     let mut passed = view.gaussians.len();
     let mut near = [Footprint::default(); CHECKPOINT_EVERY];
     for (i, &gaussian) in view.gaussians.iter().enumerate() {
@@ -258,6 +270,10 @@ pub(super) fn blend_tile<S: Simd, F: Real, const C: usize>(
             {
                 kept.extend_from_slice(&transmittance);
             }
+        }
+        if i % SUM_LENGTH == 0 && i > 0 {
+            finished_sums.resize(sums.len(), F::ZERO);
+            move_into(sums, &mut finished_sums);
         }
         let splat = Splat::new(simd, near[i % CHECKPOINT_EVERY]);
         let colour = view.colour(gaussian);
@@ -285,6 +301,10 @@ pub(super) fn blend_tile<S: Simd, F: Real, const C: usize>(
             passed = i + 1;
             break;
         }
+    }
+    if !finished_sums.is_empty() {
+        move_into(sums, &mut finished_sums);
+        sums.copy_from_slice(&finished_sums);
     }
     for (out, t) in planes[channels * TILE_PIXELS..].iter_mut().zip(transmittance) {
         *out = t.abs();

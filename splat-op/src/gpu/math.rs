@@ -188,7 +188,8 @@ impl Quaternion {
     }
 
     /// The gradient of a quaternion whose unit is this one, from that of its rotation matrix: through [`Self::matrix`],
-    /// then through `q / |q|`, which leaves only what is normal to the unit.
+    /// then through `q / |q|`, which leaves only what is normal to the unit. Where the length is so short that the gradient
+    /// is beyond the range of f32, it is held at its end.
     pub fn backward(&self, length: f32, grad: Mat3) -> Quaternion {
         let (w, x, y, z) = (self.w, self.x, self.y, self.z);
         let odd = Vec3::new(grad.z.y - grad.y.z, grad.x.z - grad.z.x, grad.y.x - grad.x.y);
@@ -206,7 +207,16 @@ impl Quaternion {
             y: half.y - y * radial,
             z: half.z - z * radial,
         };
-        normal.times(2.0 / length)
+        // The length is `short * up`; neither factor can overflow before the limit is taken, nor the product after.
+        let (down, up) = powers_of_two(length);
+        let (short, limit) = (length * down, f32::max_value() * min(up, 1.0));
+        let per_up = normal.times(2.0 / short);
+        Quaternion {
+            w: within(per_up.w, -limit, limit) * down,
+            x: within(per_up.x, -limit, limit) * down,
+            y: within(per_up.y, -limit, limit) * down,
+            z: within(per_up.z, -limit, limit) * down,
+        }
     }
 }
 

@@ -6,7 +6,7 @@ use splat_op::RenderOptions;
 use splat_op::exact::{ExactGaussian, ExactPose, render_exact};
 
 use crate::case::{Case, Kind, Loose, Outcome, Place, Processor, Score};
-use crate::ceiling::{ROW_EXCEPTIONS, ROW_TOLERANCE, ceiling_used};
+use crate::ceiling::{ROW_EXCEPTIONS, ROW_TOLERANCE, SMALLEST, ceiling_used};
 use crate::compare::{largest, norm, relative_error, worst};
 use crate::evaluate::{OF_NO_SPLAT, Outputs, culled, evaluate};
 use crate::number::Wide;
@@ -96,6 +96,9 @@ const CUT_SHIFT: f64 = 1e-4;
 /// The share of its f32 ceiling that f64 may use.
 const F64_SHARE: f64 = 1e-6;
 
+/// A depth weighted by less than an f32 can be.
+const UNSEEN: f64 = 1e-46;
+
 /// Work, in pairs of a pixel and a Gaussian, above which the textbook is left out.
 const TEXTBOOK_PAIRS: usize = 20_000_000;
 
@@ -123,6 +126,11 @@ impl Yardstick {
             true => textbook::evaluate::<Wide>(&scene, &weights, Backward::Kept),
             false => plain.clone(),
         };
+        let mut expected = expected;
+        // What f32 cannot hold is to be its largest number.
+        let largest = f64::from(f32::MAX);
+        let values = expected.tensors_mut().flat_map(|tensor| &mut tensor.values);
+        values.for_each(|value| *value = value.clamp(-largest, largest));
         let mut spread = plain.clone();
         spread.tensors_mut().for_each(|tensor| tensor.values.fill(0.0));
         for draw in 0..scene.draws {
@@ -194,9 +202,10 @@ impl Yardstick {
         let mut outcome = Outcome::default();
         let hard = self.scene.count() - self.scene.neighbours;
         let (hard_ones, neighbours) = (self.scene.rows(0..hard), self.scene.rows(hard..self.scene.count()));
-        let reach = evaluate(&hard_ones, &self.weights, &Device::flex(), DType::F64).pictures.swap_remove(1).values;
+        // The accumulated depth, because alpha is one minus something and does not show 1e-17.
+        let reach = evaluate(&hard_ones, &self.weights, &Device::flex(), DType::F64).pictures.swap_remove(2).values;
         let alone = evaluate(&neighbours, &self.weights, &place.device, DType::F32);
-        let seen = |pixel: usize| reach[pixel] <= 1e-38;
+        let seen = |pixel: usize| reach[pixel] <= UNSEEN;
         let shows = alone.pictures[1].values.iter().enumerate().any(|(pixel, alpha)| seen(pixel) && *alpha > 0.1);
         outcome.require(shows, || "the neighbour is covered by the hard ones".into());
         for (found, alone) in found.pictures.iter().zip(&alone.pictures) {
@@ -262,9 +271,9 @@ fn score_parts([found, expected, spread]: &[Vec<Named>; 3], outcome: &mut Outcom
         outcome.require(finite, || format!("{name} is not finite"));
         let used = ceiling_used(&found.values, &expected.values, &spread.values);
         outcome.require(used <= limit, || format!("{name} uses {used:.2e} of its ceiling"));
-        let largest = largest(&expected.values);
+        // Where the truth is zero but for its own uncertainty, nothing is relative to it.
+        let largest = largest(&expected.values).max(largest(&spread.values));
         let errors = found.values.iter().zip(&expected.values).map(|(f, e)| (f - e).abs());
-        // Where all is zero nothing is relative to it.
         let error = worst(errors) / if largest > 0.0 { largest } else { 1.0 };
         score = score.worst(Score { error, used });
     }
@@ -276,7 +285,7 @@ fn judge_rows(found: &Named, expected: &Named, spread: &Named, limit: f64, outco
     let lengths = |values: &[f64]| values.chunks(expected.columns).map(norm).collect::<Vec<f64>>();
     let (sizes, spreads) = (lengths(&expected.values), lengths(&spread.values));
     let errors: Vec<f64> = found.values.iter().zip(&expected.values).map(|(f, e)| f - e).collect();
-    let floor = 1e-4 * largest(&sizes);
+    let floor = (1e-4 * largest(&sizes)).max(SMALLEST);
     let rows = lengths(&errors).into_iter().zip(sizes).zip(spreads);
     let (mut judged, mut off) = (0_usize, Vec::new());
     for (row, ((error, size), spread)) in rows.enumerate().filter(|(_, ((_, size), _))| *size > floor) {

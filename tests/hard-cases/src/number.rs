@@ -201,7 +201,7 @@ mod tests {
 
     #[test]
     fn the_exponential_is_a_homomorphism_and_agrees_with_f64() {
-        for x in [-700.0, -87.3, -3.7, -1e-9, 0.0, 1e-20, 0.3, 5.5, 50.0] {
+        for x in [-600.0, -87.3, -3.7, -1e-9, 0.0, 1e-20, 0.3, 5.5, 50.0] {
             let (found, expected) = (Wide::of(x).exp(), x.exp());
             assert!((found.f64() / expected - 1.0).abs() <= 4e-16, "{x}: {found:?}, {expected}");
             let third = Wide::of(x) / Wide::of(3.0);

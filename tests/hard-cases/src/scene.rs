@@ -73,6 +73,8 @@ pub struct HardScene {
     pub stored: bool,
     /// Whether camera z is held when inputs move: where the order in depth is the question.
     pub hold_depth: bool,
+    /// Whether centres, camera and opacities are held too: where an alpha is at a threshold, and any move a jump.
+    pub hold_alpha: bool,
     /// Rows that must be culled; all others must not.
     pub culled: Vec<usize>,
     pub truth: Truth,
@@ -99,17 +101,18 @@ pub fn camera() -> Intrinsics {
 }
 
 impl Splat {
-    /// A round one: its centre at `px` of [`camera`] at a depth, its standard deviation in px.
-    pub fn round(px: [f64; 2], depth: f64, sigma_px: f64) -> Self {
+    /// One with its centre at `px` of [`camera`] at a depth, its standard deviations near one in px: not equal, because a
+    /// round one's rotation has no gradient.
+    pub fn at(px: [f64; 2], depth: f64, sigma_px: f64) -> Self {
         Self::seen_by(&camera(), px, depth, sigma_px)
     }
 
-    /// As [`Self::round`], on another camera's picture.
+    /// As [`Self::at`], on another camera's picture.
     pub fn seen_by(lens: &Intrinsics, px: [f64; 2], depth: f64, sigma_px: f64) -> Self {
         Self {
             mean: [(px[0] - lens.cx) / lens.fx * depth, (px[1] - lens.cy) / lens.fy * depth, depth],
             quat: [0.9, 0.2, -0.3, 0.25],
-            scale: [sigma_px * depth / lens.fx; 3],
+            scale: [1.0, 0.8, 1.25].map(|s| s * sigma_px * depth / lens.fx),
             opacity: 0.7,
             colour: vec![0.9, 0.4, 0.2],
         }
@@ -154,6 +157,7 @@ impl HardScene {
             neighbours: 0,
             stored: false,
             hold_depth: false,
+            hold_alpha: false,
             culled: Vec::new(),
             truth: Truth::Wide,
             draws: 8,
@@ -210,6 +214,10 @@ impl HardScene {
     /// Scales are logarithms and opacities logits.
     pub fn stored(self) -> Self {
         Self { stored: true, ..self }
+    }
+
+    pub fn holding_alpha(self) -> Self {
+        Self { hold_alpha: true, ..self }
     }
 
     pub fn holding_depth(self) -> Self {
@@ -282,6 +290,12 @@ impl HardScene {
     /// Every number one f32 ulp up or down, but for what is zero or not finite: that it is so is a statement.
     pub fn moved(&self, random: &mut Random) -> Self {
         let mut moved = self.map(|value| moved(value, random));
+        if self.hold_alpha {
+            moved.means.clone_from(&self.means);
+            moved.opacities.clone_from(&self.opacities);
+            moved.pose.clone_from(&self.pose);
+            moved.intrinsics = self.intrinsics;
+        }
         if self.hold_depth {
             (2..moved.means.len()).step_by(3).for_each(|z| moved.means[z] = self.means[z]);
             moved.pose[8..].copy_from_slice(&self.pose[8..]);

@@ -33,8 +33,7 @@ pub fn cases() -> Vec<Case> {
 /// Two layers, with coefficients of their own.
 fn harmonics(label: String, degree: usize, colours: [Vec<f64>; 2]) -> HardScene {
     let [front, back] = colours;
-    let splats =
-        [Splat::round([24.3, 20.6], 3.0, 3.0).colour(&front), Splat::round([30.8, 24.1], 4.0, 5.0).colour(&back)];
+    let splats = [Splat::at([24.3, 20.6], 3.0, 3.0).colour(&front), Splat::at([30.8, 24.1], 4.0, 5.0).colour(&back)];
     HardScene::new(label, &splats).with_harmonics(degree)
 }
 
@@ -56,7 +55,7 @@ fn mixed(label: &str, sizes: [f64; 3]) -> HardScene {
     let splats: Vec<Splat> = (0..6)
         .map(|_| {
             let px = [random.between(18.0, 38.0), random.between(14.0, 30.0)];
-            let splat = Splat::round(px, random.between(2.0, 6.0), random.between(1.0, 5.0));
+            let splat = Splat::at(px, random.between(2.0, 6.0), random.between(1.0, 5.0));
             splat.colour(&sizes.map(|size| size * random.between(-1.0, 1.0)))
         })
         .collect();

@@ -16,7 +16,7 @@ pub fn cases() -> Vec<Case> {
         Case::scenes(
             "one splat",
             "most lists are empty",
-            vec![HardScene::new("one", &[Splat::round([24.3, 20.6], 3.0, 3.0)])],
+            vec![HardScene::new("one", &[Splat::at([24.3, 20.6], 3.0, 3.0)])],
         )
         .hardness("1 splat"),
         Case::scenes(
@@ -42,7 +42,7 @@ pub fn cases() -> Vec<Case> {
 
 fn all_culled() -> HardScene {
     let mut random = Random::new(3);
-    let splats: Vec<Splat> = (0..300).map(|_| Splat::round([20.0, 20.0], random.between(-9.0, 0.01), 2.0)).collect();
+    let splats: Vec<Splat> = (0..300).map(|_| Splat::at([20.0, 20.0], random.between(-9.0, 0.01), 2.0)).collect();
     HardScene::new("behind", &splats).with_culled(&(0..300).collect::<Vec<usize>>())
 }
 
@@ -51,7 +51,7 @@ fn one_pixel() -> HardScene {
     let splats: Vec<Splat> = (0..500)
         .map(|_| {
             let px = [random.between(28.0, 29.0), random.between(22.0, 23.0)];
-            let splat = Splat::round(px, random.between(2.0, 9.0), random.between(0.01, 0.2));
+            let splat = Splat::at(px, random.between(2.0, 9.0), random.between(0.01, 0.2));
             splat.opacity(random.between(0.01, 0.9)).colour(&random.fill(3, 0.0, 1.0))
         })
         .collect();

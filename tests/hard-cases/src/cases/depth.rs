@@ -47,7 +47,7 @@ pub fn cases() -> Vec<Case> {
 /// Of a colour, place and size of its own.
 fn layer(i: usize, depth: f64) -> Splat {
     let t = i as f64;
-    let splat = Splat::round([26.0 + 1.7 * t, 20.0 + 1.1 * t], depth, 4.0 + t);
+    let splat = Splat::at([26.0 + 1.7 * t, 20.0 + 1.1 * t], depth, 4.0 + t);
     splat.opacity(0.5 + 0.08 * t).colour(&[0.2 * t, 0.9 - 0.2 * t, 0.5])
 }
 

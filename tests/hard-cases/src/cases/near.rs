@@ -8,11 +8,11 @@ pub fn cases() -> Vec<Case> {
     let near = SMOOTH.near as f32;
     let at_near = |label: &str, z: f32, culled: &[usize]| {
         let z = f64::from(z);
-        let hard = Splat::round([16.4, 30.1], z, 1.6);
+        let hard = Splat::at([16.4, 30.1], z, 1.6);
         HardScene::new(label, &[hard]).with_neighbour(&neighbour()).with_culled(culled).holding_depth()
     };
     let behind = |label: &str, z: f64| {
-        let hard = Splat::round([20.0, 20.0], 1.0, 8.0).mean([0.1, -0.2, z]);
+        let hard = Splat::at([20.0, 20.0], 1.0, 8.0).mean([0.1, -0.2, z]);
         HardScene::new(label, &[hard]).with_neighbour(&neighbour()).with_culled(&[0])
     };
     let lens = camera();
@@ -21,7 +21,7 @@ pub fn cases() -> Vec<Case> {
     let limit_x = (lens.width as f64 - lens.cx) / lens.fx + margin(lens.width, lens.fx);
     let limit_y = -lens.cy / lens.fy - margin(lens.height, lens.fy);
     let sloped = |label: String, x: f64, y: f64| {
-        let hard = Splat::round([20.0, 20.0], 2.0, 9.0).mean([2.0 * x, 2.0 * y, 2.0]).scale([0.4, 0.3, 0.5]);
+        let hard = Splat::at([20.0, 20.0], 2.0, 9.0).mean([2.0 * x, 2.0 * y, 2.0]).scale([0.4, 0.3, 0.5]);
         HardScene::new(label, &[hard, background_splat()])
     };
     vec![
@@ -86,25 +86,25 @@ pub fn cases() -> Vec<Case> {
 }
 
 fn neighbour() -> Splat {
-    Splat::round([47.2, 9.4], 2.0, 1.5).colour(&[0.3, 0.9, 0.6])
+    Splat::at([47.2, 9.4], 2.0, 1.5).colour(&[0.3, 0.9, 0.6])
 }
 
 fn background_splat() -> Splat {
-    Splat::round([30.0, 24.0], 6.0, 7.0).colour(&[0.1, 0.8, 0.5])
+    Splat::at([30.0, 24.0], 6.0, 7.0).colour(&[0.1, 0.8, 0.5])
 }
 
 fn crossing(label: &str, scale: [f64; 3]) -> HardScene {
-    let hard = Splat::round([20.0, 16.0], 0.5, 1.0).scale(scale).quat([0.95, 0.1, 0.2, -0.1]);
+    let hard = Splat::at([20.0, 16.0], 0.5, 1.0).scale(scale).quat([0.95, 0.1, 0.2, -0.1]);
     HardScene::new(label, &[hard, background_splat()])
 }
 
 fn inside(label: &str, mean: [f64; 3]) -> HardScene {
-    let hard = Splat::round([20.0, 16.0], 1.0, 1.0).mean(mean).scale([1.0, 0.7, 1.3]);
+    let hard = Splat::at([20.0, 16.0], 1.0, 1.0).mean(mean).scale([1.0, 0.7, 1.3]);
     HardScene::new(label, &[hard, background_splat()])
 }
 
 fn axial() -> Splat {
-    Splat::round([28.5, 22.5], 2.0, 4.0)
+    Splat::at([28.5, 22.5], 2.0, 4.0)
 }
 
 /// With coefficients of degree 3 instead of features.

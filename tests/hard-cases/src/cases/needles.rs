@@ -3,7 +3,7 @@
 use std::f64::consts::FRAC_1_SQRT_2;
 
 use crate::case::Case;
-use crate::scene::{HardScene, Splat};
+use crate::scene::{HardScene, Splat, camera};
 
 /// Scale ratios.
 const RATIOS: [f64; 3] = [1e2, 1e4, 1e6];
@@ -74,12 +74,12 @@ fn out_of_plane() -> Vec<(String, [f64; 4])> {
 }
 
 fn scene(label: &str, quat: [f64; 4], short_px: f64, long_px: f64, disc: bool) -> HardScene {
-    let hard = Splat::round([26.3, 20.6], 3.0, 1.0).quat(quat);
-    let px = hard.scale[0];
+    let hard = Splat::at([26.3, 20.6], 3.0, 1.0).quat(quat);
+    let px = 3.0 / camera().fx;
     let scale = if disc { [long_px, long_px, short_px] } else { [long_px, short_px, short_px] };
     let hard = hard.scale(scale.map(|s| s * px));
     // A second layer, so that transmittances matter.
     let behind =
-        Splat::round([30.0, 24.0], 4.0, 5.0).quat([FRAC_1_SQRT_2, 0.0, FRAC_1_SQRT_2, 0.1]).colour(&[0.1, 0.8, 0.5]);
+        Splat::at([30.0, 24.0], 4.0, 5.0).quat([FRAC_1_SQRT_2, 0.0, FRAC_1_SQRT_2, 0.1]).colour(&[0.1, 0.8, 0.5]);
     HardScene::new(label, &[hard, behind])
 }

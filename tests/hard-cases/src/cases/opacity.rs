@@ -86,16 +86,16 @@ pub fn cases() -> Vec<Case> {
 }
 
 fn neighbour() -> Splat {
-    Splat::round([50.5, 8.5], 2.0, 1.3).colour(&[0.3, 0.9, 0.6])
+    Splat::at([50.5, 8.5], 2.0, 1.3).colour(&[0.3, 0.9, 0.6])
 }
 
 /// At a pixel's very centre, so that its alpha there is its opacity.
 fn front(opacity: f64) -> Splat {
-    Splat::round([28.5, 22.5], 2.0, 1.4).opacity(opacity)
+    Splat::at([28.5, 22.5], 2.0, 1.4).opacity(opacity)
 }
 
 fn behind() -> Splat {
-    Splat::round([30.1, 24.2], 3.0, 3.0).colour(&[0.1, 0.8, 0.5])
+    Splat::at([30.1, 24.2], 3.0, 3.0).colour(&[0.1, 0.8, 0.5])
 }
 
 fn saturated(label: &str, logit: f64) -> HardScene {
@@ -103,29 +103,28 @@ fn saturated(label: &str, logit: f64) -> HardScene {
         let scale = splat.scale.map(f64::ln);
         splat.scale(scale).opacity(logit)
     };
-    let hard = store(Splat::round([24.8, 26.1], 2.0, 1.6), logit);
+    let hard = store(Splat::at([24.8, 26.1], 2.0, 1.6), logit);
     HardScene::new(label, &[hard]).with_neighbour(&store(neighbour(), 0.85)).stored()
 }
 
-/// Nothing moves: any move is a jump.
 fn at_threshold(label: &str, opacity: f32, options: RenderOptions) -> HardScene {
     HardScene::new(label, &[front(f64::from(opacity))])
         .with_neighbour(&neighbour())
         .with_options(options)
         .with_truth(Truth::Twin)
-        .with_draws(0)
+        .holding_alpha()
 }
 
 /// Two layers that leave a quarter at one pixel, exactly, and one behind them.
 fn finishing(label: &str, transmittance_min: f64) -> HardScene {
     let layer = |depth: f64, opacity: f64| {
-        let splat = Splat::round([28.5, 22.5], depth, 1.0).opacity(opacity);
+        let splat = Splat::at([28.5, 22.5], depth, 1.0).opacity(opacity);
         splat.colour(&[0.2 * depth, 0.5, 1.0 - 0.1 * depth])
     };
     HardScene::new(label, &[layer(2.0, 0.5), layer(3.0, 0.5), layer(4.0, 0.25)])
         .with_options(RenderOptions { transmittance_min, ..SMOOTH })
         .with_truth(Truth::Twin)
-        .with_draws(0)
+        .holding_alpha()
 }
 
 /// Wide layers before a small picture, in no order.

@@ -4,7 +4,7 @@ use burn::tensor::DType;
 
 use crate::case::{Case, Outcome, Place};
 use crate::evaluate::{Outputs, evaluate};
-use crate::scene::{HardScene, Splat};
+use crate::scene::{HardScene, Splat, Truth};
 
 /// A quaternion of no special length.
 const QUAT: [f64; 4] = [0.61, -0.42, 0.37, 0.55];
@@ -14,7 +14,9 @@ pub fn cases() -> Vec<Case> {
         Case::scenes(
             "zero quaternion",
             "it has no direction: normalised, it is NaN in every implementation that does not look",
-            vec![scene("0", [0.0; 4]).with_culled(&[0]), scene("−0", [-0.0; 4]).with_culled(&[0])],
+            [("0", 0.0), ("−0", -0.0)]
+                .map(|(label, zero)| scene(label, [zero; 4]).with_culled(&[0]).with_truth(Truth::Twin))
+                .into(),
         )
         .hardness("|q| 0"),
         Case::scenes(
@@ -44,8 +46,8 @@ pub fn cases() -> Vec<Case> {
 }
 
 fn scene(label: &str, quat: [f64; 4]) -> HardScene {
-    let hard = Splat::round([18.3, 27.6], 3.0, 1.0).scale([0.06, 0.03, 0.1]).quat(quat);
-    let neighbour = Splat::round([50.2, 8.4], 2.0, 1.3).colour(&[0.3, 0.9, 0.6]);
+    let hard = Splat::at([18.3, 27.6], 3.0, 1.0).scale([0.06, 0.03, 0.1]).quat(quat);
+    let neighbour = Splat::at([50.2, 8.4], 2.0, 1.3).colour(&[0.3, 0.9, 0.6]);
     HardScene::new(label, &[hard]).with_neighbour(&neighbour)
 }
 

@@ -6,12 +6,12 @@ use crate::scene::{HardScene, SMOOTH, Splat, Truth};
 pub fn cases() -> Vec<Case> {
     let antialiased = SMOOTH.with_antialias(true);
     let small = |sigma_px: f64| {
-        let hard = Splat::round([12.3, 30.8], 3.0, sigma_px);
+        let hard = Splat::at([12.3, 30.8], 3.0, sigma_px);
         HardScene::new(format!("{sigma_px:.0e} px"), &[hard]).with_neighbour(&neighbour())
     };
     let large = |label: &str, px: [f64; 2], sigma_px: f64| {
-        let hard = Splat::round(px, 3.0, sigma_px).scale([1.0, 0.8, 1.2].map(|s| s * sigma_px * 3.0 / 60.0));
-        HardScene::new(label, &[hard, Splat::round([30.0, 20.0], 5.0, 4.0).colour(&[0.2, 0.3, 0.9])])
+        let hard = Splat::at(px, 3.0, sigma_px).scale([1.0, 0.8, 1.2].map(|s| s * sigma_px * 3.0 / 60.0));
+        HardScene::new(label, &[hard, Splat::at([30.0, 20.0], 5.0, 4.0).colour(&[0.2, 0.3, 0.9])])
     };
     vec![
         Case::scenes(
@@ -67,7 +67,7 @@ pub fn cases() -> Vec<Case> {
 
 /// Beside the hard ones.
 fn neighbour() -> Splat {
-    Splat::round([47.2, 9.4], 2.0, 1.5).colour(&[0.3, 0.9, 0.6])
+    Splat::at([47.2, 9.4], 2.0, 1.5).colour(&[0.3, 0.9, 0.6])
 }
 
 /// With logarithms and logits.
@@ -77,6 +77,6 @@ fn logit(splat: Splat) -> Splat {
 }
 
 fn stored(label: &str, log_scale: [f64; 3], truth: Truth) -> HardScene {
-    let hard = Splat::round([12.3, 30.8], 3.0, 1.0).scale(log_scale).opacity(0.4);
+    let hard = Splat::at([12.3, 30.8], 3.0, 1.0).scale(log_scale).opacity(0.4);
     HardScene::new(label, &[hard]).stored().with_truth(truth)
 }
