@@ -5,7 +5,7 @@ use std::env;
 use std::fs;
 use std::io::Write;
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::thread;
@@ -25,6 +25,9 @@ pub const MULTIPLE: usize = 24;
 
 /// Longer inputs are not made: what goes wrong with many bytes goes wrong with these.
 const LONGEST: usize = 1 << 16;
+
+/// Inputs that are mutated further, at most: a long run must not fill the memory.
+const LARGEST_CORPUS: usize = 20_000;
 
 /// A reader under test.
 pub trait Target {
@@ -78,11 +81,13 @@ pub fn fuzz(target: &mut dyn Target) {
     while Instant::now() < until {
         let input = mutate(&mut mutator, target, &corpus, seeds, LONGEST);
         let outcome = one(target, &input, &watch, &mut tally);
-        if seen.insert(outcome) {
+        if seen.insert(outcome) && corpus.len() < LARGEST_CORPUS {
             corpus.push(input);
         }
     }
     watch.stop();
+    // Each target has its own, and none is needed any more.
+    let _ = fs::remove_dir_all(folder(target.name()));
     let Tally { inputs, accepted, slowest, most_bytes, multiple } = tally;
     let line = format!(
         "fuzz {}: {inputs} inputs in {seconds} s ({} per s), {accepted} accepted, {} outcomes, slowest {slowest:.0?}, at most \
@@ -93,7 +98,8 @@ pub fn fuzz(target: &mut dyn Target) {
     );
     // Past the test harness, which swallows what passing tests print.
     let _ = writeln!(std::io::stderr(), "{line}");
-    assert!(accepted * 100 > inputs, "{line}: hardly anything is accepted, so nothing deep is reached");
+    // Else hardly anything deep would be reached.
+    assert!(accepted * 100 > inputs, "{line}: hardly anything is accepted");
     assert!(seen.len() > 10 || seconds < 10, "{line}: few outcomes");
 }
 
@@ -129,16 +135,19 @@ fn one(target: &mut dyn Target, input: &[u8], watch: &Watch, tally: &mut Tally) 
     outcome
 }
 
-/// Where a target may keep files.
+/// Where a target keeps what it reads: in memory where the system offers that, because each input is a file.
 pub fn folder(name: &str) -> PathBuf {
-    let folder = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join("fuzz").join(name);
-    fs::create_dir_all(&folder).expect("the target folder can be written to");
+    let shared_memory = Path::new("/dev/shm");
+    let base = if shared_memory.is_dir() { shared_memory } else { Path::new(env!("CARGO_TARGET_TMPDIR")) };
+    let folder = base.join(format!("splat-fuzz-{}", std::process::id())).join(name);
+    fs::create_dir_all(&folder).expect("the folder can be written to");
     folder
 }
 
 fn keep(name: &str, input: &[u8]) -> PathBuf {
-    let path = folder(name).join(format!("crasher-{:016x}", checksum(input)));
-    fs::write(&path, input).expect("the target folder can be written to");
+    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("fuzz");
+    let path = folder.join(format!("{name}-{:016x}", checksum(input)));
+    fs::create_dir_all(&folder).and_then(|()| fs::write(&path, input)).expect("the target folder can be written to");
     path
 }
 

@@ -52,7 +52,7 @@ fn judge_message(message: &str, folder: &Path) -> Result<(), String> {
 fn shape(message: &str, folder: &Path) -> String {
     let message = message.replace(folder.to_str().unwrap_or_default(), "");
     let mut shape = String::new();
-    for (i, part) in message.split(['`', '"']).enumerate() {
+    for (i, part) in message.split(['`', '"', '\'']).enumerate() {
         let plain = part.len() <= 14 && part.chars().all(|c| c.is_ascii_alphanumeric() || c == '_');
         let mut digits = 0;
         for c in if i % 2 == 0 || plain { part } else { "_" }.chars() {
@@ -187,6 +187,8 @@ pub struct Colmap {
     folder: PathBuf,
     valid: [Vec<u8>; 3],
     extension: &'static str,
+    /// The file that is not the valid one; three are none.
+    changed: usize,
 }
 
 const PARTS: [(Part, &str); 3] = [(Part::Cameras, "cameras"), (Part::Images, "images"), (Part::Points, "points3D")];
@@ -194,7 +196,7 @@ const PARTS: [(Part, &str); 3] = [(Part::Cameras, "cameras"), (Part::Images, "im
 impl Colmap {
     pub fn binary(name: &'static str) -> Self {
         let folder = folder(name);
-        Self { name, valid: seeds::model(&folder).binary, folder, extension: "bin" }
+        Self { name, valid: seeds::model(&folder).binary, folder, extension: "bin", changed: 3 }
     }
 
     pub fn text(name: &'static str) -> Self {
@@ -203,7 +205,11 @@ impl Colmap {
         // The readers prefer the binary encoding.
         fs::remove_dir_all(folder.join("sparse/0")).expect("written by the line above");
         fs::create_dir_all(folder.join("sparse/0")).expect("the target folder can be written to");
-        Self { name, valid, folder, extension: "txt" }
+        for (i, (_, part)) in PARTS.iter().enumerate() {
+            fs::write(folder.join(format!("sparse/0/{part}.txt")), &valid[i])
+                .expect("the target folder can be written to");
+        }
+        Self { name, valid, folder, extension: "txt", changed: 3 }
     }
 
     fn part(input: &[u8]) -> usize {
@@ -290,12 +296,16 @@ impl Target for Colmap {
     }
 
     fn place(&mut self, input: &[u8]) {
-        let changed = Self::part(input);
-        for (i, (_, name)) in PARTS.iter().enumerate() {
-            let path = self.folder.join("sparse/0").join(format!("{name}.{}", self.extension));
-            let bytes = if i == changed { input.get(1..).unwrap_or_default() } else { &self.valid[i] };
+        let write = |i: usize, bytes: &[u8]| {
+            let path = self.folder.join(format!("sparse/0/{}.{}", PARTS[i].1, self.extension));
             fs::write(path, bytes).expect("the target folder can be written to");
+        };
+        let changed = Self::part(input);
+        if self.changed != changed && self.changed < 3 {
+            write(self.changed, &self.valid[self.changed]);
         }
+        write(changed, input.get(1..).unwrap_or_default());
+        self.changed = changed;
     }
 
     fn read(&mut self) -> Result<String, String> {
@@ -397,7 +407,11 @@ impl Target for Json {
             }
             Err(error) => shape(&error.to_string(), &self.folder),
         };
-        let accepted = if config == "accepted" || mark || !views.is_empty() { "accepted" } else { "refused" };
+        let is_json = serde_json::from_slice::<serde_json::Value>(&self.text).is_ok();
+        if !is_json && (mark || !views.is_empty()) {
+            return Err("something was read from what is no JSON".into());
+        }
+        let accepted = if is_json { "accepted" } else { "refused" };
         Ok(format!("{accepted}: mark {mark}, 2^{} views, 2^{} inside, {config}", bucket(views.len()), bucket(inside)))
     }
 }

@@ -19,22 +19,37 @@ const SIZE: [usize; 2] = [22, 17];
 /// Draws of inputs moved by an ulp.
 const DRAWS: u64 = 6;
 
+// Variances are differences of moments, as the field computes them. What one ulp in a flat picture does to its true variance
+// is nothing to first order, so the ceiling is narrow there.
+const MOMENTS: &str = "variances are differences of moments, as in all implementations of this loss: their rounding, 6e-8 of \
+                       the square of the pixel, is not small beside C2 = 9e-4";
+
+const MEAN: &str =
+    "the loss is one minus the mean of a thousand ones, and adding those up in f32 costs two parts in a million";
+
 pub fn cases() -> Vec<Case> {
-    let of = |name: &str, why, image: Picture, truth: Picture| {
-        Case::check(format!("D-SSIM of {name}"), why, move |place| similarity(place, image, truth)).hardness("σ² = 0")
+    let of = |name: &str, why, pair: (Picture, Picture), loose: Option<(f64, &'static str)>| {
+        let limit = loose.map_or(1.0, |(factor, _)| factor);
+        let judge = move |place: &Place| similarity(place, pair.0, pair.1, limit);
+        let case = Case::check(format!("D-SSIM of {name}"), why, judge).hardness("σ² = 0");
+        match loose {
+            Some((factor, why)) => case.loose(factor, why),
+            None => case,
+        }
     };
+    let constants = "no variance and no covariance: the constants alone keep the ratio defined";
     vec![
+        of("black against white", constants, (black, white), Some((6.0, MOMENTS))),
         of(
-            "black against white",
-            "no variance and no covariance: the constants alone keep the ratio defined",
-            black,
-            white,
+            "white against white",
+            "the variance is the difference of two equal numbers",
+            (white, white),
+            Some((2.0, MEAN)),
         ),
-        of("white against white", "the variance is the difference of two equal numbers", white, white),
-        of("black against black", "everything is zero", black, black),
-        of("grey against a photograph", "one of the two has no variance", grey, noise),
-        of("a photograph against grey", "the other has none", noise, grey),
-        of("an edge against white", "half of the windows are flat", edge, white),
+        of("black against black", "everything is zero", (black, black), Some((2.0, MEAN))),
+        of("grey against a photograph", "one of the two has no variance", (grey, noise), None),
+        of("a photograph against grey", "the other has none", (noise, grey), None),
+        of("an edge against white", "half of the windows are flat", (edge, white), Some((6.0, MOMENTS))),
         Case::check(
             "PSNR of identical pictures",
             "the logarithm of zero is infinite, and would swallow every mean",
@@ -95,7 +110,7 @@ fn plainly(image: &[f64], truth: &[f64]) -> (f64, Vec<f64>) {
     (loss.into_scalar::<f64>(), host(image.grad(&grads).expect("tracked")))
 }
 
-fn similarity(place: &Place, image: Picture, truth: Picture) -> Outcome {
+fn similarity(place: &Place, image: Picture, truth: Picture, limit: f64) -> Outcome {
     let (image, truth) = (image(), truth());
     let (value, gradient) = plainly(&image, &truth);
     let (mut value_spread, mut spread) = (0.0_f64, vec![0.0_f64; gradient.len()]);
@@ -125,7 +140,7 @@ fn similarity(place: &Place, image: Picture, truth: Picture) -> Outcome {
     outcome.gradient = Some(Score { error, used: ceiling_used(&found, &gradient, &spread) });
     for (what, score) in [("the loss", outcome.forward), ("its gradient", outcome.gradient)] {
         let used = score.map_or(f64::NAN, |score| score.used);
-        outcome.require(used <= 1.0, || format!("{what} uses {used:.2e} of its ceiling"));
+        outcome.require(used <= limit, || format!("{what} uses {used:.2e} of its ceiling"));
     }
     // With L1 beside it, whose derivative jumps where the pictures are equal, the gradient is finite.
     let tracked = tensor::<3>(&image, SHAPE, &device, DType::F32).require_grad();
@@ -229,15 +244,17 @@ fn rows(count: usize, seed: u64) -> GaussianRows {
 
 /// A step whose gradients of row `i` are those of `ids[i]`.
 fn step(scene: &mut Trained, ids: &[usize], step: usize, device: &Device) {
-    let of = |columns: usize, id: usize| Random::new((1000 * step + 10 * id + columns) as u64).fill(columns, -1.0, 1.0);
-    let all = |columns: usize| ids.iter().flat_map(|id| of(columns, *id)).collect::<Vec<f64>>();
+    let of = |kind: usize, columns: usize, id: usize| {
+        Random::new((1000 * step + 10 * id + kind) as u64).fill(columns, -1.0, 1.0)
+    };
+    let all = |kind: usize, columns: usize| ids.iter().flat_map(|id| of(kind, columns, *id)).collect::<Vec<f64>>();
     let count = ids.len();
     let gradients = Gradients {
-        means: Some(tensor(&all(3), [count, 3], device, DType::F32)),
-        rotations: Some(tensor(&all(4), [count, 4], device, DType::F32)),
-        log_scales: Some(tensor(&all(5)[..3 * count], [count, 3], device, DType::F32)),
-        logit_opacities: Some(tensor(&all(1), [count], device, DType::F32)),
-        sh_dc: Some(tensor(&all(3), [count, 1, 3], device, DType::F32)),
+        means: Some(tensor(&all(0, 3), [count, 3], device, DType::F32)),
+        rotations: Some(tensor(&all(1, 4), [count, 4], device, DType::F32)),
+        log_scales: Some(tensor(&all(2, 3), [count, 3], device, DType::F32)),
+        logit_opacities: Some(tensor(&all(3, 1), [count], device, DType::F32)),
+        sh_dc: Some(tensor(&all(4, 3), [count, 1, 3], device, DType::F32)),
         sh_rest: None,
     };
     let rates = StepRates { rates: LearningRates::default(), means: 0.01 };
