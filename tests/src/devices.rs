@@ -4,7 +4,7 @@ use std::sync::OnceLock;
 
 use burn::tensor::Device;
 use splat_hard_cases::{Place, Processor};
-use splat_train::device::{DeviceName, open};
+use splat_train::device::{DeviceName, Found, Kind, open};
 
 use crate::reference::announce;
 
@@ -17,11 +17,16 @@ pub fn devices() -> Vec<(&'static str, Device)> {
 
 /// As [`devices`], for the battery of hard cases.
 pub fn places() -> Vec<Place> {
-    let place = |(name, device): (&'static str, Device)| {
-        let processor = if name == "gpu" { Processor::Gpu } else { Processor::Cpu };
-        Place { name: name.into(), device, processor }
+    let cpu = |(name, device): (&'static str, Device)| {
+        let name = name.into();
+        Place { name, device, processor: Processor::Cpu, software: false }
     };
-    devices().into_iter().map(place).collect()
+    let mut places: Vec<Place> = cpu_devices().into_iter().map(cpu).collect();
+    places.extend(gpu().map(|device| {
+        let software = adapter().expect("it is open").adapter.kind == Kind::Software;
+        Place { name: "gpu".into(), device, processor: Processor::Gpu, software }
+    }));
+    places
 }
 
 /// The CPU devices, for proofs in f64, which kernels do not have, and of what the CPU alone promises.
@@ -55,9 +60,13 @@ pub fn gpu() -> Option<Device> {
 
 /// The best adapter and its name, or why there is none.
 fn find() -> Result<(String, Device), String> {
-    let found = DeviceName::Gpu.find().map_err(|error| error.to_string())?.0.expect("`gpu` is never the CPU");
+    let found = adapter()?;
     let facts = open(&found).map_err(|error| error.to_string())?;
     Ok((facts.to_string(), found.device))
+}
+
+fn adapter() -> Result<Found, String> {
+    Ok(DeviceName::Gpu.find().map_err(|error| error.to_string())?.0.expect("`gpu` is never the CPU"))
 }
 
 /// The rules of `SPLAT_GPU`: what to say and what to run on, or the failure.

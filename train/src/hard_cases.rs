@@ -9,7 +9,7 @@ use splat_hard_cases::judge::{Verdict, judge};
 use splat_hard_cases::table::{Section, markdown};
 use splat_hard_cases::{GROUPS, Group, Place, Processor};
 
-use crate::device::{self, DeviceName};
+use crate::device::{self, DeviceName, Kind};
 use crate::output::OutputFolder;
 use crate::progress;
 
@@ -75,13 +75,10 @@ fn places(names: &[DeviceName]) -> Result<Vec<Place>> {
 }
 
 fn place(name: DeviceName) -> Result<Place> {
-    let processor = match name.find()?.0 {
-        Some(found) => {
-            device::open(&found)?;
-            Processor::Gpu
-        }
-        None => Processor::Cpu,
+    let (processor, software) = match name.find()?.0 {
+        Some(found) => (Processor::Gpu, device::open(&found)?.kind == Kind::Software),
+        None => (Processor::Cpu, false),
     };
     let (device, name) = name.resolve()?;
-    Ok(Place { name, device, processor })
+    Ok(Place { name, device, processor, software })
 }

@@ -4,7 +4,7 @@
 use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
 
-use super::tile::{Footprint, Thresholds, TileView, blend_tile};
+use super::tile::{Footprint, LONG_LIST, Thresholds, TileView, blend_tile};
 use super::tile_backward::{MOMENTS, Scratch, TileGrad, blend_tile_backward};
 use super::{BlendNeeds, BlendSpec};
 use crate::project::{COLUMNS, Ellipse};
@@ -98,21 +98,23 @@ impl<'a, F: Real> Prepared<'a, F> {
 }
 
 /// Runs `$body` with the SIMD level of this processor as `$simd` and the number of channels as the constant `$c` where a
-/// special version exists, else zero.
+/// special version exists, else zero; `$long` says whether the list of hits is a long one.
 #[rustfmt::skip] // rustfmt indents the inner macro further at every run
 macro_rules! specialised {
-    ($channels:expr, $simd:ident, $c:ident => $body:expr) => {{
+    ($channels:expr, $hits:expr, $simd:ident, $c:ident, $long:ident => $body:expr) => {{
         macro_rules! with {
-            ($count:literal) => {{
+            ($count:literal, $is_long:literal) => {{
                 const $c: usize = $count;
+                const $long: bool = $is_long;
                 dispatch!(Level::new(), $simd => $body)
             }};
         }
-        match $channels {
-            1 => with!(1),
-            3 => with!(3),
-            4 => with!(4),
-            _ => with!(0),
+        match ($channels, $hits > LONG_LIST) {
+            (1, false) => with!(1, false),
+            (3, false) => with!(3, false),
+            (4, false) => with!(4, false),
+            (_, false) => with!(0, false),
+            (_, true) => with!(0, true),
         }
     }};
 }
@@ -134,9 +136,9 @@ pub(crate) fn blend_cpu<F: Real>(
         .map(|(tile, planes)| {
             let view = prepared.view(tile);
             let mut checkpoints = Vec::new();
-            let passed = specialised!(prepared.channels, simd, C => {
+            let passed = specialised!(prepared.channels, view.gaussians.len(), simd, C, IS_LONG => {
                 let thresholds = Thresholds::new(simd, alpha_min, alpha_max, transmittance_min);
-                blend_tile::<_, F, C>(simd, &view, &thresholds, planes, keep.then_some(&mut checkpoints))
+                blend_tile::<_, F, C, IS_LONG>(simd, &view, &thresholds, planes, keep.then_some(&mut checkpoints))
             });
             TileTrace { passed, checkpoints }
         })
@@ -240,10 +242,10 @@ fn tile_sums<F: Real>(
     let tile_grad = TileGrad { planes, behind, checkpoints: &trace.checkpoints, passed: trace.passed, absolute };
     let [alpha_min, alpha_max, transmittance_min] = prepared.thresholds;
     let mut transmittance = [F::ZERO; TILE_PIXELS];
-    specialised!(prepared.channels, simd, C => {
+    specialised!(prepared.channels, view.gaussians.len(), simd, C, IS_LONG => {
         let thresholds = Thresholds::new(simd, alpha_min, alpha_max, transmittance_min);
         let out = (sums, &mut transmittance);
-        blend_tile_backward::<_, F, C>(simd, &view, &tile_grad, &thresholds, out, scratch);
+        blend_tile_backward::<_, F, C, IS_LONG>(simd, &view, &tile_grad, &thresholds, out, scratch);
     });
     let through = |plane: &[F]| plane.iter().zip(transmittance).map(|(&g, t)| g * t.abs()).sum();
     planes.chunks_exact(TILE_PIXELS).take(features).map(through).collect()

@@ -11,12 +11,48 @@ use crate::tile::{TILE, TILE_PIXELS};
 /// Vectors along a row of a tile.
 pub(super) const ROW_VECTORS: usize = TILE / LANES;
 
-/// Sums over more Gaussians than this are sums of sums over so many: an f32 sum of 200,000 terms one by one would lose
-/// two more digits.
-const SUM_LENGTH: usize = 512;
-
 /// The transmittance of a tile is kept each time this many Gaussians have been passed.
 pub(super) const CHECKPOINT_EVERY: usize = 64;
+
+/// Sums over more Gaussians than this are sums of such sums: one by one in f32, the last of 10,000 faint layers would be
+/// too small to change the sum.
+const SUM_LENGTH: usize = 8 * CHECKPOINT_EVERY;
+
+/// Lists of more Gaussians than this are blended with [`Transmittances::lost`] and shorter sums. That takes a fifth longer,
+/// and on shorter lists roundings do not add up to what an f32 picture can show. Nothing but rounding changes there.
+pub(super) const LONG_LIST: usize = 2048;
+
+/// The transmittances of a tile's pixels, in two parts: `lost` is what rounding took from `kept`, less than half an ulp of it.
+/// Without it the roundings of many layers add up. At checkpoints it is dropped, so that both passes go on from the same.
+///
+/// Functions with the parameter `LONG` leave it zero where that is false.
+#[derive(Clone, Copy)]
+pub(super) struct Transmittances<F> {
+    /// Negated where a pixel is finished.
+    pub kept: [F; TILE_PIXELS],
+    pub lost: [F; TILE_PIXELS],
+}
+
+impl<F: Real> Transmittances<F> {
+    pub fn new(kept: [F; TILE_PIXELS]) -> Self {
+        Self { kept, lost: [F::ZERO; TILE_PIXELS] }
+    }
+
+    /// Both parts of eight pixels.
+    #[inline(always)]
+    pub fn load<S: Simd, const LONG: bool>(&self, simd: S, first: usize) -> [F::Lanes<S>; 2] {
+        let part = |part: &[F]| F::Lanes::<S>::from_slice(simd, &part[first..first + LANES]);
+        [part(&self.kept), if LONG { part(&self.lost) } else { F::Lanes::<S>::splat(simd, F::ZERO) }]
+    }
+
+    #[inline(always)]
+    pub fn store<S: Simd, const LONG: bool>(&mut self, [kept, lost]: [F::Lanes<S>; 2], first: usize) {
+        kept.store_slice(&mut self.kept[first..first + LANES]);
+        if LONG {
+            lost.store_slice(&mut self.lost[first..first + LANES]);
+        }
+    }
+}
 
 /// An ellipse as `blend` reads it, in what its pixels' loop multiplies by.
 #[derive(Clone, Copy, Default)]
@@ -143,11 +179,11 @@ impl<S: Simd, F: Real> Thresholds<S, F> {
     /// behind it. A pixel that is finished has its transmittance negated; `None` if the Gaussian shows in no pixel and
     /// finishes none.
     #[inline(always)]
-    pub fn layer(
+    pub fn layer<const LONG: bool>(
         &self,
         splat: &Splat<S, F>,
         (u, v): (F::Lanes<S>, F::Lanes<S>),
-        transmittance: F::Lanes<S>,
+        [transmittance, lost]: [F::Lanes<S>; 2],
     ) -> Option<Layer<S, F>> {
         let half = F::Lanes::<S>::splat(splat.simd, F::of(-0.5));
         let exponent = u.mul_add(u, v * v) * half;
@@ -160,20 +196,29 @@ impl<S: Simd, F: Real> Thresholds<S, F> {
         if !shows.any_true() {
             return None;
         }
-        // Rounded once. `1 − α` would be rounded too, for all layers of one faint alpha the same way.
-        let behind = (-alpha).mul_add(transmittance, transmittance);
+        // `1 − α` would be rounded before it is used, for all layers of one faint alpha the same way.
+        let [behind, lost_behind] = if LONG {
+            // (T + lost)(1 − α) as Kahan (1965) adds.
+            let change = (-alpha).mul_add(transmittance, (-alpha).mul_add(lost, lost));
+            let behind = transmittance + change;
+            [behind, change - (behind - transmittance)]
+        } else {
+            [(-alpha).mul_add(transmittance, transmittance), lost]
+        };
         let finishes = shows & behind.simd_le(self.transmittance_min);
         let contributes = shows & !finishes;
         let alpha = contributes.select(alpha, self.zero);
         let kept = finishes.select(-transmittance, transmittance);
-        Some(Layer { alpha, behind: contributes.select(behind, kept), finishes })
+        let behind = [contributes.select(behind, kept), contributes.select(lost_behind, lost)];
+        Some(Layer { alpha, behind, finishes })
     }
 }
 
 /// What a Gaussian did to eight pixels.
 pub(super) struct Layer<S: Simd, F: Real> {
     pub alpha: F::Lanes<S>,
-    pub behind: F::Lanes<S>,
+    /// Both parts of the transmittances behind it.
+    pub behind: [F::Lanes<S>; 2],
     pub finishes: <F::Lanes<S> as SimdBase<S>>::Mask,
 }
 
@@ -245,7 +290,7 @@ fn move_into<F: Real>(sums: &mut [F], total: &mut [F]) {
 ///
 /// `C` is the number of channels where it is known at compile time, else zero.
 #[inline(always)]
-pub(super) fn blend_tile<S: Simd, F: Real, const C: usize>(
+pub(super) fn blend_tile<S: Simd, F: Real, const C: usize, const LONG: bool>(
     simd: S,
     view: &TileView<F>,
     thresholds: &Thresholds<S, F>,
@@ -255,7 +300,7 @@ pub(super) fn blend_tile<S: Simd, F: Real, const C: usize>(
     let channels = if C == 0 { view.channels } else { C };
     let corner = view.corner();
     let x = centres::<S, F>(simd, corner[0]);
-    let mut transmittance = view.open_transmittance();
+    let mut transmittance = Transmittances::new(view.open_transmittance());
     let mut open = view.size[0] * view.size[1];
     let sums = &mut planes[..channels * TILE_PIXELS];
     sums.fill(F::ZERO);
@@ -265,15 +310,16 @@ pub(super) fn blend_tile<S: Simd, F: Real, const C: usize>(
     for (i, &gaussian) in view.gaussians.iter().enumerate() {
         if i % CHECKPOINT_EVERY == 0 {
             view.gather(&view.gaussians[i..], &mut near);
-            if let Some(kept) = checkpoints.as_deref_mut()
-                && i > 0
-            {
-                kept.extend_from_slice(&transmittance);
+            if i > 0 {
+                if LONG || i % SUM_LENGTH == 0 {
+                    finished_sums.resize(sums.len(), F::ZERO);
+                    move_into(sums, &mut finished_sums);
+                }
+                transmittance.lost.fill(F::ZERO);
+                if let Some(checkpoints) = checkpoints.as_deref_mut() {
+                    checkpoints.extend_from_slice(&transmittance.kept);
+                }
             }
-        }
-        if i % SUM_LENGTH == 0 && i > 0 {
-            finished_sums.resize(sums.len(), F::ZERO);
-            move_into(sums, &mut finished_sums);
         }
         let splat = Splat::new(simd, near[i % CHECKPOINT_EVERY]);
         let colour = view.colour(gaussian);
@@ -282,10 +328,12 @@ pub(super) fn blend_tile<S: Simd, F: Real, const C: usize>(
             let y = corner[1] + F::of(row as f64 + 0.5);
             for vector in window.first_vector..window.end_vector {
                 let first = row * TILE + vector * LANES;
-                let before = F::Lanes::<S>::from_slice(simd, &transmittance[first..first + LANES]);
-                let Some(layer) = thresholds.layer(&splat, splat.whiten(x[vector], y), before) else { continue };
-                layer.behind.store_slice(&mut transmittance[first..first + LANES]);
-                let weight = layer.alpha * before;
+                let before = transmittance.load::<S, LONG>(simd, first);
+                let Some(layer) = thresholds.layer::<LONG>(&splat, splat.whiten(x[vector], y), before) else {
+                    continue;
+                };
+                transmittance.store::<S, LONG>(layer.behind, first);
+                let weight = layer.alpha * before[0];
                 for channel in 0..channels {
                     let at = channel * TILE_PIXELS + first;
                     let sum = F::Lanes::<S>::from_slice(simd, &sums[at..at + LANES]);
@@ -306,7 +354,7 @@ pub(super) fn blend_tile<S: Simd, F: Real, const C: usize>(
         move_into(sums, &mut finished_sums);
         sums.copy_from_slice(&finished_sums);
     }
-    for (out, t) in planes[channels * TILE_PIXELS..].iter_mut().zip(transmittance) {
+    for (out, t) in planes[channels * TILE_PIXELS..].iter_mut().zip(transmittance.kept) {
         *out = t.abs();
     }
     passed

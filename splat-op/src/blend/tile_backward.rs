@@ -6,7 +6,9 @@
 
 use fearless_simd::prelude::*;
 
-use super::tile::{CHECKPOINT_EVERY, Footprint, ROW_VECTORS, Splat, Thresholds, TileView, Window, centres};
+use super::tile::{
+    CHECKPOINT_EVERY, Footprint, ROW_VECTORS, Splat, Thresholds, TileView, Transmittances, Window, centres,
+};
 use crate::real::{LANES, Real};
 use crate::tile::{TILE, TILE_PIXELS};
 
@@ -55,7 +57,7 @@ impl<F: Real> Default for Scratch<F> {
 /// Fills `hits`, `[passed, MOMENTS + channels (+ 2)]`, with each hit's sums over the tile, and returns with
 /// `transmittance` as it is behind all layers (negated where finished).
 #[inline(always)]
-pub(super) fn blend_tile_backward<S: Simd, F: Real, const C: usize>(
+pub(super) fn blend_tile_backward<S: Simd, F: Real, const C: usize, const LONG: bool>(
     simd: S,
     view: &TileView<F>,
     grad: &TileGrad<F>,
@@ -73,16 +75,17 @@ pub(super) fn blend_tile_backward<S: Simd, F: Real, const C: usize>(
     for chunk in (0..chunks).rev() {
         let first = chunk * CHECKPOINT_EVERY;
         let gaussians = &view.gaussians[first..grad.passed.min(first + CHECKPOINT_EVERY)];
-        let mut transmittance = match chunk {
+        let kept = match chunk {
             0 => view.open_transmittance(),
             _ => std::array::from_fn(|pixel| grad.checkpoints[(chunk - 1) * TILE_PIXELS + pixel]),
         };
         let mut near = [Footprint::default(); CHECKPOINT_EVERY];
         view.gather(gaussians, &mut near);
         let near = &near[..gaussians.len()];
-        forwards(simd, view.corner(), near, thresholds, &mut transmittance, scratch);
+        let mut transmittance = Transmittances::new(kept);
+        forwards::<S, F, LONG>(simd, view.corner(), near, thresholds, &mut transmittance, scratch);
         if chunk + 1 == chunks {
-            *transmittance_behind = transmittance;
+            *transmittance_behind = transmittance.kept;
         }
         for (i, &gaussian) in gaussians.iter().enumerate().rev() {
             let layers = scratch.starts[i]..scratch.starts[i + 1];
@@ -107,12 +110,12 @@ pub(super) fn blend_tile_backward<S: Simd, F: Real, const C: usize>(
 
 /// The forward pass over one chunk, remembering what it met.
 #[inline(always)]
-fn forwards<S: Simd, F: Real>(
+fn forwards<S: Simd, F: Real, const LONG: bool>(
     simd: S,
     corner: [F; 2],
     near: &[Footprint<F>],
     thresholds: &Thresholds<S, F>,
-    transmittance: &mut [F; TILE_PIXELS],
+    transmittance: &mut Transmittances<F>,
     scratch: &mut Scratch<F>,
 ) {
     let mut met = 0;
@@ -125,11 +128,13 @@ fn forwards<S: Simd, F: Real>(
             let y = corner[1] + F::of(row as f64 + 0.5);
             for vector in first_vector..end_vector {
                 let first = row * TILE + vector * LANES;
-                let before = F::Lanes::<S>::from_slice(simd, &transmittance[first..first + LANES]);
-                let Some(layer) = thresholds.layer(&splat, splat.whiten(x[vector], y), before) else { continue };
-                layer.behind.store_slice(&mut transmittance[first..first + LANES]);
+                let before = transmittance.load::<S, LONG>(simd, first);
+                let Some(layer) = thresholds.layer::<LONG>(&splat, splat.whiten(x[vector], y), before) else {
+                    continue;
+                };
+                transmittance.store::<S, LONG>(layer.behind, first);
                 let kept = &mut scratch.layers[met];
-                before.store_slice(&mut kept[..LANES]);
+                before[0].store_slice(&mut kept[..LANES]);
                 layer.alpha.store_slice(&mut kept[LANES..]);
                 scratch.places[met] = first as u16;
                 met += 1;

@@ -14,8 +14,10 @@ pub struct Case {
     pub hardness: String,
     /// What runs.
     pub kind: Kind,
-    /// A bound that f32 does not meet, and why. The table lists it as loose, never as passed.
-    pub loose: Option<Loose>,
+    /// Bounds that f32 does not meet, and why. The table lists them as loose, never as passed.
+    pub loose: Vec<Loose>,
+    /// Why drivers in software cannot run it, if so. The table says that they did not.
+    pub beyond_software: Option<&'static str>,
 }
 
 /// What a case runs.
@@ -32,6 +34,8 @@ pub type Check = Box<dyn Fn(&Place) -> Outcome + Send + Sync>;
 /// A bound above the ceiling.
 #[derive(Clone, Copy, Debug)]
 pub struct Loose {
+    /// Where.
+    pub processor: Processor,
     /// What may be used of the ceiling, above 1.
     pub factor: f64,
     /// Why f32 cannot do better.
@@ -44,6 +48,8 @@ pub struct Place {
     pub name: String,
     pub device: Device,
     pub processor: Processor,
+    /// Whether a GPU is a driver in software.
+    pub software: bool,
 }
 
 /// What computes. The table has a block of columns for each.
@@ -81,7 +87,7 @@ pub struct Outcome {
 impl Case {
     /// A case of scenes.
     pub fn scenes(name: impl Into<String>, why: &'static str, scenes: Vec<HardScene>) -> Self {
-        Self { name: name.into(), why, hardness: String::new(), kind: Kind::Scenes(scenes), loose: None }
+        Self::new(name.into(), why, Kind::Scenes(scenes))
     }
 
     /// A case of another kind.
@@ -90,7 +96,11 @@ impl Case {
         why: &'static str,
         check: impl Fn(&Place) -> Outcome + Send + Sync + 'static,
     ) -> Self {
-        Self { name: name.into(), why, hardness: String::new(), kind: Kind::Check(Box::new(check)), loose: None }
+        Self::new(name.into(), why, Kind::Check(Box::new(check)))
+    }
+
+    fn new(name: String, why: &'static str, kind: Kind) -> Self {
+        Self { name, why, hardness: String::new(), kind, loose: Vec::new(), beyond_software: None }
     }
 
     /// With a measure of how hard it is.
@@ -98,9 +108,20 @@ impl Case {
         Self { hardness: hardness.into(), ..self }
     }
 
-    /// With a bound above the ceiling.
-    pub fn loose(self, factor: f64, why: &'static str) -> Self {
-        Self { loose: Some(Loose { factor, why }), ..self }
+    /// With a bound above the ceiling on one kind of path.
+    pub fn loose(mut self, processor: Processor, factor: f64, why: &'static str) -> Self {
+        self.loose.push(Loose { processor, factor, why });
+        self
+    }
+
+    /// Not for drivers in software.
+    pub fn beyond_software(self, why: &'static str) -> Self {
+        Self { beyond_software: Some(why), ..self }
+    }
+
+    /// What may be used of the ceiling on a kind of path.
+    pub fn limit(&self, processor: Processor) -> f64 {
+        self.loose.iter().filter(|loose| loose.processor == processor).fold(1.0, |limit, loose| limit.max(loose.factor))
     }
 }
 

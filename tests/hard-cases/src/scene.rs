@@ -287,9 +287,10 @@ impl HardScene {
         Self { options, ..self.map(rounded) }
     }
 
-    /// Every number one f32 ulp up or down, but for what is zero or not finite: that it is so is a statement.
+    /// Every number one f32 ulp up or down, the blur too, but for what is zero or not finite: that it is so is a statement.
     pub fn moved(&self, random: &mut Random) -> Self {
-        let mut moved = self.map(|value| moved(value, random));
+        let options = RenderOptions { blur: moved(self.options.blur, random), ..self.options };
+        let mut moved = Self { options, ..self.map(|value| moved(value, random)) };
         if self.hold_alpha {
             moved.means.clone_from(&self.means);
             moved.opacities.clone_from(&self.opacities);

@@ -55,6 +55,9 @@ one ulp moves them by more than that. A case passes if no share exceeds 1, every
 must be culled is culled and nothing else, and neighbours that the hard ones do not reach keep every bit of their pixels and
 gradients. A bound above the ceiling is *loose*, with the reason below the table; it is not a pass.
 
+Cases that are not one scene (captures far away, poison, loss and optimiser, training) are held to what they say themselves: their
+shares are of that bound.
+
 The columns *textbook* hold the same scenes by the formulas of most implementations, in f32 and in the same order of sums per pixel:
 determinant `a·c − b²`, an inverted covariance, an expanded quadratic form, division by `1 − α` on the way back. A dash means that
 the case does not touch them. κ is the largest condition number of a 2D covariance.
@@ -113,16 +116,34 @@ fn score(score: Score) -> String {
     if score.used <= 1.0 { format!("{error} ({share})") } else { format!("{error} (**{share}**)") }
 }
 
+/// Failures of a case that are listed.
+const FAILURES: usize = 4;
+
 /// Why a case is loose or fails, and which rows nothing but the ceiling judged.
 fn notes(case: &Case, row: &Row) -> Vec<String> {
     let mut notes = Vec::new();
-    if let Some(loose) = row.loose {
-        notes.push(format!("- *{}* is held to {} times the ceiling: {}", case.name, loose.factor, loose.why));
+    for loose in &case.loose {
+        let place = match loose.processor {
+            Processor::Cpu => "the CPU",
+            Processor::Gpu => "GPUs",
+        };
+        notes.push(format!(
+            "- *{}* is held to {} times the ceiling on {place}: {}.",
+            case.name, loose.factor, loose.why
+        ));
     }
+    notes.extend(
+        case.beyond_software.map(|why| format!("- *{}* does not run on drivers in software: {why}.", case.name)),
+    );
     let ill = row.places.iter().map(|(_, outcome)| outcome.ill_rows).max().unwrap_or_default();
     if ill > 0 {
-        notes.push(format!("- *{}*: one ulp moves {ill} rows of gradients by more than 1e-3.", case.name));
+        let rows = if ill == 1 { "row" } else { "rows" };
+        notes.push(format!("- *{}*: one ulp moves {ill} {rows} of gradients by more than 1e-3.", case.name));
     }
-    notes.extend(row.failures().into_iter().map(|failure| format!("- *{}* fails: {failure}", case.name)));
+    let failures = row.failures();
+    notes.extend(failures.iter().take(FAILURES).map(|failure| format!("- *{}* fails: {failure}.", case.name)));
+    if failures.len() > FAILURES {
+        notes.push(format!("- *{}* fails in {} more ways.", case.name, failures.len() - FAILURES));
+    }
     notes
 }

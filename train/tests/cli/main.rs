@@ -1,6 +1,7 @@
 //! The program from end to end, on a demo capture so small that a run takes a moment.
 
 mod errors;
+mod hard_cases;
 mod non_finite;
 mod origin;
 mod run;

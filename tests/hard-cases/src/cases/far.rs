@@ -39,7 +39,7 @@ pub fn cases() -> Vec<Case> {
             "geo-referenced coordinates have no digits left in f32 for what the scene is made of",
             move |place| judge(place, DVec3::from(DIRECTION) * metres, 1.0),
         )
-        .hardness(format!("the grain of f32 there is {grain}"))
+        .hardness(format!("the grain of f32 there is {grain}; held to {BOUND:e} of the largest"))
     };
     vec![
         moved(1e4, "1 mm"),
@@ -50,11 +50,11 @@ pub fn cases() -> Vec<Case> {
             "thresholds in scene units, the near plane above all, are larger than the scene",
             |place| judge(place, DVec3::ZERO, 1e-3),
         )
-        .hardness("4 mm from the cameras, near plane at 10 mm"),
+        .hardness(format!("4 mm from the cameras, near plane at 10 mm; held to {BOUND:e} of the largest")),
         Case::check("millimetre scene 1e4 m from the origin", "both at once", |place| {
             judge(place, DVec3::from(DIRECTION) * 1e4, 1e-3)
         })
-        .hardness("the grain of f32 there is 1 mm"),
+        .hardness(format!("the grain of f32 there is 1 mm; held to {BOUND:e} of the largest")),
     ]
 }
 

@@ -29,7 +29,7 @@ pub fn cases() -> Vec<Case> {
         Case::scenes(
             "opacity 0",
             "the derivative divides by it",
-            vec![HardScene::new("0", &[front(0.0)]).with_neighbour(&neighbour()).with_truth(Truth::Twin)],
+            vec![HardScene::new("0", &[front(0.0)]).with_neighbour(&neighbour()).with_options(STANDARD)],
         ),
         Case::scenes(
             "opacity 1",
