@@ -156,7 +156,7 @@ fn brief(message: &str) -> String {
 
 /// What the parser says of a header, without the state of the parser that follows.
 fn header_detail(message: &str) -> String {
-    let says = message.split(" Error: ParseError").next().unwrap_or(message);
+    let says = message.split("Error: ParseError").next().unwrap_or(message);
     format!(
         "{}, expected lines `format`, `element`, `property`, `comment` and `obj_info` as the format has them",
         brief(says)
