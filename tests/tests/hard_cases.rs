@@ -1,7 +1,7 @@
 //! The battery of hard cases, on every path. One test per group, so that failures name it.
 
 use splat_hard_cases::judge::judge;
-use splat_hard_cases::{GROUPS, Group};
+use splat_hard_cases::{GROUPS, Group, battery};
 use splat_tests::places;
 
 #[track_caller]
@@ -14,6 +14,21 @@ fn prove(name: &str) {
         failures.extend(row.failures().into_iter().map(|failure| format!("{}: {failure}", case.name)));
     }
     assert!(failures.is_empty(), "{} failures:\n{}", failures.len(), failures.join("\n"));
+}
+
+/// The table in `docs/` is written by `splat hard-cases --out docs`; its figures are of one machine, its rows are not.
+#[test]
+fn the_table_in_docs_lists_every_case() {
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../docs/HARD_CASES.md");
+    let table = std::fs::read_to_string(path).expect("the table is committed");
+    let listed: Vec<&str> =
+        table.lines().filter_map(|line| Some(line.strip_prefix("| ")?.split(" | ").next()?)).collect();
+    for case in battery().into_iter().flat_map(|(_, cases)| cases) {
+        let name = case.name.as_str();
+        assert!(listed.contains(&name), "{name} is missing: run `splat hard-cases --out docs`");
+    }
+    let fails = table.lines().find(|line| line.contains("| **no** |"));
+    assert_eq!(fails, None);
 }
 
 macro_rules! groups {

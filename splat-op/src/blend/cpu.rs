@@ -4,7 +4,7 @@
 use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
 
-use super::tile::{Footprint, LONG_LIST, Thresholds, TileView, blend_tile};
+use super::tile::{Footprint, Thresholds, TileView, blend_tile, is_long};
 use super::tile_backward::{MOMENTS, Scratch, TileGrad, blend_tile_backward};
 use super::{BlendNeeds, BlendSpec};
 use crate::project::{COLUMNS, Ellipse};
@@ -98,18 +98,18 @@ impl<'a, F: Real> Prepared<'a, F> {
 }
 
 /// Runs `$body` with the SIMD level of this processor as `$simd` and the number of channels as the constant `$c` where a
-/// special version exists, else zero; `$long` says whether the list of hits is a long one.
+/// special version exists, else zero; `$long` is the constant of `$is_long`.
 #[rustfmt::skip] // rustfmt indents the inner macro further at every run
 macro_rules! specialised {
-    ($channels:expr, $hits:expr, $simd:ident, $c:ident, $long:ident => $body:expr) => {{
+    ($channels:expr, $is_long:expr, $simd:ident, $c:ident, $long:ident => $body:expr) => {{
         macro_rules! with {
-            ($count:literal, $is_long:literal) => {{
+            ($count:literal, $constant:literal) => {{
                 const $c: usize = $count;
-                const $long: bool = $is_long;
+                const $long: bool = $constant;
                 dispatch!(Level::new(), $simd => $body)
             }};
         }
-        match ($channels, $hits > LONG_LIST) {
+        match ($channels, $is_long) {
             (1, false) => with!(1, false),
             (3, false) => with!(3, false),
             (4, false) => with!(4, false),
@@ -136,7 +136,7 @@ pub(crate) fn blend_cpu<F: Real>(
         .map(|(tile, planes)| {
             let view = prepared.view(tile);
             let mut checkpoints = Vec::new();
-            let passed = specialised!(prepared.channels, view.gaussians.len(), simd, C, IS_LONG => {
+            let passed = specialised!(prepared.channels, is_long(view.gaussians.len(), alpha_min), simd, C, IS_LONG => {
                 let thresholds = Thresholds::new(simd, alpha_min, alpha_max, transmittance_min);
                 blend_tile::<_, F, C, IS_LONG>(simd, &view, &thresholds, planes, keep.then_some(&mut checkpoints))
             });
@@ -242,7 +242,7 @@ fn tile_sums<F: Real>(
     let tile_grad = TileGrad { planes, behind, checkpoints: &trace.checkpoints, passed: trace.passed, absolute };
     let [alpha_min, alpha_max, transmittance_min] = prepared.thresholds;
     let mut transmittance = [F::ZERO; TILE_PIXELS];
-    specialised!(prepared.channels, view.gaussians.len(), simd, C, IS_LONG => {
+    specialised!(prepared.channels, is_long(view.gaussians.len(), alpha_min), simd, C, IS_LONG => {
         let thresholds = Thresholds::new(simd, alpha_min, alpha_max, transmittance_min);
         let out = (sums, &mut transmittance);
         blend_tile_backward::<_, F, C, IS_LONG>(simd, &view, &tile_grad, &thresholds, out, scratch);

@@ -201,6 +201,15 @@ fn gradients_hold_over_several_checkpoints() {
 }
 
 #[test]
+fn gradients_hold_on_long_lists() {
+    // Enough faint Gaussians over every pixel that the tile is blended with compensation, in any number of channels.
+    for channels in [3, 5] {
+        let scene = Scene::random(51, 400, (12, 9), channels, [0.002, 0.03], smooth(0.99).with_depth(true));
+        scene.check(&format!("{channels} channels"), 37);
+    }
+}
+
+#[test]
 fn gradients_hold_where_pixels_finish_and_small_alphas_are_cut() {
     // Dense enough that pixels finish, in different chunks. No pair is within a step of a threshold for these seeds.
     let options = RenderOptions { transmittance_min: 1e-2, alpha_min: 1e-2, ..RenderOptions::standard() };

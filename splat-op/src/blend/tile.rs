@@ -18,14 +18,19 @@ pub(super) const CHECKPOINT_EVERY: usize = 64;
 /// too small to change the sum.
 const SUM_LENGTH: usize = 8 * CHECKPOINT_EVERY;
 
-/// Lists of more Gaussians than this are blended with [`Transmittances::lost`] and shorter sums. That takes a fifth longer,
-/// and on shorter lists roundings do not add up to what an f32 picture can show. Nothing but rounding changes there.
-pub(super) const LONG_LIST: usize = 2048;
+/// Whether a list of hits is blended with [`Transmittances::lost`] and shorter sums. That takes a fifth longer. Where it is
+/// not, roundings do not add up to what an f32 picture can show: lists are short enough, or if they are not very short, no
+/// layer is so faint that it alone would change no digit. Nothing but rounding depends on it.
+pub(super) fn is_long<F: Real>(hits: usize, alpha_min: F) -> bool {
+    const LONG: usize = 2048;
+    const LONG_FOR_FAINT: usize = 256;
+    hits > if alpha_min >= F::of(1e-3) { LONG } else { LONG_FOR_FAINT }
+}
 
 /// The transmittances of a tile's pixels, in two parts: `lost` is what rounding took from `kept`, less than half an ulp of it.
-/// Without it the roundings of many layers add up. At checkpoints it is dropped, so that both passes go on from the same.
+/// Without it the roundings of many layers add up.
 ///
-/// Functions with the parameter `LONG` leave it zero where that is false.
+/// Functions with the parameter `LONG`, see [`is_long`], leave it zero where that is false.
 #[derive(Clone, Copy)]
 pub(super) struct Transmittances<F> {
     /// Negated where a pixel is finished.
@@ -36,6 +41,24 @@ pub(super) struct Transmittances<F> {
 impl<F: Real> Transmittances<F> {
     pub fn new(kept: [F; TILE_PIXELS]) -> Self {
         Self { kept, lost: [F::ZERO; TILE_PIXELS] }
+    }
+
+    /// Appends what [`Self::resume`] needs.
+    pub fn keep<const LONG: bool>(&self, checkpoints: &mut Vec<F>) {
+        checkpoints.extend_from_slice(&self.kept);
+        if LONG {
+            checkpoints.extend_from_slice(&self.lost);
+        }
+    }
+
+    /// As they were at a checkpoint, by its number.
+    pub fn resume<const LONG: bool>(checkpoints: &[F], number: usize) -> Self {
+        let parts = if LONG { 2 } else { 1 };
+        let part = |part: usize| {
+            let first = (parts * number + part) * TILE_PIXELS;
+            std::array::from_fn(|pixel| checkpoints[first + pixel])
+        };
+        Self { kept: part(0), lost: if LONG { part(1) } else { [F::ZERO; TILE_PIXELS] } }
     }
 
     /// Both parts of eight pixels.
@@ -276,10 +299,12 @@ pub(super) fn centres<S: Simd, F: Real>(simd: S, left: F) -> [F::Lanes<S>; ROW_V
     })
 }
 
-/// Adds one to the other and leaves zeros.
-fn move_into<F: Real>(sums: &mut [F], total: &mut [F]) {
-    for (total, sum) in total.iter_mut().zip(sums) {
-        *total += *sum;
+/// Adds to totals, each with what rounding took from it (Kahan 1965), and leaves zeros.
+fn move_into<F: Real>(sums: &mut [F], totals: &mut [[F; 2]]) {
+    for ([total, lost], sum) in totals.iter_mut().zip(sums) {
+        let (change, before) = (*sum + *lost, *total);
+        *total = before + change;
+        *lost = change - (*total - before);
         *sum = F::ZERO;
     }
 }
@@ -312,12 +337,11 @@ pub(super) fn blend_tile<S: Simd, F: Real, const C: usize, const LONG: bool>(
             view.gather(&view.gaussians[i..], &mut near);
             if i > 0 {
                 if LONG || i % SUM_LENGTH == 0 {
-                    finished_sums.resize(sums.len(), F::ZERO);
+                    finished_sums.resize(sums.len(), [F::ZERO; 2]);
                     move_into(sums, &mut finished_sums);
                 }
-                transmittance.lost.fill(F::ZERO);
                 if let Some(checkpoints) = checkpoints.as_deref_mut() {
-                    checkpoints.extend_from_slice(&transmittance.kept);
+                    transmittance.keep::<LONG>(checkpoints);
                 }
             }
         }
@@ -352,7 +376,7 @@ pub(super) fn blend_tile<S: Simd, F: Real, const C: usize, const LONG: bool>(
     }
     if !finished_sums.is_empty() {
         move_into(sums, &mut finished_sums);
-        sums.copy_from_slice(&finished_sums);
+        sums.iter_mut().zip(&finished_sums).for_each(|(sum, [total, _])| *sum = *total);
     }
     for (out, t) in planes[channels * TILE_PIXELS..].iter_mut().zip(transmittance.kept) {
         *out = t.abs();

@@ -22,7 +22,7 @@ pub(super) struct TileGrad<'a, F> {
     pub planes: &'a [F],
     /// `[256]`: `g · background`, the recursion's start.
     pub behind: &'a [F],
-    /// Transmittances before each [`CHECKPOINT_EVERY`]th Gaussian but the first.
+    /// What [`Transmittances::keep`] kept before each [`CHECKPOINT_EVERY`]th Gaussian but the first.
     pub checkpoints: &'a [F],
     /// Gaussians that the forward pass passed.
     pub passed: usize,
@@ -67,22 +67,22 @@ pub(super) fn blend_tile_backward<S: Simd, F: Real, const C: usize, const LONG: 
 ) {
     let channels = if C == 0 { view.channels } else { C };
     let columns = MOMENTS + channels + if grad.absolute { 2 } else { 0 };
-    let mut rho = [F::ZERO; TILE_PIXELS];
-    rho.copy_from_slice(grad.behind);
+    // In two parts, as transmittances are.
+    let mut rho = Transmittances::new([F::ZERO; TILE_PIXELS]);
+    rho.kept.copy_from_slice(grad.behind);
     let chunks = grad.passed.div_ceil(CHECKPOINT_EVERY);
     let x = centres::<S, F>(simd, view.corner()[0]);
     *transmittance_behind = view.open_transmittance();
     for chunk in (0..chunks).rev() {
         let first = chunk * CHECKPOINT_EVERY;
         let gaussians = &view.gaussians[first..grad.passed.min(first + CHECKPOINT_EVERY)];
-        let kept = match chunk {
-            0 => view.open_transmittance(),
-            _ => std::array::from_fn(|pixel| grad.checkpoints[(chunk - 1) * TILE_PIXELS + pixel]),
+        let mut transmittance = match chunk {
+            0 => Transmittances::new(view.open_transmittance()),
+            _ => Transmittances::resume::<LONG>(grad.checkpoints, chunk - 1),
         };
         let mut near = [Footprint::default(); CHECKPOINT_EVERY];
         view.gather(gaussians, &mut near);
         let near = &near[..gaussians.len()];
-        let mut transmittance = Transmittances::new(kept);
         forwards::<S, F, LONG>(simd, view.corner(), near, thresholds, &mut transmittance, scratch);
         if chunk + 1 == chunks {
             *transmittance_behind = transmittance.kept;
@@ -96,7 +96,7 @@ pub(super) fn blend_tile_backward<S: Simd, F: Real, const C: usize, const LONG: 
             let layers = (&mut scratch.layers[layers.clone()], &scratch.places[layers]);
             let splat = Splat::new(simd, near[i]);
             let colour = view.colour(gaussian);
-            backwards::<S, F, C>(
+            backwards::<S, F, C, LONG>(
                 view.corner()[1],
                 grad,
                 (&splat, colour),
@@ -146,13 +146,13 @@ fn forwards<S: Simd, F: Real, const LONG: bool>(
 
 /// One Gaussian, back to front: its sums over the pixels it shows in, and `rho` stepped in front of it.
 #[inline(always)]
-fn backwards<S: Simd, F: Real, const C: usize>(
+fn backwards<S: Simd, F: Real, const C: usize, const LONG: bool>(
     top: F,
     grad: &TileGrad<F>,
     (splat, colour): (&Splat<S, F>, &[F]),
     (alpha_max, x): (F::Lanes<S>, &[F::Lanes<S>; ROW_VECTORS]),
     (layers, places): (&mut [[F; 2 * LANES]], &[u16]),
-    (rho, row): (&mut [F; TILE_PIXELS], &mut [F]),
+    (rho, row): (&mut Transmittances<F>, &mut [F]),
 ) {
     let simd = alpha_max.token();
     let channels = if C == 0 { colour.len() } else { C };
@@ -169,14 +169,16 @@ fn backwards<S: Simd, F: Real, const C: usize>(
         let first = place as usize;
         let before = F::Lanes::<S>::from_slice(simd, &layer[..LANES]);
         let alpha = F::Lanes::<S>::from_slice(simd, &layer[LANES..]);
-        let behind = F::Lanes::<S>::from_slice(simd, &rho[first..first + LANES]);
+        let [behind, lost] = rho.load::<S, LONG>(simd, first);
         let mut along = plane(channels, first);
         for channel in 0..channels {
             along = plane(channel, first).mul_add(F::Lanes::<S>::splat(simd, colour[channel]), along);
         }
         let weight = alpha * before;
         let ahead = along - behind;
-        alpha.mul_add(ahead, behind).store_slice(&mut rho[first..first + LANES]);
+        let change = if LONG { alpha.mul_add(ahead, (-alpha).mul_add(lost, lost)) } else { alpha * ahead };
+        let rho_here = if LONG { behind + change } else { alpha.mul_add(ahead, behind) };
+        rho.store::<S, LONG>([rho_here, change - (rho_here - behind)], first);
         let free = alpha.simd_lt(alpha_max);
         let h = free.select(weight * ahead, zero);
 

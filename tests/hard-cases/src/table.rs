@@ -72,6 +72,8 @@ textbook gradient |
 fn line(case: &Case, row: &Row) -> String {
     let [cpu, gpu] = [Processor::Cpu, Processor::Gpu].map(|processor| row.of(processor));
     let verdict = match row.verdict() {
+        // On what ran.
+        Verdict::Passed if case.beyond_software.is_some() && gpu.is_none() => "yes, on the CPU",
         Verdict::Passed => "yes",
         Verdict::Loose => "loose",
         Verdict::Failed => "**no**",
