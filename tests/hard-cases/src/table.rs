@@ -81,7 +81,8 @@ fn line(case: &Case, row: &Row) -> String {
     let of = |outcome: &Option<Outcome>, part: fn(&Outcome) -> Option<Score>| {
         outcome.as_ref().and_then(part).map_or("–".into(), score)
     };
-    let (forward, gradient): (fn(&Outcome) -> _, fn(&Outcome) -> _) = (|o| o.forward, |o| o.gradient);
+    type Part = fn(&Outcome) -> Option<Score>;
+    let (forward, gradient): (Part, Part) = (|o| o.forward, |o| o.gradient);
     let cells = [
         case.name.clone(),
         case.why.into(),

@@ -144,7 +144,7 @@ fn fields(rng: &mut Mutator, input: &[u8], target: &dyn Target, corpus: &[Vec<u8
     }
     let at = rng.below(count);
     match rng.below(9) {
-        0 | 1 | 2 => fields[at] = extreme(rng, fields[at].len()),
+        0..=2 => fields[at] = extreme(rng, fields[at].len()),
         3 => fields[at] = rng.pick(target.words()).as_bytes().to_vec(),
         4 => {
             let range = rng.range(count);
