@@ -12,7 +12,6 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let capture = Capture::load(Path::new(&folder))?;
     let photos = load_all(&capture.views, Some(96), |_| {})?;
     let config = TrainConfig { steps: 60, ..TrainConfig::default() };
-    let options = config.render_options();
     let device = Device::flex();
 
     let loss = |seen: &Seen| {
@@ -35,7 +34,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         }
     }
     let splats = trainer.gaussians().untracked().splats();
-    let scores = evaluate(&splats, &photos, [0.0; 3], &options, |_, _| {})?;
+    let scores = evaluate(&splats, &photos, [0.0; 3], &trainer.render_options(), |_, _| {})?;
     println!("PSNR on the photographs themselves: {:.2} dB", scores.psnr);
     Ok(())
 }

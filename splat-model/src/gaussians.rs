@@ -2,22 +2,9 @@
 
 use burn::module::{Module, Param};
 use burn::tensor::{Device, Tensor, TensorData, activation::sigmoid};
-use splat_op::{Colour, Splats};
+use rayon::prelude::*;
+use splat_op::{Colour, RawSplats, Splats, activate};
 use thiserror::Error;
-
-/// The logistic function `σ(x) = 1 / (1 + e⁻ˣ)` of any shape, with the derivative `σ(x) σ(−x)`. Autodiff would take it as
-/// `σ (1 − σ)`, which in f32 is zero from `x = 17` on: an opacity that came that close to one could never leave it.
-pub fn logistic<const D: usize>(x: Tensor<D>) -> Tensor<D> {
-    if !x.device().is_autodiff() {
-        return sigmoid(x);
-    }
-    let plain = x.clone().inner();
-    let value = sigmoid(plain.clone());
-    let derivative = value.clone() * sigmoid(plain.clone().neg());
-    let fixed = |tensor| Tensor::from_inner(tensor);
-    // The first term is the value, the second is zero and has the derivative.
-    fixed(value) + (x - fixed(plain)) * fixed(derivative)
-}
 
 /// The rows of a scene on the host, as files hold them. Row `i` of every field belongs to Gaussian `i`.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -63,6 +50,22 @@ impl GaussianRows {
     /// Higher coefficients of one Gaussian: `3 ((degree+1)² − 1)` numbers.
     pub fn rest_per_row(&self) -> usize {
         3 * ((self.sh_degree + 1) * (self.sh_degree + 1) - 1)
+    }
+
+    /// Whether Gaussian `i` can be rendered: all its parameters are finite and none is beyond what f32 can compute with (see
+    /// [`splat_op::activate`]). One that cannot is masked wherever the scene is used.
+    ///
+    /// # Panics
+    /// If there is no such Gaussian, or the rows do not fit together.
+    pub fn is_usable(&self, i: usize) -> bool {
+        let rest = self.rest_per_row();
+        let sh = [&self.sh_dc[i][..], &self.sh_rest[rest * i..rest * (i + 1)]];
+        activate::is_usable(&self.means[i], &self.rotations[i], &self.log_scales[i], self.logit_opacities[i], sh)
+    }
+
+    /// Number of Gaussians that cannot be rendered, see [`Self::is_usable`].
+    pub fn unusable(&self) -> usize {
+        (0..self.len()).into_par_iter().filter(|&i| !self.is_usable(i)).count()
     }
 
     /// Refuses fields of different lengths and degrees above 4.
@@ -155,14 +158,29 @@ impl Gaussians {
         coefficients.isqrt() - 1
     }
 
-    /// `[N, 3]`: standard deviations, scene units.
+    /// `[N, 3]`: standard deviations, scene units; 0 where a logarithm is unusable.
     pub fn scales(&self) -> Tensor<2> {
-        self.log_scales.val().exp()
+        let log_scales = self.log_scales.val();
+        // Fields of other shapes than the documented ones are refused where they are rendered, with their names.
+        activate::scales(&log_scales).unwrap_or_else(|_| log_scales.exp())
     }
 
-    /// `[N]`: opacities, 0 to 1.
+    /// `[N]`: opacities, 0 to 1; exactly 0, without gradients, for Gaussians that are unusable in any parameter (see
+    /// [`splat_op::activate`]), so that they change nothing but themselves.
     pub fn opacities(&self) -> Tensor<1> {
-        logistic(self.logit_opacities.val())
+        self.opacities_with(&self.sh())
+    }
+
+    fn opacities_with(&self, sh: &Tensor<3>) -> Tensor<1> {
+        let raw = RawSplats {
+            means: self.means.val(),
+            rotations: self.rotations.val(),
+            log_scales: self.log_scales.val(),
+            logit_opacities: self.logit_opacities.val(),
+            sh: sh.clone(),
+        };
+        // As in `scales`.
+        activate::opacities(&raw).unwrap_or_else(|_| sigmoid(raw.logit_opacities))
     }
 
     /// `[N, (degree+1)², 3]`: all coefficients.
@@ -173,14 +191,16 @@ impl Gaussians {
         }
     }
 
-    /// The Gaussians with activated parameters, tracked as the parameters are.
+    /// The Gaussians with activated parameters, tracked as the parameters are. Unusable ones are masked, see
+    /// [`Self::opacities`].
     pub fn splats(&self) -> Splats {
+        let sh = self.sh();
         Splats {
             means: self.means.val(),
             rotations: self.rotations.val(),
             scales: self.scales(),
-            opacities: self.opacities(),
-            colour: Colour::SphericalHarmonics(self.sh()),
+            opacities: self.opacities_with(&sh),
+            colour: Colour::SphericalHarmonics(sh),
         }
     }
 

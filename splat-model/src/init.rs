@@ -19,7 +19,8 @@ pub const START_OPACITY: f32 = 0.1;
 /// Neighbours whose root mean square distance is the first standard deviation (Kerbl et al. 2023, section 5.1).
 const NEIGHBOURS: usize = 3;
 
-/// Squared distances below this count as this, as in the original code: points at one place would have no size.
+/// Squared distances below this count as this, as in the original code: points at one place would have no size. In a cloud
+/// that is less than a unit across, they count as so much of its squared size, so that a small scene begins as a large one.
 const SMALLEST_SQUARED_DISTANCE: f32 = 1e-7;
 
 /// Gaussians made where there are no points.
@@ -29,18 +30,32 @@ pub const RANDOM_COUNT: usize = 20_000;
 /// of the point's colour, without view dependence.
 pub fn from_points(points: &PointCloud) -> GaussianRows {
     let squared = neighbour_distances(&points.positions);
+    let across = size_of_cloud(&points.positions);
+    // Points all at one place say nothing about how large the scene is.
+    let floor = SMALLEST_SQUARED_DISTANCE * if across > 0.0 && across < 1.0 { across * across } else { 1.0 };
     let count = points.positions.len();
     let logit = (START_OPACITY / (1.0 - START_OPACITY)).ln();
     let dc = |colour: &[u8; 3]| colour.map(|channel| (f32::from(channel) / 255.0 - 0.5) / SH_0);
     GaussianRows {
         means: points.positions.clone(),
         rotations: vec![[1.0, 0.0, 0.0, 0.0]; count],
-        log_scales: squared.iter().map(|d| [0.5 * d.max(SMALLEST_SQUARED_DISTANCE).ln(); 3]).collect(),
+        log_scales: squared.iter().map(|d| [0.5 * d.max(floor).ln(); 3]).collect(),
         logit_opacities: vec![logit; count],
         sh_dc: points.colours.iter().map(dc).collect(),
         sh_rest: Vec::new(),
         sh_degree: 0,
     }
+}
+
+/// The longest side of the box around all points; 0 without points.
+fn size_of_cloud(positions: &[[f32; 3]]) -> f32 {
+    let side = |axis: usize| {
+        let coordinates = positions.iter().map(|position| position[axis]);
+        let (low, high) =
+            coordinates.fold((f32::INFINITY, f32::NEG_INFINITY), |(low, high), c| (low.min(c), high.max(c)));
+        high - low
+    };
+    (0..3).map(side).fold(0.0, f32::max)
 }
 
 /// Mean squared distance of each point to its nearest neighbours; to those there are, if they are fewer.

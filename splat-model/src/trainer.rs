@@ -1,22 +1,30 @@
 //! Training: photographs in, a scene out. One step at a time, so that a caller can watch, stop or add to it.
 
+mod checked;
+mod error;
+mod guard;
+
 use burn::tensor::{Device, Tensor};
 use glam::DAffine3;
 use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
-use splat_op::{Camera, Extras, Intrinsics, RenderOptions, SplatError, Splats, render};
-use thiserror::Error;
+use splat_op::{Camera, Extras, Intrinsics, RenderOptions, Splats, render};
 
 use crate::capture::{Photo, PointCloud};
 use crate::density::rows::{Gradients, StepRates, Trained};
 use crate::density::{Adaptive, AdaptiveConfig, RefineReport};
-use crate::gaussians::{Gaussians, RowsError};
+use crate::gaussians::Gaussians;
 use crate::init;
 use crate::loss::{DEFAULT_LAMBDA, Truth, photometric, regularise};
 use crate::optim::schedule::STEPS_PER_SH_DEGREE;
-use crate::optim::{Adam, Decay, LearningRates, scene_extent, sh_degree_at};
+use crate::optim::{Adam, Decay, LearningRates, near_plane, scene_extent, sh_degree_at};
+
+pub use self::checked::Stage;
+use self::checked::{Stopped, Wrong, check_gradients, check_loss, check_parameters, render_checked};
+pub use self::error::TrainError;
+use self::guard::{Fault, Guard};
 
 /// All that a run depends on besides its photographs. Defaults are those of the original implementation.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -66,31 +74,10 @@ impl Default for TrainConfig {
 }
 
 impl TrainConfig {
-    /// How the run renders.
-    pub fn render_options(&self) -> RenderOptions {
-        RenderOptions::standard().with_antialias(self.antialias)
+    /// How a run whose cameras see a scene of `extent` renders (see [`scene_extent`]).
+    pub fn render_options(&self, extent: f64) -> RenderOptions {
+        RenderOptions::standard().with_antialias(self.antialias).with_near(near_plane(extent))
     }
-}
-
-/// Why a run cannot start or go on.
-#[derive(Debug, Error)]
-#[non_exhaustive]
-pub enum TrainError {
-    /// No photographs.
-    #[error("there are no photographs to train on: with every photograph in the test split, raise `--eval-every`")]
-    NoViews,
-    /// Steps of zero.
-    #[error("`steps` is 0, expected at least 1: give `--steps N`")]
-    NoSteps,
-    /// More degrees than there are.
-    #[error("`sh_degree` is {0}, expected 0 to 4")]
-    ShDegree(usize),
-    /// The operation refused its inputs.
-    #[error(transparent)]
-    Op(#[from] SplatError),
-    /// Rows that do not fit together.
-    #[error(transparent)]
-    Rows(#[from] RowsError),
 }
 
 /// What a loss sees of one step.
@@ -146,6 +133,7 @@ struct TrainView {
 /// A run.
 pub struct Trainer {
     config: TrainConfig,
+    options: RenderOptions,
     device: Device,
     scene: Trained,
     views: Vec<TrainView>,
@@ -153,6 +141,9 @@ pub struct Trainer {
     density: Adaptive,
     means_decay: Decay,
     loss: Box<dyn Loss>,
+    guard: Guard,
+    /// Whether every stage is looked at.
+    checks: bool,
     rng: ChaCha8Rng,
     /// Views still to come in this epoch.
     queue: Vec<usize>,
@@ -199,6 +190,7 @@ impl Trainer {
             .collect();
         let lambda = config.lambda;
         Ok(Self {
+            options: config.render_options(extent),
             device: device.clone(),
             scene: Trained::new(Gaussians::from_rows(&rows, &tracked)?),
             views,
@@ -206,6 +198,8 @@ impl Trainer {
             density: Adaptive::new(config.density, extent, config.steps),
             means_decay: config.learning_rates.means_decay(extent, config.steps),
             loss: Box::new(move |seen: &Seen| photometric(seen.image.clone(), seen.truth, lambda)),
+            guard: Guard::new(device),
+            checks: false,
             rng,
             queue: Vec::new(),
             step: 0,
@@ -218,9 +212,19 @@ impl Trainer {
         Self { loss: Box::new(loss), ..self }
     }
 
-    /// The scene as it is now.
+    /// The same run, but every step looks at what each stage leaves: to find out which goes wrong first. Slow.
+    pub fn with_checks(self) -> Self {
+        Self { checks: true, ..self }
+    }
+
+    /// The scene as it is now. After a step that went wrong it is still the one before that step.
     pub fn gaussians(&self) -> &Gaussians {
         &self.scene.gaussians
+    }
+
+    /// How the run renders; whoever looks at its scene should render like this.
+    pub fn render_options(&self) -> RenderOptions {
+        self.options
     }
 
     /// Steps done.
@@ -236,13 +240,34 @@ impl Trainer {
     /// Renders a photograph's camera, compares, and moves every parameter against its gradient; then refines if it is due.
     ///
     /// # Errors
-    /// If the operation refuses the scene.
+    /// If the operation refuses the scene, or if the loss or a gradient is not finite: then the scene is as it was before
+    /// that step, and the run is over. On a GPU, which is not waited for, the error may come up to fifty steps later; the
+    /// scene is kept as it was all the same.
     pub fn step(&mut self) -> Result<StepReport, TrainError> {
         let view = self.next_view();
         self.step += 1;
         let step = self.step;
         self.scene.grow_sh(sh_degree_at(step - 1, self.config.sh_every, self.config.sh_degree));
 
+        let (loss, gradients) = self.differentiate(view)?;
+        let held = self.guard.look(step, view, &loss, &gradients).map_err(|fault| self.non_finite(fault))?;
+        let rates = StepRates { rates: self.config.learning_rates, means: self.means_decay.at(step) };
+        if self.checks {
+            self.checked_update(view, gradients, &rates)?;
+        } else {
+            self.scene.step(gradients, &Adam::default(), &rates, step, held.as_ref());
+        }
+        // Refinement reads the scene and acts on what it finds, so nothing may be left in doubt.
+        let read = self.density.acts_at(step) || self.is_done();
+        self.guard.read(read).map_err(|fault| self.non_finite(fault))?;
+        let refined = self.density.refine(&mut self.scene, step, &mut self.rng)?;
+        let (view, splats) = (self.views[view].photo.name.clone(), self.scene.gaussians.len());
+        Ok(StepReport { step, loss, view, splats, refined })
+    }
+
+    /// The loss, `[1]`, of a view and its gradients; tells density control what it listens for.
+    fn differentiate(&mut self, view: usize) -> Result<(Tensor<1>, Gradients), TrainError> {
+        let step = self.step;
         let splats = self.scene.gaussians.splats();
         let tracked = splats.means.device();
         let probe = self
@@ -256,37 +281,61 @@ impl Trainer {
         };
         let truth = self.truth(view);
         let TrainView { camera, photo, .. } = &self.views[view];
-        let rendered = render(&splats, std::slice::from_ref(camera), &extras, &self.config.render_options())?;
-        let seen = Seen {
-            image: rendered.colour.squeeze_dim(0),
-            alpha: rendered.alpha.squeeze_dim(0),
-            truth: &truth,
-            splats: &splats,
-            step,
-            view: &photo.name,
+        let options = self.options;
+        let (image, alpha) = if self.checks {
+            let picture = render_checked(&splats, camera, &extras, &options);
+            let picture = picture.map_err(|stopped| self.stopped(view, stopped))?;
+            (picture.colour, picture.alpha)
+        } else {
+            let rendered = render(&splats, std::slice::from_ref(camera), &extras, &options)?;
+            (rendered.colour.squeeze_dim(0), rendered.alpha.squeeze_dim(0))
         };
+        let seen = Seen { image, alpha, truth: &truth, splats: &splats, step, view: &photo.name };
         let mut loss = self.loss.loss(&seen);
         drop(seen);
         if self.config.opacity_weight > 0.0 {
             loss = loss + regularise::opacity(splats.opacities.clone()) * self.config.opacity_weight;
         }
         drop(splats);
+        if self.checks {
+            check_loss(&loss).map_err(|wrong| self.wrong(view, wrong))?;
+        }
         let mut grads = loss.backward();
         if let Some(grad) = probe.and_then(|probe| probe.grad_remove(&mut grads)) {
             self.density.observe(grad, (photo.intrinsics.width, photo.intrinsics.height));
         }
         let gradients = Gradients::take(&self.scene.gaussians, &mut grads);
-        drop(grads);
-        let rates = StepRates { rates: self.config.learning_rates, means: self.means_decay.at(step) };
-        self.scene.step(gradients, &Adam::default(), &rates, step);
-        let refined = self.density.refine(&mut self.scene, step, &mut self.rng)?;
-        Ok(StepReport {
-            step,
-            loss: loss.inner(),
-            view: self.views[view].photo.name.clone(),
-            splats: self.scene.gaussians.len(),
-            refined,
+        if self.checks {
+            check_gradients(&gradients).map_err(|wrong| self.wrong(view, wrong))?;
+        }
+        Ok((loss.inner(), gradients))
+    }
+
+    /// The optimiser's step, taken back if it spoils a Gaussian.
+    fn checked_update(&mut self, view: usize, gradients: Gradients, rates: &StepRates) -> Result<(), TrainError> {
+        let before = self.scene.clone();
+        self.scene.step(gradients, &Adam::default(), rates, self.step, None);
+        let found = check_parameters(&before.gaussians.to_rows(), &self.scene.gaussians.to_rows());
+        found.map_err(|wrong| {
+            self.scene = before;
+            self.wrong(view, wrong)
         })
+    }
+
+    fn non_finite(&self, fault: Fault) -> TrainError {
+        let Fault { step, view, what } = fault;
+        TrainError::NonFinite { step, view: self.views[view].photo.name.clone(), what }
+    }
+
+    fn wrong(&self, view: usize, Wrong { stage, detail }: Wrong) -> TrainError {
+        TrainError::Check { step: self.step, view: self.views[view].photo.name.clone(), stage, detail }
+    }
+
+    fn stopped(&self, view: usize, stopped: Stopped) -> TrainError {
+        match stopped {
+            Stopped::Op(error) => error.into(),
+            Stopped::Wrong(wrong) => self.wrong(view, wrong),
+        }
     }
 
     /// Every photograph once per epoch, in random order.

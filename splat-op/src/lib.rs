@@ -33,6 +33,9 @@ pub mod error;
 pub mod exact;
 pub mod options;
 
+// From parameters as an optimiser holds them to what the stages take.
+pub mod activate;
+
 // The stages, in the order in which data flows; the blank lines keep rustfmt from sorting them.
 pub mod project;
 
@@ -58,6 +61,8 @@ pub mod witness;
 
 #[cfg(feature = "cube")]
 pub use abilities::Abilities;
+pub use activate::RawSplats;
+pub use bind::activate::{ActivateBackend, ActivateInputs};
 pub use bind::attach::{AttachBackend, with_gradient};
 pub use camera::{Camera, CameraModel, Intrinsics};
 pub use error::SplatError;
@@ -65,6 +70,11 @@ pub use op::{Slot, SplatBackend};
 pub use options::{Accumulation, RenderOptions};
 pub use render::{Rendered, render};
 pub use stages::{Colour, Ellipses, Extras, Picture, Projected, Splats, Tiles, blend, project, shade, tile};
+
+/// Whether a device is a GPU: its results have to be waited for.
+pub fn is_gpu(device: &burn::tensor::Device) -> bool {
+    limits::buffer_limit(device).is_some()
+}
 
 #[cfg(test)]
 mod testing;

@@ -74,6 +74,11 @@ impl RenderOptions {
         Self { depth, ..self }
     }
 
+    /// With another near plane, scene units.
+    pub const fn with_near(self, near: f64) -> Self {
+        Self { near, ..self }
+    }
+
     /// With or without opacity compensation.
     pub const fn with_antialias(self, antialias: bool) -> Self {
         Self { antialias, ..self }

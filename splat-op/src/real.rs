@@ -48,6 +48,8 @@ pub(crate) trait Real:
     fn f64(self) -> f64;
     fn sqrt(self) -> Self;
     fn ln(self) -> Self;
+    /// The library's function; for many values at once see [`Self::exp_lanes`].
+    fn exp(self) -> Self;
     fn abs(self) -> Self;
     fn finite(self) -> bool;
     fn sort_key(self) -> Self::SortKey;
@@ -89,6 +91,10 @@ macro_rules! scalar_functions {
         #[inline(always)]
         fn ln(self) -> Self {
             <$float>::ln(self)
+        }
+        #[inline(always)]
+        fn exp(self) -> Self {
+            <$float>::exp(self)
         }
         #[inline(always)]
         fn abs(self) -> Self {

@@ -71,8 +71,9 @@ fn train(capture: &Capture, device: &Device) -> Outcome {
         ..AdaptiveConfig::default()
     };
     let config = TrainConfig { steps: 200, density, ..TrainConfig::default() };
-    let (background, options) = (config.background, config.render_options());
+    let background = config.background;
     let mut trainer = Trainer::new(photos(&split.train), &capture.points, config, device).expect("a valid run");
+    let options = trainer.render_options();
     let before = trainer.gaussians().len();
     while !trainer.is_done() {
         trainer.step().expect("a valid scene");

@@ -117,8 +117,8 @@ fn mark(options: &DemoOptions) -> Value {
     })
 }
 
-/// None also for a mark that is no JSON: then it is not ours.
-fn read_mark(folder: &Path) -> Option<Value> {
+/// The mark of a demo capture in `folder`. None also for a file that is no JSON: then it is not ours.
+pub fn read_mark(folder: &Path) -> Option<Value> {
     let value: Value = serde_json::from_slice(&fs::read(folder.join(MARK)).ok()?).ok()?;
     value.get("splat demo").is_some().then_some(value)
 }

@@ -11,7 +11,7 @@ use splat_model::capture::Split;
 use splat_model::trainer::TrainConfig;
 
 use crate::device::{self, DeviceName};
-use crate::input;
+use crate::input::{self, Scene};
 use crate::options::PhotoArgs;
 use crate::output::OutputFolder;
 use crate::report::metrics::{Metrics, Seconds, peak_rss_mib, seconds_since};
@@ -60,14 +60,15 @@ pub fn run(args: &EvalArgs) -> Result<Metrics> {
     let capture = input::capture(&args.capture)?;
     let split = Split::every(&capture.views, args.photos.eval_every);
     let test = split.require_test()?;
-    let splats = input::scene(&args.scene, &capture, &device)?;
+    let Scene { splats, unusable } = input::scene(&args.scene, &capture, &device)?;
     let out = OutputFolder::prepare(&args.out, &[SCENE, METRICS], &[VIEWS])?;
     let photos = input::photographs(&capture, test, args.photos.max_side)?;
     let load = seconds_since(start);
 
     let config = TrainConfig { antialias: args.antialias, ..TrainConfig::default() };
     let start = Instant::now();
-    let scores = report::measure(&splats, &photos, config.background, &config.render_options(), &out)?;
+    let render_options = config.render_options(input::extent(&capture));
+    let scores = report::measure(&splats, &photos, config.background, &render_options, &out)?;
     let eval = seconds_since(start);
     copy_scene(&args.scene, &out)?;
     let options = Options {
@@ -80,6 +81,7 @@ pub fn run(args: &EvalArgs) -> Result<Metrics> {
     let metrics = Metrics {
         test: Some(scores),
         splats: splats.means.dims()[0],
+        culled_non_finite: unusable,
         steps: None,
         seconds: Seconds { load, train: None, eval },
         peak_rss_mib: peak_rss_mib(),

@@ -7,6 +7,7 @@ use burn::tensor::Device;
 use splat_model::capture::image::load_all;
 use splat_model::capture::{Capture, Photo};
 use splat_model::gaussians::{GaussianRows, Gaussians};
+use splat_model::optim::scene_extent;
 use splat_model::ply;
 use splat_op::Splats;
 
@@ -25,6 +26,12 @@ pub fn capture(folder: &Path) -> Result<Capture> {
     Ok(Capture::load(folder)?)
 }
 
+/// The extent of the scene that a capture's cameras see, scene units.
+pub fn extent(capture: &Capture) -> f64 {
+    let centres: Vec<_> = capture.views.iter().map(|view| view.cam_from_world.inverse().translation).collect();
+    scene_extent(&centres)
+}
+
 /// Decodes the photographs of some of a capture's views, on all threads.
 ///
 /// # Errors
@@ -36,15 +43,26 @@ pub fn photographs(capture: &Capture, views: &[usize], max_side: Option<u32>) ->
     Ok(photos?)
 }
 
-/// Reads a scene, without autodiff, with positions relative to the origin of `capture`.
+/// A scene that was read.
+pub struct Scene {
+    /// Without autodiff; Gaussians that cannot be rendered are masked.
+    pub splats: Splats,
+    /// How many those are.
+    pub unusable: usize,
+}
+
+/// Reads a scene, without autodiff, with positions relative to the origin of `capture`. Says so if Gaussians of it cannot be
+/// rendered.
 ///
 /// # Errors
 /// If the file is missing or holds no scene, or the scene no Gaussian.
-pub fn scene(path: &Path, capture: &Capture, device: &Device) -> Result<Splats> {
+pub fn scene(path: &Path, capture: &Capture, device: &Device) -> Result<Scene> {
     let (mut rows, origin) = ply::read(path).context("cannot read the scene that `--scene` names")?;
     ensure!(!rows.is_empty(), "{} holds no Gaussian: name a scene that was trained with `--scene`", path.display());
     move_means(&mut rows, (origin - capture.origin).to_array());
-    Ok(Gaussians::from_rows(&rows, device)?.splats())
+    let unusable = rows.unusable();
+    progress::note_unusable(path, unusable, rows.len());
+    Ok(Scene { splats: Gaussians::from_rows(&rows, device)?.splats(), unusable })
 }
 
 /// Adds `capture_from_scene` to every position, in f64.

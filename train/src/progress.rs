@@ -1,6 +1,7 @@
 //! What a waiting person sees, on standard error: a bar on a terminal, plain lines elsewhere.
 
 use std::io::{IsTerminal, Write};
+use std::path::Path;
 use std::time::{Duration, Instant};
 
 use burn::tensor::Tensor;
@@ -20,6 +21,17 @@ const NEWEST_WEIGHT: f64 = 0.02;
 /// Writes a line to standard error. A closed pipe is no reason to stop.
 pub fn note(line: &str) {
     let _ = writeln!(std::io::stderr().lock(), "{line}");
+}
+
+/// Says that some Gaussians of a scene are left out, if there are such.
+pub fn note_unusable(scene: &Path, unusable: usize, of: usize) {
+    if unusable > 0 {
+        note(&format!(
+            "{}: {unusable} of {of} splats are not drawn, because a parameter is not finite or out of all range, or the \
+             rotation is zero",
+            scene.display()
+        ));
+    }
 }
 
 /// Writes a line to standard output. The results are in their files by then, so a closed pipe loses none.

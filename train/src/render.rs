@@ -82,15 +82,16 @@ pub fn run(args: &RenderArgs) -> Result<Vec<PathBuf>> {
     let (device, _) = args.device.resolve()?;
     let capture = input::capture(&args.capture)?;
     let views = chosen(&capture, &args.view)?;
-    let splats = input::scene(&args.scene, &capture, &device)?;
+    let splats = input::scene(&args.scene, &capture, &device)?.splats;
     let out = OutputFolder::prepare(&args.out, &[], &[])?;
     let config = TrainConfig { antialias: args.antialias, ..TrainConfig::default() };
     let extras = Extras { background: Some(Tensor::from_floats(config.background, &device)), ..Extras::default() };
 
+    let options = config.render_options(input::extent(&capture));
     let names = pictures::names(views.iter().map(|view| view.name.as_str()), args.format.extension());
     let counter = progress::counter("rendering", views.len());
     for (view, name) in views.iter().zip(&names) {
-        let picture = Rgba::render(&splats, view, &extras, &config.render_options(), &device)
+        let picture = Rgba::render(&splats, view, &extras, &options, &device)
             .with_context(|| format!("cannot render the view {:?}", view.name))?;
         out.write(name, |file| picture.write(args.format, file))?;
         counter.inc(1);

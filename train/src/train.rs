@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use anyhow::Result;
+use anyhow::{Result, anyhow};
 use clap::builder::RangedU64ValueParser;
 use serde::Serialize;
 use splat_model::capture::demo::DemoOptions;
@@ -75,6 +75,9 @@ pub struct TrainArgs {
     /// Weight of the mean opacity in the loss, against floaters; 0.01 is usual
     #[arg(long, value_name = "W", default_value_t = TrainConfig::default().opacity_weight)]
     pub opacity_weight: f64,
+    /// Look at what every stage of every step leaves, and end at the first that goes wrong; several times as slow
+    #[arg(long)]
+    pub check: bool,
 }
 
 /// What `metrics.json` says under `options`.
@@ -85,6 +88,7 @@ struct Options<'a> {
     photos: &'a PhotoArgs,
     #[serde(flatten)]
     config: &'a TrainConfig,
+    check: bool,
 }
 
 impl TrainArgs {
@@ -134,8 +138,15 @@ impl TrainArgs {
 /// Trains, measures, writes everything, and says where it is.
 ///
 /// # Errors
-/// If the capture cannot be read, the results not be written, or an option is out of range.
+/// If the capture cannot be read, the results not be written, or an option is out of range; or if a loss or a gradient is not
+/// finite: then `scene.ply` is the scene before that step.
 pub fn run(args: &TrainArgs) -> Result<Metrics> {
+    run_with(args, |trainer| trainer)
+}
+
+/// As [`run`], with the run changed before its first step. For tests, which make it go wrong.
+#[doc(hidden)]
+pub fn run_with(args: &TrainArgs, change: impl FnOnce(Trainer) -> Trainer) -> Result<Metrics> {
     let config = args.config()?;
     let (device, device_name) = args.device.resolve()?;
     let (out, capture, start) = args.open()?;
@@ -147,13 +158,21 @@ pub fn run(args: &TrainArgs) -> Result<Metrics> {
         test.len(),
         capture.points.positions.len()
     ));
-    let mut trainer = Trainer::new(train, &capture.points, config.clone(), &device)?;
+    let trainer = Trainer::new(train, &capture.points, config.clone(), &device)?;
+    let mut trainer = change(if args.check { trainer.with_checks() } else { trainer });
     let load = seconds_since(start);
+    let render_options = trainer.render_options();
 
     let start = Instant::now();
     let mut bar = StepProgress::new(config.steps);
     while !trainer.is_done() {
-        bar.step(&trainer.step()?);
+        match trainer.step() {
+            Ok(report) => bar.step(&report),
+            Err(error) => {
+                bar.finish();
+                return Err(keep_scene(error, &trainer, &capture, &out));
+            }
+        }
     }
     bar.finish();
     let train = seconds_since(start);
@@ -161,16 +180,21 @@ pub fn run(args: &TrainArgs) -> Result<Metrics> {
     // Photographs and moments are not needed to measure, and their memory is.
     drop(trainer);
     // Before measuring, so that whatever goes wrong there does not cost the scene.
-    ply::write(&out.join(SCENE), &gaussians.to_rows(), capture.origin)?;
+    let rows = gaussians.to_rows();
+    ply::write(&out.join(SCENE), &rows, capture.origin)?;
+    let unusable = rows.unusable();
+    progress::note_unusable(&out.join(SCENE), unusable, rows.len());
+    drop(rows);
 
     let start = Instant::now();
-    let measure = || report::measure(&gaussians.splats(), &test, config.background, &config.render_options(), &out);
+    let measure = || report::measure(&gaussians.splats(), &test, config.background, &render_options, &out);
     let test_scores = if test.is_empty() { None } else { Some(measure()?) };
     let eval = seconds_since(start);
-    let options = Options { capture: &capture.folder, photos: &args.photos, config: &config };
+    let options = Options { capture: &capture.folder, photos: &args.photos, config: &config, check: args.check };
     let metrics = Metrics {
         test: test_scores,
         splats: gaussians.len(),
+        culled_non_finite: unusable,
         steps: Some(config.steps),
         seconds: Seconds { load, train: Some(train), eval },
         peak_rss_mib: peak_rss_mib(),
@@ -182,6 +206,19 @@ pub fn run(args: &TrainArgs) -> Result<Metrics> {
     report::finish(&metrics, &out)?;
     report::say(&metrics, &out);
     Ok(metrics)
+}
+
+/// Writes the scene of a run that went wrong: as it was before the step that did. The error as the user sees it.
+fn keep_scene(error: TrainError, trainer: &Trainer, capture: &Capture, out: &OutputFolder) -> anyhow::Error {
+    if !error.keeps_scene() {
+        return error.into();
+    }
+    let path = out.join(SCENE);
+    let kept = match ply::write(&path, &trainer.gaussians().untracked().to_rows(), capture.origin) {
+        Ok(()) => format!("{} is the scene before that step", path.display()),
+        Err(reason) => format!("the scene before that step could not be kept: {reason}"),
+    };
+    anyhow!("{error}. {kept}")
 }
 
 /// The photographs to train on and those to test on. All are decoded before the first step, so that a broken picture

@@ -255,7 +255,7 @@ impl Step {
         drop(grads);
         let rates = LearningRates::default();
         let means = rates.means;
-        self.scene.step(gradients, &Adam::default(), &StepRates { rates, means }, self.step);
+        self.scene.step(gradients, &Adam::default(), &StepRates { rates, means }, self.step, None);
         Ok(loss.inner())
     }
 }

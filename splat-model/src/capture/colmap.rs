@@ -19,7 +19,7 @@ use std::path::{Path, PathBuf};
 use glam::{DAffine3, DVec3};
 use splat_op::Intrinsics;
 
-use self::check::{At, Place};
+use self::check::{At, Place, quoted};
 use super::{Capture, CaptureError, PointCloud, View, origin};
 
 pub use write::write_binary;
@@ -194,7 +194,11 @@ fn check_unique(file: &Path, images: &[ImageRecord]) -> Result<(), CaptureError>
             return Err(place.refuse("IMAGE_ID", format!("{} again", image.id), "a number of its own for each image"));
         }
         if !names.insert(&image.name) {
-            return Err(place.refuse("NAME", format!("{:?} again", image.name), "a name of its own for each image"));
+            return Err(place.refuse(
+                "NAME",
+                format!("{} again", quoted(&image.name)),
+                "a name of its own for each image",
+            ));
         }
     }
     Ok(())
@@ -202,6 +206,6 @@ fn check_unique(file: &Path, images: &[ImageRecord]) -> Result<(), CaptureError>
 
 fn no_camera(files: &Files, image: &ImageRecord, cameras: usize) -> CaptureError {
     let place = Place { file: &files.images, kind: "image", at: image.at };
-    let found = format!("{} (of image {:?})", image.camera_id, image.name);
+    let found = format!("{} (of image {})", image.camera_id, quoted(&image.name));
     place.refuse("CAMERA_ID", found, format!("one of the {cameras} cameras in {}", files.cameras.display()))
 }

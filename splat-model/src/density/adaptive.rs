@@ -95,6 +95,19 @@ impl Adaptive {
         (step as f64) < self.config.until_share * self.steps as f64
     }
 
+    /// Whether [`Self::refine`] changes the scene at `step`, counted from 1.
+    pub fn acts_at(&self, step: usize) -> bool {
+        self.listens_at(step) && (self.densifies_at(step) || self.resets_at(step))
+    }
+
+    fn densifies_at(&self, step: usize) -> bool {
+        step >= self.config.from && step.is_multiple_of(self.config.every.max(1))
+    }
+
+    fn resets_at(&self, step: usize) -> bool {
+        self.config.reset_every > 0 && step.is_multiple_of(self.config.reset_every)
+    }
+
     /// Adds one step's `∂L/∂mean2d`, `[N, 2]` per px, of a picture of `size` px.
     pub fn observe(&mut self, grad_mean2d: Tensor<2>, size: (usize, usize)) {
         let device = grad_mean2d.device();
@@ -119,15 +132,14 @@ impl Adaptive {
         step: usize,
         rng: &mut impl Rng,
     ) -> Result<Option<RefineReport>, RowsError> {
-        let config = self.config;
         if !self.listens_at(step) {
             return Ok(None);
         }
         let mut report = None;
-        if step >= config.from && step.is_multiple_of(config.every.max(1)) {
+        if self.densifies_at(step) {
             report = Some(self.densify(scene, step, rng)?);
         }
-        if config.reset_every > 0 && step.is_multiple_of(config.reset_every) {
+        if self.resets_at(step) {
             let ceiling = (RESET_OPACITY / (1.0 - RESET_OPACITY)).ln();
             let logits = scene.gaussians.logit_opacities.val().inner().clamp_max(ceiling);
             scene.reset_opacities(logits);
@@ -173,11 +185,11 @@ impl Adaptive {
         }
     }
 
-    /// Too faint to matter, too large to be right, or not a number.
+    /// Too faint to matter, too large to be right, or unusable: no step of the optimiser makes finite what is not.
     fn is_doomed(&self, rows: &GaussianRows, i: usize, keep_largest: bool) -> bool {
         let opacity = 1.0 / (1.0 + (-f64::from(rows.logit_opacities[i])).exp());
         let largest = f64::from(largest_scale(rows, i));
-        let sound = opacity >= self.config.prune_opacity && largest.is_finite() && is_finite(rows, i);
+        let sound = opacity >= self.config.prune_opacity && rows.is_usable(i);
         !(sound && (keep_largest || largest <= self.config.prune_scale * self.extent))
     }
 
@@ -208,15 +220,6 @@ impl Adaptive {
         let limited = logs.clone().mask_where(logs.clone().greater(ceiling.clone()), ceiling);
         scene.replace_log_scales(limited);
     }
-}
-
-/// Whether all parameters of row `i` are finite. No step of the optimiser makes finite what is not.
-fn is_finite(rows: &GaussianRows, i: usize) -> bool {
-    let rest = rows.rest_per_row();
-    let short = [rows.means[i], rows.log_scales[i], rows.sh_dc[i]];
-    let rest = &rows.sh_rest[rest * i..rest * (i + 1)];
-    let mut all = short.as_flattened().iter().chain(&rows.rotations[i]).chain(rest);
-    rows.logit_opacities[i].is_finite() && all.all(|value| value.is_finite())
 }
 
 fn largest_scale(rows: &GaussianRows, i: usize) -> f32 {

@@ -1,7 +1,7 @@
 //! The only place that edits rows: of the parameters and, with them, of their Adam moments.
 
 use burn::module::Param;
-use burn::tensor::{Int, Tensor, TensorData};
+use burn::tensor::{Bool, Int, Tensor, TensorData};
 
 use crate::gaussians::{GaussianRows, Gaussians, RowsError, parameter};
 use crate::optim::{Adam, LearningRates, Moments};
@@ -119,17 +119,26 @@ impl Trained {
         self.gaussians.sh_rest = Some(parameter(on(&device, values)));
     }
 
-    /// One step of Adam on every parameter that has a gradient; `step` counts from 1.
-    pub fn step(&mut self, gradients: Gradients, adam: &Adam, rates: &StepRates, step: usize) {
+    /// One step of Adam on every parameter that has a gradient; `step` counts from 1. With `held`, `[1]`, the device decides
+    /// whether anything changes: nothing does where it is true.
+    pub fn step(
+        &mut self,
+        gradients: Gradients,
+        adam: &Adam,
+        rates: &StepRates,
+        step: usize,
+        held: Option<&Tensor<1, Bool>>,
+    ) {
         let (g, m) = (&mut self.gaussians, &mut self.moments);
         let LearningRates { scales, rotations, sh_dc, sh_rest, opacities, .. } = rates.rates;
-        update(&mut g.means, gradients.means, rates.means, &mut m.means, (adam, step));
-        update(&mut g.rotations, gradients.rotations, rotations, &mut m.rotations, (adam, step));
-        update(&mut g.log_scales, gradients.log_scales, scales, &mut m.log_scales, (adam, step));
-        update(&mut g.logit_opacities, gradients.logit_opacities, opacities, &mut m.logit_opacities, (adam, step));
-        update(&mut g.sh_dc, gradients.sh_dc, sh_dc, &mut m.sh_dc, (adam, step));
+        let adam = (adam, step, held);
+        update(&mut g.means, gradients.means, rates.means, &mut m.means, adam);
+        update(&mut g.rotations, gradients.rotations, rotations, &mut m.rotations, adam);
+        update(&mut g.log_scales, gradients.log_scales, scales, &mut m.log_scales, adam);
+        update(&mut g.logit_opacities, gradients.logit_opacities, opacities, &mut m.logit_opacities, adam);
+        update(&mut g.sh_dc, gradients.sh_dc, sh_dc, &mut m.sh_dc, adam);
         if let (Some(rest), Some(moments)) = (&mut g.sh_rest, &mut m.sh_rest) {
-            update(rest, gradients.sh_rest, sh_rest, moments, (adam, step));
+            update(rest, gradients.sh_rest, sh_rest, moments, adam);
         }
     }
 }
@@ -191,12 +200,22 @@ fn update<const D: usize>(
     gradient: Option<Tensor<D>>,
     rate: f64,
     moments: &mut Moments<D>,
-    (adam, step): (&Adam, usize),
+    (adam, step, held): (&Adam, usize, Option<&Tensor<1, Bool>>),
 ) {
     let Some(gradient) = gradient else { return };
     let device = param.val().device();
     let values = take(param);
-    *param = parameter(on(&device, adam.step(values, gradient, rate, moments, step)));
+    let Some(held) = held else {
+        *param = parameter(on(&device, adam.step(values, gradient, rate, moments, step)));
+        return;
+    };
+    let (old, history) = (values.clone(), moments.clone());
+    let new = adam.step(values, gradient, rate, moments, step);
+    let held = held.clone().reshape([1; D]).expand(old.shape());
+    let chosen = |new: Tensor<D>, old: Tensor<D>| new.mask_where(held.clone(), old);
+    moments.m = chosen(moments.m.clone(), history.m);
+    moments.v = chosen(moments.v.clone(), history.v);
+    *param = parameter(on(&device, chosen(new, old)));
 }
 
 fn edit_rows<const D: usize>(

@@ -49,10 +49,12 @@ fn opacities_within_rounding_of_one_keep_their_derivative() {
     let logits: Vec<f32> = (-40..=40).map(|i| 1.25 * i as f32).collect();
     let close = |found: f32, expected: f64| (f64::from(found) / expected - 1.0).abs() <= 1e-6;
     for device in devices() {
-        let x = Tensor::<1>::from_floats(logits.as_slice(), &device.clone().autodiff()).require_grad();
-        let opacities = logistic(x.clone());
-        let gradient = values_of(x.grad(&opacities.clone().sum().backward()).unwrap());
-        let plain = values_of(logistic(Tensor::<1>::from_floats(logits.as_slice(), &device)));
+        let rows = GaussianRows { logit_opacities: logits.clone(), ..random_rows(logits.len(), 1, 2) };
+        let scene = Gaussians::from_rows(&rows, &device.clone().autodiff()).unwrap();
+        let opacities = scene.opacities();
+        let gradient = scene.logit_opacities.val().grad(&opacities.clone().sum().backward()).unwrap();
+        let gradient = values_of(gradient);
+        let plain = values_of(Gaussians::from_rows(&rows, &device).unwrap().opacities());
         assert_eq!(values_of(opacities), plain);
         for ((logit, value), gradient) in logits.iter().zip(plain).zip(gradient) {
             let logit = f64::from(*logit);

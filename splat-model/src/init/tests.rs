@@ -2,7 +2,7 @@ use std::f64::consts::TAU;
 
 use burn::tensor::Device;
 use glam::{DMat3, Vec3};
-use rand::SeedableRng;
+use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use splat_op::{Camera, shade};
 
@@ -160,4 +160,25 @@ fn a_panorama_gets_points_around_it() {
     let around = |i: i32| TAU * f64::from(i) / 6.0;
     let cameras: Vec<_> = (0..6).map(|i| camera(centre, DVec3::new(around(i).cos(), 0.2, around(i).sin()))).collect();
     assert_shown(&cameras, [0.499, 1.501]);
+}
+
+#[test]
+fn a_small_cloud_begins_as_a_large_one() {
+    let mut rng = ChaCha8Rng::seed_from_u64(5);
+    let mut positions: Vec<[f32; 3]> = (0..50).map(|_| std::array::from_fn(|_| rng.random_range(-1.0..1.0))).collect();
+    // Two of them at one place, with two more: their distances are zero.
+    positions.extend([positions[0]; 3]);
+    let cloud = |scale: f32| PointCloud {
+        positions: positions.iter().map(|position| position.map(|c| c * scale)).collect(),
+        colours: vec![[0; 3]; positions.len()],
+    };
+    // A power of two, so that nothing is rounded.
+    let scale = 2.0_f32.powi(-10);
+    let (large, small) = (from_points(&cloud(0.25)).log_scales, from_points(&cloud(0.25 * scale)).log_scales);
+    for (i, (large, small)) in large.iter().zip(&small).enumerate() {
+        assert!((large[0] + scale.ln() - small[0]).abs() < 1e-5, "{i}: {} and {}", large[0], small[0]);
+    }
+    // The original's floor still holds for clouds of a unit and more.
+    let at_one_place = from_points(&cloud(4.0)).log_scales[0][0];
+    assert!((at_one_place - SMALLEST_SQUARED_DISTANCE.sqrt().ln()).abs() < 1e-6, "{at_one_place}");
 }

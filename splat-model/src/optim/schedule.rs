@@ -2,6 +2,7 @@
 
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
+use splat_op::RenderOptions;
 
 /// Exponential decay: the logarithm of the rate falls in a straight line.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -96,6 +97,13 @@ pub fn scene_extent(centres: &[DVec3]) -> f64 {
     if extent > rounding && extent.is_finite() { extent } else { 1.0 }
 }
 
+/// The near plane of a scene of `extent` (see [`scene_extent`]), scene units: that of [`RenderOptions::standard`], or a
+/// hundredth of the extent if that is less. A scene of a few millimetres, in metres, lies before a near plane of a
+/// centimetre as a whole.
+pub fn near_plane(extent: f64) -> f64 {
+    RenderOptions::standard().near * extent.min(1.0)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -135,6 +143,12 @@ mod tests {
         assert_close(scene_extent(&centres), 2.2);
         let far = DVec3::new(4e6, 5e6, 1e3);
         assert!((scene_extent(&centres.map(|centre| centre + far)) - 2.2).abs() < 1e-8);
+    }
+
+    #[test]
+    fn the_near_plane_shrinks_with_small_scenes_alone() {
+        assert_eq!([near_plane(1e3), near_plane(1.0)], [0.01; 2]);
+        assert_close(near_plane(4e-3), 4e-5);
     }
 
     #[test]

@@ -130,7 +130,7 @@ impl Input<'_> {
     }
 
     fn row_error(&self, element: &ElementDef, row: usize, error: &ParseError) -> PlyError {
-        let (path, name) = (self.path.to_path_buf(), element.name.clone());
+        let (path, name) = (self.path.to_path_buf(), brief(&element.name));
         match error.kind() {
             ErrorKind::UnexpectedEof => PlyError::Truncated { path, element: name, row, rows: element.count },
             ErrorKind::InvalidInput | ErrorKind::InvalidData => {
@@ -141,16 +141,26 @@ impl Input<'_> {
     }
 }
 
-/// The parser quotes whole lines over several lines; messages stay readable on one.
+/// The parser quotes whole lines over several lines, whatever they hold; messages stay readable on one, and terminals as they
+/// are.
 fn brief(message: &str) -> String {
     const MAX_CHARS: usize = 240;
     let words: Vec<&str> = message.split_whitespace().collect();
-    let mut text = words.join(" ");
+    let mut text: String = words.join(" ").chars().map(|c| if c.is_control() { '\u{fffd}' } else { c }).collect();
     if let Some((cut, _)) = text.char_indices().nth(MAX_CHARS) {
         text.truncate(cut);
         text.push('…');
     }
     text
+}
+
+/// What the parser says of a header, without the state of the parser that follows.
+fn header_detail(message: &str) -> String {
+    let says = message.split("Error: ParseError").next().unwrap_or(message);
+    format!(
+        "{}, expected lines `format`, `element`, `property`, `comment` and `obj_info` as the format has them",
+        brief(says)
+    )
 }
 
 fn parse_header(path: &Path, text: &[u8]) -> Result<Header, PlyError> {
@@ -159,7 +169,7 @@ fn parse_header(path: &Path, text: &[u8]) -> Result<Header, PlyError> {
     let text = String::from_utf8_lossy(text);
     let header = Parser::<Row>::new()
         .read_header(&mut Reader::new(text.as_bytes()))
-        .map_err(|error| broken(brief(&error.to_string())))?;
+        .map_err(|error| broken(header_detail(&error.to_string())))?;
     // The parser keeps the last of two equal names, and every row would then be read askew.
     let declared = |keyword: &str| text.lines().filter(|line| line.split_whitespace().next() == Some(keyword)).count();
     let properties = header.elements.values().map(|element| element.properties.len()).sum::<usize>();
@@ -204,7 +214,7 @@ fn quoted<'a>(names: impl Iterator<Item = &'a String>) -> String {
 fn check_properties(path: &Path, vertex: &ElementDef) -> Result<usize, PlyError> {
     let path_buf = || path.to_path_buf();
     if let Some(list) = vertex.properties.values().find(|p| matches!(p.data_type, PropertyType::List(..))) {
-        return Err(PlyError::ListProperty { path: path_buf(), property: list.name.clone() });
+        return Err(PlyError::ListProperty { path: path_buf(), property: brief(&list.name) });
     }
     let rest = vertex.properties.keys().filter(|name| name.starts_with("f_rest_")).count();
     let numbered = (0..rest).map(|i| format!("f_rest_{i}"));
@@ -233,7 +243,7 @@ fn check_size(path: &Path, header: &Header, payload_bytes: u64) -> Result<(), Pl
         if needed > payload_bytes.saturating_add(slack) {
             return Err(PlyError::TooManyRows {
                 path: path.to_path_buf(),
-                element: element.name.clone(),
+                element: brief(&element.name),
                 rows: element.count,
                 needed,
                 found: payload_bytes,

@@ -3,6 +3,7 @@
 use burn::backend::fusion::custom::TensorSpec;
 use burn::tensor::{DType, Shape};
 
+use crate::bind::activate::ActivateInputsMetadata;
 use crate::blend::{BlendGradsMetadata, BlendInputsMetadata, BlendNeeds, BlendSpec, TraceCell};
 use crate::op::SlotMetadata;
 use crate::project::{COLUMNS, ProjectGradsMetadata, ProjectInputsMetadata, ProjectNeeds, ProjectSpec};
@@ -17,6 +18,10 @@ fn slot(needed: bool, like: &TensorSpec) -> SlotMetadata {
 /// A tensor of the float type of `like`.
 fn float<const D: usize>(shape: [usize; D], like: &TensorSpec) -> TensorSpec {
     TensorSpec::new(Shape::from(shape), like.dtype)
+}
+
+pub(crate) fn opacities(inputs: &ActivateInputsMetadata) -> TensorSpec {
+    inputs.logit_opacities.clone()
 }
 
 pub(crate) fn project(inputs: &ProjectInputsMetadata, _: &TensorSpec, _: &ProjectSpec) -> TensorSpec {

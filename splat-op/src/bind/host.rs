@@ -44,6 +44,10 @@ impl<F: Real> Deref for Host<F> {
 impl HostBackend for Flex {
     fn host<F: Real>(tensor: FloatTensor<Self>) -> Host<F> {
         check_type::<F>(tensor.dtype());
+        // A slice of a tensor without elements may begin beyond its end.
+        if tensor.shape().num_elements() == 0 {
+            return Host::Copied(Vec::new());
+        }
         Host::Flex(if tensor.is_contiguous() { tensor } else { tensor.to_contiguous() })
     }
 }

@@ -1,5 +1,6 @@
 //! Where the stages meet Burn: its CPU and GPU backends, its fusion and its autodiff. Kernels and twins know none of them.
 
+pub(crate) mod activate;
 pub(crate) mod attach;
 mod autodiff;
 mod cpu;

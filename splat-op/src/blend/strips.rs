@@ -75,8 +75,9 @@ pub(super) fn blend_strips_kernel<A: FloatCell>(
                 hits[i as usize] = if comptime!(add) { gaussian } else { hit };
                 #[unroll]
                 for channel in 0..channels {
-                    colours[i as usize * channels + channel] =
-                        colour(projected, features, gaussian as usize, channel, shape);
+                    // Beside the last hit there is nothing; the colour of some Gaussian, times zero, may still be NaN.
+                    let value = colour(projected, features, gaussian as usize, channel, shape);
+                    colours[i as usize * channels + channel] = select(i < count, value, 0.0f32);
                 }
                 i += comptime!(units as u32);
             }

@@ -1,8 +1,7 @@
 //! A scene's render and gradients by the operation, on any device and float type.
 
 use burn::tensor::{DType, Device, Tensor};
-use splat_model::gaussians::logistic;
-use splat_op::{Camera, Colour, Extras, Splats, project, render};
+use splat_op::{Camera, Colour, Extras, RawSplats, Splats, activate, project, render};
 
 use crate::scene::{HardScene, Paint, Weights};
 use crate::tensors::{Named, host, leaf, tensor};
@@ -65,12 +64,27 @@ fn leaves(scene: &HardScene, device: &Device, dtype: DType) -> Leaves {
     let scales: Tensor<2> = leaf(&scene.scales, [count, 3], device, dtype);
     let opacities: Tensor<1> = leaf(&scene.opacities, [count], device, dtype);
     let colours: Tensor<2> = leaf(&scene.colours, [count, scene.colour_columns()], device, dtype);
+    let (means, rotations) =
+        (leaf(&scene.means, [count, 3], device, dtype), leaf(&scene.quats, [count, 4], device, dtype));
+    let (activated_scales, activated_opacities) = if scene.stored {
+        // As `splat_model::Gaussians` activates what it stores. Colours are not what these scenes are about.
+        let raw = RawSplats {
+            means: means.clone(),
+            rotations: rotations.clone(),
+            log_scales: scales.clone(),
+            logit_opacities: opacities.clone(),
+            sh: Tensor::zeros([count, 1, 3], (device, dtype)),
+        };
+        let fits = "shapes that the scene has";
+        (activate::scales(&scales).expect(fits), activate::opacities(&raw).expect(fits))
+    } else {
+        (scales.clone(), opacities.clone())
+    };
     let splats = Splats {
-        means: leaf(&scene.means, [count, 3], device, dtype),
-        rotations: leaf(&scene.quats, [count, 4], device, dtype),
-        // As `splat_model::Gaussians` activates what it stores.
-        scales: if scene.stored { scales.clone().exp() } else { scales.clone() },
-        opacities: if scene.stored { logistic(opacities.clone()) } else { opacities.clone() },
+        means,
+        rotations,
+        scales: activated_scales,
+        opacities: activated_opacities,
         colour: match scene.paint {
             Paint::Features(_) => Colour::Features(colours.clone()),
             Paint::Harmonics(degree) => {

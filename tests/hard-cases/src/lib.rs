@@ -18,6 +18,7 @@ pub mod evaluate;
 pub mod judge;
 pub mod number;
 pub mod scene;
+pub mod scratch;
 pub mod table;
 pub mod textbook;
 

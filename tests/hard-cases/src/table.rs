@@ -56,6 +56,9 @@ one ulp moves them by more than that. A case passes if no share exceeds 1, every
 must be culled is culled and nothing else, and neighbours that the hard ones do not reach keep every bit of their pixels and
 gradients. A bound above the ceiling is *loose*, with the reason below the table; it is not a pass.
 
+Cases that are not one scene (captures far away, poison, loss and optimiser, training) are held to what they say themselves: their
+shares are of that bound.
+
 The columns *textbook* hold the same scenes by the formulas of most implementations, in f32: determinant `a·c − b²`, an inverted
 covariance, an expanded quadratic form, division by `1 − α` on the way back. A dash means that the case does not touch them. Unless a
 case is about cuts nothing is cut, neither faint layers nor pixels that are almost opaque, since cuts hide what arithmetic does:
@@ -81,7 +84,8 @@ fn line(case: &Case, row: &Row) -> String {
     let of = |outcome: &Option<Outcome>, part: fn(&Outcome) -> Option<Score>| {
         outcome.as_ref().and_then(part).map_or("–".into(), score)
     };
-    let (forward, gradient): (fn(&Outcome) -> _, fn(&Outcome) -> _) = (|o| o.forward, |o| o.gradient);
+    type Part = fn(&Outcome) -> Option<Score>;
+    let (forward, gradient): (Part, Part) = (|o| o.forward, |o| o.gradient);
     let cells = [
         case.name.clone(),
         case.why.into(),

@@ -19,6 +19,9 @@ pub struct Metrics {
     pub test: Option<Scores>,
     /// Gaussians in the scene.
     pub splats: usize,
+    /// Those of them that are never drawn: a parameter is not finite or beyond what f32 computes with, or the rotation is
+    /// zero (see `splat_op::activate`).
+    pub culled_non_finite: usize,
     /// Training steps; null where none were made.
     pub steps: Option<usize>,
     /// Wall-clock times.
@@ -77,7 +80,7 @@ fn peak_of(status: &str) -> Option<f64> {
 }
 
 /// The names of the test views in a `metrics.json`; none if there is no such file or it is not ours.
-pub(super) fn views_of(path: &Path) -> Vec<String> {
+pub fn views_of(path: &Path) -> Vec<String> {
     let read = || serde_json::from_slice::<Value>(&std::fs::read(path).ok()?).ok();
     let metrics = read().unwrap_or_default();
     let views = metrics["test"]["views"].as_array();

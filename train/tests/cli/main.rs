@@ -2,6 +2,7 @@
 
 mod errors;
 mod hard_cases;
+mod non_finite;
 mod origin;
 mod run;
 
@@ -47,8 +48,9 @@ fn training_writes_the_scene_its_scores_and_its_pictures() {
     let out = TRAINED.as_path();
     assert_eq!(files(out), ["metrics.json", "scene.ply", "views/0000.png"].map(String::from).into());
     let metrics = json(&out.join("metrics.json"));
-    let expected = ["test", "splats", "steps", "seconds", "peak_rss_mib", "device", "seed", "options", "version"];
-    assert_eq!(keys(&metrics), expected.into());
+    let expected = ["test", "splats", "culled_non_finite", "steps", "seconds", "peak_rss_mib", "device", "seed"];
+    assert_eq!(keys(&metrics), expected.into_iter().chain(["options", "version"]).collect());
+    assert_eq!(metrics["culled_non_finite"], 0);
     assert_eq!(keys(&metrics["test"]), ["psnr", "ssim", "views"].into());
     assert_eq!(keys(&metrics["test"]["views"][0]), ["name", "psnr", "ssim"].into());
     assert_eq!(keys(&metrics["seconds"]), ["load", "train", "eval"].into());

@@ -5,7 +5,7 @@
 
 use std::path::Path;
 
-use super::check::{At, Place};
+use super::check::{At, Place, quoted};
 use super::{CameraRecord, ImageRecord, PointRecord};
 use crate::capture::CaptureError;
 
@@ -149,7 +149,7 @@ impl<'a> Input<'a> {
         self.rest = &rest[1..];
         match str::from_utf8(name) {
             Ok(name) => self.place().name(name),
-            Err(_) => Err(self.place().refuse("NAME", format!("{:?}", name.escape_ascii().to_string()), "UTF-8 text")),
+            Err(_) => Err(self.place().refuse("NAME", quoted(&name.escape_ascii().to_string()), "UTF-8 text")),
         }
     }
 

@@ -15,6 +15,15 @@ const MAX_MAGNITUDE: f64 = 1e15;
 const EXPORT_AGAIN: &str = "The file is damaged or the reconstruction failed: export it again, for instance with \
                             `colmap model_converter`";
 
+/// A name as messages quote it: escaped, and cut where it is longer than a line.
+pub(super) fn quoted(name: &str) -> String {
+    const MAX_CHARS: usize = 100;
+    match name.char_indices().nth(MAX_CHARS) {
+        None => format!("{name:?}"),
+        Some((cut, _)) => format!("{:?}… of {} bytes", &name[..cut], name.len()),
+    }
+}
+
 /// Where in a file an entry stands, counted from one.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum At {
@@ -108,7 +117,7 @@ impl Place<'_> {
 
     /// The error for a camera model that cannot be read or written yet.
     pub fn unsupported(&self, model: &str) -> CaptureError {
-        let model = model.escape_debug().to_string();
+        let model = quoted(model).trim_matches('"').to_owned();
         CaptureError::Model { file: self.file.to_owned(), place: self.to_string(), model }
     }
 
@@ -181,7 +190,7 @@ impl Place<'_> {
         }
         Err(self.refuse_with(
             "NAME",
-            format_args!("{name:?}"),
+            quoted(name),
             "a path below `images/`, neither absolute nor with `..`",
             "Reconstruct with the folder of pictures as COLMAP's `--image_path`, so that names are relative to it",
         ))

@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::str::FromStr;
 
-use super::check::{At, Place};
+use super::check::{At, Place, quoted};
 use super::{CameraRecord, ImageRecord, PointRecord};
 use crate::capture::CaptureError;
 
@@ -112,7 +112,7 @@ impl<'a> Line<'a> {
 
     fn parse<T: FromStr>(&mut self, field: &'static str, expected: &'static str) -> Result<T, CaptureError> {
         let value = self.field(field)?;
-        value.parse().map_err(|_| self.place.refuse(field, format!("{value:?}"), expected))
+        value.parse().map_err(|_| self.place.refuse(field, quoted(value), expected))
     }
 
     fn numbers<const N: usize>(&mut self, fields: [&'static str; N]) -> Result<[f64; N], CaptureError> {

@@ -35,7 +35,7 @@ fn random_gradients(of: &Gaussians) -> Gradients {
 }
 
 fn step(scene: &mut Trained, gradients: Gradients, step: usize) {
-    scene.step(gradients, &Adam::default(), &StepRates { rates: RATES, means: 0.06 }, step);
+    scene.step(gradients, &Adam::default(), &StepRates { rates: RATES, means: 0.06 }, step, None);
 }
 
 /// A scene with history in every moment.

@@ -4,11 +4,15 @@ mod cameras;
 mod colour;
 mod counts;
 mod depth;
+mod far;
+mod loss;
 mod near;
 mod needles;
 mod opacity;
+pub mod poison;
 mod rotations;
 mod sizes;
+mod training;
 
 use crate::case::Case;
 
@@ -33,7 +37,11 @@ pub const GROUPS: &[Group] = &[
     Group { name: "rotations", title: "Rotations", cases: rotations::cases },
     Group { name: "cameras", title: "Cameras", cases: cameras::cases },
     Group { name: "colour", title: "Colour", cases: colour::cases },
+    Group { name: "far", title: "Far from the origin, and very small", cases: far::cases },
+    Group { name: "poison", title: "Poison", cases: poison::cases },
     Group { name: "counts", title: "Numbers of things", cases: counts::cases },
+    Group { name: "loss", title: "Loss and optimiser", cases: loss::cases },
+    Group { name: "training", title: "Training", cases: training::cases },
 ];
 
 /// Every case, with its group.

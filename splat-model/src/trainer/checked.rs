@@ -1,0 +1,204 @@
+//! A step that looks at what every stage leaves, for `splat train --check`: slow, because all of it is read.
+
+use std::fmt;
+
+use burn::tensor::Tensor;
+use splat_op::{
+    Camera, Colour, Extras, Picture, Projected, RenderOptions, SplatError, Splats, Tiles, blend, project, shade, tile,
+};
+
+use crate::density::rows::Gradients;
+use crate::gaussians::{GaussianRows, values_of};
+
+/// The stages of a step, in the order in which they are computed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Stage {
+    /// Gaussians to ellipses.
+    Project,
+    /// Spherical harmonics to colours.
+    Shade,
+    /// Ellipses to tile lists.
+    Tile,
+    /// Tile lists to a picture.
+    Blend,
+    /// The picture to a number.
+    Loss,
+    /// The gradients of the parameters.
+    Gradients,
+    /// The parameters after the optimiser's step.
+    Parameters,
+}
+
+impl fmt::Display for Stage {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.write_str(match self {
+            Self::Project => "project",
+            Self::Shade => "shade",
+            Self::Tile => "tile",
+            Self::Blend => "blend",
+            Self::Loss => "loss",
+            Self::Gradients => "gradients",
+            Self::Parameters => "parameters",
+        })
+    }
+}
+
+/// What a stage left that it must not: the stage, and the field, the place, what was found and what was expected.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Wrong {
+    pub stage: Stage,
+    pub detail: String,
+}
+
+/// A step cannot go on.
+#[derive(Debug)]
+pub(super) enum Stopped {
+    /// The operation refused its inputs.
+    Op(SplatError),
+    /// A stage went wrong.
+    Wrong(Wrong),
+}
+
+impl From<SplatError> for Stopped {
+    fn from(error: SplatError) -> Self {
+        Self::Op(error)
+    }
+}
+
+impl From<Wrong> for Stopped {
+    fn from(wrong: Wrong) -> Self {
+        Self::Wrong(wrong)
+    }
+}
+
+/// The picture that [`splat_op::render`] gives, stage by stage, each of which is looked at before the next runs.
+pub(super) fn render_checked(
+    splats: &Splats,
+    camera: &Camera,
+    extras: &Extras,
+    options: &RenderOptions,
+) -> Result<Picture, Stopped> {
+    let projected = project(splats, camera, extras.mean2d_probe.as_ref(), options)?;
+    let opacities = check_projected(&projected)?;
+    let features = match &splats.colour {
+        Colour::SphericalHarmonics(sh) => shade(sh, &splats.means, camera)?,
+        Colour::Features(features) => features.clone(),
+    };
+    check_colours(&features, &opacities)?;
+    let tiles = tile(&projected, options)?;
+    check_tiles(&tiles, projected.len())?;
+    let picture = blend(&projected, &features, &tiles, extras, options)?;
+    check_picture(&picture)?;
+    Ok(picture)
+}
+
+/// Ellipses are finite, have an area, and opacities from 0 to 1, which are returned.
+fn check_projected(projected: &Projected) -> Result<Vec<f32>, Wrong> {
+    let ellipses = projected.ellipses();
+    let look = |field, values: &[f32], columns, expected, good: fn(f32) -> bool| {
+        look(Stage::Project, field, (values, columns, "Gaussian"), expected, good)
+    };
+    let positive = |value: f32| value > 0.0 && value.is_finite();
+    look("mean2d", &host(ellipses.mean2d), 2, "a finite number", f32::is_finite)?;
+    look("sigma_u", &host(ellipses.sigma_u), 1, "a positive, finite number", positive)?;
+    look("shear", &host(ellipses.shear), 1, "a finite number", f32::is_finite)?;
+    look("sigma_v", &host(ellipses.sigma_v), 1, "a positive, finite number", positive)?;
+    look("depth", &host(ellipses.depth), 1, "a finite number of at least 0", |z| z >= 0.0 && z.is_finite())?;
+    let opacities = host(ellipses.opacity);
+    look("opacity", &opacities, 1, "0 to 1", |value| (0.0..=1.0).contains(&value))?;
+    Ok(opacities)
+}
+
+/// Colours of what is drawn are finite. Those of masked Gaussians, which nobody sees, may be anything.
+fn check_colours(colours: &Tensor<2>, opacities: &[f32]) -> Result<(), Wrong> {
+    let columns = colours.dims()[1];
+    let mut values = host(colours.clone());
+    for (row, opacity) in values.chunks_exact_mut(columns).zip(opacities) {
+        if *opacity == 0.0 {
+            row.fill(0.0);
+        }
+    }
+    look(Stage::Shade, "colour", (&values, columns, "Gaussian"), "a finite number", f32::is_finite)
+}
+
+/// No tile lists more Gaussians than there are.
+fn check_tiles(tiles: &Tiles, splats: usize) -> Result<(), Wrong> {
+    let counts = host(tiles.counts.clone().float());
+    let wrong = counts.iter().position(|count| !(*count >= 0.0 && *count <= splats as f32));
+    match wrong {
+        None => Ok(()),
+        Some(at) => {
+            let detail = format!("tile {at} lists {} Gaussians, expected 0 to {splats}", counts[at]);
+            Err(Wrong { stage: Stage::Tile, detail })
+        }
+    }
+}
+
+fn check_picture(picture: &Picture) -> Result<(), Wrong> {
+    let channels = picture.colour.dims()[2];
+    let (colour, alpha) = (host(picture.colour.clone()), host(picture.alpha.clone()));
+    look(Stage::Blend, "colour", (&colour, channels, "pixel"), "a finite number", f32::is_finite)?;
+    look(Stage::Blend, "alpha", (&alpha, 1, "pixel"), "0 to 1", |value| (0.0..=1.0).contains(&value))
+}
+
+pub(super) fn check_loss(loss: &Tensor<1>) -> Result<(), Wrong> {
+    let value = host(loss.clone());
+    look(Stage::Loss, "the loss", (&value, 1, "value"), "a finite number", f32::is_finite)
+}
+
+pub(super) fn check_gradients(gradients: &Gradients) -> Result<(), Wrong> {
+    fn one<const D: usize>(field: &str, gradient: &Option<Tensor<D>>) -> Result<(), Wrong> {
+        let Some(gradient) = gradient else { return Ok(()) };
+        let columns = gradient.dims()[1..].iter().product();
+        let values = host(gradient.clone());
+        look(Stage::Gradients, field, (&values, columns, "Gaussian"), "a finite number", f32::is_finite)
+    }
+    one("means", &gradients.means)?;
+    one("rotations", &gradients.rotations)?;
+    one("log_scales", &gradients.log_scales)?;
+    one("logit_opacities", &gradients.logit_opacities)?;
+    one("sh_dc", &gradients.sh_dc)?;
+    one("sh_rest", &gradients.sh_rest)
+}
+
+/// No Gaussian became unusable. `before` and `after` are the same Gaussians.
+pub(super) fn check_parameters(before: &GaussianRows, after: &GaussianRows) -> Result<(), Wrong> {
+    let spoilt = (0..after.len()).find(|&i| before.is_usable(i) && !after.is_usable(i));
+    let Some(i) = spoilt else { return Ok(()) };
+    let rest = after.rest_per_row();
+    let detail = format!(
+        "Gaussian {i} became unusable: mean {:?}, rotation {:?}, log_scale {:?}, logit_opacity {}, sh_dc {:?}, sh_rest {:?}",
+        after.means[i],
+        after.rotations[i],
+        after.log_scales[i],
+        after.logit_opacities[i],
+        after.sh_dc[i],
+        &after.sh_rest[rest * i..rest * (i + 1)],
+    );
+    Err(Wrong { stage: Stage::Parameters, detail })
+}
+
+/// The first value that is not as expected.
+fn look(
+    stage: Stage,
+    field: &str,
+    (values, columns, row): (&[f32], usize, &str),
+    expected: &str,
+    good: fn(f32) -> bool,
+) -> Result<(), Wrong> {
+    let Some(at) = values.iter().position(|value| !good(*value)) else { return Ok(()) };
+    let (of, bad) = (at / columns.max(1), values.iter().filter(|value| !good(**value)).count());
+    let detail = format!(
+        "`{field}` of {row} {of} is {}, expected {expected}; {bad} of {} values are not",
+        values[at],
+        values.len()
+    );
+    Err(Wrong { stage, detail })
+}
+
+fn host<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
+    values_of(tensor.inner())
+}
+
+#[cfg(test)]
+mod tests;

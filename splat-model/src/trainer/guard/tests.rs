@@ -1,0 +1,160 @@
+use super::super::testing::{photos, points};
+use super::super::{Seen, TrainConfig, TrainError, Trainer};
+use super::*;
+use crate::density::AdaptiveConfig;
+use crate::gaussians::GaussianRows;
+use crate::loss::{DEFAULT_LAMBDA, photometric};
+
+fn number(value: f32) -> Tensor<1> {
+    Tensor::from_floats([value], &Device::flex())
+}
+
+fn gradients(logit: f32) -> Gradients {
+    Gradients { logit_opacities: Some(number(logit)), ..Gradients::default() }
+}
+
+/// As on a GPU, where results are waited for.
+fn waiting() -> Guard {
+    Guard { waits: true, ..Guard::new(&Device::flex()) }
+}
+
+#[test]
+fn where_nothing_is_waited_for_the_step_is_refused_at_once() {
+    let mut guard = Guard::new(&Device::flex());
+    assert!(guard.look(1, 4, &number(0.5), &gradients(2.0)).unwrap().is_none());
+    let fault = guard.look(2, 5, &number(0.5), &gradients(f32::NAN)).expect_err("not finite");
+    assert_eq!(fault, Fault { step: 2, view: 5, what: "the gradient of `logit_opacities`".into() });
+    let both = guard.look(3, 0, &number(f32::INFINITY), &gradients(f32::NAN)).expect_err("not finite");
+    assert_eq!(both.what, "the loss");
+}
+
+#[test]
+fn a_verdict_on_the_device_holds_back_that_step_and_all_after_it() {
+    let mut guard = waiting();
+    let mut held = |step: usize, loss: f32, logit: f32| {
+        let held = guard.look(step, 10 * step, &number(loss), &gradients(logit)).unwrap().expect("on the device");
+        held.into_scalar::<bool>()
+    };
+    assert_eq!([held(1, 0.5, 1.0), held(2, 0.4, f32::INFINITY), held(3, 0.3, 1.0)], [false, true, true]);
+    // What follows does not change the verdict.
+    assert!(held(4, f32::NAN, f32::NAN));
+    let fault = guard.read(true).expect_err("not finite");
+    assert_eq!(fault, Fault { step: 2, view: 20, what: "the gradient of `logit_opacities`".into() });
+}
+
+#[test]
+fn the_verdict_is_read_when_asked_for_and_at_the_latest_every_fifty_steps() {
+    let mut guard = waiting();
+    let look = |guard: &mut Guard, step: usize, loss: f32| guard.look(step, 0, &number(loss), &gradients(0.0));
+    for step in 1..=20 {
+        look(&mut guard, step, 1.0).unwrap();
+        guard.read(step % 7 == 0).unwrap();
+    }
+    look(&mut guard, 21, f32::NAN).unwrap();
+    let mut last = 21;
+    while guard.read(false).is_ok() {
+        last += 1;
+        look(&mut guard, last, 1.0).unwrap();
+    }
+    assert_eq!(last - 14, READ_EVERY);
+}
+
+/// A run of twelve steps in which everything happens, with a loss that goes wrong at one of them.
+fn run(bad_step: usize, spoil: fn(&Seen) -> Tensor<1>, checks: bool) -> (TrainError, GaussianRows, GaussianRows) {
+    let density = AdaptiveConfig { every: 3, from: 3, until_share: 0.9, grad_threshold: 1e-5, ..Default::default() };
+    let config = TrainConfig { steps: 12, sh_every: 2, density, ..TrainConfig::default() };
+    let trainer = Trainer::new(photos([0.0; 3]), &points(), config, &Device::flex()).unwrap();
+    let mut trainer = trainer.with_loss(move |seen: &Seen| {
+        let loss = photometric(seen.image.clone(), seen.truth, DEFAULT_LAMBDA);
+        if seen.step == bad_step { loss + spoil(seen) } else { loss }
+    });
+    if checks {
+        trainer = trainer.with_checks();
+    }
+    for _ in 1..bad_step {
+        trainer.step().unwrap();
+    }
+    // Harmonics grow before the step, which changes no picture.
+    trainer.scene.grow_sh(super::super::sh_degree_at(bad_step - 1, 2, 3));
+    let before = trainer.gaussians().to_rows();
+    let error = trainer.step().expect_err("not finite");
+    (error, before, trainer.gaussians().to_rows())
+}
+
+/// The value is 0, the derivative 0 · ∞.
+fn root_of_zero(of: Tensor<1>) -> Tensor<1> {
+    (of * 0.0).sqrt()
+}
+
+#[test]
+fn a_step_that_is_not_finite_changes_nothing_and_is_named() {
+    type Spoil = fn(&Seen) -> Tensor<1>;
+    let cases: [(usize, Spoil, &str); 4] = [
+        (1, |seen| seen.image.clone().mean() * f32::NAN, "the loss"),
+        (7, |seen| seen.image.clone().mean() * f32::INFINITY, "the loss"),
+        (5, |seen| root_of_zero(seen.splats.scales.clone().sum()), "the gradient of `log_scales`"),
+        (8, |seen| root_of_zero(seen.image.clone().sum()), "`means`, `rotations`, `log_scales`, `logit_opacities`"),
+    ];
+    for (bad_step, spoil, what) in cases {
+        let (error, before, after) = run(bad_step, spoil, false);
+        assert!(error.keeps_scene());
+        let message = error.to_string();
+        let TrainError::NonFinite { step, view, .. } = error else { panic!("{message}") };
+        assert_eq!(step, bad_step);
+        assert!(["a", "b", "c", "d"].contains(&view.as_str()));
+        for part in [what, &format!("step {step}"), &format!("photograph `{view}`"), "--check"] {
+            assert!(message.contains(part), "{part:?} is not in: {message}");
+        }
+        assert_eq!(after, before, "the scene changed");
+        assert_eq!(after.unusable(), 0);
+    }
+}
+
+#[test]
+fn checks_name_the_stage_and_change_nothing() {
+    type Spoil = fn(&Seen) -> Tensor<1>;
+    let cases: [(Spoil, &str, &str); 2] = [
+        (|seen| seen.image.clone().mean() * f32::NAN, "`loss`", "NaN"),
+        (|seen| root_of_zero(seen.splats.scales.clone().sum()), "`gradients`", "`log_scales` of Gaussian 0"),
+    ];
+    for (spoil, stage, detail) in cases {
+        let (error, before, after) = run(4, spoil, true);
+        let message = error.to_string();
+        for part in ["step 4", "photograph `", stage, "first to go wrong", detail] {
+            assert!(message.contains(part), "{part:?} is not in: {message}");
+        }
+        assert!(error.keeps_scene() && after == before);
+    }
+}
+
+/// A run of the given configuration until it stops.
+fn checked(config: TrainConfig) -> (TrainError, GaussianRows) {
+    let trainer = Trainer::new(photos([0.0; 3]), &points(), config, &Device::flex()).unwrap();
+    let mut trainer = trainer.with_checks();
+    let error = std::iter::repeat_with(|| trainer.step()).take(5).find_map(Result::err).expect("wrong");
+    (error, trainer.gaussians().to_rows())
+}
+
+#[test]
+fn checks_reach_the_picture_and_the_optimiser() {
+    let (error, rows) = checked(TrainConfig { steps: 5, background: [0.0, f32::NAN, 0.0], ..TrainConfig::default() });
+    assert!(matches!(error, TrainError::Check { step: 1, stage: super::super::Stage::Blend, .. }), "{error}");
+    assert_eq!(rows.unusable(), 0);
+    let mut config = TrainConfig { steps: 5, ..TrainConfig::default() };
+    config.learning_rates.scales = 1e39;
+    let (error, rows) = checked(config);
+    assert!(matches!(error, TrainError::Check { step: 1, stage: super::super::Stage::Parameters, .. }), "{error}");
+    assert!(error.to_string().contains("log_scale") && rows.unusable() == 0, "{error}");
+}
+
+#[test]
+fn checks_change_no_bit_of_a_sound_run() {
+    let config = TrainConfig { steps: 6, sh_every: 2, ..TrainConfig::default() };
+    let [plain, checked] = [false, true].map(|checks| {
+        let trainer = Trainer::new(photos([0.0; 3]), &points(), config.clone(), &Device::flex()).unwrap();
+        let mut trainer = if checks { trainer.with_checks() } else { trainer };
+        (0..6).for_each(|_| drop(trainer.step().unwrap()));
+        trainer.gaussians().to_rows()
+    });
+    assert_eq!(plain, checked);
+}

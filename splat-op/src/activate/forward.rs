@@ -1,0 +1,97 @@
+//! Kernels of `activate`: one unit per number, and per Gaussian where whole rows decide. What is not finite is known by its
+//! bits, because shader compilers may assume that NaN does not occur.
+
+use cubecl::prelude::*;
+
+use super::{LARGEST, LARGEST_LOG_SCALE};
+use crate::gpu::math::finite;
+
+/// Below this an exponential is no f32 any more, not even a subnormal one.
+const SMALLEST_EXPONENT: f32 = -110.0;
+
+/// The bits of [`LARGEST`]. Those of the absolute values of floats sort as the values do, and above all finite ones come the
+/// infinity and NaN.
+const LARGEST_BITS: u32 = (LARGEST as f32).to_bits();
+
+#[cube]
+fn bounded(value: f32) -> bool {
+    (u32::reinterpret(value) & 0x7fff_ffff) <= comptime!(LARGEST_BITS)
+}
+
+#[cube]
+fn usable_log_scale(log_scale: f32) -> bool {
+    finite(log_scale) && log_scale <= comptime!(LARGEST_LOG_SCALE as f32)
+}
+
+#[cube(launch_unchecked)]
+pub(super) fn scales_kernel(log_scales: &[f32], scales: &mut [f32], count: u32) {
+    if ABSOLUTE_POS < count as usize {
+        let log_scale = log_scales[ABSOLUTE_POS];
+        let usable = usable_log_scale(log_scale);
+        // What is unusable is replaced before it is computed with.
+        let scale = max(select(usable, log_scale, 0.0), SMALLEST_EXPONENT).exp();
+        scales[ABSOLUTE_POS] = select(usable, scale, 0.0);
+    }
+}
+
+#[cube(launch_unchecked)]
+pub(super) fn opacities_kernel(
+    means: &[f32],
+    rotations: &[f32],
+    log_scales: &[f32],
+    logit_opacities: &[f32],
+    sh: &[f32],
+    opacities: &mut [f32],
+    count: u32,
+    sh_row: u32,
+) {
+    let gaussian = ABSOLUTE_POS;
+    if gaussian < count as usize {
+        let logit = logit_opacities[gaussian];
+        let mut usable = finite(logit);
+        #[unroll]
+        for axis in 0..3 {
+            usable = usable && bounded(means[3 * gaussian + axis]) && usable_log_scale(log_scales[3 * gaussian + axis]);
+        }
+        let mut turned = 0u32;
+        #[unroll]
+        for component in 0..4 {
+            let value = rotations[4 * gaussian + component];
+            usable = usable && finite(value);
+            turned |= u32::reinterpret(value);
+        }
+        usable = usable && (turned & 0x7fff_ffff) != 0;
+        let row = sh_row as usize;
+        for k in 0..row {
+            usable = usable && bounded(sh[row * gaussian + k]);
+        }
+        let x = select(usable, logit, 0.0);
+        let e = max(-x.abs(), SMALLEST_EXPONENT).exp();
+        let opacity = select(x < 0.0, e, 1.0) / (1.0 + e);
+        opacities[gaussian] = select(usable, opacity, 0.0);
+    }
+}
+
+#[cube(launch_unchecked)]
+pub(super) fn opacity_slopes_kernel(logit_opacities: &[f32], opacities: &[f32], slopes: &mut [f32], count: u32) {
+    if ABSOLUTE_POS < count as usize {
+        let shown = opacities[ABSOLUTE_POS] > 0.0;
+        let e = max(-select(shown, logit_opacities[ABSOLUTE_POS], 0.0).abs(), SMALLEST_EXPONENT).exp();
+        let sum = 1.0 + e;
+        slopes[ABSOLUTE_POS] = select(shown, e / (sum * sum), 0.0);
+    }
+}
+
+/// Sets the flag if any of this unit's values, `stride` apart, is not finite. A device with a sound step never writes.
+#[cube(launch_unchecked)]
+pub(super) fn non_finite_kernel(values: &[f32], flag: &[Atomic<u32>], count: u32, stride: u32) {
+    let mut at = ABSOLUTE_POS;
+    let mut sound = true;
+    while at < count as usize {
+        sound = sound && finite(values[at]);
+        at += stride as usize;
+    }
+    if !sound {
+        flag[0].fetch_or(1u32);
+    }
+}

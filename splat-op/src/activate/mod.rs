@@ -1,0 +1,114 @@
+//! Unconstrained parameters → what [`crate::render`] takes, with unusable Gaussians masked before anything is computed
+//! from them. Differentiable. Beside it, for the other end of a step, a search for numbers that are not finite.
+//!
+//! `scale = exp(log_scale)`, `opacity = 1 / (1 + exp(−logit))` (Kerbl et al. 2023, section 5.1). Tensor code can do that;
+//! what it cannot do is keep a single poisoned Gaussian to itself. `exp` of an infinity is one, its derivative times a
+//! gradient of exactly zero is NaN, and a NaN among the colour coefficients is seen by nothing until it is in the picture.
+//!
+//! A Gaussian is **usable** if
+//!
+//! - every parameter is finite,
+//! - centre and colour coefficients are at most [`LARGEST`] in absolute value, so that their squares are finite too,
+//! - logarithms of standard deviations are at most [`LARGEST_LOG_SCALE`], so that their exponentials are,
+//! - its quaternion is not zero (any other length is normalised).
+//!
+//! One that is not gets opacity 0: `tile` then lists it nowhere, and it is as if it were not there. Its gradients are exactly
+//! zero, those through `exp` and the sigmoid included. An unusable logarithm of a standard deviation gives 0 for that
+//! standard deviation.
+//!
+//! Derivatives: `d scale = scale · d log_scale`; `d opacity = e / (1 + e)² · d logit` with `e = exp(−|logit|)`, which keeps
+//! its digits where `opacity (1 − opacity)` has lost them.
+//!
+//! Shapes: centres `[N, 3]`, quaternions `[N, 4]`, logarithms of standard deviations `[N, 3]`, logits `[N]`, coefficients
+//! `[N, K, 3]` → standard deviations `[N, 3]`, opacities `[N]`.
+
+pub(crate) mod cpu;
+#[cfg(feature = "cube")]
+mod forward;
+#[cfg(all(test, feature = "cube"))]
+mod kernel_tests;
+#[cfg(feature = "cube")]
+pub(crate) mod launch;
+#[cfg(test)]
+mod tests;
+
+use burn::backend::Dispatch;
+use burn::tensor::{Int, Tensor};
+
+use crate::bind::activate::{ActivateBackend, ActivateInputs};
+use crate::check::Reference;
+use crate::error::SplatError;
+
+/// The largest absolute value of a usable coordinate or colour coefficient: its square, and sums of many of those, are f32
+/// values. No scene that can be seen is that large.
+pub const LARGEST: f64 = 1e18;
+
+/// The largest usable logarithm of a standard deviation: `exp(88)` is 1.7e38, half of the largest f32.
+pub const LARGEST_LOG_SCALE: f64 = 88.0;
+
+/// Gaussians with unconstrained parameters, one row each, all of one float type and on one device.
+#[derive(Clone, Debug)]
+pub struct RawSplats {
+    /// `[N, 3]`: centres, world frame, scene units.
+    pub means: Tensor<2>,
+    /// `[N, 4]`: quaternions wxyz, world-from-Gaussian.
+    pub rotations: Tensor<2>,
+    /// `[N, 3]`: natural logarithms of the standard deviations along the rotated axes.
+    pub log_scales: Tensor<2>,
+    /// `[N]`: logits of the opacities.
+    pub logit_opacities: Tensor<1>,
+    /// `[N, K, 3]`: colour coefficients. Only whether they are usable matters here.
+    pub sh: Tensor<3>,
+}
+
+/// Standard deviations `[N, 3]`, scene units, from their natural logarithms; 0 where one is unusable.
+///
+/// # Errors
+/// If the shape or the float type does not fit.
+pub fn scales(log_scales: &Tensor<2>) -> Result<Tensor<2>, SplatError> {
+    let reference = Reference::new(log_scales)?;
+    reference.check("log_scales", log_scales, [None, Some(3)], "[N, 3]")?;
+    Ok(Tensor::from_dispatch(<Dispatch as ActivateBackend>::scales(log_scales.clone().into_dispatch())))
+}
+
+/// Opacities `[N]`, 0 to 1, from their logits; exactly 0 for a Gaussian that is unusable in any parameter. Differentiable in
+/// the logits.
+///
+/// # Errors
+/// If a tensor's shape, type or device does not fit.
+pub fn opacities(raw: &RawSplats) -> Result<Tensor<1>, SplatError> {
+    let reference = Reference::new(&raw.means)?;
+    let count = raw.means.dims()[0];
+    reference.check("means", &raw.means, [None, Some(3)], "[N, 3]")?;
+    reference.check("rotations", &raw.rotations, [Some(count), Some(4)], "[N, 4]")?;
+    reference.check("log_scales", &raw.log_scales, [Some(count), Some(3)], "[N, 3]")?;
+    reference.check("logit_opacities", &raw.logit_opacities, [Some(count)], "[N]")?;
+    reference.check("sh", &raw.sh, [Some(count), None, Some(3)], "[N, K, 3]")?;
+    let inputs = ActivateInputs {
+        means: raw.means.clone().into_dispatch(),
+        rotations: raw.rotations.clone().into_dispatch(),
+        log_scales: raw.log_scales.clone().into_dispatch(),
+        logit_opacities: raw.logit_opacities.clone().into_dispatch(),
+        sh: raw.sh.clone().into_dispatch(),
+    };
+    Ok(Tensor::from_dispatch(<Dispatch as ActivateBackend>::opacities(inputs)))
+}
+
+/// `[1]`: 1 if any of `values` is not finite, else 0. Reading it waits for the device; computing with it does not. Its
+/// gradients are not followed.
+pub fn non_finite<const D: usize>(values: &Tensor<D>) -> Tensor<1, Int> {
+    Tensor::from_dispatch(<Dispatch as ActivateBackend>::non_finite(values.clone().inner().into_dispatch()))
+}
+
+/// Whether a Gaussian is usable, by its parameters on the host: the rule of [this module](self). `sh` are all its colour
+/// coefficients, in any order.
+pub fn is_usable<'a>(
+    mean: &[f32; 3],
+    rotation: &[f32; 4],
+    log_scale: &[f32; 3],
+    logit_opacity: f32,
+    sh: impl IntoIterator<Item = &'a [f32]>,
+) -> bool {
+    let geometry = cpu::usable_geometry(mean, rotation, log_scale, logit_opacity);
+    geometry && sh.into_iter().all(cpu::bounded)
+}

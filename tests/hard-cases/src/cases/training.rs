@@ -1,0 +1,136 @@
+//! Whole runs on captures that training is known to diverge on.
+
+use burn::tensor::Tensor;
+use glam::DVec3;
+use splat_model::capture::demo::DemoOptions;
+use splat_model::capture::{Photo, PointCloud};
+use splat_model::gaussians::GaussianRows;
+use splat_model::optim::scene_extent;
+use splat_model::trainer::{TrainConfig, Trainer};
+
+use crate::case::{Case, Outcome, Place, Processor};
+use crate::scratch::{Scratch, demo};
+
+const DEMO: DemoOptions = DemoOptions { width: 40, height: 30, views: 6, points: 300, glossy: false, seed: 5 };
+
+/// Steps of a run; on a GPU fewer, because there may be none but a driver in software.
+const STEPS: usize = 500;
+/// See [`STEPS`].
+const GPU_STEPS: usize = 20;
+
+/// Gaussians stay within this many times the larger of the cameras' extent and the distance to the first Gaussians, from
+/// the cameras' middle; and smaller than that.
+const REACH: f64 = 3.0;
+
+/// No colour coefficient exceeds this: colours from −1.4 to 2.4.
+const LARGEST_COEFFICIENT: f32 = 7.0;
+
+/// The loss at the end, the mean of the last tenth, is at most this share of the one at the beginning; on a GPU, where two
+/// steps are compared with two, photographs differ by more than the first steps improve.
+const LOSS_SHARE: f64 = 1.0;
+/// See [`LOSS_SHARE`].
+const GPU_LOSS_SHARE: f64 = 1.2;
+
+type Change = fn(&mut Vec<Photo>, &mut PointCloud);
+
+pub fn cases() -> Vec<Case> {
+    let of = |name: &str, why, change: Change| {
+        Case::check(name, why, move |place| judge(place, change))
+            .hardness(format!("{STEPS} steps, {GPU_STEPS} on a GPU"))
+    };
+    vec![
+        of("training without points", "random Gaussians lie anywhere, most of them wrongly", |_, points| {
+            *points = PointCloud::default();
+        }),
+        of("training on one photograph", "nothing holds depth, and the cameras have no extent", |photos, _| {
+            photos.truncate(1)
+        }),
+        of("training on duplicate cameras", "cameras at one place, with contradicting photographs", |photos, _| {
+            let first = photos[0].clone();
+            photos.iter_mut().for_each(|photo| photo.cam_from_world = first.cam_from_world);
+            photos.push(first);
+        }),
+        of(
+            "training with a camera inside an object",
+            "Gaussians surround it, at depths down to nothing",
+            |photos, points| {
+                let pose = &mut photos[2].cam_from_world;
+                // At a point of the cloud, among its neighbours.
+                let centre = DVec3::from_array(points.positions[0].map(f64::from));
+                pose.translation = -(pose.matrix3 * centre);
+            },
+        ),
+        of(
+            "training with wildly wrong exposure",
+            "photographs of one thing that are black, right and white",
+            |photos, _| {
+                for (i, photo) in photos.iter_mut().enumerate() {
+                    let gain = [0.0, 1.0, 20.0][i % 3];
+                    photo.rgb.iter_mut().for_each(|value| *value = (f32::from(*value) * gain).min(255.0) as u8);
+                }
+            },
+        ),
+    ]
+}
+
+fn judge(place: &Place, change: Change) -> Outcome {
+    let mut outcome = Outcome::default();
+    let mut run = || -> Result<(), Box<dyn std::error::Error>> {
+        let scratch = Scratch::new()?;
+        let (capture, mut photos) = demo(scratch.path(), &DEMO)?;
+        let mut points = capture.points;
+        change(&mut photos, &mut points);
+        train(place, photos, &points, &mut outcome)
+    };
+    if let Err(error) = run() {
+        outcome.failures.push(error.to_string());
+    }
+    outcome
+}
+
+fn train(
+    place: &Place,
+    photos: Vec<Photo>,
+    points: &PointCloud,
+    outcome: &mut Outcome,
+) -> Result<(), Box<dyn std::error::Error>> {
+    let (steps, share) = match place.processor {
+        Processor::Cpu => (STEPS, LOSS_SHARE),
+        Processor::Gpu => (GPU_STEPS, GPU_LOSS_SHARE),
+    };
+    // All that happens in a run of 30,000 steps happens in this one: harmonics grow, Gaussians come and go, opacities are reset.
+    let mut config = TrainConfig { steps, sh_every: steps / 8, ..TrainConfig::default() };
+    config.density.every = steps / 10;
+    config.density.from = steps / 10;
+    // A short run would end in the dark.
+    config.density.reset_every = if place.processor == Processor::Gpu { 0 } else { steps / 3 };
+    config.density.max_splats = 1_500;
+    let centres: Vec<DVec3> = photos.iter().map(|photo| photo.cam_from_world.inverse().translation).collect();
+    let middle = centres.iter().sum::<DVec3>() / centres.len() as f64;
+    let mut trainer = Trainer::new(photos, points, config, &place.device)?;
+    let radius = |rows: &GaussianRows| {
+        let distances = rows.means.iter().map(|mean| middle.distance(DVec3::from_array(mean.map(f64::from))));
+        distances.fold(0.0, f64::max)
+    };
+    let reach = REACH * radius(&trainer.gaussians().to_rows()).max(scene_extent(&centres));
+    let mut losses: Vec<Tensor<1>> = Vec::new();
+    while !trainer.is_done() {
+        losses.push(trainer.step()?.loss);
+    }
+    let losses: Vec<f64> = losses.into_iter().map(|loss| loss.into_scalar::<f64>()).collect();
+    outcome.require(losses.iter().all(|loss| loss.is_finite()), || "a loss is not finite".into());
+    let mean = |losses: &[f64]| losses.iter().sum::<f64>() / losses.len() as f64;
+    let (first, last) = (mean(&losses[..steps / 10]), mean(&losses[steps - steps / 10..]));
+    outcome.require(last <= share * first, || format!("the loss went from {first:.4} to {last:.4}"));
+
+    let rows = trainer.gaussians().to_rows();
+    outcome.require(rows.unusable() == 0, || format!("{} of {} Gaussians are unusable", rows.unusable(), rows.len()));
+    outcome.require(!rows.is_empty() && rows.len() <= 1_500, || format!("{} Gaussians are left", rows.len()));
+    let (far, large) = (radius(&rows), rows.log_scales.as_flattened().iter().fold(f32::MIN, |a, b| a.max(*b)).exp());
+    outcome.require(far <= reach, || format!("a Gaussian is {far:.1} from the cameras, of {reach:.1}"));
+    outcome.require(f64::from(large) <= reach, || format!("a Gaussian is {large:.1} large, of {reach:.1}"));
+    let coefficients = rows.sh_dc.as_flattened().iter().chain(&rows.sh_rest);
+    let largest = coefficients.fold(0.0_f32, |largest, value| largest.max(value.abs()));
+    outcome.require(largest <= LARGEST_COEFFICIENT, || format!("a coefficient is {largest}"));
+    Ok(())
+}

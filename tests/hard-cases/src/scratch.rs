@@ -1,0 +1,59 @@
+//! Folders for cases that go through files.
+
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+use std::process;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use splat_model::capture::demo::{DemoError, DemoOptions, write};
+use splat_model::capture::{Capture, CaptureError, Photo, load_all};
+
+/// A folder that is removed when it is dropped.
+#[derive(Debug)]
+pub struct Scratch(PathBuf);
+
+impl Scratch {
+    /// An empty one, below the system's folder for such things.
+    ///
+    /// # Errors
+    /// If it cannot be made.
+    pub fn new() -> io::Result<Self> {
+        static COUNTER: AtomicU64 = AtomicU64::new(0);
+        let number = COUNTER.fetch_add(1, Ordering::Relaxed);
+        let path = std::env::temp_dir().join(format!("splat-hard-cases-{}-{number}", process::id()));
+        fs::create_dir_all(&path)?;
+        Ok(Self(path))
+    }
+
+    /// Where it is.
+    pub fn path(&self) -> &Path {
+        &self.0
+    }
+}
+
+impl Drop for Scratch {
+    fn drop(&mut self) {
+        // What is left there does no harm.
+        let _ = fs::remove_dir_all(&self.0);
+    }
+}
+
+/// The demo capture at a small size, and its photographs.
+///
+/// # Errors
+/// If it cannot be written or read.
+pub fn demo(folder: &Path, options: &DemoOptions) -> Result<(Capture, Vec<Photo>), DemoError> {
+    write(folder, options)?;
+    let capture = Capture::load(folder)?;
+    let photos = photographs(&capture)?;
+    Ok((capture, photos))
+}
+
+/// All photographs of a capture, in their full size.
+///
+/// # Errors
+/// If one cannot be read.
+pub fn photographs(capture: &Capture) -> Result<Vec<Photo>, CaptureError> {
+    load_all(&capture.views, None, |_| {})
+}

@@ -1,0 +1,92 @@
+//! Where the fields of an input are. What is broken already is split as far as it can be; the parts always add up to it.
+
+/// Words, blanks and line ends, each a field.
+pub fn text(input: &[u8]) -> Vec<Vec<u8>> {
+    let class = |byte: &u8| match byte {
+        b'\n' | b'\r' => 0,
+        byte if byte.is_ascii_whitespace() => 1,
+        b'"' | b',' | b':' | b'[' | b']' | b'{' | b'}' => 2,
+        _ => 3,
+    };
+    // Punctuation and line ends stand alone.
+    input.chunk_by(|a, b| class(a) == class(b) && matches!(class(a), 1 | 3)).map(<[u8]>::to_vec).collect()
+}
+
+/// The header of a PLY file as text, and its rows as numbers of four bytes, or as text too.
+pub fn ply(input: &[u8]) -> Vec<Vec<u8>> {
+    const END: &[u8] = b"end_header\n";
+    let header = input.windows(END.len()).position(|window| window == END).map_or(input.len(), |at| at + END.len());
+    let (header, rows) = input.split_at(header);
+    let mut fields = text(header);
+    match header.windows(5).any(|window| window == b"ascii") {
+        true => fields.extend(text(rows)),
+        false => fields.extend(rows.chunks(4).map(<[u8]>::to_vec)),
+    }
+    fields
+}
+
+/// The files of a COLMAP model.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Part {
+    Cameras,
+    Images,
+    Points,
+}
+
+/// A file of a binary COLMAP model, entry by entry as the format's document has them.
+pub fn colmap(part: Part, input: &[u8]) -> Vec<Vec<u8>> {
+    let mut rest = input;
+    let mut fields = Vec::new();
+    let mut take = |bytes: usize| {
+        let (field, left) = rest.split_at(bytes.min(rest.len()));
+        rest = left;
+        if !field.is_empty() {
+            fields.push(field.to_vec());
+        }
+        (rest.is_empty(), field)
+    };
+    let number = |field: &[u8]| field.iter().rev().fold(0_u64, |sum, byte| (sum << 8) | u64::from(*byte));
+    take(8);
+    loop {
+        let ended = match part {
+            Part::Cameras => {
+                take(4);
+                let parameters = if number(take(4).1) == 0 { 3 } else { 4 };
+                (0..2 + parameters).map(|_| take(8).0).last()
+            }
+            Part::Images => {
+                take(4);
+                (0..7).for_each(|_| _ = take(8));
+                take(4);
+                // A name, byte by byte until its end.
+                while !matches!(take(1), (true, _) | (_, [0])) {}
+                let keypoints = number(take(8).1);
+                (0..3 * keypoints.min(8)).map(|_| take(8).0).last().or(Some(false))
+            }
+            Part::Points => {
+                (0..4).for_each(|_| _ = take(8));
+                (0..3).for_each(|_| _ = take(1));
+                take(8);
+                let track = number(take(8).1);
+                (0..2 * track.min(8)).map(|_| take(4).0).last().or(Some(false))
+            }
+        };
+        if ended == Some(true) || take(0).0 {
+            return fields;
+        }
+    }
+}
+
+#[test]
+fn fields_add_up_to_the_input() {
+    let ascii = b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n1.5 2\n";
+    assert!(ply(ascii).contains(&b"1.5".to_vec()) && ply(ascii).contains(&b"vertex".to_vec()));
+    let json = br#"{"a": [1, 2.5], "b": "c d"}"#;
+    for input in [&ascii[..], json, b"", b"\n\n", &[0xff; 100]] {
+        assert_eq!(text(input).concat(), input);
+        assert_eq!(ply(input).concat(), input);
+        for part in [Part::Cameras, Part::Images, Part::Points] {
+            assert_eq!(colmap(part, input).concat(), input, "{part:?}");
+        }
+    }
+}
