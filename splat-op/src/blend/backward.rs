@@ -11,7 +11,7 @@
 
 use cubecl::prelude::*;
 
-use super::layer::{Footprint, Limits, Shape, colour, first_slot};
+use super::layer::{Footprint, Limits, Shape, colour, first_slot, layer};
 use crate::gpu::reduce::cube_sum;
 use crate::project::COLUMNS;
 use crate::tile::forward::Frame;
@@ -67,7 +67,8 @@ pub(super) fn blend_behind_kernel(
         let column = tile % frame.tiles_x * comptime!(TILE as u32) + unit % comptime!(TILE as u32);
         let row = tile / frame.tiles_x * comptime!(TILE as u32) + unit / comptime!(TILE as u32);
         let x = f32::cast_from(column) + 0.5;
-        let y = f32::cast_from(row) + 0.5;
+        let own_row = unit / comptime!(TILE as u32);
+        let top = f32::cast_from(row - own_row) + 0.5;
         let inside = column < frame.width && row < frame.height;
         let plane = (frame.width * frame.height) as usize;
         let pixel = (row * frame.width + column) as usize;
@@ -119,27 +120,26 @@ pub(super) fn blend_behind_kernel(
                 } else {
                     seen = 0.0f32;
                     let mut relative = 1.0f32;
+                    let mut stopped = 0.0f32;
                     let end = min((bucket + 1) * comptime!(shape.bucket as u32), places);
                     let mut place = bucket * comptime!(shape.bucket as u32);
                     let mut open = true;
                     while place < end && open {
                         let gaussian = gaussian_of_hit[hit_of_place[(first + place) as usize] as usize] as usize;
                         let footprint = Footprint::of(projected, gaussian);
-                        let (u, v) = footprint.whiten(x, y);
+                        let (u, v) = footprint.whiten(x, top, f32::cast_from(own_row));
                         let alpha = footprint.alpha(u, v, frame.alpha_min, limits.alpha_max);
+                        let (alpha, next, stops) = layer(alpha, relative, stopped, kept[at], limits.transmittance_min);
                         if alpha > 0.0 {
-                            let next = relative * (1.0 - alpha);
-                            if kept[at] * next <= limits.transmittance_min {
-                                open = false;
-                            } else {
-                                let mut along = grad_alpha;
-                                for channel in 0..channels {
-                                    along += own[channel] * colour(projected, features, gaussian, channel, shape);
-                                }
-                                seen += alpha * relative * along;
-                                relative = next;
+                            let mut along = grad_alpha;
+                            for channel in 0..channels {
+                                along += own[channel] * colour(projected, features, gaussian, channel, shape);
                             }
+                            seen += alpha * relative * along;
                         }
+                        open = next >= 0.0;
+                        relative = next;
+                        stopped = stops;
                         place += 1;
                     }
                 }

@@ -131,7 +131,7 @@ pub(super) fn blend_buckets_kernel<A: FloatCell>(
                     let first_row = tile_row + row;
                     let in_tile = (row * comptime!(TILE as u32) + column) as usize;
                     let x = left + f32::cast_from(column);
-                    let y = top + f32::cast_from(row);
+                    let own_row = f32::cast_from(row);
                     let plane = (frame.width * frame.height) as usize;
                     let at = slot as usize * comptime!(shape.kept() * TILE_PIXELS) + in_tile;
 
@@ -141,7 +141,9 @@ pub(super) fn blend_buckets_kernel<A: FloatCell>(
                     let mut grad_alpha = Array::<f32>::new(pixels);
                     let mut gradients = Array::<f32>::new(comptime!(pixels * channels));
                     let mut through = Array::<f32>::new(pixels);
-                    let mut checkpoints = Sequence::<Array<f32>>::new();
+                    let mut stopped = Array::<f32>::new(pixels);
+                    let mut through_at = Sequence::<Array<f32>>::new();
+                    let mut stopped_at = Sequence::<Array<f32>>::new();
                     #[unroll]
                     for p in 0..pixels {
                         before[p] = kept[at + comptime!(block.in_tile(p))];
@@ -164,12 +166,16 @@ pub(super) fn blend_buckets_kernel<A: FloatCell>(
                             }
                         }
                         through[p] = select(before[p] >= 0.0, 1.0f32, -1.0f32);
-                        let mut of_pixel = Array::<f32>::new(comptime!(size / STEP));
-                        of_pixel[0] = through[p];
-                        checkpoints.push(of_pixel);
+                        stopped[p] = 0.0f32;
+                        let mut first_through = Array::<f32>::new(comptime!(size / STEP));
+                        let mut first_stopped = Array::<f32>::new(comptime!(size / STEP));
+                        first_through[0] = through[p];
+                        first_stopped[0] = stopped[p];
+                        through_at.push(first_through);
+                        stopped_at.push(first_stopped);
                     }
 
-                    // Forwards: what the layers before each step let through.
+                    // Forwards: what the layers before each step let through, and stop.
                     if steps > 1 {
                         let mut step = 1u32;
                         loop {
@@ -179,16 +185,21 @@ pub(super) fn blend_buckets_kernel<A: FloatCell>(
                                 let footprint = Footprint::among(&splats, i as usize);
                                 #[unroll]
                                 for p in 0..pixels {
-                                    let (u, below) = footprint.along_column(x + comptime!(block.pixel(p)[0] as f32), y);
-                                    let v = (below + comptime!(block.pixel(p)[1] as f32)) * footprint.inverse_v;
+                                    let (u, below) =
+                                        footprint.along_column(x + comptime!(block.pixel(p)[0] as f32), top);
+                                    let v =
+                                        (below + (own_row + comptime!(block.pixel(p)[1] as f32))) * footprint.inverse_v;
                                     let alpha = footprint.alpha(u, v, frame.alpha_min, limits.alpha_max);
-                                    let (_, next) = layer(alpha, through[p], before[p], limits.transmittance_min);
+                                    let (_, next, stops) =
+                                        layer(alpha, through[p], stopped[p], before[p], limits.transmittance_min);
+                                    stopped[p] = stops;
                                     through[p] = next;
                                 }
                             }
                             #[unroll]
                             for p in 0..pixels {
-                                checkpoints.index_mut(p)[step as usize] = through[p];
+                                through_at.index_mut(p)[step as usize] = through[p];
+                                stopped_at.index_mut(p)[step as usize] = stopped[p];
                             }
                             step += 1;
                             if step >= steps {
@@ -206,7 +217,8 @@ pub(super) fn blend_buckets_kernel<A: FloatCell>(
                         let mut weights = Array::<f32>::new(comptime!(STEP * pixels));
                         #[unroll]
                         for p in 0..pixels {
-                            through[p] = checkpoints[p][step as usize];
+                            through[p] = through_at[p][step as usize];
+                            stopped[p] = stopped_at[p][step as usize];
                         }
                         #[unroll]
                         for k in 0..comptime!(STEP) {
@@ -214,10 +226,12 @@ pub(super) fn blend_buckets_kernel<A: FloatCell>(
                             let footprint = Footprint::among(&splats, i as usize);
                             #[unroll]
                             for p in 0..pixels {
-                                let (u, below) = footprint.along_column(x + comptime!(block.pixel(p)[0] as f32), y);
-                                let v = (below + comptime!(block.pixel(p)[1] as f32)) * footprint.inverse_v;
+                                let (u, below) = footprint.along_column(x + comptime!(block.pixel(p)[0] as f32), top);
+                                let v = (below + (own_row + comptime!(block.pixel(p)[1] as f32))) * footprint.inverse_v;
                                 let alpha = footprint.alpha(u, v, frame.alpha_min, limits.alpha_max);
-                                let (alpha, next) = layer(alpha, through[p], before[p], limits.transmittance_min);
+                                let (alpha, next, stops) =
+                                    layer(alpha, through[p], stopped[p], before[p], limits.transmittance_min);
+                                stopped[p] = stops;
                                 alphas[comptime!(k * pixels + p)] = alpha;
                                 weights[comptime!(k * pixels + p)] = alpha * (before[p] * through[p]);
                                 through[p] = next;
@@ -241,7 +255,7 @@ pub(super) fn blend_buckets_kernel<A: FloatCell>(
                             }
                             #[unroll]
                             for across in 0..comptime!(block.across) {
-                                let (u, below) = footprint.along_column(x + comptime!(across as f32), y);
+                                let (u, below) = footprint.along_column(x + comptime!(across as f32), top);
                                 // Sums of `h, h v, h v²` down the column, where `u` is the same.
                                 let mut h_sum = 0.0f32;
                                 let mut hv_sum = 0.0f32;
@@ -261,7 +275,7 @@ pub(super) fn blend_buckets_kernel<A: FloatCell>(
                                     let ahead = along - rho[p];
                                     rho[p] += alpha * ahead;
                                     let h = select(alpha < limits.alpha_max, weight * ahead, 0.0);
-                                    let v = (below + comptime!(line as f32)) * footprint.inverse_v;
+                                    let v = (below + (own_row + comptime!(line as f32))) * footprint.inverse_v;
                                     let hv = h * v;
                                     h_sum += h;
                                     hv_sum += hv;

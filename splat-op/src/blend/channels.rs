@@ -6,7 +6,7 @@
 use cubecl::prelude::*;
 
 use super::backward::{MOMENTS, plane_of, row_len, tile_of_slot};
-use super::layer::{BUCKET, FOOTPRINT, Footprint, Limits, Shape, colour, first_slot};
+use super::layer::{BUCKET, FOOTPRINT, Footprint, Limits, Shape, colour, first_slot, layer};
 use crate::gpu::atomic::FloatCell;
 use crate::tile::forward::Frame;
 use crate::tile::{TILE, TILE_PIXELS};
@@ -95,26 +95,25 @@ pub(super) fn blend_channels_kernel<A: FloatCell>(
                     let column = origin_x + pixel % comptime!(TILE as u32);
                     let line = origin_y + pixel / comptime!(TILE as u32);
                     let x = f32::cast_from(column) + 0.5;
-                    let y = f32::cast_from(line) + 0.5;
+                    let own_row = pixel / comptime!(TILE as u32);
+                    let top = f32::cast_from(origin_y) + 0.5;
                     let inside = column < frame.width && line < frame.height;
                     let in_picture = (line * frame.width + column) as usize;
                     let before = kept[at + pixel as usize];
-                    let mut open = before >= 0.0;
-                    let mut through = 1.0f32;
+                    let mut through = select(before >= 0.0, 1.0f32, -1.0f32);
+                    let mut stopped = 0.0f32;
                     for i in 0..count {
                         let mut alpha = 0.0f32;
-                        if open {
+                        if through >= 0.0 {
                             let footprint = Footprint::load(&footprints, i as usize);
-                            let (u, v) = footprint.whiten(x, y);
-                            alpha = footprint.alpha(u, v, frame.alpha_min, limits.alpha_max);
-                            let next = through * (1.0 - alpha);
-                            if alpha > 0.0 && before * next <= limits.transmittance_min {
-                                open = false;
-                                alpha = 0.0f32;
-                            } else {
-                                weights[i as usize * stride + unit as usize] = alpha * (before * through);
-                                through = next;
-                            }
+                            let (u, v) = footprint.whiten(x, top, f32::cast_from(own_row));
+                            let value = footprint.alpha(u, v, frame.alpha_min, limits.alpha_max);
+                            let (contributes, next, stops) =
+                                layer(value, through, stopped, before, limits.transmittance_min);
+                            alpha = contributes;
+                            weights[i as usize * stride + unit as usize] = alpha * (before * through);
+                            through = next;
+                            stopped = stops;
                         }
                         alphas[i as usize * stride + unit as usize] = alpha;
                     }
@@ -177,8 +176,12 @@ pub(super) fn blend_channels_kernel<A: FloatCell>(
                             if weight != 0.0 {
                                 let pixel = block * comptime!(units as u32) + other;
                                 let column = origin_x + pixel % comptime!(TILE as u32);
-                                let line = origin_y + pixel / comptime!(TILE as u32);
-                                let (u, v) = footprint.whiten(f32::cast_from(column) + 0.5, f32::cast_from(line) + 0.5);
+                                let row_of = f32::cast_from(pixel / comptime!(TILE as u32));
+                                let (u, v) = footprint.whiten(
+                                    f32::cast_from(column) + 0.5,
+                                    f32::cast_from(origin_y) + 0.5,
+                                    row_of,
+                                );
                                 let h = alphas[index];
                                 let hu = h * u;
                                 let hv = h * v;

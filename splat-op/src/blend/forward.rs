@@ -9,7 +9,9 @@
 
 use cubecl::prelude::*;
 
-use super::layer::{Block, FOOTPRINT, Footprint, Limits, Shape, block_origin, colour, first_slot, layer};
+use super::layer::{
+    Block, FOOTPRINT, Footprint, Limits, Shape, behind_bucket, block_origin, colour, first_slot, layer,
+};
 use crate::tile::forward::Frame;
 use crate::tile::{TILE, TILE_PIXELS};
 
@@ -53,13 +55,15 @@ pub(super) fn blend_forward_kernel(
         let first_row = tile / frame.tiles_x * comptime!(TILE as u32) + row;
         let in_tile = (row * comptime!(TILE as u32) + column) as usize;
         let x = f32::cast_from(first_column) + 0.5;
-        let y = f32::cast_from(first_row) + 0.5;
+        let top = f32::cast_from(first_row - row) + 0.5;
+        let own_row = f32::cast_from(row);
         let first = tile_start[tile as usize];
         let places = tile_start[tile as usize + 1] - first;
         let slot = first_slot(first, tile, shape);
 
         let mut transmittance = Array::<f32>::new(pixels);
         let mut through = Array::<f32>::new(pixels);
+        let mut stopped = Array::<f32>::new(pixels);
         let mut sums = Array::<f32>::new(comptime!(pixels * channels));
         let mut own = Array::<f32>::new(comptime!(pixels * channels));
         #[unroll]
@@ -112,6 +116,7 @@ pub(super) fn blend_forward_kernel(
                     #[unroll]
                     for p in 0..pixels {
                         through[p] = select(transmittance[p] >= 0.0, 1.0f32, -1.0f32);
+                        stopped[p] = 0.0f32;
                         #[unroll(few)]
                         for channel in 0..channels {
                             own[comptime!(p * channels) + channel] = 0.0f32;
@@ -129,12 +134,14 @@ pub(super) fn blend_forward_kernel(
                         }
                         #[unroll]
                         for p in 0..pixels {
-                            let (u, below) = footprint.along_column(x + comptime!(block.pixel(p)[0] as f32), y);
-                            let v = (below + comptime!(block.pixel(p)[1] as f32)) * footprint.inverse_v;
+                            let (u, below) = footprint.along_column(x + comptime!(block.pixel(p)[0] as f32), top);
+                            let v = (below + (own_row + comptime!(block.pixel(p)[1] as f32))) * footprint.inverse_v;
                             let alpha = footprint.alpha(u, v, frame.alpha_min, limits.alpha_max);
                             let before = through[p];
-                            let (alpha, next) = layer(alpha, before, transmittance[p], limits.transmittance_min);
+                            let (alpha, next, stops) =
+                                layer(alpha, before, stopped[p], transmittance[p], limits.transmittance_min);
                             through[p] = next;
+                            stopped[p] = stops;
                             if comptime!(few) {
                                 let weight = alpha * before;
                                 #[unroll]
@@ -176,7 +183,7 @@ pub(super) fn blend_forward_kernel(
                                 before.abs() * own[comptime!(p * channels) + channel];
                         }
                         // A pixel that finished in this bucket becomes negative here; one that had finished stays.
-                        transmittance[p] = select(before >= 0.0, before * through[p], before);
+                        transmittance[p] = behind_bucket(before, through[p], stopped[p]);
                     }
                     bucket += comptime!(shape.bucket as u32);
                 }

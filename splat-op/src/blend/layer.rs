@@ -165,19 +165,19 @@ impl Footprint {
         }
     }
 
-    /// `u` in the column at `x` px, and how far its pixel at `y` px lies below the ellipse's axis there, px: in a row further
-    /// down, by so much more. Times `inverse_v` that is `v`. Small numbers are added to a distance, never to a coordinate,
-    /// whose digits are coarser.
-    pub fn along_column(&self, x: f32, y: f32) -> (f32, f32) {
+    /// `u` in the column at `x` px, and how far its pixel in the tile's first row, at `top` px, lies below the ellipse's axis
+    /// there, px: in a row further down, by so much more. Times `inverse_v` that is `v`. Small numbers are added to a
+    /// distance, never to a coordinate, whose digits are coarser; and as every kernel counts from the tile's first row,
+    /// whatever its units' pixels are, all come to the same bits.
+    pub fn along_column(&self, x: f32, top: f32) -> (f32, f32) {
         let dx = x - self.x;
-        (dx * self.inverse_u, (y - self.y) - self.shear * dx)
+        (dx * self.inverse_u, (top - self.y) - self.shear * dx)
     }
 
-    /// `u, v` of a pixel with its centre at `x, y` px.
-    pub fn whiten(&self, x: f32, y: f32) -> (f32, f32) {
-        let dx = x - self.x;
-        let dy = y - self.y;
-        (dx * self.inverse_u, (dy - self.shear * dx) * self.inverse_v)
+    /// `u, v` of the pixel in the column at `x` px, `row` rows below the tile's first one at `top` px.
+    pub fn whiten(&self, x: f32, top: f32, row: f32) -> (f32, f32) {
+        let (u, below) = self.along_column(x, top);
+        (u, (below + row) * self.inverse_v)
     }
 
     /// The alpha at whitened coordinates; zero where it does not show.
@@ -220,16 +220,32 @@ impl Footprint {
     }
 }
 
-/// Passes a layer at a pixel: its alpha, zero if it does not contribute, and what is let through behind it relative to the
-/// bucket; negative where the pixel is finished.
+/// Passes a layer at a pixel: its alpha, zero if it does not contribute, and what the bucket's layers so far let through,
+/// negative where the pixel is finished, and stop.
+///
+/// While little is stopped, what is let through is the rest of one: what has been stopped is a sum whose roundings are as
+/// small as it is, where the product of many factors next to one takes a rounding of one from each.
 #[cube]
-pub(super) fn layer(alpha: f32, through: f32, before: f32, transmittance_min: f32) -> (f32, f32) {
+pub(super) fn layer(alpha: f32, through: f32, stopped: f32, before: f32, transmittance_min: f32) -> (f32, f32, f32) {
+    let stops = fma(alpha, through, stopped);
     // Not times `1 − α`, which is rounded, for all layers of one faint alpha the same way.
-    let next = fma(-alpha, through, through);
+    let next = select(stops < 0.5, 1.0 - stops, fma(-alpha, through, through));
     let shows = alpha > 0.0 && through >= 0.0;
     let finishes = shows && before * next <= transmittance_min;
     let contributes = shows && !finishes;
-    (select(contributes, alpha, 0.0), select(contributes, next, select(finishes, -through, through)))
+    (
+        select(contributes, alpha, 0.0),
+        select(contributes, next, select(finishes, -through, through)),
+        select(contributes, stops, stopped),
+    )
+}
+
+/// The transmittance behind a bucket from that before it and what the bucket lets through and stops. Negative if either of
+/// the former two is: the pixel was finished before the bucket or within.
+#[cube]
+pub(super) fn behind_bucket(before: f32, through: f32, stopped: f32) -> f32 {
+    let left = select(stopped < 0.5, fma(-stopped, before, before), before * through.abs());
+    select(before >= 0.0, select(through >= 0.0, left, -left), before)
 }
 
 /// The first slot of a tile's buckets: a slot per started bucket, so that no two tiles share one and no list of slots

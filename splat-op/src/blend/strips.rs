@@ -98,7 +98,8 @@ pub(super) fn blend_strips_kernel<A: FloatCell>(
                 let first_row = tile / frame.tiles_x * comptime!(TILE as u32) + row;
                 let in_tile = (row * comptime!(TILE as u32) + column) as usize;
                 let x = f32::cast_from(first_column) + 0.5;
-                let y = f32::cast_from(first_row) + 0.5;
+                let top = f32::cast_from(first_row - row) + 0.5;
+                let own_row = f32::cast_from(row);
                 let plane = (frame.width * frame.height) as usize;
                 let at = slot as usize * comptime!(shape.kept() * TILE_PIXELS) + in_tile;
 
@@ -108,6 +109,7 @@ pub(super) fn blend_strips_kernel<A: FloatCell>(
                 let mut grad_alpha = Array::<f32>::new(pixels);
                 let mut gradients = Array::<f32>::new(comptime!(pixels * channels));
                 let mut through = Array::<f32>::new(pixels);
+                let mut stopped = Array::<f32>::new(pixels);
                 #[unroll]
                 for p in 0..pixels {
                     let in_tile_too = comptime!(block.in_tile(p));
@@ -130,15 +132,17 @@ pub(super) fn blend_strips_kernel<A: FloatCell>(
                         }
                     }
                     through[p] = select(before[p] >= 0.0, 1.0f32, -1.0f32);
+                    stopped[p] = 0.0f32;
                 }
 
-                // Forwards: what the layers before each step let through.
-                let mut checkpoints = Array::<f32>::new(comptime!(BUCKET / STEP * pixels));
+                // Forwards: what the layers before each step let through, and stop.
+                let mut checkpoints = Array::<f32>::new(comptime!(2 * (BUCKET / STEP) * pixels));
                 for step in 0..steps {
-                    let base = step as usize * pixels;
+                    let base = step as usize * comptime!(2 * pixels);
                     #[unroll]
                     for p in 0..pixels {
                         checkpoints[base + p] = through[p];
+                        checkpoints[base + comptime!(pixels + p)] = stopped[p];
                     }
                     // Nothing comes after the last.
                     let end = select(step + 1 < steps, (step + 1) * comptime!(STEP as u32), 0u32);
@@ -146,10 +150,12 @@ pub(super) fn blend_strips_kernel<A: FloatCell>(
                         let footprint = Footprint::load(&footprints, i as usize);
                         #[unroll]
                         for p in 0..pixels {
-                            let (u, below) = footprint.along_column(x + comptime!(block.pixel(p)[0] as f32), y);
-                            let v = (below + comptime!(block.pixel(p)[1] as f32)) * footprint.inverse_v;
+                            let (u, below) = footprint.along_column(x + comptime!(block.pixel(p)[0] as f32), top);
+                            let v = (below + (own_row + comptime!(block.pixel(p)[1] as f32))) * footprint.inverse_v;
                             let alpha = footprint.alpha(u, v, frame.alpha_min, limits.alpha_max);
-                            let (_, next) = layer(alpha, through[p], before[p], limits.transmittance_min);
+                            let (_, next, stops) =
+                                layer(alpha, through[p], stopped[p], before[p], limits.transmittance_min);
+                            stopped[p] = stops;
                             through[p] = next;
                         }
                     }
@@ -158,23 +164,26 @@ pub(super) fn blend_strips_kernel<A: FloatCell>(
                 // Backwards.
                 for back in 0..steps {
                     let step = steps - 1 - back;
-                    let base = step as usize * pixels;
+                    let base = step as usize * comptime!(2 * pixels);
                     let start = step * comptime!(STEP as u32);
                     let mut alphas = Array::<f32>::new(comptime!(STEP * pixels));
                     let mut weights = Array::<f32>::new(comptime!(STEP * pixels));
                     #[unroll]
                     for p in 0..pixels {
                         through[p] = checkpoints[base + p];
+                        stopped[p] = checkpoints[base + comptime!(pixels + p)];
                     }
                     #[unroll]
                     for k in 0..comptime!(STEP) {
                         let footprint = Footprint::load(&footprints, start as usize + k);
                         #[unroll]
                         for p in 0..pixels {
-                            let (u, below) = footprint.along_column(x + comptime!(block.pixel(p)[0] as f32), y);
-                            let v = (below + comptime!(block.pixel(p)[1] as f32)) * footprint.inverse_v;
+                            let (u, below) = footprint.along_column(x + comptime!(block.pixel(p)[0] as f32), top);
+                            let v = (below + (own_row + comptime!(block.pixel(p)[1] as f32))) * footprint.inverse_v;
                             let alpha = footprint.alpha(u, v, frame.alpha_min, limits.alpha_max);
-                            let (alpha, next) = layer(alpha, through[p], before[p], limits.transmittance_min);
+                            let (alpha, next, stops) =
+                                layer(alpha, through[p], stopped[p], before[p], limits.transmittance_min);
+                            stopped[p] = stops;
                             alphas[comptime!(k * pixels + p)] = alpha;
                             weights[comptime!(k * pixels + p)] = alpha * (before[p] * through[p]);
                             through[p] = next;
@@ -192,7 +201,7 @@ pub(super) fn blend_strips_kernel<A: FloatCell>(
                         }
                         #[unroll]
                         for across in 0..comptime!(block.across) {
-                            let (u, below) = footprint.along_column(x + comptime!(across as f32), y);
+                            let (u, below) = footprint.along_column(x + comptime!(across as f32), top);
                             // Sums of `h, h v, h v²` down the column, where `u` is the same.
                             let mut h_sum = 0.0f32;
                             let mut hv_sum = 0.0f32;
@@ -213,7 +222,7 @@ pub(super) fn blend_strips_kernel<A: FloatCell>(
                                 let ahead = along - rho[p];
                                 rho[p] += alpha * ahead;
                                 let h = select(alpha < limits.alpha_max, weight * ahead, 0.0);
-                                let v = (below + comptime!(line as f32)) * footprint.inverse_v;
+                                let v = (below + (own_row + comptime!(line as f32))) * footprint.inverse_v;
                                 let hv = h * v;
                                 h_sum += h;
                                 hv_sum += hv;
