@@ -126,7 +126,7 @@ fn loose_bounds_hold_where_they_are_given_and_never_pass() {
     assert_eq!(judge(&case(false), &[place()]).verdict(), Verdict::Passed);
     assert_eq!(judge(&case(true), &[place()]).verdict(), Verdict::Loose);
     let gpu = Place { processor: Processor::Gpu, ..place() };
-    assert_eq!(judge(&case(true), &[gpu.clone()]).verdict(), Verdict::Passed);
+    assert_eq!(judge(&case(true), std::slice::from_ref(&gpu)).verdict(), Verdict::Passed);
     assert_eq!((case(true).limit(Processor::Cpu), case(true).limit(Processor::Gpu)), (3.0, 1.0));
     let fails = Case::check("fails", "", |_| Outcome { failures: vec!["it does".into()], ..Outcome::default() });
     let row = judge(&fails, &[place()]);
