@@ -3,7 +3,7 @@
 use std::f64::consts::FRAC_1_SQRT_2;
 
 use crate::case::Case;
-use crate::scene::{HardScene, Splat, camera};
+use crate::scene::{HardScene, SMOOTH, Splat, camera};
 
 /// Scale ratios.
 const RATIOS: [f64; 3] = [1e2, 1e4, 1e6];
@@ -11,6 +11,9 @@ const RATIOS: [f64; 3] = [1e2, 1e4, 1e6];
 /// Standard deviation of the short axes of what is long, and of the long axes of what is thin, px.
 const SHORT_PX: f64 = 0.5;
 const LONG_PX: f64 = 6.0;
+
+/// Where on the picture they are.
+const CENTRE_PX: [f64; 2] = [26.3, 20.6];
 
 pub fn cases() -> Vec<Case> {
     let mut cases = Vec::new();
@@ -47,17 +50,51 @@ pub fn cases() -> Vec<Case> {
             );
         }
     }
+    let compensated = |turns: Vec<(String, [f64; 4])>| {
+        let options = SMOOTH.with_antialias(true);
+        let scene = |(label, quat): (String, _)| scene(&label, quat, 0.1, 1e3, false).with_options(options);
+        turns.into_iter().map(scene).collect::<Vec<_>>()
+    };
+    cases.push(
+        Case::scenes(
+            "needle 1e4, compensated",
+            "the compensation is the root of a ratio of two determinants, of which both lose their digits",
+            [compensated(in_plane()), compensated(out_of_plane())].concat(),
+        )
+        .hardness("ratio 1e4"),
+    );
+    cases.push(
+        Case::scenes(
+            "long needle 1e4 beside a neighbour",
+            "it runs through the whole picture, and any error of its slope would take it to where others are",
+            in_plane().into_iter().enumerate().map(beside_a_neighbour).collect(),
+        )
+        .hardness("ratio 1e4"),
+    );
     cases
+}
+
+/// A neighbour at a distance across the needle that is turned into an octant.
+fn beside_a_neighbour((octant, (label, quat)): (usize, (String, [f64; 4]))) -> HardScene {
+    const ACROSS_PX: f64 = 17.0;
+    let (sin, cos) = degrees(octant).to_radians().sin_cos();
+    let [x, y] = CENTRE_PX;
+    let neighbour = Splat::at([x - ACROSS_PX * sin, y + ACROSS_PX * cos], 2.0, 0.5).colour(&[0.3, 0.9, 0.6]);
+    HardScene::new(label, &[needle(quat, SHORT_PX, SHORT_PX * 1e4, false)]).with_neighbour(&neighbour)
 }
 
 /// Turns about the line of sight, into each octant of the picture and off its axes.
 fn in_plane() -> Vec<(String, [f64; 4])> {
     let turn = |octant: usize| {
-        let degrees = 45.0 * octant as f64 + 17.0;
+        let degrees = degrees(octant);
         let half = degrees.to_radians() / 2.0;
         (format!("{degrees}°"), [half.cos(), 0.0, 0.0, half.sin()])
     };
     (0..8).map(turn).collect()
+}
+
+fn degrees(octant: usize) -> f64 {
+    45.0 * octant as f64 + 17.0
 }
 
 /// The x axis turned into each octant of space.
@@ -73,11 +110,15 @@ fn out_of_plane() -> Vec<(String, [f64; 4])> {
         .collect()
 }
 
-fn scene(label: &str, quat: [f64; 4], short_px: f64, long_px: f64, disc: bool) -> HardScene {
-    let hard = Splat::at([26.3, 20.6], 3.0, 1.0).quat(quat);
+fn needle(quat: [f64; 4], short_px: f64, long_px: f64, disc: bool) -> Splat {
+    let hard = Splat::at(CENTRE_PX, 3.0, 1.0).quat(quat);
     let px = 3.0 / camera().fx;
     let scale = if disc { [long_px, long_px, short_px] } else { [long_px, short_px, short_px] };
-    let hard = hard.scale(scale.map(|s| s * px));
+    hard.scale(scale.map(|s| s * px))
+}
+
+fn scene(label: &str, quat: [f64; 4], short_px: f64, long_px: f64, disc: bool) -> HardScene {
+    let hard = needle(quat, short_px, long_px, disc);
     // A second layer, so that transmittances matter.
     let behind =
         Splat::at([30.0, 24.0], 4.0, 5.0).quat([FRAC_1_SQRT_2, 0.0, FRAC_1_SQRT_2, 0.1]).colour(&[0.1, 0.8, 0.5]);

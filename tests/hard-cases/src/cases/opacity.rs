@@ -34,7 +34,7 @@ pub fn cases() -> Vec<Case> {
         ),
         Case::scenes(
             "opacity 1",
-            "nothing is let through: what divides by `1 − α` divides by zero",
+            "nothing is let through, and with the limit of 0.99 lifted what divides by `1 − α` divides by zero",
             vec![
                 HardScene::new("alpha up to 0.99", &[front(1.0), behind()]),
                 HardScene::new("alpha up to 1", &[front(1.0), behind()]).with_options(unlimited),
