@@ -81,22 +81,19 @@ fn line(case: &Case, row: &Row) -> String {
         Verdict::Loose => "loose",
         Verdict::Failed => "**no**",
     };
-    let of = |outcome: &Option<Outcome>, part: fn(&Outcome) -> Option<Score>| {
-        outcome.as_ref().and_then(part).map_or("–".into(), score)
-    };
-    type Part = fn(&Outcome) -> Option<Score>;
-    let (forward, gradient): (Part, Part) = (|o| o.forward, |o| o.gradient);
+    let forward = |outcome: &Option<Outcome>| cell(outcome.as_ref().and_then(|outcome| outcome.forward));
+    let gradient = |outcome: &Option<Outcome>| cell(outcome.as_ref().and_then(|outcome| outcome.gradient));
     let cells = [
         case.name.clone(),
         case.why.into(),
         hardness(case, row),
-        of(&cpu, forward),
-        of(&cpu, gradient),
-        of(&gpu, forward),
-        of(&gpu, gradient),
+        forward(&cpu),
+        gradient(&cpu),
+        forward(&gpu),
+        gradient(&gpu),
         verdict.into(),
-        of(&row.textbook, forward),
-        of(&row.textbook, gradient),
+        forward(&row.textbook),
+        gradient(&row.textbook),
     ];
     format!("| {} |\n", cells.map(|cell| cell.replace('|', "\\|")).join(" | "))
 }
@@ -106,6 +103,11 @@ fn hardness(case: &Case, row: &Row) -> String {
     let parts = [Some(case.hardness.clone()).filter(|text| !text.is_empty()), condition];
     let parts: Vec<String> = parts.into_iter().flatten().collect();
     if parts.is_empty() { "–".into() } else { parts.join("; ") }
+}
+
+/// A dash where nothing was measured.
+fn cell(measured: Option<Score>) -> String {
+    measured.map_or("–".into(), score)
 }
 
 /// `error (share)`; a share that breaks the ceiling is bold.
