@@ -8,7 +8,9 @@
 use cubecl::prelude::*;
 
 use super::backward::{MOMENTS, plane_of, row_len, tile_of_slot};
-use super::layer::{Block, FOOTPRINT, Footprint, Limits, Shape, block_origin, colour, first_slot, layer};
+use super::layer::{
+    Block, FOOTPRINT, Footprint, Limits, Shape, block_origin, checkpoint, colour, first_slot, layer, restore,
+};
 use crate::gpu::atomic::FloatCell;
 use crate::tile::forward::Frame;
 use crate::tile::{TILE, TILE_PIXELS};
@@ -142,8 +144,7 @@ pub(super) fn blend_buckets_kernel<A: FloatCell>(
                     let mut gradients = Array::<f32>::new(comptime!(pixels * channels));
                     let mut through = Array::<f32>::new(pixels);
                     let mut stopped = Array::<f32>::new(pixels);
-                    let mut through_at = Sequence::<Array<f32>>::new();
-                    let mut stopped_at = Sequence::<Array<f32>>::new();
+                    let mut checkpoints = Sequence::<Array<f32>>::new();
                     #[unroll]
                     for p in 0..pixels {
                         before[p] = kept[at + comptime!(block.in_tile(p))];
@@ -167,12 +168,9 @@ pub(super) fn blend_buckets_kernel<A: FloatCell>(
                         }
                         through[p] = select(before[p] >= 0.0, 1.0f32, -1.0f32);
                         stopped[p] = 0.0f32;
-                        let mut first_through = Array::<f32>::new(comptime!(size / STEP));
-                        let mut first_stopped = Array::<f32>::new(comptime!(size / STEP));
-                        first_through[0] = through[p];
-                        first_stopped[0] = stopped[p];
-                        through_at.push(first_through);
-                        stopped_at.push(first_stopped);
+                        let mut of_pixel = Array::<f32>::new(comptime!(size / STEP));
+                        of_pixel[0] = checkpoint(through[p], stopped[p]);
+                        checkpoints.push(of_pixel);
                     }
 
                     // Forwards: what the layers before each step let through, and stop.
@@ -198,8 +196,7 @@ pub(super) fn blend_buckets_kernel<A: FloatCell>(
                             }
                             #[unroll]
                             for p in 0..pixels {
-                                through_at.index_mut(p)[step as usize] = through[p];
-                                stopped_at.index_mut(p)[step as usize] = stopped[p];
+                                checkpoints.index_mut(p)[step as usize] = checkpoint(through[p], stopped[p]);
                             }
                             step += 1;
                             if step >= steps {
@@ -217,8 +214,9 @@ pub(super) fn blend_buckets_kernel<A: FloatCell>(
                         let mut weights = Array::<f32>::new(comptime!(STEP * pixels));
                         #[unroll]
                         for p in 0..pixels {
-                            through[p] = through_at[p][step as usize];
-                            stopped[p] = stopped_at[p][step as usize];
+                            let (open, stops) = restore(checkpoints[p][step as usize]);
+                            through[p] = open;
+                            stopped[p] = stops;
                         }
                         #[unroll]
                         for k in 0..comptime!(STEP) {

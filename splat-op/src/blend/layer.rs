@@ -240,6 +240,23 @@ pub(super) fn layer(alpha: f32, through: f32, stopped: f32, before: f32, transmi
     )
 }
 
+/// What [`layer`] goes on from, in one number: what is stopped while that is little, else what is let through, negated; two
+/// where the pixel is finished.
+#[cube]
+pub(super) fn checkpoint(through: f32, stopped: f32) -> f32 {
+    // A zero has to keep its sign in comparisons.
+    let open = select(stopped < 0.5, stopped, -max(through, f32::MIN_POSITIVE));
+    select(through >= 0.0, open, 2.0)
+}
+
+/// What is let through and stopped at a checkpoint.
+#[cube]
+pub(super) fn restore(checkpoint: f32) -> (f32, f32) {
+    let faint = checkpoint >= 0.0;
+    let through = select(faint, 1.0 - checkpoint, -checkpoint);
+    (select(checkpoint >= 1.0, -1.0f32, through), select(faint, checkpoint, 1.0))
+}
+
 /// The transmittance behind a bucket from that before it and what the bucket lets through and stops. Negative if either of
 /// the former two is: the pixel was finished before the bucket or within.
 #[cube]

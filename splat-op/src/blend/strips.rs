@@ -10,7 +10,9 @@
 use cubecl::prelude::*;
 
 use super::backward::{MOMENTS, plane_of, row_len, tile_of_slot};
-use super::layer::{BUCKET, Block, FOOTPRINT, Footprint, Limits, Shape, block_origin, colour, first_slot, layer};
+use super::layer::{
+    BUCKET, Block, FOOTPRINT, Footprint, Limits, Shape, block_origin, checkpoint, colour, first_slot, layer, restore,
+};
 use crate::gpu::atomic::FloatCell;
 use crate::tile::forward::Frame;
 use crate::tile::{TILE, TILE_PIXELS};
@@ -136,13 +138,12 @@ pub(super) fn blend_strips_kernel<A: FloatCell>(
                 }
 
                 // Forwards: what the layers before each step let through, and stop.
-                let mut checkpoints = Array::<f32>::new(comptime!(2 * (BUCKET / STEP) * pixels));
+                let mut checkpoints = Array::<f32>::new(comptime!(BUCKET / STEP * pixels));
                 for step in 0..steps {
-                    let base = step as usize * comptime!(2 * pixels);
+                    let base = step as usize * pixels;
                     #[unroll]
                     for p in 0..pixels {
-                        checkpoints[base + p] = through[p];
-                        checkpoints[base + comptime!(pixels + p)] = stopped[p];
+                        checkpoints[base + p] = checkpoint(through[p], stopped[p]);
                     }
                     // Nothing comes after the last.
                     let end = select(step + 1 < steps, (step + 1) * comptime!(STEP as u32), 0u32);
@@ -164,14 +165,15 @@ pub(super) fn blend_strips_kernel<A: FloatCell>(
                 // Backwards.
                 for back in 0..steps {
                     let step = steps - 1 - back;
-                    let base = step as usize * comptime!(2 * pixels);
+                    let base = step as usize * pixels;
                     let start = step * comptime!(STEP as u32);
                     let mut alphas = Array::<f32>::new(comptime!(STEP * pixels));
                     let mut weights = Array::<f32>::new(comptime!(STEP * pixels));
                     #[unroll]
                     for p in 0..pixels {
-                        through[p] = checkpoints[base + p];
-                        stopped[p] = checkpoints[base + comptime!(pixels + p)];
+                        let (open, stops) = restore(checkpoints[base + p]);
+                        through[p] = open;
+                        stopped[p] = stops;
                     }
                     #[unroll]
                     for k in 0..comptime!(STEP) {

@@ -2,8 +2,7 @@
 
 use splat_op::{Intrinsics, RenderOptions};
 
-use super::counts::PLAIN;
-use crate::case::{Case, Processor};
+use crate::case::Case;
 use crate::random::Random;
 use crate::scene::{HardScene, SMOOTH, STANDARD, Splat, Truth};
 
@@ -76,8 +75,7 @@ pub fn cases() -> Vec<Case> {
             "ten thousand roundings of the transmittance on the way there and, divided back, as many on the way",
             vec![stack("1/255", LAYERS, 1.0 / 255.0)],
         )
-        .hardness("T 9e-18")
-        .loose(Processor::Gpu, 2.0, PLAIN),
+        .hardness("T 9e-18"),
         Case::scenes(
             "transmittance below f32",
             "it leaves the range of f32 amid the layers, by way of subnormal numbers",
