@@ -205,7 +205,7 @@ impl Footprint {
         for i in 0..comptime!(block.along()) {
             let first = dx + comptime!((i * block.across) as f32);
             if first <= half_width && first + comptime!((block.across - 1) as f32) >= -half_width {
-                columns = columns | comptime!(1u32 << i as u32);
+                columns |= comptime!(1u32 << i as u32);
             }
         }
         let mut reached = 0u32;
@@ -213,7 +213,7 @@ impl Footprint {
         for i in 0..comptime!(TILE / block.down) {
             let first = dy + comptime!((i * block.down) as f32);
             if first <= half_height && first + comptime!((block.down - 1) as f32) >= -half_height {
-                reached = reached | columns << comptime!((i * block.along()) as u32);
+                reached |= columns << comptime!((i * block.along()) as u32);
             }
         }
         reached
