@@ -176,12 +176,11 @@ pub(super) fn blend_channels_kernel<A: FloatCell>(
                             if weight != 0.0 {
                                 let pixel = block * comptime!(units as u32) + other;
                                 let column = origin_x + pixel % comptime!(TILE as u32);
-                                let row_of = f32::cast_from(pixel / comptime!(TILE as u32));
-                                let (u, v) = footprint.whiten(
-                                    f32::cast_from(column) + 0.5,
-                                    f32::cast_from(origin_y) + 0.5,
-                                    row_of,
-                                );
+                                let own_row = pixel / comptime!(TILE as u32);
+                                let line = origin_y + own_row;
+                                let x = f32::cast_from(column) + 0.5;
+                                let top = f32::cast_from(origin_y) + 0.5;
+                                let (u, v) = footprint.whiten(x, top, f32::cast_from(own_row));
                                 let h = alphas[index];
                                 let hu = h * u;
                                 let hv = h * v;
