@@ -9,7 +9,7 @@ use glam::DAffine3;
 use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize};
 use splat_op::{Camera, Extras, Intrinsics, RenderOptions, Splats, render};
 
 use crate::capture::{Photo, PointCloud};
@@ -45,6 +45,7 @@ pub struct TrainConfig {
     /// Density control.
     pub density: AdaptiveConfig,
     /// What shows through the Gaussians, and through photographs with alpha: RGB, 0 to 1.
+    #[serde(deserialize_with = "finite_colour")]
     pub background: [f32; 3],
     /// Whether opacities are compensated for the blur (see [`RenderOptions::antialias`]).
     pub antialias: bool,
@@ -53,6 +54,15 @@ pub struct TrainConfig {
     pub opacity_weight: f64,
     /// Memory for photographs prepared for the loss, MiB; those beyond it are prepared again at each use: 512.
     pub cache_mib: usize,
+}
+
+/// A number beyond f32 becomes an infinity, which can neither be trained with nor be written as JSON.
+fn finite_colour<'de, D: Deserializer<'de>>(deserializer: D) -> Result<[f32; 3], D::Error> {
+    let colour = <[f32; 3]>::deserialize(deserializer)?;
+    match colour.iter().all(|value| value.is_finite()) {
+        true => Ok(colour),
+        false => Err(serde::de::Error::custom(format!("a colour of {colour:?}, expected three finite f32 numbers"))),
+    }
 }
 
 impl Default for TrainConfig {

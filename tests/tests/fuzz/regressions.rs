@@ -5,6 +5,7 @@ use std::path::PathBuf;
 
 use splat_model::capture::Capture;
 use splat_model::ply;
+use splat_model::trainer::TrainConfig;
 
 use super::engine::folder;
 use super::seeds;
@@ -55,4 +56,13 @@ fn a_long_name_is_cut_where_it_is_quoted() {
         assert!(message.len() < 1_000 && message.contains("`NAME`") && message.contains("bytes"), "{message}");
     }
     let _ = fs::remove_dir_all(folder);
+}
+
+/// It became an infinity, which was written as `null` and could not be read again.
+#[test]
+fn a_background_beyond_f32_is_refused() {
+    let text = serde_json::to_string(&TrainConfig::default()).expect("plain data");
+    let text = text.replace("\"background\":[0.0,0.0,0.0]", "\"background\":[0.0,0.0,1e39]");
+    let message = serde_json::from_str::<TrainConfig>(&text).expect_err("refused").to_string();
+    assert!(message.contains("expected three finite f32 numbers"), "{message}");
 }
