@@ -13,9 +13,11 @@ pub(super) const BUCKET: usize = 32;
 /// bucket; above, all three would not fit.
 pub(super) const FEW: usize = 4;
 
-/// Numbers of an ellipse that its pixels need: the columns of `mean2d, sigma_u, sigma_v, shear, opacity`.
-const NUMBERS: [usize; FOOTPRINT] = [0, 1, 2, 4, 3, 6];
+/// Numbers of a [`Footprint`].
 pub(super) const FOOTPRINT: usize = 6;
+
+/// The columns of a packed ellipse that they come from: `mean2d, sigma_u, sigma_v, shear, opacity`.
+const NUMBERS: [usize; FOOTPRINT] = [0, 1, 2, 4, 3, 6];
 
 /// Thresholds of the render besides the frame's.
 #[derive(CubeType, CubeLaunch, Clone, Copy)]
@@ -168,7 +170,7 @@ impl Footprint {
     /// `u` in the column at `x` px, and how far its pixel in the tile's first row, at `top` px, lies below the ellipse's axis
     /// there, px: in a row further down, by so much more. Times `inverse_v` that is `v`. Small numbers are added to a
     /// distance, never to a coordinate, whose digits are coarser; and as every kernel counts from the tile's first row,
-    /// whatever its units' pixels are, all come to the same bits.
+    /// whatever its units' pixels are, all round alike.
     pub fn along_column(&self, x: f32, top: f32) -> (f32, f32) {
         let dx = x - self.x;
         (dx * self.inverse_u, (top - self.y) - self.shear * dx)

@@ -27,6 +27,8 @@ pub(crate) mod launch;
 #[cfg(feature = "cube")]
 mod layer;
 #[cfg(feature = "cube")]
+mod pixels;
+#[cfg(feature = "cube")]
 mod strips;
 #[cfg(test)]
 mod tests;

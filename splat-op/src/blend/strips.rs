@@ -9,16 +9,11 @@
 
 use cubecl::prelude::*;
 
-use super::backward::{MOMENTS, plane_of, row_len, tile_of_slot};
-use super::layer::{
-    BUCKET, Block, FOOTPRINT, Footprint, Limits, Shape, block_origin, checkpoint, colour, first_slot, layer, restore,
-};
+use super::backward::{row_len, tile_of_slot};
+use super::layer::{BUCKET, Block, FOOTPRINT, Footprint, Limits, Shape, block_origin, colour, first_slot};
+use super::pixels::{Pixels, STEP};
 use crate::gpu::atomic::FloatCell;
 use crate::tile::forward::Frame;
-use crate::tile::{TILE, TILE_PIXELS};
-
-/// Places that are worked on at once. Their alphas and weights lie in registers.
-const STEP: usize = 4;
 
 /// Rows of the hits of each bucket.
 ///
@@ -47,7 +42,7 @@ pub(super) fn blend_strips_kernel<A: FloatCell>(
     let channels = comptime!(shape.channels());
     let columns = comptime!(row_len(shape, absolute));
     let units = comptime!(block.of_tile());
-    let (lines, pixels) = comptime!((block.down, block.pixels()));
+    let pixels = comptime!(block.pixels());
     let mut footprints = Shared::<[f32]>::new_slice(comptime!(BUCKET * FOOTPRINT));
     let mut colours = Shared::<[f32]>::new_slice(comptime!(BUCKET * channels));
     let mut hits = Shared::<[u32]>::new_slice(comptime!(BUCKET));
@@ -96,45 +91,10 @@ pub(super) fn blend_strips_kernel<A: FloatCell>(
                 }
             } else {
                 let (column, row) = block_origin(UNIT_POS, block);
-                let first_column = tile % frame.tiles_x * comptime!(TILE as u32) + column;
-                let first_row = tile / frame.tiles_x * comptime!(TILE as u32) + row;
-                let in_tile = (row * comptime!(TILE as u32) + column) as usize;
-                let x = f32::cast_from(first_column) + 0.5;
-                let top = f32::cast_from(first_row - row) + 0.5;
-                let own_row = f32::cast_from(row);
-                let plane = (frame.width * frame.height) as usize;
-                let at = slot as usize * comptime!(shape.kept() * TILE_PIXELS) + in_tile;
-
-                // What does not change from layer to layer.
-                let mut before = Array::<f32>::new(pixels);
-                let mut rho = Array::<f32>::new(pixels);
-                let mut grad_alpha = Array::<f32>::new(pixels);
-                let mut gradients = Array::<f32>::new(comptime!(pixels * channels));
-                let mut through = Array::<f32>::new(pixels);
-                let mut stopped = Array::<f32>::new(pixels);
+                let mut at = Pixels::new(tile, column, row, frame, shape, block);
                 #[unroll]
                 for p in 0..pixels {
-                    let in_tile_too = comptime!(block.in_tile(p));
-                    before[p] = kept[at + in_tile_too];
-                    rho[p] = rho_behind[slot as usize * comptime!(TILE_PIXELS) + in_tile + in_tile_too];
-                    grad_alpha[p] = 0.0f32;
-                    #[unroll]
-                    for channel in 0..channels {
-                        gradients[comptime!(p * channels) + channel] = 0.0f32;
-                    }
-                    let column = first_column + comptime!(block.pixel(p)[0] as u32);
-                    let line = first_row + comptime!(block.pixel(p)[1] as u32);
-                    if column < frame.width && line < frame.height {
-                        let pixel = (line * frame.width + column) as usize;
-                        grad_alpha[p] = grad[comptime!(shape.features) * plane + pixel];
-                        #[unroll]
-                        for channel in 0..channels {
-                            gradients[comptime!(p * channels) + channel] =
-                                grad[plane_of(channel, shape) * plane + pixel];
-                        }
-                    }
-                    through[p] = select(before[p] >= 0.0, 1.0f32, -1.0f32);
-                    stopped[p] = 0.0f32;
+                    at.load(kept, rho_behind, grad, slot, tile, column, row, frame, shape, block, p);
                 }
 
                 // Forwards: what the layers before each step let through, and stop.
@@ -143,7 +103,7 @@ pub(super) fn blend_strips_kernel<A: FloatCell>(
                     let base = step as usize * pixels;
                     #[unroll]
                     for p in 0..pixels {
-                        checkpoints[base + p] = checkpoint(through[p], stopped[p]);
+                        checkpoints[base + p] = at.checkpoint(p);
                     }
                     // Nothing comes after the last.
                     let end = select(step + 1 < steps, (step + 1) * comptime!(STEP as u32), 0u32);
@@ -151,13 +111,7 @@ pub(super) fn blend_strips_kernel<A: FloatCell>(
                         let footprint = Footprint::load(&footprints, i as usize);
                         #[unroll]
                         for p in 0..pixels {
-                            let (u, below) = footprint.along_column(x + comptime!(block.pixel(p)[0] as f32), top);
-                            let v = (below + (own_row + comptime!(block.pixel(p)[1] as f32))) * footprint.inverse_v;
-                            let alpha = footprint.alpha(u, v, frame.alpha_min, limits.alpha_max);
-                            let (_, next, stops) =
-                                layer(alpha, through[p], stopped[p], before[p], limits.transmittance_min);
-                            stopped[p] = stops;
-                            through[p] = next;
+                            at.pass(footprint, frame.alpha_min, limits, block, p);
                         }
                     }
                 }
@@ -171,77 +125,43 @@ pub(super) fn blend_strips_kernel<A: FloatCell>(
                     let mut weights = Array::<f32>::new(comptime!(STEP * pixels));
                     #[unroll]
                     for p in 0..pixels {
-                        let (open, stops) = restore(checkpoints[base + p]);
-                        through[p] = open;
-                        stopped[p] = stops;
+                        at.restore(checkpoints[base + p], p);
                     }
                     #[unroll]
                     for k in 0..comptime!(STEP) {
                         let footprint = Footprint::load(&footprints, start as usize + k);
                         #[unroll]
                         for p in 0..pixels {
-                            let (u, below) = footprint.along_column(x + comptime!(block.pixel(p)[0] as f32), top);
-                            let v = (below + (own_row + comptime!(block.pixel(p)[1] as f32))) * footprint.inverse_v;
-                            let alpha = footprint.alpha(u, v, frame.alpha_min, limits.alpha_max);
-                            let (alpha, next, stops) =
-                                layer(alpha, through[p], stopped[p], before[p], limits.transmittance_min);
-                            stopped[p] = stops;
+                            let (alpha, weight) = at.pass(footprint, frame.alpha_min, limits, block, p);
                             alphas[comptime!(k * pixels + p)] = alpha;
-                            weights[comptime!(k * pixels + p)] = alpha * (before[p] * through[p]);
-                            through[p] = next;
+                            weights[comptime!(k * pixels + p)] = weight;
                         }
                     }
                     #[unroll]
                     for from_end in 0..comptime!(STEP) {
                         let k = comptime!(STEP - 1 - from_end);
-                        let footprint = Footprint::load(&footprints, start as usize + k);
-                        let slope = footprint.inverse_v * footprint.shear;
+                        let mut colour_here = Array::<f32>::new(channels);
                         let mut own = Array::<f32>::new(columns);
+                        #[unroll]
+                        for channel in 0..channels {
+                            colour_here[channel] = colours[(start as usize + k) * channels + channel];
+                        }
                         #[unroll]
                         for column in 0..columns {
                             own[column] = 0.0f32;
                         }
-                        #[unroll]
-                        for across in 0..comptime!(block.across) {
-                            let (u, below) = footprint.along_column(x + comptime!(across as f32), top);
-                            // Sums of `h, h v, h v²` down the column, where `u` is the same.
-                            let mut h_sum = 0.0f32;
-                            let mut hv_sum = 0.0f32;
-                            let mut hvv_sum = 0.0f32;
-                            #[unroll]
-                            for line in 0..lines {
-                                let p = comptime!(across * lines + line);
-                                let alpha = alphas[comptime!(k * pixels + p)];
-                                let weight = weights[comptime!(k * pixels + p)];
-                                let mut along = grad_alpha[p];
-                                #[unroll]
-                                for channel in 0..channels {
-                                    along += gradients[comptime!(p * channels) + channel]
-                                        * colours[(start as usize + k) * channels + channel];
-                                    own[comptime!(MOMENTS) + channel] +=
-                                        weight * gradients[comptime!(p * channels) + channel];
-                                }
-                                let ahead = along - rho[p];
-                                rho[p] += alpha * ahead;
-                                let h = select(alpha < limits.alpha_max, weight * ahead, 0.0);
-                                let v = (below + (own_row + comptime!(line as f32))) * footprint.inverse_v;
-                                let hv = h * v;
-                                h_sum += h;
-                                hv_sum += hv;
-                                hvv_sum += hv * v;
-                                if comptime!(absolute) {
-                                    own[comptime!(MOMENTS + channels)] +=
-                                        (h * u * footprint.inverse_u - hv * slope).abs();
-                                    own[comptime!(MOMENTS + channels + 1)] += (hv * footprint.inverse_v).abs();
-                                }
-                            }
-                            own[0] += h_sum;
-                            own[1] += h_sum * u;
-                            own[2] += hv_sum;
-                            own[3] += h_sum * u * u;
-                            own[4] += hv_sum * u;
-                            own[5] += hvv_sum;
-                        }
+                        at.add_sums(
+                            Footprint::load(&footprints, start as usize + k),
+                            &colour_here,
+                            &alphas,
+                            &weights,
+                            &mut own,
+                            limits.alpha_max,
+                            shape,
+                            absolute,
+                            block,
+                            k,
+                        );
                         #[unroll]
                         for column in 0..columns {
                             partial[comptime!(k * columns) * comptime!(units + 1)

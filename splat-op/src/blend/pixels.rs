@@ -1,0 +1,185 @@
+//! The layers of a bucket at the pixels of a unit, backwards: what `strips.rs` and `buckets.rs` do alike once they have a
+//! Gaussian's numbers at hand. For few channels; all of it lies in registers.
+
+use cubecl::prelude::*;
+
+use super::backward::{MOMENTS, plane_of};
+use super::layer::{Block, Footprint, Limits, Shape, checkpoint, layer, restore};
+use crate::tile::forward::Frame;
+use crate::tile::{TILE, TILE_PIXELS};
+
+/// Places that are worked on at once. Their alphas and weights lie in registers.
+pub(super) const STEP: usize = 4;
+
+/// What does not change from layer to layer at a unit's pixels, and how far a pass has come.
+#[derive(CubeType)]
+pub(super) struct Pixels {
+    /// Centre of the first column and of the tile's first row, px, and the rows from there to the block's first.
+    x: f32,
+    top: f32,
+    row: f32,
+    /// The transmittance before the bucket, negative where the pixel was finished.
+    before: Array<f32>,
+    /// `ρ` behind the layer that was passed last.
+    rho: Array<f32>,
+    grad_alpha: Array<f32>,
+    /// `[pixel][channel]`.
+    gradients: Array<f32>,
+    /// As [`layer`] takes them.
+    through: Array<f32>,
+    stopped: Array<f32>,
+}
+
+#[cube]
+impl Pixels {
+    /// The pixels of the block that begins `column` and `row` pixels into a tile. [`Self::load`] fills each.
+    pub fn new(
+        tile: u32,
+        column: u32,
+        row: u32,
+        frame: Frame,
+        #[comptime] shape: Shape,
+        #[comptime] block: Block,
+    ) -> Pixels {
+        let pixels = comptime!(block.pixels());
+        Pixels {
+            x: f32::cast_from(tile % frame.tiles_x * comptime!(TILE as u32) + column) + 0.5,
+            top: f32::cast_from(tile / frame.tiles_x * comptime!(TILE as u32)) + 0.5,
+            row: f32::cast_from(row),
+            before: Array::<f32>::new(pixels),
+            rho: Array::<f32>::new(pixels),
+            grad_alpha: Array::<f32>::new(pixels),
+            gradients: Array::<f32>::new(comptime!(pixels * shape.channels())),
+            through: Array::<f32>::new(pixels),
+            stopped: Array::<f32>::new(pixels),
+        }
+    }
+
+    /// Reads pixel `p`, and goes to the bucket's front.
+    pub fn load(
+        &mut self,
+        kept: &[f32],
+        rho_behind: &[f32],
+        grad: &[f32],
+        slot: u32,
+        tile: u32,
+        column: u32,
+        row: u32,
+        frame: Frame,
+        #[comptime] shape: Shape,
+        #[comptime] block: Block,
+        #[comptime] p: usize,
+    ) {
+        let channels = comptime!(shape.channels());
+        let in_tile = (row * comptime!(TILE as u32) + column) as usize + comptime!(block.in_tile(p));
+        self.before[p] = kept[slot as usize * comptime!(shape.kept() * TILE_PIXELS) + in_tile];
+        self.rho[p] = rho_behind[slot as usize * comptime!(TILE_PIXELS) + in_tile];
+        self.grad_alpha[p] = 0.0f32;
+        #[unroll]
+        for channel in 0..channels {
+            self.gradients[comptime!(p * channels) + channel] = 0.0f32;
+        }
+        let column = tile % frame.tiles_x * comptime!(TILE as u32) + column + comptime!(block.pixel(p)[0] as u32);
+        let row = tile / frame.tiles_x * comptime!(TILE as u32) + row + comptime!(block.pixel(p)[1] as u32);
+        if column < frame.width && row < frame.height {
+            let plane = (frame.width * frame.height) as usize;
+            let pixel = (row * frame.width + column) as usize;
+            self.grad_alpha[p] = grad[comptime!(shape.features) * plane + pixel];
+            #[unroll]
+            for channel in 0..channels {
+                self.gradients[comptime!(p * channels) + channel] = grad[plane_of(channel, shape) * plane + pixel];
+            }
+        }
+        self.through[p] = select(self.before[p] >= 0.0, 1.0f32, -1.0f32);
+        self.stopped[p] = 0.0f32;
+    }
+
+    /// Where the forward pass is at pixel `p`, in one number.
+    pub fn checkpoint(&self, #[comptime] p: usize) -> f32 {
+        checkpoint(self.through[p], self.stopped[p])
+    }
+
+    /// Puts pixel `p` back to a checkpoint.
+    pub fn restore(&mut self, from: f32, #[comptime] p: usize) {
+        let (through, stopped) = restore(from);
+        self.through[p] = through;
+        self.stopped[p] = stopped;
+    }
+
+    /// Passes a Gaussian forwards at pixel `p`: its alpha, zero if it does not contribute, and its weight `α T`.
+    pub fn pass(
+        &mut self,
+        footprint: Footprint,
+        alpha_min: f32,
+        limits: Limits,
+        #[comptime] block: Block,
+        #[comptime] p: usize,
+    ) -> (f32, f32) {
+        let [column, row] = comptime!(block.pixel(p));
+        let (u, v) = footprint.whiten(self.x + comptime!(column as f32), self.top, self.row + comptime!(row as f32));
+        let alpha = footprint.alpha(u, v, alpha_min, limits.alpha_max);
+        let (alpha, through, stopped) =
+            layer(alpha, self.through[p], self.stopped[p], self.before[p], limits.transmittance_min);
+        let weight = alpha * (self.before[p] * self.through[p]);
+        self.through[p] = through;
+        self.stopped[p] = stopped;
+        (alpha, weight)
+    }
+
+    /// Passes a Gaussian backwards, place `k` of its step, and adds its sums over the pixels to `row`.
+    pub fn add_sums(
+        &mut self,
+        footprint: Footprint,
+        colour: &Array<f32>,
+        alphas: &Array<f32>,
+        weights: &Array<f32>,
+        row: &mut Array<f32>,
+        alpha_max: f32,
+        #[comptime] shape: Shape,
+        #[comptime] absolute: bool,
+        #[comptime] block: Block,
+        #[comptime] k: usize,
+    ) {
+        let channels = comptime!(shape.channels());
+        let slope = footprint.inverse_v * footprint.shear;
+        #[unroll]
+        for across in 0..comptime!(block.across) {
+            let (u, below) = footprint.along_column(self.x + comptime!(across as f32), self.top);
+            // Sums of `h, h v, h v²` down the column, where `u` is the same.
+            let mut h_sum = 0.0f32;
+            let mut hv_sum = 0.0f32;
+            let mut hvv_sum = 0.0f32;
+            #[unroll]
+            for down in 0..comptime!(block.down) {
+                let p = comptime!(across * block.down + down);
+                let alpha = alphas[comptime!(k * block.pixels() + p)];
+                let weight = weights[comptime!(k * block.pixels() + p)];
+                let mut along = self.grad_alpha[p];
+                #[unroll]
+                for channel in 0..channels {
+                    let gradient = self.gradients[comptime!(p * channels) + channel];
+                    along += gradient * colour[channel];
+                    row[comptime!(MOMENTS) + channel] += weight * gradient;
+                }
+                let ahead = along - self.rho[p];
+                self.rho[p] += alpha * ahead;
+                let h = select(alpha < alpha_max, weight * ahead, 0.0);
+                let v = (below + (self.row + comptime!(down as f32))) * footprint.inverse_v;
+                let hv = h * v;
+                h_sum += h;
+                hv_sum += hv;
+                hvv_sum += hv * v;
+                if comptime!(absolute) {
+                    row[comptime!(MOMENTS + channels)] += (h * u * footprint.inverse_u - hv * slope).abs();
+                    row[comptime!(MOMENTS + channels + 1)] += (hv * footprint.inverse_v).abs();
+                }
+            }
+            row[0] += h_sum;
+            row[1] += h_sum * u;
+            row[2] += hv_sum;
+            row[3] += h_sum * u * u;
+            row[4] += hv_sum * u;
+            row[5] += hvv_sum;
+        }
+    }
+}
