@@ -5,7 +5,7 @@
 
 use burn::tensor::Tensor;
 
-use crate::loss::ssim::{Truth, planes, similarity};
+use crate::loss::ssim::{Truth, d_ssim};
 
 /// PSNR of equal pictures, dB. The formula gives infinity, which JSON cannot hold and which would swallow every mean.
 /// 100 dB is a root mean square error of 1e-5: less than a level of a 16-bit picture, so no real score reaches it.
@@ -26,7 +26,7 @@ pub fn psnr(image: Tensor<3>, truth: Tensor<3>) -> f64 {
 /// third decimals.
 pub fn ssim(image: Tensor<3>, truth: Tensor<3>) -> f64 {
     let truth = Truth::new(displayed(truth));
-    similarity(planes(displayed(image)), &truth, false).mean.into_scalar::<f64>()
+    1.0 - d_ssim(displayed(image), &truth).into_scalar::<f64>()
 }
 
 /// The mean of one metric over views, as tables report it. NaN without views.

@@ -3,6 +3,8 @@
 mod checked;
 mod error;
 mod guard;
+mod resolution;
+mod views;
 
 use burn::tensor::{Device, Tensor};
 use glam::DAffine3;
@@ -10,7 +12,7 @@ use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Deserializer, Serialize};
-use splat_op::{Camera, Extras, Intrinsics, RenderOptions, Splats, render};
+use splat_op::{Extras, Intrinsics, RenderOptions, Splats, render};
 
 use crate::capture::{Photo, PointCloud};
 use crate::density::rows::{Gradients, StepRates, Trained};
@@ -25,6 +27,8 @@ pub use self::checked::Stage;
 use self::checked::{Stopped, Wrong, check_gradients, check_loss, check_parameters, render_checked};
 pub use self::error::TrainError;
 use self::guard::{Fault, Guard};
+pub use self::resolution::Resolution;
+use self::views::Views;
 
 /// All that a run depends on besides its photographs. Defaults are those of the original implementation.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -44,6 +48,8 @@ pub struct TrainConfig {
     pub learning_rates: LearningRates,
     /// Density control.
     pub density: AdaptiveConfig,
+    /// How large photographs are as the run goes on.
+    pub resolution: Resolution,
     /// What shows through the Gaussians, and through photographs with alpha: RGB, 0 to 1.
     #[serde(deserialize_with = "finite_colour")]
     pub background: [f32; 3],
@@ -75,6 +81,7 @@ impl Default for TrainConfig {
             sh_every: STEPS_PER_SH_DEGREE,
             learning_rates: LearningRates::default(),
             density: AdaptiveConfig::default(),
+            resolution: Resolution::FULL,
             background: [0.0; 3],
             antialias: false,
             opacity_weight: 0.0,
@@ -133,21 +140,13 @@ pub struct StepReport {
     pub refined: Option<RefineReport>,
 }
 
-/// A photograph to train on.
-struct TrainView {
-    photo: Photo,
-    camera: Camera,
-    truth: Option<Truth>,
-}
-
 /// A run.
 pub struct Trainer {
     config: TrainConfig,
     options: RenderOptions,
     device: Device,
     scene: Trained,
-    views: Vec<TrainView>,
-    cache_left: usize,
+    views: Views,
     density: Adaptive,
     means_decay: Decay,
     loss: Box<dyn Loss>,
@@ -174,6 +173,7 @@ impl Trainer {
         match () {
             () if photos.is_empty() => return Err(TrainError::NoViews),
             () if config.steps == 0 => return Err(TrainError::NoSteps),
+            () if !config.resolution.is_valid() => return Err(TrainError::Resolution(config.resolution)),
             () if config.sh_degree > splat_op::shade::SH_DEGREE_MAX => {
                 return Err(TrainError::ShDegree(config.sh_degree));
             }
@@ -191,20 +191,13 @@ impl Trainer {
         let centres: Vec<_> = photos.iter().map(|photo| photo.cam_from_world.inverse().translation).collect();
         let extent = scene_extent(&centres);
         let tracked = device.clone().autodiff();
-        let views = photos
-            .into_iter()
-            .map(|photo| {
-                let camera = Camera::new(photo.intrinsics, &photo.cam_from_world, device);
-                TrainView { photo, camera, truth: None }
-            })
-            .collect();
+        let views = Views::new(photos, config.background, config.cache_mib, device);
         let lambda = config.lambda;
         Ok(Self {
             options: config.render_options(extent),
             device: device.clone(),
             scene: Trained::new(Gaussians::from_rows(&rows, &tracked)?),
             views,
-            cache_left: config.cache_mib << 20,
             density: Adaptive::new(config.density, extent, config.steps),
             means_decay: config.learning_rates.means_decay(extent, config.steps),
             loss: Box::new(move |seen: &Seen| photometric(seen.image.clone(), seen.truth, lambda)),
@@ -257,6 +250,7 @@ impl Trainer {
         let view = self.next_view();
         self.step += 1;
         let step = self.step;
+        self.views.reduce(self.config.resolution.divisor_at(step, self.config.steps));
         self.scene.grow_sh(sh_degree_at(step - 1, self.config.sh_every, self.config.sh_degree));
 
         let (loss, gradients) = self.differentiate(view)?;
@@ -271,7 +265,7 @@ impl Trainer {
         let read = self.density.acts_at(step) || self.is_done();
         self.guard.read(read).map_err(|fault| self.non_finite(fault))?;
         let refined = self.density.refine(&mut self.scene, step, &mut self.rng)?;
-        let (view, splats) = (self.views[view].photo.name.clone(), self.scene.gaussians.len());
+        let (view, splats) = (self.views.name(view).to_owned(), self.scene.gaussians.len());
         Ok(StepReport { step, loss, view, splats, refined })
     }
 
@@ -289,18 +283,18 @@ impl Trainer {
             mean2d_probe: probe.clone(),
             ..Extras::default()
         };
-        let truth = self.truth(view);
-        let TrainView { camera, photo, .. } = &self.views[view];
         let options = self.options;
+        let (camera, truth) = self.views.prepare(view);
+        let size = (camera.intrinsics.width, camera.intrinsics.height);
         let (image, alpha) = if self.checks {
-            let picture = render_checked(&splats, camera, &extras, &options);
+            let picture = render_checked(&splats, &camera, &extras, &options);
             let picture = picture.map_err(|stopped| self.stopped(view, stopped))?;
             (picture.colour, picture.alpha)
         } else {
-            let rendered = render(&splats, std::slice::from_ref(camera), &extras, &options)?;
+            let rendered = render(&splats, std::slice::from_ref(&camera), &extras, &options)?;
             (rendered.colour.squeeze_dim(0), rendered.alpha.squeeze_dim(0))
         };
-        let seen = Seen { image, alpha, truth: &truth, splats: &splats, step, view: &photo.name };
+        let seen = Seen { image, alpha, truth: &truth, splats: &splats, step, view: self.views.name(view) };
         let mut loss = self.loss.loss(&seen);
         drop(seen);
         if self.config.opacity_weight > 0.0 {
@@ -312,7 +306,7 @@ impl Trainer {
         }
         let mut grads = loss.backward();
         if let Some(grad) = probe.and_then(|probe| probe.grad_remove(&mut grads)) {
-            self.density.observe(grad, (photo.intrinsics.width, photo.intrinsics.height));
+            self.density.observe(grad, size);
         }
         let gradients = Gradients::take(&self.scene.gaussians, &mut grads);
         if self.checks {
@@ -334,11 +328,11 @@ impl Trainer {
 
     fn non_finite(&self, fault: Fault) -> TrainError {
         let Fault { step, view, what } = fault;
-        TrainError::NonFinite { step, view: self.views[view].photo.name.clone(), what }
+        TrainError::NonFinite { step, view: self.views.name(view).to_owned(), what }
     }
 
     fn wrong(&self, view: usize, Wrong { stage, detail }: Wrong) -> TrainError {
-        TrainError::Check { step: self.step, view: self.views[view].photo.name.clone(), stage, detail }
+        TrainError::Check { step: self.step, view: self.views.name(view).to_owned(), stage, detail }
     }
 
     fn stopped(&self, view: usize, stopped: Stopped) -> TrainError {
@@ -355,22 +349,6 @@ impl Trainer {
             self.queue.shuffle(&mut self.rng);
         }
         self.queue.pop().expect("filled above, and there is at least one view")
-    }
-
-    /// A photograph prepared for the loss, kept for its next use while there is room.
-    fn truth(&mut self, view: usize) -> Truth {
-        if let Some(truth) = &self.views[view].truth {
-            return truth.clone();
-        }
-        let photo = &self.views[view].photo;
-        let truth = Truth::new(photo.rgb_over(self.config.background, &self.device));
-        // The photograph and two of its windowed moments.
-        let bytes = 3 * size_of::<f32>() * photo.rgb.len();
-        if bytes <= self.cache_left {
-            self.cache_left -= bytes;
-            self.views[view].truth = Some(truth.clone());
-        }
-        truth
     }
 }
 

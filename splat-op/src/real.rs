@@ -48,13 +48,17 @@ pub(crate) trait Real:
     fn f64(self) -> f64;
     fn sqrt(self) -> Self;
     fn ln(self) -> Self;
-    /// The library's function; for many values at once see [`Self::exp_lanes`].
+    /// The library's function; for many values at once see [`Self::exp2_lanes`].
     fn exp(self) -> Self;
     fn abs(self) -> Self;
     fn finite(self) -> bool;
     fn sort_key(self) -> Self::SortKey;
-    /// `exp(x)` for `x <= 0`, within 2 ulp; zero where the result would be subnormal.
-    fn exp_lanes<S: Simd>(x: Self::Lanes<S>) -> Self::Lanes<S>;
+    /// The integer part of a value between 0 and 2³¹; quick, unlike a conversion to `usize`.
+    fn index(self) -> usize;
+    /// The largest `q` for which [`Self::exp2_lanes`] is meant: `2^−q` is not subnormal.
+    const EXP2_MAX: Self;
+    /// `2^−q` for `0 <= q <= EXP2_MAX`, within 2 ulp; anything elsewhere.
+    fn exp2_lanes<S: Simd>(q: Self::Lanes<S>) -> Self::Lanes<S>;
 
     fn max_of(self, other: Self) -> Self {
         if other > self { other } else { self }
@@ -105,6 +109,10 @@ macro_rules! scalar_functions {
             self.is_finite()
         }
         #[inline(always)]
+        fn index(self) -> usize {
+            self as i32 as usize
+        }
+        #[inline(always)]
         fn sort_key(self) -> Self::SortKey {
             self.to_bits()
         }
@@ -115,29 +123,22 @@ impl Real for f32 {
     type Lanes<S: Simd> = f32x8<S>;
     scalar_functions!(f32, u32, DType::F32);
 
+    const EXP2_MAX: Self = 126.0;
+
     #[inline(always)]
-    fn exp_lanes<S: Simd>(x: f32x8<S>) -> f32x8<S> {
-        // Below this the result is subnormal: no picture can show it, and subnormals are slow.
-        const SMALLEST: f32 = -87.0;
-        // x = n ln 2 + r with |r| <= ln 2 / 2. Adding 1.5 * 2^23 rounds to an integer and leaves it in the low bits.
+    fn exp2_lanes<S: Simd>(q: f32x8<S>) -> f32x8<S> {
+        // q = n + s with an integer n and |s| <= 1/2. Adding 1.5 * 2^23 rounds to an integer and leaves it in the low bits.
         const ROUND: f32 = 12_582_912.0;
-        // ln 2 in two parts, the first with enough trailing zeros that its product with n is exact (Cody and Waite).
-        const LN2_HIGH: f32 = 0.693_359_4;
-        const LN2_LOW: f32 = -2.121_944_4e-4;
-        let simd = x.token();
-        let clamped = x.max(f32x8::splat(simd, SMALLEST));
-        let shifted = clamped.mul_add(f32x8::splat(simd, std::f32::consts::LOG2_E), f32x8::splat(simd, ROUND));
-        let n = shifted - ROUND;
-        let r = n.mul_add(f32x8::splat(simd, -LN2_HIGH), clamped);
-        let r = n.mul_add(f32x8::splat(simd, -LN2_LOW), r);
-        // The Taylor series to degree 7: its remainder on |r| <= 0.347 is 5e-9, a twelfth of an ulp.
-        let mut p = f32x8::splat(simd, 1.0 / 5040.0);
-        for c in [1.0 / 720.0, 1.0 / 120.0, 1.0 / 24.0, 1.0 / 6.0, 0.5, 1.0, 1.0] {
-            p = p.mul_add(r, f32x8::splat(simd, c));
+        let simd = q.token();
+        let shifted = f32x8::splat(simd, ROUND) - q;
+        let s = q + (shifted - ROUND);
+        // 2^-s: the polynomial of degree 6 of least relative error, 2e-9 (Remez's exchange), a thirtieth of an ulp.
+        let mut p = f32x8::splat(simd, 1.534_581_2e-4);
+        for c in [-1.339_993_1e-3, 9.618_489e-3, -5.550_328_8e-2, 2.402_264_7e-1, -6.931_472e-1, 1.0] {
+            p = p.mul_add(s, f32x8::splat(simd, c));
         }
         let exponent: u32x8<S> = (shifted.to_bits() << 23) + (127 << 23);
-        let result = p * f32x8::from_bits(exponent);
-        x.simd_lt(f32x8::splat(simd, SMALLEST)).select(f32x8::splat(simd, 0.0), result)
+        p * f32x8::from_bits(exponent)
     }
 }
 
@@ -145,10 +146,12 @@ impl Real for f64 {
     type Lanes<S: Simd> = f64x8<S>;
     scalar_functions!(f64, u64, DType::F64);
 
+    const EXP2_MAX: Self = 1022.0;
+
     // The f64 path is the yardstick: the library's function, lane by lane.
     #[inline(always)]
-    fn exp_lanes<S: Simd>(x: f64x8<S>) -> f64x8<S> {
-        f64x8::from_fn(x.token(), |lane| x[lane].exp())
+    fn exp2_lanes<S: Simd>(q: f64x8<S>) -> f64x8<S> {
+        f64x8::from_fn(q.token(), |lane| (-q[lane]).exp2())
     }
 }
 
@@ -158,18 +161,17 @@ mod tests {
     use fearless_simd::{Level, dispatch};
 
     #[test]
-    fn exp_stays_within_two_ulp_and_underflows_to_zero() {
+    fn exp2_stays_within_two_ulp() {
         let mut worst = 0.0_f64;
-        for i in 0..400_000 {
-            let x = -(i as f32) * 2.17e-4;
-            let got = dispatch!(Level::new(), simd => f32::exp_lanes(f32x8::splat(simd, x))[3]);
-            let want = f64::from(x).exp();
+        for i in 0..=400_000 {
+            let q = i as f32 * (126.0 / 400_000.0);
+            let got = dispatch!(Level::new(), simd => f32::exp2_lanes(f32x8::splat(simd, q))[3]);
+            let want = (-f64::from(q)).exp2();
             worst = worst.max((f64::from(got) - want).abs() / (want * f64::from(f32::EPSILON)));
         }
         assert!(worst <= 2.0, "{worst} ulp");
-        let zero = dispatch!(Level::new(), simd => f32::exp_lanes(f32x8::splat(simd, f32::NEG_INFINITY))[0]);
-        assert_eq!(zero, 0.0);
-        let one = dispatch!(Level::new(), simd => f32::exp_lanes(f32x8::splat(simd, 0.0))[0]);
-        assert_eq!(one, 1.0);
+        for (q, power) in [(0.0, 1.0), (1.0, 0.5), (126.0, f32::MIN_POSITIVE)] {
+            assert_eq!(dispatch!(Level::new(), simd => f32::exp2_lanes(f32x8::splat(simd, q))[0]), power);
+        }
     }
 }

@@ -9,7 +9,7 @@ use serde::Serialize;
 use splat_model::capture::demo::DemoOptions;
 use splat_model::capture::{Capture, Photo, Split};
 use splat_model::ply;
-use splat_model::trainer::{TrainConfig, TrainError, Trainer};
+use splat_model::trainer::{Resolution, TrainConfig, TrainError, Trainer};
 
 use crate::device::{self, DeviceName};
 use crate::options::PhotoArgs;
@@ -75,6 +75,12 @@ pub struct TrainArgs {
     /// Weight of the mean opacity in the loss, against floaters; 0.01 is usual
     #[arg(long, value_name = "W", default_value_t = TrainConfig::default().opacity_weight)]
     pub opacity_weight: f64,
+    /// Begin with photographs whose sides are this many times shorter: 1, 2, 4, 8 or 16
+    #[arg(long, value_name = "N", default_value_t = TrainConfig::default().resolution.coarsest)]
+    pub coarsest: usize,
+    /// Share of the steps after which photographs have their full size
+    #[arg(long, value_name = "SHARE", default_value_t = TrainConfig::default().resolution.full_from)]
+    pub full_from: f64,
     /// Look at what every stage of every step leaves, and end at the first that goes wrong; several times as slow
     #[arg(long)]
     pub check: bool,
@@ -100,6 +106,7 @@ impl TrainArgs {
         let mut config = TrainConfig { seed: self.seed, antialias: self.antialias, ..TrainConfig::default() };
         config.opacity_weight = self.opacity_weight;
         config.density.max_splats = self.max_splats;
+        config.resolution = Resolution { coarsest: self.coarsest, full_from: self.full_from };
         if self.capture.is_none() {
             (config.steps, config.sh_degree) = (DEMO_STEPS, DEMO_SH_DEGREE);
         }
@@ -110,6 +117,7 @@ impl TrainArgs {
             TrainConfig { sh_degree, .. } if sh_degree > splat_op::shade::SH_DEGREE_MAX => {
                 Err(TrainError::ShDegree(sh_degree))
             }
+            TrainConfig { resolution, .. } if !resolution.is_valid() => Err(TrainError::Resolution(resolution)),
             config => Ok(config),
         }
     }

@@ -8,7 +8,9 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use burn::tensor::{Device, FloatDType, Tensor, TensorData};
 use glam::DAffine3;
 use image::imageops::{self, FilterType};
-use image::{ColorType, DynamicImage, ImageDecoder, ImageReader, Limits, Rgba32FImage, RgbaImage};
+use image::{
+    ColorType, DynamicImage, ImageBuffer, ImageDecoder, ImageReader, Limits, Pixel, RgbImage, Rgba32FImage, RgbaImage,
+};
 use rayon::prelude::*;
 use splat_op::Intrinsics;
 
@@ -61,6 +63,42 @@ impl Photo {
         let background = Tensor::<1>::from_floats(background, device).reshape([1, 1, 3]);
         rgb * alpha.clone() + background * (alpha.neg() + 1.0)
     }
+
+    /// The same photograph with other numbers of pixels along its sides (Lanczos, a = 3), and its camera to match.
+    pub fn resized(&self, width: usize, height: usize) -> Self {
+        let size = [self.intrinsics.width, self.intrinsics.height].map(|side| side as u32);
+        let (to_width, to_height) = (width as u32, height as u32);
+        let (rgb, alpha) = match &self.alpha {
+            Some(alpha) => {
+                let (colours, _) = self.rgb.as_chunks::<3>();
+                let pixels = colours.iter().zip(alpha).flat_map(|(&[r, g, b], &alpha)| [r, g, b, alpha]).collect();
+                let (rgb, alpha) = split_alpha(resize_with_alpha(picture(size, pixels), to_width, to_height));
+                (rgb, Some(alpha))
+            }
+            None => {
+                let rgb: RgbImage = picture(size, self.rgb.clone());
+                (imageops::resize(&rgb, to_width, to_height, FilterType::Lanczos3).into_raw(), None)
+            }
+        };
+        Self {
+            name: self.name.clone(),
+            intrinsics: self.intrinsics.resized(width, height),
+            cam_from_world: self.cam_from_world,
+            rgb,
+            alpha,
+        }
+    }
+}
+
+fn picture<P: Pixel<Subpixel = u8>>([width, height]: [u32; 2], bytes: Vec<u8>) -> ImageBuffer<P, Vec<u8>> {
+    ImageBuffer::from_raw(width, height, bytes).expect("a photograph has as many bytes as its size says")
+}
+
+/// Colours and opacities.
+fn split_alpha(picture: RgbaImage) -> (Vec<u8>, Vec<u8>) {
+    let pixels = picture.into_raw();
+    let (pixels, _) = pixels.as_chunks::<4>();
+    (pixels.iter().flat_map(|&[r, g, b, _]| [r, g, b]).collect(), pixels.iter().map(|&[.., alpha]| alpha).collect())
 }
 
 /// Decodes the picture of a view and, if its longer side exceeds `max_side` px, downsizes it to that (Lanczos, a = 3).
@@ -76,10 +114,8 @@ pub fn load(view: &View, max_side: Option<u32>) -> Result<Photo, CaptureError> {
     let [width, height] = size_within([picture.width(), picture.height()], max_side);
     let (rgb, alpha) = match with_alpha(&picture) {
         Some(rgba) => {
-            let pixels = resize_with_alpha(rgba, width, height).into_raw();
-            let (pixels, _) = pixels.as_chunks::<4>();
-            let rgb = pixels.iter().flat_map(|&[r, g, b, _]| [r, g, b]).collect();
-            (rgb, Some(pixels.iter().map(|&[.., alpha]| alpha).collect()))
+            let (rgb, alpha) = split_alpha(resize_with_alpha(rgba, width, height));
+            (rgb, Some(alpha))
         }
         None => {
             let rgb = picture.into_rgb8();

@@ -11,19 +11,14 @@
 //! Variances are differences of moments and are **not** clamped at zero, again as the field computes them. In f32 that
 //! leaves errors of about `1e-7 · x²` beside C2 = 9e-4: nothing for pictures in 0..1, everything for values of 100.
 //!
-//! The window is applied as two depthwise convolutions. On Burn Flex that is the fastest of the formulations tried
-//! (banded matrix products, blocked or whole; shifted slices), because the convolution walks planes in SIMD without
-//! copies, one plane per thread. Autodiff's gradient of a depthwise convolution is far slower than the convolution. The
-//! window is symmetric and the padding zero, so `K` is its own adjoint, and [`d_ssim`] applies it to the derivatives
-//! itself.
-//!
-//! On a GPU the whole loss with its derivative is one operation, see [`splat_op::photometric`].
+//! [`ssim_map`] and [`ssim`] are plain tensor code, the definition: the window is two depthwise convolutions, the fastest of
+//! the formulations tried on Burn Flex (banded matrix products, blocked or whole; shifted slices). Autodiff's gradient of such a
+//! convolution is far slower than the convolution, so [`d_ssim`] and the loss are one operation, see
+//! [`splat_op::photometric`].
 
 use burn::tensor::{Tensor, TensorData, module::conv2d, ops::ConvOptions};
 
-use splat_op::photometric::{C1, C2, SIGMA_PX, TAPS};
-
-use super::with_gradient;
+use splat_op::photometric::{C1, C2, SIGMA_PX, TAPS, window};
 
 /// The separable window, as weights of a depthwise convolution.
 #[derive(Clone, Debug)]
@@ -51,12 +46,6 @@ impl Window {
 
     /// `Kx`, the shape of `x`.
     fn apply(&self, x: Tensor<4>) -> Tensor<4> {
-        // A GPU has an operation for it, which autodiff does not know.
-        if !x.is_tracked()
-            && let Some(filtered) = splat_op::photometric::window(&x)
-        {
-            return filtered;
-        }
         let channels = x.dims()[1];
         let along = |padding| ConvOptions::new([1, 1], padding, [1, 1], channels);
         let half = TAPS / 2;
@@ -73,9 +62,8 @@ pub(crate) fn planes(image: Tensor<3>) -> Tensor<4> {
 /// A photograph with what SSIM needs of it, computed once and used at every step. Holds three pictures, no gradient.
 #[derive(Clone, Debug)]
 pub struct Truth {
-    window: Window,
     /// The photograph, `[1, C, H, W]`.
-    pub(super) planes: Tensor<4>,
+    planes: Tensor<4>,
     /// `μy`
     mean: Tensor<4>,
     /// `σy² + C2`
@@ -88,22 +76,16 @@ impl Truth {
         let layout = planes(truth.inner());
         // One copy per photograph instead of a strided read at every step. Adding zero writes the planes out.
         let planes = layout.clone().zeros_like() + layout;
-        let window = Window::new(&planes);
-        let mean = window.apply(planes.clone());
-        let variance = window.apply(planes.clone().square()) - mean.clone().square() + C2;
-        Self { window, planes, mean, variance }
+        let mean = window(&planes);
+        let variance = window(&planes.clone().square()) - mean.clone().square() + C2;
+        Self { planes, mean, variance }
     }
 
-    /// The loss `(1 − λ) L1 + λ (1 − SSIM)` and its derivative, in the operation that GPUs have for it.
-    pub(super) fn on_gpu(
-        &self,
-        x: &Tensor<4>,
-        lambda: f64,
-        with_derivative: bool,
-    ) -> Option<(Tensor<1>, Option<Tensor<4>>)> {
+    /// The loss `(1 − λ) L1 + λ (1 − SSIM)` of a picture `[1, C, H, W]` without autodiff and, if asked for, its derivative.
+    pub(super) fn loss(&self, x: &Tensor<4>, lambda: f64, with_derivative: bool) -> (Tensor<1>, Option<Tensor<4>>) {
         let photograph = [&self.planes, &self.mean, &self.variance];
-        let found = splat_op::photometric::photometric(x, photograph, lambda, with_derivative);
-        found.map(|(shares, gradient)| (shares.sum(), gradient))
+        let (shares, gradient) = splat_op::photometric::photometric(x, photograph, lambda, with_derivative);
+        (shares.sum(), gradient)
     }
 
     /// The photograph, `[H, W, C]`.
@@ -112,62 +94,10 @@ impl Truth {
     }
 }
 
-/// The index and, if asked for, its derivative.
-pub(crate) struct Similarity {
-    /// Mean SSIM, `[1]`.
-    pub mean: Tensor<1>,
-    /// `∂ mean / ∂ image`, `[1, C, H, W]`.
-    pub gradient: Option<Tensor<4>>,
-}
-
-/// Mean SSIM of `x`, `[1, C, H, W]` without autodiff, and its derivative in closed form.
-///
-/// With `A1, A2` the factors above the fraction line and `B1, B2` those below, the derivatives with respect to the three
-/// windowed maps are `∂Kxy = 2 A1/(B1B2)`, `∂Kx² = −S/B2`, `∂μx = 2 μy (A2 − A1)/(B1B2) + 2 μx S (1/B2 − 1/B1)`, and
-/// `∂x = K ∂μx + 2 x K ∂Kx² + y K ∂Kxy`.
-pub(crate) fn similarity(x: Tensor<4>, truth: &Truth, with_derivative: bool) -> Similarity {
-    if let Some((dissimilarity, gradient)) = truth.on_gpu(&x, 1.0, with_derivative) {
-        return Similarity { mean: dissimilarity.neg() + 1.0, gradient: gradient.map(Tensor::neg) };
-    }
-    let Truth { window, planes: y, mean: mean_y, variance: variance_y } = truth;
-    // The mean's 1/N and the derivatives' common factor 2 enter here, where they cost nothing.
-    let share = 2.0 / x.shape().num_elements() as f64;
-
-    // Each step hands its operand over, so that Flex overwrites it: clones appear only where a map is used again.
-    let mean_x = window.apply(x.clone());
-    let mean_xx = window.apply(x.clone() * x.clone());
-    let mean_xy = window.apply(x.clone() * y.clone());
-    let square = mean_x.clone() * mean_x.clone();
-    let cross = mean_x.clone() * mean_y.clone();
-    let b2 = mean_xx - square.clone() + variance_y.clone();
-    let b1 = square + mean_y.clone() * mean_y.clone() + C1;
-    let a2 = (mean_xy - cross.clone()) * 2.0 + C2;
-    let a1 = cross * 2.0 + C1;
-    let inverse = (b1.clone() * b2.clone()).recip() * share;
-    let d_xy = inverse.clone() * a1.clone();
-    // Twice the index, divided by N.
-    let index = d_xy.clone() * a2.clone();
-    let mean = index.clone().sum() * 0.5;
-    if !with_derivative {
-        return Similarity { mean, gradient: None };
-    }
-    let twice_d_xx = (index.clone() / b2).neg();
-    let d_mean = (a2 - a1) * inverse * mean_y.clone() - (index / b1 + twice_d_xx.clone()) * mean_x;
-    let gradient = window.apply(d_mean) + window.apply(twice_d_xx) * x + window.apply(d_xy) * y.clone();
-    Similarity { mean, gradient: Some(gradient) }
-}
-
 /// `1 − SSIM`, `[1]`, of `image` `[H, W, C]`, 0 to 1. The second term of the loss of 3D Gaussian splatting (Kerbl et al.
 /// 2023, eq. 7, as their code computes it, without halving).
 pub fn d_ssim(image: Tensor<3>, truth: &Truth) -> Tensor<1> {
-    let variable = planes(image);
-    let tracked = variable.is_tracked();
-    let Similarity { mean, gradient } = similarity(variable.clone().inner(), truth, tracked);
-    let value = mean.neg() + 1.0;
-    match gradient {
-        Some(gradient) => with_gradient(variable, value, gradient.neg()),
-        None => value,
-    }
+    super::photometric(image, truth, 1.0)
 }
 
 /// SSIM at every pixel and channel, `[H, W, C]`, of `image` and `truth`, `[H, W, C]`, 0 to 1.

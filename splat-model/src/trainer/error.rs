@@ -3,7 +3,7 @@
 use splat_op::SplatError;
 use thiserror::Error;
 
-use super::Stage;
+use super::{Resolution, Stage};
 use crate::gaussians::RowsError;
 
 /// Why a run cannot start or go on.
@@ -19,6 +19,12 @@ pub enum TrainError {
     /// More degrees than there are.
     #[error("`sh_degree` is {0}, expected 0 to 4")]
     ShDegree(usize),
+    /// Sizes of photographs that are none.
+    #[error(
+        "`resolution` is {} from {}, expected a power of two up to {} and a share from 0 to 1: see `--coarsest` and `--full-from`",
+        .0.coarsest, .0.full_from, Resolution::LARGEST
+    )]
+    Resolution(Resolution),
     /// The operation refused its inputs.
     #[error(transparent)]
     Op(#[from] SplatError),

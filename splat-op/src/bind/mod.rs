@@ -8,4 +8,4 @@ mod cpu;
 pub(crate) mod cube;
 #[cfg(feature = "fusion")]
 pub(crate) mod fusion;
-mod host;
+pub(crate) mod host;

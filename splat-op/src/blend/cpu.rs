@@ -4,7 +4,7 @@
 use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
 
-use super::tile::{Footprint, Thresholds, TileView, blend_tile, is_long};
+use super::tile::{Footprint, Thresholds, TileView, WHITEN, blend_tile, is_long};
 use super::tile_backward::{MOMENTS, Scratch, TileGrad, blend_tile_backward};
 use super::{BlendNeeds, BlendSpec};
 use crate::project::{COLUMNS, Ellipse};
@@ -334,7 +334,10 @@ fn gather<F: Real>(
                     feature[i * features..(i + 1) * features].copy_from_slice(&colours[..features]);
                 }
                 if needs.mean2d_abs {
-                    absolute[2 * i..2 * i + 2].copy_from_slice(&colours[prepared.channels..]);
+                    // Two factors are scaled: a whitened coordinate and an inverse.
+                    let unscaled = F::of(WHITEN.powi(-2));
+                    let sums = absolute[2 * i..2 * i + 2].iter_mut().zip(&colours[prepared.channels..]);
+                    sums.for_each(|(out, sum)| *out = *sum * unscaled);
                 }
             }
         },
@@ -346,7 +349,9 @@ fn gather<F: Real>(
 /// `∂e/∂sigma_u = u²/sigma_u`, `∂e/∂sigma_v = v²/sigma_v`, `∂e/∂shear = u v sigma_u/sigma_v`,
 /// `∂e/∂mean = (u/sigma_u − v shear/sigma_v, v/sigma_v)`; and `∂α/∂opacity = α/opacity`.
 fn ellipse_gradient<F: Real>(e: &Ellipse<F>, moments: &[F], grad_depth: F) -> Ellipse<F> {
-    let [h, hu, hv, huu, huv, hvv] = std::array::from_fn(|i| moments[i]);
+    // By how often `u` and `v`, which are scaled, are factors.
+    let unscaled = [0, 1, 1, 2, 2, 2].map(|order| F::of(WHITEN.powi(-order)));
+    let [h, hu, hv, huu, huv, hvv] = std::array::from_fn(|i| moments[i] * unscaled[i]);
     let per_v = hv / e.sigma_v;
     Ellipse {
         mean_px: [hu / e.sigma_u - e.shear * per_v, per_v],

@@ -11,6 +11,9 @@ use crate::tile::{TILE, TILE_PIXELS};
 /// Vectors along a row of a tile.
 pub(super) const ROW_VECTORS: usize = TILE / LANES;
 
+/// Rows of vectors that are worked on together, so that one's arithmetic fills the time that the other waits for its own.
+pub(super) const ROWS: usize = 2;
+
 /// The transmittance of a tile is kept each time this many Gaussians have been passed.
 pub(super) const CHECKPOINT_EVERY: usize = 64;
 
@@ -61,32 +64,46 @@ impl<F: Real> Transmittances<F> {
         Self { kept: part(0), lost: if LONG { part(1) } else { [F::ZERO; TILE_PIXELS] } }
     }
 
-    /// Both parts of eight pixels.
+    /// Both parts of eight pixels on each of [`ROWS`] rows.
     #[inline(always)]
-    pub fn load<S: Simd, const LONG: bool>(&self, simd: S, first: usize) -> [F::Lanes<S>; 2] {
-        let part = |part: &[F]| F::Lanes::<S>::from_slice(simd, &part[first..first + LANES]);
-        [part(&self.kept), if LONG { part(&self.lost) } else { F::Lanes::<S>::splat(simd, F::ZERO) }]
+    pub fn load<S: Simd, const LONG: bool>(&self, simd: S, first: usize) -> [[F::Lanes<S>; 2]; ROWS] {
+        let mut rows = [[F::Lanes::<S>::splat(simd, F::ZERO); 2]; ROWS];
+        for (row, [kept, lost]) in rows.iter_mut().enumerate() {
+            let at = first + row * TILE;
+            *kept = F::Lanes::<S>::from_slice(simd, &self.kept[at..at + LANES]);
+            if LONG {
+                *lost = F::Lanes::<S>::from_slice(simd, &self.lost[at..at + LANES]);
+            }
+        }
+        rows
     }
 
     #[inline(always)]
-    pub fn store<S: Simd, const LONG: bool>(&mut self, [kept, lost]: [F::Lanes<S>; 2], first: usize) {
-        kept.store_slice(&mut self.kept[first..first + LANES]);
-        if LONG {
-            lost.store_slice(&mut self.lost[first..first + LANES]);
+    pub fn store<S: Simd, const LONG: bool>(&mut self, rows: &[[F::Lanes<S>; 2]; ROWS], first: usize) {
+        for (row, [kept, lost]) in rows.iter().enumerate() {
+            let at = first + row * TILE;
+            kept.store_slice(&mut self.kept[at..at + LANES]);
+            if LONG {
+                lost.store_slice(&mut self.lost[at..at + LANES]);
+            }
         }
     }
 }
+
+/// `√(log₂e / 2)`. In whitened coordinates scaled by it, a Gaussian is `2^−(u² + v²)`.
+pub(super) const WHITEN: f64 = 0.849_321_800_288_019_1;
 
 /// An ellipse as `blend` reads it, in what its pixels' loop multiplies by.
 #[derive(Clone, Copy, Default)]
 pub(super) struct Footprint<F> {
     pub mean_px: [F; 2],
+    /// Scaled by [`WHITEN`], as `inverse_v`.
     pub inverse_u: F,
     pub inverse_v: F,
     pub shear: F,
     pub opacity: F,
-    /// Exponents below this give an alpha below `alpha_min` for certain.
-    pub exponent_min: F,
+    /// Where `u² + v²` is larger, the alpha is below `alpha_min` for certain, or no number.
+    pub reach: F,
     /// Half the bounding box, px.
     pub half: [F; 2],
 }
@@ -96,16 +113,16 @@ impl<F: Real> Footprint<F> {
         let limit = whitened_limit(ellipse.opacity, alpha_min) * F::of(1.0 + 1e-5) + F::of(1e-4);
         Self {
             mean_px: ellipse.mean_px,
-            inverse_u: F::ONE / ellipse.sigma_u,
-            inverse_v: F::ONE / ellipse.sigma_v,
+            inverse_u: F::of(WHITEN) / ellipse.sigma_u,
+            inverse_v: F::of(WHITEN) / ellipse.sigma_v,
             shear: ellipse.shear,
             opacity: ellipse.opacity,
-            exponent_min: -limit * F::of(0.5),
+            reach: (limit * F::of(WHITEN * WHITEN)).min_of(F::EXP2_MAX),
             half: half_extent(ellipse, limit),
         }
     }
 
-    /// The rows and the vectors along a row of the tile at `origin` px that the bounding box meets.
+    /// The rows and the vectors along a row of the tile at `origin` px that the bounding box meets, whole [`ROWS`].
     #[inline(always)]
     pub fn window(&self, origin: [F; 2]) -> Window {
         // Pixel `i` has its centre at `origin + i + 0.5`; the margin covers rounding.
@@ -116,12 +133,12 @@ impl<F: Real> Footprint<F> {
             let low = (centre - self.half[axis] - margin).within(F::ZERO, last + F::ONE);
             let high = (centre + self.half[axis] + margin).within(-F::ONE, last);
             // Truncation only lowers `low`; `high + 1` is positive or zero.
-            (low.f64() as usize, (high + F::ONE).f64() as usize)
+            (low.index(), (high + F::ONE).index())
         };
         let ((first_pixel, end_pixel), (first_row, end_row)) = (span(0), span(1));
         Window {
-            first_row,
-            end_row,
+            first_row: first_row - first_row % ROWS,
+            end_row: end_row.next_multiple_of(ROWS),
             first_vector: first_pixel / LANES,
             end_vector: end_pixel.div_ceil(LANES).min(ROW_VECTORS),
         }
@@ -147,7 +164,7 @@ pub(super) struct Splat<S: Simd, F: Real> {
     pub inverse_v: F::Lanes<S>,
     shear: F::Lanes<S>,
     opacity: F::Lanes<S>,
-    exponent_min: F::Lanes<S>,
+    reach: F::Lanes<S>,
 }
 
 impl<S: Simd, F: Real> Splat<S, F> {
@@ -162,17 +179,33 @@ impl<S: Simd, F: Real> Splat<S, F> {
             inverse_v: lanes(footprint.inverse_v),
             shear: lanes(footprint.shear),
             opacity: lanes(footprint.opacity),
-            exponent_min: lanes(footprint.exponent_min),
+            reach: lanes(footprint.reach),
         }
     }
 
-    /// `u, v` of the pixels with centres `x` on the row with centre `y`, px.
+    /// What the pixels with centres `x`, px, have in common on all rows.
     #[inline(always)]
-    pub fn whiten(&self, x: F::Lanes<S>, y: F) -> (F::Lanes<S>, F::Lanes<S>) {
+    pub fn column(&self, x: F::Lanes<S>) -> Column<S, F> {
         let dx = x - self.mean_x;
-        let dy = F::Lanes::<S>::splat(self.simd, y - self.footprint.mean_px[1]);
-        (dx * self.inverse_u, (-self.shear).mul_add(dx, dy) * self.inverse_v)
+        let u = dx * self.inverse_u;
+        Column { dx, u, square: u * u }
     }
+
+    /// `v`, scaled by [`WHITEN`], of the pixels of a column on the row with centre `y`, px.
+    #[inline(always)]
+    pub fn v(&self, column: &Column<S, F>, y: F) -> F::Lanes<S> {
+        let dy = F::Lanes::<S>::splat(self.simd, y - self.footprint.mean_px[1]);
+        (-self.shear).mul_add(column.dx, dy) * self.inverse_v
+    }
+}
+
+/// Eight pixels along a row as a Gaussian sees them, whichever the row.
+#[derive(Clone, Copy)]
+pub(super) struct Column<S: Simd, F: Real> {
+    dx: F::Lanes<S>,
+    /// Scaled by [`WHITEN`].
+    pub u: F::Lanes<S>,
+    square: F::Lanes<S>,
 }
 
 /// Thresholds of the render, one copy in each lane.
@@ -198,51 +231,85 @@ impl<S: Simd, F: Real> Thresholds<S, F> {
         }
     }
 
-    /// Passes one Gaussian over eight pixels: their alphas (zero where it does not show) and their transmittances
-    /// behind it. A pixel that is finished has its transmittance negated; `None` if the Gaussian shows in no pixel and
-    /// finishes none.
+    /// Passes one Gaussian over the eight pixels of a column on [`ROWS`] rows, of which the first has its centre at `y` px:
+    /// their alphas (zero where it does not show) and their transmittances behind it. A pixel that is finished has its
+    /// transmittance negated; `None` if the Gaussian reaches none of them.
     #[inline(always)]
-    pub fn layer<const LONG: bool>(
+    pub fn layers<const LONG: bool>(
         &self,
         splat: &Splat<S, F>,
-        (u, v): (F::Lanes<S>, F::Lanes<S>),
-        [transmittance, lost]: [F::Lanes<S>; 2],
-    ) -> Option<Layer<S, F>> {
-        let half = F::Lanes::<S>::splat(splat.simd, F::of(-0.5));
-        let exponent = u.mul_add(u, v * v) * half;
-        let near = exponent.simd_ge(splat.exponent_min) & transmittance.simd_ge(self.zero);
-        if !near.any_true() {
+        column: &Column<S, F>,
+        y: F,
+        before: &[[F::Lanes<S>; 2]; ROWS],
+    ) -> Option<Layers<S, F>> {
+        let mut q = [self.zero; ROWS];
+        let mut alpha = q;
+        let mut near = [self.zero.simd_lt(self.zero); ROWS];
+        for row in 0..ROWS {
+            let v = splat.v(column, y + F::of(row as f64));
+            q[row] = v.mul_add(v, column.square);
+            near[row] = q[row].simd_le(splat.reach) & before[row][0].simd_ge(self.zero);
+        }
+        if !any(near).any_true() {
             return None;
         }
-        let alpha = (splat.opacity * F::exp_lanes(exponent)).min(self.alpha_max);
-        let shows = near & alpha.simd_ge(self.alpha_min);
-        if !shows.any_true() {
-            return None;
+        for row in 0..ROWS {
+            alpha[row] = (splat.opacity * F::exp2_lanes(q[row])).min(self.alpha_max);
         }
-        // `1 − α` would be rounded before it is used, for all layers of one faint alpha the same way.
-        let [behind, lost_behind] = if LONG {
-            // (T + lost)(1 − α) as Kahan (1965) adds.
-            let change = (-alpha).mul_add(transmittance, (-alpha).mul_add(lost, lost));
-            let behind = transmittance + change;
-            [behind, change - (behind - transmittance)]
-        } else {
-            [(-alpha).mul_add(transmittance, transmittance), lost]
-        };
-        let finishes = shows & behind.simd_le(self.transmittance_min);
-        let contributes = shows & !finishes;
-        let alpha = contributes.select(alpha, self.zero);
-        let kept = finishes.select(-transmittance, transmittance);
-        let behind = [contributes.select(behind, kept), contributes.select(lost_behind, lost)];
-        Some(Layer { alpha, behind, finishes })
+        let mut behind = *before;
+        let mut finishes = near;
+        for row in 0..ROWS {
+            let shows = near[row] & alpha[row].simd_ge(self.alpha_min);
+            alpha[row] = shows.select(alpha[row], self.zero);
+            behind[row] = pass::<S, F, LONG>(alpha[row], before[row]);
+            finishes[row] = shows & behind[row][0].simd_le(self.transmittance_min);
+        }
+        let mut finished = 0;
+        // Happens once to a pixel at most.
+        if any(finishes).any_true() {
+            for row in 0..ROWS {
+                finished += finishes[row].to_bitmask().count_ones() as usize;
+                alpha[row] = finishes[row].select(self.zero, alpha[row]);
+                let [kept, lost] = pass::<S, F, LONG>(alpha[row], before[row]);
+                behind[row] = [finishes[row].select(-kept, kept), lost];
+            }
+        }
+        Some(Layers { alpha, behind, finished })
     }
 }
 
-/// What a Gaussian did to eight pixels.
-pub(super) struct Layer<S: Simd, F: Real> {
-    pub alpha: F::Lanes<S>,
+/// Where any of the masks is set.
+#[inline(always)]
+fn any<M: Copy + std::ops::BitOr<Output = M>>(masks: [M; ROWS]) -> M {
+    let mut all = masks[0];
+    for mask in masks.into_iter().skip(1) {
+        all = all | mask;
+    }
+    all
+}
+
+/// `T (1 − α)`, in two parts. `1 − α` would be rounded before it is used, for all layers of one faint alpha the same way.
+#[inline(always)]
+fn pass<S: Simd, F: Real, const LONG: bool>(
+    alpha: F::Lanes<S>,
+    [transmittance, lost]: [F::Lanes<S>; 2],
+) -> [F::Lanes<S>; 2] {
+    if !LONG {
+        return [(-alpha).mul_add(transmittance, transmittance), lost];
+    }
+    // (T + lost)(1 − α) as Kahan (1965) adds.
+    let change = (-alpha).mul_add(transmittance, (-alpha).mul_add(lost, lost));
+    let behind = transmittance + change;
+    [behind, change - (behind - transmittance)]
+}
+
+/// What a Gaussian did to eight pixels on each of [`ROWS`] rows.
+pub(super) struct Layers<S: Simd, F: Real> {
+    pub alpha: [F::Lanes<S>; ROWS],
     /// Both parts of the transmittances behind it.
-    pub behind: [F::Lanes<S>; 2],
-    pub finishes: <F::Lanes<S> as SimdBase<S>>::Mask,
+    pub behind: [[F::Lanes<S>; 2]; ROWS],
+    /// Pixels that are finished from now on.
+    pub finished: usize,
 }
 
 /// Where a tile lies, and which Gaussians it sees.
@@ -299,6 +366,22 @@ pub(super) fn centres<S: Simd, F: Real>(simd: S, left: F) -> [F::Lanes<S>; ROW_V
     })
 }
 
+/// Centres of a tile's rows, px.
+#[inline(always)]
+pub(super) fn row_centres<F: Real>(top: F) -> [F; TILE] {
+    std::array::from_fn(|row| top + F::of(row as f64 + 0.5))
+}
+
+/// A Gaussian's channels, one copy in each lane, where their number is known at compile time.
+#[inline(always)]
+pub(super) fn colour_lanes<S: Simd, F: Real, const C: usize>(simd: S, colour: &[F]) -> [F::Lanes<S>; C] {
+    let mut lanes = [F::Lanes::<S>::splat(simd, F::ZERO); C];
+    for (lanes, &value) in lanes.iter_mut().zip(colour) {
+        *lanes = F::Lanes::<S>::splat(simd, value);
+    }
+    lanes
+}
+
 /// Adds to totals, each with what rounding took from it (Kahan 1965), and leaves zeros.
 fn move_into<F: Real>(sums: &mut [F], totals: &mut [[F; 2]]) {
     for ([total, lost], sum) in totals.iter_mut().zip(sums) {
@@ -324,7 +407,7 @@ pub(super) fn blend_tile<S: Simd, F: Real, const C: usize, const LONG: bool>(
 ) -> usize {
     let channels = if C == 0 { view.channels } else { C };
     let corner = view.corner();
-    let x = centres::<S, F>(simd, corner[0]);
+    let (x, y) = (centres::<S, F>(simd, corner[0]), row_centres(corner[1]));
     let mut transmittance = Transmittances::new(view.open_transmittance());
     let mut open = view.size[0] * view.size[1];
     let sums = &mut planes[..channels * TILE_PIXELS];
@@ -347,26 +430,28 @@ pub(super) fn blend_tile<S: Simd, F: Real, const C: usize, const LONG: bool>(
         }
         let splat = Splat::new(simd, near[i % CHECKPOINT_EVERY]);
         let colour = view.colour(gaussian);
+        let colour_lanes = colour_lanes::<S, F, C>(simd, colour);
         let window = splat.footprint.window(corner);
-        for row in window.first_row..window.end_row {
-            let y = corner[1] + F::of(row as f64 + 0.5);
-            for vector in window.first_vector..window.end_vector {
+        for vector in window.first_vector..window.end_vector {
+            let column = splat.column(x[vector]);
+            for row in (window.first_row..window.end_row).step_by(ROWS) {
                 let first = row * TILE + vector * LANES;
                 let before = transmittance.load::<S, LONG>(simd, first);
-                let Some(layer) = thresholds.layer::<LONG>(&splat, splat.whiten(x[vector], y), before) else {
+                let Some(layers) = thresholds.layers::<LONG>(&splat, &column, y[row], &before) else {
                     continue;
                 };
-                transmittance.store::<S, LONG>(layer.behind, first);
-                let weight = layer.alpha * before[0];
-                for channel in 0..channels {
-                    let at = channel * TILE_PIXELS + first;
-                    let sum = F::Lanes::<S>::from_slice(simd, &sums[at..at + LANES]);
-                    let colour = F::Lanes::<S>::splat(simd, colour[channel]);
-                    weight.mul_add(colour, sum).store_slice(&mut sums[at..at + LANES]);
+                transmittance.store::<S, LONG>(&layers.behind, first);
+                for row in 0..ROWS {
+                    let weight = layers.alpha[row] * before[row][0];
+                    for channel in 0..channels {
+                        let at = channel * TILE_PIXELS + first + row * TILE;
+                        let sum = F::Lanes::<S>::from_slice(simd, &sums[at..at + LANES]);
+                        let colour =
+                            if C == 0 { F::Lanes::<S>::splat(simd, colour[channel]) } else { colour_lanes[channel] };
+                        weight.mul_add(colour, sum).store_slice(&mut sums[at..at + LANES]);
+                    }
                 }
-                if layer.finishes.any_true() {
-                    open -= layer.finishes.to_bitmask().count_ones() as usize;
-                }
+                open -= layers.finished;
             }
         }
         if open == 0 {

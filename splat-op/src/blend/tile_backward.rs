@@ -7,7 +7,8 @@
 use fearless_simd::prelude::*;
 
 use super::tile::{
-    CHECKPOINT_EVERY, Footprint, ROW_VECTORS, Splat, Thresholds, TileView, Transmittances, Window, centres,
+    CHECKPOINT_EVERY, Column, Footprint, ROW_VECTORS, ROWS, Splat, Thresholds, TileView, Transmittances, Window,
+    centres, colour_lanes, row_centres,
 };
 use crate::real::{LANES, Real};
 use crate::tile::{TILE, TILE_PIXELS};
@@ -30,14 +31,17 @@ pub(super) struct TileGrad<'a, F> {
     pub absolute: bool,
 }
 
-/// Vectors of pixels in a tile.
-const TILE_VECTORS: usize = TILE_PIXELS / LANES;
+/// Blocks of a tile: a vector of pixels on each of [`ROWS`] rows.
+const TILE_BLOCKS: usize = TILE_PIXELS / (ROWS * LANES);
+
+/// A Gaussian on a block: transmittances before it and alphas, row by row. The last pass over a Gaussian replaces the first by
+/// its weights.
+type Block<F> = [[F; 2 * LANES]; ROWS];
 
 /// Buffers that one thread reuses from tile to tile, sized for a chunk whose Gaussians show in every pixel.
 pub(super) struct Scratch<F> {
-    /// For each vector of pixels that a Gaussian of the chunk shows in: transmittances before it and alphas. The last
-    /// pass over a Gaussian replaces the first by its weights.
-    layers: Vec<[F; 2 * LANES]>,
+    /// For each block that a Gaussian of the chunk shows in.
+    layers: Vec<Block<F>>,
     /// Where in the tile each of them lies.
     places: Vec<u16>,
     /// Where each Gaussian of the chunk begins in the two.
@@ -47,8 +51,8 @@ pub(super) struct Scratch<F> {
 impl<F: Real> Default for Scratch<F> {
     fn default() -> Self {
         Self {
-            layers: vec![[F::ZERO; 2 * LANES]; CHECKPOINT_EVERY * TILE_VECTORS],
-            places: vec![0; CHECKPOINT_EVERY * TILE_VECTORS],
+            layers: vec![[[F::ZERO; 2 * LANES]; ROWS]; CHECKPOINT_EVERY * TILE_BLOCKS],
+            places: vec![0; CHECKPOINT_EVERY * TILE_BLOCKS],
             starts: [0; CHECKPOINT_EVERY + 1],
         }
     }
@@ -71,7 +75,7 @@ pub(super) fn blend_tile_backward<S: Simd, F: Real, const C: usize, const LONG: 
     let mut rho = Transmittances::new([F::ZERO; TILE_PIXELS]);
     rho.kept.copy_from_slice(grad.behind);
     let chunks = grad.passed.div_ceil(CHECKPOINT_EVERY);
-    let x = centres::<S, F>(simd, view.corner()[0]);
+    let (x, y) = (centres::<S, F>(simd, view.corner()[0]), row_centres(view.corner()[1]));
     *transmittance_behind = view.open_transmittance();
     for chunk in (0..chunks).rev() {
         let first = chunk * CHECKPOINT_EVERY;
@@ -96,14 +100,7 @@ pub(super) fn blend_tile_backward<S: Simd, F: Real, const C: usize, const LONG: 
             let layers = (&mut scratch.layers[layers.clone()], &scratch.places[layers]);
             let splat = Splat::new(simd, near[i]);
             let colour = view.colour(gaussian);
-            backwards::<S, F, C, LONG>(
-                view.corner()[1],
-                grad,
-                (&splat, colour),
-                (thresholds.alpha_max, &x),
-                layers,
-                (&mut rho, row),
-            );
+            backwards::<S, F, C, LONG>(grad, (&splat, colour), (thresholds.alpha_max, &x, &y), layers, (&mut rho, row));
         }
     }
 }
@@ -119,23 +116,24 @@ fn forwards<S: Simd, F: Real, const LONG: bool>(
     scratch: &mut Scratch<F>,
 ) {
     let mut met = 0;
-    let x = centres::<S, F>(simd, corner[0]);
+    let (x, y) = (centres::<S, F>(simd, corner[0]), row_centres(corner[1]));
     for (i, &footprint) in near.iter().enumerate() {
         scratch.starts[i] = met;
         let splat = Splat::new(simd, footprint);
         let Window { first_row, end_row, first_vector, end_vector } = splat.footprint.window(corner);
-        for row in first_row..end_row {
-            let y = corner[1] + F::of(row as f64 + 0.5);
-            for vector in first_vector..end_vector {
+        for vector in first_vector..end_vector {
+            let column = splat.column(x[vector]);
+            for row in (first_row..end_row).step_by(ROWS) {
                 let first = row * TILE + vector * LANES;
                 let before = transmittance.load::<S, LONG>(simd, first);
-                let Some(layer) = thresholds.layer::<LONG>(&splat, splat.whiten(x[vector], y), before) else {
+                let Some(layers) = thresholds.layers::<LONG>(&splat, &column, y[row], &before) else {
                     continue;
                 };
-                transmittance.store::<S, LONG>(layer.behind, first);
-                let kept = &mut scratch.layers[met];
-                before[0].store_slice(&mut kept[..LANES]);
-                layer.alpha.store_slice(&mut kept[LANES..]);
+                transmittance.store::<S, LONG>(&layers.behind, first);
+                for (row, kept) in scratch.layers[met].iter_mut().enumerate() {
+                    before[row][0].store_slice(&mut kept[..LANES]);
+                    layers.alpha[row].store_slice(&mut kept[LANES..]);
+                }
                 scratch.places[met] = first as u16;
                 met += 1;
             }
@@ -147,11 +145,10 @@ fn forwards<S: Simd, F: Real, const LONG: bool>(
 /// One Gaussian, back to front: its sums over the pixels it shows in, and `rho` stepped in front of it.
 #[inline(always)]
 fn backwards<S: Simd, F: Real, const C: usize, const LONG: bool>(
-    top: F,
     grad: &TileGrad<F>,
     (splat, colour): (&Splat<S, F>, &[F]),
-    (alpha_max, x): (F::Lanes<S>, &[F::Lanes<S>; ROW_VECTORS]),
-    (layers, places): (&mut [[F; 2 * LANES]], &[u16]),
+    (alpha_max, x, y): (F::Lanes<S>, &[F::Lanes<S>; ROW_VECTORS], &[F; TILE]),
+    (blocks, places): (&mut [Block<F>], &[u16]),
     (rho, row): (&mut Transmittances<F>, &mut [F]),
 ) {
     let simd = alpha_max.token();
@@ -164,53 +161,71 @@ fn backwards<S: Simd, F: Real, const C: usize, const LONG: bool>(
     let mut moments = [zero; MOMENTS];
     let mut absolute = [zero; 2];
     let mut features = [zero; C];
+    let colour_lanes = colour_lanes::<S, F, C>(simd, colour);
     let slope = splat.inverse_v * splat.footprint.shear;
-    for (layer, &place) in layers.iter_mut().zip(places) {
-        let first = place as usize;
-        let before = F::Lanes::<S>::from_slice(simd, &layer[..LANES]);
-        let alpha = F::Lanes::<S>::from_slice(simd, &layer[LANES..]);
-        let [behind, lost] = rho.load::<S, LONG>(simd, first);
-        let mut along = plane(channels, first);
-        for channel in 0..channels {
-            along = plane(channel, first).mul_add(F::Lanes::<S>::splat(simd, colour[channel]), along);
-        }
-        let weight = alpha * before;
-        let ahead = along - behind;
-        let change = if LONG { alpha.mul_add(ahead, (-alpha).mul_add(lost, lost)) } else { alpha * ahead };
-        let rho_here = if LONG { behind + change } else { alpha.mul_add(ahead, behind) };
-        rho.store::<S, LONG>([rho_here, change - (rho_here - behind)], first);
-        let free = alpha.simd_lt(alpha_max);
-        let h = free.select(weight * ahead, zero);
+    let mut columns = [splat.column(x[0]); ROW_VECTORS];
+    for (column, &x) in columns.iter_mut().zip(x) {
+        *column = splat.column(x);
+    }
+    for (block, &place) in blocks.iter_mut().zip(places) {
+        let place = place as usize;
+        let column: &Column<S, F> = &columns[place % TILE / LANES];
+        let behind = rho.load::<S, LONG>(simd, place);
+        let mut rho_here = behind;
+        let top = y[place / TILE];
+        for row in 0..ROWS {
+            let first = place + row * TILE;
+            let [behind, lost] = behind[row];
+            let before = F::Lanes::<S>::from_slice(simd, &block[row][..LANES]);
+            let alpha = F::Lanes::<S>::from_slice(simd, &block[row][LANES..]);
+            let mut along = plane(channels, first);
+            for channel in 0..channels {
+                let colour = if C == 0 { F::Lanes::<S>::splat(simd, colour[channel]) } else { colour_lanes[channel] };
+                along = plane(channel, first).mul_add(colour, along);
+            }
+            let weight = alpha * before;
+            let ahead = along - behind;
+            let change = if LONG { alpha.mul_add(ahead, (-alpha).mul_add(lost, lost)) } else { alpha * ahead };
+            let stepped = if LONG { behind + change } else { alpha.mul_add(ahead, behind) };
+            rho_here[row] = [stepped, change - (stepped - behind)];
+            let free = alpha.simd_lt(alpha_max);
+            let h = free.select(weight * ahead, zero);
 
-        let row_px = top + F::of((first / TILE) as f64 + 0.5);
-        let (u, v) = splat.whiten(x[first % TILE / LANES], row_px);
-        let (hu, hv) = (h * u, h * v);
-        moments[0] += h;
-        moments[1] += hu;
-        moments[2] += hv;
-        moments[3] = hu.mul_add(u, moments[3]);
-        moments[4] = hu.mul_add(v, moments[4]);
-        moments[5] = hv.mul_add(v, moments[5]);
-        if grad.absolute {
-            absolute[0] += (hu * splat.inverse_u - hv * slope).abs();
-            absolute[1] += (hv * splat.inverse_v).abs();
-        }
-        if C == 0 {
-            weight.store_slice(&mut layer[..LANES]);
-        } else {
-            for channel in 0..C {
-                features[channel] = plane(channel, first).mul_add(weight, features[channel]);
+            let (u, v) = (column.u, splat.v(column, top + F::of(row as f64)));
+            let (hu, hv) = (h * u, h * v);
+            moments[0] += h;
+            moments[1] += hu;
+            moments[2] += hv;
+            moments[3] = hu.mul_add(u, moments[3]);
+            moments[4] = hu.mul_add(v, moments[4]);
+            moments[5] = hv.mul_add(v, moments[5]);
+            if grad.absolute {
+                absolute[0] += (hu * splat.inverse_u - hv * slope).abs();
+                absolute[1] += (hv * splat.inverse_v).abs();
+            }
+            if C == 0 {
+                weight.store_slice(&mut block[row][..LANES]);
+            } else {
+                for channel in 0..C {
+                    features[channel] = plane(channel, first).mul_add(weight, features[channel]);
+                }
             }
         }
+        rho.store::<S, LONG>(&rho_here, place);
     }
     for (out, sum) in row.iter_mut().zip(moments) {
         *out = sum.reduce_sum();
     }
     for channel in 0..channels {
         let sum = if C == 0 {
-            layers.iter().zip(places).fold(zero, |sum, (layer, &place)| {
-                plane(channel, place as usize).mul_add(F::Lanes::<S>::from_slice(simd, &layer[..LANES]), sum)
-            })
+            let mut sum = zero;
+            for (block, &place) in blocks.iter().zip(places) {
+                for (row, layer) in block.iter().enumerate() {
+                    let weight = F::Lanes::<S>::from_slice(simd, &layer[..LANES]);
+                    sum = plane(channel, place as usize + row * TILE).mul_add(weight, sum);
+                }
+            }
+            sum
         } else {
             features[channel]
         };

@@ -1,53 +1,10 @@
-//! The window and the loss against sums written out in f64.
+//! The window and the loss on GPUs against sums written out in f64.
 
 use super::launch::{DeviceInputs, launch_photometric, launch_window};
+use super::tests::{pictures, shares, window};
 use crate::gpu::Buffer;
-use crate::testing::ceiling::{Yardstick, rounded, to_f32};
+use crate::testing::ceiling::{Yardstick, to_f32};
 use crate::testing::gpu::gpus;
-use crate::testing::random::Random;
-
-/// `Kx` by the definition: every pair of a pixel and a tap.
-fn window(x: &[f64], [width, height]: [usize; 2]) -> Vec<f64> {
-    let weight = |d: usize| (-(d as f64).powi(2) / 4.5).exp();
-    let sum = weight(0) + 2.0 * (1..=5).map(weight).sum::<f64>();
-    let mut out = vec![0.0; x.len()];
-    for (i, out) in out.iter_mut().enumerate() {
-        let (plane, row, column) = (i / (width * height), i / width % height, i % width);
-        for r in row.saturating_sub(5)..(row + 6).min(height) {
-            for c in column.saturating_sub(5)..(column + 6).min(width) {
-                let tap = weight(row.abs_diff(r)) * weight(column.abs_diff(c)) / (sum * sum);
-                *out += tap * x[(plane * height + r) * width + c];
-            }
-        }
-    }
-    out
-}
-
-/// Shares of the loss from image, truth, mean and variance of the truth.
-fn shares(inputs: &[Vec<f64>], size: [usize; 2], lambda: f64) -> Vec<f64> {
-    let [x, y, mean_y, variance_y] = [0, 1, 2, 3].map(|i| &inputs[i]);
-    let product = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).collect::<Vec<_>>();
-    let (mean_x, xx, xy) = (window(x, size), window(&product(x, x), size), window(&product(x, y), size));
-    let n = x.len() as f64;
-    let share = |i: usize| {
-        let cross = mean_x[i] * mean_y[i];
-        let square = mean_x[i] * mean_x[i];
-        let above = (2.0 * cross + 1e-4) * (2.0 * (xy[i] - cross) + 9e-4);
-        let below = (square + mean_y[i] * mean_y[i] + 1e-4) * (xx[i] - square + variance_y[i]);
-        ((1.0 - lambda) * (x[i] - y[i]).abs() + lambda * (1.0 - above / below)) / n
-    };
-    (0..x.len()).map(share).collect()
-}
-
-fn pictures(size: [usize; 2], planes: usize) -> Vec<Vec<f64>> {
-    let mut random = Random::new((size[0] + 1000 * size[1]) as u64);
-    let len = planes * size[0] * size[1];
-    let [x, y] = [0, 1].map(|_| rounded(&random.fill(len, 0.0, 1.0)));
-    let mean = window(&y, size);
-    let square: Vec<f64> = y.iter().map(|y| y * y).collect();
-    let variance = window(&square, size).iter().zip(&mean).map(|(yy, m)| yy - m * m + 9e-4).collect::<Vec<_>>();
-    vec![x, y, rounded(&mean), rounded(&variance)]
-}
 
 #[test]
 fn window_is_the_double_sum() {

@@ -3,7 +3,7 @@
 use super::forward::{
     PlanesLaunch, WeightsLaunch, WindowLaunch, gradient_kernel, index_kernel, moments_kernel, window_kernel,
 };
-use super::{SIGMA_PX, TAPS};
+use super::half_window;
 use crate::gpu::{Buffer, Gpu, elementwise};
 
 /// Inputs on the device, each `[C, H, W]`.
@@ -21,9 +21,7 @@ fn strips(gpu: &Gpu) -> [usize; 2] {
 }
 
 fn window() -> WindowLaunch {
-    let weight = |i: usize| (-(i as f64).powi(2) / (2.0 * SIGMA_PX * SIGMA_PX)).exp();
-    let sum: f64 = weight(0) + 2.0 * (1..=TAPS / 2).map(weight).sum::<f64>();
-    let [t0, t1, t2, t3, t4, t5] = [0, 1, 2, 3, 4, 5].map(|i| (weight(i) / sum) as f32);
+    let [t0, t1, t2, t3, t4, t5] = half_window().map(|tap| tap as f32);
     WindowLaunch::new(t0, t1, t2, t3, t4, t5)
 }
 

@@ -1,0 +1,78 @@
+//! Small photographs first.
+
+use serde::{Deserialize, Serialize};
+
+/// How large the photographs are as a run goes on: a run that begins with smaller ones has its coarse shapes sooner and for
+/// a fraction of the work, as the cost of a step grows with its pixels. (Nerfstudio's splatfacto and OpenSplat do it by
+/// fixed numbers of steps; DashGaussian, Chen et al. 2025, by the spectrum of the photographs.)
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Resolution {
+    /// What the sides are divided by at the start: a power of two, 1 for photographs of full size throughout.
+    pub coarsest: usize,
+    /// Share of the run after which photographs have their full size. Each smaller size has an equal part of the steps
+    /// before.
+    pub full_from: f64,
+}
+
+impl Resolution {
+    /// The largest divisor that is accepted.
+    pub const LARGEST: usize = 16;
+
+    /// Photographs of full size from the first step.
+    pub const FULL: Self = Self { coarsest: 1, full_from: 0.0 };
+
+    /// What the sides are divided by at `step`, counted from 1, of a run of `steps`.
+    pub fn divisor_at(&self, step: usize, steps: usize) -> usize {
+        let levels = self.coarsest.max(1).ilog2() as f64;
+        let share = (step - 1) as f64 / steps as f64;
+        if levels == 0.0 || share >= self.full_from {
+            return 1;
+        }
+        // Levels that are over.
+        let over = (share / self.full_from * levels) as usize;
+        (self.coarsest >> over).max(2)
+    }
+
+    /// Whether the schedule can be followed.
+    pub fn is_valid(&self) -> bool {
+        self.coarsest.is_power_of_two() && self.coarsest <= Self::LARGEST && (0.0..=1.0).contains(&self.full_from)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sizes_have_equal_parts_of_the_coarse_share() {
+        let schedule = Resolution { coarsest: 4, full_from: 0.4 };
+        let divisors: Vec<usize> = (1..=10).map(|step| schedule.divisor_at(step, 10)).collect();
+        assert_eq!(divisors, [4, 4, 2, 2, 1, 1, 1, 1, 1, 1]);
+        let schedule = Resolution { coarsest: 2, full_from: 0.25 };
+        let last = (1..=1000).filter(|&step| schedule.divisor_at(step, 1000) == 2).max();
+        assert_eq!(last, Some(250));
+    }
+
+    #[test]
+    fn full_size_throughout() {
+        for schedule in [Resolution::FULL, Resolution { coarsest: 1, full_from: 1.0 }] {
+            assert!((1..=50).all(|step| schedule.divisor_at(step, 50) == 1));
+        }
+        assert!((1..=50).all(|step| Resolution { coarsest: 8, full_from: 0.0 }.divisor_at(step, 50) == 1));
+    }
+
+    #[test]
+    fn what_cannot_be_followed() {
+        let valid = |coarsest, full_from| Resolution { coarsest, full_from }.is_valid();
+        assert!(valid(1, 0.0) && valid(16, 1.0));
+        assert!(
+            !valid(0, 0.5)
+                && !valid(3, 0.5)
+                && !valid(32, 0.5)
+                && !valid(2, -0.1)
+                && !valid(2, 1.1)
+                && !valid(2, f64::NAN)
+        );
+    }
+}

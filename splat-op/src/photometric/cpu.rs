@@ -1,0 +1,343 @@
+//! The CPU twin: two sweeps down the pictures, parallel over bands of rows. A sweep filters each row along its length once,
+//! keeps the last eleven such rows and filters down those, so that a map is never read twice from memory.
+
+use std::ops::Range;
+
+use fearless_simd::{Level, dispatch, prelude::*};
+use rayon::prelude::*;
+
+use super::{C1, C2, TAPS, half_window};
+use crate::real::{LANES, Real};
+
+/// Taps on one side of the middle.
+const HALF: usize = TAPS / 2;
+
+/// Rows per task. Five rows above and below it are filtered again.
+const BAND: usize = 40;
+
+/// Planes `[.., H, W]`, row-major: the picture, the photograph, its mean `μy` and its variance `σy² + C2`.
+#[derive(Clone, Copy)]
+pub(crate) struct Inputs<'a, F> {
+    pub image: &'a [F],
+    pub truth: &'a [F],
+    pub mean: &'a [F],
+    pub variance: &'a [F],
+}
+
+/// The size of a plane.
+#[derive(Clone, Copy)]
+pub(crate) struct Size {
+    pub width: usize,
+    pub height: usize,
+}
+
+impl Size {
+    fn pixels(self) -> usize {
+        self.width * self.height
+    }
+
+    /// Where a row of a plane begins.
+    fn row(self, plane: usize, row: usize) -> usize {
+        (plane * self.height + row) * self.width
+    }
+}
+
+/// The loss and, if asked for, its derivative with respect to the picture.
+pub(crate) fn photometric_cpu<F: Real>(
+    inputs: Inputs<F>,
+    size: Size,
+    lambda: f64,
+    with_gradient: bool,
+) -> (F, Option<Vec<F>>) {
+    if inputs.image.is_empty() {
+        return (F::ZERO, with_gradient.then(Vec::new));
+    }
+    let planes = inputs.image.len() / size.pixels();
+    let bands: Vec<Band> = (0..planes)
+        .flat_map(|plane| (0..size.height).step_by(BAND).map(move |first| (plane, first)))
+        .map(|(plane, first)| Band { plane, rows: first..size.height.min(first + BAND) })
+        .collect();
+    let job = Job { inputs, size, lambda: F::of(lambda), share: F::of(1.0 / inputs.image.len() as f64) };
+    let mut maps = vec![F::ZERO; if with_gradient { 3 * inputs.image.len() } else { 0 }];
+    let mut tasks: Vec<(&Band, &mut [F])> = split(&bands, &mut maps, 3 * size.width, with_gradient);
+    let sums: Vec<f64> =
+        tasks.par_iter_mut().map(|(band, maps)| dispatch!(Level::new(), simd => job.index(simd, band, maps))).collect();
+    let loss = F::of(sums.iter().sum::<f64>() / inputs.image.len() as f64);
+    let gradient = with_gradient.then(|| {
+        let mut gradient = vec![F::ZERO; inputs.image.len()];
+        split(&bands, &mut gradient, size.width, true)
+            .par_iter_mut()
+            .for_each(|(band, gradient)| dispatch!(Level::new(), simd => job.gradient(simd, band, &maps, gradient)));
+        gradient
+    });
+    (loss, gradient)
+}
+
+/// `Kx` of planes of one size.
+pub(crate) fn window_cpu<F: Real>(planes: &[F], size: Size) -> Vec<F> {
+    let mut out = vec![F::ZERO; planes.len()];
+    if planes.is_empty() {
+        return out;
+    }
+    out.par_chunks_mut(size.pixels()).zip(planes.par_chunks(size.pixels())).for_each(|(out, plane)| {
+        dispatch!(Level::new(), simd => {
+            let mut sweep = Sweep::<F, 1>::new(size.width);
+            let fill = |row: usize, [to]: [&mut [F]; 1]| to.copy_from_slice(&plane[size.row(0, row)..][..size.width]);
+            sweep.run(simd, 0..size.height, size.height, fill, #[inline(always)] |row, column, [value]| {
+                store(value, &mut out[size.row(0, row)..][..size.width][column..]);
+            });
+        });
+    });
+    out
+}
+
+/// Rows of a plane.
+struct Band {
+    plane: usize,
+    rows: Range<usize>,
+}
+
+/// Each band with its part of what is to be written, `columns` values per row, or with nothing.
+fn split<'a, F>(bands: &'a [Band], mut out: &'a mut [F], columns: usize, wanted: bool) -> Vec<(&'a Band, &'a mut [F])> {
+    let part = |band: &'a Band| {
+        let len = if wanted { band.rows.len() * columns } else { 0 };
+        (band, out.split_off_mut(..len).expect("as many rows as the bands have"))
+    };
+    bands.iter().map(part).collect()
+}
+
+/// What all tasks share.
+struct Job<'a, F> {
+    inputs: Inputs<'a, F>,
+    size: Size,
+    lambda: F,
+    /// One divided by the number of values.
+    share: F,
+}
+
+impl<F: Real> Job<'_, F> {
+    /// The first sweep: the sum of `(1 − λ) |x − y| + λ (1 − S)` over a band. Into `maps`, unless it is empty, go row by row
+    /// the derivatives of `−λ S`, divided by the number of values, with respect to `Kx`, to `Kx²` (twice) and to `Kxy`.
+    #[inline(always)]
+    fn index<S: Simd>(&self, simd: S, band: &Band, maps: &mut [F]) -> f64 {
+        let Self { inputs, size, .. } = *self;
+        let lanes = |value: f64| F::Lanes::<S>::splat(simd, F::of(value));
+        let (one, two, c1, c2) = (lanes(1.0), lanes(2.0), lanes(C1), lanes(C2));
+        let lambda = F::Lanes::<S>::splat(simd, self.lambda);
+        let scale = F::Lanes::<S>::splat(simd, -self.lambda * self.share * F::of(2.0));
+        let line = |row: usize| {
+            let first = size.row(band.plane, row);
+            first..first + size.width
+        };
+        let mut sum = 0.0;
+        let zero = lanes(0.0);
+        let lane = F::Lanes::<S>::from_fn(simd, |lane| F::of(lane as f64));
+        let mut row_sum = zero;
+        let mut sweep = Sweep::<F, 3>::new(size.width);
+        let fill = |row: usize, [to, squares, products]: [&mut [F]; 3]| {
+            let (x, y) = (&inputs.image[line(row)], &inputs.truth[line(row)]);
+            let to = to.iter_mut().zip(squares).zip(products);
+            for ((((to, square), product), &x), &y) in to.zip(x).zip(y) {
+                (*to, *square, *product) = (x, x * x, x * y);
+            }
+        };
+        sweep.run(
+            simd,
+            band.rows.clone(),
+            size.height,
+            fill,
+            #[inline(always)]
+            |row, column, [mean_x, xx, xy]| {
+                let rest = line(row).start + column..line(row).end;
+                let (x, y) = (load(simd, &inputs.image[rest.clone()]), load(simd, &inputs.truth[rest.clone()]));
+                let (mean_y, variance) = (load(simd, &inputs.mean[rest.clone()]), load(simd, &inputs.variance[rest]));
+                let cross = mean_x * mean_y;
+                let square = mean_x * mean_x;
+                let a1 = cross.mul_add(two, c1);
+                let a2 = (xy - cross).mul_add(two, c2);
+                let b1 = mean_y.mul_add(mean_y, square) + c1;
+                let b2 = xx - square + variance;
+                let inverse = one / (b1 * b2);
+                let index = a1 * a2 * inverse;
+                let share = (x - y).abs() * (one - lambda) + lambda * (one - index);
+                if column + LANES < size.width {
+                    row_sum += share;
+                } else {
+                    let inside = lane.simd_lt(F::Lanes::<S>::splat(simd, F::of((size.width - column) as f64)));
+                    row_sum += inside.select(share, zero);
+                    sum += row_sum.reduce_sum().f64();
+                    row_sum = zero;
+                }
+                if !maps.is_empty() {
+                    let scaled = inverse * scale;
+                    let d_xy = scaled * a1;
+                    // The index, scaled, divided by B1 and by B2.
+                    let scaled_index = d_xy * a2;
+                    let (over_b1, over_b2) = (scaled_index * (inverse * b2), scaled_index * (inverse * b1));
+                    let d_mean = (a2 - a1) * scaled * mean_y - (over_b1 - over_b2) * mean_x;
+                    let first = (row - band.rows.start) * 3 * size.width;
+                    let (to_mean, rest) = maps[first..first + 3 * size.width].split_at_mut(size.width);
+                    let (to_square, to_cross) = rest.split_at_mut(size.width);
+                    store(d_mean, &mut to_mean[column..]);
+                    store(-over_b2, &mut to_square[column..]);
+                    store(d_xy, &mut to_cross[column..]);
+                }
+            },
+        );
+        sum
+    }
+
+    /// The second sweep: `K ∂Kx + 2 x K ∂Kx² + y K ∂Kxy` and the derivative of `|x − y|` over a band.
+    #[inline(always)]
+    fn gradient<S: Simd>(&self, simd: S, band: &Band, maps: &[F], out: &mut [F]) {
+        let Self { inputs, size, .. } = *self;
+        let weight = (F::ONE - self.lambda) * self.share;
+        let (up, down) = (F::Lanes::<S>::splat(simd, weight), F::Lanes::<S>::splat(simd, -weight));
+        let zero = F::Lanes::<S>::splat(simd, F::ZERO);
+        let mut sweep = Sweep::<F, 3>::new(size.width);
+        let fill = |row: usize, to: [&mut [F]; 3]| {
+            let rows = &maps[3 * size.row(band.plane, row)..][..3 * size.width];
+            to.into_iter().zip(rows.chunks_exact(size.width)).for_each(|(to, from)| to.copy_from_slice(from));
+        };
+        sweep.run(
+            simd,
+            band.rows.clone(),
+            size.height,
+            fill,
+            #[inline(always)]
+            |row, column, [mean, square, cross]| {
+                let rest = size.row(band.plane, row) + column..size.row(band.plane, row + 1);
+                let (x, y) = (load(simd, &inputs.image[rest.clone()]), load(simd, &inputs.truth[rest]));
+                let difference = x - y;
+                // Zero at zero, and what is not a number stays that.
+                let otherwise = difference * zero;
+                let sign = difference.simd_gt(zero).select(up, difference.simd_lt(zero).select(down, otherwise));
+                let gradient = square.mul_add(x, mean) + cross.mul_add(y, sign);
+                store(gradient, &mut out[(row - band.rows.start) * size.width..][..size.width][column..]);
+            },
+        );
+    }
+}
+
+/// A filter that goes down `N` maps at once.
+struct Sweep<F, const N: usize> {
+    /// Length of a row in whole vectors.
+    stride: usize,
+    /// A row of each map with [`HALF`] zeros before it and zeros behind it.
+    padded: [Vec<F>; N],
+    /// By map: the last [`TAPS`] rows, filtered along their length; row `r` is in slot `r % TAPS`.
+    slots: [Vec<F>; N],
+    width: usize,
+}
+
+impl<F: Real, const N: usize> Sweep<F, N> {
+    fn new(width: usize) -> Self {
+        let stride = width.next_multiple_of(LANES);
+        Self {
+            stride,
+            padded: std::array::from_fn(|_| vec![F::ZERO; stride + 2 * HALF]),
+            slots: std::array::from_fn(|_| vec![F::ZERO; stride * TAPS]),
+            width,
+        }
+    }
+
+    /// Filters rows `rows` of maps of `height` rows. `fill` writes a row of each map; `each` gets `row`, `column` and the
+    /// filtered maps at that pixel and the seven that follow it, of which those beyond the width mean nothing.
+    #[inline(always)]
+    fn run<S: Simd>(
+        &mut self,
+        simd: S,
+        rows: Range<usize>,
+        height: usize,
+        mut fill: impl FnMut(usize, [&mut [F]; N]),
+        mut each: impl FnMut(usize, usize, [F::Lanes<S>; N]),
+    ) {
+        let (stride, width) = (self.stride, self.width);
+        let mut taps = [F::Lanes::<S>::splat(simd, F::ZERO); HALF + 1];
+        taps.iter_mut().zip(half_window()).for_each(|(lanes, tap)| *lanes = F::Lanes::<S>::splat(simd, F::of(tap)));
+        // Rows are counted from HALF above the first, so that none is negative.
+        for place in rows.start..rows.end + 2 * HALF {
+            let slot = place % TAPS * stride..(place % TAPS + 1) * stride;
+            let row = place.wrapping_sub(HALF);
+            if row < height {
+                fill(row, self.padded.each_mut().map(|padded| &mut padded[HALF..HALF + width]));
+                for (padded, slots) in self.padded.iter().zip(&mut self.slots) {
+                    along(simd, padded, &taps, &mut slots[slot.clone()]);
+                }
+            } else {
+                self.slots.iter_mut().for_each(|slots| slots[slot.clone()].fill(F::ZERO));
+            }
+            if place < rows.start + 2 * HALF {
+                continue;
+            }
+            // The rows that the window reaches, from the uppermost.
+            let lines: [[&[F]; TAPS]; N] = std::array::from_fn(|map| {
+                std::array::from_fn(|tap| {
+                    let slot = (place + 1 + tap) % TAPS;
+                    &self.slots[map][slot * stride..(slot + 1) * stride]
+                })
+            });
+            for column in (0..width).step_by(LANES) {
+                let mut values = [taps[0]; N];
+                for map in 0..N {
+                    values[map] = filtered(
+                        simd,
+                        &taps,
+                        #[inline(always)]
+                        |tap| &lines[map][tap][column..column + LANES],
+                    );
+                }
+                each(place - 2 * HALF, column, values);
+            }
+        }
+    }
+}
+
+/// A row filtered along its length.
+#[inline(always)]
+fn along<S: Simd, F: Real>(simd: S, padded: &[F], taps: &[F::Lanes<S>; HALF + 1], out: &mut [F]) {
+    for (vector, out) in out.chunks_exact_mut(LANES).enumerate() {
+        let near = &padded[vector * LANES..vector * LANES + LANES + 2 * HALF];
+        filtered(
+            simd,
+            taps,
+            #[inline(always)]
+            |tap| &near[tap..tap + LANES],
+        )
+        .store_slice(out);
+    }
+}
+
+/// The window on eleven vectors of values; it is the same on both sides of its middle.
+#[inline(always)]
+fn filtered<'a, S: Simd, F: Real>(
+    simd: S,
+    taps: &[F::Lanes<S>; HALF + 1],
+    at: impl Fn(usize) -> &'a [F],
+) -> F::Lanes<S> {
+    let mut sum = F::Lanes::<S>::from_slice(simd, at(HALF)) * taps[0];
+    for distance in 1..=HALF {
+        let above = F::Lanes::<S>::from_slice(simd, at(HALF - distance));
+        let below = F::Lanes::<S>::from_slice(simd, at(HALF + distance));
+        sum = (above + below).mul_add(taps[distance], sum);
+    }
+    sum
+}
+
+/// The next eight values of a row, with zeros behind its end.
+#[inline(always)]
+fn load<S: Simd, F: Real>(simd: S, row: &[F]) -> F::Lanes<S> {
+    match row.first_chunk::<LANES>() {
+        Some(whole) => F::Lanes::<S>::from_slice(simd, whole),
+        None => F::Lanes::<S>::from_fn(simd, |lane| row.get(lane).copied().unwrap_or(F::ZERO)),
+    }
+}
+
+/// Writes as many of eight values as there is room for.
+#[inline(always)]
+fn store<S: Simd, F: Real, L: SimdFloat<S, Element = F>>(values: L, row: &mut [F]) {
+    match row.first_chunk_mut::<LANES>() {
+        Some(whole) => values.store_slice(whole),
+        None => row.iter_mut().enumerate().for_each(|(lane, out)| *out = values[lane]),
+    }
+}
