@@ -1,40 +1,118 @@
-//! One whole training step: render, loss, backward, Adam. The run is first compared with what it is known to reach.
+//! A whole training step: render, loss, backward, Adam. A run is first compared with what it is known to reach.
 //!
-//! `cargo bench -p splat-benches --bench step`
+//! `cargo bench --workspace --bench step -- medium`: any of `small`, `fox_small`, `fox_colmap`, `medium` and `large`; without,
+//! `small` and `medium`.
+//!
+//! `cargo bench --workspace --bench step -- --profile` says where a step spends its time, as a table for the README: each of its
+//! passes alone, and what is left; without names on `fox_small`, `fox_colmap` and `large`.
+
+use std::error::Error;
+use std::time::Duration;
 
 use burn::tensor::{DType, Device};
-use divan::{Bencher, black_box};
 use glam::DAffine3;
-use splat_benches::{SMALL, SyntheticView, values};
+use splat_benches::job::{Job, Size};
+use splat_benches::limit::{Kind, Machine};
+use splat_benches::measure::{Times, table};
+use splat_benches::passes::{passes, whole_step};
+use splat_benches::{SMALL, values};
 use splat_model::capture::{Photo, PointCloud};
 use splat_model::trainer::{TrainConfig, Trainer};
 
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
-fn main() {
-    divan::main();
+/// For one size.
+const BUDGET: Duration = Duration::from_secs(15);
+const PROFILE_BUDGET: Duration = Duration::from_secs(60);
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let profile = std::env::args().any(|word| word == "--profile");
+    let (device, machine) = (Device::flex(), Machine::measure());
+    println!("{} threads: {machine}", rayon::current_num_threads());
+    if profile {
+        let sizes = Size::from_arguments(&[Size::FoxSmall, Size::FoxColmap, Size::Large])?;
+        let measured: Result<Vec<_>, _> = sizes.into_iter().map(|size| measure(size, &device, &machine)).collect();
+        print_profile(&measured?);
+        return Ok(());
+    }
+    let sizes = Size::from_arguments(&[Size::Small, Size::Medium])?;
+    verify()?;
+    for size in sizes {
+        let job = Job::new(size)?;
+        let load = job.verify_load();
+        println!("\n{size}, {} × {}: {load}", job.intrinsics.width, job.intrinsics.height);
+        table(&mut [whole_step(&job, &device)], (&device, &machine), &job.sizes(&load), BUDGET, &[])?;
+    }
+    Ok(())
 }
 
-/// A run on one picture of the synthetic scene, from its centres in grey, with every degree of the harmonics in use.
-fn trainer(view: SyntheticView) -> Trainer {
+/// 200 steps on one picture of the synthetic scene, from its centres in grey, with every degree of the harmonics in use.
+fn verify() -> Result<(), Box<dyn Error>> {
     let device = Device::flex();
-    let rgb = values(view.picture(&device, DType::F32)).iter().map(|v| (v * 255.0).round() as u8).collect();
-    let intrinsics = view.camera(&device, DType::F32).intrinsics;
+    let rgb = values(SMALL.picture(&device, DType::F32)).iter().map(|v| (v * 255.0).round() as u8).collect();
+    let intrinsics = SMALL.camera(&device, DType::F32).intrinsics;
     let photo = Photo { name: "synthetic".into(), intrinsics, cam_from_world: DAffine3::IDENTITY, rgb, alpha: None };
-    let means = values(view.scene(&device, DType::F32).means);
+    let means = values(SMALL.scene(&device, DType::F32).means);
     let positions: Vec<[f32; 3]> = means.as_chunks::<3>().0.iter().map(|mean| mean.map(|v| v as f32)).collect();
     let points = PointCloud { colours: vec![[128; 3]; positions.len()], positions };
     let config = TrainConfig { steps: 100_000, sh_every: 0, ..TrainConfig::default() };
-    Trainer::new(vec![photo], &points, config, &device).expect("a photograph and steps are given")
+    let mut run = Trainer::new(vec![photo], &points, config, &device)?;
+    let mut loss = || run.step().map(|step| step.loss.into_scalar::<f32>());
+    let first = loss()?;
+    let mut last = f32::NAN;
+    for _ in 0..200 {
+        last = loss()?;
+    }
+    assert!(last < 0.8 * first, "the loss went from {first} to {last}: this is not training");
+    Ok(())
 }
 
-#[divan::bench(args = [SMALL], sample_count = 40)]
-fn training_step(bencher: Bencher, view: SyntheticView) {
-    let mut run = trainer(view);
-    let mut loss = || run.step().expect("shapes fit").loss.into_scalar::<f32>();
-    let first = loss();
-    let last = (0..200).map(|_| loss()).last().unwrap_or(f32::NAN);
-    assert!(last < 0.8 * first, "the loss went from {first} to {last}: this is not training");
-    bencher.bench_local(|| black_box(run.step()));
+/// A step of one size, pass by pass.
+struct Profile {
+    size: Size,
+    /// By [`Kind::PARTS`], then the step.
+    times: Vec<Times>,
+    limits: Vec<f64>,
+}
+
+fn measure(size: Size, device: &Device, machine: &Machine) -> Result<Profile, Box<dyn Error>> {
+    let job = Job::new(size)?;
+    let load = job.verify_load();
+    println!("\n{size}, {} × {}: {load}", job.intrinsics.width, job.intrinsics.height);
+    let sizes = job.sizes(&load);
+    let mut passes = passes(&job, device)?;
+    let limits = passes.iter().map(|pass| sizes.limit(pass.kind, machine)).collect();
+    let times = table(&mut passes, (device, machine), &sizes, PROFILE_BUDGET, &[])?;
+    Ok(Profile { size, times, limits })
+}
+
+/// A table in Markdown. What is not in the passes is Burn's graph, its slices and sums of gradients, and the caches that a pass
+/// finds warmer alone than among others.
+fn print_profile(profiles: &[Profile]) {
+    let row = |name: &str, cell: &dyn Fn(&Profile) -> String| {
+        let cells: Vec<String> = profiles.iter().map(cell).collect();
+        println!("| {name} | {} |", cells.join(" | "));
+    };
+    println!();
+    row("median ms (share of the step; times the limit)", &|profile| format!("`{}`", profile.size));
+    println!("|---|{}", "---|".repeat(profiles.len()));
+    let step = |profile: &Profile| profile.times[Kind::PARTS.len()].median_s;
+    for (i, kind) in Kind::PARTS.into_iter().enumerate() {
+        row(kind.name(), &|profile| {
+            let median = profile.times[i].median_s;
+            let (share, ratio) = (100.0 * median / step(profile), median / profile.limits[i]);
+            format!("{:.2} ({share:.1}%; {ratio:.0})", 1e3 * median)
+        });
+    }
+    row("the rest: Burn's graph, slices, sums", &|profile| {
+        let passes: f64 = profile.times[..Kind::PARTS.len()].iter().map(|times| times.median_s).sum();
+        let rest = step(profile) - passes;
+        format!("{:.2} ({:.1}%)", 1e3 * rest, 100.0 * rest / step(profile))
+    });
+    row("**training step**", &|profile| {
+        let ratio = step(profile) / profile.limits[Kind::PARTS.len()];
+        format!("**{:.1}** ({ratio:.0} times the limit)", 1e3 * step(profile))
+    });
+    row("processors idle", &|profile| format!("{:.0}%", 100.0 * (1.0 - profile.times[Kind::PARTS.len()].busy)));
 }

@@ -1,0 +1,358 @@
+//! Each stage's passes, what a training step does besides, and the whole step.
+
+use std::cell::RefCell;
+use std::error::Error;
+use std::rc::Rc;
+
+use burn::backend::Dispatch;
+use burn::tensor::{Device, Tensor};
+use splat_model::density::rows::{Gradients, StepRates, Trained};
+use splat_model::density::{Adaptive, AdaptiveConfig};
+use splat_model::gaussians::Gaussians;
+use splat_model::loss::{DEFAULT_LAMBDA, Truth, photometric};
+use splat_model::optim::{Adam, LearningRates};
+use splat_op::activate::non_finite;
+use splat_op::blend::{BlendInputs, BlendSpec};
+use splat_op::project::{ProjectInputs, ProjectSpec};
+use splat_op::tile::HitCell;
+use splat_op::{Camera, Colour, Extras, SplatBackend, SplatError, Splats, is_gpu, render, shade, with_gradient};
+
+use crate::job::{Job, OPTIONS};
+use crate::limit::Kind;
+use crate::measure::{Kept, Pass, Prepare, Timed};
+
+/// All passes, in the order of a training step, then the step.
+///
+/// # Errors
+/// If the op refuses the scene.
+pub fn passes(job: &Job, device: &Device) -> Result<Vec<Pass>, Box<dyn Error>> {
+    let camera = job.camera(device);
+    let stages = Rc::new(Stages::new(job, device)?);
+    let truth = Truth::new(job.photograph(device));
+    let prepare: [(Kind, Prepare); 15] = [
+        (Kind::Activate, activate(job, device)),
+        (Kind::Project, project_forward(&stages, &camera)),
+        (Kind::Shade, shade_forward(&stages, &camera)),
+        (Kind::Tile, tile(&stages)),
+        (Kind::Blend, blend_forward(&stages)),
+        (Kind::Loss, loss(stages.image(job, &camera)?, truth.clone())),
+        (Kind::LossBackward, loss_backward(stages.image(job, &camera)?, truth.clone())),
+        (Kind::BlendBackward, blend_backward(&stages)),
+        (Kind::ShadeBackward, shade_backward(&stages, &camera)),
+        (Kind::ProjectBackward, project_backward(&stages, &camera)),
+        (Kind::ActivateBackward, activate_backward(job, device)),
+        (Kind::Observe, observe(job, device)),
+        (Kind::Guard, guard(job, device)),
+        (Kind::Adam, adam(job, device)),
+        (Kind::Step, step(job, truth, device)),
+    ];
+    Ok(prepare.into_iter().map(|(kind, prepare)| Pass { kind, prepare }).collect())
+}
+
+/// The whole step alone.
+///
+/// # Errors
+/// If the op refuses the scene.
+pub fn whole_step(job: &Job, device: &Device) -> Pass {
+    Pass { kind: Kind::Step, prepare: step(job, Truth::new(job.photograph(device)), device) }
+}
+
+fn activate(job: &Job, device: &Device) -> Prepare {
+    let gaussians = job.gaussians(device);
+    forward(move || Ok(gaussians.splats()))
+}
+
+fn project_forward(stages: &Rc<Stages>, camera: &Camera) -> Prepare {
+    let (stages, camera) = (stages.clone(), camera.clone());
+    forward(move || Ok(project_packed(&stages.splats, &camera)))
+}
+
+fn shade_forward(stages: &Rc<Stages>, camera: &Camera) -> Prepare {
+    let (stages, camera) = (stages.clone(), camera.clone());
+    forward(move || shade(&harmonics(&stages.splats), &stages.splats.means, &camera))
+}
+
+fn tile(stages: &Rc<Stages>) -> Prepare {
+    let stages = stages.clone();
+    forward(move || {
+        let packed = stages.packed.clone().into_dispatch();
+        let counts = <Dispatch as SplatBackend>::tile(packed, stages.spec, HitCell::default());
+        Ok(Tensor::<2, burn::tensor::Int>::from_dispatch(counts))
+    })
+}
+
+fn blend_forward(stages: &Rc<Stages>) -> Prepare {
+    let stages = stages.clone();
+    forward(move || Ok(stages.blend(stages.packed.clone(), stages.colours.clone())))
+}
+
+fn loss(image: Tensor<3>, truth: Truth) -> Prepare {
+    forward(move || Ok(photometric(leaf(&image), &truth, DEFAULT_LAMBDA)))
+}
+
+fn loss_backward(image: Tensor<3>, truth: Truth) -> Prepare {
+    Box::new(move || {
+        let loss = photometric(leaf(&image), &truth, DEFAULT_LAMBDA);
+        Ok(Box::new(move || Ok(Box::new(loss.backward()) as Kept)) as Timed)
+    })
+}
+
+fn blend_backward(stages: &Rc<Stages>) -> Prepare {
+    let (stages, grad) = (stages.clone(), stages.blend(stages.packed.clone(), stages.colours.clone()));
+    backward(grad, move || stages.blend(leaf(&stages.packed), leaf(&stages.colours)))
+}
+
+fn shade_backward(stages: &Rc<Stages>, camera: &Camera) -> Prepare {
+    let (stages, camera, grad) = (stages.clone(), camera.clone(), stages.colours.clone());
+    backward(grad, move || {
+        let splats = leaves(&stages.splats);
+        shade(&harmonics(&splats), &splats.means, &camera).expect("as forwards")
+    })
+}
+
+fn project_backward(stages: &Rc<Stages>, camera: &Camera) -> Prepare {
+    let (stages, camera, grad) = (stages.clone(), camera.clone(), stages.packed.clone());
+    backward(grad, move || project_packed(&leaves(&stages.splats), &camera))
+}
+
+/// The gradients of scales, opacities and harmonics are given; the others are those of the parameters themselves.
+fn activate_backward(job: &Job, device: &Device) -> Prepare {
+    let gaussians = job.gaussians(&device.clone().autodiff());
+    let grads = job.gaussians(device).splats();
+    Box::new(move || {
+        let splats = gaussians.splats();
+        let zero = Tensor::<1>::zeros([1], &grads.means.device());
+        let loss = with_gradient(splats.scales.clone(), zero.clone(), grads.scales.clone())
+            + with_gradient(splats.opacities.clone(), zero.clone(), grads.opacities.clone())
+            + with_gradient(harmonics(&splats), zero, harmonics(&grads));
+        Ok(Box::new(move || Ok(Box::new(loss.backward()) as Kept)))
+    })
+}
+
+fn observe(job: &Job, device: &Device) -> Prepare {
+    let grad = Tensor::<2>::ones([job.rows.len(), 2], device) * 1e-4;
+    let size = (job.intrinsics.width, job.intrinsics.height);
+    let density = Rc::new(RefCell::new(density()));
+    Box::new(move || {
+        // Nobody else holds the gradient that a step hands over.
+        let (density, grad) = (density.clone(), grad.clone() * 1.0);
+        Ok(Box::new(move || {
+            density.borrow_mut().observe(grad, size);
+            Ok(Box::new(()) as Kept)
+        }))
+    })
+}
+
+fn guard(job: &Job, device: &Device) -> Prepare {
+    let gradients = gradients(&job.gaussians(device));
+    let loss = Tensor::<1>::ones([1], device);
+    forward(move || Ok(look(&loss, &gradients)))
+}
+
+fn adam(job: &Job, device: &Device) -> Prepare {
+    let scene = Rc::new(RefCell::new(Trained::new(job.gaussians(&device.clone().autodiff()))));
+    let plain = job.gaussians(device);
+    let mut step = 0;
+    Box::new(move || {
+        step += 1;
+        let (scene, gradients) = (scene.clone(), gradients(&plain));
+        Ok(Box::new(move || {
+            scene.borrow_mut().step(gradients, &Adam::default(), &rates(), step, None);
+            Ok(Box::new(()) as Kept)
+        }))
+    })
+}
+
+fn step(job: &Job, truth: Truth, device: &Device) -> Prepare {
+    let step = Rc::new(RefCell::new(Step::new(job, truth, device)));
+    Box::new(move || {
+        let step = step.clone();
+        Ok(Box::new(move || Ok(Box::new(step.borrow_mut().run()?) as Kept)))
+    })
+}
+
+/// Times the function.
+fn forward<T: 'static>(run: impl Fn() -> Result<T, SplatError> + 'static) -> Prepare {
+    let run = Rc::new(run);
+    Box::new(move || {
+        let run = run.clone();
+        Ok(Box::new(move || Ok(Box::new(run()?) as Kept)))
+    })
+}
+
+/// Runs the function, tracked, and times the pass back from its result, whose gradient is given.
+fn backward<const D: usize>(grad: Tensor<D>, run: impl Fn() -> Tensor<D> + 'static) -> Prepare {
+    Box::new(move || {
+        let value = Tensor::<1>::zeros([1], &grad.device());
+        let loss = with_gradient(run(), value, grad.clone());
+        Ok(Box::new(move || Ok(Box::new(loss.backward()) as Kept)))
+    })
+}
+
+/// The values as a leaf that Burn tracks.
+fn leaf<const D: usize>(values: &Tensor<D>) -> Tensor<D> {
+    Tensor::from_inner(values.clone()).require_grad()
+}
+
+fn leaves(splats: &Splats) -> Splats {
+    Splats {
+        means: leaf(&splats.means),
+        rotations: leaf(&splats.rotations),
+        scales: leaf(&splats.scales),
+        opacities: leaf(&splats.opacities),
+        colour: Colour::SphericalHarmonics(leaf(&harmonics(splats))),
+    }
+}
+
+fn harmonics(splats: &Splats) -> Tensor<3> {
+    let Colour::SphericalHarmonics(sh) = &splats.colour else { unreachable!("the scenes have harmonics") };
+    sh.clone()
+}
+
+/// As [`splat_op::project`], but the packed columns themselves: `backward` needs their gradient, and going through the
+/// named columns would time the slices.
+fn project_packed(splats: &Splats, camera: &Camera) -> Tensor<2> {
+    let probe = Tensor::<2>::zeros([0, 2], &splats.means.device());
+    let inputs = ProjectInputs {
+        means: splats.means.clone().into_dispatch(),
+        rotations: splats.rotations.clone().into_dispatch(),
+        scales: splats.scales.clone().into_dispatch(),
+        opacities: splats.opacities.clone().into_dispatch(),
+        cam_from_world: camera.cam_from_world.clone().into_dispatch(),
+    };
+    let spec = ProjectSpec { intrinsics: camera.intrinsics, options: OPTIONS };
+    Tensor::from_dispatch(<Dispatch as SplatBackend>::project(inputs, probe.into_dispatch(), spec))
+}
+
+/// The stages' inputs on a device, without autodiff.
+struct Stages {
+    splats: Splats,
+    packed: Tensor<2>,
+    colours: Tensor<2>,
+    counts: Tensor<2, burn::tensor::Int>,
+    hits: HitCell,
+    spec: BlendSpec,
+}
+
+impl Stages {
+    fn new(job: &Job, device: &Device) -> Result<Self, SplatError> {
+        let (splats, camera) = (job.gaussians(device).splats(), job.camera(device));
+        let packed = project_packed(&splats, &camera);
+        let colours = shade(&harmonics(&splats), &splats.means, &camera)?;
+        let (hits, spec) = (HitCell::default(), BlendSpec { intrinsics: job.intrinsics, options: OPTIONS });
+        let counts = <Dispatch as SplatBackend>::tile(packed.clone().into_dispatch(), spec, hits.clone());
+        Ok(Self { splats, packed, colours, counts: Tensor::from_dispatch(counts), hits, spec })
+    }
+
+    /// As [`splat_op::blend`], for the reason of [`project_packed`].
+    fn blend(&self, projected: Tensor<2>, features: Tensor<2>) -> Tensor<3> {
+        let device = projected.device();
+        let inputs = BlendInputs {
+            background: Tensor::<1>::zeros([3], &device).into_dispatch(),
+            projected: projected.into_dispatch(),
+            features: features.into_dispatch(),
+        };
+        let probe = Tensor::<2>::zeros([0, 2], &device).into_dispatch();
+        let counts = self.counts.clone().into_dispatch();
+        let hits = self.hits.clone();
+        Tensor::from_dispatch(<Dispatch as SplatBackend>::blend(inputs, probe, counts, self.spec, hits, None))
+    }
+
+    /// `[H, W, 3]`, as `render` hands it to a loss.
+    fn image(&self, job: &Job, camera: &Camera) -> Result<Tensor<3>, SplatError> {
+        assert_eq!(job.rows.len(), self.packed.dims()[0]);
+        let rendered = render(&self.splats, std::slice::from_ref(camera), &Extras::default(), &OPTIONS)?;
+        Ok(rendered.colour.squeeze_dim(0))
+    }
+}
+
+fn density() -> Adaptive {
+    Adaptive::new(AdaptiveConfig::default(), 1.0, 30_000)
+}
+
+fn rates() -> StepRates {
+    let rates = LearningRates::default();
+    StepRates { rates, means: rates.means }
+}
+
+/// Gradients that nobody else holds, of some size: a hundredth of the parameters.
+fn gradients(gaussians: &Gaussians) -> Gradients {
+    const SHARE: f64 = 0.01;
+    Gradients {
+        means: Some(gaussians.means.val() * SHARE),
+        rotations: Some(gaussians.rotations.val() * SHARE),
+        log_scales: Some(gaussians.log_scales.val() * SHARE),
+        logit_opacities: Some(gaussians.logit_opacities.val() * SHARE),
+        sh_dc: Some(gaussians.sh_dc.val() * SHARE),
+        sh_rest: gaussians.sh_rest.as_ref().map(|rest| rest.val() * SHARE),
+    }
+}
+
+/// Whether the loss and all gradients are finite, as a trainer asks before it takes a step. On a GPU the answer stays there.
+fn look(loss: &Tensor<1>, gradients: &Gradients) -> Vec<Tensor<1, burn::tensor::Int>> {
+    let Gradients { means, rotations, log_scales, logit_opacities, sh_dc, sh_rest } = gradients;
+    let flags = [
+        Some(non_finite(loss)),
+        means.as_ref().map(non_finite),
+        rotations.as_ref().map(non_finite),
+        log_scales.as_ref().map(non_finite),
+        logit_opacities.as_ref().map(non_finite),
+        sh_dc.as_ref().map(non_finite),
+        sh_rest.as_ref().map(non_finite),
+    ];
+    let flags: Vec<_> = flags.into_iter().flatten().collect();
+    if !is_gpu(&loss.device()) {
+        assert!(flags.iter().all(|flag| flag.clone().into_scalar::<i32>() == 0), "a loss or a gradient is not finite");
+    }
+    flags
+}
+
+/// A training step as [`splat_model::trainer::Trainer::step`] does it, without refinement, so that the count stays; a
+/// trainer starts from points and could not take the scene as it is.
+struct Step {
+    scene: Trained,
+    density: Adaptive,
+    camera: Camera,
+    background: Tensor<1>,
+    truth: Truth,
+    step: usize,
+}
+
+impl Step {
+    fn new(job: &Job, truth: Truth, device: &Device) -> Self {
+        Self {
+            scene: Trained::new(job.gaussians(&device.clone().autodiff())),
+            density: density(),
+            camera: job.camera(device),
+            background: Tensor::zeros([3], device),
+            truth,
+            step: 0,
+        }
+    }
+
+    /// The loss, `[1]`.
+    fn run(&mut self) -> Result<Tensor<1>, SplatError> {
+        self.step += 1;
+        let splats = self.scene.gaussians.splats();
+        let probe = Tensor::<2>::zeros([self.scene.gaussians.len(), 2], &splats.means.device()).require_grad();
+        let extras = Extras {
+            background: Some(self.background.clone()),
+            mean2d_probe: Some(probe.clone()),
+            ..Extras::default()
+        };
+        let rendered = render(&splats, std::slice::from_ref(&self.camera), &extras, &OPTIONS)?;
+        let loss = photometric(rendered.colour.squeeze_dim(0), &self.truth, DEFAULT_LAMBDA);
+        drop(splats);
+        let mut grads = loss.backward();
+        if let Some(grad) = probe.grad_remove(&mut grads) {
+            let intrinsics = self.camera.intrinsics;
+            self.density.observe(grad, (intrinsics.width, intrinsics.height));
+        }
+        let gradients = Gradients::take(&self.scene.gaussians, &mut grads);
+        drop(grads);
+        let loss = loss.inner();
+        look(&loss, &gradients);
+        self.scene.step(gradients, &Adam::default(), &rates(), self.step, None);
+        Ok(loss)
+    }
+}
