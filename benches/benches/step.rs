@@ -9,15 +9,12 @@
 use std::error::Error;
 use std::time::Duration;
 
-use burn::tensor::{DType, Device};
-use glam::DAffine3;
+use burn::tensor::Device;
+use splat_benches::SMALL;
 use splat_benches::job::{Job, Size};
 use splat_benches::limit::{Kind, Machine};
 use splat_benches::measure::{Times, table};
 use splat_benches::passes::{passes, whole_step};
-use splat_benches::{SMALL, values};
-use splat_model::capture::{Photo, PointCloud};
-use splat_model::trainer::{TrainConfig, Trainer};
 
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
@@ -47,17 +44,9 @@ fn main() -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-/// 200 steps on one picture of the synthetic scene, from its centres in grey, with every degree of the harmonics in use.
+/// 200 steps on one picture of the synthetic scene.
 fn verify() -> Result<(), Box<dyn Error>> {
-    let device = Device::flex();
-    let rgb = values(SMALL.picture(&device, DType::F32)).iter().map(|v| (v * 255.0).round() as u8).collect();
-    let intrinsics = SMALL.camera(&device, DType::F32).intrinsics;
-    let photo = Photo { name: "synthetic".into(), intrinsics, cam_from_world: DAffine3::IDENTITY, rgb, alpha: None };
-    let means = values(SMALL.scene(&device, DType::F32).means);
-    let positions: Vec<[f32; 3]> = means.as_chunks::<3>().0.iter().map(|mean| mean.map(|v| v as f32)).collect();
-    let points = PointCloud { colours: vec![[128; 3]; positions.len()], positions };
-    let config = TrainConfig { steps: 100_000, sh_every: 0, ..TrainConfig::default() };
-    let mut run = Trainer::new(vec![photo], &points, config, &device)?;
+    let mut run = SMALL.trainer(1);
     let mut loss = || run.step().map(|step| step.loss.into_scalar::<f32>());
     let first = loss()?;
     let mut last = f32::NAN;

@@ -13,7 +13,7 @@ use splat_model::trainer::{TrainConfig, Trainer};
 use splat_op::{Camera, Colour, Extras, Intrinsics, RenderOptions, SplatError, Splats, project, render, shade};
 
 use crate::limit::Sizes;
-use crate::{LARGE, Load, MEDIUM, SMALL, SyntheticView, share_apart, values};
+use crate::{LARGE, Load, MEDIUM, SMALL, SyntheticView, TINY, share_apart, values};
 
 /// How everything is rendered.
 pub const OPTIONS: RenderOptions = RenderOptions::standard();
@@ -30,6 +30,8 @@ pub const COEFFICIENTS: usize = (DEGREE + 1) * (DEGREE + 1);
 /// A scene to measure on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Size {
+    /// [`TINY`].
+    Tiny,
     /// [`SMALL`].
     Small,
     /// The real capture of that name, a quarter of its width.
@@ -43,7 +45,7 @@ pub enum Size {
 }
 
 impl Size {
-    pub const ALL: [Self; 5] = [Self::Small, Self::FoxSmall, Self::FoxColmap, Self::Medium, Self::Large];
+    pub const ALL: [Self; 6] = [Self::Tiny, Self::Small, Self::FoxSmall, Self::FoxColmap, Self::Medium, Self::Large];
 
     /// The sizes named on the command line, else `standard`.
     ///
@@ -61,6 +63,7 @@ impl Size {
     /// The synthetic view it is, if it is one.
     pub fn view(self) -> Option<SyntheticView> {
         match self {
+            Self::Tiny => Some(TINY),
             Self::Small => Some(SMALL),
             Self::Medium => Some(MEDIUM),
             Self::Large => Some(LARGE),
@@ -72,6 +75,7 @@ impl Size {
 impl Display for Size {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
+            Self::Tiny => "tiny",
             Self::Small => "small",
             Self::FoxSmall => "fox_small",
             Self::FoxColmap => "fox_colmap",
@@ -172,8 +176,7 @@ impl Job {
         Tensor::from_data(TensorData::new(self.photograph.clone(), shape), device)
     }
 
-    /// Counts on the CPU, and for the synthetic scenes but [`SMALL`] the assertion that they are what the figures are
-    /// specified for.
+    /// Counts on the CPU, and for [`MEDIUM`] and [`LARGE`] the assertion that they are what the figures are specified for.
     pub fn verify_load(&self) -> Load {
         let device = Device::flex();
         let load = Load::of(&self.gaussians(&device).splats(), &self.camera(&device), &OPTIONS);

@@ -1,6 +1,8 @@
 //! What the benches share: scenes, what they are counted to hold, the limits of what they can be rendered in, and how times
 //! are taken.
 
+pub mod allocations;
+pub mod counts;
 pub mod job;
 pub mod limit;
 mod load;
@@ -9,7 +11,7 @@ pub mod passes;
 mod scene;
 
 pub use load::Load;
-pub use scene::{LARGE, MEDIUM, SMALL, SyntheticView};
+pub use scene::{LARGE, MEDIUM, SMALL, SyntheticView, TINY};
 
 use burn::tensor::Tensor;
 

@@ -4,7 +4,12 @@ use burn::tensor::{DType, Device, Tensor, TensorData};
 use glam::DAffine3;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use splat_model::capture::{Photo, PointCloud};
+use splat_model::density::AdaptiveConfig;
+use splat_model::trainer::{TrainConfig, Trainer};
 use splat_op::{Camera, Colour, Extras, Intrinsics, RenderOptions, Splats, render};
+
+use crate::values;
 
 /// A cloud of Gaussians in front of one camera.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -20,6 +25,10 @@ pub struct SyntheticView {
     /// Least and largest opacity; all between are as likely.
     pub opacity: [f64; 2],
 }
+
+/// Small enough to be computed by valgrind, with pixels that are nearly as full as those of [`MEDIUM`].
+pub const TINY: SyntheticView =
+    SyntheticView { splats: 3_000, width: 150, height: 100, sigma_px: 3.05, opacity: [0.02, 0.7] };
 
 /// As large as `fox_small` after densification.
 pub const SMALL: SyntheticView =
@@ -71,6 +80,32 @@ impl SyntheticView {
             opacities: Tensor::from_data(tensor(opacities, &[count]), (device, dtype)),
             colour: Colour::SphericalHarmonics(Tensor::from_data(tensor(sh, &[count, 16, 3]), (device, dtype))),
         }
+    }
+
+    /// A training run on `views` photographs, all of them pictures of the scene, from its centres in grey, with every degree of
+    /// the harmonics in use from the start.
+    ///
+    /// # Panics
+    /// If there are no views.
+    pub fn trainer(&self, views: usize) -> Trainer {
+        let device = Device::flex();
+        let rgb: Vec<u8> =
+            values(self.picture(&device, DType::F32)).iter().map(|v| (v * 255.0).round() as u8).collect();
+        let intrinsics = self.camera(&device, DType::F32).intrinsics;
+        let photo = |view| Photo {
+            name: format!("view {view}"),
+            intrinsics,
+            cam_from_world: DAffine3::IDENTITY,
+            rgb: rgb.clone(),
+            alpha: None,
+        };
+        let means = values(self.scene(&device, DType::F32).means);
+        let positions: Vec<[f32; 3]> = means.as_chunks::<3>().0.iter().map(|mean| mean.map(|v| v as f32)).collect();
+        let points = PointCloud { colours: vec![[128; 3]; positions.len()], positions };
+        let density = AdaptiveConfig { max_splats: usize::MAX, ..AdaptiveConfig::default() };
+        let config = TrainConfig { steps: 100_000, sh_every: 0, density, ..TrainConfig::default() };
+        let photos = (0..views).map(photo).collect();
+        Trainer::new(photos, &points, config, &device).expect("photographs and steps are given")
     }
 
     /// `[1, H, W, 3]` in the given float type.
