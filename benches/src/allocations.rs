@@ -1,14 +1,14 @@
 //! The memory that a program asks for.
 
-use std::alloc::{GlobalAlloc, Layout, System};
+use std::alloc::{GlobalAlloc, Layout};
 use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
 
 static LIVE: AtomicUsize = AtomicUsize::new(0);
 static PEAK: AtomicUsize = AtomicUsize::new(0);
 static TOTAL: AtomicUsize = AtomicUsize::new(0);
 
-/// The system's allocator, counted. What it does depends on what it is asked for and not, like mimalloc, on the time.
-pub struct Counting;
+/// An allocator, counted.
+pub struct Counting<A>(pub A);
 
 fn asked(size: usize) {
     TOTAL.fetch_add(size, Relaxed);
@@ -17,26 +17,26 @@ fn asked(size: usize) {
 }
 
 // SAFETY: every call is handed on as it is.
-unsafe impl GlobalAlloc for Counting {
+unsafe impl<A: GlobalAlloc> GlobalAlloc for Counting<A> {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         asked(layout.size());
-        unsafe { System.alloc(layout) }
+        unsafe { self.0.alloc(layout) }
     }
 
     unsafe fn alloc_zeroed(&self, layout: Layout) -> *mut u8 {
         asked(layout.size());
-        unsafe { System.alloc_zeroed(layout) }
+        unsafe { self.0.alloc_zeroed(layout) }
     }
 
     unsafe fn dealloc(&self, block: *mut u8, layout: Layout) {
         LIVE.fetch_sub(layout.size(), Relaxed);
-        unsafe { System.dealloc(block, layout) }
+        unsafe { self.0.dealloc(block, layout) }
     }
 
     unsafe fn realloc(&self, block: *mut u8, layout: Layout, size: usize) -> *mut u8 {
         // Both blocks may be there at once while the contents move.
         asked(size);
-        let moved = unsafe { System.realloc(block, layout, size) };
+        let moved = unsafe { self.0.realloc(block, layout, size) };
         LIVE.fetch_sub(layout.size(), Relaxed);
         moved
     }
@@ -49,6 +49,11 @@ pub struct Allocated {
     pub total: usize,
     /// The most that was held at a time, beyond what was held before.
     pub peak: usize,
+}
+
+/// Bytes that the program holds now, if its allocator is [`Counting`].
+pub fn held() -> usize {
+    LIVE.load(Relaxed)
 }
 
 /// Runs `work`, in a program whose allocator is [`Counting`]; also what was asked for meanwhile, on all threads.

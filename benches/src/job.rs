@@ -143,21 +143,9 @@ impl Job {
         let device = Device::flex();
         let scene = view.scene(&device, DType::F32);
         let camera = view.camera(&device, DType::F32);
-        let Colour::SphericalHarmonics(sh) = &scene.colour else { unreachable!("the scene has harmonics") };
-        let sh = floats(sh.clone());
-        let coefficients = sh.as_chunks::<{ 3 * COEFFICIENTS }>().0;
-        let rows = GaussianRows {
-            means: rows_of(scene.means.clone()),
-            rotations: rows_of(scene.rotations.clone()),
-            log_scales: rows_of(scene.scales.clone().log()),
-            logit_opacities: floats(scene.opacities.clone()).iter().map(|o| (o / (1.0 - o)).ln()).collect(),
-            sh_dc: coefficients.iter().map(|row| [row[0], row[1], row[2]]).collect(),
-            sh_rest: coefficients.iter().flat_map(|row| row[3..].iter().copied()).collect(),
-            sh_degree: 3,
-        };
         let picture = render(&scene, std::slice::from_ref(&camera), &Extras::default(), &OPTIONS);
         let photograph = floats(picture.expect("the scene's shapes fit").colour * 0.5);
-        Self { size, rows, intrinsics: camera.intrinsics, cam_from_world: DAffine3::IDENTITY, photograph }
+        Self { size, rows: view.rows(), intrinsics: camera.intrinsics, cam_from_world: DAffine3::IDENTITY, photograph }
     }
 
     /// The camera on a device.
@@ -233,8 +221,4 @@ impl Job {
 
 fn floats<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
     tensor.into_data().try_into_vec().expect("the benches compute in f32")
-}
-
-fn rows_of<const C: usize>(tensor: Tensor<2>) -> Vec<[f32; C]> {
-    floats(tensor).as_chunks::<C>().0.to_vec()
 }

@@ -9,6 +9,7 @@ mod load;
 pub mod measure;
 pub mod passes;
 mod scene;
+pub mod step;
 
 pub use load::Load;
 pub use scene::{LARGE, MEDIUM, SMALL, SyntheticView, TINY};

@@ -6,20 +6,19 @@ use std::rc::Rc;
 
 use burn::backend::Dispatch;
 use burn::tensor::{Device, Tensor};
-use splat_model::density::rows::{Gradients, StepRates, Trained};
-use splat_model::density::{Adaptive, AdaptiveConfig};
+use splat_model::density::rows::{Gradients, Trained};
 use splat_model::gaussians::Gaussians;
 use splat_model::loss::{DEFAULT_LAMBDA, Truth, photometric};
-use splat_model::optim::{Adam, LearningRates};
-use splat_op::activate::non_finite;
+use splat_model::optim::Adam;
 use splat_op::blend::{BlendInputs, BlendSpec};
 use splat_op::project::{ProjectInputs, ProjectSpec};
 use splat_op::tile::HitCell;
-use splat_op::{Camera, Colour, Extras, SplatBackend, SplatError, Splats, is_gpu, render, shade, with_gradient};
+use splat_op::{Camera, Colour, Extras, SplatBackend, SplatError, Splats, render, shade, with_gradient};
 
 use crate::job::{Job, OPTIONS};
 use crate::limit::Kind;
 use crate::measure::{Kept, Pass, Prepare, Timed};
+use crate::step::{Step, density, look, rates};
 
 /// All passes, in the order of a training step, then the step.
 ///
@@ -164,7 +163,8 @@ fn adam(job: &Job, device: &Device) -> Prepare {
 }
 
 fn step(job: &Job, truth: Truth, device: &Device) -> Prepare {
-    let step = Rc::new(RefCell::new(Step::new(job, truth, device)));
+    let gaussians = job.gaussians(&device.clone().autodiff());
+    let step = Rc::new(RefCell::new(Step::new(gaussians, job.camera(device), truth)));
     Box::new(move || {
         let step = step.clone();
         Ok(Box::new(move || Ok(Box::new(step.borrow_mut().run()?) as Kept)))
@@ -266,15 +266,6 @@ impl Stages {
     }
 }
 
-fn density() -> Adaptive {
-    Adaptive::new(AdaptiveConfig::default(), 1.0, 30_000)
-}
-
-fn rates() -> StepRates {
-    let rates = LearningRates::default();
-    StepRates { rates, means: rates.means }
-}
-
 /// Gradients that nobody else holds, of some size: a hundredth of the parameters.
 fn gradients(gaussians: &Gaussians) -> Gradients {
     const SHARE: f64 = 0.01;
@@ -285,74 +276,5 @@ fn gradients(gaussians: &Gaussians) -> Gradients {
         logit_opacities: Some(gaussians.logit_opacities.val() * SHARE),
         sh_dc: Some(gaussians.sh_dc.val() * SHARE),
         sh_rest: gaussians.sh_rest.as_ref().map(|rest| rest.val() * SHARE),
-    }
-}
-
-/// Whether the loss and all gradients are finite, as a trainer asks before it takes a step. On a GPU the answer stays there.
-fn look(loss: &Tensor<1>, gradients: &Gradients) -> Vec<Tensor<1, burn::tensor::Int>> {
-    let Gradients { means, rotations, log_scales, logit_opacities, sh_dc, sh_rest } = gradients;
-    let flags = [
-        Some(non_finite(loss)),
-        means.as_ref().map(non_finite),
-        rotations.as_ref().map(non_finite),
-        log_scales.as_ref().map(non_finite),
-        logit_opacities.as_ref().map(non_finite),
-        sh_dc.as_ref().map(non_finite),
-        sh_rest.as_ref().map(non_finite),
-    ];
-    let flags: Vec<_> = flags.into_iter().flatten().collect();
-    if !is_gpu(&loss.device()) {
-        assert!(flags.iter().all(|flag| flag.clone().into_scalar::<i32>() == 0), "a loss or a gradient is not finite");
-    }
-    flags
-}
-
-/// A training step as [`splat_model::trainer::Trainer::step`] does it, without refinement, so that the count stays; a
-/// trainer starts from points and could not take the scene as it is.
-struct Step {
-    scene: Trained,
-    density: Adaptive,
-    camera: Camera,
-    background: Tensor<1>,
-    truth: Truth,
-    step: usize,
-}
-
-impl Step {
-    fn new(job: &Job, truth: Truth, device: &Device) -> Self {
-        Self {
-            scene: Trained::new(job.gaussians(&device.clone().autodiff())),
-            density: density(),
-            camera: job.camera(device),
-            background: Tensor::zeros([3], device),
-            truth,
-            step: 0,
-        }
-    }
-
-    /// The loss, `[1]`.
-    fn run(&mut self) -> Result<Tensor<1>, SplatError> {
-        self.step += 1;
-        let splats = self.scene.gaussians.splats();
-        let probe = Tensor::<2>::zeros([self.scene.gaussians.len(), 2], &splats.means.device()).require_grad();
-        let extras = Extras {
-            background: Some(self.background.clone()),
-            mean2d_probe: Some(probe.clone()),
-            ..Extras::default()
-        };
-        let rendered = render(&splats, std::slice::from_ref(&self.camera), &extras, &OPTIONS)?;
-        let loss = photometric(rendered.colour.squeeze_dim(0), &self.truth, DEFAULT_LAMBDA);
-        drop(splats);
-        let mut grads = loss.backward();
-        if let Some(grad) = probe.grad_remove(&mut grads) {
-            let intrinsics = self.camera.intrinsics;
-            self.density.observe(grad, (intrinsics.width, intrinsics.height));
-        }
-        let gradients = Gradients::take(&self.scene.gaussians, &mut grads);
-        drop(grads);
-        let loss = loss.inner();
-        look(&loss, &gradients);
-        self.scene.step(gradients, &Adam::default(), &rates(), self.step, None);
-        Ok(loss)
     }
 }

@@ -6,6 +6,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use splat_model::capture::{Photo, PointCloud};
 use splat_model::density::AdaptiveConfig;
+use splat_model::gaussians::GaussianRows;
 use splat_model::trainer::{TrainConfig, Trainer};
 use splat_op::{Camera, Colour, Extras, Intrinsics, RenderOptions, Splats, render};
 
@@ -54,23 +55,7 @@ impl SyntheticView {
 
     /// The Gaussians, SH degree 3, rounded to f32 whatever the type asked for.
     pub fn scene(&self, device: &Device, dtype: DType) -> Splats {
-        let mut rng = ChaCha8Rng::seed_from_u64(7);
-        let focal = 0.9 * self.width.max(self.height) as f64;
-        let (mut means, mut scales, mut rotations, mut opacities, mut sh) = (vec![], vec![], vec![], vec![], vec![]);
-        let [low, high] = self.opacity;
-        for i in 0..self.splats {
-            let depth = rng.random_range(2.0..8.0);
-            let aside = if i % 5 == 0 { 3.0 } else { 0.0 };
-            let x = (rng.random_range(-0.5..0.5) + aside) * self.width as f64 / focal * depth;
-            let y = rng.random_range(-0.5..0.5) * self.height as f64 / focal * depth;
-            means.extend([x, y, depth].map(|v| v as f32));
-            let size = self.sigma_px * depth / focal;
-            scales.extend([(); 3].map(|()| (size * rng.random_range(0.4..1.6)) as f32));
-            rotations.extend([(); 4].map(|()| rng.random_range(-1.0_f64..1.0) as f32));
-            opacities.push(rng.random_range(low..high) as f32);
-            sh.extend([(); 48].map(|()| rng.random_range(-0.3_f64..0.3) as f32));
-        }
-        // Rounded as they are made: ten million rows in f64 would be 5 GB.
+        let Drawn { means, rotations, scales, opacities, sh } = self.draw();
         let tensor = |values: Vec<f32>, shape: &[usize]| TensorData::new(values, shape.to_vec()).convert_dtype(dtype);
         let count = self.splats;
         Splats {
@@ -80,6 +65,41 @@ impl SyntheticView {
             opacities: Tensor::from_data(tensor(opacities, &[count]), (device, dtype)),
             colour: Colour::SphericalHarmonics(Tensor::from_data(tensor(sh, &[count, 16, 3]), (device, dtype))),
         }
+    }
+
+    /// The same Gaussians as a trainer holds them.
+    pub fn rows(&self) -> GaussianRows {
+        let Drawn { means, rotations, scales, opacities, sh } = self.draw();
+        let coefficients = sh.as_chunks::<48>().0;
+        GaussianRows {
+            means: means.as_chunks().0.to_vec(),
+            rotations: rotations.as_chunks().0.to_vec(),
+            log_scales: scales.as_chunks().0.iter().map(|scales: &[f32; 3]| scales.map(f32::ln)).collect(),
+            logit_opacities: opacities.iter().map(|o| (o / (1.0 - o)).ln()).collect(),
+            sh_dc: coefficients.iter().map(|row| [row[0], row[1], row[2]]).collect(),
+            sh_rest: coefficients.iter().flat_map(|row| row[3..].iter().copied()).collect(),
+            sh_degree: 3,
+        }
+    }
+
+    fn draw(&self) -> Drawn {
+        let mut rng = ChaCha8Rng::seed_from_u64(7);
+        let focal = 0.9 * self.width.max(self.height) as f64;
+        let mut drawn = Drawn::default();
+        let [low, high] = self.opacity;
+        for i in 0..self.splats {
+            let depth = rng.random_range(2.0..8.0);
+            let aside = if i % 5 == 0 { 3.0 } else { 0.0 };
+            let x = (rng.random_range(-0.5..0.5) + aside) * self.width as f64 / focal * depth;
+            let y = rng.random_range(-0.5..0.5) * self.height as f64 / focal * depth;
+            drawn.means.extend([x, y, depth].map(|v| v as f32));
+            let size = self.sigma_px * depth / focal;
+            drawn.scales.extend([(); 3].map(|()| (size * rng.random_range(0.4..1.6)) as f32));
+            drawn.rotations.extend([(); 4].map(|()| rng.random_range(-1.0_f64..1.0) as f32));
+            drawn.opacities.push(rng.random_range(low..high) as f32);
+            drawn.sh.extend([(); 48].map(|()| rng.random_range(-0.3_f64..0.3) as f32));
+        }
+        drawn
     }
 
     /// A training run on `views` photographs, all of them pictures of the scene, from its centres in grey, with every degree of
@@ -114,4 +134,14 @@ impl SyntheticView {
         let rendered = render(&scene, &[camera], &Extras::default(), &RenderOptions::standard());
         rendered.expect("the scene's shapes fit").colour
     }
+}
+
+/// Parameters, row-major.
+#[derive(Default)]
+struct Drawn {
+    means: Vec<f32>,
+    rotations: Vec<f32>,
+    scales: Vec<f32>,
+    opacities: Vec<f32>,
+    sh: Vec<f32>,
 }

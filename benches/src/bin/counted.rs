@@ -7,6 +7,7 @@
 //!
 //! `counted project blend`: passes by their first words; without, all, and a step of a trainer.
 
+use std::alloc::System;
 use std::error::Error;
 
 use burn::tensor::Device;
@@ -17,8 +18,9 @@ use splat_benches::limit::Kind;
 use splat_benches::measure::{Kept, Pass, Prepare, Timed};
 use splat_benches::passes::passes;
 
+// The system's: mimalloc gives memory back by the clock.
 #[global_allocator]
-static ALLOCATOR: Counting = Counting;
+static ALLOCATOR: Counting<System> = Counting(System);
 
 /// Runs before the one that counts: the first fills caches, and a trainer's first step has no moments.
 const WARM_UP: usize = 2;
