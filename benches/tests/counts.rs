@@ -17,24 +17,26 @@ const RECORD: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/counts.tsv");
 const ACCEPT: &str = "SPLAT_COUNTS=accept cargo test --release --workspace --test counts";
 
 fn main() -> ExitCode {
-    let mode = std::env::var("SPLAT_COUNTS").unwrap_or_default();
-    let done = match mode.as_str() {
-        "skip" => Ok(println!("counts: skipped, as SPLAT_COUNTS says")),
-        "" | "require" | "accept" => match obstacle() {
-            None if mode == "accept" => accept(),
-            None => check(),
-            Some(obstacle) if mode.is_empty() => Ok(println!("counts: skipped, because {obstacle}")),
-            Some(obstacle) => Err(obstacle.into()),
-        },
-        other => Err(format!("SPLAT_COUNTS is `{other}`, expected `require`, `accept` or `skip`").into()),
-    };
-    match done {
+    match run() {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             println!("counts: {error}");
             ExitCode::FAILURE
         }
     }
+}
+
+fn run() -> Result<(), Box<dyn Error>> {
+    let mode = std::env::var("SPLAT_COUNTS").unwrap_or_default();
+    match (mode.as_str(), obstacle()) {
+        ("skip", _) => println!("counts: skipped, as SPLAT_COUNTS says"),
+        ("", Some(obstacle)) => println!("counts: skipped, because {obstacle}"),
+        ("require" | "accept", Some(obstacle)) => return Err(obstacle.into()),
+        ("accept", None) => accept()?,
+        ("" | "require", None) => check()?,
+        (other, _) => return Err(format!("SPLAT_COUNTS is `{other}`, expected `require`, `accept` or `skip`").into()),
+    }
+    Ok(())
 }
 
 /// Why nothing can be counted here.
@@ -56,7 +58,7 @@ fn obstacle() -> Option<&'static str> {
 fn accept() -> Result<(), Box<dyn Error>> {
     let compiler = Command::new(std::env::var_os("RUSTC").unwrap_or_else(|| "rustc".into())).arg("--version").output();
     let compiler = compiler.map(|output| String::from_utf8_lossy(&output.stdout).trim().to_owned()).unwrap_or_default();
-    let comments = [&format!("Written by `{ACCEPT}`,")[..], &format!("{compiler}. See tests/counts.rs.")];
+    let comments = ["See tests/counts.rs; rewritten with", ACCEPT, &format!("By {compiler}")];
     fs::write(RECORD, write(&count()?, &comments))?;
     println!("counts: written to {RECORD}");
     Ok(())
@@ -76,12 +78,9 @@ fn check() -> Result<(), Box<dyn Error>> {
         }
         return Ok(());
     }
-    let made = record.lines().find(|line| line.contains("rustc")).unwrap_or_default();
-    Err(format!(
-        "more than recorded. Another compiler than the record's ({}) counts differently too. If the work is worth it: {ACCEPT}",
-        made.trim_start_matches("# ")
-    )
-    .into())
+    let made = record.lines().find_map(|line| line.strip_prefix("# By ")).unwrap_or("one that it does not name");
+    Err(format!("more than recorded (by {made}; another compiler counts differently). If it is worth it: {ACCEPT}")
+        .into())
 }
 
 /// Runs the passes under callgrind.

@@ -65,13 +65,20 @@ fn chart(area: &Area, title: &str, unit: &str, lines: &[Line]) -> Result<(), Box
     let all = || lines.iter().flat_map(|line| &line.points);
     let (x, y) = (around(all().map(|point| point.0)), around(all().map(|point| point.1)));
     let mut chart = ChartBuilder::on(area)
-        .caption(title, ("sans-serif", 18))
+        .caption(title, ("sans-serif", 20))
         .margin(12)
         .x_label_area_size(40)
         .y_label_area_size(60)
         .build_cartesian_2d(x.log_scale(), y.log_scale())?;
     let label = |value: &f64| if *value >= 1e5 || *value < 0.01 { format!("{value:.0e}") } else { format!("{value}") };
-    chart.configure_mesh().x_desc(unit).x_label_formatter(&label).y_label_formatter(&label).draw()?;
+    chart
+        .configure_mesh()
+        .label_style(("sans-serif", 16))
+        .light_line_style(TRANSPARENT)
+        .x_desc(unit)
+        .x_label_formatter(&label)
+        .y_label_formatter(&label)
+        .draw()?;
     for Line { name, colour, points } in lines {
         let colour = *colour;
         chart
@@ -79,7 +86,12 @@ fn chart(area: &Area, title: &str, unit: &str, lines: &[Line]) -> Result<(), Box
             .label(*name)
             .legend(move |(x, y)| PathElement::new([(x, y), (x + 20, y)], colour.stroke_width(2)));
     }
-    chart.configure_series_labels().position(SeriesLabelPosition::UpperLeft).background_style(WHITE).draw()?;
+    chart
+        .configure_series_labels()
+        .label_font(("sans-serif", 16))
+        .position(SeriesLabelPosition::UpperLeft)
+        .background_style(WHITE)
+        .draw()?;
     Ok(())
 }
 
