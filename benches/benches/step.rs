@@ -4,24 +4,28 @@
 //! `small` and `medium`.
 //!
 //! `cargo bench --workspace --bench step -- --profile` says where a step spends its time, as a table for the README: each of its
-//! passes alone, and what is left; without names on `fox_small`, `fox_colmap` and `large`.
+//! passes, timed among the others, and what is left; without names on `fox_small`, `fox_colmap` and `large`.
 
+use std::cell::RefCell;
 use std::error::Error;
+use std::rc::Rc;
 use std::time::Duration;
 
 use burn::tensor::Device;
 use splat_benches::SMALL;
 use splat_benches::job::{Job, Size};
 use splat_benches::limit::{Kind, Machine};
-use splat_benches::measure::{Times, table};
-use splat_benches::passes::{passes, whole_step};
+use splat_benches::measure::{Kept, Prepare, table, time};
+use splat_benches::passes::whole_step;
+use splat_benches::pieces::Pieces;
+use splat_model::loss::Truth;
 
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
 /// For one size.
 const BUDGET: Duration = Duration::from_secs(15);
-const PROFILE_BUDGET: Duration = Duration::from_secs(60);
+const PROFILE_BUDGET: Duration = Duration::from_secs(40);
 
 fn main() -> Result<(), Box<dyn Error>> {
     let profile = std::env::args().any(|word| word == "--profile");
@@ -60,24 +64,47 @@ fn verify() -> Result<(), Box<dyn Error>> {
 /// A step of one size, pass by pass.
 struct Profile {
     size: Size,
-    /// By [`Kind::PARTS`], then the step.
-    times: Vec<Times>,
+    /// Medians in seconds, by [`Kind::PARTS`].
+    parts: Vec<f64>,
+    /// Median of the whole step in seconds.
+    step: f64,
+    /// Seconds, by [`Kind::PARTS`], then the step.
     limits: Vec<f64>,
+    /// Share of the processors' time that the whole step had.
+    busy: f64,
 }
 
+/// Whole steps and steps in pieces by turns, so that what else the machine does meets both.
 fn measure(size: Size, device: &Device, machine: &Machine) -> Result<Profile, Box<dyn Error>> {
     let job = Job::new(size)?;
     let load = job.verify_load();
-    println!("\n{size}, {} × {}: {load}", job.intrinsics.width, job.intrinsics.height);
+    println!("{size}, {} × {}: {load}", job.intrinsics.width, job.intrinsics.height);
     let sizes = job.sizes(&load);
-    let mut passes = passes(&job, device)?;
-    let limits = passes.iter().map(|pass| sizes.limit(pass.kind, machine)).collect();
-    let times = table(&mut passes, (device, machine), &sizes, PROFILE_BUDGET, &[])?;
-    Ok(Profile { size, times, limits })
+    let gaussians = job.gaussians(&device.clone().autodiff());
+    let truth = Truth::new(job.photograph(device));
+    let mut pieces = Pieces::new(gaussians, job.camera(device), truth);
+    let runs = Rc::new(RefCell::new(Vec::new()));
+    let kept = runs.clone();
+    let mut in_pieces: Prepare = Box::new(move || {
+        let seconds = pieces.run()?.seconds;
+        kept.borrow_mut().push(seconds);
+        Ok(Box::new(|| Ok(Box::new(()) as Kept)))
+    });
+    let mut whole = whole_step(&job, device);
+    let times = time([&mut whole.prepare, &mut in_pieces], device, PROFILE_BUDGET)?;
+    let runs = runs.borrow();
+    let median = |part: usize| {
+        // Those that the whole step's warm-up was by turns with are not counted either.
+        let mut seconds: Vec<f64> = runs[runs.len() - times[0].runs..].iter().map(|run| run[part]).collect();
+        seconds.sort_by(f64::total_cmp);
+        seconds[seconds.len() / 2]
+    };
+    let limits = Kind::PARTS.into_iter().chain([Kind::Step]).map(|kind| sizes.limit(kind, machine)).collect();
+    let parts = (0..Kind::PARTS.len()).map(median).collect();
+    Ok(Profile { size, parts, step: times[0].median_s, limits, busy: times[0].busy })
 }
 
-/// A table in Markdown. What is not in the passes is Burn's graph, its slices and sums of gradients, and the caches that a pass
-/// finds warmer alone than among others.
+/// A table in Markdown. What is not in the passes is Burn's: its graph, slices of tensors and sums of gradients.
 fn print_profile(profiles: &[Profile]) {
     let row = |name: &str, cell: &dyn Fn(&Profile) -> String| {
         let cells: Vec<String> = profiles.iter().map(cell).collect();
@@ -86,22 +113,20 @@ fn print_profile(profiles: &[Profile]) {
     println!();
     row("median ms (share of the step; times the limit)", &|profile| format!("`{}`", profile.size));
     println!("|---|{}", "---|".repeat(profiles.len()));
-    let step = |profile: &Profile| profile.times[Kind::PARTS.len()].median_s;
     for (i, kind) in Kind::PARTS.into_iter().enumerate() {
         row(kind.name(), &|profile| {
-            let median = profile.times[i].median_s;
-            let (share, ratio) = (100.0 * median / step(profile), median / profile.limits[i]);
-            format!("{:.2} ({share:.1}%; {ratio:.0})", 1e3 * median)
+            let median = profile.parts[i];
+            let (share, ratio) = (100.0 * median / profile.step, median / profile.limits[i]);
+            format!("{:.2} ({share:.1}%; {ratio:.1})", 1e3 * median)
         });
     }
     row("the rest: Burn's graph, slices, sums", &|profile| {
-        let passes: f64 = profile.times[..Kind::PARTS.len()].iter().map(|times| times.median_s).sum();
-        let rest = step(profile) - passes;
-        format!("{:.2} ({:.1}%)", 1e3 * rest, 100.0 * rest / step(profile))
+        let rest = profile.step - profile.parts.iter().sum::<f64>();
+        format!("{:.2} ({:.1}%)", 1e3 * rest, 100.0 * rest / profile.step)
     });
     row("**training step**", &|profile| {
-        let ratio = step(profile) / profile.limits[Kind::PARTS.len()];
-        format!("**{:.1}** ({ratio:.0} times the limit)", 1e3 * step(profile))
+        let ratio = profile.step / profile.limits[Kind::PARTS.len()];
+        format!("**{:.1}** ({ratio:.1} times the limit)", 1e3 * profile.step)
     });
-    row("processors idle", &|profile| format!("{:.0}%", 100.0 * (1.0 - profile.times[Kind::PARTS.len()].busy)));
+    row("processors' time not had", &|profile| format!("{:.0}%", 100.0 * (1.0 - profile.busy)));
 }

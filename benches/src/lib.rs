@@ -8,6 +8,7 @@ pub mod limit;
 mod load;
 pub mod measure;
 pub mod passes;
+pub mod pieces;
 mod scene;
 pub mod step;
 

@@ -39,39 +39,58 @@ const RUNS: usize = 31;
 /// Runs that are not counted: the first compiles the kernels, the second finds every buffer in the pool.
 const WARM_UP: usize = 2;
 
-/// Runs until the budget, which preparations share, is spent; at least once after the warm-up.
+/// Runs all of them in turns until the budget, which preparations share, is spent; each at least once after the warm-up. In
+/// turns, because what else a machine does comes and goes, and should meet all alike.
 ///
 /// # Errors
 /// Those of what is timed.
-pub fn time(prepare: &mut Prepare, device: &Device, budget: Duration) -> Result<Times, Box<dyn Error>> {
-    let mut seconds = Vec::with_capacity(RUNS);
-    let mut processor_s = 0.0;
+pub fn time<'a>(
+    all: impl IntoIterator<Item = &'a mut Prepare>,
+    device: &Device,
+    budget: Duration,
+) -> Result<Vec<Times>, Box<dyn Error>> {
+    let mut all: Vec<(&mut Prepare, Vec<Run>)> = all.into_iter().map(|prepare| (prepare, Vec::new())).collect();
     let begin = Instant::now();
-    let mut run = 0;
-    while seconds.len() < RUNS {
+    for round in 0..WARM_UP + RUNS {
         // On a slow device the second warm-up would be most of the budget.
-        let warm = run == 0 || run < WARM_UP && begin.elapsed() < budget / 4;
-        let timed = prepare()?;
-        device.sync()?;
-        let before = processor_time();
-        let start = Instant::now();
-        let kept = timed()?;
-        device.sync()?;
-        let elapsed = start.elapsed().as_secs_f64();
-        let used = processor_time() - before;
-        drop(kept);
-        run += 1;
-        if !warm {
-            seconds.push(elapsed);
-            processor_s += used;
-            if begin.elapsed() > budget {
-                break;
+        let warm = round == 0 || round < WARM_UP && begin.elapsed() < budget / 4;
+        for (prepare, runs) in &mut all {
+            let run = run(prepare, device)?;
+            if !warm {
+                runs.push(run);
             }
         }
+        if !warm && begin.elapsed() > budget {
+            break;
+        }
     }
+    Ok(all.into_iter().map(|(_, runs)| summary(&runs)).collect())
+}
+
+struct Run {
+    elapsed_s: f64,
+    /// On all processors.
+    used_s: f64,
+}
+
+fn run(prepare: &mut Prepare, device: &Device) -> Result<Run, Box<dyn Error>> {
+    let timed = prepare()?;
+    device.sync()?;
+    let before = processor_time();
+    let start = Instant::now();
+    let kept = timed()?;
+    device.sync()?;
+    let (elapsed_s, used_s) = (start.elapsed().as_secs_f64(), processor_time() - before);
+    drop(kept);
+    Ok(Run { elapsed_s, used_s })
+}
+
+fn summary(runs: &[Run]) -> Times {
+    let mut seconds: Vec<f64> = runs.iter().map(|run| run.elapsed_s).collect();
     let there = seconds.iter().sum::<f64>() * rayon::current_num_threads() as f64;
     seconds.sort_by(f64::total_cmp);
-    Ok(Times { median_s: seconds[seconds.len() / 2], runs: seconds.len(), busy: processor_s / there })
+    let used: f64 = runs.iter().map(|run| run.used_s).sum();
+    Times { median_s: seconds[seconds.len() / 2], runs: seconds.len(), busy: used / there }
 }
 
 /// Seconds of processor time that this program has used so far, on all threads, in hundredths; NaN where `/proc` is not.
@@ -88,7 +107,7 @@ fn processor_time() -> f64 {
     read().unwrap_or(f64::NAN)
 }
 
-/// Times all passes within the budget and prints a line for each; returns the times. `base` are medians of the device that
+/// Times all passes in turns and prints a line for each; returns the times. `base` are medians of the device that
 /// is compared with.
 ///
 /// # Errors
@@ -100,14 +119,12 @@ pub fn table(
     budget: Duration,
     base: &[f64],
 ) -> Result<Vec<Times>, Box<dyn Error>> {
+    let all = time(passes.iter_mut().map(|pass| &mut pass.prepare), device, budget)?;
     println!(
         "  {:<21}{:>10}{:>6}{:>10}{:>9}{:>11}{:>11}{:>9}",
         "pass", "median ms", "runs", "limit ms", "× limit", "least MiB", "least Mop", "× first"
     );
-    let share = budget / passes.len() as u32;
-    let mut all = Vec::new();
-    for (i, pass) in passes.iter_mut().enumerate() {
-        let times = time(&mut pass.prepare, device, share)?;
+    for (i, (pass, times)) in passes.iter().zip(&all).enumerate() {
         let (work, limit) = (sizes.work(pass.kind), sizes.limit(pass.kind, machine));
         let ratio = base.get(i).map_or("-".into(), |first| format!("{:.2}", times.median_s / first));
         println!(
@@ -120,7 +137,6 @@ pub fn table(
             work.bytes / f64::from(1 << 20),
             work.operations / 1e6,
         );
-        all.push(times);
     }
     Ok(all)
 }
@@ -136,6 +152,6 @@ pub fn copy_bandwidth(device: &Device) -> Result<f64, Box<dyn Error>> {
         let source = source.clone();
         Ok(Box::new(move || Ok(Box::new(source + 1.0) as Kept)))
     });
-    let times = time(&mut copy, device, Duration::from_secs(5))?;
-    Ok((2 * size_of::<f32>() * ELEMENTS) as f64 / times.median_s)
+    let times = time([&mut copy], device, Duration::from_secs(5))?;
+    Ok((2 * size_of::<f32>() * ELEMENTS) as f64 / times[0].median_s)
 }

@@ -5,7 +5,7 @@ use std::error::Error;
 use std::rc::Rc;
 
 use burn::backend::Dispatch;
-use burn::tensor::{Device, Tensor};
+use burn::tensor::{Device, Int, Tensor};
 use splat_model::density::rows::{Gradients, Trained};
 use splat_model::gaussians::Gaussians;
 use splat_model::loss::{DEFAULT_LAMBDA, Truth, photometric};
@@ -63,7 +63,7 @@ fn activate(job: &Job, device: &Device) -> Prepare {
 
 fn project_forward(stages: &Rc<Stages>, camera: &Camera) -> Prepare {
     let (stages, camera) = (stages.clone(), camera.clone());
-    forward(move || Ok(project_packed(&stages.splats, &camera)))
+    forward(move || Ok(project_packed(&stages.splats, &camera, no_probe(&stages.splats))))
 }
 
 fn shade_forward(stages: &Rc<Stages>, camera: &Camera) -> Prepare {
@@ -73,11 +73,7 @@ fn shade_forward(stages: &Rc<Stages>, camera: &Camera) -> Prepare {
 
 fn tile(stages: &Rc<Stages>) -> Prepare {
     let stages = stages.clone();
-    forward(move || {
-        let packed = stages.packed.clone().into_dispatch();
-        let counts = <Dispatch as SplatBackend>::tile(packed, stages.spec, HitCell::default());
-        Ok(Tensor::<2, burn::tensor::Int>::from_dispatch(counts))
-    })
+    forward(move || Ok(tile_lists(&stages.packed, stages.spec)))
 }
 
 fn blend_forward(stages: &Rc<Stages>) -> Prepare {
@@ -111,7 +107,10 @@ fn shade_backward(stages: &Rc<Stages>, camera: &Camera) -> Prepare {
 
 fn project_backward(stages: &Rc<Stages>, camera: &Camera) -> Prepare {
     let (stages, camera, grad) = (stages.clone(), camera.clone(), stages.packed.clone());
-    backward(grad, move || project_packed(&leaves(&stages.splats), &camera))
+    backward(grad, move || {
+        let splats = leaves(&stages.splats);
+        project_packed(&splats, &camera, no_probe(&splats))
+    })
 }
 
 /// The gradients of scales, opacities and harmonics are given; the others are those of the parameters themselves.
@@ -204,15 +203,14 @@ fn leaves(splats: &Splats) -> Splats {
     }
 }
 
-fn harmonics(splats: &Splats) -> Tensor<3> {
+pub(crate) fn harmonics(splats: &Splats) -> Tensor<3> {
     let Colour::SphericalHarmonics(sh) = &splats.colour else { unreachable!("the scenes have harmonics") };
     sh.clone()
 }
 
 /// As [`splat_op::project`], but the packed columns themselves: `backward` needs their gradient, and going through the
-/// named columns would time the slices.
-fn project_packed(splats: &Splats, camera: &Camera) -> Tensor<2> {
-    let probe = Tensor::<2>::zeros([0, 2], &splats.means.device());
+/// named columns would time the slices. `probe` is `[N, 2]`, or `[0, 2]` for none.
+pub(crate) fn project_packed(splats: &Splats, camera: &Camera, probe: Tensor<2>) -> Tensor<2> {
     let inputs = ProjectInputs {
         means: splats.means.clone().into_dispatch(),
         rotations: splats.rotations.clone().into_dispatch(),
@@ -224,12 +222,40 @@ fn project_packed(splats: &Splats, camera: &Camera) -> Tensor<2> {
     Tensor::from_dispatch(<Dispatch as SplatBackend>::project(inputs, probe.into_dispatch(), spec))
 }
 
+fn no_probe(splats: &Splats) -> Tensor<2> {
+    Tensor::zeros([0, 2], &splats.means.device())
+}
+
+/// As [`splat_op::blend`] without a background, for the reason of [`project_packed`].
+pub(crate) fn blend_planes(
+    [projected, features]: [Tensor<2>; 2],
+    (counts, hits): (&Tensor<2, Int>, &HitCell),
+    spec: BlendSpec,
+) -> Tensor<3> {
+    let device = projected.device();
+    let inputs = BlendInputs {
+        background: Tensor::<1>::zeros([3], &device).into_dispatch(),
+        projected: projected.into_dispatch(),
+        features: features.into_dispatch(),
+    };
+    let probe = Tensor::<2>::zeros([0, 2], &device).into_dispatch();
+    let counts = counts.clone().into_dispatch();
+    Tensor::from_dispatch(<Dispatch as SplatBackend>::blend(inputs, probe, counts, spec, hits.clone(), None))
+}
+
+/// The lists of packed ellipses, and how many Gaussians each tile has.
+pub(crate) fn tile_lists(packed: &Tensor<2>, spec: BlendSpec) -> (Tensor<2, Int>, HitCell) {
+    let hits = HitCell::default();
+    let counts = <Dispatch as SplatBackend>::tile(packed.clone().into_dispatch(), spec, hits.clone());
+    (Tensor::from_dispatch(counts), hits)
+}
+
 /// The stages' inputs on a device, without autodiff.
 struct Stages {
     splats: Splats,
     packed: Tensor<2>,
     colours: Tensor<2>,
-    counts: Tensor<2, burn::tensor::Int>,
+    counts: Tensor<2, Int>,
     hits: HitCell,
     spec: BlendSpec,
 }
@@ -237,25 +263,15 @@ struct Stages {
 impl Stages {
     fn new(job: &Job, device: &Device) -> Result<Self, SplatError> {
         let (splats, camera) = (job.gaussians(device).splats(), job.camera(device));
-        let packed = project_packed(&splats, &camera);
+        let packed = project_packed(&splats, &camera, no_probe(&splats));
         let colours = shade(&harmonics(&splats), &splats.means, &camera)?;
-        let (hits, spec) = (HitCell::default(), BlendSpec { intrinsics: job.intrinsics, options: OPTIONS });
-        let counts = <Dispatch as SplatBackend>::tile(packed.clone().into_dispatch(), spec, hits.clone());
-        Ok(Self { splats, packed, colours, counts: Tensor::from_dispatch(counts), hits, spec })
+        let spec = BlendSpec { intrinsics: job.intrinsics, options: OPTIONS };
+        let (counts, hits) = tile_lists(&packed, spec);
+        Ok(Self { splats, packed, colours, counts, hits, spec })
     }
 
-    /// As [`splat_op::blend`], for the reason of [`project_packed`].
     fn blend(&self, projected: Tensor<2>, features: Tensor<2>) -> Tensor<3> {
-        let device = projected.device();
-        let inputs = BlendInputs {
-            background: Tensor::<1>::zeros([3], &device).into_dispatch(),
-            projected: projected.into_dispatch(),
-            features: features.into_dispatch(),
-        };
-        let probe = Tensor::<2>::zeros([0, 2], &device).into_dispatch();
-        let counts = self.counts.clone().into_dispatch();
-        let hits = self.hits.clone();
-        Tensor::from_dispatch(<Dispatch as SplatBackend>::blend(inputs, probe, counts, self.spec, hits, None))
+        blend_planes([projected, features], (&self.counts, &self.hits), self.spec)
     }
 
     /// `[H, W, 3]`, as `render` hands it to a loss.

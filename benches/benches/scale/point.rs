@@ -100,8 +100,8 @@ pub fn run(point: &Point) -> Result<(), Box<dyn Error>> {
     };
     let set_up = held() - empty;
     forget_peak();
-    let (times, during) = allocated(|| time(&mut prepare, &Device::flex(), BUDGET));
-    let Times { median_s, runs, .. } = times?;
+    let (times, during) = allocated(|| time([&mut prepare], &Device::flex(), BUDGET));
+    let Times { median_s, runs, .. } = times?[0];
     println!("{median_s} {runs} {hits} {} {}", set_up + during.peak, peak_rss());
     Ok(())
 }

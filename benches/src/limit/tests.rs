@@ -31,6 +31,13 @@ fn operations_are_those_counted_by_hand() {
     // Direction 13, basis 43, 48 fused multiply-adds, 3 clamps.
     assert_eq!(operations(Kind::Shade), 4.0 * (13.0 + 43.0 + 96.0 + 3.0));
     assert_eq!(operations(Kind::Blend), 30.0 * (35.0 + 7.0));
+    // A comparison per doubling, a box; an ellipse against a tile.
+    assert_eq!(operations(Kind::Tile), 4.0 * (2.0 + 39.0) + 6.0 * 16.0);
+    // Six windowed maps of 32 operations, 32 others.
+    assert_eq!(operations(Kind::Loss), 10.0 * 3.0 * (6.0 * 32.0 + 32.0));
+    assert_eq!(operations(Kind::BlendBackward), 30.0 * 63.0 + 4.0 * 9.0);
+    // The colour again 152, the harmonics 48, the basis' gradient from 16 dot products 80 and its derivative 105, the direction 14.
+    assert_eq!(operations(Kind::ShadeBackward), 4.0 * (152.0 + 48.0 + 80.0 + 105.0 + 14.0));
     assert_eq!(operations(Kind::Adam), 59.0 * 5.0 * 10.0);
 }
 
