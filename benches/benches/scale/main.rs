@@ -1,6 +1,7 @@
 //! Time and memory of a render with its backward pass, and of a training step, against Gaussians, pixels and photographs.
 //!
-//! `cargo bench --workspace --bench scale -- splats`: any of `splats`, `pixels` and `views`; without, all three. Each axis replaces its
+//! `cargo bench --workspace --bench scale -- splats`: any of `splats`, `pixels` and `views`; without, all three; `plot`
+//! draws anew what is on record. Each axis replaces its
 //! rows in `docs/scale/scale.csv` and its plot beside it, and leaves the others. Every point is a process of its own, so that
 //! none finds the memory of another. One that by the point before would take more than [`MEMORY`] or [`PATIENCE`] is
 //! skipped, and said to be.
@@ -37,10 +38,17 @@ fn main() -> Result<(), Box<dyn Error>> {
     if let Some(("--point", point)) = words.split_first().map(|(first, rest)| (first.as_str(), rest)) {
         return point::run(&Point::read(point)?);
     }
+    let csv = Path::new(FOLDER).join("scale.csv");
+    if words == ["plot"] {
+        return Axis::ALL.into_iter().try_for_each(|axis| {
+            println!("\n{axis}");
+            let rows: Vec<Row> = record::read(&csv)?.into_iter().filter(|row| row.axis == axis).collect();
+            show(axis, &rows)
+        });
+    }
     let axes: Result<Vec<Axis>, String> = words.iter().map(|word| word.parse()).collect();
     let axes = axes.map(|axes| if axes.is_empty() { Axis::ALL.to_vec() } else { axes })?;
     fs::create_dir_all(FOLDER)?;
-    let csv = Path::new(FOLDER).join("scale.csv");
     for axis in axes {
         println!("\n{axis}");
         let rows = measure(axis)?;
@@ -50,9 +58,15 @@ fn main() -> Result<(), Box<dyn Error>> {
         all.extend(rows.iter().cloned());
         all.sort_by_key(|row| row.axis);
         fs::write(&csv, record::write(&all))?;
-        plot::draw(axis, &rows, &Path::new(FOLDER).join(format!("{axis}.svg")))?;
-        record::state_growth(axis, &rows);
+        show(axis, &rows)?;
     }
+    Ok(())
+}
+
+/// Draws the plot and prints what it shows.
+fn show(axis: Axis, rows: &[Row]) -> Result<(), Box<dyn Error>> {
+    plot::draw(axis, rows, &Path::new(FOLDER).join(format!("{axis}.svg")))?;
+    record::state_growth(axis, rows);
     Ok(())
 }
 

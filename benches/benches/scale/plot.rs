@@ -63,7 +63,7 @@ type Area<'a> = DrawingArea<SVGBackend<'a>, plotters::coord::Shift>;
 
 fn chart(area: &Area, title: &str, unit: &str, lines: &[Line]) -> Result<(), Box<dyn Error>> {
     let all = || lines.iter().flat_map(|line| &line.points);
-    let (x, y) = (around(all().map(|point| point.0)), around(all().map(|point| point.1)));
+    let (x, y) = (around(all().map(|point| point.0)), decades(all().map(|point| point.1)));
     let mut chart = ChartBuilder::on(area)
         .caption(title, ("sans-serif", 20))
         .margin(12)
@@ -99,4 +99,10 @@ fn chart(area: &Area, title: &str, unit: &str, lines: &[Line]) -> Result<(), Box
 fn around(values: impl Iterator<Item = f64>) -> Range<f64> {
     let (low, high) = values.fold((f64::INFINITY, 0.0_f64), |(low, high), value| (low.min(value), high.max(value)));
     0.7 * low..1.5 * high
+}
+
+/// The powers of ten around the values, so that there are some to label.
+fn decades(values: impl Iterator<Item = f64>) -> Range<f64> {
+    let Range { start, end } = around(values);
+    10.0_f64.powf(start.log10().floor())..10.0_f64.powf(end.log10().ceil())
 }
