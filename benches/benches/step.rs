@@ -1,40 +1,132 @@
-//! One whole training step: render, loss, backward, Adam. The run is first compared with what it is known to reach.
+//! A whole training step: render, loss, backward, Adam. A run is first compared with what it is known to reach.
 //!
-//! `cargo bench -p splat-benches --bench step`
+//! `cargo bench --workspace --bench step -- medium`: any of `small`, `fox_small`, `fox_colmap`, `medium` and `large`; without,
+//! `small` and `medium`.
+//!
+//! `cargo bench --workspace --bench step -- --profile` says where a step spends its time, as a table for the README: each of its
+//! passes, timed among the others, and what is left; without names on `fox_small`, `fox_colmap` and `large`.
 
-use burn::tensor::{DType, Device};
-use divan::{Bencher, black_box};
-use glam::DAffine3;
-use splat_benches::{SMALL, SyntheticView, values};
-use splat_model::capture::{Photo, PointCloud};
-use splat_model::trainer::{TrainConfig, Trainer};
+use std::cell::RefCell;
+use std::error::Error;
+use std::rc::Rc;
+use std::time::Duration;
+
+use burn::tensor::Device;
+use splat_benches::SMALL;
+use splat_benches::job::{Job, Size};
+use splat_benches::limit::{Kind, Machine};
+use splat_benches::measure::{Kept, Prepare, table, time};
+use splat_benches::passes::whole_step;
+use splat_benches::pieces::Pieces;
+use splat_model::loss::Truth;
 
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
-fn main() {
-    divan::main();
+/// For one size.
+const BUDGET: Duration = Duration::from_secs(15);
+const PROFILE_BUDGET: Duration = Duration::from_secs(40);
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let profile = std::env::args().any(|word| word == "--profile");
+    let (device, machine) = (Device::flex(), Machine::measure());
+    println!("{} threads: {machine}", rayon::current_num_threads());
+    if profile {
+        let sizes = Size::from_arguments(&[Size::FoxSmall, Size::FoxColmap, Size::Large])?;
+        let measured: Result<Vec<_>, _> = sizes.into_iter().map(|size| measure(size, &device, &machine)).collect();
+        print_profile(&measured?);
+        return Ok(());
+    }
+    let sizes = Size::from_arguments(&[Size::Small, Size::Medium])?;
+    verify()?;
+    for size in sizes {
+        let job = Job::new(size)?;
+        let load = job.verify_load();
+        println!("\n{size}, {} × {}: {load}", job.intrinsics.width, job.intrinsics.height);
+        table(&mut [whole_step(&job, &device)], (&device, &machine), &job.sizes(&load), BUDGET, &[])?;
+    }
+    Ok(())
 }
 
-/// A run on one picture of the synthetic scene, from its centres in grey, with every degree of the harmonics in use.
-fn trainer(view: SyntheticView) -> Trainer {
-    let device = Device::flex();
-    let rgb = values(view.picture(&device, DType::F32)).iter().map(|v| (v * 255.0).round() as u8).collect();
-    let intrinsics = view.camera(&device, DType::F32).intrinsics;
-    let photo = Photo { name: "synthetic".into(), intrinsics, cam_from_world: DAffine3::IDENTITY, rgb, alpha: None };
-    let means = values(view.scene(&device, DType::F32).means);
-    let positions: Vec<[f32; 3]> = means.as_chunks::<3>().0.iter().map(|mean| mean.map(|v| v as f32)).collect();
-    let points = PointCloud { colours: vec![[128; 3]; positions.len()], positions };
-    let config = TrainConfig { steps: 100_000, sh_every: 0, ..TrainConfig::default() };
-    Trainer::new(vec![photo], &points, config, &device).expect("a photograph and steps are given")
-}
-
-#[divan::bench(args = [SMALL], sample_count = 40)]
-fn training_step(bencher: Bencher, view: SyntheticView) {
-    let mut run = trainer(view);
-    let mut loss = || run.step().expect("shapes fit").loss.into_scalar::<f32>();
-    let first = loss();
-    let last = (0..200).map(|_| loss()).last().unwrap_or(f32::NAN);
+/// 200 steps on one picture of the synthetic scene.
+fn verify() -> Result<(), Box<dyn Error>> {
+    let mut run = SMALL.trainer(1);
+    let mut loss = || run.step().map(|step| step.loss.into_scalar::<f32>());
+    let first = loss()?;
+    let mut last = f32::NAN;
+    for _ in 0..200 {
+        last = loss()?;
+    }
     assert!(last < 0.8 * first, "the loss went from {first} to {last}: this is not training");
-    bencher.bench_local(|| black_box(run.step()));
+    Ok(())
+}
+
+/// A step of one size, pass by pass.
+struct Profile {
+    size: Size,
+    /// Medians in seconds, by [`Kind::PARTS`].
+    parts: Vec<f64>,
+    /// Median of the whole step in seconds.
+    step: f64,
+    /// Seconds, by [`Kind::PARTS`], then the step.
+    limits: Vec<f64>,
+    /// Share of the processors' time that the whole step had.
+    busy: f64,
+}
+
+/// Whole steps and steps in pieces by turns, so that what else the machine does meets both.
+fn measure(size: Size, device: &Device, machine: &Machine) -> Result<Profile, Box<dyn Error>> {
+    let job = Job::new(size)?;
+    let load = job.verify_load();
+    println!("{size}, {} × {}: {load}", job.intrinsics.width, job.intrinsics.height);
+    let sizes = job.sizes(&load);
+    let gaussians = job.gaussians(&device.clone().autodiff());
+    let truth = Truth::new(job.photograph(device));
+    let mut pieces = Pieces::new(gaussians, job.camera(device), truth);
+    let runs = Rc::new(RefCell::new(Vec::new()));
+    let kept = runs.clone();
+    let mut in_pieces: Prepare = Box::new(move || {
+        let seconds = pieces.run()?.seconds;
+        kept.borrow_mut().push(seconds);
+        Ok(Box::new(|| Ok(Box::new(()) as Kept)))
+    });
+    let mut whole = whole_step(&job, device);
+    let times = time([&mut whole.prepare, &mut in_pieces], device, PROFILE_BUDGET)?;
+    let runs = runs.borrow();
+    let median = |part: usize| {
+        // Those that the whole step's warm-up was by turns with are not counted either.
+        let mut seconds: Vec<f64> = runs[runs.len() - times[0].runs..].iter().map(|run| run[part]).collect();
+        seconds.sort_by(f64::total_cmp);
+        seconds[seconds.len() / 2]
+    };
+    let limits = Kind::PARTS.into_iter().chain([Kind::Step]).map(|kind| sizes.limit(kind, machine)).collect();
+    let parts = (0..Kind::PARTS.len()).map(median).collect();
+    Ok(Profile { size, parts, step: times[0].median_s, limits, busy: times[0].busy })
+}
+
+/// A table in Markdown. What is not in the passes is Burn's: its graph, slices of tensors and sums of gradients.
+fn print_profile(profiles: &[Profile]) {
+    let row = |name: &str, cell: &dyn Fn(&Profile) -> String| {
+        let cells: Vec<String> = profiles.iter().map(cell).collect();
+        println!("| {name} | {} |", cells.join(" | "));
+    };
+    println!();
+    row("median ms (share of the step; times the limit)", &|profile| format!("`{}`", profile.size));
+    println!("|---|{}", "---|".repeat(profiles.len()));
+    for (i, kind) in Kind::PARTS.into_iter().enumerate() {
+        row(kind.name(), &|profile| {
+            let median = profile.parts[i];
+            let (share, ratio) = (100.0 * median / profile.step, median / profile.limits[i]);
+            format!("{:.2} ({share:.1}%; {ratio:.1})", 1e3 * median)
+        });
+    }
+    row("the rest: Burn's graph, slices, sums", &|profile| {
+        let rest = profile.step - profile.parts.iter().sum::<f64>();
+        format!("{:.2} ({:.1}%)", 1e3 * rest, 100.0 * rest / profile.step)
+    });
+    row("**training step**", &|profile| {
+        let ratio = profile.step / profile.limits[Kind::PARTS.len()];
+        format!("**{:.1}** ({ratio:.1} times the limit)", 1e3 * profile.step)
+    });
+    row("processors' time not had", &|profile| format!("{:.0}%", 100.0 * (1.0 - profile.busy)));
 }

@@ -1,5 +1,7 @@
 //! What a scene puts the stages to, counted plainly on the CPU.
 
+use std::fmt::{self, Display};
+
 use burn::tensor::Tensor;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -73,6 +75,26 @@ impl Load {
     /// Tiles per visible Gaussian.
     pub fn hits_per_visible(&self) -> f64 {
         self.hits as f64 / self.visible as f64
+    }
+
+    /// Asserts what the figures of the synthetic scenes are specified for: 80% visible, 4 tiles per visible Gaussian and 40
+    /// contributions per pixel at least, and hardly more.
+    ///
+    /// # Panics
+    /// If a count is out of its range.
+    pub fn verify(&self) {
+        assert!((0.8..0.85).contains(&self.visible_share()), "visible: {self:?}");
+        assert!((4.0..4.5).contains(&self.hits_per_visible()), "tiles per visible Gaussian: {self:?}");
+        assert!((40.0..48.0).contains(&self.layers), "contributions per pixel: {self:?}");
+    }
+}
+
+impl Display for Load {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { splats, visible, hits, layers } = self;
+        let (share, tiles) = (100.0 * self.visible_share(), self.hits_per_visible());
+        write!(f, "{splats} Gaussians, {visible} visible ({share:.1}%), {hits} hits ({tiles:.2} per visible), ")?;
+        write!(f, "{layers:.1} contributions per pixel")
     }
 }
 

@@ -13,9 +13,8 @@ use burn::tensor::{DType, TensorData};
 
 #[cfg(feature = "fusion")]
 use super::fusion;
-use super::host::HostBackend;
+use super::host::{HostBackend, by_type};
 use crate::activate::cpu::{self, all_finite_cpu, opacities_cpu, opacity_slopes_cpu, scales_cpu};
-use crate::witness::count_twin_call;
 
 /// Unconstrained parameters; see [`crate::RawSplats`].
 #[derive(Clone, Debug, ExtensionType)]
@@ -51,23 +50,6 @@ pub trait ActivateBackend: Backend {
     /// `[1]`: 1 if any value is not finite, else 0. Not differentiable.
     #[fusion(dtype = DType::I32, shape = burn::tensor::Shape::from([1]))]
     fn non_finite(values: FloatTensor<Self>) -> IntTensor<Self>;
-}
-
-/// Runs `$body` with `$float` standing for the float type of `$tensor`.
-macro_rules! by_type {
-    ($tensor:expr, $float:ident => $body:expr) => {{
-        count_twin_call();
-        match $tensor.dtype() {
-            DType::F64 => {
-                type $float = f64;
-                $body
-            }
-            _ => {
-                type $float = f32;
-                $body
-            }
-        }
-    }};
 }
 
 macro_rules! cpu_backend {

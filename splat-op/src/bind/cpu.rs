@@ -4,9 +4,9 @@
 
 use burn::backend::tensor::{FloatTensor, IntTensor};
 use burn::backend::{Flex, NdArray, TensorMetadata};
-use burn::tensor::{DType, TensorData};
+use burn::tensor::TensorData;
 
-use super::host::{Host, HostBackend};
+use super::host::{Host, HostBackend, by_type};
 use crate::blend::{self, BlendGrads, BlendInputs, BlendNeeds, BlendSpec, TraceCell};
 use crate::op::{Slot, SplatBackend};
 use crate::project::{self, COLUMNS, ProjectGrads, ProjectInputs, ProjectNeeds, ProjectSpec};
@@ -14,24 +14,6 @@ use crate::real::Real;
 use crate::shade::{self, ShadeGrads, ShadeInputs, ShadeNeeds};
 use crate::tile::cpu::tile_cpu;
 use crate::tile::{HitCell, HitLists, Lists, tile_grid};
-use crate::witness::count_twin_call;
-
-/// Runs `$body` with `$float` standing for the float type of `$tensor`.
-macro_rules! by_type {
-    ($tensor:expr, $float:ident => $body:expr) => {{
-        count_twin_call();
-        match $tensor.dtype() {
-            DType::F64 => {
-                type $float = f64;
-                $body
-            }
-            _ => {
-                type $float = f32;
-                $body
-            }
-        }
-    }};
-}
 
 /// A gradient as a tensor of the given shape, or nothing if it was not needed.
 fn slot<B: HostBackend, F: Real>(needed: bool, elements: Vec<F>, shape: &[usize], like: &FloatTensor<B>) -> Slot<B> {

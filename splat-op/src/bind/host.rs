@@ -78,3 +78,22 @@ fn elements<F: Real>(tensor: &NdArrayTensor) -> Option<&[F]> {
 fn check_type<F: Real>(dtype: DType) {
     assert_eq!(dtype, F::DTYPE, "all tensors of a stage share one float type; the public functions check it");
 }
+
+/// Runs a twin: `$body` with `$float` standing for the float type of `$tensor`.
+macro_rules! by_type {
+    ($tensor:expr, $float:ident => $body:expr) => {{
+        $crate::witness::count_twin_call();
+        match $tensor.dtype() {
+            ::burn::tensor::DType::F64 => {
+                type $float = f64;
+                $body
+            }
+            _ => {
+                type $float = f32;
+                $body
+            }
+        }
+    }};
+}
+
+pub(crate) use by_type;

@@ -14,6 +14,7 @@
 
 mod allocations;
 mod engine;
+mod json;
 mod mutate;
 mod regressions;
 mod seeds;
@@ -40,5 +41,5 @@ fn colmap_text() {
 
 #[test]
 fn json() {
-    engine::fuzz(&mut targets::Json::new("json"));
+    engine::fuzz(&mut json::Json::new("json"));
 }

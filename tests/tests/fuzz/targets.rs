@@ -1,4 +1,4 @@
-//! The readers, and what must hold of what they return.
+//! The readers of captures and scenes, and what must hold of what they return.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -7,8 +7,6 @@ use glam::DVec3;
 use splat_model::capture::Capture;
 use splat_model::gaussians::GaussianRows;
 use splat_model::ply;
-use splat_model::trainer::TrainConfig;
-use splat_train::{demo, report};
 
 use super::engine::{Target, folder};
 use super::seeds;
@@ -49,7 +47,7 @@ fn judge_message(message: &str, folder: &Path) -> Result<(), String> {
 }
 
 /// A message without what varies: paths, quoted oddities, and all of a number but how long it is.
-fn shape(message: &str, folder: &Path) -> String {
+pub fn shape(message: &str, folder: &Path) -> String {
     let message = message.replace(folder.to_str().unwrap_or_default(), "");
     let mut shape = String::new();
     for (i, part) in message.split(['`', '"', '\'']).enumerate() {
@@ -69,7 +67,7 @@ fn shape(message: &str, folder: &Path) -> String {
 }
 
 /// About how many.
-fn bucket(count: usize) -> u32 {
+pub fn bucket(count: usize) -> u32 {
     (count + 1).ilog2()
 }
 
@@ -322,125 +320,6 @@ impl Target for Colmap {
             }
         }
     }
-}
-
-/// What the program reads of its own making: the mark of a demo capture, the metrics of an earlier run, a configuration.
-pub struct Json {
-    folder: PathBuf,
-    text: Vec<u8>,
-}
-
-impl Json {
-    pub fn new(name: &str) -> Self {
-        Self { folder: folder(name), text: Vec::new() }
-    }
-}
-
-impl Target for Json {
-    fn name(&self) -> &'static str {
-        "json"
-    }
-
-    fn seeds(&self) -> Vec<Vec<u8>> {
-        seeds::json()
-    }
-
-    fn words(&self) -> &'static [&'static str] {
-        &[
-            "{",
-            "}",
-            "[",
-            "]",
-            "[[[[[[[[[[[[[[[[",
-            "{\"a\":{\"a\":{\"a\":",
-            ":",
-            ",",
-            "\"",
-            "\\u0000",
-            "\\ud800",
-            "null",
-            "true",
-            "1e999",
-            "-0.0",
-            "\"test\"",
-            "\"views\"",
-            "\"name\"",
-            "\"../../x\"",
-            "\"/etc/passwd\"",
-            "\"splat demo\"",
-            "\"steps\"",
-            "\"density\"",
-            "\"max_splats\"",
-            "\"background\"",
-            "\"a\u{0}b\"",
-            "\u{feff}",
-        ]
-    }
-
-    fn split(&self, input: &[u8]) -> Vec<Vec<u8>> {
-        split::text(input)
-    }
-
-    fn place(&mut self, input: &[u8]) {
-        for name in [demo::MARK, report::METRICS] {
-            fs::write(self.folder.join(name), input).expect("the target folder can be written to");
-        }
-        self.text = input.to_vec();
-    }
-
-    fn read(&mut self) -> Result<String, String> {
-        let mark = demo::read_mark(&self.folder).is_some();
-        let views = report::metrics::views_of(&self.folder.join(report::METRICS));
-        let paths = report::pictures::names(views.iter().map(String::as_str), "png");
-        if paths.len() != views.len() {
-            return Err(format!("{} names for {} views", paths.len(), views.len()));
-        }
-        let inside = paths.iter().filter(|path| report::pictures::stays_inside(path)).count();
-        let config = match serde_json::from_slice::<TrainConfig>(&self.text) {
-            Ok(config) => {
-                let text = serde_json::to_string(&config).map_err(|error| error.to_string())?;
-                let again: TrainConfig = serde_json::from_str(&text).map_err(|error| format!("{error} in {text}"))?;
-                let value = |config| serde_json::to_value(config).map_err(|error| error.to_string());
-                if !same(&value(&config)?, &value(&again)?) {
-                    return Err(format!("{config:?} reads back as {again:?}"));
-                }
-                "accepted".into()
-            }
-            Err(error) => shape(&error.to_string(), &self.folder),
-        };
-        let is_json = serde_json::from_slice::<serde_json::Value>(&self.text).is_ok();
-        if !is_json && (mark || !views.is_empty()) {
-            return Err("something was read from what is no JSON".into());
-        }
-        let accepted = if is_json { "accepted" } else { "refused" };
-        Ok(format!("{accepted}: mark {mark}, 2^{} views, 2^{} inside, {config}", bucket(views.len()), bucket(inside)))
-    }
-}
-
-/// Whether two documents hold the same, numbers within an ulp: `serde_json` parses faster than it parses exactly, unless its feature
-/// `float_roundtrip` is on.
-fn same(a: &serde_json::Value, b: &serde_json::Value) -> bool {
-    use serde_json::Value::{Array, Number, Object};
-    match (a, b) {
-        (Number(a), Number(b)) if a.is_f64() && b.is_f64() => {
-            let [a, b] = [a, b].map(|n| n.as_f64().expect("it is one"));
-            a == b || (a - b).abs() <= f64::EPSILON * a.abs()
-        }
-        (Array(a), Array(b)) => a.len() == b.len() && a.iter().zip(b).all(|(a, b)| same(a, b)),
-        (Object(a), Object(b)) => {
-            a.len() == b.len() && a.iter().all(|(key, value)| b.get(key).is_some_and(|other| same(value, other)))
-        }
-        (a, b) => a == b,
-    }
-}
-
-#[test]
-fn numbers_may_differ_by_an_ulp_and_nothing_else() {
-    let read = |text: &str| serde_json::from_str(text).expect("JSON");
-    assert!(same(&read("[{\"a\": 21474836480.000126}]"), &read("[{\"a\": 21474836480.00013}]")));
-    assert!(!same(&read("[{\"a\": 1.0}]"), &read("[{\"a\": 1.000000000000001}]")));
-    assert!(!same(&read("{\"a\": 1}"), &read("{\"b\": 1}")));
-    assert!(!same(&read("[1, 2]"), &read("[1]")));
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! The three sizes: a scene on the host, the camera that sees it, and the photograph it is compared with.
+//! The sizes: a scene on the host, the camera that sees it, and the photograph it is compared with.
 
 use std::error::Error;
 use std::fmt::{self, Display};
@@ -7,35 +7,78 @@ use std::str::FromStr;
 
 use burn::tensor::{DType, Device, Tensor, TensorData};
 use glam::DAffine3;
-use splat_benches::{LARGE, Load, MEDIUM, SyntheticView, share_apart, values};
 use splat_model::capture::{Capture, Split, load_all};
 use splat_model::gaussians::{GaussianRows, Gaussians};
 use splat_model::trainer::{TrainConfig, Trainer};
 use splat_op::{Camera, Colour, Extras, Intrinsics, RenderOptions, SplatError, Splats, project, render, shade};
 
+use crate::limit::Sizes;
+use crate::{LARGE, Load, MEDIUM, SMALL, SyntheticView, TINY, share_apart, values};
+
+/// How everything is rendered.
 pub const OPTIONS: RenderOptions = RenderOptions::standard();
 
-/// Steps on the CPU that give the real scene harmonics which are not zero.
+/// Steps on the CPU that give the real scenes harmonics which are not zero.
 const STEPS_OF_FOX: usize = 10;
 
-/// Harmonics of degree 3.
-pub const COEFFICIENTS: usize = 16;
+/// Degree of all harmonics.
+const DEGREE: usize = 3;
 
+/// Harmonics of that degree.
+pub const COEFFICIENTS: usize = (DEGREE + 1) * (DEGREE + 1);
+
+/// A scene to measure on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Size {
+    /// [`TINY`].
+    Tiny,
+    /// [`SMALL`].
+    Small,
+    /// The real capture of that name, a quarter of its width.
     FoxSmall,
+    /// The real capture of that name.
+    FoxColmap,
+    /// [`MEDIUM`].
     Medium,
+    /// [`LARGE`].
     Large,
 }
 
 impl Size {
-    pub const ALL: [Self; 3] = [Self::FoxSmall, Self::Medium, Self::Large];
+    pub const ALL: [Self; 6] = [Self::Tiny, Self::Small, Self::FoxSmall, Self::FoxColmap, Self::Medium, Self::Large];
+
+    /// The sizes named on the command line, else `standard`.
+    ///
+    /// # Errors
+    /// The word that is no size.
+    pub fn from_arguments(standard: &[Self]) -> Result<Vec<Self>, String> {
+        let known = || Self::ALL.map(|size| size.to_string()).join(", ");
+        // Cargo passes `--bench`; other words with hyphens are the bench's own.
+        let words = std::env::args().skip(1).filter(|word| !word.starts_with("--"));
+        let named: Result<Vec<Self>, String> =
+            words.map(|word| word.parse().map_err(|()| format!("`{word}` is none of {}", known()))).collect();
+        named.map(|named| if named.is_empty() { standard.to_vec() } else { named })
+    }
+
+    /// The synthetic view it is, if it is one.
+    pub fn view(self) -> Option<SyntheticView> {
+        match self {
+            Self::Tiny => Some(TINY),
+            Self::Small => Some(SMALL),
+            Self::Medium => Some(MEDIUM),
+            Self::Large => Some(LARGE),
+            Self::FoxSmall | Self::FoxColmap => None,
+        }
+    }
 }
 
 impl Display for Size {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
+            Self::Tiny => "tiny",
+            Self::Small => "small",
             Self::FoxSmall => "fox_small",
+            Self::FoxColmap => "fox_colmap",
             Self::Medium => "medium",
             Self::Large => "large",
         })
@@ -61,18 +104,21 @@ pub struct Job {
 }
 
 impl Job {
+    /// Makes or loads the scene. Captures lie in `SPLAT_DATA_DIR`, or in `../shared/data` beside this repository.
+    ///
+    /// # Errors
+    /// If a capture cannot be read or trained on.
     pub fn new(size: Size) -> Result<Self, Box<dyn Error>> {
-        match size {
-            Size::FoxSmall => Self::fox_small(),
-            Size::Medium => Ok(Self::synthetic(size, &MEDIUM)),
-            Size::Large => Ok(Self::synthetic(size, &LARGE)),
+        match size.view() {
+            Some(view) => Ok(Self::synthetic(size, &view)),
+            None => Self::fox(size),
         }
     }
 
-    fn fox_small() -> Result<Self, Box<dyn Error>> {
+    fn fox(size: Size) -> Result<Self, Box<dyn Error>> {
         let standard = concat!(env!("CARGO_MANIFEST_DIR"), "/../../shared/data");
         let folder = std::env::var_os("SPLAT_DATA_DIR").map_or_else(|| PathBuf::from(standard), PathBuf::from);
-        let capture = Capture::load(&folder.join("fox_small"))?;
+        let capture = Capture::load(&folder.join(size.to_string()))?;
         let split = Split::every(&capture.views, 8);
         let photos = load_all(split.train.iter().map(|view| &capture.views[*view]), None, |_| ())?;
         let photo = photos[0].clone();
@@ -84,7 +130,7 @@ impl Job {
             trainer.step()?;
         }
         Ok(Self {
-            size: Size::FoxSmall,
+            size,
             rows: trainer.gaussians().to_rows(),
             intrinsics: photo.intrinsics,
             cam_from_world: photo.cam_from_world,
@@ -97,27 +143,17 @@ impl Job {
         let device = Device::flex();
         let scene = view.scene(&device, DType::F32);
         let camera = view.camera(&device, DType::F32);
-        let Colour::SphericalHarmonics(sh) = &scene.colour else { unreachable!("the scene has harmonics") };
-        let sh = floats(sh.clone());
-        let coefficients = sh.as_chunks::<{ 3 * COEFFICIENTS }>().0;
-        let rows = GaussianRows {
-            means: rows_of(scene.means.clone()),
-            rotations: rows_of(scene.rotations.clone()),
-            log_scales: rows_of(scene.scales.clone().log()),
-            logit_opacities: floats(scene.opacities.clone()).iter().map(|o| (o / (1.0 - o)).ln()).collect(),
-            sh_dc: coefficients.iter().map(|row| [row[0], row[1], row[2]]).collect(),
-            sh_rest: coefficients.iter().flat_map(|row| row[3..].iter().copied()).collect(),
-            sh_degree: 3,
-        };
         let picture = render(&scene, std::slice::from_ref(&camera), &Extras::default(), &OPTIONS);
         let photograph = floats(picture.expect("the scene's shapes fit").colour * 0.5);
-        Self { size, rows, intrinsics: camera.intrinsics, cam_from_world: DAffine3::IDENTITY, photograph }
+        Self { size, rows: view.rows(), intrinsics: camera.intrinsics, cam_from_world: DAffine3::IDENTITY, photograph }
     }
 
+    /// The camera on a device.
     pub fn camera(&self, device: &Device) -> Camera {
         Camera::new(self.intrinsics, &self.cam_from_world, device)
     }
 
+    /// The scene on a device; trainable if that is an autodiff device.
     pub fn gaussians(&self, device: &Device) -> Gaussians {
         Gaussians::from_rows(&self.rows, device).expect("rows of one scene")
     }
@@ -128,19 +164,25 @@ impl Job {
         Tensor::from_data(TensorData::new(self.photograph.clone(), shape), device)
     }
 
-    /// Counts on the CPU, and for the synthetic scenes the assertion that they are what the figures are specified for.
+    /// Counts on the CPU, and for [`MEDIUM`] and [`LARGE`] the assertion that they are what the figures are specified for.
     pub fn verify_load(&self) -> Load {
         let device = Device::flex();
         let load = Load::of(&self.gaussians(&device).splats(), &self.camera(&device), &OPTIONS);
-        if self.size != Size::FoxSmall {
-            assert!(load.visible_share() >= 0.8, "too few are visible: {load:?}");
-            assert!(load.hits_per_visible() >= 4.0, "too few tiles: {load:?}");
-            assert!(load.layers >= 40.0, "too few layers: {load:?}");
+        if matches!(self.size, Size::Medium | Size::Large) {
+            load.verify();
         }
         load
     }
 
+    /// What the passes are asked to do.
+    pub fn sizes(&self, load: &Load) -> Sizes {
+        Sizes::new(load, &self.intrinsics, DEGREE)
+    }
+
     /// The device's picture is the CPU's but for pixels at a threshold.
+    ///
+    /// # Errors
+    /// If the op refuses the scene.
     pub fn verify_picture(&self, device: &Device) -> Result<(), SplatError> {
         let picture = |device: &Device| -> Result<Vec<f64>, SplatError> {
             let (splats, camera) = (self.gaussians(device).splats(), self.camera(device));
@@ -157,6 +199,9 @@ impl Job {
     }
 
     /// Asks the op whether the scene fits, by views of one row that take no memory themselves.
+    ///
+    /// # Errors
+    /// What does not fit.
     pub fn check_fits(&self, device: &Device) -> Result<(), SplatError> {
         let count = self.rows.len();
         let row = |columns| Tensor::<2>::ones([1, columns], device).expand([count, columns]);
@@ -176,8 +221,4 @@ impl Job {
 
 fn floats<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
     tensor.into_data().try_into_vec().expect("the benches compute in f32")
-}
-
-fn rows_of<const C: usize>(tensor: Tensor<2>) -> Vec<[f32; C]> {
-    floats(tensor).as_chunks::<C>().0.to_vec()
 }

@@ -1,12 +1,8 @@
-//! Each stage forwards and backwards, the loss, and a whole training step, on devices named at run time. A scene that is
+//! Each pass of a training step, and the whole step, on devices named at run time. A scene that is
 //! not what the figures are specified for, or a picture that is not the CPU's, is not timed.
 //!
-//! `cargo bench --workspace --bench gpu -- flex gpu fox_small`: any of `splat devices` and any of `fox_small`, `medium` and
-//! `large`; without, flex and the GPU, and all sizes. The first device is what the others are compared with.
-
-mod job;
-mod measure;
-mod passes;
+//! `cargo bench --workspace --bench gpu -- flex gpu fox_small`: any of `splat devices` and any of `small`,
+//! `fox_small`, `fox_colmap`, `medium` and `large`; without, flex and the GPU, and `fox_small`, `medium` and `large`. The first device is what the others are compared with.
 
 use std::error::Error;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -14,11 +10,12 @@ use std::time::Duration;
 
 use burn::tensor::Device;
 use splat_benches::Load;
+use splat_benches::job::{Job, Size};
+use splat_benches::limit::Machine;
+use splat_benches::measure::{copy_bandwidth, table};
+use splat_benches::passes::passes;
+use splat_op::is_gpu;
 use splat_train::device::DeviceName;
-
-use job::{Job, Size};
-use measure::copy_bandwidth;
-use passes::passes;
 
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
@@ -30,8 +27,8 @@ const BUDGET: Duration = Duration::from_secs(60);
 struct Opened {
     name: String,
     device: Device,
-    /// Of copies, bytes per second.
-    bandwidth: f64,
+    /// Of a GPU only its copies are measured.
+    machine: Machine,
 }
 
 fn main() -> Result<(), Box<dyn Error>> {
@@ -47,7 +44,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         names = vec![DeviceName::Flex, DeviceName::Gpu];
     }
     if sizes.is_empty() {
-        sizes = Size::ALL.into();
+        sizes = vec![Size::FoxSmall, Size::Medium, Size::Large];
     }
     let mut devices = Vec::new();
     for name in names {
@@ -64,9 +61,12 @@ fn main() -> Result<(), Box<dyn Error>> {
 
 fn open(name: DeviceName) -> Result<Opened, Box<dyn Error>> {
     let (device, name) = name.resolve()?;
-    let bandwidth = copy_bandwidth(&device)?;
-    println!("{name}: copies {:.1} GB/s, read and written", bandwidth / 1e9);
-    Ok(Opened { name, device, bandwidth })
+    let machine = match is_gpu(&device) {
+        true => Machine { bandwidth: copy_bandwidth(&device)?, operations: None },
+        false => Machine::measure(),
+    };
+    println!("{name}: {machine}");
+    Ok(Opened { name, device, machine })
 }
 
 /// Verifies, then times, one size on all devices.
@@ -74,20 +74,14 @@ fn run(size: Size, devices: &[Opened]) -> Result<(), Box<dyn Error>> {
     let job = Job::new(size)?;
     let load = job.verify_load();
     let (width, height) = (job.intrinsics.width, job.intrinsics.height);
-    println!("\n{size}: {} Gaussians at {width} × {height}", load.splats);
-    let Load { visible, hits, layers, .. } = load;
-    println!(
-        "  {visible} visible ({:.1}%), {hits} hits ({:.2} per visible), {layers:.1} layers per pixel",
-        100.0 * load.visible_share(),
-        load.hits_per_visible()
-    );
+    println!("\n{size}, {width} × {height}: {load}");
     // Medians of the first device.
     let mut base = Vec::new();
     for opened in devices {
         println!("\n {size} on {}", opened.name);
         // What depends on the data and does not fit is found deep within an operation; Burn hands the panic to whoever
         // waits for the device.
-        let found = catch_unwind(AssertUnwindSafe(|| table(&job, &load, opened, &base)));
+        let found = catch_unwind(AssertUnwindSafe(|| timed(&job, &load, opened, &base)));
         let medians = found.unwrap_or_else(|panic| Err(message(panic.as_ref()).into()));
         match medians {
             Ok(medians) if base.is_empty() => base = medians,
@@ -99,35 +93,15 @@ fn run(size: Size, devices: &[Opened]) -> Result<(), Box<dyn Error>> {
 }
 
 /// Prints a line per pass and returns the medians.
-fn table(job: &Job, load: &Load, opened: &Opened, base: &[f64]) -> Result<Vec<f64>, Box<dyn Error>> {
-    let Opened { device, bandwidth, .. } = opened;
+fn timed(job: &Job, load: &Load, opened: &Opened, base: &[f64]) -> Result<Vec<f64>, Box<dyn Error>> {
+    let Opened { device, machine, .. } = opened;
     job.check_fits(device)?;
     if job.size == Size::FoxSmall {
         job.verify_picture(device)?;
     }
-    let mut passes = passes(job, load, device)?;
-    println!(
-        "  {:<21}{:>10}{:>6}{:>11}{:>9}{:>9}{:>9}",
-        "pass", "median ms", "runs", "least MiB", "GB/s", "of copy", "× first"
-    );
-    let budget = BUDGET / passes.len() as u32;
-    let mut medians = Vec::new();
-    for (i, pass) in passes.iter_mut().enumerate() {
-        let times = pass.time(device, budget)?;
-        let rate = pass.bytes as f64 / times.median_s;
-        let ratio = base.get(i).map_or("-".into(), |first| format!("{:.2}", times.median_s / first));
-        println!(
-            "  {:<21}{:>10.2}{:>6}{:>11.1}{:>9.3}{:>8.1}%{ratio:>9}",
-            pass.name,
-            1e3 * times.median_s,
-            times.runs,
-            pass.bytes as f64 / f64::from(1 << 20),
-            rate / 1e9,
-            100.0 * rate / bandwidth,
-        );
-        medians.push(times.median_s);
-    }
-    Ok(medians)
+    let mut passes = passes(job, device)?;
+    let times = table(&mut passes, (device, machine), &job.sizes(load), BUDGET, base)?;
+    Ok(times.into_iter().map(|times| times.median_s).collect())
 }
 
 /// What a panic says.

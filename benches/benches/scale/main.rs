@@ -1,0 +1,165 @@
+//! Time and memory of a render with its backward pass, and of a training step, against Gaussians, pixels and photographs.
+//!
+//! `cargo bench --workspace --bench scale -- splats`: any of `splats`, `pixels` and `views`; without, all three; `plot`
+//! draws anew what is on record. Each axis replaces its
+//! rows in `docs/scale/scale.csv` and its plot beside it, and leaves the others. Every point is a process of its own, so that
+//! none finds the memory of another. One that by the point before would take more than [`MEMORY`] or [`PATIENCE`] is
+//! skipped, and said to be.
+
+mod plot;
+mod point;
+mod record;
+
+use std::error::Error;
+use std::fs;
+use std::path::Path;
+use std::process::Command;
+use std::time::Duration;
+
+use splat_benches::allocations::Counting;
+use splat_benches::{MEDIUM, SyntheticView};
+
+use point::{Point, Work};
+use record::{Axis, Row};
+
+#[global_allocator]
+static ALLOCATOR: Counting<mimalloc::MiMalloc> = Counting(mimalloc::MiMalloc);
+
+/// Most bytes for a point.
+const MEMORY: f64 = 16.0 * 1024.0 * 1024.0 * 1024.0;
+
+/// Longest time for a point.
+const PATIENCE: Duration = Duration::from_secs(180);
+
+const FOLDER: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../docs/scale");
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let words: Vec<String> = std::env::args().skip(1).filter(|word| word != "--bench").collect();
+    if let Some(("--point", point)) = words.split_first().map(|(first, rest)| (first.as_str(), rest)) {
+        return point::run(&Point::read(point)?);
+    }
+    let csv = Path::new(FOLDER).join("scale.csv");
+    if words == ["plot"] {
+        return Axis::ALL.into_iter().try_for_each(|axis| {
+            println!("\n{axis}");
+            let rows: Vec<Row> = record::read(&csv)?.into_iter().filter(|row| row.axis == axis).collect();
+            show(axis, &rows)
+        });
+    }
+    let axes: Result<Vec<Axis>, String> = words.iter().map(|word| word.parse()).collect();
+    let axes = axes.map(|axes| if axes.is_empty() { Axis::ALL.to_vec() } else { axes })?;
+    fs::create_dir_all(FOLDER)?;
+    for axis in axes {
+        println!("\n{axis}");
+        let rows = measure(axis)?;
+        // Read now, because another run may have measured another axis meanwhile.
+        let mut all = record::read(&csv)?;
+        all.retain(|row| row.axis != axis);
+        all.extend(rows.iter().cloned());
+        all.sort_by_key(|row| row.axis);
+        fs::write(&csv, record::write(&all))?;
+        show(axis, &rows)?;
+    }
+    Ok(())
+}
+
+/// Draws the plot and prints what it shows.
+fn show(axis: Axis, rows: &[Row]) -> Result<(), Box<dyn Error>> {
+    plot::draw(axis, rows, &Path::new(FOLDER).join(format!("{axis}.svg")))?;
+    record::state_growth(axis, rows);
+    Ok(())
+}
+
+/// The points of an axis, in ascending order.
+fn points(axis: Axis) -> Vec<(SyntheticView, usize)> {
+    // As many layers as there are Gaussians, until the nearest hide the others.
+    let splats = |splats| SyntheticView { splats, width: 1920, height: 1080, ..MEDIUM };
+    // One scene, photographed sharper and sharper.
+    let pixels = |(width, height): (usize, usize)| {
+        let sigma_px = MEDIUM.sigma_px * width as f64 / MEDIUM.width as f64;
+        SyntheticView { width, height, sigma_px, ..MEDIUM }
+    };
+    let views = |views| (SyntheticView { splats: 5_000, width: 320, height: 180, ..MEDIUM }, views);
+    match axis {
+        Axis::Splats => [1_000, 3_000, 10_000, 30_000, 100_000, 300_000, 1_000_000, 3_000_000, 10_000_000]
+            .map(|count| (splats(count), 1))
+            .to_vec(),
+        Axis::Pixels => [(426, 240), (854, 480), (1280, 720), (1920, 1080), (3840, 2160), (7680, 4320)]
+            .map(|size| (pixels(size), 1))
+            .to_vec(),
+        Axis::Views => [10, 30, 100, 300, 1_000, 3_000, 10_000].map(views).to_vec(),
+    }
+}
+
+fn measure(axis: Axis) -> Result<Vec<Row>, Box<dyn Error>> {
+    let mut rows = Vec::new();
+    for work in Work::ALL {
+        // A render knows nothing of other photographs.
+        if axis == Axis::Views && work == Work::Render {
+            continue;
+        }
+        let mut before: Option<Row> = None;
+        for (view, views) in points(axis) {
+            let point = Point { work, view, views };
+            if let Some(reason) = before.as_ref().and_then(|before| too_much(axis, before, &point)) {
+                println!("  {point} is skipped: {reason}");
+                continue;
+            }
+            let row = match in_a_process(axis, &point) {
+                Ok(row) => row,
+                Err(error) => {
+                    println!("  {point} is skipped: {error}");
+                    continue;
+                }
+            };
+            println!("  {row}");
+            before = Some(row.clone());
+            rows.push(row);
+        }
+    }
+    Ok(rows)
+}
+
+/// Why a point is not worth trying, taking growth in proportion from the point before it.
+fn too_much(axis: Axis, before: &Row, point: &Point) -> Option<String> {
+    let growth = axis.of(point) / axis.of(&before.point);
+    let bytes = before.live_bytes as f64 * growth;
+    // One run that does not count and one that does, besides all that a point takes to be set up.
+    let set_up = (before.wall_s - (before.runs + 1) as f64 * before.median_s).max(0.0);
+    let seconds = match axis {
+        // A step looks at one photograph, however many there are.
+        Axis::Views => set_up * growth,
+        _ => (set_up + 2.0 * before.median_s) * growth,
+    };
+    match () {
+        () if bytes > MEMORY => Some(format!("it would take some {:.1} GiB", bytes / f64::from(1 << 30))),
+        () if seconds > PATIENCE.as_secs_f64() => Some(format!("it would take some {seconds:.0} s")),
+        () => None,
+    }
+}
+
+/// Measures a point in a process that ends after it.
+fn in_a_process(axis: Axis, point: &Point) -> Result<Row, Box<dyn Error>> {
+    let start = std::time::Instant::now();
+    let output = Command::new(std::env::current_exe()?).arg("--point").args(point.write()).output()?;
+    if !output.status.success() {
+        let said = String::from_utf8_lossy(&output.stderr);
+        return Err(format!("{}: {}", output.status, said.lines().last().unwrap_or_default()).into());
+    }
+    let measured = String::from_utf8(output.stdout)?;
+    let numbers: Result<Vec<f64>, _> = measured.split_whitespace().map(str::parse).collect();
+    let numbers = numbers?;
+    let [median_s, runs, hits, live_bytes, rss_bytes] = numbers[..] else {
+        return Err(format!("not a measurement: {measured:?}").into());
+    };
+    Ok(Row {
+        axis,
+        point: point.clone(),
+        hits: hits as usize,
+        median_s,
+        runs: runs as usize,
+        live_bytes: live_bytes as usize,
+        rss_bytes: rss_bytes as usize,
+        wall_s: start.elapsed().as_secs_f64(),
+    })
+}

@@ -1,0 +1,174 @@
+//! One measurement, in a process of its own.
+
+use std::error::Error;
+use std::fmt::{self, Display};
+use std::fs;
+use std::time::Duration;
+
+use burn::tensor::{DType, Device, Tensor};
+use glam::DAffine3;
+use splat_benches::allocations::{allocated, held};
+use splat_benches::job::OPTIONS;
+use splat_benches::measure::{Kept, Prepare, Times, time};
+use splat_benches::step::Step;
+use splat_benches::{SyntheticView, values};
+use splat_model::gaussians::Gaussians;
+use splat_model::loss::Truth;
+use splat_op::{Camera, Colour, Extras, project, render, tile, with_gradient};
+
+/// What is timed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Work {
+    /// A render and its backward pass, gradients of all parameters.
+    Render,
+    /// A training step.
+    Step,
+}
+
+impl Work {
+    pub const ALL: [Self; 2] = [Self::Render, Self::Step];
+
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Render => "render and backward",
+            Self::Step => "training step",
+        }
+    }
+
+    pub fn parse(text: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|work| work.name() == text)
+    }
+}
+
+#[derive(Clone, Debug, PartialEq)]
+pub struct Point {
+    pub work: Work,
+    pub view: SyntheticView,
+    /// Photographs.
+    pub views: usize,
+}
+
+impl Display for Point {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { work, view: SyntheticView { splats, width, height, .. }, views } = self;
+        write!(f, "{}, {splats} Gaussians, {width} × {height}, {views} views", work.name())
+    }
+}
+
+impl Point {
+    pub fn pixels(&self) -> usize {
+        self.view.width * self.view.height
+    }
+
+    /// By construction of the scenes; see [`SyntheticView::splats`].
+    pub fn visible(&self) -> f64 {
+        0.8 * self.view.splats as f64
+    }
+
+    /// As words that [`Self::read`] reads.
+    pub fn write(&self) -> Vec<String> {
+        let SyntheticView { splats, width, height, sigma_px, opacity: [low, high] } = self.view;
+        let numbers = [splats, width, height, self.views].map(|number| number.to_string());
+        let fractions = [sigma_px, low, high].map(|number| number.to_string());
+        [self.work.name().to_owned()].into_iter().chain(numbers).chain(fractions).collect()
+    }
+
+    pub fn read(words: &[String]) -> Result<Self, Box<dyn Error>> {
+        let [work, splats, width, height, views, sigma_px, low, high] = words else { return Err("eight words".into()) };
+        let view = SyntheticView {
+            splats: splats.parse()?,
+            width: width.parse()?,
+            height: height.parse()?,
+            sigma_px: sigma_px.parse()?,
+            opacity: [low.parse()?, high.parse()?],
+        };
+        Ok(Self { work: Work::parse(work).ok_or("no such work")?, view, views: views.parse()? })
+    }
+}
+
+/// Time for a point's runs.
+const BUDGET: Duration = Duration::from_secs(15);
+
+/// Measures and prints: seconds, runs, hits, bytes held at once, bytes of the process's memory at once.
+pub fn run(point: &Point) -> Result<(), Box<dyn Error>> {
+    let hits = hits(&point.view);
+    let empty = held();
+    let mut prepare = match (point.work, point.views) {
+        (Work::Render, _) => render_and_backward(&point.view),
+        (Work::Step, 1) => step(&point.view),
+        (Work::Step, views) => trainer_step(&point.view, views),
+    };
+    let set_up = held() - empty;
+    forget_peak();
+    let (times, during) = allocated(|| time([&mut prepare], &Device::flex(), BUDGET));
+    let Times { median_s, runs, .. } = times?[0];
+    println!("{median_s} {runs} {hits} {} {}", set_up + during.peak, peak_rss());
+    Ok(())
+}
+
+fn hits(view: &SyntheticView) -> usize {
+    let device = Device::flex();
+    let scene = view.scene(&device, DType::F32);
+    let projected = project(&scene, &view.camera(&device, DType::F32), None, &OPTIONS).expect("shapes fit");
+    let counts = tile(&projected, &OPTIONS).expect("options are in range").counts;
+    values(counts.float()).iter().sum::<f64>() as usize
+}
+
+fn render_and_backward(view: &SyntheticView) -> Prepare {
+    let device = Device::flex();
+    let mut scene = view.scene(&device.clone().autodiff(), DType::F32);
+    scene.means = scene.means.require_grad();
+    scene.rotations = scene.rotations.require_grad();
+    scene.scales = scene.scales.require_grad();
+    scene.opacities = scene.opacities.require_grad();
+    if let Colour::SphericalHarmonics(sh) = scene.colour {
+        scene.colour = Colour::SphericalHarmonics(sh.require_grad());
+    }
+    let camera = view.camera(&device, DType::F32);
+    let grad = Tensor::<4>::ones([1, view.height, view.width, 3], &device) / (view.height * view.width) as f64;
+    let scene = std::rc::Rc::new(scene);
+    Box::new(move || {
+        let (scene, camera, grad) = (scene.clone(), camera.clone(), grad.clone());
+        Ok(Box::new(move || {
+            let rendered = render(&scene, &[camera], &Extras::default(), &OPTIONS)?;
+            let value = Tensor::<1>::zeros([1], &grad.device());
+            Ok(Box::new(with_gradient(rendered.colour, value, grad).backward()) as Kept)
+        }))
+    })
+}
+
+/// The photograph is grey: a loss with a derivative everywhere.
+fn step(view: &SyntheticView) -> Prepare {
+    let device = Device::flex();
+    let gaussians = Gaussians::from_rows(&view.rows(), &device.clone().autodiff()).expect("rows of one scene");
+    let camera = Camera::new(view.camera(&device, DType::F32).intrinsics, &DAffine3::IDENTITY, &device);
+    let truth = Truth::new(Tensor::<3>::ones([view.height, view.width, 3], &device) * 0.5);
+    let step = std::rc::Rc::new(std::cell::RefCell::new(Step::new(gaussians, camera, truth)));
+    Box::new(move || {
+        let step = step.clone();
+        Ok(Box::new(move || Ok(Box::new(step.borrow_mut().run()?) as Kept)))
+    })
+}
+
+fn trainer_step(view: &SyntheticView, views: usize) -> Prepare {
+    let trainer = std::rc::Rc::new(std::cell::RefCell::new(view.trainer(views)));
+    Box::new(move || {
+        let trainer = trainer.clone();
+        Ok(Box::new(move || Ok(Box::new(trainer.borrow_mut().step()?) as Kept)))
+    })
+}
+
+/// From here on the system counts the most memory anew. Where it cannot, the peak is that of the whole process.
+fn forget_peak() {
+    let _ = fs::write("/proc/self/clear_refs", "5");
+}
+
+/// Bytes; 0 where the system does not say.
+fn peak_rss() -> usize {
+    let kib = || {
+        let status = fs::read_to_string("/proc/self/status").ok()?;
+        let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
+        line.split_whitespace().next()?.parse::<usize>().ok()
+    };
+    kib().unwrap_or(0) * 1024
+}

@@ -1,0 +1,162 @@
+//! Measurements as CSV, and what they say about growth.
+
+use std::error::Error;
+use std::fmt::{self, Display, Write as _};
+use std::path::Path;
+use std::str::FromStr;
+
+use splat_benches::SyntheticView;
+
+use crate::point::{Point, Work};
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Axis {
+    Splats,
+    Pixels,
+    Views,
+}
+
+impl Axis {
+    pub const ALL: [Self; 3] = [Self::Splats, Self::Pixels, Self::Views];
+
+    /// The point's place on this axis.
+    pub fn of(self, point: &Point) -> f64 {
+        (match self {
+            Self::Splats => point.view.splats,
+            Self::Pixels => point.pixels(),
+            Self::Views => point.views,
+        }) as f64
+    }
+}
+
+impl Display for Axis {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Splats => "splats",
+            Self::Pixels => "pixels",
+            Self::Views => "views",
+        })
+    }
+}
+
+impl FromStr for Axis {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let found = Self::ALL.into_iter().find(|axis| axis.to_string() == text);
+        found.ok_or_else(|| format!("`{text}` is none of splats, pixels, views"))
+    }
+}
+
+#[derive(Clone, Debug, PartialEq)]
+pub struct Row {
+    pub axis: Axis,
+    pub point: Point,
+    pub hits: usize,
+    pub median_s: f64,
+    pub runs: usize,
+    /// Most bytes that tensors and lists took at a time.
+    pub live_bytes: usize,
+    /// Most memory that the process took at a time, as the system counts.
+    pub rss_bytes: usize,
+    /// Of the whole process; not recorded.
+    pub wall_s: f64,
+}
+
+impl Display for Row {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let mib = |bytes: usize| bytes as f64 / f64::from(1 << 20);
+        write!(
+            f,
+            "{}: {:.2} ms ({} runs), {:.1} MiB held, {:.1} MiB resident, {} hits",
+            self.point,
+            1e3 * self.median_s,
+            self.runs,
+            mib(self.live_bytes),
+            mib(self.rss_bytes),
+            self.hits
+        )
+    }
+}
+
+const HEADER: &str =
+    "axis,work,splats,width,height,views,sigma_px,opacity_min,opacity_max,hits,median_s,runs,live_bytes,rss_bytes";
+
+pub fn write(rows: &[Row]) -> String {
+    let mut text = format!("{HEADER}\n");
+    for Row { axis, point, hits, median_s, runs, live_bytes, rss_bytes, .. } in rows {
+        let _ =
+            writeln!(text, "{axis},{},{hits},{median_s:.6},{runs},{live_bytes},{rss_bytes}", point.write().join(","));
+    }
+    text
+}
+
+/// The rows of a file, none if it is not there.
+pub fn read(path: &Path) -> Result<Vec<Row>, Box<dyn Error>> {
+    let Ok(text) = std::fs::read_to_string(path) else { return Ok(Vec::new()) };
+    let row = |line: &str| -> Result<Row, Box<dyn Error>> {
+        let fields: Vec<String> = line.split(',').map(str::to_owned).collect();
+        let [axis, point @ .., hits, median_s, runs, live_bytes, rss_bytes] = &fields[..] else {
+            return Err(format!("{}: {line:?}", path.display()).into());
+        };
+        Ok(Row {
+            axis: axis.parse()?,
+            point: Point::read(point)?,
+            hits: hits.parse()?,
+            median_s: median_s.parse()?,
+            runs: runs.parse()?,
+            live_bytes: live_bytes.parse()?,
+            rss_bytes: rss_bytes.parse()?,
+            wall_s: 0.0,
+        })
+    };
+    text.lines().skip(1).map(row).collect()
+}
+
+/// Bytes per Gaussian of degree 3 that a trainer is allowed: 1.3 times its 59 parameters, two moments and one gradient of each.
+pub const ALLOWED_BYTES: f64 = 1.3 * 59.0 * 4.0 * 4.0;
+
+/// Prints what each step along the axis costs per unit of work.
+pub fn state_growth(axis: Axis, rows: &[Row]) {
+    for work in Work::ALL {
+        let rows: Vec<&Row> = rows.iter().filter(|row| row.point.work == work).collect();
+        for pair in rows.windows(2) {
+            let [low, high] = [pair[0], pair[1]];
+            let ratio = axis.of(&high.point) / axis.of(&low.point);
+            let exponent = |low: f64, high: f64| (high / low).ln() / ratio.ln();
+            let added = (high.live_bytes as f64 - low.live_bytes as f64) / (axis.of(&high.point) - axis.of(&low.point));
+            println!(
+                "  {}, {} to {}: time grows with the power {:.2}, {}; {added:.0} bytes held for each more",
+                work.name(),
+                axis.of(&low.point),
+                axis.of(&high.point),
+                exponent(low.median_s, high.median_s),
+                per_unit(axis, high),
+            );
+        }
+        if axis == Axis::Splats && work == Work::Step && rows.len() > 1 {
+            // Between the largest two: with fewer Gaussians the most is held in the loss, for the sake of the picture.
+            let [few, many] = [rows[rows.len() - 2], rows[rows.len() - 1]];
+            let more = (many.point.view.splats - few.point.view.splats) as f64;
+            let each = |of: fn(&Row) -> usize| (of(many) as f64 - of(few) as f64) / more;
+            println!(
+                "  a training step holds {:.0} bytes for each Gaussian, the goal is {ALLOWED_BYTES:.0}; resident are {:.0}",
+                each(|row| row.live_bytes),
+                each(|row| row.rss_bytes)
+            );
+        }
+    }
+}
+
+fn per_unit(axis: Axis, row: &Row) -> String {
+    let SyntheticView { splats, .. } = row.point.view;
+    match axis {
+        Axis::Splats => format!(
+            "{:.0} ns per visible Gaussian and {:.0} ns per hit at {splats}",
+            1e9 * row.median_s / row.point.visible(),
+            1e9 * row.median_s / row.hits as f64
+        ),
+        Axis::Pixels => format!("{:.0} ns per pixel", 1e9 * row.median_s / row.point.pixels() as f64),
+        Axis::Views => format!("{:.2} ms", 1e3 * row.median_s),
+    }
+}

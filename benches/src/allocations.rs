@@ -1,0 +1,66 @@
+//! The memory that a program asks for.
+
+use std::alloc::{GlobalAlloc, Layout};
+use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
+
+static LIVE: AtomicUsize = AtomicUsize::new(0);
+static PEAK: AtomicUsize = AtomicUsize::new(0);
+static TOTAL: AtomicUsize = AtomicUsize::new(0);
+
+/// An allocator, counted.
+pub struct Counting<A>(pub A);
+
+fn asked(size: usize) {
+    TOTAL.fetch_add(size, Relaxed);
+    let live = LIVE.fetch_add(size, Relaxed) + size;
+    PEAK.fetch_max(live, Relaxed);
+}
+
+// SAFETY: every call is handed on as it is.
+unsafe impl<A: GlobalAlloc> GlobalAlloc for Counting<A> {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        asked(layout.size());
+        unsafe { self.0.alloc(layout) }
+    }
+
+    unsafe fn alloc_zeroed(&self, layout: Layout) -> *mut u8 {
+        asked(layout.size());
+        unsafe { self.0.alloc_zeroed(layout) }
+    }
+
+    unsafe fn dealloc(&self, block: *mut u8, layout: Layout) {
+        LIVE.fetch_sub(layout.size(), Relaxed);
+        unsafe { self.0.dealloc(block, layout) }
+    }
+
+    unsafe fn realloc(&self, block: *mut u8, layout: Layout, size: usize) -> *mut u8 {
+        // Both blocks may be there at once while the contents move.
+        asked(size);
+        let moved = unsafe { self.0.realloc(block, layout, size) };
+        LIVE.fetch_sub(layout.size(), Relaxed);
+        moved
+    }
+}
+
+/// Bytes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Allocated {
+    /// Asked for in all.
+    pub total: usize,
+    /// The most that was held at a time, beyond what was held before.
+    pub peak: usize,
+}
+
+/// Bytes that the program holds now, if its allocator is [`Counting`].
+pub fn held() -> usize {
+    LIVE.load(Relaxed)
+}
+
+/// Runs `work`, in a program whose allocator is [`Counting`]; also what was asked for meanwhile, on all threads.
+pub fn allocated<T>(work: impl FnOnce() -> T) -> (T, Allocated) {
+    let (held, total) = (LIVE.load(Relaxed), TOTAL.load(Relaxed));
+    PEAK.store(held, Relaxed);
+    let result = work();
+    let peak = PEAK.load(Relaxed).saturating_sub(held);
+    (result, Allocated { total: TOTAL.load(Relaxed) - total, peak })
+}

@@ -1,0 +1,68 @@
+//! Runs each pass of a training step once for a tool that counts: `benches/tests/counts.rs` starts it under callgrind, which
+//! counts within [`splat_counted`] alone and writes a file each time that ends. For each pass it prints the name, the bytes
+//! it asked for, and the most it held at a time, with tabs between.
+//!
+//! Everything is the same from run to run: the scene, one thread, and the vector instructions, which have to be AVX2's: what
+//! valgrind knows.
+//!
+//! `counted project blend`: passes by their first words; without, all, and a step of a trainer.
+
+use std::alloc::System;
+use std::error::Error;
+
+use burn::tensor::Device;
+use fearless_simd::Level;
+use splat_benches::allocations::{Allocated, Counting, allocated};
+use splat_benches::job::{Job, Size};
+use splat_benches::limit::Kind;
+use splat_benches::measure::{Kept, Pass, Prepare, Timed};
+use splat_benches::passes::passes;
+
+// The system's: mimalloc gives memory back by the clock.
+#[global_allocator]
+static ALLOCATOR: Counting<System> = Counting(System);
+
+/// Runs before the one that counts: the first fills caches, and a trainer's first step has no moments.
+const WARM_UP: usize = 2;
+
+fn main() -> Result<(), Box<dyn Error>> {
+    // This thread is the pool: no other works, waits or wakes.
+    rayon::ThreadPoolBuilder::new().num_threads(1).use_current_thread().build_global()?;
+    let level = Level::new();
+    if !matches!(level, Level::Avx2(_)) {
+        return Err(format!("the counts are those of AVX2, and this is {level:?}").into());
+    }
+    let wanted: Vec<String> = std::env::args().skip(1).collect();
+    let wants = |kind: Kind| wanted.is_empty() || wanted.iter().any(|word| kind.name().starts_with(word.as_str()));
+    let job = Job::new(Size::Tiny)?;
+    let mut passes = passes(&job, &Device::flex())?;
+    passes.retain(|pass| pass.kind != Kind::Step);
+    passes.push(Pass { kind: Kind::Step, prepare: trainer_step(&job) });
+    for Pass { kind, prepare } in passes.iter_mut().filter(|pass| wants(pass.kind)) {
+        for _ in 0..WARM_UP {
+            prepare()?()?;
+        }
+        let timed = prepare()?;
+        let (kept, Allocated { total, peak }) = allocated(|| splat_counted(timed));
+        drop(kept?);
+        println!("{}\t{total}\t{peak}", kind.name());
+    }
+    Ok(())
+}
+
+/// The step of a trainer itself, not of what imitates it.
+fn trainer_step(job: &Job) -> Prepare {
+    let view = job.size.view().expect("the scene is a synthetic one");
+    let trainer = std::rc::Rc::new(std::cell::RefCell::new(view.trainer(1)));
+    Box::new(move || {
+        let trainer = trainer.clone();
+        Ok(Box::new(move || Ok(Box::new(trainer.borrow_mut().step()?) as Kept)))
+    })
+}
+
+/// What is counted. Its name is what callgrind knows it by.
+#[unsafe(no_mangle)]
+#[inline(never)]
+fn splat_counted(timed: Timed) -> Result<Kept, Box<dyn Error>> {
+    timed()
+}

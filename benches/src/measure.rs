@@ -1,0 +1,157 @@
+//! Times with the device waited for, and the table of what they mean.
+
+use std::any::Any;
+use std::error::Error;
+use std::time::{Duration, Instant};
+
+use burn::tensor::{Device, Tensor};
+
+use crate::limit::{Kind, Machine, Sizes};
+
+/// What a pass leaves behind, freed outside the timed part.
+pub type Kept = Box<dyn Any>;
+
+/// The timed part of a run. Errors are those of the op.
+pub type Timed = Box<dyn FnOnce() -> Result<Kept, Box<dyn Error>>>;
+
+/// Prepares a run, untimed, and gives the timed part.
+pub type Prepare = Box<dyn FnMut() -> Result<Timed, Box<dyn Error>>>;
+
+/// Something to be timed: a line of the table.
+pub struct Pass {
+    pub kind: Kind,
+    pub prepare: Prepare,
+}
+
+/// Times of several runs.
+#[derive(Clone, Copy, Debug)]
+pub struct Times {
+    pub median_s: f64,
+    pub runs: usize,
+    /// Share of the processors' time that this program used while runs were timed, at most 1; NaN where the system does not
+    /// say, and of little worth under a tenth of a second, because the system counts in hundredths.
+    pub busy: f64,
+}
+
+/// Runs after which more would change no median that is worth reading.
+const RUNS: usize = 31;
+
+/// Runs that are not counted: the first compiles the kernels, the second finds every buffer in the pool.
+const WARM_UP: usize = 2;
+
+/// Runs all of them in turns until the budget, which preparations share, is spent; each at least once after the warm-up. In
+/// turns, because what else a machine does comes and goes, and should meet all alike.
+///
+/// # Errors
+/// Those of what is timed.
+pub fn time<'a>(
+    all: impl IntoIterator<Item = &'a mut Prepare>,
+    device: &Device,
+    budget: Duration,
+) -> Result<Vec<Times>, Box<dyn Error>> {
+    let mut all: Vec<(&mut Prepare, Vec<Run>)> = all.into_iter().map(|prepare| (prepare, Vec::new())).collect();
+    let begin = Instant::now();
+    for round in 0..WARM_UP + RUNS {
+        // On a slow device the second warm-up would be most of the budget.
+        let warm = round == 0 || round < WARM_UP && begin.elapsed() < budget / 4;
+        for (prepare, runs) in &mut all {
+            let run = run(prepare, device)?;
+            if !warm {
+                runs.push(run);
+            }
+        }
+        if !warm && begin.elapsed() > budget {
+            break;
+        }
+    }
+    Ok(all.into_iter().map(|(_, runs)| summary(&runs)).collect())
+}
+
+struct Run {
+    elapsed_s: f64,
+    /// On all processors.
+    used_s: f64,
+}
+
+fn run(prepare: &mut Prepare, device: &Device) -> Result<Run, Box<dyn Error>> {
+    let timed = prepare()?;
+    device.sync()?;
+    let before = processor_time();
+    let start = Instant::now();
+    let kept = timed()?;
+    device.sync()?;
+    let (elapsed_s, used_s) = (start.elapsed().as_secs_f64(), processor_time() - before);
+    drop(kept);
+    Ok(Run { elapsed_s, used_s })
+}
+
+fn summary(runs: &[Run]) -> Times {
+    let mut seconds: Vec<f64> = runs.iter().map(|run| run.elapsed_s).collect();
+    let there = seconds.iter().sum::<f64>() * rayon::current_num_threads() as f64;
+    seconds.sort_by(f64::total_cmp);
+    let used: f64 = runs.iter().map(|run| run.used_s).sum();
+    Times { median_s: seconds[seconds.len() / 2], runs: seconds.len(), busy: used / there }
+}
+
+/// Seconds of processor time that this program has used so far, on all threads, in hundredths; NaN where `/proc` is not.
+fn processor_time() -> f64 {
+    // Hundredths of a second on every Linux.
+    const TICKS_PER_S: f64 = 100.0;
+    let read = || {
+        let stat = std::fs::read_to_string("/proc/self/stat").ok()?;
+        // The second field, the program's name, may hold anything but ends with the last parenthesis.
+        let mut fields = stat.rsplit_once(')')?.1.split_whitespace().skip(11);
+        let mut ticks = || fields.next()?.parse::<f64>().ok();
+        Some((ticks()? + ticks()?) / TICKS_PER_S)
+    };
+    read().unwrap_or(f64::NAN)
+}
+
+/// Times all passes in turns and prints a line for each; returns the times. `base` are medians of the device that
+/// is compared with.
+///
+/// # Errors
+/// Those of the passes.
+pub fn table(
+    passes: &mut [Pass],
+    (device, machine): (&Device, &Machine),
+    sizes: &Sizes,
+    budget: Duration,
+    base: &[f64],
+) -> Result<Vec<Times>, Box<dyn Error>> {
+    let all = time(passes.iter_mut().map(|pass| &mut pass.prepare), device, budget)?;
+    println!(
+        "  {:<21}{:>10}{:>6}{:>10}{:>9}{:>11}{:>11}{:>9}",
+        "pass", "median ms", "runs", "limit ms", "× limit", "least MiB", "least Mop", "× first"
+    );
+    for (i, (pass, times)) in passes.iter().zip(&all).enumerate() {
+        let (work, limit) = (sizes.work(pass.kind), sizes.limit(pass.kind, machine));
+        let ratio = base.get(i).map_or("-".into(), |first| format!("{:.2}", times.median_s / first));
+        println!(
+            "  {:<21}{:>10.2}{:>6}{:>10.3}{:>9.1}{:>11.1}{:>11.1}{ratio:>9}",
+            pass.kind.name(),
+            1e3 * times.median_s,
+            times.runs,
+            1e3 * limit,
+            times.median_s / limit,
+            work.bytes / f64::from(1 << 20),
+            work.operations / 1e6,
+        );
+    }
+    Ok(all)
+}
+
+/// Bytes per second of adding a number to 64 MiB on a device, read and written.
+///
+/// # Errors
+/// Those of the device.
+pub fn copy_bandwidth(device: &Device) -> Result<f64, Box<dyn Error>> {
+    const ELEMENTS: usize = 16 << 20;
+    let source = Tensor::<1>::ones([ELEMENTS], device);
+    let mut copy: Prepare = Box::new(move || {
+        let source = source.clone();
+        Ok(Box::new(move || Ok(Box::new(source + 1.0) as Kept)))
+    });
+    let times = time([&mut copy], device, Duration::from_secs(5))?;
+    Ok((2 * size_of::<f32>() * ELEMENTS) as f64 / times[0].median_s)
+}

@@ -1,0 +1,296 @@
+//! Each stage's passes, what a training step does besides, and the whole step.
+
+use std::cell::RefCell;
+use std::error::Error;
+use std::rc::Rc;
+
+use burn::backend::Dispatch;
+use burn::tensor::{Device, Int, Tensor};
+use splat_model::density::rows::{Gradients, Trained};
+use splat_model::gaussians::Gaussians;
+use splat_model::loss::{DEFAULT_LAMBDA, Truth, photometric};
+use splat_model::optim::Adam;
+use splat_op::blend::{BlendInputs, BlendSpec};
+use splat_op::project::{ProjectInputs, ProjectSpec};
+use splat_op::tile::HitCell;
+use splat_op::{Camera, Colour, Extras, SplatBackend, SplatError, Splats, render, shade, with_gradient};
+
+use crate::job::{Job, OPTIONS};
+use crate::limit::Kind;
+use crate::measure::{Kept, Pass, Prepare, Timed};
+use crate::step::{Step, density, look, rates};
+
+/// All passes, in the order of a training step, then the step.
+///
+/// # Errors
+/// If the op refuses the scene.
+pub fn passes(job: &Job, device: &Device) -> Result<Vec<Pass>, Box<dyn Error>> {
+    let camera = job.camera(device);
+    let stages = Rc::new(Stages::new(job, device)?);
+    let truth = Truth::new(job.photograph(device));
+    let prepare: [(Kind, Prepare); 15] = [
+        (Kind::Activate, activate(job, device)),
+        (Kind::Project, project_forward(&stages, &camera)),
+        (Kind::Shade, shade_forward(&stages, &camera)),
+        (Kind::Tile, tile(&stages)),
+        (Kind::Blend, blend_forward(&stages)),
+        (Kind::Loss, loss(stages.image(job, &camera)?, truth.clone())),
+        (Kind::LossBackward, loss_backward(stages.image(job, &camera)?, truth.clone())),
+        (Kind::BlendBackward, blend_backward(&stages)),
+        (Kind::ShadeBackward, shade_backward(&stages, &camera)),
+        (Kind::ProjectBackward, project_backward(&stages, &camera)),
+        (Kind::ActivateBackward, activate_backward(job, device)),
+        (Kind::Observe, observe(job, device)),
+        (Kind::Guard, guard(job, device)),
+        (Kind::Adam, adam(job, device)),
+        (Kind::Step, step(job, truth, device)),
+    ];
+    Ok(prepare.into_iter().map(|(kind, prepare)| Pass { kind, prepare }).collect())
+}
+
+/// The whole step alone.
+///
+/// # Errors
+/// If the op refuses the scene.
+pub fn whole_step(job: &Job, device: &Device) -> Pass {
+    Pass { kind: Kind::Step, prepare: step(job, Truth::new(job.photograph(device)), device) }
+}
+
+fn activate(job: &Job, device: &Device) -> Prepare {
+    let gaussians = job.gaussians(device);
+    forward(move || Ok(gaussians.splats()))
+}
+
+fn project_forward(stages: &Rc<Stages>, camera: &Camera) -> Prepare {
+    let (stages, camera) = (stages.clone(), camera.clone());
+    forward(move || Ok(project_packed(&stages.splats, &camera, no_probe(&stages.splats))))
+}
+
+fn shade_forward(stages: &Rc<Stages>, camera: &Camera) -> Prepare {
+    let (stages, camera) = (stages.clone(), camera.clone());
+    forward(move || shade(&harmonics(&stages.splats), &stages.splats.means, &camera))
+}
+
+fn tile(stages: &Rc<Stages>) -> Prepare {
+    let stages = stages.clone();
+    forward(move || Ok(tile_lists(&stages.packed, stages.spec)))
+}
+
+fn blend_forward(stages: &Rc<Stages>) -> Prepare {
+    let stages = stages.clone();
+    forward(move || Ok(stages.blend(stages.packed.clone(), stages.colours.clone())))
+}
+
+fn loss(image: Tensor<3>, truth: Truth) -> Prepare {
+    forward(move || Ok(photometric(leaf(&image), &truth, DEFAULT_LAMBDA)))
+}
+
+fn loss_backward(image: Tensor<3>, truth: Truth) -> Prepare {
+    Box::new(move || {
+        let loss = photometric(leaf(&image), &truth, DEFAULT_LAMBDA);
+        Ok(Box::new(move || Ok(Box::new(loss.backward()) as Kept)) as Timed)
+    })
+}
+
+fn blend_backward(stages: &Rc<Stages>) -> Prepare {
+    let (stages, grad) = (stages.clone(), stages.blend(stages.packed.clone(), stages.colours.clone()));
+    backward(grad, move || stages.blend(leaf(&stages.packed), leaf(&stages.colours)))
+}
+
+fn shade_backward(stages: &Rc<Stages>, camera: &Camera) -> Prepare {
+    let (stages, camera, grad) = (stages.clone(), camera.clone(), stages.colours.clone());
+    backward(grad, move || {
+        let splats = leaves(&stages.splats);
+        shade(&harmonics(&splats), &splats.means, &camera).expect("as forwards")
+    })
+}
+
+fn project_backward(stages: &Rc<Stages>, camera: &Camera) -> Prepare {
+    let (stages, camera, grad) = (stages.clone(), camera.clone(), stages.packed.clone());
+    backward(grad, move || {
+        let splats = leaves(&stages.splats);
+        project_packed(&splats, &camera, no_probe(&splats))
+    })
+}
+
+/// The gradients of scales, opacities and harmonics are given; the others are those of the parameters themselves.
+fn activate_backward(job: &Job, device: &Device) -> Prepare {
+    let gaussians = job.gaussians(&device.clone().autodiff());
+    let grads = job.gaussians(device).splats();
+    Box::new(move || {
+        let splats = gaussians.splats();
+        let zero = Tensor::<1>::zeros([1], &grads.means.device());
+        let loss = with_gradient(splats.scales.clone(), zero.clone(), grads.scales.clone())
+            + with_gradient(splats.opacities.clone(), zero.clone(), grads.opacities.clone())
+            + with_gradient(harmonics(&splats), zero, harmonics(&grads));
+        Ok(Box::new(move || Ok(Box::new(loss.backward()) as Kept)))
+    })
+}
+
+fn observe(job: &Job, device: &Device) -> Prepare {
+    let grad = Tensor::<2>::ones([job.rows.len(), 2], device) * 1e-4;
+    let size = (job.intrinsics.width, job.intrinsics.height);
+    let density = Rc::new(RefCell::new(density()));
+    Box::new(move || {
+        // Nobody else holds the gradient that a step hands over.
+        let (density, grad) = (density.clone(), grad.clone() * 1.0);
+        Ok(Box::new(move || {
+            density.borrow_mut().observe(grad, size);
+            Ok(Box::new(()) as Kept)
+        }))
+    })
+}
+
+fn guard(job: &Job, device: &Device) -> Prepare {
+    let gradients = gradients(&job.gaussians(device));
+    let loss = Tensor::<1>::ones([1], device);
+    forward(move || Ok(look(&loss, &gradients)))
+}
+
+fn adam(job: &Job, device: &Device) -> Prepare {
+    let scene = Rc::new(RefCell::new(Trained::new(job.gaussians(&device.clone().autodiff()))));
+    let plain = job.gaussians(device);
+    let mut step = 0;
+    Box::new(move || {
+        step += 1;
+        let (scene, gradients) = (scene.clone(), gradients(&plain));
+        Ok(Box::new(move || {
+            scene.borrow_mut().step(gradients, &Adam::default(), &rates(), step, None);
+            Ok(Box::new(()) as Kept)
+        }))
+    })
+}
+
+fn step(job: &Job, truth: Truth, device: &Device) -> Prepare {
+    let gaussians = job.gaussians(&device.clone().autodiff());
+    let step = Rc::new(RefCell::new(Step::new(gaussians, job.camera(device), truth)));
+    Box::new(move || {
+        let step = step.clone();
+        Ok(Box::new(move || Ok(Box::new(step.borrow_mut().run()?) as Kept)))
+    })
+}
+
+/// Times the function.
+fn forward<T: 'static>(run: impl Fn() -> Result<T, SplatError> + 'static) -> Prepare {
+    let run = Rc::new(run);
+    Box::new(move || {
+        let run = run.clone();
+        Ok(Box::new(move || Ok(Box::new(run()?) as Kept)))
+    })
+}
+
+/// Runs the function, tracked, and times the pass back from its result, whose gradient is given.
+fn backward<const D: usize>(grad: Tensor<D>, run: impl Fn() -> Tensor<D> + 'static) -> Prepare {
+    Box::new(move || {
+        let value = Tensor::<1>::zeros([1], &grad.device());
+        let loss = with_gradient(run(), value, grad.clone());
+        Ok(Box::new(move || Ok(Box::new(loss.backward()) as Kept)))
+    })
+}
+
+/// The values as a leaf that Burn tracks.
+fn leaf<const D: usize>(values: &Tensor<D>) -> Tensor<D> {
+    Tensor::from_inner(values.clone()).require_grad()
+}
+
+fn leaves(splats: &Splats) -> Splats {
+    Splats {
+        means: leaf(&splats.means),
+        rotations: leaf(&splats.rotations),
+        scales: leaf(&splats.scales),
+        opacities: leaf(&splats.opacities),
+        colour: Colour::SphericalHarmonics(leaf(&harmonics(splats))),
+    }
+}
+
+pub(crate) fn harmonics(splats: &Splats) -> Tensor<3> {
+    let Colour::SphericalHarmonics(sh) = &splats.colour else { unreachable!("the scenes have harmonics") };
+    sh.clone()
+}
+
+/// As [`splat_op::project`], but the packed columns themselves: `backward` needs their gradient, and going through the
+/// named columns would time the slices. `probe` is `[N, 2]`, or `[0, 2]` for none.
+pub(crate) fn project_packed(splats: &Splats, camera: &Camera, probe: Tensor<2>) -> Tensor<2> {
+    let inputs = ProjectInputs {
+        means: splats.means.clone().into_dispatch(),
+        rotations: splats.rotations.clone().into_dispatch(),
+        scales: splats.scales.clone().into_dispatch(),
+        opacities: splats.opacities.clone().into_dispatch(),
+        cam_from_world: camera.cam_from_world.clone().into_dispatch(),
+    };
+    let spec = ProjectSpec { intrinsics: camera.intrinsics, options: OPTIONS };
+    Tensor::from_dispatch(<Dispatch as SplatBackend>::project(inputs, probe.into_dispatch(), spec))
+}
+
+fn no_probe(splats: &Splats) -> Tensor<2> {
+    Tensor::zeros([0, 2], &splats.means.device())
+}
+
+/// As [`splat_op::blend`] without a background, for the reason of [`project_packed`].
+pub(crate) fn blend_planes(
+    [projected, features]: [Tensor<2>; 2],
+    (counts, hits): (&Tensor<2, Int>, &HitCell),
+    spec: BlendSpec,
+) -> Tensor<3> {
+    let device = projected.device();
+    let inputs = BlendInputs {
+        background: Tensor::<1>::zeros([3], &device).into_dispatch(),
+        projected: projected.into_dispatch(),
+        features: features.into_dispatch(),
+    };
+    let probe = Tensor::<2>::zeros([0, 2], &device).into_dispatch();
+    let counts = counts.clone().into_dispatch();
+    Tensor::from_dispatch(<Dispatch as SplatBackend>::blend(inputs, probe, counts, spec, hits.clone(), None))
+}
+
+/// The lists of packed ellipses, and how many Gaussians each tile has.
+pub(crate) fn tile_lists(packed: &Tensor<2>, spec: BlendSpec) -> (Tensor<2, Int>, HitCell) {
+    let hits = HitCell::default();
+    let counts = <Dispatch as SplatBackend>::tile(packed.clone().into_dispatch(), spec, hits.clone());
+    (Tensor::from_dispatch(counts), hits)
+}
+
+/// The stages' inputs on a device, without autodiff.
+struct Stages {
+    splats: Splats,
+    packed: Tensor<2>,
+    colours: Tensor<2>,
+    counts: Tensor<2, Int>,
+    hits: HitCell,
+    spec: BlendSpec,
+}
+
+impl Stages {
+    fn new(job: &Job, device: &Device) -> Result<Self, SplatError> {
+        let (splats, camera) = (job.gaussians(device).splats(), job.camera(device));
+        let packed = project_packed(&splats, &camera, no_probe(&splats));
+        let colours = shade(&harmonics(&splats), &splats.means, &camera)?;
+        let spec = BlendSpec { intrinsics: job.intrinsics, options: OPTIONS };
+        let (counts, hits) = tile_lists(&packed, spec);
+        Ok(Self { splats, packed, colours, counts, hits, spec })
+    }
+
+    fn blend(&self, projected: Tensor<2>, features: Tensor<2>) -> Tensor<3> {
+        blend_planes([projected, features], (&self.counts, &self.hits), self.spec)
+    }
+
+    /// `[H, W, 3]`, as `render` hands it to a loss.
+    fn image(&self, job: &Job, camera: &Camera) -> Result<Tensor<3>, SplatError> {
+        assert_eq!(job.rows.len(), self.packed.dims()[0]);
+        let rendered = render(&self.splats, std::slice::from_ref(camera), &Extras::default(), &OPTIONS)?;
+        Ok(rendered.colour.squeeze_dim(0))
+    }
+}
+
+/// Gradients that nobody else holds, of some size: a hundredth of the parameters.
+fn gradients(gaussians: &Gaussians) -> Gradients {
+    const SHARE: f64 = 0.01;
+    Gradients {
+        means: Some(gaussians.means.val() * SHARE),
+        rotations: Some(gaussians.rotations.val() * SHARE),
+        log_scales: Some(gaussians.log_scales.val() * SHARE),
+        logit_opacities: Some(gaussians.logit_opacities.val() * SHARE),
+        sh_dc: Some(gaussians.sh_dc.val() * SHARE),
+        sh_rest: gaussians.sh_rest.as_ref().map(|rest| rest.val() * SHARE),
+    }
+}

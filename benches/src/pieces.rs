@@ -1,0 +1,184 @@
+//! A training step cut into its passes, each timed where it happens: among the others, in memory that they left.
+
+use std::time::Instant;
+
+use burn::tensor::Tensor;
+use splat_model::density::Adaptive;
+use splat_model::density::rows::{Gradients, Trained};
+use splat_model::gaussians::Gaussians;
+use splat_model::loss::{DEFAULT_LAMBDA, Truth, photometric};
+use splat_model::optim::Adam;
+use splat_op::blend::BlendSpec;
+use splat_op::{Camera, Colour, SplatError, Splats, shade, with_gradient};
+
+use crate::job::OPTIONS;
+use crate::limit::Kind;
+use crate::passes::{blend_planes, harmonics, project_packed, tile_lists};
+use crate::step::{density, look, rates};
+
+/// What [`crate::step::Step`] does, in one graph per pass instead of one for all, so that the way back can be timed pass by pass too.
+pub struct Pieces {
+    scene: Trained,
+    density: Adaptive,
+    camera: Camera,
+    truth: Truth,
+    step: usize,
+}
+
+/// What a step in pieces gives.
+pub struct Timed {
+    /// `[1]`.
+    pub loss: Tensor<1>,
+    /// By [`Kind::PARTS`].
+    pub seconds: [f64; Kind::PARTS.len()],
+}
+
+/// A stop watch that knows what is next.
+struct Watch {
+    last: Instant,
+    seconds: [f64; Kind::PARTS.len()],
+}
+
+impl Watch {
+    /// Everything since the last call was this pass.
+    fn lap(&mut self, kind: Kind) {
+        let now = Instant::now();
+        let place = Kind::PARTS.iter().position(|part| *part == kind).expect("a part of a step");
+        self.seconds[place] += (now - self.last).as_secs_f64();
+        self.last = now;
+    }
+
+    /// Everything since the last call was none: what Burn does between the passes.
+    fn skip(&mut self) {
+        self.last = Instant::now();
+    }
+}
+
+impl Pieces {
+    /// As [`crate::step::Step::new`]; on a CPU, whose work is done when a call returns.
+    pub fn new(gaussians: Gaussians, camera: Camera, truth: Truth) -> Self {
+        Self { scene: Trained::new(gaussians), density: density(), camera, truth, step: 0 }
+    }
+
+    /// A step.
+    ///
+    /// # Errors
+    /// If the op refuses the scene.
+    pub fn run(&mut self) -> Result<Timed, SplatError> {
+        self.step += 1;
+        let mut watch = Watch { last: Instant::now(), seconds: [0.0; _] };
+        let splats = self.scene.gaussians.splats();
+        watch.lap(Kind::Activate);
+
+        let cut = Splats {
+            means: leaf(&splats.means),
+            rotations: leaf(&splats.rotations),
+            scales: leaf(&splats.scales),
+            opacities: leaf(&splats.opacities),
+            colour: Colour::SphericalHarmonics(leaf(&harmonics(&splats))),
+        };
+        let device = cut.means.device();
+        let probe = Tensor::<2>::zeros([self.scene.gaussians.len(), 2], &device).require_grad();
+        watch.skip();
+        let packed = project_packed(&cut, &self.camera, probe.clone());
+        watch.lap(Kind::Project);
+        // Centres of its own, so that the gradients of both stages can be told apart.
+        let seen = leaf(&splats.means);
+        let colours = shade(&harmonics(&cut), &seen, &self.camera)?;
+        watch.lap(Kind::Shade);
+        let spec = BlendSpec { intrinsics: self.camera.intrinsics, options: OPTIONS };
+        let (counts, hits) = tile_lists(&packed.clone().inner(), spec);
+        watch.lap(Kind::Tile);
+        let [ellipses, features] = [leaf(&packed), leaf(&colours)];
+        let planes = blend_planes([ellipses.clone(), features.clone()], (&counts, &hits), spec);
+        watch.lap(Kind::Blend);
+        let [_, height, width] = planes.dims();
+        let image = leaf(&planes.clone().slice([0..3, 0..height, 0..width]).permute([1, 2, 0]));
+        watch.skip();
+        let loss = photometric(image.clone(), &self.truth, DEFAULT_LAMBDA);
+        watch.lap(Kind::Loss);
+
+        let grad = image.grad_remove(&mut loss.backward()).expect("the loss depends on the picture");
+        watch.lap(Kind::LossBackward);
+        let alpha = Tensor::<3>::zeros([1, height, width], &grad.device());
+        let grad = Tensor::cat(vec![grad.permute([2, 0, 1]), alpha], 0);
+        let zero = || Tensor::<1>::zeros([1], &grad.device());
+        watch.skip();
+        let mut grads = with_gradient(planes, zero(), grad.clone()).backward();
+        let ellipses = ellipses.grad_remove(&mut grads).expect("the picture depends on the ellipses");
+        let features = features.grad_remove(&mut grads).expect("the picture depends on the colours");
+        drop((grads, hits));
+        watch.lap(Kind::BlendBackward);
+        let mut grads = with_gradient(colours, zero(), features).backward();
+        let sh = harmonics(&cut).grad_remove(&mut grads).expect("the colours depend on the harmonics");
+        let through_direction = seen.grad_remove(&mut grads).expect("the colours depend on the direction");
+        drop(grads);
+        watch.lap(Kind::ShadeBackward);
+        let mut grads = with_gradient(packed, zero(), ellipses).backward();
+        let shown = "the ellipses depend on all of them";
+        let means = cut.means.grad_remove(&mut grads).expect(shown);
+        let rotations = cut.rotations.grad_remove(&mut grads).expect(shown);
+        let scales = cut.scales.grad_remove(&mut grads).expect(shown);
+        let opacities = cut.opacities.grad_remove(&mut grads).expect(shown);
+        let mean2d = probe.grad_remove(&mut grads).expect(shown);
+        drop((grads, cut));
+        watch.lap(Kind::ProjectBackward);
+        let means = means + through_direction;
+        watch.skip();
+        let activated = with_gradient(splats.scales.clone(), zero(), scales)
+            + with_gradient(splats.opacities.clone(), zero(), opacities)
+            + with_gradient(harmonics(&splats), zero(), sh);
+        drop(splats);
+        let mut grads = activated.backward();
+        let gradients = Gradients {
+            means: Some(means),
+            rotations: Some(rotations),
+            ..Gradients::take(&self.scene.gaussians, &mut grads)
+        };
+        drop(grads);
+        watch.lap(Kind::ActivateBackward);
+
+        self.density.observe(mean2d, (width, height));
+        watch.lap(Kind::Observe);
+        let loss = loss.inner();
+        look(&loss, &gradients);
+        watch.lap(Kind::Guard);
+        self.scene.step(gradients, &Adam::default(), &rates(), self.step, None);
+        watch.lap(Kind::Adam);
+        Ok(Timed { loss, seconds: watch.seconds })
+    }
+}
+
+/// The values without their history, as a leaf that Burn tracks.
+fn leaf<const D: usize>(values: &Tensor<D>) -> Tensor<D> {
+    let values = if values.device().is_autodiff() { values.clone().inner() } else { values.clone() };
+    Tensor::from_inner(values).require_grad()
+}
+
+#[cfg(test)]
+mod tests {
+    use burn::tensor::Device;
+
+    use super::*;
+    use crate::job::{Job, Size};
+    use crate::step::Step;
+
+    #[test]
+    fn pieces_are_the_step() {
+        let device = Device::flex();
+        let job = Job::new(Size::Tiny).expect("a synthetic scene");
+        let gaussians = || job.gaussians(&device.clone().autodiff());
+        let truth = Truth::new(job.photograph(&device));
+        let mut whole = Step::new(gaussians(), job.camera(&device), truth.clone());
+        let mut pieces = Pieces::new(gaussians(), job.camera(&device), truth);
+        let mut losses = Vec::new();
+        for _ in 0..5 {
+            let expected = whole.run().expect("shapes fit").into_scalar::<f32>();
+            let Timed { loss, seconds } = pieces.run().expect("shapes fit");
+            assert_eq!(loss.into_scalar::<f32>(), expected);
+            assert!(seconds.iter().all(|&part| part > 0.0), "{seconds:?}");
+            losses.push(expected);
+        }
+        assert!(losses.windows(2).all(|pair| pair[1] < pair[0]), "{losses:?}");
+    }
+}
