@@ -47,6 +47,8 @@ pub mod blend;
 
 pub mod photometric;
 
+pub mod adam;
+
 mod bind;
 #[cfg(feature = "cube")]
 mod gpu;
