@@ -14,7 +14,7 @@ use splat_model::optim::{Adam, LearningRates};
 use splat_op::blend::{BlendInputs, BlendSpec};
 use splat_op::project::{ProjectInputs, ProjectSpec};
 use splat_op::tile::HitCell;
-use splat_op::{Camera, Colour, Extras, SplatBackend, SplatError, Splats, render, shade, with_gradient};
+use splat_op::{Camera, Colour, Extras, SplatBackend, SplatError, Splats, render_view, shade, with_gradient};
 
 use crate::job::{COEFFICIENTS, Job, OPTIONS};
 use crate::measure::{Kept, Pass, Timed};
@@ -202,11 +202,10 @@ impl Stages {
         Tensor::from_dispatch(<Dispatch as SplatBackend>::blend(inputs, probe, counts, self.spec, hits, None))
     }
 
-    /// `[H, W, 3]`, as `render` hands it to a loss.
+    /// `[H, W, 3]`, as `render_view` hands it to a loss.
     fn image(&self, job: &Job, camera: &Camera) -> Result<Tensor<3>, SplatError> {
         assert_eq!(job.rows.len(), self.packed.dims()[0]);
-        let rendered = render(&self.splats, std::slice::from_ref(camera), &Extras::default(), &OPTIONS)?;
-        Ok(rendered.colour.squeeze_dim(0))
+        Ok(render_view(&self.splats, camera, &Extras::default(), &OPTIONS)?.colour)
     }
 }
 
@@ -243,8 +242,8 @@ impl Step {
             mean2d_probe: Some(probe.clone()),
             ..Extras::default()
         };
-        let rendered = render(&splats, std::slice::from_ref(&self.camera), &extras, &OPTIONS)?;
-        let loss = photometric(rendered.colour.squeeze_dim(0), &self.truth, DEFAULT_LAMBDA);
+        let picture = render_view(&splats, &self.camera, &extras, &OPTIONS)?;
+        let loss = photometric(picture.colour, &self.truth, DEFAULT_LAMBDA);
         drop(splats);
         let mut grads = loss.backward();
         if let Some(grad) = probe.grad_remove(&mut grads) {

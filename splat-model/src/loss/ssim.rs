@@ -87,7 +87,7 @@ impl Truth {
     pub fn new(truth: Tensor<3>) -> Self {
         let layout = planes(truth.inner());
         // One copy per photograph instead of a strided read at every step. Adding zero writes the planes out.
-        let planes = layout.clone().zeros_like() + layout;
+        let planes = splat_op::photometric::contiguous(&layout).unwrap_or_else(|| layout.clone().zeros_like() + layout);
         let window = Window::new(&planes);
         let mean = window.apply(planes.clone());
         let variance = window.apply(planes.clone().square()) - mean.clone().square() + C2;

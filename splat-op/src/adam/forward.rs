@@ -48,14 +48,7 @@ pub(super) fn adam_kernel(
 /// Enters a step in the verdict if any of this unit's values, `stride` apart, is not finite and no earlier step is entered.
 /// A device with a sound step never writes.
 #[cube(launch_unchecked)]
-pub(super) fn watch_kernel(
-    values: &[f32],
-    verdict: &[Atomic<u32>],
-    count: u32,
-    stride: u32,
-    at_step: u32,
-    mask: u32,
-) {
+pub(super) fn watch_kernel(values: &[f32], verdict: &[Atomic<u32>], count: u32, stride: u32, at_step: u32, mask: u32) {
     let mut at = ABSOLUTE_POS;
     let mut sound = true;
     while at < count as usize {

@@ -71,7 +71,10 @@ fn gradients_are_held_within_the_largest_and_nan_is_passed_on() {
         for (tensor, found) in read(&gpu, &state).iter().enumerate() {
             for row in 0..4 {
                 let (found, expected) = (f64::from(found[row]), expected[tensor][row]);
-                assert!((found - expected).abs() <= 1e-5 * expected.abs(), "{form}: {tensor}, {row}: {found} {expected}");
+                assert!(
+                    (found - expected).abs() <= 1e-5 * expected.abs(),
+                    "{form}: {tensor}, {row}: {found} {expected}"
+                );
             }
             assert!(found[4].is_nan(), "{form}: {tensor}: NaN became {}", found[4]);
         }

@@ -4,12 +4,11 @@ use burn::backend::tensor::{FloatTensor, IntTensor};
 use burn::backend::{Backend, Dispatch, ExtensionType, TensorMetadata, backend_extension};
 use burn::tensor::{DType, Int, Shape, Tensor};
 use burn_cubecl::CubeBackend;
-use burn_cubecl::kernel::into_contiguous;
 use burn_cubecl::tensor::CubeTensor;
 
 use super::launch::{DeviceState, launch_adam, launch_watch};
 use super::{Factors, Stepped, VERDICT};
-use crate::bind::cube::buffer;
+use crate::bind::cube::{buffer, owned};
 use crate::gpu::{Buffer, Gpu};
 
 /// What may hold a step back.
@@ -66,12 +65,6 @@ pub trait AdamBackend: Backend {
 #[cfg(feature = "fusion")]
 fn adam_meta(inputs: &AdamInputsMetadata, _: &Factors) -> AdamStateMetadata {
     AdamStateMetadata { param: inputs.param.clone(), m: inputs.m.clone(), v: inputs.v.clone() }
-}
-
-/// The tensor itself if nobody else holds its memory, else a copy.
-fn owned(tensor: CubeTensor) -> CubeTensor {
-    let tensor = into_contiguous(tensor);
-    if tensor.can_mut() { tensor } else { tensor.copy() }
 }
 
 /// A verdict as the kernels see it: step and bits are not negative.

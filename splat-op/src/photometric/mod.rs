@@ -64,6 +64,17 @@ pub fn window<const D: usize>(planes: &Tensor<D>) -> Option<Tensor<D>> {
     None
 }
 
+/// The same values, one after the other in memory: what is read at every step should not be put in order at every step.
+/// `None` as for [`photometric()`].
+#[cfg_attr(not(feature = "cube"), expect(unused_variables, reason = "no GPU runtime is compiled in"))]
+pub fn contiguous<const D: usize>(planes: &Tensor<D>) -> Option<Tensor<D>> {
+    #[cfg(feature = "cube")]
+    if taken(planes) {
+        return Some(op::contiguous(planes));
+    }
+    None
+}
+
 /// Whether the operations take this tensor.
 #[cfg(feature = "cube")]
 fn taken<const D: usize>(tensor: &Tensor<D>) -> bool {

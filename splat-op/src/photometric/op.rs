@@ -5,6 +5,7 @@ use burn::backend::tensor::FloatTensor;
 use burn::backend::{Backend, Dispatch, ExtensionType, TensorMetadata, backend_extension};
 use burn::tensor::{DType, Tensor};
 use burn_cubecl::CubeBackend;
+use burn_cubecl::kernel::into_contiguous;
 use burn_cubecl::tensor::CubeTensor;
 
 use super::launch::{DeviceInputs, launch_photometric, launch_window};
@@ -51,6 +52,10 @@ pub trait PhotometricBackend: Backend {
     /// `Kx`, of any number of planes.
     #[fusion(dtype = planes, shape = planes)]
     fn window(planes: FloatTensor<Self>) -> FloatTensor<Self>;
+
+    /// The same values in contiguous memory.
+    #[fusion(dtype = planes, shape = planes)]
+    fn contiguous(planes: FloatTensor<Self>) -> FloatTensor<Self>;
 }
 
 #[cfg(feature = "fusion")]
@@ -91,6 +96,10 @@ impl PhotometricBackend for CubeBackend {
         let filtered = launch_window(&gpu, &buffer(planes.clone()), [width, height]);
         tensor(filtered, planes.shape(), DType::F32, &planes)
     }
+
+    fn contiguous(planes: FloatTensor<Self>) -> FloatTensor<Self> {
+        into_contiguous(planes)
+    }
 }
 
 /// See [`super::photometric()`].
@@ -113,4 +122,9 @@ pub(super) fn photometric<const D: usize>(
 /// See [`super::window()`].
 pub(super) fn window<const D: usize>(planes: &Tensor<D>) -> Tensor<D> {
     Tensor::from_dispatch(<Dispatch as PhotometricBackend>::window(planes.clone().into_dispatch()))
+}
+
+/// See [`super::contiguous()`].
+pub(super) fn contiguous<const D: usize>(planes: &Tensor<D>) -> Tensor<D> {
+    Tensor::from_dispatch(<Dispatch as PhotometricBackend>::contiguous(planes.clone().into_dispatch()))
 }
