@@ -11,7 +11,7 @@ use splat_model::density::rows::{Gradients, StepRates, Trained};
 use splat_model::density::{Adaptive, AdaptiveConfig};
 use splat_model::loss::{DEFAULT_LAMBDA, Truth, photometric};
 use splat_model::optim::{Adam, LearningRates};
-use splat_op::blend::{BlendInputs, BlendSpec};
+use splat_op::blend::{BlendInputs, BlendSpec, PartsCell};
 use splat_op::project::{ProjectInputs, ProjectSpec};
 use splat_op::tile::HitCell;
 use splat_op::{Camera, Colour, Extras, SplatBackend, SplatError, Splats, render_view, shade, with_gradient};
@@ -199,7 +199,9 @@ impl Stages {
         let probe = Tensor::<2>::zeros([0, 2], &device).into_dispatch();
         let counts = self.counts.clone().into_dispatch();
         let hits = self.hits.clone();
-        Tensor::from_dispatch(<Dispatch as SplatBackend>::blend(inputs, probe, counts, self.spec, hits, None))
+        let parts = PartsCell::default();
+        let planes = <Dispatch as SplatBackend>::blend(inputs, probe, counts, self.spec, hits, None, parts.clone());
+        Tensor::from_dispatch(<Dispatch as SplatBackend>::part(planes, 0, 4, parts))
     }
 
     /// `[H, W, 3]`, as `render_view` hands it to a loss.

@@ -124,6 +124,7 @@ fn planes_grad<B: SplatBackend>(parts: &PartsCell, planes: &FloatTensor<B>, alon
             None => found.push((range, *grad)),
         }
     }
+    assert!(!found.is_empty(), "the planes of `blend` have gradients only through `part`");
     found.sort_by_key(|(range, _)| range.start);
     if let [(range, grad)] = &found[..]
         && alone.is_some_and(|alone| *range == (0..alone))
