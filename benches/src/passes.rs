@@ -10,10 +10,10 @@ use splat_model::density::rows::{Gradients, Trained};
 use splat_model::gaussians::Gaussians;
 use splat_model::loss::{DEFAULT_LAMBDA, Truth, photometric};
 use splat_model::optim::Adam;
-use splat_op::blend::{BlendInputs, BlendSpec};
+use splat_op::blend::{BlendInputs, BlendSpec, PartsCell};
 use splat_op::project::{ProjectInputs, ProjectSpec};
 use splat_op::tile::HitCell;
-use splat_op::{Camera, Colour, Extras, SplatBackend, SplatError, Splats, render, shade, with_gradient};
+use splat_op::{Camera, Colour, Extras, SplatBackend, SplatError, Splats, render_view, shade, with_gradient};
 
 use crate::job::{Job, OPTIONS};
 use crate::limit::Kind;
@@ -240,7 +240,9 @@ pub(crate) fn blend_planes(
     };
     let probe = Tensor::<2>::zeros([0, 2], &device).into_dispatch();
     let counts = counts.clone().into_dispatch();
-    Tensor::from_dispatch(<Dispatch as SplatBackend>::blend(inputs, probe, counts, spec, hits.clone(), None))
+    let parts = PartsCell::default();
+    let planes = <Dispatch as SplatBackend>::blend(inputs, probe, counts, spec, hits.clone(), None, parts.clone());
+    Tensor::from_dispatch(<Dispatch as SplatBackend>::part(planes, 0, 4, parts))
 }
 
 /// The lists of packed ellipses, and how many Gaussians each tile has.
@@ -274,11 +276,10 @@ impl Stages {
         blend_planes([projected, features], (&self.counts, &self.hits), self.spec)
     }
 
-    /// `[H, W, 3]`, as `render` hands it to a loss.
+    /// `[H, W, 3]`, as `render_view` hands it to a loss.
     fn image(&self, job: &Job, camera: &Camera) -> Result<Tensor<3>, SplatError> {
         assert_eq!(job.rows.len(), self.packed.dims()[0]);
-        let rendered = render(&self.splats, std::slice::from_ref(camera), &Extras::default(), &OPTIONS)?;
-        Ok(rendered.colour.squeeze_dim(0))
+        Ok(render_view(&self.splats, camera, &Extras::default(), &OPTIONS)?.colour)
     }
 }
 

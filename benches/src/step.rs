@@ -7,7 +7,7 @@ use splat_model::gaussians::Gaussians;
 use splat_model::loss::{DEFAULT_LAMBDA, Truth, photometric};
 use splat_model::optim::{Adam, LearningRates};
 use splat_op::activate::non_finite;
-use splat_op::{Camera, Extras, SplatError, is_gpu, render};
+use splat_op::{Camera, Extras, SplatError, is_gpu, render_view};
 
 use crate::job::OPTIONS;
 
@@ -42,8 +42,8 @@ impl Step {
             mean2d_probe: Some(probe.clone()),
             ..Extras::default()
         };
-        let rendered = render(&splats, std::slice::from_ref(&self.camera), &extras, &OPTIONS)?;
-        let loss = photometric(rendered.colour.squeeze_dim(0), &self.truth, DEFAULT_LAMBDA);
+        let picture = render_view(&splats, &self.camera, &extras, &OPTIONS)?;
+        let loss = photometric(picture.colour, &self.truth, DEFAULT_LAMBDA);
         drop(splats);
         let mut grads = loss.backward();
         if let Some(grad) = probe.grad_remove(&mut grads) {

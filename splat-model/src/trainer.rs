@@ -12,7 +12,7 @@ use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Deserializer, Serialize};
-use splat_op::{Extras, Intrinsics, RenderOptions, Splats, render};
+use splat_op::{Extras, Intrinsics, RenderOptions, Splats, render_view};
 
 use crate::capture::{Photo, PointCloud};
 use crate::density::rows::{Gradients, StepRates, Trained};
@@ -291,8 +291,8 @@ impl Trainer {
             let picture = picture.map_err(|stopped| self.stopped(view, stopped))?;
             (picture.colour, picture.alpha)
         } else {
-            let rendered = render(&splats, std::slice::from_ref(&camera), &extras, &options)?;
-            (rendered.colour.squeeze_dim(0), rendered.alpha.squeeze_dim(0))
+            let picture = render_view(&splats, &camera, &extras, &options)?;
+            (picture.colour, picture.alpha)
         };
         let seen = Seen { image, alpha, truth: &truth, splats: &splats, step, view: self.views.name(view) };
         let mut loss = self.loss.loss(&seen);

@@ -47,6 +47,8 @@ pub mod blend;
 
 pub mod photometric;
 
+pub mod adam;
+
 mod bind;
 #[cfg(feature = "cube")]
 mod gpu;
@@ -68,7 +70,7 @@ pub use camera::{Camera, CameraModel, Intrinsics};
 pub use error::SplatError;
 pub use op::{Slot, SplatBackend};
 pub use options::{Accumulation, RenderOptions};
-pub use render::{Rendered, render};
+pub use render::{Rendered, render, render_view};
 pub use stages::{Colour, Ellipses, Extras, Picture, Projected, Splats, Tiles, blend, project, shade, tile};
 
 /// Whether a device is a GPU: its results have to be waited for.

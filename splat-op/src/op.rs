@@ -5,7 +5,7 @@
 use burn::backend::tensor::{FloatTensor, IntTensor};
 use burn::backend::{Backend, ExtensionType, backend_extension};
 
-use crate::blend::{BlendGrads, BlendInputs, BlendNeeds, BlendSpec, TraceCell};
+use crate::blend::{BlendGrads, BlendInputs, BlendNeeds, BlendSpec, PartsCell, TraceCell};
 use crate::project::{ProjectGrads, ProjectInputs, ProjectNeeds, ProjectSpec};
 use crate::shade::{ShadeGrads, ShadeInputs, ShadeNeeds};
 use crate::tile::HitCell;
@@ -66,7 +66,7 @@ pub trait SplatBackend: Backend {
     fn tile(projected: FloatTensor<Self>, spec: BlendSpec, hits: HitCell) -> IntTensor<Self>;
 
     /// See `blend/`. Returns `[C + 1 (+ 1), H, W]` and fills `trace` if it is to be kept. `tile_counts` is what `tile`
-    /// returned, and orders the two; `mean2d_abs_probe` is `[N, 2]`, or `[0, 2]` for none, and not read.
+    /// returned, and orders the two; gradients come through [`Self::part`] alone. `mean2d_abs_probe` is `[N, 2]`, or `[0, 2]` for none, and not read.
     #[fusion(meta = fusion::blend)]
     fn blend(
         #[extension_type] inputs: BlendInputs<Self>,
@@ -75,9 +75,16 @@ pub trait SplatBackend: Backend {
         spec: BlendSpec,
         hits: HitCell,
         trace: Option<TraceCell>,
+        parts: PartsCell,
     ) -> FloatTensor<Self>;
 
-    /// Gradients of `blend` from that of its output. `planes` is what `blend` returned, and orders the two; not read.
+    /// Planes `from` to before `to` of what `blend` returned, which was given the same `parts`. The first ones are a view
+    /// where the backend knows views. Differentiable: without a copy if the part is all that has a gradient.
+    #[fusion(meta = fusion::part)]
+    fn part(planes: FloatTensor<Self>, from: usize, to: usize, parts: PartsCell) -> FloatTensor<Self>;
+
+    /// Gradients of `blend` from that of its output, or, where depth is not rendered and alpha has no gradient, of its first
+    /// `C` planes. `planes` is what `blend` returned, and orders the two; not read.
     #[fusion(meta = fusion::blend_backward)]
     fn blend_backward(
         #[extension_type] inputs: BlendInputs<Self>,

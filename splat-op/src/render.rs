@@ -6,7 +6,7 @@ use crate::camera::Camera;
 use crate::check::check_positive;
 use crate::error::SplatError;
 use crate::options::RenderOptions;
-use crate::stages::{Colour, Extras, Splats, blend, check_render_fits, project, shade, tile};
+use crate::stages::{Colour, Extras, Picture, Splats, blend, check_render_fits, project, shade, tile};
 
 /// What all cameras see. All fields are differentiable.
 #[derive(Clone, Debug)]
@@ -40,21 +40,38 @@ pub fn render(
         });
     }
     check_render_fits(splats, cameras.len(), &cameras[0].intrinsics, options)?;
-    let mut pictures = Vec::with_capacity(cameras.len());
-    for camera in cameras {
-        let projected = project(splats, camera, extras.mean2d_probe.as_ref(), options)?;
-        let tiles = tile(&projected, options)?;
-        let features = match &splats.colour {
-            Colour::SphericalHarmonics(sh) => shade(sh, &splats.means, camera)?,
-            Colour::Features(features) => features.clone(),
-        };
-        pictures.push(blend(&projected, &features, &tiles, extras, options)?);
-    }
+    let pictures = cameras.iter().map(|camera| stages(splats, camera, extras, options));
+    let pictures: Vec<Picture> = pictures.collect::<Result<_, _>>()?;
     Ok(Rendered {
         colour: stack(pictures.iter().map(|picture| picture.colour.clone())),
         alpha: stack(pictures.iter().map(|picture| picture.alpha.clone())),
         depth: options.depth.then(|| stack(pictures.iter().filter_map(|picture| picture.depth.clone()))),
     })
+}
+
+/// Renders Gaussians as one camera sees them: [`render`] for those who have no use for a dimension of cameras, which takes a
+/// copy of the picture to remove again on some backends.
+///
+/// # Errors
+/// As [`render`].
+pub fn render_view(
+    splats: &Splats,
+    camera: &Camera,
+    extras: &Extras,
+    options: &RenderOptions,
+) -> Result<Picture, SplatError> {
+    check_render_fits(splats, 1, &camera.intrinsics, options)?;
+    stages(splats, camera, extras, options)
+}
+
+fn stages(splats: &Splats, camera: &Camera, extras: &Extras, options: &RenderOptions) -> Result<Picture, SplatError> {
+    let projected = project(splats, camera, extras.mean2d_probe.as_ref(), options)?;
+    let tiles = tile(&projected, options)?;
+    let features = match &splats.colour {
+        Colour::SphericalHarmonics(sh) => shade(sh, &splats.means, camera)?,
+        Colour::Features(features) => features.clone(),
+    };
+    blend(&projected, &features, &tiles, extras, options)
 }
 
 /// `[B, H, W, C]` from pictures `[H, W, C]`; a single picture is viewed, not copied.

@@ -3,7 +3,7 @@
 use burn::backend::Dispatch;
 use burn::tensor::{Int, Tensor};
 
-use crate::blend::{BlendInputs, BlendSpec};
+use crate::blend::{BlendInputs, BlendSpec, PartsCell};
 use crate::camera::{Camera, Intrinsics};
 use crate::check::{Reference, check_positive};
 use crate::error::SplatError;
@@ -258,16 +258,18 @@ pub fn blend(
         features: features.clone().into_dispatch(),
         background: background.into_dispatch(),
     };
-    let counts = tiles.counts.clone().into_dispatch();
+    let (counts, hits, parts) = (tiles.counts.clone().into_dispatch(), tiles.hits.clone(), PartsCell::default());
     let planes =
-        <Dispatch as SplatBackend>::blend(inputs, probe.into_dispatch(), counts, spec, tiles.hits.clone(), None);
-    Ok(picture(Tensor::from_dispatch(planes), channels, options.depth))
+        <Dispatch as SplatBackend>::blend(inputs, probe.into_dispatch(), counts, spec, hits, None, parts.clone());
+    Ok(picture(&Tensor::from_dispatch(planes), channels, options.depth, &parts))
 }
 
-/// Planes `[C + 1 (+ 1), H, W]` as named pictures: views, so nothing is copied.
-fn picture(planes: Tensor<3>, channels: usize, depth: bool) -> Picture {
-    let [_, height, width] = planes.dims();
-    let part = |from: usize, to: usize| planes.clone().slice([from..to, 0..height, 0..width]).permute([1, 2, 0]);
+/// Planes `[C + 1 (+ 1), H, W]` as named pictures.
+fn picture(planes: &Tensor<3>, channels: usize, depth: bool, parts: &PartsCell) -> Picture {
+    let part = |from: usize, to: usize| {
+        let part = <Dispatch as SplatBackend>::part(planes.clone().into_dispatch(), from, to, parts.clone());
+        Tensor::<3>::from_dispatch(part).permute([1, 2, 0])
+    };
     Picture {
         colour: part(0, channels),
         alpha: part(channels, channels + 1),

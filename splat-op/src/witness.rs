@@ -7,10 +7,42 @@ use burn::tensor::Device;
 
 static DISPATCHES: AtomicU64 = AtomicU64::new(0);
 static TWIN_CALLS: AtomicU64 = AtomicU64::new(0);
+static ALLOCATED: AtomicU64 = AtomicU64::new(0);
 
 /// Kernels that this process has launched so far, on any GPU.
 pub fn dispatches() -> u64 {
     DISPATCHES.load(Ordering::Relaxed)
+}
+
+/// Bytes of all buffers that the operations of this crate have asked GPUs for so far. Burn's own are not among them.
+pub fn allocated_bytes() -> u64 {
+    ALLOCATED.load(Ordering::Relaxed)
+}
+
+/// Runs `work`, which waits for its results, and counts all kernels that this process launches meanwhile, Burn's too, by
+/// their names.
+#[cfg(feature = "cube")]
+pub fn launches(work: impl FnOnce()) -> std::collections::BTreeMap<&'static str, usize> {
+    use std::collections::BTreeMap;
+    use std::sync::{Arc, Mutex, PoisonError};
+
+    use cubecl::logging::{LaunchObservation, LaunchObserver};
+
+    #[derive(Default)]
+    struct Counts(Mutex<BTreeMap<&'static str, usize>>);
+
+    impl LaunchObserver for Counts {
+        fn launched(&self, kernel: &'static str) {
+            *self.0.lock().unwrap_or_else(PoisonError::into_inner).entry(kernel).or_default() += 1;
+        }
+    }
+
+    let counts = Arc::new(Counts::default());
+    let observation = LaunchObservation::new(counts.clone());
+    work();
+    drop(observation);
+    let counts = counts.0.lock().unwrap_or_else(PoisonError::into_inner);
+    counts.clone()
 }
 
 /// Stages that this process has computed on the CPU so far, forward or backward.
@@ -39,6 +71,11 @@ pub fn poison(on: bool) {
 #[cfg(feature = "cube")]
 pub(crate) fn count_dispatch() {
     DISPATCHES.fetch_add(1, Ordering::Relaxed);
+}
+
+#[cfg(feature = "cube")]
+pub(crate) fn count_allocation(bytes: u64) {
+    ALLOCATED.fetch_add(bytes, Ordering::Relaxed);
 }
 
 pub(crate) fn count_twin_call() {

@@ -1,6 +1,7 @@
 //! What the GPU path alone can get wrong: whole renders at the borders of what kernels are written for, refusals, limits.
 
-use burn::tensor::{DType, Device, Tensor};
+use burn::tensor::{DType, Device, Tensor, TensorData};
+use splat_model::optim::{Adam, Moments};
 use splat_op::{
     Accumulation, Camera, CameraModel, Colour, Extras, Intrinsics, RenderOptions, SplatError, Splats, project, render,
     tile, witness,
@@ -284,4 +285,34 @@ fn too_many_hits_fail_where_the_result_is_read_and_nowhere_else() {
     let (splats, camera) = repeated(3, &device);
     let out = render(&splats, &[camera], &Extras::default(), &RenderOptions::standard()).expect("it fits");
     assert!(host(out.alpha).iter().all(|alpha| *alpha > 0.9), "later calls are not harmed");
+}
+
+/// What nobody else holds is stepped in place; what somebody holds must stay as it is.
+#[test]
+fn adam_in_one_operation_is_adam_in_tensors_and_leaves_what_others_hold() {
+    let Some(device) = gpu() else { return };
+    let mut random = Random::new(21);
+    let mut draw = |low: f64, high: f64| {
+        let values: Vec<f32> = (0..700 * 3).map(|_| random.between(low, high) as f32).collect();
+        Tensor::<2>::from_data(TensorData::new(values, [700, 3]), &device)
+    };
+    let start = draw(-1.0, 1.0);
+    let (mut one, mut other) = (start.clone(), start.clone());
+    let (mut moments, mut theirs) = (Moments::new(&start), Moments::new(&start));
+    let before = host(start.clone());
+    let adam = Adam::default();
+    for step in 1..=6 {
+        let gradient = draw(-1e-3, 1e-3);
+        other = adam.step_in_tensors(other, gradient.clone(), 0.01, &mut theirs, step);
+        let held = (step == 3).then(|| one.clone());
+        let known = held.clone().map(host);
+        one = adam.step(one, gradient, 0.01, &mut moments, step);
+        assert_eq!(held.map(host), known, "a tensor that somebody holds was stepped");
+    }
+    assert_eq!(host(start), before, "a tensor that somebody holds was stepped");
+    let (one, other) = (host(one), host(other));
+    assert!(one.iter().zip(&before).all(|(after, before)| after != before), "a step that changes nothing");
+    for (one, other) in one.iter().zip(other) {
+        assert!((one - other).abs() <= 1e-6, "{one} instead of {other}");
+    }
 }

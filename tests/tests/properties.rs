@@ -34,6 +34,43 @@ fn values(out: Rendered) -> [Vec<f64>; 3] {
     [host(out.colour), host(out.alpha), host(out.depth.expect("asked for"))]
 }
 
+/// A loss over some of the pictures of a render, and its gradient with respect to the centres.
+fn gradient_through(parts: [bool; 3], depth: bool, scene: &Scene, (device, dtype): Where) -> Vec<f64> {
+    let Tensors { splats, camera, background, .. } = scene.tensors(&device.autodiff(), dtype);
+    let extras = Extras { background: Some(background), ..Extras::default() };
+    let options = RenderOptions::standard().with_depth(depth);
+    let out = render(&splats, &[camera], &extras, &options).expect("a valid scene");
+    let pictures = [Some(out.colour), Some(out.alpha), out.depth];
+    let chosen = pictures.into_iter().zip(parts).filter_map(|(picture, chosen)| picture.filter(|_| chosen));
+    let loss = chosen.map(|picture| picture.square().sum()).reduce(|a, b| a + b).expect("one is chosen");
+    host(splats.means.grad(&loss.backward()).expect("tracked"))
+}
+
+#[test]
+fn gradients_through_parts_of_a_picture_add_up() {
+    let scene = Scene::random(&mut Random::new(8), 40, 1, CAMERA);
+    for at in everywhere() {
+        for depth in [false, true] {
+            let single = |i: usize| gradient_through(std::array::from_fn(|j| i == j), depth, &scene, at.clone());
+            let singles: Vec<Vec<f64>> = (0..2 + usize::from(depth)).map(single).collect();
+            assert!(singles.iter().all(|part| part.iter().any(|g| *g != 0.0)), "a part without a gradient");
+            for mask in 3..1_usize << singles.len() {
+                let parts: [bool; 3] = std::array::from_fn(|i| mask >> i & 1 == 1);
+                let found = gradient_through(parts, depth, &scene, at.clone());
+                for (i, found) in found.iter().enumerate() {
+                    let expected: f64 =
+                        singles.iter().zip(parts).filter(|(_, chosen)| *chosen).map(|(g, _)| g[i]).sum();
+                    let scale: f64 = singles.iter().map(|g| g[i].abs()).sum();
+                    assert!(
+                        (found - expected).abs() <= 1e-4 * scale + 1e-5,
+                        "{parts:?}: {found} instead of {expected}"
+                    );
+                }
+            }
+        }
+    }
+}
+
 fn reorder(values: &[f64], order: &[usize]) -> Vec<f64> {
     let columns = values.len() / order.len();
     order.iter().flat_map(|&i| values[i * columns..(i + 1) * columns].to_vec()).collect()

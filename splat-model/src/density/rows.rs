@@ -1,7 +1,7 @@
 //! The only place that edits rows: of the parameters and, with them, of their Adam moments.
 
 use burn::module::Param;
-use burn::tensor::{Bool, Int, Tensor, TensorData};
+use burn::tensor::{Int, Tensor, TensorData};
 
 use crate::gaussians::{GaussianRows, Gaussians, RowsError, parameter};
 use crate::optim::{Adam, LearningRates, Moments};
@@ -119,19 +119,19 @@ impl Trained {
         self.gaussians.sh_rest = Some(parameter(on(&device, values)));
     }
 
-    /// One step of Adam on every parameter that has a gradient; `step` counts from 1. With `held`, `[1]`, the device decides
-    /// whether anything changes: nothing does where it is true.
+    /// One step of Adam on every parameter that has a gradient; `step` counts from 1. With a verdict, `[2]` (see
+    /// [`splat_op::adam`]), the device decides whether anything changes: nothing does where a step is entered in it.
     pub fn step(
         &mut self,
         gradients: Gradients,
         adam: &Adam,
         rates: &StepRates,
         step: usize,
-        held: Option<&Tensor<1, Bool>>,
+        verdict: Option<&Tensor<1, Int>>,
     ) {
         let (g, m) = (&mut self.gaussians, &mut self.moments);
         let LearningRates { scales, rotations, sh_dc, sh_rest, opacities, .. } = rates.rates;
-        let adam = (adam, step, held);
+        let adam = (adam, step, verdict);
         update(&mut g.means, gradients.means, rates.means, &mut m.means, adam);
         update(&mut g.rotations, gradients.rotations, rotations, &mut m.rotations, adam);
         update(&mut g.log_scales, gradients.log_scales, scales, &mut m.log_scales, adam);
@@ -200,22 +200,12 @@ fn update<const D: usize>(
     gradient: Option<Tensor<D>>,
     rate: f64,
     moments: &mut Moments<D>,
-    (adam, step, held): (&Adam, usize, Option<&Tensor<1, Bool>>),
+    (adam, step, verdict): (&Adam, usize, Option<&Tensor<1, Int>>),
 ) {
     let Some(gradient) = gradient else { return };
     let device = param.val().device();
     let values = take(param);
-    let Some(held) = held else {
-        *param = parameter(on(&device, adam.step(values, gradient, rate, moments, step)));
-        return;
-    };
-    let (old, history) = (values.clone(), moments.clone());
-    let new = adam.step(values, gradient, rate, moments, step);
-    let held = held.clone().reshape([1; D]).expand(old.shape());
-    let chosen = |new: Tensor<D>, old: Tensor<D>| new.mask_where(held.clone(), old);
-    moments.m = chosen(moments.m.clone(), history.m);
-    moments.v = chosen(moments.v.clone(), history.v);
-    *param = parameter(on(&device, chosen(new, old)));
+    *param = parameter(on(&device, adam.step_unless(values, gradient, rate, moments, (step, verdict))));
 }
 
 fn edit_rows<const D: usize>(

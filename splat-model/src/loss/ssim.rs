@@ -18,7 +18,7 @@
 
 use burn::tensor::{Tensor, TensorData, module::conv2d, ops::ConvOptions};
 
-use splat_op::photometric::{C1, C2, SIGMA_PX, TAPS, window};
+use splat_op::photometric::{C1, C2, SIGMA_PX, TAPS, contiguous, window};
 
 /// The separable window, as weights of a depthwise convolution.
 #[derive(Clone, Debug)]
@@ -74,8 +74,8 @@ impl Truth {
     /// Prepares `truth`, `[H, W, C]`, 0 to 1. Its gradients, if it has any, are not followed.
     pub fn new(truth: Tensor<3>) -> Self {
         let layout = planes(truth.inner());
-        // One copy per photograph instead of a strided read at every step. Adding zero writes the planes out.
-        let planes = layout.clone().zeros_like() + layout;
+        // One copy per photograph instead of a strided read at every step.
+        let planes = contiguous(&layout);
         let mean = window(&planes);
         let variance = window(&planes.clone().square()) - mean.clone().square() + C2;
         Self { planes, mean, variance }

@@ -1,7 +1,8 @@
 //! Adam (Kingma and Ba 2015, algorithm 1) on one parameter tensor at a time.
 
-use burn::tensor::{DType, Device, Tensor, TensorData};
+use burn::tensor::{DType, Device, Int, Tensor, TensorData};
 use rayon::prelude::*;
+use splat_op::adam::Stepped;
 
 /// Gradients are clamped to ± this before they are squared: in f32, `1e17² / (1 − β₂)` is still finite. Steps stay
 /// bounded by the learning rate either way, because Adam is invariant to the gradient's length.
@@ -74,13 +75,46 @@ impl Adam {
         moments: &mut Moments<D>,
         t: usize,
     ) -> Tensor<D> {
+        self.step_unless(param, grad, lr, moments, (t, None))
+    }
+
+    /// As [`Self::step`] in tensor code, whatever the device: what all other forms are held to.
+    pub fn step_in_tensors<const D: usize>(
+        &self,
+        param: Tensor<D>,
+        grad: Tensor<D>,
+        lr: f64,
+        moments: &mut Moments<D>,
+        t: usize,
+    ) -> Tensor<D> {
+        self.factors(lr, t).step_in_tensors(param, grad, moments)
+    }
+
+    /// As [`Self::step`], but nothing changes where a step is entered in the verdict, `[2]` (see [`splat_op::adam`]).
+    pub(crate) fn step_unless<const D: usize>(
+        &self,
+        param: Tensor<D>,
+        grad: Tensor<D>,
+        lr: f64,
+        moments: &mut Moments<D>,
+        (t, verdict): (usize, Option<&Tensor<1, Int>>),
+    ) -> Tensor<D> {
         assert_eq!(param.shape(), grad.shape(), "a gradient has the shape of its parameter");
         assert_eq!(param.shape(), moments.m.shape(), "moments have the shape of their parameter");
-        // √v̂ = c √v and m̂ = b m; both factors move out of the tensors: lr m̂ / (√v̂ + ε) = (lr b/c) m / (√v + ε/c).
-        let t = t as f64;
-        let b = (1.0 - self.beta1) / (1.0 - self.beta1.powf(t));
-        let c = ((1.0 - self.beta2) / (1.0 - self.beta2.powf(t))).sqrt();
-        let factors = Factors { beta1: self.beta1, beta2: self.beta2, rate: lr * b / c, floor: self.eps / c };
+        let factors = self.factors(lr, t);
+        // On a GPU one operation does all of it.
+        let param = match factors.step_on_gpu(param, &grad, moments, verdict) {
+            Ok(param) => return param,
+            Err(param) => param,
+        };
+        if let Some(verdict) = verdict {
+            let (old, history) = (param.clone(), moments.clone());
+            let new = factors.step_in_tensors(param, grad, moments);
+            let held = verdict.clone().slice([0..1]).not_equal_elem(0).reshape([1; D]).expand(old.shape());
+            moments.m.inplace(|m| m.mask_where(held.clone(), history.m));
+            moments.v.inplace(|v| v.mask_where(held.clone(), history.v));
+            return new.mask_where(held, old);
+        }
         // Flex works in host memory and hands it over without a copy. One fused pass over it on all cores takes a third
         // of the time of the tensor operations, which are eleven passes on one core.
         if param.device() == Device::flex() && param.dtype() == DType::F32 {
@@ -89,9 +123,47 @@ impl Adam {
             factors.step_in_tensors(param, grad, moments)
         }
     }
+
+    fn factors(&self, lr: f64, t: usize) -> Factors {
+        // √v̂ = c √v and m̂ = b m; both factors move out of the tensors: lr m̂ / (√v̂ + ε) = (lr b/c) m / (√v + ε/c).
+        let t = t as f64;
+        let b = (1.0 - self.beta1) / (1.0 - self.beta1.powf(t));
+        let c = ((1.0 - self.beta2) / (1.0 - self.beta2.powf(t))).sqrt();
+        Factors { beta1: self.beta1, beta2: self.beta2, rate: lr * b / c, floor: self.eps / c }
+    }
 }
 
 impl Factors {
+    /// The same in one pass; gives the parameter back where there is no such operation.
+    fn step_on_gpu<const D: usize>(
+        &self,
+        param: Tensor<D>,
+        grad: &Tensor<D>,
+        moments: &mut Moments<D>,
+        verdict: Option<&Tensor<1, Int>>,
+    ) -> Result<Tensor<D>, Tensor<D>> {
+        let nothing = || Tensor::empty([0; D], &param.device());
+        let m = std::mem::replace(&mut moments.m, nothing());
+        let v = std::mem::replace(&mut moments.v, nothing());
+        let factors = splat_op::adam::Factors {
+            beta1: self.beta1,
+            beta2: self.beta2,
+            rate: self.rate,
+            floor: self.floor,
+            largest: LARGEST_GRADIENT,
+        };
+        match splat_op::adam::step(Stepped { param, m, v }, grad, verdict, factors) {
+            Ok(Stepped { param, m, v }) => {
+                *moments = Moments { m, v };
+                Ok(param)
+            }
+            Err(Stepped { param, m, v }) => {
+                *moments = Moments { m, v };
+                Err(param)
+            }
+        }
+    }
+
     fn step_in_tensors<const D: usize>(
         &self,
         param: Tensor<D>,

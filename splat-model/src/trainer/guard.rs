@@ -5,11 +5,11 @@
 //! the number of Gaussians is about to change, which reads the scene anyway, and every [`READ_EVERY`] steps. The error then
 //! comes some steps late, names the step it is about, and the scene is still that before the step.
 
-use burn::tensor::{Bool, Device, Tensor};
+use burn::tensor::{DType, Device, Int, Tensor};
 use splat_op::activate::non_finite;
+use splat_op::adam::{VERDICT, watch};
 
 use crate::density::rows::Gradients;
-use crate::gaussians::values_of;
 
 /// Steps between readings of the verdict on a GPU: one wait in fifty steps is not to be measured.
 const READ_EVERY: usize = 50;
@@ -32,9 +32,9 @@ pub(super) struct Fault {
 pub(super) struct Guard {
     /// Whether results have to be waited for.
     waits: bool,
-    /// `[7]`, on a device that has to be waited for: for each of [`WATCHED`] the first step at which it was not finite, 0 if
-    /// there was none. Once one is set the others stay.
-    verdict: Option<Tensor<1>>,
+    /// `[2]`, on a device that has to be waited for, see [`splat_op::adam`]: the first step that was not finite, 0 if there was
+    /// none, and which of [`WATCHED`] it was.
+    verdict: Option<Tensor<1, Int>>,
     /// Steps and their photographs since the verdict was last read.
     unread: Vec<(usize, usize)>,
 }
@@ -46,7 +46,7 @@ impl Guard {
     }
 
     /// Looks at the loss, `[1]`, and the gradients of a step before it is taken. Where the answer is not waited for, it is
-    /// returned: `[1]`, whether this step must change nothing.
+    /// returned: a verdict, `[2]`. This step must change nothing if one is entered in it.
     ///
     /// # Errors
     /// What is not finite, if that is known.
@@ -56,36 +56,33 @@ impl Guard {
         view: usize,
         loss: &Tensor<1>,
         gradients: &Gradients,
-    ) -> Result<Option<Tensor<1, Bool>>, Fault> {
+    ) -> Result<Option<Tensor<1, Int>>, Fault> {
         let Gradients { means, rotations, log_scales, logit_opacities, sh_dc, sh_rest } = gradients;
-        let flags = [
-            Some(non_finite(loss)),
-            means.as_ref().map(non_finite),
-            rotations.as_ref().map(non_finite),
-            log_scales.as_ref().map(non_finite),
-            logit_opacities.as_ref().map(non_finite),
-            sh_dc.as_ref().map(non_finite),
-            sh_rest.as_ref().map(non_finite),
-        ];
         if !self.waits {
+            let flags = [
+                Some(non_finite(loss)),
+                means.as_ref().map(non_finite),
+                rotations.as_ref().map(non_finite),
+                log_scales.as_ref().map(non_finite),
+                logit_opacities.as_ref().map(non_finite),
+                sh_dc.as_ref().map(non_finite),
+                sh_rest.as_ref().map(non_finite),
+            ];
             let bad = flags.map(|flag| flag.is_some_and(|flag| flag.into_scalar::<i32>() != 0));
             return if bad.contains(&true) { Err(Fault { step, view, what: in_words(bad) }) } else { Ok(None) };
         }
-        let none = || Tensor::zeros([1], &loss.device().inner());
-        let flags = flags.into_iter().map(|flag| flag.map_or_else(none, |flag| flag.float())).collect();
-        let now = Tensor::cat(flags, 0) * step as f64;
-        // The first fault stays: what comes after it is its consequence or the same again.
-        let verdict = match self.verdict.take() {
-            None => now,
-            Some(before) => {
-                let sound = before.clone().max().equal_elem(0.0).expand([WATCHED.len()]);
-                before.mask_where(sound, now)
-            }
-        };
-        let bad = verdict.clone().max().greater_elem(0.0);
-        self.verdict = Some(verdict);
+        let none = || Tensor::zeros([VERDICT], (&loss.device().inner(), DType::I32));
+        let mut look = Look { verdict: self.verdict.take().unwrap_or_else(none), step };
+        look.at(0, Some(loss));
+        look.at(1, means.as_ref());
+        look.at(2, rotations.as_ref());
+        look.at(3, log_scales.as_ref());
+        look.at(4, logit_opacities.as_ref());
+        look.at(5, sh_dc.as_ref());
+        look.at(6, sh_rest.as_ref());
+        self.verdict = Some(look.verdict.clone());
         self.unread.push((step, view));
-        Ok(Some(bad))
+        Ok(Some(look.verdict))
     }
 
     /// Reads the verdict if `now`, or if it has not been read for long.
@@ -98,15 +95,39 @@ impl Guard {
         }
         let unread = std::mem::take(&mut self.unread);
         let Some(verdict) = &self.verdict else { return Ok(()) };
-        let steps = values_of(verdict.clone());
-        let first = steps.iter().fold(0.0, |first: f32, step| first.max(*step)) as usize;
+        let numbers: Vec<i32> = verdict.clone().into_data().iter().collect();
+        let [first, which] = [0, 1].map(|i| numbers[i] as usize);
         match unread.iter().find(|(step, _)| *step == first) {
             None => Ok(()),
             Some(&(step, view)) => {
-                let bad = std::array::from_fn(|i| steps[i] > 0.0);
+                let bad = std::array::from_fn(|i| which >> i & 1 != 0);
                 Err(Fault { step, view, what: in_words(bad) })
             }
         }
+    }
+}
+
+/// A verdict in the making.
+struct Look {
+    verdict: Tensor<1, Int>,
+    step: usize,
+}
+
+impl Look {
+    /// Looks at number `i` of [`WATCHED`].
+    fn at<const D: usize>(&mut self, i: u32, values: Option<&Tensor<D>>) {
+        let Some(values) = values else { return };
+        let step = self.step as i32;
+        self.verdict.inplace(|verdict| {
+            // Where there is no operation for it, the same in tensor code.
+            watch(values, verdict, step as u32, i).unwrap_or_else(|verdict| {
+                let first = verdict.clone().slice([0..1]);
+                let open = first.clone().equal_elem(0).int() + first.clone().equal_elem(step).int();
+                let bad = non_finite(&values.clone().inner()) * open;
+                let entered = first.clone() + bad.clone() * (first.neg() + step);
+                Tensor::cat(vec![entered, verdict.slice([1..2]) + bad * (1 << i)], 0)
+            })
+        });
     }
 }
 

@@ -20,10 +20,14 @@ pub trait AttachBackend: Backend {
         value: FloatTensor<Self>,
         gradient: FloatTensor<Self>,
     ) -> FloatTensor<Self>;
+
+    /// `values` times `factor`, `[1]`. Not differentiable.
+    #[fusion(dtype = values, shape = values)]
+    fn scaled(values: FloatTensor<Self>, factor: FloatTensor<Self>) -> FloatTensor<Self>;
 }
 
 macro_rules! without_autodiff {
-    ($backend:ty) => {
+    ($backend:ty, $scaled:expr) => {
         impl AttachBackend for $backend {
             fn with_gradient(
                 _: FloatTensor<Self>,
@@ -32,27 +36,34 @@ macro_rules! without_autodiff {
             ) -> FloatTensor<Self> {
                 value
             }
+
+            fn scaled(values: FloatTensor<Self>, factor: FloatTensor<Self>) -> FloatTensor<Self> {
+                $scaled(values, factor)
+            }
         }
     };
 }
 
-without_autodiff!(burn::backend::Flex);
-without_autodiff!(burn::backend::NdArray);
+fn scaled_in_tensors<B: Backend>(values: FloatTensor<B>, factor: FloatTensor<B>) -> FloatTensor<B> {
+    let factor = B::float_reshape(factor, Shape::from(vec![1; values.rank()]));
+    B::float_mul(values, factor)
+}
+
+without_autodiff!(burn::backend::Flex, scaled_in_tensors::<Self>);
+without_autodiff!(burn::backend::NdArray, scaled_in_tensors::<Self>);
 #[cfg(feature = "cube")]
-without_autodiff!(burn_cubecl::CubeBackend);
+without_autodiff!(burn_cubecl::CubeBackend, super::cube::scaled);
 
 #[derive(Debug)]
 struct AttachBackward;
 
-impl<B: Backend> Backward<B, 1> for AttachBackward {
+impl<B: AttachBackend> Backward<B, 1> for AttachBackward {
     type State = FloatTensor<B>;
 
     fn backward(self, ops: Ops<Self::State, 1>, grads: &mut Gradients, _: &mut Checkpointer) {
         let grad = grads.consume::<B>(&ops.node);
         if let [Some(parent)] = ops.parents {
-            let gradient = ops.state;
-            let grad = B::float_reshape(grad, Shape::from(vec![1; gradient.rank()]));
-            grads.register::<B>(parent.id, B::float_mul(gradient, grad));
+            grads.register::<B>(parent.id, B::scaled(ops.state, grad));
         }
     }
 }
@@ -68,6 +79,10 @@ impl<B: AttachBackend, C: CheckpointStrategy> AttachBackend for Autodiff<B, C> {
             OpsKind::Tracked(prep) => prep.finish(gradient, value),
             OpsKind::UnTracked(prep) => prep.finish(value),
         }
+    }
+
+    fn scaled(values: FloatTensor<Self>, factor: FloatTensor<Self>) -> FloatTensor<Self> {
+        FloatTensor::<Self>::new(B::scaled(values.into_primitive(), factor.into_primitive()))
     }
 }
 

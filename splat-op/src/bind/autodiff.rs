@@ -1,14 +1,18 @@
 //! The backward nodes of the stages. Each stage is one node; its backward pass computes what is tracked.
 
-use burn::backend::Autodiff;
+use std::ops::Range;
+use std::sync::PoisonError;
+
 use burn::backend::autodiff::NodeId;
 use burn::backend::autodiff::checkpoint::base::Checkpointer;
 use burn::backend::autodiff::checkpoint::strategy::CheckpointStrategy;
 use burn::backend::autodiff::grads::Gradients;
 use burn::backend::autodiff::ops::{Backward, Ops, OpsKind};
 use burn::backend::tensor::{FloatTensor, IntTensor};
+use burn::backend::{Autodiff, TensorMetadata};
+use burn::tensor::Shape;
 
-use crate::blend::{BlendGrads, BlendInputs, BlendNeeds, BlendSpec, TraceCell};
+use crate::blend::{BlendGrads, BlendInputs, BlendNeeds, BlendSpec, PartsCell, TraceCell};
 use crate::op::{Slot, SplatBackend};
 use crate::project::{ProjectGrads, ProjectInputs, ProjectNeeds, ProjectSpec};
 use crate::shade::{ShadeGrads, ShadeInputs, ShadeNeeds};
@@ -95,17 +99,68 @@ impl<B: SplatBackend> Backward<B, 3> for ShadeBackward {
     }
 }
 
+/// Hands a part's gradient to the node of the planes it is taken from, beside the graph.
+#[derive(Debug)]
+struct PartBackward;
+
+impl<B: SplatBackend> Backward<B, 1> for PartBackward {
+    type State = (Range<usize>, PartsCell);
+
+    fn backward(self, ops: Ops<Self::State, 1>, grads: &mut Gradients, _: &mut Checkpointer) {
+        let grad = grads.consume::<B>(&ops.node);
+        let (range, parts) = ops.state;
+        parts.0.lock().unwrap_or_else(PoisonError::into_inner).push((range, Box::new(grad)));
+    }
+}
+
+/// The gradient of the planes from those of the parts that have one: the part's own if that is all of the first `alone`
+/// planes, else all planes with zeros where no part is.
+fn planes_grad<B: SplatBackend>(parts: &PartsCell, planes: &FloatTensor<B>, alone: Option<usize>) -> FloatTensor<B> {
+    let mut found: Vec<(Range<usize>, FloatTensor<B>)> = Vec::new();
+    for (range, grad) in parts.0.lock().unwrap_or_else(PoisonError::into_inner).drain(..) {
+        let grad = grad.downcast::<FloatTensor<B>>().expect("parts are of the planes' backend");
+        match found.iter_mut().find(|(other, _)| *other == range) {
+            Some((_, sum)) => *sum = B::float_add(sum.clone(), *grad),
+            None => found.push((range, *grad)),
+        }
+    }
+    assert!(!found.is_empty(), "the planes of `blend` have gradients only through `part`");
+    found.sort_by_key(|(range, _)| range.start);
+    if let [(range, grad)] = &found[..]
+        && alone.is_some_and(|alone| *range == (0..alone))
+    {
+        return grad.clone();
+    }
+    let [count, height, width] = planes.shape().dims();
+    let zeros = |len: usize| B::float_zeros(Shape::from([len, height, width]), &planes.device(), planes.dtype().into());
+    let mut pieces = Vec::new();
+    let mut at = 0;
+    for (range, grad) in found {
+        if range.start > at {
+            pieces.push(zeros(range.start - at));
+        }
+        at = range.end;
+        pieces.push(grad);
+    }
+    if at < count {
+        pieces.push(zeros(count - at));
+    }
+    if pieces.len() == 1 { pieces.remove(0) } else { B::float_cat(pieces, 0) }
+}
+
 #[derive(Debug)]
 struct BlendBackward;
 
 impl<B: SplatBackend> Backward<B, 4> for BlendBackward {
-    type State = (BlendInputs<B>, FloatTensor<B>, BlendSpec, HitCell, TraceCell);
+    type State = (BlendInputs<B>, FloatTensor<B>, BlendSpec, HitCell, TraceCell, PartsCell);
 
     fn backward(self, ops: Ops<Self::State, 4>, grads: &mut Gradients, _: &mut Checkpointer) {
-        let grad = grads.consume::<B>(&ops.node);
         let [projected, features, background, mean2d_abs] = ops.parents.each_ref().map(Option::is_some);
         let needs = BlendNeeds { projected, features, background, mean2d_abs };
-        let (inputs, planes, spec, hits, trace) = ops.state;
+        let (inputs, planes, spec, hits, trace, parts) = ops.state;
+        let alone = (!spec.options.depth).then(|| inputs.background.shape().num_elements());
+        // The planes are seen through their parts alone, whose nodes come before this one.
+        let grad = planes_grad::<B>(&parts, &planes, alone);
         let out = B::blend_backward(inputs, planes, grad, spec, needs, hits, trace);
         let slots = [out.projected, out.features, out.background, out.mean2d_abs];
         let parents = ops.parents.map(|parent| parent.map(|node| node.id));
@@ -146,6 +201,7 @@ impl<B: SplatBackend, C: CheckpointStrategy> SplatBackend for Autodiff<B, C> {
         spec: BlendSpec,
         hits: HitCell,
         _: Option<TraceCell>,
+        parts: PartsCell,
     ) -> FloatTensor<Self> {
         let inner = inputs.inner();
         let parents = [&inputs.projected, &inputs.features, &inputs.background, &mean2d_abs_probe].map(|t| t.node());
@@ -153,10 +209,20 @@ impl<B: SplatBackend, C: CheckpointStrategy> SplatBackend for Autodiff<B, C> {
         match BlendBackward.prepare::<C>(parents).compute_bound().stateful() {
             OpsKind::Tracked(prep) => {
                 let trace = TraceCell::default();
-                let output = B::blend(inner.clone(), probe, tile_counts, spec, hits.clone(), Some(trace.clone()));
-                prep.finish((inner, output.clone(), spec, hits, trace), output)
+                let kept = Some(trace.clone());
+                let output = B::blend(inner.clone(), probe, tile_counts, spec, hits.clone(), kept, parts.clone());
+                prep.finish((inner, output.clone(), spec, hits, trace, parts), output)
             }
-            OpsKind::UnTracked(prep) => prep.finish(B::blend(inner, probe, tile_counts, spec, hits, None)),
+            OpsKind::UnTracked(prep) => prep.finish(B::blend(inner, probe, tile_counts, spec, hits, None, parts)),
+        }
+    }
+
+    fn part(planes: FloatTensor<Self>, from: usize, to: usize, parts: PartsCell) -> FloatTensor<Self> {
+        let node = planes.node();
+        let output = B::part(planes.into_primitive(), from, to, parts.clone());
+        match PartBackward.prepare::<C>([node]).compute_bound().stateful() {
+            OpsKind::Tracked(prep) => prep.finish((from..to, parts), output),
+            OpsKind::UnTracked(prep) => prep.finish(output),
         }
     }
 

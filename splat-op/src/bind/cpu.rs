@@ -2,12 +2,13 @@
 
 #![allow(deprecated, reason = "burn-ndarray is deprecated in favour of burn-flex; this project supports both")]
 
+use burn::backend::ops::FloatTensorOps;
 use burn::backend::tensor::{FloatTensor, IntTensor};
 use burn::backend::{Flex, NdArray, TensorMetadata};
-use burn::tensor::TensorData;
+use burn::tensor::{Shape, Slice, TensorData};
 
 use super::host::{Host, HostBackend, by_type};
-use crate::blend::{self, BlendGrads, BlendInputs, BlendNeeds, BlendSpec, TraceCell};
+use crate::blend::{self, BlendGrads, BlendInputs, BlendNeeds, BlendSpec, PartsCell, TraceCell};
 use crate::op::{Slot, SplatBackend};
 use crate::project::{self, COLUMNS, ProjectGrads, ProjectInputs, ProjectNeeds, ProjectSpec};
 use crate::real::Real;
@@ -147,6 +148,19 @@ fn blend<B: HostBackend, F: Real>(
     B::from_host(planes, &[count, spec.intrinsics.height, spec.intrinsics.width], &inputs.projected)
 }
 
+/// The gradient of all planes, where it may be that of the first `channels` alone.
+fn all_planes<B: HostBackend>(grad: FloatTensor<B>, spec: &BlendSpec, channels: usize) -> FloatTensor<B> {
+    let [given, height, width] = grad.shape().dims();
+    match spec.planes(channels) - given {
+        0 => grad,
+        missing => {
+            let shape = Shape::from([missing, height, width]);
+            let zeros = B::float_zeros(shape, &grad.device(), grad.dtype().into());
+            B::float_cat(vec![grad, zeros], 0)
+        }
+    }
+}
+
 fn blend_backward<B: HostBackend, F: Real>(
     inputs: BlendInputs<B>,
     grad: FloatTensor<B>,
@@ -207,8 +221,14 @@ macro_rules! cpu_backend {
                 spec: BlendSpec,
                 hits: HitCell,
                 trace: Option<TraceCell>,
+                _: PartsCell,
             ) -> FloatTensor<Self> {
                 by_type!(inputs.projected, F => blend::<Self, F>(inputs, &spec, &hits, trace))
+            }
+
+            fn part(planes: FloatTensor<Self>, from: usize, to: usize, _: PartsCell) -> FloatTensor<Self> {
+                let [_, height, width] = planes.shape().dims();
+                Self::float_slice(planes, &[from..to, 0..height, 0..width].map(Slice::from))
             }
 
             fn blend_backward(
@@ -220,6 +240,7 @@ macro_rules! cpu_backend {
                 hits: HitCell,
                 trace: TraceCell,
             ) -> BlendGrads<Self> {
+                let grad = all_planes::<Self>(grad, &spec, inputs.background.shape().num_elements());
                 by_type!(inputs.projected, F => blend_backward::<Self, F>(inputs, grad, &spec, needs, (&hits, &trace)))
             }
         }

@@ -1,15 +1,16 @@
 //! The order of the launches on Burn's GPU backend, for every CubeCL runtime.
 
 use burn::backend::TensorMetadata;
+use burn::backend::ops::FloatTensorOps;
 use burn::backend::tensor::{FloatTensor, IntTensor};
-use burn::tensor::{DType, Shape};
+use burn::tensor::{DType, Shape, Slice};
 use burn_cubecl::CubeBackend;
 use burn_cubecl::kernel::into_contiguous;
 use burn_cubecl::tensor::CubeTensor;
 
 use crate::blend::launch::{DeviceTrace, launch_blend, launch_blend_backward};
-use crate::blend::{self, BlendGrads, BlendInputs, BlendNeeds, BlendSpec, TraceCell};
-use crate::gpu::{Buffer, Gpu};
+use crate::blend::{self, BlendGrads, BlendInputs, BlendNeeds, BlendSpec, PartsCell, TraceCell};
+use crate::gpu::{Buffer, Gpu, launch_scale};
 use crate::op::{Slot, SplatBackend};
 use crate::project::launch::{launch_project, launch_project_backward};
 use crate::project::{self, COLUMNS, ProjectGrads, ProjectInputs, ProjectNeeds, ProjectSpec};
@@ -30,6 +31,25 @@ pub(crate) fn buffer(tensor: CubeTensor) -> Buffer<f32> {
 pub(crate) fn tensor<T>(buffer: Buffer<T>, shape: impl Into<Shape>, dtype: DType, like: &CubeTensor) -> CubeTensor {
     let (client, device) = (like.client.clone(), like.device.clone());
     CubeTensor::new_contiguous(client, device, shape.into(), buffer.handle, dtype)
+}
+
+/// The tensor itself if nobody else holds its memory, else a copy.
+pub(crate) fn owned(tensor: CubeTensor) -> CubeTensor {
+    let tensor = into_contiguous(tensor);
+    if tensor.can_mut() { tensor } else { tensor.copy() }
+}
+
+/// `values` times `factor`, `[1]`; tensor code would read both with all their dimensions.
+pub(crate) fn scaled(values: CubeTensor, factor: CubeTensor) -> CubeTensor {
+    if values.dtype != DType::F32 {
+        return CubeBackend::float_mul(
+            values.clone(),
+            CubeBackend::float_reshape(factor, vec![1; values.rank()].into()),
+        );
+    }
+    let values = owned(values);
+    launch_scale(&Gpu::new(&values.client), &buffer(values.clone()), &buffer(factor));
+    values
 }
 
 fn slot(grad: Option<Buffer<f32>>, shape: impl Into<Shape>, like: &CubeTensor) -> Slot<CubeBackend> {
@@ -138,6 +158,7 @@ impl SplatBackend for CubeBackend {
         spec: BlendSpec,
         hits: HitCell,
         trace: Option<TraceCell>,
+        _: PartsCell,
     ) -> FloatTensor<Self> {
         let gpu = Gpu::new(&inputs.projected.client);
         let on_device = inputs.on_device();
@@ -150,6 +171,18 @@ impl SplatBackend for CubeBackend {
         let count = spec.planes(on_device.background.len);
         let shape = [count, spec.intrinsics.height, spec.intrinsics.width];
         tensor(planes, shape, DType::F32, &inputs.projected)
+    }
+
+    fn part(planes: FloatTensor<Self>, from: usize, to: usize, _: PartsCell) -> FloatTensor<Self> {
+        let [count, height, width] = planes.shape().dims();
+        if from > 0 {
+            let slices = [from..to, 0..height, 0..width].map(Slice::from);
+            return Self::float_slice(planes, &slices);
+        }
+        let planes = into_contiguous(planes);
+        let behind = (count - to) * height * width * size_of::<f32>();
+        let first = Buffer::<f32>::from_handle(planes.handle.clone().offset_end(behind as u64), to * height * width);
+        tensor(first, [to, height, width], DType::F32, &planes)
     }
 
     fn blend_backward(

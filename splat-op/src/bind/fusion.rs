@@ -4,7 +4,7 @@ use burn::backend::fusion::custom::TensorSpec;
 use burn::tensor::{DType, Shape};
 
 use crate::bind::activate::ActivateInputsMetadata;
-use crate::blend::{BlendGradsMetadata, BlendInputsMetadata, BlendNeeds, BlendSpec, TraceCell};
+use crate::blend::{BlendGradsMetadata, BlendInputsMetadata, BlendNeeds, BlendSpec, PartsCell, TraceCell};
 use crate::op::SlotMetadata;
 use crate::project::{COLUMNS, ProjectGradsMetadata, ProjectInputsMetadata, ProjectNeeds, ProjectSpec};
 use crate::shade::{ShadeGradsMetadata, ShadeInputsMetadata, ShadeNeeds};
@@ -68,9 +68,14 @@ pub(crate) fn blend(
     spec: &BlendSpec,
     _: &HitCell,
     _: &Option<TraceCell>,
+    _: &PartsCell,
 ) -> TensorSpec {
     let planes = spec.planes(inputs.background.shape[0]);
     float([planes, spec.intrinsics.height, spec.intrinsics.width], &inputs.projected)
+}
+
+pub(crate) fn part(planes: &TensorSpec, from: &usize, to: &usize, _: &PartsCell) -> TensorSpec {
+    float([to - from, planes.shape[1], planes.shape[2]], planes)
 }
 
 pub(crate) fn blend_backward(

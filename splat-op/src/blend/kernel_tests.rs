@@ -1,7 +1,8 @@
 //! Kernels of `blend` against the CPU twin in f64, within what f32 can hold.
 
 use super::cpu::{Grads, Inputs, blend_backward_cpu, blend_cpu};
-use super::launch::{DeviceGrads, DeviceInputs, launch_blend, launch_blend_backward};
+use super::launch::{DeviceGrads, DeviceInputs, launch_blend, launch_blend_backward, launch_order};
+use super::layer::Shape;
 use super::{BlendNeeds, BlendSpec};
 use crate::camera::Intrinsics;
 use crate::gpu::{Buffer, Gpu};
@@ -229,6 +230,53 @@ fn only_what_is_needed() {
             }
         }
     }
+}
+
+#[test]
+fn a_gradient_of_the_features_alone_is_one_with_zeros_for_alpha() {
+    for (form, gpu) in gpus() {
+        for channels in [3, 16] {
+            let options = RenderOptions::standard().with_accumulation(Accumulation::Ordered);
+            let scene = Scene::random(500, [70, 50], channels, [0.02, 1.0], options);
+            let mut grad = Random::new(4).fill((channels + 1) * 70 * 50, -1.0, 1.0);
+            grad[channels * 70 * 50..].fill(0.0);
+            let [all, alone] = [&grad[..], &grad[..channels * 70 * 50]].map(|grad| {
+                let grads = scene.on(&gpu, grad, ALL).1;
+                let grads = [grads.projected, grads.features, grads.background, grads.mean2d_abs];
+                grads.map(|b| b.expect("asked for").read(&gpu))
+            });
+            assert!(all == alone && all.iter().all(|g| g.iter().any(|v| *v != 0.0)), "{form}, {channels} channels");
+        }
+    }
+}
+
+#[test]
+fn buckets_are_taken_by_their_length() {
+    let Some(gpu) = gpu() else { return };
+    let scene = Scene::random(5_000, [200, 150], 3, [0.02, 1.0], RenderOptions::standard());
+    let inputs = scene.device(&gpu);
+    let lists = launch_tile(&gpu, &inputs.projected, &scene.spec.intrinsics, scene.spec.options.alpha_min);
+    let tiles = lists.counts.len;
+    let shape = Shape { features: 3, depth: false, bucket: 64, grad_alpha: true };
+    let order = launch_order(&gpu, &lists, tiles, shape).read(&gpu);
+    let starts = lists.tile_start.read(&gpu);
+    // Places of each slot, from the other end: each tile's buckets lie from its first slot on.
+    let mut length = vec![0; lists.hits / 64 + tiles];
+    for tile in 0..tiles {
+        let places: Vec<u32> = (starts[tile]..starts[tile + 1]).collect();
+        for (bucket, places) in places.chunks(64).enumerate() {
+            length[starts[tile] as usize / 64 + tile + bucket] = places.len();
+        }
+    }
+    assert_eq!(length.iter().sum::<usize>(), lists.hits);
+    let mut slots = order.clone();
+    slots.sort_unstable();
+    assert!(slots.iter().enumerate().all(|(i, slot)| i == *slot as usize), "not a permutation");
+    // Fifteen classes of length, so that one is at most five places wide.
+    let lengths: Vec<usize> = order.iter().map(|slot| length[*slot as usize]).collect();
+    assert!(lengths.windows(2).all(|pair| pair[1] < pair[0] + 5), "{lengths:?}");
+    assert!(lengths[0] == 64 && lengths.iter().any(|length| *length > 0 && *length < 20), "a scene that proves little");
+    assert!(lengths.last() == Some(&0));
 }
 
 #[test]

@@ -3,7 +3,7 @@
 use cubecl::prelude::*;
 
 use super::backward::{blend_behind_kernel, blend_gather_kernel, row_len};
-use super::buckets::blend_buckets_kernel;
+use super::buckets::{LENGTH_BITS, blend_buckets_kernel, blend_lengths_kernel};
 use super::channels::blend_channels_kernel;
 use super::forward::blend_forward_kernel;
 use super::layer::{BUCKET, Block, LimitsLaunch, Shape};
@@ -15,6 +15,7 @@ use crate::limits::Need;
 use crate::options::Accumulation;
 use crate::project::COLUMNS;
 use crate::tile::launch::{DeviceLists, frame};
+use crate::tile::sort::{Pairs, launch_sort};
 use crate::tile::{TILE_PIXELS, tile_grid};
 
 /// Units of a cube of the kernel for many channels, and pixels of its blocks: what two arrays of 32 numbers per unit leave of 32 KiB
@@ -37,7 +38,8 @@ pub(crate) struct DeviceInputs {
 
 impl DeviceInputs {
     fn shape(&self, gpu: &Gpu, spec: &BlendSpec) -> Shape {
-        let shape = Shape { features: self.background.len, depth: spec.options.depth, bucket: BUCKET };
+        let shape =
+            Shape { features: self.background.len, depth: spec.options.depth, bucket: BUCKET, grad_alpha: true };
         // The longer, the less there is to keep; the shorter, the fewer places are missing in the last ones.
         Shape { bucket: if gpu.software && shape.few() { 2 * BUCKET } else { BUCKET }, ..shape }
     }
@@ -152,7 +154,29 @@ pub(crate) fn launch_blend(
     (planes, keep.then_some(trace))
 }
 
-/// Gradients of the inputs from `grad`, that of the planes.
+/// The slots by the lengths of their buckets, the longest first.
+pub(super) fn launch_order(gpu: &Gpu, lists: &DeviceLists, tiles: usize, shape: Shape) -> Buffer<u32> {
+    let slots = slots(lists, tiles, shape);
+    let pairs = Pairs { keys: Buffer::with_headroom(gpu, slots), values: Buffer::with_headroom(gpu, slots) };
+    let (grid, dim) = elementwise(slots);
+    // SAFETY: every access is guarded by the number of slots; tiles have their places in the lists.
+    unsafe {
+        blend_lengths_kernel::launch_unchecked(
+            &gpu.client,
+            grid,
+            dim,
+            lists.tile_start.arg(),
+            pairs.keys.arg(),
+            pairs.values.arg(),
+            tiles as u32,
+            slots as u32,
+            shape,
+        );
+    }
+    launch_sort(gpu, pairs, LENGTH_BITS).values
+}
+
+/// Gradients of the inputs from `grad`, that of the planes; of the features alone where nothing else has one.
 pub(crate) fn launch_blend_backward(
     gpu: &Gpu,
     inputs: &DeviceInputs,
@@ -164,6 +188,9 @@ pub(crate) fn launch_blend_backward(
 ) -> DeviceGrads {
     let camera = &spec.intrinsics;
     let shape = inputs.shape(gpu, spec);
+    let alone = grad.len == shape.features * camera.width * camera.height;
+    debug_assert!(!(alone && shape.depth), "where depth is rendered, the gradient has all planes");
+    let shape = Shape { grad_alpha: !alone, ..shape };
     let [tiles_x, tiles_y] = tile_grid(camera.width, camera.height);
     let tiles = tiles_x * tiles_y;
     let slots = slots(lists, tiles, shape);
@@ -214,7 +241,7 @@ pub(crate) fn launch_blend_backward(
     let unused: Buffer<f32> = Buffer::new(gpu, 0);
     let (written, added) = if ordered { (&rows, &unused) } else { (&unused, &rows) };
     macro_rules! launch {
-        ($kernel:path, $dealt:expr) => {{
+        ($kernel:path, $dealt:expr $(, $order:expr)?) => {{
             let (count, units, own) = $dealt;
             // SAFETY: as in the forward pass; a row belongs to a hit or a Gaussian of the lists.
             unsafe {
@@ -231,6 +258,7 @@ pub(crate) fn launch_blend_backward(
                     trace.kept.arg(),
                     trace.passed.arg(),
                     rho_behind.arg(),
+                    $($order.arg(),)?
                     written.arg(),
                     added.arg(),
                     frame(camera, spec.options.alpha_min),
@@ -244,6 +272,7 @@ pub(crate) fn launch_blend_backward(
             }
         }};
     }
+    let order = || launch_order(gpu, lists, tiles, shape);
     // Cubes, units of each, and what the kernel deals out by.
     let strips = (slots, STRIP.of_tile(), STRIP);
     let buckets = (slots.div_ceil(BUCKET_UNITS), BUCKET_UNITS, SQUARE);
@@ -251,8 +280,8 @@ pub(crate) fn launch_blend_backward(
     match (shape.few(), gpu.software, gpu.float_atomics) {
         (true, false, true) => launch!(blend_strips_kernel::launch_unchecked::<Atomic<f32>>, strips),
         (true, false, false) => launch!(blend_strips_kernel::launch_unchecked::<Atomic<u32>>, strips),
-        (true, true, true) => launch!(blend_buckets_kernel::launch_unchecked::<Atomic<f32>>, buckets),
-        (true, true, false) => launch!(blend_buckets_kernel::launch_unchecked::<Atomic<u32>>, buckets),
+        (true, true, true) => launch!(blend_buckets_kernel::launch_unchecked::<Atomic<f32>>, buckets, order()),
+        (true, true, false) => launch!(blend_buckets_kernel::launch_unchecked::<Atomic<u32>>, buckets, order()),
         (false, _, true) => launch!(blend_channels_kernel::launch_unchecked::<Atomic<f32>>, many),
         (false, _, false) => launch!(blend_channels_kernel::launch_unchecked::<Atomic<u32>>, many),
     }

@@ -3,6 +3,7 @@
 
 use cubecl::prelude::*;
 
+use crate::gpu::math::within;
 use crate::project::COLUMNS;
 use crate::tile::TILE;
 
@@ -37,6 +38,8 @@ pub(crate) struct Shape {
     pub depth: bool,
     /// Places of a bucket.
     pub bucket: usize,
+    /// Whether the picture's alpha has a gradient. Where it has none, its plane is missing in the planes' gradient.
+    pub grad_alpha: bool,
 }
 
 impl Shape {
@@ -219,6 +222,51 @@ impl Footprint {
             }
         }
         reached
+    }
+
+    /// As [`Self::blocks_reached`], without those of the ellipse's bounding box that the ellipse itself does not meet: by the
+    /// least `u² + v²` over a block, which lies at the centre or on a side that faces it, where it is the minimum of a
+    /// parabola. For few large blocks; a test takes thirty instructions.
+    pub fn blocks_met(&self, x: f32, y: f32, alpha_min: f32, #[comptime] block: Block) -> u32 {
+        let reached = self.blocks_reached(x, y, alpha_min, block);
+        let mut reach = f32::max_value();
+        if alpha_min > 0.0 {
+            reach = (2.0002 * max((self.opacity / alpha_min).ln(), 0.0) + 1e-3).sqrt();
+        }
+        let ratio = self.inverse_u / self.inverse_v;
+        let denominator = self.shear * self.shear + ratio * ratio;
+        // Where the slope of the axis has no digits, the bounding box decides.
+        let sound = denominator > 1e-30 && denominator < 1e30;
+        let slope = self.shear / select(sound, denominator, 1.0);
+        let mut met = 0u32;
+        #[unroll]
+        for i in 0..comptime!(block.of_tile()) {
+            let left = x - self.x + comptime!((i % block.along() * block.across) as f32);
+            let right = left + comptime!((block.across - 1) as f32);
+            let top = y - self.y + comptime!((i / block.along() * block.down) as f32);
+            let bottom = top + comptime!((block.down - 1) as f32);
+            let near_x = within(0.0, left, right);
+            let near_y = within(0.0, top, bottom);
+            let beside = self.whitened_square(near_x, within(self.shear * near_x, top, bottom));
+            let above = self.whitened_square(within(slope * near_y, left, right), near_y);
+            let least =
+                min(select(near_x != 0.0, beside, f32::max_value()), select(near_y != 0.0, above, f32::max_value()));
+            // `dy − shear dx` loses digits when both terms are large; the pixels may then see a smaller value than this.
+            let farthest = max(left.abs(), right.abs()) * self.shear.abs() + max(top.abs(), bottom.abs());
+            let limit = reach + 1e-6 * farthest * self.inverse_v;
+            let inside = near_x == 0.0 && near_y == 0.0;
+            if inside || !sound || !(least > limit * limit) {
+                met |= comptime!(1u32 << i as u32);
+            }
+        }
+        reached & met
+    }
+
+    /// `u² + v²` at an offset from the centre, px.
+    fn whitened_square(&self, dx: f32, dy: f32) -> f32 {
+        let u = dx * self.inverse_u;
+        let v = (dy - self.shear * dx) * self.inverse_v;
+        u * u + v * v
     }
 }
 

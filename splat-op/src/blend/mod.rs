@@ -36,7 +36,8 @@ mod tile;
 mod tile_backward;
 
 use std::any::Any;
-use std::sync::{Arc, OnceLock};
+use std::ops::Range;
+use std::sync::{Arc, Mutex, OnceLock};
 
 use burn::backend::tensor::FloatTensor;
 use burn::backend::{Backend, ExtensionType};
@@ -102,6 +103,20 @@ impl BlendSpec {
 /// computes them again.
 #[derive(Clone, Default)]
 pub struct TraceCell(pub(crate) Arc<OnceLock<Box<dyn Any + Send + Sync>>>);
+
+/// A gradient of some planes.
+pub(crate) type PartGrad = (Range<usize>, Box<dyn Any + Send>);
+
+/// Gradients of parts of a render's planes, on their way from the parts' backward nodes to that of the stage. (Through the
+/// graph each would travel as large as all planes, filled up with zeros.)
+#[derive(Clone, Default)]
+pub struct PartsCell(pub(crate) Arc<Mutex<Vec<PartGrad>>>);
+
+impl std::fmt::Debug for PartsCell {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("PartsCell").finish_non_exhaustive()
+    }
+}
 
 impl std::fmt::Debug for TraceCell {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {

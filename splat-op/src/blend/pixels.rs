@@ -84,7 +84,9 @@ impl Pixels {
         if column < frame.width && row < frame.height {
             let plane = (frame.width * frame.height) as usize;
             let pixel = (row * frame.width + column) as usize;
-            self.grad_alpha[p] = grad[comptime!(shape.features) * plane + pixel];
+            if comptime!(shape.grad_alpha) {
+                self.grad_alpha[p] = grad[comptime!(shape.features) * plane + pixel];
+            }
             #[unroll]
             for channel in 0..channels {
                 self.gradients[comptime!(p * channels) + channel] = grad[plane_of(channel, shape) * plane + pixel];

@@ -9,6 +9,7 @@ use cubecl::server::Handle;
 
 use super::{Gpu, elementwise};
 use crate::limits::Need;
+use crate::witness::count_allocation;
 
 static POISON: AtomicBool = AtomicBool::new(false);
 
@@ -70,6 +71,7 @@ impl<T: Pod> Buffer<T> {
             hint: "render a smaller picture, fewer Gaussians or fewer channels, or raise `alpha_min`",
         };
         need.assert_fits(gpu.buffer_limit);
+        count_allocation(4 * words as u64);
         let handle = match POISON.load(Ordering::Relaxed) {
             true => gpu.client.create_from_slice(bytemuck::cast_slice(&vec![NAN_BITS; words])),
             false => gpu.client.empty(4 * words),
@@ -115,4 +117,23 @@ fn launch_clear(gpu: &Gpu, words: &Buffer<u32>) {
     let (grid, dim) = elementwise(words.len);
     // SAFETY: every access is guarded by the length given.
     unsafe { clear_kernel::launch_unchecked(&gpu.client, grid, dim, words.arg(), words.len as u32) };
+}
+
+#[cube(launch_unchecked)]
+fn scale_kernel(values: &mut [f32], factor: &[f32], len: u32) {
+    let by = factor[0];
+    if ABSOLUTE_POS < len as usize {
+        values[ABSOLUTE_POS] *= by;
+    }
+}
+
+/// Multiplies values by one number, in place.
+pub(crate) fn launch_scale(gpu: &Gpu, values: &Buffer<f32>, factor: &Buffer<f32>) {
+    if values.len > 0 {
+        let (grid, dim) = elementwise(values.len);
+        // SAFETY: every access is guarded by the length given, and the factor is one number.
+        unsafe {
+            scale_kernel::launch_unchecked(&gpu.client, grid, dim, values.arg(), factor.arg(), values.len as u32)
+        };
+    }
 }

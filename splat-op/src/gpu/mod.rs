@@ -11,8 +11,8 @@ use cubecl::features::{AtomicUsage, Plane};
 use cubecl::ir::{ElemType, FloatKind, Type};
 use cubecl::prelude::{CubeCount, CubeDim};
 
-pub(crate) use buffer::Buffer;
 pub(crate) use buffer::poison;
+pub(crate) use buffer::{Buffer, launch_scale};
 
 use crate::witness::count_dispatch;
 

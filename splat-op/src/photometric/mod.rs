@@ -24,7 +24,7 @@ mod op;
 #[cfg(test)]
 mod tests;
 
-pub use op::{Photometric, PhotometricBackend, PhotometricInputs, photometric, window};
+pub use op::{Photometric, PhotometricBackend, PhotometricInputs, contiguous, photometric, window};
 
 /// Taps of the window along each axis.
 pub const TAPS: usize = 11;

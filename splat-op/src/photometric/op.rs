@@ -52,6 +52,10 @@ pub trait PhotometricBackend: Backend {
     /// `Kx`, of any number of planes.
     #[fusion(dtype = planes, shape = planes)]
     fn window(planes: FloatTensor<Self>) -> FloatTensor<Self>;
+
+    /// The same values in contiguous memory.
+    #[fusion(dtype = planes, shape = planes)]
+    fn contiguous(planes: FloatTensor<Self>) -> FloatTensor<Self>;
 }
 
 #[cfg(feature = "fusion")]
@@ -100,6 +104,11 @@ fn window_host<B: HostBackend, F: Real>(planes: FloatTensor<B>) -> FloatTensor<B
     B::from_host(filtered, &shape, &planes)
 }
 
+fn contiguous_host<B: HostBackend, F: Real>(planes: FloatTensor<B>) -> FloatTensor<B> {
+    let values = B::host::<F>(planes.clone()).to_vec();
+    B::from_host(values, &planes.shape(), &planes)
+}
+
 macro_rules! cpu_backend {
     ($backend:ty) => {
         impl PhotometricBackend for $backend {
@@ -116,6 +125,13 @@ macro_rules! cpu_backend {
                     _ => window_host::<Self, f32>(planes),
                 }
             }
+
+            fn contiguous(planes: FloatTensor<Self>) -> FloatTensor<Self> {
+                match planes.dtype() {
+                    DType::F64 => contiguous_host::<Self, f64>(planes),
+                    _ => contiguous_host::<Self, f32>(planes),
+                }
+            }
         }
     };
 }
@@ -126,6 +142,7 @@ cpu_backend!(NdArray);
 #[cfg(feature = "cube")]
 mod gpu {
     use burn_cubecl::CubeBackend;
+    use burn_cubecl::kernel::into_contiguous;
 
     use super::*;
     use crate::bind::cube::{buffer, tensor};
@@ -152,6 +169,10 @@ mod gpu {
             let gpu = Gpu::new(&planes.client);
             let filtered = launch_window(&gpu, &buffer(planes.clone()), picture_size(&planes.shape()));
             tensor(filtered, planes.shape(), DType::F32, &planes)
+        }
+
+        fn contiguous(planes: FloatTensor<Self>) -> FloatTensor<Self> {
+            into_contiguous(planes)
         }
     }
 }
@@ -201,4 +222,13 @@ fn check<const D: usize>(tensor: &Tensor<D>) {
         dtype == DType::F32 || dtype == DType::F64 && !crate::is_gpu(&tensor.device()),
         "pictures are f32, or f64 on a CPU; found {dtype:?}"
     );
+}
+
+/// The same planes, one after the other in memory: what is read at every step should not be put in order at every step.
+///
+/// # Panics
+/// If the float type is another than those of [`window`].
+pub fn contiguous<const D: usize>(planes: &Tensor<D>) -> Tensor<D> {
+    check(planes);
+    Tensor::from_dispatch(<Dispatch as PhotometricBackend>::contiguous(planes.clone().into_dispatch()))
 }

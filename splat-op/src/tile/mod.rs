@@ -17,7 +17,7 @@ pub(crate) mod launch;
 #[cfg(feature = "cube")]
 mod scan;
 #[cfg(feature = "cube")]
-mod sort;
+pub(crate) mod sort;
 #[cfg(test)]
 mod tests;
 

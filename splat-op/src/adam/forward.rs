@@ -1,0 +1,66 @@
+//! The kernels: a unit per number.
+
+use cubecl::prelude::*;
+
+use crate::gpu::math::finite;
+
+/// The scalars of one step.
+#[derive(CubeType, CubeLaunch, Clone, Copy)]
+#[expand(derive(Clone, Copy))]
+pub(super) struct StepFactors {
+    pub beta1: f32,
+    pub beta2: f32,
+    pub rate: f32,
+    pub floor: f32,
+    pub largest: f32,
+}
+
+/// One step in place, unless the verdict names a step.
+#[cube(launch_unchecked)]
+pub(super) fn adam_kernel(
+    param: &mut [f32],
+    m: &mut [f32],
+    v: &mut [f32],
+    grad: &[f32],
+    verdict: &[u32],
+    factors: StepFactors,
+    count: u32,
+    #[comptime] guarded: bool,
+) {
+    let at = ABSOLUTE_POS;
+    let mut runs = at < count as usize;
+    if comptime!(guarded) {
+        runs = runs && verdict[0] == 0;
+    }
+    if runs {
+        let given = grad[at];
+        // Comparisons, which let NaN through, and no `min` and `max`, which may not.
+        let below = select(given > factors.largest, factors.largest, given);
+        let gradient = select(given < -factors.largest, -factors.largest, below);
+        let first = m[at] * factors.beta1 + gradient;
+        let second = v[at] * factors.beta2 + gradient * gradient;
+        m[at] = first;
+        v[at] = second;
+        param[at] -= first / (second.sqrt() + factors.floor) * factors.rate;
+    }
+}
+
+/// Enters a step in the verdict if any of this unit's values, `stride` apart, is not finite and no earlier step is entered.
+/// A device with a sound step never writes.
+#[cube(launch_unchecked)]
+pub(super) fn watch_kernel(values: &[f32], verdict: &[Atomic<u32>], count: u32, stride: u32, at_step: u32, mask: u32) {
+    let mut at = ABSOLUTE_POS;
+    let mut sound = true;
+    while at < count as usize {
+        sound = sound && finite(values[at]);
+        at += stride as usize;
+    }
+    if !sound {
+        let entered = verdict[0].load();
+        if entered == 0 || entered == at_step {
+            // Every unit that comes here in this step writes the same, and none of a later step does.
+            verdict[0].fetch_max(at_step);
+            verdict[1].fetch_or(mask);
+        }
+    }
+}

@@ -1,0 +1,80 @@
+//! Launches of Adam's step and of the look at what it is to be made of.
+
+use super::Factors;
+use super::forward::{StepFactorsLaunch, adam_kernel, watch_kernel};
+use crate::gpu::{Buffer, Gpu, elementwise};
+
+/// Units that look for values that are not finite: enough to occupy a large card, few enough that each has several.
+const SEEKERS: usize = 65_536;
+
+/// A parameter with its moments on the device, of one length.
+#[derive(Clone)]
+pub(crate) struct DeviceState {
+    pub param: Buffer<f32>,
+    pub m: Buffer<f32>,
+    pub v: Buffer<f32>,
+}
+
+/// One step, in place; nothing where `verdict`, `[2]`, names a step.
+pub(crate) fn launch_adam(
+    gpu: &Gpu,
+    state: &DeviceState,
+    grad: &Buffer<f32>,
+    verdict: Option<&Buffer<u32>>,
+    factors: &Factors,
+) {
+    let count = state.param.len;
+    if count == 0 {
+        return;
+    }
+    let guarded = verdict.is_some();
+    let unused = Buffer::new(gpu, 0);
+    let (grid, dim) = elementwise(count);
+    // SAFETY: every access is guarded by the length given, which all have.
+    unsafe {
+        adam_kernel::launch_unchecked(
+            &gpu.client,
+            grid,
+            dim,
+            state.param.arg(),
+            state.m.arg(),
+            state.v.arg(),
+            grad.arg(),
+            verdict.unwrap_or(&unused).arg(),
+            StepFactorsLaunch::new(
+                factors.beta1 as f32,
+                factors.beta2 as f32,
+                factors.rate as f32,
+                factors.floor as f32,
+                factors.largest as f32,
+            ),
+            count as u32,
+            guarded,
+        );
+    }
+}
+
+/// Enters `at_step` and `bit` in `verdict`, `[2]`, if a value is not finite and no earlier step is entered.
+pub(crate) fn launch_watch(gpu: &Gpu, values: &Buffer<f32>, verdict: &Buffer<u32>, at_step: u32, bit: u32) {
+    if values.len == 0 {
+        return;
+    }
+    let seekers = values.len.min(SEEKERS);
+    let (grid, dim) = elementwise(seekers);
+    // The units of the last cube count too, or they would look at what others have looked at.
+    let stride = seekers.next_multiple_of(dim.num_elems() as usize);
+    // SAFETY: every access is guarded by the length given; a verdict has two numbers.
+    unsafe {
+        watch_kernel::launch_unchecked(
+            &gpu.client,
+            grid,
+            dim,
+            values.arg(),
+            verdict.arg(),
+            values.len as u32,
+            stride as u32,
+            at_step,
+            1 << bit,
+        );
+    }
+}
