@@ -110,7 +110,7 @@ impl Adam {
         if let Some(verdict) = verdict {
             let (old, history) = (param.clone(), moments.clone());
             let new = factors.step_in_tensors(param, grad, moments);
-            let held = verdict.clone().slice([0..1]).not_equal_elem(0).reshape([1; D]).expand(old.shape());
+            let held = verdict.clone().narrow(0, 0, 1).not_equal_elem(0).reshape([1; D]).expand(old.shape());
             moments.m.inplace(|m| m.mask_where(held.clone(), history.m));
             moments.v.inplace(|v| v.mask_where(held.clone(), history.v));
             return new.mask_where(held, old);
@@ -135,6 +135,7 @@ impl Adam {
 
 impl Factors {
     /// The same in one pass; gives the parameter back where there is no such operation.
+    #[expect(clippy::result_large_err, reason = "the error is the argument, handed back")]
     fn step_on_gpu<const D: usize>(
         &self,
         param: Tensor<D>,

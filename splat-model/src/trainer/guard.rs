@@ -121,11 +121,11 @@ impl Look {
         self.verdict.inplace(|verdict| {
             // Where there is no operation for it, the same in tensor code.
             watch(values, verdict, step as u32, i).unwrap_or_else(|verdict| {
-                let first = verdict.clone().slice([0..1]);
+                let first = verdict.clone().narrow(0, 0, 1);
                 let open = first.clone().equal_elem(0).int() + first.clone().equal_elem(step).int();
                 let bad = non_finite(&values.clone().inner()) * open;
                 let entered = first.clone() + bad.clone() * (first.neg() + step);
-                Tensor::cat(vec![entered, verdict.slice([1..2]) + bad * (1 << i)], 0)
+                Tensor::cat(vec![entered, verdict.narrow(0, 1, 1) + bad * (1 << i)], 0)
             })
         });
     }

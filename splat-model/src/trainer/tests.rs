@@ -121,6 +121,8 @@ fn what_cannot_start_says_what_to_do() {
     fails(photos([0.0; 3]), config(0), &["`steps` is 0", "--steps N"]);
     fails(vec![], config(1), &["no photographs", "--eval-every"]);
     fails(photos([0.0; 3]), TrainConfig { sh_degree: 5, ..config(1) }, &["`sh_degree` is 5", "0 to 4"]);
+    let resolution = Resolution { coarsest: 3, full_from: 0.5 };
+    fails(photos([0.0; 3]), TrainConfig { resolution, ..config(1) }, &["3 from 0.5", "power of two", "--coarsest"]);
 }
 
 #[test]
@@ -128,8 +130,7 @@ fn the_cache_changes_no_result() {
     let cached = |cache_mib| {
         let mut trainer = trainer(TrainConfig { cache_mib, ..eventful() });
         (0..4).for_each(|_| drop(trainer.step().unwrap()));
-        let kept = trainer.views.iter().filter(|view| view.truth.is_some()).count();
-        (kept, run(self::trainer(TrainConfig { cache_mib, ..eventful() })))
+        (trainer.views.kept(), run(self::trainer(TrainConfig { cache_mib, ..eventful() })))
     };
     let ((kept_none, without), (kept_all, with)) = (cached(0), cached(512));
     assert_eq!((kept_none, kept_all), (0, 4));
@@ -140,9 +141,27 @@ fn the_cache_changes_no_result() {
 fn the_cache_stops_when_it_is_full() {
     let mut trainer = trainer(config(8));
     // Room for two photographs and a half.
-    trainer.cache_left = 5 * (3 * size_of::<f32>() * WIDTH * HEIGHT * 3) / 2;
+    trainer.views.leave_room(5 * (3 * size_of::<f32>() * WIDTH * HEIGHT * 3) / 2);
     (0..8).for_each(|_| drop(trainer.step().unwrap()));
-    assert_eq!(trainer.views.iter().filter(|view| view.truth.is_some()).count(), 2);
+    assert_eq!(trainer.views.kept(), 2);
+}
+
+#[test]
+fn photographs_grow_to_their_full_size() {
+    let photos = photos([0.0; 3]).iter().map(|photo| photo.resized(8 * WIDTH, 8 * HEIGHT)).collect();
+    let resolution = Resolution { coarsest: 4, full_from: 0.5 };
+    let trainer = Trainer::new(photos, &points(), TrainConfig { resolution, ..config(8) }, &Device::flex()).unwrap();
+    let divisors = Rc::new(RefCell::new(Vec::new()));
+    let seen_by = divisors.clone();
+    let loss = move |seen: &Seen| {
+        let [height, width, _] = seen.image.dims();
+        assert_eq!([height, width, 3], seen.truth.image().dims());
+        assert_eq!(8 * WIDTH * height, 8 * HEIGHT * width);
+        seen_by.borrow_mut().push(8 * WIDTH / width);
+        photometric(seen.image.clone(), seen.truth, 0.2)
+    };
+    run(trainer.with_loss(loss));
+    assert_eq!(*divisors.borrow(), [4, 4, 2, 2, 1, 1, 1, 1]);
 }
 
 #[test]

@@ -101,6 +101,19 @@ fn reduced_size(full: &Intrinsics, divisor: usize) -> Option<[usize; 2]> {
 }
 
 #[cfg(test)]
+impl Views {
+    /// How many photographs are kept prepared.
+    pub fn kept(&self) -> usize {
+        self.views.iter().filter(|view| view.truth.is_some()).count()
+    }
+
+    /// Leaves so many bytes for more of them.
+    pub fn leave_room(&mut self, bytes: usize) {
+        self.cache_left = bytes;
+    }
+}
+
+#[cfg(test)]
 mod tests {
     use super::*;
     use crate::trainer::testing::{HEIGHT, WIDTH, photos};
@@ -124,7 +137,7 @@ mod tests {
         }
         let [full_width, full_height] = [8 * WIDTH, 8 * HEIGHT];
         let mut views = Views::new(photos, [0.0; 3], 64, &Device::flex());
-        let mut size = |views: &mut Views| {
+        let size = |views: &mut Views| {
             let (camera, truth) = views.prepare(0);
             let [height, width, _] = truth.image().dims();
             assert_eq!([camera.intrinsics.width, camera.intrinsics.height], [width, height]);

@@ -86,6 +86,7 @@ pub fn step<const D: usize>(
 /// # Errors
 /// Gives `verdict` back on devices that have no such operation: compute it with tensor code there.
 #[cfg_attr(not(feature = "cube"), expect(unused_variables, reason = "no GPU runtime is compiled in"))]
+#[expect(clippy::result_large_err, reason = "the error is the argument, handed back")]
 pub fn watch<const D: usize>(
     values: &Tensor<D>,
     verdict: Tensor<1, Int>,

@@ -86,10 +86,8 @@ pub(super) fn blend_behind_kernel(
                 own[channel] = grad[plane_of(channel, shape) * plane + pixel];
             }
         }
-        if comptime!(shape.grad_alpha) {
-            if inside {
-                grad_alpha = grad[comptime!(shape.features) * plane + pixel];
-            }
+        if comptime!(shape.grad_alpha) && inside {
+            grad_alpha = grad[comptime!(shape.features) * plane + pixel];
         }
         #[unroll(few)]
         for channel in 0..comptime!(shape.features) {

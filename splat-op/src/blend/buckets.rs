@@ -40,7 +40,7 @@ pub(super) fn blend_lengths_kernel(
         let end = tile_start[tile as usize + 1];
         let start = min(first + (slot - first_slot(first, tile, shape)) * size, end);
         let length = min(end - start, size);
-        keys[slot as usize] = longest - (length * longest + size - 1) / size;
+        keys[slot as usize] = longest - (length * longest + comptime!(shape.bucket as u32 - 1)) / size;
         order[slot as usize] = slot;
     }
 }

@@ -100,7 +100,7 @@ pub(super) fn blend_tile_backward<S: Simd, F: Real, const C: usize, const LONG: 
             let layers = (&mut scratch.layers[layers.clone()], &scratch.places[layers]);
             let splat = Splat::new(simd, near[i]);
             let colour = view.colour(gaussian);
-            backwards::<S, F, C, LONG>(grad, (&splat, colour), (thresholds.alpha_max, &x, &y), layers, (&mut rho, row));
+            backwards::<S, F, C, LONG>(grad, (&splat, colour, thresholds.alpha_max), &x, &y, layers, (&mut rho, row));
         }
     }
 }
@@ -146,8 +146,9 @@ fn forwards<S: Simd, F: Real, const LONG: bool>(
 #[inline(always)]
 fn backwards<S: Simd, F: Real, const C: usize, const LONG: bool>(
     grad: &TileGrad<F>,
-    (splat, colour): (&Splat<S, F>, &[F]),
-    (alpha_max, x, y): (F::Lanes<S>, &[F::Lanes<S>; ROW_VECTORS], &[F; TILE]),
+    (splat, colour, alpha_max): (&Splat<S, F>, &[F], F::Lanes<S>),
+    x: &[F::Lanes<S>; ROW_VECTORS],
+    y: &[F; TILE],
     (blocks, places): (&mut [Block<F>], &[u16]),
     (rho, row): (&mut Transmittances<F>, &mut [F]),
 ) {

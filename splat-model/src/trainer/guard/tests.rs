@@ -33,7 +33,7 @@ fn a_verdict_on_the_device_holds_back_that_step_and_all_after_it() {
     let mut guard = waiting();
     let mut held = |step: usize, loss: f32, logit: f32| {
         let held = guard.look(step, 10 * step, &number(loss), &gradients(logit)).unwrap().expect("on the device");
-        held.slice([0..1]).into_scalar::<i32>() != 0
+        held.narrow(0, 0, 1).into_scalar::<i32>() != 0
     };
     assert_eq!([held(1, 0.5, 1.0), held(2, 0.4, f32::INFINITY), held(3, 0.3, 1.0)], [false, true, true]);
     // What follows does not change the verdict.
