@@ -24,9 +24,6 @@ const DRAWS: u64 = 6;
 const MOMENTS: &str = "variances are differences of moments, as in all implementations of this loss: their rounding, 6e-8 of \
                        the square of the pixel, is not small beside C2 = 9e-4";
 
-const MEAN: &str =
-    "the loss is one minus the mean of a thousand ones, and adding those up in f32 costs two parts in a million";
-
 pub fn cases() -> Vec<Case> {
     let of = |name: &str, why, pair: (Picture, Picture), loose: &[(Processor, f64, &'static str)]| {
         let limits = loose.to_vec();
@@ -39,15 +36,14 @@ pub fn cases() -> Vec<Case> {
         loose.iter().fold(case, |case, (processor, factor, why)| case.loose(*processor, *factor, why))
     };
     let moments = |cpu, gpu| [(Processor::Cpu, cpu, MOMENTS), (Processor::Gpu, gpu, MOMENTS)];
-    let mean = [(Processor::Cpu, 2.0, MEAN)];
     let constants = "no variance and no covariance: the constants alone keep the ratio defined";
     vec![
         of("black against white", constants, (black, white), &moments(3.0, 3.0)),
-        of("white against white", "the variance is the difference of two equal numbers", (white, white), &mean),
-        of("black against black", "everything is zero", (black, black), &mean),
+        of("white against white", "the variance is the difference of two equal numbers", (white, white), &[]),
+        of("black against black", "everything is zero", (black, black), &[]),
         of("grey against a photograph", "one of the two has no variance", (grey, noise), &[]),
         of("a photograph against grey", "the other has none", (noise, grey), &[]),
-        of("an edge against white", "half of the windows are flat", (edge, white), &moments(6.0, 3.0)),
+        of("an edge against white", "half of the windows are flat", (edge, white), &moments(3.0, 3.0)),
         Case::check(
             "PSNR of identical pictures",
             "the logarithm of zero is infinite, and would swallow every mean",
