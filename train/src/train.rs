@@ -76,9 +76,9 @@ pub struct TrainArgs {
     #[arg(long, value_name = "W", default_value_t = TrainConfig::default().opacity_weight)]
     pub opacity_weight: f64,
     /// Begin with photographs whose sides are this many times shorter: 1, 2, 4, 8 or 16
-    #[arg(long, value_name = "N", default_value_t = TrainConfig::default().resolution.coarsest)]
+    #[arg(long, value_name = "N", default_value_t = TrainConfig::default().resolution.coarsest_divisor)]
     pub coarsest: usize,
-    /// Share of the steps after which photographs have their full size
+    /// With `--coarsest`: share of the steps after which photographs have their full size
     #[arg(long, value_name = "SHARE", default_value_t = TrainConfig::default().resolution.full_from)]
     pub full_from: f64,
     /// Look at what every stage of every step leaves, and end at the first that goes wrong; several times as slow
@@ -106,7 +106,7 @@ impl TrainArgs {
         let mut config = TrainConfig { seed: self.seed, antialias: self.antialias, ..TrainConfig::default() };
         config.opacity_weight = self.opacity_weight;
         config.density.max_splats = self.max_splats;
-        config.resolution = Resolution { coarsest: self.coarsest, full_from: self.full_from };
+        config.resolution = Resolution { coarsest_divisor: self.coarsest, full_from: self.full_from };
         if self.capture.is_none() {
             (config.steps, config.sh_degree) = (DEMO_STEPS, DEMO_SH_DEGREE);
         }
@@ -274,8 +274,17 @@ mod tests {
     }
 
     #[test]
+    fn photographs_are_small_at_first_where_asked_for() {
+        let divisor = |arguments: &[&str], step| config(arguments).unwrap().resolution.divisor_at(step, 100);
+        assert_eq!(divisor(&[], 1), 1);
+        assert_eq!([1, 26, 51].map(|step| divisor(&["--coarsest", "4"], step)), [4, 2, 1]);
+        assert_eq!(divisor(&["--coarsest", "4", "--full-from", "0.8"], 80), 2);
+    }
+
+    #[test]
     fn impossible_options_are_refused() {
         assert!(config(&["--steps", "0"]).unwrap_err().to_string().contains("--steps"));
         assert!(config(&["--sh-degree", "5"]).unwrap_err().to_string().contains("sh_degree"));
+        assert!(config(&["--coarsest", "3"]).unwrap_err().to_string().contains("--coarsest"));
     }
 }

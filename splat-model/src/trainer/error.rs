@@ -22,7 +22,7 @@ pub enum TrainError {
     /// Sizes of photographs that are none.
     #[error(
         "`resolution` is {} from {}, expected a power of two up to {} and a share from 0 to 1: see `--coarsest` and `--full-from`",
-        .0.coarsest, .0.full_from, Resolution::LARGEST
+        .0.coarsest_divisor, .0.full_from, Resolution::DIVISOR_MAX
     )]
     Resolution(Resolution),
     /// The operation refused its inputs.

@@ -6,10 +6,10 @@ use serde::{Deserialize, Serialize};
 /// a fraction of the work, as the cost of a step grows with its pixels. (Nerfstudio's splatfacto and OpenSplat do it by
 /// fixed numbers of steps; DashGaussian, Chen et al. 2025, by the spectrum of the photographs.)
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[serde(default, deny_unknown_fields)]
 pub struct Resolution {
     /// What the sides are divided by at the start: a power of two, 1 for photographs of full size throughout.
-    pub coarsest: usize,
+    pub coarsest_divisor: usize,
     /// Share of the run after which photographs have their full size. Each smaller size has an equal part of the steps
     /// before.
     pub full_from: f64,
@@ -17,26 +17,34 @@ pub struct Resolution {
 
 impl Resolution {
     /// The largest divisor that is accepted.
-    pub const LARGEST: usize = 16;
+    pub const DIVISOR_MAX: usize = 16;
 
-    /// Photographs of full size from the first step.
-    pub const FULL: Self = Self { coarsest: 1, full_from: 0.0 };
+    /// Photographs of full size from the first step. With another divisor, they are smaller in the first half of the run.
+    pub const FULL: Self = Self { coarsest_divisor: 1, full_from: 0.5 };
 
     /// What the sides are divided by at `step`, counted from 1, of a run of `steps`.
     pub fn divisor_at(&self, step: usize, steps: usize) -> usize {
-        let levels = self.coarsest.max(1).ilog2() as f64;
+        let levels = self.coarsest_divisor.max(1).ilog2() as f64;
         let share = (step - 1) as f64 / steps as f64;
         if levels == 0.0 || share >= self.full_from {
             return 1;
         }
         // Levels that are over.
         let over = (share / self.full_from * levels) as usize;
-        (self.coarsest >> over).max(2)
+        (self.coarsest_divisor >> over).max(2)
     }
 
     /// Whether the schedule can be followed.
     pub fn is_valid(&self) -> bool {
-        self.coarsest.is_power_of_two() && self.coarsest <= Self::LARGEST && (0.0..=1.0).contains(&self.full_from)
+        self.coarsest_divisor.is_power_of_two()
+            && self.coarsest_divisor <= Self::DIVISOR_MAX
+            && (0.0..=1.0).contains(&self.full_from)
+    }
+}
+
+impl Default for Resolution {
+    fn default() -> Self {
+        Self::FULL
     }
 }
 
@@ -46,25 +54,31 @@ mod tests {
 
     #[test]
     fn sizes_have_equal_parts_of_the_coarse_share() {
-        let schedule = Resolution { coarsest: 4, full_from: 0.4 };
+        let schedule = Resolution { coarsest_divisor: 4, full_from: 0.4 };
         let divisors: Vec<usize> = (1..=10).map(|step| schedule.divisor_at(step, 10)).collect();
         assert_eq!(divisors, [4, 4, 2, 2, 1, 1, 1, 1, 1, 1]);
-        let schedule = Resolution { coarsest: 2, full_from: 0.25 };
+        let schedule = Resolution { coarsest_divisor: 2, full_from: 0.25 };
         let last = (1..=1000).filter(|&step| schedule.divisor_at(step, 1000) == 2).max();
         assert_eq!(last, Some(250));
     }
 
     #[test]
+    fn a_divisor_alone_takes_effect() {
+        let schedule = Resolution { coarsest_divisor: 4, ..Resolution::FULL };
+        assert_eq!([1, 26, 51].map(|step| schedule.divisor_at(step, 100)), [4, 2, 1]);
+    }
+
+    #[test]
     fn full_size_throughout() {
-        for schedule in [Resolution::FULL, Resolution { coarsest: 1, full_from: 1.0 }] {
+        for schedule in [Resolution::FULL, Resolution { coarsest_divisor: 1, full_from: 1.0 }] {
             assert!((1..=50).all(|step| schedule.divisor_at(step, 50) == 1));
         }
-        assert!((1..=50).all(|step| Resolution { coarsest: 8, full_from: 0.0 }.divisor_at(step, 50) == 1));
+        assert!((1..=50).all(|step| Resolution { coarsest_divisor: 8, full_from: 0.0 }.divisor_at(step, 50) == 1));
     }
 
     #[test]
     fn what_cannot_be_followed() {
-        let valid = |coarsest, full_from| Resolution { coarsest, full_from }.is_valid();
+        let valid = |coarsest_divisor, full_from| Resolution { coarsest_divisor, full_from }.is_valid();
         assert!(valid(1, 0.0) && valid(16, 1.0));
         assert!(
             !valid(0, 0.5)

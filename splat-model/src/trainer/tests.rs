@@ -121,7 +121,7 @@ fn what_cannot_start_says_what_to_do() {
     fails(photos([0.0; 3]), config(0), &["`steps` is 0", "--steps N"]);
     fails(vec![], config(1), &["no photographs", "--eval-every"]);
     fails(photos([0.0; 3]), TrainConfig { sh_degree: 5, ..config(1) }, &["`sh_degree` is 5", "0 to 4"]);
-    let resolution = Resolution { coarsest: 3, full_from: 0.5 };
+    let resolution = Resolution { coarsest_divisor: 3, full_from: 0.5 };
     fails(photos([0.0; 3]), TrainConfig { resolution, ..config(1) }, &["3 from 0.5", "power of two", "--coarsest"]);
 }
 
@@ -149,7 +149,7 @@ fn the_cache_stops_when_it_is_full() {
 #[test]
 fn photographs_grow_to_their_full_size() {
     let photos = photos([0.0; 3]).iter().map(|photo| photo.resized(8 * WIDTH, 8 * HEIGHT)).collect();
-    let resolution = Resolution { coarsest: 4, full_from: 0.5 };
+    let resolution = Resolution { coarsest_divisor: 4, full_from: 0.5 };
     let trainer = Trainer::new(photos, &points(), TrainConfig { resolution, ..config(8) }, &Device::flex()).unwrap();
     let divisors = Rc::new(RefCell::new(Vec::new()));
     let seen_by = divisors.clone();
