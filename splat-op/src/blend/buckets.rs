@@ -47,7 +47,8 @@ pub(super) fn blend_lengths_kernel(
 
 /// Rows of the hits of each bucket.
 ///
-/// `order` is what [`blend_lengths_kernel`] left, sorted. `rows` is `[H, row]` and every hit's row is written, or, with `add`, one row per Gaussian that is added to in `sums`.
+/// `order` is what [`blend_lengths_kernel`] left, sorted. `rows` is `[H, row]` and every hit's row is written, or, with `add`, one row
+/// per Gaussian that is added to in `sums`.
 #[cube(launch_unchecked)]
 pub(super) fn blend_buckets_kernel<A: FloatCell>(
     projected: &[f32],

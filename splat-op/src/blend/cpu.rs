@@ -4,7 +4,8 @@
 use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
 
-use super::tile::{Footprint, Thresholds, TileView, WHITEN, blend_tile, is_long};
+use super::footprint::{Footprint, UNWHITEN};
+use super::tile::{Thresholds, TileView, blend_tile, is_long};
 use super::tile_backward::{MOMENTS, Scratch, TileGrad, blend_tile_backward};
 use super::{BlendNeeds, BlendSpec};
 use crate::project::{COLUMNS, Ellipse};
@@ -335,7 +336,7 @@ fn gather<F: Real>(
                 }
                 if needs.mean2d_abs {
                     // Two factors are scaled: a whitened coordinate and an inverse.
-                    let unscaled = F::of(WHITEN.powi(-2));
+                    let unscaled = F::of(UNWHITEN * UNWHITEN);
                     let sums = absolute[2 * i..2 * i + 2].iter_mut().zip(&colours[prepared.channels..]);
                     sums.for_each(|(out, sum)| *out = *sum * unscaled);
                 }
@@ -350,8 +351,9 @@ fn gather<F: Real>(
 /// `∂e/∂mean = (u/sigma_u − v shear/sigma_v, v/sigma_v)`; and `∂α/∂opacity = α/opacity`.
 fn ellipse_gradient<F: Real>(e: &Ellipse<F>, moments: &[F], grad_depth: F) -> Ellipse<F> {
     // By how often `u` and `v`, which are scaled, are factors.
-    let unscaled = [0, 1, 1, 2, 2, 2].map(|order| F::of(WHITEN.powi(-order)));
-    let [h, hu, hv, huu, huv, hvv] = std::array::from_fn(|i| moments[i] * unscaled[i]);
+    let (once, twice) = (F::of(UNWHITEN), F::of(UNWHITEN * UNWHITEN));
+    let (h, hu, hv) = (moments[0], moments[1] * once, moments[2] * once);
+    let [huu, huv, hvv] = [3, 4, 5].map(|i| moments[i] * twice);
     let per_v = hv / e.sigma_v;
     Ellipse {
         mean_px: [hu / e.sigma_u - e.shear * per_v, per_v],

@@ -18,6 +18,7 @@ mod buckets;
 #[cfg(feature = "cube")]
 mod channels;
 pub(crate) mod cpu;
+mod footprint;
 #[cfg(feature = "cube")]
 mod forward;
 #[cfg(all(test, feature = "cube"))]

@@ -6,10 +6,8 @@
 
 use fearless_simd::prelude::*;
 
-use super::tile::{
-    CHECKPOINT_EVERY, Column, Footprint, ROW_VECTORS, ROWS, Splat, Thresholds, TileView, Transmittances, Window,
-    centres, colour_lanes, row_centres,
-};
+use super::footprint::{Column, Footprint, ROW_VECTORS, ROWS, Splat, Window};
+use super::tile::{CHECKPOINT_EVERY, Thresholds, TileView, Transmittances, centres, colour_lanes, row_centres};
 use crate::real::{LANES, Real};
 use crate::tile::{TILE, TILE_PIXELS};
 

@@ -1,0 +1,136 @@
+//! A Gaussian as the CPU twin's loops over a tile's pixels see it: where it reaches, and its whitened coordinates there.
+
+use fearless_simd::prelude::*;
+
+use crate::project::Ellipse;
+use crate::real::{LANES, Real};
+use crate::tile::TILE;
+use crate::tile::cpu::{half_extent, whitened_limit};
+
+/// Vectors along a row of a tile.
+pub(super) const ROW_VECTORS: usize = TILE / LANES;
+
+/// Rows of vectors that are worked on together, so that one's arithmetic fills the time that the other waits for its own.
+pub(super) const ROWS: usize = 2;
+
+/// `√(log₂e / 2)`. In whitened coordinates scaled by it, a Gaussian is `2^−(u² + v²)`.
+const WHITEN: f64 = 0.849_321_800_288_019_1;
+
+/// What takes the scale out of a sum again, once for each scaled factor of its terms.
+pub(super) const UNWHITEN: f64 = 1.0 / WHITEN;
+
+/// An ellipse as `blend` reads it, in what its pixels' loop multiplies by.
+#[derive(Clone, Copy, Default)]
+pub(super) struct Footprint<F> {
+    pub mean_px: [F; 2],
+    /// Scaled by [`WHITEN`], as `inverse_v`.
+    pub inverse_u: F,
+    pub inverse_v: F,
+    pub shear: F,
+    pub opacity: F,
+    /// Where `u² + v²` is larger, the alpha is below `alpha_min` for certain, or no number.
+    pub reach: F,
+    /// Half the bounding box, px.
+    pub half: [F; 2],
+}
+
+impl<F: Real> Footprint<F> {
+    pub fn new(ellipse: &Ellipse<F>, alpha_min: F) -> Self {
+        let limit = whitened_limit(ellipse.opacity, alpha_min) * F::of(1.0 + 1e-5) + F::of(1e-4);
+        Self {
+            mean_px: ellipse.mean_px,
+            inverse_u: F::of(WHITEN) / ellipse.sigma_u,
+            inverse_v: F::of(WHITEN) / ellipse.sigma_v,
+            shear: ellipse.shear,
+            opacity: ellipse.opacity,
+            reach: (limit * F::of(WHITEN * WHITEN)).min_of(F::EXP2_MAX),
+            half: half_extent(ellipse, limit),
+        }
+    }
+
+    /// The rows and the vectors along a row of the tile at `origin` px that the bounding box meets, whole [`ROWS`].
+    #[inline(always)]
+    pub fn window(&self, origin: [F; 2]) -> Window {
+        // Pixel `i` has its centre at `origin + i + 0.5`; the margin covers rounding.
+        let span = |axis: usize| {
+            let margin = F::of(0.01) + F::of(8.0) * F::EPSILON * (self.mean_px[axis].abs() + self.half[axis]);
+            let centre = self.mean_px[axis] - origin[axis] - F::of(0.5);
+            let last = F::of((TILE - 1) as f64);
+            let low = (centre - self.half[axis] - margin).within(F::ZERO, last + F::ONE);
+            let high = (centre + self.half[axis] + margin).within(-F::ONE, last);
+            // Truncation only lowers `low`; `high + 1` is positive or zero.
+            (low.index(), (high + F::ONE).index())
+        };
+        let ((first_pixel, end_pixel), (first_row, end_row)) = (span(0), span(1));
+        Window {
+            first_row: first_row - first_row % ROWS,
+            end_row: end_row.next_multiple_of(ROWS),
+            first_vector: first_pixel / LANES,
+            end_vector: end_pixel.div_ceil(LANES).min(ROW_VECTORS),
+        }
+    }
+}
+
+/// Part of a tile.
+#[derive(Clone, Copy)]
+pub(super) struct Window {
+    pub first_row: usize,
+    pub end_row: usize,
+    pub first_vector: usize,
+    pub end_vector: usize,
+}
+
+/// A Gaussian's constants, one copy in each lane.
+#[derive(Clone, Copy)]
+pub(super) struct Splat<S: Simd, F: Real> {
+    simd: S,
+    pub footprint: Footprint<F>,
+    mean_x: F::Lanes<S>,
+    pub inverse_u: F::Lanes<S>,
+    pub inverse_v: F::Lanes<S>,
+    shear: F::Lanes<S>,
+    pub opacity: F::Lanes<S>,
+    pub reach: F::Lanes<S>,
+}
+
+impl<S: Simd, F: Real> Splat<S, F> {
+    #[inline(always)]
+    pub fn new(simd: S, footprint: Footprint<F>) -> Self {
+        let lanes = |value| F::Lanes::<S>::splat(simd, value);
+        Self {
+            simd,
+            footprint,
+            mean_x: lanes(footprint.mean_px[0]),
+            inverse_u: lanes(footprint.inverse_u),
+            inverse_v: lanes(footprint.inverse_v),
+            shear: lanes(footprint.shear),
+            opacity: lanes(footprint.opacity),
+            reach: lanes(footprint.reach),
+        }
+    }
+
+    /// What the pixels with centres `x`, px, have in common on all rows.
+    #[inline(always)]
+    pub fn column(&self, x: F::Lanes<S>) -> Column<S, F> {
+        let dx = x - self.mean_x;
+        let u = dx * self.inverse_u;
+        Column { dx, u, square: u * u }
+    }
+
+    /// `v`, scaled by [`WHITEN`], of the pixels of a column on the row with centre `y`, px.
+    #[inline(always)]
+    pub fn v(&self, column: &Column<S, F>, y: F) -> F::Lanes<S> {
+        let dy = F::Lanes::<S>::splat(self.simd, y - self.footprint.mean_px[1]);
+        (-self.shear).mul_add(column.dx, dy) * self.inverse_v
+    }
+}
+
+/// Eight pixels along a row as a Gaussian sees them, whichever the row.
+#[derive(Clone, Copy)]
+pub(super) struct Column<S: Simd, F: Real> {
+    dx: F::Lanes<S>,
+    /// Scaled by [`WHITEN`].
+    pub u: F::Lanes<S>,
+    /// `u²`
+    pub square: F::Lanes<S>,
+}
