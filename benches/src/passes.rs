@@ -10,6 +10,7 @@ use splat_model::density::rows::{Gradients, Trained};
 use splat_model::gaussians::Gaussians;
 use splat_model::loss::{DEFAULT_LAMBDA, Truth, photometric};
 use splat_model::optim::Adam;
+use splat_model::trainer::Guard;
 use splat_op::blend::{BlendInputs, BlendSpec, PartsCell};
 use splat_op::project::{ProjectInputs, ProjectSpec};
 use splat_op::tile::HitCell;
@@ -18,7 +19,7 @@ use splat_op::{Camera, Colour, Extras, SplatBackend, SplatError, Splats, render_
 use crate::job::{Job, OPTIONS};
 use crate::limit::Kind;
 use crate::measure::{Kept, Pass, Prepare, Timed};
-use crate::step::{Step, density, look, rates};
+use crate::step::{SOUND, Step, density, rates};
 
 /// All passes, in the order of a training step, then the step.
 ///
@@ -144,7 +145,7 @@ fn observe(job: &Job, device: &Device) -> Prepare {
 fn guard(job: &Job, device: &Device) -> Prepare {
     let gradients = gradients(&job.gaussians(device));
     let loss = Tensor::<1>::ones([1], device);
-    forward(move || Ok(look(&loss, &gradients)))
+    forward(move || Ok(Guard::new(&loss.device()).look(1, 0, &loss, &gradients).expect(SOUND)))
 }
 
 fn adam(job: &Job, device: &Device) -> Prepare {

@@ -8,13 +8,14 @@ use splat_model::density::rows::{Gradients, Trained};
 use splat_model::gaussians::Gaussians;
 use splat_model::loss::{DEFAULT_LAMBDA, Truth, photometric};
 use splat_model::optim::Adam;
+use splat_model::trainer::Guard;
 use splat_op::blend::BlendSpec;
 use splat_op::{Camera, Colour, SplatError, Splats, shade, with_gradient};
 
 use crate::job::OPTIONS;
 use crate::limit::Kind;
 use crate::passes::{blend_planes, harmonics, project_packed, tile_lists};
-use crate::step::{density, look, rates};
+use crate::step::{SOUND, density, rates};
 
 /// What [`crate::step::Step`] does, in one graph per pass instead of one for all, so that the way back can be timed pass by pass too.
 pub struct Pieces {
@@ -22,6 +23,7 @@ pub struct Pieces {
     density: Adaptive,
     camera: Camera,
     truth: Truth,
+    guard: Guard,
     step: usize,
 }
 
@@ -57,7 +59,8 @@ impl Watch {
 impl Pieces {
     /// As [`crate::step::Step::new`]; on a CPU, whose work is done when a call returns.
     pub fn new(gaussians: Gaussians, camera: Camera, truth: Truth) -> Self {
-        Self { scene: Trained::new(gaussians), density: density(), camera, truth, step: 0 }
+        let guard = Guard::new(&camera.cam_from_world.device());
+        Self { scene: Trained::new(gaussians), density: density(), camera, truth, guard, step: 0 }
     }
 
     /// A step.
@@ -141,7 +144,7 @@ impl Pieces {
         self.density.observe(mean2d, (width, height));
         watch.lap(Kind::Observe);
         let loss = loss.inner();
-        look(&loss, &gradients);
+        self.guard.look(self.step, 0, &loss, &gradients).expect(SOUND);
         watch.lap(Kind::Guard);
         self.scene.step(gradients, &Adam::default(), &rates(), self.step, None);
         watch.lap(Kind::Adam);

@@ -26,7 +26,7 @@ use crate::optim::{Adam, Decay, LearningRates, near_plane, scene_extent, sh_degr
 pub use self::checked::Stage;
 use self::checked::{Stopped, Wrong, check_gradients, check_loss, check_parameters, render_checked};
 pub use self::error::TrainError;
-use self::guard::{Fault, Guard};
+pub use self::guard::{Fault, Guard};
 pub use self::resolution::Resolution;
 use self::views::Views;
 

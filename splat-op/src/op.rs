@@ -66,7 +66,8 @@ pub trait SplatBackend: Backend {
     fn tile(projected: FloatTensor<Self>, spec: BlendSpec, hits: HitCell) -> IntTensor<Self>;
 
     /// See `blend/`. Returns `[C + 1 (+ 1), H, W]` and fills `trace` if it is to be kept. `tile_counts` is what `tile`
-    /// returned, and orders the two; gradients come through [`Self::part`] alone. `mean2d_abs_probe` is `[N, 2]`, or `[0, 2]` for none, and not read.
+    /// returned, and orders the two; gradients come through [`Self::part`] alone. `mean2d_abs_probe` is `[N, 2]`, or `[0, 2]`
+    /// for none, and not read.
     #[fusion(meta = fusion::blend)]
     fn blend(
         #[extension_type] inputs: BlendInputs<Self>,

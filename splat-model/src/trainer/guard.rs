@@ -19,7 +19,7 @@ const WATCHED: [&str; 7] = ["loss", "means", "rotations", "log_scales", "logit_o
 
 /// A step that was not taken.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) struct Fault {
+pub struct Fault {
     /// Counted from 1.
     pub step: usize,
     /// Number of the photograph.
@@ -28,8 +28,8 @@ pub(super) struct Fault {
     pub what: String,
 }
 
-/// Looks at every step.
-pub(super) struct Guard {
+/// Looks at every step; the trainer's, and for training loops of your own.
+pub struct Guard {
     /// Whether results have to be waited for.
     waits: bool,
     /// `[2]`, on a device that has to be waited for, see [`splat_op::adam`]: the first step that was not finite, 0 if there was
@@ -45,7 +45,8 @@ impl Guard {
         Self { waits: splat_op::is_gpu(device), verdict: None, unread: Vec::new() }
     }
 
-    /// Looks at the loss, `[1]`, and the gradients of a step before it is taken. Where the answer is not waited for, it is
+    /// Looks at the loss, `[1]`, and the gradients of a step, counted from 1, on photograph number `view`, before it is taken.
+    /// Where the answer is not waited for, it is
     /// returned: a verdict, `[2]`. This step must change nothing if one is entered in it.
     ///
     /// # Errors
