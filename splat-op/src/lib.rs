@@ -52,6 +52,7 @@ pub mod adam;
 mod bind;
 #[cfg(feature = "cube")]
 mod gpu;
+mod lanes;
 mod limits;
 mod linalg;
 mod op;

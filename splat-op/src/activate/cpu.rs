@@ -1,8 +1,11 @@
 //! The CPU twin of `activate`, generic over the float, parallel over chunks of Gaussians.
 
+use fearless_simd::prelude::*;
+use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
 
 use super::{LARGEST, LARGEST_LOG_SCALE};
+use crate::lanes::{BLOCK, map_lanes};
 use crate::real::Real;
 
 /// Gaussians per task.
@@ -41,50 +44,88 @@ pub(crate) fn usable_geometry<F: Real>(mean: &[F], rotation: &[F], log_scale: &[
 pub(crate) fn scales_cpu<F: Real>(log_scales: &[F]) -> Vec<F> {
     let mut scales = vec![F::ZERO; log_scales.len()];
     scales.par_chunks_mut(3 * CHUNK).zip(log_scales.par_chunks(3 * CHUNK)).for_each(|(scales, logs)| {
-        for (scale, log) in scales.iter_mut().zip(logs) {
-            *scale = if usable_log_scale(*log) { log.exp() } else { F::ZERO };
-        }
+        dispatch!(Level::new(), simd => scales_chunk(simd, logs, scales));
     });
     scales
 }
 
 #[inline(always)]
-fn row_of<F>(values: &[F], row: usize, columns: usize) -> &[F] {
-    &values[columns * row..columns * (row + 1)]
+fn scales_chunk<S: Simd, F: Real>(simd: S, logs: &[F], scales: &mut [F]) {
+    let [zero, least, largest] = [F::ZERO, -F::MAX, F::of(LARGEST_LOG_SCALE)].map(|v| F::Lanes::<S>::splat(simd, v));
+    map_lanes(simd, [logs], scales, |[log]| {
+        let usable = log.simd_ge(least) & log.simd_le(largest);
+        usable.select(F::exp_lanes(log), zero)
+    });
+}
+
+#[inline(always)]
+fn rows_of<F>(values: &[F], first: usize, count: usize, columns: usize) -> &[F] {
+    &values[columns * first..columns * (first + count)]
 }
 
 /// `[N]` opacities.
 pub(crate) fn opacities_cpu<F: Real>(inputs: Inputs<F>) -> Vec<F> {
-    let count = inputs.logit_opacities.len();
-    let row = inputs.sh.len() / count.max(1);
-    let mut opacities = vec![F::ZERO; count];
+    let mut opacities = vec![F::ZERO; inputs.logit_opacities.len()];
     opacities.par_chunks_mut(CHUNK).enumerate().for_each(|(chunk, out)| {
-        for (i, out) in out.iter_mut().enumerate() {
-            let i = chunk * CHUNK + i;
-            let (mean, rotation, log_scale) =
-                (row_of(inputs.means, i, 3), row_of(inputs.rotations, i, 4), row_of(inputs.log_scales, i, 3));
-            let logit = inputs.logit_opacities[i];
-            if usable_geometry(mean, rotation, log_scale, logit) & bounded(row_of(inputs.sh, i, row)) {
-                // The exponent is never positive, so nothing overflows.
-                let e = (-logit.abs()).exp();
-                *out = if logit < F::ZERO { e } else { F::ONE } / (F::ONE + e);
-            }
-        }
+        dispatch!(Level::new(), simd => opacities_chunk(simd, &inputs, chunk * CHUNK, out));
     });
     opacities
 }
 
+#[inline(always)]
+fn opacities_chunk<S: Simd, F: Real>(simd: S, inputs: &Inputs<F>, first: usize, out: &mut [F]) {
+    let count = inputs.logit_opacities.len();
+    let coefficients = inputs.sh.len() / count.max(1);
+    let [zero, one] = [F::ZERO, F::ONE].map(|value| F::Lanes::<S>::splat(simd, value));
+    map_lanes(simd, [rows_of(inputs.logit_opacities, first, out.len(), 1)], out, |[logit]| {
+        // The exponent is never positive, so nothing overflows.
+        let e = F::exp_lanes(-logit.abs());
+        logit.simd_lt(zero).select(e, one) / (e + one)
+    });
+    for (block, out) in out.chunks_mut(BLOCK).enumerate() {
+        let (first, count) = (first + block * BLOCK, out.len());
+        let turned = |rotation: &[F]| rotation.iter().any(|c| *c != F::ZERO);
+        let (means, rotations) = (rows_of(inputs.means, first, count, 3), rows_of(inputs.rotations, first, count, 4));
+        let log_scales = rows_of(inputs.log_scales, first, count, 3);
+        let logits = rows_of(inputs.logit_opacities, first, count, 1);
+        let sh = rows_of(inputs.sh, first, count, coefficients);
+        // Almost always all are usable, which takes no look at each.
+        let all = bounded(sh)
+            & bounded(means)
+            & log_scales.iter().fold(true, |all, value| all & usable_log_scale(*value))
+            & rotations.iter().chain(logits).fold(true, |all, value| all & value.finite())
+            & rotations.chunks_exact(4).all(turned);
+        if all {
+            continue;
+        }
+        for (i, out) in out.iter_mut().enumerate() {
+            let one = |values, columns| rows_of(values, i, 1, columns);
+            let geometry = usable_geometry(one(means, 3), one(rotations, 4), one(log_scales, 3), logits[i]);
+            if !(geometry & bounded(one(sh, coefficients))) {
+                *out = F::ZERO;
+            }
+        }
+    }
+}
+
 /// `[N]`: derivatives of the opacities with respect to their logits; zero where an opacity is, masked or faded to nothing.
 pub(crate) fn opacity_slopes_cpu<F: Real>(logit_opacities: &[F], opacities: &[F]) -> Vec<F> {
-    let slope = |(logit, opacity): (&F, &F)| {
-        if !(*opacity > F::ZERO) {
-            return F::ZERO;
-        }
-        let e = (-logit.abs()).exp();
-        let sum = F::ONE + e;
-        e / (sum * sum)
-    };
-    logit_opacities.par_iter().zip(opacities).map(slope).collect()
+    let mut slopes = vec![F::ZERO; opacities.len()];
+    let chunks = slopes.par_chunks_mut(CHUNK).zip(logit_opacities.par_chunks(CHUNK)).zip(opacities.par_chunks(CHUNK));
+    chunks.for_each(|((slopes, logits), opacities)| {
+        dispatch!(Level::new(), simd => slopes_chunk(simd, [logits, opacities], slopes));
+    });
+    slopes
+}
+
+#[inline(always)]
+fn slopes_chunk<S: Simd, F: Real>(simd: S, inputs: [&[F]; 2], slopes: &mut [F]) {
+    let [zero, one] = [F::ZERO, F::ONE].map(|value| F::Lanes::<S>::splat(simd, value));
+    map_lanes(simd, inputs, slopes, |[logit, opacity]| {
+        let e = F::exp_lanes(-logit.abs());
+        let sum = e + one;
+        opacity.simd_gt(zero).select(e / (sum * sum), zero)
+    });
 }
 
 /// Whether all values are finite.

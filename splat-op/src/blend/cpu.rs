@@ -302,8 +302,6 @@ fn gather<F: Real>(
         mean2d_abs: rows(needs.mean2d_abs, 2),
     };
     let hits = prepared.hits;
-    let mut rank = vec![u32::MAX; count];
-    hits.visible.iter().enumerate().for_each(|(place, &gaussian)| rank[gaussian as usize] = place as u32);
     let chunks = count.div_ceil(CHUNK);
     let mut projected: Vec<&mut [F]> = grads.projected.chunks_mut(CHUNK * COLUMNS).collect();
     let mut feature_rows: Vec<&mut [F]> = grads.features.chunks_mut(CHUNK * features).collect();
@@ -314,11 +312,11 @@ fn gather<F: Real>(
     (projected, feature_rows, absolute).into_par_iter().enumerate().for_each(
         |(chunk, (projected, feature, absolute))| {
             let mut sum = vec![F::ZERO; columns];
-            for (i, &place) in rank[chunk * CHUNK..count.min((chunk + 1) * CHUNK)].iter().enumerate() {
-                if place == u32::MAX {
-                    continue;
-                }
-                let range = hits.visible_start[place as usize]..hits.visible_start[place as usize + 1];
+            let first = chunk * CHUNK;
+            let place = |gaussian: usize| hits.visible.partition_point(|&visible| (visible as usize) < gaussian);
+            for place in place(first)..place(first + CHUNK) {
+                let i = hits.visible[place] as usize - first;
+                let range = hits.visible_start[place] as usize..hits.visible_start[place + 1] as usize;
                 sum.fill(F::ZERO);
                 for &hit in &hits.hit_of_visible[range] {
                     let row = &hit_sums[hit as usize * columns..(hit as usize + 1) * columns];
@@ -326,7 +324,7 @@ fn gather<F: Real>(
                 }
                 let (moments, colours) = sum.split_at(MOMENTS);
                 if needs.projected {
-                    let row = &inputs.projected[(chunk * CHUNK + i) * COLUMNS..];
+                    let row = &inputs.projected[(first + i) * COLUMNS..];
                     let depth = if prepared.channels > features { colours[features] } else { F::ZERO };
                     let grad = ellipse_gradient(&Ellipse::from_row(row), moments, depth);
                     projected[i * COLUMNS..(i + 1) * COLUMNS].copy_from_slice(&grad.to_row());

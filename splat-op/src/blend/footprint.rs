@@ -5,7 +5,7 @@ use fearless_simd::prelude::*;
 use crate::project::Ellipse;
 use crate::real::{LANES, Real};
 use crate::tile::TILE;
-use crate::tile::cpu::{half_extent, whitened_limit};
+use crate::tile::reach::{half_extent, whitened_limit};
 
 /// Vectors along a row of a tile.
 pub(super) const ROW_VECTORS: usize = TILE / LANES;

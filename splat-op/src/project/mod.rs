@@ -20,6 +20,7 @@
 #[cfg(feature = "cube")]
 mod backward;
 pub(crate) mod cpu;
+mod eight;
 #[cfg(feature = "cube")]
 mod forward;
 #[cfg(all(test, feature = "cube"))]

@@ -14,6 +14,7 @@ pub(crate) mod forward;
 mod kernel_tests;
 #[cfg(feature = "cube")]
 pub(crate) mod launch;
+pub(crate) mod reach;
 #[cfg(feature = "cube")]
 mod scan;
 #[cfg(feature = "cube")]
@@ -41,10 +42,10 @@ pub(crate) struct HitLists {
     pub tile_start: Vec<usize>,
     /// `[H]`: the Gaussian of each hit; tile by tile, within a tile front to back.
     pub gaussian: Vec<u32>,
-    /// `[V]`: the Gaussians that have hits, front to back: by depth, then by index.
+    /// `[V]`: the Gaussians that have hits, by index.
     pub visible: Vec<u32>,
     /// `[V + 1]`: where each visible Gaussian's hits begin in `hit_of_visible`.
-    pub visible_start: Vec<usize>,
+    pub visible_start: Vec<u32>,
     /// `[H]`: places in `gaussian` of each visible Gaussian's hits. Sums over a Gaussian's hits run in this order.
     pub hit_of_visible: Vec<u32>,
 }

@@ -1,0 +1,87 @@
+//! Rows of a few numbers, as tensors hold them, turned into columns, as SIMD lanes read them, and back.
+
+use fearless_simd::prelude::*;
+
+use crate::real::{LANES, Real};
+
+/// Rows that are turned at a time: enough that what is written has arrived when lanes read it, few enough to stay in the
+/// nearest cache.
+pub(crate) const BLOCK: usize = 64;
+
+/// Up to [`BLOCK`] rows of `C` numbers, column by column.
+pub(crate) struct Columns<F, const C: usize>([[F; BLOCK]; C]);
+
+impl<F: Real, const C: usize> Columns<F, C> {
+    /// Zeros.
+    #[inline(always)]
+    pub fn new() -> Self {
+        Self([[F::ZERO; BLOCK]; C])
+    }
+
+    /// Takes over up to [`BLOCK`] rows. What lies behind them stays as it was.
+    #[inline(always)]
+    pub fn read(&mut self, rows: &[F]) {
+        for (i, row) in rows.chunks_exact(C).take(BLOCK).enumerate() {
+            for (column, &value) in self.0.iter_mut().zip(row) {
+                column[i] = value;
+            }
+        }
+    }
+
+    /// The reverse of [`Self::read`].
+    #[inline(always)]
+    pub fn write(&self, rows: &mut [F]) {
+        for (i, row) in rows.chunks_exact_mut(C).take(BLOCK).enumerate() {
+            for (column, out) in self.0.iter().zip(row) {
+                *out = column[i];
+            }
+        }
+    }
+
+    /// All rows of one column.
+    #[inline(always)]
+    pub fn column(&self, column: usize) -> &[F; BLOCK] {
+        &self.0[column]
+    }
+
+    #[inline(always)]
+    pub fn lanes<S: Simd>(&self, simd: S, column: usize, first: usize) -> F::Lanes<S> {
+        F::Lanes::<S>::from_slice(simd, &self.0[column][first..first + LANES])
+    }
+
+    #[inline(always)]
+    pub fn store<S: Simd>(&mut self, column: usize, first: usize, lanes: F::Lanes<S>) {
+        lanes.store_slice(&mut self.0[column][first..first + LANES]);
+    }
+}
+
+/// Fills `out` with what `f` makes of the values at the same places, [`LANES`] at a time.
+#[inline(always)]
+pub(crate) fn map_lanes<S: Simd, F: Real, const N: usize>(
+    simd: S,
+    values: [&[F]; N],
+    out: &mut [F],
+    f: impl Fn([F::Lanes<S>; N]) -> F::Lanes<S>,
+) {
+    for (eight, out) in out.chunks_mut(LANES).enumerate() {
+        let mut lanes = [F::Lanes::<S>::splat(simd, F::ZERO); N];
+        for (lanes, values) in lanes.iter_mut().zip(values) {
+            let values = &values[eight * LANES..eight * LANES + out.len()];
+            if out.len() == LANES {
+                *lanes = F::Lanes::<S>::from_slice(simd, values);
+            } else {
+                let mut padded = [F::ZERO; LANES];
+                padded[..values.len()].copy_from_slice(values);
+                *lanes = F::Lanes::<S>::from_slice(simd, &padded);
+            }
+        }
+        let result = f(lanes);
+        if out.len() == LANES {
+            result.store_slice(out);
+        } else {
+            let mut padded = [F::ZERO; LANES];
+            result.store_slice(&mut padded);
+            out.copy_from_slice(&padded[..out.len()]);
+        }
+    }
+}

@@ -1,0 +1,388 @@
+//! The projection of eight Gaussians at a time and its gradient, one in each SIMD lane. What a lane computes that is culled is
+//! of no account, and is left out where it would be kept.
+
+use fearless_simd::prelude::*;
+
+use super::{COMPENSATION_MIN, Ellipse, ProjectSpec};
+use crate::linalg::{Mat3, add, cross, dot, hadamard, matmul, matvec, scale, sub, transposed_matvec};
+use crate::real::Real;
+
+/// The camera, as numbers or with one copy in each lane.
+pub(super) struct Lens<L> {
+    rotation: Mat3<L>,
+    translation: [L; 3],
+    focal: [L; 2],
+    principal: [L; 2],
+    /// `x/z` and `y/z` at which the Jacobian is held.
+    low: [L; 2],
+    high: [L; 2],
+    pub near: L,
+    blur: L,
+    /// `√blur`
+    blur_sigma: L,
+    antialias: bool,
+}
+
+impl<F: Real> Lens<F> {
+    pub fn new(cam_from_world: &[F], spec: &ProjectSpec) -> Self {
+        let (camera, options) = (&spec.intrinsics, &spec.options);
+        let limits = |size: usize, focal: f64, principal: f64| {
+            let margin = options.jacobian_margin * size as f64 / (2.0 * focal);
+            (F::of(-principal / focal - margin), F::of((size as f64 - principal) / focal + margin))
+        };
+        let (low_x, high_x) = limits(camera.width, camera.fx, camera.cx);
+        let (low_y, high_y) = limits(camera.height, camera.fy, camera.cy);
+        let p = cam_from_world;
+        Self {
+            rotation: [[p[0], p[1], p[2]], [p[4], p[5], p[6]], [p[8], p[9], p[10]]],
+            translation: [p[3], p[7], p[11]],
+            focal: [F::of(camera.fx), F::of(camera.fy)],
+            principal: [F::of(camera.cx), F::of(camera.cy)],
+            low: [low_x, low_y],
+            high: [high_x, high_y],
+            near: F::of(options.near),
+            blur: F::of(options.blur),
+            blur_sigma: F::of(options.blur).sqrt(),
+            antialias: options.antialias,
+        }
+    }
+
+    #[inline(always)]
+    pub fn lanes<S: Simd>(&self, simd: S) -> Lens<F::Lanes<S>> {
+        let lanes = |value: F| F::Lanes::<S>::splat(simd, value);
+        Lens {
+            rotation: self.rotation.map(|row| row.map(lanes)),
+            translation: self.translation.map(lanes),
+            focal: self.focal.map(lanes),
+            principal: self.principal.map(lanes),
+            low: self.low.map(lanes),
+            high: self.high.map(lanes),
+            near: lanes(self.near),
+            blur: lanes(self.blur),
+            blur_sigma: lanes(self.blur_sigma),
+            antialias: self.antialias,
+        }
+    }
+}
+
+/// Parameters, or their gradients.
+pub(super) struct Gaussians<L> {
+    pub mean: [L; 3],
+    pub rotation: [L; 4],
+    pub scale: [L; 3],
+    pub opacity: L,
+}
+
+impl<L: Copy> Gaussians<L> {
+    #[inline(always)]
+    fn all<S: Simd, F: Real<Lanes<S> = L>>(&self, mut holds: impl FnMut(L) -> MaskOf<S, F>) -> MaskOf<S, F>
+    where
+        L: SimdFloat<S, Element = F>,
+    {
+        let mut all = holds(self.opacity);
+        for value in self.mean.into_iter().chain(self.rotation).chain(self.scale) {
+            all = all & holds(value);
+        }
+        all
+    }
+}
+
+type MaskOf<S, F> = <<F as Real>::Lanes<S> as SimdBase<S>>::Mask;
+type Vector<S, F> = [<F as Real>::Lanes<S>; 3];
+
+/// What the forward pass computes on its way and the backward pass needs again.
+pub(super) struct Projection<S: Simd, F: Real> {
+    simd: S,
+    /// Not culled: finite, with a rotation, and in front of the near plane.
+    seen: MaskOf<S, F>,
+    mean_cam: Vector<S, F>,
+    /// `x/z, y/z`; the slopes at which the Jacobian is taken; whether each is free (not held at a limit).
+    ratio: [F::Lanes<S>; 2],
+    slope: [F::Lanes<S>; 2],
+    slope_free: [MaskOf<S, F>; 2],
+    quaternion: [F::Lanes<S>; 4],
+    quaternion_length: F::Lanes<S>,
+    world_from_gaussian: Mat3<F::Lanes<S>>,
+    cam_from_gaussian: Mat3<F::Lanes<S>>,
+    /// `j0, j1`: rows of `J W R`; `m0, m1`: the same times the scales.
+    j: [Vector<S, F>; 2],
+    m: [Vector<S, F>; 2],
+    /// `n = m0 / sigma_u`, `along = m1 / sigma_u`, `p = n × m1`.
+    n: Vector<S, F>,
+    along: Vector<S, F>,
+    p: Vector<S, F>,
+    sigma_u: F::Lanes<S>,
+    shear: F::Lanes<S>,
+    sigma_v: F::Lanes<S>,
+    /// What the opacity is multiplied by, and whether it is free (not held at its floor); one throughout without anti-aliasing.
+    compensation: F::Lanes<S>,
+    compensation_free: MaskOf<S, F>,
+}
+
+impl<S: Simd, F: Real> Projection<S, F> {
+    #[inline(always)]
+    pub fn new(simd: S, g: &Gaussians<F::Lanes<S>>, lens: &Lens<F::Lanes<S>>) -> Self {
+        let lanes = |value: F| F::Lanes::<S>::splat(simd, value);
+        let (zero, one, largest) = (lanes(F::ZERO), lanes(F::ONE), lanes(F::MAX));
+        let finite = |value: F::Lanes<S>| value.abs().simd_le(largest);
+
+        let mean_cam = add(matvec(&lens.rotation, g.mean), lens.translation);
+        let [x, y, z] = mean_cam;
+        let ratio = [x / z, y / z];
+        let (quaternion, quaternion_length) = unit_quaternion::<S, F>(simd, g.rotation);
+        let mut seen = g.all(finite) & z.simd_gt(lens.near) & z.simd_gt(zero) & finite(z);
+        seen = seen & finite(ratio[0]) & finite(ratio[1]) & quaternion_length.simd_gt(zero);
+        let world_from_gaussian = rotation_of(one, quaternion);
+        let cam_from_gaussian = matmul(&lens.rotation, &world_from_gaussian);
+
+        let slope = [ratio[0].max(lens.low[0]).min(lens.high[0]), ratio[1].max(lens.low[1]).min(lens.high[1])];
+        let slope_free = [slope[0].simd_eq(ratio[0]), slope[1].simd_eq(ratio[1])];
+        let row = |axis: usize| {
+            let leaning = sub(cam_from_gaussian[axis], scale(cam_from_gaussian[2], slope[axis]));
+            scale(leaning, lens.focal[axis] / z)
+        };
+        let j = [row(0), row(1)];
+        let m = [hadamard(j[0], g.scale), hadamard(j[1], g.scale)];
+
+        let norm = |v| norm::<S, F>(simd, v);
+        let sigma_u = norm([norm(m[0]), lens.blur_sigma, zero]);
+        let n = scale(m[0], one / sigma_u);
+        let along = scale(m[1], one / sigma_u);
+        let p = cross(n, m[1]);
+        let p_norm = norm(p);
+        let sigma_v = norm([lens.blur_sigma, p_norm, lens.blur_sigma * norm(along)]);
+        let shear = dot(n, along);
+        seen = seen & sigma_u.simd_gt(zero) & finite(sigma_u) & sigma_v.simd_gt(zero) & finite(sigma_v) & finite(shear);
+        let (compensation, compensation_free) = if lens.antialias {
+            let (areas, floor) = (p_norm / sigma_v, lanes(F::of(COMPENSATION_MIN)));
+            let free = areas.simd_gt(floor);
+            (free.select(areas, floor), free)
+        } else {
+            (one, zero.simd_gt(zero))
+        };
+        Self {
+            simd,
+            seen,
+            mean_cam,
+            ratio,
+            slope,
+            slope_free,
+            quaternion,
+            quaternion_length,
+            world_from_gaussian,
+            cam_from_gaussian,
+            j,
+            m,
+            n,
+            along,
+            p,
+            sigma_u,
+            shear,
+            sigma_v,
+            compensation,
+            compensation_free,
+        }
+    }
+
+    #[inline(always)]
+    fn lanes(&self, value: F) -> F::Lanes<S> {
+        F::Lanes::<S>::splat(self.simd, value)
+    }
+
+    #[inline(always)]
+    pub fn ellipse(&self, lens: &Lens<F::Lanes<S>>, g: &Gaussians<F::Lanes<S>>) -> Ellipse<F::Lanes<S>> {
+        let (zero, one) = (self.lanes(F::ZERO), self.lanes(F::ONE));
+        let seen = |value: F::Lanes<S>| self.seen.select(value, zero);
+        let centre = |axis: usize| seen(lens.focal[axis] * self.ratio[axis] + lens.principal[axis]);
+        Ellipse {
+            mean_px: [centre(0), centre(1)],
+            sigma_u: self.seen.select(self.sigma_u, one),
+            shear: seen(self.shear),
+            sigma_v: self.seen.select(self.sigma_v, one),
+            depth: seen(self.mean_cam[2]),
+            opacity: seen(g.opacity * self.compensation),
+        }
+    }
+
+    /// Gradients of `m0, m1` and of the opacity from those of the ellipse.
+    #[inline(always)]
+    fn factor_backward(
+        &self,
+        lens: &Lens<F::Lanes<S>>,
+        opacity: F::Lanes<S>,
+        grad: &Ellipse<F::Lanes<S>>,
+    ) -> ([Vector<S, F>; 2], F::Lanes<S>) {
+        let zero = self.lanes(F::ZERO);
+        let mut grad_p = [zero; 3];
+        let mut grad_along = scale(self.n, grad.shear);
+        if lens.antialias {
+            // With P = |p| and S = sigma_v, whose square is ε + P² + ε |along|²:
+            // d(P/S) = (ε + ε |along|²)/S² dP/S − P/S ε along·d along / S². Without blur nothing is left, and it is exactly
+            // zero: no difference of almost equal numbers.
+            let norm = |v| norm::<S, F>(self.simd, v);
+            let one = self.lanes(F::ONE);
+            let grad_compensation = grad.opacity * opacity;
+            let blurred = lens.blur_sigma / self.sigma_v;
+            let lost = blurred * norm([one, norm(self.along), zero]);
+            let unit = scale(self.p, one / norm(self.p));
+            let through_p = scale(unit, grad_compensation * lost * lost / self.sigma_v);
+            let through_along = scale(self.along, grad_compensation * self.compensation * blurred * blurred);
+            for axis in 0..3 {
+                grad_p[axis] = self.compensation_free.select(through_p[axis], zero);
+                grad_along[axis] = grad_along[axis] - self.compensation_free.select(through_along[axis], zero);
+            }
+        }
+        let relative = grad.sigma_v / self.sigma_v;
+        grad_p = add(grad_p, scale(self.p, relative));
+        grad_along = add(grad_along, scale(self.along, lens.blur * relative));
+        let grad_n = add(scale(self.along, grad.shear), cross(self.m[1], grad_p));
+        let inverse = self.lanes(F::ONE) / self.sigma_u;
+        let grad_sigma_u = grad.sigma_u - (dot(grad_along, self.along) + dot(grad_n, self.n)) * inverse;
+        let grad_m0 = add(scale(grad_n, inverse), scale(self.n, grad_sigma_u));
+        let grad_m1 = add(cross(grad_p, self.n), scale(grad_along, inverse));
+        ([grad_m0, grad_m1], grad.opacity * self.compensation)
+    }
+
+    /// Gradients from that of the ellipse; zero where that is zero. Adds those of the pose, row by row, to `pose`.
+    #[inline(always)]
+    pub fn backward(
+        &self,
+        lens: &Lens<F::Lanes<S>>,
+        g: &Gaussians<F::Lanes<S>>,
+        grad: &Ellipse<F::Lanes<S>>,
+        pose: Option<&mut [F::Lanes<S>; 12]>,
+    ) -> Gradients<F::Lanes<S>> {
+        let zero = self.lanes(F::ZERO);
+        let mut takes_part = zero.simd_gt(zero);
+        for value in grad.to_row() {
+            takes_part = takes_part | !value.simd_eq(zero);
+        }
+        takes_part = takes_part & self.seen;
+
+        let (grad_m, grad_opacity) = self.factor_backward(lens, g.opacity, grad);
+        let inverse_z = self.lanes(F::ONE) / self.mean_cam[2];
+        let mut grad_cam = [zero, zero, grad.depth];
+        let mut grad_cam_from_gaussian = [[zero; 3]; 3];
+        let mut grad_scale = [zero; 3];
+        for axis in 0..2 {
+            let per_z = lens.focal[axis] * inverse_z;
+            grad_scale = add(grad_scale, hadamard(grad_m[axis], self.j[axis]));
+            // j = (focal / z) (row - slope · last row)
+            let grad_j = hadamard(grad_m[axis], g.scale);
+            let grad_leaning = scale(grad_j, per_z);
+            grad_cam_from_gaussian[axis] = grad_leaning;
+            grad_cam_from_gaussian[2] = sub(grad_cam_from_gaussian[2], scale(grad_leaning, self.slope[axis]));
+            grad_cam[2] = grad_cam[2] - dot(grad_j, self.j[axis]) * inverse_z;
+            let through_slope = dot(grad_leaning, self.cam_from_gaussian[2]);
+            let grad_ratio = grad.mean_px[axis] * lens.focal[axis] - self.slope_free[axis].select(through_slope, zero);
+            grad_cam[axis] = grad_ratio * inverse_z;
+            grad_cam[2] = grad_cam[2] - grad_ratio * self.ratio[axis] * inverse_z;
+        }
+
+        // cam_from_gaussian = pose rotation · world_from_gaussian
+        if let Some(pose) = pose {
+            for (axis, pose) in pose.chunks_exact_mut(4).enumerate() {
+                let through_rotation = matvec(&self.world_from_gaussian, grad_cam_from_gaussian[axis]);
+                let row = add(through_rotation, scale(g.mean, grad_cam[axis]));
+                for (sum, value) in pose.iter_mut().zip(row.into_iter().chain([grad_cam[axis]])) {
+                    *sum = *sum + takes_part.select(value, zero);
+                }
+            }
+        }
+        let mut grad_world_from_gaussian = [[zero; 3]; 3];
+        for column in 0..3 {
+            let of_camera = [0, 1, 2].map(|row| grad_cam_from_gaussian[row][column]);
+            let of_world = transposed_matvec(&lens.rotation, of_camera);
+            for row in 0..3 {
+                grad_world_from_gaussian[row][column] = of_world[row];
+            }
+        }
+        let rotation = self.quaternion_backward(&grad_world_from_gaussian);
+        let kept = |value: F::Lanes<S>| takes_part.select(value, zero);
+        Gradients {
+            parameters: Gaussians {
+                mean: transposed_matvec(&lens.rotation, grad_cam).map(kept),
+                rotation: rotation.map(kept),
+                scale: grad_scale.map(kept),
+                opacity: kept(grad_opacity),
+            },
+            mean2d: grad.mean_px.map(kept),
+        }
+    }
+
+    /// Gradient of a quaternion of any length from that of its rotation matrix: through [`rotation_of`], then through the
+    /// normalisation `q / |q|`, which leaves only what is normal to the unit quaternion. Where the length is so short that the
+    /// gradient is beyond the float's range, it is held at its end.
+    #[inline(always)]
+    fn quaternion_backward(&self, g: &Mat3<F::Lanes<S>>) -> [F::Lanes<S>; 4] {
+        let [w, x, y, z] = self.quaternion;
+        let two = F::of(2.0);
+        // The antisymmetric part of `g`, and its symmetric sums.
+        let (ax, ay, az) = (g[2][1] - g[1][2], g[0][2] - g[2][0], g[1][0] - g[0][1]);
+        let (sx, sy, sz) = (g[2][1] + g[1][2], g[0][2] + g[2][0], g[1][0] + g[0][1]);
+        let grad_unit = [
+            (x * ax + y * ay + z * az) * two,
+            (w * ax + y * sz + z * sy - x * (g[1][1] + g[2][2]) * two) * two,
+            (w * ay + x * sz + z * sx - y * (g[0][0] + g[2][2]) * two) * two,
+            (w * az + x * sy + y * sx - z * (g[0][0] + g[1][1]) * two) * two,
+        ];
+        let radial = grad_unit[0] * w + grad_unit[1] * x + grad_unit[2] * y + grad_unit[3] * z;
+        let (low, high) = (self.lanes(-F::MAX), self.lanes(F::MAX));
+        let mut out = grad_unit;
+        for (out, unit) in out.iter_mut().zip(self.quaternion) {
+            // Written so that what is not a number stays none, and is found.
+            let value = (*out - unit * radial) / self.quaternion_length;
+            let value = value.simd_lt(low).select(low, value);
+            *out = value.simd_gt(high).select(high, value);
+        }
+        out
+    }
+}
+
+/// Gradients of eight Gaussians.
+pub(super) struct Gradients<L> {
+    pub parameters: Gaussians<L>,
+    /// At the projected centres, per px.
+    pub mean2d: [L; 2],
+}
+
+/// Length of vectors, without overflow or underflow on the way.
+#[inline(always)]
+fn norm<S: Simd, F: Real>(simd: S, v: Vector<S, F>) -> F::Lanes<S> {
+    let lanes = |value: f64| F::Lanes::<S>::splat(simd, F::of(value));
+    let squared = dot(v, v);
+    // Within these bounds no square has overflowed, and any that underflowed is too small to count.
+    let in_range = squared.simd_gt(lanes(1e-20)) & squared.simd_lt(lanes(1e30));
+    let plain = squared.sqrt();
+    if in_range.all_true() {
+        return plain;
+    }
+    let largest = v[0].abs().max(v[1].abs()).max(v[2].abs());
+    let unit = [v[0] / largest, v[1] / largest, v[2] / largest];
+    let scaled = largest.simd_gt(lanes(0.0)).select(largest * dot(unit, unit).sqrt(), largest);
+    in_range.select(plain, scaled)
+}
+
+/// Quaternions of length one and the lengths of those given; no numbers for length zero. Scaled first, so that no length that
+/// the float type can hold overflows or vanishes.
+#[inline(always)]
+fn unit_quaternion<S: Simd, F: Real>(simd: S, q: [F::Lanes<S>; 4]) -> ([F::Lanes<S>; 4], F::Lanes<S>) {
+    let largest = q[0].abs().max(q[1].abs()).max(q[2].abs().max(q[3].abs()));
+    let scaled = q.map(|c| c / largest);
+    let [w, x, y, z] = scaled;
+    let length = (w * w + x * x + y * y + z * z).sqrt();
+    let zero = F::Lanes::<S>::splat(simd, F::ZERO);
+    let whole = largest.simd_gt(zero).select(length * largest, zero);
+    (scaled.map(|c| c / length), whole)
+}
+
+/// The rotation matrix of unit quaternions wxyz.
+#[inline(always)]
+fn rotation_of<L: crate::linalg::Entry>(one: L, [w, x, y, z]: [L; 4]) -> Mat3<L> {
+    let twice = |value: L| value + value;
+    [
+        [one - twice(y * y + z * z), twice(x * y - w * z), twice(x * z + w * y)],
+        [twice(x * y + w * z), one - twice(x * x + z * z), twice(y * z - w * x)],
+        [twice(x * z - w * y), twice(y * z + w * x), one - twice(x * x + y * y)],
+    ]
+}

@@ -1,0 +1,201 @@
+//! Which tiles a Gaussian reaches, for eight Gaussians at a time.
+
+use std::ops::Range;
+
+use fearless_simd::prelude::*;
+
+use super::{TILE, tile_grid};
+use crate::camera::Intrinsics;
+use crate::lanes::{BLOCK, Columns};
+use crate::project::{COLUMNS, Ellipse};
+use crate::real::{LANES, Real};
+
+/// The largest `u² + v²` at which a Gaussian's alpha reaches `alpha_min`; negative if none does.
+#[inline(always)]
+pub(crate) fn whitened_limit<F: Real>(opacity: F, alpha_min: F) -> F {
+    if alpha_min > F::ZERO { F::of(2.0) * (opacity / alpha_min).ln() } else { F::MAX }
+}
+
+/// Half the width and height of the box around `u² + v² <= limit`, px.
+#[inline(always)]
+pub(crate) fn half_extent<F: Real>(ellipse: &Ellipse<F>, limit: F) -> [F; 2] {
+    let reach = limit.sqrt();
+    let across = ellipse.shear * ellipse.sigma_u;
+    let vertical = crate::linalg::norm([ellipse.sigma_v, across, F::ZERO]);
+    [reach * ellipse.sigma_u, reach * vertical]
+}
+
+/// What decides how far a Gaussian reaches.
+#[derive(Clone, Copy)]
+pub(super) struct Reach<F> {
+    grid: [usize; 2],
+    /// Of the picture, px.
+    size: [F; 2],
+    alpha_min: F,
+}
+
+impl<F: Real> Reach<F> {
+    pub fn new(camera: &Intrinsics, alpha_min: f64) -> Self {
+        Self {
+            grid: tile_grid(camera.width, camera.height),
+            size: [camera.width, camera.height].map(|px| F::of(px as f64)),
+            alpha_min: F::of(alpha_min),
+        }
+    }
+
+    /// Adds to `tiles` those of each of up to [`BLOCK`] Gaussians in turn: the tiles whose rectangle of pixel centres its
+    /// ellipse meets. Returns how many each has.
+    #[inline(always)]
+    pub fn emit<S: Simd>(&self, simd: S, rows: &[F], scratch: &mut Scratch<F>, tiles: &mut Vec<u32>) -> [u32; BLOCK] {
+        let count = rows.len() / COLUMNS;
+        scratch.ellipses.read(rows);
+        let opacities = scratch.ellipses.column(6);
+        for (limit, opacity) in scratch.limits.iter_mut().zip(opacities).take(count) {
+            // A relative margin for the logarithm, an absolute one for the exponential.
+            *limit = whitened_limit(*opacity, self.alpha_min) * F::of(1.0 + 1e-5) + F::of(1e-4);
+        }
+        let mut counts = [0; BLOCK];
+        for first in (0..count).step_by(LANES) {
+            let eight = Eight::read(simd, self, scratch, first);
+            let [mut top, mut end] = [[F::ZERO; LANES]; 2];
+            eight.rows.0.store_slice(&mut top);
+            eight.rows.1.store_slice(&mut end);
+            let rows: [Range<usize>; LANES] = std::array::from_fn(|lane| top[lane].index()..end[lane].index());
+            scratch.spans.clear();
+            for row in 0..rows.iter().map(Range::len).max().unwrap_or(0) {
+                let mut span = [[F::ZERO; LANES]; 2];
+                let (from, to) = eight.span(self, F::of(row as f64));
+                from.store_slice(&mut span[0]);
+                to.store_slice(&mut span[1]);
+                scratch.spans.push(span);
+            }
+            for (lane, rows) in rows.into_iter().enumerate().take(count - first) {
+                let before = tiles.len();
+                for (y, [from, to]) in rows.zip(&scratch.spans) {
+                    let row = (y * self.grid[0]) as u32;
+                    tiles.extend(row + from[lane].index() as u32..row + to[lane].index() as u32);
+                }
+                counts[first + lane] = (tiles.len() - before) as u32;
+            }
+        }
+        counts
+    }
+}
+
+/// Buffers that one thread reuses.
+pub(super) struct Scratch<F> {
+    ellipses: Columns<F, COLUMNS>,
+    limits: [F; BLOCK],
+    /// For each row of tiles: the first tile and the one behind the last.
+    spans: Vec<[[F; LANES]; 2]>,
+}
+
+impl<F: Real> Default for Scratch<F> {
+    fn default() -> Self {
+        Self { ellipses: Columns::new(), limits: [F::ZERO; BLOCK], spans: Vec::new() }
+    }
+}
+
+/// Eight Gaussians.
+///
+/// The part of the ellipse `u² + v² <= r²` on a row of tiles spans an interval of `x`. With `V` its standard deviation along
+/// `y` and `c = dy / V`, the ends of its chord at `dy` are `sigma_u (c k ± h √(r² − c²))`, where `k = shear sigma_u / V` and
+/// `h = sigma_v / V`. The farthest lie at `c = ± r k`, or, where the row does not hold that, at its nearer edge.
+struct Eight<S: Simd, F: Real> {
+    mean: [F::Lanes<S>; 2],
+    sigma_u: F::Lanes<S>,
+    r: F::Lanes<S>,
+    k: F::Lanes<S>,
+    h: F::Lanes<S>,
+    /// `1 / V`
+    inverse: F::Lanes<S>,
+    /// How much higher or lower than it is a pixel may look to `blend`.
+    slip: F::Lanes<S>,
+    /// What ends along `x` are widened by for their rounding.
+    margin: F::Lanes<S>,
+    /// The first row of tiles and the one behind the last; equal for a Gaussian that cannot show.
+    rows: (F::Lanes<S>, F::Lanes<S>),
+}
+
+impl<S: Simd, F: Real> Eight<S, F> {
+    #[inline(always)]
+    fn read(simd: S, reach: &Reach<F>, scratch: &Scratch<F>, first: usize) -> Self {
+        let lanes = |value: F| F::Lanes::<S>::splat(simd, value);
+        let column = |column| scratch.ellipses.lanes(simd, column, first);
+        let [x, y, sigma_u, shear, sigma_v, depth, opacity] =
+            [column(0), column(1), column(2), column(3), column(4), column(5), column(6)];
+        let largest = lanes(F::MAX);
+        let mut shows =
+            depth.simd_gt(lanes(F::ZERO)) & opacity.simd_gt(lanes(F::ZERO)) & opacity.simd_ge(lanes(reach.alpha_min));
+        for value in [x, y, sigma_u, shear, sigma_v, depth, opacity] {
+            shows = shows & value.abs().simd_le(largest);
+        }
+
+        let across = shear * sigma_u;
+        // The length of `(sigma_v, across)`, scaled so that nothing overflows.
+        let larger = sigma_v.max(across.abs());
+        let (a, b) = (sigma_v / larger, across / larger);
+        let unit = a.mul_add(a, b * b).sqrt();
+        let (h, k, vertical) = (a / unit, b / unit, larger * unit);
+        // Where no alpha is too small the limit has no end, but nothing shows where a float can no longer hold the square.
+        let limit = F::Lanes::<S>::from_slice(simd, &scratch.limits[first..first + LANES]);
+        let r = limit.min(lanes(F::MAX.sqrt())).sqrt();
+        // `dy − shear dx` loses digits when both terms are large: neither is beyond `(|across| + sigma_v) r` where it shows.
+        let slip = (across.abs() + sigma_v) * r * lanes(F::of(16.0) * F::EPSILON);
+        let margin = |mean: F::Lanes<S>, half: F::Lanes<S>| {
+            (mean.abs() + half) * lanes(F::of(8.0) * F::EPSILON) + lanes(F::of(1e-3))
+        };
+        let half = r * vertical + slip;
+        let (top, end) = tiles((y - half, y + half), margin(y, half), reach.size[1]);
+        Self {
+            mean: [x, y],
+            sigma_u,
+            r,
+            k,
+            h,
+            inverse: lanes(F::ONE) / vertical,
+            slip,
+            margin: margin(x, r * sigma_u),
+            rows: (shows.select(top, lanes(F::ZERO)), shows.select(end, lanes(F::ZERO))),
+        }
+    }
+
+    /// On the row of tiles this many behind each one's first: the first tile and the one behind the last.
+    #[inline(always)]
+    fn span(&self, reach: &Reach<F>, row: F) -> (F::Lanes<S>, F::Lanes<S>) {
+        let lanes = |value: F| F::Lanes::<S>::splat(self.r.token(), value);
+        let first = (self.rows.0 + row) * F::of(TILE as f64);
+        let last = (first + F::of((TILE - 1) as f64)).min(lanes(reach.size[1] - F::ONE));
+        let edge = |pixel: F::Lanes<S>, slip| (pixel + F::of(0.5) - self.mean[1] + slip) * self.inverse;
+        let (top, bottom) = (edge(first, -self.slip), edge(last, self.slip));
+        let chord = |tip: F::Lanes<S>| {
+            let c = tip.max(top).min(bottom);
+            let half = (self.r * self.r - c * c).max(lanes(F::ZERO)).sqrt() * self.h;
+            (c * self.k, half)
+        };
+        let tip = self.r * self.k;
+        let (low, high) = (chord(-tip), chord(tip));
+        let low = self.mean[0] + self.sigma_u * (low.0 - low.1);
+        let high = self.mean[0] + self.sigma_u * (high.0 + high.1);
+        tiles((low, high), self.margin, reach.size[0])
+    }
+}
+
+/// The first tile and the one behind the last of those whose pixel centres, from the first to the last, meet an interval, px,
+/// that is widened by a margin. `pixels` are the picture's.
+#[inline(always)]
+fn tiles<S: Simd, L: SimdFloat<S, Element = F>, F: Real<Lanes<S> = L>>(
+    (low, high): (L, L),
+    margin: L,
+    pixels: F,
+) -> (L, L) {
+    let lanes = |value: F| L::splat(margin.token(), value);
+    let (zero, pixels, tile) = (lanes(F::ZERO), lanes(pixels), F::of(1.0 / TILE as f64));
+    // Pixel `i` has its centre at `i + 0.5`. Written so that what is not a number widens the interval.
+    let low = low - margin - F::of(0.5);
+    let low = low.simd_gt(zero).select(low, zero).ceil();
+    let high = high + margin + F::of(0.5);
+    let high = high.simd_lt(pixels).select(high, pixels).max(zero).floor();
+    // The last tile may reach beyond the picture; what begins there begins behind all tiles.
+    (low.simd_lt(pixels).select((low * tile).floor(), pixels), (high * tile).ceil())
+}
