@@ -10,6 +10,8 @@ use fearless_simd::{f32x8, f64x8, prelude::*, u32x8};
 /// Lanes per vector, for both float types, so that a tile splits the same way for both.
 pub(crate) const LANES: usize = 8;
 
+pub(crate) const EXP2_CONSTANTS: usize = 8;
+
 /// f32 or f64.
 pub(crate) trait Real:
     SimdFloatElement
@@ -57,8 +59,10 @@ pub(crate) trait Real:
     fn index(self) -> usize;
     /// The largest `q` for which [`Self::exp2_lanes`] is meant: `2^−q` is not subnormal.
     const EXP2_MAX: Self;
-    /// `2^−q` for `0 <= q <= EXP2_MAX`, within 2 ulp; anything elsewhere.
-    fn exp2_lanes<S: Simd>(q: Self::Lanes<S>) -> Self::Lanes<S>;
+    /// The constants of [`Self::exp2_lanes`].
+    const EXP2: [Self; EXP2_CONSTANTS];
+    /// `2^−q` for `0 <= q <= EXP2_MAX`, within 2 ulp; anything elsewhere. The constants are [`Self::EXP2`], one copy in each lane.
+    fn exp2_lanes<S: Simd>(q: Self::Lanes<S>, constants: &[Self::Lanes<S>; EXP2_CONSTANTS]) -> Self::Lanes<S>;
     /// `eˣ` within 1 ulp; zero or infinite beyond what the float type holds, anything for what is no number.
     fn exp_lanes<S: Simd>(x: Self::Lanes<S>) -> Self::Lanes<S>;
 
@@ -126,19 +130,30 @@ impl Real for f32 {
 
     const EXP2_MAX: Self = 126.0;
 
+    /// First what rounds to an integer when it is added and leaves it in the low bits, larger by the bias of an exponent: 1.5 · 2²³
+    /// + 127. Then the polynomial of degree 6 for `2^−s`, `|s| <= 1/2`, of least relative error, 2e-9 (Remez's exchange), a
+    /// thirtieth of an ulp.
+    const EXP2: [f32; EXP2_CONSTANTS] = [
+        12_583_039.0,
+        1.534_581_2e-4,
+        -1.339_993_1e-3,
+        9.618_489e-3,
+        -5.550_328_8e-2,
+        2.402_264_7e-1,
+        -6.931_472e-1,
+        1.0,
+    ];
+
     #[inline(always)]
-    fn exp2_lanes<S: Simd>(q: f32x8<S>) -> f32x8<S> {
-        // q = n + s with an integer n and |s| <= 1/2. Adding 1.5 * 2^23 rounds to an integer and leaves it in the low bits.
-        const ROUND: f32 = 12_582_912.0;
-        let simd = q.token();
-        let shifted = f32x8::splat(simd, ROUND) - q;
-        let s = q + (shifted - ROUND);
-        // 2^-s: the polynomial of degree 6 of least relative error, 2e-9 (Remez's exchange), a thirtieth of an ulp.
-        let mut p = f32x8::splat(simd, 1.534_581_2e-4);
-        for c in [-1.339_993_1e-3, 9.618_489e-3, -5.550_328_8e-2, 2.402_264_7e-1, -6.931_472e-1, 1.0] {
-            p = p.mul_add(s, f32x8::splat(simd, c));
+    fn exp2_lanes<S: Simd>(q: f32x8<S>, constants: &[f32x8<S>; EXP2_CONSTANTS]) -> f32x8<S> {
+        // q = n + s with an integer n and |s| <= 1/2.
+        let shifted = constants[0] - q;
+        let s = q + (shifted - constants[0]);
+        let mut p = constants[1];
+        for c in &constants[2..] {
+            p = p.mul_add(s, *c);
         }
-        let exponent: u32x8<S> = (shifted.to_bits() << 23) + (127 << 23);
+        let exponent: u32x8<S> = shifted.to_bits() << 23;
         p * f32x8::from_bits(exponent)
     }
 
@@ -173,10 +188,11 @@ impl Real for f64 {
     scalar_functions!(f64, u64, DType::F64);
 
     const EXP2_MAX: Self = 1022.0;
+    const EXP2: [f64; EXP2_CONSTANTS] = [0.0; EXP2_CONSTANTS];
 
     // The f64 path is the yardstick: the library's function, lane by lane.
     #[inline(always)]
-    fn exp2_lanes<S: Simd>(q: f64x8<S>) -> f64x8<S> {
+    fn exp2_lanes<S: Simd>(q: f64x8<S>, _: &[f64x8<S>; EXP2_CONSTANTS]) -> f64x8<S> {
         f64x8::from_fn(q.token(), |lane| (-q[lane]).exp2())
     }
 
@@ -196,13 +212,16 @@ mod tests {
         let mut worst = 0.0_f64;
         for i in 0..=400_000 {
             let q = i as f32 * (126.0 / 400_000.0);
-            let got = dispatch!(Level::new(), simd => f32::exp2_lanes(f32x8::splat(simd, q))[3]);
+            let got = dispatch!(Level::new(), simd => f32::exp2_lanes(f32x8::splat(simd, q), &f32::EXP2.map(|c| f32x8::splat(simd, c)))[3]);
             let want = (-f64::from(q)).exp2();
             worst = worst.max((f64::from(got) - want).abs() / (want * f64::from(f32::EPSILON)));
         }
         assert!(worst <= 2.0, "{worst} ulp");
         for (q, power) in [(0.0, 1.0), (1.0, 0.5), (126.0, f32::MIN_POSITIVE)] {
-            assert_eq!(dispatch!(Level::new(), simd => f32::exp2_lanes(f32x8::splat(simd, q))[0]), power);
+            assert_eq!(
+                dispatch!(Level::new(), simd => f32::exp2_lanes(f32x8::splat(simd, q), &f32::EXP2.map(|c| f32x8::splat(simd, c)))[0]),
+                power
+            );
         }
     }
 

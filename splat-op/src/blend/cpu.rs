@@ -5,7 +5,7 @@ use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
 
 use super::footprint::{Footprint, UNWHITEN};
-use super::tile::{Thresholds, TileView, blend_tile, is_long};
+use super::tile::{Plane, Thresholds, TileView, blend_tile, is_long};
 use super::tile_backward::{MOMENTS, Scratch, TileGrad, blend_tile_backward};
 use super::{BlendNeeds, BlendSpec};
 use crate::project::{COLUMNS, Ellipse};
@@ -81,10 +81,6 @@ impl<'a, F: Real> Prepared<'a, F> {
         }
     }
 
-    fn tiles(&self) -> usize {
-        self.grid[0] * self.grid[1]
-    }
-
     fn view(&self, tile: usize) -> TileView<'_, F> {
         let origin = [tile % self.grid[0] * TILE, tile / self.grid[0] * TILE];
         TileView {
@@ -130,51 +126,63 @@ pub(crate) fn blend_cpu<F: Real>(
     let prepared = Prepared::new(inputs, spec, hits);
     let [alpha_min, alpha_max, transmittance_min] = prepared.thresholds;
     let plane_count = prepared.channels + 1;
-    let mut by_tile = vec![F::ZERO; prepared.tiles() * plane_count * TILE_PIXELS];
-    let traces = by_tile
-        .par_chunks_mut(plane_count * TILE_PIXELS)
-        .enumerate()
-        .map(|(tile, planes)| {
-            let view = prepared.view(tile);
-            let mut checkpoints = Vec::new();
-            let passed = specialised!(prepared.channels, is_long(view.gaussians.len(), alpha_min), simd, C, IS_LONG => {
-                let thresholds = Thresholds::new(simd, alpha_min, alpha_max, transmittance_min);
-                blend_tile::<_, F, C, IS_LONG>(simd, &view, &thresholds, planes, keep.then_some(&mut checkpoints))
-            });
-            TileTrace { passed, checkpoints }
-        })
-        .collect();
-    let planes = planes_from_tiles(&by_tile, inputs.background, spec, &prepared);
-    (planes, keep.then_some(Trace(traces)))
+    let [width, height] = prepared.size;
+    let mut planes = vec![F::ZERO; spec.planes(inputs.background.len()) * width * height];
+    // A row of tiles has its rows in every plane.
+    let mut strips: Vec<Vec<&mut [F]>> = (0..prepared.grid[1]).map(|_| Vec::with_capacity(plane_count)).collect();
+    for plane in planes.chunks_mut(width * height) {
+        strips.iter_mut().zip(plane.chunks_mut(TILE * width)).for_each(|(strip, rows)| strip.push(rows));
+    }
+    let blend_strip = |(y, mut strip): (usize, Vec<&mut [F]>)| {
+        let columns = prepared.grid[0];
+        let mut by_tile = vec![F::ZERO; columns * plane_count * TILE_PIXELS];
+        let traces: Vec<TileTrace<F>> = by_tile
+            .par_chunks_mut(plane_count * TILE_PIXELS)
+            .enumerate()
+            .map(|(x, planes)| {
+                let view = prepared.view(y * columns + x);
+                let mut checkpoints = Vec::new();
+                let passed = specialised!(prepared.channels, is_long(view.gaussians.len(), alpha_min), simd, C, IS_LONG => {
+                    let thresholds = Thresholds::new(simd, alpha_min, alpha_max, transmittance_min);
+                    blend_tile::<_, F, C, IS_LONG>(simd, &view, &thresholds, planes, keep.then_some(&mut checkpoints))
+                });
+                TileTrace { passed, checkpoints }
+            })
+            .collect();
+        compose(&by_tile, inputs.background, &prepared, &mut strip);
+        traces
+    };
+    let traces: Vec<Vec<TileTrace<F>>> = strips.into_par_iter().enumerate().map(blend_strip).collect();
+    (planes, keep.then(|| Trace(traces.into_iter().flatten().collect())))
 }
 
-/// Composes each tile's sums and transmittance over the background and lays the planes out by rows of the picture.
-fn planes_from_tiles<F: Real>(by_tile: &[F], background: &[F], spec: &BlendSpec, prepared: &Prepared<F>) -> Vec<F> {
-    let ([width, height], features) = (prepared.size, background.len());
+/// Composes the sums and transmittances of a row of tiles over the background into its part of each plane.
+fn compose<F: Real>(by_tile: &[F], background: &[F], prepared: &Prepared<F>, strip: &mut [&mut [F]]) {
+    let (width, features) = (prepared.size[0], background.len());
     let plane_count = prepared.channels + 1;
-    let mut planes = vec![F::ZERO; spec.planes(features) * width * height];
-    planes.par_chunks_mut(width).enumerate().for_each(|(line, out)| {
-        let (plane, y) = (line / height, line % height);
-        for (tile_x, out) in out.chunks_mut(TILE).enumerate() {
-            let tile = (y / TILE) * prepared.grid[0] + tile_x;
-            let row = |plane: usize| {
-                let first = (tile * plane_count + plane) * TILE_PIXELS + y % TILE * TILE;
-                &by_tile[first..first + TILE]
-            };
-            let transmittance = row(prepared.channels);
-            match plane {
-                _ if plane < features => {
-                    let composed = row(plane).iter().zip(transmittance).map(|(&sum, &t)| sum + t * background[plane]);
-                    out.iter_mut().zip(composed).for_each(|(out, value)| *out = value);
+    for (plane, rows) in strip.iter_mut().enumerate() {
+        for (y, row) in rows.chunks_mut(width).enumerate() {
+            for (tile, out) in row.chunks_mut(TILE).enumerate() {
+                let of = |plane: usize| {
+                    let first = (tile * plane_count + plane) * TILE_PIXELS + y * TILE;
+                    &by_tile[first..first + TILE]
+                };
+                let transmittance = of(prepared.channels);
+                match plane {
+                    _ if plane < features => {
+                        let composed =
+                            of(plane).iter().zip(transmittance).map(|(&sum, &t)| sum + t * background[plane]);
+                        out.iter_mut().zip(composed).for_each(|(out, value)| *out = value);
+                    }
+                    // In the picture alpha precedes depth; in the tile it is last.
+                    _ if plane == features => {
+                        out.iter_mut().zip(transmittance).for_each(|(out, &t)| *out = F::ONE - t);
+                    }
+                    _ => out.copy_from_slice(&of(features)[..out.len()]),
                 }
-                _ if plane == features => {
-                    out.iter_mut().zip(transmittance).for_each(|(out, &t)| *out = F::ONE - t);
-                }
-                _ => out.copy_from_slice(&row(features)[..out.len()]),
             }
         }
-    });
-    planes
+    }
 }
 
 /// Gradients of the inputs from `grad`, that of the planes. Without a trace the forward pass runs again.
@@ -240,6 +248,7 @@ fn tile_sums<F: Real>(
     let features = background.len();
     tile_gradient(prepared, &view, background, grad, buffers);
     let Buffers { planes, behind, scratch } = buffers;
+    let planes = planes.as_chunks().0;
     let tile_grad = TileGrad { planes, behind, checkpoints: &trace.checkpoints, passed: trace.passed, absolute };
     let [alpha_min, alpha_max, transmittance_min] = prepared.thresholds;
     let mut transmittance = [F::ZERO; TILE_PIXELS];
@@ -248,8 +257,8 @@ fn tile_sums<F: Real>(
         let out = (sums, &mut transmittance);
         blend_tile_backward::<_, F, C, IS_LONG>(simd, &view, &tile_grad, &thresholds, out, scratch);
     });
-    let through = |plane: &[F]| plane.iter().zip(transmittance).map(|(&g, t)| g * t.abs()).sum();
-    planes.chunks_exact(TILE_PIXELS).take(features).map(through).collect()
+    let through = |plane: &Plane<F>| plane.iter().zip(transmittance).map(|(&g, t)| g * t.abs()).sum();
+    planes.iter().take(features).map(through).collect()
 }
 
 /// The gradient of a tile's own planes (sums and alpha) and of what lies behind all layers, from that of the picture's.
@@ -318,9 +327,9 @@ fn gather<F: Real>(
                 let i = hits.visible[place] as usize - first;
                 let range = hits.visible_start[place] as usize..hits.visible_start[place + 1] as usize;
                 sum.fill(F::ZERO);
-                for &hit in &hits.hit_of_visible[range] {
-                    let row = &hit_sums[hit as usize * columns..(hit as usize + 1) * columns];
-                    sum.iter_mut().zip(row).for_each(|(sum, &value)| *sum += value);
+                match columns {
+                    RGB_COLUMNS => add_rows_of::<F, RGB_COLUMNS>(hit_sums, &hits.hit_of_visible[range], &mut sum),
+                    _ => add_rows(hit_sums, &hits.hit_of_visible[range], &mut sum),
                 }
                 let (moments, colours) = sum.split_at(MOMENTS);
                 if needs.projected {
@@ -342,6 +351,30 @@ fn gather<F: Real>(
         },
     );
     grads
+}
+
+/// Columns of the sums of a picture of three channels.
+const RGB_COLUMNS: usize = MOMENTS + 3;
+
+/// Adds rows of `hit_sums` to `sum`.
+#[inline(always)]
+fn add_rows<F: Real>(hit_sums: &[F], rows: &[u32], sum: &mut [F]) {
+    let columns = sum.len();
+    for &row in rows {
+        let row = &hit_sums[row as usize * columns..(row as usize + 1) * columns];
+        sum.iter_mut().zip(row).for_each(|(sum, &value)| *sum += value);
+    }
+}
+
+/// [`add_rows`] where their length is known at compile time: the fewer instructions a row takes, the more are fetched at a time.
+#[inline(always)]
+fn add_rows_of<F: Real, const COLUMNS: usize>(hit_sums: &[F], rows: &[u32], sum: &mut [F]) {
+    let table = hit_sums.as_chunks::<COLUMNS>().0;
+    let mut total = [F::ZERO; COLUMNS];
+    for &row in rows {
+        total.iter_mut().zip(&table[row as usize]).for_each(|(sum, &value)| *sum += value);
+    }
+    sum.copy_from_slice(&total);
 }
 
 /// From the sums of `h, h u, h v, h u², h u v, h v²` to the gradient of the ellipse. With `e = −(u² + v²)/2`:

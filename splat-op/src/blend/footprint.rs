@@ -86,6 +86,8 @@ pub(super) struct Splat<S: Simd, F: Real> {
     simd: S,
     pub footprint: Footprint<F>,
     mean_x: F::Lanes<S>,
+    /// From the tile's first row to the mean, px.
+    rise: F,
     pub inverse_u: F::Lanes<S>,
     pub inverse_v: F::Lanes<S>,
     shear: F::Lanes<S>,
@@ -94,13 +96,15 @@ pub(super) struct Splat<S: Simd, F: Real> {
 }
 
 impl<S: Simd, F: Real> Splat<S, F> {
+    /// A Gaussian as the tile sees it whose upper border is at `top` px.
     #[inline(always)]
-    pub fn new(simd: S, footprint: Footprint<F>) -> Self {
+    pub fn new(simd: S, footprint: Footprint<F>, top: F) -> Self {
         let lanes = |value| F::Lanes::<S>::splat(simd, value);
         Self {
             simd,
             footprint,
             mean_x: lanes(footprint.mean_px[0]),
+            rise: top + F::of(0.5) - footprint.mean_px[1],
             inverse_u: lanes(footprint.inverse_u),
             inverse_v: lanes(footprint.inverse_v),
             shear: lanes(footprint.shear),
@@ -114,23 +118,24 @@ impl<S: Simd, F: Real> Splat<S, F> {
     pub fn column(&self, x: F::Lanes<S>) -> Column<S, F> {
         let dx = x - self.mean_x;
         let u = dx * self.inverse_u;
-        Column { dx, u, square: u * u }
+        let dy = (-self.shear).mul_add(dx, F::Lanes::<S>::splat(self.simd, self.rise));
+        Column { u, square: u * u, top: dy * self.inverse_v }
     }
 
-    /// `v`, scaled by [`WHITEN`], of the pixels of a column on the row with centre `y`, px.
+    /// `v`, scaled by [`WHITEN`], of the pixels of a column on the row of the tile with this number.
     #[inline(always)]
-    pub fn v(&self, column: &Column<S, F>, y: F) -> F::Lanes<S> {
-        let dy = F::Lanes::<S>::splat(self.simd, y - self.footprint.mean_px[1]);
-        (-self.shear).mul_add(column.dx, dy) * self.inverse_v
+    pub fn v(&self, column: &Column<S, F>, row: F::Lanes<S>) -> F::Lanes<S> {
+        self.inverse_v.mul_add(row, column.top)
     }
 }
 
 /// Eight pixels along a row as a Gaussian sees them, whichever the row.
 #[derive(Clone, Copy)]
 pub(super) struct Column<S: Simd, F: Real> {
-    dx: F::Lanes<S>,
     /// Scaled by [`WHITEN`].
     pub u: F::Lanes<S>,
     /// `u²`
     pub square: F::Lanes<S>,
+    /// `v` on the first row.
+    top: F::Lanes<S>,
 }

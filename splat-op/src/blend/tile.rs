@@ -4,7 +4,7 @@
 use fearless_simd::prelude::*;
 
 use super::footprint::{Column, Footprint, ROW_VECTORS, ROWS, Splat};
-use crate::real::{LANES, Real};
+use crate::real::{EXP2_CONSTANTS, LANES, Real};
 use crate::tile::{TILE, TILE_PIXELS};
 
 /// The transmittance of a tile is kept each time this many Gaussians have been passed.
@@ -57,15 +57,14 @@ impl<F: Real> Transmittances<F> {
         Self { kept: part(0), lost: if LONG { part(1) } else { [F::ZERO; TILE_PIXELS] } }
     }
 
-    /// Both parts of eight pixels on each of [`ROWS`] rows.
+    /// Both parts of eight pixels, from the one with this number on, on each of [`ROWS`] rows.
     #[inline(always)]
     pub fn load<S: Simd, const LONG: bool>(&self, simd: S, first: usize) -> [[F::Lanes<S>; 2]; ROWS] {
         let mut rows = [[F::Lanes::<S>::splat(simd, F::ZERO); 2]; ROWS];
         for (row, [kept, lost]) in rows.iter_mut().enumerate() {
-            let at = first + row * TILE;
-            *kept = F::Lanes::<S>::from_slice(simd, &self.kept[at..at + LANES]);
+            *kept = F::Lanes::<S>::from_slice(simd, eight(&self.kept, first + row * TILE));
             if LONG {
-                *lost = F::Lanes::<S>::from_slice(simd, &self.lost[at..at + LANES]);
+                *lost = F::Lanes::<S>::from_slice(simd, eight(&self.lost, first + row * TILE));
             }
         }
         rows
@@ -74,13 +73,26 @@ impl<F: Real> Transmittances<F> {
     #[inline(always)]
     pub fn store<S: Simd, const LONG: bool>(&mut self, rows: &[[F::Lanes<S>; 2]; ROWS], first: usize) {
         for (row, [kept, lost]) in rows.iter().enumerate() {
-            let at = first + row * TILE;
-            kept.store_slice(&mut self.kept[at..at + LANES]);
+            kept.store_slice(eight_mut(&mut self.kept, first + row * TILE));
             if LONG {
-                lost.store_slice(&mut self.lost[at..at + LANES]);
+                lost.store_slice(eight_mut(&mut self.lost, first + row * TILE));
             }
         }
     }
+}
+
+/// One number for each of a tile's pixels.
+pub(super) type Plane<F> = [F; TILE_PIXELS];
+
+/// Eight pixels of a plane, from the one with this number on, which is a multiple of eight. Written so that it takes no check.
+#[inline(always)]
+pub(super) fn eight<F>(plane: &Plane<F>, first: usize) -> &[F; LANES] {
+    &plane.as_chunks::<LANES>().0[first % TILE_PIXELS / LANES]
+}
+
+#[inline(always)]
+fn eight_mut<F>(plane: &mut Plane<F>, first: usize) -> &mut [F; LANES] {
+    &mut plane.as_chunks_mut::<LANES>().0[first % TILE_PIXELS / LANES]
 }
 
 /// Thresholds of the render, one copy in each lane.
@@ -90,6 +102,9 @@ pub(super) struct Thresholds<S: Simd, F: Real> {
     pub alpha_max: F::Lanes<S>,
     transmittance_min: F::Lanes<S>,
     zero: F::Lanes<S>,
+    /// The numbers of a tile's rows.
+    rows: [F::Lanes<S>; TILE],
+    exp2: [F::Lanes<S>; EXP2_CONSTANTS],
 }
 
 impl<S: Simd, F: Real> Thresholds<S, F> {
@@ -98,15 +113,32 @@ impl<S: Simd, F: Real> Thresholds<S, F> {
         let lanes = |value| F::Lanes::<S>::splat(simd, value);
         // A threshold of zero leaves out nothing, not even what is behind an alpha of one.
         let never = if transmittance_min > F::ZERO { transmittance_min } else { -F::ONE };
+        let mut rows = [lanes(F::ZERO); TILE];
+        for (number, row) in rows.iter_mut().enumerate() {
+            *row = lanes(F::of(number as f64));
+        }
+        let mut exp2 = [lanes(F::ZERO); EXP2_CONSTANTS];
+        for (constant, value) in exp2.iter_mut().zip(F::EXP2) {
+            *constant = lanes(value);
+        }
         Self {
             alpha_min: lanes(alpha_min),
             alpha_max: lanes(alpha_max),
             transmittance_min: lanes(never),
             zero: lanes(F::ZERO),
+            rows,
+            // Kept in memory, from where each takes part in an instruction; the compiler would make it anew each time.
+            exp2: std::hint::black_box(exp2),
         }
     }
 
-    /// Passes one Gaussian over the eight pixels of a column on [`ROWS`] rows, of which the first has its centre at `y` px:
+    /// The number of a row of a tile.
+    #[inline(always)]
+    pub fn row(&self, row: usize) -> F::Lanes<S> {
+        self.rows[row % TILE]
+    }
+
+    /// Passes one Gaussian over the eight pixels of a column on [`ROWS`] rows, from this one on:
     /// their alphas (zero where it does not show) and their transmittances behind it. A pixel that is finished has its
     /// transmittance negated; `None` if the Gaussian reaches none of them.
     #[inline(always)]
@@ -114,22 +146,22 @@ impl<S: Simd, F: Real> Thresholds<S, F> {
         &self,
         splat: &Splat<S, F>,
         column: &Column<S, F>,
-        y: F,
+        row: usize,
         before: &[[F::Lanes<S>; 2]; ROWS],
     ) -> Option<Layers<S, F>> {
         let mut q = [self.zero; ROWS];
         let mut alpha = q;
         let mut near = [self.zero.simd_lt(self.zero); ROWS];
-        for row in 0..ROWS {
-            let v = splat.v(column, y + F::of(row as f64));
-            q[row] = v.mul_add(v, column.square);
-            near[row] = q[row].simd_le(splat.reach) & before[row][0].simd_ge(self.zero);
+        for (i, before) in before.iter().enumerate() {
+            let v = splat.v(column, self.row(row + i));
+            q[i] = v.mul_add(v, column.square);
+            near[i] = q[i].simd_le(splat.reach) & before[0].simd_ge(self.zero);
         }
         if !any(near).any_true() {
             return None;
         }
         for row in 0..ROWS {
-            alpha[row] = (splat.opacity * F::exp2_lanes(q[row])).min(self.alpha_max);
+            alpha[row] = (splat.opacity * F::exp2_lanes(q[row], &self.exp2)).min(self.alpha_max);
         }
         let mut behind = *before;
         let mut finishes = near;
@@ -209,13 +241,6 @@ impl<F: Real> TileView<'_, F> {
         self.origin.map(|px| F::of(px as f64))
     }
 
-    /// Copies the footprints of the next Gaussians side by side. They lie all over memory; fetched together, one wait
-    /// serves them all.
-    #[inline(always)]
-    pub fn gather(&self, gaussians: &[u32], to: &mut [Footprint<F>; CHECKPOINT_EVERY]) {
-        to.iter_mut().zip(gaussians).for_each(|(out, &gaussian)| *out = self.footprints[gaussian as usize]);
-    }
-
     #[inline(always)]
     pub fn colour(&self, gaussian: u32) -> &[F] {
         let first = gaussian as usize * self.channels;
@@ -233,18 +258,39 @@ impl<F: Real> TileView<'_, F> {
     }
 }
 
+/// Gaussians of a tile, side by side. They lie all over memory; fetched together, one wait serves them all.
+pub(super) struct Near<F, const C: usize> {
+    pub footprints: [Footprint<F>; CHECKPOINT_EVERY],
+    /// Where the number of channels is known at compile time.
+    pub colours: [[F; C]; CHECKPOINT_EVERY],
+}
+
+impl<F: Real, const C: usize> Default for Near<F, C> {
+    #[inline(always)]
+    fn default() -> Self {
+        Self { footprints: [Footprint::default(); CHECKPOINT_EVERY], colours: [[F::ZERO; C]; CHECKPOINT_EVERY] }
+    }
+}
+
+impl<F: Real, const C: usize> Near<F, C> {
+    /// Fetches the first [`CHECKPOINT_EVERY`] of them.
+    #[inline(always)]
+    pub fn gather(&mut self, view: &TileView<F>, gaussians: &[u32]) {
+        for ((footprint, colour), &gaussian) in self.footprints.iter_mut().zip(&mut self.colours).zip(gaussians) {
+            *footprint = view.footprints[gaussian as usize];
+            if C > 0 {
+                colour.copy_from_slice(&view.colour(gaussian)[..C]);
+            }
+        }
+    }
+}
+
 /// Pixel centres of a row of a tile, px.
 #[inline(always)]
 pub(super) fn centres<S: Simd, F: Real>(simd: S, left: F) -> [F::Lanes<S>; ROW_VECTORS] {
     std::array::from_fn(|vector| {
         F::Lanes::<S>::from_fn(simd, |lane| left + F::of((vector * LANES + lane) as f64 + 0.5))
     })
-}
-
-/// Centres of a tile's rows, px.
-#[inline(always)]
-pub(super) fn row_centres<F: Real>(top: F) -> [F; TILE] {
-    std::array::from_fn(|row| top + F::of(row as f64 + 0.5))
 }
 
 /// A Gaussian's channels, one copy in each lane, where their number is known at compile time.
@@ -282,29 +328,29 @@ pub(super) fn blend_tile<S: Simd, F: Real, const C: usize, const LONG: bool>(
 ) -> usize {
     let channels = if C == 0 { view.channels } else { C };
     let corner = view.corner();
-    let (x, y) = (centres::<S, F>(simd, corner[0]), row_centres(corner[1]));
+    let x = centres::<S, F>(simd, corner[0]);
     let mut transmittance = Transmittances::new(view.open_transmittance());
     let mut open = view.size[0] * view.size[1];
-    let sums = &mut planes[..channels * TILE_PIXELS];
-    sums.fill(F::ZERO);
+    let (sums, behind) = planes.as_chunks_mut::<TILE_PIXELS>().0.split_at_mut(channels);
+    sums.as_flattened_mut().fill(F::ZERO);
     let mut finished_sums = Vec::new();
     let mut passed = view.gaussians.len();
-    let mut near = [Footprint::default(); CHECKPOINT_EVERY];
+    let mut near = Near::<F, C>::default();
     for (i, &gaussian) in view.gaussians.iter().enumerate() {
         if i % CHECKPOINT_EVERY == 0 {
-            view.gather(&view.gaussians[i..], &mut near);
+            near.gather(view, &view.gaussians[i..]);
             if i > 0 {
                 if LONG || i % SUM_LENGTH == 0 {
-                    finished_sums.resize(sums.len(), [F::ZERO; 2]);
-                    move_into(sums, &mut finished_sums);
+                    finished_sums.resize(channels * TILE_PIXELS, [F::ZERO; 2]);
+                    move_into(sums.as_flattened_mut(), &mut finished_sums);
                 }
                 if let Some(checkpoints) = checkpoints.as_deref_mut() {
                     transmittance.keep::<LONG>(checkpoints);
                 }
             }
         }
-        let splat = Splat::new(simd, near[i % CHECKPOINT_EVERY]);
-        let colour = view.colour(gaussian);
+        let splat = Splat::new(simd, near.footprints[i % CHECKPOINT_EVERY], corner[1]);
+        let colour = if C == 0 { view.colour(gaussian) } else { &near.colours[i % CHECKPOINT_EVERY] };
         let colour_lanes = colour_lanes::<S, F, C>(simd, colour);
         let window = splat.footprint.window(corner);
         for vector in window.first_vector..window.end_vector {
@@ -312,18 +358,17 @@ pub(super) fn blend_tile<S: Simd, F: Real, const C: usize, const LONG: bool>(
             for row in (window.first_row..window.end_row).step_by(ROWS) {
                 let first = row * TILE + vector * LANES;
                 let before = transmittance.load::<S, LONG>(simd, first);
-                let Some(layers) = thresholds.layers::<LONG>(&splat, &column, y[row], &before) else {
+                let Some(layers) = thresholds.layers::<LONG>(&splat, &column, row, &before) else {
                     continue;
                 };
                 transmittance.store::<S, LONG>(&layers.behind, first);
                 for row in 0..ROWS {
                     let weight = layers.alpha[row] * before[row][0];
-                    for channel in 0..channels {
-                        let at = channel * TILE_PIXELS + first + row * TILE;
-                        let sum = F::Lanes::<S>::from_slice(simd, &sums[at..at + LANES]);
+                    for (channel, sum) in sums.iter_mut().enumerate() {
+                        let sum = eight_mut(sum, first + row * TILE);
                         let colour =
                             if C == 0 { F::Lanes::<S>::splat(simd, colour[channel]) } else { colour_lanes[channel] };
-                        weight.mul_add(colour, sum).store_slice(&mut sums[at..at + LANES]);
+                        weight.mul_add(colour, F::Lanes::<S>::from_slice(simd, sum)).store_slice(sum);
                     }
                 }
                 open -= layers.finished;
@@ -335,11 +380,10 @@ pub(super) fn blend_tile<S: Simd, F: Real, const C: usize, const LONG: bool>(
         }
     }
     if !finished_sums.is_empty() {
+        let sums = sums.as_flattened_mut();
         move_into(sums, &mut finished_sums);
         sums.iter_mut().zip(&finished_sums).for_each(|(sum, [total, _])| *sum = *total);
     }
-    for (out, t) in planes[channels * TILE_PIXELS..].iter_mut().zip(transmittance.kept) {
-        *out = t.abs();
-    }
+    behind[0] = transmittance.kept.map(F::abs);
     passed
 }

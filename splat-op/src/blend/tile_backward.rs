@@ -7,7 +7,7 @@
 use fearless_simd::prelude::*;
 
 use super::footprint::{Column, Footprint, ROW_VECTORS, ROWS, Splat, Window};
-use super::tile::{CHECKPOINT_EVERY, Thresholds, TileView, Transmittances, centres, colour_lanes, row_centres};
+use super::tile::{CHECKPOINT_EVERY, Near, Plane, Thresholds, TileView, Transmittances, centres, colour_lanes, eight};
 use crate::real::{LANES, Real};
 use crate::tile::{TILE, TILE_PIXELS};
 
@@ -18,7 +18,7 @@ pub(super) const MOMENTS: usize = 6;
 /// What the backward pass of a tile reads besides its [`TileView`].
 pub(super) struct TileGrad<'a, F> {
     /// `[channels + 1, 256]`: gradients of the sums `Σ w c` and of alpha; zero outside the picture.
-    pub planes: &'a [F],
+    pub planes: &'a [Plane<F>],
     /// `[256]`: `g · background`, the recursion's start.
     pub behind: &'a [F],
     /// What [`Transmittances::keep`] kept before each [`CHECKPOINT_EVERY`]th Gaussian but the first.
@@ -73,7 +73,7 @@ pub(super) fn blend_tile_backward<S: Simd, F: Real, const C: usize, const LONG: 
     let mut rho = Transmittances::new([F::ZERO; TILE_PIXELS]);
     rho.kept.copy_from_slice(grad.behind);
     let chunks = grad.passed.div_ceil(CHECKPOINT_EVERY);
-    let (x, y) = (centres::<S, F>(simd, view.corner()[0]), row_centres(view.corner()[1]));
+    let x = centres::<S, F>(simd, view.corner()[0]);
     *transmittance_behind = view.open_transmittance();
     for chunk in (0..chunks).rev() {
         let first = chunk * CHECKPOINT_EVERY;
@@ -82,10 +82,10 @@ pub(super) fn blend_tile_backward<S: Simd, F: Real, const C: usize, const LONG: 
             0 => Transmittances::new(view.open_transmittance()),
             _ => Transmittances::resume::<LONG>(grad.checkpoints, chunk - 1),
         };
-        let mut near = [Footprint::default(); CHECKPOINT_EVERY];
-        view.gather(gaussians, &mut near);
-        let near = &near[..gaussians.len()];
-        forwards::<S, F, LONG>(simd, view.corner(), near, thresholds, &mut transmittance, scratch);
+        let mut near = Near::<F, C>::default();
+        near.gather(view, gaussians);
+        let footprints = &near.footprints[..gaussians.len()];
+        forwards::<S, F, LONG>(simd, view.corner(), footprints, thresholds, &mut transmittance, scratch);
         if chunk + 1 == chunks {
             *transmittance_behind = transmittance.kept;
         }
@@ -96,9 +96,9 @@ pub(super) fn blend_tile_backward<S: Simd, F: Real, const C: usize, const LONG: 
             }
             let row = &mut hits[(first + i) * columns..(first + i + 1) * columns];
             let layers = (&mut scratch.layers[layers.clone()], &scratch.places[layers]);
-            let splat = Splat::new(simd, near[i]);
-            let colour = view.colour(gaussian);
-            backwards::<S, F, C, LONG>(grad, (&splat, colour, thresholds.alpha_max), &x, &y, layers, (&mut rho, row));
+            let splat = Splat::new(simd, footprints[i], view.corner()[1]);
+            let colour = if C == 0 { view.colour(gaussian) } else { &near.colours[i] };
+            backwards::<S, F, C, LONG>(grad, (&splat, colour, thresholds), &x, layers, (&mut rho, row));
         }
     }
 }
@@ -114,17 +114,17 @@ fn forwards<S: Simd, F: Real, const LONG: bool>(
     scratch: &mut Scratch<F>,
 ) {
     let mut met = 0;
-    let (x, y) = (centres::<S, F>(simd, corner[0]), row_centres(corner[1]));
+    let x = centres::<S, F>(simd, corner[0]);
     for (i, &footprint) in near.iter().enumerate() {
         scratch.starts[i] = met;
-        let splat = Splat::new(simd, footprint);
+        let splat = Splat::new(simd, footprint, corner[1]);
         let Window { first_row, end_row, first_vector, end_vector } = splat.footprint.window(corner);
         for vector in first_vector..end_vector {
             let column = splat.column(x[vector]);
             for row in (first_row..end_row).step_by(ROWS) {
                 let first = row * TILE + vector * LANES;
                 let before = transmittance.load::<S, LONG>(simd, first);
-                let Some(layers) = thresholds.layers::<LONG>(&splat, &column, y[row], &before) else {
+                let Some(layers) = thresholds.layers::<LONG>(&splat, &column, row, &before) else {
                     continue;
                 };
                 transmittance.store::<S, LONG>(&layers.behind, first);
@@ -144,19 +144,17 @@ fn forwards<S: Simd, F: Real, const LONG: bool>(
 #[inline(always)]
 fn backwards<S: Simd, F: Real, const C: usize, const LONG: bool>(
     grad: &TileGrad<F>,
-    (splat, colour, alpha_max): (&Splat<S, F>, &[F], F::Lanes<S>),
+    (splat, colour, thresholds): (&Splat<S, F>, &[F], &Thresholds<S, F>),
     x: &[F::Lanes<S>; ROW_VECTORS],
-    y: &[F; TILE],
     (blocks, places): (&mut [Block<F>], &[u16]),
     (rho, row): (&mut Transmittances<F>, &mut [F]),
 ) {
+    let alpha_max = thresholds.alpha_max;
     let simd = alpha_max.token();
     let channels = if C == 0 { colour.len() } else { C };
     let zero = F::Lanes::<S>::splat(simd, F::ZERO);
-    let plane = |channel: usize, first: usize| {
-        let at = channel * TILE_PIXELS + first;
-        F::Lanes::<S>::from_slice(simd, &grad.planes[at..at + LANES])
-    };
+    let planes = &grad.planes[..=channels];
+    let plane = |channel: usize, first: usize| F::Lanes::<S>::from_slice(simd, eight(&planes[channel], first));
     let mut moments = [zero; MOMENTS];
     let mut absolute = [zero; 2];
     let mut features = [zero; C];
@@ -171,7 +169,6 @@ fn backwards<S: Simd, F: Real, const C: usize, const LONG: bool>(
         let column: &Column<S, F> = &columns[place % TILE / LANES];
         let behind = rho.load::<S, LONG>(simd, place);
         let mut rho_here = behind;
-        let top = y[place / TILE];
         for row in 0..ROWS {
             let first = place + row * TILE;
             let [behind, lost] = behind[row];
@@ -190,7 +187,7 @@ fn backwards<S: Simd, F: Real, const C: usize, const LONG: bool>(
             let free = alpha.simd_lt(alpha_max);
             let h = free.select(weight * ahead, zero);
 
-            let (u, v) = (column.u, splat.v(column, top + F::of(row as f64)));
+            let (u, v) = (column.u, splat.v(column, thresholds.row(place / TILE + row)));
             let (hu, hv) = (h * u, h * v);
             moments[0] += h;
             moments[1] += hu;
