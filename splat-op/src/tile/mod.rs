@@ -18,6 +18,8 @@ pub(crate) mod launch;
 mod scan;
 #[cfg(feature = "cube")]
 pub(crate) mod sort;
+#[cfg(feature = "cube")]
+mod sort_alone;
 #[cfg(test)]
 mod tests;
 
