@@ -1,7 +1,6 @@
-//! The kernel of `blend`, forwards: a cube per tile, a unit per block of pixels, whose numbers stay in registers. How many
-//! pixels a block has is chosen by the device: a graphics card has units to fill, and hides behind them what reading takes. A
-//! driver in software runs eight units at a time as one vector, but reads for each of them one after the other, ten times
-//! slower than it computes; there a tile has eight blocks.
+//! The kernel of `blend`, forwards: a cube per tile, a unit per block of pixels, whose numbers stay in registers. A graphics
+//! card has units to fill, and hides behind them what reading takes. For few channels a driver in software has a kernel of its
+//! own, `quads_forward.rs`.
 //!
 //! A tile's places are passed in buckets. Within a bucket a pixel's sums and transmittance are relative to those
 //! before it; at its end they are added in. What the backward pass needs of a bucket is then a few numbers per pixel that

@@ -1,7 +1,7 @@
 //! Kernels of `blend` against the CPU twin in f64, within what f32 can hold.
 
 use super::cpu::{Grads, Inputs, blend_backward_cpu, blend_cpu};
-use super::launch::{DeviceGrads, DeviceInputs, launch_blend, launch_blend_backward, launch_order};
+use super::launch::{DeviceGrads, DeviceInputs, launch_blend, launch_blend_backward, launch_order, launch_tile_order};
 use super::layer::Shape;
 use super::{BlendNeeds, BlendSpec};
 use crate::camera::Intrinsics;
@@ -277,6 +277,27 @@ fn buckets_are_taken_by_their_length() {
     assert!(lengths.windows(2).all(|pair| pair[1] < pair[0] + 5), "{lengths:?}");
     assert!(lengths[0] == 64 && lengths.iter().any(|length| *length > 0 && *length < 20), "a scene that proves little");
     assert!(lengths.last() == Some(&0));
+}
+
+#[test]
+fn tiles_are_taken_by_the_lengths_of_their_lists() {
+    let Some(gpu) = gpu() else { return };
+    // Of few Gaussians, so that some tiles have none, and of many.
+    for (count, longest) in [(40, 2), (5_000, 100)] {
+        let scene = Scene::random(count, [200, 150], 3, [0.02, 1.0], RenderOptions::standard());
+        let inputs = scene.device(&gpu);
+        let lists = launch_tile(&gpu, &inputs.projected, &scene.spec.intrinsics, scene.spec.options.alpha_min);
+        let order = launch_tile_order(&gpu, &lists, lists.counts.len).read(&gpu);
+        let counts = lists.counts.read(&gpu);
+        let mut tiles = order.clone();
+        tiles.sort_unstable();
+        assert!(tiles.iter().enumerate().all(|(i, tile)| i == *tile as usize), "not a permutation");
+        // A class of lengths is a sixteenth of them wide.
+        let lengths: Vec<f64> = order.iter().map(|tile| f64::from(counts[*tile as usize])).collect();
+        assert!(lengths.windows(2).all(|pair| pair[1] + 1.0 <= (pair[0] + 1.0) * 1.07), "{lengths:?}");
+        let (first, last) = (lengths[0], lengths[lengths.len() - 1]);
+        assert!(first >= f64::from(longest) && last < 0.8 * first, "a scene that proves little: {first} to {last}");
+    }
 }
 
 #[test]

@@ -7,6 +7,9 @@ use super::buckets::{LENGTH_BITS, blend_buckets_kernel, blend_lengths_kernel};
 use super::channels::blend_channels_kernel;
 use super::forward::blend_forward_kernel;
 use super::layer::{BUCKET, Block, LimitsLaunch, Shape};
+use super::quads::TILE_QUADS;
+use super::quads_behind::blend_behind_quads_kernel;
+use super::quads_forward::{self, blend_forward_quads_kernel, blend_tile_lengths_kernel};
 use super::strips::blend_strips_kernel;
 use super::{BlendNeeds, BlendSpec};
 use crate::gpu::reduce::launch_column_sums;
@@ -41,7 +44,7 @@ impl DeviceInputs {
         let shape =
             Shape { features: self.background.len, depth: spec.options.depth, bucket: BUCKET, grad_alpha: true };
         // The longer, the less there is to keep; the shorter, the fewer places are missing in the last ones.
-        Shape { bucket: if gpu.software && shape.few() { 2 * BUCKET } else { BUCKET }, ..shape }
+        Shape { bucket: if by_quads(gpu, shape) { 4 * BUCKET } else { BUCKET }, ..shape }
     }
 
     fn count(&self) -> usize {
@@ -74,17 +77,17 @@ pub(crate) struct DeviceGrads {
 }
 
 /// The pixels of a unit; see `forward.rs`.
-fn forward_block(gpu: &Gpu, shape: Shape) -> Block {
-    match (shape.few(), gpu.software) {
-        (true, true) => Block { across: 2, down: 16 },
-        (true, false) => Block { across: 1, down: 4 },
-        (false, _) => Block { across: 1, down: 1 },
-    }
+fn forward_block(shape: Shape) -> Block {
+    Block { across: 1, down: if shape.few() { 4 } else { 1 } }
 }
 
-/// What the kernel of layers goes through at once, on a driver in software and on a card; see `buckets.rs` and `strips.rs`.
-const SQUARE: Block = Block { across: 4, down: 4 };
+/// What the kernel of layers goes through at once on a card; see `strips.rs`.
 const STRIP: Block = Block { across: 1, down: 8 };
+
+/// Whether pixels are taken four at a time; see `quads.rs`.
+fn by_quads(gpu: &Gpu, shape: Shape) -> bool {
+    gpu.software && shape.few()
+}
 
 /// Slots of all tiles' buckets; see `first_slot`.
 fn slots(lists: &DeviceLists, tiles: usize, shape: Shape) -> usize {
@@ -116,7 +119,6 @@ pub(crate) fn launch_blend(
 ) -> (Buffer<f32>, Option<DeviceTrace>) {
     let camera = &spec.intrinsics;
     let shape = inputs.shape(gpu, spec);
-    let block = forward_block(gpu, shape);
     let [tiles_x, tiles_y] = tile_grid(camera.width, camera.height);
     let tiles = tiles_x * tiles_y;
     let planes = Buffer::new(gpu, spec.planes(shape.features) * camera.width * camera.height);
@@ -128,30 +130,64 @@ pub(crate) fn launch_blend(
         behind: Buffer::new(gpu, kept_len(tiles * TILE_PIXELS)),
         passed: Buffer::new(gpu, kept_len(tiles)),
     };
-    // SAFETY: places, hits and Gaussians come from the lists, which hold none out of range; pixels are guarded.
-    unsafe {
-        blend_forward_kernel::launch_unchecked(
-            &gpu.client,
-            cubes(tiles),
-            CubeDim::new_1d(block.of_tile() as u32),
-            inputs.projected.arg(),
-            inputs.features.arg(),
-            inputs.background.arg(),
-            lists.tile_start.arg(),
-            lists.hit_of_place.arg(),
-            lists.gaussian_of_hit.arg(),
-            planes.arg(),
-            trace.kept.arg(),
-            trace.behind.arg(),
-            trace.passed.arg(),
-            frame(camera, spec.options.alpha_min),
-            limits(spec),
-            shape,
-            keep,
-            block,
-        );
+    macro_rules! launch {
+        ($kernel:path, $cubes:expr, $units:expr $(, order: $order:expr)? $(, own: $of_kernel:expr)?) => {
+            // SAFETY: places, hits and Gaussians come from the lists, which hold none out of range; pixels are guarded.
+            unsafe {
+                $kernel(
+                    &gpu.client,
+                    cubes($cubes),
+                    CubeDim::new_1d($units as u32),
+                    inputs.projected.arg(),
+                    inputs.features.arg(),
+                    inputs.background.arg(),
+                    lists.tile_start.arg(),
+                    lists.hit_of_place.arg(),
+                    lists.gaussian_of_hit.arg(),
+                    $($order.arg(),)?
+                    planes.arg(),
+                    trace.kept.arg(),
+                    trace.behind.arg(),
+                    trace.passed.arg(),
+                    frame(camera, spec.options.alpha_min),
+                    limits(spec),
+                    shape,
+                    keep,
+                    $($of_kernel,)?
+                )
+            }
+        };
+    }
+    match by_quads(gpu, shape) {
+        true => {
+            let (cubes, order) = (tiles.div_ceil(BUCKET_UNITS), launch_tile_order(gpu, lists, tiles));
+            launch!(blend_forward_quads_kernel::launch_unchecked, cubes, BUCKET_UNITS, order: order)
+        }
+        false => {
+            let block = forward_block(shape);
+            launch!(blend_forward_kernel::launch_unchecked, tiles, block.of_tile(), own: block)
+        }
     }
     (planes, keep.then_some(trace))
+}
+
+/// The tiles by the lengths of their lists, the longest first.
+pub(super) fn launch_tile_order(gpu: &Gpu, lists: &DeviceLists, tiles: usize) -> Buffer<u32> {
+    let pairs = Pairs { keys: Buffer::new(gpu, tiles), values: Buffer::new(gpu, tiles) };
+    let (grid, dim) = elementwise(tiles);
+    // SAFETY: every access is guarded by the number of tiles.
+    unsafe {
+        blend_tile_lengths_kernel::launch_unchecked(
+            &gpu.client,
+            grid,
+            dim,
+            lists.tile_start.arg(),
+            pairs.keys.arg(),
+            pairs.values.arg(),
+            tiles as u32,
+        );
+    }
+    launch_sort(gpu, pairs, quads_forward::LENGTH_BITS).values
 }
 
 /// The slots by the lengths of their buckets, the longest first.
@@ -196,30 +232,52 @@ pub(crate) fn launch_blend_backward(
     let slots = slots(lists, tiles, shape);
     let rho_behind: Buffer<f32> = Buffer::with_headroom(gpu, slots * TILE_PIXELS);
     let background = Buffer::new(gpu, if needs.background { tiles * shape.features } else { 0 });
+    let by_quads = by_quads(gpu, shape);
+    let by_tile: Buffer<f32> = Buffer::new(gpu, if by_quads { tiles * shape.gradients() * TILE_PIXELS } else { 0 });
     // SAFETY: as in the forward pass; slots are those that the forward pass wrote.
     unsafe {
-        blend_behind_kernel::launch_unchecked(
-            &gpu.client,
-            cubes(tiles),
-            CubeDim::new_1d(UNITS as u32),
-            inputs.projected.arg(),
-            inputs.features.arg(),
-            inputs.background.arg(),
-            grad.arg(),
-            lists.tile_start.arg(),
-            lists.hit_of_place.arg(),
-            lists.gaussian_of_hit.arg(),
-            trace.kept.arg(),
-            trace.behind.arg(),
-            trace.passed.arg(),
-            rho_behind.arg(),
-            background.arg(),
-            frame(camera, spec.options.alpha_min),
-            limits(spec),
-            shape,
-            needs.background,
-            gpu.planes,
-        );
+        if by_quads {
+            blend_behind_quads_kernel::launch_unchecked(
+                &gpu.client,
+                cubes(tiles),
+                CubeDim::new_1d(TILE_QUADS as u32),
+                inputs.background.arg(),
+                grad.arg(),
+                lists.tile_start.arg(),
+                trace.kept.arg(),
+                trace.behind.arg(),
+                trace.passed.arg(),
+                rho_behind.arg(),
+                by_tile.arg(),
+                background.arg(),
+                frame(camera, spec.options.alpha_min),
+                shape,
+                needs.background,
+            );
+        } else {
+            blend_behind_kernel::launch_unchecked(
+                &gpu.client,
+                cubes(tiles),
+                CubeDim::new_1d(UNITS as u32),
+                inputs.projected.arg(),
+                inputs.features.arg(),
+                inputs.background.arg(),
+                grad.arg(),
+                lists.tile_start.arg(),
+                lists.hit_of_place.arg(),
+                lists.gaussian_of_hit.arg(),
+                trace.kept.arg(),
+                trace.behind.arg(),
+                trace.passed.arg(),
+                rho_behind.arg(),
+                background.arg(),
+                frame(camera, spec.options.alpha_min),
+                limits(spec),
+                shape,
+                needs.background,
+                gpu.planes,
+            );
+        }
     }
     let mut grads = DeviceGrads {
         background: needs.background.then(|| launch_column_sums(gpu, &background, shape.features)),
@@ -241,8 +299,8 @@ pub(crate) fn launch_blend_backward(
     let unused: Buffer<f32> = Buffer::new(gpu, 0);
     let (written, added) = if ordered { (&rows, &unused) } else { (&unused, &rows) };
     macro_rules! launch {
-        ($kernel:path, $dealt:expr $(, $order:expr)?) => {{
-            let (count, units, own) = $dealt;
+        ($kernel:path, $dealt:expr, $grad:expr $(, order: $order:expr)? $(, own: $own:expr)?) => {{
+            let (count, units) = $dealt;
             // SAFETY: as in the forward pass; a row belongs to a hit or a Gaussian of the lists.
             unsafe {
                 $kernel(
@@ -251,7 +309,7 @@ pub(crate) fn launch_blend_backward(
                     CubeDim::new_1d(units as u32),
                     inputs.projected.arg(),
                     inputs.features.arg(),
-                    grad.arg(),
+                    $grad.arg(),
                     lists.tile_start.arg(),
                     lists.hit_of_place.arg(),
                     lists.gaussian_of_hit.arg(),
@@ -267,23 +325,31 @@ pub(crate) fn launch_blend_backward(
                     shape,
                     needs.mean2d_abs,
                     !ordered,
-                    own,
+                    $($own,)?
                 )
             }
         }};
     }
     let order = || launch_order(gpu, lists, tiles, shape);
-    // Cubes, units of each, and what the kernel deals out by.
-    let strips = (slots, STRIP.of_tile(), STRIP);
-    let buckets = (slots.div_ceil(BUCKET_UNITS), BUCKET_UNITS, SQUARE);
-    let many = (slots, CHANNEL_UNITS, CHANNEL_UNITS);
+    // Cubes, and units of each.
+    let strips = (slots, STRIP.of_tile());
+    let buckets = (slots.div_ceil(BUCKET_UNITS), BUCKET_UNITS);
+    let many = (slots, CHANNEL_UNITS);
     match (shape.few(), gpu.software, gpu.float_atomics) {
-        (true, false, true) => launch!(blend_strips_kernel::launch_unchecked::<Atomic<f32>>, strips),
-        (true, false, false) => launch!(blend_strips_kernel::launch_unchecked::<Atomic<u32>>, strips),
-        (true, true, true) => launch!(blend_buckets_kernel::launch_unchecked::<Atomic<f32>>, buckets, order()),
-        (true, true, false) => launch!(blend_buckets_kernel::launch_unchecked::<Atomic<u32>>, buckets, order()),
-        (false, _, true) => launch!(blend_channels_kernel::launch_unchecked::<Atomic<f32>>, many),
-        (false, _, false) => launch!(blend_channels_kernel::launch_unchecked::<Atomic<u32>>, many),
+        (true, false, true) => launch!(blend_strips_kernel::launch_unchecked::<Atomic<f32>>, strips, grad, own: STRIP),
+        (true, false, false) => launch!(blend_strips_kernel::launch_unchecked::<Atomic<u32>>, strips, grad, own: STRIP),
+        (true, true, true) => {
+            launch!(blend_buckets_kernel::launch_unchecked::<Atomic<f32>>, buckets, by_tile, order: order())
+        }
+        (true, true, false) => {
+            launch!(blend_buckets_kernel::launch_unchecked::<Atomic<u32>>, buckets, by_tile, order: order())
+        }
+        (false, _, true) => {
+            launch!(blend_channels_kernel::launch_unchecked::<Atomic<f32>>, many, grad, own: CHANNEL_UNITS)
+        }
+        (false, _, false) => {
+            launch!(blend_channels_kernel::launch_unchecked::<Atomic<u32>>, many, grad, own: CHANNEL_UNITS)
+        }
     }
     let zeros = |needed: bool, columns: usize| Buffer::zeros(gpu, if needed { inputs.count() * columns } else { 0 });
     let projected = zeros(needs.projected, COLUMNS);

@@ -51,6 +51,11 @@ impl Shape {
         self.channels() <= FEW
     }
 
+    /// Planes of the gradient that a pixel has, one behind the other.
+    pub const fn gradients(&self) -> usize {
+        self.channels() + self.grad_alpha as usize
+    }
+
     /// Numbers per pixel and bucket that the forward pass keeps: the transmittance before the bucket (negative where the
     /// pixel was finished), the share that the bucket lets through, and its sums if there are few channels.
     pub const fn kept(&self) -> usize {

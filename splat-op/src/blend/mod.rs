@@ -30,6 +30,12 @@ mod layer;
 #[cfg(feature = "cube")]
 mod pixels;
 #[cfg(feature = "cube")]
+mod quads;
+#[cfg(feature = "cube")]
+mod quads_behind;
+#[cfg(feature = "cube")]
+mod quads_forward;
+#[cfg(feature = "cube")]
 mod strips;
 #[cfg(test)]
 mod tests;

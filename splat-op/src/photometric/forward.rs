@@ -1,11 +1,11 @@
-//! The four passes of the loss, and the plain window. A unit holds a strip of values along the axis of its pass.
+//! The four passes of the loss on a card, and the plain window. A unit holds a strip of values along the axis of its pass.
 
 use cubecl::prelude::*;
 
 use super::{C1, C2, TAPS};
 
 /// Taps on one side of the middle.
-const HALF: usize = TAPS / 2;
+pub(super) const HALF: usize = TAPS / 2;
 
 /// Half the window, from the middle outwards.
 #[derive(CubeType, CubeLaunch, Clone, Copy)]
@@ -107,7 +107,7 @@ impl Strip {
 #[cube]
 impl Window {
     /// The window on the value `i` of a strip.
-    fn on(&self, values: &Array<f32>, #[comptime] i: usize) -> f32 {
+    pub fn on(&self, values: &Array<f32>, #[comptime] i: usize) -> f32 {
         let m = comptime!(i + HALF);
         self.t0 * values[m]
             + self.t1 * (values[comptime!(m - 1)] + values[comptime!(m + 1)])

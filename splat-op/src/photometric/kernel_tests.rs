@@ -20,7 +20,9 @@ fn window_is_the_double_sum() {
 
 #[test]
 fn loss_and_derivative_agree_with_the_definition() {
-    for (size, planes, lambda) in [([1, 1], 1, 0.2), ([37, 21], 3, 0.2), ([16, 33], 2, 1.0), ([20, 12], 3, 0.0)] {
+    for (size, planes, lambda) in
+        [([1, 1], 1, 0.2), ([37, 21], 3, 0.2), ([16, 33], 2, 1.0), ([20, 12], 3, 0.0), ([6, 150], 1, 0.2)]
+    {
         let inputs = pictures(size, planes);
         let yardstick = Yardstick::new(&inputs, |inputs| vec![shares(inputs, size, lambda)]);
         // The derivative of the sum by differences of the definition.

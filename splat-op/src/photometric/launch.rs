@@ -1,10 +1,13 @@
 //! Launches of the loss.
 
+use cubecl::prelude::{CubeCount, CubeDim};
+
 use super::forward::{
     PlanesLaunch, WeightsLaunch, WindowLaunch, gradient_kernel, index_kernel, moments_kernel, window_kernel,
 };
 use super::half_window;
-use crate::gpu::{Buffer, Gpu, elementwise};
+use super::sweeps::{self, gradient_sweep_kernel, index_sweep_kernel};
+use crate::gpu::{Buffer, Gpu, cubes, elementwise};
 
 /// Inputs on the device, each `[C, H, W]`.
 pub(crate) struct DeviceInputs {
@@ -28,6 +31,13 @@ fn window() -> WindowLaunch {
 /// Units that a pass over `values` in lines of `len` takes.
 fn units(values: usize, len: usize, strip: usize) -> usize {
     values / len * len.div_ceil(strip)
+}
+
+/// A dispatch that sweeps pictures of so many values, by cubes of one vector of a driver's in software.
+fn sweep([width, height]: [usize; 2], values: usize) -> (CubeCount, CubeDim) {
+    const CUBE: usize = 8;
+    let units = sweeps::units([width, height], values / (width * height));
+    (cubes(units.div_ceil(CUBE)), CubeDim::new_1d(CUBE as u32))
 }
 
 /// `Kx` of planes of the given width and height.
@@ -72,10 +82,51 @@ pub(crate) fn launch_photometric(
     let planes = || PlanesLaunch::new(width as u32, height as u32, (values / (width * height)) as u32);
     let share = 1.0 / values as f64;
     let weights = || WeightsLaunch::new(((1.0 - lambda) * share) as f32, lambda as f32, share as f32);
-    let [down, along] = strips(gpu);
-    let moments: Buffer<f32> = Buffer::new(gpu, 3 * values);
     let shares = Buffer::new(gpu, values);
     let derivatives: Buffer<f32> = Buffer::new(gpu, if with_gradient { 3 * values } else { 0 });
+    if gpu.software {
+        let gradient = Buffer::if_needed(gpu, with_gradient, values);
+        let (grid, dim) = sweep([width, height], values);
+        // SAFETY: units beyond the last plane and values beyond the picture are guarded.
+        unsafe {
+            index_sweep_kernel::launch_unchecked(
+                &gpu.client,
+                grid,
+                dim,
+                inputs.image.arg(),
+                inputs.truth.arg(),
+                inputs.mean.arg(),
+                inputs.variance.arg(),
+                shares.arg(),
+                derivatives.arg(),
+                window(),
+                planes(),
+                weights(),
+                with_gradient,
+            );
+        }
+        if let Some(gradient) = &gradient {
+            let (grid, dim) = sweep([width, height], values);
+            // SAFETY: as above.
+            unsafe {
+                gradient_sweep_kernel::launch_unchecked(
+                    &gpu.client,
+                    grid,
+                    dim,
+                    inputs.image.arg(),
+                    inputs.truth.arg(),
+                    derivatives.arg(),
+                    gradient.arg(),
+                    window(),
+                    planes(),
+                    weights(),
+                );
+            }
+        }
+        return (shares, gradient);
+    }
+    let [down, along] = strips(gpu);
+    let moments: Buffer<f32> = Buffer::new(gpu, 3 * values);
     // SAFETY: strips beyond the last plane and values beyond the line are guarded.
     unsafe {
         let (grid, dim) = elementwise(units(values, height, down));

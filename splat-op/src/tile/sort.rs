@@ -1,4 +1,5 @@
-//! A stable radix sort of u32 keys with u32 values on the device: least significant digit first, four bits at a time.
+//! A stable radix sort of u32 keys with u32 values on the device: least significant digit first, four bits at a time, on a
+//! driver in software up to eight (`sort_alone.rs`).
 //!
 //! A pass counts the digits of each block of keys, scans the counts (digit by digit, within a digit block by block) and
 //! lets each block write its keys to their places. Within a block each unit holds consecutive keys and has a counter of
@@ -7,6 +8,7 @@
 use cubecl::prelude::*;
 
 use super::scan::launch_scan;
+use super::sort_alone;
 use crate::gpu::reduce::cube_exclusive_sum;
 use crate::gpu::{Buffer, Gpu, UNITS, cubes};
 
@@ -128,42 +130,54 @@ pub(crate) fn launch_sort(gpu: &Gpu, pairs: Pairs, bits: u32) -> Pairs {
     if len <= 1 || bits == 0 {
         return pairs;
     }
-    let blocks = len.div_ceil(BLOCK);
-    let dim = CubeDim::new_1d(UNITS as u32);
     let mut from = pairs;
     let mut to = Pairs { keys: Buffer::with_headroom(gpu, len), values: Buffer::with_headroom(gpu, len) };
-    for shift in (0..bits).step_by(BITS as usize) {
-        let counts = Buffer::new(gpu, DIGITS * blocks);
-        // SAFETY: every access is guarded by the lengths given; ranks stay below `len` because they are a permutation.
-        unsafe {
-            let (keys, starts) = (from.keys.arg(), counts.arg());
-            histogram_kernel::launch_unchecked(
-                &gpu.client,
-                cubes(blocks),
-                dim,
-                keys,
-                starts,
-                len as u32,
-                blocks as u32,
-                shift,
-            );
-            launch_scan(gpu, &counts);
-            scatter_kernel::launch_unchecked(
-                &gpu.client,
-                cubes(blocks),
-                dim,
-                from.keys.arg(),
-                from.values.arg(),
-                counts.arg(),
-                to.keys.arg(),
-                to.values.arg(),
-                len as u32,
-                blocks as u32,
-                shift,
-                gpu.planes,
-            );
+    let widest = if gpu.software { sort_alone::BITS } else { BITS };
+    let passes = bits.div_ceil(widest);
+    let width = if gpu.software { bits.div_ceil(passes) } else { BITS };
+    for shift in (0..bits).step_by(width as usize) {
+        match gpu.software {
+            true => sort_alone::launch_pass(gpu, &from, &to, shift, width.min(bits - shift)),
+            false => launch_pass(gpu, &from, &to, shift),
         }
         std::mem::swap(&mut from, &mut to);
     }
     from
+}
+
+/// One pass: sorts `from` by [`BITS`] bits from `shift` on into `to`.
+fn launch_pass(gpu: &Gpu, from: &Pairs, to: &Pairs, shift: u32) {
+    let len = from.keys.len;
+    let blocks = len.div_ceil(BLOCK);
+    let dim = CubeDim::new_1d(UNITS as u32);
+    let counts = Buffer::new(gpu, DIGITS * blocks);
+    // SAFETY: every access is guarded by the lengths given; ranks stay below `len` because they are a permutation.
+    unsafe {
+        let (keys, starts) = (from.keys.arg(), counts.arg());
+        histogram_kernel::launch_unchecked(
+            &gpu.client,
+            cubes(blocks),
+            dim,
+            keys,
+            starts,
+            len as u32,
+            blocks as u32,
+            shift,
+        );
+        launch_scan(gpu, &counts);
+        scatter_kernel::launch_unchecked(
+            &gpu.client,
+            cubes(blocks),
+            dim,
+            from.keys.arg(),
+            from.values.arg(),
+            counts.arg(),
+            to.keys.arg(),
+            to.values.arg(),
+            len as u32,
+            blocks as u32,
+            shift,
+            gpu.planes,
+        );
+    }
 }
