@@ -130,8 +130,8 @@ impl Real for f32 {
 
     const EXP2_MAX: Self = 126.0;
 
-    /// First what rounds to an integer when it is added and leaves it in the low bits, larger by the bias of an exponent: 1.5 · 2²³
-    /// + 127. Then the polynomial of degree 6 for `2^−s`, `|s| <= 1/2`, of least relative error, 2e-9 (Remez's exchange), a
+    /// First what rounds to an integer when it is added and leaves it in the low bits, `1.5 · 2²³`, with the bias of an exponent, 127,
+    /// added. Then the polynomial of degree 6 for `2^−s`, `|s| <= 1/2`, of least relative error, 2e-9 (Remez's exchange), a
     /// thirtieth of an ulp.
     const EXP2: [f32; EXP2_CONSTANTS] = [
         12_583_039.0,

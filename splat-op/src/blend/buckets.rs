@@ -1,4 +1,4 @@
-//! The layers of a bucket, backwards, for few channels on a driver in software: a unit per bucket.
+//! The layers of a bucket, backwards, for three channels on a driver in software: a unit per bucket.
 //!
 //! Such a driver runs eight units as one vector, but reads and writes memory for each of them one after the other, much
 //! slower than it computes; private arrays are not much slower than registers. So units share nothing: each copies its

@@ -84,9 +84,12 @@ fn forward_block(shape: Shape) -> Block {
 /// What the kernel of layers goes through at once on a card; see `strips.rs`.
 const STRIP: Block = Block { across: 1, down: 8 };
 
-/// Whether pixels are taken four at a time; see `quads.rs`.
+/// Channels of a picture whose pixels a driver in software takes four at a time; see `quads.rs`. No other number: for each one such
+/// a driver compiles kernels of its own, half a minute long.
+const QUAD_CHANNELS: usize = 3;
+
 fn by_quads(gpu: &Gpu, shape: Shape) -> bool {
-    gpu.software && shape.few()
+    gpu.software && shape.channels() == QUAD_CHANNELS
 }
 
 /// Slots of all tiles' buckets; see `first_slot`.
@@ -335,7 +338,7 @@ pub(crate) fn launch_blend_backward(
     let strips = (slots, STRIP.of_tile());
     let buckets = (slots.div_ceil(BUCKET_UNITS), BUCKET_UNITS);
     let many = (slots, CHANNEL_UNITS);
-    match (shape.few(), gpu.software, gpu.float_atomics) {
+    match (shape.few(), by_quads, gpu.float_atomics) {
         (true, false, true) => launch!(blend_strips_kernel::launch_unchecked::<Atomic<f32>>, strips, grad, own: STRIP),
         (true, false, false) => launch!(blend_strips_kernel::launch_unchecked::<Atomic<u32>>, strips, grad, own: STRIP),
         (true, true, true) => {

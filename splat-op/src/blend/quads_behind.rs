@@ -1,4 +1,4 @@
-//! What is seen behind each bucket, for few channels on a driver in software: as `blend_behind_kernel` of `backward.rs`, by
+//! What is seen behind each bucket, for three channels on a driver in software: as `blend_behind_kernel` of `backward.rs`, by
 //! units of four pixels side by side (`quads.rs`), and the gradient of the planes put in order for the layers.
 
 use cubecl::prelude::*;

@@ -1,4 +1,4 @@
-//! The kernel of `blend`, forwards, for few channels on a driver in software: a unit per tile, for the reasons that `buckets.rs`
+//! The kernel of `blend`, forwards, for three channels on a driver in software: a unit per tile, for the reasons that `buckets.rs`
 //! gives for a unit per bucket. A unit copies a bucket's Gaussians, then goes through the tile block by block, passing only
 //! those that reach the block, four pixels side by side (`quads.rs`). What it keeps is what `forward.rs` keeps.
 //!

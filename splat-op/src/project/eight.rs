@@ -81,7 +81,7 @@ impl<L: Copy> Gaussians<L> {
     {
         let mut all = holds(self.opacity);
         for value in self.mean.into_iter().chain(self.rotation).chain(self.scale) {
-            all = all & holds(value);
+            all &= holds(value);
         }
         all
     }
@@ -229,7 +229,7 @@ impl<S: Simd, F: Real> Projection<S, F> {
             let through_along = scale(self.along, grad_compensation * self.compensation * blurred * blurred);
             for axis in 0..3 {
                 grad_p[axis] = self.compensation_free.select(through_p[axis], zero);
-                grad_along[axis] = grad_along[axis] - self.compensation_free.select(through_along[axis], zero);
+                grad_along[axis] -= self.compensation_free.select(through_along[axis], zero);
             }
         }
         let relative = grad.sigma_v / self.sigma_v;
@@ -255,9 +255,9 @@ impl<S: Simd, F: Real> Projection<S, F> {
         let zero = self.lanes(F::ZERO);
         let mut takes_part = zero.simd_gt(zero);
         for value in grad.to_row() {
-            takes_part = takes_part | !value.simd_eq(zero);
+            takes_part |= !value.simd_eq(zero);
         }
-        takes_part = takes_part & self.seen;
+        takes_part &= self.seen;
 
         let (grad_m, grad_opacity) = self.factor_backward(lens, g.opacity, grad);
         let inverse_z = self.lanes(F::ONE) / self.mean_cam[2];
@@ -272,11 +272,11 @@ impl<S: Simd, F: Real> Projection<S, F> {
             let grad_leaning = scale(grad_j, per_z);
             grad_cam_from_gaussian[axis] = grad_leaning;
             grad_cam_from_gaussian[2] = sub(grad_cam_from_gaussian[2], scale(grad_leaning, self.slope[axis]));
-            grad_cam[2] = grad_cam[2] - dot(grad_j, self.j[axis]) * inverse_z;
+            grad_cam[2] -= dot(grad_j, self.j[axis]) * inverse_z;
             let through_slope = dot(grad_leaning, self.cam_from_gaussian[2]);
             let grad_ratio = grad.mean_px[axis] * lens.focal[axis] - self.slope_free[axis].select(through_slope, zero);
             grad_cam[axis] = grad_ratio * inverse_z;
-            grad_cam[2] = grad_cam[2] - grad_ratio * self.ratio[axis] * inverse_z;
+            grad_cam[2] -= grad_ratio * self.ratio[axis] * inverse_z;
         }
 
         // cam_from_gaussian = pose rotation · world_from_gaussian
@@ -285,7 +285,7 @@ impl<S: Simd, F: Real> Projection<S, F> {
                 let through_rotation = matvec(&self.world_from_gaussian, grad_cam_from_gaussian[axis]);
                 let row = add(through_rotation, scale(g.mean, grad_cam[axis]));
                 for (sum, value) in pose.iter_mut().zip(row.into_iter().chain([grad_cam[axis]])) {
-                    *sum = *sum + takes_part.select(value, zero);
+                    *sum += takes_part.select(value, zero);
                 }
             }
         }

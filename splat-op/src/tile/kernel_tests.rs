@@ -138,7 +138,9 @@ fn check_lists(count: usize, [width, height]: [usize; 2], alpha_min: f64) {
             }
             for listed in &found {
                 let row = &projected[*listed as usize * COLUMNS..];
-                let allowed = coarse(row, alpha_min) || most.contains(listed);
+                // The device does not test the only tile of a box.
+                let only = || gaussian_of_hit.iter().filter(|gaussian| *gaussian == listed).count() == 1;
+                let allowed = coarse(row, alpha_min) || most.contains(listed) || only();
                 assert!(allowed, "{name}: tile {tile} lists Gaussian {listed}, which does not reach it");
             }
         }

@@ -128,7 +128,7 @@ impl<S: Simd, F: Real> Eight<S, F> {
         let mut shows =
             depth.simd_gt(lanes(F::ZERO)) & opacity.simd_gt(lanes(F::ZERO)) & opacity.simd_ge(lanes(reach.alpha_min));
         for value in [x, y, sigma_u, shear, sigma_v, depth, opacity] {
-            shows = shows & value.abs().simd_le(largest);
+            shows &= value.abs().simd_le(largest);
         }
 
         let across = shear * sigma_u;
