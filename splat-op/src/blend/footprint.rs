@@ -83,11 +83,10 @@ pub(super) struct Window {
 /// A Gaussian's constants, one copy in each lane.
 #[derive(Clone, Copy)]
 pub(super) struct Splat<S: Simd, F: Real> {
-    simd: S,
     pub footprint: Footprint<F>,
     mean_x: F::Lanes<S>,
     /// From the tile's first row to the mean, px.
-    rise: F,
+    rise: F::Lanes<S>,
     pub inverse_u: F::Lanes<S>,
     pub inverse_v: F::Lanes<S>,
     shear: F::Lanes<S>,
@@ -101,10 +100,9 @@ impl<S: Simd, F: Real> Splat<S, F> {
     pub fn new(simd: S, footprint: Footprint<F>, top: F) -> Self {
         let lanes = |value| F::Lanes::<S>::splat(simd, value);
         Self {
-            simd,
             footprint,
             mean_x: lanes(footprint.mean_px[0]),
-            rise: top + F::of(0.5) - footprint.mean_px[1],
+            rise: lanes(top + F::of(0.5) - footprint.mean_px[1]),
             inverse_u: lanes(footprint.inverse_u),
             inverse_v: lanes(footprint.inverse_v),
             shear: lanes(footprint.shear),
@@ -118,14 +116,14 @@ impl<S: Simd, F: Real> Splat<S, F> {
     pub fn column(&self, x: F::Lanes<S>) -> Column<S, F> {
         let dx = x - self.mean_x;
         let u = dx * self.inverse_u;
-        let dy = (-self.shear).mul_add(dx, F::Lanes::<S>::splat(self.simd, self.rise));
-        Column { u, square: u * u, top: dy * self.inverse_v }
+        Column { dx, u, square: u * u }
     }
 
     /// `v`, scaled by [`WHITEN`], of the pixels of a column on the row of the tile with this number.
     #[inline(always)]
     pub fn v(&self, column: &Column<S, F>, row: F::Lanes<S>) -> F::Lanes<S> {
-        self.inverse_v.mul_add(row, column.top)
+        // Added up before it is scaled, so that it is exactly zero where the mean lies.
+        (-self.shear).mul_add(column.dx, self.rise + row) * self.inverse_v
     }
 }
 
@@ -136,6 +134,5 @@ pub(super) struct Column<S: Simd, F: Real> {
     pub u: F::Lanes<S>,
     /// `u²`
     pub square: F::Lanes<S>,
-    /// `v` on the first row.
-    top: F::Lanes<S>,
+    dx: F::Lanes<S>,
 }
