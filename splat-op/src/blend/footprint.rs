@@ -5,7 +5,7 @@ use fearless_simd::prelude::*;
 use crate::project::Ellipse;
 use crate::real::{LANES, Real};
 use crate::tile::TILE;
-use crate::tile::reach::{half_extent, whitened_limit};
+use crate::tile::reach::{half_extent, widened_limit};
 
 /// Vectors along a row of a tile.
 pub(super) const ROW_VECTORS: usize = TILE / LANES;
@@ -36,7 +36,7 @@ pub(super) struct Footprint<F> {
 
 impl<F: Real> Footprint<F> {
     pub fn new(ellipse: &Ellipse<F>, alpha_min: F) -> Self {
-        let limit = whitened_limit(ellipse.opacity, alpha_min) * F::of(1.0 + 1e-5) + F::of(1e-4);
+        let limit = widened_limit(ellipse.opacity, alpha_min);
         Self {
             mean_px: ellipse.mean_px,
             inverse_u: F::of(WHITEN) / ellipse.sigma_u,

@@ -240,7 +240,6 @@ fn covered_cells(cover: &Cover, reach: &Reach, frame: &Frame) -> (u32, u32) {
     let mut low = 0u32;
     let mut high = 0u32;
     let (cell_width, cell_height) = (cover.cell_width(), cover.cell_height());
-    let single = cover.width * cover.height == 1;
     let mut y = 0u32;
     while y < cover.height {
         let mut x = 0u32;
@@ -250,7 +249,7 @@ fn covered_cells(cover: &Cover, reach: &Reach, frame: &Frame) -> (u32, u32) {
             let end_x = (cover.x + min(x + cell_width, cover.width)) * comptime!(TILE as u32);
             let end_y = (cover.y + min(y + cell_height, cover.height)) * comptime!(TILE as u32);
             let met = reach.meets(first_x, min(end_x, frame.width), first_y, min(end_y, frame.height));
-            if single || met {
+            if met {
                 let bit = y / cell_height * comptime!(CELLS) + x / cell_width;
                 let mask = 1u32 << (bit & 31);
                 if bit < 32 {

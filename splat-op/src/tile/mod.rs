@@ -2,8 +2,9 @@
 //!
 //! Not differentiable, and it changes no result: which Gaussian contributes to which pixel is decided in `blend`, and
 //! these lists only leave out pairs that cannot contribute. A Gaussian reaches as far as its alpha stays at or above
-//! `alpha_min`: within the ellipse `u² + v² <= 2 ln(opacity / alpha_min)`, tested exactly against each tile of its
-//! bounding box, with a margin for the rounding of `blend`.
+//! `alpha_min`: within the ellipse `u² + v² <= 2 ln(opacity / alpha_min)`. A tile lists it if the rectangle of the tile's pixel
+//! centres meets that ellipse, with a margin for the rounding of `blend`: the twin computes the interval that the ellipse
+//! spans on each row of tiles, the kernel tests each tile of the bounding box.
 //!
 //! The lists live in a cell beside the tensors, because their length depends on the data. See `HitCell`.
 

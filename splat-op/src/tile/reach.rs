@@ -16,6 +16,13 @@ pub(crate) fn whitened_limit<F: Real>(opacity: F, alpha_min: F) -> F {
     if alpha_min > F::ZERO { F::of(2.0) * (opacity / alpha_min).ln() } else { F::MAX }
 }
 
+/// The same, widened so that no rounding of `blend` shows a Gaussian beyond it: a relative margin for the logarithm, an
+/// absolute one for the exponential.
+#[inline(always)]
+pub(crate) fn widened_limit<F: Real>(opacity: F, alpha_min: F) -> F {
+    whitened_limit(opacity, alpha_min) * F::of(1.0 + 1e-5) + F::of(1e-4)
+}
+
 /// Half the width and height of the box around `u² + v² <= limit`, px.
 #[inline(always)]
 pub(crate) fn half_extent<F: Real>(ellipse: &Ellipse<F>, limit: F) -> [F; 2] {
@@ -51,8 +58,7 @@ impl<F: Real> Reach<F> {
         scratch.ellipses.read(rows);
         let opacities = scratch.ellipses.column(6);
         for (limit, opacity) in scratch.limits.iter_mut().zip(opacities).take(count) {
-            // A relative margin for the logarithm, an absolute one for the exponential.
-            *limit = whitened_limit(*opacity, self.alpha_min) * F::of(1.0 + 1e-5) + F::of(1e-4);
+            *limit = widened_limit(*opacity, self.alpha_min);
         }
         let mut counts = [0; BLOCK];
         for first in (0..count).step_by(LANES) {
