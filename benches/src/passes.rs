@@ -292,7 +292,6 @@ fn gradients(gaussians: &Gaussians) -> Gradients {
         rotations: Some(gaussians.rotations.val() * SHARE),
         log_scales: Some(gaussians.log_scales.val() * SHARE),
         logit_opacities: Some(gaussians.logit_opacities.val() * SHARE),
-        sh_dc: Some(gaussians.sh_dc.val() * SHARE),
-        sh_rest: gaussians.sh_rest.as_ref().map(|rest| rest.val() * SHARE),
+        sh: Some(gaussians.sh.val() * SHARE),
     }
 }

@@ -68,6 +68,26 @@ impl GaussianRows {
         (0..self.len()).into_par_iter().filter(|&i| !self.is_usable(i)).count()
     }
 
+    /// All coefficients, `[N, (degree+1)², 3]` row-major.
+    fn sh(&self) -> Vec<f32> {
+        let rest = self.rest_per_row();
+        if rest == 0 {
+            return self.sh_dc.as_flattened().to_vec();
+        }
+        let rows = self.sh_dc.iter().zip(self.sh_rest.chunks_exact(rest));
+        rows.flat_map(|(dc, rest)| dc.iter().chain(rest)).copied().collect()
+    }
+
+    /// The same from all coefficients of the degree.
+    fn set_sh(&mut self, sh: &[f32]) {
+        let rows = sh.chunks_exact(self.rest_per_row() + 3).map(|row| row.split_at(3));
+        (self.sh_dc, self.sh_rest) = (Vec::new(), Vec::with_capacity(sh.len()));
+        for (dc, rest) in rows {
+            self.sh_dc.push([dc[0], dc[1], dc[2]]);
+            self.sh_rest.extend_from_slice(rest);
+        }
+    }
+
     /// Refuses fields of different lengths and degrees above 4.
     ///
     /// # Errors
@@ -98,11 +118,9 @@ pub struct Gaussians {
     pub log_scales: Param<Tensor<2>>,
     /// `[N]`: logits of the opacities.
     pub logit_opacities: Param<Tensor<1>>,
-    /// `[N, 1, 3]`: degree-0 coefficients.
-    pub sh_dc: Param<Tensor<3>>,
-    /// `[N, (degree+1)² − 1, 3]`: higher coefficients; absent at degree 0. Coefficients of a degree that is not yet in
-    /// use are not stored: their gradients, moments and values would all be zero.
-    pub sh_rest: Option<Param<Tensor<3>>>,
+    /// `[N, (degree+1)², 3]`: coefficients of the spherical harmonics, that of degree 0 first. Those of a degree that is not
+    /// yet in use are not stored: their gradients, moments and values would all be zero.
+    pub sh: Param<Tensor<3>>,
 }
 
 /// A tracked parameter on an autodiff device, a plain one elsewhere.
@@ -118,28 +136,29 @@ impl Gaussians {
     pub fn from_rows(rows: &GaussianRows, device: &Device) -> Result<Self, RowsError> {
         rows.check()?;
         let count = rows.len();
-        let rest = rows.rest_per_row() / 3;
+        let coefficients = rows.rest_per_row() / 3 + 1;
         Ok(Self {
             means: parameter(tensor(rows.means.as_flattened(), [count, 3], device)),
             rotations: parameter(tensor(rows.rotations.as_flattened(), [count, 4], device)),
             log_scales: parameter(tensor(rows.log_scales.as_flattened(), [count, 3], device)),
             logit_opacities: parameter(tensor(&rows.logit_opacities, [count], device)),
-            sh_dc: parameter(tensor(rows.sh_dc.as_flattened(), [count, 1, 3], device)),
-            sh_rest: (rest > 0).then(|| parameter(tensor(&rows.sh_rest, [count, rest, 3], device))),
+            sh: parameter(tensor(&rows.sh(), [count, coefficients, 3], device)),
         })
     }
 
     /// The rows of the scene, copied to the host.
     pub fn to_rows(&self) -> GaussianRows {
-        GaussianRows {
+        let (sh, sh_degree) = (values_of(self.sh.val()), self.sh_degree());
+        let mut rows = GaussianRows {
             means: rows_of(self.means.val()),
             rotations: rows_of(self.rotations.val()),
             log_scales: rows_of(self.log_scales.val()),
             logit_opacities: values_of(self.logit_opacities.val()),
-            sh_dc: rows_of(self.sh_dc.val().squeeze_dim::<2>(1)),
-            sh_rest: self.sh_rest.as_ref().map(|rest| values_of(rest.val())).unwrap_or_default(),
-            sh_degree: self.sh_degree(),
-        }
+            sh_degree,
+            ..GaussianRows::default()
+        };
+        rows.set_sh(&sh);
+        rows
     }
 
     /// Number of Gaussians.
@@ -154,8 +173,7 @@ impl Gaussians {
 
     /// Degree of the spherical harmonics that are stored.
     pub fn sh_degree(&self) -> usize {
-        let coefficients = 1 + self.sh_rest.as_ref().map_or(0, |rest| rest.val().dims()[1]);
-        coefficients.isqrt() - 1
+        self.sh.val().dims()[1].isqrt() - 1
     }
 
     /// `[N, 3]`: standard deviations, scene units; 0 where a logarithm is unusable.
@@ -168,46 +186,32 @@ impl Gaussians {
     /// `[N]`: opacities, 0 to 1; exactly 0, without gradients, for Gaussians that are unusable in any parameter (see
     /// [`splat_op::activate`]), so that they change nothing but themselves.
     pub fn opacities(&self) -> Tensor<1> {
-        self.opacities_with(&self.sh())
-    }
-
-    fn opacities_with(&self, sh: &Tensor<3>) -> Tensor<1> {
         let raw = RawSplats {
             means: self.means.val(),
             rotations: self.rotations.val(),
             log_scales: self.log_scales.val(),
             logit_opacities: self.logit_opacities.val(),
-            sh: sh.clone(),
+            sh: self.sh.val(),
         };
         // As in `scales`.
         activate::opacities(&raw).unwrap_or_else(|_| sigmoid(raw.logit_opacities))
     }
 
-    /// `[N, (degree+1)², 3]`: all coefficients.
-    pub fn sh(&self) -> Tensor<3> {
-        match &self.sh_rest {
-            None => self.sh_dc.val(),
-            Some(rest) => Tensor::cat(vec![self.sh_dc.val(), rest.val()], 1),
-        }
-    }
-
     /// The Gaussians with activated parameters, tracked as the parameters are. Unusable ones are masked, see
     /// [`Self::opacities`].
     pub fn splats(&self) -> Splats {
-        let sh = self.sh();
         Splats {
             means: self.means.val(),
             rotations: self.rotations.val(),
             scales: self.scales(),
-            opacities: self.opacities_with(&sh),
-            colour: Colour::SphericalHarmonics(sh),
+            opacities: self.opacities(),
+            colour: Colour::SphericalHarmonics(self.sh.val()),
         }
     }
 
     /// The same scene without autodiff: for evaluation, where a tracked forward pass would keep its state for nothing.
     pub fn untracked(&self) -> Self {
         let plain = |param: &Param<Tensor<2>>| Param::from_tensor(param.val().inner());
-        let plain3 = |param: &Param<Tensor<3>>| Param::from_tensor(param.val().inner());
         if !self.means.val().device().is_autodiff() {
             return self.clone();
         }
@@ -216,8 +220,7 @@ impl Gaussians {
             rotations: plain(&self.rotations),
             log_scales: plain(&self.log_scales),
             logit_opacities: Param::from_tensor(self.logit_opacities.val().inner()),
-            sh_dc: plain3(&self.sh_dc),
-            sh_rest: self.sh_rest.as_ref().map(plain3),
+            sh: Param::from_tensor(self.sh.val().inner()),
         }
     }
 }

@@ -4,7 +4,7 @@ use burn::module::Param;
 use burn::tensor::{Int, Tensor, TensorData};
 
 use crate::gaussians::{GaussianRows, Gaussians, RowsError, parameter};
-use crate::optim::{Adam, LearningRates, Moments};
+use crate::optim::{Adam, LearningRates, Moments, Rates};
 
 /// Adam's state for all parameters of a scene.
 #[derive(Clone, Debug)]
@@ -13,8 +13,7 @@ pub struct GaussianMoments {
     pub(crate) rotations: Moments<2>,
     pub(crate) log_scales: Moments<2>,
     pub(crate) logit_opacities: Moments<1>,
-    pub(crate) sh_dc: Moments<3>,
-    pub(crate) sh_rest: Option<Moments<3>>,
+    pub(crate) sh: Moments<3>,
 }
 
 impl GaussianMoments {
@@ -25,8 +24,7 @@ impl GaussianMoments {
             rotations: Moments::new(&gaussians.rotations.val()),
             log_scales: Moments::new(&gaussians.log_scales.val()),
             logit_opacities: Moments::new(&gaussians.logit_opacities.val()),
-            sh_dc: Moments::new(&gaussians.sh_dc.val()),
-            sh_rest: gaussians.sh_rest.as_ref().map(|rest| Moments::new(&rest.val())),
+            sh: Moments::new(&gaussians.sh.val()),
         }
     }
 }
@@ -74,11 +72,7 @@ impl Trained {
         edit_rows(&mut gaussians.rotations, &mut moments.rotations, &keep, &added.rotations);
         edit_rows(&mut gaussians.log_scales, &mut moments.log_scales, &keep, &added.log_scales);
         edit_rows(&mut gaussians.logit_opacities, &mut moments.logit_opacities, &keep, &added.logit_opacities);
-        edit_rows(&mut gaussians.sh_dc, &mut moments.sh_dc, &keep, &added.sh_dc);
-        if let (Some(rest), Some(moments), Some(added)) = (&mut gaussians.sh_rest, &mut moments.sh_rest, &added.sh_rest)
-        {
-            edit_rows(rest, moments, &keep, added);
-        }
+        edit_rows(&mut gaussians.sh, &mut moments.sh, &keep, &added.sh);
         Ok(())
     }
 
@@ -96,27 +90,17 @@ impl Trained {
     /// Makes room for spherical harmonics up to `degree`: new coefficients and their moments are zero, just as if they
     /// had been there from the start with zero gradients.
     pub fn grow_sh(&mut self, degree: usize) {
-        let wanted = (degree + 1) * (degree + 1) - 1;
-        let [count, have] = match &self.gaussians.sh_rest {
-            Some(rest) => [rest.val().dims()[0], rest.val().dims()[1]],
-            None => [self.gaussians.len(), 0],
-        };
+        let wanted = (degree + 1) * (degree + 1);
+        let values = self.gaussians.sh.val().inner();
+        let [count, have, channels] = values.dims();
         if wanted <= have {
             return;
         }
-        let like = self.gaussians.sh_dc.val().inner();
-        let zeros = Tensor::<3>::zeros([count, wanted - have, 3], (&like.device(), like.dtype()));
-        let grown = |old: Option<Tensor<3>>| match old {
-            Some(old) => Tensor::cat(vec![old, zeros.clone()], 1),
-            None => zeros.clone(),
-        };
-        let values = grown(self.gaussians.sh_rest.as_ref().map(|rest| rest.val().inner()));
-        self.moments.sh_rest = Some(match self.moments.sh_rest.take() {
-            Some(Moments { m, v }) => Moments { m: grown(Some(m)), v: grown(Some(v)) },
-            None => Moments { m: zeros.clone(), v: zeros.clone() },
-        });
-        let device = self.gaussians.means.val().device();
-        self.gaussians.sh_rest = Some(parameter(on(&device, values)));
+        let zeros = Tensor::zeros([count, wanted - have, channels], (&values.device(), values.dtype()));
+        let grown = |old: Tensor<3>| Tensor::cat(vec![old, zeros.clone()], 1);
+        self.moments.sh.m.inplace(grown);
+        self.moments.sh.v.inplace(grown);
+        replace(&mut self.gaussians.sh, grown(values));
     }
 
     /// One step of Adam on every parameter that has a gradient; `step` counts from 1. With a verdict, `[2]` (see
@@ -136,10 +120,7 @@ impl Trained {
         update(&mut g.rotations, gradients.rotations, rotations, &mut m.rotations, adam);
         update(&mut g.log_scales, gradients.log_scales, scales, &mut m.log_scales, adam);
         update(&mut g.logit_opacities, gradients.logit_opacities, opacities, &mut m.logit_opacities, adam);
-        update(&mut g.sh_dc, gradients.sh_dc, sh_dc, &mut m.sh_dc, adam);
-        if let (Some(rest), Some(moments)) = (&mut g.sh_rest, &mut m.sh_rest) {
-            update(rest, gradients.sh_rest, sh_rest, moments, adam);
-        }
+        update(&mut g.sh, gradients.sh, Rates { first: sh_dc, others: sh_rest }, &mut m.sh, adam);
     }
 }
 
@@ -159,8 +140,7 @@ pub struct Gradients {
     pub rotations: Option<Tensor<2>>,
     pub log_scales: Option<Tensor<2>>,
     pub logit_opacities: Option<Tensor<1>>,
-    pub sh_dc: Option<Tensor<3>>,
-    pub sh_rest: Option<Tensor<3>>,
+    pub sh: Option<Tensor<3>>,
 }
 
 impl Gradients {
@@ -171,8 +151,7 @@ impl Gradients {
             rotations: gaussians.rotations.val().grad_remove(grads),
             log_scales: gaussians.log_scales.val().grad_remove(grads),
             logit_opacities: gaussians.logit_opacities.val().grad_remove(grads),
-            sh_dc: gaussians.sh_dc.val().grad_remove(grads),
-            sh_rest: gaussians.sh_rest.as_ref().and_then(|rest| rest.val().grad_remove(grads)),
+            sh: gaussians.sh.val().grad_remove(grads),
         }
     }
 }
@@ -198,7 +177,7 @@ fn take<const D: usize>(param: &mut Param<Tensor<D>>) -> Tensor<D> {
 fn update<const D: usize>(
     param: &mut Param<Tensor<D>>,
     gradient: Option<Tensor<D>>,
-    rate: f64,
+    rate: impl Into<Rates>,
     moments: &mut Moments<D>,
     (adam, step, verdict): (&Adam, usize, Option<&Tensor<1, Int>>),
 ) {

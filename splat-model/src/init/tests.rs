@@ -68,7 +68,7 @@ fn a_point_shows_its_colour_and_opacity() {
     let device = Device::flex();
     let scene = Gaussians::from_rows(&rows, &device).unwrap();
     let camera = Camera::new(Intrinsics::centred(32, 24, 30.0), &DAffine3::IDENTITY, &device);
-    let shown = values_of(shade(&scene.sh(), &scene.means.val(), &camera).unwrap());
+    let shown = values_of(shade(&scene.sh.val(), &scene.means.val(), &camera).unwrap());
     for (shown, colour) in shown.iter().zip(colours.as_flattened()) {
         assert!((shown - f32::from(*colour) / 255.0).abs() < 1e-6, "{shown} instead of {colour}/255");
     }

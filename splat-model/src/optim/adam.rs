@@ -2,7 +2,8 @@
 
 use burn::tensor::{DType, Device, Int, Tensor, TensorData};
 use rayon::prelude::*;
-use splat_op::adam::Stepped;
+pub use splat_op::adam::Rates;
+use splat_op::adam::{Band, Stepped};
 
 /// Gradients are clamped to ± this before they are squared: in f32, `1e17² / (1 − β₂)` is still finite. Steps stay
 /// bounded by the learning rate either way, because Adam is invariant to the gradient's length.
@@ -51,14 +52,14 @@ impl Default for Adam {
 struct Factors {
     beta1: f64,
     beta2: f64,
-    /// Rate of `m / (√v + floor)`.
-    rate: f64,
+    /// Rates of `m / (√v + floor)`.
+    rate: Rates,
     floor: f64,
 }
 
 impl Adam {
-    /// The parameter after step `t`, counted from 1, with learning rate `lr`: with bias correction,
-    /// `param − lr · m̂ / (√v̂ + ε)`.
+    /// The parameter after step `t`, counted from 1, with learning rate `lr` (one for all, or [`Rates`]): with bias
+    /// correction, `param − lr · m̂ / (√v̂ + ε)`.
     ///
     /// `param`, `grad` and `moments` have one shape and no autodiff. A gradient of zero without history changes nothing.
     /// An infinite gradient counts as 1e17; `v` forgets such a one at the rate β₂, so that its row hardly moves for
@@ -71,7 +72,7 @@ impl Adam {
         &self,
         param: Tensor<D>,
         grad: Tensor<D>,
-        lr: f64,
+        lr: impl Into<Rates>,
         moments: &mut Moments<D>,
         t: usize,
     ) -> Tensor<D> {
@@ -83,11 +84,11 @@ impl Adam {
         &self,
         param: Tensor<D>,
         grad: Tensor<D>,
-        lr: f64,
+        lr: impl Into<Rates>,
         moments: &mut Moments<D>,
         t: usize,
     ) -> Tensor<D> {
-        self.factors(lr, t).step_in_tensors(param, grad, moments)
+        self.factors(lr.into(), t).step_in_tensors(param, grad, moments)
     }
 
     /// As [`Self::step`], but nothing changes where a step is entered in the verdict, `[2]` (see [`splat_op::adam`]).
@@ -95,13 +96,13 @@ impl Adam {
         &self,
         param: Tensor<D>,
         grad: Tensor<D>,
-        lr: f64,
+        lr: impl Into<Rates>,
         moments: &mut Moments<D>,
         (t, verdict): (usize, Option<&Tensor<1, Int>>),
     ) -> Tensor<D> {
         assert_eq!(param.shape(), grad.shape(), "a gradient has the shape of its parameter");
         assert_eq!(param.shape(), moments.m.shape(), "moments have the shape of their parameter");
-        let factors = self.factors(lr, t);
+        let factors = self.factors(lr.into(), t);
         // On a GPU one operation does all of it.
         let param = match factors.step_on_gpu(param, &grad, moments, verdict) {
             Ok(param) => return param,
@@ -124,12 +125,12 @@ impl Adam {
         }
     }
 
-    fn factors(&self, lr: f64, t: usize) -> Factors {
+    fn factors(&self, lr: Rates, t: usize) -> Factors {
         // √v̂ = c √v and m̂ = b m; both factors move out of the tensors: lr m̂ / (√v̂ + ε) = (lr b/c) m / (√v + ε/c).
         let t = t as f64;
         let b = (1.0 - self.beta1) / (1.0 - self.beta1.powf(t));
         let c = ((1.0 - self.beta2) / (1.0 - self.beta2.powf(t))).sqrt();
-        Factors { beta1: self.beta1, beta2: self.beta2, rate: lr * b / c, floor: self.eps / c }
+        Factors { beta1: self.beta1, beta2: self.beta2, rate: lr.times(b / c), floor: self.eps / c }
     }
 }
 
@@ -175,7 +176,21 @@ impl Factors {
         moments.m.inplace(|m| m * self.beta1 + grad.clone());
         moments.v.inplace(|v| v * self.beta2 + grad.square());
         let root = moments.v.clone().sqrt() + self.floor;
-        param - moments.m.clone() / root * self.rate
+        let ratio = moments.m.clone() / root;
+        param - self.rated(ratio)
+    }
+
+    /// Each number times its rate.
+    fn rated<const D: usize>(&self, ratio: Tensor<D>) -> Tensor<D> {
+        let dims = ratio.dims();
+        match self.rate.band(&dims) {
+            None => return ratio * self.rate.others,
+            Some(Band { period, width }) if period == width => return ratio * self.rate.first,
+            Some(_) => {}
+        }
+        let first = ratio.clone().narrow(1, 0, 1) * self.rate.first;
+        let others = ratio.narrow(1, 1, dims[1] - 1) * self.rate.others;
+        Tensor::cat(vec![first, others], 1)
     }
 
     /// The same for f32 on a device whose tensors lie in host memory.
@@ -186,13 +201,14 @@ impl Factors {
         moments: &mut Moments<D>,
     ) -> Tensor<D> {
         let options = (&param.device(), DType::F32);
+        let band = self.rate.band(&param.dims());
         let (mut param, grad) = (param.into_data(), grad.into_data());
         let Moments { m, v } = moments;
         m.inplace(|m| {
             let mut m = m.into_data();
             v.inplace(|v| {
                 let mut v = v.into_data();
-                self.step_slices(values_mut(&mut param), values(&grad), values_mut(&mut m), values_mut(&mut v));
+                self.step_slices(values_mut(&mut param), values(&grad), values_mut(&mut m), values_mut(&mut v), band);
                 Tensor::from_data(v, options)
             });
             Tensor::from_data(m, options)
@@ -200,27 +216,39 @@ impl Factors {
         Tensor::from_data(param, options)
     }
 
-    fn step_slices(&self, param: &mut [f32], grad: &[f32], m: &mut [f32], v: &mut [f32]) {
+    fn step_slices(&self, param: &mut [f32], grad: &[f32], m: &mut [f32], v: &mut [f32], band: Option<Band>) {
         // 64 KiB of each array: large enough to hide the scheduling, small enough to share out evenly.
         const CHUNK: usize = 16_384;
-        let moments = m.par_chunks_mut(CHUNK).zip(v.par_chunks_mut(CHUNK));
-        param
-            .par_chunks_mut(CHUNK)
-            .zip(grad.par_chunks(CHUNK))
-            .zip(moments)
-            .for_each(|((param, grad), (m, v))| self.step_chunk(param, grad, m, v));
+        let rates = self.pattern(band);
+        let chunk = CHUNK.next_multiple_of(rates.len());
+        let moments = m.par_chunks_mut(chunk).zip(v.par_chunks_mut(chunk));
+        param.par_chunks_mut(chunk).zip(grad.par_chunks(chunk)).zip(moments).for_each(|((param, grad), (m, v))| {
+            let moments = m.chunks_mut(rates.len()).zip(v.chunks_mut(rates.len()));
+            let numbers = param.chunks_mut(rates.len()).zip(grad.chunks(rates.len())).zip(moments);
+            for ((param, grad), (m, v)) in numbers {
+                self.step_chunk(param, grad, m, v, &rates);
+            }
+        });
     }
 
-    fn step_chunk(&self, param: &mut [f32], grad: &[f32], m: &mut [f32], v: &mut [f32]) {
+    /// The rates of the numbers of a parameter, which repeat: whole periods and whole vectors.
+    fn pattern(&self, band: Option<Band>) -> Vec<f32> {
+        const LANES: usize = 16;
+        let Band { period, width } = band.unwrap_or(Band { period: 64, width: 0 });
+        let of = |at: usize| if at % period < width { self.rate.first } else { self.rate.others };
+        (0..LANES * period).map(|at| of(at) as f32).collect()
+    }
+
+    fn step_chunk(&self, param: &mut [f32], grad: &[f32], m: &mut [f32], v: &mut [f32], rates: &[f32]) {
         // A constant bound, because a clamp between variables checks their order per element and is not vectorised.
         const LARGEST: f32 = LARGEST_GRADIENT as f32;
         let (beta1, beta2) = (self.beta1 as f32, self.beta2 as f32);
-        let (rate, floor) = (self.rate as f32, self.floor as f32);
-        for (((param, grad), m), v) in param.iter_mut().zip(grad).zip(m).zip(v) {
+        let floor = self.floor as f32;
+        for ((((param, grad), m), v), rate) in param.iter_mut().zip(grad).zip(m).zip(v).zip(rates) {
             let grad = grad.clamp(-LARGEST, LARGEST);
             *m = *m * beta1 + grad;
             *v = *v * beta2 + grad * grad;
-            *param -= *m / (v.sqrt() + floor) * rate;
+            *param -= *m / (v.sqrt() + floor) * *rate;
         }
     }
 }

@@ -3,5 +3,5 @@
 pub mod adam;
 pub mod schedule;
 
-pub use adam::{Adam, Moments};
+pub use adam::{Adam, Moments, Rates};
 pub use schedule::{Decay, LearningRates, near_plane, scene_extent, sh_degree_at};

@@ -157,8 +157,7 @@ pub(super) fn check_gradients(gradients: &Gradients) -> Result<(), Wrong> {
     one("rotations", &gradients.rotations)?;
     one("log_scales", &gradients.log_scales)?;
     one("logit_opacities", &gradients.logit_opacities)?;
-    one("sh_dc", &gradients.sh_dc)?;
-    one("sh_rest", &gradients.sh_rest)
+    one("sh", &gradients.sh)
 }
 
 /// No Gaussian became unusable. `before` and `after` are the same Gaussians.

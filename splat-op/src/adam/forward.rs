@@ -2,6 +2,7 @@
 
 use cubecl::prelude::*;
 
+use super::Band;
 use crate::gpu::math::finite;
 
 /// The scalars of one step.
@@ -11,11 +12,14 @@ pub(super) struct StepFactors {
     pub beta1: f32,
     pub beta2: f32,
     pub rate: f32,
+    /// Of numbers in the band.
+    pub rate_of_first: f32,
     pub floor: f32,
     pub largest: f32,
 }
 
-/// One step in place, unless the verdict names a step.
+/// One step in place, unless the verdict names a step. A band is a compile-time value: there is one per degree of the
+/// spherical harmonics, and a division by a constant is a product.
 #[cube(launch_unchecked)]
 pub(super) fn adam_kernel(
     param: &mut [f32],
@@ -26,6 +30,7 @@ pub(super) fn adam_kernel(
     factors: StepFactors,
     count: u32,
     #[comptime] guarded: bool,
+    #[comptime] band: Option<Band>,
 ) {
     let at = ABSOLUTE_POS;
     let mut runs = at < count as usize;
@@ -41,7 +46,12 @@ pub(super) fn adam_kernel(
         let second = v[at] * factors.beta2 + gradient * gradient;
         m[at] = first;
         v[at] = second;
-        param[at] -= first / (second.sqrt() + factors.floor) * factors.rate;
+        let mut rate = factors.rate;
+        if comptime!(band.is_some()) {
+            let (period, width) = comptime!(band.map_or((1, 0), |band| (band.period as u32, band.width as u32)));
+            rate = select(at as u32 % period < width, factors.rate_of_first, factors.rate);
+        }
+        param[at] -= first / (second.sqrt() + factors.floor) * rate;
     }
 }
 

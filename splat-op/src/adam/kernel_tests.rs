@@ -1,13 +1,14 @@
 //! The step against its equations in f64, and the verdict against its rules.
 
 use super::launch::{DeviceState, launch_adam, launch_watch};
-use super::{Factors, VERDICT};
+use super::{Band, Factors, Rates, VERDICT};
 use crate::gpu::{Buffer, Gpu};
 use crate::testing::ceiling::{Yardstick, rounded, to_f32};
 use crate::testing::gpu::gpus;
 use crate::testing::random::Random;
 
-const FACTORS: Factors = Factors { beta1: 0.9, beta2: 0.999, rate: 3e-3, floor: 1e-15, largest: 1e17 };
+const RATES: Rates = Rates { first: 0.06, others: 3e-3 };
+const FACTORS: Factors = Factors { beta1: 0.9, beta2: 0.999, rate: RATES, floor: 1e-15, largest: 1e17 };
 
 /// Parameter, gradient and moments after some steps, in f32 precision; every seventh row has no history and no gradient.
 fn tensors(count: usize) -> Vec<Vec<f64>> {
@@ -21,12 +22,16 @@ fn tensors(count: usize) -> Vec<Vec<f64>> {
 }
 
 /// The equations: parameter and moments.
-fn step(inputs: &[Vec<f64>]) -> Vec<Vec<f64>> {
+fn step(inputs: &[Vec<f64>], band: Option<Band>) -> Vec<Vec<f64>> {
     let rows = 0..inputs[0].len();
     let gradient = |i: usize| inputs[1][i].clamp(-FACTORS.largest, FACTORS.largest);
+    let rate = |i: usize| match band {
+        Some(Band { period, width }) if i % period < width => RATES.first,
+        _ => RATES.others,
+    };
     let m: Vec<f64> = rows.clone().map(|i| FACTORS.beta1 * inputs[2][i] + gradient(i)).collect();
     let v: Vec<f64> = rows.clone().map(|i| FACTORS.beta2 * inputs[3][i] + gradient(i).powi(2)).collect();
-    let param = rows.map(|i| inputs[0][i] - FACTORS.rate * m[i] / (v[i].sqrt() + FACTORS.floor)).collect();
+    let param = rows.map(|i| inputs[0][i] - rate(i) * m[i] / (v[i].sqrt() + FACTORS.floor)).collect();
     vec![param, m, v]
 }
 
@@ -43,14 +48,23 @@ fn read(gpu: &Gpu, state: &DeviceState) -> [Vec<f32>; 3] {
 fn a_step_is_that_of_the_equations() {
     for count in [1, 255, 256, 5_000] {
         let tensors = tensors(count);
-        let yardstick = Yardstick::new(&tensors, step);
+        let band = Some(Band { period: 12, width: 3 });
+        let yardsticks = [None, band].map(|band| (band, Yardstick::new(&tensors, |inputs| step(inputs, band))));
         for (form, gpu) in gpus() {
             let sound = Buffer::from_slice(&gpu, &[0_u32; VERDICT]);
-            for (guard, verdict) in [("without a verdict", None), ("with one", Some(&sound))] {
+            let guards = [("without a verdict", None), ("with one", Some(&sound))];
+            for ((guard, verdict), (band, yardstick)) in
+                guards.iter().flat_map(|g| yardsticks.iter().map(move |y| (g, y)))
+            {
                 let (state, grad) = on_device(&gpu, &tensors);
-                launch_adam(&gpu, &state, &grad, verdict, &FACTORS);
+                launch_adam(&gpu, &state, &grad, *verdict, &FACTORS, *band);
                 for (i, found) in read(&gpu, &state).iter().enumerate() {
-                    yardstick.check(&format!("{count}, {form}, {guard}: {i}"), i, found, &vec![Some(0); count]);
+                    yardstick.check(
+                        &format!("{count}, {form}, {guard}, {band:?}: {i}"),
+                        i,
+                        found,
+                        &vec![Some(0); count],
+                    );
                 }
                 assert_eq!(read(&gpu, &state)[0][0], tensors[0][0] as f32, "no gradient and no history, yet a step");
             }
@@ -64,10 +78,10 @@ fn gradients_are_held_within_the_largest_and_nan_is_passed_on() {
     for (row, value) in [f64::INFINITY, f64::NEG_INFINITY, 3e17, -3e17, f64::NAN].into_iter().enumerate() {
         tensors[1][row] = value;
     }
-    let expected = step(&tensors);
+    let expected = step(&tensors, None);
     for (form, gpu) in gpus() {
         let (state, grad) = on_device(&gpu, &tensors);
-        launch_adam(&gpu, &state, &grad, None, &FACTORS);
+        launch_adam(&gpu, &state, &grad, None, &FACTORS, None);
         for (tensor, found) in read(&gpu, &state).iter().enumerate() {
             for row in 0..4 {
                 let (found, expected) = (f64::from(found[row]), expected[tensor][row]);
@@ -88,7 +102,7 @@ fn a_verdict_holds_a_step_back() {
         let (state, grad) = on_device(&gpu, &tensors);
         let before = read(&gpu, &state);
         let verdict = Buffer::from_slice(&gpu, &[7_u32, 1]);
-        launch_adam(&gpu, &state, &grad, Some(&verdict), &FACTORS);
+        launch_adam(&gpu, &state, &grad, Some(&verdict), &FACTORS, None);
         assert!(read(&gpu, &state) == before, "{form}: a step that was to be held back changed something");
     }
 }

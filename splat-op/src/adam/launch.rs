@@ -1,7 +1,7 @@
 //! Launches of Adam's step and of the look at what it is to be made of.
 
-use super::Factors;
 use super::forward::{StepFactorsLaunch, adam_kernel, watch_kernel};
+use super::{Band, Factors};
 use crate::gpu::{Buffer, Gpu, elementwise};
 
 /// Units that look for values that are not finite: enough to occupy a large card, few enough that each has several.
@@ -15,13 +15,14 @@ pub(crate) struct DeviceState {
     pub v: Buffer<f32>,
 }
 
-/// One step, in place; nothing where `verdict`, `[2]`, names a step.
+/// One step, in place, with the first of the rates within `band`; nothing where `verdict`, `[2]`, names a step.
 pub(crate) fn launch_adam(
     gpu: &Gpu,
     state: &DeviceState,
     grad: &Buffer<f32>,
     verdict: Option<&Buffer<u32>>,
     factors: &Factors,
+    band: Option<Band>,
 ) {
     let count = state.param.len;
     if count == 0 {
@@ -44,12 +45,14 @@ pub(crate) fn launch_adam(
             StepFactorsLaunch::new(
                 factors.beta1 as f32,
                 factors.beta2 as f32,
-                factors.rate as f32,
+                factors.rate.others as f32,
+                factors.rate.first as f32,
                 factors.floor as f32,
                 factors.largest as f32,
             ),
             count as u32,
             guarded,
+            band,
         );
     }
 }

@@ -83,7 +83,8 @@ impl AdamBackend for CubeBackend {
             Held::Never => None,
             Held::By(verdict) => Some(verdict_buffer(verdict)),
         };
-        launch_adam(&gpu, &state, &buffer(grad), verdict.as_ref(), &factors);
+        let band = factors.rate.band(param.shape().as_slice());
+        launch_adam(&gpu, &state, &buffer(grad), verdict.as_ref(), &factors, band);
         AdamState { param, m, v }
     }
 

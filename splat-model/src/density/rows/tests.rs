@@ -29,8 +29,7 @@ fn random_gradients(of: &Gaussians) -> Gradients {
         rotations: noise(&of.rotations),
         log_scales: noise(&of.log_scales),
         logit_opacities: noise(&of.logit_opacities),
-        sh_dc: noise(&of.sh_dc),
-        sh_rest: of.sh_rest.as_ref().and_then(noise),
+        sh: noise(&of.sh),
     }
 }
 
@@ -58,25 +57,19 @@ fn numbers<const D: usize>(param: &Param<Tensor<D>>, moments: &Moments<D>) -> Nu
 /// All numbers of a scene, by parameter.
 fn all(scene: &Trained) -> Vec<(&'static str, Numbers)> {
     let (g, m) = (&scene.gaussians, &scene.moments);
-    let mut all = vec![
+    vec![
         ("means", numbers(&g.means, &m.means)),
         ("rotations", numbers(&g.rotations, &m.rotations)),
         ("log_scales", numbers(&g.log_scales, &m.log_scales)),
         ("logit_opacities", numbers(&g.logit_opacities, &m.logit_opacities)),
-        ("sh_dc", numbers(&g.sh_dc, &m.sh_dc)),
-    ];
-    assert_eq!(g.sh_rest.is_some(), m.sh_rest.is_some());
-    if let (Some(rest), Some(moments)) = (&g.sh_rest, &m.sh_rest) {
-        all.push(("sh_rest", numbers(rest, moments)));
-    }
-    all
+        ("sh", numbers(&g.sh, &m.sh)),
+    ]
 }
 
 /// Whether each parameter can be trained further.
 fn all_tracked(scene: &Gaussians) -> bool {
-    let rest = scene.sh_rest.as_ref().is_none_or(|rest| rest.val().is_require_grad());
     let two = [&scene.means, &scene.rotations, &scene.log_scales].iter().all(|param| param.val().is_require_grad());
-    rest && two && scene.logit_opacities.val().is_require_grad() && scene.sh_dc.val().is_require_grad()
+    two && scene.logit_opacities.val().is_require_grad() && scene.sh.val().is_require_grad()
 }
 
 #[test]
@@ -131,10 +124,12 @@ fn a_refused_edit_changes_nothing() {
 }
 
 /// Makes the coefficients of higher degrees than `degree` zero.
-fn cut(rest: Tensor<3>, degree: usize) -> Tensor<3> {
-    let have = (degree + 1) * (degree + 1) - 1;
-    let [count, all, _] = rest.dims();
-    Tensor::cat(vec![rest.clone().slice([0..count, 0..have]), rest.slice([0..count, have..all]).zeros_like()], 1)
+fn cut(sh: Tensor<3>, degree: usize) -> Tensor<3> {
+    let (have, all) = ((degree + 1) * (degree + 1), sh.dims()[1]);
+    if have == all {
+        return sh;
+    }
+    Tensor::cat(vec![sh.clone().narrow(1, 0, have), sh.narrow(1, have, all - have).zeros_like()], 1)
 }
 
 #[test]
@@ -150,17 +145,13 @@ fn harmonics_that_come_later_are_as_if_they_had_always_been_there() {
             assert_eq!(grown.gaussians.sh_degree(), degree);
             assert!(all_tracked(&grown.gaussians));
             let mut gradients = random_gradients(&full.gaussians);
-            gradients.sh_rest = gradients.sh_rest.map(|rest| cut(rest, degree));
+            gradients.sh = gradients.sh.map(|sh| cut(sh, degree));
             let own = Gradients {
                 means: gradients.means.clone(),
                 rotations: gradients.rotations.clone(),
                 log_scales: gradients.log_scales.clone(),
                 logit_opacities: gradients.logit_opacities.clone(),
-                sh_dc: gradients.sh_dc.clone(),
-                sh_rest: gradients.sh_rest.clone().filter(|_| degree > 0).map(|rest| {
-                    let have = (degree + 1) * (degree + 1) - 1;
-                    rest.slice([0..6, 0..have])
-                }),
+                sh: gradients.sh.clone().map(|sh| sh.narrow(1, 0, (degree + 1) * (degree + 1))),
             };
             step(&mut grown, own, i);
             step(&mut full, gradients, i);
@@ -230,15 +221,20 @@ fn parameters_without_a_gradient_stay() {
 #[test]
 fn each_parameter_has_its_own_rate() {
     // Adam's first step is as long as the learning rate, whatever the gradient.
-    let rows = random_rows(3, 1, 1);
-    let mut scene = scene(&rows, &Device::flex());
-    let before = all(&scene);
-    let gradients = random_gradients(&scene.gaussians);
-    step(&mut scene, gradients, 1);
-    let rates = [0.06, RATES.rotations, RATES.scales, RATES.opacities, RATES.sh_dc, RATES.sh_rest];
-    for (((name, new), (_, old)), rate) in all(&scene).iter().zip(&before).zip(rates) {
-        for (new, old) in new[0].iter().zip(&old[0]) {
-            assert!((f64::from((new - old).abs()) - rate).abs() < 1e-6, "{name}: {}", new - old);
+    for (device, degree) in devices().into_iter().flat_map(|device| (0..4).map(move |degree| (device.clone(), degree)))
+    {
+        let rows = random_rows(3, degree, 1);
+        let mut scene = scene(&rows, &device);
+        let before = all(&scene);
+        let gradients = random_gradients(&scene.gaussians);
+        step(&mut scene, gradients, 1);
+        let rates = [0.06, RATES.rotations, RATES.scales, RATES.opacities, RATES.sh_rest];
+        for (((name, new), (_, old)), rate) in all(&scene).iter().zip(&before).zip(rates) {
+            let per_row = new[0].len() / 3;
+            for (at, (new, old)) in new[0].iter().zip(&old[0]).enumerate() {
+                let rate = if *name == "sh" && at % per_row < 3 { RATES.sh_dc } else { rate };
+                assert!((f64::from((new - old).abs()) - rate).abs() < 1e-6, "{name} {at}: {}", new - old);
+            }
         }
     }
 }

@@ -65,21 +65,23 @@ fn host_memory_and_tensors_agree() {
     let count = 2 * 20_011;
     let mut rng = ChaCha8Rng::seed_from_u64(9);
     let mut random = || -> Vec<f64> { (0..count).map(|_| rng.random_range(-1.0..1.0)).collect() };
-    let start = tensor(&random(), &device, DType::F32);
-    let mut moments = [Moments::new(&start), Moments::new(&start)];
-    let mut params = [start.clone(), start];
-    let factors = Factors { beta1: 0.9, beta2: 0.999, rate: 0.03, floor: 1e-8 };
-    for _ in 0..3 {
-        let grad = tensor(&random(), &device, DType::F32);
-        let [host, tensors] = params;
-        params = [
-            factors.step_in_host_memory(host, grad.clone(), &mut moments[0]),
-            factors.step_in_tensors(tensors, grad, &mut moments[1]),
-        ];
-    }
-    let [host_memory, tensors] = params.map(host);
-    for (a, b) in host_memory.iter().zip(&tensors) {
-        assert!((a - b).abs() <= 1e-6 * b.abs().max(1.0), "{a} in host memory, {b} in tensors");
+    for rate in [Rates::from(0.03), Rates { first: 0.3, others: 0.01 }] {
+        let start = tensor(&random(), &device, DType::F32);
+        let mut moments = [Moments::new(&start), Moments::new(&start)];
+        let mut params = [start.clone(), start];
+        let factors = Factors { beta1: 0.9, beta2: 0.999, rate, floor: 1e-8 };
+        for _ in 0..3 {
+            let grad = tensor(&random(), &device, DType::F32);
+            let [host, tensors] = params;
+            params = [
+                factors.step_in_host_memory(host, grad.clone(), &mut moments[0]),
+                factors.step_in_tensors(tensors, grad, &mut moments[1]),
+            ];
+        }
+        let [host_memory, tensors] = params.map(host);
+        for (a, b) in host_memory.iter().zip(&tensors) {
+            assert!((a - b).abs() <= 1e-6 * b.abs().max(1.0), "{a} in host memory, {b} in tensors, {rate:?}");
+        }
     }
 }
 

@@ -101,8 +101,8 @@ fn losses_and_gradients_are_finite() {
     let rotations = Some(Tensor::from_floats([[0.0, 1.0, 2.0, 3.0], [0.0, 0.0, f32::INFINITY, 0.0]], &device()));
     let found = check_gradients(&Gradients { rotations, ..Gradients::default() });
     assert_wrong(found, Stage::Gradients, &["`rotations` of Gaussian 1", "inf", "1 of 8"]);
-    let sh_rest = Some(Tensor::from_floats([[[0.0, f32::NAN, 0.0]]], &device()));
-    assert_wrong(check_gradients(&Gradients { sh_rest, ..Gradients::default() }), Stage::Gradients, &["`sh_rest`"]);
+    let sh = Some(Tensor::from_floats([[[0.0, f32::NAN, 0.0]]], &device()));
+    assert_wrong(check_gradients(&Gradients { sh, ..Gradients::default() }), Stage::Gradients, &["`sh`"]);
 }
 
 #[test]

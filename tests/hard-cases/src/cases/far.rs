@@ -135,7 +135,7 @@ fn seen(place: &Place, offset: DVec3, scale: f64) -> Result<Seen, String> {
         host(gaussians.rotations.val().grad(&grads).expect(TRACKED)),
         host(gaussians.log_scales.val().grad(&grads).expect(TRACKED)),
         host(gaussians.logit_opacities.val().grad(&grads).expect(TRACKED)),
-        host(gaussians.sh_dc.val().grad(&grads).expect(TRACKED)),
+        host(gaussians.sh.val().grad(&grads).expect(TRACKED)),
     ];
     Ok(Seen { pictures, gradients, origin })
 }

@@ -183,7 +183,6 @@ impl Poisoned {
         let loss = weighted(&out.colour) + weighted(&out.alpha) + weighted(&depth) + splats.opacities.clone().mean();
         let grads = loss.backward();
         const TRACKED: &str = "a tracked leaf of the loss";
-        let rest = gaussians.sh_rest.as_ref().expect("of degree 1");
         Found {
             shared: vec![
                 ("the picture", host(out.colour)),
@@ -197,8 +196,7 @@ impl Poisoned {
                 ("the gradient of rotations", host(gaussians.rotations.val().grad(&grads).expect(TRACKED))),
                 ("the gradient of log_scales", host(gaussians.log_scales.val().grad(&grads).expect(TRACKED))),
                 ("the gradient of logit_opacities", host(gaussians.logit_opacities.val().grad(&grads).expect(TRACKED))),
-                ("the gradient of sh_dc", host(gaussians.sh_dc.val().grad(&grads).expect(TRACKED))),
-                ("the gradient of sh_rest", host(rest.val().grad(&grads).expect(TRACKED))),
+                ("the gradient of sh", host(gaussians.sh.val().grad(&grads).expect(TRACKED))),
                 ("the gradient of mean2d", host(mean2d.grad(&grads).expect(TRACKED))),
                 ("the absolute gradient of mean2d", host(mean2d_abs.grad(&grads).expect(TRACKED))),
             ],
