@@ -5,7 +5,7 @@ use glam::DAffine3;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use splat_model::capture::{Photo, PointCloud};
-use splat_model::density::AdaptiveConfig;
+use splat_model::density::{AdaptiveConfig, morton_order};
 use splat_model::gaussians::GaussianRows;
 use splat_model::trainer::{TrainConfig, Trainer};
 use splat_op::{Camera, Colour, Extras, Intrinsics, RenderOptions, Splats, render};
@@ -99,7 +99,7 @@ impl SyntheticView {
             drawn.opacities.push(rng.random_range(low..high) as f32);
             drawn.sh.extend([(); 48].map(|()| rng.random_range(-0.3_f64..0.3) as f32));
         }
-        drawn
+        drawn.in_order()
     }
 
     /// A training run on `views` photographs, all of them pictures of the scene, from its centres in grey, with every degree of
@@ -144,4 +144,22 @@ struct Drawn {
     scales: Vec<f32>,
     opacities: Vec<f32>,
     sh: Vec<f32>,
+}
+
+impl Drawn {
+    /// The same in the order in which a trainer holds them.
+    fn in_order(self) -> Self {
+        let order = morton_order(self.means.as_chunks().0);
+        let of = |values: Vec<f32>| {
+            let width = values.len() / order.len();
+            order.iter().flat_map(|&row| &values[row as usize * width..][..width]).copied().collect()
+        };
+        Self {
+            rotations: of(self.rotations),
+            scales: of(self.scales),
+            opacities: of(self.opacities),
+            sh: of(self.sh),
+            means: of(self.means),
+        }
+    }
 }

@@ -7,6 +7,7 @@ use rayon::prelude::*;
 use splat_op::Intrinsics;
 
 use crate::capture::PointCloud;
+use crate::density::morton_order;
 use crate::gaussians::GaussianRows;
 use crate::optim::scene_extent;
 
@@ -117,6 +118,16 @@ fn common_focus(cameras: &[(Intrinsics, DAffine3)]) -> Option<DVec3> {
         0 => None,
         _ if normal.determinant() > 1e-6 * count.powi(3) => Some(normal.inverse() * right),
         _ => Some(ahead / count),
+    }
+}
+
+/// The same cloud, neighbours next to each other (see [`morton_order`]).
+pub fn ordered(points: &PointCloud) -> PointCloud {
+    let order = morton_order(&points.positions);
+    let rows = || order.iter().map(|&row| row as usize);
+    PointCloud {
+        positions: rows().map(|row| points.positions[row]).collect(),
+        colours: rows().map(|row| points.colours[row]).collect(),
     }
 }
 

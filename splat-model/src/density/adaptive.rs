@@ -7,6 +7,7 @@ use rand::Rng;
 use rand_distr::{Distribution, StandardNormal};
 use serde::{Deserialize, Serialize};
 
+use super::order::morton_order;
 use super::rows::{RowEdit, Trained};
 use crate::gaussians::{GaussianRows, RowsError, values_of};
 
@@ -169,7 +170,7 @@ impl Adaptive {
                 push_row(&mut edit.add, &rows, i);
             }
         }
-        edit.keep = (0..rows.len()).filter(|&i| !replaced[i]).map(|i| i as u32).collect();
+        edit.keep = morton_order(&rows.means).into_iter().filter(|&row| !replaced[row as usize]).collect();
         report.pruned = doomed.iter().filter(|&&gone| gone).count();
         scene.edit(&edit)?;
         self.limit_elongation(scene);

@@ -32,9 +32,15 @@ fn gradients(values: &[[f32; 2]]) -> Tensor<2> {
     Tensor::from_data(TensorData::new(values.as_flattened().to_vec(), [values.len(), 2]), &Device::flex())
 }
 
+/// Places that a refinement leaves in this order.
+fn in_order(count: usize) -> Vec<[f32; 3]> {
+    (0..count).map(|i| [i as f32; 3]).collect()
+}
+
 /// Round Gaussians of these sizes and opacities.
 fn round(sizes_and_opacities: &[(f32, f32)]) -> GaussianRows {
     let mut rows = random_rows(sizes_and_opacities.len(), 1, 1);
+    rows.means = in_order(rows.len());
     rows.log_scales = sizes_and_opacities.iter().map(|(size, _)| [size.ln(); 3]).collect();
     rows.logit_opacities = sizes_and_opacities.iter().map(|(_, opacity)| (opacity / (1.0 - opacity)).ln()).collect();
     rows
@@ -66,7 +72,7 @@ fn small_are_cloned_large_are_split_and_faint_are_removed() {
     let lengths = [3e-4, 3e-4, 1.9e-4, 1.0, 1e-4, 0.0];
     let (report, after) = refine(AdaptiveConfig::default(), &rows, &lengths, 500);
     assert_eq!(report, Some(RefineReport { cloned: 1, split: 1, pruned: 1, threshold: 2e-4 }));
-    // Those that stay in their order, then the copy, then the two parts.
+    // Those that stay, then the copy, then the two parts.
     for (now, was) in [(0, 0), (1, 2), (2, 4), (3, 5), (4, 0)] {
         assert_eq!(row(&after, now), row(&rows, was), "row {now}");
     }
@@ -79,6 +85,15 @@ fn small_are_cloned_large_are_split_and_faint_are_removed() {
         assert_eq!(row(&after, part), expected);
     }
     assert_ne!(after.means[5], after.means[6]);
+}
+
+#[test]
+fn those_that_stay_come_in_morton_order() {
+    let rows = GaussianRows { means: vec![[0.0; 3], [9.0; 3], [1.0; 3], [8.0; 3]], ..round(&[(SMALL, 0.5); 4]) };
+    let (_, after) = refine(AdaptiveConfig::default(), &rows, &[0.0; 4], 500);
+    for (now, was) in [0, 2, 3, 1].into_iter().enumerate() {
+        assert_eq!(row(&after, now), row(&rows, was), "row {now}");
+    }
 }
 
 #[test]
@@ -200,7 +215,7 @@ fn a_reset_caps_opacities() {
 
 #[test]
 fn needles_are_shortened() {
-    let mut rows = random_rows(4, 0, 1);
+    let mut rows = GaussianRows { means: in_order(4), ..random_rows(4, 0, 1) };
     // Needles along each axis; a disc, which is no needle.
     let scales = [[0.05, 0.001, 1e-4], [1e-4, 0.05, 0.001], [0.001, 1e-4, 0.05], [0.019, 1e-6, 0.019]];
     rows.log_scales = scales.map(|scales: [f32; 3]| scales.map(f32::ln)).to_vec();

@@ -1,0 +1,75 @@
+//! The order of Gaussians in memory: neighbours in space are neighbours there, so that what one tile needs lies together.
+
+use glam::Vec3;
+use rayon::prelude::*;
+
+/// The rows of `means`, world frame, along the Z-order curve (Morton 1966) through the box around all finite ones; those that
+/// are not finite come last. Rows of one cell keep their order.
+pub fn morton_order(means: &[[f32; 3]]) -> Vec<u32> {
+    let points = || means.iter().map(|mean| Vec3::from(*mean)).filter(|mean| mean.is_finite());
+    let low = points().fold(Vec3::INFINITY, Vec3::min).as_dvec3();
+    let high = points().fold(Vec3::NEG_INFINITY, Vec3::max).as_dvec3();
+    // A cube, so that cells are as long as wide. In f64, because the box of finite numbers may be larger than a finite f32.
+    let side = (high - low).max_element();
+    let per_unit = if side > 0.0 { f64::from(u32::MAX) / side } else { 0.0 };
+    let key = |mean: &[f32; 3]| {
+        let mean = Vec3::from(*mean);
+        // Casts saturate; a key of three 32-bit coordinates has 96 bits.
+        mean.is_finite().then(|| zorder::index_of(((mean.as_dvec3() - low) * per_unit).to_array().map(|at| at as u32)))
+    };
+    let mut rows: Vec<(u128, u32)> = means
+        .par_iter()
+        .enumerate()
+        .map(|(row, mean)| (key(mean).unwrap_or(u128::MAX), u32::try_from(row).expect("rows are counted in u32")))
+        .collect();
+    rows.par_sort_unstable();
+    rows.into_iter().map(|(_, row)| row).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    use super::*;
+
+    #[test]
+    fn the_corners_of_a_cube_come_in_the_order_of_their_bits() {
+        let corner = |i: usize| [0, 1, 2].map(|axis| if i >> axis & 1 != 0 { 5.0 } else { -3.0 });
+        let means: Vec<[f32; 3]> = [6, 1, 7, 0, 3, 5, 2, 4].map(corner).to_vec();
+        let order: Vec<[f32; 3]> = morton_order(&means).into_iter().map(|row| means[row as usize]).collect();
+        // Which axis is the finest is a convention; each is split before the next.
+        let along = |axis: usize| order.iter().filter(|mean| mean[axis] > 0.0).count();
+        assert_eq!([0, 1, 2].map(along), [4; 3]);
+        assert_eq!((order[0], order[7]), (corner(0), corner(7)));
+        let halves = [0, 1, 2].map(|axis| order[..4].iter().all(|mean| mean[axis] < 0.0));
+        assert_eq!(halves.iter().filter(|whole| **whole).count(), 1, "{order:?}");
+    }
+
+    #[test]
+    fn neighbours_lie_together() {
+        let mut rng = ChaCha8Rng::seed_from_u64(3);
+        let means: Vec<[f32; 3]> = (0..20_000).map(|_| [(); 3].map(|()| rng.random_range(-2.0..2.0))).collect();
+        let mean_step = |order: &[u32]| {
+            let step = |pair: &[u32]| Vec3::from(means[pair[0] as usize]).distance(means[pair[1] as usize].into());
+            order.windows(2).map(step).sum::<f32>() / means.len() as f32
+        };
+        let given: Vec<u32> = (0..means.len() as u32).collect();
+        assert!(mean_step(&morton_order(&means)) < 0.2 * mean_step(&given));
+    }
+
+    #[test]
+    fn every_row_comes_once_whatever_it_holds() {
+        let odd = [f32::NAN, f32::INFINITY, f32::MAX, -f32::MAX, 0.0, 1e-40, 1.0];
+        let means: Vec<[f32; 3]> = (0..343).map(|i| [odd[i % 7], odd[i / 7 % 7], odd[i / 49]]).collect();
+        let order = morton_order(&means);
+        let mut sorted = order.clone();
+        sorted.sort_unstable();
+        assert_eq!(sorted, (0..343).collect::<Vec<u32>>());
+        let finite = means.iter().filter(|mean| Vec3::from(**mean).is_finite()).count();
+        let is_finite = |row: &u32| Vec3::from(means[*row as usize]).is_finite();
+        assert!(order[..finite].iter().all(is_finite) && !order[finite..].iter().any(is_finite));
+        assert!(morton_order(&[]).is_empty());
+        assert_eq!(morton_order(&[[2.0; 3]; 4]), [0, 1, 2, 3]);
+    }
+}
