@@ -58,7 +58,8 @@ pub struct TrainConfig {
     /// Weight of the mean opacity in the loss: 0 for none, 0.01 as MCMC has it (Kheradmand et al. 2024). Gaussians that no
     /// photograph asks for, floaters in front of the background above all, then fade and are pruned.
     pub opacity_weight: f64,
-    /// Memory for photographs prepared for the loss, MiB; those beyond it are prepared again at each use: 512.
+    /// Memory for photographs prepared for the loss, MiB: 512. On a CPU those beyond it are prepared again at each use; on a
+    /// GPU, where they do not all fit, they are kept there in four bytes per pixel, and those beyond it are uploaded again.
     pub cache_mib: usize,
 }
 
@@ -184,9 +185,9 @@ impl Trainer {
             let cameras: Vec<(Intrinsics, DAffine3)> =
                 photos.iter().map(|photo| (photo.intrinsics, photo.cam_from_world)).collect();
             let count = init::RANDOM_COUNT.min(config.density.max_splats);
-            init::from_points(&init::random_points(&cameras, count, &mut rng))
+            init::from_points(&init::ordered(&init::random_points(&cameras, count, &mut rng)))
         } else {
-            init::from_points(&init::thinned(points, config.density.max_splats))
+            init::from_points(&init::ordered(&init::thinned(points, config.density.max_splats)))
         };
         let centres: Vec<_> = photos.iter().map(|photo| photo.cam_from_world.inverse().translation).collect();
         let extent = scene_extent(&centres);

@@ -6,6 +6,7 @@ mod colmap;
 pub mod demo;
 mod error;
 mod origin;
+pub(crate) mod packed;
 mod split;
 
 #[cfg(test)]

@@ -4,6 +4,7 @@ use burn::tensor::Device;
 use splat_op::{Camera, Intrinsics};
 
 use crate::capture::Photo;
+use crate::capture::packed::Packed;
 use crate::loss::Truth;
 
 /// Pictures are not reduced to fewer pixels than this along a side: the window of SSIM has eleven.
@@ -18,6 +19,15 @@ struct View {
     divisor: usize,
     camera: Camera,
     truth: Option<Truth>,
+    /// The same on the device, where prepared ones do not all fit.
+    packed: Option<Packed>,
+}
+
+impl View {
+    /// At the run's present size.
+    fn shown(&self) -> &Photo {
+        self.reduced.as_ref().unwrap_or(&self.photo)
+    }
 }
 
 /// All of them.
@@ -25,17 +35,22 @@ pub(super) struct Views {
     views: Vec<View>,
     background: [f32; 3],
     device: Device,
-    /// Bytes for prepared photographs, and those that are left of them.
+    /// Bytes for photographs on the device, and those that are left of them.
     cache: usize,
     cache_left: usize,
+    /// Whether photographs are packed. On a CPU that would only copy them.
+    packs: bool,
     divisor: usize,
 }
+
+/// Bytes of a prepared value: the photograph and two of its windowed moments.
+const PREPARED: usize = 3 * size_of::<f32>();
 
 impl Views {
     pub fn new(photos: Vec<Photo>, background: [f32; 3], cache_mib: usize, device: &Device) -> Self {
         let view = |photo: Photo| {
             let camera = Camera::new(photo.intrinsics, &photo.cam_from_world, device);
-            View { photo, reduced: None, divisor: 1, camera, truth: None }
+            View { photo, reduced: None, divisor: 1, camera, truth: None, packed: None }
         };
         let cache = cache_mib << 20;
         Self {
@@ -44,6 +59,7 @@ impl Views {
             device: device.clone(),
             cache,
             cache_left: cache,
+            packs: splat_op::is_gpu(device),
             divisor: 1,
         }
     }
@@ -63,31 +79,48 @@ impl Views {
         }
         self.divisor = divisor;
         self.cache_left = self.cache;
-        self.views.iter_mut().for_each(|view| view.truth = None);
+        self.views.iter_mut().for_each(|view| (view.truth, view.packed) = (None, None));
     }
 
-    /// A view's camera and its photograph, which is kept prepared for its next use while there is room.
+    /// A view's camera and its photograph, which is kept for its next use while there is room: prepared; or packed, on a GPU
+    /// where prepared ones would not all fit.
     pub fn prepare(&mut self, view: usize) -> (Camera, Truth) {
-        let View { photo, reduced, divisor, camera, truth } = &mut self.views[view];
-        if *divisor != self.divisor {
-            *divisor = self.divisor;
-            *reduced =
-                reduced_size(&photo.intrinsics, self.divisor).map(|[width, height]| photo.resized(width, height));
-            let shown = reduced.as_ref().unwrap_or(photo);
-            *camera = Camera::new(shown.intrinsics, &shown.cam_from_world, &self.device);
+        let packs = self.packs && self.prepared_bytes() > self.cache;
+        let view = &mut self.views[view];
+        if view.divisor != self.divisor {
+            view.divisor = self.divisor;
+            let size = reduced_size(&view.photo.intrinsics, self.divisor);
+            view.reduced = size.map(|[width, height]| view.photo.resized(width, height));
+            view.camera = Camera::new(view.shown().intrinsics, &view.shown().cam_from_world, &self.device);
         }
-        if let Some(truth) = truth {
-            return (camera.clone(), truth.clone());
+        if let Some(truth) = &view.truth {
+            return (view.camera.clone(), truth.clone());
         }
-        let shown = reduced.as_ref().unwrap_or(photo);
-        let prepared = Truth::new(shown.rgb_over(self.background, &self.device));
-        // The photograph and two of its windowed moments.
-        let bytes = 3 * size_of::<f32>() * shown.rgb.len();
-        if bytes <= self.cache_left {
-            self.cache_left -= bytes;
-            *truth = Some(prepared.clone());
+        let values = view.shown().rgb.len();
+        let mut fits = |bytes| {
+            let fits = bytes <= self.cache_left;
+            self.cache_left -= if fits { bytes } else { 0 };
+            fits
+        };
+        if packs {
+            let packed = view.packed.clone().unwrap_or_else(|| Packed::new(view.shown(), &self.device));
+            if view.packed.is_none() && fits(values / 3 * Packed::PIXEL) {
+                view.packed = Some(packed.clone());
+            }
+            return (view.camera.clone(), Truth::new(packed.rgb_over(self.background)));
         }
-        (camera.clone(), prepared)
+        let prepared = Truth::new(view.shown().rgb_over(self.background, &self.device));
+        view.truth = fits(PREPARED * values).then(|| prepared.clone());
+        (view.camera.clone(), prepared)
+    }
+
+    /// What all photographs take prepared, at the run's present size.
+    fn prepared_bytes(&self) -> usize {
+        let pixels = |camera: &Intrinsics| {
+            let [width, height] = reduced_size(camera, self.divisor).unwrap_or([camera.width, camera.height]);
+            width * height
+        };
+        self.views.iter().map(|view| 3 * PREPARED * pixels(&view.photo.intrinsics)).sum()
     }
 }
 
@@ -107,6 +140,11 @@ impl Views {
         self.views.iter().filter(|view| view.truth.is_some()).count()
     }
 
+    /// How many are kept packed.
+    fn kept_packed(&self) -> usize {
+        self.views.iter().filter(|view| view.packed.is_some()).count()
+    }
+
     /// Leaves so many bytes for more of them.
     pub fn leave_room(&mut self, bytes: usize) {
         self.cache_left = bytes;
@@ -116,6 +154,7 @@ impl Views {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::gaussians::values_of;
     use crate::trainer::testing::{HEIGHT, WIDTH, photos};
 
     #[test]
@@ -151,6 +190,34 @@ mod tests {
         assert_eq!(size(&mut views), half, "the prepared photograph is another");
         views.reduce(1);
         assert_eq!(size(&mut views), (width, height, focal));
+    }
+
+    #[test]
+    fn photographs_that_do_not_fit_prepared_are_packed() {
+        let shown = |views: &mut Views| -> Vec<f32> {
+            let pictures = (0..views.len()).flat_map(|view| values_of(views.prepare(view).1.image()));
+            pictures.collect()
+        };
+        let all = |cache: usize, packs: bool| {
+            let mut views = Views::new(photos([0.2; 3]), [0.2; 3], 0, &Device::flex());
+            (views.cache, views.cache_left, views.packs) = (cache, cache, packs);
+            let first = shown(&mut views);
+            let left = views.cache_left;
+            assert_eq!(shown(&mut views), first, "a kept photograph is another");
+            assert_eq!(views.cache_left, left, "a photograph is counted twice");
+            (first, views.kept(), views.kept_packed())
+        };
+        let count = photos([0.2; 3]).len();
+        let (prepared, packed) = (count * 3 * PREPARED * WIDTH * HEIGHT, Packed::PIXEL * WIDTH * HEIGHT);
+        let (expected, kept, kept_packed) = all(prepared, true);
+        assert_eq!((kept, kept_packed), (count, 0));
+        for (cache, packs, kept) in
+            [(prepared - 1, true, (0, count)), (2 * packed + 1, true, (0, 2)), (packed, false, (0, 0))]
+        {
+            let (found, prepared, packed) = all(cache, packs);
+            assert_eq!((prepared, packed), kept, "{cache} bytes");
+            assert!(found.iter().zip(&expected).all(|(a, b)| (a - b).abs() <= f32::EPSILON), "{cache} bytes");
+        }
     }
 
     #[test]
