@@ -1,5 +1,7 @@
 //! The CPU twin: two sweeps down the pictures, parallel over bands of rows. A sweep filters each row along its length once,
-//! keeps the last eleven such rows and filters down those, so that a map is never read twice from memory.
+//! keeps the last eleven such rows and filters down those, so that a map is never read twice from memory. What the first sweep
+//! leaves for the second stays with the band, in the processor's caches; the rows that the window reaches beyond the band are
+//! computed by both of its neighbours.
 
 use std::ops::Range;
 
@@ -12,8 +14,8 @@ use crate::real::{LANES, Real};
 /// Taps on one side of the middle.
 const HALF: usize = TAPS / 2;
 
-/// Rows per task. Five rows above and below it are filtered again.
-const BAND: usize = 40;
+/// Rows per task. The first sweep goes over five rows more above and below, and filters ten.
+const BAND: usize = 96;
 
 /// Planes `[.., H, W]`, row-major: the picture, the photograph, its mean `μy` and its variance `σy² + C2`.
 #[derive(Clone, Copy)]
@@ -58,19 +60,23 @@ pub(crate) fn photometric_cpu<F: Real>(
         .map(|(plane, first)| Band { plane, rows: first..size.height.min(first + BAND) })
         .collect();
     let job = Job { inputs, size, lambda: F::of(lambda), share: F::of(1.0 / inputs.image.len() as f64) };
-    let mut maps = vec![F::ZERO; if with_gradient { 3 * inputs.image.len() } else { 0 }];
-    let mut tasks: Vec<(&Band, &mut [F])> = split(&bands, &mut maps, 3 * size.width, with_gradient);
-    let sums: Vec<f64> =
-        tasks.par_iter_mut().map(|(band, maps)| dispatch!(Level::new(), simd => job.index(simd, band, maps))).collect();
+    let mut gradient = vec![F::ZERO; if with_gradient { inputs.image.len() } else { 0 }];
+    let sums: Vec<f64> = split(&bands, &mut gradient, size.width, with_gradient)
+        .into_par_iter()
+        .map_init(Vec::new, |maps, (band, gradient)| {
+            dispatch!(Level::new(), simd => {
+                let reached = band.reached(if with_gradient { HALF } else { 0 }, size.height);
+                maps.resize(if with_gradient { 3 * size.width * reached.len() } else { 0 }, F::ZERO);
+                let sum = job.index(simd, band, &reached, maps);
+                if with_gradient {
+                    job.gradient(simd, band, (maps, reached.start), gradient);
+                }
+                sum
+            })
+        })
+        .collect();
     let loss = F::of(sums.iter().sum::<f64>() / inputs.image.len() as f64);
-    let gradient = with_gradient.then(|| {
-        let mut gradient = vec![F::ZERO; inputs.image.len()];
-        split(&bands, &mut gradient, size.width, true)
-            .par_iter_mut()
-            .for_each(|(band, gradient)| dispatch!(Level::new(), simd => job.gradient(simd, band, &maps, gradient)));
-        gradient
-    });
-    (loss, gradient)
+    (loss, with_gradient.then_some(gradient))
 }
 
 /// `Kx` of planes of one size.
@@ -97,6 +103,13 @@ struct Band {
     rows: Range<usize>,
 }
 
+impl Band {
+    /// Its rows and so many more above and below, as far as there are any.
+    fn reached(&self, more: usize, height: usize) -> Range<usize> {
+        self.rows.start.saturating_sub(more)..height.min(self.rows.end + more)
+    }
+}
+
 /// Each band with its part of what is to be written, `columns` values per row, or with nothing.
 fn split<'a, F>(bands: &'a [Band], mut out: &'a mut [F], columns: usize, wanted: bool) -> Vec<(&'a Band, &'a mut [F])> {
     let part = |band: &'a Band| {
@@ -116,10 +129,11 @@ struct Job<'a, F> {
 }
 
 impl<F: Real> Job<'_, F> {
-    /// The first sweep: the sum of `(1 − λ) |x − y| + λ (1 − S)` over a band. Into `maps`, unless it is empty, go row by row
-    /// the derivatives of `−λ S`, divided by the number of values, with respect to `Kx`, to `Kx²` (twice) and to `Kxy`.
+    /// The first sweep: the sum of `(1 − λ) |x − y| + λ (1 − S)` over a band. Into `maps`, unless it is empty, go the
+    /// derivatives of `−λ S`, divided by the number of values, with respect to `Kx`, to `Kx²` (twice) and to `Kxy`, row by row
+    /// of `rows`, which may be more than the band's.
     #[inline(always)]
-    fn index<S: Simd>(&self, simd: S, band: &Band, maps: &mut [F]) -> f64 {
+    fn index<S: Simd>(&self, simd: S, band: &Band, rows: &Range<usize>, maps: &mut [F]) -> f64 {
         let Self { inputs, size, .. } = *self;
         let lanes = |value: f64| F::Lanes::<S>::splat(simd, F::of(value));
         let (one, two, c1, c2) = (lanes(1.0), lanes(2.0), lanes(C1), lanes(C2));
@@ -143,7 +157,7 @@ impl<F: Real> Job<'_, F> {
         };
         sweep.run(
             simd,
-            band.rows.clone(),
+            rows.clone(),
             size.height,
             fill,
             #[inline(always)]
@@ -165,7 +179,7 @@ impl<F: Real> Job<'_, F> {
                 } else {
                     let inside = lane.simd_lt(F::Lanes::<S>::splat(simd, F::of((size.width - column) as f64)));
                     row_sum += inside.select(share, zero);
-                    sum += row_sum.reduce_sum().f64();
+                    sum += if band.rows.contains(&row) { row_sum.reduce_sum().f64() } else { 0.0 };
                     row_sum = zero;
                 }
                 if !maps.is_empty() {
@@ -175,7 +189,7 @@ impl<F: Real> Job<'_, F> {
                     let scaled_index = d_xy * a2;
                     let (over_b1, over_b2) = (scaled_index * (inverse * b2), scaled_index * (inverse * b1));
                     let d_mean = (a2 - a1) * scaled * mean_y - (over_b1 - over_b2) * mean_x;
-                    let first = (row - band.rows.start) * 3 * size.width;
+                    let first = (row - rows.start) * 3 * size.width;
                     let (to_mean, rest) = maps[first..first + 3 * size.width].split_at_mut(size.width);
                     let (to_square, to_cross) = rest.split_at_mut(size.width);
                     store(d_mean, &mut to_mean[column..]);
@@ -187,16 +201,17 @@ impl<F: Real> Job<'_, F> {
         sum
     }
 
-    /// The second sweep: `K ∂Kx + 2 x K ∂Kx² + y K ∂Kxy` and the derivative of `|x − y|` over a band.
+    /// The second sweep: `K ∂Kx + 2 x K ∂Kx² + y K ∂Kxy` and the derivative of `|x − y|` over a band, from the maps of the
+    /// first, whose rows begin with the one of this number.
     #[inline(always)]
-    fn gradient<S: Simd>(&self, simd: S, band: &Band, maps: &[F], out: &mut [F]) {
+    fn gradient<S: Simd>(&self, simd: S, band: &Band, (maps, first): (&[F], usize), out: &mut [F]) {
         let Self { inputs, size, .. } = *self;
         let weight = (F::ONE - self.lambda) * self.share;
         let (up, down) = (F::Lanes::<S>::splat(simd, weight), F::Lanes::<S>::splat(simd, -weight));
         let zero = F::Lanes::<S>::splat(simd, F::ZERO);
         let mut sweep = Sweep::<F, 3>::new(size.width);
         let fill = |row: usize, to: [&mut [F]; 3]| {
-            let rows = &maps[3 * size.row(band.plane, row)..][..3 * size.width];
+            let rows = &maps[3 * size.width * (row - first)..][..3 * size.width];
             to.into_iter().zip(rows.chunks_exact(size.width)).for_each(|(to, from)| to.copy_from_slice(from));
         };
         sweep.run(
@@ -221,22 +236,21 @@ impl<F: Real> Job<'_, F> {
 
 /// A filter that goes down `N` maps at once.
 struct Sweep<F, const N: usize> {
-    /// Length of a row in whole vectors.
-    stride: usize,
     /// A row of each map with [`HALF`] zeros before it and zeros behind it.
     padded: [Vec<F>; N],
-    /// By map: the last [`TAPS`] rows, filtered along their length; row `r` is in slot `r % TAPS`.
-    slots: [Vec<F>; N],
+    /// By map, for each vector of columns: the last [`TAPS`] rows, filtered along their length. Row `r` is in slot `r % TAPS`
+    /// and again [`TAPS`] behind it, so that the rows that the window reaches always lie next to each other: one check of
+    /// bounds for all of them.
+    slots: [Vec<[[F; LANES]; 2 * TAPS]>; N],
     width: usize,
 }
 
 impl<F: Real, const N: usize> Sweep<F, N> {
     fn new(width: usize) -> Self {
-        let stride = width.next_multiple_of(LANES);
+        let vectors = width.div_ceil(LANES);
         Self {
-            stride,
-            padded: std::array::from_fn(|_| vec![F::ZERO; stride + 2 * HALF]),
-            slots: std::array::from_fn(|_| vec![F::ZERO; stride * TAPS]),
+            padded: std::array::from_fn(|_| vec![F::ZERO; vectors * LANES + 2 * HALF]),
+            slots: std::array::from_fn(|_| vec![[[F::ZERO; LANES]; 2 * TAPS]; vectors]),
             width,
         }
     }
@@ -252,59 +266,46 @@ impl<F: Real, const N: usize> Sweep<F, N> {
         mut fill: impl FnMut(usize, [&mut [F]; N]),
         mut each: impl FnMut(usize, usize, [F::Lanes<S>; N]),
     ) {
-        let (stride, width) = (self.stride, self.width);
+        let width = self.width;
         let mut taps = [F::Lanes::<S>::splat(simd, F::ZERO); HALF + 1];
         taps.iter_mut().zip(half_window()).for_each(|(lanes, tap)| *lanes = F::Lanes::<S>::splat(simd, F::of(tap)));
         // Rows are counted from HALF above the first, so that none is negative.
         for place in rows.start..rows.end + 2 * HALF {
-            let slot = place % TAPS * stride..(place % TAPS + 1) * stride;
             let row = place.wrapping_sub(HALF);
-            if row < height {
+            let inside = row < height;
+            if inside {
                 fill(row, self.padded.each_mut().map(|padded| &mut padded[HALF..HALF + width]));
-                for (padded, slots) in self.padded.iter().zip(&mut self.slots) {
-                    along(simd, padded, &taps, &mut slots[slot.clone()]);
+            }
+            for (padded, slots) in self.padded.iter().zip(&mut self.slots) {
+                let near = padded.windows(LANES + 2 * HALF).step_by(LANES);
+                for (near, slots) in near.zip(slots) {
+                    let mut along = [F::ZERO; LANES];
+                    if inside {
+                        let at = |tap: usize| {
+                            near[tap..].first_chunk().expect("as long as a vector and the window around it")
+                        };
+                        filtered(simd, &taps, at).store_slice(&mut along);
+                    }
+                    slots[place % TAPS] = along;
+                    slots[place % TAPS + TAPS] = along;
                 }
-            } else {
-                self.slots.iter_mut().for_each(|slots| slots[slot.clone()].fill(F::ZERO));
             }
             if place < rows.start + 2 * HALF {
                 continue;
             }
-            // The rows that the window reaches, from the uppermost.
-            let lines: [[&[F]; TAPS]; N] = std::array::from_fn(|map| {
-                std::array::from_fn(|tap| {
-                    let slot = (place + 1 + tap) % TAPS;
-                    &self.slots[map][slot * stride..(slot + 1) * stride]
-                })
-            });
+            // The uppermost row that the window reaches.
+            let first = (place + 1) % TAPS;
             for column in (0..width).step_by(LANES) {
                 let mut values = [taps[0]; N];
                 for map in 0..N {
-                    values[map] = filtered(
-                        simd,
-                        &taps,
-                        #[inline(always)]
-                        |tap| &lines[map][tap][column..column + LANES],
-                    );
+                    let rows: &[_; TAPS] =
+                        self.slots[map][column / LANES][first..].first_chunk().expect("twice as many");
+                    let at = |tap: usize| &rows[tap];
+                    values[map] = filtered(simd, &taps, at);
                 }
                 each(place - 2 * HALF, column, values);
             }
         }
-    }
-}
-
-/// A row filtered along its length.
-#[inline(always)]
-fn along<S: Simd, F: Real>(simd: S, padded: &[F], taps: &[F::Lanes<S>; HALF + 1], out: &mut [F]) {
-    for (vector, out) in out.chunks_exact_mut(LANES).enumerate() {
-        let near = &padded[vector * LANES..vector * LANES + LANES + 2 * HALF];
-        filtered(
-            simd,
-            taps,
-            #[inline(always)]
-            |tap| &near[tap..tap + LANES],
-        )
-        .store_slice(out);
     }
 }
 
@@ -313,7 +314,7 @@ fn along<S: Simd, F: Real>(simd: S, padded: &[F], taps: &[F::Lanes<S>; HALF + 1]
 fn filtered<'a, S: Simd, F: Real>(
     simd: S,
     taps: &[F::Lanes<S>; HALF + 1],
-    at: impl Fn(usize) -> &'a [F],
+    at: impl Fn(usize) -> &'a [F; LANES],
 ) -> F::Lanes<S> {
     let mut sum = F::Lanes::<S>::from_slice(simd, at(HALF)) * taps[0];
     for distance in 1..=HALF {

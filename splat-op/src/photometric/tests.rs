@@ -50,7 +50,7 @@ pub(super) fn pictures(size: [usize; 2], planes: usize) -> Vec<Vec<f64>> {
 }
 
 /// Widths around multiples of a vector, heights around multiples of a band, planes smaller than the window.
-const SIZES: [[usize; 2]; 8] = [[1, 1], [8, 3], [37, 21], [16, 33], [7, 40], [20, 41], [64, 85], [3, 120]];
+const SIZES: [[usize; 2]; 8] = [[1, 1], [8, 3], [37, 21], [16, 33], [7, 96], [20, 97], [64, 101], [3, 300]];
 
 fn twin<F: Real>(
     inputs: &[Vec<F>],
