@@ -174,6 +174,36 @@ pub(super) fn moments_kernel(
     }
 }
 
+/// The index of one value, `2 S/N`, and its derivatives with respect to `μx`, `Kx²` (twice) and `Kxy`.
+#[derive(CubeType, Clone, Copy)]
+#[expand(derive(Clone, Copy))]
+pub(super) struct Similarity {
+    pub index: f32,
+    pub d_mean: f32,
+    pub twice_d_xx: f32,
+    pub d_xy: f32,
+}
+
+#[cube]
+impl Similarity {
+    /// From the window on the picture, its square and its product with the photograph, and the photograph's mean and
+    /// `σy² + C2`. `share` is `1/N`.
+    pub fn of(mean_x: f32, xx: f32, xy: f32, mean_y: f32, variance_y: f32, share: f32) -> Similarity {
+        let square = mean_x * mean_x;
+        let cross = mean_x * mean_y;
+        let a1 = 2.0 * cross + comptime!(C1 as f32);
+        let a2 = 2.0 * (xy - cross) + comptime!(C2 as f32);
+        let b1 = square + mean_y * mean_y + comptime!(C1 as f32);
+        let b2 = xx - square + variance_y;
+        let inverse = 2.0 * share / (b1 * b2);
+        let d_xy = inverse * a1;
+        let index = d_xy * a2;
+        let twice_d_xx = -(index / b2);
+        let d_mean = (a2 - a1) * inverse * mean_y - (index / b1 + twice_d_xx) * mean_x;
+        Similarity { index, d_mean, twice_d_xx, d_xy }
+    }
+}
+
 /// Along the rows of the three moments; then each value's share of the loss, and, if asked for, the derivatives of
 /// `2 S/N` with respect to `μx`, `Kx²` (twice) and `Kxy`, `[3, C, H, W]`.
 #[cube(launch_unchecked)]
@@ -197,30 +227,18 @@ pub(super) fn index_kernel(
         let m = own.load(moments, 0usize, strip);
         let mm = own.load(moments, map, strip);
         let mt = own.load(moments, 2 * map, strip);
-        let c1 = comptime!(C1 as f32);
-        let c2 = comptime!(C2 as f32);
         #[unroll]
         for i in 0..strip {
             if own.holds(i) {
                 let at = own.at(i);
-                let mean_x = window.on(&m, i);
-                let mean_y = mean_y[at];
-                let square = mean_x * mean_x;
-                let cross = mean_x * mean_y;
-                let b1 = square + mean_y * mean_y + c1;
-                let b2 = window.on(&mm, i) - square + variance_y[at];
-                let a1 = 2.0 * cross + c1;
-                let a2 = 2.0 * (window.on(&mt, i) - cross) + c2;
-                let inverse = 2.0 * weights.share / (b1 * b2);
-                let d_xy = inverse * a1;
-                let index = d_xy * a2;
-                shares[at] =
-                    weights.absolute * (image[at] - truth[at]).abs() + weights.lambda * (weights.share - 0.5 * index);
+                let (mean_x, xx, xy) = (window.on(&m, i), window.on(&mm, i), window.on(&mt, i));
+                let found = Similarity::of(mean_x, xx, xy, mean_y[at], variance_y[at], weights.share);
+                let apart = (image[at] - truth[at]).abs();
+                shares[at] = weights.absolute * apart + weights.lambda * (weights.share - 0.5 * found.index);
                 if comptime!(with_gradient) {
-                    let twice_d_xx = -(index / b2);
-                    derivatives[at] = (a2 - a1) * inverse * mean_y - (index / b1 + twice_d_xx) * mean_x;
-                    derivatives[map + at] = twice_d_xx;
-                    derivatives[2 * map + at] = d_xy;
+                    derivatives[at] = found.d_mean;
+                    derivatives[map + at] = found.twice_d_xx;
+                    derivatives[2 * map + at] = found.d_xy;
                 }
             }
         }

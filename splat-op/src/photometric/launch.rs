@@ -74,21 +74,50 @@ fn launch_direction(gpu: &Gpu, from: &Buffer<f32>, to: &Buffer<f32>, [width, hei
 pub(crate) fn launch_photometric(
     gpu: &Gpu,
     inputs: &DeviceInputs,
-    [width, height]: [usize; 2],
+    size: [usize; 2],
     lambda: f64,
     with_gradient: bool,
 ) -> (Buffer<f32>, Option<Buffer<f32>>) {
+    let job = Job { gpu, inputs, size, lambda };
     let values = inputs.image.len;
-    let planes = || PlanesLaunch::new(width as u32, height as u32, (values / (width * height)) as u32);
-    let share = 1.0 / values as f64;
-    let weights = || WeightsLaunch::new(((1.0 - lambda) * share) as f32, lambda as f32, share as f32);
     let shares = Buffer::new(gpu, values);
-    let derivatives: Buffer<f32> = Buffer::new(gpu, if with_gradient { 3 * values } else { 0 });
+    let derivatives = Buffer::if_needed(gpu, with_gradient, 3 * values);
+    let gradient = Buffer::if_needed(gpu, with_gradient, values);
+    let wanted = derivatives.as_ref().zip(gradient.as_ref());
     if gpu.software {
-        let gradient = Buffer::if_needed(gpu, with_gradient, values);
-        let (grid, dim) = sweep([width, height], values);
+        job.sweep(&shares, wanted)
+    } else {
+        job.pass_over(&shares, wanted)
+    }
+    (shares, gradient)
+}
+
+/// One loss.
+struct Job<'a> {
+    gpu: &'a Gpu,
+    inputs: &'a DeviceInputs,
+    size: [usize; 2],
+    lambda: f64,
+}
+
+impl Job<'_> {
+    fn planes(&self) -> PlanesLaunch {
+        let [width, height] = self.size;
+        PlanesLaunch::new(width as u32, height as u32, (self.inputs.image.len / (width * height)) as u32)
+    }
+
+    fn weights(&self) -> WeightsLaunch {
+        let share = 1.0 / self.inputs.image.len as f64;
+        WeightsLaunch::new(((1.0 - self.lambda) * share) as f32, self.lambda as f32, share as f32)
+    }
+
+    /// On a driver in software: the shares and, if there is room for them, the derivatives of the index and of the loss.
+    fn sweep(&self, shares: &Buffer<f32>, wanted: Option<(&Buffer<f32>, &Buffer<f32>)>) {
+        let Self { gpu, inputs, size, .. } = *self;
+        let none = Buffer::new(gpu, 0);
         // SAFETY: units beyond the last plane and values beyond the picture are guarded.
         unsafe {
+            let (grid, dim) = sweep(size, inputs.image.len);
             index_sweep_kernel::launch_unchecked(
                 &gpu.client,
                 grid,
@@ -98,90 +127,88 @@ pub(crate) fn launch_photometric(
                 inputs.mean.arg(),
                 inputs.variance.arg(),
                 shares.arg(),
-                derivatives.arg(),
+                wanted.map_or(&none, |(derivatives, _)| derivatives).arg(),
                 window(),
-                planes(),
-                weights(),
-                with_gradient,
+                self.planes(),
+                self.weights(),
+                wanted.is_some(),
+            );
+            let Some((derivatives, gradient)) = wanted else { return };
+            let (grid, dim) = sweep(size, inputs.image.len);
+            gradient_sweep_kernel::launch_unchecked(
+                &gpu.client,
+                grid,
+                dim,
+                inputs.image.arg(),
+                inputs.truth.arg(),
+                derivatives.arg(),
+                gradient.arg(),
+                window(),
+                self.planes(),
+                self.weights(),
             );
         }
-        if let Some(gradient) = &gradient {
-            let (grid, dim) = sweep([width, height], values);
-            // SAFETY: as above.
-            unsafe {
-                gradient_sweep_kernel::launch_unchecked(
-                    &gpu.client,
-                    grid,
-                    dim,
-                    inputs.image.arg(),
-                    inputs.truth.arg(),
-                    derivatives.arg(),
-                    gradient.arg(),
-                    window(),
-                    planes(),
-                    weights(),
-                );
-            }
+    }
+
+    /// As [`Self::sweep`], on a card.
+    fn pass_over(&self, shares: &Buffer<f32>, wanted: Option<(&Buffer<f32>, &Buffer<f32>)>) {
+        let Self { gpu, inputs, size: [width, height], .. } = *self;
+        let values = inputs.image.len;
+        let [down, along] = strips(gpu);
+        let none = Buffer::new(gpu, 0);
+        let moments: Buffer<f32> = Buffer::new(gpu, 3 * values);
+        // SAFETY: strips beyond the last plane and values beyond the line are guarded.
+        unsafe {
+            let (grid, dim) = elementwise(units(values, height, down));
+            moments_kernel::launch_unchecked(
+                &gpu.client,
+                grid,
+                dim,
+                inputs.image.arg(),
+                inputs.truth.arg(),
+                moments.arg(),
+                window(),
+                self.planes(),
+                down,
+            );
+            let (grid, dim) = elementwise(units(values, width, along));
+            index_kernel::launch_unchecked(
+                &gpu.client,
+                grid,
+                dim,
+                inputs.image.arg(),
+                inputs.truth.arg(),
+                inputs.mean.arg(),
+                inputs.variance.arg(),
+                moments.arg(),
+                shares.arg(),
+                wanted.map_or(&none, |(derivatives, _)| derivatives).arg(),
+                window(),
+                self.planes(),
+                self.weights(),
+                wanted.is_some(),
+                along,
+            );
         }
-        return (shares, gradient);
-    }
-    let [down, along] = strips(gpu);
-    let moments: Buffer<f32> = Buffer::new(gpu, 3 * values);
-    // SAFETY: strips beyond the last plane and values beyond the line are guarded.
-    unsafe {
-        let (grid, dim) = elementwise(units(values, height, down));
-        moments_kernel::launch_unchecked(
-            &gpu.client,
-            grid,
-            dim,
-            inputs.image.arg(),
-            inputs.truth.arg(),
-            moments.arg(),
-            window(),
-            planes(),
-            down,
-        );
+        let Some((derivatives, gradient)) = wanted else { return };
+        // The moments are not read again: their memory takes the derivatives' filtered columns.
+        launch_direction(gpu, derivatives, &moments, [width, height], true);
         let (grid, dim) = elementwise(units(values, width, along));
-        index_kernel::launch_unchecked(
-            &gpu.client,
-            grid,
-            dim,
-            inputs.image.arg(),
-            inputs.truth.arg(),
-            inputs.mean.arg(),
-            inputs.variance.arg(),
-            moments.arg(),
-            shares.arg(),
-            derivatives.arg(),
-            window(),
-            planes(),
-            weights(),
-            with_gradient,
-            along,
-        );
+        // SAFETY: as above.
+        unsafe {
+            gradient_kernel::launch_unchecked(
+                &gpu.client,
+                grid,
+                dim,
+                inputs.image.arg(),
+                inputs.truth.arg(),
+                moments.arg(),
+                gradient.arg(),
+                window(),
+                self.planes(),
+                self.weights(),
+                along,
+            );
+        }
     }
-    if !with_gradient {
-        return (shares, None);
-    }
-    // The moments are not read again: their memory takes the derivatives' filtered columns.
-    launch_direction(gpu, &derivatives, &moments, [width, height], true);
-    let gradient = Buffer::new(gpu, values);
-    let (grid, dim) = elementwise(units(values, width, along));
-    // SAFETY: strips beyond the last plane and values beyond the line are guarded.
-    unsafe {
-        gradient_kernel::launch_unchecked(
-            &gpu.client,
-            grid,
-            dim,
-            inputs.image.arg(),
-            inputs.truth.arg(),
-            moments.arg(),
-            gradient.arg(),
-            window(),
-            planes(),
-            weights(),
-            along,
-        );
-    }
-    (shares, Some(gradient))
 }

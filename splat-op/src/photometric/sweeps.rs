@@ -5,8 +5,8 @@
 
 use cubecl::prelude::*;
 
-use super::forward::{HALF, Planes, Weights, Window};
-use super::{C1, C2, TAPS};
+use super::TAPS;
+use super::forward::{HALF, Planes, Similarity, Weights, Window};
 
 /// Columns of a unit, and rows of its part. A part begins and ends with rows that its neighbours sweep too, a unit with
 /// columns.
@@ -136,8 +136,6 @@ pub(super) fn index_sweep_kernel(
     let area = own_area(planes);
     if area.exists {
         let map = (planes.width * planes.height * planes.count) as usize;
-        let c1 = comptime!(C1 as f32);
-        let c2 = comptime!(C2 as f32);
         let mut means = Carried::new(TAPS);
         let mut squares = Carried::new(TAPS);
         let mut products = Carried::new(TAPS);
@@ -171,22 +169,14 @@ pub(super) fn index_sweep_kernel(
                     if area.holds(planes, i) {
                         let at = area.at(row, planes, i);
                         let mean_x = means.down(&window, i);
-                        let mean_y = mean_y[at];
-                        let square = mean_x * mean_x;
-                        let cross = mean_x * mean_y;
-                        let b1 = square + mean_y * mean_y + c1;
-                        let b2 = squares.down(&window, i) - square + variance_y[at];
-                        let a1 = 2.0 * cross + c1;
-                        let a2 = 2.0 * (products.down(&window, i) - cross) + c2;
-                        let inverse = 2.0 * weights.share / (b1 * b2);
-                        let d_xy = inverse * a1;
-                        let index = d_xy * a2;
-                        shares[at] = weights.absolute * apart.rows[i] + weights.lambda * (weights.share - 0.5 * index);
+                        let (xx, xy) = (squares.down(&window, i), products.down(&window, i));
+                        let found = Similarity::of(mean_x, xx, xy, mean_y[at], variance_y[at], weights.share);
+                        let apart = apart.rows[i];
+                        shares[at] = weights.absolute * apart + weights.lambda * (weights.share - 0.5 * found.index);
                         if comptime!(with_gradient) {
-                            let twice_d_xx = -(index / b2);
-                            derivatives[at] = (a2 - a1) * inverse * mean_y - (index / b1 + twice_d_xx) * mean_x;
-                            derivatives[map + at] = twice_d_xx;
-                            derivatives[2 * map + at] = d_xy;
+                            derivatives[at] = found.d_mean;
+                            derivatives[map + at] = found.twice_d_xx;
+                            derivatives[2 * map + at] = found.d_xy;
                         }
                     }
                 }
