@@ -71,17 +71,13 @@ impl GaussianRows {
     /// All coefficients, `[N, (degree+1)², 3]` row-major.
     fn sh(&self) -> Vec<f32> {
         let rest = self.rest_per_row();
-        if rest == 0 {
-            return self.sh_dc.as_flattened().to_vec();
-        }
-        let rows = self.sh_dc.iter().zip(self.sh_rest.chunks_exact(rest));
-        rows.flat_map(|(dc, rest)| dc.iter().chain(rest)).copied().collect()
+        let of_row = |i: usize| self.sh_dc[i].iter().chain(&self.sh_rest[rest * i..rest * (i + 1)]).copied();
+        (0..self.sh_dc.len()).flat_map(of_row).collect()
     }
 
     /// The same from all coefficients of the degree.
     fn set_sh(&mut self, sh: &[f32]) {
         let rows = sh.chunks_exact(self.rest_per_row() + 3).map(|row| row.split_at(3));
-        (self.sh_dc, self.sh_rest) = (Vec::new(), Vec::with_capacity(sh.len()));
         for (dc, rest) in rows {
             self.sh_dc.push([dc[0], dc[1], dc[2]]);
             self.sh_rest.extend_from_slice(rest);

@@ -1,7 +1,13 @@
 //! What the GPU path alone can get wrong: whole renders at the borders of what kernels are written for, refusals, limits.
 
+use std::cell::RefCell;
+use std::rc::Rc;
+
 use burn::tensor::{DType, Device, Tensor, TensorData};
-use splat_model::optim::{Adam, Moments};
+use glam::{DAffine3, DVec3};
+use splat_model::capture::{Photo, PointCloud};
+use splat_model::optim::{Adam, Moments, Rates};
+use splat_model::trainer::{Seen, TrainConfig, Trainer};
 use splat_op::{
     Accumulation, Camera, CameraModel, Colour, Extras, Intrinsics, RenderOptions, SplatError, Splats, project, render,
     tile, witness,
@@ -301,12 +307,14 @@ fn adam_in_one_operation_is_adam_in_tensors_and_leaves_what_others_hold() {
     let (mut moments, mut theirs) = (Moments::new(&start), Moments::new(&start));
     let before = host(start.clone());
     let adam = Adam::default();
+    // Of the first column and of the others.
+    let rates = Rates { first: 0.05, others: 0.01 };
     for step in 1..=6 {
         let gradient = draw(-1e-3, 1e-3);
-        other = adam.step_in_tensors(other, gradient.clone(), 0.01, &mut theirs, step);
+        other = adam.step_in_tensors(other, gradient.clone(), rates, &mut theirs, step);
         let held = (step == 3).then(|| one.clone());
         let known = held.clone().map(host);
-        one = adam.step(one, gradient, 0.01, &mut moments, step);
+        one = adam.step(one, gradient, rates, &mut moments, step);
         assert_eq!(held.map(host), known, "a tensor that somebody holds was stepped");
     }
     assert_eq!(host(start), before, "a tensor that somebody holds was stepped");
@@ -315,4 +323,43 @@ fn adam_in_one_operation_is_adam_in_tensors_and_leaves_what_others_hold() {
     for (one, other) in one.iter().zip(other) {
         assert!((one - other).abs() <= 1e-6, "{one} instead of {other}");
     }
+}
+
+/// Without room for prepared photographs they go to the device packed, and are unpacked there.
+#[test]
+fn a_loss_sees_packed_photographs_as_they_are() {
+    let Some(device) = gpu() else { return };
+    let (width, height) = (53, 38);
+    let byte = |i: usize| (i % 256) as u8;
+    let photo = |name: &str, alpha: Option<Vec<u8>>| Photo {
+        name: name.into(),
+        intrinsics: Intrinsics::centred(width, height, 50.0),
+        cam_from_world: DAffine3::from_translation(DVec3::new(0.0, 0.0, 3.0)),
+        rgb: (0..width * height).flat_map(|i| [byte(i), byte(3 * i + 200), byte(255 - i % 256)]).collect(),
+        alpha,
+    };
+    let translucent = (0..width * height).map(|i| byte(7 * i + 100)).collect();
+    let photos = vec![photo("opaque", None), photo("translucent", Some(translucent))];
+    let background = [0.1, 0.5, 0.9];
+    let expected: Vec<(String, Vec<f64>)> =
+        photos.iter().map(|photo| (photo.name.clone(), host(photo.rgb_over(background, &Device::flex())))).collect();
+    let points = PointCloud { positions: vec![[0.0; 3], [0.5, 0.2, 0.1]], colours: vec![[128; 3]; 2] };
+    let config = TrainConfig { steps: 2, cache_mib: 0, background, ..TrainConfig::default() };
+    let seen_by_loss = Rc::new(RefCell::new(Vec::new()));
+    let record = seen_by_loss.clone();
+    let loss = move |seen: &Seen| {
+        record.borrow_mut().push((seen.view.to_owned(), host(seen.truth.image())));
+        (seen.image.clone() - seen.truth.image()).square().mean()
+    };
+    let mut run = Trainer::new(photos, &points, config, &device).expect("photographs and steps").with_loss(loss);
+    (0..2).for_each(|_| drop(run.step().expect("a sound run")));
+    let mut seen = seen_by_loss.take();
+    seen.sort_by(|a, b| a.0.cmp(&b.0));
+    for ((name, seen), (view, expected)) in seen.iter().zip(&expected) {
+        assert_eq!(name, view);
+        for (seen, expected) in seen.iter().zip(expected) {
+            assert!((seen - expected).abs() <= 1e-6, "{name}: {seen} instead of {expected}");
+        }
+    }
+    assert_eq!(seen.len(), expected.len());
 }

@@ -58,10 +58,7 @@ impl Photo {
 
     /// `[H, W, 3]`: display-referred colours in 0..1 as they look over `background`, RGB in 0..1.
     pub fn rgb_over(&self, background: [f32; 3], device: &Device) -> Tensor<3> {
-        let rgb = self.rgb_tensor(device);
-        let Some(alpha) = self.alpha_tensor(device) else { return rgb };
-        let background = Tensor::<1>::from_floats(background, device).reshape([1, 1, 3]);
-        rgb * alpha.clone() + background * (alpha.neg() + 1.0)
+        over(self.rgb_tensor(device), self.alpha_tensor(device), background)
     }
 
     /// The same photograph with other numbers of pixels along its sides (Lanczos, a = 3), and its camera to match.
@@ -88,6 +85,13 @@ impl Photo {
             alpha,
         }
     }
+}
+
+/// `rgb`, `[H, W, 3]`, with opacities `[H, W, 1]`, over `background`; `rgb` itself where it is opaque everywhere.
+pub(super) fn over(rgb: Tensor<3>, alpha: Option<Tensor<3>>, background: [f32; 3]) -> Tensor<3> {
+    let Some(alpha) = alpha else { return rgb };
+    let background = Tensor::<1>::from_floats(background, &rgb.device()).reshape([1, 1, 3]);
+    rgb * alpha.clone() + background * (alpha.neg() + 1.0)
 }
 
 fn picture<P: Pixel<Subpixel = u8>>([width, height]: [u32; 2], bytes: Vec<u8>) -> ImageBuffer<P, Vec<u8>> {

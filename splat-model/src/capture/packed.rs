@@ -4,6 +4,7 @@
 use burn::tensor::{DType, Device, Int, Tensor, TensorData};
 
 use super::Photo;
+use super::image::over;
 
 /// Bits of a channel.
 const BITS: usize = 8;
@@ -35,15 +36,9 @@ impl Packed {
 
     /// `[H, W, 3]`: what [`Photo::rgb_over`] gives, computed on the device.
     pub fn rgb_over(&self, background: [f32; 3]) -> Tensor<3> {
-        let over = |channel: usize| {
-            let colour = self.channel(channel);
-            if self.opaque {
-                return colour;
-            }
-            let alpha = self.channel(3);
-            colour * alpha.clone() + (alpha.neg() + 1.0) * background[channel]
-        };
-        Tensor::cat(vec![over(0), over(1), over(2)], 0).permute([1, 2, 0])
+        let planes = Tensor::cat([0, 1, 2].map(|channel| self.channel(channel)).to_vec(), 0);
+        let alpha = (!self.opaque).then(|| self.channel(3).permute([1, 2, 0]));
+        over(planes.permute([1, 2, 0]), alpha, background)
     }
 
     /// `[1, H, W]`, 0 to 1.

@@ -91,6 +91,16 @@ fn thinning_takes_every_kth_point_and_never_too_many() {
     assert_eq!(thinned(&PointCloud::default(), 5), PointCloud::default());
 }
 
+#[test]
+fn ordered_points_keep_their_colours() {
+    let mut cloud = grey((0..10_u8).map(|i| [f32::from(i * 7 % 10), 0.0, 0.0]).collect());
+    cloud.colours = cloud.positions.iter().map(|position| [position[0] as u8; 3]).collect();
+    let ordered = ordered(&cloud);
+    assert_eq!(ordered.positions, (0..10_u8).map(|i| [f32::from(i), 0.0, 0.0]).collect::<Vec<_>>());
+    assert_eq!(ordered.colours, (0..10).map(|i| [i; 3]).collect::<Vec<_>>());
+    assert_eq!(super::ordered(&PointCloud::default()), PointCloud::default());
+}
+
 /// Wider than high, with its principal point off the middle.
 fn intrinsics() -> Intrinsics {
     Intrinsics { cx: 25.0, cy: 10.0, fy: 55.0, ..Intrinsics::centred(64, 24, 60.0) }

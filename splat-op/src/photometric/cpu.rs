@@ -65,12 +65,13 @@ pub(crate) fn photometric_cpu<F: Real>(
         .into_par_iter()
         .map_init(Vec::new, |maps, (band, gradient)| {
             dispatch!(Level::new(), simd => {
-                let reached = band.reached(if with_gradient { HALF } else { 0 }, size.height);
-                maps.resize(if with_gradient { 3 * size.width * reached.len() } else { 0 }, F::ZERO);
-                let sum = job.index(simd, band, &reached, maps);
-                if with_gradient {
-                    job.gradient(simd, band, (maps, reached.start), gradient);
+                if !with_gradient {
+                    return job.index(simd, band, &band.rows, &mut []);
                 }
+                let reached = band.reached(HALF, size.height);
+                maps.resize(3 * size.width * reached.len(), F::ZERO);
+                let sum = job.index(simd, band, &reached, maps);
+                job.gradient(simd, band, (maps, reached.start), gradient);
                 sum
             })
         })

@@ -34,7 +34,7 @@ fn units(values: usize, len: usize, strip: usize) -> usize {
 }
 
 /// A dispatch that sweeps pictures of so many values, by cubes of one vector of a driver's in software.
-fn sweep([width, height]: [usize; 2], values: usize) -> (CubeCount, CubeDim) {
+fn sweep_size([width, height]: [usize; 2], values: usize) -> (CubeCount, CubeDim) {
     const CUBE: usize = 8;
     let units = sweeps::units([width, height], values / (width * height));
     (cubes(units.div_ceil(CUBE)), CubeDim::new_1d(CUBE as u32))
@@ -81,13 +81,12 @@ pub(crate) fn launch_photometric(
     let job = Job { gpu, inputs, size, lambda };
     let values = inputs.image.len;
     let shares = Buffer::new(gpu, values);
-    let derivatives = Buffer::if_needed(gpu, with_gradient, 3 * values);
+    let derivatives = Buffer::new(gpu, if with_gradient { 3 * values } else { 0 });
     let gradient = Buffer::if_needed(gpu, with_gradient, values);
-    let wanted = derivatives.as_ref().zip(gradient.as_ref());
     if gpu.software {
-        job.sweep(&shares, wanted)
+        job.launch_sweeps(&shares, &derivatives, gradient.as_ref());
     } else {
-        job.pass_over(&shares, wanted)
+        job.launch_passes(&shares, &derivatives, gradient.as_ref());
     }
     (shares, gradient)
 }
@@ -111,13 +110,12 @@ impl Job<'_> {
         WeightsLaunch::new(((1.0 - self.lambda) * share) as f32, self.lambda as f32, share as f32)
     }
 
-    /// On a driver in software: the shares and, if there is room for them, the derivatives of the index and of the loss.
-    fn sweep(&self, shares: &Buffer<f32>, wanted: Option<(&Buffer<f32>, &Buffer<f32>)>) {
+    /// On a driver in software: the shares and, if `gradient` is wanted, the derivatives of the index and that of the loss.
+    fn launch_sweeps(&self, shares: &Buffer<f32>, derivatives: &Buffer<f32>, gradient: Option<&Buffer<f32>>) {
         let Self { gpu, inputs, size, .. } = *self;
-        let none = Buffer::new(gpu, 0);
         // SAFETY: units beyond the last plane and values beyond the picture are guarded.
         unsafe {
-            let (grid, dim) = sweep(size, inputs.image.len);
+            let (grid, dim) = sweep_size(size, inputs.image.len);
             index_sweep_kernel::launch_unchecked(
                 &gpu.client,
                 grid,
@@ -127,14 +125,14 @@ impl Job<'_> {
                 inputs.mean.arg(),
                 inputs.variance.arg(),
                 shares.arg(),
-                wanted.map_or(&none, |(derivatives, _)| derivatives).arg(),
+                derivatives.arg(),
                 window(),
                 self.planes(),
                 self.weights(),
-                wanted.is_some(),
+                gradient.is_some(),
             );
-            let Some((derivatives, gradient)) = wanted else { return };
-            let (grid, dim) = sweep(size, inputs.image.len);
+            let Some(gradient) = gradient else { return };
+            let (grid, dim) = sweep_size(size, inputs.image.len);
             gradient_sweep_kernel::launch_unchecked(
                 &gpu.client,
                 grid,
@@ -150,12 +148,11 @@ impl Job<'_> {
         }
     }
 
-    /// As [`Self::sweep`], on a card.
-    fn pass_over(&self, shares: &Buffer<f32>, wanted: Option<(&Buffer<f32>, &Buffer<f32>)>) {
+    /// The same on a card.
+    fn launch_passes(&self, shares: &Buffer<f32>, derivatives: &Buffer<f32>, gradient: Option<&Buffer<f32>>) {
         let Self { gpu, inputs, size: [width, height], .. } = *self;
         let values = inputs.image.len;
         let [down, along] = strips(gpu);
-        let none = Buffer::new(gpu, 0);
         let moments: Buffer<f32> = Buffer::new(gpu, 3 * values);
         // SAFETY: strips beyond the last plane and values beyond the line are guarded.
         unsafe {
@@ -182,15 +179,15 @@ impl Job<'_> {
                 inputs.variance.arg(),
                 moments.arg(),
                 shares.arg(),
-                wanted.map_or(&none, |(derivatives, _)| derivatives).arg(),
+                derivatives.arg(),
                 window(),
                 self.planes(),
                 self.weights(),
-                wanted.is_some(),
+                gradient.is_some(),
                 along,
             );
         }
-        let Some((derivatives, gradient)) = wanted else { return };
+        let Some(gradient) = gradient else { return };
         // The moments are not read again: their memory takes the derivatives' filtered columns.
         launch_direction(gpu, derivatives, &moments, [width, height], true);
         let (grid, dim) = elementwise(units(values, width, along));
