@@ -21,9 +21,9 @@ impl<F: Real, const C: usize> Columns<F, C> {
     /// Takes over up to [`BLOCK`] rows. What lies behind them stays as it was.
     #[inline(always)]
     pub fn read(&mut self, rows: &[F]) {
-        for (i, row) in rows.chunks_exact(C).take(BLOCK).enumerate() {
-            for (column, &value) in self.0.iter_mut().zip(row) {
-                column[i] = value;
+        for (i, row) in (0..BLOCK).zip(rows.as_chunks::<C>().0) {
+            for column in 0..C {
+                self.0[column][i] = row[column];
             }
         }
     }
@@ -31,9 +31,9 @@ impl<F: Real, const C: usize> Columns<F, C> {
     /// The reverse of [`Self::read`].
     #[inline(always)]
     pub fn write(&self, rows: &mut [F]) {
-        for (i, row) in rows.chunks_exact_mut(C).take(BLOCK).enumerate() {
-            for (column, out) in self.0.iter().zip(row) {
-                *out = column[i];
+        for (i, row) in (0..BLOCK).zip(rows.as_chunks_mut::<C>().0) {
+            for column in 0..C {
+                row[column] = self.0[column][i];
             }
         }
     }
@@ -47,6 +47,16 @@ impl<F: Real, const C: usize> Columns<F, C> {
     #[inline(always)]
     pub fn lanes<S: Simd>(&self, simd: S, column: usize, first: usize) -> F::Lanes<S> {
         F::Lanes::<S>::from_slice(simd, &self.0[column][first..first + LANES])
+    }
+
+    /// [`LANES`] rows of all columns. A loop: closures given to `map` may be left out of line, without the vectors' registers.
+    #[inline(always)]
+    pub fn all_lanes<S: Simd>(&self, simd: S, first: usize) -> [F::Lanes<S>; C] {
+        let mut all = [F::Lanes::<S>::splat(simd, F::ZERO); C];
+        for (column, lanes) in all.iter_mut().enumerate() {
+            *lanes = self.lanes(simd, column, first);
+        }
+        all
     }
 
     #[inline(always)]

@@ -41,6 +41,8 @@ pub mod project;
 
 pub mod shade;
 
+pub mod project_shade;
+
 pub mod tile;
 
 pub mod blend;

@@ -7,6 +7,7 @@ use burn::backend::{Backend, ExtensionType, backend_extension};
 
 use crate::blend::{BlendGrads, BlendInputs, BlendNeeds, BlendSpec, PartsCell, TraceCell};
 use crate::project::{ProjectGrads, ProjectInputs, ProjectNeeds, ProjectSpec};
+use crate::project_shade::{ProjectShadeGrads, ProjectShadeInputs, ProjectShadeNeeds, ProjectedColours};
 use crate::shade::{ShadeGrads, ShadeInputs, ShadeNeeds};
 use crate::tile::HitCell;
 
@@ -23,7 +24,8 @@ pub enum Slot<B: Backend> {
     Have(FloatTensor<B>),
 }
 
-/// Gaussian splatting on a Burn backend: four stages, and the backward pass of the three that have one.
+/// Gaussian splatting on a Burn backend: four stages, the backward pass of the three that have one, and the
+/// first two in one.
 ///
 /// No method has a default body: a backend that lacks one does not compile. Users call the functions of this crate, which
 /// take tensors and check them; these methods take backend primitives of the documented shapes and one float type.
@@ -60,6 +62,24 @@ pub trait SplatBackend: Backend {
         grad: FloatTensor<Self>,
         needs: ShadeNeeds,
     ) -> ShadeGrads<Self>;
+
+    /// See `project_shade/`: `project` and `shade` at once. Differentiable, and faster than the two unless the pose is tracked
+    /// or only some of what they read is. `mean2d_probe` as for `project`.
+    #[fusion(meta = fusion::project_shade)]
+    fn project_shade(
+        #[extension_type] inputs: ProjectShadeInputs<Self>,
+        mean2d_probe: FloatTensor<Self>,
+        spec: ProjectSpec,
+    ) -> ProjectedColours<Self>;
+
+    /// Gradients of `project_shade` from those of its outputs.
+    #[fusion(meta = fusion::project_shade_backward)]
+    fn project_shade_backward(
+        #[extension_type] inputs: ProjectShadeInputs<Self>,
+        #[extension_type] grad: ProjectedColours<Self>,
+        spec: ProjectSpec,
+        needs: ProjectShadeNeeds,
+    ) -> ProjectShadeGrads<Self>;
 
     /// See `tile/`. Fills `hits` and returns the number of hits per tile, `[tiles along y, tiles along x]`.
     #[fusion(meta = fusion::tile)]

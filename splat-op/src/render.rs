@@ -6,7 +6,7 @@ use crate::camera::Camera;
 use crate::check::check_positive;
 use crate::error::SplatError;
 use crate::options::RenderOptions;
-use crate::stages::{Colour, Extras, Picture, Splats, blend, check_render_fits, project, shade, tile};
+use crate::stages::{Colour, Extras, Picture, Splats, blend, check_render_fits, project, project_shade, tile};
 
 /// What all cameras see. All fields are differentiable.
 #[derive(Clone, Debug)]
@@ -19,7 +19,7 @@ pub struct Rendered {
     pub depth: Option<Tensor<4>>,
 }
 
-/// Renders Gaussians as one or several cameras of one size see them: `project`, `shade`, `tile` and `blend` in turn.
+/// Renders Gaussians as one or several cameras of one size see them: `project` and `shade` in one pass, `tile`, `blend`.
 ///
 /// # Errors
 /// If there is no camera, cameras differ in size, a tensor's shape, type or device does not fit, or a camera or option is
@@ -65,12 +65,12 @@ pub fn render_view(
 }
 
 fn stages(splats: &Splats, camera: &Camera, extras: &Extras, options: &RenderOptions) -> Result<Picture, SplatError> {
-    let projected = project(splats, camera, extras.mean2d_probe.as_ref(), options)?;
-    let tiles = tile(&projected, options)?;
-    let features = match &splats.colour {
-        Colour::SphericalHarmonics(sh) => shade(sh, &splats.means, camera)?,
-        Colour::Features(features) => features.clone(),
+    let probe = extras.mean2d_probe.as_ref();
+    let (projected, features) = match &splats.colour {
+        Colour::SphericalHarmonics(sh) => project_shade(splats, sh, camera, probe, options)?,
+        Colour::Features(features) => (project(splats, camera, probe, options)?, features.clone()),
     };
+    let tiles = tile(&projected, options)?;
     blend(&projected, &features, &tiles, extras, options)
 }
 

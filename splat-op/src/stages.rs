@@ -11,6 +11,7 @@ use crate::limits::{Need, check_fits};
 use crate::op::SplatBackend;
 use crate::options::RenderOptions;
 use crate::project::{COLUMNS, ProjectInputs, ProjectSpec};
+use crate::project_shade::ProjectShadeInputs;
 use crate::shade::{ShadeInputs, sh_degree};
 use crate::tile::{HitCell, tile_grid};
 
@@ -166,16 +167,38 @@ pub fn project(
     let reference = check_geometry(splats, camera, options)?;
     let probe = probe_or_empty(&reference, "mean2d_probe", mean2d_probe, splats)?;
     reference.check_fits(&[packed_need(splats.means.dims()[0])])?;
-    let inputs = ProjectInputs {
+    let spec = ProjectSpec { intrinsics: camera.intrinsics, options: *options };
+    let packed = <Dispatch as SplatBackend>::project(project_inputs(splats, camera), probe.into_dispatch(), spec);
+    Ok(Projected { packed: Tensor::from_dispatch(packed), intrinsics: camera.intrinsics })
+}
+
+/// [`project`] and [`shade`] of `sh` in one, for a render: what cannot show in the picture has no colour.
+pub(crate) fn project_shade(
+    splats: &Splats,
+    sh: &Tensor<3>,
+    camera: &Camera,
+    mean2d_probe: Option<&Tensor<2>>,
+    options: &RenderOptions,
+) -> Result<(Projected, Tensor<2>), SplatError> {
+    let reference = check_geometry(splats, camera, options)?;
+    let probe = probe_or_empty(&reference, "mean2d_probe", mean2d_probe, splats)?;
+    check_sh(&reference, sh, splats.means.dims()[0])?;
+    reference.check_fits(&[packed_need(splats.means.dims()[0]), sh_need(sh)])?;
+    let inputs = ProjectShadeInputs { geometry: project_inputs(splats, camera), sh: sh.clone().into_dispatch() };
+    let spec = ProjectSpec { intrinsics: camera.intrinsics, options: *options };
+    let out = <Dispatch as SplatBackend>::project_shade(inputs, probe.into_dispatch(), spec);
+    let projected = Projected { packed: Tensor::from_dispatch(out.packed), intrinsics: camera.intrinsics };
+    Ok((projected, Tensor::from_dispatch(out.colours)))
+}
+
+fn project_inputs(splats: &Splats, camera: &Camera) -> ProjectInputs<Dispatch> {
+    ProjectInputs {
         means: splats.means.clone().into_dispatch(),
         rotations: splats.rotations.clone().into_dispatch(),
         scales: splats.scales.clone().into_dispatch(),
         opacities: splats.opacities.clone().into_dispatch(),
         cam_from_world: camera.cam_from_world.clone().into_dispatch(),
-    };
-    let spec = ProjectSpec { intrinsics: camera.intrinsics, options: *options };
-    let packed = Tensor::from_dispatch(<Dispatch as SplatBackend>::project(inputs, probe.into_dispatch(), spec));
-    Ok(Projected { packed, intrinsics: camera.intrinsics })
+    }
 }
 
 /// Colours `[N, 3]` of Gaussians seen from a camera, from spherical harmonics `[N, (degree+1)², 3]`.

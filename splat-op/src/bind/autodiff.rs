@@ -1,7 +1,7 @@
 //! The backward nodes of the stages. Each stage is one node; its backward pass computes what is tracked.
 
 use std::ops::Range;
-use std::sync::PoisonError;
+use std::sync::{Arc, Mutex, PoisonError};
 
 use burn::backend::autodiff::NodeId;
 use burn::backend::autodiff::checkpoint::base::Checkpointer;
@@ -15,6 +15,7 @@ use burn::tensor::Shape;
 use crate::blend::{BlendGrads, BlendInputs, BlendNeeds, BlendSpec, PartsCell, TraceCell};
 use crate::op::{Slot, SplatBackend};
 use crate::project::{ProjectGrads, ProjectInputs, ProjectNeeds, ProjectSpec};
+use crate::project_shade::{ProjectShadeGrads, ProjectShadeInputs, ProjectShadeNeeds, ProjectedColours};
 use crate::shade::{ShadeGrads, ShadeInputs, ShadeNeeds};
 use crate::tile::HitCell;
 
@@ -30,6 +31,18 @@ fn constant<B: SplatBackend, C: CheckpointStrategy>(slot: Slot<B>) -> Slot<Autod
     match slot {
         Slot::Skip => Slot::Skip,
         Slot::Have(grad) => Slot::Have(FloatTensor::<Autodiff<B, C>>::new(grad)),
+    }
+}
+
+/// The same for all gradients of `project`.
+fn constants<B: SplatBackend, C: CheckpointStrategy>(grads: ProjectGrads<B>) -> ProjectGrads<Autodiff<B, C>> {
+    ProjectGrads {
+        means: constant(grads.means),
+        rotations: constant(grads.rotations),
+        scales: constant(grads.scales),
+        opacities: constant(grads.opacities),
+        cam_from_world: constant(grads.cam_from_world),
+        mean2d: constant(grads.mean2d),
     }
 }
 
@@ -52,6 +65,12 @@ impl<B: SplatBackend, C: CheckpointStrategy> ShadeInputs<Autodiff<B, C>> {
             means: self.means.primitive().clone(),
             cam_from_world: self.cam_from_world.primitive().clone(),
         }
+    }
+}
+
+impl<B: SplatBackend, C: CheckpointStrategy> ProjectShadeInputs<Autodiff<B, C>> {
+    fn inner(&self) -> ProjectShadeInputs<B> {
+        ProjectShadeInputs { geometry: self.geometry.inner(), sh: self.sh.primitive().clone() }
     }
 }
 
@@ -94,6 +113,44 @@ impl<B: SplatBackend> Backward<B, 3> for ShadeBackward {
         let [sh, means, cam_from_world] = ops.parents.each_ref().map(Option::is_some);
         let out = B::shade_backward(ops.state, grad, ShadeNeeds { sh, means, cam_from_world });
         let slots = [out.sh, out.means, out.cam_from_world];
+        let parents = ops.parents.map(|parent| parent.map(|node| node.id));
+        parents.into_iter().zip(slots).for_each(|(parent, slot)| register::<B>(grads, parent, slot));
+    }
+}
+
+/// The gradient of the colours, on its way to the node of the ellipses that both come from.
+type ColourGrad<B> = Arc<Mutex<Option<FloatTensor<B>>>>;
+
+/// Hands the colours' gradient to the node of the ellipses, beside the graph: a node has one output.
+#[derive(Debug)]
+struct ColoursBackward;
+
+impl<B: SplatBackend> Backward<B, 1> for ColoursBackward {
+    type State = ColourGrad<B>;
+
+    fn backward(self, ops: Ops<Self::State, 1>, grads: &mut Gradients, _: &mut Checkpointer) {
+        let grad = grads.consume::<B>(&ops.node);
+        *ops.state.lock().unwrap_or_else(PoisonError::into_inner) = Some(grad);
+    }
+}
+
+#[derive(Debug)]
+struct ProjectShadeBackward;
+
+impl<B: SplatBackend> Backward<B, 6> for ProjectShadeBackward {
+    type State = (ProjectShadeInputs<B>, ProjectSpec, ColourGrad<B>);
+
+    fn backward(self, ops: Ops<Self::State, 6>, grads: &mut Gradients, _: &mut Checkpointer) {
+        let packed = grads.consume::<B>(&ops.node);
+        let [means, rotations, scales, opacities, sh, mean2d] = ops.parents.each_ref().map(Option::is_some);
+        let geometry = ProjectNeeds { means, rotations, scales, opacities, cam_from_world: false, mean2d };
+        let (inputs, spec, colours) = ops.state;
+        let colours = colours.lock().unwrap_or_else(PoisonError::into_inner).take();
+        let colours = colours.expect("`blend`, which alone is given both outputs, has a gradient for both or for none");
+        let grad = ProjectedColours { packed, colours };
+        let out = B::project_shade_backward(inputs, grad, spec, ProjectShadeNeeds { geometry, sh });
+        let g = out.geometry;
+        let slots = [g.means, g.rotations, g.scales, g.opacities, out.sh, g.mean2d];
         let parents = ops.parents.map(|parent| parent.map(|node| node.id));
         parents.into_iter().zip(slots).for_each(|(parent, slot)| register::<B>(grads, parent, slot));
     }
@@ -190,6 +247,34 @@ impl<B: SplatBackend, C: CheckpointStrategy> SplatBackend for Autodiff<B, C> {
         }
     }
 
+    fn project_shade(
+        inputs: ProjectShadeInputs<Self>,
+        mean2d_probe: FloatTensor<Self>,
+        spec: ProjectSpec,
+    ) -> ProjectedColours<Self> {
+        let ProjectInputs { means, rotations, scales, opacities, cam_from_world } = &inputs.geometry;
+        let geometry = [means, rotations, scales, opacities, &mean2d_probe].iter().any(|input| input.is_tracked());
+        // One node would compute gradients that nobody asked for; and that of the pose it does not know.
+        if cam_from_world.is_tracked() || geometry != inputs.sh.is_tracked() {
+            let (sh, means, cam_from_world) = (inputs.sh, means.clone(), cam_from_world.clone());
+            let colours = Self::shade(ShadeInputs { sh, means, cam_from_world });
+            return ProjectedColours { packed: Self::project(inputs.geometry, mean2d_probe, spec), colours };
+        }
+        let inner = inputs.inner();
+        let parents = [means, rotations, scales, opacities, &inputs.sh, &mean2d_probe].map(|input| input.node());
+        let out = B::project_shade(inner.clone(), mean2d_probe.primitive().clone(), spec);
+        let grad = ColourGrad::<B>::default();
+        let packed = match ProjectShadeBackward.prepare::<C>(parents).compute_bound().stateful() {
+            OpsKind::Tracked(prep) => prep.finish((inner, spec, grad.clone()), out.packed),
+            OpsKind::UnTracked(prep) => prep.finish(out.packed),
+        };
+        let colours = match ColoursBackward.prepare::<C>([packed.node()]).compute_bound().stateful() {
+            OpsKind::Tracked(prep) => prep.finish(grad, out.colours),
+            OpsKind::UnTracked(prep) => prep.finish(out.colours),
+        };
+        ProjectedColours { packed, colours }
+    }
+
     fn tile(projected: FloatTensor<Self>, spec: BlendSpec, hits: HitCell) -> IntTensor<Self> {
         B::tile(projected.into_primitive(), spec, hits)
     }
@@ -234,15 +319,19 @@ impl<B: SplatBackend, C: CheckpointStrategy> SplatBackend for Autodiff<B, C> {
         spec: ProjectSpec,
         needs: ProjectNeeds,
     ) -> ProjectGrads<Self> {
-        let out = B::project_backward(inputs.inner(), grad.into_primitive(), spec, needs);
-        ProjectGrads {
-            means: constant(out.means),
-            rotations: constant(out.rotations),
-            scales: constant(out.scales),
-            opacities: constant(out.opacities),
-            cam_from_world: constant(out.cam_from_world),
-            mean2d: constant(out.mean2d),
-        }
+        constants(B::project_backward(inputs.inner(), grad.into_primitive(), spec, needs))
+    }
+
+    fn project_shade_backward(
+        inputs: ProjectShadeInputs<Self>,
+        grad: ProjectedColours<Self>,
+        spec: ProjectSpec,
+        needs: ProjectShadeNeeds,
+    ) -> ProjectShadeGrads<Self> {
+        let ProjectedColours { packed, colours } = grad;
+        let grad = ProjectedColours { packed: packed.into_primitive(), colours: colours.into_primitive() };
+        let out = B::project_shade_backward(inputs.inner(), grad, spec, needs);
+        ProjectShadeGrads { geometry: constants(out.geometry), sh: constant(out.sh) }
     }
 
     fn shade_backward(inputs: ShadeInputs<Self>, grad: FloatTensor<Self>, needs: ShadeNeeds) -> ShadeGrads<Self> {

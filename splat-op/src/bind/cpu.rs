@@ -11,6 +11,7 @@ use super::host::{Host, HostBackend, by_type};
 use crate::blend::{self, BlendGrads, BlendInputs, BlendNeeds, BlendSpec, PartsCell, TraceCell};
 use crate::op::{Slot, SplatBackend};
 use crate::project::{self, COLUMNS, ProjectGrads, ProjectInputs, ProjectNeeds, ProjectSpec};
+use crate::project_shade::{self, ProjectShadeGrads, ProjectShadeInputs, ProjectShadeNeeds, ProjectedColours};
 use crate::real::Real;
 use crate::shade::{self, ShadeGrads, ShadeInputs, ShadeNeeds};
 use crate::tile::cpu::tile_cpu;
@@ -50,7 +51,16 @@ fn project_backward<B: HostBackend, F: Real>(
 ) -> ProjectGrads<B> {
     let host = ProjectHost::<F>::read(&inputs);
     let g = project::cpu::project_backward_cpu(host.inputs(), &B::host(grad), spec, needs);
-    let (count, like) = (host.inputs().opacities.len(), &inputs.means);
+    project_grads(g, needs, host.inputs().opacities.len(), &inputs.means)
+}
+
+/// The gradients of `count` Gaussians as tensors.
+fn project_grads<B: HostBackend, F: Real>(
+    g: project::cpu::Grads<F>,
+    needs: ProjectNeeds,
+    count: usize,
+    like: &FloatTensor<B>,
+) -> ProjectGrads<B> {
     ProjectGrads {
         means: slot(needs.means, g.means, &[count, 3], like),
         rotations: slot(needs.rotations, g.rotations, &[count, 4], like),
@@ -96,6 +106,50 @@ fn shade_backward<B: HostBackend, F: Real>(
         sh: slot(needs.sh, g.sh, &[count, host.coefficients, 3], like),
         means: slot(needs.means, g.means, &[count, 3], like),
         cam_from_world: slot(needs.cam_from_world, g.cam_from_world, &[3, 4], like),
+    }
+}
+
+struct ProjectShadeHost<F: Real> {
+    geometry: ProjectHost<F>,
+    sh: Host<F>,
+    coefficients: usize,
+}
+
+impl<F: Real> ProjectShadeHost<F> {
+    fn read<B: HostBackend>(inputs: &ProjectShadeInputs<B>) -> Self {
+        let (sh, coefficients) = (B::host(inputs.sh.clone()), inputs.sh.shape()[1]);
+        Self { geometry: ProjectHost::read(&inputs.geometry), sh, coefficients }
+    }
+
+    fn inputs(&self) -> project_shade::cpu::Inputs<'_, F> {
+        let (geometry, coefficients) = (self.geometry.inputs(), self.coefficients);
+        project_shade::cpu::Inputs { geometry, sh: &self.sh, coefficients }
+    }
+}
+
+fn project_shade<B: HostBackend, F: Real>(inputs: ProjectShadeInputs<B>, spec: &ProjectSpec) -> ProjectedColours<B> {
+    let host = ProjectShadeHost::<F>::read(&inputs);
+    let (packed, colours) = project_shade::cpu::project_shade_cpu(host.inputs(), spec);
+    let count = colours.len() / 3;
+    ProjectedColours {
+        packed: B::from_host(packed, &[count, COLUMNS], &inputs.sh),
+        colours: B::from_host(colours, &[count, 3], &inputs.sh),
+    }
+}
+
+fn project_shade_backward<B: HostBackend, F: Real>(
+    inputs: ProjectShadeInputs<B>,
+    grad: ProjectedColours<B>,
+    spec: &ProjectSpec,
+    needs: ProjectShadeNeeds,
+) -> ProjectShadeGrads<B> {
+    let host = ProjectShadeHost::<F>::read(&inputs);
+    let (packed, colours) = (B::host(grad.packed), B::host(grad.colours));
+    let g = project_shade::cpu::project_shade_backward_cpu(host.inputs(), (&packed, &colours), spec, needs);
+    let (count, like) = (host.inputs().geometry.opacities.len(), &inputs.sh);
+    ProjectShadeGrads {
+        geometry: project_grads(g.geometry, needs.geometry, count, like),
+        sh: slot(needs.sh, g.sh, &[count, host.coefficients, 3], like),
     }
 }
 
@@ -208,6 +262,23 @@ macro_rules! cpu_backend {
                 needs: ShadeNeeds,
             ) -> ShadeGrads<Self> {
                 by_type!(inputs.means, F => shade_backward::<Self, F>(inputs, grad, needs))
+            }
+
+            fn project_shade(
+                inputs: ProjectShadeInputs<Self>,
+                _: FloatTensor<Self>,
+                spec: ProjectSpec,
+            ) -> ProjectedColours<Self> {
+                by_type!(inputs.sh, F => project_shade::<Self, F>(inputs, &spec))
+            }
+
+            fn project_shade_backward(
+                inputs: ProjectShadeInputs<Self>,
+                grad: ProjectedColours<Self>,
+                spec: ProjectSpec,
+                needs: ProjectShadeNeeds,
+            ) -> ProjectShadeGrads<Self> {
+                by_type!(inputs.sh, F => project_shade_backward::<Self, F>(inputs, grad, &spec, needs))
             }
 
             fn tile(projected: FloatTensor<Self>, spec: BlendSpec, hits: HitCell) -> IntTensor<Self> {

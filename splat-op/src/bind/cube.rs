@@ -14,6 +14,8 @@ use crate::gpu::{Buffer, Gpu, launch_scale};
 use crate::op::{Slot, SplatBackend};
 use crate::project::launch::{launch_project, launch_project_backward};
 use crate::project::{self, COLUMNS, ProjectGrads, ProjectInputs, ProjectNeeds, ProjectSpec};
+use crate::project_shade::launch::{launch_project_shade, launch_project_shade_backward};
+use crate::project_shade::{self, ProjectShadeGrads, ProjectShadeInputs, ProjectShadeNeeds, ProjectedColours};
 use crate::shade::launch::{launch_shade, launch_shade_backward};
 use crate::shade::{self, ShadeGrads, ShadeInputs, ShadeNeeds};
 use crate::tile::launch::{DeviceLists, launch_tile};
@@ -71,6 +73,24 @@ impl ProjectInputs<CubeBackend> {
     }
 }
 
+/// The gradients of `count` Gaussians as tensors.
+fn project_grads(g: project::launch::DeviceGrads, count: usize, like: &CubeTensor) -> ProjectGrads<CubeBackend> {
+    ProjectGrads {
+        means: slot(g.means, [count, 3], like),
+        rotations: slot(g.rotations, [count, 4], like),
+        scales: slot(g.scales, [count, 3], like),
+        opacities: slot(g.opacities, [count], like),
+        cam_from_world: slot(g.cam_from_world, [3, 4], like),
+        mean2d: slot(g.mean2d, [count, 2], like),
+    }
+}
+
+impl ProjectShadeInputs<CubeBackend> {
+    fn on_device(&self) -> project_shade::launch::DeviceInputs {
+        project_shade::launch::DeviceInputs { geometry: self.geometry.on_device(), sh: buffer(self.sh.clone()) }
+    }
+}
+
 impl ShadeInputs<CubeBackend> {
     fn on_device(&self) -> shade::launch::DeviceInputs {
         shade::launch::DeviceInputs {
@@ -115,15 +135,7 @@ impl SplatBackend for CubeBackend {
     ) -> ProjectGrads<Self> {
         let gpu = Gpu::new(&inputs.means.client);
         let g = launch_project_backward(&gpu, &inputs.on_device(), &buffer(grad), &spec, needs);
-        let (count, like) = (inputs.means.shape()[0], &inputs.means);
-        ProjectGrads {
-            means: slot(g.means, [count, 3], like),
-            rotations: slot(g.rotations, [count, 4], like),
-            scales: slot(g.scales, [count, 3], like),
-            opacities: slot(g.opacities, [count], like),
-            cam_from_world: slot(g.cam_from_world, [3, 4], like),
-            mean2d: slot(g.mean2d, [count, 2], like),
-        }
+        project_grads(g, inputs.means.shape()[0], &inputs.means)
     }
 
     fn shade(inputs: ShadeInputs<Self>) -> FloatTensor<Self> {
@@ -141,6 +153,36 @@ impl SplatBackend for CubeBackend {
             sh: slot(g.sh, [count, coefficients, 3], like),
             means: slot(g.means, [count, 3], like),
             cam_from_world: slot(g.cam_from_world, [3, 4], like),
+        }
+    }
+
+    fn project_shade(
+        inputs: ProjectShadeInputs<Self>,
+        _: FloatTensor<Self>,
+        spec: ProjectSpec,
+    ) -> ProjectedColours<Self> {
+        let (gpu, like) = (Gpu::new(&inputs.sh.client), &inputs.sh);
+        let [count, coefficients, _] = inputs.sh.shape().dims();
+        let (packed, colours) = launch_project_shade(&gpu, &inputs.on_device(), coefficients, &spec);
+        ProjectedColours {
+            packed: tensor(packed, [count, COLUMNS], DType::F32, like),
+            colours: tensor(colours, [count, 3], DType::F32, like),
+        }
+    }
+
+    fn project_shade_backward(
+        inputs: ProjectShadeInputs<Self>,
+        grad: ProjectedColours<Self>,
+        spec: ProjectSpec,
+        needs: ProjectShadeNeeds,
+    ) -> ProjectShadeGrads<Self> {
+        let (gpu, like) = (Gpu::new(&inputs.sh.client), &inputs.sh);
+        let [count, coefficients, _] = inputs.sh.shape().dims();
+        let grads = (&buffer(grad.packed), &buffer(grad.colours));
+        let g = launch_project_shade_backward(&gpu, &inputs.on_device(), coefficients, grads, &spec, needs);
+        ProjectShadeGrads {
+            geometry: project_grads(g.geometry, count, like),
+            sh: slot(g.sh, [count, coefficients, 3], like),
         }
     }
 

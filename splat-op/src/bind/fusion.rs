@@ -7,6 +7,9 @@ use crate::bind::activate::ActivateInputsMetadata;
 use crate::blend::{BlendGradsMetadata, BlendInputsMetadata, BlendNeeds, BlendSpec, PartsCell, TraceCell};
 use crate::op::SlotMetadata;
 use crate::project::{COLUMNS, ProjectGradsMetadata, ProjectInputsMetadata, ProjectNeeds, ProjectSpec};
+use crate::project_shade::{
+    ProjectShadeGradsMetadata, ProjectShadeInputsMetadata, ProjectShadeNeeds, ProjectedColoursMetadata,
+};
 use crate::shade::{ShadeGradsMetadata, ShadeInputsMetadata, ShadeNeeds};
 use crate::tile::{HitCell, tile_grid};
 
@@ -53,6 +56,26 @@ pub(crate) fn shade_backward(inputs: &ShadeInputsMetadata, _: &TensorSpec, needs
         sh: slot(needs.sh, &inputs.sh),
         means: slot(needs.means, &inputs.means),
         cam_from_world: slot(needs.cam_from_world, &inputs.cam_from_world),
+    }
+}
+
+pub(crate) fn project_shade(
+    inputs: &ProjectShadeInputsMetadata,
+    probe: &TensorSpec,
+    spec: &ProjectSpec,
+) -> ProjectedColoursMetadata {
+    ProjectedColoursMetadata { packed: project(&inputs.geometry, probe, spec), colours: inputs.geometry.means.clone() }
+}
+
+pub(crate) fn project_shade_backward(
+    inputs: &ProjectShadeInputsMetadata,
+    grad: &ProjectedColoursMetadata,
+    spec: &ProjectSpec,
+    needs: &ProjectShadeNeeds,
+) -> ProjectShadeGradsMetadata {
+    ProjectShadeGradsMetadata {
+        geometry: project_backward(&inputs.geometry, &grad.packed, spec, &needs.geometry),
+        sh: slot(needs.sh, &inputs.sh),
     }
 }
 

@@ -19,7 +19,7 @@ use crate::gpu::reduce::cube_sum;
 
 /// Whether any number is not zero, by its bits: NaN is not.
 #[cube]
-fn any(packed: &Packed) -> bool {
+pub(crate) fn any(packed: &Packed) -> bool {
     let mean = u32::reinterpret(packed.x) | u32::reinterpret(packed.y);
     let sigmas = u32::reinterpret(packed.sigma_u) | u32::reinterpret(packed.sigma_v);
     let rest = u32::reinterpret(packed.shear) | u32::reinterpret(packed.depth) | u32::reinterpret(packed.opacity);
@@ -74,6 +74,90 @@ fn row_backward(f: &Projection, row: &Row, axis: &Axis, grad_j: Vec3, grad_mean_
     RowGrad { across, depth: -(grad_j.dot(row.j) * inverse) - across * row.ratio, row: grad_row }
 }
 
+/// Which gradients of a Gaussian are computed; those of the opacity and the projected centre always are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub(crate) struct Wanted {
+    pub means: bool,
+    pub rotations: bool,
+    pub scales: bool,
+    pub pose: bool,
+}
+
+/// Gradients of one Gaussian's parameters, of its projected centre, px, and its share of that of the pose.
+#[derive(CubeType, CubeTypeMut, Clone, Copy)]
+#[expand(derive(Clone, Copy))]
+pub(crate) struct GaussianGrad {
+    pub mean: Vec3,
+    pub rotation: Quaternion,
+    pub scale: Vec3,
+    pub opacity: f32,
+    pub mean2d_x: f32,
+    pub mean2d_y: f32,
+    pub pose: Pose,
+}
+
+#[cube]
+pub(crate) fn no_gradient() -> GaussianGrad {
+    let zero = Vec3::new(0.0, 0.0, 0.0);
+    GaussianGrad {
+        mean: zero,
+        rotation: Quaternion { w: 0.0f32.runtime(), x: 0.0f32.runtime(), y: 0.0f32.runtime(), z: 0.0f32.runtime() },
+        scale: zero,
+        opacity: 0.0f32.runtime(),
+        mean2d_x: 0.0f32.runtime(),
+        mean2d_y: 0.0f32.runtime(),
+        pose: Pose { matrix: Mat3 { x: zero, y: zero, z: zero }, translation: zero },
+    }
+}
+
+/// Gradients of a Gaussian from that of its row; none if it is culled.
+#[cube]
+pub(crate) fn gaussian_backward(
+    g: &Gaussian,
+    pose: &Pose,
+    lens: &Lens,
+    grad: &Packed,
+    #[comptime] wanted: Wanted,
+) -> GaussianGrad {
+    let through_rows = comptime!(wanted.means || wanted.rotations || wanted.pose);
+    let mut of = no_gradient();
+    let p = project_one(g, pose, lens);
+    if p.visible {
+        of.mean2d_x = grad.x;
+        of.mean2d_y = grad.y;
+        of.opacity = grad.opacity * p.compensation;
+        if comptime!(through_rows || wanted.scales) {
+            let (grad_m0, grad_m1) = factor_backward(&p, lens, g.opacity, grad);
+            if comptime!(wanted.scales) {
+                of.scale = grad_m0.by_axis(p.x.j).plus(grad_m1.by_axis(p.y.j));
+            }
+            if comptime!(through_rows) {
+                let x = row_backward(&p, &p.x, &lens.x, grad_m0.by_axis(g.scale), grad.x);
+                let y = row_backward(&p, &p.y, &lens.y, grad_m1.by_axis(g.scale), grad.y);
+                let to_last = x.row.times(p.x.slope).plus(y.row.times(p.y.slope));
+                // Of `W R`, and of the centre in the camera's frame.
+                let turned = Mat3 { x: x.row, y: y.row, z: to_last.times(-1.0) };
+                let centre = Vec3::new(x.across, y.across, grad.depth + x.depth + y.depth);
+                if comptime!(wanted.means) {
+                    of.mean = pose.matrix.apply_transposed(centre);
+                }
+                if comptime!(wanted.rotations) {
+                    let unturned = pose.matrix.transposed().times(turned);
+                    of.rotation = p.quaternion.backward(p.quaternion_length, unturned);
+                }
+                if comptime!(wanted.pose) {
+                    let from = p.world_from_gaussian;
+                    of.pose.matrix.x = from.apply(turned.x).plus(g.mean.times(centre.x));
+                    of.pose.matrix.y = from.apply(turned.y).plus(g.mean.times(centre.y));
+                    of.pose.matrix.z = from.apply(turned.z).plus(g.mean.times(centre.z));
+                    of.pose.translation = centre;
+                }
+            }
+        }
+    }
+    of
+}
+
 #[cube(launch_unchecked)]
 pub(super) fn project_backward_kernel(
     means: &[f32],
@@ -92,80 +176,41 @@ pub(super) fn project_backward_kernel(
     count: u32,
     #[comptime] planes: bool,
 ) {
-    let through_rows = comptime!(grad_means.is_some() || grad_rotations.is_some() || pose_rows.is_some());
-    let through_factor = comptime!(through_rows || grad_scales.is_some());
-
+    let wanted = comptime!(Wanted {
+        means: grad_means.is_some(),
+        rotations: grad_rotations.is_some(),
+        scales: grad_scales.is_some(),
+        pose: pose_rows.is_some(),
+    });
     let gaussian = ABSOLUTE_POS;
-    let zero = Vec3::new(0.0, 0.0, 0.0);
-    let mut of_mean = zero;
-    let mut of_rotation = Quaternion { w: 0.0, x: 0.0, y: 0.0, z: 0.0 };
-    let mut of_scale = zero;
-    let mut of_opacity = 0.0f32;
-    let mut of_mean2d_x = 0.0f32;
-    let mut of_mean2d_y = 0.0f32;
-    let mut of_pose = Pose { matrix: Mat3 { x: zero, y: zero, z: zero }, translation: zero };
-
+    let mut of = no_gradient();
     if gaussian < count as usize {
         let grad = Packed::load(grad, gaussian);
         // Most Gaussians of a large scene are out of view, and their gradient is exactly zero.
         if any(&grad) {
             let g = Gaussian::load(means, rotations, scales, opacities, gaussian);
-            let pose = Pose::load(cam_from_world);
-            let p = project_one(&g, &pose, &lens);
-            if p.visible {
-                of_mean2d_x = grad.x;
-                of_mean2d_y = grad.y;
-                of_opacity = grad.opacity * p.compensation;
-                if comptime!(through_factor) {
-                    let (grad_m0, grad_m1) = factor_backward(&p, &lens, g.opacity, &grad);
-                    if comptime!(grad_scales.is_some()) {
-                        of_scale = grad_m0.by_axis(p.x.j).plus(grad_m1.by_axis(p.y.j));
-                    }
-                    if comptime!(through_rows) {
-                        let x = row_backward(&p, &p.x, &lens.x, grad_m0.by_axis(g.scale), grad.x);
-                        let y = row_backward(&p, &p.y, &lens.y, grad_m1.by_axis(g.scale), grad.y);
-                        let to_last = x.row.times(p.x.slope).plus(y.row.times(p.y.slope));
-                        // Of `W R`, and of the centre in the camera's frame.
-                        let turned = Mat3 { x: x.row, y: y.row, z: zero.minus(to_last) };
-                        let centre = Vec3::new(x.across, y.across, grad.depth + x.depth + y.depth);
-                        if comptime!(grad_means.is_some()) {
-                            of_mean = pose.matrix.apply_transposed(centre);
-                        }
-                        if comptime!(grad_rotations.is_some()) {
-                            let unturned = pose.matrix.transposed().times(turned);
-                            of_rotation = p.quaternion.backward(p.quaternion_length, unturned);
-                        }
-                        if comptime!(pose_rows.is_some()) {
-                            let from = p.world_from_gaussian;
-                            of_pose.matrix.x = from.apply(turned.x).plus(g.mean.times(centre.x));
-                            of_pose.matrix.y = from.apply(turned.y).plus(g.mean.times(centre.y));
-                            of_pose.matrix.z = from.apply(turned.z).plus(g.mean.times(centre.z));
-                            of_pose.translation = centre;
-                        }
-                    }
-                }
-            }
+            of = gaussian_backward(&g, &Pose::load(cam_from_world), &lens, &grad, wanted);
         }
         #[comptime]
         if let ComptimeOption::Some(out) = grad_means {
-            of_mean.store(out, 3 * gaussian);
+            of.mean.store(out, 3 * gaussian);
         }
         #[comptime]
         if let ComptimeOption::Some(out) = grad_rotations {
-            of_rotation.store(out, 4 * gaussian);
+            of.rotation.store(out, 4 * gaussian);
         }
         #[comptime]
         if let ComptimeOption::Some(out) = grad_scales {
-            of_scale.store(out, 3 * gaussian);
+            of.scale.store(out, 3 * gaussian);
         }
         #[comptime]
         if let ComptimeOption::Some(out) = grad_opacities {
-            out[gaussian] = of_opacity;
+            out[gaussian] = of.opacity;
         }
         #[comptime]
         if let ComptimeOption::Some(out) = grad_mean2d {
-            out[2 * gaussian] = of_mean2d_x;
-            out[2 * gaussian + 1] = of_mean2d_y;
+            out[2 * gaussian] = of.mean2d_x;
+            out[2 * gaussian + 1] = of.mean2d_y;
         }
     }
     #[comptime]
@@ -173,7 +218,7 @@ pub(super) fn project_backward_kernel(
         let mut shared = Shared::<[f32]>::new_slice(comptime!(UNITS));
         // A dispatch may hold more cubes than there are rows.
         if CUBE_POS * comptime!(UNITS) < count as usize {
-            let (m, t) = (of_pose.matrix, of_pose.translation);
+            let (m, t) = (of.pose.matrix, of.pose.translation);
             store_sum(m.x.x, rows, 0, &mut shared, planes);
             store_sum(m.x.y, rows, 1, &mut shared, planes);
             store_sum(m.x.z, rows, 2, &mut shared, planes);

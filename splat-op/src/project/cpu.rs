@@ -69,9 +69,9 @@ impl<F: Real> Parameters<F> {
     #[inline(always)]
     fn eight<S: Simd>(&self, simd: S, first: usize) -> Gaussians<F::Lanes<S>> {
         Gaussians {
-            mean: [0, 1, 2].map(|axis| self.means.lanes(simd, axis, first)),
-            rotation: [0, 1, 2, 3].map(|axis| self.rotations.lanes(simd, axis, first)),
-            scale: [0, 1, 2].map(|axis| self.scales.lanes(simd, axis, first)),
+            mean: self.means.all_lanes(simd, first),
+            rotation: self.rotations.all_lanes(simd, first),
+            scale: self.scales.all_lanes(simd, first),
             opacity: self.opacities.lanes(simd, 0, first),
         }
     }
@@ -208,10 +208,7 @@ fn backward_chunk<S: Simd, F: Real>(
         parameters.read(inputs, first + block * BLOCK);
         for at in (0..count).step_by(LANES) {
             let eight = parameters.eight(simd, at);
-            let mut row = [lens.near; COLUMNS];
-            for (column, value) in row.iter_mut().enumerate() {
-                *value = grads.lanes(simd, column, at);
-            }
+            let row = grads.all_lanes(simd, at);
             let projection = Projection::<S, F>::new(simd, &eight, &lens);
             let one = projection.backward(&lens, &eight, &Ellipse::from_row(&row), needs_pose.then_some(&mut pose));
             found.store::<S>(at, &one.parameters);

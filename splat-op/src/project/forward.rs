@@ -13,7 +13,7 @@ use crate::gpu::math::{Mat3, Pose, Quaternion, Vec3, finite, within};
 /// One axis of the picture, px.
 #[derive(CubeType, CubeLaunch, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
-pub(super) struct Axis {
+pub(crate) struct Axis {
     pub focal: f32,
     pub principal: f32,
     /// `x/z` or `y/z` at which the Jacobian is held.
@@ -24,7 +24,7 @@ pub(super) struct Axis {
 /// What the kernels know of the camera and of the options.
 #[derive(CubeType, CubeLaunch, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
-pub(super) struct Lens {
+pub(crate) struct Lens {
     pub x: Axis,
     pub y: Axis,
     /// Camera z, scene units.
@@ -40,7 +40,7 @@ pub(super) struct Lens {
 /// One Gaussian's parameters.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
-pub(super) struct Gaussian {
+pub(crate) struct Gaussian {
     pub mean: Vec3,
     pub rotation: Quaternion,
     pub scale: Vec3,
@@ -69,7 +69,7 @@ impl Gaussian {
 /// A row of the packed output, or of its gradient.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
-pub(super) struct Packed {
+pub(crate) struct Packed {
     pub x: f32,
     pub y: f32,
     pub sigma_u: f32,
@@ -94,7 +94,7 @@ impl Packed {
         }
     }
 
-    fn store(&self, to: &mut [f32], gaussian: usize) {
+    pub fn store(&self, to: &mut [f32], gaussian: usize) {
         let at = gaussian * comptime!(COLUMNS);
         to[at] = self.x;
         to[at + 1] = self.y;
@@ -109,7 +109,7 @@ impl Packed {
 /// What an axis of the picture sees of a Gaussian.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
-pub(super) struct Row {
+pub(crate) struct Row {
     /// `x/z` or `y/z`, the slope at which the Jacobian is taken, and whether that is free (not held at a limit).
     pub ratio: f32,
     pub slope: f32,
@@ -134,7 +134,7 @@ impl Axis {
 /// `project`.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
-pub(super) struct Projection {
+pub(crate) struct Projection {
     /// Without it the rest means nothing: the Gaussian is not finite, has no rotation, or is not in front of the near
     /// plane.
     pub visible: bool,
@@ -160,7 +160,7 @@ pub(super) struct Projection {
 }
 
 #[cube]
-pub(super) fn project_one(gaussian: &Gaussian, pose: &Pose, lens: &Lens) -> Projection {
+pub(crate) fn project_one(gaussian: &Gaussian, pose: &Pose, lens: &Lens) -> Projection {
     // What follows is a pinhole; without equations of its own another model does not compile.
     comptime!(match lens.model {
         CameraModel::Pinhole => {}
@@ -215,6 +215,20 @@ pub(super) fn project_one(gaussian: &Gaussian, pose: &Pose, lens: &Lens) -> Proj
     }
 }
 
+/// The row of a Gaussian: of one that is culled all zero but `sigma_u = sigma_v = 1`.
+#[cube]
+pub(crate) fn packed_of(gaussian: &Gaussian, p: &Projection, lens: &Lens) -> Packed {
+    Packed {
+        x: select(p.visible, lens.x.focal * p.x.ratio + lens.x.principal, 0.0),
+        y: select(p.visible, lens.y.focal * p.y.ratio + lens.y.principal, 0.0),
+        sigma_u: select(p.visible, p.sigma_u, 1.0),
+        shear: select(p.visible, p.shear, 0.0),
+        sigma_v: select(p.visible, p.sigma_v, 1.0),
+        depth: select(p.visible, p.depth, 0.0),
+        opacity: select(p.visible, gaussian.opacity * p.compensation, 0.0),
+    }
+}
+
 #[cube(launch_unchecked)]
 pub(super) fn project_forward_kernel(
     means: &[f32],
@@ -229,15 +243,6 @@ pub(super) fn project_forward_kernel(
     if ABSOLUTE_POS < count as usize {
         let gaussian = Gaussian::load(means, rotations, scales, opacities, ABSOLUTE_POS);
         let p = project_one(&gaussian, &Pose::load(cam_from_world), &lens);
-        let packed = Packed {
-            x: select(p.visible, lens.x.focal * p.x.ratio + lens.x.principal, 0.0),
-            y: select(p.visible, lens.y.focal * p.y.ratio + lens.y.principal, 0.0),
-            sigma_u: select(p.visible, p.sigma_u, 1.0),
-            shear: select(p.visible, p.shear, 0.0),
-            sigma_v: select(p.visible, p.sigma_v, 1.0),
-            depth: select(p.visible, p.depth, 0.0),
-            opacity: select(p.visible, gaussian.opacity * p.compensation, 0.0),
-        };
-        packed.store(projected, ABSOLUTE_POS);
+        packed_of(&gaussian, &p, &lens).store(projected, ABSOLUTE_POS);
     }
 }

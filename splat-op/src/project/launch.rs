@@ -35,7 +35,7 @@ pub(crate) struct DeviceGrads {
 }
 
 /// The camera and the options as an argument of the kernels. Computed in f64 and rounded once.
-pub(super) fn lens(spec: &ProjectSpec) -> LensLaunch {
+pub(crate) fn lens(spec: &ProjectSpec) -> LensLaunch {
     let (camera, options) = (&spec.intrinsics, &spec.options);
     let axis = |size: usize, focal: f64, principal: f64| {
         let margin = options.jacobian_margin * size as f64 / (2.0 * focal);

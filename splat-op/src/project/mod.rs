@@ -18,11 +18,11 @@
 //! Shapes: means `[N, 3]`, rotations `[N, 4]`, scales `[N, 3]`, opacities `[N]`, pose `[3, 4]` → packed `[N, 7]`.
 
 #[cfg(feature = "cube")]
-mod backward;
+pub(crate) mod backward;
 pub(crate) mod cpu;
 mod eight;
 #[cfg(feature = "cube")]
-mod forward;
+pub(crate) mod forward;
 #[cfg(all(test, feature = "cube"))]
 mod kernel_tests;
 #[cfg(feature = "cube")]

@@ -74,6 +74,72 @@ fn polynomials_backward(d: Vec3, w: &Sequence<f32>, #[comptime] degree: usize) -
     grad
 }
 
+/// Whether any channel has a gradient, by its bits: NaN has.
+#[cube]
+pub(crate) fn any_colour(grad: Vec3) -> bool {
+    let bits = u32::reinterpret(grad.x) | u32::reinterpret(grad.y) | u32::reinterpret(grad.z);
+    (bits & 0x7fff_ffff) != 0
+}
+
+/// Stores the gradient of a Gaussian's harmonics, if that is asked for, and returns that of the vector from the camera to its
+/// centre, or zero unless `through_direction`.
+#[cube]
+pub(crate) fn colour_backward(
+    sh: &[f32],
+    gaussian: usize,
+    mean: Vec3,
+    pose: Pose,
+    grad: Vec3,
+    grad_sh: &mut ComptimeOption<Box<[f32]>>,
+    #[comptime] degree: usize,
+    #[comptime] through_direction: bool,
+) -> Vec3 {
+    let coefficients = comptime!(coefficients_of(degree));
+    let sight = Eye::of(pose).sight(mean);
+    let y = basis(sight.direction, degree);
+    let colour = linear_colour(sh, gaussian, &y, degree);
+    let g = Vec3::new(
+        select(colour.x > 0.0, grad.x, 0.0),
+        select(colour.y > 0.0, grad.y, 0.0),
+        select(colour.z > 0.0, grad.z, 0.0),
+    );
+    #[comptime]
+    if let ComptimeOption::Some(out) = grad_sh {
+        #[unroll]
+        for k in 0..coefficients {
+            g.times(y[k]).store(out, 3 * (gaussian * coefficients + k));
+        }
+    }
+    let mut of_sight = Vec3::new(0.0, 0.0, 0.0);
+    if comptime!(through_direction) {
+        let d = sight.direction;
+        if sight.distance > 0.0 {
+            let mut weights = Sequence::<f32>::new();
+            #[unroll]
+            for k in 0..coefficients {
+                let c = Vec3::load(sh, 3 * (gaussian * coefficients + k));
+                weights.push(g.dot(c) * comptime!(NORMS[k]));
+            }
+            let grad = polynomials_backward(d, &weights, degree);
+            of_sight = grad.minus(d.times(d.dot(grad))).times(1.0 / sight.distance);
+        }
+    }
+    of_sight
+}
+
+/// Stores a gradient of zero for a Gaussian's harmonics, if one is asked for.
+#[cube]
+pub(crate) fn no_harmonics(gaussian: usize, grad_sh: &mut ComptimeOption<Box<[f32]>>, #[comptime] degree: usize) {
+    let values = comptime!(3 * coefficients_of(degree));
+    #[comptime]
+    if let ComptimeOption::Some(out) = grad_sh {
+        #[unroll]
+        for i in 0..values {
+            out[gaussian * values + i] = 0.0;
+        }
+    }
+}
+
 /// `sight_rows` takes the sum over each cube of the gradients of the vectors from camera to centre.
 #[cube(launch_unchecked)]
 pub(super) fn shade_backward_kernel(
@@ -88,51 +154,17 @@ pub(super) fn shade_backward_kernel(
     #[comptime] degree: usize,
     #[comptime] planes: bool,
 ) {
-    let coefficients = comptime!(coefficients_of(degree));
     let through_direction = comptime!(degree > 0 && (grad_means.is_some() || sight_rows.is_some()));
     let gaussian = ABSOLUTE_POS;
     let mut of_sight = Vec3::new(0.0, 0.0, 0.0);
     if gaussian < count as usize {
         let g = Vec3::load(grad, 3 * gaussian);
-        let bits = u32::reinterpret(g.x) | u32::reinterpret(g.y) | u32::reinterpret(g.z);
         // Also what keeps a Gaussian that is not seen, whatever it holds, out of every sum.
-        if (bits & 0x7fff_ffff) != 0 {
-            let sight = Eye::of(Pose::load(cam_from_world)).sight(Vec3::load(means, 3 * gaussian));
-            let y = basis(sight.direction, degree);
-            let colour = linear_colour(sh, gaussian, &y, degree);
-            let g = Vec3::new(
-                select(colour.x > 0.0, g.x, 0.0),
-                select(colour.y > 0.0, g.y, 0.0),
-                select(colour.z > 0.0, g.z, 0.0),
-            );
-            #[comptime]
-            if let ComptimeOption::Some(out) = &mut grad_sh {
-                #[unroll]
-                for k in 0..coefficients {
-                    g.times(y[k]).store(out, 3 * (gaussian * coefficients + k));
-                }
-            }
-            if comptime!(through_direction) {
-                let d = sight.direction;
-                if sight.distance > 0.0 {
-                    let mut weights = Sequence::<f32>::new();
-                    #[unroll]
-                    for k in 0..coefficients {
-                        let c = Vec3::load(sh, 3 * (gaussian * coefficients + k));
-                        weights.push(g.dot(c) * comptime!(NORMS[k]));
-                    }
-                    let grad = polynomials_backward(d, &weights, degree);
-                    of_sight = grad.minus(d.times(d.dot(grad))).times(1.0 / sight.distance);
-                }
-            }
+        if any_colour(g) {
+            let (mean, pose) = (Vec3::load(means, 3 * gaussian), Pose::load(cam_from_world));
+            of_sight = colour_backward(sh, gaussian, mean, pose, g, &mut grad_sh, degree, through_direction);
         } else {
-            #[comptime]
-            if let ComptimeOption::Some(out) = &mut grad_sh {
-                #[unroll]
-                for i in 0..comptime!(3 * coefficients) {
-                    out[gaussian * comptime!(3 * coefficients) + i] = 0.0;
-                }
-            }
+            no_harmonics(gaussian, &mut grad_sh, degree);
         }
         #[comptime]
         if let ComptimeOption::Some(out) = &mut grad_means {

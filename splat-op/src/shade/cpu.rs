@@ -81,6 +81,11 @@ fn linear_colour<F: Real>(y: &[F; SH_COEFFICIENTS_MAX], sh: &[F]) -> [F; 3] {
 
 /// `[N, 3]` colours.
 pub(crate) fn shade_cpu<F: Real>(inputs: Inputs<F>) -> Vec<F> {
+    shade_where_cpu(inputs, |_| true)
+}
+
+/// `[N, 3]` colours of the Gaussians that are `shown`, and zero for the others.
+pub(crate) fn shade_where_cpu<F: Real>(inputs: Inputs<F>, shown: impl Fn(usize) -> bool + Sync) -> Vec<F> {
     let eye = Eye::new(inputs.cam_from_world);
     let row = 3 * inputs.coefficients;
     let degree = degree_of(inputs.coefficients);
@@ -88,6 +93,9 @@ pub(crate) fn shade_cpu<F: Real>(inputs: Inputs<F>) -> Vec<F> {
     colours.par_chunks_mut(3 * CHUNK).enumerate().for_each(|(chunk, out)| {
         for (i, out) in out.chunks_exact_mut(3).enumerate() {
             let i = chunk * CHUNK + i;
+            if !shown(i) {
+                continue;
+            }
             let (direction, _) = eye.direction(&inputs.means[3 * i..3 * i + 3]);
             let colour = linear_colour(&basis(direction, degree), &inputs.sh[row * i..row * (i + 1)]);
             out.copy_from_slice(&colour.map(|c| c.max_of(F::ZERO)));
@@ -98,17 +106,25 @@ pub(crate) fn shade_cpu<F: Real>(inputs: Inputs<F>) -> Vec<F> {
 
 /// Gradients of the inputs from `grad`, the `[N, 3]` gradient of the colours.
 pub(crate) fn shade_backward_cpu<F: Real>(inputs: Inputs<F>, grad: &[F], needs: ShadeNeeds) -> Grads<F> {
+    let means = vec![F::ZERO; if needs.means { inputs.means.len() } else { 0 }];
+    shade_backward_onto_cpu(inputs, grad, means, needs)
+}
+
+/// The same, added to gradients of the means that are there already; these are empty if none was asked for.
+pub(crate) fn shade_backward_onto_cpu<F: Real>(
+    inputs: Inputs<F>,
+    grad: &[F],
+    means: Vec<F>,
+    needs: ShadeNeeds,
+) -> Grads<F> {
     let eye = Eye::new(inputs.cam_from_world);
     let row = 3 * inputs.coefficients;
     let degree = degree_of(inputs.coefficients);
     let count = inputs.means.len() / 3;
     let chunks = count.div_ceil(CHUNK);
     let through_direction = needs.means || needs.cam_from_world;
-    let mut grads = Grads {
-        sh: vec![F::ZERO; if needs.sh { inputs.sh.len() } else { 0 }],
-        means: vec![F::ZERO; if needs.means { inputs.means.len() } else { 0 }],
-        cam_from_world: Vec::new(),
-    };
+    let mut grads =
+        Grads { sh: vec![F::ZERO; if needs.sh { inputs.sh.len() } else { 0 }], means, cam_from_world: Vec::new() };
     let mut sh_chunks: Vec<&mut [F]> = grads.sh.chunks_mut(row * CHUNK).collect();
     let mut mean_chunks: Vec<&mut [F]> = grads.means.chunks_mut(3 * CHUNK).collect();
     sh_chunks.resize_with(chunks, Default::default);
@@ -138,7 +154,8 @@ pub(crate) fn shade_backward_cpu<F: Real>(inputs: Inputs<F>, grad: &[F], needs: 
                 if through_direction && degree > 0 && distance > F::ZERO {
                     let to_mean = direction_backward(direction, distance, degree, sh, g);
                     if needs.means {
-                        grad_means[3 * local..3 * local + 3].copy_from_slice(&to_mean);
+                        let sum = &mut grad_means[3 * local..3 * local + 3];
+                        sum.iter_mut().zip(to_mean).for_each(|(sum, part)| *sum += part);
                     }
                     grad_position = sub(grad_position, to_mean);
                 }

@@ -142,6 +142,19 @@ pub(super) fn linear_colour(sh: &[f32], gaussian: usize, basis: &Sequence<f32>, 
     colour
 }
 
+/// The colour of a Gaussian.
+#[cube]
+pub(crate) fn colour_of(sh: &[f32], gaussian: usize, mean: Vec3, pose: Pose, #[comptime] degree: usize) -> Vec3 {
+    let sight = Eye::of(pose).sight(mean);
+    let colour = linear_colour(sh, gaussian, &basis(sight.direction, degree), degree);
+    // Not `max`, which may turn a NaN into a colour.
+    Vec3::new(
+        select(colour.x < 0.0, 0.0, colour.x),
+        select(colour.y < 0.0, 0.0, colour.y),
+        select(colour.z < 0.0, 0.0, colour.z),
+    )
+}
+
 #[cube(launch_unchecked)]
 pub(super) fn shade_forward_kernel(
     sh: &[f32],
@@ -152,15 +165,7 @@ pub(super) fn shade_forward_kernel(
     #[comptime] degree: usize,
 ) {
     if ABSOLUTE_POS < count as usize {
-        let eye = Eye::of(Pose::load(cam_from_world));
-        let sight = eye.sight(Vec3::load(means, 3 * ABSOLUTE_POS));
-        let colour = linear_colour(sh, ABSOLUTE_POS, &basis(sight.direction, degree), degree);
-        // Not `max`, which may turn a NaN into a colour.
-        let shown = Vec3::new(
-            select(colour.x < 0.0, 0.0, colour.x),
-            select(colour.y < 0.0, 0.0, colour.y),
-            select(colour.z < 0.0, 0.0, colour.z),
-        );
-        shown.store(colours, 3 * ABSOLUTE_POS);
+        let mean = Vec3::load(means, 3 * ABSOLUTE_POS);
+        colour_of(sh, ABSOLUTE_POS, mean, Pose::load(cam_from_world), degree).store(colours, 3 * ABSOLUTE_POS);
     }
 }

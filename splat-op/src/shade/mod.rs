@@ -8,11 +8,11 @@
 //! Shapes: coefficients `[N, (degree+1)², 3]`, means `[N, 3]`, pose `[3, 4]` → colours `[N, 3]`.
 
 #[cfg(feature = "cube")]
-mod backward;
+pub(crate) mod backward;
 mod basis;
 pub(crate) mod cpu;
 #[cfg(feature = "cube")]
-mod forward;
+pub(crate) mod forward;
 #[cfg(all(test, feature = "cube"))]
 mod kernel_tests;
 #[cfg(feature = "cube")]
@@ -37,7 +37,7 @@ pub fn sh_degree(coefficients: usize) -> Option<usize> {
 }
 
 /// [`sh_degree`] of a number of coefficients that was checked where tensors entered.
-fn degree_of(coefficients: usize) -> usize {
+pub(crate) fn degree_of(coefficients: usize) -> usize {
     sh_degree(coefficients).expect("the number of coefficients is checked where tensors enter")
 }
 

@@ -1,0 +1,79 @@
+//! The CPU twin: the twins of the two stages one after the other, the second for what can show.
+
+use super::{ProjectShadeNeeds, reach_sigmas};
+use crate::project::cpu::{Grads as ProjectGrads, Inputs as ProjectInputs, project_backward_cpu, project_cpu};
+use crate::project::{COLUMNS, Ellipse, ProjectSpec};
+use crate::real::Real;
+use crate::shade::ShadeNeeds;
+use crate::shade::cpu::{Inputs as ShadeInputs, shade_backward_onto_cpu, shade_where_cpu};
+
+/// Borrowed inputs, row-major.
+#[derive(Clone, Copy)]
+pub(crate) struct Inputs<'a, F> {
+    pub geometry: ProjectInputs<'a, F>,
+    pub sh: &'a [F],
+    /// Coefficients per channel.
+    pub coefficients: usize,
+}
+
+impl<'a, F: Real> Inputs<'a, F> {
+    fn shade(&self) -> ShadeInputs<'a, F> {
+        let ProjectInputs { means, cam_from_world, .. } = self.geometry;
+        ShadeInputs { sh: self.sh, means, cam_from_world, coefficients: self.coefficients }
+    }
+}
+
+/// Gradients; an empty vector where none was asked for.
+pub(crate) struct Grads<F> {
+    pub geometry: ProjectGrads<F>,
+    pub sh: Vec<F>,
+}
+
+/// What can show in a picture.
+struct Frame<F> {
+    sigmas: F,
+    /// Of the picture, px.
+    size: [F; 2],
+}
+
+impl<F: Real> Frame<F> {
+    fn new(spec: &ProjectSpec) -> Self {
+        let size = [spec.intrinsics.width, spec.intrinsics.height];
+        Self { sigmas: F::of(reach_sigmas(spec.options.alpha_min)), size: size.map(|px| F::of(px as f64)) }
+    }
+
+    /// The box of [`reach_sigmas`]; an opacity above one, which the op does not forbid, reaches further than it.
+    #[inline(always)]
+    fn may_show(&self, ellipse: &Ellipse<F>) -> bool {
+        let half = [ellipse.sigma_u, ellipse.sigma_v + ellipse.shear.abs() * ellipse.sigma_u];
+        let meets = |axis: usize| {
+            let (centre, half) = (ellipse.mean_px[axis], self.sigmas * half[axis] + F::ONE);
+            centre + half >= F::ZERO && centre - half <= self.size[axis]
+        };
+        ellipse.opacity > F::ONE || (ellipse.opacity > F::ZERO && meets(0) && meets(1))
+    }
+}
+
+/// `[N, 7]` packed ellipses and `[N, 3]` colours.
+pub(crate) fn project_shade_cpu<F: Real>(inputs: Inputs<F>, spec: &ProjectSpec) -> (Vec<F>, Vec<F>) {
+    let packed = project_cpu(inputs.geometry, spec);
+    let frame = Frame::new(spec);
+    let shown = |i: usize| frame.may_show(&Ellipse::from_row(&packed[COLUMNS * i..COLUMNS * (i + 1)]));
+    let colours = shade_where_cpu(inputs.shade(), shown);
+    (packed, colours)
+}
+
+/// Gradients of the inputs from those of the packed ellipses, `[N, 7]`, and of the colours, `[N, 3]`.
+pub(crate) fn project_shade_backward_cpu<F: Real>(
+    inputs: Inputs<F>,
+    (grad_packed, grad_colours): (&[F], &[F]),
+    spec: &ProjectSpec,
+    needs: ProjectShadeNeeds,
+) -> Grads<F> {
+    let mut geometry = project_backward_cpu(inputs.geometry, grad_packed, spec, needs.geometry);
+    let means = std::mem::take(&mut geometry.means);
+    let shade_needs = ShadeNeeds { sh: needs.sh, means: needs.geometry.means, cam_from_world: false };
+    let of_shade = shade_backward_onto_cpu(inputs.shade(), grad_colours, means, shade_needs);
+    geometry.means = of_shade.means;
+    Grads { geometry, sh: of_shade.sh }
+}

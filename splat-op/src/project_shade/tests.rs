@@ -1,0 +1,126 @@
+//! Both stages in one against the stages alone, which are proven on their own.
+
+use super::cpu::{Inputs, project_shade_backward_cpu, project_shade_cpu};
+use super::{ProjectShadeNeeds, reach_sigmas};
+use crate::camera::{CameraModel, Intrinsics};
+use crate::options::RenderOptions;
+use crate::project::cpu::{Inputs as ProjectInputs, project_backward_cpu, project_cpu};
+use crate::project::{COLUMNS, ProjectNeeds, ProjectSpec};
+use crate::shade::ShadeNeeds;
+use crate::shade::cpu::{Inputs as ShadeInputs, shade_backward_cpu, shade_cpu};
+use crate::testing::random::Random;
+use crate::tile::cpu::tile_cpu;
+
+/// Harmonics per channel, of degree 2.
+pub(super) const COEFFICIENTS: usize = 9;
+
+pub(super) fn spec(alpha_min: f64) -> ProjectSpec {
+    let intrinsics =
+        Intrinsics { model: CameraModel::Pinhole, width: 70, height: 52, fx: 60.0, fy: 64.0, cx: 33.0, cy: 27.5 };
+    ProjectSpec { intrinsics, options: RenderOptions { alpha_min, ..RenderOptions::standard() } }
+}
+
+/// Means, rotations, scales, opacities, harmonics, pose, gradient of the ellipses, gradient of the colours.
+pub(super) struct Scene(pub Vec<Vec<f64>>);
+
+impl Scene {
+    /// Gaussians in view, across each border, far beside the picture, and behind the camera; some thin, some turned along a
+    /// diagonal, some too faint to show, some of an opacity above one, one in seven without a gradient.
+    pub fn random(seed: u64, count: usize) -> Self {
+        let mut random = Random::new(seed);
+        let mut means = Vec::new();
+        for i in 0..count {
+            let z = random.between(0.5, 6.0) * if i % 9 == 4 { -1.0 } else { 1.0 };
+            let reach = [0.5, 0.8, 1.5, 6.0][i % 4];
+            means.extend([reach * random.between(-1.0, 1.0) * z, reach * random.between(-1.0, 1.0) * z, z]);
+        }
+        let mut scales = random.fill(3 * count, 0.01, 0.25);
+        scales.iter_mut().step_by(5).for_each(|scale| *scale *= 1e-2);
+        let opacities = (0..count).map(|i| [0.9, 0.3, 2e-3, 0.6, 1.5][i % 5] * random.between(0.7, 1.1)).collect();
+        let pose = vec![0.8, 0.0, -0.6, 0.1, -0.36, 0.8, -0.48, -0.2, 0.48, 0.6, 0.64, 0.3];
+        let mut grads = [random.fill(COLUMNS * count, -1.0, 1.0), random.fill(3 * count, -1.0, 1.0)];
+        for (grad, columns) in grads.iter_mut().zip([COLUMNS, 3]) {
+            grad.chunks_mut(columns).step_by(7).for_each(|row| row.fill(0.0));
+        }
+        let [ellipses, colours] = grads;
+        let rotations = random.fill(4 * count, -1.0, 1.0);
+        let sh = random.fill(3 * COEFFICIENTS * count, -0.6, 0.6);
+        // From the camera's frame to the world, by the inverse of a rotation.
+        let world = means.chunks_exact(3).flat_map(|m| {
+            let along = [0, 1, 2].map(|row| m[row] - pose[4 * row + 3]);
+            [0, 1, 2].map(|axis| (0..3).map(|row| pose[4 * row + axis] * along[row]).sum::<f64>())
+        });
+        Self(vec![world.collect(), rotations, scales, opacities, sh, pose.clone(), ellipses, colours])
+    }
+
+    pub fn inputs(&self) -> Inputs<'_, f64> {
+        let [means, rotations, scales, opacities, sh, cam_from_world, ..] = &self.0[..] else { unreachable!() };
+        let geometry = ProjectInputs { means, rotations, scales, opacities, cam_from_world };
+        Inputs { geometry, sh, coefficients: COEFFICIENTS }
+    }
+
+    fn shade_inputs(&self) -> ShadeInputs<'_, f64> {
+        ShadeInputs { sh: &self.0[4], means: &self.0[0], cam_from_world: &self.0[5], coefficients: COEFFICIENTS }
+    }
+}
+
+/// Asserts that colours are those of `expected` or zero, and of `expected` where a Gaussian is in a list; returns how many of
+/// those in front of the camera were left out.
+pub(super) fn check_colours<F: crate::real::Real>(
+    packed: &[F],
+    found: &[F],
+    spec: &ProjectSpec,
+    same: impl Fn(usize) -> bool,
+) -> usize {
+    // Without a smallest alpha every Gaussian is in every list, though most of them add exactly nothing.
+    let lists = tile_cpu(packed, &spec.intrinsics, spec.options.alpha_min.max(1e-37));
+    let mut skipped = 0;
+    for (i, row) in packed.chunks_exact(COLUMNS).enumerate() {
+        let zero = found[3 * i..3 * i + 3].iter().all(|value| *value == F::ZERO);
+        let listed = lists.visible.contains(&(i as u32));
+        assert!(same(i) || (zero && !listed), "Gaussian {i}, listed: {listed}");
+        skipped += usize::from(zero && !same(i) && row[5] > F::ZERO);
+    }
+    assert!(!lists.visible.is_empty());
+    skipped
+}
+
+#[test]
+fn forwards_it_is_the_stages_but_for_colours_that_cannot_show() {
+    for (seed, alpha_min) in [(1, 1.0 / 255.0), (2, 0.05), (3, 1e-12), (4, 0.0)] {
+        let (scene, spec) = (Scene::random(seed, 2_000), spec(alpha_min));
+        let (packed, colours) = project_shade_cpu(scene.inputs(), &spec);
+        assert!(packed == project_cpu(scene.inputs().geometry, &spec));
+        let expected = shade_cpu(scene.shade_inputs());
+        let same = |i: usize| colours[3 * i..3 * i + 3] == expected[3 * i..3 * i + 3];
+        let skipped = check_colours(&packed, &colours, &spec, same);
+        assert!(skipped > 100, "only {skipped} of 2000 were left out: this shows nothing");
+    }
+}
+
+#[test]
+fn without_a_smallest_alpha_only_what_rounds_to_nothing_is_left_out() {
+    assert!((-0.5 * reach_sigmas(0.0).powi(2)).exp() == 0.0);
+    assert!(reach_sigmas(1e-300) < reach_sigmas(0.0));
+    assert!(reach_sigmas(1.0) == 0.0 && reach_sigmas(2.0) == 0.0);
+}
+
+#[test]
+fn backwards_it_is_the_sum_of_the_stages_for_any_choice_of_gradients() {
+    let (scene, spec) = (Scene::random(4, 2_000), spec(1.0 / 255.0));
+    let (of_ellipses, of_colours) = (&scene.0[6][..], &scene.0[7][..]);
+    for choice in 0..64_u32 {
+        let [means, rotations, scales, opacities, mean2d, sh] = std::array::from_fn(|i| choice >> i & 1 != 0);
+        let geometry = ProjectNeeds { means, rotations, scales, opacities, mean2d, cam_from_world: false };
+        let needs = ProjectShadeNeeds { geometry, sh };
+        let found = project_shade_backward_cpu(scene.inputs(), (of_ellipses, of_colours), &spec, needs);
+        let one = project_backward_cpu(scene.inputs().geometry, of_ellipses, &spec, geometry);
+        let shade_needs = ShadeNeeds { sh, means, cam_from_world: false };
+        let other = shade_backward_cpu(scene.shade_inputs(), of_colours, shade_needs);
+        let sum: Vec<f64> = one.means.iter().zip(&other.means).map(|(a, b)| a + b).collect();
+        assert!(found.geometry.means == sum && found.sh == other.sh, "choice {choice}");
+        let g = found.geometry;
+        assert!(g.rotations == one.rotations && g.scales == one.scales && g.opacities == one.opacities);
+        assert!(g.mean2d == one.mean2d && g.cam_from_world.is_empty());
+    }
+}
