@@ -7,6 +7,7 @@ mod devices;
 pub mod perturb;
 pub mod reference;
 pub mod scene;
+pub mod slope;
 pub mod tracked;
 
 pub use devices::{cpu_devices, devices, gpu, ndarray, places};

@@ -4,11 +4,9 @@
 use std::collections::BTreeMap;
 
 use burn::tensor::Device;
-use glam::{DAffine3, DVec3};
-use splat_model::capture::{Photo, PointCloud};
-use splat_model::trainer::{TrainConfig, Trainer};
-use splat_op::{Intrinsics, witness};
+use splat_op::witness;
 use splat_tests::places;
+use splat_tests::slope::slope_trainer;
 
 /// Kernels per step on a driver in software. On a card it is some less.
 const LAUNCHES: f64 = 67.0;
@@ -23,20 +21,6 @@ const GROWTH: f64 = 1.05;
 const BEFORE: usize = 6;
 const STEPS: usize = 8;
 
-/// A run on one photograph of 96 × 64 px, of a thousand Gaussians on a slope.
-fn trainer(device: &Device) -> Trainer {
-    let (width, height) = (96, 64);
-    let rgb = (0..width * height).flat_map(|i| [(i % width * 2) as u8, (i / width * 3) as u8, 90]).collect();
-    let cam_from_world = DAffine3::from_translation(DVec3::new(0.0, 0.0, 3.0));
-    let intrinsics = Intrinsics::centred(width, height, 90.0);
-    let photo = Photo { name: "slope".into(), intrinsics, cam_from_world, rgb, alpha: None };
-    let position = |i: usize| [(i % 40) as f32 / 20.0 - 1.0, (i / 40) as f32 / 20.0 - 0.6, (i % 7) as f32 / 7.0];
-    let positions: Vec<[f32; 3]> = (0..1000).map(position).collect();
-    let points = PointCloud { colours: vec![[128; 3]; positions.len()], positions };
-    let config = TrainConfig { steps: 1_000, sh_every: 1, ..TrainConfig::default() };
-    Trainer::new(vec![photo], &points, config, device).expect("a photograph and steps are given")
-}
-
 #[test]
 fn a_training_step_launches_and_allocates_no_more_than_it_did() {
     let Some(place) = places().into_iter().find(|place| place.device != Device::flex() && place.name == "gpu") else {
@@ -45,7 +29,7 @@ fn a_training_step_launches_and_allocates_no_more_than_it_did() {
     if !place.software {
         return;
     }
-    let mut run = trainer(&place.device);
+    let mut run = slope_trainer(&place.device);
     let mut step = || run.step().expect("a sound run").loss.into_scalar::<f32>();
     let first = step();
     for _ in 1..BEFORE {
