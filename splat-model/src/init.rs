@@ -1,6 +1,6 @@
 //! The first Gaussians of a scene: from a sparse point cloud, or random where a capture has none.
 
-use glam::{DAffine3, DVec3};
+use glam::{DAffine3, DVec2, DVec3};
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use rand::{Rng, RngExt};
 use rayon::prelude::*;
@@ -77,7 +77,8 @@ fn neighbour_distances(positions: &[[f32; 3]]) -> Vec<f32> {
 
 /// Random points of random colour in the volume that the cameras look at together: each lies in a random camera's
 /// picture, at a depth between half and one and a half times the camera's distance to the point nearest to all optical
-/// axes. A camera that stands at that point, as all do in a panorama, takes the scene's extent for the distance.
+/// axes (a distance, not a depth, for a fisheye). A camera that stands at that point, as all do in a panorama, takes the
+/// scene's extent for the distance.
 pub fn random_points(cameras: &[(Intrinsics, DAffine3)], count: usize, rng: &mut impl Rng) -> PointCloud {
     let mut points = PointCloud::default();
     let Some(focus) = common_focus(cameras) else { return points };
@@ -90,9 +91,8 @@ pub fn random_points(cameras: &[(Intrinsics, DAffine3)], count: usize, rng: &mut
         // The focus is computed, so what should be zero may be a rounding error.
         let distance = if distance > 1e-6 * extent { distance } else { extent };
         let depth = distance * rng.random_range(0.5..1.5);
-        let x = (rng.random_range(0.0..camera.width as f64) - camera.cx) / camera.fx;
-        let y = (rng.random_range(0.0..camera.height as f64) - camera.cy) / camera.fy;
-        let position = world_from_cam.transform_point3(DVec3::new(x, y, 1.0) * depth);
+        let px = DVec2::new(rng.random_range(0.0..camera.width as f64), rng.random_range(0.0..camera.height as f64));
+        let position = world_from_cam.transform_point3(camera.cam_from_px(px) * depth);
         points.positions.push(position.as_vec3().to_array());
         points.colours.push([rng.random(), rng.random(), rng.random()]);
     }

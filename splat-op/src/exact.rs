@@ -5,6 +5,8 @@
 //! them, which in float64 costs digits only for Gaussians some 1e6 times longer than wide. Every pixel visits every
 //! Gaussian, so it is for proofs, not pictures.
 
+mod lens;
+
 use glam::{DMat2, DMat3, DQuat, DVec2, DVec3};
 
 use crate::camera::Intrinsics;
@@ -104,15 +106,14 @@ fn project<'a>(
     let covariance_world = axes * axes.transpose();
     let covariance_cam = pose.rotation * covariance_world * pose.rotation.transpose();
 
-    let held = |slope: f64, size: usize, focal: f64, principal: f64| {
-        let margin = options.jacobian_margin * size as f64 / (2.0 * focal);
-        slope.clamp(-principal / focal - margin, (size as f64 - principal) / focal + margin)
+    // The Jacobian of a perspective camera is taken no further outside the picture than the margin; that of a fisheye is exact.
+    let [[low_x, high_x], [low_y, high_y]] = camera.slope_limits(options.jacobian_margin);
+    let held = match camera.model.is_fisheye() {
+        true => mean_cam,
+        false => DVec3::new((x / z).clamp(low_x, high_x) * z, (y / z).clamp(low_y, high_y) * z, z),
     };
-    let slope_x = held(x / z, camera.width, camera.fx, camera.cx);
-    let slope_y = held(y / z, camera.height, camera.fy, camera.cy);
-    // Rows of the Jacobian of (fx x/z, fy y/z).
-    let j0 = DVec3::new(camera.fx / z, 0.0, -camera.fx * slope_x / z);
-    let j1 = DVec3::new(0.0, camera.fy / z, -camera.fy * slope_y / z);
+    let mean_px = lens::seen(camera, mean_cam)?.map(|dual| dual.value);
+    let [j0, j1] = lens::seen(camera, held)?.map(|dual| dual.grad);
     let (c0, c1) = (covariance_cam * j0, covariance_cam * j1);
     let sharp = DMat2::from_cols(DVec2::new(j0.dot(c0), j1.dot(c0)), DVec2::new(j0.dot(c1), j1.dot(c1)));
     let covariance = sharp + DMat2::from_diagonal(DVec2::splat(options.blur));
@@ -122,7 +123,7 @@ fn project<'a>(
         1.0
     };
     Some(Ellipse {
-        mean_px: DVec2::new(camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy),
+        mean_px: DVec2::from_array(mean_px),
         conic: covariance.inverse(),
         depth: z,
         opacity: gaussian.opacity * compensation,

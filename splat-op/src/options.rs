@@ -14,7 +14,7 @@ pub struct RenderOptions {
     /// Model: splats whose centre has camera z at or below this are left out, scene units.
     pub near: f64,
     /// Model: the Jacobian of the projection is evaluated no further outside the picture than this share of half its
-    /// size, because the affine approximation degrades there.
+    /// size, because the affine approximation degrades there. That of a fisheye is exact everywhere.
     pub jacobian_margin: f64,
     /// Model: multiply each opacity by the ratio of the ellipse's area before and after `blur`, floor 0.005
     /// (Mip-Splatting, Yu et al. 2024, eq. 9).

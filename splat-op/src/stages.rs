@@ -153,8 +153,9 @@ impl Ellipses {
 
 /// Projects Gaussians onto a camera's picture: EWA splatting (Zwicker et al. 2001), as Kerbl et al. 2023, section 4.
 ///
-/// A Gaussian with a value that is not finite, with a zero quaternion, or with its centre at or before `options.near` is
-/// culled: its opacity and depth are zero and so are its gradients.
+/// A Gaussian with a value that is not finite, with a zero quaternion, or with its centre at or before `options.near`, is
+/// culled: its opacity and depth are zero and so are its gradients. So is one whose centre lies beyond the reach of the camera's
+/// lens ([`Intrinsics::reach`]). `near` is a depth for every camera: a fisheye sees nothing 90° from its axis or farther.
 ///
 /// # Errors
 /// If a tensor's shape, type or device does not fit, or the camera or an option is out of range.

@@ -3,7 +3,7 @@
 //! formed and inverted as the papers write them.
 
 use burn::tensor::{Int, Tensor, TensorData};
-use splat_op::{Intrinsics, RenderOptions};
+use splat_op::{CameraModel, Intrinsics, RenderOptions};
 
 use crate::scene::host;
 
@@ -62,6 +62,47 @@ fn rotations(quats: &Tensor<2>) -> [Vec3; 3] {
     ]
 }
 
+/// The rows of `J W R diag(s)`, one component per axis of the Gaussian, and the projected centres.
+type Seen = (Vec3, Vec3, [Tensor<1>; 2]);
+
+fn pinhole([x, y, z]: [&Tensor<1>; 3], axes: &[Vec3; 3], camera: &Intrinsics, options: &RenderOptions) -> Seen {
+    let held = |slope: Tensor<1>, size: usize, focal: f64, principal: f64| {
+        let margin = options.jacobian_margin * size as f64 / (2.0 * focal);
+        slope.clamp(-principal / focal - margin, (size as f64 - principal) / focal + margin)
+    };
+    let slope_x = held(x.clone() / z.clone(), camera.width, camera.fx, camera.cx);
+    let slope_y = held(y.clone() / z.clone(), camera.height, camera.fy, camera.cy);
+    let row = |image_axis: usize, slope: &Tensor<1>, focal: f64| -> Vec3 {
+        axes.each_ref().map(|axis| (axis[image_axis].clone() - slope.clone() * axis[2].clone()) * focal / z.clone())
+    };
+    let (m0, m1) = (row(0, &slope_x, camera.fx), row(1, &slope_y, camera.fy));
+    let mean2d = [x.clone() / z.clone() * camera.fx + camera.cx, y.clone() / z.clone() * camera.fy + camera.cy];
+    (m0, m1, mean2d)
+}
+
+/// Equidistant, without coefficients: `J` as gsplat's reference has it.
+fn fisheye([x, y, z]: [&Tensor<1>; 3], axes: &[Vec3; 3], camera: &Intrinsics) -> Seen {
+    assert_eq!(camera.distortion, [0.0; 8], "only the equidistant projection is written here");
+    let (xx, yy, xy) = (x.clone().square(), y.clone().square(), x.clone() * y.clone());
+    let squared = xx.clone() + yy.clone();
+    let rho = squared.clone().sqrt();
+    let per_rho = rho.clone().atan2(z.clone()) / rho;
+    let inverse = (squared.clone() + z.clone().square()).recip();
+    let (a, b) = (z.clone() * inverse.clone() / squared.clone(), per_rho.clone() / squared);
+    let mixed = xy * (a.clone() - b.clone());
+    let row = |focal: f64, [to_x, to_y]: [Tensor<1>; 2], across: &Tensor<1>| -> Vec3 {
+        axes.each_ref().map(|axis| {
+            let [ax, ay, az] = axis.clone();
+            (to_x.clone() * ax + to_y.clone() * ay - across.clone() * inverse.clone() * az) * focal
+        })
+    };
+    let own = |along: &Tensor<1>, across: &Tensor<1>| along.clone() * a.clone() + across.clone() * b.clone();
+    let m0 = row(camera.fx, [own(&xx, &yy), mixed.clone()], x);
+    let m1 = row(camera.fy, [mixed, own(&yy, &xx)], y);
+    let mean2d = [x.clone() * per_rho.clone() * camera.fx + camera.cx, y.clone() * per_rho * camera.fy + camera.cy];
+    (m0, m1, mean2d)
+}
+
 /// The projection of all Gaussians.
 pub fn project(
     [means, quats, scales]: [&Tensor<2>; 3],
@@ -81,16 +122,10 @@ pub fn project(
         let world = [0, 1, 2].map(|row: usize| r[row][axis].clone() * scale[axis].clone());
         [0, 1, 2].map(|row| dot(&pose_row(row), &world))
     });
-    let held = |slope: Tensor<1>, size: usize, focal: f64, principal: f64| {
-        let margin = options.jacobian_margin * size as f64 / (2.0 * focal);
-        slope.clamp(-principal / focal - margin, (size as f64 - principal) / focal + margin)
+    let (m0, m1, mean2d) = match camera.model {
+        CameraModel::Fisheye => fisheye([&x, &y, &z], &axes, camera),
+        _ => pinhole([&x, &y, &z], &axes, camera, options),
     };
-    let slope_x = held(x.clone() / z.clone(), camera.width, camera.fx, camera.cx);
-    let slope_y = held(y.clone() / z.clone(), camera.height, camera.fy, camera.cy);
-    let row = |image_axis: usize, slope: &Tensor<1>, focal: f64| -> Vec3 {
-        axes.each_ref().map(|axis| (axis[image_axis].clone() - slope.clone() * axis[2].clone()) * focal / z.clone())
-    };
-    let (m0, m1) = (row(0, &slope_x, camera.fx), row(1, &slope_y, camera.fy));
     let (xx, xy, yy) = (dot(&m0, &m0), dot(&m0, &m1), dot(&m1, &m1));
     let (a, c) = (xx.clone() + options.blur, yy.clone() + options.blur);
     let determinant = a.clone() * c - xy.clone().square();
@@ -102,7 +137,7 @@ pub fn project(
         opacities.clone()
     };
     DenseEllipses {
-        mean2d: [x / z.clone() * camera.fx + camera.cx, y / z.clone() * camera.fy + camera.cy],
+        mean2d,
         sigma_u: a.clone().sqrt(),
         shear: xy / a.clone(),
         sigma_v: (determinant / a).sqrt(),

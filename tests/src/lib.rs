@@ -4,6 +4,7 @@
 pub mod band;
 pub mod dense;
 mod devices;
+pub mod lenses;
 pub mod perturb;
 pub mod reference;
 pub mod scene;

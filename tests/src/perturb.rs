@@ -20,7 +20,8 @@ fn map_scene(scene: &Scene, mut map: impl FnMut(f64) -> f64) -> Scene {
     let (background, pose) = (all(&scene.background), all(&scene.pose));
     let camera = &scene.intrinsics;
     let lens = all(&[camera.fx, camera.fy, camera.cx, camera.cy]);
-    let intrinsics = Intrinsics { fx: lens[0], fy: lens[1], cx: lens[2], cy: lens[3], ..*camera };
+    let distortion = camera.distortion.map(|value| if value == 0.0 { 0.0 } else { all(&[value])[0] });
+    let intrinsics = Intrinsics { fx: lens[0], fy: lens[1], cx: lens[2], cy: lens[3], distortion, ..*camera };
     Scene { means, quats, scales, opacities, sh, background, pose, intrinsics }
 }
 

@@ -24,10 +24,10 @@ pub fn announce(line: &str) {
     let _ = writeln!(std::io::stderr(), "{line}");
 }
 
-/// All vectors that name a camera we have; `None` if there is no folder and none is required.
+/// All vectors; `None` if there is no folder and none is required.
 ///
 /// # Panics
-/// If the folder holds no vector, or is missing where CI must have it.
+/// If the folder holds no vector or one that cannot be read, or is missing where CI must have it.
 pub fn read_vectors() -> Option<Vec<Vector>> {
     let folder = match std::env::var_os("SPLAT_REFERENCE_DIR") {
         Some(folder) => PathBuf::from(folder),
@@ -43,21 +43,20 @@ pub fn read_vectors() -> Option<Vec<Vector>> {
     let mut files: Vec<PathBuf> = entries.filter(|path| path.extension().is_some_and(|e| e == "safetensors")).collect();
     files.sort();
     assert!(!files.is_empty(), "no .safetensors file in {}", folder.display());
-    Some(files.iter().filter_map(|file| read_vector(file)).collect())
+    Some(files.iter().map(|file| read_vector(file)).collect())
 }
 
-/// `None`, with a line, for a camera that we do not have.
-fn read_vector(path: &Path) -> Option<Vector> {
+fn read_vector(path: &Path) -> Vector {
     let name = path.file_stem().expect("found by its extension").to_string_lossy().into_owned();
     let bytes = std::fs::read(path).unwrap_or_else(|error| panic!("{name}: {error}"));
     let (_, header) = SafeTensors::read_metadata(&bytes).unwrap_or_else(|error| panic!("{name}: {error}"));
     let metadata = header.metadata().as_ref().unwrap_or_else(|| panic!("{name}: no metadata"));
     let params: Value = serde_json::from_str(&metadata["params"]).unwrap_or_else(|error| panic!("{name}: {error}"));
-    let camera = params["camera"].as_str().unwrap_or_else(|| panic!("{name}: no camera"));
-    if camera != "pinhole" {
-        announce(&format!("SKIPPED: {name}: camera `{camera}` is not supported"));
-        return None;
-    }
+    let model = match params["camera"].as_str() {
+        Some("pinhole") => CameraModel::Pinhole,
+        Some("fisheye") => CameraModel::Fisheye,
+        other => panic!("{name}: camera {other:?}"),
+    };
     let file = SafeTensors::deserialize(&bytes).unwrap_or_else(|error| panic!("{name}: {error}"));
     let values = |key: &str| -> Vec<f64> {
         let view = file.tensor(key).unwrap_or_else(|error| panic!("{name}: {key}: {error}"));
@@ -67,13 +66,14 @@ fn read_vector(path: &Path) -> Option<Vector> {
     let number = |key: &str| params[key].as_f64().unwrap_or_else(|| panic!("{name}: no `{key}`"));
     let k = values("K");
     let intrinsics = Intrinsics {
-        model: CameraModel::Pinhole,
+        model,
         width: number("width") as usize,
         height: number("height") as usize,
         fx: k[0],
         fy: k[4],
         cx: k[2],
         cy: k[5],
+        distortion: [0.0; 8],
     };
     let scene = Scene {
         means: values("means"),
@@ -116,5 +116,5 @@ fn read_vector(path: &Path) -> Option<Vector> {
         ],
     };
     let weights = Weights { image: values("w_image"), alpha: values("w_alpha"), depth: values("w_depth") };
-    Some(Vector { name, scene, weights, options, expected })
+    Vector { name, scene, weights, options, expected }
 }

@@ -1,7 +1,7 @@
 //! The composed operation against Burn's own autodiff of a dense tensor formulation, in f64 on Flex.
 
 use burn::tensor::{DType, Device, Gradients, Tensor};
-use splat_op::{Ellipses, Extras, Intrinsics, RenderOptions, Splats, blend, project, render, tile};
+use splat_op::{CameraModel, Ellipses, Extras, Intrinsics, RenderOptions, Splats, blend, project, render, tile};
 use splat_tests::compare::relative_error;
 use splat_tests::dense::{self, DenseEllipses};
 use splat_tests::random::Random;
@@ -10,8 +10,8 @@ use splat_tests::scene::{Scene, Tensors, host, tensor};
 /// Both sides compute in f64; they differ by rounding only.
 const TOLERANCE: f64 = 1e-11;
 
-const CAMERA: Intrinsics =
-    Intrinsics { model: splat_op::CameraModel::Pinhole, width: 20, height: 13, fx: 17.0, fy: 19.0, cx: 8.5, cy: 7.25 };
+const CAMERA: Intrinsics = Intrinsics { fx: 17.0, fy: 19.0, cx: 8.5, cy: 7.25, ..Intrinsics::centred(20, 13, 17.0) };
+const FISHEYE: Intrinsics = Intrinsics { model: CameraModel::Fisheye, ..CAMERA };
 
 fn options(antialias: bool) -> RenderOptions {
     let smooth = RenderOptions { alpha_min: 0.0, transmittance_min: 0.0, alpha_max: 0.9, ..RenderOptions::exact() };
@@ -19,9 +19,9 @@ fn options(antialias: bool) -> RenderOptions {
 }
 
 /// A scene with Gaussians inside, at the border and beyond the Jacobian's limits, some of them opaque, some tiny.
-fn scene(seed: u64) -> Scene {
+fn scene(seed: u64, camera: Intrinsics) -> Scene {
     let mut random = Random::new(seed);
-    let mut scene = Scene::random(&mut random, 12, 2, CAMERA);
+    let mut scene = Scene::random(&mut random, 12, 2, camera);
     scene.opacities[0] = 1.0;
     scene.opacities[5] = 0.97;
     scene.means[3] = 4.0;
@@ -84,7 +84,7 @@ fn assert_same_pictures(what: &str, found: &Pictures, expected: &Pictures) {
 fn dense_ellipses(leaves: &Tensors, options: &RenderOptions) -> DenseEllipses {
     let s = &leaves.splats;
     let geometry = [&s.means, &s.rotations, &s.scales];
-    dense::project(geometry, &s.opacities, &leaves.camera.cam_from_world, &CAMERA, options)
+    dense::project(geometry, &s.opacities, &leaves.camera.cam_from_world, &leaves.camera.intrinsics, options)
 }
 
 fn flat(t: Tensor<3>) -> Tensor<2> {
@@ -95,8 +95,9 @@ fn flat(t: Tensor<3>) -> Tensor<2> {
 #[test]
 fn render_agrees_with_autodiff_of_the_dense_formulation() {
     let device = Device::flex().autodiff();
-    for (seed, antialias) in [(1, false), (2, true), (3, false), (4, true)] {
-        let (what, scene, options) = (format!("seed {seed}"), scene(seed), options(antialias));
+    let cameras = [CAMERA, CAMERA, FISHEYE, FISHEYE, CAMERA, CAMERA];
+    for (camera, (seed, antialias)) in cameras.into_iter().zip((1..).zip([false, true].into_iter().cycle())) {
+        let (what, scene, options) = (format!("seed {seed}"), scene(seed, camera), options(antialias));
 
         let ours = scene.tensors(&device, DType::F64);
         let extras = Extras { background: Some(ours.background.clone()), ..Extras::default() };
@@ -140,7 +141,7 @@ fn tensor_code_between_stages_and_any_features_agree_with_the_dense_formulation(
     let device = Device::flex().autodiff();
     let options = options(false);
     for channels in [1, 3, 5, 64] {
-        let (what, scene) = (format!("{channels} channels"), scene(10 + channels as u64));
+        let (what, scene) = (format!("{channels} channels"), scene(10 + channels as u64, CAMERA));
         let mut random = Random::new(channels as u64);
         let (features, background) = (random.fill(12 * channels, -1.0, 1.0), random.fill(channels, -1.0, 1.0));
         let gain = random.fill(12, 0.1, 0.6);

@@ -6,8 +6,7 @@ use splat_tests::ndarray;
 use splat_tests::random::Random;
 use splat_tests::scene::{Scene, Tensors};
 
-const CAMERA: Intrinsics =
-    Intrinsics { model: splat_op::CameraModel::Pinhole, width: 8, height: 6, fx: 7.0, fy: 7.0, cx: 4.0, cy: 3.0 };
+const CAMERA: Intrinsics = Intrinsics { fx: 7.0, fy: 7.0, cx: 4.0, cy: 3.0, ..Intrinsics::centred(8, 6, 7.0) };
 
 const COUNT: usize = 5;
 

@@ -3,23 +3,25 @@
 use burn::tensor::{DType, Device};
 use glam::{DMat3, DVec3};
 use splat_op::exact::{ExactGaussian, ExactPose, render_exact};
-use splat_op::{CameraModel, Extras, Intrinsics, RenderOptions, render, shade};
+use splat_op::{Extras, Intrinsics, RenderOptions, render, shade};
 use splat_tests::compare::relative_error;
 use splat_tests::cpu_devices;
+use splat_tests::lenses::lenses;
 use splat_tests::random::Random;
 use splat_tests::scene::{Scene, Tensors, host};
 
-const CAMERA: Intrinsics =
-    Intrinsics { model: CameraModel::Pinhole, width: 41, height: 27, fx: 33.0, fy: 37.0, cx: 19.0, cy: 14.5 };
+const CAMERA: Intrinsics = Intrinsics { fx: 33.0, fy: 37.0, cx: 19.0, cy: 14.5, ..Intrinsics::centred(41, 27, 33.0) };
 
 /// Both sides compute in f64, by different formulas.
 const TOLERANCE: f64 = 1e-10;
 
 #[test]
 fn the_cpu_operation_agrees_with_the_exact_renderer() {
-    for (seed, antialias) in [(1, false), (2, true)] {
+    let cameras = [CAMERA].into_iter().chain(lenses(CAMERA));
+    let cases = cameras.flat_map(|camera| [(camera, 1, false), (camera, 2, true)]);
+    for (camera, seed, antialias) in cases {
         let mut random = Random::new(seed);
-        let mut scene = Scene::random(&mut random, 80, 1, CAMERA);
+        let mut scene = Scene::random(&mut random, 80, 1, camera);
         // One behind the camera, one beyond the Jacobian's limits, one far below a pixel.
         scene.means[2] = -1.0;
         scene.means[3] = 9.0;
@@ -36,7 +38,7 @@ fn the_cpu_operation_agrees_with_the_exact_renderer() {
             rotation: DMat3::from_cols_array_2d(&rows).transpose(),
             translation: DVec3::new(p[3], p[7], p[11]),
         };
-        let expected = render_exact(&gaussians, &pose, &CAMERA, &scene.background, &options);
+        let expected = render_exact(&gaussians, &pose, &camera, &scene.background, &options);
 
         for (name, device) in cpu_devices() {
             let Tensors { splats, camera, background, .. } = scene.tensors(&device, DType::F64);
@@ -48,7 +50,7 @@ fn the_cpu_operation_agrees_with_the_exact_renderer() {
             let found = [host(out.colour), host(out.alpha), host(out.depth.expect("asked for"))];
             for (found, expected) in found.iter().zip([colour, alpha, depth]) {
                 let error = relative_error(found, &expected);
-                assert!(error <= TOLERANCE, "{name}, antialias {antialias}: {error:.3e}");
+                assert!(error <= TOLERANCE, "{name}, {:?}, antialias {antialias}: {error:.3e}", scene.intrinsics.model);
             }
         }
     }

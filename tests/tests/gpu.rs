@@ -9,18 +9,17 @@ use splat_model::capture::{Photo, PointCloud};
 use splat_model::optim::{Adam, Moments, Rates};
 use splat_model::trainer::{Seen, TrainConfig, Trainer};
 use splat_op::{
-    Accumulation, Camera, CameraModel, Colour, Extras, Intrinsics, RenderOptions, SplatError, Splats, project, render,
-    tile, witness,
+    Accumulation, Camera, Colour, Extras, Intrinsics, RenderOptions, SplatError, Splats, project, render, tile, witness,
 };
 use splat_tests::gpu;
+use splat_tests::lenses::lenses;
 use splat_tests::perturb::judge;
 use splat_tests::random::Random;
 use splat_tests::reference::announce;
 use splat_tests::scene::{Scene, Tensors, host, tensor};
 use splat_tests::tracked::{INPUTS, gradients_of};
 
-const CAMERA: Intrinsics =
-    Intrinsics { model: CameraModel::Pinhole, width: 75, height: 50, fx: 61.0, fy: 64.0, cx: 36.0, cy: 26.5 };
+const CAMERA: Intrinsics = Intrinsics { fx: 61.0, fy: 64.0, cx: 36.0, cy: 26.5, ..Intrinsics::centred(75, 50, 61.0) };
 
 /// Without cuts: a pair within rounding of one would jump.
 const SMOOTH: RenderOptions =
@@ -58,6 +57,19 @@ fn all_gradients_of_a_render_by_several_cameras() {
                 named_gradients(scene, 3, [true; 9], &options, place)
             });
         }
+    }
+}
+
+#[test]
+fn all_gradients_through_every_lens() {
+    let Some(device) = gpu() else { return };
+    for (i, camera) in lenses(CAMERA).into_iter().enumerate() {
+        let mut scene = Scene::random(&mut Random::new(40 + i as u64), 200, 2, camera);
+        scene.scales.iter_mut().for_each(|scale| *scale *= 0.4);
+        let options = SMOOTH.with_antialias(i % 2 == 0);
+        judge(&format!("{:?}", camera.model), &scene, &device, |scene, place| {
+            named_gradients(scene, 1, [true; 9], &options, place)
+        });
     }
 }
 

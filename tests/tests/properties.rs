@@ -9,8 +9,7 @@ use splat_tests::scene::{Evaluation, Scene, Tensors, Weights, evaluate, host, te
 use splat_tests::tracked::gradients_of;
 use splat_tests::{cpu_devices, devices, gpu};
 
-const CAMERA: Intrinsics =
-    Intrinsics { model: splat_op::CameraModel::Pinhole, width: 33, height: 21, fx: 27.0, fy: 30.0, cx: 15.0, cy: 11.5 };
+const CAMERA: Intrinsics = Intrinsics { fx: 27.0, fy: 30.0, cx: 15.0, cy: 11.5, ..Intrinsics::centred(33, 21, 27.0) };
 
 const OPTIONS: RenderOptions = RenderOptions::standard().with_depth(true);
 

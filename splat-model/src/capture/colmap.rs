@@ -5,6 +5,7 @@
 
 mod binary;
 mod check;
+mod model;
 mod text;
 mod write;
 

@@ -58,8 +58,9 @@ pub enum CaptureError {
     },
     /// The lens model of a camera is none that this crate renders.
     #[error(
-        "{}: {place}: the camera model is {model}, but only SIMPLE_PINHOLE and PINHOLE are supported yet. Remove the lens \
-         distortion with `colmap image_undistorter` and use the folder that it writes",
+        "{}: {place}: the camera model is {model}, which is not supported, while the pinhole, radial, OPENCV and fisheye models \
+         are. Remove the lens distortion with `colmap image_undistorter` and use the folder that it writes, or reconstruct with \
+         another `--ImageReader.camera_model`",
         .file.display()
     )]
     Model {

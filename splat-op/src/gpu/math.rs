@@ -2,6 +2,33 @@
 
 use cubecl::prelude::*;
 
+/// Two numbers along the axes of a picture.
+#[derive(CubeType, CubeTypeMut, CubeLaunch, Clone, Copy)]
+#[expand(derive(Clone, Copy))]
+pub(crate) struct Vec2 {
+    pub x: f32,
+    pub y: f32,
+}
+
+#[cube]
+impl Vec2 {
+    pub fn new(x: f32, y: f32) -> Vec2 {
+        Vec2 { x, y }
+    }
+
+    pub fn plus(&self, other: Vec2) -> Vec2 {
+        Vec2 { x: self.x + other.x, y: self.y + other.y }
+    }
+
+    pub fn times(&self, factor: f32) -> Vec2 {
+        Vec2 { x: self.x * factor, y: self.y * factor }
+    }
+
+    pub fn dot(&self, other: Vec2) -> f32 {
+        self.x * other.x + self.y * other.y
+    }
+}
+
 /// Three numbers along the axes of a frame.
 #[derive(CubeType, CubeTypeMut, Clone, Copy)]
 #[expand(derive(Clone, Copy))]

@@ -13,6 +13,7 @@
 use cubecl::prelude::*;
 
 use super::forward::{Axis, Gaussian, Lens, Packed, Projection, Row, project_one};
+use super::lens_backward::bent_backward;
 use crate::gpu::UNITS;
 use crate::gpu::math::{Mat3, POSE, Pose, Quaternion, Vec3};
 use crate::gpu::reduce::cube_sum;
@@ -53,6 +54,14 @@ fn factor_backward(f: &Projection, lens: &Lens, opacity: f32, grad: &Packed) -> 
     (grad_m0, grad_m1)
 }
 
+/// Gradients of `W R` and of the centre in the camera's frame.
+#[derive(CubeType, Clone, Copy)]
+#[expand(derive(Clone, Copy))]
+pub(super) struct SeenGrad {
+    pub turned: Mat3,
+    pub centre: Vec3,
+}
+
 /// Gradients of what an axis of the picture is computed from.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
@@ -72,6 +81,24 @@ fn row_backward(f: &Projection, row: &Row, axis: &Axis, grad_j: Vec3, grad_mean_
     let through_slope = select(row.slope_free, grad_row.dot(f.last), 0.0);
     let across = (grad_mean_px * axis.focal - through_slope) * inverse;
     RowGrad { across, depth: -(grad_j.dot(row.j) * inverse) - across * row.ratio, row: grad_row }
+}
+
+/// From gradients of the rows of `J W R` and of the ellipse.
+#[cube]
+fn seen_backward(p: &Projection, lens: &Lens, grad_j: (Vec3, Vec3), grad: &Packed) -> SeenGrad {
+    #[comptime]
+    match p.bent {
+        ComptimeOption::Some(bent) => bent_backward(&bent, lens, grad_j, grad),
+        ComptimeOption::None => {
+            let x = row_backward(p, &p.x, &lens.x, grad_j.0, grad.x);
+            let y = row_backward(p, &p.y, &lens.y, grad_j.1, grad.y);
+            let to_last = x.row.times(p.x.slope).plus(y.row.times(p.y.slope));
+            SeenGrad {
+                turned: Mat3 { x: x.row, y: y.row, z: Vec3::new(0.0, 0.0, 0.0).minus(to_last) },
+                centre: Vec3::new(x.across, y.across, grad.depth + x.depth + y.depth),
+            }
+        }
+    }
 }
 
 /// Which gradients of a Gaussian are computed; those of the opacity and the projected centre always are.
@@ -132,12 +159,8 @@ pub(crate) fn gaussian_backward(
                 of.scale = grad_m0.by_axis(p.x.j).plus(grad_m1.by_axis(p.y.j));
             }
             if comptime!(through_rows) {
-                let x = row_backward(&p, &p.x, &lens.x, grad_m0.by_axis(g.scale), grad.x);
-                let y = row_backward(&p, &p.y, &lens.y, grad_m1.by_axis(g.scale), grad.y);
-                let to_last = x.row.times(p.x.slope).plus(y.row.times(p.y.slope));
-                // Of `W R`, and of the centre in the camera's frame.
-                let turned = Mat3 { x: x.row, y: y.row, z: to_last.times(-1.0) };
-                let centre = Vec3::new(x.across, y.across, grad.depth + x.depth + y.depth);
+                let grad_j = (grad_m0.by_axis(g.scale), grad_m1.by_axis(g.scale));
+                let SeenGrad { turned, centre } = seen_backward(&p, lens, grad_j, grad);
                 if comptime!(wanted.means) {
                     of.mean = pose.matrix.apply_transposed(centre);
                 }

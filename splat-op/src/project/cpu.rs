@@ -82,20 +82,30 @@ pub(crate) fn project_cpu<F: Real>(inputs: Inputs<F>, spec: &ProjectSpec) -> Vec
     let lens = Lens::new(inputs.cam_from_world, spec);
     let mut packed = vec![F::ZERO; inputs.opacities.len() * COLUMNS];
     packed.par_chunks_mut(CHUNK * COLUMNS).enumerate().for_each(|(chunk, rows)| {
-        dispatch!(Level::new(), simd => project_chunk(simd, &inputs, &lens, chunk * CHUNK, rows));
+        let first = chunk * CHUNK;
+        match lens.bends() {
+            true => dispatch!(Level::new(), simd => project_chunk::<_, F, true>(simd, &inputs, &lens, first, rows)),
+            false => dispatch!(Level::new(), simd => project_chunk::<_, F, false>(simd, &inputs, &lens, first, rows)),
+        }
     });
     packed
 }
 
 #[inline(always)]
-fn project_chunk<S: Simd, F: Real>(simd: S, inputs: &Inputs<F>, lens: &Lens<F>, first: usize, rows: &mut [F]) {
+fn project_chunk<S: Simd, F: Real, const BENDS: bool>(
+    simd: S,
+    inputs: &Inputs<F>,
+    lens: &Lens<F>,
+    first: usize,
+    rows: &mut [F],
+) {
     let lens = lens.lanes(simd);
     let (mut parameters, mut ellipses) = (Parameters::new(), Columns::<F, COLUMNS>::new());
     for (block, rows) in rows.chunks_mut(BLOCK * COLUMNS).enumerate() {
         parameters.read(inputs, first + block * BLOCK);
         for at in (0..rows.len() / COLUMNS).step_by(LANES) {
             let eight = parameters.eight(simd, at);
-            let ellipse = Projection::<S, F>::new(simd, &eight, &lens).ellipse(&lens, &eight);
+            let ellipse = Projection::<S, F>::new::<BENDS>(simd, &eight, &lens).ellipse(&lens, &eight);
             for (column, value) in ellipse.to_row().into_iter().enumerate() {
                 ellipses.store(column, at, value);
             }
@@ -138,9 +148,15 @@ pub(crate) fn project_backward_cpu<F: Real>(
                 let first = chunk * CHUNK;
                 let grad = &grad[first * COLUMNS..count.min(first + CHUNK) * COLUMNS];
                 let mut out = Chunk { means, rotations, scales, opacities, mean2d };
-                dispatch!(Level::new(), simd => {
-                    backward_chunk(simd, &inputs, &lens, (first, grad), needs.cam_from_world, &mut out)
-                })
+                let (part, pose) = ((first, grad), needs.cam_from_world);
+                match lens.bends() {
+                    true => dispatch!(Level::new(), simd => {
+                        backward_chunk::<_, F, true>(simd, &inputs, &lens, part, pose, &mut out)
+                    }),
+                    false => dispatch!(Level::new(), simd => {
+                        backward_chunk::<_, F, false>(simd, &inputs, &lens, part, pose, &mut out)
+                    }),
+                }
             })
             .collect()
     };
@@ -182,7 +198,7 @@ impl<F: Real> Chunk<'_, F> {
 /// Fills the gradients of the Gaussians from `first` on, given those of their ellipses, and returns their share of the pose's,
 /// if that is needed.
 #[inline(always)]
-fn backward_chunk<S: Simd, F: Real>(
+fn backward_chunk<S: Simd, F: Real, const BENDS: bool>(
     simd: S,
     inputs: &Inputs<F>,
     lens: &Lens<F>,
@@ -209,7 +225,7 @@ fn backward_chunk<S: Simd, F: Real>(
         for at in (0..count).step_by(LANES) {
             let eight = parameters.eight(simd, at);
             let row = grads.all_lanes(simd, at);
-            let projection = Projection::<S, F>::new(simd, &eight, &lens);
+            let projection = Projection::<S, F>::new::<BENDS>(simd, &eight, &lens);
             let one = projection.backward(&lens, &eight, &Ellipse::from_row(&row), needs_pose.then_some(&mut pose));
             found.store::<S>(at, &one.parameters);
             for (axis, value) in one.mean2d.into_iter().enumerate() {

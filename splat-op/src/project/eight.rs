@@ -3,6 +3,7 @@
 
 use fearless_simd::prelude::*;
 
+use super::lens_eight::{Bent, BentGrad, Distortion};
 use super::{COMPENSATION_MIN, Ellipse, ProjectSpec};
 use crate::linalg::{Mat3, add, cross, dot, hadamard, matmul, matvec, scale, sub, transposed_matvec};
 use crate::real::Real;
@@ -21,29 +22,32 @@ pub(super) struct Lens<L> {
     /// `√blur`
     blur_sigma: L,
     antialias: bool,
+    /// `None` for a pinhole.
+    distortion: Option<Distortion<L>>,
 }
 
 impl<F: Real> Lens<F> {
+    /// Whether it is no pinhole.
+    pub fn bends(&self) -> bool {
+        self.distortion.is_some()
+    }
+
     pub fn new(cam_from_world: &[F], spec: &ProjectSpec) -> Self {
         let (camera, options) = (&spec.intrinsics, &spec.options);
-        let limits = |size: usize, focal: f64, principal: f64| {
-            let margin = options.jacobian_margin * size as f64 / (2.0 * focal);
-            (F::of(-principal / focal - margin), F::of((size as f64 - principal) / focal + margin))
-        };
-        let (low_x, high_x) = limits(camera.width, camera.fx, camera.cx);
-        let (low_y, high_y) = limits(camera.height, camera.fy, camera.cy);
+        let limits = camera.slope_limits(options.jacobian_margin);
         let p = cam_from_world;
         Self {
             rotation: [[p[0], p[1], p[2]], [p[4], p[5], p[6]], [p[8], p[9], p[10]]],
             translation: [p[3], p[7], p[11]],
             focal: [F::of(camera.fx), F::of(camera.fy)],
             principal: [F::of(camera.cx), F::of(camera.cy)],
-            low: [low_x, low_y],
-            high: [high_x, high_y],
+            low: limits.map(|[low, _]| F::of(low)),
+            high: limits.map(|[_, high]| F::of(high)),
             near: F::of(options.near),
             blur: F::of(options.blur),
             blur_sigma: F::of(options.blur).sqrt(),
             antialias: options.antialias,
+            distortion: Distortion::new(camera),
         }
     }
 
@@ -61,6 +65,7 @@ impl<F: Real> Lens<F> {
             blur: lanes(self.blur),
             blur_sigma: lanes(self.blur_sigma),
             antialias: self.antialias,
+            distortion: self.distortion.map(|distortion| distortion.lanes(simd)),
         }
     }
 }
@@ -96,7 +101,8 @@ pub(super) struct Projection<S: Simd, F: Real> {
     /// Not culled: finite, with a rotation, and in front of the near plane.
     seen: MaskOf<S, F>,
     mean_cam: Vector<S, F>,
-    /// `x/z, y/z`; the slopes at which the Jacobian is taken; whether each is free (not held at a limit).
+    /// `x/z, y/z`, or what a lens makes of them; the slopes at which the Jacobian is taken; whether each is free (not held at a
+    /// limit).
     ratio: [F::Lanes<S>; 2],
     slope: [F::Lanes<S>; 2],
     slope_free: [MaskOf<S, F>; 2],
@@ -117,21 +123,23 @@ pub(super) struct Projection<S: Simd, F: Real> {
     /// What the opacity is multiplied by, and whether it is free (not held at its floor); one throughout without anti-aliasing.
     compensation: F::Lanes<S>,
     compensation_free: MaskOf<S, F>,
+    /// What a lens adds; `None` for a pinhole, in code that was compiled for pinholes alone.
+    bent: Option<Bent<S, F>>,
 }
 
 impl<S: Simd, F: Real> Projection<S, F> {
+    /// `BENDS` as the lens does, so that a pinhole's code knows nothing of lenses.
     #[inline(always)]
-    pub fn new(simd: S, g: &Gaussians<F::Lanes<S>>, lens: &Lens<F::Lanes<S>>) -> Self {
+    pub fn new<const BENDS: bool>(simd: S, g: &Gaussians<F::Lanes<S>>, lens: &Lens<F::Lanes<S>>) -> Self {
         let lanes = |value: F| F::Lanes::<S>::splat(simd, value);
         let (zero, one, largest) = (lanes(F::ZERO), lanes(F::ONE), lanes(F::MAX));
         let finite = |value: F::Lanes<S>| value.abs().simd_le(largest);
 
         let mean_cam = add(matvec(&lens.rotation, g.mean), lens.translation);
         let [x, y, z] = mean_cam;
-        let ratio = [x / z, y / z];
+        let mut ratio = [x / z, y / z];
         let (quaternion, quaternion_length) = unit_quaternion::<S, F>(simd, g.rotation);
         let mut seen = g.all(finite) & z.simd_gt(lens.near) & z.simd_gt(zero) & finite(z);
-        seen = seen & finite(ratio[0]) & finite(ratio[1]) & quaternion_length.simd_gt(zero);
         let world_from_gaussian = rotation_of(one, quaternion);
         let cam_from_gaussian = matmul(&lens.rotation, &world_from_gaussian);
 
@@ -141,7 +149,14 @@ impl<S: Simd, F: Real> Projection<S, F> {
             let leaning = sub(cam_from_gaussian[axis], scale(cam_from_gaussian[2], slope[axis]));
             scale(leaning, lens.focal[axis] / z)
         };
-        let j = [row(0), row(1)];
+        let (mut j, mut bent) = ([row(0), row(1)], None);
+        if BENDS && let Some(distortion) = &lens.distortion {
+            let found = Bent::<S, F>::new(distortion, mean_cam, &cam_from_gaussian, [lens.low, lens.high]);
+            (ratio, j) = (found.seen_at(), found.rows(lens.focal));
+            seen &= found.within;
+            bent = Some(found);
+        }
+        seen = seen & finite(ratio[0]) & finite(ratio[1]) & quaternion_length.simd_gt(zero);
         let m = [hadamard(j[0], g.scale), hadamard(j[1], g.scale)];
 
         let norm = |v| norm::<S, F>(simd, v);
@@ -181,6 +196,7 @@ impl<S: Simd, F: Real> Projection<S, F> {
             sigma_v,
             compensation,
             compensation_free,
+            bent,
         }
     }
 
@@ -243,6 +259,32 @@ impl<S: Simd, F: Real> Projection<S, F> {
         ([grad_m0, grad_m1], grad.opacity * self.compensation)
     }
 
+    /// Gradients of the centre in the camera's frame and of `W R` from those of the rows of `J W R` and of the ellipse, for a
+    /// pinhole.
+    #[inline(always)]
+    fn rows_backward(
+        &self,
+        lens: &Lens<F::Lanes<S>>,
+        grad_j: [Vector<S, F>; 2],
+        grad: &Ellipse<F::Lanes<S>>,
+    ) -> BentGrad<F::Lanes<S>> {
+        let zero = self.lanes(F::ZERO);
+        let inverse_z = self.lanes(F::ONE) / self.mean_cam[2];
+        let mut out = BentGrad { mean_cam: [zero, zero, grad.depth], rows: [[zero; 3]; 3] };
+        for axis in 0..2 {
+            // j = (focal / z) (row - slope · last row)
+            let grad_leaning = scale(grad_j[axis], lens.focal[axis] * inverse_z);
+            out.rows[axis] = grad_leaning;
+            out.rows[2] = sub(out.rows[2], scale(grad_leaning, self.slope[axis]));
+            out.mean_cam[2] -= dot(grad_j[axis], self.j[axis]) * inverse_z;
+            let through_slope = dot(grad_leaning, self.cam_from_gaussian[2]);
+            let grad_ratio = grad.mean_px[axis] * lens.focal[axis] - self.slope_free[axis].select(through_slope, zero);
+            out.mean_cam[axis] = grad_ratio * inverse_z;
+            out.mean_cam[2] -= grad_ratio * self.ratio[axis] * inverse_z;
+        }
+        out
+    }
+
     /// Gradients from that of the ellipse; zero where that is zero. Adds those of the pose, row by row, to `pose`.
     #[inline(always)]
     pub fn backward(
@@ -260,24 +302,17 @@ impl<S: Simd, F: Real> Projection<S, F> {
         takes_part &= self.seen;
 
         let (grad_m, grad_opacity) = self.factor_backward(lens, g.opacity, grad);
-        let inverse_z = self.lanes(F::ONE) / self.mean_cam[2];
-        let mut grad_cam = [zero, zero, grad.depth];
-        let mut grad_cam_from_gaussian = [[zero; 3]; 3];
-        let mut grad_scale = [zero; 3];
-        for axis in 0..2 {
-            let per_z = lens.focal[axis] * inverse_z;
-            grad_scale = add(grad_scale, hadamard(grad_m[axis], self.j[axis]));
-            // j = (focal / z) (row - slope · last row)
-            let grad_j = hadamard(grad_m[axis], g.scale);
-            let grad_leaning = scale(grad_j, per_z);
-            grad_cam_from_gaussian[axis] = grad_leaning;
-            grad_cam_from_gaussian[2] = sub(grad_cam_from_gaussian[2], scale(grad_leaning, self.slope[axis]));
-            grad_cam[2] -= dot(grad_j, self.j[axis]) * inverse_z;
-            let through_slope = dot(grad_leaning, self.cam_from_gaussian[2]);
-            let grad_ratio = grad.mean_px[axis] * lens.focal[axis] - self.slope_free[axis].select(through_slope, zero);
-            grad_cam[axis] = grad_ratio * inverse_z;
-            grad_cam[2] -= grad_ratio * self.ratio[axis] * inverse_z;
-        }
+        let grad_scale = add(hadamard(grad_m[0], self.j[0]), hadamard(grad_m[1], self.j[1]));
+        let grad_j = grad_m.map(|grad| hadamard(grad, g.scale));
+        let BentGrad { mean_cam: grad_cam, rows: grad_cam_from_gaussian } = match (&self.bent, &lens.distortion) {
+            (Some(bent), Some(distortion)) => {
+                let grad_seen_at = [0, 1].map(|axis| grad.mean_px[axis] * lens.focal[axis]);
+                let mut out = bent.backward(distortion, lens.focal, grad_j, grad_seen_at);
+                out.mean_cam[2] += grad.depth;
+                out
+            }
+            _ => self.rows_backward(lens, grad_j, grad),
+        };
 
         // cam_from_gaussian = pose rotation · world_from_gaussian
         if let Some(pose) = pose {
@@ -348,7 +383,7 @@ pub(super) struct Gradients<L> {
 
 /// Length of vectors, without overflow or underflow on the way.
 #[inline(always)]
-fn norm<S: Simd, F: Real>(simd: S, v: Vector<S, F>) -> F::Lanes<S> {
+pub(super) fn norm<S: Simd, F: Real>(simd: S, v: Vector<S, F>) -> F::Lanes<S> {
     let lanes = |value: f64| F::Lanes::<S>::splat(simd, F::of(value));
     let squared = dot(v, v);
     // Within these bounds no square has overflowed, and any that underflowed is too small to count.

@@ -6,8 +6,8 @@
 
 use cubecl::prelude::*;
 
+use super::lens_forward::{Bent, Distortion, bent_rows};
 use super::{COLUMNS, COMPENSATION_MIN};
-use crate::camera::CameraModel;
 use crate::gpu::math::{Mat3, Pose, Quaternion, Vec3, finite, within};
 
 /// One axis of the picture, px.
@@ -31,8 +31,8 @@ pub(crate) struct Lens {
     pub near: f32,
     /// The root of the blur, px.
     pub blur_sigma: f32,
-    #[cube(comptime)]
-    pub model: CameraModel,
+    /// Not there for a pinhole.
+    pub distortion: ComptimeOption<Distortion>,
     #[cube(comptime)]
     pub antialias: bool,
 }
@@ -110,7 +110,8 @@ impl Packed {
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub(crate) struct Row {
-    /// `x/z` or `y/z`, the slope at which the Jacobian is taken, and whether that is free (not held at a limit).
+    /// `x/z` or `y/z`, the slope at which the Jacobian is taken, and whether that is free (not held at a limit). Where there is
+    /// a lens, `ratio` is what it makes of the centre, in units of the focal length.
     pub ratio: f32,
     pub slope: f32,
     pub slope_free: bool,
@@ -146,6 +147,8 @@ pub(crate) struct Projection {
     pub last: Vec3,
     pub x: Row,
     pub y: Row,
+    /// What a lens adds.
+    pub bent: ComptimeOption<Bent>,
     /// `m0 / sigma_u`, `m1 / sigma_u`, `n × m1` and its length.
     pub n: Vec3,
     pub along: Vec3,
@@ -159,19 +162,32 @@ pub(crate) struct Projection {
     pub compensation_free: bool,
 }
 
+/// What both axes see, and what a lens adds, from the centre in the camera's frame and `W R`.
+#[cube]
+fn seen_rows(mean_cam: Vec3, cam_from_gaussian: Mat3, scale: Vec3, lens: &Lens) -> (Row, Row, ComptimeOption<Bent>) {
+    #[comptime]
+    match lens.distortion {
+        ComptimeOption::Some(distortion) => {
+            let (x, y, bent) = bent_rows(mean_cam, cam_from_gaussian, scale, lens, &distortion);
+            (x, y, ComptimeOption::new_Some(bent))
+        }
+        ComptimeOption::None => {
+            let (depth, last) = (mean_cam.z, cam_from_gaussian.z);
+            let x = lens.x.project(mean_cam.x, depth, cam_from_gaussian.x, last, scale);
+            let y = lens.y.project(mean_cam.y, depth, cam_from_gaussian.y, last, scale);
+            (x, y, ComptimeOption::new_None())
+        }
+    }
+}
+
 #[cube]
 pub(crate) fn project_one(gaussian: &Gaussian, pose: &Pose, lens: &Lens) -> Projection {
-    // What follows is a pinhole; without equations of its own another model does not compile.
-    comptime!(match lens.model {
-        CameraModel::Pinhole => {}
-    });
     let mean_cam = pose.apply(gaussian.mean);
     let (quaternion, quaternion_length) = gaussian.rotation.unit();
     let world_from_gaussian = quaternion.matrix();
     let cam_from_gaussian = pose.matrix.times(world_from_gaussian);
     let (depth, last, scale) = (mean_cam.z, cam_from_gaussian.z, gaussian.scale);
-    let x = lens.x.project(mean_cam.x, depth, cam_from_gaussian.x, last, scale);
-    let y = lens.y.project(mean_cam.y, depth, cam_from_gaussian.y, last, scale);
+    let (x, y, bent) = seen_rows(mean_cam, cam_from_gaussian, scale, lens);
 
     let sigma_u = Vec3::new(x.m.length(), lens.blur_sigma, 0.0).length();
     let inverse = 1.0 / sigma_u;
@@ -184,7 +200,11 @@ pub(crate) fn project_one(gaussian: &Gaussian, pose: &Pose, lens: &Lens) -> Proj
 
     let in_front = depth > lens.near && depth > 0.0 && finite(depth) && finite(x.ratio) && finite(y.ratio);
     let wide = sigma_u > 0.0 && finite(sigma_u) && sigma_v > 0.0 && finite(sigma_v) && finite(shear);
-    let visible = gaussian.finite() && in_front && quaternion_length > 0.0 && wide;
+    let mut visible = gaussian.finite() && in_front && quaternion_length > 0.0 && wide;
+    #[comptime]
+    if let ComptimeOption::Some(bent) = bent {
+        visible = visible && bent.within;
+    }
 
     let mut compensation = 1.0f32;
     let mut compensation_free = false;
@@ -203,6 +223,7 @@ pub(crate) fn project_one(gaussian: &Gaussian, pose: &Pose, lens: &Lens) -> Proj
         last,
         x,
         y,
+        bent,
         n,
         along,
         p,

@@ -12,6 +12,7 @@ use crate::gpu::{Buffer, Gpu, UNITS};
 use crate::options::RenderOptions;
 use crate::testing::ceiling::{Yardstick, rounded, to_f32};
 use crate::testing::gpu::gpus;
+use crate::testing::lenses::lenses;
 use crate::testing::random::Random;
 
 const ALL: ProjectNeeds =
@@ -33,7 +34,8 @@ struct View {
     pose: Vec<f64>,
     /// Width, height.
     size: [usize; 2],
-    /// fx, fy, cx, cy.
+    model: CameraModel,
+    /// fx, fy, cx, cy, and the eight coefficients of the model.
     lens: Vec<f64>,
     options: RenderOptions,
 }
@@ -54,23 +56,26 @@ impl View {
         let pose: Vec<f64> = (0..3).flat_map(|row| columns.map(|column| column[row])).collect();
         let options = RenderOptions { blur: f64::from(blur as f32), antialias, ..RenderOptions::standard() };
         let options = RenderOptions { near: f64::from(near as f32), ..options };
-        Self { pose: rounded(&pose), size: [64, 48], lens: rounded(&lens), options }
+        let lens = rounded(&[&lens[..], &[0.0; 8]].concat());
+        Self { pose: rounded(&pose), size: [64, 48], model: CameraModel::Pinhole, lens, options }
+    }
+
+    fn with_lens(mut self, (model, distortion): (CameraModel, [f64; 8])) -> Self {
+        self.model = model;
+        self.lens[4..].copy_from_slice(&rounded(&distortion));
+        self
     }
 
     fn spec(&self, lens: &[f64]) -> ProjectSpec {
         let ([width, height], [fx, fy, cx, cy]) = (self.size, [lens[0], lens[1], lens[2], lens[3]]);
-        let intrinsics = Intrinsics { model: CameraModel::Pinhole, width, height, fx, fy, cx, cy };
+        let distortion = std::array::from_fn(|i| lens[4 + i]);
+        let intrinsics = Intrinsics { model: self.model, distortion, width, height, fx, fy, cx, cy };
         ProjectSpec { intrinsics, options: self.options }
     }
 
     /// The slopes at which the Jacobian is held: low and high along x, then y.
     fn limits(&self, lens: &[f64]) -> [f64; 4] {
-        let axis = |size: usize, focal: f64, principal: f64| {
-            let margin = self.options.jacobian_margin * size as f64 / (2.0 * focal);
-            [-principal / focal - margin, (size as f64 - principal) / focal + margin]
-        };
-        let ([low_x, high_x], [low_y, high_y]) =
-            (axis(self.size[0], lens[0], lens[2]), axis(self.size[1], lens[1], lens[3]));
+        let [[low_x, high_x], [low_y, high_y]] = self.spec(lens).intrinsics.slope_limits(self.options.jacobian_margin);
         [low_x, high_x, low_y, high_y]
     }
 }
@@ -168,6 +173,7 @@ impl Scene {
         let spec = view.spec(&view.lens);
         let margins = Yardstick::new(&self.tensors, |tensors| margins(tensors, view));
         let (cull, rest) = (margins.near_zero(0), margins.near_zero(1));
+        let cull: Vec<bool> = cull.chunks_exact(2).map(|pair| pair.contains(&true)).collect();
         let seen: Vec<bool> =
             project_cpu(inputs(&self.tensors), &spec).chunks_exact(COLUMNS).map(|row| row[5] > 0.0).collect();
         let class = |i: usize| {
@@ -181,7 +187,7 @@ impl Scene {
     }
 }
 
-/// Relative distances from the thresholds: `[N]` from the near plane; `[N, 5]` from the limits of the Jacobian and from
+/// Relative distances from the thresholds: `[N, 2]` from the near plane and the lens's reach; `[N, 5]` from the limits of the Jacobian and from
 /// the floor of the compensation, which is the share of the ellipse's area that is there without the blur.
 fn margins(tensors: &[Vec<f64>], view: &View) -> Vec<Vec<f64>> {
     let (p, limits) = (&tensors[POSE], view.limits(&tensors[LENS]));
@@ -196,8 +202,10 @@ fn margins(tensors: &[Vec<f64>], view: &View) -> Vec<Vec<f64>> {
     for (i, m) in tensors[0].chunks_exact(3).enumerate() {
         let along = |row: usize| (0..3).map(|k| p[4 * row + k] * m[k]).sum::<f64>() + p[4 * row + 3];
         let (x, y, z) = (along(0), along(1), along(2));
-        near.push(z / view.options.near - 1.0);
-        let slopes = [x / z, x / z, y / z, y / z];
+        let slope = (x / z).hypot(y / z);
+        let (fisheye, reach) = (view.model.is_fisheye(), spec.intrinsics.reach());
+        near.extend([z / view.options.near - 1.0, if fisheye { slope.atan() } else { slope } / reach - 1.0]);
+        let slopes = if fisheye { [f64::NAN; 4] } else { [x / z, x / z, y / z, y / z] };
         rest.extend(slopes.iter().zip(limits).map(|(slope, limit)| (slope - limit) / (1.0 + limit.abs())));
         rest.push(if view.options.antialias { areas[i] / blurred[i] / COMPENSATION_MIN - 1.0 } else { f64::NAN });
     }
@@ -289,6 +297,41 @@ fn backward_agrees_with_the_twin() {
             let what = format!("{what}, wild {wild}");
             println!("{what}: {:.3}", check_backward(&what, scene, &view, &[ALL]));
         }
+    }
+}
+
+#[test]
+fn every_lens_agrees_with_the_twin() {
+    for (i, lens) in lenses().into_iter().enumerate() {
+        let view = View::new(1, 0.3, i % 2 == 1).with_lens(lens);
+        for wild in [false, true] {
+            let (seed, what) = (200 + 2 * i as u64, format!("{lens:?}, wild {wild}"));
+            let forward = check_forward(&what, &Scene::random(seed, 1_500, &view, wild), &view);
+            let backward = check_backward(&what, Scene::random(seed + 1, 1_500, &view, wild), &view, &[ALL]);
+            println!("{what}: {forward:.3}, {backward:.3}");
+        }
+    }
+}
+
+/// The polynomials of a fisheye differ between the float types.
+#[test]
+fn the_twin_in_f32_agrees_with_itself_in_f64_for_every_lens() {
+    for (i, lens) in lenses().into_iter().enumerate() {
+        let view = View::new(1, 0.3, i % 2 == 1).with_lens(lens);
+        let scene = Scene::random(300 + i as u64, 1_500, &view, false);
+        let classes = scene.classes(&view, false);
+        let spec = |tensors: &[Vec<f64>]| view.spec(&tensors[LENS]);
+        let yardstick = Yardstick::new(&scene.tensors, |tensors| vec![project_cpu(inputs(tensors), &spec(tensors))]);
+        let in_f32 = |scene: &Scene| scene.tensors.iter().map(|tensor| to_f32(tensor)).collect::<Vec<_>>();
+        let found = project_cpu(inputs(&in_f32(&scene)), &spec(&scene.tensors));
+        let forward = yardstick.check(&format!("{lens:?} in f32"), 0, &found, &classes);
+
+        let (scene, classes, yardstick) = backward_yardstick(scene, &view);
+        let tensors = in_f32(&scene);
+        let found = project_backward_cpu(inputs(&tensors), &tensors[GRAD], &spec(&scene.tensors), ALL);
+        let what = format!("gradient of means, {lens:?} in f32");
+        let backward = yardstick.check_gradient(&what, 0, &found.means, &classes, &[CULLED, ORDINARY]);
+        println!("{lens:?}: {forward:.3}, {backward:.3}");
     }
 }
 

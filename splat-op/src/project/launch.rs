@@ -2,8 +2,10 @@
 
 use super::backward::project_backward_kernel;
 use super::forward::{AxisLaunch, LensLaunch, project_forward_kernel};
+use super::lens_forward::DistortionLaunch;
 use super::{COLUMNS, ProjectNeeds, ProjectSpec};
-use crate::gpu::math::POSE;
+use crate::camera::{CameraModel, Intrinsics};
+use crate::gpu::math::{POSE, Vec2Launch};
 use crate::gpu::reduce::launch_column_sums;
 use crate::gpu::{Buffer, Gpu, UNITS, elementwise};
 
@@ -37,19 +39,32 @@ pub(crate) struct DeviceGrads {
 /// The camera and the options as an argument of the kernels. Computed in f64 and rounded once.
 pub(crate) fn lens(spec: &ProjectSpec) -> LensLaunch {
     let (camera, options) = (&spec.intrinsics, &spec.options);
-    let axis = |size: usize, focal: f64, principal: f64| {
-        let margin = options.jacobian_margin * size as f64 / (2.0 * focal);
-        let (low, high) = (-principal / focal - margin, (size as f64 - principal) / focal + margin);
+    let axis = |focal: f64, principal: f64, [low, high]: [f64; 2]| {
         AxisLaunch::new(focal as f32, principal as f32, low as f32, high as f32)
     };
+    let [x, y] = camera.slope_limits(options.jacobian_margin);
     LensLaunch::new(
-        axis(camera.width, camera.fx, camera.cx),
-        axis(camera.height, camera.fy, camera.cy),
+        axis(camera.fx, camera.cx, x),
+        axis(camera.fy, camera.cy, y),
         options.near as f32,
         options.blur.sqrt() as f32,
-        camera.model,
+        distortion(camera).into(),
         options.antialias,
     )
+}
+
+/// `None` for a pinhole.
+fn distortion(camera: &Intrinsics) -> Option<DistortionLaunch> {
+    if camera.model == CameraModel::Pinhole {
+        return None;
+    }
+    let found = camera.coefficients();
+    let [k1, k2, k3, k4] = found.radial.map(|k| k as f32);
+    let [d1, d2, d3] = found.denominator.map(|d| d as f32);
+    let [tangential, prism] = [found.tangential, found.prism].map(|[x, y]| Vec2Launch::new(x as f32, y as f32));
+    // Shader compilers may assume that infinity does not occur.
+    let reach_squared = (camera.reach().powi(2) as f32).min(f32::MAX);
+    Some(DistortionLaunch::new(k1, k2, k3, k4, d1, d2, d3, tangential, prism, reach_squared, camera.model))
 }
 
 /// Packed ellipses, `[N, 7]`.

@@ -15,6 +15,8 @@
 //! the Gaussian is `exp(−(u² + v²)/2)`. Nothing cancels however thin the Gaussian is. The factor holds standard
 //! deviations, not variances, so that it stays in range where their squares would overflow.
 //!
+//! What a lens that is no pinhole changes in `J` is in `lens.rs`.
+//!
 //! Shapes: means `[N, 3]`, rotations `[N, 4]`, scales `[N, 3]`, opacities `[N]`, pose `[3, 4]` → packed `[N, 7]`.
 
 #[cfg(feature = "cube")]
@@ -27,6 +29,12 @@ pub(crate) mod forward;
 mod kernel_tests;
 #[cfg(feature = "cube")]
 pub(crate) mod launch;
+mod lens;
+#[cfg(feature = "cube")]
+mod lens_backward;
+mod lens_eight;
+#[cfg(feature = "cube")]
+mod lens_forward;
 #[cfg(test)]
 mod tests;
 

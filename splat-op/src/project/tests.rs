@@ -6,15 +6,19 @@ use crate::camera::{CameraModel, Intrinsics};
 use crate::options::RenderOptions;
 use crate::real::Real;
 use crate::testing::finite::{check_gradient, inner_product};
+use crate::testing::lenses::{FOX, lenses};
 use crate::testing::random::Random;
 
 const ALL: ProjectNeeds =
     ProjectNeeds { means: true, rotations: true, scales: true, opacities: true, cam_from_world: true, mean2d: true };
 
 fn spec(antialias: bool) -> ProjectSpec {
-    let intrinsics =
-        Intrinsics { model: CameraModel::Pinhole, width: 40, height: 28, fx: 35.0, fy: 31.0, cx: 18.0, cy: 15.5 };
+    let intrinsics = Intrinsics { fx: 35.0, fy: 31.0, cx: 18.0, cy: 15.5, ..Intrinsics::centred(40, 28, 35.0) };
     ProjectSpec { intrinsics, options: RenderOptions::standard().with_antialias(antialias) }
+}
+
+fn with_lens(spec: ProjectSpec, (model, distortion): (CameraModel, [f64; 8])) -> ProjectSpec {
+    ProjectSpec { intrinsics: Intrinsics { model, distortion, ..spec.intrinsics }, ..spec }
 }
 
 /// Inputs on the host, in the order of the stage: means, rotations, scales, opacities, pose.
@@ -64,25 +68,95 @@ fn inputs<F>([means, rotations, scales, opacities, cam_from_world]: &[Vec<F>; 5]
     Inputs { means, rotations, scales, opacities, cam_from_world }
 }
 
+fn check_every_gradient(what: &str, scene: &Scene, spec: &ProjectSpec, grad: &[f64]) -> Grads<f64> {
+    let g = scene.backward(grad, spec, ALL);
+    let gradients = [&g.means, &g.rotations, &g.scales, &g.opacities, &g.cam_from_world];
+    let names = ["means", "rotations", "scales", "opacities", "pose"];
+    for (i, (name, gradient)) in names.into_iter().zip(gradients).enumerate() {
+        check_gradient(&format!("{name}, {what}"), &scene.0[i], gradient, 1, |moved| {
+            let mut scene = scene.clone();
+            scene.0[i] = moved.to_vec();
+            inner_product(&scene.project(spec), grad)
+        });
+    }
+    g
+}
+
 #[test]
 fn every_gradient_agrees_with_finite_differences() {
     for (seed, antialias) in [(1, false), (2, true), (3, false), (4, true)] {
         let (scene, spec) = (Scene::random(seed, 20), spec(antialias));
         let grad = Random::new(seed + 100).fill(20 * COLUMNS, -1.0, 1.0);
-        let g = scene.backward(&grad, &spec, ALL);
-        let gradients = [&g.means, &g.rotations, &g.scales, &g.opacities, &g.cam_from_world];
-        let names = ["means", "rotations", "scales", "opacities", "pose"];
-        for (i, (name, gradient)) in names.into_iter().zip(gradients).enumerate() {
-            let name = format!("{name}, antialias {antialias}");
-            check_gradient(&name, &scene.0[i], gradient, 1, |moved| {
-                let mut scene = scene.clone();
-                scene.0[i] = moved.to_vec();
-                inner_product(&scene.project(&spec), &grad)
-            });
-        }
+        let g = check_every_gradient(&format!("antialias {antialias}"), &scene, &spec, &grad);
         let centres: Vec<f64> = grad.chunks_exact(COLUMNS).flat_map(|row| [row[0], row[1]]).collect();
         assert_eq!(g.mean2d, centres, "the probe hears the gradient at the projected centres");
     }
+}
+
+#[test]
+fn every_gradient_through_every_lens_agrees_with_finite_differences() {
+    for (i, lens) in lenses().into_iter().enumerate() {
+        for antialias in [false, true] {
+            let (scene, spec) = (Scene::random(20 + i as u64, 20), with_lens(spec(antialias), lens));
+            let grad = Random::new(120 + i as u64).fill(20 * COLUMNS, -1.0, 1.0);
+            check_every_gradient(&format!("{lens:?}, antialias {antialias}"), &scene, &spec, &grad);
+        }
+    }
+}
+
+/// On the axis, within rounding of it, near it, and almost across it.
+#[test]
+fn a_fisheye_is_smooth_on_its_axis_and_to_its_rim() {
+    let mut scene = Scene::random(30, 8);
+    let places = [
+        [0.0, 0.0, 2.0],
+        [1e-160, 0.0, 2.0],
+        [1e-12, -1e-13, 2.0],
+        [2e-6, 1e-6, 2.0],
+        [1e-3, -2e-3, 2.0],
+        [2.0, 1.0, 0.5],
+        [2.0, -1.0, 0.05],
+        [-1.0, 2.0, 0.02],
+    ];
+    scene.0[0] = places.concat();
+    scene.0[2].fill(0.3);
+    scene.0[4] = vec![1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0];
+    let grad = Random::new(31).fill(8 * COLUMNS, -1.0, 1.0);
+    for lens in lenses().into_iter().filter(|(model, _)| model.is_fisheye()) {
+        let spec = with_lens(spec(false), lens);
+        check_every_gradient(&format!("{lens:?}"), &scene, &spec, &grad);
+        // On the axis a fisheye is a pinhole.
+        let (row, pinhole) = (&scene.project(&spec)[..COLUMNS], &scene.project(&self::spec(false))[..COLUMNS]);
+        for (found, expected) in row.iter().zip(pinhole) {
+            assert!((found - expected).abs() <= 1e-13 * (1.0 + expected.abs()), "{row:?} {pinhole:?}");
+        }
+    }
+}
+
+#[test]
+fn a_lens_without_coefficients_is_a_pinhole() {
+    let (scene, spec) = (Scene::random(40, 20), spec(true));
+    let pinhole = scene.project(&spec);
+    for model in [CameraModel::OpenCv, CameraModel::FullOpenCv] {
+        let found = scene.project(&with_lens(spec, (model, [0.0; 8])));
+        for (found, expected) in found.iter().zip(&pinhole) {
+            assert!((found - expected).abs() <= 1e-12 * (1.0 + expected.abs()), "{model:?}: {found} {expected}");
+        }
+    }
+}
+
+/// The lens of `fox_distorted` turns round at a slope of 1.34: without a limit, what lies far outside its view would be
+/// folded back onto the picture.
+#[test]
+fn what_lies_beyond_the_reach_of_a_lens_is_not_folded_into_the_picture() {
+    let mut scene = Scene::random(50, 8);
+    scene.0[0] = (1..9).flat_map(|i| [0.45 * f64::from(i), 0.0, 1.0]).collect();
+    scene.0[4] = vec![1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0];
+    let spec = with_lens(spec(false), FOX);
+    let shown: Vec<bool> = scene.project(&spec).chunks_exact(COLUMNS).map(|row| row[6] > 0.0).collect();
+    assert_eq!(shown, [true, true, false, false, false, false, false, false]);
+    let grads = scene.backward(&[1.0; 8 * COLUMNS], &spec, ALL);
+    assert!(grads.means[6..].iter().all(|gradient| *gradient == 0.0));
 }
 
 #[test]

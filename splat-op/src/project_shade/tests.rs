@@ -2,7 +2,7 @@
 
 use super::cpu::{Inputs, project_shade_backward_cpu, project_shade_cpu};
 use super::{ProjectShadeNeeds, reach_sigmas};
-use crate::camera::{CameraModel, Intrinsics};
+use crate::camera::Intrinsics;
 use crate::options::RenderOptions;
 use crate::project::cpu::{Inputs as ProjectInputs, project_backward_cpu, project_cpu};
 use crate::project::{COLUMNS, ProjectNeeds, ProjectSpec};
@@ -15,8 +15,7 @@ use crate::tile::cpu::tile_cpu;
 pub(super) const COEFFICIENTS: usize = 9;
 
 pub(super) fn spec(alpha_min: f64) -> ProjectSpec {
-    let intrinsics =
-        Intrinsics { model: CameraModel::Pinhole, width: 70, height: 52, fx: 60.0, fy: 64.0, cx: 33.0, cy: 27.5 };
+    let intrinsics = Intrinsics { fx: 60.0, fy: 64.0, cx: 33.0, cy: 27.5, ..Intrinsics::centred(70, 52, 60.0) };
     ProjectSpec { intrinsics, options: RenderOptions { alpha_min, ..RenderOptions::standard() } }
 }
 

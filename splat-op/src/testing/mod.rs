@@ -7,4 +7,5 @@ pub mod ellipses;
 pub mod finite;
 #[cfg(feature = "cube")]
 pub mod gpu;
+pub mod lenses;
 pub mod random;

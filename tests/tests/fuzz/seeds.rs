@@ -7,7 +7,7 @@ use glam::{DAffine3, DQuat, DVec3};
 use splat_model::capture::{PointCloud, View, write_binary};
 use splat_model::gaussians::GaussianRows;
 use splat_model::ply;
-use splat_op::Intrinsics;
+use splat_op::{CameraModel, Intrinsics};
 
 use super::engine::folder;
 
@@ -70,7 +70,13 @@ pub fn model(folder: &Path) -> Model {
     let view = |i: usize| View {
         name: format!("{i:02}.png"),
         image_path: folder.join("images"),
-        intrinsics: Intrinsics { fx: 50.0 + (i / 2) as f64, ..Intrinsics::centred(40, 30, 50.0) },
+        intrinsics: match i {
+            2 => {
+                let distortion = [0.1, -0.05, 1e-3, -2e-3, 0.0, 0.0, 0.0, 0.0];
+                Intrinsics { model: CameraModel::OpenCv, distortion, ..Intrinsics::centred(40, 30, 51.0) }
+            }
+            _ => Intrinsics::centred(40, 30, 50.0),
+        },
         cam_from_world: DAffine3::from_rotation_translation(
             DQuat::from_rotation_y(0.3 * i as f64),
             DVec3::new(0.1, -0.2, 4.0 + i as f64),
@@ -83,7 +89,8 @@ pub fn model(folder: &Path) -> Model {
     write_binary(folder, &[0, 1, 2].map(view), &points).expect("the folder can be written to");
     let read = |name: &str| fs::read(folder.join("sparse/0").join(name)).expect("written above");
     let text = [
-        "# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]\n1 PINHOLE 40 30 50 50.5 20 15\n2 SIMPLE_PINHOLE 40 30 51 20 15\n",
+        "# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]\n1 PINHOLE 40 30 50 50.5 20 15\n2 SIMPLE_PINHOLE 40 30 51 20 15\n\
+         3 SIMPLE_RADIAL 40 30 51 20 15 0.1\n",
         "# IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME\n1 1 0 0 0 0.1 -0.2 4 1 00.png\n10.5 11.5 -1 3 4 2\n\
          2 0.9 0 0.1 0 0 0 4 1 sub/01.png\n\n3 0.8 0.1 0 0 1e3 0 4 2 02 with blanks.png\n1 2 3\n",
         "# POINT3D_ID, X, Y, Z, R, G, B, ERROR, TRACK[]\n1 0 0.5 -1 0 100 255 0.7 1 0 2 0\n2 1e-3 2 3 9 8 7 -1\n",

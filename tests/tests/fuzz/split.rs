@@ -51,7 +51,13 @@ pub fn colmap(part: Part, input: &[u8]) -> Vec<Vec<u8>> {
         let ended = match part {
             Part::Cameras => {
                 take(4);
-                let parameters = if number(take(4).1) == 0 { 3 } else { 4 };
+                let parameters = match number(take(4).1) {
+                    0 | 14 => 3,
+                    3 | 7 | 9 => 5,
+                    4 | 5 => 8,
+                    6 | 10 => 12,
+                    _ => 4,
+                };
                 (0..2 + parameters).map(|_| take(8).0).last()
             }
             Part::Images => {

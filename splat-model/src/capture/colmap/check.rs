@@ -4,9 +4,10 @@ use std::fmt;
 use std::path::{Component, Path};
 
 use glam::{DAffine3, DQuat, DVec3};
-use splat_op::camera::MAX_SIDE_PX;
-use splat_op::{CameraModel, Intrinsics};
+use splat_op::Intrinsics;
+use splat_op::camera::{MAX_COEFFICIENT, MAX_SIDE_PX};
 
+use super::model::Model;
 use crate::capture::CaptureError;
 
 /// Positions and lens parameters beyond this are damage: squared, they still fit an f32, and no survey needs more.
@@ -49,39 +50,6 @@ impl fmt::Display for Place<'_> {
     }
 }
 
-/// The camera models that are supported.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) enum Model {
-    /// `f, cx, cy`.
-    SimplePinhole,
-    /// `fx, fy, cx, cy`.
-    Pinhole,
-}
-
-impl Model {
-    /// COLMAP's names, by its numbers for them (`src/colmap/sensor/models.h`); only the first two are supported.
-    const NAMES: [&str; 11] = [
-        "SIMPLE_PINHOLE",
-        "PINHOLE",
-        "SIMPLE_RADIAL",
-        "RADIAL",
-        "OPENCV",
-        "OPENCV_FISHEYE",
-        "FULL_OPENCV",
-        "FOV",
-        "SIMPLE_RADIAL_FISHEYE",
-        "RADIAL_FISHEYE",
-        "THIN_PRISM_FISHEYE",
-    ];
-
-    pub const fn parameters(self) -> usize {
-        match self {
-            Self::SimplePinhole => 3,
-            Self::Pinhole => 4,
-        }
-    }
-}
-
 impl Place<'_> {
     /// The error for a field that holds what no good file does.
     pub fn refuse(&self, field: &'static str, found: impl fmt::Display, expected: impl Into<String>) -> CaptureError {
@@ -101,21 +69,17 @@ impl Place<'_> {
     }
 
     pub fn model_by_number(&self, number: i32) -> Result<Model, CaptureError> {
-        match usize::try_from(number).ok().and_then(|number| Model::NAMES.get(number)) {
+        match Model::name(number) {
             Some(name) => self.model_by_name(name),
             None => self.model_by_name(&format!("number {number}")),
         }
     }
 
     pub fn model_by_name(&self, name: &str) -> Result<Model, CaptureError> {
-        match name {
-            "SIMPLE_PINHOLE" => Ok(Model::SimplePinhole),
-            "PINHOLE" => Ok(Model::Pinhole),
-            _ => Err(self.unsupported(name)),
-        }
+        Model::by_name(name).ok_or_else(|| self.unsupported(name))
     }
 
-    /// The error for a camera model that cannot be read or written yet.
+    /// The error for a camera model that cannot be read or written.
     pub fn unsupported(&self, model: &str) -> CaptureError {
         let model = quoted(model).trim_matches('"').to_owned();
         CaptureError::Model { file: self.file.to_owned(), place: self.to_string(), model }
@@ -123,9 +87,10 @@ impl Place<'_> {
 
     /// `parameters` as the model orders them.
     pub fn intrinsics(&self, model: Model, size_px: [u64; 2], parameters: &[f64]) -> Result<Intrinsics, CaptureError> {
-        let (fx, fy, cx, cy) = match (model, parameters) {
-            (Model::SimplePinhole, &[f, cx, cy]) => (f, f, cx, cy),
-            (Model::Pinhole, &[fx, fy, cx, cy]) => (fx, fy, cx, cy),
+        let (focals, rest) = parameters.split_at(model.focals.min(parameters.len()));
+        let (fx, fy, cx, cy, coefficients) = match (focals, rest) {
+            (&[f], &[cx, cy, ref rest @ ..]) if rest.len() == model.coefficients => (f, f, cx, cy, rest),
+            (&[fx, fy], &[cx, cy, ref rest @ ..]) if rest.len() == model.coefficients => (fx, fy, cx, cy, rest),
             _ => {
                 let expected = format!("{} numbers", model.parameters());
                 return Err(self.refuse("PARAMS", format!("{} numbers", parameters.len()), expected));
@@ -139,8 +104,15 @@ impl Place<'_> {
         for centre in [cx, cy] {
             self.check_magnitude("PARAMS", centre, "a finite principal point in px")?;
         }
+        let mut distortion = [0.0; 8];
+        for (kept, &coefficient) in distortion.iter_mut().zip(coefficients) {
+            if !(coefficient.abs() <= MAX_COEFFICIENT) {
+                return Err(self.refuse("PARAMS", coefficient, "a coefficient of the lens from -1e9 to 1e9"));
+            }
+            *kept = coefficient;
+        }
         let [width, height] = [self.side("WIDTH", size_px[0])?, self.side("HEIGHT", size_px[1])?];
-        Ok(Intrinsics { model: CameraModel::Pinhole, width, height, fx, fy, cx, cy })
+        Ok(Intrinsics { model: model.ours, width, height, fx, fy, cx, cy, distortion })
     }
 
     fn side(&self, field: &'static str, px: u64) -> Result<usize, CaptureError> {

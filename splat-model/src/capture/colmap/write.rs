@@ -4,14 +4,12 @@ use std::fs;
 use std::path::Path;
 
 use glam::{DAffine3, DMat3, DQuat};
-use splat_op::{CameraModel, Intrinsics};
+use splat_op::Intrinsics;
 
 use super::check::{At, Place};
+use super::model::Model;
 use super::{Files, assemble, binary};
 use crate::capture::{CaptureError, PointCloud, View};
-
-/// COLMAP's number for PINHOLE.
-const PINHOLE: i32 = 1;
 
 /// How far a pose may be from rigid: well above the rounding of f64, well below what a picture shows.
 const RIGID_WITHIN: f64 = 1e-6;
@@ -68,15 +66,14 @@ fn camera_bytes(file: &Path, cameras: &[Intrinsics]) -> Result<Vec<u8>, CaptureE
     let mut out = Bytes::counted(cameras.len());
     for (i, camera) in cameras.iter().enumerate() {
         let place = Place { file, kind: "camera", at: At::Entry(i + 1) };
-        let model = match camera.model {
-            CameraModel::Pinhole => PINHOLE,
-            other => return Err(place.unsupported(&format!("{other:?}"))),
-        };
+        let (number, model) =
+            Model::full(camera.model).ok_or_else(|| place.unsupported(&format!("{:?}", camera.model)))?;
         out.add(number_of(i).to_le_bytes());
-        out.add(model.to_le_bytes());
+        out.add(number.to_le_bytes());
         out.add((camera.width as u64).to_le_bytes());
         out.add((camera.height as u64).to_le_bytes());
         out.numbers([camera.fx, camera.fy, camera.cx, camera.cy]);
+        camera.distortion.iter().take(model.coefficients).for_each(|&coefficient| out.numbers([coefficient]));
     }
     Ok(out.0)
 }

@@ -1,6 +1,6 @@
 //! The projection as the papers write it: a 3D covariance, its image under the Jacobian, a determinant, an inverse.
 
-use splat_op::{Intrinsics, RenderOptions};
+use splat_op::{CameraModel, Intrinsics, RenderOptions};
 
 use super::linalg::{Mat3, Vec3, add, apply, dot, outer, plus, scale, times, transpose, zero};
 use crate::number::Number;
@@ -23,7 +23,10 @@ pub struct Lens<N> {
 }
 
 impl<N: Number> Lens<N> {
+    /// # Panics
+    /// If the camera is no pinhole, of which alone the textbook is written here.
     pub fn new(pose: &[f64], camera: &Intrinsics, options: &RenderOptions) -> Self {
+        assert_eq!(camera.model, CameraModel::Pinhole, "the battery's cameras are pinholes");
         let row = |i: usize| [0, 1, 2].map(|j| N::of(pose[4 * i + j]));
         let focal = [N::of(camera.fx), N::of(camera.fy)];
         let principal = [N::of(camera.cx), N::of(camera.cy)];

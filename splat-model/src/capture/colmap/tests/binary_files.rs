@@ -1,6 +1,7 @@
 use std::time::{Duration, Instant};
 
 use proptest::prelude::*;
+use splat_op::CameraModel;
 
 use super::*;
 
@@ -19,12 +20,42 @@ fn points(entries: &[Vec<u8>]) -> String {
 const GOOD: [f64; 4] = [50.0, 50.0, 20.0, 15.0];
 
 #[test]
-fn distorted_cameras_are_refused_by_name() {
-    let opencv = camera(1, 4, [40, 30], &[50.0, 50.0, 20.0, 15.0, 0.1, 0.0, 0.0, 0.0]);
-    assert_says(&cameras(&[opencv]), &["camera entry 1", "OPENCV", "SIMPLE_PINHOLE and PINHOLE", "image_undistorter"]);
+fn other_cameras_are_refused_by_name() {
+    for (number, name) in [(7, "FOV"), (11, "RAD_TAN_THIN_PRISM_FISHEYE"), (17, "EQUIRECTANGULAR")] {
+        let other = camera(1, number, [40, 30], &[50.0, 50.0, 20.0, 15.0, 0.1]);
+        assert_says(&cameras(&[other]), &["camera entry 1", name, "not supported", "image_undistorter"]);
+    }
     for number in [-1, 77, i32::MIN] {
         let unknown = camera(1, number, [40, 30], &GOOD);
         assert_says(&cameras(&[unknown]), &[&format!("number {number}"), "image_undistorter"]);
+    }
+}
+
+/// COLMAP's number, its parameters, and what they are in ours.
+#[test]
+fn every_lens_is_read() {
+    let p = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0, 11.0, 12.0];
+    for (number, ours, focals, coefficients) in [
+        (0, CameraModel::Pinhole, 1, 0),
+        (1, CameraModel::Pinhole, 2, 0),
+        (2, CameraModel::OpenCv, 1, 1),
+        (3, CameraModel::OpenCv, 1, 2),
+        (4, CameraModel::OpenCv, 2, 4),
+        (5, CameraModel::Fisheye, 2, 4),
+        (6, CameraModel::FullOpenCv, 2, 8),
+        (8, CameraModel::Fisheye, 1, 1),
+        (9, CameraModel::Fisheye, 1, 2),
+        (10, CameraModel::ThinPrismFisheye, 2, 8),
+        (14, CameraModel::Fisheye, 1, 0),
+        (15, CameraModel::Fisheye, 2, 0),
+    ] {
+        let bytes = file(&[camera(1, number, [40, 30], &p[..focals + 2 + coefficients])]);
+        let found = binary::cameras(Path::new("cameras.bin"), &bytes).unwrap()[0].intrinsics;
+        assert_eq!((found.model, found.fx, found.fy), (ours, 1.0, focals as f64), "number {number}");
+        assert_eq!((found.cx, found.cy), (p[focals], p[focals + 1]), "number {number}");
+        let mut distortion = [0.0; 8];
+        distortion[..coefficients].copy_from_slice(&p[focals + 2..focals + 2 + coefficients]);
+        assert_eq!(found.distortion, distortion, "number {number}");
     }
 }
 
@@ -50,6 +81,10 @@ fn bad_lenses_are_refused() {
             let message = cameras(&[camera(1, 1, [40, 30], &parameters)]);
             assert_says(&message, &["`PARAMS`", "a positive, finite focal length", "export it again"]);
         }
+    }
+    for coefficient in [f64::NAN, f64::INFINITY, -2e9] {
+        let message = cameras(&[camera(1, 2, [40, 30], &[50.0, 20.0, 15.0, coefficient])]);
+        assert_says(&message, &["`PARAMS`", "a coefficient of the lens", "export it again"]);
     }
     for parameters in [[50.0, 50.0, f64::NAN, 15.0], [50.0, 50.0, 20.0, f64::NEG_INFINITY]] {
         let message = cameras(&[camera(1, 1, [40, 30], &parameters)]);

@@ -15,12 +15,14 @@ fn message(name: &str, text: impl AsRef<[u8]>) -> String {
 #[test]
 fn cameras_are_refused_by_line() {
     let bad = [
-        ("1 OPENCV 40 30 50 50 20 15 0 0 0 0", ["OPENCV", "image_undistorter"]),
+        ("1 FOV 40 30 50 50 20 15 0.1", ["FOV", "image_undistorter"]),
         ("1 PIN 40 30 50 50 20 15", ["PIN,", "image_undistorter"]),
         ("x PINHOLE 40 30 50 50 20 15", ["`CAMERA_ID` is \"x\"", "a whole number"]),
         ("1 PINHOLE 40 -3 50 50 20 15", ["`HEIGHT` is \"-3\"", "a whole number of px"]),
         ("1 PINHOLE 40 0 50 50 20 15", ["`HEIGHT` is 0", "1 to 32768 px"]),
         ("1 PINHOLE 40 30 50 50 20", ["`PARAMS` is 3 numbers", "4 numbers"]),
+        ("1 OPENCV 40 30 50 50 20 15 0 0 0", ["`PARAMS` is 7 numbers", "8 numbers"]),
+        ("1 SIMPLE_RADIAL 40 30", ["`PARAMS` is 0 numbers", "4 numbers"]),
         ("1 PINHOLE 40 30 50 50 20 15 0", ["`PARAMS` is 5 numbers", "4 numbers"]),
         ("1 SIMPLE_PINHOLE 40 30 nan 20 15", ["`PARAMS` is NaN", "a positive, finite focal length"]),
         ("1 PINHOLE", ["`WIDTH` is missing", "a value"]),

@@ -1,4 +1,5 @@
 use glam::{DAffine3, DMat3, DQuat};
+use splat_op::CameraModel;
 
 use super::*;
 
@@ -26,6 +27,20 @@ fn what_was_written_reads_the_same() {
         fs::read_dir(folder.path().join("sparse/0")).unwrap().map(|f| f.unwrap().file_name()).collect();
     names.sort();
     assert_eq!(names, ["cameras.bin", "images.bin", "points3D.bin"], "no temporary file is left");
+}
+
+#[test]
+fn every_lens_survives() {
+    let mut written = small_capture();
+    for model in [CameraModel::OpenCv, CameraModel::FullOpenCv, CameraModel::Fisheye, CameraModel::ThinPrismFisheye] {
+        let mut distortion = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8];
+        distortion[model.coefficients()..].fill(0.0);
+        let intrinsics = &mut written.views[0].intrinsics;
+        (intrinsics.model, intrinsics.distortion) = (model, distortion);
+        let folder = tempfile::tempdir().unwrap();
+        write_binary(folder.path(), &written.views, &written.points).unwrap();
+        assert_same(&load(folder.path()).unwrap(), &written);
+    }
 }
 
 #[test]

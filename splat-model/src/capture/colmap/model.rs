@@ -1,0 +1,67 @@
+//! COLMAP's camera models and ours.
+
+use splat_op::CameraModel;
+
+/// A model of COLMAP's that we have, and how its parameters are laid out: one or two focal lengths, the principal point, and
+/// the first coefficients of ours; the others are zero.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Model {
+    pub ours: CameraModel,
+    /// 1 or 2.
+    pub focals: usize,
+    pub coefficients: usize,
+}
+
+/// COLMAP's names by its numbers for them, and the model if we have it (`src/colmap/sensor/models.h`).
+const MODELS: [(&str, Option<Model>); 18] = [
+    ("SIMPLE_PINHOLE", model(CameraModel::Pinhole, 1, 0)),
+    ("PINHOLE", model(CameraModel::Pinhole, 2, 0)),
+    ("SIMPLE_RADIAL", model(CameraModel::OpenCv, 1, 1)),
+    ("RADIAL", model(CameraModel::OpenCv, 1, 2)),
+    ("OPENCV", model(CameraModel::OpenCv, 2, 4)),
+    ("OPENCV_FISHEYE", model(CameraModel::Fisheye, 2, 4)),
+    ("FULL_OPENCV", model(CameraModel::FullOpenCv, 2, 8)),
+    ("FOV", None),
+    ("SIMPLE_RADIAL_FISHEYE", model(CameraModel::Fisheye, 1, 1)),
+    ("RADIAL_FISHEYE", model(CameraModel::Fisheye, 1, 2)),
+    ("THIN_PRISM_FISHEYE", model(CameraModel::ThinPrismFisheye, 2, 8)),
+    ("RAD_TAN_THIN_PRISM_FISHEYE", None),
+    ("SIMPLE_DIVISION", None),
+    ("DIVISION", None),
+    ("SIMPLE_FISHEYE", model(CameraModel::Fisheye, 1, 0)),
+    ("FISHEYE", model(CameraModel::Fisheye, 2, 0)),
+    ("EUCM", None),
+    ("EQUIRECTANGULAR", None),
+];
+
+const fn model(ours: CameraModel, focals: usize, coefficients: usize) -> Option<Model> {
+    Some(Model { ours, focals, coefficients })
+}
+
+impl Model {
+    /// The most that a model has.
+    pub const MOST_PARAMETERS: usize = 12;
+
+    /// How many numbers follow the size of a picture.
+    pub const fn parameters(self) -> usize {
+        self.focals + 2 + self.coefficients
+    }
+
+    /// COLMAP's name for a number of its, if it has one.
+    pub fn name(number: i32) -> Option<&'static str> {
+        let (name, _) = MODELS.get(usize::try_from(number).ok()?)?;
+        Some(name)
+    }
+
+    /// `None` for one that we do not have.
+    pub fn by_name(name: &str) -> Option<Self> {
+        MODELS.iter().find(|(known, _)| *known == name)?.1
+    }
+
+    /// The model of COLMAP's that holds all that ours can be, with its number there.
+    pub fn full(ours: CameraModel) -> Option<(i32, Self)> {
+        let complete =
+            |model: &Model| model.ours == ours && model.focals == 2 && model.coefficients == ours.coefficients();
+        (0..).zip(MODELS).find_map(|(number, (_, model))| Some((number, model.filter(complete)?)))
+    }
+}

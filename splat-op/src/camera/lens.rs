@@ -1,0 +1,266 @@
+//! The lens on the host, in f64: from the camera's frame to the picture and back, and how far a lens can see.
+//!
+//! A polynomial that describes a lens well within its picture turns round somewhere outside, and what lies beyond is folded
+//! back into the picture. How far it can be trusted follows from the Jacobian of the planar map `s → d` of
+//! [`CameraModel`]. Its symmetric part has the eigenvalues `g` and `(r g)'`, `r = |s|`, of the radial part, to which the
+//! tangential part `2(P·s)I + 2sPᵀ + 2Psᵀ` adds at least `−6|P|r` and the prism's `Ssᵀ + sSᵀ` at least `−2|S|r`. As long as
+//!
+//! ```text
+//! min(g, (r g)') > (6|P| + 2|S|) r
+//! ```
+//!
+//! holds, the symmetric part is positive definite, and a map of which that is true all over a disc takes no two of its points
+//! to the same place (its displacement along the line between them is positive). The [reach](Intrinsics::reach) of a lens is
+//! the radius of the largest such disc; it is a root of a polynomial. What lies at or beyond it is not drawn.
+
+use std::f64::consts::FRAC_PI_2;
+
+use glam::{DVec2, DVec3};
+
+use super::{CameraModel, Intrinsics};
+
+/// Slopes and angles beyond this are of no account: a slope of a million is a microradian from the image plane.
+const FAR: f64 = 1e6;
+
+/// Points on each border of a picture from which its extent in slopes is found.
+const BORDER_POINTS: usize = 8;
+
+/// The coefficients of the planar map by their names in the equations; zero where the model has none.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct Coefficients {
+    /// `g = (1 + Σ radialᵢ wⁱ⁺¹) / (1 + Σ denominatorᵢ wⁱ⁺¹)`.
+    pub radial: [f64; 4],
+    pub denominator: [f64; 3],
+    /// `P = (p2, p1)`.
+    pub tangential: [f64; 2],
+    /// `S = (sx1, sy1)`.
+    pub prism: [f64; 2],
+}
+
+impl Coefficients {
+    /// `g(w)` and `g'(w)`.
+    fn radial(&self, w: f64) -> [f64; 2] {
+        let [n, n_slope] = with_slope(&self.radial, w);
+        let [d, d_slope] = with_slope(&self.denominator, w);
+        let g = n / d;
+        [g, (n_slope - g * d_slope) / d]
+    }
+
+    /// `2 (P·s) s + (P + S) w`.
+    fn decentred(&self, s: DVec2) -> DVec2 {
+        let (tangential, prism) = (DVec2::from_array(self.tangential), DVec2::from_array(self.prism));
+        s * (2.0 * tangential.dot(s)) + (tangential + prism) * s.length_squared()
+    }
+
+    fn map(&self, s: DVec2) -> DVec2 {
+        s * self.radial(s.length_squared())[0] + self.decentred(s)
+    }
+
+    /// The radius up to which the map is one to one; infinite if it is so everywhere.
+    fn reach(&self) -> f64 {
+        let norm = |v: [f64; 2]| DVec2::from_array(v).length();
+        let slack = [0.0, 6.0 * norm(self.tangential) + 2.0 * norm(self.prism)];
+        // Everything times the square of the denominator `D`, as polynomials of the radius.
+        let (n, d) = (even(&self.radial), even(&self.denominator));
+        let allowed = times(&slack, &times(&d, &d));
+        let across = minus(&times(&n, &d), &allowed);
+        // (r N/D)' D² = N D + r (N' D − N D')
+        let turn = minus(&times(&derivative(&n), &d), &times(&n, &derivative(&d)));
+        let along = minus(&plus(&times(&n, &d), &times(&[0.0, 1.0], &turn)), &allowed);
+        let first = |p: &[f64]| positive_roots(p).first().copied().unwrap_or(f64::INFINITY);
+        first(&d).min(first(&across)).min(first(&along))
+    }
+
+    /// The radius whose image `r g` is `target`, or `reach` if that is beyond it. Newton's steps within a bracket, which `r g`
+    /// being monotonic keeps valid.
+    fn radius(&self, target: f64, reach: f64) -> f64 {
+        let (mut low, mut high) = (0.0, reach.min(FAR));
+        let image = |r: f64| r * self.radial(r * r)[0];
+        if !(image(high) > target) {
+            return high;
+        }
+        let mut r = target.min(high);
+        for _ in 0..60 {
+            let [g, slope] = self.radial(r * r);
+            let error = r * g - target;
+            if error > 0.0 {
+                high = r
+            } else {
+                low = r
+            }
+            let newton = r - error / (g + 2.0 * r * r * slope);
+            let next = if newton >= low && newton <= high { newton } else { 0.5 * (low + high) };
+            if (next - r).abs() <= 1e-15 * r {
+                return next;
+            }
+            r = next;
+        }
+        r
+    }
+
+    /// The `s` within reach whose image is `d`, or one on its rim if there is none. The radial part is inverted exactly and the
+    /// decentring part, which within reach is the weaker, by iteration.
+    fn inverse(&self, d: DVec2, reach: f64) -> DVec2 {
+        let mut s = DVec2::ZERO;
+        for _ in 0..100 {
+            let target = d - self.decentred(s);
+            let length = target.length();
+            let next = if length > 0.0 { target * (self.radius(length, reach) / length) } else { DVec2::ZERO };
+            let step = next.distance(s);
+            s = next;
+            if step <= 1e-14 * s.length() {
+                break;
+            }
+        }
+        s
+    }
+}
+
+impl Intrinsics {
+    pub(crate) fn coefficients(&self) -> Coefficients {
+        let [a, b, c, d, e, f, g, h] = self.distortion;
+        let none = Coefficients::default();
+        match self.model {
+            CameraModel::Pinhole => none,
+            CameraModel::OpenCv => Coefficients { radial: [a, b, 0.0, 0.0], tangential: [d, c], ..none },
+            CameraModel::FullOpenCv => {
+                Coefficients { radial: [a, b, e, 0.0], denominator: [f, g, h], tangential: [d, c], ..none }
+            }
+            CameraModel::Fisheye => Coefficients { radial: [a, b, c, d], ..none },
+            CameraModel::ThinPrismFisheye => {
+                Coefficients { radial: [a, b, e, f], tangential: [d, c], prism: [g, h], ..none }
+            }
+        }
+    }
+
+    /// The slope, or for a fisheye the angle in radians, from which on the lens shows nothing: up to there no two directions
+    /// meet on the picture. Infinite if that is so everywhere, as for a pinhole.
+    pub fn reach(&self) -> f64 {
+        self.coefficients().reach()
+    }
+
+    /// Slopes `[low, high]` along x and y at which the Jacobian is held: the picture's extent and `margin` times half of it on
+    /// either side. The extent of a lens's picture is that of its border in slopes, widened to the optical axis if need be, so
+    /// that holding a slope never takes it farther out.
+    pub(crate) fn slope_limits(&self, margin: f64) -> [[f64; 2]; 2] {
+        if self.model == CameraModel::Pinhole {
+            let limits = |size: usize, focal: f64, principal: f64| {
+                let margin = margin * size as f64 / (2.0 * focal);
+                [-principal / focal - margin, (size as f64 - principal) / focal + margin]
+            };
+            return [limits(self.width, self.fx, self.cx), limits(self.height, self.fy, self.cy)];
+        }
+        let (lens, size) = (self.coefficients(), DVec2::new(self.width as f64, self.height as f64));
+        let reach = lens.reach();
+        let (mut low, mut high) = (DVec2::ZERO, DVec2::ZERO);
+        for i in 0..=BORDER_POINTS {
+            let along = i as f64 / BORDER_POINTS as f64;
+            for share in [(along, 0.0), (along, 1.0), (0.0, along), (1.0, along)] {
+                let s = lens.inverse(self.focal_from_px(size * DVec2::from(share)), reach);
+                (low, high) = (low.min(s), high.max(s));
+            }
+        }
+        let margin = margin * 0.5 * (high - low);
+        let (low, high) = (low - margin, high + margin);
+        [[low.x, high.x], [low.y, high.y]]
+    }
+
+    /// A position on the picture in units of the focal length, from the principal point.
+    fn focal_from_px(&self, px: DVec2) -> DVec2 {
+        DVec2::new((px.x - self.cx) / self.fx, (px.y - self.cy) / self.fy)
+    }
+
+    /// Where a point of the camera's frame lies on the picture or beside it, px; `None` if it is not in front of the camera, or
+    /// beyond what the lens can see (see [`Self::reach`]). The equations are [`CameraModel`]'s.
+    pub fn px_from_cam(&self, point: DVec3) -> Option<DVec2> {
+        let across = point.truncate();
+        let s = match self.model.is_fisheye() {
+            true => {
+                let rho = across.length();
+                // On the axis, angles are slopes.
+                across * if rho > 0.0 { rho.atan2(point.z) / rho } else { 1.0 / point.z }
+            }
+            false => across / point.z,
+        };
+        let seen = point.z > 0.0 && s.length() < self.reach();
+        let d = self.coefficients().map(s);
+        seen.then(|| DVec2::new(self.fx * d.x + self.cx, self.fy * d.y + self.cy))
+    }
+
+    /// The direction in the camera's frame that a position on the picture looks along: with z one, or, for a fisheye, whose
+    /// picture may reach to where z is zero, with length one. Where no direction leads there, the nearest that the lens sees.
+    pub fn cam_from_px(&self, px: DVec2) -> DVec3 {
+        let d = self.focal_from_px(px);
+        if self.model == CameraModel::Pinhole {
+            return d.extend(1.0);
+        }
+        let lens = self.coefficients();
+        if !self.model.is_fisheye() {
+            return lens.inverse(d, lens.reach()).extend(1.0);
+        }
+        let s = lens.inverse(d, lens.reach().min(FRAC_PI_2));
+        let angle = s.length();
+        if angle > 0.0 { (s * (angle.sin() / angle)).extend(angle.cos()) } else { DVec3::Z }
+    }
+}
+
+/// `1 + Σ coefficientsᵢ wⁱ⁺¹` and its derivative.
+fn with_slope(coefficients: &[f64], w: f64) -> [f64; 2] {
+    let mut out = [0.0, 0.0];
+    for &coefficient in coefficients.iter().rev().chain(&[1.0]) {
+        out = [out[0] * w + coefficient, out[1] * w + out[0]];
+    }
+    out
+}
+
+/// The same as a polynomial of the radius, constant first.
+fn even(coefficients: &[f64]) -> Vec<f64> {
+    [1.0].iter().chain(coefficients).flat_map(|&c| [c, 0.0]).collect()
+}
+
+fn plus(a: &[f64], b: &[f64]) -> Vec<f64> {
+    let at = |p: &[f64], i: usize| p.get(i).copied().unwrap_or(0.0);
+    (0..a.len().max(b.len())).map(|i| at(a, i) + at(b, i)).collect()
+}
+
+fn minus(a: &[f64], b: &[f64]) -> Vec<f64> {
+    plus(a, &b.iter().map(|b| -b).collect::<Vec<f64>>())
+}
+
+fn times(a: &[f64], b: &[f64]) -> Vec<f64> {
+    let mut out = vec![0.0; a.len() + b.len()];
+    for (i, a) in a.iter().enumerate() {
+        b.iter().enumerate().for_each(|(j, b)| out[i + j] += a * b);
+    }
+    out
+}
+
+fn derivative(p: &[f64]) -> Vec<f64> {
+    p.iter().enumerate().skip(1).map(|(i, c)| i as f64 * c).collect()
+}
+
+/// Where a polynomial changes its sign between zero and [`FAR`], in ascending order. Between two such places of its derivative
+/// it is monotonic, so that a change is there if its ends have different signs, and bisection finds it.
+pub(super) fn positive_roots(p: &[f64]) -> Vec<f64> {
+    let Some(degree) = p.iter().rposition(|c| *c != 0.0).filter(|degree| *degree > 0) else { return Vec::new() };
+    let p = &p[..=degree];
+    let value = |r: f64| p.iter().rev().fold(0.0, |sum, c| sum * r + c);
+    let mut ends = vec![0.0];
+    ends.extend(positive_roots(&derivative(p)));
+    ends.push(FAR);
+    let root = |ends: &[f64]| {
+        let (mut low, mut high) = (ends[0], ends[1]);
+        let rising = value(high) > 0.0;
+        if (value(low) > 0.0) == rising {
+            return None;
+        }
+        loop {
+            let middle = 0.5 * (low + high);
+            if !(middle > low && middle < high) {
+                return Some(low);
+            }
+            if (value(middle) > 0.0) == rising { high = middle } else { low = middle }
+        }
+    };
+    ends.windows(2).filter_map(root).collect()
+}

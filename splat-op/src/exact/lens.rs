@@ -1,0 +1,102 @@
+//! The camera models as COLMAP writes them, over dual numbers: a value and its derivatives with respect to x, y and z of the
+//! camera's frame, which every operation carries along (forward-mode differentiation). Nothing is simplified.
+
+use std::ops::{Add, Div, Mul, Sub};
+
+use glam::DVec3;
+
+use crate::camera::{CameraModel, Intrinsics};
+
+/// A number and its gradient.
+#[derive(Clone, Copy, Debug)]
+pub struct Dual {
+    pub value: f64,
+    pub grad: DVec3,
+}
+
+fn number(value: f64) -> Dual {
+    Dual { value, grad: DVec3::ZERO }
+}
+
+impl Dual {
+    fn sqrt(self) -> Self {
+        let root = self.value.sqrt();
+        Self { value: root, grad: self.grad / (2.0 * root) }
+    }
+
+    fn atan(self) -> Self {
+        Self { value: self.value.atan(), grad: self.grad / (1.0 + self.value * self.value) }
+    }
+}
+
+impl Add for Dual {
+    type Output = Self;
+    fn add(self, other: Self) -> Self {
+        Self { value: self.value + other.value, grad: self.grad + other.grad }
+    }
+}
+
+impl Sub for Dual {
+    type Output = Self;
+    fn sub(self, other: Self) -> Self {
+        Self { value: self.value - other.value, grad: self.grad - other.grad }
+    }
+}
+
+impl Mul for Dual {
+    type Output = Self;
+    fn mul(self, other: Self) -> Self {
+        Self { value: self.value * other.value, grad: self.value * other.grad + other.value * self.grad }
+    }
+}
+
+impl Div for Dual {
+    type Output = Self;
+    fn div(self, other: Self) -> Self {
+        let quotient = self.value / other.value;
+        Self { value: quotient, grad: (self.grad - quotient * other.grad) / other.value }
+    }
+}
+
+/// Where the lens shows a point of the camera's frame, px, and the Jacobian of that; `None` beyond what the lens sees.
+pub(super) fn seen(camera: &Intrinsics, point: DVec3) -> Option<[Dual; 2]> {
+    let axis = |value, grad| Dual { value, grad };
+    let [x, y, z] = [axis(point.x, DVec3::X), axis(point.y, DVec3::Y), axis(point.z, DVec3::Z)];
+    let (mut u, mut v) = (x / z, y / z);
+    // On the axis angles are slopes, derivatives included, and the formula is 0/0.
+    if camera.model.is_fisheye() && (point.x != 0.0 || point.y != 0.0) {
+        let r = (u * u + v * v).sqrt();
+        let theta = r.atan();
+        (u, v) = (u * theta / r, v * theta / r);
+    }
+    if u.value.hypot(v.value) >= camera.reach() {
+        return None;
+    }
+    let (r2, c, one, two) = (u * u + v * v, camera.distortion.map(number), number(1.0), number(2.0));
+    let (r4, r6, r8) = (r2 * r2, r2 * r2 * r2, r2 * r2 * r2 * r2);
+    let tangential =
+        |p1: Dual, p2: Dual| [two * p1 * u * v + p2 * (r2 + two * u * u), two * p2 * u * v + p1 * (r2 + two * v * v)];
+    let (radial, [du, dv]) = match camera.model {
+        CameraModel::Pinhole => (one, [number(0.0); 2]),
+        CameraModel::OpenCv => {
+            let [k1, k2, p1, p2, ..] = c;
+            (one + k1 * r2 + k2 * r4, tangential(p1, p2))
+        }
+        CameraModel::FullOpenCv => {
+            let [k1, k2, p1, p2, k3, k4, k5, k6] = c;
+            let above = one + k1 * r2 + k2 * r4 + k3 * r6;
+            (above / (one + k4 * r2 + k5 * r4 + k6 * r6), tangential(p1, p2))
+        }
+        CameraModel::Fisheye => {
+            let [k1, k2, k3, k4, ..] = c;
+            (one + k1 * r2 + k2 * r4 + k3 * r6 + k4 * r8, [number(0.0); 2])
+        }
+        CameraModel::ThinPrismFisheye => {
+            let [k1, k2, p1, p2, k3, k4, sx1, sy1] = c;
+            let [du, dv] = tangential(p1, p2);
+            (one + k1 * r2 + k2 * r4 + k3 * r6 + k4 * r8, [du + sx1 * r2, dv + sy1 * r2])
+        }
+    };
+    let [fx, fy, cx, cy] = [camera.fx, camera.fy, camera.cx, camera.cy].map(number);
+    Some([fx * (u * radial + du) + cx, fy * (v * radial + dv) + cy])
+}

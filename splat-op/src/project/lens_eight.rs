@@ -1,0 +1,333 @@
+//! Lenses for eight Gaussians at a time, one in each SIMD lane: the arithmetic of the contract in `lens.rs`, both passes.
+
+use burn::tensor::DType;
+use fearless_simd::prelude::*;
+
+use super::eight::norm;
+use super::lens::{HALF_ANGLE_F32, HALF_ANGLE_F64};
+use crate::camera::{CameraModel, Intrinsics};
+use crate::linalg::{Mat3, add, dot, scale, sub};
+use crate::real::Real;
+
+type MaskOf<S, F> = <<F as Real>::Lanes<S> as SimdBase<S>>::Mask;
+type Lanes<S, F> = <F as Real>::Lanes<S>;
+type Vector<S, F> = [<F as Real>::Lanes<S>; 3];
+
+/// A lens's planar map, as numbers or with one copy in each lane.
+#[derive(Clone, Copy)]
+pub(super) struct Distortion<L> {
+    model: CameraModel,
+    radial: [L; 4],
+    denominator: [L; 3],
+    /// `P` and `S` of the contract.
+    tangential: [L; 2],
+    prism: [L; 2],
+    /// What lies as far out as this or farther is culled; squared.
+    reach_squared: L,
+}
+
+impl<F: Real> Distortion<F> {
+    /// `None` for a pinhole.
+    pub fn new(camera: &Intrinsics) -> Option<Self> {
+        let found = camera.coefficients();
+        (camera.model != CameraModel::Pinhole).then(|| Self {
+            model: camera.model,
+            radial: found.radial.map(F::of),
+            denominator: found.denominator.map(F::of),
+            tangential: found.tangential.map(F::of),
+            prism: found.prism.map(F::of),
+            reach_squared: F::of(camera.reach().powi(2)).min_of(F::MAX),
+        })
+    }
+
+    #[inline(always)]
+    pub fn lanes<S: Simd>(&self, simd: S) -> Distortion<F::Lanes<S>> {
+        let lanes = |value: F| F::Lanes::<S>::splat(simd, value);
+        Distortion {
+            model: self.model,
+            radial: self.radial.map(lanes),
+            denominator: self.denominator.map(lanes),
+            tangential: self.tangential.map(lanes),
+            prism: self.prism.map(lanes),
+            reach_squared: lanes(self.reach_squared),
+        }
+    }
+}
+
+/// The planar map at a place.
+struct Planar<L> {
+    s: [L; 2],
+    value: [L; 2],
+    /// `A` of the contract, row by row.
+    by: [[L; 2]; 2],
+    /// `2g'` and `4g''`.
+    twice_slope: L,
+    four_bend: L,
+}
+
+impl<L: Copy> Distortion<L> {
+    /// `g`, `g'` and `g''` at `w`.
+    #[inline(always)]
+    fn radial<S: Simd, F: Real<Lanes<S> = L>>(&self, w: L) -> [L; 3]
+    where
+        L: SimdFloat<S, Element = F>,
+    {
+        let times = |value: L, factor: f64| value * F::of(factor);
+        let [k1, k2, k3, k4] = self.radial;
+        let n = w * (k1 + w * (k2 + w * (k3 + w * k4))) + F::ONE;
+        let n_slope = k1 + w * (times(k2, 2.0) + w * (times(k3, 3.0) + w * times(k4, 4.0)));
+        let n_bend = times(k2, 2.0) + w * (times(k3, 6.0) + w * times(k4, 12.0));
+        if self.model != CameraModel::FullOpenCv {
+            return [n, n_slope, n_bend];
+        }
+        let [k4, k5, k6] = self.denominator;
+        let d = w * (k4 + w * (k5 + w * k6)) + F::ONE;
+        let d_slope = k4 + w * (times(k5, 2.0) + w * times(k6, 3.0));
+        let d_bend = times(k5, 2.0) + w * times(k6, 6.0);
+        let g = n / d;
+        let slope = (n_slope - g * d_slope) / d;
+        [g, slope, (n_bend - times(slope * d_slope, 2.0) - g * d_bend) / d]
+    }
+
+    #[inline(always)]
+    fn at<S: Simd, F: Real<Lanes<S> = L>>(&self, s: [L; 2]) -> Planar<L>
+    where
+        L: SimdFloat<S, Element = F>,
+    {
+        let (p, both) = (self.tangential, [0, 1].map(|i| self.tangential[i] + self.prism[i]));
+        let w = s[0] * s[0] + s[1] * s[1];
+        let [g, slope, bend] = self.radial::<S, F>(w);
+        let along = p[0] * s[0] + p[1] * s[1];
+        let factor = g + along + along;
+        let twice_slope = slope + slope;
+        let entry = |i: usize, j: usize| {
+            let half = s[i] * (slope * s[j] + p[j]) + both[i] * s[j];
+            if i == j { factor + half + half } else { half + half }
+        };
+        Planar {
+            s,
+            value: [0, 1].map(|i| s[i] * factor + both[i] * w),
+            by: [0, 1].map(|i| [entry(i, 0), entry(i, 1)]),
+            twice_slope,
+            four_bend: (bend + bend) + (bend + bend),
+        }
+    }
+
+    /// The second derivative, contracted with a matrix.
+    #[inline(always)]
+    fn second<S: Simd, F: Real<Lanes<S> = L>>(&self, at: &Planar<L>, m: &[[L; 2]; 2]) -> [L; 2]
+    where
+        L: SimdFloat<S, Element = F>,
+    {
+        let (s, p, both) = (at.s, self.tangential, [0, 1].map(|i| self.tangential[i] + self.prism[i]));
+        let trace = m[0][0] + m[1][1];
+        let by = |v: [L; 2], i: usize| m[i][0] * v[0] + m[i][1] * v[1];
+        let by_transposed = |v: [L; 2], i: usize| m[0][i] * v[0] + m[1][i] * v[1];
+        let quadratic = s[0] * by(s, 0) + s[1] * by(s, 1);
+        [0, 1].map(|i| {
+            let radial = at.twice_slope * (trace * s[i] + by(s, i) + by_transposed(s, i));
+            let decentred = trace * p[i] + by(p, i) + by_transposed(both, i);
+            radial + at.four_bend * quadratic * s[i] + decentred + decentred
+        })
+    }
+}
+
+/// The first step of a perspective lens.
+struct Perspective<S: Simd, F: Real> {
+    z: Lanes<S, F>,
+    ratio: [Lanes<S, F>; 2],
+    slope_free: [MaskOf<S, F>; 2],
+}
+
+/// That of a fisheye, in the contract's names.
+struct Fisheye<S: Simd, F: Real> {
+    length: Lanes<S, F>,
+    p: [Lanes<S, F>; 2],
+    c: Lanes<S, F>,
+    alpha: Lanes<S, F>,
+    beta: Lanes<S, F>,
+    delta: Lanes<S, F>,
+    /// `β p·row − last`
+    lean: Vector<S, F>,
+    /// `p·row`
+    across: Vector<S, F>,
+}
+
+enum FirstStep<S: Simd, F: Real> {
+    Perspective(Perspective<S, F>),
+    Fisheye(Fisheye<S, F>),
+}
+
+/// What a lens makes of eight centres, and what its gradient needs again.
+pub(super) struct Bent<S: Simd, F: Real> {
+    first: FirstStep<S, F>,
+    /// Not beyond the lens's reach.
+    pub within: MaskOf<S, F>,
+    /// The planar map at the centre, and where the Jacobian is taken.
+    centre: Planar<Lanes<S, F>>,
+    held: Planar<Lanes<S, F>>,
+    /// `b₀, b₁`
+    base: [Vector<S, F>; 2],
+    rows: Mat3<Lanes<S, F>>,
+}
+
+/// Gradients of the centre in the camera's frame and of `W R`.
+pub(super) struct BentGrad<L> {
+    pub mean_cam: [L; 3],
+    pub rows: Mat3<L>,
+}
+
+impl<S: Simd, F: Real> Bent<S, F> {
+    /// From the centre, the rows of `W R`, and the slopes between which a perspective lens's Jacobian is held.
+    #[inline(always)]
+    pub fn new(
+        distortion: &Distortion<Lanes<S, F>>,
+        mean_cam: Vector<S, F>,
+        rows: &Mat3<Lanes<S, F>>,
+        [low, high]: [[Lanes<S, F>; 2]; 2],
+    ) -> Self {
+        let (first, s, slope, base) = if distortion.model.is_fisheye() {
+            let step = Fisheye::new(mean_cam, rows);
+            let (s, base) = (step.p.map(|p| step.alpha * p), step.rows(rows));
+            (FirstStep::Fisheye(step), s, s, base)
+        } else {
+            let [x, y, z] = mean_cam;
+            let ratio = [x / z, y / z];
+            let slope = [0, 1].map(|k| ratio[k].max(low[k]).min(high[k]));
+            let slope_free = [0, 1].map(|k| slope[k].simd_eq(ratio[k]));
+            let inverse_z = F::Lanes::<S>::splat(z.token(), F::ONE) / z;
+            let base = [0, 1].map(|k| scale(sub(rows[k], scale(rows[2], slope[k])), inverse_z));
+            (FirstStep::Perspective(Perspective { z, ratio, slope_free }), ratio, slope, base)
+        };
+        Self {
+            first,
+            within: (s[0] * s[0] + s[1] * s[1]).simd_lt(distortion.reach_squared),
+            centre: distortion.at::<S, F>(s),
+            held: distortion.at::<S, F>(slope),
+            base,
+            rows: *rows,
+        }
+    }
+
+    /// Where the centre is seen, in units of the focal length.
+    #[inline(always)]
+    pub fn seen_at(&self) -> [Lanes<S, F>; 2] {
+        self.centre.value
+    }
+
+    /// The rows of `J W R`.
+    #[inline(always)]
+    pub fn rows(&self, focal: [Lanes<S, F>; 2]) -> [Vector<S, F>; 2] {
+        let by = &self.held.by;
+        [0, 1].map(|i| scale(add(scale(self.base[0], by[i][0]), scale(self.base[1], by[i][1])), focal[i]))
+    }
+
+    /// From gradients of the rows of `J W R` and of where the centre is seen.
+    #[inline(always)]
+    pub fn backward(
+        &self,
+        distortion: &Distortion<Lanes<S, F>>,
+        focal: [Lanes<S, F>; 2],
+        grad_j: [Vector<S, F>; 2],
+        grad_seen_at: [Lanes<S, F>; 2],
+    ) -> BentGrad<Lanes<S, F>> {
+        let grad = [0, 1].map(|i| scale(grad_j[i], focal[i]));
+        let by = &self.held.by;
+        let grad_base = [0, 1].map(|k| add(scale(grad[0], by[0][k]), scale(grad[1], by[1][k])));
+        let grad_by = [0, 1].map(|i| [dot(grad[i], self.base[0]), dot(grad[i], self.base[1])]);
+        let grad_slope = distortion.second::<S, F>(&self.held, &grad_by);
+        let by = &self.centre.by;
+        let grad_s = [0, 1].map(|k| grad_seen_at[0] * by[0][k] + grad_seen_at[1] * by[1][k]);
+        match &self.first {
+            FirstStep::Perspective(step) => step.backward(self, grad_base, grad_slope, grad_s),
+            FirstStep::Fisheye(step) => step.backward(&self.rows, grad_base, [0, 1].map(|k| grad_s[k] + grad_slope[k])),
+        }
+    }
+}
+
+impl<S: Simd, F: Real> Perspective<S, F> {
+    #[inline(always)]
+    fn backward(
+        &self,
+        bent: &Bent<S, F>,
+        grad_base: [Vector<S, F>; 2],
+        grad_slope: [Lanes<S, F>; 2],
+        grad_s: [Lanes<S, F>; 2],
+    ) -> BentGrad<Lanes<S, F>> {
+        let lanes = |value: F| F::Lanes::<S>::splat(self.z.token(), value);
+        let (zero, inverse_z) = (lanes(F::ZERO), lanes(F::ONE) / self.z);
+        let mut out = BentGrad { mean_cam: [zero; 3], rows: [[zero; 3]; 3] };
+        for k in 0..2 {
+            let grad_row = scale(grad_base[k], inverse_z);
+            out.rows[k] = grad_row;
+            out.rows[2] = sub(out.rows[2], scale(grad_row, bent.held.s[k]));
+            let through_slope = grad_slope[k] - dot(grad_row, bent.rows[2]);
+            let grad_ratio = grad_s[k] + self.slope_free[k].select(through_slope, zero);
+            out.mean_cam[k] = grad_ratio * inverse_z;
+            out.mean_cam[2] -= (dot(grad_base[k], bent.base[k]) + grad_ratio * self.ratio[k]) * inverse_z;
+        }
+        out
+    }
+}
+
+impl<S: Simd, F: Real> Fisheye<S, F> {
+    #[inline(always)]
+    fn new([x, y, z]: Vector<S, F>, rows: &Mat3<Lanes<S, F>>) -> Self {
+        let lanes = |value: f64| F::Lanes::<S>::splat(z.token(), F::of(value));
+        let length = norm::<S, F>(z.token(), [x, y, z]);
+        let (p, c) = ([x / length, y / length], z / length);
+        let v = (p[0] * p[0] + p[1] * p[1]) / ((c + F::ONE) * (c + F::ONE));
+        let h = half_angle::<S, F>(v);
+        let a = v * h - F::of(1.0 / 3.0);
+        let more = v + F::ONE;
+        let squared = more * more;
+        let alpha = more * (v * a + F::ONE);
+        let beta = -(more * (v + F::of(3.0) + squared * a)) * F::of(0.25);
+        let series = lanes(25.0) + v * (lanes(9.0) - v * more);
+        let delta = more * (series + squared * squared * h * F::of(3.0)) * F::of(1.0 / 16.0);
+        let across = add(scale(rows[0], p[0]), scale(rows[1], p[1]));
+        let lean = sub(scale(across, beta), rows[2]);
+        Self { length, p, c, alpha, beta, delta, lean, across }
+    }
+
+    /// `b₀, b₁`
+    #[inline(always)]
+    fn rows(&self, rows: &Mat3<Lanes<S, F>>) -> [Vector<S, F>; 2] {
+        let inverse = F::Lanes::<S>::splat(self.c.token(), F::ONE) / self.length;
+        [0, 1].map(|k| scale(add(scale(rows[k], self.alpha), scale(self.lean, self.p[k])), inverse))
+    }
+
+    #[inline(always)]
+    fn backward(
+        &self,
+        rows: &Mat3<Lanes<S, F>>,
+        grad_base: [Vector<S, F>; 2],
+        grad_s: [Lanes<S, F>; 2],
+    ) -> BentGrad<Lanes<S, F>> {
+        let (p, beta) = (self.p, self.beta);
+        let inverse = F::Lanes::<S>::splat(self.c.token(), F::ONE) / self.length;
+        let grad = grad_base.map(|grad| scale(grad, inverse));
+        let sum = add(scale(grad[0], p[0]), scale(grad[1], p[1]));
+        let u = dot(grad[0], rows[0]) + dot(grad[1], rows[1]);
+        let (m, last) = (dot(sum, self.across), dot(sum, rows[2]));
+        let twice = |value: Lanes<S, F>| value + value;
+        let along = p[0] * grad_s[0] + p[1] * grad_s[1];
+        let common = beta * (u + along) + self.delta * m + twice(last);
+        let across = |k: usize| dot(grad[k], self.lean) + beta * dot(sum, rows[k]) + self.alpha * grad_s[k];
+        let grad_p = [0, 1].map(|k| across(k) + p[k] * common);
+        let grad_c = twice(m + self.c * last) - u - along;
+        let of_row = |k: usize| add(scale(grad[k], self.alpha), scale(sum, beta * p[k]));
+        BentGrad {
+            mean_cam: [grad_p[0] * inverse, grad_p[1] * inverse, grad_c * inverse],
+            rows: [of_row(0), of_row(1), sum.map(|value| -value)],
+        }
+    }
+}
+
+/// `h` of the contract, for `0 <= v <= 1`.
+#[inline(always)]
+fn half_angle<S: Simd, F: Real>(v: Lanes<S, F>) -> Lanes<S, F> {
+    let lanes = |value: &f64| F::Lanes::<S>::splat(v.token(), F::of(*value));
+    let horner = |coefficients: &[f64]| coefficients.iter().fold(lanes(&0.0), |sum, c| sum.mul_add(v, lanes(c)));
+    if F::DTYPE == DType::F32 { horner(&HALF_ANGLE_F32) } else { horner(&HALF_ANGLE_F64) }
+}
