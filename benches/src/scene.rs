@@ -118,6 +118,7 @@ impl SyntheticView {
             cam_from_world: DAffine3::IDENTITY,
             rgb: rgb.clone(),
             alpha: None,
+            mask: None,
         };
         let means = values(self.scene(&device, DType::F32).means);
         let positions: Vec<[f32; 3]> = means.as_chunks::<3>().0.iter().map(|mean| mean.map(|v| v as f32)).collect();

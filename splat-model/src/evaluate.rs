@@ -1,11 +1,12 @@
 //! Scores of a scene on photographs that it was not trained on.
 
-use burn::tensor::{Device, Tensor};
+use burn::tensor::{Bool, Device, Tensor, TensorData};
 use serde::{Deserialize, Serialize};
 use splat_op::{Camera, Extras, RenderOptions, SplatError, Splats, render};
 
 use crate::capture::Photo;
-use crate::metrics::{mean_over_views, psnr, ssim};
+use crate::gaussians::values_of;
+use crate::metrics::{colour_corrected, mean_over_views, psnr, scores_without, ssim};
 
 /// Scores of one photograph.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -16,6 +17,10 @@ pub struct ViewScore {
     pub psnr: f64,
     /// Structural similarity, at most 1.
     pub ssim: f64,
+    /// PSNR after the affine map of colours that fits the render to the photograph best (see [`colour_corrected`]), dB.
+    pub psnr_corrected: f64,
+    /// SSIM after the same.
+    pub ssim_corrected: f64,
 }
 
 /// Scores of a set of photographs: the means over them, and each.
@@ -25,6 +30,10 @@ pub struct Scores {
     pub psnr: f64,
     /// Mean of the views' SSIM.
     pub ssim: f64,
+    /// Mean of the views' PSNR after colour correction, dB.
+    pub psnr_corrected: f64,
+    /// Mean of the views' SSIM after colour correction.
+    pub ssim_corrected: f64,
     /// By view.
     pub views: Vec<ViewScore>,
 }
@@ -40,7 +49,7 @@ pub struct Comparison<'a> {
 }
 
 /// Renders `splats`, which must not be tracked, as each photograph's camera sees them, scores the renders and hands each
-/// to `look`.
+/// to `look`. Pixels that a photograph's mask excludes have no part in the scores.
 ///
 /// # Errors
 /// If the operation refuses the scene.
@@ -59,16 +68,37 @@ pub fn evaluate(
         let rendered = render(splats, &[camera], &extras, options)?;
         let image = rendered.colour.squeeze_dim::<3>(0).clamp(0.0, 1.0);
         let comparison = Comparison { photo, truth: photo.rgb_over(background, &device), image };
-        let score = ViewScore {
-            name: photo.name.clone(),
-            psnr: psnr(comparison.image.clone(), comparison.truth.clone()),
-            ssim: ssim(comparison.image.clone(), comparison.truth.clone()),
-        };
+        let (psnr, ssim) = scored(&comparison, comparison.image.clone());
+        let (psnr_corrected, ssim_corrected) = scored(&comparison, corrected(&comparison));
+        let score = ViewScore { name: photo.name.clone(), psnr, ssim, psnr_corrected, ssim_corrected };
         look(&comparison, &score);
         views.push(score);
     }
     let mean = |of: fn(&ViewScore) -> f64| mean_over_views(&views.iter().map(of).collect::<Vec<_>>());
-    Ok(Scores { psnr: mean(|view| view.psnr), ssim: mean(|view| view.ssim), views })
+    Ok(Scores {
+        psnr: mean(|view| view.psnr),
+        ssim: mean(|view| view.ssim),
+        psnr_corrected: mean(|view| view.psnr_corrected),
+        ssim_corrected: mean(|view| view.ssim_corrected),
+        views,
+    })
+}
+
+/// PSNR and SSIM of `image` as a render of the photograph.
+fn scored(comparison: &Comparison, image: Tensor<3>) -> (f64, f64) {
+    let truth = comparison.truth.clone();
+    let Some(mask) = &comparison.photo.mask else { return (psnr(image.clone(), truth.clone()), ssim(image, truth)) };
+    let [height, width, _] = image.dims();
+    let excluded: Vec<bool> = mask.iter().map(|counts| !counts).collect();
+    let excluded = Tensor::<3, Bool>::from_data(TensorData::new(excluded, [1, height, width]), &image.device());
+    scores_without(image, truth, &excluded)
+}
+
+/// The render, corrected in colour.
+fn corrected(comparison: &Comparison) -> Tensor<3> {
+    let (image, truth) = (values_of(comparison.image.clone()), values_of(comparison.truth.clone()));
+    let values = colour_corrected(&image, &truth, comparison.photo.mask.as_deref());
+    Tensor::from_data(TensorData::new(values, comparison.image.dims()), &comparison.image.device())
 }
 
 #[cfg(test)]

@@ -2,6 +2,7 @@
 
 pub mod capture;
 pub mod density;
+pub mod effects;
 pub mod evaluate;
 pub mod gaussians;
 pub mod init;

@@ -3,9 +3,14 @@
 //! Pictures are `[H, W, C]` and are clamped to 0..1 first, as a picture file would. Gradients are not followed. An
 //! average over views is the mean of the views' values ([`mean_over_views`]), not the value of the mean error.
 
-use burn::tensor::Tensor;
+mod correct;
 
-use crate::loss::ssim::{Truth, d_ssim};
+use burn::tensor::{Bool, Tensor};
+
+use crate::effects::masks;
+use crate::loss::ssim::{Truth, d_ssim, ssim_map};
+
+pub use self::correct::colour_corrected;
 
 /// PSNR of equal pictures, dB. The formula gives infinity, which JSON cannot hold and which would swallow every mean.
 /// 100 dB is a root mean square error of 1e-5: less than a level of a 16-bit picture, so no real score reaches it.
@@ -27,6 +32,20 @@ pub fn psnr(image: Tensor<3>, truth: Tensor<3>) -> f64 {
 pub fn ssim(image: Tensor<3>, truth: Tensor<3>) -> f64 {
     let truth = Truth::new(displayed(truth));
     1.0 - d_ssim(displayed(image), &truth).into_scalar::<f64>()
+}
+
+/// PSNR and SSIM over the pixels that count: those that `excluded`, `[1, H, W]`, does not name. Where it does, the window of
+/// SSIM sees black, as beyond the border. NaN if no pixel counts.
+pub fn scores_without(image: Tensor<3>, truth: Tensor<3>, excluded: &Tensor<3, Bool>) -> (f64, f64) {
+    let [image, truth] = [image, truth].map(|picture| masks::cleared(displayed(picture), excluded));
+    let [height, width, channels] = image.dims();
+    let counts = excluded.clone().bool_not().float().permute([1, 2, 0]);
+    let values = channels as f64 * counts.clone().sum().into_scalar::<f64>();
+    let squares: f64 = (image.clone() - truth.clone()).square().sum().into_scalar();
+    let psnr_db = -10.0 * (squares / values).log10();
+    let similar: f64 = (ssim_map(image, truth) * counts.expand([height, width, channels])).sum().into_scalar();
+    // Not `min`, which would turn NaN into a perfect score.
+    (if psnr_db > LARGEST_PSNR_DB { LARGEST_PSNR_DB } else { psnr_db }, similar / values)
 }
 
 /// The mean of one metric over views, as tables report it. NaN without views.

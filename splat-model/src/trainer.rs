@@ -1,6 +1,8 @@
 //! Training: photographs in, a scene out. One step at a time, so that a caller can watch, stop or add to it.
 
 mod checked;
+mod config;
+mod cost;
 mod error;
 mod guard;
 mod resolution;
@@ -11,96 +13,29 @@ use glam::DAffine3;
 use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
-use serde::{Deserialize, Deserializer, Serialize};
 use splat_op::{Extras, Intrinsics, RenderOptions, Splats, render_view};
 
 use crate::capture::{Photo, PointCloud};
 use crate::density::rows::{Gradients, StepRates, Trained};
-use crate::density::{Adaptive, AdaptiveConfig, RefineReport};
+use crate::density::{Adaptive, RefineReport};
+use crate::effects::Applied;
 use crate::gaussians::Gaussians;
 use crate::init;
-use crate::loss::{DEFAULT_LAMBDA, Truth, photometric, regularise};
-use crate::optim::schedule::STEPS_PER_SH_DEGREE;
-use crate::optim::{Adam, Decay, LearningRates, near_plane, scene_extent, sh_degree_at};
+use crate::loss::{Truth, photometric, regularise};
+use crate::optim::{Adam, Decay, scene_extent, sh_degree_at};
 
 pub use self::checked::Stage;
 use self::checked::{Stopped, Wrong, check_gradients, check_loss, check_parameters, render_checked};
+pub use self::config::TrainConfig;
 pub use self::error::TrainError;
 pub use self::guard::{Fault, Guard};
 pub use self::resolution::Resolution;
 use self::views::Views;
 
-/// All that a run depends on besides its photographs. Defaults are those of the original implementation.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct TrainConfig {
-    /// Steps, one photograph each: 30,000.
-    pub steps: usize,
-    /// Seed of everything random.
-    pub seed: u64,
-    /// Share of D-SSIM in the loss: 0.2.
-    pub lambda: f64,
-    /// Highest degree of the spherical harmonics: 3.
-    pub sh_degree: usize,
-    /// Steps until the degree rises by one: 1,000.
-    pub sh_every: usize,
-    /// Learning rates.
-    pub learning_rates: LearningRates,
-    /// Density control.
-    pub density: AdaptiveConfig,
-    /// How large photographs are as the run goes on.
-    pub resolution: Resolution,
-    /// What shows through the Gaussians, and through photographs with alpha: RGB, 0 to 1.
-    #[serde(deserialize_with = "finite_colour")]
-    pub background: [f32; 3],
-    /// Whether opacities are compensated for the blur (see [`RenderOptions::antialias`]).
-    pub antialias: bool,
-    /// Weight of the mean opacity in the loss: 0 for none, 0.01 as MCMC has it (Kheradmand et al. 2024). Gaussians that no
-    /// photograph asks for, floaters in front of the background above all, then fade and are pruned.
-    pub opacity_weight: f64,
-    /// Memory for photographs prepared for the loss, MiB: 512. On a CPU those beyond it are prepared again at each use; on a
-    /// GPU, where they do not all fit, they are kept there in four bytes per pixel, and those beyond it are uploaded again.
-    pub cache_mib: usize,
-}
-
-/// A number beyond f32 becomes an infinity, which can neither be trained with nor be written as JSON.
-fn finite_colour<'de, D: Deserializer<'de>>(deserializer: D) -> Result<[f32; 3], D::Error> {
-    let colour = <[f32; 3]>::deserialize(deserializer)?;
-    match colour.iter().all(|value| value.is_finite()) {
-        true => Ok(colour),
-        false => Err(serde::de::Error::custom(format!("a colour of {colour:?}, expected three finite f32 numbers"))),
-    }
-}
-
-impl Default for TrainConfig {
-    fn default() -> Self {
-        Self {
-            steps: 30_000,
-            seed: 0,
-            lambda: DEFAULT_LAMBDA,
-            sh_degree: 3,
-            sh_every: STEPS_PER_SH_DEGREE,
-            learning_rates: LearningRates::default(),
-            density: AdaptiveConfig::default(),
-            resolution: Resolution::FULL,
-            background: [0.0; 3],
-            antialias: false,
-            opacity_weight: 0.0,
-            cache_mib: 512,
-        }
-    }
-}
-
-impl TrainConfig {
-    /// How a run whose cameras see a scene of `extent` renders (see [`scene_extent`]).
-    pub fn render_options(&self, extent: f64) -> RenderOptions {
-        RenderOptions::standard().with_antialias(self.antialias).with_near(near_plane(extent))
-    }
-}
-
 /// What a loss sees of one step.
 pub struct Seen<'a> {
-    /// `[H, W, 3]`: the render, tracked.
+    /// `[H, W, 3]`: the render as the photograph would show it, tracked: with its exposure, if that is learnt, and black
+    /// where a mask leaves pixels out, as in `truth`.
     pub image: Tensor<3>,
     /// `[H, W, 1]`: the share of the background that is hidden, tracked.
     pub alpha: Tensor<3>,
@@ -148,6 +83,7 @@ pub struct Trainer {
     device: Device,
     scene: Trained,
     views: Views,
+    effects: Applied,
     density: Adaptive,
     means_decay: Decay,
     loss: Box<dyn Loss>,
@@ -192,6 +128,7 @@ impl Trainer {
         let centres: Vec<_> = photos.iter().map(|photo| photo.cam_from_world.inverse().translation).collect();
         let extent = scene_extent(&centres);
         let tracked = device.clone().autodiff();
+        let effects = Applied::new(config.exposure, photos.len(), device);
         let views = Views::new(photos, config.background, config.cache_mib, device);
         let lambda = config.lambda;
         Ok(Self {
@@ -199,6 +136,7 @@ impl Trainer {
             device: device.clone(),
             scene: Trained::new(Gaussians::from_rows(&rows, &tracked)?),
             views,
+            effects,
             density: Adaptive::new(config.density, extent, config.steps),
             means_decay: config.learning_rates.means_decay(extent, config.steps),
             loss: Box::new(move |seen: &Seen| photometric(seen.image.clone(), seen.truth, lambda)),
@@ -254,7 +192,7 @@ impl Trainer {
         self.views.reduce(self.config.resolution.divisor_at(step, self.config.steps));
         self.scene.grow_sh(sh_degree_at(step - 1, self.config.sh_every, self.config.sh_degree));
 
-        let (loss, gradients) = self.differentiate(view)?;
+        let (loss, gradients, of_effects) = self.differentiate(view)?;
         let held = self.guard.look(step, view, &loss, &gradients).map_err(|fault| self.non_finite(fault))?;
         let rates = StepRates { rates: self.config.learning_rates, means: self.means_decay.at(step) };
         if self.checks {
@@ -262,6 +200,7 @@ impl Trainer {
         } else {
             self.scene.step(gradients, &Adam::default(), &rates, step, held.as_ref());
         }
+        self.effects.step(view, of_effects, (step, self.config.steps), held.as_ref());
         // Refinement reads the scene and acts on what it finds, so nothing may be left in doubt.
         let read = self.density.acts_at(step) || self.is_done();
         self.guard.read(read).map_err(|fault| self.non_finite(fault))?;
@@ -270,8 +209,8 @@ impl Trainer {
         Ok(StepReport { step, loss, view, splats, refined })
     }
 
-    /// The loss, `[1]`, of a view and its gradients; tells density control what it listens for.
-    fn differentiate(&mut self, view: usize) -> Result<(Tensor<1>, Gradients), TrainError> {
+    /// The loss, `[1]`, of a view and its gradients, those of the effects apart; tells density control what it listens for.
+    fn differentiate(&mut self, view: usize) -> Result<(Tensor<1>, Gradients, Option<Tensor<2>>), TrainError> {
         let step = self.step;
         let splats = self.scene.gaussians.splats();
         let tracked = splats.means.device();
@@ -295,9 +234,13 @@ impl Trainer {
             let picture = render_view(&splats, &camera, &extras, &options)?;
             (picture.colour, picture.alpha)
         };
+        let image = self.effects.apply(image, view, self.views.excluded(view));
         let seen = Seen { image, alpha, truth: &truth, splats: &splats, step, view: self.views.name(view) };
         let mut loss = self.loss.loss(&seen);
         drop(seen);
+        if let Some(penalty) = self.effects.penalty(view) {
+            loss = loss + penalty;
+        }
         if self.config.opacity_weight > 0.0 {
             loss = loss + regularise::opacity(splats.opacities.clone()) * self.config.opacity_weight;
         }
@@ -309,11 +252,12 @@ impl Trainer {
         if let Some(grad) = probe.and_then(|probe| probe.grad_remove(&mut grads)) {
             self.density.observe(grad, size);
         }
+        let of_effects = self.effects.take_gradient(view, &mut grads);
         let gradients = Gradients::take(&self.scene.gaussians, &mut grads);
         if self.checks {
             check_gradients(&gradients).map_err(|wrong| self.wrong(view, wrong))?;
         }
-        Ok((loss.inner(), gradients))
+        Ok((loss.inner(), gradients, of_effects))
     }
 
     /// The optimiser's step, taken back if it spoils a Gaussian.

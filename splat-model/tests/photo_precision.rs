@@ -15,6 +15,7 @@ fn photos_on_an_f64_device_have_all_its_digits() {
         cam_from_world: DAffine3::IDENTITY,
         rgb: vec![0, 1, 2, 3, 254, 255],
         alpha: Some(vec![7, 255]),
+        mask: None,
     };
     let (rgb, alpha) = (photo.rgb_tensor(&device), photo.alpha_tensor(&device).unwrap());
     assert_eq!((rgb.dtype(), alpha.dtype()), (DType::F64, DType::F64));

@@ -12,7 +12,7 @@ pub fn slope_trainer(device: &Device) -> Trainer {
     let rgb = (0..width * height).flat_map(|i| [(i % width * 2) as u8, (i / width * 3) as u8, 90]).collect();
     let cam_from_world = DAffine3::from_translation(DVec3::new(0.0, 0.0, 3.0));
     let intrinsics = Intrinsics::centred(width, height, 90.0);
-    let photo = Photo { name: "slope".into(), intrinsics, cam_from_world, rgb, alpha: None };
+    let photo = Photo { name: "slope".into(), intrinsics, cam_from_world, rgb, alpha: None, mask: None };
     let position = |i: usize| [(i % 40) as f32 / 20.0 - 1.0, (i / 40) as f32 / 20.0 - 0.6, (i % 7) as f32 / 7.0];
     let positions: Vec<[f32; 3]> = (0..1000).map(position).collect();
     let points = PointCloud { colours: vec![[128; 3]; positions.len()], positions };

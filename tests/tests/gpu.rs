@@ -349,6 +349,7 @@ fn a_loss_sees_packed_photographs_as_they_are() {
         cam_from_world: DAffine3::from_translation(DVec3::new(0.0, 0.0, 3.0)),
         rgb: (0..width * height).flat_map(|i| [byte(i), byte(3 * i + 200), byte(255 - i % 256)]).collect(),
         alpha,
+        mask: None,
     };
     let translucent = (0..width * height).map(|i| byte(7 * i + 100)).collect();
     let photos = vec![photo("opaque", None), photo("translucent", Some(translucent))];

@@ -36,6 +36,7 @@ fn capture() -> (Vec<Photo>, PointCloud) {
         cam_from_world: DAffine3::from_translation(DVec3::new(0.2 * i as f64, 0.0, 3.0)),
         rgb: (0..3 * 24 * 16).map(|pixel| (pixel * (i + 3) % 251) as u8).collect(),
         alpha: None,
+        mask: None,
     };
     let positions =
         (0..40).map(|i| [0.04 * i as f32 - 0.8, (i % 7) as f32 * 0.1 - 0.3, (i % 5) as f32 * 0.1]).collect();

@@ -26,6 +26,9 @@ pub struct DemoArgs {
     /// Make one object mirror its surroundings
     #[arg(long)]
     pub glossy: bool,
+    /// Give each photograph its own exposure and white balance
+    #[arg(long)]
+    pub exposure: bool,
     /// Number of photographs
     #[arg(long, value_name = "N", default_value_t = DemoOptions::default().views)]
     pub views: usize,
@@ -48,6 +51,7 @@ impl DemoArgs {
             height: self.height,
             views: self.views,
             glossy: self.glossy,
+            exposure: self.exposure,
             seed: self.seed,
             ..DemoOptions::default()
         }
@@ -109,11 +113,11 @@ fn put_in_place(folder: &Path, temporary: &Path, mark: &Value) -> Result<()> {
 
 /// What the capture depends on.
 fn mark(options: &DemoOptions) -> Value {
-    let DemoOptions { width, height, views, points, glossy, seed } = *options;
+    let DemoOptions { width, height, views, points, glossy, exposure, seed } = *options;
     let version = env!("CARGO_PKG_VERSION");
     json!({
         "splat demo": version, "width": width, "height": height, "views": views, "points": points, "glossy": glossy,
-        "seed": seed,
+        "exposure": exposure, "seed": seed,
     })
 }
 
@@ -145,7 +149,8 @@ fn refuse_foreign(folder: &Path) -> Result<()> {
 mod tests {
     use super::*;
 
-    const SMALL: DemoOptions = DemoOptions { width: 16, height: 16, views: 2, points: 10, glossy: false, seed: 0 };
+    const SMALL: DemoOptions =
+        DemoOptions { width: 16, height: 16, views: 2, points: 10, glossy: false, exposure: false, seed: 0 };
 
     #[test]
     fn a_complete_capture_is_reused_and_another_replaced() {

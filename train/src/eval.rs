@@ -37,6 +37,9 @@ pub struct EvalArgs {
     /// For scenes that were trained with this option
     #[arg(long)]
     pub antialias: bool,
+    /// Leave out the pixels that the capture's masks exclude; for scenes that were trained with the effect `masks`
+    #[arg(long)]
+    pub masks: bool,
 }
 
 /// What `metrics.json` says under `options`.
@@ -47,6 +50,7 @@ struct Options<'a> {
     #[serde(flatten)]
     photos: &'a PhotoArgs,
     antialias: bool,
+    masks: bool,
     background: [f32; 3],
 }
 
@@ -62,7 +66,7 @@ pub fn run(args: &EvalArgs) -> Result<Metrics> {
     let test = split.require_test()?;
     let Scene { splats, unusable } = input::scene(&args.scene, &capture, &device)?;
     let out = OutputFolder::prepare(&args.out, &[SCENE, METRICS], &[VIEWS])?;
-    let photos = input::photographs(&capture, test, args.photos.max_side)?;
+    let photos = input::photographs(&capture, test, args.photos.max_side, args.masks)?;
     let load = seconds_since(start);
 
     let config = TrainConfig { antialias: args.antialias, ..TrainConfig::default() };
@@ -76,6 +80,7 @@ pub fn run(args: &EvalArgs) -> Result<Metrics> {
         scene: &args.scene,
         photos: &args.photos,
         antialias: args.antialias,
+        masks: args.masks,
         background: config.background,
     };
     let metrics = Metrics {
@@ -86,6 +91,7 @@ pub fn run(args: &EvalArgs) -> Result<Metrics> {
         seconds: Seconds { load, train: None, eval },
         peak_rss_mib: peak_rss_mib(),
         device: device_name,
+        effects: None,
         seed: None,
         options: serde_json::to_value(options)?,
         version: env!("CARGO_PKG_VERSION"),

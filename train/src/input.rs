@@ -6,6 +6,7 @@ use anyhow::{Context, Result, ensure};
 use burn::tensor::Device;
 use splat_model::capture::image::load_all;
 use splat_model::capture::{Capture, Photo};
+use splat_model::effects::masks;
 use splat_model::gaussians::{GaussianRows, Gaussians};
 use splat_model::optim::scene_extent;
 use splat_model::ply;
@@ -32,15 +33,20 @@ pub fn extent(capture: &Capture) -> f64 {
     scene_extent(&centres)
 }
 
-/// Decodes the photographs of some of a capture's views, on all threads.
+/// Decodes the photographs of some of a capture's views, on all threads; with `masked`, with their masks, and without those
+/// of which nothing is left.
 ///
 /// # Errors
 /// If a picture is missing, cannot be decoded, or has another size than its camera.
-pub fn photographs(capture: &Capture, views: &[usize], max_side: Option<u32>) -> Result<Vec<Photo>> {
+pub fn photographs(capture: &Capture, views: &[usize], max_side: Option<u32>, masked: bool) -> Result<Vec<Photo>> {
     let counter = progress::counter("reading photographs", views.len());
     let photos = load_all(views.iter().map(|&view| &capture.views[view]), max_side, |_| counter.inc(1));
     counter.finish_and_clear();
-    Ok(photos?)
+    let mut photos = photos?;
+    if masked {
+        masks::attach(capture, views, &mut photos)?;
+    }
+    Ok(photos)
 }
 
 /// A scene that was read.

@@ -8,10 +8,12 @@ pub mod demo;
 pub mod devices;
 pub mod eval;
 pub mod hard_cases;
+pub mod inspect;
 pub mod render;
 pub mod train;
 
 pub mod device;
+pub mod effects;
 pub mod input;
 pub mod output;
 pub mod progress;
@@ -31,6 +33,7 @@ pub fn run(command: &Command) -> Result<()> {
         Command::Eval(args) => eval::run(args).map(drop),
         Command::Render(args) => render::run(args).map(drop),
         Command::Demo(args) => demo::run(args),
+        Command::Inspect(args) => inspect::run(args),
         Command::HardCases(args) => hard_cases::run(args),
         Command::Devices => devices::run(),
     }

@@ -7,6 +7,7 @@ use serde::Serialize;
 use crate::demo::DemoArgs;
 use crate::eval::EvalArgs;
 use crate::hard_cases::HardCasesArgs;
+use crate::inspect::InspectArgs;
 use crate::render::RenderArgs;
 use crate::train::TrainArgs;
 
@@ -31,6 +32,8 @@ pub enum Command {
     Eval(EvalArgs),
     /// Render a scene as the cameras of a capture see it
     Render(RenderArgs),
+    /// Say what a capture shows, which effects it calls for, and what they would cost
+    Inspect(InspectArgs),
     /// Write the demo capture: a small ray-traced scene as a COLMAP folder
     Demo(DemoArgs),
     /// Run the battery of hard cases and write the table of how it fares

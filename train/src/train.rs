@@ -8,10 +8,12 @@ use clap::builder::RangedU64ValueParser;
 use serde::Serialize;
 use splat_model::capture::demo::DemoOptions;
 use splat_model::capture::{Capture, Photo, Split};
+use splat_model::effects::Effect;
 use splat_model::ply;
 use splat_model::trainer::{Resolution, TrainConfig, TrainError, Trainer};
 
 use crate::device::{self, DeviceName};
+use crate::effects::{Chosen, EffectsArg};
 use crate::options::PhotoArgs;
 use crate::output::OutputFolder;
 use crate::progress::{self, StepProgress};
@@ -81,6 +83,10 @@ pub struct TrainArgs {
     /// With `--coarsest`: share of the steps after which photographs have their full size
     #[arg(long, value_name = "SHARE", default_value_t = TrainConfig::default().resolution.full_from)]
     pub full_from: f64,
+    /// Effects to simulate: `auto`, as `splat inspect` decides; `none`; a list of names with commas between them; or `+NAME`
+    /// and `-NAME` to adjust `auto`. Names: antialias, alpha, exposure, masks
+    #[arg(long, value_name = "LIST", default_value_t, allow_hyphen_values = true)]
+    pub effects: EffectsArg,
     /// Look at what every stage of every step leaves, and end at the first that goes wrong; several times as slow
     #[arg(long)]
     pub check: bool,
@@ -98,7 +104,7 @@ struct Options<'a> {
 }
 
 impl TrainArgs {
-    /// The configuration of the run.
+    /// The configuration of the run, before effects are decided on.
     ///
     /// # Errors
     /// If the steps are zero or there is no such degree: found here, before anything is read or written.
@@ -146,8 +152,8 @@ impl TrainArgs {
 /// Trains, measures, writes everything, and says where it is.
 ///
 /// # Errors
-/// If the capture cannot be read, the results not be written, or an option is out of range; or if a loss or a gradient is not
-/// finite: then `scene.ply` is the scene before that step.
+/// If the capture cannot be read, the results not be written, or an option is out of range; or if a loss or a gradient is
+/// not finite: then `scene.ply` is the scene before that step.
 pub fn run(args: &TrainArgs) -> Result<Metrics> {
     run_with(args, |trainer| trainer)
 }
@@ -155,10 +161,12 @@ pub fn run(args: &TrainArgs) -> Result<Metrics> {
 /// As [`run`], with the run changed before its first step. For tests, which make it go wrong.
 #[doc(hidden)]
 pub fn run_with(args: &TrainArgs, change: impl FnOnce(Trainer) -> Trainer) -> Result<Metrics> {
-    let config = args.config()?;
+    let mut config = args.config()?;
     let (device, device_name) = args.device.resolve()?;
     let (out, capture, start) = args.open()?;
-    let (train, test) = photographs(&capture, &args.photos)?;
+    let mut effects = args.effects.choose(&capture)?;
+    effects.configure(&mut config);
+    let (train, test) = photographs(&capture, &args.photos, &effects)?;
     progress::note(&format!(
         "{}: {} photographs to train on, {} to test on, {} points",
         capture.folder.display(),
@@ -184,6 +192,7 @@ pub fn run_with(args: &TrainArgs, change: impl FnOnce(Trainer) -> Trainer) -> Re
     }
     bar.finish();
     let train = seconds_since(start);
+    effects.measure(&mut trainer)?;
     let gaussians = trainer.gaussians().untracked();
     // Photographs and moments are not needed to measure, and their memory is.
     drop(trainer);
@@ -207,6 +216,7 @@ pub fn run_with(args: &TrainArgs, change: impl FnOnce(Trainer) -> Trainer) -> Re
         seconds: Seconds { load, train: Some(train), eval },
         peak_rss_mib: peak_rss_mib(),
         device: device_name,
+        effects: Some(effects),
         seed: Some(config.seed),
         options: serde_json::to_value(options)?,
         version: env!("CARGO_PKG_VERSION"),
@@ -231,12 +241,18 @@ fn keep_scene(error: TrainError, trainer: &Trainer, capture: &Capture, out: &Out
 
 /// The photographs to train on and those to test on. All are decoded before the first step, so that a broken picture
 /// does not end a long run.
-fn photographs(capture: &Capture, args: &PhotoArgs) -> Result<(Vec<Photo>, Vec<Photo>)> {
+fn photographs(capture: &Capture, args: &PhotoArgs, effects: &Chosen) -> Result<(Vec<Photo>, Vec<Photo>)> {
     let split = Split::every(&capture.views, args.eval_every);
     let train = split.require_train()?;
     // `--eval-every 0` asks for no test; any other number that leaves none is a mistake.
     let test = if args.eval_every == 0 { &[] } else { split.require_test()? };
-    let photos = |views| input::photographs(capture, views, args.max_side);
+    let photos = |views| -> Result<Vec<Photo>> {
+        let mut photos = input::photographs(capture, views, args.max_side, effects.has(Effect::Masks))?;
+        if !effects.has(Effect::Alpha) {
+            photos.iter_mut().for_each(|photo| photo.alpha = None);
+        }
+        Ok(photos)
+    };
     Ok((photos(train)?, photos(test)?))
 }
 

@@ -1,7 +1,7 @@
 //! COLMAP reconstructions: `sparse/0/{cameras,images,points3D}.{bin,txt}` beside `images/`.
 //!
 //! Format: <https://colmap.github.io/format.html>. Poses take world to camera, axes are OpenCV's, quaternions wxyz, pixel
-//! centres at +0.5: all as in this crate. Keypoints, tracks, `rigs` and `frames` play no role here and are passed over.
+//! centres at +0.5: all as in this crate. Keypoints are kept where a track names them; `rigs` and `frames` play no role.
 
 mod binary;
 mod check;
@@ -21,9 +21,9 @@ use glam::{DAffine3, DVec3};
 use splat_op::Intrinsics;
 
 use self::check::{At, Place, quoted};
-use super::{Capture, CaptureError, PointCloud, View, origin};
+use super::{Capture, CaptureError, Observation, PointCloud, Tracks, View, origin};
 
-pub use write::write_binary;
+pub use write::{write_binary, write_binary_with_tracks};
 
 /// One line of `cameras`.
 #[derive(Clone, Debug, PartialEq)]
@@ -33,7 +33,7 @@ struct CameraRecord {
     intrinsics: Intrinsics,
 }
 
-/// One entry of `images`, without its keypoints.
+/// One entry of `images`.
 #[derive(Clone, Debug, PartialEq)]
 struct ImageRecord {
     at: At,
@@ -41,13 +41,26 @@ struct ImageRecord {
     camera_id: u32,
     name: String,
     cam_from_world: DAffine3,
+    /// px; which point each belongs to is taken from the tracks.
+    keypoints: Vec<[f32; 2]>,
 }
 
-/// One entry of `points3D`, without its track.
+/// One entry of `points3D`.
 #[derive(Clone, Debug, PartialEq)]
 struct PointRecord {
     position: DVec3,
     colour: [u8; 3],
+    /// As it stands in the file, px.
+    error_px: f64,
+    track: Vec<TrackElement>,
+}
+
+/// One sight of a point, by the numbers of the file.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct TrackElement {
+    image_id: u32,
+    /// Counted from zero within the image.
+    keypoint: u32,
 }
 
 /// The paths of a model's files, each binary or text by its extension.
@@ -148,6 +161,9 @@ fn assemble(
 ) -> Result<Capture, CaptureError> {
     let cameras = by_id(&files.cameras, cameras)?;
     check_unique(&files.images, &images)?;
+    let mut images = images;
+    images.sort_by(|a, b| a.name.cmp(&b.name));
+    let tracks = tracks(&images, points);
     let mut views = images
         .into_iter()
         .map(|image| {
@@ -159,7 +175,6 @@ fn assemble(
     if views.is_empty() {
         return Err(CaptureError::NoViews { file: files.images.clone() });
     }
-    views.sort_by(|a, b| a.name.cmp(&b.name));
     let poses: Vec<DAffine3> = views.iter().map(|view| view.cam_from_world).collect();
     let origin = origin::choose(&poses);
     for view in &mut views {
@@ -169,7 +184,22 @@ fn assemble(
         positions: points.iter().map(|point| (point.position - origin).as_vec3().to_array()).collect(),
         colours: points.iter().map(|point| point.colour).collect(),
     };
-    Ok(Capture { folder: folder.to_owned(), views, points, origin })
+    Ok(Capture { folder: folder.to_owned(), views, points, tracks, origin })
+}
+
+/// The points' sights, in the order of the points; `images` are in that of the views.
+fn tracks(images: &[ImageRecord], points: &[PointRecord]) -> Tracks {
+    let by_id: HashMap<u32, usize> = images.iter().enumerate().map(|(view, image)| (image.id, view)).collect();
+    let sight = |element: &TrackElement| {
+        let view = *by_id.get(&element.image_id)?;
+        let at_px = *images[view].keypoints.get(element.keypoint as usize)?;
+        Some(Observation { view, at_px })
+    };
+    let mut tracks = Tracks::default();
+    for point in points {
+        tracks.push(point.track.iter().map(sight), point.error_px);
+    }
+    tracks
 }
 
 fn by_id(file: &Path, cameras: Vec<CameraRecord>) -> Result<HashMap<u32, Intrinsics>, CaptureError> {

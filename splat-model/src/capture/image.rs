@@ -15,6 +15,7 @@ use rayon::prelude::*;
 use splat_op::Intrinsics;
 
 use super::{CaptureError, View};
+use crate::effects::masks;
 
 #[cfg(test)]
 mod tests;
@@ -42,6 +43,8 @@ pub struct Photo {
     pub rgb: Vec<u8>,
     /// `[H, W]` row-major: 255 where the photograph is opaque. None if it is opaque everywhere.
     pub alpha: Option<Vec<u8>>,
+    /// `[H, W]` row-major: whether each pixel counts, in training and in scores. None if all do.
+    pub mask: Option<Vec<bool>>,
 }
 
 impl Photo {
@@ -83,6 +86,7 @@ impl Photo {
             cam_from_world: self.cam_from_world,
             rgb,
             alpha,
+            mask: self.mask.as_ref().map(|mask| masks::resized(mask, size.map(|side| side as usize), [width, height])),
         }
     }
 }
@@ -134,6 +138,7 @@ pub fn load(view: &View, max_side: Option<u32>) -> Result<Photo, CaptureError> {
         cam_from_world: view.cam_from_world,
         rgb,
         alpha,
+        mask: None,
     })
 }
 
@@ -159,7 +164,7 @@ pub fn load_all<'a>(
 
 /// The size of the file is compared with the camera's before any pixel is decoded, so that a picture allocates no more
 /// than its camera led one to expect.
-fn decode(file: &Path, camera: &Intrinsics) -> Result<DynamicImage, CaptureError> {
+pub(crate) fn decode(file: &Path, camera: &Intrinsics) -> Result<DynamicImage, CaptureError> {
     let fail = |reason: &dyn std::fmt::Display| {
         let reason = reason.to_string();
         CaptureError::Picture { file: file.to_owned(), reason }

@@ -8,19 +8,21 @@ mod error;
 mod origin;
 pub(crate) mod packed;
 mod split;
+mod tracks;
 
 #[cfg(test)]
-mod testing;
+pub(crate) mod testing;
 
 use std::path::{Path, PathBuf};
 
 use glam::{DAffine3, DVec3};
 use splat_op::Intrinsics;
 
-pub use colmap::write_binary;
+pub use colmap::{write_binary, write_binary_with_tracks};
 pub use error::CaptureError;
 pub use image::{Photo, load_all};
 pub use split::Split;
+pub use tracks::{Observation, Tracks};
 
 /// A capture as its files describe it; pictures are not yet decoded.
 #[derive(Clone, Debug)]
@@ -31,6 +33,8 @@ pub struct Capture {
     pub views: Vec<View>,
     /// Sparse points, empty if the capture has none.
     pub points: PointCloud,
+    /// Where the points were found in the photographs; empty where the files do not say.
+    pub tracks: Tracks,
     /// What was subtracted, in f64, from every position of the files: `position_file = position + origin`.
     /// Zero unless the capture lies so far from zero that f32 would lose digits.
     pub origin: DVec3,

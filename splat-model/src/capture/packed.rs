@@ -68,6 +68,7 @@ mod tests {
             cam_from_world: DAffine3::IDENTITY,
             rgb: (0..width * height).flat_map(|i| [byte(i), byte(3 * i + 200), byte(255 - i % 256)]).collect(),
             alpha: alpha.then(|| (0..width * height).map(|i| byte(7 * i + 100)).collect()),
+            mask: None,
         }
     }
 

@@ -4,7 +4,7 @@ use std::io::Write;
 use std::path::PathBuf;
 
 /// The folder of a real capture below `SPLAT_DATA_DIR`, or none, after a line that says so.
-pub(super) fn real_capture(name: &str) -> Option<PathBuf> {
+pub(crate) fn real_capture(name: &str) -> Option<PathBuf> {
     let standard = concat!(env!("CARGO_MANIFEST_DIR"), "/../../shared/data");
     let data = std::env::var_os("SPLAT_DATA_DIR").map_or_else(|| PathBuf::from(standard), PathBuf::from);
     let folder = data.join(name);

@@ -38,7 +38,7 @@ pub(crate) fn photos(background: [f32; 3]) -> Vec<Photo> {
         let extras = Extras { background: Some(Tensor::from_floats(background, &device)), ..Extras::default() };
         let rendered = render(&splats, &[camera], &extras, &RenderOptions::standard()).unwrap();
         let rgb = values_of(rendered.colour).into_iter().map(|value| (255.0 * value).round() as u8).collect();
-        Photo { name: name.into(), intrinsics, cam_from_world, rgb, alpha: None }
+        Photo { name: name.into(), intrinsics, cam_from_world, rgb, alpha: None, mask: None }
     };
     ["c", "a", "d", "b"].into_iter().enumerate().map(photograph).collect()
 }

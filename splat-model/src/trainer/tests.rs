@@ -3,7 +3,9 @@ use std::rc::Rc;
 
 use super::testing::{HEIGHT, WIDTH, photos, points};
 use super::*;
+use crate::density::AdaptiveConfig;
 use crate::gaussians::{GaussianRows, values_of};
+use crate::optim::LearningRates;
 
 /// Rates for a run of a few dozen steps; the default ones are for thousands.
 fn config(steps: usize) -> TrainConfig {

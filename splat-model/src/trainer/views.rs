@@ -1,10 +1,11 @@
 //! The photographs of a run, at the size that it has come to and prepared for the loss.
 
-use burn::tensor::Device;
+use burn::tensor::{Bool, Device, Tensor, TensorData};
 use splat_op::{Camera, Intrinsics};
 
 use crate::capture::Photo;
 use crate::capture::packed::Packed;
+use crate::effects::masks;
 use crate::loss::Truth;
 
 /// Pictures are not reduced to fewer pixels than this along a side: the window of SSIM has eleven.
@@ -21,6 +22,8 @@ struct View {
     truth: Option<Truth>,
     /// The same on the device, where prepared ones do not all fit.
     packed: Option<Packed>,
+    /// `[1, H, W]`: which pixels a mask leaves out. A byte per pixel on a CPU and four on a GPU, not counted as cache.
+    excluded: Option<Tensor<3, Bool>>,
 }
 
 impl View {
@@ -41,6 +44,8 @@ pub(super) struct Views {
     /// Whether photographs are packed. On a CPU that would only copy them.
     packs: bool,
     divisor: usize,
+    /// While the cost of masks is measured.
+    ignores_masks: bool,
 }
 
 /// Bytes of a prepared value: the photograph and two of its windowed moments.
@@ -50,7 +55,7 @@ impl Views {
     pub fn new(photos: Vec<Photo>, background: [f32; 3], cache_mib: usize, device: &Device) -> Self {
         let view = |photo: Photo| {
             let camera = Camera::new(photo.intrinsics, &photo.cam_from_world, device);
-            View { photo, reduced: None, divisor: 1, camera, truth: None, packed: None }
+            View { photo, reduced: None, divisor: 1, camera, truth: None, packed: None, excluded: None }
         };
         let cache = cache_mib << 20;
         Self {
@@ -61,6 +66,7 @@ impl Views {
             cache_left: cache,
             packs: splat_op::is_gpu(device),
             divisor: 1,
+            ignores_masks: false,
         }
     }
 
@@ -79,13 +85,40 @@ impl Views {
         }
         self.divisor = divisor;
         self.cache_left = self.cache;
-        self.views.iter_mut().for_each(|view| (view.truth, view.packed) = (None, None));
+        for view in &mut self.views {
+            (view.truth, view.packed, view.excluded) = (None, None, None);
+        }
     }
 
-    /// A view's camera and its photograph, which is kept for its next use while there is room: prepared; or packed, on a GPU
-    /// where prepared ones would not all fit.
-    pub fn prepare(&mut self, view: usize) -> (Camera, Truth) {
-        let packs = self.packs && self.prepared_bytes() > self.cache;
+    /// Until told otherwise, every pixel counts.
+    pub fn ignore_masks(&mut self, ignore: bool) {
+        self.ignores_masks = ignore;
+    }
+
+    /// Bytes of the photographs' masks on a CPU; none where no photograph has one.
+    pub fn masked_bytes(&self) -> Option<usize> {
+        let masks = self.views.iter().filter_map(|view| view.photo.mask.as_ref());
+        masks.map(Vec::len).reduce(|a, b| a + b)
+    }
+
+    /// `[1, H, W]`: the pixels of a view, as it was last prepared, that do not count; none where all do.
+    pub fn excluded(&mut self, view: usize) -> Option<&Tensor<3, Bool>> {
+        if self.ignores_masks {
+            return None;
+        }
+        let view = &mut self.views[view];
+        if view.excluded.is_none()
+            && let Some(mask) = &view.shown().mask
+        {
+            let size = [1, view.shown().intrinsics.height, view.shown().intrinsics.width];
+            let excluded: Vec<bool> = mask.iter().map(|counts| !counts).collect();
+            view.excluded = Some(Tensor::from_data(TensorData::new(excluded, size), &self.device));
+        }
+        view.excluded.as_ref()
+    }
+
+    /// Brings a view to the run's present size.
+    fn resize(&mut self, view: usize) {
         let view = &mut self.views[view];
         if view.divisor != self.divisor {
             view.divisor = self.divisor;
@@ -93,6 +126,19 @@ impl Views {
             view.reduced = size.map(|[width, height]| view.photo.resized(width, height));
             view.camera = Camera::new(view.shown().intrinsics, &view.shown().cam_from_world, &self.device);
         }
+    }
+
+    /// A view's camera and its photograph, black where its mask leaves pixels out, which is kept for its next use while
+    /// there is room: prepared; or packed, on a GPU where prepared ones would not all fit.
+    pub fn prepare(&mut self, view: usize) -> (Camera, Truth) {
+        let packs = self.packs && self.prepared_bytes() > self.cache;
+        self.resize(view);
+        let excluded = self.excluded(view).cloned();
+        let clear = |picture: Tensor<3>| match &excluded {
+            Some(excluded) => masks::cleared(picture, excluded),
+            None => picture,
+        };
+        let view = &mut self.views[view];
         if let Some(truth) = &view.truth {
             return (view.camera.clone(), truth.clone());
         }
@@ -107,9 +153,9 @@ impl Views {
             if view.packed.is_none() && fits(values / 3 * Packed::PIXEL) {
                 view.packed = Some(packed.clone());
             }
-            return (view.camera.clone(), Truth::new(packed.rgb_over(self.background)));
+            return (view.camera.clone(), Truth::new(clear(packed.rgb_over(self.background))));
         }
-        let prepared = Truth::new(view.shown().rgb_over(self.background, &self.device));
+        let prepared = Truth::new(clear(view.shown().rgb_over(self.background, &self.device)));
         view.truth = fits(PREPARED * values).then(|| prepared.clone());
         (view.camera.clone(), prepared)
     }

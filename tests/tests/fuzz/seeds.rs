@@ -88,6 +88,17 @@ pub fn model(folder: &Path) -> Model {
     };
     write_binary(folder, &[0, 1, 2].map(view), &points).expect("the folder can be written to");
     let read = |name: &str| fs::read(folder.join("sparse/0").join(name)).expect("written above");
+    // The writer knows no tracks: the last photograph gets two keypoints, and the last point two sights in it and one
+    // elsewhere.
+    let [cameras, mut images, mut points] = ["cameras.bin", "images.bin", "points3D.bin"].map(read);
+    images.truncate(images.len() - 8);
+    images.extend(2_u64.to_le_bytes());
+    for point in [4, u64::MAX] {
+        images.extend([1.5_f64.to_le_bytes(), 2.5_f64.to_le_bytes(), point.to_le_bytes()].concat());
+    }
+    points.truncate(points.len() - 8);
+    points.extend(3_u64.to_le_bytes());
+    points.extend([3_u32, 0, 3, 1, 77, 0].map(u32::to_le_bytes).concat());
     let text = [
         "# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]\n1 PINHOLE 40 30 50 50.5 20 15\n2 SIMPLE_PINHOLE 40 30 51 20 15\n\
          3 SIMPLE_RADIAL 40 30 51 20 15 0.1\n",
@@ -95,10 +106,7 @@ pub fn model(folder: &Path) -> Model {
          2 0.9 0 0.1 0 0 0 4 1 sub/01.png\n\n3 0.8 0.1 0 0 1e3 0 4 2 02 with blanks.png\n1 2 3\n",
         "# POINT3D_ID, X, Y, Z, R, G, B, ERROR, TRACK[]\n1 0 0.5 -1 0 100 255 0.7 1 0 2 0\n2 1e-3 2 3 9 8 7 -1\n",
     ];
-    Model {
-        binary: ["cameras.bin", "images.bin", "points3D.bin"].map(read),
-        text: text.map(|text| text.as_bytes().to_vec()),
-    }
+    Model { binary: [cameras, images, points], text: text.map(|text| text.as_bytes().to_vec()) }
 }
 
 /// Files that the program writes and reads again.

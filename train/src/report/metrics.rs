@@ -10,6 +10,7 @@ use serde_json::Value;
 use splat_model::evaluate::Scores;
 
 use super::METRICS;
+use crate::effects::Chosen;
 use crate::output::OutputFolder;
 
 /// What a run measured and what it was made of. Keys are added over time, and never renamed.
@@ -30,6 +31,8 @@ pub struct Metrics {
     pub peak_rss_mib: Option<f64>,
     /// What computed: a CPU backend, or an adapter and how it was driven.
     pub device: String,
+    /// The effects that were simulated, why, and what they took; null where nothing was trained.
+    pub effects: Option<Chosen>,
     /// Seed of everything random; null where nothing was.
     pub seed: Option<u64>,
     /// All options, with the defaults of those that were not given.

@@ -71,6 +71,8 @@ pub fn say(metrics: &Metrics, out: &OutputFolder) {
         Some(test) => {
             let (count, s) = (test.views.len(), if test.views.len() == 1 { "" } else { "s" });
             progress::say(&format!("test: {:.2} dB PSNR, {:.4} SSIM, mean of {count} view{s}", test.psnr, test.ssim));
+            let (psnr, ssim) = (test.psnr_corrected, test.ssim_corrected);
+            progress::say(&format!("after colour correction: {psnr:.2} dB PSNR, {ssim:.4} SSIM"));
         }
         None => progress::say("test: none, because `--eval-every 0` holds out no photograph"),
     }

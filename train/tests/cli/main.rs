@@ -1,5 +1,6 @@
 //! The program from end to end, on a demo capture so small that a run takes a moment.
 
+mod effects;
 mod errors;
 mod hard_cases;
 mod non_finite;
@@ -49,10 +50,11 @@ fn training_writes_the_scene_its_scores_and_its_pictures() {
     assert_eq!(files(out), ["metrics.json", "scene.ply", "views/0000.png"].map(String::from).into());
     let metrics = json(&out.join("metrics.json"));
     let expected = ["test", "splats", "culled_non_finite", "steps", "seconds", "peak_rss_mib", "device", "seed"];
-    assert_eq!(keys(&metrics), expected.into_iter().chain(["options", "version"]).collect());
+    assert_eq!(keys(&metrics), expected.into_iter().chain(["effects", "options", "version"]).collect());
     assert_eq!(metrics["culled_non_finite"], 0);
-    assert_eq!(keys(&metrics["test"]), ["psnr", "ssim", "views"].into());
-    assert_eq!(keys(&metrics["test"]["views"][0]), ["name", "psnr", "ssim"].into());
+    let scores = ["psnr", "ssim", "psnr_corrected", "ssim_corrected"];
+    assert_eq!(keys(&metrics["test"]), scores.into_iter().chain(["views"]).collect());
+    assert_eq!(keys(&metrics["test"]["views"][0]), scores.into_iter().chain(["name"]).collect());
     assert_eq!(keys(&metrics["seconds"]), ["load", "train", "eval"].into());
     assert_eq!(metrics["test"]["views"].as_array().unwrap().len(), 1);
     assert_eq!(metrics["test"]["views"][0]["name"], TEST_VIEW);

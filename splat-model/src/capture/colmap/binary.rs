@@ -7,7 +7,7 @@ use std::path::Path;
 
 use super::check::{At, Place, quoted};
 use super::model::Model;
-use super::{CameraRecord, ImageRecord, PointRecord};
+use super::{CameraRecord, ImageRecord, PointRecord, TrackElement};
 use crate::capture::CaptureError;
 
 /// Bytes of the smallest camera: id, model, width, height, three parameters.
@@ -49,8 +49,13 @@ pub(super) fn images(file: &Path, bytes: &[u8]) -> Result<Vec<ImageRecord>, Capt
         let cam_from_world = input.place().pose(quaternion, translation)?;
         let camera_id = u32::from_le_bytes(input.take("CAMERA_ID")?);
         let name = input.name()?;
-        input.skip("POINTS2D", KEYPOINT_BYTES)?;
-        Ok(ImageRecord { at: input.place().at, id, camera_id, name, cam_from_world })
+        let keypoints = input.list("POINTS2D", KEYPOINT_BYTES, |input| {
+            let [x, y] = input.numbers("POINTS2D")?;
+            // The point's id; the tracks say the same and more.
+            input.take::<8>("POINTS2D")?;
+            Ok([x as f32, y as f32])
+        })?;
+        Ok(ImageRecord { at: input.place().at, id, camera_id, name, cam_from_world, keypoints })
     })
 }
 
@@ -63,9 +68,12 @@ pub(super) fn points(file: &Path, bytes: &[u8]) -> Result<Vec<PointRecord>, Capt
         let xyz = input.numbers("X Y Z")?;
         let position = input.place().position(xyz)?;
         let colour = input.take("R G B")?;
-        input.take::<8>("ERROR")?;
-        input.skip("TRACK", TRACK_BYTES)?;
-        Ok(PointRecord { position, colour })
+        let [error_px] = input.numbers("ERROR")?;
+        let track = input.list("TRACK", TRACK_BYTES, |input| {
+            let image_id = u32::from_le_bytes(input.take("TRACK")?);
+            Ok(TrackElement { image_id, keypoint: u32::from_le_bytes(input.take("TRACK")?) })
+        })?;
+        Ok(PointRecord { position, colour, error_px, track })
     })
 }
 
@@ -134,12 +142,15 @@ impl<'a> Input<'a> {
         }
     }
 
-    /// Passes over a count and so many things of `each` bytes.
-    fn skip(&mut self, what: &'static str, each: usize) -> Result<(), CaptureError> {
+    /// A count and so many things of `each` bytes, for which there is room.
+    fn list<T>(
+        &mut self,
+        what: &'static str,
+        each: usize,
+        mut read: impl FnMut(&mut Self) -> Result<T, CaptureError>,
+    ) -> Result<Vec<T>, CaptureError> {
         let count = self.count(&format!("{what} in {}", self.place()), each)?;
-        // `count` has seen to it that so many bytes are left.
-        self.rest = &self.rest[count * each..];
-        Ok(())
+        (0..count).map(|_| read(self)).collect()
     }
 
     fn name(&mut self) -> Result<String, CaptureError> {

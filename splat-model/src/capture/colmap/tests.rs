@@ -154,6 +154,42 @@ fn without_points_the_cloud_is_empty() {
     assert_eq!((capture.views.len(), capture.points), (2, PointCloud::default()));
 }
 
+/// Image 2 is the second view by name, image 8 the first; both have two keypoints.
+#[test]
+fn tracks_lead_to_views_and_keypoints() {
+    let mut seen = point([1.0, -2.0, 3.5], [255, 0, 7], 0);
+    seen.truncate(seen.len() - 8);
+    seen.extend(5_u64.to_le_bytes());
+    // An image and a keypoint that are not there among them.
+    seen.extend([2_u32, 1, 8, 0, 3, 0, 8, 2, 2, 0].map(u32::to_le_bytes).concat());
+    let [cameras, images, _] = small_model();
+    let points = ("points3D.bin", file(&[point([0.25, 0.5, 0.75], [1, 2, 3], 0), seen]));
+    let binary = folder("sparse/0", &[cameras, images, points]);
+    let [cameras, images, _] = small_model_as_text();
+    let points = "8 0.25 0.5 0.75 1 2 3 -1\n7 1 -2 3.5 255 0 7 0.5 2 1 8 0 3 0 8 2 2 0\n";
+    let keypoints = "\n1.5 2.5 7 1.5 2.5 -1\n";
+    let images = (images.0, images.1.replace("a one.jpg\n\n", &format!("a one.jpg{keypoints}")));
+    let text = folder("sparse/0", &[cameras, images, ("points3D.txt", points.into())]);
+    for (root, unknown) in [(&binary, Some(0.5)), (&text, None)] {
+        let Capture { tracks, .. } = load(root.path()).unwrap();
+        let sight = |view| Observation { view, at_px: [1.5, 2.5] };
+        assert_eq!(tracks.of(1), [1, 0, 1].map(sight));
+        assert!(tracks.of(0).is_empty() && tracks.of(2).is_empty());
+        assert_eq!((tracks.observations(), tracks.dangling()), (3, 2));
+        assert_eq!([0, 1].map(|point| tracks.stated_error_px(point)), [unknown, Some(0.5)]);
+    }
+}
+
+#[test]
+fn tracks_that_are_no_numbers_are_refused() {
+    for (track, found) in [("2 x", "\"x\""), ("2", "missing"), ("2 -1", "\"-1\""), ("2 0 7", "missing")] {
+        let folder = folder("sparse/0", &small_model_as_text());
+        fs::write(folder.path().join("sparse/0/points3D.txt"), format!("7 1 2 3 4 5 6 0.5 {track}\n")).unwrap();
+        let message = load(folder.path()).unwrap_err().to_string();
+        assert_says(&message, &["points3D.txt", "point on line 1", "`TRACK`", found]);
+    }
+}
+
 #[test]
 fn missing_files_are_named_in_both_encodings() {
     for (kept, absent) in [(0, "images"), (1, "cameras")] {

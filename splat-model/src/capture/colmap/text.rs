@@ -4,7 +4,7 @@ use std::path::Path;
 use std::str::FromStr;
 
 use super::check::{At, Place, quoted};
-use super::{CameraRecord, ImageRecord, PointRecord};
+use super::{CameraRecord, ImageRecord, PointRecord, TrackElement};
 use crate::capture::CaptureError;
 
 /// The entries of `cameras.txt`.
@@ -38,11 +38,9 @@ pub(super) fn images(file: &Path, bytes: &[u8]) -> Result<Vec<ImageRecord>, Capt
         let camera_id = line.parse("CAMERA_ID", "a whole number")?;
         // All that is left of the line: names may hold blanks.
         let name = line.place.name(line.rest)?;
-        images.push(ImageRecord { at: line.place.at, id, camera_id, name, cam_from_world });
         // The line after an image belongs to it whatever it holds; most often it is empty where there are no keypoints.
-        if let Some(keypoints) = lines.next() {
-            check_keypoints(&keypoints)?;
-        }
+        let keypoints = lines.next().map_or(Ok(Vec::new()), keypoints)?;
+        images.push(ImageRecord { at: line.place.at, id, camera_id, name, cam_from_world, keypoints });
     }
     Ok(images)
 }
@@ -59,21 +57,36 @@ pub(super) fn points(file: &Path, bytes: &[u8]) -> Result<Vec<PointRecord>, Capt
             for (channel, field) in colour.iter_mut().zip(["R", "G", "B"]) {
                 *channel = line.parse(field, "a whole number from 0 to 255")?;
             }
-            Ok(PointRecord { position, colour })
+            // What only evidence is taken from may be missing.
+            let error_px = if line.rest.is_empty() { f64::NAN } else { line.parse("ERROR", "a number")? };
+            let mut track = Vec::new();
+            while !line.rest.is_empty() {
+                let image_id = line.parse("TRACK", "whole numbers IMAGE_ID and POINT2D_IDX in turn")?;
+                let keypoint = line.parse("TRACK", "whole numbers IMAGE_ID and POINT2D_IDX in turn")?;
+                track.push(TrackElement { image_id, keypoint });
+            }
+            Ok(PointRecord { position, colour, error_px, track })
         })
         .collect()
 }
 
-/// Keypoints are not used, but a line that cannot hold any is the next image, of a file without lines for keypoints:
-/// passing over it would lose every other photograph.
-fn check_keypoints(line: &Line) -> Result<(), CaptureError> {
+/// The keypoints of a line. One that cannot hold any is the next image, of a file without lines for keypoints: passing over
+/// it would lose every other photograph.
+fn keypoints(mut line: Line) -> Result<Vec<[f32; 2]>, CaptureError> {
     let count = line.rest.split_whitespace().count();
     let last_is_id = line.rest.split_whitespace().next_back().is_none_or(|last| last.parse::<i64>().is_ok());
-    if count.is_multiple_of(3) && last_is_id {
-        return Ok(());
+    if !(count.is_multiple_of(3) && last_is_id) {
+        let expected = "X, Y, POINT3D_ID for each keypoint, or an empty line, after the line of each image";
+        return Err(line.place.refuse("POINTS2D", format!("a line of {count} fields"), expected));
     }
-    let expected = "X, Y, POINT3D_ID for each keypoint, or an empty line, after the line of each image";
-    Err(line.place.refuse("POINTS2D", format!("a line of {count} fields"), expected))
+    let mut keypoints = Vec::with_capacity(count / 3);
+    while !line.rest.is_empty() {
+        let [x, y] = line.numbers(["POINTS2D"; 2])?;
+        // The point's id; the tracks say the same and more.
+        line.parse::<i64>("POINTS2D", "X, Y and a whole number POINT3D_ID in turn")?;
+        keypoints.push([x as f32, y as f32]);
+    }
+    Ok(keypoints)
 }
 
 fn is_entry(line: &Line) -> bool {

@@ -9,7 +9,7 @@ use splat_op::Intrinsics;
 use super::check::{At, Place};
 use super::model::Model;
 use super::{Files, assemble, binary};
-use crate::capture::{CaptureError, PointCloud, View};
+use crate::capture::{CaptureError, PointCloud, Tracks, View};
 
 /// How far a pose may be from rigid: well above the rounding of f64, well below what a picture shows.
 const RIGID_WITHIN: f64 = 1e-6;
@@ -17,8 +17,8 @@ const RIGID_WITHIN: f64 = 1e-6;
 /// Writes `cameras.bin`, `images.bin` and `points3D.bin` under `folder/sparse/0`, replacing those that are there.
 ///
 /// Positions are written as they are, relative to the capture's origin if it has one. Images have no keypoints and
-/// points empty tracks; views of equal [`Intrinsics`] share a camera. Pictures are not written; each view's is expected
-/// at `folder/images/<name>`.
+/// points empty tracks (see [`write_binary_with_tracks`]); views of equal [`Intrinsics`] share a camera. Pictures are not
+/// written; each view's is expected at `folder/images/<name>`.
 ///
 /// The files appear whole or not at all, one by one: each is written under another name first.
 ///
@@ -27,6 +27,20 @@ const RIGID_WITHIN: f64 = 1e-6;
 /// A [`CaptureError`] if a file cannot be written, or for anything that [`Capture::load`](crate::capture::Capture::load)
 /// would refuse to read; then nothing is written.
 pub fn write_binary(folder: &Path, views: &[View], points: &PointCloud) -> Result<(), CaptureError> {
+    write_binary_with_tracks(folder, views, points, &Tracks::default())
+}
+
+/// As [`write_binary`], with the points' tracks, which refer to `views` and `points` in their order.
+///
+/// # Errors
+///
+/// Those of [`write_binary`].
+pub fn write_binary_with_tracks(
+    folder: &Path,
+    views: &[View],
+    points: &PointCloud,
+    tracks: &Tracks,
+) -> Result<(), CaptureError> {
     if points.positions.len() != points.colours.len() {
         let (positions, colours) = (points.positions.len(), points.colours.len());
         return Err(CaptureError::Cloud { positions, colours });
@@ -35,8 +49,9 @@ pub fn write_binary(folder: &Path, views: &[View], points: &PointCloud) -> Resul
     let files = Files::binary(&model);
     let cameras = distinct(views);
     let camera_bytes = camera_bytes(&files.cameras, &cameras)?;
-    let image_bytes = image_bytes(&files.images, &cameras, views)?;
-    let point_bytes = point_bytes(points);
+    let (keypoints, elements) = keypoints(views.len(), points, tracks);
+    let image_bytes = image_bytes(&files.images, &cameras, views, &keypoints)?;
+    let point_bytes = point_bytes(points, tracks, &elements);
     // Read back what is about to be written, so that reader and writer cannot disagree on what is valid.
     assemble(
         folder,
@@ -78,7 +93,30 @@ fn camera_bytes(file: &Path, cameras: &[Intrinsics]) -> Result<Vec<u8>, CaptureE
     Ok(out.0)
 }
 
-fn image_bytes(file: &Path, cameras: &[Intrinsics], views: &[View]) -> Result<Vec<u8>, CaptureError> {
+/// A sight as a photograph lists it: where, and of which point.
+type Keypoint = ([f32; 2], usize);
+
+/// The keypoints of each view, and of each point the view and keypoint of its sights.
+fn keypoints(views: usize, points: &PointCloud, tracks: &Tracks) -> (Vec<Vec<Keypoint>>, Vec<Vec<[usize; 2]>>) {
+    let mut keypoints: Vec<Vec<Keypoint>> = vec![Vec::new(); views];
+    let track = |point: usize| {
+        let mut elements = Vec::new();
+        for sight in tracks.of(point).iter().filter(|sight| sight.view < views) {
+            elements.push([sight.view, keypoints[sight.view].len()]);
+            keypoints[sight.view].push((sight.at_px, point));
+        }
+        elements
+    };
+    let elements = (0..points.positions.len()).map(track).collect();
+    (keypoints, elements)
+}
+
+fn image_bytes(
+    file: &Path,
+    cameras: &[Intrinsics],
+    views: &[View],
+    keypoints: &[Vec<Keypoint>],
+) -> Result<Vec<u8>, CaptureError> {
     let mut out = Bytes::counted(views.len());
     for (i, view) in views.iter().enumerate() {
         let place = Place { file, kind: "image", at: At::Entry(i + 1) };
@@ -92,20 +130,29 @@ fn image_bytes(file: &Path, cameras: &[Intrinsics], views: &[View]) -> Result<Ve
         out.add(number_of(camera).to_le_bytes());
         out.0.extend_from_slice(name.as_bytes());
         out.add([0]);
-        out.add(0_u64.to_le_bytes());
+        out.add((keypoints[i].len() as u64).to_le_bytes());
+        for (at_px, point) in &keypoints[i] {
+            out.numbers(at_px.map(f64::from));
+            out.add((*point as u64 + 1).to_le_bytes());
+        }
     }
     Ok(out.0)
 }
 
-fn point_bytes(points: &PointCloud) -> Vec<u8> {
+fn point_bytes(points: &PointCloud, tracks: &Tracks, elements: &[Vec<[usize; 2]>]) -> Vec<u8> {
     let mut out = Bytes::counted(points.positions.len());
-    for (id, (position, colour)) in (1_u64..).zip(points.positions.iter().zip(&points.colours)) {
-        out.add(id.to_le_bytes());
+    for (point, (position, colour)) in points.positions.iter().zip(&points.colours).enumerate() {
+        out.add((point as u64 + 1).to_le_bytes());
         out.numbers(position.map(f64::from));
         out.add(*colour);
         // COLMAP's mark for an error that was never measured.
-        out.numbers([-1.0]);
-        out.add(0_u64.to_le_bytes());
+        out.numbers([tracks.stated_error_px(point).map_or(-1.0, f64::from)]);
+        out.add((elements[point].len() as u64).to_le_bytes());
+        for &[view, keypoint] in &elements[point] {
+            out.add(number_of(view).to_le_bytes());
+            // Keypoints count from zero, and no photograph has 2³² of them.
+            out.add((keypoint as u32).to_le_bytes());
+        }
     }
     out.0
 }

@@ -24,8 +24,10 @@ use thiserror::Error;
 
 use self::camera::DemoCamera;
 use self::light::LitScene;
+#[cfg(test)]
+pub(crate) use self::picture::gains;
 use self::scene::Scene;
-use super::{CaptureError, View, write_binary};
+use super::{CaptureError, View, write_binary_with_tracks};
 
 /// What the demo capture holds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -40,13 +42,21 @@ pub struct DemoOptions {
     pub points: usize,
     /// One sphere reflects its surroundings and the sun, so that its colour depends on the view.
     pub glossy: bool,
-    /// Varies the cameras and the choice of points.
+    /// Each photograph has its own exposure and white balance: a gain per channel on its light, up to
+    /// [`DemoOptions::EXPOSURE_STOPS`] either way.
+    pub exposure: bool,
+    /// Varies the cameras, the choice of points and the exposures.
     pub seed: u64,
+}
+
+impl DemoOptions {
+    /// Stops of light by which gains differ from one at most.
+    pub const EXPOSURE_STOPS: f64 = 0.75;
 }
 
 impl Default for DemoOptions {
     fn default() -> Self {
-        Self { width: 240, height: 180, views: 48, points: 6000, glossy: false, seed: 0 }
+        Self { width: 240, height: 180, views: 48, points: 6000, glossy: false, exposure: false, seed: 0 }
     }
 }
 
@@ -98,11 +108,13 @@ pub fn write(folder: &Path, options: &DemoOptions) -> Result<(), DemoError> {
     let pictures = folder.join("images");
     std::fs::create_dir_all(&pictures).map_err(|source| DemoError::Io { path: pictures.clone(), source })?;
     let views: Vec<View> = cameras.iter().enumerate().map(|(i, camera)| view(&pictures, i, camera)).collect();
-    cameras.par_iter().zip(&views).try_for_each(|(camera, view)| {
+    let gains = picture::gains(options);
+    cameras.par_iter().zip(&views).zip(gains).try_for_each(|((camera, view), gain)| {
         let path = view.image_path.clone();
-        picture::render(&scene, camera).save(&path).map_err(|source| DemoError::Picture { path, source })
+        picture::render(&scene, camera, gain).save(&path).map_err(|source| DemoError::Picture { path, source })
     })?;
-    Ok(write_binary(folder, &views, &points::sample(&scene, &cameras, options))?)
+    let (points, tracks) = points::sample(&scene, &cameras, options);
+    Ok(write_binary_with_tracks(folder, &views, &points, &tracks)?)
 }
 
 fn view(pictures: &Path, i: usize, camera: &DemoCamera) -> View {

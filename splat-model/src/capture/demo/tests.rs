@@ -3,18 +3,19 @@ use std::fs;
 use std::path::Path;
 use std::time::Instant;
 
-use glam::DVec2;
+use glam::{DVec2, DVec3};
 use tempfile::TempDir;
 
 use super::camera::{CENTRE_WORLD, DemoCamera, cameras};
 use super::geometry::Ray;
 use super::light::{LitScene, display};
 use super::picture::render;
-use super::points::{sample, sees};
+use super::points::{sample, sight};
 use super::scene::{Kind, Scene};
 use super::*;
 
-const SMALL: DemoOptions = DemoOptions { width: 64, height: 48, views: 6, points: 200, glossy: false, seed: 0 };
+const SMALL: DemoOptions =
+    DemoOptions { width: 64, height: 48, views: 6, points: 200, glossy: false, exposure: false, seed: 0 };
 
 fn lit(glossy: bool) -> LitScene {
     LitScene::new(Scene::still_life(glossy))
@@ -125,10 +126,11 @@ fn grid(camera: &DemoCamera) -> Vec<Ray> {
 fn every_point_is_seen_by_two_cameras() {
     let scene = lit(false);
     let cameras = cameras(&SMALL);
-    let cloud = sample(&scene, &cameras, &SMALL);
+    let (cloud, tracks) = sample(&scene, &cameras, &SMALL);
     assert_eq!(cloud.positions.len(), 200);
     assert_eq!(cloud.colours.len(), 200);
-    for position in &cloud.positions {
+    for (point, position) in cloud.positions.iter().enumerate() {
+        assert!(tracks.of(point).len() >= 2);
         let position = glam::Vec3::from(*position).as_dvec3();
         // Stored as f32: the ray that looks for it may pass a surface at a distance that differs by rounding.
         let seen = cameras.iter().filter(|camera| {
@@ -150,8 +152,7 @@ fn matte_light_does_not_depend_on_the_view() {
         let point = scene.scene.hit(&ray).unwrap();
         let here = display(scene.along(&ray));
         for other in &cameras[1..] {
-            if sees(&scene, other, point.position_world) {
-                let at_px = other.project(point.position_world).unwrap();
+            if let Some(at_px) = sight(&scene, other, point.position_world) {
                 let there = display(scene.along(&other.ray_through(at_px)));
                 assert!((here - there).abs().max_element() <= 0.5 / 255.0, "{point:?}: {here} {there}");
                 compared += 1;
@@ -188,8 +189,10 @@ fn gloss_depends_on_the_view() {
     for ray in grid(&cameras[2]) {
         let point = scene.scene.hit(&ray).unwrap();
         for other in &cameras {
-            if scene.scene.objects[point.object].kind == Kind::Glossy && sees(&scene, other, point.position_world) {
-                let at_px = other.project(point.position_world).unwrap();
+            if scene.scene.objects[point.object].kind != Kind::Glossy {
+                continue;
+            }
+            if let Some(at_px) = sight(&scene, other, point.position_world) {
                 let there = display(scene.along(&other.ray_through(at_px)));
                 largest = largest.max((display(scene.along(&ray)) - there).length());
             }
@@ -200,7 +203,7 @@ fn gloss_depends_on_the_view() {
 
 #[test]
 fn the_picture_is_not_flat_and_not_clipped() {
-    let picture = render(&lit(false), &cameras(&SMALL)[0]);
+    let picture = render(&lit(false), &cameras(&SMALL)[0], DVec3::ONE);
     let clipped = picture.pixels().filter(|pixel| pixel.0.contains(&255) || pixel.0 == [0; 3]).count();
     assert!(clipped * 100 <= picture.pixels().len(), "{clipped} pixels");
     let distinct: std::collections::BTreeSet<[u8; 3]> = picture.pixels().map(|pixel| pixel.0.map(|c| c / 16)).collect();

@@ -1,0 +1,79 @@
+//! Tracks: which photographs a sparse point was found in, and where.
+
+/// One sight of a point.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Observation {
+    /// Index into [`Capture::views`](super::Capture::views).
+    pub view: usize,
+    /// Where in the picture, px at the size of the file; finite.
+    pub at_px: [f32; 2],
+}
+
+/// What a reconstruction says of each point besides its place and colour, in the order of the point cloud.
+///
+/// They are evidence and nothing depends on their being complete: an element that names a photograph or keypoint which
+/// the model does not have is left out and counted.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Tracks {
+    observations: Vec<Observation>,
+    /// Where each point's observations end.
+    ends: Vec<usize>,
+    stated_errors_px: Vec<Option<f32>>,
+    dangling: usize,
+}
+
+impl Tracks {
+    /// Adds the next point: its sights, `None` for each that leads nowhere, and the error that the file states, px.
+    pub(crate) fn push(&mut self, sights: impl IntoIterator<Item = Option<Observation>>, stated_error_px: f64) {
+        for sight in sights {
+            match sight.filter(|sight| sight.at_px.iter().all(|px| px.is_finite())) {
+                Some(sight) => self.observations.push(sight),
+                None => self.dangling += 1,
+            }
+        }
+        self.ends.push(self.observations.len());
+        // COLMAP writes −1 for an error that it never measured.
+        let measured = stated_error_px.is_finite() && stated_error_px >= 0.0;
+        self.stated_errors_px.push(measured.then_some(stated_error_px as f32));
+    }
+
+    /// The sights of a point of the cloud; none for a point that there is not.
+    pub fn of(&self, point: usize) -> &[Observation] {
+        let Some(&end) = self.ends.get(point) else { return &[] };
+        let start = if point == 0 { 0 } else { self.ends[point - 1] };
+        &self.observations[start..end]
+    }
+
+    /// The mean reprojection error that the file states for a point, px.
+    pub fn stated_error_px(&self, point: usize) -> Option<f32> {
+        self.stated_errors_px.get(point).copied().flatten()
+    }
+
+    /// All sights of all points.
+    pub fn observations(&self) -> usize {
+        self.observations.len()
+    }
+
+    /// How many elements named a photograph or keypoint that the model does not have.
+    pub fn dangling(&self) -> usize {
+        self.dangling
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_point_has_its_own_sights() {
+        let sight = |view, x| Some(Observation { view, at_px: [x, 2.0] });
+        let mut tracks = Tracks::default();
+        tracks.push([sight(0, 1.0), None, sight(3, 4.0)], 0.5);
+        tracks.push([], -1.0);
+        tracks.push([sight(1, f32::NAN), sight(2, 9.0)], f64::NAN);
+        let views = |point| tracks.of(point).iter().map(|sight| sight.view).collect::<Vec<_>>();
+        assert_eq!([views(0), views(1), views(2), views(3)], [vec![0, 3], vec![], vec![2], vec![]]);
+        assert_eq!((tracks.observations(), tracks.dangling()), (3, 2));
+        assert_eq!([0, 1, 2, 3].map(|point| tracks.stated_error_px(point)), [Some(0.5), None, None, None]);
+    }
+}

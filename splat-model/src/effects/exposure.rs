@@ -1,0 +1,240 @@
+//! Exposure and white balance of each photograph: an affine map of colours, learnt beside the scene.
+//!
+//! A photograph shows `A c + b` where the scene is of colour `c`, with `A` `[3, 3]` and `b` `[3]` of its own, which begin as
+//! the identity: affine maps as in Rematas et al. 2022 ("Urban Radiance Fields", section 3.3) and, per image and trained
+//! with Adam, as in the original 3D Gaussian splatting code (`exposure_compensation`). The scene's colours and all maps
+//! could change together and no photograph would tell, and would: maps learn faster than colours. So the mean of the maps is
+//! set back to the identity once for each photograph in the run; without it a render without any map loses up to 5 dB. A
+//! weak pull of each map towards the identity keeps those in bounds that little is known of.
+//!
+//! Each map has its own moments and counts its own steps: a step sees one photograph, and what Adam does about a gradient
+//! of zero is not nothing.
+
+use burn::tensor::{Device, Int, Tensor};
+use serde::{Deserialize, Serialize};
+
+use crate::optim::{Adam, Moments};
+
+/// How maps are learnt.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ExposureConfig {
+    /// Learning rate at the first step: 0.01, as the original code has it.
+    pub rate: f64,
+    /// Learning rate at the last step: 0.001. In between it falls by the same share at every step.
+    pub final_rate: f64,
+    /// Weight of `Σ (A − I)² + Σ b²` in the loss: 0.01. For the half of a stop that photographs differ by it is a hundredth
+    /// of what the difference itself costs.
+    pub weight: f64,
+}
+
+impl Default for ExposureConfig {
+    fn default() -> Self {
+        Self { rate: 0.01, final_rate: 0.001, weight: 0.01 }
+    }
+}
+
+impl ExposureConfig {
+    /// The learning rate at `step`, counted from 1, of a run of `steps`.
+    pub fn rate_at(&self, step: usize, steps: usize) -> f64 {
+        let share = (step - 1) as f64 / steps.saturating_sub(1).max(1) as f64;
+        self.rate * (self.final_rate / self.rate).powf(share.min(1.0))
+    }
+}
+
+/// One photograph's map.
+struct Map {
+    /// `[3, 4]`: `A` and, in the last column, `b`; tracked.
+    affine: Tensor<2>,
+    moments: Moments<2>,
+    /// Steps that its photograph was trained on.
+    steps: usize,
+}
+
+/// The maps of all photographs of a run.
+pub struct Exposure {
+    config: ExposureConfig,
+    maps: Vec<Map>,
+    /// `[3, 4]`
+    identity: Tensor<2>,
+    /// Steps of all maps since their mean was last set back.
+    since_centred: usize,
+}
+
+impl Exposure {
+    /// Identities, for so many photographs, on `device`.
+    pub fn new(config: ExposureConfig, views: usize, device: &Device) -> Self {
+        let identity = Tensor::<2>::eye(3, device);
+        let identity = Tensor::cat(vec![identity, Tensor::zeros([3, 1], device)], 1);
+        let map = |_| {
+            let affine = Tensor::from_inner(identity.clone()).require_grad();
+            Map { moments: Moments::new(&affine), affine, steps: 0 }
+        };
+        Self { config, maps: (0..views).map(map).collect(), identity, since_centred: 0 }
+    }
+
+    /// What the photograph `view` shows of a render, both `[H, W, 3]`. Not clamped: beyond 0 and 1 the gradient leads back.
+    pub fn apply(&self, image: Tensor<3>, view: usize) -> Tensor<3> {
+        apply(image, self.maps[view].affine.clone())
+    }
+
+    /// What is added to the loss of a step on `view`, `[1]`.
+    pub fn penalty(&self, view: usize) -> Tensor<1> {
+        let difference = self.maps[view].affine.clone() - Tensor::from_inner(self.identity.clone());
+        difference.square().sum() * self.config.weight
+    }
+
+    /// Takes the gradient of a view's map out of those of a loss.
+    pub fn take_gradient(&self, view: usize, gradients: &mut burn::tensor::Gradients) -> Option<Tensor<2>> {
+        self.maps[view].affine.grad_remove(gradients)
+    }
+
+    /// Adam's step `step` of `steps`, counted from 1, on the map of `view`; nothing changes where a step is entered in the
+    /// verdict, `[2]` (see [`splat_op::adam`]). The gradient is finite where the loss is: it is the sum of the render's
+    /// values times derivatives of the loss, which are bounded.
+    pub fn step(
+        &mut self,
+        view: usize,
+        gradient: Tensor<2>,
+        (step, steps): (usize, usize),
+        verdict: Option<&Tensor<1, Int>>,
+    ) {
+        let map = &mut self.maps[view];
+        map.steps += 1;
+        let rate = self.config.rate_at(step, steps);
+        let values = map.affine.clone().inner();
+        let values = Adam::default().step_unless(values, gradient, rate, &mut map.moments, (map.steps, verdict));
+        map.affine = Tensor::from_inner(values).require_grad();
+        self.since_centred += 1;
+        if self.since_centred >= self.maps.len() {
+            self.since_centred = 0;
+            self.centre();
+        }
+    }
+
+    /// Moves all maps alike, so that their mean is the identity.
+    fn centre(&mut self) {
+        let all: Vec<Tensor<2>> = (0..self.maps.len()).map(|view| self.affine(view)).collect();
+        let excess = Tensor::stack::<3>(all, 0).mean_dim(0).squeeze_dim::<2>(0) - self.identity.clone();
+        for map in &mut self.maps {
+            map.affine = Tensor::from_inner(map.affine.clone().inner() - excess.clone()).require_grad();
+        }
+    }
+
+    /// The map of `view`, `[3, 4]`, without autodiff.
+    pub fn affine(&self, view: usize) -> Tensor<2> {
+        self.maps[view].affine.clone().inner()
+    }
+
+    /// Bytes of the maps and their moments.
+    pub fn bytes(&self) -> usize {
+        3 * 12 * size_of::<f32>() * self.maps.len()
+    }
+}
+
+/// `A c + b` for every pixel of `image`, `[H, W, 3]`, with `affine` `[3, 4]`; differentiable in both.
+pub fn apply(image: Tensor<3>, affine: Tensor<2>) -> Tensor<3> {
+    let [height, width, channels] = image.dims();
+    // A render is a permuted view of planes, so this gives its storage back without a copy.
+    let pixels = image.permute([2, 0, 1]).reshape([channels, height * width]);
+    let shown = affine.clone().narrow(1, 0, 3).matmul(pixels) + affine.narrow(1, 3, 1);
+    shown.reshape([channels, height, width]).permute([1, 2, 0])
+}
+
+#[cfg(test)]
+mod tests {
+    use burn::tensor::{Distribution, TensorData};
+
+    use super::*;
+    use crate::gaussians::values_of;
+
+    fn picture(device: &Device) -> Tensor<3> {
+        Tensor::random([7, 5, 3], Distribution::Uniform(0.0, 1.0), device)
+    }
+
+    /// Gains and offsets that a photograph might have.
+    const AFFINE: [[f32; 4]; 3] = [[1.2, 0.05, 0.0, 0.02], [0.0, 0.9, -0.03, 0.0], [0.1, 0.0, 0.7, -0.01]];
+
+    #[test]
+    fn the_map_is_affine_in_the_colour() {
+        let device = Device::flex();
+        let image = picture(&device);
+        let shown = values_of(apply(image.clone(), Tensor::from_floats(AFFINE, &device)));
+        for (before, after) in values_of(image).chunks_exact(3).zip(shown.chunks_exact(3)) {
+            for (row, after) in AFFINE.iter().zip(after) {
+                let expected = row[0] * before[0] + row[1] * before[1] + row[2] * before[2] + row[3];
+                assert!((expected - after).abs() < 1e-6, "{after} instead of {expected}");
+            }
+        }
+    }
+
+    #[test]
+    fn identities_change_nothing_and_cost_nothing() {
+        let device = Device::flex();
+        let exposure = Exposure::new(ExposureConfig::default(), 2, &device);
+        let image = picture(&device);
+        let shown = exposure.apply(Tensor::from_inner(image.clone()), 1).inner();
+        assert_eq!(values_of(shown), values_of(image));
+        assert_eq!(exposure.penalty(0).into_scalar::<f32>(), 0.0);
+    }
+
+    /// Two photographs of opposite exposures, and the mean of their maps.
+    #[test]
+    fn the_maps_of_photographs_are_found_around_the_identity() {
+        let device = Device::flex();
+        let mut exposure = Exposure::new(ExposureConfig { weight: 0.0, ..ExposureConfig::default() }, 2, &device);
+        let image = picture(&device);
+        let identity = exposure.identity.clone();
+        let first = Tensor::<2>::from_floats(AFFINE, &device);
+        let maps = [first.clone(), identity.clone() * 2.0 - first];
+        let truths = maps.clone().map(|map| apply(image.clone(), map));
+        let tracked = Tensor::from_inner(image);
+        let steps = 1200;
+        for step in 1..=steps {
+            let view = step % 2;
+            let shown = exposure.apply(tracked.clone(), view);
+            let loss = (shown - Tensor::from_inner(truths[view].clone())).square().mean() + exposure.penalty(view);
+            let gradient = exposure.take_gradient(view, &mut loss.backward()).unwrap();
+            exposure.step(view, gradient, (step, steps), None);
+        }
+        let error = |found: Tensor<2>, expected: Tensor<2>| (found - expected).abs().max().into_scalar::<f32>();
+        for (view, map) in maps.into_iter().enumerate() {
+            assert!(error(exposure.affine(view), map) < 0.01, "{}", exposure.affine(view));
+        }
+        let mean = (exposure.affine(0) + exposure.affine(1)) / 2.0;
+        assert!(error(mean, identity) < 1e-6);
+    }
+
+    /// What all photographs agree on is the scene's.
+    #[test]
+    fn maps_that_move_together_are_set_back() {
+        let device = Device::flex();
+        let mut exposure = Exposure::new(ExposureConfig::default(), 3, &device);
+        for step in 1..=3 {
+            exposure.step(step - 1, Tensor::ones([3, 4], &device), (step, 10), None);
+        }
+        for view in 0..3 {
+            let strayed = (exposure.affine(view) - exposure.identity.clone()).abs().max().into_scalar::<f32>();
+            assert!(strayed < 0.005, "{strayed}: a step is 0.01 to 0.006 long");
+        }
+    }
+
+    #[test]
+    fn a_verdict_holds_a_map_back() {
+        let device = Device::flex();
+        let mut exposure = Exposure::new(ExposureConfig::default(), 2, &device);
+        let verdict = Tensor::<1, Int>::from_data(TensorData::from([4, 1]), &device);
+        exposure.step(0, Tensor::ones([3, 4], &device), (5, 10), Some(&verdict));
+        assert_eq!(values_of(exposure.affine(0)), values_of(exposure.identity.clone()));
+    }
+
+    #[test]
+    fn rates_fall_from_the_first_to_the_last_step() {
+        let config = ExposureConfig::default();
+        let rates = [1, 51, 101, 200].map(|step| config.rate_at(step, 101));
+        for (rate, expected) in rates.into_iter().zip([0.01, 0.01 / 10.0_f64.sqrt(), 0.001, 0.001]) {
+            assert!((rate - expected).abs() < 1e-12, "{rate}");
+        }
+        assert_eq!(config.rate_at(1, 1), 0.01);
+    }
+}

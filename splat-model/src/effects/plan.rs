@@ -1,0 +1,288 @@
+//! Which effects are simulated, decided from a [`Survey`] by stated thresholds.
+//!
+//! `docs/EFFECTS.md` says where the thresholds come from: figures of captures that show an effect and of such that do not.
+
+use serde::Serialize;
+
+use super::Effect;
+use super::survey::{SightSource, Survey, ViewDependenceEvidence};
+
+/// Brightness or white balance differ by this many stops of stored values.
+pub const EXPOSURE_STOPS: f64 = 0.1;
+
+/// The twentieth part of the points that is seen at the most different sizes is seen at sizes this many times apart.
+pub const FOOTPRINT_RATIO: f64 = 8.0;
+
+/// A lens that moves a place by so many pixels blurs a render without it.
+pub const LENS_PX: f64 = 0.5;
+
+/// Poses that miss by more than this on average blur a scene.
+pub const POSE_PX: f64 = 1.0;
+
+/// Share of points so far away that the cameras see no parallax.
+pub const FAR_SHARE: f64 = 0.1;
+
+/// The least sharp twentieth of the pictures by the median.
+pub const BLUR_RATIO: f64 = 0.7;
+
+/// What is done about one kind of evidence.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Verdict {
+    /// Simulated.
+    On,
+    /// Not called for.
+    Off,
+    /// Set by an option of its own, whatever the capture shows.
+    AsConfigured,
+    /// Called for, but no part of this program yet.
+    NotSimulatedYet,
+}
+
+/// What simulating an effect is expected to take on top of a step without it, on two CPU cores (see `docs/EFFECTS.md`).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Cost {
+    /// Time of a step, ms.
+    pub ms_per_step: f64,
+    /// Memory, MiB.
+    pub mib: f64,
+}
+
+/// One effect, or one thing that is not simulated.
+#[derive(Clone, Debug, Serialize)]
+pub struct Decision {
+    /// What it is about: an [`Effect`]'s name, or another's.
+    pub name: &'static str,
+    /// The effect that is switched; none for what is not simulated.
+    #[serde(skip)]
+    pub effect: Option<Effect>,
+    /// What is done.
+    pub verdict: Verdict,
+    /// What was found, in words.
+    pub evidence: String,
+    /// When it is on.
+    pub rule: String,
+    /// What being on takes.
+    pub predicted: Option<Cost>,
+}
+
+/// A decision for each effect, and a remark on each that is not simulated.
+#[derive(Clone, Debug, Serialize)]
+pub struct Plan {
+    /// Effects first.
+    pub decisions: Vec<Decision>,
+}
+
+impl Plan {
+    /// Whether an effect is on.
+    pub fn has(&self, effect: Effect) -> bool {
+        self.decisions.iter().any(|decision| decision.effect == Some(effect) && decision.verdict == Verdict::On)
+    }
+
+    /// The effects that are on.
+    pub fn effects(&self) -> Vec<Effect> {
+        Effect::ALL.into_iter().filter(|&effect| self.has(effect)).collect()
+    }
+}
+
+impl From<&Survey> for Plan {
+    fn from(survey: &Survey) -> Self {
+        let decisions = vec![
+            view_dependence(survey),
+            antialias(survey),
+            alpha(survey),
+            exposure(survey),
+            masks(survey),
+            lens(survey),
+            pose(survey),
+            background(survey),
+            blur(survey),
+            depth_maps(survey),
+        ];
+        Self { decisions }
+    }
+}
+
+/// Times per step and megapixel, ms: measured, see `docs/EFFECTS.md`.
+const EXPOSURE_MS_PER_MEGAPIXEL: f64 = 30.0;
+const MASKS_MS_PER_MEGAPIXEL: f64 = 10.0;
+
+const MIB: f64 = (1 << 20) as f64;
+
+fn decide(effect: Effect, on: bool, evidence: String, rule: String, cost: Option<Cost>) -> Decision {
+    let verdict = if on { Verdict::On } else { Verdict::Off };
+    Decision { name: effect.name(), effect: Some(effect), verdict, evidence, rule, predicted: cost }
+}
+
+fn remark(name: &'static str, called_for: bool, evidence: String, rule: String) -> Decision {
+    let verdict = if called_for { Verdict::NotSimulatedYet } else { Verdict::Off };
+    Decision { name, effect: None, verdict, evidence, rule, predicted: None }
+}
+
+fn percent(share: f64) -> String {
+    format!("{:.1}%", 100.0 * share)
+}
+
+/// Not switched: what can be measured on sparse points does not tell a matte scene from one with a mirror in it, and leaving
+/// the harmonics out of a scene that needs them costs more than having them (`docs/EFFECTS.md`).
+fn view_dependence(survey: &Survey) -> Decision {
+    let evidence = match &survey.view_dependence {
+        None => "not known: no point could be compared".into(),
+        Some(found) => format!(
+            "{} of {} points stray by more than {} of 1 in a third of their photographs, after exposure is removed",
+            percent(found.visible_share),
+            found.points,
+            ViewDependenceEvidence::VISIBLE
+        ),
+    };
+    let rule = "as `--sh-degree` says: no evidence from sparse points is clear enough to leave it out".into();
+    let (effect, predicted) = (None, None);
+    Decision { name: "view-dependence", effect, verdict: Verdict::AsConfigured, evidence, rule, predicted }
+}
+
+fn antialias(survey: &Survey) -> Decision {
+    let rule = format!("on where a twentieth of the points is seen at sizes more than {FOOTPRINT_RATIO} times apart");
+    let (on, evidence) = match &survey.footprint {
+        None => (false, "not known: no point is in several photographs".into()),
+        Some(found) => (
+            found.largest_ratio > FOOTPRINT_RATIO,
+            format!(
+                "the same point is seen at sizes {:.1} times apart (median), {:.1} times for a twentieth",
+                found.median_ratio, found.largest_ratio
+            ),
+        ),
+    };
+    decide(Effect::Antialias, on, evidence, rule, Some(Cost::default()))
+}
+
+fn alpha(survey: &Survey) -> Decision {
+    let with = survey.files.with_alpha;
+    let evidence = match with {
+        0 => "every photograph is opaque".into(),
+        _ => format!("{with} of {} photographs have transparent parts", survey.views_surveyed),
+    };
+    let rule = "on where a photograph has an alpha channel that is not opaque".into();
+    decide(Effect::Alpha, with > 0, evidence, rule, Some(Cost::default()))
+}
+
+fn exposure(survey: &Survey) -> Decision {
+    let rule = format!("on where brightness or white balance differ by more than {EXPOSURE_STOPS} stops");
+    let (on, evidence) = match &survey.exposure {
+        None => (false, "not known: too few points are in several photographs".into()),
+        Some(found) => {
+            let largest = found.brightness_spread_stops.max(found.white_balance_spread_stops);
+            let evidence = format!(
+                "photographs differ by {:.3} stops of stored values in brightness, {:.3} in white balance (deviation)",
+                found.brightness_spread_stops, found.white_balance_spread_stops
+            );
+            (largest > EXPOSURE_STOPS, evidence)
+        }
+    };
+    // Parameters, two moments and a gradient of twelve numbers for each photograph.
+    let mib = survey.views as f64 * 4.0 * 12.0 * 4.0 / MIB;
+    let cost = Cost { ms_per_step: EXPOSURE_MS_PER_MEGAPIXEL * survey.pixels_per_view / 1e6, mib };
+    decide(Effect::Exposure, on, evidence, rule, Some(cost))
+}
+
+fn masks(survey: &Survey) -> Decision {
+    let files = &survey.files;
+    let evidence = match files.with_mask {
+        0 => "no folder `masks` or `mask` with a file for a photograph".into(),
+        with => format!(
+            "{with} of {} photographs have a mask; they exclude {} of their pixels",
+            survey.views,
+            percent(files.masked_share)
+        ),
+    };
+    let rule = "on where a mask excludes a pixel".into();
+    let mib = files.with_mask as f64 * survey.pixels_per_view / MIB;
+    let cost = Cost { ms_per_step: MASKS_MS_PER_MEGAPIXEL * survey.pixels_per_view / 1e6, mib };
+    decide(Effect::Masks, files.masked_share > 0.0, evidence, rule, Some(cost))
+}
+
+fn lens(survey: &Survey) -> Decision {
+    let lens = &survey.lens;
+    let evidence = match lens.largest_displacement_px {
+        Some(px) => format!("{}: the lens moves no place by more than {px:.1} px", lens.models.join(", ")),
+        None => format!("{}: how far the lens moves a place is not known", lens.models.join(", ")),
+    };
+    let rule = format!("called for where a lens moves a place by more than {LENS_PX} px");
+    remark("lens-distortion", lens.largest_displacement_px.is_some_and(|px| px > LENS_PX), evidence, rule)
+}
+
+fn pose(survey: &Survey) -> Decision {
+    let rule = format!("called for where the mean reprojection error exceeds {POSE_PX} px");
+    match &survey.pose {
+        None => remark("pose-refinement", false, "reprojection error not known".into(), rule),
+        Some(pose) => {
+            let evidence = format!(
+                "mean reprojection error {:.2} px, a twentieth above {:.2} px ({})",
+                pose.mean_px,
+                pose.largest_px,
+                match pose.source {
+                    super::survey::PoseSource::Tracks => "measured on the tracks",
+                    super::survey::PoseSource::Stated => "as the reconstruction states",
+                }
+            );
+            remark("pose-refinement", pose.mean_px > POSE_PX, evidence, rule)
+        }
+    }
+}
+
+fn background(survey: &Survey) -> Decision {
+    let rule = format!("called for where more than {} of the points are so far away", percent(FAR_SHARE));
+    match &survey.depth {
+        None => remark("far-background", false, "not known: no points".into(), rule),
+        Some(depth) => {
+            let evidence = format!(
+                "depths from {:.2} to {:.2} (median {:.2}) scene units; {} of the points lie beyond {} extents of the cameras",
+                depth.nearest,
+                depth.furthest,
+                depth.median,
+                percent(depth.far_share),
+                super::survey::DepthEvidence::FAR_EXTENTS
+            );
+            remark("far-background", depth.far_share > FAR_SHARE, evidence, rule)
+        }
+    }
+}
+
+fn blur(survey: &Survey) -> Decision {
+    let rule = format!("called for where the least sharp twentieth has less than {BLUR_RATIO} of the median");
+    let blur = &survey.blur;
+    match (blur.median, blur.least) {
+        (Some(median), Some(least)) => {
+            let name = blur.least_sharp.as_deref().unwrap_or_default();
+            let evidence = format!(
+                "sharpness {median:.2} (median), {least:.2} for the least sharp twentieth, first of all {name:?}"
+            );
+            remark("motion-blur", least < BLUR_RATIO * median, evidence, rule)
+        }
+        _ => remark("motion-blur", false, "not known: the pictures show nothing".into(), rule),
+    }
+}
+
+fn depth_maps(survey: &Survey) -> Decision {
+    let rule = "called for where there is a folder of depth maps".into();
+    let evidence = match &survey.files.depth_maps {
+        None => "no depth maps".into(),
+        Some(folder) => format!("there are depth maps in {folder:?}"),
+    };
+    remark("depth-supervision", survey.files.depth_maps.is_some(), evidence, rule)
+}
+
+/// How the photographs were compared, in words.
+pub fn source(survey: &Survey) -> String {
+    match survey.source {
+        SightSource::None => "no sparse points: photographs cannot be compared".into(),
+        SightSource::Tracks => format!(
+            "{} points compared through {} sights that the reconstruction lists",
+            survey.points_compared, survey.sights_compared
+        ),
+        SightSource::Projection => format!(
+            "no tracks: {} points projected into the photographs, {} sights that nothing seems to hide; some are wrong, which \
+             medians bear",
+            survey.points_compared, survey.sights_compared
+        ),
+    }
+}

@@ -1,0 +1,40 @@
+//! How far away things are.
+
+use glam::{DVec3, Vec3};
+use serde::Serialize;
+
+use super::sights::Sights;
+use super::{Capture, quantile};
+use crate::optim::scene_extent;
+
+/// Depths of the points in the photographs that show them, scene units.
+#[derive(Clone, Debug, Serialize)]
+pub struct DepthEvidence {
+    /// A hundredth is nearer.
+    pub nearest: f64,
+    /// Half are nearer.
+    pub median: f64,
+    /// A hundredth is further away.
+    pub furthest: f64,
+    /// Share of the points further from the middle of the cameras than [`DepthEvidence::FAR_EXTENTS`] times their extent.
+    pub far_share: f64,
+}
+
+impl DepthEvidence {
+    /// Beyond so many extents of the cameras no two of them see a point in very different directions.
+    pub const FAR_EXTENTS: f64 = 10.0;
+}
+
+pub(super) fn evidence(capture: &Capture, sights: &Sights) -> Option<DepthEvidence> {
+    let mut depths: Vec<f64> = sights.points.iter().flatten().map(|sight| sight.depth).collect();
+    let centres: Vec<DVec3> = capture.views.iter().map(|view| view.cam_from_world.inverse().translation).collect();
+    let middle = centres.iter().sum::<DVec3>() / centres.len().max(1) as f64;
+    let far = DepthEvidence::FAR_EXTENTS * scene_extent(&centres);
+    let is_far = |&&point: &&usize| Vec3::from_array(capture.points.positions[point]).as_dvec3().distance(middle) > far;
+    Some(DepthEvidence {
+        nearest: quantile(&mut depths, 0.01)?,
+        median: quantile(&mut depths, 0.5)?,
+        furthest: quantile(&mut depths, 0.99)?,
+        far_share: sights.indices.iter().filter(is_far).count() as f64 / sights.indices.len().max(1) as f64,
+    })
+}

@@ -1,0 +1,74 @@
+//! What has to be read from the pictures: colours at the places that are compared, sharpness, alpha.
+
+use rayon::prelude::*;
+
+use super::sights::{Sample, Sights};
+use crate::capture::image::load;
+use crate::capture::{Capture, CaptureError, Photo};
+
+/// What one picture shows.
+pub(super) struct Glance {
+    /// See [`super::BlurEvidence`]; none for a picture of one colour.
+    pub sharpness: Option<f64>,
+    /// Share of the picture that is not opaque.
+    pub transparent: f64,
+}
+
+/// Decodes each picture once, fills in the samples, and keeps nothing else of it.
+pub(super) fn look(capture: &Capture, surveyed: &[usize], sights: &mut Sights) -> Result<Vec<Glance>, CaptureError> {
+    let mut places: Vec<Vec<(usize, usize)>> = vec![Vec::new(); capture.views.len()];
+    for (point, seen) in sights.points.iter().enumerate() {
+        for (i, sight) in seen.iter().enumerate() {
+            places[sight.view].push((point, i));
+        }
+    }
+    let one = |&view: &usize| {
+        let photo = load(&capture.views[view], None)?;
+        let sample = |&(point, i): &(usize, usize)| sample(&photo, sights.points[point][i].at_px);
+        let samples: Vec<Option<Sample>> = places[view].iter().map(sample).collect();
+        let glance = Glance { sharpness: super::blur::sharpness(&photo), transparent: transparent(&photo) };
+        Ok((glance, samples))
+    };
+    let seen: Vec<(Glance, Vec<Option<Sample>>)> = surveyed.par_iter().map(one).collect::<Result<_, CaptureError>>()?;
+    let mut glances = Vec::with_capacity(surveyed.len());
+    for (&view, (glance, samples)) in surveyed.iter().zip(seen) {
+        for (&(point, i), sample) in places[view].iter().zip(samples) {
+            sights.points[point][i].sample = sample;
+        }
+        glances.push(glance);
+    }
+    Ok(glances)
+}
+
+/// None within two pixels of the border, and where the picture is not opaque.
+fn sample(photo: &Photo, at_px: [f64; 2]) -> Option<Sample> {
+    let (width, height) = (photo.intrinsics.width, photo.intrinsics.height);
+    // Compared before it is converted: a damaged file may place a keypoint anywhere.
+    let inside = |px: f64, side: usize| px >= 2.0 && px < side as f64 - 2.0;
+    if !(inside(at_px[0], width) && inside(at_px[1], height)) {
+        return None;
+    }
+    let [x, y] = at_px.map(|px| px as usize);
+    let mut sample = Sample { mean: [0.0; 3], low: [1.0; 3], high: [0.0; 3] };
+    for row in y - 2..=y + 2 {
+        for column in x - 2..=x + 2 {
+            let at = row * width + column;
+            if photo.alpha.as_ref().is_some_and(|alpha| alpha[at] != u8::MAX) {
+                return None;
+            }
+            let inner = row.abs_diff(y) <= 1 && column.abs_diff(x) <= 1;
+            for channel in 0..3 {
+                let value = f32::from(photo.rgb[3 * at + channel]) / 255.0;
+                sample.low[channel] = sample.low[channel].min(value);
+                sample.high[channel] = sample.high[channel].max(value);
+                sample.mean[channel] += if inner { value / 9.0 } else { 0.0 };
+            }
+        }
+    }
+    Some(sample)
+}
+
+fn transparent(photo: &Photo) -> f64 {
+    let Some(alpha) = &photo.alpha else { return 0.0 };
+    alpha.iter().filter(|&&alpha| alpha != u8::MAX).count() as f64 / alpha.len().max(1) as f64
+}

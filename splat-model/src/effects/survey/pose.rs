@@ -1,0 +1,51 @@
+//! How well the poses explain where points were found.
+
+use glam::Vec3;
+use serde::Serialize;
+
+use super::{Capture, quantile};
+
+/// Where reprojection errors come from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum PoseSource {
+    /// Measured: points of the tracks against keypoints.
+    Tracks,
+    /// As the points' ERROR field states, at the size of picture that the reconstruction was made at.
+    Stated,
+}
+
+/// Distances between where a point was found and where it is projected, px.
+#[derive(Clone, Debug, Serialize)]
+pub struct PoseEvidence {
+    /// How they are known.
+    pub source: PoseSource,
+    /// Their mean.
+    pub mean_px: f64,
+    /// Exceeded by a twentieth of them.
+    pub largest_px: f64,
+}
+
+pub(super) fn evidence(capture: &Capture) -> Option<PoseEvidence> {
+    let count = capture.points.positions.len();
+    let measured = (0..count).flat_map(|point| {
+        let world = Vec3::from_array(capture.points.positions[point]).as_dvec3();
+        capture.tracks.of(point).iter().filter_map(move |sight| {
+            let view = &capture.views[sight.view];
+            let camera = &view.intrinsics;
+            let cam = view.cam_from_world.transform_point3(world);
+            let found = sight.at_px.map(f64::from);
+            let off =
+                [camera.fx * cam.x / cam.z + camera.cx - found[0], camera.fy * cam.y / cam.z + camera.cy - found[1]];
+            (cam.z > 0.0).then(|| off[0].hypot(off[1]))
+        })
+    });
+    let mut errors: Vec<f64> = measured.filter(|error| error.is_finite()).collect();
+    let mut source = PoseSource::Tracks;
+    if errors.is_empty() {
+        source = PoseSource::Stated;
+        errors = (0..count).filter_map(|point| capture.tracks.stated_error_px(point).map(f64::from)).collect();
+    }
+    let mean_px = errors.iter().sum::<f64>() / errors.len().max(1) as f64;
+    Some(PoseEvidence { source, mean_px, largest_px: quantile(&mut errors, 0.95)? })
+}

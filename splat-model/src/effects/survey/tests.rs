@@ -1,0 +1,148 @@
+//! On demo captures, of which everything is known.
+
+use tempfile::TempDir;
+
+use super::*;
+use crate::capture::demo::{self, DemoOptions};
+use crate::capture::testing::real_capture;
+use crate::effects::{Effect, Plan};
+
+const SMALL: DemoOptions =
+    DemoOptions { width: 128, height: 96, views: 16, points: 3000, glossy: false, exposure: false, seed: 3 };
+
+fn survey_of(options: &DemoOptions) -> (TempDir, Capture, Survey) {
+    let folder = tempfile::tempdir().unwrap();
+    demo::write(folder.path(), options).unwrap();
+    let capture = Capture::load(folder.path()).unwrap();
+    let survey = Survey::of(&capture).unwrap();
+    (folder, capture, survey)
+}
+
+fn effects(survey: &Survey) -> Vec<Effect> {
+    Plan::from(survey).effects()
+}
+
+#[test]
+fn a_matte_scene_under_one_exposure_calls_for_nothing() {
+    let (_folder, _, survey) = survey_of(&SMALL);
+    assert_eq!(survey.source, SightSource::Tracks);
+    assert!(survey.points_compared > 2000, "{}", survey.points_compared);
+    let exposure = survey.exposure.as_ref().unwrap();
+    assert!(exposure.brightness_spread_stops < 0.003 && exposure.white_balance_spread_stops < 0.003, "{exposure:?}");
+    let pose = survey.pose.as_ref().unwrap();
+    assert!(pose.source == PoseSource::Tracks && pose.largest_px < 1e-3, "{pose:?}");
+    assert_eq!(survey.lens.largest_displacement_px, Some(0.0));
+    assert_eq!(effects(&survey), []);
+}
+
+#[test]
+fn exposures_are_found_photograph_by_photograph() {
+    let options = DemoOptions { exposure: true, ..SMALL };
+    let (_folder, capture, survey) = survey_of(&options);
+    assert_eq!(effects(&survey), [Effect::Exposure]);
+    // The gains are on light and the stops on stored values, which bend them: the order is kept, the size is not.
+    let gains = demo::gains(&options);
+    let views = survey.exposure.unwrap().views;
+    assert_eq!(views.len(), capture.views.len());
+    for channel in 0..3 {
+        let mut expected: Vec<f64> = gains.iter().map(|gain| gain[channel].log2()).collect();
+        let middle = quantile(&mut expected.clone(), 0.5).unwrap();
+        expected.iter_mut().for_each(|stops| *stops -= middle);
+        for (view, expected) in views.iter().zip(expected) {
+            let found = view.stops_rgb[channel];
+            let ratio = if expected.abs() > 0.1 { found / expected } else { 0.35 };
+            assert!((0.15..0.5).contains(&ratio), "{}: {found} stops for {expected} stops of light", view.name);
+        }
+    }
+}
+
+/// One point, in photographs that show these colours of it and add these logarithms to them.
+fn seen(colours: &[f32], exposures: &[f64], spread: f32) -> (sights::Sights, exposure::Fit) {
+    let sight = |(view, &colour): (usize, &f32)| sights::Sight {
+        view,
+        at_px: [9.0; 2],
+        depth: 1.0,
+        footprint: 1.0,
+        sample: Some(sights::Sample { mean: [colour; 3], low: [colour - spread; 3], high: [colour + spread; 3] }),
+    };
+    let points = vec![colours.iter().enumerate().map(sight).collect()];
+    let sights = sights::Sights { source: SightSource::Tracks, points, indices: vec![0] };
+    (sights, exposure::Fit::known(exposures.iter().map(|&exposure| Some([exposure; 3])).collect()))
+}
+
+#[test]
+fn colours_that_change_with_the_view_are_told_from_exposure_and_neighbours() {
+    let stray = |colours: &[f32], exposures: &[f64], spread| {
+        let (sights, fit) = seen(colours, exposures, spread);
+        view_dependence::evidence(&sights, &fit).map(|found| (found.median, found.visible_share))
+    };
+    let none = [0.0; 7];
+    assert_eq!(stray(&[0.4; 7], &none, 0.0).map(|found| found.1), Some(0.0));
+    let shiny = [0.4, 0.4, 0.7, 0.7, 0.7, 0.4, 0.4];
+    let (median, share) = stray(&shiny, &none, 0.0).unwrap();
+    assert!(share == 1.0 && (median - 0.3).abs() < 1e-6, "{median}");
+    assert_eq!(stray(&shiny, &none, 0.35).unwrap().1, 0.0, "a neighbour shows the same");
+    let bright = (0.7_f64 / 0.4).ln();
+    assert_eq!(stray(&shiny, &[0.0, 0.0, bright, bright, bright, 0.0, 0.0], 0.0).unwrap().1, 0.0, "an exposure");
+    assert_eq!(
+        stray(&[0.4, 0.4, 0.4, 0.9, 0.4, 0.4, 0.4], &none, 0.0).unwrap().1,
+        0.0,
+        "one photograph is no evidence"
+    );
+    assert!(stray(&shiny[..2], &none[..2], 0.0).is_none(), "nor are two");
+}
+
+/// Files without tracks are compared by projection.
+#[test]
+fn without_tracks_points_are_projected() {
+    let (_folder, mut capture, tracked) = survey_of(&DemoOptions { exposure: true, ..SMALL });
+    capture.tracks = Default::default();
+    let survey = Survey::of(&capture).unwrap();
+    assert_eq!(survey.source, SightSource::Projection);
+    assert!(survey.pose.is_none());
+    assert!(survey.exposure.as_ref().unwrap().white_balance_spread_stops > 0.06);
+    for (view, tracked) in survey.exposure.unwrap().views.iter().zip(tracked.exposure.unwrap().views) {
+        assert!((view.stops() - tracked.stops()).abs() < 0.08, "{view:?} {tracked:?}");
+    }
+    capture.points = Default::default();
+    let survey = Survey::of(&capture).unwrap();
+    assert_eq!(
+        (survey.source, survey.exposure.is_some(), survey.footprint.is_some()),
+        (SightSource::None, false, false)
+    );
+    assert_eq!(effects(&survey), []);
+}
+
+/// Tracks of a damaged file lead anywhere.
+#[test]
+fn keypoints_far_outside_are_passed_over() {
+    let (_folder, mut capture, _) = survey_of(&DemoOptions { views: 4, points: 60, ..SMALL });
+    let mut tracks = crate::capture::Tracks::default();
+    for point in 0..60 {
+        let at_px = [f32::MAX, -f32::MAX, 1e19, -0.5][point % 4];
+        let sights = (0..4).map(|view| Some(crate::capture::Observation { view, at_px: [at_px, 30.0] }));
+        tracks.push(sights, 0.5);
+    }
+    capture.tracks = tracks;
+    let survey = Survey::of(&capture).unwrap();
+    assert!(survey.exposure.is_none() && survey.view_dependence.is_none());
+    assert!(survey.pose.unwrap().mean_px > 1e6);
+}
+
+#[test]
+fn statue_wild_has_masks_and_exposures() {
+    let Some(root) = real_capture("statue_wild") else { return };
+    let survey = Survey::of(&Capture::load(&root).unwrap()).unwrap();
+    assert_eq!(effects(&survey), [Effect::Exposure, Effect::Masks]);
+    assert!(survey.exposure.unwrap().brightness_spread_stops > 0.2);
+    assert_eq!(survey.files.with_mask, 84);
+    assert!((0.5..0.9).contains(&survey.files.masked_share), "{}", survey.files.masked_share);
+}
+
+#[test]
+fn quantiles_and_deviations() {
+    assert_eq!(quantile(&mut [3.0, 1.0, 2.0], 0.5), Some(2.0));
+    assert_eq!(quantile(&mut [], 0.5), None);
+    assert_eq!(deviation(&[1.0, 3.0]), 1.0);
+    assert_eq!(deviation(&[]), 0.0);
+}

@@ -1,0 +1,115 @@
+//! Scores that forgive a picture its exposure.
+//!
+//! A test photograph has an exposure that no training photograph tells. Before it is scored once more, the render is
+//! mapped by the affine map of colours that brings it closest to the photograph in the sense of least squares: the
+//! evaluation of NeRF in the wild's successors with an affine map (as `color_correct` of Mip-NeRF 360's code, without its
+//! quadratic terms and its repetition against clipping), fitted to the whole picture. Both scores are reported, because this
+//! one cannot see a scene whose colours are wrong throughout.
+
+/// Weight of the identity in the fit, per pixel: decides only what the picture does not, such as channels that are all
+/// equal.
+const TOWARDS_IDENTITY: f64 = 1e-6;
+
+/// Applies to `image`, RGB row by row, the affine map that brings it closest to `truth` over the pixels that `counts` (all
+/// of them if none). Not clamped.
+pub fn colour_corrected(image: &[f32], truth: &[f32], counts: Option<&[bool]>) -> Vec<f32> {
+    let (pixels, truths) = (image.as_chunks::<3>().0, truth.as_chunks::<3>().0);
+    // The normal equations `(Σ x xᵀ + w I) m = Σ x y + w m₀` with `x = (r, g, b, 1)`, for each channel `y`.
+    let mut gram = [[0.0; 4]; 4];
+    let mut moment = [[0.0; 3]; 4];
+    let mut count = 0.0;
+    for (i, (pixel, truth)) in pixels.iter().zip(truths).enumerate() {
+        if counts.is_some_and(|counts| !counts[i]) {
+            continue;
+        }
+        let x = [f64::from(pixel[0]), f64::from(pixel[1]), f64::from(pixel[2]), 1.0];
+        for row in 0..4 {
+            (0..4).for_each(|column| gram[row][column] += x[row] * x[column]);
+            (0..3).for_each(|channel| moment[row][channel] += x[row] * f64::from(truth[channel]));
+        }
+        count += 1.0;
+    }
+    let weight = TOWARDS_IDENTITY * f64::max(count, 1.0);
+    for row in 0..4 {
+        gram[row][row] += weight;
+        if row < 3 {
+            moment[row][row] += weight;
+        }
+    }
+    let map = solve(gram, moment);
+    let mapped = pixels.iter().flat_map(|pixel| {
+        let x = [f64::from(pixel[0]), f64::from(pixel[1]), f64::from(pixel[2]), 1.0];
+        [0, 1, 2].map(|channel| (0..4).map(|row| x[row] * map[row][channel]).sum::<f64>() as f32)
+    });
+    mapped.collect()
+}
+
+/// `m` of `gram m = moment`. The matrix is symmetric and, for its weight on the diagonal, positive definite: elimination
+/// needs no pivots.
+fn solve(mut gram: [[f64; 4]; 4], mut moment: [[f64; 3]; 4]) -> [[f64; 3]; 4] {
+    for step in 0..4 {
+        for row in step + 1..4 {
+            let factor = gram[row][step] / gram[step][step];
+            (step..4).for_each(|column| gram[row][column] -= factor * gram[step][column]);
+            (0..3).for_each(|channel| moment[row][channel] -= factor * moment[step][channel]);
+        }
+    }
+    for row in (0..4).rev() {
+        for channel in 0..3 {
+            let known: f64 = (row + 1..4).map(|column| gram[row][column] * moment[column][channel]).sum();
+            moment[row][channel] = (moment[row][channel] - known) / gram[row][row];
+        }
+    }
+    moment
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    use super::*;
+
+    fn noise(count: usize) -> Vec<f32> {
+        let mut rng = ChaCha8Rng::seed_from_u64(5);
+        (0..3 * count).map(|_| rng.random_range(0.0..1.0)).collect()
+    }
+
+    /// Channels are mixed, scaled and shifted.
+    fn exposed(image: &[f32]) -> Vec<f32> {
+        let pixels = image.as_chunks::<3>().0.iter();
+        pixels.flat_map(|&[r, g, b]| [0.7 * r + 0.1 * g, 1.2 * g - 0.05, 0.2 + 0.5 * b]).collect()
+    }
+
+    fn worst(a: &[f32], b: &[f32]) -> f32 {
+        a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max)
+    }
+
+    #[test]
+    fn an_affine_difference_is_taken_out() {
+        let image = noise(200);
+        let truth = exposed(&image);
+        assert!(worst(&colour_corrected(&image, &truth, None), &truth) < 1e-4);
+    }
+
+    #[test]
+    fn what_a_mask_excludes_has_no_say() {
+        let image = noise(200);
+        let mut truth = exposed(&image);
+        let kept: Vec<bool> = (0..200).map(|i| i % 3 != 0).collect();
+        let clean = colour_corrected(&image, &truth, Some(&kept));
+        for (pixel, _) in truth.as_chunks_mut::<3>().0.iter_mut().zip(&kept).filter(|(_, kept)| !**kept) {
+            *pixel = [9.0, -5.0, 3.0];
+        }
+        assert_eq!(colour_corrected(&image, &truth, Some(&kept)), clean);
+    }
+
+    #[test]
+    fn a_picture_without_colours_becomes_its_mean() {
+        let (image, truth) = (vec![0.5; 300], [0.1, 0.4, 0.9].repeat(100));
+        assert!(worst(&colour_corrected(&image, &truth, None), &truth) < 1e-3);
+        assert_eq!(colour_corrected(&[], &[], None), [] as [f32; 0]);
+        // Nothing counts: nothing is known.
+        assert!(worst(&colour_corrected(&image, &truth, Some(&[false; 100])), &image) < 1e-6);
+    }
+}

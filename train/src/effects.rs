@@ -1,0 +1,178 @@
+//! `--effects`: which effects a run simulates, and what `metrics.json` says of them.
+
+use std::collections::BTreeMap;
+use std::fmt;
+use std::str::FromStr;
+
+use anyhow::Result;
+use serde::Serialize;
+use splat_model::capture::Capture;
+use splat_model::effects::exposure::ExposureConfig;
+use splat_model::effects::plan::Cost;
+use splat_model::effects::{Effect, Plan, Survey};
+use splat_model::trainer::{TrainConfig, TrainError, Trainer};
+
+use crate::progress;
+
+/// What adjustments start from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Base {
+    /// What the capture calls for.
+    Auto,
+    /// No effect.
+    None,
+}
+
+/// The value of `--effects`: `auto`, `none`, a list of effects, or `+name` and `-name`, which adjust what comes before or,
+/// with nothing before, `auto`.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct EffectsArg {
+    base: Base,
+    /// Whether each is switched on or off; the last word on an effect counts.
+    adjustments: Vec<(Effect, bool)>,
+    text: String,
+}
+
+impl Default for EffectsArg {
+    fn default() -> Self {
+        Self { base: Base::Auto, adjustments: Vec::new(), text: "auto".into() }
+    }
+}
+
+impl fmt::Display for EffectsArg {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.write_str(&self.text)
+    }
+}
+
+impl FromStr for EffectsArg {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let mut words = text.split(',').map(str::trim).peekable();
+        let base = match words.peek() {
+            Some(&"auto") => Some(Base::Auto),
+            Some(&"none") => Some(Base::None),
+            _ => None,
+        };
+        if base.is_some() {
+            words.next();
+        }
+        let (mut adjustments, mut listed) = (Vec::new(), false);
+        for word in words {
+            let (name, on) = match word.strip_prefix('+') {
+                Some(name) => (name, true),
+                None => word.strip_prefix('-').map_or((word, true), |name| (name, false)),
+            };
+            listed |= name.len() == word.len();
+            adjustments.push((name.parse()?, on));
+        }
+        if listed && base == Some(Base::Auto) {
+            return Err("`auto` is adjusted with `+name` and `-name`; a list of names stands alone".into());
+        }
+        let base = base.unwrap_or(if listed { Base::None } else { Base::Auto });
+        Ok(Self { base, adjustments, text: text.into() })
+    }
+}
+
+impl EffectsArg {
+    /// The effects of a run, given those that the capture calls for.
+    fn of(&self, called_for: &[Effect]) -> Vec<Effect> {
+        let on = |effect: &Effect| {
+            let adjusted = self.adjustments.iter().rev().find(|(name, _)| name == effect);
+            adjusted.map_or(self.base == Base::Auto && called_for.contains(effect), |(_, on)| *on)
+        };
+        Effect::ALL.into_iter().filter(on).collect()
+    }
+
+    /// Decides for a capture, which is surveyed if that matters.
+    ///
+    /// # Errors
+    /// If a picture of the capture cannot be read.
+    pub fn choose(&self, capture: &Capture) -> Result<Chosen> {
+        let plan = match self.base {
+            Base::Auto => Some(Plan::from(&Survey::of(capture)?)),
+            Base::None => None,
+        };
+        let on = self.of(&plan.as_ref().map_or(Vec::new(), Plan::effects));
+        let names = on.iter().map(|effect| effect.name()).collect::<Vec<_>>();
+        let names = if names.is_empty() { "none".into() } else { names.join(", ") };
+        progress::note(&format!("effects: {names} (`splat inspect {}` says why)", capture.folder.display()));
+        Ok(Chosen { asked: self.text.clone(), on, plan, measured: BTreeMap::new() })
+    }
+}
+
+/// The effects of a run, as `metrics.json` has them under `effects`.
+#[derive(Clone, Debug, Serialize)]
+pub struct Chosen {
+    asked: String,
+    on: Vec<Effect>,
+    /// Null where nothing was left to decide.
+    plan: Option<Plan>,
+    /// What the effects of a step took, by name.
+    measured: BTreeMap<&'static str, Cost>,
+}
+
+impl Chosen {
+    /// Whether an effect is on.
+    pub fn has(&self, effect: Effect) -> bool {
+        self.on.contains(&effect)
+    }
+
+    /// The configuration of the run; what the command line asks for by name stays.
+    pub fn configure(&self, config: &mut TrainConfig) {
+        config.antialias |= self.has(Effect::Antialias);
+        config.exposure = self.has(Effect::Exposure).then(ExposureConfig::default);
+    }
+
+    /// Measures what the effects took, at the end of a run.
+    ///
+    /// # Errors
+    /// If the operation refuses the scene.
+    pub fn measure(&mut self, trainer: &mut Trainer) -> Result<(), TrainError> {
+        for &effect in &self.on {
+            if let Some(cost) = trainer.cost_of(effect)? {
+                self.measured.insert(effect.name(), cost);
+            }
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn words_mean_what_they_say() {
+        use Effect::{Antialias, Exposure, Masks};
+        let of = |text: &str| text.parse::<EffectsArg>().unwrap().of(&[Antialias, Exposure]);
+        assert_eq!(EffectsArg::default(), "auto".parse().unwrap());
+        assert_eq!(of("auto"), [Antialias, Exposure]);
+        assert_eq!(of("none"), []);
+        assert_eq!(of("masks"), [Masks]);
+        assert_eq!(of("masks, exposure"), [Exposure, Masks]);
+        assert_eq!(of("+masks"), [Antialias, Exposure, Masks]);
+        assert_eq!(of("-exposure"), [Antialias]);
+        assert_eq!(of("auto,-exposure,+masks"), [Antialias, Masks]);
+        assert_eq!(of("none,+masks"), [Masks]);
+        assert_eq!(of("+masks,-masks"), [Antialias, Exposure]);
+    }
+
+    #[test]
+    fn words_that_mean_nothing_are_refused() {
+        for (text, part) in [
+            ("fog", "\"fog\""),
+            ("", "\"\""),
+            ("+", "\"\""),
+            ("auto,masks", "stands alone"),
+            ("masks,auto", "\"auto\""),
+        ] {
+            let message = text.parse::<EffectsArg>().unwrap_err();
+            assert!(
+                message.contains(part) && (message.contains("expected one of") || part == "stands alone"),
+                "{message}"
+            );
+        }
+    }
+}

@@ -1,0 +1,104 @@
+//! `splat inspect`: what a capture shows, which effects it calls for, and what they would cost.
+
+use std::path::PathBuf;
+use std::time::Instant;
+
+use anyhow::Result;
+use serde::Serialize;
+use splat_model::effects::plan::{self, Cost, Decision, Plan, Verdict};
+use splat_model::effects::survey::{Survey, ViewExposure};
+
+use crate::report::metrics::seconds_since;
+use crate::{input, progress};
+
+/// Columns of the chart on each side of the middle.
+const HALF_CHART: usize = 24;
+
+/// Lines of the chart at most: longer ones are not looked at. Photographs are left out evenly.
+const CHART_LINES: usize = 60;
+
+/// Options of `splat inspect`.
+#[derive(Clone, Debug, clap::Args)]
+pub struct InspectArgs {
+    /// COLMAP folder with `images/` and `sparse/0/`
+    pub capture: PathBuf,
+    /// Write everything as JSON instead
+    #[arg(long)]
+    pub json: bool,
+}
+
+#[derive(Serialize)]
+struct Report<'a> {
+    survey: &'a Survey,
+    plan: &'a Plan,
+    seconds: f64,
+}
+
+/// Surveys a capture and says what was found.
+///
+/// # Errors
+/// If the capture or one of its pictures cannot be read.
+pub fn run(args: &InspectArgs) -> Result<()> {
+    let start = Instant::now();
+    let capture = input::capture(&args.capture)?;
+    let survey = Survey::of(&capture)?;
+    let plan = Plan::from(&survey);
+    let seconds = seconds_since(start);
+    if args.json {
+        progress::say(&serde_json::to_string_pretty(&Report { survey: &survey, plan: &plan, seconds })?);
+        return Ok(());
+    }
+    let looked = match survey.views_surveyed == survey.views {
+        true => String::new(),
+        false => format!(", of which {} were looked at", survey.views_surveyed),
+    };
+    progress::say(&format!(
+        "{}: {} photographs{looked}, {} points; {seconds:.1} s\n{}\n",
+        args.capture.display(),
+        survey.views,
+        survey.points,
+        plan::source(&survey)
+    ));
+    plan.decisions.iter().for_each(|decision| progress::say(&line(decision)));
+    if let Some(exposure) = &survey.exposure {
+        progress::say(&chart(&exposure.views));
+    }
+    Ok(())
+}
+
+/// A decision as people read it.
+fn line(decision: &Decision) -> String {
+    let verdict = match decision.verdict {
+        Verdict::On => "ON",
+        Verdict::Off => "off",
+        Verdict::AsConfigured => "as configured",
+        Verdict::NotSimulatedYet => "not simulated yet",
+    };
+    let cost = decision.predicted.filter(|_| decision.verdict == Verdict::On).map_or(String::new(), |cost| {
+        let Cost { ms_per_step, mib } = cost;
+        format!("\n{:18}  predicted cost: {ms_per_step:.1} ms a step, {mib:.2} MiB", "")
+    });
+    format!("{:18}  {verdict}: {}\n{:18}  ({}){cost}", decision.name, decision.evidence, "", decision.rule)
+}
+
+/// The photographs' exposure: `#` to the left of the middle is darker than the capture's median, to the right brighter;
+/// `r`, `g` and `b` mark the channels.
+fn chart(views: &[ViewExposure]) -> String {
+    let values = views.iter().flat_map(|view| view.stops_rgb);
+    let largest = values.map(f64::abs).fold(0.05, f64::max);
+    let every = views.len().div_ceil(CHART_LINES).max(1);
+    let mut text = format!("\nexposure by photograph, -{largest:.2} to +{largest:.2} stops of stored values");
+    for view in views.iter().step_by(every) {
+        let column = |stops: f64| (HALF_CHART as f64 * (1.0 + stops / largest)).round() as usize;
+        let mut bar = vec![' '; 2 * HALF_CHART + 1];
+        let (from, to) = (column(view.stops()).min(HALF_CHART), column(view.stops()).max(HALF_CHART));
+        bar[from..=to].fill('#');
+        bar[HALF_CHART] = '|';
+        for (stops, mark) in view.stops_rgb.into_iter().zip(['r', 'g', 'b']) {
+            bar[column(stops).min(2 * HALF_CHART)] = mark;
+        }
+        let bar: String = bar.into_iter().collect();
+        text.push_str(&format!("\n[{bar}] {:+.2}  {}", view.stops(), view.name));
+    }
+    text
+}

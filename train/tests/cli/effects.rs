@@ -1,0 +1,96 @@
+//! `splat inspect` and `--effects`.
+
+use std::path::Path;
+
+use image::GrayImage;
+use serde_json::Value;
+
+use crate::run::{DEMO, refuse, splat, succeed};
+use crate::{json, text};
+
+/// A demo capture in which every photograph has its own exposure.
+fn exposed(folder: &Path) {
+    let size = ["--views", "12", "--width", "64", "--height", "48"];
+    succeed(splat(&["demo", "--exposure", "--out", text(folder)]).args(size));
+}
+
+fn decision<'a>(report: &'a Value, name: &str) -> &'a Value {
+    let decisions = report["plan"]["decisions"].as_array().unwrap();
+    decisions.iter().find(|decision| decision["name"] == name).unwrap()
+}
+
+#[test]
+fn inspect_says_what_a_capture_calls_for() {
+    let folder = tempfile::tempdir().unwrap();
+    exposed(folder.path());
+    let said = succeed(&mut splat(&["inspect", text(folder.path())])).stdout;
+    for part in ["exposure            ON: ", "predicted cost", "masks               off", "0003.png"] {
+        assert!(said.contains(part), "{part:?} is not in {said}");
+    }
+    let report = succeed(&mut splat(&["inspect", text(folder.path()), "--json"])).stdout;
+    let report: Value = serde_json::from_str(&report).unwrap();
+    assert_eq!(decision(&report, "exposure")["verdict"], "on");
+    assert_eq!(decision(&report, "antialias")["verdict"], "off");
+    assert_eq!(decision(&report, "pose-refinement")["verdict"], "off");
+    assert_eq!(report["survey"]["exposure"]["views"].as_array().unwrap().len(), 12);
+}
+
+#[test]
+fn auto_simulates_nothing_where_nothing_shows() {
+    let (auto, none) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let train = |effects: &str, out: &Path| {
+        let arguments = ["train", text(&DEMO), "--steps", "12", "--effects", effects, "--out", text(out)];
+        succeed(&mut splat(&arguments));
+        json(&out.join("metrics.json"))
+    };
+    let (auto_metrics, none_metrics) = (train("auto", auto.path()), train("none", none.path()));
+    assert_eq!(auto_metrics["effects"]["on"], Value::Array(Vec::new()));
+    assert_eq!(auto_metrics["test"], none_metrics["test"], "not the same bits");
+    assert!(auto_metrics["effects"]["plan"].is_object() && none_metrics["effects"]["plan"].is_null());
+    let scene = |out: &Path| std::fs::read(out.join("scene.ply")).unwrap();
+    assert_eq!(scene(auto.path()), scene(none.path()));
+}
+
+#[test]
+fn effects_are_adjusted_recorded_and_measured() {
+    let folder = tempfile::tempdir().unwrap();
+    let (capture, out) = (folder.path().join("capture"), folder.path().join("out"));
+    exposed(&capture);
+    std::fs::create_dir(capture.join("masks")).unwrap();
+    let mask = GrayImage::from_fn(64, 48, |x, _| [if x < 20 { 0 } else { 255 }].into());
+    (0..12).for_each(|view| mask.save(capture.join(format!("masks/{view:04}.png.png"))).unwrap());
+    let train = |effects: &str| {
+        let arguments = ["train", text(&capture), "--steps", "6", "--out", text(&out), "--effects", effects];
+        succeed(&mut splat(&arguments));
+        json(&out.join("metrics.json"))
+    };
+    let metrics = train("auto");
+    assert_eq!(metrics["effects"]["on"], serde_json::json!(["exposure", "masks"]));
+    for name in ["exposure", "masks"] {
+        assert!(metrics["effects"]["measured"][name]["ms_per_step"].is_number(), "{metrics}");
+        assert!(metrics["effects"]["measured"][name]["mib"].as_f64().unwrap() > 0.0);
+    }
+    assert!(metrics["options"]["exposure"]["rate"].is_number());
+    // The scores leave out what the mask does, and so can those of `eval`.
+    let scene = out.join("scene.ply");
+    let evaluated = folder.path().join("evaluated");
+    let arguments = ["eval", text(&capture), "--scene", text(&scene), "--out", text(&evaluated)];
+    let psnr = |arguments: &[&str]| {
+        succeed(splat(arguments).args(["--eval-every", "8"]));
+        json(&evaluated.join("metrics.json"))["test"]["psnr"].as_f64().unwrap()
+    };
+    let trained = metrics["test"]["psnr"].as_f64().unwrap();
+    assert!((psnr(&[&arguments[..], &["--masks"]].concat()) - trained).abs() < 1e-4);
+    assert!((psnr(&arguments) - trained).abs() > 1e-3, "the mask makes no difference");
+
+    let metrics = train("-exposure,+antialias");
+    assert_eq!(metrics["effects"]["on"], serde_json::json!(["antialias", "masks"]));
+    assert_eq!((&metrics["options"]["antialias"], &metrics["options"]["exposure"]), (&true.into(), &Value::Null));
+}
+
+#[test]
+fn unknown_effects_are_refused() {
+    let ended = crate::run::end(&mut splat(&["train", "capture", "--out", "out", "--effects", "fog"]));
+    assert!(ended.code == Some(2) && ended.stderr.contains("antialias, alpha, exposure, masks"), "{ended:?}");
+    refuse(&mut splat(&["inspect", "/nowhere"]), &["no capture folder /nowhere"]);
+}
