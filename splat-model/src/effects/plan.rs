@@ -13,9 +13,6 @@ pub const EXPOSURE_STOPS: f64 = 0.1;
 /// The twentieth part of the points that is seen at the most different sizes is seen at sizes this many times apart.
 pub const FOOTPRINT_RATIO: f64 = 8.0;
 
-/// A lens that moves a place by so many pixels blurs a render without it.
-pub const LENS_PX: f64 = 0.5;
-
 /// Poses that miss by more than this on average blur a scene.
 pub const POSE_PX: f64 = 1.0;
 
@@ -106,6 +103,9 @@ impl From<&Survey> for Plan {
 /// Times per step and megapixel, ms: measured, see `docs/EFFECTS.md`.
 const EXPOSURE_MS_PER_MEGAPIXEL: f64 = 30.0;
 const MASKS_MS_PER_MEGAPIXEL: f64 = 10.0;
+
+/// Time per step for each 100,000 Gaussians, ms.
+const LENS_MS_PER_100_000: f64 = 0.0;
 
 const MIB: f64 = (1 << 20) as f64;
 
@@ -200,14 +200,21 @@ fn masks(survey: &Survey) -> Decision {
     decide(Effect::Masks, files.masked_share > 0.0, evidence, rule, Some(cost))
 }
 
+/// Not switched either: a lens is part of the camera, and a capture without one has kernels without one.
 fn lens(survey: &Survey) -> Decision {
     let lens = &survey.lens;
-    let evidence = match lens.largest_displacement_px {
-        Some(px) => format!("{}: the lens moves no place by more than {px:.1} px", lens.models.join(", ")),
-        None => format!("{}: how far the lens moves a place is not known", lens.models.join(", ")),
+    let names = lens.models.join(", ");
+    let (on, evidence) = match lens.largest_displacement_px {
+        Some(0.0) => (false, format!("{names}: straight lines stay straight")),
+        Some(px) => (true, format!("{names}: the lens moves places by up to {px:.1} px")),
+        None => (true, format!("{names}: the pictures reach a right angle from the axis, where no pinhole sees")),
     };
-    let rule = format!("called for where a lens moves a place by more than {LENS_PX} px");
-    remark("lens-distortion", lens.largest_displacement_px.is_some_and(|px| px > LENS_PX), evidence, rule)
+    let rule =
+        "on where the cameras' models have a lens: it is projected through, and the photographs stay as they are"
+            .into();
+    let verdict = if on { Verdict::On } else { Verdict::Off };
+    let predicted = Some(Cost { ms_per_step: LENS_MS_PER_100_000 * survey.points as f64 / 1e5, mib: 0.0 });
+    Decision { name: "lens", effect: None, verdict, evidence, rule, predicted }
 }
 
 fn pose(survey: &Survey) -> Decision {

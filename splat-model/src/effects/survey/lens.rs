@@ -1,16 +1,21 @@
 //! Lenses.
 
+use glam::DVec2;
 use serde::Serialize;
-use splat_op::CameraModel;
+use splat_op::{CameraModel, Intrinsics};
 
 use super::Capture;
+
+/// Places on each border of a picture that are looked at; a lens moves those most that are farthest from its axis.
+const BORDER_PLACES: usize = 8;
 
 /// What the cameras say of their lenses.
 #[derive(Clone, Debug, Serialize)]
 pub struct LensEvidence {
     /// The models in use.
     pub models: Vec<String>,
-    /// How far a lens moves a place in the picture at most, px; none if that is not known of a model.
+    /// How far from where a pinhole would show it the lens shows what lies on the border of a picture, at most, px. None if a
+    /// picture shows what no pinhole of its focal length can: a right angle from the axis, or beyond.
     pub largest_displacement_px: Option<f64>,
 }
 
@@ -18,14 +23,60 @@ pub(super) fn evidence(capture: &Capture) -> LensEvidence {
     let mut models: Vec<String> = Vec::new();
     let mut largest_displacement_px = Some(0.0_f64);
     for view in &capture.views {
-        let (name, displacement_px) = match view.intrinsics.model {
-            CameraModel::Pinhole => ("pinhole".to_owned(), Some(0.0)),
-            other => (format!("{other:?}").to_lowercase(), None),
-        };
-        largest_displacement_px = largest_displacement_px.zip(displacement_px).map(|(a, b)| a.max(b));
+        let name = format!("{:?}", view.intrinsics.model).to_lowercase();
         if !models.contains(&name) {
             models.push(name);
         }
+        largest_displacement_px = largest_displacement_px.zip(displacement_px(&view.intrinsics)).map(|(a, b)| a.max(b));
     }
     LensEvidence { models, largest_displacement_px }
+}
+
+fn displacement_px(camera: &Intrinsics) -> Option<f64> {
+    if camera.model == CameraModel::Pinhole {
+        return Some(0.0);
+    }
+    let size = DVec2::new(camera.width as f64, camera.height as f64);
+    let mut largest = 0.0_f64;
+    for i in 0..=BORDER_PLACES {
+        let along = i as f64 / BORDER_PLACES as f64;
+        for share in [(along, 0.0), (along, 1.0), (0.0, along), (1.0, along)] {
+            let px = size * DVec2::from(share);
+            let direction = camera.cam_from_px(px);
+            // A millionth of a radian from the right angle is no view of a pinhole either.
+            if !(direction.z > 1e-6 * direction.length()) {
+                return None;
+            }
+            let slopes = direction.truncate() / direction.z;
+            let straight = DVec2::new(camera.fx * slopes.x + camera.cx, camera.fy * slopes.y + camera.cy);
+            largest = largest.max(straight.distance(px));
+        }
+    }
+    Some(largest)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_lens_moves_the_corners_most() {
+        let pinhole = Intrinsics::centred(100, 80, 50.0);
+        assert_eq!(displacement_px(&pinhole), Some(0.0));
+        let plain = Intrinsics { model: CameraModel::OpenCv, ..pinhole };
+        assert!(displacement_px(&plain).expect("as a pinhole") < 1e-9);
+        let mut barrel = plain;
+        barrel.distortion[0] = -0.05;
+        // The corner lies at the image of the slopes s: r (1 - 0.05 r²) = |(50, 40)| / 50.
+        let corner = DVec2::new(50.0, 40.0).length() / 50.0;
+        let mut r = corner;
+        for _ in 0..200 {
+            r = corner / (1.0 - 0.05 * r * r);
+        }
+        let expected = 50.0 * (r - corner);
+        let found = displacement_px(&barrel).expect("less than a right angle");
+        assert!((found - expected).abs() < 1e-6, "{found} instead of {expected}");
+        let fisheye = Intrinsics { model: CameraModel::Fisheye, fx: 20.0, fy: 20.0, ..pinhole };
+        assert_eq!(displacement_px(&fisheye), None, "its border lies beyond a right angle");
+    }
 }
