@@ -180,6 +180,16 @@ fn seen_rows(mean_cam: Vec3, cam_from_gaussian: Mat3, scale: Vec3, lens: &Lens) 
     }
 }
 
+/// Whether what would be drawn is also within a lens's reach.
+#[cube]
+fn within_reach(drawn: bool, bent: ComptimeOption<Bent>) -> bool {
+    #[comptime]
+    match bent {
+        ComptimeOption::Some(bent) => drawn && bent.within,
+        ComptimeOption::None => drawn,
+    }
+}
+
 #[cube]
 pub(crate) fn project_one(gaussian: &Gaussian, pose: &Pose, lens: &Lens) -> Projection {
     let mean_cam = pose.apply(gaussian.mean);
@@ -200,11 +210,8 @@ pub(crate) fn project_one(gaussian: &Gaussian, pose: &Pose, lens: &Lens) -> Proj
 
     let in_front = depth > lens.near && depth > 0.0 && finite(depth) && finite(x.ratio) && finite(y.ratio);
     let wide = sigma_u > 0.0 && finite(sigma_u) && sigma_v > 0.0 && finite(sigma_v) && finite(shear);
-    let mut visible = gaussian.finite() && in_front && quaternion_length > 0.0 && wide;
-    #[comptime]
-    if let ComptimeOption::Some(bent) = bent {
-        visible = visible && bent.within;
-    }
+    let drawn = gaussian.finite() && in_front && quaternion_length > 0.0 && wide;
+    let visible = within_reach(drawn, bent);
 
     let mut compensation = 1.0f32;
     let mut compensation_free = false;
