@@ -104,8 +104,8 @@ impl From<&Survey> for Plan {
 }
 
 /// Times per step and megapixel, ms: measured, see `docs/EFFECTS.md`.
-const EXPOSURE_MS_PER_MEGAPIXEL: f64 = 30.0;
-const MASKS_MS_PER_MEGAPIXEL: f64 = 10.0;
+const EXPOSURE_MS_PER_MEGAPIXEL: f64 = 40.0;
+const MASKS_MS_PER_MEGAPIXEL: f64 = 20.0;
 
 const MIB: f64 = (1 << 20) as f64;
 
