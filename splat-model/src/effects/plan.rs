@@ -101,8 +101,8 @@ impl From<&Survey> for Plan {
 }
 
 /// Times per step and megapixel, ms: measured, see `docs/EFFECTS.md`.
-const EXPOSURE_MS_PER_MEGAPIXEL: f64 = 30.0;
-const MASKS_MS_PER_MEGAPIXEL: f64 = 10.0;
+const EXPOSURE_MS_PER_MEGAPIXEL: f64 = 40.0;
+const MASKS_MS_PER_MEGAPIXEL: f64 = 20.0;
 
 /// Time per step for each 100,000 Gaussians, ms.
 const LENS_MS_PER_100_000: f64 = 0.0;
