@@ -18,7 +18,7 @@ use splat_op::{Extras, Intrinsics, RenderOptions, Splats, render_view};
 use crate::capture::{Photo, PointCloud};
 use crate::density::rows::{Gradients, StepRates, Trained};
 use crate::density::{Adaptive, RefineReport};
-use crate::effects::Applied;
+use crate::effects::{Applied, masks};
 use crate::gaussians::Gaussians;
 use crate::init;
 use crate::loss::{Truth, photometric, regularise};
@@ -37,7 +37,7 @@ pub struct Seen<'a> {
     /// `[H, W, 3]`: the render as the photograph would show it, tracked: with its exposure, if that is learnt, and black
     /// where a mask leaves pixels out, as in `truth`.
     pub image: Tensor<3>,
-    /// `[H, W, 1]`: the share of the background that is hidden, tracked.
+    /// `[H, W, 1]`: the share of the background that is hidden, tracked; zero where a mask leaves pixels out.
     pub alpha: Tensor<3>,
     /// The photograph, prepared; [`Truth::image`] gives it as `[H, W, 3]`.
     pub truth: &'a Truth,
@@ -234,7 +234,9 @@ impl Trainer {
             let picture = render_view(&splats, &camera, &extras, &options)?;
             (picture.colour, picture.alpha)
         };
-        let image = self.effects.apply(image, view, self.views.excluded(view));
+        let excluded = self.views.excluded(view);
+        let image = self.effects.apply(image, view, excluded.as_ref());
+        let alpha = excluded.map_or(alpha.clone(), |excluded| masks::cleared(alpha, &excluded));
         let seen = Seen { image, alpha, truth: &truth, splats: &splats, step, view: self.views.name(view) };
         let mut loss = self.loss.loss(&seen);
         drop(seen);

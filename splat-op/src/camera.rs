@@ -12,6 +12,8 @@ use glam::DAffine3;
 
 use crate::error::SplatError;
 
+pub use self::lens::Projector;
+
 /// The widest or tallest picture that is accepted, px.
 pub const MAX_SIDE_PX: usize = 32_768;
 

@@ -69,7 +69,7 @@ pub use abilities::Abilities;
 pub use activate::RawSplats;
 pub use bind::activate::{ActivateBackend, ActivateInputs};
 pub use bind::attach::{AttachBackend, with_gradient};
-pub use camera::{Camera, CameraModel, Intrinsics};
+pub use camera::{Camera, CameraModel, Intrinsics, Projector};
 pub use error::SplatError;
 pub use op::{Slot, SplatBackend};
 pub use options::{Accumulation, RenderOptions};

@@ -64,7 +64,7 @@ pub trait SplatBackend: Backend {
     ) -> ShadeGrads<Self>;
 
     /// See `project_shade/`: `project` and `shade` at once. Differentiable, and faster than the two unless the pose is tracked
-    /// or only some of what they read is. `mean2d_probe` as for `project`.
+    /// or only some of what they read is. Both outputs must go into one `blend`. `mean2d_probe` as for `project`.
     #[fusion(meta = fusion::project_shade)]
     fn project_shade(
         #[extension_type] inputs: ProjectShadeInputs<Self>,

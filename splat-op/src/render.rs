@@ -19,7 +19,8 @@ pub struct Rendered {
     pub depth: Option<Tensor<4>>,
 }
 
-/// Renders Gaussians as one or several cameras of one size see them: `project` and `shade` in one pass, `tile`, `blend`.
+/// Renders Gaussians as one or several cameras of one size see them: `project` and `shade`, in one pass unless
+/// gradients keep them apart (see `project_shade/`), then `tile` and `blend`.
 ///
 /// # Errors
 /// If there is no camera, cameras differ in size, a tensor's shape, type or device does not fit, or a camera or option is

@@ -6,6 +6,7 @@ use std::rc::Rc;
 use burn::tensor::{DType, Device, Tensor, TensorData};
 use glam::{DAffine3, DVec3};
 use splat_model::capture::{Photo, PointCloud};
+use splat_model::effects::exposure::ExposureConfig;
 use splat_model::optim::{Adam, Moments, Rates};
 use splat_model::trainer::{Seen, TrainConfig, Trainer};
 use splat_op::{
@@ -67,9 +68,13 @@ fn all_gradients_through_every_lens() {
         let mut scene = Scene::random(&mut Random::new(40 + i as u64), 200, 2, camera);
         scene.scales.iter_mut().for_each(|scale| *scale *= 0.4);
         let options = SMOOTH.with_antialias(i % 2 == 0);
-        judge(&format!("{:?}", camera.model), &scene, &device, |scene, place| {
-            named_gradients(scene, 1, [true; 9], &options, place)
-        });
+        // With the pose, stage by stage; without, `project` and `shade` in one.
+        for pose in [true, false] {
+            let tracked = std::array::from_fn(|input| pose || INPUTS[input] != "pose");
+            judge(&format!("{:?}, pose {pose}", camera.model), &scene, &device, |scene, place| {
+                named_gradients(scene, 1, tracked, &options, place)
+            });
+        }
     }
 }
 
@@ -375,4 +380,35 @@ fn a_loss_sees_packed_photographs_as_they_are() {
         }
     }
     assert_eq!(seen.len(), expected.len());
+}
+
+/// Exposures and masks are ordinary tensor code, but nothing of it runs on a GPU unless somebody trains with them there.
+#[test]
+fn effects_train_as_on_the_cpu() {
+    let Some(device) = gpu() else { return };
+    let (width, height) = (48, 36);
+    let byte = |i: usize| (i % 256) as u8;
+    let photo = |view: usize| Photo {
+        name: format!("{view}"),
+        intrinsics: Intrinsics::centred(width, height, 50.0),
+        cam_from_world: DAffine3::from_translation(DVec3::new(0.1 * view as f64, 0.0, 3.0)),
+        rgb: (0..width * height).flat_map(|i| [byte(2 * i), byte(90 * view + i / 9), byte(i / 7)]).collect(),
+        alpha: None,
+        mask: (view == 1).then(|| (0..width * height).map(|i| i % width < 30).collect()),
+    };
+    let position = |i: usize| [(i % 8) as f32 / 4.0 - 0.9, (i / 8) as f32 / 4.0 - 0.7, (i % 3) as f32 / 4.0];
+    let points = PointCloud { positions: (0..48).map(position).collect(), colours: vec![[90, 140, 60]; 48] };
+    let config = TrainConfig { steps: 12, exposure: Some(ExposureConfig::default()), ..TrainConfig::default() };
+    let losses = |config: &TrainConfig, device: &Device| -> Vec<f64> {
+        let photos = (0..3).map(photo).collect();
+        let mut run = Trainer::new(photos, &points, config.clone(), device).expect("photographs and steps");
+        (0..config.steps).map(|_| host(run.step().expect("a sound run").loss)[0]).collect()
+    };
+    let (expected, found) = (losses(&config, &Device::flex()), losses(&config, &device));
+    for (step, (found, expected)) in found.iter().zip(&expected).enumerate() {
+        assert!((found - expected).abs() <= 1e-3 * expected, "step {step}: {found} instead of {expected}");
+    }
+    // That the maps do something by the last step, which comes back to photographs seen before.
+    let without = losses(&TrainConfig { exposure: None, ..config }, &Device::flex());
+    assert!((without[11] - expected[11]).abs() > 5e-3 * expected[11], "{} and {}", without[11], expected[11]);
 }

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::fmt;
 use std::str::FromStr;
 
-use anyhow::Result;
+use anyhow::{Result, ensure};
 use serde::Serialize;
 use splat_model::capture::Capture;
 use splat_model::effects::exposure::ExposureConfig;
@@ -85,19 +85,33 @@ impl EffectsArg {
         Effect::ALL.into_iter().filter(on).collect()
     }
 
-    /// Decides for a capture, which is surveyed if that matters.
+    /// Decides for a capture, which is surveyed if that matters, by the views to train on. `antialias`: that option was given.
     ///
     /// # Errors
-    /// If a picture of the capture cannot be read.
-    pub fn choose(&self, capture: &Capture) -> Result<Chosen> {
+    /// If a picture of the capture cannot be read, or the two options contradict each other.
+    pub fn choose(&self, capture: &Capture, train: &[usize], antialias: bool) -> Result<Chosen> {
+        let adjusted = self.adjustments.iter().rev().find(|(effect, _)| *effect == Effect::Antialias);
+        ensure!(
+            !(antialias && adjusted.is_some_and(|(_, on)| !on)),
+            "`--antialias` and `--effects={}` contradict each other: leave out one of them",
+            self.text
+        );
         let plan = match self.base {
-            Base::Auto => Some(Plan::from(&Survey::of(capture)?)),
+            Base::Auto => Some(Plan::from(&Survey::of_views(capture, train)?)),
             Base::None => None,
         };
-        let on = self.of(&plan.as_ref().map_or(Vec::new(), Plan::effects));
+        let mut on = self.of(&plan.as_ref().map_or(Vec::new(), Plan::effects));
+        if antialias && !on.contains(&Effect::Antialias) {
+            on.push(Effect::Antialias);
+            on.sort();
+        }
         let names = on.iter().map(|effect| effect.name()).collect::<Vec<_>>();
         let names = if names.is_empty() { "none".into() } else { names.join(", ") };
-        progress::note(&format!("effects: {names} (`splat inspect {}` says why)", capture.folder.display()));
+        let why = plan.as_ref().map(|_| format!(" (`splat inspect {}` says why)", capture.folder.display()));
+        progress::note(&format!("effects: {names}{}", why.unwrap_or_default()));
+        if !antialias && on.contains(&Effect::Antialias) {
+            progress::note("`splat eval` and `splat render` show this scene as it was trained with `--antialias`");
+        }
         Ok(Chosen { asked: self.text.clone(), on, plan, measured: BTreeMap::new() })
     }
 }

@@ -40,6 +40,9 @@ pub struct EvalArgs {
     /// Leave out the pixels that the capture's masks exclude; for scenes that were trained with the effect `masks`
     #[arg(long)]
     pub masks: bool,
+    /// Take photographs as opaque, whatever their alpha channels say; for scenes that were trained without the effect `alpha`
+    #[arg(long)]
+    pub ignore_alpha: bool,
 }
 
 /// What `metrics.json` says under `options`.
@@ -51,6 +54,7 @@ struct Options<'a> {
     photos: &'a PhotoArgs,
     antialias: bool,
     masks: bool,
+    ignore_alpha: bool,
     background: [f32; 3],
 }
 
@@ -66,7 +70,10 @@ pub fn run(args: &EvalArgs) -> Result<Metrics> {
     let test = split.require_test()?;
     let Scene { splats, unusable } = input::scene(&args.scene, &capture, &device)?;
     let out = OutputFolder::prepare(&args.out, &[SCENE, METRICS], &[VIEWS])?;
-    let photos = input::photographs(&capture, test, args.photos.max_side, args.masks)?;
+    let mut photos = input::photographs(&capture, test, args.photos.max_side, args.masks)?;
+    if args.ignore_alpha {
+        photos.iter_mut().for_each(|photo| photo.alpha = None);
+    }
     let load = seconds_since(start);
 
     let config = TrainConfig { antialias: args.antialias, ..TrainConfig::default() };
@@ -81,6 +88,7 @@ pub fn run(args: &EvalArgs) -> Result<Metrics> {
         photos: &args.photos,
         antialias: args.antialias,
         masks: args.masks,
+        ignore_alpha: args.ignore_alpha,
         background: config.background,
     };
     let metrics = Metrics {

@@ -37,14 +37,26 @@ pub fn extent(capture: &Capture) -> f64 {
 /// of which nothing is left.
 ///
 /// # Errors
-/// If a picture is missing, cannot be decoded, or has another size than its camera.
+/// If a picture is missing, cannot be decoded, or has another size than its camera; with `masked`, also if a mask is so, or if
+/// masks leave no photograph.
 pub fn photographs(capture: &Capture, views: &[usize], max_side: Option<u32>, masked: bool) -> Result<Vec<Photo>> {
     let counter = progress::counter("reading photographs", views.len());
     let photos = load_all(views.iter().map(|&view| &capture.views[view]), max_side, |_| counter.inc(1));
     counter.finish_and_clear();
     let mut photos = photos?;
     if masked {
-        masks::attach(capture, views, &mut photos)?;
+        masks::attach(capture, views, &mut photos)
+            .context("a mask cannot be used (`splat train --effects=-masks` does without)")?;
+        let dropped = views.len() - photos.len();
+        ensure!(
+            dropped == 0 || !photos.is_empty(),
+            "the masks of {} exclude every pixel of {dropped} photographs, and no other is left: `--effects=-masks` does \
+             without masks, and `--eval-every` chooses what is tested on",
+            capture.folder.display()
+        );
+        if dropped > 0 {
+            progress::note(&format!("{dropped} photographs are left out: their masks exclude every pixel"));
+        }
     }
     Ok(photos)
 }

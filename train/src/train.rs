@@ -164,9 +164,10 @@ pub fn run_with(args: &TrainArgs, change: impl FnOnce(Trainer) -> Trainer) -> Re
     let mut config = args.config()?;
     let (device, device_name) = args.device.resolve()?;
     let (out, capture, start) = args.open()?;
-    let mut effects = args.effects.choose(&capture)?;
+    let split = Split::every(&capture.views, args.photos.eval_every);
+    let mut effects = args.effects.choose(&capture, split.require_train()?, args.antialias)?;
     effects.configure(&mut config);
-    let (train, test) = photographs(&capture, &args.photos, &effects)?;
+    let (train, test) = photographs(&capture, &split, &args.photos, &effects)?;
     progress::note(&format!(
         "{}: {} photographs to train on, {} to test on, {} points",
         capture.folder.display(),
@@ -192,16 +193,16 @@ pub fn run_with(args: &TrainArgs, change: impl FnOnce(Trainer) -> Trainer) -> Re
     }
     bar.finish();
     let train = seconds_since(start);
-    effects.measure(&mut trainer)?;
     let gaussians = trainer.gaussians().untracked();
-    // Photographs and moments are not needed to measure, and their memory is.
-    drop(trainer);
     // Before measuring, so that whatever goes wrong there does not cost the scene.
     let rows = gaussians.to_rows();
     ply::write(&out.join(SCENE), &rows, capture.origin)?;
     let unusable = rows.unusable();
     progress::note_unusable(&out.join(SCENE), unusable, rows.len());
     drop(rows);
+    effects.measure(&mut trainer)?;
+    // Photographs and moments are not needed for the scores, and their memory is.
+    drop(trainer);
 
     let start = Instant::now();
     let measure = || report::measure(&gaussians.splats(), &test, config.background, &render_options, &out);
@@ -241,8 +242,12 @@ fn keep_scene(error: TrainError, trainer: &Trainer, capture: &Capture, out: &Out
 
 /// The photographs to train on and those to test on. All are decoded before the first step, so that a broken picture
 /// does not end a long run.
-fn photographs(capture: &Capture, args: &PhotoArgs, effects: &Chosen) -> Result<(Vec<Photo>, Vec<Photo>)> {
-    let split = Split::every(&capture.views, args.eval_every);
+fn photographs(
+    capture: &Capture,
+    split: &Split,
+    args: &PhotoArgs,
+    effects: &Chosen,
+) -> Result<(Vec<Photo>, Vec<Photo>)> {
     let train = split.require_train()?;
     // `--eval-every 0` asks for no test; any other number that leaves none is a mistake.
     let test = if args.eval_every == 0 { &[] } else { split.require_test()? };

@@ -184,6 +184,12 @@ pub(crate) fn decode(file: &Path, camera: &Intrinsics) -> Result<DynamicImage, C
     DynamicImage::from_decoder(decoder).map_err(|error| fail(&error))
 }
 
+/// Whether a picture has an alpha channel, by its header; false if it cannot be read, which whoever decodes it is told.
+pub(crate) fn has_alpha(file: &Path) -> bool {
+    let decoder = || ImageReader::open(file).ok()?.with_guessed_format().ok()?.into_decoder().ok();
+    decoder().is_some_and(|decoder| decoder.color_type().has_alpha())
+}
+
 fn limits(camera: &Intrinsics) -> Limits {
     let pixels = (camera.width as u64).saturating_mul(camera.height as u64);
     let mut limits = Limits::default();

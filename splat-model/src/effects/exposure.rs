@@ -4,7 +4,7 @@
 //! the identity: affine maps as in Rematas et al. 2022 ("Urban Radiance Fields", section 3.3) and, per image and trained
 //! with Adam, as in the original 3D Gaussian splatting code (`exposure_compensation`). The scene's colours and all maps
 //! could change together and no photograph would tell, and would: maps learn faster than colours. So the mean of the maps is
-//! set back to the identity once for each photograph in the run; without it a render without any map loses up to 5 dB. A
+//! set back to the identity once every as many steps as there are photographs; without it a render without any map loses up to 5 dB. A
 //! weak pull of each map towards the identity keeps those in bounds that little is known of.
 //!
 //! Each map has its own moments and counts its own steps: a step sees one photograph, and what Adam does about a gradient

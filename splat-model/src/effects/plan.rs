@@ -104,9 +104,6 @@ impl From<&Survey> for Plan {
 const EXPOSURE_MS_PER_MEGAPIXEL: f64 = 40.0;
 const MASKS_MS_PER_MEGAPIXEL: f64 = 20.0;
 
-/// Time per step for each 100,000 Gaussians, ms.
-const LENS_MS_PER_100_000: f64 = 0.0;
-
 const MIB: f64 = (1 << 20) as f64;
 
 fn decide(effect: Effect, on: bool, evidence: String, rule: String, cost: Option<Cost>) -> Decision {
@@ -152,14 +149,14 @@ fn antialias(survey: &Survey) -> Decision {
             ),
         ),
     };
-    decide(Effect::Antialias, on, evidence, rule, Some(Cost::default()))
+    decide(Effect::Antialias, on, evidence, rule, None)
 }
 
 fn alpha(survey: &Survey) -> Decision {
     let with = survey.files.with_alpha;
     let evidence = match with {
         0 => "every photograph is opaque".into(),
-        _ => format!("{with} of {} photographs have transparent parts", survey.views_surveyed),
+        _ => format!("{with} photographs have transparent parts, or a channel for them"),
     };
     let rule = "on where a photograph has an alpha channel that is not opaque".into();
     decide(Effect::Alpha, with > 0, evidence, rule, Some(Cost::default()))
@@ -194,10 +191,10 @@ fn masks(survey: &Survey) -> Decision {
             percent(files.masked_share)
         ),
     };
-    let rule = "on where a mask excludes a pixel".into();
+    let rule = "on where a photograph has a mask".into();
     let mib = files.with_mask as f64 * survey.pixels_per_view / MIB;
     let cost = Cost { ms_per_step: MASKS_MS_PER_MEGAPIXEL * survey.pixels_per_view / 1e6, mib };
-    decide(Effect::Masks, files.masked_share > 0.0, evidence, rule, Some(cost))
+    decide(Effect::Masks, files.with_mask > 0, evidence, rule, Some(cost))
 }
 
 /// Not switched either: a lens is part of the camera, and a capture without one has kernels without one.
@@ -213,8 +210,7 @@ fn lens(survey: &Survey) -> Decision {
         "on where the cameras' models have a lens: it is projected through, and the photographs stay as they are"
             .into();
     let verdict = if on { Verdict::On } else { Verdict::Off };
-    let predicted = Some(Cost { ms_per_step: LENS_MS_PER_100_000 * survey.points as f64 / 1e5, mib: 0.0 });
-    Decision { name: "lens", effect: None, verdict, evidence, rule, predicted }
+    Decision { name: "lens", effect: None, verdict, evidence, rule, predicted: None }
 }
 
 fn pose(survey: &Survey) -> Decision {

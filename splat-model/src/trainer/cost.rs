@@ -69,7 +69,8 @@ impl Trainer {
         let (_, truth) = self.views.prepare(VIEW);
         let image = Tensor::from_inner(truth.image() * 0.9).require_grad();
         let start = Instant::now();
-        let seen = self.effects.apply(image.clone(), VIEW, self.views.excluded(VIEW));
+        let excluded = self.views.excluded(VIEW);
+        let seen = self.effects.apply(image.clone(), VIEW, excluded.as_ref());
         let mut loss = photometric(seen, &truth, self.config.lambda);
         if let Some(penalty) = self.effects.penalty(VIEW) {
             loss = loss + penalty;

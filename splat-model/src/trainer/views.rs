@@ -101,20 +101,25 @@ impl Views {
         masks.map(Vec::len).reduce(|a, b| a + b)
     }
 
-    /// `[1, H, W]`: the pixels of a view, as it was last prepared, that do not count; none where all do.
-    pub fn excluded(&mut self, view: usize) -> Option<&Tensor<3, Bool>> {
+    /// `[1, H, W]`: the pixels of a view, as it was last prepared, that do not count; none where all do. Kept for its next use
+    /// while there is room.
+    pub fn excluded(&mut self, view: usize) -> Option<Tensor<3, Bool>> {
         if self.ignores_masks {
             return None;
         }
-        let view = &mut self.views[view];
-        if view.excluded.is_none()
-            && let Some(mask) = &view.shown().mask
-        {
-            let size = [1, view.shown().intrinsics.height, view.shown().intrinsics.width];
-            let excluded: Vec<bool> = mask.iter().map(|counts| !counts).collect();
-            view.excluded = Some(Tensor::from_data(TensorData::new(excluded, size), &self.device));
+        let kept = &mut self.views[view];
+        if kept.excluded.is_some() {
+            return kept.excluded.clone();
         }
-        view.excluded.as_ref()
+        let size = [1, kept.shown().intrinsics.height, kept.shown().intrinsics.width];
+        let excluded: Vec<bool> = kept.shown().mask.as_ref()?.iter().map(|counts| !counts).collect();
+        let bytes = excluded.len() * if self.packs { size_of::<u32>() } else { 1 };
+        let excluded = Tensor::from_data(TensorData::new(excluded, size), &self.device);
+        if bytes <= self.cache_left {
+            self.cache_left -= bytes;
+            kept.excluded = Some(excluded.clone());
+        }
+        Some(excluded)
     }
 
     /// Brings a view to the run's present size.
@@ -133,7 +138,7 @@ impl Views {
     pub fn prepare(&mut self, view: usize) -> (Camera, Truth) {
         let packs = self.packs && self.prepared_bytes() > self.cache;
         self.resize(view);
-        let excluded = self.excluded(view).cloned();
+        let excluded = self.excluded(view);
         let clear = |picture: Tensor<3>| match &excluded {
             Some(excluded) => masks::cleared(picture, excluded),
             None => picture,

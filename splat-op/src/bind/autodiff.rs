@@ -1,4 +1,4 @@
-//! The backward nodes of the stages. Each stage is one node; its backward pass computes what is tracked.
+//! The backward nodes of the stages. Each stage is one node, `project_shade` two; a backward pass computes what is tracked.
 
 use std::ops::Range;
 use std::sync::{Arc, Mutex, PoisonError};

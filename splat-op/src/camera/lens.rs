@@ -56,8 +56,11 @@ impl Coefficients {
         s * self.radial(s.length_squared())[0] + self.decentred(s)
     }
 
-    /// The radius up to which the map is one to one; infinite if it is so everywhere.
+    /// The radius up to which the map is one to one, at most [`FAR`]; infinite for the identity.
     fn reach(&self) -> f64 {
+        if *self == Self::default() {
+            return f64::INFINITY;
+        }
         let norm = |v: [f64; 2]| DVec2::from_array(v).length();
         let slack = [0.0, 6.0 * norm(self.tangential) + 2.0 * norm(self.prism)];
         // Everything times the square of the denominator `D`, as polynomials of the radius.
@@ -67,7 +70,7 @@ impl Coefficients {
         // (r N/D)' D² = N D + r (N' D − N D')
         let turn = minus(&times(&derivative(&n), &d), &times(&n, &derivative(&d)));
         let along = minus(&plus(&times(&n, &d), &times(&[0.0, 1.0], &turn)), &allowed);
-        let first = |p: &[f64]| positive_roots(p).first().copied().unwrap_or(f64::INFINITY);
+        let first = |p: &[f64]| positive_roots(p).first().copied().unwrap_or(FAR);
         first(&d).min(first(&across)).min(first(&along))
     }
 
@@ -116,6 +119,33 @@ impl Coefficients {
     }
 }
 
+/// A camera ready to project points on the host, in f64; see [`Intrinsics::projector`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Projector {
+    camera: Intrinsics,
+    lens: Coefficients,
+    reach: f64,
+}
+
+impl Projector {
+    /// Where a point of the camera's frame lies on the picture or beside it, px; `None` if it is not in front of the camera, or
+    /// beyond what the lens can see (see [`Intrinsics::reach`]). The equations are [`CameraModel`]'s.
+    pub fn px_from_cam(&self, point: DVec3) -> Option<DVec2> {
+        let (camera, across) = (&self.camera, point.truncate());
+        let s = match camera.model.is_fisheye() {
+            true => {
+                let rho = across.length();
+                // On the axis, angles are slopes.
+                across * if rho > 0.0 { rho.atan2(point.z) / rho } else { 1.0 / point.z }
+            }
+            false => across / point.z,
+        };
+        let seen = point.z > 0.0 && s.length() < self.reach;
+        let d = self.lens.map(s);
+        seen.then(|| DVec2::new(camera.fx * d.x + camera.cx, camera.fy * d.y + camera.cy))
+    }
+}
+
 impl Intrinsics {
     pub(crate) fn coefficients(&self) -> Coefficients {
         let [a, b, c, d, e, f, g, h] = self.distortion;
@@ -150,6 +180,10 @@ impl Intrinsics {
             };
             return [limits(self.width, self.fx, self.cx), limits(self.height, self.fy, self.cy)];
         }
+        // The angles of a fisheye are held nowhere.
+        if self.model.is_fisheye() {
+            return [[-FAR, FAR]; 2];
+        }
         let (lens, size) = (self.coefficients(), DVec2::new(self.width as f64, self.height as f64));
         let reach = lens.reach();
         let (mut low, mut high) = (DVec2::ZERO, DVec2::ZERO);
@@ -170,21 +204,14 @@ impl Intrinsics {
         DVec2::new((px.x - self.cx) / self.fx, (px.y - self.cy) / self.fy)
     }
 
-    /// Where a point of the camera's frame lies on the picture or beside it, px; `None` if it is not in front of the camera, or
-    /// beyond what the lens can see (see [`Self::reach`]). The equations are [`CameraModel`]'s.
+    /// The camera with what its lens can see, found once: for projecting many points.
+    pub fn projector(&self) -> Projector {
+        Projector { camera: *self, lens: self.coefficients(), reach: self.reach() }
+    }
+
+    /// [`Projector::px_from_cam`], for a few points.
     pub fn px_from_cam(&self, point: DVec3) -> Option<DVec2> {
-        let across = point.truncate();
-        let s = match self.model.is_fisheye() {
-            true => {
-                let rho = across.length();
-                // On the axis, angles are slopes.
-                across * if rho > 0.0 { rho.atan2(point.z) / rho } else { 1.0 / point.z }
-            }
-            false => across / point.z,
-        };
-        let seen = point.z > 0.0 && s.length() < self.reach();
-        let d = self.coefficients().map(s);
-        seen.then(|| DVec2::new(self.fx * d.x + self.cx, self.fy * d.y + self.cy))
+        self.projector().px_from_cam(point)
     }
 
     /// The direction in the camera's frame that a position on the picture looks along: with z one, or, for a fisheye, whose
@@ -242,8 +269,10 @@ fn derivative(p: &[f64]) -> Vec<f64> {
 /// Where a polynomial changes its sign between zero and [`FAR`], in ascending order. Between two such places of its derivative
 /// it is monotonic, so that a change is there if its ends have different signs, and bisection finds it.
 pub(super) fn positive_roots(p: &[f64]) -> Vec<f64> {
-    let Some(degree) = p.iter().rposition(|c| *c != 0.0).filter(|degree| *degree > 0) else { return Vec::new() };
-    let p = &p[..=degree];
+    // A factor of r has its root at zero, which is none between.
+    let Some(lowest) = p.iter().position(|c| *c != 0.0) else { return Vec::new() };
+    let Some(degree) = p.iter().rposition(|c| *c != 0.0).filter(|degree| *degree > lowest) else { return Vec::new() };
+    let p = &p[lowest..=degree];
     let value = |r: f64| p.iter().rev().fold(0.0, |sum, c| sum * r + c);
     let mut ends = vec![0.0];
     ends.extend(positive_roots(&derivative(p)));

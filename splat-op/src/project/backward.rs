@@ -18,7 +18,7 @@ use crate::gpu::UNITS;
 use crate::gpu::math::{Mat3, POSE, Pose, Quaternion, Vec3};
 use crate::gpu::reduce::cube_sum;
 
-/// Whether any number is not zero, by its bits: NaN is not.
+/// Whether any number is not zero, by its bits, so that NaN counts.
 #[cube]
 pub(crate) fn any(packed: &Packed) -> bool {
     let mean = u32::reinterpret(packed.x) | u32::reinterpret(packed.y);

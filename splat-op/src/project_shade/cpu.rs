@@ -70,6 +70,7 @@ pub(crate) fn project_shade_backward_cpu<F: Real>(
     spec: &ProjectSpec,
     needs: ProjectShadeNeeds,
 ) -> Grads<F> {
+    assert!(!needs.geometry.cam_from_world, "where the pose is trained, the stages run one by one");
     let mut geometry = project_backward_cpu(inputs.geometry, grad_packed, spec, needs.geometry);
     let means = std::mem::take(&mut geometry.means);
     let shade_needs = ShadeNeeds { sh: needs.sh, means: needs.geometry.means, cam_from_world: false };

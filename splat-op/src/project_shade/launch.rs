@@ -75,6 +75,7 @@ pub(crate) fn launch_project_shade_backward(
     let count = geometry.opacities.len;
     let rows = |needed, columns| Buffer::if_needed(gpu, needed, count * columns);
     let needed = needs.geometry;
+    assert!(!needed.cam_from_world, "where the pose is trained, the stages run one by one");
     let grads = DeviceGrads {
         geometry: ProjectGrads {
             means: rows(needed.means, 3),

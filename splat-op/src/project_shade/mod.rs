@@ -6,7 +6,7 @@
 //! or if the box around its ellipse, out to where an opacity of 1 falls to `alpha_min`, does not meet the picture:
 //!
 //! ```text
-//! |x − centre| <= REACH_MARGIN · k · (sigma_u,  sigma_v + |shear| sigma_u) + 1 px,   k² = 2 ln(1 / alpha_min)
+//! |x − centre| <= REACH_MARGIN · k · (sigma_u,  sigma_v + |shear| sigma_u) + 1 px,   k² = 2 ln(1 / alpha_min) + 0.001
 //! ```
 //!
 //! which is wider than what `tile` lists, so that no picture changes.
@@ -33,15 +33,17 @@ use burn::backend::{Backend, ExtensionType};
 use crate::op::Slot;
 use crate::project::{ProjectGrads, ProjectInputs, ProjectNeeds};
 
-/// How much wider the box is than exact arithmetic would have it. `tile` widens its own by 1e-5.
+/// How much wider the box is than exact arithmetic would have it, and what is added to the square of the reach. `tile` widens
+/// its own square by 1e-5 and adds 1e-4.
 pub(crate) const REACH_MARGIN: f64 = 1.01;
+const REACH_SLACK: f64 = 1e-3;
 
 /// No exponential of f32 or f64 tells `exp(−k²/2)` from zero here, whatever `alpha_min` is.
 const SIGMAS_MAX: f64 = 64.0;
 
 /// Standard deviations out to which a Gaussian of opacity 1 may show.
 pub(crate) fn reach_sigmas(alpha_min: f64) -> f64 {
-    let sigmas = if alpha_min > 0.0 { (-2.0 * alpha_min.ln()).max(0.0).sqrt() } else { SIGMAS_MAX };
+    let sigmas = if alpha_min > 0.0 { (REACH_SLACK - 2.0 * alpha_min.min(1.0).ln()).sqrt() } else { SIGMAS_MAX };
     REACH_MARGIN * sigmas.min(SIGMAS_MAX)
 }
 
@@ -78,7 +80,7 @@ pub struct ProjectShadeGrads<B: Backend> {
     pub sh: Slot<B>,
 }
 
-/// Which gradients are asked for; that of the pose cannot be.
+/// Which gradients are asked for; `geometry.cam_from_world` must not be.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ProjectShadeNeeds {
     pub geometry: ProjectNeeds,

@@ -88,7 +88,12 @@ fn camera_bytes(file: &Path, cameras: &[Intrinsics]) -> Result<Vec<u8>, CaptureE
         out.add((camera.width as u64).to_le_bytes());
         out.add((camera.height as u64).to_le_bytes());
         out.numbers([camera.fx, camera.fy, camera.cx, camera.cy]);
-        camera.distortion.iter().take(model.coefficients).for_each(|&coefficient| out.numbers([coefficient]));
+        let (used, unused) = camera.distortion.split_at(model.coefficients);
+        if let Some(&found) = unused.iter().find(|coefficient| **coefficient != 0.0) {
+            let expected = "zeros after the coefficients of the camera's model";
+            return Err(place.refuse_with("distortion", found, expected, "Set them to zero, or choose their model"));
+        }
+        used.iter().for_each(|&coefficient| out.numbers([coefficient]));
     }
     Ok(out.0)
 }

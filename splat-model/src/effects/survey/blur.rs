@@ -19,8 +19,8 @@ pub struct BlurEvidence {
     pub least_sharp: Option<String>,
 }
 
-pub(super) fn evidence(capture: &Capture, surveyed: &[usize], glances: &[Glance]) -> BlurEvidence {
-    let known = surveyed.iter().zip(glances).filter_map(|(&view, glance)| Some((view, glance.sharpness?)));
+pub(super) fn evidence(capture: &Capture, glances: &[Glance]) -> BlurEvidence {
+    let known = glances.iter().filter_map(|glance| Some((glance.view, glance.sharpness?)));
     let least_sharp = known.clone().min_by(|a, b| a.1.total_cmp(&b.1));
     let mut values: Vec<f64> = known.map(|(_, sharpness)| sharpness).collect();
     BlurEvidence {

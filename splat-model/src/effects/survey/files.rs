@@ -3,8 +3,9 @@
 use rayon::prelude::*;
 use serde::Serialize;
 
+use super::Capture;
 use super::pictures::Glance;
-use super::{Capture, CaptureError};
+use crate::capture::image::has_alpha;
 use crate::effects::masks;
 
 /// Folders in which tools put depth maps.
@@ -13,33 +14,26 @@ const DEPTH_FOLDERS: [&str; 4] = ["depth", "depths", "depth_maps", "stereo/depth
 /// Files that say more of photographs than their colours.
 #[derive(Clone, Debug, Serialize)]
 pub struct FileEvidence {
-    /// Surveyed photographs that are not opaque everywhere.
+    /// Photographs that are not opaque everywhere; of those whose pixels were not looked at, the ones with an alpha channel.
     pub with_alpha: usize,
     /// Photographs with a mask (see [`masks::find`]).
     pub with_mask: usize,
-    /// Share of the pixels of surveyed photographs with masks that these exclude.
+    /// Share of the pixels that masks exclude, over the photographs with masks that were looked at.
     pub masked_share: f64,
     /// A folder with depth maps, if there is one.
     pub depth_maps: Option<String>,
 }
 
-pub(super) fn evidence(
-    capture: &Capture,
-    surveyed: &[usize],
-    glances: &[Glance],
-) -> Result<FileEvidence, CaptureError> {
-    let found = masks::find(capture);
-    let share = |&view: &usize| {
-        let file = found[view].as_ref()?;
-        let camera = &capture.views[view].intrinsics;
-        Some(masks::load(file, camera).map(|mask| masks::excluded_share(&mask)))
-    };
-    let shares: Vec<f64> = surveyed.par_iter().filter_map(share).collect::<Result<_, _>>()?;
+pub(super) fn evidence(capture: &Capture, views: &[usize], glances: &[Glance]) -> FileEvidence {
+    let masked: Vec<f64> = glances.iter().filter_map(|glance| glance.masked).collect();
+    let transparent = glances.iter().filter(|glance| glance.transparent > 0.0).count();
+    let seen = |view: &usize| glances.binary_search_by_key(view, |glance| glance.view).is_ok();
+    let unseen = views.par_iter().filter(|view| !seen(view));
     let depth_maps = DEPTH_FOLDERS.into_iter().find(|name| capture.folder.join(name).is_dir());
-    Ok(FileEvidence {
-        with_alpha: glances.iter().filter(|glance| glance.transparent > 0.0).count(),
-        with_mask: found.iter().flatten().count(),
-        masked_share: shares.iter().sum::<f64>() / shares.len().max(1) as f64,
+    FileEvidence {
+        with_alpha: transparent + unseen.filter(|view| has_alpha(&capture.views[**view].image_path)).count(),
+        with_mask: masks::find(capture).iter().flatten().count(),
+        masked_share: masked.iter().sum::<f64>() / masked.len().max(1) as f64,
         depth_maps: depth_maps.map(str::to_owned),
-    })
+    }
 }

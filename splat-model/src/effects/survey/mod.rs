@@ -37,7 +37,8 @@ pub use self::view_dependence::ViewDependenceEvidence;
 pub struct Survey {
     /// Photographs in the capture.
     pub views: usize,
-    /// Of those, the ones that were looked at: all, unless they have more pixels than [`Survey::MOST_PIXELS`].
+    /// Of those, the ones that were looked at: all that were asked for, unless they have more pixels than
+    /// [`Survey::MOST_PIXELS`].
     pub views_surveyed: usize,
     /// Pixels of a photograph, the mean over the capture.
     pub pixels_per_view: f64,
@@ -74,18 +75,28 @@ impl Survey {
     /// Reads the pictures of `capture` and compares them.
     ///
     /// # Errors
-    /// A [`CaptureError`] if a picture or mask is missing, cannot be decoded, or has another size than its camera.
+    /// A [`CaptureError`] if a picture is missing, cannot be decoded, or has another size than its camera.
     pub fn of(capture: &Capture) -> Result<Self, CaptureError> {
-        let pixels: usize = capture.views.iter().map(|view| view.intrinsics.width * view.intrinsics.height).sum();
+        Self::of_views(capture, &(0..capture.views.len()).collect::<Vec<_>>())
+    }
+
+    /// The same, looking at the pictures of some views alone, indices in rising order: those to train on, where a decision must
+    /// not rest on those to test on.
+    ///
+    /// # Errors
+    /// Those of [`Self::of`].
+    pub fn of_views(capture: &Capture, views: &[usize]) -> Result<Self, CaptureError> {
+        let size = |&view: &usize| capture.views[view].intrinsics.width * capture.views[view].intrinsics.height;
+        let pixels: usize = views.iter().map(size).sum();
         let every = pixels.div_ceil(Self::MOST_PIXELS).max(1);
-        let surveyed: Vec<usize> = (0..capture.views.len()).step_by(every).collect();
+        let surveyed: Vec<usize> = views.iter().copied().step_by(every).collect();
         let mut sights = sights::Sights::of(capture, &surveyed);
         let glances = pictures::look(capture, &surveyed, &mut sights)?;
         let fit = exposure::fit(&sights, capture.views.len());
         Ok(Self {
             views: capture.views.len(),
             views_surveyed: surveyed.len(),
-            pixels_per_view: pixels as f64 / capture.views.len().max(1) as f64,
+            pixels_per_view: pixels as f64 / views.len().max(1) as f64,
             points: capture.points.positions.len(),
             source: sights.source,
             points_compared: sights.points.len(),
@@ -96,8 +107,8 @@ impl Survey {
             footprint: footprint::evidence(&sights),
             pose: pose::evidence(capture),
             depth: depth::evidence(capture, &sights),
-            blur: blur::evidence(capture, &surveyed, &glances),
-            files: files::evidence(capture, &surveyed, &glances)?,
+            blur: blur::evidence(capture, &glances),
+            files: files::evidence(capture, views, &glances),
         })
     }
 }

@@ -5,13 +5,18 @@ use rayon::prelude::*;
 use super::sights::{Sample, Sights};
 use crate::capture::image::load;
 use crate::capture::{Capture, CaptureError, Photo};
+use crate::effects::masks;
 
 /// What one picture shows.
 pub(super) struct Glance {
+    /// Whose.
+    pub view: usize,
     /// See [`super::BlurEvidence`]; none for a picture of one colour.
     pub sharpness: Option<f64>,
     /// Share of the picture that is not opaque.
     pub transparent: f64,
+    /// Share of the picture that a mask excludes; none without a mask.
+    pub masked: Option<f64>,
 }
 
 /// Decodes each picture once, fills in the samples, and keeps nothing else of it.
@@ -22,11 +27,19 @@ pub(super) fn look(capture: &Capture, surveyed: &[usize], sights: &mut Sights) -
             places[sight.view].push((point, i));
         }
     }
+    let found = masks::find(capture);
     let one = |&view: &usize| {
-        let photo = load(&capture.views[view], None)?;
+        let mut photo = load(&capture.views[view], None)?;
+        // One that cannot be used is no evidence; it stops those who train with it.
+        photo.mask = found[view].as_ref().and_then(|file| masks::load(file, &photo.intrinsics).ok());
         let sample = |&(point, i): &(usize, usize)| sample(&photo, sights.points[point][i].at_px);
         let samples: Vec<Option<Sample>> = places[view].iter().map(sample).collect();
-        let glance = Glance { sharpness: super::blur::sharpness(&photo), transparent: transparent(&photo) };
+        let glance = Glance {
+            view,
+            sharpness: super::blur::sharpness(&photo),
+            transparent: transparent(&photo),
+            masked: photo.mask.as_deref().map(masks::excluded_share),
+        };
         Ok((glance, samples))
     };
     let seen: Vec<(Glance, Vec<Option<Sample>>)> = surveyed.par_iter().map(one).collect::<Result<_, CaptureError>>()?;
@@ -40,7 +53,7 @@ pub(super) fn look(capture: &Capture, surveyed: &[usize], sights: &mut Sights) -
     Ok(glances)
 }
 
-/// None within two pixels of the border, and where the picture is not opaque.
+/// None within two pixels of the border, where the picture is not opaque, and where a mask excludes.
 fn sample(photo: &Photo, at_px: [f64; 2]) -> Option<Sample> {
     let (width, height) = (photo.intrinsics.width, photo.intrinsics.height);
     // Compared before it is converted: a damaged file may place a keypoint anywhere.
@@ -53,7 +66,8 @@ fn sample(photo: &Photo, at_px: [f64; 2]) -> Option<Sample> {
     for row in y - 2..=y + 2 {
         for column in x - 2..=x + 2 {
             let at = row * width + column;
-            if photo.alpha.as_ref().is_some_and(|alpha| alpha[at] != u8::MAX) {
+            let transparent = photo.alpha.as_ref().is_some_and(|alpha| alpha[at] != u8::MAX);
+            if transparent || photo.mask.as_ref().is_some_and(|mask| !mask[at]) {
                 return None;
             }
             let inner = row.abs_diff(y) <= 1 && column.abs_diff(x) <= 1;

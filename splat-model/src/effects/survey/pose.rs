@@ -1,7 +1,8 @@
 //! How well the poses explain where points were found.
 
-use glam::Vec3;
+use glam::{Vec2, Vec3};
 use serde::Serialize;
+use splat_op::Projector;
 
 use super::{Capture, quantile};
 
@@ -28,16 +29,14 @@ pub struct PoseEvidence {
 
 pub(super) fn evidence(capture: &Capture) -> Option<PoseEvidence> {
     let count = capture.points.positions.len();
+    let cameras: Vec<Projector> = capture.views.iter().map(|view| view.intrinsics.projector()).collect();
+    let cameras = &cameras;
     let measured = (0..count).flat_map(|point| {
         let world = Vec3::from_array(capture.points.positions[point]).as_dvec3();
         capture.tracks.of(point).iter().filter_map(move |sight| {
-            let view = &capture.views[sight.view];
-            let camera = &view.intrinsics;
-            let cam = view.cam_from_world.transform_point3(world);
-            let found = sight.at_px.map(f64::from);
-            let off =
-                [camera.fx * cam.x / cam.z + camera.cx - found[0], camera.fy * cam.y / cam.z + camera.cy - found[1]];
-            (cam.z > 0.0).then(|| off[0].hypot(off[1]))
+            let cam = capture.views.get(sight.view)?.cam_from_world.transform_point3(world);
+            let found = Vec2::from_array(sight.at_px).as_dvec2();
+            Some(cameras[sight.view].px_from_cam(cam)?.distance(found))
         })
     });
     let mut errors: Vec<f64> = measured.filter(|error| error.is_finite()).collect();

@@ -2,6 +2,7 @@
 
 use glam::{DVec3, Vec3};
 use serde::Serialize;
+use splat_op::Projector;
 
 use crate::capture::{Capture, View};
 
@@ -110,8 +111,9 @@ fn projected(capture: &Capture, surveyed: &[usize]) -> Vec<(usize, Vec<Sight>)> 
         let side_px = (view.intrinsics.width.max(view.intrinsics.height) as f64 / CELLS as f64).max(1.0);
         let cell = |[x, y]: [f64; 2]| [(x / side_px) as usize, (y / side_px) as usize];
         let mut nearest = vec![[f64::INFINITY; CELLS + 1]; CELLS + 1];
+        let projector = view.intrinsics.projector();
         let shown: Vec<Option<([f64; 2], f64)>> =
-            (0..count).map(|point| project(view, position(capture, point))).collect();
+            (0..count).map(|point| project(view, &projector, position(capture, point))).collect();
         for (at_px, depth) in shown.iter().flatten() {
             let [column, row] = cell(*at_px);
             nearest[row][column] = nearest[row][column].min(*depth);
@@ -131,14 +133,13 @@ fn projected(capture: &Capture, surveyed: &[usize]) -> Vec<(usize, Vec<Sight>)> 
     found
 }
 
-/// Where a point is in a picture, px, and its depth; none outside. Lens distortion is left out: it moves a place by less
-/// than the comparison is robust to, or the capture says so in [`super::LensEvidence`].
-pub(super) fn project(view: &View, world: DVec3) -> Option<([f64; 2], f64)> {
+/// Where a point is in the picture of a view with the camera `projector`, px, and its depth; none outside.
+pub(super) fn project(view: &View, projector: &Projector, world: DVec3) -> Option<([f64; 2], f64)> {
     let camera = &view.intrinsics;
     let cam = view.cam_from_world.transform_point3(world);
-    let at_px = [camera.fx * cam.x / cam.z + camera.cx, camera.fy * cam.y / cam.z + camera.cy];
+    let at_px = projector.px_from_cam(cam)?.to_array();
     let inside = (0.0..camera.width as f64).contains(&at_px[0]) && (0.0..camera.height as f64).contains(&at_px[1]);
-    (cam.z > 0.0 && inside).then_some((at_px, cam.z))
+    inside.then_some((at_px, cam.z))
 }
 
 fn focal_px(view: &View) -> f64 {

@@ -113,6 +113,20 @@ fn without_tracks_points_are_projected() {
     assert_eq!(effects(&survey), []);
 }
 
+/// By a pinhole's projection the poses of this capture would be off by more than a pixel.
+#[test]
+fn poses_are_judged_through_the_lens() {
+    let Some(folder) = real_capture("fox_distorted") else { return };
+    let capture = Capture::load(&folder).unwrap();
+    let survey = Survey::of_views(&capture, &[3, 4, 5]).unwrap();
+    let pose = survey.pose.as_ref().unwrap();
+    assert!(pose.source == PoseSource::Tracks && (0.2..0.5).contains(&pose.mean_px), "{pose:?}");
+    let displacement = survey.lens.largest_displacement_px.unwrap();
+    assert!((1.0..20.0).contains(&displacement), "{displacement}");
+    assert_eq!((survey.views, survey.views_surveyed), (50, 3));
+    assert_eq!(effects(&survey), []);
+}
+
 /// Tracks of a damaged file lead anywhere.
 #[test]
 fn keypoints_far_outside_are_passed_over() {
