@@ -55,7 +55,7 @@ pub fn photographs(capture: &Capture, views: &[usize], max_side: Option<u32>, ma
             capture.folder.display()
         );
         if dropped > 0 {
-            progress::note(&format!("{dropped} photographs are left out: their masks exclude every pixel"));
+            progress::note(&format!("photographs left out, because their masks exclude every pixel: {dropped}"));
         }
     }
     Ok(photos)

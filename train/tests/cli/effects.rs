@@ -89,6 +89,46 @@ fn effects_are_adjusted_recorded_and_measured() {
 }
 
 #[test]
+fn masks_that_cannot_be_used_stop_only_those_who_use_them() {
+    let folder = tempfile::tempdir().unwrap();
+    let (capture, out) = (folder.path().join("capture"), folder.path().join("out"));
+    exposed(&capture);
+    let masks = capture.join("masks");
+    std::fs::create_dir(&masks).unwrap();
+    GrayImage::new(10, 10).save(masks.join("0003.png")).unwrap();
+    let train = |effects: &str| {
+        let arguments = ["train", text(&capture), "--steps", "2", "--out", text(&out), "--effects", effects];
+        splat(&arguments)
+    };
+    refuse(&mut train("auto"), &["a mask cannot be used", "--effects=-masks", "0003.png", "10 × 10"]);
+    succeed(&mut train("-masks"));
+    succeed(&mut splat(&["inspect", text(&capture)]));
+    // Every eighth photograph is tested on: of these two masks leave nothing.
+    for view in ["0000", "0008"] {
+        GrayImage::new(64, 48).save(masks.join(format!("{view}.png"))).unwrap();
+    }
+    std::fs::remove_file(masks.join("0003.png")).unwrap();
+    refuse(&mut train("masks"), &["exclude every pixel of 2 photographs", "--effects=-masks"]);
+    // Of the others one may be left out.
+    std::fs::remove_file(masks.join("0008.png")).unwrap();
+    assert!(succeed(&mut train("masks")).stderr.contains("every pixel: 1"));
+}
+
+#[test]
+fn an_option_and_an_effect_do_not_contradict_each_other() {
+    let arguments = ["train", text(&DEMO), "--steps", "2", "--antialias", "--out"];
+    let out = tempfile::tempdir().unwrap();
+    let train = |effects: &str| {
+        let mut run = splat(&[&arguments[..], &[text(out.path())]].concat());
+        run.arg(format!("--effects={effects}"));
+        run
+    };
+    refuse(&mut train("-antialias"), &["`--antialias`", "contradict"]);
+    succeed(&mut train("none"));
+    assert_eq!(json(&out.path().join("metrics.json"))["effects"]["on"], serde_json::json!(["antialias"]));
+}
+
+#[test]
 fn unknown_effects_are_refused() {
     let ended = crate::run::end(&mut splat(&["train", "capture", "--out", "out", "--effects", "fog"]));
     assert!(ended.code == Some(2) && ended.stderr.contains("antialias, alpha, exposure, masks"), "{ended:?}");

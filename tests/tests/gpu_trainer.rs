@@ -1,0 +1,84 @@
+//! What the trainer does on a GPU alone, or with tensor code that nothing else runs there.
+
+use std::cell::RefCell;
+use std::rc::Rc;
+
+use burn::tensor::Device;
+use glam::{DAffine3, DVec3};
+use splat_model::capture::{Photo, PointCloud};
+use splat_model::effects::exposure::ExposureConfig;
+use splat_model::trainer::{Seen, TrainConfig, Trainer};
+use splat_op::Intrinsics;
+use splat_tests::gpu;
+use splat_tests::scene::host;
+
+/// Without room for prepared photographs they go to the device packed, and are unpacked there.
+#[test]
+fn a_loss_sees_packed_photographs_as_they_are() {
+    let Some(device) = gpu() else { return };
+    let (width, height) = (53, 38);
+    let byte = |i: usize| (i % 256) as u8;
+    let photo = |name: &str, alpha: Option<Vec<u8>>| Photo {
+        name: name.into(),
+        intrinsics: Intrinsics::centred(width, height, 50.0),
+        cam_from_world: DAffine3::from_translation(DVec3::new(0.0, 0.0, 3.0)),
+        rgb: (0..width * height).flat_map(|i| [byte(i), byte(3 * i + 200), byte(255 - i % 256)]).collect(),
+        alpha,
+        mask: None,
+    };
+    let translucent = (0..width * height).map(|i| byte(7 * i + 100)).collect();
+    let photos = vec![photo("opaque", None), photo("translucent", Some(translucent))];
+    let background = [0.1, 0.5, 0.9];
+    let expected: Vec<(String, Vec<f64>)> =
+        photos.iter().map(|photo| (photo.name.clone(), host(photo.rgb_over(background, &Device::flex())))).collect();
+    let points = PointCloud { positions: vec![[0.0; 3], [0.5, 0.2, 0.1]], colours: vec![[128; 3]; 2] };
+    let config = TrainConfig { steps: 2, cache_mib: 0, background, ..TrainConfig::default() };
+    let seen_by_loss = Rc::new(RefCell::new(Vec::new()));
+    let record = seen_by_loss.clone();
+    let loss = move |seen: &Seen| {
+        record.borrow_mut().push((seen.view.to_owned(), host(seen.truth.image())));
+        (seen.image.clone() - seen.truth.image()).square().mean()
+    };
+    let mut run = Trainer::new(photos, &points, config, &device).expect("photographs and steps").with_loss(loss);
+    (0..2).for_each(|_| drop(run.step().expect("a sound run")));
+    let mut seen = seen_by_loss.take();
+    seen.sort_by(|a, b| a.0.cmp(&b.0));
+    for ((name, seen), (view, expected)) in seen.iter().zip(&expected) {
+        assert_eq!(name, view);
+        for (seen, expected) in seen.iter().zip(expected) {
+            assert!((seen - expected).abs() <= 1e-6, "{name}: {seen} instead of {expected}");
+        }
+    }
+    assert_eq!(seen.len(), expected.len());
+}
+
+/// Exposures and masks are ordinary tensor code, but nothing of it runs on a GPU unless somebody trains with them there.
+#[test]
+fn effects_train_as_on_the_cpu() {
+    let Some(device) = gpu() else { return };
+    let (width, height) = (48, 36);
+    let byte = |i: usize| (i % 256) as u8;
+    let photo = |view: usize| Photo {
+        name: format!("{view}"),
+        intrinsics: Intrinsics::centred(width, height, 50.0),
+        cam_from_world: DAffine3::from_translation(DVec3::new(0.1 * view as f64, 0.0, 3.0)),
+        rgb: (0..width * height).flat_map(|i| [byte(2 * i), byte(90 * view + i / 9), byte(i / 7)]).collect(),
+        alpha: None,
+        mask: (view == 1).then(|| (0..width * height).map(|i| i % width < 30).collect()),
+    };
+    let position = |i: usize| [(i % 8) as f32 / 4.0 - 0.9, (i / 8) as f32 / 4.0 - 0.7, (i % 3) as f32 / 4.0];
+    let points = PointCloud { positions: (0..48).map(position).collect(), colours: vec![[90, 140, 60]; 48] };
+    let config = TrainConfig { steps: 12, exposure: Some(ExposureConfig::default()), ..TrainConfig::default() };
+    let losses = |config: &TrainConfig, device: &Device| -> Vec<f64> {
+        let photos = (0..3).map(photo).collect();
+        let mut run = Trainer::new(photos, &points, config.clone(), device).expect("photographs and steps");
+        (0..config.steps).map(|_| host(run.step().expect("a sound run").loss)[0]).collect()
+    };
+    let (expected, found) = (losses(&config, &Device::flex()), losses(&config, &device));
+    for (step, (found, expected)) in found.iter().zip(&expected).enumerate() {
+        assert!((found - expected).abs() <= 1e-3 * expected, "step {step}: {found} instead of {expected}");
+    }
+    // That the maps do something by the last step, which comes back to photographs seen before.
+    let without = losses(&TrainConfig { exposure: None, ..config }, &Device::flex());
+    assert!((without[11] - expected[11]).abs() > 5e-3 * expected[11], "{} and {}", without[11], expected[11]);
+}
