@@ -56,11 +56,8 @@ impl Coefficients {
         s * self.radial(s.length_squared())[0] + self.decentred(s)
     }
 
-    /// The radius up to which the map is one to one, at most [`FAR`]; infinite for the identity.
+    /// The radius up to which the map is one to one; infinite if it is so as far as [`FAR`].
     fn reach(&self) -> f64 {
-        if *self == Self::default() {
-            return f64::INFINITY;
-        }
         let norm = |v: [f64; 2]| DVec2::from_array(v).length();
         let slack = [0.0, 6.0 * norm(self.tangential) + 2.0 * norm(self.prism)];
         // Everything times the square of the denominator `D`, as polynomials of the radius.
@@ -70,7 +67,7 @@ impl Coefficients {
         // (r N/D)' D² = N D + r (N' D − N D')
         let turn = minus(&times(&derivative(&n), &d), &times(&n, &derivative(&d)));
         let along = minus(&plus(&times(&n, &d), &times(&[0.0, 1.0], &turn)), &allowed);
-        let first = |p: &[f64]| positive_roots(p).first().copied().unwrap_or(FAR);
+        let first = |p: &[f64]| positive_roots(p).first().copied().unwrap_or(f64::INFINITY);
         first(&d).min(first(&across)).min(first(&along))
     }
 
@@ -164,7 +161,7 @@ impl Intrinsics {
     }
 
     /// The slope, or for a fisheye the angle in radians, from which on the lens shows nothing: up to there no two directions
-    /// meet on the picture. Infinite if that is so everywhere, as for a pinhole.
+    /// meet on the picture. Infinite if that is so up to a slope of a million, as for a pinhole.
     pub fn reach(&self) -> f64 {
         self.coefficients().reach()
     }
@@ -179,10 +176,6 @@ impl Intrinsics {
                 [-principal / focal - margin, (size as f64 - principal) / focal + margin]
             };
             return [limits(self.width, self.fx, self.cx), limits(self.height, self.fy, self.cy)];
-        }
-        // The angles of a fisheye are held nowhere.
-        if self.model.is_fisheye() {
-            return [[-FAR, FAR]; 2];
         }
         let (lens, size) = (self.coefficients(), DVec2::new(self.width as f64, self.height as f64));
         let reach = lens.reach();
