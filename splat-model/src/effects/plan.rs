@@ -7,8 +7,12 @@ use serde::Serialize;
 use super::Effect;
 use super::survey::{SightSource, Survey, ViewDependenceEvidence};
 
-/// Brightness or white balance differ by this many stops of stored values.
-pub const EXPOSURE_STOPS: f64 = 0.1;
+/// Brightness differs by this many stops of stored values (deviation). Things look brighter from some sides than from others
+/// too, so that a smaller difference may be the scene's.
+pub const BRIGHTNESS_STOPS: f64 = 0.2;
+
+/// White balance, the same: hardly anything changes its hue with the side that it is seen from.
+pub const WHITE_BALANCE_STOPS: f64 = 0.1;
 
 /// The twentieth part of the points that is seen at the most different sizes is seen at sizes this many times apart.
 pub const FOOTPRINT_RATIO: f64 = 8.0;
@@ -163,16 +167,19 @@ fn alpha(survey: &Survey) -> Decision {
 }
 
 fn exposure(survey: &Survey) -> Decision {
-    let rule = format!("on where brightness or white balance differ by more than {EXPOSURE_STOPS} stops");
+    let rule = format!(
+        "on where brightness differs by more than {BRIGHTNESS_STOPS} stops or white balance by more than {WHITE_BALANCE_STOPS}"
+    );
     let (on, evidence) = match &survey.exposure {
         None => (false, "not known: too few points are in several photographs".into()),
         Some(found) => {
-            let largest = found.brightness_spread_stops.max(found.white_balance_spread_stops);
+            let on = found.brightness_spread_stops > BRIGHTNESS_STOPS
+                || found.white_balance_spread_stops > WHITE_BALANCE_STOPS;
             let evidence = format!(
                 "photographs differ by {:.3} stops of stored values in brightness, {:.3} in white balance (deviation)",
                 found.brightness_spread_stops, found.white_balance_spread_stops
             );
-            (largest > EXPOSURE_STOPS, evidence)
+            (on, evidence)
         }
     };
     // Parameters, two moments and a gradient of twelve numbers for each photograph.
