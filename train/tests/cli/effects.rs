@@ -64,7 +64,7 @@ fn effects_are_adjusted_recorded_and_measured() {
         succeed(&mut splat(&arguments));
         json(&out.join("metrics.json"))
     };
-    let metrics = train("auto");
+    let metrics = train("+exposure");
     assert_eq!(metrics["effects"]["on"], serde_json::json!(["exposure", "masks"]));
     for name in ["exposure", "masks"] {
         assert!(metrics["effects"]["measured"][name]["ms_per_step"].is_number(), "{metrics}");
