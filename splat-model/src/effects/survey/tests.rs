@@ -84,6 +84,8 @@ fn colours_that_change_with_the_view_are_told_from_exposure_and_neighbours() {
     assert_eq!(stray(&shiny, &none, 0.35).unwrap().1, 0.0, "a neighbour shows the same");
     let bright = (0.7_f64 / 0.4).ln();
     assert_eq!(stray(&shiny, &[0.0, 0.0, bright, bright, bright, 0.0, 0.0], 0.0).unwrap().1, 0.0, "an exposure");
+    let mostly = [bright, bright, bright, bright, 0.0, 0.0, 0.0];
+    assert_eq!(stray(&[0.7, 0.7, 0.7, 0.7, 0.4, 0.4, 0.4], &mostly, 0.0).unwrap().1, 0.0, "that of most photographs");
     assert_eq!(
         stray(&[0.4, 0.4, 0.4, 0.9, 0.4, 0.4, 0.4], &none, 0.0).unwrap().1,
         0.0,
