@@ -255,3 +255,14 @@ fn real_photos_load() {
         }
     }
 }
+
+#[test]
+fn a_header_tells_of_an_alpha_channel() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = |name: &str| folder.path().join(name);
+    image::RgbaImage::new(4, 3).save(file("with.png")).unwrap();
+    image::RgbImage::new(4, 3).save(file("without.png")).unwrap();
+    std::fs::write(file("broken.png"), b"no picture").unwrap();
+    let found = ["with.png", "without.png", "broken.png", "missing.png"].map(|name| has_alpha(&file(name)));
+    assert_eq!(found, [true, false, false, false]);
+}

@@ -44,6 +44,15 @@ fn every_lens_survives() {
 }
 
 #[test]
+fn coefficients_that_a_model_has_not_are_not_dropped_in_silence() {
+    let mut written = small_capture();
+    written.views[0].intrinsics.distortion[0] = 0.1;
+    let folder = tempfile::tempdir().unwrap();
+    let error = write_binary(folder.path(), &written.views, &written.points).unwrap_err().to_string();
+    assert!(error.contains("distortion") && error.contains("0.1") && error.contains("Set them to zero"), "{error}");
+}
+
+#[test]
 fn tracks_read_as_they_were_written() {
     let written = small_capture();
     let sight = |view, x| Some(Observation { view, at_px: [x, 2.5] });
