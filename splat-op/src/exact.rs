@@ -1,9 +1,9 @@
 //! The yardstick: a render in float64 without cut-off, tiles, or any other approximation, to be believed by reading.
 //!
 //! It follows the model choices of [`RenderOptions`] (`blur`, `near`, `jacobian_margin`, `antialias`) and ignores its
-//! numerical dials. It shares no arithmetic with the stages: covariances are formed and inverted as the papers write
-//! them, which in float64 costs digits only for Gaussians some 1e6 times longer than wide. Every pixel visits every
-//! Gaussian, so it is for proofs, not pictures.
+//! numerical dials. It shares no arithmetic with the stages but a camera's limits (how far a lens sees, the slopes at which
+//! the Jacobian is held): covariances are formed and inverted as the papers write them, which in float64 costs digits only
+//! for Gaussians some 1e6 times longer than wide. Every pixel visits every Gaussian, so it is for proofs, not pictures.
 
 mod lens;
 
