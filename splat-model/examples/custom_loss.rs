@@ -34,7 +34,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         }
     }
     let splats = trainer.gaussians().untracked().splats();
-    let scores = evaluate(&splats, &photos, [0.0; 3], &trainer.render_options(), |_, _| {})?;
+    let scores = evaluate(&splats, &photos, &trainer.background(), &trainer.render_options(), |_, _| {})?;
     println!("PSNR on the photographs themselves: {:.2} dB", scores.psnr);
     Ok(())
 }

@@ -2,9 +2,10 @@
 
 use burn::tensor::{Bool, Device, Tensor, TensorData};
 use serde::{Deserialize, Serialize};
-use splat_op::{Camera, Extras, RenderOptions, SplatError, Splats, render};
+use splat_op::{Camera, Extras, RenderOptions, SplatError, Splats, render_view};
 
 use crate::capture::Photo;
+use crate::effects::background::Background;
 use crate::gaussians::values_of;
 use crate::metrics::{colour_corrected, mean_over_views, psnr, scores_without, ssim};
 
@@ -56,7 +57,7 @@ pub struct Comparison<'a> {
 pub fn evaluate(
     splats: &Splats,
     photos: &[Photo],
-    background: [f32; 3],
+    background: &Background,
     options: &RenderOptions,
     mut look: impl FnMut(&Comparison, &ViewScore),
 ) -> Result<Scores, SplatError> {
@@ -64,10 +65,12 @@ pub fn evaluate(
     let mut views = Vec::with_capacity(photos.len());
     for photo in photos {
         let camera = Camera::new(photo.intrinsics, &photo.cam_from_world, &device);
-        let extras = Extras { background: Some(Tensor::from_floats(background, &device)), ..Extras::default() };
-        let rendered = render(splats, &[camera], &extras, options)?;
-        let image = rendered.colour.squeeze_dim::<3>(0).clamp(0.0, 1.0);
-        let comparison = Comparison { photo, truth: photo.rgb_over(background, &device), image };
+        let colour = background.colour();
+        let extras = Extras { background: Some(Tensor::from_floats(colour, &device)), ..Extras::default() };
+        let picture = render_view(splats, &camera, &extras, options)?;
+        let image = background.behind(picture.colour, picture.alpha, &photo.intrinsics, &photo.cam_from_world);
+        let image = image.clamp(0.0, 1.0);
+        let comparison = Comparison { photo, truth: photo.rgb_over(colour, &device), image };
         let (psnr, ssim) = scored(&comparison, comparison.image.clone());
         let (psnr_corrected, ssim_corrected) = scored(&comparison, corrected(&comparison));
         let score = ViewScore { name: photo.name.clone(), psnr, ssim, psnr_corrected, ssim_corrected };

@@ -18,8 +18,14 @@ use splat_op::{Extras, Intrinsics, RenderOptions, Splats, render_view};
 use crate::capture::{Photo, PointCloud};
 use crate::density::rows::{Gradients, StepRates, Trained};
 use crate::density::{Adaptive, RefineReport};
-use crate::effects::{Applied, masks};
-use crate::gaussians::Gaussians;
+use crate::effects::background::{Background, Behind};
+use crate::effects::depth::{DepthSample, Depths};
+use crate::effects::exposure::Exposure;
+use crate::effects::grid::Grids;
+use crate::effects::pose::Poses;
+use crate::effects::smoothing::Smoothing;
+use crate::effects::{Applied, EffectGradients, Moment, masks};
+use crate::gaussians::{GaussianRows, Gaussians};
 use crate::init;
 use crate::loss::{Truth, photometric, regularise};
 use crate::optim::{Adam, Decay, scene_extent, sh_degree_at};
@@ -128,7 +134,22 @@ impl Trainer {
         let centres: Vec<_> = photos.iter().map(|photo| photo.cam_from_world.inverse().translation).collect();
         let extent = scene_extent(&centres);
         let tracked = device.clone().autodiff();
-        let effects = Applied::new(config.exposure, photos.len(), device);
+        let behind = Behind::new(config.backdrop, config.background, device);
+        if behind.as_ref().is_some_and(Behind::is_learnt)
+            && let Some(photo) = photos.iter().find(|photo| photo.alpha.is_some())
+        {
+            return Err(TrainError::LearntBackground(photo.name.clone()));
+        }
+        let effects = Applied {
+            smoothing: config
+                .smoothing
+                .then(|| Smoothing::new(photos.iter().map(|photo| (&photo.intrinsics, &photo.cam_from_world)))),
+            poses: config.poses.map(|poses| Poses::new(poses, extent, photos.len(), device)),
+            behind,
+            exposure: config.exposure.map(|exposure| Exposure::new(exposure, photos.len(), device)),
+            grids: config.grid.map(|grid| Grids::new(grid, photos.len(), device)),
+            depths: None,
+        };
         let views = Views::new(photos, config.background, config.cache_mib, device);
         let lambda = config.lambda;
         Ok(Self {
@@ -159,9 +180,40 @@ impl Trainer {
         Self { checks: true, ..self }
     }
 
-    /// The scene as it is now. After a step that went wrong it is still the one before that step.
+    /// The same run, with what is known of the depth of things in each photograph, in the order of the photographs; nothing is
+    /// learnt from it unless [`TrainConfig::depth`] says so.
+    pub fn with_depths(mut self, samples: Vec<Vec<DepthSample>>) -> Self {
+        self.effects.depths = self.config.depth.map(|depth| Depths::new(depth, samples, &self.device));
+        self
+    }
+
+    /// The scene's parameters as they are now. After a step that went wrong it is still the one before that step.
     pub fn gaussians(&self) -> &Gaussians {
         &self.scene.gaussians
+    }
+
+    /// The scene as others should render it: the parameters, or what smoothing makes of them.
+    pub fn rows(&self) -> GaussianRows {
+        let mut rows = self.scene.gaussians.to_rows();
+        if let Some(smoothing) = &self.effects.smoothing {
+            smoothing.bake(&mut rows);
+        }
+        rows
+    }
+
+    /// What is behind the scene, for whoever renders it.
+    pub fn background(&self) -> Background {
+        self.effects.learnt_background().unwrap_or(Background::Colour(self.config.background))
+    }
+
+    /// The photographs' names and their poses as refined, if they are.
+    pub fn refined_poses(&self) -> Option<Vec<(String, DAffine3)>> {
+        let poses = self.effects.poses.as_ref()?;
+        let refined = |view: usize| {
+            let (_, given) = self.views.camera_of(view);
+            (self.views.name(view).to_owned(), poses.corrected(given, view))
+        };
+        Some((0..self.views.len()).map(refined).collect())
     }
 
     /// How the run renders; whoever looks at its scene should render like this.
@@ -200,7 +252,8 @@ impl Trainer {
         } else {
             self.scene.step(gradients, &Adam::default(), &rates, step, held.as_ref());
         }
-        self.effects.step(view, of_effects, (step, self.config.steps), held.as_ref());
+        let at = Moment { view, step, steps: self.config.steps, verdict: held.as_ref() };
+        self.effects.step(of_effects, at);
         // Refinement reads the scene and acts on what it finds, so nothing may be left in doubt.
         let read = self.density.acts_at(step) || self.is_done();
         self.guard.read(read).map_err(|fault| self.non_finite(fault))?;
@@ -210,37 +263,39 @@ impl Trainer {
     }
 
     /// The loss, `[1]`, of a view and its gradients, those of the effects apart; tells density control what it listens for.
-    fn differentiate(&mut self, view: usize) -> Result<(Tensor<1>, Gradients, Option<Tensor<2>>), TrainError> {
+    fn differentiate(&mut self, view: usize) -> Result<(Tensor<1>, Gradients, EffectGradients), TrainError> {
         let step = self.step;
-        let splats = self.scene.gaussians.splats();
+        let splats = self.effects.splats(&self.scene.gaussians, step);
         let tracked = splats.means.device();
         let probe = self
             .density
             .listens_at(step)
             .then(|| Tensor::<2>::zeros([self.scene.gaussians.len(), 2], &tracked).require_grad());
+        let drawn = self.effects.draw_background(&mut self.rng);
+        let fixed = || Tensor::from_floats(drawn.unwrap_or(self.config.background), &self.device);
         let extras = Extras {
-            background: Some(Tensor::from_floats(self.config.background, &self.device)),
+            background: Some(self.effects.background(&self.device).unwrap_or_else(fixed)),
             mean2d_probe: probe.clone(),
             ..Extras::default()
         };
-        let options = self.options;
-        let (camera, truth) = self.views.prepare(view);
+        let options = self.options.with_depth(self.effects.needs_depth(view));
+        let (camera, truth) = self.views.prepare(view, drawn);
         let size = (camera.intrinsics.width, camera.intrinsics.height);
-        let (image, alpha) = if self.checks {
-            let picture = render_checked(&splats, &camera, &extras, &options);
-            let picture = picture.map_err(|stopped| self.stopped(view, stopped))?;
-            (picture.colour, picture.alpha)
+        let camera = self.effects.camera(camera, view);
+        let picture = if self.checks {
+            render_checked(&splats, &camera, &extras, &options).map_err(|stopped| self.stopped(view, stopped))?
         } else {
-            let picture = render_view(&splats, &camera, &extras, &options)?;
-            (picture.colour, picture.alpha)
+            render_view(&splats, &camera, &extras, &options)?
         };
         let excluded = self.views.excluded(view);
-        let image = self.effects.apply(image, view, excluded.as_ref());
+        let image = self.effects.shown(&picture, view, self.views.camera_of(view), excluded.as_ref());
+        let of_depth = self.effects.depth_penalty(&picture, view);
+        let alpha = picture.alpha;
         let alpha = excluded.map_or(alpha.clone(), |excluded| masks::cleared(alpha, &excluded));
         let seen = Seen { image, alpha, truth: &truth, splats: &splats, step, view: self.views.name(view) };
         let mut loss = self.loss.loss(&seen);
         drop(seen);
-        if let Some(penalty) = self.effects.penalty(view) {
+        for penalty in self.effects.penalty(view).into_iter().chain(of_depth) {
             loss = loss + penalty;
         }
         if self.config.opacity_weight > 0.0 {
@@ -254,7 +309,7 @@ impl Trainer {
         if let Some(grad) = probe.and_then(|probe| probe.grad_remove(&mut grads)) {
             self.density.observe(grad, size);
         }
-        let of_effects = self.effects.take_gradient(view, &mut grads);
+        let of_effects = self.effects.take_gradients(view, &mut grads);
         let gradients = Gradients::take(&self.scene.gaussians, &mut grads);
         if self.checks {
             check_gradients(&gradients).map_err(|wrong| self.wrong(view, wrong))?;
@@ -299,6 +354,8 @@ impl Trainer {
     }
 }
 
+#[cfg(test)]
+mod effects_tests;
 #[cfg(test)]
 pub(crate) mod testing;
 #[cfg(test)]

@@ -7,11 +7,16 @@ use std::str::FromStr;
 use anyhow::{Result, ensure};
 use serde::Serialize;
 use splat_model::capture::Capture;
+use splat_model::effects::background::Backdrop;
+use splat_model::effects::depth::{self, DepthConfig};
 use splat_model::effects::exposure::ExposureConfig;
+use splat_model::effects::grid::GridConfig;
 use splat_model::effects::plan::Cost;
+use splat_model::effects::pose::PoseConfig;
 use splat_model::effects::{Effect, Plan, Survey};
 use splat_model::trainer::{TrainConfig, TrainError, Trainer};
 
+use crate::background::{ENVIRONMENT_DEGREE, TrainBackground};
 use crate::progress;
 
 /// What adjustments start from.
@@ -105,6 +110,12 @@ impl EffectsArg {
             on.push(Effect::Antialias);
             on.sort();
         }
+        ensure!(
+            !(on.contains(&Effect::Alpha) && on.contains(&Effect::Environment)),
+            "`--effects={}`: photographs with transparent parts say nothing of an environment to learn: leave out `alpha` or \
+             `environment`",
+            self.text
+        );
         let names = on.iter().map(|effect| effect.name()).collect::<Vec<_>>();
         let names = if names.is_empty() { "none".into() } else { names.join(", ") };
         let why = plan.as_ref().map(|_| format!(" (`splat inspect {}` says why)", capture.folder.display()));
@@ -134,9 +145,29 @@ impl Chosen {
     }
 
     /// The configuration of the run; what the command line asks for by name stays.
-    pub fn configure(&self, config: &mut TrainConfig) {
+    pub fn configure(&self, config: &mut TrainConfig, background: Option<TrainBackground>) {
         config.antialias |= self.has(Effect::Antialias);
+        config.smoothing |= self.has(Effect::Antialias);
         config.exposure = self.has(Effect::Exposure).then(ExposureConfig::default);
+        config.grid = self.has(Effect::BilateralGrid).then(GridConfig::default);
+        config.poses = self.has(Effect::PoseRefinement).then(PoseConfig::default);
+        config.depth = self.has(Effect::DepthSupervision).then(DepthConfig::default);
+        match background {
+            Some(background) => background.configure(config),
+            None if self.has(Effect::Environment) => {
+                config.backdrop = Backdrop::Environment { degree: ENVIRONMENT_DEGREE };
+            }
+            None if self.has(Effect::Alpha) => config.backdrop = Backdrop::Random,
+            None => {}
+        }
+    }
+
+    /// What the run needs to know beside its photographs.
+    pub fn supply(&self, trainer: Trainer, capture: &Capture, views: &[usize]) -> Trainer {
+        match self.has(Effect::DepthSupervision) {
+            true => trainer.with_depths(depth::from_tracks(capture, views)),
+            false => trainer,
+        }
     }
 
     /// Measures what the effects took, at the end of a run.

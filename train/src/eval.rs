@@ -5,11 +5,13 @@ use std::io;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use anyhow::Result;
+use anyhow::{Context, Result};
 use serde::Serialize;
-use splat_model::capture::Split;
+use splat_model::capture::{Photo, Split};
 use splat_model::trainer::TrainConfig;
+use splat_op::Intrinsics;
 
+use crate::background::ShownBackground;
 use crate::device::{self, DeviceName};
 use crate::input::{self, Scene};
 use crate::options::PhotoArgs;
@@ -37,6 +39,12 @@ pub struct EvalArgs {
     /// For scenes that were trained with this option
     #[arg(long)]
     pub antialias: bool,
+    /// What is behind the scene: black, white, R,G,B from 0 to 1, or the background.json that a run left beside it
+    #[arg(long, value_name = "WHAT", default_value_t)]
+    pub background: ShownBackground,
+    /// Look from further away: compare with photographs of which each N × N pixels are averaged to one
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::builder::RangedU64ValueParser::<usize>::new().range(1..=64))]
+    pub shrink: usize,
     /// Leave out the pixels that the capture's masks exclude; for scenes that were trained with the effect `masks`
     #[arg(long)]
     pub masks: bool,
@@ -55,7 +63,8 @@ struct Options<'a> {
     antialias: bool,
     masks: bool,
     ignore_alpha: bool,
-    background: [f32; 3],
+    shrink: usize,
+    background: String,
 }
 
 /// Measures, writes everything, and says where it is.
@@ -64,6 +73,7 @@ struct Options<'a> {
 /// If the capture or the scene cannot be read, no photograph is held out, or the results cannot be written.
 pub fn run(args: &EvalArgs) -> Result<Metrics> {
     let (device, device_name) = args.device.resolve()?;
+    let background = args.background.read()?;
     let start = Instant::now();
     let capture = input::capture(&args.capture)?;
     let split = Split::every(&capture.views, args.photos.eval_every);
@@ -74,12 +84,21 @@ pub fn run(args: &EvalArgs) -> Result<Metrics> {
     if args.ignore_alpha {
         photos.iter_mut().for_each(|photo| photo.alpha = None);
     }
+    if args.shrink > 1 {
+        let small = |photo: &Photo| {
+            let Intrinsics { width, height, .. } = photo.intrinsics;
+            photo.box_filtered(args.shrink).with_context(|| {
+                format!("{} is {width} x {height} px, which `--shrink {}` leaves nothing of", photo.name, args.shrink)
+            })
+        };
+        photos = photos.iter().map(small).collect::<Result<_>>()?;
+    }
     let load = seconds_since(start);
 
     let config = TrainConfig { antialias: args.antialias, ..TrainConfig::default() };
     let start = Instant::now();
     let render_options = config.render_options(input::extent(&capture));
-    let scores = report::measure(&splats, &photos, config.background, &render_options, &out)?;
+    let scores = report::measure(&splats, &photos, &background, &render_options, &out)?;
     let eval = seconds_since(start);
     copy_scene(&args.scene, &out)?;
     let options = Options {
@@ -89,7 +108,8 @@ pub fn run(args: &EvalArgs) -> Result<Metrics> {
         antialias: args.antialias,
         masks: args.masks,
         ignore_alpha: args.ignore_alpha,
-        background: config.background,
+        shrink: args.shrink,
+        background: args.background.to_string(),
     };
     let metrics = Metrics {
         test: Some(scores),

@@ -4,6 +4,7 @@
 
 pub mod options;
 
+pub mod background;
 pub mod demo;
 pub mod devices;
 pub mod eval;

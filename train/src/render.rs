@@ -10,9 +10,11 @@ use clap::ValueEnum;
 use image::{ImageFormat, RgbImage, Rgba32FImage};
 use npyz::WriterBuilder;
 use splat_model::capture::{Capture, View};
+use splat_model::effects::background::Background;
 use splat_model::trainer::TrainConfig;
 use splat_op::{Camera, Extras, RenderOptions, Splats};
 
+use crate::background::ShownBackground;
 use crate::device::{self, DeviceName};
 use crate::output::OutputFolder;
 use crate::report::pictures::{self, level};
@@ -49,18 +51,21 @@ pub struct RenderArgs {
     /// For scenes that were trained with this option
     #[arg(long)]
     pub antialias: bool,
+    /// What is behind the scene: black, white, R,G,B from 0 to 1, or the background.json that a run left beside it
+    #[arg(long, value_name = "WHAT", default_value_t)]
+    pub background: ShownBackground,
 }
 
-/// How a picture is stored. Values are display-referred in each, as photographs are, and lie over black; alpha is the
-/// share of the background that is hidden, so colours are multiplied by it.
+/// How a picture is stored. Values are display-referred in each, as photographs are, and lie over `--background`; alpha is the
+/// share of it that is hidden, so over black, colours are multiplied by it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 pub enum Format {
-    /// 8-bit RGB over black
+    /// 8-bit RGB over the background
     #[default]
     Png,
-    /// 32-bit float RGBA over black, values as rendered: display-referred, not linear light
+    /// 32-bit float RGBA over the background, values as rendered: display-referred, not linear light
     Exr,
-    /// NumPy array [height, width, 4], float32, RGBA over black, values as rendered
+    /// NumPy array [height, width, 4], float32, RGBA over the background, values as rendered
     Npy,
 }
 
@@ -80,18 +85,17 @@ impl Format {
 /// If the capture or the scene cannot be read, there is no such view, or a picture cannot be written.
 pub fn run(args: &RenderArgs) -> Result<Vec<PathBuf>> {
     let (device, _) = args.device.resolve()?;
+    let background = args.background.read()?;
     let capture = input::capture(&args.capture)?;
     let views = chosen(&capture, &args.view)?;
     let splats = input::scene(&args.scene, &capture, &device)?.splats;
     let out = OutputFolder::prepare(&args.out, &[], &[])?;
     let config = TrainConfig { antialias: args.antialias, ..TrainConfig::default() };
-    let extras = Extras { background: Some(Tensor::from_floats(config.background, &device)), ..Extras::default() };
-
     let options = config.render_options(input::extent(&capture));
     let names = pictures::names(views.iter().map(|view| view.name.as_str()), args.format.extension());
     let counter = progress::counter("rendering", views.len());
     for (view, name) in views.iter().zip(&names) {
-        let picture = Rgba::render(&splats, view, &extras, &options, &device)
+        let picture = Rgba::render(&splats, view, &background, &options, &device)
             .with_context(|| format!("cannot render the view {:?}", view.name))?;
         out.write(name, |file| picture.write(args.format, file))?;
         counter.inc(1);
@@ -122,15 +126,25 @@ fn chosen<'a>(capture: &'a Capture, name: &str) -> Result<Vec<&'a View>> {
 struct Rgba {
     width: usize,
     height: usize,
-    /// `[height, width, 4]`: colour over black, then alpha.
+    /// `[height, width, 4]`: colour over the background, then alpha.
     values: Vec<f32>,
 }
 
 impl Rgba {
-    fn render(splats: &Splats, view: &View, extras: &Extras, options: &RenderOptions, device: &Device) -> Result<Self> {
+    fn render(
+        splats: &Splats,
+        view: &View,
+        background: &Background,
+        options: &RenderOptions,
+        device: &Device,
+    ) -> Result<Self> {
         let camera = Camera::new(view.intrinsics, &view.cam_from_world, device);
-        let rendered = splat_op::render(splats, &[camera], extras, options)?;
-        let values = values_of(Tensor::cat(vec![rendered.colour, rendered.alpha], 3));
+        let colour = Tensor::from_floats(background.colour(), device);
+        let extras = Extras { background: Some(colour), ..Extras::default() };
+        let picture = splat_op::render_view(splats, &camera, &extras, options)?;
+        let alpha = picture.alpha;
+        let colour = background.behind(picture.colour, alpha.clone(), &view.intrinsics, &view.cam_from_world);
+        let values = values_of(Tensor::cat(vec![colour, alpha], 2));
         Ok(Self { width: view.intrinsics.width, height: view.intrinsics.height, values })
     }
 

@@ -1,24 +1,31 @@
 //! `splat train`: photographs in; a scene, its scores and its pictures out.
 
+use std::collections::BTreeMap;
+use std::fs;
+use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use anyhow::{Result, anyhow};
 use clap::builder::RangedU64ValueParser;
+use glam::DAffine3;
 use serde::Serialize;
 use splat_model::capture::demo::DemoOptions;
 use splat_model::capture::{Capture, Photo, Split};
 use splat_model::effects::Effect;
+use splat_model::effects::background::Backdrop;
+use splat_model::gaussians::Gaussians;
 use splat_model::ply;
 use splat_model::trainer::{Resolution, TrainConfig, TrainError, Trainer};
 
+use crate::background::TrainBackground;
 use crate::device::{self, DeviceName};
 use crate::effects::{Chosen, EffectsArg};
 use crate::options::PhotoArgs;
 use crate::output::OutputFolder;
 use crate::progress::{self, StepProgress};
 use crate::report::metrics::{Metrics, Seconds, peak_rss_mib, seconds_since};
-use crate::report::{self, METRICS, SCENE, VIEWS};
+use crate::report::{self, BACKGROUND, METRICS, POSES, SCENE, VIEWS};
 use crate::{demo, input};
 
 /// Steps of a run on the demo capture, chosen so that the whole of it takes under 3 minutes on 2 CPU cores.
@@ -83,8 +90,13 @@ pub struct TrainArgs {
     /// With `--coarsest`: share of the steps after which photographs have their full size
     #[arg(long, value_name = "SHARE", default_value_t = TrainConfig::default().resolution.full_from)]
     pub full_from: f64,
+    /// What is behind the scene: black, white, R,G,B from 0 to 1, random (another colour at each step), learned,
+    /// environment or environment:D (light from infinity, harmonics of degree D) [default: black, or what the effects call for]
+    #[arg(long, value_name = "WHAT")]
+    pub background: Option<TrainBackground>,
     /// Effects to simulate: `auto`, as `splat inspect` decides; `none`; a list of names with commas between them; or `+NAME`
-    /// and `-NAME` to adjust `auto`. Names: antialias, alpha, exposure, masks
+    /// and `-NAME` to adjust `auto`. Names: antialias, alpha, exposure, bilateral-grid, masks, pose-refinement, environment,
+    /// depth-supervision
     #[arg(long, value_name = "LIST", default_value_t, allow_hyphen_values = true)]
     pub effects: EffectsArg,
     /// Look at what every stage of every step leaves, and end at the first that goes wrong; several times as slow
@@ -131,7 +143,7 @@ impl TrainArgs {
     /// Prepares the output folder and reads the capture, after making it if none was given.
     fn open(&self) -> Result<(OutputFolder, Capture, Instant)> {
         let out = self.out.as_deref().unwrap_or(Path::new(DEMO_OUT));
-        let prepare = || OutputFolder::prepare(out, &[SCENE, METRICS], &[VIEWS]);
+        let prepare = || OutputFolder::prepare(out, &[SCENE, METRICS, BACKGROUND, POSES], &[VIEWS]);
         match &self.capture {
             Some(folder) => {
                 let start = Instant::now();
@@ -166,8 +178,9 @@ pub fn run_with(args: &TrainArgs, change: impl FnOnce(Trainer) -> Trainer) -> Re
     let (out, capture, start) = args.open()?;
     let split = Split::every(&capture.views, args.photos.eval_every);
     let mut effects = args.effects.choose(&capture, split.require_train()?, args.antialias)?;
-    effects.configure(&mut config);
+    effects.configure(&mut config, args.background);
     let (train, test) = photographs(&capture, &split, &args.photos, &effects)?;
+    let train_views = views_of(&capture, &train);
     progress::note(&format!(
         "{}: {} photographs to train on, {} to test on, {} points",
         capture.folder.display(),
@@ -176,6 +189,7 @@ pub fn run_with(args: &TrainArgs, change: impl FnOnce(Trainer) -> Trainer) -> Re
         capture.points.positions.len()
     ));
     let trainer = Trainer::new(train, &capture.points, config.clone(), &device)?;
+    let trainer = effects.supply(trainer, &capture, &train_views);
     let mut trainer = change(if args.check { trainer.with_checks() } else { trainer });
     let load = seconds_since(start);
     let render_options = trainer.render_options();
@@ -193,10 +207,12 @@ pub fn run_with(args: &TrainArgs, change: impl FnOnce(Trainer) -> Trainer) -> Re
     }
     bar.finish();
     let train = seconds_since(start);
-    let gaussians = trainer.gaussians().untracked();
+    let background = trainer.background();
     // Before measuring, so that whatever goes wrong there does not cost the scene.
-    let rows = gaussians.to_rows();
+    let rows = trainer.rows();
     ply::write(&out.join(SCENE), &rows, capture.origin)?;
+    write_learnt(&trainer, &config, &capture, &out)?;
+    let gaussians = Gaussians::from_rows(&rows, &device)?;
     let unusable = rows.unusable();
     progress::note_unusable(&out.join(SCENE), unusable, rows.len());
     drop(rows);
@@ -205,7 +221,7 @@ pub fn run_with(args: &TrainArgs, change: impl FnOnce(Trainer) -> Trainer) -> Re
     drop(trainer);
 
     let start = Instant::now();
-    let measure = || report::measure(&gaussians.splats(), &test, config.background, &render_options, &out);
+    let measure = || report::measure(&gaussians.splats(), &test, &background, &render_options, &out);
     let test_scores = if test.is_empty() { None } else { Some(measure()?) };
     let eval = seconds_since(start);
     let options = Options { capture: &capture.folder, photos: &args.photos, config: &config, check: args.check };
@@ -227,17 +243,51 @@ pub fn run_with(args: &TrainArgs, change: impl FnOnce(Trainer) -> Trainer) -> Re
     Ok(metrics)
 }
 
+/// Writes what was learnt beside the scene, and removes what an earlier run had learnt.
+fn write_learnt(trainer: &Trainer, config: &TrainConfig, capture: &Capture, out: &OutputFolder) -> Result<()> {
+    let is_learnt = matches!(config.backdrop, Backdrop::Learned | Backdrop::Environment { .. });
+    let background = is_learnt.then(|| trainer.background().to_json()).transpose()?;
+    let poses = trainer.refined_poses().map(|poses| poses_json(&poses, capture)).transpose()?;
+    for (name, text) in [(BACKGROUND, background), (POSES, poses)] {
+        match text {
+            Some(text) => out.write(name, |file| Ok(file.write_all(text.as_bytes())?))?,
+            // There may be none.
+            None => _ = fs::remove_file(out.join(name)),
+        }
+    }
+    Ok(())
+}
+
+/// By photograph: the rows of `cam_from_world`, `[3, 4]`, OpenCV axes, in the world frame of the capture's file.
+fn poses_json(poses: &[(String, DAffine3)], capture: &Capture) -> serde_json::Result<String> {
+    let local_from_world = DAffine3::from_translation(-capture.origin);
+    let rows = |pose: &DAffine3| {
+        let pose = *pose * local_from_world;
+        let row = |i: usize| [pose.x_axis[i], pose.y_axis[i], pose.z_axis[i], pose.translation[i]];
+        [row(0), row(1), row(2)]
+    };
+    let by_name: BTreeMap<&str, [[f64; 4]; 3]> = poses.iter().map(|(name, pose)| (name.as_str(), rows(pose))).collect();
+    serde_json::to_string_pretty(&by_name)
+}
+
 /// Writes the scene of a run that went wrong: as it was before the step that did. The error as the user sees it.
 fn keep_scene(error: TrainError, trainer: &Trainer, capture: &Capture, out: &OutputFolder) -> anyhow::Error {
     if !error.keeps_scene() {
         return error.into();
     }
     let path = out.join(SCENE);
-    let kept = match ply::write(&path, &trainer.gaussians().untracked().to_rows(), capture.origin) {
+    let kept = match ply::write(&path, &trainer.rows(), capture.origin) {
         Ok(()) => format!("{} is the scene before that step", path.display()),
         Err(reason) => format!("the scene before that step could not be kept: {reason}"),
     };
     anyhow!("{error}. {kept}")
+}
+
+/// The views of photographs, some of which may have been left out.
+fn views_of(capture: &Capture, photos: &[Photo]) -> Vec<usize> {
+    let by_name: BTreeMap<&str, usize> =
+        capture.views.iter().enumerate().map(|(i, view)| (view.name.as_str(), i)).collect();
+    photos.iter().map(|photo| by_name[photo.name.as_str()]).collect()
 }
 
 /// The photographs to train on and those to test on. All are decoded before the first step, so that a broken picture

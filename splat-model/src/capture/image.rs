@@ -17,6 +17,7 @@ use splat_op::Intrinsics;
 use super::{CaptureError, View};
 use crate::effects::masks;
 
+mod shrink;
 #[cfg(test)]
 mod tests;
 

@@ -6,23 +6,18 @@
 //! could change together and no photograph would tell, and would: maps learn faster than colours. So the mean of the maps is
 //! set back to the identity once every as many steps as there are photographs; without it a render without any map loses up to 5 dB. A
 //! weak pull of each map towards the identity keeps those in bounds that little is known of.
-//!
-//! Each map has its own moments and counts its own steps: a step sees one photograph, and what Adam does about a gradient
-//! of zero is not nothing.
 
-use burn::tensor::{Device, Int, Tensor};
+use burn::tensor::{Device, Tensor};
 use serde::{Deserialize, Serialize};
 
-use crate::optim::{Adam, Moments};
+use super::learned::{Falling, Learned, Moment};
 
 /// How maps are learnt.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ExposureConfig {
-    /// Learning rate at the first step: 0.01, as the original code has it.
-    pub rate: f64,
-    /// Learning rate at the last step: 0.001. In between it falls by the same share at every step.
-    pub final_rate: f64,
+    /// Learning rate: from 0.01, as the original code has it, to 0.001.
+    pub rate: Falling,
     /// Weight of `Σ (A − I)² + Σ b²` in the loss: 0.01. For the half of a stop that photographs differ by it is a hundredth
     /// of what the difference itself costs.
     pub weight: f64,
@@ -30,31 +25,15 @@ pub struct ExposureConfig {
 
 impl Default for ExposureConfig {
     fn default() -> Self {
-        Self { rate: 0.01, final_rate: 0.001, weight: 0.01 }
+        Self { rate: Falling { from: 0.01, to: 0.001 }, weight: 0.01 }
     }
-}
-
-impl ExposureConfig {
-    /// The learning rate at `step`, counted from 1, of a run of `steps`.
-    pub fn rate_at(&self, step: usize, steps: usize) -> f64 {
-        let share = (step - 1) as f64 / steps.saturating_sub(1).max(1) as f64;
-        self.rate * (self.final_rate / self.rate).powf(share.min(1.0))
-    }
-}
-
-/// One photograph's map.
-struct Map {
-    /// `[3, 4]`: `A` and, in the last column, `b`; tracked.
-    affine: Tensor<2>,
-    moments: Moments<2>,
-    /// Steps that its photograph was trained on.
-    steps: usize,
 }
 
 /// The maps of all photographs of a run.
 pub struct Exposure {
     config: ExposureConfig,
-    maps: Vec<Map>,
+    /// `[3, 4]` each: `A` and, in the last column, `b`.
+    maps: Vec<Learned<2>>,
     /// `[3, 4]`
     identity: Tensor<2>,
     /// Steps of all maps since their mean was last set back.
@@ -66,45 +45,30 @@ impl Exposure {
     pub fn new(config: ExposureConfig, views: usize, device: &Device) -> Self {
         let identity = Tensor::<2>::eye(3, device);
         let identity = Tensor::cat(vec![identity, Tensor::zeros([3, 1], device)], 1);
-        let map = |_| {
-            let affine = Tensor::from_inner(identity.clone()).require_grad();
-            Map { moments: Moments::new(&affine), affine, steps: 0 }
-        };
-        Self { config, maps: (0..views).map(map).collect(), identity, since_centred: 0 }
+        let maps = (0..views).map(|_| Learned::new(identity.clone())).collect();
+        Self { config, maps, identity, since_centred: 0 }
     }
 
     /// What the photograph `view` shows of a render, both `[H, W, 3]`. Not clamped: beyond 0 and 1 the gradient leads back.
     pub fn apply(&self, image: Tensor<3>, view: usize) -> Tensor<3> {
-        apply(image, self.maps[view].affine.clone())
+        apply(image, self.maps[view].tracked())
     }
 
     /// What is added to the loss of a step on `view`, `[1]`.
     pub fn penalty(&self, view: usize) -> Tensor<1> {
-        let difference = self.maps[view].affine.clone() - Tensor::from_inner(self.identity.clone());
+        let difference = self.maps[view].tracked() - Tensor::from_inner(self.identity.clone());
         difference.square().sum() * self.config.weight
     }
 
     /// Takes the gradient of a view's map out of those of a loss.
     pub fn take_gradient(&self, view: usize, gradients: &mut burn::tensor::Gradients) -> Option<Tensor<2>> {
-        self.maps[view].affine.grad_remove(gradients)
+        self.maps[view].take_gradient(gradients)
     }
 
-    /// Adam's step `step` of `steps`, counted from 1, on the map of `view`; nothing changes where a step is entered in the
-    /// verdict, `[2]` (see [`splat_op::adam`]). The gradient is finite where the loss is: it is the sum of the render's
-    /// values times derivatives of the loss, which are bounded.
-    pub fn step(
-        &mut self,
-        view: usize,
-        gradient: Tensor<2>,
-        (step, steps): (usize, usize),
-        verdict: Option<&Tensor<1, Int>>,
-    ) {
-        let map = &mut self.maps[view];
-        map.steps += 1;
-        let rate = self.config.rate_at(step, steps);
-        let values = map.affine.clone().inner();
-        let values = Adam::default().step_unless(values, gradient, rate, &mut map.moments, (map.steps, verdict));
-        map.affine = Tensor::from_inner(values).require_grad();
+    /// Adam's step on the map of the photograph.
+    pub fn step(&mut self, gradient: Tensor<2>, at: Moment) {
+        let rate = self.config.rate.at(at.step, at.steps);
+        self.maps[at.view].step(gradient, rate, at.verdict);
         self.since_centred += 1;
         if self.since_centred >= self.maps.len() {
             self.since_centred = 0;
@@ -114,21 +78,21 @@ impl Exposure {
 
     /// Moves all maps alike, so that their mean is the identity.
     fn centre(&mut self) {
-        let all: Vec<Tensor<2>> = (0..self.maps.len()).map(|view| self.affine(view)).collect();
+        let all: Vec<Tensor<2>> = self.maps.iter().map(Learned::value).collect();
         let excess = Tensor::stack::<3>(all, 0).mean_dim(0).squeeze_dim::<2>(0) - self.identity.clone();
         for map in &mut self.maps {
-            map.affine = Tensor::from_inner(map.affine.clone().inner() - excess.clone()).require_grad();
+            map.set(map.value() - excess.clone());
         }
     }
 
     /// The map of `view`, `[3, 4]`, without autodiff.
     pub fn affine(&self, view: usize) -> Tensor<2> {
-        self.maps[view].affine.clone().inner()
+        self.maps[view].value()
     }
 
     /// Bytes of the maps and their moments.
     pub fn bytes(&self) -> usize {
-        3 * 12 * size_of::<f32>() * self.maps.len()
+        self.maps.iter().map(Learned::bytes).sum()
     }
 }
 
@@ -143,7 +107,7 @@ pub fn apply(image: Tensor<3>, affine: Tensor<2>) -> Tensor<3> {
 
 #[cfg(test)]
 mod tests {
-    use burn::tensor::{Distribution, TensorData};
+    use burn::tensor::{Distribution, Int, TensorData};
 
     use super::*;
     use crate::gaussians::values_of;
@@ -195,7 +159,7 @@ mod tests {
             let shown = exposure.apply(tracked.clone(), view);
             let loss = (shown - Tensor::from_inner(truths[view].clone())).square().mean() + exposure.penalty(view);
             let gradient = exposure.take_gradient(view, &mut loss.backward()).unwrap();
-            exposure.step(view, gradient, (step, steps), None);
+            exposure.step(gradient, Moment { view, step, steps, verdict: None });
         }
         let error = |found: Tensor<2>, expected: Tensor<2>| (found - expected).abs().max().into_scalar::<f32>();
         for (view, map) in maps.into_iter().enumerate() {
@@ -211,7 +175,7 @@ mod tests {
         let device = Device::flex();
         let mut exposure = Exposure::new(ExposureConfig::default(), 3, &device);
         for step in 1..=3 {
-            exposure.step(step - 1, Tensor::ones([3, 4], &device), (step, 10), None);
+            exposure.step(Tensor::ones([3, 4], &device), Moment { view: step - 1, step, steps: 10, verdict: None });
         }
         for view in 0..3 {
             let strayed = (exposure.affine(view) - exposure.identity.clone()).abs().max().into_scalar::<f32>();
@@ -224,17 +188,7 @@ mod tests {
         let device = Device::flex();
         let mut exposure = Exposure::new(ExposureConfig::default(), 2, &device);
         let verdict = Tensor::<1, Int>::from_data(TensorData::from([4, 1]), &device);
-        exposure.step(0, Tensor::ones([3, 4], &device), (5, 10), Some(&verdict));
+        exposure.step(Tensor::ones([3, 4], &device), Moment { view: 0, step: 5, steps: 10, verdict: Some(&verdict) });
         assert_eq!(values_of(exposure.affine(0)), values_of(exposure.identity.clone()));
-    }
-
-    #[test]
-    fn rates_fall_from_the_first_to_the_last_step() {
-        let config = ExposureConfig::default();
-        let rates = [1, 51, 101, 200].map(|step| config.rate_at(step, 101));
-        for (rate, expected) in rates.into_iter().zip([0.01, 0.01 / 10.0_f64.sqrt(), 0.001, 0.001]) {
-            assert!((rate - expected).abs() < 1e-12, "{rate}");
-        }
-        assert_eq!(config.rate_at(1, 1), 0.01);
     }
 }

@@ -4,9 +4,15 @@
 //! off does not exist: no parameter, no tensor, no launch. [`Applied`] is what a training loop sees of them.
 
 mod applied;
+pub mod background;
+pub mod depth;
 pub mod exposure;
+pub mod grid;
+mod learned;
 pub mod masks;
 pub mod plan;
+pub mod pose;
+pub mod smoothing;
 pub mod survey;
 
 use std::fmt;
@@ -14,7 +20,8 @@ use std::str::FromStr;
 
 use serde::Serialize;
 
-pub use self::applied::Applied;
+pub use self::applied::{Applied, EffectGradients};
+pub use self::learned::{Falling, Moment};
 pub use self::plan::Plan;
 pub use self::survey::Survey;
 
@@ -23,19 +30,37 @@ pub use self::survey::Survey;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Effect {
-    /// The same thing is seen at very different sizes: splats smaller than a pixel are dimmed.
+    /// The same thing is seen at very different sizes: splats smaller than a pixel are dimmed, and none is finer than the
+    /// photographs can tell.
     Antialias,
-    /// Photographs have transparent parts, which are trained over a background.
+    /// Photographs have transparent parts, which are trained over a background of another colour at each step.
     Alpha,
     /// Photographs differ in brightness and white balance: each has an affine colour map of its own.
     Exposure,
+    /// Photographs were processed place by place: each has a grid of such maps. Asked for by name alone.
+    BilateralGrid,
     /// Masks say which pixels of the photographs count.
     Masks,
+    /// Poses do not explain the photographs: each camera is moved with the scene.
+    PoseRefinement,
+    /// Much of what is seen is too far away for any parallax: light from infinity is learnt.
+    Environment,
+    /// Few photographs show the scene, or depth maps came with them: known depths hold it in place.
+    DepthSupervision,
 }
 
 impl Effect {
     /// All of them.
-    pub const ALL: [Self; 4] = [Self::Antialias, Self::Alpha, Self::Exposure, Self::Masks];
+    pub const ALL: [Self; 8] = [
+        Self::Antialias,
+        Self::Alpha,
+        Self::Exposure,
+        Self::BilateralGrid,
+        Self::Masks,
+        Self::PoseRefinement,
+        Self::Environment,
+        Self::DepthSupervision,
+    ];
 
     /// As the command line and reports call it.
     pub const fn name(self) -> &'static str {
@@ -43,7 +68,11 @@ impl Effect {
             Self::Antialias => "antialias",
             Self::Alpha => "alpha",
             Self::Exposure => "exposure",
+            Self::BilateralGrid => "bilateral-grid",
             Self::Masks => "masks",
+            Self::PoseRefinement => "pose-refinement",
+            Self::Environment => "environment",
+            Self::DepthSupervision => "depth-supervision",
         }
     }
 }

@@ -20,6 +20,9 @@ pub const FOOTPRINT_RATIO: f64 = 8.0;
 /// Poses that miss by more than this on average blur a scene.
 pub const POSE_PX: f64 = 1.0;
 
+/// Captures of fewer photographs than this leave much of a scene to chance.
+pub const FEW_VIEWS: usize = 10;
+
 /// Share of points so far away that the cameras see no parallax.
 pub const FAR_SHARE: f64 = 0.1;
 
@@ -93,12 +96,13 @@ impl From<&Survey> for Plan {
             antialias(survey),
             alpha(survey),
             exposure(survey),
+            bilateral_grid(survey),
             masks(survey),
-            lens(survey),
             pose(survey),
-            background(survey),
+            environment(survey),
+            depth(survey),
+            lens(survey),
             blur(survey),
-            depth_maps(survey),
         ];
         Self { decisions }
     }
@@ -107,6 +111,9 @@ impl From<&Survey> for Plan {
 /// Times per step and megapixel, ms: measured, see `docs/EFFECTS.md`.
 const EXPOSURE_MS_PER_MEGAPIXEL: f64 = 40.0;
 const MASKS_MS_PER_MEGAPIXEL: f64 = 20.0;
+const GRID_MS_PER_MEGAPIXEL: f64 = 2500.0;
+const ENVIRONMENT_MS_PER_MEGAPIXEL: f64 = 60.0;
+const ALPHA_MS_PER_MEGAPIXEL: f64 = 60.0;
 
 const MIB: f64 = (1 << 20) as f64;
 
@@ -163,7 +170,8 @@ fn alpha(survey: &Survey) -> Decision {
         _ => format!("{with} photographs have transparent parts, or a channel for them"),
     };
     let rule = "on where a photograph has an alpha channel that is not opaque".into();
-    decide(Effect::Alpha, with > 0, evidence, rule, Some(Cost::default()))
+    let cost = Cost { ms_per_step: ALPHA_MS_PER_MEGAPIXEL * survey.pixels_per_view / 1e6, mib: 0.0 };
+    decide(Effect::Alpha, with > 0, evidence, rule, Some(cost))
 }
 
 fn exposure(survey: &Survey) -> Decision {
@@ -204,6 +212,17 @@ fn masks(survey: &Survey) -> Decision {
     decide(Effect::Masks, files.with_mask > 0, evidence, rule, Some(cost))
 }
 
+/// The stronger form of exposures. It would explain what the scene should, and is left to the user.
+fn bilateral_grid(survey: &Survey) -> Decision {
+    let evidence = "nothing in a capture tells how a camera processed its pictures place by place".into();
+    let rule = "on where it is asked for by name, instead of `exposure`".into();
+    let megapixels = survey.pixels_per_view / 1e6;
+    // Parameters and two moments of 12 x 8 x 16 x 16 numbers for each photograph.
+    let mib = survey.views as f64 * 3.0 * 24_576.0 * 4.0 / MIB;
+    let cost = Cost { ms_per_step: GRID_MS_PER_MEGAPIXEL * megapixels, mib };
+    decide(Effect::BilateralGrid, false, evidence, rule, Some(cost))
+}
+
 /// Not switched either: a lens is part of the camera, and a capture without one has kernels without one.
 fn lens(survey: &Survey) -> Decision {
     let lens = &survey.lens;
@@ -221,9 +240,9 @@ fn lens(survey: &Survey) -> Decision {
 }
 
 fn pose(survey: &Survey) -> Decision {
-    let rule = format!("called for where the mean reprojection error exceeds {POSE_PX} px");
-    match &survey.pose {
-        None => remark("pose-refinement", false, "reprojection error not known".into(), rule),
+    let rule = format!("on where the mean reprojection error exceeds {POSE_PX} px");
+    let (on, evidence) = match &survey.pose {
+        None => (false, "reprojection error not known".into()),
         Some(pose) => {
             let evidence = format!(
                 "mean reprojection error {:.2} px, a twentieth above {:.2} px ({})",
@@ -234,15 +253,21 @@ fn pose(survey: &Survey) -> Decision {
                     super::survey::PoseSource::Stated => "as the reconstruction states",
                 }
             );
-            remark("pose-refinement", pose.mean_px > POSE_PX, evidence, rule)
+            (pose.mean_px > POSE_PX, evidence)
         }
-    }
+    };
+    // Projection and shading in two passes, the gradient of the pose, and some forty operations on twelve numbers.
+    let cost = Cost { ms_per_step: 5.0, mib: survey.views as f64 * 3.0 * 6.0 * 4.0 / MIB };
+    decide(Effect::PoseRefinement, on, evidence, rule, Some(cost))
 }
 
-fn background(survey: &Survey) -> Decision {
-    let rule = format!("called for where more than {} of the points are so far away", percent(FAR_SHARE));
-    match &survey.depth {
-        None => remark("far-background", false, "not known: no points".into(), rule),
+fn environment(survey: &Survey) -> Decision {
+    let rule = format!(
+        "on where more than {} of the points are so far away, and no photograph has transparent parts",
+        percent(FAR_SHARE)
+    );
+    let (on, evidence) = match &survey.depth {
+        None => (false, "not known: no points".into()),
         Some(depth) => {
             let evidence = format!(
                 "depths from {:.2} to {:.2} (median {:.2}) scene units; {} of the points lie beyond {} extents of the cameras",
@@ -252,9 +277,22 @@ fn background(survey: &Survey) -> Decision {
                 percent(depth.far_share),
                 super::survey::DepthEvidence::FAR_EXTENTS
             );
-            remark("far-background", depth.far_share > FAR_SHARE, evidence, rule)
+            (depth.far_share > FAR_SHARE && survey.files.with_alpha == 0, evidence)
         }
-    }
+    };
+    let cost = Cost { ms_per_step: ENVIRONMENT_MS_PER_MEGAPIXEL * survey.pixels_per_view / 1e6, mib: 0.0 };
+    decide(Effect::Environment, on, evidence, rule, Some(cost))
+}
+
+fn depth(survey: &Survey) -> Decision {
+    let rule = format!("on where there is a folder of depth maps, or tracks and fewer than {FEW_VIEWS} photographs");
+    let few = survey.views < FEW_VIEWS && survey.source == SightSource::Tracks;
+    let evidence = match &survey.files.depth_maps {
+        None => format!("{} photographs, no depth maps", survey.views),
+        Some(folder) => format!("{} photographs, and depth maps in {folder:?}", survey.views),
+    };
+    let cost = Cost { ms_per_step: 5.0, mib: survey.sights_compared as f64 * 8.0 / MIB };
+    decide(Effect::DepthSupervision, few || survey.files.depth_maps.is_some(), evidence, rule, Some(cost))
 }
 
 fn blur(survey: &Survey) -> Decision {
@@ -270,15 +308,6 @@ fn blur(survey: &Survey) -> Decision {
         }
         _ => remark("motion-blur", false, "not known: the pictures show nothing".into(), rule),
     }
-}
-
-fn depth_maps(survey: &Survey) -> Decision {
-    let rule = "called for where there is a folder of depth maps".into();
-    let evidence = match &survey.files.depth_maps {
-        None => "no depth maps".into(),
-        Some(folder) => format!("there are depth maps in {folder:?}"),
-    };
-    remark("depth-supervision", survey.files.depth_maps.is_some(), evidence, rule)
 }
 
 /// How the photographs were compared, in words.

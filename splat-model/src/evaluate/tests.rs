@@ -8,8 +8,14 @@ fn a_scene_scores_full_marks_on_its_own_renders() {
     let device = Device::flex();
     for background in [[0.0; 3], [0.2, 0.5, 0.9]] {
         let photos = photos(background);
-        let scores =
-            evaluate(&scene(&device).splats(), &photos, background, &RenderOptions::standard(), |_, _| {}).unwrap();
+        let scores = evaluate(
+            &scene(&device).splats(),
+            &photos,
+            &Background::Colour(background),
+            &RenderOptions::standard(),
+            |_, _| {},
+        )
+        .unwrap();
         // A photograph holds bytes. Errors spread evenly over a byte's width are 58.9 dB, and less where all is flat.
         assert!(scores.views.iter().all(|view| view.psnr > 58.0 && view.ssim > 0.999), "{scores:?}");
     }
@@ -19,7 +25,8 @@ fn a_scene_scores_full_marks_on_its_own_renders() {
     photos.iter_mut().for_each(|photo| photo.rgb = [51, 102, 255].repeat(WIDTH * HEIGHT));
     let colours = Tensor::<1>::from_floats(background, &device).unsqueeze::<2>().repeat_dim(0, 30);
     let splats = Splats { colour: splat_op::Colour::Features(colours), ..scene(&device).splats() };
-    let scores = evaluate(&splats, &photos, background, &RenderOptions::standard(), |_, _| {}).unwrap();
+    let scores =
+        evaluate(&splats, &photos, &Background::Colour(background), &RenderOptions::standard(), |_, _| {}).unwrap();
     assert!(scores.views.iter().all(|view| view.psnr == LARGEST_PSNR_DB), "{scores:?}");
     assert_eq!(scores.psnr, LARGEST_PSNR_DB);
     assert!((scores.ssim - 1.0).abs() < 1e-5, "{}", scores.ssim);
@@ -32,13 +39,14 @@ fn names_and_order_are_those_of_the_photographs() {
     let mut looked = Vec::new();
     let splats = scene(&device).splats();
     // Over another background than the photographs, so that views differ in their scores.
-    let scores = evaluate(&splats, &photos, [0.5; 3], &RenderOptions::standard(), |comparison, score| {
-        assert_eq!(comparison.photo.name, score.name);
-        assert_eq!(comparison.image.dims(), [HEIGHT, WIDTH, 3]);
-        let truth = values_of(comparison.truth.clone());
-        assert!(truth.iter().zip(&comparison.photo.rgb).all(|(value, byte)| *value == f32::from(*byte) / 255.0));
-        looked.push(score.clone());
-    });
+    let scores =
+        evaluate(&splats, &photos, &Background::Colour([0.5; 3]), &RenderOptions::standard(), |comparison, score| {
+            assert_eq!(comparison.photo.name, score.name);
+            assert_eq!(comparison.image.dims(), [HEIGHT, WIDTH, 3]);
+            let truth = values_of(comparison.truth.clone());
+            assert!(truth.iter().zip(&comparison.photo.rgb).all(|(value, byte)| *value == f32::from(*byte) / 255.0));
+            looked.push(score.clone());
+        });
     let scores = scores.unwrap();
     assert_eq!(scores.views.iter().map(|view| view.name.as_str()).collect::<Vec<_>>(), ["c", "a", "d", "b"]);
     assert_eq!(looked, scores.views);
@@ -56,7 +64,7 @@ fn renders_are_clamped_as_a_picture_file_would() {
     let bright = Tensor::<2>::full([30, 3], 5.0, &device);
     let splats = Splats { colour: splat_op::Colour::Features(bright), ..splats };
     let mut largest = 0.0;
-    evaluate(&splats, &photos([0.0; 3]), [0.0; 3], &RenderOptions::standard(), |comparison, _| {
+    evaluate(&splats, &photos([0.0; 3]), &Background::Colour([0.0; 3]), &RenderOptions::standard(), |comparison, _| {
         largest = values_of(comparison.image.clone()).into_iter().fold(largest, f32::max);
     })
     .unwrap();

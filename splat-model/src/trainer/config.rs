@@ -5,7 +5,11 @@ use splat_op::RenderOptions;
 
 use super::Resolution;
 use crate::density::AdaptiveConfig;
+use crate::effects::background::Backdrop;
+use crate::effects::depth::DepthConfig;
 use crate::effects::exposure::ExposureConfig;
+use crate::effects::grid::GridConfig;
+use crate::effects::pose::PoseConfig;
 use crate::loss::DEFAULT_LAMBDA;
 use crate::optim::schedule::STEPS_PER_SH_DEGREE;
 use crate::optim::{LearningRates, near_plane};
@@ -30,13 +34,24 @@ pub struct TrainConfig {
     pub density: AdaptiveConfig,
     /// How large photographs are as the run goes on.
     pub resolution: Resolution,
-    /// What shows through the Gaussians, and through photographs with alpha: RGB, 0 to 1.
+    /// What shows through the Gaussians, and through photographs with alpha: RGB, 0 to 1. Where another background is learnt,
+    /// what it begins as.
     #[serde(deserialize_with = "finite_colour")]
     pub background: [f32; 3],
     /// Whether opacities are compensated for the blur (see [`RenderOptions::antialias`]).
     pub antialias: bool,
+    /// Whether Gaussians are kept as coarse as the photographs sample them (see [`smoothing`](crate::effects::smoothing)).
+    pub smoothing: bool,
+    /// What else is behind the Gaussians than [`Self::background`]: nothing else.
+    pub backdrop: Backdrop,
     /// Whether and how each photograph learns an exposure of its own: not at all.
     pub exposure: Option<ExposureConfig>,
+    /// Whether and how each photograph learns a grid of colour maps: not at all.
+    pub grid: Option<GridConfig>,
+    /// Whether and how poses are refined: not at all.
+    pub poses: Option<PoseConfig>,
+    /// Whether and how known depths are learnt from (see [`Trainer::with_depths`](super::Trainer::with_depths)): not at all.
+    pub depth: Option<DepthConfig>,
     /// Weight of the mean opacity in the loss: 0 for none, 0.01 as MCMC has it (Kheradmand et al. 2024). Gaussians that no
     /// photograph asks for, floaters in front of the background above all, then fade and are pruned.
     pub opacity_weight: f64,
@@ -67,7 +82,12 @@ impl Default for TrainConfig {
             resolution: Resolution::FULL,
             background: [0.0; 3],
             antialias: false,
+            smoothing: false,
+            backdrop: Backdrop::Fixed,
             exposure: None,
+            grid: None,
+            poses: None,
+            depth: None,
             opacity_weight: 0.0,
             cache_mib: 512,
         }

@@ -5,8 +5,8 @@ use std::time::Instant;
 use burn::tensor::Tensor;
 
 use super::{TrainError, Trainer};
-use crate::effects::Effect;
 use crate::effects::plan::Cost;
+use crate::effects::{Applied, Effect};
 use crate::loss::photometric;
 
 /// Pairs of steps that are timed, of each the fastest counts: what else the machine does only ever adds.
@@ -23,35 +23,49 @@ impl Trainer {
     /// # Errors
     /// If the operation refuses the scene.
     pub fn cost_of(&mut self, effect: Effect) -> Result<Option<Cost>, TrainError> {
-        let bytes = match effect {
-            Effect::Exposure => self.effects.exposure.as_ref().map(|exposure| exposure.bytes()),
-            Effect::Masks => self.views.masked_bytes(),
-            Effect::Antialias => self.options.antialias.then_some(0),
-            // Photographs are put over the background once.
-            Effect::Alpha => None,
-        };
-        let Some(bytes) = bytes else { return Ok(None) };
-        let time = |run: &mut Self| match effect {
-            Effect::Antialias => run.time_step(),
-            _ => Ok(run.time_loss()),
+        let Some(bytes) = self.bytes_of(effect) else { return Ok(None) };
+        let in_the_camera = matches!(effect, Effect::Exposure | Effect::BilateralGrid | Effect::Masks);
+        let time = |run: &mut Self| match in_the_camera {
+            true => Ok(run.time_loss()),
+            false => run.time_step(),
         };
         // Kernels are compiled and photographs prepared before the clock counts.
         time(self)?;
         let mut fastest_ms = [f64::INFINITY; 2];
         for _ in 0..PAIRS {
             fastest_ms[0] = time(self)?.min(fastest_ms[0]);
-            let options = self.options;
-            let exposure = self.effects.exposure.take_if(|_| effect == Effect::Exposure);
+            let (options, mut off) = (self.options, Applied::default());
+            self.effects.exchange(effect, &mut off);
             self.options.antialias &= effect != Effect::Antialias;
             self.views.ignore_masks(effect == Effect::Masks);
             let without_ms = time(self);
             self.options = options;
-            self.effects.exposure = exposure.or(self.effects.exposure.take());
+            self.effects.exchange(effect, &mut off);
             self.views.ignore_masks(false);
             fastest_ms[1] = without_ms?.min(fastest_ms[1]);
         }
         let mib = bytes as f64 / (1 << 20) as f64;
         Ok(Some(Cost { ms_per_step: fastest_ms[0] - fastest_ms[1], mib }))
+    }
+
+    /// Bytes that an effect keeps from step to step; none where it is off or no part of a step.
+    fn bytes_of(&self, effect: Effect) -> Option<usize> {
+        let effects = &self.effects;
+        match effect {
+            Effect::Antialias => {
+                let smoothing = effects.smoothing.as_ref().map(|smoothing| smoothing.bytes());
+                smoothing.or(self.options.antialias.then_some(0))
+            }
+            Effect::Alpha => effects.behind.as_ref().filter(|behind| !behind.is_learnt()).map(|behind| behind.bytes()),
+            Effect::Exposure => effects.exposure.as_ref().map(|exposure| exposure.bytes()),
+            Effect::BilateralGrid => effects.grids.as_ref().map(|grids| grids.bytes()),
+            Effect::Masks => self.views.masked_bytes(),
+            Effect::PoseRefinement => effects.poses.as_ref().map(|poses| poses.bytes()),
+            Effect::Environment => {
+                effects.behind.as_ref().filter(|behind| behind.is_learnt()).map(|behind| behind.bytes())
+            }
+            Effect::DepthSupervision => effects.depths.as_ref().map(|depths| depths.bytes()),
+        }
     }
 
     /// Time until the loss and the gradients are there, ms.
@@ -66,11 +80,11 @@ impl Trainer {
 
     /// The same from a picture on, which is the photograph a little darker.
     fn time_loss(&mut self) -> f64 {
-        let (_, truth) = self.views.prepare(VIEW);
+        let (_, truth) = self.views.prepare(VIEW, None);
         let image = Tensor::from_inner(truth.image() * 0.9).require_grad();
         let start = Instant::now();
         let excluded = self.views.excluded(VIEW);
-        let seen = self.effects.apply(image.clone(), VIEW, excluded.as_ref());
+        let seen = self.effects.developed(image.clone(), VIEW, excluded.as_ref());
         let mut loss = photometric(seen, &truth, self.config.lambda);
         if let Some(penalty) = self.effects.penalty(VIEW) {
             loss = loss + penalty;

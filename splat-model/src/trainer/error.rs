@@ -25,6 +25,12 @@ pub enum TrainError {
         .0.coarsest_divisor, .0.full_from, Resolution::DIVISOR_MAX
     )]
     Resolution(Resolution),
+    /// A background is to be learnt from a photograph that was cut out.
+    #[error(
+        "photograph `{0}` has transparent parts and says nothing of a background to learn: train with `--effects=-alpha` \
+         to take photographs as opaque, or without learning a background"
+    )]
+    LearntBackground(String),
     /// The operation refused its inputs.
     #[error(transparent)]
     Op(#[from] SplatError),

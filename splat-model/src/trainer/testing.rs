@@ -29,18 +29,27 @@ pub(crate) fn scene(device: &Device) -> Gaussians {
 
 /// Four photographs of [`scene`], named in another order than their names sort.
 pub(crate) fn photos(background: [f32; 3]) -> Vec<Photo> {
+    photographed(["c", "a", "d", "b"].map(String::from), background)
+}
+
+/// Photographs of it from all around, over black.
+pub(crate) fn ring(count: usize) -> Vec<Photo> {
+    photographed((0..count).map(|i| format!("{i:02}")), [0.0; 3])
+}
+
+fn photographed(names: impl IntoIterator<Item = String>, background: [f32; 3]) -> Vec<Photo> {
     let device = Device::flex();
     let splats = scene(&device).splats();
-    let photograph = |(i, name): (usize, &str)| {
+    let photograph = |(i, name): (usize, String)| {
         let intrinsics = Intrinsics::centred(WIDTH, HEIGHT, 40.0);
         let cam_from_world = pose(0.5 * i as f64);
         let camera = Camera::new(intrinsics, &cam_from_world, &device);
         let extras = Extras { background: Some(Tensor::from_floats(background, &device)), ..Extras::default() };
         let rendered = render(&splats, &[camera], &extras, &RenderOptions::standard()).unwrap();
         let rgb = values_of(rendered.colour).into_iter().map(|value| (255.0 * value).round() as u8).collect();
-        Photo { name: name.into(), intrinsics, cam_from_world, rgb, alpha: None, mask: None }
+        Photo { name, intrinsics, cam_from_world, rgb, alpha: None, mask: None }
     };
-    ["c", "a", "d", "b"].into_iter().enumerate().map(photograph).collect()
+    names.into_iter().enumerate().map(photograph).collect()
 }
 
 /// Where the Gaussians of [`scene`] are, roughly, and grey.

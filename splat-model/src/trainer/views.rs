@@ -1,6 +1,7 @@
 //! The photographs of a run, at the size that it has come to and prepared for the loss.
 
 use burn::tensor::{Bool, Device, Tensor, TensorData};
+use glam::DAffine3;
 use splat_op::{Camera, Intrinsics};
 
 use crate::capture::Photo;
@@ -78,6 +79,12 @@ impl Views {
         &self.views[view].photo.name
     }
 
+    /// The camera of a view, as it was last prepared, and its pose as it was given.
+    pub fn camera_of(&self, view: usize) -> (&Intrinsics, &DAffine3) {
+        let photo = self.views[view].shown();
+        (&photo.intrinsics, &photo.cam_from_world)
+    }
+
     /// From now on sides are divided by `divisor`.
     pub fn reduce(&mut self, divisor: usize) {
         if divisor == self.divisor {
@@ -134,8 +141,9 @@ impl Views {
     }
 
     /// A view's camera and its photograph, black where its mask leaves pixels out, which is kept for its next use while
-    /// there is room: prepared; or packed, on a GPU where prepared ones would not all fit.
-    pub fn prepare(&mut self, view: usize) -> (Camera, Truth) {
+    /// there is room: prepared; or packed, on a GPU where prepared ones would not all fit. One with transparent parts is prepared
+    /// anew over `drawn`, if there is such a background for this step.
+    pub fn prepare(&mut self, view: usize, drawn: Option<[f32; 3]>) -> (Camera, Truth) {
         let packs = self.packs && self.prepared_bytes() > self.cache;
         self.resize(view);
         let excluded = self.excluded(view);
@@ -144,6 +152,18 @@ impl Views {
             None => picture,
         };
         let view = &mut self.views[view];
+        if let Some(background) = drawn.filter(|_| view.shown().alpha.is_some()) {
+            let bytes = view.shown().rgb.len() / 3 * Packed::PIXEL;
+            if self.packs && view.packed.is_none() && bytes <= self.cache_left {
+                self.cache_left -= bytes;
+                view.packed = Some(Packed::new(view.shown(), &self.device));
+            }
+            let truth = match &view.packed {
+                Some(packed) => packed.rgb_over(background),
+                None => view.shown().rgb_over(background, &self.device),
+            };
+            return (view.camera.clone(), Truth::new(clear(truth)));
+        }
         if let Some(truth) = &view.truth {
             return (view.camera.clone(), truth.clone());
         }
@@ -228,7 +248,7 @@ mod tests {
         let [full_width, full_height] = [8 * WIDTH, 8 * HEIGHT];
         let mut views = Views::new(photos, [0.0; 3], 64, &Device::flex());
         let size = |views: &mut Views| {
-            let (camera, truth) = views.prepare(0);
+            let (camera, truth) = views.prepare(0, None);
             let [height, width, _] = truth.image().dims();
             assert_eq!([camera.intrinsics.width, camera.intrinsics.height], [width, height]);
             (width, height, camera.intrinsics.fx)
@@ -246,7 +266,7 @@ mod tests {
     #[test]
     fn photographs_that_do_not_fit_prepared_are_packed() {
         let shown = |views: &mut Views| -> Vec<f32> {
-            let pictures = (0..views.len()).flat_map(|view| values_of(views.prepare(view).1.image()));
+            let pictures = (0..views.len()).flat_map(|view| values_of(views.prepare(view, None).1.image()));
             pictures.collect()
         };
         let all = |cache: usize, packs: bool| {
@@ -275,7 +295,7 @@ mod tests {
     fn room_is_given_back_when_the_size_changes() {
         let mut views = Views::new(photos([0.0; 3]), [0.0; 3], 1, &Device::flex());
         let room = views.cache_left;
-        views.prepare(0);
+        views.prepare(0, None);
         assert!(views.cache_left < room && views.views[0].truth.is_some());
         views.reduce(2);
         assert!(views.cache_left == room && views.views[0].truth.is_none());

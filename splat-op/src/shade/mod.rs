@@ -29,11 +29,17 @@ use crate::op::Slot;
 pub const SH_DEGREE_MAX: usize = 4;
 
 /// Coefficients per channel at the highest degree.
-pub(crate) const SH_COEFFICIENTS_MAX: usize = (SH_DEGREE_MAX + 1) * (SH_DEGREE_MAX + 1);
+pub const SH_COEFFICIENTS_MAX: usize = (SH_DEGREE_MAX + 1) * (SH_DEGREE_MAX + 1);
 
 /// The degree that a number of coefficients per channel stands for; `None` unless it is 1, 4, 9, 16 or 25.
 pub fn sh_degree(coefficients: usize) -> Option<usize> {
     (0..=SH_DEGREE_MAX).find(|degree| (degree + 1) * (degree + 1) == coefficients)
+}
+
+/// The real spherical harmonics `Yₖ(d)` of the unit direction `d`, for `k < (degree+1)²` with a degree of 0 to 4, in the order
+/// of the coefficients; zero from there on.
+pub fn harmonics(d: [f64; 3], degree: usize) -> [f64; SH_COEFFICIENTS_MAX] {
+    basis::basis(d, degree)
 }
 
 /// [`sh_degree`] of a number of coefficients that was checked where tensors entered.

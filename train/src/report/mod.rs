@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 use anyhow::Result;
 use burn::tensor::Tensor;
 use splat_model::capture::Photo;
+use splat_model::effects::background::Background;
 use splat_model::evaluate::{Scores, evaluate};
 use splat_op::{RenderOptions, Splats};
 
@@ -19,6 +20,10 @@ use crate::progress;
 pub const SCENE: &str = "scene.ply";
 /// Scores, times and options.
 pub const METRICS: &str = "metrics.json";
+/// What is behind the scene, where a run learnt it.
+pub const BACKGROUND: &str = "background.json";
+/// The photographs' poses, where a run refined them.
+pub const POSES: &str = "poses.json";
 /// The folder of pictures.
 pub const VIEWS: &str = "views";
 
@@ -29,7 +34,7 @@ pub const VIEWS: &str = "views";
 pub fn measure(
     splats: &Splats,
     photos: &[Photo],
-    background: [f32; 3],
+    background: &Background,
     options: &RenderOptions,
     out: &OutputFolder,
 ) -> Result<Scores> {

@@ -1,0 +1,319 @@
+//! What is behind the Gaussians: a colour, another at each step, one that is learnt, or a learnt environment.
+//!
+//! - **A random colour at each step** (as in the training of NeRF-synthetic scenes since Mildenhall et al. 2020's
+//!   successors) leaves transparent photographs no colour to hide in: what is to look right over every colour has the
+//!   photograph's alpha. An opaque photograph then asks for opaque Gaussians everywhere.
+//! - **A learnt colour** is one parameter of three numbers, blended over by the kernel.
+//! - **An environment** is light from infinitely far away: `0.5 + Σₖ Yₖ(d) cₖ` with `d` the direction in which a pixel looks
+//!   and `Yₖ` the real spherical harmonics of [`mod@splat_op::shade`]. It stands for skies, whose parallax no camera sees and
+//!   which Gaussians would have to be put at some distance for. It is added to the render over black, times the share of
+//!   the background that is not hidden.
+//!
+//! Directions are those of the photographs' poses as they were given, also while poses are refined.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+
+use burn::tensor::{Device, Tensor, TensorData};
+use glam::{DAffine3, DVec2};
+use rand::{Rng, RngExt};
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+use splat_op::Intrinsics;
+use splat_op::shade::{SH_DEGREE_MAX, harmonics, sh_degree};
+use thiserror::Error;
+
+use super::learned::{Falling, Learned, Moment};
+use crate::gaussians::values_of;
+
+/// What a run puts behind the Gaussians.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Backdrop {
+    /// [`TrainConfig::background`](crate::trainer::TrainConfig::background) at every step.
+    #[default]
+    Fixed,
+    /// A colour at random at every step, the same behind the photograph's transparent parts. Scores and files are over
+    /// [`TrainConfig::background`](crate::trainer::TrainConfig::background).
+    Random,
+    /// One colour, learnt; for photographs without alpha.
+    Learned,
+    /// Harmonics of this degree, 0 to 4, learnt; for photographs without alpha.
+    Environment {
+        /// 2 knows that the sky is above, where the sun is and how light falls off around it.
+        degree: usize,
+    },
+}
+
+/// Learning rates of colours and coefficients: those of exposures.
+const RATE: Falling = Falling { from: 0.01, to: 0.001 };
+
+/// Memory for what the harmonics are in each photograph's pixels; beyond it they are computed at each step.
+const CACHE_BYTES: usize = 256 << 20;
+
+/// A background as a file or a command line has it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Background {
+    /// RGB, 0 to 1.
+    Colour([f32; 3]),
+    /// Coefficients by harmonic, RGB.
+    Environment(Vec<[f32; 3]>),
+}
+
+/// A file that holds no background.
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum BackgroundError {
+    /// It cannot be read.
+    #[error("{path}: {source}; name the `background.json` that a run left beside its scene", path = path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// The system's reason.
+        source: io::Error,
+    },
+    /// It holds something else.
+    #[error(
+        "{path}: {reason}, expected {{\"colour\": [r, g, b]}} or {{\"environment\": [[r, g, b], ...]}} with 1, 4, 9, 16 or 25 \
+         coefficients, all finite",
+        path = path.display()
+    )]
+    Content {
+        /// The file.
+        path: PathBuf,
+        /// What was found.
+        reason: String,
+    },
+}
+
+/// A background is a few hundred bytes; a file of more than this is none.
+const LARGEST_FILE: u64 = 1 << 20;
+
+impl Background {
+    /// Reads what [`Self::to_json`] gave.
+    ///
+    /// # Errors
+    /// If the file cannot be read or holds something else.
+    pub fn read(path: &Path) -> Result<Self, BackgroundError> {
+        let unreadable = |source| BackgroundError::Read { path: path.to_owned(), source };
+        let content = |reason| BackgroundError::Content { path: path.to_owned(), reason };
+        let length = fs::metadata(path).map_err(unreadable)?.len();
+        if length > LARGEST_FILE {
+            return Err(content(format!("{length} bytes long")));
+        }
+        let text = fs::read(path).map_err(unreadable)?;
+        let found: Self = serde_json::from_slice(&text).map_err(|error| content(error.to_string()))?;
+        match &found {
+            Self::Environment(coefficients) if sh_degree(coefficients.len()).is_none() => {
+                Err(content(format!("{} coefficients", coefficients.len())))
+            }
+            found if found.values().any(|value| !value.is_finite()) => {
+                Err(content("a number that is not finite".into()))
+            }
+            _ => Ok(found),
+        }
+    }
+
+    /// As a file has it.
+    ///
+    /// # Errors
+    /// If a number is not finite, which JSON cannot say.
+    pub fn to_json(&self) -> serde_json::Result<String> {
+        serde_json::to_string_pretty(self)
+    }
+
+    fn values(&self) -> impl Iterator<Item = f32> {
+        let all = match self {
+            Self::Colour(colour) => std::slice::from_ref(colour),
+            Self::Environment(coefficients) => coefficients,
+        };
+        all.as_flattened().iter().copied()
+    }
+
+    /// The colour that the operation blends over: black where an environment is added later.
+    pub fn colour(&self) -> [f32; 3] {
+        match self {
+            Self::Colour(colour) => *colour,
+            Self::Environment(_) => [0.0; 3],
+        }
+    }
+
+    /// A render over [`Self::colour`], `[H, W, 3]` with its alpha `[H, W, 1]`, over this background. Not tracked.
+    pub fn behind(
+        &self,
+        image: Tensor<3>,
+        alpha: Tensor<3>,
+        camera: &Intrinsics,
+        cam_from_world: &DAffine3,
+    ) -> Tensor<3> {
+        let Self::Environment(coefficients) = self else { return image };
+        let (device, count) = (image.device(), coefficients.len());
+        let degree = sh_degree(count).unwrap_or(0);
+        let coefficients = TensorData::new(coefficients.as_flattened().to_vec(), [count, 3]);
+        let basis = basis(camera, cam_from_world, degree, &device);
+        over(image, alpha, sky(basis, Tensor::from_data(coefficients, &device)))
+    }
+}
+
+/// `[H W, (degree+1)²]`: the harmonics in the directions in which the pixels of a camera look.
+fn basis(camera: &Intrinsics, cam_from_world: &DAffine3, degree: usize, device: &Device) -> Tensor<2> {
+    let (width, height, count) = (camera.width, camera.height, (degree + 1) * (degree + 1));
+    let world_from_cam = cam_from_world.matrix3.transpose();
+    let mut values = vec![0.0_f32; width * height * count];
+    values.par_chunks_mut(width * count).enumerate().for_each(|(y, row)| {
+        for (x, values) in row.chunks_exact_mut(count).enumerate() {
+            let direction = camera.cam_from_px(DVec2::new(x as f64 + 0.5, y as f64 + 0.5)).normalize();
+            let all = harmonics((world_from_cam * direction).to_array(), degree);
+            values.iter_mut().zip(all).for_each(|(value, harmonic)| *value = harmonic as f32);
+        }
+    });
+    Tensor::from_data(TensorData::new(values, [width * height, count]), device)
+}
+
+/// `[H W, 3]`: the environment's light.
+fn sky(basis: Tensor<2>, coefficients: Tensor<2>) -> Tensor<2> {
+    basis.matmul(coefficients) + 0.5
+}
+
+/// A render over black, with what is behind it, `[H W, 3]`.
+fn over(image: Tensor<3>, alpha: Tensor<3>, behind: Tensor<2>) -> Tensor<3> {
+    let size = image.dims();
+    image + behind.reshape(size) * (alpha.neg() + 1.0)
+}
+
+/// The background of a run, where it is not the same at every step.
+pub(crate) enum Behind {
+    Random,
+    /// `[3]`
+    Colour(Learned<1>),
+    Environment(Environment),
+}
+
+/// A learnt environment.
+pub(crate) struct Environment {
+    /// `[(degree+1)², 3]`
+    coefficients: Learned<2>,
+    degree: usize,
+    /// `[H W, (degree+1)²]` by photograph, at the size that was last asked for, which goes with it.
+    cache: BTreeMap<usize, ([usize; 2], Tensor<2>)>,
+    cached_bytes: usize,
+}
+
+impl Behind {
+    /// None for [`Backdrop::Fixed`]. A learnt colour begins as `start`.
+    pub fn new(backdrop: Backdrop, start: [f32; 3], device: &Device) -> Option<Self> {
+        match backdrop {
+            Backdrop::Fixed => None,
+            Backdrop::Random => Some(Self::Random),
+            Backdrop::Learned => Some(Self::Colour(Learned::new(Tensor::from_floats(start, device)))),
+            Backdrop::Environment { degree } => {
+                let degree = degree.min(SH_DEGREE_MAX);
+                let coefficients = Learned::new(Tensor::zeros([(degree + 1) * (degree + 1), 3], device));
+                let (cache, cached_bytes) = (BTreeMap::new(), 0);
+                Some(Self::Environment(Environment { coefficients, degree, cache, cached_bytes }))
+            }
+        }
+    }
+
+    /// Whether photographs must be opaque, because one with alpha says nothing of what was behind it.
+    pub fn is_learnt(&self) -> bool {
+        !matches!(self, Self::Random)
+    }
+
+    /// The colour of this step, where it is drawn.
+    pub fn draw(&self, rng: &mut impl Rng) -> Option<[f32; 3]> {
+        matches!(self, Self::Random).then(|| [0, 1, 2].map(|_| rng.random_range(0.0..1.0)))
+    }
+
+    /// `[3]`: the colour that the operation blends over, where it is learnt or black; tracked.
+    pub fn colour(&self, device: &Device) -> Option<Tensor<1>> {
+        match self {
+            Self::Random => None,
+            Self::Colour(colour) => Some(colour.tracked()),
+            Self::Environment(_) => Some(Tensor::zeros([3], device)),
+        }
+    }
+
+    /// Puts an environment behind the render of a photograph's camera, whose pose is that of the capture.
+    pub fn behind(
+        &mut self,
+        image: Tensor<3>,
+        alpha: Tensor<3>,
+        view: usize,
+        (camera, cam_from_world): (&Intrinsics, &DAffine3),
+    ) -> Tensor<3> {
+        let Self::Environment(environment) = self else { return image };
+        let basis = environment.basis_of(view, camera, cam_from_world);
+        over(image, alpha, sky(Tensor::from_inner(basis), environment.coefficients.tracked()))
+    }
+
+    /// Takes the gradient out of those of a loss, `[1, 3]` for a colour.
+    pub fn take_gradient(&self, gradients: &mut burn::tensor::Gradients) -> Option<Tensor<2>> {
+        match self {
+            Self::Random => None,
+            Self::Colour(colour) => colour.take_gradient(gradients).map(|gradient| gradient.unsqueeze()),
+            Self::Environment(environment) => environment.coefficients.take_gradient(gradients),
+        }
+    }
+
+    /// Adam's step.
+    pub fn step(&mut self, gradient: Tensor<2>, at: Moment) {
+        let rate = RATE.at(at.step, at.steps);
+        match self {
+            Self::Random => {}
+            Self::Colour(colour) => colour.step(gradient.squeeze_dim(0), rate, at.verdict),
+            Self::Environment(environment) => environment.coefficients.step(gradient, rate, at.verdict),
+        }
+    }
+
+    /// What was learnt; none where nothing is.
+    pub fn learnt(&self) -> Option<Background> {
+        match self {
+            Self::Random => None,
+            Self::Colour(colour) => {
+                let values = values_of(colour.value());
+                Some(Background::Colour([values[0], values[1], values[2]].map(|value| value.clamp(0.0, 1.0))))
+            }
+            Self::Environment(environment) => {
+                let values = values_of(environment.coefficients.value());
+                Some(Background::Environment(values.as_chunks::<3>().0.to_vec()))
+            }
+        }
+    }
+
+    /// Bytes of the parameters, their moments and the harmonics that are kept.
+    pub fn bytes(&self) -> usize {
+        match self {
+            Self::Random => 0,
+            Self::Colour(colour) => colour.bytes(),
+            Self::Environment(environment) => environment.coefficients.bytes() + environment.cached_bytes,
+        }
+    }
+}
+
+impl Environment {
+    fn basis_of(&mut self, view: usize, camera: &Intrinsics, cam_from_world: &DAffine3) -> Tensor<2> {
+        let size = [camera.width, camera.height];
+        let kept = self.cache.get(&view).filter(|(of, _)| *of == size);
+        if let Some((_, basis)) = kept {
+            return basis.clone();
+        }
+        let device = self.coefficients.value().device();
+        let basis = basis(camera, cam_from_world, self.degree, &device);
+        let bytes = |basis: &Tensor<2>| basis.shape().num_elements() * size_of::<f32>();
+        if let Some((_, stale)) = self.cache.remove(&view) {
+            self.cached_bytes -= bytes(&stale);
+        }
+        if self.cached_bytes + bytes(&basis) <= CACHE_BYTES {
+            self.cached_bytes += bytes(&basis);
+            self.cache.insert(view, (size, basis.clone()));
+        }
+        basis
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,126 @@
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+
+use super::*;
+
+fn camera() -> (Intrinsics, DAffine3) {
+    let turned = glam::DMat3::from_rotation_x(0.3) * glam::DMat3::from_rotation_y(1.0);
+    (Intrinsics::centred(9, 7, 6.0), DAffine3::from_mat3_translation(turned, glam::DVec3::new(1.0, 2.0, 3.0)))
+}
+
+/// A light that is brighter towards +z of the world, and red towards +x.
+fn lit() -> Vec<[f32; 3]> {
+    vec![[0.1, 0.0, -0.1], [0.0; 3], [0.3, 0.3, 0.3], [-0.4, 0.0, 0.0]]
+}
+
+#[test]
+fn an_environment_shows_the_light_of_each_direction() {
+    let (intrinsics, pose) = camera();
+    let device = Device::flex();
+    let nothing = Tensor::zeros([7, 9, 3], &device);
+    let image = Background::Environment(lit()).behind(nothing, Tensor::zeros([7, 9, 1], &device), &intrinsics, &pose);
+    let values = values_of(image);
+    // By the definition of the harmonics up to degree 1.
+    let [y0, y1] = [0.5 / std::f64::consts::PI.sqrt(), (0.75 / std::f64::consts::PI).sqrt()];
+    for (x, y) in [(0, 0), (8, 6), (4, 3), (2, 5)] {
+        let direction = intrinsics.cam_from_px(DVec2::new(x as f64 + 0.5, y as f64 + 0.5)).normalize();
+        let world = pose.matrix3.inverse() * direction;
+        let expected = [
+            0.5 + 0.1 * y0 + 0.3 * y1 * world.z + 0.4 * y1 * world.x,
+            0.5 + 0.3 * y1 * world.z,
+            0.5 - 0.1 * y0 + 0.3 * y1 * world.z,
+        ];
+        for (channel, expected) in expected.into_iter().enumerate() {
+            let found = f64::from(values[3 * (9 * y + x) + channel]);
+            assert!((found - expected).abs() < 1e-6, "({x}, {y}) channel {channel}: {found} instead of {expected}");
+        }
+    }
+}
+
+#[test]
+fn what_is_hidden_of_the_background_does_not_show() {
+    let (intrinsics, pose) = camera();
+    let device = Device::flex();
+    let image = Tensor::<3>::full([7, 9, 3], 0.3, &device);
+    let shown = |alpha: f32| {
+        let alpha = Tensor::full([7, 9, 1], alpha, &device);
+        values_of(Background::Environment(lit()).behind(image.clone(), alpha, &intrinsics, &pose))
+    };
+    assert!(shown(1.0).iter().all(|value| *value == 0.3));
+    for (half, none) in shown(0.5).into_iter().zip(shown(0.0)) {
+        assert!((half - 0.3 - 0.5 * (none - 0.3)).abs() < 1e-6, "{half} and {none}");
+    }
+}
+
+#[test]
+fn an_environment_is_learnt() {
+    let (intrinsics, pose) = camera();
+    let device = Device::flex();
+    let (image, alpha) = (Tensor::<3>::zeros([7, 9, 3], &device), Tensor::<3>::full([7, 9, 1], 0.25, &device));
+    let truth = Background::Environment(lit());
+    // Several ways of looking, or not every harmonic is told from the others.
+    let poses: Vec<DAffine3> = (0..4)
+        .map(|i| pose * DAffine3::from_rotation_y(1.5 * f64::from(i)) * DAffine3::from_rotation_z(f64::from(i)))
+        .collect();
+    let mut behind = Behind::new(Backdrop::Environment { degree: 1 }, [0.0; 3], &device).unwrap();
+    let steps = 800;
+    for step in 1..=steps {
+        let view = step % poses.len();
+        let tracked = |tensor: &Tensor<3>| Tensor::from_inner(tensor.clone());
+        let shown = behind.behind(tracked(&image), tracked(&alpha), view, (&intrinsics, &poses[view]));
+        let expected = truth.behind(image.clone(), alpha.clone(), &intrinsics, &poses[view]);
+        let mut gradients = (shown - Tensor::from_inner(expected)).square().mean().backward();
+        let gradient = behind.take_gradient(&mut gradients).unwrap();
+        behind.step(gradient, Moment { view, step, steps, verdict: None });
+    }
+    let Some(Background::Environment(found)) = behind.learnt() else { panic!("an environment") };
+    for (found, expected) in found.as_flattened().iter().zip(lit().as_flattened()) {
+        assert!((found - expected).abs() < 0.02, "{found} instead of {expected}");
+    }
+    // The harmonics of the four photographs are kept, and those of another size take their place.
+    let per_view = 9 * 7 * 4 * size_of::<f32>();
+    assert_eq!(behind.bytes(), 3 * 12 * size_of::<f32>() + 4 * per_view);
+    let half = intrinsics.resized(4, 3);
+    let small = |tensor: Tensor<3>| Tensor::from_inner(tensor.slice([0..3, 0..4]));
+    behind.behind(small(image), small(alpha), 0, (&half, &poses[0]));
+    assert_eq!(behind.bytes(), 3 * 12 * size_of::<f32>() + 3 * per_view + 4 * 3 * 4 * size_of::<f32>());
+}
+
+#[test]
+fn colours_are_drawn_only_where_they_are_random() {
+    let device = Device::flex();
+    let mut rng = ChaCha8Rng::seed_from_u64(1);
+    let of = |backdrop| Behind::new(backdrop, [0.2; 3], &device);
+    assert!(of(Backdrop::Fixed).is_none());
+    let random = of(Backdrop::Random).unwrap();
+    let drawn: Vec<[f32; 3]> = (0..50).filter_map(|_| random.draw(&mut rng)).collect();
+    assert_eq!(drawn.len(), 50);
+    assert!(drawn.as_flattened().iter().all(|value| (0.0..1.0).contains(value)));
+    let mean = drawn.as_flattened().iter().sum::<f32>() / 150.0;
+    assert!((mean - 0.5).abs() < 0.1, "{mean}");
+    let learnt = of(Backdrop::Learned).unwrap();
+    assert_eq!((learnt.draw(&mut rng), learnt.learnt()), (None, Some(Background::Colour([0.2; 3]))));
+    assert!(random.learnt().is_none() && learnt.is_learnt() && !random.is_learnt());
+}
+
+#[test]
+fn files_are_read_back_and_others_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("background.json");
+    for background in [Background::Colour([0.25, 0.5, 1.0]), Background::Environment(lit())] {
+        fs::write(&path, background.to_json().unwrap()).unwrap();
+        assert_eq!(Background::read(&path).unwrap(), background);
+    }
+    for (text, part) in [
+        ("{", "expected"),
+        (r#"{"environment": [[0, 0, 0], [0, 0, 0]]}"#, "2 coefficients"),
+        (r#"{"colour": [0, 1]}"#, "colour"),
+        (r#"{"colour": [0, 1, 1e300]}"#, "expected"),
+    ] {
+        fs::write(&path, text).unwrap();
+        let message = Background::read(&path).unwrap_err().to_string();
+        assert!(message.contains(part) && message.contains("background.json"), "{message}");
+    }
+    let message = Background::read(&folder.path().join("none.json")).unwrap_err().to_string();
+    assert!(message.contains("none.json") && message.contains("beside its scene"), "{message}");
+}

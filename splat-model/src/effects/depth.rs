@@ -1,0 +1,211 @@
+//! Depth supervision: what is known of the distance of things holds the scene in place where few photographs do.
+//!
+//! Known are the sparse points in the photographs that their tracks name (Deng et al. 2022, "Depth-supervised NeRF"). The
+//! render's depth is `D/α` with `D = Σ wᵢ zᵢ`, and the loss is the mean of `|D/α − z| / z` over the known
+//! places, relative, so that near and far count alike. The opacity `α` is not followed (no gradient): it would be quicker to
+//! thin the scene out than to move it. Places that the render covers by less than half say nothing.
+
+use burn::tensor::{Device, Int, Tensor, TensorData};
+use glam::{Vec2, Vec3};
+use serde::{Deserialize, Serialize};
+
+use crate::capture::Capture;
+
+/// How depths are learnt from.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct DepthConfig {
+    /// Weight of the relative error in the loss: 0.1.
+    pub weight: f64,
+}
+
+impl Default for DepthConfig {
+    fn default() -> Self {
+        Self { weight: 0.1 }
+    }
+}
+
+/// A place of a photograph whose depth is known.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DepthSample {
+    /// Where, as shares of the picture's width and height.
+    pub at: [f32; 2],
+    /// Camera z, scene units, positive.
+    pub depth: f32,
+}
+
+/// Sights that miss their point by more than this share of the picture's longer side are mistaken: 4 px in a thousand.
+const LARGEST_MISS: f64 = 0.004;
+
+/// What the tracks of a capture know of the depth of things in some of its photographs.
+pub fn from_tracks(capture: &Capture, views: &[usize]) -> Vec<Vec<DepthSample>> {
+    let mut place = vec![None; capture.views.len()];
+    views.iter().enumerate().for_each(|(at, &view)| place[view] = Some(at));
+    let projectors: Vec<_> = capture.views.iter().map(|view| view.intrinsics.projector()).collect();
+    let mut samples = vec![Vec::new(); views.len()];
+    for (point, position) in capture.points.positions.iter().enumerate() {
+        let world = Vec3::from_array(*position).as_dvec3();
+        for sight in capture.tracks.of(point) {
+            let (view, Some(place)) = (&capture.views[sight.view], place[sight.view]) else { continue };
+            let cam = view.cam_from_world.transform_point3(world);
+            let size = Vec2::new(view.intrinsics.width as f32, view.intrinsics.height as f32);
+            let found = Vec2::from_array(sight.at_px);
+            let miss = projectors[sight.view].px_from_cam(cam).map(|px| px.distance(found.as_dvec2()));
+            let inside = found.cmpge(Vec2::ZERO).all() && found.cmplt(size).all();
+            if inside && miss.is_some_and(|miss| miss <= LARGEST_MISS * f64::from(size.max_element())) {
+                samples[place].push(DepthSample { at: (found / size).to_array(), depth: cam.z as f32 });
+            }
+        }
+    }
+    samples
+}
+
+/// A photograph's samples on the device, for one size of picture.
+struct OnDevice {
+    size: [usize; 2],
+    /// `[M]`: pixels, row by row.
+    pixels: Tensor<1, Int>,
+    /// `[M]`
+    depths: Tensor<1>,
+}
+
+/// The known depths of a run.
+pub struct Depths {
+    config: DepthConfig,
+    samples: Vec<Vec<DepthSample>>,
+    on_device: Vec<Option<OnDevice>>,
+    device: Device,
+}
+
+impl Depths {
+    /// One list for each photograph.
+    pub fn new(config: DepthConfig, samples: Vec<Vec<DepthSample>>, device: &Device) -> Self {
+        let usable = |sample: &DepthSample| {
+            sample.depth > 0.0 && sample.depth.is_finite() && sample.at.iter().all(|at| (0.0..1.0).contains(at))
+        };
+        let samples: Vec<Vec<DepthSample>> =
+            samples.into_iter().map(|list| list.into_iter().filter(usable).collect()).collect();
+        let on_device = samples.iter().map(|_| None).collect();
+        Self { config, samples, on_device, device: device.clone() }
+    }
+
+    /// Whether anything is known of a photograph, so that its depth has to be rendered.
+    pub fn knows(&self, view: usize) -> bool {
+        self.samples.get(view).is_some_and(|samples| !samples.is_empty())
+    }
+
+    /// What is added to the loss of a step on `view`, `[1]`, with the render's accumulated depth and alpha, `[H, W, 1]` each.
+    pub fn penalty(&mut self, depth: Tensor<3>, alpha: Tensor<3>, view: usize) -> Option<Tensor<1>> {
+        let samples = self.samples.get(view).filter(|samples| !samples.is_empty())?;
+        let [height, width, _] = depth.dims();
+        let size = [width, height];
+        let kept = &mut self.on_device[view];
+        if kept.as_ref().is_none_or(|kept| kept.size != size) {
+            *kept = Some(OnDevice::new(samples, size, &self.device));
+        }
+        let OnDevice { pixels, depths, .. } = kept.as_ref()?;
+        let constant = |values: &Tensor<1>| Tensor::<1>::from_inner(values.clone());
+        let at = |plane: Tensor<3>| plane.reshape([width * height]);
+        let covered = at(alpha.clone().inner()).select(0, pixels.clone()).greater_equal_elem(0.5).float();
+        let count = covered.clone().sum().clamp_min(1.0);
+        let indices = Tensor::<1, Int>::from_inner(pixels.clone());
+        let alpha = if std::env::var("DETACH").is_ok() { Tensor::from_inner(alpha.inner()) } else { alpha };
+        let divisor = at(alpha).select(0, indices.clone()).clamp_min(0.5) * constant(depths);
+        let relative = at(depth).select(0, indices) / divisor - 1.0;
+        let sum = (relative.abs() * constant(&covered)).sum() / constant(&count);
+        Some(sum * self.config.weight)
+    }
+
+    /// Bytes on the device.
+    pub fn bytes(&self) -> usize {
+        let bytes = |kept: &OnDevice| kept.depths.dims()[0] * 2 * size_of::<f32>();
+        self.on_device.iter().flatten().map(bytes).sum()
+    }
+}
+
+impl OnDevice {
+    fn new(samples: &[DepthSample], [width, height]: [usize; 2], device: &Device) -> Self {
+        let pixel = |sample: &DepthSample| {
+            let along = |share: f32, side: usize| ((share * side as f32) as usize).min(side - 1);
+            (along(sample.at[1], height) * width + along(sample.at[0], width)) as i32
+        };
+        let pixels: Vec<i32> = samples.iter().map(pixel).collect();
+        let depths: Vec<f32> = samples.iter().map(|sample| sample.depth).collect();
+        let count = samples.len();
+        Self {
+            size: [width, height],
+            pixels: Tensor::from_data(TensorData::new(pixels, [count]), device),
+            depths: Tensor::from_data(TensorData::new(depths, [count]), device),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::capture::demo::{self, DemoOptions};
+    use crate::gaussians::values_of;
+
+    fn depths(samples: Vec<DepthSample>) -> Depths {
+        Depths::new(DepthConfig { weight: 2.0 }, vec![samples, vec![]], &Device::flex())
+    }
+
+    fn tracked(values: &[f32], size: [usize; 3]) -> Tensor<3> {
+        let tensor = Tensor::from_data(TensorData::new(values.to_vec(), size), &Device::flex());
+        Tensor::from_inner(tensor).require_grad()
+    }
+
+    #[test]
+    fn the_error_is_relative_and_counts_where_something_is_drawn() {
+        let sample = |x: f32, y: f32, depth: f32| DepthSample { at: [x, y], depth };
+        // Pixels 0 and 3 of four, one of them barely covered, and two that are no samples.
+        let samples = vec![
+            sample(0.2, 0.1, 2.0),
+            sample(0.9, 0.6, 4.0),
+            sample(0.7, 0.2, 5.0),
+            sample(1.0, 0.0, 1.0),
+            sample(0.5, 0.5, -1.0),
+        ];
+        let mut depths = depths(samples);
+        let depth = tracked(&[1.2, 0.1, 9.0, 3.0], [2, 2, 1]);
+        let alpha = tracked(&[0.8, 0.4, 1.0, 1.0], [2, 2, 1]);
+        let loss = depths.penalty(depth.clone(), alpha.clone(), 0).unwrap();
+        // |1.2/0.8 − 2|/2 = 1/4 and |3 − 4|/4 = 1/4.
+        assert!((loss.clone().inner().into_scalar::<f32>() - 2.0 * 0.25).abs() < 1e-6);
+        let gradients = loss.backward();
+        let gradient = values_of(depth.grad(&gradients).unwrap());
+        let expected = [-1.0 / (0.8 * 2.0), 0.0, 0.0, -0.25];
+        assert!(gradient.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-6), "{gradient:?}");
+        assert!(alpha.grad(&gradients).is_none(), "nothing follows the opacity");
+        assert!(depths.knows(0) && !depths.knows(1) && !depths.knows(7));
+        assert!(depths.penalty(depth.clone(), alpha.clone(), 1).is_none());
+        assert_eq!(depths.bytes(), 3 * 8);
+        // At another size samples are elsewhere.
+        let small = |values: &[f32]| tracked(values, [1, 1, 1]);
+        let loss = depths.penalty(small(&[2.0]), small(&[1.0]), 0).unwrap().inner().into_scalar::<f32>();
+        assert!((loss - 2.0 * (0.0 + 0.5 + 0.6) / 3.0).abs() < 1e-6, "{loss}");
+    }
+
+    #[test]
+    fn tracks_tell_depths() {
+        let folder = tempfile::tempdir().unwrap();
+        let options = DemoOptions { width: 64, height: 48, views: 4, points: 500, ..DemoOptions::default() };
+        demo::write(folder.path(), &options).unwrap();
+        let capture = Capture::load(folder.path()).unwrap();
+        let samples = from_tracks(&capture, &[1, 3]);
+        assert_eq!(samples.len(), 2);
+        assert!(samples.iter().all(|list| list.len() > 50), "{} and {}", samples[0].len(), samples[1].len());
+        let sights = (0..capture.points.positions.len()).flat_map(|point| capture.tracks.of(point));
+        assert_eq!(samples[1].len(), sights.filter(|sight| sight.view == 3).count());
+        // A sample and its depth lead back to a point.
+        let view = &capture.views[3];
+        for sample in samples[1].iter().take(20) {
+            let px = glam::DVec2::new(f64::from(sample.at[0]) * 64.0, f64::from(sample.at[1]) * 48.0);
+            let cam = view.intrinsics.cam_from_px(px) * f64::from(sample.depth);
+            let world = view.cam_from_world.inverse().transform_point3(cam);
+            let distance = |position: &[f32; 3]| Vec3::from_array(*position).as_dvec3().distance(world);
+            let nearest = capture.points.positions.iter().map(distance).fold(f64::INFINITY, f64::min);
+            assert!(nearest < 1e-3, "{nearest}");
+        }
+    }
+}

@@ -1,0 +1,117 @@
+//! A parameter that is learnt beside the scene, with Adam's state and a count of steps of its own: what belongs to one
+//! photograph sees a gradient only when that photograph is trained on, and what Adam does about a gradient of zero is not
+//! nothing.
+
+use burn::tensor::{Int, Tensor};
+use serde::{Deserialize, Serialize};
+
+use crate::optim::{Adam, Moments};
+
+/// A learning rate that falls by the same share at every step.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Falling {
+    /// At the first step.
+    pub from: f64,
+    /// At the last step.
+    pub to: f64,
+}
+
+impl Falling {
+    /// The rate at `step`, counted from 1, of a run of `steps`.
+    pub fn at(&self, step: usize, steps: usize) -> f64 {
+        let share = (step - 1) as f64 / steps.saturating_sub(1).max(1) as f64;
+        self.from * (self.to / self.from).powf(share.min(1.0))
+    }
+}
+
+/// Where a run is, and which photograph its step is about.
+#[derive(Clone, Copy, Debug)]
+pub struct Moment<'a> {
+    /// Number of the photograph.
+    pub view: usize,
+    /// Counted from 1.
+    pub step: usize,
+    /// Of the whole run.
+    pub steps: usize,
+    /// `[2]`: nothing changes where a step is entered in it (see [`splat_op::adam`]).
+    pub verdict: Option<&'a Tensor<1, Int>>,
+}
+
+/// One such parameter.
+pub struct Learned<const D: usize> {
+    /// Tracked.
+    value: Tensor<D>,
+    moments: Moments<D>,
+    steps: usize,
+}
+
+impl<const D: usize> Learned<D> {
+    /// Without history. `start` is not tracked.
+    pub fn new(start: Tensor<D>) -> Self {
+        let value = Tensor::from_inner(start).require_grad();
+        Self { moments: Moments::new(&value), value, steps: 0 }
+    }
+
+    /// Tracked, for the render or the loss.
+    pub fn tracked(&self) -> Tensor<D> {
+        self.value.clone()
+    }
+
+    /// Without autodiff.
+    pub fn value(&self) -> Tensor<D> {
+        self.value.clone().inner()
+    }
+
+    /// Replaces the value, not tracked, and keeps the history.
+    pub fn set(&mut self, value: Tensor<D>) {
+        self.value = Tensor::from_inner(value).require_grad();
+    }
+
+    /// Takes the gradient out of those of a loss; none where the loss does not depend on it.
+    pub fn take_gradient(&self, gradients: &mut burn::tensor::Gradients) -> Option<Tensor<D>> {
+        self.value.grad_remove(gradients)
+    }
+
+    /// One step of Adam. A component of the gradient that is not a number moves nothing.
+    pub fn step(&mut self, gradient: Tensor<D>, rate: f64, verdict: Option<&Tensor<1, Int>>) {
+        self.steps += 1;
+        let unknown = gradient.clone().is_nan();
+        let gradient = gradient.mask_fill(unknown, 0.0);
+        let value = Adam::default().step_unless(self.value(), gradient, rate, &mut self.moments, (self.steps, verdict));
+        self.set(value);
+    }
+
+    /// Bytes of the value and its moments.
+    pub fn bytes(&self) -> usize {
+        3 * self.value.shape().num_elements() * size_of::<f32>()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use burn::tensor::Device;
+
+    use super::*;
+    use crate::gaussians::values_of;
+
+    #[test]
+    fn rates_fall_from_the_first_to_the_last_step() {
+        let rate = Falling { from: 0.01, to: 0.001 };
+        let rates = [1, 51, 101, 200].map(|step| rate.at(step, 101));
+        for (rate, expected) in rates.into_iter().zip([0.01, 0.01 / 10.0_f64.sqrt(), 0.001, 0.001]) {
+            assert!((rate - expected).abs() < 1e-12, "{rate}");
+        }
+        assert_eq!(rate.at(1, 1), 0.01);
+    }
+
+    #[test]
+    fn what_is_not_a_number_moves_nothing() {
+        let device = Device::flex();
+        let mut learned = Learned::new(Tensor::<1>::zeros([3], &device));
+        learned.step(Tensor::from_floats([1.0, f32::NAN, -2.0], &device), 0.5, None);
+        let values = values_of(learned.value());
+        assert!((values[0] + 0.5).abs() < 1e-6 && values[1] == 0.0 && (values[2] - 0.5).abs() < 1e-6, "{values:?}");
+        assert_eq!(learned.bytes(), 36);
+    }
+}

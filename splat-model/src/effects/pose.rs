@@ -1,0 +1,219 @@
+//! Refinement of the photographs' poses, learnt beside the scene.
+//!
+//! A camera that was placed wrongly is turned by `R(ω)` and moved by `e τ` in its own frame: `cam_from_world` becomes
+//! `[R(ω) R₀ | R(ω) t₀ + e τ]`, with `e` the extent of the scene, so that both are of one size. `R(ω)` is Cayley's map of `h = ω/2`,
+//!
+//! `R = I + 2 (K + K²) / (1 + |h|²)`, `K v = h × v`,
+//!
+//! a rotation to rounding for every `h` (about `ω` by `2 atan(|ω|/2)`, which is `|ω|` but for its cube), with no angle to
+//! divide by and no square root: it and its derivative are rational and exact at zero, where the exponential map's series
+//! has to be patched. That poses are learnt with the scene, by the gradient of the photographs' colours, is BARF's (Lin et
+//! al. 2021), for Gaussians as in gsplat's `pose_opt`.
+//!
+//! Scene and cameras could turn together and no photograph would tell. They hardly do, because every camera would have to
+//! turn alike; what they are held to is the scene that the points put there.
+//!
+//! How far a camera can go in a run is stated, and not a learning rate: Adam moves a parameter by about its rate a step, so
+//! that short runs and large captures, where a photograph is seen seldom, would need other rates than long ones.
+
+use burn::tensor::{Device, Tensor};
+use glam::{DAffine3, DMat3, DVec3};
+use serde::{Deserialize, Serialize};
+
+use super::learned::{Falling, Learned, Moment};
+use crate::gaussians::values_of;
+
+/// How poses are refined.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct PoseConfig {
+    /// How far a camera can turn in the whole run, rad: 0.06, some 3.4°.
+    pub reach_rad: f64,
+    /// How far it can move, extents of the scene: 0.06.
+    pub reach_extents: f64,
+    /// The last step by the first: 0.01.
+    pub fall: f64,
+}
+
+impl Default for PoseConfig {
+    fn default() -> Self {
+        Self { reach_rad: 0.06, reach_extents: 0.06, fall: 0.01 }
+    }
+}
+
+/// The corrections of all photographs of a run.
+pub struct Poses {
+    config: PoseConfig,
+    extent: f64,
+    /// `[2, 3]` each: `ω`, rad, and `τ`, extents of the scene.
+    corrections: Vec<Learned<2>>,
+    /// `[3, 9]`: `h` to `K`, row by row.
+    cross: Tensor<2>,
+    /// `[3, 3]`
+    identity: Tensor<2>,
+}
+
+impl Poses {
+    /// No corrections, for so many photographs of a scene of `extent` (see [`scene_extent`](crate::optim::scene_extent)).
+    pub fn new(config: PoseConfig, extent: f64, views: usize, device: &Device) -> Self {
+        let corrections = (0..views).map(|_| Learned::new(Tensor::zeros([2, 3], device))).collect();
+        let cross = Tensor::from_floats(
+            [
+                [0.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 1.0, 0.0],
+                [0.0, 0.0, 1.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0],
+                [0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+            ],
+            device,
+        );
+        Self { config, extent, corrections, cross, identity: Tensor::eye(3, device) }
+    }
+
+    /// The pose of the photograph `view`, corrected: `[3, 4]`, tracked. `cam_from_world`, `[3, 4]`, is not.
+    pub fn apply(&self, cam_from_world: Tensor<2>, view: usize) -> Tensor<2> {
+        let correction = self.corrections[view].tracked();
+        let half = correction.clone().narrow(0, 0, 1) * 0.5;
+        let cross = half.clone().matmul(Tensor::from_inner(self.cross.clone())).reshape([3, 3]);
+        let factor = (half.square().sum_dim(1) + 1.0).recip() * 2.0;
+        let rotation =
+            (cross.clone() + cross.clone().matmul(cross)) * factor + Tensor::from_inner(self.identity.clone());
+        let moved = correction.narrow(0, 1, 1).reshape([3, 1]) * self.extent;
+        let turned = rotation.matmul(Tensor::from_inner(cam_from_world));
+        let translation = turned.clone().narrow(1, 3, 1) + moved;
+        Tensor::cat(vec![turned.narrow(1, 0, 3), translation], 1)
+    }
+
+    /// Takes the gradient of a view's correction out of those of a loss.
+    pub fn take_gradient(&self, view: usize, gradients: &mut burn::tensor::Gradients) -> Option<Tensor<2>> {
+        self.corrections[view].take_gradient(gradients)
+    }
+
+    /// Adam's step on the correction of the photograph.
+    pub fn step(&mut self, gradient: Tensor<2>, at: Moment) {
+        let PoseConfig { reach_rad, reach_extents, fall } = self.config;
+        let visits = at.steps as f64 / self.corrections.len() as f64;
+        // Rates that fall from `r` to `fall r` over the run are `r (1 − fall) / −ln fall` on average.
+        let first = -fall.ln() / ((1.0 - fall) * visits.max(1.0));
+        let rate = Falling { from: first, to: first * fall }.at(at.step, at.steps);
+        let device = gradient.device();
+        let reach = Tensor::<2>::from_floats([[reach_rad], [reach_extents]], &device);
+        // Adam's steps do not depend on the size of gradients, so what is scaled is the parameter.
+        let correction = &mut self.corrections[at.view];
+        let before = correction.value();
+        correction.step(gradient, rate, at.verdict);
+        let step = correction.value() - before.clone();
+        correction.set(before + step * reach);
+    }
+
+    /// What the pose of a view is corrected to, on the host.
+    pub fn corrected(&self, cam_from_world: &DAffine3, view: usize) -> DAffine3 {
+        let values: Vec<f64> = values_of(self.corrections[view].value()).into_iter().map(f64::from).collect();
+        let half = 0.5 * DVec3::from_slice(&values[..3]);
+        let cross = DMat3::from_cols(
+            DVec3::new(0.0, half.z, -half.y),
+            DVec3::new(-half.z, 0.0, half.x),
+            DVec3::new(half.y, -half.x, 0.0),
+        );
+        let rotation = DMat3::IDENTITY + (cross + cross * cross) * (2.0 / (1.0 + half.length_squared()));
+        let moved = self.extent * DVec3::from_slice(&values[3..]);
+        DAffine3::from_mat3_translation(rotation, moved) * *cam_from_world
+    }
+
+    /// Bytes of the corrections and their moments.
+    pub fn bytes(&self) -> usize {
+        self.corrections.iter().map(Learned::bytes).sum()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use splat_op::{Camera, Intrinsics};
+
+    use super::*;
+
+    fn pose() -> DAffine3 {
+        DAffine3::from_rotation_translation(glam::DQuat::from_rotation_y(0.7), DVec3::new(0.3, -0.2, 2.0))
+    }
+
+    fn tensor(pose: &DAffine3, device: &Device) -> Tensor<2> {
+        Camera::new(Intrinsics::centred(8, 8, 8.0), pose, device).cam_from_world
+    }
+
+    fn poses(correction: [[f32; 3]; 2], extent: f64, device: &Device) -> Poses {
+        let mut poses = Poses::new(PoseConfig::default(), extent, 1, device);
+        poses.corrections[0].set(Tensor::from_floats(correction, device));
+        poses
+    }
+
+    #[test]
+    fn no_correction_is_the_pose_to_the_last_bit() {
+        let device = Device::flex();
+        let given = tensor(&pose(), &device);
+        let corrected = poses([[0.0; 3]; 2], 5.0, &device).apply(given.clone(), 0).inner();
+        assert_eq!(values_of(corrected), values_of(given));
+    }
+
+    #[test]
+    fn corrections_are_rigid_about_the_camera() {
+        let device = Device::flex();
+        for omega in [[0.02, -0.01, 0.03], [1.0, 2.0, -3.0], [300.0, 0.0, 1.0]] {
+            let poses = poses([omega, [0.1, 0.0, -0.2]], 5.0, &device);
+            let found = values_of(poses.apply(tensor(&pose(), &device), 0).inner());
+            let expected = poses.corrected(&pose(), 0);
+            let omega = DVec3::from_array(omega.map(f64::from));
+            let angle = 2.0 * (omega.length() / 2.0).atan();
+            let turn = DAffine3::from_axis_angle(omega.normalize(), angle);
+            let by_axis = DAffine3::from_translation(DVec3::new(0.5, 0.0, -1.0)) * turn * pose();
+            assert!(expected.abs_diff_eq(by_axis, 1e-6), "{expected:?} and {by_axis:?}");
+            for (i, found) in found.into_iter().enumerate() {
+                let expected =
+                    if i % 4 == 3 { expected.translation[i / 4] } else { expected.matrix3.col(i % 4)[i / 4] };
+                assert!((f64::from(found) - expected).abs() < 2e-6, "{found} instead of {expected}");
+            }
+        }
+    }
+
+    /// Finite differences of the corrected pose in f64 against autodiff's.
+    #[test]
+    fn gradients_are_those_of_the_map() {
+        let device = Device::flex();
+        let at = [[0.3_f32, -0.2, 0.1], [0.05, 0.1, -0.02]];
+        let weights: Vec<f64> = (0..12).map(|i| (1.7 * f64::from(i)).sin()).collect();
+        let value = |correction: [[f32; 3]; 2]| {
+            let moved = poses(correction, 2.0, &device).corrected(&pose(), 0);
+            let entry = |i: usize| if i % 4 == 3 { moved.translation[i / 4] } else { moved.matrix3.col(i % 4)[i / 4] };
+            (0..12).map(|i| weights[i] * entry(i)).sum::<f64>()
+        };
+        let poses = poses(at, 2.0, &device);
+        let rows: Vec<f32> = weights.iter().map(|&weight| weight as f32).collect();
+        let weights = Tensor::<1>::from_floats(rows.as_slice(), &device).reshape([3, 4]);
+        let loss = (poses.apply(tensor(&pose(), &device), 0) * Tensor::from_inner(weights)).sum();
+        let gradient = values_of(poses.take_gradient(0, &mut loss.backward()).unwrap());
+        for i in 0..6 {
+            let moved = |by: f32| {
+                let mut correction = at;
+                correction.as_flattened_mut()[i] += by;
+                (value(correction), f64::from(correction.as_flattened()[i]))
+            };
+            let ((high, to), (low, from)) = (moved(1e-3), moved(-1e-3));
+            let expected = (high - low) / (to - from);
+            assert!((f64::from(gradient[i]) - expected).abs() < 1e-4, "{i}: {} instead of {expected}", gradient[i]);
+        }
+    }
+
+    /// However long the run and however many photographs, a camera that is always pulled one way goes as far as stated.
+    #[test]
+    fn a_camera_goes_as_far_as_stated() {
+        let device = Device::flex();
+        for (views, steps) in [(1, 40), (2, 400)] {
+            let mut poses =
+                Poses::new(PoseConfig { reach_rad: 0.06, reach_extents: 0.02, fall: 0.01 }, 1.0, views, &device);
+            for step in (1..=steps).filter(|step| step % views == 0) {
+                poses.step(Tensor::ones([2, 3], &device), Moment { view: 0, step, steps, verdict: None });
+            }
+            let moved = values_of(poses.corrections[0].value());
+            for (moved, reach) in moved.into_iter().zip([0.06, 0.06, 0.06, 0.02, 0.02, 0.02]) {
+                assert!((-1.1 * reach..-0.9 * reach).contains(&moved), "{moved} of {reach} in {steps} steps");
+            }
+        }
+    }
+}

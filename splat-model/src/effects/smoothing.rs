@@ -1,0 +1,167 @@
+//! The 3D smoothing filter of Mip-Splatting (Yu et al. 2024, section 5.1): no Gaussian is finer than the photographs can tell.
+//!
+//! A camera samples what is `z` away from it `f/z` times per scene unit. No photograph shows more of a Gaussian than the one
+//! that samples it most finely, at `ν = max f/z`, so it is convolved with an isotropic Gaussian of the variance `s/ν²`,
+//! `s = 0.2`: its variances become `σ² + s/ν²`, and its opacity is multiplied by `√(|Σ|/|Σ′|)`, so that it covers as much
+//! as before. Seen from closer than it was trained, the scene then shows no needles that no photograph showed.
+//!
+//! Everything is computed in logarithms: with `p = ln(1 + exp(2 (ln g − ln σ)))` and `g² = s/ν²`, each standard deviation's
+//! logarithm grows by `p/2` and the opacity's falls by the sum of the three `p/2`. The determinants, sixth powers of lengths,
+//! are never formed: in f32 they are zero from 10⁻⁷ scene units down.
+//!
+//! The filter is part of what is rendered. A file holds Gaussians that are convolved already, as other viewers expect.
+
+use burn::tensor::{Device, Tensor, TensorData};
+use glam::{DAffine3, DVec3, Vec3};
+use rayon::prelude::*;
+use splat_op::{Intrinsics, Projector, Splats};
+
+use crate::gaussians::{GaussianRows, Gaussians, values_of};
+
+/// Variance of the filter by that of a sample's spacing: 0.2, as the original has it.
+pub const VARIANCE: f64 = 0.2;
+
+/// Steps after which the filter follows the Gaussians that have moved.
+const EVERY: usize = 100;
+
+/// A centre counts as seen up to this share of the picture beside it, because its Gaussian may reach in.
+const MARGIN: f64 = 0.15;
+
+/// Logarithms of standard deviations are held within this: beyond it [`splat_op::activate`] masks the Gaussian anyway.
+const LARGEST_LOG: f32 = 88.0;
+
+/// A camera that photographs the scene.
+struct Sampler {
+    projector: Projector,
+    cam_from_world: DAffine3,
+    size: [f64; 2],
+    /// Pixels per unit of slope.
+    focal_px: f64,
+}
+
+impl Sampler {
+    /// Samples per scene unit at a point, zero where it is not seen.
+    fn rate(&self, world: DVec3) -> f64 {
+        let cam = self.cam_from_world.transform_point3(world);
+        let inside = |px: f64, size: f64| (-MARGIN * size..=(1.0 + MARGIN) * size).contains(&px);
+        match self.projector.px_from_cam(cam) {
+            Some(px) if inside(px.x, self.size[0]) && inside(px.y, self.size[1]) => self.focal_px / cam.z,
+            _ => 0.0,
+        }
+    }
+}
+
+/// The filter of a run.
+pub struct Smoothing {
+    cameras: Vec<Sampler>,
+    /// `[N, 1]`: `ln g` of the Gaussians there are.
+    ln_widths: Option<Tensor<2>>,
+    /// The step at which these were found.
+    found_at: usize,
+}
+
+impl Smoothing {
+    /// For photographs of these cameras.
+    pub fn new<'a>(cameras: impl IntoIterator<Item = (&'a Intrinsics, &'a DAffine3)>) -> Self {
+        let sampler = |(intrinsics, cam_from_world): (&Intrinsics, &DAffine3)| Sampler {
+            projector: intrinsics.projector(),
+            cam_from_world: *cam_from_world,
+            size: [intrinsics.width as f64, intrinsics.height as f64],
+            focal_px: (intrinsics.fx * intrinsics.fy).sqrt(),
+        };
+        Self { cameras: cameras.into_iter().map(sampler).collect(), ln_widths: None, found_at: 0 }
+    }
+
+    /// Logarithms of the filter's standard deviations, scene units, at these centres. Where no camera sees one, the widest of
+    /// the others, as the original has it.
+    pub fn ln_widths(&self, means: &[[f32; 3]]) -> Vec<f32> {
+        let rate = |mean: &[f32; 3]| {
+            let world = Vec3::from_array(*mean).as_dvec3();
+            self.cameras.iter().map(|camera| camera.rate(world)).fold(0.0, f64::max)
+        };
+        let rates: Vec<f64> = means.par_iter().map(rate).collect();
+        let coarsest = rates.iter().copied().filter(|rate| *rate > 0.0).fold(f64::INFINITY, f64::min);
+        let coarsest = if coarsest.is_finite() { coarsest } else { 1.0 };
+        let ln_width = |rate: f64| (0.5 * VARIANCE.ln() - if rate > 0.0 { rate } else { coarsest }.ln()) as f32;
+        rates.into_iter().map(ln_width).collect()
+    }
+
+    /// Finds the widths anew if there are other Gaussians than before or [`EVERY`] steps have gone by.
+    pub fn follow(&mut self, gaussians: &Gaussians, step: usize) {
+        let known = self.ln_widths.as_ref().map(|widths| widths.dims()[0]);
+        if known == Some(gaussians.len()) && step < self.found_at + EVERY {
+            return;
+        }
+        let means = gaussians.means.val().inner();
+        let device = means.device();
+        let rows = values_of(means);
+        let widths = self.ln_widths(rows.as_chunks::<3>().0);
+        self.ln_widths = Some(column(widths, &device));
+        self.found_at = step;
+    }
+
+    /// The Gaussians, convolved. `log_scales` `[N, 3]` are those that `splats` were made from. Differentiable.
+    pub fn apply(&self, splats: Splats, log_scales: Tensor<2>) -> Splats {
+        let Some(widths) = &self.ln_widths else { return splats };
+        let widths = if log_scales.is_autodiff() { Tensor::from_inner(widths.clone()) } else { widths.clone() };
+        let (scales, share) = convolved(log_scales, widths);
+        Splats { scales: scales.exp(), opacities: splats.opacities * share.exp(), ..splats }
+    }
+
+    /// Bytes on the device.
+    pub fn bytes(&self) -> usize {
+        self.ln_widths.as_ref().map_or(0, |widths| widths.dims()[0] * size_of::<f32>())
+    }
+
+    /// Convolves the rows of a scene, for a file.
+    pub fn bake(&self, rows: &mut GaussianRows) {
+        let widths = self.ln_widths(&rows.means);
+        let of_row = rows.log_scales.iter_mut().zip(&mut rows.logit_opacities).zip(widths);
+        for ((log_scales, logit), ln_width) in of_row {
+            // An unusable Gaussian stays as it is.
+            if !(log_scales.iter().all(|scale| scale.is_finite()) && logit.is_finite()) {
+                continue;
+            }
+            let mut ln_share = 0.0;
+            for log_scale in log_scales {
+                let grown = 0.5 * softplus(2.0 * (f64::from(ln_width) - f64::from(*log_scale)));
+                ln_share -= grown;
+                *log_scale = (f64::from(*log_scale) + grown) as f32;
+            }
+            *logit = logit_of_share(f64::from(*logit), ln_share) as f32;
+        }
+    }
+}
+
+fn column(values: Vec<f32>, device: &Device) -> Tensor<2> {
+    let count = values.len();
+    Tensor::from_data(TensorData::new(values, [count, 1]), device)
+}
+
+/// Logarithms of standard deviations `[N, 3]` and of the share of the opacity that is left, `[N]`.
+fn convolved(log_scales: Tensor<2>, ln_widths: Tensor<2>) -> (Tensor<2>, Tensor<1>) {
+    // What is unusable is masked elsewhere; here it must only not become NaN.
+    let unusable = log_scales.clone().abs().lower_equal_elem(LARGEST_LOG).bool_not();
+    let log_scales = log_scales.mask_fill(unusable, 0.0);
+    let excess = (ln_widths - log_scales.clone()) * 2.0;
+    // ln(1 + eˣ), of whose two forms each is exact where it is used.
+    let grown = (excess.clone().clamp_min(0.0) + excess.abs().neg().exp().log1p()) * 0.5;
+    (log_scales + grown.clone(), grown.sum_dim(1).squeeze_dim::<1>(1).neg())
+}
+
+/// `ln(1 + eˣ)`.
+fn softplus(x: f64) -> f64 {
+    x.max(0.0) + (-x.abs()).exp().ln_1p()
+}
+
+/// The logit of `σ(logit) · exp(ln_share)`, for shares up to 1: of `y = ln σ(logit) + ln_share`, it is `y − ln(1 − eʸ)`.
+fn logit_of_share(logit: f64, ln_share: f64) -> f64 {
+    if ln_share == 0.0 {
+        return logit;
+    }
+    let y = -softplus(-logit) + ln_share;
+    y - (-y.exp_m1()).ln()
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,151 @@
+//! `--background`: what is behind a scene.
+
+use std::path::Path;
+use std::str::FromStr;
+
+use anyhow::Result;
+use splat_model::effects::background::{Backdrop, Background};
+use splat_model::trainer::TrainConfig;
+
+/// A colour by name or as three numbers with commas between them, 0 to 1.
+fn colour(text: &str) -> Option<[f32; 3]> {
+    match text {
+        "black" => return Some([0.0; 3]),
+        "white" => return Some([1.0; 3]),
+        _ => {}
+    }
+    let values: Vec<f32> = text.split(',').map(|part| part.trim().parse().ok()).collect::<Option<_>>()?;
+    let colour: [f32; 3] = values.try_into().ok()?;
+    colour.iter().all(|value| (0.0..=1.0).contains(value)).then_some(colour)
+}
+
+/// The value of `splat train --background`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum TrainBackground {
+    /// A colour that stays.
+    Colour([f32; 3]),
+    /// Another at each step.
+    Random,
+    /// A colour that is learnt.
+    Learned,
+    /// Light from infinity that is learnt.
+    Environment {
+        /// Degree of the harmonics.
+        degree: usize,
+    },
+}
+
+/// Degree of the harmonics of an environment unless told otherwise.
+pub const ENVIRONMENT_DEGREE: usize = 3;
+
+impl FromStr for TrainBackground {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let degree = |digit: &str| digit.parse().ok().filter(|degree| *degree <= splat_op::shade::SH_DEGREE_MAX);
+        let found = match text {
+            "random" => Some(Self::Random),
+            "learned" => Some(Self::Learned),
+            "environment" => Some(Self::Environment { degree: ENVIRONMENT_DEGREE }),
+            _ => match text.strip_prefix("environment:") {
+                Some(digit) => degree(digit).map(|degree| Self::Environment { degree }),
+                None => colour(text).map(Self::Colour),
+            },
+        };
+        found.ok_or_else(|| {
+            format!(
+                "{text:?} is no background, expected black, white, three numbers from 0 to 1 such as 0.5,0.5,0.5, random, \
+                 learned, environment, or environment:D with a degree from 0 to 4"
+            )
+        })
+    }
+}
+
+impl TrainBackground {
+    /// The configuration of the run.
+    pub fn configure(self, config: &mut TrainConfig) {
+        config.backdrop = match self {
+            Self::Colour(colour) => {
+                config.background = colour;
+                Backdrop::Fixed
+            }
+            Self::Random => Backdrop::Random,
+            Self::Learned => Backdrop::Learned,
+            Self::Environment { degree } => Backdrop::Environment { degree },
+        };
+    }
+}
+
+/// The value of `--background` where a scene is looked at.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ShownBackground(String);
+
+impl Default for ShownBackground {
+    fn default() -> Self {
+        Self("black".into())
+    }
+}
+
+impl std::fmt::Display for ShownBackground {
+    fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        out.write_str(&self.0)
+    }
+}
+
+impl FromStr for ShownBackground {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match colour(text).is_some() || text.ends_with(".json") {
+            true => Ok(Self(text.into())),
+            false => Err(format!(
+                "{text:?} is no background, expected black, white, three numbers from 0 to 1 such as 0.5,0.5,0.5, or the \
+                 background.json that a run left beside its scene"
+            )),
+        }
+    }
+}
+
+impl ShownBackground {
+    /// Reads it, if it is a file.
+    ///
+    /// # Errors
+    /// If the file cannot be read or holds no background.
+    pub fn read(&self) -> Result<Background> {
+        match colour(&self.0) {
+            Some(colour) => Ok(Background::Colour(colour)),
+            None => Ok(Background::read(Path::new(&self.0))?),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn words_mean_what_they_say() {
+        let of = |text: &str| text.parse::<TrainBackground>().unwrap();
+        assert_eq!(of("white"), TrainBackground::Colour([1.0; 3]));
+        assert_eq!(of("0.25, 0,1"), TrainBackground::Colour([0.25, 0.0, 1.0]));
+        assert_eq!(of("environment"), TrainBackground::Environment { degree: 3 });
+        assert_eq!(of("environment:0"), TrainBackground::Environment { degree: 0 });
+        assert_eq!([of("random"), of("learned")], [TrainBackground::Random, TrainBackground::Learned]);
+        let mut config = TrainConfig::default();
+        of("white").configure(&mut config);
+        assert_eq!((config.background, config.backdrop), ([1.0; 3], Backdrop::Fixed));
+        for text in ["", "grey", "1,2,3", "0.1,0.2", "environment:5", "0.1,nan,0.2"] {
+            let message = text.parse::<TrainBackground>().unwrap_err();
+            assert!(message.contains("expected black, white"), "{message}");
+        }
+    }
+
+    #[test]
+    fn what_is_shown_is_a_colour_or_a_file() {
+        let of = |text: &str| text.parse::<ShownBackground>();
+        assert_eq!(of("black").unwrap().read().unwrap(), Background::Colour([0.0; 3]));
+        assert_eq!(of("1,0.5,0").unwrap().read().unwrap(), Background::Colour([1.0, 0.5, 0.0]));
+        assert!(of("nowhere/background.json").unwrap().read().unwrap_err().to_string().contains("nowhere"));
+        assert!(of("random").unwrap_err().contains("background.json"));
+    }
+}

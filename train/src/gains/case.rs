@@ -1,0 +1,275 @@
+//! A demo capture that shows one effect, and two runs on it.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, bail};
+use clap::Parser;
+use splat_model::capture::demo::DemoOptions;
+use splat_model::capture::{Capture, write_binary_with_tracks};
+use splat_model::effects::{Effect, Plan, Survey};
+use splat_op::{CameraModel, Intrinsics};
+
+use crate::options::{Cli, Command};
+use crate::report::metrics::Metrics;
+use crate::report::{BACKGROUND, SCENE};
+use crate::{demo, eval, train};
+
+/// Sizes of pictures and lengths of runs.
+#[derive(Clone, Copy, Debug)]
+pub struct Scale {
+    /// Width of the pictures, px; the height is three quarters of it.
+    pub width: usize,
+    /// Photographs, unless the case needs another number.
+    pub views: usize,
+    /// Steps of each run.
+    pub steps: usize,
+}
+
+impl Scale {
+    /// For figures.
+    pub const FULL: Self = Self { width: 160, views: 40, steps: 1500 };
+    /// For tests.
+    pub const QUICK: Self = Self { width: 96, views: 24, steps: 300 };
+}
+
+/// What is compared.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Score {
+    /// PSNR.
+    Plain,
+    /// PSNR after colour correction: no training photograph tells the exposure of a test photograph.
+    Corrected,
+}
+
+/// One effect.
+#[derive(Clone, Copy, Debug)]
+pub struct Case {
+    /// As `--case` calls it.
+    pub name: &'static str,
+    /// The demo capture, at any size.
+    pub demo: fn(DemoOptions) -> DemoOptions,
+    /// The same on the command line.
+    pub demo_flags: &'static str,
+    /// What the plan must switch on.
+    pub expected: &'static [Effect],
+    /// Options of both runs.
+    pub both: &'static [&'static str],
+    /// Options of the run without the effect, and of that with it.
+    pub without: &'static [&'static str],
+    /// See [`Self::without`].
+    pub with: &'static [&'static str],
+    /// Options of `splat eval` for both scenes.
+    pub eval: &'static [&'static str],
+    /// What is compared.
+    pub score: Score,
+    /// Whether the run without the effect calls the cameras pinholes.
+    pub strip_lens: bool,
+    /// What the effect must gain at full size, dB.
+    pub least_gain_db: f64,
+    /// How few photographs the case is about; none for the usual number.
+    pub views: Option<usize>,
+}
+
+const PLAIN: Case = Case {
+    name: "plain",
+    demo: |options| options,
+    demo_flags: "",
+    expected: &[],
+    both: &["--sh-degree", "0"],
+    without: &["--effects", "none"],
+    with: &["--effects", "auto"],
+    eval: &[],
+    score: Score::Plain,
+    strip_lens: false,
+    least_gain_db: 1.0,
+    views: None,
+};
+
+/// All of them.
+pub(super) const CASES: &[Case] = &[
+    Case { least_gain_db: 0.0, ..PLAIN },
+    Case {
+        name: "exposure",
+        demo: |options| DemoOptions { exposure: true, ..options },
+        demo_flags: "--exposure",
+        expected: &[Effect::Exposure],
+        score: Score::Corrected,
+        ..PLAIN
+    },
+    Case {
+        name: "masks",
+        demo: |options| DemoOptions { masks: true, ..options },
+        demo_flags: "--masks",
+        expected: &[Effect::Masks],
+        eval: &["--masks"],
+        ..PLAIN
+    },
+    Case {
+        name: "alpha",
+        demo: |options| DemoOptions { alpha: true, ..options },
+        demo_flags: "--alpha",
+        expected: &[Effect::Alpha],
+        eval: &["--background", "white"],
+        ..PLAIN
+    },
+    Case {
+        name: "antialias",
+        demo: |options| DemoOptions { zoom: true, ..options },
+        demo_flags: "--zoom",
+        expected: &[Effect::Antialias],
+        ..PLAIN
+    },
+    Case {
+        name: "lens",
+        demo: |options| DemoOptions { lens: true, ..options },
+        demo_flags: "--lens",
+        strip_lens: true,
+        ..PLAIN
+    },
+    Case {
+        name: "fisheye",
+        demo: |options| DemoOptions { fisheye: true, ..options },
+        demo_flags: "--fisheye",
+        strip_lens: true,
+        ..PLAIN
+    },
+    Case {
+        name: "environment",
+        demo: |options| DemoOptions { far: true, ..options },
+        demo_flags: "--far",
+        expected: &[Effect::Environment],
+        ..PLAIN
+    },
+    Case {
+        name: "pose-refinement",
+        demo: |options| DemoOptions { poses: true, ..options },
+        demo_flags: "--poses",
+        expected: &[Effect::PoseRefinement],
+        ..PLAIN
+    },
+    Case {
+        name: "depth-supervision",
+        demo: |options| DemoOptions { depth: true, ..options },
+        demo_flags: "--depth --views 9",
+        expected: &[Effect::DepthSupervision],
+        views: Some(9),
+        ..PLAIN
+    },
+    Case {
+        name: "view-dependence",
+        demo: |options| DemoOptions { glossy: true, ..options },
+        demo_flags: "--glossy",
+        both: &["--effects", "auto"],
+        without: &["--sh-degree", "0"],
+        with: &["--sh-degree", "3"],
+        least_gain_db: 0.0,
+        ..PLAIN
+    },
+];
+
+/// What came of a case.
+#[derive(Clone, Debug)]
+pub struct Gain {
+    /// What the plan switched on.
+    pub planned: Vec<Effect>,
+    /// What was found of the effect, as `splat inspect` says it.
+    pub evidence: String,
+    /// Scores without and with the effect, dB.
+    pub score_db: [f64; 2],
+    /// Training times, s.
+    pub seconds: [f64; 2],
+    /// What the effect took of a step, ms and MiB, as `metrics.json` of the run with it says.
+    pub cost: Option<[f64; 2]>,
+}
+
+impl Case {
+    /// Makes the capture below `work`, surveys it, trains twice and measures.
+    ///
+    /// # Errors
+    /// If a file cannot be written or a run fails.
+    pub fn measure(&self, scale: &Scale, work: &Path) -> Result<Gain> {
+        let folder = work.join(self.name);
+        let (width, views) = (scale.width, self.views.unwrap_or(scale.views));
+        let options = DemoOptions { width, height: 3 * width / 4, views, ..DemoOptions::default() };
+        demo::ensure(&folder, &(self.demo)(options))?;
+        let capture = Capture::load(&folder)?;
+        let plan = Plan::from(&Survey::of(&capture)?);
+        let named = |name: &str| plan.decisions.iter().find(|decision| decision.name == name);
+        let evidence = named(self.name).map_or(String::new(), |decision| decision.evidence.clone());
+        let without = if self.strip_lens { strip_lens(&folder, &capture)? } else { folder.clone() };
+        let runs = [(&without, self.without, "without"), (&folder, self.with, "with")];
+        let mut score_db = [0.0; 2];
+        let mut seconds = [0.0; 2];
+        let mut cost = None;
+        for (i, (capture, options, name)) in runs.into_iter().enumerate() {
+            let out = work.join(format!("{}-{name}", self.name));
+            let metrics = self.train(capture, &out, options, scale)?;
+            seconds[i] = metrics.seconds.train.unwrap_or_default();
+            let measured = metrics.effects.as_ref().and_then(|chosen| chosen.measured_cost(self.name));
+            cost = measured.map(|cost| [cost.ms_per_step, cost.mib]);
+            score_db[i] = self.evaluate(capture, &out)?;
+        }
+        Ok(Gain { planned: plan.effects(), evidence, score_db, seconds, cost })
+    }
+
+    fn train(&self, capture: &Path, out: &Path, options: &[&str], scale: &Scale) -> Result<Metrics> {
+        let steps = scale.steps.to_string();
+        let always = ["splat", "train", text(capture)?, "--out", text(out)?, "--device", "cpu", "--steps", &steps];
+        let arguments = always.iter().chain(self.both).chain(options);
+        match Cli::try_parse_from(arguments)?.command {
+            Command::Train(args) => train::run(&args),
+            _ => bail!("`train` is another command"),
+        }
+    }
+
+    fn evaluate(&self, capture: &Path, out: &Path) -> Result<f64> {
+        let (scene, to, background) = (out.join(SCENE), out.join("eval"), out.join(BACKGROUND));
+        let mut arguments = vec!["splat", "eval", text(capture)?, "--scene", text(&scene)?, "--out", text(&to)?];
+        arguments.extend(["--device", "cpu"]);
+        arguments.extend(self.eval);
+        if background.exists() {
+            arguments.extend(["--background", text(&background)?]);
+        }
+        if self.expected.contains(&Effect::Antialias) && out.ends_with(format!("{}-with", self.name)) {
+            arguments.push("--antialias");
+        }
+        let Command::Eval(args) = Cli::try_parse_from(arguments)?.command else { bail!("`eval` is another command") };
+        let test = eval::run(&args)?.test.context("photographs were held out")?;
+        Ok(match self.score {
+            Score::Plain => test.psnr,
+            Score::Corrected => test.psnr_corrected,
+        })
+    }
+
+    /// What is not as it should be; with `gains`, gains too.
+    pub fn complaint(&self, gain: &Gain, gains: bool) -> Option<String> {
+        let names = |effects: &[Effect]| effects.iter().map(|effect| effect.name()).collect::<Vec<_>>().join(", ");
+        if gain.planned != self.expected {
+            let (found, expected) = (names(&gain.planned), names(self.expected));
+            return Some(format!("{}: the plan has [{found}], expected [{expected}]", self.name));
+        }
+        let gained = gain.score_db[1] - gain.score_db[0];
+        (gains && gained < self.least_gain_db)
+            .then(|| format!("{}: {gained:.2} dB gained, expected {:.1}", self.name, self.least_gain_db))
+    }
+}
+
+/// The same capture whose cameras are said to be pinholes.
+fn strip_lens(folder: &Path, capture: &Capture) -> Result<PathBuf> {
+    let stripped = folder.with_extension("pinhole");
+    let mut views = capture.views.clone();
+    for view in &mut views {
+        view.intrinsics = Intrinsics { model: CameraModel::Pinhole, distortion: [0.0; 8], ..view.intrinsics };
+    }
+    write_binary_with_tracks(&stripped, &views, &capture.points, &capture.tracks)?;
+    let pictures = stripped.join("images");
+    std::fs::create_dir_all(&pictures)?;
+    for view in &views {
+        std::fs::copy(&view.image_path, pictures.join(&view.name))?;
+    }
+    Ok(stripped)
+}
+
+fn text(path: &Path) -> Result<&str> {
+    path.to_str().with_context(|| format!("{} is no UTF-8: choose another temporary folder", path.display()))
+}

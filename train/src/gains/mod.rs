@@ -1,0 +1,68 @@
+//! `splat effects`: what each effect gains and costs, measured on demo captures that show it and nothing else.
+
+mod case;
+mod page;
+
+use std::io::Write;
+use std::path::PathBuf;
+
+use anyhow::{Context, Result, bail};
+
+use self::case::CASES;
+pub use self::case::{Case, Gain, Scale};
+use crate::output::OutputFolder;
+use crate::progress;
+
+/// The file that is written.
+pub const PAGE: &str = "EFFECTS.md";
+
+/// Options of `splat effects`.
+#[derive(Clone, Debug, clap::Args)]
+pub struct EffectsArgs {
+    /// Folder for EFFECTS.md
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+    /// Measure this effect only; may be given several times
+    #[arg(long, value_name = "NAME")]
+    pub case: Vec<String>,
+    /// Small pictures and few steps: to see that effects are found, not how much they gain
+    #[arg(long)]
+    pub quick: bool,
+}
+
+/// All cases.
+pub fn cases() -> &'static [Case] {
+    CASES
+}
+
+/// Measures, prints the table and writes the page.
+///
+/// # Errors
+/// If there is no such case, a run fails, or the page cannot be written; or if an effect was not found where it is, found where
+/// it is not, or gains less than it should: then the page is there and says which.
+pub fn run(args: &EffectsArgs) -> Result<()> {
+    for name in &args.case {
+        if !CASES.iter().any(|case| case.name == name) {
+            let names: Vec<&str> = CASES.iter().map(|case| case.name).collect();
+            bail!("there is no case {name:?}: give `--case` one of {}", names.join(", "));
+        }
+    }
+    let out = OutputFolder::prepare(&args.out, &[PAGE], &[])?;
+    let work = tempfile::tempdir().context("cannot make a temporary folder for the captures")?;
+    let scale = if args.quick { Scale::QUICK } else { Scale::FULL };
+    let chosen = |case: &&Case| args.case.is_empty() || args.case.iter().any(|name| name == case.name);
+    let mut gains = Vec::new();
+    for case in CASES.iter().filter(chosen) {
+        progress::note(&format!("effects: {}", case.name));
+        gains.push((case, case.measure(&scale, work.path())?));
+    }
+    let table = page::table(&gains);
+    progress::say(&table);
+    let text = page::page(&table, &scale);
+    out.write(PAGE, |file| Ok(file.write_all(text.as_bytes())?))?;
+    let wrong: Vec<String> = gains.iter().filter_map(|(case, gain)| case.complaint(gain, !args.quick)).collect();
+    match wrong.is_empty() {
+        true => Ok(()),
+        false => bail!("{}\n{} has the figures", wrong.join("\n"), out.join(PAGE).display()),
+    }
+}
