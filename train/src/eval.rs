@@ -7,7 +7,6 @@ use std::time::Instant;
 
 use anyhow::Result;
 use serde::Serialize;
-use splat_model::capture::Split;
 use splat_model::trainer::TrainConfig;
 
 use crate::device::{self, DeviceName};
@@ -20,7 +19,7 @@ use crate::report::{self, METRICS, SCENE, VIEWS};
 /// Options of `splat eval`. The scores are those of the training run if the photographs are split and sized as there.
 #[derive(Clone, Debug, clap::Args)]
 pub struct EvalArgs {
-    /// COLMAP folder with `images/` and `sparse/0/`
+    /// Folder with `images/` and COLMAP's `sparse/0/`, or with `transforms.json` or `transforms_train.json`
     pub capture: PathBuf,
     /// The scene, a PLY file in the layout of the original 3D Gaussian splatting code
     #[arg(long, value_name = "FILE")]
@@ -66,7 +65,7 @@ pub fn run(args: &EvalArgs) -> Result<Metrics> {
     let (device, device_name) = args.device.resolve()?;
     let start = Instant::now();
     let capture = input::capture(&args.capture)?;
-    let split = Split::every(&capture.views, args.photos.eval_every);
+    let (split, photo_args) = args.photos.split(&capture);
     let test = split.require_test()?;
     let Scene { splats, unusable } = input::scene(&args.scene, &capture, &device)?;
     let out = OutputFolder::prepare(&args.out, &[SCENE, METRICS], &[VIEWS])?;
@@ -85,7 +84,7 @@ pub fn run(args: &EvalArgs) -> Result<Metrics> {
     let options = Options {
         capture: &args.capture,
         scene: &args.scene,
-        photos: &args.photos,
+        photos: &photo_args,
         antialias: args.antialias,
         masks: args.masks,
         ignore_alpha: args.ignore_alpha,
