@@ -6,6 +6,7 @@ use std::path::PathBuf;
 use burn::tensor::Device;
 use splat_model::capture::{Capture, Photo, Split, load_all};
 use splat_model::density::AdaptiveConfig;
+use splat_model::effects::background::Background;
 use splat_model::evaluate::evaluate;
 use splat_model::trainer::{TrainConfig, Trainer};
 use splat_op::witness;
@@ -79,7 +80,8 @@ fn train(capture: &Capture, device: &Device) -> Outcome {
         trainer.step().expect("a valid scene");
     }
     let gaussians = trainer.gaussians().untracked();
-    let scores = evaluate(&gaussians.splats(), &photos(&split.test), background, &options, |_, _| ());
+    let scores =
+        evaluate(&gaussians.splats(), &photos(&split.test), &Background::Colour(background), &options, |_, _| ());
     let psnr = scores.expect("a valid scene").psnr;
     Outcome { before: before as f64, count: gaussians.len() as f64, psnr }
 }

@@ -7,7 +7,7 @@ use std::time::Instant;
 
 use anyhow::{Context, Result};
 use serde::Serialize;
-use splat_model::capture::{Photo, Split};
+use splat_model::capture::Photo;
 use splat_model::trainer::TrainConfig;
 use splat_op::Intrinsics;
 
@@ -22,7 +22,7 @@ use crate::report::{self, METRICS, SCENE, VIEWS};
 /// Options of `splat eval`. The scores are those of the training run if the photographs are split and sized as there.
 #[derive(Clone, Debug, clap::Args)]
 pub struct EvalArgs {
-    /// COLMAP folder with `images/` and `sparse/0/`
+    /// Folder with `images/` and COLMAP's `sparse/0/`, or with `transforms.json` or `transforms_train.json`
     pub capture: PathBuf,
     /// The scene, a PLY file in the layout of the original 3D Gaussian splatting code
     #[arg(long, value_name = "FILE")]
@@ -76,7 +76,7 @@ pub fn run(args: &EvalArgs) -> Result<Metrics> {
     let background = args.background.read()?;
     let start = Instant::now();
     let capture = input::capture(&args.capture)?;
-    let split = Split::every(&capture.views, args.photos.eval_every);
+    let (split, photo_args) = args.photos.split(&capture);
     let test = split.require_test()?;
     let Scene { splats, unusable } = input::scene(&args.scene, &capture, &device)?;
     let out = OutputFolder::prepare(&args.out, &[SCENE, METRICS], &[VIEWS])?;
@@ -104,7 +104,7 @@ pub fn run(args: &EvalArgs) -> Result<Metrics> {
     let options = Options {
         capture: &args.capture,
         scene: &args.scene,
-        photos: &args.photos,
+        photos: &photo_args,
         antialias: args.antialias,
         masks: args.masks,
         ignore_alpha: args.ignore_alpha,

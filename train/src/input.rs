@@ -21,7 +21,7 @@ use crate::progress;
 pub fn capture(folder: &Path) -> Result<Capture> {
     ensure!(
         folder.is_dir(),
-        "there is no capture folder {}: name the folder that holds `images/` and `sparse/0/`",
+        "there is no capture folder {}: name the folder that holds `images/` and `sparse/0/`, or `transforms.json`",
         folder.display()
     );
     Ok(Capture::load(folder)?)

@@ -20,7 +20,7 @@ const CHART_LINES: usize = 60;
 /// Options of `splat inspect`.
 #[derive(Clone, Debug, clap::Args)]
 pub struct InspectArgs {
-    /// COLMAP folder with `images/` and `sparse/0/`
+    /// Folder with `images/` and COLMAP's `sparse/0/`, or with `transforms.json` or `transforms_train.json`
     pub capture: PathBuf,
     /// Write everything as JSON instead
     #[arg(long)]

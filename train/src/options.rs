@@ -3,6 +3,7 @@
 
 use clap::{Parser, Subcommand, value_parser};
 use serde::Serialize;
+use splat_model::capture::{Capture, Split};
 
 use crate::demo::DemoArgs;
 use crate::eval::EvalArgs;
@@ -10,9 +11,6 @@ use crate::hard_cases::HardCasesArgs;
 use crate::inspect::InspectArgs;
 use crate::render::RenderArgs;
 use crate::train::TrainArgs;
-
-/// Every eighth photograph is held out, as papers since Mip-NeRF 360 (Barron et al. 2022) compare.
-pub const EVAL_EVERY: usize = 8;
 
 /// Train, evaluate and render Gaussian-splatting scenes.
 #[derive(Clone, Debug, Parser)]
@@ -45,12 +43,24 @@ pub enum Command {
 /// Which photographs are used, and at which size.
 #[derive(Clone, Debug, clap::Args, Serialize)]
 pub struct PhotoArgs {
-    /// Hold out every Kth photograph by name for testing, beginning with the first; 0 holds out none
-    #[arg(long, value_name = "K", default_value_t = EVAL_EVERY)]
-    pub eval_every: usize,
+    /// Hold out every Kth photograph by name for testing
+    #[arg(long, value_name = "K", help = format!(
+        "Hold out every Kth photograph by name for testing, beginning with the first; 0 holds out none [default: the \
+         capture's own split if its files have one, otherwise {}]", Split::USUAL
+    ))]
+    pub eval_every: Option<usize>,
     /// Downsize photographs whose longer side exceeds this, px
     #[arg(long, value_name = "PX", value_parser = value_parser!(u32).range(1..))]
     pub max_side: Option<u32>,
+}
+
+impl PhotoArgs {
+    /// The split of a capture, and these options as they are reported: with the number that was counted by, or none if
+    /// the capture's own split was taken.
+    pub fn split(&self, capture: &Capture) -> (Split, Self) {
+        let counted = self.eval_every.or_else(|| capture.split.is_none().then_some(Split::USUAL));
+        (Split::of(capture, counted), Self { eval_every: counted, ..self.clone() })
+    }
 }
 
 #[cfg(test)]

@@ -33,7 +33,7 @@ pub struct RenderArgs {
     /// The scene, a PLY file in the layout of the original 3D Gaussian splatting code
     #[arg(long, value_name = "FILE")]
     pub scene: PathBuf,
-    /// COLMAP folder whose cameras to render; its pictures are not needed
+    /// Capture whose cameras to render; its pictures are not needed, unless only they tell their sizes
     #[arg(long, value_name = "CAPTURE")]
     pub capture: PathBuf,
     /// The name of a photograph in the capture, or `all`

@@ -44,7 +44,7 @@ const DEMO_CAPTURE: &str = "demo-capture";
 /// Options of `splat train`.
 #[derive(Clone, Debug, clap::Args)]
 pub struct TrainArgs {
-    /// COLMAP folder with `images/` and `sparse/0/`; without one, the demo capture is made and trained on
+    /// Folder with `images/` and COLMAP's `sparse/0/`, or with `transforms.json` or `transforms_train.json`; without one, the demo capture is made and trained on
     #[arg(requires = "out")]
     pub capture: Option<PathBuf>,
     /// Folder for scene.ply, metrics.json and views/; with the demo capture `out/demo` if not given
@@ -176,10 +176,10 @@ pub fn run_with(args: &TrainArgs, change: impl FnOnce(Trainer) -> Trainer) -> Re
     let mut config = args.config()?;
     let (device, device_name) = args.device.resolve()?;
     let (out, capture, start) = args.open()?;
-    let split = Split::every(&capture.views, args.photos.eval_every);
+    let (split, photo_args) = args.photos.split(&capture);
     let mut effects = args.effects.choose(&capture, split.require_train()?, args.antialias)?;
     effects.configure(&mut config, args.background);
-    let (train, test) = photographs(&capture, &split, &args.photos, &effects)?;
+    let (train, test) = photographs(&capture, &split, &photo_args, &effects)?;
     let train_views = views_of(&capture, &train);
     progress::note(&format!(
         "{}: {} photographs to train on, {} to test on, {} points",
@@ -224,7 +224,7 @@ pub fn run_with(args: &TrainArgs, change: impl FnOnce(Trainer) -> Trainer) -> Re
     let measure = || report::measure(&gaussians.splats(), &test, &background, &render_options, &out);
     let test_scores = if test.is_empty() { None } else { Some(measure()?) };
     let eval = seconds_since(start);
-    let options = Options { capture: &capture.folder, photos: &args.photos, config: &config, check: args.check };
+    let options = Options { capture: &capture.folder, photos: &photo_args, config: &config, check: args.check };
     let metrics = Metrics {
         test: test_scores,
         splats: gaussians.len(),
@@ -300,7 +300,7 @@ fn photographs(
 ) -> Result<(Vec<Photo>, Vec<Photo>)> {
     let train = split.require_train()?;
     // `--eval-every 0` asks for no test; any other number that leaves none is a mistake.
-    let test = if args.eval_every == 0 { &[] } else { split.require_test()? };
+    let test = if args.eval_every == Some(0) { &[] } else { split.require_test()? };
     let photos = |views| -> Result<Vec<Photo>> {
         let mut photos = input::photographs(capture, views, args.max_side, effects.has(Effect::Masks))?;
         if !effects.has(Effect::Alpha) {

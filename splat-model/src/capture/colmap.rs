@@ -20,7 +20,8 @@ use std::path::{Path, PathBuf};
 use glam::{DAffine3, DVec3};
 use splat_op::Intrinsics;
 
-use self::check::{At, Place, quoted};
+use self::check::{At, Place};
+pub(super) use self::check::{MAX_MAGNITUDE, quoted};
 use super::{Capture, CaptureError, Observation, PointCloud, Tracks, View, origin};
 
 pub use write::{write_binary, write_binary_with_tracks};
@@ -89,6 +90,11 @@ impl Files {
     }
 }
 
+/// Whether the folder holds a model, complete but for its points.
+pub(super) fn is_there(folder: &Path) -> bool {
+    find(folder).is_ok()
+}
+
 /// See [`Capture::load`].
 pub(super) fn load(folder: &Path) -> Result<Capture, CaptureError> {
     let files = find(folder)?;
@@ -127,7 +133,7 @@ fn find(folder: &Path) -> Result<Files, CaptureError> {
     Err(CaptureError::Missing {
         what,
         looked_for,
-        fix: "Name the folder that holds `images/` and `sparse/0/`; make the model with `colmap mapper`, or convert it with \
+        fix: "Name the folder that holds `images/` and `sparse/0/`, or `transforms.json`; make a model with `colmap mapper`, or convert it with \
               `colmap model_converter`",
     })
 }
@@ -184,7 +190,8 @@ fn assemble(
         positions: points.iter().map(|point| (point.position - origin).as_vec3().to_array()).collect(),
         colours: points.iter().map(|point| point.colour).collect(),
     };
-    Ok(Capture { folder: folder.to_owned(), views, points, tracks, origin })
+    let (split, masks) = Default::default();
+    Ok(Capture { folder: folder.to_owned(), views, points, tracks, origin, split, masks })
 }
 
 /// The points' sights, in the order of the points; `images` are in that of the views.

@@ -5,6 +5,8 @@ use std::path::PathBuf;
 
 use thiserror::Error;
 
+use crate::ply::PlyError;
+
 /// A capture that cannot be read or written. Each message names the file, what was found and what to do.
 ///
 /// Reasons given by the operating system or a decoder are part of the message rather than a `source`, so that a report
@@ -151,6 +153,9 @@ pub enum CaptureError {
         /// The width and height of its camera, px.
         expected: [usize; 2],
     },
+    /// The file of points that the capture names cannot be read.
+    #[error(transparent)]
+    Points(PlyError),
     /// A point cloud whose columns differ in length.
     #[error("the point cloud has {positions} positions and {colours} colours, expected one colour for each position")]
     Cloud {

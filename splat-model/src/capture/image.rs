@@ -13,6 +13,7 @@ use image::{
 };
 use rayon::prelude::*;
 use splat_op::Intrinsics;
+use splat_op::camera::MAX_SIDE_PX;
 
 use super::{CaptureError, View};
 use crate::effects::masks;
@@ -185,6 +186,18 @@ pub(crate) fn decode(file: &Path, camera: &Intrinsics) -> Result<DynamicImage, C
     DynamicImage::from_decoder(decoder).map_err(|error| fail(&error))
 }
 
+/// Width and height of a picture, px, by its header.
+pub(crate) fn size(file: &Path) -> Result<[usize; 2], CaptureError> {
+    let fail = |reason: String| CaptureError::Picture { file: file.to_owned(), reason };
+    let reader = ImageReader::new(BufReader::new(open(file)?));
+    let reader = reader.with_guessed_format().map_err(|error| fail(error.to_string()))?;
+    let (width, height) = reader.into_dimensions().map_err(|error| fail(error.to_string()))?;
+    match [width, height].map(|side| side as usize) {
+        size if size.iter().all(|&side| (1..=MAX_SIDE_PX).contains(&side)) => Ok(size),
+        _ => Err(fail(format!("it is {width} × {height} px, and the most is {MAX_SIDE_PX} along a side"))),
+    }
+}
+
 /// Whether a picture has an alpha channel, by its header; false if it cannot be read, which whoever decodes it is told.
 pub(crate) fn has_alpha(file: &Path) -> bool {
     let decoder = || ImageReader::open(file).ok()?.with_guessed_format().ok()?.into_decoder().ok();
@@ -203,7 +216,8 @@ fn open(file: &Path) -> Result<File, CaptureError> {
         io::ErrorKind::NotFound => CaptureError::Missing {
             what: "picture",
             looked_for: vec![file.to_owned()],
-            fix: "Put the photographs that the reconstruction was made from into `images/`, under the names that it lists",
+            fix: "Put the photographs that the reconstruction was made from where it lists them: below `images/`, or for \
+                  `transforms.json` below its folder",
         },
         _ => CaptureError::Read {
             file: file.to_owned(),

@@ -9,6 +9,7 @@ mod origin;
 pub(crate) mod packed;
 mod split;
 mod tracks;
+mod transforms;
 
 #[cfg(test)]
 pub(crate) mod testing;
@@ -38,28 +39,45 @@ pub struct Capture {
     /// What was subtracted, in f64, from every position of the files: `position_file = position + origin`.
     /// Zero unless the capture lies so far from zero that f32 would lose digits.
     pub origin: DVec3,
+    /// Which views are for training and which are held out, where the files say so; see [`Split::of`].
+    pub split: Option<Split>,
+    /// Mask files that the capture names itself, one entry per view or none at all; see
+    /// [`masks::find`](crate::effects::masks::find).
+    pub masks: Vec<Option<PathBuf>>,
 }
 
 impl Capture {
-    /// Reads a COLMAP folder: `images/`, and `sparse/0/` (or `sparse/`) with `cameras`, `images` and `points3D`, each as
-    /// `.bin` or else as `.txt`. Pictures are not opened.
+    /// Reads a folder of the first of these kinds that it is:
     ///
-    /// Without `points3D` the point cloud is empty. A capture whose mean camera centre lies further from zero than 100
+    /// 1. COLMAP's: `images/`, and `sparse/0/` (or `sparse/`) with `cameras`, `images` and `points3D`, each as `.bin` or else
+    ///    as `.txt`.
+    /// 2. NeRF-synthetic's: `transforms_train.json`, and `transforms_test.json` or else `transforms_val.json`, which make the
+    ///    capture's own split.
+    /// 3. nerfstudio's and instant-ngp's: `transforms.json`. Its `train_filenames`, `val_filenames` and `test_filenames` make the
+    ///    capture's own split, its `ply_file_path` is the point cloud, and its frames may name masks.
+    ///
+    /// Pictures are not opened, but for the sizes in their headers where a JSON file does not tell them. A picture in
+    /// JSON has the path below the folder as its name, with its extension.
+    ///
+    /// Without points the point cloud is empty. A capture whose mean camera centre lies further from zero than 100
     /// times its extent is moved next to zero; [`Capture::origin`] says by how much.
     ///
     /// # Errors
     ///
-    /// A [`CaptureError`] if `cameras` or `images` is missing, or if any file is cut short, contradicts another, or
-    /// holds what no capture can have.
+    /// A [`CaptureError`] if there is neither a COLMAP model nor one of the JSON files, or if any file is cut short,
+    /// contradicts another, or holds what no capture can have.
     pub fn load(folder: &Path) -> Result<Self, CaptureError> {
-        colmap::load(folder)
+        match transforms::is_there(folder) && !colmap::is_there(folder) {
+            true => transforms::load(folder),
+            false => colmap::load(folder),
+        }
     }
 }
 
 /// One photograph.
 #[derive(Clone, Debug)]
 pub struct View {
-    /// Its file name below the folder of pictures.
+    /// Its path below the folder of pictures, which for captures in JSON is the capture.
     pub name: String,
     /// Where the picture lies.
     pub image_path: PathBuf,

@@ -1,8 +1,9 @@
 //! Which photographs a scene is trained on and which it is judged by.
 
-use super::{CaptureError, View};
+use super::{Capture, CaptureError, View};
 
-/// Indices into a list of views; together they name each view once, in order of name.
+/// Indices into a list of views, in order of name. No view is named twice. One that a capture's own split leaves out, such as
+/// a photograph for validation where there are others to test on, is named by neither.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Split {
     /// Views to train on.
@@ -12,6 +13,19 @@ pub struct Split {
 }
 
 impl Split {
+    /// Every eighth photograph is held out where nothing else is asked for, as papers since Mip-NeRF 360 (Barron et al. 2022)
+    /// compare.
+    pub const USUAL: usize = 8;
+
+    /// The split of a capture: [`every`](Self::every) `k`th view is held out if that is asked for; otherwise the capture's own split,
+    /// or every [eighth](Self::USUAL) view where it has none.
+    pub fn of(capture: &Capture, k: Option<usize>) -> Self {
+        match (k, &capture.split) {
+            (None, Some(own)) => own.clone(),
+            _ => Self::every(&capture.views, k.unwrap_or(Self::USUAL)),
+        }
+    }
+
     /// Holds out the views at index 0, `k`, 2`k`, … in order of name; `k` = 0 holds out none.
     ///
     /// With `k` = 8 this is the split by which papers since Mip-NeRF 360 (Barron et al. 2022) compare.

@@ -2,8 +2,12 @@
 //!
 //! Known are the sparse points in the photographs that their tracks name (Deng et al. 2022, "Depth-supervised NeRF"). The
 //! render's depth is `D/α` with `D = Σ wᵢ zᵢ`, and the loss is the mean of `|D/α − z| / z` over the known
-//! places, relative, so that near and far count alike. The opacity `α` is not followed (no gradient): it would be quicker to
-//! thin the scene out than to move it. Places that the render covers by less than half say nothing.
+//! places, relative, so that near and far count alike. Places that the render covers by less than half say nothing.
+//!
+//! The gradient follows the opacity `α = Σ wᵢ` too. Were it held constant, as is sometimes done, thinning everything out would
+//! bring `D` down as well as moving things would: on the capture of `known_depths_pull_the_scene` depths then end up farther
+//! off (0.73 scene units) than without any supervision (0.46), and nearer (less than 0.28) with the whole derivative, which says
+//! `(zᵢ − D/α)/α` for each weight: what is too far off fades and what is nearer comes forward.
 
 use burn::tensor::{Device, Int, Tensor, TensorData};
 use glam::{Vec2, Vec3};
@@ -109,7 +113,6 @@ impl Depths {
         let covered = at(alpha.clone().inner()).select(0, pixels.clone()).greater_equal_elem(0.5).float();
         let count = covered.clone().sum().clamp_min(1.0);
         let indices = Tensor::<1, Int>::from_inner(pixels.clone());
-        let alpha = if std::env::var("DETACH").is_ok() { Tensor::from_inner(alpha.inner()) } else { alpha };
         let divisor = at(alpha).select(0, indices.clone()).clamp_min(0.5) * constant(depths);
         let relative = at(depth).select(0, indices) / divisor - 1.0;
         let sum = (relative.abs() * constant(&covered)).sum() / constant(&count);
@@ -176,7 +179,10 @@ mod tests {
         let gradient = values_of(depth.grad(&gradients).unwrap());
         let expected = [-1.0 / (0.8 * 2.0), 0.0, 0.0, -0.25];
         assert!(gradient.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-6), "{gradient:?}");
-        assert!(alpha.grad(&gradients).is_none(), "nothing follows the opacity");
+        // What covers more is as if it were nearer.
+        let gradient = values_of(alpha.grad(&gradients).unwrap());
+        let expected = [1.2 / (0.8 * 0.8 * 2.0), 0.0, 0.0, 0.75];
+        assert!(gradient.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-6), "{gradient:?}");
         assert!(depths.knows(0) && !depths.knows(1) && !depths.knows(7));
         assert!(depths.penalty(depth.clone(), alpha.clone(), 1).is_none());
         assert_eq!(depths.bytes(), 3 * 8);

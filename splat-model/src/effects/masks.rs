@@ -2,7 +2,8 @@
 //!
 //! A mask is a picture of the photograph's size, dark (below half) where pixels are to be left out: people who walk through,
 //! the sky, a turntable. Two conventions are read, below a folder `masks` or `mask` of the capture: `<name>.png` after the
-//! photograph's full name, as COLMAP has it (`masks/a.jpg.png`), or with the extension in its place (`masks/a.png`).
+//! photograph's full name, as COLMAP has it (`masks/a.jpg.png`), or with the extension in its place (`masks/a.png`). A capture
+//! that names the masks itself (`mask_path` in `transforms.json`) is believed first.
 //!
 //! What is left out has exactly no influence. The loss compares neighbourhoods, so that weighting pixels would not do: where
 //! a mask excludes, render and photograph are both black before anything is compared, as SSIM has them beyond the border.
@@ -16,7 +17,7 @@ use burn::tensor::{Bool, Tensor};
 use rayon::prelude::*;
 use splat_op::Intrinsics;
 
-use crate::capture::{Capture, CaptureError, Photo, image};
+use crate::capture::{Capture, CaptureError, Photo, View, image};
 
 /// Folders below the capture in which masks are looked for.
 const FOLDERS: [&str; 2] = ["masks", "mask"];
@@ -28,14 +29,20 @@ const KEPT_FROM: u8 = 128;
 pub fn find(capture: &Capture) -> Vec<Option<PathBuf>> {
     let folders: Vec<PathBuf> =
         FOLDERS.iter().map(|name| capture.folder.join(name)).filter(|folder| folder.is_dir()).collect();
-    let of_view = |name: &str| {
-        let candidates = folders.iter().flat_map(|folder| {
-            let whole = folder.join(format!("{name}.png"));
-            [whole, folder.join(name).with_extension("png")]
-        });
-        candidates.into_iter().find(|file| file.is_file())
+    let of_view = |(index, view): (usize, &View)| {
+        let stated = capture.masks.get(index).cloned().flatten();
+        stated.or_else(|| by_name(&folders, &view.name))
     };
-    capture.views.iter().map(|view| of_view(&view.name)).collect()
+    capture.views.iter().enumerate().map(of_view).collect()
+}
+
+/// The file that is named after a photograph.
+fn by_name(folders: &[PathBuf], name: &str) -> Option<PathBuf> {
+    let candidates = folders.iter().flat_map(|folder| {
+        let whole = folder.join(format!("{name}.png"));
+        [whole, folder.join(name).with_extension("png")]
+    });
+    candidates.into_iter().find(|file| file.is_file())
 }
 
 /// `[H, W]` row-major: whether each pixel counts.

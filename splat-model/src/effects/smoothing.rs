@@ -144,8 +144,9 @@ fn convolved(log_scales: Tensor<2>, ln_widths: Tensor<2>) -> (Tensor<2>, Tensor<
     let unusable = log_scales.clone().abs().lower_equal_elem(LARGEST_LOG).bool_not();
     let log_scales = log_scales.mask_fill(unusable, 0.0);
     let excess = (ln_widths - log_scales.clone()) * 2.0;
-    // ln(1 + eˣ), of whose two forms each is exact where it is used.
-    let grown = (excess.clone().clamp_min(0.0) + excess.abs().neg().exp().log1p()) * 0.5;
+    // ln(1 + eˣ) without overflow. (x + |x|)/2 and not max(x, 0), whose derivative at 0 is not a half.
+    let size = excess.clone().abs();
+    let grown = (excess + size.clone()) * 0.25 + size.neg().exp().log1p() * 0.5;
     (log_scales + grown.clone(), grown.sum_dim(1).squeeze_dim::<1>(1).neg())
 }
 

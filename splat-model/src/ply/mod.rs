@@ -6,9 +6,12 @@
 //! (natural logarithm), `rot_0..3` (quaternion wxyz). Files are written as binary little endian. Reading also takes
 //! ascii and big endian, properties in any order and of any numeric type, and ignores what it does not know.
 //!
+//! [`read_points`] reads files of plain points instead, positions and colours, as sparse reconstructions are exchanged.
+//!
 //! A scene whose positions are relative to an origin says so in the comment `splat origin X Y Z`:
 //! `position_file_world = position + origin`.
 
+mod points;
 mod read;
 mod row;
 #[cfg(test)]
@@ -19,6 +22,7 @@ use std::path::PathBuf;
 
 use thiserror::Error;
 
+pub use points::read_points;
 pub use read::read;
 pub use write::write;
 
@@ -43,7 +47,7 @@ pub enum PlyError {
         source: std::io::Error,
     },
     /// The file does not begin with a line `ply`.
-    #[error("{path}: not a PLY file: it begins with `{found}`, expected a line `ply`; pass a .ply scene", path = path.display())]
+    #[error("{path}: not a PLY file: it begins with `{found}`, expected a line `ply`; pass a .ply file", path = path.display())]
     NotPly {
         /// The file.
         path: PathBuf,
@@ -51,7 +55,7 @@ pub enum PlyError {
         found: String,
     },
     /// The header breaks the format's grammar.
-    #[error("{path}: broken PLY header: {detail}; export the scene again", path = path.display())]
+    #[error("{path}: broken PLY header: {detail}; export it again", path = path.display())]
     Header {
         /// The file.
         path: PathBuf,
@@ -59,17 +63,17 @@ pub enum PlyError {
         detail: String,
     },
     /// There is no element `vertex`.
-    #[error("{path}: no element `vertex`, found {found}; export the scene as a Gaussian splatting PLY", path = path.display())]
+    #[error("{path}: no element `vertex`, found {found}; export a scene as a Gaussian splatting PLY", path = path.display())]
     MissingVertex {
         /// The file.
         path: PathBuf,
         /// The elements that there are.
         found: String,
     },
-    /// `vertex` lacks a property that a Gaussian needs.
+    /// `vertex` lacks a property that a Gaussian or a point needs.
     #[error(
         "{path}: element `vertex` has no property `{property}`, found {found}; \
-         export the scene uncompressed in the original 3D Gaussian splatting layout",
+         export a scene uncompressed in the original 3D Gaussian splatting layout, and points with `x`, `y` and `z`",
         path = path.display()
     )]
     MissingProperty {

@@ -6,7 +6,7 @@ use std::path::Path;
 
 use glam::DVec3;
 use ply_rs_bw::parser::{ParseError, Parser, Reader};
-use ply_rs_bw::ply::{ElementDef, Encoding, Header, PropertyType, ScalarType};
+use ply_rs_bw::ply::{ElementDef, Encoding, Header, PropertyAccess, PropertyType, ScalarType};
 
 use super::row::{REQUIRED, Row, Skipped, degree_of_rest};
 use super::{ORIGIN_COMMENT, PlyError, VERTEX};
@@ -24,32 +24,53 @@ const MAX_HEADER_BYTES: u64 = 1 << 20;
 /// A [`PlyError`] for every file that is not a complete scene in the layout of [this module](super). Memory is bounded
 /// by a small multiple of the file's true size, whatever its header claims.
 pub fn read(path: &Path) -> Result<(GaussianRows, DVec3), PlyError> {
-    let file = File::open(path).map_err(|source| io_error(path, "open the scene (is the path right?)", source))?;
-    let file_bytes = file.metadata().map_err(|source| io_error(path, "learn the size of the file", source))?.len();
-    let mut input = Input { path, reader: BufReader::with_capacity(1 << 20, file) };
-
-    let text = input.header_text()?;
-    let header = parse_header(path, &text)?;
+    let (mut input, header) = Input::open(path)?;
     let origin = origin(path, &header)?;
     let vertex = vertex(path, &header)?;
     let degree = check_properties(path, vertex)?;
-    check_size(path, &header, file_bytes.saturating_sub(text.len() as u64))?;
-    for element in header.elements.values().take_while(|element| element.name != VERTEX) {
-        input.skip(element, &header)?;
-    }
-    Ok((input.gaussians(vertex, header.encoding, degree)?, origin))
+    input.begin(&header)?;
+    let mut rows = empty_rows(vertex.count, degree);
+    input.each_row(vertex, header.encoding, |_, row: Row| {
+        row.push_to(&mut rows);
+        Ok(())
+    })?;
+    Ok((rows, origin))
 }
 
 fn io_error(path: &Path, action: &'static str, source: io::Error) -> PlyError {
     PlyError::Io { path: path.to_path_buf(), action, source }
 }
 
-struct Input<'a> {
+/// A file whose header has been read.
+pub(super) struct Input<'a> {
     path: &'a Path,
     reader: BufReader<File>,
+    /// What follows the header.
+    payload_bytes: u64,
 }
 
-impl Input<'_> {
+impl<'a> Input<'a> {
+    /// Opens a file and reads its header.
+    pub fn open(path: &'a Path) -> Result<(Self, Header), PlyError> {
+        let file = File::open(path).map_err(|source| io_error(path, "open the scene (is the path right?)", source))?;
+        let file_bytes = file.metadata().map_err(|source| io_error(path, "learn the size of the file", source))?.len();
+        let mut input = Self { path, reader: BufReader::with_capacity(1 << 20, file), payload_bytes: 0 };
+        let text = input.header_text()?;
+        input.payload_bytes = file_bytes.saturating_sub(text.len() as u64);
+        let header = parse_header(path, &text)?;
+        Ok((input, header))
+    }
+
+    /// Passes over what stands before the vertices. Refuses a header that claims more rows than there are bytes, before
+    /// anybody reserves memory for them.
+    pub fn begin(&mut self, header: &Header) -> Result<(), PlyError> {
+        check_size(self.path, header, self.payload_bytes)?;
+        for element in header.elements.values().take_while(|element| element.name != VERTEX) {
+            self.skip(element, header)?;
+        }
+        Ok(())
+    }
+
     /// The bytes up to and including the line `end_header`.
     fn header_text(&mut self) -> Result<Vec<u8>, PlyError> {
         let mut text = Vec::new();
@@ -91,9 +112,14 @@ impl Input<'_> {
         skipped.map(drop).map_err(|error| self.row_error(element, row, &error))
     }
 
-    fn gaussians(&mut self, vertex: &ElementDef, encoding: Encoding, degree: usize) -> Result<GaussianRows, PlyError> {
-        let mut rows = empty_rows(vertex.count, degree);
-        let parser = Parser::<Row>::new();
+    /// Reads the vertices, and gives `take` each with its number, from 0.
+    pub fn each_row<R: PropertyAccess>(
+        &mut self,
+        vertex: &ElementDef,
+        encoding: Encoding,
+        mut take: impl FnMut(usize, R) -> Result<(), PlyError>,
+    ) -> Result<(), PlyError> {
+        let parser = Parser::<R>::new();
         let mut bytes = vec![0; usize::try_from(least_row_bytes(vertex, Encoding::BinaryLittleEndian)).unwrap_or(0)];
         let mut line = String::new();
         for i in 0..vertex.count {
@@ -106,16 +132,21 @@ impl Input<'_> {
                     self.fill(&mut bytes).and_then(|()| parser.read_little_endian_element(&mut &bytes[..], vertex))
                 }
             };
-            row.map_err(|error| self.row_error(vertex, i, &error))?.push_to(&mut rows);
+            take(i, row.map_err(|error| self.row_error(vertex, i, &error))?)?;
         }
-        Ok(rows)
+        Ok(())
     }
 
     fn fill(&mut self, row: &mut [u8]) -> Result<(), ParseError> {
         Ok(self.reader.read_exact(row)?)
     }
 
-    fn ascii_row(&mut self, parser: &Parser<Row>, vertex: &ElementDef, line: &mut String) -> Result<Row, ParseError> {
+    fn ascii_row<R: PropertyAccess>(
+        &mut self,
+        parser: &Parser<R>,
+        vertex: &ElementDef,
+        line: &mut String,
+    ) -> Result<R, ParseError> {
         line.clear();
         if self.reader.read_line(line)? == 0 {
             return Err(io::Error::from(ErrorKind::UnexpectedEof).into());
@@ -193,7 +224,7 @@ fn origin(path: &Path, header: &Header) -> Result<DVec3, PlyError> {
     }
 }
 
-fn vertex<'a>(path: &Path, header: &'a Header) -> Result<&'a ElementDef, PlyError> {
+pub(super) fn vertex<'a>(path: &Path, header: &'a Header) -> Result<&'a ElementDef, PlyError> {
     header
         .elements
         .get(VERTEX)
@@ -210,18 +241,27 @@ fn quoted<'a>(names: impl Iterator<Item = &'a String>) -> String {
     }
 }
 
-/// Checks that a Gaussian can be made of the properties; the degree of its spherical harmonics.
-fn check_properties(path: &Path, vertex: &ElementDef) -> Result<usize, PlyError> {
+/// Refuses lists, and vertices without one of these properties.
+pub(super) fn require(path: &Path, vertex: &ElementDef, properties: &[&str]) -> Result<(), PlyError> {
     let path_buf = || path.to_path_buf();
     if let Some(list) = vertex.properties.values().find(|p| matches!(p.data_type, PropertyType::List(..))) {
         return Err(PlyError::ListProperty { path: path_buf(), property: brief(&list.name) });
     }
+    match properties.iter().find(|&&name| !vertex.properties.contains_key(name)) {
+        Some(&property) => {
+            let found = quoted(vertex.properties.keys());
+            Err(PlyError::MissingProperty { path: path_buf(), property: property.into(), found })
+        }
+        None => Ok(()),
+    }
+}
+
+/// Checks that a Gaussian can be made of the properties; the degree of its spherical harmonics.
+fn check_properties(path: &Path, vertex: &ElementDef) -> Result<usize, PlyError> {
+    let path_buf = || path.to_path_buf();
+    require(path, vertex, &REQUIRED)?;
     let rest = vertex.properties.keys().filter(|name| name.starts_with("f_rest_")).count();
     let numbered = (0..rest).map(|i| format!("f_rest_{i}"));
-    let missing = REQUIRED.into_iter().map(String::from).find(|name| !vertex.properties.contains_key(name));
-    if let Some(property) = missing {
-        return Err(PlyError::MissingProperty { path: path_buf(), property, found: quoted(vertex.properties.keys()) });
-    }
     let degree = degree_of_rest(rest).ok_or_else(|| PlyError::RestCount { path: path_buf(), found: rest })?;
     match numbered.into_iter().find(|name| !vertex.properties.contains_key(name)) {
         Some(property) => {

@@ -20,6 +20,7 @@ mod regressions;
 mod seeds;
 mod split;
 mod targets;
+mod transforms;
 
 #[global_allocator]
 static ALLOCATOR: allocations::Counting = allocations::Counting;
@@ -37,6 +38,11 @@ fn colmap_binary() {
 #[test]
 fn colmap_text() {
     engine::fuzz(&mut targets::Colmap::text("colmap_text"));
+}
+
+#[test]
+fn transforms() {
+    engine::fuzz(&mut transforms::Transforms::new("transforms"));
 }
 
 #[test]

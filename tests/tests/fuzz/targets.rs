@@ -13,7 +13,10 @@ use super::seeds;
 use super::split::{self, Part};
 
 /// What a message tells its reader to do.
-const REMEDIES: [&str; 14] = [
+const REMEDIES: [&str; 17] = [
+    "Correct",
+    "Copy",
+    "Move",
     "export",
     "copy",
     "correct",
@@ -31,7 +34,7 @@ const REMEDIES: [&str; 14] = [
 ];
 
 /// A message must name a file of `folder` and say what to do, on a screen's worth of printable text.
-fn judge_message(message: &str, folder: &Path) -> Result<(), String> {
+pub fn judge_message(message: &str, folder: &Path) -> Result<(), String> {
     let named = folder.to_str().is_some_and(|folder| message.contains(folder));
     match () {
         () if !named => Err(format!("the message names no file: {message}")),

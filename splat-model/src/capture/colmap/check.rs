@@ -11,13 +11,13 @@ use super::model::Model;
 use crate::capture::CaptureError;
 
 /// Positions and lens parameters beyond this are damage: squared, they still fit an f32, and no survey needs more.
-const MAX_MAGNITUDE: f64 = 1e15;
+pub(in crate::capture) const MAX_MAGNITUDE: f64 = 1e15;
 
 const EXPORT_AGAIN: &str = "The file is damaged or the reconstruction failed: export it again, for instance with \
                             `colmap model_converter`";
 
 /// A name as messages quote it: escaped, and cut where it is longer than a line.
-pub(super) fn quoted(name: &str) -> String {
+pub(in crate::capture) fn quoted(name: &str) -> String {
     const MAX_CHARS: usize = 100;
     match name.char_indices().nth(MAX_CHARS) {
         None => format!("{name:?}"),

@@ -93,12 +93,14 @@ fn both_conventions_are_found_and_read() {
         intrinsics: Intrinsics::centred(3, 2, 5.0),
         cam_from_world: DAffine3::IDENTITY,
     };
-    let capture = Capture {
+    let mut capture = Capture {
         folder: folder.path().to_owned(),
         views: ["a.jpg", "b.jpg", "c/d.e.png", "f.jpg"].map(view).to_vec(),
         points: PointCloud::default(),
         tracks: Default::default(),
         origin: glam::DVec3::ZERO,
+        split: None,
+        masks: Vec::new(),
     };
     assert_eq!(find(&capture), [const { None }; 4]);
     let write = |name: &str, bytes: Vec<u8>| {
@@ -111,6 +113,9 @@ fn both_conventions_are_found_and_read() {
     let stem = write("masks/b.png", vec![255; 6]);
     let below = write("mask/c/d.e.png", vec![255; 6]);
     assert_eq!(find(&capture), [Some(whole.clone()), Some(stem), Some(below), None]);
+    let stated = folder.path().join("elsewhere.png");
+    capture.masks = vec![None, Some(stated.clone()), None, None];
+    assert_eq!(find(&capture)[..2], [Some(whole.clone()), Some(stated)], "what the capture names comes first");
     let mask = load(&whole, &capture.views[0].intrinsics).unwrap();
     assert_eq!(mask, [false, false, true, true, false, true]);
     assert_eq!(excluded_share(&mask), 0.5);

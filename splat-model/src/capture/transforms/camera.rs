@@ -1,0 +1,203 @@
+//! From what a file says of a camera to ours.
+
+use std::f64::consts::PI;
+use std::path::Path;
+
+use glam::{DAffine3, DMat3, DVec3};
+use splat_op::camera::{MAX_COEFFICIENT, MAX_SIDE_PX};
+use splat_op::{CameraModel, Intrinsics};
+
+use super::Place;
+use super::json::{self, Matrix};
+use crate::capture::colmap::MAX_MAGNITUDE;
+use crate::capture::{CaptureError, image};
+
+/// How far `RᵀR` may be from the identity. Exporters that round to three digits stay below; a scale or a shear is far above.
+const RIGID: f64 = 1e-2;
+
+/// The names under which nerfstudio has cameras that map slopes: whichever it is, the coefficients decide.
+const PERSPECTIVE: [&str; 5] = ["PINHOLE", "SIMPLE_PINHOLE", "OPENCV", "SIMPLE_RADIAL", "RADIAL"];
+
+const FIELD_MATRIX: &str = "transform_matrix";
+
+/// The pose of a camera from the matrix of a frame, `[R | c]`.
+///
+/// The columns of `R` are the camera's axes in the world: right, up, back. Ours are right, down, forward, so that
+///
+/// ```text
+/// world_from_cam = [R D | c],  D = diag(1, −1, −1)        cam_from_world = [D Rᵀ | −D Rᵀ c]
+/// ```
+///
+/// `R` is first set right to the nearest rotation: files are rounded.
+pub(super) fn pose(place: &Place, matrix: &Matrix) -> Result<DAffine3, CaptureError> {
+    let [x, y, z, last] = *matrix;
+    let shown = |row: [f64; 4]| row.map(|value| value.to_string()).join(" ");
+    if last != [0.0, 0.0, 0.0, 1.0] {
+        return Err(place.refuse(FIELD_MATRIX, format!("a matrix with {} as its last row", shown(last)), json::MATRIX));
+    }
+    if let Some(&value) = [x, y, z].as_flattened().iter().find(|value| !(value.abs() <= MAX_MAGNITUDE)) {
+        return Err(place.refuse(FIELD_MATRIX, format!("a matrix with {value:e}"), "finite numbers of at most 1e15"));
+    }
+    let rotation = DMat3::from_cols_array_2d(&[[x[0], y[0], z[0]], [x[1], y[1], z[1]], [x[2], y[2], z[2]]]);
+    let strays = (rotation.transpose() * rotation - DMat3::IDENTITY).to_cols_array();
+    let strays = strays.iter().fold(0.0, |most: f64, value| most.max(value.abs()));
+    let determinant = rotation.determinant();
+    if !(strays <= RIGID && determinant > 0.0) {
+        let lengths = [rotation.x_axis, rotation.y_axis, rotation.z_axis].map(|axis| format!("{:.4}", axis.length()));
+        let found = format!(
+            "a matrix whose first three columns have the lengths {} and the determinant {determinant:.4}",
+            lengths.join(", ")
+        );
+        let expected = "a rotation and a position: columns of length 1, at right angles, with the determinant 1";
+        return Err(place.refuse(FIELD_MATRIX, found, expected));
+    }
+    let world_from_cam = nearest_rotation(rotation) * DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0));
+    let cam_from_world = world_from_cam.transpose();
+    Ok(DAffine3 { matrix3: cam_from_world, translation: -(cam_from_world * DVec3::new(x[3], y[3], z[3])) })
+}
+
+/// The rotation of the polar decomposition, by Newton's iteration `R ← (R + R⁻ᵀ)/2` (Higham 1986), which doubles the
+/// digits that are right: four steps from [`RIGID`] are all that an f64 has.
+fn nearest_rotation(matrix: DMat3) -> DMat3 {
+    (0..4).fold(matrix, |matrix, _| (matrix + matrix.inverse().transpose()) * 0.5)
+}
+
+/// What describes the lens of a frame: the frame's own words, then those of the file.
+pub(super) struct Lenses<'a> {
+    pub place: Place<'a>,
+    pub frame: Option<&'a json::Lens>,
+    pub file: &'a json::Lens,
+}
+
+impl Lenses<'_> {
+    /// Size and projection; where the file does not tell the size, that of the picture by its header.
+    pub fn intrinsics(&self, picture: &Path) -> Result<Intrinsics, CaptureError> {
+        let (width, height) = match (self.side("w")?, self.side("h")?) {
+            (Some(width), Some(height)) => (width, height),
+            (width, height) => {
+                let [of_width, of_height] = image::size(picture)?;
+                (width.unwrap_or(of_width), height.unwrap_or(of_height))
+            }
+        };
+        let [fx, fy] =
+            match (self.focal("fl_x", "camera_angle_x", width)?, self.focal("fl_y", "camera_angle_y", height)?) {
+                (Some(fx), Some(fy)) => [fx, fy],
+                (Some(f), None) | (None, Some(f)) => [f, f],
+                (None, None) => {
+                    return Err(self.place.refuse(
+                        "fl_x",
+                        "missing",
+                        "a focal length in px, or an angle `camera_angle_x`",
+                    ));
+                }
+            };
+        let centre = |field, side: usize| match self.number(field)? {
+            Some(px) if px.abs() <= MAX_MAGNITUDE => Ok(px),
+            Some(px) => Err(self.place.refuse(field, px, "a principal point in px")),
+            None => Ok(side as f64 / 2.0),
+        };
+        let (cx, cy) = (centre("cx", width)?, centre("cy", height)?);
+        let (model, distortion) = self.lens()?;
+        Ok(Intrinsics { model, width, height, fx, fy, cx, cy, distortion })
+    }
+
+    /// From the nearest that says anything.
+    fn number(&self, field: &'static str) -> Result<Option<f64>, CaptureError> {
+        for lens in self.frame.into_iter().chain([self.file]) {
+            if let Some(&number) = self.place.optional(field, lens.number(field), "a number")? {
+                return Ok(Some(number));
+            }
+        }
+        Ok(None)
+    }
+
+    fn side(&self, field: &'static str) -> Result<Option<usize>, CaptureError> {
+        let Some(px) = self.number(field)? else { return Ok(None) };
+        let whole = px >= 1.0 && px <= MAX_SIDE_PX as f64 && px.fract() == 0.0;
+        let refuse = || self.place.refuse(field, px, format!("a whole number of px, 1 to {MAX_SIDE_PX}"));
+        whole.then_some(Some(px as usize)).ok_or_else(refuse)
+    }
+
+    /// A focal length in px, or by the angle that `side` px are seen under, `f = side / (2 tan(angle/2))`. The length goes before
+    /// the angle, and both in the frame before either in the file.
+    fn focal(&self, length: &'static str, angle: &'static str, side: usize) -> Result<Option<f64>, CaptureError> {
+        let place = &self.place;
+        for lens in self.frame.into_iter().chain([self.file]) {
+            if let Some(&focal) = place.optional(length, lens.number(length), "a number")? {
+                let right = focal > 0.0 && focal <= MAX_MAGNITUDE;
+                let refuse = || place.refuse(length, focal, "a positive focal length in px");
+                return right.then_some(Some(focal)).ok_or_else(refuse);
+            }
+            if let Some(&radians) = place.optional(angle, lens.number(angle), "a number")? {
+                let focal = side as f64 / (2.0 * (0.5 * radians).tan());
+                let right = radians > 0.0 && radians < PI && focal > 0.0 && focal <= MAX_MAGNITUDE;
+                let refuse = || place.refuse(angle, radians, "an angle in radians, above 0 and below pi");
+                return right.then_some(Some(focal)).ok_or_else(refuse);
+            }
+        }
+        Ok(None)
+    }
+
+    /// The model and its coefficients, as nerfstudio has them: OpenCV's for slopes, with which a pinhole is one without
+    /// any, and OpenCV's for angles. `FULL_OPENCV` adds the denominator.
+    fn lens(&self) -> Result<(CameraModel, [f64; 8]), CaptureError> {
+        let place = &self.place;
+        let number = |field| -> Result<f64, CaptureError> {
+            match self.number(field)? {
+                Some(value) if value.abs() <= MAX_COEFFICIENT => Ok(value),
+                Some(value) => Err(place.refuse(field, value, "a coefficient of the lens from -1e9 to 1e9")),
+                None => Ok(0.0),
+            }
+        };
+        let (p1, p2) = (number("p1")?, number("p2")?);
+        let [k1, k2, k3, k4, k5, k6] =
+            [number("k1")?, number("k2")?, number("k3")?, number("k4")?, number("k5")?, number("k6")?];
+        let none = |field, value: f64, expected| match value == 0.0 {
+            true => Ok(()),
+            false => Err(place.refuse(field, value, expected)),
+        };
+        let name = self.model()?;
+        if name == "OPENCV_FISHEYE" {
+            for (field, value) in [("p1", p1), ("p2", p2), ("k5", k5), ("k6", k6)] {
+                none(field, value, "0: a fisheye camera has k1 to k4")?;
+            }
+            return Ok((CameraModel::Fisheye, [k1, k2, k3, k4, 0.0, 0.0, 0.0, 0.0]));
+        }
+        if name != "FULL_OPENCV" {
+            for (field, value) in [("k4", k4), ("k5", k5), ("k6", k6)] {
+                none(field, value, "0, unless `camera_model` is FULL_OPENCV: programs disagree on what it means")?;
+            }
+        }
+        let all = [k1, k2, p1, p2, k3, k4, k5, k6];
+        let model = match (all.iter().any(|&value| value != 0.0), all[4..].iter().any(|&value| value != 0.0)) {
+            (false, _) => CameraModel::Pinhole,
+            (true, false) => CameraModel::OpenCv,
+            (true, true) => CameraModel::FullOpenCv,
+        };
+        Ok((model, all))
+    }
+
+    /// The name of a model that we have.
+    fn model(&self) -> Result<&str, CaptureError> {
+        for lens in self.frame.into_iter().chain([self.file]) {
+            if let Some(name) = self.place.optional("camera_model", &lens.model, "the name of a camera model")? {
+                let known =
+                    PERSPECTIVE.contains(&name.as_str()) || ["OPENCV_FISHEYE", "FULL_OPENCV"].contains(&name.as_str());
+                let refuse = || {
+                    self.place.refuse_with(
+                        "camera_model",
+                        crate::capture::colmap::quoted(name),
+                        "PINHOLE, SIMPLE_PINHOLE, SIMPLE_RADIAL, RADIAL, OPENCV, FULL_OPENCV or OPENCV_FISHEYE",
+                        "Export the capture again with one of these, or with photographs that are undistorted",
+                    )
+                };
+                return known.then_some(name.as_str()).ok_or_else(refuse);
+            }
+            // As instant-ngp says it.
+            if let Some(&fisheye) = self.place.optional("is_fisheye", &lens.fisheye, "true or false")? {
+                return Ok(if fisheye { "OPENCV_FISHEYE" } else { "OPENCV" });
+            }
+        }
+        Ok("OPENCV")
+    }
+}

@@ -1,0 +1,128 @@
+//! Files that are no capture: each message names the file, the frame, the field, what was found and what was expected.
+
+use super::*;
+use crate::capture::testing::assert_says;
+
+/// The message of a file that has these frames; it must name the file.
+fn message(frames: &str) -> String {
+    message_of(&format!(r#"{{"w": 8, "h": 6, "fl_x": 8, "frames": {frames}}}"#))
+}
+
+fn message_of(text: &str) -> String {
+    let root = folder(&[(SINGLE, text)]);
+    let message = Capture::load(root.path()).unwrap_err().to_string();
+    assert_says(&message, &[root.path().join(SINGLE).to_str().unwrap()]);
+    message
+}
+
+fn with_matrix(matrix: &str) -> String {
+    message(&format!(r#"[{}, {{"file_path": "b.png", "transform_matrix": {matrix}}}]"#, frame("a.png")))
+}
+
+#[test]
+fn matrices_that_are_no_poses() {
+    let of = |rows: [&str; 4]| format!("[{}]", rows.join(", "));
+    let last = "[0, 0, 0, 1]";
+    for (matrix, found) in [
+        (of(["[2, 0, 0, 0]", "[0, 2, 0, 0]", "[0, 0, 2, 0]", last]), "lengths 2.0000, 2.0000, 2.0000"),
+        (of(["[0, 0, 0, 0]", "[0, 0, 0, 0]", "[0, 0, 0, 0]", last]), "determinant 0.0000"),
+        (of(["[1, 0, 0, 0]", "[0, 1, 0, 0]", "[0, 0, -1, 0]", last]), "determinant -1.0000"),
+        (of(["[1, 0.1, 0, 0]", "[0, 0.995, 0, 0]", "[0, 0, 1, 0]", last]), "lengths 1.0000, 1.0000, 1.0000"),
+        (of(["[1, 0, 0, 0]", "[0, 1, 0, 0]", "[0, 0, 1, 0]", "[0, 0, 0, 2]"]), "0 0 0 2 as its last row"),
+        (of(["[1, 0, 0, 1e16]", "[0, 1, 0, 0]", "[0, 0, 1, 0]", last]), "1e16"),
+        (of(["[1, 0, 0, 0]", "[0, 1, 0]", "[0, 0, 1, 0]", last]), "3 numbers"),
+        (of(["[1, 0, 0, 0]", "[0, 1, 0, 0, 5]", "[0, 0, 1, 0]", last]), "5 numbers"),
+        (of(["[1, 0, 0, 0]", "[0, \"x\", 0, 0]", "[0, 0, 1, 0]", last]), "\"x\""),
+        (of(["[1, 0, 0, 0]", "[0, null, 0, 0]", "[0, 0, 1, 0]", last]), "null"),
+        (of(["[1, 0, 0, 0]", "7", "[0, 0, 1, 0]", last]), "is 7"),
+        ("[[1, 0, 0, 0]]".into(), "1 rows"),
+        ("5".into(), "is 5"),
+        ("null".into(), "missing"),
+        ("{\"a\": [1]}".into(), "an object"),
+    ] {
+        assert_says(
+            &with_matrix(&matrix),
+            &["frame 1 (\"b.png\")", "`transform_matrix`", found, "expected", "Correct"],
+        );
+    }
+}
+
+#[test]
+fn numbers_that_json_does_not_have() {
+    // Python writes them so.
+    for number in ["NaN", "-Infinity", "1e999"] {
+        let matrix = format!("[[1, 0, 0, {number}], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]");
+        let message = with_matrix(&matrix);
+        assert_says(&message, &["line 1, column ", "finite", "Correct"]);
+        assert!(message.contains(&number[1..2]), "{message}");
+    }
+}
+
+#[test]
+fn paths_that_lead_nowhere() {
+    let pose = format!(r#""transform_matrix": {LOOKING_BACK}"#);
+    assert_says(&message(&format!("[{{{pose}}}]")), &["frame 0", "`file_path` is missing"]);
+    assert_says(&message(&format!(r#"[{{"file_path": 5, {pose}}}]"#)), &["frame 0", "`file_path` is 5"]);
+    for path in ["../a.png", "/etc/a.png", "", ".", "a\\u0000.png"] {
+        assert_says(
+            &message(&format!(r#"[{{"file_path": "{path}", {pose}}}]"#)),
+            &["frame 0", "`file_path`", "neither absolute"],
+        );
+    }
+    let mask = format!(r#"[{{"file_path": "a.png", "mask_path": "../m.png", {pose}}}]"#);
+    assert_says(&message(&mask), &["frame 0 (\"a.png\")", "`mask_path`", "../m.png"]);
+    let twice = format!("[{}, {}]", frame("a/b.png"), frame("./a/./b.png"));
+    assert_says(&message(&twice), &["frame 1", "`file_path` is \"a/b.png\" again"]);
+    let points = message_of(&format!(
+        r#"{{"ply_file_path": "/p.ply", "w": 8, "h": 6, "fl_x": 8, "frames": [{}]}}"#,
+        frame("a.png")
+    ));
+    assert_says(&points, &["the file as a whole", "`ply_file_path`"]);
+}
+
+#[test]
+fn pictures_that_are_not_there() {
+    let text = format!(r#"{{"w": 8, "h": 6, "fl_x": 8, "frames": [{}]}}"#, frame("train/r_0"));
+    let message = single(&text).unwrap_err().to_string();
+    assert_says(&message, &["train/r_0.png", "train/r_0.jpg", "train/r_0.jpeg", "Copy"]);
+    let message = single(&format!(r#"{{"fl_x": 8, "frames": [{}]}}"#, frame("a.png"))).unwrap_err().to_string();
+    assert_says(&message, &["no picture found", "a.png"]);
+    let root =
+        folder(&[(SINGLE, &format!(r#"{{"fl_x": 8, "frames": [{}]}}"#, frame("a.png"))), ("a.png", "not a picture")]);
+    assert_says(&Capture::load(root.path()).unwrap_err().to_string(), &["cannot decode", "a.png"]);
+    let root = folder(&[(
+        SINGLE,
+        &format!(r#"{{"ply_file_path": "p.ply", "w": 8, "h": 6, "fl_x": 8, "frames": [{}]}}"#, frame("a.png")),
+    )]);
+    assert_says(&Capture::load(root.path()).unwrap_err().to_string(), &["cannot read", "p.ply"]);
+    fs::write(root.path().join("p.ply"), "ply\nformat ascii 1.0\nelement vertex 0\nend_header\n").unwrap();
+    assert_says(&Capture::load(root.path()).unwrap_err().to_string(), &["p.ply", "`x`"]);
+}
+
+#[test]
+fn files_that_are_no_captures() {
+    assert_says(&message_of("[1, 2]"), &["line 1, column", "an object with `frames`"]);
+    assert_says(&message_of("{\"frames\": [1]}"), &["line 1, column", "a frame, which is an object"]);
+    assert_says(&message_of("{\"frames\": ["), &["line 1, column", "EOF"]);
+    assert_says(&message_of("{}"), &["`frames` is missing", "a list of frames"]);
+    assert_says(&message_of("{\"frames\": 7}"), &["`frames` is 7"]);
+    assert_says(&message_of("{\"frames\": []}"), &["lists no images"]);
+    assert_says(&message_of(&"[".repeat(100_000)), &["line 1, column"]);
+    let nothing = tempfile::tempdir().unwrap();
+    assert_says(&Capture::load(nothing.path()).unwrap_err().to_string(), &["`transforms.json`", "`sparse/0/`"]);
+}
+
+#[test]
+fn the_same_name_in_both_files_of_a_split() {
+    let file = format!(r#"{{"w": 8, "h": 6, "fl_x": 8, "frames": [{}]}}"#, frame("a.png"));
+    let root = folder(&[(TRAIN, &file), ("transforms_test.json", &file)]);
+    let message = Capture::load(root.path()).unwrap_err().to_string();
+    assert_says(&message, &["transforms_test.json", "frame 0", "\"a.png\" again"]);
+}
+
+#[test]
+fn a_file_too_large_is_not_read() {
+    let root = folder(&[(SINGLE, "{}")]);
+    fs::File::options().write(true).open(root.path().join(SINGLE)).unwrap().set_len(MAX_BYTES + 1).unwrap();
+    assert_says(&Capture::load(root.path()).unwrap_err().to_string(), &["cannot read", "268435457 bytes"]);
+}

@@ -1,0 +1,152 @@
+//! Plain points: `x y z` and, where there are any, `red green blue`.
+
+use std::path::Path;
+
+use glam::DVec3;
+use ply_rs_bw::ply::{Property, PropertyAccess, PropertyAccessResult};
+
+use super::read::{Input, require, vertex};
+use super::{PlyError, VERTEX};
+
+/// Coordinates beyond this are damage: squared, they still fit an f32.
+const MAX_COORDINATE: f64 = 1e15;
+
+/// The colour of a point that has none.
+const GREY: f64 = 127.0;
+
+const COORDINATES: [&str; 3] = ["x", "y", "z"];
+const CHANNELS: [&str; 3] = ["red", "green", "blue"];
+
+/// One point.
+struct Point {
+    position: [f64; 3],
+    /// 0 to 255.
+    colour: [f64; 3],
+}
+
+impl PropertyAccess for Point {
+    fn new() -> Self {
+        Self { position: [0.0; 3], colour: [GREY; 3] }
+    }
+
+    fn set_property(&mut self, name: &str, property: Property) -> PropertyAccessResult {
+        // Floating-point colours go from 0 to 1, all others to 255.
+        let (value, full) = match property {
+            Property::Char(value) => (value.into(), 255.0),
+            Property::UChar(value) => (value.into(), 255.0),
+            Property::Short(value) => (value.into(), 255.0),
+            Property::UShort(value) => (value.into(), 255.0),
+            Property::Int(value) => (value.into(), 255.0),
+            Property::UInt(value) => (value.into(), 255.0),
+            Property::Float(value) => (value.into(), 1.0),
+            Property::Double(value) => (value, 1.0),
+            _ => return PropertyAccessResult::UnsupportedType,
+        };
+        let index = |names: [&str; 3]| names.iter().position(|&known| known == name);
+        if let Some(axis) = index(COORDINATES) {
+            self.position[axis] = value;
+        } else if let Some(channel) = index(CHANNELS) {
+            self.colour[channel] = value * (255.0 / full);
+        } else {
+            return PropertyAccessResult::Ignored;
+        }
+        PropertyAccessResult::Set
+    }
+}
+
+/// Reads points: positions, and display-referred colours from 0 to 255.
+///
+/// `x y z` may be of any numeric type. `red green blue` are taken as they are, or as 0 to 1 where they are floating-point
+/// numbers; beyond their range they count as its end, and points without colours are grey. Whatever else the file
+/// holds is passed over.
+///
+/// # Errors
+///
+/// A [`PlyError`] for every file that is not a complete PLY file with such points, or in which a coordinate is not finite or
+/// beyond 1e15. Memory is bounded by a small multiple of the file's true size, whatever its header claims.
+pub fn read_points(path: &Path) -> Result<(Vec<DVec3>, Vec<[u8; 3]>), PlyError> {
+    let (mut input, header) = Input::open(path)?;
+    let vertex = vertex(path, &header)?;
+    require(path, vertex, &COORDINATES)?;
+    input.begin(&header)?;
+    let (mut positions, mut colours) = (Vec::with_capacity(vertex.count), Vec::with_capacity(vertex.count));
+    input.each_row(vertex, header.encoding, |row, point: Point| {
+        if let Some(axis) = point.position.iter().position(|value| !(value.abs() <= MAX_COORDINATE)) {
+            let (name, value) = (COORDINATES[axis], point.position[axis]);
+            let detail = format!("`{name}` is {value:e}, expected a finite number of at most 1e15");
+            return Err(PlyError::Row { path: path.to_path_buf(), element: VERTEX.into(), row, detail });
+        }
+        positions.push(DVec3::from_array(point.position));
+        // The cast ends at 0 and 255, and takes what is not a number as 0.
+        colours.push(point.colour.map(|channel| channel.round() as u8));
+        Ok(())
+    })?;
+    Ok((positions, colours))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs;
+
+    use super::*;
+
+    fn read(bytes: &[u8]) -> Result<(Vec<DVec3>, Vec<[u8; 3]>), String> {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("points.ply");
+        fs::write(&path, bytes).unwrap();
+        read_points(&path).map_err(|error| error.to_string())
+    }
+
+    #[test]
+    fn points_and_colours_of_any_type_are_read() {
+        let binary = |kind: &str, colours: &[[u8; 4]; 3]| {
+            let mut bytes = format!(
+                "ply\nformat binary_little_endian 1.0\nelement camera 1\nproperty list uchar int i\nelement vertex 1\n\
+                 property double z\nproperty float nx\nproperty float x\nproperty short y\nproperty {kind} red\n\
+                 property {kind} blue\nproperty {kind} green\nelement face 7\nproperty int a\nend_header\n"
+            )
+            .into_bytes();
+            bytes.extend([1, 9, 9, 9, 9]);
+            bytes.extend(0.1_f64.to_le_bytes());
+            bytes.extend([5.0_f32, -2.5].iter().flat_map(|value| value.to_le_bytes()));
+            bytes.extend((-7_i16).to_le_bytes());
+            let size = if kind == "uchar" { 1 } else { 4 };
+            colours.iter().for_each(|colour| bytes.extend(&colour[..size]));
+            bytes
+        };
+        let expected = (vec![DVec3::new(-2.5, -7.0, 0.1)], vec![[255, 3, 128]]);
+        assert_eq!(read(&binary("uchar", &[[255; 4], [128; 4], [3; 4]])).unwrap(), expected);
+        let unit = [1.7_f32, 128.0 / 255.0, 3.2 / 255.0].map(f32::to_le_bytes);
+        assert_eq!(read(&binary("float", &unit)).unwrap(), expected, "0 to 1, and clipped at 1");
+    }
+
+    #[test]
+    fn points_without_colours_are_grey() {
+        let text = "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\n\
+                    end_header\n1 2 3\n4 5 6\n";
+        let (positions, colours) = read(text.as_bytes()).unwrap();
+        assert_eq!(positions, [DVec3::new(1.0, 2.0, 3.0), DVec3::new(4.0, 5.0, 6.0)]);
+        assert_eq!(colours, [[127; 3]; 2]);
+    }
+
+    #[test]
+    fn what_no_point_can_have_is_refused() {
+        let text = |axis: &str, row: &str| {
+            format!(
+                "ply\nformat ascii 1.0\nelement vertex 1\nproperty float {axis}\nproperty float y\nproperty float z\n\
+                 end_header\n{row}\n"
+            )
+        };
+        for (text, parts) in [
+            (text("x", "1 inf 2"), ["row 0", "1 inf 2"]),
+            (text("x", "1 2 -1e16"), ["row 0", "`z` is -1"]),
+            (text("x", "1 2"), ["row 0", "2 values"]),
+            (text("u", "1 2 3"), ["`x`", "`u` `y` `z`"]),
+            (text("x", "1 2 3").replace("vertex 1", "vertex 400000000000"), ["400000000000 rows", "truncated"]),
+            (text("x", "1 2 3").replace("property float z", "property list uchar int z"), ["`z`", "is a list"]),
+        ] {
+            let message = read(text.as_bytes()).unwrap_err();
+            assert!(parts.iter().all(|part| message.contains(part)) && message.contains("points.ply"), "{message}");
+        }
+    }
+}
