@@ -246,6 +246,15 @@ mod tests {
             assert!(folder.join(file).is_file(), "{file}");
         }
         assert!(!folder.join("masks/0000.png").exists(), "held out");
+        let truth: Value = serde_json::from_slice(&fs::read(folder.join("truth.json")).unwrap()).unwrap();
+        let photographs = truth["photographs"].as_array().unwrap();
+        assert_eq!(photographs.len(), 2);
+        for (photograph, name) in photographs.iter().zip(["0000.png", "0001.png"]) {
+            assert_eq!((photograph["name"].as_str(), photograph["aperture"].is_null()), (Some(name), true));
+            let rotation = photograph["rotation_wxyz"].as_array().unwrap();
+            let squared: f64 = rotation.iter().map(|value| value.as_f64().unwrap().powi(2)).sum();
+            assert!((squared - 1.0).abs() < 1e-12 && photograph["readout"]["angular"].as_array().unwrap().len() == 3);
+        }
         assert!(ensure(&folder, &SMALL).unwrap());
         for name in ["masks", "depth", "truth.json"] {
             assert!(!folder.join(name).exists(), "{name}");

@@ -31,7 +31,7 @@ pub struct DemoOptions {
     /// [`DemoOptions::EXPOSURE_STOPS`] either way.
     pub exposure: bool,
     /// The photographs are taken through a lens of COLMAP's model `OPENCV`, a barrel that is a little out of line, which moves
-    /// the corners by [`DemoOptions::LENS_SHARE`] of the width.
+    /// the corners by up to [`DemoOptions::LENS_SHARE`] of the width.
     pub lens: bool,
     /// The photographs are taken through an equidistant fisheye (`OPENCV_FISHEYE` without coefficients) that sees
     /// [`DemoOptions::FISHEYE_FOV_DEG`] along the longer side of the picture.
@@ -63,7 +63,8 @@ pub struct DemoOptions {
     pub rolling: bool,
     /// The photographs that are not held out are taken through a thin lens with an aperture of
     /// [`DemoOptions::APERTURE_RADIUS`], focused at [`DemoOptions::FOCUS_SHARE`] of the distance to what they look at, so that
-    /// both sides of the platform are out of focus: circles of confusion of some 4 px at a width of 240 px.
+    /// the far side of the platform, and from low down the near one too, has circles of confusion of 2 to 6 px at a width of
+    /// 240 px.
     pub defocus: bool,
     /// Each photograph has an exact depth map, `depth/<name>`; see [`super::write`].
     pub depth: bool,
@@ -96,7 +97,7 @@ impl DemoOptions {
 
     /// Stops of light by which gains differ from one at most.
     pub const EXPOSURE_STOPS: f64 = 0.75;
-    /// By how much of the width the lens moves the corners of the pictures, about.
+    /// By how much of the width the lens moves the corner that it moves most, about, in pictures of 4 to 3.
     pub const LENS_SHARE: f64 = 0.03;
     /// What the fisheye sees along the longer side of a picture, degrees.
     pub const FISHEYE_FOV_DEG: f64 = 120.0;
