@@ -14,9 +14,6 @@ use crate::{output, progress};
 /// Marks a folder as a demo capture and says what it was made from.
 pub const MARK: &str = "demo.json";
 
-/// The folders of a capture, in the order in which they are put in place: a model stands only beside its pictures.
-const FOLDERS: [&str; 2] = ["images", "sparse"];
-
 /// Options of `splat demo`.
 #[derive(Clone, Debug, clap::Args)]
 pub struct DemoArgs {
@@ -29,6 +26,39 @@ pub struct DemoArgs {
     /// Give each photograph its own exposure and white balance
     #[arg(long)]
     pub exposure: bool,
+    /// Photograph through a lens that bends straight lines (OPENCV): the corners move by 3% of the width
+    #[arg(long)]
+    pub lens: bool,
+    /// Photograph through an equidistant fisheye (OPENCV_FISHEYE) of 120 degrees; not with --lens
+    #[arg(long)]
+    pub fisheye: bool,
+    /// Cover three places of each training photograph by bright discs, and write masks that exclude them
+    #[arg(long)]
+    pub masks: bool,
+    /// Make the ground and the sky transparent; not with --far
+    #[arg(long)]
+    pub alpha: bool,
+    /// Take a third of the photographs from a third of the distance, and a third from 3.5 times as far
+    #[arg(long)]
+    pub zoom: bool,
+    /// Write wrong poses for the training photographs: by 1 degree and 1% of the scene's extent
+    #[arg(long)]
+    pub poses: bool,
+    /// Put a landscape with a sky around the scene, a hundred times as far away as the cameras, which stand lower to see it
+    #[arg(long)]
+    pub far: bool,
+    /// Move the camera during the exposure of a fifth of the training photographs, by 2.5% of the width
+    #[arg(long)]
+    pub motion: bool,
+    /// Move the camera while the rows of each photograph are exposed one after the other, by 5% of the width
+    #[arg(long)]
+    pub rolling: bool,
+    /// Take the training photographs with an open aperture: what is near and what is far is out of focus
+    #[arg(long)]
+    pub defocus: bool,
+    /// Write an exact depth map for each photograph: 16-bit PNG, 0.001 scene units a level
+    #[arg(long)]
+    pub depth: bool,
     /// Number of photographs
     #[arg(long, value_name = "N", default_value_t = DemoOptions::default().views)]
     pub views: usize,
@@ -38,7 +68,7 @@ pub struct DemoArgs {
     /// Height of the photographs, px
     #[arg(long, value_name = "PX", default_value_t = DemoOptions::default().height)]
     pub height: usize,
-    /// Varies the cameras and the choice of sparse points
+    /// Varies the cameras, the choice of sparse points, and what each effect draws by lot
     #[arg(long, value_name = "S", default_value_t = DemoOptions::default().seed)]
     pub seed: u64,
 }
@@ -52,6 +82,17 @@ impl DemoArgs {
             views: self.views,
             glossy: self.glossy,
             exposure: self.exposure,
+            lens: self.lens,
+            fisheye: self.fisheye,
+            masks: self.masks,
+            alpha: self.alpha,
+            zoom: self.zoom,
+            poses: self.poses,
+            far: self.far,
+            motion: self.motion,
+            rolling: self.rolling,
+            defocus: self.defocus,
+            depth: self.depth,
             seed: self.seed,
             ..DemoOptions::default()
         }
@@ -75,7 +116,7 @@ pub fn run(args: &DemoArgs) -> Result<()> {
 /// killed meanwhile, the hidden folder stays.
 ///
 /// # Errors
-/// If an option is out of range, the folder holds some other capture, or it cannot be written.
+/// If an option is out of range, two exclude each other, the folder holds some other capture, or it cannot be written.
 pub fn ensure(folder: &Path, options: &DemoOptions) -> Result<bool> {
     let mark = mark(options);
     let found = read_mark(folder);
@@ -100,24 +141,49 @@ pub fn ensure(folder: &Path, options: &DemoOptions) -> Result<bool> {
 
 /// The model goes first and comes last, so that the capture is never complete to look at while pictures are exchanged.
 fn put_in_place(folder: &Path, temporary: &Path, mark: &Value) -> Result<()> {
-    for name in FOLDERS.iter().rev().map(|name| folder.join(name)).filter(|name| name.exists()) {
-        fs::remove_dir_all(&name).with_context(|| format!("cannot replace {}", name.display()))?;
+    for path in demo::PARTS.iter().rev().map(|name| folder.join(name)).filter(|path| path.exists()) {
+        let removed = if path.is_dir() { fs::remove_dir_all(&path) } else { fs::remove_file(&path) };
+        removed.with_context(|| format!("cannot replace {}", path.display()))?;
     }
     output::write(&folder.join(MARK), |file| Ok(serde_json::to_writer_pretty(file, mark)?))?;
-    for name in FOLDERS {
-        let target = folder.join(name);
-        fs::rename(temporary.join(name), &target).with_context(|| format!("cannot write {}", target.display()))?;
+    for name in demo::PARTS {
+        let (source, target) = (temporary.join(name), folder.join(name));
+        if source.exists() {
+            fs::rename(source, &target).with_context(|| format!("cannot write {}", target.display()))?;
+        }
     }
     Ok(())
 }
 
 /// What the capture depends on.
 fn mark(options: &DemoOptions) -> Value {
-    let DemoOptions { width, height, views, points, glossy, exposure, seed } = *options;
+    // In full, so that no option is forgotten.
+    let DemoOptions {
+        width,
+        height,
+        views,
+        points,
+        glossy,
+        exposure,
+        lens,
+        fisheye,
+        masks,
+        alpha,
+        zoom,
+        poses,
+        far,
+        motion,
+        rolling,
+        defocus,
+        depth,
+        seed,
+    } = *options;
     let version = env!("CARGO_PKG_VERSION");
     json!({
         "splat demo": version, "width": width, "height": height, "views": views, "points": points, "glossy": glossy,
-        "exposure": exposure, "seed": seed,
+        "exposure": exposure, "lens": lens, "fisheye": fisheye, "masks": masks, "alpha": alpha, "zoom": zoom,
+        "poses": poses, "far": far, "motion": motion, "rolling": rolling, "defocus": defocus, "depth": depth,
+        "seed": seed,
     })
 }
 
@@ -128,15 +194,13 @@ pub fn read_mark(folder: &Path) -> Option<Value> {
 }
 
 fn is_complete(folder: &Path, options: &DemoOptions) -> bool {
-    let complete = |capture: Capture| {
-        capture.views.len() == options.views && capture.views.iter().all(|view| view.image_path.is_file())
-    };
-    Capture::load(folder).is_ok_and(complete)
+    Capture::load(folder).is_ok_and(|capture| capture.views.len() == options.views)
+        && demo::files(options).iter().all(|file| folder.join(file).is_file())
 }
 
 /// A capture that somebody photographed is not to be replaced by a demo.
 fn refuse_foreign(folder: &Path) -> Result<()> {
-    match FOLDERS.iter().chain([&MARK]).map(|name| folder.join(name)).find(|name| name.exists()) {
+    match demo::PARTS.iter().chain([&MARK]).map(|name| folder.join(name)).find(|name| name.exists()) {
         None => Ok(()),
         Some(taken) => bail!(
             "{} is there already and belongs to no demo capture: choose another folder with `--out`, or move it away",
@@ -149,8 +213,7 @@ fn refuse_foreign(folder: &Path) -> Result<()> {
 mod tests {
     use super::*;
 
-    const SMALL: DemoOptions =
-        DemoOptions { width: 16, height: 16, views: 2, points: 10, glossy: false, exposure: false, seed: 0 };
+    const SMALL: DemoOptions = DemoOptions { width: 16, height: 16, views: 2, points: 10, ..DemoOptions::PLAIN };
 
     #[test]
     fn a_complete_capture_is_reused_and_another_replaced() {
@@ -167,6 +230,65 @@ mod tests {
         let mut names: Vec<_> = fs::read_dir(&folder).unwrap().map(|entry| entry.unwrap().file_name()).collect();
         names.sort();
         assert_eq!(names, ["demo.json", "images", "sparse"]);
+    }
+
+    /// What an effect put beside the pictures goes when the effect does, and is made again when it is missing.
+    #[test]
+    fn what_effects_add_comes_and_goes() {
+        let folder = tempfile::tempdir().unwrap();
+        let folder = folder.path().join("demo");
+        let all = DemoOptions { masks: true, motion: true, depth: true, ..SMALL };
+        assert!(ensure(&folder, &all).unwrap());
+        assert!(!ensure(&folder, &all).unwrap());
+        for file in ["masks/0001.png", "depth/0000.png", "depth/depth.json", "truth.json"] {
+            fs::remove_file(folder.join(file)).unwrap();
+            assert!(ensure(&folder, &all).unwrap(), "{file} is missing");
+            assert!(folder.join(file).is_file(), "{file}");
+        }
+        assert!(!folder.join("masks/0000.png").exists(), "held out");
+        let truth: Value = serde_json::from_slice(&fs::read(folder.join("truth.json")).unwrap()).unwrap();
+        let photographs = truth["photographs"].as_array().unwrap();
+        assert_eq!(photographs.len(), 2);
+        for (photograph, name) in photographs.iter().zip(["0000.png", "0001.png"]) {
+            assert_eq!((photograph["name"].as_str(), photograph["aperture"].is_null()), (Some(name), true));
+            let rotation = photograph["rotation_wxyz"].as_array().unwrap();
+            let squared: f64 = rotation.iter().map(|value| value.as_f64().unwrap().powi(2)).sum();
+            assert!((squared - 1.0).abs() < 1e-12 && photograph["readout"]["angular"].as_array().unwrap().len() == 3);
+        }
+        assert!(ensure(&folder, &SMALL).unwrap());
+        for name in ["masks", "depth", "truth.json"] {
+            assert!(!folder.join(name).exists(), "{name}");
+        }
+    }
+
+    /// Two demos with different options never have the same mark: each option's value shows in it.
+    #[test]
+    fn each_flag_is_an_option_of_its_own() {
+        use clap::{CommandFactory, FromArgMatches, Parser};
+        #[derive(Parser)]
+        struct Line {
+            #[command(flatten)]
+            demo: DemoArgs,
+        }
+        let marked = |line: &[&str]| {
+            let line = ["demo", "--out", "x"].iter().chain(line);
+            mark(&Line::from_arg_matches(&Line::command().get_matches_from(line)).unwrap().demo.options())
+        };
+        let plain = marked(&[]);
+        assert_eq!(plain, mark(&DemoOptions::PLAIN));
+        let flags: Vec<String> = plain
+            .as_object()
+            .unwrap()
+            .iter()
+            .filter(|(_, value)| value.is_boolean())
+            .map(|(name, _)| name.clone())
+            .collect();
+        assert_eq!(flags.len(), 13);
+        for flag in flags {
+            let mut expected = plain.clone();
+            expected[&flag] = true.into();
+            assert_eq!(marked(&[&format!("--{flag}")]), expected);
+        }
     }
 
     #[test]

@@ -116,7 +116,7 @@ impl Coefficients {
     }
 }
 
-/// A camera ready to project points on the host, in f64; see [`Intrinsics::projector`].
+/// A camera ready to project points on the host and back, in f64; see [`Intrinsics::projector`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Projector {
     camera: Intrinsics,
@@ -140,6 +140,22 @@ impl Projector {
         let seen = point.z > 0.0 && s.length() < self.reach;
         let d = self.lens.map(s);
         seen.then(|| DVec2::new(camera.fx * d.x + camera.cx, camera.fy * d.y + camera.cy))
+    }
+
+    /// The direction in the camera's frame that a position on the picture looks along: with z one, or, for a fisheye, whose
+    /// picture may reach to where z is zero, with length one. Where no direction leads there, the nearest that the lens sees.
+    pub fn cam_from_px(&self, px: DVec2) -> DVec3 {
+        let d = self.camera.focal_from_px(px);
+        let model = self.camera.model;
+        if model == CameraModel::Pinhole {
+            return d.extend(1.0);
+        }
+        if !model.is_fisheye() {
+            return self.lens.inverse(d, self.reach).extend(1.0);
+        }
+        let s = self.lens.inverse(d, self.reach.min(FRAC_PI_2));
+        let angle = s.length();
+        if angle > 0.0 { (s * (angle.sin() / angle)).extend(angle.cos()) } else { DVec3::Z }
     }
 }
 
@@ -197,7 +213,7 @@ impl Intrinsics {
         DVec2::new((px.x - self.cx) / self.fx, (px.y - self.cy) / self.fy)
     }
 
-    /// The camera with what its lens can see, found once: for projecting many points.
+    /// The camera with what its lens can see, found once: for projecting many points, or looking along many pixels.
     pub fn projector(&self) -> Projector {
         Projector { camera: *self, lens: self.coefficients(), reach: self.reach() }
     }
@@ -207,20 +223,9 @@ impl Intrinsics {
         self.projector().px_from_cam(point)
     }
 
-    /// The direction in the camera's frame that a position on the picture looks along: with z one, or, for a fisheye, whose
-    /// picture may reach to where z is zero, with length one. Where no direction leads there, the nearest that the lens sees.
+    /// [`Projector::cam_from_px`], for a few positions.
     pub fn cam_from_px(&self, px: DVec2) -> DVec3 {
-        let d = self.focal_from_px(px);
-        if self.model == CameraModel::Pinhole {
-            return d.extend(1.0);
-        }
-        let lens = self.coefficients();
-        if !self.model.is_fisheye() {
-            return lens.inverse(d, lens.reach()).extend(1.0);
-        }
-        let s = lens.inverse(d, lens.reach().min(FRAC_PI_2));
-        let angle = s.length();
-        if angle > 0.0 { (s * (angle.sin() / angle)).extend(angle.cos()) } else { DVec3::Z }
+        self.projector().cam_from_px(px)
     }
 }
 

@@ -3,12 +3,13 @@
 use std::f64::consts::TAU;
 
 use glam::{DAffine3, DMat3, DVec2, DVec3};
-use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
-use splat_op::Intrinsics;
+use rand::RngExt;
+use splat_op::{CameraModel, Intrinsics, Projector};
 
 use super::DemoOptions;
 use super::geometry::Ray;
+use super::options::Stream;
+use super::scene::Scene;
 
 /// Horizontal field of view.
 const FOV_X_DEG: f64 = 50.0;
@@ -19,60 +20,143 @@ pub(super) const CENTRE_WORLD: DVec3 = DVec3::new(0.0, 0.0, 0.32);
 /// Elevation in degrees and distance in scene units of each ring.
 const RINGS: [(f64, f64); 3] = [(13.0, 4.9), (29.0, 4.5), (50.0, 4.3)];
 
+/// Elevations are lower by this where there is something to see in the distance.
+const FAR_ELEVATION: f64 = 0.4;
+
+/// What `k1 r², k2 r⁴, p1 r, p2 r` of the lens are at the corner of the picture, a slope of `r` from the axis: its shape is the
+/// same for pictures of every shape. They move the corners by 2% to [`DemoOptions::LENS_SHARE`] of the width, at 4 to 3.
+const LENS_AT_CORNER: [f64; 4] = [-0.044, 0.008, 0.0012, -0.0016];
+
 /// One photograph's camera.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct DemoCamera {
     pub intrinsics: Intrinsics,
+    projector: Projector,
     /// Rigid, OpenCV axes.
     pub cam_from_world: DAffine3,
     pub centre_world: DVec3,
+    /// How far away what it looks at is, scene units.
+    pub subject_distance: f64,
 }
 
 impl DemoCamera {
-    /// The ray through a position in the picture, px; world frame.
-    pub fn ray_through(&self, at_px: DVec2) -> Ray {
-        let Intrinsics { fx, fy, cx, cy, .. } = self.intrinsics;
-        let direction_cam = DVec3::new((at_px.x - cx) / fx, (at_px.y - cy) / fy, 1.0);
-        let world_from_cam = self.cam_from_world.matrix3.transpose();
-        Ray { origin: self.centre_world, direction: (world_from_cam * direction_cam).normalize() }
+    /// Held upright. It must not look straight up or down; the rings do not.
+    fn looking(intrinsics: Intrinsics, centre_world: DVec3, target_world: DVec3) -> Self {
+        let forward = (target_world - centre_world).normalize();
+        let right = forward.cross(DVec3::Z).normalize();
+        let down = forward.cross(right);
+        let cam_from_world = DMat3::from_cols(right, down, forward).transpose();
+        Self {
+            intrinsics,
+            projector: intrinsics.projector(),
+            cam_from_world: DAffine3 { matrix3: cam_from_world, translation: -(cam_from_world * centre_world) },
+            centre_world,
+            subject_distance: centre_world.distance(target_world),
+        }
     }
 
-    /// Where a point shows, px, if it lies in front of the camera and within the picture.
+    /// The same camera elsewhere: its axes turned by a rotation of its own frame, `cam_from_turned`.
+    pub fn moved(self, centre_world: DVec3, cam_from_turned: DMat3) -> Self {
+        let turned_from_world = cam_from_turned.transpose() * self.cam_from_world.matrix3;
+        let cam_from_world = DAffine3 { matrix3: turned_from_world, translation: -(turned_from_world * centre_world) };
+        Self { cam_from_world, centre_world, ..self }
+    }
+
+    /// The axes of the camera's frame in the world.
+    pub fn world_from_cam(&self) -> DMat3 {
+        self.cam_from_world.matrix3.transpose()
+    }
+
+    /// The direction of the camera's frame that shows at a position in the picture, px; not of unit length.
+    pub fn direction_cam(&self, at_px: DVec2) -> DVec3 {
+        let Intrinsics { model, fx, fy, cx, cy, .. } = self.intrinsics;
+        // Most photographs are a pinhole's, and this is asked for every sample of every pixel.
+        match model {
+            CameraModel::Pinhole => DVec3::new((at_px.x - cx) / fx, (at_px.y - cy) / fy, 1.0),
+            _ => self.projector.cam_from_px(at_px),
+        }
+    }
+
+    /// The ray through a position in the picture, px; world frame.
+    pub fn ray_through(&self, at_px: DVec2) -> Ray {
+        let direction = (self.world_from_cam() * self.direction_cam(at_px)).normalize();
+        Ray { origin: self.centre_world, direction }
+    }
+
+    /// Where a point shows, px, if it lies in front of the camera and the lens sees it: perhaps beside the picture.
     pub fn project(&self, point_world: DVec3) -> Option<DVec2> {
-        let Intrinsics { fx, fy, cx, cy, width, height, .. } = self.intrinsics;
+        let Intrinsics { model, fx, fy, cx, cy, .. } = self.intrinsics;
         let point_cam = self.cam_from_world.transform_point3(point_world);
+        if model != CameraModel::Pinhole {
+            return self.projector.px_from_cam(point_cam);
+        }
         let at_px = DVec2::new(fx * point_cam.x / point_cam.z + cx, fy * point_cam.y / point_cam.z + cy);
-        let within = at_px.cmpge(DVec2::ZERO).all() && at_px.cmplt(DVec2::new(width as f64, height as f64)).all();
-        (point_cam.z > 0.0 && within).then_some(at_px)
+        (point_cam.z > 0.0).then_some(at_px)
+    }
+
+    /// Whether a position lies within the picture.
+    pub fn shows(&self, at_px: DVec2) -> bool {
+        let size_px = DVec2::new(self.intrinsics.width as f64, self.intrinsics.height as f64);
+        at_px.cmpge(DVec2::ZERO).all() && at_px.cmplt(size_px).all()
     }
 }
 
 /// The cameras of a capture. Neighbours in the list stand on different rings, so that any regular choice of views for
 /// testing sees all heights.
 pub(super) fn cameras(options: &DemoOptions) -> Vec<DemoCamera> {
-    let mut random = ChaCha8Rng::seed_from_u64(options.seed);
-    let focal_px = 0.5 * options.width as f64 / (0.5 * FOV_X_DEG).to_radians().tan();
-    let intrinsics = Intrinsics::centred(options.width, options.height, focal_px);
+    let mut random = options.random(Stream::Cameras);
+    let intrinsics = intrinsics(options);
+    let scene = options.zoom.then(|| Scene::still_life(options));
+    let lower = if options.far { FAR_ELEVATION } else { 1.0 };
     let mut jitter = |size: f64| size * (2.0 * random.random::<f64>() - 1.0);
     (0..options.views)
         .map(|i| {
             let (elevation_deg, distance) = RINGS[i % RINGS.len()];
-            let elevation = (elevation_deg + jitter(4.0)).to_radians();
+            let elevation = lower * (elevation_deg + jitter(4.0)).to_radians();
             let azimuth = TAU * (i as f64 + jitter(0.3)) / options.views as f64;
             let direction =
                 DVec3::new(elevation.cos() * azimuth.cos(), elevation.cos() * azimuth.sin(), elevation.sin());
             let centre_world = CENTRE_WORLD + (distance + jitter(0.3)) * direction;
             let target_world = CENTRE_WORLD + DVec3::new(jitter(0.15), jitter(0.15), jitter(0.08));
-            DemoCamera { intrinsics, cam_from_world: look_at(centre_world, target_world), centre_world }
+            let (centre_world, target_world) = match &scene {
+                Some(scene) => zoomed(scene, i, centre_world, target_world),
+                None => (centre_world, target_world),
+            };
+            DemoCamera::looking(intrinsics, centre_world, target_world)
         })
         .collect()
 }
 
-/// The pose of a camera that is held upright. It must not look straight up or down; the rings do not.
-fn look_at(centre_world: DVec3, target_world: DVec3) -> DAffine3 {
-    let forward = (target_world - centre_world).normalize();
-    let right = forward.cross(DVec3::Z).normalize();
-    let down = forward.cross(right);
-    let cam_from_world = DMat3::from_cols(right, down, forward).transpose();
-    DAffine3 { matrix3: cam_from_world, translation: -(cam_from_world * centre_world) }
+fn intrinsics(options: &DemoOptions) -> Intrinsics {
+    let [width, height] = [options.width, options.height].map(|side| side as f64);
+    if options.fisheye {
+        let focal_px = 0.5 * width.max(height) / (0.5 * DemoOptions::FISHEYE_FOV_DEG).to_radians();
+        let fisheye = Intrinsics::centred(options.width, options.height, focal_px);
+        return Intrinsics { model: CameraModel::Fisheye, ..fisheye };
+    }
+    let focal_px = 0.5 * width / (0.5 * FOV_X_DEG).to_radians().tan();
+    let pinhole = Intrinsics::centred(options.width, options.height, focal_px);
+    if !options.lens {
+        return pinhole;
+    }
+    let corner = 0.5 * width.hypot(height) / focal_px;
+    let [k1, k2, p1, p2] = LENS_AT_CORNER;
+    let mut distortion = [0.0; 8];
+    distortion[..4].copy_from_slice(&[k1 / corner.powi(2), k2 / corner.powi(4), p1 / corner, p2 / corner]);
+    Intrinsics { model: CameraModel::OpenCv, distortion, ..pinhole }
+}
+
+/// Centre and target of a camera at its distance: usual, near or far, by turns. What it looks at is what an ordinary
+/// photograph shows in its middle, so that the way there is free.
+fn zoomed(scene: &Scene, i: usize, centre_world: DVec3, target_world: DVec3) -> (DVec3, DVec3) {
+    // By the index, so that three held-out views in succession, whose indices differ by 8 and 16, are of all three; every 24
+    // the rings change places.
+    let times = match (i + i / (3 * DemoOptions::HELD_OUT_EVERY)) % 3 {
+        0 => return (centre_world, target_world),
+        1 => DemoOptions::ZOOM_NEAR,
+        _ => DemoOptions::ZOOM_FAR,
+    };
+    let ray = Ray { origin: centre_world, direction: (target_world - centre_world).normalize() };
+    let subject_world = scene.hit(&ray).map_or(target_world, |point| point.position_world);
+    (subject_world + times * (centre_world - subject_world), subject_world)
 }

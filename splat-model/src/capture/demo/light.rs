@@ -51,9 +51,14 @@ impl LitScene {
         let Some(point) = self.scene.hit(ray) else {
             return DVec3::ZERO;
         };
-        let matte = self.matte(&point);
+        self.towards(ray, &point)
+    }
+
+    /// Linear light that a point sends back along the ray that met it.
+    pub fn towards(&self, ray: &Ray, point: &SurfacePoint) -> DVec3 {
+        let matte = self.matte(point);
         match self.scene.objects[point.object].kind {
-            Kind::Glossy => self.with_reflection(ray, &point, matte),
+            Kind::Glossy => self.with_reflection(ray, point, matte),
             Kind::Matte | Kind::Ground | Kind::Sky => matte,
         }
     }

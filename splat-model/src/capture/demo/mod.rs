@@ -1,20 +1,25 @@
 //! A capture that the project makes itself: a ray-traced still life, photographed from three rings of cameras.
 //!
 //! Everything is known about it (geometry, light, cameras), nothing has to be downloaded, and the same options give the
-//! same bytes. Surfaces are matte unless [`DemoOptions::glossy`] is set: their colour does not depend on the view, so
-//! splats of degree 0 can explain them. World frame: z up, the round platform has radius 1.95 and its top at z = 0,
-//! everything lies within a dome of radius 8.
+//! same bytes. Its photographs show no effect that [`DemoOptions`] does not ask for: surfaces are matte, so that splats of
+//! degree 0 can explain them. World frame: z up, the round platform has radius 1.95 and its top at z = 0, everything lies
+//! within a dome of radius 8.
 
 mod camera;
+mod depth;
 mod geometry;
 mod light;
+mod options;
 mod picture;
 mod points;
+mod pose;
 mod scene;
+mod shot;
 #[cfg(test)]
 mod tests;
 mod texture;
 mod torus;
+mod truth;
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -22,43 +27,12 @@ use std::path::{Path, PathBuf};
 use rayon::prelude::*;
 use thiserror::Error;
 
-use self::camera::DemoCamera;
 use self::light::LitScene;
-#[cfg(test)]
-pub(crate) use self::picture::gains;
+pub use self::options::DemoOptions;
 use self::scene::Scene;
+#[cfg(test)]
+pub(crate) use self::shot::gains;
 use super::{CaptureError, View, write_binary_with_tracks};
-
-/// What the demo capture holds.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct DemoOptions {
-    /// Width of the pictures, 16 to 4096 px.
-    pub width: usize,
-    /// Height of the pictures, 16 to 4096 px.
-    pub height: usize,
-    /// How many pictures, 2 to 9999.
-    pub views: usize,
-    /// How many sparse points, at most 1,000,000.
-    pub points: usize,
-    /// One sphere reflects its surroundings and the sun, so that its colour depends on the view.
-    pub glossy: bool,
-    /// Each photograph has its own exposure and white balance: a gain per channel on its light, up to
-    /// [`DemoOptions::EXPOSURE_STOPS`] either way.
-    pub exposure: bool,
-    /// Varies the cameras, the choice of points and the exposures.
-    pub seed: u64,
-}
-
-impl DemoOptions {
-    /// Stops of light by which gains differ from one at most.
-    pub const EXPOSURE_STOPS: f64 = 0.75;
-}
-
-impl Default for DemoOptions {
-    fn default() -> Self {
-        Self { width: 240, height: 180, views: 48, points: 6000, glossy: false, exposure: false, seed: 0 }
-    }
-}
 
 /// A demo capture that cannot be made.
 #[derive(Debug, Error)]
@@ -73,6 +47,16 @@ pub enum DemoError {
         found: usize,
         /// The range.
         expected: &'static str,
+    },
+    /// Two options that exclude each other.
+    #[error("demo options `{first}` and `{second}` exclude each other: {reason}; leave one of them out")]
+    Conflict {
+        /// An option.
+        first: &'static str,
+        /// The other.
+        second: &'static str,
+        /// Why.
+        reason: &'static str,
     },
     /// The operating system refused.
     #[error("{path}: could not write: {source}; is the folder writable and the disk not full?", path = path.display())]
@@ -95,41 +79,100 @@ pub enum DemoError {
     Model(#[from] CaptureError),
 }
 
-/// Writes the demo capture: `images/0000.png` and so on, and a COLMAP model in `sparse/0`. Creates the folder; files of
-/// the same names are replaced.
+/// Writes the demo capture into `folder`, which is created; files of the same names are replaced.
+///
+/// - `images/0000.png` and so on, and a COLMAP model in `sparse/0`.
+/// - `masks/0001.png` and so on, with [`DemoOptions::masks`], for the photographs that are not held out: white counts.
+/// - `depth/0000.png` and so on, with [`DemoOptions::depth`]: 16 bits grey, the depth of what the middle of each pixel shows,
+///   along the axis of the camera (z of the camera's frame, not the distance), in levels of as many scene units as
+///   `depth/depth.json` says, `{"scale": 0.001}`. Zero is unknown: transparent, or beyond 65.535 scene units.
+/// - `truth.json`, where the model and the photographs do not tell how they came about ([`DemoOptions::poses`], `motion`,
+///   `rolling`, `defocus`): under `photographs`, for each its `name`; the exact pose at the middle of exposure and readout,
+///   world to camera, as `rotation_wxyz` and `translation`; how the camera moves in its own frame over the whole `exposure`,
+///   and from the first row to the last (`readout`), each as `linear`, scene units, and `angular`, a rotation vector in
+///   radians; and its `aperture`, null or `radius` and `focus_depth` in scene units. The camera at the time `t`, −½ to ½, has
+///   its centre at `centre + R (t linear)` and the axes `R exp([t angular]×)`, `R` being the axes at the middle, camera to world;
+///   a row at `y` px is read at `t = y / height − ½`.
 ///
 /// # Errors
 ///
-/// [`DemoError::Option`] for options outside their ranges, else if a file cannot be written.
+/// [`DemoError::Option`] for options outside their ranges, [`DemoError::Conflict`] for such as exclude each other, else if a
+/// file cannot be written.
 pub fn write(folder: &Path, options: &DemoOptions) -> Result<(), DemoError> {
-    check(options)?;
-    let scene = LitScene::new(Scene::still_life(options.glossy));
-    let cameras = camera::cameras(options);
-    let pictures = folder.join("images");
-    std::fs::create_dir_all(&pictures).map_err(|source| DemoError::Io { path: pictures.clone(), source })?;
-    let views: Vec<View> = cameras.iter().enumerate().map(|(i, camera)| view(&pictures, i, camera)).collect();
-    let gains = picture::gains(options);
-    cameras.par_iter().zip(&views).zip(gains).try_for_each(|((camera, view), gain)| {
-        let path = view.image_path.clone();
-        picture::render(&scene, camera, gain).save(&path).map_err(|source| DemoError::Picture { path, source })
+    options.check()?;
+    let scene = LitScene::new(Scene::still_life(options));
+    let shots = shot::shots(options);
+    let poses = pose::written(&shots, options);
+    let [images, masks, depths] = [IMAGES, MASKS, DEPTHS].map(|name| folder.join(name));
+    create(&images)?;
+    let view = |(i, (shot, cam_from_world)): (usize, (&shot::Shot, _))| {
+        let name = name(i);
+        View { image_path: images.join(&name), name, intrinsics: shot.camera.intrinsics, cam_from_world }
+    };
+    let views: Vec<View> = shots.iter().zip(poses).enumerate().map(view).collect();
+    if options.masks {
+        create(&masks)?;
+    }
+    if options.depth {
+        create(&depths)?;
+        store(&depths.join(DEPTH_SCALE), &depth::json())?;
+    }
+    shots.par_iter().zip(&views).enumerate().try_for_each(|(i, (shot, view))| {
+        let saved = |path: &Path, saved: image::ImageResult<()>| {
+            saved.map_err(|source| DemoError::Picture { path: path.to_owned(), source })
+        };
+        saved(&view.image_path, picture::render(&scene, shot).save(&view.image_path))?;
+        if options.masks && !DemoOptions::held_out(i) {
+            let path = masks.join(&view.name);
+            saved(&path, picture::mask(shot).save(&path))?;
+        }
+        if options.depth {
+            let path = depths.join(&view.name);
+            saved(&path, depth::render(&scene, shot).save(&path))?;
+        }
+        Ok::<_, DemoError>(())
     })?;
-    let (points, tracks) = points::sample(&scene, &cameras, options);
+    if options.has_truth() {
+        store(&folder.join(TRUTH), &truth::json(&views, &shots))?;
+    }
+    let (points, tracks) = points::sample(&scene, &shots, options);
     Ok(write_binary_with_tracks(folder, &views, &points, &tracks)?)
 }
 
-fn view(pictures: &Path, i: usize, camera: &DemoCamera) -> View {
-    let name = format!("{i:04}.png");
-    let image_path = pictures.join(&name);
-    View { name, image_path, intrinsics: camera.intrinsics, cam_from_world: camera.cam_from_world }
+const IMAGES: &str = "images";
+const MASKS: &str = "masks";
+const DEPTHS: &str = "depth";
+const DEPTH_SCALE: &str = "depth.json";
+const TRUTH: &str = "truth.json";
+
+/// What a demo capture may consist of, of whatever options: files and folders right below its own, the model last.
+pub const PARTS: [&str; 5] = [IMAGES, MASKS, DEPTHS, TRUTH, "sparse"];
+
+/// The files beside the model, below the folder of the capture, that [`write`] writes for `options`.
+pub fn files(options: &DemoOptions) -> Vec<PathBuf> {
+    let below =
+        |folder: &'static str, views: Vec<usize>| views.into_iter().map(move |view| Path::new(folder).join(name(view)));
+    let all = || (0..options.views).collect();
+    let mut files: Vec<PathBuf> = below(IMAGES, all()).collect();
+    if options.masks {
+        files.extend(below(MASKS, (0..options.views).filter(|&view| !DemoOptions::held_out(view)).collect()));
+    }
+    if options.depth {
+        files.extend(below(DEPTHS, all()));
+        files.push(Path::new(DEPTHS).join(DEPTH_SCALE));
+    }
+    files.extend(options.has_truth().then(|| TRUTH.into()));
+    files
 }
 
-fn check(options: &DemoOptions) -> Result<(), DemoError> {
-    let within = |field, found: usize, low: usize, high: usize, expected| match found >= low && found <= high {
-        true => Ok(()),
-        false => Err(DemoError::Option { field, found, expected }),
-    };
-    within("width", options.width, 16, 4096, "16 to 4096 px")?;
-    within("height", options.height, 16, 4096, "16 to 4096 px")?;
-    within("views", options.views, 2, 9999, "2 to 9999")?;
-    within("points", options.points, 0, 1_000_000, "at most 1,000,000")
+fn name(view: usize) -> String {
+    format!("{view:04}.png")
+}
+
+fn create(folder: &Path) -> Result<(), DemoError> {
+    std::fs::create_dir_all(folder).map_err(|source| DemoError::Io { path: folder.to_owned(), source })
+}
+
+fn store(path: &Path, text: &str) -> Result<(), DemoError> {
+    std::fs::write(path, text).map_err(|source| DemoError::Io { path: path.to_owned(), source })
 }

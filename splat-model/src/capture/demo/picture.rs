@@ -1,51 +1,112 @@
-//! From camera to 8-bit picture.
+//! From shot to 8-bit pictures: photographs and masks.
 
 use glam::{DVec2, DVec3};
-use image::RgbImage;
-use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
+use image::{DynamicImage, GrayImage, RgbImage, RgbaImage};
 use rayon::prelude::*;
 
 use super::DemoOptions;
-use super::camera::DemoCamera;
 use super::light::{LitScene, display};
+use super::shot::{Moment, Shot};
 
 /// Samples along each side of a pixel. The average over the pixel's square is what a sensor measures.
-const SAMPLES: u32 = 3;
+const SAMPLES: usize = 3;
 
-/// What each photograph multiplies its light by, per channel: one, unless exposures differ.
-pub(crate) fn gains(options: &DemoOptions) -> Vec<DVec3> {
-    // Another stream than those of the cameras and the points.
-    let mut random = ChaCha8Rng::seed_from_u64(options.seed);
-    random.set_stream(2);
-    let mut gain = || (DemoOptions::EXPOSURE_STOPS * (2.0 * random.random::<f64>() - 1.0)).exp2();
-    let mut of_view = || if options.exposure { DVec3::new(gain(), gain(), gain()) } else { DVec3::ONE };
-    (0..options.views).map(|_| of_view()).collect()
-}
+/// Samples of a pixel of a blurred photograph: as many moments of the exposure, and as many places of the aperture.
+const BLURRED_SAMPLES: usize = 36;
 
-/// Photographs the scene, its rows in parallel, with a gain per channel on its light. The result does not depend on the
-/// number of threads.
-pub(super) fn render(scene: &LitScene, camera: &DemoCamera, gain: DVec3) -> RgbImage {
-    let (width, height) = (camera.intrinsics.width as u32, camera.intrinsics.height as u32);
-    let mut picture = RgbImage::new(width, height);
-    let row_bytes = 3 * camera.intrinsics.width;
-    picture.par_chunks_exact_mut(row_bytes).zip(0..height).for_each(|(row, y)| {
-        for (pixel, x) in row.chunks_exact_mut(3).zip(0..width) {
-            pixel.copy_from_slice(&to_bytes(display(gain * pixel_light(scene, camera, x, y))));
+/// A ray's place within a pixel, from its upper left corner, px, and within the exposure.
+type Sample = (DVec2, Moment);
+
+/// Photographs the scene, its rows in parallel: RGB, or RGBA (straight) if the shot is transparent. The result does not depend
+/// on the number of threads.
+pub(super) fn render(scene: &LitScene, shot: &Shot) -> DynamicImage {
+    let (width, height) = (shot.camera.intrinsics.width, shot.camera.intrinsics.height);
+    let samples = if shot.is_blurred() { blurred_samples() } else { sharp_samples() };
+    let channels = if shot.transparent { 4 } else { 3 };
+    let mut bytes = vec![0; channels * width * height];
+    bytes.par_chunks_exact_mut(channels * width).enumerate().for_each(|(y, row)| {
+        for (x, pixel) in row.chunks_exact_mut(channels).enumerate() {
+            let (light, opacity) = pixel_light(scene, shot, DVec2::new(x as f64, y as f64), &samples);
+            pixel[..3].copy_from_slice(&to_bytes(display(shot.gain * light)));
+            if let [_, _, _, alpha] = pixel {
+                *alpha = (255.0 * opacity).round() as u8;
+            }
         }
     });
-    picture
+    let (width, height) = (width as u32, height as u32);
+    // There are as many bytes as pixels times channels.
+    match shot.transparent {
+        true => RgbaImage::from_raw(width, height, bytes).map(DynamicImage::from),
+        false => RgbImage::from_raw(width, height, bytes).map(DynamicImage::from),
+    }
+    .expect("a buffer of the picture's size")
 }
 
-/// Linear light, averaged over the square of a pixel.
-fn pixel_light(scene: &LitScene, camera: &DemoCamera, x: u32, y: u32) -> DVec3 {
-    let mut sum = DVec3::ZERO;
-    for sample in 0..SAMPLES * SAMPLES {
-        let within = DVec2::new(f64::from(sample % SAMPLES), f64::from(sample / SAMPLES)) + 0.5;
-        let at_px = DVec2::new(f64::from(x), f64::from(y)) + within / f64::from(SAMPLES);
-        sum += scene.along(&camera.ray_through(at_px));
+/// White where the shot shows the scene: what lies within [`DemoOptions::MASK_MARGIN_PX`] of a disc is left out.
+pub(super) fn mask(shot: &Shot) -> GrayImage {
+    let (width, height) = (shot.camera.intrinsics.width as u32, shot.camera.intrinsics.height as u32);
+    GrayImage::from_fn(width, height, |x, y| {
+        let middle_px = DVec2::new(f64::from(x), f64::from(y)) + 0.5;
+        let covered = |disc: &super::shot::Disc| {
+            disc.middle_px.distance(middle_px) <= disc.radius_px + DemoOptions::MASK_MARGIN_PX
+        };
+        image::Luma([if shot.discs.iter().any(covered) { 0 } else { u8::MAX }])
+    })
+}
+
+fn sharp_samples() -> Vec<Sample> {
+    (0..SAMPLES * SAMPLES).map(|i| (place(i), Moment::default())).collect()
+}
+
+/// The same places, each with four moments and places of the aperture.
+fn blurred_samples() -> Vec<Sample> {
+    const PLACES: usize = SAMPLES * SAMPLES;
+    let golden_angle = std::f64::consts::PI * (3.0 - 5.0_f64.sqrt());
+    let sample = |i: usize| {
+        // Every place has one time of each quarter of the exposure, neighbours at times far apart.
+        let time = (i / PLACES) * PLACES + (5 * (i % PLACES)) % PLACES;
+        // And one place of the aperture of each quarter of its area: points of a sunflower's spiral, which have equal areas.
+        let lens = (7 * i) % BLURRED_SAMPLES;
+        let radius = ((lens as f64 + 0.5) / BLURRED_SAMPLES as f64).sqrt();
+        let moment = Moment {
+            time: (time as f64 + 0.5) / BLURRED_SAMPLES as f64 - 0.5,
+            lens: radius * DVec2::from_angle(golden_angle * lens as f64),
+        };
+        (place(i % PLACES), moment)
+    };
+    (0..BLURRED_SAMPLES).map(sample).collect()
+}
+
+fn place(i: usize) -> DVec2 {
+    (DVec2::new((i % SAMPLES) as f64, (i / SAMPLES) as f64) + 0.5) / SAMPLES as f64
+}
+
+/// Linear light, averaged over the opaque part of the square of a pixel, and that part's share of it. The shares of both
+/// come from the same rays, so that over a background of any light the pixel would be right.
+fn pixel_light(scene: &LitScene, shot: &Shot, corner_px: DVec2, samples: &[Sample]) -> (DVec3, f64) {
+    let (mut sum, mut opaque) = (DVec3::ZERO, 0_usize);
+    for &(place, moment) in samples {
+        let at_px = corner_px + place;
+        let light = match shot.disc_at(at_px) {
+            Some(disc) => Some(disc.light),
+            None => light_along(scene, shot, at_px, moment),
+        };
+        if let Some(light) = light {
+            sum += light;
+            opaque += 1;
+        }
     }
-    sum / f64::from(SAMPLES * SAMPLES)
+    (sum / opaque.max(1) as f64, opaque as f64 / samples.len() as f64)
+}
+
+/// None where the photograph is transparent.
+fn light_along(scene: &LitScene, shot: &Shot, at_px: DVec2, moment: Moment) -> Option<DVec3> {
+    let ray = shot.ray(at_px, moment);
+    if !shot.transparent {
+        return Some(scene.along(&ray));
+    }
+    let point = scene.scene.hit(&ray)?;
+    (!scene.scene.is_surroundings(&point)).then(|| scene.towards(&ray, &point))
 }
 
 /// The nearest 8-bit levels of a display-referred colour.

@@ -2,6 +2,7 @@
 
 use glam::{DAffine3, DQuat, DVec3};
 
+use super::DemoOptions;
 use super::geometry::{Cover, Ray, Shape};
 use super::texture::{Texture, srgb};
 
@@ -128,10 +129,15 @@ impl Scene {
         nearest
     }
 
+    /// Whether a point lies on the ground or the sky, not on what was put there to be photographed.
+    pub fn is_surroundings(&self, point: &SurfacePoint) -> bool {
+        matches!(self.objects[point.object].kind, Kind::Ground | Kind::Sky)
+    }
+
     /// The still life; with `glossy`, one of its spheres reflects the others.
-    pub fn still_life(glossy: bool) -> Self {
+    pub fn still_life(options: &DemoOptions) -> Self {
         // Platform and ground first: they end most rays, which spares the search behind them. The sky last.
-        let [platform, ground, sky] = surroundings();
+        let [platform, ground, sky] = surroundings(options);
         let mut objects = vec![platform, ground];
         objects.extend(large_things());
         objects.extend(small_things());
@@ -141,7 +147,7 @@ impl Scene {
             [-0.72, 1.12, 0.42],
             about_z(40.0),
         );
-        objects.push(mirror.of_kind(if glossy { Kind::Glossy } else { Kind::Matte }));
+        objects.push(mirror.of_kind(if options.glossy { Kind::Glossy } else { Kind::Matte }));
         objects.push(sky);
         Self { objects }
     }
@@ -216,10 +222,19 @@ fn small_things() -> Vec<Object> {
     ]
 }
 
-fn surroundings() -> [Object; 3] {
+/// How far the ground reaches, and the sky that stands on its edge, scene units.
+const GROUND_RADIUS: f64 = 8.0;
+
+/// How much further they reach where cameras stand [`DemoOptions::ZOOM_FAR`] times as far away.
+const ZOOM_GROUND: f64 = 5.0;
+
+/// Platform, ground and sky.
+fn surroundings(options: &DemoOptions) -> [Object; 3] {
     let platform = Shape::Cylinder { radius: 1.95, half_height: 0.18 };
-    let ground = Object::new(Shape::Disc { radius: 8.0 }, Texture::Garden, [0.0, 0.0, -0.36], DQuat::IDENTITY);
-    let sky = Object::new(Shape::Dome { radius: 8.0 }, Texture::Sky, [0.0, 0.0, -0.36], DQuat::IDENTITY);
+    let radius = if options.zoom { ZOOM_GROUND * GROUND_RADIUS } else { GROUND_RADIUS };
+    let (dome, air) = if options.far { (DemoOptions::FAR_RADIUS, Texture::Vista) } else { (radius, Texture::Sky) };
+    let ground = Object::new(Shape::Disc { radius }, Texture::Garden, [0.0, 0.0, -0.36], DQuat::IDENTITY);
+    let sky = Object::new(Shape::Dome { radius: dome }, air, [0.0, 0.0, -0.36], DQuat::IDENTITY);
     [
         Object::new(platform, Texture::Wood, [0.0, 0.0, -0.18], DQuat::IDENTITY),
         ground.of_kind(Kind::Ground),

@@ -1,9 +1,11 @@
+mod effects;
+
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
 use std::time::Instant;
 
-use glam::{DVec2, DVec3};
+use glam::DVec2;
 use tempfile::TempDir;
 
 use super::camera::{CENTRE_WORLD, DemoCamera, cameras};
@@ -12,13 +14,13 @@ use super::light::{LitScene, display};
 use super::picture::render;
 use super::points::{sample, sight};
 use super::scene::{Kind, Scene};
+use super::shot::{Shot, shots};
 use super::*;
 
-const SMALL: DemoOptions =
-    DemoOptions { width: 64, height: 48, views: 6, points: 200, glossy: false, exposure: false, seed: 0 };
+const SMALL: DemoOptions = DemoOptions { width: 64, height: 48, views: 6, points: 200, ..DemoOptions::PLAIN };
 
 fn lit(glossy: bool) -> LitScene {
-    LitScene::new(Scene::still_life(glossy))
+    LitScene::new(Scene::still_life(&DemoOptions { glossy, ..SMALL }))
 }
 
 /// Every file below a folder, by its path.
@@ -75,7 +77,7 @@ fn every_camera_is_rigid_and_sees_the_centre() {
             assert!((rotation * rotation.transpose()).abs_diff_eq(glam::DMat3::IDENTITY, 1e-12));
             assert!((rotation.determinant() - 1.0).abs() < 1e-12);
             assert!(camera.cam_from_world.transform_point3(camera.centre_world).length() < 1e-12);
-            let at_px = camera.project(CENTRE_WORLD).expect("the centre is in the picture");
+            let at_px = camera.project(CENTRE_WORLD).expect("the centre is in front of the camera");
             assert!((at_px - DVec2::new(120.0, 90.0)).length() < 25.0, "{at_px}");
             let above_px = camera.project(CENTRE_WORLD + 0.1 * glam::DVec3::Z).unwrap();
             assert!(above_px.y < at_px.y - 2.0 && (above_px.x - at_px.x).abs() < 1.0, "held upright");
@@ -126,7 +128,7 @@ fn grid(camera: &DemoCamera) -> Vec<Ray> {
 fn every_point_is_seen_by_two_cameras() {
     let scene = lit(false);
     let cameras = cameras(&SMALL);
-    let (cloud, tracks) = sample(&scene, &cameras, &SMALL);
+    let (cloud, tracks) = sample(&scene, &shots(&SMALL), &SMALL);
     assert_eq!(cloud.positions.len(), 200);
     assert_eq!(cloud.colours.len(), 200);
     for (point, position) in cloud.positions.iter().enumerate() {
@@ -134,7 +136,7 @@ fn every_point_is_seen_by_two_cameras() {
         let position = glam::Vec3::from(*position).as_dvec3();
         // Stored as f32: the ray that looks for it may pass a surface at a distance that differs by rounding.
         let seen = cameras.iter().filter(|camera| {
-            camera.project(position).is_some_and(|at_px| {
+            camera.project(position).filter(|&at_px| camera.shows(at_px)).is_some_and(|at_px| {
                 let first = scene.scene.hit(&camera.ray_through(at_px)).unwrap().distance;
                 first > camera.centre_world.distance(position) - 1e-3
             })
@@ -152,7 +154,7 @@ fn matte_light_does_not_depend_on_the_view() {
         let point = scene.scene.hit(&ray).unwrap();
         let here = display(scene.along(&ray));
         for other in &cameras[1..] {
-            if let Some(at_px) = sight(&scene, other, point.position_world) {
+            if let Some(at_px) = sight(&scene, &Shot::plain(*other), point.position_world) {
                 let there = display(scene.along(&other.ray_through(at_px)));
                 assert!((here - there).abs().max_element() <= 0.5 / 255.0, "{point:?}: {here} {there}");
                 compared += 1;
@@ -192,7 +194,7 @@ fn gloss_depends_on_the_view() {
             if scene.scene.objects[point.object].kind != Kind::Glossy {
                 continue;
             }
-            if let Some(at_px) = sight(&scene, other, point.position_world) {
+            if let Some(at_px) = sight(&scene, &Shot::plain(*other), point.position_world) {
                 let there = display(scene.along(&other.ray_through(at_px)));
                 largest = largest.max((display(scene.along(&ray)) - there).length());
             }
@@ -203,7 +205,7 @@ fn gloss_depends_on_the_view() {
 
 #[test]
 fn the_picture_is_not_flat_and_not_clipped() {
-    let picture = render(&lit(false), &cameras(&SMALL)[0], DVec3::ONE);
+    let picture = render(&lit(false), &Shot::plain(cameras(&SMALL)[0])).into_rgb8();
     let clipped = picture.pixels().filter(|pixel| pixel.0.contains(&255) || pixel.0 == [0; 3]).count();
     assert!(clipped * 100 <= picture.pixels().len(), "{clipped} pixels");
     let distinct: std::collections::BTreeSet<[u8; 3]> = picture.pixels().map(|pixel| pixel.0.map(|c| c / 16)).collect();

@@ -32,6 +32,8 @@ pub(super) enum Texture {
     Marble { scale: f64, colours: [DVec3; 2] },
     /// The sky with clouds and hills below; a colour of light, not of a surface.
     Sky,
+    /// The same with more to see in it, and fields and woods below the horizon.
+    Vista,
 }
 
 impl Texture {
@@ -61,6 +63,7 @@ impl Texture {
             Texture::Dots { colours } => dots(position.normalize_or_zero(), colours),
             Texture::Marble { scale, colours } => marble(scale * position, colours),
             Texture::Sky => sky(position.normalize_or_zero()),
+            Texture::Vista => vista(position.normalize_or_zero()),
         }
     }
 }
@@ -234,6 +237,15 @@ fn air(direction: DVec3) -> DVec3 {
     clear.lerp(srgb(0xfbf7f0), 0.85 * smoothstep(0.47, 0.68, cloud))
 }
 
+/// No feature is finer than a fortieth of a radian, some 6 px in the default pictures.
+fn vista(direction: DVec3) -> DVec3 {
+    let land = smoothstep(0.02, -0.02, direction.z);
+    let shade = 0.55 + 0.45 * rough(18.0 * direction);
+    let field = mix([srgb(0x8a9a4b), srgb(0xd3b872)], smoothstep(0.4, 0.6, noise(9.0 * direction)));
+    let wood = smoothstep(0.52, 0.62, rough(13.0 * direction + DVec3::splat(5.0)));
+    sky(direction).lerp(field.lerp(srgb(0x2f5a3a), wood), land) * shade
+}
+
 /// 1 below the crest of hills whose mean height is `height` (sine of the elevation), 0 above.
 fn ridge(direction: DVec3, height: f64, seed: f64) -> f64 {
     const SWING: f64 = 0.16;
@@ -248,7 +260,7 @@ fn ridge(direction: DVec3, height: f64, seed: f64) -> f64 {
 mod tests {
     use super::*;
 
-    const ALL: [Texture; 10] = [
+    const ALL: [Texture; 11] = [
         Texture::Wood,
         Texture::Garden,
         Texture::Checks { side: 0.2, colours: [DVec3::ZERO, DVec3::ONE] },
@@ -259,6 +271,7 @@ mod tests {
         Texture::Dots { colours: [DVec3::ZERO, DVec3::ONE] },
         Texture::Marble { scale: 3.0, colours: [DVec3::ZERO, DVec3::ONE] },
         Texture::Sky,
+        Texture::Vista,
     ];
 
     #[test]

@@ -6,9 +6,9 @@ use super::pictures::Glance;
 use super::{Capture, quantile};
 use crate::capture::Photo;
 
-/// How sharp pictures are: the energy of differences between neighbouring pixels by that between pixels two apart. 0.25 for
-/// a smooth picture, 1 for noise, whatever the contrast; what it is for sharp pictures depends on what they show, so it is
-/// compared within a capture.
+/// How sharp pictures are: the energy of differences between neighbouring pixels by that between pixels three apart, in the
+/// least sharp of four directions, as a moving camera blurs along its way alone. A ninth for a smooth picture, 1 for noise,
+/// whatever the contrast; what it is for sharp pictures depends on what they show, so it is compared within a capture.
 #[derive(Clone, Debug, Serialize)]
 pub struct BlurEvidence {
     /// Of the pictures.
@@ -30,17 +30,71 @@ pub(super) fn evidence(capture: &Capture, glances: &[Glance]) -> BlurEvidence {
     }
 }
 
+/// Directions that are compared, as steps of columns and rows.
+const DIRECTIONS: [[isize; 2]; 4] = [[1, 0], [0, 1], [1, 1], [1, -1]];
+
+/// How far apart the pixels are that neighbours are compared with: blur over less leaves differences between them.
+const APART: usize = 3;
+
 /// Of the green channel, which every camera measures best. None where nothing differs.
 pub(super) fn sharpness(photo: &Photo) -> Option<f64> {
     let (width, height) = (photo.intrinsics.width, photo.intrinsics.height);
-    let green = |x: usize, y: usize| i64::from(photo.rgb[3 * (y * width + x) + 1]);
-    let (mut near, mut far) = (0, 0);
-    for y in 0..height.saturating_sub(2) {
-        for x in 0..width.saturating_sub(2) {
-            let here = green(x, y);
-            near += (green(x + 1, y) - here).pow(2) + (green(x, y + 1) - here).pow(2);
-            far += (green(x + 2, y) - here).pow(2) + (green(x, y + 2) - here).pow(2);
+    let along = |[right, down]: [isize; 2]| {
+        let green = |x: usize, y: usize, steps: usize| {
+            let (x, y) = (x.wrapping_add_signed(right * steps as isize), y.wrapping_add_signed(down * steps as isize));
+            i64::from(photo.rgb[3 * (y * width + x) + 1])
+        };
+        let (mut near, mut far) = (0, 0);
+        // As many steps lead up as down.
+        for y in APART..height.saturating_sub(APART) {
+            for x in 0..width.saturating_sub(APART) {
+                let here = green(x, y, 0);
+                near += (green(x, y, 1) - here).pow(2);
+                far += (green(x, y, APART) - here).pow(2);
+            }
+        }
+        (far > 0).then(|| near as f64 / far as f64)
+    };
+    DIRECTIONS.into_iter().filter_map(along).min_by(f64::total_cmp)
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::DAffine3;
+    use splat_op::Intrinsics;
+
+    use super::*;
+
+    /// A grey picture of what `value` says.
+    fn picture(value: impl Fn(usize, usize) -> u8) -> Photo {
+        let (width, height) = (40, 30);
+        let pixels = (0..width * height).flat_map(|i| [value(i % width, i / width); 3]);
+        Photo {
+            name: "drawn".into(),
+            intrinsics: Intrinsics::centred(width, height, 30.0),
+            cam_from_world: DAffine3::IDENTITY,
+            rgb: pixels.collect(),
+            alpha: None,
+            mask: None,
         }
     }
-    (far > 0).then(|| near as f64 / far as f64)
+
+    #[test]
+    fn sharpness_is_that_of_the_least_sharp_direction() {
+        let near = |found: Option<f64>, expected: f64| (found.unwrap() - expected).abs() < 1e-12;
+        let ramp = sharpness(&picture(|x, _| 3 * x as u8));
+        assert!(near(ramp, 1.0 / 9.0), "{ramp:?}");
+        assert_eq!(sharpness(&picture(|_, _| 7)), None, "nothing differs");
+        // Stripes two wide differ from every second neighbour and from every second pixel three on.
+        for stripes in [picture(|x, _| 90 * (x as u8 / 2 % 2)), picture(|_, y| 90 * (y as u8 / 2 % 2))] {
+            let found = sharpness(&stripes).unwrap();
+            assert!((0.9..1.1).contains(&found), "{found}");
+        }
+        // Sharp across, smooth along: by either direction alone one of the two would count as sharp.
+        let smeared = |across: usize, along: usize| 90 * (across as u8 / 2 % 2) + 3 * along as u8;
+        for photo in [picture(smeared), picture(|x, y| smeared(y, x))] {
+            let found = sharpness(&photo);
+            assert!(near(found, 1.0 / 9.0), "{found:?}");
+        }
+    }
 }

@@ -5,10 +5,11 @@ use tempfile::TempDir;
 use super::*;
 use crate::capture::demo::{self, DemoOptions};
 use crate::capture::testing::real_capture;
+use crate::effects::plan::Verdict;
 use crate::effects::{Effect, Plan};
 
 const SMALL: DemoOptions =
-    DemoOptions { width: 128, height: 96, views: 16, points: 3000, glossy: false, exposure: false, seed: 3 };
+    DemoOptions { width: 128, height: 96, views: 16, points: 3000, seed: 3, ..DemoOptions::PLAIN };
 
 fn survey_of(options: &DemoOptions) -> (TempDir, Capture, Survey) {
     let folder = tempfile::tempdir().unwrap();
@@ -161,4 +162,41 @@ fn quantiles_and_deviations() {
     assert_eq!(quantile(&mut [], 0.5), None);
     assert_eq!(deviation(&[1.0, 3.0]), 1.0);
     assert_eq!(deviation(&[]), 0.0);
+}
+
+/// Everything that is on or called for.
+fn called_for(survey: &Survey) -> Vec<&'static str> {
+    let decisions = Plan::from(survey).decisions;
+    let shown = |verdict| matches!(verdict, Verdict::On | Verdict::NotSimulatedYet);
+    decisions.iter().filter(|decision| shown(decision.verdict)).map(|decision| decision.name).collect()
+}
+
+/// A capture for each effect, in which exactly that effect is present.
+#[test]
+fn each_effect_of_the_demo_calls_for_itself_alone() {
+    let wide = DemoOptions { views: 24, ..SMALL };
+    // Six pixels of motion blur are three in a picture half as wide, and no blur to speak of.
+    let large = DemoOptions { width: 240, height: 180, views: 8, ..SMALL };
+    let cases = [
+        (SMALL, ""),
+        (DemoOptions { glossy: true, ..SMALL }, ""),
+        (DemoOptions { exposure: true, ..SMALL }, "exposure"),
+        (DemoOptions { lens: true, ..SMALL }, "lens"),
+        (DemoOptions { fisheye: true, ..SMALL }, "lens"),
+        (DemoOptions { masks: true, ..SMALL }, "masks"),
+        (DemoOptions { alpha: true, ..SMALL }, "alpha"),
+        (DemoOptions { zoom: true, ..wide }, "antialias"),
+        (DemoOptions { poses: true, ..SMALL }, "pose-refinement"),
+        (DemoOptions { far: true, ..wide }, "far-background"),
+        (DemoOptions { motion: true, ..large }, "motion-blur"),
+        // A rolling shutter shows as poses that fit no photograph.
+        (DemoOptions { rolling: true, ..SMALL }, "pose-refinement"),
+        (DemoOptions { defocus: true, ..SMALL }, ""),
+        (DemoOptions { depth: true, ..SMALL }, "depth-supervision"),
+    ];
+    for (options, expected) in cases {
+        let (_folder, _, survey) = survey_of(&options);
+        let expected: Vec<&str> = expected.split_terminator(' ').collect();
+        assert_eq!(called_for(&survey), expected, "{options:?}\n{survey:#?}");
+    }
 }

@@ -22,8 +22,7 @@ use crate::scratch::{Scratch, demo, photographs};
 use crate::tensors::host;
 
 /// The demo capture of all cases.
-const DEMO: DemoOptions =
-    DemoOptions { width: 48, height: 36, views: 4, points: 400, glossy: false, exposure: false, seed: 3 };
+const DEMO: DemoOptions = DemoOptions { width: 48, height: 36, views: 4, points: 400, seed: 3, ..DemoOptions::PLAIN };
 
 /// The direction in which captures are moved: none of it along an axis, none of it round.
 const DIRECTION: [f64; 3] = [0.6123, -0.4871, 0.6228];

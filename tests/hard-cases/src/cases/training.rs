@@ -11,8 +11,7 @@ use splat_model::trainer::{TrainConfig, Trainer};
 use crate::case::{Case, Outcome, Place, Processor};
 use crate::scratch::{Scratch, demo};
 
-const DEMO: DemoOptions =
-    DemoOptions { width: 40, height: 30, views: 6, points: 300, glossy: false, exposure: false, seed: 5 };
+const DEMO: DemoOptions = DemoOptions { width: 40, height: 30, views: 6, points: 300, seed: 5, ..DemoOptions::PLAIN };
 
 /// Steps of a run; on a GPU fewer, because there may be none but a driver in software.
 const STEPS: usize = 500;

@@ -1,0 +1,44 @@
+//! Depth maps without errors.
+
+use glam::DVec2;
+use image::{ImageBuffer, Luma};
+use rayon::prelude::*;
+
+use super::DemoOptions;
+use super::light::LitScene;
+use super::shot::{Moment, Shot};
+
+/// A depth map as it is stored.
+pub(super) type DepthMap = ImageBuffer<Luma<u16>, Vec<u16>>;
+
+/// Depth along the camera's axis at the middle of each pixel and of its exposure, in levels of [`DemoOptions::DEPTH_SCALE`];
+/// zero where the photograph is transparent and beyond what 16 bits hold.
+pub(super) fn render(scene: &LitScene, shot: &Shot) -> DepthMap {
+    let (width, height) = (shot.camera.intrinsics.width, shot.camera.intrinsics.height);
+    let mut levels = vec![0; width * height];
+    levels.par_chunks_exact_mut(width).enumerate().for_each(|(y, row)| {
+        for (x, level) in row.iter_mut().enumerate() {
+            *level = level_of(depth(scene, shot, DVec2::new(x as f64, y as f64) + 0.5));
+        }
+    });
+    ImageBuffer::from_raw(width as u32, height as u32, levels).expect("a level for each pixel")
+}
+
+/// Scene units along the axis; none where there is nothing to see.
+pub(super) fn depth(scene: &LitScene, shot: &Shot, at_px: DVec2) -> Option<f64> {
+    let point = scene.scene.hit(&shot.ray(at_px, Moment::default()))?;
+    let hidden = shot.transparent && scene.scene.is_surroundings(&point);
+    let camera = shot.camera_at(at_px.y, Moment::default());
+    (!hidden).then(|| camera.cam_from_world.transform_point3(point.position_world).z)
+}
+
+fn level_of(depth: Option<f64>) -> u16 {
+    let level = depth.map_or(0.0, |depth| (depth / DemoOptions::DEPTH_SCALE).round());
+    // A whole number within range.
+    if level > 0.0 && level <= f64::from(u16::MAX) { level as u16 } else { 0 }
+}
+
+/// The text of `depth/depth.json`.
+pub(super) fn json() -> String {
+    format!("{{\"scale\": {:?}}}\n", DemoOptions::DEPTH_SCALE)
+}

@@ -1,0 +1,204 @@
+//! How one photograph is taken: where the camera is at each moment, through which lens, and what comes in the way.
+
+use std::f64::consts::TAU;
+
+use glam::{DMat3, DQuat, DVec2, DVec3};
+use rand::{Rng, RngExt};
+
+use super::DemoOptions;
+use super::camera::{DemoCamera, cameras};
+use super::geometry::Ray;
+use super::options::Stream;
+
+/// One of how many of the photographs that are not held out is blurred by motion.
+const BLURRED_EVERY: usize = 5;
+
+/// A steady motion of the camera, in the camera's own frame, over the whole of an exposure or of a readout.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct Motion {
+    /// Scene units.
+    pub linear_cam: DVec3,
+    /// Rotation vector, radians.
+    pub angular_cam: DVec3,
+}
+
+impl Motion {
+    /// A motion by which things at `distance` move by `share` of the width of the picture, in a random direction.
+    fn random(random: &mut impl Rng, camera: &DemoCamera, share: f64) -> Self {
+        let angle = TAU * random.random::<f64>();
+        let direction_cam = DVec3::new(angle.cos(), angle.sin(), 0.0);
+        let slope = share * camera.intrinsics.width as f64 / camera.intrinsics.fx;
+        // A camera that moves to a side and one that turns to it both see things move to the other.
+        Self {
+            linear_cam: 0.5 * slope * camera.subject_distance * direction_cam,
+            angular_cam: 0.5 * slope * DVec3::Z.cross(direction_cam),
+        }
+    }
+
+    fn is_none(&self) -> bool {
+        *self == Self::default()
+    }
+
+    fn times(self, share: f64) -> Self {
+        Self { linear_cam: share * self.linear_cam, angular_cam: share * self.angular_cam }
+    }
+
+    fn plus(self, other: Self) -> Self {
+        Self { linear_cam: self.linear_cam + other.linear_cam, angular_cam: self.angular_cam + other.angular_cam }
+    }
+}
+
+/// A thin lens's aperture.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Aperture {
+    /// Scene units.
+    pub radius: f64,
+    /// Depth of the plane that is sharp, scene units along the axis.
+    pub focus_depth: f64,
+}
+
+/// Something bright right before the lens, which is no part of the scene.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Disc {
+    pub middle_px: DVec2,
+    pub radius_px: f64,
+    /// Linear light.
+    pub light: DVec3,
+}
+
+/// A ray's place within an exposure.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct Moment {
+    /// −½ to ½, from the beginning of the exposure to its end.
+    pub time: f64,
+    /// Where it passes through the aperture, within the unit disc.
+    pub lens: DVec2,
+}
+
+/// One photograph.
+#[derive(Clone, Debug)]
+pub(super) struct Shot {
+    /// At the middle of the exposure, and of the readout.
+    pub camera: DemoCamera,
+    /// What light is multiplied by, per channel.
+    pub gain: DVec3,
+    /// During the exposure.
+    pub motion: Motion,
+    /// From the first row's exposure to the last's.
+    pub readout: Motion,
+    pub aperture: Option<Aperture>,
+    pub discs: Vec<Disc>,
+    /// Whether ground and sky are.
+    pub transparent: bool,
+}
+
+impl Shot {
+    /// A sharp photograph of everything.
+    pub fn plain(camera: DemoCamera) -> Self {
+        let (gain, motion, readout) = (DVec3::ONE, Motion::default(), Motion::default());
+        Self { camera, gain, motion, readout, aperture: None, discs: Vec::new(), transparent: false }
+    }
+
+    /// Whether a pixel needs rays from many moments of the exposure.
+    pub fn is_blurred(&self) -> bool {
+        self.aperture.is_some() || !self.motion.is_none()
+    }
+
+    /// The camera when a row of the picture, by its position in px, is exposed.
+    pub fn camera_at(&self, row_px: f64, moment: Moment) -> DemoCamera {
+        let read_out = row_px / self.camera.intrinsics.height as f64 - 0.5;
+        let Motion { linear_cam, angular_cam } = self.motion.times(moment.time).plus(self.readout.times(read_out));
+        let turned = DMat3::from_quat(DQuat::from_scaled_axis(angular_cam));
+        self.camera.moved(self.camera.centre_world + self.camera.world_from_cam() * linear_cam, turned)
+    }
+
+    /// A ray that ends at a position of the picture, px; world frame.
+    pub fn ray(&self, at_px: DVec2, moment: Moment) -> Ray {
+        let moved;
+        let camera = if self.motion.is_none() && self.readout.is_none() {
+            &self.camera
+        } else {
+            moved = self.camera_at(at_px.y, moment);
+            &moved
+        };
+        let Some(Aperture { radius, focus_depth }) = self.aperture else { return camera.ray_through(at_px) };
+        // All rays of a point of the plane in focus meet there.
+        let direction_cam = camera.direction_cam(at_px);
+        let sharp_cam = direction_cam * (focus_depth / direction_cam.z);
+        let from_cam = (radius * moment.lens).extend(0.0);
+        let world_from_cam = camera.world_from_cam();
+        Ray {
+            origin: camera.centre_world + world_from_cam * from_cam,
+            direction: (world_from_cam * (sharp_cam - from_cam)).normalize(),
+        }
+    }
+
+    /// Where the sharp middle of a point's image is, px, and the camera then, if it is within the picture.
+    pub fn project(&self, point_world: DVec3) -> Option<(DVec2, DemoCamera)> {
+        let mut camera = self.camera;
+        let mut at_px = camera.project(point_world)?;
+        if !self.readout.is_none() {
+            // The row that shows the point says when it is exposed, and that where it shows: a twentieth of the width from the
+            // first row to the last, so that each round leaves less than a tenth of the error.
+            for _ in 0..16 {
+                camera = self.camera_at(at_px.y, Moment::default());
+                at_px = camera.project(point_world)?;
+            }
+        }
+        camera.shows(at_px).then_some((at_px, camera))
+    }
+
+    /// What hides a position of the picture from the scene.
+    pub fn disc_at(&self, at_px: DVec2) -> Option<&Disc> {
+        self.discs.iter().find(|disc| disc.middle_px.distance(at_px) <= disc.radius_px)
+    }
+}
+
+/// The photographs of a capture.
+pub(super) fn shots(options: &DemoOptions) -> Vec<Shot> {
+    let [mut discs, mut motions, mut readouts] =
+        [Stream::Discs, Stream::Motion, Stream::Rolling].map(|stream| options.random(stream));
+    let taken = cameras(options).into_iter().zip(gains(options)).enumerate();
+    let shots = taken.map(|(view, (camera, gain))| {
+        let mut shot = Shot { gain, transparent: options.alpha, ..Shot::plain(camera) };
+        if options.rolling {
+            shot.readout = Motion::random(&mut readouts, &camera, DemoOptions::ROLLING_SHARE);
+        }
+        if DemoOptions::held_out(view) {
+            return shot;
+        }
+        if options.masks {
+            shot.discs = (0..DemoOptions::MASKED_PLACES).map(|_| disc(&mut discs, options)).collect();
+        }
+        // The second of each five, so that a capture of three views has one.
+        let number = view - view / DemoOptions::HELD_OUT_EVERY - 1;
+        if options.motion && number % BLURRED_EVERY == 1 {
+            shot.motion = Motion::random(&mut motions, &camera, DemoOptions::MOTION_SHARE);
+        }
+        shot.aperture = options.defocus.then(|| Aperture {
+            radius: DemoOptions::APERTURE_RADIUS,
+            focus_depth: DemoOptions::FOCUS_SHARE * camera.subject_distance,
+        });
+        shot
+    });
+    shots.collect()
+}
+
+/// What each photograph multiplies its light by, per channel: one, unless exposures differ.
+pub(crate) fn gains(options: &DemoOptions) -> Vec<DVec3> {
+    let mut random = options.random(Stream::Exposures);
+    let mut gain = || (DemoOptions::EXPOSURE_STOPS * (2.0 * random.random::<f64>() - 1.0)).exp2();
+    let mut of_view = || if options.exposure { DVec3::new(gain(), gain(), gain()) } else { DVec3::ONE };
+    (0..options.views).map(|_| of_view()).collect()
+}
+
+fn disc(random: &mut impl Rng, options: &DemoOptions) -> Disc {
+    let size_px = DVec2::new(options.width as f64, options.height as f64);
+    let middle_px = size_px * DVec2::new(random.random(), random.random());
+    let [least, largest] = DemoOptions::MASKED_SIZE;
+    let radius_px = 0.5 * size_px.x * (least + (largest - least) * random.random::<f64>());
+    // One channel bright, one dark: no colour of the scene is as strong.
+    let mut light = [3.5, 3.5 * random.random::<f64>(), 0.02];
+    light.rotate_left(random.random_range(0..3));
+    Disc { middle_px, radius_px, light: DVec3::from(light) }
+}

@@ -1,0 +1,408 @@
+//! That each switch puts into the capture what its documentation says, and nothing else. What the survey makes of them is
+//! tested beside it.
+
+use glam::DVec3;
+
+use super::super::depth;
+use super::super::picture::mask;
+use super::super::pose;
+use super::super::shot::{Aperture, Moment};
+use super::*;
+use crate::capture::Capture;
+use crate::optim::scene_extent;
+
+/// Each switch alone.
+pub(super) fn switches(base: DemoOptions) -> Vec<(&'static str, DemoOptions)> {
+    vec![
+        ("glossy", DemoOptions { glossy: true, ..base }),
+        ("exposure", DemoOptions { exposure: true, ..base }),
+        ("lens", DemoOptions { lens: true, ..base }),
+        ("fisheye", DemoOptions { fisheye: true, ..base }),
+        ("masks", DemoOptions { masks: true, ..base }),
+        ("alpha", DemoOptions { alpha: true, ..base }),
+        ("zoom", DemoOptions { zoom: true, ..base }),
+        ("poses", DemoOptions { poses: true, ..base }),
+        ("far", DemoOptions { far: true, ..base }),
+        ("motion", DemoOptions { motion: true, ..base }),
+        ("rolling", DemoOptions { rolling: true, ..base }),
+        ("defocus", DemoOptions { defocus: true, ..base }),
+        ("depth", DemoOptions { depth: true, ..base }),
+    ]
+}
+
+/// Those that may be combined.
+const ALL: DemoOptions = DemoOptions {
+    glossy: true,
+    exposure: true,
+    lens: true,
+    masks: true,
+    alpha: true,
+    zoom: true,
+    poses: true,
+    motion: true,
+    rolling: true,
+    defocus: true,
+    depth: true,
+    ..TINY
+};
+
+const TINY: DemoOptions = DemoOptions { width: 32, height: 24, views: 10, points: 60, ..DemoOptions::PLAIN };
+
+/// The size that figures in pixels are given for, and one view to train on.
+const FULL: DemoOptions = DemoOptions { views: 3, points: 0, ..DemoOptions::PLAIN };
+
+fn scene(options: &DemoOptions) -> LitScene {
+    LitScene::new(Scene::still_life(options))
+}
+
+/// FNV-1a (Fowler, Noll, Vo) of the pixels and the model that this program wrote when there were two switches. The last bit of
+/// a sine may differ between systems, and a level or a coordinate with it.
+#[test]
+#[cfg(all(target_os = "linux", target_arch = "x86_64"))]
+fn the_plain_demo_is_what_it_always_was() {
+    let folder = TempDir::new().unwrap();
+    write(folder.path(), &DemoOptions { width: 64, height: 48, views: 6, ..DemoOptions::PLAIN }).unwrap();
+    let mut digest = 0xcbf2_9ce4_8422_2325_u64;
+    let mut add =
+        |bytes: &[u8]| bytes.iter().for_each(|&b| digest = (digest ^ u64::from(b)).wrapping_mul(0x0100_0000_01b3));
+    for view in 0..6 {
+        add(image::open(folder.path().join(format!("images/{view:04}.png"))).unwrap().into_rgb8().as_raw());
+    }
+    for name in ["cameras", "images", "points3D"] {
+        add(&fs::read(folder.path().join(format!("sparse/0/{name}.bin"))).unwrap());
+    }
+    assert_eq!(format!("{digest:#x}"), "0xaf1129113bcd1803");
+}
+
+#[test]
+fn each_switch_changes_the_capture_and_can_be_repeated() {
+    let plain = written(&TINY);
+    let one_thread = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
+    for (name, options) in switches(TINY).into_iter().chain([("all", ALL)]) {
+        let once = written(&options);
+        assert!(once != plain, "{name} does nothing");
+        assert!(one_thread.install(|| written(&options)) == once, "{name} is not repeatable");
+        let beside = once.keys().filter(|file| !file.starts_with("sparse/")).map(String::as_str);
+        let mut expected: Vec<_> =
+            super::super::files(&options).iter().map(|file| file.to_str().unwrap().to_string()).collect();
+        expected.sort();
+        assert!(beside.eq(expected.iter().map(String::as_str)), "{name} writes other files than it says");
+        let parts = |file: &String| PARTS.contains(&file.split('/').next().unwrap());
+        assert!(once.keys().all(parts), "{name}");
+    }
+}
+
+#[test]
+fn what_excludes_each_other_is_refused() {
+    let lenses = DemoOptions { lens: true, fisheye: true, ..TINY };
+    for (options, names) in
+        [(lenses, ["lens", "fisheye"]), (DemoOptions { far: true, alpha: true, ..TINY }, ["far", "alpha"])]
+    {
+        let message = write(Path::new("/nonexistent"), &options).unwrap_err().to_string();
+        assert!(names.iter().all(|name| message.contains(name)) && message.contains("leave one"), "{message}");
+    }
+}
+
+#[test]
+fn lenses_bend_as_far_as_they_say() {
+    let lens = cameras(&DemoOptions { lens: true, ..FULL })[0].intrinsics;
+    let moved = [(0.0, 0.0), (0.0, 180.0), (240.0, 0.0), (240.0, 180.0)].map(|(x, y)| {
+        let slopes = lens.cam_from_px(DVec2::new(x, y)).truncate();
+        DVec2::new(lens.fx * slopes.x + lens.cx, lens.fy * slopes.y + lens.cy).distance(DVec2::new(x, y)) / 240.0
+    });
+    let most = moved.into_iter().fold(0.0, f64::max);
+    assert!((most / DemoOptions::LENS_SHARE - 1.0).abs() < 0.1, "{moved:?}");
+    assert!(lens.distortion[..4].iter().all(|coefficient| *coefficient != 0.0), "no part of the model is idle");
+    // A picture of any shape has a lens that reaches its corners.
+    for (width, height) in [(16, 4096), (4096, 16)] {
+        let lens = cameras(&DemoOptions { lens: true, width, height, ..FULL })[0].intrinsics;
+        assert!(lens.px_from_cam(lens.cam_from_px(DVec2::ZERO)).unwrap().length() < 1e-6);
+    }
+    let fisheye = cameras(&DemoOptions { fisheye: true, ..FULL })[0].intrinsics;
+    let angle = fisheye.cam_from_px(DVec2::new(0.0, 90.0)).angle_between(DVec3::Z).to_degrees();
+    assert!((2.0 * angle - DemoOptions::FISHEYE_FOV_DEG).abs() < 1e-6, "{angle}");
+}
+
+/// Through each lens, and while rows are read, a photograph shows a point in its own colour where its track says.
+#[test]
+fn tracks_lead_to_what_the_pictures_show() {
+    let base = DemoOptions { width: 64, height: 48, views: 6, points: 200, ..DemoOptions::PLAIN };
+    let lens = DemoOptions { lens: true, ..base };
+    let fisheye = DemoOptions { fisheye: true, ..base };
+    let rolling = DemoOptions { rolling: true, ..base };
+    for options in [base, lens, fisheye, rolling, DemoOptions { rolling: true, ..lens }] {
+        let scene = scene(&options);
+        let shots = shots(&options);
+        let (cloud, tracks) = sample(&scene, &shots, &options);
+        let mut seen = 0;
+        for (point, colour) in cloud.colours.iter().enumerate() {
+            for sight in tracks.of(point) {
+                let ray = shots[sight.view].ray(glam::Vec2::from(sight.at_px).as_dvec2(), Moment::default());
+                let shown = super::super::picture::to_bytes(display(scene.along(&ray)));
+                let apart = (0..3).map(|i| shown[i].abs_diff(colour[i])).max().unwrap();
+                // Rounded to f32, a position beside an edge may lie on it.
+                seen += usize::from(apart <= 2);
+            }
+        }
+        let sights: usize = (0..cloud.positions.len()).map(|point| tracks.of(point).len()).sum();
+        assert!(sights > 400 && seen * 100 >= sights * 99, "{seen} of {sights}: {options:?}");
+    }
+}
+
+#[test]
+fn masks_exclude_what_covers_the_scene_and_little_more() {
+    let options = DemoOptions { masks: true, views: 10, ..FULL };
+    let scene = scene(&options);
+    for (view, shot) in shots(&options).iter().enumerate() {
+        assert_eq!(shot.discs.len(), if DemoOptions::held_out(view) { 0 } else { DemoOptions::MASKED_PLACES });
+        for disc in &shot.discs {
+            let share = 2.0 * disc.radius_px / 240.0;
+            assert!(DemoOptions::MASKED_SIZE[0] <= share && share <= DemoOptions::MASKED_SIZE[1], "{share}");
+        }
+        if !(1..=3).contains(&view) {
+            continue;
+        }
+        let (covered, clear) =
+            (render(&scene, shot).into_rgb8(), render(&scene, &Shot::plain(shot.camera)).into_rgb8());
+        let mask = mask(shot);
+        let (mut excluded, mut changed, mut strong) = (0, 0, 0);
+        for ((mask, covered), clear) in mask.pixels().zip(covered.pixels()).zip(clear.pixels()) {
+            assert!(mask.0[0] == 0 || covered == clear, "what counts shows the scene");
+            let difference = (0..3).map(|i| covered[i].abs_diff(clear[i])).max().unwrap();
+            excluded += usize::from(mask.0[0] == 0);
+            changed += usize::from(difference > 0);
+            strong += usize::from(difference > 50);
+        }
+        let margin: f64 = shot.discs.iter().map(|disc| std::f64::consts::TAU * disc.radius_px * 3.0).sum();
+        assert!(strong * 10 > changed * 8 && strong > 100, "{strong} of {changed} pixels differ strongly");
+        assert!(excluded >= changed && ((excluded - changed) as f64) < margin, "{excluded} {changed}");
+    }
+}
+
+/// Against rays that are counted here: nine of each pixel.
+#[test]
+fn alpha_and_colour_come_from_the_same_rays() {
+    let options = DemoOptions { alpha: true, ..SMALL };
+    let scene = scene(&options);
+    let shot = &shots(&options)[1];
+    let picture = render(&scene, shot).into_rgba8();
+    let mut partial = 0;
+    for (x, y, pixel) in picture.enumerate_pixels() {
+        let (mut sum, mut count) = (DVec3::ZERO, 0);
+        for i in 0..9 {
+            let at_px =
+                DVec2::new(f64::from(x), f64::from(y)) + (DVec2::new(f64::from(i % 3), f64::from(i / 3)) + 0.5) / 3.0;
+            let ray = shot.camera.ray_through(at_px);
+            let kind = scene.scene.objects[scene.scene.hit(&ray).unwrap().object].kind;
+            if !matches!(kind, Kind::Ground | Kind::Sky) {
+                sum += scene.along(&ray);
+                count += 1;
+            }
+        }
+        partial += usize::from((1..9).contains(&count));
+        assert_eq!(pixel.0[3], (255.0 * f64::from(count) / 9.0).round() as u8);
+        if count > 0 {
+            let colour = 255.0 * display(sum / f64::from(count));
+            let found = DVec3::new(pixel.0[0].into(), pixel.0[1].into(), pixel.0[2].into());
+            assert!((colour - found).abs().max_element() < 0.51, "{found} instead of {colour}");
+        }
+    }
+    let clear = picture.pixels().filter(|pixel| pixel.0[3] == 0).count();
+    assert!(partial > 50 && clear > 500, "{partial} {clear}");
+    let (cloud, _) = sample(&scene, &shots(&options), &options);
+    assert!(cloud.positions.len() == 200 && cloud.positions.iter().all(|p| p[0].hypot(p[1]) < 1.96 && p[2] > -0.361));
+}
+
+#[test]
+fn zoomed_cameras_stand_free_at_three_distances() {
+    let options = DemoOptions { zoom: true, ..DemoOptions::PLAIN };
+    let scene = scene(&options);
+    let (plain, zoomed) = (cameras(&DemoOptions::PLAIN), cameras(&options));
+    let mut kinds = Vec::new();
+    for (usual, camera) in plain.iter().zip(&zoomed) {
+        let subject =
+            camera.centre_world + camera.subject_distance * camera.ray_through(DVec2::new(120.0, 90.0)).direction;
+        let times = camera.subject_distance / usual.centre_world.distance(subject);
+        let apart = |expected: f64| (times / expected - 1.0).abs() < 1e-9;
+        kinds.push(match () {
+            () if apart(DemoOptions::ZOOM_NEAR) => 1,
+            () if apart(DemoOptions::ZOOM_FAR) => 2,
+            () => 0,
+        });
+        // Nothing right before the lens, and no camera inside a thing: from there one would see its far side turned away.
+        for ray in grid(camera).iter().step_by(7) {
+            let point = scene.scene.hit(ray).unwrap();
+            assert!(point.distance > 0.2 && point.normal_world.dot(ray.direction) < 1e-6, "{point:?}");
+        }
+    }
+    for kind in 0..3 {
+        assert_eq!(kinds.iter().filter(|&&found| found == kind).count(), 16, "{kinds:?}");
+    }
+    let held_out: Vec<_> = kinds.into_iter().step_by(DemoOptions::HELD_OUT_EVERY).collect();
+    assert_eq!(held_out, [0, 2, 1, 1, 0, 2]);
+}
+
+#[test]
+fn poses_are_wrong_by_what_is_stated_and_only_where_training_looks() {
+    let options = DemoOptions { poses: true, ..TINY };
+    let shots = shots(&options);
+    let extent = scene_extent(&shots.iter().map(|shot| shot.camera.centre_world).collect::<Vec<_>>());
+    for (view, (shot, pose)) in shots.iter().zip(pose::written(&shots, &options)).enumerate() {
+        let turn = shot.camera.cam_from_world.matrix3 * pose.matrix3.transpose();
+        let angle = (0.5 * (turn.x_axis.x + turn.y_axis.y + turn.z_axis.z - 1.0)).min(1.0).acos().to_degrees();
+        let moved = pose.inverse().translation.distance(shot.camera.centre_world) / extent;
+        if DemoOptions::held_out(view) {
+            assert_eq!(pose, shot.camera.cam_from_world);
+        } else {
+            assert!((angle - 1.0).abs() < 1e-6 && (moved - 0.01).abs() < 1e-9, "{angle} {moved}");
+        }
+    }
+    let (plain, wrong) = (written(&TINY), written(&options));
+    for (name, bytes) in &wrong {
+        let same = !name.contains("sparse/0/images.bin") && name != "truth.json";
+        assert!(!same || plain[name] == *bytes, "{name}");
+    }
+}
+
+/// Against the average of sixteen sharp photographs on the way.
+#[test]
+fn motion_is_an_average_along_a_straight_way() {
+    let options = DemoOptions { motion: true, ..FULL };
+    let scene = scene(&options);
+    let shots = shots(&DemoOptions { views: 48, ..options });
+    let blurred: Vec<usize> = (0..48).filter(|&view| shots[view].is_blurred()).collect();
+    assert_eq!(blurred, [2, 7, 13, 19, 25, 30, 36, 42, 47], "a fifth of 42, rounded up");
+    let shot = &shots[2];
+    // Over the exposure, what the camera looks at moves by 6 px.
+    let subject = shot.camera.ray_through(DVec2::new(120.0, 90.0)).at(shot.camera.subject_distance);
+    let at = |time: f64| shot.camera_at(0.0, Moment { time, ..Moment::default() });
+    let [start, end] = [at(-0.5), at(0.5)].map(|camera| camera.project(subject).unwrap());
+    assert!((start.distance(end) - 6.0).abs() < 0.1, "{start} {end}");
+    assert!((0.5 * (start + end)).distance(DVec2::new(120.0, 90.0)) < 0.1, "the pose is the middle one");
+    let direct = (shot.camera.centre_world - at(-0.5).centre_world) - (at(0.5).centre_world - shot.camera.centre_world);
+    assert!(direct.length() < 1e-12, "straight and steady");
+    let sharp: Vec<Shot> = (0..16).map(|i| Shot::plain(at((f64::from(i) + 0.5) / 16.0 - 0.5))).collect();
+    let picture = render(&scene, shot).into_rgb8();
+    let still = render(&scene, &Shot::plain(shot.camera)).into_rgb8();
+    let (mut error, mut blur, mut count) = (0.0, 0.0, 0);
+    for (x, y) in (8..170).step_by(9).flat_map(|y| (5..235).step_by(9).map(move |x| (x, y))) {
+        let light: DVec3 = sharp.iter().map(|shot| nine(&scene, shot, DVec2::new(x.into(), y.into()))).sum();
+        let expected = 255.0 * display(light / (9.0 * sharp.len() as f64)).y;
+        error += (expected - f64::from(picture.get_pixel(x, y)[1])).abs();
+        blur += (expected - f64::from(still.get_pixel(x, y)[1])).abs();
+        count += 1;
+    }
+    let [error, blur] = [error, blur].map(|sum| sum / f64::from(count));
+    assert!(error < 1.0 && blur > 5.0 * error, "off by {error} levels, {blur} without motion");
+}
+
+/// The sum of the light of nine rays of a sharp pixel.
+fn nine(scene: &LitScene, shot: &Shot, corner_px: DVec2) -> DVec3 {
+    let place = |i: u32| (DVec2::new(f64::from(i % 3), f64::from(i / 3)) + 0.5) / 3.0;
+    (0..9).map(|i| scene.along(&shot.camera.ray_through(corner_px + place(i)))).sum()
+}
+
+/// Each row is that of a still camera which stands where the moving one is then.
+#[test]
+fn rows_are_read_one_after_the_other() {
+    let options = DemoOptions { rolling: true, ..FULL };
+    let scene = scene(&options);
+    let shot = &shots(&options)[0];
+    let subject = shot.camera.ray_through(DVec2::new(120.0, 90.0)).at(shot.camera.subject_distance);
+    let [first, last] = [0.0, 180.0].map(|row| shot.camera_at(row, Moment::default()));
+    let [first_px, last_px] = [first, last].map(|camera| camera.project(subject).unwrap());
+    assert!((first_px.distance(last_px) - 12.0).abs() < 0.2, "{first_px} {last_px}");
+    let middle = shot.camera_at(90.0, Moment::default());
+    assert!(middle.cam_from_world.abs_diff_eq(shot.camera.cam_from_world, 1e-12));
+    let picture = render(&scene, shot).into_rgb8();
+    let (mut error, mut moved) = (0.0, 0.0);
+    let rows = [3, 20, 70, 120, 150, 177];
+    for y in rows {
+        let still = Shot::plain(shot.camera_at(f64::from(y) + 0.5, Moment::default()));
+        for x in (0..240).step_by(4) {
+            let expected = |shot: &Shot| 255.0 * display(nine(&scene, shot, DVec2::new(x.into(), y.into())) / 9.0).y;
+            let found = f64::from(picture.get_pixel(x, y)[1]);
+            error += (expected(&still) - found).abs() / 360.0;
+            moved += (expected(&Shot::plain(shot.camera)) - found).abs() / 360.0;
+        }
+    }
+    assert!(error < 0.7 && moved > 5.0 * error, "off by {error} levels, {moved} without motion");
+}
+
+#[test]
+fn the_aperture_blurs_what_is_near_and_what_is_far() {
+    let options = DemoOptions { defocus: true, views: 9, ..FULL };
+    for (view, shot) in shots(&options).iter().enumerate() {
+        let Some(Aperture { radius, focus_depth }) = shot.aperture else {
+            assert!(DemoOptions::held_out(view));
+            continue;
+        };
+        let through = |lens: DVec2, at_px: DVec2, depth: f64| {
+            let ray = shot.ray(at_px, Moment { lens, ..Moment::default() });
+            let cam = shot.camera.cam_from_world;
+            let (origin, direction) = (cam.transform_point3(ray.origin), cam.transform_vector3(ray.direction));
+            origin + direction * ((depth - origin.z) / direction.z)
+        };
+        let (a, b, at_px) = (DVec2::X, DVec2::NEG_X, DVec2::new(70.0, 33.0));
+        assert!(through(a, at_px, focus_depth).distance(through(b, at_px, focus_depth)) < 1e-9, "sharp in focus");
+        // Both sides of the platform, along the axis.
+        let axis = shot.camera.world_from_cam() * DVec3::Z;
+        let across = 1.95 * axis.truncate().length();
+        let middle = shot.camera.cam_from_world.transform_point3(DVec3::ZERO).z;
+        let circle_px = [middle - across, middle + across].map(|depth| {
+            let spread = through(a, at_px, depth).distance(through(b, at_px, depth));
+            let circle_px = spread * shot.camera.intrinsics.fx / depth;
+            let thin_lens = 2.0 * radius * shot.camera.intrinsics.fx * (1.0 / depth - 1.0 / focus_depth).abs();
+            assert!((circle_px / thin_lens - 1.0).abs() < 1e-9, "{circle_px} {thin_lens}");
+            circle_px
+        });
+        let [near, far] = circle_px;
+        assert!((2.0..6.0).contains(&far) && near < 6.0, "{circle_px:?} px in view {view}");
+        // Every third camera stands low.
+        assert!(view % 3 != 0 || near > 1.5, "{circle_px:?} px in view {view}");
+    }
+}
+
+#[test]
+fn depth_maps_hold_depth_along_the_axis() {
+    for (options, unknown) in [
+        (DemoOptions { depth: true, ..SMALL }, false),
+        (DemoOptions { depth: true, lens: true, ..SMALL }, false),
+        (DemoOptions { depth: true, alpha: true, ..SMALL }, true),
+        (DemoOptions { depth: true, far: true, ..SMALL }, true),
+    ] {
+        let scene = scene(&options);
+        let shot = &shots(&options)[2];
+        let axis = shot.camera.world_from_cam() * DVec3::Z;
+        let mut zeros = 0;
+        for (x, y, level) in depth::render(&scene, shot).enumerate_pixels() {
+            let ray = shot.camera.ray_through(DVec2::new(f64::from(x), f64::from(y)) + 0.5);
+            let point = scene.scene.hit(&ray).unwrap();
+            if unknown && scene.scene.objects[point.object].kind == Kind::Sky {
+                assert_eq!(level.0[0], 0);
+            }
+            zeros += usize::from(level.0[0] == 0);
+            let found = f64::from(level.0[0]) * DemoOptions::DEPTH_SCALE;
+            let expected = point.distance * ray.direction.dot(axis);
+            assert!(
+                level.0[0] == 0 || (found - expected).abs() < 0.500001 * DemoOptions::DEPTH_SCALE,
+                "{found} {expected}"
+            );
+        }
+        assert_eq!(zeros > 0, unknown, "{options:?}");
+    }
+}
+
+/// The capture with everything in it is one that can be loaded, and so is every other.
+#[test]
+fn captures_of_every_switch_are_read() {
+    for (name, options) in switches(TINY).into_iter().chain([("all", ALL)]) {
+        let folder = TempDir::new().unwrap();
+        write(folder.path(), &options).unwrap();
+        let capture = Capture::load(folder.path()).unwrap();
+        assert_eq!((capture.views.len(), capture.points.positions.len()), (10, 60), "{name}");
+        for view in &capture.views {
+            crate::capture::image::load(view, None).unwrap();
+        }
+    }
+}
