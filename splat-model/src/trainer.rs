@@ -23,6 +23,7 @@ use crate::effects::depth::{DepthSample, Depths};
 use crate::effects::exposure::Exposure;
 use crate::effects::grid::Grids;
 use crate::effects::pose::Poses;
+use crate::effects::pose::anchors::Anchors;
 use crate::effects::smoothing::Smoothing;
 use crate::effects::{Applied, EffectGradients, Moment, masks};
 use crate::gaussians::{GaussianRows, Gaussians};
@@ -187,6 +188,16 @@ impl Trainer {
         self
     }
 
+    /// The same run, with the directions in which each photograph saw the sparse points, in the order of the photographs: where
+    /// poses are refined, these are where it begins and what holds them.
+    pub fn with_anchors(mut self, anchors: &[Anchors]) -> Self {
+        let given: Vec<DAffine3> = (0..self.views.len()).map(|view| *self.views.camera_of(view).1).collect();
+        if let Some(poses) = &mut self.effects.poses {
+            poses.anchor(anchors, &given, &self.device);
+        }
+        self
+    }
+
     /// The scene's parameters as they are now. After a step that went wrong it is still the one before that step.
     pub fn gaussians(&self) -> &Gaussians {
         &self.scene.gaussians
@@ -281,7 +292,7 @@ impl Trainer {
         let options = self.options.with_depth(self.effects.needs_depth(view));
         let (camera, truth) = self.views.prepare(view, drawn);
         let size = (camera.intrinsics.width, camera.intrinsics.height);
-        let camera = self.effects.camera(camera, view);
+        let (camera, of_pose) = self.effects.camera(camera, view);
         let picture = if self.checks {
             render_checked(&splats, &camera, &extras, &options).map_err(|stopped| self.stopped(view, stopped))?
         } else {
@@ -295,7 +306,7 @@ impl Trainer {
         let seen = Seen { image, alpha, truth: &truth, splats: &splats, step, view: self.views.name(view) };
         let mut loss = self.loss.loss(&seen);
         drop(seen);
-        for penalty in self.effects.penalty(view).into_iter().chain(of_depth) {
+        for penalty in self.effects.penalty(view).into_iter().chain(of_depth).chain(of_pose) {
             loss = loss + penalty;
         }
         if self.config.opacity_weight > 0.0 {

@@ -12,7 +12,7 @@ use splat_model::effects::depth::{self, DepthConfig};
 use splat_model::effects::exposure::ExposureConfig;
 use splat_model::effects::grid::GridConfig;
 use splat_model::effects::plan::Cost;
-use splat_model::effects::pose::PoseConfig;
+use splat_model::effects::pose::{PoseConfig, anchors};
 use splat_model::effects::{Effect, Plan, Survey};
 use splat_model::trainer::{TrainConfig, TrainError, Trainer};
 
@@ -164,6 +164,10 @@ impl Chosen {
 
     /// What the run needs to know beside its photographs.
     pub fn supply(&self, trainer: Trainer, capture: &Capture, views: &[usize]) -> Trainer {
+        let trainer = match self.has(Effect::PoseRefinement) {
+            true => trainer.with_anchors(&anchors::from_tracks(capture, views)),
+            false => trainer,
+        };
         match self.has(Effect::DepthSupervision) {
             true => trainer.with_depths(depth::from_tracks(capture, views)),
             false => trainer,

@@ -49,12 +49,12 @@ impl Applied {
         }
     }
 
-    /// The camera of the photograph `view`.
-    pub fn camera(&self, camera: Camera, view: usize) -> Camera {
-        match &self.poses {
-            Some(poses) => Camera { cam_from_world: poses.apply(camera.cam_from_world, view), ..camera },
-            None => camera,
-        }
+    /// The camera of the photograph `view`, and what its pose adds to the loss, `[1]`.
+    pub fn camera(&self, camera: Camera, view: usize) -> (Camera, Option<Tensor<1>>) {
+        let Some(poses) = &self.poses else { return (camera, None) };
+        let cam_from_world = poses.apply(camera.cam_from_world, view);
+        let penalty = poses.penalty(cam_from_world.clone(), view);
+        (Camera { cam_from_world, ..camera }, penalty)
     }
 
     /// The background of this step, where it is drawn at random.
