@@ -4,10 +4,15 @@
 //! off does not exist: no parameter, no tensor, no launch. [`Applied`] is what a training loop sees of them.
 
 mod applied;
+pub mod defocus;
 pub mod exposure;
 pub mod masks;
+pub mod motion;
 pub mod plan;
+pub mod screen;
 pub mod survey;
+#[cfg(test)]
+mod testing;
 
 use std::fmt;
 use std::str::FromStr;
