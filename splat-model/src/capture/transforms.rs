@@ -41,6 +41,9 @@ const SINGLE: &str = "transforms.json";
 /// A file that is larger describes no capture: a frame takes about a kilobyte.
 const MAX_BYTES: u64 = 256 << 20;
 
+/// Longer paths are damage; messages name several on one screen.
+const MAX_PATH_BYTES: usize = 400;
+
 /// Appended to a `file_path` without an extension, in this order.
 const EXTENSIONS: [&str; 3] = ["png", "jpg", "jpeg"];
 
@@ -105,7 +108,7 @@ impl Place<'_> {
             self.refuse_with(
                 field,
                 quoted(path),
-                "a path below the folder of the file, neither absolute nor with `..`",
+                "a path of at most 400 bytes below the folder of the file, neither absolute nor with `..`",
                 "Move the file to the folder that holds the pictures, and correct its paths",
             )
         };
@@ -117,7 +120,8 @@ impl Place<'_> {
                 _ => return Err(refuse()),
             }
         }
-        if parts.is_empty() || path.contains('\0') { Err(refuse()) } else { Ok(parts.join("/")) }
+        let odd = parts.is_empty() || path.len() > MAX_PATH_BYTES || path.contains(char::is_control);
+        if odd { Err(refuse()) } else { Ok(parts.join("/")) }
     }
 }
 

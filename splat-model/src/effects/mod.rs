@@ -5,15 +5,20 @@
 
 mod applied;
 pub mod background;
+pub mod defocus;
 pub mod depth;
 pub mod exposure;
 pub mod grid;
 mod learned;
 pub mod masks;
+pub mod motion;
 pub mod plan;
 pub mod pose;
+pub mod screen;
 pub mod smoothing;
 pub mod survey;
+#[cfg(test)]
+mod testing;
 
 use std::fmt;
 use std::str::FromStr;

@@ -140,7 +140,7 @@ mod tests {
         for (text, parts) in [
             (text("x", "1 inf 2"), ["row 0", "1 inf 2"]),
             (text("x", "1 2 -1e16"), ["row 0", "`z` is -1"]),
-            (text("x", "1 2"), ["row 0", "2 values"]),
+            (text("x", "1.25 2.25"), ["row 0", "2 values"]),
             (text("u", "1 2 3"), ["`x`", "`u` `y` `z`"]),
             (text("x", "1 2 3").replace("vertex 1", "vertex 400000000000"), ["400000000000 rows", "truncated"]),
             (text("x", "1 2 3").replace("property float z", "property list uchar int z"), ["`z`", "is a list"]),

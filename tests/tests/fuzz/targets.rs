@@ -13,7 +13,9 @@ use super::seeds;
 use super::split::{self, Part};
 
 /// What a message tells its reader to do.
-const REMEDIES: [&str; 17] = [
+const REMEDIES: [&str; 19] = [
+    "Export",
+    "Put the",
     "Correct",
     "Copy",
     "Move",

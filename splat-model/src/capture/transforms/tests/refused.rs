@@ -63,7 +63,8 @@ fn paths_that_lead_nowhere() {
     let pose = format!(r#""transform_matrix": {LOOKING_BACK}"#);
     assert_says(&message(&format!("[{{{pose}}}]")), &["frame 0", "`file_path` is missing"]);
     assert_says(&message(&format!(r#"[{{"file_path": 5, {pose}}}]"#)), &["frame 0", "`file_path` is 5"]);
-    for path in ["../a.png", "/etc/a.png", "", ".", "a\\u0000.png"] {
+    let long = "x/".repeat(201);
+    for path in ["../a.png", "/etc/a.png", "", ".", "a\\u0000.png", "a\\n.png", &long] {
         assert_says(
             &message(&format!(r#"[{{"file_path": "{path}", {pose}}}]"#)),
             &["frame 0", "`file_path`", "neither absolute"],
