@@ -74,7 +74,7 @@ pub use error::SplatError;
 pub use op::{Slot, SplatBackend};
 pub use options::{Accumulation, RenderOptions};
 pub use render::{Rendered, render, render_view};
-pub use stages::{Colour, Ellipses, Extras, Picture, Projected, Splats, Tiles, blend, project, shade, tile};
+pub use stages::{Colour, Ellipses, Extras, Picture, Projected, Splats, Tiles, blend, colours, project, shade, tile};
 
 /// Whether a device is a GPU: its results have to be waited for.
 pub fn is_gpu(device: &burn::tensor::Device) -> bool {

@@ -8,7 +8,7 @@ use crate::camera::{Camera, Intrinsics};
 use crate::check::{Reference, check_positive};
 use crate::error::SplatError;
 use crate::limits::{Need, check_fits};
-use crate::op::SplatBackend;
+use crate::op::{Slot, SplatBackend};
 use crate::options::RenderOptions;
 use crate::project::{COLUMNS, ProjectInputs, ProjectSpec};
 use crate::project_shade::ProjectShadeInputs;
@@ -20,6 +20,14 @@ use crate::tile::{HitCell, tile_grid};
 pub enum Colour {
     /// Spherical-harmonics coefficients `[N, (degree+1)², 3]`, degree 0 to 4.
     SphericalHarmonics(Tensor<3>),
+    /// The same where the last Gaussians are of one colour from everywhere: as if all their higher coefficients were zero, but
+    /// those take neither memory nor time.
+    Mixed {
+        /// `[M, (degree+1)², 3]`: of the first `M` Gaussians, degree 0 to 4.
+        directional: Tensor<3>,
+        /// `[N − M, 1, 3]`: of the others, degree 0.
+        matte: Tensor<3>,
+    },
     /// Any features `[N, C]`, blended as they are.
     Features(Tensor<2>),
 }
@@ -173,19 +181,25 @@ pub fn project(
     Ok(Projected { packed: Tensor::from_dispatch(packed), intrinsics: camera.intrinsics })
 }
 
-/// [`project`] and [`shade`] of `sh` in one, for a render: what cannot show in the picture has no colour.
+/// [`project`] and [`shade`] of `sh`, and of `matte` for the last Gaussians, in one, for a render: what cannot show in the
+/// picture has no colour.
 pub(crate) fn project_shade(
     splats: &Splats,
-    sh: &Tensor<3>,
+    (sh, matte): (&Tensor<3>, Option<&Tensor<3>>),
     camera: &Camera,
     mean2d_probe: Option<&Tensor<2>>,
     options: &RenderOptions,
 ) -> Result<(Projected, Tensor<2>), SplatError> {
     let reference = check_geometry(splats, camera, options)?;
     let probe = probe_or_empty(&reference, "mean2d_probe", mean2d_probe, splats)?;
-    check_sh(&reference, sh, splats.means.dims()[0])?;
-    reference.check_fits(&[packed_need(splats.means.dims()[0]), sh_need(sh)])?;
-    let inputs = ProjectShadeInputs { geometry: project_inputs(splats, camera), sh: sh.clone().into_dispatch() };
+    let count = splats.means.dims()[0];
+    let (sh, matte) = check_harmonics(&reference, (sh, matte), count)?;
+    reference.check_fits(&[packed_need(count), sh_need(sh)])?;
+    let inputs = ProjectShadeInputs {
+        geometry: project_inputs(splats, camera),
+        sh: sh.clone().into_dispatch(),
+        matte: matte.map_or(Slot::Skip, |matte| Slot::Have(matte.clone().into_dispatch())),
+    };
     let spec = ProjectSpec { intrinsics: camera.intrinsics, options: *options };
     let out = <Dispatch as SplatBackend>::project_shade(inputs, probe.into_dispatch(), spec);
     let projected = Projected { packed: Tensor::from_dispatch(out.packed), intrinsics: camera.intrinsics };
@@ -218,6 +232,30 @@ pub fn shade(sh: &Tensor<3>, means: &Tensor<2>, camera: &Camera) -> Result<Tenso
         cam_from_world: camera.cam_from_world.clone().into_dispatch(),
     };
     Ok(Tensor::from_dispatch(<Dispatch as SplatBackend>::shade(inputs)))
+}
+
+/// What each Gaussian shows a camera, `[N, C]`, whatever its colour is made of: [`shade`](fn@shade) for harmonics of one degree
+/// or of two, and features as they are.
+///
+/// # Errors
+/// If a tensor's shape, type or device does not fit.
+pub fn colours(splats: &Splats, camera: &Camera) -> Result<Tensor<2>, SplatError> {
+    match &splats.colour {
+        Colour::SphericalHarmonics(sh) => shade(sh, &splats.means, camera),
+        Colour::Features(features) => Ok(features.clone()),
+        Colour::Mixed { directional, matte } => {
+            let (means, count) = (&splats.means, splats.means.dims()[0]);
+            match check_harmonics(&Reference::new(means)?, (directional, Some(matte)), count)? {
+                (sh, None) => shade(sh, means, camera),
+                (sh, Some(matte)) => {
+                    let first = sh.dims()[0];
+                    let directional = shade(sh, &means.clone().narrow(0, 0, first), camera)?;
+                    let matte = shade(matte, &means.clone().narrow(0, first, count - first), camera)?;
+                    Ok(Tensor::cat(vec![directional, matte], 0))
+                }
+            }
+        }
+    }
 }
 
 /// Lists, for each 16 × 16 tile of the picture, the Gaussians that can show in it, front to back.
@@ -323,7 +361,7 @@ pub(crate) fn check_render_fits(
 ) -> Result<(), SplatError> {
     let count = splats.means.dims()[0];
     let (colour, channels) = match &splats.colour {
-        Colour::SphericalHarmonics(sh) => (Some(sh_need(sh)), 3),
+        Colour::SphericalHarmonics(sh) | Colour::Mixed { directional: sh, .. } => (Some(sh_need(sh)), 3),
         Colour::Features(features) => (None, features.dims()[1]),
     };
     let shape = [cameras, channels, intrinsics.height, intrinsics.width];
@@ -353,15 +391,43 @@ fn blend_needs(features: [usize; 2], intrinsics: &Intrinsics, options: &RenderOp
 fn check_sh(reference: &Reference, sh: &Tensor<3>, count: usize) -> Result<(), SplatError> {
     const EXPECTED: &str = "[N, (degree+1)², 3] with degree 0 to 4";
     reference.check("sh", sh, [Some(count), None, Some(3)], EXPECTED)?;
+    check_coefficients("sh", sh, EXPECTED)
+}
+
+fn check_coefficients(name: &'static str, sh: &Tensor<3>, expected: &'static str) -> Result<(), SplatError> {
     match sh_degree(sh.dims()[1]) {
         Some(_) => Ok(()),
         None => Err(SplatError::Shape {
-            name: "sh",
+            name,
             found: sh.dims().to_vec(),
-            expected: EXPECTED,
+            expected,
             hint: "give 1, 4, 9, 16 or 25 coefficients per channel".into(),
         }),
     }
+}
+
+/// Coefficients of all Gaussians, checked: of one degree, or of the first ones and of the matte ones after them, neither of
+/// which are none.
+fn check_harmonics<'a>(
+    reference: &Reference,
+    (sh, matte): (&'a Tensor<3>, Option<&'a Tensor<3>>),
+    count: usize,
+) -> Result<(&'a Tensor<3>, Option<&'a Tensor<3>>), SplatError> {
+    let Some(matte) = matte else {
+        check_sh(reference, sh, count)?;
+        return Ok((sh, None));
+    };
+    const EXPECTED: &str = "[M, (degree+1)², 3] for the first M of N Gaussians, with degree 0 to 4";
+    let directional = sh.dims()[0];
+    reference.check("directional", sh, [Some(directional.min(count)), None, Some(3)], EXPECTED)?;
+    check_coefficients("directional", sh, EXPECTED)?;
+    let others = "[N − M, 1, 3] for all Gaussians that `directional` has no row of";
+    reference.check("matte", matte, [Some(count - directional), Some(1), Some(3)], others)?;
+    Ok(match (directional, count - directional) {
+        (_, 0) => (sh, None),
+        (0, _) => (matte, None),
+        _ => (sh, Some(matte)),
+    })
 }
 
 fn probe_or_empty(

@@ -9,6 +9,7 @@ use anyhow::Result;
 use serde::Serialize;
 use splat_model::capture::Split;
 use splat_model::trainer::TrainConfig;
+use splat_op::Colour;
 
 use crate::device::{self, DeviceName};
 use crate::input::{self, Scene};
@@ -94,6 +95,10 @@ pub fn run(args: &EvalArgs) -> Result<Metrics> {
     let metrics = Metrics {
         test: Some(scores),
         splats: splats.means.dims()[0],
+        matte: match &splats.colour {
+            Colour::Mixed { matte, .. } => matte.dims()[0],
+            _ => 0,
+        },
         culled_non_finite: unusable,
         steps: None,
         seconds: Seconds { load, train: None, eval },
