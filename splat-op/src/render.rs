@@ -4,9 +4,10 @@ use burn::tensor::Tensor;
 
 use crate::camera::Camera;
 use crate::check::check_positive;
+use crate::colour::Colour;
 use crate::error::SplatError;
 use crate::options::RenderOptions;
-use crate::stages::{Colour, Extras, Picture, Splats, blend, check_render_fits, project, project_shade, tile};
+use crate::stages::{Extras, Picture, Splats, blend, check_render_fits, project, project_shade, tile};
 
 /// What all cameras see. All fields are differentiable.
 #[derive(Clone, Debug)]

@@ -11,14 +11,14 @@
 //!
 //! which is wider than what `tile` lists, so that no picture changes.
 //!
-//! Gaussians whose colour does not vary with the direction may come last, as *matte* ones of degree 0 whatever the degree of the
-//! others is: the first `M` have coefficients `[M, (degree+1)², 3]`, the other `N − M` have `[N − M, 1, 3]`. It is as if those had
-//! coefficients of zero for all higher degrees, which nobody reads, and whose gradients nobody computes. Without matte ones
-//! `M` is `N`, and the kernels are compiled without them.
+//! Gaussians whose colour does not vary with the direction may come last, as *matte* ones of degree 0 whatever the degree of
+//! the others is: the first `M` have coefficients `[M, (degree+1)², 3]`, the other `N − M` have `[N − M, 1, 3]`. It is as if
+//! those had coefficients of zero for all higher degrees, which nobody reads, and whose gradients nobody computes. Without
+//! matte ones `M` is `N`, and the kernels are compiled without them.
 //!
 //! Shapes: means `[N, 3]`, rotations `[N, 4]`, scales `[N, 3]`, opacities `[N]`, coefficients `[M, (degree+1)², 3]` and
-//! `[N − M, 1, 3]`, pose `[3, 4]` → packed `[N, 7]` and colours `[N, 3]`. The pose is a constant here: where it is trained, the two stages run one
-//! after the other.
+//! `[N − M, 1, 3]`, pose `[3, 4]` → packed `[N, 7]` and colours `[N, 3]`. The pose is a constant here: where it is trained,
+//! the two stages run one after the other.
 
 #[cfg(feature = "cube")]
 mod backward;
