@@ -87,7 +87,14 @@ pub(super) fn project_shade_backward_kernel(
                 }
             }
             ComptimeOption::None => {
-                of_sight = of_colour(sh, gaussian, means, gaussian, pose, grad, &mut grad_sh, degree, wanted.means);
+                // As `of_colour`, which as a call would leave another text of the plain kernel.
+                if any_colour(grad) {
+                    let through_direction = comptime!(degree > 0 && wanted.means);
+                    let mean = Vec3::load(means, 3 * gaussian);
+                    of_sight = colour_backward(sh, gaussian, mean, pose, grad, &mut grad_sh, degree, through_direction);
+                } else {
+                    no_harmonics(gaussian, &mut grad_sh, degree);
+                }
             }
         }
         #[comptime]
