@@ -13,6 +13,7 @@ use crate::stages::Splats;
 
 /// What each Gaussian looks like.
 #[derive(Clone, Debug)]
+#[expect(clippy::large_enum_variant, reason = "there is one per scene, and a box would show in every use of it")]
 pub enum Colour {
     /// Spherical-harmonics coefficients `[N, (degree+1)², 3]`, degree 0 to 4.
     SphericalHarmonics(Tensor<3>),
