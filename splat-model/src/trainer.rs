@@ -17,7 +17,7 @@ use splat_op::{Extras, Intrinsics, RenderOptions, Splats, render_view};
 
 use crate::capture::{Photo, PointCloud};
 use crate::density::rows::{Gradients, StepRates, Trained};
-use crate::density::{Adaptive, RefineReport};
+use crate::density::{Adaptive, RefineReport, matte};
 use crate::effects::background::{Background, Behind};
 use crate::effects::depth::{DepthSample, Depths};
 use crate::effects::exposure::Exposure;
@@ -117,6 +117,9 @@ impl Trainer {
         match () {
             () if photos.is_empty() => return Err(TrainError::NoViews),
             () if config.steps == 0 => return Err(TrainError::NoSteps),
+            () if let Some(below) = config.matte_below.filter(|below| !matte::is_threshold(*below)) => {
+                return Err(TrainError::MatteBelow(below));
+            }
             () if !config.resolution.is_valid() => return Err(TrainError::Resolution(config.resolution)),
             () if config.sh_degree > splat_op::shade::SH_DEGREE_MAX => {
                 return Err(TrainError::ShDegree(config.sh_degree));
@@ -253,6 +256,7 @@ impl Trainer {
         self.step += 1;
         let step = self.step;
         self.views.reduce(self.config.resolution.divisor_at(step, self.config.steps));
+        self.ask_who_is_matte()?;
         self.scene.grow_sh(sh_degree_at(step - 1, self.config.sh_every, self.config.sh_degree));
 
         let (loss, gradients, of_effects) = self.differentiate(view)?;
@@ -269,8 +273,29 @@ impl Trainer {
         let read = self.density.acts_at(step) || self.is_done();
         self.guard.read(read).map_err(|fault| self.non_finite(fault))?;
         let refined = self.density.refine(&mut self.scene, step, &mut self.rng)?;
+        if refined.is_some() {
+            self.effects.forget_rows();
+        }
         let (view, splats) = (self.views.name(view).to_owned(), self.scene.gaussians.len());
         Ok(StepReport { step, loss, view, splats, refined })
+    }
+
+    /// Takes the directional colour from Gaussians that have hardly any, if that is asked for and it is time to. After
+    /// [`TrainConfig::sh_every`] steps at a degree it is.
+    fn ask_who_is_matte(&mut self) -> Result<(), TrainError> {
+        let Some(below) = self.config.matte_below else { return Ok(()) };
+        if !matte::asks_after(self.step - 1, self.config.sh_every, self.config.sh_degree) {
+            return Ok(());
+        }
+        // As for refinement.
+        self.guard.read(true).map_err(|fault| self.non_finite(fault))?;
+        let rows = matte::hardly_varying(&self.scene.gaussians, below);
+        if !rows.is_empty() {
+            let order = self.scene.make_matte(&rows);
+            self.density.reorder(&order);
+            self.effects.forget_rows();
+        }
+        Ok(())
     }
 
     /// The loss, `[1]`, of a view and its gradients, those of the effects apart; tells density control what it listens for.

@@ -29,6 +29,7 @@
 mod abilities;
 pub mod camera;
 mod check;
+mod colour;
 pub mod error;
 pub mod exact;
 pub mod options;
@@ -70,11 +71,12 @@ pub use activate::RawSplats;
 pub use bind::activate::{ActivateBackend, ActivateInputs};
 pub use bind::attach::{AttachBackend, with_gradient};
 pub use camera::{Camera, CameraModel, Intrinsics, Projector};
+pub use colour::{Colour, colours, shade};
 pub use error::SplatError;
 pub use op::{Slot, SplatBackend};
 pub use options::{Accumulation, RenderOptions};
 pub use render::{Rendered, render, render_view};
-pub use stages::{Colour, Ellipses, Extras, Picture, Projected, Splats, Tiles, blend, project, shade, tile};
+pub use stages::{Ellipses, Extras, Picture, Projected, Splats, Tiles, blend, project, tile};
 
 /// Whether a device is a GPU: its results have to be waited for.
 pub fn is_gpu(device: &burn::tensor::Device) -> bool {

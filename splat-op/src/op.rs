@@ -14,14 +14,24 @@ use crate::tile::HitCell;
 #[cfg(feature = "fusion")]
 use crate::bind::fusion;
 
-/// A gradient that was asked for, or not.
+/// A gradient that was asked for, or not; as an input, a tensor that there is, or not.
 #[derive(Clone, Debug, ExtensionType)]
 #[extension_type(fusion: cfg(feature = "fusion"))]
 pub enum Slot<B: Backend> {
-    /// Its input is not tracked.
+    /// Its input is not tracked, or there is none.
     Skip,
-    /// The gradient.
+    /// The gradient, or the input.
     Have(FloatTensor<B>),
+}
+
+impl<B: Backend> Slot<B> {
+    /// What is in it.
+    pub(crate) fn as_ref(&self) -> Option<&FloatTensor<B>> {
+        match self {
+            Self::Skip => None,
+            Self::Have(tensor) => Some(tensor),
+        }
+    }
 }
 
 /// Gaussian splatting on a Burn backend: four stages, the backward pass of the three that have one, and the

@@ -4,9 +4,10 @@ use burn::tensor::Tensor;
 
 use crate::camera::Camera;
 use crate::check::check_positive;
+use crate::colour::Colour;
 use crate::error::SplatError;
 use crate::options::RenderOptions;
-use crate::stages::{Colour, Extras, Picture, Splats, blend, check_render_fits, project, project_shade, tile};
+use crate::stages::{Extras, Picture, Splats, blend, check_render_fits, project, project_shade, tile};
 
 /// What all cameras see. All fields are differentiable.
 #[derive(Clone, Debug)]
@@ -68,7 +69,10 @@ pub fn render_view(
 fn stages(splats: &Splats, camera: &Camera, extras: &Extras, options: &RenderOptions) -> Result<Picture, SplatError> {
     let probe = extras.mean2d_probe.as_ref();
     let (projected, features) = match &splats.colour {
-        Colour::SphericalHarmonics(sh) => project_shade(splats, sh, camera, probe, options)?,
+        Colour::SphericalHarmonics(sh) => project_shade(splats, (sh, None), camera, probe, options)?,
+        Colour::Mixed { directional, matte } => {
+            project_shade(splats, (directional, Some(matte)), camera, probe, options)?
+        }
         Colour::Features(features) => (project(splats, camera, probe, options)?, features.clone()),
     };
     let tiles = tile(&projected, options)?;

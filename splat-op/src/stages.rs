@@ -6,23 +6,14 @@ use burn::tensor::{Int, Tensor};
 use crate::blend::{BlendInputs, BlendSpec, PartsCell};
 use crate::camera::{Camera, Intrinsics};
 use crate::check::{Reference, check_positive};
+use crate::colour::{Colour, check_harmonics, sh_need};
 use crate::error::SplatError;
 use crate::limits::{Need, check_fits};
-use crate::op::SplatBackend;
+use crate::op::{Slot, SplatBackend};
 use crate::options::RenderOptions;
 use crate::project::{COLUMNS, ProjectInputs, ProjectSpec};
 use crate::project_shade::ProjectShadeInputs;
-use crate::shade::{ShadeInputs, sh_degree};
 use crate::tile::{HitCell, tile_grid};
-
-/// What each Gaussian looks like.
-#[derive(Clone, Debug)]
-pub enum Colour {
-    /// Spherical-harmonics coefficients `[N, (degree+1)², 3]`, degree 0 to 4.
-    SphericalHarmonics(Tensor<3>),
-    /// Any features `[N, C]`, blended as they are.
-    Features(Tensor<2>),
-}
 
 /// Gaussians with activated parameters, one row each, all of one float type (f32; f64 on CPU devices) and on one device.
 #[derive(Clone, Debug)]
@@ -173,19 +164,25 @@ pub fn project(
     Ok(Projected { packed: Tensor::from_dispatch(packed), intrinsics: camera.intrinsics })
 }
 
-/// [`project`] and [`shade`] of `sh` in one, for a render: what cannot show in the picture has no colour.
+/// [`project`] and [`shade`] of `sh`, and of `matte` for the last Gaussians, in one, for a render: what cannot show in the
+/// picture has no colour.
 pub(crate) fn project_shade(
     splats: &Splats,
-    sh: &Tensor<3>,
+    (sh, matte): (&Tensor<3>, Option<&Tensor<3>>),
     camera: &Camera,
     mean2d_probe: Option<&Tensor<2>>,
     options: &RenderOptions,
 ) -> Result<(Projected, Tensor<2>), SplatError> {
     let reference = check_geometry(splats, camera, options)?;
     let probe = probe_or_empty(&reference, "mean2d_probe", mean2d_probe, splats)?;
-    check_sh(&reference, sh, splats.means.dims()[0])?;
-    reference.check_fits(&[packed_need(splats.means.dims()[0]), sh_need(sh)])?;
-    let inputs = ProjectShadeInputs { geometry: project_inputs(splats, camera), sh: sh.clone().into_dispatch() };
+    let count = splats.means.dims()[0];
+    let (sh, matte) = check_harmonics(&reference, (sh, matte), count)?;
+    reference.check_fits(&[packed_need(count), sh_need(sh)])?;
+    let inputs = ProjectShadeInputs {
+        geometry: project_inputs(splats, camera),
+        sh: sh.clone().into_dispatch(),
+        matte: matte.map_or(Slot::Skip, |matte| Slot::Have(matte.clone().into_dispatch())),
+    };
     let spec = ProjectSpec { intrinsics: camera.intrinsics, options: *options };
     let out = <Dispatch as SplatBackend>::project_shade(inputs, probe.into_dispatch(), spec);
     let projected = Projected { packed: Tensor::from_dispatch(out.packed), intrinsics: camera.intrinsics };
@@ -200,24 +197,6 @@ fn project_inputs(splats: &Splats, camera: &Camera) -> ProjectInputs<Dispatch> {
         opacities: splats.opacities.clone().into_dispatch(),
         cam_from_world: camera.cam_from_world.clone().into_dispatch(),
     }
-}
-
-/// Colours `[N, 3]` of Gaussians seen from a camera, from spherical harmonics `[N, (degree+1)², 3]`.
-///
-/// # Errors
-/// If a tensor's shape, type or device does not fit.
-pub fn shade(sh: &Tensor<3>, means: &Tensor<2>, camera: &Camera) -> Result<Tensor<2>, SplatError> {
-    let reference = Reference::new(means)?;
-    reference.check("means", means, [None, Some(3)], "[N, 3]")?;
-    reference.check("cam_from_world", &camera.cam_from_world, [Some(3), Some(4)], "[3, 4]")?;
-    check_sh(&reference, sh, means.dims()[0])?;
-    reference.check_fits(&[sh_need(sh)])?;
-    let inputs = ShadeInputs {
-        sh: sh.clone().into_dispatch(),
-        means: means.clone().into_dispatch(),
-        cam_from_world: camera.cam_from_world.clone().into_dispatch(),
-    };
-    Ok(Tensor::from_dispatch(<Dispatch as SplatBackend>::shade(inputs)))
 }
 
 /// Lists, for each 16 × 16 tile of the picture, the Gaussians that can show in it, front to back.
@@ -323,7 +302,7 @@ pub(crate) fn check_render_fits(
 ) -> Result<(), SplatError> {
     let count = splats.means.dims()[0];
     let (colour, channels) = match &splats.colour {
-        Colour::SphericalHarmonics(sh) => (Some(sh_need(sh)), 3),
+        Colour::SphericalHarmonics(sh) | Colour::Mixed { directional: sh, .. } => (Some(sh_need(sh)), 3),
         Colour::Features(features) => (None, features.dims()[1]),
     };
     let shape = [cameras, channels, intrinsics.height, intrinsics.width];
@@ -337,10 +316,6 @@ fn packed_need(count: usize) -> Need {
     Need::floats("projected", [count, COLUMNS], "use fewer Gaussians")
 }
 
-fn sh_need(sh: &Tensor<3>) -> Need {
-    Need::floats("sh", sh.dims(), "use fewer Gaussians or a lower degree of the spherical harmonics")
-}
-
 fn blend_needs(features: [usize; 2], intrinsics: &Intrinsics, options: &RenderOptions) -> [Need; 2] {
     let planes = BlendSpec { intrinsics: *intrinsics, options: *options }.planes(features[1]);
     let picture = [planes, intrinsics.height, intrinsics.width];
@@ -348,20 +323,6 @@ fn blend_needs(features: [usize; 2], intrinsics: &Intrinsics, options: &RenderOp
         Need::floats("features", features, "use fewer Gaussians or fewer channels"),
         Need::floats("the picture", picture, "render a smaller picture, parts of it one by one, or fewer channels"),
     ]
-}
-
-fn check_sh(reference: &Reference, sh: &Tensor<3>, count: usize) -> Result<(), SplatError> {
-    const EXPECTED: &str = "[N, (degree+1)², 3] with degree 0 to 4";
-    reference.check("sh", sh, [Some(count), None, Some(3)], EXPECTED)?;
-    match sh_degree(sh.dims()[1]) {
-        Some(_) => Ok(()),
-        None => Err(SplatError::Shape {
-            name: "sh",
-            found: sh.dims().to_vec(),
-            expected: EXPECTED,
-            hint: "give 1, 4, 9, 16 or 25 coefficients per channel".into(),
-        }),
-    }
 }
 
 fn probe_or_empty(

@@ -9,7 +9,7 @@ use anyhow::{Context, Result};
 use serde::Serialize;
 use splat_model::capture::Photo;
 use splat_model::trainer::TrainConfig;
-use splat_op::Intrinsics;
+use splat_op::{Colour, Intrinsics};
 
 use crate::background::ShownBackground;
 use crate::device::{self, DeviceName};
@@ -114,6 +114,10 @@ pub fn run(args: &EvalArgs) -> Result<Metrics> {
     let metrics = Metrics {
         test: Some(scores),
         splats: splats.means.dims()[0],
+        matte: match &splats.colour {
+            Colour::Mixed { matte, .. } => matte.dims()[0],
+            _ => 0,
+        },
         culled_non_finite: unusable,
         steps: None,
         seconds: Seconds { load, train: None, eval },

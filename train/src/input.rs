@@ -80,7 +80,7 @@ pub fn scene(path: &Path, capture: &Capture, device: &Device) -> Result<Scene> {
     move_means(&mut rows, (origin - capture.origin).to_array());
     let unusable = rows.unusable();
     progress::note_unusable(path, unusable, rows.len());
-    Ok(Scene { splats: Gaussians::from_rows(&rows, device)?.splats(), unusable })
+    Ok(Scene { splats: Gaussians::from_rows_apart(&rows, device)?.splats(), unusable })
 }
 
 /// Adds `capture_from_scene` to every position, in f64.

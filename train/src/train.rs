@@ -12,6 +12,7 @@ use glam::DAffine3;
 use serde::Serialize;
 use splat_model::capture::demo::DemoOptions;
 use splat_model::capture::{Capture, Photo, Split};
+use splat_model::density::matte;
 use splat_model::effects::Effect;
 use splat_model::effects::background::Backdrop;
 use splat_model::gaussians::Gaussians;
@@ -78,6 +79,13 @@ pub struct TrainArgs {
          [default: {}; with the demo capture {DEMO_SH_DEGREE}]", TrainConfig::default().sh_degree
     ))]
     pub sh_degree: Option<usize>,
+    /// Steps until the degree rises by one, beginning with 0; 0 has all degrees from the start
+    #[arg(long, value_name = "N", default_value_t = TrainConfig::default().sh_every)]
+    pub sh_every: usize,
+    /// Give splats one colour for all directions whose colours hardly differ: by less than so many levels of 255, as root mean
+    /// square over all directions. Decided each time the degree rises from 1 on. They take less memory and time [default: off]
+    #[arg(long, value_name = "LEVELS")]
+    pub matte_below: Option<f64>,
     /// Dim splats smaller than a pixel, so that scenes also look right from further away; evaluate and render with it too
     #[arg(long)]
     pub antialias: bool,
@@ -130,12 +138,17 @@ impl TrainArgs {
         }
         config.steps = self.steps.unwrap_or(config.steps);
         config.sh_degree = self.sh_degree.unwrap_or(config.sh_degree);
+        config.sh_every = self.sh_every;
+        config.matte_below = self.matte_below.map(|levels| levels / 255.0);
         match config {
             TrainConfig { steps: 0, .. } => Err(TrainError::NoSteps),
             TrainConfig { sh_degree, .. } if sh_degree > splat_op::shade::SH_DEGREE_MAX => {
                 Err(TrainError::ShDegree(sh_degree))
             }
             TrainConfig { resolution, .. } if !resolution.is_valid() => Err(TrainError::Resolution(resolution)),
+            TrainConfig { matte_below: Some(below), .. } if !matte::is_threshold(below) => {
+                Err(TrainError::MatteBelow(below))
+            }
             config => Ok(config),
         }
     }
@@ -228,6 +241,7 @@ pub fn run_with(args: &TrainArgs, change: impl FnOnce(Trainer) -> Trainer) -> Re
     let metrics = Metrics {
         test: test_scores,
         splats: gaussians.len(),
+        matte: gaussians.len() - gaussians.directional(),
         culled_non_finite: unusable,
         steps: Some(config.steps),
         seconds: Seconds { load, train: Some(train), eval },
@@ -342,6 +356,8 @@ mod tests {
         let config = config(&arguments).unwrap();
         assert_eq!((config.seed, config.density.max_splats, config.sh_degree, config.antialias), (5, 77, 2, true));
         assert_eq!(config.opacity_weight, 0.01);
+        let config = self::config(&["--sh-every", "300", "--matte-below", "2.55"]).unwrap();
+        assert_eq!((config.sh_every, config.matte_below), (300, Some(0.01)));
     }
 
     #[test]
@@ -357,5 +373,6 @@ mod tests {
         assert!(config(&["--steps", "0"]).unwrap_err().to_string().contains("--steps"));
         assert!(config(&["--sh-degree", "5"]).unwrap_err().to_string().contains("sh_degree"));
         assert!(config(&["--coarsest", "3"]).unwrap_err().to_string().contains("--coarsest"));
+        assert!(config(&["--matte-below", "inf"]).unwrap_err().to_string().contains("--matte-below"));
     }
 }

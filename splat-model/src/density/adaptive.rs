@@ -8,7 +8,7 @@ use rand_distr::{Distribution, StandardNormal};
 use serde::{Deserialize, Serialize};
 
 use super::order::morton_order;
-use super::rows::{RowEdit, Trained};
+use super::rows::{RowEdit, Trained, indices};
 use crate::gaussians::{GaussianRows, RowsError, values_of};
 
 /// When and how to densify. Defaults are those of the original implementation unless said otherwise.
@@ -123,6 +123,13 @@ impl Adaptive {
         });
     }
 
+    /// Follows rows to new places: `order` says where each has come from, as [`Trained::make_matte`] returns it.
+    pub fn reorder(&mut self, order: &[u32]) {
+        let Some((sum, count)) = self.seen.take() else { return };
+        let order = indices(order, &sum.device());
+        self.seen = Some((sum.select(0, order.clone()), count.select(0, order)));
+    }
+
     /// Refines the scene if `step`, counted from 1, calls for it.
     ///
     /// # Errors
@@ -159,15 +166,17 @@ impl Adaptive {
         let mut report = RefineReport { threshold, ..Default::default() };
         let mut edit = RowEdit::default();
         edit.add.sh_degree = rows.sh_degree;
+        let directional = scene.gaussians.directional();
         let mut replaced = doomed.clone();
         for &i in &chosen {
+            let add = if i < directional { &mut edit.add } else { &mut edit.add_matte };
             if largest_scale(&rows, i) > split_above {
                 replaced[i] = true;
                 report.split += 1;
-                (0..2).for_each(|_| push_split(&mut edit.add, &rows, i, rng));
+                (0..2).for_each(|_| push_split(add, &rows, i, rng));
             } else {
                 report.cloned += 1;
-                push_row(&mut edit.add, &rows, i);
+                push_row(add, &rows, i);
             }
         }
         edit.keep = morton_order(&rows.means).into_iter().filter(|&row| !replaced[row as usize]).collect();
@@ -227,15 +236,15 @@ fn largest_scale(rows: &GaussianRows, i: usize) -> f32 {
     rows.log_scales[i].iter().fold(f32::NEG_INFINITY, |largest, log| largest.max(*log)).exp()
 }
 
-/// Appends row `i` as it is.
+/// Appends row `i` as it is, but for coefficients that the rows it is appended to do not have.
 fn push_row(to: &mut GaussianRows, from: &GaussianRows, i: usize) {
-    let rest = from.rest_per_row();
+    let (rest, taken) = (from.rest_per_row(), to.rest_per_row());
     to.means.push(from.means[i]);
     to.rotations.push(from.rotations[i]);
     to.log_scales.push(from.log_scales[i]);
     to.logit_opacities.push(from.logit_opacities[i]);
     to.sh_dc.push(from.sh_dc[i]);
-    to.sh_rest.extend_from_slice(&from.sh_rest[rest * i..rest * (i + 1)]);
+    to.sh_rest.extend_from_slice(&from.sh_rest[rest * i..rest * i + taken]);
 }
 
 /// Appends a smaller copy of row `i`, moved to a place drawn from the Gaussian itself.

@@ -49,6 +49,13 @@ impl Applied {
         }
     }
 
+    /// Gaussians were added, removed or moved to other rows.
+    pub fn forget_rows(&mut self) {
+        if let Some(smoothing) = &mut self.smoothing {
+            smoothing.forget();
+        }
+    }
+
     /// The camera of the photograph `view`, and what its pose adds to the loss, `[1]`.
     pub fn camera(&self, camera: Camera, view: usize) -> (Camera, Option<Tensor<1>>) {
         let Some(poses) = &self.poses else { return (camera, None) };

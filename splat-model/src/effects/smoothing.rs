@@ -86,10 +86,14 @@ impl Smoothing {
         rates.into_iter().map(ln_width).collect()
     }
 
-    /// Finds the widths anew if there are other Gaussians than before or [`EVERY`] steps have gone by.
+    /// Gaussians were added, removed or moved to other rows.
+    pub fn forget(&mut self) {
+        self.ln_widths = None;
+    }
+
+    /// Finds the widths anew if they were forgotten or [`EVERY`] steps have gone by.
     pub fn follow(&mut self, gaussians: &Gaussians, step: usize) {
-        let known = self.ln_widths.as_ref().map(|widths| widths.dims()[0]);
-        if known == Some(gaussians.len()) && step < self.found_at + EVERY {
+        if self.ln_widths.is_some() && step < self.found_at + EVERY {
             return;
         }
         let means = gaussians.means.val().inner();

@@ -4,7 +4,7 @@ use std::fmt;
 
 use burn::tensor::Tensor;
 use splat_op::{
-    Camera, Colour, Extras, Picture, Projected, RenderOptions, SplatError, Splats, Tiles, blend, project, shade, tile,
+    Camera, Extras, Picture, Projected, RenderOptions, SplatError, Splats, Tiles, blend, colours, project, tile,
 };
 
 use crate::density::rows::Gradients;
@@ -80,10 +80,7 @@ pub(super) fn render_checked(
 ) -> Result<Picture, Stopped> {
     let projected = project(splats, camera, extras.mean2d_probe.as_ref(), options)?;
     let opacities = check_projected(&projected)?;
-    let features = match &splats.colour {
-        Colour::SphericalHarmonics(sh) => shade(sh, &splats.means, camera)?,
-        Colour::Features(features) => features.clone(),
-    };
+    let features = colours(splats, camera)?;
     check_colours(&features, &opacities)?;
     let tiles = tile(&projected, options)?;
     check_tiles(&tiles, projected.len())?;
@@ -157,7 +154,8 @@ pub(super) fn check_gradients(gradients: &Gradients) -> Result<(), Wrong> {
     one("rotations", &gradients.rotations)?;
     one("log_scales", &gradients.log_scales)?;
     one("logit_opacities", &gradients.logit_opacities)?;
-    one("sh", &gradients.sh)
+    one("sh", &gradients.sh)?;
+    one("sh_matte", &gradients.sh_matte)
 }
 
 /// No Gaussian became unusable. `before` and `after` are the same Gaussians.

@@ -19,6 +19,9 @@ pub enum TrainError {
     /// More degrees than there are.
     #[error("`sh_degree` is {0}, expected 0 to 4")]
     ShDegree(usize),
+    /// A variation of colours that is none.
+    #[error("`matte_below` is {0}, expected a finite number of at least 0: see `--matte-below`")]
+    MatteBelow(f64),
     /// Sizes of photographs that are none.
     #[error(
         "`resolution` is {} from {}, expected a power of two up to {} and a share from 0 to 1: see `--coarsest` and `--full-from`",

@@ -10,7 +10,7 @@ use burn::backend::autodiff::grads::Gradients;
 use burn::backend::autodiff::ops::{Backward, Ops, OpsKind};
 use burn::backend::tensor::{FloatTensor, IntTensor};
 use burn::backend::{Autodiff, TensorMetadata};
-use burn::tensor::Shape;
+use burn::tensor::{Shape, Slice};
 
 use crate::blend::{BlendGrads, BlendInputs, BlendNeeds, BlendSpec, PartsCell, TraceCell};
 use crate::op::{Slot, SplatBackend};
@@ -31,6 +31,14 @@ fn constant<B: SplatBackend, C: CheckpointStrategy>(slot: Slot<B>) -> Slot<Autod
     match slot {
         Slot::Skip => Slot::Skip,
         Slot::Have(grad) => Slot::Have(FloatTensor::<Autodiff<B, C>>::new(grad)),
+    }
+}
+
+/// What a slot of the autodiff backend holds, without autodiff.
+fn inner_slot<B: SplatBackend, C: CheckpointStrategy>(slot: &Slot<Autodiff<B, C>>) -> Slot<B> {
+    match slot {
+        Slot::Skip => Slot::Skip,
+        Slot::Have(tensor) => Slot::Have(tensor.primitive().clone()),
     }
 }
 
@@ -70,7 +78,11 @@ impl<B: SplatBackend, C: CheckpointStrategy> ShadeInputs<Autodiff<B, C>> {
 
 impl<B: SplatBackend, C: CheckpointStrategy> ProjectShadeInputs<Autodiff<B, C>> {
     fn inner(&self) -> ProjectShadeInputs<B> {
-        ProjectShadeInputs { geometry: self.geometry.inner(), sh: self.sh.primitive().clone() }
+        ProjectShadeInputs {
+            geometry: self.geometry.inner(),
+            sh: self.sh.primitive().clone(),
+            matte: inner_slot(&self.matte),
+        }
     }
 }
 
@@ -137,20 +149,20 @@ impl<B: SplatBackend> Backward<B, 1> for ColoursBackward {
 #[derive(Debug)]
 struct ProjectShadeBackward;
 
-impl<B: SplatBackend> Backward<B, 6> for ProjectShadeBackward {
+impl<B: SplatBackend> Backward<B, 7> for ProjectShadeBackward {
     type State = (ProjectShadeInputs<B>, ProjectSpec, ColourGrad<B>);
 
-    fn backward(self, ops: Ops<Self::State, 6>, grads: &mut Gradients, _: &mut Checkpointer) {
+    fn backward(self, ops: Ops<Self::State, 7>, grads: &mut Gradients, _: &mut Checkpointer) {
         let packed = grads.consume::<B>(&ops.node);
-        let [means, rotations, scales, opacities, sh, mean2d] = ops.parents.each_ref().map(Option::is_some);
+        let [means, rotations, scales, opacities, sh, mean2d, matte] = ops.parents.each_ref().map(Option::is_some);
         let geometry = ProjectNeeds { means, rotations, scales, opacities, cam_from_world: false, mean2d };
         let (inputs, spec, colours) = ops.state;
         let colours = colours.lock().unwrap_or_else(PoisonError::into_inner).take();
         let colours = colours.expect("`blend`, which alone is given both outputs, has a gradient for both or for none");
         let grad = ProjectedColours { packed, colours };
-        let out = B::project_shade_backward(inputs, grad, spec, ProjectShadeNeeds { geometry, sh });
+        let out = B::project_shade_backward(inputs, grad, spec, ProjectShadeNeeds { geometry, sh, matte });
         let g = out.geometry;
-        let slots = [g.means, g.rotations, g.scales, g.opacities, out.sh, g.mean2d];
+        let slots = [g.means, g.rotations, g.scales, g.opacities, out.sh, g.mean2d, out.matte];
         let parents = ops.parents.map(|parent| parent.map(|node| node.id));
         parents.into_iter().zip(slots).for_each(|(parent, slot)| register::<B>(grads, parent, slot));
     }
@@ -225,6 +237,20 @@ impl<B: SplatBackend> Backward<B, 4> for BlendBackward {
     }
 }
 
+/// `[N, 3]`: colours by `shade` alone, of the first rows and of the matte ones after them.
+fn shade_groups<B: SplatBackend>(
+    sh: FloatTensor<B>,
+    matte: Slot<B>,
+    means: &FloatTensor<B>,
+    cam_from_world: &FloatTensor<B>,
+) -> FloatTensor<B> {
+    let shade = |sh, means| B::shade(ShadeInputs { sh, means, cam_from_world: cam_from_world.clone() });
+    let Slot::Have(matte) = matte else { return shade(sh, means.clone()) };
+    let (count, first) = (means.shape()[0], sh.shape()[0]);
+    let rows = |range: Range<usize>| B::float_slice(means.clone(), &[range, 0..3].map(Slice::from));
+    B::float_cat(vec![shade(sh, rows(0..first)), shade(matte, rows(first..count))], 0)
+}
+
 impl<B: SplatBackend, C: CheckpointStrategy> SplatBackend for Autodiff<B, C> {
     fn project(inputs: ProjectInputs<Self>, mean2d_probe: FloatTensor<Self>, spec: ProjectSpec) -> FloatTensor<Self> {
         let inner = inputs.inner();
@@ -255,13 +281,15 @@ impl<B: SplatBackend, C: CheckpointStrategy> SplatBackend for Autodiff<B, C> {
         let ProjectInputs { means, rotations, scales, opacities, cam_from_world } = &inputs.geometry;
         let geometry = [means, rotations, scales, opacities, &mean2d_probe].iter().any(|input| input.is_tracked());
         // One node would compute gradients that nobody asked for; and that of the pose it does not know.
-        if cam_from_world.is_tracked() || geometry != inputs.sh.is_tracked() {
-            let (sh, means, cam_from_world) = (inputs.sh, means.clone(), cam_from_world.clone());
-            let colours = Self::shade(ShadeInputs { sh, means, cam_from_world });
+        let harmonics = inputs.sh.is_tracked() || inputs.matte.as_ref().is_some_and(|matte| matte.is_tracked());
+        if cam_from_world.is_tracked() || geometry != harmonics {
+            let colours = shade_groups::<Self>(inputs.sh, inputs.matte, means, cam_from_world);
             return ProjectedColours { packed: Self::project(inputs.geometry, mean2d_probe, spec), colours };
         }
         let inner = inputs.inner();
-        let parents = [means, rotations, scales, opacities, &inputs.sh, &mean2d_probe].map(|input| input.node());
+        // Where there is nothing matte, the pose stands in for it, which is not tracked here.
+        let matte = inputs.matte.as_ref().unwrap_or(cam_from_world);
+        let parents = [means, rotations, scales, opacities, &inputs.sh, &mean2d_probe, matte].map(|input| input.node());
         let out = B::project_shade(inner.clone(), mean2d_probe.primitive().clone(), spec);
         let grad = ColourGrad::<B>::default();
         let packed = match ProjectShadeBackward.prepare::<C>(parents).compute_bound().stateful() {
@@ -331,7 +359,7 @@ impl<B: SplatBackend, C: CheckpointStrategy> SplatBackend for Autodiff<B, C> {
         let ProjectedColours { packed, colours } = grad;
         let grad = ProjectedColours { packed: packed.into_primitive(), colours: colours.into_primitive() };
         let out = B::project_shade_backward(inputs.inner(), grad, spec, needs);
-        ProjectShadeGrads { geometry: constants(out.geometry), sh: constant(out.sh) }
+        ProjectShadeGrads { geometry: constants(out.geometry), sh: constant(out.sh), matte: constant(out.matte) }
     }
 
     fn shade_backward(inputs: ShadeInputs<Self>, grad: FloatTensor<Self>, needs: ShadeNeeds) -> ShadeGrads<Self> {

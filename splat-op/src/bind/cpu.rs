@@ -113,17 +113,19 @@ struct ProjectShadeHost<F: Real> {
     geometry: ProjectHost<F>,
     sh: Host<F>,
     coefficients: usize,
+    matte: Option<Host<F>>,
 }
 
 impl<F: Real> ProjectShadeHost<F> {
     fn read<B: HostBackend>(inputs: &ProjectShadeInputs<B>) -> Self {
         let (sh, coefficients) = (B::host(inputs.sh.clone()), inputs.sh.shape()[1]);
-        Self { geometry: ProjectHost::read(&inputs.geometry), sh, coefficients }
+        let matte = inputs.matte.as_ref().map(|matte| B::host(matte.clone()));
+        Self { geometry: ProjectHost::read(&inputs.geometry), sh, coefficients, matte }
     }
 
     fn inputs(&self) -> project_shade::cpu::Inputs<'_, F> {
         let (geometry, coefficients) = (self.geometry.inputs(), self.coefficients);
-        project_shade::cpu::Inputs { geometry, sh: &self.sh, coefficients }
+        project_shade::cpu::Inputs { geometry, sh: &self.sh, coefficients, matte: self.matte.as_deref() }
     }
 }
 
@@ -146,10 +148,11 @@ fn project_shade_backward<B: HostBackend, F: Real>(
     let host = ProjectShadeHost::<F>::read(&inputs);
     let (packed, colours) = (B::host(grad.packed), B::host(grad.colours));
     let g = project_shade::cpu::project_shade_backward_cpu(host.inputs(), (&packed, &colours), spec, needs);
-    let (count, like) = (host.inputs().geometry.opacities.len(), &inputs.sh);
+    let (count, directional, like) = (host.inputs().geometry.opacities.len(), inputs.sh.shape()[0], &inputs.sh);
     ProjectShadeGrads {
         geometry: project_grads(g.geometry, needs.geometry, count, like),
-        sh: slot(needs.sh, g.sh, &[count, host.coefficients, 3], like),
+        sh: slot(needs.sh, g.sh, &[directional, host.coefficients, 3], like),
+        matte: slot(needs.matte, g.matte, &[count - directional, 1, 3], like),
     }
 }
 

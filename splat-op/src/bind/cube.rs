@@ -87,7 +87,11 @@ fn project_grads(g: project::launch::DeviceGrads, count: usize, like: &CubeTenso
 
 impl ProjectShadeInputs<CubeBackend> {
     fn on_device(&self) -> project_shade::launch::DeviceInputs {
-        project_shade::launch::DeviceInputs { geometry: self.geometry.on_device(), sh: buffer(self.sh.clone()) }
+        project_shade::launch::DeviceInputs {
+            geometry: self.geometry.on_device(),
+            sh: buffer(self.sh.clone()),
+            matte: self.matte.as_ref().cloned().map(buffer),
+        }
     }
 }
 
@@ -162,7 +166,7 @@ impl SplatBackend for CubeBackend {
         spec: ProjectSpec,
     ) -> ProjectedColours<Self> {
         let (gpu, like) = (Gpu::new(&inputs.sh.client), &inputs.sh);
-        let [count, coefficients, _] = inputs.sh.shape().dims();
+        let (count, coefficients) = (inputs.geometry.opacities.shape()[0], inputs.sh.shape()[1]);
         let (packed, colours) = launch_project_shade(&gpu, &inputs.on_device(), coefficients, &spec);
         ProjectedColours {
             packed: tensor(packed, [count, COLUMNS], DType::F32, like),
@@ -177,12 +181,14 @@ impl SplatBackend for CubeBackend {
         needs: ProjectShadeNeeds,
     ) -> ProjectShadeGrads<Self> {
         let (gpu, like) = (Gpu::new(&inputs.sh.client), &inputs.sh);
-        let [count, coefficients, _] = inputs.sh.shape().dims();
+        let [directional, coefficients, _] = inputs.sh.shape().dims();
+        let count = inputs.geometry.opacities.shape()[0];
         let grads = (&buffer(grad.packed), &buffer(grad.colours));
         let g = launch_project_shade_backward(&gpu, &inputs.on_device(), coefficients, grads, &spec, needs);
         ProjectShadeGrads {
             geometry: project_grads(g.geometry, count, like),
-            sh: slot(g.sh, [count, coefficients, 3], like),
+            sh: slot(g.sh, [directional, coefficients, 3], like),
+            matte: slot(g.matte, [count - directional, 1, 3], like),
         }
     }
 

@@ -76,6 +76,10 @@ pub(crate) fn project_shade_backward(
     ProjectShadeGradsMetadata {
         geometry: project_backward(&inputs.geometry, &grad.packed, spec, &needs.geometry),
         sh: slot(needs.sh, &inputs.sh),
+        matte: match &inputs.matte {
+            SlotMetadata::Have(matte) => slot(needs.matte, matte),
+            SlotMetadata::Skip => SlotMetadata::Skip,
+        },
     }
 }
 

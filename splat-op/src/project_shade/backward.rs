@@ -8,6 +8,31 @@ use crate::project::backward::{Wanted, any, gaussian_backward, no_gradient};
 use crate::project::forward::{Gaussian, Lens, Packed};
 use crate::shade::backward::{any_colour, colour_backward, no_harmonics};
 
+/// Stores the gradient of the harmonics in row `row` of `sh`, if it is asked for, and returns that of the vector from the camera
+/// to the Gaussian's centre, or zero unless `means_wanted`.
+#[cube]
+fn of_colour(
+    sh: &[f32],
+    row: usize,
+    means: &[f32],
+    gaussian: usize,
+    pose: Pose,
+    grad: Vec3,
+    grad_sh: &mut ComptimeOption<Box<[f32]>>,
+    #[comptime] degree: usize,
+    #[comptime] means_wanted: bool,
+) -> Vec3 {
+    let mut of_sight = Vec3::new(0.0, 0.0, 0.0);
+    if any_colour(grad) {
+        let through_direction = comptime!(degree > 0 && means_wanted);
+        let mean = Vec3::load(means, 3 * gaussian);
+        of_sight = colour_backward(sh, row, mean, pose, grad, grad_sh, degree, through_direction);
+    } else {
+        no_harmonics(row, grad_sh, degree);
+    }
+    of_sight
+}
+
 #[cube(launch_unchecked)]
 pub(super) fn project_shade_backward_kernel(
     means: &[f32],
@@ -15,6 +40,8 @@ pub(super) fn project_shade_backward_kernel(
     scales: &[f32],
     opacities: &[f32],
     sh: &[f32],
+    matte: ComptimeOption<Box<[f32]>>,
+    first_matte: ComptimeOption<u32>,
     cam_from_world: &[f32],
     grad_packed: &[f32],
     grad_colours: &[f32],
@@ -24,6 +51,7 @@ pub(super) fn project_shade_backward_kernel(
     grad_opacities: ComptimeOption<&mut [f32]>,
     grad_mean2d: ComptimeOption<&mut [f32]>,
     mut grad_sh: ComptimeOption<Box<[f32]>>,
+    mut grad_matte: ComptimeOption<Box<[f32]>>,
     lens: Lens,
     count: u32,
     #[comptime] degree: usize,
@@ -45,12 +73,29 @@ pub(super) fn project_shade_backward_kernel(
         }
         let mut of_sight = Vec3::new(0.0, 0.0, 0.0);
         let grad = Vec3::load(grad_colours, 3 * gaussian);
-        if any_colour(grad) {
-            let through_direction = comptime!(degree > 0 && wanted.means);
-            let mean = Vec3::load(means, 3 * gaussian);
-            of_sight = colour_backward(sh, gaussian, mean, pose, grad, &mut grad_sh, degree, through_direction);
-        } else {
-            no_harmonics(gaussian, &mut grad_sh, degree);
+        #[comptime]
+        match first_matte {
+            ComptimeOption::Some(first) => {
+                let first = first as usize;
+                if gaussian < first {
+                    of_sight = of_colour(sh, gaussian, means, gaussian, pose, grad, &mut grad_sh, degree, wanted.means);
+                } else {
+                    let row = gaussian - first;
+                    let matte = matte.unwrap();
+                    // Of degree 0, whose colours do not depend on the direction.
+                    of_colour(&matte, row, means, gaussian, pose, grad, &mut grad_matte, 0usize, false);
+                }
+            }
+            ComptimeOption::None => {
+                // As `of_colour`, which as a call would leave another text of the plain kernel.
+                if any_colour(grad) {
+                    let through_direction = comptime!(degree > 0 && wanted.means);
+                    let mean = Vec3::load(means, 3 * gaussian);
+                    of_sight = colour_backward(sh, gaussian, mean, pose, grad, &mut grad_sh, degree, through_direction);
+                } else {
+                    no_harmonics(gaussian, &mut grad_sh, degree);
+                }
+            }
         }
         #[comptime]
         if let ComptimeOption::Some(out) = grad_means {

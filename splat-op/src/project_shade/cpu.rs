@@ -14,12 +14,28 @@ pub(crate) struct Inputs<'a, F> {
     pub sh: &'a [F],
     /// Coefficients per channel.
     pub coefficients: usize,
+    /// Those of matte Gaussians, one per channel, which come last.
+    pub matte: Option<&'a [F]>,
 }
 
 impl<'a, F: Real> Inputs<'a, F> {
+    /// Where matte Gaussians begin.
+    fn directional(&self) -> usize {
+        (self.geometry.means.len() - self.matte.map_or(0, <[F]>::len)) / 3
+    }
+
+    /// Of all that are not matte.
     fn shade(&self) -> ShadeInputs<'a, F> {
         let ProjectInputs { means, cam_from_world, .. } = self.geometry;
+        let means = &means[..3 * self.directional()];
         ShadeInputs { sh: self.sh, means, cam_from_world, coefficients: self.coefficients }
+    }
+
+    /// Of those that are.
+    fn shade_matte(&self) -> Option<ShadeInputs<'a, F>> {
+        let ProjectInputs { means, cam_from_world, .. } = self.geometry;
+        let means = &means[3 * self.directional()..];
+        self.matte.map(|sh| ShadeInputs { sh, means, cam_from_world, coefficients: 1 })
     }
 }
 
@@ -27,6 +43,7 @@ impl<'a, F: Real> Inputs<'a, F> {
 pub(crate) struct Grads<F> {
     pub geometry: ProjectGrads<F>,
     pub sh: Vec<F>,
+    pub matte: Vec<F>,
 }
 
 /// What can show in a picture.
@@ -59,7 +76,11 @@ pub(crate) fn project_shade_cpu<F: Real>(inputs: Inputs<F>, spec: &ProjectSpec) 
     let packed = project_cpu(inputs.geometry, spec);
     let frame = Frame::new(spec);
     let shown = |i: usize| frame.may_show(&Ellipse::from_row(&packed[COLUMNS * i..COLUMNS * (i + 1)]));
-    let colours = shade_where_cpu(inputs.shade(), shown);
+    let mut colours = shade_where_cpu(inputs.shade(), shown);
+    if let Some(matte) = inputs.shade_matte() {
+        let first = inputs.directional();
+        colours.extend(shade_where_cpu(matte, |i| shown(first + i)));
+    }
     (packed, colours)
 }
 
@@ -76,5 +97,13 @@ pub(crate) fn project_shade_backward_cpu<F: Real>(
     let shade_needs = ShadeNeeds { sh: needs.sh, means: needs.geometry.means, cam_from_world: false };
     let of_shade = shade_backward_onto_cpu(inputs.shade(), grad_colours, means, shade_needs);
     geometry.means = of_shade.means;
-    Grads { geometry, sh: of_shade.sh }
+    let matte = match inputs.shade_matte() {
+        // Their colours do not depend on where they are.
+        Some(matte) if needs.matte => {
+            let shade_needs = ShadeNeeds { sh: true, means: false, cam_from_world: false };
+            shade_backward_onto_cpu(matte, &grad_colours[3 * inputs.directional()..], Vec::new(), shade_needs).sh
+        }
+        _ => Vec::new(),
+    };
+    Grads { geometry, sh: of_shade.sh, matte }
 }

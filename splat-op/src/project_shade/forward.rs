@@ -24,6 +24,8 @@ pub(super) fn project_shade_forward_kernel(
     scales: &[f32],
     opacities: &[f32],
     sh: &[f32],
+    matte: ComptimeOption<Box<[f32]>>,
+    first_matte: ComptimeOption<u32>,
     cam_from_world: &[f32],
     projected: &mut [f32],
     colours: &mut [f32],
@@ -41,7 +43,20 @@ pub(super) fn project_shade_forward_kernel(
         packed.store(projected, ABSOLUTE_POS);
         let mut colour = Vec3::new(0.0, 0.0, 0.0);
         if may_show(&packed, sigmas, width, height) {
-            colour = colour_of(sh, ABSOLUTE_POS, gaussian.mean, pose, degree);
+            #[comptime]
+            match first_matte {
+                ComptimeOption::Some(first) => {
+                    let first = first as usize;
+                    if ABSOLUTE_POS < first {
+                        colour = colour_of(sh, ABSOLUTE_POS, gaussian.mean, pose, degree);
+                    } else {
+                        colour = colour_of(&matte.unwrap(), ABSOLUTE_POS - first, gaussian.mean, pose, 0usize);
+                    }
+                }
+                ComptimeOption::None => {
+                    colour = colour_of(sh, ABSOLUTE_POS, gaussian.mean, pose, degree);
+                }
+            }
         }
         colour.store(colours, 3 * ABSOLUTE_POS);
     }

@@ -1,7 +1,7 @@
 //! The kernels of both stages in one against those of the stages alone, which are proven against the twins.
 
 use super::launch::{DeviceInputs, launch_project_shade, launch_project_shade_backward};
-use super::tests::{COEFFICIENTS, Scene, check_colours, spec};
+use super::tests::{COEFFICIENTS, PARTED, Parted, Scene, check_colours, constant_of, spec};
 use super::{ProjectShadeNeeds, cpu};
 use crate::gpu::{Buffer, Gpu};
 use crate::project::launch::{DeviceInputs as ProjectInputs, launch_project, launch_project_backward};
@@ -17,7 +17,7 @@ fn upload(scene: &Scene, gpu: &Gpu) -> (DeviceInputs, ShadeInputs, [Buffer<f32>;
         std::array::from_fn(|i| Buffer::from_slice(gpu, &to_f32(&scene.0[i])));
     let of_shade = ShadeInputs { sh: sh.clone(), means: means.clone(), cam_from_world: cam_from_world.clone() };
     let geometry = ProjectInputs { means, rotations, scales, opacities, cam_from_world };
-    (DeviceInputs { geometry, sh }, of_shade, [ellipses, colours])
+    (DeviceInputs { geometry, sh, matte: None }, of_shade, [ellipses, colours])
 }
 
 /// One compiler may contract what another does not.
@@ -64,7 +64,7 @@ fn backwards_they_are_the_sum_of_the_stages_for_any_choice_of_gradients() {
             let (inputs, of_shade, [ellipses, colours]) = upload(&scene, gpu);
             let [means, rotations, scales, opacities, mean2d, sh] = std::array::from_fn(|i| choice >> i & 1 != 0);
             let geometry = ProjectNeeds { means, rotations, scales, opacities, mean2d, cam_from_world: false };
-            let (needs, grads) = (ProjectShadeNeeds { geometry, sh }, (&ellipses, &colours));
+            let (needs, grads) = (ProjectShadeNeeds { geometry, sh, matte: false }, (&ellipses, &colours));
             let found = launch_project_shade_backward(gpu, &inputs, COEFFICIENTS, grads, &spec, needs);
             let one = launch_project_backward(gpu, &inputs.geometry, &ellipses, &spec, geometry);
             let shade_needs = ShadeNeeds { sh, means, cam_from_world: false };
@@ -91,6 +91,54 @@ fn backwards_they_are_the_sum_of_the_stages_for_any_choice_of_gradients() {
 }
 
 #[test]
+fn matte_gaussians_are_those_without_higher_harmonics() {
+    let spec = spec(1.0 / 255.0);
+    for (count, matte) in PARTED {
+        let parted = Parted::new(Scene::random(count as u64, count), matte);
+        for (form, gpu) in gpus() {
+            let (flat, _, [ellipses, colours]) = upload(&parted.flat, &gpu);
+            let [sh, constant] = [&parted.sh, &parted.matte].map(|sh| Buffer::from_slice(&gpu, &to_f32(sh)));
+            let inputs = DeviceInputs { sh, matte: Some(constant), ..flat.clone() };
+            let (packed, shown) = launch_project_shade(&gpu, &inputs, COEFFICIENTS, &spec);
+            let (expected_packed, expected_shown) = launch_project_shade(&gpu, &flat, COEFFICIENTS, &spec);
+            let what = format!("{matte} of {count}, {form}");
+            assert_close(&what, &packed.read(&gpu), &expected_packed.read(&gpu));
+            assert_close(&what, &shown.read(&gpu), &expected_shown.read(&gpu));
+            for choice in 0..8_u32 {
+                let [means, sh, matte] = std::array::from_fn(|i| choice >> i & 1 != 0);
+                let geometry = ProjectNeeds {
+                    means,
+                    rotations: true,
+                    scales: true,
+                    opacities: true,
+                    mean2d: true,
+                    cam_from_world: false,
+                };
+                let (needs, grads) = (ProjectShadeNeeds { geometry, sh, matte }, (&ellipses, &colours));
+                let found = launch_project_shade_backward(&gpu, &inputs, COEFFICIENTS, grads, &spec, needs);
+                let all = ProjectShadeNeeds { sh: true, matte: false, ..needs };
+                let expected = launch_project_shade_backward(&gpu, &flat, COEFFICIENTS, grads, &spec, all);
+                let read = |buffer: &Option<Buffer<f32>>| buffer.as_ref().map(|buffer| buffer.read(&gpu));
+                let harmonics = read(&expected.sh).expect("asked for");
+                let (first, last) = harmonics.split_at(parted.sh.len());
+                let (g, e) = (&found.geometry, &expected.geometry);
+                for (name, found, expected) in [
+                    ("means", read(&g.means), read(&e.means)),
+                    ("rotations", read(&g.rotations), read(&e.rotations)),
+                    ("opacities", read(&g.opacities), read(&e.opacities)),
+                    ("sh", read(&found.sh), sh.then(|| first.to_vec())),
+                    ("matte", read(&found.matte), matte.then(|| constant_of(last))),
+                ] {
+                    let what = format!("{name}, {what}, choice {choice:#b}");
+                    assert_eq!(found.is_some(), expected.is_some(), "{what}");
+                    assert_close(&what, &found.unwrap_or_default(), &expected.unwrap_or_default());
+                }
+            }
+        }
+    }
+}
+
+#[test]
 fn no_gaussians() {
     let geometry = ProjectNeeds {
         means: true,
@@ -104,7 +152,7 @@ fn no_gaussians() {
         let (inputs, _, [ellipses, colours]) = upload(&Scene::random(0, 0), &gpu);
         let (packed, shown) = launch_project_shade(&gpu, &inputs, COEFFICIENTS, &spec(0.01));
         assert!(packed.read(&gpu).is_empty() && shown.read(&gpu).is_empty());
-        let needs = ProjectShadeNeeds { geometry, sh: true };
+        let needs = ProjectShadeNeeds { geometry, sh: true, matte: false };
         let grads = (&ellipses, &colours);
         let found = launch_project_shade_backward(&gpu, &inputs, COEFFICIENTS, grads, &spec(0.01), needs);
         assert!(found.geometry.means.expect("asked for").read(&gpu).is_empty());

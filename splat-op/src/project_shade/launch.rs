@@ -12,8 +12,17 @@ use crate::shade::degree_of;
 #[derive(Clone, Debug)]
 pub(crate) struct DeviceInputs {
     pub geometry: ProjectInputs,
-    /// `[N, (degree+1)², 3]`.
+    /// `[M, (degree+1)², 3]`.
     pub sh: Buffer<f32>,
+    /// `[N − M, 1, 3]`, if there are matte Gaussians.
+    pub matte: Option<Buffer<f32>>,
+}
+
+impl DeviceInputs {
+    /// Where matte Gaussians begin, if there are any.
+    fn first_matte(&self) -> Option<u32> {
+        self.matte.as_ref().map(|matte| (self.geometry.opacities.len - matte.len / 3) as u32)
+    }
 }
 
 /// Gradients on the device, of the inputs' shapes, each where it was asked for.
@@ -21,6 +30,7 @@ pub(crate) struct DeviceInputs {
 pub(crate) struct DeviceGrads {
     pub geometry: ProjectGrads,
     pub sh: Option<Buffer<f32>>,
+    pub matte: Option<Buffer<f32>>,
 }
 
 /// Packed ellipses, `[N, 7]`, and colours, `[N, 3]`, from `coefficients` per channel.
@@ -48,6 +58,8 @@ pub(crate) fn launch_project_shade(
             geometry.scales.arg(),
             geometry.opacities.arg(),
             inputs.sh.arg(),
+            inputs.matte.as_ref().map(Buffer::arg).into(),
+            inputs.first_matte().into(),
             geometry.cam_from_world.arg(),
             projected.arg(),
             colours.arg(),
@@ -85,7 +97,8 @@ pub(crate) fn launch_project_shade_backward(
             cam_from_world: None,
             mean2d: rows(needed.mean2d, 2),
         },
-        sh: rows(needs.sh, 3 * coefficients),
+        sh: Buffer::if_needed(gpu, needs.sh, inputs.sh.len),
+        matte: inputs.matte.as_ref().and_then(|matte| Buffer::if_needed(gpu, needs.matte, matte.len)),
     };
     if count == 0 {
         return grads;
@@ -103,6 +116,8 @@ pub(crate) fn launch_project_shade_backward(
             geometry.scales.arg(),
             geometry.opacities.arg(),
             inputs.sh.arg(),
+            inputs.matte.as_ref().map(Buffer::arg).into(),
+            inputs.first_matte().into(),
             geometry.cam_from_world.arg(),
             grad_packed.arg(),
             grad_colours.arg(),
@@ -112,6 +127,7 @@ pub(crate) fn launch_project_shade_backward(
             output(&grads.geometry.opacities),
             output(&grads.geometry.mean2d),
             grads.sh.as_ref().map(Buffer::arg).into(),
+            grads.matte.as_ref().map(Buffer::arg).into(),
             lens(spec),
             count as u32,
             degree_of(coefficients),

@@ -11,9 +11,14 @@
 //!
 //! which is wider than what `tile` lists, so that no picture changes.
 //!
-//! Shapes: means `[N, 3]`, rotations `[N, 4]`, scales `[N, 3]`, opacities `[N]`, coefficients `[N, (degree+1)², 3]`, pose
-//! `[3, 4]` → packed `[N, 7]` and colours `[N, 3]`. The pose is a constant here: where it is trained, the two stages run one
-//! after the other.
+//! Gaussians whose colour does not vary with the direction may come last, as *matte* ones of degree 0 whatever the degree of
+//! the others is: the first `M` have coefficients `[M, (degree+1)², 3]`, the other `N − M` have `[N − M, 1, 3]`. It is as if
+//! those had coefficients of zero for all higher degrees, which nobody reads, and whose gradients nobody computes. Without
+//! matte ones `M` is `N`, and the kernels are compiled without them.
+//!
+//! Shapes: means `[N, 3]`, rotations `[N, 4]`, scales `[N, 3]`, opacities `[N]`, coefficients `[M, (degree+1)², 3]` and
+//! `[N − M, 1, 3]`, pose `[3, 4]` → packed `[N, 7]` and colours `[N, 3]`. The pose is a constant here: where it is trained,
+//! the two stages run one after the other.
 
 #[cfg(feature = "cube")]
 mod backward;
@@ -54,8 +59,11 @@ pub struct ProjectShadeInputs<B: Backend> {
     /// Of `project`; its means and pose are also those of `shade`.
     #[extension_type]
     pub geometry: ProjectInputs<B>,
-    /// `[N, (degree+1)², 3]`.
+    /// `[M, (degree+1)², 3]`: of the first Gaussians, or of all.
     pub sh: FloatTensor<B>,
+    /// `[N − M, 1, 3]`: of the others, if there are others.
+    #[extension_type]
+    pub matte: Slot<B>,
 }
 
 /// What both stages return.
@@ -75,9 +83,12 @@ pub struct ProjectShadeGrads<B: Backend> {
     /// Those of the means from both stages; never that of the pose.
     #[extension_type]
     pub geometry: ProjectGrads<B>,
-    /// `[N, (degree+1)², 3]`.
+    /// `[M, (degree+1)², 3]`.
     #[extension_type]
     pub sh: Slot<B>,
+    /// `[N − M, 1, 3]`.
+    #[extension_type]
+    pub matte: Slot<B>,
 }
 
 /// Which gradients are asked for; `geometry.cam_from_world` must not be.
@@ -85,4 +96,6 @@ pub struct ProjectShadeGrads<B: Backend> {
 pub struct ProjectShadeNeeds {
     pub geometry: ProjectNeeds,
     pub sh: bool,
+    /// Only where there are matte Gaussians.
+    pub matte: bool,
 }

@@ -55,13 +55,44 @@ impl Scene {
     pub fn inputs(&self) -> Inputs<'_, f64> {
         let [means, rotations, scales, opacities, sh, cam_from_world, ..] = &self.0[..] else { unreachable!() };
         let geometry = ProjectInputs { means, rotations, scales, opacities, cam_from_world };
-        Inputs { geometry, sh, coefficients: COEFFICIENTS }
+        Inputs { geometry, sh, coefficients: COEFFICIENTS, matte: None }
     }
 
     fn shade_inputs(&self) -> ShadeInputs<'_, f64> {
         ShadeInputs { sh: &self.0[4], means: &self.0[0], cam_from_world: &self.0[5], coefficients: COEFFICIENTS }
     }
 }
+
+/// Gaussians of which the last ones are matte, in both ways to say so.
+pub(super) struct Parted {
+    /// All of one degree, with coefficients of zero.
+    pub flat: Scene,
+    /// Coefficients of the first, `[M, COEFFICIENTS, 3]`, and of the others, `[N − M, 1, 3]`.
+    pub sh: Vec<f64>,
+    pub matte: Vec<f64>,
+}
+
+impl Parted {
+    pub fn new(mut flat: Scene, matte: usize) -> Self {
+        let first = flat.0[4].len() - 3 * COEFFICIENTS * matte;
+        flat.0[4][first..].chunks_mut(3 * COEFFICIENTS).for_each(|row| row[3..].fill(0.0));
+        let (sh, rows) = flat.0[4].split_at(first);
+        let (sh, matte) = (sh.to_vec(), constant_of(rows));
+        Self { flat, sh, matte }
+    }
+
+    fn inputs(&self) -> Inputs<'_, f64> {
+        Inputs { sh: &self.sh, matte: Some(&self.matte), ..self.flat.inputs() }
+    }
+}
+
+/// The coefficients of degree 0 in rows of all.
+pub(super) fn constant_of<F: Copy>(rows: &[F]) -> Vec<F> {
+    rows.chunks_exact(3 * COEFFICIENTS).flat_map(|row| &row[..3]).copied().collect()
+}
+
+/// How many Gaussians, and how many of them are matte: within a task, across tasks, almost all.
+pub(super) const PARTED: [(usize, usize); 3] = [(1_500, 700), (2_100, 1), (300, 299)];
 
 /// Asserts that colours are those of `expected` or zero, and of `expected` where a Gaussian is in a list; returns how many of
 /// those in front of the camera were left out.
@@ -112,7 +143,7 @@ fn backwards_it_is_the_sum_of_the_stages_for_any_choice_of_gradients() {
     for choice in 0..64_u32 {
         let [means, rotations, scales, opacities, mean2d, sh] = std::array::from_fn(|i| choice >> i & 1 != 0);
         let geometry = ProjectNeeds { means, rotations, scales, opacities, mean2d, cam_from_world: false };
-        let needs = ProjectShadeNeeds { geometry, sh };
+        let needs = ProjectShadeNeeds { geometry, sh, matte: false };
         let found = project_shade_backward_cpu(scene.inputs(), (of_ellipses, of_colours), &spec, needs);
         let one = project_backward_cpu(scene.inputs().geometry, of_ellipses, &spec, geometry);
         let shade_needs = ShadeNeeds { sh, means, cam_from_world: false };
@@ -122,5 +153,38 @@ fn backwards_it_is_the_sum_of_the_stages_for_any_choice_of_gradients() {
         let g = found.geometry;
         assert!(g.rotations == one.rotations && g.scales == one.scales && g.opacities == one.opacities);
         assert!(g.mean2d == one.mean2d && g.cam_from_world.is_empty());
+    }
+}
+
+#[test]
+fn matte_gaussians_are_those_without_higher_harmonics_bit_for_bit() {
+    let spec = spec(1.0 / 255.0);
+    for (count, matte) in PARTED {
+        let parted = Parted::new(Scene::random(count as u64, count), matte);
+        let (inputs, flat) = (parted.inputs(), parted.flat.inputs());
+        assert!(project_shade_cpu(inputs, &spec) == project_shade_cpu(flat, &spec), "{matte} of {count}");
+        let grads = (&parted.flat.0[6][..], &parted.flat.0[7][..]);
+        for choice in 0..8_u32 {
+            let [means, sh, matte] = std::array::from_fn(|i| choice >> i & 1 != 0);
+            let geometry = ProjectNeeds {
+                means,
+                rotations: true,
+                scales: true,
+                opacities: true,
+                mean2d: true,
+                cam_from_world: false,
+            };
+            let needs = ProjectShadeNeeds { geometry, sh, matte };
+            let found = project_shade_backward_cpu(inputs, grads, &spec, needs);
+            let all = ProjectShadeNeeds { sh: true, matte: false, ..needs };
+            let expected = project_shade_backward_cpu(flat, grads, &spec, all);
+            let (first, last) = expected.sh.split_at(parted.sh.len());
+            assert!(found.sh == if sh { first } else { &[] }, "choice {choice}");
+            assert!(found.matte == if matte { constant_of(last) } else { Vec::new() }, "choice {choice}");
+            assert!(!matte || found.matte.iter().any(|gradient| *gradient != 0.0));
+            let (found, expected) = (found.geometry, expected.geometry);
+            assert!(found.means == expected.means && found.rotations == expected.rotations, "choice {choice}");
+            assert!(found.opacities == expected.opacities && found.mean2d == expected.mean2d, "choice {choice}");
+        }
     }
 }
