@@ -9,7 +9,7 @@ mod resolution;
 mod views;
 
 use burn::tensor::{Device, Tensor};
-use glam::DAffine3;
+use glam::{DAffine3, Vec3};
 use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
@@ -22,6 +22,7 @@ use crate::effects::background::{Background, Behind};
 use crate::effects::depth::{DepthSample, Depths};
 use crate::effects::exposure::Exposure;
 use crate::effects::grid::Grids;
+use crate::effects::optics::Optics;
 use crate::effects::pose::Poses;
 use crate::effects::pose::anchors::Anchors;
 use crate::effects::smoothing::Smoothing;
@@ -144,7 +145,16 @@ impl Trainer {
         {
             return Err(TrainError::LearntBackground(photo.name.clone()));
         }
+        let optics = match config.optics.any() {
+            true => {
+                let cameras: Vec<Intrinsics> = photos.iter().map(|photo| photo.intrinsics).collect();
+                let distance = typical_depth(&photos, points).unwrap_or(extent);
+                Some(Optics::new(config.optics, &cameras, (extent, distance), device)?)
+            }
+            false => None,
+        };
         let effects = Applied {
+            optics,
             smoothing: config
                 .smoothing
                 .then(|| Smoothing::new(photos.iter().map(|photo| (&photo.intrinsics, &photo.cam_from_world)))),
@@ -318,14 +328,16 @@ impl Trainer {
         let (camera, truth) = self.views.prepare(view, drawn);
         let size = (camera.intrinsics.width, camera.intrinsics.height);
         let (camera, of_pose) = self.effects.camera(camera, view);
-        let picture = if self.checks {
+        let picture = if let Some(optics) = &self.effects.optics {
+            optics.render(&splats, &camera, &extras, &options, view)?
+        } else if self.checks {
             render_checked(&splats, &camera, &extras, &options).map_err(|stopped| self.stopped(view, stopped))?
         } else {
             render_view(&splats, &camera, &extras, &options)?
         };
         let excluded = self.views.excluded(view);
         let image = self.effects.shown(&picture, view, self.views.camera_of(view), excluded.as_ref());
-        let of_depth = self.effects.depth_penalty(&picture, view);
+        let of_depth = self.effects.depth_penalty(&picture, view, (step, self.config.steps));
         let alpha = picture.alpha;
         let alpha = excluded.map_or(alpha.clone(), |excluded| masks::cleared(alpha, &excluded));
         let seen = Seen { image, alpha, truth: &truth, splats: &splats, step, view: self.views.name(view) };
@@ -388,6 +400,16 @@ impl Trainer {
         }
         self.queue.pop().expect("filled above, and there is at least one view")
     }
+}
+
+/// The median depth of the points in the photographs, scene units; none without points.
+fn typical_depth(photos: &[Photo], points: &PointCloud) -> Option<f64> {
+    let every = points.positions.len().div_ceil(1000).max(1);
+    let worlds = || points.positions.iter().step_by(every).map(|point| Vec3::from_array(*point).as_dvec3());
+    let depths = photos.iter().flat_map(|photo| worlds().map(|world| photo.cam_from_world.transform_point3(world).z));
+    let mut depths: Vec<f64> = depths.filter(|depth| *depth > 0.0).collect();
+    depths.sort_unstable_by(f64::total_cmp);
+    depths.get(depths.len() / 2).copied()
 }
 
 #[cfg(test)]

@@ -47,10 +47,10 @@ pub struct DemoArgs {
     /// Put a landscape with a sky around the scene, a hundred times as far away as the cameras, which stand lower to see it
     #[arg(long)]
     pub far: bool,
-    /// Move the camera during the exposure of a fifth of the training photographs, by 2.5% of the width
+    /// Move the camera during the exposure of two fifths of the training photographs, by 5% of the width
     #[arg(long)]
     pub motion: bool,
-    /// Move the camera while the rows of each photograph are exposed one after the other, by 5% of the width
+    /// Move the camera while the rows of each training photograph are exposed one after the other, by 5% of the width
     #[arg(long)]
     pub rolling: bool,
     /// Take the training photographs with an open aperture: what is near and what is far is out of focus

@@ -11,8 +11,10 @@ use splat_model::effects::background::Backdrop;
 use splat_model::effects::depth::{self, DepthConfig};
 use splat_model::effects::exposure::ExposureConfig;
 use splat_model::effects::grid::GridConfig;
+use splat_model::effects::optics::OpticsConfig;
 use splat_model::effects::plan::Cost;
 use splat_model::effects::pose::{PoseConfig, anchors};
+use splat_model::effects::survey::depth_folder;
 use splat_model::effects::{Effect, Plan, Survey};
 use splat_model::trainer::{TrainConfig, TrainError, Trainer};
 
@@ -151,6 +153,11 @@ impl Chosen {
         config.exposure = self.has(Effect::Exposure).then(ExposureConfig::default);
         config.grid = self.has(Effect::BilateralGrid).then(GridConfig::default);
         config.poses = self.has(Effect::PoseRefinement).then(PoseConfig::default);
+        config.optics = OpticsConfig {
+            motion: self.has(Effect::MotionBlur),
+            rolling: self.has(Effect::RollingShutter),
+            defocus: self.has(Effect::Defocus),
+        };
         config.depth = self.has(Effect::DepthSupervision).then(DepthConfig::default);
         match background {
             Some(background) => background.configure(config),
@@ -163,15 +170,27 @@ impl Chosen {
     }
 
     /// What the run needs to know beside its photographs.
-    pub fn supply(&self, trainer: Trainer, capture: &Capture, views: &[usize]) -> Trainer {
+    ///
+    /// # Errors
+    /// If a depth map cannot be read.
+    pub fn supply(&self, trainer: Trainer, capture: &Capture, views: &[usize]) -> Result<Trainer> {
         let trainer = match self.has(Effect::PoseRefinement) {
             true => trainer.with_anchors(&anchors::from_tracks(capture, views)),
             false => trainer,
         };
-        match self.has(Effect::DepthSupervision) {
-            true => trainer.with_depths(depth::from_tracks(capture, views)),
-            false => trainer,
+        if !self.has(Effect::DepthSupervision) {
+            return Ok(trainer);
         }
+        let samples = match depth_folder(&capture.folder) {
+            Some(folder) => depth::from_maps(capture, folder, views)?,
+            None => depth::from_tracks(capture, views),
+        };
+        Ok(trainer.with_depths(samples))
+    }
+
+    /// What an effect took, by the name that reports have for it.
+    pub fn measured_cost(&self, name: &str) -> Option<Cost> {
+        self.measured.get(name).copied()
     }
 
     /// Measures what the effects took, at the end of a run.

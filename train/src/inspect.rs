@@ -72,7 +72,6 @@ fn line(decision: &Decision) -> String {
         Verdict::On => "ON",
         Verdict::Off => "off",
         Verdict::AsConfigured => "as configured",
-        Verdict::NotSimulatedYet => "not simulated yet",
     };
     let cost = decision.predicted.filter(|_| decision.verdict == Verdict::On).map_or(String::new(), |cost| {
         let Cost { ms_per_step, mib } = cost;

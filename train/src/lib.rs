@@ -8,6 +8,7 @@ pub mod background;
 pub mod demo;
 pub mod devices;
 pub mod eval;
+pub mod gains;
 pub mod hard_cases;
 pub mod inspect;
 pub mod render;
@@ -35,6 +36,7 @@ pub fn run(command: &Command) -> Result<()> {
         Command::Render(args) => render::run(args).map(drop),
         Command::Demo(args) => demo::run(args),
         Command::Inspect(args) => inspect::run(args),
+        Command::Effects(args) => gains::run(args),
         Command::HardCases(args) => hard_cases::run(args),
         Command::Devices => devices::run(),
     }

@@ -104,7 +104,7 @@ pub struct TrainArgs {
     pub background: Option<TrainBackground>,
     /// Effects to simulate: `auto`, as `splat inspect` decides; `none`; a list of names with commas between them; or `+NAME`
     /// and `-NAME` to adjust `auto`. Names: antialias, alpha, exposure, bilateral-grid, masks, pose-refinement, environment,
-    /// depth-supervision
+    /// motion-blur, rolling-shutter, defocus, depth-supervision
     #[arg(long, value_name = "LIST", default_value_t, allow_hyphen_values = true)]
     pub effects: EffectsArg,
     /// Look at what every stage of every step leaves, and end at the first that goes wrong; several times as slow
@@ -202,7 +202,7 @@ pub fn run_with(args: &TrainArgs, change: impl FnOnce(Trainer) -> Trainer) -> Re
         capture.points.positions.len()
     ));
     let trainer = Trainer::new(train, &capture.points, config.clone(), &device)?;
-    let trainer = effects.supply(trainer, &capture, &train_views);
+    let trainer = effects.supply(trainer, &capture, &train_views)?;
     let mut trainer = change(if args.check { trainer.with_checks() } else { trainer });
     let load = seconds_since(start);
     let render_options = trainer.render_options();
@@ -225,7 +225,11 @@ pub fn run_with(args: &TrainArgs, change: impl FnOnce(Trainer) -> Trainer) -> Re
     let rows = trainer.rows();
     ply::write(&out.join(SCENE), &rows, capture.origin)?;
     write_learnt(&trainer, &config, &capture, &out)?;
-    let gaussians = Gaussians::from_rows(&rows, &device)?;
+    let matte = trainer.gaussians().len() - trainer.gaussians().directional();
+    let gaussians = match config.smoothing {
+        true => Gaussians::from_rows(&rows, &device)?,
+        false => trainer.gaussians().untracked(),
+    };
     let unusable = rows.unusable();
     progress::note_unusable(&out.join(SCENE), unusable, rows.len());
     drop(rows);
@@ -241,7 +245,7 @@ pub fn run_with(args: &TrainArgs, change: impl FnOnce(Trainer) -> Trainer) -> Re
     let metrics = Metrics {
         test: test_scores,
         splats: gaussians.len(),
-        matte: gaussians.len() - gaussians.directional(),
+        matte,
         culled_non_finite: unusable,
         steps: Some(config.steps),
         seconds: Seconds { load, train: Some(train), eval },

@@ -12,6 +12,7 @@ use super::exposure::Exposure;
 use super::grid::Grids;
 use super::learned::Moment;
 use super::masks;
+use super::optics::{Optics, OpticsGradients};
 use super::pose::Poses;
 use super::smoothing::Smoothing;
 use crate::gaussians::Gaussians;
@@ -21,6 +22,7 @@ use crate::gaussians::Gaussians;
 pub struct Applied {
     pub(crate) smoothing: Option<Smoothing>,
     pub(crate) poses: Option<Poses>,
+    pub(crate) optics: Option<Optics>,
     pub(crate) behind: Option<Behind>,
     pub(crate) exposure: Option<Exposure>,
     pub(crate) grids: Option<Grids>,
@@ -31,6 +33,7 @@ pub struct Applied {
 #[derive(Default)]
 pub struct EffectGradients {
     pose: Option<Tensor<2>>,
+    optics: OpticsGradients,
     behind: Option<Tensor<2>>,
     exposure: Option<Tensor<2>>,
     grid: Option<Tensor<4>>,
@@ -117,16 +120,17 @@ impl Applied {
         exposure.into_iter().chain(grid).reduce(|a, b| a + b)
     }
 
-    /// What known depths add to it, `[1]`.
-    pub fn depth_penalty(&mut self, picture: &Picture, view: usize) -> Option<Tensor<1>> {
+    /// What known depths add to it, `[1]`, at a step, counted from 1, of so many.
+    pub fn depth_penalty(&mut self, picture: &Picture, view: usize, at: (usize, usize)) -> Option<Tensor<1>> {
         let depth = picture.depth.clone()?;
-        self.depths.as_mut()?.penalty(depth, picture.alpha.clone(), view)
+        self.depths.as_mut()?.penalty(depth, picture.alpha.clone(), view, at)
     }
 
     /// Takes the gradients of the effects' parameters for `view` out of those of a loss.
     pub fn take_gradients(&self, view: usize, gradients: &mut burn::tensor::Gradients) -> EffectGradients {
         EffectGradients {
             pose: self.poses.as_ref().and_then(|poses| poses.take_gradient(view, gradients)),
+            optics: self.optics.as_ref().map(|optics| optics.take_gradients(view, gradients)).unwrap_or_default(),
             behind: self.behind.as_ref().and_then(|behind| behind.take_gradient(gradients)),
             exposure: self.exposure.as_ref().and_then(|exposure| exposure.take_gradient(view, gradients)),
             grid: self.grids.as_ref().and_then(|grids| grids.take_gradient(view, gradients)),
@@ -137,6 +141,9 @@ impl Applied {
     pub fn step(&mut self, gradients: EffectGradients, at: Moment) {
         if let (Some(poses), Some(gradient)) = (&mut self.poses, gradients.pose) {
             poses.step(gradient, at);
+        }
+        if let Some(optics) = &mut self.optics {
+            optics.step(gradients.optics, at);
         }
         if let (Some(behind), Some(gradient)) = (&mut self.behind, gradients.behind) {
             behind.step(gradient, at);
@@ -158,6 +165,7 @@ impl Applied {
             Effect::Exposure => swap(&mut self.exposure, &mut other.exposure),
             Effect::BilateralGrid => swap(&mut self.grids, &mut other.grids),
             Effect::PoseRefinement => swap(&mut self.poses, &mut other.poses),
+            Effect::MotionBlur | Effect::RollingShutter | Effect::Defocus => swap(&mut self.optics, &mut other.optics),
             Effect::DepthSupervision => swap(&mut self.depths, &mut other.depths),
             // Held by the photographs.
             Effect::Masks => {}

@@ -1,7 +1,7 @@
 //! Depth supervision: what is known of the distance of things holds the scene in place where few photographs do.
 //!
-//! Known are the sparse points in the photographs that their tracks name (Deng et al. 2022, "Depth-supervised NeRF"). The
-//! render's depth is `D/α` with `D = Σ wᵢ zᵢ`, and the loss is the mean of `|D/α − z| / z` over the known
+//! Known are the depth maps that a capture brings, or else the sparse points in the photographs that their tracks name (Deng
+//! et al. 2022, "Depth-supervised NeRF"). The render's depth is `D/α` with `D = Σ wᵢ zᵢ`, and the loss is the mean of `|D/α − z| / z` over the known
 //! places, relative, so that near and far count alike. Places that the render covers by less than half say nothing.
 //!
 //! The gradient follows the opacity `α = Σ wᵢ` too. Were it held constant, as is sometimes done, thinning everything out would
@@ -9,23 +9,28 @@
 //! off (0.73 scene units) than without any supervision (0.46), and nearer (less than 0.28) with the whole derivative, which says
 //! `(zᵢ − D/α)/α` for each weight: what is too far off fades and what is nearer comes forward.
 
+use std::path::Path;
+
 use burn::tensor::{Device, Int, Tensor, TensorData};
 use glam::{Vec2, Vec3};
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use crate::capture::Capture;
+use super::learned::Falling;
+use crate::capture::{Capture, CaptureError};
 
 /// How depths are learnt from.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct DepthConfig {
-    /// Weight of the relative error in the loss: 0.1.
-    pub weight: f64,
+    /// Weight of the relative error in the loss: from 2 to 0.2, so that depths put the scene in place first and photographs
+    /// have the last word.
+    pub weight: Falling,
 }
 
 impl Default for DepthConfig {
     fn default() -> Self {
-        Self { weight: 0.1 }
+        Self { weight: Falling { from: 2.0, to: 0.2 } }
     }
 }
 
@@ -64,6 +69,63 @@ pub fn from_tracks(capture: &Capture, views: &[usize]) -> Vec<Vec<DepthSample>> 
     samples
 }
 
+/// What is beside the depth maps.
+#[derive(Deserialize)]
+struct Scale {
+    /// Scene units per level.
+    scale: f64,
+}
+
+/// What depth maps know of some of a capture's photographs: in `folder` of the capture, 16-bit grey PNG pictures of any size
+/// named as masks are (see [`masks`](super::masks)), whose levels are camera z at the pixels' middles, zero where it is not
+/// known, and a file `depth.json` that says how many scene units a level is: `{"scale": 0.001}`. Of a large map some pixels are
+/// taken, evenly. A photograph without a map has no samples.
+///
+/// # Errors
+/// If `depth.json` is missing or holds no positive number, or a map cannot be read or is no 16-bit grey picture.
+pub fn from_maps(capture: &Capture, folder: &str, views: &[usize]) -> Result<Vec<Vec<DepthSample>>, CaptureError> {
+    let folder = capture.folder.join(folder);
+    let file = folder.join("depth.json");
+    let picture = |file: &Path, reason: String| CaptureError::Picture { file: file.to_owned(), reason };
+    let text = std::fs::read(&file).map_err(|reason| CaptureError::Read {
+        file: file.clone(),
+        reason,
+        fix: "Say beside the depth maps how many scene units a level is: {\"scale\": 0.001}",
+    })?;
+    let scale = serde_json::from_slice::<Scale>(&text).map_err(|error| picture(&file, error.to_string()))?.scale;
+    if !(scale > 0.0 && scale.is_finite()) {
+        return Err(picture(&file, format!("`scale` is {scale}, expected scene units per level, above 0")));
+    }
+    let of_view = |&view: &usize| {
+        let view = &capture.views[view];
+        let found = names(&view.name).into_iter().map(|name| folder.join(name)).find(|file| file.is_file());
+        let Some(file) = found else { return Ok(Vec::new()) };
+        let map = image::open(&file).map_err(|error| picture(&file, error.to_string()))?;
+        let image::DynamicImage::ImageLuma16(map) = map else {
+            let found = map.color();
+            return Err(picture(&file, format!("its pixels are {found:?}, expected 16-bit grey levels of depth")));
+        };
+        let (width, height) = (map.width() as f32, map.height() as f32);
+        let every = map.len().div_ceil(MOST_SAMPLES).max(1);
+        let sample = |(x, y, level): (u32, u32, &image::Luma<u16>)| DepthSample {
+            at: [(x as f32 + 0.5) / width, (y as f32 + 0.5) / height],
+            depth: (f64::from(level.0[0]) * scale) as f32,
+        };
+        let known = map.enumerate_pixels().filter(|(.., level)| level.0[0] > 0);
+        Ok(known.step_by(every).map(sample).collect())
+    };
+    views.par_iter().map(of_view).collect()
+}
+
+/// As masks are named.
+fn names(view: &str) -> [String; 2] {
+    let bare = view.rsplit_once('.').map_or(view, |(bare, _)| bare);
+    [format!("{view}.png"), format!("{bare}.png")]
+}
+
+/// Samples of a depth map at most.
+const MOST_SAMPLES: usize = 16_384;
+
 /// A photograph's samples on the device, for one size of picture.
 struct OnDevice {
     size: [usize; 2],
@@ -98,8 +160,15 @@ impl Depths {
         self.samples.get(view).is_some_and(|samples| !samples.is_empty())
     }
 
-    /// What is added to the loss of a step on `view`, `[1]`, with the render's accumulated depth and alpha, `[H, W, 1]` each.
-    pub fn penalty(&mut self, depth: Tensor<3>, alpha: Tensor<3>, view: usize) -> Option<Tensor<1>> {
+    /// What is added to the loss of step `step` of `steps` on `view`, `[1]`, with the render's accumulated depth and alpha,
+    /// `[H, W, 1]` each.
+    pub fn penalty(
+        &mut self,
+        depth: Tensor<3>,
+        alpha: Tensor<3>,
+        view: usize,
+        (step, steps): (usize, usize),
+    ) -> Option<Tensor<1>> {
         let samples = self.samples.get(view).filter(|samples| !samples.is_empty())?;
         let [height, width, _] = depth.dims();
         let size = [width, height];
@@ -116,7 +185,7 @@ impl Depths {
         let divisor = at(alpha).select(0, indices.clone()).clamp_min(0.5) * constant(depths);
         let relative = at(depth).select(0, indices) / divisor - 1.0;
         let sum = (relative.abs() * constant(&covered)).sum() / constant(&count);
-        Some(sum * self.config.weight)
+        Some(sum * self.config.weight.at(step, steps))
     }
 
     /// Bytes on the device.
@@ -150,7 +219,8 @@ mod tests {
     use crate::gaussians::values_of;
 
     fn depths(samples: Vec<DepthSample>) -> Depths {
-        Depths::new(DepthConfig { weight: 2.0 }, vec![samples, vec![]], &Device::flex())
+        let weight = Falling { from: 2.0, to: 1.0 };
+        Depths::new(DepthConfig { weight }, vec![samples, vec![]], &Device::flex())
     }
 
     fn tracked(values: &[f32], size: [usize; 3]) -> Tensor<3> {
@@ -172,7 +242,7 @@ mod tests {
         let mut depths = depths(samples);
         let depth = tracked(&[1.2, 0.1, 9.0, 3.0], [2, 2, 1]);
         let alpha = tracked(&[0.8, 0.4, 1.0, 1.0], [2, 2, 1]);
-        let loss = depths.penalty(depth.clone(), alpha.clone(), 0).unwrap();
+        let loss = depths.penalty(depth.clone(), alpha.clone(), 0, (1, 10)).unwrap();
         // |1.2/0.8 − 2|/2 = 1/4 and |3 − 4|/4 = 1/4.
         assert!((loss.clone().inner().into_scalar::<f32>() - 2.0 * 0.25).abs() < 1e-6);
         let gradients = loss.backward();
@@ -184,12 +254,39 @@ mod tests {
         let expected = [1.2 / (0.8 * 0.8 * 2.0), 0.0, 0.0, 0.75];
         assert!(gradient.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-6), "{gradient:?}");
         assert!(depths.knows(0) && !depths.knows(1) && !depths.knows(7));
-        assert!(depths.penalty(depth.clone(), alpha.clone(), 1).is_none());
+        assert!(depths.penalty(depth.clone(), alpha.clone(), 1, (1, 10)).is_none());
         assert_eq!(depths.bytes(), 3 * 8);
         // At another size samples are elsewhere.
         let small = |values: &[f32]| tracked(values, [1, 1, 1]);
-        let loss = depths.penalty(small(&[2.0]), small(&[1.0]), 0).unwrap().inner().into_scalar::<f32>();
+        let loss = depths.penalty(small(&[2.0]), small(&[1.0]), 0, (1, 10)).unwrap().inner().into_scalar::<f32>();
         assert!((loss - 2.0 * (0.0 + 0.5 + 0.6) / 3.0).abs() < 1e-6, "{loss}");
+    }
+
+    #[test]
+    fn maps_tell_depths() {
+        let folder = tempfile::tempdir().unwrap();
+        let options =
+            DemoOptions { width: 64, height: 48, views: 4, points: 500, depth: true, ..DemoOptions::default() };
+        demo::write(folder.path(), &options).unwrap();
+        let capture = Capture::load(folder.path()).unwrap();
+        let (tracks, maps) = (from_tracks(&capture, &[2]), from_maps(&capture, "depth", &[2]).unwrap());
+        assert!(maps[0].len() > 1000, "{}", maps[0].len());
+        // At the place of a track the map has its depth, but for steps between things.
+        let at = |sample: &DepthSample| {
+            let pixel = sample.at.iter().zip([64.0, 48.0]).map(|(at, side)| (at * side).floor());
+            let place: Vec<f32> = pixel.zip([64.0, 48.0]).map(|(pixel, side)| (pixel + 0.5) / side).collect();
+            maps[0].iter().find(|map| (map.at[0] - place[0]).hypot(map.at[1] - place[1]) < 1e-4)
+        };
+        let misses = tracks[0].iter().filter_map(|sample| Some((at(sample)?.depth / sample.depth - 1.0).abs()));
+        let mut misses: Vec<f32> = misses.collect();
+        misses.sort_by(f32::total_cmp);
+        assert!(misses.len() > 50 && misses[misses.len() / 2] < 0.01, "{:?}", misses.get(misses.len() / 2));
+        std::fs::write(folder.path().join("depth/depth.json"), "{\"scale\": -1}").unwrap();
+        let error = from_maps(&capture, "depth", &[2]).unwrap_err().to_string();
+        assert!(error.contains("depth.json") && error.contains("-1"), "{error}");
+        std::fs::remove_file(folder.path().join("depth/depth.json")).unwrap();
+        let error = from_maps(&capture, "depth", &[2]).unwrap_err().to_string();
+        assert!(error.contains("depth.json") && error.contains("0.001"), "{error}");
     }
 
     #[test]

@@ -82,6 +82,21 @@ impl<const D: usize> Learned<D> {
         self.set(value);
     }
 
+    /// The same for one of `views` such parameters, each of which belongs to a photograph, at rates that let it go as far as `reach`
+    /// in a whole run and fall to the share `fall`. Adam moves a parameter by about its rate a step, so that short runs and large
+    /// captures, in which a photograph is seen seldom, need other rates than long ones.
+    pub fn step_within(&mut self, gradient: Tensor<D>, reach: Tensor<D>, (fall, views): (f64, usize), at: Moment) {
+        let visits = at.steps as f64 / views.max(1) as f64;
+        // Rates that fall from `r` to `fall r` over the run are `r (1 − fall) / −ln fall` on average.
+        let first = -fall.ln() / ((1.0 - fall) * visits.max(1.0));
+        let rate = Falling { from: first, to: first * fall }.at(at.step, at.steps);
+        // Adam's steps do not depend on the size of gradients, so what is scaled is the parameter.
+        let before = self.value();
+        self.step(gradient, rate, at.verdict);
+        let step = self.value() - before.clone();
+        self.set(before + step * reach);
+    }
+
     /// Bytes of the value and its moments.
     pub fn bytes(&self) -> usize {
         3 * self.value.shape().num_elements() * size_of::<f32>()

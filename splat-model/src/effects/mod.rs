@@ -12,6 +12,7 @@ pub mod grid;
 mod learned;
 pub mod masks;
 pub mod motion;
+pub mod optics;
 pub mod plan;
 pub mod pose;
 pub mod screen;
@@ -50,13 +51,19 @@ pub enum Effect {
     PoseRefinement,
     /// Much of what is seen is too far away for any parallax: light from infinity is learnt.
     Environment,
+    /// Pictures are smeared: the camera moved while the shutter was open.
+    MotionBlur,
+    /// Rows were exposed one after the other while the camera moved. Asked for by name alone.
+    RollingShutter,
+    /// An open aperture: what is not at the distance in focus is blurred. Asked for by name alone.
+    Defocus,
     /// Few photographs show the scene, or depth maps came with them: known depths hold it in place.
     DepthSupervision,
 }
 
 impl Effect {
     /// All of them.
-    pub const ALL: [Self; 8] = [
+    pub const ALL: [Self; 11] = [
         Self::Antialias,
         Self::Alpha,
         Self::Exposure,
@@ -64,6 +71,9 @@ impl Effect {
         Self::Masks,
         Self::PoseRefinement,
         Self::Environment,
+        Self::MotionBlur,
+        Self::RollingShutter,
+        Self::Defocus,
         Self::DepthSupervision,
     ];
 
@@ -77,6 +87,9 @@ impl Effect {
             Self::Masks => "masks",
             Self::PoseRefinement => "pose-refinement",
             Self::Environment => "environment",
+            Self::MotionBlur => "motion-blur",
+            Self::RollingShutter => "rolling-shutter",
+            Self::Defocus => "defocus",
             Self::DepthSupervision => "depth-supervision",
         }
     }

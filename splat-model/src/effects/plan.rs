@@ -39,8 +39,6 @@ pub enum Verdict {
     Off,
     /// Set by an option of its own, whatever the capture shows.
     AsConfigured,
-    /// Called for, but no part of this program yet.
-    NotSimulatedYet,
 }
 
 /// What simulating an effect is expected to take on top of a step without it, on two CPU cores (see `docs/EFFECTS.md`).
@@ -102,7 +100,9 @@ impl From<&Survey> for Plan {
             environment(survey),
             depth(survey),
             lens(survey),
-            blur(survey),
+            motion_blur(survey),
+            by_name(Effect::RollingShutter, "rows that were read one after the other"),
+            by_name(Effect::Defocus, "an open aperture"),
         ];
         Self { decisions }
     }
@@ -115,16 +115,14 @@ const GRID_MS_PER_MEGAPIXEL: f64 = 2500.0;
 const ENVIRONMENT_MS_PER_MEGAPIXEL: f64 = 60.0;
 const ALPHA_MS_PER_MEGAPIXEL: f64 = 60.0;
 
+/// Time per step of tensor code on the ellipses of some ten thousand Gaussians, ms.
+const OPTICS_MS: f64 = 10.0;
+
 const MIB: f64 = (1 << 20) as f64;
 
 fn decide(effect: Effect, on: bool, evidence: String, rule: String, cost: Option<Cost>) -> Decision {
     let verdict = if on { Verdict::On } else { Verdict::Off };
     Decision { name: effect.name(), effect: Some(effect), verdict, evidence, rule, predicted: cost }
-}
-
-fn remark(name: &'static str, called_for: bool, evidence: String, rule: String) -> Decision {
-    let verdict = if called_for { Verdict::NotSimulatedYet } else { Verdict::Off };
-    Decision { name, effect: None, verdict, evidence, rule, predicted: None }
 }
 
 fn percent(share: f64) -> String {
@@ -295,19 +293,28 @@ fn depth(survey: &Survey) -> Decision {
     decide(Effect::DepthSupervision, few || survey.files.depth_maps.is_some(), evidence, rule, Some(cost))
 }
 
-fn blur(survey: &Survey) -> Decision {
-    let rule = format!("called for where the least sharp twentieth has less than {BLUR_RATIO} of the median");
+fn motion_blur(survey: &Survey) -> Decision {
+    let rule = format!("on where the least sharp twentieth has less than {BLUR_RATIO} of the median's sharpness");
     let blur = &survey.blur;
-    match (blur.median, blur.least) {
+    let (on, evidence) = match (blur.median, blur.least) {
         (Some(median), Some(least)) => {
             let name = blur.least_sharp.as_deref().unwrap_or_default();
             let evidence = format!(
                 "sharpness {median:.2} (median), {least:.2} for the least sharp twentieth, first of all {name:?}"
             );
-            remark("motion-blur", least < BLUR_RATIO * median, evidence, rule)
+            (least < BLUR_RATIO * median, evidence)
         }
-        _ => remark("motion-blur", false, "not known: the pictures show nothing".into(), rule),
-    }
+        _ => (false, "not known: the pictures show nothing".into()),
+    };
+    let cost = Cost { ms_per_step: OPTICS_MS, mib: survey.views as f64 * 3.0 * 6.0 * 4.0 / MIB };
+    decide(Effect::MotionBlur, on, evidence, rule, Some(cost))
+}
+
+/// What no evidence is known of.
+fn by_name(effect: Effect, what: &str) -> Decision {
+    let evidence = format!("nothing that is looked at tells {what} from other faults");
+    let cost = Cost { ms_per_step: OPTICS_MS, mib: 0.0 };
+    decide(effect, false, evidence, "on where it is asked for by name".into(), Some(cost))
 }
 
 /// How the photographs were compared, in words.

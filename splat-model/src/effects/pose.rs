@@ -14,8 +14,7 @@
 //! 1° and 1%, forty cameras ended 0.037 scene units above the true ones together. Where the reconstruction has tracks, these
 //! hold cameras to the sparse points, see [`anchors`].
 //!
-//! How far a camera can go in a run is stated, and not a learning rate: Adam moves a parameter by about its rate a step, so
-//! that short runs and large captures, where a photograph is seen seldom, would need other rates than long ones.
+//! How far a camera can go in a run is stated, and not a learning rate (see `Learned::step_within`).
 
 pub mod anchors;
 
@@ -24,7 +23,7 @@ use glam::{DAffine3, DQuat, DVec3};
 use serde::{Deserialize, Serialize};
 
 use self::anchors::{Anchors, OnDevice, rotation};
-use super::learned::{Falling, Learned, Moment};
+use super::learned::{Learned, Moment};
 use crate::gaussians::values_of;
 
 /// How poses are refined.
@@ -122,18 +121,9 @@ impl Poses {
     /// Adam's step on the correction of the photograph.
     pub fn step(&mut self, gradient: Tensor<2>, at: Moment) {
         let PoseConfig { reach_rad, reach_extents, fall, .. } = self.config;
-        let visits = at.steps as f64 / self.corrections.len() as f64;
-        // Rates that fall from `r` to `fall r` over the run are `r (1 − fall) / −ln fall` on average.
-        let first = -fall.ln() / ((1.0 - fall) * visits.max(1.0));
-        let rate = Falling { from: first, to: first * fall }.at(at.step, at.steps);
-        let device = gradient.device();
-        let reach = Tensor::<2>::from_floats([[reach_rad], [reach_extents]], &device);
-        // Adam's steps do not depend on the size of gradients, so what is scaled is the parameter.
-        let correction = &mut self.corrections[at.view];
-        let before = correction.value();
-        correction.step(gradient, rate, at.verdict);
-        let step = correction.value() - before.clone();
-        correction.set(before + step * reach);
+        let reach = Tensor::<2>::from_floats([[reach_rad], [reach_extents]], &gradient.device());
+        let views = self.corrections.len();
+        self.corrections[at.view].step_within(gradient, reach, (fall, views), at);
     }
 
     /// What the pose of a view is corrected to, on the host.

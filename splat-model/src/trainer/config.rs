@@ -9,6 +9,7 @@ use crate::effects::background::Backdrop;
 use crate::effects::depth::DepthConfig;
 use crate::effects::exposure::ExposureConfig;
 use crate::effects::grid::GridConfig;
+use crate::effects::optics::OpticsConfig;
 use crate::effects::pose::PoseConfig;
 use crate::loss::DEFAULT_LAMBDA;
 use crate::optim::schedule::STEPS_PER_SH_DEGREE;
@@ -54,6 +55,8 @@ pub struct TrainConfig {
     pub grid: Option<GridConfig>,
     /// Whether and how poses are refined: not at all.
     pub poses: Option<PoseConfig>,
+    /// Which of the things that happen while a photograph is taken are simulated: none.
+    pub optics: OpticsConfig,
     /// Whether and how known depths are learnt from (see [`Trainer::with_depths`](super::Trainer::with_depths)): not at all.
     pub depth: Option<DepthConfig>,
     /// Weight of the mean opacity in the loss: 0 for none, 0.01 as MCMC has it (Kheradmand et al. 2024). Gaussians that no
@@ -92,6 +95,7 @@ impl Default for TrainConfig {
             exposure: None,
             grid: None,
             poses: None,
+            optics: OpticsConfig::default(),
             depth: None,
             opacity_weight: 0.0,
             cache_mib: 512,

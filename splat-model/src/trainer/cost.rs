@@ -64,6 +64,9 @@ impl Trainer {
             Effect::Environment => {
                 effects.behind.as_ref().filter(|behind| behind.is_learnt()).map(|behind| behind.bytes())
             }
+            Effect::MotionBlur | Effect::RollingShutter | Effect::Defocus => {
+                effects.optics.as_ref().map(|optics| optics.bytes())
+            }
             Effect::DepthSupervision => effects.depths.as_ref().map(|depths| depths.bytes()),
         }
     }

@@ -4,6 +4,7 @@ use splat_op::SplatError;
 use thiserror::Error;
 
 use super::{Resolution, Stage};
+use crate::effects::screen::ScreenError;
 use crate::gaussians::RowsError;
 
 /// Why a run cannot start or go on.
@@ -34,6 +35,9 @@ pub enum TrainError {
          to take photographs as opaque, or without learning a background"
     )]
     LearntBackground(String),
+    /// A rolling shutter or an open aperture before a lens.
+    #[error("{0}. Motion blur alone can be simulated for it; train without `rolling-shutter` and `defocus`")]
+    Screen(#[from] ScreenError),
     /// The operation refused its inputs.
     #[error(transparent)]
     Op(#[from] SplatError),

@@ -117,6 +117,7 @@ pub(super) const CASES: &[Case] = &[
         demo: |options| DemoOptions { zoom: true, ..options },
         demo_flags: "--zoom",
         expected: &[Effect::Antialias],
+        eval: &["--shrink", "4"],
         ..PLAIN
     },
     Case {
@@ -136,7 +137,8 @@ pub(super) const CASES: &[Case] = &[
     Case {
         name: "environment",
         demo: |options| DemoOptions { far: true, ..options },
-        demo_flags: "--far",
+        demo_flags: "--far --views 17",
+        views: Some(17),
         expected: &[Effect::Environment],
         ..PLAIN
     },
@@ -153,6 +155,29 @@ pub(super) const CASES: &[Case] = &[
         demo_flags: "--depth --views 9",
         expected: &[Effect::DepthSupervision],
         views: Some(9),
+        ..PLAIN
+    },
+    Case {
+        name: "motion-blur",
+        demo: |options| DemoOptions { motion: true, ..options },
+        demo_flags: "--motion",
+        expected: &[Effect::MotionBlur],
+        ..PLAIN
+    },
+    Case {
+        name: "rolling-shutter",
+        demo: |options| DemoOptions { rolling: true, ..options },
+        demo_flags: "--rolling",
+        // Points that are off because of the shutter are off as if poses were.
+        expected: &[Effect::PoseRefinement],
+        with: &["--effects", "rolling-shutter"],
+        ..PLAIN
+    },
+    Case {
+        name: "defocus",
+        demo: |options| DemoOptions { defocus: true, ..options },
+        demo_flags: "--defocus",
+        with: &["--effects", "defocus"],
         ..PLAIN
     },
     Case {

@@ -23,6 +23,9 @@ const RINGS: [(f64, f64); 3] = [(13.0, 4.9), (29.0, 4.5), (50.0, 4.3)];
 /// Elevations are lower by this where there is something to see in the distance.
 const FAR_ELEVATION: f64 = 0.4;
 
+/// By how much higher than usual they look there, scene units, so that the horizon is in the picture's middle.
+const FAR_LIFT: f64 = 1.0;
+
 /// What `k1 r², k2 r⁴, p1 r, p2 r` of the lens are at the corner of the picture, a slope of `r` from the axis: its shape is the
 /// same for pictures of every shape. They move the corners by 2% to [`DemoOptions::LENS_SHARE`] of the width, at 4 to 3.
 const LENS_AT_CORNER: [f64; 4] = [-0.044, 0.008, 0.0012, -0.0016];
@@ -107,7 +110,7 @@ pub(super) fn cameras(options: &DemoOptions) -> Vec<DemoCamera> {
     let mut random = options.random(Stream::Cameras);
     let intrinsics = intrinsics(options);
     let scene = options.zoom.then(|| Scene::still_life(options));
-    let lower = if options.far { FAR_ELEVATION } else { 1.0 };
+    let (lower, lift) = if options.far { (FAR_ELEVATION, FAR_LIFT) } else { (1.0, 0.0) };
     let mut jitter = |size: f64| size * (2.0 * random.random::<f64>() - 1.0);
     (0..options.views)
         .map(|i| {
@@ -117,7 +120,7 @@ pub(super) fn cameras(options: &DemoOptions) -> Vec<DemoCamera> {
             let direction =
                 DVec3::new(elevation.cos() * azimuth.cos(), elevation.cos() * azimuth.sin(), elevation.sin());
             let centre_world = CENTRE_WORLD + (distance + jitter(0.3)) * direction;
-            let target_world = CENTRE_WORLD + DVec3::new(jitter(0.15), jitter(0.15), jitter(0.08));
+            let target_world = CENTRE_WORLD + DVec3::new(jitter(0.15), jitter(0.15), jitter(0.08) + lift);
             let (centre_world, target_world) = match &scene {
                 Some(scene) => zoomed(scene, i, centre_world, target_world),
                 None => (centre_world, target_world),

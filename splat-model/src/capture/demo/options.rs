@@ -53,17 +53,17 @@ pub struct DemoOptions {
     /// Beyond the ground lies a landscape with a sky, [`DemoOptions::FAR_RADIUS`] away, instead of a sky at 8 scene units. The
     /// cameras stand lower, so that all of them see it.
     pub far: bool,
-    /// Every fifth of the photographs that are not held out is taken by a camera that moves: things at the distance of what it
+    /// Two of every five photographs that are not held out are taken by a camera that moves: things at the distance of what it
     /// looks at are smeared over [`DemoOptions::MOTION_SHARE`] of the width, in a direction of its own. Half of that the
     /// camera moves on a straight line, half it turns, both steadily; its pose is that of the middle of the exposure.
     pub motion: bool,
-    /// Every camera moves in the same manner while its picture is read from the first row to the last, by
+    /// The cameras of photographs that are not held out move in the same manner while its picture is read from the first row to the last, by
     /// [`DemoOptions::ROLLING_SHARE`] of the width; each row is exposed at its own time. Its pose is that of the middle row, and
     /// the tracks say where the pictures show the points.
     pub rolling: bool,
     /// The photographs that are not held out are taken through a thin lens with an aperture of
     /// [`DemoOptions::APERTURE_RADIUS`], focused at [`DemoOptions::FOCUS_SHARE`] of the distance to what they look at, so that
-    /// the far side of the platform, and from low down the near one too, has circles of confusion of 2 to 6 px at a width of
+    /// the far side of the platform, and from low down the near one too, has circles of confusion of 4 to 12 px at a width of
     /// 240 px.
     pub defocus: bool,
     /// Each photograph has an exact depth map, `depth/<name>`; see [`super::write`].
@@ -102,9 +102,9 @@ impl DemoOptions {
     /// What the fisheye sees along the longer side of a picture, degrees.
     pub const FISHEYE_FOV_DEG: f64 = 120.0;
     /// Discs that cover the scene in a photograph.
-    pub const MASKED_PLACES: usize = 3;
+    pub const MASKED_PLACES: usize = 4;
     /// Their diameters, least and largest, by the width of the picture.
-    pub const MASKED_SIZE: [f64; 2] = [0.05, 0.15];
+    pub const MASKED_SIZE: [f64; 2] = [0.15, 0.35];
     /// How far around a disc pixels are excluded, px, from their middles: more than the half diagonal of a pixel, so that no
     /// pixel that shows some of the disc counts.
     pub const MASK_MARGIN_PX: f64 = 1.5;
@@ -118,12 +118,12 @@ impl DemoOptions {
     pub const POSE_SHARE: f64 = 0.01;
     /// Radius of the landscape and its sky, scene units: a hundred times the usual distance of the cameras.
     pub const FAR_RADIUS: f64 = 450.0;
-    /// Length of the smear, by the width of the picture: 6 px at 240 px.
-    pub const MOTION_SHARE: f64 = 0.025;
+    /// Length of the smear, by the width of the picture: 12 px at 240 px.
+    pub const MOTION_SHARE: f64 = 0.05;
     /// What the camera's motion moves from the first row to the last, by the width of the picture: 12 px at 240 px.
     pub const ROLLING_SHARE: f64 = 0.05;
     /// Radius of the aperture, scene units.
-    pub const APERTURE_RADIUS: f64 = 0.08;
+    pub const APERTURE_RADIUS: f64 = 0.16;
     /// Distance of the plane in focus, by that of what a photograph looks at.
     pub const FOCUS_SHARE: f64 = 0.81;
     /// Scene units per level of a depth map.

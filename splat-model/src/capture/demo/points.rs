@@ -29,6 +29,9 @@ pub(super) fn sample(scene: &LitScene, shots: &[Shot], options: &DemoOptions) ->
         let share = DVec2::new(random.random(), random.random());
         let size_px = DVec2::new(shot.camera.intrinsics.width as f64, shot.camera.intrinsics.height as f64);
         let Some(point) = scene.scene.hit(&sharp_ray(shot, share * size_px)) else { continue };
+        if scene.scene.is_clear_sky(&point, options) {
+            continue;
+        }
         if shot.transparent && scene.scene.is_surroundings(&point) {
             continue;
         }

@@ -4,7 +4,7 @@ use glam::{DAffine3, DQuat, DVec3};
 
 use super::DemoOptions;
 use super::geometry::{Cover, Ray, Shape};
-use super::texture::{Texture, srgb};
+use super::texture::{self, Texture, srgb};
 
 /// One thing in the scene.
 #[derive(Clone, Debug)]
@@ -132,6 +132,12 @@ impl Scene {
     /// Whether a point lies on the ground or the sky, not on what was put there to be photographed.
     pub fn is_surroundings(&self, point: &SurfacePoint) -> bool {
         matches!(self.objects[point.object].kind, Kind::Ground | Kind::Sky)
+    }
+
+    /// Whether a point is on a clear sky, where no program finds anything to tell it by.
+    pub fn is_clear_sky(&self, point: &SurfacePoint, options: &DemoOptions) -> bool {
+        let is_sky = matches!(self.objects[point.object].kind, Kind::Sky);
+        options.far && is_sky && point.position_world.normalize_or_zero().z > texture::VISTA_CREST
     }
 
     /// The still life; with `glossy`, one of its spheres reflects the others.

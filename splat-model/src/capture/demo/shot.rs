@@ -161,18 +161,18 @@ pub(super) fn shots(options: &DemoOptions) -> Vec<Shot> {
     let taken = cameras(options).into_iter().zip(gains(options)).enumerate();
     let shots = taken.map(|(view, (camera, gain))| {
         let mut shot = Shot { gain, transparent: options.alpha, ..Shot::plain(camera) };
-        if options.rolling {
-            shot.readout = Motion::random(&mut readouts, &camera, DemoOptions::ROLLING_SHARE);
-        }
         if DemoOptions::held_out(view) {
             return shot;
+        }
+        if options.rolling {
+            shot.readout = Motion::random(&mut readouts, &camera, DemoOptions::ROLLING_SHARE);
         }
         if options.masks {
             shot.discs = (0..DemoOptions::MASKED_PLACES).map(|_| disc(&mut discs, options)).collect();
         }
-        // The second of each five, so that a capture of three views has one.
+        // The second and the fourth of each five, so that a capture of three views has one.
         let number = view - view / DemoOptions::HELD_OUT_EVERY - 1;
-        if options.motion && number % BLURRED_EVERY == 1 {
+        if options.motion && matches!(number % BLURRED_EVERY, 1 | 3) {
             shot.motion = Motion::random(&mut motions, &camera, DemoOptions::MOTION_SHARE);
         }
         shot.aperture = options.defocus.then(|| Aperture {

@@ -231,8 +231,12 @@ fn sky(direction: DVec3) -> DVec3 {
     air(direction).lerp(srgb(0x8fa7b8), far).lerp(hill, near)
 }
 
+fn clear_air(direction: DVec3) -> DVec3 {
+    mix([srgb(0xe6d3b8), srgb(0x2b7fce)], smoothstep(-0.05, 0.5, direction.z))
+}
+
 fn air(direction: DVec3) -> DVec3 {
-    let clear = mix([srgb(0xe6d3b8), srgb(0x2b7fce)], smoothstep(-0.05, 0.5, direction.z));
+    let clear = clear_air(direction);
     let cloud = rough(DVec3::new(3.0, 3.0, 7.0) * direction);
     clear.lerp(srgb(0xfbf7f0), 0.85 * smoothstep(0.47, 0.68, cloud))
 }
@@ -243,8 +247,13 @@ fn vista(direction: DVec3) -> DVec3 {
     let shade = 0.55 + 0.45 * rough(18.0 * direction);
     let field = mix([srgb(0x8a9a4b), srgb(0xd3b872)], smoothstep(0.4, 0.6, noise(9.0 * direction)));
     let wood = smoothstep(0.52, 0.62, rough(13.0 * direction + DVec3::splat(5.0)));
-    sky(direction).lerp(field.lerp(srgb(0x2f5a3a), wood), land) * shade
+    let hills = ridge(direction, 0.10, 3.0).max(ridge(direction, 0.03, 11.0));
+    let ground = srgb(0x7f95a0).lerp(field.lerp(srgb(0x2f5a3a), wood), land) * shade;
+    clear_air(direction).lerp(ground, land.max(hills))
 }
+
+/// Sine of the elevation from which on [`Texture::Vista`] shows nothing but air: the crest of its highest hill.
+pub(super) const VISTA_CREST: f64 = 0.2;
 
 /// 1 below the crest of hills whose mean height is `height` (sine of the elevation), 0 above.
 fn ridge(direction: DVec3, height: f64, seed: f64) -> f64 {

@@ -1,5 +1,7 @@
 //! What lies beside the pictures or in their alpha channels.
 
+use std::path::Path;
+
 use rayon::prelude::*;
 use serde::Serialize;
 
@@ -9,7 +11,7 @@ use crate::capture::image::has_alpha;
 use crate::effects::masks;
 
 /// Folders in which tools put depth maps.
-const DEPTH_FOLDERS: [&str; 4] = ["depth", "depths", "depth_maps", "stereo/depth_maps"];
+const DEPTH_FOLDERS: [&str; 3] = ["depth", "depths", "depth_maps"];
 
 /// Files that say more of photographs than their colours.
 #[derive(Clone, Debug, Serialize)]
@@ -24,16 +26,20 @@ pub struct FileEvidence {
     pub depth_maps: Option<String>,
 }
 
+/// The folder of a capture's depth maps, relative to the capture.
+pub fn depth_folder(capture: &Path) -> Option<&'static str> {
+    DEPTH_FOLDERS.into_iter().find(|name| capture.join(name).is_dir())
+}
+
 pub(super) fn evidence(capture: &Capture, views: &[usize], glances: &[Glance]) -> FileEvidence {
     let masked: Vec<f64> = glances.iter().filter_map(|glance| glance.masked).collect();
     let transparent = glances.iter().filter(|glance| glance.transparent > 0.0).count();
     let seen = |view: &usize| glances.binary_search_by_key(view, |glance| glance.view).is_ok();
     let unseen = views.par_iter().filter(|view| !seen(view));
-    let depth_maps = DEPTH_FOLDERS.into_iter().find(|name| capture.folder.join(name).is_dir());
     FileEvidence {
         with_alpha: transparent + unseen.filter(|view| has_alpha(&capture.views[**view].image_path)).count(),
         with_mask: masks::find(capture).iter().flatten().count(),
         masked_share: masked.iter().sum::<f64>() / masked.len().max(1) as f64,
-        depth_maps: depth_maps.map(str::to_owned),
+        depth_maps: depth_folder(&capture.folder).map(str::to_owned),
     }
 }

@@ -25,7 +25,7 @@ use crate::capture::{Capture, CaptureError};
 pub use self::blur::BlurEvidence;
 pub use self::depth::DepthEvidence;
 pub use self::exposure::{ExposureEvidence, ViewExposure};
-pub use self::files::FileEvidence;
+pub use self::files::{FileEvidence, depth_folder};
 pub use self::footprint::FootprintEvidence;
 pub use self::lens::LensEvidence;
 pub use self::pose::{PoseEvidence, PoseSource};

@@ -271,13 +271,14 @@ fn motion_is_an_average_along_a_straight_way() {
     let scene = scene(&options);
     let shots = shots(&DemoOptions { views: 48, ..options });
     let blurred: Vec<usize> = (0..48).filter(|&view| shots[view].is_blurred()).collect();
-    assert_eq!(blurred, [2, 7, 13, 19, 25, 30, 36, 42, 47], "a fifth of 42, rounded up");
+    assert_eq!(blurred.len(), 17, "two fifths of 42: {blurred:?}");
+    assert_eq!(blurred[..4], [2, 4, 7, 10]);
     let shot = &shots[2];
-    // Over the exposure, what the camera looks at moves by 6 px.
+    // Over the exposure, what the camera looks at moves by 12 px.
     let subject = shot.camera.ray_through(DVec2::new(120.0, 90.0)).at(shot.camera.subject_distance);
     let at = |time: f64| shot.camera_at(0.0, Moment { time, ..Moment::default() });
     let [start, end] = [at(-0.5), at(0.5)].map(|camera| camera.project(subject).unwrap());
-    assert!((start.distance(end) - 6.0).abs() < 0.1, "{start} {end}");
+    assert!((start.distance(end) - 12.0).abs() < 0.2, "{start} {end}");
     assert!((0.5 * (start + end)).distance(DVec2::new(120.0, 90.0)) < 0.1, "the pose is the middle one");
     let direct = (shot.camera.centre_world - at(-0.5).centre_world) - (at(0.5).centre_world - shot.camera.centre_world);
     assert!(direct.length() < 1e-12, "straight and steady");
@@ -307,7 +308,7 @@ fn nine(scene: &LitScene, shot: &Shot, corner_px: DVec2) -> DVec3 {
 fn rows_are_read_one_after_the_other() {
     let options = DemoOptions { rolling: true, ..FULL };
     let scene = scene(&options);
-    let shot = &shots(&options)[0];
+    let shot = &shots(&options)[1];
     let subject = shot.camera.ray_through(DVec2::new(120.0, 90.0)).at(shot.camera.subject_distance);
     let [first, last] = [0.0, 180.0].map(|row| shot.camera_at(row, Moment::default()));
     let [first_px, last_px] = [first, last].map(|camera| camera.project(subject).unwrap());
@@ -357,9 +358,9 @@ fn the_aperture_blurs_what_is_near_and_what_is_far() {
             circle_px
         });
         let [near, far] = circle_px;
-        assert!((2.0..6.0).contains(&far) && near < 6.0, "{circle_px:?} px in view {view}");
+        assert!((4.0..12.0).contains(&far) && near < 12.0, "{circle_px:?} px in view {view}");
         // Every third camera stands low.
-        assert!(view % 3 != 0 || near > 1.5, "{circle_px:?} px in view {view}");
+        assert!(view % 3 != 0 || near > 3.0, "{circle_px:?} px in view {view}");
     }
 }
 
