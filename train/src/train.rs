@@ -361,7 +361,8 @@ mod tests {
         assert_eq!((config.seed, config.density.max_splats, config.sh_degree, config.antialias), (5, 77, 2, true));
         assert_eq!(config.opacity_weight, 0.01);
         let config = self::config(&["--sh-every", "300", "--matte-below", "2.55"]).unwrap();
-        assert_eq!((config.sh_every, config.matte_below), (300, Some(0.01)));
+        assert_eq!(config.sh_every, 300);
+        assert!((config.matte_below.unwrap() - 0.01).abs() < 1e-12);
     }
 
     #[test]

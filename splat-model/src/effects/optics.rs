@@ -5,6 +5,11 @@
 //! in which light meets lens, shutter and sensor. That is for pinholes. For other cameras motion is shown by averaging renders
 //! from several poses on the way, which costs as many times as much; rolling shutters and defocus are refused.
 //!
+//! Defocus is averaged for pinholes too: over six places of the aperture, from each of which centres are moved by their circle of
+//! confusion, with ellipses widened by what lies between the places. Widening alone spreads each Gaussian's light and not the
+//! surface's: a disc of many pixels around splats of one leaves a wall half transparent. On the demo `--defocus` that gained
+//! nothing.
+//!
 //! A motion blur says nothing of the sign of the motion, and at rest has no gradient: twists begin a little off zero. Renders
 //! of the scene without these effects are sharp, which is what test views are compared with.
 
@@ -45,16 +50,31 @@ const TWIST_REACH: [f32; 2] = [0.15, 0.1];
 const TWIST_START: f64 = 2e-3;
 
 /// How far the logarithm of an aperture and the inverse of a distance in focus, per extent, can go in a run.
-const LENS_REACH: [f32; 2] = [4.0, 1.5];
+const LENS_REACH: [f32; 2] = [2.0, 0.6];
 
 /// The aperture's radius at the beginning, extents of the scene.
-const APERTURE_START: f64 = 0.003;
+const APERTURE_START: f64 = 0.02;
 
 /// The last step by the first.
 const FALL: f64 = 0.01;
 
 /// Renders that are averaged where ellipses cannot be changed.
 const SUB_EXPOSURES: usize = 5;
+
+/// Places of the aperture: one in the middle, the others around it, in unit radii. Each stands for a sixth of the disc, and
+/// their second moments with those of the sixths are the disc's.
+const PLACES: usize = 6;
+
+/// Where they are.
+fn place(i: usize) -> [f32; 2] {
+    if i == 0 {
+        return [0.0; 2];
+    }
+    // A disc of radius 1 has 1/4 along each axis, one of a sixth of its area 1/24; the five outer places have the rest:
+    // 5/6 · ρ²/2 = 1/4 − 1/24.
+    let (radius, angle) = (0.5_f64.sqrt(), std::f64::consts::TAU * i as f64 / (PLACES - 1) as f64);
+    [angle.cos(), angle.sin()].map(|share| (radius * share) as f32)
+}
 
 /// What was learnt of how the photographs of a run were taken.
 pub struct Optics {
@@ -128,18 +148,25 @@ impl Optics {
         view: usize,
     ) -> Result<Picture, SplatError> {
         let pinhole = camera.intrinsics.model == CameraModel::Pinhole;
-        let Some(exposure) = self.exposures.get(view).filter(|_| !pinhole) else {
-            return self.render_once(splats, camera, extras, options, view);
+        let renders: Vec<Picture> = match self.exposures.get(view).filter(|_| !pinhole) {
+            Some(exposure) => {
+                let poses = motion::poses(&camera.cam_from_world, &self.twist(exposure), SUB_EXPOSURES);
+                let renders = poses.into_iter().map(|cam_from_world| {
+                    let camera = Camera { cam_from_world, ..camera.clone() };
+                    self.render_once(splats, &camera, extras, options, (view, [0.0; 2]))
+                });
+                renders.collect::<Result<_, _>>()?
+            }
+            None if self.lenses.get(view).is_some() => {
+                let renders = (0..PLACES).map(|i| self.render_once(splats, camera, extras, options, (view, place(i))));
+                renders.collect::<Result<_, _>>()?
+            }
+            None => return self.render_once(splats, camera, extras, options, (view, [0.0; 2])),
         };
-        let poses = motion::poses(&camera.cam_from_world, &self.twist(exposure), SUB_EXPOSURES);
-        let renders = poses.into_iter().map(|cam_from_world| {
-            let camera = Camera { cam_from_world, ..camera.clone() };
-            self.render_once(splats, &camera, extras, options, view)
-        });
-        let renders: Vec<Picture> = renders.collect::<Result<_, _>>()?;
+        let count = renders.len() as f32;
         let mean = |of: fn(&Picture) -> Option<Tensor<3>>| {
             let sum = renders.iter().filter_map(of).reduce(|a, b| a + b);
-            sum.map(|sum| sum / SUB_EXPOSURES as f32)
+            sum.map(|sum| sum / count)
         };
         let black = || renders[0].colour.zeros_like();
         Ok(Picture {
@@ -155,11 +182,11 @@ impl Optics {
         camera: &Camera,
         extras: &Extras,
         options: &RenderOptions,
-        view: usize,
+        (view, place): (usize, [f32; 2]),
     ) -> Result<Picture, SplatError> {
         let mut projected = project(splats, camera, extras.mean2d_probe.as_ref(), options)?;
         if camera.intrinsics.model == CameraModel::Pinhole {
-            let changed = self.changed(projected.ellipses(), &camera.intrinsics, options, view);
+            let changed = self.changed(projected.ellipses(), &camera.intrinsics, options, (view, place));
             if let Ok(ellipses) = changed {
                 projected = ellipses.pack(&camera.intrinsics)?;
             }
@@ -169,20 +196,22 @@ impl Optics {
         blend(&projected, &features, &tiles, extras, options)
     }
 
-    /// Fails for no pinhole.
+    /// Through this place of the aperture. Fails for no pinhole.
     fn changed(
         &self,
         mut ellipses: Ellipses,
         camera: &Intrinsics,
         options: &RenderOptions,
-        view: usize,
+        (view, place): (usize, [f32; 2]),
     ) -> Result<Ellipses, ScreenError> {
         if let Some(lens) = self.lenses.get(view) {
             let lens = lens.tracked();
             let log_aperture = lens.clone().narrow(1, 0, 1).reshape([1]) + self.extent.ln();
             let inverse_focus = lens.narrow(1, 1, 1).reshape([1]) / self.extent;
             let radii = defocus::confusion(&ellipses, camera, &log_aperture, &inverse_focus)?;
-            ellipses = defocus::blurred(ellipses, radii);
+            let place = Tensor::<2>::from_floats([place], &radii.device());
+            ellipses.mean2d = ellipses.mean2d + radii.clone() * place;
+            ellipses = defocus::blurred(ellipses, radii / (PLACES as f64).sqrt());
         }
         if let Some(exposure) = self.exposures.get(view) {
             let velocity = motion::velocity(&ellipses, camera, &self.twist(exposure), options)?;
@@ -222,3 +251,6 @@ impl Optics {
         self.exposures.iter().chain(&self.readouts).chain(&self.lenses).map(Learned::bytes).sum()
     }
 }
+
+#[cfg(test)]
+mod tests;

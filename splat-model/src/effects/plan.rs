@@ -21,7 +21,7 @@ pub const FOOTPRINT_RATIO: f64 = 8.0;
 pub const POSE_PX: f64 = 1.0;
 
 /// Captures of fewer photographs than this leave much of a scene to chance.
-pub const FEW_VIEWS: usize = 10;
+pub const FEW_VIEWS: usize = 8;
 
 /// Share of points so far away that the cameras see no parallax.
 pub const FAR_SHARE: f64 = 0.1;

@@ -70,7 +70,7 @@ fn effects_are_adjusted_recorded_and_measured() {
         assert!(metrics["effects"]["measured"][name]["ms_per_step"].is_number(), "{metrics}");
         assert!(metrics["effects"]["measured"][name]["mib"].as_f64().unwrap() > 0.0);
     }
-    assert!(metrics["options"]["exposure"]["rate"].is_number());
+    assert!(metrics["options"]["exposure"]["rate"]["from"].is_number());
     // The scores leave out what the mask does, and so can those of `eval`.
     let scene = out.join("scene.ply");
     let evaluated = folder.path().join("evaluated");
@@ -129,8 +129,52 @@ fn an_option_and_an_effect_do_not_contradict_each_other() {
 }
 
 #[test]
+fn what_is_learnt_beside_the_scene_lies_beside_it() {
+    let out = tempfile::tempdir().unwrap();
+    let out = out.path();
+    let train = |options: &[&str]| {
+        let always = ["train", text(&DEMO), "--steps", "6", "--out", text(out)];
+        succeed(splat(&always).args(options));
+        json(&out.join("metrics.json"))
+    };
+    let metrics = train(&["--effects", "pose-refinement", "--background", "environment:1"]);
+    assert!(metrics["effects"]["measured"]["pose-refinement"]["mib"].as_f64().unwrap() > 0.0, "{metrics}");
+    let poses = json(&out.join("poses.json"));
+    assert_eq!(poses.as_object().unwrap().len(), 7, "of the photographs that were trained on");
+    let background = out.join("background.json");
+    assert_eq!(json(&background)["environment"].as_array().unwrap().len(), 4);
+    let scores = out.join("scores");
+    let scene = out.join("scene.ply");
+    let eval = ["eval", text(&DEMO), "--scene", text(&scene), "--out", text(&scores)];
+    succeed(splat(&eval).args(["--background", text(&background)]));
+    let psnr = |metrics: &Value| metrics["test"]["psnr"].as_f64().unwrap();
+    let (found, expected) = (psnr(&json(&scores.join("metrics.json"))), psnr(&metrics));
+    assert!((found - expected).abs() < 1e-3, "{found} instead of {expected} dB");
+    succeed(splat(&eval).args(["--shrink", "4"]));
+    refuse(splat(&eval).args(["--shrink", "64"]), &["0000.png", "--shrink 64"]);
+    refuse(splat(&eval).args(["--background", "nowhere.json"]), &["nowhere.json", "background.json"]);
+    assert_eq!(crate::run::end(splat(&eval).args(["--background", "red"])).code, Some(2));
+    // What a run did not learn is not left over from the one before it.
+    train(&["--effects", "none"]);
+    assert!(!background.exists() && !out.join("poses.json").exists());
+}
+
+#[test]
+fn effects_are_measured_on_captures_that_show_them() {
+    let out = tempfile::tempdir().unwrap();
+    let said = succeed(&mut splat(&["effects", "--quick", "--case", "masks", "--out", text(out.path())])).stdout;
+    assert!(said.contains("| `--masks` | masks |"), "{said}");
+    let page = std::fs::read_to_string(out.path().join("EFFECTS.md")).unwrap();
+    assert!(page.contains("| `--masks` | masks |") && !page.contains("{{"), "{page}");
+    refuse(splat(&["effects", "--case", "fog", "--out", text(out.path())]).arg("--quick"), &["\"fog\"", "masks"]);
+}
+
+#[test]
 fn unknown_effects_are_refused() {
     let ended = crate::run::end(&mut splat(&["train", "capture", "--out", "out", "--effects", "fog"]));
-    assert!(ended.code == Some(2) && ended.stderr.contains("antialias, alpha, exposure, masks"), "{ended:?}");
+    assert!(
+        ended.code == Some(2) && ended.stderr.contains("antialias, alpha, exposure, bilateral-grid, masks"),
+        "{ended:?}"
+    );
     refuse(&mut splat(&["inspect", "/nowhere"]), &["no capture folder /nowhere"]);
 }

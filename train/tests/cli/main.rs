@@ -49,7 +49,8 @@ fn training_writes_the_scene_its_scores_and_its_pictures() {
     let out = TRAINED.as_path();
     assert_eq!(files(out), ["metrics.json", "scene.ply", "views/0000.png"].map(String::from).into());
     let metrics = json(&out.join("metrics.json"));
-    let expected = ["test", "splats", "culled_non_finite", "steps", "seconds", "peak_rss_mib", "device", "seed"];
+    let expected =
+        ["test", "splats", "culled_non_finite", "steps", "seconds", "peak_rss_mib", "device", "seed", "matte"];
     assert_eq!(keys(&metrics), expected.into_iter().chain(["effects", "options", "version"]).collect());
     assert_eq!(metrics["culled_non_finite"], 0);
     let scores = ["psnr", "ssim", "psnr_corrected", "ssim_corrected"];
@@ -227,7 +228,7 @@ fn help_names_every_subcommand_and_default() {
     // Lines may be wrapped anywhere.
     let help = succeed(&mut splat(&["train", "--help"])).stdout;
     let help = help.split_whitespace().collect::<Vec<_>>().join(" ");
-    for part in ["[default: 30000; with the demo capture", "[default: 8]", "[default: 1000000]", "[default: auto]"] {
+    for part in ["[default: 30000; with the demo capture", "otherwise 8]", "[default: 1000000]", "[default: auto]"] {
         assert!(help.contains(part), "{part}: {help}");
     }
 }

@@ -175,8 +175,8 @@ fn called_for(survey: &Survey) -> Vec<&'static str> {
 #[test]
 fn each_effect_of_the_demo_calls_for_itself_alone() {
     let wide = DemoOptions { views: 24, ..SMALL };
-    // Six pixels of motion blur are three in a picture half as wide, and no blur to speak of.
-    let large = DemoOptions { width: 240, height: 180, views: 8, ..SMALL };
+    // What moves by some pixels there moves by half as many in a picture half as wide.
+    let large = DemoOptions { width: 240, height: 180, views: 11, ..SMALL };
     let cases = [
         (SMALL, ""),
         (DemoOptions { glossy: true, ..SMALL }, ""),
@@ -187,10 +187,10 @@ fn each_effect_of_the_demo_calls_for_itself_alone() {
         (DemoOptions { alpha: true, ..SMALL }, "alpha"),
         (DemoOptions { zoom: true, ..wide }, "antialias"),
         (DemoOptions { poses: true, ..SMALL }, "pose-refinement"),
-        (DemoOptions { far: true, ..wide }, "far-background"),
+        (DemoOptions { far: true, ..wide }, "environment"),
         (DemoOptions { motion: true, ..large }, "motion-blur"),
         // A rolling shutter shows as poses that fit no photograph.
-        (DemoOptions { rolling: true, ..SMALL }, "pose-refinement"),
+        (DemoOptions { rolling: true, ..large }, "pose-refinement"),
         (DemoOptions { defocus: true, ..SMALL }, ""),
         (DemoOptions { depth: true, ..SMALL }, "depth-supervision"),
     ];

@@ -1,0 +1,81 @@
+use super::*;
+use crate::gaussians::testing::random_rows;
+use crate::gaussians::{Gaussians, values_of};
+
+fn camera(model: CameraModel) -> (Camera, Device) {
+    let device = Device::flex();
+    let intrinsics = Intrinsics { model, ..Intrinsics::centred(32, 24, 40.0) };
+    let pose = glam::DAffine3::from_translation(glam::DVec3::new(0.0, 0.0, 4.0));
+    (Camera::new(intrinsics, &pose, &device), device)
+}
+
+fn optics(config: OpticsConfig, model: CameraModel) -> Result<Optics, ScreenError> {
+    let (camera, device) = camera(model);
+    Optics::new(config, &[camera.intrinsics; 2], (1.0, 4.0), &device)
+}
+
+fn shown(optics: &Optics, model: CameraModel) -> Vec<f32> {
+    shown_with(optics, model, 0.0)
+}
+
+/// With logits that are lower by `faint`.
+fn shown_with(optics: &Optics, model: CameraModel, faint: f32) -> Vec<f32> {
+    let (camera, device) = camera(model);
+    let mut rows = random_rows(30, 1, 11);
+    rows.logit_opacities.iter_mut().for_each(|logit| *logit -= faint);
+    let device = device.autodiff();
+    let splats = Gaussians::from_rows(&rows, &device).unwrap().splats();
+    let camera = Camera { cam_from_world: Tensor::from_inner(camera.cam_from_world), ..camera };
+    let options = RenderOptions::standard();
+    values_of(optics.render(&splats, &camera, &Extras::default(), &options, 1).unwrap().colour.inner())
+}
+
+fn difference(a: &[f32], b: &[f32]) -> f32 {
+    a.iter().zip(b).map(|(a, b)| (a - b).abs()).sum::<f32>() / a.len() as f32
+}
+
+#[test]
+fn the_places_of_the_aperture_have_the_moments_of_a_disc() {
+    let places: Vec<[f32; 2]> = (0..PLACES).map(place).collect();
+    for axis in 0..2 {
+        let mean = places.iter().map(|place| place[axis]).sum::<f32>() / PLACES as f32;
+        let square = places.iter().map(|place| place[axis] * place[axis]).sum::<f32>() / PLACES as f32;
+        assert!(mean.abs() < 1e-6 && (square + 1.0 / 24.0 - 0.25).abs() < 1e-6, "{mean} {square}");
+    }
+}
+
+#[test]
+fn without_motion_and_aperture_nothing_is_different() {
+    let plain = shown(&optics(OpticsConfig::default(), CameraModel::Pinhole).unwrap(), CameraModel::Pinhole);
+    let all = OpticsConfig { motion: true, rolling: true, defocus: true };
+    let mut still = optics(all, CameraModel::Pinhole).unwrap();
+    let device = Device::flex();
+    still.exposures[1].set(Tensor::zeros([2, 3], &device));
+    still.lenses[1].set(Tensor::from_floats([[-60.0, 0.25]], &device));
+    assert!(difference(&shown(&still, CameraModel::Pinhole), &plain) < 1e-6);
+    still.lenses[1].set(Tensor::from_floats([[-2.0, 1.0]], &device));
+    assert!(difference(&shown(&still, CameraModel::Pinhole), &plain) > 1e-3, "an open aperture");
+}
+
+/// A lens averages sub-exposures, a pinhole widens: for a small motion of what is not opaque they agree.
+#[test]
+fn a_lens_and_a_pinhole_show_the_same_motion() {
+    let motion = OpticsConfig { motion: true, ..OpticsConfig::default() };
+    // An OpenCv camera without distortion is a pinhole that is not called one.
+    let of = |model: CameraModel, turn: f32| {
+        let mut optics = optics(motion, model).unwrap();
+        optics.exposures[1].set(Tensor::from_floats([[0.0, turn, 0.0], [0.0; 3]], &Device::flex()));
+        shown_with(&optics, model, 4.0)
+    };
+    let still = of(CameraModel::Pinhole, 0.0);
+    let [averaged, widened] = [CameraModel::OpenCv, CameraModel::Pinhole].map(|model| of(model, 0.04));
+    let (apart, moved) = (difference(&averaged, &widened), difference(&still, &widened));
+    assert!(apart < 0.35 * moved && moved > 1e-5, "{apart} apart, {moved} moved");
+}
+
+#[test]
+fn what_a_lens_cannot_show_is_refused() {
+    let rolling = OpticsConfig { rolling: true, ..OpticsConfig::default() };
+    assert!(matches!(optics(rolling, CameraModel::Fisheye), Err(ScreenError::Lens(CameraModel::Fisheye))));
+    assert!(optics(OpticsConfig { motion: true, ..OpticsConfig::default() }, CameraModel::Fisheye).is_ok());
+}
