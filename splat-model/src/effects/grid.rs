@@ -58,7 +58,7 @@ pub struct Grids {
 impl Grids {
     /// Identities, for so many photographs, on `device`.
     pub fn new(config: GridConfig, views: usize, device: &Device) -> Self {
-        let diagonal = |entry: usize| if entry % 5 == 0 { 1.0 } else { 0.0 };
+        let diagonal = |entry: usize| if entry.is_multiple_of(5) { 1.0 } else { 0.0 };
         let entries: Vec<f32> = (0..MAP).map(diagonal).collect();
         let identity = Tensor::<1>::from_floats(entries.as_slice(), device).reshape([MAP, 1, 1, 1]);
         let identity = identity.expand([MAP, LEVELS, SIDE, SIDE]) * Tensor::ones([MAP, LEVELS, SIDE, SIDE], device);

@@ -82,7 +82,7 @@ impl Poses {
     pub fn anchor(&mut self, anchors: &[Anchors], given: &[DAffine3], device: &Device) {
         for (view, (anchors, given)) in anchors.iter().zip(given).enumerate().take(self.corrections.len()) {
             let moved = anchors.resected(given);
-            let turn = DQuat::from_mat3(&(moved.matrix3 * given.matrix3.transpose()).into());
+            let turn = DQuat::from_mat3(&(moved.matrix3 * given.matrix3.transpose()));
             // tan(θ/2) along the axis; a camera that has to turn by half a circle is not refined but wrong.
             let half = DVec3::new(turn.x, turn.y, turn.z) / turn.w;
             let shift = (moved.translation - rotation(2.0 * half) * given.translation) / self.extent;

@@ -175,7 +175,7 @@ pub(super) fn shots(options: &DemoOptions) -> Vec<Shot> {
         if options.motion && matches!(number % BLURRED_EVERY, 1 | 3) {
             shot.motion = Motion::random(&mut motions, &camera, DemoOptions::MOTION_SHARE);
         }
-        shot.aperture = options.defocus.then(|| Aperture {
+        shot.aperture = options.defocus.then_some(Aperture {
             radius: DemoOptions::APERTURE_RADIUS,
             focus_depth: DemoOptions::FOCUS_SHARE * camera.subject_distance,
         });

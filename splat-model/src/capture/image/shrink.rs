@@ -77,7 +77,7 @@ mod tests {
         let small = photo(None).box_filtered(2).unwrap();
         assert_eq!((small.intrinsics.width, small.intrinsics.height), (2, 2));
         // Red of the first: pixels 0, 1, 5 and 6.
-        assert_eq!(small.rgb[0], (0 + 3 + 15 + 18) / 4);
+        assert_eq!(small.rgb[0], (3 + 15 + 18) / 4);
         assert_eq!(small.rgb[3 * 3 + 2], ((12 + 13 + 17 + 18) * 3 / 4 + 2) as u8);
         assert_eq!(small.mask.as_deref(), Some(&[false, true, true, true][..]));
         let point = DVec3::new(0.3, -0.2, 1.5);

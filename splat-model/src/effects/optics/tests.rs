@@ -26,7 +26,7 @@ fn shown_with(optics: &Optics, model: CameraModel, faint: f32) -> Vec<f32> {
     let device = device.autodiff();
     let splats = Gaussians::from_rows(&rows, &device).unwrap().splats();
     let camera = Camera { cam_from_world: Tensor::from_inner(camera.cam_from_world), ..camera };
-    let options = RenderOptions::standard();
+    let options = RenderOptions::exact();
     values_of(optics.render(&splats, &camera, &Extras::default(), &options, 1).unwrap().colour.inner())
 }
 

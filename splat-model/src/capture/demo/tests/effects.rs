@@ -157,7 +157,8 @@ fn masks_exclude_what_covers_the_scene_and_little_more() {
         assert_eq!(shot.discs.len(), if DemoOptions::held_out(view) { 0 } else { DemoOptions::MASKED_PLACES });
         for disc in &shot.discs {
             let share = 2.0 * disc.radius_px / 240.0;
-            assert!(DemoOptions::MASKED_SIZE[0] <= share && share <= DemoOptions::MASKED_SIZE[1], "{share}");
+            let [least, largest] = DemoOptions::MASKED_SIZE;
+            assert!((least..=largest).contains(&share), "{share}");
         }
         if !(1..=3).contains(&view) {
             continue;
