@@ -158,7 +158,8 @@ impl Trainer {
         Self { loss: Box::new(loss), ..self }
     }
 
-    /// The same run, but every step looks at what each stage leaves: to find out which goes wrong first. Slow.
+    /// The same run, but every step looks at what each stage leaves: to find out which goes wrong first. Slow. Where
+    /// [optics](crate::effects::optics) are simulated, the stages of the render are not looked at, and all else is.
     pub fn with_checks(self) -> Self {
         Self { checks: true, ..self }
     }

@@ -7,7 +7,12 @@ use burn::tensor::Device;
 use glam::{DAffine3, DVec3};
 use splat_model::capture::{Photo, PointCloud};
 use splat_model::density::matte::variation;
+use splat_model::effects::background::Backdrop;
+use splat_model::effects::depth::{DepthConfig, DepthSample};
 use splat_model::effects::exposure::ExposureConfig;
+use splat_model::effects::grid::GridConfig;
+use splat_model::effects::optics::OpticsConfig;
+use splat_model::effects::pose::PoseConfig;
 use splat_model::trainer::{Seen, TrainConfig, Trainer};
 use splat_op::Intrinsics;
 use splat_tests::gpu;
@@ -53,26 +58,73 @@ fn a_loss_sees_packed_photographs_as_they_are() {
     assert_eq!(seen.len(), expected.len());
 }
 
-/// Exposures and masks are ordinary tensor code, but nothing of it runs on a GPU unless somebody trains with them there.
-#[test]
-fn effects_train_as_on_the_cpu() {
-    let Some(device) = gpu() else { return };
+/// Three photographs of noise, from places so far apart; one of them has a mask, if asked for.
+fn photos(step: f64, masked: Option<usize>) -> Vec<Photo> {
     let (width, height) = (48, 36);
     let byte = |i: usize| (i % 256) as u8;
     let photo = |view: usize| Photo {
         name: format!("{view}"),
         intrinsics: Intrinsics::centred(width, height, 50.0),
-        cam_from_world: DAffine3::from_translation(DVec3::new(0.1 * view as f64, 0.0, 3.0)),
+        cam_from_world: DAffine3::from_translation(DVec3::new(step * view as f64, 0.0, 3.0)),
         rgb: (0..width * height).flat_map(|i| [byte(2 * i), byte(90 * view + i / 9), byte(i / 7)]).collect(),
         alpha: None,
-        mask: (view == 1).then(|| (0..width * height).map(|i| i % width < 30).collect()),
+        mask: (masked == Some(view)).then(|| (0..width * height).map(|i| i % width < 30).collect()),
     };
+    (0..3).map(photo).collect()
+}
+
+/// What is before them.
+fn points() -> PointCloud {
     let position = |i: usize| [(i % 8) as f32 / 4.0 - 0.9, (i / 8) as f32 / 4.0 - 0.7, (i % 3) as f32 / 4.0];
-    let points = PointCloud { positions: (0..48).map(position).collect(), colours: vec![[90, 140, 60]; 48] };
+    PointCloud { positions: (0..48).map(position).collect(), colours: vec![[90, 140, 60]; 48] }
+}
+
+/// Each of the other effects by itself: tensor code that nothing else runs on a GPU.
+#[test]
+fn each_effect_trains_as_on_the_cpu() {
+    let Some(device) = gpu() else { return };
+    let plain = TrainConfig { steps: 9, ..TrainConfig::default() };
+    let optics = |optics: OpticsConfig| TrainConfig { optics, ..plain.clone() };
+    let nothing = OpticsConfig::default();
+    let effects = [
+        ("smoothing", TrainConfig { smoothing: true, antialias: true, ..plain.clone() }),
+        ("random background", TrainConfig { backdrop: Backdrop::Random, ..plain.clone() }),
+        ("learned background", TrainConfig { backdrop: Backdrop::Learned, background: [0.5; 3], ..plain.clone() }),
+        ("environment", TrainConfig { backdrop: Backdrop::Environment { degree: 2 }, ..plain.clone() }),
+        ("grid", TrainConfig { grid: Some(GridConfig::default()), ..plain.clone() }),
+        ("poses", TrainConfig { poses: Some(PoseConfig::default()), ..plain.clone() }),
+        ("depth", TrainConfig { depth: Some(DepthConfig::default()), ..plain.clone() }),
+        ("motion blur", optics(OpticsConfig { motion: true, ..nothing })),
+        ("rolling shutter", optics(OpticsConfig { rolling: true, ..nothing })),
+        ("defocus", optics(OpticsConfig { defocus: true, ..nothing })),
+    ];
+    let samples =
+        || vec![vec![DepthSample { at: [0.5, 0.5], depth: 2.0 }, DepthSample { at: [0.3, 0.4], depth: 2.5 }]; 3];
+    let losses = |name: &str, config: &TrainConfig, device: &Device| -> Vec<f64> {
+        let run = Trainer::new(photos(0.1, None), &points(), config.clone(), device).expect("photographs and steps");
+        let mut run = run.with_depths(samples());
+        let mut step = || run.step().unwrap_or_else(|error| panic!("{name} on {device:?}: {error}"));
+        (0..config.steps).map(|_| host(step().loss)[0]).collect()
+    };
+    let without = losses("nothing", &plain, &Device::flex());
+    for (name, config) in effects {
+        let (expected, found) = (losses(name, &config, &Device::flex()), losses(name, &config, &device));
+        for (step, (found, expected)) in found.iter().zip(&expected).enumerate() {
+            assert!((found - expected).abs() <= 2e-3 * expected, "{name}, step {step}: {found} instead of {expected}");
+        }
+        // That it does something by the last step, which comes back to photographs seen before.
+        assert!((without[8] - expected[8]).abs() > 1e-5 * expected[8], "{name}: {} and {}", without[8], expected[8]);
+    }
+}
+
+/// Exposures and masks are ordinary tensor code, but nothing of it runs on a GPU unless somebody trains with them there.
+#[test]
+fn effects_train_as_on_the_cpu() {
+    let Some(device) = gpu() else { return };
+    let (photos, points) = (|| photos(0.1, Some(1)), points());
     let config = TrainConfig { steps: 12, exposure: Some(ExposureConfig::default()), ..TrainConfig::default() };
     let losses = |config: &TrainConfig, device: &Device| -> Vec<f64> {
-        let photos = (0..3).map(photo).collect();
-        let mut run = Trainer::new(photos, &points, config.clone(), device).expect("photographs and steps");
+        let mut run = Trainer::new(photos(), &points, config.clone(), device).expect("photographs and steps");
         (0..config.steps).map(|_| host(run.step().expect("a sound run").loss)[0]).collect()
     };
     let (expected, found) = (losses(&config, &Device::flex()), losses(&config, &device));
@@ -88,29 +140,16 @@ fn effects_train_as_on_the_cpu() {
 #[test]
 fn matte_gaussians_train_as_on_the_cpu() {
     let Some(device) = gpu() else { return };
-    let (width, height) = (48, 36);
-    let byte = |i: usize| (i % 256) as u8;
-    let photo = |view: usize| Photo {
-        name: format!("{view}"),
-        intrinsics: Intrinsics::centred(width, height, 50.0),
-        cam_from_world: DAffine3::from_translation(DVec3::new(0.2 * view as f64, 0.0, 3.0)),
-        rgb: (0..width * height).flat_map(|i| [byte(2 * i), byte(90 * view + i / 9), byte(i / 7)]).collect(),
-        alpha: None,
-        mask: None,
-    };
-    let position = |i: usize| [(i % 8) as f32 / 4.0 - 0.9, (i / 8) as f32 / 4.0 - 0.7, (i % 3) as f32 / 4.0];
-    let points = PointCloud { positions: (0..48).map(position).collect(), colours: vec![[90, 140, 60]; 48] };
+    let (photos, points) = (|| photos(0.2, None), points());
     let config = TrainConfig { steps: 16, sh_every: 3, ..TrainConfig::default() };
     // What half of them vary by less than when they are first asked.
-    let mut trial =
-        Trainer::new((0..3).map(photo).collect(), &points, config.clone(), &Device::flex()).expect("photographs");
+    let mut trial = Trainer::new(photos(), &points, config.clone(), &Device::flex()).expect("photographs");
     (0..6).for_each(|_| drop(trial.step().expect("a sound run")));
     let mut varies = host(variation(trial.gaussians().sh.val()));
     varies.sort_by(f64::total_cmp);
     let config = TrainConfig { matte_below: Some((varies[23] + varies[24]) / 2.0), ..config };
     let run = |device: &Device| {
-        let photos = (0..3).map(photo).collect();
-        let mut run = Trainer::new(photos, &points, config.clone(), device).expect("photographs and steps");
+        let mut run = Trainer::new(photos(), &points, config.clone(), device).expect("photographs and steps");
         let losses: Vec<f64> = (0..16).map(|_| host(run.step().expect("a sound run").loss)[0]).collect();
         (losses, run.gaussians().untracked().to_rows(), run.gaussians().directional())
     };

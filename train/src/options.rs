@@ -7,7 +7,7 @@ use splat_model::capture::{Capture, Split};
 
 use crate::demo::DemoArgs;
 use crate::eval::EvalArgs;
-use crate::gains::EffectsArgs;
+use crate::gains::GainsArgs;
 use crate::hard_cases::HardCasesArgs;
 use crate::inspect::InspectArgs;
 use crate::render::RenderArgs;
@@ -36,7 +36,7 @@ pub enum Command {
     /// Write the demo capture: a small ray-traced scene as a COLMAP folder
     Demo(DemoArgs),
     /// Measure what each effect gains and costs on demo captures that show it, and write the page
-    Effects(EffectsArgs),
+    Effects(GainsArgs),
     /// Run the battery of hard cases and write the table of how it fares
     HardCases(HardCasesArgs),
     /// List what there is to compute on, by the names that `--device` takes

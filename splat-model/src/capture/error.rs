@@ -139,6 +139,18 @@ pub enum CaptureError {
         /// What the decoder said.
         reason: String,
     },
+    /// A depth map, or the file beside them, cannot be used.
+    #[error(
+        "{}: {reason}. Expected 16-bit grey PNG pictures, and beside them `depth.json` with scene units per level: \
+         {{\"scale\": 0.001}}; `--effects=-depth-supervision` does without",
+        .file.display()
+    )]
+    Depth {
+        /// The file.
+        file: PathBuf,
+        /// What was found.
+        reason: String,
+    },
     /// The picture of a view has another size than its camera.
     #[error(
         "{}: the picture is {} × {} px, expected {} × {} px as its camera states. Use the pictures that the reconstruction \

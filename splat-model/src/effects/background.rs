@@ -22,7 +22,7 @@ use rand::{Rng, RngExt};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use splat_op::Intrinsics;
-use splat_op::shade::{SH_DEGREE_MAX, harmonics, sh_degree};
+use splat_op::shade::{harmonics, sh_degree};
 use thiserror::Error;
 
 use super::learned::{Falling, Learned, Moment};
@@ -210,7 +210,6 @@ impl Behind {
             Backdrop::Random => Some(Self::Random),
             Backdrop::Learned => Some(Self::Colour(Learned::new(Tensor::from_floats(start, device)))),
             Backdrop::Environment { degree } => {
-                let degree = degree.min(SH_DEGREE_MAX);
                 let coefficients = Learned::new(Tensor::zeros([(degree + 1) * (degree + 1), 3], device));
                 let (cache, cached_bytes) = (BTreeMap::new(), 0);
                 Some(Self::Environment(Environment { coefficients, degree, cache, cached_bytes }))

@@ -9,6 +9,8 @@
 //! off (0.73 scene units) than without any supervision (0.46), and nearer (less than 0.28) with the whole derivative, which says
 //! `(zᵢ − D/α)/α` for each weight: what is too far off fades and what is nearer comes forward.
 
+use std::fs::File;
+use std::io::Read;
 use std::path::Path;
 
 use burn::tensor::{Device, Int, Tensor, TensorData};
@@ -17,6 +19,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::learned::Falling;
+use super::masks::by_name;
 use crate::capture::{Capture, CaptureError};
 
 /// How depths are learnt from.
@@ -86,24 +89,24 @@ struct Scale {
 pub fn from_maps(capture: &Capture, folder: &str, views: &[usize]) -> Result<Vec<Vec<DepthSample>>, CaptureError> {
     let folder = capture.folder.join(folder);
     let file = folder.join("depth.json");
-    let picture = |file: &Path, reason: String| CaptureError::Picture { file: file.to_owned(), reason };
-    let text = std::fs::read(&file).map_err(|reason| CaptureError::Read {
-        file: file.clone(),
-        reason,
-        fix: "Say beside the depth maps how many scene units a level is: {\"scale\": 0.001}",
-    })?;
-    let scale = serde_json::from_slice::<Scale>(&text).map_err(|error| picture(&file, error.to_string()))?.scale;
+    let wrong = |file: &Path, reason: String| CaptureError::Depth { file: file.to_owned(), reason };
+    let mut text = Vec::new();
+    let read = File::open(&file).and_then(|file| file.take(LARGEST_TEXT + 1).read_to_end(&mut text));
+    read.map_err(|reason| wrong(&file, reason.to_string()))?;
+    if text.len() as u64 > LARGEST_TEXT {
+        return Err(wrong(&file, format!("it has more than {LARGEST_TEXT} bytes")));
+    }
+    let scale = serde_json::from_slice::<Scale>(&text).map_err(|error| wrong(&file, error.to_string()))?.scale;
     if !(scale > 0.0 && scale.is_finite()) {
-        return Err(picture(&file, format!("`scale` is {scale}, expected scene units per level, above 0")));
+        return Err(wrong(&file, format!("`scale` is {scale}, expected a number above 0")));
     }
     let of_view = |&view: &usize| {
         let view = &capture.views[view];
-        let found = names(&view.name).into_iter().map(|name| folder.join(name)).find(|file| file.is_file());
-        let Some(file) = found else { return Ok(Vec::new()) };
-        let map = image::open(&file).map_err(|error| picture(&file, error.to_string()))?;
+        let Some(file) = by_name(std::slice::from_ref(&folder), &view.name) else { return Ok(Vec::new()) };
+        let map = image::open(&file).map_err(|error| wrong(&file, error.to_string()))?;
         let image::DynamicImage::ImageLuma16(map) = map else {
             let found = map.color();
-            return Err(picture(&file, format!("its pixels are {found:?}, expected 16-bit grey levels of depth")));
+            return Err(wrong(&file, format!("its pixels are {found:?}")));
         };
         let (width, height) = (map.width() as f32, map.height() as f32);
         let every = map.len().div_ceil(MOST_SAMPLES).max(1);
@@ -117,11 +120,8 @@ pub fn from_maps(capture: &Capture, folder: &str, views: &[usize]) -> Result<Vec
     views.par_iter().map(of_view).collect()
 }
 
-/// As masks are named.
-fn names(view: &str) -> [String; 2] {
-    let bare = view.rsplit_once('.').map_or(view, |(bare, _)| bare);
-    [format!("{view}.png"), format!("{bare}.png")]
-}
+/// Bytes of `depth.json` at most.
+const LARGEST_TEXT: u64 = 1 << 16;
 
 /// Samples of a depth map at most.
 const MOST_SAMPLES: usize = 16_384;

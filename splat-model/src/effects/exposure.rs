@@ -10,7 +10,8 @@
 use burn::tensor::{Device, Tensor};
 use serde::{Deserialize, Serialize};
 
-use super::learned::{Falling, Learned, Moment};
+use super::centred::Centred;
+use super::learned::{Falling, Moment};
 
 /// How maps are learnt.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -33,66 +34,45 @@ impl Default for ExposureConfig {
 pub struct Exposure {
     config: ExposureConfig,
     /// `[3, 4]` each: `A` and, in the last column, `b`.
-    maps: Vec<Learned<2>>,
-    /// `[3, 4]`
-    identity: Tensor<2>,
-    /// Steps of all maps since their mean was last set back.
-    since_centred: usize,
+    maps: Centred<2>,
 }
 
 impl Exposure {
     /// Identities, for so many photographs, on `device`.
     pub fn new(config: ExposureConfig, views: usize, device: &Device) -> Self {
-        let identity = Tensor::<2>::eye(3, device);
-        let identity = Tensor::cat(vec![identity, Tensor::zeros([3, 1], device)], 1);
-        let maps = (0..views).map(|_| Learned::new(identity.clone())).collect();
-        Self { config, maps, identity, since_centred: 0 }
+        let identity = Tensor::cat(vec![Tensor::<2>::eye(3, device), Tensor::zeros([3, 1], device)], 1);
+        Self { config, maps: Centred::new(identity, views) }
     }
 
     /// What the photograph `view` shows of a render, both `[H, W, 3]`. Not clamped: beyond 0 and 1 the gradient leads back.
     pub fn apply(&self, image: Tensor<3>, view: usize) -> Tensor<3> {
-        apply(image, self.maps[view].tracked())
+        apply(image, self.maps.tracked(view))
     }
 
     /// What is added to the loss of a step on `view`, `[1]`.
     pub fn penalty(&self, view: usize) -> Tensor<1> {
-        let difference = self.maps[view].tracked() - Tensor::from_inner(self.identity.clone());
+        let difference = self.maps.tracked(view) - Tensor::from_inner(self.maps.neutral());
         difference.square().sum() * self.config.weight
     }
 
     /// Takes the gradient of a view's map out of those of a loss.
     pub fn take_gradient(&self, view: usize, gradients: &mut burn::tensor::Gradients) -> Option<Tensor<2>> {
-        self.maps[view].take_gradient(gradients)
+        self.maps.take_gradient(view, gradients)
     }
 
     /// Adam's step on the map of the photograph.
     pub fn step(&mut self, gradient: Tensor<2>, at: Moment) {
-        let rate = self.config.rate.at(at.step, at.steps);
-        self.maps[at.view].step(gradient, rate, at.verdict);
-        self.since_centred += 1;
-        if self.since_centred >= self.maps.len() {
-            self.since_centred = 0;
-            self.centre();
-        }
-    }
-
-    /// Moves all maps alike, so that their mean is the identity.
-    fn centre(&mut self) {
-        let all: Vec<Tensor<2>> = self.maps.iter().map(Learned::value).collect();
-        let excess = Tensor::stack::<3>(all, 0).mean_dim(0).squeeze_dim::<2>(0) - self.identity.clone();
-        for map in &mut self.maps {
-            map.set(map.value() - excess.clone());
-        }
+        self.maps.step(gradient, self.config.rate.at(at.step, at.steps), at);
     }
 
     /// The map of `view`, `[3, 4]`, without autodiff.
     pub fn affine(&self, view: usize) -> Tensor<2> {
-        self.maps[view].value()
+        self.maps.value(view)
     }
 
     /// Bytes of the maps and their moments.
     pub fn bytes(&self) -> usize {
-        self.maps.iter().map(Learned::bytes).sum()
+        self.maps.bytes()
     }
 }
 
@@ -148,7 +128,7 @@ mod tests {
         let device = Device::flex();
         let mut exposure = Exposure::new(ExposureConfig { weight: 0.0, ..ExposureConfig::default() }, 2, &device);
         let image = picture(&device);
-        let identity = exposure.identity.clone();
+        let identity = exposure.maps.neutral();
         let first = Tensor::<2>::from_floats(AFFINE, &device);
         let maps = [first.clone(), identity.clone() * 2.0 - first];
         let truths = maps.clone().map(|map| apply(image.clone(), map));
@@ -178,7 +158,7 @@ mod tests {
             exposure.step(Tensor::ones([3, 4], &device), Moment { view: step - 1, step, steps: 10, verdict: None });
         }
         for view in 0..3 {
-            let strayed = (exposure.affine(view) - exposure.identity.clone()).abs().max().into_scalar::<f32>();
+            let strayed = (exposure.affine(view) - exposure.maps.neutral()).abs().max().into_scalar::<f32>();
             assert!(strayed < 0.005, "{strayed}: a step is 0.01 to 0.006 long");
         }
     }
@@ -189,6 +169,6 @@ mod tests {
         let mut exposure = Exposure::new(ExposureConfig::default(), 2, &device);
         let verdict = Tensor::<1, Int>::from_data(TensorData::from([4, 1]), &device);
         exposure.step(Tensor::ones([3, 4], &device), Moment { view: 0, step: 5, steps: 10, verdict: Some(&verdict) });
-        assert_eq!(values_of(exposure.affine(0)), values_of(exposure.identity.clone()));
+        assert_eq!(values_of(exposure.affine(0)), values_of(exposure.maps.neutral()));
     }
 }

@@ -15,7 +15,8 @@
 use burn::tensor::{Device, Tensor, TensorData};
 use serde::{Deserialize, Serialize};
 
-use super::learned::{Falling, Learned, Moment};
+use super::centred::Centred;
+use super::learned::{Falling, Moment};
 
 /// Places along a side of the picture.
 const SIDE: usize = 16;
@@ -48,11 +49,8 @@ impl Default for GridConfig {
 /// The grids of all photographs of a run.
 pub struct Grids {
     config: GridConfig,
-    /// `[MAP, LEVELS, SIDE, SIDE]`, levels from dark to bright, then rows and columns of the picture.
-    grids: Vec<Learned<4>>,
-    /// The same, of identities.
-    identity: Tensor<4>,
-    since_centred: usize,
+    /// `[MAP, LEVELS, SIDE, SIDE]` each, levels from dark to bright, then rows and columns of the picture.
+    grids: Centred<4>,
 }
 
 impl Grids {
@@ -61,19 +59,18 @@ impl Grids {
         let diagonal = |entry: usize| if entry.is_multiple_of(5) { 1.0 } else { 0.0 };
         let entries: Vec<f32> = (0..MAP).map(diagonal).collect();
         let identity = Tensor::<1>::from_floats(entries.as_slice(), device).reshape([MAP, 1, 1, 1]);
-        let identity = identity.expand([MAP, LEVELS, SIDE, SIDE]) * Tensor::ones([MAP, LEVELS, SIDE, SIDE], device);
-        let grids = (0..views).map(|_| Learned::new(identity.clone())).collect();
-        Self { config, grids, identity, since_centred: 0 }
+        let identity = identity.repeat(&[1, LEVELS, SIDE, SIDE]);
+        Self { config, grids: Centred::new(identity, views) }
     }
 
     /// What the photograph `view` shows of a render, both `[H, W, 3]`.
     pub fn apply(&self, image: Tensor<3>, view: usize) -> Tensor<3> {
-        apply(image, self.grids[view].tracked())
+        apply(image, self.grids.tracked(view))
     }
 
     /// What is added to the loss of a step on `view`, `[1]`.
     pub fn penalty(&self, view: usize) -> Tensor<1> {
-        let grid = self.grids[view].tracked();
+        let grid = self.grids.tracked(view);
         let along = |dim: usize, count: usize| {
             let difference = grid.clone().narrow(dim, 1, count - 1) - grid.clone().narrow(dim, 0, count - 1);
             difference.square().mean()
@@ -83,33 +80,17 @@ impl Grids {
 
     /// Takes the gradient of a view's grid out of those of a loss.
     pub fn take_gradient(&self, view: usize, gradients: &mut burn::tensor::Gradients) -> Option<Tensor<4>> {
-        self.grids[view].take_gradient(gradients)
+        self.grids.take_gradient(view, gradients)
     }
 
     /// Adam's step on the grid of the photograph.
     pub fn step(&mut self, gradient: Tensor<4>, at: Moment) {
-        let rate = self.config.rate.at(at.step, at.steps);
-        self.grids[at.view].step(gradient, rate, at.verdict);
-        self.since_centred += 1;
-        if self.since_centred >= self.grids.len() {
-            self.since_centred = 0;
-            self.centre();
-        }
-    }
-
-    /// Moves all grids alike, so that their mean is the identity.
-    fn centre(&mut self) {
-        let sum = self.grids.iter().map(Learned::value).reduce(|a, b| a + b);
-        let Some(sum) = sum else { return };
-        let excess = sum / self.grids.len() as f32 - self.identity.clone();
-        for grid in &mut self.grids {
-            grid.set(grid.value() - excess.clone());
-        }
+        self.grids.step(gradient, self.config.rate.at(at.step, at.steps), at);
     }
 
     /// Bytes of the grids and their moments.
     pub fn bytes(&self) -> usize {
-        self.grids.iter().map(Learned::bytes).sum()
+        self.grids.bytes()
     }
 }
 
@@ -278,7 +259,7 @@ mod tests {
             grids.step(gradient, Moment { view, step, steps, verdict: None });
         }
         assert!(errors[steps - 1] < 0.02 * errors[0], "from {} to {}", errors[0], errors[steps - 1]);
-        let mean = (grids.grids[0].value() + grids.grids[1].value()) / 2.0 - grids.identity.clone();
+        let mean = (grids.grids.value(0) + grids.grids.value(1)) / 2.0 - grids.grids.neutral();
         assert!(mean.abs().max().into_scalar::<f32>() < 1e-5);
         assert_eq!(grids.bytes(), 2 * 3 * 4 * MAP * LEVELS * SIDE * SIDE);
     }

@@ -38,6 +38,10 @@ pub struct Moment<'a> {
     pub verdict: Option<&'a Tensor<1, Int>>,
 }
 
+/// By this share of its reach a parameter moves at once at most. In a run that sees each photograph a few times, apertures
+/// would otherwise open a hundredfold in a step, beyond what a GPU's f32 bears.
+const LARGEST_STEP: f64 = 0.125;
+
 /// One such parameter.
 pub struct Learned<const D: usize> {
     /// Tracked.
@@ -88,7 +92,7 @@ impl<const D: usize> Learned<D> {
     pub fn step_within(&mut self, gradient: Tensor<D>, reach: Tensor<D>, (fall, views): (f64, usize), at: Moment) {
         let visits = at.steps as f64 / views.max(1) as f64;
         // Rates that fall from `r` to `fall r` over the run are `r (1 − fall) / −ln fall` on average.
-        let first = -fall.ln() / ((1.0 - fall) * visits.max(1.0));
+        let first = (-fall.ln() / ((1.0 - fall) * visits.max(1.0))).min(LARGEST_STEP);
         let rate = Falling { from: first, to: first * fall }.at(at.step, at.steps);
         // Adam's steps do not depend on the size of gradients, so what is scaled is the parameter.
         let before = self.value();

@@ -36,8 +36,8 @@ pub fn find(capture: &Capture) -> Vec<Option<PathBuf>> {
     capture.views.iter().enumerate().map(of_view).collect()
 }
 
-/// The file that is named after a photograph.
-fn by_name(folders: &[PathBuf], name: &str) -> Option<PathBuf> {
+/// The PNG file that is named after a photograph: after its whole name, or with the extension in its place.
+pub(super) fn by_name(folders: &[PathBuf], name: &str) -> Option<PathBuf> {
     let candidates = folders.iter().flat_map(|folder| {
         let whole = folder.join(format!("{name}.png"));
         [whole, folder.join(name).with_extension("png")]

@@ -5,6 +5,7 @@
 
 mod applied;
 pub mod background;
+mod centred;
 pub mod defocus;
 pub mod depth;
 pub mod exposure;

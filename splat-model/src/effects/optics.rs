@@ -46,7 +46,7 @@ impl OpticsConfig {
 /// How far a twist can go in a run: rad, and extents of the scene.
 const TWIST_REACH: [f32; 2] = [0.15, 0.1];
 
-/// Where twists begin, rad: half a pixel of a picture 250 focal lengths wide.
+/// Where twists begin, rad: half a pixel at a focal length of 250 px.
 const TWIST_START: f64 = 2e-3;
 
 /// How far the logarithm of an aperture and the inverse of a distance in focus, per extent, can go in a run.
@@ -164,16 +164,13 @@ impl Optics {
             None => return self.render_once(splats, camera, extras, options, (view, [0.0; 2])),
         };
         let count = renders.len() as f32;
-        let mean = |of: fn(&Picture) -> Option<Tensor<3>>| {
-            let sum = renders.iter().filter_map(of).reduce(|a, b| a + b);
-            sum.map(|sum| sum / count)
-        };
-        let black = || renders[0].colour.zeros_like();
-        Ok(Picture {
-            colour: mean(|picture| Some(picture.colour.clone())).unwrap_or_else(black),
-            alpha: mean(|picture| Some(picture.alpha.clone())).unwrap_or_else(black),
-            depth: mean(|picture| picture.depth.clone()),
-        })
+        let sum = renders.into_iter().reduce(|a, b| Picture {
+            colour: a.colour + b.colour,
+            alpha: a.alpha + b.alpha,
+            depth: a.depth.zip(b.depth).map(|(a, b)| a + b),
+        });
+        let Picture { colour, alpha, depth } = sum.expect("there are several places and poses");
+        Ok(Picture { colour: colour / count, alpha: alpha / count, depth: depth.map(|depth| depth / count) })
     }
 
     fn render_once(
@@ -185,18 +182,17 @@ impl Optics {
         (view, place): (usize, [f32; 2]),
     ) -> Result<Picture, SplatError> {
         let mut projected = project(splats, camera, extras.mean2d_probe.as_ref(), options)?;
-        if camera.intrinsics.model == CameraModel::Pinhole {
-            let changed = self.changed(projected.ellipses(), &camera.intrinsics, options, (view, place));
-            if let Ok(ellipses) = changed {
-                projected = ellipses.pack(&camera.intrinsics)?;
-            }
+        match self.changed(projected.ellipses(), &camera.intrinsics, options, (view, place)) {
+            Ok(ellipses) => projected = ellipses.pack(&camera.intrinsics)?,
+            // Its motion is in the poses that are averaged.
+            Err(ScreenError::Lens(_)) => {}
         }
         let features = colours(splats, camera)?;
         let tiles = tile(&projected, options)?;
         blend(&projected, &features, &tiles, extras, options)
     }
 
-    /// Through this place of the aperture. Fails for no pinhole.
+    /// The ellipses through this place of the aperture, in motion; an error for a lens.
     fn changed(
         &self,
         mut ellipses: Ellipses,

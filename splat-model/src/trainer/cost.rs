@@ -18,7 +18,7 @@ const VIEW: usize = 0;
 impl Trainer {
     /// What `effect` adds to a step on the first photograph as the run is now, ms, and its memory, MiB. Effects between
     /// render and loss are timed without the render, which would drown them. Changes no parameter. None for effects that are
-    /// not part of a step, and for such that are off.
+    /// not part of a step, and for such that are off. Motion blur, rolling shutters and defocus are timed together.
     ///
     /// # Errors
     /// If the operation refuses the scene.

@@ -3,11 +3,12 @@
 use burn::tensor::Device;
 use glam::{DAffine3, Vec3};
 use splat_op::Intrinsics;
+use splat_op::shade::SH_DEGREE_MAX;
 
 use super::{TrainConfig, TrainError, Trainer};
 use crate::capture::{Photo, PointCloud};
 use crate::effects::Applied;
-use crate::effects::background::{Background, Behind};
+use crate::effects::background::{Backdrop, Background, Behind};
 use crate::effects::depth::{DepthSample, Depths};
 use crate::effects::exposure::Exposure;
 use crate::effects::grid::Grids;
@@ -25,6 +26,11 @@ pub(super) fn of(
     extent: f64,
     device: &Device,
 ) -> Result<Applied, TrainError> {
+    if let Backdrop::Environment { degree } = config.backdrop
+        && degree > SH_DEGREE_MAX
+    {
+        return Err(TrainError::EnvironmentDegree(degree));
+    }
     let behind = Behind::new(config.backdrop, config.background, device);
     if behind.as_ref().is_some_and(Behind::is_learnt)
         && let Some(photo) = photos.iter().find(|photo| photo.alpha.is_some())

@@ -105,6 +105,9 @@ fn a_background_colour_is_learnt() {
     for (found, truth) in found.into_iter().zip(truth) {
         assert!((found - truth).abs() < 0.05, "{found} instead of {truth}");
     }
+    let beyond = TrainConfig { backdrop: Backdrop::Environment { degree: 5 }, ..config.clone() };
+    let error = Trainer::new(photos(truth), &points(), beyond, &Device::flex()).err().unwrap().to_string();
+    assert!(error.contains("environment` is 5") && error.contains("0 to 4"), "{error}");
     let mut cut_out = photos(truth);
     cut_out[2].alpha = Some(vec![7; WIDTH * HEIGHT]);
     let error = Trainer::new(cut_out, &points(), config, &Device::flex()).err().unwrap().to_string();

@@ -23,6 +23,9 @@ pub enum TrainError {
     /// A variation of colours that is none.
     #[error("`matte_below` is {0}, expected a finite number of at least 0: see `--matte-below`")]
     MatteBelow(f64),
+    /// More degrees than there are, behind the scene.
+    #[error("the degree of `backdrop.environment` is {0}, expected 0 to 4")]
+    EnvironmentDegree(usize),
     /// Sizes of photographs that are none.
     #[error(
         "`resolution` is {} from {}, expected a power of two up to {} and a share from 0 to 1: see `--coarsest` and `--full-from`",

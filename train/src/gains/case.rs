@@ -58,8 +58,10 @@ pub struct Case {
     pub without: &'static [&'static str],
     /// See [`Self::without`].
     pub with: &'static [&'static str],
-    /// Options of `splat eval` for both scenes.
+    /// Options of `splat eval` for both scenes, and for that with the effect alone.
     pub eval: &'static [&'static str],
+    /// See [`Self::eval`].
+    pub eval_with: &'static [&'static str],
     /// What is compared.
     pub score: Score,
     /// Whether the run without the effect calls the cameras pinholes.
@@ -79,6 +81,7 @@ const PLAIN: Case = Case {
     without: &["--effects", "none"],
     with: &["--effects", "auto"],
     eval: &[],
+    eval_with: &[],
     score: Score::Plain,
     strip_lens: false,
     least_gain_db: 0.9,
@@ -118,6 +121,7 @@ pub(super) const CASES: &[Case] = &[
         demo_flags: "--zoom",
         expected: &[Effect::Antialias],
         eval: &["--shrink", "4"],
+        eval_with: &["--antialias"],
         ..PLAIN
     },
     Case {
@@ -223,17 +227,17 @@ impl Case {
         let named = |name: &str| plan.decisions.iter().find(|decision| decision.name == name);
         let evidence = named(self.name).map_or(String::new(), |decision| decision.evidence.clone());
         let without = if self.strip_lens { strip_lens(&folder, &capture)? } else { folder.clone() };
-        let runs = [(&without, self.without, "without"), (&folder, self.with, "with")];
+        let runs = [(&without, self.without, &[][..], "without"), (&folder, self.with, self.eval_with, "with")];
         let mut score_db = [0.0; 2];
         let mut seconds = [0.0; 2];
         let mut cost = None;
-        for (i, (capture, options, name)) in runs.into_iter().enumerate() {
+        for (i, (capture, options, eval, name)) in runs.into_iter().enumerate() {
             let out = work.join(format!("{}-{name}", self.name));
             let metrics = self.train(capture, &out, options, scale)?;
             seconds[i] = metrics.seconds.train.unwrap_or_default();
             let measured = metrics.effects.as_ref().and_then(|chosen| chosen.measured_cost(self.name));
             cost = measured.map(|cost| [cost.ms_per_step, cost.mib]);
-            score_db[i] = self.evaluate(capture, &out)?;
+            score_db[i] = self.evaluate(capture, &out, eval)?;
         }
         Ok(Gain { planned: plan.effects(), evidence, score_db, seconds, cost })
     }
@@ -248,16 +252,13 @@ impl Case {
         }
     }
 
-    fn evaluate(&self, capture: &Path, out: &Path) -> Result<f64> {
+    fn evaluate(&self, capture: &Path, out: &Path, options: &[&str]) -> Result<f64> {
         let (scene, to, background) = (out.join(SCENE), out.join("eval"), out.join(BACKGROUND));
         let mut arguments = vec!["splat", "eval", text(capture)?, "--scene", text(&scene)?, "--out", text(&to)?];
         arguments.extend(["--device", "cpu"]);
-        arguments.extend(self.eval);
+        arguments.extend(self.eval.iter().chain(options));
         if background.exists() {
             arguments.extend(["--background", text(&background)?]);
-        }
-        if self.expected.contains(&Effect::Antialias) && out.ends_with(format!("{}-with", self.name)) {
-            arguments.push("--antialias");
         }
         let Command::Eval(args) = Cli::try_parse_from(arguments)?.command else { bail!("`eval` is another command") };
         let test = eval::run(&args)?.test.context("photographs were held out")?;

@@ -18,7 +18,7 @@ pub const PAGE: &str = "EFFECTS.md";
 
 /// Options of `splat effects`.
 #[derive(Clone, Debug, clap::Args)]
-pub struct EffectsArgs {
+pub struct GainsArgs {
     /// Folder for EFFECTS.md
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
@@ -40,7 +40,7 @@ pub fn cases() -> &'static [Case] {
 /// # Errors
 /// If there is no such case, a run fails, or the page cannot be written; or if an effect was not found where it is, found where
 /// it is not, or gains less than it should: then the page is there and says which.
-pub fn run(args: &EffectsArgs) -> Result<()> {
+pub fn run(args: &GainsArgs) -> Result<()> {
     for name in &args.case {
         if !CASES.iter().any(|case| case.name == name) {
             let names: Vec<&str> = CASES.iter().map(|case| case.name).collect();
