@@ -79,8 +79,7 @@ fn points() -> PointCloud {
     PointCloud { positions: (0..48).map(position).collect(), colours: vec![[90, 140, 60]; 48] }
 }
 
-/// Each of the other effects by itself: tensor code that nothing else runs on a GPU. Without defocus, whose gradients here are not
-/// finite after some steps on a driver in software, which is not understood yet (`docs/EFFECTS.md`).
+/// Each of the other effects by itself: tensor code that nothing else runs on a GPU.
 #[test]
 fn each_effect_trains_as_on_the_cpu() {
     let Some(device) = gpu() else { return };
@@ -97,6 +96,7 @@ fn each_effect_trains_as_on_the_cpu() {
         ("depth", TrainConfig { depth: Some(DepthConfig::default()), ..plain.clone() }),
         ("motion blur", optics(OpticsConfig { motion: true, ..nothing })),
         ("rolling shutter", optics(OpticsConfig { rolling: true, ..nothing })),
+        ("defocus", optics(OpticsConfig { defocus: true, ..nothing })),
     ];
     let samples =
         || vec![vec![DepthSample { at: [0.5, 0.5], depth: 2.0 }, DepthSample { at: [0.3, 0.4], depth: 2.5 }]; 3];

@@ -44,8 +44,10 @@ const LARGEST_STEP: f64 = 0.125;
 
 /// One such parameter.
 pub struct Learned<const D: usize> {
-    /// Tracked.
-    value: Tensor<D>,
+    /// Tracked, in units of `unit` where there is one.
+    leaf: Tensor<D>,
+    /// Not tracked.
+    unit: Option<Tensor<D>>,
     moments: Moments<D>,
     steps: usize,
 }
@@ -53,28 +55,39 @@ pub struct Learned<const D: usize> {
 impl<const D: usize> Learned<D> {
     /// Without history. `start` is not tracked.
     pub fn new(start: Tensor<D>) -> Self {
-        let value = Tensor::from_inner(start).require_grad();
-        Self { moments: Moments::new(&value), value, steps: 0 }
+        let leaf = Tensor::from_inner(start).require_grad();
+        Self { moments: Moments::new(&leaf), leaf, unit: None, steps: 0 }
+    }
+
+    /// The same, to go as far as `reach` in a run of [`Self::step_within`]. Adam's steps do not depend on the size of
+    /// gradients, so what is scaled is the parameter: it is learnt in units of its reach, none of which may be zero.
+    pub fn reaching(start: Tensor<D>, reach: Tensor<D>) -> Self {
+        let leaf = Self::new(start.clone().zeros_like()).leaf;
+        let mut learned = Self { moments: Moments::new(&leaf), leaf, unit: Some(reach), steps: 0 };
+        learned.set(start);
+        learned
     }
 
     /// Tracked, for the render or the loss.
     pub fn tracked(&self) -> Tensor<D> {
-        self.value.clone()
+        let leaf = self.leaf.clone();
+        self.unit.clone().map_or_else(|| leaf.clone(), |unit| leaf.clone() * Tensor::from_inner(unit))
     }
 
     /// Without autodiff.
     pub fn value(&self) -> Tensor<D> {
-        self.value.clone().inner()
+        self.tracked().inner()
     }
 
     /// Replaces the value, not tracked, and keeps the history.
     pub fn set(&mut self, value: Tensor<D>) {
-        self.value = Tensor::from_inner(value).require_grad();
+        let leaf = self.unit.clone().map_or_else(|| value.clone(), |unit| value.clone() / unit);
+        self.leaf = Tensor::from_inner(leaf).require_grad();
     }
 
-    /// Takes the gradient out of those of a loss; none where the loss does not depend on it.
+    /// Takes the gradient out of those of a loss, for [`Self::step`]; none where the loss does not depend on it.
     pub fn take_gradient(&self, gradients: &mut burn::tensor::Gradients) -> Option<Tensor<D>> {
-        self.value.grad_remove(gradients)
+        self.leaf.grad_remove(gradients)
     }
 
     /// One step of Adam. A component of the gradient that is not a number moves nothing.
@@ -82,28 +95,25 @@ impl<const D: usize> Learned<D> {
         self.steps += 1;
         let unknown = gradient.clone().is_nan();
         let gradient = gradient.mask_fill(unknown, 0.0);
-        let value = Adam::default().step_unless(self.value(), gradient, rate, &mut self.moments, (self.steps, verdict));
-        self.set(value);
+        let (leaf, at) = (self.leaf.clone().inner(), (self.steps, verdict));
+        let leaf = Adam::default().step_unless(leaf, gradient, rate, &mut self.moments, at);
+        self.leaf = Tensor::from_inner(leaf).require_grad();
     }
 
-    /// The same for one of `views` such parameters, each of which belongs to a photograph, at rates that let it go as far as `reach`
-    /// in a whole run and fall to the share `fall`. Adam moves a parameter by about its rate a step, so that short runs and large
-    /// captures, in which a photograph is seen seldom, need other rates than long ones.
-    pub fn step_within(&mut self, gradient: Tensor<D>, reach: Tensor<D>, (fall, views): (f64, usize), at: Moment) {
+    /// The same for one of `views` such parameters, each of which belongs to a photograph, at rates that let it go as far as its
+    /// reach in a whole run and fall to the share `fall`. Adam moves a parameter by about its rate a step, so that short runs and
+    /// large captures, in which a photograph is seen seldom, need other rates than long ones.
+    pub fn step_within(&mut self, gradient: Tensor<D>, (fall, views): (f64, usize), at: Moment) {
         let visits = at.steps as f64 / views.max(1) as f64;
         // Rates that fall from `r` to `fall r` over the run are `r (1 − fall) / −ln fall` on average.
         let first = (-fall.ln() / ((1.0 - fall) * visits.max(1.0))).min(LARGEST_STEP);
         let rate = Falling { from: first, to: first * fall }.at(at.step, at.steps);
-        // Adam's steps do not depend on the size of gradients, so what is scaled is the parameter.
-        let before = self.value();
         self.step(gradient, rate, at.verdict);
-        let step = self.value() - before.clone();
-        self.set(before + step * reach);
     }
 
     /// Bytes of the value and its moments.
     pub fn bytes(&self) -> usize {
-        3 * self.value.shape().num_elements() * size_of::<f32>()
+        3 * self.leaf.shape().num_elements() * size_of::<f32>()
     }
 }
 
@@ -122,6 +132,24 @@ mod tests {
             assert!((rate - expected).abs() < 1e-12, "{rate}");
         }
         assert_eq!(rate.at(1, 1), 0.01);
+    }
+
+    #[test]
+    fn a_reach_is_the_unit_of_steps() {
+        let device = Device::flex();
+        let (start, reach) = ([[1.0, -3.0], [0.0, 5.0]], [[0.5, 2.0], [0.25, 1.0]]);
+        let tensor = |rows: [[f32; 2]; 2]| Tensor::<2>::from_floats(rows, &device);
+        let mut learned = Learned::reaching(tensor(start), tensor(reach));
+        assert_eq!(values_of(learned.value()), values_of(tensor(start)));
+        let loss = (learned.tracked() * Tensor::from_inner(tensor([[1.0, -1.0], [100.0, 0.01]]))).sum();
+        let gradient = learned.take_gradient(&mut loss.backward()).unwrap();
+        // In 4 visits: the rate is held at the largest step.
+        learned.step_within(gradient, (0.5, 1), Moment { view: 0, step: 1, steps: 4, verdict: None });
+        let moved = values_of(learned.value() - tensor(start));
+        let expected = [-1.0, 1.0, -1.0, -1.0].into_iter().zip([0.5, 2.0, 0.25, 1.0]);
+        for (moved, (sign, reach)) in moved.into_iter().zip(expected) {
+            assert!((f64::from(moved) - sign * reach * LARGEST_STEP).abs() < 1e-6, "{moved}");
+        }
     }
 
     #[test]

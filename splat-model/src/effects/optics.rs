@@ -110,9 +110,11 @@ impl Optics {
         if let Some(model) = lens.filter(|_| config.rolling || config.defocus) {
             return Err(ScreenError::Lens(model));
         }
-        let learned = |on: bool, start: &dyn Fn(usize) -> Tensor<2>| -> Vec<Learned<2>> {
-            (0..if on { cameras.len() } else { 0 }).map(|view| Learned::new(start(view))).collect()
+        let learned = |on: bool, start: &dyn Fn(usize) -> Tensor<2>, reach: Tensor<2>| -> Vec<Learned<2>> {
+            let views = 0..if on { cameras.len() } else { 0 };
+            views.map(|view| Learned::reaching(start(view), reach.clone())).collect()
         };
+        let twists = Tensor::<2>::from_floats(TWIST_REACH.map(|reach| [reach; 3]), device);
         // In all directions, one after the other by the golden angle.
         let twist = |view: usize| {
             let (sin, cos) = (2.399_963 * view as f64).sin_cos();
@@ -122,9 +124,9 @@ impl Optics {
         let focus = |_| Tensor::from_floats([[APERTURE_START.ln() as f32, (extent / distance) as f32]], device);
         Ok(Self {
             extent,
-            exposures: learned(config.motion, &twist),
-            readouts: learned(config.rolling, &|_| Tensor::zeros([2, 3], device)),
-            lenses: learned(config.defocus, &focus),
+            exposures: learned(config.motion, &twist, twists.clone()),
+            readouts: learned(config.rolling, &|_| Tensor::zeros([2, 3], device), twists),
+            lenses: learned(config.defocus, &focus, Tensor::from_floats([LENS_REACH], device)),
         })
     }
 
@@ -228,18 +230,15 @@ impl Optics {
 
     /// Adam's step.
     pub fn step(&mut self, gradients: OpticsGradients, at: Moment) {
-        let step = |all: &mut Vec<Learned<2>>, gradient: Option<Tensor<2>>, reach: &dyn Fn(&Device) -> Tensor<2>| {
+        let step = |all: &mut Vec<Learned<2>>, gradient: Option<Tensor<2>>| {
             let views = all.len();
             if let (Some(learned), Some(gradient)) = (all.get_mut(at.view), gradient) {
-                let reach = reach(&gradient.device());
-                learned.step_within(gradient, reach, (FALL, views), at);
+                learned.step_within(gradient, (FALL, views), at);
             }
         };
-        let twist = |device: &Device| Tensor::from_floats(TWIST_REACH.map(|reach| [reach]), device);
-        let lens = |device: &Device| Tensor::from_floats([LENS_REACH], device);
-        step(&mut self.exposures, gradients.exposure, &twist);
-        step(&mut self.readouts, gradients.readout, &twist);
-        step(&mut self.lenses, gradients.lens, &lens);
+        step(&mut self.exposures, gradients.exposure);
+        step(&mut self.readouts, gradients.readout);
+        step(&mut self.lenses, gradients.lens);
     }
 
     /// Bytes of the parameters and their moments.

@@ -64,7 +64,11 @@ pub struct Poses {
 impl Poses {
     /// No corrections, for so many photographs of a scene of `extent` (see [`scene_extent`](crate::optim::scene_extent)).
     pub fn new(config: PoseConfig, extent: f64, views: usize, device: &Device) -> Self {
-        let corrections = (0..views).map(|_| Learned::new(Tensor::zeros([2, 3], device))).collect();
+        // One that is to stay where it is has a reach too, too small to be seen.
+        let reach = [config.reach_rad, config.reach_extents].map(|reach| [reach.max(1e-9); 3]);
+        let reach = Tensor::<2>::from_floats(reach, device);
+        let correction = |_| Learned::reaching(Tensor::zeros([2, 3], device), reach.clone());
+        let corrections = (0..views).map(correction).collect();
         let cross = Tensor::from_floats(
             [
                 [0.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 1.0, 0.0],
@@ -120,10 +124,8 @@ impl Poses {
 
     /// Adam's step on the correction of the photograph.
     pub fn step(&mut self, gradient: Tensor<2>, at: Moment) {
-        let PoseConfig { reach_rad, reach_extents, fall, .. } = self.config;
-        let reach = Tensor::<2>::from_floats([[reach_rad], [reach_extents]], &gradient.device());
         let views = self.corrections.len();
-        self.corrections[at.view].step_within(gradient, reach, (fall, views), at);
+        self.corrections[at.view].step_within(gradient, (self.config.fall, views), at);
     }
 
     /// What the pose of a view is corrected to, on the host.
