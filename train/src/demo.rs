@@ -20,7 +20,7 @@ pub struct DemoArgs {
     /// The folder to write
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
-    /// Make one object mirror its surroundings
+    /// Make one object mirror its surroundings, and lacquer all others
     #[arg(long)]
     pub glossy: bool,
     /// Give each photograph its own exposure and white balance
@@ -62,6 +62,9 @@ pub struct DemoArgs {
     /// Number of photographs
     #[arg(long, value_name = "N", default_value_t = DemoOptions::default().views)]
     pub views: usize,
+    /// Number of sparse points
+    #[arg(long, value_name = "N", default_value_t = DemoOptions::default().points)]
+    pub points: usize,
     /// Width of the photographs, px
     #[arg(long, value_name = "PX", default_value_t = DemoOptions::default().width)]
     pub width: usize,
@@ -80,6 +83,7 @@ impl DemoArgs {
             width: self.width,
             height: self.height,
             views: self.views,
+            points: self.points,
             glossy: self.glossy,
             exposure: self.exposure,
             lens: self.lens,
@@ -94,7 +98,6 @@ impl DemoArgs {
             defocus: self.defocus,
             depth: self.depth,
             seed: self.seed,
-            ..DemoOptions::default()
         }
     }
 }

@@ -122,6 +122,11 @@ impl EffectsArg {
         let names = if names.is_empty() { "none".into() } else { names.join(", ") };
         let why = plan.as_ref().map(|_| format!(" (`splat inspect {}` says why)", capture.folder.display()));
         progress::note(&format!("effects: {names}{}", why.unwrap_or_default()));
+        if plan.as_ref().and_then(Plan::sh_degree) == Some(0) {
+            progress::note(
+                "colours do not depend on the view: one for all directions, unless `--sh-degree` says otherwise",
+            );
+        }
         if !antialias && on.contains(&Effect::Antialias) {
             progress::note("`splat eval` and `splat render` show this scene as it was trained with `--antialias`");
         }
@@ -146,8 +151,12 @@ impl Chosen {
         self.on.contains(&effect)
     }
 
-    /// The configuration of the run; what the command line asks for by name stays.
-    pub fn configure(&self, config: &mut TrainConfig, background: Option<TrainBackground>) {
+    /// The configuration of the run; what the command line asks for by name stays. `degree`: that of the harmonics, if it was
+    /// given.
+    pub fn configure(&self, config: &mut TrainConfig, background: Option<TrainBackground>, degree: Option<usize>) {
+        if let (None, Some(called_for)) = (degree, self.plan.as_ref().and_then(Plan::sh_degree)) {
+            config.sh_degree = called_for;
+        }
         config.antialias |= self.has(Effect::Antialias);
         config.smoothing |= self.has(Effect::Antialias);
         config.exposure = self.has(Effect::Exposure).then(ExposureConfig::default);

@@ -76,7 +76,8 @@ pub struct TrainArgs {
     /// Highest degree of the spherical harmonics
     #[arg(long, value_name = "D", help = format!(
         "Highest degree of the spherical harmonics, 0 to 4: how finely colour may vary with the direction of view \
-         [default: {}; with the demo capture {DEMO_SH_DEGREE}]", TrainConfig::default().sh_degree
+         [default: {}, or 0 where `--effects auto` finds that no colour does; with the demo capture {DEMO_SH_DEGREE}]",
+        TrainConfig::default().sh_degree
     ))]
     pub sh_degree: Option<usize>,
     /// Steps until the degree rises by one, beginning with 0; 0 has all degrees from the start
@@ -191,7 +192,7 @@ pub fn run_with(args: &TrainArgs, change: impl FnOnce(Trainer) -> Trainer) -> Re
     let (out, capture, start) = args.open()?;
     let (split, photo_args) = args.photos.split(&capture);
     let mut effects = args.effects.choose(&capture, split.require_train()?, args.antialias)?;
-    effects.configure(&mut config, args.background);
+    effects.configure(&mut config, args.background, args.sh_degree);
     let (train, test) = photographs(&capture, &split, &photo_args, &effects)?;
     let train_views = views_of(&capture, &train);
     progress::note(&format!(

@@ -26,14 +26,14 @@ use crate::capture::{Capture, CaptureError};
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct DepthConfig {
-    /// Weight of the relative error in the loss: from 2 to 0.2, so that depths put the scene in place first and photographs
-    /// have the last word.
+    /// Weight of the relative error in the loss, 0.5 throughout: more helps where hardly anything else is known and harms where
+    /// photographs know better (`docs/EFFECTS.md`).
     pub weight: Falling,
 }
 
 impl Default for DepthConfig {
     fn default() -> Self {
-        Self { weight: Falling { from: 2.0, to: 0.2 } }
+        Self { weight: Falling { from: 0.5, to: 0.5 } }
     }
 }
 

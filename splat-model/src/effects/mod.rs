@@ -54,7 +54,7 @@ pub enum Effect {
     Environment,
     /// Pictures are smeared: the camera moved while the shutter was open.
     MotionBlur,
-    /// Rows were exposed one after the other while the camera moved. Asked for by name alone.
+    /// Rows were exposed one after the other while the camera moved.
     RollingShutter,
     /// An open aperture: what is not at the distance in focus is blurred. Asked for by name alone.
     Defocus,

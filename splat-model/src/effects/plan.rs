@@ -5,7 +5,7 @@
 use serde::Serialize;
 
 use super::Effect;
-use super::survey::{SightSource, Survey, ViewDependenceEvidence};
+use super::survey::{ShutterEvidence, SightSource, Survey, ViewDependenceEvidence};
 
 /// Brightness differs by this many stops of stored values (deviation). Things look brighter from some sides than from others
 /// too, so that a smaller difference may be the scene's.
@@ -20,6 +20,14 @@ pub const FOOTPRINT_RATIO: f64 = 8.0;
 /// Poses that miss by more than this on average blur a scene.
 pub const POSE_PX: f64 = 1.0;
 
+/// Motion while rows are read leaves less than this of the errors of poses where it is what they come from. A share that is not
+/// small leaves room for what else is wrong.
+pub const ROWS_LEAVE: f64 = 0.5;
+
+/// Share of the points whose colours visibly depend on the view, from which on a scene has spherical harmonics. Matte demos have up to
+/// 0.3%, of which none is real; real captures have 0.9% and more.
+pub const VIEW_DEPENDENT_SHARE: f64 = 0.005;
+
 /// Captures of fewer photographs than this leave much of a scene to chance.
 pub const FEW_VIEWS: usize = 8;
 
@@ -28,6 +36,12 @@ pub const FAR_SHARE: f64 = 0.1;
 
 /// The least sharp twentieth of the pictures by the median.
 pub const BLUR_RATIO: f64 = 0.7;
+
+/// Fewer points than this say nothing about shares of half a percent.
+const FEWEST_COMPARED: usize = 500;
+
+/// What the decision about the harmonics is called.
+const VIEW_DEPENDENCE: &str = "view-dependence";
 
 /// What is done about one kind of evidence.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -81,6 +95,13 @@ impl Plan {
         self.decisions.iter().any(|decision| decision.effect == Some(effect) && decision.verdict == Verdict::On)
     }
 
+    /// Degree of the spherical harmonics that the colours call for: 0 where they do not depend on the view. None where they
+    /// do, or nothing is known: then it is the user's, or the default.
+    pub fn sh_degree(&self) -> Option<usize> {
+        let matte = |decision: &Decision| decision.name == VIEW_DEPENDENCE && decision.verdict == Verdict::Off;
+        self.decisions.iter().any(matte).then_some(0)
+    }
+
     /// The effects that are on.
     pub fn effects(&self) -> Vec<Effect> {
         Effect::ALL.into_iter().filter(|&effect| self.has(effect)).collect()
@@ -101,7 +122,7 @@ impl From<&Survey> for Plan {
             depth(survey),
             lens(survey),
             motion_blur(survey),
-            by_name(Effect::RollingShutter, "rows that were read one after the other"),
+            rolling_shutter(survey),
             by_name(Effect::Defocus, "an open aperture"),
         ];
         Self { decisions }
@@ -129,21 +150,26 @@ fn percent(share: f64) -> String {
     format!("{:.1}%", 100.0 * share)
 }
 
-/// Not switched: what can be measured on sparse points does not tell a matte scene from one with a mirror in it, and leaving
-/// the harmonics out of a scene that needs them costs more than having them (`docs/EFFECTS.md`).
+/// Decides on the degree of the harmonics and not on an effect. Leaving them out of a scene that needs them costs more than having
+/// them where they are idle, so that the threshold lies close above what matte scenes show (`docs/EFFECTS.md`).
 fn view_dependence(survey: &Survey) -> Decision {
-    let evidence = match &survey.view_dependence {
-        None => "not known: no point could be compared".into(),
-        Some(found) => format!(
-            "{} of {} points stray by more than {} of 1 in a third of their photographs, after exposure is removed",
-            percent(found.visible_share),
-            found.points,
-            ViewDependenceEvidence::VISIBLE
-        ),
+    let (verdict, evidence) = match &survey.view_dependence {
+        Some(found) if found.points >= FEWEST_COMPARED => {
+            let evidence = format!(
+                "{} of {} points stray by more than {} of 1 in a third of their photographs, after exposure is removed",
+                percent(found.visible_share),
+                found.points,
+                ViewDependenceEvidence::VISIBLE
+            );
+            (if found.visible_share > VIEW_DEPENDENT_SHARE { Verdict::On } else { Verdict::Off }, evidence)
+        }
+        _ => (Verdict::AsConfigured, format!("not known: fewer than {FEWEST_COMPARED} points could be compared")),
     };
-    let rule = "as `--sh-degree` says: no evidence from sparse points is clear enough to leave it out".into();
-    let (effect, predicted) = (None, None);
-    Decision { name: "view-dependence", effect, verdict: Verdict::AsConfigured, evidence, rule, predicted }
+    let rule = format!(
+        "harmonics where more than {} of the points stray, else one colour for all directions; `--sh-degree` overrules",
+        percent(VIEW_DEPENDENT_SHARE)
+    );
+    Decision { name: VIEW_DEPENDENCE, effect: None, verdict, evidence, rule, predicted: None }
 }
 
 fn antialias(survey: &Survey) -> Decision {
@@ -237,8 +263,33 @@ fn lens(survey: &Survey) -> Decision {
     Decision { name: "lens", effect: None, verdict, evidence, rule, predicted: None }
 }
 
+/// Whether cameras moved while rows were read, and what of the errors that leaves, by a change of poses and by such a motion.
+fn rows_explain(survey: &Survey) -> bool {
+    let wrong = survey.pose.as_ref().is_some_and(|pose| pose.mean_px > POSE_PX);
+    let rows = |found: &ShutterEvidence| found.left_by_rows < ROWS_LEAVE && found.left_by_rows < found.left_by_poses;
+    wrong && survey.shutter.as_ref().is_some_and(rows)
+}
+
+fn rolling_shutter(survey: &Survey) -> Decision {
+    let rule = format!(
+        "on where the mean reprojection error exceeds {POSE_PX} px, and motion while rows are read leaves less than {} of it and \
+         less than other poses do",
+        percent(ROWS_LEAVE)
+    );
+    let evidence = match &survey.shutter {
+        None => "not known: no tracks".into(),
+        Some(found) => format!(
+            "of the reprojection error, motion while rows are read would leave {}, other poses {}",
+            percent(found.left_by_rows),
+            percent(found.left_by_poses)
+        ),
+    };
+    let cost = Cost { ms_per_step: OPTICS_MS, mib: survey.views as f64 * 3.0 * 6.0 * 4.0 / MIB };
+    decide(Effect::RollingShutter, rows_explain(survey), evidence, rule, Some(cost))
+}
+
 fn pose(survey: &Survey) -> Decision {
-    let rule = format!("on where the mean reprojection error exceeds {POSE_PX} px");
+    let rule = format!("on where the mean reprojection error exceeds {POSE_PX} px and is no rolling shutter's");
     let (on, evidence) = match &survey.pose {
         None => (false, "reprojection error not known".into()),
         Some(pose) => {
@@ -251,7 +302,7 @@ fn pose(survey: &Survey) -> Decision {
                     super::survey::PoseSource::Stated => "as the reconstruction states",
                 }
             );
-            (pose.mean_px > POSE_PX, evidence)
+            (pose.mean_px > POSE_PX && !rows_explain(survey), evidence)
         }
     };
     // Projection and shading in two passes, the gradient of the pose, and some forty operations on twelve numbers.

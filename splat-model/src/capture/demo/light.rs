@@ -59,6 +59,7 @@ impl LitScene {
         let matte = self.matte(point);
         match self.scene.objects[point.object].kind {
             Kind::Glossy => self.with_reflection(ray, point, matte),
+            Kind::Lacquered => matte + self.sheen(ray, point),
             Kind::Matte | Kind::Ground | Kind::Sky => matte,
         }
     }
@@ -86,6 +87,12 @@ impl LitScene {
         let share = 0.3 + 0.7 * (1.0 - cosine.clamp(0.0, 1.0)).powi(5);
         let highlight = 6.0 * mirrored.dot(self.to_sun).max(0.0).powi(300) * self.sun_share(point);
         matte.lerp(seen, share) + DVec3::splat(highlight)
+    }
+
+    /// A highlight of the sun so broad that harmonics of a low degree can hold it (Phong 1975).
+    fn sheen(&self, ray: &Ray, point: &SurfacePoint) -> DVec3 {
+        let mirrored = ray.direction - 2.0 * ray.direction.dot(point.normal_world) * point.normal_world;
+        DVec3::splat(0.6 * mirrored.dot(self.to_sun).max(0.0).powi(3) * self.sun_share(point))
     }
 
     /// The part of the sun's disc that a point sees.

@@ -25,7 +25,8 @@ pub struct DemoOptions {
     pub views: usize,
     /// How many sparse points, at most 1,000,000.
     pub points: usize,
-    /// One sphere reflects its surroundings and the sun, so that its colour depends on the view.
+    /// One sphere reflects its surroundings and the sun, and all else but ground and sky has a soft highlight, so that colours
+    /// depend on the view.
     pub glossy: bool,
     /// Each photograph has its own exposure and white balance: a gain per channel on its light, up to
     /// [`DemoOptions::EXPOSURE_STOPS`] either way.

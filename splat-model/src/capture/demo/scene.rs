@@ -26,6 +26,8 @@ pub(super) enum Kind {
     Matte,
     /// As matte, with a reflection on top.
     Glossy,
+    /// As matte, with a soft highlight on top.
+    Lacquered,
     /// Lit, too low to cast a shadow.
     Ground,
     /// Shines by itself.
@@ -86,7 +88,7 @@ impl Object {
     }
 
     pub fn casts_shadow(&self) -> bool {
-        matches!(self.kind, Kind::Matte | Kind::Glossy)
+        matches!(self.kind, Kind::Matte | Kind::Glossy | Kind::Lacquered)
     }
 
     /// The texture's colour at a point of the surface.
@@ -140,13 +142,19 @@ impl Scene {
         options.far && is_sky && point.position_world.normalize_or_zero().z > texture::VISTA_CREST
     }
 
-    /// The still life; with `glossy`, one of its spheres reflects the others.
+    /// The still life; with `glossy`, one of its spheres reflects the others, and these and what they stand on are lacquered.
     pub fn still_life(options: &DemoOptions) -> Self {
         // Platform and ground first: they end most rays, which spares the search behind them. The sky last.
         let [platform, ground, sky] = surroundings(options);
         let mut objects = vec![platform, ground];
         objects.extend(large_things());
         objects.extend(small_things());
+        if options.glossy {
+            objects
+                .iter_mut()
+                .filter(|object| object.kind == Kind::Matte)
+                .for_each(|object| object.kind = Kind::Lacquered);
+        }
         let mirror = Object::new(
             Shape::Sphere { radius: 0.42 },
             Texture::Marble { scale: 3.0, colours: [srgb(0x6b2c4e), srgb(0xc98aa2)] },

@@ -165,22 +165,24 @@ fn matte_light_does_not_depend_on_the_view() {
 }
 
 #[test]
-fn gloss_shows_only_on_the_glossy_object() {
+fn gloss_shows_only_on_glossy_objects() {
     let (matte, glossy) = (lit(false), lit(true));
-    let mut differing = 0;
+    let (mut mirrored, mut lacquered) = (0, 0);
     for camera in cameras(&SMALL) {
         for ray in grid(&camera) {
             let point = glossy.scene.hit(&ray).unwrap();
             let difference = (display(matte.along(&ray)) - display(glossy.along(&ray))).length();
-            if glossy.scene.objects[point.object].kind == Kind::Glossy {
-                differing += usize::from(difference > 0.02);
-            } else {
-                assert_eq!(difference, 0.0, "{point:?}");
+            match glossy.scene.objects[point.object].kind {
+                Kind::Glossy => mirrored += usize::from(difference > 0.02),
+                Kind::Lacquered => lacquered += usize::from(difference > 0.02),
+                Kind::Matte | Kind::Ground | Kind::Sky => assert_eq!(difference, 0.0, "{point:?}"),
             }
         }
     }
-    assert!(differing > 50, "the glossy object shows in only {differing} pixels");
-    assert!(matte.scene.objects.iter().all(|object| object.kind != Kind::Glossy));
+    assert!(mirrored > 50 && lacquered > 500, "they show in only {mirrored} and {lacquered} pixels");
+    let kinds = |scene: &LitScene, kind: Kind| scene.scene.objects.iter().filter(|object| object.kind == kind).count();
+    assert_eq!((kinds(&matte, Kind::Glossy), kinds(&matte, Kind::Lacquered)), (0, 0));
+    assert_eq!((kinds(&glossy, Kind::Glossy), kinds(&glossy, Kind::Matte)), (1, 0));
 }
 
 #[test]

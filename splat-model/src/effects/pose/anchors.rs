@@ -11,13 +11,13 @@ use glam::{DAffine3, DMat3, DVec3, Vec2, Vec3};
 use crate::capture::Capture;
 
 /// Directions that miss by much less than this count by their square, by more in proportion, rad: about a pixel.
-const ROBUST_RAD: f64 = 2e-3;
+pub(in crate::effects) const ROBUST_RAD: f64 = 2e-3;
 
 /// Rounds of the resection.
 const ROUNDS: usize = 30;
 
 /// Fewer points than this leave a camera where it is.
-const FEWEST: usize = 8;
+pub(in crate::effects) const FEWEST: usize = 8;
 
 /// One photograph's points.
 #[derive(Clone, Debug, Default)]
@@ -148,7 +148,7 @@ pub(super) fn rotation(omega: DVec3) -> DMat3 {
 }
 
 /// `x` of `gram x = moment` for a symmetric positive definite matrix, by elimination; none if it is singular.
-fn solve(mut gram: [[f64; 6]; 6], mut moment: [f64; 6]) -> Option<[f64; 6]> {
+pub(in crate::effects) fn solve(mut gram: [[f64; 6]; 6], mut moment: [f64; 6]) -> Option<[f64; 6]> {
     let largest = (0..6).map(|i| gram[i][i]).fold(0.0, f64::max);
     for step in 0..6 {
         if !(gram[step][step] > 1e-14 * largest) {

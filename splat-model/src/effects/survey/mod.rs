@@ -12,6 +12,7 @@ mod footprint;
 mod lens;
 mod pictures;
 mod pose;
+mod shutter;
 mod sights;
 mod view_dependence;
 
@@ -29,6 +30,7 @@ pub use self::files::{FileEvidence, depth_folder};
 pub use self::footprint::FootprintEvidence;
 pub use self::lens::LensEvidence;
 pub use self::pose::{PoseEvidence, PoseSource};
+pub use self::shutter::ShutterEvidence;
 pub use self::sights::SightSource;
 pub use self::view_dependence::ViewDependenceEvidence;
 
@@ -60,6 +62,8 @@ pub struct Survey {
     pub footprint: Option<FootprintEvidence>,
     /// How well the poses explain the pictures.
     pub pose: Option<PoseEvidence>,
+    /// Whether what they do not explain is the cameras' motion while rows were read.
+    pub shutter: Option<ShutterEvidence>,
     /// How far away things are.
     pub depth: Option<DepthEvidence>,
     /// Sharpness.
@@ -106,6 +110,7 @@ impl Survey {
             view_dependence: view_dependence::evidence(&sights, &fit),
             footprint: footprint::evidence(&sights),
             pose: pose::evidence(capture),
+            shutter: shutter::evidence(capture),
             depth: depth::evidence(capture, &sights),
             blur: blur::evidence(capture, &glances),
             files: files::evidence(capture, views, &glances),

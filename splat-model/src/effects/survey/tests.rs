@@ -5,7 +5,7 @@ use tempfile::TempDir;
 use super::*;
 use crate::capture::demo::{self, DemoOptions};
 use crate::capture::testing::real_capture;
-use crate::effects::plan::Verdict;
+use crate::effects::plan::{Decision, Verdict};
 use crate::effects::{Effect, Plan};
 
 const SMALL: DemoOptions =
@@ -164,11 +164,23 @@ fn quantiles_and_deviations() {
     assert_eq!(deviation(&[]), 0.0);
 }
 
-/// Everything that is on or called for.
+/// Everything that is on or called for, but harmonics: what is wrong with photographs makes colours stray too.
 fn called_for(survey: &Survey) -> Vec<&'static str> {
     let decisions = Plan::from(survey).decisions;
-    let shown = |verdict| verdict == Verdict::On;
-    decisions.iter().filter(|decision| shown(decision.verdict)).map(|decision| decision.name).collect()
+    let shown = |decision: &&Decision| decision.verdict == Verdict::On && decision.name != "view-dependence";
+    decisions.iter().filter(shown).map(|decision| decision.name).collect()
+}
+
+#[test]
+fn harmonics_are_for_colours_that_depend_on_the_view() {
+    let (_folder, _, matte) = survey_of(&SMALL);
+    assert_eq!(Plan::from(&matte).sh_degree(), Some(0), "{matte:#?}");
+    let (_folder, _, glossy) = survey_of(&DemoOptions { glossy: true, ..SMALL });
+    assert_eq!(Plan::from(&glossy).sh_degree(), None, "{glossy:#?}");
+    // Nothing is known.
+    let (_folder, _, few) = survey_of(&DemoOptions { points: 50, ..SMALL });
+    let plan = Plan::from(&few);
+    assert_eq!((plan.decisions[0].verdict, plan.sh_degree()), (Verdict::AsConfigured, None));
 }
 
 /// A capture for each effect, in which exactly that effect is present.
@@ -189,8 +201,7 @@ fn each_effect_of_the_demo_calls_for_itself_alone() {
         (DemoOptions { poses: true, ..SMALL }, "pose-refinement"),
         (DemoOptions { far: true, ..wide }, "environment"),
         (DemoOptions { motion: true, ..large }, "motion-blur"),
-        // A rolling shutter shows as poses that fit no photograph.
-        (DemoOptions { rolling: true, ..large }, "pose-refinement"),
+        (DemoOptions { rolling: true, ..large }, "rolling-shutter"),
         (DemoOptions { defocus: true, ..SMALL }, ""),
         (DemoOptions { depth: true, ..SMALL }, "depth-supervision"),
     ];

@@ -6,11 +6,14 @@ use super::exposure::Fit;
 use super::quantile;
 use super::sights::{Sample, Sight, Sights};
 
-/// Photographs of a point that must be comparable.
-const FEWEST_SIGHTS: usize = 3;
+/// Photographs of a point that must be comparable: fewer than three strays may be things that hide it.
+const FEWEST_SIGHTS: usize = 9;
 
 /// Share of a point's photographs in which it strays no further.
 const MOST_SIGHTS: f64 = 2.0 / 3.0;
+
+/// What is brighter in a photograph is at its limit, and says nothing: exposure does not move it as it does others.
+const BRIGHTEST: f32 = 250.0 / 255.0;
 
 /// How far the colour of a point strays from its median over the photographs, beyond what moving by two pixels could
 /// explain: exceeded in a third of its photographs, in the worst channel, in display-referred values of 0 to 1.
@@ -54,10 +57,14 @@ pub(super) fn evidence(sights: &Sights, fit: &Fit) -> Option<ViewDependenceEvide
 /// One point in one channel.
 fn strays_by(seen: &[Seen], channel: usize) -> Option<f64> {
     let unexposed = |(sample, exposure): &Seen| f64::from(sample.mean[channel]) * (-exposure[channel]).exp();
-    let middle = quantile(&mut seen.iter().map(unexposed).collect::<Vec<_>>(), 0.5)?;
+    let seen: Vec<&Seen> = seen.iter().filter(|(sample, _)| sample.high[channel] < BRIGHTEST).collect();
+    if seen.len() < FEWEST_SIGHTS {
+        return None;
+    }
+    let middle = quantile(&mut seen.iter().map(|&seen| unexposed(seen)).collect::<Vec<_>>(), 0.5)?;
     let beyond = |(sample, exposure): &Seen| {
         let expected = middle * exposure[channel].exp();
         (expected - expected.clamp(sample.low[channel].into(), sample.high[channel].into())).abs()
     };
-    quantile(&mut seen.iter().map(beyond).collect::<Vec<_>>(), MOST_SIGHTS)
+    quantile(&mut seen.iter().map(|&seen| beyond(seen)).collect::<Vec<_>>(), MOST_SIGHTS)
 }

@@ -1,0 +1,135 @@
+//! Whether what the poses do not explain is the cameras' motion while rows were read.
+//!
+//! Seen by a camera that moves while the rows of a picture are read one after the other, a point in the upper half is
+//! off one way and one in the lower half the other way, in proportion to the row; seen by one that is somewhere else than its pose
+//! says, all are off together. Both are twists of the camera, six numbers a photograph, and linear in what they do
+//! to directions, so that each is fitted to the tracks by least squares, with robust weights, and what is left of the errors compared.
+
+use glam::{DMat3, DVec3, Vec2, Vec3};
+use rayon::prelude::*;
+use serde::Serialize;
+
+use super::Capture;
+use crate::effects::pose::anchors::{FEWEST, ROBUST_RAD, solve};
+
+/// Rounds in which weights follow what is left.
+const ROUNDS: usize = 10;
+
+/// What is left of the errors of directions, as shares of their sum.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct ShutterEvidence {
+    /// If each camera may be somewhere else.
+    pub left_by_poses: f64,
+    /// If each camera may have moved while its rows were read.
+    pub left_by_rows: f64,
+}
+
+/// A point as a photograph shows it.
+struct Sight {
+    /// How its direction changes with `ω` and `τ` of the camera.
+    columns: [DVec3; 6],
+    /// The direction in which it was found less that in which it is.
+    miss: DVec3,
+    /// −½ in the first row, ½ in the last.
+    row: f64,
+}
+
+pub(super) fn evidence(capture: &Capture) -> Option<ShutterEvidence> {
+    let mut views: Vec<Vec<Sight>> = capture.views.iter().map(|_| Vec::new()).collect();
+    for (point, position) in capture.points.positions.iter().enumerate() {
+        let world = Vec3::from_array(*position).as_dvec3();
+        for sight in capture.tracks.of(point) {
+            let Some(view) = capture.views.get(sight.view) else { continue };
+            let found = view.intrinsics.cam_from_px(Vec2::from_array(sight.at_px).as_dvec2()).normalize_or_zero();
+            let cam = view.cam_from_world.transform_point3(world);
+            let row = f64::from(sight.at_px[1]) / view.intrinsics.height as f64 - 0.5;
+            let seen = Sight { columns: columns(cam), miss: found - cam.normalize_or_zero(), row };
+            if seen.miss.is_finite() && seen.columns.iter().all(|column| column.is_finite()) {
+                views[sight.view].push(seen);
+            }
+        }
+    }
+    views.retain(|sights| sights.len() >= FEWEST);
+    let sums = views.par_iter().map(|sights| {
+        let given: f64 = sights.iter().map(|sight| sight.miss.length()).sum();
+        [given, left(sights, |_| 1.0), left(sights, |sight| sight.row)]
+    });
+    let [given, poses, rows] = sums.reduce(|| [0.0; 3], |a, b| std::array::from_fn(|i| a[i] + b[i]));
+    (given > 0.0).then(|| ShutterEvidence { left_by_poses: poses / given, left_by_rows: rows / given })
+}
+
+/// `(I − d dᵀ)/|p| · [−p×, I]` with `d = p/|p|`, for a point at `p` in the camera's frame.
+fn columns(cam: DVec3) -> [DVec3; 6] {
+    let length = cam.length();
+    let direction = cam / length;
+    let along = DMat3::from_cols(direction * direction.x, direction * direction.y, direction * direction.z);
+    let tangent = (DMat3::IDENTITY - along) * (1.0 / length);
+    let axes = [DVec3::X, DVec3::Y, DVec3::Z];
+    std::array::from_fn(|i| tangent * if i < 3 { axes[i].cross(cam) } else { axes[i - 3] })
+}
+
+/// The sum of what is left of the misses by the twist that explains them best, times `share` of each sight.
+fn left(sights: &[Sight], share: impl Fn(&Sight) -> f64) -> f64 {
+    let mut twist = [0.0; 6];
+    let rest = |sight: &Sight, twist: &[f64; 6]| {
+        let moved: DVec3 = sight.columns.iter().zip(twist).map(|(column, by)| *column * *by).sum();
+        sight.miss - moved * share(sight)
+    };
+    for _ in 0..ROUNDS {
+        let (mut gram, mut moment) = ([[0.0; 6]; 6], [0.0; 6]);
+        for sight in sights {
+            let weight = share(sight) / (rest(sight, &twist).length_squared() + ROBUST_RAD * ROBUST_RAD).sqrt();
+            for row in 0..6 {
+                for column in 0..6 {
+                    gram[row][column] += weight * share(sight) * sight.columns[row].dot(sight.columns[column]);
+                }
+                moment[row] += weight * sight.columns[row].dot(sight.miss);
+            }
+        }
+        let Some(found) = solve(gram, moment) else { break };
+        twist = found;
+    }
+    sights.iter().map(|sight| rest(sight, &twist).length()).sum()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::capture::demo::{self, DemoOptions};
+
+    fn of(options: DemoOptions) -> ShutterEvidence {
+        let folder = tempfile::tempdir().unwrap();
+        let small = DemoOptions { width: 96, height: 72, views: 6, points: 1500, ..options };
+        demo::write(folder.path(), &small).unwrap();
+        evidence(&Capture::load(folder.path()).unwrap()).unwrap()
+    }
+
+    #[test]
+    fn rows_and_poses_are_told_apart() {
+        let rolling = of(DemoOptions { rolling: true, ..DemoOptions::default() });
+        assert!(rolling.left_by_rows < 0.2 && rolling.left_by_poses > 0.5, "{rolling:?}");
+        let poses = of(DemoOptions { poses: true, ..DemoOptions::default() });
+        assert!(poses.left_by_poses < 0.2 && poses.left_by_rows > 0.5, "{poses:?}");
+    }
+
+    #[test]
+    fn columns_are_the_derivative_of_directions() {
+        let cam = DVec3::new(0.7, -0.4, 2.5);
+        let step = 1e-6;
+        for (i, column) in columns(cam).into_iter().enumerate() {
+            let axis = [DVec3::X, DVec3::Y, DVec3::Z][i % 3] * step;
+            let moved = |sign: f64| if i < 3 { cam + sign * axis.cross(cam) } else { cam + sign * axis };
+            let expected = (moved(1.0).normalize() - moved(-1.0).normalize()) / (2.0 * step);
+            assert!(column.distance(expected) < 1e-9, "{i}: {column} instead of {expected}");
+        }
+    }
+
+    /// No tracks, no evidence.
+    #[test]
+    fn nothing_is_said_without_tracks() {
+        let folder = tempfile::tempdir().unwrap();
+        let small = DemoOptions { width: 32, height: 24, views: 3, points: 0, ..DemoOptions::default() };
+        demo::write(folder.path(), &small).unwrap();
+        assert!(evidence(&Capture::load(folder.path()).unwrap()).is_none());
+    }
+}
