@@ -202,7 +202,8 @@ pub(super) const CASES: &[Case] = &[
         demo: |options| DemoOptions { glossy: true, ..options },
         demo_flags: "--glossy",
         harmonics: Some(true),
-        both: &[],
+        // Or a run this short would be over when the harmonics begin.
+        both: &["--sh-every", "100"],
         without: &["--effects", "none", "--sh-degree", "0"],
         ..PLAIN
     },
