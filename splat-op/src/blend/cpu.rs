@@ -8,8 +8,10 @@ use super::footprint::{Footprint, UNWHITEN};
 use super::tile::{Plane, Thresholds, TileView, blend_tile, is_long};
 use super::tile_backward::{MOMENTS, Scratch, TileGrad, blend_tile_backward};
 use super::{BlendNeeds, BlendSpec};
+use crate::dials::{Culling, Exponential, Storage};
 use crate::project::{COLUMNS, Ellipse};
 use crate::real::Real;
+use crate::tile::cpu::needed_hits;
 use crate::tile::{HitLists, TILE, TILE_PIXELS, tile_grid};
 
 /// Gaussians per task.
@@ -49,6 +51,11 @@ struct Prepared<'a, F: Real> {
     size: [usize; 2],
     hits: &'a HitLists,
     thresholds: [F; 3],
+    /// How many Gaussians each tile would list by [`Culling::Ellipse`], where it is another that made the lists and tells them
+    /// apart by [`is_long`]: which arithmetic a tile takes must not depend on what it lists in vain.
+    needed: Option<Vec<u32>>,
+    /// Whether `exp` is the library's.
+    library: bool,
 }
 
 impl<'a, F: Real> Prepared<'a, F> {
@@ -61,15 +68,21 @@ impl<'a, F: Real> Prepared<'a, F> {
             if ellipse.opacity > F::ZERO { Footprint::new(&ellipse, alpha_min) } else { Footprint::default() }
         };
         let features = inputs.background.len();
+        let stored: std::borrow::Cow<[F]> = match options.features {
+            Storage::Full => inputs.features.into(),
+            Storage::Half => inputs.features.iter().map(|feature| feature.halved()).collect::<Vec<F>>().into(),
+        };
         let colours = if options.depth {
-            let rows = inputs.features.chunks_exact(features).zip(inputs.projected.chunks_exact(COLUMNS));
+            let rows = stored.chunks_exact(features).zip(inputs.projected.chunks_exact(COLUMNS));
             let with_depth = rows.flat_map(|(feature, row)| {
                 feature.iter().copied().chain(std::iter::once(Ellipse::from_row(row).depth))
             });
             with_depth.collect::<Vec<F>>().into()
         } else {
-            inputs.features.into()
+            stored
         };
+        let listed = hits.tile_start.windows(2).map(|ends| ends[1] - ends[0]);
+        let apart = options.culling != Culling::Ellipse && listed.max().is_some_and(|most| is_long(most, alpha_min));
         Self {
             footprints: inputs.projected.par_chunks_exact(COLUMNS).with_min_len(CHUNK).map(footprint).collect(),
             colours,
@@ -78,7 +91,15 @@ impl<'a, F: Real> Prepared<'a, F> {
             size: [spec.intrinsics.width, spec.intrinsics.height],
             hits,
             thresholds: [alpha_min, F::of(options.alpha_max), F::of(options.transmittance_min)],
+            needed: apart.then(|| needed_hits(inputs.projected, &spec.intrinsics, options.alpha_min)),
+            library: options.exponential == Exponential::Library,
         }
+    }
+
+    /// See [`is_long`].
+    fn is_long(&self, tile: usize) -> bool {
+        let listed = self.hits.tile_start[tile + 1] - self.hits.tile_start[tile];
+        is_long(self.needed.as_ref().map_or(listed, |needed| needed[tile] as usize), self.thresholds[0])
     }
 
     fn view(&self, tile: usize) -> TileView<'_, F> {
@@ -95,23 +116,27 @@ impl<'a, F: Real> Prepared<'a, F> {
 }
 
 /// Runs `$body` with the SIMD level of this processor as `$simd` and the number of channels as the constant `$c` where a
-/// special version exists, else zero; `$long` is the constant of `$is_long`.
+/// special version exists, else zero; `$long` is the constant of [`is_long`], and `$library` whether `exp` is the library's.
 #[rustfmt::skip] // rustfmt indents the inner macro further at every run
 macro_rules! specialised {
-    ($channels:expr, $is_long:expr, $simd:ident, $c:ident, $long:ident => $body:expr) => {{
+    ($prepared:expr, $tile:expr, $simd:ident, $c:ident, $long:ident, $library:ident => $body:expr) => {{
         macro_rules! with {
-            ($count:literal, $constant:literal) => {{
+            ($count:literal, $is_long:literal, $is_library:literal) => {{
                 const $c: usize = $count;
-                const $long: bool = $constant;
+                const $long: bool = $is_long;
+                const $library: bool = $is_library;
                 dispatch!(Level::new(), $simd => $body)
             }};
         }
-        match ($channels, $is_long) {
-            (1, false) => with!(1, false),
-            (3, false) => with!(3, false),
-            (4, false) => with!(4, false),
-            (_, false) => with!(0, false),
-            (_, true) => with!(0, true),
+        match ($prepared.channels, $prepared.is_long($tile), $prepared.library) {
+            (1, false, false) => with!(1, false, false),
+            (3, false, false) => with!(3, false, false),
+            (4, false, false) => with!(4, false, false),
+            (_, false, false) => with!(0, false, false),
+            (_, true, false) => with!(0, true, false),
+            (3, false, true) => with!(3, false, true),
+            (_, false, true) => with!(0, false, true),
+            (_, true, true) => with!(0, true, true),
         }
     }};
 }
@@ -140,11 +165,13 @@ pub(crate) fn blend_cpu<F: Real>(
             .par_chunks_mut(plane_count * TILE_PIXELS)
             .enumerate()
             .map(|(x, planes)| {
-                let view = prepared.view(y * columns + x);
+                let tile = y * columns + x;
+                let view = prepared.view(tile);
                 let mut checkpoints = Vec::new();
-                let passed = specialised!(prepared.channels, is_long(view.gaussians.len(), alpha_min), simd, C, IS_LONG => {
-                    let thresholds = Thresholds::new(simd, alpha_min, alpha_max, transmittance_min);
-                    blend_tile::<_, F, C, IS_LONG>(simd, &view, &thresholds, planes, keep.then_some(&mut checkpoints))
+                let passed = specialised!(prepared, tile, simd, C, IS_LONG, LIBRARY => {
+                    let thresholds =
+                        Thresholds::<_, F, LIBRARY>::new(simd, alpha_min, alpha_max, transmittance_min);
+                    blend_tile::<_, F, C, IS_LONG, LIBRARY>(simd, &view, &thresholds, planes, keep.then_some(&mut checkpoints))
                 });
                 TileTrace { passed, checkpoints }
             })
@@ -252,10 +279,10 @@ fn tile_sums<F: Real>(
     let tile_grad = TileGrad { planes, behind, checkpoints: &trace.checkpoints, passed: trace.passed, absolute };
     let [alpha_min, alpha_max, transmittance_min] = prepared.thresholds;
     let mut transmittance = [F::ZERO; TILE_PIXELS];
-    specialised!(prepared.channels, is_long(view.gaussians.len(), alpha_min), simd, C, IS_LONG => {
-        let thresholds = Thresholds::new(simd, alpha_min, alpha_max, transmittance_min);
+    specialised!(prepared, tile, simd, C, IS_LONG, LIBRARY => {
+        let thresholds = Thresholds::<_, F, LIBRARY>::new(simd, alpha_min, alpha_max, transmittance_min);
         let out = (sums, &mut transmittance);
-        blend_tile_backward::<_, F, C, IS_LONG>(simd, &view, &tile_grad, &thresholds, out, scratch);
+        blend_tile_backward::<_, F, C, IS_LONG, LIBRARY>(simd, &view, &tile_grad, &thresholds, out, scratch);
     });
     let through = |plane: &Plane<F>| plane.iter().zip(transmittance).map(|(&g, t)| g * t.abs()).sum();
     planes.iter().take(features).map(through).collect()

@@ -21,6 +21,8 @@ pub(crate) mod cpu;
 mod footprint;
 #[cfg(feature = "cube")]
 mod forward;
+#[cfg(feature = "cube")]
+mod half;
 #[cfg(all(test, feature = "cube"))]
 mod kernel_tests;
 #[cfg(feature = "cube")]
@@ -29,6 +31,8 @@ pub(crate) mod launch;
 mod layer;
 #[cfg(feature = "cube")]
 mod pixels;
+#[cfg(feature = "cube")]
+mod power;
 #[cfg(feature = "cube")]
 mod quads;
 #[cfg(feature = "cube")]
