@@ -4,15 +4,14 @@
 use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
 
-use super::footprint::{Footprint, UNWHITEN};
-use super::tile::{Plane, Thresholds, TileView, blend_tile, is_long};
+use super::footprint::UNWHITEN;
+use super::prepared::Prepared;
+use super::tile::{Plane, Thresholds, TileView, blend_tile};
 use super::tile_backward::{MOMENTS, Scratch, TileGrad, blend_tile_backward};
 use super::{BlendNeeds, BlendSpec};
-use crate::dials::{Culling, Exponential, Storage};
 use crate::project::{COLUMNS, Ellipse};
 use crate::real::Real;
-use crate::tile::cpu::needed_hits;
-use crate::tile::{HitLists, TILE, TILE_PIXELS, tile_grid};
+use crate::tile::{HitLists, TILE, TILE_PIXELS};
 
 /// Gaussians per task.
 const CHUNK: usize = 1024;
@@ -39,80 +38,6 @@ pub(crate) struct Grads<F> {
     pub features: Vec<F>,
     pub background: Vec<F>,
     pub mean2d_abs: Vec<F>,
-}
-
-/// Inputs prepared for the tiles' loops.
-struct Prepared<'a, F: Real> {
-    footprints: Vec<Footprint<F>>,
-    /// Features, with the depth as a further channel if the render accumulates it.
-    colours: std::borrow::Cow<'a, [F]>,
-    channels: usize,
-    grid: [usize; 2],
-    size: [usize; 2],
-    hits: &'a HitLists,
-    thresholds: [F; 3],
-    /// How many Gaussians each tile would list by [`Culling::Ellipse`], where it is another that made the lists and tells them
-    /// apart by [`is_long`]: which arithmetic a tile takes must not depend on what it lists in vain.
-    needed: Option<Vec<u32>>,
-    /// Whether `exp` is the library's.
-    library: bool,
-}
-
-impl<'a, F: Real> Prepared<'a, F> {
-    fn new(inputs: Inputs<'a, F>, spec: &BlendSpec, hits: &'a HitLists) -> Self {
-        let options = &spec.options;
-        let alpha_min = F::of(options.alpha_min);
-        let footprint = |row: &[F]| {
-            let ellipse = Ellipse::from_row(row);
-            // Only Gaussians in the lists are read, and those have a positive opacity.
-            if ellipse.opacity > F::ZERO { Footprint::new(&ellipse, alpha_min) } else { Footprint::default() }
-        };
-        let features = inputs.background.len();
-        let stored: std::borrow::Cow<[F]> = match options.features {
-            Storage::Full => inputs.features.into(),
-            Storage::Half => inputs.features.iter().map(|feature| feature.halved()).collect::<Vec<F>>().into(),
-        };
-        let colours = if options.depth {
-            let rows = stored.chunks_exact(features).zip(inputs.projected.chunks_exact(COLUMNS));
-            let with_depth = rows.flat_map(|(feature, row)| {
-                feature.iter().copied().chain(std::iter::once(Ellipse::from_row(row).depth))
-            });
-            with_depth.collect::<Vec<F>>().into()
-        } else {
-            stored
-        };
-        let listed = hits.tile_start.windows(2).map(|ends| ends[1] - ends[0]);
-        let apart = options.culling != Culling::Ellipse && listed.max().is_some_and(|most| is_long(most, alpha_min));
-        Self {
-            footprints: inputs.projected.par_chunks_exact(COLUMNS).with_min_len(CHUNK).map(footprint).collect(),
-            colours,
-            channels: features + usize::from(options.depth),
-            grid: tile_grid(spec.intrinsics.width, spec.intrinsics.height),
-            size: [spec.intrinsics.width, spec.intrinsics.height],
-            hits,
-            thresholds: [alpha_min, F::of(options.alpha_max), F::of(options.transmittance_min)],
-            needed: apart.then(|| needed_hits(inputs.projected, &spec.intrinsics, options.alpha_min)),
-            library: options.exponential == Exponential::Library,
-        }
-    }
-
-    /// See [`is_long`].
-    fn is_long(&self, tile: usize) -> bool {
-        let listed = self.hits.tile_start[tile + 1] - self.hits.tile_start[tile];
-        is_long(self.needed.as_ref().map_or(listed, |needed| needed[tile] as usize), self.thresholds[0])
-    }
-
-    fn view(&self, tile: usize) -> TileView<'_, F> {
-        let origin = [tile % self.grid[0] * TILE, tile / self.grid[0] * TILE];
-        TileView {
-            origin,
-            size: [0, 1].map(|axis| TILE.min(self.size[axis] - origin[axis])),
-            gaussians: &self.hits.gaussian[self.hits.tile_start[tile]..self.hits.tile_start[tile + 1]],
-            footprints: &self.footprints,
-            colours: &self.colours,
-            channels: self.channels,
-        }
-    }
 }
 
 /// Runs `$body` with the SIMD level of this processor as `$simd` and the number of channels as the constant `$c` where a

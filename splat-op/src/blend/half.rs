@@ -118,13 +118,15 @@ mod tests {
     /// All half-precision floats, what lies in the middle between two and on both sides of that, what is too large or too small,
     /// and numbers of every size.
     fn values() -> Vec<f32> {
-        let finite: Vec<f32> = (0..=u16::MAX).map(|bits| f16::from_bits(bits).to_f32()).filter(|v| v.is_finite()).collect();
+        let finite: Vec<f32> =
+            (0..=u16::MAX).map(|bits| f16::from_bits(bits).to_f32()).filter(|v| v.is_finite()).collect();
         let middles: Vec<f32> = (0..0x7bff_u16)
             .map(|bits| 0.5 * (f16::from_bits(bits).to_f32() + f16::from_bits(bits + 1).to_f32()))
             .flat_map(|middle| [middle.next_down(), middle, middle.next_up(), -middle])
             .collect();
         let mut random = Random::new(50);
-        let sizes = (0..50_000).map(|_| (random.between(-1.0, 1.0).signum() * random.between(-40.0, 20.0).exp2()) as f32);
+        let sizes =
+            (0..50_000).map(|_| (random.between(-1.0, 1.0).signum() * random.between(-40.0, 20.0).exp2()) as f32);
         let beyond = [65_519.0, 65_520.0, 1e6, -1e30, f32::INFINITY, f32::NEG_INFINITY, f32::MIN_POSITIVE, -1e-30];
         finite.into_iter().chain(middles).chain(sizes).chain(beyond).collect()
     }

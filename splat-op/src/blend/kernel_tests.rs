@@ -16,19 +16,19 @@ use crate::tile::Cut;
 use crate::tile::cpu::tile_cpu;
 use crate::tile::launch::launch_tile;
 
-const ALL: BlendNeeds = BlendNeeds { projected: true, features: true, background: true, mean2d_abs: true };
+pub(super) const ALL: BlendNeeds = BlendNeeds { projected: true, features: true, background: true, mean2d_abs: true };
 
 #[derive(Clone)]
-struct Scene {
+pub(super) struct Scene {
     name: String,
     projected: Vec<f64>,
-    features: Vec<f64>,
-    background: Vec<f64>,
-    spec: BlendSpec,
+    pub features: Vec<f64>,
+    pub background: Vec<f64>,
+    pub spec: BlendSpec,
 }
 
 impl Scene {
-    fn random(
+    pub fn random(
         count: usize,
         [width, height]: [usize; 2],
         channels: usize,
@@ -96,7 +96,7 @@ impl Scene {
         band
     }
 
-    fn device(&self, gpu: &Gpu) -> DeviceInputs {
+    pub fn device(&self, gpu: &Gpu) -> DeviceInputs {
         let buffer = |values: &[f64]| Buffer::from_slice(gpu, &values.iter().map(|&v| v as f32).collect::<Vec<_>>());
         DeviceInputs {
             projected: buffer(&self.projected),
@@ -106,7 +106,7 @@ impl Scene {
     }
 
     /// Planes and gradients on the device.
-    fn on(&self, gpu: &Gpu, grad: &[f64], needs: BlendNeeds) -> (Vec<f32>, DeviceGrads) {
+    pub fn on(&self, gpu: &Gpu, grad: &[f64], needs: BlendNeeds) -> (Vec<f32>, DeviceGrads) {
         let inputs = self.device(gpu);
         let lists = launch_tile(gpu, &inputs.projected, &self.spec.intrinsics, Cut::of(&self.spec.options));
         let grad = Buffer::from_slice(gpu, &grad.iter().map(|&v| v as f32).collect::<Vec<_>>());
@@ -118,7 +118,7 @@ impl Scene {
         (planes, launch_blend_backward(gpu, &inputs, &grad, &lists, &trace, &self.spec, needs))
     }
 
-    fn check(self) {
+    pub fn check(self) {
         let scene = self.rounded();
         let band = scene.band();
         let share = band.iter().filter(|&&b| b).count() as f64 / band.len() as f64;

@@ -18,6 +18,10 @@ mod buckets;
 #[cfg(feature = "cube")]
 mod channels;
 pub(crate) mod cpu;
+#[cfg(all(test, feature = "cube"))]
+mod dial_kernel_tests;
+#[cfg(test)]
+mod dial_tests;
 mod footprint;
 #[cfg(feature = "cube")]
 mod forward;
@@ -33,6 +37,7 @@ mod layer;
 mod pixels;
 #[cfg(feature = "cube")]
 mod power;
+mod prepared;
 #[cfg(feature = "cube")]
 mod quads;
 #[cfg(feature = "cube")]

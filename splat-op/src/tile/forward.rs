@@ -164,10 +164,10 @@ impl Reach {
     }
 }
 
-/// The first tile and the tile after the last along an axis that hold a pixel centre within `half` of `mean`; the same
-/// twice for none.
+/// The first tile and the tile after the last along an axis that hold a pixel centre within `half` of `mean`, or before an
+/// ellipse's tiles are tested less than a pixel further up; the same twice for none.
 #[cube]
-fn tile_range(mean: f32, half: f32, pixels: u32) -> (u32, u32) {
+fn tile_range(mean: f32, half: f32, pixels: u32, #[comptime] culling: Culling) -> (u32, u32) {
     // The margin covers the rounding of centre and extent.
     let margin = 0.01 + 1e-6 * (mean.abs() + half);
     let last = f32::cast_from(pixels - 1);
@@ -176,6 +176,7 @@ fn tile_range(mean: f32, half: f32, pixels: u32) -> (u32, u32) {
     let mut first = 0u32;
     let mut end = 0u32;
     if high >= 0.0 && low <= last {
+        let low = if comptime!(culling == Culling::Ellipse) { low } else { low.ceil() };
         first = u32::cast_from(within(low, 0.0, last)) / comptime!(TILE as u32);
         end = u32::cast_from(within(high, 0.0, last)) / comptime!(TILE as u32) + 1;
     }
@@ -208,9 +209,9 @@ pub(super) fn cover_kernel(
         if usable {
             let mut limit = f32::max_value();
             if frame.alpha_min > 0.0 {
-                // A relative margin for the logarithm, an absolute one for the exponential.
                 // The square is as if the Gaussian were opaque; one may be more than that.
                 let shown = if comptime!(square) { max(opacity, 1.0) } else { opacity };
+                // A relative margin for the logarithm, an absolute one for the exponential.
                 limit = 2.0 * (shown / frame.alpha_min).ln() * 1.00001 + 1e-4;
             }
             let reach = Reach {
@@ -226,8 +227,8 @@ pub(super) fn cover_kernel(
             let vertical = Vec3::new(reach.sigma_v, across, 0.0).length();
             let horizontal = if comptime!(square) { reach.long_axis() } else { reach.sigma_u };
             let vertical = if comptime!(square) { horizontal } else { vertical };
-            let (x, end_x) = tile_range(reach.x, radius * horizontal, frame.width);
-            let (y, end_y) = tile_range(reach.y, radius * vertical, frame.height);
+            let (x, end_x) = tile_range(reach.x, radius * horizontal, frame.width, culling);
+            let (y, end_y) = tile_range(reach.y, radius * vertical, frame.height, culling);
             if end_x > x && end_y > y {
                 cover.x = x;
                 cover.y = y;

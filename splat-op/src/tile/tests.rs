@@ -56,7 +56,8 @@ fn listed(lists: &HitLists, tiles: usize, count: usize) -> Vec<Vec<bool>> {
 fn assert_nothing_is_missing<F: Real>(seed: u64) {
     let mut random = Random::new(seed);
     for size in SIZES {
-        let cuts = [1.0 / 255.0, 1e-6, 0.3].into_iter().flat_map(|alpha_min| CULLINGS.map(|culling| (alpha_min, culling)));
+        let cuts =
+            [1.0 / 255.0, 1e-6, 0.3].into_iter().flat_map(|alpha_min| CULLINGS.map(|culling| (alpha_min, culling)));
         for (alpha_min, culling) in cuts {
             let packed = ellipses::<F>(&mut random, 150, size);
             let lists = tile_cpu(&packed, &Intrinsics::centred(size.0, size.1, 50.0), Cut { alpha_min, culling });
@@ -196,7 +197,14 @@ fn each_culling_lists_what_the_finer_ones_list_and_of_needles_more() {
 #[test]
 fn a_box_is_as_long_as_its_needle_or_as_the_long_axis_of_an_opaque_one() {
     // Along the diagonal: variances 800 and 800.3025 px² along the axes, 1,600 px² along the needle.
-    let needle = Ellipse { mean_px: [75.0, 60.0], sigma_u: 800.0_f64.sqrt(), shear: 1.0, sigma_v: 0.55, depth: 2.0, opacity: 0.5 };
+    let needle = Ellipse {
+        mean_px: [75.0, 60.0],
+        sigma_u: 800.0_f64.sqrt(),
+        shear: 1.0,
+        sigma_v: 0.55,
+        depth: 2.0,
+        opacity: 0.5,
+    };
     let rectangle = |alpha_min: f64, culling| {
         let lists = tile_cpu(&needle.to_row(), &Intrinsics::centred(150, 120, 50.0), Cut { alpha_min, culling });
         let [tiles_x, _] = tile_grid(150, 120);

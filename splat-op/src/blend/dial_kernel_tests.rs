@@ -1,0 +1,123 @@
+//! What numerical dials change on GPUs, and what they must not.
+
+use super::kernel_tests::{ALL, Scene};
+use crate::dials::{Culling, Exponential, Storage};
+use crate::gpu::{Buffer, Gpu};
+use crate::options::{Accumulation, RenderOptions};
+use crate::real::Real;
+use crate::testing::gpu::gpus;
+use crate::testing::random::Random;
+use crate::tile::Cut;
+use crate::tile::launch::launch_tile;
+
+/// Planes, then the gradients of ellipses, features, background, and absolute values, added in order.
+fn outcome(scene: &Scene, gpu: &Gpu, options: RenderOptions) -> [Vec<f32>; 5] {
+    let mut scene = scene.clone();
+    scene.spec.options = options.with_accumulation(Accumulation::Ordered);
+    let camera = &scene.spec.intrinsics;
+    let grad = Random::new(4).fill(scene.spec.planes(scene.background.len()) * camera.width * camera.height, -1.0, 1.0);
+    let (planes, grads) = scene.on(gpu, &grad, ALL);
+    let read = |buffer: Option<Buffer<f32>>| buffer.expect("asked for").read(gpu);
+    [planes, read(grads.projected), read(grads.features), read(grads.background), read(grads.mean2d_abs)]
+}
+
+fn same_bits(a: &[Vec<f32>; 5], b: &[Vec<f32>; 5]) -> bool {
+    a.iter().zip(b).all(|(a, b)| bytemuck::cast_slice::<f32, u32>(a) == bytemuck::cast_slice::<f32, u32>(b))
+}
+
+/// The largest difference of each, in shares of the largest number.
+fn differences(a: &[Vec<f32>; 5], b: &[Vec<f32>; 5]) -> [f32; 5] {
+    std::array::from_fn(|i| {
+        let largest = b[i].iter().fold(0.0_f32, |most, v| most.max(v.abs()));
+        a[i].iter().zip(&b[i]).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max) / largest
+    })
+}
+
+fn longest(scene: &Scene, gpu: &Gpu, culling: Culling) -> i32 {
+    let cut = Cut { culling, ..Cut::of(&scene.spec.options) };
+    let lists = launch_tile(gpu, &scene.device(gpu).projected, &scene.spec.intrinsics, cut);
+    lists.counts.read(gpu).into_iter().max().expect("there are tiles")
+}
+
+const BOXES: [Culling; 2] = [Culling::OpacityBox, Culling::BoundingBox];
+
+#[test]
+fn culling_changes_no_bit_where_a_bucket_holds_each_list() {
+    for channels in [3, 16] {
+        // Places of a bucket: on a driver in software those of three channels hold more.
+        for (bucket, count) in [(32, 26), (128, 110)] {
+            let scene = Scene::random(count, [100, 70], channels, [0.02, 1.0], RenderOptions::standard());
+            for (form, gpu) in gpus() {
+                if bucket > 32 && !(gpu.software && channels == 3) {
+                    continue;
+                }
+                let expected = outcome(&scene, &gpu, scene.spec.options);
+                assert!(expected.iter().all(|values| values.iter().any(|v| *v != 0.0)), "a scene that proves nothing");
+                for culling in BOXES {
+                    let most = longest(&scene, &gpu, culling);
+                    assert!(
+                        most <= bucket && most > longest(&scene, &gpu, Culling::Ellipse),
+                        "{culling:?} lists {most}"
+                    );
+                    let found = outcome(&scene, &gpu, scene.spec.options.with_culling(culling));
+                    assert!(same_bits(&found, &expected), "{form}, {channels} channels, {culling:?}");
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn culling_of_long_lists_changes_rounding_alone() {
+    for channels in [3, 16] {
+        let scene = Scene::random(3_000, [100, 70], channels, [0.02, 0.6], RenderOptions::standard());
+        // Without a threshold of the transmittance, beside which a pixel may end one layer sooner.
+        let options = RenderOptions { transmittance_min: 0.0, ..scene.spec.options };
+        for (form, gpu) in gpus() {
+            let expected = outcome(&scene, &gpu, options);
+            for culling in BOXES {
+                let most = longest(&scene, &gpu, culling);
+                let found = outcome(&scene, &gpu, options.with_culling(culling));
+                let differences = differences(&found, &expected);
+                println!("{form}, {channels} channels, {culling:?}, up to {most} hits: {differences:?}");
+                assert!(
+                    differences.iter().all(|d| *d <= 3e-6),
+                    "{form}, {channels} channels, {culling:?}: {differences:?}"
+                );
+            }
+        }
+    }
+}
+
+#[test]
+fn a_polynomial_agrees_with_the_twin() {
+    let options = RenderOptions::standard().with_exponential(Exponential::Polynomial);
+    for (channels, depth) in [(3, false), (3, true), (16, false)] {
+        Scene::random(300, [50, 35], channels, [0.05, 0.9], options.with_depth(depth)).check();
+    }
+    let scene = Scene::random(300, [50, 35], 3, [0.05, 0.9], RenderOptions::exact());
+    for (form, gpu) in gpus() {
+        let by = |exponential| outcome(&scene, &gpu, scene.spec.options.with_exponential(exponential));
+        let (standard, library) = (by(Exponential::Standard), by(Exponential::Library));
+        assert!(same_bits(&standard, &library), "{form}: the standard of GPUs");
+        let polynomial = by(Exponential::Polynomial);
+        assert!(!same_bits(&polynomial, &library), "{form}: the dial changes nothing");
+        let differences = differences(&polynomial, &library);
+        assert!(differences.iter().all(|d| *d <= 3e-6), "{form}: {differences:?}");
+    }
+}
+
+#[test]
+fn half_precision_is_a_render_of_rounded_features() {
+    for (channels, depth) in [(1, false), (3, false), (3, true), (5, false), (16, true)] {
+        let options = RenderOptions::standard().with_depth(depth);
+        let scene = Scene::random(300, [50, 35], channels, [0.05, 0.9], options);
+        let mut rounded = scene.clone();
+        rounded.features.iter_mut().for_each(|feature| *feature = feature.halved());
+        for (form, gpu) in gpus() {
+            let found = outcome(&scene, &gpu, options.with_features(Storage::Half));
+            assert!(same_bits(&found, &outcome(&rounded, &gpu, options)), "{form}, {channels} channels, depth {depth}");
+            assert!(found[0] != outcome(&scene, &gpu, options)[0], "{form}: the dial changes nothing");
+        }
+    }
+}
