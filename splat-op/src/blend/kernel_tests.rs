@@ -106,7 +106,7 @@ impl Scene {
     }
 
     /// Planes and gradients on the device.
-    pub fn on(&self, gpu: &Gpu, grad: &[f64], needs: BlendNeeds) -> (Vec<f32>, DeviceGrads) {
+    fn on(&self, gpu: &Gpu, grad: &[f64], needs: BlendNeeds) -> (Vec<f32>, DeviceGrads) {
         let inputs = self.device(gpu);
         let lists = launch_tile(gpu, &inputs.projected, &self.spec.intrinsics, Cut::of(&self.spec.options));
         let grad = Buffer::from_slice(gpu, &grad.iter().map(|&v| v as f32).collect::<Vec<_>>());
@@ -118,7 +118,7 @@ impl Scene {
         (planes, launch_blend_backward(gpu, &inputs, &grad, &lists, &trace, &self.spec, needs))
     }
 
-    pub fn check(self) {
+    fn check(self) {
         let scene = self.rounded();
         let band = scene.band();
         let share = band.iter().filter(|&&b| b).count() as f64 / band.len() as f64;
