@@ -71,6 +71,14 @@ pub fn colours(splats: &Splats, camera: &Camera) -> Result<Tensor<2>, SplatError
     }
 }
 
+/// Checked coefficients without those above a degree; where there are none, as they are.
+pub(crate) fn up_to_degree(sh: &Tensor<3>, degree: Option<usize>) -> Tensor<3> {
+    match degree.map(|degree| (degree + 1) * (degree + 1)) {
+        Some(coefficients) if coefficients < sh.dims()[1] => sh.clone().narrow(1, 0, coefficients),
+        _ => sh.clone(),
+    }
+}
+
 pub(crate) fn sh_need(sh: &Tensor<3>) -> Need {
     Need::floats("sh", sh.dims(), "use fewer Gaussians or a lower degree of the spherical harmonics")
 }

@@ -1,5 +1,6 @@
 //! What a render computes: model choices, numerical dials, and which outputs.
 
+use crate::dials::{Culling, Exponential, Storage};
 use crate::error::SplatError;
 
 /// Choices and dials of a render. Start from a preset and change fields.
@@ -19,7 +20,11 @@ pub struct RenderOptions {
     /// Model: multiply each opacity by the ratio of the ellipse's area before and after `blur`, floor 0.005
     /// (Mip-Splatting, Yu et al. 2024, eq. 9).
     pub antialias: bool,
-    /// Dial: contributions with alpha below this are skipped. Zero skips none.
+    /// Model: coefficients of the spherical harmonics above this degree, 0 to 4, are left out of a render and get a gradient of
+    /// exactly zero. `None` uses all there are.
+    pub sh_degree: Option<usize>,
+    /// Dial: contributions with alpha below this are skipped. Zero skips none, and lists every Gaussian in every tile: a render is
+    /// then refused above [`MAX_UNCUT_HITS`] pairs of the two.
     pub alpha_min: f64,
     /// Dial: alpha is at most this, so that every layer lets some light through.
     pub alpha_max: f64,
@@ -28,6 +33,12 @@ pub struct RenderOptions {
     pub transmittance_min: f64,
     /// Dial: how GPUs add the gradients of a Gaussian's hits. CPU backends always add in order.
     pub accumulation: Accumulation,
+    /// Dial: which tiles list a Gaussian. Changes time only.
+    pub culling: Culling,
+    /// Dial: how `exp` is computed in f32.
+    pub exponential: Exponential,
+    /// Dial: how features, or colours, are stored where `blend` reads them.
+    pub features: Storage,
     /// Output: also accumulate depth, `Σ wᵢ zᵢ`.
     pub depth: bool,
 }
@@ -42,8 +53,18 @@ pub enum Accumulation {
     Ordered,
 }
 
+/// The largest degree of spherical harmonics.
+const MAX_SH_DEGREE: usize = 4;
+
+/// The most pairs of a Gaussian and a tile that a render lists where `alpha_min` is zero: 2²⁶, 8,224 Gaussians in a picture of
+/// 1920 × 1080 px. A CPU keeps 16 bytes of each pair in its lists and 36 for the gradients of three channels: 3.3 GiB for so many.
+pub const MAX_UNCUT_HITS: usize = 1 << 26;
+
 impl RenderOptions {
-    /// The thresholds of the original implementation and of gsplat: 8-bit contributions below one level are skipped.
+    /// The thresholds of the original implementation and of gsplat: 8-bit contributions below one level are skipped
+    /// (`alpha_min = 1/255`), every layer lets a hundredth through (`alpha_max = 0.99`), and what lies behind a transmittance of
+    /// `transmittance_min = 1e-4` is left out. All other dials stand where a render is quickest without being less exact than the
+    /// rounding of f32: atomic accumulation, [`Culling::Ellipse`], [`Exponential::Standard`], [`Storage::Full`].
     pub const fn standard() -> Self {
         Self {
             blur: 0.3,
@@ -53,17 +74,24 @@ impl RenderOptions {
             alpha_min: 1.0 / 255.0,
             alpha_max: 0.99,
             transmittance_min: 1e-4,
+            sh_degree: None,
             accumulation: Accumulation::Atomic,
+            culling: Culling::Ellipse,
+            exponential: Exponential::Standard,
+            features: Storage::Full,
             depth: false,
         }
     }
 
-    /// Cuts four times coarser than [`Self::standard`]: fewer splats per tile and per pixel. For previews.
+    /// [`Self::standard`] with coarser cuts, for previews: `alpha_min` four times as large, so that a tile lists fewer Gaussians, and
+    /// `transmittance_min = 1e-2`, so that a pixel is finished after fewer. Nothing else changes.
     pub const fn fast() -> Self {
         Self { alpha_min: 4.0 / 255.0, transmittance_min: 1e-2, ..Self::standard() }
     }
 
-    /// Nothing that 8-bit or 16-bit pictures could show is left out.
+    /// [`Self::standard`] with finer cuts: nothing that 8-bit or 16-bit pictures could show is left out. `alpha_min = 2⁻²⁶`, and no
+    /// pixel is ever finished (`transmittance_min = 0`). `alpha_max` stays, for it is part of what photographs were trained with;
+    /// so do the dials that are within rounding.
     pub const fn exact() -> Self {
         // 2⁻²⁶: a thousand such contributions stay below half a level of a 16-bit picture.
         Self { alpha_min: 1.0 / 67_108_864.0, transmittance_min: 0.0, ..Self::standard() }
@@ -89,6 +117,26 @@ impl RenderOptions {
         Self { accumulation, ..self }
     }
 
+    /// With no spherical harmonics above this degree; `None` for all there are.
+    pub const fn with_sh_degree(self, sh_degree: Option<usize>) -> Self {
+        Self { sh_degree, ..self }
+    }
+
+    /// With another choice of the tiles that list a Gaussian.
+    pub const fn with_culling(self, culling: Culling) -> Self {
+        Self { culling, ..self }
+    }
+
+    /// With another exponential.
+    pub const fn with_exponential(self, exponential: Exponential) -> Self {
+        Self { exponential, ..self }
+    }
+
+    /// With features stored in another way.
+    pub const fn with_features(self, features: Storage) -> Self {
+        Self { features, ..self }
+    }
+
     pub(crate) fn check(&self) -> Result<(), SplatError> {
         let within = |field, value: f64, low: f64, high: f64, expected| {
             if value >= low && value <= high {
@@ -100,14 +148,62 @@ impl RenderOptions {
         within("blur", self.blur, 0.0, 1e6, "a variance from 0 to 1e6 px²")?;
         within("near", self.near, 0.0, 1e30, "a distance of at least 0")?;
         within("jacobian_margin", self.jacobian_margin, 0.0, 1e6, "a share of at least 0")?;
+        if let Some(degree) = self.sh_degree.filter(|degree| *degree > MAX_SH_DEGREE) {
+            let expected = "a degree from 0 to 4, or `None` for all coefficients there are";
+            return Err(SplatError::Value { field: "sh_degree", found: degree.to_string(), expected });
+        }
         within("alpha_min", self.alpha_min, 0.0, 1.0, "0 to 1")?;
         within("alpha_max", self.alpha_max, 0.0, 1.0, "0 to 1")?;
         within("transmittance_min", self.transmittance_min, 0.0, 1.0, "0 to 1")
+    }
+
+    /// Refuses to list every Gaussian in every tile where that is more than [`MAX_UNCUT_HITS`].
+    pub(crate) fn check_uncut(&self, gaussians: usize, tiles: usize) -> Result<(), SplatError> {
+        let pairs = gaussians.saturating_mul(tiles);
+        if self.alpha_min > 0.0 || pairs <= MAX_UNCUT_HITS {
+            return Ok(());
+        }
+        Err(SplatError::Value {
+            field: "alpha_min",
+            found: format!("0 for {gaussians} Gaussians in {tiles} tiles, {pairs} pairs"),
+            expected: "a value above 0, so that Gaussians are listed only in the tiles they reach, or at most 67108864 \
+                       pairs: use fewer Gaussians or render a smaller picture",
+        })
     }
 }
 
 impl Default for RenderOptions {
     fn default() -> Self {
         Self::standard()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn without_a_cut_there_is_a_most_of_pairs_and_the_message_names_it() {
+        let uncut = RenderOptions { alpha_min: 0.0, ..RenderOptions::exact() };
+        // A picture of 32,768 × 32,768 px.
+        let tiles = 2048 * 2048;
+        assert_eq!(uncut.check_uncut(16, tiles), Ok(()));
+        let message = uncut.check_uncut(17, tiles).expect_err("one too many").to_string();
+        for part in ["`alpha_min`", "17 Gaussians", "71303168 pairs", &MAX_UNCUT_HITS.to_string(), "fewer Gaussians"] {
+            assert!(message.contains(part), "`{part}` is missing: {message}");
+        }
+        assert!(uncut.check_uncut(usize::MAX, 2).is_err(), "a product beyond all numbers");
+        assert_eq!(RenderOptions::exact().check_uncut(usize::MAX, tiles), Ok(()), "with a cut the lists tell");
+    }
+
+    #[test]
+    fn presets_differ_in_their_cuts_alone() {
+        let standard = RenderOptions::standard();
+        for preset in [RenderOptions::fast(), RenderOptions::exact()] {
+            assert_eq!(preset.check(), Ok(()));
+            let RenderOptions { alpha_min, transmittance_min, .. } = preset;
+            assert!(alpha_min != standard.alpha_min && transmittance_min != standard.transmittance_min);
+            assert_eq!(RenderOptions { alpha_min, transmittance_min, ..standard }, preset);
+        }
     }
 }

@@ -4,11 +4,14 @@ use std::fmt::Debug;
 use std::iter::Sum;
 use std::ops::{Add, AddAssign, Div, Mul, MulAssign, Neg, Sub, SubAssign};
 
-use burn::tensor::DType;
+use burn::tensor::{DType, f16};
 use fearless_simd::{f32x8, f64x8, prelude::*, u32x8};
 
 /// Lanes per vector, for both float types, so that a tile splits the same way for both.
 pub(crate) const LANES: usize = 8;
+
+/// The largest half-precision float.
+pub(crate) const HALF_MAX: f32 = 65_504.0;
 
 pub(crate) const EXP2_CONSTANTS: usize = 8;
 
@@ -63,6 +66,10 @@ pub(crate) trait Real:
     const EXP2: [Self; EXP2_CONSTANTS];
     /// `2^−q` for `0 <= q <= EXP2_MAX`, within 2 ulp; anything elsewhere. The constants are [`Self::EXP2`], one copy in each lane.
     fn exp2_lanes<S: Simd>(q: Self::Lanes<S>, constants: &[Self::Lanes<S>; EXP2_CONSTANTS]) -> Self::Lanes<S>;
+    /// `2^−q` by the standard library, within an ulp, whatever `q` is.
+    fn exp2_library<S: Simd>(q: Self::Lanes<S>) -> Self::Lanes<S>;
+    /// The nearest half-precision float of at most [`HALF_MAX`], of its sign.
+    fn halved(self) -> Self;
     /// `eˣ` within 1 ulp; zero or infinite beyond what the float type holds, anything for what is no number.
     fn exp_lanes<S: Simd>(x: Self::Lanes<S>) -> Self::Lanes<S>;
 
@@ -79,7 +86,7 @@ pub(crate) trait Real:
 }
 
 macro_rules! scalar_functions {
-    ($float:ty, $bits:ty, $dtype:expr) => {
+    ($float:ty, $bits:ty, $dtype:expr, $to_half:path) => {
         type SortKey = $bits;
         const DTYPE: DType = $dtype;
         const ZERO: Self = 0.0;
@@ -118,6 +125,12 @@ macro_rules! scalar_functions {
         fn sort_key(self) -> Self::SortKey {
             self.to_bits()
         }
+        fn halved(self) -> Self {
+            let most = <$float>::from(HALF_MAX);
+            // Not by `max` and `min`, which would make a number of what is none.
+            let held = if self > most { most } else { self };
+            <$float>::from($to_half(if held < -most { -most } else { held }))
+        }
         fn sort_by_key(rows: &mut [(Self::SortKey, u32)]) {
             radsort::sort_by_key(rows, |row| row.0);
         }
@@ -126,7 +139,7 @@ macro_rules! scalar_functions {
 
 impl Real for f32 {
     type Lanes<S: Simd> = f32x8<S>;
-    scalar_functions!(f32, u32, DType::F32);
+    scalar_functions!(f32, u32, DType::F32, f16::from_f32);
 
     const EXP2_MAX: Self = 126.0;
 
@@ -158,6 +171,11 @@ impl Real for f32 {
     }
 
     #[inline(always)]
+    fn exp2_library<S: Simd>(q: f32x8<S>) -> f32x8<S> {
+        f32x8::from_fn(q.token(), |lane| (-q[lane]).exp2())
+    }
+
+    #[inline(always)]
     fn exp_lanes<S: Simd>(x: f32x8<S>) -> f32x8<S> {
         // x = n ln 2 + s with an integer n and |s| <= (ln 2) / 2, as above; ln 2 in two parts, of which the first has few digits.
         const ROUND: f32 = 12_582_912.0;
@@ -185,7 +203,7 @@ impl Real for f32 {
 
 impl Real for f64 {
     type Lanes<S: Simd> = f64x8<S>;
-    scalar_functions!(f64, u64, DType::F64);
+    scalar_functions!(f64, u64, DType::F64, f16::from_f64);
 
     const EXP2_MAX: Self = 1022.0;
     const EXP2: [f64; EXP2_CONSTANTS] = [0.0; EXP2_CONSTANTS];
@@ -193,6 +211,11 @@ impl Real for f64 {
     // The f64 path is the yardstick: the library's function, lane by lane.
     #[inline(always)]
     fn exp2_lanes<S: Simd>(q: f64x8<S>, _: &[f64x8<S>; EXP2_CONSTANTS]) -> f64x8<S> {
+        Self::exp2_library(q)
+    }
+
+    #[inline(always)]
+    fn exp2_library<S: Simd>(q: f64x8<S>) -> f64x8<S> {
         f64x8::from_fn(q.token(), |lane| (-q[lane]).exp2())
     }
 

@@ -6,7 +6,7 @@ use burn::tensor::{Int, Tensor};
 use crate::blend::{BlendInputs, BlendSpec, PartsCell};
 use crate::camera::{Camera, Intrinsics};
 use crate::check::{Reference, check_positive};
-use crate::colour::{Colour, check_harmonics, sh_need};
+use crate::colour::{Colour, check_harmonics, sh_need, up_to_degree};
 use crate::error::SplatError;
 use crate::limits::{Need, check_fits};
 use crate::op::{Slot, SplatBackend};
@@ -180,7 +180,7 @@ pub(crate) fn project_shade(
     reference.check_fits(&[packed_need(count), sh_need(sh)])?;
     let inputs = ProjectShadeInputs {
         geometry: project_inputs(splats, camera),
-        sh: sh.clone().into_dispatch(),
+        sh: up_to_degree(sh, options.sh_degree).into_dispatch(),
         matte: matte.map_or(Slot::Skip, |matte| Slot::Have(matte.clone().into_dispatch())),
     };
     let spec = ProjectSpec { intrinsics: camera.intrinsics, options: *options };
@@ -202,17 +202,12 @@ fn project_inputs(splats: &Splats, camera: &Camera) -> ProjectInputs<Dispatch> {
 /// Lists, for each 16 × 16 tile of the picture, the Gaussians that can show in it, front to back.
 ///
 /// # Errors
-/// If an option is out of range.
+/// If an option is out of range, or `options.alpha_min` is zero and there are more than [`crate::MAX_UNCUT_HITS`] pairs of a
+/// Gaussian and a tile.
 pub fn tile(projected: &Projected, options: &RenderOptions) -> Result<Tiles, SplatError> {
     options.check()?;
     let [tiles_x, tiles_y] = tile_grid(projected.intrinsics.width, projected.intrinsics.height);
-    if options.alpha_min == 0.0 && projected.len().saturating_mul(tiles_x * tiles_y) > u32::MAX as usize {
-        return Err(SplatError::Value {
-            field: "alpha_min",
-            found: format!("0 for {} Gaussians in {} tiles", projected.len(), tiles_x * tiles_y),
-            expected: "a value above 0, so that Gaussians are listed only in the tiles they reach",
-        });
-    }
+    options.check_uncut(projected.len(), tiles_x * tiles_y)?;
     check_fits(&projected.packed.device(), &[packed_need(projected.len())])?;
     let hits = HitCell::default();
     let spec = BlendSpec { intrinsics: projected.intrinsics, options: *options };

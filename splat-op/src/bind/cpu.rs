@@ -15,7 +15,7 @@ use crate::project_shade::{self, ProjectShadeGrads, ProjectShadeInputs, ProjectS
 use crate::real::Real;
 use crate::shade::{self, ShadeGrads, ShadeInputs, ShadeNeeds};
 use crate::tile::cpu::tile_cpu;
-use crate::tile::{HitCell, HitLists, Lists, tile_grid};
+use crate::tile::{Cut, HitCell, HitLists, Lists, tile_grid};
 
 /// A gradient as a tensor of the given shape, or nothing if it was not needed.
 fn slot<B: HostBackend, F: Real>(needed: bool, elements: Vec<F>, shape: &[usize], like: &FloatTensor<B>) -> Slot<B> {
@@ -158,7 +158,7 @@ fn project_shade_backward<B: HostBackend, F: Real>(
 
 /// The lists in the cell, computed now if nobody has yet.
 fn hit_lists<'a, F: Real>(cell: &'a HitCell, projected: &[F], spec: &BlendSpec) -> &'a HitLists {
-    let lists = cell.0.get_or_init(|| Lists::Host(tile_cpu(projected, &spec.intrinsics, spec.options.alpha_min)));
+    let lists = cell.0.get_or_init(|| Lists::Host(tile_cpu(projected, &spec.intrinsics, Cut::of(&spec.options))));
     match lists {
         Lists::Host(lists) => lists,
         #[cfg(feature = "cube")]

@@ -19,7 +19,7 @@ use crate::project_shade::{self, ProjectShadeGrads, ProjectShadeInputs, ProjectS
 use crate::shade::launch::{launch_shade, launch_shade_backward};
 use crate::shade::{self, ShadeGrads, ShadeInputs, ShadeNeeds};
 use crate::tile::launch::{DeviceLists, launch_tile};
-use crate::tile::{HitCell, Lists, tile_grid};
+use crate::tile::{Cut, HitCell, Lists, tile_grid};
 
 /// A tensor's elements, row-major.
 pub(crate) fn buffer(tensor: CubeTensor) -> Buffer<f32> {
@@ -117,7 +117,7 @@ impl BlendInputs<CubeBackend> {
 
 /// The lists in the cell, computed now if nobody has yet.
 fn lists<'a>(gpu: &Gpu, cell: &'a HitCell, projected: &Buffer<f32>, spec: &BlendSpec) -> &'a DeviceLists {
-    let compute = || Lists::Device(Box::new(launch_tile(gpu, projected, &spec.intrinsics, spec.options.alpha_min)));
+    let compute = || Lists::Device(Box::new(launch_tile(gpu, projected, &spec.intrinsics, Cut::of(&spec.options))));
     match cell.0.get_or_init(compute) {
         Lists::Device(lists) => lists,
         Lists::Host(_) => unreachable!("the public functions check that lists and ellipses are on one device"),

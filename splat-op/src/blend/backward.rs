@@ -128,7 +128,7 @@ pub(super) fn blend_behind_kernel(
                         let gaussian = gaussian_of_hit[hit_of_place[(first + place) as usize] as usize] as usize;
                         let footprint = Footprint::of(projected, gaussian);
                         let (u, v) = footprint.whiten(x, top, f32::cast_from(own_row));
-                        let alpha = footprint.alpha(u, v, frame.alpha_min, limits.alpha_max);
+                        let alpha = footprint.alpha(u, v, frame.alpha_min, limits.alpha_max, shape);
                         let (alpha, next, stops) = layer(alpha, relative, stopped, kept[at], limits.transmittance_min);
                         if alpha > 0.0 {
                             let mut along = grad_alpha;

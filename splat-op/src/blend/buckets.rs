@@ -237,7 +237,7 @@ pub(super) fn blend_buckets_kernel<A: FloatCell>(
                         let at = Columns::of(&Footprint::among(&splats, i as usize), x, top);
                         #[unroll]
                         for q in 0..quads {
-                            state.pass(&at, at.v(own_row + comptime!(q as f32)), limits, q);
+                            state.pass(&at, at.v(own_row + comptime!(q as f32)), limits, shape, q);
                         }
                     }
                     step += 1;
@@ -270,7 +270,8 @@ pub(super) fn blend_buckets_kernel<A: FloatCell>(
                         let at = Columns::of(&Footprint::among(&splats, i), x, top);
                         #[unroll]
                         for q in 0..quads {
-                            let (alpha, weight) = state.pass(&at, at.v(own_row + comptime!(q as f32)), limits, q);
+                            let (alpha, weight) =
+                                state.pass(&at, at.v(own_row + comptime!(q as f32)), limits, shape, q);
                             alphas[comptime!(k * quads + q)] = alpha;
                             weights[comptime!(k * quads + q)] = weight * state.before[q];
                         }

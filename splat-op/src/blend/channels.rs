@@ -107,7 +107,7 @@ pub(super) fn blend_channels_kernel<A: FloatCell>(
                         if through >= 0.0 {
                             let footprint = Footprint::load(&footprints, i as usize);
                             let (u, v) = footprint.whiten(x, top, f32::cast_from(own_row));
-                            let value = footprint.alpha(u, v, frame.alpha_min, limits.alpha_max);
+                            let value = footprint.alpha(u, v, frame.alpha_min, limits.alpha_max, shape);
                             let (contributes, next, stops) =
                                 layer(value, through, stopped, before, limits.transmittance_min);
                             alpha = contributes;

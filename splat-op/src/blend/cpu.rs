@@ -4,13 +4,14 @@
 use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
 
-use super::footprint::{Footprint, UNWHITEN};
-use super::tile::{Plane, Thresholds, TileView, blend_tile, is_long};
+use super::footprint::UNWHITEN;
+use super::prepared::Prepared;
+use super::tile::{Plane, Thresholds, TileView, blend_tile};
 use super::tile_backward::{MOMENTS, Scratch, TileGrad, blend_tile_backward};
 use super::{BlendNeeds, BlendSpec};
 use crate::project::{COLUMNS, Ellipse};
 use crate::real::Real;
-use crate::tile::{HitLists, TILE, TILE_PIXELS, tile_grid};
+use crate::tile::{HitLists, TILE, TILE_PIXELS};
 
 /// Gaussians per task.
 const CHUNK: usize = 1024;
@@ -39,79 +40,28 @@ pub(crate) struct Grads<F> {
     pub mean2d_abs: Vec<F>,
 }
 
-/// Inputs prepared for the tiles' loops.
-struct Prepared<'a, F: Real> {
-    footprints: Vec<Footprint<F>>,
-    /// Features, with the depth as a further channel if the render accumulates it.
-    colours: std::borrow::Cow<'a, [F]>,
-    channels: usize,
-    grid: [usize; 2],
-    size: [usize; 2],
-    hits: &'a HitLists,
-    thresholds: [F; 3],
-}
-
-impl<'a, F: Real> Prepared<'a, F> {
-    fn new(inputs: Inputs<'a, F>, spec: &BlendSpec, hits: &'a HitLists) -> Self {
-        let options = &spec.options;
-        let alpha_min = F::of(options.alpha_min);
-        let footprint = |row: &[F]| {
-            let ellipse = Ellipse::from_row(row);
-            // Only Gaussians in the lists are read, and those have a positive opacity.
-            if ellipse.opacity > F::ZERO { Footprint::new(&ellipse, alpha_min) } else { Footprint::default() }
-        };
-        let features = inputs.background.len();
-        let colours = if options.depth {
-            let rows = inputs.features.chunks_exact(features).zip(inputs.projected.chunks_exact(COLUMNS));
-            let with_depth = rows.flat_map(|(feature, row)| {
-                feature.iter().copied().chain(std::iter::once(Ellipse::from_row(row).depth))
-            });
-            with_depth.collect::<Vec<F>>().into()
-        } else {
-            inputs.features.into()
-        };
-        Self {
-            footprints: inputs.projected.par_chunks_exact(COLUMNS).with_min_len(CHUNK).map(footprint).collect(),
-            colours,
-            channels: features + usize::from(options.depth),
-            grid: tile_grid(spec.intrinsics.width, spec.intrinsics.height),
-            size: [spec.intrinsics.width, spec.intrinsics.height],
-            hits,
-            thresholds: [alpha_min, F::of(options.alpha_max), F::of(options.transmittance_min)],
-        }
-    }
-
-    fn view(&self, tile: usize) -> TileView<'_, F> {
-        let origin = [tile % self.grid[0] * TILE, tile / self.grid[0] * TILE];
-        TileView {
-            origin,
-            size: [0, 1].map(|axis| TILE.min(self.size[axis] - origin[axis])),
-            gaussians: &self.hits.gaussian[self.hits.tile_start[tile]..self.hits.tile_start[tile + 1]],
-            footprints: &self.footprints,
-            colours: &self.colours,
-            channels: self.channels,
-        }
-    }
-}
-
 /// Runs `$body` with the SIMD level of this processor as `$simd` and the number of channels as the constant `$c` where a
-/// special version exists, else zero; `$long` is the constant of `$is_long`.
+/// special version exists, else zero; `$long` is the constant of [`is_long`], and `$library` whether `exp` is the library's.
 #[rustfmt::skip] // rustfmt indents the inner macro further at every run
 macro_rules! specialised {
-    ($channels:expr, $is_long:expr, $simd:ident, $c:ident, $long:ident => $body:expr) => {{
+    ($prepared:expr, $tile:expr, $simd:ident, $c:ident, $long:ident, $library:ident => $body:expr) => {{
         macro_rules! with {
-            ($count:literal, $constant:literal) => {{
+            ($count:literal, $is_long:literal, $is_library:literal) => {{
                 const $c: usize = $count;
-                const $long: bool = $constant;
+                const $long: bool = $is_long;
+                const $library: bool = $is_library;
                 dispatch!(Level::new(), $simd => $body)
             }};
         }
-        match ($channels, $is_long) {
-            (1, false) => with!(1, false),
-            (3, false) => with!(3, false),
-            (4, false) => with!(4, false),
-            (_, false) => with!(0, false),
-            (_, true) => with!(0, true),
+        match ($prepared.channels, $prepared.is_long($tile), $prepared.library) {
+            (1, false, false) => with!(1, false, false),
+            (3, false, false) => with!(3, false, false),
+            (4, false, false) => with!(4, false, false),
+            (_, false, false) => with!(0, false, false),
+            (_, true, false) => with!(0, true, false),
+            (3, false, true) => with!(3, false, true),
+            (_, false, true) => with!(0, false, true),
+            (_, true, true) => with!(0, true, true),
         }
     }};
 }
@@ -140,11 +90,13 @@ pub(crate) fn blend_cpu<F: Real>(
             .par_chunks_mut(plane_count * TILE_PIXELS)
             .enumerate()
             .map(|(x, planes)| {
-                let view = prepared.view(y * columns + x);
+                let tile = y * columns + x;
+                let view = prepared.view(tile);
                 let mut checkpoints = Vec::new();
-                let passed = specialised!(prepared.channels, is_long(view.gaussians.len(), alpha_min), simd, C, IS_LONG => {
-                    let thresholds = Thresholds::new(simd, alpha_min, alpha_max, transmittance_min);
-                    blend_tile::<_, F, C, IS_LONG>(simd, &view, &thresholds, planes, keep.then_some(&mut checkpoints))
+                let passed = specialised!(prepared, tile, simd, C, IS_LONG, LIBRARY => {
+                    let thresholds =
+                        Thresholds::<_, F, LIBRARY>::new(simd, alpha_min, alpha_max, transmittance_min);
+                    blend_tile::<_, F, C, IS_LONG, LIBRARY>(simd, &view, &thresholds, planes, keep.then_some(&mut checkpoints))
                 });
                 TileTrace { passed, checkpoints }
             })
@@ -252,10 +204,10 @@ fn tile_sums<F: Real>(
     let tile_grad = TileGrad { planes, behind, checkpoints: &trace.checkpoints, passed: trace.passed, absolute };
     let [alpha_min, alpha_max, transmittance_min] = prepared.thresholds;
     let mut transmittance = [F::ZERO; TILE_PIXELS];
-    specialised!(prepared.channels, is_long(view.gaussians.len(), alpha_min), simd, C, IS_LONG => {
-        let thresholds = Thresholds::new(simd, alpha_min, alpha_max, transmittance_min);
+    specialised!(prepared, tile, simd, C, IS_LONG, LIBRARY => {
+        let thresholds = Thresholds::<_, F, LIBRARY>::new(simd, alpha_min, alpha_max, transmittance_min);
         let out = (sums, &mut transmittance);
-        blend_tile_backward::<_, F, C, IS_LONG>(simd, &view, &tile_grad, &thresholds, out, scratch);
+        blend_tile_backward::<_, F, C, IS_LONG, LIBRARY>(simd, &view, &tile_grad, &thresholds, out, scratch);
     });
     let through = |plane: &Plane<F>| plane.iter().zip(transmittance).map(|(&g, t)| g * t.abs()).sum();
     planes.iter().take(features).map(through).collect()

@@ -135,7 +135,7 @@ pub(super) fn blend_forward_kernel(
                         for p in 0..pixels {
                             let (u, below) = footprint.along_column(x + comptime!(block.pixel(p)[0] as f32), top);
                             let v = (below + (own_row + comptime!(block.pixel(p)[1] as f32))) * footprint.inverse_v;
-                            let alpha = footprint.alpha(u, v, frame.alpha_min, limits.alpha_max);
+                            let alpha = footprint.alpha(u, v, frame.alpha_min, limits.alpha_max, shape);
                             let before = through[p];
                             let (alpha, next, stops) =
                                 layer(alpha, before, stopped[p], transmittance[p], limits.transmittance_min);

@@ -12,22 +12,23 @@ use crate::testing::ceiling::{Yardstick, rounded};
 use crate::testing::ellipses::ellipses;
 use crate::testing::gpu::{gpu, gpus};
 use crate::testing::random::Random;
+use crate::tile::Cut;
 use crate::tile::cpu::tile_cpu;
 use crate::tile::launch::launch_tile;
 
-const ALL: BlendNeeds = BlendNeeds { projected: true, features: true, background: true, mean2d_abs: true };
+pub(super) const ALL: BlendNeeds = BlendNeeds { projected: true, features: true, background: true, mean2d_abs: true };
 
 #[derive(Clone)]
-struct Scene {
+pub(super) struct Scene {
     name: String,
     projected: Vec<f64>,
-    features: Vec<f64>,
-    background: Vec<f64>,
-    spec: BlendSpec,
+    pub features: Vec<f64>,
+    pub background: Vec<f64>,
+    pub spec: BlendSpec,
 }
 
 impl Scene {
-    fn random(
+    pub fn random(
         count: usize,
         [width, height]: [usize; 2],
         channels: usize,
@@ -61,12 +62,12 @@ impl Scene {
     }
 
     fn planes(&self) -> Vec<f64> {
-        let lists = tile_cpu(&self.projected, &self.spec.intrinsics, self.spec.options.alpha_min);
+        let lists = tile_cpu(&self.projected, &self.spec.intrinsics, Cut::of(&self.spec.options));
         blend_cpu(self.inputs(), &self.spec, &lists, false).0
     }
 
     fn backward(&self, grad: &[f64]) -> Grads<f64> {
-        let lists = tile_cpu(&self.projected, &self.spec.intrinsics, self.spec.options.alpha_min);
+        let lists = tile_cpu(&self.projected, &self.spec.intrinsics, Cut::of(&self.spec.options));
         blend_backward_cpu(self.inputs(), grad, &self.spec, (&lists, None), ALL)
     }
 
@@ -95,7 +96,7 @@ impl Scene {
         band
     }
 
-    fn device(&self, gpu: &Gpu) -> DeviceInputs {
+    pub fn device(&self, gpu: &Gpu) -> DeviceInputs {
         let buffer = |values: &[f64]| Buffer::from_slice(gpu, &values.iter().map(|&v| v as f32).collect::<Vec<_>>());
         DeviceInputs {
             projected: buffer(&self.projected),
@@ -107,7 +108,7 @@ impl Scene {
     /// Planes and gradients on the device.
     fn on(&self, gpu: &Gpu, grad: &[f64], needs: BlendNeeds) -> (Vec<f32>, DeviceGrads) {
         let inputs = self.device(gpu);
-        let lists = launch_tile(gpu, &inputs.projected, &self.spec.intrinsics, self.spec.options.alpha_min);
+        let lists = launch_tile(gpu, &inputs.projected, &self.spec.intrinsics, Cut::of(&self.spec.options));
         let grad = Buffer::from_slice(gpu, &grad.iter().map(|&v| v as f32).collect::<Vec<_>>());
         let (planes, trace) = launch_blend(gpu, &inputs, &lists, &self.spec, true);
         let plain = launch_blend(gpu, &inputs, &lists, &self.spec, false).0.read(gpu);
@@ -255,9 +256,9 @@ fn buckets_are_taken_by_their_length() {
     let Some(gpu) = gpu() else { return };
     let scene = Scene::random(5_000, [200, 150], 3, [0.02, 1.0], RenderOptions::standard());
     let inputs = scene.device(&gpu);
-    let lists = launch_tile(&gpu, &inputs.projected, &scene.spec.intrinsics, scene.spec.options.alpha_min);
+    let lists = launch_tile(&gpu, &inputs.projected, &scene.spec.intrinsics, Cut::of(&scene.spec.options));
     let tiles = lists.counts.len;
-    let shape = Shape { features: 3, depth: false, bucket: 64, grad_alpha: true };
+    let shape = Shape { features: 3, depth: false, bucket: 64, grad_alpha: true, polynomial: false, half: false };
     let order = launch_order(&gpu, &lists, tiles, shape).read(&gpu);
     let starts = lists.tile_start.read(&gpu);
     // Places of each slot, from the other end: each tile's buckets lie from its first slot on.
@@ -286,7 +287,7 @@ fn tiles_are_taken_by_the_lengths_of_their_lists() {
     for (count, longest) in [(40, 2), (5_000, 100)] {
         let scene = Scene::random(count, [200, 150], 3, [0.02, 1.0], RenderOptions::standard());
         let inputs = scene.device(&gpu);
-        let lists = launch_tile(&gpu, &inputs.projected, &scene.spec.intrinsics, scene.spec.options.alpha_min);
+        let lists = launch_tile(&gpu, &inputs.projected, &scene.spec.intrinsics, Cut::of(&scene.spec.options));
         let order = launch_tile_order(&gpu, &lists, lists.counts.len).read(&gpu);
         let counts = lists.counts.read(&gpu);
         let mut tiles = order.clone();

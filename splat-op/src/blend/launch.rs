@@ -6,12 +6,14 @@ use super::backward::{blend_behind_kernel, blend_gather_kernel, row_len};
 use super::buckets::{LENGTH_BITS, blend_buckets_kernel, blend_lengths_kernel};
 use super::channels::blend_channels_kernel;
 use super::forward::blend_forward_kernel;
+use super::half::launch_halve;
 use super::layer::{BUCKET, Block, LimitsLaunch, Shape};
 use super::quads::TILE_QUADS;
 use super::quads_behind::blend_behind_quads_kernel;
 use super::quads_forward::{self, blend_forward_quads_kernel, blend_tile_lengths_kernel};
 use super::strips::blend_strips_kernel;
 use super::{BlendNeeds, BlendSpec};
+use crate::dials::{Exponential, Storage};
 use crate::gpu::reduce::launch_column_sums;
 use crate::gpu::{Buffer, Gpu, UNITS, cubes, elementwise};
 use crate::limits::Need;
@@ -41,14 +43,25 @@ pub(crate) struct DeviceInputs {
 
 impl DeviceInputs {
     fn shape(&self, gpu: &Gpu, spec: &BlendSpec) -> Shape {
-        let shape =
-            Shape { features: self.background.len, depth: spec.options.depth, bucket: BUCKET, grad_alpha: true };
+        let shape = Shape {
+            features: self.background.len,
+            depth: spec.options.depth,
+            bucket: BUCKET,
+            grad_alpha: true,
+            polynomial: spec.options.exponential == Exponential::Polynomial,
+            half: spec.options.features == Storage::Half,
+        };
         // The longer, the less there is to keep; the shorter, the fewer places are missing in the last ones.
         Shape { bucket: if by_quads(gpu, shape) { 4 * BUCKET } else { BUCKET }, ..shape }
     }
 
-    fn count(&self) -> usize {
+    pub(super) fn count(&self) -> usize {
         self.projected.len / COLUMNS
+    }
+
+    /// The features as the kernels of this shape read them.
+    fn stored(&self, gpu: &Gpu, shape: Shape) -> Buffer<f32> {
+        if shape.half { launch_halve(gpu, self) } else { self.features.clone() }
     }
 }
 
@@ -124,6 +137,7 @@ pub(crate) fn launch_blend(
     let shape = inputs.shape(gpu, spec);
     let [tiles_x, tiles_y] = tile_grid(camera.width, camera.height);
     let tiles = tiles_x * tiles_y;
+    let features = inputs.stored(gpu, shape);
     let planes = Buffer::new(gpu, spec.planes(shape.features) * camera.width * camera.height);
     let kept_len = |len: usize| if keep { len } else { 0 };
     let kept = kept_len(slots(lists, tiles, shape) * shape.kept() * TILE_PIXELS);
@@ -142,7 +156,7 @@ pub(crate) fn launch_blend(
                     cubes($cubes),
                     CubeDim::new_1d($units as u32),
                     inputs.projected.arg(),
-                    inputs.features.arg(),
+                    features.arg(),
                     inputs.background.arg(),
                     lists.tile_start.arg(),
                     lists.hit_of_place.arg(),
@@ -233,6 +247,7 @@ pub(crate) fn launch_blend_backward(
     let [tiles_x, tiles_y] = tile_grid(camera.width, camera.height);
     let tiles = tiles_x * tiles_y;
     let slots = slots(lists, tiles, shape);
+    let stored = inputs.stored(gpu, shape);
     let rho_behind: Buffer<f32> = Buffer::with_headroom(gpu, slots * TILE_PIXELS);
     let background = Buffer::new(gpu, if needs.background { tiles * shape.features } else { 0 });
     let by_quads = by_quads(gpu, shape);
@@ -263,7 +278,7 @@ pub(crate) fn launch_blend_backward(
                 cubes(tiles),
                 CubeDim::new_1d(UNITS as u32),
                 inputs.projected.arg(),
-                inputs.features.arg(),
+                stored.arg(),
                 inputs.background.arg(),
                 grad.arg(),
                 lists.tile_start.arg(),
@@ -311,7 +326,7 @@ pub(crate) fn launch_blend_backward(
                     cubes(count),
                     CubeDim::new_1d(units as u32),
                     inputs.projected.arg(),
-                    inputs.features.arg(),
+                    stored.arg(),
                     $grad.arg(),
                     lists.tile_start.arg(),
                     lists.hit_of_place.arg(),

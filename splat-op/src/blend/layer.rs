@@ -3,6 +3,8 @@
 
 use cubecl::prelude::*;
 
+use super::half::load_half;
+use super::power::power;
 use crate::gpu::math::within;
 use crate::project::COLUMNS;
 use crate::tile::TILE;
@@ -40,6 +42,10 @@ pub(crate) struct Shape {
     pub bucket: usize,
     /// Whether the picture's alpha has a gradient. Where it has none, its plane is missing in the planes' gradient.
     pub grad_alpha: bool,
+    /// Whether `exp` is a polynomial, or the device's own.
+    pub polynomial: bool,
+    /// Whether features are stored in half precision.
+    pub half: bool,
 }
 
 impl Shape {
@@ -191,9 +197,11 @@ impl Footprint {
     }
 
     /// The alpha at whitened coordinates; zero where it does not show.
-    pub fn alpha(&self, u: f32, v: f32, alpha_min: f32, alpha_max: f32) -> f32 {
+    pub fn alpha(&self, u: f32, v: f32, alpha_min: f32, alpha_max: f32, #[comptime] shape: Shape) -> f32 {
         let exponent = -(0.5 * (u * u + v * v));
-        let value = min(self.opacity * exponent.exp(), alpha_max);
+        let share =
+            if comptime!(shape.polynomial) { power(-exponent * core::f32::consts::LOG2_E) } else { exponent.exp() };
+        let value = min(self.opacity * share, alpha_max);
         select(value >= alpha_min, value, 0.0)
     }
 
@@ -342,7 +350,11 @@ pub(super) fn colour(
         value = projected[gaussian * comptime!(COLUMNS) + 5];
     }
     if !is_depth {
-        value = features[gaussian * comptime!(shape.features) + channel];
+        value = if comptime!(shape.half) {
+            load_half(features, gaussian, channel, shape)
+        } else {
+            features[gaussian * comptime!(shape.features) + channel]
+        };
     }
     value
 }

@@ -18,9 +18,15 @@ mod buckets;
 #[cfg(feature = "cube")]
 mod channels;
 pub(crate) mod cpu;
+#[cfg(all(test, feature = "cube"))]
+mod dial_kernel_tests;
+#[cfg(test)]
+mod dial_tests;
 mod footprint;
 #[cfg(feature = "cube")]
 mod forward;
+#[cfg(feature = "cube")]
+mod half;
 #[cfg(all(test, feature = "cube"))]
 mod kernel_tests;
 #[cfg(feature = "cube")]
@@ -29,6 +35,9 @@ pub(crate) mod launch;
 mod layer;
 #[cfg(feature = "cube")]
 mod pixels;
+#[cfg(feature = "cube")]
+mod power;
+mod prepared;
 #[cfg(feature = "cube")]
 mod quads;
 #[cfg(feature = "cube")]

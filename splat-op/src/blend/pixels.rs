@@ -116,12 +116,13 @@ impl Pixels {
         footprint: Footprint,
         alpha_min: f32,
         limits: Limits,
+        #[comptime] shape: Shape,
         #[comptime] block: Block,
         #[comptime] p: usize,
     ) -> (f32, f32) {
         let [column, row] = comptime!(block.pixel(p));
         let (u, v) = footprint.whiten(self.x + comptime!(column as f32), self.top, self.row + comptime!(row as f32));
-        let alpha = footprint.alpha(u, v, alpha_min, limits.alpha_max);
+        let alpha = footprint.alpha(u, v, alpha_min, limits.alpha_max, shape);
         let (alpha, through, stopped) =
             layer(alpha, self.through[p], self.stopped[p], self.before[p], limits.transmittance_min);
         let weight = alpha * (self.before[p] * self.through[p]);

@@ -7,7 +7,8 @@
 
 use cubecl::prelude::*;
 
-use super::layer::{Footprint, Limits};
+use super::layer::{Footprint, Limits, Shape};
+use super::power::power;
 use crate::tile::{TILE, TILE_PIXELS};
 
 /// Four numbers, in most cases of four pixels side by side.
@@ -78,6 +79,17 @@ pub(super) fn scatter(to: &mut Sequence<Array<f32>>, at: usize, quad: Quad) {
     }
 }
 
+/// [`power`] of each of the four.
+#[cube]
+fn powers(q: Quad) -> Quad {
+    let mut found = Quad::new(0.0);
+    #[unroll]
+    for k in 0..QUAD {
+        found.insert(k, power(q.extract(k)));
+    }
+    found
+}
+
 /// What the rows of a block have in common of a Gaussian.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
@@ -118,8 +130,13 @@ impl Columns {
     }
 
     /// The alpha at `v`; zero below `least`.
-    fn alpha(&self, v: Quad, least: Quad, alpha_max: f32) -> Quad {
-        let value = (-(self.uu + v * v) * Quad::new(core::f32::consts::LN_2)).exp() * Quad::new(self.opacity);
+    fn alpha(&self, v: Quad, least: Quad, alpha_max: f32, #[comptime] shape: Shape) -> Quad {
+        let share = if comptime!(shape.polynomial) {
+            powers(self.uu + v * v)
+        } else {
+            (-(self.uu + v * v) * Quad::new(core::f32::consts::LN_2)).exp()
+        };
+        let value = share * Quad::new(self.opacity);
         let most = Quad::new(alpha_max);
         let value = select_many(value.less_than(&most), value, most);
         select_many(value.greater_equal(&least), value, Quad::new(0.0))
@@ -160,10 +177,17 @@ impl Quads {
 
     /// Passes a Gaussian: its alpha, zero where it does not contribute, and that times what the bucket's layers before it let
     /// through.
-    pub fn pass(&mut self, columns: &Columns, v: Quad, limits: Limits, #[comptime] q: usize) -> (Quad, Quad) {
+    pub fn pass(
+        &mut self,
+        columns: &Columns,
+        v: Quad,
+        limits: Limits,
+        #[comptime] shape: Shape,
+        #[comptime] q: usize,
+    ) -> (Quad, Quad) {
         let (through, stopped, least) = (self.through[q], self.stopped[q], self.least[q]);
         let zero = Quad::new(0.0);
-        let alpha = columns.alpha(v, least, limits.alpha_max);
+        let alpha = columns.alpha(v, least, limits.alpha_max, shape);
         let stops = alpha * through + stopped;
         let next = select_many(stops.less_than(&Quad::new(0.5)), Quad::new(1.0) - stops, through - alpha * through);
         let finishes = (self.before[q] * next).less_equal(&Quad::new(limits.transmittance_min));

@@ -131,7 +131,7 @@ pub(super) fn blend_forward_quads_kernel(
                         #[unroll]
                         for q in 0..quads {
                             let v = at.v(own_row + comptime!(q as f32));
-                            let (_, weight) = state.pass(&at, v, limits, q);
+                            let (_, weight) = state.pass(&at, v, limits, shape, q);
                             #[unroll]
                             for channel in 0..channels {
                                 own[comptime!(q * channels + channel)] +=

@@ -111,7 +111,7 @@ pub(super) fn blend_strips_kernel<A: FloatCell>(
                         let footprint = Footprint::load(&footprints, i as usize);
                         #[unroll]
                         for p in 0..pixels {
-                            at.pass(footprint, frame.alpha_min, limits, block, p);
+                            at.pass(footprint, frame.alpha_min, limits, shape, block, p);
                         }
                     }
                 }
@@ -132,7 +132,7 @@ pub(super) fn blend_strips_kernel<A: FloatCell>(
                         let footprint = Footprint::load(&footprints, start as usize + k);
                         #[unroll]
                         for p in 0..pixels {
-                            let (alpha, weight) = at.pass(footprint, frame.alpha_min, limits, block, p);
+                            let (alpha, weight) = at.pass(footprint, frame.alpha_min, limits, shape, block, p);
                             alphas[comptime!(k * pixels + p)] = alpha;
                             weights[comptime!(k * pixels + p)] = weight;
                         }

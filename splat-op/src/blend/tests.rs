@@ -8,8 +8,8 @@ use crate::project::{COLUMNS, Ellipse};
 use crate::real::Real;
 use crate::testing::finite::{check_gradient, inner_product};
 use crate::testing::random::Random;
-use crate::tile::HitLists;
 use crate::tile::cpu::tile_cpu;
+use crate::tile::{Cut, HitLists};
 
 const ALL: BlendNeeds = BlendNeeds { projected: true, features: true, background: true, mean2d_abs: true };
 
@@ -50,7 +50,7 @@ impl Scene {
     }
 
     fn lists(&self) -> HitLists {
-        tile_cpu(&self.inputs[0], &self.spec.intrinsics, self.spec.options.alpha_min)
+        tile_cpu(&self.inputs[0], &self.spec.intrinsics, Cut::of(&self.spec.options))
     }
 
     fn planes(&self) -> Vec<f64> {
@@ -271,7 +271,7 @@ fn many_layers_behind_an_opaque_one_keep_their_digits() {
     let double = scene.backward(&scene.random_grad(91), ALL);
     let single_inputs = scene.inputs.each_ref().map(|values| values.iter().map(|v| *v as f32).collect::<Vec<f32>>());
     let single_grad: Vec<f32> = scene.random_grad(91).iter().map(|v| *v as f32).collect();
-    let lists = tile_cpu(&single_inputs[0], &scene.spec.intrinsics, 0.0);
+    let lists = tile_cpu(&single_inputs[0], &scene.spec.intrinsics, 0.0.into());
     let single = blend_backward_cpu(inputs(&single_inputs), &single_grad, &scene.spec, (&lists, None), ALL);
     for (name, single, double) in
         [("ellipses", &single.projected, &double.projected), ("features", &single.features, &double.features)]

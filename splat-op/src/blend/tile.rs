@@ -11,7 +11,7 @@ use crate::tile::{TILE, TILE_PIXELS};
 pub(super) const CHECKPOINT_EVERY: usize = 64;
 
 /// Sums over more Gaussians than this are sums of such sums: one by one in f32, the last of 10,000 faint layers would be
-/// too small to change the sum.
+/// too small to change the sum. Only those count that reach a pixel: what a tile lists in vain must change no bit.
 const SUM_LENGTH: usize = 8 * CHECKPOINT_EVERY;
 
 /// Whether a list of hits is blended with [`Transmittances::lost`] and shorter sums. That takes a fifth longer. Where it is
@@ -96,8 +96,10 @@ fn eight_mut<F>(plane: &mut Plane<F>, first: usize) -> &mut [F; LANES] {
 }
 
 /// Thresholds of the render, one copy in each lane.
+///
+/// `LIBRARY` says whether `exp` is the library's, see [`crate::Exponential`].
 #[derive(Clone, Copy)]
-pub(super) struct Thresholds<S: Simd, F: Real> {
+pub(super) struct Thresholds<S: Simd, F: Real, const LIBRARY: bool> {
     alpha_min: F::Lanes<S>,
     pub alpha_max: F::Lanes<S>,
     transmittance_min: F::Lanes<S>,
@@ -107,7 +109,7 @@ pub(super) struct Thresholds<S: Simd, F: Real> {
     exp2: [F::Lanes<S>; EXP2_CONSTANTS],
 }
 
-impl<S: Simd, F: Real> Thresholds<S, F> {
+impl<S: Simd, F: Real, const LIBRARY: bool> Thresholds<S, F, LIBRARY> {
     #[inline(always)]
     pub fn new(simd: S, alpha_min: F, alpha_max: F, transmittance_min: F) -> Self {
         let lanes = |value| F::Lanes::<S>::splat(simd, value);
@@ -161,7 +163,8 @@ impl<S: Simd, F: Real> Thresholds<S, F> {
             return None;
         }
         for row in 0..ROWS {
-            alpha[row] = (splat.opacity * F::exp2_lanes(q[row], &self.exp2)).min(self.alpha_max);
+            let power = if LIBRARY { F::exp2_library(q[row]) } else { F::exp2_lanes(q[row], &self.exp2) };
+            alpha[row] = (splat.opacity * power).min(self.alpha_max);
         }
         let mut behind = *before;
         let mut finishes = near;
@@ -319,10 +322,10 @@ fn move_into<F: Real>(sums: &mut [F], totals: &mut [[F; 2]]) {
 ///
 /// `C` is the number of channels where it is known at compile time, else zero.
 #[inline(always)]
-pub(super) fn blend_tile<S: Simd, F: Real, const C: usize, const LONG: bool>(
+pub(super) fn blend_tile<S: Simd, F: Real, const C: usize, const LONG: bool, const LIBRARY: bool>(
     simd: S,
     view: &TileView<F>,
-    thresholds: &Thresholds<S, F>,
+    thresholds: &Thresholds<S, F, LIBRARY>,
     planes: &mut [F],
     mut checkpoints: Option<&mut Vec<F>>,
 ) -> usize {
@@ -336,19 +339,20 @@ pub(super) fn blend_tile<S: Simd, F: Real, const C: usize, const LONG: bool>(
     let mut finished_sums = Vec::new();
     let mut passed = view.gaussians.len();
     let mut near = Near::<F, C>::default();
+    let mut summed = 0;
     for (i, &gaussian) in view.gaussians.iter().enumerate() {
         if i % CHECKPOINT_EVERY == 0 {
             near.gather(view, &view.gaussians[i..]);
-            if i > 0 {
-                if LONG || i % SUM_LENGTH == 0 {
-                    finished_sums.resize(channels * TILE_PIXELS, [F::ZERO; 2]);
-                    move_into(sums.as_flattened_mut(), &mut finished_sums);
-                }
-                if let Some(checkpoints) = checkpoints.as_deref_mut() {
-                    transmittance.keep::<LONG>(checkpoints);
-                }
+            if let Some(checkpoints) = checkpoints.as_deref_mut().filter(|_| i > 0) {
+                transmittance.keep::<LONG>(checkpoints);
             }
         }
+        if summed == if LONG { CHECKPOINT_EVERY } else { SUM_LENGTH } {
+            finished_sums.resize(channels * TILE_PIXELS, [F::ZERO; 2]);
+            move_into(sums.as_flattened_mut(), &mut finished_sums);
+            summed = 0;
+        }
+        let mut reaches = 0;
         let splat = Splat::new(simd, near.footprints[i % CHECKPOINT_EVERY], corner[1]);
         let colour = if C == 0 { view.colour(gaussian) } else { &near.colours[i % CHECKPOINT_EVERY] };
         let colour_lanes = colour_lanes::<S, F, C>(simd, colour);
@@ -361,6 +365,7 @@ pub(super) fn blend_tile<S: Simd, F: Real, const C: usize, const LONG: bool>(
                 let Some(layers) = thresholds.layers::<LONG>(&splat, &column, row, &before) else {
                     continue;
                 };
+                reaches = 1;
                 transmittance.store::<S, LONG>(&layers.behind, first);
                 for row in 0..ROWS {
                     let weight = layers.alpha[row] * before[row][0];
@@ -374,6 +379,7 @@ pub(super) fn blend_tile<S: Simd, F: Real, const C: usize, const LONG: bool>(
                 open -= layers.finished;
             }
         }
+        summed += reaches;
         if open == 0 {
             passed = i + 1;
             break;

@@ -59,11 +59,11 @@ impl<F: Real> Default for Scratch<F> {
 /// Fills `hits`, `[passed, MOMENTS + channels (+ 2)]`, with each hit's sums over the tile, and returns with
 /// `transmittance` as it is behind all layers (negated where finished).
 #[inline(always)]
-pub(super) fn blend_tile_backward<S: Simd, F: Real, const C: usize, const LONG: bool>(
+pub(super) fn blend_tile_backward<S: Simd, F: Real, const C: usize, const LONG: bool, const LIBRARY: bool>(
     simd: S,
     view: &TileView<F>,
     grad: &TileGrad<F>,
-    thresholds: &Thresholds<S, F>,
+    thresholds: &Thresholds<S, F, LIBRARY>,
     (hits, transmittance_behind): (&mut [F], &mut [F; TILE_PIXELS]),
     scratch: &mut Scratch<F>,
 ) {
@@ -85,7 +85,7 @@ pub(super) fn blend_tile_backward<S: Simd, F: Real, const C: usize, const LONG: 
         let mut near = Near::<F, C>::default();
         near.gather(view, gaussians);
         let footprints = &near.footprints[..gaussians.len()];
-        forwards::<S, F, LONG>(simd, view.corner(), footprints, thresholds, &mut transmittance, scratch);
+        forwards::<S, F, LONG, LIBRARY>(simd, view.corner(), footprints, thresholds, &mut transmittance, scratch);
         if chunk + 1 == chunks {
             *transmittance_behind = transmittance.kept;
         }
@@ -98,18 +98,18 @@ pub(super) fn blend_tile_backward<S: Simd, F: Real, const C: usize, const LONG: 
             let layers = (&mut scratch.layers[layers.clone()], &scratch.places[layers]);
             let splat = Splat::new(simd, footprints[i], view.corner()[1]);
             let colour = if C == 0 { view.colour(gaussian) } else { &near.colours[i] };
-            backwards::<S, F, C, LONG>(grad, (&splat, colour, thresholds), &x, layers, (&mut rho, row));
+            backwards::<S, F, C, LONG, LIBRARY>(grad, (&splat, colour, thresholds), &x, layers, (&mut rho, row));
         }
     }
 }
 
 /// The forward pass over one chunk, remembering what it met.
 #[inline(always)]
-fn forwards<S: Simd, F: Real, const LONG: bool>(
+fn forwards<S: Simd, F: Real, const LONG: bool, const LIBRARY: bool>(
     simd: S,
     corner: [F; 2],
     near: &[Footprint<F>],
-    thresholds: &Thresholds<S, F>,
+    thresholds: &Thresholds<S, F, LIBRARY>,
     transmittance: &mut Transmittances<F>,
     scratch: &mut Scratch<F>,
 ) {
@@ -142,9 +142,9 @@ fn forwards<S: Simd, F: Real, const LONG: bool>(
 
 /// One Gaussian, back to front: its sums over the pixels it shows in, and `rho` stepped in front of it.
 #[inline(always)]
-fn backwards<S: Simd, F: Real, const C: usize, const LONG: bool>(
+fn backwards<S: Simd, F: Real, const C: usize, const LONG: bool, const LIBRARY: bool>(
     grad: &TileGrad<F>,
-    (splat, colour, thresholds): (&Splat<S, F>, &[F], &Thresholds<S, F>),
+    (splat, colour, thresholds): (&Splat<S, F>, &[F], &Thresholds<S, F, LIBRARY>),
     x: &[F::Lanes<S>; ROW_VECTORS],
     (blocks, places): (&mut [Block<F>], &[u16]),
     (rho, row): (&mut Transmittances<F>, &mut [F]),

@@ -103,7 +103,7 @@ pub(super) fn check_colours<F: crate::real::Real>(
     same: impl Fn(usize) -> bool,
 ) -> usize {
     // Without a smallest alpha every Gaussian is in every list, though most of them add exactly nothing.
-    let lists = tile_cpu(packed, &spec.intrinsics, spec.options.alpha_min.max(1e-37));
+    let lists = tile_cpu(packed, &spec.intrinsics, spec.options.alpha_min.max(1e-37).into());
     let mut skipped = 0;
     for (i, row) in packed.chunks_exact(COLUMNS).enumerate() {
         let zero = found[3 * i..3 * i + 3].iter().all(|value| *value == F::ZERO);

@@ -7,8 +7,9 @@ use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
 
 use super::reach::{Reach, Scratch};
-use super::{HitLists, tile_grid};
+use super::{Cut, HitLists, tile_grid};
 use crate::camera::Intrinsics;
+use crate::dials::Culling;
 use crate::lanes::BLOCK;
 use crate::project::{COLUMNS, Ellipse};
 use crate::real::Real;
@@ -20,13 +21,8 @@ const CHUNK: usize = 2048;
 const SORTERS: usize = 16;
 
 /// Computes the lists of a view from its `[N, 7]` packed ellipses.
-pub(crate) fn tile_cpu<F: Real>(packed: &[F], camera: &Intrinsics, alpha_min: f64) -> HitLists {
-    let reach = Reach::new(camera, alpha_min);
-    let found: Vec<Found<F>> = packed
-        .par_chunks(CHUNK * COLUMNS)
-        .enumerate()
-        .map_init(Scratch::default, |scratch, (chunk, rows)| Found::new((chunk * CHUNK) as u32, rows, &reach, scratch))
-        .collect();
+pub(crate) fn tile_cpu<F: Real>(packed: &[F], camera: &Intrinsics, cut: Cut) -> HitLists {
+    let found = find(packed, camera, cut);
     let hits: usize = found.iter().map(|found| found.tiles.len()).sum();
     assert!(u32::try_from(hits).is_ok(), "{hits} hits: more than 2^32; raise `alpha_min` or render a smaller picture");
 
@@ -53,6 +49,23 @@ pub(crate) fn tile_cpu<F: Real>(packed: &[F], camera: &Intrinsics, alpha_min: f6
     let (gaussian, hit_of_visible) = (zeros(hits), zeros(hits));
     sorters.into_par_iter().zip(cursors).for_each(|(sorter, cursor)| sorter.write(cursor, &gaussian, &hit_of_visible));
     HitLists { tile_start, gaussian: plain(gaussian), visible, visible_start, hit_of_visible: plain(hit_of_visible) }
+}
+
+/// How many Gaussians each tile lists by [`Culling::Ellipse`], whatever else lists are made by.
+pub(crate) fn needed_hits<F: Real>(packed: &[F], camera: &Intrinsics, alpha_min: f64) -> Vec<u32> {
+    let found = find(packed, camera, Cut { alpha_min, culling: Culling::Ellipse });
+    let mut counts = vec![0; tile_grid(camera.width, camera.height).iter().product()];
+    found.iter().flat_map(|found| &found.tiles).for_each(|&tile| counts[tile as usize] += 1);
+    counts
+}
+
+/// The hits of all Gaussians, chunk by chunk.
+fn find<F: Real>(packed: &[F], camera: &Intrinsics, cut: Cut) -> Vec<Found<F>> {
+    let reach = Reach::new(camera, cut);
+    let chunks = packed.par_chunks(CHUNK * COLUMNS).enumerate();
+    let found = chunks
+        .map_init(Scratch::default, |scratch, (chunk, rows)| Found::new((chunk * CHUNK) as u32, rows, &reach, scratch));
+    found.collect()
 }
 
 /// The hits of consecutive Gaussians, in the order in which they are found. Counting and writing both read this one result,

@@ -8,7 +8,8 @@
 use cubecl::prelude::*;
 
 use super::TILE;
-use crate::gpu::math::{finite, within};
+use crate::dials::Culling;
+use crate::gpu::math::{Vec3, finite, within};
 
 /// Numbers of a [`Cover`].
 pub(super) const COVER: usize = 4;
@@ -153,12 +154,20 @@ impl Reach {
         let v = (dy - self.shear * dx) / self.sigma_v;
         u * u + v * v
     }
+
+    /// The standard deviation along the long axis: the larger singular value of `[[sigma_u, 0], [across, sigma_v]]`. The two have
+    /// the sum `√((sigma_u + sigma_v)² + across²)` and the difference `√((sigma_u − sigma_v)² + across²)`.
+    fn long_axis(&self) -> f32 {
+        // Halves, so that nothing overflows before the end.
+        let (u, v, across) = (0.5 * self.sigma_u, 0.5 * self.sigma_v, 0.5 * self.shear * self.sigma_u);
+        Vec3::new(u + v, across, 0.0).length() + Vec3::new(u - v, across, 0.0).length()
+    }
 }
 
-/// The first tile and the tile after the last along an axis that hold a pixel centre within `half` of `mean`; the same
-/// twice for none.
+/// The first tile and the tile after the last along an axis that hold a pixel centre within `half` of `mean`, or before an
+/// ellipse's tiles are tested less than a pixel further up; the same twice for none.
 #[cube]
-fn tile_range(mean: f32, half: f32, pixels: u32) -> (u32, u32) {
+fn tile_range(mean: f32, half: f32, pixels: u32, #[comptime] culling: Culling) -> (u32, u32) {
     // The margin covers the rounding of centre and extent.
     let margin = 0.01 + 1e-6 * (mean.abs() + half);
     let last = f32::cast_from(pixels - 1);
@@ -167,6 +176,7 @@ fn tile_range(mean: f32, half: f32, pixels: u32) -> (u32, u32) {
     let mut first = 0u32;
     let mut end = 0u32;
     if high >= 0.0 && low <= last {
+        let low = if comptime!(culling == Culling::Ellipse) { low } else { low.ceil() };
         first = u32::cast_from(within(low, 0.0, last)) / comptime!(TILE as u32);
         end = u32::cast_from(within(high, 0.0, last)) / comptime!(TILE as u32) + 1;
     }
@@ -182,9 +192,11 @@ pub(super) fn cover_kernel(
     indices: &mut [u32],
     frame: Frame,
     count: u32,
+    #[comptime] culling: Culling,
 ) {
     let gaussian = ABSOLUTE_POS;
     if gaussian < count as usize {
+        let square = comptime!(culling == Culling::BoundingBox);
         let at = gaussian * comptime!(crate::project::COLUMNS);
         let (depth, opacity) = (projected[at + 5], projected[at + 6]);
         let mut cover = Cover { x: 0, y: 0, width: 0, height: 0, low: 0, high: 0 };
@@ -197,8 +209,10 @@ pub(super) fn cover_kernel(
         if usable {
             let mut limit = f32::max_value();
             if frame.alpha_min > 0.0 {
+                // The square is as if the Gaussian were opaque; one may be more than that.
+                let shown = if comptime!(square) { max(opacity, 1.0) } else { opacity };
                 // A relative margin for the logarithm, an absolute one for the exponential.
-                limit = 2.0 * (opacity / frame.alpha_min).ln() * 1.00001 + 1e-4;
+                limit = 2.0 * (shown / frame.alpha_min).ln() * 1.00001 + 1e-4;
             }
             let reach = Reach {
                 x: projected[at],
@@ -210,15 +224,17 @@ pub(super) fn cover_kernel(
             };
             let across = reach.shear * reach.sigma_u;
             let radius = limit.sqrt();
-            let vertical = crate::gpu::math::Vec3::new(reach.sigma_v, across, 0.0).length();
-            let (x, end_x) = tile_range(reach.x, radius * reach.sigma_u, frame.width);
-            let (y, end_y) = tile_range(reach.y, radius * vertical, frame.height);
+            let vertical = Vec3::new(reach.sigma_v, across, 0.0).length();
+            let horizontal = if comptime!(square) { reach.long_axis() } else { reach.sigma_u };
+            let vertical = if comptime!(square) { horizontal } else { vertical };
+            let (x, end_x) = tile_range(reach.x, radius * horizontal, frame.width, culling);
+            let (y, end_y) = tile_range(reach.y, radius * vertical, frame.height, culling);
             if end_x > x && end_y > y {
                 cover.x = x;
                 cover.y = y;
                 cover.width = end_x - x;
                 cover.height = end_y - y;
-                let (low, high) = covered_cells(&cover, &reach, &frame);
+                let (low, high) = covered_cells(&cover, &reach, &frame, culling);
                 cover.low = low;
                 cover.high = high;
                 if (low | high) != 0 {
@@ -234,9 +250,9 @@ pub(super) fn cover_kernel(
     }
 }
 
-/// The bits of the cells that the ellipse reaches.
+/// The bits of the cells that the ellipse reaches, or of all of the box.
 #[cube]
-fn covered_cells(cover: &Cover, reach: &Reach, frame: &Frame) -> (u32, u32) {
+fn covered_cells(cover: &Cover, reach: &Reach, frame: &Frame, #[comptime] culling: Culling) -> (u32, u32) {
     let mut low = 0u32;
     let mut high = 0u32;
     let (cell_width, cell_height) = (cover.cell_width(), cover.cell_height());
@@ -248,7 +264,11 @@ fn covered_cells(cover: &Cover, reach: &Reach, frame: &Frame) -> (u32, u32) {
             let first_y = (cover.y + y) * comptime!(TILE as u32);
             let end_x = (cover.x + min(x + cell_width, cover.width)) * comptime!(TILE as u32);
             let end_y = (cover.y + min(y + cell_height, cover.height)) * comptime!(TILE as u32);
-            let met = reach.meets(first_x, min(end_x, frame.width), first_y, min(end_y, frame.height));
+            let met = if comptime!(culling == Culling::Ellipse) {
+                reach.meets(first_x, min(end_x, frame.width), first_y, min(end_y, frame.height))
+            } else {
+                true.runtime()
+            };
             if met {
                 let bit = y / cell_height * comptime!(CELLS) + x / cell_width;
                 let mask = 1u32 << (bit & 31);

@@ -3,7 +3,7 @@
 use super::forward::{COVER, FrameLaunch, count_kernel, cover_kernel, emit_kernel, ranges_kernel};
 use super::scan::launch_scan;
 use super::sort::{Pairs, launch_sort};
-use super::tile_grid;
+use super::{Cut, tile_grid};
 use crate::camera::Intrinsics;
 use crate::gpu::{Buffer, Gpu, elementwise};
 use crate::limits::Need;
@@ -42,7 +42,7 @@ pub(crate) fn frame(camera: &Intrinsics, alpha_min: f64) -> FrameLaunch {
 
 /// Lists the hits of `projected`, `[count, 7]`, and counts them by tile. Waits for the device once, to learn how many hits
 /// there are.
-pub(crate) fn launch_tile(gpu: &Gpu, projected: &Buffer<f32>, camera: &Intrinsics, alpha_min: f64) -> DeviceLists {
+pub(crate) fn launch_tile(gpu: &Gpu, projected: &Buffer<f32>, camera: &Intrinsics, cut: Cut) -> DeviceLists {
     let count = projected.len / crate::project::COLUMNS;
     let [tiles_x, tiles_y] = tile_grid(camera.width, camera.height);
     let tiles = tiles_x * tiles_y;
@@ -59,8 +59,9 @@ pub(crate) fn launch_tile(gpu: &Gpu, projected: &Buffer<f32>, camera: &Intrinsic
             covers.arg(),
             pairs.keys.arg(),
             pairs.values.arg(),
-            frame(camera, alpha_min),
+            frame(camera, cut.alpha_min),
             count as u32,
+            cut.culling,
         );
     }
     let by_depth = launch_sort(gpu, pairs, u32::BITS);

@@ -4,7 +4,8 @@
 //! these lists only leave out pairs that cannot contribute. A Gaussian reaches as far as its alpha stays at or above
 //! `alpha_min`: within the ellipse `u² + v² <= 2 ln(opacity / alpha_min)`. A tile lists it if the rectangle of the tile's pixel
 //! centres meets that ellipse, with a margin for the rounding of `blend`: the twin computes the interval that the ellipse
-//! spans on each row of tiles, the kernel tests each tile of the bounding box.
+//! spans on each row of tiles, the kernel tests each tile of the bounding box. By request it is a box around the ellipse
+//! instead, see [`Culling`].
 //!
 //! The lists live in a cell beside the tensors, because their length depends on the data. See `HitCell`.
 
@@ -27,6 +28,9 @@ mod tests;
 
 use std::sync::{Arc, OnceLock};
 
+use crate::dials::Culling;
+use crate::options::RenderOptions;
+
 /// Pixels along each side of a tile.
 pub const TILE: usize = 16;
 
@@ -36,6 +40,27 @@ pub(crate) const TILE_PIXELS: usize = TILE * TILE;
 /// Number of tiles along x and y that cover a picture.
 pub(crate) fn tile_grid(width: usize, height: usize) -> [usize; 2] {
     [width.div_ceil(TILE), height.div_ceil(TILE)]
+}
+
+/// What decides which tiles list a Gaussian.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Cut {
+    pub alpha_min: f64,
+    pub culling: Culling,
+}
+
+impl Cut {
+    pub fn of(options: &RenderOptions) -> Self {
+        Self { alpha_min: options.alpha_min, culling: options.culling }
+    }
+}
+
+/// Tests and the yardstick cut by the ellipse.
+#[cfg(test)]
+impl From<f64> for Cut {
+    fn from(alpha_min: f64) -> Self {
+        Self { alpha_min, culling: Culling::Ellipse }
+    }
 }
 
 /// The lists of one view. A hit is a pair of a tile and a Gaussian.

@@ -4,8 +4,9 @@ use std::ops::Range;
 
 use fearless_simd::prelude::*;
 
-use super::{TILE, tile_grid};
+use super::{Cut, TILE, tile_grid};
 use crate::camera::Intrinsics;
+use crate::dials::Culling;
 use crate::lanes::{BLOCK, Columns};
 use crate::project::{COLUMNS, Ellipse};
 use crate::real::{LANES, Real};
@@ -39,26 +40,30 @@ pub(super) struct Reach<F> {
     /// Of the picture, px.
     size: [F; 2],
     alpha_min: F,
+    culling: Culling,
 }
 
 impl<F: Real> Reach<F> {
-    pub fn new(camera: &Intrinsics, alpha_min: f64) -> Self {
+    pub fn new(camera: &Intrinsics, cut: Cut) -> Self {
         Self {
             grid: tile_grid(camera.width, camera.height),
             size: [camera.width, camera.height].map(|px| F::of(px as f64)),
-            alpha_min: F::of(alpha_min),
+            alpha_min: F::of(cut.alpha_min),
+            culling: cut.culling,
         }
     }
 
     /// Adds to `tiles` those of each of up to [`BLOCK`] Gaussians in turn: the tiles whose rectangle of pixel centres its
-    /// ellipse meets. Returns how many each has.
+    /// ellipse, or box, meets. Returns how many each has.
     #[inline(always)]
     pub fn emit<S: Simd>(&self, simd: S, rows: &[F], scratch: &mut Scratch<F>, tiles: &mut Vec<u32>) -> [u32; BLOCK] {
         let count = rows.len() / COLUMNS;
         scratch.ellipses.read(rows);
         let opacities = scratch.ellipses.column(6);
+        // No smaller than its own: a Gaussian may be more than opaque.
+        let least = if self.culling == Culling::BoundingBox { F::ONE } else { F::ZERO };
         for (limit, opacity) in scratch.limits.iter_mut().zip(opacities).take(count) {
-            *limit = widened_limit(*opacity, self.alpha_min);
+            *limit = widened_limit(opacity.max_of(least), self.alpha_min);
         }
         let mut counts = [0; BLOCK];
         for first in (0..count).step_by(LANES) {
@@ -70,7 +75,10 @@ impl<F: Real> Reach<F> {
             scratch.spans.clear();
             for row in 0..rows.iter().map(Range::len).max().unwrap_or(0) {
                 let mut span = [[F::ZERO; LANES]; 2];
-                let (from, to) = eight.span(self, F::of(row as f64));
+                let (from, to) = match self.culling {
+                    Culling::Ellipse => eight.span(self, F::of(row as f64)),
+                    Culling::OpacityBox | Culling::BoundingBox => eight.columns(self),
+                };
                 from.store_slice(&mut span[0]);
                 to.store_slice(&mut span[1]);
                 scratch.spans.push(span);
@@ -111,6 +119,8 @@ struct Eight<S: Simd, F: Real> {
     mean: [F::Lanes<S>; 2],
     sigma_u: F::Lanes<S>,
     r: F::Lanes<S>,
+    /// Half the width of the box, px.
+    half_width: F::Lanes<S>,
     k: F::Lanes<S>,
     h: F::Lanes<S>,
     /// `1 / V`
@@ -151,19 +161,34 @@ impl<S: Simd, F: Real> Eight<S, F> {
         let margin = |mean: F::Lanes<S>, half: F::Lanes<S>| {
             (mean.abs() + half) * lanes(F::of(8.0) * F::EPSILON) + lanes(F::of(1e-3))
         };
-        let half = r * vertical + slip;
+        let (half_width, half_height) = match reach.culling {
+            Culling::Ellipse | Culling::OpacityBox => (r * sigma_u, r * vertical),
+            Culling::BoundingBox => {
+                let long = long_axis([sigma_u, across, sigma_v]);
+                (r * long, r * long)
+            }
+        };
+        let half = half_height + slip;
         let (top, end) = tiles((y - half, y + half), margin(y, half), reach.size[1]);
         Self {
             mean: [x, y],
             sigma_u,
             r,
+            half_width,
             k,
             h,
             inverse: lanes(F::ONE) / vertical,
             slip,
-            margin: margin(x, r * sigma_u),
+            margin: margin(x, half_width),
             rows: (shows.select(top, lanes(F::ZERO)), shows.select(end, lanes(F::ZERO))),
         }
+    }
+
+    /// On every row of tiles of the box: its first tile and the one behind the last.
+    #[inline(always)]
+    fn columns(&self, reach: &Reach<F>) -> (F::Lanes<S>, F::Lanes<S>) {
+        let x = self.mean[0];
+        tiles((x - self.half_width, x + self.half_width), self.margin, reach.size[0])
     }
 
     /// On the row of tiles this many behind each one's first: the first tile and the one behind the last.
@@ -185,6 +210,21 @@ impl<S: Simd, F: Real> Eight<S, F> {
         let high = self.mean[0] + self.sigma_u * (high.0 + high.1);
         tiles((low, high), self.margin, reach.size[0])
     }
+}
+
+/// The standard deviation along the long axis: the larger singular value of `[[a, 0], [x, c]]`, the covariance's root. The two have
+/// the sum `√((a + c)² + x²)` and the difference `√((a − c)² + x²)`.
+#[inline(always)]
+fn long_axis<S: Simd, L: SimdFloat<S, Element = F>, F: Real<Lanes<S> = L>>([a, x, c]: [L; 3]) -> L {
+    let lanes = |value: f64| L::splat(a.token(), F::of(value));
+    // Halves, so that nothing overflows before the end.
+    let [a, x, c] = [a, x, c].map(|value| value * F::of(0.5));
+    let length = |along: L| {
+        let larger = along.abs().max(x.abs()).max(lanes(1e-30));
+        let (along, across) = (along / larger, x / larger);
+        along.mul_add(along, across * across).sqrt() * larger
+    };
+    length(a + c) + length(a - c)
 }
 
 /// The first tile and the one behind the last of those whose pixel centres, from the first to the last, meet an interval, px,

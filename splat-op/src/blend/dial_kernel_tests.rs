@@ -1,0 +1,130 @@
+//! What numerical dials change on GPUs, and what they must not.
+
+use super::BlendSpec;
+use super::kernel_tests::{ALL, Scene};
+use super::launch::{launch_blend, launch_blend_backward};
+use crate::dials::{Culling, Exponential, Storage};
+use crate::gpu::{Buffer, Gpu};
+use crate::options::{Accumulation, RenderOptions};
+use crate::real::Real;
+use crate::testing::gpu::gpus;
+use crate::testing::random::Random;
+use crate::tile::Cut;
+use crate::tile::launch::launch_tile;
+
+/// Planes, then the gradients of ellipses, features, background, and absolute values, added in order.
+fn outcome(scene: &Scene, gpu: &Gpu, options: RenderOptions) -> [Vec<f32>; 5] {
+    let spec = BlendSpec { options: options.with_accumulation(Accumulation::Ordered), ..scene.spec };
+    let (camera, inputs) = (&spec.intrinsics, scene.device(gpu));
+    let values = spec.planes(scene.background.len()) * camera.width * camera.height;
+    let grad: Vec<f32> = Random::new(4).fill(values, -1.0, 1.0).iter().map(|v| *v as f32).collect();
+    let lists = launch_tile(gpu, &inputs.projected, camera, Cut::of(&options));
+    let (planes, trace) = launch_blend(gpu, &inputs, &lists, &spec, true);
+    let trace = trace.expect("asked for");
+    let grads = launch_blend_backward(gpu, &inputs, &Buffer::from_slice(gpu, &grad), &lists, &trace, &spec, ALL);
+    let read = |buffer: Option<Buffer<f32>>| buffer.expect("asked for").read(gpu);
+    [planes.read(gpu), read(grads.projected), read(grads.features), read(grads.background), read(grads.mean2d_abs)]
+}
+
+/// As [`gpus`], without the form that only adds in another way: here all add in order.
+fn forms() -> impl Iterator<Item = (&'static str, Gpu)> {
+    gpus().into_iter().filter(|(form, _)| *form != "without float atomics")
+}
+
+fn same_bits(a: &[Vec<f32>; 5], b: &[Vec<f32>; 5]) -> bool {
+    a.iter().zip(b).all(|(a, b)| bytemuck::cast_slice::<f32, u32>(a) == bytemuck::cast_slice::<f32, u32>(b))
+}
+
+/// The largest difference of each, in shares of the largest number.
+fn differences(a: &[Vec<f32>; 5], b: &[Vec<f32>; 5]) -> [f32; 5] {
+    std::array::from_fn(|i| {
+        let largest = b[i].iter().fold(0.0_f32, |most, v| most.max(v.abs()));
+        a[i].iter().zip(&b[i]).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max) / largest
+    })
+}
+
+fn longest(scene: &Scene, gpu: &Gpu, culling: Culling) -> i32 {
+    let cut = Cut { culling, ..Cut::of(&scene.spec.options) };
+    let lists = launch_tile(gpu, &scene.device(gpu).projected, &scene.spec.intrinsics, cut);
+    lists.counts.read(gpu).into_iter().max().expect("there are tiles")
+}
+
+const BOXES: [Culling; 2] = [Culling::OpacityBox, Culling::BoundingBox];
+
+/// Channels, and whether depth is one more: one of each kind of kernel, an odd number of features. All tests share them, for each
+/// other takes a driver in software half a minute to compile.
+const SHAPES: [(usize, bool); 2] = [(3, false), (5, true)];
+
+#[test]
+fn culling_changes_no_bit_where_a_bucket_holds_each_list() {
+    for (channels, depth) in SHAPES {
+        let options = RenderOptions::standard().with_depth(depth);
+        for (form, gpu) in forms() {
+            // Places of a bucket: on a driver in software those of three channels hold more.
+            let (bucket, count) = if gpu.software && channels == 3 { (128, 110) } else { (32, 26) };
+            let scene = Scene::random(count, [100, 70], channels, [0.02, 1.0], options);
+            let expected = outcome(&scene, &gpu, options);
+            assert!(expected.iter().all(|values| values.iter().any(|v| *v != 0.0)), "a scene that proves nothing");
+            let least = longest(&scene, &gpu, Culling::Ellipse);
+            for culling in BOXES {
+                let most = longest(&scene, &gpu, culling);
+                assert!(most <= bucket && most > least, "{culling:?} lists {most}, ellipses {least}");
+                let found = outcome(&scene, &gpu, options.with_culling(culling));
+                assert!(same_bits(&found, &expected), "{form}, {channels} channels, {culling:?}");
+            }
+        }
+    }
+}
+
+#[test]
+fn culling_of_long_lists_changes_rounding_alone() {
+    for (channels, depth) in SHAPES {
+        // Without a threshold of the transmittance, beside which a pixel may end one layer sooner.
+        let options = RenderOptions { transmittance_min: 0.0, ..RenderOptions::standard().with_depth(depth) };
+        let scene = Scene::random(3_000, [100, 70], channels, [0.02, 0.6], options);
+        for (form, gpu) in forms() {
+            let expected = outcome(&scene, &gpu, options);
+            for culling in BOXES {
+                let most = longest(&scene, &gpu, culling);
+                let found = outcome(&scene, &gpu, options.with_culling(culling));
+                let differences = differences(&found, &expected);
+                println!("{form}, {channels} channels, {culling:?}, up to {most} hits: {differences:?}");
+                assert!(differences.iter().all(|d| *d <= 3e-6), "{form}, {channels}, {culling:?}: {differences:?}");
+            }
+        }
+    }
+}
+
+#[test]
+fn a_polynomial_differs_from_the_device_by_rounding() {
+    for (channels, depth) in SHAPES {
+        // Nearly without cuts, beside which a pair may show or not.
+        let options = RenderOptions::exact().with_depth(depth);
+        let scene = Scene::random(300, [50, 35], channels, [0.05, 0.9], options);
+        for (form, gpu) in forms() {
+            let by = |exponential| outcome(&scene, &gpu, options.with_exponential(exponential));
+            let library = by(Exponential::Library);
+            assert!(same_bits(&by(Exponential::Standard), &library), "{form}: the standard of GPUs");
+            let polynomial = by(Exponential::Polynomial);
+            assert!(!same_bits(&polynomial, &library), "{form}, {channels} channels: the dial changes nothing");
+            let differences = differences(&polynomial, &library);
+            println!("{form}, {channels} channels: {differences:?}");
+            assert!(differences.iter().all(|d| *d <= 3e-6), "{form}, {channels} channels: {differences:?}");
+        }
+    }
+}
+
+#[test]
+fn half_precision_is_a_render_of_rounded_features() {
+    for (channels, depth) in SHAPES {
+        let options = RenderOptions::standard().with_depth(depth);
+        let scene = Scene::random(300, [50, 35], channels, [0.05, 0.9], options);
+        let mut rounded = scene.clone();
+        rounded.features.iter_mut().for_each(|feature| *feature = feature.halved());
+        for (form, gpu) in forms() {
+            let found = outcome(&scene, &gpu, options.with_features(Storage::Half));
+            assert!(same_bits(&found, &outcome(&rounded, &gpu, options)), "{form}, {channels} channels");
+            assert!(found[0] != outcome(&scene, &gpu, options)[0], "{form}: the dial changes nothing");
+        }
+    }
+}

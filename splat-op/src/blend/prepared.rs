@@ -1,0 +1,92 @@
+//! What the CPU twin makes of its inputs before it goes through the tiles.
+
+use std::borrow::Cow;
+
+use rayon::prelude::*;
+
+use super::BlendSpec;
+use super::cpu::Inputs;
+use super::footprint::Footprint;
+use super::tile::{TileView, is_long};
+use crate::dials::{Culling, Exponential, Storage};
+use crate::project::{COLUMNS, Ellipse};
+use crate::real::Real;
+use crate::tile::cpu::needed_hits;
+use crate::tile::{HitLists, TILE, tile_grid};
+
+/// Gaussians per task.
+const CHUNK: usize = 1024;
+
+/// Inputs prepared for the tiles' loops.
+pub(super) struct Prepared<'a, F: Real> {
+    pub footprints: Vec<Footprint<F>>,
+    /// Features, with the depth as a further channel if the render accumulates it.
+    pub colours: Cow<'a, [F]>,
+    pub channels: usize,
+    pub grid: [usize; 2],
+    pub size: [usize; 2],
+    pub hits: &'a HitLists,
+    pub thresholds: [F; 3],
+    /// How many Gaussians each tile would list by [`Culling::Ellipse`], where it is another that made the lists and tells them
+    /// apart by [`is_long`]: which arithmetic a tile takes must not depend on what it lists in vain.
+    needed: Option<Vec<u32>>,
+    /// Whether `exp` is the library's.
+    pub library: bool,
+}
+
+impl<'a, F: Real> Prepared<'a, F> {
+    pub fn new(inputs: Inputs<'a, F>, spec: &BlendSpec, hits: &'a HitLists) -> Self {
+        let options = &spec.options;
+        let alpha_min = F::of(options.alpha_min);
+        let footprint = |row: &[F]| {
+            let ellipse = Ellipse::from_row(row);
+            // Only Gaussians in the lists are read, and those have a positive opacity.
+            if ellipse.opacity > F::ZERO { Footprint::new(&ellipse, alpha_min) } else { Footprint::default() }
+        };
+        let features = inputs.background.len();
+        let stored: Cow<[F]> = match options.features {
+            Storage::Full => inputs.features.into(),
+            Storage::Half => inputs.features.iter().map(|feature| feature.halved()).collect::<Vec<F>>().into(),
+        };
+        let colours = if options.depth {
+            let rows = stored.chunks_exact(features).zip(inputs.projected.chunks_exact(COLUMNS));
+            let with_depth = rows.flat_map(|(feature, row)| {
+                feature.iter().copied().chain(std::iter::once(Ellipse::from_row(row).depth))
+            });
+            with_depth.collect::<Vec<F>>().into()
+        } else {
+            stored
+        };
+        let listed = hits.tile_start.windows(2).map(|ends| ends[1] - ends[0]);
+        let apart = options.culling != Culling::Ellipse && listed.max().is_some_and(|most| is_long(most, alpha_min));
+        Self {
+            footprints: inputs.projected.par_chunks_exact(COLUMNS).with_min_len(CHUNK).map(footprint).collect(),
+            colours,
+            channels: features + usize::from(options.depth),
+            grid: tile_grid(spec.intrinsics.width, spec.intrinsics.height),
+            size: [spec.intrinsics.width, spec.intrinsics.height],
+            hits,
+            thresholds: [alpha_min, F::of(options.alpha_max), F::of(options.transmittance_min)],
+            needed: apart.then(|| needed_hits(inputs.projected, &spec.intrinsics, options.alpha_min)),
+            library: options.exponential == Exponential::Library,
+        }
+    }
+
+    /// See [`fn@is_long`].
+    pub fn is_long(&self, tile: usize) -> bool {
+        let listed = self.hits.tile_start[tile + 1] - self.hits.tile_start[tile];
+        is_long(self.needed.as_ref().map_or(listed, |needed| needed[tile] as usize), self.thresholds[0])
+    }
+
+    pub fn view(&self, tile: usize) -> TileView<'_, F> {
+        let origin = [tile % self.grid[0] * TILE, tile / self.grid[0] * TILE];
+        TileView {
+            origin,
+            size: [0, 1].map(|axis| TILE.min(self.size[axis] - origin[axis])),
+            gaussians: &self.hits.gaussian[self.hits.tile_start[tile]..self.hits.tile_start[tile + 1]],
+            footprints: &self.footprints,
+            colours: &self.colours,
+            channels: self.channels,
+        }
+    }
+}
