@@ -19,6 +19,10 @@ pub struct RenderOptions {
     /// Model: multiply each opacity by the ratio of the ellipse's area before and after `blur`, floor 0.005
     /// (Mip-Splatting, Yu et al. 2024, eq. 9).
     pub antialias: bool,
+    /// Model: what a pixel sees of a Gaussian, an affine approximation of the projection or the projection itself.
+    pub projection: Projection,
+    /// Model: what is sorted by depth, Gaussians for the whole picture or the contributions to each pixel.
+    pub order: Order,
     /// Dial: contributions with alpha below this are skipped. Zero skips none.
     pub alpha_min: f64,
     /// Dial: alpha is at most this, so that every layer lets some light through.
@@ -26,10 +30,35 @@ pub struct RenderOptions {
     /// Dial: the splat that would bring a pixel's transmittance to this or below, and all behind it, are left out.
     /// Zero leaves out none.
     pub transmittance_min: f64,
-    /// Dial: how GPUs add the gradients of a Gaussian's hits. CPU backends always add in order.
+    /// Dial: how GPUs add the gradients of a Gaussian's hits. CPU backends always add in order, and so do renders with another
+    /// `projection` or `order` than the plain ones.
     pub accumulation: Accumulation,
     /// Output: also accumulate depth, `Σ wᵢ zᵢ`.
     pub depth: bool,
+}
+
+/// What a pixel sees of a Gaussian.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Default)]
+pub enum Projection {
+    /// Its projection linearised at its centre: an ellipse (EWA splatting, Zwicker et al. 2001). Good where a Gaussian is small
+    /// beside its distance.
+    #[default]
+    Affine,
+    /// The maximum of the Gaussian along the pixel's ray, exactly; see [`crate::rays`]. For pinholes. Knows no
+    /// [`RenderOptions::jacobian_margin`].
+    Exact,
+}
+
+/// What is sorted by depth.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Default)]
+pub enum Order {
+    /// All Gaussians once, by the camera z of their centres. Two of them change places in all pixels at the same moment as a
+    /// camera turns or moves, which shows as popping.
+    #[default]
+    Centre,
+    /// The contributions to each pixel, by the camera z of each Gaussian's maximum along the pixel's ray (Radl et al. 2024,
+    /// StopThePop), equal ones by index. For pinholes.
+    PerPixel,
 }
 
 /// How GPUs add the gradients of one Gaussian's hits in many tiles.
@@ -50,6 +79,8 @@ impl RenderOptions {
             near: 0.01,
             jacobian_margin: 0.3,
             antialias: false,
+            projection: Projection::Affine,
+            order: Order::Centre,
             alpha_min: 1.0 / 255.0,
             alpha_max: 0.99,
             transmittance_min: 1e-4,
@@ -84,9 +115,38 @@ impl RenderOptions {
         Self { antialias, ..self }
     }
 
+    /// With another projection.
+    pub const fn with_projection(self, projection: Projection) -> Self {
+        Self { projection, ..self }
+    }
+
+    /// With another order.
+    pub const fn with_order(self, order: Order) -> Self {
+        Self { order, ..self }
+    }
+
     /// With another way to add gradients on GPUs.
     pub const fn with_accumulation(self, accumulation: Accumulation) -> Self {
         Self { accumulation, ..self }
+    }
+
+    /// Whether pixels look along their rays, in `tilt` and `rays`, which take the place of `blend`.
+    pub(crate) fn along_rays(&self) -> bool {
+        self.projection != Projection::Affine || self.order != Order::Centre
+    }
+
+    /// Whether how far a Gaussian reaches is that of its outline, not of its ellipse.
+    pub(crate) fn reaches_by_outline(&self) -> bool {
+        self.projection == Projection::Exact
+    }
+
+    /// As `project` takes them. The exact projection is right however far outside the picture a centre lies, so nothing is held
+    /// there; a slope of 1e20 is one that no f32 render has.
+    pub(crate) fn of_project(&self) -> Self {
+        match self.projection {
+            Projection::Affine => *self,
+            Projection::Exact => Self { jacobian_margin: 1e20, ..*self },
+        }
     }
 
     pub(crate) fn check(&self) -> Result<(), SplatError> {
