@@ -1,16 +1,18 @@
 //! The yardstick: a render in float64 without cut-off, tiles, or any other approximation, to be believed by reading.
 //!
-//! It follows the model choices of [`RenderOptions`] (`blur`, `near`, `jacobian_margin`, `antialias`) and ignores its
-//! numerical dials. It shares no arithmetic with the stages but a camera's limits (how far a lens sees, the slopes at which
+//! It follows the model choices of [`RenderOptions`] (`blur`, `near`, `jacobian_margin`, `antialias`, `projection`, `order`)
+//! and ignores its numerical dials. It shares no arithmetic with the stages but a camera's limits (how far a lens sees, the slopes at which
 //! the Jacobian is held): covariances are formed and inverted as the papers write them, which in float64 costs digits only
 //! for Gaussians some 1e6 times longer than wide. Every pixel visits every Gaussian, so it is for proofs, not pictures.
 
 mod lens;
+mod ray;
 
 use glam::{DMat2, DMat3, DQuat, DVec2, DVec3};
 
-use crate::camera::Intrinsics;
-use crate::options::RenderOptions;
+use self::ray::Solid;
+use crate::camera::{CameraModel, Intrinsics};
+use crate::options::{Order, Projection, RenderOptions};
 use crate::project::COMPENSATION_MIN;
 
 /// One Gaussian with activated parameters.
@@ -55,10 +57,24 @@ struct Ellipse<'a> {
     conic: DMat2,
     depth: f64,
     opacity: f64,
+    /// What a ray meets, if the render looks along them.
+    solid: Option<Solid>,
+    features: &'a [f64],
+}
+
+/// What a pixel sees of a Gaussian.
+struct Seen<'a> {
+    alpha: f64,
+    depth: f64,
+    /// By which it is sorted.
+    key: f64,
     features: &'a [f64],
 }
 
 /// All pixels of a picture, row by row.
+///
+/// # Panics
+/// If `options` choose another projection or order than the plain ones for a camera that is no pinhole.
 pub fn render_exact(
     gaussians: &[ExactGaussian],
     pose: &ExactPose,
@@ -66,22 +82,50 @@ pub fn render_exact(
     background: &[f64],
     options: &RenderOptions,
 ) -> Vec<ExactPixel> {
-    let mut ellipses: Vec<Ellipse> = gaussians.iter().filter_map(|g| project(g, pose, camera, options)).collect();
-    // Stable: Gaussians at one depth keep their order.
-    ellipses.sort_by(|a, b| a.depth.total_cmp(&b.depth));
+    assert!(!options.along_rays() || camera.model == CameraModel::Pinhole, "rays are those of a pinhole");
+    let ellipses: Vec<Ellipse> = gaussians.iter().filter_map(|g| project(g, pose, camera, options)).collect();
     let centres = (0..camera.height).flat_map(|y| (0..camera.width).map(move |x| (x, y)));
-    centres.map(|(x, y)| pixel(&ellipses, DVec2::new(x as f64 + 0.5, y as f64 + 0.5), background)).collect()
+    let see = |(x, y)| {
+        let centre_px = DVec2::new(x as f64 + 0.5, y as f64 + 0.5);
+        let mut seen: Vec<Seen> = ellipses.iter().map(|ellipse| ellipse.seen(centre_px, camera, options)).collect();
+        // Stable: Gaussians at one depth keep their order.
+        seen.sort_by(|a, b| a.key.total_cmp(&b.key));
+        pixel(&seen, background)
+    };
+    centres.map(see).collect()
 }
 
-fn pixel(ellipses: &[Ellipse], centre_px: DVec2, background: &[f64]) -> ExactPixel {
+impl<'a> Ellipse<'a> {
+    fn seen(&self, centre_px: DVec2, camera: &Intrinsics, options: &RenderOptions) -> Seen<'a> {
+        let d = centre_px - self.mean_px;
+        let value = (-0.5 * d.dot(self.conic * d)).exp();
+        let plain = Seen { alpha: self.opacity * value, depth: self.depth, key: self.depth, features: self.features };
+        let Some(solid) = &self.solid else { return plain };
+        let mut seen = plain;
+        let met = match options.projection {
+            Projection::Exact => {
+                let met = solid.meet(ray::direction(camera, centre_px));
+                // Greatest behind the camera: not seen.
+                seen.alpha = if met.at > 0.0 { self.opacity * met.value } else { 0.0 };
+                seen.depth = met.at;
+                met.at
+            }
+            Projection::Affine => self.depth * solid.meet(d.extend(1.0)).at,
+        };
+        if options.order == Order::PerPixel {
+            seen.key = met;
+        }
+        seen
+    }
+}
+
+fn pixel(seen: &[Seen], background: &[f64]) -> ExactPixel {
     let mut transmittance = 1.0;
     let mut out = ExactPixel { features: vec![0.0; background.len()], alpha: 0.0, depth: 0.0 };
-    for ellipse in ellipses {
-        let d = centre_px - ellipse.mean_px;
-        let alpha = ellipse.opacity * (-0.5 * d.dot(ellipse.conic * d)).exp();
+    for Seen { alpha, depth, features, .. } in seen {
         let weight = transmittance * alpha;
-        out.features.iter_mut().zip(ellipse.features).for_each(|(sum, c)| *sum += weight * c);
-        out.depth += weight * ellipse.depth;
+        out.features.iter_mut().zip(*features).for_each(|(sum, c)| *sum += weight * c);
+        out.depth += weight * depth;
         transmittance *= 1.0 - alpha;
     }
     out.features.iter_mut().zip(background).for_each(|(sum, c)| *sum += transmittance * c);
@@ -106,9 +150,10 @@ fn project<'a>(
     let covariance_world = axes * axes.transpose();
     let covariance_cam = pose.rotation * covariance_world * pose.rotation.transpose();
 
-    // The Jacobian of a perspective camera is taken no further outside the picture than the margin; that of a fisheye is exact.
+    // The Jacobian of a perspective camera is taken no further outside the picture than the margin; that of a fisheye is exact,
+    // and so is the exact projection.
     let [[low_x, high_x], [low_y, high_y]] = camera.slope_limits(options.jacobian_margin);
-    let held = match camera.model.is_fisheye() {
+    let held = match camera.model.is_fisheye() || options.projection == Projection::Exact {
         true => mean_cam,
         false => DVec3::new((x / z).clamp(low_x, high_x) * z, (y / z).clamp(low_y, high_y) * z, z),
     };
@@ -122,11 +167,16 @@ fn project<'a>(
     } else {
         1.0
     };
+    let solid = options.along_rays().then(|| match options.projection {
+        Projection::Exact => Solid::in_camera(mean_cam, covariance_cam, camera, options.blur),
+        Projection::Affine => Solid::on_screen(mean_cam, covariance_cam, [j0, j1], options.blur),
+    });
     Some(Ellipse {
         mean_px: DVec2::from_array(mean_px),
         conic: covariance.inverse(),
         depth: z,
         opacity: gaussian.opacity * compensation,
+        solid,
         features: &gaussian.features,
     })
 }

@@ -49,6 +49,11 @@ pub mod tile;
 
 pub mod blend;
 
+// In place of the last, for pixels that look along their rays.
+pub mod tilt;
+
+pub mod rays;
+
 pub mod photometric;
 
 pub mod adam;
@@ -71,12 +76,13 @@ pub use abilities::Abilities;
 pub use activate::RawSplats;
 pub use bind::activate::{ActivateBackend, ActivateInputs};
 pub use bind::attach::{AttachBackend, with_gradient};
+pub use bind::rays::RaysBackend;
 pub use camera::{Camera, CameraModel, Intrinsics, Projector};
 pub use colour::{Colour, colours, shade};
 pub use dials::{Culling, Exponential, Storage};
 pub use error::SplatError;
 pub use op::{Slot, SplatBackend};
-pub use options::{Accumulation, MAX_UNCUT_HITS, RenderOptions};
+pub use options::{Accumulation, MAX_UNCUT_HITS, Order, Projection, RenderOptions};
 pub use render::{Rendered, render, render_view};
 pub use stages::{Ellipses, Extras, Picture, Projected, Splats, Tiles, blend, project, tile};
 

@@ -23,6 +23,10 @@ pub struct RenderOptions {
     /// Model: coefficients of the spherical harmonics above this degree, 0 to 4, are left out of a render and get a gradient of
     /// exactly zero. `None` uses all there are.
     pub sh_degree: Option<usize>,
+    /// Model: what a pixel sees of a Gaussian, an affine approximation of the projection or the projection itself.
+    pub projection: Projection,
+    /// Model: what is sorted by depth, Gaussians for the whole picture or the contributions to each pixel.
+    pub order: Order,
     /// Dial: contributions with alpha below this are skipped. Zero skips none, and lists every Gaussian in every tile: a render is
     /// then refused above [`MAX_UNCUT_HITS`] pairs of the two.
     pub alpha_min: f64,
@@ -31,16 +35,42 @@ pub struct RenderOptions {
     /// Dial: the splat that would bring a pixel's transmittance to this or below, and all behind it, are left out.
     /// Zero leaves out none.
     pub transmittance_min: f64,
-    /// Dial: how GPUs add the gradients of a Gaussian's hits. CPU backends always add in order.
+    /// Dial: how GPUs add the gradients of a Gaussian's hits. CPU backends always add in order, and so do renders with another
+    /// `projection` or `order` than the plain ones.
     pub accumulation: Accumulation,
     /// Dial: which tiles list a Gaussian. Changes time only.
     pub culling: Culling,
-    /// Dial: how `exp` is computed in f32.
+    /// Dial: how `exp` is computed in f32. Another `projection` or `order` than the plain one takes the library's.
     pub exponential: Exponential,
-    /// Dial: how features, or colours, are stored where `blend` reads them.
+    /// Dial: how features, or colours, are stored where `blend` reads them. For the plain `projection` and `order`; others read
+    /// them as they are.
     pub features: Storage,
     /// Output: also accumulate depth, `Σ wᵢ zᵢ`.
     pub depth: bool,
+}
+
+/// What a pixel sees of a Gaussian.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Default)]
+pub enum Projection {
+    /// Its projection linearised at its centre: an ellipse (EWA splatting, Zwicker et al. 2001). Good where a Gaussian is small
+    /// beside its distance.
+    #[default]
+    Affine,
+    /// The maximum of the Gaussian along the pixel's ray, exactly; see [`crate::rays`]. For pinholes. Knows no
+    /// [`RenderOptions::jacobian_margin`].
+    Exact,
+}
+
+/// What is sorted by depth.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Default)]
+pub enum Order {
+    /// All Gaussians once, by the camera z of their centres. Two of them change places in all pixels at the same moment as a
+    /// camera turns or moves, which shows as popping.
+    #[default]
+    Centre,
+    /// The contributions to each pixel, by the camera z of each Gaussian's maximum along the pixel's ray (Radl et al. 2024,
+    /// StopThePop), equal ones by index. For pinholes.
+    PerPixel,
 }
 
 /// How GPUs add the gradients of one Gaussian's hits in many tiles.
@@ -71,6 +101,8 @@ impl RenderOptions {
             near: 0.01,
             jacobian_margin: 0.3,
             antialias: false,
+            projection: Projection::Affine,
+            order: Order::Centre,
             alpha_min: 1.0 / 255.0,
             alpha_max: 0.99,
             transmittance_min: 1e-4,
@@ -112,6 +144,16 @@ impl RenderOptions {
         Self { antialias, ..self }
     }
 
+    /// With another projection.
+    pub const fn with_projection(self, projection: Projection) -> Self {
+        Self { projection, ..self }
+    }
+
+    /// With another order.
+    pub const fn with_order(self, order: Order) -> Self {
+        Self { order, ..self }
+    }
+
     /// With another way to add gradients on GPUs.
     pub const fn with_accumulation(self, accumulation: Accumulation) -> Self {
         Self { accumulation, ..self }
@@ -135,6 +177,25 @@ impl RenderOptions {
     /// With features stored in another way.
     pub const fn with_features(self, features: Storage) -> Self {
         Self { features, ..self }
+    }
+
+    /// Whether pixels look along their rays, in `tilt` and `rays`, which take the place of `blend`.
+    pub(crate) fn along_rays(&self) -> bool {
+        self.projection != Projection::Affine || self.order != Order::Centre
+    }
+
+    /// Whether how far a Gaussian reaches is that of its outline, not of its ellipse.
+    pub(crate) fn reaches_by_outline(&self) -> bool {
+        self.projection == Projection::Exact
+    }
+
+    /// As `project` takes them. The exact projection is right however far outside the picture a centre lies, so nothing is held
+    /// there; a slope of 1e20 is one that no f32 render has.
+    pub(crate) fn of_project(&self) -> Self {
+        match self.projection {
+            Projection::Affine => *self,
+            Projection::Exact => Self { jacobian_margin: 1e20, ..*self },
+        }
     }
 
     pub(crate) fn check(&self) -> Result<(), SplatError> {

@@ -53,6 +53,7 @@ pub(crate) trait Real:
     fn f64(self) -> f64;
     fn sqrt(self) -> Self;
     fn ln(self) -> Self;
+    fn exp(self) -> Self;
     fn abs(self) -> Self;
     fn finite(self) -> bool;
     fn sort_key(self) -> Self::SortKey;
@@ -108,6 +109,10 @@ macro_rules! scalar_functions {
         #[inline(always)]
         fn ln(self) -> Self {
             <$float>::ln(self)
+        }
+        #[inline(always)]
+        fn exp(self) -> Self {
+            <$float>::exp(self)
         }
         #[inline(always)]
         fn abs(self) -> Self {

@@ -4,7 +4,7 @@ use burn::tensor::Tensor;
 
 use crate::camera::Camera;
 use crate::check::check_positive;
-use crate::colour::Colour;
+use crate::colour::{Colour, colours_up_to};
 use crate::error::SplatError;
 use crate::options::RenderOptions;
 use crate::stages::{Extras, Picture, Splats, blend, check_render_fits, project, project_shade, tile};
@@ -25,7 +25,7 @@ pub struct Rendered {
 ///
 /// # Errors
 /// If there is no camera, cameras differ in size, a tensor's shape, type or device does not fit, or a camera or option is
-/// out of range.
+/// out of range; if `options.projection` or `options.order` is not the plain one and a camera is no pinhole.
 pub fn render(
     splats: &Splats,
     cameras: &[Camera],
@@ -69,6 +69,10 @@ pub fn render_view(
 fn stages(splats: &Splats, camera: &Camera, extras: &Extras, options: &RenderOptions) -> Result<Picture, SplatError> {
     let probe = extras.mean2d_probe.as_ref();
     let (projected, features) = match &splats.colour {
+        // In one pass, Gaussians whose ellipses miss the picture have no colour; rays may still meet them.
+        _ if options.along_rays() => {
+            (project(splats, camera, probe, options)?, colours_up_to(splats, camera, options.sh_degree)?)
+        }
         Colour::SphericalHarmonics(sh) => project_shade(splats, (sh, None), camera, probe, options)?,
         Colour::Mixed { directional, matte } => {
             project_shade(splats, (directional, Some(matte)), camera, probe, options)?

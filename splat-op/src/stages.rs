@@ -3,16 +3,18 @@
 use burn::backend::Dispatch;
 use burn::tensor::{Int, Tensor};
 
+use crate::bind::rays::RaysBackend;
 use crate::blend::{BlendInputs, BlendSpec, PartsCell};
-use crate::camera::{Camera, Intrinsics};
+use crate::camera::{Camera, CameraModel, Intrinsics};
 use crate::check::{Reference, check_positive};
 use crate::colour::{Colour, check_harmonics, sh_need, up_to_degree};
 use crate::error::SplatError;
 use crate::limits::{Need, check_fits};
 use crate::op::{Slot, SplatBackend};
-use crate::options::RenderOptions;
+use crate::options::{Projection, RenderOptions};
 use crate::project::{COLUMNS, ProjectInputs, ProjectSpec};
 use crate::project_shade::ProjectShadeInputs;
+use crate::rays::RaysInputs;
 use crate::tile::{HitCell, tile_grid};
 
 /// Gaussians with activated parameters, one row each, all of one float type (f32; f64 on CPU devices) and on one device.
@@ -65,6 +67,8 @@ pub struct Ellipses {
 #[derive(Clone, Debug)]
 pub struct Projected {
     packed: Tensor<2>,
+    /// `[N, 3]`, see `tilt/`, for a render whose pixels look along their rays.
+    tilt: Option<Tensor<2>>,
     intrinsics: Intrinsics,
 }
 
@@ -120,6 +124,9 @@ impl Projected {
 impl Ellipses {
     /// Packs the fields for [`tile`] and [`blend`], for the camera of `intrinsics`.
     ///
+    /// How a Gaussian leans in depth is not among the fields: what is packed can be rendered with
+    /// [`Projection::Affine`](crate::Projection) and [`Order::Centre`](crate::Order) alone.
+    ///
     /// # Errors
     /// If a field has another number of rows, type or device than `mean2d`.
     pub fn pack(self, intrinsics: &Intrinsics) -> Result<Projected, SplatError> {
@@ -138,7 +145,7 @@ impl Ellipses {
             reference.check(name, &column, [Some(count)], "[N]")?;
             columns.push(column.unsqueeze_dim(1));
         }
-        Ok(Projected { packed: Tensor::cat(columns, 1), intrinsics: *intrinsics })
+        Ok(Projected { packed: Tensor::cat(columns, 1), tilt: None, intrinsics: *intrinsics })
     }
 }
 
@@ -149,7 +156,8 @@ impl Ellipses {
 /// lens ([`Intrinsics::reach`]). `near` is a depth for every camera: a fisheye sees nothing 90° from its axis or farther.
 ///
 /// # Errors
-/// If a tensor's shape, type or device does not fit, or the camera or an option is out of range.
+/// If a tensor's shape, type or device does not fit, or the camera or an option is out of range; if `options.projection` or
+/// `options.order` is not the plain one and the camera is no pinhole.
 pub fn project(
     splats: &Splats,
     camera: &Camera,
@@ -159,9 +167,15 @@ pub fn project(
     let reference = check_geometry(splats, camera, options)?;
     let probe = probe_or_empty(&reference, "mean2d_probe", mean2d_probe, splats)?;
     reference.check_fits(&[packed_need(splats.means.dims()[0])])?;
-    let spec = ProjectSpec { intrinsics: camera.intrinsics, options: *options };
-    let packed = <Dispatch as SplatBackend>::project(project_inputs(splats, camera), probe.into_dispatch(), spec);
-    Ok(Projected { packed: Tensor::from_dispatch(packed), intrinsics: camera.intrinsics })
+    let spec = ProjectSpec { intrinsics: camera.intrinsics, options: options.of_project() };
+    let inputs = project_inputs(splats, camera);
+    let tilt = options.along_rays().then(|| {
+        let tilt = Tensor::from_dispatch(<Dispatch as RaysBackend>::tilt(inputs.clone(), spec));
+        // For the affine projection it decides an order, which has no gradient.
+        if options.projection == Projection::Exact { tilt } else { tilt.detach() }
+    });
+    let packed = <Dispatch as SplatBackend>::project(inputs, probe.into_dispatch(), spec);
+    Ok(Projected { packed: Tensor::from_dispatch(packed), tilt, intrinsics: camera.intrinsics })
 }
 
 /// [`project`] and [`shade`] of `sh`, and of `matte` for the last Gaussians, in one, for a render: what cannot show in the
@@ -185,7 +199,7 @@ pub(crate) fn project_shade(
     };
     let spec = ProjectSpec { intrinsics: camera.intrinsics, options: *options };
     let out = <Dispatch as SplatBackend>::project_shade(inputs, probe.into_dispatch(), spec);
-    let projected = Projected { packed: Tensor::from_dispatch(out.packed), intrinsics: camera.intrinsics };
+    let projected = Projected { packed: Tensor::from_dispatch(out.packed), tilt: None, intrinsics: camera.intrinsics };
     Ok((projected, Tensor::from_dispatch(out.colours)))
 }
 
@@ -202,16 +216,20 @@ fn project_inputs(splats: &Splats, camera: &Camera) -> ProjectInputs<Dispatch> {
 /// Lists, for each 16 × 16 tile of the picture, the Gaussians that can show in it, front to back.
 ///
 /// # Errors
-/// If an option is out of range, or `options.alpha_min` is zero and there are more than [`crate::MAX_UNCUT_HITS`] pairs of a
-/// Gaussian and a tile.
+/// If an option is out of range, `projected` was not made for `options.projection` and `options.order`, or `options.alpha_min`
+/// is zero and there are more than [`crate::MAX_UNCUT_HITS`] pairs of a Gaussian and a tile.
 pub fn tile(projected: &Projected, options: &RenderOptions) -> Result<Tiles, SplatError> {
     options.check()?;
     let [tiles_x, tiles_y] = tile_grid(projected.intrinsics.width, projected.intrinsics.height);
     options.check_uncut(projected.len(), tiles_x * tiles_y)?;
+    check_rays(projected, options)?;
     check_fits(&projected.packed.device(), &[packed_need(projected.len())])?;
     let hits = HitCell::default();
     let spec = BlendSpec { intrinsics: projected.intrinsics, options: *options };
-    let packed = projected.packed.clone().detach().into_dispatch();
+    let mut packed = projected.packed.clone().detach().into_dispatch();
+    if let Some(tilt) = projected.tilt.clone().filter(|_| options.reaches_by_outline()) {
+        packed = <Dispatch as RaysBackend>::outline(packed, tilt.detach().into_dispatch(), spec);
+    }
     let counts = <Dispatch as SplatBackend>::tile(packed, spec, hits.clone());
     Ok(Tiles { counts: Tensor::from_dispatch(counts), hits })
 }
@@ -222,7 +240,8 @@ pub fn tile(projected: &Projected, options: &RenderOptions) -> Result<Tiles, Spl
 /// read.
 ///
 /// # Errors
-/// If a tensor's shape, type or device does not fit, or an option is out of range.
+/// If a tensor's shape, type or device does not fit, an option is out of range, or `projected` was not made for
+/// `options.projection` and `options.order`.
 pub fn blend(
     projected: &Projected,
     features: &Tensor<2>,
@@ -231,6 +250,7 @@ pub fn blend(
     options: &RenderOptions,
 ) -> Result<Picture, SplatError> {
     options.check()?;
+    check_rays(projected, options)?;
     let reference = Reference::new(&projected.packed)?;
     let count = projected.len();
     reference.check("features", features, [Some(count), None], "[N, C]")?;
@@ -251,14 +271,19 @@ pub fn blend(
     }
     reference.check_device("tiles", &tiles.counts.device())?;
     let spec = BlendSpec { intrinsics: projected.intrinsics, options: *options };
-    let inputs = BlendInputs {
-        projected: projected.packed.clone().into_dispatch(),
-        features: features.clone().into_dispatch(),
-        background: background.into_dispatch(),
-    };
+    let (packed, probe) = (projected.packed.clone().into_dispatch(), probe.into_dispatch());
+    let (features, background) = (features.clone().into_dispatch(), background.into_dispatch());
     let (counts, hits, parts) = (tiles.counts.clone().into_dispatch(), tiles.hits.clone(), PartsCell::default());
-    let planes =
-        <Dispatch as SplatBackend>::blend(inputs, probe.into_dispatch(), counts, spec, hits, None, parts.clone());
+    let planes = match &projected.tilt {
+        None => {
+            let inputs = BlendInputs { projected: packed, features, background };
+            <Dispatch as SplatBackend>::blend(inputs, probe, counts, spec, hits, None, parts.clone())
+        }
+        Some(tilt) => {
+            let inputs = RaysInputs { projected: packed, tilt: tilt.clone().into_dispatch(), features, background };
+            <Dispatch as RaysBackend>::rays(inputs, probe, counts, spec, hits, parts.clone())
+        }
+    };
     Ok(picture(&Tensor::from_dispatch(planes), channels, options.depth, &parts))
 }
 
@@ -285,7 +310,33 @@ fn check_geometry(splats: &Splats, camera: &Camera, options: &RenderOptions) -> 
     reference.check("scales", &splats.scales, [Some(count), Some(3)], "[N, 3]")?;
     reference.check("opacities", &splats.opacities, [Some(count)], "[N]")?;
     reference.check("cam_from_world", &camera.cam_from_world, [Some(3), Some(4)], "[3, 4]")?;
+    if options.along_rays() && camera.intrinsics.model != CameraModel::Pinhole {
+        let (found, expected) = (
+            format!("{:?}", camera.intrinsics.model),
+            "a pinhole, whose pixels see straight rays of \
+            one origin: undistort the photographs, or choose `Projection::Affine` and `Order::Centre`",
+        );
+        return Err(SplatError::Value { field: "camera model", found, expected });
+    }
     Ok(reference)
+}
+
+/// Refuses ellipses that lack what a render along rays needs, or have it for one that does not look along them.
+fn check_rays(projected: &Projected, options: &RenderOptions) -> Result<(), SplatError> {
+    let found = format!("{:?} with {:?}", options.projection, options.order);
+    match (options.along_rays(), projected.tilt.is_some()) {
+        (true, false) => Err(SplatError::Value {
+            field: "projection and order",
+            found,
+            expected: "Affine with Centre for ellipses that were packed from fields, or projected with these options",
+        }),
+        (false, true) => Err(SplatError::Value {
+            field: "projection and order",
+            found,
+            expected: "the options that the ellipses were projected with",
+        }),
+        _ => Ok(()),
+    }
 }
 
 /// Checks at once what all stages of a render of `cameras` pictures need, before the first of them runs.

@@ -2,7 +2,7 @@
 //! own: what is counted must be this test's alone.
 
 use burn::tensor::{DType, Tensor};
-use splat_op::{Extras, Intrinsics, RenderOptions, blend, project, shade, tile, witness};
+use splat_op::{Extras, Intrinsics, Order, Projection, RenderOptions, blend, project, shade, tile, witness};
 use splat_tests::gpu;
 use splat_tests::random::Random;
 use splat_tests::scene::{Scene, Tensors, host};
@@ -54,6 +54,22 @@ fn every_stage_executes_kernels_and_no_twin() {
     launched_after(host(picture.colour.clone()), || launched("blend"));
     let loss = picture.colour.sum().backward();
     launched_after(host(colours.grad(&loss).expect("tracked")), || launched("the backward pass of blend"));
+
+    let along_rays = options.with_projection(Projection::Exact).with_order(Order::PerPixel);
+    let Tensors { splats, camera, background, .. } = leaves();
+    let projected = project(&splats, &camera, None, &along_rays).expect("a valid scene");
+    let tiles = tile(&projected, &along_rays).expect("a valid scene");
+    let hits: i64 = tiles.counts.clone().into_data().iter::<i64>().sum();
+    assert!(hits > 0);
+    launched("tilt and its outlines");
+    let extras = Extras { background: Some(background), ..Extras::default() };
+    let colours = Tensor::from_data(colours.into_data(), &device);
+    let picture = blend(&projected, &colours, &tiles, &extras, &along_rays).expect("a valid scene");
+    launched_after(host(picture.colour.clone()), || launched("rays"));
+    let loss = picture.colour.sum().backward();
+    launched_after(host(splats.means.grad(&loss).expect("tracked")), || {
+        launched("the backward passes of rays and tilt")
+    });
     // The counter of twins counts.
     let Tensors { splats, camera, .. } = scene.tensors(&burn::tensor::Device::flex(), DType::F32);
     project(&splats, &camera, None, &options).expect("a valid scene");

@@ -9,7 +9,7 @@ use burn::backend::autodiff::checkpoint::strategy::CheckpointStrategy;
 use burn::backend::autodiff::grads::Gradients;
 use burn::backend::autodiff::ops::{Backward, Ops, OpsKind};
 use burn::backend::tensor::{FloatTensor, IntTensor};
-use burn::backend::{Autodiff, TensorMetadata};
+use burn::backend::{Autodiff, Backend, TensorMetadata};
 use burn::tensor::{Shape, Slice};
 
 use crate::blend::{BlendGrads, BlendInputs, BlendNeeds, BlendSpec, PartsCell, TraceCell};
@@ -20,14 +20,14 @@ use crate::shade::{ShadeGrads, ShadeInputs, ShadeNeeds};
 use crate::tile::HitCell;
 
 /// Hands a gradient to the parent that wants it.
-fn register<B: SplatBackend>(grads: &mut Gradients, parent: Option<NodeId>, slot: Slot<B>) {
+pub(super) fn register<B: SplatBackend>(grads: &mut Gradients, parent: Option<NodeId>, slot: Slot<B>) {
     if let (Some(parent), Slot::Have(grad)) = (parent, slot) {
         grads.register::<B>(parent, grad);
     }
 }
 
 /// A gradient as a constant of the autodiff backend.
-fn constant<B: SplatBackend, C: CheckpointStrategy>(slot: Slot<B>) -> Slot<Autodiff<B, C>> {
+pub(super) fn constant<B: SplatBackend, C: CheckpointStrategy>(slot: Slot<B>) -> Slot<Autodiff<B, C>> {
     match slot {
         Slot::Skip => Slot::Skip,
         Slot::Have(grad) => Slot::Have(FloatTensor::<Autodiff<B, C>>::new(grad)),
@@ -43,7 +43,9 @@ fn inner_slot<B: SplatBackend, C: CheckpointStrategy>(slot: &Slot<Autodiff<B, C>
 }
 
 /// The same for all gradients of `project`.
-fn constants<B: SplatBackend, C: CheckpointStrategy>(grads: ProjectGrads<B>) -> ProjectGrads<Autodiff<B, C>> {
+pub(super) fn constants<B: SplatBackend, C: CheckpointStrategy>(
+    grads: ProjectGrads<B>,
+) -> ProjectGrads<Autodiff<B, C>> {
     ProjectGrads {
         means: constant(grads.means),
         rotations: constant(grads.rotations),
@@ -54,8 +56,8 @@ fn constants<B: SplatBackend, C: CheckpointStrategy>(grads: ProjectGrads<B>) -> 
     }
 }
 
-impl<B: SplatBackend, C: CheckpointStrategy> ProjectInputs<Autodiff<B, C>> {
-    fn inner(&self) -> ProjectInputs<B> {
+impl<B: Backend, C: CheckpointStrategy> ProjectInputs<Autodiff<B, C>> {
+    pub(super) fn inner(&self) -> ProjectInputs<B> {
         ProjectInputs {
             means: self.means.primitive().clone(),
             rotations: self.rotations.primitive().clone(),
@@ -184,7 +186,11 @@ impl<B: SplatBackend> Backward<B, 1> for PartBackward {
 
 /// The gradient of the planes from those of the parts that have one: the part's own if that is all of the first `alone`
 /// planes, else all planes with zeros where no part is.
-fn planes_grad<B: SplatBackend>(parts: &PartsCell, planes: &FloatTensor<B>, alone: Option<usize>) -> FloatTensor<B> {
+pub(super) fn planes_grad<B: SplatBackend>(
+    parts: &PartsCell,
+    planes: &FloatTensor<B>,
+    alone: Option<usize>,
+) -> FloatTensor<B> {
     let mut found: Vec<(Range<usize>, FloatTensor<B>)> = Vec::new();
     for (range, grad) in parts.0.lock().unwrap_or_else(PoisonError::into_inner).drain(..) {
         let grad = grad.downcast::<FloatTensor<B>>().expect("parts are of the planes' backend");

@@ -18,19 +18,24 @@ use crate::tile::cpu::tile_cpu;
 use crate::tile::{Cut, HitCell, HitLists, Lists, tile_grid};
 
 /// A gradient as a tensor of the given shape, or nothing if it was not needed.
-fn slot<B: HostBackend, F: Real>(needed: bool, elements: Vec<F>, shape: &[usize], like: &FloatTensor<B>) -> Slot<B> {
+pub(super) fn slot<B: HostBackend, F: Real>(
+    needed: bool,
+    elements: Vec<F>,
+    shape: &[usize],
+    like: &FloatTensor<B>,
+) -> Slot<B> {
     if needed { Slot::Have(B::from_host(elements, shape, like)) } else { Slot::Skip }
 }
 
-struct ProjectHost<F: Real>([Host<F>; 5]);
+pub(super) struct ProjectHost<F: Real>([Host<F>; 5]);
 
 impl<F: Real> ProjectHost<F> {
-    fn read<B: HostBackend>(inputs: &ProjectInputs<B>) -> Self {
+    pub fn read<B: HostBackend>(inputs: &ProjectInputs<B>) -> Self {
         let ProjectInputs { means, rotations, scales, opacities, cam_from_world } = inputs;
         Self([means, rotations, scales, opacities, cam_from_world].map(|tensor| B::host(tensor.clone())))
     }
 
-    fn inputs(&self) -> project::cpu::Inputs<'_, F> {
+    pub fn inputs(&self) -> project::cpu::Inputs<'_, F> {
         let [means, rotations, scales, opacities, cam_from_world] = &self.0;
         project::cpu::Inputs { means, rotations, scales, opacities, cam_from_world }
     }
@@ -55,7 +60,7 @@ fn project_backward<B: HostBackend, F: Real>(
 }
 
 /// The gradients of `count` Gaussians as tensors.
-fn project_grads<B: HostBackend, F: Real>(
+pub(super) fn project_grads<B: HostBackend, F: Real>(
     g: project::cpu::Grads<F>,
     needs: ProjectNeeds,
     count: usize,
@@ -158,8 +163,12 @@ fn project_shade_backward<B: HostBackend, F: Real>(
 
 /// The lists in the cell, computed now if nobody has yet.
 fn hit_lists<'a, F: Real>(cell: &'a HitCell, projected: &[F], spec: &BlendSpec) -> &'a HitLists {
-    let lists = cell.0.get_or_init(|| Lists::Host(tile_cpu(projected, &spec.intrinsics, Cut::of(&spec.options))));
-    match lists {
+    hit_lists_by(cell, || tile_cpu(projected, &spec.intrinsics, Cut::of(&spec.options)))
+}
+
+/// The lists in the cell, or those that `compute` makes.
+pub(super) fn hit_lists_by(cell: &HitCell, compute: impl FnOnce() -> HitLists) -> &HitLists {
+    match cell.0.get_or_init(|| Lists::Host(compute())) {
         Lists::Host(lists) => lists,
         #[cfg(feature = "cube")]
         Lists::Device(_) => unreachable!("the public functions check that lists and ellipses are on one device"),

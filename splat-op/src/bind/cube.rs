@@ -54,7 +54,7 @@ pub(crate) fn scaled(values: CubeTensor, factor: CubeTensor) -> CubeTensor {
     values
 }
 
-fn slot(grad: Option<Buffer<f32>>, shape: impl Into<Shape>, like: &CubeTensor) -> Slot<CubeBackend> {
+pub(super) fn slot(grad: Option<Buffer<f32>>, shape: impl Into<Shape>, like: &CubeTensor) -> Slot<CubeBackend> {
     match grad {
         None => Slot::Skip,
         Some(grad) => Slot::Have(tensor(grad, shape, DType::F32, like)),
@@ -62,7 +62,7 @@ fn slot(grad: Option<Buffer<f32>>, shape: impl Into<Shape>, like: &CubeTensor) -
 }
 
 impl ProjectInputs<CubeBackend> {
-    fn on_device(&self) -> project::launch::DeviceInputs {
+    pub(super) fn on_device(&self) -> project::launch::DeviceInputs {
         project::launch::DeviceInputs {
             means: buffer(self.means.clone()),
             rotations: buffer(self.rotations.clone()),
@@ -74,7 +74,11 @@ impl ProjectInputs<CubeBackend> {
 }
 
 /// The gradients of `count` Gaussians as tensors.
-fn project_grads(g: project::launch::DeviceGrads, count: usize, like: &CubeTensor) -> ProjectGrads<CubeBackend> {
+pub(super) fn project_grads(
+    g: project::launch::DeviceGrads,
+    count: usize,
+    like: &CubeTensor,
+) -> ProjectGrads<CubeBackend> {
     ProjectGrads {
         means: slot(g.means, [count, 3], like),
         rotations: slot(g.rotations, [count, 4], like),
@@ -117,8 +121,12 @@ impl BlendInputs<CubeBackend> {
 
 /// The lists in the cell, computed now if nobody has yet.
 fn lists<'a>(gpu: &Gpu, cell: &'a HitCell, projected: &Buffer<f32>, spec: &BlendSpec) -> &'a DeviceLists {
-    let compute = || Lists::Device(Box::new(launch_tile(gpu, projected, &spec.intrinsics, Cut::of(&spec.options))));
-    match cell.0.get_or_init(compute) {
+    lists_by(cell, || launch_tile(gpu, projected, &spec.intrinsics, Cut::of(&spec.options)))
+}
+
+/// The lists in the cell, or those that `compute` makes.
+pub(super) fn lists_by(cell: &HitCell, compute: impl FnOnce() -> DeviceLists) -> &DeviceLists {
+    match cell.0.get_or_init(|| Lists::Device(Box::new(compute()))) {
         Lists::Device(lists) => lists,
         Lists::Host(_) => unreachable!("the public functions check that lists and ellipses are on one device"),
     }

@@ -10,8 +10,10 @@ use crate::project::{COLUMNS, ProjectGradsMetadata, ProjectInputsMetadata, Proje
 use crate::project_shade::{
     ProjectShadeGradsMetadata, ProjectShadeInputsMetadata, ProjectShadeNeeds, ProjectedColoursMetadata,
 };
+use crate::rays::{RaysGradsMetadata, RaysInputsMetadata, RaysNeeds};
 use crate::shade::{ShadeGradsMetadata, ShadeInputsMetadata, ShadeNeeds};
 use crate::tile::{HitCell, tile_grid};
+use crate::tilt::TILT;
 
 /// A gradient of the shape of `like`, if it is needed.
 fn slot(needed: bool, like: &TensorSpec) -> SlotMetadata {
@@ -116,6 +118,48 @@ pub(crate) fn blend_backward(
 ) -> BlendGradsMetadata {
     BlendGradsMetadata {
         projected: slot(needs.projected, &inputs.projected),
+        features: slot(needs.features, &inputs.features),
+        background: slot(needs.background, &inputs.background),
+        mean2d_abs: slot(needs.mean2d_abs, &float([inputs.projected.shape[0], 2], &inputs.projected)),
+    }
+}
+
+pub(crate) fn tilt(inputs: &ProjectInputsMetadata, _: &ProjectSpec) -> TensorSpec {
+    float([inputs.opacities.shape[0], TILT], &inputs.means)
+}
+
+pub(crate) fn tilt_backward(
+    inputs: &ProjectInputsMetadata,
+    grad: &TensorSpec,
+    spec: &ProjectSpec,
+    needs: &ProjectNeeds,
+) -> ProjectGradsMetadata {
+    project_backward(inputs, grad, spec, needs)
+}
+
+pub(crate) fn rays(
+    inputs: &RaysInputsMetadata,
+    _: &TensorSpec,
+    _: &TensorSpec,
+    spec: &BlendSpec,
+    _: &HitCell,
+    _: &PartsCell,
+) -> TensorSpec {
+    let planes = spec.planes(inputs.background.shape[0]);
+    float([planes, spec.intrinsics.height, spec.intrinsics.width], &inputs.projected)
+}
+
+pub(crate) fn rays_backward(
+    inputs: &RaysInputsMetadata,
+    _: &TensorSpec,
+    _: &TensorSpec,
+    _: &BlendSpec,
+    needs: &RaysNeeds,
+    _: &HitCell,
+) -> RaysGradsMetadata {
+    RaysGradsMetadata {
+        projected: slot(needs.projected, &inputs.projected),
+        tilt: slot(needs.tilt, &inputs.tilt),
         features: slot(needs.features, &inputs.features),
         background: slot(needs.background, &inputs.background),
         mean2d_abs: slot(needs.mean2d_abs, &float([inputs.projected.shape[0], 2], &inputs.projected)),

@@ -9,3 +9,7 @@ pub(crate) mod cube;
 #[cfg(feature = "fusion")]
 pub(crate) mod fusion;
 pub(crate) mod host;
+pub(crate) mod rays;
+mod rays_autodiff;
+#[cfg(feature = "cube")]
+mod rays_cube;

@@ -57,7 +57,7 @@ fn factor_backward(f: &Projection, lens: &Lens, opacity: f32, grad: &Packed) -> 
 /// Gradients of `W R` and of the centre in the camera's frame.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
-pub(super) struct SeenGrad {
+pub(crate) struct SeenGrad {
     pub turned: Mat3,
     pub centre: Vec3,
 }
@@ -85,7 +85,7 @@ fn row_backward(f: &Projection, row: &Row, axis: &Axis, grad_j: Vec3, grad_mean_
 
 /// From gradients of the rows of `J W R` and of the ellipse.
 #[cube]
-fn seen_backward(p: &Projection, lens: &Lens, grad_j: (Vec3, Vec3), grad: &Packed) -> SeenGrad {
+pub(crate) fn seen_backward(p: &Projection, lens: &Lens, grad_j: (Vec3, Vec3), grad: &Packed) -> SeenGrad {
     #[comptime]
     match p.bent {
         ComptimeOption::Some(bent) => bent_backward(&bent, lens, grad_j, grad),
@@ -260,7 +260,13 @@ pub(super) fn project_backward_kernel(
 
 /// Writes the sum over the cube's units to its row.
 #[cube]
-fn store_sum(value: f32, rows: &mut [f32], column: usize, shared: &mut Shared<[f32]>, #[comptime] planes: bool) {
+pub(crate) fn store_sum(
+    value: f32,
+    rows: &mut [f32],
+    column: usize,
+    shared: &mut Shared<[f32]>,
+    #[comptime] planes: bool,
+) {
     let sum = cube_sum(value, shared, planes);
     if UNIT_POS == 0 {
         rows[CUBE_POS * comptime!(POSE) + column] = sum;

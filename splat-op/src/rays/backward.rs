@@ -1,0 +1,318 @@
+//! The kernels of `rays`, backwards. No float is added to by two units, so the same bits come out in every run.
+//!
+//! 1. *Walk*, a cube per tile, a unit per pixel: front to back as the forward pass, leaving at each layer the transmittance
+//!    before it and which layer was the one before; then back along these links, replacing them by `h = α ∂L/∂α` and by the
+//!    weight `α T`. These two lie in a table `[places, 256, 2]` of all layers and pixels of some tiles; for many tiles there are
+//!    several launches, so that it does not grow with the picture.
+//! 2. *Sums*, a unit per place of these tiles: its row, the sums over the tile's pixels.
+//! 3. *Gather*, a unit per Gaussian: its rows, in the order of its hits, become gradients.
+
+use cubecl::prelude::*;
+
+use super::SUMS;
+use super::layer::{CHUNK, Footprint, Pixel, View, Walk};
+use crate::gpu::UNITS;
+use crate::gpu::reduce::cube_sum;
+use crate::project::COLUMNS;
+use crate::tile::TILE_PIXELS;
+use crate::tilt::TILT;
+
+/// Numbers of a row: the sums, one for each channel, and the two absolute ones.
+pub(super) const fn row_len(channels: usize, absolute: bool) -> usize {
+    SUMS + channels + if absolute { 2 } else { 0 }
+}
+
+/// Fills the table, as bits, and `left`, `[H W]`, with the transmittances behind all layers.
+#[cube(launch_unchecked)]
+pub(super) fn rays_walk_kernel(
+    projected: &[f32],
+    tilts: &[f32],
+    features: &[f32],
+    background: &[f32],
+    grad: &[f32],
+    tile_start: &[u32],
+    hit_of_place: &[u32],
+    gaussian_of_hit: &[u32],
+    table: &mut [u32],
+    left: &mut [f32],
+    view: View,
+) {
+    let tile = view.first_tile + CUBE_POS as u32;
+    if tile < view.end_tile {
+        let unit = UNIT_POS % comptime!(TILE_PIXELS as u32);
+        let pixel = Pixel::of(tile, unit, &view);
+        let plane = (view.width * view.height) as usize;
+        let channels = view.features as usize;
+        let first = tile_start[tile as usize];
+        let places = tile_start[tile as usize + 1] - first;
+        // Where this unit's two numbers of the tile's first place lie.
+        let own =
+            (first - tile_start[view.first_tile as usize]) as usize * comptime!(2 * TILE_PIXELS) + 2 * unit as usize;
+        for place in 0..places {
+            let at = own + place as usize * comptime!(2 * TILE_PIXELS);
+            table[at] = 0u32;
+            table[at + 1] = 0u32;
+        }
+        if pixel.inside {
+            let mut transmittance = 1.0f32;
+            // One more than the place of the last layer; zero where there is none.
+            let mut link = 0u32;
+            let mut walk = Walk::new();
+            let mut open = true;
+            while open {
+                let count = walk.advance(projected, tilts, hit_of_place, gaussian_of_hit, first, places, &pixel, &view);
+                for i in 0..count {
+                    if open {
+                        let alpha = walk.alphas[i as usize];
+                        let behind = fma(-alpha, transmittance, transmittance);
+                        open = behind > view.transmittance_min;
+                        if open {
+                            let place = walk.places[i as usize];
+                            let at = own + place as usize * comptime!(2 * TILE_PIXELS);
+                            table[at] = u32::reinterpret(transmittance);
+                            table[at + 1] = link;
+                            link = place + 1;
+                            transmittance = behind;
+                        }
+                    }
+                }
+                open = open && count == comptime!(CHUNK as u32);
+            }
+            left[pixel.index] = transmittance;
+
+            // What is seen behind, as far as the gradient cares: g·R.
+            let mut behind = 0.0f32;
+            for channel in 0..channels {
+                behind += grad[channel * plane + pixel.index] * background[channel];
+            }
+            let grad_alpha = grad[channels * plane + pixel.index];
+            let mut grad_depth = 0.0f32;
+            if comptime!(view.depth) {
+                grad_depth = grad[(channels + 1) * plane + pixel.index];
+            }
+            while link > 0 {
+                let place = link - 1;
+                let at = own + place as usize * comptime!(2 * TILE_PIXELS);
+                let before = f32::reinterpret(table[at]);
+                link = table[at + 1];
+                let gaussian = gaussian_of_hit[hit_of_place[(first + place) as usize] as usize] as usize;
+                let footprint = Footprint::load(projected, tilts, gaussian);
+                let layer = footprint.at(pixel.x, pixel.y, &view);
+                // Alpha is one more channel, of colour one.
+                let mut here = grad_alpha + grad_depth * footprint.depth_of(&layer, &view);
+                for channel in 0..channels {
+                    here += grad[channel * plane + pixel.index] * features[gaussian * channels + channel];
+                }
+                let h = select(layer.free, layer.alpha * before * (here - behind), 0.0);
+                behind = layer.alpha * here + (1.0 - layer.alpha) * behind;
+                table[at] = u32::reinterpret(h);
+                table[at + 1] = u32::reinterpret(layer.alpha * before);
+            }
+        }
+    }
+}
+
+/// The tile whose list holds a place: the last one that begins at or before it.
+#[cube]
+fn tile_of_place(tile_start: &[u32], view: &View, place: u32) -> u32 {
+    let mut low = view.first_tile;
+    let mut high = view.end_tile;
+    while high - low > 1 {
+        let middle = low + (high - low) / 2;
+        if tile_start[middle as usize] <= place {
+            low = middle;
+        } else {
+            high = middle;
+        }
+    }
+    low
+}
+
+/// Writes the rows, `[H, row]`, of the hits of some tiles.
+#[cube(launch_unchecked)]
+pub(super) fn rays_sums_kernel(
+    projected: &[f32],
+    tilts: &[f32],
+    grad: &[f32],
+    tile_start: &[u32],
+    hit_of_place: &[u32],
+    gaussian_of_hit: &[u32],
+    table: &[u32],
+    rows: &mut [f32],
+    view: View,
+    #[comptime] absolute: bool,
+) {
+    let start = tile_start[view.first_tile as usize];
+    let place = start + ABSOLUTE_POS as u32;
+    if place < tile_start[view.end_tile as usize] {
+        let tile = tile_of_place(tile_start, &view, place);
+        let hit = hit_of_place[place as usize];
+        let footprint = Footprint::load(projected, tilts, gaussian_of_hit[hit as usize] as usize);
+        let plane = (view.width * view.height) as usize;
+        let channels = view.features as usize;
+        let own = ABSOLUTE_POS * comptime!(2 * TILE_PIXELS);
+        let mut sums = Array::<f32>::new(comptime!(SUMS));
+        #[unroll]
+        for column in 0..comptime!(SUMS) {
+            sums[column] = 0.0f32;
+        }
+        let mut absolute_x = 0.0f32;
+        let mut absolute_y = 0.0f32;
+        for unit in 0..comptime!(TILE_PIXELS as u32) {
+            let weight = f32::reinterpret(table[own + 2 * unit as usize + 1]);
+            if weight > 0.0 {
+                let pixel = Pixel::of(tile, unit, &view);
+                let layer = footprint.at(pixel.x, pixel.y, &view);
+                let (u, v) = (layer.u, layer.v);
+                let h = f32::reinterpret(table[own + 2 * unit as usize]);
+                let mut seen = 0.0f32;
+                if comptime!(view.depth) {
+                    seen = weight * grad[(channels + 1) * plane + pixel.index];
+                }
+                let mut p = -(h * u);
+                let mut q = -(h * v);
+                if comptime!(view.exact) {
+                    let (exponent, lambda, phi) = (layer.exponent, layer.lambda, layer.phi);
+                    let of_lambda = seen * footprint.depth;
+                    let kappa = 2.0 * exponent * phi - lambda * lambda;
+                    // By how much E and λ change along (u, v), and along the tilt.
+                    let radial = -(h * lambda * lambda + of_lambda * 2.0 * lambda * phi);
+                    let across = -(h * 2.0 * exponent * lambda + of_lambda * kappa);
+                    p = radial * u + across * footprint.tilt_u;
+                    q = radial * v + across * footprint.tilt_v;
+                    sums[6] += across * u;
+                    sums[7] += across * v;
+                    sums[8] += 4.0 * exponent * footprint.thickness * (h * exponent - of_lambda * lambda);
+                    seen *= lambda;
+                }
+                sums[0] += h;
+                sums[1] += p;
+                sums[2] += q;
+                sums[3] += p * u;
+                sums[4] += q * u;
+                sums[5] += q * v;
+                sums[9] += seen;
+                if comptime!(absolute) {
+                    let per_v = q / footprint.sigma_v;
+                    absolute_x += (footprint.shear * per_v - p / footprint.sigma_u).abs();
+                    absolute_y += per_v.abs();
+                }
+            }
+        }
+        let at = hit as usize * (comptime!(row_len(0, absolute)) + channels);
+        #[unroll]
+        for column in 0..comptime!(SUMS) {
+            rows[at + column] = sums[column];
+        }
+        for channel in 0..channels {
+            let mut sum = 0.0f32;
+            for unit in 0..comptime!(TILE_PIXELS as u32) {
+                let weight = f32::reinterpret(table[own + 2 * unit as usize + 1]);
+                if weight > 0.0 {
+                    sum += weight * grad[channel * plane + Pixel::of(tile, unit, &view).index];
+                }
+            }
+            rows[at + comptime!(SUMS) + channel] = sum;
+        }
+        if comptime!(absolute) {
+            rows[at + comptime!(SUMS) + channels] = absolute_x;
+            rows[at + comptime!(SUMS) + channels + 1] = absolute_y;
+        }
+    }
+}
+
+/// Sums of one column of a Gaussian's rows.
+#[cube]
+fn column_sum(rows: &[f32], first: u32, end: u32, columns: usize, column: usize) -> f32 {
+    let mut sum = 0.0f32;
+    for hit in first..end {
+        sum += rows[hit as usize * columns + column];
+    }
+    sum
+}
+
+/// From rows to gradients, as the twin has them. Gaussians without hits are left as they are: the gradients must hold zeros
+/// before.
+#[cube(launch_unchecked)]
+pub(super) fn rays_gather_kernel(
+    projected: &[f32],
+    order: &[u32],
+    first_hit: &[u32],
+    rows: &[f32],
+    grad_projected: &mut [f32],
+    grad_tilts: &mut [f32],
+    grad_features: &mut [f32],
+    grad_absolute: &mut [f32],
+    visible: u32,
+    hits: u32,
+    features: u32,
+    #[comptime] wanted: (bool, bool, bool),
+    #[comptime] absolute: bool,
+) {
+    let rank = ABSOLUTE_POS;
+    if rank < visible as usize {
+        let gaussian = order[rank] as usize;
+        let first = first_hit[rank];
+        let mut end = hits;
+        if rank + 1 < visible as usize {
+            end = first_hit[rank + 1];
+        }
+        let channels = features as usize;
+        let columns = comptime!(row_len(0, absolute)) + channels;
+        if comptime!(wanted.0) {
+            let at = gaussian * comptime!(COLUMNS);
+            let sigma_u = projected[at + 2];
+            let shear = projected[at + 3];
+            let sigma_v = projected[at + 4];
+            let per_v = column_sum(rows, first, end, columns, 2) / sigma_v;
+            grad_projected[at] = shear * per_v - column_sum(rows, first, end, columns, 1) / sigma_u;
+            grad_projected[at + 1] = -per_v;
+            grad_projected[at + 2] = -(column_sum(rows, first, end, columns, 3) / sigma_u);
+            grad_projected[at + 3] = -(column_sum(rows, first, end, columns, 4) * (sigma_u / sigma_v));
+            grad_projected[at + 4] = -(column_sum(rows, first, end, columns, 5) / sigma_v);
+            grad_projected[at + 5] = column_sum(rows, first, end, columns, 9);
+            grad_projected[at + 6] = column_sum(rows, first, end, columns, 0) / projected[at + 6];
+        }
+        if comptime!(wanted.1) {
+            #[unroll]
+            for k in 0..comptime!(TILT) {
+                grad_tilts[gaussian * comptime!(TILT) + k] = column_sum(rows, first, end, columns, comptime!(6 + k));
+            }
+        }
+        if comptime!(wanted.2) {
+            for channel in 0..channels {
+                grad_features[gaussian * channels + channel] =
+                    column_sum(rows, first, end, columns, comptime!(SUMS) + channel);
+            }
+        }
+        if comptime!(absolute) {
+            grad_absolute[2 * gaussian] = column_sum(rows, first, end, columns, comptime!(SUMS) + channels);
+            grad_absolute[2 * gaussian + 1] = column_sum(rows, first, end, columns, comptime!(SUMS + 1) + channels);
+        }
+    }
+}
+
+/// `sums[channel] = Σ grad left`, a cube per channel, in a fixed order.
+#[cube(launch_unchecked)]
+pub(super) fn rays_background_kernel(
+    grad: &[f32],
+    left: &[f32],
+    sums: &mut [f32],
+    pixels: u32,
+    channels: u32,
+    #[comptime] planes: bool,
+) {
+    let mut shared = Shared::<[f32]>::new_slice(comptime!(UNITS));
+    if CUBE_POS < channels as usize {
+        let mut own = 0.0f32;
+        let mut pixel = UNIT_POS;
+        while pixel < pixels {
+            own += grad[CUBE_POS * pixels as usize + pixel as usize] * left[pixel as usize];
+            pixel += comptime!(UNITS as u32);
+        }
+        let total = cube_sum(own, &mut shared, planes);
+        if UNIT_POS == 0 {
+            sums[CUBE_POS] = total;
+        }
+    }
+}

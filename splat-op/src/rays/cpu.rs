@@ -1,0 +1,235 @@
+//! The CPU twin of `rays`: both passes, parallel over tiles. Each hit's gradient has a place of its own; a Gaussian's are added
+//! in a fixed order, so the number of threads never changes a result.
+
+use rayon::prelude::*;
+
+use super::pixel::{Footprint, Layer, Rules, look};
+use super::{RaysNeeds, SUMS};
+use crate::blend::BlendSpec;
+use crate::project::{COLUMNS, Ellipse};
+use crate::real::Real;
+use crate::tile::{HitLists, TILE, tile_grid};
+use crate::tilt::TILT;
+
+/// Borrowed inputs, row-major.
+#[derive(Clone, Copy)]
+pub(crate) struct Inputs<'a, F> {
+    pub projected: &'a [F],
+    pub tilt: &'a [F],
+    pub features: &'a [F],
+    pub background: &'a [F],
+}
+
+/// Gradients; an empty vector where none was asked for.
+pub(crate) struct Grads<F> {
+    pub projected: Vec<F>,
+    pub tilt: Vec<F>,
+    pub features: Vec<F>,
+    pub background: Vec<F>,
+    pub mean2d_abs: Vec<F>,
+}
+
+/// A view, prepared for its pixels.
+struct View<'a, F> {
+    inputs: Inputs<'a, F>,
+    footprints: Vec<Footprint<F>>,
+    rules: Rules<F>,
+    hits: &'a HitLists,
+    size: [usize; 2],
+    /// Features.
+    channels: usize,
+    depth: bool,
+}
+
+impl<'a, F: Real> View<'a, F> {
+    fn new(inputs: Inputs<'a, F>, spec: &BlendSpec, hits: &'a HitLists) -> Self {
+        let rules = Rules::new(&spec.options);
+        let rows = inputs.projected.chunks_exact(COLUMNS).zip(inputs.tilt.chunks_exact(TILT));
+        Self {
+            inputs,
+            footprints: rows.map(|(row, tilt)| Footprint::new(row, tilt, &rules)).collect(),
+            rules,
+            hits,
+            size: [spec.intrinsics.width, spec.intrinsics.height],
+            channels: inputs.background.len(),
+            depth: spec.options.depth,
+        }
+    }
+
+    fn tiles(&self) -> usize {
+        self.hits.tile_start.len() - 1
+    }
+
+    fn gaussians(&self, tile: usize) -> &'a [u32] {
+        &self.hits.gaussian[self.hits.tile_start[tile]..self.hits.tile_start[tile + 1]]
+    }
+
+    /// The pixels of a tile, by their index in the picture.
+    fn pixels(&self, tile: usize) -> impl Iterator<Item = usize> {
+        let [width, height] = self.size;
+        let across = tile_grid(width, height)[0];
+        let (left, top) = (tile % across * TILE, tile / across * TILE);
+        (top..height.min(top + TILE)).flat_map(move |y| (left..width.min(left + TILE)).map(move |x| y * width + x))
+    }
+
+    fn centre(&self, pixel: usize) -> [F; 2] {
+        [pixel % self.size[0], pixel / self.size[0]].map(|px| F::of(px as f64 + 0.5))
+    }
+
+    fn feature(&self, gaussian: u32) -> &'a [F] {
+        &self.inputs.features[gaussian as usize * self.channels..][..self.channels]
+    }
+
+    fn planes(&self) -> usize {
+        self.channels + 1 + usize::from(self.depth)
+    }
+}
+
+/// Planes `[C + 1 (+ 1), H, W]`.
+pub(crate) fn rays_cpu<F: Real>(inputs: Inputs<F>, spec: &BlendSpec, hits: &HitLists) -> Vec<F> {
+    let view = View::new(inputs, spec, hits);
+    let (count, pixels) = (view.planes(), view.size[0] * view.size[1]);
+    let of_tile = |layers: &mut Vec<Layer<F>>, tile: usize| -> Vec<F> {
+        let mut values = Vec::new();
+        for pixel in view.pixels(tile) {
+            let left = look(&view.footprints, view.gaussians(tile), view.centre(pixel), &view.rules, layers);
+            let first = values.len();
+            values.resize(first + count, F::ZERO);
+            let out = &mut values[first..];
+            for layer in layers.iter() {
+                let weight = layer.alpha * layer.before;
+                let feature = view.feature(layer.gaussian);
+                out.iter_mut().zip(feature).for_each(|(sum, value)| *sum += weight * *value);
+                if view.depth {
+                    let footprint = &view.footprints[layer.gaussian as usize];
+                    out[view.channels + 1] += weight * layer.depth(footprint, &view.rules);
+                }
+            }
+            out.iter_mut().zip(inputs.background).for_each(|(sum, value)| *sum += left * *value);
+            out[view.channels] = F::ONE - left;
+        }
+        values
+    };
+    let by_tile: Vec<Vec<F>> = (0..view.tiles()).into_par_iter().map_init(Vec::new, of_tile).collect();
+    let mut planes = vec![F::ZERO; count * pixels];
+    for (tile, values) in by_tile.iter().enumerate() {
+        for (pixel, values) in view.pixels(tile).zip(values.chunks_exact(count)) {
+            values.iter().enumerate().for_each(|(plane, value)| planes[plane * pixels + pixel] = *value);
+        }
+    }
+    planes
+}
+
+/// Gradients of the inputs from `grad`, that of the planes.
+pub(crate) fn rays_backward_cpu<F: Real>(
+    inputs: Inputs<F>,
+    grad: &[F],
+    spec: &BlendSpec,
+    hits: &HitLists,
+    needs: RaysNeeds,
+) -> Grads<F> {
+    let view = View::new(inputs, spec, hits);
+    let columns = SUMS + view.channels + if needs.mean2d_abs { 2 } else { 0 };
+    let mut rows = vec![F::ZERO; hits.gaussian.len() * columns];
+    let tasks: Vec<&mut [F]> = {
+        let mut rest = rows.as_mut_slice();
+        let ends = hits.tile_start.windows(2).map(|w| w[1] - w[0]);
+        ends.map(|count| rest.split_off_mut(..count * columns).expect("as many hits as their lists")).collect()
+    };
+    let background: Vec<Vec<F>> = tasks
+        .into_par_iter()
+        .enumerate()
+        .map_init(Vec::new, |layers, (tile, rows)| tile_backward(&view, grad, tile, (rows, columns), layers))
+        .collect();
+    let mut grads = gather(&view, &rows, columns, needs);
+    if needs.background {
+        grads.background = vec![F::ZERO; view.channels];
+        for part in background {
+            grads.background.iter_mut().zip(part).for_each(|(sum, value)| *sum += value);
+        }
+    }
+    grads
+}
+
+/// Adds to a tile's rows, one per hit, and returns its share of the background's gradient.
+fn tile_backward<F: Real>(
+    view: &View<F>,
+    grad: &[F],
+    tile: usize,
+    (rows, columns): (&mut [F], usize),
+    layers: &mut Vec<Layer<F>>,
+) -> Vec<F> {
+    let (channels, pixels) = (view.channels, view.size[0] * view.size[1]);
+    let mut background = vec![F::ZERO; channels];
+    let mut own = vec![F::ZERO; channels];
+    for pixel in view.pixels(tile) {
+        let left = look(&view.footprints, view.gaussians(tile), view.centre(pixel), &view.rules, layers);
+        own.iter_mut().enumerate().for_each(|(plane, own)| *own = grad[plane * pixels + pixel]);
+        let grad_alpha = grad[channels * pixels + pixel];
+        let grad_depth = if view.depth { grad[(channels + 1) * pixels + pixel] } else { F::ZERO };
+        let along = |feature: &[F]| own.iter().zip(feature).map(|(g, c)| *g * *c).sum::<F>();
+        // What is seen behind, as far as the gradient cares: g·R.
+        let mut behind = along(view.inputs.background);
+        for layer in layers.iter().rev() {
+            let footprint = &view.footprints[layer.gaussian as usize];
+            let depth = layer.depth(footprint, &view.rules);
+            // Alpha is one more channel, of colour one.
+            let here = along(view.feature(layer.gaussian)) + grad_alpha + grad_depth * depth;
+            let found = layer.backward(footprint, &view.rules, layer.before * (here - behind), grad_depth);
+            behind = layer.alpha * here + (F::ONE - layer.alpha) * behind;
+            let row = &mut rows[layer.place * columns..(layer.place + 1) * columns];
+            row.iter_mut().zip(found.sums).for_each(|(sum, value)| *sum += value);
+            row[SUMS..].iter_mut().zip(&own).for_each(|(sum, g)| *sum += found.weight * *g);
+            row[SUMS + channels..].iter_mut().zip(found.mean2d).for_each(|(sum, value)| *sum += value.abs());
+        }
+        background.iter_mut().zip(&own).for_each(|(sum, g)| *sum += *g * left);
+    }
+    background
+}
+
+/// Adds each Gaussian's rows in order and turns the sums into gradients. Not in parallel: there is little to do beside the
+/// pixels' work.
+fn gather<F: Real>(view: &View<F>, rows: &[F], columns: usize, needs: RaysNeeds) -> Grads<F> {
+    let (count, channels, hits) = (view.footprints.len(), view.channels, view.hits);
+    let zeros = |needed: bool, columns: usize| vec![F::ZERO; if needed { count * columns } else { 0 }];
+    let mut grads = Grads {
+        projected: zeros(needs.projected, COLUMNS),
+        tilt: zeros(needs.tilt, TILT),
+        features: zeros(needs.features, channels),
+        background: Vec::new(),
+        mean2d_abs: zeros(needs.mean2d_abs, 2),
+    };
+    let mut sums = vec![F::ZERO; columns];
+    for (visible, &gaussian) in hits.visible.iter().enumerate() {
+        sums.fill(F::ZERO);
+        let range = hits.visible_start[visible] as usize..hits.visible_start[visible + 1] as usize;
+        for &hit in &hits.hit_of_visible[range] {
+            let row = &rows[hit as usize * columns..(hit as usize + 1) * columns];
+            sums.iter_mut().zip(row).for_each(|(sum, value)| *sum += *value);
+        }
+        let (i, e) = (gaussian as usize, &view.footprints[gaussian as usize].ellipse);
+        if needs.projected {
+            let [h, p, q, pu, qu, qv] = [0, 1, 2, 3, 4, 5].map(|column| sums[column]);
+            let per_v = q / e.sigma_v;
+            let grad = Ellipse {
+                mean_px: [e.shear * per_v - p / e.sigma_u, -per_v],
+                sigma_u: -(pu / e.sigma_u),
+                shear: -(qu * (e.sigma_u / e.sigma_v)),
+                sigma_v: -(qv / e.sigma_v),
+                depth: sums[9],
+                opacity: h / e.opacity,
+            };
+            grads.projected[i * COLUMNS..(i + 1) * COLUMNS].copy_from_slice(&grad.to_row());
+        }
+        if needs.tilt {
+            grads.tilt[i * TILT..(i + 1) * TILT].copy_from_slice(&sums[6..6 + TILT]);
+        }
+        if needs.features {
+            grads.features[i * channels..(i + 1) * channels].copy_from_slice(&sums[SUMS..SUMS + channels]);
+        }
+        if needs.mean2d_abs {
+            grads.mean2d_abs[2 * i..2 * i + 2].copy_from_slice(&sums[SUMS + channels..]);
+        }
+    }
+    grads
+}

@@ -1,0 +1,265 @@
+//! Kernels of `rays` against the CPU twin in f64, within what f32 can hold.
+
+use super::RaysNeeds;
+use super::cpu::{Grads, Inputs, rays_backward_cpu, rays_cpu};
+use super::launch::{DeviceGrads, DeviceInputs, launch_rays, launch_rays_backward_by};
+use super::pixel::{Footprint, Rules, look};
+use crate::blend::BlendSpec;
+use crate::camera::Intrinsics;
+use crate::gpu::{Buffer, Gpu};
+use crate::options::{Order, Projection, RenderOptions};
+use crate::project::COLUMNS;
+use crate::testing::ceiling::{Yardstick, rounded, to_f32};
+use crate::testing::ellipses::ellipses;
+use crate::testing::gpu::{gpu, gpus};
+use crate::testing::random::Random;
+use crate::tile::HitLists;
+use crate::tile::cpu::tile_cpu;
+use crate::tile::launch::{DeviceLists, launch_tile};
+use crate::tilt::launch::launch_outline;
+use crate::tilt::{TILT, outline_cpu};
+
+const ALL: RaysNeeds = RaysNeeds { projected: true, tilt: true, features: true, background: true, mean2d_abs: true };
+
+const CHOICES: [(Projection, Order); 3] =
+    [(Projection::Exact, Order::Centre), (Projection::Affine, Order::PerPixel), (Projection::Exact, Order::PerPixel)];
+
+/// Relative distance of two keys below which rounding may exchange them.
+const NEAR: f64 = 2e-5;
+
+/// Projected, tilts, features, background.
+#[derive(Clone)]
+struct Scene {
+    name: String,
+    inputs: Vec<Vec<f64>>,
+    spec: BlendSpec,
+}
+
+impl Scene {
+    fn random(
+        count: usize,
+        [width, height]: [usize; 2],
+        channels: usize,
+        opacity: [f64; 2],
+        options: RenderOptions,
+    ) -> Self {
+        let intrinsics = Intrinsics::centred(width, height, 30.0);
+        let seed = (count + 7 * width + channels) as u64;
+        let mut random = Random::new(seed);
+        let tilts = (0..count).flat_map(|_| [[-0.2, 0.2], [-0.2, 0.2], [0.01, 0.25]]);
+        let tilts: Vec<f64> = tilts.map(|[low, high]| random.between(low, high)).collect();
+        let mut options = options;
+        for threshold in [&mut options.alpha_min, &mut options.alpha_max, &mut options.transmittance_min] {
+            *threshold = f64::from(*threshold as f32);
+        }
+        let features = random.fill(count * channels, -1.0, 1.0);
+        let inputs = [ellipses(seed, count, &intrinsics, opacity), tilts, features, random.fill(channels, -1.0, 1.0)];
+        Self {
+            name: format!(
+                "{count} splats, {width} × {height}, {channels} channels, {:?}, {:?}",
+                options.projection, options.order
+            ),
+            inputs: inputs.iter().map(|values| rounded(values)).collect(),
+            spec: BlendSpec { intrinsics, options },
+        }
+    }
+
+    fn with(&self, inputs: &[Vec<f64>]) -> Self {
+        Self { inputs: inputs[..4].to_vec(), ..self.clone() }
+    }
+
+    fn view(&self) -> Inputs<'_, f64> {
+        let [projected, tilt, features, background] = &self.inputs[..] else { unreachable!("four inputs") };
+        Inputs { projected, tilt, features, background }
+    }
+
+    fn lists(&self) -> HitLists {
+        let (camera, options) = (&self.spec.intrinsics, &self.spec.options);
+        match options.reaches_by_outline() {
+            true => {
+                tile_cpu(&outline_cpu(&self.inputs[0], &self.inputs[1], &self.spec), camera, options.alpha_min.into())
+            }
+            false => tile_cpu(&self.inputs[0], camera, options.alpha_min.into()),
+        }
+    }
+
+    fn planes(&self) -> Vec<f64> {
+        rays_cpu(self.view(), &self.spec, &self.lists())
+    }
+
+    fn backward(&self, grad: &[f64]) -> Grads<f64> {
+        rays_backward_cpu(self.view(), grad, &self.spec, &self.lists(), ALL)
+    }
+
+    /// Pixels whose result jumps when a threshold moves, or layers change places, by what rounding moves them.
+    fn band(&self) -> Vec<bool> {
+        let width = self.spec.intrinsics.width;
+        let mut band = vec![false; width * self.spec.intrinsics.height];
+        let plain = self.planes();
+        for shift in [1.0 - 1e-4, 1.0 + 1e-4] {
+            let mut alpha = self.clone();
+            alpha.spec.options.alpha_min *= shift;
+            let mut transmittance = self.clone();
+            transmittance.spec.options.transmittance_min *= shift;
+            for variant in [alpha, transmittance] {
+                for (i, (a, b)) in variant.planes().iter().zip(&plain).enumerate() {
+                    band[i % (plain.len() / self.spec.planes(self.inputs[3].len()))] |= a != b;
+                }
+            }
+        }
+        if self.spec.options.order == Order::PerPixel {
+            let rows = self.inputs[0].chunks_exact(COLUMNS).zip(self.inputs[1].chunks_exact(TILT));
+            let rules = Rules { transmittance_min: -1.0, ..Rules::new(&self.spec.options) };
+            let footprints: Vec<Footprint<f64>> = rows.map(|(row, tilt)| Footprint::new(row, tilt, &rules)).collect();
+            let all: Vec<u32> =
+                (0..footprints.len() as u32).filter(|i| footprints[*i as usize].ellipse.depth > 0.0).collect();
+            let mut layers = Vec::new();
+            for (pixel, band) in band.iter_mut().enumerate() {
+                let at = [(pixel % width) as f64 + 0.5, (pixel / width) as f64 + 0.5];
+                look(&footprints, &all, at, &rules, &mut layers);
+                *band |= layers.windows(2).any(|pair| pair[1].key - pair[0].key <= NEAR * pair[1].key.abs());
+            }
+        }
+        band
+    }
+
+    fn device(&self, gpu: &Gpu) -> (DeviceInputs, DeviceLists) {
+        let buffer = |i: usize| Buffer::from_slice(gpu, &to_f32(&self.inputs[i]));
+        let inputs = DeviceInputs { projected: buffer(0), tilt: buffer(1), features: buffer(2), background: buffer(3) };
+        let (camera, options) = (&self.spec.intrinsics, &self.spec.options);
+        let rows = match options.reaches_by_outline() {
+            true => launch_outline(gpu, &inputs.projected, &inputs.tilt, &self.spec),
+            false => inputs.projected.clone(),
+        };
+        let lists = launch_tile(gpu, &rows, camera, options.alpha_min.into());
+        (inputs, lists)
+    }
+
+    /// Planes and gradients on the device, with a table for `room` places.
+    fn on(&self, gpu: &Gpu, grad: &[f64], needs: RaysNeeds, room: usize) -> (Vec<f32>, DeviceGrads) {
+        let (inputs, lists) = self.device(gpu);
+        let grad = Buffer::from_slice(gpu, &to_f32(grad));
+        let planes = launch_rays(gpu, &inputs, &lists, &self.spec).read(gpu);
+        (planes, launch_rays_backward_by(gpu, &inputs, &grad, (&lists, room), &self.spec, needs))
+    }
+
+    fn check(&self) {
+        let band = self.band();
+        let share = band.iter().filter(|&&b| b).count() as f64 / band.len() as f64;
+        assert!(share < 0.35, "{}: the band covers {share} of the picture, which then proves little", self.name);
+        let outside = |i: usize, v: f64| if band[i % band.len()] { 0.0 } else { v };
+        let mask = |values: Vec<f64>| values.into_iter().enumerate().map(|(i, v)| outside(i, v)).collect::<Vec<_>>();
+        let (count, channels) = (self.inputs[0].len() / COLUMNS, self.inputs[3].len());
+        let planes = self.spec.planes(channels);
+        let grad = mask(rounded(&Random::new(3).fill(planes * band.len(), -1.0, 1.0)));
+        let inputs: Vec<Vec<f64>> = self.inputs.iter().cloned().chain([grad.clone()]).collect();
+        // The gradient of a pixel in the band is zero, so the others' prove as much as they can. The expected layers are those of
+        // the inputs as they are, which one ulp in every input may exchange too.
+        let yardstick = Yardstick::new(&inputs, |inputs| {
+            let scene = self.with(inputs);
+            let g = scene.backward(&inputs[4]);
+            vec![mask(scene.planes()), g.projected, g.tilt, g.features, g.background, g.mean2d_abs]
+        });
+        let classes = |rows: usize| vec![Some(0); rows];
+        for (form, gpu) in gpus() {
+            let name = |what: &str| format!("{}, {form}: {what}", self.name);
+            let (planes, grads) = self.on(&gpu, &grad, ALL, 100);
+            assert!(planes.iter().all(|v| v.is_finite()), "{}", name("a pixel nobody wrote"));
+            let planes: Vec<f32> = planes.iter().enumerate().map(|(i, &v)| outside(i, v.into()) as f32).collect();
+            yardstick.check(&name("planes"), 0, &planes, &classes(planes.len()));
+            let found = [grads.projected, grads.tilt, grads.features, grads.background, grads.mean2d_abs];
+            for (which, (found, rows)) in found.into_iter().zip([count, count, count, channels, count]).enumerate() {
+                let name = name(["projected", "tilt", "features", "background", "mean2d_abs"][which]);
+                let found = found.expect("asked for").read(&gpu);
+                yardstick.check_gradient(&name, which + 1, &found, &classes(rows), &[]);
+            }
+        }
+    }
+}
+
+#[test]
+fn pictures_and_gradients_agree_with_the_twin() {
+    for (projection, order) in CHOICES {
+        let options = RenderOptions::standard().with_projection(projection).with_order(order);
+        for (count, size) in [(1, [1, 1]), (3, [17, 5]), (100, [33, 47]), (1_000, [70, 50])] {
+            Scene::random(count, size, 3, [0.02, 1.0], options.with_depth(count != 3)).check();
+        }
+    }
+}
+
+#[test]
+fn any_number_of_channels_and_other_thresholds() {
+    for (projection, order) in CHOICES {
+        let options = RenderOptions::standard().with_projection(projection).with_order(order);
+        Scene::random(200, [40, 35], 1, [0.05, 0.9], options).check();
+        Scene::random(200, [40, 35], 17, [0.05, 0.9], options.with_depth(true)).check();
+        let faint = RenderOptions { alpha_min: 1e-6, transmittance_min: 0.0, alpha_max: 1.0, ..options };
+        Scene::random(150, [40, 35], 3, [0.02, 1.0], faint.with_depth(true)).check();
+    }
+}
+
+/// More layers than a unit looks for at once, many times.
+#[test]
+fn hundreds_of_layers() {
+    for (projection, order) in CHOICES {
+        let options = RenderOptions::standard().with_projection(projection).with_order(order);
+        Scene::random(600, [20, 17], 3, [0.9, 1.0], options.with_depth(true)).check();
+        // Faint, so that no pixel is finished early; far apart in depth, so that few are near to changing places.
+        let mut scene = Scene::random(300, [20, 17], 3, [0.006, 0.02], options.with_depth(true));
+        for (i, row) in scene.inputs[0].chunks_exact_mut(COLUMNS).enumerate().filter(|(_, row)| row[5] > 0.0) {
+            row[5] = f64::from(1.05_f64.powi((171 * i % 300) as i32) as f32);
+            row[2] = row[2].max(3.0);
+            row[4] = row[4].max(3.0);
+        }
+        scene.check();
+    }
+}
+
+#[test]
+fn the_same_bits_in_every_run_and_for_any_table() {
+    let Some(gpu) = gpu() else { return };
+    let options = RenderOptions::standard().with_projection(Projection::Exact).with_order(Order::PerPixel);
+    let scene = Scene::random(400, [70, 50], 3, [0.02, 1.0], options.with_depth(true));
+    let grad = Random::new(4).fill(5 * 70 * 50, -1.0, 1.0);
+    let bits = |room: usize| {
+        let (planes, g) = scene.on(&gpu, &grad, ALL, room);
+        let grads = [g.projected, g.tilt, g.features, g.background, g.mean2d_abs];
+        (planes, grads.map(|buffer| buffer.expect("asked for").read(&gpu)))
+    };
+    let first = bits(1 << 20);
+    assert!(first.1.iter().all(|g| g.iter().any(|value| *value != 0.0)));
+    assert!(bits(1 << 20) == first && bits(50) == first && bits(1) == first);
+}
+
+#[test]
+fn only_what_is_needed_and_nothing_to_draw() {
+    let Some(gpu) = gpu() else { return };
+    let options = RenderOptions::standard().with_projection(Projection::Exact);
+    let scene = Scene::random(100, [40, 33], 3, [0.02, 1.0], options);
+    let grad = Random::new(4).fill(4 * 40 * 33, -1.0, 1.0);
+    let read = |scene: &Scene, needs: RaysNeeds| {
+        let g = scene.on(&gpu, &grad, needs, 1 << 20).1;
+        [g.projected, g.tilt, g.features, g.background, g.mean2d_abs].map(|b| b.map(|b| b.read(&gpu)))
+    };
+    let all = read(&scene, ALL);
+    for alone in 0..5 {
+        let [projected, tilt, features, background, mean2d_abs] = std::array::from_fn(|i| i == alone);
+        let needs = RaysNeeds { projected, tilt, features, background, mean2d_abs };
+        for (i, found) in read(&scene, needs).iter().enumerate() {
+            assert_eq!(found.as_ref(), all[i].as_ref().filter(|_| i == alone), "gradient {i} of {alone} alone");
+        }
+    }
+    for count in [0, 40] {
+        let mut empty = scene.clone();
+        empty.inputs[0] = [0.0, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0].repeat(count);
+        empty.inputs[1].truncate(count * TILT);
+        empty.inputs[2].truncate(count * 3);
+        let planes = empty.on(&gpu, &grad, ALL, 1 << 20).0;
+        let expected = to_f32(&empty.inputs[3]);
+        assert!(planes[..3 * 1320].chunks(1320).zip(expected).all(|(plane, b)| plane.iter().all(|&v| v == b)));
+        assert!(planes[3 * 1320..].iter().all(|&v| v == 0.0));
+        let [projected, tilt, features, _, absolute] = read(&empty, ALL);
+        let zeros = [projected, tilt, features, absolute].into_iter().flatten().flatten();
+        assert!(zeros.into_iter().all(|v| v == 0.0));
+    }
+}

@@ -1,0 +1,262 @@
+//! Launches of `rays`.
+
+use cubecl::prelude::CubeDim;
+
+use super::RaysNeeds;
+use super::backward::{rays_background_kernel, rays_gather_kernel, rays_sums_kernel, rays_walk_kernel, row_len};
+use super::forward::rays_forward_kernel;
+use super::layer::ViewLaunch;
+use crate::blend::BlendSpec;
+use crate::gpu::{Buffer, Gpu, UNITS, cubes, elementwise};
+use crate::limits::Need;
+use crate::options::{Order, Projection};
+use crate::project::COLUMNS;
+use crate::tile::launch::DeviceLists;
+use crate::tile::{TILE_PIXELS, tile_grid};
+use crate::tilt::TILT;
+
+/// Places of the table of layers and pixels, unless one tile has more: 64 MiB.
+const TABLE: usize = 32_768;
+
+/// What makes a render keep less for its backward pass.
+const FEWER_HITS: &str = "train on smaller pictures, raise `alpha_min`, or use fewer Gaussians";
+
+/// Inputs on the device, row-major.
+#[derive(Clone)]
+pub(crate) struct DeviceInputs {
+    /// `[N, 7]`.
+    pub projected: Buffer<f32>,
+    /// `[N, 3]`.
+    pub tilt: Buffer<f32>,
+    /// `[N, C]`.
+    pub features: Buffer<f32>,
+    /// `[C]`.
+    pub background: Buffer<f32>,
+}
+
+/// Gradients, each only where it was asked for.
+#[derive(Default)]
+pub(crate) struct DeviceGrads {
+    /// `[N, 7]`.
+    pub projected: Option<Buffer<f32>>,
+    /// `[N, 3]`.
+    pub tilt: Option<Buffer<f32>>,
+    /// `[N, C]`.
+    pub features: Option<Buffer<f32>>,
+    /// `[C]`.
+    pub background: Option<Buffer<f32>>,
+    /// `[N, 2]`.
+    pub mean2d_abs: Option<Buffer<f32>>,
+}
+
+/// The view as an argument of kernels over the tiles from `first` to before `end`.
+fn view(spec: &BlendSpec, features: usize, (first, end): (usize, usize)) -> ViewLaunch {
+    let (camera, options) = (&spec.intrinsics, &spec.options);
+    let least = options.transmittance_min;
+    ViewLaunch::new(
+        camera.width as u32,
+        camera.height as u32,
+        tile_grid(camera.width, camera.height)[0] as u32,
+        first as u32,
+        end as u32,
+        features as u32,
+        options.alpha_min as f32,
+        options.alpha_max as f32,
+        // A threshold of zero leaves out nothing, not even what is behind an alpha of one.
+        if least > 0.0 { least as f32 } else { -1.0 },
+        options.projection == Projection::Exact,
+        options.order == Order::PerPixel,
+        options.depth,
+    )
+}
+
+fn tiles(spec: &BlendSpec) -> usize {
+    tile_grid(spec.intrinsics.width, spec.intrinsics.height).iter().product()
+}
+
+/// Planes `[C + 1 (+ 1), H, W]`.
+pub(crate) fn launch_rays(gpu: &Gpu, inputs: &DeviceInputs, lists: &DeviceLists, spec: &BlendSpec) -> Buffer<f32> {
+    let features = inputs.background.len;
+    let planes = Buffer::new(gpu, spec.planes(features) * spec.intrinsics.width * spec.intrinsics.height);
+    let tiles = tiles(spec);
+    // SAFETY: places, hits and Gaussians come from the lists, which hold none out of range; pixels are guarded.
+    unsafe {
+        rays_forward_kernel::launch_unchecked(
+            &gpu.client,
+            cubes(tiles),
+            CubeDim::new_1d(TILE_PIXELS as u32),
+            inputs.projected.arg(),
+            inputs.tilt.arg(),
+            inputs.features.arg(),
+            inputs.background.arg(),
+            lists.tile_start.arg(),
+            lists.hit_of_place.arg(),
+            lists.gaussian_of_hit.arg(),
+            planes.arg(),
+            view(spec, features, (0, tiles)),
+        );
+    }
+    planes
+}
+
+/// Runs of whole tiles, from the first one to before the end, each of as many as `room` places hold or of a single tile; and
+/// the places of the longest run.
+fn runs(counts: &[i32], room: usize) -> (Vec<(usize, usize)>, usize) {
+    let (mut runs, mut longest, mut first, mut places) = (Vec::new(), 0, 0, 0);
+    for (tile, &count) in counts.iter().enumerate() {
+        if places + count as usize > room && places > 0 {
+            runs.push((first, tile));
+            (first, places) = (tile, 0);
+        }
+        places += count as usize;
+        longest = longest.max(places);
+    }
+    runs.push((first, counts.len()));
+    (runs, longest)
+}
+
+/// Gradients of the inputs from `grad`, that of the planes. Waits for the device once, to learn how long the lists are.
+pub(crate) fn launch_rays_backward(
+    gpu: &Gpu,
+    inputs: &DeviceInputs,
+    grad: &Buffer<f32>,
+    lists: &DeviceLists,
+    spec: &BlendSpec,
+    needs: RaysNeeds,
+) -> DeviceGrads {
+    launch_rays_backward_by(gpu, inputs, grad, (lists, TABLE), spec, needs)
+}
+
+/// The same with a table for that many places.
+pub(super) fn launch_rays_backward_by(
+    gpu: &Gpu,
+    inputs: &DeviceInputs,
+    grad: &Buffer<f32>,
+    (lists, room): (&DeviceLists, usize),
+    spec: &BlendSpec,
+    needs: RaysNeeds,
+) -> DeviceGrads {
+    let (camera, features, count) = (&spec.intrinsics, inputs.background.len, inputs.projected.len / COLUMNS);
+    let pixels = camera.width * camera.height;
+    let read = gpu.client.read_one(lists.counts.handle.clone()).unwrap_or_else(|error| panic!("{error}"));
+    let counts: Vec<i32> = bytemuck::pod_collect_to_vec(&read[..4 * tiles(spec)]);
+    let (runs, longest) = runs(&counts, room.min(gpu.buffer_limit as usize / (8 * TILE_PIXELS)));
+    let columns = row_len(features, needs.mean2d_abs);
+    let fits = |what, len: usize| Need { what, bytes: 4 * len as u64, hint: FEWER_HITS }.assert_fits(gpu.buffer_limit);
+    fits("the layers of a tile's pixels", longest * 2 * TILE_PIXELS);
+    fits("the rows of gradients", lists.hits * columns);
+    let table: Buffer<u32> = Buffer::with_headroom(gpu, longest * 2 * TILE_PIXELS);
+    let rows: Buffer<f32> = Buffer::with_headroom(gpu, lists.hits * columns);
+    let left: Buffer<f32> = Buffer::new(gpu, pixels);
+    let of_hits = needs.projected || needs.tilt || needs.features || needs.mean2d_abs;
+    for &(first, end) in &runs {
+        let places = counts[first..end].iter().sum::<i32>() as usize;
+        // SAFETY: as in the forward pass; the table holds all places of a run, and the rows all hits.
+        unsafe {
+            rays_walk_kernel::launch_unchecked(
+                &gpu.client,
+                cubes(end - first),
+                CubeDim::new_1d(TILE_PIXELS as u32),
+                inputs.projected.arg(),
+                inputs.tilt.arg(),
+                inputs.features.arg(),
+                inputs.background.arg(),
+                grad.arg(),
+                lists.tile_start.arg(),
+                lists.hit_of_place.arg(),
+                lists.gaussian_of_hit.arg(),
+                table.arg(),
+                left.arg(),
+                view(spec, features, (first, end)),
+            );
+        }
+        if places == 0 || !of_hits {
+            continue;
+        }
+        let (grid, dim) = elementwise(places);
+        // SAFETY: as above.
+        unsafe {
+            rays_sums_kernel::launch_unchecked(
+                &gpu.client,
+                grid,
+                dim,
+                inputs.projected.arg(),
+                inputs.tilt.arg(),
+                grad.arg(),
+                lists.tile_start.arg(),
+                lists.hit_of_place.arg(),
+                lists.gaussian_of_hit.arg(),
+                table.arg(),
+                rows.arg(),
+                view(spec, features, (first, end)),
+                needs.mean2d_abs,
+            );
+        }
+    }
+    let mut grads = DeviceGrads::default();
+    if needs.background {
+        let sums = Buffer::new(gpu, features);
+        // SAFETY: every access is guarded by the lengths given.
+        unsafe {
+            rays_background_kernel::launch_unchecked(
+                &gpu.client,
+                cubes(features),
+                CubeDim::new_1d(UNITS as u32),
+                grad.arg(),
+                left.arg(),
+                sums.arg(),
+                pixels as u32,
+                features as u32,
+                gpu.planes,
+            );
+        }
+        grads.background = Some(sums);
+    }
+    if !of_hits {
+        return grads;
+    }
+    let zeros = |needed: bool, columns: usize| Buffer::zeros(gpu, if needed { count * columns } else { 0 });
+    let projected = zeros(needs.projected, COLUMNS);
+    let tilt = zeros(needs.tilt, TILT);
+    let feature_rows = zeros(needs.features, features);
+    let absolute = zeros(needs.mean2d_abs, 2);
+    let (grid, dim) = elementwise(lists.visible);
+    // SAFETY: ranks stay below the number of visible Gaussians; hits below theirs.
+    unsafe {
+        rays_gather_kernel::launch_unchecked(
+            &gpu.client,
+            grid,
+            dim,
+            inputs.projected.arg(),
+            lists.order.arg(),
+            lists.first_hit.arg(),
+            rows.arg(),
+            projected.arg(),
+            tilt.arg(),
+            feature_rows.arg(),
+            absolute.arg(),
+            lists.visible as u32,
+            lists.hits as u32,
+            features as u32,
+            (needs.projected, needs.tilt, needs.features),
+            needs.mean2d_abs,
+        );
+    }
+    grads.projected = needs.projected.then_some(projected);
+    grads.tilt = needs.tilt.then_some(tilt);
+    grads.features = needs.features.then_some(feature_rows);
+    grads.mean2d_abs = needs.mean2d_abs.then_some(absolute);
+    grads
+}
+
+#[cfg(test)]
+mod tests {
+    use super::runs;
+
+    #[test]
+    fn runs_hold_whole_tiles() {
+        assert_eq!(runs(&[3, 4, 0, 9, 1, 1], 7), (vec![(0, 3), (3, 4), (4, 6)], 9));
+        assert_eq!(runs(&[0, 0], 7), (vec![(0, 2)], 0));
+        assert_eq!(runs(&[20, 20], 7), (vec![(0, 1), (1, 2)], 20));
+    }
+}

@@ -1,0 +1,288 @@
+//! A Gaussian at a pixel, and a pixel's next layers: what the kernels of both passes share, so that the backward pass sees
+//! what the forward pass saw.
+
+#![allow(clippy::too_many_arguments, reason = "functions of a kernel take what it was launched with")]
+
+use cubecl::prelude::*;
+
+use super::{D_MIN, WHITENED_MAX};
+use crate::gpu::math::within;
+use crate::project::COLUMNS;
+use crate::tile::TILE;
+use crate::tilt::TILT;
+
+/// Layers that a unit looks for at once, and sorts in its registers. It goes through the tile's list once for so many.
+pub(super) const CHUNK: usize = 16;
+
+/// The picture, the tiles of a launch, and the rules.
+#[derive(CubeType, CubeLaunch, Clone, Copy)]
+#[expand(derive(Clone, Copy))]
+pub(super) struct View {
+    pub width: u32,
+    pub height: u32,
+    pub tiles_x: u32,
+    /// The tiles from this one to before the end.
+    pub first_tile: u32,
+    pub end_tile: u32,
+    pub features: u32,
+    pub alpha_min: f32,
+    pub alpha_max: f32,
+    /// Below zero for none.
+    pub transmittance_min: f32,
+    #[cube(comptime)]
+    pub exact: bool,
+    #[cube(comptime)]
+    pub per_pixel: bool,
+    #[cube(comptime)]
+    pub depth: bool,
+}
+
+/// One pixel of a tile, a unit's own.
+#[derive(CubeType, Clone, Copy)]
+#[expand(derive(Clone, Copy))]
+pub(super) struct Pixel {
+    /// Its centre, px.
+    pub x: f32,
+    pub y: f32,
+    /// Whether it is in the picture, and which one of it.
+    pub inside: bool,
+    pub index: usize,
+}
+
+#[cube]
+impl Pixel {
+    pub fn of(tile: u32, unit: u32, view: &View) -> Pixel {
+        let column = tile % view.tiles_x * comptime!(TILE as u32) + unit % comptime!(TILE as u32);
+        let row = tile / view.tiles_x * comptime!(TILE as u32) + unit / comptime!(TILE as u32);
+        Pixel {
+            x: f32::cast_from(column) + 0.5,
+            y: f32::cast_from(row) + 0.5,
+            inside: column < view.width && row < view.height,
+            index: (row * view.width + column) as usize,
+        }
+    }
+}
+
+/// A Gaussian as pixels see it: its row and its tilt.
+#[derive(CubeType, Clone, Copy)]
+#[expand(derive(Clone, Copy))]
+pub(super) struct Footprint {
+    pub x: f32,
+    pub y: f32,
+    pub sigma_u: f32,
+    pub shear: f32,
+    pub sigma_v: f32,
+    pub depth: f32,
+    pub opacity: f32,
+    pub tilt_u: f32,
+    pub tilt_v: f32,
+    pub thickness: f32,
+}
+
+/// A Gaussian at a pixel; the names are those of the contract. An alpha of zero where it is not seen.
+#[derive(CubeType, Clone, Copy)]
+#[expand(derive(Clone, Copy))]
+pub(super) struct Layer {
+    pub u: f32,
+    pub v: f32,
+    pub exponent: f32,
+    pub lambda: f32,
+    pub phi: f32,
+    /// `λ z`.
+    pub key: f32,
+    pub alpha: f32,
+    /// Whether alpha is below its limit.
+    pub free: bool,
+}
+
+#[cube]
+impl Footprint {
+    pub fn load(projected: &[f32], tilts: &[f32], gaussian: usize) -> Footprint {
+        let at = gaussian * comptime!(COLUMNS);
+        let tilt = gaussian * comptime!(TILT);
+        Footprint {
+            x: projected[at],
+            y: projected[at + 1],
+            sigma_u: projected[at + 2],
+            shear: projected[at + 3],
+            sigma_v: projected[at + 4],
+            depth: projected[at + 5],
+            opacity: projected[at + 6],
+            tilt_u: tilts[tilt],
+            tilt_v: tilts[tilt + 1],
+            thickness: tilts[tilt + 2],
+        }
+    }
+
+    pub fn at(&self, x: f32, y: f32, view: &View) -> Layer {
+        let widest = comptime!(WHITENED_MAX as f32);
+        let farthest = comptime!((WHITENED_MAX * WHITENED_MAX) as f32);
+        let (dx, dy) = (x - self.x, y - self.y);
+        let u = within(dx / self.sigma_u, -widest, widest);
+        let v = within((dy - self.shear * dx) / self.sigma_v, -widest, widest);
+        let square = u * u + v * v;
+        let s = within(1.0 - (self.tilt_u * u + self.tilt_v * v), -farthest, farthest);
+        let thick = self.thickness * self.thickness;
+        let d = s * s + thick * square;
+        let sound = d > comptime!(D_MIN as f32);
+        let inverse = select(sound, 1.0 / select(sound, d, 1.0), 0.0);
+        let lambda = s * inverse;
+        let mut exponent = 0.5 * square;
+        let mut seen = true;
+        if comptime!(view.exact) {
+            exponent *= inverse;
+            seen = s > 0.0 && sound;
+        }
+        let whole = self.opacity * (-exponent).exp();
+        let alpha = min(whole, view.alpha_max);
+        Layer {
+            u,
+            v,
+            exponent,
+            lambda,
+            phi: thick * inverse,
+            key: lambda * self.depth,
+            alpha: select(seen && alpha >= view.alpha_min, alpha, 0.0),
+            free: whole < view.alpha_max,
+        }
+    }
+
+    /// The depth a layer is seen at, scene units.
+    pub fn depth_of(&self, layer: &Layer, view: &View) -> f32 {
+        let mut depth = self.depth;
+        if comptime!(view.exact) {
+            depth = layer.key;
+        }
+        depth
+    }
+}
+
+/// A pixel's way through its layers, front to back, some at a time.
+#[derive(CubeType)]
+pub(super) struct Walk {
+    /// Of the layers at hand, front to back.
+    keys: Array<f32>,
+    gaussians: Array<u32>,
+    /// In the tile's list.
+    pub places: Array<u32>,
+    pub alphas: Array<f32>,
+    /// Where it has come to: whether it has begun, the Gaussian of the last layer, the next place of the list; and that layer's
+    /// key.
+    come_to: Array<u32>,
+    last_key: Array<f32>,
+}
+
+/// Whether a layer is in front of another.
+#[cube]
+fn in_front(key: f32, gaussian: u32, other_key: f32, other: u32) -> bool {
+    key < other_key || (key == other_key && gaussian < other)
+}
+
+#[cube]
+impl Walk {
+    pub fn new() -> Walk {
+        let mut come_to = Array::<u32>::new(3usize);
+        come_to[0] = 0u32;
+        come_to[1] = 0u32;
+        come_to[2] = 0u32;
+        let mut last_key = Array::<f32>::new(1usize);
+        last_key[0] = 0.0f32;
+        Walk {
+            keys: Array::<f32>::new(comptime!(CHUNK)),
+            gaussians: Array::<u32>::new(comptime!(CHUNK)),
+            places: Array::<u32>::new(comptime!(CHUNK)),
+            alphas: Array::<f32>::new(comptime!(CHUNK)),
+            come_to,
+            last_key,
+        }
+    }
+
+    fn put(&mut self, at: u32, key: f32, gaussian: u32, place: u32, alpha: f32) {
+        self.keys[at as usize] = key;
+        self.gaussians[at as usize] = gaussian;
+        self.places[at as usize] = place;
+        self.alphas[at as usize] = alpha;
+    }
+
+    /// The Gaussian of layer `i` of those at hand.
+    pub fn gaussian(&self, i: u32) -> u32 {
+        self.gaussians[i as usize]
+    }
+
+    /// Goes on to the next layers of a list of `places` places from `first` on, and returns how many there are: fewer than
+    /// [`CHUNK`] if they are the last.
+    pub fn advance(
+        &mut self,
+        projected: &[f32],
+        tilts: &[f32],
+        hit_of_place: &[u32],
+        gaussian_of_hit: &[u32],
+        first: u32,
+        places: u32,
+        pixel: &Pixel,
+        view: &View,
+    ) -> u32 {
+        let mut count = 0u32;
+        // By the pixel's own order the next ones may lie anywhere in the list.
+        let mut place = 0u32;
+        if comptime!(!view.per_pixel) {
+            place = self.come_to[2];
+        }
+        let mut going = place < places;
+        while going {
+            let gaussian = gaussian_of_hit[hit_of_place[(first + place) as usize] as usize];
+            let layer = Footprint::load(projected, tilts, gaussian as usize).at(pixel.x, pixel.y, view);
+            if layer.alpha > 0.0 {
+                if comptime!(view.per_pixel) {
+                    let begun = self.come_to[0] != 0;
+                    let behind = in_front(self.last_key[0], self.come_to[1], layer.key, gaussian);
+                    if !begun || behind {
+                        count = self.insert(count, layer.key, gaussian, place, layer.alpha);
+                    }
+                } else {
+                    self.put(count, layer.key, gaussian, place, layer.alpha);
+                    count += 1;
+                }
+            }
+            place += 1;
+            going = place < places;
+            if comptime!(!view.per_pixel) {
+                going = going && count < comptime!(CHUNK as u32);
+            }
+        }
+        if count > 0 {
+            self.come_to[0] = 1u32;
+            self.come_to[1] = self.gaussians[(count - 1) as usize];
+            self.last_key[0] = self.keys[(count - 1) as usize];
+        }
+        self.come_to[2] = place;
+        count
+    }
+
+    /// Sorts a layer in among `count` of them, of which the last goes if there is no room. Returns how many there are then.
+    fn insert(&mut self, count: u32, key: f32, gaussian: u32, place: u32, alpha: f32) -> u32 {
+        let full = count == comptime!(CHUNK as u32);
+        let mut room = true;
+        let mut at = count;
+        if full {
+            at = count - 1;
+            room = in_front(key, gaussian, self.keys[at as usize], self.gaussians[at as usize]);
+        }
+        if room {
+            let mut moving = at > 0;
+            while moving {
+                let other = at - 1;
+                moving = in_front(key, gaussian, self.keys[other as usize], self.gaussians[other as usize]);
+                if moving {
+                    let (other_key, other_gaussian) = (self.keys[other as usize], self.gaussians[other as usize]);
+                    let (other_place, other_alpha) = (self.places[other as usize], self.alphas[other as usize]);
+                    self.put(at, other_key, other_gaussian, other_place, other_alpha);
+                    at = other;
+                    moving = at > 0;
+                }
+            }
+            self.put(at, key, gaussian, place, alpha);
+        }
+        select(full, count, count + 1)
+    }
+}

@@ -1,0 +1,114 @@
+//! Tile lists + features → picture, along the pixels' rays. Differentiable. In the place of `blend` where
+//! [`RenderOptions::projection`](crate::RenderOptions) or `order` is not the plain one.
+//!
+//! A pixel sees a Gaussian at the whitened coordinates `(u, v)` of `project`, and with `ρ² = u² + v²` and the Gaussian's
+//! `tilt` and `thickness` (see `tilt/`)
+//!
+//! ```text
+//! s = 1 − tilt·(u, v)    D = s² + thickness² ρ²    λ = s / D
+//! Affine   g = exp(−E),  E = ρ²/2               Exact   g = exp(−E),  E = ρ²/(2D),  where s > 0
+//! ```
+//!
+//! `λ z` is the camera z at which the Gaussian is greatest along the pixel's ray, `z` that of its centre; with the blur as a
+//! widening of the Gaussian across the ray through its centre, `g` is that greatest value, exactly. (With the ray's points
+//! `λ(u, v)` and `(λs − 1)/thickness` from the centre in whitened coordinates, `2E = λ²ρ² + (λs − 1)²/thickness²` at its least.)
+//! Where `s <= 0` that place is at the camera or behind it, and the Gaussian is not seen. The affine projection is that with
+//! `tilt = thickness = 0`: of a Gaussian that is small beside its distance. (Where its Jacobian is held at a limit, so it is for
+//! the `λ` that orders its layers.)
+//!
+//! Alphas, thresholds, sums and the gradient back to front are those of `blend`, over the same lists. Their order is that of
+//! the lists (camera z of the centres, then the index), or for each pixel that of `λ z`, then the index; by it alone is decided
+//! which contributions are behind a `transmittance_min`. The depth plane is `Σ wᵢ zᵢ` for the affine projection and `Σ wᵢ λᵢ zᵢ`
+//! for the exact one.
+//!
+//! # Gradient
+//!
+//! An order is constant but where it changes: the gradient is that of the values blended in it. For the affine projection the
+//! tilt, which then decides the order alone, has none. With `φ = thickness²/D` and `κ = 2Eφ − λ² = ∂λ/∂s`,
+//!
+//! ```text
+//! ∂E/∂(u, v) = λ (λ (u, v) + 2E tilt)        ∂E/∂tilt = 2Eλ (u, v)      ∂E/∂thickness = −4E² thickness
+//! ∂λ/∂(u, v) = −2λφ (u, v) − κ tilt          ∂λ/∂tilt = −κ (u, v)       ∂λ/∂thickness = −4Eλ thickness
+//! ```
+//!
+//! in which nothing is divided by `1 − α`, and by `s` or `D` only where the value is. Each hit has a row of its own for its
+//! sums over the tile's pixels, and a Gaussian's rows are added in the order of its hits: on every device the same bits in
+//! every run, whatever [`Accumulation`](crate::Accumulation) says.
+//!
+//! Shapes: packed ellipses `[N, 7]`, tilts `[N, 3]`, features `[N, C]`, background `[C]` → planes as `blend`.
+
+#[cfg(feature = "cube")]
+mod backward;
+pub(crate) mod cpu;
+#[cfg(feature = "cube")]
+mod forward;
+#[cfg(all(test, feature = "cube"))]
+mod kernel_tests;
+#[cfg(feature = "cube")]
+pub(crate) mod launch;
+#[cfg(feature = "cube")]
+mod layer;
+mod pixel;
+#[cfg(test)]
+mod tests;
+
+use burn::backend::tensor::FloatTensor;
+use burn::backend::{Backend, ExtensionType};
+
+use crate::op::Slot;
+
+/// Whitened coordinates are held at this, and `|s|` at its square, so that no product overflows. What lies there is not seen, or
+/// seen as if it were infinitely long.
+pub(crate) const WHITENED_MAX: f64 = 1e9;
+
+/// A `D` at or below this has no inverse to reckon with: the ray passes along a sheet, and `λ` counts as zero.
+pub(crate) const D_MIN: f64 = 1e-30;
+
+/// Sums of a hit over a tile's pixels besides those of its channels: of `h = α ∂L/∂α` where alpha is not at its limit; of the
+/// gradients `p, q` of `u` and `v`, then of `p u, q u, q v`; of those of the tilts and the thickness; of that of the depth.
+pub(crate) const SUMS: usize = 10;
+
+/// Inputs of the stage.
+#[derive(Clone, Debug, ExtensionType)]
+#[extension_type(fusion: cfg(feature = "fusion"))]
+pub struct RaysInputs<B: Backend> {
+    /// `[N, 7]`, packed by `project`.
+    pub projected: FloatTensor<B>,
+    /// `[N, 3]`, of `tilt`.
+    pub tilt: FloatTensor<B>,
+    /// `[N, C]`.
+    pub features: FloatTensor<B>,
+    /// `[C]`.
+    pub background: FloatTensor<B>,
+}
+
+/// Gradients of the stage's inputs, each only where it was asked for.
+#[derive(Clone, Debug, ExtensionType)]
+#[extension_type(fusion: cfg(feature = "fusion"))]
+pub struct RaysGrads<B: Backend> {
+    /// `[N, 7]`.
+    #[extension_type]
+    pub projected: Slot<B>,
+    /// `[N, 3]`.
+    #[extension_type]
+    pub tilt: Slot<B>,
+    /// `[N, C]`.
+    #[extension_type]
+    pub features: Slot<B>,
+    /// `[C]`.
+    #[extension_type]
+    pub background: Slot<B>,
+    /// `[N, 2]`: `Σ |∂L/∂mean2d|`, the absolute value taken pixel by pixel (AbsGrad, Ye et al. 2024), per px.
+    #[extension_type]
+    pub mean2d_abs: Slot<B>,
+}
+
+/// Which gradients are asked for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct RaysNeeds {
+    pub projected: bool,
+    pub tilt: bool,
+    pub features: bool,
+    pub background: bool,
+    pub mean2d_abs: bool,
+}

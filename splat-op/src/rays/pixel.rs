@@ -1,0 +1,214 @@
+//! One pixel as the CPU twin sees it: what it sees of a Gaussian, its layers front to back, and their gradients.
+
+use super::{D_MIN, SUMS, WHITENED_MAX};
+use crate::options::{Order, Projection};
+use crate::project::Ellipse;
+use crate::real::Real;
+use crate::tile::reach::widened_limit;
+use crate::tilt::TILT;
+
+/// A Gaussian as pixels see it.
+#[derive(Clone, Copy, Default)]
+pub(super) struct Footprint<F> {
+    pub ellipse: Ellipse<F>,
+    /// Zero for the affine projection, but for the order.
+    pub tilt: [F; TILT],
+    inverse_u: F,
+    inverse_v: F,
+    /// The exponent from which on its alpha is below `alpha_min` for certain.
+    limit: F,
+}
+
+impl<F: Real> Footprint<F> {
+    /// Of its rows.
+    pub fn new(row: &[F], tilt: &[F], rules: &Rules<F>) -> Self {
+        let ellipse = Ellipse::from_row(row);
+        Self {
+            ellipse,
+            tilt: [tilt[0], tilt[1], tilt[2]],
+            inverse_u: F::ONE / ellipse.sigma_u,
+            inverse_v: F::ONE / ellipse.sigma_v,
+            limit: F::of(0.5) * widened_limit(ellipse.opacity, rules.alpha_min),
+        }
+    }
+}
+
+/// Choices and thresholds of the render.
+#[derive(Clone, Copy)]
+pub(super) struct Rules<F> {
+    pub exact: bool,
+    pub per_pixel: bool,
+    pub alpha_min: F,
+    pub alpha_max: F,
+    /// Below zero for none.
+    pub transmittance_min: F,
+}
+
+impl<F: Real> Rules<F> {
+    pub fn new(options: &crate::RenderOptions) -> Self {
+        // A threshold of zero leaves out nothing, not even what is behind an alpha of one.
+        let least = if options.transmittance_min > 0.0 { options.transmittance_min } else { -1.0 };
+        Self {
+            exact: options.projection == Projection::Exact,
+            per_pixel: options.order == Order::PerPixel,
+            alpha_min: F::of(options.alpha_min),
+            alpha_max: F::of(options.alpha_max),
+            transmittance_min: F::of(least),
+        }
+    }
+}
+
+/// A Gaussian at a pixel; the names are those of the contract.
+#[derive(Clone, Copy)]
+pub(super) struct Layer<F> {
+    /// In the tile's list.
+    pub place: usize,
+    pub gaussian: u32,
+    u: F,
+    v: F,
+    exponent: F,
+    lambda: F,
+    phi: F,
+    /// `λ z`.
+    pub key: F,
+    pub alpha: F,
+    /// Whether alpha is below its limit.
+    free: bool,
+    /// The transmittance before it.
+    pub before: F,
+}
+
+impl<F: Real> Layer<F> {
+    /// What the pixel with its centre at `at` px sees of a Gaussian; `None` if that is nothing.
+    #[inline(always)]
+    fn new(footprint: &Footprint<F>, at: [F; 2], rules: &Rules<F>, (place, gaussian): (usize, u32)) -> Option<Self> {
+        let (e, [tilt_u, tilt_v, thickness]) = (&footprint.ellipse, footprint.tilt);
+        let (widest, farthest) = (F::of(WHITENED_MAX), F::of(WHITENED_MAX * WHITENED_MAX));
+        let (dx, dy) = (at[0] - e.mean_px[0], at[1] - e.mean_px[1]);
+        let u = (dx * footprint.inverse_u).within(-widest, widest);
+        let v = ((dy - e.shear * dx) * footprint.inverse_v).within(-widest, widest);
+        let square = u * u + v * v;
+        let s = (F::ONE - (tilt_u * u + tilt_v * v)).within(-farthest, farthest);
+        let thick = thickness * thickness;
+        let d = s * s + thick * square;
+        let half = F::of(0.5) * square;
+        // Most Gaussians of a tile do not show in a pixel; this is told without a division.
+        if half > footprint.limit * if rules.exact { d } else { F::ONE } {
+            return None;
+        }
+        let sound = d > F::of(D_MIN);
+        let (lambda, phi) = if sound { (s / d, thick / d) } else { (F::ZERO, F::ZERO) };
+        let exponent = match rules.exact {
+            true if s > F::ZERO && sound => half / d,
+            true => return None,
+            false => half,
+        };
+        let whole = e.opacity * (-exponent).exp();
+        let alpha = whole.min_of(rules.alpha_max);
+        // A comparison that fails where the exponent is not a number; and an alpha of zero changes nothing.
+        let shows = alpha >= rules.alpha_min && alpha > F::ZERO;
+        shows.then(|| Self {
+            place,
+            gaussian,
+            u,
+            v,
+            exponent,
+            lambda,
+            phi,
+            key: lambda * e.depth,
+            alpha,
+            free: whole < rules.alpha_max,
+            before: F::ZERO,
+        })
+    }
+
+    /// The depth it is seen at, scene units.
+    #[inline(always)]
+    pub fn depth(&self, footprint: &Footprint<F>, rules: &Rules<F>) -> F {
+        if rules.exact { self.key } else { footprint.ellipse.depth }
+    }
+}
+
+/// Fills `layers` with what a pixel sees, front to back, and returns the transmittance behind it all.
+#[inline(always)]
+pub(super) fn look<F: Real>(
+    footprints: &[Footprint<F>],
+    gaussians: &[u32],
+    at: [F; 2],
+    rules: &Rules<F>,
+    layers: &mut Vec<Layer<F>>,
+) -> F {
+    layers.clear();
+    let mut transmittance = F::ONE;
+    // Passes a layer, unless that would end the pixel.
+    let pass = |transmittance: &mut F, layer: &mut Layer<F>| {
+        let behind = *transmittance - layer.alpha * *transmittance;
+        layer.before = *transmittance;
+        let ends = behind <= rules.transmittance_min;
+        if !ends {
+            *transmittance = behind;
+        }
+        !ends
+    };
+    for (place, &gaussian) in gaussians.iter().enumerate() {
+        let Some(mut layer) = Layer::new(&footprints[gaussian as usize], at, rules, (place, gaussian)) else {
+            continue;
+        };
+        if !rules.per_pixel && !pass(&mut transmittance, &mut layer) {
+            break;
+        }
+        layers.push(layer);
+    }
+    if rules.per_pixel {
+        layers.sort_unstable_by(|a, b| {
+            let by_key = a.key.partial_cmp(&b.key).unwrap_or(std::cmp::Ordering::Equal);
+            by_key.then(a.gaussian.cmp(&b.gaussian))
+        });
+        let ends = layers.iter_mut().position(|layer| !pass(&mut transmittance, layer));
+        let seen = ends.unwrap_or(layers.len());
+        layers.truncate(seen);
+    }
+    transmittance
+}
+
+/// What a pixel's gradient says of one layer.
+pub(super) struct LayerGrad<F> {
+    /// See [`SUMS`].
+    pub sums: [F; SUMS],
+    /// `α T`, with which the gradient of each channel is that of its feature.
+    pub weight: F,
+    /// At the projected centre, per px.
+    pub mean2d: [F; 2],
+}
+
+impl<F: Real> Layer<F> {
+    /// From `∂L/∂α` and the gradient of the depth plane.
+    #[inline(always)]
+    pub fn backward(&self, footprint: &Footprint<F>, rules: &Rules<F>, grad_alpha: F, grad_depth: F) -> LayerGrad<F> {
+        let (e, [tilt_u, tilt_v, thickness]) = (&footprint.ellipse, footprint.tilt);
+        let Self { u, v, exponent, lambda, phi, .. } = *self;
+        let (two, four) = (F::of(2.0), F::of(4.0));
+        let weight = self.alpha * self.before;
+        let h = if self.free { self.alpha * grad_alpha } else { F::ZERO };
+        let seen = weight * grad_depth;
+        let (p, q, mut sums) = if rules.exact {
+            let of_lambda = seen * e.depth;
+            let kappa = two * exponent * phi - lambda * lambda;
+            // By how much E and λ change along (u, v), and along the tilt.
+            let radial = -(h * lambda * lambda + of_lambda * two * lambda * phi);
+            let across = -(h * two * exponent * lambda + of_lambda * kappa);
+            let (p, q) = (radial * u + across * tilt_u, radial * v + across * tilt_v);
+            let of_thickness = four * exponent * thickness * (h * exponent - of_lambda * lambda);
+            let mut sums = [F::ZERO; SUMS];
+            sums[6..].copy_from_slice(&[across * u, across * v, of_thickness, seen * lambda]);
+            (p, q, sums)
+        } else {
+            let mut sums = [F::ZERO; SUMS];
+            sums[9] = seen;
+            (-(h * u), -(h * v), sums)
+        };
+        sums[..6].copy_from_slice(&[h, p, q, p * u, q * u, q * v]);
+        let per_v = q / e.sigma_v;
+        LayerGrad { sums, weight, mean2d: [e.shear * per_v - p / e.sigma_u, -per_v] }
+    }
+}

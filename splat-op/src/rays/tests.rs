@@ -1,0 +1,334 @@
+//! `rays` against a sum written out pixel by pixel and against central finite differences.
+
+use super::RaysNeeds;
+use super::cpu::{Grads, Inputs, rays_backward_cpu, rays_cpu};
+use crate::blend::BlendSpec;
+use crate::blend::cpu::blend_cpu;
+use crate::camera::Intrinsics;
+use crate::options::{Order, Projection, RenderOptions};
+use crate::project::{COLUMNS, Ellipse};
+use crate::testing::finite::{check_gradient, inner_product};
+use crate::testing::random::Random;
+use crate::tile::HitLists;
+use crate::tile::cpu::tile_cpu;
+use crate::tilt::{TILT, outline_cpu};
+
+const ALL: RaysNeeds = RaysNeeds { projected: true, tilt: true, features: true, background: true, mean2d_abs: true };
+
+const CHOICES: [(Projection, Order); 4] = [
+    (Projection::Exact, Order::Centre),
+    (Projection::Affine, Order::PerPixel),
+    (Projection::Exact, Order::PerPixel),
+    (Projection::Affine, Order::Centre),
+];
+
+/// Packed ellipses, tilts, features, background.
+#[derive(Clone)]
+struct Scene {
+    inputs: [Vec<f64>; 4],
+    spec: BlendSpec,
+}
+
+impl Scene {
+    /// `opacity` is the range that opacities are drawn from, `steep` and `thick` the largest tilt and thickness.
+    fn random(
+        seed: u64,
+        count: usize,
+        (width, height): (usize, usize),
+        channels: usize,
+        (opacity, steep, thick): ([f64; 2], f64, f64),
+        options: RenderOptions,
+    ) -> Self {
+        let mut random = Random::new(seed);
+        let (mut packed, mut tilts) = (Vec::new(), Vec::new());
+        for _ in 0..count {
+            let ellipse = Ellipse {
+                mean_px: [random.between(-3.0, width as f64 + 3.0), random.between(-3.0, height as f64 + 3.0)],
+                sigma_u: random.between(0.7, 7.0),
+                shear: random.between(-1.5, 1.5),
+                sigma_v: random.between(0.7, 5.0),
+                depth: random.between(0.0, 4.0).exp(),
+                opacity: random.between(opacity[0], opacity[1]),
+            };
+            packed.extend(ellipse.to_row());
+            let tilt = [random.between(-steep, steep), random.between(-steep, steep)];
+            tilts.extend([tilt[0], tilt[1], random.between(0.2 * thick, thick)]);
+        }
+        let features = random.fill(count * channels, -1.0, 1.0);
+        let background = random.fill(channels, -1.0, 1.0);
+        let spec = BlendSpec { intrinsics: Intrinsics::centred(width, height, 30.0), options };
+        Self { inputs: [packed, tilts, features, background], spec }
+    }
+
+    fn lists(&self) -> HitLists {
+        let (camera, alpha_min) = (&self.spec.intrinsics, self.spec.options.alpha_min);
+        match self.spec.options.projection {
+            Projection::Exact => {
+                tile_cpu(&outline_cpu(&self.inputs[0], &self.inputs[1], &self.spec), camera, alpha_min.into())
+            }
+            Projection::Affine => tile_cpu(&self.inputs[0], camera, alpha_min.into()),
+        }
+    }
+
+    fn planes(&self) -> Vec<f64> {
+        rays_cpu(inputs(&self.inputs), &self.spec, &self.lists())
+    }
+
+    fn backward(&self, grad: &[f64], needs: RaysNeeds) -> Grads<f64> {
+        rays_backward_cpu(inputs(&self.inputs), grad, &self.spec, &self.lists(), needs)
+    }
+
+    fn channels(&self) -> usize {
+        self.inputs[3].len()
+    }
+
+    fn pixels(&self) -> usize {
+        self.spec.intrinsics.width * self.spec.intrinsics.height
+    }
+
+    fn random_grad(&self, seed: u64) -> Vec<f64> {
+        Random::new(seed).fill(self.spec.planes(self.channels()) * self.pixels(), -1.0, 1.0)
+    }
+
+    /// What pixel `pixel` sees of Gaussian `i`: alpha before its limit, the depth it is seen at, and where it is greatest.
+    fn seen(&self, pixel: usize, i: usize) -> [f64; 3] {
+        let (width, options) = (self.spec.intrinsics.width, &self.spec.options);
+        let e = Ellipse::from_row(&self.inputs[0][i * COLUMNS..]);
+        let t = &self.inputs[1][i * TILT..];
+        let (dx, dy) = ((pixel % width) as f64 + 0.5 - e.mean_px[0], (pixel / width) as f64 + 0.5 - e.mean_px[1]);
+        let (u, v) = (dx / e.sigma_u, (dy - e.shear * dx) / e.sigma_v);
+        // The point λ of the ray, in the three whitened coordinates, and where it is nearest to the centre.
+        let offset = |lambda: f64| [lambda * u, lambda * v, (lambda - 1.0 - lambda * (t[0] * u + t[1] * v)) / t[2]];
+        let (at_0, at_1) = (offset(0.0), offset(1.0));
+        let along: Vec<f64> = (0..3).map(|k| at_1[k] - at_0[k]).collect();
+        let lambda = -(0..3).map(|k| along[k] * at_0[k]).sum::<f64>() / along.iter().map(|a| a * a).sum::<f64>();
+        let nearest: f64 = offset(lambda).iter().map(|w| w * w).sum();
+        match options.projection {
+            Projection::Affine => [e.opacity * (-0.5 * (u * u + v * v)).exp(), e.depth, lambda * e.depth],
+            Projection::Exact if lambda > 0.0 => {
+                [e.opacity * (-0.5 * nearest).exp(), lambda * e.depth, lambda * e.depth]
+            }
+            Projection::Exact => [0.0, 0.0, 0.0],
+        }
+    }
+
+    /// Gaussians front to back.
+    fn order(&self, pixel: usize) -> Vec<usize> {
+        let key = |i: usize| match self.spec.options.order {
+            Order::Centre => self.inputs[0][i * COLUMNS + 5],
+            Order::PerPixel => self.seen(pixel, i)[2],
+        };
+        let keys: Vec<f64> = (0..self.inputs[0].len() / COLUMNS).map(key).collect();
+        let mut order: Vec<usize> = (0..keys.len()).collect();
+        order.sort_by(|&a, &b| keys[a].total_cmp(&keys[b]));
+        order
+    }
+
+    fn check(&self, name: &str, stride: usize) {
+        let grad = self.random_grad(77);
+        let g = self.backward(&grad, ALL);
+        let gradients = [&g.projected, &g.tilt, &g.features, &g.background];
+        for (i, part) in ["ellipses", "tilts", "features", "background"].into_iter().enumerate() {
+            check_gradient(&format!("{name}: {part}"), &self.inputs[i], gradients[i], stride, |moved| {
+                let mut scene = self.clone();
+                scene.inputs[i] = moved.to_vec();
+                inner_product(&scene.planes(), &grad)
+            });
+        }
+    }
+}
+
+fn inputs<F>([projected, tilt, features, background]: &[Vec<F>; 4]) -> Inputs<'_, F> {
+    Inputs { projected, tilt, features, background }
+}
+
+/// No cuts: the derivative exists everywhere but where an alpha meets `alpha_max` and where two layers change places.
+fn smooth(alpha_max: f64) -> RenderOptions {
+    RenderOptions { alpha_min: 0.0, transmittance_min: 0.0, alpha_max, ..RenderOptions::standard() }
+}
+
+/// The definition, pixel by pixel.
+fn planes_by_definition(scene: &Scene) -> Vec<f64> {
+    let ([_, _, features, background], options) = (&scene.inputs, &scene.spec.options);
+    let (channels, pixels) = (scene.channels(), scene.pixels());
+    let mut planes = vec![0.0; scene.spec.planes(channels) * pixels];
+    for pixel in 0..pixels {
+        let mut transmittance = 1.0;
+        for i in scene.order(pixel) {
+            let [alpha, depth, _] = scene.seen(pixel, i);
+            let alpha = alpha.min(options.alpha_max);
+            if alpha < options.alpha_min {
+                continue;
+            }
+            let behind = transmittance * (1.0 - alpha);
+            if options.transmittance_min > 0.0 && behind <= options.transmittance_min {
+                break;
+            }
+            for channel in 0..channels {
+                planes[channel * pixels + pixel] += transmittance * alpha * features[i * channels + channel];
+            }
+            if options.depth {
+                planes[(channels + 1) * pixels + pixel] += transmittance * alpha * depth;
+            }
+            transmittance = behind;
+        }
+        for channel in 0..channels {
+            planes[channel * pixels + pixel] += transmittance * background[channel];
+        }
+        planes[channels * pixels + pixel] = 1.0 - transmittance;
+    }
+    planes
+}
+
+fn assert_close(what: &str, found: &[f64], expected: &[f64], tolerance: f64) {
+    assert_eq!(found.len(), expected.len(), "{what}");
+    for (i, (found, expected)) in found.iter().zip(expected).enumerate() {
+        let error = (found - expected).abs();
+        assert!(error <= tolerance * (1.0 + expected.abs()), "{what}[{i}]: found {found}, expected {expected}");
+    }
+}
+
+/// Listed by outline or ellipse, so that a hit that they lose shows.
+#[test]
+fn planes_are_those_of_the_definition() {
+    for (seed, size) in [(37, 21), (16, 16), (1, 1), (1, 50), (90, 60)].into_iter().enumerate() {
+        for (projection, order) in CHOICES {
+            for options in [RenderOptions::standard(), RenderOptions::fast(), RenderOptions::exact(), smooth(0.95)] {
+                let options = options.with_projection(projection).with_order(order).with_depth(seed % 2 == 0);
+                let scene = Scene::random(seed as u64, 200, size, 1 + seed, ([0.0, 1.0], 0.3, 0.3), options);
+                let what = format!("{size:?}, {projection:?}, {order:?}, {}", options.alpha_min);
+                assert_close(&what, &scene.planes(), &planes_by_definition(&scene), 1e-11);
+            }
+        }
+    }
+}
+
+#[test]
+fn without_a_tilt_it_is_blend() {
+    for (projection, order) in CHOICES {
+        let options = RenderOptions::standard().with_projection(projection).with_order(order).with_depth(true);
+        let mut scene = Scene::random(5, 300, (50, 40), 3, ([0.0, 1.0], 0.0, 0.0), options);
+        scene.inputs[1].fill(0.0);
+        let [projected, _, features, background] = &scene.inputs;
+        let plain = crate::blend::cpu::Inputs { projected, features, background };
+        let lists = tile_cpu(projected, &scene.spec.intrinsics, options.alpha_min.into());
+        let expected = blend_cpu(plain, &scene.spec, &lists, false).0;
+        assert_close(&format!("{projection:?}, {order:?}"), &scene.planes(), &expected, 1e-13);
+    }
+}
+
+/// How close any alpha comes to `value` before its limit, and any two that matter to changing places, relatively.
+fn nearest(scene: &Scene, value: f64) -> f64 {
+    let count = scene.inputs[0].len() / COLUMNS;
+    let mut nearest = f64::MAX;
+    for pixel in 0..scene.pixels() {
+        let seen: Vec<[f64; 3]> = (0..count).map(|i| scene.seen(pixel, i)).collect();
+        for (i, a) in seen.iter().enumerate() {
+            nearest = nearest.min((a[0] - value).abs());
+            if scene.spec.options.order == Order::PerPixel {
+                let pairs = seen[..i].iter().filter(|b| a[0] * b[0] > 1e-11);
+                nearest = pairs.map(|b| (a[2] - b[2]).abs() / a[2].abs().max(b[2].abs())).fold(nearest, f64::min);
+            }
+        }
+    }
+    nearest
+}
+
+#[test]
+fn every_gradient_agrees_with_finite_differences() {
+    for (projection, order) in CHOICES {
+        for (channels, depth) in [(1, false), (3, true), (5, true)] {
+            let options = smooth(0.8).with_depth(depth).with_projection(projection).with_order(order);
+            let range = ([0.4, 1.0], 0.4, 0.12);
+            let scene = |seed| Scene::random(seed, 8, (14, 10), channels, range, options);
+            // There is no derivative where an alpha meets its limit or layers change places: take a scene in which no step
+            // gets there.
+            let first = 1000 * channels as u64;
+            let scene = (first..first + 900).map(scene).find(|scene| nearest(scene, 0.8) > 1e-3);
+            let scene = scene.expect("one scene in some hundreds is clear of both");
+            if order == Order::PerPixel {
+                let orders: std::collections::BTreeSet<_> = (0..scene.pixels()).map(|p| scene.order(p)).collect();
+                assert!(orders.len() > 3, "pixels see different orders");
+            }
+            let what = format!("{channels} channels, depth {depth}, {projection:?}, {order:?}");
+            let mut scene = scene;
+            if projection == Projection::Affine {
+                // The tilt has no gradient; and so finite differences find none.
+                let g = scene.backward(&scene.random_grad(77), ALL);
+                assert!(g.tilt.iter().all(|g| *g == 0.0), "{what}");
+            }
+            scene.check(&what, 1);
+            // A camera inside some of them.
+            scene.inputs[1].iter_mut().skip(2).step_by(2 * TILT).for_each(|thickness| *thickness *= 6.0);
+            if order == Order::Centre && nearest(&scene, 0.8) > 1e-3 {
+                scene.check(&format!("{what}, thick"), 1);
+            }
+        }
+    }
+}
+
+#[test]
+fn gradients_hold_where_pixels_finish_and_small_alphas_are_cut() {
+    for (projection, order) in CHOICES.into_iter().filter(|(_, order)| *order == Order::Centre) {
+        let options = RenderOptions { transmittance_min: 1e-2, alpha_min: 1e-2, ..RenderOptions::standard() };
+        let options = options.with_depth(true).with_projection(projection).with_order(order);
+        let scene = Scene::random(61, 160, (9, 7), 3, ([0.2, 0.9], 0.2, 0.1), options);
+        let finished = scene.planes()[3 * scene.pixels()..4 * scene.pixels()].iter().filter(|a| **a > 0.9).count();
+        assert!(finished > scene.pixels() / 2, "{finished} pixels nearly finished");
+        scene.check(&format!("with thresholds, {projection:?}"), 1);
+    }
+}
+
+#[test]
+fn absolute_gradients_are_the_sum_over_pixels_of_absolute_values() {
+    for (projection, order) in CHOICES {
+        let options = RenderOptions::standard().with_depth(true).with_projection(projection).with_order(order);
+        let scene = Scene::random(70, 60, (20, 13), 3, ([0.05, 0.6], 0.3, 0.2), options);
+        let grad = scene.random_grad(71);
+        let found = scene.backward(&grad, ALL).mean2d_abs;
+        let mut expected = vec![0.0; found.len()];
+        for pixel in 0..scene.pixels() {
+            let mut alone = vec![0.0; grad.len()];
+            let planes = (pixel..grad.len()).step_by(scene.pixels());
+            planes.for_each(|i| alone[i] = grad[i]);
+            let g = scene.backward(&alone, RaysNeeds { mean2d_abs: false, ..ALL });
+            for (sum, row) in expected.chunks_exact_mut(2).zip(g.projected.chunks_exact(COLUMNS)) {
+                sum[0] += row[0].abs();
+                sum[1] += row[1].abs();
+            }
+        }
+        assert_close("mean2d_abs", &found, &expected, 1e-12);
+    }
+}
+
+#[test]
+fn each_gradient_is_the_same_alone() {
+    let options = RenderOptions::standard().with_projection(Projection::Exact).with_order(Order::PerPixel);
+    let scene = Scene::random(80, 120, (20, 13), 3, ([0.05, 0.9], 0.3, 0.2), options.with_depth(true));
+    let grad = scene.random_grad(81);
+    let list = |g: Grads<f64>| [g.projected, g.tilt, g.features, g.background, g.mean2d_abs];
+    let all = list(scene.backward(&grad, ALL));
+    for alone in 0..5 {
+        let [projected, tilt, features, background, mean2d_abs] = std::array::from_fn(|i| i == alone);
+        let needs = RaysNeeds { projected, tilt, features, background, mean2d_abs };
+        for (i, gradient) in list(scene.backward(&grad, needs)).iter().enumerate() {
+            let expected = if i == alone { all[i].as_slice() } else { &[] };
+            assert_eq!(gradient, expected, "gradient {i}, asked for {alone}");
+        }
+    }
+}
+
+#[test]
+fn the_number_of_threads_changes_no_bit() {
+    let options = RenderOptions::standard().with_projection(Projection::Exact).with_order(Order::PerPixel);
+    let scene = Scene::random(95, 1500, (90, 70), 3, ([0.0, 1.0], 0.2, 0.1), options.with_depth(true));
+    let grad = scene.random_grad(96);
+    let with = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a small pool");
+        pool.install(|| {
+            let g = scene.backward(&grad, ALL);
+            [scene.planes(), g.projected, g.tilt, g.features, g.background, g.mean2d_abs]
+        })
+    };
+    assert!(with(1) == with(2), "one thread and two give different bits");
+}

@@ -1,0 +1,158 @@
+//! Kernels of `tilt`, forward, and of the outlines: one unit per Gaussian. What projects a Gaussian is that of `project`.
+
+use cubecl::prelude::*;
+
+use super::{LEAST, REACH, SLACK, THICKNESS_MAX, TILT};
+use crate::gpu::math::{Pose, Vec3, finite};
+use crate::project::forward::{Gaussian, Lens, Packed, Projection, project_one};
+
+/// What the forward pass computes on its way and the backward pass needs again. The names are those of the contract.
+#[derive(CubeType, Clone, Copy)]
+#[expand(derive(Clone, Copy))]
+pub(super) struct Leaning {
+    /// Without it the Gaussian has no tilt: it is culled, or too long.
+    pub sound: bool,
+    /// The last row of `W R` over z, and the same times the scales.
+    pub j: Vec3,
+    pub mz: Vec3,
+    pub c: Vec3,
+    pub p: Vec3,
+    pub a: Vec3,
+    pub b: f32,
+    pub b_u: f32,
+    pub tilt_u: f32,
+    pub tilt_v: f32,
+    pub thickness: f32,
+    /// Whether the thickness is not held.
+    pub free: bool,
+}
+
+#[cube]
+pub(super) fn lean(projection: &Projection, gaussian: &Gaussian, lens: &Lens) -> Leaning {
+    let j = projection.last.times(1.0 / projection.depth);
+    let mz = j.by_axis(gaussian.scale);
+    let inverse_v = 1.0 / projection.sigma_v;
+    let b_u = lens.blur_sigma / projection.sigma_u;
+    let b = lens.blur_sigma * inverse_v;
+    let p = projection.p.times(inverse_v);
+    let a = projection.along.times(b);
+    let c = projection.n.cross(mz);
+    let length = mz.length();
+    let rest = Vec3::new(a.cross(mz).length(), b * b_u * length, 0.0).length();
+    let thickness = Vec3::new(mz.dot(p), b * c.length(), rest).length();
+    let tilt_u = mz.dot(projection.n);
+    let tilt_v = p.dot(c) + b_u * a.dot(mz);
+    let held = min(thickness, comptime!(THICKNESS_MAX as f32));
+    let known = finite(tilt_u) && finite(tilt_v) && finite(thickness);
+    Leaning {
+        sound: projection.visible && length <= 1e30 && known,
+        j,
+        mz,
+        c,
+        p,
+        a,
+        b,
+        b_u,
+        tilt_u,
+        tilt_v,
+        thickness: held,
+        free: held == thickness,
+    }
+}
+
+/// `[N, 3]`.
+#[cube(launch_unchecked)]
+pub(super) fn tilt_forward_kernel(
+    means: &[f32],
+    rotations: &[f32],
+    scales: &[f32],
+    opacities: &[f32],
+    cam_from_world: &[f32],
+    tilts: &mut [f32],
+    lens: Lens,
+    count: u32,
+) {
+    if ABSOLUTE_POS < count as usize {
+        let gaussian = Gaussian::load(means, rotations, scales, opacities, ABSOLUTE_POS);
+        let projection = project_one(&gaussian, &Pose::load(cam_from_world), &lens);
+        let found = lean(&projection, &gaussian, &lens);
+        let at = ABSOLUTE_POS * comptime!(TILT);
+        tilts[at] = select(found.sound, found.tilt_u, 0.0);
+        tilts[at + 1] = select(found.sound, found.tilt_v, 0.0);
+        tilts[at + 2] = select(found.sound, found.thickness, 0.0);
+    }
+}
+
+/// A row that covers the whole picture.
+#[cube]
+fn everywhere(e: &Packed, width: f32, height: f32, reached: f32, alpha_min: f32) -> Packed {
+    Packed {
+        x: width * 0.5,
+        y: height * 0.5,
+        sigma_u: width + height,
+        shear: 0.0f32.runtime(),
+        sigma_v: width + height,
+        depth: e.depth,
+        opacity: select(alpha_min > 0.0, reached, 1.0),
+    }
+}
+
+/// The row of a Gaussian, and whether it has an end.
+#[cube]
+fn outline(e: &Packed, tilt_u: f32, tilt_v: f32, thickness: f32, reached: f32, alpha_min: f32) -> (Packed, bool) {
+    let least = comptime!(LEAST as f32);
+    let faintest = max(alpha_min, f32::MIN_POSITIVE);
+    let tau = 2.0 * (e.opacity / faintest).ln() * comptime!(1.0 + SLACK[0] as f32) + comptime!(SLACK[1] as f32);
+    let across = thickness * tau.sqrt();
+    let thin = 1.0 - across * across;
+    let c = (tau / max(thin, least)).sqrt();
+    // The eccentricity over the tilt is `c`.
+    let eccentricity = c * Vec3::new(tilt_u, tilt_v, 0.0).length();
+    let rest = (1.0 - eccentricity) * (1.0 + eccentricity);
+    let ends = alpha_min > 0.0 && thin > least && rest > least;
+    let rest = max(rest, least);
+    let root = rest.sqrt();
+    let (shift_u, shift_v) = (-(c * tilt_u) * (c / rest), -(c * tilt_v) * (c / rest));
+    let (g_u, g_v) = (c * tilt_u / root, c * tilt_v / root);
+    let scale = c / (root * comptime!(REACH as f32));
+    let wide = 1.0 + g_u * g_u;
+    let row = Packed {
+        x: e.x + e.sigma_u * shift_u,
+        y: e.y + e.shear * e.sigma_u * shift_u + e.sigma_v * shift_v,
+        sigma_u: scale * e.sigma_u * wide.sqrt(),
+        shear: e.shear + e.sigma_v / e.sigma_u * (g_u * g_v / wide),
+        sigma_v: scale * e.sigma_v * ((wide + g_v * g_v) / wide).sqrt(),
+        depth: e.depth,
+        opacity: reached,
+    };
+    let known = finite(row.x) && finite(row.y) && finite(row.sigma_u) && finite(row.shear) && finite(row.sigma_v);
+    (row, ends && known)
+}
+
+/// `[N, 7]`.
+#[cube(launch_unchecked)]
+pub(super) fn outline_kernel(
+    projected: &[f32],
+    tilts: &[f32],
+    outlines: &mut [f32],
+    width: f32,
+    height: f32,
+    alpha_min: f32,
+    count: u32,
+) {
+    if ABSOLUTE_POS < count as usize {
+        let e = Packed::load(projected, ABSOLUTE_POS);
+        let at = ABSOLUTE_POS * comptime!(TILT);
+        if e.opacity > 0.0 && e.opacity >= alpha_min {
+            let reached = alpha_min * comptime!((0.5 * REACH * REACH).exp() as f32);
+            let (row, ends) = outline(&e, tilts[at], tilts[at + 1], tilts[at + 2], reached, alpha_min);
+            if ends {
+                row.store(outlines, ABSOLUTE_POS);
+            } else {
+                everywhere(&e, width, height, reached, alpha_min).store(outlines, ABSOLUTE_POS);
+            }
+        } else {
+            e.store(outlines, ABSOLUTE_POS);
+        }
+    }
+}

@@ -1,0 +1,158 @@
+//! The kernels of `tilt` against the twin in f64.
+
+use super::cpu::{tilt_backward_cpu, tilt_cpu};
+use super::launch::{launch_outline, launch_tilt, launch_tilt_backward};
+use super::{TILT, outline_cpu};
+use crate::blend::BlendSpec;
+use crate::camera::Intrinsics;
+use crate::gpu::{Buffer, Gpu};
+use crate::options::{Projection, RenderOptions};
+use crate::project::cpu::{Grads, Inputs, project_cpu};
+use crate::project::launch::DeviceInputs;
+use crate::project::{COLUMNS, ProjectNeeds, ProjectSpec};
+use crate::testing::ceiling::{Yardstick, rounded, to_f32};
+use crate::testing::gpu::gpus;
+use crate::testing::random::Random;
+
+const ALL: ProjectNeeds =
+    ProjectNeeds { means: true, rotations: true, scales: true, opacities: false, cam_from_world: true, mean2d: false };
+
+const CAMERA: Intrinsics = Intrinsics { fx: 61.0, fy: 43.0, cx: 41.5, cy: 13.25, ..Intrinsics::centred(64, 48, 61.0) };
+
+// Classes of Gaussians. The first two are well-conditioned.
+const CULLED: u8 = 0;
+const ORDINARY: u8 = 1;
+const NEEDLE: u8 = 2;
+const INSIDE: u8 = 3;
+const HUGE: u8 = 4;
+const TINY: u8 = 5;
+
+const GRAD: usize = 5;
+
+/// Means, rotations, scales, opacities, pose, gradient, in f32 precision, and the class of each Gaussian.
+fn scene(seed: u64, count: usize) -> (Vec<Vec<f64>>, Vec<Option<u8>>) {
+    let mut random = Random::new(seed);
+    let mut tensors = vec![Vec::new(); 4];
+    let mut classes = Vec::new();
+    for i in 0..count {
+        let mut z = random.between(0.6, 9.0);
+        let mut scale = [(); 3].map(|()| random.between(-4.0, -0.5).exp());
+        let mut kind = ORDINARY;
+        match i % 16 {
+            1 => (kind, z) = (CULLED, -z),
+            3 => (kind, scale) = (NEEDLE, [1.0, 1e-3, 1e-3]),
+            5 => (kind, scale) = (INSIDE, scale.map(|s| 20.0 * s)),
+            7 => (kind, scale) = (HUGE, [30.0, 29.0, 28.0].map(f64::exp)),
+            9 => (kind, scale) = (TINY, [-30.0, -29.0, -28.0].map(f64::exp)),
+            _ => {}
+        }
+        let slopes = [random.between(-2.0, 2.0), random.between(-2.0, 2.0)];
+        // The pose moves little, and turns not at all what lies on the camera's axis.
+        tensors[0].extend([slopes[0] * z, slopes[1] * z, z]);
+        tensors[1].extend((0..4).map(|_| random.between(-1.5, 1.5)));
+        tensors[2].extend(scale);
+        tensors[3].push(random.between(0.1, 1.0));
+        classes.push(Some(kind));
+    }
+    let pose = vec![1.0, 0.02, -0.05, 0.1, -0.03, 0.98, 0.04, -0.2, 0.006, -0.002, 1.03, 0.1];
+    let grad = random.fill(count * TILT, -1.0, 1.0);
+    tensors.extend([pose, grad]);
+    (tensors.iter().map(|tensor| rounded(tensor)).collect(), classes)
+}
+
+fn inputs<F>(tensors: &[Vec<F>]) -> Inputs<'_, F> {
+    let [means, rotations, scales, opacities, cam_from_world, ..] = tensors else { unreachable!("five tensors") };
+    Inputs { means, rotations, scales, opacities, cam_from_world }
+}
+
+fn specs() -> [ProjectSpec; 3] {
+    [(Projection::Exact, 0.3), (Projection::Exact, 0.0), (Projection::Affine, 0.3)].map(|(projection, blur)| {
+        let options = RenderOptions { blur: f64::from(blur as f32), near: 0.0, ..RenderOptions::standard() };
+        ProjectSpec { intrinsics: CAMERA, options: options.with_projection(projection).of_project() }
+    })
+}
+
+fn upload(gpu: &Gpu, tensors: &[Vec<f64>]) -> (DeviceInputs, Buffer<f32>) {
+    let buffer = |i: usize| Buffer::from_slice(gpu, &to_f32(&tensors[i]));
+    let inputs = DeviceInputs {
+        means: buffer(0),
+        rotations: buffer(1),
+        scales: buffer(2),
+        opacities: buffer(3),
+        cam_from_world: buffer(4),
+    };
+    (inputs, buffer(GRAD))
+}
+
+fn list(g: Grads<f64>) -> Vec<Vec<f64>> {
+    vec![g.means, g.rotations, g.scales, g.cam_from_world]
+}
+
+#[test]
+fn kernels_agree_with_the_twin() {
+    for (seed, spec) in specs().into_iter().enumerate() {
+        let (tensors, classes) = scene(seed as u64, 1_200);
+        let forward = Yardstick::new(&tensors, |tensors| vec![tilt_cpu(inputs(tensors), &spec)]);
+        let backward =
+            Yardstick::new(&tensors, |tensors| list(tilt_backward_cpu(inputs(tensors), &tensors[GRAD], &spec, ALL)));
+        for (form, gpu) in gpus() {
+            let what = |what: &str| format!("{what}, {form}, spec {seed}");
+            let (device, grad) = upload(&gpu, &tensors);
+            let found = launch_tilt(&gpu, &device, &spec).read(&gpu);
+            forward.check(&what("tilts"), 0, &found, &classes);
+            let g = launch_tilt_backward(&gpu, &device, &grad, &spec, ALL);
+            for (i, found) in [g.means, g.rotations, g.scales].into_iter().enumerate() {
+                let (name, found) = (what(["means", "rotations", "scales"][i]), found.expect("asked for").read(&gpu));
+                backward.check_gradient(&name, i, &found, &classes, &[CULLED, ORDINARY]);
+            }
+            let pose = g.cam_from_world.expect("asked for").read(&gpu);
+            backward.check(&what("pose"), 3, &pose, &[Some(ORDINARY); 12]);
+        }
+    }
+}
+
+#[test]
+fn only_what_is_needed() {
+    let (tensors, _) = scene(7, 200);
+    let spec = specs()[0];
+    for (form, gpu) in gpus() {
+        let (device, grad) = upload(&gpu, &tensors);
+        let read = |needs: ProjectNeeds| {
+            let g = launch_tilt_backward(&gpu, &device, &grad, &spec, needs);
+            [g.means, g.rotations, g.scales, g.cam_from_world].map(|buffer| buffer.map(|buffer| buffer.read(&gpu)))
+        };
+        let all = read(ALL);
+        for alone in 0..4 {
+            let [means, rotations, scales, cam_from_world] = std::array::from_fn(|i| i == alone);
+            let found = read(ProjectNeeds { means, rotations, scales, cam_from_world, ..ALL });
+            for (i, found) in found.iter().enumerate() {
+                let expected = all[i].as_ref().filter(|_| i == alone);
+                assert_eq!(found.as_ref(), expected, "gradient {i} of {alone} alone, {form}");
+            }
+        }
+    }
+}
+
+#[test]
+fn outlines_agree_with_the_twin() {
+    let (tensors, classes) = scene(11, 1_200);
+    for alpha_min in [1.0 / 255.0, 1e-6, 0.0] {
+        let mut spec = specs()[0];
+        spec.options.alpha_min = f64::from(alpha_min as f32);
+        let blend = BlendSpec { intrinsics: CAMERA, options: spec.options };
+        let rows = [project_cpu(inputs(&tensors), &spec), tilt_cpu(inputs(&tensors), &spec)].map(|t| rounded(&t));
+        let yardstick = Yardstick::new(&rows, |rows| vec![outline_cpu(&rows[0], &rows[1], &blend)]);
+        // Near the end of those that have one, a row may have one or not; the slack that tells them apart is no rounding.
+        let jumps = |i: usize| {
+            let row = |values: &[f64]| values[COLUMNS * i..COLUMNS * (i + 1)].to_vec();
+            row(&yardstick.spread[0]).iter().any(|spread| *spread > 1.0)
+        };
+        let classes: Vec<_> = classes.iter().enumerate().map(|(i, class)| class.filter(|_| !jumps(i))).collect();
+        assert!(classes.iter().flatten().count() > 1_000, "too many jump");
+        for (form, gpu) in gpus() {
+            let [projected, tilts] = rows.each_ref().map(|values| Buffer::from_slice(&gpu, &to_f32(values)));
+            let found = launch_outline(&gpu, &projected, &tilts, &blend).read(&gpu);
+            yardstick.check(&format!("outlines, {form}, alpha_min {alpha_min}"), 0, &found, &classes);
+        }
+    }
+}

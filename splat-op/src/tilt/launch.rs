@@ -1,0 +1,118 @@
+//! Launches of `tilt`.
+
+use super::TILT;
+use super::backward::tilt_backward_kernel;
+use super::forward::{outline_kernel, tilt_forward_kernel};
+use crate::blend::BlendSpec;
+use crate::gpu::math::POSE;
+use crate::gpu::reduce::launch_column_sums;
+use crate::gpu::{Buffer, Gpu, UNITS, elementwise};
+use crate::project::launch::{DeviceGrads, DeviceInputs, lens};
+use crate::project::{COLUMNS, ProjectNeeds, ProjectSpec};
+
+/// `[N, 3]`.
+pub(crate) fn launch_tilt(gpu: &Gpu, inputs: &DeviceInputs, spec: &ProjectSpec) -> Buffer<f32> {
+    let count = inputs.opacities.len;
+    let tilts = Buffer::new(gpu, count * TILT);
+    if count == 0 {
+        return tilts;
+    }
+    let (grid, dim) = elementwise(count);
+    // SAFETY: every access is guarded by the number of Gaussians.
+    unsafe {
+        tilt_forward_kernel::launch_unchecked(
+            &gpu.client,
+            grid,
+            dim,
+            inputs.means.arg(),
+            inputs.rotations.arg(),
+            inputs.scales.arg(),
+            inputs.opacities.arg(),
+            inputs.cam_from_world.arg(),
+            tilts.arg(),
+            lens(spec),
+            count as u32,
+        );
+    }
+    tilts
+}
+
+/// Rows for `tile`, `[N, 7]`, from packed ellipses and their tilts.
+pub(crate) fn launch_outline(gpu: &Gpu, projected: &Buffer<f32>, tilts: &Buffer<f32>, spec: &BlendSpec) -> Buffer<f32> {
+    let count = projected.len / COLUMNS;
+    let outlines = Buffer::new(gpu, count * COLUMNS);
+    if count == 0 {
+        return outlines;
+    }
+    let (grid, dim) = elementwise(count);
+    // SAFETY: every access is guarded by the number of Gaussians.
+    unsafe {
+        outline_kernel::launch_unchecked(
+            &gpu.client,
+            grid,
+            dim,
+            projected.arg(),
+            tilts.arg(),
+            outlines.arg(),
+            spec.intrinsics.width as f32,
+            spec.intrinsics.height as f32,
+            spec.options.alpha_min as f32,
+            count as u32,
+        );
+    }
+    outlines
+}
+
+/// Gradients of the inputs from `grad`, `[N, 3]`; none of opacities and projected centres. Those of the pose are summed in a
+/// fixed order.
+pub(crate) fn launch_tilt_backward(
+    gpu: &Gpu,
+    inputs: &DeviceInputs,
+    grad: &Buffer<f32>,
+    spec: &ProjectSpec,
+    needs: ProjectNeeds,
+) -> DeviceGrads {
+    let count = inputs.opacities.len;
+    let rows = |needed, columns| Buffer::if_needed(gpu, needed, count * columns);
+    let mut grads = DeviceGrads {
+        means: rows(needs.means, 3),
+        rotations: rows(needs.rotations, 4),
+        scales: rows(needs.scales, 3),
+        opacities: None,
+        cam_from_world: None,
+        mean2d: None,
+    };
+    if count == 0 {
+        grads.cam_from_world = needs.cam_from_world.then(|| Buffer::from_slice(gpu, &[0.0; POSE]));
+        return grads;
+    }
+    if !(needs.means || needs.rotations || needs.scales || needs.cam_from_world) {
+        return grads;
+    }
+    let pose_rows = Buffer::if_needed(gpu, needs.cam_from_world, count.div_ceil(UNITS) * POSE);
+    let output = |buffer: &Option<Buffer<f32>>| buffer.as_ref().map(Buffer::arg).into();
+    let (grid, dim) = elementwise(count);
+    // SAFETY: every access is guarded by the number of Gaussians.
+    unsafe {
+        tilt_backward_kernel::launch_unchecked(
+            &gpu.client,
+            grid,
+            dim,
+            inputs.means.arg(),
+            inputs.rotations.arg(),
+            inputs.scales.arg(),
+            inputs.opacities.arg(),
+            inputs.cam_from_world.arg(),
+            grad.arg(),
+            output(&grads.means),
+            output(&grads.rotations),
+            output(&grads.scales),
+            output(&pose_rows),
+            lens(spec),
+            count as u32,
+            gpu.planes,
+        );
+    }
+    grads.cam_from_world = pose_rows.map(|rows| launch_column_sums(gpu, &rows, POSE));
+    grads
+}

@@ -1,0 +1,73 @@
+//! The CPU twin of the outlines.
+
+use rayon::prelude::*;
+
+use super::{LEAST, REACH, SLACK, TILT};
+use crate::blend::BlendSpec;
+use crate::linalg::norm;
+use crate::project::{COLUMNS, Ellipse};
+use crate::real::Real;
+use crate::tile::reach::whitened_limit;
+
+/// Gaussians per task.
+const CHUNK: usize = 1024;
+
+/// `[N, 7]` rows for `tile`, from packed ellipses `[N, 7]` and their tilts `[N, 3]`. What is culled stays culled.
+pub(crate) fn outline_cpu<F: Real>(packed: &[F], tilts: &[F], spec: &BlendSpec) -> Vec<F> {
+    let mut outlines = vec![F::ZERO; packed.len()];
+    let rows = (outlines.par_chunks_mut(COLUMNS), packed.par_chunks(COLUMNS), tilts.par_chunks(TILT));
+    rows.into_par_iter().with_min_len(CHUNK).for_each(|(out, row, tilt)| {
+        out.copy_from_slice(&outline(&Ellipse::from_row(row), [tilt[0], tilt[1], tilt[2]], spec).to_row());
+    });
+    outlines
+}
+
+fn outline<F: Real>(e: &Ellipse<F>, [tilt_u, tilt_v, thickness]: [F; TILT], spec: &BlendSpec) -> Ellipse<F> {
+    let alpha_min = F::of(spec.options.alpha_min);
+    if !(e.opacity > F::ZERO && e.opacity >= alpha_min) {
+        return *e;
+    }
+    let camera = &spec.intrinsics;
+    let reached = alpha_min * F::of((0.5 * REACH * REACH).exp());
+    let [width, height] = [camera.width, camera.height].map(|px| F::of(px as f64));
+    let everywhere = Ellipse {
+        mean_px: [width * F::of(0.5), height * F::of(0.5)],
+        sigma_u: width + height,
+        shear: F::ZERO,
+        sigma_v: width + height,
+        depth: e.depth,
+        opacity: if alpha_min > F::ZERO { reached } else { F::ONE },
+    };
+    let [relative, absolute] = SLACK.map(F::of);
+    let tau = whitened_limit(e.opacity, alpha_min) * (F::ONE + relative) + absolute;
+    let across = thickness * tau.sqrt();
+    let thin = F::ONE - across * across;
+    if !(alpha_min > F::ZERO && thin > F::of(LEAST)) {
+        return everywhere;
+    }
+    let c = (tau / thin).sqrt();
+    let length = norm([tilt_u, tilt_v, F::ZERO]);
+    let eccentricity = c * length;
+    let rest = (F::ONE - eccentricity) * (F::ONE + eccentricity);
+    if !(rest > F::of(LEAST)) {
+        return everywhere;
+    }
+    let along = if length > F::ZERO { eccentricity / length } else { F::ZERO };
+    // From the focus to the middle, and the column, both in units of whitened coordinates.
+    let shift = [tilt_u, tilt_v].map(|tilt| -(along * tilt) * (c / rest));
+    let [g_u, g_v] = [tilt_u, tilt_v].map(|tilt| along * tilt / rest.sqrt());
+    let scale = c / (rest.sqrt() * F::of(REACH));
+    let wide = F::ONE + g_u * g_u;
+    let row = Ellipse {
+        mean_px: [
+            e.mean_px[0] + e.sigma_u * shift[0],
+            e.mean_px[1] + e.shear * e.sigma_u * shift[0] + e.sigma_v * shift[1],
+        ],
+        sigma_u: scale * e.sigma_u * wide.sqrt(),
+        shear: e.shear + e.sigma_v / e.sigma_u * (g_u * g_v / wide),
+        sigma_v: scale * e.sigma_v * ((wide + g_v * g_v) / wide).sqrt(),
+        depth: e.depth,
+        opacity: reached,
+    };
+    if row.to_row().iter().all(|value| value.finite()) { row } else { everywhere }
+}

@@ -1,0 +1,206 @@
+//! `tilt` against a factorisation of the covariance, central finite differences, and what its outlines have to hold.
+
+use glam::{DMat3, DQuat, DVec3};
+
+use super::cpu::{tilt_backward_cpu, tilt_cpu};
+use super::{REACH, THICKNESS_MAX, TILT, outline_cpu};
+use crate::blend::BlendSpec;
+use crate::camera::Intrinsics;
+use crate::options::{Projection, RenderOptions};
+use crate::project::cpu::{Grads, Inputs, project_cpu};
+use crate::project::{COLUMNS, Ellipse, ProjectNeeds, ProjectSpec};
+use crate::real::Real;
+use crate::testing::finite::{check_gradient, inner_product};
+use crate::testing::random::Random;
+
+const ALL: ProjectNeeds =
+    ProjectNeeds { means: true, rotations: true, scales: true, opacities: false, cam_from_world: true, mean2d: false };
+
+const CAMERA: Intrinsics = Intrinsics { fx: 35.0, fy: 31.0, cx: 18.0, cy: 15.5, ..Intrinsics::centred(40, 28, 35.0) };
+
+fn spec(projection: Projection, blur: f64) -> ProjectSpec {
+    let options = RenderOptions { blur, ..RenderOptions::standard() }.with_projection(projection);
+    ProjectSpec { intrinsics: CAMERA, options: options.of_project() }
+}
+
+/// Means, rotations, scales, opacities, pose.
+#[derive(Clone)]
+struct Scene([Vec<f64>; 5]);
+
+impl Scene {
+    /// Gaussians in view and far beside it, small and large beside their distance, thin as needles and flat.
+    fn random(seed: u64, count: usize) -> Self {
+        let mut random = Random::new(seed);
+        let (mut means, mut scales) = (Vec::new(), Vec::new());
+        for i in 0..count {
+            let z = random.between(1.0, 5.0);
+            let beside = if i % 4 == 0 { 2.5 } else { 0.5 };
+            means.extend([random.between(-beside, beside) * z, random.between(-beside, beside) * z, z]);
+            let size = [0.05, 0.6, 2.0][i % 3];
+            let thin = if i % 5 == 1 { 5e-2 } else { 1.0 };
+            scales.extend([size * thin, size * random.between(0.5, 1.5), size * if i % 10 == 1 { thin } else { 0.7 }]);
+        }
+        let mut pose = vec![1.0, 0.02, -0.05, 0.1, -0.03, 0.98, 0.04, -0.2, 0.06, -0.02, 1.03, 0.3];
+        pose.iter_mut().for_each(|entry| *entry += random.between(-0.01, 0.01));
+        Self([means, random.fill(4 * count, -1.5, 1.5), scales, vec![0.5; count], pose])
+    }
+
+    fn tilts(&self, spec: &ProjectSpec) -> Vec<f64> {
+        tilt_cpu(inputs(&self.0), spec)
+    }
+
+    fn backward(&self, grad: &[f64], spec: &ProjectSpec) -> Grads<f64> {
+        tilt_backward_cpu(inputs(&self.0), grad, spec, ALL)
+    }
+}
+
+fn inputs<F>([means, rotations, scales, opacities, cam_from_world]: &[Vec<F>; 5]) -> Inputs<'_, F> {
+    Inputs { means, rotations, scales, opacities, cam_from_world }
+}
+
+/// The covariance of the contract, formed as it stands there.
+fn covariance(scene: &Scene, i: usize, blur: f64) -> DMat3 {
+    let [means, rotations, scales, _, p] = &scene.0;
+    let pose = DMat3::from_cols_array(&[p[0], p[4], p[8], p[1], p[5], p[9], p[2], p[6], p[10]]);
+    let q = &rotations[4 * i..];
+    let turn = DMat3::from_quat(DQuat::from_xyzw(q[1], q[2], q[3], q[0]).normalize());
+    let axes = pose * turn * DMat3::from_diagonal(DVec3::from_slice(&scales[3 * i..]));
+    let DVec3 { x, y, z } = pose * DVec3::from_slice(&means[3 * i..]) + DVec3::new(p[3], p[7], p[11]);
+    let (fx, fy) = (CAMERA.fx, CAMERA.fy);
+    let map = DMat3::from_cols_array(&[fx / z, 0.0, 0.0, 0.0, fy / z, 0.0, -fx * x / z / z, -fy * y / z / z, 1.0 / z]);
+    let m = map * axes;
+    m * m.transpose() + DMat3::from_diagonal(DVec3::new(blur, blur, 0.0))
+}
+
+#[test]
+fn it_is_the_last_row_of_the_factor() {
+    for blur in [0.3, 0.0] {
+        let (scene, spec) = (Scene::random(1, 200), spec(Projection::Exact, blur));
+        let packed = project_cpu(inputs(&scene.0), &spec);
+        for (i, (row, tilt)) in packed.chunks_exact(COLUMNS).zip(scene.tilts(&spec).chunks_exact(TILT)).enumerate() {
+            let e = Ellipse::from_row(row);
+            let u = DVec3::new(e.sigma_u, e.shear * e.sigma_u, tilt[0]);
+            let v = DVec3::new(0.0, e.sigma_v, tilt[1]);
+            let w = DVec3::new(0.0, 0.0, tilt[2]);
+            let factor = DMat3::from_cols(u, v, w);
+            let (found, expected) = (factor * factor.transpose(), covariance(&scene, i, blur));
+            // Depths are thousands of times smaller than pixels: each entry by the size of its row and column.
+            for (row, column) in (0..3).flat_map(|row| (0..3).map(move |column| (row, column))) {
+                let at = |m: &DMat3, row: usize, column: usize| m.col(column)[row];
+                let size = (at(&expected, row, row) * at(&expected, column, column)).sqrt();
+                let error = (at(&found, row, column) - at(&expected, row, column)).abs();
+                assert!(error <= 1e-12 * size, "Gaussian {i}, entry {row}, {column}: {error:e} of {size:e}");
+            }
+        }
+    }
+}
+
+#[test]
+fn every_gradient_agrees_with_finite_differences() {
+    for (seed, projection, blur) in
+        [(1, Projection::Exact, 0.3), (2, Projection::Exact, 0.0), (3, Projection::Affine, 0.3)]
+    {
+        let (scene, spec) = (Scene::random(seed, 30), spec(projection, blur));
+        let grad = Random::new(seed + 100).fill(30 * TILT, -1.0, 1.0);
+        let g = scene.backward(&grad, &spec);
+        assert!(g.opacities.is_empty() && g.mean2d.is_empty());
+        let gradients = [(0, "means", &g.means), (1, "rotations", &g.rotations), (2, "scales", &g.scales)];
+        for (i, name, gradient) in gradients.into_iter().chain([(4, "pose", &g.cam_from_world)]) {
+            check_gradient(&format!("{name}, {projection:?}, blur {blur}"), &scene.0[i], gradient, 1, |moved| {
+                let mut scene = scene.clone();
+                scene.0[i] = moved.to_vec();
+                inner_product(&scene.tilts(&spec), &grad)
+            });
+        }
+    }
+}
+
+#[test]
+fn extreme_sizes_stay_finite_in_f32() {
+    let mut scene = Scene::random(5, 40);
+    for (i, scale) in scene.0[2].chunks_exact_mut(3).enumerate() {
+        let size = [50.0_f64, -50.0][i % 2].exp();
+        (0..3).filter(|axis| ((i / 2) >> axis) & 1 == 0).for_each(|axis| scale[axis] = size);
+    }
+    scene.0[0][2] = -4.0;
+    scene.0[0][3] = f64::NAN;
+    let single = scene.0.each_ref().map(|values| values.iter().map(|v| *v as f32).collect::<Vec<f32>>());
+    for blur in [0.3, 0.0] {
+        let spec = spec(Projection::Exact, blur);
+        let tilts = tilt_cpu(inputs(&single), &spec);
+        assert!(tilts.iter().all(|value| value.is_finite()), "{tilts:?}");
+        assert!(tilts[2] == 0.0 && tilts[5] == 0.0, "behind the camera, and nowhere");
+        assert!(tilts.chunks_exact(TILT).any(|row| f64::from(row[2]) == f64::from(THICKNESS_MAX as f32)));
+        let g = tilt_backward_cpu(inputs(&single), &vec![1.0; tilts.len()], &spec, ALL);
+        for (name, gradient) in [("means", g.means), ("rotations", g.rotations), ("scales", g.scales)] {
+            assert!(gradient.iter().all(|value| value.is_finite()), "{name}: {gradient:?}");
+        }
+    }
+}
+
+/// Where a Gaussian shows, its outline is; and where there is an end to that, the outline is not much larger.
+fn check_outline<F: Real>(seed: u64) {
+    let mut random = Random::new(seed);
+    let options = RenderOptions::standard().with_projection(Projection::Exact);
+    let spec = BlendSpec { intrinsics: Intrinsics::centred(640, 480, 500.0), options };
+    let mut bounded = 0;
+    for _ in 0..2000 {
+        let e = Ellipse {
+            mean_px: [random.between(0.0, 640.0), random.between(0.0, 480.0)],
+            sigma_u: random.between(0.5, 30.0),
+            shear: random.between(-2.0, 2.0),
+            sigma_v: random.between(0.5, 30.0),
+            depth: 2.0,
+            opacity: random.between(0.004, 1.0),
+        };
+        let steep = random.between(0.0, 0.5);
+        let tilt = [random.between(-steep, steep), random.between(-steep, steep), random.between(0.0, 0.4)];
+        let row: Vec<F> = e.to_row().map(F::of).to_vec();
+        let found = Ellipse::from_row(&outline_cpu(&row, &tilt.map(F::of), &spec)).to_row().map(|value| value.f64());
+        let found = Ellipse::from_row(&found);
+        let all = found.sigma_u >= 1000.0;
+        bounded += usize::from(!all);
+        assert!(found.depth == e.depth && found.opacity > options.alpha_min);
+        let (mut farthest, mut held) = (0.0_f64, true);
+        for turn in 0..64 {
+            let (sin, cos) = (turn as f64 * std::f64::consts::TAU / 64.0).sin_cos();
+            // Outwards as far as it shows.
+            for step in 0..330 {
+                let r = 0.02 * 1.03_f64.powi(step);
+                let (u, v) = (r * cos, r * sin);
+                let s = 1.0 - tilt[0] * u - tilt[1] * v;
+                let alpha = e.opacity * (-0.5 * r * r / (s * s + (tilt[2] * r).powi(2))).exp();
+                if !(s > 0.0 && alpha >= options.alpha_min) {
+                    continue;
+                }
+                let px = [e.mean_px[0] + e.sigma_u * u, e.mean_px[1] + e.sigma_u * e.shear * u + e.sigma_v * v];
+                let [x, y] = [px[0] - found.mean_px[0], px[1] - found.mean_px[1]];
+                let reach = (x / found.sigma_u).hypot((y - found.shear * x) / found.sigma_v) / REACH;
+                farthest = farthest.max(reach);
+                // One that shows without end covers the picture and no more.
+                let beyond = !(0.0..=640.0).contains(&px[0]) || !(0.0..=480.0).contains(&px[1]);
+                held &= reach <= 1.0 || (all && beyond);
+            }
+        }
+        assert!(held, "{e:?}, tilt {tilt:?} shows beyond {found:?}: {farthest}");
+        // It touches what it holds, to the step of the walk and the slack, which tells where a Gaussian hardly shows at all or
+        // almost everywhere.
+        let telling = e.opacity < 0.05 || found.sigma_u > 10.0 * e.sigma_u;
+        assert!(all || telling || farthest > 0.93, "{e:?}, tilt {tilt:?}: {found:?} is too large, {farthest}");
+    }
+    assert!(bounded > 500 && bounded < 1900, "{bounded} of 2000 have an end");
+}
+
+#[test]
+fn outlines_hold_what_shows_and_little_more() {
+    check_outline::<f64>(1);
+    check_outline::<f32>(2);
+}
+
+#[test]
+fn what_is_culled_or_too_faint_keeps_its_row() {
+    let options = RenderOptions::standard().with_projection(Projection::Exact);
+    let spec = BlendSpec { intrinsics: CAMERA, options };
+    let rows = [[0.0, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0], [5.0, 6.0, 2.0, 0.1, 1.5, 3.0, 0.003]].concat();
+    assert_eq!(outline_cpu(&rows, &[0.1; 6], &spec), rows);
+}

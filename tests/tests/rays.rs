@@ -1,0 +1,261 @@
+//! Renders whose pixels look along their rays, as a whole: what the exact projection and the order of each pixel promise.
+
+use burn::tensor::{DType, Device};
+use glam::DVec3;
+use splat_op::{
+    CameraModel, Extras, Intrinsics, Order, Projection, RenderOptions, SplatError, blend, colours, project, render,
+    render_view, tile,
+};
+use splat_tests::perturb::judge;
+use splat_tests::random::Random;
+use splat_tests::scene::{Scene, Tensors, host};
+use splat_tests::tracked::{INPUTS, gradients_of};
+use splat_tests::{cpu_devices, devices};
+
+const CAMERA: Intrinsics = Intrinsics { fx: 33.0, fy: 37.0, cx: 19.0, cy: 14.5, ..Intrinsics::centred(41, 27, 33.0) };
+
+const CHOICES: [(Projection, Order); 3] =
+    [(Projection::Exact, Order::Centre), (Projection::Affine, Order::PerPixel), (Projection::Exact, Order::PerPixel)];
+
+fn picture(scene: &Scene, options: &RenderOptions) -> Vec<f64> {
+    let Tensors { splats, camera, .. } = scene.tensors(&Device::flex(), DType::F64);
+    host(render_view(&splats, &camera, &Extras::default(), options).expect("a valid scene").colour)
+}
+
+fn largest_difference(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
+}
+
+/// By how much a picture differs from that of the plain choices, of a scene this many times smaller across the picture and in its
+/// Gaussians' sizes, seen as much closer: as large on the picture, and beside its distance smaller.
+fn difference(size: f64) -> f64 {
+    let camera = Intrinsics { fx: CAMERA.fx / size, fy: CAMERA.fy / size, ..CAMERA };
+    let mut scene = Scene::random(&mut Random::new(5), 60, 0, camera);
+    scene.scales.iter_mut().for_each(|scale| *scale *= size);
+    scene.pose = vec![1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0];
+    let options = RenderOptions { alpha_min: 0.0, transmittance_min: 0.0, ..RenderOptions::standard() };
+    largest_difference(&picture(&scene, &options.with_projection(Projection::Exact)), &picture(&scene, &options))
+}
+
+#[test]
+fn small_gaussians_look_as_their_ellipses_do() {
+    let by_size = [1.0, 0.1, 0.01].map(difference);
+    println!("{by_size:?}");
+    assert!(by_size[0] > 0.02, "{by_size:?}: a scene in which the two are the same");
+    // The first term that the affine projection leaves out is proportional to the size over the distance.
+    assert!(by_size[1] < 0.2 * by_size[0] && by_size[2] < 0.2 * by_size[1], "{by_size:?}");
+}
+
+/// Listing every Gaussian in every tile is what `alpha_min = 0` does; here the cut is the pixels' alone.
+#[test]
+fn tiles_lose_nothing() {
+    for (seed, choice) in (1..).zip(CHOICES) {
+        let mut random = Random::new(seed);
+        let camera = Intrinsics::centred(200, 150, 90.0);
+        let mut scene = Scene::random(&mut random, 400, 0, camera);
+        for (i, scale) in scene.scales.chunks_exact_mut(3).enumerate() {
+            let size = [0.02, 0.15, 1.0, 4.0][i % 4];
+            scale.copy_from_slice(&[size * random.between(0.1, 1.0), size * random.between(0.02, 1.0), size]);
+        }
+        let options = RenderOptions { transmittance_min: 0.0, ..RenderOptions::standard() };
+        let options = options.with_projection(choice.0).with_order(choice.1).with_depth(true);
+        let Tensors { splats, camera, .. } = scene.tensors(&Device::flex(), DType::F32);
+        let projected = project(&splats, &camera, None, &options).expect("a valid scene");
+        let features = colours(&splats, &camera).expect("a valid scene");
+        let picture = |listed: &RenderOptions| {
+            let tiles = tile(&projected, listed).expect("a valid scene");
+            let hits: i64 = tiles.counts.clone().into_data().iter::<i64>().sum();
+            let picture = blend(&projected, &features, &tiles, &Extras::default(), &options).expect("a valid scene");
+            (hits, [host(picture.colour), host(picture.alpha), host(picture.depth.expect("asked for"))])
+        };
+        let (listed, found) = picture(&options);
+        let (all, expected) = picture(&RenderOptions { alpha_min: 0.0, ..options });
+        assert!(listed < all, "{choice:?}: {listed} of {all} hits are listed");
+        assert!(found == expected, "{choice:?}: the lists change the picture");
+    }
+}
+
+/// Two crossing sheets, seen by a camera that turns around the line where they cross: by how much a pixel changes in one small
+/// step at most, and the largest share of the picture that jumps in one.
+fn turning(order: Order) -> (f64, f64) {
+    let mut scene = Scene::random(&mut Random::new(3), 2, 0, Intrinsics::centred(32, 32, 40.0));
+    scene.means = vec![0.3, 0.0, 3.0, -0.3, 0.0, 3.0];
+    scene.scales = vec![0.8, 0.8, 0.05, 0.8, 0.8, 0.05];
+    let (sin, cos) = 0.35_f64.sin_cos();
+    scene.quats = vec![cos, 0.0, sin, 0.0, cos, 0.0, -sin, 0.0];
+    scene.opacities = vec![0.9; 2];
+    scene.sh = vec![1.5, -1.5, 0.0, -1.5, 1.5, 0.0];
+    let options = RenderOptions::standard().with_order(order);
+    let mut see = |step: i32| {
+        let (sin, cos) = (1e-3 * (f64::from(step) + 0.5)).sin_cos();
+        scene.pose = vec![cos, 0.0, sin, -3.0 * sin, 0.0, 1.0, 0.0, 0.0, -sin, 0.0, cos, 3.0 - 3.0 * cos];
+        picture(&scene, &options)
+    };
+    let pictures: Vec<Vec<f64>> = (-20..20).map(&mut see).collect();
+    let (mut largest, mut most) = (0.0_f64, 0);
+    for pair in pictures.windows(2) {
+        let pixels = pair[0].chunks_exact(3).zip(pair[1].chunks_exact(3));
+        let steps: Vec<f64> = pixels.map(|(a, b)| largest_difference(a, b)).collect();
+        largest = steps.iter().copied().fold(largest, f64::max);
+        most = most.max(steps.iter().filter(|step| **step > 0.05).count());
+    }
+    (largest, most as f64 / (32.0 * 32.0))
+}
+
+#[test]
+fn the_order_of_each_pixel_does_not_pop() {
+    let (centre, pixel) = (turning(Order::Centre), turning(Order::PerPixel));
+    println!("by centres {centre:?}, by pixel {pixel:?}");
+    assert!(centre.0 > 0.2 && centre.1 > 0.2, "by centres: {centre:?}");
+    assert!(pixel.0 < 0.05 && pixel.1 == 0.0, "by pixel: {pixel:?}");
+}
+
+/// A Gaussian far beside the picture and close to the camera, where the affine projection smears it over the picture.
+#[test]
+fn a_wide_angle_shows_what_is_there() {
+    let camera = Intrinsics::centred(64, 48, 20.0);
+    let mut scene = Scene::random(&mut Random::new(1), 1, 0, camera);
+    scene.pose = vec![1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0];
+    scene.means = vec![2.4, 0.0, 1.5];
+    scene.scales = vec![0.3; 3];
+    scene.quats = vec![1.0, 0.0, 0.0, 0.0];
+    scene.opacities = vec![1.0];
+    let alpha = |projection: Projection| {
+        let Tensors { splats, camera, .. } = scene.tensors(&Device::flex(), DType::F64);
+        let options = RenderOptions { alpha_min: 0.0, blur: 0.0, ..RenderOptions::standard() };
+        let options = options.with_projection(projection);
+        host(render_view(&splats, &camera, &Extras::default(), &options).expect("a valid scene").alpha)
+    };
+    let (exact, affine) = (alpha(Projection::Exact), alpha(Projection::Affine));
+    // A ball of 0.3: the greatest value along a ray is that of its distance from the centre.
+    let centre = DVec3::new(2.4, 0.0, 1.5);
+    let expected: Vec<f64> = (0..48 * 64)
+        .map(|pixel| {
+            let ray = DVec3::new(f64::from(pixel % 64) - 31.5, f64::from(pixel / 64) - 23.5, 20.0).normalize();
+            let distance = (centre - ray.dot(centre) * ray).length();
+            if ray.dot(centre) > 0.0 { (-0.5 * (distance / 0.3).powi(2)).exp().min(0.99) } else { 0.0 }
+        })
+        .collect();
+    assert!(largest_difference(&exact, &expected) < 1e-12);
+    assert!(largest_difference(&affine, &expected) > 0.05, "a scene that shows no difference");
+}
+
+#[test]
+fn every_gradient_reaches_its_input() {
+    for (name, device) in cpu_devices() {
+        let scene = Scene::random(&mut Random::new(8), 40, 1, CAMERA);
+        let Tensors { splats, sh, camera, background } = scene.tensors(&device.autodiff(), DType::F64);
+        let extras = Extras { background: Some(background.clone()), ..Extras::default() };
+        let options = RenderOptions::standard().with_projection(Projection::Exact).with_order(Order::PerPixel);
+        let out = render(&splats, std::slice::from_ref(&camera), &extras, &options).expect("a valid scene");
+        // The picture alone: neither alpha nor depth has a gradient.
+        let gradients = (out.colour.clone() * out.colour).sum().backward();
+        let found = [
+            host(splats.means.grad(&gradients).expect("tracked")),
+            host(splats.rotations.grad(&gradients).expect("tracked")),
+            host(splats.scales.grad(&gradients).expect("tracked")),
+            host(splats.opacities.grad(&gradients).expect("tracked")),
+            host(sh.grad(&gradients).expect("tracked")),
+            host(camera.cam_from_world.grad(&gradients).expect("tracked")),
+            host(background.grad(&gradients).expect("tracked")),
+        ];
+        assert!(found.iter().all(|g| g.iter().any(|v| *v != 0.0) && g.iter().all(|v| v.is_finite())), "{name}");
+    }
+}
+
+/// On every device, in f32, all gradients of renders by two cameras.
+#[test]
+fn gradients_in_f32_are_those_in_f64() {
+    let smooth = RenderOptions { alpha_min: 0.0, transmittance_min: 0.0, ..RenderOptions::standard() };
+    let mut scene = Scene::random(&mut Random::new(11), 120, 1, CAMERA);
+    scene.scales.iter_mut().for_each(|scale| *scale *= 0.4);
+    // So far apart in depth, and so thin, that no rounding exchanges two of them.
+    let mut apart = Scene::random(&mut Random::new(12), 12, 1, CAMERA);
+    for (i, mean) in apart.means.chunks_exact_mut(3).enumerate() {
+        let z = 1.5 * 1.35_f64.powi((5 * i % 12) as i32);
+        let by = z / mean[2];
+        mean.iter_mut().for_each(|x| *x *= by);
+        apart.scales[3 * i..3 * i + 3].iter_mut().for_each(|scale| *scale *= 0.06 * z);
+    }
+    for (name, device) in devices() {
+        for choice in CHOICES {
+            let options = smooth.with_projection(choice.0).with_order(choice.1).with_depth(true).with_antialias(true);
+            let scene = if choice.1 == Order::Centre { &scene } else { &apart };
+            // With alpha and depth rendered and trained, and with every probe.
+            judge(&format!("{name}, {choice:?}"), scene, &device, |scene, place| {
+                let gradients = gradients_of(scene, 2, [true; 9], &options, place);
+                let named = INPUTS.into_iter().zip(gradients);
+                named.map(|(name, gradient)| (name, gradient.expect("tracked"))).collect()
+            });
+        }
+    }
+}
+
+/// Along a line through all of a render's geometry, with the pose: the slope of the loss.
+#[test]
+fn the_slope_of_a_render_is_that_of_its_gradient() {
+    let options = RenderOptions { alpha_min: 0.0, transmittance_min: 0.0, alpha_max: 1.0, ..RenderOptions::standard() };
+    let options = options.with_projection(Projection::Exact).with_depth(true).with_antialias(true);
+    let scene = Scene::random(&mut Random::new(9), 30, 0, CAMERA);
+    let mut random = Random::new(10);
+    let parts = [&scene.means, &scene.quats, &scene.scales, &scene.opacities, &scene.pose];
+    let directions = parts.map(|part| random.fill(part.len(), -1.0, 1.0));
+    let weights = random.fill(5 * CAMERA.width * CAMERA.height, -1.0, 1.0);
+    let moved = |by: f64| {
+        let mut scene = scene.clone();
+        let parts = [&mut scene.means, &mut scene.quats, &mut scene.scales, &mut scene.opacities, &mut scene.pose];
+        for (part, direction) in parts.into_iter().zip(&directions) {
+            part.iter_mut().zip(direction).for_each(|(value, d)| *value += by * d);
+        }
+        scene
+    };
+    let loss = |tensors: &Tensors| {
+        let picture = render_view(&tensors.splats, &tensors.camera, &Extras::default(), &options).expect("valid");
+        let planes =
+            [picture.colour, picture.alpha, picture.depth.expect("asked for")].map(|plane| plane.reshape([-1]));
+        let planes = burn::tensor::Tensor::<1>::cat(planes.to_vec(), 0);
+        let weights = splat_tests::scene::tensor(&weights, [weights.len()], &planes.device(), DType::F64);
+        (planes * weights).sum()
+    };
+    let value = |by: f64| host(loss(&moved(by).tensors(&Device::flex(), DType::F64)))[0];
+    let step = 1e-4;
+    let slope = (8.0 * (value(step) - value(-step)) - (value(2.0 * step) - value(-2.0 * step))) / (12.0 * step);
+    let tensors = scene.tensors(&Device::flex().autodiff(), DType::F64);
+    let gradients = loss(&tensors).backward();
+    let found = [
+        host(tensors.splats.means.grad(&gradients).expect("tracked")),
+        host(tensors.splats.rotations.grad(&gradients).expect("tracked")),
+        host(tensors.splats.scales.grad(&gradients).expect("tracked")),
+        host(tensors.splats.opacities.grad(&gradients).expect("tracked")),
+        host(tensors.camera.cam_from_world.grad(&gradients).expect("tracked")),
+    ];
+    let along: f64 = found.iter().flatten().zip(directions.iter().flatten()).map(|(g, d)| g * d).sum();
+    assert!((along - slope).abs() <= 1e-6 * slope.abs(), "gradient {along}, slope {slope}");
+}
+
+#[test]
+fn what_cannot_be_is_refused() {
+    let scene = Scene::random(&mut Random::new(1), 5, 0, CAMERA);
+    let Tensors { splats, camera, .. } = scene.tensors(&Device::flex(), DType::F32);
+    let plain = RenderOptions::standard();
+    for choice in CHOICES {
+        let options = plain.with_projection(choice.0).with_order(choice.1);
+        let mut fisheye = camera.clone();
+        fisheye.intrinsics.model = CameraModel::Fisheye;
+        let message = render_view(&splats, &fisheye, &Extras::default(), &options).expect_err("no pinhole").to_string();
+        assert!(message.contains("Fisheye") && message.contains("pinhole"), "{message}");
+
+        let projected = project(&splats, &camera, None, &options).expect("a valid scene");
+        let refused = |result: Result<splat_op::Tiles, SplatError>, part: &str| {
+            let message = result.expect_err("refused").to_string();
+            assert!(message.contains("projection and order") && message.contains(part), "{message}");
+        };
+        refused(tile(&projected, &plain), "projected with");
+        let packed = projected.ellipses().pack(&CAMERA).expect("columns of one render");
+        refused(tile(&packed, &options), "packed");
+        let tiles = tile(&packed, &plain).expect("ellipses as they are");
+        let features = colours(&splats, &camera).expect("a valid scene");
+        let refused = blend(&packed, &features, &tiles, &Extras::default(), &options).expect_err("no tilt");
+        assert!(refused.to_string().contains("packed"), "{refused}");
+    }
+}
