@@ -169,7 +169,7 @@ impl Bench<'_> {
         score: &impl Fn(&RenderOptions) -> Result<Option<(f64, f64)>>,
     ) -> Result<(Option<Accuracy>, Option<(f64, f64)>, Option<f64>)> {
         let options = &candidate.options;
-        self.check_same_picture(options)?;
+        self.check_same_picture(options, &self.same_picture(options))?;
         let judged = candidate.judge() == Judge::Exact;
         let truth = self.truth(truths, if judged { options } else { &self.base })?;
         let (found, memory_mib) = self.compare(options, truth)?;
@@ -182,21 +182,23 @@ impl Bench<'_> {
         Ok((judged.then_some(found), score(options)?, memory_mib))
     }
 
-    /// Dials that promise the same picture must keep it to the last bit.
-    fn check_same_picture(&self, options: &RenderOptions) -> Result<()> {
-        let kept = DIALS.iter().filter(|dial| dial.same_picture);
-        let plain = kept
-            .fold(*options, |options, dial| dial.value_in(&self.base).map_or(options, |value| (value.set)(options)));
-        if plain == *options {
+    /// `options` with the dials that promise the same picture where the base has them.
+    fn same_picture(&self, options: &RenderOptions) -> RenderOptions {
+        DIALS
+            .iter()
+            .filter(|dial| dial.same_picture)
+            .fold(*options, |options, dial| dial.value_in(&self.base).map_or(options, |value| (value.set)(options)))
+    }
+
+    /// Pictures that are promised to be the same must be to the last bit.
+    fn check_same_picture(&self, options: &RenderOptions, plain: &RenderOptions) -> Result<()> {
+        if plain == options {
             return Ok(());
         }
         for view in 0..self.shots.len() {
-            let [ours, theirs] = [options, &plain].map(|options| Ok(host(self.place.render(view, options)?.colour)));
-            let (ours, theirs): (Vec<f64>, Result<Vec<f64>>) = (ours?, theirs);
-            ensure!(
-                same_bits(&ours, &theirs?),
-                "it should leave the picture as it is, and changes that of view {view}"
-            );
+            let ours = host(self.place.render(view, options)?.colour);
+            let theirs = host(self.place.render(view, plain)?.colour);
+            ensure!(same_bits(&ours, &theirs), "it should leave the picture as it is, and changes that of view {view}");
         }
         Ok(())
     }
@@ -406,6 +408,17 @@ mod tests {
         truths[0].0 = Dial::all_exact(broken.options);
         let error = bench.check(&broken, &mut truths, &|_| Ok(None)).unwrap_err().to_string();
         assert!(error.contains("it is broken"), "{error}");
+    }
+
+    #[test]
+    fn a_promise_of_the_same_picture_is_kept() {
+        let bench = bench();
+        let ordered = bench.base.with_accumulation(splat_op::Accumulation::Ordered);
+        assert_eq!(bench.same_picture(&ordered), bench.base);
+        bench.check_same_picture(&ordered, &bench.base).unwrap();
+        let other = RenderOptions { alpha_min: 1.0 / 1024.0, ..bench.base };
+        let error = bench.check_same_picture(&other, &bench.base).unwrap_err().to_string();
+        assert!(error.contains("changes that of view 0"), "{error}");
     }
 
     #[test]

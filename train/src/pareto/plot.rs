@@ -127,7 +127,10 @@ fn drawn<B: DrawingBackend>(
     let mut members: Vec<&Dot> = chart.dots.iter().filter(|dot| dot.member).collect();
     members.sort_by(|a, b| a.x[1].total_cmp(&b.x[1]));
     axes.draw_series(LineSeries::new(members.iter().map(|dot| (dot.x[1], dot.y)), ORANGE.stroke_width(2)))?;
-    for dot in &chart.dots {
+    // Those on the frontier last, so that no other hides them.
+    let mut dots: Vec<&Dot> = chart.dots.iter().collect();
+    dots.sort_by_key(|dot| dot.member);
+    for dot in dots {
         let at = (dot.x[1], dot.y);
         let colour = if dot.member { ORANGE } else { BLUE_DOT };
         match dot.mark {

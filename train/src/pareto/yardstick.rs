@@ -186,7 +186,7 @@ pub(super) mod tests {
         for (options, what) in [
             (RenderOptions { alpha_max: 0.99, ..exact }, "alpha_max"),
             (RenderOptions { alpha_min: 1.0 / 255.0, ..exact }, "alpha_min"),
-            (RenderOptions { transmittance_min: 1e-4, ..exact }, "transmittance_min"),
+            (RenderOptions { transmittance_min: 1e-2, ..exact }, "transmittance_min"),
         ] {
             let error = check_crops(&place, &shots(), &options).expect_err(what).to_string();
             assert!(error.contains("the yardstick is wrong: in a crop of view 0"), "{what}: {error}");

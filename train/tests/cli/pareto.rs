@@ -122,7 +122,7 @@ fn targets_choose_from_what_was_measured() {
     let ended = succeed(&mut with(&["--frontier", frontier, "--target-error", &accurate]));
     assert!(ended.stderr.contains("accuracy: ") && ended.stderr.contains("dB against the exact render"));
     let dials = &json(&out.join("metrics.json"))["options"]["dials"];
-    assert_eq!(dials["alpha_max"], "1", "{dials}: what is as accurate caps no layer");
+    assert_eq!((&dials["alpha_min"], &dials["transmittance_min"]), (&"2^-26".into(), &"0".into()), "{dials}");
     refuse(
         &mut with(&["--frontier", frontier, "--target-error", "250"]),
         &["within 250 dB", "the most accurate is", "the fastest is"],
@@ -164,9 +164,16 @@ fn training_turns_dials_too() {
     let (_, metrics) = train(&["--accuracy", "fast"]);
     let dials = serde_json::json!({"alpha_min": "4/255", "transmittance_min": "1e-2"});
     assert_eq!(metrics["options"]["dials"], dials);
+    let scene = || fs::read(folder.path().join("scene.ply")).unwrap();
+    let fast = scene();
+    train(&["--accuracy", "standard"]);
+    let standard = scene();
+    assert_ne!(fast, standard, "the steps took no notice");
     let (said, metrics) = train(&["--target-error", "15"]);
     assert!(said.contains("ms for a frame with its backward pass"), "{said}");
     assert!(metrics["options"]["dials"].is_object());
+    train(&[]);
+    assert_eq!(scene(), standard, "it is what is taken without being asked");
 }
 
 #[test]
