@@ -2,7 +2,7 @@
 
 use thiserror::Error;
 
-use super::frontier::{Point, Spread, frontier};
+use super::frontier::{Point, Spread, frontier, tenths};
 use super::measured::{Frontier, Measured, STANDARD};
 
 /// What is asked of a setting. At least one field should be given.
@@ -80,7 +80,8 @@ impl Target {
 
 impl Frontier {
     /// The cheapest setting that meets `target`; with a time alone to keep to, the most accurate. Settings that are not
-    /// measurably faster than a more accurate one are not considered.
+    /// measurably faster than a more accurate one are not considered, and of settings that are neither told apart by their error
+    /// nor by their time it is the one that turns the fewest dials.
     ///
     /// # Errors
     /// If none does: with what comes closest.
@@ -91,9 +92,22 @@ impl Frontier {
         let mut meeting = members.iter().copied().filter(|measured| target.is_met(measured, work));
         let found = if target.error_db.is_some() { meeting.next_back() } else { meeting.next() };
         match found {
-            Some(measured) => Ok(Choice { measured: measured.clone(), why: self.why(measured, work) }),
+            Some(measured) => {
+                let measured = self.simplest(measured, target, work);
+                Ok(Choice { measured: measured.clone(), why: self.why(measured, work) })
+            }
             None => Err(NoChoice { wanted: target.wanted(work), best: closest(&members, work) }),
         }
+    }
+
+    /// Of the settings that are like this one, the first of those that turn the fewest dials.
+    fn simplest<'a>(&'a self, chosen: &'a Measured, target: &Target, work: Work) -> &'a Measured {
+        let alike = |other: &&Measured| {
+            let as_accurate = tenths(other.error_db) == tenths(chosen.error_db);
+            as_accurate && work.time(other).overlaps(&work.time(chosen)) && target.is_met(other, work)
+        };
+        let simpler = self.settings.iter().filter(alike).min_by_key(|other| other.turned.values().count());
+        simpler.unwrap_or(chosen)
     }
 
     fn why(&self, chosen: &Measured, work: Work) -> String {
@@ -182,6 +196,18 @@ pub(super) mod tests {
             STANDARD,
             "of those that meet both, the cheapest"
         );
+    }
+
+    #[test]
+    fn of_equals_the_one_that_turns_least() {
+        let mut all = some();
+        // As accurate as the standard, a little faster, but not measurably.
+        all.settings.insert(0, measured("capped", [("alpha_max", "0.999")], 55.01, 4.9));
+        let target = Target { error_db: Some(51.0), ms: None };
+        assert_eq!(all.choose(&target, Work::Render).unwrap().measured.name, STANDARD);
+        // Where only that keeps to the time, it is taken.
+        let target = Target { error_db: Some(51.0), ms: Some(5.2) };
+        assert_eq!(all.choose(&target, Work::Render).unwrap().measured.name, "capped");
     }
 
     #[test]

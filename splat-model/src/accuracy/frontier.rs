@@ -54,7 +54,7 @@ pub struct Point {
 }
 
 /// What is compared of a quality.
-fn tenths(quality_db: f64) -> f64 {
+pub(super) fn tenths(quality_db: f64) -> f64 {
     (quality_db * 10.0).round()
 }
 
