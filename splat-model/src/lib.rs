@@ -1,5 +1,6 @@
 //! Gaussian scenes as ordinary Burn tensor code: captures, model, losses, optimiser, densification, metrics, formats.
 
+pub mod accuracy;
 pub mod capture;
 pub mod density;
 pub mod effects;

@@ -16,6 +16,7 @@ use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 use splat_op::{Extras, Intrinsics, RenderOptions, Splats, render_view};
 
+use crate::accuracy::Setting;
 use crate::capture::{Photo, PointCloud};
 use crate::density::rows::{Gradients, StepRates, Trained};
 use crate::density::{Adaptive, RefineReport, matte};
@@ -172,6 +173,11 @@ impl Trainer {
     /// How the run renders; whoever looks at its scene should render like this.
     pub fn render_options(&self) -> RenderOptions {
         self.options
+    }
+
+    /// Turns dials of the renders, from the next step on; the others stand where they stood.
+    pub fn turn(&mut self, dials: &Setting) {
+        self.options = dials.apply(self.options);
     }
 
     /// Steps done.

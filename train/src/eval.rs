@@ -7,15 +7,18 @@ use std::time::Instant;
 
 use anyhow::{Context, Result};
 use serde::Serialize;
+use splat_model::accuracy::{Setting, Work};
 use splat_model::capture::Photo;
 use splat_model::trainer::TrainConfig;
 use splat_op::{Colour, Intrinsics};
 
+use crate::accuracy::AccuracyArgs;
 use crate::background::ShownBackground;
 use crate::device::{self, DeviceName};
 use crate::input::{self, Scene};
 use crate::options::PhotoArgs;
 use crate::output::OutputFolder;
+use crate::pareto::Shot;
 use crate::report::metrics::{Metrics, Seconds, peak_rss_mib, seconds_since};
 use crate::report::{self, METRICS, SCENE, VIEWS};
 
@@ -39,6 +42,9 @@ pub struct EvalArgs {
     /// For scenes that were trained with this option
     #[arg(long)]
     pub antialias: bool,
+    /// How accurate the renders are.
+    #[command(flatten)]
+    pub accuracy: AccuracyArgs,
     /// What is behind the scene: black, white, R,G,B from 0 to 1, or the background.json that a run left beside it
     #[arg(long, value_name = "WHAT", default_value_t)]
     pub background: ShownBackground,
@@ -61,6 +67,7 @@ struct Options<'a> {
     #[serde(flatten)]
     photos: &'a PhotoArgs,
     antialias: bool,
+    dials: &'a Setting,
     masks: bool,
     ignore_alpha: bool,
     shrink: usize,
@@ -74,11 +81,12 @@ struct Options<'a> {
 pub fn run(args: &EvalArgs) -> Result<Metrics> {
     let (device, device_name) = args.device.resolve()?;
     let background = args.background.read()?;
+    let accuracy = args.accuracy.resolve(&device_name, Work::Render)?;
     let start = Instant::now();
     let capture = input::capture(&args.capture)?;
     let (split, photo_args) = args.photos.split(&capture);
     let test = split.require_test()?;
-    let Scene { splats, unusable } = input::scene(&args.scene, &capture, &device)?;
+    let rows = input::rows(&args.scene, &capture)?;
     let out = OutputFolder::prepare(&args.out, &[SCENE, METRICS], &[VIEWS])?;
     let mut photos = input::photographs(&capture, test, args.photos.max_side, args.masks)?;
     if args.ignore_alpha {
@@ -93,11 +101,15 @@ pub fn run(args: &EvalArgs) -> Result<Metrics> {
         };
         photos = photos.iter().map(small).collect::<Result<_>>()?;
     }
+    let Scene { splats, unusable } = Scene::new(&rows, &device)?;
     let load = seconds_since(start);
 
     let config = TrainConfig { antialias: args.antialias, ..TrainConfig::default() };
+    let base = config.render_options(input::extent(&capture));
+    let shots = photos.iter().map(Shot::from).collect();
+    let dials = accuracy.setting((&rows, shots), &base, (&device, &device_name), Work::Render)?;
+    let render_options = dials.apply(base);
     let start = Instant::now();
-    let render_options = config.render_options(input::extent(&capture));
     let scores = report::measure(&splats, &photos, &background, &render_options, &out)?;
     let eval = seconds_since(start);
     copy_scene(&args.scene, &out)?;
@@ -106,6 +118,7 @@ pub fn run(args: &EvalArgs) -> Result<Metrics> {
         scene: &args.scene,
         photos: &photo_args,
         antialias: args.antialias,
+        dials: &dials,
         masks: args.masks,
         ignore_alpha: args.ignore_alpha,
         shrink: args.shrink,

@@ -69,18 +69,35 @@ pub struct Scene {
     pub unusable: usize,
 }
 
+impl Scene {
+    /// From its rows.
+    ///
+    /// # Errors
+    /// If they do not fit together.
+    pub fn new(rows: &GaussianRows, device: &Device) -> Result<Self> {
+        Ok(Self { splats: Gaussians::from_rows_apart(rows, device)?.splats(), unusable: rows.unusable() })
+    }
+}
+
 /// Reads a scene, without autodiff, with positions relative to the origin of `capture`. Says so if Gaussians of it cannot be
 /// rendered.
 ///
 /// # Errors
 /// If the file is missing or holds no scene, or the scene no Gaussian.
 pub fn scene(path: &Path, capture: &Capture, device: &Device) -> Result<Scene> {
+    Scene::new(&rows(path, capture)?, device)
+}
+
+/// The rows of a scene, as [`scene`] has them.
+///
+/// # Errors
+/// Those of [`scene`].
+pub fn rows(path: &Path, capture: &Capture) -> Result<GaussianRows> {
     let (mut rows, origin) = ply::read(path).context("cannot read the scene that `--scene` names")?;
     ensure!(!rows.is_empty(), "{} holds no Gaussian: name a scene that was trained with `--scene`", path.display());
     move_means(&mut rows, (origin - capture.origin).to_array());
-    let unusable = rows.unusable();
-    progress::note_unusable(path, unusable, rows.len());
-    Ok(Scene { splats: Gaussians::from_rows_apart(&rows, device)?.splats(), unusable })
+    progress::note_unusable(path, rows.unusable(), rows.len());
+    Ok(rows)
 }
 
 /// Adds `capture_from_scene` to every position, in f64.

@@ -11,12 +11,15 @@ pub mod eval;
 pub mod gains;
 pub mod hard_cases;
 pub mod inspect;
+pub mod pareto;
 pub mod render;
 pub mod train;
 
+pub mod accuracy;
 pub mod device;
 pub mod effects;
 pub mod input;
+pub mod memory;
 pub mod output;
 pub mod progress;
 pub mod report;
@@ -38,6 +41,7 @@ pub fn run(command: &Command) -> Result<()> {
         Command::Inspect(args) => inspect::run(args),
         Command::Effects(args) => gains::run(args),
         Command::HardCases(args) => hard_cases::run(args),
+        Command::Pareto(args) => pareto::run(args),
         Command::Devices => devices::run(),
     }
 }

@@ -3,12 +3,13 @@
 use std::process::ExitCode;
 
 use clap::Parser;
+use splat_train::memory::Counted;
 use splat_train::options::Cli;
 
 /// A step makes and drops tensors of megabytes. The system's allocator hands such blocks back to the kernel each time
-/// and has them cleared on the next use; this one keeps them.
+/// and has them cleared on the next use; this one keeps them. It is counted where `splat pareto` asks how much memory a pass takes.
 #[global_allocator]
-static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
+static ALLOCATOR: Counted<mimalloc::MiMalloc> = Counted(mimalloc::MiMalloc);
 
 /// Drivers of GPUs look for a Wayland display, whose library prints an error where nobody is logged in to a desktop and
 /// this variable is not set or empty.

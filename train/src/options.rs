@@ -10,6 +10,7 @@ use crate::eval::EvalArgs;
 use crate::gains::GainsArgs;
 use crate::hard_cases::HardCasesArgs;
 use crate::inspect::InspectArgs;
+use crate::pareto::ParetoArgs;
 use crate::render::RenderArgs;
 use crate::train::TrainArgs;
 
@@ -39,6 +40,8 @@ pub enum Command {
     Effects(GainsArgs),
     /// Run the battery of hard cases and write the table of how it fares
     HardCases(HardCasesArgs),
+    /// Measure what every dial costs in time and in error, on a scene of yours, and draw the frontier
+    Pareto(ParetoArgs),
     /// List what there is to compute on, by the names that `--device` takes
     Devices,
 }

@@ -9,14 +9,18 @@ use burn::tensor::{Device, Tensor};
 use clap::ValueEnum;
 use image::{ImageFormat, RgbImage, Rgba32FImage};
 use npyz::WriterBuilder;
+use splat_model::accuracy::Work;
 use splat_model::capture::{Capture, View};
 use splat_model::effects::background::Background;
 use splat_model::trainer::TrainConfig;
 use splat_op::{Camera, Extras, RenderOptions, Splats};
 
+use crate::accuracy::AccuracyArgs;
 use crate::background::ShownBackground;
 use crate::device::{self, DeviceName};
+use crate::input::Scene;
 use crate::output::OutputFolder;
+use crate::pareto::Shot;
 use crate::report::pictures::{self, level};
 use crate::report::values_of;
 use crate::{input, progress};
@@ -51,6 +55,9 @@ pub struct RenderArgs {
     /// For scenes that were trained with this option
     #[arg(long)]
     pub antialias: bool,
+    /// How accurate the renders are.
+    #[command(flatten)]
+    pub accuracy: AccuracyArgs,
     /// What is behind the scene: black, white, R,G,B from 0 to 1, or the background.json that a run left beside it
     #[arg(long, value_name = "WHAT", default_value_t)]
     pub background: ShownBackground,
@@ -84,14 +91,18 @@ impl Format {
 /// # Errors
 /// If the capture or the scene cannot be read, there is no such view, or a picture cannot be written.
 pub fn run(args: &RenderArgs) -> Result<Vec<PathBuf>> {
-    let (device, _) = args.device.resolve()?;
+    let (device, device_name) = args.device.resolve()?;
     let background = args.background.read()?;
+    let accuracy = args.accuracy.resolve(&device_name, Work::Render)?;
     let capture = input::capture(&args.capture)?;
     let views = chosen(&capture, &args.view)?;
-    let splats = input::scene(&args.scene, &capture, &device)?.splats;
+    let rows = input::rows(&args.scene, &capture)?;
+    let splats = Scene::new(&rows, &device)?.splats;
     let out = OutputFolder::prepare(&args.out, &[], &[])?;
     let config = TrainConfig { antialias: args.antialias, ..TrainConfig::default() };
-    let options = config.render_options(input::extent(&capture));
+    let base = config.render_options(input::extent(&capture));
+    let shots = views.iter().map(|view| Shot::unseen(&view.intrinsics, &view.cam_from_world)).collect();
+    let options = accuracy.setting((&rows, shots), &base, (&device, &device_name), Work::Render)?.apply(base);
     let names = pictures::names(views.iter().map(|view| view.name.as_str()), args.format.extension());
     let counter = progress::counter("rendering", views.len());
     for (view, name) in views.iter().zip(&names) {

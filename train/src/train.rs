@@ -10,6 +10,7 @@ use anyhow::{Result, anyhow};
 use clap::builder::RangedU64ValueParser;
 use glam::DAffine3;
 use serde::Serialize;
+use splat_model::accuracy::Work;
 use splat_model::capture::demo::DemoOptions;
 use splat_model::capture::{Capture, Photo, Split};
 use splat_model::density::matte;
@@ -19,11 +20,13 @@ use splat_model::gaussians::Gaussians;
 use splat_model::ply;
 use splat_model::trainer::{Resolution, TrainConfig, TrainError, Trainer};
 
+use crate::accuracy::{Accuracy, AccuracyArgs};
 use crate::background::TrainBackground;
 use crate::device::{self, DeviceName};
 use crate::effects::{Chosen, EffectsArg};
 use crate::options::PhotoArgs;
 use crate::output::OutputFolder;
+use crate::pareto::Shot;
 use crate::progress::{self, StepProgress};
 use crate::report::metrics::{Metrics, Seconds, peak_rss_mib, seconds_since};
 use crate::report::{self, BACKGROUND, METRICS, POSES, SCENE, VIEWS};
@@ -41,6 +44,9 @@ pub const DEMO_OUT: &str = "out/demo";
 
 /// The demo capture, below the output folder.
 const DEMO_CAPTURE: &str = "demo-capture";
+
+/// With a target for the accuracy: settings are measured after this part of the steps.
+const MEASURED_AFTER: usize = 10;
 
 /// Options of `splat train`.
 #[derive(Clone, Debug, clap::Args)]
@@ -99,6 +105,9 @@ pub struct TrainArgs {
     /// With `--coarsest`: share of the steps after which photographs have their full size
     #[arg(long, value_name = "SHARE", default_value_t = TrainConfig::default().resolution.full_from)]
     pub full_from: f64,
+    /// How accurate the renders are.
+    #[command(flatten)]
+    pub accuracy: AccuracyArgs,
     /// What is behind the scene: black, white, R,G,B from 0 to 1, random (another colour at each step), learned,
     /// environment or environment:D (light from infinity, harmonics of degree D) [default: black, or what the effects call for]
     #[arg(long, value_name = "WHAT")]
@@ -140,6 +149,7 @@ impl TrainArgs {
         config.steps = self.steps.unwrap_or(config.steps);
         config.sh_degree = self.sh_degree.unwrap_or(config.sh_degree);
         config.sh_every = self.sh_every;
+        config.dials = self.accuracy.accuracy.setting();
         config.matte_below = self.matte_below.map(|levels| levels / 255.0);
         match config {
             TrainConfig { steps: 0, .. } => Err(TrainError::NoSteps),
@@ -189,12 +199,17 @@ pub fn run(args: &TrainArgs) -> Result<Metrics> {
 pub fn run_with(args: &TrainArgs, change: impl FnOnce(Trainer) -> Trainer) -> Result<Metrics> {
     let mut config = args.config()?;
     let (device, device_name) = args.device.resolve()?;
+    let mut accuracy = Some(args.accuracy.resolve(&device_name, Work::Train)?);
+    if let Some(Accuracy::Known(setting)) = accuracy.take_if(|accuracy| matches!(accuracy, Accuracy::Known(_))) {
+        config.dials = setting;
+    }
     let (out, capture, start) = args.open()?;
     let (split, photo_args) = args.photos.split(&capture);
     let mut effects = args.effects.choose(&capture, split.require_train()?, args.antialias)?;
     effects.configure(&mut config, args.background, args.sh_degree);
     let (train, test) = photographs(&capture, &split, &photo_args, &effects)?;
     let train_views = views_of(&capture, &train);
+    let cameras: Vec<Shot> = train.iter().map(|photo| Shot::unseen(&photo.intrinsics, &photo.cam_from_world)).collect();
     progress::note(&format!(
         "{}: {} photographs to train on, {} to test on, {} points",
         capture.folder.display(),
@@ -206,11 +221,18 @@ pub fn run_with(args: &TrainArgs, change: impl FnOnce(Trainer) -> Trainer) -> Re
     let trainer = effects.supply(trainer, &capture, &train_views)?;
     let mut trainer = change(if args.check { trainer.with_checks() } else { trainer });
     let load = seconds_since(start);
-    let render_options = trainer.render_options();
 
     let start = Instant::now();
     let mut bar = StepProgress::new(config.steps);
     while !trainer.is_done() {
+        // Earlier a scene is not yet like what it will be.
+        if trainer.steps_done() >= config.steps / MEASURED_AFTER
+            && let Some(accuracy) = accuracy.take()
+        {
+            let (rows, base) = (trainer.rows(), trainer.render_options());
+            config.dials = accuracy.setting((&rows, cameras.clone()), &base, (&device, &device_name), Work::Train)?;
+            trainer.turn(&config.dials);
+        }
         match trainer.step() {
             Ok(report) => bar.step(&report),
             Err(error) => {
@@ -222,6 +244,7 @@ pub fn run_with(args: &TrainArgs, change: impl FnOnce(Trainer) -> Trainer) -> Re
     bar.finish();
     let train = seconds_since(start);
     let background = trainer.background();
+    let render_options = trainer.render_options();
     // Before measuring, so that whatever goes wrong there does not cost the scene.
     let rows = trainer.rows();
     ply::write(&out.join(SCENE), &rows, capture.origin)?;

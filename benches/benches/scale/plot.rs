@@ -45,6 +45,7 @@ pub fn draw(axis: Axis, rows: &[Row], to: &Path) -> Result<(), Box<dyn Error>> {
             points: steps.iter().map(goal).collect(),
         });
     }
+    splat_train::pareto::plot::register()?;
     let drawing = SVGBackend::new(to, SIZE).into_drawing_area();
     drawing.fill(&WHITE)?;
     let halves = drawing.split_evenly((1, 2));

@@ -4,6 +4,7 @@ use serde::{Deserialize, Deserializer, Serialize};
 use splat_op::RenderOptions;
 
 use super::Resolution;
+use crate::accuracy::Setting;
 use crate::density::AdaptiveConfig;
 use crate::effects::background::Backdrop;
 use crate::effects::depth::DepthConfig;
@@ -45,6 +46,8 @@ pub struct TrainConfig {
     pub background: [f32; 3],
     /// Whether opacities are compensated for the blur (see [`RenderOptions::antialias`]).
     pub antialias: bool,
+    /// Dials of the renders that are turned from the standard: none.
+    pub dials: Setting,
     /// Whether Gaussians are kept as coarse as the photographs sample them (see [`smoothing`](crate::effects::smoothing)).
     pub smoothing: bool,
     /// What else is behind the Gaussians than [`Self::background`]: nothing else.
@@ -90,6 +93,7 @@ impl Default for TrainConfig {
             resolution: Resolution::FULL,
             background: [0.0; 3],
             antialias: false,
+            dials: Setting::default(),
             smoothing: false,
             backdrop: Backdrop::Fixed,
             exposure: None,
@@ -106,6 +110,6 @@ impl Default for TrainConfig {
 impl TrainConfig {
     /// How a run whose cameras see a scene of `extent` renders (see [`scene_extent`]).
     pub fn render_options(&self, extent: f64) -> RenderOptions {
-        RenderOptions::standard().with_antialias(self.antialias).with_near(near_plane(extent))
+        self.dials.apply(RenderOptions::standard().with_antialias(self.antialias).with_near(near_plane(extent)))
     }
 }

@@ -5,6 +5,7 @@ mod errors;
 mod hard_cases;
 mod non_finite;
 mod origin;
+mod pareto;
 mod run;
 
 use std::collections::BTreeSet;

@@ -24,7 +24,7 @@ pub static TRAINED: LazyLock<PathBuf> = LazyLock::new(|| {
 });
 
 /// A folder below `target/` without what an earlier run left: statics are never dropped, and so could not tidy up.
-fn fresh(name: &str) -> PathBuf {
+pub fn fresh(name: &str) -> PathBuf {
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("cli").join(name);
     if folder.exists() {
         fs::remove_dir_all(&folder).unwrap();
@@ -45,7 +45,7 @@ pub struct Ended {
 pub fn splat(arguments: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_splat"));
     command.args(arguments);
-    if matches!(arguments, ["train" | "eval" | "render", ..]) && !arguments.contains(&"--device") {
+    if matches!(arguments, ["train" | "eval" | "render" | "pareto", ..]) && !arguments.contains(&"--device") {
         command.args(["--device", "cpu"]);
     }
     command

@@ -1,0 +1,163 @@
+//! What was measured of settings on a scene and a device, as `pareto.json` has it.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+
+use super::frontier::Spread;
+use super::setting::Setting;
+
+/// The name of the setting in which nothing is turned.
+pub const STANDARD: &str = "standard";
+
+/// Errors smaller than this are given as if they were this large. It is beyond what f32 can tell, and JSON has no infinity.
+const SMALLEST_RMS: f64 = 1e-15;
+
+/// A root mean square error relative to 1 as dB: the higher the better, at most 300. NaN for NaN.
+pub fn decibels(rms: f64) -> f64 {
+    // Not `max`, which would turn NaN into a perfect score.
+    -20.0 * if rms < SMALLEST_RMS { SMALLEST_RMS } else { rms }.log10()
+}
+
+/// One setting of numerical dials.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Measured {
+    /// What reports call it.
+    pub name: String,
+    /// The dials that are turned.
+    pub turned: Setting,
+    /// PSNR of its pictures against the exact ones, dB: of all pixels of all views together, not clamped. At most 300.
+    pub error_db: f64,
+    /// The largest error of a pixel's channel, of colours in 0..1.
+    pub max_error: f64,
+    /// The relative L2 error of the gradients against the exact ones: of the parameter for which it is largest.
+    pub gradient_error: f64,
+    /// The cosine between the gradients and the exact ones: of the parameter for which it is smallest.
+    pub gradient_cosine: f64,
+    /// Time of a render, ms a frame.
+    pub forward_ms: Spread,
+    /// Time of its backward pass, ms a frame.
+    pub backward_ms: Spread,
+    /// Both together.
+    pub step_ms: Spread,
+}
+
+/// What was measured on one scene and one device.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Frontier {
+    /// The device, as `metrics.json` calls it.
+    pub device: String,
+    /// Gaussians of the scene.
+    pub splats: usize,
+    /// Mean number of pixels of a frame.
+    pub pixels: usize,
+    /// The settings of numerical dials; one of them is [`STANDARD`].
+    pub settings: Vec<Measured>,
+}
+
+/// A file that holds no frontier.
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum FrontierError {
+    /// It cannot be read.
+    #[error("{path}: {source}; name the `pareto.json` that `splat pareto` left", path = path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// The system's reason.
+        source: std::io::Error,
+    },
+    /// It holds something else.
+    #[error("{path}: {reason}; measure again with `splat pareto`, which writes `pareto.json`", path = path.display())]
+    Content {
+        /// The file.
+        path: PathBuf,
+        /// What was found.
+        reason: String,
+    },
+}
+
+/// A frontier is some ten kilobytes; a file of more than this is none.
+const LARGEST_FILE: u64 = 16 << 20;
+
+impl Frontier {
+    /// Reads what [`Self::to_json`] gave.
+    ///
+    /// # Errors
+    /// If the file cannot be read or holds something else.
+    pub fn read(path: &Path) -> Result<Self, FrontierError> {
+        let unreadable = |source| FrontierError::Read { path: path.to_owned(), source };
+        let content = |reason| FrontierError::Content { path: path.to_owned(), reason };
+        let length = fs::metadata(path).map_err(unreadable)?.len();
+        if length > LARGEST_FILE {
+            return Err(content(format!("{length} bytes long")));
+        }
+        let text = fs::read(path).map_err(unreadable)?;
+        let found: Self = serde_json::from_slice(&text).map_err(|error| content(error.to_string()))?;
+        match &found {
+            found if found.settings.is_empty() => Err(content("no setting was measured".into())),
+            found if !found.settings.iter().all(Measured::is_finite) => Err(content("a number is not finite".into())),
+            found => Ok(found.clone()),
+        }
+    }
+
+    /// As a file has it.
+    ///
+    /// # Errors
+    /// If a number is not finite, which JSON cannot say.
+    pub fn to_json(&self) -> serde_json::Result<String> {
+        serde_json::to_string_pretty(self)
+    }
+}
+
+impl Measured {
+    fn is_finite(&self) -> bool {
+        let of = |spread: &Spread| [spread.lower, spread.median, spread.upper];
+        let times = [&self.forward_ms, &self.backward_ms, &self.step_ms].map(of);
+        times.as_flattened().iter().chain([&self.error_db, &self.max_error]).all(|value| value.is_finite())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::choice::tests::measured;
+    use super::*;
+
+    #[test]
+    fn decibels_of_known_errors() {
+        assert_eq!(decibels(0.1), 20.0);
+        assert!((decibels(0.0) - 300.0).abs() < 1e-9);
+        assert!(decibels(f64::NAN).is_nan());
+    }
+
+    #[test]
+    fn a_frontier_survives_a_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("pareto.json");
+        // Numbers that decimals say exactly: the last bit of others is not kept.
+        let exact = Spread { lower: 1.5, median: 2.0, upper: 3.25 };
+        let measured = measured("fast", [("alpha_min", "4/255")], 40.0, 3.0);
+        let settings = vec![Measured { forward_ms: exact, backward_ms: exact, step_ms: exact, ..measured }];
+        let frontier = Frontier { device: "flex".into(), splats: 7, pixels: 12, settings };
+        fs::write(&path, frontier.to_json().unwrap()).unwrap();
+        assert_eq!(Frontier::read(&path).unwrap(), frontier);
+    }
+
+    #[test]
+    fn files_that_hold_no_frontier_are_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("pareto.json");
+        let refused = |path: &Path| Frontier::read(path).unwrap_err().to_string();
+        assert!(refused(&path).contains("pareto.json") && refused(&path).contains("splat pareto"));
+        for (text, part) in [
+            ("", "EOF"),
+            ("{}", "missing field"),
+            (r#"{"device": "flex", "splats": 1, "pixels": 1, "settings": []}"#, "no setting"),
+        ] {
+            fs::write(&path, text).unwrap();
+            assert!(refused(&path).contains(part), "{}", refused(&path));
+        }
+    }
+}

@@ -1,0 +1,16 @@
+//! What accuracy costs in time: the dials of a render by name, what was measured of them, and the choice between them.
+//!
+//! [`DIALS`] is the one table of dials. A [`Setting`] is some of them turned, as files and command lines have it. `splat
+//! pareto` measures settings on a scene and a device and leaves a [`Frontier`]; [`Frontier::choose`] picks from it.
+
+mod choice;
+mod dials;
+mod frontier;
+mod measured;
+mod setting;
+
+pub use self::choice::{Choice, NoChoice, Target, Work};
+pub use self::dials::{DIALS, Dial, Judge, Value};
+pub use self::frontier::{Point, Spread, frontier};
+pub use self::measured::{Frontier, FrontierError, Measured, STANDARD, decibels};
+pub use self::setting::{DialError, Preset, PresetError, Setting};

@@ -1,0 +1,219 @@
+//! Dials that are turned, by name.
+
+use std::collections::BTreeMap;
+use std::fmt::{self, Display};
+use std::str::FromStr;
+
+use serde::{Deserialize, Serialize};
+use splat_op::RenderOptions;
+use thiserror::Error;
+
+use super::dials::{DIALS, Dial, Judge};
+
+/// Some dials and the values they are turned to; the others stand where they stood.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(try_from = "BTreeMap<String, String>", into = "BTreeMap<String, String>")]
+pub struct Setting(BTreeMap<&'static str, &'static str>);
+
+/// A dial or a value that there is not.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+#[non_exhaustive]
+pub enum DialError {
+    /// No such dial.
+    #[error("there is no dial {found:?}: there are {}", names(DIALS.iter().map(|dial| dial.name)))]
+    Dial {
+        /// What was asked for.
+        found: String,
+    },
+    /// No such value of it.
+    #[error("the dial {dial} has no value {found:?}: it has {known}")]
+    Value {
+        /// The dial.
+        dial: &'static str,
+        /// What was asked for.
+        found: String,
+        /// What there is.
+        known: String,
+    },
+}
+
+fn names<'a>(all: impl Iterator<Item = &'a str>) -> String {
+    all.collect::<Vec<_>>().join(", ")
+}
+
+impl Setting {
+    /// Dials and values by name.
+    ///
+    /// # Errors
+    /// If there is no such dial, or it has no such value.
+    pub fn new<'a>(turned: impl IntoIterator<Item = (&'a str, &'a str)>) -> Result<Self, DialError> {
+        let mut setting = Self::default();
+        for (name, value) in turned {
+            let dial = Dial::named(name).ok_or_else(|| DialError::Dial { found: name.into() })?;
+            let found = dial.value(value).ok_or_else(|| DialError::Value {
+                dial: dial.name,
+                found: value.into(),
+                known: names(dial.values.iter().map(|value| value.name)),
+            })?;
+            setting.0.insert(dial.name, found.name);
+        }
+        Ok(setting)
+    }
+
+    /// The dials that stand elsewhere in `to` than in `from`, where `to` has them at one of their values.
+    pub fn between(from: &RenderOptions, to: &RenderOptions) -> Self {
+        let turned = DIALS.iter().filter_map(|dial| {
+            let value = dial.value_in(to)?;
+            ((value.set)(*from) != *from).then_some((dial.name, value.name))
+        });
+        Self(turned.collect())
+    }
+
+    /// `options` with these dials turned.
+    pub fn apply(&self, options: RenderOptions) -> RenderOptions {
+        self.values().fold(options, |options, (_, value)| (value.set)(options))
+    }
+
+    /// The dials and what they are turned to, in the order of their names.
+    pub fn values(&self) -> impl Iterator<Item = (&'static Dial, &'static super::Value)> {
+        self.0.iter().filter_map(|(name, value)| {
+            let dial = Dial::named(name)?;
+            Some((dial, dial.value(value)?))
+        })
+    }
+
+    /// Whether no dial is turned.
+    pub fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
+
+    /// What it is to be judged against: photographs as soon as one model choice is among it.
+    pub fn judge(&self) -> Judge {
+        let choices = self.values().any(|(dial, _)| dial.judge == Judge::Photographs);
+        if choices { Judge::Photographs } else { Judge::Exact }
+    }
+}
+
+impl Display for Setting {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.is_empty() {
+            true => f.write_str("nothing turned"),
+            false => {
+                f.write_str(&self.0.iter().map(|(dial, to)| format!("{dial} {to}")).collect::<Vec<_>>().join(", "))
+            }
+        }
+    }
+}
+
+impl TryFrom<BTreeMap<String, String>> for Setting {
+    type Error = DialError;
+
+    fn try_from(turned: BTreeMap<String, String>) -> Result<Self, DialError> {
+        Self::new(turned.iter().map(|(dial, value)| (dial.as_str(), value.as_str())))
+    }
+}
+
+impl From<Setting> for BTreeMap<String, String> {
+    fn from(setting: Setting) -> Self {
+        setting.0.into_iter().map(|(dial, value)| (dial.into(), value.into())).collect()
+    }
+}
+
+/// The presets of [`RenderOptions`] by name.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Preset {
+    /// [`RenderOptions::fast`].
+    Fast,
+    /// [`RenderOptions::standard`].
+    #[default]
+    Standard,
+    /// [`RenderOptions::exact`].
+    Exact,
+}
+
+/// No such preset.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+#[error("there is no accuracy {0:?}: it is fast, standard or exact")]
+pub struct PresetError(String);
+
+impl Preset {
+    /// All of them.
+    pub const ALL: [Self; 3] = [Self::Fast, Self::Standard, Self::Exact];
+
+    /// As files and command lines have it.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Fast => "fast",
+            Self::Standard => "standard",
+            Self::Exact => "exact",
+        }
+    }
+
+    /// The preset itself.
+    pub const fn options(self) -> RenderOptions {
+        match self {
+            Self::Fast => RenderOptions::fast(),
+            Self::Standard => RenderOptions::standard(),
+            Self::Exact => RenderOptions::exact(),
+        }
+    }
+
+    /// What it turns of the standard.
+    pub fn setting(self) -> Setting {
+        Setting::between(&RenderOptions::standard(), &self.options())
+    }
+}
+
+impl Display for Preset {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+impl FromStr for Preset {
+    type Err = PresetError;
+
+    fn from_str(text: &str) -> Result<Self, PresetError> {
+        Self::ALL.into_iter().find(|preset| preset.name() == text).ok_or_else(|| PresetError(text.into()))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Fails where a preset turns a dial that the table does not have, or to a value that it does not have.
+    #[test]
+    fn every_preset_is_made_of_dials_of_the_table() {
+        for preset in Preset::ALL {
+            assert_eq!(preset.setting().apply(RenderOptions::standard()), preset.options(), "{preset}");
+            assert_eq!(preset.to_string().parse(), Ok(preset));
+        }
+        assert!(Preset::Standard.setting().is_empty());
+        assert_eq!(Preset::Fast.setting().to_string(), "alpha_min 4/255, transmittance_min 1e-2");
+        assert!("slow".parse::<Preset>().unwrap_err().to_string().contains("fast, standard or exact"));
+    }
+
+    #[test]
+    fn a_setting_survives_a_file_and_nonsense_does_not() {
+        let setting = Setting::new([("alpha_min", "2/255"), ("blur", "0.1")]).unwrap();
+        let text = serde_json::to_string(&setting).unwrap();
+        assert_eq!(text, r#"{"alpha_min":"2/255","blur":"0.1"}"#);
+        assert_eq!(serde_json::from_str::<Setting>(&text).unwrap(), setting);
+        let refused = |text: &str| serde_json::from_str::<Setting>(text).unwrap_err().to_string();
+        assert!(refused(r#"{"alpha":"1"}"#).contains("there is no dial \"alpha\": there are alpha_min, "));
+        assert!(refused(r#"{"alpha_min":"0.5"}"#).contains("no value \"0.5\": it has 2^-26, 1/4096"));
+    }
+
+    #[test]
+    fn what_is_turned_is_turned_and_nothing_else() {
+        let base = RenderOptions::standard().with_near(0.5).with_antialias(true);
+        let setting = Setting::new([("transmittance_min", "0"), ("alpha_max", "1")]).unwrap();
+        let turned = setting.apply(base);
+        assert_eq!(turned, RenderOptions { transmittance_min: 0.0, alpha_max: 1.0, ..base });
+        assert_eq!(Setting::between(&base, &turned), setting);
+        assert_eq!(setting.judge(), Judge::Exact);
+        assert_eq!(Setting::new([("blur", "0.1")]).unwrap().judge(), Judge::Photographs);
+    }
+}

@@ -1,0 +1,93 @@
+//! The memory that the program holds while something is measured.
+
+use std::alloc::{GlobalAlloc, Layout};
+use std::sync::atomic::{AtomicBool, AtomicI64, Ordering::Relaxed};
+use std::sync::{Mutex, PoisonError};
+
+/// Whether bytes are counted. Otherwise an allocation costs one load of this more.
+static COUNTS: AtomicBool = AtomicBool::new(false);
+/// Bytes held beyond those at the start of the count; less than nothing where older ones were freed.
+static LIVE: AtomicI64 = AtomicI64::new(0);
+static PEAK: AtomicI64 = AtomicI64::new(0);
+
+/// An allocator that counts while [`peak_mib`] runs.
+pub struct Counted<A>(pub A);
+
+fn changed(bytes: i64) {
+    let live = LIVE.fetch_add(bytes, Relaxed) + bytes;
+    PEAK.fetch_max(live, Relaxed);
+}
+
+// SAFETY: every call is handed on as it is.
+unsafe impl<A: GlobalAlloc> GlobalAlloc for Counted<A> {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        if COUNTS.load(Relaxed) {
+            changed(layout.size() as i64);
+        }
+        unsafe { self.0.alloc(layout) }
+    }
+
+    unsafe fn alloc_zeroed(&self, layout: Layout) -> *mut u8 {
+        if COUNTS.load(Relaxed) {
+            changed(layout.size() as i64);
+        }
+        unsafe { self.0.alloc_zeroed(layout) }
+    }
+
+    unsafe fn dealloc(&self, block: *mut u8, layout: Layout) {
+        if COUNTS.load(Relaxed) {
+            changed(-(layout.size() as i64));
+        }
+        unsafe { self.0.dealloc(block, layout) }
+    }
+
+    unsafe fn realloc(&self, block: *mut u8, layout: Layout, size: usize) -> *mut u8 {
+        let counts = COUNTS.load(Relaxed);
+        if counts {
+            // Both blocks may be there at once while the contents move.
+            changed(size as i64);
+        }
+        let moved = unsafe { self.0.realloc(block, layout, size) };
+        if counts {
+            changed(-(layout.size() as i64));
+        }
+        moved
+    }
+}
+
+/// Runs `work`; also the most memory that the program held meanwhile beyond what it held before, on all threads, MiB. None in
+/// a program whose allocator is not [`Counted`]. Calls wait for each other; the memory of a GPU is not the program's.
+pub fn peak_mib<T>(work: impl FnOnce() -> T) -> (T, Option<f64>) {
+    static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
+    let _held = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
+    LIVE.store(0, Relaxed);
+    PEAK.store(0, Relaxed);
+    COUNTS.store(true, Relaxed);
+    let result = work();
+    COUNTS.store(false, Relaxed);
+    let peak = PEAK.load(Relaxed);
+    (result, (peak > 0).then(|| peak as f64 / f64::from(1 << 20)))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::alloc::System;
+
+    use super::*;
+
+    #[test]
+    fn the_most_that_is_held_at_a_time_counts() {
+        let counted = Counted(System);
+        let layout = |size| Layout::from_size_align(size, 8).unwrap();
+        // SAFETY: blocks are freed with the layouts that they were asked for with.
+        let ((), peak) = peak_mib(|| unsafe {
+            let first = counted.alloc(layout(3 << 20));
+            counted.dealloc(first, layout(3 << 20));
+            let second = counted.alloc_zeroed(layout(1 << 20));
+            let second = counted.realloc(second, layout(1 << 20), 4 << 20);
+            counted.dealloc(second, layout(4 << 20));
+        });
+        assert_eq!(peak, Some(5.0));
+        assert_eq!(peak_mib(|| ()).1, None);
+    }
+}

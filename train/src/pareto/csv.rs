@@ -1,0 +1,87 @@
+//! `pareto.csv`: all that was measured, a line per setting (RFC 4180).
+
+use splat_model::accuracy::{Judge, Spread};
+
+use super::dials::Role;
+use super::measure::Row;
+
+/// The columns.
+const HEADER: [&str; 23] = [
+    "name",
+    "role",
+    "judged_by",
+    "turned",
+    "error_db",
+    "rms_error",
+    "max_error",
+    "psnr_db",
+    "ssim",
+    "gradient_error",
+    "gradient_error_of",
+    "gradient_cosine",
+    "forward_ms_lower",
+    "forward_ms",
+    "forward_ms_upper",
+    "backward_ms_lower",
+    "backward_ms",
+    "backward_ms_upper",
+    "step_ms_lower",
+    "step_ms",
+    "step_ms_upper",
+    "memory_mib",
+    "on_frontier",
+];
+
+/// The file's text. `members` are the rows on the frontier of renders.
+pub fn text(rows: &[Row], members: &[usize]) -> String {
+    let mut text = HEADER.join(",");
+    text.push_str("\r\n");
+    for (i, row) in rows.iter().enumerate() {
+        text.push_str(&line(row, members.contains(&i)));
+        text.push_str("\r\n");
+    }
+    text
+}
+
+fn line(row: &Row, on_frontier: bool) -> String {
+    let number = |value: Option<f64>| value.map(|value| format!("{value:.6e}")).unwrap_or_default();
+    let candidate = &row.candidate;
+    let role = match candidate.role {
+        Role::Preset => "preset".into(),
+        Role::Dial(name) => format!("dial {name}"),
+        Role::Combination => "combination".into(),
+    };
+    let judge = if candidate.judge() == Judge::Exact { "exact" } else { "photographs" };
+    let accuracy = row.accuracy.as_ref();
+    let mut fields = vec![candidate.name.clone(), role, judge.into(), candidate.setting.to_string()];
+    fields.extend([row.error_db(), accuracy.map(|a| a.rms), accuracy.map(|a| a.max)].map(number));
+    fields.extend([row.scores.map(|s| s.0), row.scores.map(|s| s.1)].map(number));
+    fields.push(number(accuracy.map(|a| a.gradient_error)));
+    fields.push(accuracy.map(|a| a.worst.to_owned()).unwrap_or_default());
+    fields.push(number(accuracy.map(|a| a.gradient_cosine)));
+    for Spread { lower, median, upper } in [row.times.forward, row.times.backward, row.times.step] {
+        fields.extend([lower, median, upper].map(|ms| number(Some(ms))));
+    }
+    fields.push(number(row.memory_mib));
+    fields.push(if on_frontier { "1" } else { "0" }.into());
+    fields.iter().map(|field| quoted(field)).collect::<Vec<_>>().join(",")
+}
+
+fn quoted(field: &str) -> String {
+    match field.contains([',', '"', '\n', '\r']) {
+        true => format!("\"{}\"", field.replace('"', "\"\"")),
+        false => field.into(),
+    }
+}
+
+#[cfg(test)]
+pub mod tests {
+    use super::*;
+
+    #[test]
+    fn commas_and_quotes_are_quoted() {
+        assert_eq!(quoted("a b"), "a b");
+        assert_eq!(quoted("a, b"), "\"a, b\"");
+        assert_eq!(quoted("a \"b\""), "\"a \"\"b\"\"\"");
+    }
+}

@@ -1,0 +1,131 @@
+//! What is measured: presets, every value of every dial on its own, and combinations. Dials themselves are in the table of the
+//! library, [`DIALS`]: one more there is measured here without another line.
+
+use splat_model::accuracy::{DIALS, Dial, Judge, Preset, Setting};
+use splat_op::RenderOptions;
+
+/// Why a setting is measured.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Role {
+    /// One of the presets.
+    Preset,
+    /// One dial turned, the others as in the standard.
+    Dial(&'static str),
+    /// Several dials turned.
+    Combination,
+}
+
+/// One setting to be measured.
+#[derive(Clone, Debug)]
+pub struct Candidate {
+    /// What reports call it.
+    pub name: String,
+    pub role: Role,
+    /// The dials that are turned.
+    pub setting: Setting,
+    /// What is rendered with.
+    pub options: RenderOptions,
+}
+
+/// Combinations that are worth a look: what stops early beside what skips little. The other two combinations, every dial at
+/// its most accurate and every dial at its coarsest, follow from the table.
+const COMBINATIONS: &[(&str, &[(&str, &str)])] = &[
+    ("half-way to fast", &[("alpha_min", "2/255"), ("transmittance_min", "1e-3")]),
+    ("open layers", &[("alpha_max", "0.999"), ("transmittance_min", "1e-5")]),
+    ("half-way to exact", &[("alpha_min", "1/1024"), ("transmittance_min", "1e-5"), ("alpha_max", "0.999")]),
+];
+
+impl Candidate {
+    fn new(name: impl Into<String>, role: Role, setting: Setting, base: &RenderOptions) -> Self {
+        Self { name: name.into(), role, options: setting.apply(*base), setting }
+    }
+
+    /// What it is judged against.
+    pub fn judge(&self) -> Judge {
+        self.setting.judge()
+    }
+}
+
+/// All settings around `base`, which is the standard with the scene's own model choices. On a CPU those are left out that make
+/// a difference on a GPU alone; without `choices` also those that turn a model choice.
+pub fn candidates(base: &RenderOptions, gpu: bool, choices: bool) -> Vec<Candidate> {
+    let dials = || DIALS.iter().filter(move |dial| gpu || !dial.gpu_only);
+    let presets =
+        Preset::ALL.into_iter().map(|preset| Candidate::new(preset.name(), Role::Preset, preset.setting(), base));
+    let mut all: Vec<Candidate> = presets.collect();
+    for dial in dials() {
+        // The value at which the base stands is the base.
+        let others = dial.values.iter().filter(|value| (value.set)(*base) != *base);
+        all.extend(others.filter_map(|value| {
+            let setting = Setting::new([(dial.name, value.name)]).ok()?;
+            Some(Candidate::new(format!("{} {}", dial.name, value.name), Role::Dial(dial.name), setting, base))
+        }));
+    }
+    let numerical = || dials().filter(|dial| dial.judge == Judge::Exact);
+    let every = |which: fn(&Dial) -> Option<&'static splat_model::accuracy::Value>| {
+        let turned = numerical().filter_map(move |dial| {
+            let value = which(dial)?;
+            ((value.set)(*base) != *base).then_some((dial.name, value.name))
+        });
+        turned.collect::<Vec<_>>()
+    };
+    let known = COMBINATIONS.iter().map(|(name, turned)| (*name, turned.to_vec()));
+    let ends = [("all accurate", every(|dial| dial.values.first())), ("all coarse", every(|dial| dial.values.last()))];
+    for (name, turned) in known.chain(ends) {
+        if let Ok(setting) = Setting::new(turned) {
+            all.push(Candidate::new(name, Role::Combination, setting, base));
+        }
+    }
+    let mut seen: Vec<RenderOptions> = Vec::new();
+    all.retain(|candidate| {
+        let new = !seen.contains(&candidate.options) && (choices || candidate.judge() == Judge::Exact);
+        seen.push(candidate.options);
+        new
+    });
+    all
+}
+
+#[cfg(test)]
+mod tests {
+    use splat_model::accuracy::STANDARD;
+
+    use super::*;
+
+    #[test]
+    fn every_value_of_every_dial_is_measured_once() {
+        let base = RenderOptions::standard().with_near(0.3);
+        let all = candidates(&base, true, true);
+        for dial in DIALS {
+            for value in dial.values {
+                let options = (value.set)(base);
+                let count = all.iter().filter(|candidate| candidate.options == options).count();
+                assert_eq!(count, 1, "{} {}", dial.name, value.name);
+            }
+        }
+        assert!(all.iter().all(|candidate| candidate.options.near == 0.3));
+        let names: Vec<&str> = all.iter().map(|candidate| candidate.name.as_str()).collect();
+        assert_eq!(names[..3], ["fast", STANDARD, "exact"]);
+        for (name, _) in COMBINATIONS {
+            assert!(names.contains(name), "{name} is misspelt or the same as another setting");
+        }
+        assert!(names.contains(&"all accurate") && names.contains(&"all coarse"));
+    }
+
+    #[test]
+    fn what_changes_nothing_on_a_cpu_is_not_measured_there() {
+        let base = RenderOptions::standard();
+        let all = candidates(&base, false, true);
+        assert!(!all.iter().any(|candidate| candidate.name.contains("accumulation")));
+        assert!(all.iter().any(|candidate| candidate.judge() == Judge::Photographs));
+        assert!(!candidates(&base, false, false).iter().any(|candidate| candidate.judge() == Judge::Photographs));
+    }
+
+    #[test]
+    fn a_scene_with_a_choice_of_its_own_is_measured_around_it() {
+        let base = RenderOptions::standard().with_antialias(true);
+        let all = candidates(&base, false, true);
+        assert!(all[..3].iter().all(|candidate| candidate.options.antialias));
+        assert!(all.iter().any(|candidate| candidate.name == "antialias off"));
+        assert!(!all.iter().any(|candidate| candidate.name == "antialias on"));
+    }
+}

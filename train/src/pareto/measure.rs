@@ -1,0 +1,444 @@
+//! Checks of every setting against what is exact, then times of all of them in turns.
+
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result, bail, ensure};
+use burn::tensor::Tensor;
+use splat_model::accuracy::{DIALS, Dial, Frontier, Judge, Measured, Spread, decibels};
+use splat_op::RenderOptions;
+
+use super::dials::Candidate;
+use super::subject::{PARAMETERS, Place, Shot, Sums, host};
+use super::yardstick::{Truth, check_crops};
+use crate::memory::peak_mib;
+use crate::progress;
+
+/// Rounds that are timed at least: fewer have no spread.
+pub const ROUNDS_MIN: usize = 3;
+
+/// Parameters whose exact gradients are smaller than this share of the largest are not judged: such gradients are rounding, as
+/// those of the rotations of spheres.
+const NEGLIGIBLE: f64 = 1e-7;
+
+/// How far a setting is from what is exact.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Accuracy {
+    /// Root mean square over all values of all views.
+    pub rms: f64,
+    /// The largest difference of a value.
+    pub max: f64,
+    /// Relative L2, of the parameter for which it is largest, and which that is.
+    pub gradient_error: f64,
+    pub worst: &'static str,
+    /// Of the parameter for which it is smallest.
+    pub gradient_cosine: f64,
+}
+
+/// Times of a frame, ms.
+#[derive(Clone, Copy, Debug)]
+pub struct Times {
+    pub forward: Spread,
+    pub backward: Spread,
+    pub step: Spread,
+}
+
+/// All that was measured of one setting.
+#[derive(Clone, Debug)]
+pub struct Row {
+    pub candidate: Candidate,
+    /// Absent for model choices, which define another function.
+    pub accuracy: Option<Accuracy>,
+    /// PSNR, dB, and SSIM against the photographs.
+    pub scores: Option<(f64, f64)>,
+    /// The most memory that a render with its backward pass holds, MiB; absent where it is not known.
+    pub memory_mib: Option<f64>,
+    pub times: Times,
+}
+
+/// What is measured, and on what.
+pub struct Bench<'a> {
+    pub place: Place,
+    pub exact: Place,
+    pub shots: Vec<Shot<'a>>,
+    pub base: RenderOptions,
+}
+
+/// What a value of a numerical dial does by itself.
+#[derive(Clone, Debug)]
+pub struct Alone {
+    pub dial: &'static str,
+    pub value: &'static str,
+    /// With every other numerical dial at its most accurate, whose errors would hide it.
+    pub accuracy: Accuracy,
+}
+
+/// What came of it.
+pub struct Outcome {
+    pub rows: Vec<Row>,
+    /// Every value of every numerical dial that was measured.
+    pub alone: Vec<Alone>,
+    /// The largest difference between the yardstick and the exact renderer on crops.
+    pub yardstick: f64,
+    pub rounds: usize,
+}
+
+impl Bench<'_> {
+    /// Checks every candidate, scores it, and times all in turns until `budget` is spent.
+    ///
+    /// # Errors
+    /// If the yardstick or a candidate is not what it should be, or the operation refuses the scene.
+    pub fn run(
+        &self,
+        candidates: Vec<Candidate>,
+        budget: Duration,
+        score: impl Fn(&RenderOptions) -> Result<Option<(f64, f64)>>,
+    ) -> Result<Outcome> {
+        let yardstick = check_crops(&self.exact, &self.shots, &Dial::all_exact(self.base))?;
+        let mut truths: Vec<(RenderOptions, Truth)> = Vec::new();
+        let counter = progress::counter("checking settings", candidates.len());
+        let mut checked = Vec::new();
+        for candidate in candidates {
+            let row = self.check(&candidate, &mut truths, &score);
+            checked.push((
+                row.with_context(|| format!("the setting {:?} cannot be measured", candidate.name))?,
+                candidate,
+            ));
+            counter.inc(1);
+        }
+        counter.finish_and_clear();
+        let alone = self.alone(&mut truths)?;
+        let cotangents = self.cotangents(&mut truths)?;
+        drop(truths);
+        let options: Vec<RenderOptions> = checked.iter().map(|(_, candidate)| candidate.options).collect();
+        let (times, rounds) = self.time(&options, &cotangents, budget)?;
+        let rows = checked.into_iter().zip(times).map(|(((accuracy, scores, memory_mib), candidate), times)| Row {
+            candidate,
+            accuracy,
+            scores,
+            memory_mib,
+            times,
+        });
+        Ok(Outcome { rows: rows.collect(), alone, yardstick, rounds })
+    }
+
+    /// What is exact under the model choices of `options`; computed once for each.
+    fn truth<'t>(&self, truths: &'t mut Vec<(RenderOptions, Truth)>, options: &RenderOptions) -> Result<&'t Truth> {
+        let exact = Dial::all_exact(*options);
+        let place = match truths.iter().position(|(of, _)| *of == exact) {
+            Some(place) => place,
+            None => {
+                let counter = progress::counter("rendering exactly", self.shots.len());
+                let truth = Truth::new(&self.exact, &self.shots, &exact, || counter.inc(1))?;
+                counter.finish_and_clear();
+                truths.push((exact, truth));
+                truths.len() - 1
+            }
+        };
+        Ok(&truths[place].1)
+    }
+
+    /// The error of every value of every numerical dial with the others out of the way.
+    fn alone(&self, truths: &mut Vec<(RenderOptions, Truth)>) -> Result<Vec<Alone>> {
+        let gpu = splat_op::is_gpu(&self.place.device);
+        let numerical = || DIALS.iter().filter(|dial| dial.judge == Judge::Exact && (gpu || !dial.gpu_only));
+        let accurate = numerical().filter_map(|dial| dial.values.first());
+        let accurate = accurate.fold(self.base, |options, value| (value.set)(options));
+        let all: Vec<_> = numerical().flat_map(|dial| dial.values.iter().map(move |value| (dial, value))).collect();
+        let counter = progress::counter("checking dials alone", all.len());
+        let mut found = Vec::new();
+        for (dial, value) in all {
+            let (accuracy, _) = self.compare(&(value.set)(accurate), self.truth(truths, &self.base)?)?;
+            found.push(Alone { dial: dial.name, value: value.name, accuracy });
+            counter.inc(1);
+        }
+        counter.finish_and_clear();
+        Ok(found)
+    }
+
+    /// Those of the base, on the device.
+    fn cotangents(&self, truths: &mut Vec<(RenderOptions, Truth)>) -> Result<Vec<Tensor<3>>> {
+        let truth = self.truth(truths, &self.base)?;
+        Ok(truth.cotangents.iter().enumerate().map(|(view, values)| self.place.picture(view, values)).collect())
+    }
+
+    #[expect(clippy::type_complexity, reason = "the parts of a row before it is timed")]
+    fn check(
+        &self,
+        candidate: &Candidate,
+        truths: &mut Vec<(RenderOptions, Truth)>,
+        score: &impl Fn(&RenderOptions) -> Result<Option<(f64, f64)>>,
+    ) -> Result<(Option<Accuracy>, Option<(f64, f64)>, Option<f64>)> {
+        let options = &candidate.options;
+        self.check_same_picture(options, &self.same_picture(options))?;
+        let judged = candidate.judge() == Judge::Exact;
+        let truth = self.truth(truths, if judged { options } else { &self.base })?;
+        let (found, memory_mib) = self.compare(options, truth)?;
+        let bound = Dial::rms_bound(options);
+        ensure!(
+            !judged || found.rms <= bound,
+            "its pictures are {:.2e} from the exact ones, root mean square, and an approximation may be {bound:.2e}: it is broken",
+            found.rms
+        );
+        Ok((judged.then_some(found), score(options)?, memory_mib))
+    }
+
+    /// `options` with the dials that promise the same picture where the base has them.
+    fn same_picture(&self, options: &RenderOptions) -> RenderOptions {
+        DIALS
+            .iter()
+            .filter(|dial| dial.same_picture)
+            .fold(*options, |options, dial| dial.value_in(&self.base).map_or(options, |value| (value.set)(options)))
+    }
+
+    /// Pictures that are promised to be the same must be to the last bit.
+    fn check_same_picture(&self, options: &RenderOptions, plain: &RenderOptions) -> Result<()> {
+        if plain == options {
+            return Ok(());
+        }
+        for view in 0..self.shots.len() {
+            let ours = host(self.place.render(view, options)?.colour);
+            let theirs = host(self.place.render(view, plain)?.colour);
+            ensure!(same_bits(&ours, &theirs), "it should leave the picture as it is, and changes that of view {view}");
+        }
+        Ok(())
+    }
+
+    /// Renders and differentiates every view.
+    fn compare(&self, options: &RenderOptions, truth: &Truth) -> Result<(Accuracy, Option<f64>)> {
+        let (mut squares, mut count, mut max) = (0.0, 0, 0.0_f64);
+        let mut sums = Sums::default();
+        let mut memory = None;
+        for view in 0..self.shots.len() {
+            let cotangent = self.place.picture(view, &truth.cotangents[view]);
+            let (done, peak) = peak_mib(|| -> Result<_> {
+                let picture = self.place.tracked(view, options)?;
+                let colour = picture.colour.clone().inner();
+                let gradients = self.place.backward(picture, cotangent);
+                self.place.device.sync()?;
+                Ok((colour, gradients))
+            });
+            let (colour, gradients) = done?;
+            memory = peak.into_iter().chain(memory).reduce(f64::max);
+            self.place.add_gradients(&gradients, &mut sums);
+            let found = host(colour);
+            if let Some(at) = found.iter().position(|value| !value.is_finite()) {
+                bail!("value {at} of the picture of view {view} is {}", found[at]);
+            }
+            for (found, exact) in found.iter().zip(&truth.pictures[view]) {
+                let difference = (found - exact).abs();
+                squares += difference * difference;
+                max = max.max(difference);
+            }
+            count += found.len();
+        }
+        if let Some(kind) = (0..sums.len()).find(|&kind| !sums[kind].iter().all(|value| value.is_finite())) {
+            bail!("a gradient of {} is not finite", PARAMETERS[kind]);
+        }
+        let (gradient_error, worst, gradient_cosine) = compare_gradients(&sums, &truth.gradients);
+        // Of a GPU the program's own memory says nothing.
+        let memory = memory.filter(|_| !splat_op::is_gpu(&self.place.device));
+        Ok((Accuracy { rms: (squares / count as f64).sqrt(), max, gradient_error, worst, gradient_cosine }, memory))
+    }
+
+    /// Times of all, in turns: what else a machine does comes and goes, and should meet all alike. Every one has run before, in
+    /// its check, so that kernels are compiled.
+    fn time(&self, all: &[RenderOptions], cotangents: &[Tensor<3>], budget: Duration) -> Result<(Vec<Times>, usize)> {
+        let begin = Instant::now();
+        let mut samples = vec![[const { Vec::new() }; 3]; all.len()];
+        let mut rounds = 0;
+        while rounds < ROUNDS_MIN || begin.elapsed() < budget {
+            for (options, samples) in all.iter().zip(&mut samples) {
+                let forward = self.time_forward(options)?;
+                let backward = self.time_backward(options, cotangents)?;
+                for (samples, ms) in samples.iter_mut().zip([forward, backward, forward + backward]) {
+                    samples.push(ms);
+                }
+            }
+            rounds += 1;
+        }
+        let spread = |samples: &Vec<f64>| Spread::of(samples).context("a time is not finite");
+        let times = samples.iter().map(|[forward, backward, step]| {
+            Ok(Times { forward: spread(forward)?, backward: spread(backward)?, step: spread(step)? })
+        });
+        Ok((times.collect::<Result<_>>()?, rounds))
+    }
+
+    /// ms a frame.
+    fn time_forward(&self, options: &RenderOptions) -> Result<f64> {
+        self.place.device.sync()?;
+        let start = Instant::now();
+        // Kept until they are there: what nobody waits for may never be computed.
+        let pictures: Vec<_> =
+            (0..self.shots.len()).map(|view| self.place.render(view, options)).collect::<Result<_>>()?;
+        self.place.device.sync()?;
+        let elapsed = start.elapsed();
+        drop(pictures);
+        Ok(1e3 * elapsed.as_secs_f64() / self.shots.len() as f64)
+    }
+
+    /// ms a frame, without the forward pass.
+    fn time_backward(&self, options: &RenderOptions, cotangents: &[Tensor<3>]) -> Result<f64> {
+        let mut elapsed = Duration::ZERO;
+        for (view, cotangent) in cotangents.iter().enumerate() {
+            let picture = self.place.tracked(view, options)?;
+            self.place.device.sync()?;
+            let start = Instant::now();
+            let gradients = self.place.backward(picture, cotangent.clone());
+            self.place.device.sync()?;
+            elapsed += start.elapsed();
+            drop(gradients);
+        }
+        Ok(1e3 * elapsed.as_secs_f64() / self.shots.len() as f64)
+    }
+}
+
+fn same_bits(a: &[f64], b: &[f64]) -> bool {
+    a.len() == b.len() && a.iter().zip(b).all(|(a, b)| a.to_bits() == b.to_bits())
+}
+
+/// The largest relative L2 error of a parameter's gradients and whose it is, and the smallest cosine.
+fn compare_gradients(found: &Sums, exact: &Sums) -> (f64, &'static str, f64) {
+    let norm = |values: &[f64]| values.iter().map(|value| value * value).sum::<f64>().sqrt();
+    let largest = exact.iter().map(|values| norm(values)).fold(0.0, f64::max);
+    let (mut error, mut worst, mut cosine) = (0.0, PARAMETERS[0], 1.0_f64);
+    for ((found, exact), name) in found.iter().zip(exact).zip(PARAMETERS) {
+        let (length, ours) = (norm(exact), norm(found));
+        if length <= NEGLIGIBLE * largest {
+            continue;
+        }
+        let difference: Vec<f64> = found.iter().zip(exact).map(|(found, exact)| found - exact).collect();
+        let relative = norm(&difference) / length;
+        if relative > error {
+            (error, worst) = (relative, name);
+        }
+        let product: f64 = found.iter().zip(exact).map(|(found, exact)| found * exact).sum();
+        cosine = cosine.min(if ours > 0.0 { product / (ours * length) } else { 0.0 });
+    }
+    (error, worst, cosine)
+}
+
+impl Row {
+    /// PSNR against the exact render, dB, where that is what it is judged by.
+    pub fn error_db(&self) -> Option<f64> {
+        Some(decibels(self.accuracy.as_ref()?.rms))
+    }
+
+    /// As `pareto.json` has it; none for model choices.
+    fn measured(&self) -> Option<Measured> {
+        let accuracy = self.accuracy.as_ref()?;
+        Some(Measured {
+            name: self.candidate.name.clone(),
+            turned: self.candidate.setting.clone(),
+            error_db: decibels(accuracy.rms),
+            max_error: accuracy.max,
+            gradient_error: accuracy.gradient_error,
+            gradient_cosine: accuracy.gradient_cosine,
+            forward_ms: self.times.forward,
+            backward_ms: self.times.backward,
+            step_ms: self.times.step,
+        })
+    }
+}
+
+impl Outcome {
+    /// What others choose from.
+    pub fn frontier(&self, bench: &Bench, device: &str) -> Frontier {
+        let pixels: usize = bench.shots.iter().map(|shot| shot.intrinsics.width * shot.intrinsics.height).sum();
+        Frontier {
+            device: device.into(),
+            splats: bench.place.gaussians.len(),
+            pixels: pixels / bench.shots.len().max(1),
+            settings: self.rows.iter().filter_map(Row::measured).collect(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use burn::tensor::Device;
+    use splat_model::accuracy::STANDARD;
+
+    use super::super::dials::candidates;
+    use super::super::yardstick::tests::{rows, shots};
+    use super::*;
+
+    fn bench() -> Bench<'static> {
+        let base = RenderOptions::standard();
+        let (rows, shots) = (rows(60), shots());
+        let place = Place::new(&rows, &shots, [0.2; 3], &Device::flex()).unwrap();
+        Bench { place, exact: Place::in_f64(&rows, &shots, [0.2; 3]).unwrap(), shots, base }
+    }
+
+    #[test]
+    fn settings_are_as_accurate_as_their_dials_say() {
+        let bench = bench();
+        let none = |_: &RenderOptions| Ok(None);
+        let outcome = bench.run(candidates(&bench.base, false, true), Duration::ZERO, none).unwrap();
+        assert_eq!(outcome.rounds, ROUNDS_MIN);
+        let db = |name: &str| outcome.rows.iter().find(|row| row.candidate.name == name).unwrap().error_db().unwrap();
+        assert!(db("all accurate") > 100.0, "only rounding is left: {}", db("all accurate"));
+        assert!(db("alpha_min 1/1024") > db("alpha_min 8/255") + 6.0);
+        let all = outcome.rows.iter().find(|row| row.candidate.name == "all accurate").unwrap();
+        let accuracy = all.accuracy.as_ref().unwrap();
+        assert!(accuracy.gradient_error < 1e-3 && accuracy.gradient_cosine > 0.999_999, "{accuracy:?}");
+        assert!(accuracy.max < 1e-4 && accuracy.max >= accuracy.rms);
+        let alone = |dial: &str, value: &str| {
+            let found = outcome.alone.iter().find(|alone| alone.dial == dial && alone.value == value);
+            decibels(found.unwrap().accuracy.rms)
+        };
+        assert!(alone("alpha_min", "2^-26") > 100.0 && alone("transmittance_min", "0") == alone("alpha_min", "2^-26"));
+        // The standard's own error hides what another dial adds to it.
+        assert!(alone("transmittance_min", "1e-4") > db("standard") + 6.0);
+        assert!(alone("alpha_max", "0.99") < 90.0 && alone("alpha_max", "1") > 100.0);
+        let frontier = outcome.frontier(&bench, "flex");
+        assert!(frontier.settings.iter().any(|measured| measured.name == STANDARD));
+        assert!(!frontier.settings.iter().any(|measured| measured.name.starts_with("blur")));
+        assert_eq!((frontier.pixels, frontier.splats), (1200, 60));
+    }
+
+    #[test]
+    fn a_broken_setting_is_not_timed() {
+        let bench = bench();
+        let mut broken = candidates(&bench.base, false, false).remove(1);
+        // The dials are where the candidate says; the function is another.
+        broken.options = RenderOptions { blur: 300.0, ..broken.options };
+        let mut truths = Vec::new();
+        bench.truth(&mut truths, &bench.base).unwrap();
+        // As if the picture had been meant to be the base's.
+        truths[0].0 = Dial::all_exact(broken.options);
+        let error = bench.check(&broken, &mut truths, &|_| Ok(None)).unwrap_err().to_string();
+        assert!(error.contains("it is broken"), "{error}");
+    }
+
+    #[test]
+    fn a_promise_of_the_same_picture_is_kept() {
+        let bench = bench();
+        let ordered = bench.base.with_accumulation(splat_op::Accumulation::Ordered);
+        assert_eq!(bench.same_picture(&ordered), bench.base);
+        bench.check_same_picture(&ordered, &bench.base).unwrap();
+        let other = RenderOptions { alpha_min: 1.0 / 1024.0, ..bench.base };
+        let error = bench.check_same_picture(&other, &bench.base).unwrap_err().to_string();
+        assert!(error.contains("changes that of view 0"), "{error}");
+    }
+
+    #[test]
+    fn gradients_are_compared_parameter_by_parameter() {
+        let exact: Sums = [vec![3.0, 4.0], vec![1e-9, 0.0], vec![1.0, 0.0], vec![2.0], vec![5.0]];
+        assert_eq!(compare_gradients(&exact, &exact), (0.0, "means", 1.0));
+        let mut found = exact.clone();
+        // A parameter without gradients to speak of may be anything.
+        found[1] = vec![-1e-9, 0.0];
+        assert_eq!(compare_gradients(&found, &exact).0, 0.0);
+        found[2] = vec![0.0, 1.0];
+        let (error, worst, cosine) = compare_gradients(&found, &exact);
+        assert!((error - 2.0_f64.sqrt()).abs() < 1e-12 && worst == "log_scales" && cosine == 0.0);
+        found[2] = vec![0.0, 0.0];
+        assert_eq!(compare_gradients(&found, &exact), (1.0, "log_scales", 0.0));
+    }
+
+    #[test]
+    fn the_same_numbers_are_the_same_bits() {
+        assert!(same_bits(&[0.0, 1.5], &[0.0, 1.5]));
+        assert!(!same_bits(&[0.0], &[-0.0]) && !same_bits(&[1.0], &[1.0, 2.0]));
+    }
+}

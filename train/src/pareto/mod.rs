@@ -1,0 +1,300 @@
+//! `splat pareto`: what every dial costs in time and in error, on a scene and a device at hand.
+
+mod csv;
+mod dials;
+mod measure;
+mod page;
+pub mod plot;
+mod subject;
+mod training;
+mod verdict;
+mod yardstick;
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use anyhow::{Result, ensure};
+use burn::tensor::Device;
+use clap::builder::RangedU64ValueParser;
+use splat_model::accuracy::{Choice, Point, Target, Work, decibels, frontier};
+use splat_model::capture::{Capture, Photo, Split};
+use splat_model::evaluate::evaluate;
+use splat_model::gaussians::GaussianRows;
+use splat_model::trainer::TrainConfig;
+use splat_op::RenderOptions;
+
+use self::dials::{Role, candidates};
+use self::measure::{Bench, Outcome, Row};
+use self::plot::{Chart, Dot, Mark};
+pub use self::subject::Shot;
+use self::subject::{Place, off_the_clamp};
+use self::training::{Runs, Trained};
+use crate::background::ShownBackground;
+use crate::device::{self, DeviceName};
+use crate::options::PhotoArgs;
+use crate::output::OutputFolder;
+use crate::{input, progress};
+
+/// What was measured, for `--frontier`.
+pub const FRONTIER: &str = "pareto.json";
+/// A line per setting.
+pub const TABLE: &str = "pareto.csv";
+/// The tables and what they say.
+pub const PAGE: &str = "pareto.md";
+/// Time against error; each as SVG and as PNG.
+pub const PLOT: [&str; 2] = ["pareto.svg", "pareto.png"];
+/// Seconds of training against PSNR.
+pub const TRAIN_PLOT: [&str; 2] = ["pareto_train.svg", "pareto_train.png"];
+
+/// Seconds that are measured where a target is given and no frontier.
+const BRIEFLY: Duration = Duration::from_secs(8);
+
+/// Views that are looked at then.
+pub const VIEWS_BRIEFLY: usize = 2;
+
+/// Options of `splat pareto`.
+#[derive(Clone, Debug, clap::Args)]
+pub struct ParetoArgs {
+    /// Folder with `images/` and COLMAP's `sparse/0/`, or with `transforms.json` or `transforms_train.json`
+    pub capture: PathBuf,
+    /// The scene, a PLY file in the layout of the original 3D Gaussian splatting code
+    #[arg(long, value_name = "FILE")]
+    pub scene: PathBuf,
+    /// Folder for pareto.md, pareto.csv, pareto.json and the plots
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+    /// Where to compute; what is exact is computed on the CPU in float64
+    #[arg(long, value_name = "NAME", default_value_t, help = device::help())]
+    pub device: DeviceName,
+    /// Time settings over and over for so many seconds, three times each at least
+    #[arg(long, value_name = "SECONDS", default_value_t = 60)]
+    pub budget: u64,
+    /// Look at so many of the test views, spread evenly over them
+    #[arg(long, value_name = "N", default_value_t = 3, value_parser = RangedU64ValueParser::<usize>::new().range(1..))]
+    pub views: usize,
+    /// Photographs.
+    #[command(flatten)]
+    pub photos: PhotoArgs,
+    /// For scenes that were trained with this option
+    #[arg(long)]
+    pub antialias: bool,
+    /// What is behind the scene: black, white, R,G,B from 0 to 1, or the background.json that a run left beside it
+    #[arg(long, value_name = "WHAT", default_value_t)]
+    pub background: ShownBackground,
+    /// Leave out the pixels that the capture's masks exclude; for scenes that were trained with the effect `masks`
+    #[arg(long)]
+    pub masks: bool,
+    /// Also train, shortly, under dials of the training
+    #[arg(long)]
+    pub train: bool,
+    /// With `--train`: steps of a run
+    #[arg(long, value_name = "N", default_value_t = 500, value_parser = RangedU64ValueParser::<usize>::new().range(1..))]
+    pub train_steps: usize,
+}
+
+/// Measures, writes everything, and says where it is.
+///
+/// # Errors
+/// If the capture or the scene cannot be read, no photograph is held out, a setting is broken, or the results cannot be written.
+pub fn run(args: &ParetoArgs) -> Result<()> {
+    let (device, device_name) = args.device.resolve()?;
+    let background = args.background.read()?;
+    let capture = input::capture(&args.capture)?;
+    let (split, _) = args.photos.split(&capture);
+    let views = spread(split.require_test()?, args.views);
+    let rows = input::rows(&args.scene, &capture)?;
+    let out = prepare(args)?;
+    let photos = input::photographs(&capture, &views, args.photos.max_side, args.masks)?;
+    let shots: Vec<Shot> = photos.iter().map(Shot::from).collect();
+    let extent = input::extent(&capture);
+    let base = TrainConfig { antialias: args.antialias, ..TrainConfig::default() }.render_options(extent);
+    let bench = Bench::new(&rows, shots, background.colour(), base, &device)?;
+    let all = candidates(&base, splat_op::is_gpu(&device), true);
+    progress::note(&format!("{} settings, {} views of {} splats", all.len(), photos.len(), rows.len()));
+    let outcome = bench.run(all, Duration::from_secs(args.budget), |options| {
+        let scores = evaluate(&bench.place.splats, &photos, &background, options, |_, _| ())?;
+        Ok(Some((scores.psnr, scores.ssim)))
+    })?;
+    let trained = if args.train { train(args, &capture, &split, &photos, &device)? } else { Vec::new() };
+
+    let subject = page::Subject {
+        capture: name(&args.capture),
+        scene: name(&args.scene),
+        device: &device_name,
+        splats: rows.len(),
+        views: photos.iter().map(|photo| photo.name.clone()).collect(),
+        size: photos.iter().map(|photo| (photo.intrinsics.width, photo.intrinsics.height)).max().unwrap_or_default(),
+        base,
+    };
+    write(&out, &subject, &outcome, &trained)?;
+    let json = outcome.frontier(&bench, &device_name).to_json()?;
+    out.write(FRONTIER, |file| Ok(file.write_all(json.as_bytes())?))?;
+    say(&out, &outcome, &trained);
+    Ok(())
+}
+
+/// The last part of a path.
+fn name(path: &Path) -> String {
+    path.file_name().map_or_else(|| path.display().to_string(), |name| name.to_string_lossy().into_owned())
+}
+
+/// Up to `count` of the views, spread evenly.
+fn spread(views: &[usize], count: usize) -> Vec<usize> {
+    let count = count.min(views.len());
+    (0..count).map(|i| views[i * views.len() / count]).collect()
+}
+
+fn prepare(args: &ParetoArgs) -> Result<OutputFolder> {
+    let mut files = vec![FRONTIER, TABLE, PAGE, PLOT[0], PLOT[1]];
+    files.extend(args.train.then_some(TRAIN_PLOT).into_iter().flatten());
+    OutputFolder::prepare(&args.out, &files, &[])
+}
+
+impl<'a> Bench<'a> {
+    /// A scene and views of it, over one colour.
+    ///
+    /// # Errors
+    /// If the rows do not fit together, or there is no view.
+    fn new(
+        rows: &GaussianRows,
+        shots: Vec<Shot<'a>>,
+        background: [f32; 3],
+        base: RenderOptions,
+        device: &Device,
+    ) -> Result<Self> {
+        ensure!(!shots.is_empty(), "there is no view to measure with");
+        let rows = off_the_clamp(rows);
+        let place = Place::new(&rows, &shots, background, device)?;
+        Ok(Self { place, exact: Place::in_f64(&rows, &shots, background)?, shots, base })
+    }
+}
+
+/// Measures the numerical dials briefly, on a scene and up to two views of it, and chooses.
+///
+/// # Errors
+/// If nothing that was measured meets the target, or measuring fails.
+pub fn choose_briefly(
+    rows: &GaussianRows,
+    shots: Vec<Shot>,
+    base: &RenderOptions,
+    (device, device_name): (&Device, &str),
+    (target, work): (&Target, Work),
+) -> Result<Choice> {
+    let shots: Vec<Shot> =
+        spread(&(0..shots.len()).collect::<Vec<_>>(), VIEWS_BRIEFLY).iter().map(|&i| shots[i]).collect();
+    progress::note("measuring what accuracy costs here (`splat pareto` does it thoroughly, for `--frontier`)");
+    let bench = Bench::new(rows, shots, [0.0; 3], *base, device)?;
+    let outcome = bench.run(candidates(base, splat_op::is_gpu(device), false), BRIEFLY, |_| Ok(None))?;
+    Ok(outcome.frontier(&bench, device_name).choose(target, work)?)
+}
+
+fn train(args: &ParetoArgs, capture: &Capture, split: &Split, test: &[Photo], device: &Device) -> Result<Vec<Trained>> {
+    let photos = input::photographs(capture, split.require_train()?, args.photos.max_side, args.masks)?;
+    let config = TrainConfig { antialias: args.antialias, steps: args.train_steps, ..TrainConfig::default() };
+    let extent = input::extent(capture);
+    Runs { train: &photos, test, points: &capture.points, extent, config, device }.all()
+}
+
+/// The rows on the frontier of renders, and on that of training steps.
+fn members(outcome: &Outcome) -> [Vec<usize>; 2] {
+    let of = |point: fn(&Row) -> Option<Point>| {
+        // Model choices have no place on it, and no quality by which they could have one.
+        let none = |row: &Row| Point { quality_db: f64::NAN, time: row.times.forward };
+        frontier(&outcome.rows.iter().map(|row| point(row).unwrap_or(none(row))).collect::<Vec<_>>())
+    };
+    let render = of(|row| Some(Point { quality_db: row.error_db()?, time: row.times.forward }));
+    let step = of(|row| {
+        let quality_db = decibels(row.accuracy.as_ref()?.gradient_error);
+        Some(Point { quality_db, time: row.times.step })
+    });
+    [render, step]
+}
+
+fn write(out: &OutputFolder, subject: &page::Subject, outcome: &Outcome, trained: &[Trained]) -> Result<()> {
+    let [render, step] = members(outcome);
+    let put = |name: &str, bytes: &[u8]| out.write(name, |file| Ok(file.write_all(bytes)?));
+    put(TABLE, csv::text(&outcome.rows, &render).as_bytes())?;
+    put(PAGE, page::page(subject, outcome, [&render, &step], trained).as_bytes())?;
+    let charts = [(PLOT, Some(chart(subject, outcome, &render))), (TRAIN_PLOT, train_chart(trained))];
+    for ([svg, png], chart) in charts {
+        match chart {
+            Some(chart) => {
+                put(svg, plot::svg(&chart)?.as_bytes())?;
+                put(png, &plot::png(&chart)?)?;
+            }
+            // Of an earlier run, there may be some.
+            None => [svg, png].iter().for_each(|name| _ = std::fs::remove_file(out.join(name))),
+        }
+    }
+    Ok(())
+}
+
+fn chart(subject: &page::Subject, outcome: &Outcome, members: &[usize]) -> Chart {
+    let dot = |(i, row): (usize, &Row)| {
+        let time = row.times.forward;
+        Some(Dot {
+            name: row.candidate.name.clone(),
+            mark: match row.candidate.role {
+                Role::Preset => Mark::Preset,
+                Role::Dial(_) => Mark::Dial,
+                Role::Combination => Mark::Combination,
+            },
+            x: [time.lower, time.median, time.upper],
+            y: row.error_db()?,
+            member: members.contains(&i),
+        })
+    };
+    Chart {
+        title: format!("{} ({} splats), {}", subject.capture, subject.splats, subject.device),
+        x: "time of a frame, ms (median and quartiles)",
+        y: "PSNR against the exact render, dB",
+        dots: outcome.rows.iter().enumerate().filter_map(dot).collect(),
+    }
+}
+
+fn train_chart(trained: &[Trained]) -> Option<Chart> {
+    let points: Vec<Point> =
+        trained.iter().map(|run| Point { quality_db: run.psnr.median, time: run.seconds }).collect();
+    let members = frontier(&points);
+    let dot = |(i, run): (usize, &Trained)| Dot {
+        name: run.name.into(),
+        mark: if i == 0 { Mark::Preset } else { Mark::Dial },
+        x: [run.seconds.lower, run.seconds.median, run.seconds.upper],
+        y: run.psnr.median,
+        member: members.contains(&i),
+    };
+    (!trained.is_empty()).then(|| Chart {
+        title: "training under its dials".into(),
+        x: "training, s (median and quartiles)",
+        y: "PSNR of the test photographs, dB",
+        dots: trained.iter().enumerate().map(dot).collect(),
+    })
+}
+
+fn say(out: &OutputFolder, outcome: &Outcome, trained: &[Trained]) {
+    let [render, _] = members(outcome);
+    progress::say("the frontier of renders, from accurate to fast:");
+    for row in render.iter().map(|&i| &outcome.rows[i]) {
+        let (db, ms) = (row.error_db().unwrap_or(f64::NAN), row.times.forward.median);
+        progress::say(&format!("  {db:6.1} dB {ms:9.2} ms  {} ({})", row.candidate.name, row.candidate.setting));
+    }
+    for name in [PAGE, TABLE, FRONTIER].into_iter().chain(PLOT).chain(TRAIN_PLOT) {
+        if !trained.is_empty() || !TRAIN_PLOT.contains(&name) {
+            progress::say(&out.join(name).display().to_string());
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn views_are_spread_evenly() {
+        assert_eq!(spread(&[3, 5, 7, 9, 11, 13], 3), [3, 7, 11]);
+        assert_eq!(spread(&[3, 5], 3), [3, 5]);
+        assert_eq!(spread(&[3], 1), [3]);
+        assert!(spread(&[], 3).is_empty());
+    }
+}

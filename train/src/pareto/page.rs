@@ -1,0 +1,222 @@
+//! `pareto.md`: the tables, and what they say by the rules of [`super::verdict`].
+
+use std::fmt::Write;
+
+use splat_model::accuracy::{DIALS, Dial, Judge, STANDARD, Spread, Work, decibels};
+use splat_op::RenderOptions;
+
+use super::dials::Role;
+use super::measure::{Alone, Outcome, Row};
+use super::training::Trained;
+use super::verdict::{Graded, HARMLESS_DB, INVISIBLE_DB, Verdict, choice, verdict};
+
+/// Quartiles of fewer measurements than this say little.
+const FEW_ROUNDS: usize = 8;
+
+/// What a page is about.
+pub struct Subject<'a> {
+    pub capture: String,
+    pub scene: String,
+    pub device: &'a str,
+    pub splats: usize,
+    /// Names of the views, and their size.
+    pub views: Vec<String>,
+    pub size: (usize, usize),
+    pub base: RenderOptions,
+}
+
+/// All of it. `members` are the rows on the frontiers of renders and of training steps.
+pub fn page(subject: &Subject, outcome: &Outcome, members: [&[usize]; 2], trained: &[Trained]) -> String {
+    let mut text = intro(subject, outcome);
+    text.push_str(&taken(subject, outcome, members));
+    text.push_str("\n## Presets and combinations\n\n");
+    let several = |row: &&Row| !matches!(row.candidate.role, Role::Dial(_));
+    text.push_str(&table(outcome, outcome.rows.iter().filter(several).map(|row| (row.candidate.name.clone(), row))));
+    text.push_str("\nWhat they turn:\n\n");
+    for row in outcome.rows.iter().filter(several) {
+        _ = writeln!(text, "- {}: {}", row.candidate.name, row.candidate.setting);
+    }
+    text.push_str("\n## Numerical dials\n\nJudged against the exact render under the same model choices.\n");
+    for dial in measured_dials(outcome, Judge::Exact) {
+        _ = write!(text, "\n### `{}`: {}\n\n", dial.name, dial.what);
+        text.push_str(&table(outcome, values(dial, subject, outcome)));
+        text.push_str(&alone(dial, outcome));
+    }
+    text.push_str(
+        "\n## Model choices\n\nThey define another function, so photographs judge them. This scene was trained under its own \
+         choices and fits those best; what another choice would do for a scene that is trained with it is another question.\n",
+    );
+    for dial in measured_dials(outcome, Judge::Photographs) {
+        _ = write!(text, "\n### `{}`: {}\n\n", dial.name, dial.what);
+        text.push_str(&table(outcome, values(dial, subject, outcome)));
+    }
+    text.push_str(&training(trained));
+    text
+}
+
+fn intro(subject: &Subject, outcome: &Outcome) -> String {
+    let Subject { capture, scene, device, splats, views, size: (width, height), .. } = subject;
+    let (rounds, yardstick, names) = (outcome.rounds, outcome.yardstick, views.join(", "));
+    let few = match rounds < FEW_ROUNDS {
+        true => " **That is few**: before believing small differences, measure for longer (`--budget`).",
+        false => "",
+    };
+    format!(
+        "# What accuracy costs in time\n\n\
+         `{scene}` ({splats} splats) on {device}, seen by {} views of `{capture}` ({names}) at up to {width} × {height} px. \
+         Written by `splat pareto`, which measured every setting {rounds} times, in turns.{few}\n\n\
+         ![Time of a frame against error](pareto.svg)\n\n\
+         Errors are against a render of the whole picture in float64 without any approximation, which in crops differed by at \
+         most {yardstick:.0e} from a renderer that visits every Gaussian in every pixel. *Error* is the PSNR of the pictures \
+         against it, in dB, and *max* the largest error of a pixel's channel, of colours in 0..1. Gradients are those of L1 + \
+         D-SSIM at the exact picture, of the parameter that fares worst. Times are medians with their quartiles, ms a frame; \
+         settings whose quartiles overlap are *not told apart*, and not ranked. What is said of a dial goes by the errors that it \
+         makes alone. Memory is the most that a render with its \
+         backward pass holds.\n",
+        views.len()
+    )
+}
+
+/// The sentences.
+fn taken(subject: &Subject, outcome: &Outcome, members: [&[usize]; 2]) -> String {
+    let mut text = String::from("\n## What to take from it\n\n");
+    let works = [(Work::Render, INVISIBLE_DB, "to render"), (Work::Train, HARMLESS_DB, "to train")];
+    for dial in measured_dials(outcome, Judge::Exact) {
+        let found = works.map(|(work, harmless, _)| verdict(&graded(dial, subject, outcome, work), harmless));
+        let said = works
+            .iter()
+            .zip(&found)
+            .filter_map(|((_, _, what), found)| Some(format!("{what}, {}", found.as_ref()?.sentence())));
+        _ = write!(text, "- `{}`: {}.", dial.name, said.collect::<Vec<_>>().join("; "));
+        if found.iter().flatten().all(Verdict::is_dominated) {
+            text.push_str(" **Dominated here**: nothing speaks for a coarser value.");
+        }
+        text.push('\n');
+    }
+    for dial in measured_dials(outcome, Judge::Photographs) {
+        let known = values(dial, subject, outcome);
+        let scored = known.filter_map(|(name, row)| Some((name, row.scores?.0, row.times.forward)));
+        let own = dial.value_in(&subject.base).map_or("", |value| value.name);
+        if let Some(said) = choice(&scored.collect::<Vec<_>>(), own) {
+            _ = writeln!(text, "- `{}`, by photographs: {said}.", dial.name);
+        }
+    }
+    for (members, what) in members.into_iter().zip(["renders", "training steps"]) {
+        let names: Vec<&str> = members.iter().map(|&i| outcome.rows[i].candidate.name.as_str()).collect();
+        _ = write!(text, "\nThe frontier of {what}, from accurate to fast: {}.\n", names.join(", "));
+    }
+    text
+}
+
+fn measured_dials(outcome: &Outcome, judge: Judge) -> impl Iterator<Item = &'static Dial> {
+    let measured = |dial: &&Dial| outcome.rows.iter().any(|row| row.candidate.role == Role::Dial(dial.name));
+    DIALS.iter().filter(move |dial| dial.judge == judge).filter(measured)
+}
+
+/// The values of a dial in the table's order, with what was measured; where the base stands it is the base that was.
+fn values<'a>(
+    dial: &'static Dial,
+    subject: &'a Subject,
+    outcome: &'a Outcome,
+) -> impl Iterator<Item = (String, &'a Row)> {
+    dial.values.iter().filter_map(move |value| {
+        let options = (value.set)(subject.base);
+        Some((value.name.to_owned(), outcome.rows.iter().find(|row| row.candidate.options == options)?))
+    })
+}
+
+/// The errors of a dial's values with the other dials out of the way.
+fn alone(dial: &Dial, outcome: &Outcome) -> String {
+    let mut text = String::from(
+        "\nAlone, with every other numerical dial at its most accurate:\n\n\
+         | setting | error, dB | max | gradient error | cosine |\n|---|---|---|---|---|\n",
+    );
+    for Alone { value, accuracy: a, .. } in outcome.alone.iter().filter(|alone| alone.dial == dial.name) {
+        let (db, max, error, worst) = (decibels(a.rms), a.max, a.gradient_error, a.worst);
+        _ = writeln!(text, "| {value} | {db:.1} | {max:.1e} | {error:.1e} ({worst}) | {:.6} |", a.gradient_cosine);
+    }
+    text
+}
+
+/// A dial's values with their own errors, which those of the other dials would hide, and their times beside the others' usual
+/// ones.
+fn graded(dial: &'static Dial, subject: &Subject, outcome: &Outcome, work: Work) -> Vec<Graded> {
+    let one = |(value, row): (String, &Row)| {
+        let alone = outcome.alone.iter().find(|alone| alone.dial == dial.name && alone.value == value)?;
+        let accuracy = &alone.accuracy;
+        let (quality_db, time) = match work {
+            Work::Render => (decibels(accuracy.rms), row.times.forward),
+            Work::Train => (decibels(accuracy.gradient_error), row.times.step),
+        };
+        Some(Graded { value, quality_db, time })
+    };
+    values(dial, subject, outcome).filter_map(one).collect()
+}
+
+fn table<'a>(outcome: &'a Outcome, rows: impl Iterator<Item = (String, &'a Row)>) -> String {
+    let mut text = String::from(
+        "| setting | error, dB | max | PSNR, dB | SSIM | forward, ms | backward, ms | memory, MiB | gradient error | cosine | \
+         a frame, to the standard |\n|---|---|---|---|---|---|---|---|---|---|---|\n",
+    );
+    let standard = outcome.rows.iter().find(|row| row.candidate.name == STANDARD);
+    let or_none = |found: Option<String>| found.unwrap_or_else(|| "–".into());
+    for (name, row) in rows {
+        let accuracy = row.accuracy.as_ref();
+        let scores = row.scores.map(|(psnr, ssim)| {
+            let change = standard.and_then(|standard| standard.scores).map_or(0.0, |(theirs, _)| psnr - theirs);
+            (format!("{psnr:.2} ({change:+.2})"), format!("{ssim:.4}"))
+        });
+        let (psnr, ssim) = scores.unzip();
+        let cells = [
+            name,
+            or_none(row.error_db().map(|db| format!("{db:.1}"))),
+            or_none(accuracy.map(|a| format!("{:.1e}", a.max))),
+            or_none(psnr),
+            or_none(ssim),
+            times(&row.times.forward),
+            times(&row.times.backward),
+            or_none(row.memory_mib.map(|mib| format!("{mib:.1}"))),
+            or_none(accuracy.map(|a| format!("{:.1e} ({})", a.gradient_error, a.worst))),
+            or_none(accuracy.map(|a| format!("{:.6}", a.gradient_cosine))),
+            or_none(standard.map(|standard| pace(&row.times.forward, &standard.times.forward))),
+        ];
+        _ = writeln!(text, "| {} |", cells.join(" | "));
+    }
+    text
+}
+
+fn times(spread: &Spread) -> String {
+    format!("{:.2} ({:.2}–{:.2})", spread.median, spread.lower, spread.upper)
+}
+
+/// How a time compares with another.
+fn pace(ours: &Spread, theirs: &Spread) -> String {
+    match () {
+        () if ours == theirs => "itself".into(),
+        () if ours.overlaps(theirs) => "not told apart".into(),
+        () => format!("{:+.0}%", 100.0 * (ours.median / theirs.median - 1.0)),
+    }
+}
+
+fn training(trained: &[Trained]) -> String {
+    let Some(standard) = trained.first() else { return String::new() };
+    let mut text = String::from(
+        "\n## Training dials\n\n![Seconds of training against PSNR](pareto_train.svg)\n\nShort runs, with three seeds each, scored on \
+         the test photographs with the standard render. Where quartiles overlap, nothing is said of who is better. There is \
+         no dial for the share of a photograph's pixels that a step looks at, nor for updating the higher harmonics in some \
+         steps only; `--sh-every` says when they come.\n\n\
+         | way | options | PSNR, dB | to the standard | training, s | to the standard | splats |\n|---|---|---|---|---|---|---|\n",
+    );
+    for run in trained {
+        let gained = match () {
+            () if run.name == standard.name => "itself".into(),
+            () if run.psnr.overlaps(&standard.psnr) => "not told apart".into(),
+            () => format!("{:+.2} dB", run.psnr.median - standard.psnr.median),
+        };
+        let flags = if run.flags.is_empty() { "–".into() } else { format!("`{}`", run.flags) };
+        let (psnr, seconds) = (times(&run.psnr), times(&run.seconds));
+        let pace = pace(&run.seconds, &standard.seconds);
+        _ = writeln!(text, "| {} | {flags} | {psnr} | {gained} | {seconds} | {pace} | {} |", run.name, run.splats);
+    }
+    text
+}

@@ -1,0 +1,262 @@
+//! Time against error as a picture: one point per setting, the frontier drawn, presets marked. As SVG and as PNG, by the same
+//! drawing.
+
+use std::sync::LazyLock;
+
+use anyhow::{Context, Result, anyhow};
+use image::{ImageFormat, RgbImage};
+use plotters::coord::Shift;
+use plotters::prelude::*;
+use plotters::style::register_font;
+
+/// px.
+const SIZE: (u32, u32) = (1000, 640);
+
+/// What a point is, and so how it is drawn.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Mark {
+    /// A large ring with its name.
+    Preset,
+    /// A dot.
+    Dial,
+    /// A triangle.
+    Combination,
+}
+
+/// One setting.
+#[derive(Clone, Debug)]
+pub struct Dot {
+    pub name: String,
+    pub mark: Mark,
+    /// Time: lower quartile, median, upper quartile.
+    pub x: [f64; 3],
+    /// The higher the better, dB.
+    pub y: f64,
+    /// Whether it is on the frontier; then its name is written.
+    pub member: bool,
+}
+
+/// A picture.
+#[derive(Clone, Debug)]
+pub struct Chart {
+    pub title: String,
+    pub x: &'static str,
+    pub y: &'static str,
+    /// In any order; members of the frontier are joined in the order of their times.
+    pub dots: Vec<Dot>,
+}
+
+/// Makes the font known to the plotting library, which otherwise draws no letter. Its bytes are in the program, so that a plot
+/// is the same on every machine.
+///
+/// # Errors
+/// If the font cannot be read.
+pub fn register() -> Result<()> {
+    static DONE: LazyLock<bool> =
+        LazyLock::new(|| register_font("sans-serif", FontStyle::Normal, dejavu::sans::regular()).is_ok());
+    (*DONE).then_some(()).context("the font for plots cannot be read")
+}
+
+/// As SVG.
+///
+/// # Errors
+/// If it cannot be drawn.
+pub fn svg(chart: &Chart) -> Result<String> {
+    register()?;
+    let mut text = String::new();
+    draw(chart, &SVGBackend::with_string(&mut text, SIZE).into_drawing_area())?;
+    Ok(text)
+}
+
+/// As an 8-bit PNG.
+///
+/// # Errors
+/// If it cannot be drawn.
+pub fn png(chart: &Chart) -> Result<Vec<u8>> {
+    register()?;
+    let mut pixels = vec![0; 3 * (SIZE.0 * SIZE.1) as usize];
+    draw(chart, &BitMapBackend::with_buffer(&mut pixels, SIZE).into_drawing_area())?;
+    let picture = RgbImage::from_raw(SIZE.0, SIZE.1, pixels).context("a picture has three values per pixel")?;
+    let mut file = std::io::Cursor::new(Vec::new());
+    picture.write_to(&mut file, ImageFormat::Png)?;
+    Ok(file.into_inner())
+}
+
+/// Where the picture proper begins, px.
+const AXIS: i32 = 78;
+
+const GREY: RGBColor = RGBColor(150, 150, 150);
+const BLUE_DOT: RGBColor = RGBColor(40, 90, 160);
+const ORANGE: RGBColor = RGBColor(200, 80, 40);
+
+fn draw<B: DrawingBackend>(chart: &Chart, area: &DrawingArea<B, Shift>) -> Result<()>
+where
+    B::ErrorType: 'static,
+{
+    drawn(chart, area).map_err(|error| anyhow!("the plot {:?} cannot be drawn: {error}", chart.title))
+}
+
+fn drawn<B: DrawingBackend>(
+    chart: &Chart,
+    area: &DrawingArea<B, Shift>,
+) -> Result<(), DrawingAreaErrorKind<B::ErrorType>> {
+    let font = ("sans-serif", 15);
+    area.fill(&WHITE)?;
+    let (x, y) = (around_times(&chart.dots), around_errors(&chart.dots));
+    let mut axes = ChartBuilder::on(area)
+        .caption(&chart.title, ("sans-serif", 20))
+        .margin(14)
+        .margin_right(40)
+        .x_label_area_size(48)
+        .y_label_area_size(64)
+        .build_cartesian_2d(x.clone(), y)?;
+    axes.configure_mesh()
+        .label_style(font)
+        .light_line_style(TRANSPARENT)
+        .x_labels(12)
+        .x_desc(chart.x)
+        .y_desc(chart.y)
+        .x_label_formatter(&|ms| short(*ms))
+        .y_label_formatter(&|db| format!("{db:.0}"))
+        .draw()?;
+    // Spreads first, so that nothing hides a point.
+    for Dot { x: spread, y, .. } in &chart.dots {
+        let [lower, _, upper] = spread.map(|ms| ms.clamp(x.start, x.end));
+        axes.draw_series([PathElement::new([(lower, *y), (upper, *y)], GREY)])?;
+    }
+    let mut members: Vec<&Dot> = chart.dots.iter().filter(|dot| dot.member).collect();
+    members.sort_by(|a, b| a.x[1].total_cmp(&b.x[1]));
+    axes.draw_series(LineSeries::new(members.iter().map(|dot| (dot.x[1], dot.y)), ORANGE.stroke_width(2)))?;
+    // Those on the frontier last, so that no other hides them.
+    let mut dots: Vec<&Dot> = chart.dots.iter().collect();
+    dots.sort_by_key(|dot| dot.member);
+    for dot in dots {
+        let at = (dot.x[1], dot.y);
+        let colour = if dot.member { ORANGE } else { BLUE_DOT };
+        match dot.mark {
+            Mark::Preset => {
+                axes.draw_series([Circle::new(at, 4, colour.filled())])?;
+                axes.draw_series([Circle::new(at, 9, BLACK.stroke_width(2))])?;
+            }
+            Mark::Dial => _ = axes.draw_series([Circle::new(at, 4, colour.filled())])?,
+            Mark::Combination => _ = axes.draw_series([TriangleMarker::new(at, 6, colour.filled())])?,
+        }
+    }
+    let named: Vec<&Dot> = chart.dots.iter().filter(|dot| dot.member || dot.mark == Mark::Preset).collect();
+    let places: Vec<(i32, i32)> = named.iter().map(|dot| axes.backend_coord(&(dot.x[1], dot.y))).collect();
+    for (dot, corner) in named.iter().zip(beside(&places, &named)) {
+        area.draw(&Text::new(dot.name.clone(), corner, font.into_font().color(&BLACK)))?;
+    }
+    area.present()
+}
+
+/// Where names begin so that none covers another or a point, px: beside its point, or as near as there is room.
+fn beside(places: &[(i32, i32)], named: &[&Dot]) -> Vec<(i32, i32)> {
+    // Of a letter of the font, about.
+    const LETTER: (i32, i32) = (8, 16);
+    let overlap = |a: &[i32; 4], b: &[i32; 4]| a[0] < b[2] && b[0] < a[2] && a[1] < b[3] && b[1] < a[3];
+    let mut taken: Vec<[i32; 4]> = places.iter().map(|&(x, y)| [x - 8, y - 8, x + 8, y + 8]).collect();
+    let corners = places.iter().zip(named).map(|(&(x, y), dot)| {
+        let width = LETTER.0 * dot.name.chars().count() as i32;
+        let (right, left) = (x + 12, x - 12 - width);
+        let rows = [0, 1, -1, 2, -2, 3, -3].map(|row| y - LETTER.1 / 2 + LETTER.1 * row);
+        let all = rows.into_iter().flat_map(|y| [(right, y), (left, y)]);
+        let area = |(x, y): (i32, i32)| [x, y, x + width, y + LETTER.1];
+        let inside = |&(x, _): &(i32, i32)| x > AXIS && x + width < SIZE.0 as i32;
+        let free = |&corner: &(i32, i32)| !taken.iter().any(|other| overlap(&area(corner), other));
+        let corner = all.clone().filter(inside).find(free).unwrap_or((right, rows[0]));
+        taken.push(area(corner));
+        corner
+    });
+    corners.collect()
+}
+
+/// Enough digits to tell ticks apart.
+fn short(value: f64) -> String {
+    if value >= 20.0 { format!("{value:.0}") } else { format!("{value:.1}") }
+}
+
+/// Some room around the medians. Spreads end there: one slow run should not press all points to the border.
+fn around_times(dots: &[Dot]) -> std::ops::Range<f64> {
+    let (low, high) = limits(dots.iter().map(|dot| dot.x[1]));
+    let (low, high) = if low <= high { (low, high) } else { (0.0, 0.0) };
+    let room = 0.08 * (high - low).max(0.1 * high).max(1e-3);
+    (low - room).max(0.0)..high + 2.0 * room
+}
+
+fn around_errors(dots: &[Dot]) -> std::ops::Range<f64> {
+    let (low, high) = limits(dots.iter().map(|dot| dot.y));
+    let (low, high) = if low <= high { (low, high) } else { (0.0, 0.0) };
+    let room = 0.06 * (high - low).max(1.0);
+    low - room..high + room
+}
+
+fn limits(values: impl Iterator<Item = f64>) -> (f64, f64) {
+    let finite = values.filter(|value| value.is_finite());
+    finite.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), value| (low.min(value), high.max(value)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn chart() -> Chart {
+        let dot = |name: &str, mark, ms: f64, y, member| Dot {
+            name: name.into(),
+            mark,
+            x: [0.9 * ms, ms, 1.2 * ms],
+            y,
+            member,
+        };
+        let dots = vec![
+            dot("standard", Mark::Preset, 10.0, 55.0, true),
+            dot("alpha_min 8/255", Mark::Dial, 6.0, 35.0, true),
+            dot("hidden", Mark::Dial, 11.0, 40.0, false),
+            dot("both", Mark::Combination, 5.0, 30.0, true),
+        ];
+        Chart { title: "time and error".into(), x: "ms a frame", y: "dB", dots }
+    }
+
+    #[test]
+    fn both_kinds_show_points_and_names() {
+        let text = svg(&chart()).unwrap();
+        assert!(text.starts_with("<svg") && text.trim_end().ends_with("</svg>"));
+        assert_eq!(text.matches("<circle").count(), 4, "three points and the ring of a preset");
+        for part in ["standard", "alpha_min 8/255", "both", "time and error", "ms a frame"] {
+            assert!(text.contains(part), "{part}");
+        }
+        assert!(!text.contains("hidden"), "a name that is not worth its place");
+        let picture = image::load_from_memory(&png(&chart()).unwrap()).unwrap().into_rgb8();
+        assert_eq!(picture.dimensions(), SIZE);
+        let count = |wanted: [u8; 3]| picture.pixels().filter(|pixel| pixel.0 == wanted).count();
+        assert!(count([200, 80, 40]) > 300, "the frontier is not drawn");
+        assert!(count([40, 90, 160]) > 20, "the other points are not drawn");
+        // Letters are drawn in shades.
+        let dark = picture.pixels().filter(|pixel| pixel.0.iter().all(|&value| value < 120)).count();
+        assert!(dark > 2000, "no letters: {dark}");
+    }
+
+    #[test]
+    fn names_leave_each_other_room() {
+        let all = chart();
+        let named: Vec<&Dot> = all.dots.iter().collect();
+        let found = beside(&[(300, 100), (302, 101), (301, 99), (980, 300)], &named);
+        assert_eq!(found[0], (312, 92));
+        for (i, a) in found.iter().enumerate() {
+            for (b, dot) in found[..i].iter().zip(&named) {
+                let apart = (a.1 - b.1).abs() >= 16 || a.0 >= b.0 + 8 * dot.name.len() as i32 || a.0 < b.0;
+                assert!(apart, "{found:?}");
+            }
+        }
+        assert!(found[3].0 < 980, "a name at the border is written to the left: {found:?}");
+    }
+
+    #[test]
+    fn one_point_or_none_can_be_drawn() {
+        for dots in [Vec::new(), chart().dots[..1].to_vec()] {
+            let chart = Chart { dots, ..chart() };
+            assert!(svg(&chart).unwrap().contains("</svg>"));
+            assert!(!png(&chart).unwrap().is_empty());
+        }
+    }
+}

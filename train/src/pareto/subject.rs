@@ -1,0 +1,229 @@
+//! What is rendered: a scene and views of it, on the device that is measured and in f64 on the CPU.
+
+use anyhow::Result;
+use burn::module::Param;
+use burn::tensor::{DType, Device, Gradients, Tensor, TensorData};
+use glam::DAffine3;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use splat_model::capture::Photo;
+use splat_model::gaussians::{GaussianRows, Gaussians};
+use splat_model::loss::{DEFAULT_LAMBDA, Truth, photometric};
+use splat_op::{Camera, Extras, Intrinsics, Picture, RenderOptions, Splats, render_view, with_gradient};
+
+/// A camera, and the photograph that it took if there is one.
+#[derive(Clone, Copy)]
+pub struct Shot<'a> {
+    pub intrinsics: Intrinsics,
+    pub cam_from_world: DAffine3,
+    pub photo: Option<&'a Photo>,
+}
+
+impl<'a> From<&'a Photo> for Shot<'a> {
+    fn from(photo: &'a Photo) -> Self {
+        Self { intrinsics: photo.intrinsics, cam_from_world: photo.cam_from_world, photo: Some(photo) }
+    }
+}
+
+impl Shot<'static> {
+    /// A camera without its photograph.
+    pub fn unseen(intrinsics: &Intrinsics, cam_from_world: &DAffine3) -> Self {
+        Self { intrinsics: *intrinsics, cam_from_world: *cam_from_world, photo: None }
+    }
+}
+
+/// A scene on one device and in one float type, and cameras there.
+pub struct Place {
+    /// Tracked.
+    pub gaussians: Gaussians,
+    /// Not tracked.
+    pub splats: Splats,
+    pub cameras: Vec<Camera>,
+    pub extras: Extras,
+    pub device: Device,
+    pub dtype: DType,
+}
+
+/// Names of what has gradients.
+pub const PARAMETERS: [&str; 5] = ["means", "rotations", "log_scales", "logit_opacities", "sh"];
+
+/// Gradients by [`PARAMETERS`], summed over views.
+pub type Sums = [Vec<f64>; 5];
+
+impl Place {
+    /// As training has it: f32 on any device.
+    ///
+    /// # Errors
+    /// If the rows do not fit together.
+    pub fn new(rows: &GaussianRows, shots: &[Shot], background: [f32; 3], device: &Device) -> Result<Self> {
+        let gaussians = Gaussians::from_rows_apart(rows, &device.clone().autodiff())?;
+        let camera = |shot: &Shot| Camera::new(shot.intrinsics, &shot.cam_from_world, device);
+        let background = Some(Tensor::from_floats(background, device));
+        Ok(Self {
+            splats: gaussians.untracked().splats(),
+            gaussians,
+            cameras: shots.iter().map(camera).collect(),
+            extras: Extras { background, ..Extras::default() },
+            device: device.clone(),
+            dtype: DType::F32,
+        })
+    }
+
+    /// The same numbers, poses included, in f64 on the CPU: what f32 rounds off is an error, what it was given is not.
+    ///
+    /// # Errors
+    /// If the rows do not fit together.
+    pub fn in_f64(rows: &GaussianRows, shots: &[Shot], background: [f32; 3]) -> Result<Self> {
+        let f32 = Self::new(rows, shots, background, &Device::flex())?;
+        let plain = f32.gaussians.untracked();
+        fn wide<const D: usize>(param: &Param<Tensor<D>>) -> Param<Tensor<D>> {
+            Param::from_tensor(Tensor::from_inner(param.val().cast(DType::F64)))
+        }
+        let gaussians = Gaussians {
+            means: wide(&plain.means),
+            rotations: wide(&plain.rotations),
+            log_scales: wide(&plain.log_scales),
+            logit_opacities: wide(&plain.logit_opacities),
+            sh: wide(&plain.sh),
+            sh_matte: plain.sh_matte.as_ref().map(wide),
+        };
+        let camera = |camera: Camera| Camera { cam_from_world: camera.cam_from_world.cast(DType::F64), ..camera };
+        let background = f32.extras.background.map(|background| background.cast(DType::F64));
+        Ok(Self {
+            splats: gaussians.untracked().splats(),
+            gaussians,
+            cameras: f32.cameras.into_iter().map(camera).collect(),
+            extras: Extras { background, ..Extras::default() },
+            device: f32.device,
+            dtype: DType::F64,
+        })
+    }
+
+    /// What a view shows, not tracked.
+    ///
+    /// # Errors
+    /// If the operation refuses the scene.
+    pub fn render(&self, view: usize, options: &RenderOptions) -> Result<Picture> {
+        Ok(render_view(&self.splats, &self.cameras[view], &self.extras, options)?)
+    }
+
+    /// The same, tracked, ready for [`Self::backward`].
+    ///
+    /// # Errors
+    /// If the operation refuses the scene.
+    pub fn tracked(&self, view: usize, options: &RenderOptions) -> Result<Picture> {
+        Ok(render_view(&self.gaussians.splats(), &self.cameras[view], &self.extras, options)?)
+    }
+
+    /// The gradients of `Σ colour · cotangent`, `[H, W, 3]` each.
+    pub fn backward(&self, picture: Picture, cotangent: Tensor<3>) -> Gradients {
+        let value = Tensor::<1>::zeros([1], (&self.device, self.dtype));
+        with_gradient(picture.colour, value, cotangent).backward()
+    }
+
+    /// Adds a view's gradients to `sums`, which begin empty.
+    pub fn add_gradients(&self, gradients: &Gradients, sums: &mut Sums) {
+        let of = &self.gaussians;
+        let matte = of.sh_matte.as_ref();
+        let all = [
+            vec![of.means.val().grad(gradients).map(host), None],
+            vec![of.rotations.val().grad(gradients).map(host), None],
+            vec![of.log_scales.val().grad(gradients).map(host), None],
+            vec![of.logit_opacities.val().grad(gradients).map(host), None],
+            vec![of.sh.val().grad(gradients).map(host), matte.and_then(|matte| matte.val().grad(gradients)).map(host)],
+        ];
+        for (sum, found) in sums.iter_mut().zip(all) {
+            let found: Vec<f64> = found.into_iter().flatten().flatten().collect();
+            sum.resize(sum.len().max(found.len()), 0.0);
+            sum.iter_mut().zip(found).for_each(|(sum, found)| *sum += found);
+        }
+    }
+
+    /// Numbers of the picture of a view, `[H, W, 3]`, as a tensor here.
+    pub fn picture(&self, view: usize, values: &[f32]) -> Tensor<3> {
+        let Intrinsics { width, height, .. } = self.cameras[view].intrinsics;
+        Tensor::from_data(TensorData::new(values.to_vec(), [height, width, 3]), (&self.device, self.dtype))
+    }
+}
+
+/// Colours of degree 0 closer to zero than this are taken as below it.
+const AT_THE_CLAMP: f32 = 1e-6;
+
+/// The rows, with channels that lie at the clamp of colours at zero moved below it by ten times [`AT_THE_CLAMP`], which no
+/// picture shows. There the gradient jumps, and rounding says to which side: f32 and f64 would differ by all of it, and that
+/// would hide what dials do. Points that are black in a channel begin there.
+pub fn off_the_clamp(rows: &GaussianRows) -> GaussianRows {
+    /// The harmonic of degree 0, `1 / (2 √π)`.
+    const HARMONIC: f32 = 0.25 * std::f32::consts::FRAC_2_SQRT_PI;
+    let mut rows = rows.clone();
+    for channel in rows.sh_dc.as_flattened_mut() {
+        if (HARMONIC * *channel + 0.5).abs() < AT_THE_CLAMP {
+            *channel -= 10.0 * AT_THE_CLAMP / HARMONIC;
+        }
+    }
+    rows
+}
+
+/// What the picture `exact` of a shot is differentiated against, `[H, W, 3]`: the derivative of the loss that a training step
+/// would have there, times the number of values; where there is no photograph, fixed random numbers from −1 to 1. In f32, so
+/// that every device is given the same.
+pub fn cotangent(shot: &Shot, exact: &[f64], background: [f32; 3]) -> Vec<f32> {
+    let Intrinsics { width, height, .. } = shot.intrinsics;
+    let Some(photo) = shot.photo else {
+        let mut random = ChaCha8Rng::seed_from_u64(7);
+        return exact.iter().map(|_| random.random_range(-1.0..1.0)).collect();
+    };
+    let device = Device::flex();
+    let truth = Truth::new(photo.rgb_over(background, &device).cast(DType::F64));
+    let image =
+        Tensor::<3>::from_data(TensorData::new(exact.to_vec(), [height, width, 3]), (&device.autodiff(), DType::F64));
+    let image = image.require_grad();
+    let gradient = image.grad(&photometric(image.clone(), &truth, DEFAULT_LAMBDA).backward());
+    let values = gradient.map(host).unwrap_or_else(|| vec![0.0; exact.len()]);
+    values.iter().map(|value| (value * exact.len() as f64) as f32).collect()
+}
+
+/// A tensor's values; of f32 ones the exact equals.
+pub fn host<const D: usize>(tensor: Tensor<D>) -> Vec<f64> {
+    tensor.into_data().iter::<f64>().collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use splat_model::accuracy::Dial;
+
+    use super::super::yardstick::Truth;
+    use super::super::yardstick::tests::{rows, shots};
+    use super::*;
+
+    #[test]
+    fn black_points_have_one_gradient_in_both_float_types() {
+        let mut rows = rows(20);
+        rows.sh_rest.fill(0.0);
+        // What a point has that is black in a channel.
+        rows.sh_dc.iter_mut().for_each(|colour| colour[1] = -1.772_453_8);
+        let settled = off_the_clamp(&rows);
+        assert!(settled.sh_dc.iter().zip(&rows.sh_dc).all(|(new, old)| new[0] == old[0] && new[1] < old[1]));
+        let (shots, options) = (shots(), Dial::all_exact(RenderOptions::standard()));
+        let moved = |rows: &GaussianRows| {
+            let place = Place::in_f64(rows, &shots, [0.0; 3]).unwrap();
+            let truth = Truth::new(&place, &shots, &options, || ()).unwrap();
+            let green = truth.gradients[4].iter().skip(1).step_by(3);
+            (green.fold(0.0_f64, |most, value| most.max(value.abs())), truth.pictures)
+        };
+        let ((before, theirs), (after, ours)) = (moved(&rows), moved(&settled));
+        assert!(before > 1e-3 && after == 0.0, "{before}, {after}");
+        for (ours, theirs) in ours.iter().flatten().zip(theirs.iter().flatten()) {
+            assert!((ours - theirs).abs() < 1e-6);
+        }
+    }
+
+    #[test]
+    fn without_a_photograph_the_cotangent_is_fixed() {
+        let shot = shots()[0];
+        let exact = vec![0.5; 3 * shot.intrinsics.width * shot.intrinsics.height];
+        let first = cotangent(&shot, &exact, [0.0; 3]);
+        assert_eq!(first, cotangent(&shot, &exact, [0.0; 3]));
+        assert!(first.iter().all(|value| value.abs() <= 1.0) && first.iter().any(|value| *value < -0.5));
+    }
+}

@@ -1,0 +1,125 @@
+//! Short runs under training dials: scores on the test photographs against seconds.
+
+use std::time::Instant;
+
+use anyhow::{Context, Result};
+use burn::tensor::Device;
+use splat_model::accuracy::{Preset, Spread};
+use splat_model::capture::{Photo, PointCloud};
+use splat_model::effects::background::Background;
+use splat_model::evaluate::evaluate;
+use splat_model::trainer::{Resolution, TrainConfig, Trainer};
+
+use crate::progress;
+
+/// Runs of each setting, with seeds of their own: what a score differs by from run to run is its spread.
+const RUNS: u64 = 3;
+
+/// A way to train.
+pub struct Way {
+    pub name: &'static str,
+    /// On the command line of `splat train`; `{N}` stands for steps.
+    pub flags: &'static str,
+    change: fn(&mut TrainConfig),
+}
+
+/// The first is what the others are compared with.
+pub const WAYS: &[Way] = &[
+    Way { name: "standard", flags: "", change: |_| () },
+    Way { name: "half the steps", flags: "--steps {N/2}", change: |config| config.steps = (config.steps / 2).max(1) },
+    Way { name: "twice the steps", flags: "--steps {2N}", change: |config| config.steps *= 2 },
+    Way { name: "halves first", flags: "--coarsest 2", change: |config| config.resolution = coarse(2) },
+    Way { name: "quarters first", flags: "--coarsest 4", change: |config| config.resolution = coarse(4) },
+    Way {
+        name: "twice the steps, quarters first",
+        flags: "--steps {2N} --coarsest 4",
+        change: |config| (config.steps, config.resolution) = (2 * config.steps, coarse(4)),
+    },
+    Way { name: "all harmonics at once", flags: "--sh-every 0", change: |config| config.sh_every = 0 },
+    Way {
+        name: "harmonics by quarters",
+        flags: "--sh-every {N/4}",
+        change: |config| config.sh_every = (config.steps / 4).max(1),
+    },
+    Way { name: "no harmonics", flags: "--sh-degree 0", change: |config| config.sh_degree = 0 },
+    Way { name: "fast renders", flags: "--accuracy fast", change: |config| config.dials = Preset::Fast.setting() },
+    Way { name: "exact renders", flags: "--accuracy exact", change: |config| config.dials = Preset::Exact.setting() },
+];
+
+fn coarse(coarsest_divisor: usize) -> Resolution {
+    Resolution { coarsest_divisor, ..Resolution::FULL }
+}
+
+/// What came of a way.
+#[derive(Clone, Debug)]
+pub struct Trained {
+    pub name: &'static str,
+    pub flags: String,
+    /// On the test photographs, dB: of the runs.
+    pub psnr: Spread,
+    /// Of the steps, s.
+    pub seconds: Spread,
+    /// Gaussians at the end of the last run.
+    pub splats: usize,
+}
+
+/// What runs are made of.
+pub struct Runs<'a> {
+    pub train: &'a [Photo],
+    pub test: &'a [Photo],
+    pub points: &'a PointCloud,
+    pub extent: f64,
+    pub config: TrainConfig,
+    pub device: &'a Device,
+}
+
+impl Runs<'_> {
+    /// Trains in every way, in turns.
+    ///
+    /// # Errors
+    /// If a run fails.
+    pub fn all(&self) -> Result<Vec<Trained>> {
+        let counter = progress::counter("training", RUNS as usize * WAYS.len());
+        let mut found = vec![(Vec::new(), Vec::new(), 0); WAYS.len()];
+        for seed in 0..RUNS {
+            for (way, found) in WAYS.iter().zip(&mut found) {
+                let (psnr, seconds, splats) =
+                    self.one(way, seed).with_context(|| format!("the run {:?} failed", way.name))?;
+                progress::note(&format!("trained, {}: {psnr:.2} dB in {seconds:.1} s", way.name));
+                found.0.push(psnr);
+                found.1.push(seconds);
+                found.2 = splats;
+                counter.inc(1);
+            }
+        }
+        counter.finish_and_clear();
+        let steps = self.config.steps;
+        let trained = WAYS.iter().zip(found).map(|(way, (psnr, seconds, splats))| {
+            let flags = [("{N/2}", steps / 2), ("{N/4}", steps / 4), ("{2N}", 2 * steps)];
+            let flags =
+                flags.iter().fold(way.flags.to_owned(), |text, (name, number)| text.replace(name, &number.to_string()));
+            let spread = |values: &[f64]| Spread::of(values).context("a score is not finite");
+            Ok(Trained { name: way.name, flags, psnr: spread(&psnr)?, seconds: spread(&seconds)?, splats })
+        });
+        trained.collect()
+    }
+
+    fn one(&self, way: &Way, seed: u64) -> Result<(f64, f64, usize)> {
+        let mut config = TrainConfig { seed, ..self.config.clone() };
+        (way.change)(&mut config);
+        // Scores are those of one render, however a scene was trained.
+        let shown = TrainConfig { dials: self.config.dials.clone(), ..config.clone() }.render_options(self.extent);
+        let mut trainer = Trainer::new(self.train.to_vec(), self.points, config, self.device)?;
+        self.device.sync()?;
+        let start = Instant::now();
+        while !trainer.is_done() {
+            trainer.step()?;
+        }
+        self.device.sync()?;
+        let seconds = start.elapsed().as_secs_f64();
+        let splats = trainer.gaussians().untracked().splats();
+        let background = Background::Colour(self.config.background);
+        let scores = evaluate(&splats, self.test, &background, &shown, |_, _| ())?;
+        Ok((scores.psnr, seconds, splats.means.dims()[0]))
+    }
+}
