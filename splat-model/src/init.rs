@@ -14,6 +14,9 @@ use crate::optim::scene_extent;
 /// `Y₀`: the degree-0 spherical harmonic, `1 / (2 √π)`.
 const SH_0: f32 = 0.282_094_8;
 
+/// The least value of a colour's channel at the start: half a level of 255.
+const DARKEST: f32 = 0.5 / 255.0;
+
 /// Opacity of a Gaussian at the start (Kerbl et al. 2023, section 5.1, as their code has it).
 pub const START_OPACITY: f32 = 0.1;
 
@@ -36,7 +39,8 @@ pub fn from_points(points: &PointCloud) -> GaussianRows {
     let floor = SMALLEST_SQUARED_DISTANCE * if across > 0.0 && across < 1.0 { across * across } else { 1.0 };
     let count = points.positions.len();
     let logit = (START_OPACITY / (1.0 - START_OPACITY)).ln();
-    let dc = |colour: &[u8; 3]| colour.map(|channel| (f32::from(channel) / 255.0 - 0.5) / SH_0);
+    // Not quite black: there colours are clamped and, begun there, have no gradient to leave by.
+    let dc = |colour: &[u8; 3]| colour.map(|channel| ((f32::from(channel) / 255.0).max(DARKEST) - 0.5) / SH_0);
     GaussianRows {
         means: points.positions.clone(),
         rotations: vec![[1.0, 0.0, 0.0, 0.0]; count],

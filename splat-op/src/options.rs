@@ -116,9 +116,10 @@ impl RenderOptions {
     }
 
     /// [`Self::standard`] with coarser cuts, for previews: `alpha_min` four times as large, so that a tile lists fewer Gaussians, and
-    /// `transmittance_min = 1e-2`, so that a pixel is finished after fewer. Nothing else changes.
+    /// `transmittance_min = 1e-3`, so that a pixel is finished after fewer. Nothing else changes. (At 1e-2 a layer with an alpha of
+    /// `alpha_max`, 0.99, would itself be left out: surfaces had holes.)
     pub const fn fast() -> Self {
-        Self { alpha_min: 4.0 / 255.0, transmittance_min: 1e-2, ..Self::standard() }
+        Self { alpha_min: 4.0 / 255.0, transmittance_min: 1e-3, ..Self::standard() }
     }
 
     /// [`Self::standard`] with finer cuts: nothing that 8-bit or 16-bit pictures could show is left out. `alpha_min = 2⁻²⁶`, and no

@@ -1,6 +1,6 @@
 //! The table of dials. One more is one more entry here: it can then be measured, written down, chosen and trained with.
 
-use splat_op::{Accumulation, RenderOptions};
+use splat_op::{Accumulation, Culling, Exponential, Order, Projection, RenderOptions, Storage};
 
 /// What a dial's values are judged against. The two are never mixed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
@@ -39,6 +39,8 @@ pub struct Dial {
     pub same_picture: bool,
     /// Whether it does nothing on a CPU.
     pub gpu_only: bool,
+    /// Whether it is for cameras without a lens alone.
+    pub pinhole_only: bool,
     /// The values that are measured, the most accurate first.
     pub values: &'static [Value],
     /// Of a numerical dial: turns it to where it approximates nothing, for the exact render in f64, however long that takes. A
@@ -74,6 +76,7 @@ pub const DIALS: &[Dial] = &[
         judge: Judge::Exact,
         same_picture: false,
         gpu_only: false,
+        pinhole_only: false,
         values: &[
             value("2^-26", 1e-4, |o| RenderOptions { alpha_min: RenderOptions::exact().alpha_min, ..o }),
             value("1/4096", 0.003, |o| RenderOptions { alpha_min: 1.0 / 4096.0, ..o }),
@@ -91,6 +94,7 @@ pub const DIALS: &[Dial] = &[
         judge: Judge::Exact,
         same_picture: false,
         gpu_only: false,
+        pinhole_only: false,
         values: &[
             value("0", 0.0, |o| RenderOptions { transmittance_min: 0.0, ..o }),
             value("1e-5", 1e-3, |o| RenderOptions { transmittance_min: 1e-5, ..o }),
@@ -106,6 +110,7 @@ pub const DIALS: &[Dial] = &[
         judge: Judge::Exact,
         same_picture: false,
         gpu_only: false,
+        pinhole_only: false,
         values: &[
             // With a threshold of the transmittance this leaves out opaque layers, hence the bound.
             value("1", 0.5, |o| RenderOptions { alpha_max: 1.0, ..o }),
@@ -120,6 +125,7 @@ pub const DIALS: &[Dial] = &[
         judge: Judge::Exact,
         same_picture: true,
         gpu_only: true,
+        pinhole_only: false,
         values: &[
             value("ordered", 0.0, |o| o.with_accumulation(Accumulation::Ordered)),
             value("atomic", 0.0, |o| o.with_accumulation(Accumulation::Atomic)),
@@ -127,11 +133,94 @@ pub const DIALS: &[Dial] = &[
         exact: |o| o.with_accumulation(Accumulation::Ordered),
     },
     Dial {
+        name: "culling",
+        what: "which tiles list a Gaussian",
+        judge: Judge::Exact,
+        same_picture: true,
+        gpu_only: false,
+        pinhole_only: false,
+        values: &[
+            value("ellipse", 0.0, |o| o.with_culling(Culling::Ellipse)),
+            value("opacity-box", 0.0, |o| o.with_culling(Culling::OpacityBox)),
+            value("bounding-box", 0.0, |o| o.with_culling(Culling::BoundingBox)),
+        ],
+        exact: |o| o.with_culling(Culling::Ellipse),
+    },
+    Dial {
+        name: "exponential",
+        what: "how exp is computed",
+        judge: Judge::Exact,
+        same_picture: false,
+        gpu_only: false,
+        pinhole_only: false,
+        values: &[
+            value("library", 0.0, |o| o.with_exponential(Exponential::Library)),
+            value("polynomial", 0.0, |o| o.with_exponential(Exponential::Polynomial)),
+            value("standard", 0.0, |o| o.with_exponential(Exponential::Standard)),
+        ],
+        exact: |o| o.with_exponential(Exponential::Library),
+    },
+    Dial {
+        name: "features",
+        what: "how colours are stored where they are blended",
+        judge: Judge::Exact,
+        same_picture: false,
+        gpu_only: false,
+        pinhole_only: false,
+        values: &[
+            value("full", 0.0, |o| o.with_features(Storage::Full)),
+            value("half", 2e-3, |o| o.with_features(Storage::Half)),
+        ],
+        exact: |o| o.with_features(Storage::Full),
+    },
+    Dial {
+        name: "projection",
+        what: "what a pixel sees of a Gaussian: its ellipse, or the greatest value along the ray",
+        judge: Judge::Photographs,
+        same_picture: false,
+        gpu_only: false,
+        pinhole_only: true,
+        values: &[
+            choice("exact", |o| o.with_projection(Projection::Exact)),
+            choice("affine", |o| o.with_projection(Projection::Affine)),
+        ],
+        exact: |o| o,
+    },
+    Dial {
+        name: "order",
+        what: "what is sorted by depth: Gaussians, or the contributions to each pixel",
+        judge: Judge::Photographs,
+        same_picture: false,
+        gpu_only: false,
+        pinhole_only: true,
+        values: &[
+            choice("per-pixel", |o| o.with_order(Order::PerPixel)),
+            choice("centre", |o| o.with_order(Order::Centre)),
+        ],
+        exact: |o| o,
+    },
+    Dial {
+        name: "sh_degree",
+        what: "harmonics above this degree are left out",
+        judge: Judge::Photographs,
+        same_picture: false,
+        gpu_only: false,
+        pinhole_only: false,
+        values: &[
+            choice("all", |o| o.with_sh_degree(None)),
+            choice("2", |o| o.with_sh_degree(Some(2))),
+            choice("1", |o| o.with_sh_degree(Some(1))),
+            choice("0", |o| o.with_sh_degree(Some(0))),
+        ],
+        exact: |o| o,
+    },
+    Dial {
         name: "blur",
         what: "variance added to every ellipse, px²",
         judge: Judge::Photographs,
         same_picture: false,
         gpu_only: false,
+        pinhole_only: false,
         values: &[
             choice("0.1", |o| RenderOptions { blur: 0.1, ..o }),
             choice("0.3", |o| RenderOptions { blur: 0.3, ..o }),
@@ -145,6 +234,7 @@ pub const DIALS: &[Dial] = &[
         judge: Judge::Photographs,
         same_picture: false,
         gpu_only: false,
+        pinhole_only: false,
         values: &[choice("on", |o| o.with_antialias(true)), choice("off", |o| o.with_antialias(false))],
         exact: |o| o,
     },
@@ -154,6 +244,7 @@ pub const DIALS: &[Dial] = &[
         judge: Judge::Photographs,
         same_picture: false,
         gpu_only: false,
+        pinhole_only: false,
         values: &[
             choice("0.15", |o| RenderOptions { jacobian_margin: 0.15, ..o }),
             choice("0.3", |o| RenderOptions { jacobian_margin: 0.3, ..o }),

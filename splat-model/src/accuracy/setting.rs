@@ -191,7 +191,7 @@ mod tests {
             assert_eq!(preset.to_string().parse(), Ok(preset));
         }
         assert!(Preset::Standard.setting().is_empty());
-        assert_eq!(Preset::Fast.setting().to_string(), "alpha_min 4/255, transmittance_min 1e-2");
+        assert_eq!(Preset::Fast.setting().to_string(), "alpha_min 4/255, transmittance_min 1e-3");
         assert!("slow".parse::<Preset>().unwrap_err().to_string().contains("fast, standard or exact"));
     }
 

@@ -12,7 +12,8 @@ pub(super) fn table(gains: &[(&Case, Gain)]) -> String {
          |---|---|---|---|---|---|---|---|\n",
     );
     for (case, gain) in gains {
-        let names: Vec<&str> = gain.planned.iter().map(|effect| effect.name()).collect();
+        let mut names: Vec<&str> = gain.planned.iter().map(|effect| effect.name()).collect();
+        names.extend((case.harmonics == Some(true) && gain.harmonics).then_some("harmonics"));
         let names = if names.is_empty() { "nothing".into() } else { names.join(", ") };
         let [without, with] = gain.score_db;
         let flags = if case.demo_flags.is_empty() { "plain".into() } else { format!("`{}`", case.demo_flags) };

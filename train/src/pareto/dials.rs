@@ -47,9 +47,10 @@ impl Candidate {
 }
 
 /// All settings around `base`, which is the standard with the scene's own model choices. On a CPU those are left out that make
-/// a difference on a GPU alone; without `choices` also those that turn a model choice.
-pub fn candidates(base: &RenderOptions, gpu: bool, choices: bool) -> Vec<Candidate> {
-    let dials = || DIALS.iter().filter(move |dial| gpu || !dial.gpu_only);
+/// a difference on a GPU alone, for cameras with a lens those that know no lens; without `choices` also those that turn a model
+/// choice.
+pub fn candidates(base: &RenderOptions, [gpu, pinholes, choices]: [bool; 3]) -> Vec<Candidate> {
+    let dials = || DIALS.iter().filter(move |dial| (gpu || !dial.gpu_only) && (pinholes || !dial.pinhole_only));
     let presets =
         Preset::ALL.into_iter().map(|preset| Candidate::new(preset.name(), Role::Preset, preset.setting(), base));
     let mut all: Vec<Candidate> = presets.collect();
@@ -94,7 +95,7 @@ mod tests {
     #[test]
     fn every_value_of_every_dial_is_measured_once() {
         let base = RenderOptions::standard().with_near(0.3);
-        let all = candidates(&base, true, true);
+        let all = candidates(&base, [true; 3]);
         for dial in DIALS {
             for value in dial.values {
                 let options = (value.set)(base);
@@ -114,16 +115,18 @@ mod tests {
     #[test]
     fn what_changes_nothing_on_a_cpu_is_not_measured_there() {
         let base = RenderOptions::standard();
-        let all = candidates(&base, false, true);
+        let all = candidates(&base, [false, true, true]);
         assert!(!all.iter().any(|candidate| candidate.name.contains("accumulation")));
         assert!(all.iter().any(|candidate| candidate.judge() == Judge::Photographs));
-        assert!(!candidates(&base, false, false).iter().any(|candidate| candidate.judge() == Judge::Photographs));
+        assert!(
+            !candidates(&base, [false, true, false]).iter().any(|candidate| candidate.judge() == Judge::Photographs)
+        );
     }
 
     #[test]
     fn a_scene_with_a_choice_of_its_own_is_measured_around_it() {
         let base = RenderOptions::standard().with_antialias(true);
-        let all = candidates(&base, false, true);
+        let all = candidates(&base, [false, true, true]);
         assert!(all[..3].iter().all(|candidate| candidate.options.antialias));
         assert!(all.iter().any(|candidate| candidate.name == "antialias off"));
         assert!(!all.iter().any(|candidate| candidate.name == "antialias on"));

@@ -22,7 +22,7 @@ use splat_model::capture::{Capture, Photo, Split};
 use splat_model::evaluate::evaluate;
 use splat_model::gaussians::GaussianRows;
 use splat_model::trainer::TrainConfig;
-use splat_op::RenderOptions;
+use splat_op::{CameraModel, RenderOptions};
 
 use self::dials::{Role, candidates};
 use self::measure::{Bench, Outcome, Row};
@@ -110,7 +110,7 @@ pub fn run(args: &ParetoArgs) -> Result<()> {
     let extent = input::extent(&capture);
     let base = TrainConfig { antialias: args.antialias, ..TrainConfig::default() }.render_options(extent);
     let bench = Bench::new(&rows, shots, background.colour(), base, &device)?;
-    let all = candidates(&base, splat_op::is_gpu(&device), true);
+    let all = candidates(&base, [splat_op::is_gpu(&device), bench.pinholes(), true]);
     progress::note(&format!("{} settings, {} views of {} splats", all.len(), photos.len(), rows.len()));
     let outcome = bench.run(all, Duration::from_secs(args.budget), |options| {
         let scores = evaluate(&bench.place.splats, &photos, &background, options, |_, _| ())?;
@@ -152,6 +152,11 @@ fn prepare(args: &ParetoArgs) -> Result<OutputFolder> {
 }
 
 impl<'a> Bench<'a> {
+    /// Whether no camera has a lens.
+    fn pinholes(&self) -> bool {
+        self.shots.iter().all(|shot| shot.intrinsics.model == CameraModel::Pinhole)
+    }
+
     /// A scene and views of it, over one colour.
     ///
     /// # Errors
@@ -185,7 +190,8 @@ pub fn choose_briefly(
         spread(&(0..shots.len()).collect::<Vec<_>>(), VIEWS_BRIEFLY).iter().map(|&i| shots[i]).collect();
     progress::note("measuring what accuracy costs here (`splat pareto` does it thoroughly, for `--frontier`)");
     let bench = Bench::new(rows, shots, [0.0; 3], *base, device)?;
-    let outcome = bench.run(candidates(base, splat_op::is_gpu(device), false), BRIEFLY, |_| Ok(None))?;
+    let outcome =
+        bench.run(candidates(base, [splat_op::is_gpu(device), bench.pinholes(), false]), BRIEFLY, |_| Ok(None))?;
     Ok(outcome.frontier(&bench, device_name).choose(target, work)?)
 }
 

@@ -72,7 +72,7 @@ fn every_setting_is_measured_and_drawn() {
     assert!(db("standard") > db("all coarse"));
     assert!(number(named("all accurate"), "gradient_error") < number(named("all coarse"), "gradient_error"));
     assert!(number(named("all accurate"), "gradient_cosine") > 0.999_99);
-    assert_eq!(named("fast")["turned"], "alpha_min 4/255, transmittance_min 1e-2");
+    assert_eq!(named("fast")["turned"], "alpha_min 4/255, transmittance_min 1e-3");
     assert!(rows.iter().any(|row| row["on_frontier"] == "1") && rows.iter().any(|row| row["role"] == "dial blur"));
 
     let svg = fs::read_to_string(out.join("pareto.svg")).unwrap();
@@ -162,7 +162,7 @@ fn training_turns_dials_too() {
         (ended.stderr, json(&folder.path().join("metrics.json")))
     };
     let (_, metrics) = train(&["--accuracy", "fast"]);
-    let dials = serde_json::json!({"alpha_min": "4/255", "transmittance_min": "1e-2"});
+    let dials = serde_json::json!({"alpha_min": "4/255", "transmittance_min": "1e-3"});
     assert_eq!(metrics["options"]["dials"], dials);
     let scene = || fs::read(folder.path().join("scene.ply")).unwrap();
     let fast = scene();
