@@ -26,7 +26,7 @@ pub struct DemoArgs {
     /// Give each photograph its own exposure and white balance
     #[arg(long)]
     pub exposure: bool,
-    /// Photograph through a lens that bends straight lines (OPENCV): the corners move by 3% of the width
+    /// Photograph through a lens that bends straight lines (OPENCV): the corners move by 4% of the width
     #[arg(long)]
     pub lens: bool,
     /// Photograph through an equidistant fisheye (OPENCV_FISHEYE) of 120 degrees; not with --lens

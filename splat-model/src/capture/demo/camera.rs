@@ -27,8 +27,8 @@ const FAR_ELEVATION: f64 = 0.4;
 const FAR_LIFT: f64 = 1.0;
 
 /// What `k1 r², k2 r⁴, p1 r, p2 r` of the lens are at the corner of the picture, a slope of `r` from the axis: its shape is the
-/// same for pictures of every shape. They move the corners by 2% to [`DemoOptions::LENS_SHARE`] of the width, at 4 to 3.
-const LENS_AT_CORNER: [f64; 4] = [-0.044, 0.008, 0.0012, -0.0016];
+/// same for pictures of every shape. They move the corners by 3% to [`DemoOptions::LENS_SHARE`] of the width, at 4 to 3.
+const LENS_AT_CORNER: [f64; 4] = [-0.0587, 0.0107, 0.0016, -0.0021];
 
 /// One photograph's camera.
 #[derive(Clone, Copy, Debug)]

@@ -99,7 +99,7 @@ impl DemoOptions {
     /// Stops of light by which gains differ from one at most.
     pub const EXPOSURE_STOPS: f64 = 0.75;
     /// By how much of the width the lens moves the corner that it moves most, about, in pictures of 4 to 3.
-    pub const LENS_SHARE: f64 = 0.03;
+    pub const LENS_SHARE: f64 = 0.04;
     /// What the fisheye sees along the longer side of a picture, degrees.
     pub const FISHEYE_FOV_DEG: f64 = 120.0;
     /// Discs that cover the scene in a photograph.
