@@ -1,4 +1,5 @@
-//! What numerical dials change on GPUs, and what they must not.
+//! What numerical dials change on GPUs, and what they must not. Run with `--ignored`; each dial is a kernel of its own, and a
+//! driver in software takes half a minute to compile one.
 
 use super::BlendSpec;
 use super::kernel_tests::{ALL, Scene};
@@ -56,6 +57,7 @@ const BOXES: [Culling; 2] = [Culling::OpacityBox, Culling::BoundingBox];
 const SHAPES: [(usize, bool); 2] = [(3, false), (5, true)];
 
 #[test]
+#[ignore = "long: minutes of compiling on a software driver; `tests/tests/dials.rs` holds what users see"]
 fn culling_changes_no_bit_where_a_bucket_holds_each_list() {
     for (channels, depth) in SHAPES {
         let options = RenderOptions::standard().with_depth(depth);
@@ -77,6 +79,7 @@ fn culling_changes_no_bit_where_a_bucket_holds_each_list() {
 }
 
 #[test]
+#[ignore = "long: minutes of compiling on a software driver; `tests/tests/dials.rs` holds what users see"]
 fn culling_of_long_lists_changes_rounding_alone() {
     for (channels, depth) in SHAPES {
         // Without a threshold of the transmittance, beside which a pixel may end one layer sooner.
@@ -96,6 +99,7 @@ fn culling_of_long_lists_changes_rounding_alone() {
 }
 
 #[test]
+#[ignore = "long: minutes of compiling on a software driver; `tests/tests/dials.rs` holds what users see"]
 fn a_polynomial_differs_from_the_device_by_rounding() {
     for (channels, depth) in SHAPES {
         // Nearly without cuts, beside which a pair may show or not.
@@ -115,6 +119,7 @@ fn a_polynomial_differs_from_the_device_by_rounding() {
 }
 
 #[test]
+#[ignore = "long: minutes of compiling on a software driver; `tests/tests/dials.rs` holds what users see"]
 fn half_precision_is_a_render_of_rounded_features() {
     for (channels, depth) in SHAPES {
         let options = RenderOptions::standard().with_depth(depth);
