@@ -62,10 +62,7 @@ impl<const D: usize> Learned<D> {
     /// The same, to go as far as `reach` in a run of [`Self::step_within`]. Adam's steps do not depend on the size of
     /// gradients, so what is scaled is the parameter: it is learnt in units of its reach, none of which may be zero.
     pub fn reaching(start: Tensor<D>, reach: Tensor<D>) -> Self {
-        let leaf = Self::new(start.clone().zeros_like()).leaf;
-        let mut learned = Self { moments: Moments::new(&leaf), leaf, unit: Some(reach), steps: 0 };
-        learned.set(start);
-        learned
+        Self { unit: Some(reach.clone()), ..Self::new(start / reach) }
     }
 
     /// Tracked, for the render or the loss.

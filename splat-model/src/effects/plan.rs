@@ -25,7 +25,7 @@ pub const POSE_PX: f64 = 1.0;
 pub const ROWS_LEAVE: f64 = 0.5;
 
 /// Share of the points whose colours visibly depend on the view, from which on a scene has spherical harmonics. Matte demos have up to
-/// 0.3%, of which none is real; real captures have 0.9% and more.
+/// 0.4%, of which none is real; real captures have 1.2% and more.
 pub const VIEW_DEPENDENT_SHARE: f64 = 0.005;
 
 /// Captures of fewer photographs than this leave much of a scene to chance.

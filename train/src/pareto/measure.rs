@@ -1,20 +1,18 @@
-//! Checks of every setting against what is exact, then times of all of them in turns.
+//! Checks of every setting against what is exact; their times are in `time.rs`.
 
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use anyhow::{Context, Result, bail, ensure};
 use burn::tensor::Tensor;
-use splat_model::accuracy::{DIALS, Dial, Frontier, Judge, Measured, Spread, decibels};
+use splat_model::accuracy::{DIALS, Dial, Frontier, Judge, Measured, decibels};
 use splat_op::RenderOptions;
 
 use super::dials::Candidate;
 use super::subject::{PARAMETERS, Place, Shot, Sums, host};
+use super::time::Times;
 use super::yardstick::{Truth, check_crops};
 use crate::memory::peak_mib;
 use crate::progress;
-
-/// Rounds that are timed at least: fewer have no spread.
-pub const ROUNDS_MIN: usize = 3;
 
 /// Parameters whose exact gradients are smaller than this share of the largest are not judged: such gradients are rounding, as
 /// those of the rotations of spheres.
@@ -32,14 +30,6 @@ pub struct Accuracy {
     pub worst: &'static str,
     /// Of the parameter for which it is smallest.
     pub gradient_cosine: f64,
-}
-
-/// Times of a frame, ms.
-#[derive(Clone, Copy, Debug)]
-pub struct Times {
-    pub forward: Spread,
-    pub backward: Spread,
-    pub step: Spread,
 }
 
 /// All that was measured of one setting.
@@ -243,57 +233,6 @@ impl Bench<'_> {
         let memory = memory.filter(|_| !splat_op::is_gpu(&self.place.device));
         Ok((Accuracy { rms: (squares / count as f64).sqrt(), max, gradient_error, worst, gradient_cosine }, memory))
     }
-
-    /// Times of all, in turns: what else a machine does comes and goes, and should meet all alike. Every one has run before, in
-    /// its check, so that kernels are compiled.
-    fn time(&self, all: &[RenderOptions], cotangents: &[Tensor<3>], budget: Duration) -> Result<(Vec<Times>, usize)> {
-        let begin = Instant::now();
-        let mut samples = vec![[const { Vec::new() }; 3]; all.len()];
-        let mut rounds = 0;
-        while rounds < ROUNDS_MIN || begin.elapsed() < budget {
-            for (options, samples) in all.iter().zip(&mut samples) {
-                let forward = self.time_forward(options)?;
-                let backward = self.time_backward(options, cotangents)?;
-                for (samples, ms) in samples.iter_mut().zip([forward, backward, forward + backward]) {
-                    samples.push(ms);
-                }
-            }
-            rounds += 1;
-        }
-        let spread = |samples: &Vec<f64>| Spread::of(samples).context("a time is not finite");
-        let times = samples.iter().map(|[forward, backward, step]| {
-            Ok(Times { forward: spread(forward)?, backward: spread(backward)?, step: spread(step)? })
-        });
-        Ok((times.collect::<Result<_>>()?, rounds))
-    }
-
-    /// ms a frame.
-    fn time_forward(&self, options: &RenderOptions) -> Result<f64> {
-        self.place.device.sync()?;
-        let start = Instant::now();
-        // Kept until they are there: what nobody waits for may never be computed.
-        let pictures: Vec<_> =
-            (0..self.shots.len()).map(|view| self.place.render(view, options)).collect::<Result<_>>()?;
-        self.place.device.sync()?;
-        let elapsed = start.elapsed();
-        drop(pictures);
-        Ok(1e3 * elapsed.as_secs_f64() / self.shots.len() as f64)
-    }
-
-    /// ms a frame, without the forward pass.
-    fn time_backward(&self, options: &RenderOptions, cotangents: &[Tensor<3>]) -> Result<f64> {
-        let mut elapsed = Duration::ZERO;
-        for (view, cotangent) in cotangents.iter().enumerate() {
-            let picture = self.place.tracked(view, options)?;
-            self.place.device.sync()?;
-            let start = Instant::now();
-            let gradients = self.place.backward(picture, cotangent.clone());
-            self.place.device.sync()?;
-            elapsed += start.elapsed();
-            drop(gradients);
-        }
-        Ok(1e3 * elapsed.as_secs_f64() / self.shots.len() as f64)
-    }
 }
 
 fn within_rounding(a: &[f64], b: &[f64]) -> bool {
@@ -367,6 +306,7 @@ mod tests {
     use splat_model::accuracy::STANDARD;
 
     use super::super::dials::candidates;
+    use super::super::time::ROUNDS_MIN;
     use super::super::yardstick::tests::{rows, shots};
     use super::*;
 

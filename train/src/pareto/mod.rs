@@ -6,6 +6,7 @@ mod measure;
 mod page;
 pub mod plot;
 mod subject;
+mod time;
 mod training;
 mod verdict;
 mod yardstick;

@@ -79,8 +79,8 @@ impl Anchors {
         self.points.iter().zip(&self.directions).map(miss).map(robust).sum()
     }
 
-    /// `ω` and `τ` of the next step: the least squares of `d + J (ω, τ) − d*` with `d = p/|p|` and
-    /// `J = (I − d dᵀ)/|p| · [−p×, I]`, each weighted by what robustness leaves of it.
+    /// `ω` and `τ` of the next step: the least squares of `d + J (ω, τ) − d*` with `d = p/|p|` and the columns of `J` as in
+    /// [`columns`], each weighted by what robustness leaves of it.
     fn step(&self, pose: &DAffine3) -> Option<[f64; 6]> {
         let mut gram = [[0.0; 6]; 6];
         let mut moment = [0.0; 6];
@@ -93,15 +93,7 @@ impl Anchors {
                 continue;
             }
             let weight = 1.0 / (residual.length_squared() + ROBUST_RAD * ROBUST_RAD).sqrt();
-            let tangent = (DMat3::IDENTITY - DMat3::from_cols(found * found.x, found * found.y, found * found.z))
-                * (1.0 / length);
-            let cross = DMat3::from_cols(
-                DVec3::new(0.0, cam.z, -cam.y),
-                DVec3::new(-cam.z, 0.0, cam.x),
-                DVec3::new(cam.y, -cam.x, 0.0),
-            );
-            let (by_turn, by_shift) = (tangent * cross * -1.0, tangent);
-            let columns: [DVec3; 6] = std::array::from_fn(|i| if i < 3 { by_turn.col(i) } else { by_shift.col(i - 3) });
+            let columns = columns(cam);
             for row in 0..6 {
                 (0..6).for_each(|column| gram[row][column] += weight * columns[row].dot(columns[column]));
                 moment[row] += weight * columns[row].dot(residual);
@@ -134,6 +126,17 @@ impl OnDevice {
     pub fn bytes(&self) -> usize {
         2 * self.points.shape().num_elements() * size_of::<f32>()
     }
+}
+
+/// How the direction in which a camera sees a point at `p`, in its frame, changes with its `ω` and `τ`: the columns of
+/// `(I − d dᵀ)/|p| · [−p×, I]` with `d = p/|p|`.
+pub(in crate::effects) fn columns(cam: DVec3) -> [DVec3; 6] {
+    let length = cam.length();
+    let direction = cam / length;
+    let along = DMat3::from_cols(direction * direction.x, direction * direction.y, direction * direction.z);
+    let tangent = (DMat3::IDENTITY - along) * (1.0 / length);
+    let axes = [DVec3::X, DVec3::Y, DVec3::Z];
+    std::array::from_fn(|i| tangent * if i < 3 { axes[i].cross(cam) } else { axes[i - 3] })
 }
 
 /// Cayley's map of `ω/2`.
@@ -206,6 +209,18 @@ mod tests {
         let (few, pose) = sights(FEWEST - 1, 0.0);
         assert_eq!(few.resected(&wrong(&pose)), wrong(&pose));
         assert!(few.on_device(&Device::flex()).is_none());
+    }
+
+    #[test]
+    fn columns_are_the_derivative_of_directions() {
+        let cam = DVec3::new(0.7, -0.4, 2.5);
+        let step = 1e-6;
+        for (i, column) in columns(cam).into_iter().enumerate() {
+            let axis = [DVec3::X, DVec3::Y, DVec3::Z][i % 3] * step;
+            let moved = |sign: f64| if i < 3 { cam + sign * axis.cross(cam) } else { cam + sign * axis };
+            let expected = (moved(1.0).normalize() - moved(-1.0).normalize()) / (2.0 * step);
+            assert!(column.distance(expected) < 1e-9, "{i}: {column} instead of {expected}");
+        }
     }
 
     #[test]

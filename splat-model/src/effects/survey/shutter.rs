@@ -5,12 +5,12 @@
 //! says, all are off together. Both are twists of the camera, six numbers a photograph, and linear in what they do
 //! to directions, so that each is fitted to the tracks by least squares, with robust weights, and what is left of the errors compared.
 
-use glam::{DMat3, DVec3, Vec2, Vec3};
+use glam::{DVec3, Vec2, Vec3};
 use rayon::prelude::*;
 use serde::Serialize;
 
 use super::Capture;
-use crate::effects::pose::anchors::{FEWEST, ROBUST_RAD, solve};
+use crate::effects::pose::anchors::{FEWEST, ROBUST_RAD, columns, solve};
 
 /// Rounds in which weights follow what is left.
 const ROUNDS: usize = 10;
@@ -58,16 +58,6 @@ pub(super) fn evidence(capture: &Capture) -> Option<ShutterEvidence> {
     (given > 0.0).then(|| ShutterEvidence { left_by_poses: poses / given, left_by_rows: rows / given })
 }
 
-/// `(I − d dᵀ)/|p| · [−p×, I]` with `d = p/|p|`, for a point at `p` in the camera's frame.
-fn columns(cam: DVec3) -> [DVec3; 6] {
-    let length = cam.length();
-    let direction = cam / length;
-    let along = DMat3::from_cols(direction * direction.x, direction * direction.y, direction * direction.z);
-    let tangent = (DMat3::IDENTITY - along) * (1.0 / length);
-    let axes = [DVec3::X, DVec3::Y, DVec3::Z];
-    std::array::from_fn(|i| tangent * if i < 3 { axes[i].cross(cam) } else { axes[i - 3] })
-}
-
 /// The sum of what is left of the misses by the twist that explains them best, times `share` of each sight.
 fn left(sights: &[Sight], share: impl Fn(&Sight) -> f64) -> f64 {
     let mut twist = [0.0; 6];
@@ -110,18 +100,6 @@ mod tests {
         assert!(rolling.left_by_rows < 0.2 && rolling.left_by_poses > 0.5, "{rolling:?}");
         let poses = of(DemoOptions { poses: true, ..DemoOptions::default() });
         assert!(poses.left_by_poses < 0.2 && poses.left_by_rows > 0.5, "{poses:?}");
-    }
-
-    #[test]
-    fn columns_are_the_derivative_of_directions() {
-        let cam = DVec3::new(0.7, -0.4, 2.5);
-        let step = 1e-6;
-        for (i, column) in columns(cam).into_iter().enumerate() {
-            let axis = [DVec3::X, DVec3::Y, DVec3::Z][i % 3] * step;
-            let moved = |sign: f64| if i < 3 { cam + sign * axis.cross(cam) } else { cam + sign * axis };
-            let expected = (moved(1.0).normalize() - moved(-1.0).normalize()) / (2.0 * step);
-            assert!(column.distance(expected) < 1e-9, "{i}: {column} instead of {expected}");
-        }
     }
 
     /// No tracks, no evidence.

@@ -1,0 +1,79 @@
+//! Times of all settings, in turns.
+
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result};
+use burn::tensor::Tensor;
+use splat_model::accuracy::Spread;
+use splat_op::RenderOptions;
+
+use super::measure::Bench;
+
+/// Rounds that are timed at least: fewer have no spread.
+pub const ROUNDS_MIN: usize = 3;
+
+/// Times of a frame, ms.
+#[derive(Clone, Copy, Debug)]
+pub struct Times {
+    pub forward: Spread,
+    pub backward: Spread,
+    pub step: Spread,
+}
+
+impl Bench<'_> {
+    /// Times of all, in turns: what else a machine does comes and goes, and should meet all alike. Every one has run before, in
+    /// its check, so that kernels are compiled.
+    pub(super) fn time(
+        &self,
+        all: &[RenderOptions],
+        cotangents: &[Tensor<3>],
+        budget: Duration,
+    ) -> Result<(Vec<Times>, usize)> {
+        let begin = Instant::now();
+        let mut samples = vec![[const { Vec::new() }; 3]; all.len()];
+        let mut rounds = 0;
+        while rounds < ROUNDS_MIN || begin.elapsed() < budget {
+            for (options, samples) in all.iter().zip(&mut samples) {
+                let forward = self.time_forward(options)?;
+                let backward = self.time_backward(options, cotangents)?;
+                for (samples, ms) in samples.iter_mut().zip([forward, backward, forward + backward]) {
+                    samples.push(ms);
+                }
+            }
+            rounds += 1;
+        }
+        let spread = |samples: &Vec<f64>| Spread::of(samples).context("a time is not finite");
+        let times = samples.iter().map(|[forward, backward, step]| {
+            Ok(Times { forward: spread(forward)?, backward: spread(backward)?, step: spread(step)? })
+        });
+        Ok((times.collect::<Result<_>>()?, rounds))
+    }
+
+    /// ms a frame.
+    fn time_forward(&self, options: &RenderOptions) -> Result<f64> {
+        self.place.device.sync()?;
+        let start = Instant::now();
+        // Kept until they are there: what nobody waits for may never be computed.
+        let pictures: Vec<_> =
+            (0..self.shots.len()).map(|view| self.place.render(view, options)).collect::<Result<_>>()?;
+        self.place.device.sync()?;
+        let elapsed = start.elapsed();
+        drop(pictures);
+        Ok(1e3 * elapsed.as_secs_f64() / self.shots.len() as f64)
+    }
+
+    /// ms a frame, without the forward pass.
+    fn time_backward(&self, options: &RenderOptions, cotangents: &[Tensor<3>]) -> Result<f64> {
+        let mut elapsed = Duration::ZERO;
+        for (view, cotangent) in cotangents.iter().enumerate() {
+            let picture = self.place.tracked(view, options)?;
+            self.place.device.sync()?;
+            let start = Instant::now();
+            let gradients = self.place.backward(picture, cotangent.clone());
+            self.place.device.sync()?;
+            elapsed += start.elapsed();
+            drop(gradients);
+        }
+        Ok(1e3 * elapsed.as_secs_f64() / self.shots.len() as f64)
+    }
+}
