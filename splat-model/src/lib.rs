@@ -11,4 +11,5 @@ pub mod loss;
 pub mod metrics;
 pub mod optim;
 pub mod ply;
+pub mod state;
 pub mod trainer;
