@@ -1,5 +1,7 @@
 //! Scores of a scene on photographs that it was not trained on.
 
+use std::borrow::Borrow;
+
 use burn::tensor::{Bool, Device, Tensor, TensorData};
 use serde::{Deserialize, Serialize};
 use splat_op::{Camera, Extras, RenderOptions, SplatError, Splats, render_view};
@@ -59,11 +61,27 @@ pub fn evaluate(
     photos: &[Photo],
     background: &Background,
     options: &RenderOptions,
-    mut look: impl FnMut(&Comparison, &ViewScore),
+    look: impl FnMut(&Comparison, &ViewScore),
 ) -> Result<Scores, SplatError> {
+    evaluate_each(splats, photos.iter().map(Ok::<_, SplatError>), background, options, look)
+}
+
+/// The same with photographs that come one after the other.
+///
+/// # Errors
+/// If there is none where one should be, or the operation refuses the scene.
+pub fn evaluate_each<P: Borrow<Photo>, E: From<SplatError>>(
+    splats: &Splats,
+    photos: impl IntoIterator<Item = Result<P, E>>,
+    background: &Background,
+    options: &RenderOptions,
+    mut look: impl FnMut(&Comparison, &ViewScore),
+) -> Result<Scores, E> {
     let device: Device = splats.means.device();
-    let mut views = Vec::with_capacity(photos.len());
+    let mut views = Vec::new();
     for photo in photos {
+        let photo = photo?;
+        let photo: &Photo = photo.borrow();
         let camera = Camera::new(photo.intrinsics, &photo.cam_from_world, &device);
         let colour = background.colour();
         let extras = Extras { background: Some(Tensor::from_floats(colour, &device)), ..Extras::default() };

@@ -3,6 +3,8 @@
 //! A part puts what it has into a [`State`] and takes the same out again; its names are its own, because parts are put into each
 //! other as folders are. What is not taken is noticed ([`State::finish`]): it would be lost.
 
+mod file;
+
 use std::collections::BTreeMap;
 
 use burn::tensor::{Device, Tensor, TensorData};
@@ -10,6 +12,7 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 use thiserror::Error;
 
+pub use self::file::FileError;
 use crate::gaussians::values_of;
 
 /// What a state lacks or has too much of.
@@ -31,6 +34,14 @@ pub enum StateError {
         found: Vec<usize>,
         /// Where it goes.
         expected: Vec<usize>,
+    },
+    /// Arrays do not belong to each other.
+    #[error("`{name}` has the shape {found:?}, which does not fit to the rest; start the run anew")]
+    Fit {
+        /// Of the entry.
+        name: String,
+        /// In the state.
+        found: Vec<usize>,
     },
     /// A fact is not what it should be, or cannot be written down.
     #[error("`{name}` is not what this version means by it: {source}; start the run anew")]
@@ -61,6 +72,8 @@ pub struct State {
     pub(crate) arrays: BTreeMap<String, Array>,
     /// As JSON.
     pub(crate) facts: BTreeMap<String, String>,
+    /// What this is a part of, for messages: empty, or ends with a slash.
+    within: String,
 }
 
 impl State {
@@ -75,10 +88,10 @@ impl State {
     /// # Errors
     /// If there is none, or it has another number of dimensions.
     pub fn take<const D: usize>(&mut self, name: &str, device: &Device) -> Result<Tensor<D>, StateError> {
-        let Array { shape, values } = self.arrays.remove(name).ok_or_else(|| missing(name))?;
+        let Array { shape, values } = self.arrays.remove(name).ok_or_else(|| self.missing(name))?;
         match <[usize; D]>::try_from(shape) {
             Ok(shape) => Ok(Tensor::from_data(TensorData::new(values, shape), device)),
-            Err(found) => Err(StateError::Shape { name: name.to_owned(), found, expected: vec![0; D] }),
+            Err(found) => Err(StateError::Shape { name: self.full(name), found, expected: vec![0; D] }),
         }
     }
 
@@ -94,7 +107,7 @@ impl State {
     ) -> Result<Tensor<D>, StateError> {
         match self.arrays.get(name) {
             Some(array) if array.shape != expected => Err(StateError::Shape {
-                name: name.to_owned(),
+                name: self.full(name),
                 found: array.shape.clone(),
                 expected: expected.to_vec(),
             }),
@@ -107,7 +120,7 @@ impl State {
     /// # Errors
     /// If it has no form in JSON.
     pub fn tell(&mut self, name: &str, fact: &impl Serialize) -> Result<(), StateError> {
-        let text = serde_json::to_string(fact).map_err(|source| StateError::Fact { name: name.to_owned(), source })?;
+        let text = serde_json::to_string(fact).map_err(|source| StateError::Fact { name: self.full(name), source })?;
         self.facts.insert(name.to_owned(), text);
         Ok(())
     }
@@ -117,8 +130,8 @@ impl State {
     /// # Errors
     /// If there is none, or it is of another kind.
     pub fn told<T: DeserializeOwned>(&mut self, name: &str) -> Result<T, StateError> {
-        let text = self.facts.remove(name).ok_or_else(|| missing(name))?;
-        serde_json::from_str(&text).map_err(|source| StateError::Fact { name: name.to_owned(), source })
+        let text = self.facts.remove(name).ok_or_else(|| self.missing(name))?;
+        serde_json::from_str(&text).map_err(|source| StateError::Fact { name: self.full(name), source })
     }
 
     /// Whether there is an array or a fact of that name, or a part.
@@ -136,7 +149,8 @@ impl State {
 
     /// All entries below that name, under the names that the part gave them.
     pub fn take_part(&mut self, name: &str) -> Self {
-        Self { arrays: split_off(&mut self.arrays, name), facts: split_off(&mut self.facts, name) }
+        let within = format!("{}{name}/", self.within);
+        Self { arrays: split_off(&mut self.arrays, name), facts: split_off(&mut self.facts, name), within }
     }
 
     /// Says that everything has been taken.
@@ -144,15 +158,20 @@ impl State {
     /// # Errors
     /// If something has not.
     pub fn finish(self) -> Result<(), StateError> {
-        match self.arrays.into_keys().chain(self.facts.into_keys()).next() {
-            Some(name) => Err(StateError::Unknown { name }),
+        match self.arrays.keys().chain(self.facts.keys()).next() {
+            Some(name) => Err(StateError::Unknown { name: self.full(name) }),
             None => Ok(()),
         }
     }
-}
 
-fn missing(name: &str) -> StateError {
-    StateError::Missing { name: name.to_owned() }
+    /// A name as the whole state has it.
+    fn full(&self, name: &str) -> String {
+        format!("{}{name}", self.within)
+    }
+
+    fn missing(&self, name: &str) -> StateError {
+        StateError::Missing { name: self.full(name) }
+    }
 }
 
 /// Removes the entries below `name` and gives them without it.
@@ -196,6 +215,7 @@ mod tests {
         let mut part = state.take_part("a");
         assert_eq!(values_of(part.take::<1>("x", &device).unwrap()), [1.0]);
         assert_eq!(part.take_part("y").told::<f32>("z").unwrap(), 1.0);
+        assert!(part.told::<f32>("none").unwrap_err().to_string().contains("`a/none`"));
         part.finish().unwrap();
         assert!(!state.has("a"));
         assert!(matches!(state.finish(), Err(StateError::Unknown { name }) if name == "ab/x"));

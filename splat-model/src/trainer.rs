@@ -7,7 +7,10 @@ mod effects;
 mod error;
 mod guard;
 mod resolution;
+mod state;
 mod views;
+
+use std::iter;
 
 use burn::tensor::{Device, Tensor};
 use glam::DAffine3;
@@ -17,7 +20,7 @@ use rand_chacha::ChaCha8Rng;
 use splat_op::{Extras, Intrinsics, RenderOptions, Splats, render_view};
 
 use crate::accuracy::Setting;
-use crate::capture::{Photo, PointCloud};
+use crate::capture::{Photo, Photograph, PointCloud};
 use crate::density::rows::{Gradients, StepRates, Trained};
 use crate::density::{Adaptive, RefineReport, matte};
 use crate::effects::{Applied, EffectGradients, Moment, masks};
@@ -109,6 +112,19 @@ impl Trainer {
         config: TrainConfig,
         device: &Device,
     ) -> Result<Self, TrainError> {
+        Self::of(photos.into_iter().map(Photograph::from).collect(), points, config, device)
+    }
+
+    /// The same with photographs that need not all be in memory.
+    ///
+    /// # Errors
+    /// As [`Self::new`].
+    pub fn of(
+        photos: Vec<Photograph>,
+        points: &PointCloud,
+        config: TrainConfig,
+        device: &Device,
+    ) -> Result<Self, TrainError> {
         match () {
             () if photos.is_empty() => return Err(TrainError::NoViews),
             () if config.steps == 0 => return Err(TrainError::NoSteps),
@@ -178,6 +194,12 @@ impl Trainer {
     /// Turns dials of the renders, from the next step on; the others stand where they stood.
     pub fn turn(&mut self, dials: &Setting) {
         self.options = dials.apply(self.options);
+        self.config.dials.turn(dials);
+    }
+
+    /// What the run depends on besides its photographs, with the dials as they are turned now.
+    pub fn config(&self) -> &TrainConfig {
+        &self.config
     }
 
     /// Steps done.
@@ -201,6 +223,7 @@ impl Trainer {
         self.step += 1;
         let step = self.step;
         self.views.reduce(self.config.resolution.divisor_at(step, self.config.steps));
+        self.views.expect(iter::once(view).chain(self.queue.iter().rev().copied()));
         self.ask_who_is_matte()?;
         self.scene.grow_sh(sh_degree_at(step - 1, self.config.sh_every, self.config.sh_degree));
 
@@ -260,7 +283,7 @@ impl Trainer {
             ..Extras::default()
         };
         let options = self.options.with_depth(self.effects.needs_depth(view));
-        let (camera, truth) = self.views.prepare(view, drawn);
+        let (camera, truth) = self.views.prepare(view, drawn)?;
         let size = (camera.intrinsics.width, camera.intrinsics.height);
         let (camera, of_pose) = self.effects.camera(camera, view);
         let picture = if let Some(optics) = &self.effects.optics {
@@ -270,7 +293,7 @@ impl Trainer {
         } else {
             render_view(&splats, &camera, &extras, &options)?
         };
-        let excluded = self.views.excluded(view);
+        let excluded = self.views.excluded(view)?;
         let image = self.effects.shown(&picture, view, self.views.camera_of(view), excluded.as_ref());
         let of_depth = self.effects.depth_penalty(&picture, view, (step, self.config.steps));
         let alpha = picture.alpha;

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use anyhow::{Result, bail, ensure};
 use burn::tensor::Device;
+use serde::{Deserialize, Serialize};
 use splat_model::accuracy::{Choice, Frontier, Preset, Setting, Target, Work};
 use splat_model::gaussians::GaussianRows;
 use splat_op::RenderOptions;
@@ -12,7 +13,7 @@ use crate::pareto::{self, Shot};
 use crate::progress;
 
 /// How accurate renders are.
-#[derive(Clone, Debug, Default, clap::Args)]
+#[derive(Clone, Debug, Default, clap::Args, Serialize, Deserialize)]
 pub struct AccuracyArgs {
     /// How accurate renders are: fast, standard or exact
     #[arg(long, value_name = "PRESET", default_value_t, conflicts_with_all = ["target_error", "target_ms"])]

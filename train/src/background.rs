@@ -4,6 +4,7 @@ use std::path::Path;
 use std::str::FromStr;
 
 use anyhow::Result;
+use serde::{Deserialize, Serialize};
 use splat_model::effects::background::{Backdrop, Background};
 use splat_model::trainer::TrainConfig;
 
@@ -20,7 +21,7 @@ fn colour(text: &str) -> Option<[f32; 3]> {
 }
 
 /// The value of `splat train --background`.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub enum TrainBackground {
     /// A colour that stays.
     Colour([f32; 3]),

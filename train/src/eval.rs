@@ -8,7 +8,7 @@ use std::time::Instant;
 use anyhow::{Context, Result};
 use serde::Serialize;
 use splat_model::accuracy::{Setting, Work};
-use splat_model::capture::Photo;
+use splat_model::capture::{Photo, Photograph};
 use splat_model::trainer::TrainConfig;
 use splat_op::{Colour, Intrinsics};
 
@@ -109,6 +109,7 @@ pub fn run(args: &EvalArgs) -> Result<Metrics> {
     let shots = photos.iter().map(Shot::from).collect();
     let dials = accuracy.setting((&rows, shots), &base, (&device, &device_name), Work::Render)?;
     let render_options = dials.apply(base);
+    let photos: Vec<Photograph> = photos.into_iter().map(Photograph::from).collect();
     let start = Instant::now();
     let scores = report::measure(&splats, &photos, &background, &render_options, &out)?;
     let eval = seconds_since(start);

@@ -1,11 +1,13 @@
 //! What the subcommands read: captures, photographs and scenes.
 
+use std::collections::BTreeMap;
 use std::path::Path;
+use std::sync::Arc;
 
 use anyhow::{Context, Result, ensure};
 use burn::tensor::Device;
-use splat_model::capture::image::load_all;
-use splat_model::capture::{Capture, Photo};
+use splat_model::capture::image::{load, load_all};
+use splat_model::capture::{Capture, CaptureError, Photo, Photograph};
 use splat_model::effects::masks;
 use splat_model::gaussians::{GaussianRows, Gaussians};
 use splat_model::optim::scene_extent;
@@ -13,6 +15,9 @@ use splat_model::ply;
 use splat_op::Splats;
 
 use crate::progress;
+
+/// Photographs that are in memory at once while all are looked at.
+const AT_ONCE: usize = 64;
 
 /// Reads the cameras of a capture; no picture is opened.
 ///
@@ -40,6 +45,13 @@ pub fn extent(capture: &Capture) -> f64 {
 /// If a picture is missing, cannot be decoded, or has another size than its camera; with `masked`, also if a mask is so, or if
 /// masks leave no photograph.
 pub fn photographs(capture: &Capture, views: &[usize], max_side: Option<u32>, masked: bool) -> Result<Vec<Photo>> {
+    let photos = decoded(capture, views, max_side, masked)?;
+    say_dropped(capture, views.len(), photos.len())?;
+    Ok(photos)
+}
+
+/// The same without a word on those of which nothing is left.
+fn decoded(capture: &Capture, views: &[usize], max_side: Option<u32>, masked: bool) -> Result<Vec<Photo>> {
     let counter = progress::counter("reading photographs", views.len());
     let photos = load_all(views.iter().map(|&view| &capture.views[view]), max_side, |_| counter.inc(1));
     counter.finish_and_clear();
@@ -47,18 +59,77 @@ pub fn photographs(capture: &Capture, views: &[usize], max_side: Option<u32>, ma
     if masked {
         masks::attach(capture, views, &mut photos)
             .context("a mask cannot be used (`splat train --effects=-masks` does without)")?;
-        let dropped = views.len() - photos.len();
-        ensure!(
-            dropped == 0 || !photos.is_empty(),
-            "the masks of {} exclude every pixel of {dropped} photographs, and no other is left: `--effects=-masks` does \
-             without masks, and `--eval-every` chooses what is tested on",
-            capture.folder.display()
-        );
-        if dropped > 0 {
-            progress::note(&format!("photographs left out, because their masks exclude every pixel: {dropped}"));
-        }
     }
     Ok(photos)
+}
+
+fn say_dropped(capture: &Capture, asked: usize, left: usize) -> Result<()> {
+    let dropped = asked - left;
+    ensure!(
+        dropped == 0 || left > 0,
+        "the masks of {} exclude every pixel of {dropped} photographs, and no other is left: `--effects=-masks` does \
+         without masks, and `--eval-every` chooses what is tested on",
+        capture.folder.display()
+    );
+    if dropped > 0 {
+        progress::note(&format!("photographs left out, because their masks exclude every pixel: {dropped}"));
+    }
+    Ok(())
+}
+
+/// Which photographs of a capture, and how they are taken.
+pub struct Wanted<'a> {
+    /// The capture.
+    pub capture: &'a Arc<Capture>,
+    /// The longer side is at most this, px.
+    pub max_side: Option<u32>,
+    /// Whether masks count.
+    pub masked: bool,
+    /// Whether transparent parts are taken as they come.
+    pub opaque: bool,
+}
+
+impl Wanted<'_> {
+    /// The photographs of some views, which need not all be in memory: those that `room`, bytes, is left for are kept, the
+    /// others are decoded again each time. All are decoded once, so that a broken picture does not end a long run.
+    ///
+    /// # Errors
+    /// Those of [`photographs`].
+    pub fn within(&self, views: &[usize], room: &mut usize) -> Result<Vec<Photograph>> {
+        let names = views.iter().map(|&view| (self.capture.views[view].name.as_str(), view));
+        let by_name: BTreeMap<&str, usize> = names.collect();
+        let mut found = Vec::with_capacity(views.len());
+        for some in views.chunks(AT_ONCE) {
+            for photo in decoded(self.capture, some, self.max_side, self.masked)? {
+                let view = by_name[photo.name.as_str()];
+                let photo = made_opaque(photo, self.opaque);
+                let forgotten = Photograph::read_again(&photo, self.again(view));
+                let fits = forgotten.bytes() <= *room;
+                *room -= if fits { forgotten.bytes() } else { 0 };
+                found.push(if fits { photo.into() } else { forgotten });
+            }
+        }
+        say_dropped(self.capture, views.len(), found.len())?;
+        Ok(found)
+    }
+
+    /// Decodes one as it was.
+    fn again(&self, view: usize) -> impl Fn() -> Result<Photo, CaptureError> + Send + Sync + 'static {
+        let (capture, max_side, masked, opaque) = (Arc::clone(self.capture), self.max_side, self.masked, self.opaque);
+        move || {
+            let mut photos = vec![load(&capture.views[view], max_side)?];
+            if masked {
+                masks::attach(&capture, &[view], &mut photos)?;
+            }
+            let photo = photos.pop().map(|photo| made_opaque(photo, opaque));
+            photo.ok_or_else(|| CaptureError::Changed { name: capture.views[view].name.clone() })
+        }
+    }
+}
+
+fn made_opaque(photo: Photo, opaque: bool) -> Photo {
+    let alpha = photo.alpha.filter(|_| !opaque);
+    Photo { alpha, ..photo }
 }
 
 /// A scene that was read.

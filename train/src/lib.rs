@@ -16,6 +16,7 @@ pub mod render;
 pub mod train;
 
 pub mod accuracy;
+mod as_text;
 pub mod device;
 pub mod effects;
 pub mod input;

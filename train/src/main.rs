@@ -5,6 +5,7 @@ use std::process::ExitCode;
 use clap::Parser;
 use splat_train::memory::Counted;
 use splat_train::options::Cli;
+use splat_train::train::Interrupted;
 
 /// A step makes and drops tensors of megabytes. The system's allocator hands such blocks back to the kernel each time
 /// and has them cleared on the next use; this one keeps them. It is counted where `splat pareto` asks how much memory a pass takes.
@@ -21,12 +22,17 @@ fn quieten_wayland() {
     }
 }
 
-/// 0 on success, 1 on an error, 2 (by clap) for a command line that cannot be understood.
+/// 0 on success, 1 on an error, 2 (by clap) for a command line that cannot be understood, 130 and 143 for a run that was
+/// stopped by Ctrl-C and SIGTERM.
 fn main() -> ExitCode {
     quieten_wayland();
     match splat_train::run(&Cli::parse().command) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
+            if let Some(interrupted) = error.downcast_ref::<Interrupted>() {
+                splat_train::progress::note(&interrupted.to_string());
+                return interrupted.exit_code().into();
+            }
             splat_train::progress::note(&splat_train::describe(&error));
             ExitCode::FAILURE
         }

@@ -2,7 +2,7 @@
 //! configurations that the options end up in, so that there is one place to change them.
 
 use clap::{Parser, Subcommand, value_parser};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use splat_model::capture::{Capture, Split};
 
 use crate::demo::DemoArgs;
@@ -47,7 +47,7 @@ pub enum Command {
 }
 
 /// Which photographs are used, and at which size.
-#[derive(Clone, Debug, clap::Args, Serialize)]
+#[derive(Clone, Debug, clap::Args, Serialize, Deserialize)]
 pub struct PhotoArgs {
     /// Hold out every Kth photograph by name for testing
     #[arg(long, value_name = "K", help = format!(

@@ -45,6 +45,11 @@ impl OutputFolder {
         Ok(Self { path: path.to_owned() })
     }
 
+    /// The folder itself.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
     /// The path of a file or folder in it.
     pub fn join(&self, name: impl AsRef<Path>) -> PathBuf {
         self.path.join(name)

@@ -60,6 +60,8 @@ pub struct StepProgress {
     bar: Option<ProgressBar>,
     shown: Instant,
     stepped: Instant,
+    /// Since this began.
+    seen: usize,
     /// Running mean of the time that a step takes, s.
     step_s: f64,
     /// `[1]`: sum of the losses since they were last shown, and how many. Kept on the device: reading each would wait.
@@ -67,14 +69,14 @@ pub struct StepProgress {
 }
 
 impl StepProgress {
-    /// Before the first of `steps` steps.
+    /// Of a run of `steps` steps, some of which may be done.
     pub fn new(steps: usize) -> Self {
         let bar = std::io::stderr().is_terminal().then(|| ProgressBar::new(steps as u64));
         if let Some(bar) = &bar {
             bar.set_style(style("[{bar:32}] {msg}"));
         }
         let now = Instant::now();
-        Self { steps, bar, shown: now, stepped: now, step_s: 0.0, losses: None }
+        Self { steps, bar, shown: now, stepped: now, seen: 0, step_s: 0.0, losses: None }
     }
 
     /// After a step.
@@ -83,7 +85,8 @@ impl StepProgress {
         let latest_s = (now - self.stepped).as_secs_f64();
         self.stepped = now;
         // The plain mean at first, lest a slow first step colour the whole start.
-        let weight = NEWEST_WEIGHT.max(1.0 / report.step as f64);
+        self.seen += 1;
+        let weight = NEWEST_WEIGHT.max(1.0 / self.seen as f64);
         self.step_s += weight * (latest_s - self.step_s);
         self.losses = Some(match self.losses.take() {
             Some((sum, count)) => (sum + report.loss.clone(), count + 1),

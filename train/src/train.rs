@@ -1,36 +1,25 @@
 //! `splat train`: photographs in; a scene, its scores and its pictures out.
 
-use std::collections::BTreeMap;
-use std::fs;
-use std::io::Write;
-use std::path::{Path, PathBuf};
-use std::time::Instant;
+mod checkpoints;
+mod results;
+mod run;
+mod stop;
 
-use anyhow::{Result, anyhow};
+use std::path::PathBuf;
+
+use anyhow::Result;
 use clap::builder::RangedU64ValueParser;
-use glam::DAffine3;
-use serde::Serialize;
-use splat_model::accuracy::Work;
-use splat_model::capture::demo::DemoOptions;
-use splat_model::capture::{Capture, Photo, Split};
+use serde::{Deserialize, Serialize};
 use splat_model::density::matte;
-use splat_model::effects::Effect;
-use splat_model::effects::background::Backdrop;
-use splat_model::gaussians::Gaussians;
-use splat_model::ply;
-use splat_model::trainer::{Resolution, TrainConfig, TrainError, Trainer};
+use splat_model::trainer::{Resolution, TrainConfig, TrainError};
 
-use crate::accuracy::{Accuracy, AccuracyArgs};
+pub use self::run::{run, run_with};
+pub use self::stop::Interrupted;
+use crate::accuracy::AccuracyArgs;
 use crate::background::TrainBackground;
 use crate::device::{self, DeviceName};
-use crate::effects::{Chosen, EffectsArg};
+use crate::effects::EffectsArg;
 use crate::options::PhotoArgs;
-use crate::output::OutputFolder;
-use crate::pareto::Shot;
-use crate::progress::{self, StepProgress};
-use crate::report::metrics::{Metrics, Seconds, peak_rss_mib, seconds_since};
-use crate::report::{self, BACKGROUND, METRICS, POSES, SCENE, VIEWS};
-use crate::{demo, input};
 
 /// Steps of a run on the demo capture, chosen so that the whole of it takes under 3 minutes on 2 CPU cores.
 pub const DEMO_STEPS: usize = 1500;
@@ -42,18 +31,23 @@ pub const DEMO_SH_DEGREE: usize = 0;
 /// Where a run on the demo capture writes to unless told otherwise.
 pub const DEMO_OUT: &str = "out/demo";
 
-/// The demo capture, below the output folder.
-const DEMO_CAPTURE: &str = "demo-capture";
+/// Memory for decoded photographs unless told otherwise, MB: 200 of 12 megapixels with some to spare.
+pub const CACHE_MB: usize = 8_000;
 
-/// With a target for the accuracy: settings are measured after this part of the steps.
-const MEASURED_AFTER: usize = 10;
+/// Steps between checkpoints unless told otherwise: a minute or two of the usual run on a CPU, seconds on a GPU.
+pub const CHECKPOINT_EVERY: usize = 500;
 
-/// Options of `splat train`.
-#[derive(Clone, Debug, clap::Args)]
+/// Options of `splat train`, which checkpoints keep.
+#[derive(Clone, Debug, clap::Args, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct TrainArgs {
     /// Folder with `images/` and COLMAP's `sparse/0/`, or with `transforms.json` or `transforms_train.json`; without one, the demo capture is made and trained on
     #[arg(requires = "out")]
     pub capture: Option<PathBuf>,
+    /// Go on with the run whose checkpoints are in this folder, with the options that it was started with
+    #[arg(long, value_name = "DIR", exclusive = true)]
+    #[serde(skip)]
+    pub resume: Option<PathBuf>,
     /// Folder for scene.ply, metrics.json and views/; with the demo capture `out/demo` if not given
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
@@ -64,6 +58,7 @@ pub struct TrainArgs {
     pub steps: Option<usize>,
     /// Where to compute
     #[arg(long, value_name = "NAME", default_value_t, help = device::help())]
+    #[serde(with = "crate::as_text")]
     pub device: DeviceName,
     /// Seed of everything random
     #[arg(long, value_name = "S", default_value_t = TrainConfig::default().seed)]
@@ -116,21 +111,17 @@ pub struct TrainArgs {
     /// and `-NAME` to adjust `auto`. Names: antialias, alpha, exposure, bilateral-grid, masks, pose-refinement, environment,
     /// motion-blur, rolling-shutter, defocus, depth-supervision
     #[arg(long, value_name = "LIST", default_value_t, allow_hyphen_values = true)]
+    #[serde(with = "crate::as_text")]
     pub effects: EffectsArg,
     /// Look at what every stage of every step leaves, and end at the first that goes wrong; several times as slow
     #[arg(long)]
     pub check: bool,
-}
-
-/// What `metrics.json` says under `options`.
-#[derive(Serialize)]
-struct Options<'a> {
-    capture: &'a Path,
-    #[serde(flatten)]
-    photos: &'a PhotoArgs,
-    #[serde(flatten)]
-    config: &'a TrainConfig,
-    check: bool,
+    /// Memory for decoded photographs, MB; those beyond it are decoded again, in the background, each time they are trained on
+    #[arg(long, value_name = "MB", default_value_t = CACHE_MB)]
+    pub cache_mb: usize,
+    /// Steps between checkpoints, from which `--resume` goes on; 0 writes them only when the run is stopped by Ctrl-C or SIGTERM
+    #[arg(long, value_name = "K", default_value_t = CHECKPOINT_EVERY)]
+    pub checkpoint_every: usize,
 }
 
 impl TrainArgs {
@@ -163,194 +154,6 @@ impl TrainArgs {
             config => Ok(config),
         }
     }
-
-    /// Prepares the output folder and reads the capture, after making it if none was given.
-    fn open(&self) -> Result<(OutputFolder, Capture, Instant)> {
-        let out = self.out.as_deref().unwrap_or(Path::new(DEMO_OUT));
-        let prepare = || OutputFolder::prepare(out, &[SCENE, METRICS, BACKGROUND, POSES], &[VIEWS]);
-        match &self.capture {
-            Some(folder) => {
-                let start = Instant::now();
-                let capture = input::capture(folder)?;
-                Ok((prepare()?, capture, start))
-            }
-            None => {
-                let out = prepare()?;
-                let folder = out.join(DEMO_CAPTURE);
-                demo::ensure(&folder, &DemoOptions::default())?;
-                let start = Instant::now();
-                Ok((out, input::capture(&folder)?, start))
-            }
-        }
-    }
-}
-
-/// Trains, measures, writes everything, and says where it is.
-///
-/// # Errors
-/// If the capture cannot be read, the results not be written, or an option is out of range; or if a loss or a gradient is
-/// not finite: then `scene.ply` is the scene before that step.
-pub fn run(args: &TrainArgs) -> Result<Metrics> {
-    run_with(args, |trainer| trainer)
-}
-
-/// As [`run`], with the run changed before its first step. For tests, which make it go wrong.
-#[doc(hidden)]
-pub fn run_with(args: &TrainArgs, change: impl FnOnce(Trainer) -> Trainer) -> Result<Metrics> {
-    let mut config = args.config()?;
-    let (device, device_name) = args.device.resolve()?;
-    let mut accuracy = Some(args.accuracy.resolve(&device_name, Work::Train)?);
-    if let Some(Accuracy::Known(setting)) = accuracy.take_if(|accuracy| matches!(accuracy, Accuracy::Known(_))) {
-        config.dials = setting;
-    }
-    let (out, capture, start) = args.open()?;
-    let (split, photo_args) = args.photos.split(&capture);
-    let mut effects = args.effects.choose(&capture, split.require_train()?, args.antialias)?;
-    effects.configure(&mut config, args.background, args.sh_degree);
-    let (train, test) = photographs(&capture, &split, &photo_args, &effects)?;
-    let train_views = views_of(&capture, &train);
-    let cameras: Vec<Shot> = train.iter().map(|photo| Shot::unseen(&photo.intrinsics, &photo.cam_from_world)).collect();
-    progress::note(&format!(
-        "{}: {} photographs to train on, {} to test on, {} points",
-        capture.folder.display(),
-        train.len(),
-        test.len(),
-        capture.points.positions.len()
-    ));
-    let trainer = Trainer::new(train, &capture.points, config.clone(), &device)?;
-    let trainer = effects.supply(trainer, &capture, &train_views)?;
-    let mut trainer = change(if args.check { trainer.with_checks() } else { trainer });
-    let load = seconds_since(start);
-
-    let start = Instant::now();
-    let mut bar = StepProgress::new(config.steps);
-    while !trainer.is_done() {
-        // Earlier a scene is not yet like what it will be.
-        if trainer.steps_done() >= config.steps / MEASURED_AFTER
-            && let Some(accuracy) = accuracy.take()
-        {
-            let (rows, base) = (trainer.rows(), trainer.render_options());
-            config.dials = accuracy.setting((&rows, cameras.clone()), &base, (&device, &device_name), Work::Train)?;
-            trainer.turn(&config.dials);
-        }
-        match trainer.step() {
-            Ok(report) => bar.step(&report),
-            Err(error) => {
-                bar.finish();
-                return Err(keep_scene(error, &trainer, &capture, &out));
-            }
-        }
-    }
-    bar.finish();
-    let train = seconds_since(start);
-    let background = trainer.background();
-    let render_options = trainer.render_options();
-    // Before measuring, so that whatever goes wrong there does not cost the scene.
-    let rows = trainer.rows();
-    ply::write(&out.join(SCENE), &rows, capture.origin)?;
-    write_learnt(&trainer, &config, &capture, &out)?;
-    let matte = trainer.gaussians().len() - trainer.gaussians().directional();
-    let gaussians = match config.smoothing {
-        true => Gaussians::from_rows(&rows, &device)?,
-        false => trainer.gaussians().untracked(),
-    };
-    let unusable = rows.unusable();
-    progress::note_unusable(&out.join(SCENE), unusable, rows.len());
-    drop(rows);
-    effects.measure(&mut trainer)?;
-    // Photographs and moments are not needed for the scores, and their memory is.
-    drop(trainer);
-
-    let start = Instant::now();
-    let measure = || report::measure(&gaussians.splats(), &test, &background, &render_options, &out);
-    let test_scores = if test.is_empty() { None } else { Some(measure()?) };
-    let eval = seconds_since(start);
-    let options = Options { capture: &capture.folder, photos: &photo_args, config: &config, check: args.check };
-    let metrics = Metrics {
-        test: test_scores,
-        splats: gaussians.len(),
-        matte,
-        culled_non_finite: unusable,
-        steps: Some(config.steps),
-        seconds: Seconds { load, train: Some(train), eval },
-        peak_rss_mib: peak_rss_mib(),
-        device: device_name,
-        effects: Some(effects),
-        seed: Some(config.seed),
-        options: serde_json::to_value(options)?,
-        version: env!("CARGO_PKG_VERSION"),
-    };
-    report::finish(&metrics, &out)?;
-    report::say(&metrics, &out);
-    Ok(metrics)
-}
-
-/// Writes what was learnt beside the scene, and removes what an earlier run had learnt.
-fn write_learnt(trainer: &Trainer, config: &TrainConfig, capture: &Capture, out: &OutputFolder) -> Result<()> {
-    let is_learnt = matches!(config.backdrop, Backdrop::Learned | Backdrop::Environment { .. });
-    let background = is_learnt.then(|| trainer.background().to_json()).transpose()?;
-    let poses = trainer.refined_poses().map(|poses| poses_json(&poses, capture)).transpose()?;
-    for (name, text) in [(BACKGROUND, background), (POSES, poses)] {
-        match text {
-            Some(text) => out.write(name, |file| Ok(file.write_all(text.as_bytes())?))?,
-            // There may be none.
-            None => _ = fs::remove_file(out.join(name)),
-        }
-    }
-    Ok(())
-}
-
-/// By photograph: the rows of `cam_from_world`, `[3, 4]`, OpenCV axes, in the world frame of the capture's file.
-fn poses_json(poses: &[(String, DAffine3)], capture: &Capture) -> serde_json::Result<String> {
-    let local_from_world = DAffine3::from_translation(-capture.origin);
-    let rows = |pose: &DAffine3| {
-        let pose = *pose * local_from_world;
-        let row = |i: usize| [pose.x_axis[i], pose.y_axis[i], pose.z_axis[i], pose.translation[i]];
-        [row(0), row(1), row(2)]
-    };
-    let by_name: BTreeMap<&str, [[f64; 4]; 3]> = poses.iter().map(|(name, pose)| (name.as_str(), rows(pose))).collect();
-    serde_json::to_string_pretty(&by_name)
-}
-
-/// Writes the scene of a run that went wrong: as it was before the step that did. The error as the user sees it.
-fn keep_scene(error: TrainError, trainer: &Trainer, capture: &Capture, out: &OutputFolder) -> anyhow::Error {
-    if !error.keeps_scene() {
-        return error.into();
-    }
-    let path = out.join(SCENE);
-    let kept = match ply::write(&path, &trainer.rows(), capture.origin) {
-        Ok(()) => format!("{} is the scene before that step", path.display()),
-        Err(reason) => format!("the scene before that step could not be kept: {reason}"),
-    };
-    anyhow!("{error}. {kept}")
-}
-
-/// The views of photographs, some of which may have been left out.
-fn views_of(capture: &Capture, photos: &[Photo]) -> Vec<usize> {
-    let by_name: BTreeMap<&str, usize> =
-        capture.views.iter().enumerate().map(|(i, view)| (view.name.as_str(), i)).collect();
-    photos.iter().map(|photo| by_name[photo.name.as_str()]).collect()
-}
-
-/// The photographs to train on and those to test on. All are decoded before the first step, so that a broken picture
-/// does not end a long run.
-fn photographs(
-    capture: &Capture,
-    split: &Split,
-    args: &PhotoArgs,
-    effects: &Chosen,
-) -> Result<(Vec<Photo>, Vec<Photo>)> {
-    let train = split.require_train()?;
-    // `--eval-every 0` asks for no test; any other number that leaves none is a mistake.
-    let test = if args.eval_every == Some(0) { &[] } else { split.require_test()? };
-    let photos = |views| -> Result<Vec<Photo>> {
-        let mut photos = input::photographs(capture, views, args.max_side, effects.has(Effect::Masks))?;
-        if !effects.has(Effect::Alpha) {
-            photos.iter_mut().for_each(|photo| photo.alpha = None);
-        }
-        Ok(photos)
-    };
-    Ok((photos(train)?, photos(test)?))
 }
 
 #[cfg(test)]

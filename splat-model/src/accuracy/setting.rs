@@ -74,6 +74,11 @@ impl Setting {
         self.values().fold(options, |options, (_, value)| (value.set)(options))
     }
 
+    /// Turns these dials as well.
+    pub fn turn(&mut self, dials: &Self) {
+        self.0.extend(&dials.0);
+    }
+
     /// The dials and what they are turned to, in the order of their names.
     pub fn values(&self) -> impl Iterator<Item = (&'static Dial, &'static super::Value)> {
         self.0.iter().filter_map(|(name, value)| {

@@ -165,6 +165,14 @@ pub enum CaptureError {
         /// The width and height of its camera, px.
         expected: [usize; 2],
     },
+    /// A photograph was decoded again and is another.
+    #[error(
+        "the photograph {name} has changed since the run began, in its size, its transparent parts or its mask: put it back"
+    )]
+    Changed {
+        /// The view's name.
+        name: String,
+    },
     /// The file of points that the capture names cannot be read.
     #[error(transparent)]
     Points(PlyError),

@@ -7,6 +7,7 @@ pub mod demo;
 mod error;
 mod origin;
 pub(crate) mod packed;
+mod photograph;
 mod split;
 mod tracks;
 mod transforms;
@@ -22,6 +23,7 @@ use splat_op::Intrinsics;
 pub use colmap::{write_binary, write_binary_with_tracks};
 pub use error::CaptureError;
 pub use image::{Photo, load_all};
+pub use photograph::Photograph;
 pub use split::Split;
 pub use tracks::{Observation, Tracks};
 

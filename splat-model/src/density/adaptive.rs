@@ -1,7 +1,7 @@
 //! Adaptive density control (Kerbl et al. 2023, section 5.2), with what the field has learned to add: a hard cap, a
 //! limit on needles, and a threshold that rises at the cap.
 
-use burn::tensor::Tensor;
+use burn::tensor::{Device, Tensor};
 use glam::{DQuat, Vec3};
 use rand::Rng;
 use rand_distr::{Distribution, StandardNormal};
@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 use super::order::morton_order;
 use super::rows::{RowEdit, Trained, indices};
 use crate::gaussians::{GaussianRows, RowsError, values_of};
+use crate::state::{State, StateError};
 
 /// When and how to densify. Defaults are those of the original implementation unless said otherwise.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -153,6 +154,30 @@ impl Adaptive {
             scene.reset_opacities(logits);
         }
         Ok(report)
+    }
+
+    /// Keeps what was observed since the last edit.
+    ///
+    /// # Errors
+    /// None that is to be expected.
+    pub fn save(&self, to: &mut State) -> Result<(), StateError> {
+        if let Some((sum, count)) = &self.seen {
+            to.put("sum", sum.clone());
+            to.put("count", count.clone());
+        }
+        Ok(())
+    }
+
+    /// Goes on from it.
+    ///
+    /// # Errors
+    /// If half of it is missing.
+    pub fn load(&mut self, from: &mut State, device: &Device) -> Result<(), StateError> {
+        self.seen = match from.has("sum") {
+            true => Some((from.take("sum", device)?, from.take("count", device)?)),
+            false => None,
+        };
+        Ok(())
     }
 
     fn densify(&mut self, scene: &mut Trained, step: usize, rng: &mut impl Rng) -> Result<RefineReport, RowsError> {

@@ -1,5 +1,7 @@
 //! The only place that edits rows: of the parameters and, with them, of their Adam moments.
 
+mod state;
+
 use burn::module::Param;
 use burn::tensor::{Device, Int, Tensor, TensorData};
 

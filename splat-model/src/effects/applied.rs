@@ -1,5 +1,7 @@
 //! The effects of one run, as a training loop uses them: in the order in which light goes through them.
 
+mod state;
+
 use burn::tensor::{Bool, Device, Tensor};
 use glam::DAffine3;
 use rand::Rng;

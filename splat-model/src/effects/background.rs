@@ -27,6 +27,7 @@ use thiserror::Error;
 
 use super::learned::{Falling, Learned, Moment};
 use crate::gaussians::values_of;
+use crate::state::{State, StateError};
 
 /// What a run puts behind the Gaussians.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -280,6 +281,30 @@ impl Behind {
                 let values = values_of(environment.coefficients.value());
                 Some(Background::Environment(values.as_chunks::<3>().0.to_vec()))
             }
+        }
+    }
+
+    /// Keeps what was learnt.
+    ///
+    /// # Errors
+    /// None that is to be expected.
+    pub fn save(&self, to: &mut State) -> Result<(), StateError> {
+        match self {
+            Self::Random => Ok(()),
+            Self::Colour(colour) => colour.save(to),
+            Self::Environment(environment) => environment.coefficients.save(to),
+        }
+    }
+
+    /// Goes on from what was kept.
+    ///
+    /// # Errors
+    /// If something is missing or of another shape.
+    pub fn load(&mut self, from: &mut State) -> Result<(), StateError> {
+        match self {
+            Self::Random => Ok(()),
+            Self::Colour(colour) => colour.load(from),
+            Self::Environment(environment) => environment.coefficients.load(from),
         }
     }
 

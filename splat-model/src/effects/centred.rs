@@ -4,6 +4,7 @@
 use burn::tensor::Tensor;
 
 use super::learned::{Learned, Moment};
+use crate::state::{State, StateError};
 
 /// Such parameters.
 pub struct Centred<const D: usize> {
@@ -57,6 +58,25 @@ impl<const D: usize> Centred<D> {
         for one in &mut self.all {
             one.set(one.value() - excess.clone());
         }
+    }
+
+    /// Keeps all, and how long ago their mean was set back.
+    ///
+    /// # Errors
+    /// None that is to be expected.
+    pub fn save(&self, to: &mut State) -> Result<(), StateError> {
+        Learned::save_all(&self.all, to)?;
+        to.tell("since_centred", &self.since_centred)
+    }
+
+    /// Goes on from what was kept for as many photographs.
+    ///
+    /// # Errors
+    /// If something is missing or of another shape.
+    pub fn load(&mut self, from: &mut State) -> Result<(), StateError> {
+        Learned::load_all(&mut self.all, from)?;
+        self.since_centred = from.told("since_centred")?;
+        Ok(())
     }
 
     /// Bytes of the values and their moments.

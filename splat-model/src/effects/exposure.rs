@@ -12,6 +12,7 @@ use serde::{Deserialize, Serialize};
 
 use super::centred::Centred;
 use super::learned::{Falling, Moment};
+use crate::state::{State, StateError};
 
 /// How maps are learnt.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -68,6 +69,22 @@ impl Exposure {
     /// The map of `view`, `[3, 4]`, without autodiff.
     pub fn affine(&self, view: usize) -> Tensor<2> {
         self.maps.value(view)
+    }
+
+    /// Keeps what was learnt.
+    ///
+    /// # Errors
+    /// None that is to be expected.
+    pub fn save(&self, to: &mut State) -> Result<(), StateError> {
+        self.maps.save(to)
+    }
+
+    /// Goes on from what was kept.
+    ///
+    /// # Errors
+    /// If something is missing or of another shape.
+    pub fn load(&mut self, from: &mut State) -> Result<(), StateError> {
+        self.maps.load(from)
     }
 
     /// Bytes of the maps and their moments.

@@ -17,6 +17,7 @@ use serde::{Deserialize, Serialize};
 
 use super::centred::Centred;
 use super::learned::{Falling, Moment};
+use crate::state::{State, StateError};
 
 /// Places along a side of the picture.
 const SIDE: usize = 16;
@@ -86,6 +87,22 @@ impl Grids {
     /// Adam's step on the grid of the photograph.
     pub fn step(&mut self, gradient: Tensor<4>, at: Moment) {
         self.grids.step(gradient, self.config.rate.at(at.step, at.steps), at);
+    }
+
+    /// Keeps what was learnt.
+    ///
+    /// # Errors
+    /// None that is to be expected.
+    pub fn save(&self, to: &mut State) -> Result<(), StateError> {
+        self.grids.save(to)
+    }
+
+    /// Goes on from what was kept.
+    ///
+    /// # Errors
+    /// If something is missing or of another shape.
+    pub fn load(&mut self, from: &mut State) -> Result<(), StateError> {
+        self.grids.load(from)
     }
 
     /// Bytes of the grids and their moments.

@@ -6,6 +6,7 @@ use burn::tensor::{Int, Tensor};
 use serde::{Deserialize, Serialize};
 
 use crate::optim::{Adam, Moments};
+use crate::state::{State, StateError};
 
 /// A learning rate that falls by the same share at every step.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -106,6 +107,54 @@ impl<const D: usize> Learned<D> {
         let first = (-fall.ln() / ((1.0 - fall) * visits.max(1.0))).min(LARGEST_STEP);
         let rate = Falling { from: first, to: first * fall }.at(at.step, at.steps);
         self.step(gradient, rate, at.verdict);
+    }
+
+    /// Keeps value, moments and count of steps.
+    ///
+    /// # Errors
+    /// None that is to be expected.
+    pub fn save(&self, to: &mut State) -> Result<(), StateError> {
+        to.put("value", self.leaf.clone().inner());
+        self.moments.save(to);
+        to.tell("steps", &self.steps)
+    }
+
+    /// Goes on from what was kept of a parameter like this one.
+    ///
+    /// # Errors
+    /// If it is missing or of another shape.
+    pub fn load(&mut self, from: &mut State) -> Result<(), StateError> {
+        let leaf = self.leaf.clone().inner();
+        let (shape, device) = (leaf.dims(), leaf.device());
+        self.leaf = Tensor::from_inner(from.take_shaped("value", shape, &device)?).require_grad();
+        self.moments = Moments::load(from, shape, &device)?;
+        self.steps = from.told("steps")?;
+        Ok(())
+    }
+
+    /// Keeps one for each photograph.
+    ///
+    /// # Errors
+    /// As [`Self::save`].
+    pub fn save_all(all: &[Self], to: &mut State) -> Result<(), StateError> {
+        for (view, one) in all.iter().enumerate() {
+            let mut part = State::default();
+            one.save(&mut part)?;
+            to.put_part(&view.to_string(), part);
+        }
+        Ok(())
+    }
+
+    /// Goes on from them.
+    ///
+    /// # Errors
+    /// As [`Self::load`].
+    pub fn load_all(all: &mut [Self], from: &mut State) -> Result<(), StateError> {
+        for (view, one) in all.iter_mut().enumerate() {
+            let mut part = from.take_part(&view.to_string());
+            one.load(&mut part)?;
+        }
+        Ok(())
     }
 
     /// Bytes of the value and its moments.

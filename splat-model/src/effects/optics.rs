@@ -23,6 +23,7 @@ use splat_op::{
 use super::learned::{Learned, Moment};
 use super::screen::ScreenError;
 use super::{defocus, motion};
+use crate::state::{State, StateError};
 
 /// Which are simulated.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -239,6 +240,34 @@ impl Optics {
         step(&mut self.exposures, gradients.exposure);
         step(&mut self.readouts, gradients.readout);
         step(&mut self.lenses, gradients.lens);
+    }
+
+    /// Keeps what was learnt.
+    ///
+    /// # Errors
+    /// None that is to be expected.
+    pub fn save(&self, to: &mut State) -> Result<(), StateError> {
+        let parts = [("exposures", &self.exposures), ("readouts", &self.readouts), ("lenses", &self.lenses)];
+        for (name, learned) in parts {
+            let mut part = State::default();
+            Learned::save_all(learned, &mut part)?;
+            to.put_part(name, part);
+        }
+        Ok(())
+    }
+
+    /// Goes on from what was kept.
+    ///
+    /// # Errors
+    /// If something is missing or of another shape.
+    pub fn load(&mut self, from: &mut State) -> Result<(), StateError> {
+        let Self { exposures, readouts, lenses, .. } = self;
+        for (name, learned) in [("exposures", exposures), ("readouts", readouts), ("lenses", lenses)] {
+            let mut part = from.take_part(name);
+            Learned::load_all(learned, &mut part)?;
+            part.finish()?;
+        }
+        Ok(())
     }
 
     /// Bytes of the parameters and their moments.

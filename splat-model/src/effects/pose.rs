@@ -25,6 +25,7 @@ use serde::{Deserialize, Serialize};
 use self::anchors::{Anchors, OnDevice, rotation};
 use super::learned::{Learned, Moment};
 use crate::gaussians::values_of;
+use crate::state::{State, StateError};
 
 /// How poses are refined.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -133,6 +134,22 @@ impl Poses {
         let values: Vec<f64> = values_of(self.corrections[view].value()).into_iter().map(f64::from).collect();
         let moved = self.extent * DVec3::from_slice(&values[3..]);
         DAffine3::from_mat3_translation(rotation(DVec3::from_slice(&values[..3])), moved) * *cam_from_world
+    }
+
+    /// Keeps what was learnt.
+    ///
+    /// # Errors
+    /// None that is to be expected.
+    pub fn save(&self, to: &mut State) -> Result<(), StateError> {
+        Learned::save_all(&self.corrections, to)
+    }
+
+    /// Goes on from what was kept.
+    ///
+    /// # Errors
+    /// If something is missing or of another shape.
+    pub fn load(&mut self, from: &mut State) -> Result<(), StateError> {
+        Learned::load_all(&mut self.corrections, from)
     }
 
     /// Bytes of the corrections and their moments.

@@ -17,6 +17,7 @@ use rayon::prelude::*;
 use splat_op::{Intrinsics, Projector, Splats};
 
 use crate::gaussians::{GaussianRows, Gaussians, values_of};
+use crate::state::{State, StateError};
 
 /// Variance of the filter by that of a sample's spacing: 0.2, as the original has it.
 pub const VARIANCE: f64 = 0.2;
@@ -110,6 +111,27 @@ impl Smoothing {
         let widths = if log_scales.is_autodiff() { Tensor::from_inner(widths.clone()) } else { widths.clone() };
         let (scales, share) = convolved(log_scales, widths);
         Splats { scales: scales.exp(), opacities: splats.opacities * share.exp(), ..splats }
+    }
+
+    /// Keeps the widths, because they are those of some steps ago.
+    ///
+    /// # Errors
+    /// None that is to be expected.
+    pub fn save(&self, to: &mut State) -> Result<(), StateError> {
+        if let Some(widths) = &self.ln_widths {
+            to.put("ln_widths", widths.clone());
+        }
+        to.tell("found_at", &self.found_at)
+    }
+
+    /// Goes on with what was kept.
+    ///
+    /// # Errors
+    /// If something is missing.
+    pub fn load(&mut self, from: &mut State, device: &Device) -> Result<(), StateError> {
+        self.ln_widths = if from.has("ln_widths") { Some(from.take("ln_widths", device)?) } else { None };
+        self.found_at = from.told("found_at")?;
+        Ok(())
     }
 
     /// Bytes on the device.

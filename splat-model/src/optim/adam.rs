@@ -5,6 +5,8 @@ use rayon::prelude::*;
 pub use splat_op::adam::Rates;
 use splat_op::adam::{Band, Stepped};
 
+use crate::state::{State, StateError};
+
 /// Gradients are clamped to ± this before they are squared: in f32, `1e17² / (1 − β₂)` is still finite. Steps stay
 /// bounded by the learning rate either way, because Adam is invariant to the gradient's length.
 const LARGEST_GRADIENT: f64 = 1e17;
@@ -27,6 +29,20 @@ impl<const D: usize> Moments<D> {
     pub fn new(param: &Tensor<D>) -> Self {
         let m = param.clone().inner().zeros_like();
         Self { v: m.zeros_like(), m }
+    }
+
+    /// Keeps both sums.
+    pub fn save(&self, to: &mut State) {
+        to.put("m", self.m.clone());
+        to.put("v", self.v.clone());
+    }
+
+    /// Those that were kept, of a parameter of this shape.
+    ///
+    /// # Errors
+    /// If they are missing or of another shape.
+    pub fn load(from: &mut State, shape: [usize; D], device: &Device) -> Result<Self, StateError> {
+        Ok(Self { m: from.take_shaped("m", shape, device)?, v: from.take_shaped("v", shape, device)? })
     }
 }
 

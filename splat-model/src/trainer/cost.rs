@@ -26,7 +26,7 @@ impl Trainer {
         let Some(bytes) = self.bytes_of(effect) else { return Ok(None) };
         let in_the_camera = matches!(effect, Effect::Exposure | Effect::BilateralGrid | Effect::Masks);
         let time = |run: &mut Self| match in_the_camera {
-            true => Ok(run.time_loss()),
+            true => run.time_loss(),
             false => run.time_step(),
         };
         // Kernels are compiled and photographs prepared before the clock counts.
@@ -82,11 +82,11 @@ impl Trainer {
     }
 
     /// The same from a picture on, which is the photograph a little darker.
-    fn time_loss(&mut self) -> f64 {
-        let (_, truth) = self.views.prepare(VIEW, None);
+    fn time_loss(&mut self) -> Result<f64, TrainError> {
+        let (_, truth) = self.views.prepare(VIEW, None)?;
         let image = Tensor::from_inner(truth.image() * 0.9).require_grad();
         let start = Instant::now();
-        let excluded = self.views.excluded(VIEW);
+        let excluded = self.views.excluded(VIEW)?;
         let seen = self.effects.developed(image.clone(), VIEW, excluded.as_ref());
         let mut loss = photometric(seen, &truth, self.config.lambda);
         if let Some(penalty) = self.effects.penalty(VIEW) {
@@ -95,6 +95,6 @@ impl Trainer {
         let gradient = image.grad(&loss.backward());
         let _ = loss.into_data();
         let _ = gradient.map(|gradient| gradient.sum().into_data());
-        start.elapsed().as_secs_f64() * 1e3
+        Ok(start.elapsed().as_secs_f64() * 1e3)
     }
 }

@@ -6,7 +6,7 @@ use splat_op::Intrinsics;
 use splat_op::shade::SH_DEGREE_MAX;
 
 use super::{TrainConfig, TrainError, Trainer};
-use crate::capture::{Photo, PointCloud};
+use crate::capture::{Photograph, PointCloud};
 use crate::effects::Applied;
 use crate::effects::background::{Backdrop, Background, Behind};
 use crate::effects::depth::{DepthSample, Depths};
@@ -21,7 +21,7 @@ use crate::gaussians::GaussianRows;
 /// The effects of a run over `photos` of a scene of `extent`, as it begins.
 pub(super) fn of(
     config: &TrainConfig,
-    photos: &[Photo],
+    photos: &[Photograph],
     points: &PointCloud,
     extent: f64,
     device: &Device,
@@ -33,7 +33,7 @@ pub(super) fn of(
     }
     let behind = Behind::new(config.backdrop, config.background, device);
     if behind.as_ref().is_some_and(Behind::is_learnt)
-        && let Some(photo) = photos.iter().find(|photo| photo.alpha.is_some())
+        && let Some(photo) = photos.iter().find(|photo| photo.has_alpha)
     {
         return Err(TrainError::LearntBackground(photo.name.clone()));
     }
@@ -59,7 +59,7 @@ pub(super) fn of(
 }
 
 /// The median depth of the points in the photographs, scene units; none without points.
-fn typical_depth(photos: &[Photo], points: &PointCloud) -> Option<f64> {
+fn typical_depth(photos: &[Photograph], points: &PointCloud) -> Option<f64> {
     let every = points.positions.len().div_ceil(1000).max(1);
     let worlds = || points.positions.iter().step_by(every).map(|point| Vec3::from_array(*point).as_dvec3());
     let depths = photos.iter().flat_map(|photo| worlds().map(|world| photo.cam_from_world.transform_point3(world).z));

@@ -4,8 +4,10 @@ use splat_op::SplatError;
 use thiserror::Error;
 
 use super::{Resolution, Stage};
+use crate::capture::CaptureError;
 use crate::effects::screen::ScreenError;
 use crate::gaussians::RowsError;
+use crate::state::StateError;
 
 /// Why a run cannot start or go on.
 #[derive(Debug, Error)]
@@ -47,6 +49,24 @@ pub enum TrainError {
     /// Rows that do not fit together.
     #[error(transparent)]
     Rows(#[from] RowsError),
+    /// A photograph cannot be decoded again.
+    #[error(transparent)]
+    Photograph(#[from] CaptureError),
+    /// What was kept of a run is not what this one needs.
+    #[error("what was kept of the run does not fit to it: {0}")]
+    State(#[from] StateError),
+    /// What was kept is of another run.
+    #[error(
+        "{what} is {found}, and was {expected} when the run was kept: give it back what it had, or start the run anew"
+    )]
+    OtherRun {
+        /// The option or photograph.
+        what: String,
+        /// Of this run.
+        found: String,
+        /// Of the one that was kept.
+        expected: String,
+    },
     /// A loss or gradient that is not finite. The scene is as it was before the step.
     #[error(
         "step {step}, photograph `{view}`: {what} is not finite, so the step was not taken and the run ends. Train with \
@@ -77,6 +97,6 @@ pub enum TrainError {
 impl TrainError {
     /// Whether the run went wrong after it began, with a scene worth keeping as it was before the step.
     pub fn keeps_scene(&self) -> bool {
-        matches!(self, Self::NonFinite { .. } | Self::Check { .. })
+        matches!(self, Self::NonFinite { .. } | Self::Check { .. } | Self::Photograph(_))
     }
 }

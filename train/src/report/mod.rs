@@ -7,9 +7,9 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Result;
 use burn::tensor::Tensor;
-use splat_model::capture::Photo;
+use splat_model::capture::Photograph;
 use splat_model::effects::background::Background;
-use splat_model::evaluate::{Scores, evaluate};
+use splat_model::evaluate::{Scores, evaluate_each};
 use splat_op::{RenderOptions, Splats};
 
 use self::metrics::Metrics;
@@ -33,7 +33,7 @@ pub const VIEWS: &str = "views";
 /// If a view cannot be rendered or a picture not be written.
 pub fn measure(
     splats: &Splats,
-    photos: &[Photo],
+    photos: &[Photograph],
     background: &Background,
     options: &RenderOptions,
     out: &OutputFolder,
@@ -42,7 +42,8 @@ pub fn measure(
     let mut names = names.iter();
     let mut written = Ok(());
     let counter = progress::counter("measuring test views", photos.len());
-    let scores = evaluate(splats, photos, background, options, |comparison, _| {
+    let pixels = photos.iter().map(|photo| Ok::<_, anyhow::Error>(photo.pixels()?));
+    let scores = evaluate_each(splats, pixels, background, options, |comparison, _| {
         if let (Ok(()), Some(name)) = (&written, names.next()) {
             written = out.write(Path::new(VIEWS).join(name), |file| pictures::write_comparison(comparison, file));
         }
@@ -50,7 +51,7 @@ pub fn measure(
     });
     counter.finish_and_clear();
     written?;
-    Ok(scores?)
+    scores
 }
 
 /// Writes `metrics.json`, after removing the pictures of an earlier run's test views that this one did not have.

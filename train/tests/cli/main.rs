@@ -6,6 +6,7 @@ mod hard_cases;
 mod non_finite;
 mod origin;
 mod pareto;
+mod resume;
 mod run;
 
 use std::collections::BTreeSet;

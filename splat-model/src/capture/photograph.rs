@@ -1,0 +1,128 @@
+//! Photographs of a run: decoded and kept, or decoded whenever their turn comes.
+
+use std::sync::Arc;
+
+use glam::DAffine3;
+use splat_op::Intrinsics;
+
+use super::{CaptureError, Photo};
+
+/// Decodes a photograph that was decoded before, the same way.
+type Read = dyn Fn() -> Result<Photo, CaptureError> + Send + Sync;
+
+#[derive(Clone)]
+enum Pixels {
+    Kept(Arc<Photo>),
+    Read(Arc<Read>),
+}
+
+/// One photograph, and how to get its pixels.
+#[derive(Clone)]
+pub struct Photograph {
+    /// The view's name.
+    pub name: String,
+    /// Size and projection.
+    pub intrinsics: Intrinsics,
+    /// The view's pose.
+    pub cam_from_world: DAffine3,
+    /// Whether it has transparent parts.
+    pub has_alpha: bool,
+    /// Whether it has pixels that do not count.
+    pub has_mask: bool,
+    pixels: Pixels,
+}
+
+impl From<Photo> for Photograph {
+    fn from(photo: Photo) -> Self {
+        let photo = Arc::new(photo);
+        Self::with(&photo, Pixels::Kept(Arc::clone(&photo)))
+    }
+}
+
+impl Photograph {
+    /// One that was decoded, whose pixels are let go: `read` decodes it again, each time it is needed.
+    pub fn read_again(photo: &Photo, read: impl Fn() -> Result<Photo, CaptureError> + Send + Sync + 'static) -> Self {
+        Self::with(photo, Pixels::Read(Arc::new(read)))
+    }
+
+    fn with(photo: &Photo, pixels: Pixels) -> Self {
+        Self {
+            name: photo.name.clone(),
+            intrinsics: photo.intrinsics,
+            cam_from_world: photo.cam_from_world,
+            has_alpha: photo.alpha.is_some(),
+            has_mask: photo.mask.is_some(),
+            pixels,
+        }
+    }
+
+    /// Whether its pixels are in memory for good.
+    pub fn is_kept(&self) -> bool {
+        matches!(self.pixels, Pixels::Kept(_))
+    }
+
+    /// It with its pixels, which are decoded if they were not kept.
+    ///
+    /// # Errors
+    /// If the picture has gone, or is not any more what it was.
+    pub fn pixels(&self) -> Result<Arc<Photo>, CaptureError> {
+        let read = match &self.pixels {
+            Pixels::Kept(photo) => return Ok(Arc::clone(photo)),
+            Pixels::Read(read) => read,
+        };
+        let photo = read()?;
+        let size = |camera: &Intrinsics| [camera.width, camera.height];
+        if (size(&photo.intrinsics), photo.alpha.is_some(), photo.mask.is_some())
+            != (size(&self.intrinsics), self.has_alpha, self.has_mask)
+        {
+            return Err(CaptureError::Changed { name: self.name.clone() });
+        }
+        Ok(Arc::new(photo))
+    }
+
+    /// Bytes of its pixels, decoded.
+    pub fn bytes(&self) -> usize {
+        let per_pixel = 3 + usize::from(self.has_alpha) + usize::from(self.has_mask);
+        self.intrinsics.width * self.intrinsics.height * per_pixel
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::atomic::{AtomicUsize, Ordering};
+
+    use super::*;
+    use crate::trainer::testing::photos;
+
+    #[test]
+    fn what_is_not_kept_is_decoded_each_time() {
+        let photo = photos([0.0; 3]).remove(0);
+        let count = Arc::new(AtomicUsize::new(0));
+        let (again, counted) = (photo.clone(), Arc::clone(&count));
+        let read = Photograph::read_again(&photo, move || {
+            counted.fetch_add(1, Ordering::Relaxed);
+            Ok(again.clone())
+        });
+        assert_eq!(count.load(Ordering::Relaxed), 0);
+        for _ in 0..2 {
+            assert_eq!(read.pixels().unwrap().rgb, photo.rgb);
+        }
+        assert_eq!(count.load(Ordering::Relaxed), 2);
+        assert_eq!(read.bytes(), photo.rgb.len());
+        let kept = Photograph::from(photo.clone());
+        assert!(kept.is_kept() && !read.is_kept());
+        assert!(Arc::ptr_eq(&kept.pixels().unwrap(), &kept.pixels().unwrap()));
+    }
+
+    #[test]
+    fn a_picture_that_has_changed_is_refused() {
+        let photo = photos([0.0; 3]).remove(0);
+        let smaller = photo.resized(16, 12);
+        let changed = Photograph::read_again(&photo, move || Ok(smaller.clone()));
+        let error = changed.pixels().unwrap_err().to_string();
+        assert!(error.contains(&photo.name) && error.contains("changed"), "{error}");
+        let masked = Photo { mask: Some(vec![true; photo.rgb.len() / 3]), ..photo.clone() };
+        let changed = Photograph::read_again(&photo, move || Ok(masked.clone()));
+        assert!(changed.pixels().is_err());
+    }
+}

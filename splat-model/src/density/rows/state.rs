@@ -1,0 +1,96 @@
+//! What a scene being trained has to keep: its parameters, and their Adam moments.
+
+use burn::module::Param;
+use burn::tensor::{Device, Tensor};
+
+use super::{GaussianMoments, Trained, on};
+use crate::gaussians::{Gaussians, parameter};
+use crate::optim::Moments;
+use crate::state::{State, StateError};
+
+impl Trained {
+    /// Parameters and moments.
+    pub fn save(&self) -> State {
+        let (g, m) = (&self.gaussians, &self.moments);
+        let mut state = State::default();
+        put(&mut state, "means", &g.means, &m.means);
+        put(&mut state, "rotations", &g.rotations, &m.rotations);
+        put(&mut state, "log_scales", &g.log_scales, &m.log_scales);
+        put(&mut state, "logit_opacities", &g.logit_opacities, &m.logit_opacities);
+        put(&mut state, "sh", &g.sh, &m.sh);
+        if let (Some(matte), Some(moments)) = (&g.sh_matte, &m.sh_matte) {
+            put(&mut state, "sh_matte", matte, moments);
+        }
+        state
+    }
+
+    /// The scene that was kept, trainable if `device` is an autodiff device.
+    ///
+    /// # Errors
+    /// If something is missing, or parameters and moments do not fit together.
+    pub fn load(from: &mut State, device: &Device) -> Result<Self, StateError> {
+        let (means, of_means) = take::<2>(from, "means", device, |shape| *shape == [shape[0], 3])?;
+        let count = means.dims()[0];
+        let (rotations, of_rotations) = take::<2>(from, "rotations", device, |shape| *shape == [count, 4])?;
+        let (log_scales, of_log_scales) = take::<2>(from, "log_scales", device, |shape| *shape == [count, 3])?;
+        let (logit_opacities, of_opacities) = take::<1>(from, "logit_opacities", device, |shape| *shape == [count])?;
+        let is_sh = |&[rows, coefficients, channels]: &[usize; 3]| {
+            let largest = splat_op::shade::SH_DEGREE_MAX + 1;
+            let side = coefficients.isqrt();
+            rows <= count && (1..=largest).contains(&side) && side * side == coefficients && channels == 3
+        };
+        let (sh, of_sh) = take::<3>(from, "sh", device, is_sh)?;
+        let matte = count - sh.dims()[0];
+        let sh_matte = match matte {
+            0 => None,
+            _ => Some(take::<3>(from, "sh_matte", device, |shape| *shape == [matte, 1, 3])?),
+        };
+        let (sh_matte, of_matte) = sh_matte.unzip();
+        let tracked = |values| parameter(on(device, values));
+        Ok(Self {
+            gaussians: Gaussians {
+                means: tracked(means),
+                rotations: tracked(rotations),
+                log_scales: tracked(log_scales),
+                logit_opacities: parameter(on(device, logit_opacities)),
+                sh: parameter(on(device, sh)),
+                sh_matte: sh_matte.map(|values| parameter(on(device, values))),
+            },
+            moments: GaussianMoments {
+                means: of_means,
+                rotations: of_rotations,
+                log_scales: of_log_scales,
+                logit_opacities: of_opacities,
+                sh: of_sh,
+                sh_matte: of_matte,
+            },
+        })
+    }
+}
+
+fn put<const D: usize>(to: &mut State, name: &str, param: &Param<Tensor<D>>, moments: &Moments<D>) {
+    let values = param.val();
+    let mut part = State::default();
+    part.put("values", if values.is_autodiff() { values.inner() } else { values });
+    moments.save(&mut part);
+    to.put_part(name, part);
+}
+
+/// A parameter's values and moments, none tracked, if the shape is as it should be.
+fn take<const D: usize>(
+    from: &mut State,
+    name: &str,
+    device: &Device,
+    fits: impl Fn(&[usize; D]) -> bool,
+) -> Result<(Tensor<D>, Moments<D>), StateError> {
+    let device = device.clone().inner();
+    let mut part = from.take_part(name);
+    let values = part.take::<D>("values", &device)?;
+    let shape = values.dims();
+    if !fits(&shape) {
+        return Err(StateError::Fit { name: name.to_owned(), found: shape.to_vec() });
+    }
+    let moments = Moments::load(&mut part, shape, &device)?;
+    part.finish()?;
+    Ok((values, moments))
+}

@@ -1,0 +1,255 @@
+//! States in files: safetensors, which other programs open, with the facts and a checksum among the metadata.
+//!
+//! The checksum is the SHA-256 of all names, shapes, values and facts. A file appears whole or not at all, and is on the disk
+//! before it takes its name.
+
+use std::borrow::Cow;
+use std::collections::HashMap;
+use std::fs::{self, File};
+use std::io;
+use std::path::{Path, PathBuf};
+
+use safetensors::{Dtype, SafeTensorError, SafeTensors, View};
+use sha2::{Digest, Sha256};
+use thiserror::Error;
+
+use super::{Array, State};
+
+/// What [`FORMAT`] is found under.
+const FORMAT_KEY: &str = "splat_state";
+
+/// Of the file, not of what the parts of a run mean by their entries.
+const FORMAT: &str = "1";
+
+/// What the checksum is found under.
+const CHECKSUM_KEY: &str = "sha256";
+
+/// What the names of facts begin with, among the metadata.
+const FACT: &str = "fact:";
+
+/// A state that cannot be written or read.
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum FileError {
+    /// The operating system refused.
+    #[error("{path}: could not {action}: {source}", path = path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// What was tried, with the remedy where there is one.
+        action: &'static str,
+        /// The system's reason.
+        source: io::Error,
+    },
+    /// It is no file of ours, or one of another version.
+    #[error("{path}: {found}, expected a state of the format {FORMAT}: read it with the version that wrote it", path = path.display())]
+    Format {
+        /// The file.
+        path: PathBuf,
+        /// What it is instead.
+        found: String,
+    },
+    /// Not what was written.
+    #[error("{path}: the file is damaged: {detail}", path = path.display())]
+    Damaged {
+        /// The file.
+        path: PathBuf,
+        /// How that is known.
+        detail: String,
+    },
+}
+
+impl View for &Array {
+    fn dtype(&self) -> Dtype {
+        Dtype::F32
+    }
+
+    fn shape(&self) -> &[usize] {
+        &self.shape
+    }
+
+    fn data(&self) -> Cow<'_, [u8]> {
+        Cow::Borrowed(bytemuck::cast_slice(&self.values))
+    }
+
+    fn data_len(&self) -> usize {
+        size_of_val(self.values.as_slice())
+    }
+}
+
+impl State {
+    /// Writes it to a file, which replaces the one of that name once all of it is on the disk.
+    ///
+    /// # Errors
+    /// If it cannot be written; then what was there still is.
+    pub fn write(&self, path: &Path) -> Result<(), FileError> {
+        let temporary = temporary(path);
+        let written = self.write_to(&temporary).and_then(|()| {
+            fs::rename(&temporary, path)?;
+            sync_folder(path);
+            Ok(())
+        });
+        written.map_err(|source| {
+            // Best effort: the first error is the one to report.
+            let _ = fs::remove_file(&temporary);
+            let action = "write it: check that its folder can be written to and has room left";
+            FileError::Io { path: path.to_owned(), action, source }
+        })
+    }
+
+    fn write_to(&self, path: &Path) -> io::Result<()> {
+        let facts = self.facts.iter().map(|(name, text)| (format!("{FACT}{name}"), text.clone()));
+        let ours = [(FORMAT_KEY.to_owned(), FORMAT.to_owned()), (CHECKSUM_KEY.to_owned(), self.checksum())];
+        let metadata: HashMap<String, String> = facts.chain(ours).collect();
+        safetensors::serialize_to_file(&self.arrays, Some(metadata), path).map_err(|error| match error {
+            SafeTensorError::IoError(source) => source,
+            other => io::Error::other(other),
+        })?;
+        // Opened for writing, which some systems ask for.
+        File::options().append(true).open(path)?.sync_all()
+    }
+
+    /// Reads one that [`Self::write`] wrote.
+    ///
+    /// # Errors
+    /// If it cannot be read, is of another format, or is not what was written.
+    pub fn read(path: &Path) -> Result<Self, FileError> {
+        let io = |source| FileError::Io { path: path.to_owned(), action: "read it", source };
+        let damaged = |detail: String| FileError::Damaged { path: path.to_owned(), detail };
+        let format = |found: String| FileError::Format { path: path.to_owned(), found };
+        let bytes = fs::read(path).map_err(io)?;
+        let (_, header) = SafeTensors::read_metadata(&bytes).map_err(|error| damaged(error.to_string()))?;
+        let mut metadata = header.metadata().clone().unwrap_or_default();
+        match metadata.remove(FORMAT_KEY).as_deref() {
+            Some(FORMAT) => {}
+            Some(other) => return Err(format(format!("a state of the format {other:?}"))),
+            None => return Err(format("a file of tensors alone".into())),
+        }
+        let checksum = metadata.remove(CHECKSUM_KEY).ok_or_else(|| damaged("it has no checksum".into()))?;
+        let tensors = SafeTensors::deserialize(&bytes).map_err(|error| damaged(error.to_string()))?;
+        let mut state = Self::default();
+        for (name, view) in tensors.iter() {
+            if view.dtype() != Dtype::F32 {
+                return Err(damaged(format!("`{name}` is of the type {}, expected F32", view.dtype())));
+            }
+            let values = view.data().as_chunks::<4>().0.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect();
+            state.arrays.insert(name.to_owned(), Array { shape: view.shape().to_vec(), values });
+        }
+        let fact = |(name, text): (String, String)| name.strip_prefix(FACT).map(|name| (name.to_owned(), text));
+        state.facts = metadata.into_iter().filter_map(fact).collect();
+        match state.checksum() == checksum {
+            true => Ok(state),
+            false => Err(damaged("its checksum is not that of its contents".into())),
+        }
+    }
+
+    /// In hexadecimal digits.
+    fn checksum(&self) -> String {
+        let mut hash = Sha256::new();
+        // Lengths first, so that no two states have one sequence of bytes.
+        let mut add = |bytes: &[u8]| {
+            hash.update((bytes.len() as u64).to_le_bytes());
+            hash.update(bytes);
+        };
+        for (name, Array { shape, values }) in &self.arrays {
+            add(name.as_bytes());
+            add(&shape.iter().flat_map(|side| (*side as u64).to_le_bytes()).collect::<Vec<_>>());
+            add(bytemuck::cast_slice(values));
+        }
+        for (name, text) in &self.facts {
+            add(name.as_bytes());
+            add(text.as_bytes());
+        }
+        hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
+    }
+}
+
+/// One name for all, in the same folder: what a killed process leaves is overwritten by the next.
+fn temporary(path: &Path) -> PathBuf {
+    path.with_file_name(".state.tmp")
+}
+
+/// So that the new name outlives a loss of power too. Some systems have no such thing.
+fn sync_folder(path: &Path) {
+    if let Some(folder) = path.parent().and_then(|folder| File::open(folder).ok()) {
+        let _ = folder.sync_all();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use burn::tensor::{Device, Tensor};
+
+    use super::*;
+
+    fn state() -> State {
+        let mut state = State::default();
+        state.put("scene/means", Tensor::<2>::from_floats([[1.0, -2.5], [f32::MIN_POSITIVE, 1e30]], &Device::flex()));
+        state.put("none", Tensor::<1>::zeros([0], &Device::flex()));
+        state.tell("step", &17).unwrap();
+        state.tell("rate", &0.1_f64.next_up()).unwrap();
+        state
+    }
+
+    #[test]
+    fn what_is_written_is_read() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.safetensors");
+        state().write(&path).unwrap();
+        state().write(&path).unwrap();
+        assert_eq!(State::read(&path).unwrap(), state());
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1, "a temporary file is left");
+    }
+
+    #[test]
+    fn a_flipped_bit_or_a_missing_end_is_noticed() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.safetensors");
+        state().write(&path).unwrap();
+        let bytes = fs::read(&path).unwrap();
+        for at in 0..bytes.len() {
+            for bit in [0, 3, 7] {
+                let mut changed = bytes.clone();
+                changed[at] ^= 1 << bit;
+                fs::write(&path, changed).unwrap();
+                // Blanks between header and data mean nothing.
+                let found = State::read(&path);
+                let harmless = found.as_ref().is_ok_and(|found| *found == state());
+                assert!(found.is_err() || harmless && bytes[at] == b' ', "byte {at}, bit {bit}: {found:?}");
+            }
+        }
+        for length in 0..bytes.len() {
+            fs::write(&path, &bytes[..length]).unwrap();
+            let error = State::read(&path).unwrap_err().to_string();
+            assert!(error.contains("a.safetensors"), "{error}");
+        }
+    }
+
+    #[test]
+    fn other_files_are_told_apart() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.safetensors");
+        let read = || State::read(&path).unwrap_err();
+        assert!(matches!(read(), FileError::Io { .. }));
+        let arrays = state().arrays;
+        safetensors::serialize_to_file(&arrays, None, &path).unwrap();
+        assert!(read().to_string().contains("tensors alone"), "{}", read());
+        let newer = HashMap::from([(FORMAT_KEY.to_owned(), "2".to_owned())]);
+        safetensors::serialize_to_file(&arrays, Some(newer), &path).unwrap();
+        assert!(read().to_string().contains("\"2\""), "{}", read());
+        fs::write(&path, b"").unwrap();
+        assert!(matches!(read(), FileError::Damaged { .. }));
+    }
+
+    #[test]
+    fn what_cannot_be_written_leaves_the_old() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.safetensors");
+        state().write(&path).unwrap();
+        // In the way of the temporary file.
+        fs::create_dir(folder.path().join(".state.tmp")).unwrap();
+        let error = State::default().write(&path).unwrap_err().to_string();
+        assert!(error.contains("a.safetensors") && error.contains("room"), "{error}");
+        assert_eq!(State::read(&path).unwrap(), state());
+    }
+}

@@ -1,0 +1,119 @@
+//! Runs that are kept and go on later.
+
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+
+use super::{TrainConfig, TrainError, Trainer};
+use crate::accuracy::Setting;
+use crate::density::rows::Trained;
+use crate::state::{State, StateError};
+
+/// Where a generator of random numbers is.
+#[derive(Serialize, Deserialize)]
+struct Random {
+    seed: [u8; 32],
+    stream: u64,
+    /// High and low half of the position, in words of 32 bits.
+    word: [u64; 2],
+}
+
+impl Random {
+    fn of(rng: &ChaCha8Rng) -> Self {
+        let word = rng.get_word_pos();
+        Self { seed: rng.get_seed(), stream: rng.get_stream(), word: [(word >> 64) as u64, word as u64] }
+    }
+
+    fn resumed(&self) -> ChaCha8Rng {
+        let mut rng = ChaCha8Rng::from_seed(self.seed);
+        rng.set_stream(self.stream);
+        rng.set_word_pos(u128::from(self.word[0]) << 64 | u128::from(self.word[1]));
+        rng
+    }
+}
+
+impl Trainer {
+    /// All that the run needs to go on from where it is: parameters and their moments, what effects have learnt, what density
+    /// control has seen, random numbers. Not the photographs, and no loss of the caller's.
+    ///
+    /// # Errors
+    /// If a step before this one turns out to have gone wrong.
+    pub fn save(&mut self) -> Result<State, TrainError> {
+        self.guard.read(true).map_err(|fault| self.non_finite(fault))?;
+        let mut state = State::default();
+        state.tell("step", &self.step)?;
+        state.tell("config", &self.config)?;
+        state.tell("photographs", &self.photographs())?;
+        state.tell("queue", &self.queue)?;
+        state.tell("random", &Random::of(&self.rng))?;
+        state.put_part("scene", self.scene.save());
+        let mut density = State::default();
+        self.density.save(&mut density)?;
+        state.put_part("density", density);
+        state.put_part("effects", self.effects.save()?);
+        Ok(state)
+    }
+
+    /// Goes on from where such a run was. On a CPU what follows is, bit for bit, what would have followed there.
+    ///
+    /// # Errors
+    /// If the state is of a run with other options or photographs, or is not complete: then this run is of no use any more.
+    pub fn resume(&mut self, mut state: State) -> Result<(), TrainError> {
+        let config: TrainConfig = state.told("config")?;
+        let dials = config.dials.clone();
+        if let Some((what, found, expected)) = difference(&config, &self.config)? {
+            return Err(TrainError::OtherRun { what, found, expected });
+        }
+        let photographs: Vec<(String, [usize; 2])> = state.told("photographs")?;
+        let own = self.photographs();
+        if let Some(i) = (0..photographs.len().max(own.len())).find(|&i| photographs.get(i) != own.get(i)) {
+            let shown = |found: Option<&(String, [usize; 2])>| match found {
+                Some((name, [width, height])) => format!("{name} ({width} x {height})"),
+                None => "none".into(),
+            };
+            let (found, expected) = (shown(own.get(i)), shown(photographs.get(i)));
+            return Err(TrainError::OtherRun { what: format!("photograph {}", i + 1), found, expected });
+        }
+        let step = state.told("step")?;
+        let queue: Vec<usize> = state.told("queue")?;
+        if let Some(view) = queue.iter().find(|view| **view >= own.len()) {
+            let (found, expected) = (view.to_string(), format!("below {}", own.len()));
+            return Err(TrainError::OtherRun { what: "a photograph in the queue".into(), found, expected });
+        }
+        let random: Random = state.told("random")?;
+        let [mut scene, mut density, effects] = ["scene", "density", "effects"].map(|name| state.take_part(name));
+        state.finish()?;
+        self.scene = Trained::load(&mut scene, &self.device.clone().autodiff())?;
+        scene.finish()?;
+        self.density.load(&mut density, &self.device)?;
+        density.finish()?;
+        self.effects.load(effects, &self.device)?;
+        (self.queue, self.rng, self.step) = (queue, random.resumed(), step);
+        self.turn(&dials);
+        Ok(())
+    }
+
+    /// Names and sizes.
+    fn photographs(&self) -> Vec<(String, [usize; 2])> {
+        (0..self.views.len()).map(|view| (self.views.name(view).to_owned(), self.views.full_size(view))).collect()
+    }
+}
+
+/// The first option in which runs differ, with that of the second and of the first. Dials may be turned on the way.
+fn difference(kept: &TrainConfig, own: &TrainConfig) -> Result<Option<(String, String, String)>, StateError> {
+    let fields = |config: &TrainConfig| {
+        let config = TrainConfig { dials: Setting::default(), ..config.clone() };
+        serde_json::to_value(config).map_err(|source| StateError::Fact { name: "config".into(), source })
+    };
+    let (kept, own) = (fields(kept)?, fields(own)?);
+    let (Value::Object(kept), Value::Object(own)) = (kept, own) else { return Ok(None) };
+    let differing = kept.iter().find(|(name, value)| own.get(*name) != Some(value));
+    Ok(differing.map(|(name, value)| {
+        let found = own.get(name).map(Value::to_string).unwrap_or_default();
+        (format!("the option `{name}`"), found, value.to_string())
+    }))
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,134 @@
+use burn::tensor::Device;
+
+use super::*;
+use crate::density::AdaptiveConfig;
+use crate::effects::background::Backdrop;
+use crate::effects::exposure::ExposureConfig;
+use crate::effects::grid::GridConfig;
+use crate::effects::optics::OpticsConfig;
+use crate::effects::pose::PoseConfig;
+use crate::trainer::testing::{photos, points};
+
+/// A short run in which Gaussians come, go and become matte, and opacities are reset.
+fn eventful() -> TrainConfig {
+    let density = AdaptiveConfig {
+        every: 5,
+        from: 5,
+        until_share: 0.9,
+        grad_threshold: 1e-5,
+        reset_every: 14,
+        max_splats: 60,
+        ..AdaptiveConfig::default()
+    };
+    TrainConfig { steps: 24, sh_every: 6, matte_below: Some(0.02), density, ..TrainConfig::default() }
+}
+
+/// The same with all that can be learnt beside the scene.
+fn with_effects() -> TrainConfig {
+    TrainConfig {
+        exposure: Some(ExposureConfig::default()),
+        grid: Some(GridConfig::default()),
+        poses: Some(PoseConfig::default()),
+        optics: OpticsConfig { motion: true, rolling: true, defocus: true },
+        smoothing: true,
+        antialias: true,
+        backdrop: Backdrop::Environment { degree: 1 },
+        ..eventful()
+    }
+}
+
+fn trainer(config: &TrainConfig) -> Trainer {
+    Trainer::new(photos(config.background), &points(), config.clone(), &Device::flex()).unwrap()
+}
+
+/// What is left at the end, to the bit.
+fn end(mut trainer: Trainer) -> State {
+    while !trainer.is_done() {
+        trainer.step().unwrap();
+    }
+    trainer.save().unwrap()
+}
+
+/// Trains so many steps, keeps the run, and has another go on.
+fn interrupted(config: &TrainConfig, after: usize) -> State {
+    let mut first = trainer(config);
+    (0..after).for_each(|_| _ = first.step().unwrap());
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.safetensors");
+    first.save().unwrap().write(&path).unwrap();
+    let mut second = trainer(config);
+    second.resume(State::read(&path).unwrap()).unwrap();
+    assert_eq!(second.steps_done(), after);
+    end(second)
+}
+
+#[test]
+fn an_interrupted_run_ends_as_the_other() {
+    let config = eventful();
+    let expected = end(trainer(&config));
+    for after in [0, 1, 4, 5, 7, 13, 14, 18, 23, 24] {
+        assert!(interrupted(&config, after) == expected, "after {after} steps");
+    }
+}
+
+#[test]
+fn so_does_one_with_effects() {
+    for config in [with_effects(), TrainConfig { backdrop: Backdrop::Random, ..eventful() }] {
+        let expected = end(trainer(&config));
+        for after in [3, 11] {
+            assert!(interrupted(&config, after) == expected, "after {after} steps");
+        }
+    }
+    let learned = TrainConfig { backdrop: Backdrop::Learned, ..eventful() };
+    assert!(interrupted(&learned, 9) == end(trainer(&learned)));
+}
+
+#[test]
+fn dials_stay_turned() {
+    let config = eventful();
+    let mut first = trainer(&config);
+    let turned = Setting::between(&config.render_options(1.0), &splat_op::RenderOptions::fast());
+    first.turn(&turned);
+    let mut second = trainer(&config);
+    second.resume(first.save().unwrap()).unwrap();
+    assert_eq!(second.render_options(), first.render_options());
+    assert_ne!(second.render_options(), trainer(&config).render_options());
+}
+
+#[test]
+fn other_runs_are_refused() {
+    let config = eventful();
+    let state = || trainer(&config).save().unwrap();
+    let refused = |mut other: Trainer, state: State| other.resume(state).unwrap_err().to_string();
+    let seeded = TrainConfig { seed: 9, ..config.clone() };
+    let error = refused(trainer(&seeded), state());
+    assert!(error.contains("`seed` is 9, and was 0"), "{error}");
+
+    let mut fewer = photos([0.0; 3]);
+    fewer.pop();
+    let other = Trainer::new(fewer, &points(), config.clone(), &Device::flex()).unwrap();
+    let error = refused(other, state());
+    assert!(error.contains("photograph 4 is none, and was b (32 x 24)"), "{error}");
+
+    let mut lacking = state();
+    drop(lacking.take_part("density"));
+    drop(lacking.take_part("scene"));
+    assert!(refused(trainer(&config), lacking).contains("means/values"));
+    let mut too_much = state();
+    too_much.tell("effects/tides", &1).unwrap();
+    assert!(refused(trainer(&config), too_much).contains("tides"));
+    let mut wrong = state();
+    wrong.tell("queue", &[4]).unwrap();
+    assert!(refused(trainer(&config), wrong).contains("queue"));
+}
+
+#[test]
+fn random_numbers_go_on() {
+    use rand::RngExt;
+    let mut rng = ChaCha8Rng::seed_from_u64(3);
+    for _ in 0..37 {
+        rng.random::<u32>();
+        let mut resumed = Random::of(&rng).resumed();
+        assert_eq!(resumed.random::<u64>(), rng.clone().random::<u64>());
+    }
+}

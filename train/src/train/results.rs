@@ -1,0 +1,58 @@
+//! What a run leaves beside its scores: the scene, and what was learnt with it.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::io::Write;
+
+use anyhow::{Result, anyhow};
+use glam::DAffine3;
+use splat_model::capture::Capture;
+use splat_model::effects::background::Backdrop;
+use splat_model::ply;
+use splat_model::trainer::{TrainConfig, TrainError, Trainer};
+
+use crate::output::OutputFolder;
+use crate::report::{BACKGROUND, POSES, SCENE};
+
+/// Writes what was learnt beside the scene, and removes what an earlier run had learnt.
+///
+/// # Errors
+/// If a file cannot be written.
+pub fn write_learnt(trainer: &Trainer, config: &TrainConfig, capture: &Capture, out: &OutputFolder) -> Result<()> {
+    let is_learnt = matches!(config.backdrop, Backdrop::Learned | Backdrop::Environment { .. });
+    let background = is_learnt.then(|| trainer.background().to_json()).transpose()?;
+    let poses = trainer.refined_poses().map(|poses| poses_json(&poses, capture)).transpose()?;
+    for (name, text) in [(BACKGROUND, background), (POSES, poses)] {
+        match text {
+            Some(text) => out.write(name, |file| Ok(file.write_all(text.as_bytes())?))?,
+            // There may be none.
+            None => _ = fs::remove_file(out.join(name)),
+        }
+    }
+    Ok(())
+}
+
+/// By photograph: the rows of `cam_from_world`, `[3, 4]`, OpenCV axes, in the world frame of the capture's file.
+fn poses_json(poses: &[(String, DAffine3)], capture: &Capture) -> serde_json::Result<String> {
+    let local_from_world = DAffine3::from_translation(-capture.origin);
+    let rows = |pose: &DAffine3| {
+        let pose = *pose * local_from_world;
+        let row = |i: usize| [pose.x_axis[i], pose.y_axis[i], pose.z_axis[i], pose.translation[i]];
+        [row(0), row(1), row(2)]
+    };
+    let by_name: BTreeMap<&str, [[f64; 4]; 3]> = poses.iter().map(|(name, pose)| (name.as_str(), rows(pose))).collect();
+    serde_json::to_string_pretty(&by_name)
+}
+
+/// Writes the scene of a run that went wrong: as it was before the step that did. The error as the user sees it.
+pub fn keep_scene(error: TrainError, trainer: &Trainer, capture: &Capture, out: &OutputFolder) -> anyhow::Error {
+    if !error.keeps_scene() {
+        return error.into();
+    }
+    let path = out.join(SCENE);
+    let kept = match ply::write(&path, &trainer.rows(), capture.origin) {
+        Ok(()) => format!("{} is the scene before that step", path.display()),
+        Err(reason) => format!("the scene before that step could not be kept: {reason}"),
+    };
+    anyhow!("{error}. {kept}")
+}

@@ -1,0 +1,273 @@
+//! A run from its options, or its last checkpoint, to its results.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::sync::Arc;
+use std::time::Instant;
+
+use anyhow::{Context, Result};
+use burn::tensor::Device;
+use serde::Serialize;
+use splat_model::accuracy::Work;
+use splat_model::capture::demo::DemoOptions;
+use splat_model::capture::{Capture, Photograph, Split};
+use splat_model::effects::Effect;
+use splat_model::gaussians::Gaussians;
+use splat_model::ply;
+use splat_model::trainer::{TrainConfig, Trainer};
+
+use super::checkpoints::{self, Checkpoints, SoFar};
+use super::results::{keep_scene, write_learnt};
+use super::stop::{Interrupted, Stop};
+use super::{DEMO_OUT, TrainArgs};
+use crate::accuracy::Accuracy;
+use crate::effects::Chosen;
+use crate::input::Wanted;
+use crate::options::PhotoArgs;
+use crate::output::OutputFolder;
+use crate::pareto::Shot;
+use crate::progress::{self, StepProgress};
+use crate::report::metrics::{Metrics, Seconds, peak_rss_mib, seconds_since};
+use crate::report::{self, BACKGROUND, METRICS, POSES, SCENE, VIEWS};
+use crate::{demo, input};
+
+/// The demo capture, below the output folder.
+const DEMO_CAPTURE: &str = "demo-capture";
+
+/// With a target for the accuracy: settings are measured after this part of the steps.
+const MEASURED_AFTER: usize = 10;
+
+/// What `metrics.json` says under `options`.
+#[derive(Serialize)]
+struct Options<'a> {
+    capture: &'a Path,
+    #[serde(flatten)]
+    photos: &'a PhotoArgs,
+    #[serde(flatten)]
+    config: &'a TrainConfig,
+    check: bool,
+}
+
+/// Trains, measures, writes everything, and says where it is.
+///
+/// # Errors
+/// If the capture cannot be read, the results not be written, or an option is out of range; or if a loss or a gradient is
+/// not finite: then `scene.ply` is the scene before that step. [`Interrupted`] if Ctrl-C or SIGTERM ended it.
+pub fn run(args: &TrainArgs) -> Result<Metrics> {
+    run_with(args, |trainer| trainer)
+}
+
+/// As [`run`], with the run changed before its first step. For tests, which make it go wrong.
+#[doc(hidden)]
+pub fn run_with(args: &TrainArgs, change: impl FnOnce(Trainer) -> Trainer) -> Result<Metrics> {
+    let kept = args.resume.as_deref().map(checkpoints::newest).transpose()?;
+    let mut args = match &kept {
+        None => args.clone(),
+        Some(kept) => TrainArgs { out: args.resume.clone(), ..kept.args.clone() },
+    };
+    let mut config = args.config()?;
+    let (device, device_name) = args.device.resolve()?;
+    let mut accuracy = Some(args.accuracy.resolve(&device_name, Work::Train)?);
+    if let Some(Accuracy::Known(setting)) = accuracy.take_if(|accuracy| matches!(accuracy, Accuracy::Known(_))) {
+        config.dials = setting;
+    }
+    let (out, capture, start) = open(&args)?;
+    let capture = Arc::new(capture);
+    // A run may be gone on with from anywhere.
+    args.capture = args.capture.map(|capture| std::path::absolute(&capture).unwrap_or(capture));
+    let checkpoints = Checkpoints::open(&out.path(), args.checkpoint_every)?;
+    let (split, photo_args) = args.photos.split(&capture);
+    let mut effects = args.effects.choose(&capture, split.require_train()?, args.antialias)?;
+    effects.configure(&mut config, args.background, args.sh_degree);
+    let (train, test) = photographs(&capture, &split, &photo_args, (&effects, args.cache_mb))?;
+    let train_views = views_of(&capture, &train);
+    let shots: Vec<Shot> = train.iter().map(|photo| Shot::unseen(&photo.intrinsics, &photo.cam_from_world)).collect();
+    progress::note(&format!(
+        "{}: {} photographs to train on, {} to test on, {} points",
+        capture.folder.display(),
+        train.len(),
+        test.len(),
+        capture.points.positions.len()
+    ));
+    let trainer = Trainer::of(train, &capture.points, config.clone(), &device)?;
+    let trainer = effects.supply(trainer, &capture, &train_views)?;
+    let mut trainer = change(if args.check { trainer.with_checks() } else { trainer });
+    let load = seconds_since(start);
+
+    let so_far = match kept {
+        None => {
+            checkpoints.begin()?;
+            SoFar::default()
+        }
+        Some(kept) => {
+            let cannot = || format!("cannot go on from {}", kept.path.display());
+            trainer.resume(kept.trainer).with_context(cannot)?;
+            progress::note(&format!("going on from step {} of {}", trainer.steps_done(), config.steps));
+            kept.so_far
+        }
+    };
+    let choice = accuracy.filter(|_| !so_far.dials_chosen).map(|accuracy| Choice { accuracy, shots });
+    let mut steps =
+        Steps { args: &args, capture: &capture, out: &out, device: (&device, &device_name), checkpoints, so_far };
+    let train = steps.run(&mut trainer, choice)?;
+    config.dials = trainer.config().dials.clone();
+    let checkpoints = steps.checkpoints;
+    let background = trainer.background();
+    let render_options = trainer.render_options();
+    // Before measuring, so that whatever goes wrong there does not cost the scene.
+    let rows = trainer.rows();
+    ply::write(&out.join(SCENE), &rows, capture.origin)?;
+    write_learnt(&trainer, &config, &capture, &out)?;
+    let matte = trainer.gaussians().len() - trainer.gaussians().directional();
+    let gaussians = match config.smoothing {
+        true => Gaussians::from_rows(&rows, &device)?,
+        false => trainer.gaussians().untracked(),
+    };
+    let unusable = rows.unusable();
+    progress::note_unusable(&out.join(SCENE), unusable, rows.len());
+    drop(rows);
+    effects.measure(&mut trainer)?;
+    // Photographs and moments are not needed for the scores, and their memory is.
+    drop(trainer);
+
+    let start = Instant::now();
+    let measure = || report::measure(&gaussians.splats(), &test, &background, &render_options, &out);
+    let test_scores = if test.is_empty() { None } else { Some(measure()?) };
+    let eval = seconds_since(start);
+    let options = Options { capture: &capture.folder, photos: &photo_args, config: &config, check: args.check };
+    let metrics = Metrics {
+        test: test_scores,
+        splats: gaussians.len(),
+        matte,
+        culled_non_finite: unusable,
+        steps: Some(config.steps),
+        seconds: Seconds { load, train: Some(train), eval },
+        peak_rss_mib: peak_rss_mib(),
+        device: device_name,
+        effects: Some(effects),
+        seed: Some(config.seed),
+        options: serde_json::to_value(options)?,
+        version: env!("CARGO_PKG_VERSION"),
+    };
+    report::finish(&metrics, &out)?;
+    checkpoints.finish();
+    report::say(&metrics, &out);
+    Ok(metrics)
+}
+
+/// Dials that are still to be chosen, by what they do to these views.
+struct Choice<'a> {
+    accuracy: Accuracy,
+    shots: Vec<Shot<'a>>,
+}
+
+/// The steps of a run, with what happens between them.
+struct Steps<'a> {
+    args: &'a TrainArgs,
+    capture: &'a Capture,
+    out: &'a OutputFolder,
+    device: (&'a Device, &'a str),
+    checkpoints: Checkpoints,
+    so_far: SoFar,
+}
+
+impl Steps<'_> {
+    /// To the last step. The seconds that all steps took, in this part of the run and earlier ones.
+    fn run(&mut self, trainer: &mut Trainer, mut choice: Option<Choice<'_>>) -> Result<f64> {
+        let stop = Stop::listen().context("cannot listen for Ctrl-C")?;
+        let (start, before, steps) = (Instant::now(), self.so_far.seconds, trainer.config().steps);
+        // So that a run which is killed at once can be gone on with too, and a folder that cannot take one is found now.
+        if trainer.steps_done() == 0 && self.args.checkpoint_every > 0 {
+            self.checkpoints.write(trainer, self.args, &self.so_far)?;
+        }
+        let mut bar = StepProgress::new(steps);
+        while !trainer.is_done() {
+            if let Some(signal) = stop.asked() {
+                bar.finish();
+                return Err(self.interrupted(trainer, signal));
+            }
+            // Earlier a scene is not yet like what it will be.
+            if trainer.steps_done() >= steps / MEASURED_AFTER
+                && let Some(Choice { accuracy, shots }) = choice.take()
+            {
+                let (rows, base) = (trainer.rows(), trainer.render_options());
+                let dials = accuracy.setting((&rows, shots), &base, self.device, Work::Train)?;
+                trainer.turn(&dials);
+                self.so_far.dials_chosen = true;
+            }
+            match trainer.step() {
+                Ok(report) => bar.step(&report),
+                Err(error) => {
+                    bar.finish();
+                    return Err(keep_scene(error, trainer, self.capture, self.out));
+                }
+            }
+            self.so_far.seconds = before + seconds_since(start);
+            if self.checkpoints.due_after(trainer.steps_done()) {
+                self.checkpoints.try_write(trainer, self.args, &self.so_far);
+            }
+        }
+        bar.finish();
+        Ok(self.so_far.seconds)
+    }
+
+    /// Keeps the run as it is, for whoever asked it to stop.
+    fn interrupted(&self, trainer: &mut Trainer, signal: u8) -> anyhow::Error {
+        let step = trainer.steps_done();
+        match self.checkpoints.write(trainer, self.args, &self.so_far) {
+            Ok(path) => {
+                let out = self.out.path();
+                let message = format!(
+                    "stopped after step {step}; `splat train --resume {}` goes on from {}",
+                    out.display(),
+                    path.display()
+                );
+                Interrupted { signal, message }.into()
+            }
+            Err(error) => error.context(format!("stopped after step {step}, which could not be kept")),
+        }
+    }
+}
+
+/// Prepares the output folder and reads the capture, after making it if none was given.
+fn open(args: &TrainArgs) -> Result<(OutputFolder, Capture, Instant)> {
+    let out = args.out.as_deref().unwrap_or(Path::new(DEMO_OUT));
+    let prepare = || OutputFolder::prepare(out, &[SCENE, METRICS, BACKGROUND, POSES], &[VIEWS, checkpoints::FOLDER]);
+    match &args.capture {
+        Some(folder) => {
+            let start = Instant::now();
+            let capture = input::capture(folder)?;
+            Ok((prepare()?, capture, start))
+        }
+        None => {
+            let out = prepare()?;
+            let folder = out.join(DEMO_CAPTURE);
+            demo::ensure(&folder, &DemoOptions::default())?;
+            let start = Instant::now();
+            Ok((out, input::capture(&folder)?, start))
+        }
+    }
+}
+
+/// The views of photographs, some of which may have been left out.
+fn views_of(capture: &Capture, photos: &[Photograph]) -> Vec<usize> {
+    let by_name: BTreeMap<&str, usize> =
+        capture.views.iter().enumerate().map(|(i, view)| (view.name.as_str(), i)).collect();
+    photos.iter().map(|photo| by_name[photo.name.as_str()]).collect()
+}
+
+/// The photographs to train on and those to test on, with so many MB of their pixels in memory; those to train on come first.
+fn photographs(
+    capture: &Arc<Capture>,
+    split: &Split,
+    args: &PhotoArgs,
+    (effects, cache_mb): (&Chosen, usize),
+) -> Result<(Vec<Photograph>, Vec<Photograph>)> {
+    let train = split.require_train()?;
+    // `--eval-every 0` asks for no test; any other number that leaves none is a mistake.
+    let test = if args.eval_every == Some(0) { &[] } else { split.require_test()? };
+    let (masked, opaque) = (effects.has(Effect::Masks), !effects.has(Effect::Alpha));
+    let wanted = Wanted { capture, max_side: args.max_side, masked, opaque };
+    let mut room = cache_mb.saturating_mul(1_000_000);
+    Ok((wanted.within(train, &mut room)?, wanted.within(test, &mut room)?))
+}
