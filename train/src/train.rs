@@ -1,5 +1,6 @@
 //! `splat train`: photographs in; a scene, its scores and its pictures out.
 
+mod budget;
 mod checkpoints;
 mod results;
 mod run;
@@ -30,9 +31,6 @@ pub const DEMO_SH_DEGREE: usize = 0;
 
 /// Where a run on the demo capture writes to unless told otherwise.
 pub const DEMO_OUT: &str = "out/demo";
-
-/// Memory for decoded photographs unless told otherwise, MB: 200 of 12 megapixels with some to spare.
-pub const CACHE_MB: usize = 8_000;
 
 /// Steps between checkpoints unless told otherwise: a minute or two of the usual run on a CPU, seconds on a GPU.
 pub const CHECKPOINT_EVERY: usize = 500;
@@ -117,8 +115,9 @@ pub struct TrainArgs {
     #[arg(long)]
     pub check: bool,
     /// Memory for decoded photographs, MB; those beyond it are decoded again, in the background, each time they are trained on
-    #[arg(long, value_name = "MB", default_value_t = CACHE_MB)]
-    pub cache_mb: usize,
+    /// [default: half of what the machine has left]
+    #[arg(long, value_name = "MB")]
+    pub cache_mb: Option<usize>,
     /// Steps between checkpoints, from which `--resume` goes on; 0 writes them only when the run is stopped by Ctrl-C or SIGTERM
     #[arg(long, value_name = "K", default_value_t = CHECKPOINT_EVERY)]
     pub checkpoint_every: usize,

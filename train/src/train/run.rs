@@ -16,6 +16,7 @@ use splat_model::gaussians::Gaussians;
 use splat_model::ply;
 use splat_model::trainer::{TrainConfig, Trainer};
 
+use super::budget::{self, Budget};
 use super::checkpoints::{self, Checkpoints, SoFar};
 use super::results::{keep_scene, write_learnt};
 use super::stop::{Interrupted, Stop};
@@ -79,7 +80,9 @@ pub fn run_with(args: &TrainArgs, change: impl FnOnce(Trainer) -> Trainer) -> Re
     let (split, photo_args) = args.photos.split(&capture);
     let mut effects = args.effects.choose(&capture, split.require_train()?, args.antialias)?;
     effects.configure(&mut config, args.background, args.sh_degree);
-    let (train, test) = photographs(&capture, &split, &photo_args, (&effects, args.cache_mb))?;
+    let available = budget::available();
+    let cache = budget::cache(args.cache_mb, available);
+    let (train, test) = photographs(&capture, &split, &photo_args, (&effects, cache))?;
     let train_views = views_of(&capture, &train);
     let shots: Vec<Shot> = train.iter().map(|photo| Shot::unseen(&photo.intrinsics, &photo.cam_from_world)).collect();
     progress::note(&format!(
@@ -89,6 +92,8 @@ pub fn run_with(args: &TrainArgs, change: impl FnOnce(Trainer) -> Trainer) -> Re
         test.len(),
         capture.points.positions.len()
     ));
+    let most = config.density.max_splats;
+    progress::note(&Budget::of(&train, &test, &config, most).said(most, available));
     let trainer = Trainer::of(train, &capture.points, config.clone(), &device)?;
     let trainer = effects.supply(trainer, &capture, &train_views)?;
     let mut trainer = change(if args.check { trainer.with_checks() } else { trainer });
@@ -256,18 +261,17 @@ fn views_of(capture: &Capture, photos: &[Photograph]) -> Vec<usize> {
     photos.iter().map(|photo| by_name[photo.name.as_str()]).collect()
 }
 
-/// The photographs to train on and those to test on, with so many MB of their pixels in memory; those to train on come first.
+/// The photographs to train on and those to test on, with so many bytes of their pixels in memory; those to train on come first.
 fn photographs(
     capture: &Arc<Capture>,
     split: &Split,
     args: &PhotoArgs,
-    (effects, cache_mb): (&Chosen, usize),
+    (effects, mut room): (&Chosen, usize),
 ) -> Result<(Vec<Photograph>, Vec<Photograph>)> {
     let train = split.require_train()?;
     // `--eval-every 0` asks for no test; any other number that leaves none is a mistake.
     let test = if args.eval_every == Some(0) { &[] } else { split.require_test()? };
     let (masked, opaque) = (effects.has(Effect::Masks), !effects.has(Effect::Alpha));
     let wanted = Wanted { capture, max_side: args.max_side, masked, opaque };
-    let mut room = cache_mb.saturating_mul(1_000_000);
     Ok((wanted.within(train, &mut room)?, wanted.within(test, &mut room)?))
 }

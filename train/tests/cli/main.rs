@@ -3,6 +3,7 @@
 mod effects;
 mod errors;
 mod hard_cases;
+mod memory;
 mod non_finite;
 mod origin;
 mod pareto;

@@ -1,0 +1,25 @@
+//! Photographs that are not kept in memory.
+
+use std::fs;
+
+use crate::json;
+use crate::run::{DEMO, TRAIN, TRAINED, splat, succeed};
+
+#[test]
+fn a_run_without_room_for_photographs_is_the_same() {
+    let out = tempfile::tempdir().unwrap();
+    let ended = succeed(splat(&TRAIN).arg(DEMO.as_path()).args(["--cache-mb", "0", "--out"]).arg(out.path()));
+    assert!(ended.stderr.contains("memory: about 0.1 GB, and "), "{}", ended.stderr);
+    let scene = |folder: &std::path::Path| fs::read(folder.join("scene.ply")).unwrap();
+    assert!(scene(out.path()) == scene(&TRAINED), "another scene");
+    let test = |folder: &std::path::Path| json(&folder.join("metrics.json"))["test"].clone();
+    assert_eq!(test(out.path()), test(&TRAINED));
+}
+
+#[test]
+fn a_run_that_would_not_fit_names_the_option() {
+    let out = tempfile::tempdir().unwrap();
+    let huge = ["--max-splats", "1000000000000"];
+    let ended = succeed(splat(&TRAIN).arg(DEMO.as_path()).args(huge).arg("--out").arg(out.path()));
+    assert!(ended.stderr.contains("lower `--max-splats` first"), "{}", ended.stderr);
+}
