@@ -26,13 +26,16 @@ pub struct DemoArgs {
     /// Give each photograph its own exposure and white balance
     #[arg(long)]
     pub exposure: bool,
+    /// Process each training photograph place by place, as phones do: brightness, white balance and tone change across the picture
+    #[arg(long)]
+    pub graded: bool,
     /// Photograph through a lens that bends straight lines (OPENCV): the corners move by 4% of the width
     #[arg(long)]
     pub lens: bool,
     /// Photograph through an equidistant fisheye (OPENCV_FISHEYE) of 120 degrees; not with --lens
     #[arg(long)]
     pub fisheye: bool,
-    /// Cover three places of each training photograph by bright discs, and write masks that exclude them
+    /// Cover four places of each training photograph by bright discs, and write masks that exclude them
     #[arg(long)]
     pub masks: bool,
     /// Make the ground and the sky transparent; not with --far
@@ -86,6 +89,7 @@ impl DemoArgs {
             points: self.points,
             glossy: self.glossy,
             exposure: self.exposure,
+            graded: self.graded,
             lens: self.lens,
             fisheye: self.fisheye,
             masks: self.masks,
@@ -168,6 +172,7 @@ fn mark(options: &DemoOptions) -> Value {
         points,
         glossy,
         exposure,
+        graded,
         lens,
         fisheye,
         masks,
@@ -184,7 +189,7 @@ fn mark(options: &DemoOptions) -> Value {
     let version = env!("CARGO_PKG_VERSION");
     json!({
         "splat demo": version, "width": width, "height": height, "views": views, "points": points, "glossy": glossy,
-        "exposure": exposure, "lens": lens, "fisheye": fisheye, "masks": masks, "alpha": alpha, "zoom": zoom,
+        "exposure": exposure, "graded": graded, "lens": lens, "fisheye": fisheye, "masks": masks, "alpha": alpha, "zoom": zoom,
         "poses": poses, "far": far, "motion": motion, "rolling": rolling, "defocus": defocus, "depth": depth,
         "seed": seed,
     })
@@ -286,7 +291,7 @@ mod tests {
             .filter(|(_, value)| value.is_boolean())
             .map(|(name, _)| name.clone())
             .collect();
-        assert_eq!(flags.len(), 13);
+        assert_eq!(flags.len(), 14);
         for flag in flags {
             let mut expected = plain.clone();
             expected[&flag] = true.into();

@@ -44,7 +44,7 @@ pub enum Effect {
     Alpha,
     /// Photographs differ in brightness and white balance: each has an affine colour map of its own.
     Exposure,
-    /// Photographs were processed place by place: each has a grid of such maps. Asked for by name alone.
+    /// Photographs were processed place by place: each has a grid of such maps, instead of one.
     BilateralGrid,
     /// Masks say which pixels of the photographs count.
     Masks,

@@ -2,17 +2,13 @@
 //!
 //! `docs/EFFECTS.md` says where the thresholds come from: figures of captures that show an effect and of such that do not.
 
+mod colour;
+
 use serde::Serialize;
 
+pub use self::colour::{BRIGHTNESS_STOPS, GRADED, PLACES_LEAVE, VIEW_DEPENDENT_SHARE, WHITE_BALANCE_STOPS};
 use super::Effect;
-use super::survey::{ShutterEvidence, SightSource, Survey, ViewDependenceEvidence};
-
-/// Brightness differs by this many stops of stored values (deviation). Things look brighter from some sides than from others
-/// too, so that a smaller difference may be the scene's.
-pub const BRIGHTNESS_STOPS: f64 = 0.2;
-
-/// White balance, the same: hardly anything changes its hue with the side that it is seen from.
-pub const WHITE_BALANCE_STOPS: f64 = 0.1;
+use super::survey::{ShutterEvidence, SightSource, Survey};
 
 /// The twentieth part of the points that is seen at the most different sizes is seen at sizes this many times apart.
 pub const FOOTPRINT_RATIO: f64 = 8.0;
@@ -24,10 +20,6 @@ pub const POSE_PX: f64 = 1.0;
 /// small leaves room for what else is wrong.
 pub const ROWS_LEAVE: f64 = 0.5;
 
-/// Share of the points whose colours visibly depend on the view, from which on a scene has spherical harmonics. Matte demos have up to
-/// 0.4%, of which none is real; real captures have 1.2% and more.
-pub const VIEW_DEPENDENT_SHARE: f64 = 0.005;
-
 /// Captures of fewer photographs than this leave much of a scene to chance.
 pub const FEW_VIEWS: usize = 8;
 
@@ -36,9 +28,6 @@ pub const FAR_SHARE: f64 = 0.1;
 
 /// The least sharp twentieth of the pictures by the median.
 pub const BLUR_RATIO: f64 = 0.7;
-
-/// Fewer points than this say nothing about shares of half a percent.
-const FEWEST_COMPARED: usize = 500;
 
 /// What the decision about the harmonics is called.
 const VIEW_DEPENDENCE: &str = "view-dependence";
@@ -111,11 +100,11 @@ impl Plan {
 impl From<&Survey> for Plan {
     fn from(survey: &Survey) -> Self {
         let decisions = vec![
-            view_dependence(survey),
+            colour::view_dependence(survey),
             antialias(survey),
             alpha(survey),
-            exposure(survey),
-            bilateral_grid(survey),
+            colour::exposure(survey),
+            colour::bilateral_grid(survey),
             masks(survey),
             pose(survey),
             environment(survey),
@@ -130,9 +119,7 @@ impl From<&Survey> for Plan {
 }
 
 /// Times per step and megapixel, ms: measured, see `docs/EFFECTS.md`.
-const EXPOSURE_MS_PER_MEGAPIXEL: f64 = 40.0;
 const MASKS_MS_PER_MEGAPIXEL: f64 = 20.0;
-const GRID_MS_PER_MEGAPIXEL: f64 = 2500.0;
 const ENVIRONMENT_MS_PER_MEGAPIXEL: f64 = 60.0;
 const ALPHA_MS_PER_MEGAPIXEL: f64 = 60.0;
 
@@ -148,28 +135,6 @@ fn decide(effect: Effect, on: bool, evidence: String, rule: String, cost: Option
 
 fn percent(share: f64) -> String {
     format!("{:.1}%", 100.0 * share)
-}
-
-/// Decides on the degree of the harmonics and not on an effect. Leaving them out of a scene that needs them costs more than having
-/// them where they are idle, so that the threshold lies close above what matte scenes show (`docs/EFFECTS.md`).
-fn view_dependence(survey: &Survey) -> Decision {
-    let (verdict, evidence) = match &survey.view_dependence {
-        Some(found) if found.points >= FEWEST_COMPARED => {
-            let evidence = format!(
-                "{} of {} points stray by more than {} of 1 in a third of their photographs, after exposure is removed",
-                percent(found.visible_share),
-                found.points,
-                ViewDependenceEvidence::VISIBLE
-            );
-            (if found.visible_share > VIEW_DEPENDENT_SHARE { Verdict::On } else { Verdict::Off }, evidence)
-        }
-        _ => (Verdict::AsConfigured, format!("not known: fewer than {FEWEST_COMPARED} points could be compared")),
-    };
-    let rule = format!(
-        "harmonics where more than {} of the points stray, else one colour for all directions; `--sh-degree` overrules",
-        percent(VIEW_DEPENDENT_SHARE)
-    );
-    Decision { name: VIEW_DEPENDENCE, effect: None, verdict, evidence, rule, predicted: None }
 }
 
 fn antialias(survey: &Survey) -> Decision {
@@ -198,28 +163,6 @@ fn alpha(survey: &Survey) -> Decision {
     decide(Effect::Alpha, with > 0, evidence, rule, Some(cost))
 }
 
-fn exposure(survey: &Survey) -> Decision {
-    let rule = format!(
-        "on where brightness differs by more than {BRIGHTNESS_STOPS} stops or white balance by more than {WHITE_BALANCE_STOPS}"
-    );
-    let (on, evidence) = match &survey.exposure {
-        None => (false, "not known: too few points are in several photographs".into()),
-        Some(found) => {
-            let on = found.brightness_spread_stops > BRIGHTNESS_STOPS
-                || found.white_balance_spread_stops > WHITE_BALANCE_STOPS;
-            let evidence = format!(
-                "photographs differ by {:.3} stops of stored values in brightness, {:.3} in white balance (deviation)",
-                found.brightness_spread_stops, found.white_balance_spread_stops
-            );
-            (on, evidence)
-        }
-    };
-    // Parameters, two moments and a gradient of twelve numbers for each photograph.
-    let mib = survey.views as f64 * 4.0 * 12.0 * 4.0 / MIB;
-    let cost = Cost { ms_per_step: EXPOSURE_MS_PER_MEGAPIXEL * survey.pixels_per_view / 1e6, mib };
-    decide(Effect::Exposure, on, evidence, rule, Some(cost))
-}
-
 fn masks(survey: &Survey) -> Decision {
     let files = &survey.files;
     let evidence = match files.with_mask {
@@ -234,17 +177,6 @@ fn masks(survey: &Survey) -> Decision {
     let mib = files.with_mask as f64 * survey.pixels_per_view / MIB;
     let cost = Cost { ms_per_step: MASKS_MS_PER_MEGAPIXEL * survey.pixels_per_view / 1e6, mib };
     decide(Effect::Masks, files.with_mask > 0, evidence, rule, Some(cost))
-}
-
-/// The stronger form of exposures. It would explain what the scene should, and is left to the user.
-fn bilateral_grid(survey: &Survey) -> Decision {
-    let evidence = "nothing in a capture tells how a camera processed its pictures place by place".into();
-    let rule = "on where it is asked for by name, instead of `exposure`".into();
-    let megapixels = survey.pixels_per_view / 1e6;
-    // Parameters and two moments of 12 x 8 x 16 x 16 numbers for each photograph.
-    let mib = survey.views as f64 * 3.0 * 24_576.0 * 4.0 / MIB;
-    let cost = Cost { ms_per_step: GRID_MS_PER_MEGAPIXEL * megapixels, mib };
-    decide(Effect::BilateralGrid, false, evidence, rule, Some(cost))
 }
 
 /// Not switched either: a lens is part of the camera, and a capture without one has kernels without one.

@@ -4,6 +4,7 @@ use std::rc::Rc;
 use super::testing::{HEIGHT, WIDTH, photos, points};
 use super::*;
 use crate::density::AdaptiveConfig;
+use crate::effects::background::Backdrop;
 use crate::gaussians::{GaussianRows, values_of};
 use crate::optim::LearningRates;
 
@@ -170,29 +171,49 @@ fn photographs_grow_to_their_full_size() {
     assert_eq!(*divisors.borrow(), [4, 4, 2, 2, 1, 1, 1, 1]);
 }
 
-#[test]
-fn alpha_shows_the_background_and_so_does_the_scene() {
-    let background = [0.2, 0.5, 0.9];
+/// One step or more on a photograph of every opacity, the first pixel transparent, and of a scene that leaves that pixel free.
+fn cut_out(config: TrainConfig, loss: impl Fn(&Seen, &Photo) + 'static) {
     let mut photo = photos([0.0; 3]).remove(0);
-    let alpha: Vec<u8> = (0..WIDTH * HEIGHT).map(|i| (i % 256) as u8).collect();
-    let over = |(i, byte): (usize, &u8)| {
-        let alpha = f32::from(alpha[i / 3]) / 255.0;
-        f32::from(*byte) / 255.0 * alpha + background[i % 3] * (1.0 - alpha)
-    };
-    let expected: Vec<f32> = photo.rgb.iter().enumerate().map(over).collect();
-    photo.alpha = Some(alpha.clone());
-    let loss = move |seen: &Seen| {
-        let truth = values_of(seen.truth.image());
-        assert!(truth.iter().zip(&expected).all(|(found, expected)| (found - expected).abs() < 1e-6));
-        // Nothing is in the corner of the picture.
-        let corner = &values_of(seen.image.clone())[..3];
-        assert!(values_of(seen.alpha.clone())[0] == 0.0 && corner == background, "{corner:?}");
+    photo.alpha = Some((0..WIDTH * HEIGHT).map(|i| (i % 256) as u8).collect());
+    let points = PointCloud { positions: vec![[0.0; 3], [0.01; 3]], colours: vec![[128; 3]; 2] };
+    let trainer = Trainer::new(vec![photo.clone()], &points, config, &Device::flex()).unwrap();
+    let checked = move |seen: &Seen| {
+        assert_eq!(values_of(seen.alpha.clone())[0], 0.0);
+        loss(seen, &photo);
         seen.image.clone().mean()
     };
-    let config = TrainConfig { background, ..config(1) };
-    let points = PointCloud { positions: vec![[0.0; 3], [0.01; 3]], colours: vec![[128; 3]; 2] };
-    let trainer = Trainer::new(vec![photo], &points, config, &Device::flex()).unwrap();
-    run(trainer.with_loss(loss));
+    run(trainer.with_loss(checked));
+}
+
+#[test]
+fn alpha_shows_the_background_and_so_does_the_scene() {
+    for background in [[0.0; 3], [1.0; 3], [0.2, 0.5, 0.9]] {
+        cut_out(TrainConfig { background, ..config(1) }, move |seen, photo| {
+            let alpha = photo.alpha.as_ref().unwrap();
+            let over = |(i, byte): (usize, &u8)| {
+                let alpha = f32::from(alpha[i / 3]) / 255.0;
+                f32::from(*byte) / 255.0 * alpha + background[i % 3] * (1.0 - alpha)
+            };
+            let expected = photo.rgb.iter().enumerate().map(over);
+            let truth = values_of(seen.truth.image());
+            assert!(truth.iter().zip(expected).all(|(found, expected)| (found - expected).abs() < 1e-6));
+            assert_eq!(values_of(seen.image.clone())[..3], background);
+        });
+    }
+}
+
+#[test]
+fn a_random_background_is_another_at_each_step_and_shows_behind_both() {
+    let drawn = Rc::new(RefCell::new(Vec::new()));
+    let list = drawn.clone();
+    cut_out(TrainConfig { backdrop: Backdrop::Random, ..config(6) }, move |seen, _| {
+        let [image, truth] = [seen.image.clone(), seen.truth.image()].map(|image| values_of(image)[..3].to_vec());
+        assert!(image.iter().zip(&truth).all(|(image, truth)| (image - truth).abs() < 1e-6), "{image:?} {truth:?}");
+        list.borrow_mut().push(image);
+    });
+    let drawn = drawn.borrow();
+    let apart = |a: &[f32], b: &[f32]| a.iter().zip(b).any(|(a, b)| (a - b).abs() > 0.05);
+    assert!(drawn.len() == 6 && drawn.windows(2).all(|pair| apart(&pair[0], &pair[1])), "{drawn:?}");
 }
 
 #[test]

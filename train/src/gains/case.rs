@@ -105,6 +105,15 @@ pub(super) const CASES: &[Case] = &[
         ..PLAIN
     },
     Case {
+        name: "bilateral-grid",
+        demo: |options| DemoOptions { graded: true, ..options },
+        demo_flags: "--graded",
+        expected: &[Effect::BilateralGrid],
+        score: Score::Corrected,
+        harmonics: None,
+        ..PLAIN
+    },
+    Case {
         name: "masks",
         demo: |options| DemoOptions { masks: true, ..options },
         demo_flags: "--masks",

@@ -8,6 +8,7 @@
 mod camera;
 mod depth;
 mod geometry;
+mod grade;
 mod light;
 mod options;
 mod picture;

@@ -11,7 +11,7 @@ use super::DemoError;
 /// Each effect is a switch. They are independent: any of them combine, and each then has the same magnitude, except for two
 /// pairs that are refused: `lens` with `fisheye`, as a photograph is taken through one lens, and `far` with `alpha`, which
 /// would make transparent what `far` moves away. Every eighth photograph by name is *held out* (see
-/// [`DemoOptions::held_out`]): what spoils single photographs (`masks`, `poses`, `motion`, `defocus`) leaves it alone, as it
+/// [`DemoOptions::held_out`]): what spoils single photographs (`graded`, `masks`, `poses`, `motion`, `defocus`) leaves it alone, as it
 /// is what a scene's quality is judged by.
 ///
 /// With `poses`, `motion`, `rolling` or `defocus`, a file `truth.json` says what was done to each photograph; see [`super::write`].
@@ -31,6 +31,10 @@ pub struct DemoOptions {
     /// Each photograph has its own exposure and white balance: a gain per channel on its light, up to
     /// [`DemoOptions::EXPOSURE_STOPS`] either way.
     pub exposure: bool,
+    /// Each photograph that is not held out is processed as phones do, place by place: its light is multiplied by a gain per channel
+    /// that grows across the picture, to about [`DemoOptions::GRADE_STOPS`] in a corner, and as much less in the opposite one; and
+    /// its stored values are raised to a power that grows in another direction, see [`DemoOptions::GRADE_TONE`].
+    pub graded: bool,
     /// The photographs are taken through a lens of COLMAP's model `OPENCV`, a barrel that is a little out of line, which moves
     /// the corners by up to [`DemoOptions::LENS_SHARE`] of the width.
     pub lens: bool,
@@ -82,6 +86,7 @@ impl DemoOptions {
         points: 6000,
         glossy: false,
         exposure: false,
+        graded: false,
         lens: false,
         fisheye: false,
         masks: false,
@@ -98,6 +103,11 @@ impl DemoOptions {
 
     /// Stops of light by which gains differ from one at most.
     pub const EXPOSURE_STOPS: f64 = 0.75;
+    /// Stops of light by which a corner of a graded photograph is brighter, on average over the photographs; half as much to one and a
+    /// half times as much for each channel of each.
+    pub const GRADE_STOPS: f64 = 1.0;
+    /// Powers to which stored values are raised are two to the powers −this to this, from corner to corner.
+    pub const GRADE_TONE: f64 = 0.75;
     /// By how much of the width the lens moves the corner that it moves most, about, in pictures of 4 to 3.
     pub const LENS_SHARE: f64 = 0.04;
     /// What the fisheye sees along the longer side of a picture, degrees.
@@ -185,4 +195,5 @@ pub(super) enum Stream {
     Poses = 4,
     Motion = 5,
     Rolling = 6,
+    Grades = 7,
 }

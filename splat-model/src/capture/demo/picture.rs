@@ -5,7 +5,7 @@ use image::{DynamicImage, GrayImage, RgbImage, RgbaImage};
 use rayon::prelude::*;
 
 use super::DemoOptions;
-use super::light::{LitScene, display};
+use super::light::LitScene;
 use super::shot::{Moment, Shot};
 
 /// Samples along each side of a pixel. The average over the pixel's square is what a sensor measures.
@@ -27,7 +27,8 @@ pub(super) fn render(scene: &LitScene, shot: &Shot) -> DynamicImage {
     bytes.par_chunks_exact_mut(channels * width).enumerate().for_each(|(y, row)| {
         for (x, pixel) in row.chunks_exact_mut(channels).enumerate() {
             let (light, opacity) = pixel_light(scene, shot, DVec2::new(x as f64, y as f64), &samples);
-            pixel[..3].copy_from_slice(&to_bytes(display(shot.gain * light)));
+            let middle_px = DVec2::new(x as f64, y as f64) + 0.5;
+            pixel[..3].copy_from_slice(&to_bytes(shot.display(light, middle_px)));
             if let [_, _, _, alpha] = pixel {
                 *alpha = (255.0 * opacity).round() as u8;
             }

@@ -8,6 +8,8 @@ use rand::{Rng, RngExt};
 use super::DemoOptions;
 use super::camera::{DemoCamera, cameras};
 use super::geometry::Ray;
+use super::grade::Grade;
+use super::light::display;
 use super::options::Stream;
 
 /// One of how many of the photographs that are not held out is blurred by motion.
@@ -82,6 +84,8 @@ pub(super) struct Shot {
     pub camera: DemoCamera,
     /// What light is multiplied by, per channel.
     pub gain: DVec3,
+    /// What becomes of it place by place.
+    pub grade: Option<Grade>,
     /// During the exposure.
     pub motion: Motion,
     /// From the first row's exposure to the last's.
@@ -96,7 +100,7 @@ impl Shot {
     /// A sharp photograph of everything.
     pub fn plain(camera: DemoCamera) -> Self {
         let (gain, motion, readout) = (DVec3::ONE, Motion::default(), Motion::default());
-        Self { camera, gain, motion, readout, aperture: None, discs: Vec::new(), transparent: false }
+        Self { camera, gain, grade: None, motion, readout, aperture: None, discs: Vec::new(), transparent: false }
     }
 
     /// Whether a pixel needs rays from many moments of the exposure.
@@ -148,6 +152,12 @@ impl Shot {
         camera.shows(at_px).then_some((at_px, camera))
     }
 
+    /// The stored values, 0 to 1, of linear light at a position of the picture, px.
+    pub fn display(&self, light: DVec3, at_px: DVec2) -> DVec3 {
+        let exposed = self.gain * light;
+        self.grade.map_or_else(|| display(exposed), |grade| grade.display(exposed, &self.camera, at_px))
+    }
+
     /// What hides a position of the picture from the scene.
     pub fn disc_at(&self, at_px: DVec2) -> Option<&Disc> {
         self.discs.iter().find(|disc| disc.middle_px.distance(at_px) <= disc.radius_px)
@@ -156,14 +166,15 @@ impl Shot {
 
 /// The photographs of a capture.
 pub(super) fn shots(options: &DemoOptions) -> Vec<Shot> {
-    let [mut discs, mut motions, mut readouts] =
-        [Stream::Discs, Stream::Motion, Stream::Rolling].map(|stream| options.random(stream));
+    let [mut discs, mut motions, mut readouts, mut grades] =
+        [Stream::Discs, Stream::Motion, Stream::Rolling, Stream::Grades].map(|stream| options.random(stream));
     let taken = cameras(options).into_iter().zip(gains(options)).enumerate();
     let shots = taken.map(|(view, (camera, gain))| {
         let mut shot = Shot { gain, transparent: options.alpha, ..Shot::plain(camera) };
         if DemoOptions::held_out(view) {
             return shot;
         }
+        shot.grade = options.graded.then(|| Grade::random(&mut grades));
         if options.rolling {
             shot.readout = Motion::random(&mut readouts, &camera, DemoOptions::ROLLING_SHARE);
         }

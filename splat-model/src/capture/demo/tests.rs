@@ -1,4 +1,6 @@
 mod effects;
+mod gloss;
+mod moving;
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -162,47 +164,6 @@ fn matte_light_does_not_depend_on_the_view() {
         }
     }
     assert!(compared > 2000, "only {compared} pairs");
-}
-
-#[test]
-fn gloss_shows_only_on_glossy_objects() {
-    let (matte, glossy) = (lit(false), lit(true));
-    let (mut mirrored, mut lacquered) = (0, 0);
-    for camera in cameras(&SMALL) {
-        for ray in grid(&camera) {
-            let point = glossy.scene.hit(&ray).unwrap();
-            let difference = (display(matte.along(&ray)) - display(glossy.along(&ray))).length();
-            match glossy.scene.objects[point.object].kind {
-                Kind::Glossy => mirrored += usize::from(difference > 0.02),
-                Kind::Lacquered => lacquered += usize::from(difference > 0.02),
-                Kind::Matte | Kind::Ground | Kind::Sky => assert_eq!(difference, 0.0, "{point:?}"),
-            }
-        }
-    }
-    assert!(mirrored > 50 && lacquered > 500, "they show in only {mirrored} and {lacquered} pixels");
-    let kinds = |scene: &LitScene, kind: Kind| scene.scene.objects.iter().filter(|object| object.kind == kind).count();
-    assert_eq!((kinds(&matte, Kind::Glossy), kinds(&matte, Kind::Lacquered)), (0, 0));
-    assert_eq!((kinds(&glossy, Kind::Glossy), kinds(&glossy, Kind::Matte)), (1, 0));
-}
-
-#[test]
-fn gloss_depends_on_the_view() {
-    let scene = lit(true);
-    let cameras = cameras(&SMALL);
-    let mut largest: f64 = 0.0;
-    for ray in grid(&cameras[2]) {
-        let point = scene.scene.hit(&ray).unwrap();
-        for other in &cameras {
-            if scene.scene.objects[point.object].kind != Kind::Glossy {
-                continue;
-            }
-            if let Some(at_px) = sight(&scene, &Shot::plain(*other), point.position_world) {
-                let there = display(scene.along(&other.ray_through(at_px)));
-                largest = largest.max((display(scene.along(&ray)) - there).length());
-            }
-        }
-    }
-    assert!(largest > 0.1, "{largest}");
 }
 
 #[test]

@@ -96,6 +96,7 @@ fn colours_are_drawn_only_where_they_are_random() {
     let drawn: Vec<[f32; 3]> = (0..50).filter_map(|_| random.draw(&mut rng)).collect();
     assert_eq!(drawn.len(), 50);
     assert!(drawn.as_flattened().iter().all(|value| (0.0..1.0).contains(value)));
+    assert!(drawn.iter().all(|[r, g, b]| r != g && g != b), "a colour, not a grey");
     let mean = drawn.as_flattened().iter().sum::<f32>() / 150.0;
     assert!((mean - 0.5).abs() < 0.1, "{mean}");
     let learnt = of(Backdrop::Learned).unwrap();
@@ -121,6 +122,45 @@ fn files_are_read_back_and_others_refused() {
         let message = Background::read(&path).unwrap_err().to_string();
         assert!(message.contains(part) && message.contains("background.json"), "{message}");
     }
+    // Whatever it begins with, what is too long is not read.
+    fs::write(&path, [Background::Colour([0.0; 3]).to_json().unwrap().as_bytes(), &vec![b' '; 1 << 20]].concat())
+        .unwrap();
+    let message = Background::read(&path).unwrap_err().to_string();
+    assert!(message.contains("bytes long"), "{message}");
     let message = Background::read(&folder.path().join("none.json")).unwrap_err().to_string();
     assert!(message.contains("none.json") && message.contains("beside its scene"), "{message}");
+}
+
+/// What a picture can show, however far the parameter went.
+#[test]
+fn a_learnt_colour_is_one_that_can_be_shown_and_is_learnt() {
+    let device = Device::flex();
+    let mut behind = Behind::new(Backdrop::Learned, [0.995, 0.005, 0.5], &device).unwrap();
+    let weights = Tensor::<1>::from_inner(Tensor::from_floats([-1.0, 1.0, 1.0], &device));
+    for step in 1..=4 {
+        let mut gradients = (behind.colour(&device).unwrap() * weights.clone()).sum().backward();
+        let gradient = behind.take_gradient(&mut gradients).unwrap();
+        assert_eq!(values_of(gradient.clone()), [-1.0, 1.0, 1.0]);
+        behind.step(gradient, Moment { view: 0, step, steps: 4, verdict: None });
+    }
+    let Some(Background::Colour(found)) = behind.learnt() else { panic!("a colour") };
+    assert_eq!(found[..2], [1.0, 0.0]);
+    // Adam's steps under one gradient are as long as the rates, which fall from 0.01 to 0.001.
+    let moved: f32 = (0..4).map(|step| 0.01 * 0.1_f32.powf(step as f32 / 3.0)).sum();
+    assert!((0.5 - found[2] - moved).abs() < 1e-4, "{found:?}");
+    assert_eq!(behind.bytes(), 36);
+}
+
+/// Harmonics beyond what may be kept are computed anew and not counted.
+#[test]
+fn what_does_not_fit_is_not_kept() {
+    let (intrinsics, pose) = camera();
+    let device = Device::flex();
+    let mut behind = Behind::new(Backdrop::Environment { degree: 1 }, [0.0; 3], &device).unwrap();
+    let Behind::Environment(environment) = &mut behind else { panic!("an environment") };
+    environment.cached_bytes = CACHE_BYTES - 9 * 7 * 4 * size_of::<f32>();
+    for view in 0..3 {
+        environment.basis_of(view, &intrinsics, &pose);
+    }
+    assert_eq!((environment.cached_bytes, environment.cache.len()), (CACHE_BYTES, 1));
 }

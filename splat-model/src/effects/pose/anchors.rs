@@ -151,97 +151,24 @@ pub(super) fn rotation(omega: DVec3) -> DMat3 {
 }
 
 /// `x` of `gram x = moment` for a symmetric positive definite matrix, by elimination; none if it is singular.
-pub(in crate::effects) fn solve(mut gram: [[f64; 6]; 6], mut moment: [f64; 6]) -> Option<[f64; 6]> {
-    let largest = (0..6).map(|i| gram[i][i]).fold(0.0, f64::max);
-    for step in 0..6 {
+pub(in crate::effects) fn solve<const N: usize>(mut gram: [[f64; N]; N], mut moment: [f64; N]) -> Option<[f64; N]> {
+    let largest = (0..N).map(|i| gram[i][i]).fold(0.0, f64::max);
+    for step in 0..N {
         if !(gram[step][step] > 1e-14 * largest) {
             return None;
         }
-        for row in step + 1..6 {
+        for row in step + 1..N {
             let factor = gram[row][step] / gram[step][step];
-            (step..6).for_each(|column| gram[row][column] -= factor * gram[step][column]);
+            (step..N).for_each(|column| gram[row][column] -= factor * gram[step][column]);
             moment[row] -= factor * moment[step];
         }
     }
-    for row in (0..6).rev() {
-        let known: f64 = (row + 1..6).map(|column| gram[row][column] * moment[column]).sum();
+    for row in (0..N).rev() {
+        let known: f64 = (row + 1..N).map(|column| gram[row][column] * moment[column]).sum();
         moment[row] = (moment[row] - known) / gram[row][row];
     }
     Some(moment)
 }
 
 #[cfg(test)]
-mod tests {
-    use glam::DQuat;
-
-    use super::*;
-
-    /// Points before a camera, in directions that are a little off if asked for, and the camera's pose.
-    fn sights(count: usize, noise: f64) -> (Anchors, DAffine3) {
-        let pose = DAffine3::from_rotation_translation(DQuat::from_rotation_y(0.7), DVec3::new(0.3, -0.2, 2.0));
-        let spread = |i: usize, by: f64| (by * i as f64).sin();
-        let mut anchors = Anchors::default();
-        for i in 0..count {
-            let cam = DVec3::new(1.5 * spread(i, 1.3), 1.2 * spread(i, 2.1), 4.0 + 2.0 * spread(i, 0.7));
-            let seen = cam.normalize() + noise * DVec3::new(spread(i, 5.1), spread(i, 7.7), 0.0);
-            anchors.points.push(pose.inverse().transform_point3(cam));
-            anchors.directions.push(seen.normalize());
-        }
-        (anchors, pose)
-    }
-
-    fn wrong(pose: &DAffine3) -> DAffine3 {
-        DAffine3::from_translation(DVec3::new(0.1, -0.05, 0.08)) * DAffine3::from_axis_angle(DVec3::X, 0.05) * *pose
-    }
-
-    #[test]
-    fn a_camera_is_put_where_its_points_say() {
-        let (anchors, pose) = sights(40, 0.0);
-        assert!(anchors.resected(&wrong(&pose)).abs_diff_eq(pose, 1e-9));
-        // A fifth of the directions is nonsense.
-        let (mut anchors, pose) = sights(100, 1e-4);
-        for i in (0..100).step_by(5) {
-            anchors.directions[i] = (anchors.directions[i] + DVec3::new(0.2, 0.1, 0.0)).normalize();
-        }
-        let found = anchors.resected(&wrong(&pose));
-        assert!(found.abs_diff_eq(pose, 3e-3), "{found:?} instead of {pose:?}");
-        // Too little to go by.
-        let (few, pose) = sights(FEWEST - 1, 0.0);
-        assert_eq!(few.resected(&wrong(&pose)), wrong(&pose));
-        assert!(few.on_device(&Device::flex()).is_none());
-    }
-
-    #[test]
-    fn columns_are_the_derivative_of_directions() {
-        let cam = DVec3::new(0.7, -0.4, 2.5);
-        let step = 1e-6;
-        for (i, column) in columns(cam).into_iter().enumerate() {
-            let axis = [DVec3::X, DVec3::Y, DVec3::Z][i % 3] * step;
-            let moved = |sign: f64| if i < 3 { cam + sign * axis.cross(cam) } else { cam + sign * axis };
-            let expected = (moved(1.0).normalize() - moved(-1.0).normalize()) / (2.0 * step);
-            assert!(column.distance(expected) < 1e-9, "{i}: {column} instead of {expected}");
-        }
-    }
-
-    #[test]
-    fn the_pull_is_an_angle_and_vanishes_at_the_right_pose() {
-        let device = Device::flex();
-        let (anchors, pose) = sights(40, 0.0);
-        let on_device = anchors.on_device(&device).unwrap();
-        let penalty = |pose: &DAffine3| {
-            let rows: Vec<f32> = (0..3)
-                .flat_map(|i| [pose.x_axis[i], pose.y_axis[i], pose.z_axis[i], pose.translation[i]])
-                .map(|value| value as f32)
-                .collect();
-            let pose = Tensor::<2>::from_data(TensorData::new(rows, [3, 4]), &device);
-            on_device.penalty(Tensor::from_inner(pose)).into_scalar::<f32>()
-        };
-        assert!(penalty(&pose).abs() < 1e-6);
-        // Turned about the axis of view by 0.03 rad: each direction by that times its distance from the axis.
-        let turned = DAffine3::from_mat3(rotation(DVec3::new(0.0, 0.0, 0.03))) * pose;
-        let miss = |direction: &DVec3| (0.03 * direction.truncate().length()).hypot(ROBUST_RAD) - ROBUST_RAD;
-        let expected = anchors.directions.iter().map(miss).sum::<f64>() / 40.0;
-        assert!((f64::from(penalty(&turned)) - expected).abs() < 0.01 * expected);
-        assert_eq!(on_device.bytes(), 2 * 40 * 12);
-    }
-}
+mod tests;

@@ -10,7 +10,7 @@ use super::sights::Sights;
 use super::{Capture, deviation, quantile};
 
 /// Values beyond are clipped, or all noise: their ratios say nothing.
-const USABLE: std::ops::RangeInclusive<f32> = 0.04..=0.96;
+pub(super) const USABLE: std::ops::RangeInclusive<f32> = 0.04..=0.96;
 
 /// Rounds of medians; they settle within a few.
 const ROUNDS: usize = 10;

@@ -9,6 +9,7 @@ mod depth;
 mod exposure;
 mod files;
 mod footprint;
+mod grading;
 mod lens;
 mod pictures;
 mod pose;
@@ -28,6 +29,7 @@ pub use self::depth::DepthEvidence;
 pub use self::exposure::{ExposureEvidence, ViewExposure};
 pub use self::files::{FileEvidence, depth_folder};
 pub use self::footprint::FootprintEvidence;
+pub use self::grading::GradingEvidence;
 pub use self::lens::LensEvidence;
 pub use self::pose::{PoseEvidence, PoseSource};
 pub use self::shutter::ShutterEvidence;
@@ -56,6 +58,8 @@ pub struct Survey {
     pub lens: LensEvidence,
     /// Brightness and white balance.
     pub exposure: Option<ExposureEvidence>,
+    /// Whether they change over a picture.
+    pub grading: Option<GradingEvidence>,
     /// Colours that depend on where they are seen from.
     pub view_dependence: Option<ViewDependenceEvidence>,
     /// How large the same thing is in different photographs.
@@ -107,6 +111,7 @@ impl Survey {
             sights_compared: sights.points.iter().map(Vec::len).sum(),
             lens: lens::evidence(capture),
             exposure: exposure::evidence(capture, &fit),
+            grading: grading::evidence(capture, &sights),
             view_dependence: view_dependence::evidence(&sights, &fit),
             footprint: footprint::evidence(&sights),
             pose: pose::evidence(capture),

@@ -57,6 +57,34 @@ fn exposures_are_found_photograph_by_photograph() {
     }
 }
 
+/// What is the same all over a photograph, or belongs to the thing and not to its place in the picture, is no grading.
+#[test]
+fn grading_is_told_from_exposure_and_gloss() {
+    let found = |options| survey_of(&options).2.grading.unwrap();
+    for options in [SMALL, DemoOptions { exposure: true, ..SMALL }, DemoOptions { glossy: true, ..SMALL }] {
+        let one_map = found(options);
+        assert!(one_map.left_by_places > 0.8 * one_map.left_by_maps, "{one_map:?}");
+    }
+    let graded = found(DemoOptions { graded: true, ..SMALL });
+    assert!(graded.left_by_maps > 0.03 && graded.left_by_places < 0.5 * graded.left_by_maps, "{graded:?}");
+    // Too few to tell.
+    let (_folder, _, few) = survey_of(&DemoOptions { points: 30, ..SMALL });
+    assert!(few.grading.is_none());
+}
+
+#[test]
+fn a_grid_stands_in_for_exposures_where_it_is_called_for() {
+    let (_folder, _, mut survey) = survey_of(&DemoOptions { exposure: true, ..SMALL });
+    let mut decided = |left_by_maps, left_by_places| {
+        survey.grading = Some(GradingEvidence { left_by_maps, left_by_places });
+        effects(&survey)
+    };
+    assert_eq!(decided(0.03, 0.015), [Effect::BilateralGrid]);
+    assert_eq!(decided(0.03, 0.025), [Effect::Exposure], "maps that vary explain little more");
+    assert_eq!(decided(0.015, 0.001), [Effect::Exposure], "too little to see");
+    assert_eq!(decided(0.0, 0.0), [Effect::Exposure]);
+}
+
 /// One point, in photographs that show these colours of it and add these logarithms to them.
 fn seen(colours: &[f32], exposures: &[f64], spread: f32) -> (sights::Sights, exposure::Fit) {
     let sight = |(view, &colour): (usize, &f32)| sights::Sight {
@@ -206,6 +234,8 @@ fn each_effect_of_the_demo_calls_for_itself_alone() {
         (SMALL, ""),
         (DemoOptions { glossy: true, ..SMALL }, ""),
         (DemoOptions { exposure: true, ..SMALL }, "exposure"),
+        (DemoOptions { graded: true, ..SMALL }, "bilateral-grid"),
+        (DemoOptions { graded: true, exposure: true, ..SMALL }, "bilateral-grid"),
         (DemoOptions { lens: true, ..SMALL }, "lens"),
         (DemoOptions { fisheye: true, ..SMALL }, "lens"),
         (DemoOptions { masks: true, ..SMALL }, "masks"),

@@ -1,0 +1,127 @@
+//! Whether photographs were processed place by place, as phones do, from the same points in several of them.
+//!
+//! What a photograph shows of a point is taken to be an affine map of the point's colour, in each channel alone: one map all
+//! over the photograph, which is what an [exposure](crate::effects::exposure) could be, or one whose gain and offset rise evenly
+//! across it, the simplest thing that only a [grid](crate::effects::grid) could be. Both are fitted by least squares with robust
+//! weights, in turn with the colours of the points, and what they leave compared. What sees a thing differently from another side
+//! (gloss) does not rise evenly across the picture, and has nothing to gain by the second.
+
+use rayon::prelude::*;
+use serde::Serialize;
+
+use super::exposure::USABLE;
+use super::sights::Sights;
+use super::{Capture, ViewDependenceEvidence, quantile};
+use crate::effects::pose::anchors::solve;
+
+/// Rounds in which maps and colours follow each other; they settle within a few.
+const ROUNDS: usize = 8;
+
+/// A photograph with fewer points than this leaves six numbers too free.
+const FEWEST_POINTS: usize = 40;
+
+/// A point must be in so many photographs, or it explains itself.
+const FEWEST_SIGHTS: usize = 3;
+
+/// Differences that are left between what photographs show and what maps make of the points' colours: the median of their sizes,
+/// over all channels, in display-referred values of 0 to 1.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct GradingEvidence {
+    /// With one map for each photograph.
+    pub left_by_maps: f64,
+    /// With maps that vary over it.
+    pub left_by_places: f64,
+}
+
+/// A point in a photograph, in one channel.
+struct Seen {
+    point: usize,
+    /// −1 to 1 from border to border.
+    place: [f64; 2],
+    value: f64,
+}
+
+pub(super) fn evidence(capture: &Capture, sights: &Sights) -> Option<GradingEvidence> {
+    let points = sights.points.len();
+    let of_channel = |channel: usize| {
+        let views = seen(capture, sights, channel);
+        let maps = left(&views, points, |colour, _| [1.0, colour]);
+        let places = left(&views, points, |colour, [x, y]| [1.0, colour, x, y, colour * x, colour * y]);
+        [maps, places]
+    };
+    let mut left = [Vec::new(), Vec::new()];
+    for channel in 0..3 {
+        left.iter_mut().zip(of_channel(channel)).for_each(|(all, of_channel)| all.extend(of_channel));
+    }
+    let [maps, places] = &mut left;
+    Some(GradingEvidence { left_by_maps: quantile(maps, 0.5)?, left_by_places: quantile(places, 0.5)? })
+}
+
+/// By photograph; those with too few points are left out.
+fn seen(capture: &Capture, sights: &Sights, channel: usize) -> Vec<Vec<Seen>> {
+    let mut views: Vec<Vec<Seen>> = capture.views.iter().map(|_| Vec::new()).collect();
+    for (point, all) in sights.points.iter().enumerate() {
+        let usable = all.iter().filter_map(|sight| {
+            let value = sight.sample.map(|sample| sample.mean[channel]).filter(|value| USABLE.contains(value))?;
+            Some((sight, f64::from(value)))
+        });
+        if usable.clone().count() < FEWEST_SIGHTS {
+            continue;
+        }
+        for (sight, value) in usable {
+            let camera = &capture.views[sight.view].intrinsics;
+            let share = |at_px: f64, side: usize| 2.0 * at_px / side as f64 - 1.0;
+            let place = [share(sight.at_px[0], camera.width), share(sight.at_px[1], camera.height)];
+            views[sight.view].push(Seen { point, place, value });
+        }
+    }
+    views.retain(|seen| seen.len() >= FEWEST_POINTS);
+    views
+}
+
+/// The sizes of what is left by maps that are linear in `terms` of a point's colour and its place, the second of which is the
+/// colour itself.
+fn left<const N: usize>(
+    views: &[Vec<Seen>],
+    points: usize,
+    terms: impl Fn(f64, [f64; 2]) -> [f64; N] + Sync,
+) -> Vec<f64> {
+    let median = |values: Vec<Vec<f64>>| values.into_iter().map(|mut of_point| quantile(&mut of_point, 0.5));
+    let by_point = |values: &[Vec<f64>]| {
+        let mut of_point = vec![Vec::new(); points];
+        for (seen, values) in views.iter().zip(values) {
+            seen.iter().zip(values).for_each(|(seen, value)| of_point[seen.point].push(*value));
+        }
+        of_point
+    };
+    let shown: Vec<Vec<f64>> = views.iter().map(|seen| seen.iter().map(|seen| seen.value).collect()).collect();
+    let mut colours: Vec<f64> = median(by_point(&shown)).map(Option::unwrap_or_default).collect();
+    let mut identity = [0.0; N];
+    identity[1] = 1.0;
+    let mut maps = vec![identity; views.len()];
+    let mut misses = Vec::new();
+    for _ in 0..ROUNDS {
+        let rest = |seen: &Seen, map: &[f64; N]| {
+            let terms = terms(colours[seen.point], seen.place);
+            let shown: f64 = terms.iter().zip(map).map(|(term, factor)| term * factor).sum();
+            (terms, seen.value - shown)
+        };
+        maps.par_iter_mut().zip(views).for_each(|(map, seen)| {
+            let (mut gram, mut moment) = ([[0.0; N]; N], [0.0; N]);
+            for seen in seen {
+                let (terms, miss) = rest(seen, map);
+                let weight = 1.0 / miss.hypot(ViewDependenceEvidence::VISIBLE);
+                for row in 0..N {
+                    (0..N).for_each(|column| gram[row][column] += weight * terms[row] * terms[column]);
+                    moment[row] += weight * terms[row] * seen.value;
+                }
+            }
+            *map = solve(gram, moment).unwrap_or(*map);
+        });
+        let of_view = |(seen, map): (&Vec<Seen>, &[f64; N])| seen.iter().map(|seen| rest(seen, map).1).collect();
+        misses = views.iter().zip(&maps).map(of_view).collect::<Vec<Vec<f64>>>();
+        let moved = median(by_point(&misses)).map(Option::unwrap_or_default);
+        colours.iter_mut().zip(moved).for_each(|(colour, moved)| *colour += moved);
+    }
+    misses.into_iter().flatten().map(f64::abs).collect()
+}
