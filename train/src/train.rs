@@ -20,7 +20,7 @@ use splat_model::gaussians::Gaussians;
 use splat_model::ply;
 use splat_model::trainer::{Resolution, TrainConfig, TrainError, Trainer};
 
-use crate::accuracy::{Accuracy, AccuracyArgs};
+use crate::accuracy::{Accuracy, AccuracyArgs, ModelArgs};
 use crate::background::TrainBackground;
 use crate::device::{self, DeviceName};
 use crate::effects::{Chosen, EffectsArg};
@@ -93,9 +93,9 @@ pub struct TrainArgs {
     /// square over all directions. Decided each time the degree rises from 1 on. They take less memory and time [default: off]
     #[arg(long, value_name = "LEVELS")]
     pub matte_below: Option<f64>,
-    /// Dim splats smaller than a pixel, so that scenes also look right from further away; evaluate and render with it too
-    #[arg(long)]
-    pub antialias: bool,
+    /// The function that is rendered.
+    #[command(flatten)]
+    pub model: ModelArgs,
     /// Weight of the mean opacity in the loss, against floaters; 0.01 is usual
     #[arg(long, value_name = "W", default_value_t = TrainConfig::default().opacity_weight)]
     pub opacity_weight: f64,
@@ -105,6 +105,17 @@ pub struct TrainArgs {
     /// With `--coarsest`: share of the steps after which photographs have their full size
     #[arg(long, value_name = "SHARE", default_value_t = TrainConfig::default().resolution.full_from)]
     pub full_from: f64,
+    /// Learn coefficients of the harmonics beyond degree 0 at every so manieth step
+    #[arg(
+        long,
+        value_name = "N",
+        default_value_t = TrainConfig::default().sh_rest_every,
+        value_parser = RangedU64ValueParser::<usize>::new().range(1..)
+    )]
+    pub sh_rest_every: usize,
+    /// Share of a photograph's pixels that a step looks at: so many of its rows, drawn anew each time, 32 at the fewest
+    #[arg(long, value_name = "SHARE", default_value_t = TrainConfig::default().pixel_share)]
+    pub pixel_share: f64,
     /// How accurate the renders are.
     #[command(flatten)]
     pub accuracy: AccuracyArgs,
@@ -139,7 +150,7 @@ impl TrainArgs {
     /// # Errors
     /// If the steps are zero or there is no such degree: found here, before anything is read or written.
     pub fn config(&self) -> Result<TrainConfig, TrainError> {
-        let mut config = TrainConfig { seed: self.seed, antialias: self.antialias, ..TrainConfig::default() };
+        let mut config = TrainConfig { seed: self.seed, ..self.model.config() };
         config.opacity_weight = self.opacity_weight;
         config.density.max_splats = self.max_splats;
         config.resolution = Resolution { coarsest_divisor: self.coarsest, full_from: self.full_from };
@@ -149,7 +160,8 @@ impl TrainArgs {
         config.steps = self.steps.unwrap_or(config.steps);
         config.sh_degree = self.sh_degree.unwrap_or(config.sh_degree);
         config.sh_every = self.sh_every;
-        config.dials = self.accuracy.accuracy.setting();
+        (config.sh_rest_every, config.pixel_share) = (self.sh_rest_every, self.pixel_share);
+        config.dials = config.dials.and(&self.accuracy.accuracy.setting());
         config.matte_below = self.matte_below.map(|levels| levels / 255.0);
         match config {
             TrainConfig { steps: 0, .. } => Err(TrainError::NoSteps),
@@ -160,7 +172,7 @@ impl TrainArgs {
             TrainConfig { matte_below: Some(below), .. } if !matte::is_threshold(below) => {
                 Err(TrainError::MatteBelow(below))
             }
-            config => Ok(config),
+            config => config.check().map(|()| config),
         }
     }
 
@@ -199,17 +211,19 @@ pub fn run(args: &TrainArgs) -> Result<Metrics> {
 pub fn run_with(args: &TrainArgs, change: impl FnOnce(Trainer) -> Trainer) -> Result<Metrics> {
     let mut config = args.config()?;
     let (device, device_name) = args.device.resolve()?;
-    let mut accuracy = Some(args.accuracy.resolve(&device_name, Work::Train)?);
-    if let Some(Accuracy::Known(setting)) = accuracy.take_if(|accuracy| matches!(accuracy, Accuracy::Known(_))) {
-        config.dials = setting;
-    }
+    let accuracy = args.accuracy.resolve(&device_name)?;
     let (out, capture, start) = args.open()?;
     let (split, photo_args) = args.photos.split(&capture);
-    let mut effects = args.effects.choose(&capture, split.require_train()?, args.antialias)?;
+    let mut effects = args.effects.choose(&capture, split.require_train()?, args.model.antialias)?;
     effects.configure(&mut config, args.background, args.sh_degree);
     let (train, test) = photographs(&capture, &split, &photo_args, &effects)?;
     let train_views = views_of(&capture, &train);
     let cameras: Vec<Shot> = train.iter().map(|photo| Shot::unseen(&photo.intrinsics, &photo.cam_from_world)).collect();
+    let base = config.render_options(input::extent(&capture));
+    let mut accuracy = Some(accuracy.on((&capture, None, Shot::pixels(&cameras)), &base, Work::Train)?);
+    if let Some(Accuracy::Known(setting)) = accuracy.take_if(|accuracy| matches!(accuracy, Accuracy::Known(_))) {
+        config.dials = config.dials.and(&setting);
+    }
     progress::note(&format!(
         "{}: {} photographs to train on, {} to test on, {} points",
         capture.folder.display(),
@@ -230,8 +244,9 @@ pub fn run_with(args: &TrainArgs, change: impl FnOnce(Trainer) -> Trainer) -> Re
             && let Some(accuracy) = accuracy.take()
         {
             let (rows, base) = (trainer.rows(), trainer.render_options());
-            config.dials = accuracy.setting((&rows, cameras.clone()), &base, (&device, &device_name), Work::Train)?;
-            trainer.turn(&config.dials);
+            let found = accuracy.setting((&rows, cameras.clone()), &base, (&device, &device_name), Work::Train)?;
+            trainer.turn(&found);
+            config.dials = config.dials.and(&found);
         }
         match trainer.step() {
             Ok(report) => bar.step(&report),
@@ -384,9 +399,22 @@ mod tests {
         let config = config(&arguments).unwrap();
         assert_eq!((config.seed, config.density.max_splats, config.sh_degree, config.antialias), (5, 77, 2, true));
         assert_eq!(config.opacity_weight, 0.01);
+        let config = self::config(&["--sh-rest-every", "16", "--pixel-share", "0.25"]).unwrap();
+        assert_eq!((config.sh_rest_every, config.pixel_share), (16, 0.25));
         let config = self::config(&["--sh-every", "300", "--matte-below", "2.55"]).unwrap();
         assert_eq!(config.sh_every, 300);
         assert!((config.matte_below.unwrap() - 0.01).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_model_choice_and_a_preset_are_dials_of_one_run() {
+        let dials = |arguments: &[&str]| config(arguments).unwrap().dials.to_string();
+        assert_eq!(dials(&["--projection", "affine", "--order", "centre"]), "nothing turned");
+        assert_eq!(dials(&["--projection", "exact"]), "projection exact");
+        let both = ["--order", "per-pixel", "--accuracy", "fast"];
+        assert_eq!(dials(&both), "alpha_min 4/255, order per-pixel, transmittance_min 1e-3");
+        let options = config(&both).unwrap().render_options(1.0);
+        assert_eq!((options.order, options.alpha_min), (splat_op::Order::PerPixel, 4.0 / 255.0));
     }
 
     #[test]
@@ -402,6 +430,10 @@ mod tests {
         assert!(config(&["--steps", "0"]).unwrap_err().to_string().contains("--steps"));
         assert!(config(&["--sh-degree", "5"]).unwrap_err().to_string().contains("sh_degree"));
         assert!(config(&["--coarsest", "3"]).unwrap_err().to_string().contains("--coarsest"));
+        for share in ["0", "-0.5", "1.5", "nan"] {
+            let share = format!("--pixel-share={share}");
+            assert!(config(&[&share]).unwrap_err().to_string().contains("--pixel-share"), "{share}");
+        }
         assert!(config(&["--matte-below", "inf"]).unwrap_err().to_string().contains("--matte-below"));
     }
 }
