@@ -159,18 +159,18 @@ impl Yardstick {
         let options = &self.scene.options;
         let cuts = options.alpha_min > 0.0 || options.transmittance_min > 0.0;
         let limited = self.scene.opacities.iter().any(|opacity| *opacity > options.alpha_max);
-        let condition = match along_rays(options) {
-            // Which inverts covariances in space.
-            true => self.condition.max(solid_condition(&self.scene)),
-            false => self.condition,
+        // Along rays it inverts covariances in space.
+        let (condition, most, rounding) = match along_rays(options) {
+            true => (self.condition.max(solid_condition(&self.scene)), 1e6, 1e-13),
+            false => (self.condition, 1e9, 1e-14),
         };
         let known = self.scene.truth == Truth::Wide || along_rays(options);
         let features = self.scene.paint == Paint::Features(self.scene.channels());
-        if known && features && !self.scene.stored && !cuts && !limited && condition < 1e9 {
+        if known && features && !self.scene.stored && !cuts && !limited && condition < most {
             let found = exact(&self.scene);
             for (found, expected) in found.iter().zip(&self.expected.pictures) {
                 let error = relative_error(found, &expected.values);
-                let tolerance = 1e-12 + 1e-14 * condition;
+                let tolerance = 1e-12 + rounding * condition;
                 if !(error <= tolerance) {
                     let name = expected.name;
                     self.remarks.push(format!("{name}: the exact renderer is off by {error:.1e} of {tolerance:.1e}"));
@@ -351,13 +351,13 @@ fn along_rays(options: &RenderOptions) -> bool {
     options.projection != Projection::Affine || options.order != Order::Centre
 }
 
-/// The largest condition number of a covariance in space.
+/// The largest condition number of a covariance in space, in units of the centre's depth too: cameras stand at the origin.
 fn solid_condition(scene: &HardScene) -> f64 {
-    let ratio = |scale: &[f64]| {
+    let ratio = |(scale, mean): (&[f64], &[f64])| {
         let longest = scale.iter().fold(0.0_f64, |most, s| most.max(*s));
-        longest / scale.iter().fold(f64::INFINITY, |least, s| least.min(*s))
+        longest / scale.iter().fold(mean[2].abs(), |least, s| least.min(*s))
     };
-    scene.scales.chunks(3).map(ratio).fold(1.0, f64::max).powi(2)
+    scene.scales.chunks(3).zip(scene.means.chunks(3)).map(ratio).fold(1.0, f64::max).powi(2)
 }
 
 /// The standard cuts, with the scene's model.

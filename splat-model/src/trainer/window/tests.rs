@@ -12,6 +12,7 @@ use crate::capture::Photo;
 use crate::gaussians::testing::random_rows;
 use crate::gaussians::{Gaussians, values_of};
 use crate::loss::photometric;
+use crate::optim::LearningRates;
 use crate::trainer::testing::{HEIGHT, WIDTH, photos, points};
 use crate::trainer::{Seen, TrainConfig, Trainer};
 
@@ -143,7 +144,8 @@ fn options() -> RenderOptions {
 #[test]
 fn a_run_on_half_of_the_pixels_learns_the_scene() {
     let large = || photos([0.0; 3]).iter().map(|photo| photo.resized(SIZE[0], SIZE[1])).collect::<Vec<_>>();
-    let config = TrainConfig { steps: 40, pixel_share: 0.5, ..TrainConfig::default() };
+    let learning_rates = LearningRates { sh_dc: 0.05, opacities: 0.1, scales: 0.02, ..LearningRates::default() };
+    let config = TrainConfig { steps: 40, pixel_share: 0.5, learning_rates, ..TrainConfig::default() };
     let mut trainer = Trainer::new(large(), &points(), config, &Device::flex()).unwrap();
     let losses: Vec<f32> = (0..40).map(|_| trainer.step().unwrap().loss.into_scalar()).collect();
     let mean = |losses: &[f32]| losses.iter().sum::<f32>() / losses.len() as f32;
