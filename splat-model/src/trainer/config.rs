@@ -30,8 +30,9 @@ pub struct TrainConfig {
     pub sh_degree: usize,
     /// Steps until the degree rises by one: 1,000.
     pub sh_every: usize,
-    /// Coefficients of the harmonics beyond degree 0 are learnt at every so manieth step: 1, at each. They are a share of a step's
-    /// work that grows with the number of Gaussians, not with that of pixels.
+    /// Coefficients of the harmonics beyond degree 0 are learnt at every so manieth step: 1, at each. Other
+    /// steps have no gradient of them and no step of Adam, but go without the pass that projects and shades at once: on two CPU
+    /// cores that costs what is saved, at 15,000 Gaussians of degree 3 on pictures of 320 px and of 128 px.
     pub sh_rest_every: usize,
     /// Gaussians whose colour varies with the direction by less than this keep none of their higher coefficients (see
     /// [`crate::density::matte`], which says when): in units of colour, 1/255 for one level of an 8-bit picture. None: all keep

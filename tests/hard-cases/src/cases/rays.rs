@@ -48,7 +48,7 @@ const SORTED: [&str; 9] = [
 /// What f32 does not hold of the exact projection, by how much at most on CPUs and on GPUs.
 const LOOSE: [(&str, [f64; 2]); 4] = [
     ("larger than the screen", [300.0, 300.0]),
-    // No digit is left: the picture is wrong by a few percent.
+    // No digit is left: what is seen of such a splat, whose centre is ten thousand pictures outside, is wrong altogether.
     ("larger than the scene", [1e8, 1e8]),
     ("log-scale +50", [500.0, 500.0]),
     ("camera inside a splat", [1.0, 10.0]),
