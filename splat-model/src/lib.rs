@@ -7,6 +7,7 @@ pub mod effects;
 pub mod evaluate;
 pub mod gaussians;
 pub mod init;
+mod json;
 pub mod loss;
 pub mod metrics;
 pub mod optim;

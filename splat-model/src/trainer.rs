@@ -5,12 +5,15 @@ mod config;
 mod cost;
 mod effects;
 mod error;
+mod fit;
 mod guard;
+mod harmonics;
 mod resolution;
 mod state;
 mod views;
+mod window;
 
-use std::iter;
+use std::{iter, mem};
 
 use burn::tensor::{Device, Tensor};
 use glam::DAffine3;
@@ -27,26 +30,29 @@ use crate::effects::{Applied, EffectGradients, Moment, masks};
 use crate::gaussians::Gaussians;
 use crate::init;
 use crate::loss::{Truth, photometric, regularise};
-use crate::optim::{Adam, Decay, scene_extent, sh_degree_at};
+use crate::optim::{Decay, scene_extent, sh_degree_at};
 
 pub use self::checked::Stage;
 use self::checked::{Stopped, Wrong, check_gradients, check_loss, check_parameters, render_checked};
 pub use self::config::TrainConfig;
 pub use self::error::TrainError;
 pub use self::guard::{Fault, Guard};
+use self::harmonics::Held;
 pub use self::resolution::Resolution;
 use self::views::Views;
+use self::window::Strip;
 
 /// What a loss sees of one step.
 pub struct Seen<'a> {
     /// `[H, W, 3]`: the render as the photograph would show it, tracked: with its exposure, if that is learnt, and black
-    /// where a mask leaves pixels out, as in `truth`.
+    /// where a mask leaves pixels out, as in `truth`. With [`TrainConfig::pixel_share`] the rows that were drawn, here and there.
     pub image: Tensor<3>,
     /// `[H, W, 1]`: the share of the background that is hidden, tracked; zero where a mask leaves pixels out.
     pub alpha: Tensor<3>,
     /// The photograph, prepared; [`Truth::image`] gives it as `[H, W, 3]`.
     pub truth: &'a Truth,
-    /// What was rendered, tracked: activated parameters.
+    /// What was rendered, tracked: activated parameters; but for the harmonics in a step that does not learn them all (see
+    /// [`TrainConfig::sh_rest_every`]).
     pub splats: &'a Splats,
     /// Counted from 1.
     pub step: usize,
@@ -135,7 +141,7 @@ impl Trainer {
             () if config.sh_degree > splat_op::shade::SH_DEGREE_MAX => {
                 return Err(TrainError::ShDegree(config.sh_degree));
             }
-            () => {}
+            () => config.check_with(&photos)?,
         }
         let mut rng = ChaCha8Rng::seed_from_u64(config.seed);
         let rows = if points.positions.is_empty() {
@@ -176,7 +182,8 @@ impl Trainer {
     }
 
     /// The same run, but every step looks at what each stage leaves: to find out which goes wrong first. Slow. Where
-    /// [optics](crate::effects::optics) are simulated, the stages of the render are not looked at, and all else is.
+    /// [optics](crate::effects::optics) are simulated or a part of the picture is rendered, the stages of the render are not looked
+    /// at, and all else is.
     pub fn with_checks(self) -> Self {
         Self { checks: true, ..self }
     }
@@ -194,7 +201,7 @@ impl Trainer {
     /// Turns dials of the renders, from the next step on; the others stand where they stood.
     pub fn turn(&mut self, dials: &Setting) {
         self.options = dials.apply(self.options);
-        self.config.dials.turn(dials);
+        self.config.dials = mem::take(&mut self.config.dials).and(dials);
     }
 
     /// What the run depends on besides its photographs, with the dials as they are turned now.
@@ -233,7 +240,7 @@ impl Trainer {
         if self.checks {
             self.checked_update(view, gradients, &rates)?;
         } else {
-            self.scene.step(gradients, &Adam::default(), &rates, step, held.as_ref());
+            harmonics::step(&mut self.scene, gradients, &rates, step, held.as_ref());
         }
         let at = Moment { view, step, steps: self.config.steps, verdict: held.as_ref() };
         self.effects.step(of_effects, at);
@@ -269,7 +276,8 @@ impl Trainer {
     /// The loss, `[1]`, of a view and its gradients, those of the effects apart; tells density control what it listens for.
     fn differentiate(&mut self, view: usize) -> Result<(Tensor<1>, Gradients, EffectGradients), TrainError> {
         let step = self.step;
-        let splats = self.effects.splats(&self.scene.gaussians, step);
+        let mut splats = self.effects.splats(&self.scene.gaussians, step);
+        let held = if step.is_multiple_of(self.config.sh_rest_every) { None } else { Held::new(&mut splats) };
         let tracked = splats.means.device();
         let probe = self
             .density
@@ -283,17 +291,28 @@ impl Trainer {
             ..Extras::default()
         };
         let options = self.options.with_depth(self.effects.needs_depth(view));
-        let (camera, truth) = self.views.prepare(view, drawn)?;
+        let (camera, mut truth) = self.views.prepare(view, drawn)?;
+        let strip = Strip::draw(self.config.pixel_share, &camera.intrinsics, &mut self.rng);
         let size = (camera.intrinsics.width, camera.intrinsics.height);
         let (camera, of_pose) = self.effects.camera(camera, view);
-        let picture = if let Some(optics) = &self.effects.optics {
-            optics.render(&splats, &camera, &extras, &options, view)?
+        let coloured = held.as_ref().map(|held| held.coloured(&splats, &camera, &options)).transpose()?;
+        let shown = coloured.as_ref().unwrap_or(&splats);
+        let picture = if let Some(strip) = &strip {
+            truth = Truth::new(truth.image().narrow(0, strip.from, strip.rows));
+            strip.render(shown, &camera, &extras, &options)?
+        } else if let Some(optics) = &self.effects.optics {
+            optics.render(shown, &camera, &extras, &options, view)?
         } else if self.checks {
-            render_checked(&splats, &camera, &extras, &options).map_err(|stopped| self.stopped(view, stopped))?
+            render_checked(shown, &camera, &extras, &options).map_err(|stopped| self.stopped(view, stopped))?
         } else {
-            render_view(&splats, &camera, &extras, &options)?
+            render_view(shown, &camera, &extras, &options)?
         };
+        drop(coloured);
         let excluded = self.views.excluded(view)?;
+        let excluded = match &strip {
+            Some(strip) => excluded.map(|excluded| excluded.narrow(1, strip.from, strip.rows)),
+            None => excluded,
+        };
         let image = self.effects.shown(&picture, view, self.views.camera_of(view), excluded.as_ref());
         let of_depth = self.effects.depth_penalty(&picture, view, (step, self.config.steps));
         let alpha = picture.alpha;
@@ -313,10 +332,15 @@ impl Trainer {
         }
         let mut grads = loss.backward();
         if let Some(grad) = probe.and_then(|probe| probe.grad_remove(&mut grads)) {
+            // As if the loss were a mean over the whole picture.
+            let grad = strip.map_or(grad.clone(), |strip| grad * strip.share());
             self.density.observe(grad, size);
         }
         let of_effects = self.effects.take_gradients(view, &mut grads);
-        let gradients = Gradients::take(&self.scene.gaussians, &mut grads);
+        let mut gradients = Gradients::take(&self.scene.gaussians, &mut grads);
+        if let Some(held) = held {
+            held.take_gradients(&mut grads, &mut gradients);
+        }
         if self.checks {
             check_gradients(&gradients).map_err(|wrong| self.wrong(view, wrong))?;
         }
@@ -326,7 +350,7 @@ impl Trainer {
     /// The optimiser's step, taken back if it spoils a Gaussian.
     fn checked_update(&mut self, view: usize, gradients: Gradients, rates: &StepRates) -> Result<(), TrainError> {
         let before = self.scene.clone();
-        self.scene.step(gradients, &Adam::default(), rates, self.step, None);
+        harmonics::step(&mut self.scene, gradients, rates, self.step, None);
         let found = check_parameters(&before.gaussians.to_rows(), &self.scene.gaussians.to_rows());
         found.map_err(|wrong| {
             self.scene = before;

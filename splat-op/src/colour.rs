@@ -56,8 +56,11 @@ pub fn colours(splats: &Splats, camera: &Camera) -> Result<Tensor<2>, SplatError
     colours_up_to(splats, camera, None)
 }
 
-/// The same without harmonics above a degree.
-pub(crate) fn colours_up_to(splats: &Splats, camera: &Camera, degree: Option<usize>) -> Result<Tensor<2>, SplatError> {
+/// The same without harmonics above a degree; `None` for all there are.
+///
+/// # Errors
+/// As [`colours`].
+pub fn colours_up_to(splats: &Splats, camera: &Camera, degree: Option<usize>) -> Result<Tensor<2>, SplatError> {
     let shade = |sh: &Tensor<3>, means: &Tensor<2>, camera: &Camera| shade(&up_to_degree(sh, degree), means, camera);
     match &splats.colour {
         Colour::SphericalHarmonics(sh) => shade(sh, &splats.means, camera),

@@ -78,7 +78,7 @@ pub use bind::activate::{ActivateBackend, ActivateInputs};
 pub use bind::attach::{AttachBackend, with_gradient};
 pub use bind::rays::RaysBackend;
 pub use camera::{Camera, CameraModel, Intrinsics, Projector};
-pub use colour::{Colour, colours, shade};
+pub use colour::{Colour, colours, colours_up_to, shade};
 pub use dials::{Culling, Exponential, Storage};
 pub use error::SplatError;
 pub use op::{Slot, SplatBackend};

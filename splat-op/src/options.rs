@@ -95,6 +95,10 @@ impl RenderOptions {
     /// (`alpha_min = 1/255`), every layer lets a hundredth through (`alpha_max = 0.99`), and what lies behind a transmittance of
     /// `transmittance_min = 1e-4` is left out. All other dials stand where a render is quickest without being less exact than the
     /// rounding of f32: atomic accumulation, [`Culling::Ellipse`], [`Exponential::Standard`], [`Storage::Full`].
+    ///
+    /// Error to expect: 50 dB against the exact render, 0.05 at the worst pixel, nearly all of it from `alpha_min`; gradients 22% off
+    /// in relative L2 (cosine 0.978), those of the scales most. (These figures and those of the other presets: `fox_colmap`, 19,430
+    /// Gaussians, 180 × 320 px, f32 on two CPU cores, in `docs/pareto/pareto.md`; `splat pareto` measures other scenes and devices.)
     pub const fn standard() -> Self {
         Self {
             blur: 0.3,
@@ -118,6 +122,10 @@ impl RenderOptions {
     /// [`Self::standard`] with coarser cuts, for previews: `alpha_min` four times as large, so that a tile lists fewer Gaussians, and
     /// `transmittance_min = 1e-3`, so that a pixel is finished after fewer. Nothing else changes. (At 1e-2 a layer with an alpha of
     /// `alpha_max`, 0.99, would itself be left out: surfaces had holes.)
+    ///
+    /// Error to expect: 39 dB, 0.12 at the worst pixel; gradients 51% off (cosine 0.86), too much to train with unless a test says
+    /// otherwise. Saving over the standard: some 10% of a render, too little there to be told from noise, and a quarter of a
+    /// backward pass.
     pub const fn fast() -> Self {
         Self { alpha_min: 4.0 / 255.0, transmittance_min: 1e-3, ..Self::standard() }
     }
@@ -125,6 +133,9 @@ impl RenderOptions {
     /// [`Self::standard`] with finer cuts: nothing that 8-bit or 16-bit pictures could show is left out. `alpha_min = 2⁻²⁶`, and no
     /// pixel is ever finished (`transmittance_min = 0`). `alpha_max` stays, for it is part of what photographs were trained with;
     /// so do the dials that are within rounding.
+    ///
+    /// Error to expect: 100 dB, 0.004 at the worst pixel; gradients 0.02% off. Cost over the standard: 2.8 times the time of a render
+    /// and 2.7 times that of a backward pass, and twice the memory.
     pub const fn exact() -> Self {
         // 2⁻²⁶: a thousand such contributions stay below half a level of a 16-bit picture.
         Self { alpha_min: 1.0 / 67_108_864.0, transmittance_min: 0.0, ..Self::standard() }

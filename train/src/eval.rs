@@ -9,10 +9,9 @@ use anyhow::{Context, Result};
 use serde::Serialize;
 use splat_model::accuracy::{Setting, Work};
 use splat_model::capture::{Photo, Photograph};
-use splat_model::trainer::TrainConfig;
 use splat_op::{Colour, Intrinsics};
 
-use crate::accuracy::AccuracyArgs;
+use crate::accuracy::{AccuracyArgs, ModelArgs};
 use crate::background::ShownBackground;
 use crate::device::{self, DeviceName};
 use crate::input::{self, Scene};
@@ -39,9 +38,9 @@ pub struct EvalArgs {
     /// Photographs.
     #[command(flatten)]
     pub photos: PhotoArgs,
-    /// For scenes that were trained with this option
-    #[arg(long)]
-    pub antialias: bool,
+    /// The function that is rendered.
+    #[command(flatten)]
+    pub model: ModelArgs,
     /// How accurate the renders are.
     #[command(flatten)]
     pub accuracy: AccuracyArgs,
@@ -81,13 +80,14 @@ struct Options<'a> {
 pub fn run(args: &EvalArgs) -> Result<Metrics> {
     let (device, device_name) = args.device.resolve()?;
     let background = args.background.read()?;
-    let accuracy = args.accuracy.resolve(&device_name, Work::Render)?;
+    let accuracy = args.accuracy.resolve(&device_name)?;
     let start = Instant::now();
     let capture = input::capture(&args.capture)?;
     let (split, photo_args) = args.photos.split(&capture);
     let test = split.require_test()?;
     let rows = input::rows(&args.scene, &capture)?;
-    let out = OutputFolder::prepare(&args.out, &[SCENE, METRICS], &[VIEWS])?;
+    let config = args.model.config();
+    let base = config.render_options(input::extent(&capture));
     let mut photos = input::photographs(&capture, test, args.photos.max_side, args.masks)?;
     if args.ignore_alpha {
         photos.iter_mut().for_each(|photo| photo.alpha = None);
@@ -101,12 +101,12 @@ pub fn run(args: &EvalArgs) -> Result<Metrics> {
         };
         photos = photos.iter().map(small).collect::<Result<_>>()?;
     }
+    let shots: Vec<Shot> = photos.iter().map(Shot::from).collect();
+    let accuracy = accuracy.on((&capture, Some(&rows), Shot::pixels(&shots)), &base, Work::Render)?;
+    let out = OutputFolder::prepare(&args.out, &[SCENE, METRICS], &[VIEWS])?;
     let Scene { splats, unusable } = Scene::new(&rows, &device)?;
     let load = seconds_since(start);
 
-    let config = TrainConfig { antialias: args.antialias, ..TrainConfig::default() };
-    let base = config.render_options(input::extent(&capture));
-    let shots = photos.iter().map(Shot::from).collect();
     let dials = accuracy.setting((&rows, shots), &base, (&device, &device_name), Work::Render)?;
     let render_options = dials.apply(base);
     let photos: Vec<Photograph> = photos.into_iter().map(Photograph::from).collect();
@@ -118,8 +118,8 @@ pub fn run(args: &EvalArgs) -> Result<Metrics> {
         capture: &args.capture,
         scene: &args.scene,
         photos: &photo_args,
-        antialias: args.antialias,
-        dials: &dials,
+        antialias: args.model.antialias,
+        dials: &config.dials.and(&dials),
         masks: args.masks,
         ignore_alpha: args.ignore_alpha,
         shrink: args.shrink,

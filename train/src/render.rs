@@ -12,10 +12,9 @@ use npyz::WriterBuilder;
 use splat_model::accuracy::Work;
 use splat_model::capture::{Capture, View};
 use splat_model::effects::background::Background;
-use splat_model::trainer::TrainConfig;
 use splat_op::{Camera, Extras, RenderOptions, Splats};
 
-use crate::accuracy::AccuracyArgs;
+use crate::accuracy::{AccuracyArgs, ModelArgs};
 use crate::background::ShownBackground;
 use crate::device::{self, DeviceName};
 use crate::input::Scene;
@@ -52,9 +51,9 @@ pub struct RenderArgs {
     /// Where to compute
     #[arg(long, value_name = "NAME", default_value_t, help = device::help())]
     pub device: DeviceName,
-    /// For scenes that were trained with this option
-    #[arg(long)]
-    pub antialias: bool,
+    /// The function that is rendered.
+    #[command(flatten)]
+    pub model: ModelArgs,
     /// How accurate the renders are.
     #[command(flatten)]
     pub accuracy: AccuracyArgs,
@@ -93,15 +92,15 @@ impl Format {
 pub fn run(args: &RenderArgs) -> Result<Vec<PathBuf>> {
     let (device, device_name) = args.device.resolve()?;
     let background = args.background.read()?;
-    let accuracy = args.accuracy.resolve(&device_name, Work::Render)?;
+    let accuracy = args.accuracy.resolve(&device_name)?;
     let capture = input::capture(&args.capture)?;
     let views = chosen(&capture, &args.view)?;
     let rows = input::rows(&args.scene, &capture)?;
     let splats = Scene::new(&rows, &device)?.splats;
+    let base = args.model.config().render_options(input::extent(&capture));
+    let shots: Vec<Shot> = views.iter().map(|view| Shot::unseen(&view.intrinsics, &view.cam_from_world)).collect();
+    let accuracy = accuracy.on((&capture, Some(&rows), Shot::pixels(&shots)), &base, Work::Render)?;
     let out = OutputFolder::prepare(&args.out, &[], &[])?;
-    let config = TrainConfig { antialias: args.antialias, ..TrainConfig::default() };
-    let base = config.render_options(input::extent(&capture));
-    let shots = views.iter().map(|view| Shot::unseen(&view.intrinsics, &view.cam_from_world)).collect();
     let options = accuracy.setting((&rows, shots), &base, (&device, &device_name), Work::Render)?.apply(base);
     let names = pictures::names(views.iter().map(|view| view.name.as_str()), args.format.extension());
     let counter = progress::counter("rendering", views.len());

@@ -16,7 +16,7 @@ use splat_model::trainer::{Resolution, TrainConfig, TrainError};
 
 pub use self::run::{run, run_with};
 pub use self::stop::Interrupted;
-use crate::accuracy::AccuracyArgs;
+use crate::accuracy::{AccuracyArgs, ModelArgs};
 use crate::background::TrainBackground;
 use crate::device::{self, DeviceName};
 use crate::effects::EffectsArg;
@@ -86,9 +86,9 @@ pub struct TrainArgs {
     /// square over all directions. Decided each time the degree rises from 1 on. They take less memory and time [default: off]
     #[arg(long, value_name = "LEVELS")]
     pub matte_below: Option<f64>,
-    /// Dim splats smaller than a pixel, so that scenes also look right from further away; evaluate and render with it too
-    #[arg(long)]
-    pub antialias: bool,
+    /// The function that is rendered.
+    #[command(flatten)]
+    pub model: ModelArgs,
     /// Weight of the mean opacity in the loss, against floaters; 0.01 is usual
     #[arg(long, value_name = "W", default_value_t = TrainConfig::default().opacity_weight)]
     pub opacity_weight: f64,
@@ -98,6 +98,17 @@ pub struct TrainArgs {
     /// With `--coarsest`: share of the steps after which photographs have their full size
     #[arg(long, value_name = "SHARE", default_value_t = TrainConfig::default().resolution.full_from)]
     pub full_from: f64,
+    /// Learn coefficients of the harmonics beyond degree 0 at every so manieth step
+    #[arg(
+        long,
+        value_name = "N",
+        default_value_t = TrainConfig::default().sh_rest_every,
+        value_parser = RangedU64ValueParser::<usize>::new().range(1..)
+    )]
+    pub sh_rest_every: usize,
+    /// Share of a photograph's pixels that a step looks at: so many of its rows, drawn anew each time, 32 at the fewest
+    #[arg(long, value_name = "SHARE", default_value_t = TrainConfig::default().pixel_share)]
+    pub pixel_share: f64,
     /// How accurate the renders are.
     #[command(flatten)]
     pub accuracy: AccuracyArgs,
@@ -129,7 +140,7 @@ impl TrainArgs {
     /// # Errors
     /// If the steps are zero or there is no such degree: found here, before anything is read or written.
     pub fn config(&self) -> Result<TrainConfig, TrainError> {
-        let mut config = TrainConfig { seed: self.seed, antialias: self.antialias, ..TrainConfig::default() };
+        let mut config = TrainConfig { seed: self.seed, ..self.model.config() };
         config.opacity_weight = self.opacity_weight;
         config.density.max_splats = self.max_splats;
         config.resolution = Resolution { coarsest_divisor: self.coarsest, full_from: self.full_from };
@@ -139,7 +150,8 @@ impl TrainArgs {
         config.steps = self.steps.unwrap_or(config.steps);
         config.sh_degree = self.sh_degree.unwrap_or(config.sh_degree);
         config.sh_every = self.sh_every;
-        config.dials = self.accuracy.accuracy.setting();
+        (config.sh_rest_every, config.pixel_share) = (self.sh_rest_every, self.pixel_share);
+        config.dials = config.dials.and(&self.accuracy.accuracy.setting());
         config.matte_below = self.matte_below.map(|levels| levels / 255.0);
         match config {
             TrainConfig { steps: 0, .. } => Err(TrainError::NoSteps),
@@ -150,7 +162,7 @@ impl TrainArgs {
             TrainConfig { matte_below: Some(below), .. } if !matte::is_threshold(below) => {
                 Err(TrainError::MatteBelow(below))
             }
-            config => Ok(config),
+            config => config.check().map(|()| config),
         }
     }
 }
@@ -186,9 +198,22 @@ mod tests {
         let config = config(&arguments).unwrap();
         assert_eq!((config.seed, config.density.max_splats, config.sh_degree, config.antialias), (5, 77, 2, true));
         assert_eq!(config.opacity_weight, 0.01);
+        let config = self::config(&["--sh-rest-every", "16", "--pixel-share", "0.25"]).unwrap();
+        assert_eq!((config.sh_rest_every, config.pixel_share), (16, 0.25));
         let config = self::config(&["--sh-every", "300", "--matte-below", "2.55"]).unwrap();
         assert_eq!(config.sh_every, 300);
         assert!((config.matte_below.unwrap() - 0.01).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_model_choice_and_a_preset_are_dials_of_one_run() {
+        let dials = |arguments: &[&str]| config(arguments).unwrap().dials.to_string();
+        assert_eq!(dials(&["--projection", "affine", "--order", "centre"]), "nothing turned");
+        assert_eq!(dials(&["--projection", "exact"]), "projection exact");
+        let both = ["--order", "per-pixel", "--accuracy", "fast"];
+        assert_eq!(dials(&both), "alpha_min 4/255, order per-pixel, transmittance_min 1e-3");
+        let options = config(&both).unwrap().render_options(1.0);
+        assert_eq!((options.order, options.alpha_min), (splat_op::Order::PerPixel, 4.0 / 255.0));
     }
 
     #[test]
@@ -204,6 +229,10 @@ mod tests {
         assert!(config(&["--steps", "0"]).unwrap_err().to_string().contains("--steps"));
         assert!(config(&["--sh-degree", "5"]).unwrap_err().to_string().contains("sh_degree"));
         assert!(config(&["--coarsest", "3"]).unwrap_err().to_string().contains("--coarsest"));
+        for share in ["0", "-0.5", "1.5", "nan"] {
+            let share = format!("--pixel-share={share}");
+            assert!(config(&[&share]).unwrap_err().to_string().contains("--pixel-share"), "{share}");
+        }
         assert!(config(&["--matte-below", "inf"]).unwrap_err().to_string().contains("--matte-below"));
     }
 }

@@ -144,6 +144,7 @@ fn closest(members: &[&Measured], work: Work) -> String {
 
 #[cfg(test)]
 pub(super) mod tests {
+    use super::super::provenance::Provenance;
     use super::super::setting::Setting;
     use super::*;
 
@@ -170,7 +171,7 @@ pub(super) mod tests {
             // Faster than the standard by the median, but not measurably.
             measured("in between", [("alpha_min", "2/255")], 50.0, 4.8),
         ];
-        Frontier { device: "flex".into(), splats: 1, pixels: 1, settings }
+        Frontier { device: "flex".into(), provenance: Provenance::default(), splats: 1, pixels: 1, settings }
     }
 
     fn chosen(error_db: Option<f64>, ms: Option<f64>, work: Work) -> Result<String, String> {

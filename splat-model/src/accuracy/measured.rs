@@ -1,13 +1,14 @@
 //! What was measured of settings on a scene and a device, as `pareto.json` has it.
 
-use std::fs;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use super::frontier::Spread;
+use super::provenance::Provenance;
 use super::setting::Setting;
+use crate::json::{self, JsonFault};
 
 /// The name of the setting in which nothing is turned.
 pub const STANDARD: &str = "standard";
@@ -49,6 +50,8 @@ pub struct Measured {
 pub struct Frontier {
     /// The device, as `metrics.json` calls it.
     pub device: String,
+    /// The scene, the capture and the model choices.
+    pub provenance: Provenance,
     /// Gaussians of the scene.
     pub splats: usize,
     /// Mean number of pixels of a frame.
@@ -88,18 +91,15 @@ impl Frontier {
     /// # Errors
     /// If the file cannot be read or holds something else.
     pub fn read(path: &Path) -> Result<Self, FrontierError> {
-        let unreadable = |source| FrontierError::Read { path: path.to_owned(), source };
         let content = |reason| FrontierError::Content { path: path.to_owned(), reason };
-        let length = fs::metadata(path).map_err(unreadable)?.len();
-        if length > LARGEST_FILE {
-            return Err(content(format!("{length} bytes long")));
-        }
-        let text = fs::read(path).map_err(unreadable)?;
-        let found: Self = serde_json::from_slice(&text).map_err(|error| content(error.to_string()))?;
-        match &found {
-            found if found.settings.is_empty() => Err(content("no setting was measured".into())),
-            found if !found.settings.iter().all(Measured::is_finite) => Err(content("a number is not finite".into())),
-            found => Ok(found.clone()),
+        let found: Self = json::read(path, LARGEST_FILE).map_err(|fault| match fault {
+            JsonFault::Read(source) => FrontierError::Read { path: path.to_owned(), source },
+            JsonFault::Content(reason) => content(reason),
+        })?;
+        match found.settings.as_slice() {
+            [] => Err(content("no setting was measured".into())),
+            settings if !settings.iter().all(Measured::is_finite) => Err(content("a number is not finite".into())),
+            _ => Ok(found),
         }
     }
 
@@ -122,6 +122,8 @@ impl Measured {
 
 #[cfg(test)]
 mod tests {
+    use std::fs;
+
     use super::super::choice::tests::measured;
     use super::*;
 
@@ -140,7 +142,8 @@ mod tests {
         let exact = Spread { lower: 1.5, median: 2.0, upper: 3.25 };
         let measured = measured("fast", [("alpha_min", "4/255")], 40.0, 3.0);
         let settings = vec![Measured { forward_ms: exact, backward_ms: exact, step_ms: exact, ..measured }];
-        let frontier = Frontier { device: "flex".into(), splats: 7, pixels: 12, settings };
+        let provenance = Provenance { capture: "a1".into(), scene: "b2".into(), choices: Setting::default() };
+        let frontier = Frontier { device: "flex".into(), provenance, splats: 7, pixels: 12, settings };
         fs::write(&path, frontier.to_json().unwrap()).unwrap();
         assert_eq!(Frontier::read(&path).unwrap(), frontier);
     }
@@ -154,7 +157,12 @@ mod tests {
         for (text, part) in [
             ("", "EOF"),
             ("{}", "missing field"),
-            (r#"{"device": "flex", "splats": 1, "pixels": 1, "settings": []}"#, "no setting"),
+            // As it was before frontiers said what they were measured on.
+            (r#"{"device": "flex", "splats": 1, "pixels": 1, "settings": []}"#, "missing field `provenance`"),
+            (
+                r#"{"device": "flex", "provenance": {"capture": "", "scene": "", "choices": {}}, "splats": 1, "pixels": 1, "settings": []}"#,
+                "no setting",
+            ),
         ] {
             fs::write(&path, text).unwrap();
             assert!(refused(&path).contains(part), "{}", refused(&path));

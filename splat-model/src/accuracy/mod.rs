@@ -7,10 +7,12 @@ mod choice;
 mod dials;
 mod frontier;
 mod measured;
+mod provenance;
 mod setting;
 
 pub use self::choice::{Choice, NoChoice, Target, Work};
 pub use self::dials::{DIALS, Dial, Judge, Value};
 pub use self::frontier::{Point, Spread, frontier};
 pub use self::measured::{Frontier, FrontierError, Measured, STANDARD, decibels};
+pub use self::provenance::Provenance;
 pub use self::setting::{DialError, Preset, PresetError, Setting};

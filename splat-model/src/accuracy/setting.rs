@@ -74,9 +74,10 @@ impl Setting {
         self.values().fold(options, |options, (_, value)| (value.set)(options))
     }
 
-    /// Turns these dials as well.
-    pub fn turn(&mut self, dials: &Self) {
-        self.0.extend(&dials.0);
+    /// These dials turned and those of `other`, which has the last word.
+    pub fn and(mut self, other: &Self) -> Self {
+        self.0.extend(&other.0);
+        self
     }
 
     /// The dials and what they are turned to, in the order of their names.
@@ -90,6 +91,16 @@ impl Setting {
     /// Whether no dial is turned.
     pub fn is_empty(&self) -> bool {
         self.0.is_empty()
+    }
+
+    /// Those of the dials that are judged so.
+    pub fn of(&self, judge: Judge) -> Self {
+        Self(
+            self.values()
+                .filter(|(dial, _)| dial.judge == judge)
+                .map(|(dial, value)| (dial.name, value.name))
+                .collect(),
+        )
     }
 
     /// What it is to be judged against: photographs as soon as one model choice is among it.
@@ -219,6 +230,9 @@ mod tests {
         assert_eq!(turned, RenderOptions { transmittance_min: 0.0, alpha_max: 1.0, ..base });
         assert_eq!(Setting::between(&base, &turned), setting);
         assert_eq!(setting.judge(), Judge::Exact);
-        assert_eq!(Setting::new([("blur", "0.1")]).unwrap().judge(), Judge::Photographs);
+        let choice = Setting::new([("blur", "0.1")]).unwrap();
+        assert_eq!(choice.judge(), Judge::Photographs);
+        let coarser = Setting::new([("alpha_max", "0.99")]).unwrap();
+        assert_eq!(choice.and(&setting).and(&coarser).to_string(), "alpha_max 0.99, blur 0.1, transmittance_min 0");
     }
 }

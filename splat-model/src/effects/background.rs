@@ -12,7 +12,6 @@
 //! Directions are those of the photographs' poses as they were given, also while poses are refined.
 
 use std::collections::BTreeMap;
-use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
@@ -27,6 +26,7 @@ use thiserror::Error;
 
 use super::learned::{Falling, Learned, Moment};
 use crate::gaussians::values_of;
+use crate::json::{self, JsonFault};
 use crate::state::{State, StateError};
 
 /// What a run puts behind the Gaussians.
@@ -99,14 +99,11 @@ impl Background {
     /// # Errors
     /// If the file cannot be read or holds something else.
     pub fn read(path: &Path) -> Result<Self, BackgroundError> {
-        let unreadable = |source| BackgroundError::Read { path: path.to_owned(), source };
         let content = |reason| BackgroundError::Content { path: path.to_owned(), reason };
-        let length = fs::metadata(path).map_err(unreadable)?.len();
-        if length > LARGEST_FILE {
-            return Err(content(format!("{length} bytes long")));
-        }
-        let text = fs::read(path).map_err(unreadable)?;
-        let found: Self = serde_json::from_slice(&text).map_err(|error| content(error.to_string()))?;
+        let found: Self = json::read(path, LARGEST_FILE).map_err(|fault| match fault {
+            JsonFault::Read(source) => BackgroundError::Read { path: path.to_owned(), source },
+            JsonFault::Content(reason) => content(reason),
+        })?;
         match &found {
             Self::Environment(coefficients) if sh_degree(coefficients.len()).is_none() => {
                 Err(content(format!("{} coefficients", coefficients.len())))

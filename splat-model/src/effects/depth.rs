@@ -9,8 +9,6 @@
 //! off (0.73 scene units) than without any supervision (0.46), and nearer (less than 0.28) with the whole derivative, which says
 //! `(zᵢ − D/α)/α` for each weight: what is too far off fades and what is nearer comes forward.
 
-use std::fs::File;
-use std::io::Read;
 use std::path::Path;
 
 use burn::tensor::{Device, Int, Tensor, TensorData};
@@ -21,6 +19,7 @@ use serde::{Deserialize, Serialize};
 use super::learned::Falling;
 use super::masks::by_name;
 use crate::capture::{Capture, CaptureError};
+use crate::json;
 
 /// How depths are learnt from.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -90,13 +89,7 @@ pub fn from_maps(capture: &Capture, folder: &str, views: &[usize]) -> Result<Vec
     let folder = capture.folder.join(folder);
     let file = folder.join("depth.json");
     let wrong = |file: &Path, reason: String| CaptureError::Depth { file: file.to_owned(), reason };
-    let mut text = Vec::new();
-    let read = File::open(&file).and_then(|file| file.take(LARGEST_TEXT + 1).read_to_end(&mut text));
-    read.map_err(|reason| wrong(&file, reason.to_string()))?;
-    if text.len() as u64 > LARGEST_TEXT {
-        return Err(wrong(&file, format!("it has more than {LARGEST_TEXT} bytes")));
-    }
-    let scale = serde_json::from_slice::<Scale>(&text).map_err(|error| wrong(&file, error.to_string()))?.scale;
+    let Scale { scale } = json::read(&file, LARGEST_TEXT).map_err(|fault| wrong(&file, fault.to_string()))?;
     if !(scale > 0.0 && scale.is_finite()) {
         return Err(wrong(&file, format!("`scale` is {scale}, expected a number above 0")));
     }

@@ -141,6 +141,26 @@ impl Adam {
         }
     }
 
+    /// As [`Self::step_unless`], but of `param`, `[N, K, C]`, what has index 0 in the second dimension is stepped alone; `grad` is
+    /// `[N, 1, C]`. All else stays, and so do its moments.
+    pub(crate) fn step_first(
+        &self,
+        param: Tensor<3>,
+        grad: Tensor<3>,
+        lr: f64,
+        moments: &mut Moments<3>,
+        at: (usize, Option<&Tensor<1, Int>>),
+    ) -> Tensor<3> {
+        let [count, _, channels] = param.dims();
+        let first = [0..count, 0..1, 0..channels];
+        let of = |values: &Tensor<3>| values.clone().slice(first.clone());
+        let mut history = Moments { m: of(&moments.m), v: of(&moments.v) };
+        let stepped = self.step_unless(of(&param), grad, lr, &mut history, at);
+        moments.m.inplace(|m| m.slice_assign(first.clone(), history.m));
+        moments.v.inplace(|v| v.slice_assign(first.clone(), history.v));
+        param.slice_assign(first, stepped)
+    }
+
     fn factors(&self, lr: Rates, t: usize) -> Factors {
         // √v̂ = c √v and m̂ = b m; both factors move out of the tensors: lr m̂ / (√v̂ + ε) = (lr b/c) m / (√v + ε/c).
         let t = t as f64;

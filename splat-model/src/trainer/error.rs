@@ -1,6 +1,6 @@
 //! What can stop a run.
 
-use splat_op::SplatError;
+use splat_op::{CameraModel, SplatError};
 use thiserror::Error;
 
 use super::{Resolution, Stage};
@@ -34,6 +34,38 @@ pub enum TrainError {
         .0.coarsest_divisor, .0.full_from, Resolution::DIVISOR_MAX
     )]
     Resolution(Resolution),
+    /// Higher harmonics that are never learnt.
+    #[error("`sh_rest_every` is 0, expected at least 1, which is every step: see `--sh-rest-every`")]
+    ShRestEvery,
+    /// A share of the pixels that is none.
+    #[error("`pixel_share` is {0}, expected more than 0 and at most 1: see `--pixel-share`")]
+    PixelShare(f64),
+    /// A part of the picture, for what depends on where in the picture a pixel is.
+    #[error(
+        "`pixel_share` is below 1, and {0} need the whole picture: leave out one of them (`--pixel-share`, or `--effects=-NAME`)"
+    )]
+    WholePicture(&'static str),
+    /// Rays, for what changes ellipses.
+    #[error(
+        "{optics} change ellipses on the screen, and with {rays} there are none: leave out one of them (`--effects=-NAME`)"
+    )]
+    Ellipses {
+        /// The model choices.
+        rays: &'static str,
+        /// The effects.
+        optics: &'static str,
+    },
+    /// Rays through a lens.
+    #[error(
+        "photograph `{photo}` was taken through a lens ({model:?}), and `--projection exact` and `--order per-pixel` are for \
+         pinholes, whose pixels see straight rays of one origin: undistort the photographs, or leave out both"
+    )]
+    Lens {
+        /// Its name.
+        photo: String,
+        /// Its camera.
+        model: CameraModel,
+    },
     /// A background is to be learnt from a photograph that was cut out.
     #[error(
         "photograph `{0}` has transparent parts and says nothing of a background to learn: train with `--effects=-alpha` \

@@ -15,7 +15,7 @@ use crate::effects::masks;
 use crate::loss::Truth;
 
 /// Pictures are not reduced to fewer pixels than this along a side: the window of SSIM has eleven.
-const SMALLEST_SIDE: usize = 32;
+pub(super) const SMALLEST_SIDE: usize = 32;
 
 /// A photograph to train on.
 struct View {

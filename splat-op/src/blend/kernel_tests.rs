@@ -1,8 +1,9 @@
 //! Kernels of `blend` against the CPU twin in f64, within what f32 can hold.
 
 use super::cpu::{Grads, Inputs, blend_backward_cpu, blend_cpu};
-use super::launch::{DeviceGrads, DeviceInputs, launch_blend, launch_blend_backward, launch_order, launch_tile_order};
+use super::launch::{DeviceGrads, DeviceInputs, launch_blend, launch_blend_backward};
 use super::layer::Shape;
+use super::order::{launch_order, launch_tile_order};
 use super::{BlendNeeds, BlendSpec};
 use crate::camera::Intrinsics;
 use crate::gpu::{Buffer, Gpu};

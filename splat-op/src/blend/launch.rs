@@ -3,14 +3,15 @@
 use cubecl::prelude::*;
 
 use super::backward::{blend_behind_kernel, blend_gather_kernel, row_len};
-use super::buckets::{LENGTH_BITS, blend_buckets_kernel, blend_lengths_kernel};
+use super::buckets::blend_buckets_kernel;
 use super::channels::blend_channels_kernel;
 use super::forward::blend_forward_kernel;
 use super::half::launch_halve;
 use super::layer::{BUCKET, Block, LimitsLaunch, Shape};
+use super::order::{launch_order, launch_tile_order};
 use super::quads::TILE_QUADS;
 use super::quads_behind::blend_behind_quads_kernel;
-use super::quads_forward::{self, blend_forward_quads_kernel, blend_tile_lengths_kernel};
+use super::quads_forward::blend_forward_quads_kernel;
 use super::strips::blend_strips_kernel;
 use super::{BlendNeeds, BlendSpec};
 use crate::dials::{Exponential, Storage};
@@ -20,7 +21,6 @@ use crate::limits::Need;
 use crate::options::Accumulation;
 use crate::project::COLUMNS;
 use crate::tile::launch::{DeviceLists, frame};
-use crate::tile::sort::{Pairs, launch_sort};
 use crate::tile::{TILE_PIXELS, tile_grid};
 
 /// Units of a cube of the kernel for many channels, and pixels of its blocks: what two arrays of 32 numbers per unit leave of 32 KiB
@@ -106,7 +106,7 @@ fn by_quads(gpu: &Gpu, shape: Shape) -> bool {
 }
 
 /// Slots of all tiles' buckets; see `first_slot`.
-fn slots(lists: &DeviceLists, tiles: usize, shape: Shape) -> usize {
+pub(super) fn slots(lists: &DeviceLists, tiles: usize, shape: Shape) -> usize {
     lists.hits / shape.bucket + tiles
 }
 
@@ -186,47 +186,6 @@ pub(crate) fn launch_blend(
         }
     }
     (planes, keep.then_some(trace))
-}
-
-/// The tiles by the lengths of their lists, the longest first.
-pub(super) fn launch_tile_order(gpu: &Gpu, lists: &DeviceLists, tiles: usize) -> Buffer<u32> {
-    let pairs = Pairs { keys: Buffer::new(gpu, tiles), values: Buffer::new(gpu, tiles) };
-    let (grid, dim) = elementwise(tiles);
-    // SAFETY: every access is guarded by the number of tiles.
-    unsafe {
-        blend_tile_lengths_kernel::launch_unchecked(
-            &gpu.client,
-            grid,
-            dim,
-            lists.tile_start.arg(),
-            pairs.keys.arg(),
-            pairs.values.arg(),
-            tiles as u32,
-        );
-    }
-    launch_sort(gpu, pairs, quads_forward::LENGTH_BITS).values
-}
-
-/// The slots by the lengths of their buckets, the longest first.
-pub(super) fn launch_order(gpu: &Gpu, lists: &DeviceLists, tiles: usize, shape: Shape) -> Buffer<u32> {
-    let slots = slots(lists, tiles, shape);
-    let pairs = Pairs { keys: Buffer::with_headroom(gpu, slots), values: Buffer::with_headroom(gpu, slots) };
-    let (grid, dim) = elementwise(slots);
-    // SAFETY: every access is guarded by the number of slots; tiles have their places in the lists.
-    unsafe {
-        blend_lengths_kernel::launch_unchecked(
-            &gpu.client,
-            grid,
-            dim,
-            lists.tile_start.arg(),
-            pairs.keys.arg(),
-            pairs.values.arg(),
-            tiles as u32,
-            slots as u32,
-            shape,
-        );
-    }
-    launch_sort(gpu, pairs, LENGTH_BITS).values
 }
 
 /// Gradients of the inputs from `grad`, that of the planes; of the features alone where nothing else has one.

@@ -34,6 +34,8 @@ pub(crate) mod launch;
 #[cfg(feature = "cube")]
 mod layer;
 #[cfg(feature = "cube")]
+mod order;
+#[cfg(feature = "cube")]
 mod pixels;
 #[cfg(feature = "cube")]
 mod power;

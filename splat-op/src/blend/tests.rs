@@ -6,6 +6,7 @@ use crate::camera::Intrinsics;
 use crate::options::RenderOptions;
 use crate::project::{COLUMNS, Ellipse};
 use crate::real::Real;
+use crate::testing::blending::{Layer, assert_close, blended, small_ellipse, smooth};
 use crate::testing::finite::{check_gradient, inner_product};
 use crate::testing::random::Random;
 use crate::tile::cpu::tile_cpu;
@@ -33,15 +34,8 @@ impl Scene {
         let mut random = Random::new(seed);
         let mut packed = Vec::new();
         for _ in 0..count {
-            let ellipse = Ellipse {
-                mean_px: [random.between(-3.0, width as f64 + 3.0), random.between(-3.0, height as f64 + 3.0)],
-                sigma_u: random.between(0.7, 7.0),
-                shear: random.between(-1.5, 1.5),
-                sigma_v: random.between(0.7, 5.0),
-                depth: random.between(1.0, 9.0),
-                opacity: random.between(opacity[0], opacity[1]),
-            };
-            packed.extend(ellipse.to_row());
+            let depth = |random: &mut Random| random.between(1.0, 9.0);
+            packed.extend(small_ellipse(&mut random, [width, height], depth, opacity).to_row());
         }
         let features = random.fill(count * channels, -1.0, 1.0);
         let background = random.fill(channels, -1.0, 1.0);
@@ -75,6 +69,14 @@ impl Scene {
         Random::new(seed).fill(self.spec.planes(self.channels()) * self.pixels(), -1.0, 1.0)
     }
 
+    /// What a pixel sees of an ellipse, before the limit.
+    fn alpha(&self, pixel: usize, e: &Ellipse<f64>) -> f64 {
+        let width = self.spec.intrinsics.width;
+        let (dx, dy) = ((pixel % width) as f64 + 0.5 - e.mean_px[0], (pixel / width) as f64 + 0.5 - e.mean_px[1]);
+        let (u, v) = (dx / e.sigma_u, (dy - e.shear * dx) / e.sigma_v);
+        e.opacity * (-0.5 * (u * u + v * v)).exp()
+    }
+
     fn check(&self, name: &str, stride: usize) {
         let grad = self.random_grad(77);
         let g = self.backward(&grad, ALL);
@@ -93,56 +95,17 @@ fn inputs<F>([projected, features, background]: &[Vec<F>; 3]) -> Inputs<'_, F> {
     Inputs { projected, features, background }
 }
 
-/// No cuts: the derivative exists everywhere but where an alpha meets `alpha_max`.
-fn smooth(alpha_max: f64) -> RenderOptions {
-    RenderOptions { alpha_min: 0.0, transmittance_min: 0.0, alpha_max, ..RenderOptions::standard() }
-}
-
 /// The definition, pixel by pixel.
 fn planes_by_definition(scene: &Scene) -> Vec<f64> {
-    let ([packed, features, background], options) = (&scene.inputs, &scene.spec.options);
-    let (width, channels, pixels) = (scene.spec.intrinsics.width, scene.channels(), scene.pixels());
+    let [packed, features, background] = &scene.inputs;
     let ellipses: Vec<Ellipse<f64>> = packed.chunks_exact(COLUMNS).map(Ellipse::from_row).collect();
     let mut order: Vec<usize> = (0..ellipses.len()).collect();
     order.sort_by(|&a, &b| ellipses[a].depth.total_cmp(&ellipses[b].depth));
-    let mut planes = vec![0.0; scene.spec.planes(channels) * pixels];
-    for pixel in 0..pixels {
-        let (x, y) = ((pixel % width) as f64 + 0.5, (pixel / width) as f64 + 0.5);
-        let mut transmittance = 1.0;
-        for &i in &order {
-            let e = &ellipses[i];
-            let (dx, dy) = (x - e.mean_px[0], y - e.mean_px[1]);
-            let (u, v) = (dx / e.sigma_u, (dy - e.shear * dx) / e.sigma_v);
-            let alpha = (e.opacity * (-0.5 * (u * u + v * v)).exp()).min(options.alpha_max);
-            if alpha < options.alpha_min {
-                continue;
-            }
-            let behind = transmittance * (1.0 - alpha);
-            if options.transmittance_min > 0.0 && behind <= options.transmittance_min {
-                break;
-            }
-            for channel in 0..channels {
-                planes[channel * pixels + pixel] += transmittance * alpha * features[i * channels + channel];
-            }
-            if options.depth {
-                planes[(channels + 1) * pixels + pixel] += transmittance * alpha * e.depth;
-            }
-            transmittance = behind;
-        }
-        for channel in 0..channels {
-            planes[channel * pixels + pixel] += transmittance * background[channel];
-        }
-        planes[channels * pixels + pixel] = 1.0 - transmittance;
-    }
-    planes
-}
-
-fn assert_close(what: &str, found: &[f64], expected: &[f64], tolerance: f64) {
-    assert_eq!(found.len(), expected.len(), "{what}");
-    for (i, (found, expected)) in found.iter().zip(expected).enumerate() {
-        let error = (found - expected).abs();
-        assert!(error <= tolerance * (1.0 + expected.abs()), "{what}[{i}]: found {found}, expected {expected}");
-    }
+    blended(&scene.spec, features, background, |pixel| {
+        let layer =
+            |&i: &usize| Layer { gaussian: i, alpha: scene.alpha(pixel, &ellipses[i]), depth: ellipses[i].depth };
+        order.iter().map(layer).collect()
+    })
 }
 
 #[test]
@@ -161,15 +124,9 @@ fn planes_are_those_of_the_definition() {
 
 /// How close any alpha comes to `value` before the clamp.
 fn nearest_alpha(scene: &Scene, value: f64) -> f64 {
-    let width = scene.spec.intrinsics.width;
     let pairs =
         scene.inputs[0].chunks_exact(COLUMNS).flat_map(|row| (0..scene.pixels()).map(move |pixel| (row, pixel)));
-    let alphas = pairs.map(|(row, pixel)| {
-        let e = Ellipse::from_row(row);
-        let (dx, dy) = ((pixel % width) as f64 + 0.5 - e.mean_px[0], (pixel / width) as f64 + 0.5 - e.mean_px[1]);
-        let (u, v) = (dx / e.sigma_u, (dy - e.shear * dx) / e.sigma_v);
-        e.opacity * (-0.5 * (u * u + v * v)).exp()
-    });
+    let alphas = pairs.map(|(row, pixel)| scene.alpha(pixel, &Ellipse::from_row(row)));
     alphas.map(|alpha| (alpha - value).abs()).fold(f64::MAX, f64::min)
 }
 

@@ -7,6 +7,7 @@ use crate::blend::cpu::blend_cpu;
 use crate::camera::Intrinsics;
 use crate::options::{Order, Projection, RenderOptions};
 use crate::project::{COLUMNS, Ellipse};
+use crate::testing::blending::{Layer, assert_close, blended, small_ellipse, smooth};
 use crate::testing::finite::{check_gradient, inner_product};
 use crate::testing::random::Random;
 use crate::tile::HitLists;
@@ -42,15 +43,8 @@ impl Scene {
         let mut random = Random::new(seed);
         let (mut packed, mut tilts) = (Vec::new(), Vec::new());
         for _ in 0..count {
-            let ellipse = Ellipse {
-                mean_px: [random.between(-3.0, width as f64 + 3.0), random.between(-3.0, height as f64 + 3.0)],
-                sigma_u: random.between(0.7, 7.0),
-                shear: random.between(-1.5, 1.5),
-                sigma_v: random.between(0.7, 5.0),
-                depth: random.between(0.0, 4.0).exp(),
-                opacity: random.between(opacity[0], opacity[1]),
-            };
-            packed.extend(ellipse.to_row());
+            let depth = |random: &mut Random| random.between(0.0, 4.0).exp();
+            packed.extend(small_ellipse(&mut random, [width, height], depth, opacity).to_row());
             let tilt = [random.between(-steep, steep), random.between(-steep, steep)];
             tilts.extend([tilt[0], tilt[1], random.between(0.2 * thick, thick)]);
         }
@@ -142,50 +136,16 @@ fn inputs<F>([projected, tilt, features, background]: &[Vec<F>; 4]) -> Inputs<'_
     Inputs { projected, tilt, features, background }
 }
 
-/// No cuts: the derivative exists everywhere but where an alpha meets `alpha_max` and where two layers change places.
-fn smooth(alpha_max: f64) -> RenderOptions {
-    RenderOptions { alpha_min: 0.0, transmittance_min: 0.0, alpha_max, ..RenderOptions::standard() }
-}
-
 /// The definition, pixel by pixel.
 fn planes_by_definition(scene: &Scene) -> Vec<f64> {
-    let ([_, _, features, background], options) = (&scene.inputs, &scene.spec.options);
-    let (channels, pixels) = (scene.channels(), scene.pixels());
-    let mut planes = vec![0.0; scene.spec.planes(channels) * pixels];
-    for pixel in 0..pixels {
-        let mut transmittance = 1.0;
-        for i in scene.order(pixel) {
+    let [_, _, features, background] = &scene.inputs;
+    blended(&scene.spec, features, background, |pixel| {
+        let layer = |i: usize| {
             let [alpha, depth, _] = scene.seen(pixel, i);
-            let alpha = alpha.min(options.alpha_max);
-            if alpha < options.alpha_min {
-                continue;
-            }
-            let behind = transmittance * (1.0 - alpha);
-            if options.transmittance_min > 0.0 && behind <= options.transmittance_min {
-                break;
-            }
-            for channel in 0..channels {
-                planes[channel * pixels + pixel] += transmittance * alpha * features[i * channels + channel];
-            }
-            if options.depth {
-                planes[(channels + 1) * pixels + pixel] += transmittance * alpha * depth;
-            }
-            transmittance = behind;
-        }
-        for channel in 0..channels {
-            planes[channel * pixels + pixel] += transmittance * background[channel];
-        }
-        planes[channels * pixels + pixel] = 1.0 - transmittance;
-    }
-    planes
-}
-
-fn assert_close(what: &str, found: &[f64], expected: &[f64], tolerance: f64) {
-    assert_eq!(found.len(), expected.len(), "{what}");
-    for (i, (found, expected)) in found.iter().zip(expected).enumerate() {
-        let error = (found - expected).abs();
-        assert!(error <= tolerance * (1.0 + expected.abs()), "{what}[{i}]: found {found}, expected {expected}");
-    }
+            Layer { gaussian: i, alpha, depth }
+        };
+        scene.order(pixel).into_iter().map(layer).collect()
+    })
 }
 
 /// Listed by outline or ellipse, so that a hit that they lose shows.

@@ -1,5 +1,6 @@
 //! What the unit tests of the stages share.
 
+pub mod blending;
 #[cfg(feature = "cube")]
 pub mod ceiling;
 #[cfg(feature = "cube")]

@@ -48,7 +48,8 @@ Written by `splat hard-cases --out DIR`; do not edit.
 Scenes on which splatting loses digits, runs out of range or divides by zero. Each is rendered and differentiated in f32 and
 compared with the truth: the papers' formulas in 106 bits, forwards and backwards. In f64 the CPU twin, which shares no formula with
 them, must agree with them to a millionth of the ceiling, and the exact renderer wherever float64 leaves it digits. Where decisions are
-judged, or layers are too many for 106 bits, the twin in f64 is the truth.
+judged, layers are too many for 106 bits, or pixels look along their rays, of which those formulas know nothing, the twin in f64 is the
+truth.
 
 A score is *largest relative error (share of the ceiling)*. The ceiling is 16 times what the true result changes by when every
 input moves by one f32 ulp, plus 1e-6 of the largest element; rows of gradients must also be within 1e-3 of their length, unless

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use anyhow::{Context, Result, bail, ensure};
 use burn::tensor::Tensor;
-use splat_model::accuracy::{DIALS, Dial, Frontier, Judge, Measured, decibels};
+use splat_model::accuracy::{DIALS, Dial, Frontier, Judge, Measured, Provenance, decibels};
 use splat_op::RenderOptions;
 
 use super::dials::Candidate;
@@ -289,12 +289,12 @@ impl Row {
 
 impl Outcome {
     /// What others choose from.
-    pub fn frontier(&self, bench: &Bench, device: &str) -> Frontier {
-        let pixels: usize = bench.shots.iter().map(|shot| shot.intrinsics.width * shot.intrinsics.height).sum();
+    pub fn frontier(&self, bench: &Bench, device: &str, provenance: Provenance) -> Frontier {
         Frontier {
             device: device.into(),
+            provenance,
             splats: bench.place.gaussians.len(),
-            pixels: pixels / bench.shots.len().max(1),
+            pixels: Shot::pixels(&bench.shots),
             settings: self.rows.iter().filter_map(Row::measured).collect(),
         }
     }
@@ -338,7 +338,7 @@ mod tests {
         // The standard's own error hides what another dial adds to it.
         assert!(alone("transmittance_min", "1e-4") > db("standard") + 6.0);
         assert!(alone("alpha_max", "0.99") < 90.0 && alone("alpha_max", "1") > 100.0);
-        let frontier = outcome.frontier(&bench, "flex");
+        let frontier = outcome.frontier(&bench, "flex", Provenance::default());
         assert!(frontier.settings.iter().any(|measured| measured.name == STANDARD));
         assert!(!frontier.settings.iter().any(|measured| measured.name.starts_with("blur")));
         assert_eq!((frontier.pixels, frontier.splats), (1200, 60));

@@ -18,7 +18,7 @@ use std::time::Duration;
 use anyhow::{Result, ensure};
 use burn::tensor::Device;
 use clap::builder::RangedU64ValueParser;
-use splat_model::accuracy::{Choice, Point, Target, Work, decibels, frontier};
+use splat_model::accuracy::{Choice, Point, Provenance, Target, Work, decibels, frontier};
 use splat_model::capture::{Capture, Photo, Split};
 use splat_model::evaluate::evaluate;
 use splat_model::gaussians::GaussianRows;
@@ -31,6 +31,7 @@ use self::plot::{Chart, Dot, Mark};
 pub use self::subject::Shot;
 use self::subject::{Place, off_the_clamp};
 use self::training::{Runs, Trained};
+use crate::accuracy::ModelArgs;
 use crate::background::ShownBackground;
 use crate::device::{self, DeviceName};
 use crate::options::PhotoArgs;
@@ -77,9 +78,9 @@ pub struct ParetoArgs {
     /// Photographs.
     #[command(flatten)]
     pub photos: PhotoArgs,
-    /// For scenes that were trained with this option
-    #[arg(long)]
-    pub antialias: bool,
+    /// The function that is rendered.
+    #[command(flatten)]
+    pub model: ModelArgs,
     /// What is behind the scene: black, white, R,G,B from 0 to 1, or the background.json that a run left beside it
     #[arg(long, value_name = "WHAT", default_value_t)]
     pub background: ShownBackground,
@@ -109,7 +110,7 @@ pub fn run(args: &ParetoArgs) -> Result<()> {
     let photos = input::photographs(&capture, &views, args.photos.max_side, args.masks)?;
     let shots: Vec<Shot> = photos.iter().map(Shot::from).collect();
     let extent = input::extent(&capture);
-    let base = TrainConfig { antialias: args.antialias, ..TrainConfig::default() }.render_options(extent);
+    let base = args.model.config().render_options(extent);
     let bench = Bench::new(&rows, shots, background.colour(), base, &device)?;
     let all = candidates(&base, [splat_op::is_gpu(&device), bench.pinholes(), true]);
     progress::note(&format!("{} settings, {} views of {} splats", all.len(), photos.len(), rows.len()));
@@ -129,7 +130,8 @@ pub fn run(args: &ParetoArgs) -> Result<()> {
         base,
     };
     write(&out, &subject, &outcome, &trained)?;
-    let json = outcome.frontier(&bench, &device_name).to_json()?;
+    let provenance = Provenance::new(&capture, &rows, &base);
+    let json = outcome.frontier(&bench, &device_name, provenance).to_json()?;
     out.write(FRONTIER, |file| Ok(file.write_all(json.as_bytes())?))?;
     say(&out, &outcome, &trained);
     Ok(())
@@ -193,12 +195,13 @@ pub fn choose_briefly(
     let bench = Bench::new(rows, shots, [0.0; 3], *base, device)?;
     let outcome =
         bench.run(candidates(base, [splat_op::is_gpu(device), bench.pinholes(), false]), BRIEFLY, |_| Ok(None))?;
-    Ok(outcome.frontier(&bench, device_name).choose(target, work)?)
+    // It is not kept, so that nobody can take it for another's.
+    Ok(outcome.frontier(&bench, device_name, Provenance::default()).choose(target, work)?)
 }
 
 fn train(args: &ParetoArgs, capture: &Capture, split: &Split, test: &[Photo], device: &Device) -> Result<Vec<Trained>> {
     let photos = input::photographs(capture, split.require_train()?, args.photos.max_side, args.masks)?;
-    let config = TrainConfig { antialias: args.antialias, steps: args.train_steps, ..TrainConfig::default() };
+    let config = TrainConfig { steps: args.train_steps, ..args.model.config() };
     let extent = input::extent(capture);
     Runs { train: &photos, test, points: &capture.points, extent, config, device }.all()
 }

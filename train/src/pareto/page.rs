@@ -202,9 +202,7 @@ fn training(trained: &[Trained]) -> String {
     let Some(standard) = trained.first() else { return String::new() };
     let mut text = String::from(
         "\n## Training dials\n\n![Seconds of training against PSNR](pareto_train.svg)\n\nShort runs, with three seeds each, scored on \
-         the test photographs with the standard render. Where quartiles overlap, nothing is said of who is better. There is \
-         no dial for the share of a photograph's pixels that a step looks at, nor for updating the higher harmonics in some \
-         steps only; `--sh-every` says when they come.\n\n\
+         the test photographs with the standard render. Where quartiles overlap, nothing is said of who is better.\n\n\
          | way | options | PSNR, dB | to the standard | training, s | to the standard | splats |\n|---|---|---|---|---|---|---|\n",
     );
     for run in trained {

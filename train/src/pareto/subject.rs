@@ -25,6 +25,14 @@ impl<'a> From<&'a Photo> for Shot<'a> {
     }
 }
 
+impl Shot<'_> {
+    /// Mean number of pixels of some.
+    pub fn pixels(shots: &[Self]) -> usize {
+        let all: usize = shots.iter().map(|shot| shot.intrinsics.width * shot.intrinsics.height).sum();
+        all / shots.len().max(1)
+    }
+}
+
 impl Shot<'static> {
     /// A camera without its photograph.
     pub fn unseen(intrinsics: &Intrinsics, cam_from_world: &DAffine3) -> Self {

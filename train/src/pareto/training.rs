@@ -23,7 +23,16 @@ pub struct Way {
     change: fn(&mut TrainConfig),
 }
 
-/// The first is what the others are compared with.
+impl Way {
+    /// A run of this kind.
+    fn of(&self, config: &TrainConfig) -> TrainConfig {
+        let mut config = config.clone();
+        (self.change)(&mut config);
+        config
+    }
+}
+
+/// The first is what the others are compared with. Those are left out that do not go with what a scene is a function of.
 pub const WAYS: &[Way] = &[
     Way { name: "standard", flags: "", change: |_| () },
     Way { name: "half the steps", flags: "--steps {N/2}", change: |config| config.steps = (config.steps / 2).max(1) },
@@ -41,10 +50,27 @@ pub const WAYS: &[Way] = &[
         flags: "--sh-every {N/4}",
         change: |config| config.sh_every = (config.steps / 4).max(1),
     },
+    Way {
+        name: "all harmonics at once, learnt at every 16th step",
+        flags: "--sh-every 0 --sh-rest-every 16",
+        change: |config| (config.sh_every, config.sh_rest_every) = (0, 16),
+    },
+    Way { name: "half of the pixels", flags: "--pixel-share 0.5", change: |config| config.pixel_share = 0.5 },
+    Way { name: "a quarter of the pixels", flags: "--pixel-share 0.25", change: |config| config.pixel_share = 0.25 },
+    Way {
+        name: "twice the steps, half of the pixels",
+        flags: "--steps {2N} --pixel-share 0.5",
+        change: |config| (config.steps, config.pixel_share) = (2 * config.steps, 0.5),
+    },
     Way { name: "no harmonics", flags: "--sh-degree 0", change: |config| config.sh_degree = 0 },
-    Way { name: "fast renders", flags: "--accuracy fast", change: |config| config.dials = Preset::Fast.setting() },
-    Way { name: "exact renders", flags: "--accuracy exact", change: |config| config.dials = Preset::Exact.setting() },
+    Way { name: "fast renders", flags: "--accuracy fast", change: |config| preset(config, Preset::Fast) },
+    Way { name: "exact renders", flags: "--accuracy exact", change: |config| preset(config, Preset::Exact) },
 ];
+
+/// What a scene is a function of stays.
+fn preset(config: &mut TrainConfig, preset: Preset) {
+    config.dials = std::mem::take(&mut config.dials).and(&preset.setting());
+}
 
 fn coarse(coarsest_divisor: usize) -> Resolution {
     Resolution { coarsest_divisor, ..Resolution::FULL }
@@ -74,15 +100,16 @@ pub struct Runs<'a> {
 }
 
 impl Runs<'_> {
-    /// Trains in every way, in turns.
+    /// Trains in every way that can be, in turns.
     ///
     /// # Errors
     /// If a run fails.
     pub fn all(&self) -> Result<Vec<Trained>> {
-        let counter = progress::counter("training", RUNS as usize * WAYS.len());
-        let mut found = vec![(Vec::new(), Vec::new(), 0); WAYS.len()];
+        let ways: Vec<&Way> = WAYS.iter().filter(|way| way.of(&self.config).check().is_ok()).collect();
+        let counter = progress::counter("training", RUNS as usize * ways.len());
+        let mut found = vec![(Vec::new(), Vec::new(), 0); ways.len()];
         for seed in 0..RUNS {
-            for (way, found) in WAYS.iter().zip(&mut found) {
+            for (way, found) in ways.iter().zip(&mut found) {
                 let (psnr, seconds, splats) =
                     self.one(way, seed).with_context(|| format!("the run {:?} failed", way.name))?;
                 progress::note(&format!("trained, {}: {psnr:.2} dB in {seconds:.1} s", way.name));
@@ -94,7 +121,7 @@ impl Runs<'_> {
         }
         counter.finish_and_clear();
         let steps = self.config.steps;
-        let trained = WAYS.iter().zip(found).map(|(way, (psnr, seconds, splats))| {
+        let trained = ways.iter().zip(found).map(|(way, (psnr, seconds, splats))| {
             let flags = [("{N/2}", steps / 2), ("{N/4}", steps / 4), ("{2N}", 2 * steps)];
             let flags =
                 flags.iter().fold(way.flags.to_owned(), |text, (name, number)| text.replace(name, &number.to_string()));
@@ -105,8 +132,7 @@ impl Runs<'_> {
     }
 
     fn one(&self, way: &Way, seed: u64) -> Result<(f64, f64, usize)> {
-        let mut config = TrainConfig { seed, ..self.config.clone() };
-        (way.change)(&mut config);
+        let config = TrainConfig { seed, ..way.of(&self.config) };
         // Scores are those of one render, however a scene was trained.
         let shown = TrainConfig { dials: self.config.dials.clone(), ..config.clone() }.render_options(self.extent);
         let mut trainer = Trainer::new(self.train.to_vec(), self.points, config, self.device)?;
@@ -121,5 +147,38 @@ impl Runs<'_> {
         let background = Background::Colour(self.config.background);
         let scores = evaluate(&splats, self.test, &background, &shown, |_, _| ())?;
         Ok((scores.psnr, seconds, splats.means.dims()[0]))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use splat_model::accuracy::Setting;
+    use splat_op::{Projection, RenderOptions};
+
+    use super::*;
+
+    /// The dials of the training that there are: each is in a run at the least.
+    #[test]
+    fn every_dial_of_the_training_is_turned_somewhere() {
+        let base = TrainConfig { steps: 100, ..TrainConfig::default() };
+        let turned = |differs: fn(&TrainConfig, &TrainConfig) -> bool| {
+            WAYS.iter().filter(|way| differs(&way.of(&base), &base)).map(|way| way.name).collect::<Vec<_>>()
+        };
+        assert!(turned(|a, b| a.steps != b.steps).contains(&"half the steps"));
+        assert!(turned(|a, b| a.resolution != b.resolution).contains(&"quarters first"));
+        assert_eq!(turned(|a, b| a.pixel_share != b.pixel_share).len(), 3);
+        assert_eq!(turned(|a, b| a.sh_rest_every != b.sh_rest_every).len(), 1);
+        assert!(turned(|a, b| a == b) == ["standard"] && WAYS[0].of(&base) == base);
+    }
+
+    #[test]
+    fn a_scene_along_rays_stays_one_and_is_trained_on_whole_pictures() {
+        let choice = Setting::new([("projection", "exact")]).unwrap();
+        let base = TrainConfig { dials: choice, ..TrainConfig::default() };
+        for way in WAYS {
+            let config = way.of(&base);
+            assert_eq!(config.dials.apply(RenderOptions::standard()).projection, Projection::Exact, "{}", way.name);
+            assert_eq!(config.check().is_ok(), config.pixel_share == 1.0, "{}", way.name);
+        }
     }
 }

@@ -68,23 +68,25 @@ pub fn run_with(args: &TrainArgs, change: impl FnOnce(Trainer) -> Trainer) -> Re
     };
     let mut config = args.config()?;
     let (device, device_name) = args.device.resolve()?;
-    let mut accuracy = Some(args.accuracy.resolve(&device_name, Work::Train)?);
-    if let Some(Accuracy::Known(setting)) = accuracy.take_if(|accuracy| matches!(accuracy, Accuracy::Known(_))) {
-        config.dials = setting;
-    }
+    let accuracy = args.accuracy.resolve(&device_name)?;
     let (out, capture, start) = open(&args)?;
     let capture = Arc::new(capture);
     // A run may be gone on with from anywhere.
     args.capture = args.capture.map(|capture| std::path::absolute(&capture).unwrap_or(capture));
     let checkpoints = Checkpoints::open(&out.path(), args.checkpoint_every)?;
     let (split, photo_args) = args.photos.split(&capture);
-    let mut effects = args.effects.choose(&capture, split.require_train()?, args.antialias)?;
+    let mut effects = args.effects.choose(&capture, split.require_train()?, args.model.antialias)?;
     effects.configure(&mut config, args.background, args.sh_degree);
     let available = budget::available();
     let cache = budget::cache(args.cache_mb, available);
     let (train, test) = photographs(&capture, &split, &photo_args, (&effects, cache))?;
     let train_views = views_of(&capture, &train);
     let shots: Vec<Shot> = train.iter().map(|photo| Shot::unseen(&photo.intrinsics, &photo.cam_from_world)).collect();
+    let base = config.render_options(input::extent(&capture));
+    let mut accuracy = Some(accuracy.on((&capture, None, Shot::pixels(&shots)), &base, Work::Train)?);
+    if let Some(Accuracy::Known(setting)) = accuracy.take_if(|accuracy| matches!(accuracy, Accuracy::Known(_))) {
+        config.dials = config.dials.and(&setting);
+    }
     progress::note(&format!(
         "{}: {} photographs to train on, {} to test on, {} points",
         capture.folder.display(),

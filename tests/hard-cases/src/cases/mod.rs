@@ -10,6 +10,7 @@ mod near;
 mod needles;
 mod opacity;
 pub mod poison;
+mod rays;
 mod rotations;
 mod sizes;
 mod training;
@@ -37,6 +38,7 @@ pub const GROUPS: &[Group] = &[
     Group { name: "rotations", title: "Rotations", cases: rotations::cases },
     Group { name: "cameras", title: "Cameras", cases: cameras::cases },
     Group { name: "colour", title: "Colour", cases: colour::cases },
+    Group { name: "rays", title: "Exact projection and per-pixel order", cases: rays::cases },
     Group { name: "far", title: "Far from the origin, and very small", cases: far::cases },
     Group { name: "poison", title: "Poison", cases: poison::cases },
     Group { name: "counts", title: "Numbers of things", cases: counts::cases },

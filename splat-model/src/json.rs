@@ -1,0 +1,48 @@
+//! Small files of JSON, which are never read beyond a length that none of their kind has.
+
+use std::fs::File;
+use std::io::{self, Read};
+use std::path::Path;
+
+use serde::de::DeserializeOwned;
+use thiserror::Error;
+
+/// Why there is no value.
+#[derive(Debug, Error)]
+pub(crate) enum JsonFault {
+    /// The file cannot be read.
+    #[error("{0}")]
+    Read(io::Error),
+    /// It holds something else, and what.
+    #[error("{0}")]
+    Content(String),
+}
+
+/// What a file of at most `largest` bytes holds.
+pub(crate) fn read<T: DeserializeOwned>(path: &Path, largest: u64) -> Result<T, JsonFault> {
+    let mut text = Vec::new();
+    let read = File::open(path).and_then(|file| file.take(largest + 1).read_to_end(&mut text));
+    read.map_err(JsonFault::Read)?;
+    if text.len() as u64 > largest {
+        return Err(JsonFault::Content(format!("more than {largest} bytes")));
+    }
+    serde_json::from_slice(&text).map_err(|error| JsonFault::Content(error.to_string()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_file_is_read_to_its_length_and_no_further() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("numbers.json");
+        std::fs::write(&path, "[1, 2]").unwrap();
+        assert_eq!(read::<Vec<u32>>(&path, 6).unwrap(), [1, 2]);
+        assert!(
+            matches!(read::<Vec<u32>>(&path, 5), Err(JsonFault::Content(what)) if what.contains("more than 5 bytes"))
+        );
+        assert!(matches!(read::<String>(&path, 6), Err(JsonFault::Content(what)) if what.contains("invalid type")));
+        assert!(matches!(read::<String>(&folder.path().join("none"), 6), Err(JsonFault::Read(_))));
+    }
+}

@@ -1,0 +1,149 @@
+//! Pixels that look along their rays: the hard scenes of other groups under the exact projection and the pixels' own order, and
+//! what is hard for these alone.
+//!
+//! The formulas of the papers in 106 bits know neither: the twin in f64 is the truth, and is held to the exact renderer wherever
+//! that has digits left.
+
+use splat_op::{Intrinsics, Order, Projection, RenderOptions};
+
+use super::{near, needles, sizes};
+use crate::case::{Case, Kind, Processor};
+use crate::random::Random;
+use crate::scene::{HardScene, SMOOTH, Splat, Truth};
+
+/// Of other groups, for the exact projection.
+const PROJECTED: [&str; 17] = [
+    "long needle 1e2 in the image plane",
+    "long needle 1e2 out of the plane",
+    "long needle 1e4 in the image plane",
+    "long needle 1e4 out of the plane",
+    "thin needle 1e4 in the image plane",
+    "thin disc 1e4 out of the plane",
+    "far below a pixel",
+    "larger than the screen",
+    "larger than the scene",
+    "log-scale −50",
+    "log-scale +50",
+    "centre at the near plane ± 1 ulp",
+    "crosses the camera plane",
+    "camera inside a splat",
+    "centre on the optical axis",
+    "grazing the border of the view",
+    "behind the camera",
+];
+
+/// For the pixels' own order.
+const SORTED: [&str; 9] = [
+    "long needle 1e2 out of the plane",
+    "long needle 1e4 out of the plane",
+    "thin disc 1e4 out of the plane",
+    "larger than the screen",
+    "larger than the scene",
+    "crosses the camera plane",
+    "camera inside a splat",
+    "grazing the border of the view",
+    "behind the camera",
+];
+
+/// What f32 does not hold of the exact projection, by how much at most on CPUs and on GPUs.
+const LOOSE: [(&str, [f64; 2]); 4] = [
+    ("larger than the screen", [300.0, 300.0]),
+    // No digit is left: what is seen of such a splat, whose centre is ten thousand pictures outside, is wrong altogether.
+    ("larger than the scene", [1e8, 1e8]),
+    ("log-scale +50", [500.0, 500.0]),
+    ("camera inside a splat", [1.0, 10.0]),
+];
+
+/// Why.
+const APART: &str = "a pixel's whitened place and the tilt are rounded apart, and `s = 1 − tilt·(u, v)` is a small difference of \
+                     the two where a splat is many times as large as it is far away";
+
+pub fn cases() -> Vec<Case> {
+    let exact = SMOOTH.with_projection(Projection::Exact);
+    let sorted = SMOOTH.with_order(Order::PerPixel);
+    let both = exact.with_order(Order::PerPixel);
+    let others = || [needles::cases(), sizes::cases(), near::cases()].into_iter().flatten();
+    let again = |names: &'static [&str], what: &str, options: RenderOptions| -> Vec<Case> {
+        let chosen = others().filter(|case| names.contains(&case.name.as_str()));
+        chosen.map(|case| along_rays(case, what, options)).collect()
+    };
+    let loose = |case: Case| {
+        let found = LOOSE.iter().find(|(name, _)| case.name.starts_with(name));
+        let [cpu, gpu] = found.map_or([1.0; 2], |(_, factors)| *factors);
+        let case = if cpu > 1.0 { case.loose(Processor::Cpu, cpu, APART) } else { case };
+        if gpu > 1.0 { case.loose(Processor::Gpu, gpu, APART) } else { case }
+    };
+    let mut cases: Vec<Case> = again(&PROJECTED, "exact projection", exact).into_iter().map(loose).collect();
+    cases.extend(again(&SORTED, "per-pixel order", sorted));
+    for (what, options) in [("per-pixel order", sorted), ("exact projection and per-pixel order", both)] {
+        let seen = |scene: HardScene| vec![scene.with_options(options).with_truth(Truth::Twin)];
+        cases.push(
+            Case::scenes(
+                format!("sheets that cross, {what}"),
+                "which is in front changes along a line, at which pictures jump and gradients do not exist",
+                seen(crossing()),
+            )
+            .hardness("3 sheets"),
+        );
+        cases.push(
+            Case::scenes(
+                format!("24 leaning layers in every pixel, {what}"),
+                "the order is another in every pixel, and more than a kernel's unit sorts at once",
+                seen(leaning()),
+            )
+            .hardness("24 layers"),
+        );
+    }
+    cases
+}
+
+/// A case of another group, rendered with other options.
+fn along_rays(case: Case, what: &str, options: RenderOptions) -> Case {
+    let Kind::Scenes(scenes) = case.kind else { return case };
+    let scene = |scene: HardScene| scene.with_options(options).with_truth(Truth::Twin);
+    let scenes = scenes.into_iter().map(scene).collect();
+    Case { name: format!("{}, {what}", case.name), kind: Kind::Scenes(scenes), ..case }
+}
+
+/// Discs through one another.
+fn crossing() -> HardScene {
+    let sheet = |i: usize, quat: [f64; 4]| {
+        let colour = std::array::from_fn::<f64, 3, _>(|channel| if channel == i { 0.9 } else { 0.1 });
+        let splat = Splat::at([29.0 + i as f64, 22.3], 3.0, 9.0).quat(quat).opacity(0.8);
+        let [x, y, _] = splat.scale;
+        splat.scale([x, y, 0.02]).colour(&colour)
+    };
+    let (cos, sin) = (0.9, 0.43);
+    HardScene::new(
+        "turned",
+        &[sheet(0, [cos, 0.0, sin, 0.02]), sheet(1, [cos, 0.03, -sin, 0.0]), sheet(2, [cos, sin, 0.05, 0.01])],
+    )
+}
+
+/// Wide, flat and turned at random, so that each pixel has an order of its own. Few pixels and layers, so that no two change places
+/// within rounding: there a picture jumps.
+fn leaning() -> HardScene {
+    let lens = Intrinsics { cx: 8.2, cy: 5.9, ..Intrinsics::centred(16, 12, 20.0) };
+    let mut random = Random::new(12);
+    let splats: Vec<Splat> = (0..24)
+        .map(|_| {
+            let px = [random.between(0.0, 16.0), random.between(0.0, 12.0)];
+            let splat = Splat::seen_by(&lens, px, random.between(2.0, 6.0), random.between(5.0, 12.0));
+            let [x, y, z] = splat.scale;
+            let quat = [1.0, random.between(-0.4, 0.4), random.between(-0.4, 0.4), random.between(-1.0, 1.0)];
+            let colour = random.fill(3, 0.0, 1.0);
+            splat.scale([x, y, 0.05 * z]).quat(quat).opacity(random.between(0.05, 0.3)).colour(&colour)
+        })
+        .collect();
+    HardScene::new("16 × 12 px", &splats).with_camera(lens)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_case_that_is_named_is_there() {
+        assert_eq!(cases().len(), PROJECTED.len() + SORTED.len() + 4);
+    }
+}

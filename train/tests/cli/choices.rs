@@ -1,0 +1,101 @@
+//! Model choices: what a scene is a function of, from the training to the picture.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::sync::LazyLock;
+
+use crate::run::{DEMO, fresh, refuse, splat, succeed};
+use crate::{json, text};
+
+const CHOICES: [&str; 4] = ["--projection", "exact", "--order", "per-pixel"];
+
+/// A short run along rays.
+static ALONG_RAYS: LazyLock<PathBuf> = LazyLock::new(|| train("along-rays", &CHOICES));
+
+/// Photographs through a lens.
+static LENS: LazyLock<PathBuf> = LazyLock::new(|| {
+    let folder = fresh("lens");
+    let size = ["--views", "8", "--width", "64", "--height", "48", "--lens"];
+    succeed(splat(&["demo", "--out"]).arg(&folder).args(size));
+    folder
+});
+
+fn train(name: &str, options: &[&str]) -> PathBuf {
+    let out = fresh(name);
+    let always = ["train", text(&DEMO), "--steps", "6", "--max-side", "48", "--effects", "none", "--out", text(&out)];
+    succeed(&mut splat(&[&always[..], options].concat()));
+    out
+}
+
+fn psnr(folder: &Path) -> f64 {
+    json(&folder.join("metrics.json"))["test"]["psnr"].as_f64().unwrap()
+}
+
+#[test]
+fn a_run_renders_as_it_was_asked_to_and_says_so() {
+    let options = &json(&ALONG_RAYS.join("metrics.json"))["options"];
+    assert_eq!(options["dials"], serde_json::json!({"order": "per-pixel", "projection": "exact"}));
+    let plain = train("plain-rays", &[]);
+    assert_eq!(json(&plain.join("metrics.json"))["options"]["dials"], serde_json::json!({}));
+    let scene = |folder: &Path| fs::read(folder.join("scene.ply")).unwrap();
+    assert_ne!(scene(&plain), scene(&ALONG_RAYS), "the steps took no notice");
+}
+
+#[test]
+fn one_evaluates_and_renders_as_one_trained() {
+    let (folder, scene) = (tempfile::tempdir().unwrap(), ALONG_RAYS.join("scene.ply"));
+    let out = folder.path().join("eval");
+    let eval = |options: &[&str]| {
+        let always = ["eval", text(&DEMO), "--scene", text(&scene), "--max-side", "48", "--out", text(&out)];
+        succeed(&mut splat(&[&always[..], options].concat()));
+        psnr(&out)
+    };
+    assert!((eval(&CHOICES) - psnr(&ALONG_RAYS)).abs() < 1e-4);
+    let dials = &json(&out.join("metrics.json"))["options"]["dials"];
+    assert_eq!(*dials, serde_json::json!({"order": "per-pixel", "projection": "exact"}));
+    assert!((eval(&[]) - psnr(&ALONG_RAYS)).abs() > 1e-3, "the choices make no difference");
+    assert!((eval(&CHOICES[..2]) - psnr(&ALONG_RAYS)).abs() > 1e-4, "the order makes none");
+    let picture = |options: &[&str], name: &str| {
+        let out = folder.path().join(name);
+        let always =
+            ["render", "--scene", text(&scene), "--capture", text(&DEMO), "--view", "0000.png", "--out", text(&out)];
+        succeed(&mut splat(&[&always[..], options].concat()));
+        fs::read(out.join("0000.png")).unwrap()
+    };
+    assert_ne!(picture(&CHOICES, "rays"), picture(&[], "plain"));
+}
+
+#[test]
+fn a_lens_is_refused_wherever_rays_are_asked_for() {
+    let (folder, scene) = (tempfile::tempdir().unwrap(), ALONG_RAYS.join("scene.ply"));
+    let out = folder.path().join("out");
+    let run = |arguments: &[&str], choice: &[&str], parts: &[&str]| {
+        refuse(splat(&[arguments, choice].concat()).args(["--out", text(&out)]), parts);
+    };
+    for choice in [&CHOICES[..2], &CHOICES[2..]] {
+        let train = ["train", text(&LENS), "--steps", "2", "--effects", "none"];
+        run(&train, choice, &["OpenCv", ".png`", "undistort the photographs"]);
+        run(&["eval", text(&LENS), "--scene", text(&scene)], choice, &["camera model", "OpenCv", "undistort"]);
+        let render = ["render", "--scene", text(&scene), "--capture", text(&LENS), "--view", "0000.png"];
+        run(&render, choice, &["camera model", "OpenCv", "undistort"]);
+    }
+    assert!(!out.join("scene.ply").exists());
+}
+
+#[test]
+fn a_part_of_the_picture_goes_with_what_needs_no_more() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = text(folder.path());
+    let train = |options: &[&str]| {
+        let always = ["train", text(&DEMO), "--steps", "3", "--out", out];
+        splat(&[&always[..], options].concat())
+    };
+    succeed(&mut train(&["--effects", "none", "--pixel-share", "0.7", "--sh-rest-every", "2"]));
+    let options = &json(&folder.path().join("metrics.json"))["options"];
+    assert_eq!((&options["pixel_share"], &options["sh_rest_every"]), (&0.7.into(), &2.into()));
+    let half = ["--pixel-share", "0.5"];
+    refuse(&mut train(&[&half[..], &["--effects", "bilateral-grid"]].concat()), &["--pixel-share", "bilateral grid"]);
+    refuse(&mut train(&[&half[..], &CHOICES].concat()), &["--pixel-share", "--projection exact"]);
+    refuse(&mut train(&["--pixel-share", "0"]), &["`pixel_share` is 0"]);
+    refuse(&mut train(&[&CHOICES[..], &["--effects", "motion-blur"]].concat()), &["motion blur", "--effects=-NAME"]);
+}
