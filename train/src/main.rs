@@ -27,7 +27,7 @@ fn main() -> ExitCode {
     match splat_train::run(&Cli::parse().command) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            splat_train::progress::note(&splat_train::describe(&error));
+            splat_train::progress::error(&splat_train::describe(&error));
             ExitCode::FAILURE
         }
     }

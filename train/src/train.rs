@@ -6,7 +6,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use anyhow::{Result, anyhow};
+use anyhow::{Result, anyhow, ensure};
 use clap::builder::RangedU64ValueParser;
 use glam::DAffine3;
 use serde::Serialize;
@@ -27,9 +27,13 @@ use crate::effects::{Chosen, EffectsArg};
 use crate::options::PhotoArgs;
 use crate::output::OutputFolder;
 use crate::pareto::Shot;
-use crate::progress::{self, StepProgress};
+use crate::progress::{self, VoiceArgs};
+use crate::report::history::History;
+use crate::report::log::{Line, RunLog};
 use crate::report::metrics::{Metrics, Seconds, peak_rss_mib, seconds_since};
-use crate::report::{self, BACKGROUND, METRICS, POSES, SCENE, VIEWS};
+use crate::report::page::{self, Page};
+use crate::report::{self, BACKGROUND, METRICS, POSES, REPORT, SCENE, VIEWS};
+use crate::view::scene::{ShownScene, Viewpoint};
 use crate::{demo, input};
 
 /// Steps of a run on the demo capture, chosen so that the whole of it takes under 3 minutes on 2 CPU cores.
@@ -117,6 +121,12 @@ pub struct TrainArgs {
     /// motion-blur, rolling-shutter, defocus, depth-supervision
     #[arg(long, value_name = "LIST", default_value_t, allow_hyphen_values = true)]
     pub effects: EffectsArg,
+    /// Score the scene on a few test views after every N steps, for the curve in report.html and for --json [default: off]
+    #[arg(long, value_name = "N", value_parser = RangedU64ValueParser::<usize>::new().range(1..))]
+    pub eval_during: Option<usize>,
+    /// How much is said.
+    #[command(flatten)]
+    pub voice: VoiceArgs,
     /// Look at what every stage of every step leaves, and end at the first that goes wrong; several times as slow
     #[arg(long)]
     pub check: bool,
@@ -167,7 +177,7 @@ impl TrainArgs {
     /// Prepares the output folder and reads the capture, after making it if none was given.
     fn open(&self) -> Result<(OutputFolder, Capture, Instant)> {
         let out = self.out.as_deref().unwrap_or(Path::new(DEMO_OUT));
-        let prepare = || OutputFolder::prepare(out, &[SCENE, METRICS, BACKGROUND, POSES], &[VIEWS]);
+        let prepare = || OutputFolder::prepare(out, &[SCENE, METRICS, REPORT, BACKGROUND, POSES], &[VIEWS]);
         match &self.capture {
             Some(folder) => {
                 let start = Instant::now();
@@ -208,6 +218,10 @@ pub fn run_with(args: &TrainArgs, change: impl FnOnce(Trainer) -> Trainer) -> Re
     let mut effects = args.effects.choose(&capture, split.require_train()?, args.antialias)?;
     effects.configure(&mut config, args.background, args.sh_degree);
     let (train, test) = photographs(&capture, &split, &photo_args, &effects)?;
+    ensure!(
+        args.eval_during.is_none() || !test.is_empty(),
+        "`--eval-during` scores test views, and `--eval-every 0` holds out none: leave out one of them"
+    );
     let train_views = views_of(&capture, &train);
     let cameras: Vec<Shot> = train.iter().map(|photo| Shot::unseen(&photo.intrinsics, &photo.cam_from_world)).collect();
     progress::note(&format!(
@@ -222,8 +236,15 @@ pub fn run_with(args: &TrainArgs, change: impl FnOnce(Trainer) -> Trainer) -> Re
     let mut trainer = change(if args.check { trainer.with_checks() } else { trainer });
     let load = seconds_since(start);
 
-    let start = Instant::now();
-    let mut bar = StepProgress::new(config.steps);
+    let mut log = RunLog::new(config.steps, History::default());
+    progress::line(&Line::Start {
+        steps: config.steps,
+        train_views: cameras.len(),
+        test_views: test.len(),
+        splats: trainer.gaussians().len(),
+        device: &device_name,
+        version: env!("CARGO_PKG_VERSION"),
+    });
     while !trainer.is_done() {
         // Earlier a scene is not yet like what it will be.
         if trainer.steps_done() >= config.steps / MEASURED_AFTER
@@ -234,15 +255,18 @@ pub fn run_with(args: &TrainArgs, change: impl FnOnce(Trainer) -> Trainer) -> Re
             trainer.turn(&config.dials);
         }
         match trainer.step() {
-            Ok(report) => bar.step(&report),
+            Ok(report) => log.step(&report),
             Err(error) => {
-                bar.finish();
+                log.finish();
                 return Err(keep_scene(error, &trainer, &capture, &out));
             }
         }
+        if args.eval_during.is_some_and(|every| trainer.steps_done().is_multiple_of(every)) {
+            log.evaluate(&trainer, &test, &device)?;
+        }
     }
-    bar.finish();
-    let train = seconds_since(start);
+    let train = log.seconds();
+    let history = log.finish();
     let background = trainer.background();
     let render_options = trainer.render_options();
     // Before measuring, so that whatever goes wrong there does not cost the scene.
@@ -256,6 +280,7 @@ pub fn run_with(args: &TrainArgs, change: impl FnOnce(Trainer) -> Trainer) -> Re
     };
     let unusable = rows.unusable();
     progress::note_unusable(&out.join(SCENE), unusable, rows.len());
+    let scene = ShownScene::new(&rows, page::SCENE_BYTES).ok();
     drop(rows);
     effects.measure(&mut trainer)?;
     // Photographs and moments are not needed for the scores, and their memory is.
@@ -281,7 +306,18 @@ pub fn run_with(args: &TrainArgs, change: impl FnOnce(Trainer) -> Trainer) -> Re
         version: env!("CARGO_PKG_VERSION"),
     };
     report::finish(&metrics, &out)?;
+    let viewpoints: Vec<Viewpoint> = test.iter().map(Viewpoint::of).collect();
+    let page = Page {
+        metrics: &metrics,
+        history: &history,
+        scene: scene.as_ref(),
+        viewpoints: &viewpoints,
+        background: background.colour(),
+        antialias: config.antialias,
+    };
+    page.write(&out)?;
     report::say(&metrics, &out);
+    progress::line(&Line::Done { out: out.join("").display().to_string(), metrics: &metrics });
     Ok(metrics)
 }
 
