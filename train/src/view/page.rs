@@ -78,7 +78,8 @@ impl Viewer<'_> {
                 )
             }
         };
-        let how = "drag to turn, right button to move, wheel to come near";
+        let wheel = if self.source == Source::Page { "wheel after a click" } else { "wheel" };
+        let how = format!("drag to turn, right button to move, {wheel} to come near");
         let (omissions, splats) = (self.scene.omissions(), self.scene.splats);
         let shown = if omissions.is_empty() { format!("{splats} splats. ") } else { omissions };
         format!("<div id=\"viewer\"><p id=\"viewer-note\">{}{how}</p>{bar}</div>\n", escape(&shown))

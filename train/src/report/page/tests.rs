@@ -132,8 +132,8 @@ fn every_element_ends_where_it_should() {
     assert_eq!(open, [""; 0]);
     assert_eq!(
         markup.matches("<script").count(),
-        5,
-        "setup, scene, libraries, viewer and page, and no script of others"
+        6,
+        "setup, scene, libraries, viewer, history and page, and no script of others"
     );
     assert_eq!(markup.matches(" onerror=").count(), markup.matches("&gt;&lt;img src=x onerror=").count());
 }

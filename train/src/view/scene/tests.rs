@@ -56,7 +56,7 @@ fn colours_are_cut_before_splats_are() {
 fn the_splats_that_cover_the_most_are_kept_in_their_order() {
     let mut rows = rows(100, 1);
     rows.logit_opacities[99] = -200.0;
-    rows.log_scales[0] = [0.0, 0.0, -9.0];
+    rows.log_scales[0] = [2.0, 2.0, -9.0];
     let scene = ShownScene::new(&rows, 10 * bytes_per_row(0) + 3).unwrap();
     assert_eq!((scene.splats, scene.of, scene.sh_degree), (10, 100, 0));
     let kept: Vec<f32> = read(&scene).means.iter().map(|mean| mean[0]).collect();
