@@ -4,6 +4,7 @@ mod budget;
 mod checkpoints;
 mod results;
 mod run;
+mod steps;
 mod stop;
 
 use std::path::PathBuf;
@@ -21,6 +22,7 @@ use crate::background::TrainBackground;
 use crate::device::{self, DeviceName};
 use crate::effects::EffectsArg;
 use crate::options::PhotoArgs;
+use crate::progress::VoiceArgs;
 
 /// Steps of a run on the demo capture, chosen so that the whole of it takes under 3 minutes on 2 CPU cores.
 pub const DEMO_STEPS: usize = 1500;
@@ -35,6 +37,39 @@ pub const DEMO_OUT: &str = "out/demo";
 /// Steps between checkpoints unless told otherwise: a minute or two of the usual run on a CPU, seconds on a GPU.
 pub const CHECKPOINT_EVERY: usize = 500;
 
+/// What a run that goes on has already: all options but those that say how much is said.
+const OF_A_NEW_RUN: [&str; 29] = [
+    "capture",
+    "out",
+    "steps",
+    "device",
+    "seed",
+    "max_splats",
+    "eval_every",
+    "max_side",
+    "sh_degree",
+    "sh_every",
+    "matte_below",
+    "antialias",
+    "projection",
+    "order",
+    "opacity_weight",
+    "coarsest",
+    "full_from",
+    "sh_rest_every",
+    "pixel_share",
+    "accuracy",
+    "target_error",
+    "target_ms",
+    "frontier",
+    "background",
+    "effects",
+    "eval_during",
+    "check",
+    "cache_mb",
+    "checkpoint_every",
+];
+
 /// Options of `splat train`, which checkpoints keep.
 #[derive(Clone, Debug, clap::Args, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -43,7 +78,7 @@ pub struct TrainArgs {
     #[arg(requires = "out")]
     pub capture: Option<PathBuf>,
     /// Go on with the run whose checkpoints are in this folder, with the options that it was started with
-    #[arg(long, value_name = "DIR", exclusive = true)]
+    #[arg(long, value_name = "DIR", conflicts_with_all = OF_A_NEW_RUN)]
     #[serde(skip)]
     pub resume: Option<PathBuf>,
     /// Folder for scene.ply, metrics.json and views/; with the demo capture `out/demo` if not given
@@ -122,6 +157,13 @@ pub struct TrainArgs {
     #[arg(long, value_name = "LIST", default_value_t, allow_hyphen_values = true)]
     #[serde(with = "crate::as_text")]
     pub effects: EffectsArg,
+    /// Score the scene on a few test views after every N steps, for the curve in report.html and for --json [default: off]
+    #[arg(long, value_name = "N", value_parser = RangedU64ValueParser::<usize>::new().range(1..))]
+    pub eval_during: Option<usize>,
+    /// How much is said.
+    #[command(flatten)]
+    #[serde(skip)]
+    pub voice: VoiceArgs,
     /// Look at what every stage of every step leaves, and end at the first that goes wrong; several times as slow
     #[arg(long)]
     pub check: bool,
@@ -169,7 +211,7 @@ impl TrainArgs {
 
 #[cfg(test)]
 mod tests {
-    use clap::Parser;
+    use clap::{CommandFactory, Parser};
 
     use super::*;
     use crate::options::{Cli, Command};
@@ -183,6 +225,30 @@ mod tests {
     #[test]
     fn without_options_a_capture_trains_as_the_library_does() {
         assert_eq!(config(&["capture", "--out", "out"]).unwrap(), TrainConfig::default());
+    }
+
+    #[test]
+    fn a_run_that_goes_on_takes_no_options_of_a_new_one() {
+        let command = Cli::command();
+        let train = command.find_subcommand("train").unwrap();
+        let ids = train.get_arguments().map(|argument| argument.get_id().as_str());
+        let ids: Vec<&str> = ids.filter(|id| !["resume", "quiet", "json", "help"].contains(id)).collect();
+        assert!(ids.iter().all(|id| OF_A_NEW_RUN.contains(id)), "{ids:?}");
+        let refused = |option: &str| Cli::try_parse_from(["splat", "train", "--resume", "out", option]).is_err();
+        assert!(refused("--check") && refused("--steps=7") && refused("capture") && refused("--effects=none"));
+        assert!(!refused("--quiet") && !refused("--json"));
+    }
+
+    #[test]
+    fn what_a_checkpoint_keeps_of_the_options_is_all_of_them() {
+        let arguments =
+            ["c", "--out", "o", "--device", "gpu:1", "--effects=auto,-masks", "--background", "0.1,0.2,0.3"];
+        let more = ["--projection", "exact", "--target-error", "40.1", "--opacity-weight", "0.1", "--eval-during", "9"];
+        let cli = Cli::try_parse_from(["splat", "train"].iter().chain(&arguments).chain(&more)).unwrap();
+        let Command::Train(args) = cli.command else { panic!("asked for train") };
+        let text = serde_json::to_string(&args).unwrap();
+        let read: TrainArgs = serde_json::from_str(&text).unwrap();
+        assert_eq!(format!("{read:?}"), format!("{args:?}"));
     }
 
     #[test]
