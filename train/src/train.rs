@@ -30,6 +30,7 @@ use crate::pareto::Shot;
 use crate::progress::{self, StepProgress};
 use crate::report::metrics::{Metrics, Seconds, peak_rss_mib, seconds_since};
 use crate::report::{self, BACKGROUND, METRICS, POSES, SCENE, VIEWS};
+use crate::strategy::StrategyName;
 use crate::{demo, input};
 
 /// Steps of a run on the demo capture, chosen so that the whole of it takes under 3 minutes on 2 CPU cores.
@@ -57,9 +58,9 @@ pub struct TrainArgs {
     /// Folder for scene.ply, metrics.json and views/; with the demo capture `out/demo` if not given
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
-    /// Training steps, one photograph each
+    /// Training steps
     #[arg(long, value_name = "N", help = format!(
-        "Training steps, one photograph each [default: {}; with the demo capture {DEMO_STEPS}]", TrainConfig::default().steps
+        "Training steps, of one photograph each unless there is a `--batch` [default: {}; with the demo capture {DEMO_STEPS}]", TrainConfig::default().steps
     ))]
     pub steps: Option<usize>,
     /// Where to compute
@@ -72,10 +73,17 @@ pub struct TrainArgs {
     #[arg(
         long,
         value_name = "N",
-        default_value_t = TrainConfig::default().density.max_splats,
+        default_value_t = TrainConfig::default().density.max_splats(),
         value_parser = RangedU64ValueParser::<usize>::new().range(1..)
     )]
     pub max_splats: usize,
+    /// How splats are added, moved and removed
+    #[arg(long, value_name = "NAME", value_enum, default_value_t)]
+    pub strategy: StrategyName,
+    /// Photographs in each step. Learning rates grow with the root of their number, as the field has it; take `--steps` N times
+    /// smaller for a run that sees each photograph as often
+    #[arg(long, value_name = "N", default_value_t = TrainConfig::default().batch, value_parser = RangedU64ValueParser::<usize>::new().range(1..))]
+    pub batch: usize,
     /// Photographs.
     #[command(flatten)]
     pub photos: PhotoArgs,
@@ -141,7 +149,8 @@ impl TrainArgs {
     pub fn config(&self) -> Result<TrainConfig, TrainError> {
         let mut config = TrainConfig { seed: self.seed, antialias: self.antialias, ..TrainConfig::default() };
         config.opacity_weight = self.opacity_weight;
-        config.density.max_splats = self.max_splats;
+        config.density = self.strategy.config().with_max_splats(self.max_splats);
+        config.batch = self.batch;
         config.resolution = Resolution { coarsest_divisor: self.coarsest, full_from: self.full_from };
         if self.capture.is_none() {
             (config.steps, config.sh_degree) = (DEMO_STEPS, DEMO_SH_DEGREE);
@@ -357,6 +366,8 @@ fn photographs(
 mod tests {
     use clap::Parser;
 
+    use splat_model::density::{AdaptiveConfig, DensityConfig, McmcConfig};
+
     use super::*;
     use crate::options::{Cli, Command};
 
@@ -382,11 +393,22 @@ mod tests {
         let arguments =
             ["--seed", "5", "--max-splats", "77", "--sh-degree", "2", "--antialias", "--opacity-weight", "0.01"];
         let config = config(&arguments).unwrap();
-        assert_eq!((config.seed, config.density.max_splats, config.sh_degree, config.antialias), (5, 77, 2, true));
+        assert_eq!((config.seed, config.density.max_splats(), config.sh_degree, config.antialias), (5, 77, 2, true));
         assert_eq!(config.opacity_weight, 0.01);
         let config = self::config(&["--sh-every", "300", "--matte-below", "2.55"]).unwrap();
         assert_eq!(config.sh_every, 300);
         assert!((config.matte_below.unwrap() - 0.01).abs() < 1e-12);
+    }
+
+    #[test]
+    fn strategies_have_the_settings_of_the_library() {
+        let density = |arguments: &[&str]| config(arguments).unwrap().density;
+        assert_eq!(density(&["--strategy", "adaptive"]), DensityConfig::from(AdaptiveConfig::default()));
+        let absgrad = AdaptiveConfig { max_splats: 5, ..AdaptiveConfig::absgrad() };
+        assert_eq!(density(&["--strategy", "absgrad", "--max-splats", "5"]), absgrad.into());
+        let mcmc = McmcConfig { max_splats: 5, ..McmcConfig::default() };
+        assert_eq!(density(&["--strategy", "mcmc", "--max-splats", "5"]), mcmc.into());
+        assert_eq!(config(&["--batch", "4"]).unwrap().batch, 4);
     }
 
     #[test]

@@ -58,6 +58,16 @@ struct Factors {
 }
 
 impl Adam {
+    /// The constants of steps of `views` photographs each, whose gradients are averaged: `βᵛ` forgets as much per photograph as
+    /// `β` does, and gradients have `√views` times less noise, so that `ε / √views` weighs as much. With learning rates that are
+    /// `√views` times as large this is the square-root scaling rule of Malladi et al. (2022, "On the SDEs and Scaling Rules for Adaptive
+    /// Gradient Algorithms"), which gsplat has too. Their `1 − views (1 − β)` is the first order of the power, and negative from ten
+    /// views on; the power is what Zhao et al. have ("On Scaling Up 3D Gaussian Splatting Training", 2024).
+    pub fn for_batch(self, views: usize) -> Self {
+        let views = views as f64;
+        Self { beta1: self.beta1.powf(views), beta2: self.beta2.powf(views), eps: self.eps / views.sqrt() }
+    }
+
     /// The parameter after step `t`, counted from 1, with learning rate `lr` (one for all, or [`Rates`]): with bias
     /// correction, `param − lr · m̂ / (√v̂ + ε)`.
     ///

@@ -17,6 +17,9 @@ pub enum TrainError {
     /// Steps of zero.
     #[error("`steps` is 0, expected at least 1: give `--steps N`")]
     NoSteps,
+    /// Steps without photographs.
+    #[error("`batch` is 0, expected at least 1: give `--batch N`")]
+    NoBatch,
     /// More degrees than there are.
     #[error("`sh_degree` is {0}, expected 0 to 4")]
     ShDegree(usize),

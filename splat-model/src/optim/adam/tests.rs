@@ -127,3 +127,14 @@ fn a_shared_parameter_keeps_its_values() {
         assert!(host(after).iter().zip([0.5, 1.5]).all(|(found, expected)| (found - expected).abs() < 1e-6));
     }
 }
+
+#[test]
+fn a_batch_forgets_as_much_per_photograph() {
+    let adam = Adam::default();
+    assert_eq!(adam.for_batch(1), adam);
+    let four = adam.for_batch(4);
+    assert!((four.beta1 - 0.6561).abs() < 1e-12 && (four.beta2 - 0.996_005_996_001).abs() < 1e-12, "{four:?}");
+    assert_eq!(four.eps, 5e-16);
+    let hundred = adam.for_batch(100);
+    assert!(hundred.beta1 > 0.0 && hundred.beta2 > 0.9, "{hundred:?}");
+}
