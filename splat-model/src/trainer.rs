@@ -4,6 +4,7 @@ mod batch;
 mod checked;
 mod config;
 mod cost;
+mod covered;
 mod effects;
 mod error;
 mod guard;
@@ -31,6 +32,7 @@ use self::batch::Batch;
 pub use self::checked::Stage;
 use self::checked::{Stopped, Wrong, check_gradients, check_loss, check_parameters, render_checked};
 pub use self::config::TrainConfig;
+use self::covered::covered;
 pub use self::error::TrainError;
 pub use self::guard::{Fault, Guard};
 pub use self::resolution::Resolution;
@@ -302,6 +304,10 @@ impl Trainer {
         let of_depth = self.effects.depth_penalty(&picture, view, (step, self.config.steps));
         let alpha = picture.alpha;
         let alpha = excluded.map_or(alpha.clone(), |excluded| masks::cleared(alpha, &excluded));
+        let covered = match signals.covered {
+            true => Some(covered(&splats, &camera, &options, (image.clone(), truth.image()))?),
+            false => None,
+        };
         let seen = Seen { image, alpha, truth: &truth, splats: &splats, step, view: self.views.name(view) };
         let mut loss = self.loss.loss(&seen);
         drop(seen);
@@ -322,7 +328,7 @@ impl Trainer {
         if signals != Signals::default() {
             let mut taken = |probe: Option<Tensor<2>>| probe.and_then(|probe| probe.grad_remove(&mut grads));
             let (gradient, abs_gradient) = (taken(probe), taken(abs_probe));
-            self.density.observe(Observed { gradient, abs_gradient, size });
+            self.density.observe(Observed { gradient, abs_gradient, covered, size });
         }
         let of_effects = self.effects.take_gradients(view, &mut grads);
         let gradients = Gradients::take(&self.scene.gaussians, &mut grads);

@@ -11,6 +11,9 @@ pub enum StrategyName {
     Adaptive,
     /// The same by absolute gradients, which finds splats that blur fine detail (AbsGS, Ye et al. 2024)
     Absgrad,
+    /// As adaptive, but only where several views find the picture wrong, and without splats that hardly show in any (in the manner
+    /// of FastGS, Ren et al. 2025)
+    Consistent,
     /// Move faint splats to where others are and grow by 5% at a time, up to `--max-splats`, which is to be chosen for the capture
     /// (3DGS-MCMC, Kheradmand et al. 2024)
     Mcmc,
@@ -22,6 +25,7 @@ impl StrategyName {
         match self {
             Self::Adaptive => AdaptiveConfig::default().into(),
             Self::Absgrad => AdaptiveConfig::absgrad().into(),
+            Self::Consistent => AdaptiveConfig::consistent().into(),
             Self::Mcmc => McmcConfig::default().into(),
         }
     }

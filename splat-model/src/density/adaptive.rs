@@ -7,6 +7,7 @@ use rand::Rng;
 use rand_distr::{Distribution, StandardNormal};
 use serde::{Deserialize, Serialize};
 
+use super::consistency::{Agreed, Agreement, ConsistencyConfig};
 use super::order::morton_order;
 use super::rows::{RowEdit, Trained, indices};
 use super::strategy::{At, Observed, RefineReport, Signals, Strategy};
@@ -29,6 +30,8 @@ pub struct AdaptiveConfig {
     /// Whether the gradient is that of AbsGS (Ye et al. 2024): its absolute value is taken pixel by pixel, so that the two edges
     /// of a Gaussian that blurs what is smaller do not cancel.
     pub absolute: bool,
+    /// Whether several views are asked before Gaussians are copied, split or kept, and how much they have to agree: none are.
+    pub consistency: Option<ConsistencyConfig>,
     /// Up to this size, as a share of the scene's extent, a Gaussian is copied; above, it is split: 0.01.
     pub split_scale: f64,
     /// Gaussians with an opacity below this are removed: 0.005.
@@ -52,6 +55,7 @@ impl Default for AdaptiveConfig {
             until_share: 0.5,
             grad_threshold: 2e-4,
             absolute: false,
+            consistency: None,
             split_scale: 0.01,
             prune_opacity: 0.005,
             prune_scale: 0.1,
@@ -69,6 +73,13 @@ impl AdaptiveConfig {
     }
 }
 
+impl AdaptiveConfig {
+    /// Densification and pruning on which views agree.
+    pub fn consistent() -> Self {
+        Self { consistency: Some(ConsistencyConfig::default()), ..Self::default() }
+    }
+}
+
 /// A split Gaussian's parts are this much smaller (Kerbl et al. 2023, section 5.2).
 const SPLIT_SHRINK: f32 = 1.6;
 
@@ -83,12 +94,14 @@ pub struct Adaptive {
     steps: usize,
     /// `[N]`: sums of gradient lengths and numbers of steps in which there was one; absent right after an edit.
     seen: Option<(Tensor<1>, Tensor<1>)>,
+    /// Of the views that were asked since.
+    agreement: Option<Agreement>,
 }
 
 impl Adaptive {
     /// For a run of `steps` over a scene of `extent` (see [`crate::optim::scene_extent`]).
     pub fn new(config: AdaptiveConfig, extent: f64, steps: usize) -> Self {
-        Self { config, extent, steps, seen: None }
+        Self { config, extent, steps, seen: None, agreement: None }
     }
 
     /// Whether it is time for anything at `step`, counted from 1.
@@ -108,8 +121,11 @@ impl Adaptive {
         let rows = scene.gaussians.to_rows();
         let gradients = self.mean_gradients(rows.len());
         let keep_largest = self.config.reset_every == 0 || step <= self.config.reset_every;
-        let doomed: Vec<bool> = (0..rows.len()).map(|i| self.is_doomed(&rows, i, keep_largest)).collect();
-        let (chosen, threshold) = self.choose(&gradients, &doomed);
+        let agreed = self.config.consistency.zip(self.agreement.take().map(Agreement::read));
+        let hardly_shows = |i| agreed.as_ref().is_some_and(|(config, agreed)| agreed.hardly_shows(i, config));
+        let doomed: Vec<bool> =
+            (0..rows.len()).map(|i| self.is_doomed(&rows, i, keep_largest) || hardly_shows(i)).collect();
+        let (chosen, threshold) = self.choose(&gradients, &doomed, agreed.as_ref());
         let split_above = (self.config.split_scale * self.extent) as f32;
 
         let mut report = RefineReport { threshold, ..Default::default() };
@@ -153,8 +169,14 @@ impl Adaptive {
     }
 
     /// The rows to copy or split, in order, and the threshold that chose them.
-    fn choose(&self, gradients: &[f32], doomed: &[bool]) -> (Vec<usize>, f64) {
-        let wanted = |i: &usize| !doomed[*i] && f64::from(gradients[*i]) > self.config.grad_threshold;
+    fn choose(
+        &self,
+        gradients: &[f32],
+        doomed: &[bool],
+        agreed: Option<&(ConsistencyConfig, Agreed)>,
+    ) -> (Vec<usize>, f64) {
+        let is_wrong = |i: usize| agreed.is_none_or(|(config, agreed)| agreed.is_wrong(i, config));
+        let wanted = |i: &usize| !doomed[*i] && f64::from(gradients[*i]) > self.config.grad_threshold && is_wrong(*i);
         let mut chosen: Vec<usize> = (0..gradients.len()).filter(wanted).collect();
         let surviving = doomed.iter().filter(|&&gone| !gone).count();
         // Copying adds one row, and so does splitting.
@@ -185,10 +207,14 @@ impl Strategy for Adaptive {
     fn listens_at(&self, step: usize) -> Signals {
         let listens = self.is_time_at(step);
         let absolute = self.config.absolute;
-        Signals { gradient: listens && !absolute, abs_gradient: listens && absolute }
+        let asks = self.config.consistency.is_some_and(|config| config.asks_at(step, self.config.every));
+        Signals { gradient: listens && !absolute, abs_gradient: listens && absolute, covered: listens && asks }
     }
 
     fn observe(&mut self, seen: Observed) {
+        if let Some(covered) = seen.covered {
+            self.agreement = Some(Agreement::with(self.agreement.take(), covered));
+        }
         let Some(grad_mean2d) = seen.gradient.or(seen.abs_gradient) else { return };
         let device = grad_mean2d.device();
         // Pixels per unit of normalised device coordinates, which run from -1 to 1.
@@ -225,6 +251,7 @@ impl Strategy for Adaptive {
     fn reorder(&mut self, order: &[u32]) {
         let Some((sum, count)) = self.seen.take() else { return };
         let order = indices(order, &sum.device());
+        self.agreement = self.agreement.take().map(|agreement| agreement.reorder(&order));
         self.seen = Some((sum.select(0, order.clone()), count.select(0, order)));
     }
 
@@ -232,6 +259,11 @@ impl Strategy for Adaptive {
         if let Some((sum, count)) = &self.seen {
             to.put("gradient_sum", sum.clone());
             to.put("seen_count", count.clone());
+        }
+        if let Some(agreement) = &self.agreement {
+            let mut part = State::default();
+            agreement.save(&mut part);
+            to.put_part("agreement", part);
         }
         Ok(())
     }
@@ -242,6 +274,12 @@ impl Strategy for Adaptive {
             let sum: Tensor<1> = from.take("gradient_sum", device)?;
             let count = from.take_shaped("seen_count", sum.dims(), device)?;
             self.seen = Some((sum, count));
+        }
+        self.agreement = None;
+        if from.has("agreement") {
+            let mut part = from.take_part("agreement");
+            self.agreement = Some(Agreement::load(&mut part, device)?);
+            part.finish()?;
         }
         Ok(())
     }

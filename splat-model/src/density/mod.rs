@@ -4,6 +4,7 @@
 
 mod adaptive;
 mod config;
+mod consistency;
 pub mod matte;
 mod mcmc;
 mod noise;
@@ -13,6 +14,7 @@ mod strategy;
 
 pub use adaptive::{Adaptive, AdaptiveConfig};
 pub use config::DensityConfig;
+pub use consistency::ConsistencyConfig;
 pub use mcmc::{Mcmc, McmcConfig};
 pub use order::morton_order;
 pub use strategy::{At, Observed, RefineReport, Signals, Strategy};

@@ -19,6 +19,8 @@ pub struct Signals {
     /// The same with the absolute value taken pixel by pixel (AbsGS, Ye et al. 2024, eq. 7): gradients of two edges of a
     /// Gaussian that is too large do not cancel.
     pub abs_gradient: bool,
+    /// What each Gaussian covers of the picture, and how much of that is wrong; takes another render.
+    pub covered: bool,
 }
 
 /// What there was to be told of a view; of a batch, each view is told by itself.
@@ -28,6 +30,9 @@ pub struct Observed {
     pub gradient: Option<Tensor<2>>,
     /// `[N, 2]`: `Σ |∂L/∂mean2d|` over the pixels, per px.
     pub abs_gradient: Option<Tensor<2>>,
+    /// `[N, 2]`: pixels covered, each by the Gaussian's share in its colour, and those of them whose error is above the picture's
+    /// mean.
+    pub covered: Option<Tensor<2>>,
     /// Width and height of the picture, px.
     pub size: (usize, usize),
 }

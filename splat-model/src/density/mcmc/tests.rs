@@ -227,7 +227,7 @@ fn those_that_show_do_not_wander_and_none_wanders_without_bound() {
     let (report, after) = refine(McmcConfig::default(), &rows, 7);
     assert_eq!(report, None);
     let moved = |i: usize| (0..3).map(|a| f64::from(after.means[i][a] - rows.means[i][a]).abs()).fold(0.0, f64::max);
-    assert_eq!(moved(0), 0.0);
+    assert!(moved(0) < 1e-9, "{}", moved(0));
     assert!(moved(1) > 1e-2 && moved(1) < 10.0, "{}", moved(1));
     // As far as one that is as large as the scene.
     assert!(moved(2) > 1.0 && moved(2) < 5.0 * 5e5 * 1e-4, "{}", moved(2));
