@@ -26,6 +26,7 @@ pub mod memory;
 pub mod output;
 pub mod progress;
 pub mod report;
+pub mod strategy;
 
 use anyhow::Result;
 

@@ -97,7 +97,7 @@ pub fn run_with(args: &TrainArgs, change: impl FnOnce(Trainer) -> Trainer) -> Re
         test.len(),
         capture.points.positions.len()
     ));
-    let most = config.density.max_splats;
+    let most = config.density.max_splats();
     progress::note(&Budget::of(&train, &test, &config, most).said(most, available));
     let trainer = Trainer::of(train, &capture.points, config.clone(), &device)?;
     let trainer = effects.supply(trainer, &capture, &train_views)?;
