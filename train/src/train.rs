@@ -168,7 +168,7 @@ pub struct TrainArgs {
     /// Look at what every stage of every step leaves, and end at the first that goes wrong; several times as slow
     #[arg(long)]
     pub check: bool,
-    /// Memory for decoded photographs, MB; those beyond it are decoded again, in the background, each time they are trained on
+    /// Memory for decoded photographs, and for those prepared for the loss, MB each; those beyond it are decoded again, in the background, each time they are trained on
     /// [default: half of what the machine has left]
     #[arg(long, value_name = "MB")]
     pub cache_mb: Option<usize>,
@@ -196,6 +196,9 @@ impl TrainArgs {
         config.sh_every = self.sh_every;
         config.pixel_share = self.pixel_share;
         config.dials = config.dials.and(&self.accuracy.accuracy.setting());
+        if let Some(mb) = self.cache_mb {
+            config.cache_mib = config.cache_mib.min(mb.saturating_mul(1_000_000) >> 20);
+        }
         config.matte_below = self.matte_below.map(|levels| levels / 255.0);
         match config {
             TrainConfig { steps: 0, .. } => Err(TrainError::NoSteps),
@@ -270,6 +273,8 @@ mod tests {
         assert_eq!(config.opacity_weight, 0.01);
         let config = self::config(&["--pixel-share", "0.25"]).unwrap();
         assert_eq!(config.pixel_share, 0.25);
+        let cache = |mb: &str| self::config(&["--cache-mb", mb]).unwrap().cache_mib;
+        assert_eq!([cache("0"), cache("100"), cache("9000")], [0, 95, TrainConfig::default().cache_mib]);
         let config = self::config(&["--sh-every", "300", "--matte-below", "2.55"]).unwrap();
         assert_eq!(config.sh_every, 300);
         assert!((config.matte_below.unwrap() - 0.01).abs() < 1e-12);

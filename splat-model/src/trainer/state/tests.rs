@@ -1,7 +1,7 @@
 use burn::tensor::Device;
 
 use super::*;
-use crate::density::AdaptiveConfig;
+use crate::density::{AdaptiveConfig, McmcConfig};
 use crate::effects::background::Backdrop;
 use crate::effects::exposure::ExposureConfig;
 use crate::effects::grid::GridConfig;
@@ -69,6 +69,21 @@ fn an_interrupted_run_ends_as_the_other() {
     for after in [0, 1, 4, 5, 7, 13, 14, 18, 23, 24] {
         assert!(interrupted(&config, after) == expected, "after {after} steps");
     }
+}
+
+#[test]
+fn so_does_one_of_any_strategy_and_of_batches() {
+    let mcmc = McmcConfig { every: 5, from: 5, growth: 1.2, max_splats: 60, ..McmcConfig::default() };
+    let eager = |config| AdaptiveConfig { every: 5, from: 5, grad_threshold: 1e-5, max_splats: 60, ..config };
+    for density in [mcmc.into(), eager(AdaptiveConfig::absgrad()).into(), eager(AdaptiveConfig::consistent()).into()] {
+        let config = TrainConfig { density, batch: 2, ..eventful() };
+        let expected = end(trainer(&config));
+        for after in [3, 8, 10] {
+            assert!(interrupted(&config, after) == expected, "{density:?} after {after} steps");
+        }
+    }
+    let config = TrainConfig { pixel_share: 0.5, ..eventful() };
+    assert!(interrupted(&config, 8) == end(trainer(&config)));
 }
 
 #[test]
