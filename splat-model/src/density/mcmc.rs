@@ -144,14 +144,14 @@ impl Mcmc {
         });
     }
 
-    /// `Σ η σ(k (t − o))`, `[N, 3]`, of normal `η`, `[N, 3]`. No Gaussian counts as larger than the scene.
+    /// `Σ η σ(k (t − o))`, `[N, 3]`, of normal `η`, `[N, 3]`. No Gaussian counts as larger than the scene. `Σ = R S² Rᵀ`, and `Rᵀ η` is as
+    /// normal as `η`: it is taken for it.
     fn displacements(&self, gaussians: &Gaussians, normal: Tensor<2>) -> Tensor<2> {
         let opacities = sigmoid(gaussians.logit_opacities.val().inner()).unsqueeze_dim::<2>(1);
         let faint = sigmoid((opacities.neg() + self.config.dead_opacity) * SUDDENNESS);
         let scales = gaussians.log_scales.val().inner().exp().clamp_max(self.extent);
         let (w, axis) = unit(gaussians.rotations.val().inner());
-        let normal_gaussian = rotated(normal, w.clone(), axis.clone().neg());
-        rotated(normal_gaussian * scales.square(), w, axis) * faint
+        rotated(normal * scales.square(), w, axis) * faint
     }
 }
 

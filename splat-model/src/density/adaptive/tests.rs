@@ -340,7 +340,7 @@ fn views_have_to_agree() {
     // Pixels covered and wrong: enough of them in the mean; not enough; hardly shown; shown to one view alone, but there; not
     // shown to any.
     let views = [
-        [[9.0, 2.5], [9.0, 2.5], [0.05, 0.0], [0.0, 0.0], [0.0, 0.0]],
+        [[9.0, 2.5], [9.0, 2.5], [0.05, 0.0], [0.05, 0.0], [0.0, 0.0]],
         [[9.0, 1.6], [9.0, 1.4], [0.02, 0.0], [0.2, 0.0], [0.0, 0.0]],
     ];
     for view in views {
