@@ -7,6 +7,7 @@ use std::rc::Rc;
 use burn::backend::Dispatch;
 use burn::tensor::{Device, Int, Tensor};
 use splat_model::density::rows::{Gradients, Trained};
+use splat_model::density::{Observed, Strategy};
 use splat_model::gaussians::Gaussians;
 use splat_model::loss::{DEFAULT_LAMBDA, Truth, photometric};
 use splat_model::optim::Adam;
@@ -136,7 +137,7 @@ fn observe(job: &Job, device: &Device) -> Prepare {
         // Nobody else holds the gradient that a step hands over.
         let (density, grad) = (density.clone(), grad.clone() * 1.0);
         Ok(Box::new(move || {
-            density.borrow_mut().observe(grad, size);
+            density.borrow_mut().observe(Observed { gradient: Some(grad), size, ..Observed::default() });
             Ok(Box::new(()) as Kept)
         }))
     })

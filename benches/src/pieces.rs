@@ -3,8 +3,8 @@
 use std::time::Instant;
 
 use burn::tensor::Tensor;
-use splat_model::density::Adaptive;
 use splat_model::density::rows::{Gradients, Trained};
+use splat_model::density::{Adaptive, Observed, Strategy};
 use splat_model::gaussians::Gaussians;
 use splat_model::loss::{DEFAULT_LAMBDA, Truth, photometric};
 use splat_model::optim::Adam;
@@ -141,7 +141,7 @@ impl Pieces {
         drop(grads);
         watch.lap(Kind::ActivateBackward);
 
-        self.density.observe(mean2d, (width, height));
+        self.density.observe(Observed { gradient: Some(mean2d), size: (width, height), ..Observed::default() });
         watch.lap(Kind::Observe);
         let loss = loss.inner();
         self.guard.look(self.step, 0, &loss, &gradients).expect(SOUND);

@@ -124,7 +124,7 @@ impl SyntheticView {
         let positions: Vec<[f32; 3]> = means.as_chunks::<3>().0.iter().map(|mean| mean.map(|v| v as f32)).collect();
         let points = PointCloud { colours: vec![[128; 3]; positions.len()], positions };
         let density = AdaptiveConfig { max_splats: usize::MAX, ..AdaptiveConfig::default() };
-        let config = TrainConfig { steps: 100_000, sh_every: 0, density, ..TrainConfig::default() };
+        let config = TrainConfig { steps: 100_000, sh_every: 0, density: density.into(), ..TrainConfig::default() };
         let photos = (0..views).map(photo).collect();
         Trainer::new(photos, &points, config, &device).expect("photographs and steps are given")
     }

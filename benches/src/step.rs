@@ -2,7 +2,7 @@
 
 use burn::tensor::Tensor;
 use splat_model::density::rows::{Gradients, StepRates, Trained};
-use splat_model::density::{Adaptive, AdaptiveConfig};
+use splat_model::density::{Adaptive, AdaptiveConfig, Observed, Strategy};
 use splat_model::gaussians::Gaussians;
 use splat_model::loss::{DEFAULT_LAMBDA, Truth, photometric};
 use splat_model::optim::{Adam, LearningRates};
@@ -53,7 +53,8 @@ impl Step {
         let mut grads = loss.backward();
         if let Some(grad) = probe.grad_remove(&mut grads) {
             let intrinsics = self.camera.intrinsics;
-            self.density.observe(grad, (intrinsics.width, intrinsics.height));
+            let size = (intrinsics.width, intrinsics.height);
+            self.density.observe(Observed { gradient: Some(grad), size, ..Observed::default() });
         }
         let gradients = Gradients::take(&self.scene.gaussians, &mut grads);
         drop(grads);

@@ -52,6 +52,20 @@ impl GaussianRows {
         3 * ((self.sh_degree + 1) * (self.sh_degree + 1) - 1)
     }
 
+    /// Appends row `i` of others as it is, but for coefficients of a degree that these rows do not have.
+    ///
+    /// # Panics
+    /// If there is no such row, or its degree is less than that of these rows.
+    pub fn push(&mut self, from: &Self, i: usize) {
+        let (rest, taken) = (from.rest_per_row(), self.rest_per_row());
+        self.means.push(from.means[i]);
+        self.rotations.push(from.rotations[i]);
+        self.log_scales.push(from.log_scales[i]);
+        self.logit_opacities.push(from.logit_opacities[i]);
+        self.sh_dc.push(from.sh_dc[i]);
+        self.sh_rest.extend_from_slice(&from.sh_rest[rest * i..rest * i + taken]);
+    }
+
     /// Whether Gaussian `i` can be rendered: all its parameters are finite and none is beyond what f32 can compute with (see
     /// [`splat_op::activate`]). One that cannot is masked wherever the scene is used.
     ///

@@ -1,13 +1,14 @@
 //! Training: photographs in, a scene out. One step at a time, so that a caller can watch, stop or add to it.
 
+mod batch;
 mod checked;
 mod config;
 mod cost;
+mod covered;
 mod effects;
 mod error;
 mod fit;
 mod guard;
-mod harmonics;
 mod resolution;
 mod state;
 mod views;
@@ -25,19 +26,20 @@ use splat_op::{Extras, Intrinsics, RenderOptions, Splats, render_view};
 use crate::accuracy::Setting;
 use crate::capture::{Photo, Photograph, PointCloud};
 use crate::density::rows::{Gradients, StepRates, Trained};
-use crate::density::{Adaptive, RefineReport, matte};
+use crate::density::{At, Observed, RefineReport, Signals, Strategy, matte};
 use crate::effects::{Applied, EffectGradients, Moment, masks};
 use crate::gaussians::Gaussians;
 use crate::init;
 use crate::loss::{Truth, photometric, regularise};
-use crate::optim::{Decay, scene_extent, sh_degree_at};
+use crate::optim::{Adam, Decay, scene_extent, sh_degree_at};
 
+use self::batch::Batch;
 pub use self::checked::Stage;
 use self::checked::{Stopped, Wrong, check_gradients, check_loss, check_parameters, render_checked};
 pub use self::config::TrainConfig;
+use self::covered::covered;
 pub use self::error::TrainError;
 pub use self::guard::{Fault, Guard};
-use self::harmonics::Held;
 pub use self::resolution::Resolution;
 use self::views::Views;
 use self::window::Strip;
@@ -51,8 +53,7 @@ pub struct Seen<'a> {
     pub alpha: Tensor<3>,
     /// The photograph, prepared; [`Truth::image`] gives it as `[H, W, 3]`.
     pub truth: &'a Truth,
-    /// What was rendered, tracked: activated parameters; but for the harmonics in a step that does not learn them all (see
-    /// [`TrainConfig::sh_rest_every`]).
+    /// What was rendered, tracked: activated parameters.
     pub splats: &'a Splats,
     /// Counted from 1.
     pub step: usize,
@@ -77,9 +78,9 @@ impl<F: Fn(&Seen) -> Tensor<1>> Loss for F {
 pub struct StepReport {
     /// Counted from 1.
     pub step: usize,
-    /// `[1]`: the loss; reading it waits for the device.
+    /// `[1]`: the loss, of a batch its mean; reading it waits for the device.
     pub loss: Tensor<1>,
-    /// The photograph's name.
+    /// The photograph's name; of a batch, the first's.
     pub view: String,
     /// Gaussians after the step.
     pub splats: usize,
@@ -95,7 +96,9 @@ pub struct Trainer {
     scene: Trained,
     views: Views,
     effects: Applied,
-    density: Adaptive,
+    density: Box<dyn Strategy>,
+    /// See [`scene_extent`].
+    extent: f64,
     means_decay: Decay,
     loss: Box<dyn Loss>,
     guard: Guard,
@@ -134,6 +137,7 @@ impl Trainer {
         match () {
             () if photos.is_empty() => return Err(TrainError::NoViews),
             () if config.steps == 0 => return Err(TrainError::NoSteps),
+            () if config.batch == 0 => return Err(TrainError::NoBatch),
             () if let Some(below) = config.matte_below.filter(|below| !matte::is_threshold(*below)) => {
                 return Err(TrainError::MatteBelow(below));
             }
@@ -144,16 +148,18 @@ impl Trainer {
             () => config.check_with(&photos)?,
         }
         let mut rng = ChaCha8Rng::seed_from_u64(config.seed);
-        let rows = if points.positions.is_empty() {
+        let mut rows = if points.positions.is_empty() {
             let cameras: Vec<(Intrinsics, DAffine3)> =
                 photos.iter().map(|photo| (photo.intrinsics, photo.cam_from_world)).collect();
-            let count = init::RANDOM_COUNT.min(config.density.max_splats);
+            let count = init::RANDOM_COUNT.min(config.density.max_splats());
             init::from_points(&init::ordered(&init::random_points(&cameras, count, &mut rng)))
         } else {
-            init::from_points(&init::ordered(&init::thinned(points, config.density.max_splats)))
+            init::from_points(&init::ordered(&init::thinned(points, config.density.max_splats())))
         };
         let centres: Vec<_> = photos.iter().map(|photo| photo.cam_from_world.inverse().translation).collect();
         let extent = scene_extent(&centres);
+        let mut density = config.density.strategy(extent, config.steps);
+        density.start(&mut rows);
         let tracked = device.clone().autodiff();
         let effects = effects::of(&config, &photos, points, extent, device)?;
         let views = Views::new(photos, config.background, config.cache_mib, device);
@@ -164,8 +170,9 @@ impl Trainer {
             scene: Trained::new(Gaussians::from_rows(&rows, &tracked)?),
             views,
             effects,
-            density: Adaptive::new(config.density, extent, config.steps),
-            means_decay: config.learning_rates.means_decay(extent, config.steps),
+            density,
+            extent,
+            means_decay: config.step_rates().means_decay(extent, config.steps),
             loss: Box::new(move |seen: &Seen| photometric(seen.image.clone(), seen.truth, lambda)),
             guard: Guard::new(device),
             checks: false,
@@ -179,6 +186,19 @@ impl Trainer {
     /// The same run with a loss of the caller's instead of L1 + D-SSIM.
     pub fn with_loss(self, loss: impl Loss + 'static) -> Self {
         Self { loss: Box::new(loss), ..self }
+    }
+
+    /// The same run with a strategy of density control of the caller's, which starts from what that of [`TrainConfig::density`]
+    /// has started from. To be asked for before the first step.
+    ///
+    /// # Errors
+    /// If the rows with which the strategy starts do not fit together.
+    pub fn with_strategy(mut self, mut strategy: impl Strategy + 'static) -> Result<Self, TrainError> {
+        let mut rows = self.scene.gaussians.to_rows();
+        strategy.start(&mut rows);
+        self.scene = Trained::new(Gaussians::from_rows(&rows, &self.device.clone().autodiff())?);
+        self.density = Box::new(strategy);
+        Ok(self)
     }
 
     /// The same run, but every step looks at what each stage leaves: to find out which goes wrong first. Slow. Where
@@ -219,40 +239,45 @@ impl Trainer {
         self.step >= self.config.steps
     }
 
-    /// Renders a photograph's camera, compares, and moves every parameter against its gradient; then refines if it is due.
+    /// Renders the cameras of a photograph or of a batch, compares, and moves every parameter against its gradient; then density
+    /// control acts.
     ///
     /// # Errors
     /// If the operation refuses the scene, or if the loss or a gradient is not finite: then the scene is as it was before
     /// that step, and the run is over. On a GPU, which is not waited for, the error may come up to fifty steps later; the
     /// scene is kept as it was all the same.
     pub fn step(&mut self) -> Result<StepReport, TrainError> {
-        let view = self.next_view();
         self.step += 1;
-        let step = self.step;
-        self.views.reduce(self.config.resolution.divisor_at(step, self.config.steps));
-        self.views.expect(iter::once(view).chain(self.queue.iter().rev().copied()));
+        let (step, steps) = (self.step, self.config.steps);
+        self.views.reduce(self.config.resolution.divisor_at(step, steps));
         self.ask_who_is_matte()?;
         self.scene.grow_sh(sh_degree_at(step - 1, self.config.sh_every, self.config.sh_degree));
 
-        let (loss, gradients, of_effects) = self.differentiate(view)?;
-        let held = self.guard.look(step, view, &loss, &gradients).map_err(|fault| self.non_finite(fault))?;
-        let rates = StepRates { rates: self.config.learning_rates, means: self.means_decay.at(step) };
+        let Batch { loss, gradients, views, held } = self.differentiate_batch()?;
+        let first = views[0].0;
+        let rates = StepRates { rates: self.config.step_rates(), means: self.means_decay.at(step) };
         if self.checks {
-            self.checked_update(view, gradients, &rates)?;
+            self.checked_update(first, gradients, &rates)?;
         } else {
-            harmonics::step(&mut self.scene, gradients, &rates, step, held.as_ref());
+            self.scene.step(gradients, &self.adam(), &rates, step, held.as_ref());
         }
-        let at = Moment { view, step, steps: self.config.steps, verdict: held.as_ref() };
-        self.effects.step(of_effects, at);
+        for (view, of_effects) in views {
+            self.effects.step(of_effects, Moment { view, step, steps, verdict: held.as_ref() });
+        }
         // Refinement reads the scene and acts on what it finds, so nothing may be left in doubt.
         let read = self.density.acts_at(step) || self.is_done();
         self.guard.read(read).map_err(|fault| self.non_finite(fault))?;
-        let refined = self.density.refine(&mut self.scene, step, &mut self.rng)?;
+        let at = At { step, steps, extent: self.extent, means_rate: rates.means, verdict: held.as_ref() };
+        let refined = self.density.act(&mut self.scene, &at, &mut self.rng)?;
         if refined.is_some() {
             self.effects.forget_rows();
         }
-        let (view, splats) = (self.views.name(view).to_owned(), self.scene.gaussians.len());
+        let (view, splats) = (self.views.name(first).to_owned(), self.scene.gaussians.len());
         Ok(StepReport { step, loss, view, splats, refined })
+    }
+
+    fn adam(&self) -> Adam {
+        Adam::default().for_batch(self.config.batch)
     }
 
     /// Takes the directional colour from Gaussians that have hardly any, if that is asked for and it is time to. After
@@ -276,38 +301,34 @@ impl Trainer {
     /// The loss, `[1]`, of a view and its gradients, those of the effects apart; tells density control what it listens for.
     fn differentiate(&mut self, view: usize) -> Result<(Tensor<1>, Gradients, EffectGradients), TrainError> {
         let step = self.step;
-        let mut splats = self.effects.splats(&self.scene.gaussians, step);
-        let held = if step.is_multiple_of(self.config.sh_rest_every) { None } else { Held::new(&mut splats) };
+        let splats = self.effects.splats(&self.scene.gaussians, step);
         let tracked = splats.means.device();
-        let probe = self
-            .density
-            .listens_at(step)
-            .then(|| Tensor::<2>::zeros([self.scene.gaussians.len(), 2], &tracked).require_grad());
+        let signals = self.density.listens_at(step);
+        let probe =
+            |wanted: bool| wanted.then(|| Tensor::<2>::zeros([self.scene.gaussians.len(), 2], &tracked).require_grad());
+        let (probe, abs_probe) = (probe(signals.gradient), probe(signals.abs_gradient));
         let drawn = self.effects.draw_background(&mut self.rng);
         let fixed = || Tensor::from_floats(drawn.unwrap_or(self.config.background), &self.device);
         let extras = Extras {
             background: Some(self.effects.background(&self.device).unwrap_or_else(fixed)),
             mean2d_probe: probe.clone(),
-            ..Extras::default()
+            mean2d_abs_probe: abs_probe.clone(),
         };
         let options = self.options.with_depth(self.effects.needs_depth(view));
         let (camera, mut truth) = self.views.prepare(view, drawn)?;
         let strip = Strip::draw(self.config.pixel_share, &camera.intrinsics, &mut self.rng);
         let size = (camera.intrinsics.width, camera.intrinsics.height);
         let (camera, of_pose) = self.effects.camera(camera, view);
-        let coloured = held.as_ref().map(|held| held.coloured(&splats, &camera, &options)).transpose()?;
-        let shown = coloured.as_ref().unwrap_or(&splats);
         let picture = if let Some(strip) = &strip {
             truth = Truth::new(truth.image().narrow(0, strip.from, strip.rows));
-            strip.render(shown, &camera, &extras, &options)?
+            strip.render(&splats, &camera, &extras, &options)?
         } else if let Some(optics) = &self.effects.optics {
-            optics.render(shown, &camera, &extras, &options, view)?
+            optics.render(&splats, &camera, &extras, &options, view)?
         } else if self.checks {
-            render_checked(shown, &camera, &extras, &options).map_err(|stopped| self.stopped(view, stopped))?
+            render_checked(&splats, &camera, &extras, &options).map_err(|stopped| self.stopped(view, stopped))?
         } else {
-            render_view(shown, &camera, &extras, &options)?
+            render_view(&splats, &camera, &extras, &options)?
         };
-        drop(coloured);
         let excluded = self.views.excluded(view)?;
         let excluded = match &strip {
             Some(strip) => excluded.map(|excluded| excluded.narrow(1, strip.from, strip.rows)),
@@ -317,6 +338,10 @@ impl Trainer {
         let of_depth = self.effects.depth_penalty(&picture, view, (step, self.config.steps));
         let alpha = picture.alpha;
         let alpha = excluded.map_or(alpha.clone(), |excluded| masks::cleared(alpha, &excluded));
+        let covered = match signals.covered && strip.is_none() {
+            true => Some(covered(&splats, &camera, &options, (image.clone(), truth.image()))?),
+            false => None,
+        };
         let seen = Seen { image, alpha, truth: &truth, splats: &splats, step, view: self.views.name(view) };
         let mut loss = self.loss.loss(&seen);
         drop(seen);
@@ -326,21 +351,23 @@ impl Trainer {
         if self.config.opacity_weight > 0.0 {
             loss = loss + regularise::opacity(splats.opacities.clone()) * self.config.opacity_weight;
         }
+        if let Some(penalty) = self.density.penalty(&splats, step) {
+            loss = loss + penalty;
+        }
         drop(splats);
         if self.checks {
             check_loss(&loss).map_err(|wrong| self.wrong(view, wrong))?;
         }
         let mut grads = loss.backward();
-        if let Some(grad) = probe.and_then(|probe| probe.grad_remove(&mut grads)) {
+        if signals != Signals::default() {
             // As if the loss were a mean over the whole picture.
-            let grad = strip.map_or(grad.clone(), |strip| grad * strip.share());
-            self.density.observe(grad, size);
+            let whole = |gradient: Tensor<2>| strip.as_ref().map_or(gradient.clone(), |strip| gradient * strip.share());
+            let mut taken = |probe: Option<Tensor<2>>| probe.and_then(|probe| probe.grad_remove(&mut grads)).map(whole);
+            let (gradient, abs_gradient) = (taken(probe), taken(abs_probe));
+            self.density.observe(Observed { gradient, abs_gradient, covered, size });
         }
         let of_effects = self.effects.take_gradients(view, &mut grads);
-        let mut gradients = Gradients::take(&self.scene.gaussians, &mut grads);
-        if let Some(held) = held {
-            held.take_gradients(&mut grads, &mut gradients);
-        }
+        let gradients = Gradients::take(&self.scene.gaussians, &mut grads);
         if self.checks {
             check_gradients(&gradients).map_err(|wrong| self.wrong(view, wrong))?;
         }
@@ -350,7 +377,7 @@ impl Trainer {
     /// The optimiser's step, taken back if it spoils a Gaussian.
     fn checked_update(&mut self, view: usize, gradients: Gradients, rates: &StepRates) -> Result<(), TrainError> {
         let before = self.scene.clone();
-        harmonics::step(&mut self.scene, gradients, rates, self.step, None);
+        self.scene.step(gradients, &self.adam(), rates, self.step, None);
         let found = check_parameters(&before.gaussians.to_rows(), &self.scene.gaussians.to_rows());
         found.map_err(|wrong| {
             self.scene = before;
@@ -380,12 +407,16 @@ impl Trainer {
             self.queue = (0..self.views.len()).collect();
             self.queue.shuffle(&mut self.rng);
         }
-        self.queue.pop().expect("filled above, and there is at least one view")
+        let view = self.queue.pop().expect("filled above, and there is at least one view");
+        self.views.expect(iter::once(view).chain(self.queue.iter().rev().copied()));
+        view
     }
 }
 
 #[cfg(test)]
 mod effects_tests;
+#[cfg(test)]
+mod strategies_tests;
 #[cfg(test)]
 pub(crate) mod testing;
 #[cfg(test)]

@@ -5,8 +5,10 @@ use std::rc::Rc;
 
 use burn::tensor::Device;
 use glam::{DAffine3, DVec3};
+use splat_model::accuracy::Setting;
 use splat_model::capture::{Photo, PointCloud};
 use splat_model::density::matte::variation;
+use splat_model::density::{AdaptiveConfig, McmcConfig};
 use splat_model::effects::background::Backdrop;
 use splat_model::effects::depth::{DepthConfig, DepthSample};
 use splat_model::effects::exposure::ExposureConfig;
@@ -164,5 +166,32 @@ fn matte_gaussians_train_as_on_the_cpu() {
         let close = |a: &[f32; 3], b: &[f32; 3]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 5e-3);
         let all = rows.sh_dc.iter().zip(&other.sh_dc).all(|(a, b)| close(a, b));
         assert!(all, "colours differ, or rows have changed places");
+    }
+}
+
+/// The same seed gives the same bits where sums over hits have an order, with each strategy and with batches.
+#[test]
+fn a_seed_decides_every_strategy_bit_for_bit() {
+    let Some(device) = gpu() else { return };
+    let dials = Setting::new([("accumulation", "ordered")]).expect("a dial and a value of it");
+    let adaptive =
+        AdaptiveConfig { every: 4, from: 4, grad_threshold: 1e-5, max_splats: 80, ..AdaptiveConfig::default() };
+    let mcmc =
+        McmcConfig { every: 4, from: 4, growth: 1.2, dead_opacity: 0.3, max_splats: 80, ..McmcConfig::default() };
+    let strategies =
+        [(adaptive.into(), 1), (AdaptiveConfig { absolute: true, ..adaptive }.into(), 2), (mcmc.into(), 1)];
+    for (density, batch) in strategies {
+        let config =
+            TrainConfig { steps: 10, batch, sh_every: 3, density, dials: dials.clone(), ..TrainConfig::default() };
+        let run = |seed| {
+            let config = TrainConfig { seed, ..config.clone() };
+            let mut run = Trainer::new(photos(0.2, None), &points(), config, &device).expect("photographs and steps");
+            (0..10).for_each(|_| drop(run.step().expect("a sound run")));
+            run.gaussians().untracked().to_rows()
+        };
+        let rows = run(1);
+        assert!(rows.len() > 48, "{density:?}: {} of 48 Gaussians, nothing was added", rows.len());
+        assert_eq!(rows, run(1), "{density:?}");
+        assert_ne!(rows, run(2), "{density:?}");
     }
 }

@@ -71,7 +71,7 @@ fn train(capture: &Capture, device: &Device) -> Outcome {
         grad_threshold: GRAD_THRESHOLD,
         ..AdaptiveConfig::default()
     };
-    let config = TrainConfig { steps: 200, density, ..TrainConfig::default() };
+    let config = TrainConfig { steps: 200, density: density.into(), ..TrainConfig::default() };
     let background = config.background;
     let mut trainer = Trainer::new(photos(&split.train), &capture.points, config, device).expect("a valid run");
     let options = trainer.render_options();

@@ -103,10 +103,11 @@ impl EffectsArg {
             "`--antialias` and `--effects={}` contradict each other: leave out one of them",
             self.text
         );
-        let plan = match self.base {
-            Base::Auto => Some(Plan::from(&Survey::of_views(capture, train)?)),
+        let survey = match self.base {
+            Base::Auto => Some(Survey::of_views(capture, train)?),
             Base::None => None,
         };
+        let plan = survey.as_ref().map(Plan::from);
         let mut on = self.of(&plan.as_ref().map_or(Vec::new(), Plan::effects));
         if antialias && !on.contains(&Effect::Antialias) {
             on.push(Effect::Antialias);
@@ -130,7 +131,7 @@ impl EffectsArg {
         if !antialias && on.contains(&Effect::Antialias) {
             progress::note("`splat eval` and `splat render` show this scene as it was trained with `--antialias`");
         }
-        Ok(Chosen { asked: self.text.clone(), on, plan, measured: BTreeMap::new() })
+        Ok(Chosen { asked: self.text.clone(), on, plan, survey, measured: BTreeMap::new() })
     }
 }
 
@@ -141,6 +142,9 @@ pub struct Chosen {
     on: Vec<Effect>,
     /// Null where nothing was left to decide.
     plan: Option<Plan>,
+    /// What the plan rests on.
+    #[serde(skip)]
+    survey: Option<Survey>,
     /// What the effects of a step took, by name.
     measured: BTreeMap<&'static str, Cost>,
 }
@@ -195,6 +199,21 @@ impl Chosen {
             None => depth::from_tracks(capture, views),
         };
         Ok(trainer.with_depths(samples))
+    }
+
+    /// What was asked for, as it was written.
+    pub fn asked(&self) -> &str {
+        &self.asked
+    }
+
+    /// Those that are on.
+    pub fn on(&self) -> &[Effect] {
+        &self.on
+    }
+
+    /// What decided on the effects; none where nothing was left to decide.
+    pub fn grounds(&self) -> Option<(&Survey, &Plan)> {
+        self.survey.as_ref().zip(self.plan.as_ref())
     }
 
     /// What an effect took, by the name that reports have for it.

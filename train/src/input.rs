@@ -29,7 +29,9 @@ pub fn capture(folder: &Path) -> Result<Capture> {
         "there is no capture folder {}: name the folder that holds `images/` and `sparse/0/`, or `transforms.json`",
         folder.display()
     );
-    Ok(Capture::load(folder)?)
+    let capture = Capture::load(folder)?;
+    capture.remarks.iter().for_each(|remark| progress::note(&format!("{}: {remark}", folder.display())));
+    Ok(capture)
 }
 
 /// The extent of the scene that a capture's cameras see, scene units.

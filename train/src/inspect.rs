@@ -48,22 +48,20 @@ pub fn run(args: &InspectArgs) -> Result<()> {
         progress::say(&serde_json::to_string_pretty(&Report { survey: &survey, plan: &plan, seconds })?);
         return Ok(());
     }
+    progress::say(&format!("{}: {seconds:.1} s\n{}", args.capture.display(), text(&survey, &plan)));
+    Ok(())
+}
+
+/// What was found and decided, as people read it.
+pub fn text(survey: &Survey, plan: &Plan) -> String {
     let looked = match survey.views_surveyed == survey.views {
         true => String::new(),
         false => format!(", of which {} were looked at", survey.views_surveyed),
     };
-    progress::say(&format!(
-        "{}: {} photographs{looked}, {} points; {seconds:.1} s\n{}\n",
-        args.capture.display(),
-        survey.views,
-        survey.points,
-        plan::source(&survey)
-    ));
-    plan.decisions.iter().for_each(|decision| progress::say(&line(decision)));
-    if let Some(exposure) = &survey.exposure {
-        progress::say(&chart(&exposure.views));
-    }
-    Ok(())
+    let head = format!("{} photographs{looked}, {} points", survey.views, survey.points);
+    let decisions: Vec<String> = plan.decisions.iter().map(line).collect();
+    let chart = survey.exposure.as_ref().map(|exposure| chart(&exposure.views)).unwrap_or_default();
+    format!("{head}\n{}\n\n{}\n{chart}", plan::source(survey), decisions.join("\n"))
 }
 
 /// A decision as people read it.

@@ -42,9 +42,11 @@ pub mod eval;
 pub mod gains;
 pub mod hard_cases;
 pub mod inspect;
+pub mod manual;
 pub mod pareto;
 pub mod render;
 pub mod train;
+pub mod view;
 
 pub mod accuracy;
 mod as_text;
@@ -55,6 +57,7 @@ pub mod memory;
 pub mod output;
 pub mod progress;
 pub mod report;
+pub mod strategy;
 
 use anyhow::Result;
 
@@ -66,15 +69,21 @@ use crate::options::Command;
 /// Whatever stops it, with the file or option to blame and what to do.
 pub fn run(command: &Command) -> Result<()> {
     match command {
-        Command::Train(args) => train::run(args).map(drop),
+        Command::Train(args) => {
+            args.voice.apply();
+            train::run(args).map(drop)
+        }
         Command::Eval(args) => eval::run(args).map(drop),
         Command::Render(args) => render::run(args).map(drop),
         Command::Demo(args) => demo::run(args),
+        Command::View(args) => view::run(args),
         Command::Inspect(args) => inspect::run(args),
         Command::Effects(args) => gains::run(args),
         Command::HardCases(args) => hard_cases::run(args),
         Command::Pareto(args) => pareto::run(args),
         Command::Devices => devices::run(),
+        Command::Completions(args) => manual::completions(args),
+        Command::Man(args) => manual::man(args),
     }
 }
 

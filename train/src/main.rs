@@ -30,10 +30,10 @@ fn main() -> ExitCode {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             if let Some(interrupted) = error.downcast_ref::<Interrupted>() {
-                splat_train::progress::note(&interrupted.to_string());
+                splat_train::progress::error(&interrupted.to_string());
                 return interrupted.exit_code().into();
             }
-            splat_train::progress::note(&splat_train::describe(&error));
+            splat_train::progress::error(&splat_train::describe(&error));
             ExitCode::FAILURE
         }
     }

@@ -10,13 +10,24 @@ use crate::eval::EvalArgs;
 use crate::gains::GainsArgs;
 use crate::hard_cases::HardCasesArgs;
 use crate::inspect::InspectArgs;
+use crate::manual::{CompletionsArgs, ManArgs};
 use crate::pareto::ParetoArgs;
 use crate::render::RenderArgs;
 use crate::train::TrainArgs;
+use crate::view::ViewArgs;
+
+/// What the program's exit codes mean, as `--help` ends.
+pub const EXIT_CODES: &str = "\
+Exit codes:
+  0    all went well
+  1    an error, which standard error names
+  2    a command line that cannot be understood
+  130  stopped by Ctrl-C
+  143  stopped by SIGTERM";
 
 /// Train, evaluate and render Gaussian-splatting scenes.
 #[derive(Clone, Debug, Parser)]
-#[command(name = "splat", version)]
+#[command(name = "splat", version, after_help = EXIT_CODES)]
 pub struct Cli {
     /// What to do.
     #[command(subcommand)]
@@ -32,6 +43,8 @@ pub enum Command {
     Eval(EvalArgs),
     /// Render a scene as the cameras of a capture see it
     Render(RenderArgs),
+    /// Show a scene in the browser, from a server for this machine alone
+    View(ViewArgs),
     /// Say what a capture shows, which effects it calls for, and what they would cost
     Inspect(InspectArgs),
     /// Write the demo capture: a small ray-traced scene as a COLMAP folder
@@ -44,6 +57,10 @@ pub enum Command {
     Pareto(ParetoArgs),
     /// List what there is to compute on, by the names that `--device` takes
     Devices,
+    /// Write the completions of the command line for a shell
+    Completions(CompletionsArgs),
+    /// Write the manual's pages
+    Man(ManArgs),
 }
 
 /// Which photographs are used, and at which size.

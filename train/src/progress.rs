@@ -1,12 +1,13 @@
-//! What a waiting person sees, on standard error: a bar on a terminal, plain lines elsewhere.
+//! What a waiting person sees, on standard error: a bar on a terminal, plain lines elsewhere. And what a waiting program reads
+//! instead, on standard output.
 
 use std::io::{IsTerminal, Write};
 use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use burn::tensor::Tensor;
 use indicatif::{ProgressBar, ProgressStyle};
-use splat_model::trainer::StepReport;
+use serde::Serialize;
 
 /// Time between plain lines: a log of an hour stays readable.
 const BETWEEN_LINES: Duration = Duration::from_secs(5);
@@ -18,8 +19,43 @@ const BETWEEN_FRAMES: Duration = Duration::from_millis(200);
 /// mean over the whole run would promise too early an end.
 const NEWEST_WEIGHT: f64 = 0.02;
 
-/// Writes a line to standard error. A closed pipe is no reason to stop.
+/// Options that say how much is said.
+#[derive(Clone, Copy, Debug, Default, clap::Args)]
+pub struct VoiceArgs {
+    /// Say nothing but errors
+    #[arg(long)]
+    pub quiet: bool,
+    /// Write a line of JSON to standard output for every interval and evaluation, and one with the metrics at the end, instead
+    /// of words (see the README); with --quiet there is nothing else
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Of the whole process: these lines come from everywhere.
+static QUIET: AtomicBool = AtomicBool::new(false);
+static JSON: AtomicBool = AtomicBool::new(false);
+
+impl VoiceArgs {
+    /// From now on.
+    pub fn apply(self) {
+        QUIET.store(self.quiet, Ordering::Relaxed);
+        JSON.store(self.json, Ordering::Relaxed);
+    }
+}
+
+fn is_quiet() -> bool {
+    QUIET.load(Ordering::Relaxed)
+}
+
+/// Writes a line to standard error, unless the process is to be quiet. A closed pipe is no reason to stop.
 pub fn note(line: &str) {
+    if !is_quiet() {
+        error(line);
+    }
+}
+
+/// Writes a line to standard error, always.
+pub fn error(line: &str) {
     let _ = writeln!(std::io::stderr().lock(), "{line}");
 }
 
@@ -34,14 +70,27 @@ pub fn note_unusable(scene: &Path, unusable: usize, of: usize) {
     }
 }
 
-/// Writes a line to standard output. The results are in their files by then, so a closed pipe loses none.
+/// Writes a line to standard output, unless the process is to be quiet or speaks JSON. The results are in their files by then,
+/// so a closed pipe loses none.
 pub fn say(line: &str) {
-    let _ = writeln!(std::io::stdout().lock(), "{line}");
+    if !is_quiet() && !JSON.load(Ordering::Relaxed) {
+        let _ = writeln!(std::io::stdout().lock(), "{line}");
+    }
+}
+
+/// Writes a value as a line of JSON to standard output, if the process speaks that, at once.
+pub fn line(value: &impl Serialize) {
+    if JSON.load(Ordering::Relaxed)
+        && let Ok(text) = serde_json::to_string(value)
+    {
+        let mut out = std::io::stdout().lock();
+        let _ = writeln!(out, "{text}").and_then(|()| out.flush());
+    }
 }
 
 /// Counts things that take a moment each, such as pictures. Silent where there is no terminal.
 pub fn counter(what: &'static str, total: usize) -> ProgressBar {
-    if !std::io::stderr().is_terminal() {
+    if is_quiet() || !std::io::stderr().is_terminal() {
         return ProgressBar::hidden();
     }
     let bar = ProgressBar::new(total as u64).with_message(what);
@@ -60,49 +109,58 @@ pub struct StepProgress {
     bar: Option<ProgressBar>,
     shown: Instant,
     stepped: Instant,
-    /// Since this began.
-    seen: usize,
+    /// Steps that were counted here: a run that goes on from a checkpoint begins late.
+    counted: usize,
     /// Running mean of the time that a step takes, s.
     step_s: f64,
-    /// `[1]`: sum of the losses since they were last shown, and how many. Kept on the device: reading each would wait.
-    losses: Option<(Tensor<1>, usize)>,
+    /// Losses since they were last shown: their sum, and how many.
+    losses: (f64, usize),
 }
 
 impl StepProgress {
     /// Of a run of `steps` steps, some of which may be done.
     pub fn new(steps: usize) -> Self {
-        let bar = std::io::stderr().is_terminal().then(|| ProgressBar::new(steps as u64));
+        let shows = !is_quiet() && std::io::stderr().is_terminal();
+        let bar = shows.then(|| ProgressBar::new(steps as u64));
         if let Some(bar) = &bar {
             bar.set_style(style("[{bar:32}] {msg}"));
         }
         let now = Instant::now();
-        Self { steps, bar, shown: now, stepped: now, seen: 0, step_s: 0.0, losses: None }
+        Self { steps, bar, shown: now, stepped: now, counted: 0, step_s: 0.0, losses: (0.0, 0) }
     }
 
-    /// After a step.
-    pub fn step(&mut self, report: &StepReport) {
+    /// After a step, counted from 1: whether it is time to [show](Self::show) something.
+    pub fn tick(&mut self, step: usize) -> bool {
         let now = Instant::now();
         let latest_s = (now - self.stepped).as_secs_f64();
-        self.stepped = now;
+        (self.stepped, self.counted) = (now, self.counted + 1);
         // The plain mean at first, lest a slow first step colour the whole start.
-        self.seen += 1;
-        let weight = NEWEST_WEIGHT.max(1.0 / self.seen as f64);
+        let weight = NEWEST_WEIGHT.max(1.0 / self.counted as f64);
         self.step_s += weight * (latest_s - self.step_s);
-        self.losses = Some(match self.losses.take() {
-            Some((sum, count)) => (sum + report.loss.clone(), count + 1),
-            None => (report.loss.clone(), 1),
-        });
         let pause = if self.bar.is_some() { BETWEEN_FRAMES } else { BETWEEN_LINES };
-        if now - self.shown < pause && report.step < self.steps {
-            return;
-        }
-        self.shown = now;
-        let loss = self.losses.take().map_or(f64::NAN, |(sum, count)| sum.into_scalar::<f64>() / count as f64);
-        let line = line(report.step, self.steps, loss, report.splats, self.step_s);
+        !is_quiet() && (now - self.shown >= pause || step >= self.steps)
+    }
+
+    /// After something else than a step, whose time is none of theirs.
+    pub fn resume(&mut self) {
+        self.stepped = Instant::now();
+    }
+
+    /// Losses since the last call: their sum and number.
+    pub fn add(&mut self, (sum, count): (f64, usize)) {
+        self.losses.0 += sum;
+        self.losses.1 += count;
+    }
+
+    /// Shows where the run is.
+    pub fn show(&mut self, step: usize, splats: usize) {
+        self.shown = Instant::now();
+        let (sum, count) = std::mem::take(&mut self.losses);
+        let line = progress_line(step, self.steps, sum / count as f64, splats, self.step_s);
         match &self.bar {
             None => note(&line),
             Some(bar) => {
-                bar.set_position(report.step as u64);
+                bar.set_position(step as u64);
                 bar.set_message(line);
             }
         }
@@ -116,7 +174,7 @@ impl StepProgress {
     }
 }
 
-fn line(step: usize, steps: usize, loss: f64, splats: usize, step_s: f64) -> String {
+fn progress_line(step: usize, steps: usize, loss: f64, splats: usize, step_s: f64) -> String {
     let rate = if step_s > 0.0 { format!("{:.1}", 1.0 / step_s) } else { "-".into() };
     let left = clock(step_s * (steps.saturating_sub(step)) as f64);
     format!("step {step}/{steps}  loss {loss:.4}  {splats} splats  {rate} steps/s  {left} left")
@@ -137,7 +195,7 @@ mod tests {
     #[test]
     fn a_line_says_all() {
         let expected = "step 240/2000  loss 0.0412  12345 splats  8.0 steps/s  3:40 left";
-        assert_eq!(line(240, 2000, 0.04123, 12_345, 0.125), expected);
+        assert_eq!(progress_line(240, 2000, 0.04123, 12_345, 0.125), expected);
     }
 
     #[test]

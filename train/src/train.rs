@@ -4,6 +4,7 @@ mod budget;
 mod checkpoints;
 mod results;
 mod run;
+mod steps;
 mod stop;
 
 use std::path::PathBuf;
@@ -21,6 +22,8 @@ use crate::background::TrainBackground;
 use crate::device::{self, DeviceName};
 use crate::effects::EffectsArg;
 use crate::options::PhotoArgs;
+use crate::progress::VoiceArgs;
+use crate::strategy::StrategyName;
 
 /// Steps of a run on the demo capture, chosen so that the whole of it takes under 3 minutes on 2 CPU cores.
 pub const DEMO_STEPS: usize = 1500;
@@ -35,6 +38,40 @@ pub const DEMO_OUT: &str = "out/demo";
 /// Steps between checkpoints unless told otherwise: a minute or two of the usual run on a CPU, seconds on a GPU.
 pub const CHECKPOINT_EVERY: usize = 500;
 
+/// What a run that goes on has already: all options but those that say how much is said.
+const OF_A_NEW_RUN: [&str; 30] = [
+    "capture",
+    "out",
+    "steps",
+    "device",
+    "seed",
+    "max_splats",
+    "strategy",
+    "batch",
+    "eval_every",
+    "max_side",
+    "sh_degree",
+    "sh_every",
+    "matte_below",
+    "antialias",
+    "projection",
+    "order",
+    "opacity_weight",
+    "coarsest",
+    "full_from",
+    "pixel_share",
+    "accuracy",
+    "target_error",
+    "target_ms",
+    "frontier",
+    "background",
+    "effects",
+    "eval_during",
+    "check",
+    "cache_mb",
+    "checkpoint_every",
+];
+
 /// Options of `splat train`, which checkpoints keep.
 #[derive(Clone, Debug, clap::Args, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -43,15 +80,15 @@ pub struct TrainArgs {
     #[arg(requires = "out")]
     pub capture: Option<PathBuf>,
     /// Go on with the run whose checkpoints are in this folder, with the options that it was started with
-    #[arg(long, value_name = "DIR", exclusive = true)]
+    #[arg(long, value_name = "DIR", conflicts_with_all = OF_A_NEW_RUN)]
     #[serde(skip)]
     pub resume: Option<PathBuf>,
     /// Folder for scene.ply, metrics.json and views/; with the demo capture `out/demo` if not given
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
-    /// Training steps, one photograph each
+    /// Training steps
     #[arg(long, value_name = "N", help = format!(
-        "Training steps, one photograph each [default: {}; with the demo capture {DEMO_STEPS}]", TrainConfig::default().steps
+        "Training steps, of one photograph each unless there is a `--batch` [default: {}; with the demo capture {DEMO_STEPS}]", TrainConfig::default().steps
     ))]
     pub steps: Option<usize>,
     /// Where to compute
@@ -65,10 +102,17 @@ pub struct TrainArgs {
     #[arg(
         long,
         value_name = "N",
-        default_value_t = TrainConfig::default().density.max_splats,
+        default_value_t = TrainConfig::default().density.max_splats(),
         value_parser = RangedU64ValueParser::<usize>::new().range(1..)
     )]
     pub max_splats: usize,
+    /// How splats are added, moved and removed
+    #[arg(long, value_name = "NAME", value_enum, default_value_t)]
+    pub strategy: StrategyName,
+    /// Photographs in each step. Learning rates grow with the root of their number, as the field has it; take `--steps` N times
+    /// smaller for a run that sees each photograph as often
+    #[arg(long, value_name = "N", default_value_t = TrainConfig::default().batch, value_parser = RangedU64ValueParser::<usize>::new().range(1..))]
+    pub batch: usize,
     /// Photographs.
     #[command(flatten)]
     pub photos: PhotoArgs,
@@ -98,14 +142,6 @@ pub struct TrainArgs {
     /// With `--coarsest`: share of the steps after which photographs have their full size
     #[arg(long, value_name = "SHARE", default_value_t = TrainConfig::default().resolution.full_from)]
     pub full_from: f64,
-    /// Learn coefficients of the harmonics beyond degree 0 at every so manieth step
-    #[arg(
-        long,
-        value_name = "N",
-        default_value_t = TrainConfig::default().sh_rest_every,
-        value_parser = RangedU64ValueParser::<usize>::new().range(1..)
-    )]
-    pub sh_rest_every: usize,
     /// Share of a photograph's pixels that a step looks at: so many of its rows, drawn anew each time, 32 at the fewest
     #[arg(long, value_name = "SHARE", default_value_t = TrainConfig::default().pixel_share)]
     pub pixel_share: f64,
@@ -122,6 +158,13 @@ pub struct TrainArgs {
     #[arg(long, value_name = "LIST", default_value_t, allow_hyphen_values = true)]
     #[serde(with = "crate::as_text")]
     pub effects: EffectsArg,
+    /// Score the scene on a few test views after every N steps, for the curve in report.html and for --json [default: off]
+    #[arg(long, value_name = "N", value_parser = RangedU64ValueParser::<usize>::new().range(1..))]
+    pub eval_during: Option<usize>,
+    /// How much is said.
+    #[command(flatten)]
+    #[serde(skip)]
+    pub voice: VoiceArgs,
     /// Look at what every stage of every step leaves, and end at the first that goes wrong; several times as slow
     #[arg(long)]
     pub check: bool,
@@ -142,7 +185,8 @@ impl TrainArgs {
     pub fn config(&self) -> Result<TrainConfig, TrainError> {
         let mut config = TrainConfig { seed: self.seed, ..self.model.config() };
         config.opacity_weight = self.opacity_weight;
-        config.density.max_splats = self.max_splats;
+        config.density = self.strategy.config().with_max_splats(self.max_splats);
+        config.batch = self.batch;
         config.resolution = Resolution { coarsest_divisor: self.coarsest, full_from: self.full_from };
         if self.capture.is_none() {
             (config.steps, config.sh_degree) = (DEMO_STEPS, DEMO_SH_DEGREE);
@@ -150,7 +194,7 @@ impl TrainArgs {
         config.steps = self.steps.unwrap_or(config.steps);
         config.sh_degree = self.sh_degree.unwrap_or(config.sh_degree);
         config.sh_every = self.sh_every;
-        (config.sh_rest_every, config.pixel_share) = (self.sh_rest_every, self.pixel_share);
+        config.pixel_share = self.pixel_share;
         config.dials = config.dials.and(&self.accuracy.accuracy.setting());
         config.matte_below = self.matte_below.map(|levels| levels / 255.0);
         match config {
@@ -169,7 +213,9 @@ impl TrainArgs {
 
 #[cfg(test)]
 mod tests {
-    use clap::Parser;
+    use clap::{CommandFactory, Parser};
+
+    use splat_model::density::{AdaptiveConfig, DensityConfig, McmcConfig};
 
     use super::*;
     use crate::options::{Cli, Command};
@@ -186,6 +232,30 @@ mod tests {
     }
 
     #[test]
+    fn a_run_that_goes_on_takes_no_options_of_a_new_one() {
+        let command = Cli::command();
+        let train = command.find_subcommand("train").unwrap();
+        let ids = train.get_arguments().map(|argument| argument.get_id().as_str());
+        let ids: Vec<&str> = ids.filter(|id| !["resume", "quiet", "json", "help"].contains(id)).collect();
+        assert!(ids.iter().all(|id| OF_A_NEW_RUN.contains(id)), "{ids:?}");
+        let refused = |option: &str| Cli::try_parse_from(["splat", "train", "--resume", "out", option]).is_err();
+        assert!(refused("--check") && refused("--steps=7") && refused("capture") && refused("--effects=none"));
+        assert!(!refused("--quiet") && !refused("--json"));
+    }
+
+    #[test]
+    fn what_a_checkpoint_keeps_of_the_options_is_all_of_them() {
+        let arguments =
+            ["c", "--out", "o", "--device", "gpu:1", "--effects=auto,-masks", "--background", "0.1,0.2,0.3"];
+        let more = ["--projection", "exact", "--target-error", "40.1", "--opacity-weight", "0.1", "--eval-during", "9"];
+        let cli = Cli::try_parse_from(["splat", "train"].iter().chain(&arguments).chain(&more)).unwrap();
+        let Command::Train(args) = cli.command else { panic!("asked for train") };
+        let text = serde_json::to_string(&args).unwrap();
+        let read: TrainArgs = serde_json::from_str(&text).unwrap();
+        assert_eq!(format!("{read:?}"), format!("{args:?}"));
+    }
+
+    #[test]
     fn the_demo_is_short_unless_told_otherwise() {
         assert_eq!(config(&[]).unwrap().steps, DEMO_STEPS);
         assert_eq!(config(&["--steps", "9"]).unwrap().steps, 9);
@@ -196,10 +266,10 @@ mod tests {
         let arguments =
             ["--seed", "5", "--max-splats", "77", "--sh-degree", "2", "--antialias", "--opacity-weight", "0.01"];
         let config = config(&arguments).unwrap();
-        assert_eq!((config.seed, config.density.max_splats, config.sh_degree, config.antialias), (5, 77, 2, true));
+        assert_eq!((config.seed, config.density.max_splats(), config.sh_degree, config.antialias), (5, 77, 2, true));
         assert_eq!(config.opacity_weight, 0.01);
-        let config = self::config(&["--sh-rest-every", "16", "--pixel-share", "0.25"]).unwrap();
-        assert_eq!((config.sh_rest_every, config.pixel_share), (16, 0.25));
+        let config = self::config(&["--pixel-share", "0.25"]).unwrap();
+        assert_eq!(config.pixel_share, 0.25);
         let config = self::config(&["--sh-every", "300", "--matte-below", "2.55"]).unwrap();
         assert_eq!(config.sh_every, 300);
         assert!((config.matte_below.unwrap() - 0.01).abs() < 1e-12);
@@ -214,6 +284,17 @@ mod tests {
         assert_eq!(dials(&both), "alpha_min 4/255, order per-pixel, transmittance_min 1e-3");
         let options = config(&both).unwrap().render_options(1.0);
         assert_eq!((options.order, options.alpha_min), (splat_op::Order::PerPixel, 4.0 / 255.0));
+    }
+
+    #[test]
+    fn strategies_have_the_settings_of_the_library() {
+        let density = |arguments: &[&str]| config(arguments).unwrap().density;
+        assert_eq!(density(&["--strategy", "adaptive"]), DensityConfig::from(AdaptiveConfig::default()));
+        let absgrad = AdaptiveConfig { max_splats: 5, ..AdaptiveConfig::absgrad() };
+        assert_eq!(density(&["--strategy", "absgrad", "--max-splats", "5"]), absgrad.into());
+        let mcmc = McmcConfig { max_splats: 5, ..McmcConfig::default() };
+        assert_eq!(density(&["--strategy", "mcmc", "--max-splats", "5"]), mcmc.into());
+        assert_eq!(config(&["--batch", "4"]).unwrap().batch, 4);
     }
 
     #[test]

@@ -1,10 +1,11 @@
-//! COLMAP reconstructions: `sparse/0/{cameras,images,points3D}.{bin,txt}` beside `images/`.
+//! COLMAP reconstructions: `sparse/0/{cameras,images,points3D}.{bin,txt}` beside `images/`; of several models the largest.
 //!
 //! Format: <https://colmap.github.io/format.html>. Poses take world to camera, axes are OpenCV's, quaternions wxyz, pixel
 //! centres at +0.5: all as in this crate. Keypoints are kept where a track names them; `rigs` and `frames` play no role.
 
 mod binary;
 mod check;
+mod files;
 mod model;
 mod text;
 mod write;
@@ -15,13 +16,14 @@ mod tests;
 use std::collections::{HashMap, HashSet};
 use std::fs;
 use std::io;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use glam::{DAffine3, DVec3};
 use splat_op::Intrinsics;
 
 use self::check::{At, Place};
 pub(super) use self::check::{MAX_MAGNITUDE, quoted};
+use self::files::{Files, Found, find};
 use super::{Capture, CaptureError, Observation, PointCloud, Tracks, View, origin};
 
 pub use write::{write_binary, write_binary_with_tracks};
@@ -64,78 +66,22 @@ struct TrackElement {
     keypoint: u32,
 }
 
-/// The paths of a model's files, each binary or text by its extension.
-struct Files {
-    cameras: PathBuf,
-    images: PathBuf,
-    /// Need not exist.
-    points: PathBuf,
-}
-
-impl Files {
-    fn binary(model: &Path) -> Self {
-        Self {
-            cameras: model.join("cameras.bin"),
-            images: model.join("images.bin"),
-            points: model.join("points3D.bin"),
-        }
-    }
-
-    fn text(model: &Path) -> Self {
-        Self {
-            cameras: model.join("cameras.txt"),
-            images: model.join("images.txt"),
-            points: model.join("points3D.txt"),
-        }
-    }
-}
-
 /// Whether the folder holds a model, complete but for its points.
 pub(super) fn is_there(folder: &Path) -> bool {
-    find(folder).is_ok()
+    files::is_there(folder)
 }
 
 /// See [`Capture::load`].
 pub(super) fn load(folder: &Path) -> Result<Capture, CaptureError> {
-    let files = find(folder)?;
+    let Found { files, remark } = find(folder)?;
     let cameras = parse(&files.cameras, binary::cameras, text::cameras)?;
     let images = parse(&files.images, binary::images, text::images)?;
     let points = match files.points.exists() {
         true => parse(&files.points, binary::points, text::points)?,
         false => Vec::new(),
     };
-    assemble(folder, &files, cameras, images, &points)
-}
-
-/// The model's files, binary before text. Cameras and images must be of one encoding, because a stale file of the other
-/// may lie beside them; points refer to nothing and are taken as they come.
-fn find(folder: &Path) -> Result<Files, CaptureError> {
-    let numbered = folder.join("sparse").join("0");
-    let model = if numbered.exists() { numbered } else { folder.join("sparse") };
-    let (binary, text) = (Files::binary(&model), Files::text(&model));
-    if binary.cameras.exists() && binary.images.exists() {
-        let points = if binary.points.exists() { binary.points } else { text.points };
-        return Ok(Files { points, ..binary });
-    }
-    if text.cameras.exists() && text.images.exists() {
-        let points = if text.points.exists() { text.points } else { binary.points };
-        return Ok(Files { points, ..text });
-    }
-    let no_cameras = !binary.cameras.exists() && !text.cameras.exists();
-    let no_images = !binary.images.exists() && !text.images.exists();
-    let (cameras, images) = ([binary.cameras, text.cameras], [binary.images, text.images]);
-    let (what, looked_for) = match (no_cameras, no_images) {
-        (true, true) => ("COLMAP model", [cameras, images].concat()),
-        (true, false) => ("cameras", cameras.to_vec()),
-        (false, true) => ("images", images.to_vec()),
-        (false, false) => ("cameras and images of one encoding", [cameras, images].concat()),
-    };
-    Err(CaptureError::Missing {
-        what,
-        looked_for,
-        fix: "Name the folder that holds `images/` and `sparse/0/`, or `transforms.json`; make a model with `colmap mapper`, or convert it with \
-              `colmap model_converter`",
-    })
+    let capture = assemble(folder, &files, cameras, images, &points)?;
+    Ok(Capture { remarks: remark.into_iter().collect(), ..capture })
 }
 
 type Parser<T> = fn(&Path, &[u8]) -> Result<Vec<T>, CaptureError>;
@@ -190,8 +136,8 @@ fn assemble(
         positions: points.iter().map(|point| (point.position - origin).as_vec3().to_array()).collect(),
         colours: points.iter().map(|point| point.colour).collect(),
     };
-    let (split, masks) = Default::default();
-    Ok(Capture { folder: folder.to_owned(), views, points, tracks, origin, split, masks })
+    let (split, masks, remarks) = Default::default();
+    Ok(Capture { folder: folder.to_owned(), views, points, tracks, origin, split, masks, remarks })
 }
 
 /// The points' sights, in the order of the points; `images` are in that of the views.

@@ -46,13 +46,15 @@ pub struct Capture {
     /// Mask files that the capture names itself, one entry per view or none at all; see
     /// [`masks::find`](crate::effects::masks::find).
     pub masks: Vec<Option<PathBuf>>,
+    /// What a person should know of how the files were read.
+    pub remarks: Vec<String>,
 }
 
 impl Capture {
     /// Reads a folder of the first of these kinds that it is:
     ///
     /// 1. COLMAP's: `images/`, and `sparse/0/` (or `sparse/`) with `cameras`, `images` and `points3D`, each as `.bin` or else
-    ///    as `.txt`.
+    ///    as `.txt`. Of several models, `sparse/0`, `sparse/1` and so on, the one with the most photographs.
     /// 2. NeRF-synthetic's: `transforms_train.json`, and `transforms_test.json` or else `transforms_val.json`, which make the
     ///    capture's own split.
     /// 3. nerfstudio's and instant-ngp's: `transforms.json`. Its `train_filenames`, `val_filenames` and `test_filenames` make the

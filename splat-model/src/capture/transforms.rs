@@ -306,7 +306,16 @@ impl Reading<'_> {
         }
         let positions = positions.iter().map(|&position| (position - origin).as_vec3().to_array()).collect();
         let points = PointCloud { positions, colours };
-        Ok(Capture { folder: folder.to_owned(), views, points, tracks: Default::default(), origin, split, masks })
+        Ok(Capture {
+            folder: folder.to_owned(),
+            views,
+            points,
+            tracks: Default::default(),
+            origin,
+            split,
+            masks,
+            remarks: Vec::new(),
+        })
     }
 }
 

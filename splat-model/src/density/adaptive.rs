@@ -7,8 +7,10 @@ use rand::Rng;
 use rand_distr::{Distribution, StandardNormal};
 use serde::{Deserialize, Serialize};
 
+use super::consistency::{Agreed, Agreement, ConsistencyConfig};
 use super::order::morton_order;
 use super::rows::{RowEdit, Trained, indices};
+use super::strategy::{At, Observed, RefineReport, Signals, Strategy};
 use crate::gaussians::{GaussianRows, RowsError, values_of};
 use crate::state::{State, StateError};
 
@@ -23,8 +25,13 @@ pub struct AdaptiveConfig {
     /// Share of the run after which the number of Gaussians is fixed: 0.5.
     pub until_share: f64,
     /// Gaussians whose mean gradient at the projected centre, per unit of normalised device coordinates, exceeds this
-    /// are copied or split: 2e-4.
+    /// are copied or split: 2e-4, and 8e-4 for absolute gradients.
     pub grad_threshold: f64,
+    /// Whether the gradient is that of AbsGS (Ye et al. 2024): its absolute value is taken pixel by pixel, so that the two edges
+    /// of a Gaussian that blurs what is smaller do not cancel.
+    pub absolute: bool,
+    /// Whether several views are asked before Gaussians are copied, split or kept, and how much they have to agree: none are.
+    pub consistency: Option<ConsistencyConfig>,
     /// Up to this size, as a share of the scene's extent, a Gaussian is copied; above, it is split: 0.01.
     pub split_scale: f64,
     /// Gaussians with an opacity below this are removed: 0.005.
@@ -47,6 +54,8 @@ impl Default for AdaptiveConfig {
             from: 500,
             until_share: 0.5,
             grad_threshold: 2e-4,
+            absolute: false,
+            consistency: None,
             split_scale: 0.01,
             prune_opacity: 0.005,
             prune_scale: 0.1,
@@ -57,24 +66,25 @@ impl Default for AdaptiveConfig {
     }
 }
 
+impl AdaptiveConfig {
+    /// AbsGS: absolute gradients, and the threshold that the field has for them, which is in the same unit.
+    pub fn absgrad() -> Self {
+        Self { absolute: true, grad_threshold: 8e-4, ..Self::default() }
+    }
+}
+
+impl AdaptiveConfig {
+    /// Densification and pruning on which views agree.
+    pub fn consistent() -> Self {
+        Self { consistency: Some(ConsistencyConfig::default()), ..Self::default() }
+    }
+}
+
 /// A split Gaussian's parts are this much smaller (Kerbl et al. 2023, section 5.2).
 const SPLIT_SHRINK: f32 = 1.6;
 
 /// Opacity after a reset, as in the original.
 const RESET_OPACITY: f64 = 0.01;
-
-/// What a refinement did.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct RefineReport {
-    /// Small Gaussians copied.
-    pub cloned: usize,
-    /// Large Gaussians split in two.
-    pub split: usize,
-    /// Gaussians removed.
-    pub pruned: usize,
-    /// The gradient above which Gaussians were copied or split; above the configured one at the cap.
-    pub threshold: f64,
-}
 
 /// Statistics between refinements, and the policy.
 #[derive(Debug)]
@@ -84,22 +94,19 @@ pub struct Adaptive {
     steps: usize,
     /// `[N]`: sums of gradient lengths and numbers of steps in which there was one; absent right after an edit.
     seen: Option<(Tensor<1>, Tensor<1>)>,
+    /// Of the views that were asked since.
+    agreement: Option<Agreement>,
 }
 
 impl Adaptive {
     /// For a run of `steps` over a scene of `extent` (see [`crate::optim::scene_extent`]).
     pub fn new(config: AdaptiveConfig, extent: f64, steps: usize) -> Self {
-        Self { config, extent, steps, seen: None }
+        Self { config, extent, steps, seen: None, agreement: None }
     }
 
-    /// Whether statistics are wanted at `step`, counted from 1.
-    pub fn listens_at(&self, step: usize) -> bool {
+    /// Whether it is time for anything at `step`, counted from 1.
+    fn is_time_at(&self, step: usize) -> bool {
         (step as f64) < self.config.until_share * self.steps as f64
-    }
-
-    /// Whether [`Self::refine`] changes the scene at `step`, counted from 1.
-    pub fn acts_at(&self, step: usize) -> bool {
-        self.listens_at(step) && (self.densifies_at(step) || self.resets_at(step))
     }
 
     fn densifies_at(&self, step: usize) -> bool {
@@ -110,82 +117,15 @@ impl Adaptive {
         self.config.reset_every > 0 && step.is_multiple_of(self.config.reset_every)
     }
 
-    /// Adds one step's `∂L/∂mean2d`, `[N, 2]` per px, of a picture of `size` px.
-    pub fn observe(&mut self, grad_mean2d: Tensor<2>, size: (usize, usize)) {
-        let device = grad_mean2d.device();
-        // Pixels per unit of normalised device coordinates, which run from -1 to 1.
-        let per_ndc = Tensor::<1>::from_floats([size.0 as f32 / 2.0, size.1 as f32 / 2.0], &device);
-        let squared = (grad_mean2d * per_ndc.unsqueeze()).square().sum_dim(1).squeeze_dim::<1>(1);
-        let length = squared.sqrt();
-        let shown = length.clone().greater_elem(0.0).float();
-        self.seen = Some(match self.seen.take() {
-            Some((sum, count)) => (sum + length, count + shown),
-            None => (length, shown),
-        });
-    }
-
-    /// Follows rows to new places: `order` says where each has come from, as [`Trained::make_matte`] returns it.
-    pub fn reorder(&mut self, order: &[u32]) {
-        let Some((sum, count)) = self.seen.take() else { return };
-        let order = indices(order, &sum.device());
-        self.seen = Some((sum.select(0, order.clone()), count.select(0, order)));
-    }
-
-    /// Refines the scene if `step`, counted from 1, calls for it.
-    ///
-    /// # Errors
-    /// If the scene's rows do not fit together.
-    pub fn refine(
-        &mut self,
-        scene: &mut Trained,
-        step: usize,
-        rng: &mut impl Rng,
-    ) -> Result<Option<RefineReport>, RowsError> {
-        if !self.listens_at(step) {
-            return Ok(None);
-        }
-        let mut report = None;
-        if self.densifies_at(step) {
-            report = Some(self.densify(scene, step, rng)?);
-        }
-        if self.resets_at(step) {
-            let ceiling = (RESET_OPACITY / (1.0 - RESET_OPACITY)).ln();
-            let logits = scene.gaussians.logit_opacities.val().inner().clamp_max(ceiling);
-            scene.reset_opacities(logits);
-        }
-        Ok(report)
-    }
-
-    /// Keeps what was observed since the last edit.
-    ///
-    /// # Errors
-    /// None that is to be expected.
-    pub fn save(&self, to: &mut State) -> Result<(), StateError> {
-        if let Some((sum, count)) = &self.seen {
-            to.put("sum", sum.clone());
-            to.put("count", count.clone());
-        }
-        Ok(())
-    }
-
-    /// Goes on from it.
-    ///
-    /// # Errors
-    /// If half of it is missing.
-    pub fn load(&mut self, from: &mut State, device: &Device) -> Result<(), StateError> {
-        self.seen = match from.has("sum") {
-            true => Some((from.take("sum", device)?, from.take("count", device)?)),
-            false => None,
-        };
-        Ok(())
-    }
-
-    fn densify(&mut self, scene: &mut Trained, step: usize, rng: &mut impl Rng) -> Result<RefineReport, RowsError> {
+    fn densify(&mut self, scene: &mut Trained, step: usize, rng: &mut dyn Rng) -> Result<RefineReport, RowsError> {
         let rows = scene.gaussians.to_rows();
         let gradients = self.mean_gradients(rows.len());
         let keep_largest = self.config.reset_every == 0 || step <= self.config.reset_every;
-        let doomed: Vec<bool> = (0..rows.len()).map(|i| self.is_doomed(&rows, i, keep_largest)).collect();
-        let (chosen, threshold) = self.choose(&gradients, &doomed);
+        let agreed = self.config.consistency.zip(self.agreement.take().map(Agreement::read));
+        let hardly_shows = |i| agreed.as_ref().is_some_and(|(config, agreed)| agreed.hardly_shows(i, config));
+        let doomed: Vec<bool> =
+            (0..rows.len()).map(|i| self.is_doomed(&rows, i, keep_largest) || hardly_shows(i)).collect();
+        let (chosen, threshold) = self.choose(&gradients, &doomed, agreed.as_ref());
         let split_above = (self.config.split_scale * self.extent) as f32;
 
         let mut report = RefineReport { threshold, ..Default::default() };
@@ -201,7 +141,7 @@ impl Adaptive {
                 (0..2).for_each(|_| push_split(add, &rows, i, rng));
             } else {
                 report.cloned += 1;
-                push_row(add, &rows, i);
+                add.push(&rows, i);
             }
         }
         edit.keep = morton_order(&rows.means).into_iter().filter(|&row| !replaced[row as usize]).collect();
@@ -229,8 +169,14 @@ impl Adaptive {
     }
 
     /// The rows to copy or split, in order, and the threshold that chose them.
-    fn choose(&self, gradients: &[f32], doomed: &[bool]) -> (Vec<usize>, f64) {
-        let wanted = |i: &usize| !doomed[*i] && f64::from(gradients[*i]) > self.config.grad_threshold;
+    fn choose(
+        &self,
+        gradients: &[f32],
+        doomed: &[bool],
+        agreed: Option<&(ConsistencyConfig, Agreed)>,
+    ) -> (Vec<usize>, f64) {
+        let is_wrong = |i: usize| agreed.is_none_or(|(config, agreed)| agreed.is_wrong(i, config));
+        let wanted = |i: &usize| !doomed[*i] && f64::from(gradients[*i]) > self.config.grad_threshold && is_wrong(*i);
         let mut chosen: Vec<usize> = (0..gradients.len()).filter(wanted).collect();
         let surviving = doomed.iter().filter(|&&gone| !gone).count();
         // Copying adds one row, and so does splitting.
@@ -257,24 +203,95 @@ impl Adaptive {
     }
 }
 
+impl Strategy for Adaptive {
+    fn listens_at(&self, step: usize) -> Signals {
+        let listens = self.is_time_at(step);
+        let absolute = self.config.absolute;
+        let asks = self.config.consistency.is_some_and(|config| config.asks_at(step, self.config.every));
+        Signals { gradient: listens && !absolute, abs_gradient: listens && absolute, covered: listens && asks }
+    }
+
+    fn observe(&mut self, seen: Observed) {
+        if let Some(covered) = seen.covered {
+            self.agreement = Some(Agreement::with(self.agreement.take(), covered));
+        }
+        let Some(grad_mean2d) = seen.gradient.or(seen.abs_gradient) else { return };
+        let device = grad_mean2d.device();
+        // Pixels per unit of normalised device coordinates, which run from -1 to 1.
+        let per_ndc = Tensor::<1>::from_floats([seen.size.0 as f32 / 2.0, seen.size.1 as f32 / 2.0], &device);
+        let squared = (grad_mean2d * per_ndc.unsqueeze()).square().sum_dim(1).squeeze_dim::<1>(1);
+        let length = squared.sqrt();
+        let shown = length.clone().greater_elem(0.0).float();
+        self.seen = Some(match self.seen.take() {
+            Some((sum, count)) => (sum + length, count + shown),
+            None => (length, shown),
+        });
+    }
+
+    fn acts_at(&self, step: usize) -> bool {
+        self.is_time_at(step) && (self.densifies_at(step) || self.resets_at(step))
+    }
+
+    fn act(&mut self, scene: &mut Trained, at: &At, rng: &mut dyn Rng) -> Result<Option<RefineReport>, RowsError> {
+        if !self.is_time_at(at.step) {
+            return Ok(None);
+        }
+        let mut report = None;
+        if self.densifies_at(at.step) {
+            report = Some(self.densify(scene, at.step, rng)?);
+        }
+        if self.resets_at(at.step) {
+            let ceiling = (RESET_OPACITY / (1.0 - RESET_OPACITY)).ln();
+            let logits = scene.gaussians.logit_opacities.val().inner().clamp_max(ceiling);
+            scene.reset_opacities(logits);
+        }
+        Ok(report)
+    }
+
+    fn reorder(&mut self, order: &[u32]) {
+        let Some((sum, count)) = self.seen.take() else { return };
+        let order = indices(order, &sum.device());
+        self.agreement = self.agreement.take().map(|agreement| agreement.reorder(&order));
+        self.seen = Some((sum.select(0, order.clone()), count.select(0, order)));
+    }
+
+    fn save(&self, to: &mut State) -> Result<(), StateError> {
+        if let Some((sum, count)) = &self.seen {
+            to.put("gradient_sum", sum.clone());
+            to.put("seen_count", count.clone());
+        }
+        if let Some(agreement) = &self.agreement {
+            let mut part = State::default();
+            agreement.save(&mut part);
+            to.put_part("agreement", part);
+        }
+        Ok(())
+    }
+
+    fn load(&mut self, from: &mut State, device: &Device) -> Result<(), StateError> {
+        self.seen = None;
+        if from.has("gradient_sum") {
+            let sum: Tensor<1> = from.take("gradient_sum", device)?;
+            let count = from.take_shaped("seen_count", sum.dims(), device)?;
+            self.seen = Some((sum, count));
+        }
+        self.agreement = None;
+        if from.has("agreement") {
+            let mut part = from.take_part("agreement");
+            self.agreement = Some(Agreement::load(&mut part, device)?);
+            part.finish()?;
+        }
+        Ok(())
+    }
+}
+
 fn largest_scale(rows: &GaussianRows, i: usize) -> f32 {
     rows.log_scales[i].iter().fold(f32::NEG_INFINITY, |largest, log| largest.max(*log)).exp()
 }
 
-/// Appends row `i` as it is, but for coefficients that the rows it is appended to do not have.
-fn push_row(to: &mut GaussianRows, from: &GaussianRows, i: usize) {
-    let (rest, taken) = (from.rest_per_row(), to.rest_per_row());
-    to.means.push(from.means[i]);
-    to.rotations.push(from.rotations[i]);
-    to.log_scales.push(from.log_scales[i]);
-    to.logit_opacities.push(from.logit_opacities[i]);
-    to.sh_dc.push(from.sh_dc[i]);
-    to.sh_rest.extend_from_slice(&from.sh_rest[rest * i..rest * i + taken]);
-}
-
 /// Appends a smaller copy of row `i`, moved to a place drawn from the Gaussian itself.
-fn push_split(to: &mut GaussianRows, from: &GaussianRows, i: usize, rng: &mut impl Rng) {
-    push_row(to, from, i);
+fn push_split(to: &mut GaussianRows, from: &GaussianRows, i: usize, rng: &mut dyn Rng) {
+    to.push(from, i);
     // In f64, because the length of a quaternion is free and its square may be too much, or too little, for f32.
     let [w, x, y, z] = from.rotations[i].map(f64::from);
     let world_from_gaussian = DQuat::from_xyzw(x, y, z, w).normalize().as_quat();

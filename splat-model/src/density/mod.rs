@@ -1,11 +1,20 @@
-//! How many Gaussians, and where. Policies (`adaptive.rs`) say which rows to keep, copy and add; `rows.rs` alone edits
-//! them, together with their Adam moments; `matte.rs` says which need no directional colour, `order.rs` which order is quick to
-//! render.
+//! How many Gaussians, and where. A [`Strategy`] says which rows to keep, copy and add (`adaptive.rs`, `mcmc.rs`, or one of your
+//! own); `rows.rs` alone edits them, together with their Adam moments; `matte.rs` says which need no directional colour,
+//! `order.rs` which order is quick to render.
 
 mod adaptive;
+mod config;
+mod consistency;
 pub mod matte;
+mod mcmc;
+mod noise;
 mod order;
 pub mod rows;
+mod strategy;
 
-pub use adaptive::{Adaptive, AdaptiveConfig, RefineReport};
+pub use adaptive::{Adaptive, AdaptiveConfig};
+pub use config::DensityConfig;
+pub use consistency::ConsistencyConfig;
+pub use mcmc::{Mcmc, McmcConfig};
 pub use order::morton_order;
+pub use strategy::{At, Observed, RefineReport, Signals, Strategy};

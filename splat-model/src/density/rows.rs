@@ -140,6 +140,11 @@ impl Trained {
         replace(&mut self.gaussians.logit_opacities, logits);
     }
 
+    /// Replaces the centres and keeps their history.
+    pub fn replace_means(&mut self, means: Tensor<2>) {
+        replace(&mut self.gaussians.means, means);
+    }
+
     /// Replaces the logarithms of the standard deviations and keeps their history.
     pub fn replace_log_scales(&mut self, log_scales: Tensor<2>) {
         replace(&mut self.gaussians.log_scales, log_scales);
@@ -215,6 +220,38 @@ impl Gradients {
             logit_opacities: gaussians.logit_opacities.val().grad_remove(grads),
             sh: gaussians.sh.val().grad_remove(grads),
             sh_matte: gaussians.sh_matte.as_ref().and_then(|matte| matte.val().grad_remove(grads)),
+        }
+    }
+}
+
+impl Gradients {
+    /// The sum; what is absent counts as zero.
+    pub fn plus(self, other: Self) -> Self {
+        fn sum<const D: usize>(a: Option<Tensor<D>>, b: Option<Tensor<D>>) -> Option<Tensor<D>> {
+            match (a, b) {
+                (Some(a), Some(b)) => Some(a + b),
+                (a, b) => a.or(b),
+            }
+        }
+        Self {
+            means: sum(self.means, other.means),
+            rotations: sum(self.rotations, other.rotations),
+            log_scales: sum(self.log_scales, other.log_scales),
+            logit_opacities: sum(self.logit_opacities, other.logit_opacities),
+            sh: sum(self.sh, other.sh),
+            sh_matte: sum(self.sh_matte, other.sh_matte),
+        }
+    }
+
+    /// All of them times a factor.
+    pub fn times(self, factor: f64) -> Self {
+        Self {
+            means: self.means.map(|grad| grad * factor),
+            rotations: self.rotations.map(|grad| grad * factor),
+            log_scales: self.log_scales.map(|grad| grad * factor),
+            logit_opacities: self.logit_opacities.map(|grad| grad * factor),
+            sh: self.sh.map(|grad| grad * factor),
+            sh_matte: self.sh_matte.map(|grad| grad * factor),
         }
     }
 }

@@ -74,6 +74,16 @@ struct Factors {
 }
 
 impl Adam {
+    /// The constants of steps of `views` photographs each, whose gradients are averaged: `βᵛ` forgets as much per photograph as
+    /// `β` does, and gradients have `√views` times less noise, so that `ε / √views` weighs as much. With learning rates that are
+    /// `√views` times as large this is the square-root scaling rule of Malladi et al. (2022, "On the SDEs and Scaling Rules for Adaptive
+    /// Gradient Algorithms"), which gsplat has too. Their `1 − views (1 − β)` is the first order of the power, and negative from ten
+    /// views on; the power is what Zhao et al. have ("On Scaling Up 3D Gaussian Splatting Training", 2024).
+    pub fn for_batch(self, views: usize) -> Self {
+        let views = views as f64;
+        Self { beta1: self.beta1.powf(views), beta2: self.beta2.powf(views), eps: self.eps / views.sqrt() }
+    }
+
     /// The parameter after step `t`, counted from 1, with learning rate `lr` (one for all, or [`Rates`]): with bias
     /// correction, `param − lr · m̂ / (√v̂ + ε)`.
     ///
@@ -139,26 +149,6 @@ impl Adam {
         } else {
             factors.step_in_tensors(param, grad, moments)
         }
-    }
-
-    /// As [`Self::step_unless`], but of `param`, `[N, K, C]`, what has index 0 in the second dimension is stepped alone; `grad` is
-    /// `[N, 1, C]`. All else stays, and so do its moments.
-    pub(crate) fn step_first(
-        &self,
-        param: Tensor<3>,
-        grad: Tensor<3>,
-        lr: f64,
-        moments: &mut Moments<3>,
-        at: (usize, Option<&Tensor<1, Int>>),
-    ) -> Tensor<3> {
-        let [count, _, channels] = param.dims();
-        let first = [0..count, 0..1, 0..channels];
-        let of = |values: &Tensor<3>| values.clone().slice(first.clone());
-        let mut history = Moments { m: of(&moments.m), v: of(&moments.v) };
-        let stepped = self.step_unless(of(&param), grad, lr, &mut history, at);
-        moments.m.inplace(|m| m.slice_assign(first.clone(), history.m));
-        moments.v.inplace(|v| v.slice_assign(first.clone(), history.v));
-        param.slice_assign(first, stepped)
     }
 
     fn factors(&self, lr: Rates, t: usize) -> Factors {

@@ -64,6 +64,20 @@ impl Default for LearningRates {
 }
 
 impl LearningRates {
+    /// The rates of steps of `views` photographs each: `√views` times these (see [`crate::optim::Adam::for_batch`]).
+    pub fn for_batch(self, views: usize) -> Self {
+        let factor = (views as f64).sqrt();
+        Self {
+            means: self.means * factor,
+            means_final_share: self.means_final_share,
+            scales: self.scales * factor,
+            rotations: self.rotations * factor,
+            sh_dc: self.sh_dc * factor,
+            sh_rest: self.sh_rest * factor,
+            opacities: self.opacities * factor,
+        }
+    }
+
     /// The decay of the rate of the centres over `steps`, scene units, for a scene of `extent` (see [`scene_extent`]).
     pub fn means_decay(&self, extent: f64, steps: usize) -> Decay {
         let initial = self.means * extent;
@@ -121,6 +135,19 @@ mod tests {
         assert_close(decay.at(30_000), 1.6e-6);
         assert_close(decay.at(99_999), 1.6e-6);
         assert_close(Decay { steps: 0, ..decay }.at(0), 1.6e-6);
+    }
+
+    #[test]
+    fn rates_of_batches_grow_with_the_root() {
+        let rates = LearningRates::default();
+        assert_eq!(rates.for_batch(1), rates);
+        let of = |rates: LearningRates| {
+            [rates.means, rates.scales, rates.rotations, rates.sh_dc, rates.sh_rest, rates.opacities]
+        };
+        for (four, one) in of(rates.for_batch(4)).into_iter().zip(of(rates)) {
+            assert_close(four, 2.0 * one);
+        }
+        assert_eq!(rates.for_batch(4).means_final_share, rates.means_final_share);
     }
 
     #[test]

@@ -24,7 +24,7 @@ use thiserror::Error;
 
 pub use points::read_points;
 pub use read::read;
-pub use write::write;
+pub use write::{write, write_to};
 
 /// The element that holds the Gaussians.
 const VERTEX: &str = "vertex";

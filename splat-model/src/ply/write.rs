@@ -74,15 +74,24 @@ fn temporary_name(path: &Path) -> io::Result<PathBuf> {
     Ok(path.with_file_name(temporary))
 }
 
-fn write_file(path: &Path, rows: &GaussianRows, origin: DVec3) -> io::Result<()> {
-    let mut out = BufWriter::with_capacity(1 << 20, File::create(path)?);
+/// Writes what [`write`] puts into a file, to anything. The rows fit together ([`GaussianRows::check`]).
+///
+/// # Errors
+/// If it cannot be written to.
+pub fn write_to(out: &mut impl Write, rows: &GaussianRows, origin: DVec3) -> io::Result<()> {
     let header = header(rows, origin);
     let writer = Writer::<Row>::new();
-    writer.write_header(&mut out, &header)?;
+    writer.write_header(out, &header)?;
     let element = &header.elements[VERTEX];
     for i in 0..rows.means.len() {
-        writer.write_little_endian_element(&mut out, &Row::of(rows, i), element)?;
+        writer.write_little_endian_element(out, &Row::of(rows, i), element)?;
     }
+    Ok(())
+}
+
+fn write_file(path: &Path, rows: &GaussianRows, origin: DVec3) -> io::Result<()> {
+    let mut out = BufWriter::with_capacity(1 << 20, File::create(path)?);
+    write_to(&mut out, rows, origin)?;
     out.flush()?;
     // Else a power cut after the rename could leave an empty file where a good one was.
     out.get_ref().sync_all()

@@ -5,7 +5,7 @@ use splat_op::RenderOptions;
 
 use super::Resolution;
 use crate::accuracy::Setting;
-use crate::density::AdaptiveConfig;
+use crate::density::DensityConfig;
 use crate::effects::background::Backdrop;
 use crate::effects::depth::DepthConfig;
 use crate::effects::exposure::ExposureConfig;
@@ -20,8 +20,11 @@ use crate::optim::{LearningRates, near_plane};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct TrainConfig {
-    /// Steps, one photograph each: 30,000.
+    /// Steps: 30,000.
     pub steps: usize,
+    /// Photographs in each of them: 1. More of them grow learning rates and Adam's memory as the field has it; steps, and what is
+    /// counted in steps, stay what they are.
+    pub batch: usize,
     /// Seed of everything random.
     pub seed: u64,
     /// Share of D-SSIM in the loss: 0.2.
@@ -30,18 +33,14 @@ pub struct TrainConfig {
     pub sh_degree: usize,
     /// Steps until the degree rises by one: 1,000.
     pub sh_every: usize,
-    /// Coefficients of the harmonics beyond degree 0 are learnt at every so manieth step: 1, at each. Other
-    /// steps have no gradient of them and no step of Adam, but go without the pass that projects and shades at once: on two CPU
-    /// cores that costs what is saved, at 15,000 Gaussians of degree 3 on pictures of 320 px and of 128 px.
-    pub sh_rest_every: usize,
     /// Gaussians whose colour varies with the direction by less than this keep none of their higher coefficients (see
     /// [`crate::density::matte`], which says when): in units of colour, 1/255 for one level of an 8-bit picture. None: all keep
     /// them.
     pub matte_below: Option<f64>,
     /// Learning rates.
     pub learning_rates: LearningRates,
-    /// Density control.
-    pub density: AdaptiveConfig,
+    /// Density control, and its strategy.
+    pub density: DensityConfig,
     /// How large photographs are as the run goes on.
     pub resolution: Resolution,
     /// The share of a photograph's pixels that a step renders and compares, above 0: 1, all of them. Below that as many whole
@@ -91,14 +90,14 @@ impl Default for TrainConfig {
     fn default() -> Self {
         Self {
             steps: 30_000,
+            batch: 1,
             seed: 0,
             lambda: DEFAULT_LAMBDA,
             sh_degree: 3,
             sh_every: STEPS_PER_SH_DEGREE,
-            sh_rest_every: 1,
             matte_below: None,
             learning_rates: LearningRates::default(),
-            density: AdaptiveConfig::default(),
+            density: DensityConfig::default(),
             resolution: Resolution::FULL,
             pixel_share: 1.0,
             background: [0.0; 3],
@@ -118,6 +117,11 @@ impl Default for TrainConfig {
 }
 
 impl TrainConfig {
+    /// The learning rates of a step.
+    pub(super) fn step_rates(&self) -> LearningRates {
+        self.learning_rates.for_batch(self.batch)
+    }
+
     /// How a run whose cameras see a scene of `extent` renders (see [`scene_extent`]).
     pub fn render_options(&self, extent: f64) -> RenderOptions {
         self.dials.apply(RenderOptions::standard().with_antialias(self.antialias).with_near(near_plane(extent)))

@@ -19,6 +19,9 @@ pub enum TrainError {
     /// Steps of zero.
     #[error("`steps` is 0, expected at least 1: give `--steps N`")]
     NoSteps,
+    /// Steps without photographs.
+    #[error("`batch` is 0, expected at least 1: give `--batch N`")]
+    NoBatch,
     /// More degrees than there are.
     #[error("`sh_degree` is {0}, expected 0 to 4")]
     ShDegree(usize),
@@ -34,9 +37,6 @@ pub enum TrainError {
         .0.coarsest_divisor, .0.full_from, Resolution::DIVISOR_MAX
     )]
     Resolution(Resolution),
-    /// Higher harmonics that are never learnt.
-    #[error("`sh_rest_every` is 0, expected at least 1, which is every step: see `--sh-rest-every`")]
-    ShRestEvery,
     /// A share of the pixels that is none.
     #[error("`pixel_share` is {0}, expected more than 0 and at most 1: see `--pixel-share`")]
     PixelShare(f64),

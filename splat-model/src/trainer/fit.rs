@@ -10,12 +10,9 @@ impl TrainConfig {
     /// Refuses what no run can be.
     ///
     /// # Errors
-    /// If [`Self::sh_rest_every`] is 0, [`Self::pixel_share`] is no share, or what is to be simulated needs a whole picture or
+    /// If [`Self::pixel_share`] is no share, or what is to be simulated needs a whole picture or
     /// ellipses where there are none.
     pub fn check(&self) -> Result<(), TrainError> {
-        if self.sh_rest_every == 0 {
-            return Err(TrainError::ShRestEvery);
-        }
         if !(self.pixel_share > 0.0 && self.pixel_share <= 1.0) {
             return Err(TrainError::PixelShare(self.pixel_share));
         }
@@ -27,7 +24,9 @@ impl TrainConfig {
         let environment = matches!(self.backdrop, Backdrop::Environment { .. }).then_some("an environment");
         let grid = self.grid.is_some().then_some("a bilateral grid");
         let depth = self.depth.is_some().then_some("depth supervision");
-        match rays.or(optics).or(environment).or(grid).or(depth) {
+        let covered = self.density.strategy(1.0, self.steps.max(2)).listens_at(1).covered;
+        let covered = covered.then_some("a strategy that looks at where pictures are wrong");
+        match rays.or(optics).or(environment).or(grid).or(depth).or(covered) {
             Some(what) if self.pixel_share < 1.0 => Err(TrainError::WholePicture(what)),
             _ => Ok(()),
         }
@@ -54,6 +53,7 @@ impl TrainConfig {
 mod tests {
     use super::*;
     use crate::accuracy::Setting;
+    use crate::density::AdaptiveConfig;
     use crate::effects::depth::DepthConfig;
     use crate::effects::grid::GridConfig;
     use crate::effects::optics::OpticsConfig;
@@ -73,11 +73,10 @@ mod tests {
 
     #[test]
     fn numbers_out_of_range_are_named() {
-        assert!(refused(TrainConfig { sh_rest_every: 0, ..TrainConfig::default() }).contains("--sh-rest-every"));
         for pixel_share in [0.0, -1.0, 1.01, f64::NAN] {
             assert!(refused(TrainConfig { pixel_share, ..TrainConfig::default() }).contains("--pixel-share"));
         }
-        TrainConfig { sh_rest_every: 16, pixel_share: 0.01, ..TrainConfig::default() }.check().unwrap();
+        TrainConfig { pixel_share: 0.01, ..TrainConfig::default() }.check().unwrap();
     }
 
     #[test]
@@ -90,6 +89,7 @@ mod tests {
             (TrainConfig { depth: Some(DepthConfig::default()), ..default() }, "depth supervision"),
             (TrainConfig { backdrop: Backdrop::Environment { degree: 1 }, ..default() }, "an environment"),
             (TrainConfig { dials: dials("projection", "exact"), ..default() }, "--projection exact"),
+            (TrainConfig { density: AdaptiveConfig::consistent().into(), ..default() }, "a strategy"),
             (TrainConfig { dials: dials("order", "per-pixel"), ..default() }, "--order per-pixel"),
         ] {
             config.check().unwrap();

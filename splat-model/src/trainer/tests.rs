@@ -15,18 +15,25 @@ fn config(steps: usize) -> TrainConfig {
     TrainConfig { steps, learning_rates, ..TrainConfig::default() }
 }
 
+/// Density control in which everything happens in a few steps.
+const EVENTFUL: AdaptiveConfig = AdaptiveConfig {
+    every: 5,
+    from: 5,
+    until_share: 0.9,
+    grad_threshold: 1e-5,
+    absolute: false,
+    consistency: None,
+    split_scale: 0.01,
+    prune_opacity: 0.005,
+    prune_scale: 0.1,
+    reset_every: 14,
+    max_splats: 60,
+    max_elongation: 30.0,
+};
+
 /// A run in which everything happens: harmonics grow, Gaussians come and go, opacities are reset.
 fn eventful() -> TrainConfig {
-    let density = AdaptiveConfig {
-        every: 5,
-        from: 5,
-        until_share: 0.9,
-        grad_threshold: 1e-5,
-        reset_every: 14,
-        max_splats: 60,
-        ..AdaptiveConfig::default()
-    };
-    TrainConfig { sh_every: 6, density, ..config(24) }
+    TrainConfig { sh_every: 6, density: EVENTFUL.into(), ..config(24) }
 }
 
 fn trainer(config: TrainConfig) -> Trainer {
@@ -69,7 +76,7 @@ fn a_seed_decides_everything() {
 fn random_points_come_from_the_seed_too() {
     let seeded = |seed| {
         let density = AdaptiveConfig { max_splats: 50, ..AdaptiveConfig::default() };
-        let config = TrainConfig { seed, density, ..config(2) };
+        let config = TrainConfig { seed, density: density.into(), ..config(2) };
         Trainer::new(photos([0.0; 3]), &PointCloud::default(), config, &Device::flex()).unwrap()
     };
     assert_eq!(seeded(1).gaussians().len(), 50);
@@ -122,6 +129,7 @@ fn what_cannot_start_says_what_to_do() {
         assert!(parts.iter().all(|part| error.contains(part)), "{error}");
     };
     fails(photos([0.0; 3]), config(0), &["`steps` is 0", "--steps N"]);
+    fails(photos([0.0; 3]), TrainConfig { batch: 0, ..config(1) }, &["`batch` is 0", "--batch N"]);
     fails(vec![], config(1), &["no photographs", "--eval-every"]);
     fails(photos([0.0; 3]), TrainConfig { sh_degree: 5, ..config(1) }, &["`sh_degree` is 5", "0 to 4"]);
     let resolution = Resolution { coarsest_divisor: 3, full_from: 0.5 };
@@ -228,8 +236,8 @@ fn harmonics_grow_by_the_calendar() {
 
 #[test]
 fn a_scene_that_loses_all_its_gaussians_trains_on() {
-    let density = AdaptiveConfig { prune_opacity: 2.0, ..eventful().density };
-    let mut trainer = trainer(TrainConfig { density, ..eventful() });
+    let density = AdaptiveConfig { prune_opacity: 2.0, ..EVENTFUL };
+    let mut trainer = trainer(TrainConfig { density: density.into(), ..eventful() });
     let counts: Vec<usize> = (0..6).map(|_| trainer.step().unwrap().splats).collect();
     assert_eq!(counts, [30, 30, 30, 30, 0, 0]);
     let (losses, rows) = run(trainer);

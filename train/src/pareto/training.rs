@@ -50,11 +50,6 @@ pub const WAYS: &[Way] = &[
         flags: "--sh-every {N/4}",
         change: |config| config.sh_every = (config.steps / 4).max(1),
     },
-    Way {
-        name: "all harmonics at once, learnt at every 16th step",
-        flags: "--sh-every 0 --sh-rest-every 16",
-        change: |config| (config.sh_every, config.sh_rest_every) = (0, 16),
-    },
     Way { name: "half of the pixels", flags: "--pixel-share 0.5", change: |config| config.pixel_share = 0.5 },
     Way { name: "a quarter of the pixels", flags: "--pixel-share 0.25", change: |config| config.pixel_share = 0.25 },
     Way {
@@ -167,7 +162,6 @@ mod tests {
         assert!(turned(|a, b| a.steps != b.steps).contains(&"half the steps"));
         assert!(turned(|a, b| a.resolution != b.resolution).contains(&"quarters first"));
         assert_eq!(turned(|a, b| a.pixel_share != b.pixel_share).len(), 3);
-        assert_eq!(turned(|a, b| a.sh_rest_every != b.sh_rest_every).len(), 1);
         assert!(turned(|a, b| a == b) == ["standard"] && WAYS[0].of(&base) == base);
     }
 

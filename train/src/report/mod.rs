@@ -1,6 +1,11 @@
-//! What a run leaves behind besides the scene: `metrics.json` and pictures of the test views.
+//! What a run leaves behind besides the scene: `metrics.json`, pictures of the test views, and `report.html`; and what it says
+//! while it goes on.
 
+pub mod history;
+pub mod html;
+pub mod log;
 pub mod metrics;
+pub mod page;
 pub mod pictures;
 
 use std::path::{Path, PathBuf};
@@ -20,6 +25,8 @@ use crate::progress;
 pub const SCENE: &str = "scene.ply";
 /// Scores, times and options.
 pub const METRICS: &str = "metrics.json";
+/// All of it for people to look at.
+pub const REPORT: &str = "report.html";
 /// What is behind the scene, where a run learnt it.
 pub const BACKGROUND: &str = "background.json";
 /// The photographs' poses, where a run refined them.
@@ -87,6 +94,9 @@ pub fn say(metrics: &Metrics, out: &OutputFolder) {
     progress::say(&format!("time: loading {:.1} s, {train}measuring {:.1} s", seconds.load, seconds.eval));
     progress::say(&format!("scene: {} ({} splats)", out.join(SCENE).display(), metrics.splats));
     progress::say(&format!("metrics: {}", out.join(METRICS).display()));
+    if metrics.steps.is_some() {
+        progress::say(&format!("report: {}", out.join(REPORT).display()));
+    }
     if metrics.test.is_some() {
         progress::say(&format!("pictures (truth | render | error): {}", out.join(VIEWS).display()));
     }

@@ -13,6 +13,7 @@ use splat_model::trainer::Trainer;
 use super::TrainArgs;
 use crate::progress;
 use crate::report::METRICS;
+use crate::report::history::History;
 
 /// Their folder, below the output.
 pub const FOLDER: &str = "checkpoints";
@@ -43,6 +44,8 @@ pub struct SoFar {
     pub seconds: f64,
     /// Whether the dials have been chosen, where a target asks for that.
     pub dials_chosen: bool,
+    /// Its curve.
+    pub history: History,
 }
 
 /// The checkpoints of the run that is on its way.

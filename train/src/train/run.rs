@@ -5,8 +5,7 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
 
-use anyhow::{Context, Result};
-use burn::tensor::Device;
+use anyhow::{Context, Result, ensure};
 use serde::Serialize;
 use splat_model::accuracy::Work;
 use splat_model::capture::demo::DemoOptions;
@@ -18,8 +17,8 @@ use splat_model::trainer::{TrainConfig, Trainer};
 
 use super::budget::{self, Budget};
 use super::checkpoints::{self, Checkpoints, SoFar};
-use super::results::{keep_scene, write_learnt};
-use super::stop::{Interrupted, Stop};
+use super::results::write_learnt;
+use super::steps::{Choice, Done, Steps};
 use super::{DEMO_OUT, TrainArgs};
 use crate::accuracy::Accuracy;
 use crate::effects::Chosen;
@@ -27,16 +26,16 @@ use crate::input::Wanted;
 use crate::options::PhotoArgs;
 use crate::output::OutputFolder;
 use crate::pareto::Shot;
-use crate::progress::{self, StepProgress};
+use crate::progress;
+use crate::report::log::Line;
 use crate::report::metrics::{Metrics, Seconds, peak_rss_mib, seconds_since};
-use crate::report::{self, BACKGROUND, METRICS, POSES, SCENE, VIEWS};
+use crate::report::page::{self, Page};
+use crate::report::{self, BACKGROUND, METRICS, POSES, REPORT, SCENE, VIEWS};
+use crate::view::scene::{ShownScene, Viewpoint};
 use crate::{demo, input};
 
 /// The demo capture, below the output folder.
 const DEMO_CAPTURE: &str = "demo-capture";
-
-/// With a target for the accuracy: settings are measured after this part of the steps.
-const MEASURED_AFTER: usize = 10;
 
 /// What `metrics.json` says under `options`.
 #[derive(Serialize)]
@@ -64,7 +63,7 @@ pub fn run_with(args: &TrainArgs, change: impl FnOnce(Trainer) -> Trainer) -> Re
     let kept = args.resume.as_deref().map(checkpoints::newest).transpose()?;
     let mut args = match &kept {
         None => args.clone(),
-        Some(kept) => TrainArgs { out: args.resume.clone(), ..kept.args.clone() },
+        Some(kept) => TrainArgs { out: args.resume.clone(), voice: args.voice, ..kept.args.clone() },
     };
     let mut config = args.config()?;
     let (device, device_name) = args.device.resolve()?;
@@ -80,6 +79,10 @@ pub fn run_with(args: &TrainArgs, change: impl FnOnce(Trainer) -> Trainer) -> Re
     let available = budget::available();
     let cache = budget::cache(args.cache_mb, available);
     let (train, test) = photographs(&capture, &split, &photo_args, (&effects, cache))?;
+    ensure!(
+        args.eval_during.is_none() || !test.is_empty(),
+        "`--eval-during` scores test views, and `--eval-every 0` holds out none: leave out one of them"
+    );
     let train_views = views_of(&capture, &train);
     let shots: Vec<Shot> = train.iter().map(|photo| Shot::unseen(&photo.intrinsics, &photo.cam_from_world)).collect();
     let base = config.render_options(input::extent(&capture));
@@ -94,7 +97,7 @@ pub fn run_with(args: &TrainArgs, change: impl FnOnce(Trainer) -> Trainer) -> Re
         test.len(),
         capture.points.positions.len()
     ));
-    let most = config.density.max_splats;
+    let most = config.density.max_splats();
     progress::note(&Budget::of(&train, &test, &config, most).said(most, available));
     let trainer = Trainer::of(train, &capture.points, config.clone(), &device)?;
     let trainer = effects.supply(trainer, &capture, &train_views)?;
@@ -113,12 +116,19 @@ pub fn run_with(args: &TrainArgs, change: impl FnOnce(Trainer) -> Trainer) -> Re
             kept.so_far
         }
     };
+    progress::line(&Line::Start {
+        steps: config.steps,
+        train_views: train_views.len(),
+        test_views: test.len(),
+        splats: trainer.gaussians().len(),
+        device: &device_name,
+        version: env!("CARGO_PKG_VERSION"),
+    });
     let choice = accuracy.filter(|_| !so_far.dials_chosen).map(|accuracy| Choice { accuracy, shots });
-    let mut steps =
-        Steps { args: &args, capture: &capture, out: &out, device: (&device, &device_name), checkpoints, so_far };
-    let train = steps.run(&mut trainer, choice)?;
+    let steps =
+        Steps { args: &args, capture: &capture, out: &out, test: &test, device: (&device, &device_name), checkpoints };
+    let Done { seconds: train, history, checkpoints } = steps.run(&mut trainer, so_far, choice)?;
     config.dials = trainer.config().dials.clone();
-    let checkpoints = steps.checkpoints;
     let background = trainer.background();
     let render_options = trainer.render_options();
     // Before measuring, so that whatever goes wrong there does not cost the scene.
@@ -132,6 +142,7 @@ pub fn run_with(args: &TrainArgs, change: impl FnOnce(Trainer) -> Trainer) -> Re
     };
     let unusable = rows.unusable();
     progress::note_unusable(&out.join(SCENE), unusable, rows.len());
+    let scene = ShownScene::new(&rows, page::SCENE_BYTES).ok();
     drop(rows);
     effects.measure(&mut trainer)?;
     // Photographs and moments are not needed for the scores, and their memory is.
@@ -157,89 +168,27 @@ pub fn run_with(args: &TrainArgs, change: impl FnOnce(Trainer) -> Trainer) -> Re
         version: env!("CARGO_PKG_VERSION"),
     };
     report::finish(&metrics, &out)?;
+    let viewpoints: Vec<Viewpoint> = test.iter().map(Viewpoint::of).collect();
+    let page = Page {
+        metrics: &metrics,
+        history: &history,
+        scene: scene.as_ref(),
+        viewpoints: &viewpoints,
+        background: background.colour(),
+        antialias: config.antialias,
+    };
+    page.write(&out)?;
     checkpoints.finish();
     report::say(&metrics, &out);
+    progress::line(&Line::Done { out: out.path().display().to_string(), metrics: &metrics });
     Ok(metrics)
-}
-
-/// Dials that are still to be chosen, by what they do to these views.
-struct Choice<'a> {
-    accuracy: Accuracy,
-    shots: Vec<Shot<'a>>,
-}
-
-/// The steps of a run, with what happens between them.
-struct Steps<'a> {
-    args: &'a TrainArgs,
-    capture: &'a Capture,
-    out: &'a OutputFolder,
-    device: (&'a Device, &'a str),
-    checkpoints: Checkpoints,
-    so_far: SoFar,
-}
-
-impl Steps<'_> {
-    /// To the last step. The seconds that all steps took, in this part of the run and earlier ones.
-    fn run(&mut self, trainer: &mut Trainer, mut choice: Option<Choice<'_>>) -> Result<f64> {
-        let stop = Stop::listen().context("cannot listen for Ctrl-C")?;
-        let (start, before, steps) = (Instant::now(), self.so_far.seconds, trainer.config().steps);
-        // So that a run which is killed at once can be gone on with too, and a folder that cannot take one is found now.
-        if trainer.steps_done() == 0 && self.args.checkpoint_every > 0 {
-            self.checkpoints.write(trainer, self.args, &self.so_far)?;
-        }
-        let mut bar = StepProgress::new(steps);
-        while !trainer.is_done() {
-            if let Some(signal) = stop.asked() {
-                bar.finish();
-                return Err(self.interrupted(trainer, signal));
-            }
-            // Earlier a scene is not yet like what it will be.
-            if trainer.steps_done() >= steps / MEASURED_AFTER
-                && let Some(Choice { accuracy, shots }) = choice.take()
-            {
-                let (rows, base) = (trainer.rows(), trainer.render_options());
-                let dials = accuracy.setting((&rows, shots), &base, self.device, Work::Train)?;
-                trainer.turn(&dials);
-                self.so_far.dials_chosen = true;
-            }
-            match trainer.step() {
-                Ok(report) => bar.step(&report),
-                Err(error) => {
-                    bar.finish();
-                    return Err(keep_scene(error, trainer, self.capture, self.out));
-                }
-            }
-            self.so_far.seconds = before + seconds_since(start);
-            if self.checkpoints.due_after(trainer.steps_done()) {
-                self.checkpoints.try_write(trainer, self.args, &self.so_far);
-            }
-        }
-        bar.finish();
-        Ok(self.so_far.seconds)
-    }
-
-    /// Keeps the run as it is, for whoever asked it to stop.
-    fn interrupted(&self, trainer: &mut Trainer, signal: u8) -> anyhow::Error {
-        let step = trainer.steps_done();
-        match self.checkpoints.write(trainer, self.args, &self.so_far) {
-            Ok(path) => {
-                let out = self.out.path();
-                let message = format!(
-                    "stopped after step {step}; `splat train --resume {}` goes on from {}",
-                    out.display(),
-                    path.display()
-                );
-                Interrupted { signal, message }.into()
-            }
-            Err(error) => error.context(format!("stopped after step {step}, which could not be kept")),
-        }
-    }
 }
 
 /// Prepares the output folder and reads the capture, after making it if none was given.
 fn open(args: &TrainArgs) -> Result<(OutputFolder, Capture, Instant)> {
     let out = args.out.as_deref().unwrap_or(Path::new(DEMO_OUT));
-    let prepare = || OutputFolder::prepare(out, &[SCENE, METRICS, BACKGROUND, POSES], &[VIEWS, checkpoints::FOLDER]);
+    let prepare =
+        || OutputFolder::prepare(out, &[SCENE, METRICS, REPORT, BACKGROUND, POSES], &[VIEWS, checkpoints::FOLDER]);
     match &args.capture {
         Some(folder) => {
             let start = Instant::now();

@@ -90,9 +90,9 @@ fn a_part_of_the_picture_goes_with_what_needs_no_more() {
         let always = ["train", text(&DEMO), "--steps", "3", "--out", out];
         splat(&[&always[..], options].concat())
     };
-    succeed(&mut train(&["--effects", "none", "--pixel-share", "0.7", "--sh-rest-every", "2"]));
+    succeed(&mut train(&["--effects", "none", "--pixel-share", "0.7"]));
     let options = &json(&folder.path().join("metrics.json"))["options"];
-    assert_eq!((&options["pixel_share"], &options["sh_rest_every"]), (&0.7.into(), &2.into()));
+    assert_eq!(options["pixel_share"], 0.7);
     let half = ["--pixel-share", "0.5"];
     refuse(&mut train(&[&half[..], &["--effects", "bilateral-grid"]].concat()), &["--pixel-share", "bilateral grid"]);
     refuse(&mut train(&[&half[..], &CHOICES].concat()), &["--pixel-share", "--projection exact"]);

@@ -1,5 +1,6 @@
 //! The program from end to end, on a demo capture so small that a run takes a moment.
 
+mod browser;
 mod choices;
 mod effects;
 mod errors;
@@ -10,6 +11,8 @@ mod origin;
 mod pareto;
 mod resume;
 mod run;
+mod view;
+mod voice;
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -51,7 +54,7 @@ fn text(path: &Path) -> &str {
 #[test]
 fn training_writes_the_scene_its_scores_and_its_pictures() {
     let out = TRAINED.as_path();
-    assert_eq!(files(out), ["metrics.json", "scene.ply", "views/0000.png"].map(String::from).into());
+    assert_eq!(files(out), ["metrics.json", "report.html", "scene.ply", "views/0000.png"].map(String::from).into());
     let metrics = json(&out.join("metrics.json"));
     let expected =
         ["test", "splats", "culled_non_finite", "steps", "seconds", "peak_rss_mib", "device", "seed", "matte"];
@@ -133,12 +136,12 @@ fn a_second_run_replaces_the_first() {
     let out = folder.path();
     succeed(splat(&TRAIN).args(["--eval-every", "2", "--out", text(out)]).arg(DEMO.as_path()));
     let views = ["0000", "0002", "0004", "0006"].map(|name| format!("views/{name}.png"));
-    let others = ["metrics.json", "scene.ply"].map(String::from);
+    let others = ["metrics.json", "report.html", "scene.ply"].map(String::from);
     assert_eq!(files(out), views.into_iter().chain(others).collect());
     fs::write(out.join("views/mine.png"), "kept").unwrap();
 
     succeed(splat(&TRAIN).args(["--out", text(out)]).arg(DEMO.as_path()));
-    let expected = ["metrics.json", "scene.ply", "views/0000.png", "views/mine.png"];
+    let expected = ["metrics.json", "report.html", "scene.ply", "views/0000.png", "views/mine.png"];
     assert_eq!(files(out), expected.map(String::from).into());
     // The same seed, and so the same scene to the last bit.
     assert_eq!(fs::read(out.join("scene.ply")).unwrap(), fs::read(TRAINED.join("scene.ply")).unwrap());
@@ -149,7 +152,7 @@ fn zero_holds_out_no_view_and_measures_none() {
     let folder = tempfile::tempdir().unwrap();
     succeed(splat(&TRAIN).args(["--eval-every", "0", "--out", text(folder.path())]).arg(DEMO.as_path()));
     assert_eq!(json(&folder.path().join("metrics.json"))["test"], Value::Null);
-    assert_eq!(files(folder.path()), ["metrics.json", "scene.ply"].map(String::from).into());
+    assert_eq!(files(folder.path()), ["metrics.json", "report.html", "scene.ply"].map(String::from).into());
 }
 
 #[test]

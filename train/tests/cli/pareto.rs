@@ -226,7 +226,6 @@ fn training_dials_are_measured_too() {
     let page = fs::read_to_string(folder.path().join("pareto.md")).unwrap();
     for part in [
         "| half of the pixels | `--pixel-share 0.5` |",
-        "`--sh-every 0 --sh-rest-every 16`",
         "## Training dials",
         "| half the steps | `--steps 2` |",
         "| quarters first | `--coarsest 4` |",

@@ -132,6 +132,45 @@ fn a_model_may_lie_directly_in_sparse() {
 }
 
 #[test]
+fn of_several_models_the_largest_is_taken_and_said() {
+    let single = [image(3, looking_from([9.0; 3]), 4, b"other.jpg")];
+    let put = |root: &Path, model: &str, images: Option<&[Vec<u8>]>| {
+        let model = root.join("sparse").join(model);
+        fs::create_dir_all(&model).unwrap();
+        for (name, bytes) in small_model() {
+            let bytes = images.filter(|_| name == "images.bin").map_or(bytes, file);
+            fs::write(model.join(name), bytes).unwrap();
+        }
+    };
+    let root = tempfile::tempdir().unwrap();
+    put(root.path(), "0", Some(&single));
+    put(root.path(), "10", None);
+    put(root.path(), "2", None);
+    // Not a model, and not complete.
+    fs::create_dir_all(root.path().join("sparse/geo")).unwrap();
+    fs::create_dir_all(root.path().join("sparse/1")).unwrap();
+    let capture = load(root.path()).unwrap();
+    check_small(&capture, root.path());
+    let remark = capture.remarks.join("");
+    assert!(remark.contains("3 models: sparse/2, the largest, is taken, with 2 photographs"), "{remark}");
+    assert!(remark.contains("sparse/10 has 2") && remark.contains("sparse/0 has 1"), "{remark}");
+    fs::remove_dir_all(root.path().join("sparse/2")).unwrap();
+    fs::remove_dir_all(root.path().join("sparse/10")).unwrap();
+    let capture = load(root.path()).unwrap();
+    assert_eq!((capture.views.len(), capture.remarks.len()), (1, 0));
+    // One that cannot be read is not passed over.
+    put(root.path(), "2", None);
+    fs::write(root.path().join("sparse/2/images.bin"), [1, 2]).unwrap();
+    assert!(load(root.path()).unwrap_err().to_string().contains("sparse/2"));
+}
+
+#[test]
+fn a_model_need_not_have_the_number_zero() {
+    let folder = folder("sparse/3", &small_model());
+    check_small(&load(folder.path()).unwrap(), folder.path());
+}
+
+#[test]
 fn binary_comes_before_text_but_half_a_binary_model_does_not() {
     let folder = folder("sparse/0", &small_model());
     let model = folder.path().join("sparse/0");

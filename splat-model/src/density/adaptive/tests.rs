@@ -27,9 +27,14 @@ fn trained(rows: &GaussianRows) -> Trained {
     Trained::new(Gaussians::from_rows(rows, &Device::flex().autodiff()).unwrap())
 }
 
-/// Gradients at the projected centres.
-fn gradients(values: &[[f32; 2]]) -> Tensor<2> {
-    Tensor::from_data(TensorData::new(values.as_flattened().to_vec(), [values.len(), 2]), &Device::flex())
+/// Gradients at the projected centres, in a picture of so many px.
+fn seen(gradients: &[[f32; 2]], size: (usize, usize)) -> Observed {
+    let values = TensorData::new(gradients.as_flattened().to_vec(), [gradients.len(), 2]);
+    Observed { gradient: Some(Tensor::from_data(values, &Device::flex())), size, ..Observed::default() }
+}
+
+fn at(step: usize) -> At<'static> {
+    At { step, steps: STEPS, extent: EXTENT, means_rate: 0.0, verdict: None }
 }
 
 /// Places that a refinement leaves in this order.
@@ -54,15 +59,15 @@ fn refine(
     step: usize,
 ) -> (Option<RefineReport>, GaussianRows) {
     let (mut policy, mut scene) = (adaptive(config), trained(rows));
-    policy.observe(gradients(&lengths.iter().map(|length| [0.0, *length]).collect::<Vec<_>>()), UNIT);
-    let report = policy.refine(&mut scene, step, &mut rng()).unwrap();
+    policy.observe(seen(&lengths.iter().map(|length| [0.0, *length]).collect::<Vec<_>>(), UNIT));
+    let report = policy.act(&mut scene, &at(step), &mut rng()).unwrap();
     (report, scene.gaussians.to_rows())
 }
 
 /// Row `i` as a scene of its own.
 fn row(rows: &GaussianRows, i: usize) -> GaussianRows {
     let mut one = GaussianRows { sh_degree: rows.sh_degree, ..GaussianRows::default() };
-    push_row(&mut one, rows, i);
+    one.push(rows, i);
     one
 }
 
@@ -92,7 +97,7 @@ fn children_are_of_their_parents_kind() {
     let rows = round(&[(SMALL, 0.5), (LARGE, 0.5), (SMALL, 0.5), (LARGE, 0.5), (SMALL, 0.5)]);
     let (mut policy, mut scene) = (adaptive(AdaptiveConfig::default()), trained(&rows));
     // The first two vary, the others do not; a gradient belongs to row 1, 3 and 4 as they were.
-    policy.observe(gradients(&[[0.0; 2], [0.0, 3e-4], [0.0; 2], [0.0, 3e-4], [0.0, 3e-4]]), UNIT);
+    policy.observe(seen(&[[0.0; 2], [0.0, 3e-4], [0.0; 2], [0.0, 3e-4], [0.0, 3e-4]], UNIT));
     let order = scene.make_matte(&[0, 3, 4]);
     assert_eq!(order, [1, 2, 0, 3, 4]);
     policy.reorder(&order);
@@ -101,7 +106,7 @@ fn children_are_of_their_parents_kind() {
         row.sh_rest.fill(0.0);
         row
     };
-    let report = policy.refine(&mut scene, 500, &mut rng()).unwrap();
+    let report = policy.act(&mut scene, &at(500), &mut rng()).unwrap();
     assert_eq!(report, Some(RefineReport { cloned: 1, split: 2, pruned: 0, threshold: 2e-4 }));
     let after = scene.gaussians.to_rows();
     // One that stays and two parts; two that stay, two parts and a copy.
@@ -221,7 +226,7 @@ fn there_is_a_time_for_it() {
         assert_eq!(report.map(|report| report.pruned), pruned, "step {step}");
         // Opacities are reset by their own calendar, which ends when density control ends.
         assert_eq!(after.logit_opacities[0] < 0.0, step < 15_000, "step {step}");
-        assert_eq!(adaptive(config).listens_at(step), step < 15_000, "step {step}");
+        assert_eq!(adaptive(config).listens_at(step).gradient, step < 15_000, "step {step}");
         if step >= 15_000 {
             assert_eq!(after, rows);
         }
@@ -235,9 +240,9 @@ fn there_is_a_time_for_it() {
 fn a_reset_caps_opacities() {
     let rows = round(&[(SMALL, 0.9), (SMALL, 0.02), (SMALL, 0.007)]);
     let (mut policy, mut scene) = (adaptive(AdaptiveConfig::default()), trained(&rows));
-    policy.refine(&mut scene, 2_999, &mut rng()).unwrap();
+    policy.act(&mut scene, &at(2_999), &mut rng()).unwrap();
     assert_eq!(scene.gaussians.to_rows(), rows);
-    policy.refine(&mut scene, 3_000, &mut rng()).unwrap();
+    policy.act(&mut scene, &at(3_000), &mut rng()).unwrap();
     let opacities = values_of(scene.gaussians.opacities());
     for (found, expected) in opacities.iter().zip([0.01, 0.01, 0.007]) {
         assert!((found - expected).abs() < 1e-6, "{opacities:?}");
@@ -264,8 +269,8 @@ fn needles_are_shortened() {
 fn gradients_are_averaged_per_unit_of_device_coordinates() {
     let mut policy = adaptive(AdaptiveConfig::default());
     // Half of 32 × 24 px is 16 × 12: (3, 4) per px is (48, 48), and (1, 0) is 16.
-    policy.observe(gradients(&[[3.0, -4.0], [1.0, 0.0], [0.0, 0.0]]), (32, 24));
-    policy.observe(gradients(&[[0.0, 0.0], [0.0, -1.0], [0.0, 0.0]]), (32, 24));
+    policy.observe(seen(&[[3.0, -4.0], [1.0, 0.0], [0.0, 0.0]], (32, 24)));
+    policy.observe(seen(&[[0.0, 0.0], [0.0, -1.0], [0.0, 0.0]], (32, 24)));
     // Steps in which a Gaussian was not seen do not count.
     let found = policy.mean_gradients(3);
     for (found, expected) in found.iter().zip([48.0 * 2f32.sqrt(), 14.0, 0.0]) {
@@ -277,9 +282,81 @@ fn gradients_are_averaged_per_unit_of_device_coordinates() {
 fn statistics_start_anew_after_a_refinement() {
     let rows = round(&[(SMALL, 0.5), (SMALL, 0.5)]);
     let (mut policy, mut scene) = (adaptive(AdaptiveConfig::default()), trained(&rows));
-    policy.observe(gradients(&[[1.0, 0.0], [0.0, 0.0]]), UNIT);
-    assert_eq!(policy.refine(&mut scene, 500, &mut rng()).unwrap().unwrap().cloned, 1);
-    assert_eq!(policy.refine(&mut scene, 600, &mut rng()).unwrap().unwrap().cloned, 0);
-    policy.observe(gradients(&[[0.0; 2]; 3]), UNIT);
+    policy.observe(seen(&[[1.0, 0.0], [0.0, 0.0]], UNIT));
+    assert_eq!(policy.act(&mut scene, &at(500), &mut rng()).unwrap().unwrap().cloned, 1);
+    assert_eq!(policy.act(&mut scene, &at(600), &mut rng()).unwrap().unwrap().cloned, 0);
+    policy.observe(seen(&[[0.0; 2]; 3], UNIT));
     assert_eq!(policy.mean_gradients(3), [0.0; 3]);
+}
+
+#[test]
+fn absolute_gradients_take_the_place_of_the_others() {
+    let policy = adaptive(AdaptiveConfig::absgrad());
+    assert_eq!(policy.listens_at(1), Signals { abs_gradient: true, ..Signals::default() });
+    assert_eq!(policy.listens_at(STEPS), Signals::default());
+    assert_eq!(adaptive(AdaptiveConfig::default()).listens_at(1), Signals { gradient: true, ..Signals::default() });
+    let rows = round(&[(SMALL, 0.5), (SMALL, 0.5)]);
+    let (mut policy, mut scene) = (policy, trained(&rows));
+    let Observed { gradient, size, .. } = seen(&[[0.0, 7e-4], [0.0, 9e-4]], UNIT);
+    policy.observe(Observed { abs_gradient: gradient, size, ..Observed::default() });
+    let report = policy.act(&mut scene, &at(500), &mut rng()).unwrap().unwrap();
+    assert_eq!((report.cloned, report.threshold), (1, 8e-4));
+    assert_eq!(row(&scene.gaussians.to_rows(), 2), row(&rows, 1));
+}
+
+#[test]
+fn statistics_are_taken_up_again() {
+    let rows = round(&[(SMALL, 0.5), (SMALL, 0.5)]);
+    let mut policy = adaptive(AdaptiveConfig::default());
+    policy.observe(seen(&[[1.0, 0.0], [0.0, 1e-4]], UNIT));
+    policy.observe(seen(&[[1.0, 0.0], [0.0, 0.0]], UNIT));
+    let mut state = State::default();
+    policy.save(&mut state).unwrap();
+    let mut again = adaptive(AdaptiveConfig::default());
+    again.load(&mut state, &Device::flex()).unwrap();
+    state.finish().unwrap();
+    assert_eq!(again.mean_gradients(2), [1.0, 1e-4]);
+    // Right after a refinement there is nothing to keep.
+    let mut scene = trained(&rows);
+    policy.act(&mut scene, &at(500), &mut rng()).unwrap();
+    let mut state = State::default();
+    policy.save(&mut state).unwrap();
+    assert_eq!(state, State::default());
+    again.observe(seen(&[[1.0, 0.0], [0.0, 1e-4]], UNIT));
+    again.load(&mut state, &Device::flex()).unwrap();
+    assert_eq!(again.mean_gradients(2), [0.0; 2]);
+}
+
+#[test]
+fn views_have_to_agree() {
+    let config = AdaptiveConfig::consistent();
+    let asked: Vec<usize> = (1..=40).filter(|step| adaptive(config).listens_at(*step).covered).collect();
+    assert_eq!(asked, [10, 20, 30, 40]);
+    assert!(!adaptive(AdaptiveConfig::default()).listens_at(10).covered);
+    assert!(!adaptive(config).listens_at(STEPS).covered);
+    let rows = round(&[(SMALL, 0.5); 5]);
+    let (mut policy, mut scene) = (adaptive(config), trained(&rows));
+    policy.observe(seen(&[[1.0, 0.0]; 5], UNIT));
+    // Pixels covered and wrong: enough of them in the mean; not enough; hardly shown; shown to one view alone, but there; not
+    // shown to any.
+    let views = [
+        [[9.0, 2.5], [9.0, 2.5], [0.05, 0.0], [0.0, 0.0], [0.0, 0.0]],
+        [[9.0, 1.6], [9.0, 1.4], [0.02, 0.0], [0.2, 0.0], [0.0, 0.0]],
+    ];
+    for view in views {
+        let covered = TensorData::new(view.as_flattened().to_vec(), [5, 2]);
+        let covered = Some(Tensor::from_data(covered, &Device::flex()));
+        policy.observe(Observed { covered, size: UNIT, ..Observed::default() });
+    }
+    let mut state = State::default();
+    policy.save(&mut state).unwrap();
+    let mut again = adaptive(config);
+    again.load(&mut state, &Device::flex()).unwrap();
+    state.finish().unwrap();
+    let report = again.act(&mut scene, &at(500), &mut rng()).unwrap().unwrap();
+    assert_eq!((report.cloned, report.split, report.pruned), (1, 0, 1));
+    let after = scene.gaussians.to_rows();
+    for (now, was) in [0, 1, 3, 4, 0].into_iter().enumerate() {
+        assert_eq!(row(&after, now), row(&rows, was), "row {now}");
+    }
 }

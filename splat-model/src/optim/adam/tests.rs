@@ -128,30 +128,13 @@ fn a_shared_parameter_keeps_its_values() {
     }
 }
 
-/// Held to a whole step whose other gradients are zero.
 #[test]
-fn a_step_of_the_first_coefficients_leaves_the_others() {
-    for device in devices() {
-        let random = |shape: [usize; 3]| {
-            Tensor::<3>::random(shape, burn::tensor::Distribution::Uniform(-1.0, 1.0), (&device, DType::F32))
-        };
-        let (mut param, shape) = (random([5, 4, 3]), [5, 4, 3]);
-        let mut moments = Moments { m: random(shape), v: random(shape).square() };
-        let (before, history) = (param.clone(), moments.clone());
-        let gradient = random([5, 1, 3]);
-        param = Adam::default().step_first(param, gradient.clone(), 0.1, &mut moments, (3, None));
-        let mut expected = Moments { m: history.m.clone(), v: history.v.clone() };
-        let padded = Tensor::cat(vec![gradient, Tensor::zeros([5, 3, 3], (&device, DType::F32))], 1);
-        let whole = Adam::default().step(before.clone(), padded, 0.1, &mut expected, 3);
-        let same = |found: &Tensor<3>, first: &Tensor<3>, others: &Tensor<3>| {
-            let expected = Tensor::cat(vec![first.clone().narrow(1, 0, 1), others.clone().narrow(1, 1, 3)], 1);
-            let apart = (found.clone() - expected).abs().max().into_scalar::<f32>();
-            assert!(apart <= 1e-6, "{apart}");
-        };
-        same(&param, &whole, &before);
-        same(&moments.m, &expected.m, &history.m);
-        same(&moments.v, &expected.v, &history.v);
-        let moved = (param - before).abs().max().into_scalar::<f32>();
-        assert!(moved > 1e-3, "{moved}");
-    }
+fn a_batch_forgets_as_much_per_photograph() {
+    let adam = Adam::default();
+    assert_eq!(adam.for_batch(1), adam);
+    let four = adam.for_batch(4);
+    assert!((four.beta1 - 0.6561).abs() < 1e-12 && (four.beta2 - 0.996_005_996_001).abs() < 1e-12, "{four:?}");
+    assert_eq!(four.eps, 5e-16);
+    let hundred = adam.for_batch(100);
+    assert!(hundred.beta1 > 0.0 && hundred.beta2 > 0.9, "{hundred:?}");
 }

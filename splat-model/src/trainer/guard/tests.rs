@@ -76,7 +76,7 @@ fn the_verdict_is_read_when_asked_for_and_at_the_latest_every_fifty_steps() {
 /// A run of twelve steps in which everything happens, with a loss that goes wrong at one of them.
 fn run(bad_step: usize, spoil: fn(&Seen) -> Tensor<1>, checks: bool) -> (TrainError, GaussianRows, GaussianRows) {
     let density = AdaptiveConfig { every: 3, from: 3, until_share: 0.9, grad_threshold: 1e-5, ..Default::default() };
-    let config = TrainConfig { steps: 12, sh_every: 2, density, ..TrainConfig::default() };
+    let config = TrainConfig { steps: 12, sh_every: 2, density: density.into(), ..TrainConfig::default() };
     let trainer = Trainer::new(photos([0.0; 3]), &points(), config, &Device::flex()).unwrap();
     let mut trainer = trainer.with_loss(move |seen: &Seen| {
         let loss = photometric(seen.image.clone(), seen.truth, DEFAULT_LAMBDA);

@@ -20,7 +20,7 @@ fn eventful() -> TrainConfig {
         max_splats: 60,
         ..AdaptiveConfig::default()
     };
-    TrainConfig { steps: 24, sh_every: 6, matte_below: Some(0.02), density, ..TrainConfig::default() }
+    TrainConfig { steps: 24, sh_every: 6, matte_below: Some(0.02), density: density.into(), ..TrainConfig::default() }
 }
 
 /// The same with all that can be learnt beside the scene.

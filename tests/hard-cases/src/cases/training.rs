@@ -4,6 +4,7 @@ use burn::tensor::Tensor;
 use glam::DVec3;
 use splat_model::capture::demo::DemoOptions;
 use splat_model::capture::{Photo, PointCloud};
+use splat_model::density::AdaptiveConfig;
 use splat_model::gaussians::GaussianRows;
 use splat_model::optim::scene_extent;
 use splat_model::trainer::{TrainConfig, Trainer};
@@ -99,12 +100,15 @@ fn train(
         Processor::Gpu => (GPU_STEPS, GPU_LOSS_SHARE),
     };
     // All that happens in a run of 30,000 steps happens in this one: harmonics grow, Gaussians come and go, opacities are reset.
-    let mut config = TrainConfig { steps, sh_every: steps / 8, ..TrainConfig::default() };
-    config.density.every = steps / 10;
-    config.density.from = steps / 10;
-    // A short run would end in the dark.
-    config.density.reset_every = if place.processor == Processor::Gpu { 0 } else { steps / 3 };
-    config.density.max_splats = 1_500;
+    let density = AdaptiveConfig {
+        every: steps / 10,
+        from: steps / 10,
+        // A short run would end in the dark.
+        reset_every: if place.processor == Processor::Gpu { 0 } else { steps / 3 },
+        max_splats: 1_500,
+        ..AdaptiveConfig::default()
+    };
+    let config = TrainConfig { steps, sh_every: steps / 8, density: density.into(), ..TrainConfig::default() };
     let centres: Vec<DVec3> = photos.iter().map(|photo| photo.cam_from_world.inverse().translation).collect();
     let middle = centres.iter().sum::<DVec3>() / centres.len() as f64;
     let mut trainer = Trainer::new(photos, points, config, &place.device)?;

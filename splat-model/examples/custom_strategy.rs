@@ -1,0 +1,93 @@
+//! A strategy of density control of your own: every so often the Gaussians whose centres are pulled hardest are doubled, up to
+//! a budget, and those that are hardly there are removed.
+//! Run with a capture: `cargo run --release -p splat-model --example custom_strategy -- CAPTURE`.
+use std::path::Path;
+
+use burn::tensor::{Device, Tensor};
+use rand::Rng;
+use splat_model::capture::{Capture, load_all};
+use splat_model::density::rows::{RowEdit, Trained};
+use splat_model::density::{At, Observed, RefineReport, Signals, Strategy};
+use splat_model::evaluate::evaluate;
+use splat_model::gaussians::RowsError;
+use splat_model::state::{State, StateError};
+use splat_model::trainer::{TrainConfig, Trainer};
+
+struct Budget {
+    every: usize,
+    most: usize,
+    /// `[N]`: how hard each centre has been pulled since the last change of rows.
+    pulled: Option<Tensor<1>>,
+}
+
+impl Strategy for Budget {
+    fn listens_at(&self, _step: usize) -> Signals {
+        Signals { gradient: true, ..Signals::default() }
+    }
+
+    fn observe(&mut self, seen: Observed) {
+        let Some(gradient) = seen.gradient else { return };
+        let length = gradient.square().sum_dim(1).sqrt().squeeze_dim::<1>(1);
+        self.pulled = Some(match self.pulled.take() {
+            Some(pulled) => pulled + length,
+            None => length,
+        });
+    }
+
+    fn acts_at(&self, step: usize) -> bool {
+        step.is_multiple_of(self.every)
+    }
+
+    fn act(&mut self, scene: &mut Trained, at: &At, _rng: &mut dyn Rng) -> Result<Option<RefineReport>, RowsError> {
+        if !self.acts_at(at.step) || at.step == at.steps {
+            return Ok(None);
+        }
+        let rows = scene.gaussians.to_rows();
+        let Some(Ok(pulled)) = self.pulled.take().map(|pulled| pulled.into_data().try_into_vec::<f32>()) else {
+            return Ok(None);
+        };
+        let mut edit = RowEdit::default();
+        edit.add.sh_degree = rows.sh_degree;
+        // The logit of 0.01.
+        edit.keep = (0..rows.len() as u32).filter(|row| rows.logit_opacities[*row as usize] > -4.6).collect();
+        let mut by_pull = edit.keep.clone();
+        by_pull.sort_by(|a, b| pulled[*b as usize].total_cmp(&pulled[*a as usize]));
+        let room = self.most.saturating_sub(edit.keep.len()).min(rows.len() / 5);
+        for row in by_pull.into_iter().take(room) {
+            edit.add.push(&rows, row as usize);
+        }
+        scene.edit(&edit)?;
+        let (cloned, pruned) = (edit.add.len(), rows.len() - edit.keep.len());
+        Ok(Some(RefineReport { cloned, pruned, ..RefineReport::default() }))
+    }
+
+    // So that a run that was interrupted goes on as it would have.
+    fn save(&self, to: &mut State) -> Result<(), StateError> {
+        self.pulled.iter().for_each(|pulled| to.put("pulled", pulled.clone()));
+        Ok(())
+    }
+
+    fn load(&mut self, from: &mut State, device: &Device) -> Result<(), StateError> {
+        self.pulled = if from.has("pulled") { Some(from.take("pulled", device)?) } else { None };
+        Ok(())
+    }
+}
+
+fn main() -> Result<(), Box<dyn std::error::Error>> {
+    let folder = std::env::args().nth(1).ok_or("name a capture's folder")?;
+    let capture = Capture::load(Path::new(&folder))?;
+    let photos = load_all(&capture.views, Some(96), |_| {})?;
+    let config = TrainConfig { steps: 100, ..TrainConfig::default() };
+    let budget = Budget { every: 20, most: 20_000, pulled: None };
+    let mut trainer = Trainer::new(photos.clone(), &capture.points, config, &Device::flex())?.with_strategy(budget)?;
+    while !trainer.is_done() {
+        let report = trainer.step()?;
+        if let Some(refined) = report.refined {
+            println!("step {:3}  {} Gaussians, {} of them new", report.step, report.splats, refined.cloned);
+        }
+    }
+    let splats = trainer.gaussians().untracked().splats();
+    let scores = evaluate(&splats, &photos, &trainer.background(), &trainer.render_options(), |_, _| {})?;
+    println!("PSNR on the photographs themselves: {:.2} dB", scores.psnr);
+    Ok(())
+}

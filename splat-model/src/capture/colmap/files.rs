@@ -1,0 +1,127 @@
+//! Which files of a folder are its model.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use super::{CaptureError, binary, parse, text};
+
+/// The folder of the models.
+const SPARSE: &str = "sparse";
+
+/// The paths of a model's files, each binary or text by its extension.
+pub(super) struct Files {
+    pub cameras: PathBuf,
+    pub images: PathBuf,
+    /// Need not exist.
+    pub points: PathBuf,
+}
+
+impl Files {
+    pub(super) fn binary(model: &Path) -> Self {
+        Self {
+            cameras: model.join("cameras.bin"),
+            images: model.join("images.bin"),
+            points: model.join("points3D.bin"),
+        }
+    }
+
+    fn text(model: &Path) -> Self {
+        Self {
+            cameras: model.join("cameras.txt"),
+            images: model.join("images.txt"),
+            points: model.join("points3D.txt"),
+        }
+    }
+}
+
+/// The model that is taken.
+pub(super) struct Found {
+    pub files: Files,
+    /// What a person should know of the choice.
+    pub remark: Option<String>,
+}
+
+/// Whether the folder holds a model, complete but for its points.
+pub(super) fn is_there(folder: &Path) -> bool {
+    candidates(folder).iter().any(|model| of_model(model).is_ok())
+}
+
+/// The folder's model. COLMAP leaves several, `sparse/0`, `sparse/1` and so on, where it could not join all photographs; then it
+/// is the one with the most of them, and of those the first.
+///
+/// # Errors
+/// If there is none, or the photographs of one of several cannot be counted.
+pub(super) fn find(folder: &Path) -> Result<Found, CaptureError> {
+    let models = candidates(folder);
+    let complete: Vec<(&PathBuf, Files)> =
+        models.iter().filter_map(|model| Some((model, of_model(model).ok()?))).collect();
+    let [_, _, ..] = complete.as_slice() else {
+        // The message is that of the model which should be there.
+        let usual = || models.first().cloned().unwrap_or_else(|| folder.join(SPARSE));
+        let only = complete.into_iter().next().map(|(_, files)| Ok(files));
+        return Ok(Found { files: only.unwrap_or_else(|| of_model(&usual()))?, remark: None });
+    };
+    let mut counted = Vec::with_capacity(complete.len());
+    for (model, files) in complete {
+        let images = parse(&files.images, binary::images, text::images)?.len();
+        counted.push((images, model, files));
+    }
+    // Stable: the first of the largest stays before the others.
+    counted.sort_by_key(|(images, ..)| std::cmp::Reverse(*images));
+    let name = |model: &Path| model.strip_prefix(folder).unwrap_or(model).display().to_string();
+    let others = counted[1..].iter().map(|(images, model, _)| format!("{} has {images}", name(model)));
+    let remark = format!(
+        "{} models: {}, the largest, is taken, with {} photographs; {}",
+        counted.len(),
+        name(counted[0].1),
+        counted[0].0,
+        others.collect::<Vec<_>>().join(", ")
+    );
+    let (_, _, files) = counted.swap_remove(0);
+    Ok(Found { files, remark: Some(remark) })
+}
+
+/// Folders that may be models: those in `sparse/` with numbers for names, in their order, or else `sparse/` itself.
+fn candidates(folder: &Path) -> Vec<PathBuf> {
+    let sparse = folder.join(SPARSE);
+    let entries = fs::read_dir(&sparse).into_iter().flatten().flatten();
+    let numbered = entries.filter_map(|entry| {
+        let number: u32 = entry.file_name().to_str()?.parse().ok()?;
+        entry.path().is_dir().then(|| (number, entry.path()))
+    });
+    let mut numbered: Vec<(u32, PathBuf)> = numbered.collect();
+    numbered.sort();
+    match numbered.is_empty() {
+        true => vec![sparse],
+        false => numbered.into_iter().map(|(_, path)| path).collect(),
+    }
+}
+
+/// The model's files, binary before text. Cameras and images must be of one encoding, because a stale file of the other
+/// may lie beside them; points refer to nothing and are taken as they come.
+fn of_model(model: &Path) -> Result<Files, CaptureError> {
+    let (binary, text) = (Files::binary(model), Files::text(model));
+    if binary.cameras.exists() && binary.images.exists() {
+        let points = if binary.points.exists() { binary.points } else { text.points };
+        return Ok(Files { points, ..binary });
+    }
+    if text.cameras.exists() && text.images.exists() {
+        let points = if text.points.exists() { text.points } else { binary.points };
+        return Ok(Files { points, ..text });
+    }
+    let no_cameras = !binary.cameras.exists() && !text.cameras.exists();
+    let no_images = !binary.images.exists() && !text.images.exists();
+    let (cameras, images) = ([binary.cameras, text.cameras], [binary.images, text.images]);
+    let (what, looked_for) = match (no_cameras, no_images) {
+        (true, true) => ("COLMAP model", [cameras, images].concat()),
+        (true, false) => ("cameras", cameras.to_vec()),
+        (false, true) => ("images", images.to_vec()),
+        (false, false) => ("cameras and images of one encoding", [cameras, images].concat()),
+    };
+    Err(CaptureError::Missing {
+        what,
+        looked_for,
+        fix: "Name the folder that holds `images/` and `sparse/0/`, or `transforms.json`; make a model with `colmap mapper`, or convert it with \
+              `colmap model_converter`",
+    })
+}

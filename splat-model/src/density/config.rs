@@ -1,0 +1,86 @@
+//! Which strategy a run has.
+
+use serde::{Deserialize, Serialize};
+
+use super::{Adaptive, AdaptiveConfig, Mcmc, McmcConfig, Strategy};
+
+/// A strategy and its settings.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "strategy", rename_all = "kebab-case")]
+pub enum DensityConfig {
+    /// Copies and splits Gaussians where gradients are large, removes faint ones.
+    Adaptive(AdaptiveConfig),
+    /// Moves Gaussians that died to where others are.
+    Mcmc(McmcConfig),
+}
+
+impl Default for DensityConfig {
+    fn default() -> Self {
+        Self::Adaptive(AdaptiveConfig::default())
+    }
+}
+
+impl From<AdaptiveConfig> for DensityConfig {
+    fn from(config: AdaptiveConfig) -> Self {
+        Self::Adaptive(config)
+    }
+}
+
+impl From<McmcConfig> for DensityConfig {
+    fn from(config: McmcConfig) -> Self {
+        Self::Mcmc(config)
+    }
+}
+
+impl DensityConfig {
+    /// The number of Gaussians never exceeds this.
+    pub fn max_splats(&self) -> usize {
+        match self {
+            Self::Adaptive(config) => config.max_splats,
+            Self::Mcmc(config) => config.max_splats,
+        }
+    }
+
+    /// The same with another cap.
+    pub fn with_max_splats(mut self, most: usize) -> Self {
+        match &mut self {
+            Self::Adaptive(config) => config.max_splats = most,
+            Self::Mcmc(config) => config.max_splats = most,
+        }
+        self
+    }
+
+    /// For a run of `steps` over a scene of `extent` (see [`crate::optim::scene_extent`]).
+    pub fn strategy(&self, extent: f64, steps: usize) -> Box<dyn Strategy> {
+        match self {
+            Self::Adaptive(config) => Box::new(Adaptive::new(*config, extent, steps)),
+            Self::Mcmc(config) => Box::new(Mcmc::new(*config, extent, steps)),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_strategy_is_written_by_its_name() {
+        let consistent = AdaptiveConfig::consistent();
+        for config in [DensityConfig::default(), consistent.into(), McmcConfig::default().into()] {
+            let text = serde_json::to_string(&config).unwrap();
+            assert_eq!(serde_json::from_str::<DensityConfig>(&text).unwrap(), config, "{text}");
+        }
+        let mcmc: DensityConfig = serde_json::from_str(r#"{"strategy": "mcmc", "growth": 1.1}"#).unwrap();
+        assert_eq!(mcmc, McmcConfig { growth: 1.1, ..McmcConfig::default() }.into());
+        for wrong in [r#"{"strategy": "mcmc", "split_scale": 1}"#, r#"{"strategy": "none"}"#, "{}"] {
+            assert!(serde_json::from_str::<DensityConfig>(wrong).is_err(), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn every_strategy_has_the_cap_that_it_is_given() {
+        for config in [DensityConfig::default(), McmcConfig::default().into()] {
+            assert_eq!(config.with_max_splats(77).max_splats(), 77);
+        }
+    }
+}

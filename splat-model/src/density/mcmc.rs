@@ -1,0 +1,213 @@
+//! 3D Gaussian splatting as Markov chain Monte Carlo (Kheradmand et al. 2024): Gaussians are samples that wander, those that
+//! have faded are moved to where others are, and their number grows to a cap by a calendar instead of a threshold.
+
+mod relocate;
+
+use burn::tensor::{Device, Tensor, activation::sigmoid};
+use rand::Rng;
+use rand::distr::Distribution;
+use rand::distr::weighted::WeightedIndex;
+use serde::{Deserialize, Serialize};
+use splat_op::Splats;
+
+use self::relocate::share;
+use super::noise::Noise;
+use super::order::morton_order;
+use super::rows::{RowEdit, Trained};
+use super::strategy::{At, RefineReport, Strategy};
+use crate::gaussians::{GaussianRows, Gaussians, RowsError};
+use crate::loss::regularise;
+use crate::state::{State, StateError};
+
+/// When Gaussians are moved and added, and how far they wander. Defaults are those of the paper and its code.
+///
+/// That code trains on scenes some units across and takes their unit as it is. Here lengths count in units of the scene's extent
+/// (see [`crate::optim::scene_extent`]), so that a scene trains alike whatever its unit is.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct McmcConfig {
+    /// Steps between refinements: 100.
+    pub every: usize,
+    /// First step of refinement: 500.
+    pub from: usize,
+    /// Share of the run after which Gaussians are neither moved nor added: 5/6. They wander to the end.
+    pub until_share: f64,
+    /// By this factor their number grows at each refinement: 1.05.
+    pub growth: f64,
+    /// The number of Gaussians never exceeds this.
+    pub max_splats: usize,
+    /// Gaussians with an opacity of at most this are dead, and are moved: 0.005.
+    pub dead_opacity: f64,
+    /// How far Gaussians wander, in units of the centres' learning rate: 5e5.
+    pub noise: f64,
+    /// Weight of the mean opacity in the loss: 0.01.
+    pub opacity_weight: f64,
+    /// Weight of the mean standard deviation, as a share of the extent, in the loss: 0.01.
+    pub scale_weight: f64,
+    /// The opacity of a Gaussian at the start: 0.5.
+    pub start_opacity: f64,
+    /// Standard deviations at the start, as a share of what they are without a strategy: 0.1.
+    pub start_scale: f64,
+}
+
+impl Default for McmcConfig {
+    fn default() -> Self {
+        Self {
+            every: 100,
+            from: 500,
+            until_share: 5.0 / 6.0,
+            growth: 1.05,
+            max_splats: 1_000_000,
+            dead_opacity: 0.005,
+            noise: 5e5,
+            opacity_weight: 0.01,
+            scale_weight: 0.01,
+            start_opacity: 0.5,
+            start_scale: 0.1,
+        }
+    }
+}
+
+/// How suddenly wandering ends where opacities rise above [`McmcConfig::dead_opacity`] (Kheradmand et al. 2024, eq. 8).
+const SUDDENNESS: f64 = 100.0;
+
+/// The policy, and the noise that it is in the middle of.
+#[derive(Debug)]
+pub struct Mcmc {
+    config: McmcConfig,
+    extent: f64,
+    steps: usize,
+    noise: Noise,
+}
+
+impl Mcmc {
+    /// For a run of `steps` over a scene of `extent` (see [`crate::optim::scene_extent`]).
+    pub fn new(config: McmcConfig, extent: f64, steps: usize) -> Self {
+        Self { config, extent, steps, noise: Noise::default() }
+    }
+
+    /// Moves the dead and adds to the living: for each Gaussian that comes, one that lives is drawn by its opacity, and shares
+    /// what it is with those that were drawn to it. (The paper draws for the dead first and for those that are added next;
+    /// as long as what is shared is the same, one draw does for both.)
+    fn refine(&self, scene: &mut Trained, rng: &mut dyn Rng) -> Result<Option<RefineReport>, RowsError> {
+        let rows = scene.gaussians.to_rows();
+        let opacities: Vec<f64> = (0..rows.len()).map(|i| self.opacity_of_living(&rows, i)).collect();
+        let living = opacities.iter().filter(|opacity| **opacity > 0.0).count();
+        // None lives, and nothing can be shared.
+        let Ok(by_opacity) = WeightedIndex::new(&opacities) else { return Ok(None) };
+        let grown = (rows.len() as f64 * self.config.growth) as usize;
+        // The cap ends growth; it removes nothing that lives.
+        let wanted = grown.min(self.config.max_splats).max(living);
+        let mut drawn = vec![0_usize; rows.len()];
+        (living..wanted).for_each(|_| drawn[by_opacity.sample(rng)] += 1);
+
+        let mut edit = RowEdit::default();
+        edit.add.sh_degree = rows.sh_degree;
+        let directional = scene.gaussians.directional();
+        for (i, &more) in drawn.iter().enumerate().filter(|(_, more)| **more > 0) {
+            let (opacity, factor) = share(opacities[i], more + 1);
+            let add = if i < directional { &mut edit.add } else { &mut edit.add_matte };
+            for _ in 0..=more {
+                add.push(&rows, i);
+                let last = add.len() - 1;
+                add.logit_opacities[last] = (opacity / (1.0 - opacity)).ln() as f32;
+                add.log_scales[last] = rows.log_scales[i].map(|log| log + factor.ln() as f32);
+            }
+        }
+        let stays = |row: &u32| opacities[*row as usize] > 0.0 && drawn[*row as usize] == 0;
+        edit.keep = morton_order(&rows.means).into_iter().filter(stays).collect();
+        scene.edit(&edit)?;
+        let (cloned, pruned) = (wanted - living, rows.len() - living);
+        Ok(Some(RefineReport { cloned, pruned, ..RefineReport::default() }))
+    }
+
+    /// 0 for one that is dead or unusable.
+    fn opacity_of_living(&self, rows: &GaussianRows, i: usize) -> f64 {
+        let opacity = 1.0 / (1.0 + (-f64::from(rows.logit_opacities[i])).exp());
+        if rows.is_usable(i) && opacity > self.config.dead_opacity { opacity } else { 0.0 }
+    }
+
+    /// Adds noise to the centres: `λ Σ η σ(k (t − o))`, with `λ` the learning rate times [`McmcConfig::noise`], `Σ` the covariance,
+    /// `η` normal, `o` the opacity and `t` that of the dead (Kheradmand et al. 2024, eq. 8 and its code): those that are faint
+    /// wander, mostly along what they cover, and those that show do not.
+    fn wander(&mut self, scene: &mut Trained, at: &At, rng: &mut dyn Rng) {
+        let means = scene.gaussians.means.val().inner();
+        let normal = self.noise.draw(means.dims()[0], rng, &means.device());
+        let by = self.config.noise * at.means_rate / (self.extent * self.extent);
+        let moved = means.clone() + self.displacements(&scene.gaussians, normal) * by;
+        scene.replace_means(match at.verdict {
+            None => moved,
+            Some(verdict) => {
+                let held = verdict.clone().narrow(0, 0, 1).not_equal_elem(0).reshape([1, 1]).expand(means.shape());
+                moved.mask_where(held, means)
+            }
+        });
+    }
+
+    /// `Σ η σ(k (t − o))`, `[N, 3]`, of normal `η`, `[N, 3]`. No Gaussian counts as larger than the scene.
+    fn displacements(&self, gaussians: &Gaussians, normal: Tensor<2>) -> Tensor<2> {
+        let opacities = sigmoid(gaussians.logit_opacities.val().inner()).unsqueeze_dim::<2>(1);
+        let faint = sigmoid((opacities.neg() + self.config.dead_opacity) * SUDDENNESS);
+        let scales = gaussians.log_scales.val().inner().exp().clamp_max(self.extent);
+        let (w, axis) = unit(gaussians.rotations.val().inner());
+        let normal_gaussian = rotated(normal, w.clone(), axis.clone().neg());
+        rotated(normal_gaussian * scales.square(), w, axis) * faint
+    }
+}
+
+/// The real part, `[N, 1]`, and the others, `[N, 3]`, of quaternions `[N, 4]`, wxyz, made one long whatever their length is.
+fn unit(quaternions: Tensor<2>) -> (Tensor<2>, Tensor<2>) {
+    // First by the largest component, whose square may be too much, or too little, for f32.
+    let largest = quaternions.clone().abs().max_dim(1);
+    let sized = quaternions / largest;
+    let length = sized.clone().square().sum_dim(1).sqrt();
+    let unit = sized / length;
+    (unit.clone().narrow(1, 0, 1), unit.narrow(1, 1, 3))
+}
+
+/// `v` turned by unit quaternions: `v + 2 w (u × v) + 2 u × (u × v)`.
+fn rotated(v: Tensor<2>, w: Tensor<2>, u: Tensor<2>) -> Tensor<2> {
+    let twice = u.clone().cross(v.clone(), 1) * 2.0;
+    v + twice.clone() * w + u.cross(twice, 1)
+}
+
+impl Strategy for Mcmc {
+    fn start(&mut self, rows: &mut GaussianRows) {
+        let opacity = self.config.start_opacity;
+        rows.logit_opacities.fill((opacity / (1.0 - opacity)).ln() as f32);
+        let log = self.config.start_scale.ln() as f32;
+        rows.log_scales.as_flattened_mut().iter_mut().for_each(|scale| *scale += log);
+    }
+
+    fn penalty(&self, splats: &Splats, _step: usize) -> Option<Tensor<1>> {
+        let opacity = regularise::opacity(splats.opacities.clone()) * self.config.opacity_weight;
+        Some(opacity + regularise::scale(splats.scales.clone()) * (self.config.scale_weight / self.extent))
+    }
+
+    fn acts_at(&self, step: usize) -> bool {
+        let is_due = step >= self.config.from && step.is_multiple_of(self.config.every.max(1));
+        is_due && (step as f64) < self.config.until_share * self.steps as f64
+    }
+
+    fn act(&mut self, scene: &mut Trained, at: &At, rng: &mut dyn Rng) -> Result<Option<RefineReport>, RowsError> {
+        let report = if self.acts_at(at.step) { self.refine(scene, rng)? } else { None };
+        if report.is_some() {
+            self.noise.forget();
+        }
+        if !scene.gaussians.is_empty() && self.config.noise > 0.0 {
+            self.wander(scene, at, rng);
+        }
+        Ok(report)
+    }
+
+    fn save(&self, to: &mut State) -> Result<(), StateError> {
+        self.noise.save(to)
+    }
+
+    fn load(&mut self, from: &mut State, device: &Device) -> Result<(), StateError> {
+        self.noise.load(from, device)
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,90 @@
+//! What becomes of a Gaussian that is replaced by several at its place (Kheradmand et al. 2024, section 4.4).
+
+/// Opacities are held below this: one that hides all behind it cannot be shared out.
+const OPACITY_MAX: f64 = 1.0 - 1e-6;
+
+/// The opacity of each of `count` Gaussians at one place that together are as opaque there as one of `opacity` was, and the
+/// factor of their standard deviations.
+///
+/// `1 − (1 − o')ᴺ = o` gives `o'`. With `g` the profile of a new Gaussian along a line through the centre, N of them stop
+/// `1 − (1 − o' g)ᴺ = Σₖ C(N, k) (−1)^(k−1) o'ᵏ gᵏ`, k from 1 to N, and `∫ gᵏ = σ' √(2π/k)`. The old one's integral is
+/// `o σ √(2π)`, so that `σ' / σ = o / Σₖ C(N, k) (−1)^(k−1) o'ᵏ / √k`. That is the paper's equation 9, whose double sum over binomial
+/// coefficients is summed over its outer index.
+///
+/// Each term is the one before it times `−o' (N − k) / (k + 1)`, so that none is larger than `e^(N o')` however many there are:
+/// nothing overflows, and what cancels leaves most digits of an f64.
+pub(super) fn share(opacity: f64, count: usize) -> (f64, f64) {
+    if count <= 1 || !(opacity > 0.0) {
+        return (opacity, 1.0);
+    }
+    let opacity = opacity.min(OPACITY_MAX);
+    let n = count as f64;
+    let each = -((-opacity).ln_1p() / n).exp_m1();
+    let mut term = n * each;
+    let mut sum = term;
+    for k in 1..count {
+        let k = k as f64;
+        term *= -each * (n - k) / (k + 1.0);
+        sum += term / (k + 1.0).sqrt();
+        if term == 0.0 {
+            break;
+        }
+    }
+    (each, opacity / sum)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// What `count` Gaussians at one place stop along a line through it: the integral, by the trapezoidal rule, which converges
+    /// faster than any power here.
+    fn stopped(opacity: f64, sigma: f64, count: usize) -> f64 {
+        let step = sigma / 50.0;
+        let at =
+            |i: i32| 1.0 - (1.0 - opacity * (-0.5 * (f64::from(i) * step / sigma).powi(2)).exp()).powi(count as i32);
+        (-500..=500).map(at).sum::<f64>() * step
+    }
+
+    #[test]
+    fn several_stop_what_one_did() {
+        for opacity in [1e-4, 0.005, 0.1, 0.5, 0.9, 0.99, 0.999_99] {
+            for count in [1, 2, 3, 7, 51, 400] {
+                let (each, factor) = share(opacity, count);
+                let together = 1.0 - (1.0 - each).powi(count as i32);
+                assert!((together / opacity - 1.0).abs() < 1e-9, "{opacity}, {count}: {together}");
+                let (before, after) = (stopped(opacity, 1.0, 1), stopped(each, factor, count));
+                assert!((after / before - 1.0).abs() < 1e-6, "{opacity}, {count}: {after} instead of {before}");
+            }
+        }
+    }
+
+    /// The paper's equation 9 as it is written.
+    #[test]
+    fn it_is_the_papers_double_sum() {
+        let binomial = |n: usize, k: usize| (0..k).map(|i| (n - i) as f64 / (i + 1) as f64).product::<f64>();
+        for (opacity, count) in [(0.3, 2), (0.8, 5), (0.95, 9)] {
+            let (each, factor) = share(opacity, count);
+            let inner = |i: usize| {
+                (0..i).map(move |k| {
+                    let sign = if k % 2 == 0 { 1.0 } else { -1.0 };
+                    binomial(i - 1, k) * sign * each.powi(k as i32 + 1) / ((k + 1) as f64).sqrt()
+                })
+            };
+            let sum: f64 = (1..=count).flat_map(inner).sum();
+            let of_covariance = opacity * opacity / (sum * sum);
+            assert!((factor * factor / of_covariance - 1.0).abs() < 1e-12, "{opacity}, {count}");
+        }
+    }
+
+    #[test]
+    fn what_cannot_be_shared_stays_finite() {
+        for opacity in [0.0, 1.0, f64::MIN_POSITIVE] {
+            for count in [2, 100_000] {
+                let (each, factor) = share(opacity, count);
+                assert!((0.0..1.0).contains(&each), "{opacity}, {count}: {each}");
+                assert!(opacity == 0.0 || (0.1..2.0).contains(&factor), "{opacity}, {count}: {factor}");
+            }
+        }
+    }
+}

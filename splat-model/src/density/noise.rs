@@ -1,0 +1,124 @@
+//! Normal deviates for steps that need one per coordinate of every Gaussian.
+//!
+//! They are drawn on the host, so that a seed decides them on every device, but not at every step: twice as many rows as there
+//! are Gaussians are drawn at once and kept on the device, and each step takes them from another row on. What two Gaussians, or
+//! one at two steps, have in common by that is a matter of chance.
+
+use burn::tensor::{Device, Tensor, TensorData};
+use rand::{Rng, RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, StandardNormal};
+use rayon::prelude::*;
+
+use crate::state::{State, StateError};
+
+/// Rows that one stream of the generator draws: no result depends on the number of threads.
+const CHUNK: usize = 4096;
+
+/// A stock of deviates; empty until it is needed.
+#[derive(Debug, Default)]
+pub(super) struct Noise {
+    seed: u64,
+    /// `[2 N, 3]`.
+    stock: Option<Tensor<2>>,
+}
+
+impl Noise {
+    /// `[count, 3]`: standard normal deviates for a step. A new stock is drawn where it is not there for so many rows.
+    pub fn draw(&mut self, count: usize, rng: &mut dyn Rng, device: &Device) -> Tensor<2> {
+        let fits = self.stock.as_ref().is_some_and(|stock| stock.dims()[0] == 2 * count);
+        if !fits {
+            self.seed = rng.next_u64();
+            self.stock = Some(normal(self.seed, 2 * count, device));
+        }
+        let first = rng.random_range(0..=count);
+        let stock = self.stock.clone().unwrap_or_else(|| Tensor::zeros([2 * count, 3], device));
+        stock.narrow(0, first, count)
+    }
+
+    /// Draws anew next time.
+    pub fn forget(&mut self) {
+        self.stock = None;
+    }
+
+    pub fn save(&self, to: &mut State) -> Result<(), StateError> {
+        match &self.stock {
+            Some(stock) => to.tell("noise", &(self.seed, stock.dims()[0])),
+            None => Ok(()),
+        }
+    }
+
+    /// The stock is drawn again from its seed.
+    pub fn load(&mut self, from: &mut State, device: &Device) -> Result<(), StateError> {
+        self.stock = None;
+        if from.has("noise") {
+            let (seed, rows): (u64, u32) = from.told("noise")?;
+            (self.seed, self.stock) = (seed, Some(normal(seed, rows as usize, device)));
+        }
+        Ok(())
+    }
+}
+
+/// `[rows, 3]`.
+fn normal(seed: u64, rows: usize, device: &Device) -> Tensor<2> {
+    let mut values = vec![0.0_f32; 3 * rows];
+    values.par_chunks_mut(3 * CHUNK).enumerate().for_each(|(stream, chunk)| {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        rng.set_stream(stream as u64);
+        chunk.iter_mut().for_each(|value| *value = StandardNormal.sample(&mut rng));
+    });
+    Tensor::from_data(TensorData::new(values, [rows, 3]), device)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gaussians::values_of;
+
+    #[test]
+    fn deviates_are_normal_and_all_their_own() {
+        let rows = CHUNK + 1000;
+        let values = values_of(normal(3, rows, &Device::flex()));
+        let count = values.len() as f32;
+        let mean = values.iter().sum::<f32>() / count;
+        let variance = values.iter().map(|value| value * value).sum::<f32>() / count;
+        // Five standard errors.
+        assert!(mean.abs() < 5.0 / count.sqrt() && (variance - 1.0).abs() < 5.0 * (2.0 / count).sqrt());
+        assert_ne!(values[..9], values[3 * CHUNK..3 * CHUNK + 9], "two streams are one");
+        assert_ne!(values, values_of(normal(4, rows, &Device::flex())));
+    }
+
+    #[test]
+    fn every_step_has_others_and_a_seed_decides_them() {
+        let device = Device::flex();
+        let drawn = |seed| {
+            let (mut noise, mut rng) = (Noise::default(), ChaCha8Rng::seed_from_u64(seed));
+            let mut draw = |count| values_of(noise.draw(count, &mut rng, &device));
+            [draw(500), draw(500), draw(499)]
+        };
+        let [first, second, third] = drawn(1);
+        assert_eq!((first.len(), third.len()), (1500, 1497));
+        assert_ne!(first, second);
+        assert_ne!(second[..1497], third);
+        assert_eq!(drawn(1), [first.clone(), second, third]);
+        assert_ne!(drawn(2)[0], first);
+    }
+
+    #[test]
+    fn a_stock_is_taken_up_again() {
+        let device = Device::flex();
+        let (mut noise, mut rng) = (Noise::default(), ChaCha8Rng::seed_from_u64(1));
+        noise.draw(50, &mut rng, &device);
+        let mut state = State::default();
+        noise.save(&mut state).unwrap();
+        let (mut again, mut same_rng) = (Noise::default(), rng.clone());
+        again.load(&mut state, &device).unwrap();
+        state.finish().unwrap();
+        let expected = values_of(noise.draw(50, &mut rng, &device));
+        assert_eq!(values_of(again.draw(50, &mut same_rng, &device)), expected);
+        let mut empty = State::default();
+        Noise::default().save(&mut empty).unwrap();
+        again.load(&mut empty, &device).unwrap();
+        assert!(again.stock.is_none());
+    }
+}

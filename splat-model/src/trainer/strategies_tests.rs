@@ -1,0 +1,281 @@
+//! Runs with each strategy, and with batches.
+
+use super::testing::{photos, points};
+use super::*;
+use crate::density::rows::RowEdit;
+use crate::density::{AdaptiveConfig, ConsistencyConfig, DensityConfig, McmcConfig};
+use crate::gaussians::{GaussianRows, values_of};
+use crate::optim::LearningRates;
+use crate::state::{State, StateError};
+
+/// Each strategy with a calendar for runs of a few dozen steps.
+fn strategies() -> [DensityConfig; 4] {
+    // At the cap it matters whose gradients are largest.
+    let adaptive = AdaptiveConfig { every: 5, from: 5, grad_threshold: 1e-5, max_splats: 45, ..Default::default() };
+    let mcmc = McmcConfig {
+        every: 5,
+        from: 5,
+        growth: 1.2,
+        max_splats: 60,
+        dead_opacity: 0.3,
+        // In so few steps nobody grows back from a tenth, or from having wandered.
+        start_scale: 1.0,
+        noise: 1e3,
+        ..McmcConfig::default()
+    };
+    let consistency = Some(ConsistencyConfig { views: 5, ..ConsistencyConfig::default() });
+    [
+        adaptive.into(),
+        AdaptiveConfig { absolute: true, ..adaptive }.into(),
+        AdaptiveConfig { consistency, ..adaptive }.into(),
+        mcmc.into(),
+    ]
+}
+
+fn config(density: DensityConfig) -> TrainConfig {
+    // The default rates are for thousands of steps.
+    let learning_rates =
+        LearningRates { sh_dc: 0.05, opacities: 0.05, scales: 0.02, rotations: 0.01, ..LearningRates::default() };
+    TrainConfig { steps: 24, sh_every: 6, density, learning_rates, ..TrainConfig::default() }
+}
+
+fn trainer(config: TrainConfig) -> Trainer {
+    Trainer::new(photos(config.background), &points(), config, &Device::flex()).unwrap()
+}
+
+/// Losses by step, what was refined, and the scene.
+fn run(mut trainer: Trainer) -> (Vec<f32>, Vec<RefineReport>, GaussianRows) {
+    let (mut losses, mut refined) = (Vec::new(), Vec::new());
+    while !trainer.is_done() {
+        let report = trainer.step().unwrap();
+        losses.push(report.loss.into_scalar::<f32>());
+        refined.extend(report.refined);
+    }
+    (losses, refined, trainer.gaussians().to_rows())
+}
+
+#[test]
+fn every_strategy_is_decided_by_its_seed_bit_for_bit() {
+    let mut scenes: Vec<GaussianRows> = Vec::new();
+    for density in strategies() {
+        let seeded = |seed| run(trainer(TrainConfig { seed, ..config(density) }));
+        let (losses, refined, rows) = seeded(7);
+        assert_eq!((losses, refined.clone(), rows.clone()), seeded(7), "{density:?}");
+        assert_ne!(rows, seeded(8).2, "{density:?}");
+        assert!(refined.iter().any(|report| report.cloned + report.split > 0), "{density:?}: {refined:?}");
+        assert!(rows.len() > 30 && rows.len() <= 60, "{density:?}: {}", rows.len());
+        assert!(!scenes.contains(&rows), "{density:?} is another strategy");
+        scenes.push(rows);
+    }
+}
+
+#[test]
+fn the_number_of_threads_changes_nothing() {
+    for density in strategies() {
+        let on = |threads| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            pool.install(|| run(trainer(config(density))))
+        };
+        assert_eq!(on(1), on(3), "{density:?}");
+    }
+}
+
+#[test]
+fn every_strategy_learns() {
+    for density in strategies() {
+        let (losses, ..) = run(trainer(TrainConfig { steps: 40, ..config(density) }));
+        let mean = |losses: &[f32]| losses.iter().sum::<f32>() / losses.len() as f32;
+        let (first, last) = (mean(&losses[..4]), mean(&losses[36..]));
+        assert!(last < 0.9 * first, "{density:?}: from {first} to {last}");
+    }
+}
+
+/// Does nothing but what it is asked to, and writes down what it is told.
+#[derive(Default)]
+struct Told {
+    observed: usize,
+    acted: Vec<usize>,
+}
+
+impl Strategy for Told {
+    fn start(&mut self, rows: &mut GaussianRows) {
+        rows.logit_opacities.fill(1.0);
+    }
+
+    fn listens_at(&self, step: usize) -> Signals {
+        Signals { gradient: step == 2, abs_gradient: step < 3, covered: step == 1 }
+    }
+
+    fn penalty(&self, splats: &Splats, step: usize) -> Option<Tensor<1>> {
+        (step == 3).then(|| splats.opacities.clone().mean() * 100.0)
+    }
+
+    fn observe(&mut self, seen: Observed) {
+        self.observed += 1;
+        let lengths = |gradient: Option<Tensor<2>>| gradient.map(values_of);
+        let (signed, absolute) = (lengths(seen.gradient), lengths(seen.abs_gradient).unwrap());
+        assert_eq!(signed.is_some(), self.observed > 2, "asked for at the second step, of two views each");
+        assert_eq!(seen.covered.is_some(), self.observed <= 2);
+        if let Some(covered) = seen.covered {
+            let covered = values_of(covered);
+            // Of each Gaussian some pixels, not all of which are wrong.
+            let (all, wrong) = covered.as_chunks::<2>().0.iter().fold((0.0, 0.0), |sum, [a, w]| (sum.0 + a, sum.1 + w));
+            assert!(0.1 * all < wrong && wrong < all && all < (seen.size.0 * seen.size.1) as f32, "{wrong} of {all}");
+        }
+        // A sum is at most the sum of the absolute values.
+        let signed = signed.unwrap_or_default();
+        assert!(signed.iter().zip(&absolute).all(|(signed, absolute)| signed.abs() <= absolute * 1.001 + 1e-12));
+        assert!(absolute.iter().any(|value| *value > 0.0) && absolute.iter().all(|value| *value >= 0.0));
+    }
+
+    fn acts_at(&self, step: usize) -> bool {
+        step == 4
+    }
+
+    fn act(
+        &mut self,
+        scene: &mut Trained,
+        at: &At,
+        _: &mut dyn rand::Rng,
+    ) -> Result<Option<RefineReport>, crate::gaussians::RowsError> {
+        self.acted.push(at.step);
+        assert_eq!((at.steps, self.acted.len()), (5, at.step));
+        assert!(at.extent > 0.0 && at.means_rate > 0.0);
+        if self.acts_at(at.step) {
+            scene.edit(&RowEdit { keep: vec![3, 1], ..edit_of(scene) })?;
+            return Ok(Some(RefineReport::default()));
+        }
+        Ok(None)
+    }
+
+    fn save(&self, to: &mut State) -> Result<(), StateError> {
+        to.tell("observed", &self.observed)
+    }
+}
+
+fn edit_of(scene: &Trained) -> RowEdit {
+    let mut edit = RowEdit::default();
+    edit.add.sh_degree = scene.gaussians.sh_degree();
+    edit
+}
+
+#[test]
+fn a_strategy_of_ones_own_is_told_what_it_asks_for() {
+    let config = TrainConfig { steps: 5, batch: 2, ..config(DensityConfig::default()) };
+    let mut run = trainer(config).with_strategy(Told::default()).unwrap();
+    assert_eq!(run.gaussians().to_rows().logit_opacities, [1.0; 30]);
+    let reports: Vec<StepReport> = (0..5).map(|_| run.step().unwrap()).collect();
+    let losses: Vec<f32> = reports.iter().map(|report| report.loss.clone().into_scalar()).collect();
+    // sigmoid(1) is 0.73.
+    assert!(losses[2] > 60.0 && losses[1] < 1.0 && losses[3] < 1.0, "{losses:?}");
+    assert_eq!(reports.iter().map(|report| report.splats).collect::<Vec<_>>(), [30, 30, 30, 2, 2]);
+    assert!(reports[3].refined.is_some() && reports[4].refined.is_none());
+    let mut state = State::default();
+    run.density.save(&mut state).unwrap();
+    assert_eq!(state.told::<usize>("observed").unwrap(), 4);
+}
+
+/// A run on copies of one photograph.
+fn one_photo(copies: usize, config: TrainConfig) -> Trainer {
+    let photos = vec![photos([0.0; 3]).remove(1); copies];
+    Trainer::new(photos, &points(), config, &Device::flex()).unwrap()
+}
+
+#[test]
+fn a_batch_of_one_view_twice_is_that_view() {
+    let with = |batch| TrainConfig { batch, steps: 3, ..config(DensityConfig::default()) };
+    let (mut one, mut two) = (one_photo(2, with(1)), one_photo(2, with(2)));
+    (one.step, two.step) = (1, 1);
+    let ([a, b], before) =
+        ([&mut one, &mut two].map(|run| run.differentiate_batch().unwrap()), one.gaussians().to_rows());
+    assert_eq!((a.views.len(), b.views.len()), (1, 2));
+    assert_eq!(values_of(a.loss.clone()), values_of(b.loss.clone()));
+    assert_eq!(values_of(a.gradients.means.unwrap()), values_of(b.gradients.means.unwrap()));
+    assert_eq!(values_of(a.gradients.sh.unwrap()), values_of(b.gradients.sh.unwrap()));
+    // Adam's first step is its rate, whatever the gradient is, and the rate is √2 times as large.
+    (one.step, two.step) = (0, 0);
+    let [one, two] = [one, two].map(|mut run| {
+        let loss = run.step().unwrap().loss.into_scalar::<f32>();
+        let after = run.gaussians().to_rows();
+        let moved = after.logit_opacities.iter().zip(&before.logit_opacities).map(|(after, before)| after - before);
+        (loss, moved.collect::<Vec<f32>>())
+    });
+    assert_eq!(one.0, two.0);
+    assert!(one.1.iter().any(|moved| moved.abs() > 0.02));
+    for (one, two) in one.1.iter().zip(&two.1) {
+        assert!((two - 2f32.sqrt() * one).abs() < 1e-5, "{two} and {one}");
+    }
+}
+
+#[test]
+fn a_batch_averages_its_views_and_visits_each_once_an_epoch() {
+    let single = |seen: usize| TrainConfig { batch: seen, steps: 4, ..config(DensityConfig::default()) };
+    let gradients = |batch: usize| {
+        let mut run = trainer(single(batch));
+        run.step = 1;
+        run.differentiate_batch().unwrap()
+    };
+    // The mean of all four is the mean of each.
+    let all = gradients(4);
+    let mut alone = trainer(single(1));
+    alone.step = 1;
+    let parts: Vec<Batch> = (0..4).map(|_| alone.differentiate_batch().unwrap()).collect();
+    let mut views: Vec<usize> = all.views.iter().map(|(view, _)| *view).collect();
+    assert_eq!(views, parts.iter().map(|part| part.views[0].0).collect::<Vec<_>>());
+    views.sort_unstable();
+    assert_eq!(views, [0, 1, 2, 3]);
+    let mean = |of: fn(&Batch) -> Vec<f32>| -> Vec<f32> {
+        let sum = parts.iter().map(of).reduce(|a, b| a.iter().zip(&b).map(|(a, b)| a + b).collect()).unwrap();
+        sum.iter().map(|sum| sum / 4.0).collect()
+    };
+    let means: fn(&Batch) -> Vec<f32> = |batch| values_of(batch.gradients.means.clone().unwrap());
+    for (of, what) in
+        [(means, "means"), (|batch| values_of(batch.loss.clone()), "loss")] as [(fn(&Batch) -> Vec<f32>, _); 2]
+    {
+        for (found, expected) in of(&all).iter().zip(mean(of)) {
+            assert!(
+                (found - expected).abs() <= 1e-6 * expected.abs().max(1e-6),
+                "{what}: {found} instead of {expected}"
+            );
+        }
+    }
+    // Three to a step go on into the next epoch.
+    let mut run = trainer(single(3));
+    run.step = 1;
+    let mut visited: Vec<usize> =
+        (0..4).flat_map(|_| run.differentiate_batch().unwrap().views).map(|(view, _)| view).collect();
+    visited.sort_unstable();
+    assert_eq!(visited, [0, 0, 0, 1, 1, 1, 2, 2, 2, 3, 3, 3]);
+}
+
+#[test]
+fn batches_are_decided_by_the_seed_and_learn() {
+    let batch = || run(trainer(TrainConfig { batch: 3, ..config(DensityConfig::default()) }));
+    let (losses, refined, rows) = batch();
+    assert_eq!((losses.clone(), refined, rows), batch());
+    let mean = |losses: &[f32]| losses.iter().sum::<f32>() / losses.len() as f32;
+    assert!(mean(&losses[20..]) < 0.9 * mean(&losses[..4]), "{losses:?}");
+}
+
+/// What all Gaussians cover together is what is hidden of the background, and what of it is wrong is told pixel by pixel.
+#[test]
+fn what_is_covered_is_what_hides_the_background() {
+    let run = trainer(config(DensityConfig::default()));
+    let splats = run.scene.gaussians.splats();
+    let photo = &photos([0.0; 3])[1];
+    let camera = splat_op::Camera::new(photo.intrinsics, &photo.cam_from_world, &run.device);
+    let picture = render_view(&splats, &camera, &Extras::default(), &run.options).unwrap();
+    let [height, width, _] = picture.colour.dims();
+    // The upper half of the picture is wrong.
+    let truth = picture.colour.clone().inner();
+    let upper = Tensor::<3>::ones([height / 2, width, 3], &run.device) * 0.5;
+    let lower = Tensor::<3>::zeros([height - height / 2, width, 3], &run.device);
+    let truth = truth + Tensor::cat(vec![upper, lower], 0);
+    let found = values_of(covered::covered(&splats, &camera, &run.options, (picture.colour, truth)).unwrap());
+    let alpha = values_of(picture.alpha);
+    let sums = found.as_chunks::<2>().0.iter().fold([0.0, 0.0], |sum, [a, b]| [sum[0] + a, sum[1] + b]);
+    let expected = [alpha.iter().sum::<f32>(), alpha[..width * (height / 2)].iter().sum()];
+    for (found, expected) in sums.into_iter().zip(expected) {
+        assert!((found / expected - 1.0).abs() < 1e-4, "{found} instead of {expected}");
+    }
+}

@@ -1,0 +1,187 @@
+//! How a run went, from its first step to the present one: loss and size by step, scores where they were taken.
+
+use std::time::{Duration, Instant};
+
+use serde::{Deserialize, Serialize};
+
+/// Points of a run's curve at most, but for the last: enough for a picture, and few enough that reading the loss from a device
+/// costs nothing.
+const POINTS: usize = 250;
+
+/// What is kept of a run. It goes on where it was left, so that a run in two parts has one history.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct History {
+    /// Evenly over the steps, in their order.
+    pub points: Vec<Point>,
+    /// In the order of their steps; empty unless `--eval-during` asks for them.
+    pub scores: Vec<Score>,
+}
+
+/// A moment of a run.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Point {
+    /// Steps done.
+    pub step: usize,
+    /// Time that training has taken so far, s; evaluations do not count.
+    pub seconds: f64,
+    /// Mean loss of the steps since the last point; null if it was not finite.
+    #[serde(deserialize_with = "finite_or_nan")]
+    pub loss: f64,
+    /// Gaussians.
+    pub splats: usize,
+}
+
+/// Scores on a few test views, during a run.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Score {
+    /// Steps done.
+    pub step: usize,
+    /// Time that training has taken so far, s.
+    pub seconds: f64,
+    /// Mean PSNR, dB.
+    pub psnr: f64,
+    /// Mean SSIM.
+    pub ssim: f64,
+    /// How many views that is the mean of.
+    pub views: usize,
+}
+
+/// JSON has no NaN and says null.
+fn finite_or_nan<'a, D: serde::Deserializer<'a>>(input: D) -> Result<f64, D::Error> {
+    Ok(Option::<f64>::deserialize(input)?.unwrap_or(f64::NAN))
+}
+
+/// Keeps a [`History`] while a run goes on.
+#[derive(Debug)]
+pub struct Recorder {
+    history: History,
+    /// Steps between points.
+    every: usize,
+    steps: usize,
+    /// Of the steps since the last point: their losses' sum, and their number.
+    losses: (f64, usize),
+    started: Instant,
+    /// Taken before `started`.
+    earlier: Duration,
+}
+
+impl Recorder {
+    /// For a run of `steps` steps, of which `history` tells the first ones, which took so many seconds.
+    pub fn new(steps: usize, history: History, seconds: f64) -> Self {
+        Self {
+            every: steps.div_ceil(POINTS).max(1),
+            steps,
+            losses: (0.0, 0),
+            started: Instant::now(),
+            // What a file says need not be a time.
+            earlier: Duration::try_from_secs_f64(seconds).unwrap_or_default(),
+            history,
+        }
+    }
+
+    /// Time that training has taken so far, s to the millisecond.
+    pub fn seconds(&self) -> f64 {
+        ((self.earlier + self.started.elapsed()).as_secs_f64() * 1e3).round() / 1e3
+    }
+
+    /// What is known so far. Losses since the last point are not in it.
+    pub fn history(&self) -> &History {
+        &self.history
+    }
+
+    /// Whether a point is to be kept after this step.
+    pub fn is_due(&self, step: usize) -> bool {
+        step.is_multiple_of(self.every) || step == self.steps
+    }
+
+    /// Losses of steps since the last call: their sum and number.
+    pub fn add(&mut self, (sum, count): (f64, usize)) {
+        self.losses.0 += sum;
+        self.losses.1 += count;
+    }
+
+    /// Keeps a point after a step.
+    pub fn keep(&mut self, step: usize, splats: usize) -> Point {
+        let (sum, count) = std::mem::take(&mut self.losses);
+        let point = Point { step, seconds: self.seconds(), loss: sum / count as f64, splats };
+        self.history.points.push(point);
+        point
+    }
+
+    /// Keeps a score that was taken after a step and took `pause`, which is no time of training's.
+    pub fn keep_score(&mut self, step: usize, (psnr, ssim): (f64, f64), views: usize, pause: Duration) -> Score {
+        // The clock stands still meanwhile; never set beyond now, whatever is said of the pause.
+        self.started = (self.started + pause).min(Instant::now());
+        let score = Score { step, seconds: self.seconds(), psnr, ssim, views };
+        self.history.scores.push(score);
+        score
+    }
+
+    /// All that is known, at the end.
+    pub fn into_history(self) -> History {
+        self.history
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn run(steps: usize, history: History, until: usize) -> History {
+        let mut recorder = Recorder::new(steps, history, 0.0);
+        let done = recorder.history().points.last().map_or(0, |point| point.step);
+        for step in done + 1..=until {
+            recorder.add((step as f64, 1));
+            if recorder.is_due(step) {
+                recorder.keep(step, 10 * step);
+            }
+        }
+        recorder.into_history()
+    }
+
+    #[test]
+    fn short_runs_have_every_step_and_long_ones_even_means() {
+        let short = run(7, History::default(), 7);
+        assert_eq!(short.points.iter().map(|point| point.step).collect::<Vec<_>>(), [1, 2, 3, 4, 5, 6, 7]);
+        let long = run(1001, History::default(), 1001);
+        assert_eq!(long.points.len(), 201, "every fifth and the last");
+        let (first, last) = (long.points[0], long.points[200]);
+        assert_eq!((first.step, first.loss, first.splats), (5, 3.0, 50));
+        assert_eq!((last.step, last.loss), (1001, 1001.0));
+        assert!(run(30_000, History::default(), 30_000).points.len() <= POINTS + 1);
+    }
+
+    #[test]
+    fn a_run_in_two_parts_has_the_history_of_one() {
+        let without_times =
+            |history: History| history.points.iter().map(|p| (p.step, p.loss, p.splats)).collect::<Vec<_>>();
+        let first = run(1000, History::default(), 500);
+        assert_eq!(without_times(run(1000, first, 1000)), without_times(run(1000, History::default(), 1000)));
+    }
+
+    #[test]
+    fn time_goes_on_where_it_was_and_stands_still_while_scores_are_taken() {
+        let mut recorder = Recorder::new(9, History::default(), 100.0);
+        assert!((100.0..101.0).contains(&recorder.seconds()));
+        std::thread::sleep(Duration::from_millis(30));
+        let score = recorder.keep_score(2, (20.0, 0.5), 4, Duration::from_millis(30));
+        assert!((100.0..100.025).contains(&score.seconds), "{score:?}");
+        // Nor does it go back.
+        let score = recorder.keep_score(2, (20.0, 0.5), 4, Duration::from_secs(3600));
+        assert!(score.seconds >= 100.0, "{score:?}");
+        for seconds in [-1.0, f64::NAN, f64::INFINITY] {
+            assert!(Recorder::new(9, History::default(), seconds).seconds() < 1.0);
+        }
+    }
+
+    #[test]
+    fn what_is_written_is_read_again() {
+        let mut history = run(3, History::default(), 3);
+        history.scores.push(Score { step: 2, seconds: 0.5, psnr: 20.0, ssim: 0.9, views: 4 });
+        let text = serde_json::to_string(&history).unwrap();
+        assert_eq!(serde_json::from_str::<History>(&text).unwrap(), history);
+        history.points[0].loss = f64::NAN;
+        let text = serde_json::to_string(&history).unwrap();
+        assert!(serde_json::from_str::<History>(&text).unwrap().points[0].loss.is_nan());
+    }
+}

@@ -1,0 +1,73 @@
+//! Text in HTML pages. Names of files are anyone's to choose.
+
+use std::fmt::Write;
+
+use serde::Serialize;
+
+/// As the text of an element, or the value of an attribute in quotation marks.
+pub fn escape(text: &str) -> String {
+    let mut escaped = String::with_capacity(text.len());
+    for letter in text.chars() {
+        match letter {
+            '&' => escaped.push_str("&amp;"),
+            '<' => escaped.push_str("&lt;"),
+            '>' => escaped.push_str("&gt;"),
+            '"' => escaped.push_str("&quot;"),
+            '\'' => escaped.push_str("&#39;"),
+            // Pages cannot hold them.
+            letter if letter.is_control() && !matches!(letter, '\n' | '\t') => {
+                escaped.push(char::REPLACEMENT_CHARACTER)
+            }
+            letter => escaped.push(letter),
+        }
+    }
+    escaped
+}
+
+/// As JSON within a `script` element, which ends at the first `</script` whatever that is part of.
+///
+/// # Errors
+/// If it cannot be written as JSON.
+pub fn in_script(value: &impl Serialize) -> serde_json::Result<String> {
+    Ok(serde_json::to_string(value)?.replace('<', "\\u003c"))
+}
+
+/// A table: titles, then rows of cells that are HTML already. A class per column: `number` stands to the right.
+pub fn table(titles: &[(&str, &str)], rows: impl IntoIterator<Item = Vec<String>>) -> String {
+    let mut text = String::from("<table>\n<thead><tr>");
+    for (title, class) in titles {
+        // Writing to a string does not fail.
+        let _ = write!(text, "<th class=\"{class}\">{title}</th>");
+    }
+    text.push_str("</tr></thead>\n<tbody>\n");
+    for row in rows {
+        text.push_str("<tr>");
+        for ((_, class), cell) in titles.iter().zip(row) {
+            let _ = write!(text, "<td class=\"{class}\">{cell}</td>");
+        }
+        text.push_str("</tr>\n");
+    }
+    text + "</tbody>\n</table>\n"
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn nothing_in_a_name_is_markup() {
+        assert_eq!(escape("<script>'a'&\"b\"</script>"), "&lt;script&gt;&#39;a&#39;&amp;&quot;b&quot;&lt;/script&gt;");
+        assert_eq!(escape("häuschen 1.jpg"), "häuschen 1.jpg");
+        assert_eq!(escape("a\0b\u{1b}"), "a\u{fffd}b\u{fffd}");
+        let name = "</script><!--";
+        let text = in_script(&[name]).unwrap();
+        assert!(!text.contains('<'), "{text}");
+        assert_eq!(serde_json::from_str::<Vec<String>>(&text).unwrap(), [name]);
+    }
+
+    #[test]
+    fn tables_have_a_cell_per_title() {
+        let text = table(&[("a", ""), ("b", "number")], [vec!["1".into(), "2".into()]]);
+        assert!(text.contains("<th class=\"number\">b</th>") && text.contains("<td class=\"number\">2</td>"));
+    }
+}

@@ -1,0 +1,119 @@
+//! Photographs and renders of test views, small enough for a page.
+
+use std::io::Cursor;
+use std::path::Path;
+
+use base64::Engine;
+use base64::prelude::BASE64_STANDARD;
+use image::codecs::jpeg::JpegEncoder;
+use image::imageops::FilterType;
+use image::{GenericImageView, RgbImage};
+use splat_model::evaluate::Scores;
+
+use super::super::{VIEWS, pictures};
+use crate::output::OutputFolder;
+
+/// Views whose pictures are on the page, at most: half of them the worst, half the best.
+pub const MOST: usize = 24;
+
+/// Longer sides are made this short, px.
+const MOST_SIDE: u32 = 800;
+
+/// Of JPEG: its blocks must not be taken for the render's faults.
+const QUALITY: u8 = 92;
+
+/// A view's pictures, as addresses that hold them.
+#[derive(Clone, Debug)]
+pub struct Comparison {
+    /// Of the view among the scores.
+    pub view: usize,
+    pub width: u32,
+    pub height: u32,
+    pub truth: String,
+    pub render: String,
+}
+
+/// Of the views that are shown, the worst first.
+#[derive(Clone, Debug, Default)]
+pub struct Comparisons {
+    pub shown: Vec<Comparison>,
+    /// Views by their scores, the worst first.
+    pub order: Vec<usize>,
+}
+
+impl Comparisons {
+    /// From the pictures that `views/` holds. Views whose picture cannot be read are left out.
+    pub fn of(scores: Option<&Scores>, out: &OutputFolder) -> Self {
+        let Some(scores) = scores else { return Self::default() };
+        let names = pictures::names(scores.views.iter().map(|view| view.name.as_str()), "png");
+        let mut order: Vec<usize> = (0..names.len()).collect();
+        order.sort_by(|&a, &b| scores.views[a].psnr.total_cmp(&scores.views[b].psnr).then(a.cmp(&b)));
+        let shown = worst_and_best(&order);
+        let shown = shown.iter().filter_map(|&view| Comparison::read(view, &out.join(VIEWS).join(&names[view])));
+        Self { shown: shown.collect(), order }
+    }
+}
+
+/// All, or as many of both ends as a page has room for.
+fn worst_and_best(order: &[usize]) -> Vec<usize> {
+    if order.len() <= MOST {
+        return order.to_vec();
+    }
+    let (worst, rest) = order.split_at(MOST / 2);
+    [worst, &rest[rest.len() - MOST / 2..]].concat()
+}
+
+impl Comparison {
+    /// From a picture of truth, render and error side by side.
+    fn read(view: usize, path: &Path) -> Option<Self> {
+        let panels = image::open(path).ok()?.into_rgb8();
+        let (width, height) = (panels.width() / 3, panels.height());
+        let longer = width.max(height).max(1);
+        let side = |length: u32| (u64::from(length) * u64::from(MOST_SIDE) / u64::from(longer)).max(1) as u32;
+        let panel = |from: u32| {
+            let panel = panels.view(from, 0, width, height).to_image();
+            address(&match longer > MOST_SIDE {
+                true => image::imageops::resize(&panel, side(width), side(height), FilterType::Triangle),
+                false => panel,
+            })
+        };
+        Some(Self { view, width, height, truth: panel(0)?, render: panel(width)? })
+    }
+}
+
+/// A picture as a `data:` address.
+fn address(picture: &RgbImage) -> Option<String> {
+    let mut file = Cursor::new(Vec::new());
+    picture.write_with_encoder(JpegEncoder::new_with_quality(&mut file, QUALITY)).ok()?;
+    Some(format!("data:image/jpeg;base64,{}", BASE64_STANDARD.encode(file.into_inner())))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn pages_have_room_for_both_ends() {
+        let order: Vec<usize> = (0..100).collect();
+        assert_eq!(worst_and_best(&order[..MOST]), order[..MOST]);
+        assert_eq!(worst_and_best(&order), [&order[..12], &order[88..]].concat());
+    }
+
+    #[test]
+    fn panels_are_taken_apart_and_made_smaller() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.png");
+        let shades = |x: u32| if x < 1000 { [200, 0, 0] } else { [0, 0, 200] };
+        RgbImage::from_fn(3000, 500, |x, _| image::Rgb(shades(x))).save(&path).unwrap();
+        let comparison = Comparison::read(7, &path).unwrap();
+        assert_eq!((comparison.view, comparison.width, comparison.height), (7, 1000, 500));
+        for (address, channel) in [(&comparison.truth, 0), (&comparison.render, 2)] {
+            let bytes = BASE64_STANDARD.decode(address.strip_prefix("data:image/jpeg;base64,").unwrap()).unwrap();
+            let picture = image::load_from_memory(&bytes).unwrap().into_rgb8();
+            assert_eq!(picture.dimensions(), (800, 400));
+            let pixel = picture.get_pixel(400, 200).0;
+            assert!(pixel[channel] > 190 && pixel[2 - channel] < 10, "{pixel:?}");
+        }
+        assert!(Comparison::read(7, folder.path()).is_none());
+    }
+}

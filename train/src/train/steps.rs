@@ -1,0 +1,106 @@
+//! The steps of a run, and what happens between them: dials are chosen, scores taken, checkpoints written, and the run stops where it is
+//! asked to.
+
+use anyhow::{Context, Result};
+use burn::tensor::Device;
+use splat_model::accuracy::Work;
+use splat_model::capture::{Capture, Photograph};
+use splat_model::trainer::Trainer;
+
+use super::TrainArgs;
+use super::checkpoints::{Checkpoints, SoFar};
+use super::results::keep_scene;
+use super::stop::{Interrupted, Stop};
+use crate::accuracy::Accuracy;
+use crate::output::OutputFolder;
+use crate::pareto::Shot;
+use crate::report::history::History;
+use crate::report::log::RunLog;
+
+/// With a target for the accuracy: settings are measured after this part of the steps.
+const MEASURED_AFTER: usize = 10;
+
+/// Dials that are still to be chosen, by what they do to these views.
+pub struct Choice<'a> {
+    pub accuracy: Accuracy,
+    pub shots: Vec<Shot<'a>>,
+}
+
+/// What they are done with.
+pub struct Steps<'a> {
+    pub args: &'a TrainArgs,
+    pub capture: &'a Capture,
+    pub out: &'a OutputFolder,
+    pub test: &'a [Photograph],
+    pub device: (&'a Device, &'a str),
+    pub checkpoints: Checkpoints,
+}
+
+/// All steps are done.
+pub struct Done {
+    /// That they took, in all parts of the run.
+    pub seconds: f64,
+    pub history: History,
+    pub checkpoints: Checkpoints,
+}
+
+impl Steps<'_> {
+    /// Takes a run to its last step.
+    ///
+    /// # Errors
+    /// If a step goes wrong; [`Interrupted`] if the run was asked to stop.
+    pub fn run(mut self, trainer: &mut Trainer, so_far: SoFar, mut choice: Option<Choice>) -> Result<Done> {
+        let stop = Stop::listen().context("cannot listen for Ctrl-C")?;
+        let steps = trainer.config().steps;
+        let mut dials_chosen = so_far.dials_chosen;
+        // So that a run which is killed at once can be gone on with too, and a folder that cannot take one is found now.
+        if trainer.steps_done() == 0 && self.args.checkpoint_every > 0 {
+            self.checkpoints.write(trainer, self.args, &so_far)?;
+        }
+        let mut log = RunLog::new(steps, so_far.history, so_far.seconds);
+        while !trainer.is_done() {
+            if let Some(signal) = stop.asked() {
+                let so_far = SoFar { seconds: log.seconds(), dials_chosen, history: log.finish() };
+                return Err(self.interrupted(trainer, &so_far, signal));
+            }
+            // Earlier a scene is not yet like what it will be.
+            if trainer.steps_done() >= steps / MEASURED_AFTER
+                && let Some(Choice { accuracy, shots }) = choice.take()
+            {
+                let (rows, base) = (trainer.rows(), trainer.render_options());
+                let dials = accuracy.setting((&rows, shots), &base, self.device, Work::Train)?;
+                trainer.turn(&dials);
+                dials_chosen = true;
+            }
+            match trainer.step() {
+                Ok(report) => log.step(&report),
+                Err(error) => {
+                    log.finish();
+                    return Err(keep_scene(error, trainer, self.capture, self.out));
+                }
+            }
+            if self.args.eval_during.is_some_and(|every| trainer.steps_done().is_multiple_of(every)) {
+                log.evaluate(trainer, self.test, self.device.0)?;
+            }
+            if self.checkpoints.due_after(trainer.steps_done()) {
+                let so_far = SoFar { seconds: log.seconds(), dials_chosen, history: log.history().clone() };
+                self.checkpoints.try_write(trainer, self.args, &so_far);
+            }
+        }
+        Ok(Done { seconds: log.seconds(), history: log.finish(), checkpoints: self.checkpoints })
+    }
+
+    /// Keeps the run as it is, for whoever asked it to stop.
+    fn interrupted(&self, trainer: &mut Trainer, so_far: &SoFar, signal: u8) -> anyhow::Error {
+        let step = trainer.steps_done();
+        match self.checkpoints.write(trainer, self.args, so_far) {
+            Ok(path) => {
+                let out = self.out.path().display();
+                let path = path.display();
+                let message = format!("stopped after step {step}; `splat train --resume {out}` goes on from {path}");
+                Interrupted { signal, message }.into()
+            }
+            Err(error) => error.context(format!("stopped after step {step}, which could not be kept")),
+        }
+    }
+}

@@ -1,0 +1,73 @@
+//! `splat view`: a scene in the browser, to turn around and walk through.
+
+pub mod page;
+pub mod scene;
+pub mod server;
+
+use std::path::PathBuf;
+
+use anyhow::{Context, Result};
+use splat_model::ply;
+
+use self::page::{Source, Viewer};
+use self::scene::ShownScene;
+use self::server::{Page, Server};
+use crate::progress;
+use crate::report::html::escape;
+
+/// Options of `splat view`.
+#[derive(Clone, Debug, clap::Args)]
+pub struct ViewArgs {
+    /// The scene, a PLY file in the layout of the original 3D Gaussian splatting code
+    pub scene: PathBuf,
+    /// Port of 127.0.0.1 to serve on; 0 takes any that is free
+    #[arg(long, value_name = "P", default_value_t = 0)]
+    pub port: u16,
+    /// For scenes that were trained with this option
+    #[arg(long)]
+    pub antialias: bool,
+}
+
+/// Reads the scene, says where it is served, and serves it until the process is ended (Ctrl-C).
+///
+/// # Errors
+/// If the file is missing or holds no scene, or the port is not to be had.
+pub fn run(args: &ViewArgs) -> Result<()> {
+    // Before a long read.
+    let server = Server::bind(args.port)?;
+    let pages = pages(args)?;
+    progress::say(&server.url());
+    progress::note(&format!("serving {} on this machine alone; Ctrl-C ends it", args.scene.display()));
+    server.serve(&pages)
+}
+
+/// All that there is to ask for.
+fn pages(args: &ViewArgs) -> Result<[Page; 2]> {
+    const SCENE: &str = "/scene.ply";
+    let (rows, _) = ply::read(&args.scene).context("cannot read the scene")?;
+    progress::note_unusable(&args.scene, rows.unusable(), rows.len());
+    let scene = ShownScene::new(&rows, usize::MAX)
+        .with_context(|| format!("{} cannot be shown: name another scene", args.scene.display()))?;
+    drop(rows);
+    let viewer = Viewer {
+        scene: &scene,
+        source: Source::Url(SCENE),
+        viewpoints: &[],
+        background: [0.0; 3],
+        antialias: args.antialias,
+    };
+    let name = args.scene.file_name().unwrap_or(args.scene.as_os_str()).to_string_lossy();
+    let html = format!(
+        "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n<title>{}</title>\n<style>\n{}{}</style>\n</head>\n\
+         <body>\n{}{}</body>\n</html>\n",
+        escape(&name),
+        include_str!("page.css"),
+        page::STYLE,
+        viewer.element(),
+        viewer.scripts()?,
+    );
+    Ok([
+        Page { path: "/", kind: "text/html; charset=utf-8", content: html.into_bytes() },
+        Page { path: SCENE, kind: "application/octet-stream", content: scene.ply },
+    ])
+}

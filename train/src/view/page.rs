@@ -1,0 +1,124 @@
+//! The interactive picture of a scene, as parts of an HTML page.
+
+use std::fmt::Write;
+
+use anyhow::Result;
+use base64::Engine;
+use base64::prelude::BASE64_STANDARD;
+use glam::DVec3;
+use serde::Serialize;
+use splat_op::RenderOptions;
+
+use super::scene::{ShownScene, Viewpoint};
+use crate::report::html::{escape, in_script};
+
+/// The libraries; see `assets/viewer/README.md`.
+const LIBRARY: &str = include_str!("../../assets/viewer/library.js");
+/// What their authors ask to go with every copy.
+const LICENSES: &str = include_str!("../../assets/viewer/LICENSES.txt");
+const SCRIPT: &str = include_str!("viewer.js");
+/// For the page's style sheet.
+pub const STYLE: &str = include_str!("viewer.css");
+
+/// What pages with a viewer allow themselves, as a Content-Security-Policy: nothing from outside. The libraries run WebAssembly, in
+/// workers that they make of text.
+pub const POLICY: &str = "default-src 'none'; script-src 'unsafe-inline' 'wasm-unsafe-eval' blob: data:; worker-src blob: data:; \
+     connect-src 'self' blob: data:; img-src data: blob:; style-src 'unsafe-inline'";
+
+/// Where the page finds the scene.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Source {
+    /// In itself.
+    Page,
+    /// At an address of the same server.
+    Url(&'static str),
+}
+
+/// A picture to be made.
+#[derive(Clone, Copy, Debug)]
+pub struct Viewer<'a> {
+    pub scene: &'a ShownScene,
+    pub source: Source,
+    /// To look from, the first to begin with; none to look from outside.
+    pub viewpoints: &'a [Viewpoint],
+    /// RGB, 0 to 1.
+    pub background: [f32; 3],
+    /// Whether the scene was trained with that option.
+    pub antialias: bool,
+}
+
+/// What `viewer.js` reads. Lengths in scene units.
+#[derive(Serialize)]
+struct Setup<'a> {
+    url: Option<&'static str>,
+    centre: [f64; 3],
+    radius: f64,
+    up: [f64; 3],
+    cameras: &'a [Viewpoint],
+    background: [f32; 3],
+    antialias: bool,
+    /// px².
+    blur: f64,
+    /// Whether the page scrolls.
+    wheel_after_click: bool,
+}
+
+impl Viewer<'_> {
+    /// The element that holds the picture.
+    pub fn element(&self) -> String {
+        let bar = match self.viewpoints {
+            [] => String::new(),
+            viewpoints => {
+                let option = |(i, viewpoint): (usize, &Viewpoint)| {
+                    format!("<option value=\"{i}\">{}</option>", escape(&viewpoint.name))
+                };
+                let options: String = viewpoints.iter().enumerate().map(option).collect();
+                format!(
+                    "<div id=\"viewer-bar\"><select id=\"viewer-camera\" title=\"look from\">{options}</select></div>"
+                )
+            }
+        };
+        let wheel = if self.source == Source::Page { "wheel after a click" } else { "wheel" };
+        let how = format!("drag to turn, right button to move, {wheel} to come near");
+        let (omissions, splats) = (self.scene.omissions(), self.scene.splats);
+        let shown = if omissions.is_empty() { format!("{splats} splats. ") } else { omissions };
+        format!("<div id=\"viewer\"><p id=\"viewer-note\">{}{how}</p>{bar}</div>\n", escape(&shown))
+    }
+
+    /// What has to follow the element.
+    ///
+    /// # Errors
+    /// None that is known: if the setup cannot be written as JSON.
+    pub fn scripts(&self) -> Result<String> {
+        let outside = [Viewpoint::outside(&self.scene.extent)];
+        let viewpoints = if self.viewpoints.is_empty() { &outside } else { self.viewpoints };
+        let up: DVec3 = viewpoints.iter().map(|viewpoint| viewpoint.up).sum();
+        let setup = Setup {
+            url: match self.source {
+                Source::Page => None,
+                Source::Url(url) => Some(url),
+            },
+            centre: self.scene.extent.centre.to_array(),
+            radius: self.scene.extent.radius,
+            // Cameras that look all ways have no upwards in common.
+            up: up.try_normalize().unwrap_or(viewpoints[0].up).to_array(),
+            cameras: viewpoints,
+            background: self.background,
+            antialias: self.antialias,
+            blur: RenderOptions::standard().blur,
+            wheel_after_click: self.source == Source::Page,
+        };
+        let mut text = format!("<!--\n{LICENSES}\n-->\n");
+        writeln!(text, "<script type=\"application/json\" id=\"viewer-setup\">{}</script>", in_script(&setup)?)?;
+        if self.source == Source::Page {
+            text.push_str("<script type=\"text/plain\" id=\"viewer-scene\">");
+            BASE64_STANDARD.encode_string(&self.scene.ply, &mut text);
+            text.push_str("</script>\n");
+        }
+        writeln!(text, "<script>{LIBRARY}</script>\n<script>{SCRIPT}</script>")?;
+        Ok(text)
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,174 @@
+//! A scene as the browser gets it: a PLY file in memory, no larger than it may be, and where to look at it from.
+
+use anyhow::{Context, Result};
+use glam::{DVec3, Vec3};
+use serde::Serialize;
+use splat_model::capture::Photograph;
+use splat_model::gaussians::GaussianRows;
+use splat_model::ply;
+
+/// The viewer's library reads no higher degree of the spherical harmonics.
+const DEGREE_MAX: usize = 3;
+
+/// Vertical field of view where no camera of a capture says one, degrees.
+const FOV_Y_DEGREES: f64 = 50.0;
+
+/// What is shown of a scene.
+#[derive(Clone, Debug)]
+pub struct ShownScene {
+    /// A PLY file.
+    pub ply: Vec<u8>,
+    /// Gaussians in it.
+    pub splats: usize,
+    /// Gaussians of the scene that can be drawn.
+    pub of: usize,
+    /// Degree of the spherical harmonics in it.
+    pub sh_degree: usize,
+    /// That of the scene.
+    pub of_sh_degree: usize,
+    /// Where it is.
+    pub extent: Extent,
+}
+
+/// Where a scene is, scene units, in the frame of its rows. Single Gaussians far away do not count.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Extent {
+    /// By axis the median of the centres.
+    pub centre: DVec3,
+    /// Nine tenths of the Gaussians are nearer to the centre.
+    pub radius: f64,
+}
+
+impl ShownScene {
+    /// Of a scene, in at most `most_bytes`: with lower harmonics if need be, and then only with the Gaussians that cover the most.
+    /// Gaussians that cannot be drawn are left out.
+    ///
+    /// # Errors
+    /// If the rows do not fit together, or none of them can be drawn.
+    pub fn new(rows: &GaussianRows, most_bytes: usize) -> Result<Self> {
+        rows.check()?;
+        let usable: Vec<usize> = (0..rows.len()).filter(|&i| rows.is_usable(i)).collect();
+        let extent = Extent::of(rows, &usable).context("the scene holds no splat that can be drawn")?;
+        let fits = |degree: &usize| usable.len().saturating_mul(bytes_per_row(*degree)) <= most_bytes;
+        let sh_degree = (0..=rows.sh_degree.min(DEGREE_MAX)).rev().find(fits).unwrap_or(0);
+        let kept = largest(rows, usable.clone(), most_bytes / bytes_per_row(sh_degree));
+        let mut ply = Vec::new();
+        ply::write_to(&mut ply, &some_of(rows, &kept, sh_degree), DVec3::ZERO)?;
+        Ok(Self { ply, splats: kept.len(), of: usable.len(), sh_degree, of_sh_degree: rows.sh_degree, extent })
+    }
+
+    /// What of the scene is not shown, in words; empty if all is.
+    pub fn omissions(&self) -> String {
+        let mut text = String::new();
+        if self.splats < self.of {
+            text = format!("The {} splats of {} that cover the most. ", self.splats, self.of);
+        }
+        if self.sh_degree < self.of_sh_degree {
+            let (shown, all) = (self.sh_degree, self.of_sh_degree);
+            text.push_str(&format!("Colours with spherical harmonics to degree {shown} of {all}. "));
+        }
+        text
+    }
+}
+
+/// Values of a Gaussian in a file: centre, normal, opacity, scales, rotation, and three times the harmonics.
+fn bytes_per_row(sh_degree: usize) -> usize {
+    4 * (3 + 3 + 1 + 3 + 4 + 3 * (sh_degree + 1) * (sh_degree + 1))
+}
+
+/// The `most` rows with the largest product of opacity and area, in their old order.
+fn largest(rows: &GaussianRows, mut of: Vec<usize>, most: usize) -> Vec<usize> {
+    if of.len() <= most {
+        return of;
+    }
+    // The logarithm of sigmoid(logit) times the two larger standard deviations, which neither over- nor underflows.
+    let cover = |i: usize| {
+        let logit = f64::from(rows.logit_opacities[i]);
+        let log_opacity = if logit < 0.0 { logit - logit.exp().ln_1p() } else { -(-logit).exp().ln_1p() };
+        let scales = rows.log_scales[i].map(f64::from);
+        let smallest = scales.into_iter().fold(f64::INFINITY, f64::min);
+        log_opacity + scales.into_iter().sum::<f64>() - smallest
+    };
+    of.sort_by(|&a, &b| cover(b).total_cmp(&cover(a)).then(a.cmp(&b)));
+    of.truncate(most);
+    of.sort_unstable();
+    of
+}
+
+/// Some rows, with harmonics up to `sh_degree`.
+fn some_of(rows: &GaussianRows, kept: &[usize], sh_degree: usize) -> GaussianRows {
+    let (all, rest) = (rows.rest_per_row(), 3 * ((sh_degree + 1) * (sh_degree + 1) - 1));
+    GaussianRows {
+        means: kept.iter().map(|&i| rows.means[i]).collect(),
+        rotations: kept.iter().map(|&i| rows.rotations[i]).collect(),
+        log_scales: kept.iter().map(|&i| rows.log_scales[i]).collect(),
+        logit_opacities: kept.iter().map(|&i| rows.logit_opacities[i]).collect(),
+        sh_dc: kept.iter().map(|&i| rows.sh_dc[i]).collect(),
+        sh_rest: kept.iter().flat_map(|&i| &rows.sh_rest[all * i..][..rest]).copied().collect(),
+        sh_degree,
+    }
+}
+
+impl Extent {
+    /// Of the Gaussians `which`; none if there are none.
+    fn of(rows: &GaussianRows, which: &[usize]) -> Option<Self> {
+        let middle = |axis: usize| {
+            let mut values: Vec<f32> = which.iter().map(|&i| rows.means[i][axis]).collect();
+            let at = values.len() / 2;
+            (!values.is_empty()).then(|| f64::from(*values.select_nth_unstable_by(at, f32::total_cmp).1))
+        };
+        let centre = DVec3::new(middle(0)?, middle(1)?, middle(2)?);
+        let mut distances: Vec<f64> =
+            which.iter().map(|&i| Vec3::from(rows.means[i]).as_dvec3().distance(centre)).collect();
+        let at = distances.len() * 9 / 10;
+        let (_, radius, _) = distances.select_nth_unstable_by(at, f64::total_cmp);
+        // All in one place is no reason to divide by zero.
+        let radius = if *radius > 0.0 { *radius } else { 1.0 };
+        Some(Self { centre, radius })
+    }
+}
+
+/// A camera to look from.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Viewpoint {
+    /// The photograph's name.
+    pub name: String,
+    /// Its centre, in the frame of the scene's rows.
+    pub position: [f64; 3],
+    /// Unit vector of its optical axis.
+    pub forward: [f64; 3],
+    /// Unit vector upwards in its picture.
+    #[serde(skip)]
+    pub up: DVec3,
+    /// Vertical field of view, degrees.
+    pub fov_y_degrees: f64,
+}
+
+impl Viewpoint {
+    /// Of a photograph.
+    pub fn of(photo: &Photograph) -> Self {
+        let (intrinsics, world_from_cam) = (&photo.intrinsics, photo.cam_from_world.inverse());
+        Self {
+            name: photo.name.clone(),
+            position: world_from_cam.translation.to_array(),
+            forward: world_from_cam.matrix3.z_axis.to_array(),
+            up: -world_from_cam.matrix3.y_axis,
+            fov_y_degrees: 2.0 * (0.5 * intrinsics.height as f64 / intrinsics.fy).atan().to_degrees(),
+        }
+    }
+
+    /// From outside, with +y down as captures usually have it.
+    pub fn outside(extent: &Extent) -> Self {
+        let forward = DVec3::new(0.0, 0.3, 1.0).normalize();
+        Self {
+            name: "from outside".into(),
+            position: (extent.centre - 2.5 * extent.radius * forward).to_array(),
+            forward: forward.to_array(),
+            up: DVec3::NEG_Y,
+            fov_y_degrees: FOV_Y_DEGREES,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

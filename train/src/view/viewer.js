@@ -1,0 +1,102 @@
+// Draws a scene of Gaussians in the element #viewer, with the libraries of assets/viewer/library.js. What is drawn, and how,
+// is in #viewer-setup (see page.rs). When pixels have been drawn, the document's element says `data-viewer="drawn"`; where they
+// cannot be, `data-viewer="failed"`, and the reason is written where the picture would be.
+"use strict";
+(async () => {
+  const root = document.documentElement;
+  const holder = document.getElementById("viewer");
+  const note = document.getElementById("viewer-note");
+  const setup = JSON.parse(document.getElementById("viewer-setup").textContent);
+  try {
+    const { PerspectiveCamera, Scene, Vector3, WebGLRenderer, OrbitControls, SparkRenderer, SplatMesh } = SplatLibrary;
+    const renderer = new WebGLRenderer({ antialias: false });
+    renderer.setClearColor(`rgb(${setup.background.map((value) => Math.round(255 * value)).join()})`);
+    renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
+    const scene = new Scene();
+    const camera = new PerspectiveCamera(50, 1, 1e-3 * setup.radius, 1e4 * setup.radius);
+    // Before the controls are made, which turn around it from then on.
+    camera.up.set(...setup.up);
+    const controls = new OrbitControls(camera, renderer.domElement);
+    let dirty = true;
+    // As the trainer draws: the same blur, with or without making up for it, and in the order of the centres' depths.
+    const spark = new SparkRenderer({
+      renderer,
+      sortRadial: false,
+      preBlurAmount: setup.antialias ? 0 : setup.blur,
+      blurAmount: setup.antialias ? setup.blur : 0,
+      onDirty: () => { dirty = true; },
+    });
+    scene.add(spark);
+    holder.prepend(renderer.domElement);
+
+    const resize = () => {
+      const { clientWidth: width, clientHeight: height } = holder;
+      if (width === 0 || height === 0) return;
+      renderer.setSize(width, height);
+      camera.aspect = width / height;
+      camera.updateProjectionMatrix();
+      dirty = true;
+    };
+    new ResizeObserver(resize).observe(holder);
+    resize();
+
+    // Cameras look along +z with +y down, as in the trainer's files; those of three.js along -z with +y up.
+    const centre = new Vector3(...setup.centre);
+    const look = ({ position, forward, fov_y_degrees }) => {
+      camera.position.set(...position);
+      camera.fov = fov_y_degrees;
+      camera.updateProjectionMatrix();
+      const ahead = new Vector3(...forward);
+      const depth = centre.clone().sub(camera.position).dot(ahead);
+      const distance = depth > 0.05 * setup.radius ? depth : setup.radius;
+      controls.target.copy(camera.position).addScaledVector(ahead, distance);
+      controls.update();
+      dirty = true;
+    };
+    look(setup.cameras[0]);
+    const select = document.getElementById("viewer-camera");
+    if (select) select.onchange = () => look(setup.cameras[Number(select.value)]);
+
+    // A page that scrolls keeps its wheel until the picture has been clicked.
+    if (setup.wheel_after_click) {
+      controls.enableZoom = false;
+      holder.addEventListener("pointerdown", () => { controls.enableZoom = true; });
+      holder.addEventListener("pointerleave", () => { controls.enableZoom = false; });
+    }
+    controls.addEventListener("change", () => { dirty = true; });
+
+    const bytes = setup.url === null ? inlined() : await fetched(setup.url);
+    const mesh = new SplatMesh({ fileBytes: bytes, fileType: "ply" });
+    scene.add(mesh);
+    await mesh.initialized;
+
+    let visible = true;
+    new IntersectionObserver((entries) => { visible = entries[entries.length - 1].isIntersecting; }).observe(holder);
+    // Pictures until the first that is right for sure.
+    const SURE = 3;
+    let drawn = 0;
+    renderer.setAnimationLoop(() => {
+      if (!visible || !(dirty || drawn < SURE)) return;
+      dirty = false;
+      controls.update();
+      renderer.render(scene, camera);
+      // Splats are sorted beside the drawing, so the first pictures show none.
+      drawn = spark.activeSplats > 0 ? drawn + 1 : 0;
+      if (drawn === SURE) root.dataset.viewer = "drawn";
+    });
+  } catch (error) {
+    root.dataset.viewer = "failed";
+    note.textContent = `The scene cannot be drawn here: ${error.message ?? error}. A browser with WebGL 2 is needed.`;
+  }
+
+  function inlined() {
+    const text = atob(document.getElementById("viewer-scene").textContent);
+    return Uint8Array.from(text, (letter) => letter.charCodeAt(0));
+  }
+
+  async function fetched(url) {
+    const answer = await fetch(url);
+    if (!answer.ok) throw new Error(`${url}: ${answer.status} ${answer.statusText}`);
+    return new Uint8Array(await answer.arrayBuffer());
+  }
+})();

@@ -1,0 +1,199 @@
+//! `report.html` and `splat view` in a browser. Where there is no Chromium these tests say so and pass; with
+//! `SPLAT_BROWSER=require` they fail. `SPLAT_BROWSER=PATH` names one.
+
+use std::env;
+use std::fs;
+use std::io::{Read, Write};
+use std::net::{TcpListener, TcpStream};
+use std::path::PathBuf;
+use std::process::{Command, Stdio};
+use std::sync::mpsc;
+use std::thread;
+use std::time::{Duration, Instant};
+
+use image::RgbImage;
+
+use crate::run::{TRAINED, fresh};
+use crate::text;
+use crate::view::Serving;
+
+/// Size of the browser's window, px.
+const WINDOW: (u32, u32) = (1100, 1000);
+
+/// After which a page is given up.
+const PATIENCE: Duration = Duration::from_secs(120);
+
+fn browser() -> Option<PathBuf> {
+    let wanted = env::var("SPLAT_BROWSER").unwrap_or_default();
+    let names = ["chromium", "chromium-browser", "google-chrome"];
+    let folders: Vec<PathBuf> = env::split_paths(&env::var_os("PATH").unwrap_or_default()).collect();
+    let found =
+        names.iter().flat_map(|name| folders.iter().map(move |folder| folder.join(name))).find(|path| path.is_file());
+    match wanted.as_str() {
+        "" if found.is_none() => {
+            eprintln!("SKIPPED: no Chromium on the path (SPLAT_BROWSER=require makes that a failure)");
+            None
+        }
+        "" => found,
+        "require" => Some(found.expect("SPLAT_BROWSER=require, and no Chromium is on the path")),
+        path => Some(path.into()),
+    }
+}
+
+/// What became of a page.
+struct Seen {
+    /// What the page in the frame said of itself, as JSON.
+    state: serde_json::Value,
+    /// Lines that the browser's console was given.
+    console: Vec<String>,
+    picture: RgbImage,
+}
+
+/// A page to look at.
+enum Page {
+    File(PathBuf),
+    /// From here on only the test asks the server, for the browser.
+    Served(Serving),
+}
+
+/// The document that a page is looked at in: it waits until the page's viewer has drawn or failed, and writes down what became
+/// of it. The browser takes its picture when a document is complete; this one is not before an image has come, which [`serve`]
+/// keeps back until the page is ready.
+fn harness(page: &str, gate: &str, script: &str) -> String {
+    let (width, height) = WINDOW;
+    include_str!("harness.html")
+        .replace("PAGE", page)
+        .replace("GATE", gate)
+        .replace("SCRIPT", script)
+        .replace("WIDTH", &width.to_string())
+        .replace("HEIGHT", &height.to_string())
+}
+
+/// Loads a page into a frame and looks. `script` may do something to it before: its `page` is the page's document.
+fn look(name: &str, page: Page, script: &str) -> Option<Seen> {
+    let browser = browser()?;
+    let folder = fresh(&format!("browser-{name}"));
+    fs::create_dir_all(&folder).unwrap();
+    let gate = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = format!("http://{}", gate.local_addr().unwrap());
+    // A document may look into a frame of the same origin, which all files are here.
+    let (url, html) = match &page {
+        Page::File(path) => {
+            let harness_path = folder.join("harness.html");
+            fs::write(&harness_path, harness(&format!("file://{}", text(path)), &address, script)).unwrap();
+            (format!("file://{}", text(&harness_path)), String::new())
+        }
+        Page::Served(_) => (format!("{address}/harness"), harness("/", &address, script)),
+    };
+    let (stop, stopped) = mpsc::channel::<()>();
+    let serving = thread::spawn(move || serve(&gate, &html, &page, &stopped));
+    let picture = folder.join("picture.png");
+    let profile = format!("--user-data-dir={}", folder.join("profile").display());
+    let shot = format!("--screenshot={}", picture.display());
+    let size = format!("--window-size={},{}", WINDOW.0, WINDOW.1);
+    let output = Command::new(browser)
+        .args(["--headless=new", "--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"])
+        .args(["--allow-file-access-from-files", "--enable-logging=stderr", "--dump-dom", &shot, &size])
+        .args(["--hide-scrollbars", &profile, &url])
+        .stdin(Stdio::null())
+        .output()
+        .unwrap();
+    drop(stop);
+    serving.join().unwrap();
+    let (dom, log) = (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
+    let state = dom.split_once("<pre id=\"state\">").and_then(|(_, rest)| rest.split_once("</pre>"));
+    let state = state.and_then(|(state, _)| serde_json::from_str(state).ok());
+    Some(Seen {
+        state: state.unwrap_or_else(|| panic!("the page did not answer\n{log}\n{dom}")),
+        console: log.lines().filter(|line| line.contains(":CONSOLE")).map(String::from).collect(),
+        picture: image::open(picture).unwrap().into_rgb8(),
+    })
+}
+
+/// Answers the browser: `/harness` with that, `/held` only once there was a request for `/open` or nobody waits any longer, and
+/// all else with what the page's server says.
+fn serve(gate: &TcpListener, harness: &str, page: &Page, stopped: &mpsc::Receiver<()>) {
+    const EMPTY: &[u8] = b"HTTP/1.1 204 No Content\r\nConnection: close\r\n\r\n";
+    gate.set_nonblocking(true).unwrap();
+    let (start, mut held, mut open): (_, Vec<TcpStream>, _) = (Instant::now(), Vec::new(), false);
+    while stopped.try_recv() != Err(mpsc::TryRecvError::Disconnected) {
+        if open || start.elapsed() > PATIENCE {
+            // Whoever has gone has gone.
+            held.drain(..).for_each(|mut stream| _ = stream.write_all(EMPTY));
+        }
+        let Ok((mut stream, _)) = gate.accept() else {
+            thread::sleep(Duration::from_millis(20));
+            continue;
+        };
+        stream.set_nonblocking(false).unwrap();
+        stream.set_read_timeout(Some(Duration::from_secs(5))).unwrap();
+        let mut request = [0; 4096];
+        let count = stream.read(&mut request).unwrap_or(0);
+        let request = String::from_utf8_lossy(&request[..count]);
+        let answer = match (request.split(' ').nth(1), page) {
+            (Some("/held"), _) => {
+                held.push(stream);
+                continue;
+            }
+            (Some("/open"), _) => {
+                open = true;
+                EMPTY.to_vec()
+            }
+            (Some("/harness"), _) => {
+                let head = "HTTP/1.1 200 OK\r\nContent-Type: text/html; charset=utf-8\r\nConnection: close\r\n\r\n";
+                format!("{head}{harness}").into_bytes()
+            }
+            (Some(path), Page::Served(server)) if path != "/favicon.ico" => server.ask(path),
+            _ => EMPTY.to_vec(),
+        };
+        let _ = stream.write_all(&answer);
+    }
+}
+
+/// Nothing went wrong, and the scene is to be seen.
+#[track_caller]
+fn assert_drawn(seen: &Seen) {
+    assert_eq!(seen.state["viewer"], "drawn", "{}\n{:?}", seen.state, seen.console);
+    let complaints: Vec<&String> =
+        seen.console.iter().filter(|line| !line.contains("GPU stall due to ReadPixels")).collect();
+    assert!(complaints.is_empty(), "{complaints:#?}");
+    let side = |name: &str| seen.state["box"][name].as_f64().unwrap().max(0.0) as u32;
+    let (left, top) = (side("left"), side("top"));
+    let (right, bottom) = (side("right").min(WINDOW.0), side("bottom").min(seen.picture.height()));
+    assert!(right > left + 200 && bottom > top + 100, "the picture is out of sight: {}", seen.state);
+    let pixels = (top + 40..bottom - 40).flat_map(|y| (left..right).map(move |x| (x, y)));
+    let colours: std::collections::HashSet<[u8; 3]> = pixels.map(|(x, y)| seen.picture.get_pixel(x, y).0).collect();
+    assert!(colours.len() > 500, "the picture is blank: {} colours", colours.len());
+}
+
+#[test]
+fn browsers_draw_the_scene_of_a_report_from_its_file() {
+    let report = Page::File(TRAINED.join("report.html"));
+    let Some(seen) = look("report", report, "page.getElementById(\"viewer\").scrollIntoView();") else { return };
+    assert_drawn(&seen);
+    let lengths: Vec<u64> = serde_json::from_value(seen.state["curves"].clone()).unwrap();
+    assert_eq!(lengths.len(), 3, "{}", seen.state);
+    assert!(lengths[0] > 200 && lengths[2] > 200, "curves without points: {lengths:?}");
+    assert_eq!(seen.state["cut"], "25%", "the line between photograph and render");
+}
+
+#[test]
+fn browsers_draw_a_scene_that_is_served() {
+    let serving = Serving::start(&[text(&TRAINED.join("scene.ply"))]);
+    let Some(seen) = look("view", Page::Served(serving), "") else { return };
+    assert_drawn(&seen);
+}
+
+#[test]
+fn browsers_say_what_is_wrong_with_a_scene() {
+    let page = fs::read_to_string(TRAINED.join("report.html")).unwrap();
+    let (before, scene) = page.split_once("id=\"viewer-scene\">").unwrap();
+    let (_, after) = scene.split_once("</script>").unwrap();
+    let folder = fresh("broken-report");
+    fs::create_dir_all(&folder).unwrap();
+    let broken = folder.join("report.html");
+    fs::write(&broken, format!("{before}id=\"viewer-scene\">bm90IGEgcGx5</script>{after}")).unwrap();
+    let Some(seen) = look("broken", Page::File(broken), "") else { return };
+    assert_eq!(seen.state["viewer"], "failed", "{}", seen.state);
+    assert!(seen.state["note"].as_str().unwrap().contains("cannot be drawn here"), "{}", seen.state);
+}

@@ -1,0 +1,79 @@
+//! `splat view`: what it serves, and what it refuses.
+
+use std::fs;
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::{TcpListener, TcpStream};
+use std::process::{Child, Stdio};
+
+use crate::run::{TRAINED, refuse, splat};
+use crate::text;
+
+/// A server that ends with the test.
+pub struct Serving {
+    child: Child,
+    pub url: String,
+}
+
+impl Serving {
+    pub fn start(arguments: &[&str]) -> Self {
+        let mut command = splat(&["view"]);
+        let mut child = command.args(arguments).stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
+        let mut url = String::new();
+        BufReader::new(child.stdout.take().unwrap()).read_line(&mut url).unwrap();
+        Self { child, url: url.trim().to_owned() }
+    }
+
+    /// The whole answer to a path.
+    pub fn ask(&self, path: &str) -> Vec<u8> {
+        let host = self.url.strip_prefix("http://").unwrap().trim_end_matches('/');
+        let mut stream = TcpStream::connect(host).unwrap();
+        write!(stream, "GET {path} HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n\r\n").unwrap();
+        let mut answer = Vec::new();
+        stream.read_to_end(&mut answer).unwrap();
+        answer
+    }
+
+    /// The same without its headers.
+    fn get(&self, path: &str) -> Vec<u8> {
+        let mut answer = self.ask(path);
+        let end = answer.windows(4).position(|four| four == b"\r\n\r\n").unwrap();
+        answer.split_off(end + 4)
+    }
+}
+
+impl Drop for Serving {
+    fn drop(&mut self) {
+        self.child.kill().unwrap();
+        self.child.wait().unwrap();
+    }
+}
+
+#[test]
+fn a_scene_is_served_on_this_machine() {
+    let scene = TRAINED.join("scene.ply");
+    let serving = Serving::start(&[text(&scene)]);
+    assert!(serving.url.starts_with("http://127.0.0.1:"), "{}", serving.url);
+    let page = String::from_utf8(serving.get("/")).unwrap();
+    assert!(page.contains("<title>scene.ply</title>") && page.contains("SplatLibrary"));
+    let served = serving.get("/scene.ply");
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("scene.ply");
+    fs::write(&path, served).unwrap();
+    let (read, _) = splat_model::ply::read(&path).unwrap();
+    assert_eq!(read, splat_model::ply::read(&scene).unwrap().0);
+    assert_eq!(serving.get("/metrics.json"), b"there is no such page\n");
+}
+
+#[test]
+fn what_cannot_be_served_is_said() {
+    let folder = tempfile::tempdir().unwrap();
+    let scene = TRAINED.join("scene.ply");
+    let missing = folder.path().join("nowhere.ply");
+    refuse(&mut splat(&["view", text(&missing)]), &[text(&missing)]);
+    let empty = folder.path().join("empty.ply");
+    fs::write(&empty, "ply\nformat ascii 1.0\nelement vertex 0\nend_header\n").unwrap();
+    refuse(&mut splat(&["view", text(&empty)]), &[text(&empty)]);
+    let taken = TcpListener::bind("127.0.0.1:0").unwrap();
+    let port = taken.local_addr().unwrap().port().to_string();
+    refuse(&mut splat(&["view", text(&scene), "--port", &port]), &[&port, "another program has it", "--port"]);
+}

@@ -1,0 +1,112 @@
+//! What programs read: lines of JSON, nothing at all, completions and the manual.
+
+use std::fs;
+
+use serde_json::Value;
+
+use crate::run::{DEMO, TRAIN, end, refuse, splat, succeed};
+use crate::{files, json, keys, text};
+
+/// The lines of a run that says them.
+fn lines(stdout: &str) -> Vec<Value> {
+    stdout.lines().map(|line| serde_json::from_str(line).unwrap_or_else(|error| panic!("{error}: {line}"))).collect()
+}
+
+#[test]
+fn a_run_tells_programs_how_it_goes() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = ["--json", "--quiet", "--eval-during", "8", "--out", text(folder.path())];
+    let ended = succeed(splat(&TRAIN).arg(DEMO.as_path()).args(run));
+    assert_eq!(ended.stderr, "");
+    let lines = lines(&ended.stdout);
+    let events: Vec<&str> = lines.iter().map(|line| line["event"].as_str().unwrap()).collect();
+    let mut expected = vec!["start"];
+    for step in 1..=16 {
+        expected.push("progress");
+        expected.extend((step % 8 == 0).then_some("evaluation"));
+    }
+    expected.push("done");
+    assert_eq!(events, expected);
+    let start = &lines[0];
+    assert_eq!(keys(start), ["event", "steps", "train_views", "test_views", "splats", "device", "version"].into());
+    assert_eq!((&start["steps"], &start["train_views"], &start["test_views"]), (&16.into(), &7.into(), &1.into()));
+    let progress = &lines[1];
+    assert_eq!(keys(progress), ["event", "step", "seconds", "loss", "splats"].into());
+    assert!(progress["loss"].as_f64().unwrap() > 0.0 && progress["splats"].as_u64().unwrap() > 100);
+    let evaluations: Vec<&Value> = lines.iter().filter(|line| line["event"] == "evaluation").collect();
+    assert_eq!(keys(evaluations[0]), ["event", "step", "seconds", "psnr", "ssim", "views"].into());
+    assert_eq!((&evaluations[0]["step"], &evaluations[0]["views"]), (&8.into(), &1.into()));
+    let done = lines.last().unwrap();
+    assert_eq!(done["metrics"], json(&folder.path().join("metrics.json")));
+    // One test view, and the scene of the last step: the same scores.
+    for score in ["psnr", "ssim"] {
+        let (during, after) = (&evaluations[1][score], &done["metrics"]["test"][score]);
+        assert!((during.as_f64().unwrap() - after.as_f64().unwrap()).abs() < 1e-4, "{score}: {during} {after}");
+    }
+}
+
+#[test]
+fn scores_during_a_run_change_nothing_about_it() {
+    let scene = |more: &[&str]| {
+        let folder = tempfile::tempdir().unwrap();
+        succeed(splat(&TRAIN).arg(DEMO.as_path()).args(["--quiet", "--out", text(folder.path())]).args(more));
+        fs::read(folder.path().join("scene.ply")).unwrap()
+    };
+    assert!(scene(&[]) == scene(&["--eval-during", "5"]), "another scene");
+}
+
+#[test]
+fn scores_during_a_run_need_test_views() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = ["--eval-during", "5", "--eval-every", "0", "--out", text(folder.path())];
+    refuse(splat(&TRAIN).arg(DEMO.as_path()).args(run), &["--eval-during", "--eval-every"]);
+    assert_eq!(end(splat(&TRAIN).arg(DEMO.as_path()).args(["--eval-during", "0", "--out", "out"])).code, Some(2));
+}
+
+#[test]
+fn quiet_says_nothing_but_errors() {
+    let folder = tempfile::tempdir().unwrap();
+    let ended = succeed(splat(&TRAIN).arg(DEMO.as_path()).args(["--quiet", "--out", text(folder.path())]));
+    assert_eq!((ended.stdout.as_str(), ended.stderr.as_str()), ("", ""));
+    assert!(files(folder.path()).contains("report.html"));
+    let missing = folder.path().join("nowhere");
+    refuse(splat(&TRAIN).arg(&missing).args(["--quiet", "--out", text(folder.path())]), &[text(&missing)]);
+    refuse(splat(&TRAIN).arg(&missing).args(["--json", "--out", text(folder.path())]), &[text(&missing)]);
+}
+
+#[test]
+fn shells_get_completions() {
+    for shell in ["bash", "zsh", "fish", "elvish", "powershell"] {
+        let script = succeed(&mut splat(&["completions", shell])).stdout;
+        for part in ["splat", "train", "max-side", "hard-cases"] {
+            assert!(script.contains(part), "{shell}: {part}");
+        }
+    }
+    assert_eq!(end(&mut splat(&["completions", "csh"])).code, Some(2));
+}
+
+#[test]
+fn the_manual_has_a_page_for_each_subcommand() {
+    let folder = tempfile::tempdir().unwrap();
+    let said = succeed(&mut splat(&["man", "--out", text(folder.path())])).stdout;
+    let pages = files(folder.path());
+    for page in ["splat.1", "splat-train.1", "splat-view.1", "splat-hard-cases.1", "splat-man.1"] {
+        assert!(pages.contains(page) && said.contains(page), "{pages:?}");
+    }
+    let page = fs::read_to_string(folder.path().join("splat-train.1")).unwrap();
+    for part in [".TH splat-train 1", ".SH SYNOPSIS", "\\-\\-eval\\-during", "Training steps"] {
+        assert!(page.contains(part), "{part}");
+    }
+    let page = fs::read_to_string(folder.path().join("splat.1")).unwrap();
+    assert!(page.contains("130") && page.contains("Exit codes"), "{page}");
+    let file = folder.path().join("splat.1");
+    refuse(&mut splat(&["man", "--out", text(&file)]), &[text(&file), "--out"]);
+}
+
+#[test]
+fn help_ends_with_the_exit_codes() {
+    let help = succeed(&mut splat(&["--help"])).stdout;
+    for part in ["Exit codes:", "\n  0 ", "\n  1 ", "\n  2 ", "\n  130 ", "\n  143 "] {
+        assert!(help.contains(part), "{part}: {help}");
+    }
+}
