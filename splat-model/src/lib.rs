@@ -1,4 +1,65 @@
 //! Gaussian scenes as ordinary Burn tensor code: captures, model, losses, optimiser, densification, metrics, formats.
+//!
+//! Photographs and points go in ([`capture`]), a [`Trainer`](trainer::Trainer) makes steps, and a scene comes out
+//! ([`gaussians`], [`ply`]). A run in small, on photographs that it takes itself; [`Capture::load`](capture::Capture::load) and
+//! [`load_all`](capture::load_all) read those of a folder.
+//!
+//! ```
+//! use burn::tensor::Device;
+//! use glam::{DAffine3, DVec3};
+//! use splat_model::capture::{Photo, PointCloud};
+//! use splat_model::evaluate::evaluate;
+//! use splat_model::gaussians::Gaussians;
+//! use splat_model::trainer::{TrainConfig, Trainer};
+//! use splat_model::{init, ply};
+//! use splat_op::{Camera, Extras, Intrinsics, RenderOptions, render_view};
+//!
+//! let device = Device::flex();
+//! let points = PointCloud {
+//!     positions: vec![[-0.4, -0.3, 0.0], [0.4, -0.3, 0.1], [-0.3, 0.4, -0.1], [0.3, 0.3, 0.0]],
+//!     colours: vec![[230, 60, 40], [50, 200, 70], [60, 80, 230], [240, 200, 40]],
+//! };
+//!
+//! // What is photographed: round Gaussians at the points, standard deviation 0.2, nearly opaque.
+//! let mut rows = init::from_points(&points);
+//! rows.log_scales.fill([0.2_f32.ln(); 3]);
+//! rows.logit_opacities.fill(2.0);
+//! let scene = Gaussians::from_rows(&rows, &device)?.splats();
+//! let photograph = |i: u8| -> Result<Photo, splat_op::SplatError> {
+//!     let intrinsics = Intrinsics::centred(32, 32, 40.0);
+//!     let cam_from_world = DAffine3::from_translation(DVec3::new(0.1 * f64::from(i) - 0.15, 0.0, 2.0));
+//!     let camera = Camera::new(intrinsics, &cam_from_world, &device);
+//!     let picture = render_view(&scene, &camera, &Extras::default(), &RenderOptions::standard())?.colour;
+//!     let rgb = picture.into_data().iter::<f32>().map(|value| (255.0 * value).round() as u8).collect();
+//!     Ok(Photo { name: format!("{i}.png"), intrinsics, cam_from_world, rgb, alpha: None, mask: None })
+//! };
+//! let photos = (0..4).map(photograph).collect::<Result<Vec<Photo>, _>>()?;
+//!
+//! // Points say where Gaussians begin: faint, and as large as the points are far apart.
+//! let config = TrainConfig { steps: 40, sh_degree: 0, ..TrainConfig::default() };
+//! let mut trainer = Trainer::new(photos.clone(), &points, config, &device)?;
+//! let mut losses = Vec::new();
+//! while !trainer.is_done() {
+//!     losses.push(trainer.step()?.loss.into_scalar::<f32>());
+//! }
+//! let epoch = |losses: &[f32]| losses.iter().sum::<f32>() / 4.0;
+//! assert!(epoch(&losses[36..]) < epoch(&losses[..4]), "{losses:?}");
+//!
+//! // Scores are means over photographs; these were trained on, so they say little.
+//! let splats = trainer.gaussians().untracked().splats();
+//! let scores = evaluate(&splats, &photos, &trainer.background(), &trainer.render_options(), |_, _| {})?;
+//! assert_eq!(scores.views.len(), 4);
+//!
+//! let folder = tempfile::tempdir()?;
+//! let file = folder.path().join("scene.ply");
+//! ply::write(&file, &trainer.rows(), DVec3::ZERO)?;
+//! assert_eq!(ply::read(&file)?.0.len(), 4);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! [`Trainer::with_loss`](trainer::Trainer::with_loss) takes a loss of your own (`docs/WRITE_A_LOSS.md`);
+//! [`TrainConfig`](trainer::TrainConfig) is all else that a run depends on. A loop of your own has the parts that the trainer is
+//! made of: [`loss`], [`optim`], [`density`], [`effects`].
 
 pub mod accuracy;
 pub mod capture;

@@ -24,6 +24,79 @@
 //! assert_eq!(means.grad(&gradients).expect("tracked").dims(), [1, 3]);
 //! # Ok::<(), splat_op::SplatError>(())
 //! ```
+//!
+//! # Between the stages
+//!
+//! Each stage is a function, and what is between them are tensors. Here a model of one number per Gaussian decides what is
+//! visible, and learns through the render. Ellipses are changed before `tile` makes lists of them:
+//!
+//! ```
+//! use burn::tensor::{Device, Tensor};
+//! use splat_op::{Camera, Colour, Extras, Intrinsics, RenderOptions, Splats, blend, project, tile};
+//!
+//! let device = Device::flex().autodiff();
+//! let features = Tensor::<2>::from_floats([[1.0, 0.5, 0.1], [0.1, 0.3, 0.9]], &device);
+//! let splats = Splats {
+//!     means: Tensor::from_floats([[0.0, 0.0, 2.0], [0.3, 0.0, 3.0]], &device),
+//!     rotations: Tensor::from_floats([[1.0, 0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]], &device),
+//!     scales: Tensor::from_floats([[0.3, 0.3, 0.3], [0.4, 0.2, 0.2]], &device),
+//!     opacities: Tensor::from_floats([0.9, 0.8], &device),
+//!     colour: Colour::Features(features.clone()),
+//! };
+//! let camera = Camera::new(Intrinsics::centred(32, 32, 30.0), &glam::DAffine3::IDENTITY, &device);
+//! let options = RenderOptions::standard().with_depth(true);
+//! let visible = Tensor::<1>::from_floats([1.0, 0.5], &device).require_grad();
+//!
+//! let projected = project(&splats, &camera, None, &options)?;
+//! let mut ellipses = projected.ellipses();
+//! ellipses.opacity = ellipses.opacity * visible.clone();
+//! let projected = ellipses.pack(projected.intrinsics())?;
+//! let tiles = tile(&projected, &options)?;
+//! let picture = blend(&projected, &features, &tiles, &Extras::default(), &options)?;
+//! assert_eq!(picture.depth.map(|depth| depth.dims()), Some([32, 32, 1]));
+//! let gradients = picture.alpha.mean().backward();
+//! assert_eq!(visible.grad(&gradients).expect("tracked").dims(), [2]);
+//! # Ok::<(), splat_op::SplatError>(())
+//! ```
+//!
+//! # Learn from a picture
+//!
+//! A Gaussian finds its place by gradient descent. Any optimiser of Burn does as well; `splat-model` has the usual one.
+//!
+//! ```
+//! use burn::tensor::{Device, Tensor};
+//! use splat_op::{Camera, Colour, Extras, Intrinsics, RenderOptions, SplatError, Splats, render_view};
+//!
+//! let device = Device::flex();
+//! let camera = Camera::new(Intrinsics::centred(32, 32, 30.0), &glam::DAffine3::IDENTITY, &device);
+//! let picture_of = |means: Tensor<2>| -> Result<Tensor<3>, SplatError> {
+//!     let splats = Splats {
+//!         means,
+//!         rotations: Tensor::from_floats([[1.0, 0.0, 0.0, 0.0]], &device),
+//!         scales: Tensor::from_floats([[0.3, 0.3, 0.3]], &device),
+//!         opacities: Tensor::from_floats([0.9], &device),
+//!         colour: Colour::Features(Tensor::from_floats([[1.0, 0.5, 0.1]], &device)),
+//!     };
+//!     // Constants may meet a tracked tensor.
+//!     Ok(render_view(&splats, &camera, &Extras::default(), &RenderOptions::standard())?.colour)
+//! };
+//! let photograph = picture_of(Tensor::from_floats([[0.2, 0.0, 2.0]], &device))?;
+//!
+//! let mut means = Tensor::<2>::from_floats([[0.0, 0.0, 2.0]], &device);
+//! let mut losses = Vec::new();
+//! for _ in 0..15 {
+//!     let tracked = Tensor::from_inner(means.clone()).require_grad();
+//!     let loss = (picture_of(tracked.clone())? - Tensor::from_inner(photograph.clone())).square().mean();
+//!     losses.push(loss.clone().into_scalar::<f32>());
+//!     let gradient = tracked.grad(&loss.backward()).expect("tracked");
+//!     let length = gradient.clone().square().sum().sqrt().into_scalar::<f32>();
+//!     means = means - gradient * (0.01 / length);
+//! }
+//! assert!(losses[14] < 0.5 * losses[0], "{losses:?}");
+//! # Ok::<(), SplatError>(())
+//! ```
+//!
+//! `docs/IN_YOUR_MODEL.md` says which inputs have gradients, what runs where, and what does not fit.
 
 #[cfg(feature = "cube")]
 mod abilities;

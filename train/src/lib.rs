@@ -1,6 +1,37 @@
 //! The program `splat`: trains, evaluates and renders Gaussian-splatting scenes. One file per subcommand.
 //!
 //! Standard output holds results, standard error progress and errors.
+//!
+//! As a library it is what the program is: options in, files and [`Metrics`](report::metrics::Metrics) out. A capture in small, a scene,
+//! and its pictures:
+//!
+//! ```
+//! use clap::Parser;
+//! use splat_train::options::{Cli, Command};
+//!
+//! let folder = tempfile::tempdir()?;
+//! let path = |name: &str| folder.path().join(name).display().to_string();
+//! let (capture, out, pictures) = (path("capture"), path("out"), path("pictures"));
+//! let parse = |arguments: &[&str]| Cli::try_parse_from(["splat"].iter().chain(arguments));
+//!
+//! let demo = ["demo", "--out", &capture, "--views", "9", "--width", "32", "--height", "32", "--points", "60"];
+//! splat_train::run(&parse(&demo)?.command)?;
+//!
+//! let train = ["train", &capture, "--out", &out, "--steps", "20", "--effects", "none", "--sh-degree", "0", "--device", "cpu"];
+//! let Command::Train(options) = parse(&train)?.command else { unreachable!("asked for `train`") };
+//! let metrics = splat_train::train::run(&options)?;
+//! // Of nine photographs the first and the last are held out.
+//! assert_eq!(metrics.test.map(|scores| scores.views.len()), Some(2));
+//!
+//! let scene = format!("{out}/scene.ply");
+//! let render =
+//!     ["render", "--scene", &scene, "--capture", &capture, "--view", "all", "--out", &pictures, "--device", "cpu"];
+//! splat_train::run(&parse(&render)?.command)?;
+//! assert_eq!(std::fs::read_dir(&pictures)?.count(), 9);
+//! # Ok::<(), anyhow::Error>(())
+//! ```
+//!
+//! What the options mean `splat --help` says; what is made of them is `splat-model`'s. [`describe`] writes an error as people read it.
 
 pub mod options;
 
