@@ -94,7 +94,8 @@ impl Page<'_> {
             }
             _ => html.push_str("<p>The scene holds no splat that can be drawn.</p>\n"),
         }
-        Ok(html.push_str("</section>\n"))
+        html.push_str("</section>\n");
+        Ok(())
     }
 }
 
