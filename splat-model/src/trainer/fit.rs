@@ -24,7 +24,9 @@ impl TrainConfig {
         let environment = matches!(self.backdrop, Backdrop::Environment { .. }).then_some("an environment");
         let grid = self.grid.is_some().then_some("a bilateral grid");
         let depth = self.depth.is_some().then_some("depth supervision");
-        let covered = self.density.strategy(1.0, self.steps.max(2)).listens_at(1).covered;
+        let strategy = self.density.strategy(1.0, self.steps);
+        // If it looks at all, it does so between two refinements.
+        let covered = (1..=self.steps.min(1_000)).any(|step| strategy.listens_at(step).covered);
         let covered = covered.then_some("a strategy that looks at where pictures are wrong");
         match rays.or(optics).or(environment).or(grid).or(depth).or(covered) {
             Some(what) if self.pixel_share < 1.0 => Err(TrainError::WholePicture(what)),

@@ -23,7 +23,8 @@ fn strategies() -> [DensityConfig; 4] {
         noise: 1e3,
         ..McmcConfig::default()
     };
-    let consistency = Some(ConsistencyConfig { views: 5, ..ConsistencyConfig::default() });
+    // Views of a few hundred pixels, a good part of which each Gaussian covers.
+    let consistency = Some(ConsistencyConfig { views: 5, wrong_px: 8.0, ..ConsistencyConfig::default() });
     [
         adaptive.into(),
         AdaptiveConfig { absolute: true, ..adaptive }.into(),

@@ -64,5 +64,9 @@ fn a_background_beyond_f32_is_refused() {
     let text = serde_json::to_string(&TrainConfig::default()).expect("plain data");
     let text = text.replace("\"background\":[0.0,0.0,0.0]", "\"background\":[0.0,0.0,1e39]");
     let message = serde_json::from_str::<TrainConfig>(&text).expect_err("refused").to_string();
+    assert!(message.contains("out of range"), "{message}");
+    // Where the text is read as f64 first.
+    let value: serde_json::Value = serde_json::from_str(&text).expect("JSON");
+    let message = serde_json::from_value::<TrainConfig>(value).expect_err("refused").to_string();
     assert!(message.contains("expected three finite f32 numbers"), "{message}");
 }

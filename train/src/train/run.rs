@@ -72,7 +72,6 @@ pub fn run_with(args: &TrainArgs, change: impl FnOnce(Trainer) -> Trainer) -> Re
     let capture = Arc::new(capture);
     // A run may be gone on with from anywhere.
     args.capture = args.capture.map(|capture| std::path::absolute(&capture).unwrap_or(capture));
-    let checkpoints = Checkpoints::open(&out.path(), args.checkpoint_every)?;
     let (split, photo_args) = args.photos.split(&capture);
     let mut effects = args.effects.choose(&capture, split.require_train()?, args.model.antialias)?;
     effects.configure(&mut config, args.background, args.sh_degree);
@@ -104,6 +103,8 @@ pub fn run_with(args: &TrainArgs, change: impl FnOnce(Trainer) -> Trainer) -> Re
     let mut trainer = change(if args.check { trainer.with_checks() } else { trainer });
     let load = seconds_since(start);
 
+    // All that can be wrong with a capture has been found by now: of a run that does not begin nothing is left.
+    let checkpoints = Checkpoints::open(out.path(), args.checkpoint_every)?;
     let so_far = match kept {
         None => {
             checkpoints.begin()?;

@@ -128,7 +128,7 @@ fn files_are_read_back_and_others_refused() {
     fs::write(&path, [Background::Colour([0.0; 3]).to_json().unwrap().as_bytes(), &vec![b' '; 1 << 20]].concat())
         .unwrap();
     let message = Background::read(&path).unwrap_err().to_string();
-    assert!(message.contains("bytes long"), "{message}");
+    assert!(message.contains("more than 1048576 bytes"), "{message}");
     let message = Background::read(&folder.path().join("none.json")).unwrap_err().to_string();
     assert!(message.contains("none.json") && message.contains("beside its scene"), "{message}");
 }
