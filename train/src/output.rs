@@ -4,9 +4,12 @@ use std::ffi::OsString;
 use std::fs::{self, File};
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
-use std::process;
+use std::{iter, process};
 
 use anyhow::{Context, Result, bail};
+
+/// In the names of files that are being written, before the number of the process.
+const TEMPORARY: &str = ".tmp-";
 
 /// A folder for results that can be written to.
 #[derive(Debug)]
@@ -55,6 +58,17 @@ impl OutputFolder {
         self.path.join(name)
     }
 
+    /// Removes what a process that was killed while it wrote has left, here and in these folders. For whoever is alone in them.
+    pub fn sweep(&self, folders: &[&str]) {
+        let all = iter::once(self.path.clone()).chain(folders.iter().map(|name| self.join(name)));
+        for entry in all.filter_map(|folder| fs::read_dir(folder).ok()).flatten().flatten() {
+            if entry.file_name().to_str().is_some_and(is_temporary) {
+                // It takes room, and that is all.
+                let _ = fs::remove_file(entry.path());
+            }
+        }
+    }
+
     /// Writes one file, which replaces the one of that name. See [`write`].
     ///
     /// # Errors
@@ -98,8 +112,14 @@ fn fill_and_rename(temporary: &Path, path: &Path, fill: impl FnOnce(&mut BufWrit
 fn temporary_name(path: &Path) -> Result<PathBuf> {
     let mut name = OsString::from(".");
     name.push(path.file_name().context("the path names no file")?);
-    name.push(format!(".tmp-{}", process::id()));
+    name.push(format!("{TEMPORARY}{}", process::id()));
     Ok(path.with_file_name(name))
+}
+
+/// Whether [`temporary_name`] gave this name.
+fn is_temporary(name: &str) -> bool {
+    let process = name.strip_prefix('.').and_then(|name| name.rsplit_once(TEMPORARY));
+    process.is_some_and(|(name, process)| !name.is_empty() && process.parse::<u32>().is_ok())
 }
 
 #[cfg(test)]
@@ -120,6 +140,21 @@ mod tests {
             assert_eq!(fs::read_to_string(out.join("a.txt")).unwrap(), text);
         }
         assert_eq!(names_in(folder.path()), ["a.txt"]);
+    }
+
+    #[test]
+    fn what_a_killed_process_left_is_swept_away() {
+        let folder = tempfile::tempdir().unwrap();
+        let out = OutputFolder::prepare(folder.path(), &[], &["views"]).unwrap();
+        let kept = [".hidden", "a.tmp-7", ".a.tmp-x", ".tmp-7", "views/b.png"];
+        for name in [&kept[..], &[".a.txt.tmp-7", "views/.b.png.tmp-123"]].concat() {
+            out.write(name, |_| Ok(())).unwrap();
+        }
+        out.sweep(&["views", "none"]);
+        let mut left = names_in(folder.path());
+        left.sort();
+        assert_eq!(left, [".a.tmp-x", ".hidden", ".tmp-7", "a.tmp-7", "views"]);
+        assert_eq!(names_in(&out.join("views")), ["b.png"]);
     }
 
     #[test]

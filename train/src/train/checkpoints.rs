@@ -21,6 +21,9 @@ pub const FOLDER: &str = "checkpoints";
 /// Where a new run puts those of an unfinished one.
 const BEFORE: &str = "checkpoints-before";
 
+/// Beside that folder while a process trains there.
+const LOCK: &str = ".splat-lock";
+
 /// How many are kept.
 const KEPT: usize = 2;
 
@@ -69,7 +72,7 @@ impl Checkpoints {
             || format!("cannot write to {}: mend its permissions, or choose another `--out`", folder.display());
         fs::create_dir_all(&folder).with_context(cannot)?;
         // Beside the checkpoints, whose folder may be renamed.
-        let lock = File::create(out.join(".splat-lock")).with_context(cannot)?;
+        let lock = File::create(out.join(LOCK)).with_context(cannot)?;
         match lock.try_lock() {
             Err(TryLockError::WouldBlock) => {
                 bail!("another `splat train` is writing to {}: wait for it, or choose another `--out`", out.display())
@@ -142,12 +145,12 @@ impl Checkpoints {
 
     /// Removes them, after the run has left its results. The last one goes last.
     pub fn finish(self) {
+        // Left over, they do no harm.
+        let _ = fs::remove_file(self.folder.with_file_name(LOCK));
         for (_, path) in steps_in(&self.folder) {
-            // Left over, they do no harm.
             let _ = fs::remove_file(path);
         }
         let _ = fs::remove_dir_all(&self.folder);
-        let _ = fs::remove_file(self.folder.with_file_name(".splat-lock"));
     }
 }
 

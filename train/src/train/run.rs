@@ -105,6 +105,7 @@ pub fn run_with(args: &TrainArgs, change: impl FnOnce(Trainer) -> Trainer) -> Re
 
     // All that can be wrong with a capture has been found by now: of a run that does not begin nothing is left.
     let checkpoints = Checkpoints::open(out.path(), args.checkpoint_every)?;
+    out.sweep(&[VIEWS]);
     let so_far = match kept {
         None => {
             checkpoints.begin()?;
