@@ -99,7 +99,7 @@ pub fn write(counts: &[Count], comments: &[&str]) -> String {
     text
 }
 
-/// Reads what [`write`] wrote.
+/// Reads what [`write()`] wrote.
 ///
 /// # Errors
 /// The line that is not of that form.

@@ -21,7 +21,7 @@ pub struct Load {
     pub visible: usize,
     /// Pairs of a tile and a Gaussian that `tile` lists.
     pub hits: usize,
-    /// Gaussians that contribute to a pixel, by the rules of `blend`: the mean of [`SAMPLED_PIXELS`] random pixels.
+    /// Gaussians that contribute to a pixel, by the rules of `blend`: the mean of `SAMPLED_PIXELS` random pixels.
     pub layers: f64,
 }
 

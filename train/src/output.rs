@@ -69,10 +69,10 @@ impl OutputFolder {
         }
     }
 
-    /// Writes one file, which replaces the one of that name. See [`write`].
+    /// Writes one file, which replaces the one of that name. See [`write()`].
     ///
     /// # Errors
-    /// Those of [`write`].
+    /// Those of [`write()`].
     pub fn write(&self, name: impl AsRef<Path>, fill: impl FnOnce(&mut BufWriter<File>) -> Result<()>) -> Result<()> {
         write(&self.join(name), fill)
     }

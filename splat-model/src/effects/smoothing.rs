@@ -92,7 +92,7 @@ impl Smoothing {
         self.ln_widths = None;
     }
 
-    /// Finds the widths anew if they were forgotten or [`EVERY`] steps have gone by.
+    /// Finds the widths anew if they were forgotten or a hundred steps have gone by.
     pub fn follow(&mut self, gaussians: &Gaussians, step: usize) {
         if self.ln_widths.is_some() && step < self.found_at + EVERY {
             return;

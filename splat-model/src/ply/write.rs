@@ -74,7 +74,7 @@ fn temporary_name(path: &Path) -> io::Result<PathBuf> {
     Ok(path.with_file_name(temporary))
 }
 
-/// Writes what [`write`] puts into a file, to anything. The rows fit together ([`GaussianRows::check`]).
+/// Writes what [`write()`] puts into a file, to anything. The rows fit together ([`GaussianRows::check`]).
 ///
 /// # Errors
 /// If it cannot be written to.

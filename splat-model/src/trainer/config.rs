@@ -122,7 +122,7 @@ impl TrainConfig {
         self.learning_rates.for_batch(self.batch)
     }
 
-    /// How a run whose cameras see a scene of `extent` renders (see [`scene_extent`]).
+    /// How a run whose cameras see a scene of `extent` renders (see [`scene_extent`](crate::optim::scene_extent)).
     pub fn render_options(&self, extent: f64) -> RenderOptions {
         self.dials.apply(RenderOptions::standard().with_antialias(self.antialias).with_near(near_plane(extent)))
     }

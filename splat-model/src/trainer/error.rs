@@ -112,7 +112,7 @@ pub enum TrainError {
         /// The loss, or the gradient of which parameters.
         what: String,
     },
-    /// A stage left what it must not (see [`Trainer::with_checks`]).
+    /// A stage left what it must not (see [`with_checks`](super::Trainer::with_checks)).
     #[error("step {step}, photograph `{view}`: the stage `{stage}` is the first to go wrong: {detail}")]
     Check {
         /// Counted from 1.

@@ -52,7 +52,7 @@ struct Options<'a> {
 ///
 /// # Errors
 /// If the capture cannot be read, the results not be written, or an option is out of range; or if a loss or a gradient is
-/// not finite: then `scene.ply` is the scene before that step. [`Interrupted`] if Ctrl-C or SIGTERM ended it.
+/// not finite: then `scene.ply` is the scene before that step. [`Interrupted`](super::Interrupted) if Ctrl-C or SIGTERM ended it.
 pub fn run(args: &TrainArgs) -> Result<Metrics> {
     run_with(args, |trainer| trainer)
 }

@@ -149,7 +149,7 @@ const TRUTH: &str = "truth.json";
 /// What a demo capture may consist of, of whatever options: files and folders right below its own, the model last.
 pub const PARTS: [&str; 5] = [IMAGES, MASKS, DEPTHS, TRUTH, "sparse"];
 
-/// The files beside the model, below the folder of the capture, that [`write`] writes for `options`.
+/// The files beside the model, below the folder of the capture, that [`write()`] writes for `options`.
 pub fn files(options: &DemoOptions) -> Vec<PathBuf> {
     let below =
         |folder: &'static str, views: Vec<usize>| views.into_iter().map(move |view| Path::new(folder).join(name(view)));
