@@ -25,7 +25,7 @@
 //! standard deviations. The derivation is ours; what `rays` makes of it is that of a maximum along a ray (Keselman and Hebert
 //! 2022; Radl et al. 2024, StopThePop).
 //!
-//! Beyond a thickness of [`THICKNESS_MAX`] the Gaussian is the same everywhere, and the thickness is held; a row that is not
+//! Beyond a thickness of `THICKNESS_MAX` the Gaussian is the same everywhere, and the thickness is held; a row that is not
 //! finite, of a Gaussian 1e30 times as long as it is far, is zero, which is the affine projection.
 //!
 //! # Outline
@@ -39,7 +39,7 @@
 //! ```
 //!
 //! the factor of `project` gets the column `L t e / √(1 − e²)` and is scaled. The stage `tile`, which reads a row's opacity for
-//! the reach alone, is given one for which that is [`REACH`]. Elsewhere a row covers the whole picture.
+//! the reach alone, is given one for which that is `REACH`. Elsewhere a row covers the whole picture.
 //!
 //! Shapes: as `project` → `[N, 3]`; packed `[N, 7]` and those → outlines `[N, 7]`, not differentiable, for `tile` alone. Rows of
 //! what `project` culls mean nothing, and have no gradient.
