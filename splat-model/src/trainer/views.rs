@@ -55,7 +55,7 @@ pub(super) struct Views {
 }
 
 /// Bytes of a prepared value: the photograph and two of its windowed moments.
-pub(crate) const PREPARED: usize = 3 * size_of::<f32>();
+const PREPARED: usize = 3 * size_of::<f32>();
 
 impl Views {
     pub fn new(photographs: Vec<Photograph>, background: [f32; 3], cache_mib: usize, device: &Device) -> Self {

@@ -98,7 +98,8 @@ impl Checkpoints {
             }
             fs::rename(&self.folder, &before).with_context(cannot)?;
             progress::note(&format!(
-                "an unfinished run was here, at step {step}; its checkpoints are in {} now (`--resume` goes on from {shown})",
+                "an unfinished run was here, at step {step}; its checkpoints are in {} now: to go on with it, put them into \
+                 `{FOLDER}` below another folder and `--resume` that",
                 before.display()
             ));
         } else {

@@ -2,8 +2,8 @@
 
 use std::fmt::{self, Display};
 use std::io;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::{Arc, OnceLock};
 
 use signal_hook::consts::{SIGINT, SIGTERM};
 use signal_hook::flag;
@@ -32,11 +32,17 @@ impl Display for Interrupted {
 
 impl std::error::Error for Interrupted {}
 
-/// Listens while it lives. Afterwards such a signal ends the program at once, as without it.
-pub struct Stop {
+/// Listens while it lives. Before and afterwards such a signal ends the program at once.
+pub struct Stop(&'static Heard);
+
+/// Of the whole process, because handlers stay.
+#[derive(Default)]
+struct Heard {
     signal: Arc<AtomicUsize>,
     at_once: Arc<AtomicBool>,
 }
+
+static HEARD: OnceLock<Heard> = OnceLock::new();
 
 impl Stop {
     /// Begins to listen.
@@ -44,24 +50,39 @@ impl Stop {
     /// # Errors
     /// If the system does not let it.
     pub fn listen() -> io::Result<Self> {
-        let stop = Self { signal: Arc::default(), at_once: Arc::default() };
-        for signal in [SIGINT, SIGTERM] {
-            // In this order: what the first signal sets is what the second one finds.
-            flag::register_conditional_shutdown(signal, 128 + signal, Arc::clone(&stop.at_once))?;
-            flag::register(signal, Arc::clone(&stop.at_once))?;
-            flag::register_usize(signal, Arc::clone(&stop.signal), signal as usize)?;
-        }
-        Ok(stop)
+        let heard = match HEARD.get() {
+            Some(heard) => heard,
+            None => {
+                let heard = Heard::default();
+                heard.register()?;
+                HEARD.get_or_init(|| heard)
+            }
+        };
+        heard.signal.store(0, Ordering::Relaxed);
+        heard.at_once.store(false, Ordering::Relaxed);
+        Ok(Self(heard))
     }
 
     /// The signal that has asked to stop.
     pub fn asked(&self) -> Option<u8> {
-        u8::try_from(self.signal.load(Ordering::Relaxed)).ok().filter(|signal| *signal != 0)
+        u8::try_from(self.0.signal.load(Ordering::Relaxed)).ok().filter(|signal| *signal != 0)
+    }
+}
+
+impl Heard {
+    fn register(&self) -> io::Result<()> {
+        for signal in [SIGINT, SIGTERM] {
+            // In this order: what the first signal sets is what the second one finds.
+            flag::register_conditional_shutdown(signal, 128 + signal, Arc::clone(&self.at_once))?;
+            flag::register(signal, Arc::clone(&self.at_once))?;
+            flag::register_usize(signal, Arc::clone(&self.signal), signal as usize)?;
+        }
+        Ok(())
     }
 }
 
 impl Drop for Stop {
     fn drop(&mut self) {
-        self.at_once.store(true, Ordering::Relaxed);
+        self.0.at_once.store(true, Ordering::Relaxed);
     }
 }

@@ -1,6 +1,6 @@
 //! Photographs that are decoded while others are trained on.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, Sender, channel};
 
@@ -13,29 +13,36 @@ pub const MOST: usize = 8;
 /// A photograph at a size of the run, or why there is none.
 type Decoded = Result<Arc<Photo>, CaptureError>;
 
-/// Those on their way, by number and the size that they are for.
+/// A photograph's number, and the divisor of the run's sides that it is for.
+type Key = (usize, usize);
+
+/// Those that were begun.
 pub struct Ahead {
-    begun: BTreeSet<(usize, usize)>,
-    there: BTreeMap<(usize, usize), Decoded>,
-    sender: Sender<((usize, usize), Decoded)>,
-    receiver: Receiver<((usize, usize), Decoded)>,
+    /// None while it is on its way.
+    begun: BTreeMap<Key, Option<Decoded>>,
+    sender: Sender<(Key, Decoded)>,
+    receiver: Receiver<(Key, Decoded)>,
 }
 
 impl Default for Ahead {
     fn default() -> Self {
         let (sender, receiver) = channel();
-        Self { begun: BTreeSet::new(), there: BTreeMap::new(), sender, receiver }
+        Self { begun: BTreeMap::new(), sender, receiver }
     }
 }
 
 impl Ahead {
     /// Begins to decode a photograph, if that is not under way.
     pub fn begin(&mut self, view: usize, photograph: &Photograph, divisor: usize) {
-        // What was for another size is of no use any more.
-        self.there.retain(|(_, of), _| *of == divisor);
-        if self.begun.len() >= MOST || !self.begun.insert((view, divisor)) {
+        while let Ok(arrived) = self.receiver.try_recv() {
+            self.arrive(arrived);
+        }
+        // What is there for another size is of no use any more, and what is on its way takes its place until it has come.
+        self.begun.retain(|(_, of), found| *of == divisor || found.is_none());
+        if self.begun.len() >= MOST || self.begun.contains_key(&(view, divisor)) {
             return;
         }
+        self.begun.insert((view, divisor), None);
         let (photograph, sender) = (photograph.clone(), self.sender.clone());
         rayon::spawn(move || {
             // Nobody may be left to take it.
@@ -48,27 +55,50 @@ impl Ahead {
     /// # Errors
     /// If it cannot be decoded.
     pub fn take(&mut self, view: usize, photograph: &Photograph, divisor: usize) -> Decoded {
-        let key = (view, divisor);
-        if !self.begun.contains(&key) {
-            return decoded(photograph, divisor);
-        }
-        loop {
-            if let Some(found) = self.there.remove(&key) {
-                self.begun.remove(&key);
+        while let Some(found) = self.begun.remove(&(view, divisor)) {
+            if let Some(found) = found {
                 return found;
             }
-            match self.receiver.recv() {
-                Ok((other, found)) => _ = self.there.insert(other, found),
-                // There is a sender as long as there is a receiver.
-                Err(_) => return decoded(photograph, divisor),
-            }
-            let wanted = |(_, of): &(usize, usize)| *of == divisor;
-            self.begun.retain(|other| wanted(other) || !self.there.contains_key(other));
-            self.there.retain(|other, _| wanted(other));
+            self.begun.insert((view, divisor), None);
+            // There is a sender as long as there is a receiver.
+            let Ok(arrived) = self.receiver.recv() else { break };
+            self.arrive(arrived);
         }
+        decoded(photograph, divisor)
+    }
+
+    fn arrive(&mut self, (key, found): (Key, Decoded)) {
+        self.begun.insert(key, Some(found));
     }
 }
 
 fn decoded(photograph: &Photograph, divisor: usize) -> Decoded {
     Ok(at_size(photograph.pixels()?, divisor))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::trainer::testing::ring;
+
+    #[test]
+    fn another_size_takes_the_places_of_what_was_there_for_the_last() {
+        let photos = ring(MOST + 1);
+        let photographs: Vec<Photograph> = photos.into_iter().map(Photograph::from).collect();
+        let mut ahead = Ahead::default();
+        (0..MOST).for_each(|view| ahead.begin(view, &photographs[view], 1));
+        // All have come, and none is taken.
+        while ahead.begun.values().any(Option::is_none) {
+            let arrived = ahead.receiver.recv().unwrap();
+            ahead.arrive(arrived);
+        }
+        ahead.begin(MOST, &photographs[MOST], 1);
+        assert!(!ahead.begun.contains_key(&(MOST, 1)), "more than {MOST} at a time");
+        (0..MOST).for_each(|view| ahead.begin(view, &photographs[view], 2));
+        assert!(ahead.begun.keys().eq((0..MOST).map(|view| (view, 2)).collect::<Vec<_>>().iter()));
+        for view in 0..MOST {
+            ahead.take(view, &photographs[view], 2).unwrap();
+        }
+        assert!(ahead.begun.is_empty());
+    }
 }
