@@ -75,3 +75,9 @@ pub mod optim;
 pub mod ply;
 pub mod state;
 pub mod trainer;
+
+/// The code of the pages in `docs/` is compiled with the other examples.
+#[cfg(doctest)]
+#[doc = include_str!("../../docs/WRITE_A_LOSS.md")]
+#[doc = include_str!("../../docs/WRITE_A_STRATEGY.md")]
+mod pages {}

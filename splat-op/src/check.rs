@@ -39,6 +39,36 @@ impl Reference {
         shape: [Option<usize>; D],
         expected: &'static str,
     ) -> Result<(), SplatError> {
+        self.check_shape(name, tensor, shape, expected)?;
+        if tensor.dtype() != self.dtype {
+            let (found, expected) = (format!("{:?}", tensor.dtype()), format!("{:?}", self.dtype));
+            return Err(SplatError::DType { name, found, expected });
+        }
+        self.check_device(name, &tensor.device())
+    }
+
+    /// The same for a tensor that may also be of half precision.
+    pub fn check_or_half<const D: usize>(
+        &self,
+        name: &'static str,
+        tensor: &Tensor<D>,
+        shape: [Option<usize>; D],
+        expected: &'static str,
+    ) -> Result<(), SplatError> {
+        if tensor.dtype() != DType::F16 {
+            return self.check(name, tensor, shape, expected);
+        }
+        self.check_shape(name, tensor, shape, expected)?;
+        self.check_device(name, &tensor.device())
+    }
+
+    fn check_shape<const D: usize>(
+        &self,
+        name: &'static str,
+        tensor: &Tensor<D>,
+        shape: [Option<usize>; D],
+        expected: &'static str,
+    ) -> Result<(), SplatError> {
         let dims = tensor.dims();
         if let Some(axis) = (0..D).find(|&axis| shape[axis].is_some_and(|size| size != dims[axis])) {
             let size = shape[axis].unwrap_or_default();
@@ -49,11 +79,7 @@ impl Reference {
                 hint: format!("dimension {axis} must be {size}"),
             });
         }
-        if tensor.dtype() != self.dtype {
-            let (found, expected) = (format!("{:?}", tensor.dtype()), format!("{:?}", self.dtype));
-            return Err(SplatError::DType { name, found, expected });
-        }
-        self.check_device(name, &tensor.device())
+        Ok(())
     }
 
     /// Refuses what does not fit into the device's buffers.

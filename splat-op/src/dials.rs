@@ -31,13 +31,15 @@ pub enum Exponential {
     Polynomial,
 }
 
-/// How `blend` stores the features that it reads. What it computes with, sums and gradients are f32 or f64 as ever.
+/// How numbers are stored where they are read most. What is computed with them, sums and gradients are f32 or f64 as ever, and
+/// gradients are those at the rounded numbers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Default)]
 pub enum Storage {
     /// As they are given.
     #[default]
     Full,
-    /// Rounded to the nearest half-precision float, one of at most 65,504: an error of at most 2⁻¹¹ of a feature, or of 2⁻²⁵ of one
-    /// below 2⁻¹⁴. The gradient is that at the rounded features. On GPUs two share a word, so `blend` reads half as much of them.
+    /// Rounded to the nearest half-precision float, one of at most 65,504: an error of at most 2⁻¹¹ of a number, or of 2⁻²⁵ of one
+    /// below 2⁻¹⁴. (Coefficients become so by Burn's cast: a driver may round them towards zero, which doubles that.) On GPUs two
+    /// share a word, so half as much is read.
     Half,
 }

@@ -16,9 +16,14 @@ pub(crate) struct Need {
 impl Need {
     /// Of f32 values.
     pub fn floats<const D: usize>(what: &'static str, shape: [usize; D], hint: &'static str) -> Self {
+        Self::numbers(what, shape, size_of::<f32>(), hint)
+    }
+
+    /// Of values of so many bytes.
+    pub fn numbers<const D: usize>(what: &'static str, shape: [usize; D], each: usize, hint: &'static str) -> Self {
         // Saturating: a size beyond u64 fits nowhere either.
         let elements = shape.iter().fold(1_u64, |product, size| product.saturating_mul(*size as u64));
-        Self { what, bytes: elements.saturating_mul(size_of::<f32>() as u64), hint }
+        Self { what, bytes: elements.saturating_mul(each as u64), hint }
     }
 
     fn check(&self, limit_bytes: u64) -> Result<(), SplatError> {

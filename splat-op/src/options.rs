@@ -45,6 +45,10 @@ pub struct RenderOptions {
     /// Dial: how features, or colours, are stored where `blend` reads them. For the plain `projection` and `order`; others read
     /// them as they are.
     pub features: Storage,
+    /// Dial: how coefficients of spherical harmonics are stored where colours are computed from them. Ones of half precision are taken
+    /// as they are; others are rounded in every render, at the cost of a pass over them, unless
+    /// [`Colour::stored`](crate::Colour::stored) has done so once.
+    pub coefficients: Storage,
     /// Output: also accumulate depth, `Σ wᵢ zᵢ`.
     pub depth: bool,
 }
@@ -115,6 +119,7 @@ impl RenderOptions {
             culling: Culling::Ellipse,
             exponential: Exponential::Standard,
             features: Storage::Full,
+            coefficients: Storage::Full,
             depth: false,
         }
     }
@@ -189,6 +194,11 @@ impl RenderOptions {
     /// With features stored in another way.
     pub const fn with_features(self, features: Storage) -> Self {
         Self { features, ..self }
+    }
+
+    /// With coefficients of spherical harmonics stored in another way.
+    pub const fn with_coefficients(self, coefficients: Storage) -> Self {
+        Self { coefficients, ..self }
     }
 
     /// Whether pixels look along their rays, in `tilt` and `rays`, which take the place of `blend`.

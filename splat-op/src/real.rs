@@ -6,6 +6,7 @@ use std::ops::{Add, AddAssign, Div, Mul, MulAssign, Neg, Sub, SubAssign};
 
 use burn::tensor::{DType, f16};
 use fearless_simd::{f32x8, f64x8, prelude::*, u32x8};
+use half::slice::HalfFloatSliceExt;
 
 /// Lanes per vector, for both float types, so that a tile splits the same way for both.
 pub(crate) const LANES: usize = 8;
@@ -71,6 +72,8 @@ pub(crate) trait Real:
     fn exp2_library<S: Simd>(q: Self::Lanes<S>) -> Self::Lanes<S>;
     /// The nearest half-precision float of at most [`HALF_MAX`], of its sign.
     fn halved(self) -> Self;
+    /// Half-precision floats as they are, into as many values.
+    fn widen(halves: &[f16], into: &mut [Self]);
     /// `eˣ` within 1 ulp; zero or infinite beyond what the float type holds, anything for what is no number.
     fn exp_lanes<S: Simd>(x: Self::Lanes<S>) -> Self::Lanes<S>;
 
@@ -87,7 +90,7 @@ pub(crate) trait Real:
 }
 
 macro_rules! scalar_functions {
-    ($float:ty, $bits:ty, $dtype:expr, $to_half:path) => {
+    ($float:ty, $bits:ty, $dtype:expr, $to_half:path, $widen:ident) => {
         type SortKey = $bits;
         const DTYPE: DType = $dtype;
         const ZERO: Self = 0.0;
@@ -136,6 +139,10 @@ macro_rules! scalar_functions {
             let held = if self > most { most } else { self };
             <$float>::from($to_half(if held < -most { -most } else { held }))
         }
+        #[inline(always)]
+        fn widen(halves: &[f16], into: &mut [Self]) {
+            halves.$widen(into);
+        }
         fn sort_by_key(rows: &mut [(Self::SortKey, u32)]) {
             radsort::sort_by_key(rows, |row| row.0);
         }
@@ -144,7 +151,7 @@ macro_rules! scalar_functions {
 
 impl Real for f32 {
     type Lanes<S: Simd> = f32x8<S>;
-    scalar_functions!(f32, u32, DType::F32, f16::from_f32);
+    scalar_functions!(f32, u32, DType::F32, f16::from_f32, convert_to_f32_slice);
 
     const EXP2_MAX: Self = 126.0;
 
@@ -208,7 +215,7 @@ impl Real for f32 {
 
 impl Real for f64 {
     type Lanes<S: Simd> = f64x8<S>;
-    scalar_functions!(f64, u64, DType::F64, f16::from_f64);
+    scalar_functions!(f64, u64, DType::F64, f16::from_f64, convert_to_f64_slice);
 
     const EXP2_MAX: Self = 1022.0;
     const EXP2: [f64; EXP2_CONSTANTS] = [0.0; EXP2_CONSTANTS];

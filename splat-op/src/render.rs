@@ -5,6 +5,7 @@ use burn::tensor::Tensor;
 use crate::camera::Camera;
 use crate::check::check_positive;
 use crate::colour::{Colour, colours_up_to};
+use crate::dials::Storage;
 use crate::error::SplatError;
 use crate::options::RenderOptions;
 use crate::stages::{Extras, Picture, Splats, blend, check_render_fits, project, project_shade, tile};
@@ -68,6 +69,16 @@ pub fn render_view(
 
 fn stages(splats: &Splats, camera: &Camera, extras: &Extras, options: &RenderOptions) -> Result<Picture, SplatError> {
     let probe = extras.mean2d_probe.as_ref();
+    // What is left out is not stored in another way first.
+    let stored;
+    let splats = match options.coefficients {
+        Storage::Full => splats,
+        Storage::Half => {
+            let colour = splats.colour.up_to_degree(options.sh_degree).stored(Storage::Half)?;
+            stored = Splats { colour, ..splats.clone() };
+            &stored
+        }
+    };
     let (projected, features) = match &splats.colour {
         // In one pass, Gaussians whose ellipses miss the picture have no colour; rays may still meet them.
         _ if options.along_rays() => {

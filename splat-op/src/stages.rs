@@ -32,6 +32,16 @@ pub struct Splats {
     pub colour: Colour,
 }
 
+impl Splats {
+    /// The same with coefficients of spherical harmonics as `options` want them, once for many renders: see [`Colour::stored`].
+    ///
+    /// # Errors
+    /// As [`Colour::stored`].
+    pub fn stored(&self, options: &RenderOptions) -> Result<Self, SplatError> {
+        Ok(Self { colour: self.colour.stored(options.coefficients)?, ..self.clone() })
+    }
+}
+
 /// Optional inputs of a render.
 #[derive(Clone, Debug, Default)]
 pub struct Extras {

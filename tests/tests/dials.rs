@@ -1,14 +1,14 @@
 //! The dials of a render through the public functions, on every device: what each changes, and that it changes nothing else.
 
-use burn::tensor::{DType, Device, Tensor};
+use burn::tensor::{DType, Device, Tensor, f16};
 use splat_op::{
-    Accumulation, Camera, Colour, Culling, Exponential, Extras, Intrinsics, MAX_UNCUT_HITS, RenderOptions, Splats,
-    Storage, project, render, tile,
+    Accumulation, Camera, Colour, Culling, Exponential, Extras, Intrinsics, MAX_UNCUT_HITS, Order, RenderOptions,
+    Splats, Storage, project, render, tile,
 };
 use splat_tests::random::Random;
 use splat_tests::scene::{Scene, Tensors, host, tensor};
-use splat_tests::tracked::gradients_of;
-use splat_tests::{cpu_devices, gpu};
+use splat_tests::tracked::{INPUTS, gradients_of};
+use splat_tests::{cpu_devices, gpu, ndarray};
 
 const CAMERA: Intrinsics = Intrinsics { fx: 61.0, fy: 64.0, cx: 36.0, cy: 26.5, ..Intrinsics::centred(75, 50, 61.0) };
 
@@ -165,4 +165,118 @@ fn exponentials_and_storage_change_no_more_than_they_say() {
         assert_eq!(exponentials.iter().all(|d| *d == 0.0), place.2 == DType::F64, "{} {exponentials:?}", place.0);
         assert!(half > 0.0 && half <= 2.0_f64.powi(-11), "{}: {half:.1e}", place.0);
     }
+}
+
+/// The scene with its harmonics rounded as half precision rounds them.
+fn rounded(scene: &Scene) -> Scene {
+    Scene { sh: scene.sh.iter().map(|value| f16::from_f64(*value).to_f64()).collect(), ..scene.clone() }
+}
+
+/// The places that have tensors of half precision.
+fn with_halves() -> Vec<Where> {
+    let all = everywhere().into_iter();
+    all.filter(|(_, device, _)| device.supports_dtype(DType::F16)).collect()
+}
+
+#[track_caller]
+fn assert_same(what: &str, exactly: bool, found: &[f64], expected: &[f64]) {
+    assert_eq!(found.len(), expected.len(), "{what}");
+    let most = expected.iter().fold(0.0_f64, |most, value| most.max(value.abs()));
+    assert!(most > 0.0, "{what}: a scene that proves nothing");
+    // Another kernel may contract other sums.
+    let slack = if exactly { 0.0 } else { 1e-5 * most };
+    let worst = found.iter().zip(expected).fold(0.0_f64, |worst, (a, b)| worst.max((a - b).abs()));
+    assert!(worst <= slack, "{what}: {worst:e} of {most:e}");
+}
+
+#[test]
+fn coefficients_of_half_precision_are_rounded_ones() {
+    let half = OPTIONS.with_coefficients(Storage::Half);
+    let places = with_halves();
+    assert!(places.iter().any(|place| place.0 == "flex"), "no device has half precision");
+    for degree in 0..=4 {
+        // An odd number of Gaussians, so that the last word of an odd degree's coefficients is half empty.
+        let scene = Scene::random(&mut Random::new(14 + degree as u64), 61, degree, CAMERA);
+        for place in &places {
+            for matte in [0, 21] {
+                let what = format!("{} {:?}, degree {degree}, {matte} matte", place.0, place.2);
+                let full = with_harmonics(&scene, matte, &OPTIONS, place);
+                let found = with_harmonics(&scene, matte, &half, place);
+                let expected = with_harmonics(&rounded(&scene), matte, &OPTIONS, place);
+                let exactly = place.0 != "gpu";
+                assert!(found.0 != full.0, "{what}: the dial changes nothing");
+                assert_same(&what, exactly, &found.0, &expected.0);
+                assert_same(&what, exactly, &found.1, &expected.1);
+                assert_eq!(found.2.is_some(), expected.2.is_some());
+                if let (Some(found), Some(expected)) = (found.2, expected.2) {
+                    assert_same(&what, exactly, &found, &expected);
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn coefficients_of_half_precision_have_gradients_in_a_step_that_trains_all() {
+    let scene = Scene::random(&mut Random::new(19), 61, 3, CAMERA);
+    // With the pose, without it, and along rays. One camera: a sum of more has an order, which another graph may change.
+    let poses = [[true; 9], [true, true, true, true, true, false, true, true, true]];
+    for place in with_halves() {
+        for tracked in poses {
+            for options in [OPTIONS, OPTIONS.with_order(Order::PerPixel)] {
+                let at = (place.1.clone(), place.2);
+                let what = format!("{} {:?}, {tracked:?}, {:?}", place.0, place.2, options.order);
+                let half = options.with_coefficients(Storage::Half);
+                let found = gradients_of(&scene, 1, tracked, &half, &at);
+                let expected = gradients_of(&rounded(&scene), 1, tracked, &options, &at);
+                for ((found, expected), name) in found.iter().zip(&expected).zip(INPUTS) {
+                    let (Some(found), Some(expected)) = (found, expected) else {
+                        assert_eq!(found.is_some(), expected.is_some(), "{what}, {name}");
+                        continue;
+                    };
+                    assert_same(&format!("{what}, {name}"), place.0 != "gpu", found, expected);
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn a_scene_can_be_stored_in_half_precision_once() {
+    let mut scene = Scene::random(&mut Random::new(20), 61, 2, CAMERA);
+    // Beyond the largest half: held there, and no infinity.
+    scene.sh[5] = 1e6;
+    for (name, device, dtype) in with_halves() {
+        let Tensors { splats, camera, .. } = scene.tensors(&device, dtype);
+        let colour = |splats: &Splats, options: &RenderOptions| {
+            host(render(splats, std::slice::from_ref(&camera), &Extras::default(), options).expect("valid").colour)
+        };
+        let half = OPTIONS.with_coefficients(Storage::Half);
+        let stored = splats.stored(&half).expect("there is half precision");
+        let Colour::SphericalHarmonics(sh) = &stored.colour else { panic!("still harmonics") };
+        assert_eq!((sh.dtype(), sh.dims()), (DType::F16, [61, 9, 3]), "{name}");
+        let expected = colour(&splats, &half);
+        assert!(expected.iter().all(|value| value.is_finite()), "{name}");
+        for options in [half, OPTIONS] {
+            assert!(colour(&stored, &options) == expected, "{name} {dtype:?}: not what each render stores");
+        }
+        let lower = half.with_sh_degree(Some(1));
+        assert!(colour(&stored, &lower) == colour(&splats, &lower), "{name} {dtype:?}: of a lower degree");
+    }
+}
+
+#[test]
+fn half_precision_is_refused_where_there_is_none_and_in_one_group_alone() {
+    let scene = Scene::random(&mut Random::new(21), 10, 1, CAMERA);
+    let half = OPTIONS.with_coefficients(Storage::Half);
+    let Tensors { splats, camera, .. } = scene.tensors(&ndarray(), DType::F32);
+    let message = render(&splats, &[camera], &Extras::default(), &half).expect_err("refused").to_string();
+    assert!(message.contains("`coefficients` is Storage::Half") && message.contains("Storage::Full"), "{message}");
+    let Tensors { splats, camera, .. } = scene.tensors(&Device::flex(), DType::F32);
+    let Colour::SphericalHarmonics(sh) = &splats.colour else { panic!("harmonics") };
+    let directional = sh.clone().narrow(0, 0, 6).cast(DType::F16);
+    let matte = sh.clone().narrow(0, 6, 4).narrow(1, 0, 1);
+    let splats = Splats { colour: Colour::Mixed { directional, matte }, ..splats };
+    let message = render(&splats, &[camera], &Extras::default(), &OPTIONS).expect_err("refused").to_string();
+    assert!(message.contains("`matte` holds F32, expected F16"), "{message}");
 }

@@ -102,6 +102,7 @@ pub fn run(args: &RenderArgs) -> Result<Vec<PathBuf>> {
     let accuracy = accuracy.on((&capture, Some(&rows), Shot::pixels(&shots)), &base, Work::Render)?;
     let out = OutputFolder::prepare(&args.out, &[], &[])?;
     let options = accuracy.setting((&rows, shots), &base, (&device, &device_name), Work::Render)?.apply(base);
+    let splats = splats.stored(&options)?;
     let names = pictures::names(views.iter().map(|view| view.name.as_str()), args.format.extension());
     let counter = progress::counter("rendering", views.len());
     for (view, name) in views.iter().zip(&names) {

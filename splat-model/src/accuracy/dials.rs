@@ -174,6 +174,19 @@ pub const DIALS: &[Dial] = &[
         exact: |o| o.with_features(Storage::Full),
     },
     Dial {
+        name: "coefficients",
+        what: "how coefficients of the harmonics are stored where colours are computed from them",
+        judge: Judge::Exact,
+        same_picture: false,
+        gpu_only: false,
+        pinhole_only: false,
+        values: &[
+            value("full", 0.0, |o| o.with_coefficients(Storage::Full)),
+            value("half", 2e-3, |o| o.with_coefficients(Storage::Half)),
+        ],
+        exact: |o| o.with_coefficients(Storage::Full),
+    },
+    Dial {
         name: "projection",
         what: "what a pixel sees of a Gaussian: its ellipse, or the greatest value along the ray",
         judge: Judge::Photographs,

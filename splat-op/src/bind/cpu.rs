@@ -7,7 +7,7 @@ use burn::backend::tensor::{FloatTensor, IntTensor};
 use burn::backend::{Flex, NdArray, TensorMetadata};
 use burn::tensor::{Shape, Slice, TensorData};
 
-use super::host::{Host, HostBackend, by_type};
+use super::host::{Host, HostBackend, HostCoefficients, by_type};
 use crate::blend::{self, BlendGrads, BlendInputs, BlendNeeds, BlendSpec, PartsCell, TraceCell};
 use crate::op::{Slot, SplatBackend};
 use crate::project::{self, COLUMNS, ProjectGrads, ProjectInputs, ProjectNeeds, ProjectSpec};
@@ -77,19 +77,24 @@ pub(super) fn project_grads<B: HostBackend, F: Real>(
 }
 
 struct ShadeHost<F: Real> {
-    tensors: [Host<F>; 3],
+    sh: HostCoefficients<F>,
+    tensors: [Host<F>; 2],
     coefficients: usize,
 }
 
 impl<F: Real> ShadeHost<F> {
     fn read<B: HostBackend>(inputs: &ShadeInputs<B>) -> Self {
         let ShadeInputs { sh, means, cam_from_world } = inputs;
-        Self { tensors: [sh, means, cam_from_world].map(|tensor| B::host(tensor.clone())), coefficients: sh.shape()[1] }
+        Self {
+            sh: B::host_coefficients(sh.clone()),
+            tensors: [means, cam_from_world].map(|tensor| B::host(tensor.clone())),
+            coefficients: sh.shape()[1],
+        }
     }
 
     fn inputs(&self) -> shade::cpu::Inputs<'_, F> {
-        let [sh, means, cam_from_world] = &self.tensors;
-        shade::cpu::Inputs { sh, means, cam_from_world, coefficients: self.coefficients }
+        let [means, cam_from_world] = &self.tensors;
+        shade::cpu::Inputs { sh: self.sh.view(), means, cam_from_world, coefficients: self.coefficients }
     }
 }
 
@@ -116,21 +121,22 @@ fn shade_backward<B: HostBackend, F: Real>(
 
 struct ProjectShadeHost<F: Real> {
     geometry: ProjectHost<F>,
-    sh: Host<F>,
+    sh: HostCoefficients<F>,
     coefficients: usize,
-    matte: Option<Host<F>>,
+    matte: Option<HostCoefficients<F>>,
 }
 
 impl<F: Real> ProjectShadeHost<F> {
     fn read<B: HostBackend>(inputs: &ProjectShadeInputs<B>) -> Self {
-        let (sh, coefficients) = (B::host(inputs.sh.clone()), inputs.sh.shape()[1]);
-        let matte = inputs.matte.as_ref().map(|matte| B::host(matte.clone()));
+        let (sh, coefficients) = (B::host_coefficients(inputs.sh.clone()), inputs.sh.shape()[1]);
+        let matte = inputs.matte.as_ref().map(|matte| B::host_coefficients(matte.clone()));
         Self { geometry: ProjectHost::read(&inputs.geometry), sh, coefficients, matte }
     }
 
     fn inputs(&self) -> project_shade::cpu::Inputs<'_, F> {
         let (geometry, coefficients) = (self.geometry.inputs(), self.coefficients);
-        project_shade::cpu::Inputs { geometry, sh: &self.sh, coefficients, matte: self.matte.as_deref() }
+        let matte = self.matte.as_ref().map(HostCoefficients::view);
+        project_shade::cpu::Inputs { geometry, sh: self.sh.view(), coefficients, matte }
     }
 }
 
@@ -281,7 +287,7 @@ macro_rules! cpu_backend {
                 _: FloatTensor<Self>,
                 spec: ProjectSpec,
             ) -> ProjectedColours<Self> {
-                by_type!(inputs.sh, F => project_shade::<Self, F>(inputs, &spec))
+                by_type!(inputs.geometry.means, F => project_shade::<Self, F>(inputs, &spec))
             }
 
             fn project_shade_backward(
@@ -290,7 +296,7 @@ macro_rules! cpu_backend {
                 spec: ProjectSpec,
                 needs: ProjectShadeNeeds,
             ) -> ProjectShadeGrads<Self> {
-                by_type!(inputs.sh, F => project_shade_backward::<Self, F>(inputs, grad, &spec, needs))
+                by_type!(inputs.geometry.means, F => project_shade_backward::<Self, F>(inputs, grad, &spec, needs))
             }
 
             fn tile(projected: FloatTensor<Self>, spec: BlendSpec, hits: HitCell) -> IntTensor<Self> {

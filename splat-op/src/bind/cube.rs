@@ -16,7 +16,7 @@ use crate::project::launch::{launch_project, launch_project_backward};
 use crate::project::{self, COLUMNS, ProjectGrads, ProjectInputs, ProjectNeeds, ProjectSpec};
 use crate::project_shade::launch::{launch_project_shade, launch_project_shade_backward};
 use crate::project_shade::{self, ProjectShadeGrads, ProjectShadeInputs, ProjectShadeNeeds, ProjectedColours};
-use crate::shade::launch::{launch_shade, launch_shade_backward};
+use crate::shade::launch::{Coefficients, launch_shade, launch_shade_backward};
 use crate::shade::{self, ShadeGrads, ShadeInputs, ShadeNeeds};
 use crate::tile::launch::{DeviceLists, launch_tile};
 use crate::tile::{Cut, HitCell, Lists, tile_grid};
@@ -27,6 +27,16 @@ pub(crate) fn buffer(tensor: CubeTensor) -> Buffer<f32> {
     let tensor = into_contiguous(tensor);
     let len = tensor.meta.num_elements();
     Buffer::from_handle(tensor.handle, len)
+}
+
+/// Coefficients of spherical harmonics, row-major: those of half precision in words of two.
+fn coefficients(tensor: CubeTensor) -> Coefficients {
+    if tensor.dtype != DType::F16 {
+        return buffer(tensor).into();
+    }
+    let tensor = into_contiguous(tensor);
+    let len = tensor.meta.num_elements();
+    Coefficients::halves(Buffer::from_handle(tensor.handle, len.div_ceil(2)), len)
 }
 
 /// Elements as a tensor, on the device of `like`.
@@ -93,8 +103,8 @@ impl ProjectShadeInputs<CubeBackend> {
     fn on_device(&self) -> project_shade::launch::DeviceInputs {
         project_shade::launch::DeviceInputs {
             geometry: self.geometry.on_device(),
-            sh: buffer(self.sh.clone()),
-            matte: self.matte.as_ref().cloned().map(buffer),
+            sh: coefficients(self.sh.clone()),
+            matte: self.matte.as_ref().cloned().map(coefficients),
         }
     }
 }
@@ -102,7 +112,7 @@ impl ProjectShadeInputs<CubeBackend> {
 impl ShadeInputs<CubeBackend> {
     fn on_device(&self) -> shade::launch::DeviceInputs {
         shade::launch::DeviceInputs {
-            sh: buffer(self.sh.clone()),
+            sh: coefficients(self.sh.clone()),
             means: buffer(self.means.clone()),
             cam_from_world: buffer(self.cam_from_world.clone()),
         }

@@ -25,6 +25,11 @@ fn float<const D: usize>(shape: [usize; D], like: &TensorSpec) -> TensorSpec {
     TensorSpec::new(Shape::from(shape), like.dtype)
 }
 
+/// A tensor of the shape of one and the float type of another.
+fn of_type(shape: &TensorSpec, like: &TensorSpec) -> TensorSpec {
+    TensorSpec::new(shape.shape.clone(), like.dtype)
+}
+
 pub(crate) fn opacities(inputs: &ActivateInputsMetadata) -> TensorSpec {
     inputs.logit_opacities.clone()
 }
@@ -55,7 +60,7 @@ pub(crate) fn shade(inputs: &ShadeInputsMetadata) -> TensorSpec {
 
 pub(crate) fn shade_backward(inputs: &ShadeInputsMetadata, _: &TensorSpec, needs: &ShadeNeeds) -> ShadeGradsMetadata {
     ShadeGradsMetadata {
-        sh: slot(needs.sh, &inputs.sh),
+        sh: slot(needs.sh, &of_type(&inputs.sh, &inputs.means)),
         means: slot(needs.means, &inputs.means),
         cam_from_world: slot(needs.cam_from_world, &inputs.cam_from_world),
     }
@@ -77,9 +82,9 @@ pub(crate) fn project_shade_backward(
 ) -> ProjectShadeGradsMetadata {
     ProjectShadeGradsMetadata {
         geometry: project_backward(&inputs.geometry, &grad.packed, spec, &needs.geometry),
-        sh: slot(needs.sh, &inputs.sh),
+        sh: slot(needs.sh, &of_type(&inputs.sh, &inputs.geometry.means)),
         matte: match &inputs.matte {
-            SlotMetadata::Have(matte) => slot(needs.matte, matte),
+            SlotMetadata::Have(matte) => slot(needs.matte, &of_type(matte, &inputs.geometry.means)),
             SlotMetadata::Skip => SlotMetadata::Skip,
         },
     }

@@ -6,16 +6,29 @@ use std::ops::Deref;
 
 use burn::backend::tensor::FloatTensor;
 use burn::backend::{Backend, Flex, NdArray, TensorMetadata};
-use burn::tensor::{DType, TensorData};
+use burn::tensor::{DType, Element, TensorData, f16};
 use burn_flex::FlexTensor;
 use burn_ndarray::NdArrayTensor;
+use bytemuck::Pod;
 
 use crate::real::Real;
+use crate::shade::cpu::Coefficients;
 
 /// A backend whose tensors lie in this program's memory.
 pub(crate) trait HostBackend: Backend {
     /// The elements of a tensor, row-major. The tensor must hold `F`.
     fn host<F: Real>(tensor: FloatTensor<Self>) -> Host<F>;
+
+    /// The elements of a tensor of half precision, row-major.
+    fn host_halves(tensor: FloatTensor<Self>) -> Host<f16>;
+
+    /// Coefficients, of half precision or of `F`.
+    fn host_coefficients<F: Real>(tensor: FloatTensor<Self>) -> HostCoefficients<F> {
+        match tensor.dtype() {
+            DType::F16 => HostCoefficients::Half(Self::host_halves(tensor)),
+            _ => HostCoefficients::Full(Self::host(tensor)),
+        }
+    }
 
     /// A tensor of the given elements, row-major, on the device of `like`.
     fn from_host<F: Real>(elements: Vec<F>, shape: &[usize], like: &FloatTensor<Self>) -> FloatTensor<Self> {
@@ -30,7 +43,22 @@ pub(crate) enum Host<F> {
     Copied(Vec<F>),
 }
 
-impl<F: Real> Deref for Host<F> {
+/// Coefficients of spherical harmonics as a tensor stores them.
+pub(crate) enum HostCoefficients<F> {
+    Full(Host<F>),
+    Half(Host<f16>),
+}
+
+impl<F: Real> HostCoefficients<F> {
+    pub fn view(&self) -> Coefficients<'_, F> {
+        match self {
+            Self::Full(values) => Coefficients::Full(values),
+            Self::Half(halves) => Coefficients::Half(halves),
+        }
+    }
+}
+
+impl<F: Element + Pod> Deref for Host<F> {
     type Target = [F];
     fn deref(&self) -> &[F] {
         match self {
@@ -41,14 +69,23 @@ impl<F: Real> Deref for Host<F> {
     }
 }
 
+/// The elements of a tensor of any type.
+fn flex<T>(tensor: FlexTensor) -> Host<T> {
+    // A slice of a tensor without elements may begin beyond its end.
+    if tensor.shape().num_elements() == 0 {
+        return Host::Copied(Vec::new());
+    }
+    Host::Flex(if tensor.is_contiguous() { tensor } else { tensor.to_contiguous() })
+}
+
 impl HostBackend for Flex {
     fn host<F: Real>(tensor: FloatTensor<Self>) -> Host<F> {
         check_type::<F>(tensor.dtype());
-        // A slice of a tensor without elements may begin beyond its end.
-        if tensor.shape().num_elements() == 0 {
-            return Host::Copied(Vec::new());
-        }
-        Host::Flex(if tensor.is_contiguous() { tensor } else { tensor.to_contiguous() })
+        flex(tensor)
+    }
+
+    fn host_halves(tensor: FloatTensor<Self>) -> Host<f16> {
+        flex(tensor)
     }
 }
 
@@ -64,10 +101,14 @@ impl HostBackend for NdArray {
             other => unreachable!("the type was just checked: {:?}", other.dtype()),
         })
     }
+
+    fn host_halves(tensor: FloatTensor<Self>) -> Host<f16> {
+        unreachable!("this backend has no tensors of half precision, and this one is of {:?}", tensor.dtype())
+    }
 }
 
 /// The elements of a tensor that holds `F` contiguously, row-major.
-fn elements<F: Real>(tensor: &NdArrayTensor) -> Option<&[F]> {
+fn elements<F: Pod>(tensor: &NdArrayTensor) -> Option<&[F]> {
     match tensor {
         NdArrayTensor::F32(storage) => storage.view().to_slice().and_then(|s| bytemuck::try_cast_slice(s).ok()),
         NdArrayTensor::F64(storage) => storage.view().to_slice().and_then(|s| bytemuck::try_cast_slice(s).ok()),

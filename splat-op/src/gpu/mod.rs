@@ -3,6 +3,7 @@
 
 pub(crate) mod atomic;
 mod buffer;
+pub(crate) mod half;
 pub(crate) mod math;
 pub(crate) mod reduce;
 

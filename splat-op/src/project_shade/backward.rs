@@ -6,6 +6,7 @@ use cubecl::prelude::*;
 use crate::gpu::math::{Pose, Vec3};
 use crate::project::backward::{Wanted, any, gaussian_backward, no_gradient};
 use crate::project::forward::{Gaussian, Lens, Packed};
+use crate::shade::Harmonics;
 use crate::shade::backward::{any_colour, colour_backward, no_harmonics};
 
 /// Stores the gradient of the harmonics in row `row` of `sh`, if it is asked for, and returns that of the vector from the camera
@@ -19,16 +20,16 @@ fn of_colour(
     pose: Pose,
     grad: Vec3,
     grad_sh: &mut ComptimeOption<Box<[f32]>>,
-    #[comptime] degree: usize,
+    #[comptime] harmonics: Harmonics,
     #[comptime] means_wanted: bool,
 ) -> Vec3 {
     let mut of_sight = Vec3::new(0.0, 0.0, 0.0);
     if any_colour(grad) {
-        let through_direction = comptime!(degree > 0 && means_wanted);
+        let through_direction = comptime!(harmonics.degree > 0 && means_wanted);
         let mean = Vec3::load(means, 3 * gaussian);
-        of_sight = colour_backward(sh, row, mean, pose, grad, grad_sh, degree, through_direction);
+        of_sight = colour_backward(sh, row, mean, pose, grad, grad_sh, harmonics, through_direction);
     } else {
-        no_harmonics(row, grad_sh, degree);
+        no_harmonics(row, grad_sh, comptime!(harmonics.degree));
     }
     of_sight
 }
@@ -54,7 +55,7 @@ pub(super) fn project_shade_backward_kernel(
     mut grad_matte: ComptimeOption<Box<[f32]>>,
     lens: Lens,
     count: u32,
-    #[comptime] degree: usize,
+    #[comptime] harmonics: Harmonics,
 ) {
     let wanted = comptime!(Wanted {
         means: grad_means.is_some(),
@@ -78,22 +79,25 @@ pub(super) fn project_shade_backward_kernel(
             ComptimeOption::Some(first) => {
                 let first = first as usize;
                 if gaussian < first {
-                    of_sight = of_colour(sh, gaussian, means, gaussian, pose, grad, &mut grad_sh, degree, wanted.means);
+                    of_sight =
+                        of_colour(sh, gaussian, means, gaussian, pose, grad, &mut grad_sh, harmonics, wanted.means);
                 } else {
                     let row = gaussian - first;
                     let matte = matte.unwrap();
                     // Of degree 0, whose colours do not depend on the direction.
-                    of_colour(&matte, row, means, gaussian, pose, grad, &mut grad_matte, 0usize, false);
+                    let constant = comptime!(harmonics.constant());
+                    of_colour(&matte, row, means, gaussian, pose, grad, &mut grad_matte, constant, false);
                 }
             }
             ComptimeOption::None => {
                 // As `of_colour`, which as a call would leave another text of the plain kernel.
                 if any_colour(grad) {
-                    let through_direction = comptime!(degree > 0 && wanted.means);
+                    let through_direction = comptime!(harmonics.degree > 0 && wanted.means);
                     let mean = Vec3::load(means, 3 * gaussian);
-                    of_sight = colour_backward(sh, gaussian, mean, pose, grad, &mut grad_sh, degree, through_direction);
+                    of_sight =
+                        colour_backward(sh, gaussian, mean, pose, grad, &mut grad_sh, harmonics, through_direction);
                 } else {
-                    no_harmonics(gaussian, &mut grad_sh, degree);
+                    no_harmonics(gaussian, &mut grad_sh, comptime!(harmonics.degree));
                 }
             }
         }

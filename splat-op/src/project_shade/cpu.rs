@@ -5,23 +5,23 @@ use crate::project::cpu::{Grads as ProjectGrads, Inputs as ProjectInputs, projec
 use crate::project::{COLUMNS, Ellipse, ProjectSpec};
 use crate::real::Real;
 use crate::shade::ShadeNeeds;
-use crate::shade::cpu::{Inputs as ShadeInputs, shade_backward_onto_cpu, shade_where_cpu};
+use crate::shade::cpu::{Coefficients, Inputs as ShadeInputs, shade_backward_onto_cpu, shade_where_cpu};
 
 /// Borrowed inputs, row-major.
 #[derive(Clone, Copy)]
 pub(crate) struct Inputs<'a, F> {
     pub geometry: ProjectInputs<'a, F>,
-    pub sh: &'a [F],
+    pub sh: Coefficients<'a, F>,
     /// Coefficients per channel.
     pub coefficients: usize,
     /// Those of matte Gaussians, one per channel, which come last.
-    pub matte: Option<&'a [F]>,
+    pub matte: Option<Coefficients<'a, F>>,
 }
 
 impl<'a, F: Real> Inputs<'a, F> {
     /// Where matte Gaussians begin.
     fn directional(&self) -> usize {
-        (self.geometry.means.len() - self.matte.map_or(0, <[F]>::len)) / 3
+        (self.geometry.means.len() - self.matte.map_or(0, |matte| matte.len())) / 3
     }
 
     /// Of all that are not matte.

@@ -4,6 +4,7 @@ use cubecl::prelude::*;
 
 use crate::gpu::math::{Pose, Vec3};
 use crate::project::forward::{Gaussian, Lens, Packed, packed_of, project_one};
+use crate::shade::Harmonics;
 use crate::shade::forward::colour_of;
 
 /// Whether the Gaussian may show in the picture; see [`super`]. An opacity above one, which the op does not forbid, reaches
@@ -34,7 +35,7 @@ pub(super) fn project_shade_forward_kernel(
     width: f32,
     height: f32,
     count: u32,
-    #[comptime] degree: usize,
+    #[comptime] harmonics: Harmonics,
 ) {
     if ABSOLUTE_POS < count as usize {
         let gaussian = Gaussian::load(means, rotations, scales, opacities, ABSOLUTE_POS);
@@ -48,13 +49,14 @@ pub(super) fn project_shade_forward_kernel(
                 ComptimeOption::Some(first) => {
                     let first = first as usize;
                     if ABSOLUTE_POS < first {
-                        colour = colour_of(sh, ABSOLUTE_POS, gaussian.mean, pose, degree);
+                        colour = colour_of(sh, ABSOLUTE_POS, gaussian.mean, pose, harmonics);
                     } else {
-                        colour = colour_of(&matte.unwrap(), ABSOLUTE_POS - first, gaussian.mean, pose, 0usize);
+                        let (row, of) = (ABSOLUTE_POS - first, comptime!(harmonics.constant()));
+                        colour = colour_of(&matte.unwrap(), row, gaussian.mean, pose, of);
                     }
                 }
                 ComptimeOption::None => {
-                    colour = colour_of(sh, ABSOLUTE_POS, gaussian.mean, pose, degree);
+                    colour = colour_of(sh, ABSOLUTE_POS, gaussian.mean, pose, harmonics);
                 }
             }
         }

@@ -15,9 +15,9 @@ use crate::testing::gpu::gpus;
 fn upload(scene: &Scene, gpu: &Gpu) -> (DeviceInputs, ShadeInputs, [Buffer<f32>; 2]) {
     let [means, rotations, scales, opacities, sh, cam_from_world, ellipses, colours] =
         std::array::from_fn(|i| Buffer::from_slice(gpu, &to_f32(&scene.0[i])));
-    let of_shade = ShadeInputs { sh: sh.clone(), means: means.clone(), cam_from_world: cam_from_world.clone() };
+    let of_shade = ShadeInputs { sh: sh.clone().into(), means: means.clone(), cam_from_world: cam_from_world.clone() };
     let geometry = ProjectInputs { means, rotations, scales, opacities, cam_from_world };
-    (DeviceInputs { geometry, sh, matte: None }, of_shade, [ellipses, colours])
+    (DeviceInputs { geometry, sh: sh.into(), matte: None }, of_shade, [ellipses, colours])
 }
 
 /// One compiler may contract what another does not.
@@ -97,7 +97,7 @@ fn matte_gaussians_are_those_without_higher_harmonics() {
         let parted = Parted::new(Scene::random(count as u64, count), matte);
         for (form, gpu) in gpus() {
             let (flat, _, [ellipses, colours]) = upload(&parted.flat, &gpu);
-            let [sh, constant] = [&parted.sh, &parted.matte].map(|sh| Buffer::from_slice(&gpu, &to_f32(sh)));
+            let [sh, constant] = [&parted.sh, &parted.matte].map(|sh| Buffer::from_slice(&gpu, &to_f32(sh)).into());
             let inputs = DeviceInputs { sh, matte: Some(constant), ..flat.clone() };
             let (packed, shown) = launch_project_shade(&gpu, &inputs, COEFFICIENTS, &spec);
             let (expected_packed, expected_shown) = launch_project_shade(&gpu, &flat, COEFFICIENTS, &spec);

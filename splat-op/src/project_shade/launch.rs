@@ -6,16 +6,16 @@ use super::{ProjectShadeNeeds, reach_sigmas};
 use crate::gpu::{Buffer, Gpu, elementwise};
 use crate::project::launch::{DeviceGrads as ProjectGrads, DeviceInputs as ProjectInputs, lens};
 use crate::project::{COLUMNS, ProjectSpec};
-use crate::shade::degree_of;
+use crate::shade::launch::Coefficients;
 
 /// Inputs on the device, row-major.
 #[derive(Clone, Debug)]
 pub(crate) struct DeviceInputs {
     pub geometry: ProjectInputs,
     /// `[M, (degree+1)², 3]`.
-    pub sh: Buffer<f32>,
-    /// `[N − M, 1, 3]`, if there are matte Gaussians.
-    pub matte: Option<Buffer<f32>>,
+    pub sh: Coefficients,
+    /// `[N − M, 1, 3]`, if there are matte Gaussians, stored as the others are.
+    pub matte: Option<Coefficients>,
 }
 
 impl DeviceInputs {
@@ -57,8 +57,8 @@ pub(crate) fn launch_project_shade(
             geometry.rotations.arg(),
             geometry.scales.arg(),
             geometry.opacities.arg(),
-            inputs.sh.arg(),
-            inputs.matte.as_ref().map(Buffer::arg).into(),
+            inputs.sh.values.arg(),
+            inputs.matte.as_ref().map(|matte| matte.values.arg()).into(),
             inputs.first_matte().into(),
             geometry.cam_from_world.arg(),
             projected.arg(),
@@ -68,7 +68,7 @@ pub(crate) fn launch_project_shade(
             spec.intrinsics.width as f32,
             spec.intrinsics.height as f32,
             count as u32,
-            degree_of(coefficients),
+            inputs.sh.harmonics(coefficients),
         );
     }
     (projected, colours)
@@ -115,8 +115,8 @@ pub(crate) fn launch_project_shade_backward(
             geometry.rotations.arg(),
             geometry.scales.arg(),
             geometry.opacities.arg(),
-            inputs.sh.arg(),
-            inputs.matte.as_ref().map(Buffer::arg).into(),
+            inputs.sh.values.arg(),
+            inputs.matte.as_ref().map(|matte| matte.values.arg()).into(),
             inputs.first_matte().into(),
             geometry.cam_from_world.arg(),
             grad_packed.arg(),
@@ -130,7 +130,7 @@ pub(crate) fn launch_project_shade_backward(
             grads.matte.as_ref().map(Buffer::arg).into(),
             lens(spec),
             count as u32,
-            degree_of(coefficients),
+            inputs.sh.harmonics(coefficients),
         );
     }
     grads

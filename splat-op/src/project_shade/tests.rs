@@ -7,7 +7,7 @@ use crate::options::RenderOptions;
 use crate::project::cpu::{Inputs as ProjectInputs, project_backward_cpu, project_cpu};
 use crate::project::{COLUMNS, ProjectNeeds, ProjectSpec};
 use crate::shade::ShadeNeeds;
-use crate::shade::cpu::{Inputs as ShadeInputs, shade_backward_cpu, shade_cpu};
+use crate::shade::cpu::{Coefficients, Inputs as ShadeInputs, shade_backward_cpu, shade_cpu};
 use crate::testing::random::Random;
 use crate::tile::cpu::tile_cpu;
 
@@ -55,11 +55,16 @@ impl Scene {
     pub fn inputs(&self) -> Inputs<'_, f64> {
         let [means, rotations, scales, opacities, sh, cam_from_world, ..] = &self.0[..] else { unreachable!() };
         let geometry = ProjectInputs { means, rotations, scales, opacities, cam_from_world };
-        Inputs { geometry, sh, coefficients: COEFFICIENTS, matte: None }
+        Inputs { geometry, sh: Coefficients::Full(sh), coefficients: COEFFICIENTS, matte: None }
     }
 
     fn shade_inputs(&self) -> ShadeInputs<'_, f64> {
-        ShadeInputs { sh: &self.0[4], means: &self.0[0], cam_from_world: &self.0[5], coefficients: COEFFICIENTS }
+        ShadeInputs {
+            sh: Coefficients::Full(&self.0[4]),
+            means: &self.0[0],
+            cam_from_world: &self.0[5],
+            coefficients: COEFFICIENTS,
+        }
     }
 }
 
@@ -82,7 +87,8 @@ impl Parted {
     }
 
     fn inputs(&self) -> Inputs<'_, f64> {
-        Inputs { sh: &self.sh, matte: Some(&self.matte), ..self.flat.inputs() }
+        let (sh, matte) = (Coefficients::Full(&self.sh[..]), Coefficients::Full(&self.matte[..]));
+        Inputs { sh, matte: Some(matte), ..self.flat.inputs() }
     }
 }
 

@@ -7,8 +7,8 @@
 
 use cubecl::prelude::*;
 
-use super::coefficients_of;
-use super::forward::{Eye, NORMS, basis, linear_colour};
+use super::forward::{Eye, NORMS, basis, coefficient, linear_colour};
+use super::{Harmonics, coefficients_of};
 use crate::gpu::UNITS;
 use crate::gpu::math::{Pose, Vec3};
 use crate::gpu::reduce::cube_sum;
@@ -91,13 +91,14 @@ pub(crate) fn colour_backward(
     pose: Pose,
     grad: Vec3,
     grad_sh: &mut ComptimeOption<Box<[f32]>>,
-    #[comptime] degree: usize,
+    #[comptime] harmonics: Harmonics,
     #[comptime] through_direction: bool,
 ) -> Vec3 {
-    let coefficients = comptime!(coefficients_of(degree));
+    let degree = comptime!(harmonics.degree);
+    let coefficients = comptime!(harmonics.coefficients());
     let sight = Eye::of(pose).sight(mean);
     let y = basis(sight.direction, degree);
-    let colour = linear_colour(sh, gaussian, &y, degree);
+    let colour = linear_colour(sh, gaussian, &y, harmonics);
     let g = Vec3::new(
         select(colour.x > 0.0, grad.x, 0.0),
         select(colour.y > 0.0, grad.y, 0.0),
@@ -117,7 +118,7 @@ pub(crate) fn colour_backward(
             let mut weights = Sequence::<f32>::new();
             #[unroll]
             for k in 0..coefficients {
-                let c = Vec3::load(sh, 3 * (gaussian * coefficients + k));
+                let c = coefficient(sh, gaussian, k, harmonics);
                 weights.push(g.dot(c) * comptime!(NORMS[k]));
             }
             let grad = polynomials_backward(d, &weights, degree);
@@ -151,10 +152,10 @@ pub(super) fn shade_backward_kernel(
     mut grad_means: ComptimeOption<Box<[f32]>>,
     mut sight_rows: ComptimeOption<Box<[f32]>>,
     count: u32,
-    #[comptime] degree: usize,
+    #[comptime] harmonics: Harmonics,
     #[comptime] planes: bool,
 ) {
-    let through_direction = comptime!(degree > 0 && (grad_means.is_some() || sight_rows.is_some()));
+    let through_direction = comptime!(harmonics.degree > 0 && (grad_means.is_some() || sight_rows.is_some()));
     let gaussian = ABSOLUTE_POS;
     let mut of_sight = Vec3::new(0.0, 0.0, 0.0);
     if gaussian < count as usize {
@@ -162,9 +163,9 @@ pub(super) fn shade_backward_kernel(
         // Also what keeps a Gaussian that is not seen, whatever it holds, out of every sum.
         if any_colour(g) {
             let (mean, pose) = (Vec3::load(means, 3 * gaussian), Pose::load(cam_from_world));
-            of_sight = colour_backward(sh, gaussian, mean, pose, g, &mut grad_sh, degree, through_direction);
+            of_sight = colour_backward(sh, gaussian, mean, pose, g, &mut grad_sh, harmonics, through_direction);
         } else {
-            no_harmonics(gaussian, &mut grad_sh, degree);
+            no_harmonics(gaussian, &mut grad_sh, comptime!(harmonics.degree));
         }
         #[comptime]
         if let ComptimeOption::Some(out) = &mut grad_means {

@@ -1,5 +1,6 @@
 //! The CPU twin of `shade`: both passes, generic over the float, parallel over chunks of Gaussians.
 
+use burn::tensor::f16;
 use rayon::prelude::*;
 
 use super::basis::{basis, basis_backward};
@@ -13,11 +14,49 @@ const CHUNK: usize = 1024;
 /// Borrowed inputs, row-major.
 #[derive(Clone, Copy)]
 pub(crate) struct Inputs<'a, F> {
-    pub sh: &'a [F],
+    pub sh: Coefficients<'a, F>,
     pub means: &'a [F],
     pub cam_from_world: &'a [F],
     /// Coefficients per channel.
     pub coefficients: usize,
+}
+
+/// Coefficients as they are stored.
+#[derive(Clone, Copy)]
+pub(crate) enum Coefficients<'a, F> {
+    Full(&'a [F]),
+    Half(&'a [f16]),
+}
+
+impl<'a, F> From<&'a [F]> for Coefficients<'a, F> {
+    fn from(values: &'a [F]) -> Self {
+        Self::Full(values)
+    }
+}
+
+/// The numbers of a Gaussian, of all channels, at the highest degree.
+type Row<F> = [F; 3 * SH_COEFFICIENTS_MAX];
+
+impl<F: Real> Coefficients<'_, F> {
+    /// How many there are.
+    pub fn len(&self) -> usize {
+        match self {
+            Self::Full(values) => values.len(),
+            Self::Half(halves) => halves.len(),
+        }
+    }
+
+    /// Those of Gaussian `i`, `row` numbers, in `room` unless they lie somewhere as they are.
+    #[inline(always)]
+    fn row<'a>(&'a self, i: usize, row: usize, room: &'a mut Row<F>) -> &'a [F] {
+        match self {
+            Self::Full(values) => &values[row * i..row * (i + 1)],
+            Self::Half(halves) => {
+                F::widen(&halves[row * i..row * (i + 1)], &mut room[..row]);
+                &room[..row]
+            }
+        }
+    }
 }
 
 /// Gradients; an empty vector where none was asked for.
@@ -91,13 +130,14 @@ pub(crate) fn shade_where_cpu<F: Real>(inputs: Inputs<F>, shown: impl Fn(usize) 
     let degree = degree_of(inputs.coefficients);
     let mut colours = vec![F::ZERO; inputs.means.len()];
     colours.par_chunks_mut(3 * CHUNK).enumerate().for_each(|(chunk, out)| {
+        let mut room = [F::ZERO; 3 * SH_COEFFICIENTS_MAX];
         for (i, out) in out.chunks_exact_mut(3).enumerate() {
             let i = chunk * CHUNK + i;
             if !shown(i) {
                 continue;
             }
             let (direction, _) = eye.direction(&inputs.means[3 * i..3 * i + 3]);
-            let colour = linear_colour(&basis(direction, degree), &inputs.sh[row * i..row * (i + 1)]);
+            let colour = linear_colour(&basis(direction, degree), inputs.sh.row(i, row, &mut room));
             out.copy_from_slice(&colour.map(|c| c.max_of(F::ZERO)));
         }
     });
@@ -134,6 +174,7 @@ pub(crate) fn shade_backward_onto_cpu<F: Real>(
         .enumerate()
         .map(|(chunk, (grad_sh, grad_means))| {
             let mut grad_position = [F::ZERO; 3];
+            let mut room = [F::ZERO; 3 * SH_COEFFICIENTS_MAX];
             for local in 0..CHUNK.min(count - chunk * CHUNK) {
                 let i = chunk * CHUNK + local;
                 let g = [grad[3 * i], grad[3 * i + 1], grad[3 * i + 2]];
@@ -141,7 +182,7 @@ pub(crate) fn shade_backward_onto_cpu<F: Real>(
                 if g == [F::ZERO; 3] {
                     continue;
                 }
-                let sh = &inputs.sh[row * i..row * (i + 1)];
+                let sh = inputs.sh.row(i, row, &mut room);
                 let (direction, distance) = eye.direction(&inputs.means[3 * i..3 * i + 3]);
                 let y = basis(direction, degree);
                 let colour = linear_colour(&y, sh);

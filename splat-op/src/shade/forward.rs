@@ -1,11 +1,14 @@
 //! Kernel of `shade`, forward: one unit per Gaussian; and what the backward kernel shares with it: the camera's centre, the
-//! direction from it, and the spherical harmonics. The degree is fixed when a kernel is compiled.
+//! direction from it, and the spherical harmonics. Their degree and how their coefficients are stored is fixed when a kernel is
+//! compiled.
 //!
 //! Shapes as in `shade`: coefficients `[N, (degree+1)², 3]`, means `[N, 3]`, pose `[3, 4]` → `[N, 3]`.
 
 use cubecl::prelude::*;
 
-use super::{SH_COEFFICIENTS_MAX, coefficients_of};
+use super::{Harmonics, SH_COEFFICIENTS_MAX, coefficients_of};
+use crate::dials::Storage;
+use crate::gpu::half::load_three_halves;
 use crate::gpu::math::{Mat3, Pose, Vec3};
 
 /// Where the camera is in the world: the point that the pose takes to zero, `−A⁻¹ t`, by the general inverse.
@@ -130,13 +133,25 @@ pub(super) fn basis(d: Vec3, #[comptime] degree: usize) -> Sequence<f32> {
     out
 }
 
+/// Coefficient `k` of a Gaussian, one number per channel.
+#[cube]
+pub(super) fn coefficient(sh: &[f32], gaussian: usize, k: usize, #[comptime] harmonics: Harmonics) -> Vec3 {
+    let at = 3 * (gaussian * comptime!(harmonics.coefficients()) + k);
+    if comptime!(harmonics.storage == Storage::Half) { load_three_halves(sh, at) } else { Vec3::load(sh, at) }
+}
+
 /// The colour before the clamp.
 #[cube]
-pub(super) fn linear_colour(sh: &[f32], gaussian: usize, basis: &Sequence<f32>, #[comptime] degree: usize) -> Vec3 {
+pub(super) fn linear_colour(
+    sh: &[f32],
+    gaussian: usize,
+    basis: &Sequence<f32>,
+    #[comptime] harmonics: Harmonics,
+) -> Vec3 {
     let mut colour = Vec3::new(0.5, 0.5, 0.5);
     #[unroll]
-    for k in 0..comptime!(coefficients_of(degree)) {
-        let c = Vec3::load(sh, 3 * (gaussian * comptime!(coefficients_of(degree)) + k));
+    for k in 0..comptime!(harmonics.coefficients()) {
+        let c = coefficient(sh, gaussian, k, harmonics);
         colour = colour.plus(c.times(basis[k]));
     }
     colour
@@ -144,9 +159,9 @@ pub(super) fn linear_colour(sh: &[f32], gaussian: usize, basis: &Sequence<f32>, 
 
 /// The colour of a Gaussian.
 #[cube]
-pub(crate) fn colour_of(sh: &[f32], gaussian: usize, mean: Vec3, pose: Pose, #[comptime] degree: usize) -> Vec3 {
+pub(crate) fn colour_of(sh: &[f32], gaussian: usize, mean: Vec3, pose: Pose, #[comptime] harmonics: Harmonics) -> Vec3 {
     let sight = Eye::of(pose).sight(mean);
-    let colour = linear_colour(sh, gaussian, &basis(sight.direction, degree), degree);
+    let colour = linear_colour(sh, gaussian, &basis(sight.direction, comptime!(harmonics.degree)), harmonics);
     // Not `max`, which may turn a NaN into a colour.
     Vec3::new(
         select(colour.x < 0.0, 0.0, colour.x),
@@ -162,10 +177,10 @@ pub(super) fn shade_forward_kernel(
     cam_from_world: &[f32],
     colours: &mut [f32],
     count: u32,
-    #[comptime] degree: usize,
+    #[comptime] harmonics: Harmonics,
 ) {
     if ABSOLUTE_POS < count as usize {
         let mean = Vec3::load(means, 3 * ABSOLUTE_POS);
-        colour_of(sh, ABSOLUTE_POS, mean, Pose::load(cam_from_world), degree).store(colours, 3 * ABSOLUTE_POS);
+        colour_of(sh, ABSOLUTE_POS, mean, Pose::load(cam_from_world), harmonics).store(colours, 3 * ABSOLUTE_POS);
     }
 }

@@ -2,7 +2,7 @@
 
 use glam::{DMat3, DVec3};
 
-use super::cpu::{Grads, Inputs, shade_backward_cpu, shade_cpu};
+use super::cpu::{Coefficients, Grads, Inputs, shade_backward_cpu, shade_cpu};
 use super::launch::{DeviceGrads, DeviceInputs, launch_shade, launch_shade_backward};
 use super::{ShadeNeeds, coefficients_of};
 use crate::gpu::{Buffer, Gpu};
@@ -30,7 +30,7 @@ const GRAD: usize = 3;
 
 fn inputs(tensors: &[Vec<f64>], degree: usize) -> Inputs<'_, f64> {
     let [sh, means, cam_from_world, ..] = tensors else { unreachable!("three tensors") };
-    Inputs { sh, means, cam_from_world, coefficients: coefficients_of(degree) }
+    Inputs { sh: Coefficients::Full(sh), means, cam_from_world, coefficients: coefficients_of(degree) }
 }
 
 impl Scene {
@@ -74,7 +74,7 @@ impl Scene {
 
     fn upload(&self, gpu: &Gpu) -> (DeviceInputs, Buffer<f32>) {
         let buffer = |i: usize| Buffer::from_slice(gpu, &to_f32(&self.tensors[i]));
-        (DeviceInputs { sh: buffer(0), means: buffer(1), cam_from_world: buffer(POSE) }, buffer(GRAD))
+        (DeviceInputs { sh: buffer(0).into(), means: buffer(1), cam_from_world: buffer(POSE) }, buffer(GRAD))
     }
 
     /// The class of each Gaussian; none for one that is not finite.
@@ -223,7 +223,7 @@ fn more_cubes_than_fit_along_one_axis() {
     for (_, gpu) in gpus() {
         let (small, small_grad) = scene.upload(&gpu);
         let [sh, means, grad] = [0, 1, GRAD].map(|i| Buffer::from_slice(&gpu, &repeated(i)));
-        let large = DeviceInputs { sh, means, cam_from_world: small.cam_from_world.clone() };
+        let large = DeviceInputs { sh: sh.into(), means, cam_from_world: small.cam_from_world.clone() };
         let run = |inputs: &DeviceInputs, grad: &Buffer<f32>| {
             let found = launch_shade_backward(&gpu, inputs, 1, grad, ShadeNeeds { means: false, ..ALL });
             [launch_shade(&gpu, inputs, 1).read(&gpu), found.sh.expect("asked for").read(&gpu)]

@@ -4,7 +4,8 @@ use cubecl::prelude::{CubeCount, CubeDim};
 
 use super::backward::{pose_backward_kernel, shade_backward_kernel};
 use super::forward::shade_forward_kernel;
-use super::{ShadeNeeds, degree_of};
+use super::{Harmonics, ShadeNeeds, degree_of};
+use crate::dials::Storage;
 use crate::gpu::math::POSE;
 use crate::gpu::reduce::launch_column_sums;
 use crate::gpu::{Buffer, Gpu, UNITS, elementwise};
@@ -13,11 +14,39 @@ use crate::gpu::{Buffer, Gpu, UNITS, elementwise};
 #[derive(Clone, Debug)]
 pub(crate) struct DeviceInputs {
     /// `[N, (degree+1)², 3]`.
-    pub sh: Buffer<f32>,
+    pub sh: Coefficients,
     /// `[N, 3]`, world frame.
     pub means: Buffer<f32>,
     /// `[3, 4]`.
     pub cam_from_world: Buffer<f32>,
+}
+
+/// Coefficients on the device, row-major.
+#[derive(Clone, Debug)]
+pub(crate) struct Coefficients {
+    /// The numbers, or words of two.
+    pub values: Buffer<f32>,
+    /// How many there are.
+    pub len: usize,
+    pub storage: Storage,
+}
+
+impl From<Buffer<f32>> for Coefficients {
+    fn from(values: Buffer<f32>) -> Self {
+        Self { len: values.len, values, storage: Storage::Full }
+    }
+}
+
+impl Coefficients {
+    /// Half-precision numbers from the words that they lie in.
+    pub fn halves(values: Buffer<f32>, len: usize) -> Self {
+        Self { values, len, storage: Storage::Half }
+    }
+
+    /// What a kernel for `coefficients` of them per channel is compiled for.
+    pub fn harmonics(&self, coefficients: usize) -> Harmonics {
+        Harmonics { degree: degree_of(coefficients), storage: self.storage }
+    }
 }
 
 /// Gradients on the device, of the inputs' shapes, each where it was asked for.
@@ -42,12 +71,12 @@ pub(crate) fn launch_shade(gpu: &Gpu, inputs: &DeviceInputs, coefficients: usize
             &gpu.client,
             grid,
             dim,
-            inputs.sh.arg(),
+            inputs.sh.values.arg(),
             inputs.means.arg(),
             inputs.cam_from_world.arg(),
             colours.arg(),
             count as u32,
-            degree_of(coefficients),
+            inputs.sh.harmonics(coefficients),
         );
     }
     colours
@@ -61,14 +90,14 @@ pub(crate) fn launch_shade_backward(
     grad: &Buffer<f32>,
     needs: ShadeNeeds,
 ) -> DeviceGrads {
-    let (count, degree) = (inputs.means.len / 3, degree_of(coefficients));
+    let (count, harmonics) = (inputs.means.len / 3, inputs.sh.harmonics(coefficients));
     let mut grads = DeviceGrads {
         sh: Buffer::if_needed(gpu, needs.sh, inputs.sh.len),
         means: Buffer::if_needed(gpu, needs.means, inputs.means.len),
         cam_from_world: None,
     };
     // A colour of degree zero does not depend on where the camera is.
-    let through_pose = needs.cam_from_world && degree > 0 && count > 0;
+    let through_pose = needs.cam_from_world && harmonics.degree > 0 && count > 0;
     let sight_rows = Buffer::if_needed(gpu, through_pose, count.div_ceil(UNITS) * 3);
     if count > 0 && (needs.sh || needs.means || through_pose) {
         let output = |buffer: &Option<Buffer<f32>>| buffer.as_ref().map(Buffer::arg).into();
@@ -79,7 +108,7 @@ pub(crate) fn launch_shade_backward(
                 &gpu.client,
                 grid,
                 dim,
-                inputs.sh.arg(),
+                inputs.sh.values.arg(),
                 inputs.means.arg(),
                 inputs.cam_from_world.arg(),
                 grad.arg(),
@@ -87,7 +116,7 @@ pub(crate) fn launch_shade_backward(
                 output(&grads.means),
                 output(&sight_rows),
                 count as u32,
-                degree,
+                harmonics,
                 gpu.planes,
             );
         }

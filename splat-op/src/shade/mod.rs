@@ -5,6 +5,9 @@
 //! are those of Sloan 2013, "Efficient Spherical Harmonic Evaluation"). The gradient flows to the coefficients and,
 //! through the direction, to the centre and the pose; it is zero in a channel that the clamp holds at zero.
 //!
+//! Coefficients may be half-precision numbers where everything else is f32 or f64 ([`crate::Storage`]): they are read as such, and
+//! all that is computed, their gradients too, is of the other type.
+//!
 //! Shapes: coefficients `[N, (degree+1)², 3]`, means `[N, 3]`, pose `[3, 4]` → colours `[N, 3]`.
 
 #[cfg(feature = "cube")]
@@ -23,6 +26,8 @@ mod tests;
 use burn::backend::tensor::FloatTensor;
 use burn::backend::{Backend, ExtensionType};
 
+#[cfg(feature = "cube")]
+use crate::dials::Storage;
 use crate::op::Slot;
 
 /// The highest degree of spherical harmonics.
@@ -53,11 +58,34 @@ const fn coefficients_of(degree: usize) -> usize {
     (degree + 1) * (degree + 1)
 }
 
+/// What a kernel is compiled for.
+#[cfg(feature = "cube")]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub(crate) struct Harmonics {
+    /// 0 to 4.
+    pub degree: usize,
+    /// Of the coefficients, in memory.
+    pub storage: Storage,
+}
+
+#[cfg(feature = "cube")]
+impl Harmonics {
+    /// Coefficients per channel.
+    pub const fn coefficients(self) -> usize {
+        coefficients_of(self.degree)
+    }
+
+    /// Of Gaussians with the constant alone, stored in the same way.
+    pub const fn constant(self) -> Self {
+        Self { degree: 0, ..self }
+    }
+}
+
 /// Inputs of the stage.
 #[derive(Clone, Debug, ExtensionType)]
 #[extension_type(fusion: cfg(feature = "fusion"))]
 pub struct ShadeInputs<B: Backend> {
-    /// `[N, (degree+1)², 3]`.
+    /// `[N, (degree+1)², 3]`, of half precision or of the type of the others.
     pub sh: FloatTensor<B>,
     /// `[N, 3]`, world frame.
     pub means: FloatTensor<B>,

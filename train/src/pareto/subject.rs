@@ -1,5 +1,7 @@
 //! What is rendered: a scene and views of it, on the device that is measured and in f64 on the CPU.
 
+use std::cell::OnceCell;
+
 use anyhow::Result;
 use burn::module::Param;
 use burn::tensor::{DType, Device, Gradients, Tensor, TensorData};
@@ -9,7 +11,7 @@ use rand_chacha::ChaCha8Rng;
 use splat_model::capture::Photo;
 use splat_model::gaussians::{GaussianRows, Gaussians};
 use splat_model::loss::{DEFAULT_LAMBDA, Truth, photometric};
-use splat_op::{Camera, Extras, Intrinsics, Picture, RenderOptions, Splats, render_view, with_gradient};
+use splat_op::{Camera, Extras, Intrinsics, Picture, RenderOptions, Splats, Storage, render_view, with_gradient};
 
 /// A camera, and the photograph that it took if there is one.
 #[derive(Clone, Copy)]
@@ -46,6 +48,8 @@ pub struct Place {
     pub gaussians: Gaussians,
     /// Not tracked.
     pub splats: Splats,
+    /// The same with coefficients of half precision, once somebody asked for them.
+    halved: OnceCell<Splats>,
     pub cameras: Vec<Camera>,
     pub extras: Extras,
     pub device: Device,
@@ -69,6 +73,7 @@ impl Place {
         let background = Some(Tensor::from_floats(background, device));
         Ok(Self {
             splats: gaussians.untracked().splats(),
+            halved: OnceCell::new(),
             gaussians,
             cameras: shots.iter().map(camera).collect(),
             extras: Extras { background, ..Extras::default() },
@@ -99,6 +104,7 @@ impl Place {
         let background = f32.extras.background.map(|background| background.cast(DType::F64));
         Ok(Self {
             splats: gaussians.untracked().splats(),
+            halved: OnceCell::new(),
             gaussians,
             cameras: f32.cameras.into_iter().map(camera).collect(),
             extras: Extras { background, ..Extras::default() },
@@ -112,7 +118,18 @@ impl Place {
     /// # Errors
     /// If the operation refuses the scene.
     pub fn render(&self, view: usize, options: &RenderOptions) -> Result<Picture> {
-        Ok(render_view(&self.splats, &self.cameras[view], &self.extras, options)?)
+        // Stored once, as whoever renders a scene many times has it.
+        let splats = match options.coefficients {
+            Storage::Full => &self.splats,
+            Storage::Half => match self.halved.get() {
+                Some(halved) => halved,
+                None => {
+                    let halved = self.splats.stored(options)?;
+                    self.halved.get_or_init(|| halved)
+                }
+            },
+        };
+        Ok(render_view(splats, &self.cameras[view], &self.extras, options)?)
     }
 
     /// The same, tracked, ready for [`Self::backward`].
