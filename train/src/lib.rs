@@ -53,6 +53,7 @@ mod as_text;
 pub mod device;
 pub mod effects;
 pub mod input;
+pub mod lpips;
 pub mod memory;
 pub mod output;
 pub mod progress;

@@ -6,8 +6,9 @@ use anyhow::Result;
 use burn::tensor::{Device, Tensor};
 use serde::Serialize;
 use splat_model::capture::Photograph;
-use splat_model::evaluate::evaluate;
+use splat_model::evaluate::evaluate_each;
 use splat_model::gaussians::Gaussians;
+use splat_model::metrics::lpips::Lpips;
 use splat_model::trainer::{StepReport, Trainer};
 
 use super::history::{History, Point, Recorder, Score};
@@ -67,29 +68,30 @@ impl RunLog {
         }
     }
 
-    /// Scores the scene as it is on a few of the photographs to test on. The clock of the run stands still.
+    /// Scores the scene as it is on a few of the photographs to test on, by LPIPS too if there is one. The clock of the run stands still.
     ///
     /// # Errors
     /// If a view cannot be rendered.
-    pub fn evaluate(&mut self, trainer: &Trainer, test: &[Photograph], device: &Device) -> Result<()> {
+    pub fn evaluate(
+        &mut self,
+        trainer: &Trainer,
+        test: &[Photograph],
+        device: &Device,
+        lpips: Option<&Lpips>,
+    ) -> Result<()> {
         let start = Instant::now();
         // What smoothing does is in the rows, not in the parameters.
         let splats = Gaussians::from_rows_apart(&trainer.rows(), device)?.splats();
         let (background, options) = (trainer.background(), trainer.render_options());
         let every = test.len().div_ceil(FEW).max(1);
-        let (mut psnr, mut ssim, mut views) = (0.0, 0.0, 0);
-        for photo in test.iter().step_by(every) {
-            let photo = photo.pixels()?;
-            let scores = evaluate(&splats, std::slice::from_ref(&*photo), &background, &options, |_, _| ())?;
-            (psnr, ssim, views) = (psnr + scores.psnr, ssim + scores.ssim, views + 1);
-        }
-        let count = f64::from(views.max(1));
-        let mean = (psnr / count, ssim / count);
-        let score = self.recorder.keep_score(trainer.steps_done(), mean, views as usize, start.elapsed());
+        let photos = test.iter().step_by(every).map(|photo| Ok::<_, anyhow::Error>(photo.pixels()?));
+        let scores = evaluate_each(&splats, photos, &background, &options, lpips, |_, _| ())?;
+        let score = self.recorder.keep_score(trainer.steps_done(), &scores, start.elapsed());
         self.bar.resume();
+        let perceived = score.lpips.map(|lpips| format!(", {lpips:.4} LPIPS")).unwrap_or_default();
         progress::note(&format!(
-            "step {}: {:.2} dB PSNR, {:.4} SSIM on {views} test views",
-            score.step, mean.0, mean.1
+            "step {}: {:.2} dB PSNR, {:.4} SSIM{perceived} on {} test views",
+            score.step, score.psnr, score.ssim, score.views
         ));
         progress::line(&Line::Evaluation(score));
         Ok(())

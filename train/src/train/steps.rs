@@ -5,6 +5,7 @@ use anyhow::{Context, Result};
 use burn::tensor::Device;
 use splat_model::accuracy::Work;
 use splat_model::capture::{Capture, Photograph};
+use splat_model::metrics::lpips::Lpips;
 use splat_model::trainer::Trainer;
 
 use super::TrainArgs;
@@ -33,6 +34,8 @@ pub struct Steps<'a> {
     pub out: &'a OutputFolder,
     pub test: &'a [Photograph],
     pub device: (&'a Device, &'a str),
+    /// To score with during the run, if asked for.
+    pub lpips: Option<&'a Lpips>,
     pub checkpoints: Checkpoints,
 }
 
@@ -80,7 +83,7 @@ impl Steps<'_> {
                 }
             }
             if self.args.eval_during.is_some_and(|every| trainer.steps_done().is_multiple_of(every)) {
-                log.evaluate(trainer, self.test, self.device.0)?;
+                log.evaluate(trainer, self.test, self.device.0, self.lpips)?;
             }
             if self.checkpoints.due_after(trainer.steps_done()) {
                 let so_far = SoFar { seconds: log.seconds(), dials_chosen, history: log.history().clone() };

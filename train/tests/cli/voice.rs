@@ -34,7 +34,7 @@ fn a_run_tells_programs_how_it_goes() {
     assert_eq!(keys(progress), ["event", "step", "seconds", "loss", "splats"].into());
     assert!(progress["loss"].as_f64().unwrap() > 0.0 && progress["splats"].as_u64().unwrap() > 100);
     let evaluations: Vec<&Value> = lines.iter().filter(|line| line["event"] == "evaluation").collect();
-    assert_eq!(keys(evaluations[0]), ["event", "step", "seconds", "psnr", "ssim", "views"].into());
+    assert_eq!(keys(evaluations[0]), ["event", "step", "seconds", "psnr", "ssim", "lpips", "views"].into());
     assert_eq!((&evaluations[0]["step"], &evaluations[0]["views"]), (&8.into(), &1.into()));
     let done = lines.last().unwrap();
     assert_eq!(done["metrics"], json(&folder.path().join("metrics.json")));
