@@ -58,6 +58,7 @@ pub mod memory;
 pub mod output;
 pub mod progress;
 pub mod report;
+pub mod snapshots;
 pub mod strategy;
 
 use anyhow::Result;

@@ -40,7 +40,7 @@ pub const DEMO_OUT: &str = "out/demo";
 pub const CHECKPOINT_EVERY: usize = 500;
 
 /// What a run that goes on has already: all options but those that say how much is said.
-const OF_A_NEW_RUN: [&str; 32] = [
+const OF_A_NEW_RUN: [&str; 33] = [
     "capture",
     "out",
     "steps",
@@ -68,6 +68,7 @@ const OF_A_NEW_RUN: [&str; 32] = [
     "background",
     "effects",
     "eval_during",
+    "snapshots",
     "lpips",
     "lpips_unscaled",
     "check",
@@ -164,6 +165,11 @@ pub struct TrainArgs {
     /// Score the scene on a few test views after every N steps, for the curve in report.html and for --json [default: off]
     #[arg(long, value_name = "N", value_parser = RangedU64ValueParser::<usize>::new().range(1..))]
     pub eval_during: Option<usize>,
+    /// With `--eval-during`: keep what each evaluation sees in the folder snapshots of the output folder, at most 100,000 splats and
+    /// four renders each time. `rerun/` shows it in the Rerun viewer, see docs/RERUN.md
+    #[arg(long, requires = "eval_during")]
+    #[serde(default)]
+    pub snapshots: bool,
     /// Another score.
     #[command(flatten)]
     #[serde(default)]

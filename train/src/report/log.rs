@@ -14,6 +14,7 @@ use splat_model::trainer::{StepReport, Trainer};
 use super::history::{History, Point, Recorder, Score};
 use super::metrics::Metrics;
 use crate::progress::{self, StepProgress};
+use crate::snapshots::Snapshots;
 
 /// Views that are looked at during a run, at most: evenly among those to test on.
 const FEW: usize = 4;
@@ -30,6 +31,17 @@ pub enum Line<'a> {
     Evaluation(Score),
     /// At the end.
     Done { out: String, metrics: &'a Metrics },
+}
+
+/// What a scene is scored on during a run, and what is kept of it.
+#[derive(Clone, Copy)]
+pub struct Evaluation<'a> {
+    pub test: &'a [Photograph],
+    pub device: &'a Device,
+    /// To score with too, if there is one.
+    pub lpips: Option<&'a Lpips>,
+    /// Where renders and scene are kept, if they are.
+    pub snapshots: Option<&'a Snapshots<'a>>,
 }
 
 /// The log of a run.
@@ -68,24 +80,26 @@ impl RunLog {
         }
     }
 
-    /// Scores the scene as it is on a few of the photographs to test on, by LPIPS too if there is one. The clock of the run stands still.
+    /// Scores the scene as it is on a few of the photographs to test on. The clock of the run stands still.
     ///
     /// # Errors
     /// If a view cannot be rendered.
-    pub fn evaluate(
-        &mut self,
-        trainer: &Trainer,
-        test: &[Photograph],
-        device: &Device,
-        lpips: Option<&Lpips>,
-    ) -> Result<()> {
+    pub fn evaluate(&mut self, trainer: &Trainer, evaluation: Evaluation) -> Result<()> {
+        let Evaluation { test, device, lpips, snapshots } = evaluation;
         let start = Instant::now();
         // What smoothing does is in the rows, not in the parameters.
-        let splats = Gaussians::from_rows_apart(&trainer.rows(), device)?.splats();
+        let rows = trainer.rows();
+        let splats = Gaussians::from_rows_apart(&rows, device)?.splats();
         let (background, options) = (trainer.background(), trainer.render_options());
         let every = test.len().div_ceil(FEW).max(1);
         let photos = test.iter().step_by(every).map(|photo| Ok::<_, anyhow::Error>(photo.pixels()?));
-        let scores = evaluate_each(&splats, photos, &background, &options, lpips, |_, _| ())?;
+        let taken = snapshots.map(|snapshots| snapshots.after(trainer.steps_done()));
+        let scores = evaluate_each(&splats, photos, &background, &options, lpips, |comparison, _| {
+            if let Some(taken) = &taken {
+                taken.look(comparison);
+            }
+        })?;
+        let kept = taken.map(|taken| taken.keep(&rows, &scores));
         let score = self.recorder.keep_score(trainer.steps_done(), &scores, start.elapsed());
         self.bar.resume();
         let perceived = score.lpips.map(|lpips| format!(", {lpips:.4} LPIPS")).unwrap_or_default();
@@ -94,6 +108,14 @@ impl RunLog {
             score.step, score.psnr, score.ssim, score.views
         ));
         progress::line(&Line::Evaluation(score));
+        // Not worth a run: a disk that is full now may not be later.
+        let kept = kept.unwrap_or(Ok(())).and_then(|()| match snapshots {
+            Some(snapshots) => snapshots.keep_history(self.recorder.history()),
+            None => Ok(()),
+        });
+        if let Err(error) = kept {
+            progress::note(&format!("the snapshot after step {} is not kept: {error:#}", score.step));
+        }
         Ok(())
     }
 

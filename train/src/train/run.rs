@@ -32,6 +32,7 @@ use crate::report::log::Line;
 use crate::report::metrics::{Metrics, Seconds, peak_rss_mib, seconds_since};
 use crate::report::page::{self, Page};
 use crate::report::{self, BACKGROUND, METRICS, POSES, REPORT, SCENE, VIEWS};
+use crate::snapshots::{self, Described, Snapshots};
 use crate::view::scene::{ShownScene, Viewpoint};
 use crate::{demo, input};
 
@@ -92,6 +93,7 @@ pub fn run_with(args: &TrainArgs, change: impl FnOnce(Trainer) -> Trainer) -> Re
         "`--lpips` is measured on test views, and `--eval-every 0` holds out none: leave out one of them"
     );
     let train_views = views_of(&capture, &train);
+    let described = args.snapshots.then(|| Described::new(config.steps, &capture, &train, &test));
     let shots: Vec<Shot> = train.iter().map(|photo| Shot::unseen(&photo.intrinsics, &photo.cam_from_world)).collect();
     let base = config.render_options(input::extent(&capture));
     let mut accuracy = Some(accuracy.on((&capture, None, Shot::pixels(&shots)), &base, Work::Train)?);
@@ -115,6 +117,7 @@ pub fn run_with(args: &TrainArgs, change: impl FnOnce(Trainer) -> Trainer) -> Re
     // All that can be wrong with a capture has been found by now: of a run that does not begin nothing is left.
     let checkpoints = Checkpoints::open(out.path(), args.checkpoint_every)?;
     out.sweep(&[VIEWS]);
+    let snapshots = described.map(|described| Snapshots::open(&out, &described, kept.is_none())).transpose()?;
     let so_far = match kept {
         None => {
             checkpoints.begin()?;
@@ -143,6 +146,7 @@ pub fn run_with(args: &TrainArgs, change: impl FnOnce(Trainer) -> Trainer) -> Re
         test: &test,
         device: (&device, &device_name),
         lpips: lpips.as_ref(),
+        snapshots: snapshots.as_ref(),
         checkpoints,
     };
     let Done { seconds: train, history, checkpoints } = steps.run(&mut trainer, so_far, choice)?;
@@ -211,8 +215,13 @@ pub fn run_with(args: &TrainArgs, change: impl FnOnce(Trainer) -> Trainer) -> Re
 /// Prepares the output folder and reads the capture, after making it if none was given.
 fn open(args: &TrainArgs) -> Result<(OutputFolder, Capture, Instant)> {
     let out = args.out.as_deref().unwrap_or(Path::new(DEMO_OUT));
-    let prepare =
-        || OutputFolder::prepare(out, &[SCENE, METRICS, REPORT, BACKGROUND, POSES], &[VIEWS, checkpoints::FOLDER]);
+    let prepare = || {
+        OutputFolder::prepare(
+            out,
+            &[SCENE, METRICS, REPORT, BACKGROUND, POSES],
+            &[VIEWS, checkpoints::FOLDER, snapshots::FOLDER],
+        )
+    };
     match &args.capture {
         Some(folder) => {
             let start = Instant::now();
