@@ -213,4 +213,4 @@ fn unit(features: Tensor<2>) -> Tensor<2> {
 }
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

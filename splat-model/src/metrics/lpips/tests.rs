@@ -12,10 +12,10 @@ use tempfile::TempDir;
 use super::*;
 
 /// Tensors by name: shape and values.
-type Tensors = BTreeMap<String, (Vec<usize>, Vec<f32>)>;
+pub(crate) type Tensors = BTreeMap<String, (Vec<usize>, Vec<f32>)>;
 
 /// Weights at random of the size that keeps features as large as they are.
-fn tensors(net: Net) -> Tensors {
+pub(crate) fn tensors(net: Net) -> Tensors {
     let mut rng = ChaCha8Rng::seed_from_u64(3);
     let mut tensors = Tensors::new();
     let mut add = |name: String, shape: Vec<usize>, range: std::ops::Range<f32>| {
@@ -48,7 +48,7 @@ fn file(tensors: &Tensors) -> (TempDir, PathBuf) {
     (folder, path)
 }
 
-fn read(tensors: &Tensors) -> Result<Lpips, WeightsError> {
+pub(crate) fn read(tensors: &Tensors) -> Result<Lpips, WeightsError> {
     let (_folder, path) = file(tensors);
     Lpips::read(&path, Input::Scaled, &Device::flex())
 }
