@@ -9,7 +9,11 @@ use splat_op::{Camera, Extras, RenderOptions, SplatError, Splats, render_view};
 use crate::capture::Photo;
 use crate::effects::background::Background;
 use crate::gaussians::values_of;
+use crate::metrics::lpips::Lpips;
 use crate::metrics::{colour_corrected, mean_over_views, psnr, scores_without, ssim};
+
+/// Why there is no LPIPS where nobody asked for it.
+const NO_WEIGHTS: &str = "no weights were named (`--lpips FILE`)";
 
 /// Scores of one photograph.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -24,6 +28,10 @@ pub struct ViewScore {
     pub psnr_corrected: f64,
     /// SSIM after the same.
     pub ssim_corrected: f64,
+    /// LPIPS, lower is better (see [`crate::metrics::lpips`]); none where it was not measured.
+    pub lpips: Option<f64>,
+    /// Why it was not.
+    pub lpips_missing: Option<String>,
 }
 
 /// Scores of a set of photographs: the means over them, and each.
@@ -37,6 +45,14 @@ pub struct Scores {
     pub psnr_corrected: f64,
     /// Mean of the views' SSIM after colour correction.
     pub ssim_corrected: f64,
+    /// Mean of the views' LPIPS; none unless it was measured for all of them: a mean over others would be of something else.
+    pub lpips: Option<f64>,
+    /// Why there is none.
+    pub lpips_missing: Option<String>,
+    /// The network of LPIPS, `alex` or `vgg`; none where no weights were given.
+    pub lpips_net: Option<String>,
+    /// The range of a picture that the network is given, `-1..1` or `0..1`; none where no weights were given.
+    pub lpips_input: Option<String>,
     /// By view.
     pub views: Vec<ViewScore>,
 }
@@ -63,10 +79,10 @@ pub fn evaluate(
     options: &RenderOptions,
     look: impl FnMut(&Comparison, &ViewScore),
 ) -> Result<Scores, SplatError> {
-    evaluate_each(splats, photos.iter().map(Ok::<_, SplatError>), background, options, look)
+    evaluate_each(splats, photos.iter().map(Ok::<_, SplatError>), background, options, None, look)
 }
 
-/// The same with photographs that come one after the other.
+/// The same with photographs that come one after the other, and with LPIPS if there are weights for it.
 ///
 /// # Errors
 /// If there is none where one should be, or the operation refuses the scene.
@@ -75,6 +91,7 @@ pub fn evaluate_each<P: Borrow<Photo>, E: From<SplatError>>(
     photos: impl IntoIterator<Item = Result<P, E>>,
     background: &Background,
     options: &RenderOptions,
+    lpips: Option<&Lpips>,
     mut look: impl FnMut(&Comparison, &ViewScore),
 ) -> Result<Scores, E> {
     let device: Device = splats.means.device();
@@ -92,16 +109,27 @@ pub fn evaluate_each<P: Borrow<Photo>, E: From<SplatError>>(
         let comparison = Comparison { photo, truth: photo.rgb_over(colour, &device), image };
         let (psnr, ssim) = scored(&comparison, comparison.image.clone());
         let (psnr_corrected, ssim_corrected) = scored(&comparison, corrected(&comparison));
-        let score = ViewScore { name: photo.name.clone(), psnr, ssim, psnr_corrected, ssim_corrected };
+        let (lpips, lpips_missing) = match perceived(lpips, &comparison) {
+            Ok(lpips) => (Some(lpips), None),
+            Err(reason) => (None, Some(reason)),
+        };
+        let name = photo.name.clone();
+        let score = ViewScore { name, psnr, ssim, psnr_corrected, ssim_corrected, lpips, lpips_missing };
         look(&comparison, &score);
         views.push(score);
     }
+    let perceived: Option<Vec<f64>> = views.iter().map(|view| view.lpips).collect();
+    let mean_lpips = perceived.filter(|values| !values.is_empty()).map(|values| mean_over_views(&values));
     let mean = |of: fn(&ViewScore) -> f64| mean_over_views(&views.iter().map(of).collect::<Vec<_>>());
     Ok(Scores {
         psnr: mean(|view| view.psnr),
         ssim: mean(|view| view.ssim),
         psnr_corrected: mean(|view| view.psnr_corrected),
         ssim_corrected: mean(|view| view.ssim_corrected),
+        lpips: mean_lpips,
+        lpips_missing: missing_lpips(lpips, &views),
+        lpips_net: lpips.map(|lpips| lpips.net().name().to_owned()),
+        lpips_input: lpips.map(|lpips| lpips.input().range().to_owned()),
         views,
     })
 }
@@ -114,6 +142,32 @@ fn scored(comparison: &Comparison, image: Tensor<3>) -> (f64, f64) {
     let excluded: Vec<bool> = mask.iter().map(|counts| !counts).collect();
     let excluded = Tensor::<3, Bool>::from_data(TensorData::new(excluded, [1, height, width]), &image.device());
     scores_without(image, truth, &excluded)
+}
+
+/// LPIPS of the render, or why it is not measured.
+fn perceived(lpips: Option<&Lpips>, comparison: &Comparison) -> Result<f64, String> {
+    let lpips = lpips.ok_or(NO_WEIGHTS)?;
+    if comparison.photo.mask.as_ref().is_some_and(|mask| mask.contains(&false)) {
+        return Err("a mask excludes a part of the photograph, and the features of LPIPS look across its border".into());
+    }
+    let found = lpips.distance(comparison.image.clone(), comparison.truth.clone());
+    let found = found.map_err(|error| error.to_string())?;
+    // JSON would say null, and nobody why.
+    if found.is_finite() { Ok(found) } else { Err("the render is not finite".into()) }
+}
+
+/// Why there is no mean of the views' LPIPS; none if there is one.
+fn missing_lpips(lpips: Option<&Lpips>, views: &[ViewScore]) -> Option<String> {
+    if lpips.is_none() {
+        return Some(NO_WEIGHTS.into());
+    }
+    if views.is_empty() {
+        return Some("there are no views".into());
+    }
+    let mut missing = views.iter().filter_map(|view| Some((&view.name, view.lpips_missing.as_ref()?)));
+    let (name, reason) = missing.next()?;
+    let count = 1 + missing.count();
+    Some(format!("{count} of {} views cannot be measured; {name}: {reason}", views.len()))
 }
 
 /// The render, corrected in colour.

@@ -4,6 +4,7 @@
 //! average over views is the mean of the views' values ([`mean_over_views`]), not the value of the mean error.
 
 mod correct;
+pub mod lpips;
 
 use burn::tensor::{Bool, Tensor};
 

@@ -15,6 +15,7 @@ use crate::accuracy::{AccuracyArgs, ModelArgs};
 use crate::background::ShownBackground;
 use crate::device::{self, DeviceName};
 use crate::input::{self, Scene};
+use crate::lpips::LpipsArgs;
 use crate::options::PhotoArgs;
 use crate::output::OutputFolder;
 use crate::pareto::Shot;
@@ -56,6 +57,9 @@ pub struct EvalArgs {
     /// Take photographs as opaque, whatever their alpha channels say; for scenes that were trained without the effect `alpha`
     #[arg(long)]
     pub ignore_alpha: bool,
+    /// Another score.
+    #[command(flatten)]
+    pub lpips: LpipsArgs,
 }
 
 /// What `metrics.json` says under `options`.
@@ -71,6 +75,8 @@ struct Options<'a> {
     ignore_alpha: bool,
     shrink: usize,
     background: String,
+    #[serde(flatten)]
+    lpips: &'a LpipsArgs,
 }
 
 /// Measures, writes everything, and says where it is.
@@ -80,6 +86,7 @@ struct Options<'a> {
 pub fn run(args: &EvalArgs) -> Result<Metrics> {
     let (device, device_name) = args.device.resolve()?;
     let background = args.background.read()?;
+    let lpips = args.lpips.read(&device)?;
     let accuracy = args.accuracy.resolve(&device_name)?;
     let start = Instant::now();
     let capture = input::capture(&args.capture)?;
@@ -111,7 +118,7 @@ pub fn run(args: &EvalArgs) -> Result<Metrics> {
     let render_options = dials.apply(base);
     let photos: Vec<Photograph> = photos.into_iter().map(Photograph::from).collect();
     let start = Instant::now();
-    let scores = report::measure(&splats, &photos, &background, &render_options, &out)?;
+    let scores = report::measure(&splats, &photos, &background, &render_options, lpips.as_ref(), &out)?;
     let eval = seconds_since(start);
     copy_scene(&args.scene, &out)?;
     let options = Options {
@@ -124,6 +131,7 @@ pub fn run(args: &EvalArgs) -> Result<Metrics> {
         ignore_alpha: args.ignore_alpha,
         shrink: args.shrink,
         background: args.background.to_string(),
+        lpips: &args.lpips,
     };
     let metrics = Metrics {
         test: Some(scores),

@@ -53,10 +53,12 @@ mod as_text;
 pub mod device;
 pub mod effects;
 pub mod input;
+pub mod lpips;
 pub mod memory;
 pub mod output;
 pub mod progress;
 pub mod report;
+pub mod snapshots;
 pub mod strategy;
 
 use anyhow::Result;

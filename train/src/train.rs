@@ -21,6 +21,7 @@ use crate::accuracy::{AccuracyArgs, ModelArgs};
 use crate::background::TrainBackground;
 use crate::device::{self, DeviceName};
 use crate::effects::EffectsArg;
+use crate::lpips::LpipsArgs;
 use crate::options::PhotoArgs;
 use crate::progress::VoiceArgs;
 use crate::strategy::StrategyName;
@@ -39,7 +40,7 @@ pub const DEMO_OUT: &str = "out/demo";
 pub const CHECKPOINT_EVERY: usize = 500;
 
 /// What a run that goes on has already: all options but those that say how much is said.
-const OF_A_NEW_RUN: [&str; 30] = [
+const OF_A_NEW_RUN: [&str; 33] = [
     "capture",
     "out",
     "steps",
@@ -67,6 +68,9 @@ const OF_A_NEW_RUN: [&str; 30] = [
     "background",
     "effects",
     "eval_during",
+    "snapshots",
+    "lpips",
+    "lpips_unscaled",
     "check",
     "cache_mb",
     "checkpoint_every",
@@ -161,6 +165,15 @@ pub struct TrainArgs {
     /// Score the scene on a few test views after every N steps, for the curve in report.html and for --json [default: off]
     #[arg(long, value_name = "N", value_parser = RangedU64ValueParser::<usize>::new().range(1..))]
     pub eval_during: Option<usize>,
+    /// With `--eval-during`: keep what each evaluation sees in the folder snapshots of the output folder, at most 100,000 splats and
+    /// four renders each time. `rerun/` shows it in the Rerun viewer, see docs/RERUN.md
+    #[arg(long, requires = "eval_during")]
+    #[serde(default)]
+    pub snapshots: bool,
+    /// Another score.
+    #[command(flatten)]
+    #[serde(default)]
+    pub lpips: LpipsArgs,
     /// How much is said.
     #[command(flatten)]
     #[serde(skip)]

@@ -1,6 +1,6 @@
 use super::*;
 use crate::gaussians::values_of;
-use crate::metrics::LARGEST_PSNR_DB;
+use crate::metrics::{LARGEST_PSNR_DB, lpips};
 use crate::trainer::testing::{HEIGHT, WIDTH, photos, scene};
 
 #[test]
@@ -69,4 +69,36 @@ fn renders_are_clamped_as_a_picture_file_would() {
     })
     .unwrap();
     assert_eq!(largest, 1.0);
+}
+
+#[test]
+fn lpips_is_a_number_or_a_reason() {
+    let device = Device::flex();
+    let mut photos = photos([0.0; 3]);
+    let lpips = lpips::tests::read(&lpips::tests::tensors(lpips::Net::Vgg)).unwrap();
+    let splats = scene(&device).splats();
+    let scores = |photos: &[Photo], lpips| {
+        let each = photos.iter().map(Ok::<_, SplatError>);
+        // Over another background than the photographs, so that they differ.
+        evaluate_each(&splats, each, &Background::Colour([0.5; 3]), &RenderOptions::standard(), lpips, |_, _| {})
+            .unwrap()
+    };
+    let all = scores(&photos, Some(&lpips));
+    let values: Vec<f64> = all.views.iter().map(|view| view.lpips.unwrap()).collect();
+    assert!(values.iter().all(|value| *value > 1e-4), "{values:?}");
+    assert_eq!((all.lpips, all.lpips_missing), (Some(values.iter().sum::<f64>() / 4.0), None));
+    assert_eq!((all.lpips_net.as_deref(), all.lpips_input.as_deref()), (Some("vgg"), Some("-1..1")));
+    // A mask that excludes nothing is none.
+    photos[1].mask = Some(vec![true; WIDTH * HEIGHT]);
+    photos[2].mask = Some((0..WIDTH * HEIGHT).map(|i| i > 3).collect());
+    let some = scores(&photos, Some(&lpips));
+    assert_eq!(some.views.iter().map(|view| view.lpips.is_some()).collect::<Vec<_>>(), [true, true, false, true]);
+    assert_eq!(some.lpips, None);
+    assert!(some.views[2].lpips_missing.as_ref().unwrap().contains("mask"));
+    let reason = some.lpips_missing.unwrap();
+    assert!(reason.contains("1 of 4") && reason.contains("d: a mask"), "{reason}");
+    let none = scores(&photos, None);
+    assert!(none.lpips.is_none() && none.lpips_net.is_none() && none.lpips_missing.unwrap().contains("--lpips"));
+    assert!(none.views.iter().all(|view| view.lpips.is_none() && view.lpips_missing.is_some()));
+    assert_eq!(scores(&[], Some(&lpips)).lpips_missing.as_deref(), Some("there are no views"));
 }

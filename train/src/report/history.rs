@@ -3,6 +3,7 @@
 use std::time::{Duration, Instant};
 
 use serde::{Deserialize, Serialize};
+use splat_model::evaluate::Scores;
 
 /// Points of a run's curve at most, but for the last: enough for a picture, and few enough that reading the loss from a device
 /// costs nothing.
@@ -42,6 +43,9 @@ pub struct Score {
     pub psnr: f64,
     /// Mean SSIM.
     pub ssim: f64,
+    /// Mean LPIPS; null where it was not measured.
+    #[serde(default)]
+    pub lpips: Option<f64>,
     /// How many views that is the mean of.
     pub views: usize,
 }
@@ -108,11 +112,12 @@ impl Recorder {
         point
     }
 
-    /// Keeps a score that was taken after a step and took `pause`, which is no time of training's.
-    pub fn keep_score(&mut self, step: usize, (psnr, ssim): (f64, f64), views: usize, pause: Duration) -> Score {
+    /// Keeps scores that were taken after a step and took `pause`, which is no time of training's.
+    pub fn keep_score(&mut self, step: usize, scores: &Scores, pause: Duration) -> Score {
         // The clock stands still meanwhile; never set beyond now, whatever is said of the pause.
         self.started = (self.started + pause).min(Instant::now());
-        let score = Score { step, seconds: self.seconds(), psnr, ssim, views };
+        let &Scores { psnr, ssim, lpips, ref views, .. } = scores;
+        let score = Score { step, seconds: self.seconds(), psnr, ssim, lpips, views: views.len() };
         self.history.scores.push(score);
         score
     }
@@ -126,6 +131,10 @@ impl Recorder {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// As an earlier version wrote them, of one view.
+    const SCORES: &str = r#"{"psnr": 20.0, "ssim": 0.5, "psnr_corrected": 21.0, "ssim_corrected": 0.6, "views": [
+        {"name": "a.png", "psnr": 20.0, "ssim": 0.5, "psnr_corrected": 21.0, "ssim_corrected": 0.6}]}"#;
 
     fn run(steps: usize, history: History, until: usize) -> History {
         let mut recorder = Recorder::new(steps, history, 0.0);
@@ -164,10 +173,12 @@ mod tests {
         let mut recorder = Recorder::new(9, History::default(), 100.0);
         assert!((100.0..101.0).contains(&recorder.seconds()));
         std::thread::sleep(Duration::from_millis(30));
-        let score = recorder.keep_score(2, (20.0, 0.5), 4, Duration::from_millis(30));
+        let scores: Scores = serde_json::from_str(SCORES).unwrap();
+        let score = recorder.keep_score(2, &scores, Duration::from_millis(30));
+        assert_eq!((score.psnr, score.ssim, score.lpips, score.views), (20.0, 0.5, None, 1));
         assert!((100.0..100.025).contains(&score.seconds), "{score:?}");
         // Nor does it go back.
-        let score = recorder.keep_score(2, (20.0, 0.5), 4, Duration::from_secs(3600));
+        let score = recorder.keep_score(2, &scores, Duration::from_secs(3600));
         assert!(score.seconds >= 100.0, "{score:?}");
         for seconds in [-1.0, f64::NAN, f64::INFINITY] {
             assert!(Recorder::new(9, History::default(), seconds).seconds() < 1.0);
@@ -177,7 +188,7 @@ mod tests {
     #[test]
     fn what_is_written_is_read_again() {
         let mut history = run(3, History::default(), 3);
-        history.scores.push(Score { step: 2, seconds: 0.5, psnr: 20.0, ssim: 0.9, views: 4 });
+        history.scores.push(Score { step: 2, seconds: 0.5, psnr: 20.0, ssim: 0.9, lpips: Some(0.25), views: 4 });
         let text = serde_json::to_string(&history).unwrap();
         assert_eq!(serde_json::from_str::<History>(&text).unwrap(), history);
         history.points[0].loss = f64::NAN;

@@ -6,13 +6,15 @@ use anyhow::Result;
 use burn::tensor::{Device, Tensor};
 use serde::Serialize;
 use splat_model::capture::Photograph;
-use splat_model::evaluate::evaluate;
+use splat_model::evaluate::evaluate_each;
 use splat_model::gaussians::Gaussians;
+use splat_model::metrics::lpips::Lpips;
 use splat_model::trainer::{StepReport, Trainer};
 
 use super::history::{History, Point, Recorder, Score};
 use super::metrics::Metrics;
 use crate::progress::{self, StepProgress};
+use crate::snapshots::Snapshots;
 
 /// Views that are looked at during a run, at most: evenly among those to test on.
 const FEW: usize = 4;
@@ -29,6 +31,17 @@ pub enum Line<'a> {
     Evaluation(Score),
     /// At the end.
     Done { out: String, metrics: &'a Metrics },
+}
+
+/// What a scene is scored on during a run, and what is kept of it.
+#[derive(Clone, Copy)]
+pub struct Evaluation<'a> {
+    pub test: &'a [Photograph],
+    pub device: &'a Device,
+    /// To score with too, if there is one.
+    pub lpips: Option<&'a Lpips>,
+    /// Where renders and scene are kept, if they are.
+    pub snapshots: Option<&'a Snapshots<'a>>,
 }
 
 /// The log of a run.
@@ -71,27 +84,38 @@ impl RunLog {
     ///
     /// # Errors
     /// If a view cannot be rendered.
-    pub fn evaluate(&mut self, trainer: &Trainer, test: &[Photograph], device: &Device) -> Result<()> {
+    pub fn evaluate(&mut self, trainer: &Trainer, evaluation: Evaluation) -> Result<()> {
+        let Evaluation { test, device, lpips, snapshots } = evaluation;
         let start = Instant::now();
         // What smoothing does is in the rows, not in the parameters.
-        let splats = Gaussians::from_rows_apart(&trainer.rows(), device)?.splats();
+        let rows = trainer.rows();
+        let splats = Gaussians::from_rows_apart(&rows, device)?.splats();
         let (background, options) = (trainer.background(), trainer.render_options());
         let every = test.len().div_ceil(FEW).max(1);
-        let (mut psnr, mut ssim, mut views) = (0.0, 0.0, 0);
-        for photo in test.iter().step_by(every) {
-            let photo = photo.pixels()?;
-            let scores = evaluate(&splats, std::slice::from_ref(&*photo), &background, &options, |_, _| ())?;
-            (psnr, ssim, views) = (psnr + scores.psnr, ssim + scores.ssim, views + 1);
-        }
-        let count = f64::from(views.max(1));
-        let mean = (psnr / count, ssim / count);
-        let score = self.recorder.keep_score(trainer.steps_done(), mean, views as usize, start.elapsed());
+        let photos = test.iter().step_by(every).map(|photo| Ok::<_, anyhow::Error>(photo.pixels()?));
+        let taken = snapshots.map(|snapshots| snapshots.after(trainer.steps_done()));
+        let scores = evaluate_each(&splats, photos, &background, &options, lpips, |comparison, _| {
+            if let Some(taken) = &taken {
+                taken.look(comparison);
+            }
+        })?;
+        let kept = taken.map(|taken| taken.keep(&rows, &scores));
+        let score = self.recorder.keep_score(trainer.steps_done(), &scores, start.elapsed());
         self.bar.resume();
+        let perceived = score.lpips.map(|lpips| format!(", {lpips:.4} LPIPS")).unwrap_or_default();
         progress::note(&format!(
-            "step {}: {:.2} dB PSNR, {:.4} SSIM on {views} test views",
-            score.step, mean.0, mean.1
+            "step {}: {:.2} dB PSNR, {:.4} SSIM{perceived} on {} test views",
+            score.step, score.psnr, score.ssim, score.views
         ));
         progress::line(&Line::Evaluation(score));
+        // Not worth a run: a disk that is full now may not be later.
+        let kept = kept.unwrap_or(Ok(())).and_then(|()| match snapshots {
+            Some(snapshots) => snapshots.keep_history(self.recorder.history()),
+            None => Ok(()),
+        });
+        if let Err(error) = kept {
+            progress::note(&format!("the snapshot after step {} is not kept: {error:#}", score.step));
+        }
         Ok(())
     }
 

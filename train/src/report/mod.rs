@@ -15,6 +15,7 @@ use burn::tensor::Tensor;
 use splat_model::capture::Photograph;
 use splat_model::effects::background::Background;
 use splat_model::evaluate::{Scores, evaluate_each};
+use splat_model::metrics::lpips::Lpips;
 use splat_op::{RenderOptions, Splats};
 
 use self::metrics::Metrics;
@@ -34,7 +35,7 @@ pub const POSES: &str = "poses.json";
 /// The folder of pictures.
 pub const VIEWS: &str = "views";
 
-/// Scores a scene on photographs, and writes a picture of each comparison to `views/`.
+/// Scores a scene on photographs, by LPIPS too if there is one, and writes a picture of each comparison to `views/`.
 ///
 /// # Errors
 /// If a view cannot be rendered or a picture not be written.
@@ -43,6 +44,7 @@ pub fn measure(
     photos: &[Photograph],
     background: &Background,
     options: &RenderOptions,
+    lpips: Option<&Lpips>,
     out: &OutputFolder,
 ) -> Result<Scores> {
     let names = pictures::names(photos.iter().map(|photo| photo.name.as_str()), "png");
@@ -50,7 +52,7 @@ pub fn measure(
     let mut written = Ok(());
     let counter = progress::counter("measuring test views", photos.len());
     let pixels = photos.iter().map(|photo| Ok::<_, anyhow::Error>(photo.pixels()?));
-    let scores = evaluate_each(splats, pixels, background, options, |comparison, _| {
+    let scores = evaluate_each(splats, pixels, background, options, lpips, |comparison, _| {
         if let (Ok(()), Some(name)) = (&written, names.next()) {
             written = out.write(Path::new(VIEWS).join(name), |file| pictures::write_comparison(comparison, file));
         }
@@ -86,6 +88,7 @@ pub fn say(metrics: &Metrics, out: &OutputFolder) {
             progress::say(&format!("test: {:.2} dB PSNR, {:.4} SSIM, mean of {count} view{s}", test.psnr, test.ssim));
             let (psnr, ssim) = (test.psnr_corrected, test.ssim_corrected);
             progress::say(&format!("after colour correction: {psnr:.2} dB PSNR, {ssim:.4} SSIM"));
+            progress::say(&format!("LPIPS: {}", perceived(test)));
         }
         None => progress::say("test: none, because `--eval-every 0` holds out no photograph"),
     }
@@ -99,6 +102,16 @@ pub fn say(metrics: &Metrics, out: &OutputFolder) {
     }
     if metrics.test.is_some() {
         progress::say(&format!("pictures (truth | render | error): {}", out.join(VIEWS).display()));
+    }
+}
+
+/// The mean LPIPS and what it is of, or why it was not measured.
+fn perceived(scores: &Scores) -> String {
+    let Scores { lpips, lpips_missing, lpips_net, lpips_input, .. } = scores;
+    let of = |text: &Option<String>| text.clone().unwrap_or_default();
+    match lpips {
+        Some(lpips) => format!("{lpips:.4} (network {}, pixels from {})", of(lpips_net), of(lpips_input)),
+        None => format!("not measured: {}", of(lpips_missing)),
     }
 }
 

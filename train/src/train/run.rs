@@ -23,6 +23,7 @@ use super::{DEMO_OUT, TrainArgs};
 use crate::accuracy::Accuracy;
 use crate::effects::Chosen;
 use crate::input::Wanted;
+use crate::lpips::LpipsArgs;
 use crate::options::PhotoArgs;
 use crate::output::OutputFolder;
 use crate::pareto::Shot;
@@ -31,6 +32,7 @@ use crate::report::log::Line;
 use crate::report::metrics::{Metrics, Seconds, peak_rss_mib, seconds_since};
 use crate::report::page::{self, Page};
 use crate::report::{self, BACKGROUND, METRICS, POSES, REPORT, SCENE, VIEWS};
+use crate::snapshots::{self, Described, Snapshots};
 use crate::view::scene::{ShownScene, Viewpoint};
 use crate::{demo, input};
 
@@ -46,6 +48,8 @@ struct Options<'a> {
     #[serde(flatten)]
     config: &'a TrainConfig,
     check: bool,
+    #[serde(flatten)]
+    lpips: &'a LpipsArgs,
 }
 
 /// Trains, measures, writes everything, and says where it is.
@@ -68,10 +72,12 @@ pub fn run_with(args: &TrainArgs, change: impl FnOnce(Trainer) -> Trainer) -> Re
     let mut config = args.config()?;
     let (device, device_name) = args.device.resolve()?;
     let accuracy = args.accuracy.resolve(&device_name)?;
+    let lpips = args.lpips.read(&device)?;
     let (out, capture, start) = open(&args)?;
     let capture = Arc::new(capture);
     // A run may be gone on with from anywhere.
     args.capture = args.capture.map(|capture| std::path::absolute(&capture).unwrap_or(capture));
+    args.lpips = args.lpips.from_anywhere();
     let (split, photo_args) = args.photos.split(&capture);
     let mut effects = args.effects.choose(&capture, split.require_train()?, args.model.antialias)?;
     effects.configure(&mut config, args.background, args.sh_degree);
@@ -82,7 +88,12 @@ pub fn run_with(args: &TrainArgs, change: impl FnOnce(Trainer) -> Trainer) -> Re
         args.eval_during.is_none() || !test.is_empty(),
         "`--eval-during` scores test views, and `--eval-every 0` holds out none: leave out one of them"
     );
+    ensure!(
+        lpips.is_none() || !test.is_empty(),
+        "`--lpips` is measured on test views, and `--eval-every 0` holds out none: leave out one of them"
+    );
     let train_views = views_of(&capture, &train);
+    let described = args.snapshots.then(|| Described::new(config.steps, &capture, &train, &test));
     let shots: Vec<Shot> = train.iter().map(|photo| Shot::unseen(&photo.intrinsics, &photo.cam_from_world)).collect();
     let base = config.render_options(input::extent(&capture));
     let mut accuracy = Some(accuracy.on((&capture, None, Shot::pixels(&shots)), &base, Work::Train)?);
@@ -106,6 +117,7 @@ pub fn run_with(args: &TrainArgs, change: impl FnOnce(Trainer) -> Trainer) -> Re
     // All that can be wrong with a capture has been found by now: of a run that does not begin nothing is left.
     let checkpoints = Checkpoints::open(out.path(), args.checkpoint_every)?;
     out.sweep(&[VIEWS]);
+    let snapshots = described.map(|described| Snapshots::open(&out, &described, kept.is_none())).transpose()?;
     let so_far = match kept {
         None => {
             checkpoints.begin()?;
@@ -127,8 +139,16 @@ pub fn run_with(args: &TrainArgs, change: impl FnOnce(Trainer) -> Trainer) -> Re
         version: env!("CARGO_PKG_VERSION"),
     });
     let choice = accuracy.filter(|_| !so_far.dials_chosen).map(|accuracy| Choice { accuracy, shots });
-    let steps =
-        Steps { args: &args, capture: &capture, out: &out, test: &test, device: (&device, &device_name), checkpoints };
+    let steps = Steps {
+        args: &args,
+        capture: &capture,
+        out: &out,
+        test: &test,
+        device: (&device, &device_name),
+        lpips: lpips.as_ref(),
+        snapshots: snapshots.as_ref(),
+        checkpoints,
+    };
     let Done { seconds: train, history, checkpoints } = steps.run(&mut trainer, so_far, choice)?;
     config.dials = trainer.config().dials.clone();
     let background = trainer.background();
@@ -151,10 +171,16 @@ pub fn run_with(args: &TrainArgs, change: impl FnOnce(Trainer) -> Trainer) -> Re
     drop(trainer);
 
     let start = Instant::now();
-    let measure = || report::measure(&gaussians.splats(), &test, &background, &render_options, &out);
+    let measure = || report::measure(&gaussians.splats(), &test, &background, &render_options, lpips.as_ref(), &out);
     let test_scores = if test.is_empty() { None } else { Some(measure()?) };
     let eval = seconds_since(start);
-    let options = Options { capture: &capture.folder, photos: &photo_args, config: &config, check: args.check };
+    let options = Options {
+        capture: &capture.folder,
+        photos: &photo_args,
+        config: &config,
+        check: args.check,
+        lpips: &args.lpips,
+    };
     let metrics = Metrics {
         test: test_scores,
         splats: gaussians.len(),
@@ -189,8 +215,13 @@ pub fn run_with(args: &TrainArgs, change: impl FnOnce(Trainer) -> Trainer) -> Re
 /// Prepares the output folder and reads the capture, after making it if none was given.
 fn open(args: &TrainArgs) -> Result<(OutputFolder, Capture, Instant)> {
     let out = args.out.as_deref().unwrap_or(Path::new(DEMO_OUT));
-    let prepare =
-        || OutputFolder::prepare(out, &[SCENE, METRICS, REPORT, BACKGROUND, POSES], &[VIEWS, checkpoints::FOLDER]);
+    let prepare = || {
+        OutputFolder::prepare(
+            out,
+            &[SCENE, METRICS, REPORT, BACKGROUND, POSES],
+            &[VIEWS, checkpoints::FOLDER, snapshots::FOLDER],
+        )
+    };
     match &args.capture {
         Some(folder) => {
             let start = Instant::now();

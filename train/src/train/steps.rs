@@ -5,6 +5,7 @@ use anyhow::{Context, Result};
 use burn::tensor::Device;
 use splat_model::accuracy::Work;
 use splat_model::capture::{Capture, Photograph};
+use splat_model::metrics::lpips::Lpips;
 use splat_model::trainer::Trainer;
 
 use super::TrainArgs;
@@ -14,8 +15,10 @@ use super::stop::{Interrupted, Stop};
 use crate::accuracy::Accuracy;
 use crate::output::OutputFolder;
 use crate::pareto::Shot;
+use crate::progress;
 use crate::report::history::History;
-use crate::report::log::RunLog;
+use crate::report::log::{Evaluation, RunLog};
+use crate::snapshots::Snapshots;
 
 /// With a target for the accuracy: settings are measured after this part of the steps.
 const MEASURED_AFTER: usize = 10;
@@ -33,6 +36,10 @@ pub struct Steps<'a> {
     pub out: &'a OutputFolder,
     pub test: &'a [Photograph],
     pub device: (&'a Device, &'a str),
+    /// To score with during the run, if asked for.
+    pub lpips: Option<&'a Lpips>,
+    /// What to keep of those scores, if asked for.
+    pub snapshots: Option<&'a Snapshots<'a>>,
     pub checkpoints: Checkpoints,
 }
 
@@ -80,14 +87,19 @@ impl Steps<'_> {
                 }
             }
             if self.args.eval_during.is_some_and(|every| trainer.steps_done().is_multiple_of(every)) {
-                log.evaluate(trainer, self.test, self.device.0)?;
+                let (device, lpips, snapshots) = (self.device.0, self.lpips, self.snapshots);
+                log.evaluate(trainer, Evaluation { test: self.test, device, lpips, snapshots })?;
             }
             if self.checkpoints.due_after(trainer.steps_done()) {
                 let so_far = SoFar { seconds: log.seconds(), dials_chosen, history: log.history().clone() };
                 self.checkpoints.try_write(trainer, self.args, &so_far);
             }
         }
-        Ok(Done { seconds: log.seconds(), history: log.finish(), checkpoints: self.checkpoints })
+        let (seconds, history) = (log.seconds(), log.finish());
+        if let Some(Err(error)) = self.snapshots.map(|snapshots| snapshots.keep_history(&history)) {
+            progress::note(&format!("the last curves of the snapshots are not kept: {error:#}"));
+        }
+        Ok(Done { seconds, history, checkpoints: self.checkpoints })
     }
 
     /// Keeps the run as it is, for whoever asked it to stop.

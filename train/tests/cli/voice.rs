@@ -34,7 +34,7 @@ fn a_run_tells_programs_how_it_goes() {
     assert_eq!(keys(progress), ["event", "step", "seconds", "loss", "splats"].into());
     assert!(progress["loss"].as_f64().unwrap() > 0.0 && progress["splats"].as_u64().unwrap() > 100);
     let evaluations: Vec<&Value> = lines.iter().filter(|line| line["event"] == "evaluation").collect();
-    assert_eq!(keys(evaluations[0]), ["event", "step", "seconds", "psnr", "ssim", "views"].into());
+    assert_eq!(keys(evaluations[0]), ["event", "step", "seconds", "psnr", "ssim", "lpips", "views"].into());
     assert_eq!((&evaluations[0]["step"], &evaluations[0]["views"]), (&8.into(), &1.into()));
     let done = lines.last().unwrap();
     assert_eq!(done["metrics"], json(&folder.path().join("metrics.json")));
@@ -61,6 +61,62 @@ fn scores_during_a_run_need_test_views() {
     let run = ["--eval-during", "5", "--eval-every", "0", "--out", text(folder.path())];
     refuse(splat(&TRAIN).arg(DEMO.as_path()).args(run), &["--eval-during", "--eval-every"]);
     assert_eq!(end(splat(&TRAIN).arg(DEMO.as_path()).args(["--eval-during", "0", "--out", "out"])).code, Some(2));
+}
+
+#[test]
+fn snapshots_hold_what_evaluations_saw() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path();
+    // Of an earlier run, with a picture too many, and of nobody.
+    let old = out.join("snapshots/000004");
+    fs::create_dir_all(&old).unwrap();
+    fs::write(old.join("0.png"), "").unwrap();
+    let seen = r#"{"name": "a", "picture": "0.png", "psnr": 1.0, "ssim": 0.5, "lpips": null}"#;
+    fs::write(old.join("snapshot.json"), format!(r#"{{"step": 4, "splats": 1, "shown": 1, "views": [{seen}]}}"#))
+        .unwrap();
+    fs::write(out.join("snapshots/mine.txt"), "kept").unwrap();
+    let run = ["--quiet", "--eval-during", "8", "--snapshots", "--out", text(out)];
+    assert_eq!(succeed(splat(&TRAIN).arg(DEMO.as_path()).args(run)).stderr, "");
+    let steps = [
+        "000008/0.png",
+        "000008/scene.ply",
+        "000008/snapshot.json",
+        "000016/0.png",
+        "000016/scene.ply",
+        "000016/snapshot.json",
+    ];
+    let mut found = std::collections::BTreeSet::new();
+    for step in ["000008", "000016"] {
+        found.extend(files(&out.join("snapshots").join(step)).iter().map(|name| format!("{step}/{name}")));
+    }
+    assert_eq!(found, steps.map(String::from).into());
+    assert!(!old.exists() && out.join("snapshots/mine.txt").exists());
+    let run = json(&out.join("snapshots/run.json"));
+    assert_eq!(keys(&run), ["steps", "origin", "views"].into());
+    let views = run["views"].as_array().unwrap();
+    assert_eq!((&run["steps"], views.len()), (&16.into(), 8));
+    let camera = ["model", "width", "height", "fx", "fy", "cx", "cy", "cam_from_world"];
+    assert_eq!(keys(&views[0]), camera.into_iter().chain(["name", "is_test"]).collect());
+    assert_eq!(views.iter().filter(|view| view["is_test"] == true).count(), 1);
+    let history = json(&out.join("snapshots/history.json"));
+    assert_eq!((history["points"].as_array().unwrap().len(), history["scores"].as_array().unwrap().len()), (16, 2));
+    let snapshot = json(&out.join("snapshots/000016/snapshot.json"));
+    assert_eq!(keys(&snapshot), ["step", "splats", "shown", "views"].into());
+    assert_eq!((&snapshot["step"], &snapshot["shown"]), (&16.into(), &snapshot["splats"]));
+    assert_eq!(
+        (&snapshot["views"][0]["name"], &snapshot["views"][0]["picture"]),
+        (&"0000.png".into(), &"0.png".into())
+    );
+    let scene = fs::read(out.join("snapshots/000016/scene.ply")).unwrap();
+    let header = String::from_utf8_lossy(&scene[..200]);
+    assert!(header.contains(&format!("element vertex {}", snapshot["splats"])), "{header}");
+    let render = image::open(out.join("snapshots/000016/0.png")).unwrap().into_rgb8();
+    let panels = image::open(out.join("views/0000.png")).unwrap().into_rgb8();
+    let middle = |x: u32, y: u32| panels.get_pixel(x + render.width(), y);
+    // The final scene, rendered once more; a level is where roundings differ.
+    let near = |(x, y, pixel): (u32, u32, &image::Rgb<u8>)| (0..3).all(|c| pixel.0[c].abs_diff(middle(x, y).0[c]) <= 1);
+    assert!(render.enumerate_pixels().all(near));
+    assert_eq!(end(splat(&TRAIN).arg(DEMO.as_path()).args(["--snapshots", "--out", "out"])).code, Some(2));
 }
 
 #[test]

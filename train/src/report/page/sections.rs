@@ -6,7 +6,7 @@ use splat_model::evaluate::Scores;
 
 use super::super::html::{escape, table};
 use super::super::metrics::{Metrics, Seconds};
-use super::super::{METRICS, VIEWS};
+use super::super::{METRICS, VIEWS, perceived};
 use super::comparisons::{Comparisons, MOST};
 use crate::effects::Chosen;
 use crate::inspect;
@@ -17,6 +17,7 @@ pub fn summary(metrics: &Metrics) -> String {
     if let Some(test) = &metrics.test {
         tiles.push((format!("{:.2} dB", test.psnr), "PSNR, mean of the test views"));
         tiles.push((format!("{:.4}", test.ssim), "SSIM"));
+        tiles.push((test.lpips.map_or_else(|| "not measured".into(), |lpips| format!("{lpips:.4}")), "LPIPS"));
     }
     tiles.push((metrics.splats.to_string(), "splats"));
     tiles.extend(metrics.steps.map(|steps| (steps.to_string(), "steps")));
@@ -49,6 +50,7 @@ pub fn views(scores: Option<&Scores>, comparisons: &Comparisons) -> String {
         ("view", ""),
         ("PSNR, dB", "number"),
         ("SSIM", "number"),
+        ("LPIPS", "number"),
         ("PSNR after colour correction, dB", "number"),
         ("SSIM after it", "number"),
     ];
@@ -59,10 +61,13 @@ pub fn views(scores: Option<&Scores>, comparisons: &Comparisons) -> String {
             true => format!("<a href=\"#view-{i}\">{name}</a>"),
             false => name,
         };
-        let numbers = [(view.psnr, 2), (view.ssim, 4), (view.psnr_corrected, 2), (view.ssim_corrected, 4)];
-        [name].into_iter().chain(numbers.map(|(value, digits)| format!("{value:.digits$}"))).collect()
+        let number = |value: f64, digits: usize| format!("{value:.digits$}");
+        let lpips = view.lpips.map_or_else(|| "not measured".into(), |lpips| number(lpips, 4));
+        let corrected = [number(view.psnr_corrected, 2), number(view.ssim_corrected, 4)];
+        [name, number(view.psnr, 2), number(view.ssim, 4), lpips].into_iter().chain(corrected).collect()
     });
     let mut text = format!("<section>\n<h2>Test views, the worst first</h2>\n{}", table(&titles, rows));
+    let _ = writeln!(text, "<p>LPIPS: {}.</p>", escape(&perceived(scores)));
     if comparisons.shown.len() < scores.views.len() {
         let (shown, of) = (comparisons.shown.len(), scores.views.len());
         let half = MOST / 2;

@@ -16,11 +16,29 @@ use super::*;
 const NASTY: &str = "</script><script>alert('1 & \"2\"')</script><img src=x onerror=alert(2)>.png";
 
 fn view(name: &str, psnr: f64) -> ViewScore {
-    ViewScore { name: name.into(), psnr, ssim: 0.5, psnr_corrected: psnr + 1.0, ssim_corrected: 0.6 }
+    ViewScore {
+        name: name.into(),
+        psnr,
+        ssim: 0.5,
+        psnr_corrected: psnr + 1.0,
+        ssim_corrected: 0.6,
+        lpips: None,
+        lpips_missing: Some("no <weights>".into()),
+    }
 }
 
 fn metrics(views: Vec<ViewScore>, capture: &str) -> Metrics {
-    let test = Scores { psnr: 20.0, ssim: 0.5, psnr_corrected: 21.0, ssim_corrected: 0.6, views };
+    let test = Scores {
+        psnr: 20.0,
+        ssim: 0.5,
+        psnr_corrected: 21.0,
+        ssim_corrected: 0.6,
+        lpips: None,
+        lpips_missing: Some("no <weights>".into()),
+        lpips_net: None,
+        lpips_input: None,
+        views,
+    };
     Metrics {
         test: (!test.views.is_empty()).then_some(test),
         splats: 3,
@@ -41,7 +59,7 @@ fn history() -> History {
     let point = |step| Point { step, seconds: step as f64, loss: 1.0 / step as f64, splats: 10 * step };
     History {
         points: (1..=9).map(point).collect(),
-        scores: vec![Score { step: 4, seconds: 4.0, psnr: 15.0, ssim: 0.3, views: 2 }],
+        scores: vec![Score { step: 4, seconds: 4.0, psnr: 15.0, ssim: 0.3, lpips: None, views: 2 }],
     }
 }
 

@@ -1,0 +1,154 @@
+//! What `splat train --snapshots` leaves in a run's folder, as `train/src/snapshots.rs` writes it.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, bail};
+use serde::Deserialize;
+use serde::de::DeserializeOwned;
+
+/// A file of JSON is no larger: a camera takes half a kilobyte, a point of a curve a tenth of one.
+const MOST_BYTES: u64 = 256 << 20;
+
+/// `run.json`.
+#[derive(Debug, Deserialize)]
+pub struct Run {
+    /// That the run takes.
+    pub steps: usize,
+    pub views: Vec<View>,
+}
+
+/// A photograph's camera: OpenCV axes, pixel centres at half numbers.
+#[derive(Debug, Deserialize)]
+pub struct View {
+    pub name: String,
+    pub is_test: bool,
+    pub width: usize,
+    pub height: usize,
+    pub fx: f64,
+    pub fy: f64,
+    pub cx: f64,
+    pub cy: f64,
+    pub cam_from_world: [[f64; 4]; 3],
+}
+
+/// `history.json`.
+#[derive(Debug, Default, Deserialize)]
+pub struct History {
+    pub points: Vec<Point>,
+    pub scores: Vec<Score>,
+}
+
+#[derive(Debug, Deserialize)]
+pub struct Point {
+    pub step: usize,
+    /// Of training.
+    pub seconds: f64,
+    /// None where it was not finite.
+    pub loss: Option<f64>,
+    pub splats: usize,
+}
+
+#[derive(Debug, Deserialize)]
+pub struct Score {
+    pub step: usize,
+    pub seconds: f64,
+    pub psnr: Option<f64>,
+    pub ssim: Option<f64>,
+    pub lpips: Option<f64>,
+}
+
+/// `snapshot.json`, and where it is.
+#[derive(Debug, Deserialize)]
+pub struct Snapshot {
+    pub step: usize,
+    pub views: Vec<Seen>,
+    #[serde(skip)]
+    pub folder: PathBuf,
+}
+
+#[derive(Debug, Deserialize)]
+pub struct Seen {
+    pub name: String,
+    /// A file beside `snapshot.json`.
+    pub picture: PathBuf,
+}
+
+impl Snapshot {
+    pub fn scene(&self) -> PathBuf {
+        self.folder.join("scene.ply")
+    }
+
+    /// Of a view.
+    ///
+    /// # Errors
+    /// If it cannot be read, or would be somewhere else.
+    pub fn picture(&self, seen: &Seen) -> Result<Vec<u8>> {
+        if seen.picture.file_name() != Some(seen.picture.as_os_str()) {
+            bail!("{}: {:?} is no file of the snapshot", self.folder.display(), seen.picture);
+        }
+        bytes(&self.folder.join(&seen.picture))
+    }
+}
+
+/// The folder of a run's snapshots.
+pub struct Folder(PathBuf);
+
+impl Folder {
+    /// Of the run whose output folder this is.
+    pub fn of(out: &Path) -> Self {
+        Self(out.join("snapshots"))
+    }
+
+    /// # Errors
+    /// If there is none, or it cannot be read.
+    pub fn run(&self) -> Result<Run> {
+        let remedy = "is this the output folder of a run of `splat train --snapshots`?";
+        json(&self.0.join("run.json")).with_context(|| format!("{}: {remedy}", self.0.display()))
+    }
+
+    /// The curves so far.
+    ///
+    /// # Errors
+    /// If they cannot be read.
+    pub fn history(&self) -> Result<History> {
+        let path = self.0.join("history.json");
+        if path.exists() { json(&path) } else { Ok(History::default()) }
+    }
+
+    /// The snapshots after step `after`, or all, in the order of their steps.
+    ///
+    /// # Errors
+    /// If one cannot be read.
+    pub fn snapshots(&self, after: Option<usize>) -> Result<Vec<Snapshot>> {
+        let entries = fs::read_dir(&self.0).with_context(|| format!("could not list {}", self.0.display()))?;
+        let mut found = Vec::new();
+        for folder in entries.filter_map(|entry| Some(entry.ok()?.path())) {
+            let file = folder.join("snapshot.json");
+            // Written last: without it the snapshot is still being taken, or is none.
+            if !file.exists() {
+                continue;
+            }
+            let snapshot = Snapshot { folder, ..json(&file)? };
+            if after.is_none_or(|after| snapshot.step > after) {
+                found.push(snapshot);
+            }
+        }
+        found.sort_by_key(|snapshot| snapshot.step);
+        Ok(found)
+    }
+}
+
+fn json<T: DeserializeOwned>(path: &Path) -> Result<T> {
+    serde_json::from_slice(&bytes(path)?)
+        .with_context(|| format!("{} is not what `splat train` writes", path.display()))
+}
+
+fn bytes(path: &Path) -> Result<Vec<u8>> {
+    let shown = path.display();
+    let size = fs::metadata(path).with_context(|| format!("could not read {shown}"))?.len();
+    if size > MOST_BYTES {
+        bail!("{shown} is {size} bytes long, expected at most {MOST_BYTES}");
+    }
+    fs::read(path).with_context(|| format!("could not read {shown}"))
+}

@@ -1,0 +1,138 @@
+//! A run as Rerun's entities, on the timelines `step` and `training` (time that training has taken).
+//!
+//! | entity | holds |
+//! |---|---|
+//! | `world/cameras/train/NAME`, `world/cameras/test/NAME` | pinhole and pose of a photograph, for all times |
+//! | `world/cameras/test/NAME/render` | the scene's render of it |
+//! | `world/splats` | splats as points: colour and opacity, and the geometric mean of the standard deviations as radius |
+//! | `curves/loss`, `curves/splats` | of training |
+//! | `test/psnr`, `test/ssim`, `test/lpips` | means over the test views that are looked at during the run |
+
+use anyhow::{Context, Result};
+use re_sdk::{EntityPath, EntityPathPart, RecordingStream};
+use re_sdk_types::archetypes::{EncodedImage, Pinhole, Points3D, Scalars, Transform3D};
+use re_sdk_types::components::{TransformRelation, ViewCoordinates};
+
+use crate::run::{Folder, Run, Snapshot, View};
+
+/// How far it is from a camera to its picture, as a part of how far cameras are apart.
+const FRUSTUM: f64 = 0.2;
+
+/// What was shown of a run already.
+#[derive(Debug, Default)]
+pub struct Shown {
+    points: usize,
+    scores: usize,
+    /// The last snapshot's step.
+    snapshot: Option<usize>,
+}
+
+impl Shown {
+    /// Shows the cameras, which do not change.
+    ///
+    /// # Errors
+    /// If they cannot be logged.
+    pub fn begin(recording: &RecordingStream, run: &Run) -> Result<Self> {
+        let distance = FRUSTUM * spacing(&run.views);
+        for view in &run.views {
+            let path = camera(view.is_test, &view.name);
+            recording.log_static(path.clone(), &pose(view))?;
+            recording.log_static(path, &pinhole(view, distance as f32))?;
+        }
+        Ok(Self::default())
+    }
+
+    /// Shows what is new in the folder, and tells the last step that it knows of.
+    ///
+    /// # Errors
+    /// If a file cannot be read, or is not what `splat train` writes.
+    pub fn update(&mut self, recording: &RecordingStream, folder: &Folder) -> Result<usize> {
+        let history = folder.history()?;
+        for point in history.points.iter().skip(self.points) {
+            at(recording, point.step, Some(point.seconds));
+            scalar(recording, "curves/loss", point.loss)?;
+            scalar(recording, "curves/splats", Some(point.splats as f64))?;
+        }
+        for score in history.scores.iter().skip(self.scores) {
+            at(recording, score.step, Some(score.seconds));
+            for (name, value) in [("psnr", score.psnr), ("ssim", score.ssim), ("lpips", score.lpips)] {
+                scalar(recording, &format!("test/{name}"), value)?;
+            }
+        }
+        (self.points, self.scores) = (history.points.len(), history.scores.len());
+        for taken in folder.snapshots(self.snapshot)? {
+            let seconds = history.scores.iter().find(|score| score.step == taken.step).map(|score| score.seconds);
+            at(recording, taken.step, seconds);
+            snapshot(recording, &taken)?;
+            self.snapshot = Some(taken.step);
+        }
+        Ok(history.points.last().map_or(0, |point| point.step))
+    }
+}
+
+/// What is logged from now on is of this moment.
+fn at(recording: &RecordingStream, step: usize, seconds: Option<f64>) {
+    recording.reset_time();
+    recording.set_time_sequence("step", step as i64);
+    if let Some(seconds) = seconds {
+        recording.set_duration_secs("training", seconds);
+    }
+}
+
+/// Nothing where there is no value: no measurement is no zero.
+fn scalar(recording: &RecordingStream, path: &str, value: Option<f64>) -> Result<()> {
+    if let Some(value) = value {
+        recording.log(path, &Scalars::new([value]))?;
+    }
+    Ok(())
+}
+
+fn snapshot(recording: &RecordingStream, taken: &Snapshot) -> Result<()> {
+    let scene = taken.scene();
+    let points = Points3D::from_file_path(&scene).with_context(|| format!("could not read {}", scene.display()))?;
+    recording.log("world/splats", &points)?;
+    for seen in &taken.views {
+        let path = camera(true, &seen.name).join(&EntityPath::from("render"));
+        recording.log(path, &EncodedImage::from_file_contents(taken.picture(seen)?))?;
+    }
+    Ok(())
+}
+
+/// A name is one part, whatever it holds.
+fn camera(is_test: bool, name: &str) -> EntityPath {
+    let parts = ["world", "cameras", if is_test { "test" } else { "train" }, name];
+    EntityPath::new(parts.map(EntityPathPart::new).to_vec())
+}
+
+fn pose(view: &View) -> Transform3D {
+    let rows = view.cam_from_world;
+    let column = |i: usize| [rows[0][i] as f32, rows[1][i] as f32, rows[2][i] as f32];
+    // Rerun's matrices are columns, and it would take a transform for the other way round.
+    Transform3D::from_translation_mat3x3(column(3), [column(0), column(1), column(2)])
+        .with_relation(TransformRelation::ChildFromParent)
+}
+
+/// Rerun's pixels begin where ours do, at the corner of the first.
+fn pinhole(view: &View, distance: f32) -> Pinhole {
+    let number = |value: f64| value as f32;
+    Pinhole::new([[number(view.fx), 0.0, 0.0], [0.0, number(view.fy), 0.0], [number(view.cx), number(view.cy), 1.0]])
+        .with_resolution([view.width as f32, view.height as f32])
+        .with_camera_xyz(ViewCoordinates::RDF)
+        .with_image_plane_distance(distance)
+}
+
+/// How far cameras are from the nearest other, about: the edge of a cube around all, by the root of their number.
+fn spacing(views: &[View]) -> f64 {
+    let centre = |view: &View| {
+        let rows = view.cam_from_world;
+        [0, 1, 2].map(|i| -(0..3).map(|row| rows[row][i] * rows[row][3]).sum::<f64>())
+    };
+    let centres: Vec<[f64; 3]> = views.iter().map(centre).collect();
+    let extent = |axis: usize| {
+        let along = || centres.iter().map(|centre| centre[axis]);
+        along().fold(f64::MIN, f64::max) - along().fold(f64::MAX, f64::min)
+    };
+    let edge = [0, 1, 2].map(extent).into_iter().fold(0.0, f64::max);
+    let spacing = edge / (views.len() as f64).sqrt();
+    if spacing.is_finite() && spacing > 0.0 { spacing } else { 1.0 }
+}

@@ -1,0 +1,225 @@
+//! The networks as tables, and what follows from them: how many features a picture has, and what pixels one looks at.
+//!
+//! The tables are those of torchvision's `alexnet` and `vgg16` up to their last feature that LPIPS looks at; a layer's number
+//! is its place in torchvision's `features`, where ReLUs and pools count too.
+
+use std::ops::Range;
+
+/// Taps, and with them slices, of either network.
+pub const TAPS: usize = 5;
+
+/// What a feature is made by. Every convolution is followed by a ReLU.
+#[derive(Clone, Copy, Debug)]
+pub enum Layer {
+    /// To so many channels, with a bias.
+    Conv { number: usize, channels: usize, window: Window },
+    /// Greatest value of the window, which does not reach beyond the border.
+    Pool { window: Window },
+}
+
+/// A square window, px of the layer before.
+#[derive(Clone, Copy, Debug)]
+pub struct Window {
+    pub side: usize,
+    pub stride: usize,
+    /// Zeros around the picture.
+    pub padding: usize,
+}
+
+impl Layer {
+    pub fn window(self) -> Window {
+        match self {
+            Self::Conv { window, .. } | Self::Pool { window } => window,
+        }
+    }
+}
+
+/// The network whose features are compared.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Net {
+    /// AlexNet, which the authors of LPIPS recommend for scores.
+    Alex,
+    /// VGG16, which papers on Gaussian splatting quote.
+    Vgg,
+}
+
+/// Layers between two taps: the features after the last are compared.
+pub type Slice = &'static [Layer];
+
+const fn conv(number: usize, channels: usize, side: usize, stride: usize, padding: usize) -> Layer {
+    Layer::Conv { number, channels, window: Window { side, stride, padding } }
+}
+
+const fn pool(side: usize, stride: usize) -> Layer {
+    Layer::Pool { window: Window { side, stride, padding: 0 } }
+}
+
+const ALEX: [Slice; TAPS] = [
+    &[conv(0, 64, 11, 4, 2)],
+    &[pool(3, 2), conv(3, 192, 5, 1, 2)],
+    &[pool(3, 2), conv(6, 384, 3, 1, 1)],
+    &[conv(8, 256, 3, 1, 1)],
+    &[conv(10, 256, 3, 1, 1)],
+];
+
+const VGG: [Slice; TAPS] = [
+    &[conv(0, 64, 3, 1, 1), conv(2, 64, 3, 1, 1)],
+    &[pool(2, 2), conv(5, 128, 3, 1, 1), conv(7, 128, 3, 1, 1)],
+    &[pool(2, 2), conv(10, 256, 3, 1, 1), conv(12, 256, 3, 1, 1), conv(14, 256, 3, 1, 1)],
+    &[pool(2, 2), conv(17, 512, 3, 1, 1), conv(19, 512, 3, 1, 1), conv(21, 512, 3, 1, 1)],
+    &[pool(2, 2), conv(24, 512, 3, 1, 1), conv(26, 512, 3, 1, 1), conv(28, 512, 3, 1, 1)],
+];
+
+impl Net {
+    /// As `lpips.LPIPS(net=…)` calls it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Alex => "alex",
+            Self::Vgg => "vgg",
+        }
+    }
+
+    pub fn slices(self) -> [Slice; TAPS] {
+        match self {
+            Self::Alex => ALEX,
+            Self::Vgg => VGG,
+        }
+    }
+
+    /// The shortest side of a picture that has features at every tap, px.
+    pub fn least_side(self) -> usize {
+        (1..).find(|side| self.features(*side).is_some()).expect("no table makes a picture shorter without end")
+    }
+
+    /// Features along a side of so many pixels, by tap; none if some tap has none.
+    pub fn features(self, side: usize) -> Option<[usize; TAPS]> {
+        let mut length = side;
+        let mut features = [0; TAPS];
+        for (slice, features) in self.slices().into_iter().zip(&mut features) {
+            for Window { side, stride, padding } in slice.iter().map(|layer| layer.window()) {
+                length = (length + 2 * padding).checked_sub(side)? / stride + 1;
+            }
+            *features = length;
+        }
+        Some(features)
+    }
+
+    /// What a feature of each tap looks at.
+    pub fn views(self) -> [View; TAPS] {
+        let mut view = View { stride: 1, before: 0, after: 0 };
+        self.slices().map(|slice| {
+            for Window { side, stride, padding } in slice.iter().map(|layer| layer.window()) {
+                view.before += view.stride * padding;
+                view.after += view.stride * (side - 1 - padding);
+                view.stride *= stride;
+            }
+            view
+        })
+    }
+}
+
+/// Along either side of a picture: feature `i` looks at the pixels from `i · stride − before` to `i · stride + after`, both
+/// included. Those outside the picture are zeros, in the first layer or between layers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct View {
+    pub stride: usize,
+    pub before: usize,
+    pub after: usize,
+}
+
+/// A part of a side, px.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Part {
+    /// Whose features are wanted: those of every tap that begin here, `i · stride` being in it.
+    pub core: Range<usize>,
+    /// What they look at, and what keeps features where they are: its start is a multiple of every stride.
+    pub seen: Range<usize>,
+    /// Whether this is the last part, whose features go on to the side's end.
+    pub is_last: bool,
+}
+
+impl Part {
+    /// Which of the features of `seen` are wanted, of `length` that a tap with this stride has there.
+    pub fn wanted(&self, stride: usize, length: usize) -> Range<usize> {
+        let local = |at: usize| (at / stride - self.seen.start / stride).min(length);
+        local(self.core.start)..if self.is_last { length } else { local(self.core.end) }
+    }
+}
+
+/// Cuts a side into parts of at most `most` pixels, of which each sees all that its features look at. The features that
+/// the network makes of a part are those that it makes of the whole, and every feature is wanted of one part.
+///
+/// # Panics
+/// If `most` is too short to hold more than what lies around a core.
+pub fn parts(net: Net, side: usize, most: usize) -> Vec<Part> {
+    if side <= most {
+        return vec![Part { core: 0..side, seen: 0..side, is_last: true }];
+    }
+    let views = net.views();
+    let grid = views[TAPS - 1].stride;
+    let reach = |of: fn(&View) -> usize| views.iter().map(of).max().unwrap_or_default().next_multiple_of(grid);
+    let (before, after) = (reach(|view| view.before), reach(|view| view.after));
+    let room = most.checked_sub(before + after).map_or(0, |room| room / grid * grid);
+    assert!(room > 0, "parts of {most} px hold no more than what lies around a core: {before} + {after} px");
+    let core = side.div_ceil(side.div_ceil(room)).next_multiple_of(grid);
+    let starts = (0..side).step_by(core);
+    let part = |start: usize| {
+        let end = (start + core).min(side);
+        Part { core: start..end, seen: start.saturating_sub(before)..(end + after).min(side), is_last: end == side }
+    };
+    starts.map(part).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_feature_looks_at_what_is_known_of_it() {
+        // Araujo et al. 2019, "Computing receptive fields of convolutional neural networks": 195 px for AlexNet's last pool,
+        // which is 2 strides of 16 px wider than its last convolution; 212 px for VGG16's, 1 stride wider.
+        let widths = |net: Net| net.views().map(|view| view.before + view.after + 1);
+        assert_eq!(widths(Net::Alex)[4], 195 - 2 * 16);
+        assert_eq!(widths(Net::Vgg), [5, 14, 40, 92, 212 - 16]);
+        assert_eq!(Net::Alex.views().map(|view| view.stride), [4, 8, 16, 16, 16]);
+        assert_eq!(Net::Vgg.views().map(|view| view.stride), [1, 2, 4, 8, 16]);
+    }
+
+    #[test]
+    fn sides_have_as_many_features_as_in_torchvision() {
+        assert_eq!(Net::Alex.features(224), Some([55, 27, 13, 13, 13]));
+        assert_eq!(Net::Vgg.features(224), Some([224, 112, 56, 28, 14]));
+        assert_eq!((Net::Alex.least_side(), Net::Vgg.least_side()), (31, 16));
+        assert_eq!((Net::Alex.features(30), Net::Vgg.features(15), Net::Vgg.features(0)), (None, None, None));
+    }
+
+    #[test]
+    fn parts_want_every_feature_once_and_see_what_it_looks_at() {
+        for net in [Net::Alex, Net::Vgg] {
+            for (side, most) in [(700, 240), (721, 720), (1000, 240), (1007, 256), (3840, 1088), (305, 304)] {
+                let parts = parts(net, side, most);
+                assert!(parts.len() > 1 && parts.iter().all(|part| part.seen.len() <= most), "{parts:?}");
+                let features = net.features(side).unwrap();
+                for (view, count) in net.views().into_iter().zip(features) {
+                    let mut next = 0;
+                    for part in &parts {
+                        let first = part.seen.start / view.stride;
+                        assert_eq!(part.seen.start % view.stride, 0);
+                        let wanted = part.wanted(view.stride, count - first);
+                        assert_eq!(first + wanted.start, next.min(count), "{net:?} {side} {part:?}");
+                        next = first + wanted.end;
+                        for i in wanted.map(|i| first + i) {
+                            let from = (i * view.stride).saturating_sub(view.before);
+                            let to = (i * view.stride + view.after).min(side - 1);
+                            assert!(
+                                part.seen.contains(&from) && part.seen.contains(&to),
+                                "{net:?} {side} {part:?} {i}"
+                            );
+                        }
+                    }
+                    assert_eq!(next, count, "{net:?} {side}");
+                }
+            }
+        }
+    }
+}
