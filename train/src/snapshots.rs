@@ -1,4 +1,4 @@
-//! `--snapshots`: what each evaluation during a run saw, in files for programs that show it. `rerun/` is one.
+//! `--snapshots`: what each evaluation during a run saw, in files for programs that show it. `train/rerun/` is one.
 //!
 //! ```text
 //! snapshots/run.json               all views and the number of steps, once

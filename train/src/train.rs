@@ -166,7 +166,7 @@ pub struct TrainArgs {
     #[arg(long, value_name = "N", value_parser = RangedU64ValueParser::<usize>::new().range(1..))]
     pub eval_during: Option<usize>,
     /// With `--eval-during`: keep what each evaluation sees in the folder snapshots of the output folder, at most 100,000 splats and
-    /// four renders each time. `rerun/` shows it in the Rerun viewer, see docs/RERUN.md
+    /// four renders each time. `train/rerun/` shows it in the Rerun viewer, see docs/RERUN.md
     #[arg(long, requires = "eval_during")]
     #[serde(default)]
     pub snapshots: bool,
