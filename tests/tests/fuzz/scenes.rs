@@ -7,7 +7,7 @@ use std::path::PathBuf;
 use flate2::Compression;
 use flate2::read::GzDecoder;
 use flate2::write::GzEncoder;
-use splat_model::formats::{self, Format, Scene};
+use splat_model::formats::{self, Format, FormatError, Scene};
 use splat_model::gaussians::GaussianRows;
 
 use super::engine::{Target, folder};
@@ -150,7 +150,11 @@ impl Target for Scenes {
             Err(error) => {
                 let message = error.to_string();
                 judge_message(&message, &self.folder)?;
-                Ok(shape(&message, &self.folder))
+                Ok(match error {
+                    // Whatever it begins with instead.
+                    FormatError::Unknown { .. } => "unknown".into(),
+                    _ => shape(&message, &self.folder),
+                })
             }
         }
     }

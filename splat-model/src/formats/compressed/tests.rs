@@ -2,6 +2,7 @@ use std::fs;
 
 use glam::{DVec3, Vec3};
 use proptest::prelude::*;
+use proptest::strategy::ValueTree;
 use tempfile::TempDir;
 
 use super::row::Ranges;
@@ -107,7 +108,7 @@ fn what_is_missing_is_named() {
     let head = "ply\nformat binary_little_endian 1.0\n";
     let whole =
         format!("{head}element chunk 1\n{chunk}element vertex 1\n{packed}element sh 1\n{}end_header\n", levels(9));
-    let mut read = |header: &str| {
+    let read = |header: &str| {
         fs::write(&path, [header.as_bytes(), &[0; 97]].concat()).unwrap();
         formats::read(&path).map(|(scene, _)| scene.rows).map_err(|error| error.to_string())
     };
