@@ -78,7 +78,7 @@ fn quiet_says_nothing_but_errors() {
 fn shells_get_completions() {
     for shell in ["bash", "zsh", "fish", "elvish", "powershell"] {
         let script = succeed(&mut splat(&["completions", shell])).stdout;
-        for part in ["splat", "train", "max-side", "hard-cases", "convert", "compressed-ply"] {
+        for part in ["splat", "train", "max-side", "hard-cases", "convert"] {
             assert!(script.contains(part), "{shell}: {part}");
         }
     }

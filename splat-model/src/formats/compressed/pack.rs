@@ -24,7 +24,7 @@ fn most(bits: u32) -> f64 {
 
 /// A share of a range, 0 to 1, in so many bits.
 fn level(share: f64, bits: u32) -> u32 {
-    // The cast clamps, and takes NaN for 0.
+    // The cast clamps from below.
     (share * most(bits)).round().min(most(bits)) as u32
 }
 

@@ -170,7 +170,7 @@ fn headers_are_not_believed() {
     four(1, 4, 32, "4 streams");
     four(1, 5, 31, "byte 31");
     four(1, 5, u32::MAX, "byte 4294967295");
-    four(1, 5, 140, "byte 140");
+    four(1, 5, 141, "byte 141");
     four(1, 5, 32, "positions of 0 bytes");
     four(u32::MAX, 5, 32, "4294967295 Gaussians");
     refuse(b"NGSP\x05\0\0\0", "header");
