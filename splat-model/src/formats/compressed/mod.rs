@@ -6,7 +6,7 @@
 //!
 //! | element | property | holds |
 //! |---|---|---|
-//! | `chunk`, a row for each 256 | `min_x` … `max_z`, `min_scale_x` … `max_scale_z`, `min_r` … `max_b` (`float`) | the chunk's smallest and largest centre, logarithm of the standard deviation, and colour `0.5 + 0.28209479 f_dc`; files without colours mean 0 to 1 |
+//! | `chunk`, a row for each 256 | `min_x` … `max_z`, `min_scale_x` … `max_scale_z`, `min_r` … `max_b` (`float`) | the chunk's smallest and largest centre, logarithm of the standard deviation, and colour `0.5 + 0.28209479 f_dc`; logarithms are written within ±20; files without colours mean 0 to 1 |
 //! | `vertex` | `packed_position` (`uint`) | `x` 11 bits, `y` 10, `z` 11, from the highest bit on: 0 is the chunk's smallest, all ones its largest |
 //! | | `packed_rotation` | 2 bits for which of `w x y z` is the largest, then 10 bits for each other from −√½ to √½ |
 //! | | `packed_scale` | as the position |

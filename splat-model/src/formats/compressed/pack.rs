@@ -14,6 +14,10 @@ const POSITION: usize = 0;
 const SCALE: usize = 6;
 const COLOUR: usize = 12;
 
+/// Logarithms of standard deviations are taken within ± this, as `splat-transform` has it: one that is all but zero would take the
+/// bits from a whole chunk.
+const SCALE_MAX: f32 = 20.0;
+
 /// Steps of a higher coefficient from −4 to 4.
 const STEPS: f64 = 256.0;
 
@@ -52,7 +56,10 @@ impl Ranges {
             ranges[at + 3..at + 6].copy_from_slice(&high);
         };
         span(POSITION, &mut rows.means[of.clone()].iter().copied());
-        span(SCALE, &mut rows.log_scales[of.clone()].iter().copied());
+        span(
+            SCALE,
+            &mut rows.log_scales[of.clone()].iter().map(|scale| scale.map(|log| log.clamp(-SCALE_MAX, SCALE_MAX))),
+        );
         span(COLOUR, &mut rows.sh_dc[of].iter().map(colour));
         Self(ranges)
     }

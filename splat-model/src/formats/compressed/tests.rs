@@ -83,18 +83,34 @@ fn no_degree_four_and_neighbours_together() {
 fn one_place_is_no_reason_to_divide_by_zero() {
     let mut rows = GaussianRows::default();
     let one = GaussianRows {
-        means: vec![[1e20, -3.0, 0.0]],
+        means: vec![[1e9, -3.0, 0.0]],
         rotations: vec![[-1.0, 0.0, 0.0, 0.0]],
-        log_scales: vec![[-40.0, 0.0, 3.0]],
+        log_scales: vec![[-18.0, 0.0, 3.0]],
         logit_opacities: vec![50.0],
         sh_dc: vec![[7.0; 3]],
         ..GaussianRows::default()
     };
     (0..3).for_each(|_| rows.push(&one, 0));
     let (written, read) = round_trip(&rows);
-    assert_eq!(read.means, written.means);
-    assert_eq!(read.log_scales, written.log_scales);
+    assert_eq!((read.len(), &read.means, &read.log_scales), (3, &written.means, &written.log_scales));
     assert_within_bits(&written, &read);
+}
+
+/// A Gaussian whose size has gone to nothing leaves the others theirs.
+#[test]
+fn sizes_beyond_all_bounds_take_no_bits_from_others() {
+    let mut runner = proptest::test_runner::TestRunner::deterministic();
+    let mut rows = rows(50, 0, 1.0).new_tree(&mut runner).unwrap().current();
+    rows.log_scales[7] = [-1e30, 80.0, -3e4];
+    let (written, read) = round_trip(&rows);
+    let odd = written.log_scales.iter().position(|scale| *scale == rows.log_scales[7]).unwrap();
+    assert_eq!(read.log_scales[odd], [-20.0, 20.0, -20.0]);
+    for i in (0..50).filter(|i| *i != odd) {
+        for axis in 0..3 {
+            let difference = (read.log_scales[i][axis] - written.log_scales[i][axis]).abs();
+            assert!(difference < 0.5 * 40.0 / 1023.0, "{difference}");
+        }
+    }
 }
 
 /// A header and rows by hand; what it asks for is not there, or not as it should be.
