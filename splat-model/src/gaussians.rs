@@ -1,7 +1,7 @@
 //! The scene: Gaussians with unconstrained parameters, as a Burn module.
 
 use burn::module::{Module, Param};
-use burn::tensor::{Device, Tensor, TensorData, activation::sigmoid};
+use burn::tensor::{Device, Tensor, TensorData, activation};
 use rayon::prelude::*;
 use splat_op::{Colour, RawSplats, Splats, activate};
 use thiserror::Error;
@@ -268,7 +268,7 @@ impl Gaussians {
             matte: self.sh_matte.as_ref().map(Param::val),
         };
         // As in `scales`.
-        activate::opacities(&raw).unwrap_or_else(|_| sigmoid(raw.logit_opacities))
+        activate::opacities(&raw).unwrap_or_else(|_| activation::sigmoid(raw.logit_opacities))
     }
 
     /// The Gaussians with activated parameters, tracked as the parameters are. Unusable ones are masked, see
@@ -311,6 +311,11 @@ fn tensor<const D: usize>(values: &[f32], shape: [usize; D], device: &Device) ->
 pub(crate) fn values_of<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
     let data = tensor.into_data().convert::<f32>();
     data.try_into_vec().expect("converted to f32 in the line above")
+}
+
+/// The logistic function in f64: the opacity of a logit.
+pub(crate) fn sigmoid(logit: f32) -> f64 {
+    (1.0 + (-f64::from(logit)).exp()).recip()
 }
 
 fn rows_of<const W: usize>(tensor: Tensor<2>) -> Vec<[f32; W]> {

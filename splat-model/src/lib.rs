@@ -1,7 +1,7 @@
 //! Gaussian scenes as ordinary Burn tensor code: captures, model, losses, optimiser, densification, metrics, formats.
 //!
 //! Photographs and points go in ([`capture`]), a [`Trainer`](trainer::Trainer) makes steps, and a scene comes out
-//! ([`gaussians`], [`ply`]). A run in small, on photographs that it takes itself; [`Capture::load`](capture::Capture::load) and
+//! ([`gaussians`], [`ply`], [`formats`]). A run in small, on photographs that it takes itself; [`Capture::load`](capture::Capture::load) and
 //! [`load_all`](capture::load_all) read those of a folder.
 //!
 //! ```
@@ -66,6 +66,7 @@ pub mod capture;
 pub mod density;
 pub mod effects;
 pub mod evaluate;
+pub mod formats;
 pub mod gaussians;
 pub mod init;
 mod json;
@@ -73,6 +74,7 @@ pub mod loss;
 pub mod metrics;
 pub mod optim;
 pub mod ply;
+mod replace;
 pub mod state;
 pub mod trainer;
 

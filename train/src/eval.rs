@@ -9,6 +9,7 @@ use anyhow::{Context, Result};
 use serde::Serialize;
 use splat_model::accuracy::{Setting, Work};
 use splat_model::capture::{Photo, Photograph};
+use splat_model::formats;
 use splat_op::{Colour, Intrinsics};
 
 use crate::accuracy::{AccuracyArgs, ModelArgs};
@@ -27,7 +28,7 @@ use crate::report::{self, METRICS, SCENE, VIEWS};
 pub struct EvalArgs {
     /// Folder with `images/` and COLMAP's `sparse/0/`, or with `transforms.json` or `transforms_train.json`
     pub capture: PathBuf,
-    /// The scene, a PLY file in the layout of the original 3D Gaussian splatting code
+    /// The scene: PLY, compressed PLY or SPZ
     #[arg(long, value_name = "FILE")]
     pub scene: PathBuf,
     /// Folder for metrics.json, views/ and a copy of the scene
@@ -110,7 +111,8 @@ pub fn run(args: &EvalArgs) -> Result<Metrics> {
     }
     let shots: Vec<Shot> = photos.iter().map(Shot::from).collect();
     let accuracy = accuracy.on((&capture, Some(&rows), Shot::pixels(&shots)), &base, Work::Render)?;
-    let out = OutputFolder::prepare(&args.out, &[SCENE, METRICS], &[VIEWS])?;
+    let scene_name = scene_name(&args.scene)?;
+    let out = OutputFolder::prepare(&args.out, &[&scene_name, METRICS], &[VIEWS])?;
     let Scene { splats, unusable } = Scene::new(&rows, &device)?;
     let load = seconds_since(start);
 
@@ -120,7 +122,7 @@ pub fn run(args: &EvalArgs) -> Result<Metrics> {
     let start = Instant::now();
     let scores = report::measure(&splats, &photos, &background, &render_options, lpips.as_ref(), &out)?;
     let eval = seconds_since(start);
-    copy_scene(&args.scene, &out)?;
+    copy_scene(&args.scene, &scene_name, &out)?;
     let options = Options {
         capture: &args.capture,
         scene: &args.scene,
@@ -151,17 +153,23 @@ pub fn run(args: &EvalArgs) -> Result<Metrics> {
         version: env!("CARGO_PKG_VERSION"),
     };
     report::finish(&metrics, &out)?;
-    report::say(&metrics, &out);
+    report::say(&metrics, &scene_name, &out);
     Ok(metrics)
 }
 
+/// What the scene's copy is called: as a run calls its scene, but for its format.
+fn scene_name(scene: &Path) -> Result<String> {
+    let stem = SCENE.trim_end_matches(".ply");
+    Ok(format!("{stem}{}", formats::detect(scene)?.extension()))
+}
+
 /// Puts the scene beside its scores, byte for byte, unless it is there already.
-fn copy_scene(scene: &Path, out: &OutputFolder) -> Result<()> {
+fn copy_scene(scene: &Path, name: &str, out: &OutputFolder) -> Result<()> {
     let same = |target: PathBuf| Some(fs::canonicalize(target).ok()? == fs::canonicalize(scene).ok()?);
-    if same(out.join(SCENE)).unwrap_or(false) {
+    if same(out.join(name)).unwrap_or(false) {
         return Ok(());
     }
-    out.write(SCENE, |file| {
+    out.write(name, |file| {
         io::copy(&mut File::open(scene)?, file)?;
         Ok(())
     })

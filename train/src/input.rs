@@ -9,9 +9,9 @@ use burn::tensor::Device;
 use splat_model::capture::image::{load, load_all};
 use splat_model::capture::{Capture, CaptureError, Photo, Photograph};
 use splat_model::effects::masks;
+use splat_model::formats;
 use splat_model::gaussians::{GaussianRows, Gaussians};
 use splat_model::optim::scene_extent;
-use splat_model::ply;
 use splat_op::Splats;
 
 use crate::progress;
@@ -166,11 +166,23 @@ pub fn scene(path: &Path, capture: &Capture, device: &Device) -> Result<Scene> {
 /// # Errors
 /// Those of [`scene`].
 pub fn rows(path: &Path, capture: &Capture) -> Result<GaussianRows> {
-    let (mut rows, origin) = ply::read(path).context("cannot read the scene that `--scene` names")?;
+    let (scene, _) = formats::read(path).context("cannot read the scene that `--scene` names")?;
+    let formats::Scene { mut rows, origin, antialiased } = scene;
     ensure!(!rows.is_empty(), "{} holds no Gaussian: name a scene that was trained with `--scene`", path.display());
     move_means(&mut rows, (origin - capture.origin).to_array());
     progress::note_unusable(path, rows.unusable(), rows.len());
+    note_antialiased(path, antialiased);
     Ok(rows)
+}
+
+/// Says that a scene should be shown with antialiasing, if its file says so.
+pub fn note_antialiased(scene: &Path, antialiased: bool) {
+    if antialiased {
+        progress::note(&format!(
+            "{}: trained with antialiasing, its file says: show it with `--antialias`",
+            scene.display()
+        ));
+    }
 }
 
 /// Adds `capture_from_scene` to every position, in f64.

@@ -36,6 +36,7 @@
 pub mod options;
 
 pub mod background;
+pub mod convert;
 pub mod demo;
 pub mod devices;
 pub mod eval;
@@ -79,6 +80,7 @@ pub fn run(command: &Command) -> Result<()> {
         Command::Render(args) => render::run(args).map(drop),
         Command::Demo(args) => demo::run(args),
         Command::View(args) => view::run(args),
+        Command::Convert(args) => convert::run(args),
         Command::Inspect(args) => inspect::run(args),
         Command::Effects(args) => gains::run(args),
         Command::HardCases(args) => hard_cases::run(args),

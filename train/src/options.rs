@@ -5,6 +5,7 @@ use clap::{Parser, Subcommand, value_parser};
 use serde::{Deserialize, Serialize};
 use splat_model::capture::{Capture, Split};
 
+use crate::convert::ConvertArgs;
 use crate::demo::DemoArgs;
 use crate::eval::EvalArgs;
 use crate::gains::GainsArgs;
@@ -45,6 +46,8 @@ pub enum Command {
     Render(RenderArgs),
     /// Show a scene in the browser, from a server for this machine alone
     View(ViewArgs),
+    /// Write a scene in another format, and say what that loses
+    Convert(ConvertArgs),
     /// Say what a capture shows, which effects it calls for, and what they would cost
     Inspect(InspectArgs),
     /// Write the demo capture: a small ray-traced scene as a COLMAP folder

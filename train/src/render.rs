@@ -33,7 +33,7 @@ const NAMES_LISTED: usize = 5;
 /// Options of `splat render`.
 #[derive(Clone, Debug, clap::Args)]
 pub struct RenderArgs {
-    /// The scene, a PLY file in the layout of the original 3D Gaussian splatting code
+    /// The scene: PLY, compressed PLY or SPZ
     #[arg(long, value_name = "FILE")]
     pub scene: PathBuf,
     /// Capture whose cameras to render; its pictures are not needed, unless only they tell their sizes

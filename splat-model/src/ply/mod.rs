@@ -1,5 +1,5 @@
 //! Scenes as PLY files, in the layout of the original 3D Gaussian splatting code (Kerbl et al. 2023), which every
-//! splat viewer opens.
+//! splat viewer opens. [`crate::formats`] also reads compressed ones.
 //!
 //! The element `vertex` holds one row of float properties per Gaussian: `x y z` (scene units), `nx ny nz` (always 0),
 //! `f_dc_0..2`, `f_rest_0..` (all coefficients of red, then green, then blue), `opacity` (logit), `scale_0..2`
@@ -26,8 +26,12 @@ pub use points::read_points;
 pub use read::read;
 pub use write::{write, write_to};
 
+// For the compressed layout, which is a PLY file too.
+pub(crate) use read::{Input, brief, origin, read_from, require, vertex};
+pub(crate) use write::{check, origin_comment};
+
 /// The element that holds the Gaussians.
-const VERTEX: &str = "vertex";
+pub(crate) const VERTEX: &str = "vertex";
 
 /// What the comment that carries the origin begins with.
 const ORIGIN_COMMENT: &str = "splat origin ";
@@ -73,7 +77,7 @@ pub enum PlyError {
     /// `vertex` lacks a property that a Gaussian or a point needs.
     #[error(
         "{path}: element `vertex` has no property `{property}`, found {found}; \
-         export a scene uncompressed in the original 3D Gaussian splatting layout, and points with `x`, `y` and `z`",
+         export a scene in the original 3D Gaussian splatting layout, and points with `x`, `y` and `z`",
         path = path.display()
     )]
     MissingProperty {

@@ -24,11 +24,17 @@ const MAX_HEADER_BYTES: u64 = 1 << 20;
 /// A [`PlyError`] for every file that is not a complete scene in the layout of [this module](super). Memory is bounded
 /// by a small multiple of the file's true size, whatever its header claims.
 pub fn read(path: &Path) -> Result<(GaussianRows, DVec3), PlyError> {
-    let (mut input, header) = Input::open(path)?;
-    let origin = origin(path, &header)?;
-    let vertex = vertex(path, &header)?;
+    let (input, header) = Input::open(path)?;
+    read_from(input, &header)
+}
+
+/// The same from a file whose header has been read.
+pub(crate) fn read_from(mut input: Input, header: &Header) -> Result<(GaussianRows, DVec3), PlyError> {
+    let path = input.path;
+    let origin = origin(path, header)?;
+    let vertex = vertex(path, header)?;
     let degree = check_properties(path, vertex)?;
-    input.begin(&header)?;
+    input.begin(header)?;
     let mut rows = empty_rows(vertex.count, degree);
     input.each_row(vertex, header.encoding, |_, row: Row| {
         row.push_to(&mut rows);
@@ -37,12 +43,12 @@ pub fn read(path: &Path) -> Result<(GaussianRows, DVec3), PlyError> {
     Ok((rows, origin))
 }
 
-fn io_error(path: &Path, action: &'static str, source: io::Error) -> PlyError {
+pub(crate) fn io_error(path: &Path, action: &'static str, source: io::Error) -> PlyError {
     PlyError::Io { path: path.to_path_buf(), action, source }
 }
 
 /// A file whose header has been read.
-pub(super) struct Input<'a> {
+pub(crate) struct Input<'a> {
     path: &'a Path,
     reader: BufReader<File>,
     /// What follows the header.
@@ -64,9 +70,34 @@ impl<'a> Input<'a> {
     /// Passes over what stands before the vertices. Refuses a header that claims more rows than there are bytes, before
     /// anybody reserves memory for them.
     pub fn begin(&mut self, header: &Header) -> Result<(), PlyError> {
-        check_size(self.path, header, self.payload_bytes)?;
+        self.check_size(header, VERTEX)?;
         for element in header.elements.values().take_while(|element| element.name != VERTEX) {
             self.skip(element, header)?;
+        }
+        Ok(())
+    }
+
+    /// Refuses a header whose rows, up to those of the element `last`, do not fit in the file: before memory is reserved for
+    /// them.
+    pub fn check_size(&self, header: &Header, last: &str) -> Result<(), PlyError> {
+        let mut needed = 0_u64;
+        for element in header.elements.values() {
+            let row_bytes = least_row_bytes(element, header.encoding);
+            needed = needed.saturating_add(row_bytes.saturating_mul(element.count as u64));
+            // The last line of an ascii file need not be ended.
+            let slack = u64::from(header.encoding == Encoding::Ascii);
+            if needed > self.payload_bytes.saturating_add(slack) {
+                return Err(PlyError::TooManyRows {
+                    path: self.path.to_path_buf(),
+                    element: brief(&element.name),
+                    rows: element.count,
+                    needed,
+                    found: self.payload_bytes,
+                });
+            }
+            if element.name == last {
+                break;
+            }
         }
         Ok(())
     }
@@ -99,8 +130,8 @@ impl<'a> Input<'a> {
         }
     }
 
-    /// Passes over an element that stands before the Gaussians.
-    fn skip(&mut self, element: &ElementDef, header: &Header) -> Result<(), PlyError> {
+    /// Passes over an element.
+    pub fn skip(&mut self, element: &ElementDef, header: &Header) -> Result<(), PlyError> {
         // In binary such rows take no space, and there may be 2⁶⁴ of them to step through.
         if element.properties.is_empty() && header.encoding != Encoding::Ascii {
             return Ok(());
@@ -112,7 +143,7 @@ impl<'a> Input<'a> {
         skipped.map(drop).map_err(|error| self.row_error(element, row, &error))
     }
 
-    /// Reads the vertices, and gives `take` each with its number, from 0.
+    /// Reads the rows of an element that has no lists, and gives `take` each with its number, from 0.
     pub fn each_row<R: PropertyAccess>(
         &mut self,
         vertex: &ElementDef,
@@ -174,7 +205,7 @@ impl<'a> Input<'a> {
 
 /// The parser quotes whole lines over several lines, whatever they hold; messages stay readable on one, and terminals as they
 /// are.
-fn brief(message: &str) -> String {
+pub(crate) fn brief(message: &str) -> String {
     const MAX_CHARS: usize = 240;
     let words: Vec<&str> = message.split_whitespace().collect();
     let mut text: String = words.join(" ").chars().map(|c| if c.is_control() { '\u{fffd}' } else { c }).collect();
@@ -212,7 +243,7 @@ fn parse_header(path: &Path, text: &[u8]) -> Result<Header, PlyError> {
     Ok(header)
 }
 
-fn origin(path: &Path, header: &Header) -> Result<DVec3, PlyError> {
+pub(crate) fn origin(path: &Path, header: &Header) -> Result<DVec3, PlyError> {
     let Some(text) = header.comments.iter().find_map(|comment| comment.trim().strip_prefix(ORIGIN_COMMENT)) else {
         return Ok(DVec3::ZERO);
     };
@@ -224,7 +255,7 @@ fn origin(path: &Path, header: &Header) -> Result<DVec3, PlyError> {
     }
 }
 
-pub(super) fn vertex<'a>(path: &Path, header: &'a Header) -> Result<&'a ElementDef, PlyError> {
+pub(crate) fn vertex<'a>(path: &Path, header: &'a Header) -> Result<&'a ElementDef, PlyError> {
     header
         .elements
         .get(VERTEX)
@@ -242,7 +273,7 @@ fn quoted<'a>(names: impl Iterator<Item = &'a String>) -> String {
 }
 
 /// Refuses lists, and vertices without one of these properties.
-pub(super) fn require(path: &Path, vertex: &ElementDef, properties: &[&str]) -> Result<(), PlyError> {
+pub(crate) fn require(path: &Path, vertex: &ElementDef, properties: &[&str]) -> Result<(), PlyError> {
     let path_buf = || path.to_path_buf();
     if let Some(list) = vertex.properties.values().find(|p| matches!(p.data_type, PropertyType::List(..))) {
         return Err(PlyError::ListProperty { path: path_buf(), property: brief(&list.name) });
@@ -270,30 +301,6 @@ fn check_properties(path: &Path, vertex: &ElementDef) -> Result<usize, PlyError>
         }
         None => Ok(degree),
     }
-}
-
-/// Refuses a header whose rows do not fit in the file, before memory is reserved for them.
-fn check_size(path: &Path, header: &Header, payload_bytes: u64) -> Result<(), PlyError> {
-    let mut needed = 0_u64;
-    for element in header.elements.values() {
-        let row_bytes = least_row_bytes(element, header.encoding);
-        needed = needed.saturating_add(row_bytes.saturating_mul(element.count as u64));
-        // The last line of an ascii file need not be ended.
-        let slack = u64::from(header.encoding == Encoding::Ascii);
-        if needed > payload_bytes.saturating_add(slack) {
-            return Err(PlyError::TooManyRows {
-                path: path.to_path_buf(),
-                element: brief(&element.name),
-                rows: element.count,
-                needed,
-                found: payload_bytes,
-            });
-        }
-        if element.name == VERTEX {
-            break;
-        }
-    }
-    Ok(())
 }
 
 /// What a row takes at the very least, bytes.

@@ -17,6 +17,7 @@ mod engine;
 mod json;
 mod mutate;
 mod regressions;
+mod scenes;
 mod seeds;
 mod split;
 mod targets;
@@ -28,6 +29,11 @@ static ALLOCATOR: allocations::Counting = allocations::Counting;
 #[test]
 fn ply() {
     engine::fuzz(&mut targets::Ply::new("ply"));
+}
+
+#[test]
+fn scenes() {
+    engine::fuzz(&mut scenes::Scenes::new("scenes"));
 }
 
 #[test]

@@ -60,7 +60,7 @@ pub const VIEWS_BRIEFLY: usize = 2;
 pub struct ParetoArgs {
     /// Folder with `images/` and COLMAP's `sparse/0/`, or with `transforms.json` or `transforms_train.json`
     pub capture: PathBuf,
-    /// The scene, a PLY file in the layout of the original 3D Gaussian splatting code
+    /// The scene: PLY, compressed PLY or SPZ
     #[arg(long, value_name = "FILE")]
     pub scene: PathBuf,
     /// Folder for pareto.md, pareto.csv, pareto.json and the plots

@@ -207,7 +207,7 @@ pub fn run_with(args: &TrainArgs, change: impl FnOnce(Trainer) -> Trainer) -> Re
     };
     page.write(&out)?;
     checkpoints.finish();
-    report::say(&metrics, &out);
+    report::say(&metrics, SCENE, &out);
     progress::line(&Line::Done { out: out.path().display().to_string(), metrics: &metrics });
     Ok(metrics)
 }

@@ -7,18 +7,18 @@ pub mod server;
 use std::path::PathBuf;
 
 use anyhow::{Context, Result};
-use splat_model::ply;
+use splat_model::formats;
 
 use self::page::{Source, Viewer};
 use self::scene::ShownScene;
 use self::server::{Page, Server};
-use crate::progress;
 use crate::report::html::escape;
+use crate::{input, progress};
 
 /// Options of `splat view`.
 #[derive(Clone, Debug, clap::Args)]
 pub struct ViewArgs {
-    /// The scene, a PLY file in the layout of the original 3D Gaussian splatting code
+    /// The scene: PLY, compressed PLY or SPZ
     pub scene: PathBuf,
     /// Port of 127.0.0.1 to serve on; 0 takes any that is free
     #[arg(long, value_name = "P", default_value_t = 0)]
@@ -44,7 +44,9 @@ pub fn run(args: &ViewArgs) -> Result<()> {
 /// All that there is to ask for.
 fn pages(args: &ViewArgs) -> Result<[Page; 2]> {
     const SCENE: &str = "/scene.ply";
-    let (rows, _) = ply::read(&args.scene).context("cannot read the scene")?;
+    let (scene, _) = formats::read(&args.scene).context("cannot read the scene")?;
+    input::note_antialiased(&args.scene, scene.antialiased && !args.antialias);
+    let rows = scene.rows;
     progress::note_unusable(&args.scene, rows.unusable(), rows.len());
     let scene = ShownScene::new(&rows, usize::MAX)
         .with_context(|| format!("{} cannot be shown: name another scene", args.scene.display()))?;

@@ -41,16 +41,16 @@ fn browser() -> Option<PathBuf> {
 }
 
 /// What became of a page.
-struct Seen {
+pub struct Seen {
     /// What the page in the frame said of itself, as JSON.
-    state: serde_json::Value,
+    pub state: serde_json::Value,
     /// Lines that the browser's console was given.
-    console: Vec<String>,
-    picture: RgbImage,
+    pub console: Vec<String>,
+    pub picture: RgbImage,
 }
 
 /// A page to look at.
-enum Page {
+pub enum Page {
     File(PathBuf),
     /// From here on only the test asks the server, for the browser.
     Served(Serving),
@@ -70,7 +70,7 @@ fn harness(page: &str, gate: &str, script: &str) -> String {
 }
 
 /// Loads a page into a frame and looks. `script` may do something to it before: its `page` is the page's document.
-fn look(name: &str, page: Page, script: &str) -> Option<Seen> {
+pub fn look(name: &str, page: Page, script: &str) -> Option<Seen> {
     let browser = browser()?;
     let folder = fresh(&format!("browser-{name}"));
     fs::create_dir_all(&folder).unwrap();

@@ -2,6 +2,7 @@
 
 mod browser;
 mod choices;
+mod convert;
 mod effects;
 mod errors;
 mod hard_cases;

@@ -134,7 +134,7 @@ fn quiet_says_nothing_but_errors() {
 fn shells_get_completions() {
     for shell in ["bash", "zsh", "fish", "elvish", "powershell"] {
         let script = succeed(&mut splat(&["completions", shell])).stdout;
-        for part in ["splat", "train", "max-side", "hard-cases"] {
+        for part in ["splat", "train", "max-side", "hard-cases", "convert"] {
             assert!(script.contains(part), "{shell}: {part}");
         }
     }
@@ -146,7 +146,7 @@ fn the_manual_has_a_page_for_each_subcommand() {
     let folder = tempfile::tempdir().unwrap();
     let said = succeed(&mut splat(&["man", "--out", text(folder.path())])).stdout;
     let pages = files(folder.path());
-    for page in ["splat.1", "splat-train.1", "splat-view.1", "splat-hard-cases.1", "splat-man.1"] {
+    for page in ["splat.1", "splat-train.1", "splat-view.1", "splat-convert.1", "splat-hard-cases.1", "splat-man.1"] {
         assert!(pages.contains(page) && said.contains(page), "{pages:?}");
     }
     let page = fs::read_to_string(folder.path().join("splat-train.1")).unwrap();

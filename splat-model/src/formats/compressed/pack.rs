@@ -1,0 +1,148 @@
+//! Gaussians as words of bits, and back. See the table of [this folder](super).
+
+use std::f64::consts::{FRAC_1_SQRT_2, SQRT_2};
+
+use super::row::{Levels, Ranges, Words};
+use crate::formats::{DC, opacity, quaternion};
+use crate::gaussians::GaussianRows;
+
+/// Where a position's or a scale's three axes begin in their word, and how many bits each has.
+const AXES: [(u32, u32); 3] = [(21, 11), (11, 10), (0, 11)];
+
+/// Where the first of three such ranges begins in [`Ranges`]: smallest values, and three further the largest.
+const POSITION: usize = 0;
+const SCALE: usize = 6;
+const COLOUR: usize = 12;
+
+/// Logarithms of standard deviations are taken within ± this, as `splat-transform` has it: one that is all but zero would take the
+/// bits from a whole chunk.
+const SCALE_MAX: f32 = 20.0;
+
+/// Steps of a higher coefficient from −4 to 4.
+const STEPS: f64 = 256.0;
+
+/// The largest number of so many bits.
+fn most(bits: u32) -> f64 {
+    f64::from((1_u32 << bits) - 1)
+}
+
+/// A share of a range, 0 to 1, in so many bits.
+fn level(share: f64, bits: u32) -> u32 {
+    // The cast clamps from below.
+    (share * most(bits)).round().min(most(bits)) as u32
+}
+
+/// The share that some bits of a word stand for.
+fn share(word: u32, shift: u32, bits: u32) -> f64 {
+    f64::from(word >> shift & ((1 << bits) - 1)) / most(bits)
+}
+
+/// Colours by channel as chunks have them.
+fn colour(dc: &[f32; 3]) -> [f32; 3] {
+    dc.map(|dc| (0.5 + DC * f64::from(dc)) as f32)
+}
+
+impl Ranges {
+    /// Of the rows `of`, at least one.
+    pub fn around(rows: &GaussianRows, of: std::ops::Range<usize>) -> Self {
+        let mut ranges = [0.0; 18];
+        let mut span = |at: usize, values: &mut dyn Iterator<Item = [f32; 3]>| {
+            let (mut low, mut high) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
+            for value in values {
+                low = [0, 1, 2].map(|axis| low[axis].min(value[axis]));
+                high = [0, 1, 2].map(|axis| high[axis].max(value[axis]));
+            }
+            ranges[at..at + 3].copy_from_slice(&low);
+            ranges[at + 3..at + 6].copy_from_slice(&high);
+        };
+        span(POSITION, &mut rows.means[of.clone()].iter().copied());
+        span(
+            SCALE,
+            &mut rows.log_scales[of.clone()].iter().map(|scale| scale.map(|log| log.clamp(-SCALE_MAX, SCALE_MAX))),
+        );
+        span(COLOUR, &mut rows.sh_dc[of].iter().map(colour));
+        Self(ranges)
+    }
+
+    /// The range of an axis, in f64: the difference of two f32 may be larger than one.
+    fn of(&self, at: usize, axis: usize) -> (f64, f64) {
+        (f64::from(self.0[at + axis]), f64::from(self.0[at + 3 + axis]))
+    }
+
+    fn share(&self, at: usize, axis: usize, value: f32) -> f64 {
+        let (low, high) = self.of(at, axis);
+        if high > low { (f64::from(value) - low) / (high - low) } else { 0.0 }
+    }
+
+    fn value(&self, at: usize, axis: usize, share: f64) -> f64 {
+        let (low, high) = self.of(at, axis);
+        low * (1.0 - share) + high * share
+    }
+
+    fn pack_axes(&self, at: usize, values: &[f32; 3]) -> u32 {
+        let part = |axis: usize| level(self.share(at, axis, values[axis]), AXES[axis].1) << AXES[axis].0;
+        part(0) | part(1) | part(2)
+    }
+
+    fn unpack_axes(&self, at: usize, word: u32) -> [f32; 3] {
+        [0, 1, 2].map(|axis| {
+            let (shift, bits) = AXES[axis];
+            self.value(at, axis, share(word, shift, bits)) as f32
+        })
+    }
+
+    /// Row `i` of a scene that this range is around.
+    pub fn pack(&self, rows: &GaussianRows, i: usize) -> Words {
+        let (largest, three) = quaternion::smallest_three(rows.rotations[i]);
+        let rotation =
+            three.iter().fold(largest as u32, |word, value| word << 10 | level(value * FRAC_1_SQRT_2 + 0.5, 10));
+        let rgb = colour(&rows.sh_dc[i]);
+        let colours = (0..3).fold(0, |word, channel| word << 8 | level(self.share(COLOUR, channel, rgb[channel]), 8));
+        Words([
+            self.pack_axes(POSITION, &rows.means[i]),
+            rotation,
+            self.pack_axes(SCALE, &rows.log_scales[i]),
+            colours << 8 | u32::from(opacity::level(rows.logit_opacities[i])),
+        ])
+    }
+
+    /// Appends a Gaussian, but for its higher coefficients.
+    pub fn unpack_to(&self, words: &Words, rows: &mut GaussianRows) {
+        let Words([position, rotation, scale, colours]) = *words;
+        rows.means.push(self.unpack_axes(POSITION, position));
+        let three = [20, 10, 0].map(|shift| (share(rotation, shift, 10) - 0.5) * SQRT_2);
+        rows.rotations.push(quaternion::from_smallest_three((rotation >> 30) as usize, three));
+        rows.log_scales.push(self.unpack_axes(SCALE, scale));
+        rows.sh_dc.push([0, 1, 2].map(|channel| {
+            let share = share(colours, 24 - 8 * channel as u32, 8);
+            ((self.value(COLOUR, channel, share) - 0.5) / DC) as f32
+        }));
+        rows.logit_opacities.push(opacity::logit((colours & 0xff) as u8));
+    }
+}
+
+impl Levels {
+    /// Of the higher coefficients of a row, channels innermost.
+    pub fn of(rest: &[f32]) -> Self {
+        let mut levels = [0; _];
+        let per_channel = rest.len() / 3;
+        for (i, &value) in rest.iter().enumerate() {
+            // Casts of floats clamp.
+            levels[i % 3 * per_channel + i / 3] = ((f64::from(value) / 8.0 + 0.5) * STEPS).floor() as u8;
+        }
+        Self(levels)
+    }
+
+    /// The `per_channel` coefficients of each channel, channels innermost. A level is the middle of its step; the first and the
+    /// last are the ends.
+    pub fn values(&self, per_channel: usize) -> impl Iterator<Item = f32> {
+        (0..3 * per_channel).map(move |i| {
+            let share = match self.0[i % 3 * per_channel + i / 3] {
+                0 => 0.0,
+                u8::MAX => 1.0,
+                level => (f64::from(level) + 0.5) / STEPS,
+            };
+            (8.0 * (share - 0.5)) as f32
+        })
+    }
+}

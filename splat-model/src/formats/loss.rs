@@ -1,0 +1,122 @@
+//! How far rows that were read are from those that were written.
+
+use crate::gaussians::{GaussianRows, sigmoid};
+
+/// Differences of one kind.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Deviation {
+    /// The largest.
+    pub largest: f64,
+    /// The root of the mean square.
+    pub rms: f64,
+}
+
+/// What quantisation changed, over all Gaussians.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Loss {
+    /// Distance of centres, scene units.
+    pub position: Deviation,
+    /// Standard deviations, relative: 0.03 is one that became 3% larger or smaller.
+    pub scale: Deviation,
+    /// Angle between rotations, degrees. It means little where two axes are as long as each other.
+    pub rotation: Deviation,
+    /// Opacities, 0 to 1.
+    pub opacity: Deviation,
+    /// Colours without what varies with the direction, channel by channel; 1 is from black to white.
+    pub colour: Deviation,
+    /// Higher coefficients of the spherical harmonics.
+    pub harmonics: Deviation,
+}
+
+impl Loss {
+    /// Between rows, each with the one of the same number.
+    ///
+    /// # Panics
+    /// If they differ in number or degree, or do not fit together.
+    pub fn between(written: &GaussianRows, read: &GaussianRows) -> Self {
+        assert_eq!((written.len(), written.sh_degree), (read.len(), read.sh_degree), "rows of two scenes");
+        let difference = |(a, b): (&f32, &f32)| (f64::from(*a) - f64::from(*b)).abs();
+        let flat = |a: &[[f32; 3]], b: &[[f32; 3]], of: &dyn Fn(f64) -> f64| {
+            deviation(a.as_flattened().iter().zip(b.as_flattened()).map(|pair| of(difference(pair))))
+        };
+        let distance = |(a, b): (&[f32; 3], &[f32; 3])| a.iter().zip(b).map(|pair| difference(pair).powi(2)).sum();
+        Self {
+            position: deviation(written.means.iter().zip(&read.means).map(|pair| f64::sqrt(distance(pair)))),
+            scale: flat(&written.log_scales, &read.log_scales, &f64::exp_m1),
+            rotation: deviation(written.rotations.iter().zip(&read.rotations).map(|(a, b)| angle_degrees(a, b))),
+            opacity: deviation(
+                written
+                    .logit_opacities
+                    .iter()
+                    .zip(&read.logit_opacities)
+                    .map(|(a, b)| (sigmoid(*a) - sigmoid(*b)).abs()),
+            ),
+            colour: flat(&written.sh_dc, &read.sh_dc, &|difference| super::DC * difference),
+            harmonics: deviation(written.sh_rest.iter().zip(&read.sh_rest).map(difference)),
+        }
+    }
+}
+
+fn deviation(differences: impl Iterator<Item = f64>) -> Deviation {
+    let (mut largest, mut squares, mut count) = (0.0_f64, 0.0, 0_u64);
+    for difference in differences {
+        largest = largest.max(difference);
+        squares += difference * difference;
+        count += 1;
+    }
+    Deviation { largest, rms: if count == 0 { 0.0 } else { (squares / count as f64).sqrt() } }
+}
+
+/// Of the rotation from one to the other.
+fn angle_degrees(a: &[f32; 4], b: &[f32; 4]) -> f64 {
+    let unit = |q: &[f32; 4]| {
+        let q = q.map(f64::from);
+        let length = q.iter().map(|value| value * value).sum::<f64>().sqrt();
+        q.map(|value| value / length)
+    };
+    let (a, b) = (unit(a), unit(b));
+    let sign = 1.0_f64.copysign(a.iter().zip(b).map(|(a, b)| a * b).sum());
+    // From the chord, which keeps its digits where the angle is small; its cosine does not.
+    let chord = a.iter().zip(b).map(|(a, b)| (a - sign * b).powi(2)).sum::<f64>().sqrt();
+    4.0 * (0.5 * chord).min(1.0).asin().to_degrees()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_difference_is_told_in_its_unit() {
+        let half = 0.5_f32.to_radians();
+        let written = GaussianRows {
+            means: vec![[0.0; 3], [1.0; 3]],
+            rotations: vec![[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 3.0, 0.0]],
+            log_scales: vec![[0.0; 3]; 2],
+            logit_opacities: vec![0.0; 2],
+            sh_dc: vec![[0.0; 3]; 2],
+            sh_rest: vec![],
+            sh_degree: 0,
+        };
+        assert_eq!(Loss::between(&written, &written), Loss::default());
+        let mut read = written.clone();
+        read.means[0] = [3.0, 0.0, 4.0];
+        // Twice as long, negated, and turned by one degree.
+        read.rotations[0] = [-2.0 * half.cos(), 0.0, 2.0 * half.sin(), 0.0];
+        read.log_scales[1][2] = 1.1_f32.ln();
+        read.logit_opacities[1] = 3.0_f32.ln();
+        read.sh_dc[0][1] = -1.0;
+        let loss = Loss::between(&written, &read);
+        let near = |found: Deviation, largest: f64, rms: f64| {
+            assert!(
+                (found.largest - largest).abs() < 1e-5 && (found.rms - rms).abs() < 1e-5,
+                "{found:?} {largest} {rms}"
+            );
+        };
+        near(loss.position, 5.0, 5.0 / 2.0_f64.sqrt());
+        near(loss.rotation, 1.0, 0.5_f64.sqrt());
+        near(loss.scale, 0.1, 0.1 / 6.0_f64.sqrt());
+        near(loss.opacity, 0.25, 0.25 / 2.0_f64.sqrt());
+        near(loss.colour, 0.28209479, 0.28209479 / 6.0_f64.sqrt());
+        assert_eq!(loss.harmonics, Deviation::default());
+    }
+}

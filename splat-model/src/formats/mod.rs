@@ -1,0 +1,303 @@
+//! Scenes in files of every format that is known here, and what each loses.
+//!
+//! | [`Format`] | names | holds |
+//! |---|---|---|
+//! | [`Ply`](Format::Ply) | `.ply` | everything, in f32: the layout of the original implementation, see [`crate::ply`] |
+//! | [`CompressedPly`](Format::CompressedPly) | `.compressed.ply` | 16 bytes per Gaussian and one per higher coefficient, to degree 3: SuperSplat's |
+//! | [`Spz`](Format::Spz) | `.spz` | 20 bytes per Gaussian and one per higher coefficient, then gzip: Niantic's |
+//!
+//! Reading looks at a file's first bytes and not at its name. Bits, ranges and frames are in the private modules'
+//! documentation and in `docs/FORMATS.md`.
+//!
+//! Compressed formats hold Gaussians that can be rendered, and no others: a NaN has no place in them, and would be drawn
+//! after all. They also have no opacity of exactly 0 or 1 on reading: the first and last level stand for a quarter of a level
+//! within, because their logits would not be finite.
+//!
+//! ```
+//! use glam::DVec3;
+//! use splat_model::capture::PointCloud;
+//! use splat_model::formats::{self, Format, Loss, Scene};
+//! use splat_model::init;
+//!
+//! let points = PointCloud { positions: vec![[0.1, 0.2, 0.3], [1.0, -1.0, 2.0]], colours: vec![[255, 0, 0], [0, 90, 255]] };
+//! let scene = Scene { rows: init::from_points(&points), origin: DVec3::ZERO, antialiased: false };
+//! let folder = tempfile::tempdir()?;
+//! let file = folder.path().join("scene.spz");
+//! let written = formats::write(&file, &scene, Format::Spz)?;
+//! let (read, format) = formats::read(&file)?;
+//! assert_eq!(format, Format::Spz);
+//! assert!(Loss::between(&written.rows, &read.rows).position.largest < 1e-6);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+
+mod compressed;
+mod loss;
+mod opacity;
+mod quaternion;
+mod spz;
+#[cfg(test)]
+mod testing;
+#[cfg(test)]
+mod tests;
+
+use std::borrow::Cow;
+use std::fmt;
+use std::fs::File;
+use std::io::{self, Read};
+use std::path::{Path, PathBuf};
+
+use glam::DVec3;
+use thiserror::Error;
+
+pub use loss::{Deviation, Loss};
+
+use crate::density::morton_order;
+use crate::gaussians::GaussianRows;
+use crate::ply::{self, PlyError};
+use crate::replace::Refused;
+
+/// The spherical harmonic of degree 0, `1 / (2 √π)`.
+const DC: f64 = 0.282_094_791_773_878_14;
+
+/// A format of scene files.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Format {
+    /// The layout of the original implementation.
+    Ply,
+    /// SuperSplat's compressed PLY.
+    CompressedPly,
+    /// Niantic's SPZ; written as version 3, read from version 1 to 4.
+    Spz,
+}
+
+impl Format {
+    /// All of them.
+    pub const ALL: [Self; 3] = [Self::Ply, Self::CompressedPly, Self::Spz];
+
+    /// The format that a file of this name has.
+    pub fn of_name(path: &Path) -> Option<Self> {
+        let name = path.file_name()?.to_string_lossy().to_ascii_lowercase();
+        // A whole name is an extension's to no file.
+        let ends = |extension: &str| name.len() > extension.len() && name.ends_with(extension);
+        [Self::CompressedPly, Self::Ply, Self::Spz].into_iter().find(|format| ends(format.extension()))
+    }
+
+    /// How names of its files end.
+    pub fn extension(self) -> &'static str {
+        match self {
+            Self::Ply => ".ply",
+            Self::CompressedPly => ".compressed.ply",
+            Self::Spz => ".spz",
+        }
+    }
+
+    /// The highest degree of the spherical harmonics that it holds.
+    pub fn sh_degree_max(self) -> usize {
+        match self {
+            Self::CompressedPly => compressed::DEGREE_MAX,
+            Self::Ply | Self::Spz => splat_op::shade::SH_DEGREE_MAX,
+        }
+    }
+
+    /// Whether it holds what positions are relative to.
+    pub fn holds_origin(self) -> bool {
+        self != Self::Spz
+    }
+
+    /// Whether it holds whether the scene was trained with antialiasing.
+    pub fn holds_antialiasing(self) -> bool {
+        self == Self::Spz
+    }
+
+    /// Whether it holds every number as it is.
+    pub fn is_exact(self) -> bool {
+        self == Self::Ply
+    }
+}
+
+impl fmt::Display for Format {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Ply => "PLY",
+            Self::CompressedPly => "compressed PLY",
+            Self::Spz => "SPZ",
+        })
+    }
+}
+
+/// What a file holds.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Scene {
+    /// The Gaussians.
+    pub rows: GaussianRows,
+    /// What their positions are relative to: `position_world = position + origin`, world frame, scene units.
+    pub origin: DVec3,
+    /// Whether the file says that the scene was trained with antialiasing (Mip-Splatting's filter), and so should be
+    /// rendered with it. Only SPZ can.
+    pub antialiased: bool,
+}
+
+/// What was written of a scene.
+#[derive(Clone, Debug)]
+pub struct Written<'a> {
+    /// The rows that the file stands for, before they were rounded, in its order and of its degree.
+    pub rows: Cow<'a, GaussianRows>,
+    /// Gaussians that cannot be rendered, which the format has no place for.
+    pub left_out: usize,
+}
+
+/// A scene's file that cannot be read or written, named so that it can be mended.
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum FormatError {
+    /// A PLY file, compressed or not, that breaks the format; or rows that do not belong together.
+    #[error(transparent)]
+    Ply(#[from] PlyError),
+    /// The operating system refused.
+    #[error("{path}: could not {action}: {source}", path = path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// What was tried, with the remedy where there is one.
+        action: &'static str,
+        /// The system's reason.
+        source: io::Error,
+    },
+    /// It begins like no scene.
+    #[error(
+        "{path}: not a scene: it begins with `{found}`, expected a PLY file (original layout or SuperSplat's compressed one) or \
+         SPZ (version 1 to 4); export it as one of these",
+        path = path.display()
+    )]
+    Unknown {
+        /// The file.
+        path: PathBuf,
+        /// Its first bytes, made printable.
+        found: String,
+    },
+    /// It begins as the format does, and goes on otherwise.
+    #[error("{path}: broken {format} file: {detail}; copy or export it again", path = path.display())]
+    Broken {
+        /// The file.
+        path: PathBuf,
+        /// What it began as.
+        format: Format,
+        /// What was found and what was expected.
+        detail: String,
+    },
+}
+
+impl FormatError {
+    fn io(path: &Path, action: &'static str) -> impl FnOnce(io::Error) -> Self {
+        move |source| Self::Io { path: path.to_path_buf(), action, source }
+    }
+
+    fn broken(path: &Path, format: Format, detail: impl Into<String>) -> Self {
+        Self::Broken { path: path.to_path_buf(), format, detail: detail.into() }
+    }
+
+    fn refused(path: &Path, Refused { action, source }: Refused) -> Self {
+        Self::Io { path: path.to_path_buf(), action, source }
+    }
+}
+
+/// The format of a file, whatever its name: by its first bytes, and of PLY by the header.
+///
+/// # Errors
+/// If it cannot be opened, or is none.
+pub fn detect(path: &Path) -> Result<Format, FormatError> {
+    match first_bytes(path)? {
+        First::Spz => Ok(Format::Spz),
+        First::Ply => {
+            let (_, header) = ply::Input::open(path)?;
+            Ok(if compressed::is_compressed(&header) { Format::CompressedPly } else { Format::Ply })
+        }
+    }
+}
+
+/// Reads a scene of any format.
+///
+/// Values are as the file has them; whether they are finite is not checked.
+///
+/// # Errors
+/// A [`FormatError`] for every file that is not a complete scene of one of the formats. Memory is bounded by a multiple of
+/// the file's size, whatever it claims: a small one for PLY, for SPZ what its compression can hold at most (1,032).
+pub fn read(path: &Path) -> Result<(Scene, Format), FormatError> {
+    match first_bytes(path)? {
+        First::Spz => Ok((spz::read(path)?, Format::Spz)),
+        First::Ply => {
+            let (input, header) = ply::Input::open(path)?;
+            let (format, (rows, origin)) = match compressed::is_compressed(&header) {
+                true => (Format::CompressedPly, compressed::read(path, input, &header)?),
+                false => (Format::Ply, ply::read_from(input, &header)?),
+            };
+            Ok((Scene { rows, origin, antialiased: false }, format))
+        }
+    }
+}
+
+/// Writes a scene: what the format can hold of it ([`fit`]).
+///
+/// The file appears under its name only when it is complete; a file that was there before is replaced.
+///
+/// # Errors
+/// If the rows' fields differ in length, the degree is above 4, the origin is not finite, or the file cannot be written. No
+/// temporary file is left behind.
+pub fn write<'a>(path: &Path, scene: &'a Scene, format: Format) -> Result<Written<'a>, FormatError> {
+    ply::check(path, &scene.rows, scene.origin)?;
+    let rows = fit(&scene.rows, format);
+    match format {
+        Format::Ply => ply::write(path, &rows, scene.origin)?,
+        Format::CompressedPly => compressed::write(path, &rows, scene.origin)?,
+        Format::Spz => spz::write(path, &rows, scene.antialiased)?,
+    }
+    let left_out = scene.rows.len() - rows.len();
+    Ok(Written { rows, left_out })
+}
+
+/// The rows that a file of the format stands for, before its numbers are rounded: those that can be rendered
+/// ([`GaussianRows::is_usable`]), harmonics up to its degree, and for compressed PLY neighbours next to each other, which
+/// share a chunk's box. PLY has them all as they are.
+///
+/// # Panics
+/// If the rows do not fit together ([`GaussianRows::check`]).
+pub fn fit(rows: &GaussianRows, format: Format) -> Cow<'_, GaussianRows> {
+    if format.is_exact() {
+        return Cow::Borrowed(rows);
+    }
+    let order: Vec<u32> = match format {
+        Format::CompressedPly => morton_order(&rows.means),
+        _ => (0..rows.len() as u32).collect(),
+    };
+    let mut fitted = GaussianRows { sh_degree: rows.sh_degree.min(format.sh_degree_max()), ..GaussianRows::default() };
+    for row in order.into_iter().map(|row| row as usize).filter(|&row| rows.is_usable(row)) {
+        fitted.push(rows, row);
+    }
+    Cow::Owned(fitted)
+}
+
+/// What a file begins as.
+enum First {
+    Ply,
+    Spz,
+}
+
+fn first_bytes(path: &Path) -> Result<First, FormatError> {
+    let mut first = Vec::new();
+    File::open(path)
+        .map_err(FormatError::io(path, "open the scene (is the path right?)"))?
+        .take(16)
+        .read_to_end(&mut first)
+        .map_err(FormatError::io(path, "read the scene (is the path right?)"))?;
+    if spz::is_spz(&first) {
+        return Ok(First::Spz);
+    }
+    let line = first.split(|byte| *byte == b'\n').next().unwrap_or_default();
+    match line.trim_ascii() {
+        b"ply" => Ok(First::Ply),
+        other => {
+            let found = String::from_utf8_lossy(other).escape_debug().to_string();
+            Err(FormatError::Unknown { path: path.to_path_buf(), found })
+        }
+    }
+}

@@ -1,0 +1,169 @@
+//! Reading, without believing what a header says before the bytes are there.
+
+use std::fs::File;
+use std::io::{self, BufRead, BufReader, Read, Seek, SeekFrom};
+use std::ops::RangeInclusive;
+use std::path::Path;
+
+use flate2::bufread::GzDecoder;
+use glam::DVec3;
+use ruzstd::decoding::StreamingDecoder;
+use splat_op::shade::SH_DEGREE_MAX;
+
+use super::pack::{Layout, SECTIONS, unpack};
+use super::{ANTIALIASED, GZIP, MAGIC};
+use crate::formats::{Format, FormatError, Scene};
+
+/// Bytes that one byte of a file can stand for: the most that deflate makes of it (zlib's documentation), and more than any
+/// scene needs with zstd.
+const EXPANSION_MAX: u64 = 1_032;
+
+/// Bits of a fraction that 32 have room for.
+const FRACTION_MAX: u32 = 30;
+
+/// Bytes behind the sections that are looked at for gzip's checksum, which is the last: extensions are short.
+const EXTENSIONS_MAX: u64 = 1 << 24;
+
+/// The window that any zstd file may have (RFC 8878).
+const WINDOW: u64 = 8 << 20;
+
+/// Whether a file that begins so may be one.
+pub fn is_spz(first: &[u8]) -> bool {
+    first.starts_with(&GZIP) || first.starts_with(&MAGIC)
+}
+
+/// Reads a file of which [`is_spz`] holds.
+pub fn read(path: &Path) -> Result<Scene, FormatError> {
+    let file = File::open(path).map_err(FormatError::io(path, "open the scene (is the path right?)"))?;
+    let bytes = file.metadata().map_err(FormatError::io(path, "learn the size of the file"))?.len();
+    let mut file = BufReader::with_capacity(1 << 20, file);
+    let is_gzip = file.fill_buf().map_err(FormatError::io(path, "read the scene"))?.starts_with(&GZIP);
+    let of = Of { path, bytes };
+    let (layout, flags, sections) = if is_gzip { of.gzip(file)? } else { of.zstd(file)? };
+    Ok(Scene { rows: unpack(&layout, &sections), origin: DVec3::ZERO, antialiased: flags & ANTIALIASED != 0 })
+}
+
+/// A layout, flags and the sections.
+type Found = (Layout, u8, [Vec<u8>; SECTIONS]);
+
+/// The file that is read.
+#[derive(Clone, Copy)]
+struct Of<'a> {
+    path: &'a Path,
+    bytes: u64,
+}
+
+impl Of<'_> {
+    fn broken(&self, detail: impl Into<String>) -> FormatError {
+        FormatError::broken(self.path, Format::Spz, detail)
+    }
+
+    /// So many bytes of what is called `name`. Memory grows with those that are there.
+    fn exactly(&self, source: &mut impl Read, name: &str, bytes: usize) -> Result<Vec<u8>, FormatError> {
+        let mut found = Vec::new();
+        let read = source.take(bytes as u64).read_to_end(&mut found);
+        read.map_err(|error| self.broken(format!("{name}: {error}")))?;
+        match found.len() == bytes {
+            true => Ok(found),
+            false => Err(self.broken(format!("{name}: {} bytes, expected {bytes}; it is truncated", found.len()))),
+        }
+    }
+
+    /// Versions 1 to 3.
+    fn gzip(&self, file: BufReader<File>) -> Result<Found, FormatError> {
+        let mut stream = GzDecoder::new(file);
+        let header = self.exactly(&mut stream, "header", 16)?;
+        let (layout, flags) = self.layout(&header, 1..=3)?;
+        let mut sections = <[Vec<u8>; SECTIONS]>::default();
+        for ((section, each), name) in sections.iter_mut().zip(layout.bytes()).zip(NAMES) {
+            *section = self.exactly(&mut stream, name, each * layout.count)?;
+        }
+        // The checksum is looked at when the stream has ended.
+        io::copy(&mut stream.take(EXTENSIONS_MAX), &mut io::sink())
+            .map_err(|error| self.broken(format!("behind the last section: {error}")))?;
+        Ok((layout, flags, sections))
+    }
+
+    /// Version 4.
+    fn zstd(&self, mut file: BufReader<File>) -> Result<Found, FormatError> {
+        let header = self.exactly(&mut file, "header", 32)?;
+        let (layout, flags) = self.layout(&header, 4..=4)?;
+        let sizes = layout.bytes().map(|each| each * layout.count);
+        // Sections of no bytes have no stream.
+        let wanted: Vec<usize> = (0..SECTIONS).filter(|&section| sizes[section] > 0).collect();
+        let (streams, table) = (usize::from(header[15]), u64::from(number(&header[16..20])));
+        let mut at = table + 16 * streams as u64;
+        if streams != wanted.len() || table < 32 || at > self.bytes {
+            return Err(self.broken(format!(
+                "a table of {streams} streams at byte {table}, expected {} within the {} bytes of the file and behind its first 32",
+                wanted.len(),
+                self.bytes
+            )));
+        }
+        self.seek(&mut file, table)?;
+        let entries = self.exactly(&mut file, "table of streams", 16 * streams)?;
+        let mut sections = <[Vec<u8>; SECTIONS]>::default();
+        for (entry, section) in entries.as_chunks::<16>().0.iter().zip(wanted) {
+            let [packed, plain] = [&entry[..8], &entry[8..]].map(number);
+            let (name, bytes) = (NAMES[section], sizes[section]);
+            let end = at.saturating_add(packed);
+            if plain != bytes as u64 || end > self.bytes {
+                return Err(self.broken(format!(
+                    "{name} of {plain} bytes until byte {end}, expected {bytes} for {} Gaussians, within the {} of the file",
+                    layout.count, self.bytes
+                )));
+            }
+            self.seek(&mut file, at)?;
+            let window = plain.max(WINDOW);
+            let stream = StreamingDecoder::new_with_max_window_size((&mut file).take(packed), window);
+            let mut stream = stream.map_err(|error| self.broken(format!("{name}: {error}")))?;
+            sections[section] = self.exactly(&mut stream, name, bytes)?;
+            at = end;
+        }
+        Ok((layout, flags, sections))
+    }
+
+    fn seek(&self, file: &mut BufReader<File>, to: u64) -> Result<(), FormatError> {
+        file.seek(SeekFrom::Start(to)).map_err(FormatError::io(self.path, "read the scene")).map(drop)
+    }
+
+    /// What the 16 bytes say that all versions begin with, and the flags. Refuses more Gaussians than the file can hold.
+    fn layout(&self, header: &[u8], versions: RangeInclusive<u32>) -> Result<(Layout, u8), FormatError> {
+        if header[..4] != MAGIC {
+            let found = header[..4].escape_ascii();
+            return Err(self.broken(format!("its contents begin with `{found}`, expected `NGSP`")));
+        }
+        let (version, count) = (number(&header[4..8]) as u32, number(&header[8..12]) as usize);
+        let (sh_degree, fraction) = (usize::from(header[12]), u32::from(header[13]));
+        if !versions.contains(&version) {
+            let (first, last) = versions.into_inner();
+            let which = if first == last { String::new() } else { format!("{first} to ") };
+            return Err(
+                self.broken(format!("version {version}, expected {which}{last} in a file that begins like this one"))
+            );
+        }
+        if sh_degree > SH_DEGREE_MAX {
+            return Err(self.broken(format!("harmonics of degree {sh_degree}, expected 0 to {SH_DEGREE_MAX}")));
+        }
+        if fraction > FRACTION_MAX {
+            return Err(self.broken(format!("fractions of {fraction} bits, expected 0 to {FRACTION_MAX}")));
+        }
+        let layout = Layout { version, count, sh_degree, fraction };
+        let needed = layout.bytes().iter().map(|each| *each as u64 * count as u64).sum::<u64>();
+        if needed > EXPANSION_MAX.saturating_mul(self.bytes) {
+            return Err(self.broken(format!(
+                "the header claims {count} Gaussians, {needed} bytes, more than {} bytes can be the compressed form of",
+                self.bytes
+            )));
+        }
+        Ok((layout, header[14]))
+    }
+}
+
+/// Of the sections, in messages.
+const NAMES: [&str; SECTIONS] = ["positions", "opacities", "colours", "scales", "rotations", "harmonics"];
+
+/// Little endian.
+fn number(bytes: &[u8]) -> u64 {
+    bytes.iter().rev().fold(0, |number, byte| number << 8 | u64::from(*byte))
+}

@@ -1,0 +1,33 @@
+//! Writing: version 3.
+
+use std::io::{self, Write};
+use std::path::Path;
+
+use flate2::{Compression, GzBuilder};
+
+use super::pack::{fraction, pack};
+use super::{ANTIALIASED, MAGIC};
+use crate::formats::FormatError;
+use crate::gaussians::GaussianRows;
+use crate::replace::replace;
+
+/// Writes rows that fit the format ([`crate::formats::fit`]).
+pub fn write(path: &Path, rows: &GaussianRows, antialiased: bool) -> Result<(), FormatError> {
+    replace(path, |out| write_to(out, rows, antialiased)).map_err(|refused| FormatError::refused(path, refused))
+}
+
+fn write_to(out: &mut impl Write, rows: &GaussianRows, antialiased: bool) -> io::Result<()> {
+    let count = u32::try_from(rows.len()).map_err(|_| io::Error::other("more Gaussians than the format can count"))?;
+    let fraction = fraction(rows);
+    // Without a time, so that the same scene is the same file.
+    let mut stream = GzBuilder::new().write(out, Compression::default());
+    stream.write_all(&MAGIC)?;
+    stream.write_all(&3_u32.to_le_bytes())?;
+    stream.write_all(&count.to_le_bytes())?;
+    let flags = if antialiased { ANTIALIASED } else { 0 };
+    stream.write_all(&[rows.sh_degree as u8, fraction as u8, flags, 0])?;
+    for section in pack(rows, fraction) {
+        stream.write_all(&section)?;
+    }
+    stream.finish().map(drop)
+}

@@ -1,0 +1,226 @@
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use glam::DVec3;
+use proptest::prelude::*;
+use tempfile::TempDir;
+
+use super::testing::{rows, spoil};
+use super::*;
+
+fn one() -> GaussianRows {
+    GaussianRows {
+        means: vec![[0.5, -1.0, 2.0]],
+        rotations: vec![[0.9, 0.1, -0.3, 0.2]],
+        log_scales: vec![[-3.0, -4.0, -2.0]],
+        logit_opacities: vec![1.0],
+        sh_dc: vec![[0.3, -0.2, 1.0]],
+        sh_rest: vec![],
+        sh_degree: 0,
+    }
+}
+
+fn scene(rows: GaussianRows) -> Scene {
+    Scene { rows, ..Scene::default() }
+}
+
+fn folder_and_file(format: Format) -> (TempDir, PathBuf) {
+    let folder = TempDir::new().unwrap();
+    let path = folder.path().join(format!("scene{}", format.extension()));
+    (folder, path)
+}
+
+#[test]
+fn names_tell_formats() {
+    let of = |name: &str| Format::of_name(Path::new(name));
+    assert_eq!(of("a/scene.ply"), Some(Format::Ply));
+    assert_eq!(of("SCENE.COMPRESSED.PLY"), Some(Format::CompressedPly));
+    assert_eq!(of("scene.spz"), Some(Format::Spz));
+    // A name must be left.
+    assert_eq!(of(".ply"), None);
+    assert_eq!((of("scene"), of("scene.splat"), of("a.ply/"), of("..")), (None, None, Some(Format::Ply), None));
+}
+
+#[test]
+fn contents_tell_formats_whatever_the_name() {
+    for format in Format::ALL {
+        let folder = TempDir::new().unwrap();
+        let path = folder.path().join("scene.bin");
+        let scene = scene(one());
+        write(&path, &scene, format).unwrap();
+        assert_eq!(detect(&path).unwrap(), format);
+        let (read, found) = read(&path).unwrap();
+        assert_eq!((found, read.rows.len()), (format, 1));
+    }
+}
+
+#[test]
+fn what_is_no_scene_is_told_what_is_one() {
+    let folder = TempDir::new().unwrap();
+    let path = folder.path().join("scene.ply");
+    for content in [&b""[..], b"{\"a\": 1}", b"PK\x03\x04", b"\x1b[31mply"] {
+        fs::write(&path, content).unwrap();
+        let message = read(&path).unwrap_err().to_string();
+        for part in ["scene.ply", "PLY", "SPZ", "compressed", "export"] {
+            assert!(message.contains(part), "{part}: {message}");
+        }
+        assert!(!message.contains(char::is_control), "{message:?}");
+        assert!(detect(&path).is_err());
+    }
+    let message = read(&folder.path().join("none.spz")).unwrap_err().to_string();
+    assert!(message.contains("none.spz") && message.contains("is the path right"), "{message}");
+    assert!(read(folder.path()).is_err());
+}
+
+#[test]
+fn no_scene_at_all_goes_in_and_out() {
+    for format in Format::ALL {
+        for sh_degree in [0, 3] {
+            let (_folder, path) = folder_and_file(format);
+            let empty = scene(GaussianRows { sh_degree, ..GaussianRows::default() });
+            write(&path, &empty, format).unwrap();
+            assert_eq!(read(&path).unwrap().0.rows.len(), 0);
+        }
+    }
+}
+
+#[test]
+fn what_cannot_be_rendered_is_left_out_where_it_would_be_drawn_after_all() {
+    let mut rows = one();
+    rows.push(&one(), 0);
+    rows.push(&one(), 0);
+    rows.means[0][1] = f32::NAN;
+    rows.rotations[1] = [0.0; 4];
+    let scene = scene(rows);
+    for format in Format::ALL {
+        let (_folder, path) = folder_and_file(format);
+        let written = write(&path, &scene, format).unwrap();
+        let read = read(&path).unwrap().0.rows;
+        let expected = if format == Format::Ply { (0, 3, 2) } else { (2, 1, 0) };
+        assert_eq!((written.left_out, read.len(), read.unusable()), expected, "{format}");
+    }
+}
+
+#[test]
+fn origins_stay_where_there_is_a_place_for_them() {
+    let scene = Scene { origin: DVec3::new(4e6, -2.5, 0.125), ..scene(one()) };
+    for format in Format::ALL {
+        let (_folder, path) = folder_and_file(format);
+        write(&path, &scene, format).unwrap();
+        let expected = if format.holds_origin() { scene.origin } else { DVec3::ZERO };
+        assert_eq!(read(&path).unwrap().0.origin, expected, "{format}");
+    }
+}
+
+#[test]
+fn the_mark_of_antialiasing_stays_where_there_is_a_place_for_it() {
+    let scene = Scene { antialiased: true, ..scene(one()) };
+    for format in Format::ALL {
+        let (_folder, path) = folder_and_file(format);
+        write(&path, &scene, format).unwrap();
+        assert_eq!(read(&path).unwrap().0.antialiased, format.holds_antialiasing(), "{format}");
+    }
+}
+
+/// The ends of eight bits have no finite logit of their own.
+#[test]
+fn opacities_of_zero_and_one_stay_finite() {
+    for level in 0..=u8::MAX {
+        let logit = opacity::logit(level);
+        assert!(logit.is_finite());
+        assert_eq!(opacity::level(logit), level);
+        let opacity = 255.0 * crate::gaussians::sigmoid(logit);
+        assert!((opacity - f64::from(level)).abs() < 0.2501, "{level}: {opacity}");
+    }
+    assert_eq!([-1e30, 1e30].map(opacity::level), [0, 255]);
+}
+
+#[test]
+fn rows_that_do_not_fit_together_are_refused_and_nothing_is_written() {
+    for format in Format::ALL {
+        let (folder, path) = folder_and_file(format);
+        let mut rows = one();
+        rows.logit_opacities.clear();
+        let message = write(&path, &scene(rows), format).unwrap_err().to_string();
+        assert!(message.contains("logit_opacities"), "{message}");
+        let far = Scene { origin: DVec3::NAN, ..scene(one()) };
+        assert!(write(&path, &far, format).is_err());
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0);
+    }
+}
+
+#[test]
+fn a_failed_write_leaves_the_old_file_and_nothing_else() {
+    for format in Format::ALL {
+        let (folder, path) = folder_and_file(format);
+        // A folder of that name: the rename at the end must fail.
+        fs::create_dir(&path).unwrap();
+        let message = write(&path, &scene(one()), format).unwrap_err().to_string();
+        assert!(message.contains("scene."), "{message}");
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(24))]
+
+    /// Nothing is lost by writing what was read once more.
+    #[test]
+    fn a_second_round_trip_changes_next_to_nothing(rows in rows(40, 2, 3.0)) {
+        for format in [Format::CompressedPly, Format::Spz] {
+            let (_folder, path) = folder_and_file(format);
+            write(&path, &scene(rows.clone()), format).unwrap();
+            let once = read(&path).unwrap().0;
+            let written = write(&path, &once, format).unwrap();
+            let loss = Loss::between(&written.rows, &read(&path).unwrap().0.rows);
+            for deviation in [loss.position, loss.scale, loss.opacity, loss.colour, loss.harmonics] {
+                prop_assert!(deviation.largest < 1e-4, "{format}: {loss:?}");
+            }
+            // The largest component, which is not stored, is a little off after rounding.
+            prop_assert!(loss.rotation.largest < 0.2, "{format}: {loss:?}");
+        }
+    }
+
+    #[test]
+    fn random_bytes_never_panic(bytes in prop::collection::vec(any::<u8>(), 0..200), start in 0_usize..4) {
+        let folder = TempDir::new().unwrap();
+        let path = folder.path().join("scene");
+        let head: [&[u8]; 4] = [b"", b"ply\n", b"\x1f\x8b\x08\0\0\0\0\0\0\0", b"NGSP\x04\0\0\0\x01\0\0\0\0\x0c\0\x05\x20\0\0\0"];
+        fs::write(&path, [head[start], &bytes].concat()).unwrap();
+        prop_assert!(read(&path).is_err());
+    }
+}
+
+/// A handful of Gaussians with harmonics, so that every part of a file is there.
+fn handful() -> Scene {
+    let mut rows = GaussianRows { sh_degree: 1, ..GaussianRows::default() };
+    let mut from = one();
+    from.sh_rest = (0..9).map(|i| 0.1 * i as f32 - 0.4).collect();
+    from.sh_degree = 1;
+    (0..3).for_each(|_| rows.push(&from, 0));
+    for (i, mean) in rows.means.iter_mut().enumerate() {
+        mean[0] += i as f32;
+    }
+    Scene { rows, origin: DVec3::new(1e6, 0.0, 0.0), antialiased: true }
+}
+
+#[test]
+fn spoilt_files_are_refused_or_read_and_nothing_else() {
+    for format in Format::ALL {
+        let (_folder, path) = folder_and_file(format);
+        write(&path, &handful(), format).unwrap();
+        let bytes = fs::read(&path).unwrap();
+        let [short, _] = spoil(&bytes, |path| match read(path) {
+            Ok((scene, _)) => {
+                scene.rows.check().unwrap();
+                true
+            }
+            Err(error) => {
+                let message = error.to_string();
+                assert!(message.contains("spoilt") && !message.contains(char::is_control), "{message:?}");
+                false
+            }
+        });
+        assert_eq!(short, 0, "{format}: a part of a file was taken for the whole");
+    }
+}

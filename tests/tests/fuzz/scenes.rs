@@ -1,0 +1,161 @@
+//! The readers of compressed scenes, and what must hold of what they return.
+
+use std::fs;
+use std::io::{Read, Write};
+use std::path::PathBuf;
+
+use flate2::Compression;
+use flate2::read::GzDecoder;
+use flate2::write::GzEncoder;
+use splat_model::formats::{self, Format, FormatError, Scene};
+use splat_model::gaussians::GaussianRows;
+
+use super::engine::{Target, folder};
+use super::split;
+use super::targets::{bucket, judge_message, shape};
+
+/// Scenes of any format. The first byte of an input says whether the others are the file, or what is gzipped in it: mutations of
+/// what is gzipped already would not get beyond its checksum.
+pub struct Scenes {
+    folder: PathBuf,
+}
+
+const PLAIN: u8 = 0;
+const GZIPPED: u8 = 1;
+
+impl Scenes {
+    pub fn new(name: &str) -> Self {
+        Self { folder: folder(name) }
+    }
+
+    fn path(&self) -> PathBuf {
+        self.folder.join("scene")
+    }
+}
+
+fn rows(count: usize, sh_degree: usize) -> GaussianRows {
+    let rest = 3 * ((sh_degree + 1) * (sh_degree + 1) - 1);
+    let value = |i: usize| (i as f32 * 0.37).sin();
+    GaussianRows {
+        means: (0..count).map(|i| [value(i), value(i + 1), value(i + 2)]).collect(),
+        rotations: (0..count).map(|i| [1.0, value(i), 0.0, 0.5]).collect(),
+        log_scales: vec![[-2.0; 3]; count],
+        logit_opacities: (0..count).map(value).collect(),
+        sh_dc: vec![[0.1, 0.2, 0.3]; count],
+        sh_rest: (0..count * rest).map(value).collect(),
+        sh_degree,
+    }
+}
+
+impl Target for Scenes {
+    fn name(&self) -> &'static str {
+        "scenes"
+    }
+
+    fn seeds(&self) -> Vec<Vec<u8>> {
+        let mut seeds = Vec::new();
+        for (count, sh_degree) in [(0, 0), (1, 1), (3, 0), (2, 3), (40, 0)] {
+            for format in [Format::CompressedPly, Format::Spz] {
+                let scene = Scene { rows: rows(count, sh_degree), ..Scene::default() };
+                formats::write(&self.path(), &scene, format).expect("the target folder can be written to");
+                let file = fs::read(self.path()).expect("written above");
+                if format == Format::Spz {
+                    let mut plain = vec![GZIPPED];
+                    GzDecoder::new(&file[..]).read_to_end(&mut plain).expect("written above");
+                    // The rotations of older versions are shorter; what is left over is passed over.
+                    for version in [1, 2] {
+                        plain[5] = version;
+                        seeds.push(plain.clone());
+                    }
+                    plain[5] = 3;
+                    seeds.push(plain);
+                }
+                seeds.push([&[PLAIN], &file[..]].concat());
+            }
+        }
+        // Version 4, which nobody here writes.
+        let four = include_bytes!("../../../splat-model/tests/scenes/splat-transform.v4.spz");
+        seeds.push([&[PLAIN], &four[..]].concat());
+        seeds
+    }
+
+    fn words(&self) -> &'static [&'static str] {
+        &[
+            "ply\n",
+            "element chunk 1\n",
+            "element vertex 1\n",
+            "element vertex 4294967295\n",
+            "element sh 18446744073709551615\n",
+            "element face 1\n",
+            "property uint packed_position\n",
+            "property float packed_scale\n",
+            "property list uchar uint packed_color\n",
+            "property uchar f_rest_45\n",
+            "property float max_b\n",
+            "packed_rotation",
+            "end_header\n",
+            "ascii",
+            "binary_big_endian",
+            "comment splat origin 1 2 3\n",
+            "NGSP",
+            "\u{1f}",
+            "(\u{35}/",
+            "\u{1}\0\0\0",
+            "\u{4}\0\0\0",
+            "\u{7f}\0\0\0",
+            "\u{7f}\u{7f}\u{7f}\u{7f}",
+            "\0\0\0\0\0\0\0\0",
+            "\0",
+            "\n",
+            " ",
+        ]
+    }
+
+    fn split(&self, input: &[u8]) -> Vec<Vec<u8>> {
+        match input.split_first() {
+            Some((first, rest)) if rest.starts_with(b"ply") => {
+                let mut fields = split::ply(rest);
+                if let Some(head) = fields.first_mut() {
+                    head.insert(0, *first);
+                }
+                fields
+            }
+            _ => input.chunks(4).map(<[u8]>::to_vec).collect(),
+        }
+    }
+
+    fn place(&mut self, input: &[u8]) {
+        let rest = input.get(1..).unwrap_or_default();
+        let file = match input.first() {
+            Some(&GZIPPED) => {
+                let mut stream = GzEncoder::new(Vec::new(), Compression::none());
+                stream.write_all(rest).and_then(|()| stream.finish()).expect("into memory")
+            }
+            _ => rest.to_vec(),
+        };
+        fs::write(self.path(), file).expect("the target folder can be written to");
+    }
+
+    fn read(&mut self) -> Result<String, String> {
+        match formats::read(&self.path()) {
+            Ok((Scene { rows, origin, antialiased }, format)) => {
+                rows.check().map_err(|error| error.to_string())?;
+                if !origin.is_finite() || Ok(format) != formats::detect(&self.path()).map_err(|error| error.to_string())
+                {
+                    return Err(format!("origin {origin}, {format}"));
+                }
+                let (count, unusable) = (bucket(rows.len()), rows.unusable() > 0);
+                Ok(format!("accepted: {format}, 2^{count} of degree {}, {unusable}, {antialiased}", rows.sh_degree))
+            }
+            Err(error) => {
+                let message = error.to_string();
+                judge_message(&message, &self.folder)?;
+                Ok(match error {
+                    // Whatever it begins with instead.
+                    FormatError::Unknown { .. } => "unknown".into(),
+                    _ => shape(&message, &self.folder),
+                })
+            }
+        }
+    }
+}

@@ -1,0 +1,184 @@
+//! `splat convert`: a scene in another format, and what that lost.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, ensure};
+use clap::{ValueEnum, value_parser};
+use splat_model::formats::{self, Deviation, Format, Loss, Scene};
+use splat_model::gaussians::GaussianRows;
+
+use crate::progress;
+
+/// The range of SPZ's standard deviations, in words; 8 bits of their logarithms have no more.
+const SPZ_SCALES: &str =
+    "SPZ holds standard deviations from 0.000045 to 379 scene units; compressed PLY has no such limits";
+
+/// A scale in eight bits is at most half a step of 1/16 off; one that is further off was out of range.
+const SPZ_SCALE_ERROR: f64 = 0.033;
+
+/// Options of `splat convert`.
+#[derive(Clone, Debug, clap::Args)]
+pub struct ConvertArgs {
+    /// The scene: PLY, SuperSplat's compressed PLY, or SPZ; what is in the file tells which, not its name
+    pub scene: PathBuf,
+    /// The file to write, in place of one that is there; its name tells the format: .ply, .compressed.ply or .spz
+    pub out: PathBuf,
+    /// The format, where the name does not tell it
+    #[arg(long, value_enum)]
+    pub format: Option<FormatName>,
+    /// Keep spherical harmonics to this degree and drop higher ones; many readers know none above 3
+    #[arg(long, value_name = "DEGREE", value_parser = value_parser!(u8).range(0..=4))]
+    pub sh_degree: Option<u8>,
+    /// Mark the scene as trained with this option; SPZ alone has a place for it
+    #[arg(long)]
+    pub antialias: bool,
+}
+
+/// [`Format`] on the command line.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum FormatName {
+    /// The layout of the original 3D Gaussian splatting code: everything, in 32-bit numbers
+    Ply,
+    /// SuperSplat's: 16 bytes a splat, and one for each higher coefficient
+    CompressedPly,
+    /// Niantic's: 20 bytes a splat, one for each higher coefficient, then gzip
+    Spz,
+}
+
+impl From<FormatName> for Format {
+    fn from(name: FormatName) -> Self {
+        match name {
+            FormatName::Ply => Self::Ply,
+            FormatName::CompressedPly => Self::CompressedPly,
+            FormatName::Spz => Self::Spz,
+        }
+    }
+}
+
+/// Writes the scene anew, reads what was written, and says what differs.
+///
+/// # Errors
+/// If the scene cannot be read, the format is not to be told, or the file cannot be written; or if both are one file.
+pub fn run(args: &ConvertArgs) -> Result<()> {
+    let shown = args.out.display();
+    let format = args.format.map(Format::from).or_else(|| Format::of_name(&args.out)).with_context(|| {
+        let known: Vec<&str> = Format::ALL.iter().map(|format| format.extension()).collect();
+        format!(
+            "the name {shown} does not tell a format: end it in one of {}, or choose with `--format`",
+            known.join(", ")
+        )
+    })?;
+    let same =
+        fs::canonicalize(&args.out).is_ok_and(|out| fs::canonicalize(&args.scene).is_ok_and(|scene| scene == out));
+    ensure!(!same, "{shown} is the scene itself: name another file, so that the scene stays as it is");
+    let (mut scene, found) = formats::read(&args.scene).context("cannot read the scene")?;
+    let of_degree = scene.rows.sh_degree;
+    scene.rows.check()?;
+    if let Some(degree) = args.sh_degree.map(usize::from).filter(|degree| *degree < of_degree) {
+        scene.rows = with_degree(&scene.rows, degree);
+    }
+    scene.antialiased |= args.antialias;
+    if let Some(folder) = args.out.parent() {
+        fs::create_dir_all(folder).with_context(|| format!("cannot make the folder for {shown}"))?;
+    }
+    let written = formats::write(&args.out, &scene, format).context("cannot write the scene")?;
+    let (read, _) = formats::read(&args.out).context("cannot read what was written")?;
+    let loss = Loss::between(&written.rows, &read.rows);
+
+    progress::say(&line(&args.scene, found, scene.rows.len(), of_degree)?);
+    progress::say(&line(&args.out, format, read.rows.len(), read.rows.sh_degree)?);
+    let mut lost = dropped(&scene, format, written.left_out, of_degree, read.rows.sh_degree);
+    if !format.is_exact() {
+        lost.extend(table(&loss, read.rows.sh_degree));
+    }
+    if format == Format::Spz && loss.scale.largest > SPZ_SCALE_ERROR {
+        lost.push(SPZ_SCALES.into());
+    }
+    progress::say(&if lost.is_empty() { "nothing is lost".into() } else { format!("lost:\n  {}", lost.join("\n  ")) });
+    Ok(())
+}
+
+/// The rows with the coefficients of a lower degree.
+fn with_degree(rows: &GaussianRows, sh_degree: usize) -> GaussianRows {
+    let mut lower = GaussianRows { sh_degree, ..GaussianRows::default() };
+    (0..rows.len()).for_each(|row| lower.push(rows, row));
+    lower
+}
+
+/// A file in a line.
+fn line(path: &Path, format: Format, splats: usize, sh_degree: usize) -> Result<String> {
+    let bytes = fs::metadata(path).with_context(|| format!("cannot learn the size of {}", path.display()))?.len();
+    let each = bytes as f64 / splats.max(1) as f64;
+    Ok(format!("{}: {format}, {splats} splats of degree {sh_degree}, {bytes} bytes, {each:.1} a splat", path.display()))
+}
+
+/// What has no place in the format.
+fn dropped(scene: &Scene, format: Format, left_out: usize, of_degree: usize, sh_degree: usize) -> Vec<String> {
+    let mut lost = Vec::new();
+    if left_out > 0 {
+        lost.push(format!(
+            "{left_out} splats that cannot be rendered, because a parameter is not finite or out of all range"
+        ));
+    }
+    if sh_degree < of_degree {
+        lost.push(format!("spherical harmonics above degree {sh_degree}"));
+    }
+    if scene.origin.to_array() != [0.0; 3] && !format.holds_origin() {
+        let [x, y, z] = scene.origin.to_array();
+        lost.push(format!("the origin {x} {y} {z}, which positions were relative to and now stand without"));
+    }
+    if scene.antialiased && !format.holds_antialiasing() {
+        lost.push("the mark that it was trained with antialiasing: show it with `--antialias`".into());
+    }
+    lost
+}
+
+/// What rounding changed.
+fn table(loss: &Loss, sh_degree: usize) -> Vec<String> {
+    let row = |name: &str, Deviation { largest, rms }: Deviation, factor: f64, unit: &str| {
+        format!("{name:10} {:>10} {:>10}  {unit}", short(factor * largest), short(factor * rms))
+    };
+    let mut rows = vec![
+        format!("{:10} {:>10} {:>10}", "rounding", "largest", "RMS"),
+        row("position", loss.position, 1.0, "scene units"),
+        row("scale", loss.scale, 100.0, "% of the standard deviation"),
+        row("rotation", loss.rotation, 1.0, "degrees"),
+        row("opacity", loss.opacity, 1.0, "of 1"),
+        row("colour", loss.colour, 1.0, "of 1, the same from everywhere"),
+    ];
+    if sh_degree > 0 {
+        rows.push(row("harmonics", loss.harmonics, 1.0, "higher coefficients"));
+    }
+    rows
+}
+
+/// Two digits that count.
+fn short(value: f64) -> String {
+    match value {
+        0.0 => "0".into(),
+        value if !(1e-3..1e3).contains(&value) => format!("{value:.1e}"),
+        value => format!("{value:.*}", (1 - value.log10().floor() as i32).max(0) as usize),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_are_short() {
+        let cases = [
+            (0.0, "0"),
+            (0.00012, "1.2e-4"),
+            (0.001, "0.0010"),
+            (0.0371, "0.037"),
+            (3.16, "3.2"),
+            (42.4, "42"),
+            (12345.0, "1.2e4"),
+        ];
+        for (value, text) in cases {
+            assert_eq!(short(value), text);
+        }
+    }
+}
