@@ -91,7 +91,7 @@ impl Of<'_> {
         let sizes = layout.bytes().map(|each| each * layout.count);
         // Sections of no bytes have no stream.
         let wanted: Vec<usize> = (0..SECTIONS).filter(|&section| sizes[section] > 0).collect();
-        let (streams, table) = (usize::from(header[15]), u64::from(number(&header[16..20])));
+        let (streams, table) = (usize::from(header[15]), number(&header[16..20]));
         let mut at = table + 16 * streams as u64;
         if streams != wanted.len() || table < 32 || at > self.bytes {
             return Err(self.broken(format!(
