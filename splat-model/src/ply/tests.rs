@@ -268,7 +268,8 @@ fn an_origin_that_is_none_is_refused() {
 
 #[test]
 fn files_that_cannot_be_opened_or_written_are_named() {
-    let missing = Path::new("/nonexistent/scene.ply");
+    let folder = TempDir::new().unwrap();
+    let missing = &folder.path().join("missing").join("scene.ply");
     for message in [
         read(missing).unwrap_err().to_string(),
         write(missing, &numbered_rows(1, 0), DVec3::ZERO).unwrap_err().to_string(),
