@@ -39,12 +39,7 @@ impl Reference {
         shape: [Option<usize>; D],
         expected: &'static str,
     ) -> Result<(), SplatError> {
-        self.check_shape(name, tensor, shape, expected)?;
-        if tensor.dtype() != self.dtype {
-            let (found, expected) = (format!("{:?}", tensor.dtype()), format!("{:?}", self.dtype));
-            return Err(SplatError::DType { name, found, expected });
-        }
-        self.check_device(name, &tensor.device())
+        self.check_of(name, tensor, shape, expected, false)
     }
 
     /// The same for a tensor that may also be of half precision.
@@ -55,19 +50,16 @@ impl Reference {
         shape: [Option<usize>; D],
         expected: &'static str,
     ) -> Result<(), SplatError> {
-        if tensor.dtype() != DType::F16 {
-            return self.check(name, tensor, shape, expected);
-        }
-        self.check_shape(name, tensor, shape, expected)?;
-        self.check_device(name, &tensor.device())
+        self.check_of(name, tensor, shape, expected, true)
     }
 
-    fn check_shape<const D: usize>(
+    fn check_of<const D: usize>(
         &self,
         name: &'static str,
         tensor: &Tensor<D>,
         shape: [Option<usize>; D],
         expected: &'static str,
+        or_half: bool,
     ) -> Result<(), SplatError> {
         let dims = tensor.dims();
         if let Some(axis) = (0..D).find(|&axis| shape[axis].is_some_and(|size| size != dims[axis])) {
@@ -79,7 +71,12 @@ impl Reference {
                 hint: format!("dimension {axis} must be {size}"),
             });
         }
-        Ok(())
+        let dtype = tensor.dtype();
+        if dtype != self.dtype && !(or_half && dtype == DType::F16) {
+            let (found, or_half) = (format!("{dtype:?}"), if or_half { " or F16" } else { "" });
+            return Err(SplatError::DType { name, found, expected: format!("{:?}{or_half}", self.dtype) });
+        }
+        self.check_device(name, &tensor.device())
     }
 
     /// Refuses what does not fit into the device's buffers.

@@ -1,5 +1,7 @@
 //! All stages in one call.
 
+use std::borrow::Cow;
+
 use burn::tensor::Tensor;
 
 use crate::camera::Camera;
@@ -43,7 +45,8 @@ pub fn render(
         });
     }
     check_render_fits(splats, cameras.len(), &cameras[0].intrinsics, options)?;
-    let pictures = cameras.iter().map(|camera| stages(splats, camera, extras, options));
+    let splats = as_stored(splats, options)?;
+    let pictures = cameras.iter().map(|camera| stages(&splats, camera, extras, options));
     let pictures: Vec<Picture> = pictures.collect::<Result<_, _>>()?;
     Ok(Rendered {
         colour: stack(pictures.iter().map(|picture| picture.colour.clone())),
@@ -64,21 +67,23 @@ pub fn render_view(
     options: &RenderOptions,
 ) -> Result<Picture, SplatError> {
     check_render_fits(splats, 1, &camera.intrinsics, options)?;
-    stages(splats, camera, extras, options)
+    stages(&*as_stored(splats, options)?, camera, extras, options)
+}
+
+/// The Gaussians with coefficients as the options want them stored, for all cameras; of what the degree leaves out nothing is
+/// converted.
+fn as_stored<'a>(splats: &'a Splats, options: &RenderOptions) -> Result<Cow<'a, Splats>, SplatError> {
+    Ok(match options.coefficients {
+        Storage::Full => Cow::Borrowed(splats),
+        Storage::Half => {
+            let colour = splats.colour.up_to_degree(options.sh_degree).stored(Storage::Half)?;
+            Cow::Owned(Splats { colour, ..splats.clone() })
+        }
+    })
 }
 
 fn stages(splats: &Splats, camera: &Camera, extras: &Extras, options: &RenderOptions) -> Result<Picture, SplatError> {
     let probe = extras.mean2d_probe.as_ref();
-    // What is left out is not stored in another way first.
-    let stored;
-    let splats = match options.coefficients {
-        Storage::Full => splats,
-        Storage::Half => {
-            let colour = splats.colour.up_to_degree(options.sh_degree).stored(Storage::Half)?;
-            stored = Splats { colour, ..splats.clone() };
-            &stored
-        }
-    };
     let (projected, features) = match &splats.colour {
         // In one pass, Gaussians whose ellipses miss the picture have no colour; rays may still meet them.
         _ if options.along_rays() => {
