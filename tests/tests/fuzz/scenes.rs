@@ -8,9 +8,9 @@ use flate2::Compression;
 use flate2::read::GzDecoder;
 use flate2::write::GzEncoder;
 use splat_model::formats::{self, Format, FormatError, Scene};
-use splat_model::gaussians::GaussianRows;
 
 use super::engine::{Target, folder};
+use super::seeds::rows;
 use super::split;
 use super::targets::{bucket, judge_message, shape};
 
@@ -30,20 +30,6 @@ impl Scenes {
 
     fn path(&self) -> PathBuf {
         self.folder.join("scene")
-    }
-}
-
-fn rows(count: usize, sh_degree: usize) -> GaussianRows {
-    let rest = 3 * ((sh_degree + 1) * (sh_degree + 1) - 1);
-    let value = |i: usize| (i as f32 * 0.37).sin();
-    GaussianRows {
-        means: (0..count).map(|i| [value(i), value(i + 1), value(i + 2)]).collect(),
-        rotations: (0..count).map(|i| [1.0, value(i), 0.0, 0.5]).collect(),
-        log_scales: vec![[-2.0; 3]; count],
-        logit_opacities: (0..count).map(value).collect(),
-        sh_dc: vec![[0.1, 0.2, 0.3]; count],
-        sh_rest: (0..count * rest).map(value).collect(),
-        sh_degree,
     }
 }
 

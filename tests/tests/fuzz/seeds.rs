@@ -11,22 +11,26 @@ use splat_op::{CameraModel, Intrinsics};
 
 use super::engine::folder;
 
+/// Gaussians that can all be rendered.
+pub fn rows(count: usize, sh_degree: usize) -> GaussianRows {
+    let rest = 3 * ((sh_degree + 1) * (sh_degree + 1) - 1);
+    let value = |i: usize| (i as f32 * 0.37).sin();
+    GaussianRows {
+        means: (0..count).map(|i| [value(i), value(i + 1), value(i + 2)]).collect(),
+        rotations: (0..count).map(|i| [1.0, value(i), 0.0, 0.5]).collect(),
+        log_scales: vec![[-2.0; 3]; count],
+        logit_opacities: (0..count).map(value).collect(),
+        sh_dc: vec![[0.1, 0.2, 0.3]; count],
+        sh_rest: (0..count * rest).map(value).collect(),
+        sh_degree,
+    }
+}
+
 /// Scenes of every encoding, of several degrees and types.
 pub fn scenes() -> Vec<Vec<u8>> {
     let path = folder("ply").join("seed.ply");
     let binary = |count: usize, degree: usize, origin: DVec3| {
-        let rest = 3 * ((degree + 1) * (degree + 1) - 1);
-        let value = |i: usize| (i as f32 * 0.37).sin();
-        let rows = GaussianRows {
-            means: (0..count).map(|i| [value(i), value(i + 1), value(i + 2)]).collect(),
-            rotations: (0..count).map(|i| [1.0, value(i), 0.0, 0.5]).collect(),
-            log_scales: vec![[-2.0; 3]; count],
-            logit_opacities: (0..count).map(value).collect(),
-            sh_dc: vec![[0.1, 0.2, 0.3]; count],
-            sh_rest: (0..count * rest).map(value).collect(),
-            sh_degree: degree,
-        };
-        ply::write(&path, &rows, origin).expect("the folder can be written to");
+        ply::write(&path, &rows(count, degree), origin).expect("the folder can be written to");
         fs::read(&path).expect("written above")
     };
     let mut seeds = vec![
