@@ -11,7 +11,7 @@ use super::consistency::{Agreed, Agreement, ConsistencyConfig};
 use super::order::morton_order;
 use super::rows::{RowEdit, Trained, indices};
 use super::strategy::{At, Observed, RefineReport, Signals, Strategy};
-use crate::gaussians::{GaussianRows, RowsError, values_of};
+use crate::gaussians::{self, GaussianRows, RowsError, values_of};
 use crate::state::{State, StateError};
 
 /// When and how to densify. Defaults are those of the original implementation unless said otherwise.
@@ -162,7 +162,7 @@ impl Adaptive {
 
     /// Too faint to matter, too large to be right, or unusable: no step of the optimiser makes finite what is not.
     fn is_doomed(&self, rows: &GaussianRows, i: usize, keep_largest: bool) -> bool {
-        let opacity = 1.0 / (1.0 + (-f64::from(rows.logit_opacities[i])).exp());
+        let opacity = gaussians::sigmoid(rows.logit_opacities[i]);
         let largest = f64::from(largest_scale(rows, i));
         let sound = opacity >= self.config.prune_opacity && rows.is_usable(i);
         !(sound && (keep_largest || largest <= self.config.prune_scale * self.extent))

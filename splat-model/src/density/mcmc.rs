@@ -15,7 +15,7 @@ use super::noise::Noise;
 use super::order::morton_order;
 use super::rows::{RowEdit, Trained};
 use super::strategy::{At, RefineReport, Strategy};
-use crate::gaussians::{GaussianRows, Gaussians, RowsError};
+use crate::gaussians::{self, GaussianRows, Gaussians, RowsError};
 use crate::loss::regularise;
 use crate::state::{State, StateError};
 
@@ -123,7 +123,7 @@ impl Mcmc {
 
     /// 0 for one that is dead or unusable.
     fn opacity_of_living(&self, rows: &GaussianRows, i: usize) -> f64 {
-        let opacity = 1.0 / (1.0 + (-f64::from(rows.logit_opacities[i])).exp());
+        let opacity = gaussians::sigmoid(rows.logit_opacities[i]);
         if rows.is_usable(i) && opacity > self.config.dead_opacity { opacity } else { 0.0 }
     }
 
