@@ -1,7 +1,7 @@
-//! COLMAP reconstructions: `sparse/0/{cameras,images,points3D}.{bin,txt}` beside `images/`; of several models the largest.
+//! COLMAP reconstructions: `sparse/0/{cameras,images,points3D}.{bin,txt}` beside `images/`. Of several models the largest is read.
 //!
-//! Format: <https://colmap.github.io/format.html>. Poses take world to camera, axes are OpenCV's, quaternions wxyz, pixel
-//! centres at +0.5: all as in this crate. Keypoints are kept where a track names them; `rigs` and `frames` play no role.
+//! Format: <https://colmap.github.io/format.html>. Poses map world to camera, axes are OpenCV's, quaternions are wxyz, pixel
+//! centres lie at +0.5: the conventions of this crate. Keypoints are kept where a track refers to them; `rigs` and `frames` are ignored.
 
 mod binary;
 mod check;
@@ -44,7 +44,7 @@ struct ImageRecord {
     camera_id: u32,
     name: String,
     cam_from_world: DAffine3,
-    /// px; which point each belongs to is taken from the tracks.
+    /// Keypoints, px. The tracks say which point each belongs to.
     keypoints: Vec<[f32; 2]>,
 }
 
@@ -53,12 +53,12 @@ struct ImageRecord {
 struct PointRecord {
     position: DVec3,
     colour: [u8; 3],
-    /// As it stands in the file, px.
+    /// Reprojection error as the file states it, px.
     error_px: f64,
     track: Vec<TrackElement>,
 }
 
-/// One sight of a point, by the numbers of the file.
+/// One observation of a point, by the file's image id and keypoint index.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct TrackElement {
     image_id: u32,
@@ -66,7 +66,7 @@ struct TrackElement {
     keypoint: u32,
 }
 
-/// Whether the folder holds a model, complete but for its points.
+/// Whether the folder holds a model; its points may be missing.
 pub(super) fn is_there(folder: &Path) -> bool {
     files::is_there(folder)
 }
@@ -91,7 +91,7 @@ fn parse<T>(file: &Path, binary: Parser<T>, text: Parser<T>) -> Result<Vec<T>, C
     parser(file, &read(file)?)
 }
 
-/// A whole file. Only regular files are read: a pipe would never end.
+/// Reads a whole file. Only regular files are read, because a pipe would never end.
 fn read(file: &Path) -> Result<Vec<u8>, CaptureError> {
     let fail = |reason| CaptureError::Read {
         file: file.to_owned(),
@@ -140,7 +140,7 @@ fn assemble(
     Ok(Capture { folder: folder.to_owned(), views, points, tracks, origin, split, masks, remarks })
 }
 
-/// The points' sights, in the order of the points; `images` are in that of the views.
+/// The observations of all points, in the order of the points. `images` are in the order of the views.
 fn tracks(images: &[ImageRecord], points: &[PointRecord]) -> Tracks {
     let by_id: HashMap<u32, usize> = images.iter().enumerate().map(|(view, image)| (image.id, view)).collect();
     let sight = |element: &TrackElement| {

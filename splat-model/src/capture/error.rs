@@ -1,4 +1,4 @@
-//! What can be wrong with a capture.
+//! Errors of captures.
 
 use std::io;
 use std::path::PathBuf;
@@ -51,14 +51,14 @@ pub enum CaptureError {
         place: String,
         /// The field, as the format's own document calls it.
         field: &'static str,
-        /// What stands there.
+        /// The value found.
         found: Box<str>,
-        /// What may stand there.
+        /// The values allowed.
         expected: Box<str>,
         /// What to do.
         fix: &'static str,
     },
-    /// The lens model of a camera is none that this crate renders.
+    /// The lens model of a camera is not supported.
     #[error(
         "{}: {place}: the camera model is {model}, which is not supported, while the pinhole, radial, OPENCV and fisheye models \
          are. Remove the lens distortion with `colmap image_undistorter` and use the folder that it writes, or reconstruct with \
@@ -86,7 +86,7 @@ pub enum CaptureError {
         what: String,
         /// The count that the file states.
         count: u64,
-        /// Bytes that so many entries take at least; more than 64 bits hold where the count is hostile.
+        /// Least number of bytes of that many entries; a hostile count may exceed 64 bits.
         needed: u128,
         /// Bytes between the count and the end of the file.
         left: usize,
@@ -165,7 +165,7 @@ pub enum CaptureError {
         /// The width and height of its camera, px.
         expected: [usize; 2],
     },
-    /// A photograph was decoded again and is another.
+    /// A photograph changed between two decodings.
     #[error(
         "the photograph {name} has changed since the run began, in its size, its transparent parts or its mask: put it back"
     )]

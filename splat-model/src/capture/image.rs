@@ -22,14 +22,14 @@ mod shrink;
 #[cfg(test)]
 mod tests;
 
-/// What a decoder may allocate beside the pixels: tables, metadata, a row or two.
+/// Bytes that a decoder may allocate beside the pixels: tables, metadata, a row or two.
 const DECODER_BYTES: u64 = 64 << 20;
 
 /// Bytes of the largest pixel that is decoded: four channels of 16 bits.
 const PIXEL_BYTES: u64 = 8;
 
-/// Lanczos overshoots beside edges by less than twice, and `image` clips at one. If it clipped a colour or its weight, their
-/// ratio would be another colour; so both are resized at this scale.
+/// Scale at which premultiplied colours and their weights are resized. Lanczos overshoots at edges by less than a factor of two, and `image` clips at one. If it clipped a colour or its weight, their
+/// ratio would be another colour.
 const HEADROOM: f32 = 0.5;
 
 /// A decoded photograph.
@@ -61,12 +61,12 @@ impl Photo {
         Some(unit_range(alpha, [self.intrinsics.height, self.intrinsics.width, 1], device))
     }
 
-    /// `[H, W, 3]`: display-referred colours in 0..1 as they look over `background`, RGB in 0..1.
+    /// `[H, W, 3]`: display-referred colours in 0..1, composited over `background`, RGB in 0..1.
     pub fn rgb_over(&self, background: [f32; 3], device: &Device) -> Tensor<3> {
         over(self.rgb_tensor(device), self.alpha_tensor(device), background)
     }
 
-    /// The same photograph with other numbers of pixels along its sides (Lanczos, a = 3), and its camera to match.
+    /// The photograph resized to `width` × `height` px (Lanczos, a = 3), with its camera scaled to match.
     pub fn resized(&self, width: usize, height: usize) -> Self {
         let size = [self.intrinsics.width, self.intrinsics.height].map(|side| side as u32);
         let (to_width, to_height) = (width as u32, height as u32);
@@ -117,7 +117,7 @@ fn split_alpha(picture: RgbaImage) -> (Vec<u8>, Vec<u8>) {
 ///
 /// # Errors
 ///
-/// A [`CaptureError`] if the file is missing, is no JPEG or PNG picture, is damaged, or has another size than the view's
+/// A [`CaptureError`] if the file is missing, is not a JPEG or PNG picture, is damaged, or differs in size from the view's
 /// camera.
 pub fn load(view: &View, max_side: Option<u32>) -> Result<Photo, CaptureError> {
     let picture = decode(&view.image_path, &view.intrinsics)?;
@@ -144,11 +144,11 @@ pub fn load(view: &View, max_side: Option<u32>) -> Result<Photo, CaptureError> {
     })
 }
 
-/// [`load`] for each of `views`, on all threads, in their order. `progress` is told, from any thread, how many are done.
+/// Calls [`load`] for each of `views` on all threads; results are in the views' order. `progress` receives the number done, from any thread.
 ///
 /// # Errors
 ///
-/// Those of [`load`]; if several pictures are faulty, the error is that of any of them.
+/// Those of [`load`]. If several pictures are faulty, the error is of any one of them.
 pub fn load_all<'a>(
     views: impl IntoIterator<Item = &'a View>,
     max_side: Option<u32>,
@@ -165,7 +165,7 @@ pub fn load_all<'a>(
 }
 
 /// The size of the file is compared with the camera's before any pixel is decoded, so that a picture allocates no more
-/// than its camera led one to expect.
+/// than its camera implies.
 pub(crate) fn decode(file: &Path, camera: &Intrinsics) -> Result<DynamicImage, CaptureError> {
     let fail = |reason: &dyn std::fmt::Display| {
         let reason = reason.to_string();
@@ -186,7 +186,7 @@ pub(crate) fn decode(file: &Path, camera: &Intrinsics) -> Result<DynamicImage, C
     DynamicImage::from_decoder(decoder).map_err(|error| fail(&error))
 }
 
-/// Width and height of a picture, px, by its header.
+/// Width and height of a picture, px, from its header.
 pub(crate) fn size(file: &Path) -> Result<[usize; 2], CaptureError> {
     let fail = |reason: String| CaptureError::Picture { file: file.to_owned(), reason };
     let reader = ImageReader::new(BufReader::new(open(file)?));
@@ -198,7 +198,7 @@ pub(crate) fn size(file: &Path) -> Result<[usize; 2], CaptureError> {
     }
 }
 
-/// Whether a picture has an alpha channel, by its header; false if it cannot be read, which whoever decodes it is told.
+/// Whether a picture has an alpha channel, from its header. False if the header cannot be read; decoding reports that error.
 pub(crate) fn has_alpha(file: &Path) -> bool {
     let decoder = || ImageReader::open(file).ok()?.with_guessed_format().ok()?.into_decoder().ok();
     decoder().is_some_and(|decoder| decoder.color_type().has_alpha())
@@ -225,7 +225,7 @@ fn open(file: &Path) -> Result<File, CaptureError> {
             fix: "Check that it is an ordinary file which you may read",
         },
     };
-    // Asked before opening: opening a pipe waits for a writer.
+    // Checked before opening, because opening a pipe waits for a writer.
     if !std::fs::metadata(file).map_err(fail)?.is_file() {
         return Err(fail(io::Error::new(io::ErrorKind::InvalidInput, "not a regular file")));
     }
@@ -252,7 +252,7 @@ fn size_within(size: [u32; 2], max_side: Option<u32>) -> [u32; 2] {
     size.map(|side| ((f64::from(side) * scale).round() as u32).max(1))
 }
 
-/// Resizes colours weighted by their opacity, as what is transparent has no colour that could bleed across an edge.
+/// Resizes colours weighted by opacity, so that the colour of transparent pixels does not bleed across edges.
 fn resize_with_alpha(rgba: RgbaImage, width: u32, height: u32) -> RgbaImage {
     if rgba.dimensions() == (width, height) {
         return rgba;
@@ -270,7 +270,7 @@ fn resize_with_alpha(rgba: RgbaImage, width: u32, height: u32) -> RgbaImage {
     DynamicImage::ImageRgba32F(resized).into_rgba8()
 }
 
-/// Bytes as numbers in 0..1. Divided in the device's own precision, so that an f64 device gets all digits.
+/// Bytes as numbers in 0..1, divided in the device's precision so that an f64 device gets all digits.
 fn unit_range(bytes: &[u8], shape: [usize; 3], device: &Device) -> Tensor<3> {
     let data = if device.settings().float_dtype == FloatDType::F64 {
         TensorData::new(bytes.iter().map(|&byte| f64::from(byte) / 255.0).collect::<Vec<f64>>(), shape)

@@ -27,41 +27,41 @@ pub use photograph::Photograph;
 pub use split::Split;
 pub use tracks::{Observation, Tracks};
 
-/// A capture as its files describe it; pictures are not yet decoded.
+/// A capture as its files describe it. Pictures are not decoded yet.
 #[derive(Clone, Debug)]
 pub struct Capture {
-    /// The folder it came from.
+    /// The capture's folder.
     pub folder: PathBuf,
     /// Photographs, sorted by name.
     pub views: Vec<View>,
     /// Sparse points, empty if the capture has none.
     pub points: PointCloud,
-    /// Where the points were found in the photographs; empty where the files do not say.
+    /// The observations of the points in the photographs; empty where the files have none.
     pub tracks: Tracks,
-    /// What was subtracted, in f64, from every position of the files: `position_file = position + origin`.
-    /// Zero unless the capture lies so far from zero that f32 would lose digits.
+    /// The offset subtracted, in f64, from every position of the files: `position_file = position + origin`.
+    /// Zero unless the capture lies far enough from zero for f32 to lose digits.
     pub origin: DVec3,
-    /// Which views are for training and which are held out, where the files say so; see [`Split::of`].
+    /// The files' own split into training and held-out views, if any; see [`Split::of`].
     pub split: Option<Split>,
-    /// Mask files that the capture names itself, one entry per view or none at all; see
+    /// Mask files that the capture itself names, one entry per view, or empty; see
     /// [`masks::find`](crate::effects::masks::find).
     pub masks: Vec<Option<PathBuf>>,
-    /// What a person should know of how the files were read.
+    /// Notes for the user about how the files were read.
     pub remarks: Vec<String>,
 }
 
 impl Capture {
-    /// Reads a folder of the first of these kinds that it is:
+    /// Reads a folder as the first of these formats that matches:
     ///
-    /// 1. COLMAP's: `images/`, and `sparse/0/` (or `sparse/`) with `cameras`, `images` and `points3D`, each as `.bin` or else
+    /// 1. COLMAP: `images/`, and `sparse/0/` (or `sparse/`) with `cameras`, `images` and `points3D`, each as `.bin` or else
     ///    as `.txt`. Of several models, `sparse/0`, `sparse/1` and so on, the one with the most photographs.
-    /// 2. NeRF-synthetic's: `transforms_train.json`, and `transforms_test.json` or else `transforms_val.json`, which make the
+    /// 2. NeRF-synthetic: `transforms_train.json`, and `transforms_test.json` or else `transforms_val.json`, which make the
     ///    capture's own split.
-    /// 3. nerfstudio's and instant-ngp's: `transforms.json`. Its `train_filenames`, `val_filenames` and `test_filenames` make the
+    /// 3. nerfstudio and instant-ngp: `transforms.json`. Its `train_filenames`, `val_filenames` and `test_filenames` make the
     ///    capture's own split, its `ply_file_path` is the point cloud, and its frames may name masks.
     ///
-    /// Pictures are not opened, but for the sizes in their headers where a JSON file does not tell them. A picture in
-    /// JSON has the path below the folder as its name, with its extension.
+    /// Pictures are not opened, except for the sizes in their headers where a JSON file lacks them. A picture in
+    /// JSON is named by its path below the folder, with its extension.
     ///
     /// Without points the point cloud is empty. A capture whose mean camera centre lies further from zero than 100
     /// times its extent is moved next to zero; [`Capture::origin`] says by how much.
@@ -81,13 +81,13 @@ impl Capture {
 /// One photograph.
 #[derive(Clone, Debug)]
 pub struct View {
-    /// Its path below the folder of pictures, which for captures in JSON is the capture.
+    /// Path below the picture folder, which is the capture's folder for JSON captures.
     pub name: String,
-    /// Where the picture lies.
+    /// Path of the picture.
     pub image_path: PathBuf,
     /// Size and projection, at the size of the file.
     pub intrinsics: Intrinsics,
-    /// Rigid; OpenCV axes; world relative to [`Capture::origin`].
+    /// Pose: rigid, OpenCV axes, world relative to [`Capture::origin`].
     pub cam_from_world: DAffine3,
 }
 

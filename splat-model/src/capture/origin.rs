@@ -1,15 +1,15 @@
-//! The scene origin: keeps captures far from zero, such as geo-referenced ones, within the digits of an f32.
+//! The scene origin, which keeps geo-referenced and other distant captures within the precision of f32.
 
 use glam::{DAffine3, DVec3};
 
 /// Beyond this many times the capture's extent from zero, f32 positions are rounded to more than 6e-6 of the extent.
 const FAR: f64 = 100.0;
 
-/// What to subtract from every position: zero, or the mean camera centre rounded to whole units if that lies far out.
+/// The offset to subtract from every position: zero, or the mean camera centre rounded to whole units if that is far from zero.
 ///
-/// "Far" is measured against the largest distance of a camera from the mean, taken as at least one unit: a single
-/// camera, or several at one place, say nothing of the scene's extent, and moving needlessly costs nothing. Whole units
-/// have few digits, so that the origin survives being printed.
+/// "Far" is relative to the largest distance of a camera from the mean, which counts as at least one unit: a single
+/// camera, or several at one place, do not show the scene's extent, and an unnecessary shift costs nothing. Whole units
+/// have few digits, so that the origin survives printing.
 pub(super) fn choose(cam_from_world: &[DAffine3]) -> DVec3 {
     if cam_from_world.is_empty() {
         return DVec3::ZERO;
@@ -20,7 +20,7 @@ pub(super) fn choose(cam_from_world: &[DAffine3]) -> DVec3 {
     if mean.length() > FAR * extent { mean.round() } else { DVec3::ZERO }
 }
 
-/// The same pose, for a world whose zero is at `origin`: `R (x + origin) + t = R x + (t + R origin)`.
+/// The pose in a world whose zero is at `origin`: `R (x + origin) + t = R x + (t + R origin)`.
 pub(super) fn moved(cam_from_world: &DAffine3, origin: DVec3) -> DAffine3 {
     DAffine3 {
         matrix3: cam_from_world.matrix3,

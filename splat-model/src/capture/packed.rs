@@ -1,5 +1,5 @@
-//! A photograph on the device in four bytes per pixel, as it was decoded. Prepared for the loss it takes nine times as much; a
-//! capture that does not fit so fits like this, and nothing is uploaded twice.
+//! A photograph on the device in four bytes per pixel, as decoded. Prepared for the loss it takes nine times as much. A
+//! capture that does not fit prepared may fit packed, and nothing is uploaded twice.
 
 use burn::tensor::{DType, Device, Int, Tensor, TensorData};
 
@@ -44,7 +44,7 @@ impl Packed {
     /// `[1, H, W]`, 0 to 1.
     fn channel(&self, channel: usize) -> Tensor<3> {
         let low = self.words.clone().bitwise_right_shift_scalar((BITS * channel) as i32);
-        // The shift may be that of a signed number; what it fills in is cut off.
+        // The shift may be arithmetic; the mask removes the bits that it fills in.
         (low.bitwise_and_scalar(i32::from(u8::MAX)).float() / f32::from(u8::MAX)).unsqueeze()
     }
 }

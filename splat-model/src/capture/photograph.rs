@@ -1,4 +1,4 @@
-//! Photographs of a run: decoded and kept, or decoded whenever their turn comes.
+//! Photographs of a run: kept decoded, or decoded on each use.
 
 use std::sync::Arc;
 
@@ -7,7 +7,7 @@ use splat_op::Intrinsics;
 
 use super::{CaptureError, Photo};
 
-/// Decodes a photograph that was decoded before, the same way.
+/// Decodes a photograph again, in the same way.
 type Read = dyn Fn() -> Result<Photo, CaptureError> + Send + Sync;
 
 #[derive(Clone)]
@@ -16,7 +16,7 @@ enum Pixels {
     Read(Arc<Read>),
 }
 
-/// One photograph, and how to get its pixels.
+/// One photograph and the source of its pixels.
 #[derive(Clone)]
 pub struct Photograph {
     /// The view's name.
@@ -27,7 +27,7 @@ pub struct Photograph {
     pub cam_from_world: DAffine3,
     /// Whether it has transparent parts.
     pub has_alpha: bool,
-    /// Whether it has pixels that do not count.
+    /// Whether a mask excludes any of its pixels.
     pub has_mask: bool,
     pixels: Pixels,
 }
@@ -40,7 +40,7 @@ impl From<Photo> for Photograph {
 }
 
 impl Photograph {
-    /// One that was decoded, whose pixels are let go: `read` decodes it again, each time it is needed.
+    /// A photograph whose pixels are released: `read` decodes it again on each use.
     pub fn read_again(photo: &Photo, read: impl Fn() -> Result<Photo, CaptureError> + Send + Sync + 'static) -> Self {
         Self::with(photo, Pixels::Read(Arc::new(read)))
     }
@@ -56,15 +56,15 @@ impl Photograph {
         }
     }
 
-    /// Whether its pixels are in memory for good.
+    /// Whether its pixels stay in memory.
     pub fn is_kept(&self) -> bool {
         matches!(self.pixels, Pixels::Kept(_))
     }
 
-    /// It with its pixels, which are decoded if they were not kept.
+    /// The photograph with its pixels, decoded if they were not kept.
     ///
     /// # Errors
-    /// If the picture has gone, or is not any more what it was.
+    /// If the picture is missing or has changed.
     pub fn pixels(&self) -> Result<Arc<Photo>, CaptureError> {
         let read = match &self.pixels {
             Pixels::Kept(photo) => return Ok(Arc::clone(photo)),
@@ -80,7 +80,7 @@ impl Photograph {
         Ok(Arc::new(photo))
     }
 
-    /// Bytes of its pixels, decoded.
+    /// Bytes of its decoded pixels.
     pub fn bytes(&self) -> usize {
         let per_pixel = 3 + usize::from(self.has_alpha) + usize::from(self.has_mask);
         self.intrinsics.width * self.intrinsics.height * per_pixel

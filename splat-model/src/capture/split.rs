@@ -1,9 +1,9 @@
-//! Which photographs a scene is trained on and which it is judged by.
+//! The split into training and test views.
 
 use super::{Capture, CaptureError, View};
 
-/// Indices into a list of views, in order of name. No view is named twice. One that a capture's own split leaves out, such as
-/// a photograph for validation where there are others to test on, is named by neither.
+/// Indices into a list of views, in order of name. No view is listed twice. A view that a capture's own split leaves out, such as
+/// a validation photograph where there are test photographs, is in neither list.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Split {
     /// Views to train on.
@@ -13,12 +13,12 @@ pub struct Split {
 }
 
 impl Split {
-    /// Every eighth photograph is held out where nothing else is asked for, as papers since Mip-NeRF 360 (Barron et al. 2022)
+    /// The default interval: every eighth photograph is held out, as in papers since Mip-NeRF 360 (Barron et al. 2022).
     /// compare.
     pub const USUAL: usize = 8;
 
-    /// The split of a capture: [`every`](Self::every) `k`th view is held out if that is asked for; otherwise the capture's own split,
-    /// or every [eighth](Self::USUAL) view where it has none.
+    /// The split of a capture: [`every`](Self::every) `k`th view held out if `k` is given; otherwise the capture's own split,
+    /// or every [eighth](Self::USUAL) view if it has none.
     pub fn of(capture: &Capture, k: Option<usize>) -> Self {
         match (k, &capture.split) {
             (None, Some(own)) => own.clone(),
@@ -28,7 +28,7 @@ impl Split {
 
     /// Holds out the views at index 0, `k`, 2`k`, … in order of name; `k` = 0 holds out none.
     ///
-    /// With `k` = 8 this is the split by which papers since Mip-NeRF 360 (Barron et al. 2022) compare.
+    /// `k` = 8 is the split of papers since Mip-NeRF 360 (Barron et al. 2022).
     pub fn every(views: &[View], k: usize) -> Self {
         let mut by_name: Vec<usize> = (0..views.len()).collect();
         by_name.sort_by(|&a, &b| views[a].name.cmp(&views[b].name));

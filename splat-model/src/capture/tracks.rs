@@ -1,29 +1,29 @@
-//! Tracks: which photographs a sparse point was found in, and where.
+//! Tracks: the observations of sparse points in photographs.
 
-/// One sight of a point.
+/// One observation of a point.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Observation {
     /// Index into [`Capture::views`](super::Capture::views).
     pub view: usize,
-    /// Where in the picture, px at the size of the file; finite.
+    /// Position in the picture, px at the size of the file; finite.
     pub at_px: [f32; 2],
 }
 
-/// What a reconstruction says of each point besides its place and colour, in the order of the point cloud.
+/// Observations and reprojection error of each point, in the order of the point cloud.
 ///
-/// They are evidence and nothing depends on their being complete: an element that names a photograph or keypoint which
-/// the model does not have is left out and counted.
+/// Tracks are evidence and may be incomplete: an element that names a photograph or keypoint that
+/// the model lacks is dropped and counted.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Tracks {
     observations: Vec<Observation>,
-    /// Where each point's observations end.
+    /// End of each point's observations.
     ends: Vec<usize>,
     stated_errors_px: Vec<Option<f32>>,
     dangling: usize,
 }
 
 impl Tracks {
-    /// Adds the next point: its sights, `None` for each that leads nowhere, and the error that the file states, px.
+    /// Adds the next point: its observations, `None` for each dangling one, and the file's reprojection error, px.
     pub(crate) fn push(&mut self, sights: impl IntoIterator<Item = Option<Observation>>, stated_error_px: f64) {
         for sight in sights {
             match sight.filter(|sight| sight.at_px.iter().all(|px| px.is_finite())) {
@@ -32,12 +32,12 @@ impl Tracks {
             }
         }
         self.ends.push(self.observations.len());
-        // COLMAP writes −1 for an error that it never measured.
+        // COLMAP writes −1 for an unmeasured error.
         let measured = stated_error_px.is_finite() && stated_error_px >= 0.0;
         self.stated_errors_px.push(measured.then_some(stated_error_px as f32));
     }
 
-    /// The sights of a point of the cloud; none for a point that there is not.
+    /// The observations of a point of the cloud; empty for an index out of range.
     pub fn of(&self, point: usize) -> &[Observation] {
         let Some(&end) = self.ends.get(point) else { return &[] };
         let start = if point == 0 { 0 } else { self.ends[point - 1] };
@@ -49,12 +49,12 @@ impl Tracks {
         self.stated_errors_px.get(point).copied().flatten()
     }
 
-    /// All sights of all points.
+    /// All observations of all points.
     pub fn observations(&self) -> usize {
         self.observations.len()
     }
 
-    /// How many elements named a photograph or keypoint that the model does not have.
+    /// The number of elements that named a photograph or keypoint that the model lacks.
     pub fn dangling(&self) -> usize {
         self.dangling
     }

@@ -3,13 +3,13 @@
 //!
 //! Formats: <https://docs.nerf.studio/quickstart/data_conventions.html>, and instant-ngp's `docs/nerf_dataset_tips.md`. Each of
 //! `frames` has a `file_path` and a `transform_matrix`, which takes the camera's coordinates to the world's, with
-//! OpenGL's axes: +x right, +y up, +z back (see [`camera::pose`]). What describes the lens stands beside `frames` or in a
-//! frame, where it counts for that frame alone; pixel centres are at +0.5. The world is that of the file:
-//! `applied_transform`, `applied_scale`, `scale`, `offset` and `aabb_scale`, which say how it came about or how one
-//! program frames it, play no role. Neither do depth maps (`depth_file_path`): nothing here is trained by them.
+//! OpenGL's axes: +x right, +y up, +z back (see [`camera::pose`]). Lens parameters stand beside `frames` or in a
+//! frame, where they apply to that frame alone; pixel centres are at +0.5. The world is that of the file:
+//! `applied_transform`, `applied_scale`, `scale`, `offset` and `aabb_scale`, which record how it was made or how one
+//! program frames it, are ignored, and so are depth maps (`depth_file_path`).
 //!
-//! A name in JSON is a path from the folder of the file, and may not lead out of it. A `file_path` without an extension
-//! is that of a `.png`, `.jpg` or `.jpeg`, whichever there is. Where `w` and `h` are missing, the header of the picture has them.
+//! A name in JSON is a path relative to the file's folder and may not leave it. A `file_path` without an extension
+//! means the `.png`, `.jpg` or `.jpeg` that exists. Where `w` and `h` are missing, they come from the picture's header.
 
 mod camera;
 mod json;
@@ -33,15 +33,15 @@ use crate::ply;
 
 /// NeRF-synthetic's file of training frames.
 const TRAIN: &str = "transforms_train.json";
-/// Its frames to test on, and those of which the first that there is takes their place.
+/// NeRF-synthetic's file of test frames, then its substitutes; the first that exists is read.
 const HELD_OUT: [&str; 2] = ["transforms_test.json", "transforms_val.json"];
-/// The one file of the others.
+/// The file of instant-ngp and nerfstudio.
 const SINGLE: &str = "transforms.json";
 
-/// A file that is larger describes no capture: a frame takes about a kilobyte.
+/// The largest accepted file. A frame takes about a kilobyte.
 const MAX_BYTES: u64 = 256 << 20;
 
-/// Longer paths are damage; messages name several on one screen.
+/// The longest accepted path; messages name several on one screen.
 const MAX_PATH_BYTES: usize = 400;
 
 /// Appended to a `file_path` without an extension, in this order.
@@ -53,7 +53,7 @@ const CORRECT: &str = "Correct the file, or export it again";
 #[derive(Clone, Copy, Debug)]
 struct Place<'a> {
     file: &'a Path,
-    /// The number of the frame, from 0, and its `file_path`; none for what stands beside `frames`.
+    /// The frame's index, from 0, and its `file_path`; none for fields beside `frames`.
     frame: Option<(usize, &'a str)>,
 }
 
@@ -83,7 +83,7 @@ impl Place<'_> {
         CaptureError::Entry { file: self.file.to_owned(), place: self.to_string(), field, found, expected, fix }
     }
 
-    /// What stands in a field; none if nothing does.
+    /// The value of an optional field.
     fn optional<'a, T>(
         &self,
         field: &'static str,
@@ -97,12 +97,12 @@ impl Place<'_> {
         }
     }
 
-    /// What stands in a field that must be there.
+    /// The value of a required field.
     fn required<'a, T>(&self, field: &'static str, value: &'a Field<T>, expected: &str) -> Result<&'a T, CaptureError> {
         self.optional(field, value, expected)?.ok_or_else(|| self.refuse(field, "missing", expected))
     }
 
-    /// A path from the folder of the file, without `.`; it must stay below that folder.
+    /// A path relative to the file's folder, without `.`. It must stay below that folder.
     fn path(&self, field: &'static str, path: &str) -> Result<String, CaptureError> {
         let refuse = || {
             self.refuse_with(
@@ -155,21 +155,21 @@ pub(super) fn load(folder: &Path) -> Result<Capture, CaptureError> {
 /// The lists of file names that nerfstudio knows: for training, validation and testing.
 type Lists = [Field<Vec<String>>; 3];
 
-/// Their fields.
+/// The JSON fields of those lists.
 const LISTS: [&str; 3] = ["train_filenames", "val_filenames", "test_filenames"];
 
-/// What has been read so far.
+/// The capture as read so far.
 struct Reading<'a> {
     folder: &'a Path,
-    /// Which view has a name, by the name of its picture and by that in the file.
+    /// The view of a name, by its picture's name and by its name in the file.
     named: HashMap<String, usize>,
-    /// The views, and their masks where they name one.
+    /// The views, with their masks where they name one.
     views: Vec<(View, Option<PathBuf>)>,
     points: Option<PathBuf>,
 }
 
 impl Reading<'_> {
-    /// Reads a file and adds its frames. How many views there are then, and the file's lists.
+    /// Reads a file and adds its frames. Returns the number of views so far and the file's lists.
     fn add(&mut self, path: &Path) -> Result<(usize, Lists), CaptureError> {
         let whole = Place { file: path, frame: None };
         let File { frames, lenses, points, lists } = json::parse(path, &read(path)?)?;
@@ -236,8 +236,8 @@ impl Reading<'_> {
         })
     }
 
-    /// The split that the lists make, if there are any. Validation takes the place of a test that there is none of; what is
-    /// in no list is for training if there is no list of that, and held out if that is the only one.
+    /// The split given by the lists, if there are any. Validation views replace missing test views. Views
+    /// in no list are for training if there is no training list, and held out if that is the only list.
     fn split(&self, file: &Path, lists: Lists) -> Result<Option<Split>, CaptureError> {
         let place = Place { file, frame: None };
         let mut listed: [Option<BTreeSet<usize>>; 3] = [None, None, None];
@@ -319,7 +319,7 @@ impl Reading<'_> {
     }
 }
 
-/// The size of an ordinary file in bytes. A pipe would never end.
+/// The size of a regular file in bytes. A pipe would never end.
 fn check_regular(file: &Path) -> Result<u64, CaptureError> {
     let fail = |reason| cannot_read(file, reason);
     let metadata = fs::metadata(file).map_err(fail)?;

@@ -1,6 +1,6 @@
-//! The binary encoding: little-endian, unpadded, each file a count and so many entries.
+//! The binary encoding: little-endian and unpadded. Each file is a count followed by that many entries.
 //!
-//! Every count is held against the bytes that follow it before anything is allocated, so that a damaged or hostile file
+//! Every count is compared with the bytes that follow it before anything is allocated, so that a damaged or hostile file
 //! costs no more memory than its own size.
 
 use std::path::Path;
@@ -51,7 +51,7 @@ pub(super) fn images(file: &Path, bytes: &[u8]) -> Result<Vec<ImageRecord>, Capt
         let name = input.name()?;
         let keypoints = input.list("POINTS2D", KEYPOINT_BYTES, |input| {
             let [x, y] = input.numbers("POINTS2D")?;
-            // The point's id; the tracks say the same and more.
+            // Skips the point's id, which the tracks repeat.
             input.take::<8>("POINTS2D")?;
             Ok([x as f32, y as f32])
         })?;
@@ -77,7 +77,7 @@ pub(super) fn points(file: &Path, bytes: &[u8]) -> Result<Vec<PointRecord>, Capt
     })
 }
 
-/// What is left of a file, and the entry being read.
+/// The unread part of a file, and the entry being read.
 struct Input<'a> {
     file: &'a Path,
     kind: &'static str,
@@ -94,8 +94,8 @@ impl<'a> Input<'a> {
         Place { file: self.file, kind: self.kind, at: At::Entry(self.entry) }
     }
 
-    /// Reads `count` entries, which must be all that the file holds: left-over bytes mean that the count and the
-    /// entries disagree, and then the entries were perhaps not what they were read as.
+    /// Reads `count` entries, which must fill the file. Left-over bytes mean that the count and the
+    /// entries disagree, so the entries may have been misread.
     fn entries<T>(
         &mut self,
         count: usize,
@@ -129,7 +129,7 @@ impl<'a> Input<'a> {
         Ok(numbers)
     }
 
-    /// A count of things that take at least `each` bytes, and for which there is room.
+    /// Reads a count of items of at least `each` bytes, and checks that the file has room for them.
     fn count(&mut self, what: &str, each: usize) -> Result<usize, CaptureError> {
         let count = u64::from_le_bytes(self.take("count")?);
         let (needed, left) = (u128::from(count) * each as u128, self.rest.len());
@@ -142,7 +142,7 @@ impl<'a> Input<'a> {
         }
     }
 
-    /// A count and so many things of `each` bytes, for which there is room.
+    /// Reads a count and that many items of `each` bytes.
     fn list<T>(
         &mut self,
         what: &'static str,

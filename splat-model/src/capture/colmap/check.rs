@@ -1,4 +1,4 @@
-//! What both encodings of a model must satisfy, and how a place in either is named.
+//! Checks shared by both encodings of a model, and how errors name a place in a file.
 
 use std::fmt;
 use std::path::{Component, Path};
@@ -10,13 +10,13 @@ use splat_op::camera::{MAX_COEFFICIENT, MAX_SIDE_PX};
 use super::model::Model;
 use crate::capture::CaptureError;
 
-/// Positions and lens parameters beyond this are damage: squared, they still fit an f32, and no survey needs more.
+/// Positions and lens parameters beyond this count as damage. The square of this limit still fits an f32, and no survey needs more.
 pub(in crate::capture) const MAX_MAGNITUDE: f64 = 1e15;
 
 const EXPORT_AGAIN: &str = "The file is damaged or the reconstruction failed: export it again, for instance with \
                             `colmap model_converter`";
 
-/// A name as messages quote it: escaped, and cut where it is longer than a line.
+/// A name as messages quote it: escaped, and truncated to a line.
 pub(in crate::capture) fn quoted(name: &str) -> String {
     const MAX_CHARS: usize = 100;
     match name.char_indices().nth(MAX_CHARS) {
@@ -25,7 +25,7 @@ pub(in crate::capture) fn quoted(name: &str) -> String {
     }
 }
 
-/// Where in a file an entry stands, counted from one.
+/// The position of an entry in a file, counted from one.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum At {
     Entry(usize),
@@ -51,12 +51,12 @@ impl fmt::Display for Place<'_> {
 }
 
 impl Place<'_> {
-    /// The error for a field that holds what no good file does.
+    /// The error for a field with an invalid value.
     pub fn refuse(&self, field: &'static str, found: impl fmt::Display, expected: impl Into<String>) -> CaptureError {
         self.refuse_with(field, found, expected, EXPORT_AGAIN)
     }
 
-    /// The same, where exporting the file again would not help.
+    /// As [`Self::refuse`], where exporting the file again would not help.
     pub fn refuse_with(
         &self,
         field: &'static str,
@@ -85,7 +85,7 @@ impl Place<'_> {
         CaptureError::Model { file: self.file.to_owned(), place: self.to_string(), model }
     }
 
-    /// `parameters` as the model orders them.
+    /// Checks and converts a camera; `parameters` are in the model's order.
     pub fn intrinsics(&self, model: Model, size_px: [u64; 2], parameters: &[f64]) -> Result<Intrinsics, CaptureError> {
         let (focals, rest) = parameters.split_at(model.focals.min(parameters.len()));
         let (fx, fy, cx, cy, coefficients) = match (focals, rest) {
@@ -122,7 +122,7 @@ impl Place<'_> {
         }
     }
 
-    /// The pose of an image; the quaternion, wxyz, may have any length but zero.
+    /// The pose of an image. The quaternion, wxyz, may have any non-zero length.
     pub fn pose(&self, quaternion: [f64; 4], translation: [f64; 3]) -> Result<DAffine3, CaptureError> {
         for (field, value) in ["QW", "QX", "QY", "QZ"].into_iter().zip(quaternion) {
             if !value.is_finite() {
@@ -132,7 +132,7 @@ impl Place<'_> {
         for (field, value) in ["TX", "TY", "TZ"].into_iter().zip(translation) {
             self.check_magnitude(field, value, "a finite number of at most 1e15")?;
         }
-        // Dividing by the largest component first keeps the squares of the others from over- or underflowing.
+        // Dividing by the largest component first keeps the squares from overflowing or underflowing.
         let largest = quaternion.iter().fold(0.0, |most: f64, value| most.max(value.abs()));
         if largest == 0.0 {
             return Err(self.refuse("QW QX QY QZ", "0 0 0 0", "a quaternion that is not zero"));

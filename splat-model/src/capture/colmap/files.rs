@@ -1,4 +1,4 @@
-//! Which files of a folder are its model.
+//! Finds the files of a folder's model.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -12,7 +12,7 @@ const SPARSE: &str = "sparse";
 pub(super) struct Files {
     pub cameras: PathBuf,
     pub images: PathBuf,
-    /// Need not exist.
+    /// The points file; it need not exist.
     pub points: PathBuf,
 }
 
@@ -34,20 +34,20 @@ impl Files {
     }
 }
 
-/// The model that is taken.
+/// The chosen model.
 pub(super) struct Found {
     pub files: Files,
-    /// What a person should know of the choice.
+    /// A note for the user about the choice.
     pub remark: Option<String>,
 }
 
-/// Whether the folder holds a model, complete but for its points.
+/// Whether the folder holds a model; its points may be missing.
 pub(super) fn is_there(folder: &Path) -> bool {
     candidates(folder).iter().any(|model| of_model(model).is_ok())
 }
 
-/// The folder's model. COLMAP leaves several, `sparse/0`, `sparse/1` and so on, where it could not join all photographs; then it
-/// is the one with the most of them, and of those the first.
+/// The folder's model. COLMAP leaves several, `sparse/0`, `sparse/1` and so on, where it could not register all photographs together; the choice
+/// is the first of those with the most photographs.
 ///
 /// # Errors
 /// If there is none, or the photographs of one of several cannot be counted.
@@ -56,7 +56,7 @@ pub(super) fn find(folder: &Path) -> Result<Found, CaptureError> {
     let complete: Vec<(&PathBuf, Files)> =
         models.iter().filter_map(|model| Some((model, of_model(model).ok()?))).collect();
     let [_, _, ..] = complete.as_slice() else {
-        // The message is that of the model which should be there.
+        // The error names the model that should exist.
         let usual = || models.first().cloned().unwrap_or_else(|| folder.join(SPARSE));
         let only = complete.into_iter().next().map(|(_, files)| Ok(files));
         return Ok(Found { files: only.unwrap_or_else(|| of_model(&usual()))?, remark: None });
@@ -66,7 +66,7 @@ pub(super) fn find(folder: &Path) -> Result<Found, CaptureError> {
         let images = parse(&files.images, binary::images, text::images)?.len();
         counted.push((images, model, files));
     }
-    // Stable: the first of the largest stays before the others.
+    // A stable sort keeps the first of the largest in front.
     counted.sort_by_key(|(images, ..)| std::cmp::Reverse(*images));
     let name = |model: &Path| model.strip_prefix(folder).unwrap_or(model).display().to_string();
     let others = counted[1..].iter().map(|(images, model, _)| format!("{} has {images}", name(model)));
@@ -81,7 +81,7 @@ pub(super) fn find(folder: &Path) -> Result<Found, CaptureError> {
     Ok(Found { files, remark: Some(remark) })
 }
 
-/// Folders that may be models: those in `sparse/` with numbers for names, in their order, or else `sparse/` itself.
+/// Candidate folders: the numbered ones in `sparse/`, in order, or else `sparse/` itself.
 fn candidates(folder: &Path) -> Vec<PathBuf> {
     let sparse = folder.join(SPARSE);
     let entries = fs::read_dir(&sparse).into_iter().flatten().flatten();

@@ -1,9 +1,9 @@
-//! COLMAP's camera models and ours.
+//! Maps COLMAP's camera models to this crate's.
 
 use splat_op::CameraModel;
 
-/// A model of COLMAP's that we have, and how its parameters are laid out: one or two focal lengths, the principal point, and
-/// the first coefficients of ours; the others are zero.
+/// A supported COLMAP model and its parameter layout: one or two focal lengths, the principal point, and
+/// the first coefficients of our model; the others are zero.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Model {
     pub ours: CameraModel,
@@ -12,7 +12,7 @@ pub(super) struct Model {
     pub coefficients: usize,
 }
 
-/// COLMAP's names by its numbers for them, and the model if we have it (`src/colmap/sensor/models.h`).
+/// COLMAP's model names by id, with our model where there is one (`src/colmap/sensor/models.h`).
 const MODELS: [(&str, Option<Model>); 18] = [
     ("SIMPLE_PINHOLE", model(CameraModel::Pinhole, 1, 0)),
     ("PINHOLE", model(CameraModel::Pinhole, 2, 0)),
@@ -39,26 +39,26 @@ const fn model(ours: CameraModel, focals: usize, coefficients: usize) -> Option<
 }
 
 impl Model {
-    /// The most that a model has.
+    /// The largest number of parameters of any model.
     pub const MOST_PARAMETERS: usize = 12;
 
-    /// How many numbers follow the size of a picture.
+    /// The number of parameters that follow the picture's size.
     pub const fn parameters(self) -> usize {
         self.focals + 2 + self.coefficients
     }
 
-    /// COLMAP's name for a number of its, if it has one.
+    /// COLMAP's name for a model id, if there is one.
     pub fn name(number: i32) -> Option<&'static str> {
         let (name, _) = MODELS.get(usize::try_from(number).ok()?)?;
         Some(name)
     }
 
-    /// `None` for one that we do not have.
+    /// The model with a COLMAP id; `None` if it is not supported.
     pub fn by_name(name: &str) -> Option<Self> {
         MODELS.iter().find(|(known, _)| *known == name)?.1
     }
 
-    /// The model of COLMAP's that holds all that ours can be, with its number there.
+    /// The COLMAP model and id that can express any of our models' coefficients.
     pub fn full(ours: CameraModel) -> Option<(i32, Self)> {
         let complete =
             |model: &Model| model.ours == ours && model.focals == 2 && model.coefficients == ours.coefficients();

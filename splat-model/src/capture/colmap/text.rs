@@ -1,4 +1,4 @@
-//! The text encoding: one entry a line (two for an image), fields between blanks, comments from `#` on a line's start.
+//! The text encoding: one entry per line (two for an image), fields separated by blanks, comment lines starting with `#`.
 
 use std::path::Path;
 use std::str::FromStr;
@@ -36,7 +36,7 @@ pub(super) fn images(file: &Path, bytes: &[u8]) -> Result<Vec<ImageRecord>, Capt
         let translation = line.numbers(["TX", "TY", "TZ"])?;
         let cam_from_world = line.place.pose(quaternion, translation)?;
         let camera_id = line.parse("CAMERA_ID", "a whole number")?;
-        // All that is left of the line: names may hold blanks.
+        // The rest of the line, because names may hold blanks.
         let name = line.place.name(line.rest)?;
         // The line after an image belongs to it whatever it holds; most often it is empty where there are no keypoints.
         let keypoints = lines.next().map_or(Ok(Vec::new()), keypoints)?;
@@ -57,7 +57,7 @@ pub(super) fn points(file: &Path, bytes: &[u8]) -> Result<Vec<PointRecord>, Capt
             for (channel, field) in colour.iter_mut().zip(["R", "G", "B"]) {
                 *channel = line.parse(field, "a whole number from 0 to 255")?;
             }
-            // What only evidence is taken from may be missing.
+            // Fields that serve as evidence only may be missing.
             let error_px = if line.rest.is_empty() { f64::NAN } else { line.parse("ERROR", "a number")? };
             let mut track = Vec::new();
             while !line.rest.is_empty() {
@@ -70,8 +70,8 @@ pub(super) fn points(file: &Path, bytes: &[u8]) -> Result<Vec<PointRecord>, Capt
         .collect()
 }
 
-/// The keypoints of a line. One that cannot hold any is the next image, of a file without lines for keypoints: passing over
-/// it would lose every other photograph.
+/// The keypoints of a line. A line that cannot hold keypoints is the next image, in a file without keypoint lines: skipping
+/// it would lose every second photograph.
 fn keypoints(mut line: Line) -> Result<Vec<[f32; 2]>, CaptureError> {
     let count = line.rest.split_whitespace().count();
     let last_is_id = line.rest.split_whitespace().next_back().is_none_or(|last| last.parse::<i64>().is_ok());
@@ -82,7 +82,7 @@ fn keypoints(mut line: Line) -> Result<Vec<[f32; 2]>, CaptureError> {
     let mut keypoints = Vec::with_capacity(count / 3);
     while !line.rest.is_empty() {
         let [x, y] = line.numbers(["POINTS2D"; 2])?;
-        // The point's id; the tracks say the same and more.
+        // Skips the point's id, which the tracks repeat.
         line.parse::<i64>("POINTS2D", "X, Y and a whole number POINT3D_ID in turn")?;
         keypoints.push([x as f32, y as f32]);
     }
@@ -107,7 +107,7 @@ fn lines<'a>(
     Ok(numbered.map(move |(i, line)| Line { place: Place { file, kind, at: At::Line(i + 1) }, rest: line.trim() }))
 }
 
-/// What is left of a line.
+/// The unread part of a line.
 struct Line<'a> {
     place: Place<'a>,
     rest: &'a str,

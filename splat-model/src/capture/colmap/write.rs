@@ -11,7 +11,7 @@ use super::model::Model;
 use super::{Files, assemble, binary};
 use crate::capture::{CaptureError, PointCloud, Tracks, View};
 
-/// How far a pose may be from rigid: well above the rounding of f64, well below what a picture shows.
+/// The largest accepted deviation of a pose from rigid: well above f64 rounding, well below what a picture shows.
 const RIGID_WITHIN: f64 = 1e-6;
 
 /// Writes `cameras.bin`, `images.bin` and `points3D.bin` under `folder/sparse/0`, replacing those that are there.
@@ -20,7 +20,7 @@ const RIGID_WITHIN: f64 = 1e-6;
 /// points empty tracks (see [`write_binary_with_tracks`]); views of equal [`Intrinsics`] share a camera. Pictures are not
 /// written; each view's is expected at `folder/images/<name>`.
 ///
-/// The files appear whole or not at all, one by one: each is written under another name first.
+/// Each file is written under a temporary name and renamed, so that it appears whole or not at all.
 ///
 /// # Errors
 ///
@@ -52,7 +52,7 @@ pub fn write_binary_with_tracks(
     let (keypoints, elements) = keypoints(views.len(), points, tracks);
     let image_bytes = image_bytes(&files.images, &cameras, views, &keypoints)?;
     let point_bytes = point_bytes(points, tracks, &elements);
-    // Read back what is about to be written, so that reader and writer cannot disagree on what is valid.
+    // Reads back the bytes before they are written, so that reader and writer cannot disagree on validity.
     assemble(
         folder,
         &files,
@@ -98,10 +98,10 @@ fn camera_bytes(file: &Path, cameras: &[Intrinsics]) -> Result<Vec<u8>, CaptureE
     Ok(out.0)
 }
 
-/// A sight as a photograph lists it: where, and of which point.
+/// An observation as a photograph lists it: its position and its point.
 type Keypoint = ([f32; 2], usize);
 
-/// The keypoints of each view, and of each point the view and keypoint of its sights.
+/// The keypoints of each view, and for each point the view and keypoint of each of its observations.
 fn keypoints(views: usize, points: &PointCloud, tracks: &Tracks) -> (Vec<Vec<Keypoint>>, Vec<Vec<[usize; 2]>>) {
     let mut keypoints: Vec<Vec<Keypoint>> = vec![Vec::new(); views];
     let track = |point: usize| {
@@ -150,19 +150,19 @@ fn point_bytes(points: &PointCloud, tracks: &Tracks, elements: &[Vec<[usize; 2]>
         out.add((point as u64 + 1).to_le_bytes());
         out.numbers(position.map(f64::from));
         out.add(*colour);
-        // COLMAP's mark for an error that was never measured.
+        // COLMAP's value for an unmeasured error.
         out.numbers([tracks.stated_error_px(point).map_or(-1.0, f64::from)]);
         out.add((elements[point].len() as u64).to_le_bytes());
         for &[view, keypoint] in &elements[point] {
             out.add(number_of(view).to_le_bytes());
-            // Keypoints count from zero, and no photograph has 2³² of them.
+            // Keypoint indices start at zero, and no photograph has 2³² keypoints.
             out.add((keypoint as u32).to_le_bytes());
         }
     }
     out.0
 }
 
-/// COLMAP's ids are 32 bits wide and count from one.
+/// COLMAP's ids are 32 bits wide and start at one.
 fn number_of(index: usize) -> u32 {
     // More than 2³² views do not fit in memory; ids that wrapped would be refused as duplicates when read back.
     (index as u32).wrapping_add(1)
@@ -182,18 +182,18 @@ fn rotation(place: &Place, cam_from_world: &DAffine3) -> Result<DQuat, CaptureEr
     }
 }
 
-/// Writes beside `file`, then renames: who reads meanwhile sees the old file or the new one, never a part.
+/// Writes beside `file`, then renames. A concurrent reader sees the old file or the new one, never a part.
 fn replace(file: &Path, bytes: &[u8]) -> Result<(), CaptureError> {
     let temporary = file.with_extension(format!("tmp-{}", std::process::id()));
     let written = fs::write(&temporary, bytes).and_then(|()| fs::rename(&temporary, file));
     written.map_err(|reason| {
-        // What is left may fill the disk; the first failure is the one to report.
+        // Removes the temporary file, which may fill the disk; the first failure is the one to report.
         drop(fs::remove_file(&temporary));
         CaptureError::Write { file: file.to_owned(), reason }
     })
 }
 
-/// A file in the making.
+/// A temporary file being written.
 struct Bytes(Vec<u8>);
 
 impl Bytes {

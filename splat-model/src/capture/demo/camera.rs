@@ -1,4 +1,4 @@
-//! Where the demo's photographs are taken from: three rings around the still life.
+//! The demo's cameras: three rings around the still life.
 
 use std::f64::consts::TAU;
 
@@ -14,20 +14,20 @@ use super::scene::Scene;
 /// Horizontal field of view.
 const FOV_X_DEG: f64 = 50.0;
 
-/// What the cameras look at, world frame (z up, the platform's top at z = 0).
+/// The point that the cameras look at, world frame (z up, the platform's top at z = 0).
 pub(super) const CENTRE_WORLD: DVec3 = DVec3::new(0.0, 0.0, 0.32);
 
 /// Elevation in degrees and distance in scene units of each ring.
 const RINGS: [(f64, f64); 3] = [(13.0, 4.9), (29.0, 4.5), (50.0, 4.3)];
 
-/// Elevations are lower by this where there is something to see in the distance.
+/// Reduction of the elevations, degrees, where there is a distant landscape.
 const FAR_ELEVATION: f64 = 0.4;
 
-/// By how much higher than usual they look there, scene units, so that the horizon is in the picture's middle.
+/// Shift of the target upwards there, scene units, which puts the horizon in the picture's middle.
 const FAR_LIFT: f64 = 1.0;
 
-/// What `k1 r², k2 r⁴, p1 r, p2 r` of the lens are at the corner of the picture, a slope of `r` from the axis: its shape is the
-/// same for pictures of every shape. They move the corners by 3% to [`DemoOptions::LENS_SHARE`] of the width, at 4 to 3.
+/// The lens terms `k1 r², k2 r⁴, p1 r, p2 r` at the picture's corner, whose slope from the axis is `r`: the distortion has the
+/// same shape in pictures of every aspect ratio. They move the corners by 3% to [`DemoOptions::LENS_SHARE`] of the width, at 4:3.
 const LENS_AT_CORNER: [f64; 4] = [-0.0587, 0.0107, 0.0016, -0.0021];
 
 /// One photograph's camera.
@@ -35,15 +35,15 @@ const LENS_AT_CORNER: [f64; 4] = [-0.0587, 0.0107, 0.0016, -0.0021];
 pub(super) struct DemoCamera {
     pub intrinsics: Intrinsics,
     projector: Projector,
-    /// Rigid, OpenCV axes.
+    /// The pose: rigid, OpenCV axes.
     pub cam_from_world: DAffine3,
     pub centre_world: DVec3,
-    /// How far away what it looks at is, scene units.
+    /// Distance to the target, scene units.
     pub subject_distance: f64,
 }
 
 impl DemoCamera {
-    /// Held upright. It must not look straight up or down; the rings do not.
+    /// An upright camera. It must not look straight up or down; the rings do not.
     fn looking(intrinsics: Intrinsics, centre_world: DVec3, target_world: DVec3) -> Self {
         let forward = (target_world - centre_world).normalize();
         let right = forward.cross(DVec3::Z).normalize();
@@ -58,7 +58,7 @@ impl DemoCamera {
         }
     }
 
-    /// The same camera elsewhere: its axes turned by a rotation of its own frame, `cam_from_turned`.
+    /// The camera at another place, with its axes turned by the rotation `cam_from_turned` of its own frame.
     pub fn moved(self, centre_world: DVec3, cam_from_turned: DMat3) -> Self {
         let turned_from_world = cam_from_turned.transpose() * self.cam_from_world.matrix3;
         let cam_from_world = DAffine3 { matrix3: turned_from_world, translation: -(turned_from_world * centre_world) };
@@ -70,10 +70,10 @@ impl DemoCamera {
         self.cam_from_world.matrix3.transpose()
     }
 
-    /// The direction of the camera's frame that shows at a position in the picture, px; not of unit length.
+    /// The direction in the camera's frame that projects to a position in the picture, px; not of unit length.
     pub fn direction_cam(&self, at_px: DVec2) -> DVec3 {
         let Intrinsics { model, fx, fy, cx, cy, .. } = self.intrinsics;
-        // Most photographs are a pinhole's, and this is asked for every sample of every pixel.
+        // A fast path: most photographs use a pinhole, and this runs for every sample of every pixel.
         match model {
             CameraModel::Pinhole => DVec3::new((at_px.x - cx) / fx, (at_px.y - cy) / fy, 1.0),
             _ => self.projector.cam_from_px(at_px),
@@ -86,7 +86,7 @@ impl DemoCamera {
         Ray { origin: self.centre_world, direction }
     }
 
-    /// Where a point shows, px, if it lies in front of the camera and the lens sees it: perhaps beside the picture.
+    /// The projection of a point, px, if it lies in front of the camera and within the lens's field. It may lie outside the picture.
     pub fn project(&self, point_world: DVec3) -> Option<DVec2> {
         let Intrinsics { model, fx, fy, cx, cy, .. } = self.intrinsics;
         let point_cam = self.cam_from_world.transform_point3(point_world);
@@ -105,7 +105,7 @@ impl DemoCamera {
 }
 
 /// The cameras of a capture. Neighbours in the list stand on different rings, so that any regular choice of views for
-/// testing sees all heights.
+/// testing covers all heights.
 pub(super) fn cameras(options: &DemoOptions) -> Vec<DemoCamera> {
     let mut random = options.random(Stream::Cameras);
     let intrinsics = intrinsics(options);
@@ -149,11 +149,11 @@ fn intrinsics(options: &DemoOptions) -> Intrinsics {
     Intrinsics { model: CameraModel::OpenCv, distortion, ..pinhole }
 }
 
-/// Centre and target of a camera at its distance: usual, near or far, by turns. What it looks at is what an ordinary
-/// photograph shows in its middle, so that the way there is free.
+/// Centre and target of a camera at its distance, which is usual, near or far in turn. The target is what an ordinary
+/// photograph shows in its middle, so that nothing lies between.
 fn zoomed(scene: &Scene, i: usize, centre_world: DVec3, target_world: DVec3) -> (DVec3, DVec3) {
-    // By the index, so that three held-out views in succession, whose indices differ by 8 and 16, are of all three; every 24
-    // the rings change places.
+    // Chosen by the index, so that three successive held-out views, whose indices differ by 8 and 16, have all three distances; every 24
+    // views the rings change places.
     let times = match (i + i / (3 * DemoOptions::HELD_OUT_EVERY)) % 3 {
         0 => return (centre_world, target_world),
         1 => DemoOptions::ZOOM_NEAR,

@@ -8,11 +8,11 @@ use super::DemoOptions;
 use super::light::LitScene;
 use super::shot::{Moment, Shot};
 
-/// A depth map as it is stored.
+/// A depth map as stored.
 pub(super) type DepthMap = ImageBuffer<Luma<u16>, Vec<u16>>;
 
 /// Depth along the camera's axis at the middle of each pixel and of its exposure, in levels of [`DemoOptions::DEPTH_SCALE`];
-/// zero where the photograph is transparent and beyond what 16 bits hold.
+/// zero where the photograph is transparent or the depth exceeds 16 bits.
 pub(super) fn render(scene: &LitScene, shot: &Shot) -> DepthMap {
     let (width, height) = (shot.camera.intrinsics.width, shot.camera.intrinsics.height);
     let mut levels = vec![0; width * height];
@@ -24,7 +24,7 @@ pub(super) fn render(scene: &LitScene, shot: &Shot) -> DepthMap {
     ImageBuffer::from_raw(width as u32, height as u32, levels).expect("a level for each pixel")
 }
 
-/// Scene units along the axis; none where there is nothing to see.
+/// Depth along the axis, scene units; none where the ray meets nothing.
 pub(super) fn depth(scene: &LitScene, shot: &Shot, at_px: DVec2) -> Option<f64> {
     let point = scene.scene.hit(&shot.ray(at_px, Moment::default()))?;
     let hidden = shot.transparent && scene.scene.is_surroundings(&point);
@@ -34,7 +34,7 @@ pub(super) fn depth(scene: &LitScene, shot: &Shot, at_px: DVec2) -> Option<f64> 
 
 fn level_of(depth: Option<f64>) -> u16 {
     let level = depth.map_or(0.0, |depth| (depth / DemoOptions::DEPTH_SCALE).round());
-    // A whole number within range.
+    // The value is a whole number within range.
     if level > 0.0 && level <= f64::from(u16::MAX) { level as u16 } else { 0 }
 }
 

@@ -1,4 +1,4 @@
-//! Shapes and where rays meet them. Each shape is described in its own frame, centred at zero; lengths in scene units.
+//! Shapes and their intersections with rays. Each shape has its own frame, centred at zero; lengths are in scene units.
 
 use glam::DVec3;
 
@@ -18,12 +18,12 @@ impl Ray {
     }
 }
 
-/// Where a ray meets a surface.
+/// The intersection of a ray and a surface.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Hit {
-    /// From the ray's origin, positive.
+    /// Distance from the ray's origin, positive.
     pub distance: f64,
-    /// Unit length, out of the solid; for [`Shape::Disc`] up and for [`Shape::Dome`] inwards.
+    /// Unit normal, out of the solid; up for [`Shape::Disc`], inwards for [`Shape::Dome`].
     pub normal: DVec3,
 }
 
@@ -57,14 +57,14 @@ pub(super) enum Shape {
     },
 }
 
-/// The stretch of a ray inside a convex solid, between two distances, and what it passes through at each.
+/// The segment of a ray inside a convex solid: two distances, and the side crossed at each.
 #[derive(Clone, Copy)]
 pub(super) struct Span {
     pub enter: (f64, Side),
     pub exit: (f64, Side),
 }
 
-/// A side of a convex solid. Normals are worked out for the one hit that counts.
+/// A side of a convex solid. The normal is computed for the nearest hit only.
 #[derive(Clone, Copy)]
 pub(super) enum Side {
     /// Its normal.
@@ -140,7 +140,7 @@ impl Shape {
 
 fn sphere(ray: &Ray, radius: f64) -> Option<Span> {
     let middle = -ray.origin.dot(ray.direction);
-    // Through the point nearest to the centre, not through |origin|² − radius²: that loses digits far away.
+    // Uses the point nearest to the centre; |origin|² − radius² loses digits far away.
     let half_squared = radius * radius - ray.at(middle).length_squared();
     let half = (half_squared > 0.0).then(|| half_squared.sqrt())?;
     Some(Span { enter: (middle - half, Side::Ball(radius)), exit: (middle + half, Side::Ball(radius)) })
@@ -170,12 +170,12 @@ pub(super) fn tube(ray: &Ray, radius: f64) -> Option<Span> {
     Some(Span { enter: (middle - half, Side::Tube(radius)), exit: (middle + half, Side::Tube(radius)) })
 }
 
-/// Of a ray that runs alongside: another side is met first.
+/// The interval of a ray parallel to a side: another side is met first.
 fn endless(side: Side) -> Span {
     Span { enter: (f64::NEG_INFINITY, side), exit: (f64::INFINITY, side) }
 }
 
-/// How much of a thin cone around a ray a torus blocks.
+/// The share of a thin cone around a ray that a solid blocks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Cover {
     Nothing,
@@ -184,8 +184,8 @@ pub(super) enum Cover {
 }
 
 impl Shape {
-    /// How much of the cone around `ray` (frame of the shape) the solid blocks; the cone's radius grows by `spread` per
-    /// unit of distance. `Part` wherever a quick look does not settle it.
+    /// The share of the cone around `ray` (the shape's frame) that the solid blocks. The cone's radius grows by `spread` per
+    /// unit of distance. The answer is `Part` wherever a bounding test does not decide.
     pub fn cover(&self, ray: &Ray, spread: f64) -> Cover {
         match *self {
             Shape::Torus { major, minor } => torus::cover(ray, spread, major, minor),

@@ -1,4 +1,4 @@
-//! What a camera's own processing makes of a photograph, place by place.
+//! Local processing of a photograph, as phones do it.
 
 use std::f64::consts::{SQRT_2, TAU};
 
@@ -12,11 +12,11 @@ use super::light::display;
 /// A filter whose strength rises across the picture, and a tone curve that does so in a direction of its own.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Grade {
-    /// Stops of light, per channel, in the corner that is brightened most; as much is lost in the opposite one.
+    /// Stops of light, per channel, gained in the brightest corner; the opposite corner loses as much.
     stops: DVec3,
-    /// Towards that corner, by half a diagonal of the picture, so that it is 1 from the middle to a corner at most.
+    /// Direction to that corner in units of half the picture's diagonal, so that it is at most 1 from the middle to a corner.
     brighter: DVec2,
-    /// The same, to where the tone curve darkens: stored values are raised to a power, which moves dark ones most.
+    /// Direction in which the tone curve darkens, in the same units. Stored values are raised to a power, which moves dark values most.
     deeper: DVec2,
 }
 

@@ -1,4 +1,4 @@
-//! How much light a point sends to the eye. Matte light depends on the point alone, not on where it is seen from.
+//! Shading of the demo's surfaces. Matte light depends on the point alone, not on the viewing direction.
 
 use std::f64::consts::TAU;
 
@@ -10,10 +10,10 @@ use super::scene::{Kind, Object, Scene, SurfacePoint};
 /// Rays to the sun per shaded point: 16 levels of penumbra, finer than 8 bits show after averaging 9 samples.
 const SUN_SAMPLES: usize = 16;
 
-/// Radius of the sun as seen from the scene: six times the real one, for soft shadows.
+/// Angular radius of the sun: six times the real one, for soft shadows.
 const SUN_RADIUS_RAD: f64 = 0.05;
 
-/// Shadow rays start this far off the surface, so that rounding does not put them inside it.
+/// Offset of shadow rays from the surface, so that rounding does not start them inside it.
 const LIFT: f64 = 1e-4;
 
 const SUN: DVec3 = DVec3::new(2.7, 2.4, 1.95);
@@ -46,7 +46,7 @@ impl LitScene {
         Self { scene, to_sun, sun_samples }
     }
 
-    /// Linear light that comes along a ray of the world frame; [`display`] makes picture values of it.
+    /// Linear light along a ray of the world frame; [`display`] turns it into picture values.
     pub fn along(&self, ray: &Ray) -> DVec3 {
         let Some(point) = self.scene.hit(ray) else {
             return DVec3::ZERO;
@@ -54,7 +54,7 @@ impl LitScene {
         self.towards(ray, &point)
     }
 
-    /// Linear light that a point sends back along the ray that met it.
+    /// Linear light that a point reflects along the ray that met it.
     pub fn towards(&self, ray: &Ray, point: &SurfacePoint) -> DVec3 {
         let matte = self.matte(point);
         match self.scene.objects[point.object].kind {
@@ -64,7 +64,7 @@ impl LitScene {
         }
     }
 
-    /// Linear light that leaves a point in every direction alike.
+    /// Linear light that leaves a point equally in all directions.
     pub fn matte(&self, point: &SurfacePoint) -> DVec3 {
         let object = &self.scene.objects[point.object];
         let colour = object.colour(point.position_world, point.normal_world);
@@ -89,13 +89,13 @@ impl LitScene {
         matte.lerp(seen, share) + DVec3::splat(highlight)
     }
 
-    /// A highlight of the sun so broad that harmonics of a low degree can hold it (Phong 1975).
+    /// A highlight of the sun, broad enough for low-degree harmonics to represent (Phong 1975).
     fn sheen(&self, ray: &Ray, point: &SurfacePoint) -> DVec3 {
         let mirrored = ray.direction - 2.0 * ray.direction.dot(point.normal_world) * point.normal_world;
         DVec3::splat(0.6 * mirrored.dot(self.to_sun).max(0.0).powi(3) * self.sun_share(point))
     }
 
-    /// The part of the sun's disc that a point sees.
+    /// The visible share of the sun's disc.
     fn sun_share(&self, point: &SurfacePoint) -> f64 {
         let origin = point.position_world + LIFT * point.normal_world;
         let middle = Ray { origin, direction: self.to_sun };
@@ -119,7 +119,7 @@ impl LitScene {
             let ray = Ray { origin, direction };
             !in_the_way.iter().any(|object| object.hit(&ray, f64::INFINITY).is_some())
         };
-        // The spiral ends at the rim of the sun: if its last four samples agree, so do nearly always the others.
+        // The spiral ends at the sun's rim: if its last four samples agree, the others almost always do.
         let (inner, rim) = self.sun_samples.split_at(SUN_SAMPLES - 4);
         let open = match rim.iter().filter(sees_sun).count() {
             0 => 0,
@@ -129,7 +129,7 @@ impl LitScene {
         open as f64 / SUN_SAMPLES as f64
     }
 
-    /// The part of the sky's light that neighbours leave to a point: each is taken for a ball.
+    /// The share of the sky's light that neighbours leave to a point. Each neighbour is approximated by a ball.
     fn open_share(&self, point: &SurfacePoint) -> f64 {
         let mut open = 1.0;
         for (i, object) in self.scene.objects.iter().enumerate() {
@@ -152,7 +152,7 @@ impl LitScene {
             let hidden = point.normal_world.dot(towards).max(0.0) * radius * radius / (squared * squared.sqrt());
             open *= 1.0 - hidden.min(0.9);
         }
-        // Above the platform, what faces down sees it from close by.
+        // Surfaces above the platform that face down see it from close by.
         let height = point.position_world.z.max(0.0);
         let down = 0.5 - 0.5 * point.normal_world.z;
         open * (1.0 - 0.6 * down * (-height / 0.2).exp())

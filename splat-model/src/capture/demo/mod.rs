@@ -1,8 +1,8 @@
-//! A capture that the project makes itself: a ray-traced still life, photographed from three rings of cameras.
+//! The demo capture: a ray-traced still life, photographed from three rings of cameras.
 //!
-//! Everything is known about it (geometry, light, cameras), nothing has to be downloaded, and the same options give the
-//! same bytes. Its photographs show no effect that [`DemoOptions`] does not ask for: surfaces are matte, so that splats of
-//! degree 0 can explain them. World frame: z up, the round platform has radius 1.95 and its top at z = 0, everything lies
+//! Its geometry, light and cameras are known, nothing has to be downloaded, and equal options give the
+//! same bytes. Its photographs show only the effects that [`DemoOptions`] asks for. Surfaces are matte, so that splats of
+//! degree 0 can represent them. World frame: z up, the round platform has radius 1.95 and its top at z = 0, and everything lies
 //! within a dome of radius 8.
 
 mod camera;
@@ -97,7 +97,7 @@ pub enum DemoError {
 ///
 /// # Errors
 ///
-/// [`DemoError::Option`] for options outside their ranges, [`DemoError::Conflict`] for such as exclude each other, else if a
+/// [`DemoError::Option`] for options outside their ranges, [`DemoError::Conflict`] for options that exclude each other, or if a
 /// file cannot be written.
 pub fn write(folder: &Path, options: &DemoOptions) -> Result<(), DemoError> {
     options.check()?;
@@ -146,10 +146,10 @@ const DEPTHS: &str = "depth";
 const DEPTH_SCALE: &str = "depth.json";
 const TRUTH: &str = "truth.json";
 
-/// What a demo capture may consist of, of whatever options: files and folders right below its own, the model last.
+/// The files and folders, directly below the capture's own, that a demo capture of any options may hold; the model comes last.
 pub const PARTS: [&str; 5] = [IMAGES, MASKS, DEPTHS, TRUTH, "sparse"];
 
-/// The files beside the model, below the folder of the capture, that [`write()`] writes for `options`.
+/// The files beside the model that [`write()`] writes for `options`, relative to the capture's folder.
 pub fn files(options: &DemoOptions) -> Vec<PathBuf> {
     let below =
         |folder: &'static str, views: Vec<usize>| views.into_iter().map(move |view| Path::new(folder).join(name(view)));

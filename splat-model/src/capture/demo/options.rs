@@ -1,18 +1,18 @@
-//! What is asked of the demo capture.
+//! Options of the demo capture.
 
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
 use super::DemoError;
 
-/// What the demo capture holds: its size, and which effects its photographs show. Without effects every photograph is a sharp,
-/// opaque pinhole's view of a matte scene at one exposure, and the model that is written is exact.
+/// The size of the demo capture, and the effects that its photographs show. Without effects every photograph is a sharp,
+/// opaque pinhole view of a matte scene at one exposure, and the written model is exact.
 ///
-/// Each effect is a switch. They are independent: any of them combine, and each then has the same magnitude, except for two
-/// pairs that are refused: `lens` with `fisheye`, as a photograph is taken through one lens, and `far` with `alpha`, which
+/// Each effect is a switch. Effects are independent: they combine freely and keep their magnitude, except for two
+/// pairs that are refused: `lens` with `fisheye`, because a photograph has one lens, and `far` with `alpha`, which
 /// would make transparent what `far` moves away. Every eighth photograph by name is *held out* (see
-/// [`DemoOptions::held_out`]): what spoils single photographs (`graded`, `masks`, `poses`, `motion`, `defocus`) leaves it alone, as it
-/// is what a scene's quality is judged by.
+/// [`DemoOptions::held_out`]): effects that spoil single photographs (`graded`, `masks`, `poses`, `motion`, `defocus`) spare it, because it
+/// measures a scene's quality.
 ///
 /// With `poses`, `motion`, `rolling` or `defocus`, a file `truth.json` says what was done to each photograph; see [`super::write`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -21,9 +21,9 @@ pub struct DemoOptions {
     pub width: usize,
     /// Height of the pictures, 16 to 4096 px.
     pub height: usize,
-    /// How many pictures, 2 to 9999.
+    /// Number of pictures, 2 to 9999.
     pub views: usize,
-    /// How many sparse points, at most 1,000,000.
+    /// Number of sparse points, at most 1,000,000.
     pub points: usize,
     /// One sphere reflects its surroundings and the sun, and all else but ground and sky has a soft highlight, so that colours
     /// depend on the view.
@@ -101,55 +101,55 @@ impl DemoOptions {
         seed: 0,
     };
 
-    /// Stops of light by which gains differ from one at most.
+    /// Largest deviation of a gain from one, stops of light.
     pub const EXPOSURE_STOPS: f64 = 0.75;
     /// Stops of light by which a corner of a graded photograph is brighter, on average over the photographs; half as much to one and a
     /// half times as much for each channel of each.
     pub const GRADE_STOPS: f64 = 1.0;
-    /// Powers to which stored values are raised are two to the powers −this to this, from corner to corner.
+    /// Exponent range of the tone curve: stored values are raised to 2^(−this) in one corner and 2^this in the opposite one.
     pub const GRADE_TONE: f64 = 0.75;
-    /// By how much of the width the lens moves the corner that it moves most, about, in pictures of 4 to 3.
+    /// Approximate displacement of the most displaced corner, as a share of the width, in 4:3 pictures.
     pub const LENS_SHARE: f64 = 0.04;
-    /// What the fisheye sees along the longer side of a picture, degrees.
+    /// Field of view of the fisheye along the longer side of a picture, degrees.
     pub const FISHEYE_FOV_DEG: f64 = 120.0;
     /// Discs that cover the scene in a photograph.
     pub const MASKED_PLACES: usize = 4;
-    /// Their diameters, least and largest, by the width of the picture.
+    /// Smallest and largest diameter of the discs, as a share of the width.
     pub const MASKED_SIZE: [f64; 2] = [0.15, 0.35];
-    /// How far around a disc pixels are excluded, px, from their middles: more than the half diagonal of a pixel, so that no
-    /// pixel that shows some of the disc counts.
+    /// Width of the excluded margin around a disc, px, measured to pixel centres: more than half a pixel's diagonal, so that no
+    /// pixel that shows part of the disc counts.
     pub const MASK_MARGIN_PX: f64 = 1.5;
-    /// The distance of near photographs, by the usual one.
+    /// Distance of near photographs relative to the usual one.
     pub const ZOOM_NEAR: f64 = 1.0 / 3.0;
-    /// The distance of far photographs, by the usual one.
+    /// Distance of far photographs relative to the usual one.
     pub const ZOOM_FAR: f64 = 3.5;
-    /// Angle by which poses are wrong, degrees.
+    /// Error of the poses' rotation, degrees.
     pub const POSE_ANGLE_DEG: f64 = 1.0;
-    /// Distance by which poses are wrong, by the scene's extent.
+    /// Error of the poses' position, as a share of the scene's extent.
     pub const POSE_SHARE: f64 = 0.01;
     /// Radius of the landscape and its sky, scene units: a hundred times the usual distance of the cameras.
     pub const FAR_RADIUS: f64 = 450.0;
-    /// Length of the smear, by the width of the picture: 12 px at 240 px.
+    /// Length of the motion blur as a share of the width: 12 px at 240 px.
     pub const MOTION_SHARE: f64 = 0.05;
-    /// What the camera's motion moves from the first row to the last, by the width of the picture: 12 px at 240 px.
+    /// Displacement from the first row to the last as a share of the width: 12 px at 240 px.
     pub const ROLLING_SHARE: f64 = 0.05;
     /// Radius of the aperture, scene units.
     pub const APERTURE_RADIUS: f64 = 0.16;
-    /// Distance of the plane in focus, by that of what a photograph looks at.
+    /// Distance of the plane in focus relative to that of the target.
     pub const FOCUS_SHARE: f64 = 0.81;
     /// Scene units per level of a depth map.
     pub const DEPTH_SCALE: f64 = 0.001;
-    /// Every so many photographs, from the first on, one is held out: the split that [`Split::every`](crate::capture::Split)
+    /// Interval of held-out photographs, starting with the first: the split that [`Split::every`](crate::capture::Split)
     /// makes by default.
     pub const HELD_OUT_EVERY: usize = 8;
 
-    /// Whether a photograph, by its index, is one to judge a scene by and not to train on.
+    /// Whether the photograph of an index is held out for testing.
     pub const fn held_out(view: usize) -> bool {
         view.is_multiple_of(Self::HELD_OUT_EVERY)
     }
 
-    /// A stream of random numbers; those of different streams have nothing to do with each other, so that no effect changes
-    /// what another draws.
+    /// A stream of random numbers. Streams are independent, so that no effect changes
+    /// the draws of another.
     pub(super) fn random(&self, stream: Stream) -> ChaCha8Rng {
         let mut random = ChaCha8Rng::seed_from_u64(self.seed);
         random.set_stream(stream as u64);

@@ -1,4 +1,4 @@
-//! From shot to 8-bit pictures: photographs and masks.
+//! Renders shots to 8-bit pictures: photographs and masks.
 
 use glam::{DVec2, DVec3};
 use image::{DynamicImage, GrayImage, RgbImage, RgbaImage};
@@ -11,10 +11,10 @@ use super::shot::{Moment, Shot};
 /// Samples along each side of a pixel. The average over the pixel's square is what a sensor measures.
 const SAMPLES: usize = 3;
 
-/// Samples of a pixel of a blurred photograph: as many moments of the exposure, and as many places of the aperture.
+/// Samples per pixel of a blurred photograph, each at its own time of the exposure and its own point of the aperture.
 const BLURRED_SAMPLES: usize = 36;
 
-/// A ray's place within a pixel, from its upper left corner, px, and within the exposure.
+/// A ray's position within a pixel, px from its upper left corner, and its time within the exposure.
 type Sample = (DVec2, Moment);
 
 /// Photographs the scene, its rows in parallel: RGB, or RGBA (straight) if the shot is transparent. The result does not depend
@@ -43,7 +43,7 @@ pub(super) fn render(scene: &LitScene, shot: &Shot) -> DynamicImage {
     .expect("a buffer of the picture's size")
 }
 
-/// White where the shot shows the scene: what lies within [`DemoOptions::MASK_MARGIN_PX`] of a disc is left out.
+/// White where the shot shows the scene. Pixels within [`DemoOptions::MASK_MARGIN_PX`] of a disc are excluded.
 pub(super) fn mask(shot: &Shot) -> GrayImage {
     let (width, height) = (shot.camera.intrinsics.width as u32, shot.camera.intrinsics.height as u32);
     GrayImage::from_fn(width, height, |x, y| {
@@ -59,14 +59,14 @@ fn sharp_samples() -> Vec<Sample> {
     (0..SAMPLES * SAMPLES).map(|i| (place(i), Moment::default())).collect()
 }
 
-/// The same places, each with four moments and places of the aperture.
+/// The same positions, each with four times and four points of the aperture.
 fn blurred_samples() -> Vec<Sample> {
     const PLACES: usize = SAMPLES * SAMPLES;
     let golden_angle = std::f64::consts::PI * (3.0 - 5.0_f64.sqrt());
     let sample = |i: usize| {
-        // Every place has one time of each quarter of the exposure, neighbours at times far apart.
+        // Every position has one time in each quarter of the exposure; the times of neighbours lie far apart.
         let time = (i / PLACES) * PLACES + (5 * (i % PLACES)) % PLACES;
-        // And one place of the aperture of each quarter of its area: points of a sunflower's spiral, which have equal areas.
+        // It has one point in each quarter of the aperture's area, on a sunflower spiral, whose points cover equal areas.
         let lens = (7 * i) % BLURRED_SAMPLES;
         let radius = ((lens as f64 + 0.5) / BLURRED_SAMPLES as f64).sqrt();
         let moment = Moment {
@@ -82,8 +82,8 @@ fn place(i: usize) -> DVec2 {
     (DVec2::new((i % SAMPLES) as f64, (i / SAMPLES) as f64) + 0.5) / SAMPLES as f64
 }
 
-/// Linear light, averaged over the opaque part of the square of a pixel, and that part's share of it. The shares of both
-/// come from the same rays, so that over a background of any light the pixel would be right.
+/// Linear light averaged over the opaque part of a pixel's square, and that part's share of the square. Both
+/// come from the same rays, so that the pixel is right over any background.
 fn pixel_light(scene: &LitScene, shot: &Shot, corner_px: DVec2, samples: &[Sample]) -> (DVec3, f64) {
     let (mut sum, mut opaque) = (DVec3::ZERO, 0_usize);
     for &(place, moment) in samples {
@@ -100,7 +100,7 @@ fn pixel_light(scene: &LitScene, shot: &Shot, corner_px: DVec2, samples: &[Sampl
     (sum / opaque.max(1) as f64, opaque as f64 / samples.len() as f64)
 }
 
-/// None where the photograph is transparent.
+/// The light of a sample; none where the photograph is transparent.
 fn light_along(scene: &LitScene, shot: &Shot, at_px: DVec2, moment: Moment) -> Option<DVec3> {
     let ray = shot.ray(at_px, moment);
     if !shot.transparent {

@@ -1,4 +1,4 @@
-//! The sparse points of the demo capture: what a structure-from-motion program would have found, without its errors.
+//! The sparse points of the demo capture: those of a structure-from-motion program, without its errors.
 
 use glam::DVec2;
 use rand::RngExt;
@@ -10,17 +10,17 @@ use super::picture::to_bytes;
 use super::shot::{Moment, Shot};
 use crate::capture::{Observation, PointCloud, Tracks};
 
-/// Two positions on a surface are the same if their distances to a camera differ by no more than this share.
+/// Two positions on a surface count as the same if their distances to a camera differ by at most this share.
 const SAME: f64 = 1e-6;
 
-/// Points on surfaces that at least two photographs show, with the colour of their matte light, and where each shows them.
+/// Points on surfaces that at least two photographs show, with the colour of their matte light and their observations.
 ///
-/// The places are drawn from the pictures themselves, one after the other, so that the density of points follows what
+/// Positions are drawn from the pictures in turn, so that the density of points follows what
 /// the pictures show.
 pub(super) fn sample(scene: &LitScene, shots: &[Shot], options: &DemoOptions) -> (PointCloud, Tracks) {
     let mut random = options.random(Stream::Points);
     let (mut cloud, mut tracks) = (PointCloud::default(), Tracks::default());
-    // Every try succeeds unless one camera alone sees the place; a bound keeps odd options from looping for ever.
+    // A try fails only where a single camera sees the position; the bound keeps odd options from looping for ever.
     for attempt in 0..8 * options.points {
         if cloud.positions.len() == options.points {
             break;
@@ -41,7 +41,7 @@ pub(super) fn sample(scene: &LitScene, shots: &[Shot], options: &DemoOptions) ->
         };
         let sights: Vec<Observation> = shots.iter().enumerate().filter_map(sight).collect();
         if sights.len() >= 2 {
-            // Nobody measured an error.
+            // The error is unmeasured.
             tracks.push(sights.into_iter().map(Some), -1.0);
             cloud.positions.push(point.position_world.as_vec3().to_array());
             cloud.colours.push(to_bytes(display(scene.matte(&point))));
@@ -50,7 +50,7 @@ pub(super) fn sample(scene: &LitScene, shots: &[Shot], options: &DemoOptions) ->
     (cloud, tracks)
 }
 
-/// Where a photograph shows a point of a surface, px, if it lies within and nothing stands before it.
+/// The position at which a photograph shows a surface point, px, if it lies within the picture and nothing occludes it.
 pub(super) fn sight(scene: &LitScene, shot: &Shot, point_world: glam::DVec3) -> Option<DVec2> {
     let (at_px, camera) = shot.project(point_world)?;
     let distance = camera.centre_world.distance(point_world);
@@ -59,7 +59,7 @@ pub(super) fn sight(scene: &LitScene, shot: &Shot, point_world: glam::DVec3) -> 
     seen.then_some(at_px)
 }
 
-/// The middle of the rays that end at a position of the picture.
+/// The central ray of those that end at a position of the picture.
 fn sharp_ray(shot: &Shot, at_px: DVec2) -> super::geometry::Ray {
     shot.ray(at_px, Moment::default())
 }

@@ -1,4 +1,4 @@
-//! Poses that are wrong.
+//! Perturbed poses.
 
 use glam::{DAffine3, DMat3, DVec3};
 use rand::{Rng, RngExt};
@@ -9,7 +9,7 @@ use super::options::Stream;
 use super::shot::Shot;
 use crate::optim::scene_extent;
 
-/// The poses that the model gets: those of the shots, off by a little unless held out, where `poses` asks for that.
+/// The poses written to the model: those of the shots, perturbed unless held out where `poses` asks for it.
 pub(super) fn written(shots: &[Shot], options: &DemoOptions) -> Vec<DAffine3> {
     let mut random = options.random(Stream::Poses);
     let centres: Vec<DVec3> = shots.iter().map(|shot| shot.camera.centre_world).collect();
@@ -27,9 +27,9 @@ fn disturbed(random: &mut impl Rng, camera: DemoCamera, distance: f64) -> DemoCa
     camera.moved(camera.centre_world + distance * unit(random), turn)
 }
 
-/// A direction; all are as likely.
+/// A uniformly distributed direction.
 fn unit(random: &mut impl Rng) -> DVec3 {
-    // Heights on a sphere are (Archimedes).
+    // Heights on a sphere are uniform (Archimedes).
     let z = 2.0 * random.random::<f64>() - 1.0;
     let (sin, cos) = (std::f64::consts::TAU * random.random::<f64>()).sin_cos();
     let across = (1.0 - z * z).sqrt();

@@ -1,4 +1,4 @@
-//! The still life: what stands where, and what a ray meets. World frame: z up, the platform's top at z = 0.
+//! The still life: its objects, and their intersections with rays. World frame: z up, the platform's top at z = 0.
 
 use glam::{DAffine3, DQuat, DVec3};
 
@@ -6,7 +6,7 @@ use super::DemoOptions;
 use super::geometry::{Cover, Ray, Shape};
 use super::texture::{self, Texture, srgb};
 
-/// One thing in the scene.
+/// One object of the scene.
 #[derive(Clone, Debug)]
 pub(super) struct Object {
     pub shape: Shape,
@@ -14,23 +14,23 @@ pub(super) struct Object {
     pub kind: Kind,
     pub centre_world: DVec3,
     pub bounding_radius: f64,
-    /// Rigid, into the frame of the shape.
+    /// The rigid transform into the shape's frame.
     local_from_world: DAffine3,
     world_from_local: DAffine3,
 }
 
-/// How an object takes part in the play of light.
+/// How an object takes part in shading.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Kind {
     /// Lit, and casts shadows.
     Matte,
-    /// As matte, with a reflection on top.
+    /// As matte, with a mirror reflection added.
     Glossy,
-    /// As matte, with a soft highlight on top.
+    /// As matte, with a soft highlight added.
     Lacquered,
     /// Lit, too low to cast a shadow.
     Ground,
-    /// Shines by itself.
+    /// Emits light.
     Sky,
 }
 
@@ -59,7 +59,7 @@ impl Object {
         Some((hit.distance, self.world_from_local.transform_vector3(hit.normal)))
     }
 
-    /// How much of a cone around a ray of the world frame the object blocks, see [`Shape::cover`].
+    /// The share of a cone around a ray of the world frame that the object blocks; see [`Shape::cover`].
     pub fn cover(&self, ray: &Ray, spread: f64) -> Cover {
         self.shape.cover(&self.local(ray), spread)
     }
@@ -71,7 +71,7 @@ impl Object {
         }
     }
 
-    /// Whether the ray passes through the bounding sphere before `limit`: cheap, and most rays do not.
+    /// Whether the ray passes through the bounding sphere before `limit`: a cheap test that most rays fail.
     pub fn may_be_hit(&self, ray: &Ray, limit: f64) -> bool {
         let towards = self.centre_world - ray.origin;
         let along = towards.dot(ray.direction);
@@ -131,20 +131,20 @@ impl Scene {
         nearest
     }
 
-    /// Whether a point lies on the ground or the sky, not on what was put there to be photographed.
+    /// Whether a point lies on the ground or the sky.
     pub fn is_surroundings(&self, point: &SurfacePoint) -> bool {
         matches!(self.objects[point.object].kind, Kind::Ground | Kind::Sky)
     }
 
-    /// Whether a point is on a clear sky, where no program finds anything to tell it by.
+    /// Whether a point lies on clear sky, which has no features to match.
     pub fn is_clear_sky(&self, point: &SurfacePoint, options: &DemoOptions) -> bool {
         let is_sky = matches!(self.objects[point.object].kind, Kind::Sky);
         options.far && is_sky && point.position_world.normalize_or_zero().z > texture::VISTA_CREST
     }
 
-    /// The still life; with `glossy`, one of its spheres reflects the others, and these and what they stand on are lacquered.
+    /// The still life. With `glossy`, one sphere reflects its surroundings, and the other objects and the platform are lacquered.
     pub fn still_life(options: &DemoOptions) -> Self {
-        // Platform and ground first: they end most rays, which spares the search behind them. The sky last.
+        // Platform and ground come first: they end most rays, which shortens the search. The sky comes last.
         let [platform, ground, sky] = surroundings(options);
         let mut objects = vec![platform, ground];
         objects.extend(large_things());
@@ -236,10 +236,10 @@ fn small_things() -> Vec<Object> {
     ]
 }
 
-/// How far the ground reaches, and the sky that stands on its edge, scene units.
+/// Radius of the ground and of the sky on its edge, scene units.
 const GROUND_RADIUS: f64 = 8.0;
 
-/// How much further they reach where cameras stand [`DemoOptions::ZOOM_FAR`] times as far away.
+/// Factor on that radius where cameras stand [`DemoOptions::ZOOM_FAR`] times as far away.
 const ZOOM_GROUND: f64 = 5.0;
 
 /// Platform, ground and sky.

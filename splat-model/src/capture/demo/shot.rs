@@ -1,4 +1,4 @@
-//! How one photograph is taken: where the camera is at each moment, through which lens, and what comes in the way.
+//! How one photograph is taken: the camera's pose over time, its lens and aperture, and what occludes the scene.
 
 use std::f64::consts::TAU;
 
@@ -12,10 +12,10 @@ use super::grade::Grade;
 use super::light::display;
 use super::options::Stream;
 
-/// One of how many of the photographs that are not held out is blurred by motion.
+/// The interval of motion-blurred photographs among those that are not held out.
 const BLURRED_EVERY: usize = 5;
 
-/// A steady motion of the camera, in the camera's own frame, over the whole of an exposure or of a readout.
+/// A steady motion of the camera over an exposure or a readout, in the camera's own frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Motion {
     /// Scene units.
@@ -25,12 +25,12 @@ pub(super) struct Motion {
 }
 
 impl Motion {
-    /// A motion by which things at `distance` move by `share` of the width of the picture, in a random direction.
+    /// A motion in a random direction that moves objects at `distance` by `share` of the picture's width.
     fn random(random: &mut impl Rng, camera: &DemoCamera, share: f64) -> Self {
         let angle = TAU * random.random::<f64>();
         let direction_cam = DVec3::new(angle.cos(), angle.sin(), 0.0);
         let slope = share * camera.intrinsics.width as f64 / camera.intrinsics.fx;
-        // A camera that moves to a side and one that turns to it both see things move to the other.
+        // Moving to a side and turning to it both shift the picture to the other side.
         Self {
             linear_cam: 0.5 * slope * camera.subject_distance * direction_cam,
             angular_cam: 0.5 * slope * DVec3::Z.cross(direction_cam),
@@ -59,7 +59,7 @@ pub(super) struct Aperture {
     pub focus_depth: f64,
 }
 
-/// Something bright right before the lens, which is no part of the scene.
+/// A bright disc before the lens, which is not part of the scene.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Disc {
     pub middle_px: DVec2,
@@ -68,31 +68,31 @@ pub(super) struct Disc {
     pub light: DVec3,
 }
 
-/// A ray's place within an exposure.
+/// A ray's time and point of the aperture within an exposure.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Moment {
     /// −½ to ½, from the beginning of the exposure to its end.
     pub time: f64,
-    /// Where it passes through the aperture, within the unit disc.
+    /// The point of the aperture, within the unit disc.
     pub lens: DVec2,
 }
 
 /// One photograph.
 #[derive(Clone, Debug)]
 pub(super) struct Shot {
-    /// At the middle of the exposure, and of the readout.
+    /// The camera at the middle of the exposure and of the readout.
     pub camera: DemoCamera,
-    /// What light is multiplied by, per channel.
+    /// Gain on linear light, per channel.
     pub gain: DVec3,
-    /// What becomes of it place by place.
+    /// Local processing, if any.
     pub grade: Option<Grade>,
-    /// During the exposure.
+    /// Motion during the exposure.
     pub motion: Motion,
-    /// From the first row's exposure to the last's.
+    /// Motion from the first row's exposure to the last row's.
     pub readout: Motion,
     pub aperture: Option<Aperture>,
     pub discs: Vec<Disc>,
-    /// Whether ground and sky are.
+    /// Whether ground and sky are transparent.
     pub transparent: bool,
 }
 
@@ -108,7 +108,7 @@ impl Shot {
         self.aperture.is_some() || !self.motion.is_none()
     }
 
-    /// The camera when a row of the picture, by its position in px, is exposed.
+    /// The camera at the time at which the row at a position, px, is exposed.
     pub fn camera_at(&self, row_px: f64, moment: Moment) -> DemoCamera {
         let read_out = row_px / self.camera.intrinsics.height as f64 - 0.5;
         let Motion { linear_cam, angular_cam } = self.motion.times(moment.time).plus(self.readout.times(read_out));
@@ -126,7 +126,7 @@ impl Shot {
             &moved
         };
         let Some(Aperture { radius, focus_depth }) = self.aperture else { return camera.ray_through(at_px) };
-        // All rays of a point of the plane in focus meet there.
+        // All rays of a point in the focal plane meet there.
         let direction_cam = camera.direction_cam(at_px);
         let sharp_cam = direction_cam * (focus_depth / direction_cam.z);
         let from_cam = (radius * moment.lens).extend(0.0);
@@ -137,13 +137,13 @@ impl Shot {
         }
     }
 
-    /// Where the sharp middle of a point's image is, px, and the camera then, if it is within the picture.
+    /// The position of a point's sharp image, px, and the camera at that time, if it lies within the picture.
     pub fn project(&self, point_world: DVec3) -> Option<(DVec2, DemoCamera)> {
         let mut camera = self.camera;
         let mut at_px = camera.project(point_world)?;
         if !self.readout.is_none() {
-            // The row that shows the point says when it is exposed, and that where it shows: a twentieth of the width from the
-            // first row to the last, so that each round leaves less than a tenth of the error.
+            // The row that shows the point decides the time, and the time decides the row: a twentieth of the width from the
+            // first row to the last, so that each iteration leaves less than a tenth of the error.
             for _ in 0..16 {
                 camera = self.camera_at(at_px.y, Moment::default());
                 at_px = camera.project(point_world)?;
@@ -158,7 +158,7 @@ impl Shot {
         self.grade.map_or_else(|| display(exposed), |grade| grade.display(exposed, &self.camera, at_px))
     }
 
-    /// What hides a position of the picture from the scene.
+    /// The disc that occludes the scene at a position of the picture.
     pub fn disc_at(&self, at_px: DVec2) -> Option<&Disc> {
         self.discs.iter().find(|disc| disc.middle_px.distance(at_px) <= disc.radius_px)
     }
@@ -181,7 +181,7 @@ pub(super) fn shots(options: &DemoOptions) -> Vec<Shot> {
         if options.masks {
             shot.discs = (0..DemoOptions::MASKED_PLACES).map(|_| disc(&mut discs, options)).collect();
         }
-        // The second and the fourth of each five, so that a capture of three views has one.
+        // The second and fourth of each five photographs, so that a capture of three views has one.
         let number = view - view / DemoOptions::HELD_OUT_EVERY - 1;
         if options.motion && matches!(number % BLURRED_EVERY, 1 | 3) {
             shot.motion = Motion::random(&mut motions, &camera, DemoOptions::MOTION_SHARE);
@@ -195,7 +195,7 @@ pub(super) fn shots(options: &DemoOptions) -> Vec<Shot> {
     shots.collect()
 }
 
-/// What each photograph multiplies its light by, per channel: one, unless exposures differ.
+/// The gain of each photograph, per channel: one, unless exposures differ.
 pub(crate) fn gains(options: &DemoOptions) -> Vec<DVec3> {
     let mut random = options.random(Stream::Exposures);
     let mut gain = || (DemoOptions::EXPOSURE_STOPS * (2.0 * random.random::<f64>() - 1.0)).exp2();
@@ -208,7 +208,7 @@ fn disc(random: &mut impl Rng, options: &DemoOptions) -> Disc {
     let middle_px = size_px * DVec2::new(random.random(), random.random());
     let [least, largest] = DemoOptions::MASKED_SIZE;
     let radius_px = 0.5 * size_px.x * (least + (largest - least) * random.random::<f64>());
-    // One channel bright, one dark: no colour of the scene is as strong.
+    // One channel is bright and one dark: no colour of the scene is as saturated.
     let mut light = [3.5, 3.5 * random.random::<f64>(), 0.02];
     light.rotate_left(random.random_range(0..3));
     Disc { middle_px, radius_px, light: DVec3::from(light) }

@@ -1,6 +1,6 @@
-//! Procedural textures: the share of light that a surface gives back, linear RGB, as a function of the position in the
-//! frame of its object. No feature is finer than about 0.05 scene units, some 3 px in the default pictures, so that
-//! the photographs can hold them.
+//! Procedural textures: the albedo of a surface, linear RGB, as a function of the position in the
+//! object's frame. No feature is finer than about 0.05 scene units, some 3 px in the default pictures, so that
+//! the photographs can resolve them.
 
 use std::f64::consts::{PI, TAU};
 
@@ -32,7 +32,7 @@ pub(super) enum Texture {
     Marble { scale: f64, colours: [DVec3; 2] },
     /// The sky with clouds and hills below; a colour of light, not of a surface.
     Sky,
-    /// The same with more to see in it, and fields and woods below the horizon.
+    /// As `Sky`, with more detail, and with fields and woods below the horizon.
     Vista,
 }
 
@@ -46,7 +46,7 @@ impl Texture {
             Texture::Planet => planet(position),
             Texture::Helix { stripes, turns_per_unit, colours } => {
                 let angle = position.y.atan2(position.x);
-                // On the caps the stripes end in a disc of one colour.
+                // On the caps the stripes end in a disc of a single colour.
                 let wave = if normal.z.abs() > 0.5 {
                     1.0
                 } else {
@@ -142,7 +142,7 @@ fn wood(p: DVec3) -> DVec3 {
 fn garden(p: DVec3) -> DVec3 {
     let shore = p.truncate().length() + 0.5 * noise(1.5 * p);
     match smoothstep(3.55, 3.7, shore) {
-        // Most points are on one side, and noise takes time.
+        // Noise is slow, and most points lie clearly on one side.
         0.0 => tiles(p),
         1.0 => meadow(p),
         share => tiles(p).lerp(meadow(p), share),

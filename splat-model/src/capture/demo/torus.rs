@@ -1,4 +1,4 @@
-//! The torus: a tube of radius `minor` around the circle of radius `major` in the plane z = 0. The only shape whose
+//! The torus: a tube of radius `minor` around the circle of radius `major` in the plane z = 0. It is the only shape whose
 //! intersection is found by marching.
 
 use glam::{DVec2, DVec3};
@@ -13,12 +13,12 @@ fn distance_to(point: DVec3, major: f64, minor: f64) -> f64 {
 /// The gradient of [`distance_to`], which on the surface is the outward normal.
 fn normal_at(point: DVec3, major: f64) -> DVec3 {
     let plane = point.truncate();
-    // On the axis and in the middle of the tube every direction is as good.
+    // On the axis and in the middle of the tube any direction serves.
     let outwards = plane.try_normalize().unwrap_or(DVec2::X);
     (outwards * (plane.length() - major)).extend(point.z).try_normalize().unwrap_or(DVec3::Z)
 }
 
-/// The stretch of a ray that can meet the torus: within its flat hull, without the hole at either end.
+/// The segment of a ray that can meet the torus: within its flat hull, without the hole at either end.
 fn stretch(ray: &Ray, major: f64, minor: f64) -> Option<(f64, f64)> {
     let hull = tube(ray, major + minor)?.intersect(slab(ray, DVec3::Z, minor)?);
     let (mut start, mut end) = (hull.enter.0.max(0.0), hull.exit.0);
@@ -36,12 +36,12 @@ fn stretch(ray: &Ray, major: f64, minor: f64) -> Option<(f64, f64)> {
     (start <= end).then_some((start, end))
 }
 
-/// How close to the torus marching ends and polishing begins.
+/// The distance to the torus at which marching ends and Newton's method begins.
 const CLOSE: f64 = 1e-4;
 
 const MAX_STEPS: usize = 96;
 
-/// Marches by the distance to the surface, which cannot step over it, then polishes with Newton's method.
+/// Marches by the distance to the surface, which cannot step over it, then refines with Newton's method.
 pub(super) fn hit(ray: &Ray, limit: f64, major: f64, minor: f64) -> Option<Hit> {
     let (mut t, end) = stretch(ray, major, minor)?;
     let end = end.min(limit);
@@ -61,9 +61,9 @@ pub(super) fn hit(ray: &Ray, limit: f64, major: f64, minor: f64) -> Option<Hit> 
     None
 }
 
-/// Marches along the middle of the cone by what the distance to the surface leaves beside it.
+/// Marches along the cone's axis by the distance between the surface and the cone.
 pub(super) fn cover(ray: &Ray, spread: f64, major: f64, minor: f64) -> Cover {
-    // The hull of a torus that is thicker by the cone's radius where it leaves.
+    // The hull of a torus thickened by the cone's radius at the exit.
     let widest = spread * (ray.origin.length() + major + minor);
     let Some((mut t, end)) = stretch(ray, major, minor + widest) else { return Cover::Nothing };
     let mut cover = Cover::Nothing;

@@ -1,4 +1,4 @@
-//! What the model and the photographs do not say: how each photograph was really taken.
+//! `truth.json`: how each photograph was taken, which the model and the photographs do not say.
 
 use std::fmt::Write;
 
@@ -34,7 +34,7 @@ fn motion(motion: &Motion) -> String {
     format!("{{\"linear\": {}, \"angular\": {}}}", list(motion.linear_cam), list(motion.angular_cam))
 }
 
-/// As JSON has it: Rust's shortest decimals that read back as the same number are numbers of JSON if they are finite.
+/// A number in JSON. Rust's shortest round-trip decimals are valid JSON if they are finite.
 fn list(v: DVec3) -> String {
     format!("{:?}", v.to_array())
 }

@@ -1,14 +1,14 @@
-//! What a photograph shows from further away: pixels that are the mean of several.
+//! Box downsampling of photographs.
 
 use splat_op::Intrinsics;
 
 use super::Photo;
 
 impl Photo {
-    /// The photograph as a sensor whose pixels are `n` × `n` times as large sees it, with its camera to match: each pixel is the
-    /// mean of `n` × `n`, without what is left over at the right and lower borders. The truth that a scene is compared with when
-    /// it is looked at from `n` times as far away, as the field tests anti-aliasing (Barron et al. 2021, Yu et al. 2024). A
-    /// pixel counts where all that it covers counts. None if the photograph is smaller than one such pixel.
+    /// The photograph of a sensor whose pixels are `n` × `n` times as large, with its camera to match. Each pixel is the
+    /// mean of `n` × `n` pixels; incomplete blocks at the right and lower borders are dropped. It is the ground truth for a scene
+    /// viewed from `n` times as far away, the field's test of anti-aliasing (Barron et al. 2021, Yu et al. 2024). A
+    /// pixel counts if all pixels that it covers count. None if the photograph is smaller than one such pixel.
     pub fn box_filtered(&self, n: usize) -> Option<Self> {
         let [width, height] = [self.intrinsics.width / n.max(1), self.intrinsics.height / n.max(1)];
         if width == 0 || height == 0 {
@@ -24,7 +24,7 @@ impl Photo {
         for i in 0..width * height {
             let weight: u32 = covered(i).map(alpha_of).sum();
             for channel in 0..3 {
-                // What is transparent has no colour.
+                // Transparent pixels have no colour.
                 let sum: u32 = covered(i).map(|at| alpha_of(at) * u32::from(self.rgb[3 * at + channel])).sum();
                 rgb.push(((sum + weight / 2) / weight.max(1)) as u8);
             }

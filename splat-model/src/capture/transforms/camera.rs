@@ -1,4 +1,4 @@
-//! From what a file says of a camera to ours.
+//! Converts a file's cameras to this crate's.
 
 use std::f64::consts::PI;
 use std::path::Path;
@@ -15,7 +15,7 @@ use crate::capture::{CaptureError, image};
 /// How far `RᵀR` may be from the identity. Exporters that round to three digits stay below; a scale or a shear is far above.
 const RIGID: f64 = 1e-2;
 
-/// The names under which nerfstudio has cameras that map slopes: whichever it is, the coefficients decide.
+/// nerfstudio's names for cameras that map slopes. The coefficients decide the model, whatever the name.
 const PERSPECTIVE: [&str; 5] = ["PINHOLE", "SIMPLE_PINHOLE", "OPENCV", "SIMPLE_RADIAL", "RADIAL"];
 
 const FIELD_MATRIX: &str = "transform_matrix";
@@ -28,7 +28,7 @@ const FIELD_MATRIX: &str = "transform_matrix";
 /// world_from_cam = [R D | c],  D = diag(1, −1, −1)        cam_from_world = [D Rᵀ | −D Rᵀ c]
 /// ```
 ///
-/// `R` is first set right to the nearest rotation: files are rounded.
+/// `R` is first replaced by the nearest rotation, because files are rounded.
 pub(super) fn pose(place: &Place, matrix: &Matrix) -> Result<DAffine3, CaptureError> {
     let [x, y, z, last] = *matrix;
     let shown = |row: [f64; 4]| row.map(|value| value.to_string()).join(" ");
@@ -57,12 +57,12 @@ pub(super) fn pose(place: &Place, matrix: &Matrix) -> Result<DAffine3, CaptureEr
 }
 
 /// The rotation of the polar decomposition, by Newton's iteration `R ← (R + R⁻ᵀ)/2` (Higham 1986), which doubles the
-/// digits that are right: four steps from [`RIGID`] are all that an f64 has.
+/// correct digits: four steps from [`RIGID`] give full f64 precision.
 fn nearest_rotation(matrix: DMat3) -> DMat3 {
     (0..4).fold(matrix, |matrix, _| (matrix + matrix.inverse().transpose()) * 0.5)
 }
 
-/// What describes the lens of a frame: the frame's own words, then those of the file.
+/// The lens fields of a frame: the frame's own, then the file's.
 pub(super) struct Lenses<'a> {
     pub place: Place<'a>,
     pub frame: Option<&'a json::Lens>,
@@ -70,7 +70,7 @@ pub(super) struct Lenses<'a> {
 }
 
 impl Lenses<'_> {
-    /// Size and projection; where the file does not tell the size, that of the picture by its header.
+    /// Size and projection. A missing size comes from the picture's header.
     pub fn intrinsics(&self, picture: &Path) -> Result<Intrinsics, CaptureError> {
         let (width, height) = match (self.side("w")?, self.side("h")?) {
             (Some(width), Some(height)) => (width, height),
@@ -101,7 +101,7 @@ impl Lenses<'_> {
         Ok(Intrinsics { model, width, height, fx, fy, cx, cy, distortion })
     }
 
-    /// From the nearest that says anything.
+    /// The field's value from the frame, or else from the file.
     fn number(&self, field: &'static str) -> Result<Option<f64>, CaptureError> {
         for lens in self.frame.into_iter().chain([self.file]) {
             if let Some(&number) = self.place.optional(field, lens.number(field), "a number")? {
@@ -118,8 +118,8 @@ impl Lenses<'_> {
         whole.then_some(Some(px as usize)).ok_or_else(refuse)
     }
 
-    /// A focal length in px, or by the angle that `side` px are seen under, `f = side / (2 tan(angle/2))`. The length goes before
-    /// the angle, and both in the frame before either in the file.
+    /// A focal length in px, or from the field of view over `side` px, `f = side / (2 tan(angle/2))`. The length takes precedence over
+    /// the angle, and the frame over the file.
     fn focal(&self, length: &'static str, angle: &'static str, side: usize) -> Result<Option<f64>, CaptureError> {
         let place = &self.place;
         for lens in self.frame.into_iter().chain([self.file]) {
@@ -138,8 +138,8 @@ impl Lenses<'_> {
         Ok(None)
     }
 
-    /// The model and its coefficients, as nerfstudio has them: OpenCV's for slopes, with which a pinhole is one without
-    /// any, and OpenCV's for angles. `FULL_OPENCV` adds the denominator.
+    /// The model and its coefficients, as nerfstudio defines them: OpenCV's for slopes, of which a pinhole is the case without
+    /// coefficients, and OpenCV's for angles. `FULL_OPENCV` adds the denominator.
     fn lens(&self) -> Result<(CameraModel, [f64; 8]), CaptureError> {
         let place = &self.place;
         let number = |field| -> Result<f64, CaptureError> {
@@ -177,7 +177,7 @@ impl Lenses<'_> {
         Ok((model, all))
     }
 
-    /// The name of a model that we have.
+    /// Parses the name of a supported model.
     fn model(&self) -> Result<&str, CaptureError> {
         for lens in self.frame.into_iter().chain([self.file]) {
             if let Some(name) = self.place.optional("camera_model", &lens.model, "the name of a camera model")? {
@@ -193,7 +193,7 @@ impl Lenses<'_> {
                 };
                 return known.then_some(name.as_str()).ok_or_else(refuse);
             }
-            // As instant-ngp says it.
+            // instant-ngp's flag for a fisheye.
             if let Some(&fisheye) = self.place.optional("is_fisheye", &lens.fisheye, "true or false")? {
                 return Ok(if fisheye { "OPENCV_FISHEYE" } else { "OPENCV" });
             }

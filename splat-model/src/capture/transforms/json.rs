@@ -1,7 +1,7 @@
-//! The files as they are written: what stands in each field, right or wrong.
+//! The files as written: the value of each field, valid or not.
 //!
-//! Values go where they are kept as they are read, since a tree of the whole file would take up to a hundred times its
-//! size, and a value of the wrong kind is kept as such, so that whoever asks for it can say in which frame it stands.
+//! Values are stored while they are read, because a tree of the whole file would take up to a hundred times its
+//! size. A value of the wrong type is kept as such, so that the error can name its frame.
 
 use std::fmt;
 use std::marker::PhantomData;
@@ -13,16 +13,16 @@ use super::CORRECT;
 use crate::capture::CaptureError;
 use crate::capture::colmap::quoted;
 
-/// What a `transform_matrix` must be.
+/// The expected form of a `transform_matrix`.
 pub(super) const MATRIX: &str = "3 or 4 rows of 4 finite numbers, the fourth 0 0 0 1";
 
-/// What stands where a value is expected; `null` is nothing.
+/// A field's value; `null` counts as absent.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) enum Field<T> {
     #[default]
     Absent,
     Is(T),
-    /// Something else, as messages show it.
+    /// A value of another type, as messages show it.
     Wrong(Box<str>),
 }
 
@@ -35,7 +35,7 @@ impl<T> Field<T> {
 /// A file.
 #[derive(Debug, Default)]
 pub(super) struct File {
-    /// Up to the first that has no path or no matrix, which none can do without.
+    /// The frames up to the first without a path or a matrix, which are required.
     pub frames: Field<Vec<Frame>>,
     pub lenses: Lens,
     /// `ply_file_path`
@@ -52,11 +52,11 @@ pub(super) struct Frame {
     pub matrix: Field<Matrix>,
     /// `mask_path`
     pub mask: Field<String>,
-    /// None if the frame says nothing of its lens.
+    /// None if the frame has no lens fields.
     pub lens: Option<Box<Lens>>,
 }
 
-/// Four rows; the last is 0 0 0 1 where the file has three.
+/// Four rows; a missing last row is 0 0 0 1.
 pub(super) type Matrix = [Row; 4];
 type Row = [f64; 4];
 
@@ -80,7 +80,7 @@ const NUMBERS: [&str; 16] = [
     "k6",
 ];
 
-/// What a file or a frame says of the lens.
+/// The lens fields of a file or a frame.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Lens {
     numbers: [Field<f64>; NUMBERS.len()],
@@ -101,7 +101,7 @@ impl Lens {
         NUMBERS.contains(&field) || ["camera_model", "is_fisheye"].contains(&field)
     }
 
-    /// Takes the value of a field that it knows.
+    /// Stores the value of a known field.
     fn take<'de, A: MapAccess<'de>>(&mut self, field: &str, map: &mut A) -> Result<(), A::Error> {
         match NUMBERS.iter().position(|&known| known == field) {
             Some(slot) => self.numbers[slot] = map.next_value()?,
@@ -131,13 +131,13 @@ pub(super) fn parse(file: &Path, bytes: &[u8]) -> Result<File, CaptureError> {
     })
 }
 
-/// The text from the place on that an error names, up to the next separator.
+/// The text from an error's position up to the next separator.
 fn excerpt(bytes: &[u8], line: usize, column: usize) -> String {
     const MOST: usize = 24;
     let line = bytes.split(|&byte| byte == b'\n').nth(line.saturating_sub(1)).unwrap_or_default();
     let rest = &line[column.saturating_sub(1).min(line.len())..];
     let ends = |byte: u8| byte.is_ascii_whitespace() || b",]}".contains(&byte);
-    // A separator itself may be what is wrong.
+    // The separator itself may be the error.
     let length = 1 + rest.iter().skip(1).position(|&byte| ends(byte)).unwrap_or(rest.len());
     match &rest[..length.min(MOST).min(rest.len())] {
         [] => "the end of the line".into(),
@@ -145,7 +145,7 @@ fn excerpt(bytes: &[u8], line: usize, column: usize) -> String {
     }
 }
 
-/// A value that a field may hold: which kinds of JSON it is made of.
+/// A value of a field, built from JSON.
 trait Value: Sized {
     fn from_number(_: f64) -> Option<Self> {
         None
@@ -216,7 +216,7 @@ impl Value for Matrix {
     }
 }
 
-/// A list of `least` to `N` values, put over those of `values`.
+/// Reads a list of `least` to `N` values over those of `values`.
 fn fixed<'de, T: Value, A: SeqAccess<'de>, const N: usize>(
     mut list: A,
     what: &str,
@@ -266,7 +266,7 @@ impl<'de, T: Value> Deserialize<'de> for Field<T> {
 
 struct OfValue<T>(PhantomData<T>);
 
-/// The value, or what stands there instead.
+/// The value, or what was found instead.
 fn field<T>(value: Option<T>, found: impl fmt::Display) -> Field<T> {
     value.map_or_else(|| Field::Wrong(found.to_string().into()), Field::Is)
 }
@@ -307,7 +307,7 @@ impl<'de, T: Value> Visitor<'de> for OfValue<T> {
 /// An object whose fields are taken one by one.
 trait Object: Default {
     const WHAT: &str;
-    /// Takes the value of a field, whichever it is.
+    /// Stores the value of any field.
     fn take<'de, A: MapAccess<'de>>(&mut self, field: &str, map: &mut A) -> Result<(), A::Error>;
 }
 
