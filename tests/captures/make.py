@@ -93,7 +93,9 @@ def rescaled(model, size):
     for image in model.images.values():
         for point in image.points2D:
             point.xy = point.xy * factors[image.camera_id]
-    model.update_point_3d_errors()
+    # A model without tracks keeps the errors that it states.
+    if model.compute_num_observations() > 0:
+        model.update_point_3d_errors()
     return model
 
 
@@ -125,7 +127,7 @@ def bonsai(source, out):
     target = out / "bonsai"
     model = rescaled(pycolmap.Reconstruction(source / "sparse/0"), BONSAI_SIZE)
     names = {f"DSCF{number}.JPG" for number in BONSAI}
-    images = sorted((image for image in model.images.values() if image.name in names), key=lambda image: image.name)
+    images = sorted((i for i in model.images.values() if i.name in names), key=lambda image: image.image_id)
     sparse = target / "sparse/0"
     sparse.mkdir(parents=True)
     with open(sparse / "cameras.bin", "wb") as file:
@@ -142,7 +144,7 @@ def bonsai(source, out):
             file.write(image.name.encode() + b"\0" + struct.pack("<Q", 0))
     with open(sparse / "points3D.bin", "wb") as file:
         file.write(struct.pack("<Q", len(model.points3D)))
-        for number, point in model.points3D.items():
+        for number, point in sorted(model.points3D.items()):
             file.write(struct.pack("<Q3d3BdQ", number, *point.xyz, *point.color, point.error, 0))
     for image in images:
         resize(source / "images" / image.name, target / "images" / image.name, BONSAI_SIZE, 89)
