@@ -151,7 +151,7 @@ def bonsai(source, out):
 
 
 def statue_wild(source, out):
-    """A camera for each photo; masks are undistorted with the photos that they belong to."""
+    """A camera for each photo. Masks are only resized: undistortion moves little in photos of so long a focal length."""
     photos, masks = source / "images", source / "masks"
     names = sorted(path.name for path in photos.iterdir())
     reader = pycolmap.ImageReaderOptions()
