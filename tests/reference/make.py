@@ -82,7 +82,7 @@ KINDS = {
     "smooth_sh3": Kind(2, 24, Params(40, 32, 3, **SMOOTH), 1.0, (1.0, 8.0), shows=("behind", "margin")),
     "standard_sh3": Kind(3, 96, Params(56, 40, 3), 0.9, (0.7, 7.0), shows=("behind", "margin", "cut")),
     "standard_dense": Kind(4, 400, Params(64, 40, 2), 1.0, (1.5, 8.0), (0.4, 0.98), 0.2, shows=("margin", "cut", "stopped")),
-    "needles": Kind(5, 48, Params(56, 40, 1, **SMOOTH), 1.0, (5.0, 30.0), needle=1000.0, shows=("margin",)),
+    "needles": Kind(25, 48, Params(56, 40, 1, **SMOOTH), 1.0, (4.0, 16.0), outside=0.2, needle=1000.0, shows=("margin",)),
     "opaque": Kind(6, 160, Params(56, 40, 1), 1.1, (1.5, 5.0), (0.97, 1.0), 0.1, shows=("saturated", "stopped")),
     "antialias": Kind(7, 200, Params(48, 40, 1, antialias=True), 1.0, (0.1, 4.0), shows=("cut", "behind")),
     "tiny_antialias": Kind(8, 160, Params(40, 40, 1, antialias=True, **SMOOTH), 1.0, (1e-4, 0.2), shows=("floor",)),
