@@ -40,7 +40,7 @@ pub const DEMO_OUT: &str = "out/demo";
 pub const CHECKPOINT_EVERY: usize = 500;
 
 /// What a run that goes on has already: all options but those that say how much is said.
-const OF_A_NEW_RUN: [&str; 33] = [
+const OF_A_NEW_RUN: [&str; 32] = [
     "capture",
     "out",
     "steps",
@@ -60,7 +60,6 @@ const OF_A_NEW_RUN: [&str; 33] = [
     "opacity_weight",
     "coarsest",
     "full_from",
-    "pixel_share",
     "accuracy",
     "target_error",
     "target_ms",
@@ -146,9 +145,6 @@ pub struct TrainArgs {
     /// With `--coarsest`: share of the steps after which photographs have their full size
     #[arg(long, value_name = "SHARE", default_value_t = TrainConfig::default().resolution.full_from)]
     pub full_from: f64,
-    /// Share of a photograph's pixels that a step looks at: so many of its rows, drawn anew each time, 32 at the fewest
-    #[arg(long, value_name = "SHARE", default_value_t = TrainConfig::default().pixel_share)]
-    pub pixel_share: f64,
     /// How accurate the renders are.
     #[command(flatten)]
     pub accuracy: AccuracyArgs,
@@ -207,7 +203,6 @@ impl TrainArgs {
         config.steps = self.steps.unwrap_or(config.steps);
         config.sh_degree = self.sh_degree.unwrap_or(config.sh_degree);
         config.sh_every = self.sh_every;
-        config.pixel_share = self.pixel_share;
         config.dials = config.dials.and(&self.accuracy.accuracy.setting());
         if let Some(mb) = self.cache_mb {
             config.cache_mib = config.cache_mib.min(mb.saturating_mul(1_000_000) >> 20);
@@ -284,8 +279,6 @@ mod tests {
         let config = config(&arguments).unwrap();
         assert_eq!((config.seed, config.density.max_splats(), config.sh_degree, config.antialias), (5, 77, 2, true));
         assert_eq!(config.opacity_weight, 0.01);
-        let config = self::config(&["--pixel-share", "0.25"]).unwrap();
-        assert_eq!(config.pixel_share, 0.25);
         let cache = |mb: &str| self::config(&["--cache-mb", mb]).unwrap().cache_mib;
         assert_eq!([cache("0"), cache("100"), cache("9000")], [0, 95, TrainConfig::default().cache_mib]);
         let config = self::config(&["--sh-every", "300", "--matte-below", "2.55"]).unwrap();
@@ -328,10 +321,6 @@ mod tests {
         assert!(config(&["--steps", "0"]).unwrap_err().to_string().contains("--steps"));
         assert!(config(&["--sh-degree", "5"]).unwrap_err().to_string().contains("sh_degree"));
         assert!(config(&["--coarsest", "3"]).unwrap_err().to_string().contains("--coarsest"));
-        for share in ["0", "-0.5", "1.5", "nan"] {
-            let share = format!("--pixel-share={share}");
-            assert!(config(&[&share]).unwrap_err().to_string().contains("--pixel-share"), "{share}");
-        }
         assert!(config(&["--matte-below", "inf"]).unwrap_err().to_string().contains("--matte-below"));
     }
 }

@@ -43,10 +43,6 @@ pub struct TrainConfig {
     pub density: DensityConfig,
     /// How large photographs are as the run goes on.
     pub resolution: Resolution,
-    /// The share of a photograph's pixels that a step renders and compares, above 0: 1, all of them. Below that as many whole
-    /// rows, drawn anew at each step, and never fewer than 32. Not with [`Self::grid`], [`Self::optics`], [`Self::depth`], an
-    /// environment, or dials that have pixels look along their rays.
-    pub pixel_share: f64,
     /// What shows through the Gaussians, and through photographs with alpha: RGB, 0 to 1. Where another background is learnt,
     /// what it begins as.
     #[serde(deserialize_with = "finite_colour")]
@@ -99,7 +95,6 @@ impl Default for TrainConfig {
             learning_rates: LearningRates::default(),
             density: DensityConfig::default(),
             resolution: Resolution::FULL,
-            pixel_share: 1.0,
             background: [0.0; 3],
             antialias: false,
             dials: Setting::default(),

@@ -37,14 +37,6 @@ pub enum TrainError {
         .0.coarsest_divisor, .0.full_from, Resolution::DIVISOR_MAX
     )]
     Resolution(Resolution),
-    /// A share of the pixels that is none.
-    #[error("`pixel_share` is {0}, expected more than 0 and at most 1: see `--pixel-share`")]
-    PixelShare(f64),
-    /// A part of the picture, for what depends on where in the picture a pixel is.
-    #[error(
-        "`pixel_share` is below 1, and {0} need the whole picture: leave out one of them (`--pixel-share`, or `--effects=-NAME`)"
-    )]
-    WholePicture(&'static str),
     /// Rays, for what changes ellipses.
     #[error(
         "{optics} change ellipses on the screen, and with {rays} there are none: leave out one of them (`--effects=-NAME`)"
