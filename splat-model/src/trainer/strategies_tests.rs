@@ -3,7 +3,7 @@
 use super::testing::{photos, points};
 use super::*;
 use crate::density::rows::RowEdit;
-use crate::density::{AdaptiveConfig, ConsistencyConfig, DensityConfig, McmcConfig};
+use crate::density::{AdaptiveConfig, ConsistencyConfig, DensityConfig, McmcConfig, Observed, Signals};
 use crate::gaussians::{GaussianRows, values_of};
 use crate::optim::LearningRates;
 use crate::state::{State, StateError};
