@@ -26,7 +26,7 @@ use splat_op::{Intrinsics, RenderOptions, Splats};
 use crate::accuracy::Setting;
 use crate::capture::{Photo, Photograph, PointCloud};
 use crate::density::rows::{Gradients, StepRates, Trained};
-use crate::density::{At, RefineReport, Strategy, matte};
+use crate::density::{At, RefineReport, Strategy};
 use crate::effects::{Effect, EffectStack, Moment};
 use crate::gaussians::Gaussians;
 use crate::init;
@@ -136,9 +136,6 @@ impl Trainer {
             () if photos.is_empty() => return Err(TrainError::NoViews),
             () if config.steps == 0 => return Err(TrainError::NoSteps),
             () if config.batch == 0 => return Err(TrainError::NoBatch),
-            () if let Some(below) = config.matte_below.filter(|below| !matte::is_threshold(*below)) => {
-                return Err(TrainError::MatteBelow(below));
-            }
             () if !config.resolution.is_valid() => return Err(TrainError::Resolution(config.resolution)),
             () if config.sh_degree > splat_op::shade::SH_DEGREE_MAX => {
                 return Err(TrainError::ShDegree(config.sh_degree));
@@ -246,7 +243,6 @@ impl Trainer {
         self.step += 1;
         let (step, steps) = (self.step, self.config.steps);
         self.views.reduce(self.config.resolution.divisor_at(step, steps));
-        self.ask_who_is_matte()?;
         self.scene.grow_sh(sh_degree_at(step - 1, self.config.sh_every, self.config.sh_degree));
 
         let Batch { loss, gradients, views, held } = self.differentiate_batch()?;
@@ -274,24 +270,6 @@ impl Trainer {
 
     fn adam(&self) -> Adam {
         Adam::default().for_batch(self.config.batch)
-    }
-
-    /// Takes the directional colour from Gaussians that have hardly any, if that is asked for and it is time to. After
-    /// [`TrainConfig::sh_every`] steps at a degree it is.
-    fn ask_who_is_matte(&mut self) -> Result<(), TrainError> {
-        let Some(below) = self.config.matte_below else { return Ok(()) };
-        if !matte::asks_after(self.step - 1, self.config.sh_every, self.config.sh_degree) {
-            return Ok(());
-        }
-        // As for refinement.
-        self.guard.read(true).map_err(|fault| self.non_finite(fault))?;
-        let rows = matte::hardly_varying(&self.scene.gaussians, below);
-        if !rows.is_empty() {
-            let order = self.scene.make_matte(&rows);
-            self.density.reorder(&order);
-            self.effects.forget_rows();
-        }
-        Ok(())
     }
 
     /// The optimiser's step, taken back if it spoils a Gaussian.

@@ -12,7 +12,6 @@ use std::path::PathBuf;
 use anyhow::Result;
 use clap::builder::RangedU64ValueParser;
 use serde::{Deserialize, Serialize};
-use splat_model::density::matte;
 use splat_model::trainer::{Resolution, TrainConfig, TrainError};
 
 pub use self::run::{run, run_with};
@@ -40,7 +39,7 @@ pub const DEMO_OUT: &str = "out/demo";
 pub const CHECKPOINT_EVERY: usize = 500;
 
 /// What a run that goes on has already: all options but those that say how much is said.
-const OF_A_NEW_RUN: [&str; 32] = [
+const OF_A_NEW_RUN: [&str; 31] = [
     "capture",
     "out",
     "steps",
@@ -53,7 +52,6 @@ const OF_A_NEW_RUN: [&str; 32] = [
     "max_side",
     "sh_degree",
     "sh_every",
-    "matte_below",
     "antialias",
     "projection",
     "order",
@@ -129,10 +127,6 @@ pub struct TrainArgs {
     /// Steps until the degree rises by one, beginning with 0; 0 has all degrees from the start
     #[arg(long, value_name = "N", default_value_t = TrainConfig::default().sh_every)]
     pub sh_every: usize,
-    /// Give splats one colour for all directions whose colours hardly differ: by less than so many levels of 255, as root mean
-    /// square over all directions. Decided each time the degree rises from 1 on. They take less memory and time [default: off]
-    #[arg(long, value_name = "LEVELS")]
-    pub matte_below: Option<f64>,
     /// The function that is rendered.
     #[command(flatten)]
     pub model: ModelArgs,
@@ -207,16 +201,12 @@ impl TrainArgs {
         if let Some(mb) = self.cache_mb {
             config.cache_mib = config.cache_mib.min(mb.saturating_mul(1_000_000) >> 20);
         }
-        config.matte_below = self.matte_below.map(|levels| levels / 255.0);
         match config {
             TrainConfig { steps: 0, .. } => Err(TrainError::NoSteps),
             TrainConfig { sh_degree, .. } if sh_degree > splat_op::shade::SH_DEGREE_MAX => {
                 Err(TrainError::ShDegree(sh_degree))
             }
             TrainConfig { resolution, .. } if !resolution.is_valid() => Err(TrainError::Resolution(resolution)),
-            TrainConfig { matte_below: Some(below), .. } if !matte::is_threshold(below) => {
-                Err(TrainError::MatteBelow(below))
-            }
             config => config.check().map(|()| config),
         }
     }
@@ -281,9 +271,7 @@ mod tests {
         assert_eq!(config.opacity_weight, 0.01);
         let cache = |mb: &str| self::config(&["--cache-mb", mb]).unwrap().cache_mib;
         assert_eq!([cache("0"), cache("100"), cache("9000")], [0, 95, TrainConfig::default().cache_mib]);
-        let config = self::config(&["--sh-every", "300", "--matte-below", "2.55"]).unwrap();
-        assert_eq!(config.sh_every, 300);
-        assert!((config.matte_below.unwrap() - 0.01).abs() < 1e-12);
+        assert_eq!(self::config(&["--sh-every", "300"]).unwrap().sh_every, 300);
     }
 
     #[test]
@@ -321,6 +309,5 @@ mod tests {
         assert!(config(&["--steps", "0"]).unwrap_err().to_string().contains("--steps"));
         assert!(config(&["--sh-degree", "5"]).unwrap_err().to_string().contains("sh_degree"));
         assert!(config(&["--coarsest", "3"]).unwrap_err().to_string().contains("--coarsest"));
-        assert!(config(&["--matte-below", "inf"]).unwrap_err().to_string().contains("--matte-below"));
     }
 }

@@ -148,8 +148,7 @@ pub(super) fn check_gradients(gradients: &Gradients) -> Result<(), Wrong> {
     one("rotations", &gradients.rotations)?;
     one("log_scales", &gradients.log_scales)?;
     one("logit_opacities", &gradients.logit_opacities)?;
-    one("sh", &gradients.sh)?;
-    one("sh_matte", &gradients.sh_matte)
+    one("sh", &gradients.sh)
 }
 
 /// No Gaussian became unusable. `before` and `after` are the same Gaussians.

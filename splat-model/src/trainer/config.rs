@@ -33,10 +33,6 @@ pub struct TrainConfig {
     pub sh_degree: usize,
     /// Steps until the degree rises by one: 1,000.
     pub sh_every: usize,
-    /// Gaussians whose colour varies with the direction by less than this keep none of their higher coefficients (see
-    /// [`crate::density::matte`], which says when): in units of colour, 1/255 for one level of an 8-bit picture. None: all keep
-    /// them.
-    pub matte_below: Option<f64>,
     /// Learning rates.
     pub learning_rates: LearningRates,
     /// Density control, and its strategy.
@@ -91,7 +87,6 @@ impl Default for TrainConfig {
             lambda: DEFAULT_LAMBDA,
             sh_degree: 3,
             sh_every: STEPS_PER_SH_DEGREE,
-            matte_below: None,
             learning_rates: LearningRates::default(),
             density: DensityConfig::default(),
             resolution: Resolution::FULL,

@@ -25,9 +25,6 @@ pub enum TrainError {
     /// More degrees than there are.
     #[error("`sh_degree` is {0}, expected 0 to 4")]
     ShDegree(usize),
-    /// A variation of colours that is none.
-    #[error("`matte_below` is {0}, expected a finite number of at least 0: see `--matte-below`")]
-    MatteBelow(f64),
     /// More degrees than there are, behind the scene.
     #[error("the degree of `backdrop.environment` is {0}, expected 0 to 4")]
     EnvironmentDegree(usize),

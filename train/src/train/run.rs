@@ -157,7 +157,6 @@ pub fn run_with(args: &TrainArgs, change: impl FnOnce(Trainer) -> Trainer) -> Re
     let rows = trainer.rows();
     ply::write(&out.join(SCENE), &rows, capture.origin)?;
     write_learnt(&trainer, &config, &capture, &out)?;
-    let matte = trainer.gaussians().len() - trainer.gaussians().directional();
     let gaussians = match config.smoothing {
         true => Gaussians::from_rows(&rows, &device)?,
         false => trainer.gaussians().untracked(),
@@ -184,7 +183,6 @@ pub fn run_with(args: &TrainArgs, change: impl FnOnce(Trainer) -> Trainer) -> Re
     let metrics = Metrics {
         test: test_scores,
         splats: gaussians.len(),
-        matte,
         culled_non_finite: unusable,
         steps: Some(config.steps),
         seconds: Seconds { load, train: Some(train), eval },

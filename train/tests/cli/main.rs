@@ -58,8 +58,7 @@ fn training_writes_the_scene_its_scores_and_its_pictures() {
     let out = TRAINED.as_path();
     assert_eq!(files(out), ["metrics.json", "report.html", "scene.ply", "views/0000.png"].map(String::from).into());
     let metrics = json(&out.join("metrics.json"));
-    let expected =
-        ["test", "splats", "culled_non_finite", "steps", "seconds", "peak_rss_mib", "device", "seed", "matte"];
+    let expected = ["test", "splats", "culled_non_finite", "steps", "seconds", "peak_rss_mib", "device", "seed"];
     assert_eq!(keys(&metrics), expected.into_iter().chain(["effects", "options", "version"]).collect());
     assert_eq!(metrics["culled_non_finite"], 0);
     let scores = ["psnr", "ssim", "psnr_corrected", "ssim_corrected", "lpips", "lpips_missing"];
