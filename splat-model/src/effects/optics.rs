@@ -120,8 +120,8 @@ impl Optics {
         })
     }
 
-    /// What one of the renders of `view` shows, through this place of the aperture.
-    fn seen(&mut self, view: usize, place: [f32; 2]) -> Seen {
+    /// The render of `view` through this place of the aperture.
+    fn sample(&mut self, view: usize, place: [f32; 2]) -> Sample {
         let extent = self.extent;
         let lens = self.lenses.get_mut(view).map(|lens| {
             let lens = lens.tracked();
@@ -129,7 +129,7 @@ impl Optics {
             (log_aperture, lens.narrow(1, 1, 1).reshape([1]) / extent)
         });
         let twist = |all: &mut [Learned<2>]| all.get_mut(view).map(|learned| twist(learned, extent));
-        Seen { place, lens, exposure: twist(&mut self.exposures), readout: twist(&mut self.readouts) }
+        Sample { place, lens, exposure: twist(&mut self.exposures), readout: twist(&mut self.readouts) }
     }
 }
 
@@ -141,7 +141,7 @@ fn twist(learned: &mut Learned<2>, extent: f64) -> Tensor<1> {
 }
 
 /// One of the renders of a photograph.
-struct Seen {
+struct Sample {
     place: [f32; 2],
     /// Logarithm of the aperture's radius, scene units, and the inverse of the distance in focus, `[1]` each.
     lens: Option<(Tensor<1>, Tensor<1>)>,
@@ -149,7 +149,7 @@ struct Seen {
     readout: Option<Tensor<1>>,
 }
 
-impl Seen {
+impl Sample {
     /// The ellipses through this place of the aperture, in motion; an error for a lens.
     fn changed(
         &self,
@@ -185,10 +185,10 @@ impl Effect for Optics {
         if camera.model == CameraModel::Pinhole {
             let places = if self.lenses.is_empty() { 1 } else { PLACES };
             let through = |i: usize| {
-                let seen = self.seen(at.view, place(i));
+                let sample = self.sample(at.view, place(i));
                 let mut input = input.clone();
                 input.edit(move |ellipses| {
-                    seen.changed(ellipses, &camera, &options).expect("the camera is a pinhole, as was asked above")
+                    sample.changed(ellipses, &camera, &options).expect("the camera is a pinhole, as was asked above")
                 });
                 input
             };

@@ -111,7 +111,7 @@ impl Effect for EffectStack {
     }
 
     fn background(&self) -> Option<Background> {
-        self.0.iter().filter_map(|effect| effect.background()).last()
+        self.0.iter().rev().find_map(|effect| effect.background())
     }
 
     fn bytes(&self) -> usize {

@@ -1,5 +1,7 @@
 //! Runs with each strategy, and with batches.
 
+use splat_op::{Extras, render_view};
+
 use super::testing::{photos, points};
 use super::*;
 use crate::density::rows::RowEdit;
