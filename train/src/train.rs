@@ -14,7 +14,7 @@ use clap::builder::RangedU64ValueParser;
 use serde::{Deserialize, Serialize};
 use splat_model::trainer::{Resolution, TrainConfig, TrainError};
 
-pub use self::run::{run, run_with};
+pub use self::run::{resume, run, run_with};
 pub use self::stop::Interrupted;
 use crate::accuracy::{AccuracyArgs, ModelArgs};
 use crate::background::TrainBackground;
@@ -32,59 +32,20 @@ pub const DEMO_STEPS: usize = 1500;
 /// everywhere.
 pub const DEMO_SH_DEGREE: usize = 0;
 
-/// Where a run on the demo capture writes to unless told otherwise.
-pub const DEMO_OUT: &str = "out/demo";
+/// Where runs write to unless told otherwise, each to a folder of its own.
+pub const OUT: &str = "out";
 
 /// Steps between checkpoints unless told otherwise: a minute or two of the usual run on a CPU, seconds on a GPU.
 pub const CHECKPOINT_EVERY: usize = 500;
-
-/// What a run that goes on has already: all options but those that say how much is said.
-const OF_A_NEW_RUN: [&str; 31] = [
-    "capture",
-    "out",
-    "steps",
-    "device",
-    "seed",
-    "max_splats",
-    "strategy",
-    "batch",
-    "eval_every",
-    "max_side",
-    "sh_degree",
-    "sh_every",
-    "antialias",
-    "projection",
-    "order",
-    "opacity_weight",
-    "coarsest",
-    "full_from",
-    "accuracy",
-    "target_error",
-    "target_ms",
-    "frontier",
-    "background",
-    "effects",
-    "eval_during",
-    "snapshots",
-    "lpips",
-    "lpips_unscaled",
-    "check",
-    "cache_mb",
-    "checkpoint_every",
-];
 
 /// Options of `splat train`, which checkpoints keep.
 #[derive(Clone, Debug, clap::Args, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TrainArgs {
     /// Folder with `images/` and COLMAP's `sparse/0/`, or with `transforms.json` or `transforms_train.json`; without one, the demo capture is made and trained on
-    #[arg(requires = "out")]
     pub capture: Option<PathBuf>,
-    /// Go on with the run whose checkpoints are in this folder, with the options that it was started with
-    #[arg(long, value_name = "DIR", conflicts_with_all = OF_A_NEW_RUN)]
-    #[serde(skip)]
-    pub resume: Option<PathBuf>,
-    /// Folder for scene.ply, metrics.json and views/; with the demo capture `out/demo` if not given
+    /// Folder for scene.ply, metrics.json and views/; results of an earlier run there are replaced [default: out/NAME of the
+    /// capture, `demo` for the demo capture; out/NAME-2 and so on where that holds something already]
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
     /// Training steps
@@ -175,9 +136,20 @@ pub struct TrainArgs {
     /// [default: half of what the machine has left]
     #[arg(long, value_name = "MB")]
     pub cache_mb: Option<usize>,
-    /// Steps between checkpoints, from which `--resume` goes on; 0 writes them only when the run is stopped by Ctrl-C or SIGTERM
+    /// Steps between checkpoints, from which `splat resume` goes on; 0 writes them only when the run is stopped by Ctrl-C or SIGTERM
     #[arg(long, value_name = "K", default_value_t = CHECKPOINT_EVERY)]
     pub checkpoint_every: usize,
+}
+
+/// Options of `splat resume`.
+#[derive(Clone, Debug, clap::Args)]
+pub struct ResumeArgs {
+    /// The folder that the run writes to: its `--out`
+    #[arg(value_name = "DIR")]
+    pub out: PathBuf,
+    /// How much is said.
+    #[command(flatten)]
+    pub voice: VoiceArgs,
 }
 
 impl TrainArgs {
@@ -214,7 +186,7 @@ impl TrainArgs {
 
 #[cfg(test)]
 mod tests {
-    use clap::{CommandFactory, Parser};
+    use clap::Parser;
 
     use splat_model::density::{AdaptiveConfig, DensityConfig, McmcConfig};
 
@@ -230,18 +202,6 @@ mod tests {
     #[test]
     fn without_options_a_capture_trains_as_the_library_does() {
         assert_eq!(config(&["capture", "--out", "out"]).unwrap(), TrainConfig::default());
-    }
-
-    #[test]
-    fn a_run_that_goes_on_takes_no_options_of_a_new_one() {
-        let command = Cli::command();
-        let train = command.find_subcommand("train").unwrap();
-        let ids = train.get_arguments().map(|argument| argument.get_id().as_str());
-        let ids: Vec<&str> = ids.filter(|id| !["resume", "quiet", "json", "help"].contains(id)).collect();
-        assert!(ids.iter().all(|id| OF_A_NEW_RUN.contains(id)), "{ids:?}");
-        let refused = |option: &str| Cli::try_parse_from(["splat", "train", "--resume", "out", option]).is_err();
-        assert!(refused("--check") && refused("--steps=7") && refused("capture") && refused("--effects=none"));
-        assert!(!refused("--quiet") && !refused("--json"));
     }
 
     #[test]
