@@ -5,6 +5,7 @@ mod checked;
 mod config;
 mod cost;
 mod covered;
+mod differentiate;
 mod effects;
 mod error;
 mod fit;
@@ -20,23 +21,22 @@ use glam::DAffine3;
 use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
-use splat_op::{Extras, Intrinsics, RenderOptions, Splats, render_view};
+use splat_op::{Intrinsics, RenderOptions, Splats};
 
 use crate::accuracy::Setting;
 use crate::capture::{Photo, Photograph, PointCloud};
 use crate::density::rows::{Gradients, StepRates, Trained};
-use crate::density::{At, Observed, RefineReport, Signals, Strategy};
-use crate::effects::{Applied, EffectGradients, Moment, masks};
+use crate::density::{At, RefineReport, Strategy};
+use crate::effects::{Effect, EffectStack, Moment};
 use crate::gaussians::Gaussians;
 use crate::init;
-use crate::loss::{Truth, photometric, regularise};
+use crate::loss::{Truth, photometric};
 use crate::optim::{Adam, Decay, scene_extent, sh_degree_at};
 
 use self::batch::Batch;
 pub use self::checked::Stage;
-use self::checked::{Stopped, Wrong, check_gradients, check_loss, check_parameters, render_checked};
+use self::checked::{Stopped, Wrong, check_parameters};
 pub use self::config::TrainConfig;
-use self::covered::covered;
 pub use self::error::TrainError;
 pub use self::guard::{Fault, Guard};
 pub use self::resolution::Resolution;
@@ -93,7 +93,7 @@ pub struct Trainer {
     device: Device,
     scene: Trained,
     views: Views,
-    effects: Applied,
+    effects: EffectStack,
     density: Box<dyn Strategy>,
     /// See [`scene_extent`].
     extent: f64,
@@ -196,8 +196,7 @@ impl Trainer {
         Ok(self)
     }
 
-    /// The same run, but every step looks at what each stage leaves: to find out which goes wrong first. Slow. Where
-    /// [optics](crate::effects::optics) are simulated, the stages of the render are not looked at, and all else is.
+    /// The same run, but every step looks at what each stage leaves: to find out which goes wrong first. Slow.
     pub fn with_checks(self) -> Self {
         Self { checks: true, ..self }
     }
@@ -254,8 +253,8 @@ impl Trainer {
         } else {
             self.scene.step(gradients, &self.adam(), &rates, step, held.as_ref());
         }
-        for (view, of_effects) in views {
-            self.effects.step(of_effects, Moment { view, step, steps, verdict: held.as_ref() });
+        for (view, mut of_effects) in views {
+            self.effects.step(&mut of_effects, Moment { view, step, steps, verdict: held.as_ref() });
         }
         // Refinement reads the scene and acts on what it finds, so nothing may be left in doubt.
         let read = self.density.acts_at(step) || self.is_done();
@@ -271,72 +270,6 @@ impl Trainer {
 
     fn adam(&self) -> Adam {
         Adam::default().for_batch(self.config.batch)
-    }
-
-    /// The loss, `[1]`, of a view and its gradients, those of the effects apart; tells density control what it listens for.
-    fn differentiate(&mut self, view: usize) -> Result<(Tensor<1>, Gradients, EffectGradients), TrainError> {
-        let step = self.step;
-        let splats = self.effects.splats(&self.scene.gaussians, step);
-        let tracked = splats.means.device();
-        let signals = self.density.listens_at(step);
-        let probe =
-            |wanted: bool| wanted.then(|| Tensor::<2>::zeros([self.scene.gaussians.len(), 2], &tracked).require_grad());
-        let (probe, abs_probe) = (probe(signals.gradient), probe(signals.abs_gradient));
-        let drawn = self.effects.draw_background(&mut self.rng);
-        let fixed = || Tensor::from_floats(drawn.unwrap_or(self.config.background), &self.device);
-        let extras = Extras {
-            background: Some(self.effects.background(&self.device).unwrap_or_else(fixed)),
-            mean2d_probe: probe.clone(),
-            mean2d_abs_probe: abs_probe.clone(),
-        };
-        let options = self.options.with_depth(self.effects.needs_depth(view));
-        let (camera, truth) = self.views.prepare(view, drawn)?;
-        let size = (camera.intrinsics.width, camera.intrinsics.height);
-        let (camera, of_pose) = self.effects.camera(camera, view);
-        let picture = if let Some(optics) = &self.effects.optics {
-            optics.render(&splats, &camera, &extras, &options, view)?
-        } else if self.checks {
-            render_checked(&splats, &camera, &extras, &options).map_err(|stopped| self.stopped(view, stopped))?
-        } else {
-            render_view(&splats, &camera, &extras, &options)?
-        };
-        let excluded = self.views.excluded(view)?;
-        let image = self.effects.shown(&picture, view, self.views.camera_of(view), excluded.as_ref());
-        let of_depth = self.effects.depth_penalty(&picture, view, (step, self.config.steps));
-        let alpha = picture.alpha;
-        let alpha = excluded.map_or(alpha.clone(), |excluded| masks::cleared(alpha, &excluded));
-        let covered = match signals.covered {
-            true => Some(covered(&splats, &camera, &options, (image.clone(), truth.image()))?),
-            false => None,
-        };
-        let seen = Seen { image, alpha, truth: &truth, splats: &splats, step, view: self.views.name(view) };
-        let mut loss = self.loss.loss(&seen);
-        drop(seen);
-        for penalty in self.effects.penalty(view).into_iter().chain(of_depth).chain(of_pose) {
-            loss = loss + penalty;
-        }
-        if self.config.opacity_weight > 0.0 {
-            loss = loss + regularise::opacity(splats.opacities.clone()) * self.config.opacity_weight;
-        }
-        if let Some(penalty) = self.density.penalty(&splats, step) {
-            loss = loss + penalty;
-        }
-        drop(splats);
-        if self.checks {
-            check_loss(&loss).map_err(|wrong| self.wrong(view, wrong))?;
-        }
-        let mut grads = loss.backward();
-        if signals != Signals::default() {
-            let mut taken = |probe: Option<Tensor<2>>| probe.and_then(|probe| probe.grad_remove(&mut grads));
-            let (gradient, abs_gradient) = (taken(probe), taken(abs_probe));
-            self.density.observe(Observed { gradient, abs_gradient, covered, size });
-        }
-        let of_effects = self.effects.take_gradients(view, &mut grads);
-        let gradients = Gradients::take(&self.scene.gaussians, &mut grads);
-        if self.checks {
-            check_gradients(&gradients).map_err(|wrong| self.wrong(view, wrong))?;
-        }
-        Ok((loss.inner(), gradients, of_effects))
     }
 
     /// The optimiser's step, taken back if it spoils a Gaussian.
@@ -378,6 +311,8 @@ impl Trainer {
     }
 }
 
+#[cfg(test)]
+mod custom_effect_tests;
 #[cfg(test)]
 mod effects_tests;
 #[cfg(test)]

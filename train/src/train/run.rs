@@ -11,7 +11,7 @@ use serde::Serialize;
 use splat_model::accuracy::Work;
 use splat_model::capture::demo::DemoOptions;
 use splat_model::capture::{Capture, Photograph, Split};
-use splat_model::effects::Effect;
+use splat_model::effects::EffectKind;
 use splat_model::gaussians::Gaussians;
 use splat_model::ply;
 use splat_model::trainer::{TrainConfig, Trainer};
@@ -285,7 +285,7 @@ fn photographs(
     let train = split.require_train()?;
     // `--eval-every 0` asks for no test; any other number that leaves none is a mistake.
     let test = if args.eval_every == Some(0) { &[] } else { split.require_test()? };
-    let (masked, opaque) = (effects.has(Effect::Masks), !effects.has(Effect::Alpha));
+    let (masked, opaque) = (effects.has(EffectKind::Masks), !effects.has(EffectKind::Alpha));
     let wanted = Wanted { capture, max_side: args.max_side, masked, opaque };
     Ok((wanted.within(train, &mut room)?, wanted.within(test, &mut room)?))
 }

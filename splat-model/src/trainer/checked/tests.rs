@@ -1,7 +1,7 @@
 //! Each check sees what its stage may leave wrong. That a sound step passes all of them is a test of the trainer.
 
 use burn::tensor::{Device, Int, TensorData};
-use splat_op::{Ellipses, Intrinsics};
+use splat_op::{Ellipses, Intrinsics, RenderOptions};
 
 use super::*;
 use crate::gaussians::testing::random_rows;
