@@ -104,7 +104,7 @@ pub struct Job {
 }
 
 impl Job {
-    /// Makes or loads the scene. Captures lie in `SPLAT_DATA_DIR`, or in `../shared/data` beside this repository.
+    /// Makes or loads the scene. Captures lie in `SPLAT_DATA_DIR`, see `docs/CAPTURES.md`.
     ///
     /// # Errors
     /// If a capture cannot be read or trained on.
@@ -116,9 +116,9 @@ impl Job {
     }
 
     fn fox(size: Size) -> Result<Self, Box<dyn Error>> {
-        let standard = concat!(env!("CARGO_MANIFEST_DIR"), "/../../shared/data");
-        let folder = std::env::var_os("SPLAT_DATA_DIR").map_or_else(|| PathBuf::from(standard), PathBuf::from);
-        let capture = Capture::load(&folder.join(size.to_string()))?;
+        let folder = std::env::var_os("SPLAT_DATA_DIR")
+            .ok_or_else(|| format!("`{size}` is a real capture: set SPLAT_DATA_DIR as docs/CAPTURES.md says"))?;
+        let capture = Capture::load(&PathBuf::from(folder).join(size.to_string()))?;
         let split = Split::every(&capture.views, 8);
         let photos = load_all(split.train.iter().map(|view| &capture.views[*view]), None, |_| ())?;
         let photo = photos[0].clone();

@@ -6,7 +6,7 @@ use burn::tensor::Device;
 use splat_hard_cases::{Place, Processor};
 use splat_train::device::{DeviceName, Found, Kind, open};
 
-use crate::reference::announce;
+use crate::data::announce;
 
 /// The devices that every proof in f32 runs on: those of [`cpu_devices`], and the GPU by the rules of [`gpu`].
 pub fn devices() -> Vec<(&'static str, Device)> {

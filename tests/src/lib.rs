@@ -2,6 +2,7 @@
 //! the reference vectors, and comparisons.
 
 pub mod band;
+pub mod data;
 pub mod dense;
 mod devices;
 pub mod lenses;

@@ -1,12 +1,12 @@
-//! Reads the reference vectors: float64 renders and gradients made by other people's code.
+//! Reads the reference vectors: float64 renders and gradients computed with gsplat's PyTorch functions.
 
-use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use safetensors::{Dtype, SafeTensors};
 use serde_json::Value;
 use splat_op::{CameraModel, Intrinsics, RenderOptions};
 
+use crate::data::optional_data;
 use crate::scene::{Evaluation, Named, Scene, Weights};
 
 /// One file.
@@ -18,32 +18,27 @@ pub struct Vector {
     pub expected: Evaluation,
 }
 
-/// Writes a line that the test harness does not hide, so that what was skipped or measured is seen.
-pub fn announce(line: &str) {
-    // A test must not fail because nobody reads its log.
-    let _ = writeln!(std::io::stderr(), "{line}");
-}
-
-/// All vectors; `None` if there is no folder and none is required.
+/// The vectors of this repository, and the larger ones in the folder `reference` of `SPLAT_DATA_DIR` where it is there.
 ///
 /// # Panics
-/// If the folder holds no vector or one that cannot be read, or is missing where CI must have it.
-pub fn read_vectors() -> Option<Vec<Vector>> {
-    let folder = match std::env::var_os("SPLAT_REFERENCE_DIR") {
-        Some(folder) => PathBuf::from(folder),
-        None => PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../shared/reference")),
-    };
-    if !folder.is_dir() {
-        let line = format!("no reference vectors: {} is not a folder; set SPLAT_REFERENCE_DIR", folder.display());
-        assert!(std::env::var_os("CI").is_none(), "{line}");
-        announce(&format!("SKIPPED: {line}"));
-        return None;
+/// If a folder holds no vector or one that cannot be read.
+pub fn read_vectors() -> Vec<Vector> {
+    let own = Path::new(env!("CARGO_MANIFEST_DIR")).join("reference");
+    let mut vectors = read_folder(&own);
+    if let Some(larger) = optional_data("reference") {
+        let named = |vector: Vector| Vector { name: format!("SPLAT_DATA_DIR {}", vector.name), ..vector };
+        vectors.extend(read_folder(&larger).into_iter().map(named));
     }
-    let entries = folder.read_dir().expect("a readable folder").map(|entry| entry.expect("a readable entry").path());
+    vectors
+}
+
+fn read_folder(folder: &Path) -> Vec<Vector> {
+    let entries = folder.read_dir().unwrap_or_else(|error| panic!("{}: {error}", folder.display()));
+    let entries = entries.map(|entry| entry.expect("a readable entry").path());
     let mut files: Vec<PathBuf> = entries.filter(|path| path.extension().is_some_and(|e| e == "safetensors")).collect();
     files.sort();
     assert!(!files.is_empty(), "no .safetensors file in {}", folder.display());
-    Some(files.iter().map(|file| read_vector(file)).collect())
+    files.iter().map(|file| read_vector(file)).collect()
 }
 
 fn read_vector(path: &Path) -> Vector {

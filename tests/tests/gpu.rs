@@ -5,11 +5,11 @@ use splat_model::optim::{Adam, Moments, Rates};
 use splat_op::{
     Accumulation, Camera, Colour, Extras, Intrinsics, RenderOptions, SplatError, Splats, project, render, tile, witness,
 };
+use splat_tests::data::announce;
 use splat_tests::gpu;
 use splat_tests::lenses::lenses;
 use splat_tests::perturb::judge;
 use splat_tests::random::Random;
-use splat_tests::reference::announce;
 use splat_tests::scene::{Scene, Tensors, host, tensor};
 use splat_tests::tracked::{INPUTS, gradients_of};
 

@@ -1,8 +1,6 @@
 //! The same training run on the CPU and on the GPU. Long, so only when asked for:
 //! `cargo test --release --workspace --test gpu_training -- --ignored`.
 
-use std::path::PathBuf;
-
 use burn::tensor::Device;
 use splat_model::capture::{Capture, Photo, Split, load_all};
 use splat_model::density::AdaptiveConfig;
@@ -10,8 +8,8 @@ use splat_model::effects::background::Background;
 use splat_model::evaluate::evaluate;
 use splat_model::trainer::{TrainConfig, Trainer};
 use splat_op::witness;
+use splat_tests::data::{announce, optional_data};
 use splat_tests::gpu;
-use splat_tests::reference::announce;
 
 /// Differences of the means over all starts.
 const COUNT_TOLERANCE: f64 = 0.01;
@@ -24,17 +22,6 @@ const STARTS: u8 = 6;
 const GRAD_THRESHOLD: f64 = 6e-4;
 /// Less growth would leave density control unproven.
 const GROWTH: f64 = 1.2;
-
-fn fox_small() -> Option<PathBuf> {
-    let standard = concat!(env!("CARGO_MANIFEST_DIR"), "/../../shared/data");
-    let folder = std::env::var_os("SPLAT_DATA_DIR").map_or_else(|| PathBuf::from(standard), PathBuf::from);
-    let folder = folder.join("fox_small");
-    if !folder.exists() {
-        announce(&format!("SKIPPED: no {}; set SPLAT_DATA_DIR to the real captures", folder.display()));
-        return None;
-    }
-    Some(folder)
-}
 
 /// Gaussians before and after, and the PSNR of the test views.
 struct Outcome {
@@ -89,7 +76,7 @@ fn train(capture: &Capture, device: &Device) -> Outcome {
 #[test]
 #[ignore = "200 steps, several times on each device: ten minutes on a driver in software"]
 fn training_on_the_gpu_is_training_on_the_cpu() {
-    let (Some(device), Some(folder)) = (gpu(), fox_small()) else { return };
+    let (Some(device), Some(folder)) = (gpu(), optional_data("fox_small")) else { return };
     // The proofs of the kernels poison; here it would only take time.
     witness::poison(false);
     let capture = Capture::load(&folder).expect("a readable capture");

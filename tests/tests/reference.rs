@@ -1,10 +1,12 @@
-//! The operation against reference vectors made by other people's code, on every device, in f64 where it has it, and in f32.
+//! The operation against reference vectors computed with gsplat's PyTorch functions (`tests/reference/`), on every device, in f64
+//! where it has it, and in f32.
 
 use burn::tensor::{DType, Device};
 use splat_tests::band::boundary_band;
 use splat_tests::compare::{Finding, assert_all, keep_rows, relative_error, row_errors, row_sizes, worst};
+use splat_tests::data::announce;
 use splat_tests::perturb::{ceiling_used, rounded, ulp_spread};
-use splat_tests::reference::{Vector, announce, read_vectors};
+use splat_tests::reference::{Vector, read_vectors};
 use splat_tests::scene::{Evaluation, Named, Weights, evaluate};
 use splat_tests::{cpu_devices, devices};
 
@@ -21,7 +23,7 @@ const BAND_SHARE: f64 = 0.01;
 
 #[test]
 fn reference_vectors_in_f64() {
-    for vector in read_vectors().unwrap_or_default() {
+    for vector in read_vectors() {
         for (device_name, device) in cpu_devices() {
             let found = evaluate(&vector.scene, &vector.weights, &vector.options, &device, DType::F64);
             let findings = compare_f64(&vector, &found);
@@ -33,7 +35,7 @@ fn reference_vectors_in_f64() {
 
 #[test]
 fn reference_vectors_in_f32() {
-    for vector in read_vectors().unwrap_or_default() {
+    for vector in read_vectors() {
         let yardstick = Yardstick::new(&vector, &Device::flex());
         for (device_name, device) in devices() {
             let Vector { scene, options, .. } = &vector;

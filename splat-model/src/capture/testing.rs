@@ -3,16 +3,17 @@
 use std::io::Write;
 use std::path::PathBuf;
 
-/// The folder of a real capture below `SPLAT_DATA_DIR`, or none, after a line that says so.
+/// The folder of a real capture below `SPLAT_DATA_DIR` (`docs/CAPTURES.md`), or none, after a line that says so.
 pub(crate) fn real_capture(name: &str) -> Option<PathBuf> {
-    let standard = concat!(env!("CARGO_MANIFEST_DIR"), "/../../shared/data");
-    let data = std::env::var_os("SPLAT_DATA_DIR").map_or_else(|| PathBuf::from(standard), PathBuf::from);
-    let folder = data.join(name);
-    if folder.exists() {
-        return Some(folder);
-    }
+    let folder = std::env::var_os("SPLAT_DATA_DIR").map(|data| PathBuf::from(data).join(name));
+    let line = match folder {
+        Some(folder) if folder.is_dir() => return Some(folder),
+        Some(folder) => {
+            format!("SKIPPED: no {name}: {} is no folder (SPLAT_DATA_DIR, docs/CAPTURES.md)\n", folder.display())
+        }
+        None => format!("SKIPPED: no {name}: SPLAT_DATA_DIR is not set (docs/CAPTURES.md)\n"),
+    };
     // Written past the test harness, which swallows what passing tests print, and in one piece.
-    let line = format!("SKIPPED: no {}; set SPLAT_DATA_DIR to the real captures\n", folder.display());
     std::io::stderr().write_all(line.as_bytes()).unwrap();
     None
 }

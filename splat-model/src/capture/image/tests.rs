@@ -244,7 +244,7 @@ fn all_photos_load_in_order_and_report_progress() {
 #[test]
 fn real_photos_load() {
     for (name, count) in [("fox_small", 50), ("statue_wild", 84)] {
-        let Some(folder) = real_capture(name) else { return };
+        let Some(folder) = real_capture(name) else { continue };
         let capture = Capture::load(&folder).unwrap();
         let photos = load_all(&capture.views, Some(64), |_| ()).unwrap();
         assert_eq!(photos.len(), count);

@@ -47,7 +47,7 @@ fn fox_small() {
         stated_px += sights.len() as f64 * f64::from(capture.tracks.stated_error_px(point).unwrap());
     }
     let count = capture.tracks.observations() as f64;
-    // SOURCES.md says 0.23 px, the mean over points; long tracks, which count more here, err a little more.
+    // docs/CAPTURES.md says 0.23 px, the mean over points; long tracks, which count more here, err a little more.
     assert!((sum_px / count - 0.24).abs() < 0.02, "{}", sum_px / count);
     // What the file states was measured on pictures twice as large, so it may differ; it is of the same kind.
     assert!((0.1..1.0).contains(&(stated_px / count)), "{}", stated_px / count);
@@ -103,7 +103,7 @@ fn fox_distorted_projects_its_points_onto_their_keypoints() {
         assert!(errors.len() > 50_000, "{} keypoints", errors.len());
         errors.iter().sum::<f64>() / errors.len() as f64
     };
-    // What `SOURCES.md` states, 0.34 px, is a mean over the points.
+    // What `docs/CAPTURES.md` states, 0.34 px, is a mean over the points.
     let (with, without) = (errors_px(false), errors_px(true));
     assert!(with < 0.45 && without > 1.0, "{with:.3} px with the lens, {without:.3} px without");
 }
@@ -162,16 +162,16 @@ fn bonsai_has_neither_keypoints_nor_tracks() {
 
 #[test]
 fn statue_wild_has_a_camera_for_each_photo_and_two_more() {
-    let Some(capture) = load_real("statue_wild") else { return };
-    check(&capture, 84, 11_280);
-    let file = real_capture("statue_wild").unwrap().join("sparse/0/cameras.bin");
+    let Some(root) = real_capture("statue_wild") else { return };
+    check(&load(&root).unwrap(), 84, 11_280);
+    let file = root.join("sparse/0/cameras.bin");
     assert_eq!(binary::cameras(&file, &read(&file).unwrap()).unwrap().len(), 86);
 }
 
 #[test]
 fn real_captures_survive_writing() {
     for name in ["fox_small", "fox_distorted", "statue_wild"] {
-        let Some(capture) = load_real(name) else { return };
+        let Some(capture) = load_real(name) else { continue };
         let folder = tempfile::tempdir().unwrap();
         write_binary(folder.path(), &capture.views, &capture.points).unwrap();
         let again = load(folder.path()).unwrap();
