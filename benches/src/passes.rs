@@ -294,6 +294,5 @@ fn gradients(gaussians: &Gaussians) -> Gradients {
         log_scales: Some(gaussians.log_scales.val() * SHARE),
         logit_opacities: Some(gaussians.logit_opacities.val() * SHARE),
         sh: Some(gaussians.sh.val() * SHARE),
-        sh_matte: gaussians.sh_matte.as_ref().map(|matte| matte.val() * SHARE),
     }
 }

@@ -89,32 +89,12 @@ impl GaussianRows {
         (0..self.sh_dc.len()).flat_map(of_row).collect()
     }
 
-    /// The same from all coefficients of the degree, and from those of the matte Gaussians after them.
-    fn set_sh(&mut self, sh: &[f32], matte: &[f32]) {
-        let rows = sh.chunks_exact(self.rest_per_row() + 3).map(|row| row.split_at(3));
-        for (dc, rest) in rows {
+    /// The same from all coefficients of the degree.
+    fn set_sh(&mut self, sh: &[f32]) {
+        for row in sh.chunks_exact(self.rest_per_row() + 3) {
+            let (dc, rest) = row.split_at(3);
             self.sh_dc.push([dc[0], dc[1], dc[2]]);
             self.sh_rest.extend_from_slice(rest);
-        }
-        self.sh_dc.extend_from_slice(matte.as_chunks::<3>().0);
-        self.sh_rest.resize(self.sh_dc.len() * self.rest_per_row(), 0.0);
-    }
-
-    /// The rows that are named, in that order.
-    fn select(&self, order: &[u32]) -> Self {
-        fn of<T: Copy>(values: &[T], order: &[u32]) -> Vec<T> {
-            order.iter().map(|&row| values[row as usize]).collect()
-        }
-        let rest = self.rest_per_row();
-        let of_row = |&row: &u32| &self.sh_rest[rest * row as usize..rest * (row as usize + 1)];
-        Self {
-            means: of(&self.means, order),
-            rotations: of(&self.rotations, order),
-            log_scales: of(&self.log_scales, order),
-            logit_opacities: of(&self.logit_opacities, order),
-            sh_dc: of(&self.sh_dc, order),
-            sh_rest: order.iter().flat_map(of_row).copied().collect(),
-            sh_degree: self.sh_degree,
         }
     }
 
@@ -138,10 +118,6 @@ impl GaussianRows {
 }
 
 /// A scene's parameters as tensors, unconstrained: any finite value is valid, so an optimiser may step freely.
-///
-/// Gaussians whose colour does not vary with the direction, *matte* ones, come last and have coefficients of degree 0 alone,
-/// whatever the degree of the others is: in memory, in the optimiser and in the kernels. On the host and in files they have
-/// zeros for the others.
 #[derive(Module, Debug)]
 pub struct Gaussians {
     /// `[N, 3]`: centres, world frame, scene units.
@@ -152,12 +128,9 @@ pub struct Gaussians {
     pub log_scales: Param<Tensor<2>>,
     /// `[N]`: logits of the opacities.
     pub logit_opacities: Param<Tensor<1>>,
-    /// `[M, (degree+1)², 3]`: coefficients of the spherical harmonics, that of degree 0 first, of the first `M` Gaussians: of all
-    /// unless there are matte ones. Those of a degree that is not yet in use are not stored: their gradients, moments and
-    /// values would all be zero.
+    /// `[N, (degree+1)², 3]`: coefficients of the spherical harmonics, that of degree 0 first. Those of a degree that is not yet
+    /// in use are not stored: their gradients, moments and values would all be zero.
     pub sh: Param<Tensor<3>>,
-    /// `[N − M, 1, 3]`: those of the matte Gaussians; absent where there are none.
-    pub sh_matte: Option<Param<Tensor<3>>>,
 }
 
 /// A tracked parameter on an autodiff device, a plain one elsewhere.
@@ -172,60 +145,27 @@ impl Gaussians {
     /// If the rows' fields differ in length.
     pub fn from_rows(rows: &GaussianRows, device: &Device) -> Result<Self, RowsError> {
         rows.check()?;
-        Ok(Self::assemble(rows, rows.len(), device))
-    }
-
-    /// The same, with the Gaussians whose higher coefficients are all exactly zero as matte ones, after the others: the same
-    /// pictures from less memory. Within both groups rows keep their order.
-    ///
-    /// # Errors
-    /// If the rows' fields differ in length.
-    pub fn from_rows_apart(rows: &GaussianRows, device: &Device) -> Result<Self, RowsError> {
-        rows.check()?;
-        let rest = rows.rest_per_row();
-        let is_matte = |row: &u32| {
-            let row = *row as usize;
-            rest > 0 && rows.sh_rest[rest * row..rest * (row + 1)].iter().all(|value| *value == 0.0)
-        };
-        let all = 0..u32::try_from(rows.len()).expect("rows are counted in u32");
-        let (matte, mut order): (Vec<u32>, Vec<u32>) = all.partition(is_matte);
-        let directional = order.len();
-        if matte.is_empty() {
-            return Ok(Self::assemble(rows, directional, device));
-        }
-        order.extend(matte);
-        Ok(Self::assemble(&rows.select(&order), directional, device))
-    }
-
-    /// A scene from rows that were checked, of which all but the first `directional` are matte.
-    fn assemble(rows: &GaussianRows, directional: usize, device: &Device) -> Self {
-        let count = rows.len();
-        let coefficients = rows.rest_per_row() / 3 + 1;
-        let mut sh = rows.sh();
-        sh.truncate(3 * coefficients * directional);
-        let matte = rows.sh_dc[directional..].as_flattened();
-        Self {
+        let (count, coefficients) = (rows.len(), rows.rest_per_row() / 3 + 1);
+        Ok(Self {
             means: parameter(tensor(rows.means.as_flattened(), [count, 3], device)),
             rotations: parameter(tensor(rows.rotations.as_flattened(), [count, 4], device)),
             log_scales: parameter(tensor(rows.log_scales.as_flattened(), [count, 3], device)),
             logit_opacities: parameter(tensor(&rows.logit_opacities, [count], device)),
-            sh: parameter(tensor(&sh, [directional, coefficients, 3], device)),
-            sh_matte: (directional < count).then(|| parameter(tensor(matte, [count - directional, 1, 3], device))),
-        }
+            sh: parameter(tensor(&rows.sh(), [count, coefficients, 3], device)),
+        })
     }
 
     /// The rows of the scene, copied to the host.
     pub fn to_rows(&self) -> GaussianRows {
-        let (sh, sh_degree) = (values_of(self.sh.val()), self.sh_degree());
         let mut rows = GaussianRows {
             means: rows_of(self.means.val()),
             rotations: rows_of(self.rotations.val()),
             log_scales: rows_of(self.log_scales.val()),
             logit_opacities: values_of(self.logit_opacities.val()),
-            sh_degree,
+            sh_degree: self.sh_degree(),
             ..GaussianRows::default()
         };
-        rows.set_sh(&sh, &self.sh_matte.as_ref().map(|matte| values_of(matte.val())).unwrap_or_default());
+        rows.set_sh(&values_of(self.sh.val()));
         rows
     }
 
@@ -237,11 +177,6 @@ impl Gaussians {
     /// Whether there are none.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
-    }
-
-    /// Number of Gaussians that come before the matte ones: all, where there are none.
-    pub fn directional(&self) -> usize {
-        self.sh.val().dims()[0]
     }
 
     /// Degree of the spherical harmonics that are stored.
@@ -265,7 +200,7 @@ impl Gaussians {
             log_scales: self.log_scales.val(),
             logit_opacities: self.logit_opacities.val(),
             sh: self.sh.val(),
-            matte: self.sh_matte.as_ref().map(Param::val),
+            matte: None,
         };
         // As in `scales`.
         activate::opacities(&raw).unwrap_or_else(|_| activation::sigmoid(raw.logit_opacities))
@@ -279,10 +214,7 @@ impl Gaussians {
             rotations: self.rotations.val(),
             scales: self.scales(),
             opacities: self.opacities(),
-            colour: match &self.sh_matte {
-                None => Colour::SphericalHarmonics(self.sh.val()),
-                Some(matte) => Colour::Mixed { directional: self.sh.val(), matte: matte.val() },
-            },
+            colour: Colour::SphericalHarmonics(self.sh.val()),
         }
     }
 
@@ -298,7 +230,6 @@ impl Gaussians {
             log_scales: plain(&self.log_scales),
             logit_opacities: Param::from_tensor(self.logit_opacities.val().inner()),
             sh: Param::from_tensor(self.sh.val().inner()),
-            sh_matte: self.sh_matte.as_ref().map(|matte| Param::from_tensor(matte.val().inner())),
         }
     }
 }

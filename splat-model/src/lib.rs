@@ -82,4 +82,5 @@ pub mod trainer;
 #[cfg(doctest)]
 #[doc = include_str!("../../docs/WRITE_A_LOSS.md")]
 #[doc = include_str!("../../docs/WRITE_A_STRATEGY.md")]
+#[doc = include_str!("../../docs/WRITE_AN_EFFECT.md")]
 mod pages {}

@@ -141,6 +141,11 @@ impl State {
         self.arrays.keys().any(|key| is_it(&key)) || self.facts.keys().any(|key| is_it(&key))
     }
 
+    /// Bytes of the arrays.
+    pub(crate) fn bytes(&self) -> usize {
+        self.arrays.values().map(|array| array.values.len() * size_of::<f32>()).sum()
+    }
+
     /// Keeps all of a part's entries below a name.
     pub fn put_part(&mut self, name: &str, part: Self) {
         self.arrays.extend(part.arrays.into_iter().map(|(key, array)| (format!("{name}/{key}"), array)));

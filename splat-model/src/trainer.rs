@@ -5,6 +5,7 @@ mod checked;
 mod config;
 mod cost;
 mod covered;
+mod differentiate;
 mod effects;
 mod error;
 mod fit;
@@ -12,7 +13,6 @@ mod guard;
 mod resolution;
 mod state;
 mod views;
-mod window;
 
 use std::{iter, mem};
 
@@ -21,33 +21,31 @@ use glam::DAffine3;
 use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
-use splat_op::{Extras, Intrinsics, RenderOptions, Splats, render_view};
+use splat_op::{Intrinsics, RenderOptions, Splats};
 
 use crate::accuracy::Setting;
 use crate::capture::{Photo, Photograph, PointCloud};
 use crate::density::rows::{Gradients, StepRates, Trained};
-use crate::density::{At, Observed, RefineReport, Signals, Strategy, matte};
-use crate::effects::{Applied, EffectGradients, Moment, masks};
+use crate::density::{At, RefineReport, Strategy};
+use crate::effects::{Effect, EffectStack, Moment};
 use crate::gaussians::Gaussians;
 use crate::init;
-use crate::loss::{Truth, photometric, regularise};
+use crate::loss::{Truth, photometric};
 use crate::optim::{Adam, Decay, scene_extent, sh_degree_at};
 
 use self::batch::Batch;
 pub use self::checked::Stage;
-use self::checked::{Stopped, Wrong, check_gradients, check_loss, check_parameters, render_checked};
+use self::checked::{Stopped, Wrong, check_parameters};
 pub use self::config::TrainConfig;
-use self::covered::covered;
 pub use self::error::TrainError;
 pub use self::guard::{Fault, Guard};
 pub use self::resolution::Resolution;
 use self::views::Views;
-use self::window::Strip;
 
 /// What a loss sees of one step.
 pub struct Seen<'a> {
     /// `[H, W, 3]`: the render as the photograph would show it, tracked: with its exposure, if that is learnt, and black
-    /// where a mask leaves pixels out, as in `truth`. With [`TrainConfig::pixel_share`] the rows that were drawn, here and there.
+    /// where a mask leaves pixels out, as in `truth`.
     pub image: Tensor<3>,
     /// `[H, W, 1]`: the share of the background that is hidden, tracked; zero where a mask leaves pixels out.
     pub alpha: Tensor<3>,
@@ -95,7 +93,7 @@ pub struct Trainer {
     device: Device,
     scene: Trained,
     views: Views,
-    effects: Applied,
+    effects: EffectStack,
     density: Box<dyn Strategy>,
     /// See [`scene_extent`].
     extent: f64,
@@ -138,9 +136,6 @@ impl Trainer {
             () if photos.is_empty() => return Err(TrainError::NoViews),
             () if config.steps == 0 => return Err(TrainError::NoSteps),
             () if config.batch == 0 => return Err(TrainError::NoBatch),
-            () if let Some(below) = config.matte_below.filter(|below| !matte::is_threshold(*below)) => {
-                return Err(TrainError::MatteBelow(below));
-            }
             () if !config.resolution.is_valid() => return Err(TrainError::Resolution(config.resolution)),
             () if config.sh_degree > splat_op::shade::SH_DEGREE_MAX => {
                 return Err(TrainError::ShDegree(config.sh_degree));
@@ -201,9 +196,7 @@ impl Trainer {
         Ok(self)
     }
 
-    /// The same run, but every step looks at what each stage leaves: to find out which goes wrong first. Slow. Where
-    /// [optics](crate::effects::optics) are simulated or a part of the picture is rendered, the stages of the render are not looked
-    /// at, and all else is.
+    /// The same run, but every step looks at what each stage leaves: to find out which goes wrong first. Slow.
     pub fn with_checks(self) -> Self {
         Self { checks: true, ..self }
     }
@@ -250,7 +243,6 @@ impl Trainer {
         self.step += 1;
         let (step, steps) = (self.step, self.config.steps);
         self.views.reduce(self.config.resolution.divisor_at(step, steps));
-        self.ask_who_is_matte()?;
         self.scene.grow_sh(sh_degree_at(step - 1, self.config.sh_every, self.config.sh_degree));
 
         let Batch { loss, gradients, views, held } = self.differentiate_batch()?;
@@ -261,8 +253,8 @@ impl Trainer {
         } else {
             self.scene.step(gradients, &self.adam(), &rates, step, held.as_ref());
         }
-        for (view, of_effects) in views {
-            self.effects.step(of_effects, Moment { view, step, steps, verdict: held.as_ref() });
+        for (view, mut of_effects) in views {
+            self.effects.step(&mut of_effects, Moment { view, step, steps, verdict: held.as_ref() });
         }
         // Refinement reads the scene and acts on what it finds, so nothing may be left in doubt.
         let read = self.density.acts_at(step) || self.is_done();
@@ -278,100 +270,6 @@ impl Trainer {
 
     fn adam(&self) -> Adam {
         Adam::default().for_batch(self.config.batch)
-    }
-
-    /// Takes the directional colour from Gaussians that have hardly any, if that is asked for and it is time to. After
-    /// [`TrainConfig::sh_every`] steps at a degree it is.
-    fn ask_who_is_matte(&mut self) -> Result<(), TrainError> {
-        let Some(below) = self.config.matte_below else { return Ok(()) };
-        if !matte::asks_after(self.step - 1, self.config.sh_every, self.config.sh_degree) {
-            return Ok(());
-        }
-        // As for refinement.
-        self.guard.read(true).map_err(|fault| self.non_finite(fault))?;
-        let rows = matte::hardly_varying(&self.scene.gaussians, below);
-        if !rows.is_empty() {
-            let order = self.scene.make_matte(&rows);
-            self.density.reorder(&order);
-            self.effects.forget_rows();
-        }
-        Ok(())
-    }
-
-    /// The loss, `[1]`, of a view and its gradients, those of the effects apart; tells density control what it listens for.
-    fn differentiate(&mut self, view: usize) -> Result<(Tensor<1>, Gradients, EffectGradients), TrainError> {
-        let step = self.step;
-        let splats = self.effects.splats(&self.scene.gaussians, step);
-        let tracked = splats.means.device();
-        let signals = self.density.listens_at(step);
-        let probe =
-            |wanted: bool| wanted.then(|| Tensor::<2>::zeros([self.scene.gaussians.len(), 2], &tracked).require_grad());
-        let (probe, abs_probe) = (probe(signals.gradient), probe(signals.abs_gradient));
-        let drawn = self.effects.draw_background(&mut self.rng);
-        let fixed = || Tensor::from_floats(drawn.unwrap_or(self.config.background), &self.device);
-        let extras = Extras {
-            background: Some(self.effects.background(&self.device).unwrap_or_else(fixed)),
-            mean2d_probe: probe.clone(),
-            mean2d_abs_probe: abs_probe.clone(),
-        };
-        let options = self.options.with_depth(self.effects.needs_depth(view));
-        let (camera, mut truth) = self.views.prepare(view, drawn)?;
-        let strip = Strip::draw(self.config.pixel_share, &camera.intrinsics, &mut self.rng);
-        let size = (camera.intrinsics.width, camera.intrinsics.height);
-        let (camera, of_pose) = self.effects.camera(camera, view);
-        let picture = if let Some(strip) = &strip {
-            truth = Truth::new(truth.image().narrow(0, strip.from, strip.rows));
-            strip.render(&splats, &camera, &extras, &options)?
-        } else if let Some(optics) = &self.effects.optics {
-            optics.render(&splats, &camera, &extras, &options, view)?
-        } else if self.checks {
-            render_checked(&splats, &camera, &extras, &options).map_err(|stopped| self.stopped(view, stopped))?
-        } else {
-            render_view(&splats, &camera, &extras, &options)?
-        };
-        let excluded = self.views.excluded(view)?;
-        let excluded = match &strip {
-            Some(strip) => excluded.map(|excluded| excluded.narrow(1, strip.from, strip.rows)),
-            None => excluded,
-        };
-        let image = self.effects.shown(&picture, view, self.views.camera_of(view), excluded.as_ref());
-        let of_depth = self.effects.depth_penalty(&picture, view, (step, self.config.steps));
-        let alpha = picture.alpha;
-        let alpha = excluded.map_or(alpha.clone(), |excluded| masks::cleared(alpha, &excluded));
-        let covered = match signals.covered && strip.is_none() {
-            true => Some(covered(&splats, &camera, &options, (image.clone(), truth.image()))?),
-            false => None,
-        };
-        let seen = Seen { image, alpha, truth: &truth, splats: &splats, step, view: self.views.name(view) };
-        let mut loss = self.loss.loss(&seen);
-        drop(seen);
-        for penalty in self.effects.penalty(view).into_iter().chain(of_depth).chain(of_pose) {
-            loss = loss + penalty;
-        }
-        if self.config.opacity_weight > 0.0 {
-            loss = loss + regularise::opacity(splats.opacities.clone()) * self.config.opacity_weight;
-        }
-        if let Some(penalty) = self.density.penalty(&splats, step) {
-            loss = loss + penalty;
-        }
-        drop(splats);
-        if self.checks {
-            check_loss(&loss).map_err(|wrong| self.wrong(view, wrong))?;
-        }
-        let mut grads = loss.backward();
-        if signals != Signals::default() {
-            // As if the loss were a mean over the whole picture.
-            let whole = |gradient: Tensor<2>| strip.as_ref().map_or(gradient.clone(), |strip| gradient * strip.share());
-            let mut taken = |probe: Option<Tensor<2>>| probe.and_then(|probe| probe.grad_remove(&mut grads)).map(whole);
-            let (gradient, abs_gradient) = (taken(probe), taken(abs_probe));
-            self.density.observe(Observed { gradient, abs_gradient, covered, size });
-        }
-        let of_effects = self.effects.take_gradients(view, &mut grads);
-        let gradients = Gradients::take(&self.scene.gaussians, &mut grads);
-        if self.checks {
-            check_gradients(&gradients).map_err(|wrong| self.wrong(view, wrong))?;
-        }
-        Ok((loss.inner(), gradients, of_effects))
     }
 
     /// The optimiser's step, taken back if it spoils a Gaussian.
@@ -413,6 +311,8 @@ impl Trainer {
     }
 }
 
+#[cfg(test)]
+mod custom_effect_tests;
 #[cfg(test)]
 mod effects_tests;
 #[cfg(test)]

@@ -1,6 +1,6 @@
 //! The dials of a render through the public functions, on every device: what each changes, and that it changes nothing else.
 
-use burn::tensor::{DType, Device, Tensor, f16};
+use burn::tensor::{DType, Device, f16};
 use splat_op::{
     Accumulation, Camera, Colour, Culling, Exponential, Extras, Intrinsics, MAX_UNCUT_HITS, Order, RenderOptions,
     Splats, Storage, project, render, tile,
@@ -64,61 +64,41 @@ fn culling_changes_time_alone() {
 }
 
 /// Pictures and the gradients of the harmonics.
-fn with_harmonics(
-    scene: &Scene,
-    matte: usize,
-    options: &RenderOptions,
-    (_, device, dtype): &Where,
-) -> (Vec<f64>, Vec<f64>, Option<Vec<f64>>) {
+fn with_harmonics(scene: &Scene, options: &RenderOptions, (_, device, dtype): &Where) -> (Vec<f64>, Vec<f64>) {
     let device = device.clone().autodiff();
-    let (count, coefficients) = (scene.count(), scene.coefficients());
-    let (directional, others) = scene.sh.split_at(3 * coefficients * (count - matte));
-    let sh = |values: &[f64], rows, coefficients| {
-        tensor::<3>(values, [rows, coefficients, 3], &device, *dtype).require_grad()
-    };
-    let directional = sh(directional, count - matte, coefficients);
-    let others: Vec<f64> = others.chunks_exact(3 * coefficients).flat_map(|row| &row[..3]).copied().collect();
-    let others = (matte > 0).then(|| sh(&others, matte, 1));
+    let sh = tensor::<3>(&scene.sh, [scene.count(), scene.coefficients(), 3], &device, *dtype).require_grad();
     let Tensors { splats, camera, .. } = scene.tensors(&device, *dtype);
-    let colour = match &others {
-        None => Colour::SphericalHarmonics(directional.clone()),
-        Some(others) => Colour::Mixed { directional: directional.clone(), matte: others.clone() },
-    };
-    let splats = Splats { colour, ..splats };
+    let splats = Splats { colour: Colour::SphericalHarmonics(sh.clone()), ..splats };
     let out = render(&splats, &[camera], &Extras::default(), options).expect("a valid scene");
     let weights = Random::new(5).fill(CAMERA.width * CAMERA.height * 3, -1.0, 1.0);
     let weights = tensor::<4>(&weights, [1, CAMERA.height, CAMERA.width, 3], &device, *dtype);
     let gradients = (out.colour.clone() * weights).sum().backward();
-    let gradient = |leaf: &Tensor<3>| host(leaf.grad(&gradients).expect("tracked"));
-    (host(out.colour), gradient(&directional), others.as_ref().map(gradient))
+    (host(out.colour), host(sh.grad(&gradients).expect("tracked")))
 }
 
 #[test]
 fn harmonics_above_the_degree_are_as_if_they_were_not_there() {
     let scene = Scene::random(&mut Random::new(12), 60, 3, CAMERA);
     for place in everywhere() {
-        for matte in [0, 20] {
-            let all = with_harmonics(&scene, matte, &OPTIONS, &place);
-            for degree in [0, 1, 2, 3, 4] {
-                let used = 3 * (degree + 1) * (degree + 1);
-                let found = with_harmonics(&scene, matte, &OPTIONS.with_sh_degree(Some(degree)), &place);
-                let what = format!("{} {:?}, {matte} matte, degree {degree}", place.0, place.2);
-                if degree >= 3 {
-                    assert!(found == all, "{what}: there are none above it");
-                    continue;
-                }
-                assert!(found.0 != all.0, "{what}: the dial changes nothing");
-                let lower = Scene {
-                    sh: scene.sh.chunks_exact(48).flat_map(|row| &row[..used]).copied().collect(),
-                    ..scene.clone()
-                };
-                let expected = with_harmonics(&lower, matte, &OPTIONS, &place);
-                assert!(found.0 == expected.0, "{what}: not the picture of these coefficients");
-                assert!(found.2 == expected.2, "{what}: not the gradient of the matte ones");
-                let rows = || found.1.chunks_exact(48);
-                assert!(rows().flat_map(|row| &row[..used]).eq(&expected.1), "{what}: not the gradient of those used");
-                assert!(rows().flat_map(|row| &row[used..]).all(|g| *g == 0.0), "{what}: a gradient of one not used");
+        let all = with_harmonics(&scene, &OPTIONS, &place);
+        for degree in [0, 1, 2, 3, 4] {
+            let used = 3 * (degree + 1) * (degree + 1);
+            let found = with_harmonics(&scene, &OPTIONS.with_sh_degree(Some(degree)), &place);
+            let what = format!("{} {:?}, degree {degree}", place.0, place.2);
+            if degree >= 3 {
+                assert!(found == all, "{what}: there are none above it");
+                continue;
             }
+            assert!(found.0 != all.0, "{what}: the dial changes nothing");
+            let lower = Scene {
+                sh: scene.sh.chunks_exact(48).flat_map(|row| &row[..used]).copied().collect(),
+                ..scene.clone()
+            };
+            let expected = with_harmonics(&lower, &OPTIONS, &place);
+            assert!(found.0 == expected.0, "{what}: not the picture of these coefficients");
+            let rows = || found.1.chunks_exact(48);
+            assert!(rows().flat_map(|row| &row[..used]).eq(&expected.1), "{what}: not the gradient of those used");
+            assert!(rows().flat_map(|row| &row[used..]).all(|g| *g == 0.0), "{what}: a gradient of one not used");
         }
     }
 }
@@ -198,20 +178,14 @@ fn coefficients_of_half_precision_are_rounded_ones() {
         // An odd number of Gaussians, so that the last word of an odd degree's coefficients is half empty.
         let scene = Scene::random(&mut Random::new(14 + degree as u64), 61, degree, CAMERA);
         for place in &places {
-            for matte in [0, 21] {
-                let what = format!("{} {:?}, degree {degree}, {matte} matte", place.0, place.2);
-                let full = with_harmonics(&scene, matte, &OPTIONS, place);
-                let found = with_harmonics(&scene, matte, &half, place);
-                let expected = with_harmonics(&rounded(&scene), matte, &OPTIONS, place);
-                let exactly = place.0 != "gpu";
-                assert!(found.0 != full.0, "{what}: the dial changes nothing");
-                assert_same(&what, exactly, &found.0, &expected.0);
-                assert_same(&what, exactly, &found.1, &expected.1);
-                assert_eq!(found.2.is_some(), expected.2.is_some());
-                if let (Some(found), Some(expected)) = (found.2, expected.2) {
-                    assert_same(&what, exactly, &found, &expected);
-                }
-            }
+            let what = format!("{} {:?}, degree {degree}", place.0, place.2);
+            let full = with_harmonics(&scene, &OPTIONS, place);
+            let found = with_harmonics(&scene, &half, place);
+            let expected = with_harmonics(&rounded(&scene), &OPTIONS, place);
+            let exactly = place.0 != "gpu";
+            assert!(found.0 != full.0, "{what}: the dial changes nothing");
+            assert_same(&what, exactly, &found.0, &expected.0);
+            assert_same(&what, exactly, &found.1, &expected.1);
         }
     }
 }
@@ -266,17 +240,10 @@ fn a_scene_can_be_stored_in_half_precision_once() {
 }
 
 #[test]
-fn half_precision_is_refused_where_there_is_none_and_in_one_group_alone() {
+fn half_precision_is_refused_where_there_is_none() {
     let scene = Scene::random(&mut Random::new(21), 10, 1, CAMERA);
     let half = OPTIONS.with_coefficients(Storage::Half);
     let Tensors { splats, camera, .. } = scene.tensors(&ndarray(), DType::F32);
     let message = render(&splats, &[camera], &Extras::default(), &half).expect_err("refused").to_string();
     assert!(message.contains("`coefficients` is Storage::Half") && message.contains("Storage::Full"), "{message}");
-    let Tensors { splats, camera, .. } = scene.tensors(&Device::flex(), DType::F32);
-    let Colour::SphericalHarmonics(sh) = &splats.colour else { panic!("harmonics") };
-    let directional = sh.clone().narrow(0, 0, 6).cast(DType::F16);
-    let matte = sh.clone().narrow(0, 6, 4).narrow(1, 0, 1);
-    let splats = Splats { colour: Colour::Mixed { directional, matte }, ..splats };
-    let message = render(&splats, &[camera], &Extras::default(), &OPTIONS).expect_err("refused").to_string();
-    assert!(message.contains("`matte` holds F32, expected F16"), "{message}");
 }

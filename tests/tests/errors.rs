@@ -69,15 +69,6 @@ fn wrong_shapes_name_the_argument_and_what_to_change() {
     assert_names(&refusal(|c| c.tensors.splats.colour = sh([COUNT, 5, 3])), "sh", "[5, 5, 3]");
     assert_names(&refusal(|c| c.tensors.splats.colour = sh([COUNT, 4, 4])), "sh", &must(2, 3));
     assert_names(&refusal(|c| c.tensors.splats.colour = sh([COUNT + 2, 4, 3])), "sh", &must(0, COUNT));
-    let mixed = |directional, matte| {
-        let colour = Colour::Mixed { directional: zeros(directional), matte: zeros(matte) };
-        refusal(|c| c.tensors.splats.colour = colour)
-    };
-    assert_names(&mixed([COUNT + 1, 4, 3], [0, 1, 3]), "directional", &must(0, COUNT));
-    assert_names(&mixed([2, 5, 3], [COUNT - 2, 1, 3]), "directional", "[2, 5, 3]");
-    assert_names(&mixed([2, 4, 4], [COUNT - 2, 1, 3]), "directional", &must(2, 3));
-    assert_names(&mixed([2, 4, 3], [COUNT - 1, 1, 3]), "matte", &must(0, COUNT - 2));
-    assert_names(&mixed([2, 4, 3], [COUNT - 2, 4, 3]), "matte", &must(1, 1));
     let features = |shape| Colour::Features(zeros(shape));
     assert_names(&refusal(|c| c.tensors.splats.colour = features([COUNT + 2, 3])), "features", &must(0, COUNT));
     assert_names(&refusal(|c| c.tensors.splats.colour = features([COUNT, 0])), "features", "at least one channel");

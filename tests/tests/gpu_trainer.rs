@@ -7,7 +7,6 @@ use burn::tensor::Device;
 use glam::{DAffine3, DVec3};
 use splat_model::accuracy::Setting;
 use splat_model::capture::{Photo, PointCloud};
-use splat_model::density::matte::variation;
 use splat_model::density::{AdaptiveConfig, McmcConfig};
 use splat_model::effects::background::Backdrop;
 use splat_model::effects::depth::{DepthConfig, DepthSample};
@@ -136,37 +135,6 @@ fn effects_train_as_on_the_cpu() {
     // That the maps do something by the last step, which comes back to photographs seen before.
     let without = losses(&TrainConfig { exposure: None, ..config }, &Device::flex());
     assert!((without[11] - expected[11]).abs() > 5e-3 * expected[11], "{} and {}", without[11], expected[11]);
-}
-
-/// Gaussians become matte in the middle of a run, come and go, and have a gradient, a step and a place in the verdict of their own.
-#[test]
-fn matte_gaussians_train_as_on_the_cpu() {
-    let Some(device) = gpu() else { return };
-    let (photos, points) = (|| photos(0.2, None), points());
-    let config = TrainConfig { steps: 16, sh_every: 3, ..TrainConfig::default() };
-    // What half of them vary by less than when they are first asked.
-    let mut trial = Trainer::new(photos(), &points, config.clone(), &Device::flex()).expect("photographs");
-    (0..6).for_each(|_| drop(trial.step().expect("a sound run")));
-    let mut varies = host(variation(trial.gaussians().sh.val()));
-    varies.sort_by(f64::total_cmp);
-    let config = TrainConfig { matte_below: Some((varies[23] + varies[24]) / 2.0), ..config };
-    let run = |device: &Device| {
-        let mut run = Trainer::new(photos(), &points, config.clone(), device).expect("photographs and steps");
-        let losses: Vec<f64> = (0..16).map(|_| host(run.step().expect("a sound run").loss)[0]).collect();
-        (losses, run.gaussians().untracked().to_rows(), run.gaussians().directional())
-    };
-    let ((expected, rows, directional), (found, other, others)) = (run(&Device::flex()), run(&device));
-    assert!((5..44).contains(&directional), "{directional} of 48 vary: this shows nothing");
-    // One may lie within rounding of the limit.
-    assert!(directional.abs_diff(others) <= 1, "{others} vary instead of {directional}");
-    for (step, (found, expected)) in found.iter().zip(&expected).enumerate() {
-        assert!((found - expected).abs() <= 1e-3 * expected, "step {step}: {found} instead of {expected}");
-    }
-    if directional == others {
-        let close = |a: &[f32; 3], b: &[f32; 3]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 5e-3);
-        let all = rows.sh_dc.iter().zip(&other.sh_dc).all(|(a, b)| close(a, b));
-        assert!(all, "colours differ, or rows have changed places");
-    }
 }
 
 /// The same seed gives the same bits where sums over hits have an order, with each strategy and with batches.

@@ -15,7 +15,7 @@ use splat_model::effects::optics::OpticsConfig;
 use splat_model::effects::plan::Cost;
 use splat_model::effects::pose::{PoseConfig, anchors};
 use splat_model::effects::survey::depth_folder;
-use splat_model::effects::{Effect, Plan, Survey};
+use splat_model::effects::{EffectKind, Plan, Survey};
 use splat_model::trainer::{TrainConfig, TrainError, Trainer};
 
 use crate::background::{ENVIRONMENT_DEGREE, TrainBackground};
@@ -36,7 +36,7 @@ enum Base {
 pub struct EffectsArg {
     base: Base,
     /// Whether each is switched on or off; the last word on an effect counts.
-    adjustments: Vec<(Effect, bool)>,
+    adjustments: Vec<(EffectKind, bool)>,
     text: String,
 }
 
@@ -84,12 +84,12 @@ impl FromStr for EffectsArg {
 
 impl EffectsArg {
     /// The effects of a run, given those that the capture calls for.
-    fn of(&self, called_for: &[Effect]) -> Vec<Effect> {
-        let on = |effect: &Effect| {
+    fn of(&self, called_for: &[EffectKind]) -> Vec<EffectKind> {
+        let on = |effect: &EffectKind| {
             let adjusted = self.adjustments.iter().rev().find(|(name, _)| name == effect);
             adjusted.map_or(self.base == Base::Auto && called_for.contains(effect), |(_, on)| *on)
         };
-        Effect::ALL.into_iter().filter(on).collect()
+        EffectKind::ALL.into_iter().filter(on).collect()
     }
 
     /// Decides for a capture, which is surveyed if that matters, by the views to train on. `antialias`: that option was given.
@@ -97,7 +97,7 @@ impl EffectsArg {
     /// # Errors
     /// If a picture of the capture cannot be read, or the two options contradict each other.
     pub fn choose(&self, capture: &Capture, train: &[usize], antialias: bool) -> Result<Chosen> {
-        let adjusted = self.adjustments.iter().rev().find(|(effect, _)| *effect == Effect::Antialias);
+        let adjusted = self.adjustments.iter().rev().find(|(effect, _)| *effect == EffectKind::Antialias);
         ensure!(
             !(antialias && adjusted.is_some_and(|(_, on)| !on)),
             "`--antialias` and `--effects={}` contradict each other: leave out one of them",
@@ -109,12 +109,12 @@ impl EffectsArg {
         };
         let plan = survey.as_ref().map(Plan::from);
         let mut on = self.of(&plan.as_ref().map_or(Vec::new(), Plan::effects));
-        if antialias && !on.contains(&Effect::Antialias) {
-            on.push(Effect::Antialias);
+        if antialias && !on.contains(&EffectKind::Antialias) {
+            on.push(EffectKind::Antialias);
             on.sort();
         }
         ensure!(
-            !(on.contains(&Effect::Alpha) && on.contains(&Effect::Environment)),
+            !(on.contains(&EffectKind::Alpha) && on.contains(&EffectKind::Environment)),
             "`--effects={}`: photographs with transparent parts say nothing of an environment to learn: leave out `alpha` or \
              `environment`",
             self.text
@@ -128,7 +128,7 @@ impl EffectsArg {
                 "colours do not depend on the view: one for all directions, unless `--sh-degree` says otherwise",
             );
         }
-        if !antialias && on.contains(&Effect::Antialias) {
+        if !antialias && on.contains(&EffectKind::Antialias) {
             progress::note("`splat eval` and `splat render` show this scene as it was trained with `--antialias`");
         }
         Ok(Chosen { asked: self.text.clone(), on, plan, survey, measured: BTreeMap::new() })
@@ -139,7 +139,7 @@ impl EffectsArg {
 #[derive(Clone, Debug, Serialize)]
 pub struct Chosen {
     asked: String,
-    on: Vec<Effect>,
+    on: Vec<EffectKind>,
     /// Null where nothing was left to decide.
     plan: Option<Plan>,
     /// What the plan rests on.
@@ -151,7 +151,7 @@ pub struct Chosen {
 
 impl Chosen {
     /// Whether an effect is on.
-    pub fn has(&self, effect: Effect) -> bool {
+    pub fn has(&self, effect: EffectKind) -> bool {
         self.on.contains(&effect)
     }
 
@@ -161,23 +161,23 @@ impl Chosen {
         if let (None, Some(called_for)) = (degree, self.plan.as_ref().and_then(Plan::sh_degree)) {
             config.sh_degree = called_for;
         }
-        config.antialias |= self.has(Effect::Antialias);
-        config.smoothing |= self.has(Effect::Antialias);
-        config.exposure = self.has(Effect::Exposure).then(ExposureConfig::default);
-        config.grid = self.has(Effect::BilateralGrid).then(GridConfig::default);
-        config.poses = self.has(Effect::PoseRefinement).then(PoseConfig::default);
+        config.antialias |= self.has(EffectKind::Antialias);
+        config.smoothing |= self.has(EffectKind::Antialias);
+        config.exposure = self.has(EffectKind::Exposure).then(ExposureConfig::default);
+        config.grid = self.has(EffectKind::BilateralGrid).then(GridConfig::default);
+        config.poses = self.has(EffectKind::PoseRefinement).then(PoseConfig::default);
         config.optics = OpticsConfig {
-            motion: self.has(Effect::MotionBlur),
-            rolling: self.has(Effect::RollingShutter),
-            defocus: self.has(Effect::Defocus),
+            motion: self.has(EffectKind::MotionBlur),
+            rolling: self.has(EffectKind::RollingShutter),
+            defocus: self.has(EffectKind::Defocus),
         };
-        config.depth = self.has(Effect::DepthSupervision).then(DepthConfig::default);
+        config.depth = self.has(EffectKind::DepthSupervision).then(DepthConfig::default);
         match background {
             Some(background) => background.configure(config),
-            None if self.has(Effect::Environment) => {
+            None if self.has(EffectKind::Environment) => {
                 config.backdrop = Backdrop::Environment { degree: ENVIRONMENT_DEGREE };
             }
-            None if self.has(Effect::Alpha) => config.backdrop = Backdrop::Random,
+            None if self.has(EffectKind::Alpha) => config.backdrop = Backdrop::Random,
             None => {}
         }
     }
@@ -187,11 +187,11 @@ impl Chosen {
     /// # Errors
     /// If a depth map cannot be read.
     pub fn supply(&self, trainer: Trainer, capture: &Capture, views: &[usize]) -> Result<Trainer> {
-        let trainer = match self.has(Effect::PoseRefinement) {
+        let trainer = match self.has(EffectKind::PoseRefinement) {
             true => trainer.with_anchors(&anchors::from_tracks(capture, views)),
             false => trainer,
         };
-        if !self.has(Effect::DepthSupervision) {
+        if !self.has(EffectKind::DepthSupervision) {
             return Ok(trainer);
         }
         let samples = match depth_folder(&capture.folder) {
@@ -207,7 +207,7 @@ impl Chosen {
     }
 
     /// Those that are on.
-    pub fn on(&self) -> &[Effect] {
+    pub fn on(&self) -> &[EffectKind] {
         &self.on
     }
 
@@ -241,7 +241,7 @@ mod tests {
 
     #[test]
     fn words_mean_what_they_say() {
-        use Effect::{Antialias, Exposure, Masks};
+        use EffectKind::{Antialias, Exposure, Masks};
         let of = |text: &str| text.parse::<EffectsArg>().unwrap().of(&[Antialias, Exposure]);
         assert_eq!(EffectsArg::default(), "auto".parse().unwrap());
         assert_eq!(of("auto"), [Antialias, Exposure]);

@@ -10,7 +10,7 @@ use serde::Serialize;
 use splat_model::accuracy::{Setting, Work};
 use splat_model::capture::{Photo, Photograph};
 use splat_model::formats;
-use splat_op::{Colour, Intrinsics};
+use splat_op::Intrinsics;
 
 use crate::accuracy::{AccuracyArgs, ModelArgs};
 use crate::background::ShownBackground;
@@ -138,10 +138,6 @@ pub fn run(args: &EvalArgs) -> Result<Metrics> {
     let metrics = Metrics {
         test: Some(scores),
         splats: splats.means.dims()[0],
-        matte: match &splats.colour {
-            Colour::Mixed { matte, .. } => matte.dims()[0],
-            _ => 0,
-        },
         culled_non_finite: unusable,
         steps: None,
         seconds: Seconds { load, train: None, eval },

@@ -148,7 +148,7 @@ impl Scene {
     /// # Errors
     /// If they do not fit together.
     pub fn new(rows: &GaussianRows, device: &Device) -> Result<Self> {
-        Ok(Self { splats: Gaussians::from_rows_apart(rows, device)?.splats(), unusable: rows.unusable() })
+        Ok(Self { splats: Gaussians::from_rows(rows, device)?.splats(), unusable: rows.unusable() })
     }
 }
 

@@ -76,6 +76,10 @@ pub fn run(command: &Command) -> Result<()> {
             args.voice.apply();
             train::run(args).map(drop)
         }
+        Command::Resume(args) => {
+            args.voice.apply();
+            train::resume(args).map(drop)
+        }
         Command::Eval(args) => eval::run(args).map(drop),
         Command::Render(args) => render::run(args).map(drop),
         Command::Demo(args) => demo::run(args),

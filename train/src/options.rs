@@ -14,7 +14,7 @@ use crate::inspect::InspectArgs;
 use crate::manual::{CompletionsArgs, ManArgs};
 use crate::pareto::ParetoArgs;
 use crate::render::RenderArgs;
-use crate::train::TrainArgs;
+use crate::train::{ResumeArgs, TrainArgs};
 use crate::view::ViewArgs;
 
 /// What the program's exit codes mean, as `--help` ends.
@@ -40,6 +40,8 @@ pub struct Cli {
 pub enum Command {
     /// Train a scene on a capture, then measure it on the photographs that were held out
     Train(TrainArgs),
+    /// Go on with a training run that was stopped or killed, with the options that it was started with
+    Resume(ResumeArgs),
     /// Measure a scene on the photographs of a capture that were held out
     Eval(EvalArgs),
     /// Render a scene as the cameras of a capture see it
@@ -101,10 +103,15 @@ mod tests {
     }
 
     #[test]
-    fn a_capture_asks_for_an_output_folder_and_the_demo_does_not() {
-        assert!(Cli::try_parse_from(["splat", "train"]).is_ok());
-        assert!(Cli::try_parse_from(["splat", "train", "capture", "--out", "out"]).is_ok());
-        let error = Cli::try_parse_from(["splat", "train", "capture"]).unwrap_err().to_string();
-        assert!(error.contains("--out"), "{error}");
+    fn a_run_that_goes_on_takes_no_options_of_a_new_one() {
+        let resume = |option: &str| Cli::try_parse_from(["splat", "resume", "out", option]);
+        for option in ["--steps=7", "--check", "--out=other", "--device=cpu", "capture"] {
+            assert!(resume(option).is_err(), "{option}");
+        }
+        for option in ["--quiet", "--json"] {
+            let Command::Resume(args) = resume(option).unwrap().command else { panic!("asked for resume") };
+            assert_eq!((args.voice.quiet, args.voice.json), (option == "--quiet", option == "--json"));
+        }
+        assert!(Cli::try_parse_from(["splat", "resume"]).is_err(), "of which run?");
     }
 }

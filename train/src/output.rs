@@ -1,6 +1,6 @@
 //! Files that appear whole or not at all: each is written under another name in the same folder, then renamed.
 
-use std::ffi::OsString;
+use std::ffi::{OsStr, OsString};
 use std::fs::{self, File};
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
@@ -76,6 +76,28 @@ impl OutputFolder {
     pub fn write(&self, name: impl AsRef<Path>, fill: impl FnOnce(&mut BufWriter<File>) -> Result<()>) -> Result<()> {
         write(&self.join(name), fill)
     }
+}
+
+/// The first of `parent/NAME`, `parent/NAME-2`, `parent/NAME-3` and so on that is not there, or is a folder that holds at most
+/// these entries.
+pub fn free_folder(parent: &Path, name: &OsStr, may_hold: &[&str]) -> PathBuf {
+    let is_free = |path: &Path| match fs::read_dir(path) {
+        Ok(mut entries) => {
+            entries.all(|entry| entry.is_ok_and(|entry| may_hold.iter().any(|name| entry.file_name() == *name)))
+        }
+        // What is there and cannot be looked into is not free. Where nothing can be made, making it will say so.
+        Err(_) => !path.exists(),
+    };
+    let mut path = parent.join(name);
+    for number in 2.. {
+        if is_free(&path) {
+            break;
+        }
+        let mut numbered = name.to_owned();
+        numbered.push(format!("-{number}"));
+        path = parent.join(numbered);
+    }
+    path
 }
 
 /// Writes a file: `fill` fills it under a temporary name, and only when it is complete does it take its own. Folders on
@@ -155,6 +177,24 @@ mod tests {
         left.sort();
         assert_eq!(left, [".a.tmp-x", ".hidden", ".tmp-7", "a.tmp-7", "views"]);
         assert_eq!(names_in(&out.join("views")), ["b.png"]);
+    }
+
+    #[test]
+    fn a_folder_is_free_until_something_is_in_it() {
+        let folder = tempfile::tempdir().unwrap();
+        let free = |may_hold: &[&str]| free_folder(folder.path(), OsStr::new("fox.v1"), may_hold);
+        let path = |name: &str| folder.path().join(name);
+        assert_eq!(free(&[]), path("fox.v1"));
+        fs::create_dir(path("fox.v1")).unwrap();
+        assert_eq!(free(&[]), path("fox.v1"), "empty");
+        fs::create_dir(path("fox.v1/checkpoints")).unwrap();
+        assert_eq!(free(&[]), path("fox.v1-2"));
+        assert_eq!(free(&["checkpoints"]), path("fox.v1"));
+        fs::write(path("fox.v1-2"), "a file").unwrap();
+        fs::create_dir_all(path("fox.v1-3/views")).unwrap();
+        assert_eq!(free(&[]), path("fox.v1-4"));
+        // Nothing can be below a file, which is for whoever makes the folder to say.
+        assert_eq!(free_folder(&path("fox.v1-2"), OsStr::new("a"), &[]), path("fox.v1-2/a"));
     }
 
     #[test]

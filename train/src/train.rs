@@ -12,10 +12,9 @@ use std::path::PathBuf;
 use anyhow::Result;
 use clap::builder::RangedU64ValueParser;
 use serde::{Deserialize, Serialize};
-use splat_model::density::matte;
 use splat_model::trainer::{Resolution, TrainConfig, TrainError};
 
-pub use self::run::{run, run_with};
+pub use self::run::{resume, run, run_with};
 pub use self::stop::Interrupted;
 use crate::accuracy::{AccuracyArgs, ModelArgs};
 use crate::background::TrainBackground;
@@ -33,61 +32,20 @@ pub const DEMO_STEPS: usize = 1500;
 /// everywhere.
 pub const DEMO_SH_DEGREE: usize = 0;
 
-/// Where a run on the demo capture writes to unless told otherwise.
-pub const DEMO_OUT: &str = "out/demo";
+/// Where runs write to unless told otherwise, each to a folder of its own.
+pub const OUT: &str = "out";
 
 /// Steps between checkpoints unless told otherwise: a minute or two of the usual run on a CPU, seconds on a GPU.
 pub const CHECKPOINT_EVERY: usize = 500;
-
-/// What a run that goes on has already: all options but those that say how much is said.
-const OF_A_NEW_RUN: [&str; 33] = [
-    "capture",
-    "out",
-    "steps",
-    "device",
-    "seed",
-    "max_splats",
-    "strategy",
-    "batch",
-    "eval_every",
-    "max_side",
-    "sh_degree",
-    "sh_every",
-    "matte_below",
-    "antialias",
-    "projection",
-    "order",
-    "opacity_weight",
-    "coarsest",
-    "full_from",
-    "pixel_share",
-    "accuracy",
-    "target_error",
-    "target_ms",
-    "frontier",
-    "background",
-    "effects",
-    "eval_during",
-    "snapshots",
-    "lpips",
-    "lpips_unscaled",
-    "check",
-    "cache_mb",
-    "checkpoint_every",
-];
 
 /// Options of `splat train`, which checkpoints keep.
 #[derive(Clone, Debug, clap::Args, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TrainArgs {
     /// Folder with `images/` and COLMAP's `sparse/0/`, or with `transforms.json` or `transforms_train.json`; without one, the demo capture is made and trained on
-    #[arg(requires = "out")]
     pub capture: Option<PathBuf>,
-    /// Go on with the run whose checkpoints are in this folder, with the options that it was started with
-    #[arg(long, value_name = "DIR", conflicts_with_all = OF_A_NEW_RUN)]
-    #[serde(skip)]
-    pub resume: Option<PathBuf>,
-    /// Folder for scene.ply, metrics.json and views/; with the demo capture `out/demo` if not given
+    /// Folder for scene.ply, metrics.json and views/; results of an earlier run there are replaced [default: out/NAME of the
+    /// capture, `demo` for the demo capture; out/NAME-2 and so on where that holds something already]
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
     /// Training steps
@@ -130,10 +88,6 @@ pub struct TrainArgs {
     /// Steps until the degree rises by one, beginning with 0; 0 has all degrees from the start
     #[arg(long, value_name = "N", default_value_t = TrainConfig::default().sh_every)]
     pub sh_every: usize,
-    /// Give splats one colour for all directions whose colours hardly differ: by less than so many levels of 255, as root mean
-    /// square over all directions. Decided each time the degree rises from 1 on. They take less memory and time [default: off]
-    #[arg(long, value_name = "LEVELS")]
-    pub matte_below: Option<f64>,
     /// The function that is rendered.
     #[command(flatten)]
     pub model: ModelArgs,
@@ -146,9 +100,6 @@ pub struct TrainArgs {
     /// With `--coarsest`: share of the steps after which photographs have their full size
     #[arg(long, value_name = "SHARE", default_value_t = TrainConfig::default().resolution.full_from)]
     pub full_from: f64,
-    /// Share of a photograph's pixels that a step looks at: so many of its rows, drawn anew each time, 32 at the fewest
-    #[arg(long, value_name = "SHARE", default_value_t = TrainConfig::default().pixel_share)]
-    pub pixel_share: f64,
     /// How accurate the renders are.
     #[command(flatten)]
     pub accuracy: AccuracyArgs,
@@ -185,9 +136,20 @@ pub struct TrainArgs {
     /// [default: half of what the machine has left]
     #[arg(long, value_name = "MB")]
     pub cache_mb: Option<usize>,
-    /// Steps between checkpoints, from which `--resume` goes on; 0 writes them only when the run is stopped by Ctrl-C or SIGTERM
+    /// Steps between checkpoints, from which `splat resume` goes on; 0 writes them only when the run is stopped by Ctrl-C or SIGTERM
     #[arg(long, value_name = "K", default_value_t = CHECKPOINT_EVERY)]
     pub checkpoint_every: usize,
+}
+
+/// Options of `splat resume`.
+#[derive(Clone, Debug, clap::Args)]
+pub struct ResumeArgs {
+    /// The folder that the run writes to: its `--out`
+    #[arg(value_name = "DIR")]
+    pub out: PathBuf,
+    /// How much is said.
+    #[command(flatten)]
+    pub voice: VoiceArgs,
 }
 
 impl TrainArgs {
@@ -207,21 +169,16 @@ impl TrainArgs {
         config.steps = self.steps.unwrap_or(config.steps);
         config.sh_degree = self.sh_degree.unwrap_or(config.sh_degree);
         config.sh_every = self.sh_every;
-        config.pixel_share = self.pixel_share;
         config.dials = config.dials.and(&self.accuracy.accuracy.setting());
         if let Some(mb) = self.cache_mb {
             config.cache_mib = config.cache_mib.min(mb.saturating_mul(1_000_000) >> 20);
         }
-        config.matte_below = self.matte_below.map(|levels| levels / 255.0);
         match config {
             TrainConfig { steps: 0, .. } => Err(TrainError::NoSteps),
             TrainConfig { sh_degree, .. } if sh_degree > splat_op::shade::SH_DEGREE_MAX => {
                 Err(TrainError::ShDegree(sh_degree))
             }
             TrainConfig { resolution, .. } if !resolution.is_valid() => Err(TrainError::Resolution(resolution)),
-            TrainConfig { matte_below: Some(below), .. } if !matte::is_threshold(below) => {
-                Err(TrainError::MatteBelow(below))
-            }
             config => config.check().map(|()| config),
         }
     }
@@ -229,7 +186,7 @@ impl TrainArgs {
 
 #[cfg(test)]
 mod tests {
-    use clap::{CommandFactory, Parser};
+    use clap::Parser;
 
     use splat_model::density::{AdaptiveConfig, DensityConfig, McmcConfig};
 
@@ -245,18 +202,6 @@ mod tests {
     #[test]
     fn without_options_a_capture_trains_as_the_library_does() {
         assert_eq!(config(&["capture", "--out", "out"]).unwrap(), TrainConfig::default());
-    }
-
-    #[test]
-    fn a_run_that_goes_on_takes_no_options_of_a_new_one() {
-        let command = Cli::command();
-        let train = command.find_subcommand("train").unwrap();
-        let ids = train.get_arguments().map(|argument| argument.get_id().as_str());
-        let ids: Vec<&str> = ids.filter(|id| !["resume", "quiet", "json", "help"].contains(id)).collect();
-        assert!(ids.iter().all(|id| OF_A_NEW_RUN.contains(id)), "{ids:?}");
-        let refused = |option: &str| Cli::try_parse_from(["splat", "train", "--resume", "out", option]).is_err();
-        assert!(refused("--check") && refused("--steps=7") && refused("capture") && refused("--effects=none"));
-        assert!(!refused("--quiet") && !refused("--json"));
     }
 
     #[test]
@@ -284,13 +229,9 @@ mod tests {
         let config = config(&arguments).unwrap();
         assert_eq!((config.seed, config.density.max_splats(), config.sh_degree, config.antialias), (5, 77, 2, true));
         assert_eq!(config.opacity_weight, 0.01);
-        let config = self::config(&["--pixel-share", "0.25"]).unwrap();
-        assert_eq!(config.pixel_share, 0.25);
         let cache = |mb: &str| self::config(&["--cache-mb", mb]).unwrap().cache_mib;
         assert_eq!([cache("0"), cache("100"), cache("9000")], [0, 95, TrainConfig::default().cache_mib]);
-        let config = self::config(&["--sh-every", "300", "--matte-below", "2.55"]).unwrap();
-        assert_eq!(config.sh_every, 300);
-        assert!((config.matte_below.unwrap() - 0.01).abs() < 1e-12);
+        assert_eq!(self::config(&["--sh-every", "300"]).unwrap().sh_every, 300);
     }
 
     #[test]
@@ -328,10 +269,5 @@ mod tests {
         assert!(config(&["--steps", "0"]).unwrap_err().to_string().contains("--steps"));
         assert!(config(&["--sh-degree", "5"]).unwrap_err().to_string().contains("sh_degree"));
         assert!(config(&["--coarsest", "3"]).unwrap_err().to_string().contains("--coarsest"));
-        for share in ["0", "-0.5", "1.5", "nan"] {
-            let share = format!("--pixel-share={share}");
-            assert!(config(&[&share]).unwrap_err().to_string().contains("--pixel-share"), "{share}");
-        }
-        assert!(config(&["--matte-below", "inf"]).unwrap_err().to_string().contains("--matte-below"));
     }
 }

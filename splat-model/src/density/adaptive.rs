@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use super::consistency::{Agreed, Agreement, ConsistencyConfig};
 use super::order::morton_order;
-use super::rows::{RowEdit, Trained, indices};
+use super::rows::{RowEdit, Trained};
 use super::strategy::{At, Observed, RefineReport, Signals, Strategy};
 use crate::gaussians::{self, GaussianRows, RowsError, values_of};
 use crate::state::{State, StateError};
@@ -131,17 +131,15 @@ impl Adaptive {
         let mut report = RefineReport { threshold, ..Default::default() };
         let mut edit = RowEdit::default();
         edit.add.sh_degree = rows.sh_degree;
-        let directional = scene.gaussians.directional();
         let mut replaced = doomed.clone();
         for &i in &chosen {
-            let add = if i < directional { &mut edit.add } else { &mut edit.add_matte };
             if largest_scale(&rows, i) > split_above {
                 replaced[i] = true;
                 report.split += 1;
-                (0..2).for_each(|_| push_split(add, &rows, i, rng));
+                (0..2).for_each(|_| push_split(&mut edit.add, &rows, i, rng));
             } else {
                 report.cloned += 1;
-                add.push(&rows, i);
+                edit.add.push(&rows, i);
             }
         }
         edit.keep = morton_order(&rows.means).into_iter().filter(|&row| !replaced[row as usize]).collect();
@@ -246,13 +244,6 @@ impl Strategy for Adaptive {
             scene.reset_opacities(logits);
         }
         Ok(report)
-    }
-
-    fn reorder(&mut self, order: &[u32]) {
-        let Some((sum, count)) = self.seen.take() else { return };
-        let order = indices(order, &sum.device());
-        self.agreement = self.agreement.take().map(|agreement| agreement.reorder(&order));
-        self.seen = Some((sum.select(0, order.clone()), count.select(0, order)));
     }
 
     fn save(&self, to: &mut State) -> Result<(), StateError> {

@@ -64,11 +64,6 @@ impl Agreement {
         }
     }
 
-    pub fn reorder(self, order: &Tensor<1, burn::tensor::Int>) -> Self {
-        let moved = |values: Tensor<1>| values.select(0, order.clone());
-        Self { wrong: moved(self.wrong), most: moved(self.most), views: moved(self.views) }
-    }
-
     pub fn read(self) -> Agreed {
         let wrong_px = values_of(self.wrong / self.views.clamp_min(1.0));
         Agreed { wrong_px, most_px: values_of(self.most) }

@@ -103,10 +103,9 @@ impl Mcmc {
 
         let mut edit = RowEdit::default();
         edit.add.sh_degree = rows.sh_degree;
-        let directional = scene.gaussians.directional();
         for (i, &more) in drawn.iter().enumerate().filter(|(_, more)| **more > 0) {
             let (opacity, factor) = share(opacities[i], more + 1);
-            let add = if i < directional { &mut edit.add } else { &mut edit.add_matte };
+            let add = &mut edit.add;
             for _ in 0..=more {
                 add.push(&rows, i);
                 let last = add.len() - 1;

@@ -1,11 +1,9 @@
 //! How many Gaussians, and where. A [`Strategy`] says which rows to keep, copy and add (`adaptive.rs`, `mcmc.rs`, or one of your
-//! own); `rows.rs` alone edits them, together with their Adam moments; `matte.rs` says which need no directional colour,
-//! `order.rs` which order is quick to render.
+//! own); `rows.rs` alone edits them, together with their Adam moments; `order.rs` says which order is quick to render.
 
 mod adaptive;
 mod config;
 mod consistency;
-pub mod matte;
 mod mcmc;
 mod noise;
 mod order;

@@ -16,7 +16,6 @@ pub struct GaussianMoments {
     pub(crate) log_scales: Moments<2>,
     pub(crate) logit_opacities: Moments<1>,
     pub(crate) sh: Moments<3>,
-    pub(crate) sh_matte: Option<Moments<3>>,
 }
 
 impl GaussianMoments {
@@ -28,7 +27,6 @@ impl GaussianMoments {
             log_scales: Moments::new(&gaussians.log_scales.val()),
             logit_opacities: Moments::new(&gaussians.logit_opacities.val()),
             sh: Moments::new(&gaussians.sh.val()),
-            sh_matte: gaussians.sh_matte.as_ref().map(|matte| Moments::new(&matte.val())),
         }
     }
 }
@@ -41,16 +39,13 @@ pub struct Trained {
     pub(crate) moments: GaussianMoments,
 }
 
-/// One edit of all rows. What is left has those that are not matte first, and within both groups rows that stay before those
-/// that come.
+/// One edit of all rows. Rows that stay come before those that are added.
 #[derive(Clone, Debug, Default)]
 pub struct RowEdit {
     /// Rows that stay, in their new order.
     pub keep: Vec<u32>,
     /// Rows that come, without history.
     pub add: GaussianRows,
-    /// Matte rows that come, of degree 0.
-    pub add_matte: GaussianRows,
 }
 
 impl Trained {
@@ -63,75 +58,21 @@ impl Trained {
     /// Keeps, reorders and adds rows.
     ///
     /// # Errors
-    /// If the added rows do not fit together or are of another degree than the scene, or the matte ones of another than 0.
+    /// If the added rows do not fit together or are of another degree than the scene.
     ///
     /// # Panics
     /// If `keep` names a row that does not exist: that is a bug of the policy.
     pub fn edit(&mut self, edit: &RowEdit) -> Result<(), RowsError> {
         let device = self.gaussians.means.val().device().inner();
-        let added =
-            |rows: &GaussianRows, sh_degree| Gaussians::from_rows(&GaussianRows { sh_degree, ..rows.clone() }, &device);
-        let first = self.gaussians.directional() as u32;
-        let (keep, keep_matte): (Vec<u32>, Vec<u32>) = edit.keep.iter().partition(|row| **row < first);
-        let mut groups = vec![Group::new(&keep, added(&edit.add, self.gaussians.sh_degree())?, &device)];
-        let matte = Group::new(&keep_matte, added(&edit.add_matte, 0)?, &device);
-        if !matte.is_empty() {
-            groups.push(matte);
-        }
-        let (gaussians, moments) = (&mut self.gaussians, &mut self.moments);
-        edit_rows(&mut gaussians.means, &mut moments.means, &groups, |added| &added.means);
-        edit_rows(&mut gaussians.rotations, &mut moments.rotations, &groups, |added| &added.rotations);
-        edit_rows(&mut gaussians.log_scales, &mut moments.log_scales, &groups, |added| &added.log_scales);
-        edit_rows(&mut gaussians.logit_opacities, &mut moments.logit_opacities, &groups, |added| {
-            &added.logit_opacities
-        });
-        edit_rows(&mut gaussians.sh, &mut moments.sh, &groups[..1], |added| &added.sh);
-        let (param, history) = (&mut gaussians.sh_matte, &mut moments.sh_matte);
-        match groups.get_mut(1) {
-            None => (*param, *history) = (None, None),
-            Some(group) => {
-                group.keep = group.keep.clone() - first as i32;
-                let param = param.get_or_insert_with(|| empty_like(&gaussians.sh));
-                let history = history.get_or_insert_with(|| Moments::new(&param.val()));
-                edit_rows(param, history, &groups[1..], |added| &added.sh);
-            }
-        }
-        Ok(())
-    }
-
-    /// Takes the higher coefficients from `rows`, none of which is matte yet, in ascending order, and puts them first among the
-    /// matte ones; they keep their history. Returns where each row has come from.
-    ///
-    /// # Panics
-    /// If there is no such row, or it is matte: that is a bug of the policy.
-    pub fn make_matte(&mut self, rows: &[u32]) -> Vec<u32> {
-        let (first, count) = (self.gaussians.directional() as u32, self.gaussians.len() as u32);
-        assert!(rows.is_sorted_by(|a, b| a < b) && rows.last().is_none_or(|row| *row < first));
-        let stay: Vec<u32> = (0..first).filter(|row| rows.binary_search(row).is_err()).collect();
-        let order: Vec<u32> = stay.iter().chain(rows).copied().chain(first..count).collect();
-        if rows.is_empty() {
-            return order;
-        }
-        let device = self.gaussians.means.val().device().inner();
+        let rows = GaussianRows { sh_degree: self.gaussians.sh_degree(), ..edit.add.clone() };
+        let (keep, added) = (indices(&edit.keep, &device), Gaussians::from_rows(&rows, &device)?);
         let (g, m) = (&mut self.gaussians, &mut self.moments);
-        let [to, stay, gone] = [&order, &stay, rows].map(|rows| indices(rows, &device));
-        change(&mut g.means, &mut m.means, |old| old.select(0, to.clone()));
-        change(&mut g.rotations, &mut m.rotations, |old| old.select(0, to.clone()));
-        change(&mut g.log_scales, &mut m.log_scales, |old| old.select(0, to.clone()));
-        change(&mut g.logit_opacities, &mut m.logit_opacities, |old| old.select(0, to.clone()));
-        // Those of degree 0, and before those that are matte already.
-        let taken = |sh: Tensor<3>, matte: Option<Tensor<3>>| {
-            let constant = sh.narrow(1, 0, 1).select(0, gone.clone());
-            matte.map_or(constant.clone(), |matte| Tensor::cat(vec![constant, matte], 0))
-        };
-        let old = m.sh_matte.take();
-        let m_and_v = old.map(|Moments { m, v }| (Some(m), Some(v))).unwrap_or_default();
-        let history = Moments { m: taken(m.sh.m.clone(), m_and_v.0), v: taken(m.sh.v.clone(), m_and_v.1) };
-        let values = taken(g.sh.val().inner(), g.sh_matte.as_ref().map(|matte| matte.val().inner()));
-        m.sh_matte = Some(history);
-        g.sh_matte = Some(parameter(on(&g.sh.val().device(), values)));
-        change(&mut g.sh, &mut m.sh, |old| old.select(0, stay.clone()));
-        order
+        edit_rows(&mut g.means, &mut m.means, &keep, &added.means);
+        edit_rows(&mut g.rotations, &mut m.rotations, &keep, &added.rotations);
+        edit_rows(&mut g.log_scales, &mut m.log_scales, &keep, &added.log_scales);
+        edit_rows(&mut g.logit_opacities, &mut m.logit_opacities, &keep, &added.logit_opacities);
+        edit_rows(&mut g.sh, &mut m.sh, &keep, &added.sh);
+        Ok(())
     }
 
     /// Replaces the opacities' logits, whose history is forgotten.
@@ -184,9 +125,6 @@ impl Trained {
         update(&mut g.log_scales, gradients.log_scales, scales, &mut m.log_scales, adam);
         update(&mut g.logit_opacities, gradients.logit_opacities, opacities, &mut m.logit_opacities, adam);
         update(&mut g.sh, gradients.sh, Rates { first: sh_dc, others: sh_rest }, &mut m.sh, adam);
-        if let (Some(matte), Some(moments)) = (&mut g.sh_matte, &mut m.sh_matte) {
-            update(matte, gradients.sh_matte, sh_dc, moments, adam);
-        }
     }
 }
 
@@ -207,7 +145,6 @@ pub struct Gradients {
     pub log_scales: Option<Tensor<2>>,
     pub logit_opacities: Option<Tensor<1>>,
     pub sh: Option<Tensor<3>>,
-    pub sh_matte: Option<Tensor<3>>,
 }
 
 impl Gradients {
@@ -219,7 +156,6 @@ impl Gradients {
             log_scales: gaussians.log_scales.val().grad_remove(grads),
             logit_opacities: gaussians.logit_opacities.val().grad_remove(grads),
             sh: gaussians.sh.val().grad_remove(grads),
-            sh_matte: gaussians.sh_matte.as_ref().and_then(|matte| matte.val().grad_remove(grads)),
         }
     }
 }
@@ -239,7 +175,6 @@ impl Gradients {
             log_scales: sum(self.log_scales, other.log_scales),
             logit_opacities: sum(self.logit_opacities, other.logit_opacities),
             sh: sum(self.sh, other.sh),
-            sh_matte: sum(self.sh_matte, other.sh_matte),
         }
     }
 
@@ -251,7 +186,6 @@ impl Gradients {
             log_scales: self.log_scales.map(|grad| grad * factor),
             logit_opacities: self.logit_opacities.map(|grad| grad * factor),
             sh: self.sh.map(|grad| grad * factor),
-            sh_matte: self.sh_matte.map(|grad| grad * factor),
         }
     }
 }
@@ -287,68 +221,28 @@ fn update<const D: usize>(
     *param = parameter(on(&device, adam.step_unless(values, gradient, rate, moments, (step, verdict))));
 }
 
-/// Rows of one kind, matte or not.
-struct Group {
-    /// `[K]`: those that stay.
-    keep: Tensor<1, Int>,
-    /// Those that come after them.
-    added: Gaussians,
-}
-
-impl Group {
-    fn new(keep: &[u32], added: Gaussians, device: &Device) -> Self {
-        Self { keep: indices(keep, device), added }
-    }
-
-    fn is_empty(&self) -> bool {
-        self.keep.dims()[0] == 0 && self.added.is_empty()
-    }
-}
-
 /// Numbers of rows, on a device.
-pub(super) fn indices(rows: &[u32], device: &Device) -> Tensor<1, Int> {
+fn indices(rows: &[u32], device: &Device) -> Tensor<1, Int> {
     let rows: Vec<i32> = rows.iter().map(|&row| row as i32).collect();
     let count = rows.len();
     Tensor::from_data(TensorData::new(rows, [count]), device)
 }
 
-/// No matte coefficients, where those of the others are.
-fn empty_like(sh: &Param<Tensor<3>>) -> Param<Tensor<3>> {
-    let (device, dtype) = (sh.val().device(), sh.val().dtype());
-    parameter(Tensor::zeros([0, 1, 3], (&device, dtype)))
-}
-
-/// Changes a parameter and its moments in the same way.
-fn change<const D: usize>(
-    param: &mut Param<Tensor<D>>,
-    moments: &mut Moments<D>,
-    changed: impl Fn(Tensor<D>) -> Tensor<D>,
-) {
-    moments.m.inplace(&changed);
-    moments.v.inplace(&changed);
-    replace(param, changed(param.val().inner()));
-}
-
-/// Of each group the rows that stay, then those that come, `field` of which is this parameter's.
+/// The rows of `keep`, `[K]`, then the added ones, which have no history.
 fn edit_rows<const D: usize>(
     param: &mut Param<Tensor<D>>,
     moments: &mut Moments<D>,
-    groups: &[Group],
-    field: impl Fn(&Gaussians) -> &Param<Tensor<D>>,
+    keep: &Tensor<1, Int>,
+    added: &Param<Tensor<D>>,
 ) {
-    let added: Vec<Tensor<D>> = groups.iter().map(|group| field(&group.added).val().inner()).collect();
-    let without_history: Vec<Tensor<D>> = added.iter().map(Tensor::zeros_like).collect();
-    let edited = |old: Tensor<D>, new: &[Tensor<D>]| {
-        let rows = |(group, new): (&Group, &Tensor<D>)| [old.clone().select(0, group.keep.clone()), new.clone()];
-        Tensor::cat(groups.iter().zip(new).flat_map(rows).collect(), 0)
-    };
+    let added = added.val().inner();
+    let without_history = added.zeros_like();
+    let edited = |old: Tensor<D>, new: &Tensor<D>| Tensor::cat(vec![old.select(0, keep.clone()), new.clone()], 0);
     let values = edited(param.val().inner(), &added);
     moments.m = edited(moments.m.clone(), &without_history);
     moments.v = edited(moments.v.clone(), &without_history);
     replace(param, values);
 }
 
-#[cfg(test)]
-mod matte_tests;
 #[cfg(test)]
 mod tests;

@@ -97,9 +97,6 @@ pub trait Strategy {
     /// If the scene's rows do not fit together.
     fn act(&mut self, scene: &mut Trained, at: &At, rng: &mut dyn Rng) -> Result<Option<RefineReport>, RowsError>;
 
-    /// Follows rows to new places: `order` says where each has come from, as [`Trained::make_matte`] returns it.
-    fn reorder(&mut self, _order: &[u32]) {}
-
     /// Puts down what is remembered between steps.
     ///
     /// # Errors

@@ -15,17 +15,18 @@ use std::collections::BTreeMap;
 use std::io;
 use std::path::{Path, PathBuf};
 
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::{Device, Gradients, Tensor, TensorData};
 use glam::{DAffine3, DVec2};
 use rand::{Rng, RngExt};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
-use splat_op::Intrinsics;
 use splat_op::shade::{harmonics, sh_degree};
+use splat_op::{Intrinsics, Picture};
 use thiserror::Error;
 
 use super::learned::{Falling, Learned, Moment};
-use crate::gaussians::values_of;
+use super::{Effect, EffectKind, RenderInput, saved_bytes};
+use crate::gaussians::{Gaussians, values_of};
 use crate::json::{self, JsonFault};
 use crate::state::{State, StateError};
 
@@ -182,148 +183,92 @@ fn over(image: Tensor<3>, alpha: Tensor<3>, behind: Tensor<2>) -> Tensor<3> {
     image + behind.reshape(size) * (alpha.neg() + 1.0)
 }
 
-/// The background of a run, where it is not the same at every step.
-pub(crate) enum Behind {
-    Random,
+/// Another colour at each step.
+pub struct RandomBackground;
+
+impl Effect for RandomBackground {
+    fn name(&self) -> &'static str {
+        EffectKind::Alpha.name()
+    }
+
+    fn draw(&mut self, rng: &mut dyn Rng) -> Option<[f32; 3]> {
+        Some([0, 1, 2].map(|_| rng.random_range(0.0..1.0)))
+    }
+}
+
+/// One colour, learnt.
+pub struct LearnedBackground {
     /// `[3]`
-    Colour(Learned<1>),
-    Environment(Environment),
+    colour: Learned<1>,
+}
+
+impl LearnedBackground {
+    /// Begins as `start`.
+    pub fn new(start: [f32; 3], device: &Device) -> Self {
+        Self { colour: Learned::new(Tensor::from_floats(start, device)) }
+    }
+}
+
+impl Effect for LearnedBackground {
+    fn name(&self) -> &'static str {
+        "learned-background"
+    }
+
+    fn before(&mut self, input: &mut RenderInput, _: &Gaussians, _: Moment) {
+        input.extras.background = Some(self.colour.tracked());
+    }
+
+    fn step(&mut self, gradients: &mut Gradients, at: Moment) {
+        self.colour.step(gradients, RATE.at(at.step, at.steps), at.verdict);
+    }
+
+    fn background(&self) -> Option<Background> {
+        let values = values_of(self.colour.value());
+        Some(Background::Colour([values[0], values[1], values[2]].map(|value| value.clamp(0.0, 1.0))))
+    }
+
+    fn save(&self, to: &mut State) -> Result<(), StateError> {
+        self.colour.save(to)
+    }
+
+    fn load(&mut self, from: &mut State, _: &Device) -> Result<(), StateError> {
+        self.colour.load(from)
+    }
 }
 
 /// A learnt environment.
-pub(crate) struct Environment {
+pub struct Environment {
     /// `[(degree+1)², 3]`
     coefficients: Learned<2>,
     degree: usize,
+    /// Of the photographs, as they were given.
+    poses: Vec<DAffine3>,
     /// `[H W, (degree+1)²]` by photograph, at the size that was last asked for, which goes with it.
     cache: BTreeMap<usize, ([usize; 2], Tensor<2>)>,
     cached_bytes: usize,
 }
 
-impl Behind {
-    /// None for [`Backdrop::Fixed`]. A learnt colour begins as `start`.
-    pub fn new(backdrop: Backdrop, start: [f32; 3], device: &Device) -> Option<Self> {
-        match backdrop {
-            Backdrop::Fixed => None,
-            Backdrop::Random => Some(Self::Random),
-            Backdrop::Learned => Some(Self::Colour(Learned::new(Tensor::from_floats(start, device)))),
-            Backdrop::Environment { degree } => {
-                let coefficients = Learned::new(Tensor::zeros([(degree + 1) * (degree + 1), 3], device));
-                let (cache, cached_bytes) = (BTreeMap::new(), 0);
-                Some(Self::Environment(Environment { coefficients, degree, cache, cached_bytes }))
-            }
-        }
-    }
-
-    /// Whether photographs must be opaque, because one with alpha says nothing of what was behind it.
-    pub fn is_learnt(&self) -> bool {
-        !matches!(self, Self::Random)
-    }
-
-    /// The colour of this step, where it is drawn.
-    pub fn draw(&self, rng: &mut impl Rng) -> Option<[f32; 3]> {
-        matches!(self, Self::Random).then(|| [0, 1, 2].map(|_| rng.random_range(0.0..1.0)))
-    }
-
-    /// `[3]`: the colour that the operation blends over, where it is learnt or black; tracked.
-    pub fn colour(&self, device: &Device) -> Option<Tensor<1>> {
-        match self {
-            Self::Random => None,
-            Self::Colour(colour) => Some(colour.tracked()),
-            Self::Environment(_) => Some(Tensor::zeros([3], device)),
-        }
-    }
-
-    /// Puts an environment behind the render of a photograph's camera, whose pose is that of the capture.
-    pub fn behind(
-        &mut self,
-        image: Tensor<3>,
-        alpha: Tensor<3>,
-        view: usize,
-        (camera, cam_from_world): (&Intrinsics, &DAffine3),
-    ) -> Tensor<3> {
-        let Self::Environment(environment) = self else { return image };
-        let basis = environment.basis_of(view, camera, cam_from_world);
-        over(image, alpha, sky(Tensor::from_inner(basis), environment.coefficients.tracked()))
-    }
-
-    /// Takes the gradient out of those of a loss, `[1, 3]` for a colour.
-    pub fn take_gradient(&self, gradients: &mut burn::tensor::Gradients) -> Option<Tensor<2>> {
-        match self {
-            Self::Random => None,
-            Self::Colour(colour) => colour.take_gradient(gradients).map(|gradient| gradient.unsqueeze()),
-            Self::Environment(environment) => environment.coefficients.take_gradient(gradients),
-        }
-    }
-
-    /// Adam's step.
-    pub fn step(&mut self, gradient: Tensor<2>, at: Moment) {
-        let rate = RATE.at(at.step, at.steps);
-        match self {
-            Self::Random => {}
-            Self::Colour(colour) => colour.step(gradient.squeeze_dim(0), rate, at.verdict),
-            Self::Environment(environment) => environment.coefficients.step(gradient, rate, at.verdict),
-        }
-    }
-
-    /// What was learnt; none where nothing is.
-    pub fn learnt(&self) -> Option<Background> {
-        match self {
-            Self::Random => None,
-            Self::Colour(colour) => {
-                let values = values_of(colour.value());
-                Some(Background::Colour([values[0], values[1], values[2]].map(|value| value.clamp(0.0, 1.0))))
-            }
-            Self::Environment(environment) => {
-                let values = values_of(environment.coefficients.value());
-                Some(Background::Environment(values.as_chunks::<3>().0.to_vec()))
-            }
-        }
-    }
-
-    /// Keeps what was learnt.
-    ///
-    /// # Errors
-    /// None that is to be expected.
-    pub fn save(&self, to: &mut State) -> Result<(), StateError> {
-        match self {
-            Self::Random => Ok(()),
-            Self::Colour(colour) => colour.save(to),
-            Self::Environment(environment) => environment.coefficients.save(to),
-        }
-    }
-
-    /// Goes on from what was kept.
-    ///
-    /// # Errors
-    /// If something is missing or of another shape.
-    pub fn load(&mut self, from: &mut State) -> Result<(), StateError> {
-        match self {
-            Self::Random => Ok(()),
-            Self::Colour(colour) => colour.load(from),
-            Self::Environment(environment) => environment.coefficients.load(from),
-        }
-    }
-
-    /// Bytes of the parameters, their moments and the harmonics that are kept.
-    pub fn bytes(&self) -> usize {
-        match self {
-            Self::Random => 0,
-            Self::Colour(colour) => colour.bytes(),
-            Self::Environment(environment) => environment.coefficients.bytes() + environment.cached_bytes,
-        }
-    }
-}
-
 impl Environment {
-    fn basis_of(&mut self, view: usize, camera: &Intrinsics, cam_from_world: &DAffine3) -> Tensor<2> {
+    /// Grey light around photographs of these poses, `cam_from_world`, as harmonics of `degree`, 0 to 4.
+    pub fn new(degree: usize, poses: Vec<DAffine3>, device: &Device) -> Self {
+        let coefficients = Learned::new(Tensor::zeros([(degree + 1) * (degree + 1), 3], device));
+        Self { coefficients, degree, poses, cache: BTreeMap::new(), cached_bytes: 0 }
+    }
+
+    /// The render over black of a photograph's camera, with the environment behind it.
+    fn behind(&mut self, image: Tensor<3>, alpha: Tensor<3>, view: usize, camera: &Intrinsics) -> Tensor<3> {
+        let basis = self.basis_of(view, camera);
+        over(image, alpha, sky(Tensor::from_inner(basis), self.coefficients.tracked()))
+    }
+
+    fn basis_of(&mut self, view: usize, camera: &Intrinsics) -> Tensor<2> {
         let size = [camera.width, camera.height];
         let kept = self.cache.get(&view).filter(|(of, _)| *of == size);
         if let Some((_, basis)) = kept {
             return basis.clone();
         }
         let device = self.coefficients.value().device();
-        let basis = basis(camera, cam_from_world, self.degree, &device);
+        let basis = basis(camera, &self.poses[view], self.degree, &device);
         let bytes = |basis: &Tensor<2>| basis.shape().num_elements() * size_of::<f32>();
         if let Some((_, stale)) = self.cache.remove(&view) {
             self.cached_bytes -= bytes(&stale);
@@ -333,6 +278,43 @@ impl Environment {
             self.cache.insert(view, (size, basis.clone()));
         }
         basis
+    }
+}
+
+impl Effect for Environment {
+    fn name(&self) -> &'static str {
+        EffectKind::Environment.name()
+    }
+
+    fn before(&mut self, input: &mut RenderInput, _: &Gaussians, _: Moment) {
+        let device = self.coefficients.value().device();
+        input.extras.background = Some(Tensor::zeros([3], &device));
+    }
+
+    fn image(&mut self, image: Tensor<3>, input: &RenderInput, picture: &Picture, at: Moment) -> Tensor<3> {
+        self.behind(image, picture.alpha.clone(), at.view, &input.camera.intrinsics)
+    }
+
+    fn step(&mut self, gradients: &mut Gradients, at: Moment) {
+        self.coefficients.step(gradients, RATE.at(at.step, at.steps), at.verdict);
+    }
+
+    fn background(&self) -> Option<Background> {
+        let values = values_of(self.coefficients.value());
+        Some(Background::Environment(values.as_chunks::<3>().0.to_vec()))
+    }
+
+    fn save(&self, to: &mut State) -> Result<(), StateError> {
+        self.coefficients.save(to)
+    }
+
+    fn load(&mut self, from: &mut State, _: &Device) -> Result<(), StateError> {
+        self.coefficients.load(from)
+    }
+
+    /// With the harmonics that are kept.
+    fn bytes(&self) -> usize {
+        saved_bytes(self) + self.cached_bytes
     }
 }
 

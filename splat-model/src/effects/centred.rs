@@ -1,7 +1,7 @@
 //! A parameter for each photograph, whose mean over the photographs is kept neutral. The scene and all of these could change
 //! together and no photograph would tell; what they all agree on is the scene's.
 
-use burn::tensor::Tensor;
+use burn::tensor::{Gradients, Tensor};
 
 use super::learned::{Learned, Moment};
 use crate::state::{State, StateError};
@@ -22,11 +22,12 @@ impl<const D: usize> Centred<D> {
     }
 
     /// That of a photograph, tracked.
-    pub fn tracked(&self, view: usize) -> Tensor<D> {
+    pub fn tracked(&mut self, view: usize) -> Tensor<D> {
         self.all[view].tracked()
     }
 
     /// The same without autodiff.
+    #[cfg(test)]
     pub fn value(&self, view: usize) -> Tensor<D> {
         self.all[view].value()
     }
@@ -36,14 +37,11 @@ impl<const D: usize> Centred<D> {
         self.neutral.clone()
     }
 
-    /// Takes the gradient of a photograph's out of those of a loss.
-    pub fn take_gradient(&self, view: usize, gradients: &mut burn::tensor::Gradients) -> Option<Tensor<D>> {
-        self.all[view].take_gradient(gradients)
-    }
-
     /// Adam's step on that of the photograph. Once every as many steps as there are photographs the mean is set back.
-    pub fn step(&mut self, gradient: Tensor<D>, rate: f64, at: Moment) {
-        self.all[at.view].step(gradient, rate, at.verdict);
+    pub fn step(&mut self, gradients: &mut Gradients, rate: f64, at: Moment) {
+        if !self.all[at.view].step(gradients, rate, at.verdict) {
+            return;
+        }
         self.since_centred += 1;
         if self.since_centred >= self.all.len() {
             self.since_centred = 0;
@@ -77,10 +75,5 @@ impl<const D: usize> Centred<D> {
         Learned::load_all(&mut self.all, from)?;
         self.since_centred = from.told("since_centred")?;
         Ok(())
-    }
-
-    /// Bytes of the values and their moments.
-    pub fn bytes(&self) -> usize {
-        self.all.iter().map(Learned::bytes).sum()
     }
 }

@@ -15,10 +15,13 @@ use burn::tensor::{Device, Int, Tensor, TensorData};
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
+use splat_op::Picture;
 
-use super::learned::Falling;
+use super::learned::{Falling, Moment};
 use super::masks::by_name;
+use super::{Effect, EffectKind, RenderInput};
 use crate::capture::{Capture, CaptureError};
+use crate::gaussians::Gaussians;
 use crate::json;
 
 /// How depths are learnt from.
@@ -153,15 +156,9 @@ impl Depths {
         self.samples.get(view).is_some_and(|samples| !samples.is_empty())
     }
 
-    /// What is added to the loss of step `step` of `steps` on `view`, `[1]`, with the render's accumulated depth and alpha,
-    /// `[H, W, 1]` each.
-    pub fn penalty(
-        &mut self,
-        depth: Tensor<3>,
-        alpha: Tensor<3>,
-        view: usize,
-        (step, steps): (usize, usize),
-    ) -> Option<Tensor<1>> {
+    /// What is added to the loss of a step, `[1]`, with the render's accumulated depth and alpha, `[H, W, 1]` each.
+    fn miss(&mut self, depth: Tensor<3>, alpha: Tensor<3>, at: Moment) -> Option<Tensor<1>> {
+        let Moment { view, step, steps, .. } = at;
         let samples = self.samples.get(view).filter(|samples| !samples.is_empty())?;
         let [height, width, _] = depth.dims();
         let size = [width, height];
@@ -171,18 +168,32 @@ impl Depths {
         }
         let OnDevice { pixels, depths, .. } = kept.as_ref()?;
         let constant = |values: &Tensor<1>| Tensor::<1>::from_inner(values.clone());
-        let at = |plane: Tensor<3>| plane.reshape([width * height]);
-        let covered = at(alpha.clone().inner()).select(0, pixels.clone()).greater_equal_elem(0.5).float();
+        let flat = |plane: Tensor<3>| plane.reshape([width * height]);
+        let covered = flat(alpha.clone().inner()).select(0, pixels.clone()).greater_equal_elem(0.5).float();
         let count = covered.clone().sum().clamp_min(1.0);
         let indices = Tensor::<1, Int>::from_inner(pixels.clone());
-        let divisor = at(alpha).select(0, indices.clone()).clamp_min(0.5) * constant(depths);
-        let relative = at(depth).select(0, indices) / divisor - 1.0;
+        let divisor = flat(alpha).select(0, indices.clone()).clamp_min(0.5) * constant(depths);
+        let relative = flat(depth).select(0, indices) / divisor - 1.0;
         let sum = (relative.abs() * constant(&covered)).sum() / constant(&count);
         Some(sum * self.config.weight.at(step, steps))
     }
+}
 
-    /// Bytes on the device.
-    pub fn bytes(&self) -> usize {
+/// What is known of depths does not change, so that there is no state.
+impl Effect for Depths {
+    fn name(&self) -> &'static str {
+        EffectKind::DepthSupervision.name()
+    }
+
+    fn before(&mut self, input: &mut RenderInput, _: &Gaussians, at: Moment) {
+        input.options = input.options.with_depth(input.options.depth || self.knows(at.view));
+    }
+
+    fn penalty(&mut self, _: &RenderInput, picture: &Picture, at: Moment) -> Option<Tensor<1>> {
+        self.miss(picture.depth.clone()?, picture.alpha.clone(), at)
+    }
+
+    fn bytes(&self) -> usize {
         let bytes = |kept: &OnDevice| kept.depths.dims()[0] * 2 * size_of::<f32>();
         self.on_device.iter().flatten().map(bytes).sum()
     }
@@ -216,6 +227,10 @@ mod tests {
         Depths::new(DepthConfig { weight }, vec![samples, vec![]], &Device::flex())
     }
 
+    fn at(view: usize) -> Moment<'static> {
+        Moment { view, step: 1, steps: 10, verdict: None }
+    }
+
     fn tracked(values: &[f32], size: [usize; 3]) -> Tensor<3> {
         let tensor = Tensor::from_data(TensorData::new(values.to_vec(), size), &Device::flex());
         Tensor::from_inner(tensor).require_grad()
@@ -235,7 +250,7 @@ mod tests {
         let mut depths = depths(samples);
         let depth = tracked(&[1.2, 0.1, 9.0, 3.0], [2, 2, 1]);
         let alpha = tracked(&[0.8, 0.4, 1.0, 1.0], [2, 2, 1]);
-        let loss = depths.penalty(depth.clone(), alpha.clone(), 0, (1, 10)).unwrap();
+        let loss = depths.miss(depth.clone(), alpha.clone(), at(0)).unwrap();
         // |1.2/0.8 − 2|/2 = 1/4 and |3 − 4|/4 = 1/4.
         assert!((loss.clone().inner().into_scalar::<f32>() - 2.0 * 0.25).abs() < 1e-6);
         let gradients = loss.backward();
@@ -247,11 +262,11 @@ mod tests {
         let expected = [1.2 / (0.8 * 0.8 * 2.0), 0.0, 0.0, 0.75];
         assert!(gradient.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-6), "{gradient:?}");
         assert!(depths.knows(0) && !depths.knows(1) && !depths.knows(7));
-        assert!(depths.penalty(depth.clone(), alpha.clone(), 1, (1, 10)).is_none());
+        assert!(depths.miss(depth.clone(), alpha.clone(), at(1)).is_none());
         assert_eq!(depths.bytes(), 3 * 8);
         // At another size samples are elsewhere.
         let small = |values: &[f32]| tracked(values, [1, 1, 1]);
-        let loss = depths.penalty(small(&[2.0]), small(&[1.0]), 0, (1, 10)).unwrap().inner().into_scalar::<f32>();
+        let loss = depths.miss(small(&[2.0]), small(&[1.0]), at(0)).unwrap().inner().into_scalar::<f32>();
         assert!((loss - 2.0 * (0.0 + 0.5 + 0.6) / 3.0).abs() < 1e-6, "{loss}");
     }
 

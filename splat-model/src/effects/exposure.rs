@@ -7,11 +7,13 @@
 //! set back to the identity once every as many steps as there are photographs; without it a render without any map loses up to 5 dB. A
 //! weak pull of each map towards the identity keeps those in bounds that little is known of.
 
-use burn::tensor::{Device, Tensor};
+use burn::tensor::{Device, Gradients, Tensor};
 use serde::{Deserialize, Serialize};
+use splat_op::Picture;
 
 use super::centred::Centred;
 use super::learned::{Falling, Moment};
+use super::{Effect, EffectKind, RenderInput};
 use crate::state::{State, StateError};
 
 /// How maps are learnt.
@@ -45,51 +47,37 @@ impl Exposure {
         Self { config, maps: Centred::new(identity, views) }
     }
 
-    /// What the photograph `view` shows of a render, both `[H, W, 3]`. Not clamped: beyond 0 and 1 the gradient leads back.
-    pub fn apply(&self, image: Tensor<3>, view: usize) -> Tensor<3> {
-        apply(image, self.maps.tracked(view))
-    }
-
     /// What is added to the loss of a step on `view`, `[1]`.
-    pub fn penalty(&self, view: usize) -> Tensor<1> {
+    fn pull(&mut self, view: usize) -> Tensor<1> {
         let difference = self.maps.tracked(view) - Tensor::from_inner(self.maps.neutral());
         difference.square().sum() * self.config.weight
     }
+}
 
-    /// Takes the gradient of a view's map out of those of a loss.
-    pub fn take_gradient(&self, view: usize, gradients: &mut burn::tensor::Gradients) -> Option<Tensor<2>> {
-        self.maps.take_gradient(view, gradients)
+impl Effect for Exposure {
+    fn name(&self) -> &'static str {
+        EffectKind::Exposure.name()
     }
 
-    /// Adam's step on the map of the photograph.
-    pub fn step(&mut self, gradient: Tensor<2>, at: Moment) {
-        self.maps.step(gradient, self.config.rate.at(at.step, at.steps), at);
+    /// Not clamped: beyond 0 and 1 the gradient leads back.
+    fn image(&mut self, image: Tensor<3>, _: &RenderInput, _: &Picture, at: Moment) -> Tensor<3> {
+        apply(image, self.maps.tracked(at.view))
     }
 
-    /// The map of `view`, `[3, 4]`, without autodiff.
-    pub fn affine(&self, view: usize) -> Tensor<2> {
-        self.maps.value(view)
+    fn penalty(&mut self, _: &RenderInput, _: &Picture, at: Moment) -> Option<Tensor<1>> {
+        Some(self.pull(at.view))
     }
 
-    /// Keeps what was learnt.
-    ///
-    /// # Errors
-    /// None that is to be expected.
-    pub fn save(&self, to: &mut State) -> Result<(), StateError> {
+    fn step(&mut self, gradients: &mut Gradients, at: Moment) {
+        self.maps.step(gradients, self.config.rate.at(at.step, at.steps), at);
+    }
+
+    fn save(&self, to: &mut State) -> Result<(), StateError> {
         self.maps.save(to)
     }
 
-    /// Goes on from what was kept.
-    ///
-    /// # Errors
-    /// If something is missing or of another shape.
-    pub fn load(&mut self, from: &mut State) -> Result<(), StateError> {
+    fn load(&mut self, from: &mut State, _: &Device) -> Result<(), StateError> {
         self.maps.load(from)
-    }
-
-    /// Bytes of the maps and their moments.
-    pub fn bytes(&self) -> usize {
-        self.maps.bytes()
     }
 }
 
@@ -132,11 +120,11 @@ mod tests {
     #[test]
     fn identities_change_nothing_and_cost_nothing() {
         let device = Device::flex();
-        let exposure = Exposure::new(ExposureConfig::default(), 2, &device);
+        let mut exposure = Exposure::new(ExposureConfig::default(), 2, &device);
         let image = picture(&device);
-        let shown = exposure.apply(Tensor::from_inner(image.clone()), 1).inner();
+        let shown = apply(Tensor::from_inner(image.clone()), exposure.maps.tracked(1)).inner();
         assert_eq!(values_of(shown), values_of(image));
-        assert_eq!(exposure.penalty(0).into_scalar::<f32>(), 0.0);
+        assert_eq!(exposure.pull(0).into_scalar::<f32>(), 0.0);
     }
 
     /// Two photographs of opposite exposures, and the mean of their maps.
@@ -153,16 +141,15 @@ mod tests {
         let steps = 1200;
         for step in 1..=steps {
             let view = step % 2;
-            let shown = exposure.apply(tracked.clone(), view);
-            let loss = (shown - Tensor::from_inner(truths[view].clone())).square().mean() + exposure.penalty(view);
-            let gradient = exposure.take_gradient(view, &mut loss.backward()).unwrap();
-            exposure.step(gradient, Moment { view, step, steps, verdict: None });
+            let shown = apply(tracked.clone(), exposure.maps.tracked(view));
+            let loss = (shown - Tensor::from_inner(truths[view].clone())).square().mean() + exposure.pull(view);
+            exposure.step(&mut loss.backward(), Moment { view, step, steps, verdict: None });
         }
         let error = |found: Tensor<2>, expected: Tensor<2>| (found - expected).abs().max().into_scalar::<f32>();
         for (view, map) in maps.into_iter().enumerate() {
-            assert!(error(exposure.affine(view), map) < 0.01, "{}", exposure.affine(view));
+            assert!(error(exposure.maps.value(view), map) < 0.01, "{}", exposure.maps.value(view));
         }
-        let mean = (exposure.affine(0) + exposure.affine(1)) / 2.0;
+        let mean = (exposure.maps.value(0) + exposure.maps.value(1)) / 2.0;
         assert!(error(mean, identity) < 1e-6);
     }
 
@@ -172,10 +159,11 @@ mod tests {
         let device = Device::flex();
         let mut exposure = Exposure::new(ExposureConfig::default(), 3, &device);
         for step in 1..=3 {
-            exposure.step(Tensor::ones([3, 4], &device), Moment { view: step - 1, step, steps: 10, verdict: None });
+            let mut gradients = exposure.maps.tracked(step - 1).sum().backward();
+            exposure.step(&mut gradients, Moment { view: step - 1, step, steps: 10, verdict: None });
         }
         for view in 0..3 {
-            let strayed = (exposure.affine(view) - exposure.maps.neutral()).abs().max().into_scalar::<f32>();
+            let strayed = (exposure.maps.value(view) - exposure.maps.neutral()).abs().max().into_scalar::<f32>();
             assert!(strayed < 0.005, "{strayed}: a step is 0.01 to 0.006 long");
         }
     }
@@ -185,7 +173,8 @@ mod tests {
         let device = Device::flex();
         let mut exposure = Exposure::new(ExposureConfig::default(), 2, &device);
         let verdict = Tensor::<1, Int>::from_data(TensorData::from([4, 1]), &device);
-        exposure.step(Tensor::ones([3, 4], &device), Moment { view: 0, step: 5, steps: 10, verdict: Some(&verdict) });
-        assert_eq!(values_of(exposure.affine(0)), values_of(exposure.maps.neutral()));
+        let mut gradients = exposure.maps.tracked(0).sum().backward();
+        exposure.step(&mut gradients, Moment { view: 0, step: 5, steps: 10, verdict: Some(&verdict) });
+        assert_eq!(values_of(exposure.maps.value(0)), values_of(exposure.maps.neutral()));
     }
 }

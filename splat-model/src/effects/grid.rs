@@ -12,11 +12,13 @@
 //! over the levels with hat functions as weights: no gather, and no scatter in the backward pass. It takes 96 numbers per
 //! pixel, 400 MB per megapixel, and as much again for gradients.
 
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::{Device, Gradients, Tensor, TensorData};
 use serde::{Deserialize, Serialize};
+use splat_op::Picture;
 
 use super::centred::Centred;
 use super::learned::{Falling, Moment};
+use super::{Effect, EffectKind, RenderInput};
 use crate::state::{State, StateError};
 
 /// Places along a side of the picture.
@@ -64,45 +66,35 @@ impl Grids {
         Self { config, grids: Centred::new(identity, views) }
     }
 
-    /// What the photograph `view` shows of a render, both `[H, W, 3]`.
-    pub fn apply(&self, image: Tensor<3>, view: usize) -> Tensor<3> {
-        apply(image, self.grids.tracked(view))
-    }
-
     /// What is added to the loss of a step on `view`, `[1]`.
-    pub fn penalty(&self, view: usize) -> Tensor<1> {
+    fn pull(&mut self, view: usize) -> Tensor<1> {
         roughness(self.grids.tracked(view)) * self.config.smoothness
     }
+}
 
-    /// Takes the gradient of a view's grid out of those of a loss.
-    pub fn take_gradient(&self, view: usize, gradients: &mut burn::tensor::Gradients) -> Option<Tensor<4>> {
-        self.grids.take_gradient(view, gradients)
+impl Effect for Grids {
+    fn name(&self) -> &'static str {
+        EffectKind::BilateralGrid.name()
     }
 
-    /// Adam's step on the grid of the photograph.
-    pub fn step(&mut self, gradient: Tensor<4>, at: Moment) {
-        self.grids.step(gradient, self.config.rate.at(at.step, at.steps), at);
+    fn image(&mut self, image: Tensor<3>, _: &RenderInput, _: &Picture, at: Moment) -> Tensor<3> {
+        apply(image, self.grids.tracked(at.view))
     }
 
-    /// Keeps what was learnt.
-    ///
-    /// # Errors
-    /// None that is to be expected.
-    pub fn save(&self, to: &mut State) -> Result<(), StateError> {
+    fn penalty(&mut self, _: &RenderInput, _: &Picture, at: Moment) -> Option<Tensor<1>> {
+        Some(self.pull(at.view))
+    }
+
+    fn step(&mut self, gradients: &mut Gradients, at: Moment) {
+        self.grids.step(gradients, self.config.rate.at(at.step, at.steps), at);
+    }
+
+    fn save(&self, to: &mut State) -> Result<(), StateError> {
         self.grids.save(to)
     }
 
-    /// Goes on from what was kept.
-    ///
-    /// # Errors
-    /// If something is missing or of another shape.
-    pub fn load(&mut self, from: &mut State) -> Result<(), StateError> {
+    fn load(&mut self, from: &mut State, _: &Device) -> Result<(), StateError> {
         self.grids.load(from)
-    }
-
-    /// Bytes of the grids and their moments.
-    pub fn bytes(&self) -> usize {
-        self.grids.bytes()
     }
 }
 

@@ -2,7 +2,7 @@
 //! photograph sees a gradient only when that photograph is trained on, and what Adam does about a gradient of zero is not
 //! nothing.
 
-use burn::tensor::{Int, Tensor};
+use burn::tensor::{Gradients, Int, Tensor};
 use serde::{Deserialize, Serialize};
 
 use crate::optim::{Adam, Moments};
@@ -45,9 +45,12 @@ const LARGEST_STEP: f64 = 0.125;
 
 /// One such parameter.
 pub struct Learned<const D: usize> {
-    /// Tracked, in units of `unit` where there is one.
+    /// In units of `unit` where there is one.
+    value: Tensor<D>,
+    /// The value as the renders since the last step have it, tracked. Views of one batch share it.
     leaf: Tensor<D>,
-    /// Not tracked.
+    /// Whether the value has changed since.
+    moved: bool,
     unit: Option<Tensor<D>>,
     moments: Moments<D>,
     steps: usize,
@@ -56,8 +59,8 @@ pub struct Learned<const D: usize> {
 impl<const D: usize> Learned<D> {
     /// Without history. `start` is not tracked.
     pub fn new(start: Tensor<D>) -> Self {
-        let leaf = Tensor::from_inner(start).require_grad();
-        Self { moments: Moments::new(&leaf), leaf, unit: None, steps: 0 }
+        let leaf = Tensor::from_inner(start.clone());
+        Self { moments: Moments::new(&leaf), value: start, leaf, moved: true, unit: None, steps: 0 }
     }
 
     /// The same, to go as far as `reach` in a run of [`Self::step_within`]. Adam's steps do not depend on the size of
@@ -67,46 +70,54 @@ impl<const D: usize> Learned<D> {
     }
 
     /// Tracked, for the render or the loss.
-    pub fn tracked(&self) -> Tensor<D> {
+    pub fn tracked(&mut self) -> Tensor<D> {
+        if self.moved {
+            self.leaf = Tensor::from_inner(self.value.clone()).require_grad();
+            self.moved = false;
+        }
         let leaf = self.leaf.clone();
         self.unit.clone().map_or_else(|| leaf.clone(), |unit| leaf.clone() * Tensor::from_inner(unit))
     }
 
     /// Without autodiff.
     pub fn value(&self) -> Tensor<D> {
-        self.tracked().inner()
+        let value = self.value.clone();
+        self.unit.clone().map_or_else(|| value.clone(), |unit| value.clone() * unit)
     }
 
     /// Replaces the value, not tracked, and keeps the history.
     pub fn set(&mut self, value: Tensor<D>) {
-        let leaf = self.unit.clone().map_or_else(|| value.clone(), |unit| value.clone() / unit);
-        self.leaf = Tensor::from_inner(leaf).require_grad();
+        self.value = self.unit.clone().map_or_else(|| value.clone(), |unit| value.clone() / unit);
+        self.moved = true;
     }
 
-    /// Takes the gradient out of those of a loss, for [`Self::step`]; none where the loss does not depend on it.
-    pub fn take_gradient(&self, gradients: &mut burn::tensor::Gradients) -> Option<Tensor<D>> {
+    /// Takes the gradient of the last [`Self::tracked`] out of those of a loss; none where the loss does not depend on it.
+    pub(super) fn gradient(&self, gradients: &mut Gradients) -> Option<Tensor<D>> {
         self.leaf.grad_remove(gradients)
     }
 
-    /// One step of Adam. A component of the gradient that is not a number moves nothing.
-    pub fn step(&mut self, gradient: Tensor<D>, rate: f64, verdict: Option<&Tensor<1, Int>>) {
+    /// One step of Adam by the gradient that a loss has for the last [`Self::tracked`], which is taken out of `gradients`.
+    /// False where the loss does not depend on it: then nothing is done. A component that is not a number moves nothing.
+    pub fn step(&mut self, gradients: &mut Gradients, rate: f64, verdict: Option<&Tensor<1, Int>>) -> bool {
+        let Some(gradient) = self.gradient(gradients) else { return false };
         self.steps += 1;
         let unknown = gradient.clone().is_nan();
         let gradient = gradient.mask_fill(unknown, 0.0);
-        let (leaf, at) = (self.leaf.clone().inner(), (self.steps, verdict));
-        let leaf = Adam::default().step_unless(leaf, gradient, rate, &mut self.moments, at);
-        self.leaf = Tensor::from_inner(leaf).require_grad();
+        let (value, at) = (self.value.clone(), (self.steps, verdict));
+        self.value = Adam::default().step_unless(value, gradient, rate, &mut self.moments, at);
+        self.moved = true;
+        true
     }
 
     /// The same for one of `views` such parameters, each of which belongs to a photograph, at rates that let it go as far as its
     /// reach in a whole run and fall to the share `fall`. Adam moves a parameter by about its rate a step, so that short runs and
     /// large captures, in which a photograph is seen seldom, need other rates than long ones.
-    pub fn step_within(&mut self, gradient: Tensor<D>, (fall, views): (f64, usize), at: Moment) {
+    pub fn step_within(&mut self, gradients: &mut Gradients, (fall, views): (f64, usize), at: Moment) {
         let visits = at.steps as f64 / views.max(1) as f64;
         // Rates that fall from `r` to `fall r` over the run are `r (1 − fall) / −ln fall` on average.
         let first = (-fall.ln() / ((1.0 - fall) * visits.max(1.0))).min(LARGEST_STEP);
         let rate = Falling { from: first, to: first * fall }.at(at.step, at.steps);
-        self.step(gradient, rate, at.verdict);
+        self.step(gradients, rate, at.verdict);
     }
 
     /// Keeps value, moments and count of steps.
@@ -114,7 +125,7 @@ impl<const D: usize> Learned<D> {
     /// # Errors
     /// None that is to be expected.
     pub fn save(&self, to: &mut State) -> Result<(), StateError> {
-        to.put("value", self.leaf.clone().inner());
+        to.put("value", self.value.clone());
         self.moments.save(to);
         to.tell("steps", &self.steps)
     }
@@ -124,9 +135,9 @@ impl<const D: usize> Learned<D> {
     /// # Errors
     /// If it is missing or of another shape.
     pub fn load(&mut self, from: &mut State) -> Result<(), StateError> {
-        let leaf = self.leaf.clone().inner();
-        let (shape, device) = (leaf.dims(), leaf.device());
-        self.leaf = Tensor::from_inner(from.take_shaped("value", shape, &device)?).require_grad();
+        let (shape, device) = (self.value.dims(), self.value.device());
+        self.value = from.take_shaped("value", shape, &device)?;
+        self.moved = true;
         self.moments = Moments::load(from, shape, &device)?;
         self.steps = from.told("steps")?;
         Ok(())
@@ -156,11 +167,6 @@ impl<const D: usize> Learned<D> {
         }
         Ok(())
     }
-
-    /// Bytes of the value and its moments.
-    pub fn bytes(&self) -> usize {
-        3 * self.leaf.shape().num_elements() * size_of::<f32>()
-    }
 }
 
 #[cfg(test)]
@@ -188,9 +194,8 @@ mod tests {
         let mut learned = Learned::reaching(tensor(start), tensor(reach));
         assert_eq!(values_of(learned.value()), values_of(tensor(start)));
         let loss = (learned.tracked() * Tensor::from_inner(tensor([[1.0, -1.0], [100.0, 0.01]]))).sum();
-        let gradient = learned.take_gradient(&mut loss.backward()).unwrap();
         // In 4 visits: the rate is held at the largest step.
-        learned.step_within(gradient, (0.5, 1), Moment { view: 0, step: 1, steps: 4, verdict: None });
+        learned.step_within(&mut loss.backward(), (0.5, 1), Moment { view: 0, step: 1, steps: 4, verdict: None });
         let moved = values_of(learned.value() - tensor(start));
         let expected = [-1.0, 1.0, -1.0, -1.0].into_iter().zip([0.5, 2.0, 0.25, 1.0]);
         for (moved, (sign, reach)) in moved.into_iter().zip(expected) {
@@ -202,9 +207,28 @@ mod tests {
     fn what_is_not_a_number_moves_nothing() {
         let device = Device::flex();
         let mut learned = Learned::new(Tensor::<1>::zeros([3], &device));
-        learned.step(Tensor::from_floats([1.0, f32::NAN, -2.0], &device), 0.5, None);
+        let weights = Tensor::<1>::from_floats([1.0, f32::NAN, -2.0], &device);
+        let loss = (learned.tracked() * Tensor::from_inner(weights)).sum();
+        assert!(learned.step(&mut loss.backward(), 0.5, None));
         let values = values_of(learned.value());
         assert!((values[0] + 0.5).abs() < 1e-6 && values[1] == 0.0 && (values[2] - 0.5).abs() < 1e-6, "{values:?}");
-        assert_eq!(learned.bytes(), 36);
+    }
+
+    /// Views of a batch are rendered before a step is taken on any of them.
+    #[test]
+    fn views_of_a_batch_step_one_after_the_other() {
+        let device = Device::flex();
+        let mut learned = Learned::new(Tensor::<1>::zeros([1], &device));
+        let of_views = [1.0, -3.0].map(|slope| (learned.tracked() * slope).sum().backward());
+        for mut gradients in of_views {
+            assert!(learned.step(&mut gradients, 0.5, None));
+            assert!(!learned.step(&mut gradients, 0.5, None), "a gradient is taken once");
+        }
+        let mut expected = (Tensor::<1>::zeros([1], &device), Moments::new(&Tensor::<1>::zeros([1], &device)));
+        for (i, slope) in [1.0, -3.0].into_iter().enumerate() {
+            let gradient = Tensor::from_floats([slope], &device);
+            expected.0 = Adam::default().step(expected.0, gradient, 0.5, &mut expected.1, i + 1);
+        }
+        assert_eq!(values_of(learned.value()), values_of(expected.0));
     }
 }

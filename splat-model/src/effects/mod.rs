@@ -1,13 +1,14 @@
 //! Effects of cameras and scenes beyond matte Gaussians under a constant light, simulated only where a scene calls for them.
 //!
 //! [`Survey`] gathers the evidence, [`Plan`] decides, and each effect is a file of ordinary tensor code. An effect that is
-//! off does not exist: no parameter, no tensor, no launch. [`Applied`] is what a training loop sees of them.
+//! off does not exist: no parameter, no tensor, no launch. An effect is a type that implements [`Effect`], one of the user's own
+//! too, and a run has an [`EffectStack`] of them.
 
-mod applied;
 pub mod background;
 mod centred;
 pub mod defocus;
 pub mod depth;
+mod effect;
 pub mod exposure;
 pub mod grid;
 mod learned;
@@ -18,6 +19,7 @@ pub mod plan;
 pub mod pose;
 pub mod screen;
 pub mod smoothing;
+mod stack;
 pub mod survey;
 #[cfg(test)]
 mod testing;
@@ -27,16 +29,19 @@ use std::str::FromStr;
 
 use serde::Serialize;
 
-pub use self::applied::{Applied, EffectGradients};
-pub use self::learned::{Falling, Moment};
+pub(crate) use self::effect::mean_of;
+use self::effect::saved_bytes;
+pub use self::effect::{Effect, RenderInput};
+pub use self::learned::{Falling, Learned, Moment};
 pub use self::plan::Plan;
+pub use self::stack::EffectStack;
 pub use self::survey::Survey;
 
-/// The effects that can be switched on and off. How far colours depend on the direction of view is set by
+/// The effects of this library, which can be switched on and off. How far colours depend on the direction of view is set by
 /// [`TrainConfig::sh_degree`](crate::trainer::TrainConfig::sh_degree).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum Effect {
+pub enum EffectKind {
     /// The same thing is seen at very different sizes: splats smaller than a pixel are dimmed, and none is finer than the
     /// photographs can tell.
     Antialias,
@@ -62,7 +67,7 @@ pub enum Effect {
     DepthSupervision,
 }
 
-impl Effect {
+impl EffectKind {
     /// All of them.
     pub const ALL: [Self; 11] = [
         Self::Antialias,
@@ -94,15 +99,23 @@ impl Effect {
             Self::DepthSupervision => "depth-supervision",
         }
     }
+
+    /// The name of what simulates it in an [`EffectStack`]; none has that of masks, which come with the photographs.
+    pub(crate) const fn in_stack(self) -> &'static str {
+        match self {
+            Self::MotionBlur | Self::RollingShutter | Self::Defocus => "optics",
+            _ => self.name(),
+        }
+    }
 }
 
-impl fmt::Display for Effect {
+impl fmt::Display for EffectKind {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         out.write_str(self.name())
     }
 }
 
-impl FromStr for Effect {
+impl FromStr for EffectKind {
     type Err = String;
 
     fn from_str(name: &str) -> Result<Self, String> {

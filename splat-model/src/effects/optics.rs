@@ -13,16 +13,13 @@
 //! A motion blur says nothing of the sign of the motion, and at rest has no gradient: twists begin a little off zero. Renders
 //! of the scene without these effects are sharp, which is what test views are compared with.
 
-use burn::tensor::{Device, Tensor};
+use burn::tensor::{Device, Gradients, Tensor};
 use serde::{Deserialize, Serialize};
-use splat_op::{
-    Camera, CameraModel, Ellipses, Extras, Intrinsics, Picture, RenderOptions, SplatError, Splats, blend, colours,
-    project, tile,
-};
+use splat_op::{Camera, CameraModel, Ellipses, Intrinsics, RenderOptions};
 
 use super::learned::{Learned, Moment};
 use super::screen::ScreenError;
-use super::{defocus, motion};
+use super::{Effect, RenderInput, defocus, motion};
 use crate::state::{State, StateError};
 
 /// Which are simulated.
@@ -88,14 +85,6 @@ pub struct Optics {
     lenses: Vec<Learned<2>>,
 }
 
-/// The gradients of one step.
-#[derive(Default)]
-pub struct OpticsGradients {
-    exposure: Option<Tensor<2>>,
-    readout: Option<Tensor<2>>,
-    lens: Option<Tensor<2>>,
-}
-
 impl Optics {
     /// For the photographs of these cameras, of a scene of `extent` whose middle is `distance` away from them.
     ///
@@ -131,122 +120,99 @@ impl Optics {
         })
     }
 
-    /// `[6]`: a twist in rad and scene units, tracked.
-    fn twist(&self, learned: &Learned<2>) -> Tensor<1> {
-        let rows = learned.tracked();
-        let moved = rows.clone().narrow(0, 1, 1) * self.extent;
-        Tensor::cat(vec![rows.narrow(0, 0, 1), moved], 0).reshape([6])
-    }
-
-    /// What the photograph `view` shows. As [`splat_op::render_view`] otherwise.
-    ///
-    /// # Errors
-    /// Those of the operation's stages.
-    pub fn render(
-        &self,
-        splats: &Splats,
-        camera: &Camera,
-        extras: &Extras,
-        options: &RenderOptions,
-        view: usize,
-    ) -> Result<Picture, SplatError> {
-        let pinhole = camera.intrinsics.model == CameraModel::Pinhole;
-        let renders: Vec<Picture> = match self.exposures.get(view).filter(|_| !pinhole) {
-            Some(exposure) => {
-                let poses = motion::poses(&camera.cam_from_world, &self.twist(exposure), SUB_EXPOSURES);
-                let renders = poses.into_iter().map(|cam_from_world| {
-                    let camera = Camera { cam_from_world, ..camera.clone() };
-                    self.render_once(splats, &camera, extras, options, (view, [0.0; 2]))
-                });
-                renders.collect::<Result<_, _>>()?
-            }
-            None if self.lenses.get(view).is_some() => {
-                let renders = (0..PLACES).map(|i| self.render_once(splats, camera, extras, options, (view, place(i))));
-                renders.collect::<Result<_, _>>()?
-            }
-            None => return self.render_once(splats, camera, extras, options, (view, [0.0; 2])),
-        };
-        let count = renders.len() as f32;
-        let sum = renders.into_iter().reduce(|a, b| Picture {
-            colour: a.colour + b.colour,
-            alpha: a.alpha + b.alpha,
-            depth: a.depth.zip(b.depth).map(|(a, b)| a + b),
+    /// The render of `view` through this place of the aperture.
+    fn sample(&mut self, view: usize, place: [f32; 2]) -> Sample {
+        let extent = self.extent;
+        let lens = self.lenses.get_mut(view).map(|lens| {
+            let lens = lens.tracked();
+            let log_aperture = lens.clone().narrow(1, 0, 1).reshape([1]) + extent.ln();
+            (log_aperture, lens.narrow(1, 1, 1).reshape([1]) / extent)
         });
-        let Picture { colour, alpha, depth } = sum.expect("there are several places and poses");
-        Ok(Picture { colour: colour / count, alpha: alpha / count, depth: depth.map(|depth| depth / count) })
+        let twist = |all: &mut [Learned<2>]| all.get_mut(view).map(|learned| twist(learned, extent));
+        Sample { place, lens, exposure: twist(&mut self.exposures), readout: twist(&mut self.readouts) }
     }
+}
 
-    fn render_once(
-        &self,
-        splats: &Splats,
-        camera: &Camera,
-        extras: &Extras,
-        options: &RenderOptions,
-        (view, place): (usize, [f32; 2]),
-    ) -> Result<Picture, SplatError> {
-        let mut projected = project(splats, camera, extras.mean2d_probe.as_ref(), options)?;
-        match self.changed(projected.ellipses(), &camera.intrinsics, options, (view, place)) {
-            Ok(ellipses) => projected = ellipses.pack(&camera.intrinsics)?,
-            // Its motion is in the poses that are averaged.
-            Err(ScreenError::Lens(_)) => {}
-        }
-        let features = colours(splats, camera)?;
-        let tiles = tile(&projected, options)?;
-        blend(&projected, &features, &tiles, extras, options)
-    }
+/// `[6]`: a twist in rad and scene units, tracked.
+fn twist(learned: &mut Learned<2>, extent: f64) -> Tensor<1> {
+    let rows = learned.tracked();
+    let moved = rows.clone().narrow(0, 1, 1) * extent;
+    Tensor::cat(vec![rows.narrow(0, 0, 1), moved], 0).reshape([6])
+}
 
+/// One of the renders of a photograph.
+struct Sample {
+    place: [f32; 2],
+    /// Logarithm of the aperture's radius, scene units, and the inverse of the distance in focus, `[1]` each.
+    lens: Option<(Tensor<1>, Tensor<1>)>,
+    exposure: Option<Tensor<1>>,
+    readout: Option<Tensor<1>>,
+}
+
+impl Sample {
     /// The ellipses through this place of the aperture, in motion; an error for a lens.
     fn changed(
         &self,
         mut ellipses: Ellipses,
         camera: &Intrinsics,
         options: &RenderOptions,
-        (view, place): (usize, [f32; 2]),
     ) -> Result<Ellipses, ScreenError> {
-        if let Some(lens) = self.lenses.get(view) {
-            let lens = lens.tracked();
-            let log_aperture = lens.clone().narrow(1, 0, 1).reshape([1]) + self.extent.ln();
-            let inverse_focus = lens.narrow(1, 1, 1).reshape([1]) / self.extent;
-            let radii = defocus::confusion(&ellipses, camera, &log_aperture, &inverse_focus)?;
-            let place = Tensor::<2>::from_floats([place], &radii.device());
+        if let Some((log_aperture, inverse_focus)) = &self.lens {
+            let radii = defocus::confusion(&ellipses, camera, log_aperture, inverse_focus)?;
+            let place = Tensor::<2>::from_floats([self.place], &radii.device());
             ellipses.mean2d = ellipses.mean2d + radii.clone() * place;
             ellipses = defocus::blurred(ellipses, radii / (PLACES as f64).sqrt());
         }
-        if let Some(exposure) = self.exposures.get(view) {
-            let velocity = motion::velocity(&ellipses, camera, &self.twist(exposure), options)?;
+        if let Some(exposure) = &self.exposure {
+            let velocity = motion::velocity(&ellipses, camera, exposure, options)?;
             ellipses = motion::blurred(ellipses, velocity);
         }
-        if let Some(readout) = self.readouts.get(view) {
-            let velocity = motion::velocity(&ellipses, camera, &self.twist(readout), options)?;
+        if let Some(readout) = &self.readout {
+            let velocity = motion::velocity(&ellipses, camera, readout, options)?;
             ellipses = motion::rolled(ellipses, velocity, camera.height);
         }
         Ok(ellipses)
     }
+}
 
-    /// Takes the gradients for a view out of those of a loss.
-    pub fn take_gradients(&self, view: usize, gradients: &mut burn::tensor::Gradients) -> OpticsGradients {
-        let mut take = |all: &[Learned<2>]| all.get(view).and_then(|learned| learned.take_gradient(gradients));
-        OpticsGradients { exposure: take(&self.exposures), readout: take(&self.readouts), lens: take(&self.lenses) }
+impl Effect for Optics {
+    fn name(&self) -> &'static str {
+        "optics"
     }
 
-    /// Adam's step.
-    pub fn step(&mut self, gradients: OpticsGradients, at: Moment) {
-        let step = |all: &mut Vec<Learned<2>>, gradient: Option<Tensor<2>>| {
-            let views = all.len();
-            if let (Some(learned), Some(gradient)) = (all.get_mut(at.view), gradient) {
-                learned.step_within(gradient, (FALL, views), at);
-            }
+    fn samples(&mut self, input: RenderInput, at: Moment) -> Vec<RenderInput> {
+        let (camera, options) = (input.camera.intrinsics, input.options);
+        if camera.model == CameraModel::Pinhole {
+            let places = if self.lenses.is_empty() { 1 } else { PLACES };
+            let through = |i: usize| {
+                let sample = self.sample(at.view, place(i));
+                let mut input = input.clone();
+                input.edit(move |ellipses| {
+                    sample.changed(ellipses, &camera, &options).expect("the camera is a pinhole, as was asked above")
+                });
+                input
+            };
+            return (0..places).map(through).collect();
+        }
+        let Some(exposure) = self.exposures.get_mut(at.view) else { return vec![input] };
+        let poses = motion::poses(&input.camera.cam_from_world, &twist(exposure, self.extent), SUB_EXPOSURES);
+        let from = |cam_from_world| {
+            let camera = Camera { cam_from_world, ..input.camera.clone() };
+            RenderInput { camera, ..input.clone() }
         };
-        step(&mut self.exposures, gradients.exposure);
-        step(&mut self.readouts, gradients.readout);
-        step(&mut self.lenses, gradients.lens);
+        poses.into_iter().map(from).collect()
     }
 
-    /// Keeps what was learnt.
-    ///
-    /// # Errors
-    /// None that is to be expected.
-    pub fn save(&self, to: &mut State) -> Result<(), StateError> {
+    fn step(&mut self, gradients: &mut Gradients, at: Moment) {
+        for all in [&mut self.exposures, &mut self.readouts, &mut self.lenses] {
+            let views = all.len();
+            if let Some(learned) = all.get_mut(at.view) {
+                learned.step_within(gradients, (FALL, views), at);
+            }
+        }
+    }
+
+    fn save(&self, to: &mut State) -> Result<(), StateError> {
         let parts = [("exposures", &self.exposures), ("readouts", &self.readouts), ("lenses", &self.lenses)];
         for (name, learned) in parts {
             let mut part = State::default();
@@ -256,11 +222,7 @@ impl Optics {
         Ok(())
     }
 
-    /// Goes on from what was kept.
-    ///
-    /// # Errors
-    /// If something is missing or of another shape.
-    pub fn load(&mut self, from: &mut State) -> Result<(), StateError> {
+    fn load(&mut self, from: &mut State, _: &Device) -> Result<(), StateError> {
         let Self { exposures, readouts, lenses, .. } = self;
         for (name, learned) in [("exposures", exposures), ("readouts", readouts), ("lenses", lenses)] {
             let mut part = from.take_part(name);
@@ -268,11 +230,6 @@ impl Optics {
             part.finish()?;
         }
         Ok(())
-    }
-
-    /// Bytes of the parameters and their moments.
-    pub fn bytes(&self) -> usize {
-        self.exposures.iter().chain(&self.readouts).chain(&self.lenses).map(Learned::bytes).sum()
     }
 }
 

@@ -7,7 +7,7 @@ mod colour;
 use serde::Serialize;
 
 pub use self::colour::{BRIGHTNESS_STOPS, GRADED, PLACES_LEAVE, VIEW_DEPENDENT_SHARE, WHITE_BALANCE_STOPS};
-use super::Effect;
+use super::EffectKind;
 use super::survey::{ShutterEvidence, SightSource, Survey};
 
 /// The twentieth part of the points that is seen at the most different sizes is seen at sizes this many times apart.
@@ -56,11 +56,11 @@ pub struct Cost {
 /// One effect, or one thing that is not simulated.
 #[derive(Clone, Debug, Serialize)]
 pub struct Decision {
-    /// What it is about: an [`Effect`]'s name, or another's.
+    /// What it is about: an [`EffectKind`]'s name, or another's.
     pub name: &'static str,
     /// The effect that is switched; none for what is not simulated.
     #[serde(skip)]
-    pub effect: Option<Effect>,
+    pub effect: Option<EffectKind>,
     /// What is done.
     pub verdict: Verdict,
     /// What was found, in words.
@@ -80,7 +80,7 @@ pub struct Plan {
 
 impl Plan {
     /// Whether an effect is on.
-    pub fn has(&self, effect: Effect) -> bool {
+    pub fn has(&self, effect: EffectKind) -> bool {
         self.decisions.iter().any(|decision| decision.effect == Some(effect) && decision.verdict == Verdict::On)
     }
 
@@ -92,8 +92,8 @@ impl Plan {
     }
 
     /// The effects that are on.
-    pub fn effects(&self) -> Vec<Effect> {
-        Effect::ALL.into_iter().filter(|&effect| self.has(effect)).collect()
+    pub fn effects(&self) -> Vec<EffectKind> {
+        EffectKind::ALL.into_iter().filter(|&effect| self.has(effect)).collect()
     }
 }
 
@@ -112,7 +112,7 @@ impl From<&Survey> for Plan {
             lens(survey),
             motion_blur(survey),
             rolling_shutter(survey),
-            by_name(Effect::Defocus, "an open aperture"),
+            by_name(EffectKind::Defocus, "an open aperture"),
         ];
         Self { decisions }
     }
@@ -128,7 +128,7 @@ const OPTICS_MS: f64 = 10.0;
 
 const MIB: f64 = (1 << 20) as f64;
 
-fn decide(effect: Effect, on: bool, evidence: String, rule: String, cost: Option<Cost>) -> Decision {
+fn decide(effect: EffectKind, on: bool, evidence: String, rule: String, cost: Option<Cost>) -> Decision {
     let verdict = if on { Verdict::On } else { Verdict::Off };
     Decision { name: effect.name(), effect: Some(effect), verdict, evidence, rule, predicted: cost }
 }
@@ -149,7 +149,7 @@ fn antialias(survey: &Survey) -> Decision {
             ),
         ),
     };
-    decide(Effect::Antialias, on, evidence, rule, None)
+    decide(EffectKind::Antialias, on, evidence, rule, None)
 }
 
 fn alpha(survey: &Survey) -> Decision {
@@ -160,7 +160,7 @@ fn alpha(survey: &Survey) -> Decision {
     };
     let rule = "on where a photograph has an alpha channel that is not opaque".into();
     let cost = Cost { ms_per_step: ALPHA_MS_PER_MEGAPIXEL * survey.pixels_per_view / 1e6, mib: 0.0 };
-    decide(Effect::Alpha, with > 0, evidence, rule, Some(cost))
+    decide(EffectKind::Alpha, with > 0, evidence, rule, Some(cost))
 }
 
 fn masks(survey: &Survey) -> Decision {
@@ -176,7 +176,7 @@ fn masks(survey: &Survey) -> Decision {
     let rule = "on where a photograph has a mask".into();
     let mib = files.with_mask as f64 * survey.pixels_per_view / MIB;
     let cost = Cost { ms_per_step: MASKS_MS_PER_MEGAPIXEL * survey.pixels_per_view / 1e6, mib };
-    decide(Effect::Masks, files.with_mask > 0, evidence, rule, Some(cost))
+    decide(EffectKind::Masks, files.with_mask > 0, evidence, rule, Some(cost))
 }
 
 /// Not switched either: a lens is part of the camera, and a capture without one has kernels without one.
@@ -217,7 +217,7 @@ fn rolling_shutter(survey: &Survey) -> Decision {
         ),
     };
     let cost = Cost { ms_per_step: OPTICS_MS, mib: survey.views as f64 * 3.0 * 6.0 * 4.0 / MIB };
-    decide(Effect::RollingShutter, rows_explain(survey), evidence, rule, Some(cost))
+    decide(EffectKind::RollingShutter, rows_explain(survey), evidence, rule, Some(cost))
 }
 
 fn pose(survey: &Survey) -> Decision {
@@ -239,7 +239,7 @@ fn pose(survey: &Survey) -> Decision {
     };
     // Projection and shading in two passes, the gradient of the pose, and some forty operations on twelve numbers.
     let cost = Cost { ms_per_step: 5.0, mib: survey.views as f64 * 3.0 * 6.0 * 4.0 / MIB };
-    decide(Effect::PoseRefinement, on, evidence, rule, Some(cost))
+    decide(EffectKind::PoseRefinement, on, evidence, rule, Some(cost))
 }
 
 fn environment(survey: &Survey) -> Decision {
@@ -262,7 +262,7 @@ fn environment(survey: &Survey) -> Decision {
         }
     };
     let cost = Cost { ms_per_step: ENVIRONMENT_MS_PER_MEGAPIXEL * survey.pixels_per_view / 1e6, mib: 0.0 };
-    decide(Effect::Environment, on, evidence, rule, Some(cost))
+    decide(EffectKind::Environment, on, evidence, rule, Some(cost))
 }
 
 fn depth(survey: &Survey) -> Decision {
@@ -273,7 +273,7 @@ fn depth(survey: &Survey) -> Decision {
         Some(folder) => format!("{} photographs, and depth maps in {folder:?}", survey.views),
     };
     let cost = Cost { ms_per_step: 5.0, mib: survey.sights_compared as f64 * 8.0 / MIB };
-    decide(Effect::DepthSupervision, few || survey.files.depth_maps.is_some(), evidence, rule, Some(cost))
+    decide(EffectKind::DepthSupervision, few || survey.files.depth_maps.is_some(), evidence, rule, Some(cost))
 }
 
 fn motion_blur(survey: &Survey) -> Decision {
@@ -290,11 +290,11 @@ fn motion_blur(survey: &Survey) -> Decision {
         _ => (false, "not known: the pictures show nothing".into()),
     };
     let cost = Cost { ms_per_step: OPTICS_MS, mib: survey.views as f64 * 3.0 * 6.0 * 4.0 / MIB };
-    decide(Effect::MotionBlur, on, evidence, rule, Some(cost))
+    decide(EffectKind::MotionBlur, on, evidence, rule, Some(cost))
 }
 
 /// What no evidence is known of.
-fn by_name(effect: Effect, what: &str) -> Decision {
+fn by_name(effect: EffectKind, what: &str) -> Decision {
     let evidence = format!("nothing that is looked at tells {what} from other faults");
     let cost = Cost { ms_per_step: OPTICS_MS, mib: 0.0 };
     decide(effect, false, evidence, "on where it is asked for by name".into(), Some(cost))

@@ -18,13 +18,15 @@
 
 pub mod anchors;
 
-use burn::tensor::{Device, Tensor};
+use burn::tensor::{Device, Gradients, Tensor};
 use glam::{DAffine3, DQuat, DVec3};
 use serde::{Deserialize, Serialize};
+use splat_op::Picture;
 
 use self::anchors::{Anchors, OnDevice, rotation};
 use super::learned::{Learned, Moment};
-use crate::gaussians::values_of;
+use super::{Effect, EffectKind, RenderInput, saved_bytes};
+use crate::gaussians::{Gaussians, values_of};
 use crate::state::{State, StateError};
 
 /// How poses are refined.
@@ -99,13 +101,8 @@ impl Poses {
         }
     }
 
-    /// What is added to the loss of a step on `view`, `[1]`, whose corrected pose is `pose`, `[3, 4]`.
-    pub fn penalty(&self, pose: Tensor<2>, view: usize) -> Option<Tensor<1>> {
-        Some(self.anchors[view].as_ref()?.penalty(pose) * self.config.anchor_weight)
-    }
-
     /// The pose of the photograph `view`, corrected: `[3, 4]`, tracked. `cam_from_world`, `[3, 4]`, is not.
-    pub fn apply(&self, cam_from_world: Tensor<2>, view: usize) -> Tensor<2> {
+    pub fn apply(&mut self, cam_from_world: Tensor<2>, view: usize) -> Tensor<2> {
         let correction = self.corrections[view].tracked();
         let half = correction.clone().narrow(0, 0, 1) * 0.5;
         let cross = half.clone().matmul(Tensor::from_inner(self.cross.clone())).reshape([3, 3]);
@@ -118,44 +115,43 @@ impl Poses {
         Tensor::cat(vec![turned.narrow(1, 0, 3), translation], 1)
     }
 
-    /// Takes the gradient of a view's correction out of those of a loss.
-    pub fn take_gradient(&self, view: usize, gradients: &mut burn::tensor::Gradients) -> Option<Tensor<2>> {
-        self.corrections[view].take_gradient(gradients)
-    }
-
-    /// Adam's step on the correction of the photograph.
-    pub fn step(&mut self, gradient: Tensor<2>, at: Moment) {
-        let views = self.corrections.len();
-        self.corrections[at.view].step_within(gradient, (self.config.fall, views), at);
-    }
-
     /// What the pose of a view is corrected to, on the host.
     pub fn corrected(&self, cam_from_world: &DAffine3, view: usize) -> DAffine3 {
         let values: Vec<f64> = values_of(self.corrections[view].value()).into_iter().map(f64::from).collect();
         let moved = self.extent * DVec3::from_slice(&values[3..]);
         DAffine3::from_mat3_translation(rotation(DVec3::from_slice(&values[..3])), moved) * *cam_from_world
     }
+}
 
-    /// Keeps what was learnt.
-    ///
-    /// # Errors
-    /// None that is to be expected.
-    pub fn save(&self, to: &mut State) -> Result<(), StateError> {
+impl Effect for Poses {
+    fn name(&self) -> &'static str {
+        EffectKind::PoseRefinement.name()
+    }
+
+    fn before(&mut self, input: &mut RenderInput, _: &Gaussians, at: Moment) {
+        input.camera.cam_from_world = self.apply(input.camera.cam_from_world.clone(), at.view);
+    }
+
+    fn penalty(&mut self, input: &RenderInput, _: &Picture, at: Moment) -> Option<Tensor<1>> {
+        let pose = input.camera.cam_from_world.clone();
+        Some(self.anchors[at.view].as_ref()?.penalty(pose) * self.config.anchor_weight)
+    }
+
+    fn step(&mut self, gradients: &mut Gradients, at: Moment) {
+        let views = self.corrections.len();
+        self.corrections[at.view].step_within(gradients, (self.config.fall, views), at);
+    }
+
+    fn save(&self, to: &mut State) -> Result<(), StateError> {
         Learned::save_all(&self.corrections, to)
     }
 
-    /// Goes on from what was kept.
-    ///
-    /// # Errors
-    /// If something is missing or of another shape.
-    pub fn load(&mut self, from: &mut State) -> Result<(), StateError> {
+    fn load(&mut self, from: &mut State, _: &Device) -> Result<(), StateError> {
         Learned::load_all(&mut self.corrections, from)
     }
 
-    /// Bytes of the corrections and their moments.
-    pub fn bytes(&self) -> usize {
-        let anchors = self.anchors.iter().flatten().map(OnDevice::bytes);
-        self.corrections.iter().map(Learned::bytes).chain(anchors).sum()
+    fn bytes(&self) -> usize {
+        saved_bytes(self) + self.anchors.iter().flatten().map(OnDevice::bytes).sum::<usize>()
     }
 }
 
@@ -191,7 +187,7 @@ mod tests {
     fn corrections_are_rigid_about_the_camera() {
         let device = Device::flex();
         for omega in [[0.02, -0.01, 0.03], [1.0, 2.0, -3.0], [300.0, 0.0, 1.0]] {
-            let poses = poses([omega, [0.1, 0.0, -0.2]], 5.0, &device);
+            let mut poses = poses([omega, [0.1, 0.0, -0.2]], 5.0, &device);
             let found = values_of(poses.apply(tensor(&pose(), &device), 0).inner());
             let expected = poses.corrected(&pose(), 0);
             let omega = DVec3::from_array(omega.map(f64::from));
@@ -218,11 +214,11 @@ mod tests {
             let entry = |i: usize| if i % 4 == 3 { moved.translation[i / 4] } else { moved.matrix3.col(i % 4)[i / 4] };
             (0..12).map(|i| weights[i] * entry(i)).sum::<f64>()
         };
-        let poses = poses(at, 2.0, &device);
+        let mut poses = poses(at, 2.0, &device);
         let rows: Vec<f32> = weights.iter().map(|&weight| weight as f32).collect();
         let weights = Tensor::<1>::from_floats(rows.as_slice(), &device).reshape([3, 4]);
         let loss = (poses.apply(tensor(&pose(), &device), 0) * Tensor::from_inner(weights)).sum();
-        let gradient = values_of(poses.take_gradient(0, &mut loss.backward()).unwrap());
+        let gradient = values_of(poses.corrections[0].gradient(&mut loss.backward()).unwrap());
         for i in 0..6 {
             let moved = |by: f32| {
                 let mut correction = at;
@@ -244,7 +240,8 @@ mod tests {
             let mut poses =
                 Poses::new(PoseConfig { reach_extents: 0.02, ..PoseConfig::default() }, 1.0, views, &device);
             for step in (1..=steps).filter(|step| step % views == 0) {
-                poses.step(Tensor::ones([2, 3], &device), Moment { view: 0, step, steps, verdict: None });
+                let mut gradients = poses.corrections[0].tracked().sum().backward();
+                poses.step(&mut gradients, Moment { view: 0, step, steps, verdict: None });
             }
             let moved = values_of(poses.corrections[0].value());
             for (moved, reach) in moved.into_iter().zip([0.06, 0.06, 0.06, 0.02, 0.02, 0.02]) {

@@ -16,6 +16,7 @@ use glam::{DAffine3, DVec3, Vec3};
 use rayon::prelude::*;
 use splat_op::{Intrinsics, Projector, Splats};
 
+use super::{Effect, EffectKind, Moment, RenderInput};
 use crate::gaussians::{GaussianRows, Gaussians, values_of};
 use crate::state::{State, StateError};
 
@@ -87,13 +88,8 @@ impl Smoothing {
         rates.into_iter().map(ln_width).collect()
     }
 
-    /// Gaussians were added, removed or moved to other rows.
-    pub fn forget(&mut self) {
-        self.ln_widths = None;
-    }
-
     /// Finds the widths anew if they were forgotten or a hundred steps have gone by.
-    pub fn follow(&mut self, gaussians: &Gaussians, step: usize) {
+    fn follow(&mut self, gaussians: &Gaussians, step: usize) {
         if self.ln_widths.is_some() && step < self.found_at + EVERY {
             return;
         }
@@ -106,41 +102,44 @@ impl Smoothing {
     }
 
     /// The Gaussians, convolved. `log_scales` `[N, 3]` are those that `splats` were made from. Differentiable.
-    pub fn apply(&self, splats: Splats, log_scales: Tensor<2>) -> Splats {
+    fn apply(&self, splats: Splats, log_scales: Tensor<2>) -> Splats {
         let Some(widths) = &self.ln_widths else { return splats };
         let widths = if log_scales.is_autodiff() { Tensor::from_inner(widths.clone()) } else { widths.clone() };
         let (scales, share) = convolved(log_scales, widths);
         Splats { scales: scales.exp(), opacities: splats.opacities * share.exp(), ..splats }
     }
+}
 
-    /// Keeps the widths, because they are those of some steps ago.
-    ///
-    /// # Errors
-    /// None that is to be expected.
-    pub fn save(&self, to: &mut State) -> Result<(), StateError> {
+impl Effect for Smoothing {
+    fn name(&self) -> &'static str {
+        EffectKind::Antialias.name()
+    }
+
+    fn before(&mut self, input: &mut RenderInput, gaussians: &Gaussians, at: Moment) {
+        self.follow(gaussians, at.step);
+        input.splats = self.apply(input.splats.clone(), gaussians.log_scales.val());
+    }
+
+    fn forget_rows(&mut self) {
+        self.ln_widths = None;
+    }
+
+    /// The widths are those of some steps ago.
+    fn save(&self, to: &mut State) -> Result<(), StateError> {
         if let Some(widths) = &self.ln_widths {
             to.put("ln_widths", widths.clone());
         }
         to.tell("found_at", &self.found_at)
     }
 
-    /// Goes on with what was kept.
-    ///
-    /// # Errors
-    /// If something is missing.
-    pub fn load(&mut self, from: &mut State, device: &Device) -> Result<(), StateError> {
+    fn load(&mut self, from: &mut State, device: &Device) -> Result<(), StateError> {
         self.ln_widths = if from.has("ln_widths") { Some(from.take("ln_widths", device)?) } else { None };
         self.found_at = from.told("found_at")?;
         Ok(())
     }
 
-    /// Bytes on the device.
-    pub fn bytes(&self) -> usize {
-        self.ln_widths.as_ref().map_or(0, |widths| widths.dims()[0] * size_of::<f32>())
-    }
-
-    /// Convolves the rows of a scene, for a file.
-    pub fn bake(&self, rows: &mut GaussianRows) {
+    /// Convolves the rows.
+    fn bake(&self, rows: &mut GaussianRows) {
         let widths = self.ln_widths(&rows.means);
         let of_row = rows.log_scales.iter_mut().zip(&mut rows.logit_opacities).zip(widths);
         for ((log_scales, logit), ln_width) in of_row {

@@ -86,52 +86,6 @@ fn rows_that_do_not_fit_are_named() {
     }
 }
 
-#[test]
-fn rows_that_do_not_vary_are_stored_apart_and_come_back() {
-    for device in devices() {
-        for device in [device.clone(), device.autodiff()] {
-            let mut rows = random_rows(6, 2, 1);
-            for matte in [0, 3, 4] {
-                rows.sh_rest[24 * matte..24 * (matte + 1)].fill(0.0);
-            }
-            // One that varies ever so little.
-            rows.sh_rest[24 * 5..].fill(0.0);
-            rows.sh_rest[24 * 5 + 23] = 1e-40;
-            let scene = Gaussians::from_rows_apart(&rows, &device).unwrap();
-            assert_eq!((scene.len(), scene.directional(), scene.sh_degree()), (6, 3, 2));
-            assert_eq!(scene.sh.val().dims(), [3, 9, 3]);
-            assert_eq!(scene.sh_matte.as_ref().unwrap().val().dims(), [3, 1, 3]);
-            let parted = rows.select(&[1, 2, 5, 0, 3, 4]);
-            assert_eq!(scene.to_rows(), parted);
-            assert_eq!(scene.untracked().to_rows(), parted);
-            // Whoever does not ask has them in one group.
-            assert_eq!(Gaussians::from_rows(&parted, &device).unwrap().directional(), 6);
-            let again = Gaussians::from_rows_apart(&parted, &device).unwrap();
-            assert_eq!((again.to_rows(), again.directional()), (parted, 3));
-            // Nothing to tell apart.
-            for rows in [random_rows(4, 2, 1), random_rows(4, 0, 1)] {
-                let scene = Gaussians::from_rows_apart(&rows, &device).unwrap();
-                assert!(scene.sh_matte.is_none() && scene.to_rows() == rows);
-            }
-        }
-    }
-}
-
-#[test]
-fn matte_gaussians_are_masked_by_what_they_hold() {
-    let mut rows = random_rows(4, 1, 1);
-    rows.sh_rest[18..].fill(0.0);
-    rows.sh_dc[3][1] = f32::NAN;
-    for device in devices() {
-        let scene = Gaussians::from_rows_apart(&rows, &device).unwrap();
-        assert_eq!(scene.directional(), 2);
-        let masked: Vec<bool> = values_of(scene.opacities()).iter().map(|opacity| *opacity == 0.0).collect();
-        assert_eq!(masked, [false, false, false, true]);
-        let Colour::Mixed { matte, .. } = scene.splats().colour else { panic!("there are matte ones") };
-        assert_eq!(matte.dims(), [2, 1, 3]);
-    }
-}
-
 /// Whether each input of a render is tracked.
 fn tracked(scene: &Gaussians) -> [bool; 5] {
     let Splats { means, rotations, scales, opacities, colour } = scene.splats();

@@ -4,11 +4,11 @@
 //! and all calendars that count in steps are left to the user. Parameters of effects, most of which belong to one photograph,
 //! take a step of their own for each view.
 
-use burn::tensor::{Int, Tensor};
+use burn::tensor::{Gradients as Remaining, Int, Tensor};
 
+use super::differentiate::Differentiated;
 use super::{TrainError, Trainer};
 use crate::density::rows::Gradients;
-use crate::effects::EffectGradients;
 
 /// What the views of a step come to.
 pub(super) struct Batch {
@@ -17,7 +17,7 @@ pub(super) struct Batch {
     /// The mean gradients.
     pub gradients: Gradients,
     /// Views, and the gradients of what effects learn of each.
-    pub views: Vec<(usize, EffectGradients)>,
+    pub views: Vec<(usize, Remaining)>,
     /// See [`super::Guard::look`].
     pub held: Option<Tensor<1, Int>>,
 }
@@ -43,7 +43,7 @@ impl Trainer {
 
     fn differentiate_next(&mut self) -> Result<Batch, TrainError> {
         let view = self.next_view();
-        let (loss, gradients, of_effects) = self.differentiate(view)?;
+        let Differentiated { loss, gradients, of_effects } = self.differentiate(view)?;
         let held = self.guard.look(self.step, view, &loss, &gradients).map_err(|fault| self.non_finite(fault))?;
         Ok(Batch { loss, gradients, views: vec![(view, of_effects)], held })
     }

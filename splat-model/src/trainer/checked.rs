@@ -3,11 +3,10 @@
 use std::fmt;
 
 use burn::tensor::Tensor;
-use splat_op::{
-    Camera, Extras, Picture, Projected, RenderOptions, SplatError, Splats, Tiles, blend, colours, project, tile,
-};
+use splat_op::{Picture, Projected, SplatError, Tiles, blend, colours, tile};
 
 use crate::density::rows::Gradients;
+use crate::effects::RenderInput;
 use crate::gaussians::{GaussianRows, values_of};
 
 /// The stages of a step, in the order in which they are computed.
@@ -71,20 +70,15 @@ impl From<Wrong> for Stopped {
     }
 }
 
-/// The picture that [`splat_op::render`] gives, stage by stage, each of which is looked at before the next runs.
-pub(super) fn render_checked(
-    splats: &Splats,
-    camera: &Camera,
-    extras: &Extras,
-    options: &RenderOptions,
-) -> Result<Picture, Stopped> {
-    let projected = project(splats, camera, extras.mean2d_probe.as_ref(), options)?;
+/// The picture that [`RenderInput::render`] gives, stage by stage, each of which is looked at before the next runs.
+pub(super) fn render_checked(input: &RenderInput) -> Result<Picture, Stopped> {
+    let projected = input.project()?;
     let opacities = check_projected(&projected)?;
-    let features = colours(splats, camera)?;
+    let features = colours(&input.splats, &input.camera)?;
     check_colours(&features, &opacities)?;
-    let tiles = tile(&projected, options)?;
+    let tiles = tile(&projected, &input.options)?;
     check_tiles(&tiles, projected.len())?;
-    let picture = blend(&projected, &features, &tiles, extras, options)?;
+    let picture = blend(&projected, &features, &tiles, &input.extras, &input.options)?;
     check_picture(&picture)?;
     Ok(picture)
 }
@@ -154,8 +148,7 @@ pub(super) fn check_gradients(gradients: &Gradients) -> Result<(), Wrong> {
     one("rotations", &gradients.rotations)?;
     one("log_scales", &gradients.log_scales)?;
     one("logit_opacities", &gradients.logit_opacities)?;
-    one("sh", &gradients.sh)?;
-    one("sh_matte", &gradients.sh_matte)
+    one("sh", &gradients.sh)
 }
 
 /// No Gaussian became unusable. `before` and `after` are the same Gaussians.

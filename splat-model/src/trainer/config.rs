@@ -33,20 +33,12 @@ pub struct TrainConfig {
     pub sh_degree: usize,
     /// Steps until the degree rises by one: 1,000.
     pub sh_every: usize,
-    /// Gaussians whose colour varies with the direction by less than this keep none of their higher coefficients (see
-    /// [`crate::density::matte`], which says when): in units of colour, 1/255 for one level of an 8-bit picture. None: all keep
-    /// them.
-    pub matte_below: Option<f64>,
     /// Learning rates.
     pub learning_rates: LearningRates,
     /// Density control, and its strategy.
     pub density: DensityConfig,
     /// How large photographs are as the run goes on.
     pub resolution: Resolution,
-    /// The share of a photograph's pixels that a step renders and compares, above 0: 1, all of them. Below that as many whole
-    /// rows, drawn anew at each step, and never fewer than 32. Not with [`Self::grid`], [`Self::optics`], [`Self::depth`], an
-    /// environment, or dials that have pixels look along their rays.
-    pub pixel_share: f64,
     /// What shows through the Gaussians, and through photographs with alpha: RGB, 0 to 1. Where another background is learnt,
     /// what it begins as.
     #[serde(deserialize_with = "finite_colour")]
@@ -95,11 +87,9 @@ impl Default for TrainConfig {
             lambda: DEFAULT_LAMBDA,
             sh_degree: 3,
             sh_every: STEPS_PER_SH_DEGREE,
-            matte_below: None,
             learning_rates: LearningRates::default(),
             density: DensityConfig::default(),
             resolution: Resolution::FULL,
-            pixel_share: 1.0,
             background: [0.0; 3],
             antialias: false,
             dials: Setting::default(),

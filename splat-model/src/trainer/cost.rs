@@ -3,11 +3,12 @@
 use std::time::Instant;
 
 use burn::tensor::Tensor;
+use splat_op::Picture;
 
+use super::differentiate::Differentiated;
 use super::{TrainError, Trainer};
 use crate::effects::plan::Cost;
-use crate::effects::{Applied, Effect};
-use crate::loss::photometric;
+use crate::effects::{Effect, EffectKind};
 
 /// Pairs of steps that are timed, of each the fastest counts: what else the machine does only ever adds.
 const PAIRS: usize = 9;
@@ -22,9 +23,9 @@ impl Trainer {
     ///
     /// # Errors
     /// If the operation refuses the scene.
-    pub fn cost_of(&mut self, effect: Effect) -> Result<Option<Cost>, TrainError> {
+    pub fn cost_of(&mut self, effect: EffectKind) -> Result<Option<Cost>, TrainError> {
         let Some(bytes) = self.bytes_of(effect) else { return Ok(None) };
-        let in_the_camera = matches!(effect, Effect::Exposure | Effect::BilateralGrid | Effect::Masks);
+        let in_the_camera = matches!(effect, EffectKind::Exposure | EffectKind::BilateralGrid | EffectKind::Masks);
         let time = |run: &mut Self| match in_the_camera {
             true => run.time_loss(),
             false => run.time_step(),
@@ -34,13 +35,12 @@ impl Trainer {
         let mut fastest_ms = [f64::INFINITY; 2];
         for _ in 0..PAIRS {
             fastest_ms[0] = time(self)?.min(fastest_ms[0]);
-            let (options, mut off) = (self.options, Applied::default());
-            self.effects.exchange(effect, &mut off);
-            self.options.antialias &= effect != Effect::Antialias;
-            self.views.ignore_masks(effect == Effect::Masks);
+            let (options, off) = (self.options, self.effects.take(effect.in_stack()));
+            self.options.antialias &= effect != EffectKind::Antialias;
+            self.views.ignore_masks(effect == EffectKind::Masks);
             let without_ms = time(self);
             self.options = options;
-            self.effects.exchange(effect, &mut off);
+            off.into_iter().for_each(|off| self.effects.put_back(off));
             self.views.ignore_masks(false);
             fastest_ms[1] = without_ms?.min(fastest_ms[1]);
         }
@@ -49,32 +49,20 @@ impl Trainer {
     }
 
     /// Bytes that an effect keeps from step to step; none where it is off or no part of a step.
-    fn bytes_of(&self, effect: Effect) -> Option<usize> {
-        let effects = &self.effects;
+    fn bytes_of(&self, effect: EffectKind) -> Option<usize> {
         match effect {
-            Effect::Antialias => {
-                let smoothing = effects.smoothing.as_ref().map(|smoothing| smoothing.bytes());
-                smoothing.or(self.options.antialias.then_some(0))
+            EffectKind::Masks => self.views.masked_bytes(),
+            _ => {
+                let bytes = self.effects.named(effect.in_stack()).map(Effect::bytes);
+                bytes.or((effect == EffectKind::Antialias && self.options.antialias).then_some(0))
             }
-            Effect::Alpha => effects.behind.as_ref().filter(|behind| !behind.is_learnt()).map(|behind| behind.bytes()),
-            Effect::Exposure => effects.exposure.as_ref().map(|exposure| exposure.bytes()),
-            Effect::BilateralGrid => effects.grids.as_ref().map(|grids| grids.bytes()),
-            Effect::Masks => self.views.masked_bytes(),
-            Effect::PoseRefinement => effects.poses.as_ref().map(|poses| poses.bytes()),
-            Effect::Environment => {
-                effects.behind.as_ref().filter(|behind| behind.is_learnt()).map(|behind| behind.bytes())
-            }
-            Effect::MotionBlur | Effect::RollingShutter | Effect::Defocus => {
-                effects.optics.as_ref().map(|optics| optics.bytes())
-            }
-            Effect::DepthSupervision => effects.depths.as_ref().map(|depths| depths.bytes()),
         }
     }
 
     /// Time until the loss and the gradients are there, ms.
     fn time_step(&mut self) -> Result<f64, TrainError> {
         let start = Instant::now();
-        let (loss, gradients, _) = self.differentiate(VIEW)?;
+        let Differentiated { loss, gradients, .. } = self.differentiate(VIEW)?;
         // Both are read, because a device may not have begun.
         let _ = loss.into_data();
         let _ = gradients.means.map(|means| means.sum().into_data());
@@ -83,15 +71,13 @@ impl Trainer {
 
     /// The same from a picture on, which is the photograph a little darker.
     fn time_loss(&mut self) -> Result<f64, TrainError> {
-        let (_, truth) = self.views.prepare(VIEW, None)?;
-        let image = Tensor::from_inner(truth.image() * 0.9).require_grad();
+        let prepared = self.prepare(VIEW)?;
+        let truth = prepared.truth.image();
+        let [height, width, _] = truth.dims();
+        let alpha = Tensor::from_inner(Tensor::ones([height, width, 1], &truth.device()));
+        let image = Tensor::from_inner(truth * 0.9).require_grad();
         let start = Instant::now();
-        let excluded = self.views.excluded(VIEW)?;
-        let seen = self.effects.developed(image.clone(), VIEW, excluded.as_ref());
-        let mut loss = photometric(seen, &truth, self.config.lambda);
-        if let Some(penalty) = self.effects.penalty(VIEW) {
-            loss = loss + penalty;
-        }
+        let loss = self.compare(&prepared, Picture { colour: image.clone(), alpha, depth: None })?.loss;
         let gradient = image.grad(&loss.backward());
         let _ = loss.into_data();
         let _ = gradient.map(|gradient| gradient.sum().into_data());

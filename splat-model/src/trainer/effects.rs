@@ -7,8 +7,7 @@ use splat_op::shade::SH_DEGREE_MAX;
 
 use super::{TrainConfig, TrainError, Trainer};
 use crate::capture::{Photograph, PointCloud};
-use crate::effects::Applied;
-use crate::effects::background::{Backdrop, Background, Behind};
+use crate::effects::background::{Backdrop, Background, Environment, LearnedBackground, RandomBackground};
 use crate::effects::depth::{DepthSample, Depths};
 use crate::effects::exposure::Exposure;
 use crate::effects::grid::Grids;
@@ -16,46 +15,53 @@ use crate::effects::optics::Optics;
 use crate::effects::pose::Poses;
 use crate::effects::pose::anchors::Anchors;
 use crate::effects::smoothing::Smoothing;
+use crate::effects::{Effect, EffectStack};
 use crate::gaussians::GaussianRows;
 
-/// The effects of a run over `photos` of a scene of `extent`, as it begins.
+/// The effects of a run over `photos` of a scene of `extent`, as it begins, in the order in which light meets them.
 pub(super) fn of(
     config: &TrainConfig,
     photos: &[Photograph],
     points: &PointCloud,
     extent: f64,
     device: &Device,
-) -> Result<Applied, TrainError> {
-    if let Backdrop::Environment { degree } = config.backdrop
-        && degree > SH_DEGREE_MAX
-    {
-        return Err(TrainError::EnvironmentDegree(degree));
+) -> Result<EffectStack, TrainError> {
+    let (mut stack, views) = (EffectStack::default(), photos.len());
+    if config.smoothing {
+        stack.put(Smoothing::new(photos.iter().map(|photo| (&photo.intrinsics, &photo.cam_from_world))));
     }
-    let behind = Behind::new(config.backdrop, config.background, device);
-    if behind.as_ref().is_some_and(Behind::is_learnt)
+    if let Some(poses) = config.poses {
+        stack.put(Poses::new(poses, extent, views, device));
+    }
+    if config.optics.any() {
+        let cameras: Vec<Intrinsics> = photos.iter().map(|photo| photo.intrinsics).collect();
+        let distance = typical_depth(photos, points).unwrap_or(extent);
+        stack.put(Optics::new(config.optics, &cameras, (extent, distance), device)?);
+    }
+    if let Backdrop::Learned | Backdrop::Environment { .. } = config.backdrop
         && let Some(photo) = photos.iter().find(|photo| photo.has_alpha)
     {
         return Err(TrainError::LearntBackground(photo.name.clone()));
     }
-    let optics = match config.optics.any() {
-        true => {
-            let cameras: Vec<Intrinsics> = photos.iter().map(|photo| photo.intrinsics).collect();
-            let distance = typical_depth(photos, points).unwrap_or(extent);
-            Some(Optics::new(config.optics, &cameras, (extent, distance), device)?)
+    match config.backdrop {
+        Backdrop::Fixed => {}
+        Backdrop::Random => stack.put(RandomBackground),
+        Backdrop::Learned => stack.put(LearnedBackground::new(config.background, device)),
+        Backdrop::Environment { degree } if degree > SH_DEGREE_MAX => {
+            return Err(TrainError::EnvironmentDegree(degree));
         }
-        false => None,
-    };
-    Ok(Applied {
-        optics,
-        smoothing: config
-            .smoothing
-            .then(|| Smoothing::new(photos.iter().map(|photo| (&photo.intrinsics, &photo.cam_from_world)))),
-        poses: config.poses.map(|poses| Poses::new(poses, extent, photos.len(), device)),
-        behind,
-        exposure: config.exposure.map(|exposure| Exposure::new(exposure, photos.len(), device)),
-        grids: config.grid.map(|grid| Grids::new(grid, photos.len(), device)),
-        depths: None,
-    })
+        Backdrop::Environment { degree } => {
+            let poses = photos.iter().map(|photo| photo.cam_from_world).collect();
+            stack.put(Environment::new(degree, poses, device));
+        }
+    }
+    if let Some(exposure) = config.exposure {
+        stack.put(Exposure::new(exposure, views, device));
+    }
+    if let Some(grid) = config.grid {
+        stack.put(Grids::new(grid, views, device));
+    }
+    Ok(stack)
 }
 
 /// The median depth of the points in the photographs, scene units; none without points.
@@ -69,10 +75,24 @@ fn typical_depth(photos: &[Photograph], points: &PointCloud) -> Option<f64> {
 }
 
 impl Trainer {
+    /// The same run with an effect of the caller's, which light meets after those that are there; one of the same name gives it
+    /// its place. To be asked for before the first step.
+    pub fn with_effect(mut self, effect: impl Effect) -> Self {
+        self.effects.put(effect);
+        self
+    }
+
+    /// The effect of a type, such as one that was handed to [`Self::with_effect`], with what it has learnt.
+    pub fn effect<T: Effect>(&self) -> Option<&T> {
+        self.effects.get()
+    }
+
     /// The same run, with what is known of the depth of things in each photograph, in the order of the photographs; nothing is
     /// learnt from it unless [`TrainConfig::depth`] says so.
     pub fn with_depths(mut self, samples: Vec<Vec<DepthSample>>) -> Self {
-        self.effects.depths = self.config.depth.map(|depth| Depths::new(depth, samples, &self.device));
+        if let Some(depth) = self.config.depth {
+            self.effects.put(Depths::new(depth, samples, &self.device));
+        }
         self
     }
 
@@ -80,29 +100,27 @@ impl Trainer {
     /// poses are refined, these are where it begins and what holds them.
     pub fn with_anchors(mut self, anchors: &[Anchors]) -> Self {
         let given: Vec<DAffine3> = (0..self.views.len()).map(|view| *self.views.camera_of(view).1).collect();
-        if let Some(poses) = &mut self.effects.poses {
+        if let Some(poses) = self.effects.get_mut::<Poses>() {
             poses.anchor(anchors, &given, &self.device);
         }
         self
     }
 
-    /// The scene as others should render it: the parameters, or what smoothing makes of them.
+    /// The scene as others should render it: the parameters, or what effects make of them.
     pub fn rows(&self) -> GaussianRows {
         let mut rows = self.scene.gaussians.to_rows();
-        if let Some(smoothing) = &self.effects.smoothing {
-            smoothing.bake(&mut rows);
-        }
+        self.effects.bake(&mut rows);
         rows
     }
 
     /// What is behind the scene, for whoever renders it.
     pub fn background(&self) -> Background {
-        self.effects.learnt_background().unwrap_or(Background::Colour(self.config.background))
+        self.effects.background().unwrap_or(Background::Colour(self.config.background))
     }
 
     /// The photographs' names and their poses as refined, if they are.
     pub fn refined_poses(&self) -> Option<Vec<(String, DAffine3)>> {
-        let poses = self.effects.poses.as_ref()?;
+        let poses = self.effects.get::<Poses>()?;
         let refined = |view: usize| {
             let (_, given) = self.views.camera_of(view);
             (self.views.name(view).to_owned(), poses.corrected(given, view))

@@ -25,9 +25,6 @@ pub enum TrainError {
     /// More degrees than there are.
     #[error("`sh_degree` is {0}, expected 0 to 4")]
     ShDegree(usize),
-    /// A variation of colours that is none.
-    #[error("`matte_below` is {0}, expected a finite number of at least 0: see `--matte-below`")]
-    MatteBelow(f64),
     /// More degrees than there are, behind the scene.
     #[error("the degree of `backdrop.environment` is {0}, expected 0 to 4")]
     EnvironmentDegree(usize),
@@ -37,14 +34,6 @@ pub enum TrainError {
         .0.coarsest_divisor, .0.full_from, Resolution::DIVISOR_MAX
     )]
     Resolution(Resolution),
-    /// A share of the pixels that is none.
-    #[error("`pixel_share` is {0}, expected more than 0 and at most 1: see `--pixel-share`")]
-    PixelShare(f64),
-    /// A part of the picture, for what depends on where in the picture a pixel is.
-    #[error(
-        "`pixel_share` is below 1, and {0} need the whole picture: leave out one of them (`--pixel-share`, or `--effects=-NAME`)"
-    )]
-    WholePicture(&'static str),
     /// Rays, for what changes ellipses.
     #[error(
         "{optics} change ellipses on the screen, and with {rays} there are none: leave out one of them (`--effects=-NAME`)"

@@ -4,32 +4,17 @@ use splat_op::{CameraModel, Order, Projection, RenderOptions};
 
 use super::{TrainConfig, TrainError};
 use crate::capture::Photograph;
-use crate::effects::background::Backdrop;
 
 impl TrainConfig {
     /// Refuses what no run can be.
     ///
     /// # Errors
-    /// If [`Self::pixel_share`] is no share, or what is to be simulated needs a whole picture or
-    /// ellipses where there are none.
+    /// If what is to be simulated needs ellipses where there are none.
     pub fn check(&self) -> Result<(), TrainError> {
-        if !(self.pixel_share > 0.0 && self.pixel_share <= 1.0) {
-            return Err(TrainError::PixelShare(self.pixel_share));
-        }
         let rays = self.along_rays().then_some("`--projection exact` and `--order per-pixel`");
         let optics = self.optics.any().then_some("motion blur, rolling shutters and defocus");
-        if let (Some(rays), Some(optics)) = (rays, optics) {
-            return Err(TrainError::Ellipses { rays, optics });
-        }
-        let environment = matches!(self.backdrop, Backdrop::Environment { .. }).then_some("an environment");
-        let grid = self.grid.is_some().then_some("a bilateral grid");
-        let depth = self.depth.is_some().then_some("depth supervision");
-        let strategy = self.density.strategy(1.0, self.steps);
-        // If it looks at all, it does so between two refinements.
-        let covered = (1..=self.steps.min(1_000)).any(|step| strategy.listens_at(step).covered);
-        let covered = covered.then_some("a strategy that looks at where pictures are wrong");
-        match rays.or(optics).or(environment).or(grid).or(depth).or(covered) {
-            Some(what) if self.pixel_share < 1.0 => Err(TrainError::WholePicture(what)),
+        match (rays, optics) {
+            (Some(rays), Some(optics)) => Err(TrainError::Ellipses { rays, optics }),
             _ => Ok(()),
         }
     }
@@ -55,9 +40,6 @@ impl TrainConfig {
 mod tests {
     use super::*;
     use crate::accuracy::Setting;
-    use crate::density::AdaptiveConfig;
-    use crate::effects::depth::DepthConfig;
-    use crate::effects::grid::GridConfig;
     use crate::effects::optics::OpticsConfig;
     use crate::trainer::testing;
 
@@ -71,35 +53,6 @@ mod tests {
 
     fn dials(dial: &str, value: &str) -> Setting {
         Setting::new([(dial, value)]).unwrap()
-    }
-
-    #[test]
-    fn numbers_out_of_range_are_named() {
-        for pixel_share in [0.0, -1.0, 1.01, f64::NAN] {
-            assert!(refused(TrainConfig { pixel_share, ..TrainConfig::default() }).contains("--pixel-share"));
-        }
-        TrainConfig { pixel_share: 0.01, ..TrainConfig::default() }.check().unwrap();
-    }
-
-    #[test]
-    fn what_needs_a_whole_picture_has_one() {
-        let motion = OpticsConfig { motion: true, ..OpticsConfig::default() };
-        let default = TrainConfig::default;
-        for (config, part) in [
-            (TrainConfig { optics: motion, ..default() }, "motion blur"),
-            (TrainConfig { grid: Some(GridConfig::default()), ..default() }, "a bilateral grid"),
-            (TrainConfig { depth: Some(DepthConfig::default()), ..default() }, "depth supervision"),
-            (TrainConfig { backdrop: Backdrop::Environment { degree: 1 }, ..default() }, "an environment"),
-            (TrainConfig { dials: dials("projection", "exact"), ..default() }, "--projection exact"),
-            (TrainConfig { density: AdaptiveConfig::consistent().into(), ..default() }, "a strategy"),
-            (TrainConfig { dials: dials("order", "per-pixel"), ..default() }, "--order per-pixel"),
-        ] {
-            config.check().unwrap();
-            let error = refused(TrainConfig { pixel_share: 0.5, ..config });
-            assert!(error.contains(part) && error.contains("--pixel-share"), "{error}");
-        }
-        let colour = TrainConfig { backdrop: Backdrop::Learned, pixel_share: 0.5, ..default() };
-        colour.check().unwrap();
     }
 
     #[test]

@@ -15,7 +15,7 @@ use crate::density::rows::Gradients;
 const READ_EVERY: usize = 50;
 
 /// What is looked at, in the order in which it is computed.
-const WATCHED: [&str; 7] = ["loss", "means", "rotations", "log_scales", "logit_opacities", "sh", "sh_matte"];
+const WATCHED: [&str; 6] = ["loss", "means", "rotations", "log_scales", "logit_opacities", "sh"];
 
 /// A step that was not taken.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -58,7 +58,7 @@ impl Guard {
         loss: &Tensor<1>,
         gradients: &Gradients,
     ) -> Result<Option<Tensor<1, Int>>, Fault> {
-        let Gradients { means, rotations, log_scales, logit_opacities, sh, sh_matte } = gradients;
+        let Gradients { means, rotations, log_scales, logit_opacities, sh } = gradients;
         if !self.waits {
             let flags = [
                 Some(non_finite(loss)),
@@ -67,7 +67,6 @@ impl Guard {
                 log_scales.as_ref().map(non_finite),
                 logit_opacities.as_ref().map(non_finite),
                 sh.as_ref().map(non_finite),
-                sh_matte.as_ref().map(non_finite),
             ];
             let bad = flags.map(|flag| flag.is_some_and(|flag| flag.into_scalar::<i32>() != 0));
             return if bad.contains(&true) { Err(Fault { step, view, what: in_words(bad) }) } else { Ok(None) };
@@ -80,7 +79,6 @@ impl Guard {
         look.at(3, log_scales.as_ref());
         look.at(4, logit_opacities.as_ref());
         look.at(5, sh.as_ref());
-        look.at(6, sh_matte.as_ref());
         self.verdict = Some(look.verdict.clone());
         self.unread.push((step, view));
         Ok(Some(look.verdict))

@@ -8,6 +8,7 @@ use serde_json::Value;
 use super::{TrainConfig, TrainError, Trainer};
 use crate::accuracy::Setting;
 use crate::density::rows::Trained;
+use crate::effects::Effect;
 use crate::state::{State, StateError};
 
 /// Where a generator of random numbers is.
@@ -48,10 +49,11 @@ impl Trainer {
         state.tell("queue", &self.queue)?;
         state.tell("random", &Random::of(&self.rng))?;
         state.put_part("scene", self.scene.save());
-        let mut density = State::default();
+        let [mut density, mut effects] = [State::default(), State::default()];
         self.density.save(&mut density)?;
+        self.effects.save(&mut effects)?;
         state.put_part("density", density);
-        state.put_part("effects", self.effects.save()?);
+        state.put_part("effects", effects);
         Ok(state)
     }
 
@@ -82,13 +84,14 @@ impl Trainer {
             return Err(TrainError::OtherRun { what: "a photograph in the queue".into(), found, expected });
         }
         let random: Random = state.told("random")?;
-        let [mut scene, mut density, effects] = ["scene", "density", "effects"].map(|name| state.take_part(name));
+        let [mut scene, mut density, mut effects] = ["scene", "density", "effects"].map(|name| state.take_part(name));
         state.finish()?;
         self.scene = Trained::load(&mut scene, &self.device.clone().autodiff())?;
         scene.finish()?;
         self.density.load(&mut density, &self.device)?;
         density.finish()?;
-        self.effects.load(effects, &self.device)?;
+        self.effects.load(&mut effects, &self.device)?;
+        effects.finish()?;
         (self.queue, self.rng, self.step) = (queue, random.resumed(), step);
         self.turn(&dials);
         Ok(())

@@ -1,9 +1,11 @@
 //! Runs with each strategy, and with batches.
 
+use splat_op::{Extras, render_view};
+
 use super::testing::{photos, points};
 use super::*;
 use crate::density::rows::RowEdit;
-use crate::density::{AdaptiveConfig, ConsistencyConfig, DensityConfig, McmcConfig};
+use crate::density::{AdaptiveConfig, ConsistencyConfig, DensityConfig, McmcConfig, Observed, Signals};
 use crate::gaussians::{GaussianRows, values_of};
 use crate::optim::LearningRates;
 use crate::state::{State, StateError};

@@ -134,10 +134,6 @@ fn what_cannot_start_says_what_to_do() {
     fails(photos([0.0; 3]), TrainConfig { sh_degree: 5, ..config(1) }, &["`sh_degree` is 5", "0 to 4"]);
     let resolution = Resolution { coarsest_divisor: 3, full_from: 0.5 };
     fails(photos([0.0; 3]), TrainConfig { resolution, ..config(1) }, &["3 from 0.5", "power of two", "--coarsest"]);
-    for below in [-0.1, f64::NAN, f64::INFINITY] {
-        let config = TrainConfig { matte_below: Some(below), ..config(1) };
-        fails(photos([0.0; 3]), config, &["`matte_below` is", "--matte-below"]);
-    }
 }
 
 #[test]
@@ -252,58 +248,4 @@ fn a_weight_on_opacity_fades_gaussians() {
     };
     let (without, with) = (mean_logit(0.0), mean_logit(1.0));
     assert!(with < without - 0.2, "mean logit {with} with the weight, {without} without");
-}
-
-/// The degree rises after steps 6, 12 and 18.
-fn matte(below: Option<f64>) -> TrainConfig {
-    TrainConfig { matte_below: below, ..eventful() }
-}
-
-/// What half of the Gaussians vary by less than when they are first asked.
-fn median() -> f64 {
-    let mut run = trainer(matte(None));
-    (0..12).for_each(|_| drop(run.step().unwrap()));
-    let mut varies = values_of(crate::density::matte::variation(run.gaussians().sh.val()));
-    varies.sort_by(f32::total_cmp);
-    f64::from(varies[varies.len() / 2])
-}
-
-#[test]
-fn who_is_asked_to_be_matte_changes_nothing_before_it_is() {
-    let (mut without, mut with) = (trainer(matte(None)), trainer(matte(Some(median()))));
-    for step in 1..=24 {
-        let [before, after] = [&mut without, &mut with].map(|run| run.step().unwrap().loss.into_scalar::<f32>());
-        let same = without.gaussians().to_rows() == with.gaussians().to_rows();
-        assert_eq!(same, step <= 12, "step {step}");
-        assert!(before == after || step > 12, "step {step}");
-        let (count, directional) = (with.gaussians().len(), with.gaussians().directional());
-        assert_eq!((0 < directional && directional < count), step > 12, "step {step}: {directional} of {count}");
-        assert_eq!(without.gaussians().directional(), without.gaussians().len());
-        assert_eq!(with.gaussians().sh_degree(), without.gaussians().sh_degree());
-    }
-    // Rows came and went after that, and are still apart.
-    let (rows, first) = (with.gaussians().to_rows(), with.gaussians().directional());
-    let rest = rows.rest_per_row();
-    assert!(rows.sh_rest[rest * first..].iter().all(|value| *value == 0.0));
-    assert!(rows.sh_rest[..rest * first].iter().any(|value| *value != 0.0));
-}
-
-#[test]
-fn a_run_in_which_all_become_matte_goes_on_at_degree_zero() {
-    let mut all = trainer(matte(Some(1e3)));
-    let mut checked = trainer(matte(Some(1e3))).with_checks();
-    for step in 1..=24 {
-        let [loss, other] = [&mut all, &mut checked].map(|run| run.step().unwrap().loss.into_scalar::<f32>());
-        assert!(loss.is_finite() && loss == other);
-        assert_eq!(all.gaussians().directional() == 0, step > 12);
-    }
-    assert!(all.gaussians().to_rows().sh_rest.iter().all(|value| *value == 0.0));
-    assert_eq!(checked.gaussians().to_rows(), all.gaussians().to_rows());
-    // And where none are, nothing is different.
-    assert_eq!(run(trainer(matte(Some(0.0)))), run(trainer(matte(None))));
-}
-
-#[test]
-fn with_checks_a_run_of_both_kinds_is_the_same() {
-    assert_eq!(run(trainer(matte(Some(median()))).with_checks()), run(trainer(matte(Some(median())))));
 }

@@ -6,7 +6,7 @@ use anyhow::{Context, Result, bail};
 use clap::Parser;
 use splat_model::capture::demo::DemoOptions;
 use splat_model::capture::{Capture, write_binary_with_tracks};
-use splat_model::effects::{Effect, Plan, Survey};
+use splat_model::effects::{EffectKind, Plan, Survey};
 use splat_op::{CameraModel, Intrinsics};
 
 use crate::options::{Cli, Command};
@@ -51,7 +51,7 @@ pub struct Case {
     /// The same on the command line.
     pub demo_flags: &'static str,
     /// What the plan must switch on.
-    pub expected: &'static [Effect],
+    pub expected: &'static [EffectKind],
     /// Whether the plan must find that colours depend on the view. None where what else is wrong with the photographs makes
     /// colours stray too, and harmonics stay, to be safe.
     pub harmonics: Option<bool>,
@@ -99,7 +99,7 @@ pub(super) const CASES: &[Case] = &[
         name: "exposure",
         demo: |options| DemoOptions { exposure: true, ..options },
         demo_flags: "--exposure",
-        expected: &[Effect::Exposure],
+        expected: &[EffectKind::Exposure],
         score: Score::Corrected,
         harmonics: None,
         ..PLAIN
@@ -108,7 +108,7 @@ pub(super) const CASES: &[Case] = &[
         name: "bilateral-grid",
         demo: |options| DemoOptions { graded: true, ..options },
         demo_flags: "--graded",
-        expected: &[Effect::BilateralGrid],
+        expected: &[EffectKind::BilateralGrid],
         score: Score::Corrected,
         harmonics: None,
         ..PLAIN
@@ -117,7 +117,7 @@ pub(super) const CASES: &[Case] = &[
         name: "masks",
         demo: |options| DemoOptions { masks: true, ..options },
         demo_flags: "--masks",
-        expected: &[Effect::Masks],
+        expected: &[EffectKind::Masks],
         eval: &["--masks"],
         harmonics: None,
         ..PLAIN
@@ -126,7 +126,7 @@ pub(super) const CASES: &[Case] = &[
         name: "alpha",
         demo: |options| DemoOptions { alpha: true, ..options },
         demo_flags: "--alpha",
-        expected: &[Effect::Alpha],
+        expected: &[EffectKind::Alpha],
         eval: &["--background", "white"],
         ..PLAIN
     },
@@ -134,7 +134,7 @@ pub(super) const CASES: &[Case] = &[
         name: "antialias",
         demo: |options| DemoOptions { zoom: true, ..options },
         demo_flags: "--zoom",
-        expected: &[Effect::Antialias],
+        expected: &[EffectKind::Antialias],
         eval: &["--shrink", "4"],
         eval_with: &["--antialias"],
         harmonics: None,
@@ -159,7 +159,7 @@ pub(super) const CASES: &[Case] = &[
         demo: |options| DemoOptions { far: true, ..options },
         demo_flags: "--far --views 17",
         views: Some(17),
-        expected: &[Effect::Environment],
+        expected: &[EffectKind::Environment],
         harmonics: None,
         ..PLAIN
     },
@@ -167,7 +167,7 @@ pub(super) const CASES: &[Case] = &[
         name: "pose-refinement",
         demo: |options| DemoOptions { poses: true, ..options },
         demo_flags: "--poses",
-        expected: &[Effect::PoseRefinement],
+        expected: &[EffectKind::PoseRefinement],
         ..PLAIN
     },
     Case {
@@ -177,7 +177,7 @@ pub(super) const CASES: &[Case] = &[
         // Half of the photographs to train on.
         both: &["--sh-degree", "0", "--eval-every", "2"],
         eval: &["--eval-every", "2"],
-        expected: &[Effect::DepthSupervision],
+        expected: &[EffectKind::DepthSupervision],
         views: Some(16),
         harmonics: None,
         ..PLAIN
@@ -186,7 +186,7 @@ pub(super) const CASES: &[Case] = &[
         name: "motion-blur",
         demo: |options| DemoOptions { motion: true, ..options },
         demo_flags: "--motion",
-        expected: &[Effect::MotionBlur],
+        expected: &[EffectKind::MotionBlur],
         harmonics: None,
         ..PLAIN
     },
@@ -194,7 +194,7 @@ pub(super) const CASES: &[Case] = &[
         name: "rolling-shutter",
         demo: |options| DemoOptions { rolling: true, ..options },
         demo_flags: "--rolling",
-        expected: &[Effect::RollingShutter],
+        expected: &[EffectKind::RollingShutter],
         ..PLAIN
     },
     Case {
@@ -222,7 +222,7 @@ pub(super) const CASES: &[Case] = &[
 #[derive(Clone, Debug)]
 pub struct Gain {
     /// What the plan switched on.
-    pub planned: Vec<Effect>,
+    pub planned: Vec<EffectKind>,
     /// Whether it found that colours depend on the view.
     pub harmonics: bool,
     /// What was found of the effect, as `splat inspect` says it.
@@ -293,7 +293,7 @@ impl Case {
 
     /// What is not as it should be; with `gains`, gains too.
     pub fn complaint(&self, gain: &Gain, gains: bool) -> Option<String> {
-        let names = |effects: &[Effect]| effects.iter().map(|effect| effect.name()).collect::<Vec<_>>().join(", ");
+        let names = |effects: &[EffectKind]| effects.iter().map(|effect| effect.name()).collect::<Vec<_>>().join(", ");
         if gain.planned != self.expected {
             let (found, expected) = (names(&gain.planned), names(self.expected));
             return Some(format!("{}: the plan has [{found}], expected [{expected}]", self.name));

@@ -3,7 +3,8 @@
 mod case;
 mod page;
 
-use std::io::Write;
+use std::fs;
+use std::io::{ErrorKind, Write};
 use std::path::PathBuf;
 
 use anyhow::{Context, Result, bail};
@@ -19,7 +20,7 @@ pub const PAGE: &str = "EFFECTS.md";
 /// Options of `splat effects`.
 #[derive(Clone, Debug, clap::Args)]
 pub struct GainsArgs {
-    /// Folder for EFFECTS.md
+    /// Folder for EFFECTS.md; if it is there, the figures in it are replaced and its text stays
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
     /// Measure this effect only; may be given several times
@@ -38,7 +39,7 @@ pub fn cases() -> &'static [Case] {
 /// Measures, prints the table and writes the page.
 ///
 /// # Errors
-/// If there is no such case, a run fails, or the page cannot be written; or if an effect was not found where it is, found where
+/// If there is no such case, a run fails, or the page cannot be read or written; or if an effect was not found where it is, found where
 /// it is not, or gains less than it should: then the page is there and says which.
 pub fn run(args: &GainsArgs) -> Result<()> {
     for name in &args.case {
@@ -48,6 +49,14 @@ pub fn run(args: &GainsArgs) -> Result<()> {
         }
     }
     let out = OutputFolder::prepare(&args.out, &[PAGE], &[])?;
+    let path = out.join(PAGE);
+    let around = match fs::read_to_string(&path) {
+        Ok(page) => page::Around::of(&page).with_context(|| {
+            format!("{} has no place for what is measured: move it away, or choose another `--out`", path.display())
+        })?,
+        Err(error) if error.kind() == ErrorKind::NotFound => page::Around::new(),
+        Err(error) => return Err(error).with_context(|| format!("cannot read {}", path.display())),
+    };
     let work = tempfile::tempdir().context("cannot make a temporary folder for the captures")?;
     let scale = if args.quick { Scale::QUICK } else { Scale::FULL };
     let chosen = |case: &&Case| args.case.is_empty() || args.case.iter().any(|name| name == case.name);
@@ -58,11 +67,11 @@ pub fn run(args: &GainsArgs) -> Result<()> {
     }
     let table = page::table(&gains);
     progress::say(&table);
-    let text = page::page(&table, &scale);
+    let text = page::page(&around, &table, &scale);
     out.write(PAGE, |file| Ok(file.write_all(text.as_bytes())?))?;
     let wrong: Vec<String> = gains.iter().filter_map(|(case, gain)| case.complaint(gain, !args.quick)).collect();
     match wrong.is_empty() {
         true => Ok(()),
-        false => bail!("{}\n{} has the figures", wrong.join("\n"), out.join(PAGE).display()),
+        false => bail!("{}\n{} has the figures", wrong.join("\n"), path.display()),
     }
 }

@@ -1,9 +1,35 @@
-//! The page: prose that people wrote around the table that was measured.
+//! The page: what was measured, between two marks. Whatever text people wrote around them stays as it is.
 
 use super::{Case, Gain, Scale};
 
-/// Where the table and the sizes go.
-const PROSE: &str = include_str!("page.md");
+/// Before what was measured.
+const BEGIN: &str = "<!-- measured by `splat effects`: begin -->";
+
+/// After it.
+const END: &str = "<!-- measured by `splat effects`: end -->";
+
+/// The text around the marks of a page.
+pub(super) struct Around {
+    before: String,
+    after: String,
+}
+
+impl Around {
+    /// Of a page without a text of its own.
+    pub fn new() -> Self {
+        Self {
+            before: "# Effects\n\nWhat each effect gains on a demo capture that shows it and nothing else.\n\n".into(),
+            after: "\n".into(),
+        }
+    }
+
+    /// Of a page that is there; none if it has no marks.
+    pub fn of(page: &str) -> Option<Self> {
+        let (before, rest) = page.split_once(BEGIN)?;
+        let (_, after) = rest.split_once(END)?;
+        Some(Self { before: before.into(), after: after.into() })
+    }
+}
 
 /// A line per case.
 pub(super) fn table(gains: &[(&Case, Gain)]) -> String {
@@ -29,8 +55,24 @@ pub(super) fn table(gains: &[(&Case, Gain)]) -> String {
 }
 
 /// All of it.
-pub(super) fn page(table: &str, scale: &Scale) -> String {
+pub(super) fn page(Around { before, after }: &Around, table: &str, scale: &Scale) -> String {
     let Scale { width, views, steps } = *scale;
-    let size = format!("{views} photographs of {width} × {} px, {steps} steps", 3 * width / 4);
-    PROSE.replace("{{table}}", table.trim_end()).replace("{{size}}", &size)
+    let size = format!("{views} photographs of {width} × {} px, {steps} steps.", 3 * width / 4);
+    format!("{before}{BEGIN}\n\n{size}\n\n{}\n\n{END}{after}", table.trim_end())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn text_stays_and_what_was_measured_is_replaced() {
+        let first = page(&Around::new(), "| old |\n", &Scale::QUICK);
+        let edited = format!("Mine.\n\n{first}\n## More\n");
+        let second = page(&Around::of(&edited).unwrap(), "| new |\n", &Scale::FULL);
+        assert!(second.starts_with("Mine.\n\n# Effects") && second.ends_with("\n## More\n"), "{second}");
+        assert!(second.contains("1500 steps.\n\n| new |\n\n<!--") && !second.contains("old"), "{second}");
+        assert_eq!(page(&Around::of(&second).unwrap(), "| new |", &Scale::FULL), second);
+        assert!(Around::of(&second.replace(END, "")).is_none());
+    }
 }

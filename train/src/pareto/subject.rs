@@ -68,7 +68,7 @@ impl Place {
     /// # Errors
     /// If the rows do not fit together.
     pub fn new(rows: &GaussianRows, shots: &[Shot], background: [f32; 3], device: &Device) -> Result<Self> {
-        let gaussians = Gaussians::from_rows_apart(rows, &device.clone().autodiff())?;
+        let gaussians = Gaussians::from_rows(rows, &device.clone().autodiff())?;
         let camera = |shot: &Shot| Camera::new(shot.intrinsics, &shot.cam_from_world, device);
         let background = Some(Tensor::from_floats(background, device));
         Ok(Self {
@@ -98,7 +98,6 @@ impl Place {
             log_scales: wide(&plain.log_scales),
             logit_opacities: wide(&plain.logit_opacities),
             sh: wide(&plain.sh),
-            sh_matte: plain.sh_matte.as_ref().map(wide),
         };
         let camera = |camera: Camera| Camera { cam_from_world: camera.cam_from_world.cast(DType::F64), ..camera };
         let background = f32.extras.background.map(|background| background.cast(DType::F64));
@@ -149,16 +148,15 @@ impl Place {
     /// Adds a view's gradients to `sums`, which begin empty.
     pub fn add_gradients(&self, gradients: &Gradients, sums: &mut Sums) {
         let of = &self.gaussians;
-        let matte = of.sh_matte.as_ref();
         let all = [
-            vec![of.means.val().grad(gradients).map(host), None],
-            vec![of.rotations.val().grad(gradients).map(host), None],
-            vec![of.log_scales.val().grad(gradients).map(host), None],
-            vec![of.logit_opacities.val().grad(gradients).map(host), None],
-            vec![of.sh.val().grad(gradients).map(host), matte.and_then(|matte| matte.val().grad(gradients)).map(host)],
+            of.means.val().grad(gradients).map(host),
+            of.rotations.val().grad(gradients).map(host),
+            of.log_scales.val().grad(gradients).map(host),
+            of.logit_opacities.val().grad(gradients).map(host),
+            of.sh.val().grad(gradients).map(host),
         ];
         for (sum, found) in sums.iter_mut().zip(all) {
-            let found: Vec<f64> = found.into_iter().flatten().flatten().collect();
+            let found = found.unwrap_or_default();
             sum.resize(sum.len().max(found.len()), 0.0);
             sum.iter_mut().zip(found).for_each(|(sum, found)| *sum += found);
         }

@@ -32,7 +32,7 @@ impl Way {
     }
 }
 
-/// The first is what the others are compared with. Those are left out that do not go with what a scene is a function of.
+/// The first is what the others are compared with.
 pub const WAYS: &[Way] = &[
     Way { name: "standard", flags: "", change: |_| () },
     Way { name: "half the steps", flags: "--steps {N/2}", change: |config| config.steps = (config.steps / 2).max(1) },
@@ -49,13 +49,6 @@ pub const WAYS: &[Way] = &[
         name: "harmonics by quarters",
         flags: "--sh-every {N/4}",
         change: |config| config.sh_every = (config.steps / 4).max(1),
-    },
-    Way { name: "half of the pixels", flags: "--pixel-share 0.5", change: |config| config.pixel_share = 0.5 },
-    Way { name: "a quarter of the pixels", flags: "--pixel-share 0.25", change: |config| config.pixel_share = 0.25 },
-    Way {
-        name: "twice the steps, half of the pixels",
-        flags: "--steps {2N} --pixel-share 0.5",
-        change: |config| (config.steps, config.pixel_share) = (2 * config.steps, 0.5),
     },
     Way { name: "no harmonics", flags: "--sh-degree 0", change: |config| config.sh_degree = 0 },
     Way { name: "fast renders", flags: "--accuracy fast", change: |config| preset(config, Preset::Fast) },
@@ -95,16 +88,15 @@ pub struct Runs<'a> {
 }
 
 impl Runs<'_> {
-    /// Trains in every way that can be, in turns.
+    /// Trains in every way, in turns.
     ///
     /// # Errors
     /// If a run fails.
     pub fn all(&self) -> Result<Vec<Trained>> {
-        let ways: Vec<&Way> = WAYS.iter().filter(|way| way.of(&self.config).check().is_ok()).collect();
-        let counter = progress::counter("training", RUNS as usize * ways.len());
-        let mut found = vec![(Vec::new(), Vec::new(), 0); ways.len()];
+        let counter = progress::counter("training", RUNS as usize * WAYS.len());
+        let mut found = vec![(Vec::new(), Vec::new(), 0); WAYS.len()];
         for seed in 0..RUNS {
-            for (way, found) in ways.iter().zip(&mut found) {
+            for (way, found) in WAYS.iter().zip(&mut found) {
                 let (psnr, seconds, splats) =
                     self.one(way, seed).with_context(|| format!("the run {:?} failed", way.name))?;
                 progress::note(&format!("trained, {}: {psnr:.2} dB in {seconds:.1} s", way.name));
@@ -116,7 +108,7 @@ impl Runs<'_> {
         }
         counter.finish_and_clear();
         let steps = self.config.steps;
-        let trained = ways.iter().zip(found).map(|(way, (psnr, seconds, splats))| {
+        let trained = WAYS.iter().zip(found).map(|(way, (psnr, seconds, splats))| {
             let flags = [("{N/2}", steps / 2), ("{N/4}", steps / 4), ("{2N}", 2 * steps)];
             let flags =
                 flags.iter().fold(way.flags.to_owned(), |text, (name, number)| text.replace(name, &number.to_string()));
@@ -161,18 +153,18 @@ mod tests {
         };
         assert!(turned(|a, b| a.steps != b.steps).contains(&"half the steps"));
         assert!(turned(|a, b| a.resolution != b.resolution).contains(&"quarters first"));
-        assert_eq!(turned(|a, b| a.pixel_share != b.pixel_share).len(), 3);
+        assert!(turned(|a, b| a.sh_every != b.sh_every).contains(&"harmonics by quarters"));
         assert!(turned(|a, b| a == b) == ["standard"] && WAYS[0].of(&base) == base);
     }
 
     #[test]
-    fn a_scene_along_rays_stays_one_and_is_trained_on_whole_pictures() {
+    fn a_scene_along_rays_stays_one() {
         let choice = Setting::new([("projection", "exact")]).unwrap();
         let base = TrainConfig { dials: choice, ..TrainConfig::default() };
         for way in WAYS {
             let config = way.of(&base);
             assert_eq!(config.dials.apply(RenderOptions::standard()).projection, Projection::Exact, "{}", way.name);
-            assert_eq!(config.check().is_ok(), config.pixel_share == 1.0, "{}", way.name);
+            config.check().unwrap();
         }
     }
 }

@@ -89,7 +89,7 @@ impl RunLog {
         let start = Instant::now();
         // What smoothing does is in the rows, not in the parameters.
         let rows = trainer.rows();
-        let splats = Gaussians::from_rows_apart(&rows, device)?.splats();
+        let splats = Gaussians::from_rows(&rows, device)?.splats();
         let (background, options) = (trainer.background(), trainer.render_options());
         let every = test.len().div_ceil(FEW).max(1);
         let photos = test.iter().step_by(every).map(|photo| Ok::<_, anyhow::Error>(photo.pixels()?));

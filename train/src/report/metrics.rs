@@ -20,8 +20,6 @@ pub struct Metrics {
     pub test: Option<Scores>,
     /// Gaussians in the scene.
     pub splats: usize,
-    /// Those of them that have one colour from everywhere, and no coefficients but that (see `--matte-below`).
-    pub matte: usize,
     /// Those of them that are never drawn: a parameter is not finite or beyond what f32 computes with, or the rotation is
     /// zero (see `splat_op::activate`).
     pub culled_non_finite: usize,

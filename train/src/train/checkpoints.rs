@@ -99,7 +99,7 @@ impl Checkpoints {
             fs::rename(&self.folder, &before).with_context(cannot)?;
             progress::note(&format!(
                 "an unfinished run was here, at step {step}; its checkpoints are in {} now: to go on with it, put them into \
-                 `{FOLDER}` below another folder and `--resume` that",
+                 `{FOLDER}` below another folder and `splat resume` that",
                 before.display()
             ));
         } else {
@@ -177,7 +177,8 @@ pub fn newest(out: &Path) -> Result<Kept> {
         );
     };
     read(&path).with_context(|| {
-        let older = steps.pop().map(|(step, _)| format!("; without that file, `--resume` goes on from step {step}"));
+        let older =
+            steps.pop().map(|(step, _)| format!("; without that file, `splat resume` goes on from step {step}"));
         format!("cannot go on from {}{}", path.display(), older.unwrap_or_default())
     })
 }

@@ -1,7 +1,8 @@
 //! A run from its options, or its last checkpoint, to its results.
 
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::ffi::OsStr;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -10,22 +11,22 @@ use serde::Serialize;
 use splat_model::accuracy::Work;
 use splat_model::capture::demo::DemoOptions;
 use splat_model::capture::{Capture, Photograph, Split};
-use splat_model::effects::Effect;
+use splat_model::effects::EffectKind;
 use splat_model::gaussians::Gaussians;
 use splat_model::ply;
 use splat_model::trainer::{TrainConfig, Trainer};
 
 use super::budget::{self, Budget};
-use super::checkpoints::{self, Checkpoints, SoFar};
+use super::checkpoints::{self, Checkpoints, Kept, SoFar};
 use super::results::write_learnt;
 use super::steps::{Choice, Done, Steps};
-use super::{DEMO_OUT, TrainArgs};
+use super::{OUT, ResumeArgs, TrainArgs};
 use crate::accuracy::Accuracy;
 use crate::effects::Chosen;
 use crate::input::Wanted;
 use crate::lpips::LpipsArgs;
 use crate::options::PhotoArgs;
-use crate::output::OutputFolder;
+use crate::output::{self, OutputFolder};
 use crate::pareto::Shot;
 use crate::progress;
 use crate::report::log::Line;
@@ -64,11 +65,20 @@ pub fn run(args: &TrainArgs) -> Result<Metrics> {
 /// As [`run`], with the run changed before its first step. For tests, which make it go wrong.
 #[doc(hidden)]
 pub fn run_with(args: &TrainArgs, change: impl FnOnce(Trainer) -> Trainer) -> Result<Metrics> {
-    let kept = args.resume.as_deref().map(checkpoints::newest).transpose()?;
-    let mut args = match &kept {
-        None => args.clone(),
-        Some(kept) => TrainArgs { out: args.resume.clone(), voice: args.voice, ..kept.args.clone() },
-    };
+    to_the_end(args.clone(), None, change)
+}
+
+/// Goes on with a run from its newest checkpoint, with the options that it was started with.
+///
+/// # Errors
+/// If there is no checkpoint that can be gone on from, and as [`run`].
+pub fn resume(args: &ResumeArgs) -> Result<Metrics> {
+    let kept = checkpoints::newest(&args.out)?;
+    let of_the_run = TrainArgs { out: Some(args.out.clone()), voice: args.voice, ..kept.args.clone() };
+    to_the_end(of_the_run, Some(kept), |trainer| trainer)
+}
+
+fn to_the_end(mut args: TrainArgs, kept: Option<Kept>, change: impl FnOnce(Trainer) -> Trainer) -> Result<Metrics> {
     let mut config = args.config()?;
     let (device, device_name) = args.device.resolve()?;
     let accuracy = args.accuracy.resolve(&device_name)?;
@@ -157,7 +167,6 @@ pub fn run_with(args: &TrainArgs, change: impl FnOnce(Trainer) -> Trainer) -> Re
     let rows = trainer.rows();
     ply::write(&out.join(SCENE), &rows, capture.origin)?;
     write_learnt(&trainer, &config, &capture, &out)?;
-    let matte = trainer.gaussians().len() - trainer.gaussians().directional();
     let gaussians = match config.smoothing {
         true => Gaussians::from_rows(&rows, &device)?,
         false => trainer.gaussians().untracked(),
@@ -184,7 +193,6 @@ pub fn run_with(args: &TrainArgs, change: impl FnOnce(Trainer) -> Trainer) -> Re
     let metrics = Metrics {
         test: test_scores,
         splats: gaussians.len(),
-        matte,
         culled_non_finite: unusable,
         steps: Some(config.steps),
         seconds: Seconds { load, train: Some(train), eval },
@@ -214,10 +222,10 @@ pub fn run_with(args: &TrainArgs, change: impl FnOnce(Trainer) -> Trainer) -> Re
 
 /// Prepares the output folder and reads the capture, after making it if none was given.
 fn open(args: &TrainArgs) -> Result<(OutputFolder, Capture, Instant)> {
-    let out = args.out.as_deref().unwrap_or(Path::new(DEMO_OUT));
     let prepare = || {
+        let out = args.out.clone().unwrap_or_else(|| own_folder(args.capture.as_deref()));
         OutputFolder::prepare(
-            out,
+            &out,
             &[SCENE, METRICS, REPORT, BACKGROUND, POSES],
             &[VIEWS, checkpoints::FOLDER, snapshots::FOLDER],
         )
@@ -238,6 +246,28 @@ fn open(args: &TrainArgs) -> Result<(OutputFolder, Capture, Instant)> {
     }
 }
 
+/// Where a run writes to that was not told: a folder with the name of its capture that holds nothing yet, so that no run ever
+/// replaces what another has left.
+fn own_folder(capture: Option<&Path>) -> PathBuf {
+    let (named, may_hold) = match capture {
+        None => (PathBuf::from("demo"), &[DEMO_CAPTURE][..]),
+        // The name of `..` is that of the folder it leads to.
+        Some(folder) if folder.file_name().is_none() => (folder.canonicalize().unwrap_or_default(), &[][..]),
+        Some(folder) => (folder.to_owned(), &[][..]),
+    };
+    let name = named.file_name().unwrap_or(OsStr::new("capture"));
+    let (first, free) = (Path::new(OUT).join(name), output::free_folder(Path::new(OUT), name, may_hold));
+    match free == first {
+        true => progress::note(&format!("writing to {}", free.display())),
+        false => progress::note(&format!(
+            "{} holds something already, which is kept: writing to {} (`--out` names another folder)",
+            first.display(),
+            free.display()
+        )),
+    }
+    free
+}
+
 /// The views of photographs, some of which may have been left out.
 fn views_of(capture: &Capture, photos: &[Photograph]) -> Vec<usize> {
     let by_name: BTreeMap<&str, usize> =
@@ -255,7 +285,7 @@ fn photographs(
     let train = split.require_train()?;
     // `--eval-every 0` asks for no test; any other number that leaves none is a mistake.
     let test = if args.eval_every == Some(0) { &[] } else { split.require_test()? };
-    let (masked, opaque) = (effects.has(Effect::Masks), !effects.has(Effect::Alpha));
+    let (masked, opaque) = (effects.has(EffectKind::Masks), !effects.has(EffectKind::Alpha));
     let wanted = Wanted { capture, max_side: args.max_side, masked, opaque };
     Ok((wanted.within(train, &mut room)?, wanted.within(test, &mut room)?))
 }

@@ -109,7 +109,7 @@ impl Steps<'_> {
             Ok(path) => {
                 let out = self.out.path().display();
                 let path = path.display();
-                let message = format!("stopped after step {step}; `splat train --resume {out}` goes on from {path}");
+                let message = format!("stopped after step {step}; `splat resume {out}` goes on from {path}");
                 Interrupted { signal, message }.into()
             }
             Err(error) => error.context(format!("stopped after step {step}, which could not be kept")),

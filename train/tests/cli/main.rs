@@ -58,8 +58,7 @@ fn training_writes_the_scene_its_scores_and_its_pictures() {
     let out = TRAINED.as_path();
     assert_eq!(files(out), ["metrics.json", "report.html", "scene.ply", "views/0000.png"].map(String::from).into());
     let metrics = json(&out.join("metrics.json"));
-    let expected =
-        ["test", "splats", "culled_non_finite", "steps", "seconds", "peak_rss_mib", "device", "seed", "matte"];
+    let expected = ["test", "splats", "culled_non_finite", "steps", "seconds", "peak_rss_mib", "device", "seed"];
     assert_eq!(keys(&metrics), expected.into_iter().chain(["effects", "options", "version"]).collect());
     assert_eq!(metrics["culled_non_finite"], 0);
     let scores = ["psnr", "ssim", "psnr_corrected", "ssim_corrected", "lpips", "lpips_missing"];
@@ -150,6 +149,37 @@ fn a_second_run_replaces_the_first() {
 }
 
 #[test]
+fn without_a_folder_no_run_replaces_another() {
+    let folder = tempfile::tempdir().unwrap();
+    let train = |arguments: &[&str], said: &str| {
+        let ended = succeed(
+            splat(&[&["train", "--steps", "1", "--eval-every", "0"], arguments].concat()).current_dir(folder.path()),
+        );
+        assert!(ended.stderr.contains(said), "{said:?} is not in: {}", ended.stderr);
+    };
+    let scene = |name: &str| fs::read(folder.path().join("out").join(name).join("scene.ply")).unwrap();
+    // The capture's folder has the name that the demo capture's run would have, too.
+    let capture = DEMO.file_name().unwrap().to_str().unwrap();
+    assert_eq!(capture, "demo");
+    train(&[text(&DEMO)], "writing to out/demo");
+    let first = scene("demo");
+    fs::create_dir_all(folder.path().join("out/demo-2/checkpoints")).unwrap();
+    train(&[text(&DEMO), "--seed", "9"], "out/demo holds something already, which is kept: writing to out/demo-3 ");
+    train(&[], "writing to out/demo-4 ");
+    assert!(folder.path().join("out/demo-4/demo-capture").is_dir());
+    assert!(scene("demo") == first && scene("demo-3") != scene("demo-4"), "a run has replaced another");
+    assert_eq!(files(&folder.path().join("out/demo-2")), [].into());
+    let mut inside = splat(&["train", ".", "--steps", "1", "--eval-every", "0"]);
+    fs::create_dir_all(folder.path().join("mine")).unwrap();
+    succeed(
+        splat(&["demo", "--views", "4", "--width", "40", "--height", "40", "--out"])
+            .arg(folder.path().join("mine/a.b")),
+    );
+    succeed(inside.current_dir(folder.path().join("mine/a.b")));
+    assert!(folder.path().join("mine/a.b/out/a.b/scene.ply").is_file(), "`.` has the name of the folder it is");
+}
+
+#[test]
 fn zero_holds_out_no_view_and_measures_none() {
     let folder = tempfile::tempdir().unwrap();
     succeed(splat(&TRAIN).args(["--eval-every", "0", "--out", text(folder.path())]).arg(DEMO.as_path()));
@@ -234,7 +264,7 @@ fn without_a_capture_the_demo_is_made_once_and_trained_on() {
 #[test]
 fn help_names_every_subcommand_and_default() {
     let help = succeed(&mut splat(&["--help"])).stdout;
-    for name in ["train", "eval", "render", "demo", "devices"] {
+    for name in ["train", "resume", "eval", "render", "demo", "devices"] {
         assert!(help.contains(name), "{help}");
     }
     // Lines may be wrapped anywhere.

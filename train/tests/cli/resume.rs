@@ -29,7 +29,7 @@ fn training(out: &Path) -> Command {
 /// Options are those of the run; another is an error.
 fn resuming(out: &Path) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_splat"));
-    command.args(["train", "--resume", text(out)]);
+    command.args(["resume", text(out)]);
     command
 }
 
@@ -149,7 +149,10 @@ fn ctrl_c_keeps_the_run() {
         let output = child.wait_with_output().unwrap();
         let stderr = String::from_utf8(output.stderr).unwrap();
         assert_eq!(output.status.code(), Some(code), "{stderr}");
-        assert!(stderr.contains("stopped after step") && stderr.contains("--resume"), "{stderr}");
+        assert!(
+            stderr.contains("stopped after step") && stderr.contains(&format!("splat resume {}", text(&out))),
+            "{stderr}"
+        );
         assert!(!stderr.contains("error"), "{stderr}");
         succeed(&mut resuming(&out));
         assert_as_whole(&out);
@@ -161,7 +164,7 @@ fn options_are_those_of_the_run() {
     let out = killed("options", EVERY);
     let ended = end(resuming(&out).args(["--steps", "9"]));
     assert_eq!(ended.code, Some(2), "{ended:?}");
-    assert!(ended.stderr.contains("--resume"), "{}", ended.stderr);
+    assert!(ended.stderr.contains("--steps"), "{}", ended.stderr);
     // From another folder, under another name.
     let moved = fresh("options-moved");
     fs::rename(&out, &moved).unwrap();

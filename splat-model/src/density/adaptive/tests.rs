@@ -93,37 +93,6 @@ fn small_are_cloned_large_are_split_and_faint_are_removed() {
 }
 
 #[test]
-fn children_are_of_their_parents_kind() {
-    let rows = round(&[(SMALL, 0.5), (LARGE, 0.5), (SMALL, 0.5), (LARGE, 0.5), (SMALL, 0.5)]);
-    let (mut policy, mut scene) = (adaptive(AdaptiveConfig::default()), trained(&rows));
-    // The first two vary, the others do not; a gradient belongs to row 1, 3 and 4 as they were.
-    policy.observe(seen(&[[0.0; 2], [0.0, 3e-4], [0.0; 2], [0.0, 3e-4], [0.0, 3e-4]], UNIT));
-    let order = scene.make_matte(&[0, 3, 4]);
-    assert_eq!(order, [1, 2, 0, 3, 4]);
-    policy.reorder(&order);
-    let matte = |i: usize| {
-        let mut row = row(&rows, i);
-        row.sh_rest.fill(0.0);
-        row
-    };
-    let report = policy.act(&mut scene, &at(500), &mut rng()).unwrap();
-    assert_eq!(report, Some(RefineReport { cloned: 1, split: 2, pruned: 0, threshold: 2e-4 }));
-    let after = scene.gaussians.to_rows();
-    // One that stays and two parts; two that stay, two parts and a copy.
-    assert_eq!((scene.gaussians.directional(), after.len()), (3, 8));
-    let colour = |i: usize| (after.sh_dc[i], row(&after, i).sh_rest);
-    assert_eq!(row(&after, 0), row(&rows, 2));
-    for part in [1, 2] {
-        assert_eq!(colour(part), (rows.sh_dc[1], row(&rows, 1).sh_rest));
-    }
-    assert_eq!([row(&after, 3), row(&after, 4), row(&after, 7)], [matte(0), matte(4), matte(4)]);
-    for part in [5, 6] {
-        assert_eq!(colour(part), (rows.sh_dc[3], vec![0.0; 9]));
-        assert_eq!(after.log_scales[part], rows.log_scales[3].map(|log| log - 1.6f32.ln()));
-    }
-}
-
-#[test]
 fn those_that_stay_come_in_morton_order() {
     let rows = GaussianRows { means: vec![[0.0; 3], [9.0; 3], [1.0; 3], [8.0; 3]], ..round(&[(SMALL, 0.5); 4]) };
     let (_, after) = refine(AdaptiveConfig::default(), &rows, &[0.0; 4], 500);

@@ -132,23 +132,6 @@ fn there_is_a_time_for_it() {
     }
 }
 
-#[test]
-fn children_are_of_their_parents_kind() {
-    let rows = of_opacities(&[0.5, 0.5, 0.001, 0.5]);
-    let (mut policy, mut scene) = (Mcmc::new(McmcConfig { growth: 3.0, ..still() }, EXTENT, STEPS), trained(&rows));
-    scene.make_matte(&[1, 2]);
-    policy.act(&mut scene, &at(500), &mut rng()).unwrap();
-    let after = scene.gaussians.to_rows();
-    let directional = scene.gaussians.directional();
-    assert_eq!(after.len(), 12);
-    for i in 0..12 {
-        let is_matte = after.means[i] == rows.means[1];
-        assert_eq!(is_matte, i >= directional, "row {i}");
-        assert_eq!(is_matte, row(&after, i).sh_rest.iter().all(|value| *value == 0.0), "row {i}");
-    }
-    assert!(directional > 2 && directional < 12, "{directional}");
-}
-
 /// What the camera sees before and after, `[H, W]` of opacity.
 fn seen(rows: &GaussianRows) -> Vec<f32> {
     let device = Device::flex();

@@ -18,9 +18,6 @@ impl Trained {
         put(&mut state, "log_scales", &g.log_scales, &m.log_scales);
         put(&mut state, "logit_opacities", &g.logit_opacities, &m.logit_opacities);
         put(&mut state, "sh", &g.sh, &m.sh);
-        if let (Some(matte), Some(moments)) = (&g.sh_matte, &m.sh_matte) {
-            put(&mut state, "sh_matte", matte, moments);
-        }
         state
     }
 
@@ -37,15 +34,9 @@ impl Trained {
         let is_sh = |&[rows, coefficients, channels]: &[usize; 3]| {
             let largest = splat_op::shade::SH_DEGREE_MAX + 1;
             let side = coefficients.isqrt();
-            rows <= count && (1..=largest).contains(&side) && side * side == coefficients && channels == 3
+            rows == count && (1..=largest).contains(&side) && side * side == coefficients && channels == 3
         };
         let (sh, of_sh) = take::<3>(from, "sh", device, is_sh)?;
-        let matte = count - sh.dims()[0];
-        let sh_matte = match matte {
-            0 => None,
-            _ => Some(take::<3>(from, "sh_matte", device, |shape| *shape == [matte, 1, 3])?),
-        };
-        let (sh_matte, of_matte) = sh_matte.unzip();
         let tracked = |values| parameter(on(device, values));
         Ok(Self {
             gaussians: Gaussians {
@@ -54,7 +45,6 @@ impl Trained {
                 log_scales: tracked(log_scales),
                 logit_opacities: parameter(on(device, logit_opacities)),
                 sh: parameter(on(device, sh)),
-                sh_matte: sh_matte.map(|values| parameter(on(device, values))),
             },
             moments: GaussianMoments {
                 means: of_means,
@@ -62,7 +52,6 @@ impl Trained {
                 log_scales: of_log_scales,
                 logit_opacities: of_opacities,
                 sh: of_sh,
-                sh_matte: of_matte,
             },
         })
     }

@@ -23,23 +23,22 @@ fn noise<const D: usize>(param: &Param<Tensor<D>>) -> Option<Tensor<D>> {
     Some(param.val().inner().random_like(Distribution::Uniform(-1.0, 1.0)))
 }
 
-pub(super) fn random_gradients(of: &Gaussians) -> Gradients {
+fn random_gradients(of: &Gaussians) -> Gradients {
     Gradients {
         means: noise(&of.means),
         rotations: noise(&of.rotations),
         log_scales: noise(&of.log_scales),
         logit_opacities: noise(&of.logit_opacities),
         sh: noise(&of.sh),
-        sh_matte: of.sh_matte.as_ref().and_then(noise),
     }
 }
 
-pub(super) fn step(scene: &mut Trained, gradients: Gradients, step: usize) {
+fn step(scene: &mut Trained, gradients: Gradients, step: usize) {
     scene.step(gradients, &Adam::default(), &StepRates { rates: RATES, means: 0.06 }, step, None);
 }
 
 /// A scene with history in every moment.
-pub(super) fn walked(rows: &GaussianRows, device: &Device) -> Trained {
+fn walked(rows: &GaussianRows, device: &Device) -> Trained {
     let mut scene = scene(rows, device);
     for i in 1..=3 {
         let gradients = random_gradients(&scene.gaussians);
@@ -49,32 +48,28 @@ pub(super) fn walked(rows: &GaussianRows, device: &Device) -> Trained {
 }
 
 /// Values, first and second moments of one parameter.
-pub(super) type Numbers = [Vec<f32>; 3];
+type Numbers = [Vec<f32>; 3];
 
-pub(super) fn numbers<const D: usize>(param: &Param<Tensor<D>>, moments: &Moments<D>) -> Numbers {
+fn numbers<const D: usize>(param: &Param<Tensor<D>>, moments: &Moments<D>) -> Numbers {
     [values_of(param.val()), values_of(moments.m.clone()), values_of(moments.v.clone())]
 }
 
 /// All numbers of a scene, by parameter.
-pub(super) fn all(scene: &Trained) -> Vec<(&'static str, Numbers)> {
+fn all(scene: &Trained) -> Vec<(&'static str, Numbers)> {
     let (g, m) = (&scene.gaussians, &scene.moments);
-    let mut all = vec![
+    vec![
         ("means", numbers(&g.means, &m.means)),
         ("rotations", numbers(&g.rotations, &m.rotations)),
         ("log_scales", numbers(&g.log_scales, &m.log_scales)),
         ("logit_opacities", numbers(&g.logit_opacities, &m.logit_opacities)),
         ("sh", numbers(&g.sh, &m.sh)),
-    ];
-    all.extend(g.sh_matte.as_ref().zip(m.sh_matte.as_ref()).map(|(param, m)| ("sh_matte", numbers(param, m))));
-    assert_eq!(g.sh_matte.is_some(), m.sh_matte.is_some());
-    all
+    ]
 }
 
 /// Whether each parameter can be trained further.
-pub(super) fn all_tracked(scene: &Gaussians) -> bool {
+fn all_tracked(scene: &Gaussians) -> bool {
     let two = [&scene.means, &scene.rotations, &scene.log_scales].iter().all(|param| param.val().is_require_grad());
-    let matte = scene.sh_matte.as_ref().is_none_or(|matte| matte.val().is_require_grad());
-    two && scene.logit_opacities.val().is_require_grad() && scene.sh.val().is_require_grad() && matte
+    two && scene.logit_opacities.val().is_require_grad() && scene.sh.val().is_require_grad()
 }
 
 #[test]
@@ -85,7 +80,7 @@ fn an_edit_keeps_rows_with_their_moments() {
             let before = all(&scene);
             let keep = vec![7, 2, 8, 0, 5];
             let add = random_rows(3, degree, 2);
-            scene.edit(&RowEdit { keep: keep.clone(), add: add.clone(), ..RowEdit::default() }).unwrap();
+            scene.edit(&RowEdit { keep: keep.clone(), add: add.clone() }).unwrap();
 
             let added = all(&self::scene(&add, &device));
             for (((name, new), (_, old)), (_, added)) in all(&scene).iter().zip(&before).zip(&added) {
@@ -123,12 +118,9 @@ fn all_rows_may_go_and_others_come() {
 fn a_refused_edit_changes_nothing() {
     let mut scene = walked(&random_rows(4, 1, 1), &Device::flex());
     let before = all(&scene);
-    for (add, add_matte) in [(random_rows(2, 0, 2), random_rows(1, 0, 3)), (random_rows(2, 1, 2), random_rows(1, 1, 3))]
-    {
-        let error = scene.edit(&RowEdit { keep: vec![0], add, add_matte }).unwrap_err();
-        assert!(error.to_string().contains("`sh_rest`"), "{error}");
-        assert_eq!(all(&scene), before);
-    }
+    let error = scene.edit(&RowEdit { keep: vec![0], add: random_rows(2, 0, 2) }).unwrap_err();
+    assert!(error.to_string().contains("`sh_rest`"), "{error}");
+    assert_eq!(all(&scene), before);
 }
 
 /// Makes the coefficients of higher degrees than `degree` zero.
@@ -160,7 +152,6 @@ fn harmonics_that_come_later_are_as_if_they_had_always_been_there() {
                 log_scales: gradients.log_scales.clone(),
                 logit_opacities: gradients.logit_opacities.clone(),
                 sh: gradients.sh.clone().map(|sh| sh.narrow(1, 0, (degree + 1) * (degree + 1))),
-                sh_matte: None,
             };
             step(&mut grown, own, i);
             step(&mut full, gradients, i);

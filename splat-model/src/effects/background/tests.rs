@@ -64,46 +64,42 @@ fn an_environment_is_learnt() {
     let poses: Vec<DAffine3> = (0..4)
         .map(|i| pose * DAffine3::from_rotation_y(1.5 * f64::from(i)) * DAffine3::from_rotation_z(f64::from(i)))
         .collect();
-    let mut behind = Behind::new(Backdrop::Environment { degree: 1 }, [0.0; 3], &device).unwrap();
+    let mut environment = Environment::new(1, poses.clone(), &device);
     let steps = 800;
     for step in 1..=steps {
         let view = step % poses.len();
         let tracked = |tensor: &Tensor<3>| Tensor::from_inner(tensor.clone());
-        let shown = behind.behind(tracked(&image), tracked(&alpha), view, (&intrinsics, &poses[view]));
+        let shown = environment.behind(tracked(&image), tracked(&alpha), view, &intrinsics);
         let expected = truth.behind(image.clone(), alpha.clone(), &intrinsics, &poses[view]);
         let mut gradients = (shown - Tensor::from_inner(expected)).square().mean().backward();
-        let gradient = behind.take_gradient(&mut gradients).unwrap();
-        behind.step(gradient, Moment { view, step, steps, verdict: None });
+        environment.step(&mut gradients, Moment { view, step, steps, verdict: None });
     }
-    let Some(Background::Environment(found)) = behind.learnt() else { panic!("an environment") };
+    let Some(Background::Environment(found)) = environment.background() else { panic!("an environment") };
     for (found, expected) in found.as_flattened().iter().zip(lit().as_flattened()) {
         assert!((found - expected).abs() < 0.02, "{found} instead of {expected}");
     }
     // The harmonics of the four photographs are kept, and those of another size take their place.
     let per_view = 9 * 7 * 4 * size_of::<f32>();
-    assert_eq!(behind.bytes(), 3 * 12 * size_of::<f32>() + 4 * per_view);
+    assert_eq!(environment.bytes(), 3 * 12 * size_of::<f32>() + 4 * per_view);
     let half = intrinsics.resized(4, 3);
     let small = |tensor: Tensor<3>| Tensor::from_inner(tensor.slice([0..3, 0..4]));
-    behind.behind(small(image), small(alpha), 0, (&half, &poses[0]));
-    assert_eq!(behind.bytes(), 3 * 12 * size_of::<f32>() + 3 * per_view + 4 * 3 * 4 * size_of::<f32>());
+    environment.behind(small(image), small(alpha), 0, &half);
+    assert_eq!(environment.bytes(), 3 * 12 * size_of::<f32>() + 3 * per_view + 4 * 3 * 4 * size_of::<f32>());
 }
 
 #[test]
 fn colours_are_drawn_only_where_they_are_random() {
     let device = Device::flex();
     let mut rng = ChaCha8Rng::seed_from_u64(1);
-    let of = |backdrop| Behind::new(backdrop, [0.2; 3], &device);
-    assert!(of(Backdrop::Fixed).is_none());
-    let random = of(Backdrop::Random).unwrap();
-    let drawn: Vec<[f32; 3]> = (0..50).filter_map(|_| random.draw(&mut rng)).collect();
+    let drawn: Vec<[f32; 3]> = (0..50).filter_map(|_| RandomBackground.draw(&mut rng)).collect();
     assert_eq!(drawn.len(), 50);
     assert!(drawn.as_flattened().iter().all(|value| (0.0..1.0).contains(value)));
     assert!(drawn.iter().all(|[r, g, b]| r != g && g != b), "a colour, not a grey");
     let mean = drawn.as_flattened().iter().sum::<f32>() / 150.0;
     assert!((mean - 0.5).abs() < 0.1, "{mean}");
-    let learnt = of(Backdrop::Learned).unwrap();
-    assert_eq!((learnt.draw(&mut rng), learnt.learnt()), (None, Some(Background::Colour([0.2; 3]))));
-    assert!(random.learnt().is_none() && learnt.is_learnt() && !random.is_learnt());
+    let mut learnt = LearnedBackground::new([0.2; 3], &device);
+    assert_eq!((learnt.draw(&mut rng), learnt.background()), (None, Some(Background::Colour([0.2; 3]))));
+    assert!(RandomBackground.background().is_none());
 }
 
 #[test]
@@ -137,20 +133,18 @@ fn files_are_read_back_and_others_refused() {
 #[test]
 fn a_learnt_colour_is_one_that_can_be_shown_and_is_learnt() {
     let device = Device::flex();
-    let mut behind = Behind::new(Backdrop::Learned, [0.995, 0.005, 0.5], &device).unwrap();
+    let mut learnt = LearnedBackground::new([0.995, 0.005, 0.5], &device);
     let weights = Tensor::<1>::from_inner(Tensor::from_floats([-1.0, 1.0, 1.0], &device));
     for step in 1..=4 {
-        let mut gradients = (behind.colour(&device).unwrap() * weights.clone()).sum().backward();
-        let gradient = behind.take_gradient(&mut gradients).unwrap();
-        assert_eq!(values_of(gradient.clone()), [-1.0, 1.0, 1.0]);
-        behind.step(gradient, Moment { view: 0, step, steps: 4, verdict: None });
+        let mut gradients = (learnt.colour.tracked() * weights.clone()).sum().backward();
+        learnt.step(&mut gradients, Moment { view: 0, step, steps: 4, verdict: None });
     }
-    let Some(Background::Colour(found)) = behind.learnt() else { panic!("a colour") };
+    let Some(Background::Colour(found)) = learnt.background() else { panic!("a colour") };
     assert_eq!(found[..2], [1.0, 0.0]);
     // Adam's steps under one gradient are as long as the rates, which fall from 0.01 to 0.001.
     let moved: f32 = (0..4).map(|step| 0.01 * 0.1_f32.powf(step as f32 / 3.0)).sum();
     assert!((0.5 - found[2] - moved).abs() < 1e-4, "{found:?}");
-    assert_eq!(behind.bytes(), 36);
+    assert_eq!(learnt.bytes(), 36);
 }
 
 /// Harmonics beyond what may be kept are computed anew and not counted.
@@ -158,11 +152,10 @@ fn a_learnt_colour_is_one_that_can_be_shown_and_is_learnt() {
 fn what_does_not_fit_is_not_kept() {
     let (intrinsics, pose) = camera();
     let device = Device::flex();
-    let mut behind = Behind::new(Backdrop::Environment { degree: 1 }, [0.0; 3], &device).unwrap();
-    let Behind::Environment(environment) = &mut behind else { panic!("an environment") };
+    let mut environment = Environment::new(1, vec![pose; 3], &device);
     environment.cached_bytes = CACHE_BYTES - 9 * 7 * 4 * size_of::<f32>();
     for view in 0..3 {
-        environment.basis_of(view, &intrinsics, &pose);
+        environment.basis_of(view, &intrinsics);
     }
     assert_eq!((environment.cached_bytes, environment.cache.len()), (CACHE_BYTES, 1));
 }

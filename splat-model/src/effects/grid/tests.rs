@@ -51,13 +51,13 @@ fn a_pixel_takes_the_map_at_its_place_and_brightness() {
 #[test]
 fn identities_change_nothing_and_cost_nothing() {
     let device = Device::flex();
-    let grids = Grids::new(GridConfig::default(), 2, &device);
+    let mut grids = Grids::new(GridConfig::default(), 2, &device);
     let image = picture(7, 5, &device);
-    let shown = values_of(grids.apply(Tensor::from_inner(image.clone()), 1).inner());
+    let shown = values_of(apply(Tensor::from_inner(image.clone()), grids.grids.tracked(1)).inner());
     for (shown, image) in shown.into_iter().zip(values_of(image)) {
         assert!((shown - image).abs() < 1e-6, "{shown} instead of {image}");
     }
-    assert_eq!(grids.penalty(0).into_scalar::<f32>(), 0.0);
+    assert_eq!(grids.pull(0).into_scalar::<f32>(), 0.0);
 }
 
 /// The gradient to the render goes through its brightness too: against finite differences.
@@ -109,12 +109,11 @@ fn a_vignette_is_found() {
     let steps = 400;
     for step in 1..=steps {
         let view = step % 2;
-        let shown = grids.apply(tracked.clone(), view);
+        let shown = apply(tracked.clone(), grids.grids.tracked(view));
         let error = (shown - Tensor::from_inner(truths[view].clone())).square().mean();
         errors.push(error.clone().inner().into_scalar::<f32>());
-        let mut gradients = (error + grids.penalty(view)).backward();
-        let gradient = grids.take_gradient(view, &mut gradients).unwrap();
-        grids.step(gradient, Moment { view, step, steps, verdict: None });
+        let mut gradients = (error + grids.pull(view)).backward();
+        grids.step(&mut gradients, Moment { view, step, steps, verdict: None });
     }
     assert!(errors[steps - 1] < 0.02 * errors[0], "from {} to {}", errors[0], errors[steps - 1]);
     let mean = (grids.grids.value(0) + grids.grids.value(1)) / 2.0 - grids.grids.neutral();
@@ -164,13 +163,14 @@ fn a_step_is_as_long_as_its_rate_and_rough_grids_cost() {
         let mut grids = Grids::new(GridConfig::default(), 2, &device);
         let mut up = vec![0.0; MAP * LEVELS * SIDE * SIDE];
         up[5] = 1.0;
-        let gradient = Tensor::from_data(TensorData::new(up, [MAP, LEVELS, SIDE, SIDE]), &device);
-        grids.step(gradient, Moment { view: 1, step, steps: 10, verdict: None });
+        let up = Tensor::<4>::from_data(TensorData::new(up, [MAP, LEVELS, SIDE, SIDE]), &device);
+        let mut gradients = (grids.grids.tracked(1) * Tensor::from_inner(up)).sum().backward();
+        grids.step(&mut gradients, Moment { view: 1, step, steps: 10, verdict: None });
         let moved = values_of(grids.grids.value(1) - grids.grids.neutral());
         assert!((moved[5] + rate).abs() < 1e-6 && moved.iter().filter(|moved| **moved != 0.0).count() == 1);
         let expected = 10.0 * roughness(grids.grids.value(1)).into_scalar::<f32>();
-        let found = grids.penalty(1).into_scalar::<f32>();
+        let found = grids.pull(1).into_scalar::<f32>();
         assert!(expected > 0.0 && (found - expected).abs() < 1e-3 * expected, "{found} instead of {expected}");
-        assert_eq!(grids.penalty(0).into_scalar::<f32>(), 0.0);
+        assert_eq!(grids.pull(0).into_scalar::<f32>(), 0.0);
     }
 }

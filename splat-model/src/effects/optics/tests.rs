@@ -1,3 +1,6 @@
+use splat_op::{Extras, SplatError};
+
+use super::super::effect::mean_of;
 use super::*;
 use crate::gaussians::testing::random_rows;
 use crate::gaussians::{Gaussians, values_of};
@@ -14,12 +17,12 @@ fn optics(config: OpticsConfig, model: CameraModel) -> Result<Optics, ScreenErro
     Optics::new(config, &[camera.intrinsics; 2], (1.0, 4.0), &device)
 }
 
-fn shown(optics: &Optics, model: CameraModel) -> Vec<f32> {
+fn shown(optics: &mut Optics, model: CameraModel) -> Vec<f32> {
     shown_with(optics, model, 0.0)
 }
 
 /// With logits that are lower by `faint`.
-fn shown_with(optics: &Optics, model: CameraModel, faint: f32) -> Vec<f32> {
+fn shown_with(optics: &mut Optics, model: CameraModel, faint: f32) -> Vec<f32> {
     let (camera, device) = camera(model);
     let mut rows = random_rows(30, 1, 11);
     rows.logit_opacities.iter_mut().for_each(|logit| *logit -= faint);
@@ -27,7 +30,10 @@ fn shown_with(optics: &Optics, model: CameraModel, faint: f32) -> Vec<f32> {
     let splats = Gaussians::from_rows(&rows, &device).unwrap().splats();
     let camera = Camera { cam_from_world: Tensor::from_inner(camera.cam_from_world), ..camera };
     let options = RenderOptions::exact();
-    values_of(optics.render(&splats, &camera, &Extras::default(), &options, 1).unwrap().colour.inner())
+    let input = RenderInput { splats, camera, extras: Extras::default(), options, edits: Vec::new() };
+    let samples = optics.samples(input, Moment { view: 1, step: 1, steps: 1, verdict: None });
+    let pictures: Result<Vec<_>, SplatError> = samples.iter().map(RenderInput::render).collect();
+    values_of(mean_of(pictures.unwrap()).colour.inner())
 }
 
 fn difference(a: &[f32], b: &[f32]) -> f32 {
@@ -46,15 +52,15 @@ fn the_places_of_the_aperture_have_the_moments_of_a_disc() {
 
 #[test]
 fn without_motion_and_aperture_nothing_is_different() {
-    let plain = shown(&optics(OpticsConfig::default(), CameraModel::Pinhole).unwrap(), CameraModel::Pinhole);
+    let plain = shown(&mut optics(OpticsConfig::default(), CameraModel::Pinhole).unwrap(), CameraModel::Pinhole);
     let all = OpticsConfig { motion: true, rolling: true, defocus: true };
     let mut still = optics(all, CameraModel::Pinhole).unwrap();
     let device = Device::flex();
     still.exposures[1].set(Tensor::zeros([2, 3], &device));
     still.lenses[1].set(Tensor::from_floats([[-60.0, 0.25]], &device));
-    assert!(difference(&shown(&still, CameraModel::Pinhole), &plain) < 1e-6);
+    assert!(difference(&shown(&mut still, CameraModel::Pinhole), &plain) < 1e-6);
     still.lenses[1].set(Tensor::from_floats([[-2.0, 1.0]], &device));
-    assert!(difference(&shown(&still, CameraModel::Pinhole), &plain) > 1e-3, "an open aperture");
+    assert!(difference(&shown(&mut still, CameraModel::Pinhole), &plain) > 1e-3, "an open aperture");
 }
 
 /// A lens averages sub-exposures, a pinhole widens: for a small motion of what is not opaque they agree.
@@ -65,7 +71,7 @@ fn a_lens_and_a_pinhole_show_the_same_motion() {
     let of = |model: CameraModel, turn: f32| {
         let mut optics = optics(motion, model).unwrap();
         optics.exposures[1].set(Tensor::from_floats([[0.0, turn, 0.0], [0.0; 3]], &Device::flex()));
-        shown_with(&optics, model, 4.0)
+        shown_with(&mut optics, model, 4.0)
     };
     let still = of(CameraModel::Pinhole, 0.0);
     let [averaged, widened] = [CameraModel::OpenCv, CameraModel::Pinhole].map(|model| of(model, 0.04));

@@ -1,6 +1,6 @@
 //! What is decided by the colours of the same points in several photographs.
 
-use super::super::Effect;
+use super::super::EffectKind;
 use super::super::survey::{GradingEvidence, Survey, ViewDependenceEvidence};
 use super::{Cost, Decision, MIB, VIEW_DEPENDENCE, Verdict, decide, percent};
 
@@ -72,7 +72,7 @@ pub(super) fn exposure(survey: &Survey) -> Decision {
     // Parameters, two moments and a gradient of twelve numbers for each photograph.
     let mib = survey.views as f64 * 4.0 * 12.0 * 4.0 / MIB;
     let cost = Cost { ms_per_step: EXPOSURE_MS_PER_MEGAPIXEL * survey.pixels_per_view / 1e6, mib };
-    decide(Effect::Exposure, on && !is_graded(survey), evidence, rule, Some(cost))
+    decide(EffectKind::Exposure, on && !is_graded(survey), evidence, rule, Some(cost))
 }
 
 /// Whether colours change over the photographs, and what of the differences between them maps that do leave.
@@ -101,5 +101,5 @@ pub(super) fn bilateral_grid(survey: &Survey) -> Decision {
     // Parameters and two moments of 12 x 8 x 16 x 16 numbers for each photograph.
     let mib = survey.views as f64 * 3.0 * 24_576.0 * 4.0 / MIB;
     let cost = Cost { ms_per_step: GRID_MS_PER_MEGAPIXEL * megapixels, mib };
-    decide(Effect::BilateralGrid, is_graded(survey), evidence, rule, Some(cost))
+    decide(EffectKind::BilateralGrid, is_graded(survey), evidence, rule, Some(cost))
 }

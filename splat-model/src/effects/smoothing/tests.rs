@@ -126,7 +126,7 @@ fn the_filter_follows_the_scene() {
     assert_eq!(widths(&smoothing), first);
     smoothing.follow(&moved, EVERY + 1);
     assert_ne!(widths(&smoothing), first);
-    smoothing.forget();
+    smoothing.forget_rows();
     smoothing.follow(&scene(5), EVERY + 2);
     assert_eq!((widths(&smoothing).len(), smoothing.bytes()), (5, 20));
 }

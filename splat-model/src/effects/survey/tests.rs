@@ -6,7 +6,7 @@ use super::*;
 use crate::capture::demo::{self, DemoOptions};
 use crate::capture::testing::real_capture;
 use crate::effects::plan::{Decision, Verdict};
-use crate::effects::{Effect, Plan};
+use crate::effects::{EffectKind, Plan};
 
 const SMALL: DemoOptions =
     DemoOptions { width: 128, height: 96, views: 16, points: 3000, seed: 3, ..DemoOptions::PLAIN };
@@ -19,7 +19,7 @@ fn survey_of(options: &DemoOptions) -> (TempDir, Capture, Survey) {
     (folder, capture, survey)
 }
 
-fn effects(survey: &Survey) -> Vec<Effect> {
+fn effects(survey: &Survey) -> Vec<EffectKind> {
     Plan::from(survey).effects()
 }
 
@@ -40,7 +40,7 @@ fn a_matte_scene_under_one_exposure_calls_for_nothing() {
 fn exposures_are_found_photograph_by_photograph() {
     let options = DemoOptions { exposure: true, ..SMALL };
     let (_folder, capture, survey) = survey_of(&options);
-    assert_eq!(effects(&survey), [Effect::Exposure]);
+    assert_eq!(effects(&survey), [EffectKind::Exposure]);
     // The gains are on light and the stops on stored values, which bend them: the order is kept, the size is not.
     let gains = demo::gains(&options);
     let views = survey.exposure.unwrap().views;
@@ -79,10 +79,10 @@ fn a_grid_stands_in_for_exposures_where_it_is_called_for() {
         survey.grading = Some(GradingEvidence { left_by_maps, left_by_places });
         effects(&survey)
     };
-    assert_eq!(decided(0.03, 0.015), [Effect::BilateralGrid]);
-    assert_eq!(decided(0.03, 0.025), [Effect::Exposure], "maps that vary explain little more");
-    assert_eq!(decided(0.015, 0.001), [Effect::Exposure], "too little to see");
-    assert_eq!(decided(0.0, 0.0), [Effect::Exposure]);
+    assert_eq!(decided(0.03, 0.015), [EffectKind::BilateralGrid]);
+    assert_eq!(decided(0.03, 0.025), [EffectKind::Exposure], "maps that vary explain little more");
+    assert_eq!(decided(0.015, 0.001), [EffectKind::Exposure], "too little to see");
+    assert_eq!(decided(0.0, 0.0), [EffectKind::Exposure]);
 }
 
 /// One point, in photographs that show these colours of it and add these logarithms to them.
@@ -189,7 +189,7 @@ fn keypoints_far_outside_are_passed_over() {
 fn statue_wild_has_masks_and_exposures() {
     let Some(root) = real_capture("statue_wild") else { return };
     let survey = Survey::of(&Capture::load(&root).unwrap()).unwrap();
-    assert_eq!(effects(&survey), [Effect::Exposure, Effect::Masks]);
+    assert_eq!(effects(&survey), [EffectKind::Exposure, EffectKind::Masks]);
     assert!(survey.exposure.unwrap().brightness_spread_stops > 0.2);
     assert_eq!(survey.files.with_mask, 84);
     assert!((0.5..0.9).contains(&survey.files.masked_share), "{}", survey.files.masked_share);

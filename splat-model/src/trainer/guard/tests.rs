@@ -43,20 +43,6 @@ fn a_verdict_on_the_device_holds_back_that_step_and_all_after_it() {
 }
 
 #[test]
-fn matte_gaussians_are_looked_at_too() {
-    let gradients = |value: f32| Gradients {
-        sh_matte: Some(Tensor::<3>::full([2, 1, 3], value, &Device::flex())),
-        ..Gradients::default()
-    };
-    for mut guard in [Guard::new(&Device::flex()), waiting()] {
-        guard.look(1, 0, &number(0.5), &gradients(1.0)).unwrap();
-        guard.read(true).unwrap();
-        let fault = guard.look(2, 0, &number(0.5), &gradients(f32::NAN)).and_then(|_| guard.read(true));
-        assert_eq!(fault.expect_err("not finite").what, "the gradient of `sh_matte`");
-    }
-}
-
-#[test]
 fn the_verdict_is_read_when_asked_for_and_at_the_latest_every_fifty_steps() {
     let mut guard = waiting();
     let look = |guard: &mut Guard, step: usize, loss: f32| guard.look(step, 0, &number(loss), &gradients(0.0));

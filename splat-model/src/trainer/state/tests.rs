@@ -9,7 +9,7 @@ use crate::effects::optics::OpticsConfig;
 use crate::effects::pose::PoseConfig;
 use crate::trainer::testing::{photos, points};
 
-/// A short run in which Gaussians come, go and become matte, and opacities are reset.
+/// A short run in which Gaussians come and go, and opacities are reset.
 fn eventful() -> TrainConfig {
     let density = AdaptiveConfig {
         every: 5,
@@ -20,7 +20,7 @@ fn eventful() -> TrainConfig {
         max_splats: 60,
         ..AdaptiveConfig::default()
     };
-    TrainConfig { steps: 24, sh_every: 6, matte_below: Some(0.02), density: density.into(), ..TrainConfig::default() }
+    TrainConfig { steps: 24, sh_every: 6, density: density.into(), ..TrainConfig::default() }
 }
 
 /// The same with all that can be learnt beside the scene.
@@ -82,8 +82,6 @@ fn so_does_one_of_any_strategy_and_of_batches() {
             assert!(interrupted(&config, after) == expected, "{density:?} after {after} steps");
         }
     }
-    let config = TrainConfig { pixel_share: 0.5, ..eventful() };
-    assert!(interrupted(&config, 8) == end(trainer(&config)));
 }
 
 #[test]

@@ -249,7 +249,6 @@ fn step(scene: &mut Trained, ids: &[usize], step: usize, device: &Device) {
         log_scales: Some(tensor(&all(2, 3), [count, 3], device, DType::F32)),
         logit_opacities: Some(tensor(&all(3, 1), [count], device, DType::F32)),
         sh: Some(tensor(&all(4, 3), [count, 1, 3], device, DType::F32)),
-        sh_matte: None,
     };
     let rates = StepRates { rates: LearningRates::default(), means: 0.01 };
     scene.step(gradients, &Adam::default(), &rates, step, None);
@@ -268,7 +267,7 @@ fn surgery(place: &Place) -> Outcome {
     }
     // In another order, without rows 0 and 2, and with two new ones.
     let mut outcome = Outcome::default();
-    let edit = RowEdit { keep: vec![4, 1, 3], add: added.clone(), ..RowEdit::default() };
+    let edit = RowEdit { keep: vec![4, 1, 3], add: added.clone() };
     if let Err(error) = edited.edit(&edit) {
         outcome.failures.push(error.to_string());
         return outcome;

@@ -42,7 +42,6 @@ fn metrics(views: Vec<ViewScore>, capture: &str) -> Metrics {
     Metrics {
         test: (!test.views.is_empty()).then_some(test),
         splats: 3,
-        matte: 0,
         culled_non_finite: 0,
         steps: Some(100),
         seconds: Seconds { load: 0.25, train: Some(100.5), eval: 1.0 },

@@ -1,0 +1,120 @@
+//! The effects of one run, in the order in which light meets them.
+
+use std::any::Any;
+
+use burn::tensor::{Device, Gradients, Tensor};
+use rand::Rng;
+use splat_op::Picture;
+
+use super::background::Background;
+use super::effect::{Effect, RenderInput};
+use super::learned::Moment;
+use crate::gaussians::{GaussianRows, Gaussians};
+use crate::state::{State, StateError};
+
+/// Effects one after the other, which together are an effect. Without any it holds nothing and does nothing.
+#[derive(Default)]
+pub struct EffectStack(Vec<Box<dyn Effect>>);
+
+impl EffectStack {
+    /// Adds an effect that light meets last, or puts it in the place of the one of its name.
+    pub fn put(&mut self, effect: impl Effect) {
+        match self.0.iter_mut().find(|other| other.name() == effect.name()) {
+            Some(other) => *other = Box::new(effect),
+            None => self.0.push(Box::new(effect)),
+        }
+    }
+
+    /// The effect of a type, if there is one.
+    pub fn get<T: Effect>(&self) -> Option<&T> {
+        self.0.iter().find_map(|effect| (&**effect as &dyn Any).downcast_ref())
+    }
+
+    /// The same, to be changed.
+    pub fn get_mut<T: Effect>(&mut self) -> Option<&mut T> {
+        self.0.iter_mut().find_map(|effect| (&mut **effect as &mut dyn Any).downcast_mut())
+    }
+
+    /// The effect of a name, if there is one.
+    pub fn named(&self, name: &str) -> Option<&dyn Effect> {
+        self.0.iter().find(|effect| effect.name() == name).map(Box::as_ref)
+    }
+
+    /// Takes the effect of a name out, and gives the rest: so that a run can be timed without it.
+    pub(crate) fn take(&mut self, name: &str) -> Option<(usize, Box<dyn Effect>)> {
+        let at = self.0.iter().position(|effect| effect.name() == name)?;
+        Some((at, self.0.remove(at)))
+    }
+
+    /// Puts back what [`Self::take`] took.
+    pub(crate) fn put_back(&mut self, (at, effect): (usize, Box<dyn Effect>)) {
+        self.0.insert(at, effect);
+    }
+}
+
+impl Effect for EffectStack {
+    fn name(&self) -> &'static str {
+        "effects"
+    }
+
+    /// That of the last effect that draws one.
+    fn draw(&mut self, rng: &mut dyn Rng) -> Option<[f32; 3]> {
+        self.0.iter_mut().filter_map(|effect| effect.draw(rng)).last()
+    }
+
+    fn before(&mut self, input: &mut RenderInput, gaussians: &Gaussians, at: Moment) {
+        self.0.iter_mut().for_each(|effect| effect.before(input, gaussians, at));
+    }
+
+    fn samples(&mut self, input: RenderInput, at: Moment) -> Vec<RenderInput> {
+        self.0.iter_mut().fold(vec![input], |inputs, effect| {
+            inputs.into_iter().flat_map(|input| effect.samples(input, at)).collect()
+        })
+    }
+
+    fn image(&mut self, image: Tensor<3>, input: &RenderInput, picture: &Picture, at: Moment) -> Tensor<3> {
+        self.0.iter_mut().fold(image, |image, effect| effect.image(image, input, picture, at))
+    }
+
+    fn penalty(&mut self, input: &RenderInput, picture: &Picture, at: Moment) -> Option<Tensor<1>> {
+        self.0.iter_mut().filter_map(|effect| effect.penalty(input, picture, at)).reduce(|a, b| a + b)
+    }
+
+    fn step(&mut self, gradients: &mut Gradients, at: Moment) {
+        self.0.iter_mut().for_each(|effect| effect.step(gradients, at));
+    }
+
+    fn forget_rows(&mut self) {
+        self.0.iter_mut().for_each(|effect| effect.forget_rows());
+    }
+
+    fn save(&self, to: &mut State) -> Result<(), StateError> {
+        for effect in &self.0 {
+            let mut part = State::default();
+            effect.save(&mut part)?;
+            to.put_part(effect.name(), part);
+        }
+        Ok(())
+    }
+
+    fn load(&mut self, from: &mut State, device: &Device) -> Result<(), StateError> {
+        for effect in &mut self.0 {
+            let mut part = from.take_part(effect.name());
+            effect.load(&mut part, device)?;
+            part.finish()?;
+        }
+        Ok(())
+    }
+
+    fn bake(&self, rows: &mut GaussianRows) {
+        self.0.iter().for_each(|effect| effect.bake(rows));
+    }
+
+    fn background(&self) -> Option<Background> {
+        self.0.iter().rev().find_map(|effect| effect.background())
+    }
+
+    fn bytes(&self) -> usize {
+        self.0.iter().map(|effect| effect.bytes()).sum()
+    }
+}

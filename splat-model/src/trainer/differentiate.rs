@@ -1,0 +1,130 @@
+//! The loss of a view and its gradients.
+
+use burn::tensor::{Bool, Gradients as Remaining, Tensor};
+use splat_op::{Extras, Picture};
+
+use super::checked::{check_gradients, check_loss, render_checked};
+use super::covered::covered;
+use super::{Seen, TrainError, Trainer};
+use crate::density::rows::Gradients;
+use crate::density::{Observed, Signals};
+use crate::effects::{Effect, Moment, RenderInput, masks, mean_of};
+use crate::loss::{Truth, regularise};
+
+/// What is rendered of a view, and what with it is compared.
+pub(super) struct Prepared {
+    at: Moment<'static>,
+    pub input: RenderInput,
+    pub truth: Truth,
+    /// `[1, H, W]`: pixels that a mask leaves out.
+    excluded: Option<Tensor<3, Bool>>,
+    signals: Signals,
+}
+
+/// What a render comes to.
+pub(super) struct Compared {
+    /// `[1]`, tracked.
+    pub loss: Tensor<1>,
+    /// See [`Signals::covered`].
+    covered: Option<Tensor<2>>,
+}
+
+/// What the way back leaves.
+pub(super) struct Differentiated {
+    /// `[1]`
+    pub loss: Tensor<1>,
+    /// Of the scene.
+    pub gradients: Gradients,
+    /// Of the effects' parameters.
+    pub of_effects: Remaining,
+}
+
+impl Trainer {
+    /// The loss of a view and its gradients; tells density control what it listens for.
+    pub(super) fn differentiate(&mut self, view: usize) -> Result<Differentiated, TrainError> {
+        let prepared = self.prepare(view)?;
+        let picture = self.render(&prepared)?;
+        let compared = self.compare(&prepared, picture)?;
+        self.go_back(prepared, compared)
+    }
+
+    /// The Gaussians, camera and background of a view as the effects have them, and the photograph.
+    pub(super) fn prepare(&mut self, view: usize) -> Result<Prepared, TrainError> {
+        let at = Moment { view, step: self.step, steps: self.config.steps, verdict: None };
+        let splats = self.scene.gaussians.splats();
+        let tracked = splats.means.device();
+        let signals = self.density.listens_at(self.step);
+        let probe = |wanted: bool| wanted.then(|| Tensor::zeros([splats.means.dims()[0], 2], &tracked).require_grad());
+        let drawn = self.effects.draw(&mut self.rng);
+        let extras = Extras {
+            background: Some(Tensor::from_floats(drawn.unwrap_or(self.config.background), &self.device)),
+            mean2d_probe: probe(signals.gradient),
+            mean2d_abs_probe: probe(signals.abs_gradient),
+        };
+        let (camera, truth) = self.views.prepare(view, drawn)?;
+        let excluded = self.views.excluded(view)?;
+        let mut input = RenderInput { splats, camera, extras, options: self.options, edits: Vec::new() };
+        self.effects.before(&mut input, &self.scene.gaussians, at);
+        Ok(Prepared { at, input, truth, excluded, signals })
+    }
+
+    /// What the camera sees: the mean, where effects make several renders of one.
+    fn render(&mut self, prepared: &Prepared) -> Result<Picture, TrainError> {
+        let inputs = self.effects.samples(prepared.input.clone(), prepared.at);
+        let render = |input: &RenderInput| match self.checks {
+            true => render_checked(input).map_err(|stopped| self.stopped(prepared.at.view, stopped)),
+            false => Ok(input.render()?),
+        };
+        Ok(mean_of(inputs.iter().map(render).collect::<Result<_, _>>()?))
+    }
+
+    /// The loss of a picture, with all penalties.
+    pub(super) fn compare(&mut self, prepared: &Prepared, picture: Picture) -> Result<Compared, TrainError> {
+        let Prepared { at, input, truth, excluded, signals } = prepared;
+        let cleared = |picture: Tensor<3>| match excluded {
+            Some(excluded) => masks::cleared(picture, excluded),
+            None => picture,
+        };
+        // Last, so that what is left out says nothing about the effects either.
+        let image = cleared(self.effects.image(picture.colour.clone(), input, &picture, *at));
+        let alpha = cleared(picture.alpha.clone());
+        let covered = match signals.covered {
+            true => Some(covered(&input.splats, &input.camera, &input.options, (image.clone(), truth.image()))?),
+            false => None,
+        };
+        let name = self.views.name(at.view);
+        let mut loss = self.loss.loss(&Seen { image, alpha, truth, splats: &input.splats, step: at.step, view: name });
+        if let Some(penalty) = self.effects.penalty(input, &picture, *at) {
+            loss = loss + penalty;
+        }
+        if self.config.opacity_weight > 0.0 {
+            loss = loss + regularise::opacity(input.splats.opacities.clone()) * self.config.opacity_weight;
+        }
+        if let Some(penalty) = self.density.penalty(&input.splats, at.step) {
+            loss = loss + penalty;
+        }
+        if self.checks {
+            check_loss(&loss).map_err(|wrong| self.wrong(at.view, wrong))?;
+        }
+        Ok(Compared { loss, covered })
+    }
+
+    /// The gradients of the scene, of the probes and of the effects.
+    fn go_back(&mut self, prepared: Prepared, compared: Compared) -> Result<Differentiated, TrainError> {
+        let Prepared { at, input: RenderInput { splats, camera, extras, .. }, signals, .. } = prepared;
+        let Compared { loss, covered } = compared;
+        drop(splats);
+        let mut left = loss.backward();
+        if signals != Signals::default() {
+            let mut taken = |probe: Option<Tensor<2>>| probe.and_then(|probe| probe.grad_remove(&mut left));
+            let (gradient, abs_gradient) = (taken(extras.mean2d_probe), taken(extras.mean2d_abs_probe));
+            let size = (camera.intrinsics.width, camera.intrinsics.height);
+            self.density.observe(Observed { gradient, abs_gradient, covered, size });
+        }
+        let gradients = Gradients::take(&self.scene.gaussians, &mut left);
+        if self.checks {
+            check_gradients(&gradients).map_err(|wrong| self.wrong(at.view, wrong))?;
+        }
+        Ok(Differentiated { loss: loss.inner(), gradients, of_effects: left })
+    }
+}
