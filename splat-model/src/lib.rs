@@ -61,6 +61,9 @@
 //! [`TrainConfig`](trainer::TrainConfig) is all else that a run depends on. A loop of your own has the parts that the trainer is
 //! made of: [`loss`], [`optim`], [`density`], [`effects`].
 
+#![cfg_attr(docsrs, feature(doc_cfg))]
+#![warn(missing_docs)]
+
 pub mod accuracy;
 pub mod capture;
 pub mod density;

@@ -98,6 +98,9 @@
 //!
 //! `docs/IN_YOUR_MODEL.md` says which inputs have gradients, what runs where, and what does not fit.
 
+#![cfg_attr(docsrs, feature(doc_cfg))]
+#![warn(missing_docs)]
+
 #[cfg(feature = "cube")]
 mod abilities;
 pub mod camera;

@@ -1,14 +1,13 @@
 //! `splat render`: a scene as the cameras of a capture see it.
 
 use std::fs::File;
-use std::io::BufWriter;
+use std::io::{BufWriter, Write};
 use std::path::PathBuf;
 
 use anyhow::{Context, Result, anyhow};
 use burn::tensor::{Device, Tensor};
 use clap::ValueEnum;
 use image::{ImageFormat, RgbImage, Rgba32FImage};
-use npyz::WriterBuilder;
 use splat_model::accuracy::Work;
 use splat_model::capture::{Capture, View};
 use splat_model::effects::background::Background;
@@ -174,13 +173,31 @@ impl Rgba {
                 picture.write_to(file, ImageFormat::OpenExr)?;
             }
             Format::Npy => {
-                let shape = [self.height as u64, self.width as u64, 4];
-                let header = npyz::WriteOptions::<f32>::new().default_dtype().shape(&shape);
-                let mut array = header.writer(file).begin_nd()?;
-                array.extend(self.values)?;
-                array.finish()?;
+                file.write_all(&npy_header([self.height, self.width, 4]))?;
+                for value in self.values {
+                    file.write_all(&value.to_le_bytes())?;
+                }
             }
         }
         Ok(())
     }
+}
+
+/// Header of an NPY file, version 1.0, of little-endian `f32` values in C order. Its length is a multiple of 64 bytes, as the
+/// format's document asks (<https://numpy.org/doc/stable/reference/generated/numpy.lib.format.html>).
+fn npy_header(shape: [usize; 3]) -> Vec<u8> {
+    const START: &[u8] = b"\x93NUMPY\x01\x00";
+    const ALIGNMENT: usize = 64;
+    let [height, width, channels] = shape;
+    let entries = format!("{{'descr': '<f4', 'fortran_order': False, 'shape': ({height}, {width}, {channels}), }}");
+    // Two bytes hold the length of what follows them: the entries, spaces and a line feed.
+    let before = START.len() + 2;
+    let whole = (before + entries.len() + 1).next_multiple_of(ALIGNMENT);
+    let mut header = START.to_vec();
+    // Three numbers of at most 20 digits leave it far below what a u16 holds.
+    header.extend(((whole - before) as u16).to_le_bytes());
+    header.extend(entries.bytes());
+    header.resize(whole - 1, b' ');
+    header.push(b'\n');
+    header
 }

@@ -140,10 +140,15 @@ pub struct StepRates {
 /// Gradients of a scene's parameters, without autodiff; absent where the loss does not depend on one.
 #[derive(Debug, Default)]
 pub struct Gradients {
+    /// `[N, 3]`, of the centres.
     pub means: Option<Tensor<2>>,
+    /// `[N, 4]`, of the quaternions.
     pub rotations: Option<Tensor<2>>,
+    /// `[N, 3]`, of the logarithms of the standard deviations.
     pub log_scales: Option<Tensor<2>>,
+    /// `[N]`, of the opacities' logits.
     pub logit_opacities: Option<Tensor<1>>,
+    /// `[N, (degree + 1)², 3]`, of the harmonics' coefficients.
     pub sh: Option<Tensor<3>>,
 }
 

@@ -9,4 +9,5 @@ pub mod finite;
 #[cfg(feature = "cube")]
 pub mod gpu;
 pub mod lenses;
+#[path = "../../../tests/hard-cases/src/random.rs"]
 pub mod random;

@@ -8,7 +8,6 @@
 
 pub mod ceiling;
 pub mod compare;
-#[path = "../../../splat-op/src/testing/random.rs"]
 pub mod random;
 pub mod tensors;
 

@@ -79,6 +79,7 @@ impl Net {
         }
     }
 
+    /// Layers up to each of the features that are compared.
     pub fn slices(self) -> [Slice; TAPS] {
         match self {
             Self::Alex => ALEX,

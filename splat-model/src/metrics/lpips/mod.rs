@@ -68,10 +68,13 @@ impl Input {
     net.name()
 )]
 pub struct TooSmall {
+    /// Of the picture, px.
     pub width: usize,
+    /// Of the picture, px.
     pub height: usize,
     /// The shortest side that will do, px.
     pub least: usize,
+    /// The network that was asked.
     pub net: Net,
 }
 

@@ -1,4 +1,4 @@
-//! Reproducible numbers for tests. The crate `splat-tests` includes this file by path.
+//! Reproducible numbers for tests. The unit tests of `splat-op` include this file by its path.
 
 /// SplitMix64 (Steele, Lea and Flood 2014): one line of state, the same on every platform.
 pub struct Random(u64);
