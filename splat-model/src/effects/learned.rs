@@ -35,7 +35,8 @@ pub struct Moment<'a> {
     pub step: usize,
     /// Of the whole run.
     pub steps: usize,
-    /// `[2]`: nothing changes where a step is entered in it (see [`splat_op::adam`]).
+    /// `[2]`: in [`Effect::step`](super::Effect::step) on a GPU, the device's verdict. Nothing changes where a step is entered in
+    /// it (see [`splat_op::adam`]).
     pub verdict: Option<&'a Tensor<1, Int>>,
 }
 
@@ -43,7 +44,7 @@ pub struct Moment<'a> {
 /// would otherwise open a hundredfold in a step, beyond what a GPU's f32 bears.
 const LARGEST_STEP: f64 = 0.125;
 
-/// One such parameter.
+/// A parameter that is learnt beside the scene, with Adam's moments and a count of steps of its own.
 pub struct Learned<const D: usize> {
     /// In units of `unit` where there is one.
     value: Tensor<D>,
