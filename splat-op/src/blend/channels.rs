@@ -52,10 +52,10 @@ pub(super) fn blend_channels_kernel<A: FloatCell>(
     let unit = UNIT_POS;
     let tiles = frame.tiles_x * frame.tiles_y;
     if slot < slots {
-        let tile = tile_of_slot(tile_start, tiles, slot, shape);
+        let tile = tile_of_slot(tile_start, tiles, slot);
         let first = tile_start[tile as usize];
         let places = tile_start[tile as usize + 1] - first;
-        let bucket = slot - first_slot(first, tile, shape);
+        let bucket = slot - first_slot(first, tile);
         let place = bucket * comptime!(BUCKET as u32);
         if place < places {
             let count = min(places - place, comptime!(BUCKET as u32));

@@ -1,6 +1,5 @@
 //! The kernel of `blend`, forwards: a cube per tile, a unit per block of pixels, whose numbers stay in registers. A graphics
-//! card has units to fill, and hides behind them what reading takes. For few channels a driver in software has a kernel of its
-//! own, `quads_forward.rs`.
+//! card has units to fill, and hides behind them what reading takes.
 //!
 //! A tile's places are passed in buckets. Within a bucket a pixel's sums and transmittance are relative to those
 //! before it; at its end they are added in. What the backward pass needs of a bucket is then a few numbers per pixel that
@@ -9,7 +8,7 @@
 use cubecl::prelude::*;
 
 use super::layer::{
-    Block, FOOTPRINT, Footprint, Limits, Shape, behind_bucket, block_origin, colour, first_slot, layer,
+    BUCKET, Block, FOOTPRINT, Footprint, Limits, Shape, behind_bucket, block_origin, colour, first_slot, layer,
 };
 use crate::tile::forward::Frame;
 use crate::tile::{TILE, TILE_PIXELS};
@@ -58,7 +57,7 @@ pub(super) fn blend_forward_kernel(
         let own_row = f32::cast_from(row);
         let first = tile_start[tile as usize];
         let places = tile_start[tile as usize + 1] - first;
-        let slot = first_slot(first, tile, shape);
+        let slot = first_slot(first, tile);
 
         let mut transmittance = Array::<f32>::new(pixels);
         let mut through = Array::<f32>::new(pixels);
@@ -121,7 +120,7 @@ pub(super) fn blend_forward_kernel(
                             own[comptime!(p * channels) + channel] = 0.0f32;
                         }
                     }
-                    let end = select(open, min(bucket + comptime!(shape.bucket as u32), count), bucket);
+                    let end = select(open, min(bucket + comptime!(BUCKET as u32), count), bucket);
                     for i in bucket..end {
                         let footprint = Footprint::load(&footprints, i as usize);
                         let mut colour_here = Array::<f32>::new(comptime!(if few { channels } else { 1 }));
@@ -157,7 +156,7 @@ pub(super) fn blend_forward_kernel(
                             }
                         }
                     }
-                    let at = (slot + (place + bucket) / comptime!(shape.bucket as u32)) as usize
+                    let at = (slot + (place + bucket) / comptime!(BUCKET as u32)) as usize
                         * comptime!(shape.kept() * TILE_PIXELS)
                         + in_tile;
                     #[unroll]
@@ -184,7 +183,7 @@ pub(super) fn blend_forward_kernel(
                         // A pixel that finished in this bucket becomes negative here; one that had finished stays.
                         transmittance[p] = behind_bucket(before, through[p], stopped[p]);
                     }
-                    bucket += comptime!(shape.bucket as u32);
+                    bucket += comptime!(BUCKET as u32);
                 }
                 place += count;
             }
@@ -198,7 +197,7 @@ pub(super) fn blend_forward_kernel(
                     transmittance[p].abs();
             }
             if UNIT_POS == 0 {
-                passed[tile as usize] = (place + comptime!(shape.bucket as u32 - 1)) / comptime!(shape.bucket as u32);
+                passed[tile as usize] = (place + comptime!(BUCKET as u32 - 1)) / comptime!(BUCKET as u32);
             }
         }
         let plane = (frame.width * frame.height) as usize;

@@ -1,4 +1,4 @@
-//! The layers of a bucket, backwards, for few channels on a graphics card: a unit per strip of pixels, a column and some rows
+//! The layers of a bucket, backwards, for few channels: a unit per strip of pixels, a column and some rows
 //! of a tile, whose numbers stay in registers.
 //!
 //! A cube takes a bucket four places at a time, from the last to the first. `α` and `T` of the four come from a forward
@@ -50,10 +50,10 @@ pub(super) fn blend_strips_kernel<A: FloatCell>(
 
     let slot = CUBE_POS as u32;
     if slot < slots {
-        let tile = tile_of_slot(tile_start, frame.tiles_x * frame.tiles_y, slot, shape);
+        let tile = tile_of_slot(tile_start, frame.tiles_x * frame.tiles_y, slot);
         let first = tile_start[tile as usize];
         let places = tile_start[tile as usize + 1] - first;
-        let bucket = slot - first_slot(first, tile, shape);
+        let bucket = slot - first_slot(first, tile);
         let place = bucket * comptime!(BUCKET as u32);
         if place < places {
             let count = min(places - place, comptime!(BUCKET as u32));
