@@ -5,7 +5,7 @@ use cubecl::prelude::*;
 use super::backward::{blend_behind_kernel, blend_gather_kernel, row_len};
 use super::channels::blend_channels_kernel;
 use super::forward::blend_forward_kernel;
-use super::layer::{BUCKET, Block, LimitsLaunch, Shape};
+use super::layer::{BUCKET, LimitsLaunch, Shape};
 use super::strips::blend_strips_kernel;
 use super::{BlendNeeds, BlendSpec};
 use crate::dials::Exponential;
@@ -71,13 +71,11 @@ pub(crate) struct DeviceGrads {
     pub mean2d_abs: Option<Buffer<f32>>,
 }
 
-/// The pixels of a unit; see `forward.rs`.
-fn forward_block(shape: Shape) -> Block {
-    Block { across: 1, down: if shape.few() { 4 } else { 1 } }
-}
+/// Pixels of a unit forwards for few channels; see `forward.rs`. For many there is one.
+const FORWARD_STRIP: usize = 4;
 
-/// What the kernel of layers goes through at once for few channels; see `strips.rs`.
-const STRIP: Block = Block { across: 1, down: 8 };
+/// Pixels of a unit in the kernel of layers for few channels; see `strips.rs`.
+const STRIP: usize = 8;
 
 /// Slots of all tiles' buckets; see `first_slot`.
 fn slots(lists: &DeviceLists, tiles: usize) -> usize {
@@ -120,13 +118,13 @@ pub(crate) fn launch_blend(
         behind: Buffer::new(gpu, kept_len(tiles * TILE_PIXELS)),
         passed: Buffer::new(gpu, kept_len(tiles)),
     };
-    let block = forward_block(shape);
+    let pixels = if shape.few() { FORWARD_STRIP } else { 1 };
     // SAFETY: places, hits and Gaussians come from the lists, which hold none out of range; pixels are guarded.
     unsafe {
         blend_forward_kernel::launch_unchecked(
             &gpu.client,
             cubes(tiles),
-            CubeDim::new_1d(block.of_tile() as u32),
+            CubeDim::new_1d((TILE_PIXELS / pixels) as u32),
             inputs.projected.arg(),
             inputs.features.arg(),
             inputs.background.arg(),
@@ -141,7 +139,7 @@ pub(crate) fn launch_blend(
             limits(spec),
             shape,
             keep,
-            block,
+            pixels,
         );
     }
     (planes, keep.then_some(trace))
@@ -241,7 +239,7 @@ pub(crate) fn launch_blend_backward(
             }
         };
     }
-    let few = STRIP.of_tile();
+    let few = TILE_PIXELS / STRIP;
     match (shape.few(), gpu.float_atomics) {
         (true, true) => launch!(blend_strips_kernel::launch_unchecked::<Atomic<f32>>, few, STRIP),
         (true, false) => launch!(blend_strips_kernel::launch_unchecked::<Atomic<u32>>, few, STRIP),

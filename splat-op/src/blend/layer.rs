@@ -55,45 +55,11 @@ impl Shape {
     }
 }
 
-/// The pixels of a unit: a block of a tile. Pixels in one column share `u`, and all share what is read of a Gaussian.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub(crate) struct Block {
-    /// Columns and rows.
-    pub across: usize,
-    pub down: usize,
-}
-
-impl Block {
-    /// Blocks of a tile along a row.
-    pub const fn along(&self) -> usize {
-        TILE / self.across
-    }
-
-    /// Blocks of a tile.
-    pub const fn of_tile(&self) -> usize {
-        self.along() * (TILE / self.down)
-    }
-
-    pub const fn pixels(&self) -> usize {
-        self.across * self.down
-    }
-
-    /// Column and row of pixel `p`, down one column after the other.
-    pub const fn pixel(&self, p: usize) -> [usize; 2] {
-        [p / self.down, p % self.down]
-    }
-
-    /// Where pixel `p` lies from the block's first one, in planes of a tile's pixels.
-    pub const fn in_tile(&self, p: usize) -> usize {
-        p % self.down * TILE + p / self.down
-    }
-}
-
-/// Column and row in the tile of the first pixel of a block.
+/// Column and row in the tile of the first pixel of a unit, whose pixels are a strip: `rows` of a column. They share `u` and what is
+/// read of a Gaussian.
 #[cube]
-pub(super) fn block_origin(index: u32, #[comptime] block: Block) -> (u32, u32) {
-    let along = comptime!(block.along() as u32);
-    (index % along * comptime!(block.across as u32), index / along * comptime!(block.down as u32))
+pub(super) fn strip_origin(unit: u32, #[comptime] rows: usize) -> (u32, u32) {
+    (unit % comptime!(TILE as u32), unit / comptime!(TILE as u32) * comptime!(rows as u32))
 }
 
 /// An ellipse as the pixels' loop reads it.
