@@ -9,7 +9,6 @@ use crate::dials::Storage;
 use crate::error::SplatError;
 use crate::limits::Need;
 use crate::op::SplatBackend;
-use crate::real::HALF_MAX;
 use crate::shade::{ShadeInputs, sh_degree};
 use crate::stages::Splats;
 
@@ -63,6 +62,9 @@ impl Colour {
         }
     }
 }
+
+/// The largest half-precision float.
+const HALF_MAX: f32 = 65_504.0;
 
 /// Coefficients in half precision, the nearest ones, of at most [`HALF_MAX`].
 fn halved(name: &'static str, sh: &Tensor<3>) -> Result<Tensor<3>, SplatError> {
