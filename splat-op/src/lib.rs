@@ -116,8 +116,6 @@ pub mod project;
 
 pub mod shade;
 
-pub mod project_shade;
-
 pub mod tile;
 
 pub mod blend;
@@ -151,7 +149,7 @@ pub use bind::activate::{ActivateBackend, ActivateInputs};
 pub use bind::attach::{AttachBackend, with_gradient};
 pub use bind::rays::RaysBackend;
 pub use camera::{Camera, CameraModel, Intrinsics, Projector};
-pub use colour::{Colour, colours, colours_up_to, shade};
+pub use colour::{Colour, colours, colours_up_to, shade, visible_colours};
 pub use dials::{Culling, Exponential, Storage};
 pub use error::SplatError;
 pub use op::{Slot, SplatBackend};

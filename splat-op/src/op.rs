@@ -7,7 +7,6 @@ use burn::backend::{Backend, ExtensionType, backend_extension};
 
 use crate::blend::{BlendGrads, BlendInputs, BlendNeeds, BlendSpec, PartsCell, TraceCell};
 use crate::project::{ProjectGrads, ProjectInputs, ProjectNeeds, ProjectSpec};
-use crate::project_shade::{ProjectShadeGrads, ProjectShadeInputs, ProjectShadeNeeds, ProjectedColours};
 use crate::shade::{ShadeGrads, ShadeInputs, ShadeNeeds};
 use crate::tile::HitCell;
 
@@ -34,8 +33,7 @@ impl<B: Backend> Slot<B> {
     }
 }
 
-/// Gaussian splatting on a Burn backend: four stages, the backward pass of the three that have one, and the
-/// first two in one.
+/// Gaussian splatting on a Burn backend: four stages, and the backward pass of the three that have one.
 ///
 /// No method has a default body: a backend that lacks one does not compile. Users call the functions of this crate, which
 /// take tensors and check them; these methods take backend primitives of the documented shapes and one float type.
@@ -61,35 +59,24 @@ pub trait SplatBackend: Backend {
         needs: ProjectNeeds,
     ) -> ProjectGrads<Self>;
 
-    /// See `shade/`. Returns `[N, 3]`.
+    /// See `shade/`. Returns `[N, 3]`. `visible` is what `project` returned, for colours of what shows in the picture of
+    /// `spec` alone.
     #[fusion(meta = fusion::shade)]
-    fn shade(#[extension_type] inputs: ShadeInputs<Self>) -> FloatTensor<Self>;
+    fn shade(
+        #[extension_type] inputs: ShadeInputs<Self>,
+        #[extension_type] visible: Slot<Self>,
+        spec: ProjectSpec,
+    ) -> FloatTensor<Self>;
 
     /// Gradients of `shade` from that of its output.
     #[fusion(meta = fusion::shade_backward)]
     fn shade_backward(
         #[extension_type] inputs: ShadeInputs<Self>,
+        #[extension_type] visible: Slot<Self>,
         grad: FloatTensor<Self>,
+        spec: ProjectSpec,
         needs: ShadeNeeds,
     ) -> ShadeGrads<Self>;
-
-    /// See `project_shade/`: `project` and `shade` at once. Differentiable, and faster than the two unless the pose is tracked
-    /// or only some of what they read is. Both outputs must go into one `blend`. `mean2d_probe` as for `project`.
-    #[fusion(meta = fusion::project_shade)]
-    fn project_shade(
-        #[extension_type] inputs: ProjectShadeInputs<Self>,
-        mean2d_probe: FloatTensor<Self>,
-        spec: ProjectSpec,
-    ) -> ProjectedColours<Self>;
-
-    /// Gradients of `project_shade` from those of its outputs.
-    #[fusion(meta = fusion::project_shade_backward)]
-    fn project_shade_backward(
-        #[extension_type] inputs: ProjectShadeInputs<Self>,
-        #[extension_type] grad: ProjectedColours<Self>,
-        spec: ProjectSpec,
-        needs: ProjectShadeNeeds,
-    ) -> ProjectShadeGrads<Self>;
 
     /// See `tile/`. Fills `hits` and returns the number of hits per tile, `[tiles along y, tiles along x]`.
     #[fusion(meta = fusion::tile)]

@@ -6,11 +6,11 @@ use burn::tensor::Tensor;
 
 use crate::camera::Camera;
 use crate::check::check_positive;
-use crate::colour::{Colour, colours_up_to};
+use crate::colour::visible_colours;
 use crate::dials::Storage;
 use crate::error::SplatError;
 use crate::options::RenderOptions;
-use crate::stages::{Extras, Picture, Splats, blend, check_render_fits, project, project_shade, tile};
+use crate::stages::{Extras, Picture, Splats, blend, check_render_fits, project, tile};
 
 /// What all cameras see. All fields are differentiable.
 #[derive(Clone, Debug)]
@@ -23,8 +23,8 @@ pub struct Rendered {
     pub depth: Option<Tensor<4>>,
 }
 
-/// Renders Gaussians as one or several cameras of one size see them: `project` and `shade`, in one pass unless
-/// gradients keep them apart (see `project_shade/`), then `tile` and `blend`.
+/// Renders Gaussians as one or several cameras of one size see them: `project`, `shade` of what
+/// can show, `tile` and `blend`.
 ///
 /// # Errors
 /// If there is no camera, cameras differ in size, a tensor's shape, type or device does not fit, or a camera or option is
@@ -83,18 +83,8 @@ fn as_stored<'a>(splats: &'a Splats, options: &RenderOptions) -> Result<Cow<'a, 
 }
 
 fn stages(splats: &Splats, camera: &Camera, extras: &Extras, options: &RenderOptions) -> Result<Picture, SplatError> {
-    let probe = extras.mean2d_probe.as_ref();
-    let (projected, features) = match &splats.colour {
-        // In one pass, Gaussians whose ellipses miss the picture have no colour; rays may still meet them.
-        _ if options.along_rays() => {
-            (project(splats, camera, probe, options)?, colours_up_to(splats, camera, options.sh_degree)?)
-        }
-        Colour::SphericalHarmonics(sh) => project_shade(splats, (sh, None), camera, probe, options)?,
-        Colour::Mixed { directional, matte } => {
-            project_shade(splats, (directional, Some(matte)), camera, probe, options)?
-        }
-        Colour::Features(features) => (project(splats, camera, probe, options)?, features.clone()),
-    };
+    let projected = project(splats, camera, extras.mean2d_probe.as_ref(), options)?;
+    let features = visible_colours(splats, camera, &projected, options)?;
     let tiles = tile(&projected, options)?;
     blend(&projected, &features, &tiles, extras, options)
 }

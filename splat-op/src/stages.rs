@@ -7,13 +7,12 @@ use crate::bind::rays::RaysBackend;
 use crate::blend::{BlendInputs, BlendSpec, PartsCell};
 use crate::camera::{Camera, CameraModel, Intrinsics};
 use crate::check::{Reference, check_positive};
-use crate::colour::{Colour, check_harmonics, sh_need, up_to_degree};
+use crate::colour::{Colour, sh_need};
 use crate::error::SplatError;
 use crate::limits::{Need, check_fits};
-use crate::op::{Slot, SplatBackend};
+use crate::op::SplatBackend;
 use crate::options::{Projection, RenderOptions};
 use crate::project::{COLUMNS, ProjectInputs, ProjectSpec};
-use crate::project_shade::ProjectShadeInputs;
 use crate::rays::RaysInputs;
 use crate::tile::{HitCell, tile_grid};
 
@@ -102,6 +101,11 @@ pub struct Picture {
 }
 
 impl Projected {
+    /// The packed ellipses, `[N, 7]`.
+    pub(crate) fn packed(&self) -> &Tensor<2> {
+        &self.packed
+    }
+
     /// The size and projection of the camera that saw them.
     pub fn intrinsics(&self) -> &Intrinsics {
         &self.intrinsics
@@ -186,31 +190,6 @@ pub fn project(
     });
     let packed = <Dispatch as SplatBackend>::project(inputs, probe.into_dispatch(), spec);
     Ok(Projected { packed: Tensor::from_dispatch(packed), tilt, intrinsics: camera.intrinsics })
-}
-
-/// [`project`] and [`shade`] of `sh`, and of `matte` for the last Gaussians, in one, for a render: what cannot show in the
-/// picture has no colour.
-pub(crate) fn project_shade(
-    splats: &Splats,
-    (sh, matte): (&Tensor<3>, Option<&Tensor<3>>),
-    camera: &Camera,
-    mean2d_probe: Option<&Tensor<2>>,
-    options: &RenderOptions,
-) -> Result<(Projected, Tensor<2>), SplatError> {
-    let reference = check_geometry(splats, camera, options)?;
-    let probe = probe_or_empty(&reference, "mean2d_probe", mean2d_probe, splats)?;
-    let count = splats.means.dims()[0];
-    let (sh, matte) = check_harmonics(&reference, (sh, matte), count)?;
-    reference.check_fits(&[packed_need(count), sh_need(sh)])?;
-    let inputs = ProjectShadeInputs {
-        geometry: project_inputs(splats, camera),
-        sh: up_to_degree(sh, options.sh_degree).into_dispatch(),
-        matte: matte.map_or(Slot::Skip, |matte| Slot::Have(matte.clone().into_dispatch())),
-    };
-    let spec = ProjectSpec { intrinsics: camera.intrinsics, options: *options };
-    let out = <Dispatch as SplatBackend>::project_shade(inputs, probe.into_dispatch(), spec);
-    let projected = Projected { packed: Tensor::from_dispatch(out.packed), tilt: None, intrinsics: camera.intrinsics };
-    Ok((projected, Tensor::from_dispatch(out.colours)))
 }
 
 fn project_inputs(splats: &Splats, camera: &Camera) -> ProjectInputs<Dispatch> {
@@ -358,7 +337,7 @@ pub(crate) fn check_render_fits(
 ) -> Result<(), SplatError> {
     let count = splats.means.dims()[0];
     let (colour, channels) = match &splats.colour {
-        Colour::SphericalHarmonics(sh) | Colour::Mixed { directional: sh, .. } => (Some(sh_need(sh)), 3),
+        Colour::SphericalHarmonics(sh) => (Some(sh_need(sh)), 3),
         Colour::Features(features) => (None, features.dims()[1]),
     };
     let shape = [cameras, channels, intrinsics.height, intrinsics.width];

@@ -63,25 +63,6 @@ fn rows_of<F>(values: &[F], first: usize, count: usize, columns: usize) -> &[F] 
     &values[columns * first..columns * (first + count)]
 }
 
-impl<F> Inputs<'_, F> {
-    /// The geometry of the first rows with the coefficients there are, and that of all others with those of `matte`.
-    fn groups<'a>(&'a self, matte: &'a [F]) -> [Inputs<'a, F>; 2] {
-        let first = self.logit_opacities.len() - matte.len() / 3;
-        let Self { means, rotations, log_scales, logit_opacities, sh } = self;
-        let (means, rotations) = (means.split_at(3 * first), rotations.split_at(4 * first));
-        let (logs, logits) = (log_scales.split_at(3 * first), logit_opacities.split_at(first));
-        [
-            Inputs { means: means.0, rotations: rotations.0, log_scales: logs.0, logit_opacities: logits.0, sh },
-            Inputs { means: means.1, rotations: rotations.1, log_scales: logs.1, logit_opacities: logits.1, sh: matte },
-        ]
-    }
-}
-
-/// `[N]` opacities, where the last rows have their coefficients in `matte`, `[N − M, 1, 3]`.
-pub(crate) fn opacities_of_groups_cpu<F: Real>(inputs: Inputs<F>, matte: &[F]) -> Vec<F> {
-    inputs.groups(matte).into_iter().flat_map(opacities_cpu).collect()
-}
-
 /// `[N]` opacities.
 pub(crate) fn opacities_cpu<F: Real>(inputs: Inputs<F>) -> Vec<F> {
     let mut opacities = vec![F::ZERO; inputs.logit_opacities.len()];

@@ -17,10 +17,8 @@ pub(crate) struct DeviceInputs {
     pub log_scales: Buffer<f32>,
     /// `[N]`.
     pub logit_opacities: Buffer<f32>,
-    /// `[N, K, 3]`, or `[M, K, 3]`.
+    /// `[N, K, 3]`.
     pub sh: Buffer<f32>,
-    /// `[N − M, 1, 3]`, if there are matte Gaussians.
-    pub matte: Option<Buffer<f32>>,
 }
 
 /// `[N, 3]` standard deviations.
@@ -49,7 +47,6 @@ pub(crate) fn launch_opacities(gpu: &Gpu, inputs: &DeviceInputs) -> Buffer<f32> 
     let opacities = Buffer::new(gpu, count);
     if count > 0 {
         let (grid, dim) = elementwise(count);
-        let first_matte = inputs.matte.as_ref().map(|matte| count - matte.len / 3);
         // SAFETY: every access is guarded by the number of Gaussians.
         unsafe {
             opacities_kernel::launch_unchecked(
@@ -61,11 +58,9 @@ pub(crate) fn launch_opacities(gpu: &Gpu, inputs: &DeviceInputs) -> Buffer<f32> 
                 inputs.log_scales.arg(),
                 inputs.logit_opacities.arg(),
                 inputs.sh.arg(),
-                inputs.matte.as_ref().map(Buffer::arg).into(),
-                first_matte.map(|first| first as u32).into(),
                 opacities.arg(),
                 count as u32,
-                (inputs.sh.len / first_matte.unwrap_or(count).max(1)) as u32,
+                (inputs.sh.len / count) as u32,
             );
         }
     }

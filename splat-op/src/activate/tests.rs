@@ -154,7 +154,6 @@ fn no_gradient_passes_a_masked_gaussian_even_where_one_is_not_finite() {
                 TensorData::new([vec![0.1; 9], vec![f32::NAN; 3], vec![0.1; 3]].concat(), [5, 1, 3]),
                 &device,
             ),
-            matte: None,
         };
         let (scales, opacities) = (scales(&raw.log_scales).unwrap(), opacities(&raw).unwrap());
         let loss = (scales * 2.0).sum() + (opacities * 4.0).sum();
@@ -201,7 +200,6 @@ fn what_does_not_fit_is_named() {
         log_scales: zeros([4, 3]),
         logit_opacities: Tensor::zeros([4], &device),
         sh: Tensor::zeros([4, 1, 3], &device),
-        matte: None,
     };
     assert!(opacities(&raw).is_ok());
     let named = |raw: RawSplats, name: &str| {
@@ -212,12 +210,5 @@ fn what_does_not_fit_is_named() {
     named(RawSplats { log_scales: zeros([4, 2]), ..raw.clone() }, "log_scales");
     named(RawSplats { logit_opacities: Tensor::zeros([5], &device), ..raw.clone() }, "logit_opacities");
     named(RawSplats { sh: Tensor::zeros([4, 1, 2], &device), ..raw.clone() }, "sh");
-    let coefficients = |shape| Tensor::<3>::zeros(shape, &device);
-    let parted = RawSplats { sh: coefficients([3, 9, 3]), matte: Some(coefficients([1, 1, 3])), ..raw.clone() };
-    assert!(opacities(&parted).is_ok());
-    named(RawSplats { sh: coefficients([5, 9, 3]), ..parted.clone() }, "sh");
-    for wrong in [[2, 1, 3], [1, 4, 3], [1, 1, 4]] {
-        named(RawSplats { matte: Some(coefficients(wrong)), ..parted.clone() }, "matte");
-    }
     assert!(scales(&zeros([4, 4])).is_err());
 }

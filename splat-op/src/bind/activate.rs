@@ -14,10 +14,7 @@ use burn::tensor::{DType, TensorData};
 #[cfg(feature = "fusion")]
 use super::fusion;
 use super::host::{HostBackend, by_type};
-use crate::activate::cpu::{
-    self, all_finite_cpu, opacities_cpu, opacities_of_groups_cpu, opacity_slopes_cpu, scales_cpu,
-};
-use crate::op::Slot;
+use crate::activate::cpu::{self, all_finite_cpu, opacities_cpu, opacity_slopes_cpu, scales_cpu};
 
 /// Unconstrained parameters; see [`crate::RawSplats`].
 #[derive(Clone, Debug, ExtensionType)]
@@ -31,11 +28,8 @@ pub struct ActivateInputs<B: Backend> {
     pub log_scales: FloatTensor<B>,
     /// `[N]`.
     pub logit_opacities: FloatTensor<B>,
-    /// `[N, K, 3]`, or `[M, K, 3]`.
+    /// `[N, K, 3]`.
     pub sh: FloatTensor<B>,
-    /// `[N − M, 1, 3]`, if there are matte Gaussians.
-    #[extension_type]
-    pub matte: Slot<B>,
 }
 
 /// Activation of parameters, see `activate/`. No method has a default body: a backend that lacks one does not compile.
@@ -71,14 +65,10 @@ macro_rules! cpu_backend {
             fn opacities(inputs: ActivateInputs<Self>) -> FloatTensor<Self> {
                 let like = inputs.logit_opacities.clone();
                 by_type!(like, F => {
-                    let ActivateInputs { means, rotations, log_scales, logit_opacities, sh, matte } = inputs;
+                    let ActivateInputs { means, rotations, log_scales, logit_opacities, sh } = inputs;
                     let host = [means, rotations, log_scales, logit_opacities, sh].map(Self::host::<F>);
                     let [means, rotations, log_scales, logit_opacities, sh] = &host;
-                    let inputs = cpu::Inputs { means, rotations, log_scales, logit_opacities, sh };
-                    let opacities = match matte {
-                        Slot::Skip => opacities_cpu(inputs),
-                        Slot::Have(matte) => opacities_of_groups_cpu(inputs, &Self::host(matte)),
-                    };
+                    let opacities = opacities_cpu(cpu::Inputs { means, rotations, log_scales, logit_opacities, sh });
                     Self::from_host(opacities, &like.shape(), &like)
                 })
             }
@@ -130,10 +120,6 @@ mod gpu {
                 log_scales: buffer(inputs.log_scales),
                 logit_opacities: buffer(inputs.logit_opacities),
                 sh: buffer(inputs.sh),
-                matte: match inputs.matte {
-                    Slot::Skip => None,
-                    Slot::Have(matte) => Some(buffer(matte)),
-                },
             };
             tensor(launch_opacities(&gpu, &on_device), like.shape(), DType::F32, &like)
         }
@@ -203,10 +189,6 @@ impl<B: ActivateBackend, C: CheckpointStrategy> ActivateBackend for Autodiff<B, 
             log_scales: inputs.log_scales.into_primitive(),
             logit_opacities: logit_opacities.clone(),
             sh: inputs.sh.into_primitive(),
-            matte: match inputs.matte {
-                Slot::Skip => Slot::Skip,
-                Slot::Have(matte) => Slot::Have(matte.into_primitive()),
-            },
         });
         match OpacitiesBackward.prepare::<C>([node]).compute_bound().stateful() {
             OpsKind::Tracked(prep) => prep.finish((logit_opacities, output.clone()), output),

@@ -1,7 +1,7 @@
-//! The backward nodes of the stages. Each stage is one node, `project_shade` two; a backward pass computes what is tracked.
+//! The backward nodes of the stages. Each stage is one node; a backward pass computes what is tracked.
 
 use std::ops::Range;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::PoisonError;
 
 use burn::backend::autodiff::NodeId;
 use burn::backend::autodiff::checkpoint::base::Checkpointer;
@@ -10,12 +10,11 @@ use burn::backend::autodiff::grads::Gradients;
 use burn::backend::autodiff::ops::{Backward, Ops, OpsKind};
 use burn::backend::tensor::{FloatTensor, IntTensor};
 use burn::backend::{Autodiff, Backend, TensorMetadata};
-use burn::tensor::{Shape, Slice};
+use burn::tensor::Shape;
 
 use crate::blend::{BlendGrads, BlendInputs, BlendNeeds, BlendSpec, PartsCell, TraceCell};
 use crate::op::{Slot, SplatBackend};
 use crate::project::{ProjectGrads, ProjectInputs, ProjectNeeds, ProjectSpec};
-use crate::project_shade::{ProjectShadeGrads, ProjectShadeInputs, ProjectShadeNeeds, ProjectedColours};
 use crate::shade::{ShadeGrads, ShadeInputs, ShadeNeeds};
 use crate::tile::HitCell;
 
@@ -78,16 +77,6 @@ impl<B: SplatBackend, C: CheckpointStrategy> ShadeInputs<Autodiff<B, C>> {
     }
 }
 
-impl<B: SplatBackend, C: CheckpointStrategy> ProjectShadeInputs<Autodiff<B, C>> {
-    fn inner(&self) -> ProjectShadeInputs<B> {
-        ProjectShadeInputs {
-            geometry: self.geometry.inner(),
-            sh: self.sh.primitive().clone(),
-            matte: inner_slot(&self.matte),
-        }
-    }
-}
-
 impl<B: SplatBackend, C: CheckpointStrategy> BlendInputs<Autodiff<B, C>> {
     fn inner(&self) -> BlendInputs<B> {
         BlendInputs {
@@ -120,51 +109,14 @@ impl<B: SplatBackend> Backward<B, 6> for ProjectBackward {
 struct ShadeBackward;
 
 impl<B: SplatBackend> Backward<B, 3> for ShadeBackward {
-    type State = ShadeInputs<B>;
+    type State = (ShadeInputs<B>, Slot<B>, ProjectSpec);
 
     fn backward(self, ops: Ops<Self::State, 3>, grads: &mut Gradients, _: &mut Checkpointer) {
         let grad = grads.consume::<B>(&ops.node);
         let [sh, means, cam_from_world] = ops.parents.each_ref().map(Option::is_some);
-        let out = B::shade_backward(ops.state, grad, ShadeNeeds { sh, means, cam_from_world });
+        let (inputs, visible, spec) = ops.state;
+        let out = B::shade_backward(inputs, visible, grad, spec, ShadeNeeds { sh, means, cam_from_world });
         let slots = [out.sh, out.means, out.cam_from_world];
-        let parents = ops.parents.map(|parent| parent.map(|node| node.id));
-        parents.into_iter().zip(slots).for_each(|(parent, slot)| register::<B>(grads, parent, slot));
-    }
-}
-
-/// The gradient of the colours, on its way to the node of the ellipses that both come from.
-type ColourGrad<B> = Arc<Mutex<Option<FloatTensor<B>>>>;
-
-/// Hands the colours' gradient to the node of the ellipses, beside the graph: a node has one output.
-#[derive(Debug)]
-struct ColoursBackward;
-
-impl<B: SplatBackend> Backward<B, 1> for ColoursBackward {
-    type State = ColourGrad<B>;
-
-    fn backward(self, ops: Ops<Self::State, 1>, grads: &mut Gradients, _: &mut Checkpointer) {
-        let grad = grads.consume::<B>(&ops.node);
-        *ops.state.lock().unwrap_or_else(PoisonError::into_inner) = Some(grad);
-    }
-}
-
-#[derive(Debug)]
-struct ProjectShadeBackward;
-
-impl<B: SplatBackend> Backward<B, 7> for ProjectShadeBackward {
-    type State = (ProjectShadeInputs<B>, ProjectSpec, ColourGrad<B>);
-
-    fn backward(self, ops: Ops<Self::State, 7>, grads: &mut Gradients, _: &mut Checkpointer) {
-        let packed = grads.consume::<B>(&ops.node);
-        let [means, rotations, scales, opacities, sh, mean2d, matte] = ops.parents.each_ref().map(Option::is_some);
-        let geometry = ProjectNeeds { means, rotations, scales, opacities, cam_from_world: false, mean2d };
-        let (inputs, spec, colours) = ops.state;
-        let colours = colours.lock().unwrap_or_else(PoisonError::into_inner).take();
-        let colours = colours.expect("`blend`, which alone is given both outputs, has a gradient for both or for none");
-        let grad = ProjectedColours { packed, colours };
-        let out = B::project_shade_backward(inputs, grad, spec, ProjectShadeNeeds { geometry, sh, matte });
-        let g = out.geometry;
-        let slots = [g.means, g.rotations, g.scales, g.opacities, out.sh, g.mean2d, out.matte];
         let parents = ops.parents.map(|parent| parent.map(|node| node.id));
         parents.into_iter().zip(slots).for_each(|(parent, slot)| register::<B>(grads, parent, slot));
     }
@@ -243,20 +195,6 @@ impl<B: SplatBackend> Backward<B, 4> for BlendBackward {
     }
 }
 
-/// `[N, 3]`: colours by `shade` alone, of the first rows and of the matte ones after them.
-fn shade_groups<B: SplatBackend>(
-    sh: FloatTensor<B>,
-    matte: Slot<B>,
-    means: &FloatTensor<B>,
-    cam_from_world: &FloatTensor<B>,
-) -> FloatTensor<B> {
-    let shade = |sh, means| B::shade(ShadeInputs { sh, means, cam_from_world: cam_from_world.clone() });
-    let Slot::Have(matte) = matte else { return shade(sh, means.clone()) };
-    let (count, first) = (means.shape()[0], sh.shape()[0]);
-    let rows = |range: Range<usize>| B::float_slice(means.clone(), &[range, 0..3].map(Slice::from));
-    B::float_cat(vec![shade(sh, rows(0..first)), shade(matte, rows(first..count))], 0)
-}
-
 impl<B: SplatBackend, C: CheckpointStrategy> SplatBackend for Autodiff<B, C> {
     fn project(inputs: ProjectInputs<Self>, mean2d_probe: FloatTensor<Self>, spec: ProjectSpec) -> FloatTensor<Self> {
         let inner = inputs.inner();
@@ -269,44 +207,15 @@ impl<B: SplatBackend, C: CheckpointStrategy> SplatBackend for Autodiff<B, C> {
         }
     }
 
-    fn shade(inputs: ShadeInputs<Self>) -> FloatTensor<Self> {
-        let inner = inputs.inner();
+    fn shade(inputs: ShadeInputs<Self>, visible: Slot<Self>, spec: ProjectSpec) -> FloatTensor<Self> {
+        // Who is visible changes at borders alone: it has no gradient.
+        let (inner, visible) = (inputs.inner(), inner_slot(&visible));
         let parents = [&inputs.sh, &inputs.means, &inputs.cam_from_world].map(|t| t.node());
-        let output = B::shade(inner.clone());
+        let output = B::shade(inner.clone(), visible.clone(), spec);
         match ShadeBackward.prepare::<C>(parents).compute_bound().stateful() {
-            OpsKind::Tracked(prep) => prep.finish(inner, output),
+            OpsKind::Tracked(prep) => prep.finish((inner, visible, spec), output),
             OpsKind::UnTracked(prep) => prep.finish(output),
         }
-    }
-
-    fn project_shade(
-        inputs: ProjectShadeInputs<Self>,
-        mean2d_probe: FloatTensor<Self>,
-        spec: ProjectSpec,
-    ) -> ProjectedColours<Self> {
-        let ProjectInputs { means, rotations, scales, opacities, cam_from_world } = &inputs.geometry;
-        let geometry = [means, rotations, scales, opacities, &mean2d_probe].iter().any(|input| input.is_tracked());
-        // One node would compute gradients that nobody asked for; and that of the pose it does not know.
-        let harmonics = inputs.sh.is_tracked() || inputs.matte.as_ref().is_some_and(|matte| matte.is_tracked());
-        if cam_from_world.is_tracked() || geometry != harmonics {
-            let colours = shade_groups::<Self>(inputs.sh, inputs.matte, means, cam_from_world);
-            return ProjectedColours { packed: Self::project(inputs.geometry, mean2d_probe, spec), colours };
-        }
-        let inner = inputs.inner();
-        // Where there is nothing matte, the pose stands in for it, which is not tracked here.
-        let matte = inputs.matte.as_ref().unwrap_or(cam_from_world);
-        let parents = [means, rotations, scales, opacities, &inputs.sh, &mean2d_probe, matte].map(|input| input.node());
-        let out = B::project_shade(inner.clone(), mean2d_probe.primitive().clone(), spec);
-        let grad = ColourGrad::<B>::default();
-        let packed = match ProjectShadeBackward.prepare::<C>(parents).compute_bound().stateful() {
-            OpsKind::Tracked(prep) => prep.finish((inner, spec, grad.clone()), out.packed),
-            OpsKind::UnTracked(prep) => prep.finish(out.packed),
-        };
-        let colours = match ColoursBackward.prepare::<C>([packed.node()]).compute_bound().stateful() {
-            OpsKind::Tracked(prep) => prep.finish(grad, out.colours),
-            OpsKind::UnTracked(prep) => prep.finish(out.colours),
-        };
-        ProjectedColours { packed, colours }
     }
 
     fn tile(projected: FloatTensor<Self>, spec: BlendSpec, hits: HitCell) -> IntTensor<Self> {
@@ -356,20 +265,14 @@ impl<B: SplatBackend, C: CheckpointStrategy> SplatBackend for Autodiff<B, C> {
         constants(B::project_backward(inputs.inner(), grad.into_primitive(), spec, needs))
     }
 
-    fn project_shade_backward(
-        inputs: ProjectShadeInputs<Self>,
-        grad: ProjectedColours<Self>,
+    fn shade_backward(
+        inputs: ShadeInputs<Self>,
+        visible: Slot<Self>,
+        grad: FloatTensor<Self>,
         spec: ProjectSpec,
-        needs: ProjectShadeNeeds,
-    ) -> ProjectShadeGrads<Self> {
-        let ProjectedColours { packed, colours } = grad;
-        let grad = ProjectedColours { packed: packed.into_primitive(), colours: colours.into_primitive() };
-        let out = B::project_shade_backward(inputs.inner(), grad, spec, needs);
-        ProjectShadeGrads { geometry: constants(out.geometry), sh: constant(out.sh), matte: constant(out.matte) }
-    }
-
-    fn shade_backward(inputs: ShadeInputs<Self>, grad: FloatTensor<Self>, needs: ShadeNeeds) -> ShadeGrads<Self> {
-        let out = B::shade_backward(inputs.inner(), grad.into_primitive(), needs);
+        needs: ShadeNeeds,
+    ) -> ShadeGrads<Self> {
+        let out = B::shade_backward(inputs.inner(), inner_slot(&visible), grad.into_primitive(), spec, needs);
         ShadeGrads { sh: constant(out.sh), means: constant(out.means), cam_from_world: constant(out.cam_from_world) }
     }
 

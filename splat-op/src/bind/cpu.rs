@@ -11,8 +11,8 @@ use super::host::{Host, HostBackend, HostCoefficients, by_type};
 use crate::blend::{self, BlendGrads, BlendInputs, BlendNeeds, BlendSpec, PartsCell, TraceCell};
 use crate::op::{Slot, SplatBackend};
 use crate::project::{self, COLUMNS, ProjectGrads, ProjectInputs, ProjectNeeds, ProjectSpec};
-use crate::project_shade::{self, ProjectShadeGrads, ProjectShadeInputs, ProjectShadeNeeds, ProjectedColours};
 use crate::real::Real;
+use crate::shade::cpu::Visible;
 use crate::shade::{self, ShadeGrads, ShadeInputs, ShadeNeeds};
 use crate::tile::cpu::tile_cpu;
 use crate::tile::{Cut, HitCell, HitLists, Lists, tile_grid};
@@ -98,72 +98,30 @@ impl<F: Real> ShadeHost<F> {
     }
 }
 
-fn shade<B: HostBackend, F: Real>(inputs: ShadeInputs<B>) -> FloatTensor<B> {
-    let colours = shade::cpu::shade_cpu(ShadeHost::<F>::read(&inputs).inputs());
+fn shade<B: HostBackend, F: Real>(inputs: ShadeInputs<B>, visible: Slot<B>, spec: &ProjectSpec) -> FloatTensor<B> {
+    let ellipses = visible.as_ref().map(|ellipses| B::host(ellipses.clone()));
+    let visible = ellipses.as_deref().map(|ellipses| Visible::new(ellipses, spec));
+    let colours = shade::cpu::shade_cpu(ShadeHost::<F>::read(&inputs).inputs(), visible.as_ref());
     let count = colours.len() / 3;
     B::from_host(colours, &[count, 3], &inputs.means)
 }
 
 fn shade_backward<B: HostBackend, F: Real>(
     inputs: ShadeInputs<B>,
+    visible: Slot<B>,
     grad: FloatTensor<B>,
+    spec: &ProjectSpec,
     needs: ShadeNeeds,
 ) -> ShadeGrads<B> {
     let host = ShadeHost::<F>::read(&inputs);
-    let g = shade::cpu::shade_backward_cpu(host.inputs(), &B::host(grad), needs);
+    let ellipses = visible.as_ref().map(|ellipses| B::host(ellipses.clone()));
+    let visible = ellipses.as_deref().map(|ellipses| Visible::new(ellipses, spec));
+    let g = shade::cpu::shade_backward_cpu(host.inputs(), visible.as_ref(), &B::host(grad), needs);
     let (count, like) = (host.inputs().means.len() / 3, &inputs.means);
     ShadeGrads {
         sh: slot(needs.sh, g.sh, &[count, host.coefficients, 3], like),
         means: slot(needs.means, g.means, &[count, 3], like),
         cam_from_world: slot(needs.cam_from_world, g.cam_from_world, &[3, 4], like),
-    }
-}
-
-struct ProjectShadeHost<F: Real> {
-    geometry: ProjectHost<F>,
-    sh: HostCoefficients<F>,
-    coefficients: usize,
-    matte: Option<HostCoefficients<F>>,
-}
-
-impl<F: Real> ProjectShadeHost<F> {
-    fn read<B: HostBackend>(inputs: &ProjectShadeInputs<B>) -> Self {
-        let (sh, coefficients) = (B::host_coefficients(inputs.sh.clone()), inputs.sh.shape()[1]);
-        let matte = inputs.matte.as_ref().map(|matte| B::host_coefficients(matte.clone()));
-        Self { geometry: ProjectHost::read(&inputs.geometry), sh, coefficients, matte }
-    }
-
-    fn inputs(&self) -> project_shade::cpu::Inputs<'_, F> {
-        let (geometry, coefficients) = (self.geometry.inputs(), self.coefficients);
-        let matte = self.matte.as_ref().map(HostCoefficients::view);
-        project_shade::cpu::Inputs { geometry, sh: self.sh.view(), coefficients, matte }
-    }
-}
-
-fn project_shade<B: HostBackend, F: Real>(inputs: ProjectShadeInputs<B>, spec: &ProjectSpec) -> ProjectedColours<B> {
-    let host = ProjectShadeHost::<F>::read(&inputs);
-    let (packed, colours) = project_shade::cpu::project_shade_cpu(host.inputs(), spec);
-    let count = colours.len() / 3;
-    ProjectedColours {
-        packed: B::from_host(packed, &[count, COLUMNS], &inputs.sh),
-        colours: B::from_host(colours, &[count, 3], &inputs.sh),
-    }
-}
-
-fn project_shade_backward<B: HostBackend, F: Real>(
-    inputs: ProjectShadeInputs<B>,
-    grad: ProjectedColours<B>,
-    spec: &ProjectSpec,
-    needs: ProjectShadeNeeds,
-) -> ProjectShadeGrads<B> {
-    let host = ProjectShadeHost::<F>::read(&inputs);
-    let (packed, colours) = (B::host(grad.packed), B::host(grad.colours));
-    let g = project_shade::cpu::project_shade_backward_cpu(host.inputs(), (&packed, &colours), spec, needs);
-    let (count, directional, like) = (host.inputs().geometry.opacities.len(), inputs.sh.shape()[0], &inputs.sh);
-    ProjectShadeGrads {
-        geometry: project_grads(g.geometry, needs.geometry, count, like),
-        sh: slot(needs.sh, g.sh, &[directional, host.coefficients, 3], like),
-        matte: slot(needs.matte, g.matte, &[count - directional, 1, 3], like),
     }
 }
 
@@ -270,33 +228,18 @@ macro_rules! cpu_backend {
                 by_type!(inputs.means, F => project_backward::<Self, F>(inputs, grad, &spec, needs))
             }
 
-            fn shade(inputs: ShadeInputs<Self>) -> FloatTensor<Self> {
-                by_type!(inputs.means, F => shade::<Self, F>(inputs))
+            fn shade(inputs: ShadeInputs<Self>, visible: Slot<Self>, spec: ProjectSpec) -> FloatTensor<Self> {
+                by_type!(inputs.means, F => shade::<Self, F>(inputs, visible, &spec))
             }
 
             fn shade_backward(
                 inputs: ShadeInputs<Self>,
+                visible: Slot<Self>,
                 grad: FloatTensor<Self>,
+                spec: ProjectSpec,
                 needs: ShadeNeeds,
             ) -> ShadeGrads<Self> {
-                by_type!(inputs.means, F => shade_backward::<Self, F>(inputs, grad, needs))
-            }
-
-            fn project_shade(
-                inputs: ProjectShadeInputs<Self>,
-                _: FloatTensor<Self>,
-                spec: ProjectSpec,
-            ) -> ProjectedColours<Self> {
-                by_type!(inputs.geometry.means, F => project_shade::<Self, F>(inputs, &spec))
-            }
-
-            fn project_shade_backward(
-                inputs: ProjectShadeInputs<Self>,
-                grad: ProjectedColours<Self>,
-                spec: ProjectSpec,
-                needs: ProjectShadeNeeds,
-            ) -> ProjectShadeGrads<Self> {
-                by_type!(inputs.geometry.means, F => project_shade_backward::<Self, F>(inputs, grad, &spec, needs))
+                by_type!(inputs.means, F => shade_backward::<Self, F>(inputs, visible, grad, &spec, needs))
             }
 
             fn tile(projected: FloatTensor<Self>, spec: BlendSpec, hits: HitCell) -> IntTensor<Self> {

@@ -14,8 +14,6 @@ use crate::gpu::{Buffer, Gpu, launch_scale};
 use crate::op::{Slot, SplatBackend};
 use crate::project::launch::{launch_project, launch_project_backward};
 use crate::project::{self, COLUMNS, ProjectGrads, ProjectInputs, ProjectNeeds, ProjectSpec};
-use crate::project_shade::launch::{launch_project_shade, launch_project_shade_backward};
-use crate::project_shade::{self, ProjectShadeGrads, ProjectShadeInputs, ProjectShadeNeeds, ProjectedColours};
 use crate::shade::launch::{Coefficients, launch_shade, launch_shade_backward};
 use crate::shade::{self, ShadeGrads, ShadeInputs, ShadeNeeds};
 use crate::tile::launch::{DeviceLists, launch_tile};
@@ -99,16 +97,6 @@ pub(super) fn project_grads(
     }
 }
 
-impl ProjectShadeInputs<CubeBackend> {
-    fn on_device(&self) -> project_shade::launch::DeviceInputs {
-        project_shade::launch::DeviceInputs {
-            geometry: self.geometry.on_device(),
-            sh: coefficients(self.sh.clone()),
-            matte: self.matte.as_ref().cloned().map(coefficients),
-        }
-    }
-}
-
 impl ShadeInputs<CubeBackend> {
     fn on_device(&self) -> shade::launch::DeviceInputs {
         shade::launch::DeviceInputs {
@@ -160,53 +148,32 @@ impl SplatBackend for CubeBackend {
         project_grads(g, inputs.means.shape()[0], &inputs.means)
     }
 
-    fn shade(inputs: ShadeInputs<Self>) -> FloatTensor<Self> {
+    fn shade(inputs: ShadeInputs<Self>, visible: Slot<Self>, spec: ProjectSpec) -> FloatTensor<Self> {
         let gpu = Gpu::new(&inputs.means.client);
-        let colours = launch_shade(&gpu, &inputs.on_device(), inputs.sh.shape()[1]);
+        let visible = visible.as_ref().map(|ellipses| buffer(ellipses.clone()));
+        let visible = visible.as_ref().map(|ellipses| (ellipses, &spec));
+        let colours = launch_shade(&gpu, &inputs.on_device(), visible, inputs.sh.shape()[1]);
         tensor(colours, [inputs.means.shape()[0], 3], DType::F32, &inputs.means)
     }
 
-    fn shade_backward(inputs: ShadeInputs<Self>, grad: FloatTensor<Self>, needs: ShadeNeeds) -> ShadeGrads<Self> {
+    fn shade_backward(
+        inputs: ShadeInputs<Self>,
+        visible: Slot<Self>,
+        grad: FloatTensor<Self>,
+        spec: ProjectSpec,
+        needs: ShadeNeeds,
+    ) -> ShadeGrads<Self> {
         let gpu = Gpu::new(&inputs.means.client);
         let coefficients = inputs.sh.shape()[1];
-        let g = launch_shade_backward(&gpu, &inputs.on_device(), coefficients, &buffer(grad), needs);
+        let visible = visible.as_ref().map(|ellipses| buffer(ellipses.clone()));
+        let (on_device, grad) = (inputs.on_device(), buffer(grad));
+        let visible = visible.as_ref().map(|ellipses| (ellipses, &spec));
+        let g = launch_shade_backward(&gpu, &on_device, visible, coefficients, &grad, needs);
         let (count, like) = (inputs.means.shape()[0], &inputs.means);
         ShadeGrads {
             sh: slot(g.sh, [count, coefficients, 3], like),
             means: slot(g.means, [count, 3], like),
             cam_from_world: slot(g.cam_from_world, [3, 4], like),
-        }
-    }
-
-    fn project_shade(
-        inputs: ProjectShadeInputs<Self>,
-        _: FloatTensor<Self>,
-        spec: ProjectSpec,
-    ) -> ProjectedColours<Self> {
-        let (gpu, like) = (Gpu::new(&inputs.sh.client), &inputs.sh);
-        let (count, coefficients) = (inputs.geometry.opacities.shape()[0], inputs.sh.shape()[1]);
-        let (packed, colours) = launch_project_shade(&gpu, &inputs.on_device(), coefficients, &spec);
-        ProjectedColours {
-            packed: tensor(packed, [count, COLUMNS], DType::F32, like),
-            colours: tensor(colours, [count, 3], DType::F32, like),
-        }
-    }
-
-    fn project_shade_backward(
-        inputs: ProjectShadeInputs<Self>,
-        grad: ProjectedColours<Self>,
-        spec: ProjectSpec,
-        needs: ProjectShadeNeeds,
-    ) -> ProjectShadeGrads<Self> {
-        let (gpu, like) = (Gpu::new(&inputs.sh.client), &inputs.sh);
-        let [directional, coefficients, _] = inputs.sh.shape().dims();
-        let count = inputs.geometry.opacities.shape()[0];
-        let grads = (&buffer(grad.packed), &buffer(grad.colours));
-        let g = launch_project_shade_backward(&gpu, &inputs.on_device(), coefficients, grads, &spec, needs);
-        ProjectShadeGrads {
-            geometry: project_grads(g.geometry, count, like),
-            sh: slot(g.sh, [directional, coefficients, 3], like),
-            matte: slot(g.matte, [count - directional, 1, 3], like),
         }
     }
 

@@ -7,9 +7,6 @@ use crate::bind::activate::ActivateInputsMetadata;
 use crate::blend::{BlendGradsMetadata, BlendInputsMetadata, BlendNeeds, BlendSpec, PartsCell, TraceCell};
 use crate::op::SlotMetadata;
 use crate::project::{COLUMNS, ProjectGradsMetadata, ProjectInputsMetadata, ProjectNeeds, ProjectSpec};
-use crate::project_shade::{
-    ProjectShadeGradsMetadata, ProjectShadeInputsMetadata, ProjectShadeNeeds, ProjectedColoursMetadata,
-};
 use crate::rays::{RaysGradsMetadata, RaysInputsMetadata, RaysNeeds};
 use crate::shade::{ShadeGradsMetadata, ShadeInputsMetadata, ShadeNeeds};
 use crate::tile::{HitCell, tile_grid};
@@ -54,39 +51,21 @@ pub(crate) fn project_backward(
     }
 }
 
-pub(crate) fn shade(inputs: &ShadeInputsMetadata) -> TensorSpec {
+pub(crate) fn shade(inputs: &ShadeInputsMetadata, _: &SlotMetadata, _: &ProjectSpec) -> TensorSpec {
     inputs.means.clone()
 }
 
-pub(crate) fn shade_backward(inputs: &ShadeInputsMetadata, _: &TensorSpec, needs: &ShadeNeeds) -> ShadeGradsMetadata {
+pub(crate) fn shade_backward(
+    inputs: &ShadeInputsMetadata,
+    _: &SlotMetadata,
+    _: &TensorSpec,
+    _: &ProjectSpec,
+    needs: &ShadeNeeds,
+) -> ShadeGradsMetadata {
     ShadeGradsMetadata {
         sh: slot(needs.sh, &of_type(&inputs.sh, &inputs.means)),
         means: slot(needs.means, &inputs.means),
         cam_from_world: slot(needs.cam_from_world, &inputs.cam_from_world),
-    }
-}
-
-pub(crate) fn project_shade(
-    inputs: &ProjectShadeInputsMetadata,
-    probe: &TensorSpec,
-    spec: &ProjectSpec,
-) -> ProjectedColoursMetadata {
-    ProjectedColoursMetadata { packed: project(&inputs.geometry, probe, spec), colours: inputs.geometry.means.clone() }
-}
-
-pub(crate) fn project_shade_backward(
-    inputs: &ProjectShadeInputsMetadata,
-    grad: &ProjectedColoursMetadata,
-    spec: &ProjectSpec,
-    needs: &ProjectShadeNeeds,
-) -> ProjectShadeGradsMetadata {
-    ProjectShadeGradsMetadata {
-        geometry: project_backward(&inputs.geometry, &grad.packed, spec, &needs.geometry),
-        sh: slot(needs.sh, &of_type(&inputs.sh, &inputs.geometry.means)),
-        matte: match &inputs.matte {
-            SlotMetadata::Have(matte) => slot(needs.matte, &of_type(matte, &inputs.geometry.means)),
-            SlotMetadata::Skip => SlotMetadata::Skip,
-        },
     }
 }
 
