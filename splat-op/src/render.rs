@@ -10,7 +10,8 @@ use crate::colour::visible_colours;
 use crate::dials::Storage;
 use crate::error::SplatError;
 use crate::options::RenderOptions;
-use crate::stages::{Extras, Picture, Splats, blend, check_render_fits, project, tile};
+use crate::splats::{Extras, Splats};
+use crate::stages::{Picture, blend, check_render_fits, project, tile};
 
 /// What all cameras see. All fields are differentiable.
 #[derive(Clone, Debug)]

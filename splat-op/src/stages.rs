@@ -3,56 +3,19 @@
 use burn::backend::Dispatch;
 use burn::tensor::{Int, Tensor};
 
-use crate::bind::rays::RaysBackend;
-use crate::blend::{BlendInputs, BlendSpec, PartsCell};
+use crate::backend::rays::RaysBackend;
+use crate::backend::stages::SplatBackend;
+use crate::backend::tensors::GeometryTensors;
+use crate::blend::{BlendSpec, Layers, PartsCell};
 use crate::camera::{Camera, CameraModel, Intrinsics};
 use crate::check::{Reference, check_positive};
-use crate::colour::{Colour, sh_need};
 use crate::error::SplatError;
 use crate::limits::{Need, check_fits};
-use crate::op::SplatBackend;
 use crate::options::{Projection, RenderOptions};
-use crate::project::{COLUMNS, ProjectInputs, ProjectSpec};
-use crate::rays::RaysInputs;
+use crate::project::{COLUMNS, Geometry, ProjectSpec};
+use crate::rays::RayLayers;
+use crate::splats::{Colour, Extras, Splats, sh_need};
 use crate::tile::{HitCell, tile_grid};
-
-/// Gaussians with activated parameters, one row each, all of one float type (f32; f64 on CPU devices) and on one device.
-#[derive(Clone, Debug)]
-pub struct Splats {
-    /// `[N, 3]`: centres, world frame, scene units.
-    pub means: Tensor<2>,
-    /// `[N, 4]`: quaternions wxyz, world-from-Gaussian, of any non-zero length.
-    pub rotations: Tensor<2>,
-    /// `[N, 3]`: standard deviations along the rotated axes, scene units.
-    pub scales: Tensor<2>,
-    /// `[N]`: opacities, 0 to 1. One of exactly 0 is not drawn, and gets no gradient to grow by.
-    pub opacities: Tensor<1>,
-    /// Colours or features.
-    pub colour: Colour,
-}
-
-impl Splats {
-    /// The same with coefficients of spherical harmonics as `options` want them, once for many renders: see [`Colour::stored`].
-    ///
-    /// # Errors
-    /// As [`Colour::stored`].
-    pub fn stored(&self, options: &RenderOptions) -> Result<Self, SplatError> {
-        Ok(Self { colour: self.colour.stored(options.coefficients)?, ..self.clone() })
-    }
-}
-
-/// Optional inputs of a render.
-#[derive(Clone, Debug, Default)]
-pub struct Extras {
-    /// `[C]`: what is seen through the Gaussians; zero if absent.
-    pub background: Option<Tensor<1>>,
-    /// A tracked `[N, 2]` leaf whose gradient becomes `∂L/∂mean2d` at the projected centres, summed over the cameras,
-    /// per px. (Burn keeps no gradient of an inner tensor.) The densification threshold of the field, 2e-4, is per unit
-    /// of normalised device coordinates: multiply by `[width / 2, height / 2]` before comparing.
-    pub mean2d_probe: Option<Tensor<2>>,
-    /// As `mean2d_probe`, but each pixel's contribution enters with its absolute value (AbsGrad, Ye et al. 2024).
-    pub mean2d_abs_probe: Option<Tensor<2>>,
-}
 
 /// The screen-space ellipses of a view, by name; see `project/` for the factor. To change them, take them with
 /// [`Projected::ellipses`], compute, and put them back with [`Ellipses::pack`].
@@ -179,26 +142,27 @@ pub fn project(
     options: &RenderOptions,
 ) -> Result<Projected, SplatError> {
     let reference = check_geometry(splats, camera, options)?;
-    let probe = probe_or_empty(&reference, "mean2d_probe", mean2d_probe, splats)?;
+    let probe = probe_or_empty(&reference, "mean2d_probe", mean2d_probe, splats.means.dims()[0])?;
     reference.check_fits(&[packed_need(splats.means.dims()[0])])?;
     let spec = ProjectSpec { intrinsics: camera.intrinsics, options: options.of_project() };
-    let inputs = project_inputs(splats, camera);
+    let inputs = geometry(splats, camera, probe);
     let tilt = options.along_rays().then(|| {
         let tilt = Tensor::from_dispatch(<Dispatch as RaysBackend>::tilt(inputs.clone(), spec));
         // For the affine projection it decides an order, which has no gradient.
         if options.projection == Projection::Exact { tilt } else { tilt.detach() }
     });
-    let packed = <Dispatch as SplatBackend>::project(inputs, probe.into_dispatch(), spec);
+    let packed = <Dispatch as SplatBackend>::project(inputs, spec);
     Ok(Projected { packed: Tensor::from_dispatch(packed), tilt, intrinsics: camera.intrinsics })
 }
 
-fn project_inputs(splats: &Splats, camera: &Camera) -> ProjectInputs<Dispatch> {
-    ProjectInputs {
-        means: splats.means.clone().into_dispatch(),
-        rotations: splats.rotations.clone().into_dispatch(),
-        scales: splats.scales.clone().into_dispatch(),
-        opacities: splats.opacities.clone().into_dispatch(),
-        cam_from_world: camera.cam_from_world.clone().into_dispatch(),
+fn geometry(splats: &Splats, camera: &Camera, mean2d_probe: Tensor<2>) -> GeometryTensors<Dispatch> {
+    Geometry {
+        means: splats.means.clone().into(),
+        rotations: splats.rotations.clone().into(),
+        scales: splats.scales.clone().into(),
+        opacities: splats.opacities.clone().into(),
+        cam_from_world: camera.cam_from_world.clone().into(),
+        mean2d: mean2d_probe.into(),
     }
 }
 
@@ -251,26 +215,21 @@ pub fn blend(
         None => Tensor::zeros([channels], reference.options()),
     };
     reference.check("background", &background, [Some(channels)], "[C]")?;
-    let probe = match &extras.mean2d_abs_probe {
-        Some(probe) => probe.clone(),
-        None => Tensor::zeros([0, 2], reference.options()),
-    };
-    if extras.mean2d_abs_probe.is_some() {
-        reference.check("mean2d_abs_probe", &probe, [Some(count), Some(2)], "[N, 2]")?;
-    }
+    let probe = probe_or_empty(&reference, "mean2d_abs_probe", extras.mean2d_abs_probe.as_ref(), count)?;
     reference.check_device("tiles", &tiles.counts.device())?;
     let spec = BlendSpec { intrinsics: projected.intrinsics, options: *options };
-    let (packed, probe) = (projected.packed.clone().into_dispatch(), probe.into_dispatch());
-    let (features, background) = (features.clone().into_dispatch(), background.into_dispatch());
+    let (packed, features, background) = (projected.packed.clone().into(), features.clone().into(), background.into());
+    let mean2d_abs = probe.into();
     let (counts, hits, parts) = (tiles.counts.clone().into_dispatch(), tiles.hits.clone(), PartsCell::default());
     let planes = match &projected.tilt {
         None => {
-            let inputs = BlendInputs { projected: packed, features, background };
-            <Dispatch as SplatBackend>::blend(inputs, probe, counts, spec, hits, None, parts.clone())
+            let inputs = Layers { projected: packed, features, background, mean2d_abs };
+            <Dispatch as SplatBackend>::blend(inputs, counts, spec, hits, None, parts.clone())
         }
         Some(tilt) => {
-            let inputs = RaysInputs { projected: packed, tilt: tilt.clone().into_dispatch(), features, background };
-            <Dispatch as RaysBackend>::rays(inputs, probe, counts, spec, hits, parts.clone())
+            let tilt = tilt.clone().into();
+            let inputs = RayLayers { projected: packed, tilt, features, background, mean2d_abs };
+            <Dispatch as RaysBackend>::rays(inputs, counts, spec, hits, parts.clone())
         }
     };
     Ok(picture(&Tensor::from_dispatch(planes), channels, options.depth, &parts))
@@ -364,12 +323,12 @@ fn probe_or_empty(
     reference: &Reference,
     name: &'static str,
     probe: Option<&Tensor<2>>,
-    splats: &Splats,
+    count: usize,
 ) -> Result<Tensor<2>, SplatError> {
     match probe {
         None => Ok(Tensor::zeros([0, 2], reference.options())),
         Some(probe) => {
-            reference.check(name, probe, [Some(splats.means.dims()[0]), Some(2)], "[N, 2]")?;
+            reference.check(name, probe, [Some(count), Some(2)], "[N, 2]")?;
             Ok(probe.clone())
         }
     }

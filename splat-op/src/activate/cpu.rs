@@ -4,22 +4,12 @@ use fearless_simd::prelude::*;
 use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
 
-use super::{LARGEST, LARGEST_LOG_SCALE};
+use super::rule::{LARGEST, LARGEST_LOG_SCALE, Raw};
 use crate::lanes::{BLOCK, map_lanes};
 use crate::real::Real;
 
 /// Gaussians per task.
 const CHUNK: usize = 1024;
-
-/// Borrowed inputs, row-major.
-#[derive(Clone, Copy)]
-pub(crate) struct Inputs<'a, F> {
-    pub means: &'a [F],
-    pub rotations: &'a [F],
-    pub log_scales: &'a [F],
-    pub logit_opacities: &'a [F],
-    pub sh: &'a [F],
-}
 
 /// Whether all values are finite and not too large to be squared. Without a branch, so that it is vectorised: it passes over
 /// every coefficient of a scene.
@@ -64,7 +54,7 @@ fn rows_of<F>(values: &[F], first: usize, count: usize, columns: usize) -> &[F] 
 }
 
 /// `[N]` opacities.
-pub(crate) fn opacities_cpu<F: Real>(inputs: Inputs<F>) -> Vec<F> {
+pub(crate) fn opacities_cpu<F: Real>(inputs: Raw<&[F]>) -> Vec<F> {
     let mut opacities = vec![F::ZERO; inputs.logit_opacities.len()];
     opacities.par_chunks_mut(CHUNK).enumerate().for_each(|(chunk, out)| {
         dispatch!(Level::new(), simd => opacities_chunk(simd, &inputs, chunk * CHUNK, out));
@@ -73,7 +63,7 @@ pub(crate) fn opacities_cpu<F: Real>(inputs: Inputs<F>) -> Vec<F> {
 }
 
 #[inline(always)]
-fn opacities_chunk<S: Simd, F: Real>(simd: S, inputs: &Inputs<F>, first: usize, out: &mut [F]) {
+fn opacities_chunk<S: Simd, F: Real>(simd: S, inputs: &Raw<&[F]>, first: usize, out: &mut [F]) {
     let count = inputs.logit_opacities.len();
     let coefficients = inputs.sh.len() / count.max(1);
     let [zero, one] = [F::ZERO, F::ONE].map(|value| F::Lanes::<S>::splat(simd, value));

@@ -3,7 +3,7 @@
 
 use cubecl::prelude::*;
 
-use super::{LARGEST, LARGEST_LOG_SCALE};
+use super::rule::{LARGEST, LARGEST_LOG_SCALE};
 use crate::gpu::math::finite;
 
 /// Below this an exponential is no f32 any more, not even a subnormal one.

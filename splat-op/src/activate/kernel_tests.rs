@@ -1,7 +1,8 @@
 //! The kernels of `activate` against the twin in f64.
 
-use super::cpu::{Inputs, opacities_cpu, opacity_slopes_cpu, scales_cpu};
-use super::launch::{DeviceInputs, launch_non_finite, launch_opacities, launch_opacity_slopes, launch_scales};
+use super::cpu::{opacities_cpu, opacity_slopes_cpu, scales_cpu};
+use super::launch::{launch_non_finite, launch_opacities, launch_opacity_slopes, launch_scales};
+use super::rule::Raw;
 use crate::gpu::Buffer;
 use crate::testing::ceiling::{Yardstick, rounded, to_f32};
 use crate::testing::gpu::{gpu, gpus};
@@ -47,8 +48,8 @@ fn poison(tensors: &mut [Vec<f64>]) {
     }
 }
 
-fn inputs(t: &[Vec<f64>]) -> Inputs<'_, f64> {
-    Inputs { means: &t[0], rotations: &t[1], log_scales: &t[2], logit_opacities: &t[3], sh: &t[4] }
+fn inputs(t: &[Vec<f64>]) -> Raw<&'_ [f64]> {
+    Raw { means: &t[0], rotations: &t[1], log_scales: &t[2], logit_opacities: &t[3], sh: &t[4] }
 }
 
 #[test]
@@ -78,7 +79,7 @@ fn activations_and_slopes_agree_with_the_twin() {
         for (form, gpu) in gpus() {
             let what = format!("{count} Gaussians of {coefficients} coefficients, {form}");
             let buffer = |i: usize| Buffer::from_slice(&gpu, &to_f32(&tensors[i]));
-            let device = DeviceInputs {
+            let device = Raw {
                 means: buffer(0),
                 rotations: buffer(1),
                 log_scales: buffer(2),
@@ -130,8 +131,7 @@ fn a_number_that_is_not_finite_is_found_wherever_it_is() {
 fn nothing_is_activated() {
     let Some(gpu) = gpu() else { return };
     let empty = || Buffer::from_slice(&gpu, &[] as &[f32]);
-    let device =
-        DeviceInputs { means: empty(), rotations: empty(), log_scales: empty(), logit_opacities: empty(), sh: empty() };
+    let device = Raw { means: empty(), rotations: empty(), log_scales: empty(), logit_opacities: empty(), sh: empty() };
     assert!(launch_opacities(&gpu, &device).read(&gpu).is_empty());
     assert!(launch_opacity_slopes(&gpu, &empty(), &empty()).read(&gpu).is_empty());
     assert!(launch_scales(&gpu, &empty()).read(&gpu).is_empty());

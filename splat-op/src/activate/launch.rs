@@ -1,25 +1,11 @@
 //! Launches of `activate`.
 
 use super::forward::{non_finite_kernel, opacities_kernel, opacity_slopes_kernel, scales_kernel};
+use super::rule::Raw;
 use crate::gpu::{Buffer, Gpu, elementwise};
 
 /// Units that look for values that are not finite: enough to occupy a large card, few enough that each has several.
 const SEEKERS: usize = 65_536;
-
-/// Inputs on the device, row-major.
-#[derive(Clone, Debug)]
-pub(crate) struct DeviceInputs {
-    /// `[N, 3]`.
-    pub means: Buffer<f32>,
-    /// `[N, 4]`.
-    pub rotations: Buffer<f32>,
-    /// `[N, 3]`.
-    pub log_scales: Buffer<f32>,
-    /// `[N]`.
-    pub logit_opacities: Buffer<f32>,
-    /// `[N, K, 3]`.
-    pub sh: Buffer<f32>,
-}
 
 /// `[N, 3]` standard deviations.
 pub(crate) fn launch_scales(gpu: &Gpu, log_scales: &Buffer<f32>) -> Buffer<f32> {
@@ -42,7 +28,7 @@ pub(crate) fn launch_scales(gpu: &Gpu, log_scales: &Buffer<f32>) -> Buffer<f32> 
 }
 
 /// `[N]` opacities.
-pub(crate) fn launch_opacities(gpu: &Gpu, inputs: &DeviceInputs) -> Buffer<f32> {
+pub(crate) fn launch_opacities(gpu: &Gpu, inputs: &Raw<Buffer<f32>>) -> Buffer<f32> {
     let count = inputs.logit_opacities.len;
     let opacities = Buffer::new(gpu, count);
     if count > 0 {

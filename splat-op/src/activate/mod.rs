@@ -29,22 +29,19 @@ mod forward;
 mod kernel_tests;
 #[cfg(feature = "cube")]
 pub(crate) mod launch;
+pub(crate) mod rule;
 #[cfg(test)]
 mod tests;
 
 use burn::backend::Dispatch;
 use burn::tensor::{Int, Tensor};
 
-use crate::bind::activate::{ActivateBackend, ActivateInputs};
+pub use rule::{LARGEST, LARGEST_LOG_SCALE};
+
+use crate::backend::activate::ActivateBackend;
 use crate::check::Reference;
 use crate::error::SplatError;
-
-/// The largest absolute value of a usable coordinate or colour coefficient: its square, and sums of many of those, are f32
-/// values. No scene that can be seen is that large.
-pub const LARGEST: f64 = 1e18;
-
-/// The largest usable logarithm of a standard deviation: `exp(88)` is 1.7e38, half of the largest f32.
-pub const LARGEST_LOG_SCALE: f64 = 88.0;
+pub(crate) use rule::Raw;
 
 /// Gaussians with unconstrained parameters, one row each, all of one float type and on one device.
 #[derive(Clone, Debug)]
@@ -84,12 +81,12 @@ pub fn opacities(raw: &RawSplats) -> Result<Tensor<1>, SplatError> {
     reference.check("log_scales", &raw.log_scales, [Some(count), Some(3)], "[N, 3]")?;
     reference.check("logit_opacities", &raw.logit_opacities, [Some(count)], "[N]")?;
     reference.check("sh", &raw.sh, [Some(count), None, Some(3)], "[N, K, 3]")?;
-    let inputs = ActivateInputs {
-        means: raw.means.clone().into_dispatch(),
-        rotations: raw.rotations.clone().into_dispatch(),
-        log_scales: raw.log_scales.clone().into_dispatch(),
-        logit_opacities: raw.logit_opacities.clone().into_dispatch(),
-        sh: raw.sh.clone().into_dispatch(),
+    let inputs = Raw {
+        means: raw.means.clone().into(),
+        rotations: raw.rotations.clone().into(),
+        log_scales: raw.log_scales.clone().into(),
+        logit_opacities: raw.logit_opacities.clone().into(),
+        sh: raw.sh.clone().into(),
     };
     Ok(Tensor::from_dispatch(<Dispatch as ActivateBackend>::opacities(inputs)))
 }

@@ -2,7 +2,7 @@
 
 use burn::tensor::{DType, Device, Tensor, TensorData};
 
-use super::cpu::{Inputs, all_finite_cpu, opacities_cpu, opacity_slopes_cpu, scales_cpu};
+use super::cpu::{all_finite_cpu, opacities_cpu, opacity_slopes_cpu, scales_cpu};
 use super::*;
 use crate::testing::random::Random;
 
@@ -12,13 +12,7 @@ fn opacities_of(logits: &[f64]) -> Vec<f64> {
     let count = logits.len();
     let rotations: Vec<f64> = (0..count).flat_map(|_| [1.0, 0.0, 0.0, 0.0]).collect();
     let zeros = vec![0.0; 3 * count];
-    opacities_cpu(Inputs {
-        means: &zeros,
-        rotations: &rotations,
-        log_scales: &zeros,
-        logit_opacities: logits,
-        sh: &zeros,
-    })
+    opacities_cpu(Raw { means: &zeros, rotations: &rotations, log_scales: &zeros, logit_opacities: logits, sh: &zeros })
 }
 
 #[test]
@@ -82,7 +76,7 @@ const SLOTS: [Slot; 5] = [
 /// The opacity by the function on the host, by the twin in f32, and whether it has a slope.
 fn judged(one: &One) -> (bool, f32, f32) {
     let usable = is_usable(&one.mean, &one.rotation, &one.log_scale, one.logit, [&one.sh[..5], &one.sh[5..]]);
-    let opacity = opacities_cpu(Inputs {
+    let opacity = opacities_cpu(Raw {
         means: &one.mean,
         rotations: &one.rotation,
         log_scales: &one.log_scale,

@@ -2,7 +2,7 @@
 
 use cubecl::prelude::*;
 
-use super::launch::DeviceInputs;
+use super::Layers;
 use super::layer::Shape;
 use crate::gpu::half::{from_half, to_half};
 use crate::gpu::{Buffer, Gpu, elementwise};
@@ -37,7 +37,7 @@ fn blend_halve_kernel(features: &[f32], words: &mut [f32], count: u32, #[comptim
 }
 
 /// The features as [`load_half`] reads them.
-pub(super) fn launch_halve(gpu: &Gpu, inputs: &DeviceInputs) -> Buffer<f32> {
+pub(super) fn launch_halve(gpu: &Gpu, inputs: &Layers<Buffer<f32>>) -> Buffer<f32> {
     let features = inputs.background.len;
     let words = Buffer::new(gpu, inputs.count() * words_of(features));
     let (grid, dim) = elementwise(words.len);

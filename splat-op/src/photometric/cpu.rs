@@ -8,7 +8,7 @@ use std::ops::Range;
 use fearless_simd::{Level, dispatch, prelude::*};
 use rayon::prelude::*;
 
-use super::{C1, C2, TAPS, half_window};
+use super::taps::{C1, C2, TAPS, half_window};
 use crate::real::{LANES, Real};
 
 /// Taps on one side of the middle.

@@ -5,8 +5,8 @@ use cubecl::prelude::{CubeCount, CubeDim};
 use super::forward::{
     PlanesLaunch, WeightsLaunch, WindowLaunch, gradient_kernel, index_kernel, moments_kernel, window_kernel,
 };
-use super::half_window;
 use super::sweeps::{self, gradient_sweep_kernel, index_sweep_kernel};
+use super::taps::half_window;
 use crate::gpu::{Buffer, Gpu, cubes, elementwise};
 
 /// Inputs on the device, each `[C, H, W]`.

@@ -5,8 +5,8 @@
 
 use cubecl::prelude::*;
 
-use super::TAPS;
 use super::forward::{HALF, Planes, Similarity, Weights, Window};
+use super::taps::TAPS;
 
 /// Columns of a unit, and rows of its part. A part begins and ends with rows that its neighbours sweep too, a unit with
 /// columns.

@@ -4,7 +4,7 @@ use burn::tensor::f16;
 use rayon::prelude::*;
 
 use super::basis::{basis, basis_backward};
-use super::{SH_COEFFICIENTS_MAX, ShadeNeeds, degree_of, reach_sigmas};
+use super::{SH_COEFFICIENTS_MAX, Shading, degree_of, reach_sigmas};
 use crate::linalg::{Mat3, add, cross, dot, matvec, norm, scale, sub, transpose, transposed_matvec};
 use crate::project::{COLUMNS, Ellipse, ProjectSpec};
 use crate::real::Real;
@@ -58,13 +58,6 @@ impl<F: Real> Coefficients<'_, F> {
             }
         }
     }
-}
-
-/// Gradients; an empty vector where none was asked for.
-pub(crate) struct Grads<F> {
-    pub sh: Vec<F>,
-    pub means: Vec<F>,
-    pub cam_from_world: Vec<F>,
 }
 
 /// Where the camera is in the world: the point that the pose takes to zero, `−A⁻¹ t`. The general inverse, so that the
@@ -172,8 +165,8 @@ pub(crate) fn shade_backward_cpu<F: Real>(
     inputs: Inputs<F>,
     visible: Option<&Visible<F>>,
     grad: &[F],
-    needs: ShadeNeeds,
-) -> Grads<F> {
+    needs: Shading<bool>,
+) -> Shading<Vec<F>> {
     let eye = Eye::new(inputs.cam_from_world);
     let row = 3 * inputs.coefficients;
     let degree = degree_of(inputs.coefficients);
@@ -181,7 +174,7 @@ pub(crate) fn shade_backward_cpu<F: Real>(
     let chunks = count.div_ceil(CHUNK);
     let through_direction = needs.means || needs.cam_from_world;
     let zeros = |needed: bool, len: usize| vec![F::ZERO; if needed { len } else { 0 }];
-    let mut grads = Grads {
+    let mut grads = Shading {
         sh: zeros(needs.sh, inputs.sh.len()),
         means: zeros(needs.means, inputs.means.len()),
         cam_from_world: Vec::new(),

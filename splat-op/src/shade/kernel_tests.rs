@@ -2,15 +2,15 @@
 
 use glam::{DMat3, DVec3};
 
-use super::cpu::{Coefficients, Grads, Inputs, shade_backward_cpu, shade_cpu};
-use super::launch::{DeviceGrads, DeviceInputs, launch_shade, launch_shade_backward};
-use super::{ShadeNeeds, coefficients_of};
+use super::cpu::{Coefficients, Inputs, shade_backward_cpu, shade_cpu};
+use super::launch::{DeviceInputs, launch_shade, launch_shade_backward};
+use super::{Shading, coefficients_of};
 use crate::gpu::{Buffer, Gpu};
 use crate::testing::ceiling::{Yardstick, rounded, to_f32};
 use crate::testing::gpu::gpus;
 use crate::testing::random::Random;
 
-const ALL: ShadeNeeds = ShadeNeeds { sh: true, means: true, cam_from_world: true };
+const ALL: Shading<bool> = Shading { sh: true, means: true, cam_from_world: true };
 const NAMES: [&str; 3] = ["sh", "means", "pose"];
 
 // Classes of Gaussians.
@@ -106,11 +106,11 @@ impl Scene {
     }
 }
 
-fn list(g: Grads<f64>) -> Vec<Vec<f64>> {
+fn list(g: Shading<Vec<f64>>) -> Vec<Vec<f64>> {
     vec![g.sh, g.means, g.cam_from_world]
 }
 
-fn read(gpu: &Gpu, g: &DeviceGrads) -> [Option<Vec<f32>>; 3] {
+fn read(gpu: &Gpu, g: &Shading<Option<Buffer<f32>>>) -> [Option<Vec<f32>>; 3] {
     [&g.sh, &g.means, &g.cam_from_world].map(|buffer| buffer.as_ref().map(|buffer| buffer.read(gpu)))
 }
 
@@ -126,7 +126,7 @@ fn check_forward(what: &str, scene: &Scene) -> f64 {
     worst
 }
 
-fn check_backward(what: &str, mut scene: Scene, needs: &[ShadeNeeds]) -> f64 {
+fn check_backward(what: &str, mut scene: Scene, needs: &[Shading<bool>]) -> f64 {
     scene.mask_band();
     // A Gaussian that is not finite has no gradient, and is compared.
     let classes: Vec<_> = scene.kinds.iter().copied().map(Some).collect();
@@ -190,7 +190,7 @@ fn no_gaussians() {
 #[test]
 fn gradients_are_computed_where_asked_for() {
     let needs: Vec<_> =
-        (0..8).map(|i| ShadeNeeds { sh: i & 1 != 0, means: i & 2 != 0, cam_from_world: i & 4 != 0 }).collect();
+        (0..8).map(|i| Shading { sh: i & 1 != 0, means: i & 2 != 0, cam_from_world: i & 4 != 0 }).collect();
     for degree in [0, 3] {
         check_backward("part", Scene::random(7, 300, degree, true), &needs);
     }
@@ -225,7 +225,7 @@ fn more_cubes_than_fit_along_one_axis() {
         let [sh, means, grad] = [0, 1, GRAD].map(|i| Buffer::from_slice(&gpu, &repeated(i)));
         let large = DeviceInputs { sh: sh.into(), means, cam_from_world: small.cam_from_world.clone() };
         let run = |inputs: &DeviceInputs, grad: &Buffer<f32>| {
-            let found = launch_shade_backward(&gpu, inputs, None, 1, grad, ShadeNeeds { means: false, ..ALL });
+            let found = launch_shade_backward(&gpu, inputs, None, 1, grad, Shading { means: false, ..ALL });
             [launch_shade(&gpu, inputs, None, 1).read(&gpu), found.sh.expect("asked for").read(&gpu)]
         };
         for (found, expected) in run(&large, &grad).iter().zip(run(&small, &small_grad)) {

@@ -4,7 +4,7 @@ use cubecl::prelude::{CubeCount, CubeDim};
 
 use super::backward::{pose_backward_kernel, shade_backward_kernel};
 use super::forward::{FrameLaunch, shade_forward_kernel};
-use super::{Harmonics, ShadeNeeds, degree_of, reach_sigmas};
+use super::{Harmonics, Shading, degree_of, reach_sigmas};
 use crate::dials::Storage;
 use crate::gpu::math::POSE;
 use crate::gpu::reduce::launch_column_sums;
@@ -48,14 +48,6 @@ impl Coefficients {
     pub fn harmonics(&self, coefficients: usize) -> Harmonics {
         Harmonics { degree: degree_of(coefficients), storage: self.storage }
     }
-}
-
-/// Gradients on the device, of the inputs' shapes, each where it was asked for.
-#[derive(Clone, Debug)]
-pub(crate) struct DeviceGrads {
-    pub sh: Option<Buffer<f32>>,
-    pub means: Option<Buffer<f32>>,
-    pub cam_from_world: Option<Buffer<f32>>,
 }
 
 /// Which Gaussians are shaded: those whose packed ellipses, `[N, 7]`, can show in a picture.
@@ -102,10 +94,10 @@ pub(crate) fn launch_shade_backward(
     visible: Visible,
     coefficients: usize,
     grad: &Buffer<f32>,
-    needs: ShadeNeeds,
-) -> DeviceGrads {
+    needs: Shading<bool>,
+) -> Shading<Option<Buffer<f32>>> {
     let (count, harmonics) = (inputs.means.len / 3, inputs.sh.harmonics(coefficients));
-    let mut grads = DeviceGrads {
+    let mut grads = Shading {
         sh: Buffer::if_needed(gpu, needs.sh, inputs.sh.len),
         means: Buffer::if_needed(gpu, needs.means, inputs.means.len),
         cam_from_world: None,

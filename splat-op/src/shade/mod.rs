@@ -42,12 +42,9 @@ mod visible_kernel_tests;
 #[cfg(test)]
 mod visible_tests;
 
-use burn::backend::tensor::FloatTensor;
-use burn::backend::{Backend, ExtensionType};
-
 #[cfg(feature = "cube")]
 use crate::dials::Storage;
-use crate::op::Slot;
+use crate::record::record;
 
 /// The highest degree of spherical harmonics.
 pub const SH_DEGREE_MAX: usize = 4;
@@ -109,37 +106,14 @@ fn reach_sigmas(alpha_min: f64) -> f64 {
     REACH_MARGIN * sigmas.min(SIGMAS_MAX)
 }
 
-/// Inputs of the stage.
-#[derive(Clone, Debug, ExtensionType)]
-#[extension_type(fusion: cfg(feature = "fusion"))]
-pub struct ShadeInputs<B: Backend> {
-    /// `[N, (degree+1)², 3]`, of half precision or of the type of the others.
-    pub sh: FloatTensor<B>,
-    /// `[N, 3]`, world frame.
-    pub means: FloatTensor<B>,
-    /// `[3, 4]`.
-    pub cam_from_world: FloatTensor<B>,
-}
-
-/// Gradients of the stage's inputs, each only where it was asked for.
-#[derive(Clone, Debug, ExtensionType)]
-#[extension_type(fusion: cfg(feature = "fusion"))]
-pub struct ShadeGrads<B: Backend> {
-    /// `[N, (degree+1)², 3]`.
-    #[extension_type]
-    pub sh: Slot<B>,
-    /// `[N, 3]`.
-    #[extension_type]
-    pub means: Slot<B>,
-    /// `[3, 4]`, every entry taken as free.
-    #[extension_type]
-    pub cam_from_world: Slot<B>,
-}
-
-/// Which gradients are asked for.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct ShadeNeeds {
-    pub sh: bool,
-    pub means: bool,
-    pub cam_from_world: bool,
+record! {
+    /// What colours are computed from.
+    pub struct Shading {
+        /// `[N, (degree+1)², 3]`, of half precision or of the type of the others, which its gradient has.
+        sh,
+        /// `[N, 3]`, world frame.
+        means,
+        /// `[3, 4]`; in the gradient every entry is taken as free.
+        cam_from_world,
+    }
 }

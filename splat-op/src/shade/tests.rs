@@ -1,11 +1,11 @@
 //! `shade` against central finite differences, against published values of the basis, and where it clamps.
 
-use super::cpu::{Coefficients, Grads, Inputs, shade_backward_cpu, shade_cpu};
-use super::{ShadeNeeds, sh_degree};
+use super::cpu::{Coefficients, Inputs, shade_backward_cpu, shade_cpu};
+use super::{Shading, sh_degree};
 use crate::testing::finite::{check_gradient, inner_product};
 use crate::testing::random::Random;
 
-const ALL: ShadeNeeds = ShadeNeeds { sh: true, means: true, cam_from_world: true };
+const ALL: Shading<bool> = Shading { sh: true, means: true, cam_from_world: true };
 const COUNT: usize = 16;
 
 /// Coefficients, means, pose.
@@ -32,7 +32,7 @@ impl Scene {
     }
 }
 
-fn list(g: Grads<f64>) -> [Vec<f64>; 3] {
+fn list(g: Shading<Vec<f64>>) -> [Vec<f64>; 3] {
     [g.sh, g.means, g.cam_from_world]
 }
 
@@ -62,7 +62,7 @@ fn each_gradient_is_the_same_alone_and_nothing_else_is_computed() {
     let all = list(shade_backward_cpu(scene.inputs(), None, &grad, ALL));
     for alone in 0..3 {
         let [sh, means, cam_from_world] = std::array::from_fn(|i| i == alone);
-        let gradients = list(shade_backward_cpu(scene.inputs(), None, &grad, ShadeNeeds { sh, means, cam_from_world }));
+        let gradients = list(shade_backward_cpu(scene.inputs(), None, &grad, Shading { sh, means, cam_from_world }));
         for (i, gradient) in gradients.iter().enumerate() {
             let expected = if i == alone { all[i].as_slice() } else { &[] };
             assert_eq!(gradient, expected, "gradient {i}, asked for {alone}");

@@ -1,6 +1,6 @@
 //! The kernels' mask of what is visible against shading all, and against the twin's.
 
-use super::ShadeNeeds;
+use super::Shading;
 use super::cpu::{Visible, shade_cpu};
 use super::launch::{DeviceInputs, launch_shade, launch_shade_backward};
 use super::visible_tests::{COEFFICIENTS, Scene, check_colours, spec};
@@ -71,7 +71,7 @@ fn gradients_are_those_of_all_without_the_colours_that_cannot_show() {
                 }
             }
             let [sh, means, cam_from_world] = std::array::from_fn(|i| choice >> i & 1 != 0);
-            let needs = ShadeNeeds { sh, means, cam_from_world };
+            let needs = Shading { sh, means, cam_from_world };
             let found = launch_shade_backward(gpu, &inputs, visible, COEFFICIENTS, &grad, needs);
             let shown = Buffer::from_slice(gpu, &shown);
             let expected = launch_shade_backward(gpu, &inputs, None, COEFFICIENTS, &shown, needs);
@@ -96,7 +96,7 @@ fn no_gaussians() {
         let (inputs, ellipses, grad) = upload(&Scene::random(0, 0), &spec, &gpu);
         let visible = Some((&ellipses, &spec));
         assert!(launch_shade(&gpu, &inputs, visible, COEFFICIENTS).read(&gpu).is_empty());
-        let needs = ShadeNeeds { sh: true, means: true, cam_from_world: true };
+        let needs = Shading { sh: true, means: true, cam_from_world: true };
         let found = launch_shade_backward(&gpu, &inputs, visible, COEFFICIENTS, &grad, needs);
         assert!(found.sh.expect("asked for").read(&gpu).is_empty());
         assert_eq!(found.cam_from_world.expect("asked for").read(&gpu), [0.0; 12]);

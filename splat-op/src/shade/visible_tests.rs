@@ -1,11 +1,11 @@
 //! The mask of what is visible: against shading all, and against the lists of `tile`.
 
 use super::cpu::{Coefficients, Inputs, Visible, shade_backward_cpu, shade_cpu};
-use super::{ShadeNeeds, reach_sigmas};
+use super::{Shading, reach_sigmas};
 use crate::camera::Intrinsics;
 use crate::options::RenderOptions;
-use crate::project::cpu::{Inputs as ProjectInputs, project_cpu};
-use crate::project::{COLUMNS, ProjectSpec};
+use crate::project::cpu::project_cpu;
+use crate::project::{COLUMNS, Geometry, ProjectSpec};
 use crate::real::Real;
 use crate::testing::random::Random;
 use crate::tile::cpu::tile_cpu;
@@ -48,9 +48,9 @@ impl Scene {
         Self(vec![world.collect(), rotations, scales, opacities, sh, pose.clone(), colours])
     }
 
-    pub fn geometry(&self) -> ProjectInputs<'_, f64> {
+    pub fn geometry(&self) -> Geometry<&'_ [f64]> {
         let [means, rotations, scales, opacities, _, cam_from_world, _] = &self.0[..] else { unreachable!() };
-        ProjectInputs { means, rotations, scales, opacities, cam_from_world }
+        Geometry { means, rotations, scales, opacities, cam_from_world, mean2d: &[] }
     }
 
     pub fn inputs(&self) -> Inputs<'_, f64> {
@@ -117,7 +117,7 @@ fn harmonics_of_what_cannot_show_are_not_read() {
         }
     }
     let grad = vec![1.0; 1_500];
-    let needs = ShadeNeeds { sh: true, means: true, cam_from_world: true };
+    let needs = Shading { sh: true, means: true, cam_from_world: true };
     let found = shade_backward_cpu(scene.inputs(), Some(&visible), &grad, needs);
     assert!(shade_cpu(scene.inputs(), Some(&visible)) == expected);
     assert!([found.sh, found.means, found.cam_from_world].iter().flatten().all(|g| g.is_finite()));
@@ -140,7 +140,7 @@ fn gradients_are_those_of_all_without_the_colours_that_cannot_show() {
     assert!(hidden > 100, "only {hidden} of 2000 have a gradient to lose: this shows nothing");
     for choice in 0..8_u32 {
         let [sh, means, cam_from_world] = std::array::from_fn(|i| choice >> i & 1 != 0);
-        let needs = ShadeNeeds { sh, means, cam_from_world };
+        let needs = Shading { sh, means, cam_from_world };
         let found = shade_backward_cpu(scene.inputs(), Some(&visible), scene.grad(), needs);
         let expected = shade_backward_cpu(scene.inputs(), None, &shown, needs);
         assert!(found.sh == expected.sh && found.means == expected.means, "choice {choice}");

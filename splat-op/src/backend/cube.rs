@@ -8,14 +8,17 @@ use burn_cubecl::CubeBackend;
 use burn_cubecl::kernel::into_contiguous;
 use burn_cubecl::tensor::CubeTensor;
 
+use super::stages::SplatBackend;
+use super::tensors::{
+    GeometryGrads, GeometryTensors, InputTensor, LayerGrads, LayerTensors, OptionalTensor, ShadingGrads, ShadingTensors,
+};
 use crate::blend::launch::{DeviceTrace, launch_blend, launch_blend_backward};
-use crate::blend::{self, BlendGrads, BlendInputs, BlendNeeds, BlendSpec, PartsCell, TraceCell};
+use crate::blend::{BlendSpec, Layers, PartsCell, TraceCell};
 use crate::gpu::{Buffer, Gpu, launch_scale};
-use crate::op::{Slot, SplatBackend};
 use crate::project::launch::{launch_project, launch_project_backward};
-use crate::project::{self, COLUMNS, ProjectGrads, ProjectInputs, ProjectNeeds, ProjectSpec};
-use crate::shade::launch::{Coefficients, launch_shade, launch_shade_backward};
-use crate::shade::{self, ShadeGrads, ShadeInputs, ShadeNeeds};
+use crate::project::{COLUMNS, Geometry, ProjectSpec};
+use crate::shade::Shading;
+use crate::shade::launch::{Coefficients, DeviceInputs, launch_shade, launch_shade_backward};
 use crate::tile::launch::{DeviceLists, launch_tile};
 use crate::tile::{Cut, HitCell, Lists, tile_grid};
 
@@ -62,58 +65,23 @@ pub(crate) fn scaled(values: CubeTensor, factor: CubeTensor) -> CubeTensor {
     values
 }
 
-pub(super) fn slot(grad: Option<Buffer<f32>>, shape: impl Into<Shape>, like: &CubeTensor) -> Slot<CubeBackend> {
-    match grad {
-        None => Slot::Skip,
-        Some(grad) => Slot::Have(tensor(grad, shape, DType::F32, like)),
-    }
+/// The elements of an input.
+pub(super) fn on_device(input: &InputTensor<CubeBackend>) -> Buffer<f32> {
+    buffer(input.0.clone())
 }
 
-impl ProjectInputs<CubeBackend> {
-    pub(super) fn on_device(&self) -> project::launch::DeviceInputs {
-        project::launch::DeviceInputs {
-            means: buffer(self.means.clone()),
-            rotations: buffer(self.rotations.clone()),
-            scales: buffer(self.scales.clone()),
-            opacities: buffer(self.opacities.clone()),
-            cam_from_world: buffer(self.cam_from_world.clone()),
-        }
-    }
+/// What kernels found for an input, as a tensor of its shape, if it was asked for.
+pub(super) fn gradient(
+    (found, input): (Option<Buffer<f32>>, &InputTensor<CubeBackend>),
+) -> OptionalTensor<CubeBackend> {
+    found.map(|found| tensor(found, input.0.shape(), DType::F32, &input.0)).into()
 }
 
-/// The gradients of `count` Gaussians as tensors.
-pub(super) fn project_grads(
-    g: project::launch::DeviceGrads,
-    count: usize,
-    like: &CubeTensor,
-) -> ProjectGrads<CubeBackend> {
-    ProjectGrads {
-        means: slot(g.means, [count, 3], like),
-        rotations: slot(g.rotations, [count, 4], like),
-        scales: slot(g.scales, [count, 3], like),
-        opacities: slot(g.opacities, [count], like),
-        cam_from_world: slot(g.cam_from_world, [3, 4], like),
-        mean2d: slot(g.mean2d, [count, 2], like),
-    }
-}
-
-impl ShadeInputs<CubeBackend> {
-    fn on_device(&self) -> shade::launch::DeviceInputs {
-        shade::launch::DeviceInputs {
-            sh: coefficients(self.sh.clone()),
-            means: buffer(self.means.clone()),
-            cam_from_world: buffer(self.cam_from_world.clone()),
-        }
-    }
-}
-
-impl BlendInputs<CubeBackend> {
-    fn on_device(&self) -> blend::launch::DeviceInputs {
-        blend::launch::DeviceInputs {
-            projected: buffer(self.projected.clone()),
-            features: buffer(self.features.clone()),
-            background: buffer(self.background.clone()),
-        }
+fn shading_on_device(inputs: &ShadingTensors<CubeBackend>) -> DeviceInputs {
+    DeviceInputs {
+        sh: coefficients(inputs.sh.0.clone()),
+        means: on_device(&inputs.means),
+        cam_from_world: on_device(&inputs.cam_from_world),
     }
 }
 
@@ -130,51 +98,56 @@ pub(super) fn lists_by(cell: &HitCell, compute: impl FnOnce() -> DeviceLists) ->
     }
 }
 
+/// Planes as a tensor.
+pub(super) fn planes_tensor(
+    planes: Buffer<f32>,
+    spec: &BlendSpec,
+    background: &InputTensor<CubeBackend>,
+) -> CubeTensor {
+    let shape = [spec.planes(background.0.shape()[0]), spec.intrinsics.height, spec.intrinsics.width];
+    tensor(planes, shape, DType::F32, &background.0)
+}
+
 impl SplatBackend for CubeBackend {
-    fn project(inputs: ProjectInputs<Self>, _: FloatTensor<Self>, spec: ProjectSpec) -> FloatTensor<Self> {
-        let gpu = Gpu::new(&inputs.means.client);
-        let packed = launch_project(&gpu, &inputs.on_device(), &spec);
-        tensor(packed, [inputs.means.shape()[0], COLUMNS], DType::F32, &inputs.means)
+    fn project(inputs: GeometryTensors<Self>, spec: ProjectSpec) -> FloatTensor<Self> {
+        let like = &inputs.means.0;
+        let packed = launch_project(&Gpu::new(&like.client), &inputs.each_ref().map(on_device), &spec);
+        tensor(packed, [like.shape()[0], COLUMNS], DType::F32, like)
     }
 
     fn project_backward(
-        inputs: ProjectInputs<Self>,
+        inputs: GeometryTensors<Self>,
         grad: FloatTensor<Self>,
         spec: ProjectSpec,
-        needs: ProjectNeeds,
-    ) -> ProjectGrads<Self> {
-        let gpu = Gpu::new(&inputs.means.client);
-        let g = launch_project_backward(&gpu, &inputs.on_device(), &buffer(grad), &spec, needs);
-        project_grads(g, inputs.means.shape()[0], &inputs.means)
+        mask: Geometry<bool>,
+    ) -> GeometryGrads<Self> {
+        let gpu = Gpu::new(&grad.client);
+        let found = launch_project_backward(&gpu, &inputs.each_ref().map(on_device), &buffer(grad), &spec, mask);
+        found.zip(inputs.each_ref()).map(gradient)
     }
 
-    fn shade(inputs: ShadeInputs<Self>, visible: Slot<Self>, spec: ProjectSpec) -> FloatTensor<Self> {
-        let gpu = Gpu::new(&inputs.means.client);
-        let visible = visible.as_ref().map(|ellipses| buffer(ellipses.clone()));
+    fn shade(inputs: ShadingTensors<Self>, visible: OptionalTensor<Self>, spec: ProjectSpec) -> FloatTensor<Self> {
+        let like = &inputs.means.0;
+        let visible = visible.into_option().map(buffer);
         let visible = visible.as_ref().map(|ellipses| (ellipses, &spec));
-        let colours = launch_shade(&gpu, &inputs.on_device(), visible, inputs.sh.shape()[1]);
-        tensor(colours, [inputs.means.shape()[0], 3], DType::F32, &inputs.means)
+        let coefficients = inputs.sh.0.shape()[1];
+        let colours = launch_shade(&Gpu::new(&like.client), &shading_on_device(&inputs), visible, coefficients);
+        tensor(colours, like.shape(), DType::F32, like)
     }
 
     fn shade_backward(
-        inputs: ShadeInputs<Self>,
-        visible: Slot<Self>,
+        inputs: ShadingTensors<Self>,
+        visible: OptionalTensor<Self>,
         grad: FloatTensor<Self>,
         spec: ProjectSpec,
-        needs: ShadeNeeds,
-    ) -> ShadeGrads<Self> {
-        let gpu = Gpu::new(&inputs.means.client);
-        let coefficients = inputs.sh.shape()[1];
-        let visible = visible.as_ref().map(|ellipses| buffer(ellipses.clone()));
-        let (on_device, grad) = (inputs.on_device(), buffer(grad));
+        mask: Shading<bool>,
+    ) -> ShadingGrads<Self> {
+        let gpu = Gpu::new(&grad.client);
+        let visible = visible.into_option().map(buffer);
         let visible = visible.as_ref().map(|ellipses| (ellipses, &spec));
-        let g = launch_shade_backward(&gpu, &on_device, visible, coefficients, &grad, needs);
-        let (count, like) = (inputs.means.shape()[0], &inputs.means);
-        ShadeGrads {
-            sh: slot(g.sh, [count, coefficients, 3], like),
-            means: slot(g.means, [count, 3], like),
-            cam_from_world: slot(g.cam_from_world, [3, 4], like),
-        }
+        let (on_device, coefficients) = (shading_on_device(&inputs), inputs.sh.0.shape()[1]);
+        let found = launch_shade_backward(&gpu, &on_device, visible, coefficients, &buffer(grad), mask);
+        found.zip(inputs.each_ref()).map(gradient)
     }
 
     fn tile(projected: FloatTensor<Self>, spec: BlendSpec, hits: HitCell) -> IntTensor<Self> {
@@ -185,25 +158,22 @@ impl SplatBackend for CubeBackend {
     }
 
     fn blend(
-        inputs: BlendInputs<Self>,
-        _: FloatTensor<Self>,
+        inputs: LayerTensors<Self>,
         _: IntTensor<Self>,
         spec: BlendSpec,
         hits: HitCell,
         trace: Option<TraceCell>,
         _: PartsCell,
     ) -> FloatTensor<Self> {
-        let gpu = Gpu::new(&inputs.projected.client);
-        let on_device = inputs.on_device();
+        let gpu = Gpu::new(&inputs.projected.0.client);
+        let on_device = inputs.each_ref().map(on_device);
         let lists = lists(&gpu, &hits, &on_device.projected, &spec);
         let (planes, kept) = launch_blend(&gpu, &on_device, lists, &spec, trace.is_some());
         if let (Some(cell), Some(kept)) = (trace, kept) {
             // A cell that is filled already holds the same trace.
             let _ = cell.0.set(Box::new(kept));
         }
-        let count = spec.planes(on_device.background.len);
-        let shape = [count, spec.intrinsics.height, spec.intrinsics.width];
-        tensor(planes, shape, DType::F32, &inputs.projected)
+        planes_tensor(planes, &spec, &inputs.background)
     }
 
     fn part(planes: FloatTensor<Self>, from: usize, to: usize, _: PartsCell) -> FloatTensor<Self> {
@@ -219,28 +189,21 @@ impl SplatBackend for CubeBackend {
     }
 
     fn blend_backward(
-        inputs: BlendInputs<Self>,
+        inputs: LayerTensors<Self>,
         _: FloatTensor<Self>,
         grad: FloatTensor<Self>,
         spec: BlendSpec,
-        needs: BlendNeeds,
+        mask: Layers<bool>,
         hits: HitCell,
         trace: TraceCell,
-    ) -> BlendGrads<Self> {
-        let gpu = Gpu::new(&inputs.projected.client);
-        let on_device = inputs.on_device();
+    ) -> LayerGrads<Self> {
+        let gpu = Gpu::new(&grad.client);
+        let on_device = inputs.each_ref().map(on_device);
         let lists = lists(&gpu, &hits, &on_device.projected, &spec);
         let kept = trace.0.get().and_then(|kept| kept.downcast_ref::<DeviceTrace>()).cloned();
         let kept = kept
             .unwrap_or_else(|| launch_blend(&gpu, &on_device, lists, &spec, true).1.expect("a trace was asked for"));
-        let g = launch_blend_backward(&gpu, &on_device, &buffer(grad), lists, &kept, &spec, needs);
-        let (count, channels) = (inputs.projected.shape()[0], on_device.background.len);
-        let like = &inputs.projected;
-        BlendGrads {
-            projected: slot(g.projected, [count, COLUMNS], like),
-            features: slot(g.features, [count, channels], like),
-            background: slot(g.background, [channels], like),
-            mean2d_abs: slot(g.mean2d_abs, [count, 2], like),
-        }
+        let found = launch_blend_backward(&gpu, &on_device, &buffer(grad), lists, &kept, &spec, mask);
+        found.zip(inputs.each_ref()).map(gradient)
     }
 }

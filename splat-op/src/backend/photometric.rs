@@ -1,15 +1,17 @@
-//! The operations as an extension of Burn's backends. The loss is its own derivative's source, so no backward node is
-//! needed: whoever calls attaches the derivative.
+//! The photometric loss as an extension of Burn's backends. It comes with its derivative, so no backward node is needed: whoever
+//! calls attaches the derivative.
 
 #![allow(deprecated, reason = "burn-ndarray is deprecated in favour of burn-flex; this project supports both")]
 
 use burn::backend::tensor::FloatTensor;
-use burn::backend::{Backend, Dispatch, ExtensionType, Flex, NdArray, TensorMetadata, backend_extension};
-use burn::tensor::{DType, Shape, Tensor};
+use burn::backend::{Backend, ExtensionType, Flex, NdArray, TensorMetadata, backend_extension};
+use burn::tensor::{DType, Shape};
 
-use super::cpu::{self, Size, photometric_cpu, window_cpu};
-use crate::bind::host::HostBackend;
-use crate::op::Slot;
+use super::host::HostBackend;
+use super::tensors::OptionalTensor;
+#[cfg(feature = "fusion")]
+use super::tensors::OptionalTensorMetadata;
+use crate::photometric::cpu::{self, Size, photometric_cpu, window_cpu};
 use crate::real::Real;
 use crate::witness::count_twin_call;
 
@@ -35,10 +37,10 @@ pub struct Photometric<B: Backend> {
     pub shares: FloatTensor<B>,
     /// The derivative of the loss with respect to the picture, if asked for.
     #[extension_type]
-    pub gradient: Slot<B>,
+    pub gradient: OptionalTensor<B>,
 }
 
-/// The operations of this module, on backends without autodiff.
+/// The photometric loss and the filter it is made of, on backends without autodiff; see `photometric/`.
 #[backend_extension(Cube: cfg(feature = "cube"), Flex, NdArray, Fusion: cfg(feature = "fusion"))]
 pub trait PhotometricBackend: Backend {
     /// `(1 − λ) |x − y| + λ (1 − S)`, divided by the number of values, and its derivative.
@@ -61,8 +63,8 @@ pub trait PhotometricBackend: Backend {
 #[cfg(feature = "fusion")]
 fn photometric_meta(inputs: &PhotometricInputsMetadata, _: &f64, with_gradient: &bool) -> PhotometricMetadata {
     let gradient = match with_gradient {
-        true => crate::op::SlotMetadata::Have(inputs.image.clone()),
-        false => crate::op::SlotMetadata::Skip,
+        true => OptionalTensorMetadata::Present(inputs.image.clone()),
+        false => OptionalTensorMetadata::Absent,
     };
     PhotometricMetadata { shares: inputs.image.clone(), gradient }
 }
@@ -93,7 +95,7 @@ fn photometric_host<B: HostBackend, F: Real>(
         photometric_cpu(cpu::Inputs { image, truth, mean, variance }, plane_size(&shape), lambda, with_gradient);
     Photometric {
         shares: B::from_host(vec![loss], &vec![1; shape.num_dims()], &like),
-        gradient: gradient.map_or(Slot::Skip, |gradient| Slot::Have(B::from_host(gradient, &shape, &like))),
+        gradient: gradient.map(|gradient| B::from_host(gradient, &shape, &like)).into(),
     }
 }
 
@@ -145,7 +147,7 @@ mod gpu {
     use burn_cubecl::kernel::into_contiguous;
 
     use super::*;
-    use crate::bind::cube::{buffer, tensor};
+    use crate::backend::cube::{buffer, tensor};
     use crate::gpu::Gpu;
     use crate::photometric::launch::{DeviceInputs, launch_photometric, launch_window};
 
@@ -162,7 +164,7 @@ mod gpu {
             };
             let (shares, gradient) = launch_photometric(&gpu, &on_device, size, lambda, with_gradient);
             let picture = |found| tensor(found, like.shape(), DType::F32, &like);
-            Photometric { shares: picture(shares), gradient: gradient.map_or(Slot::Skip, |g| Slot::Have(picture(g))) }
+            Photometric { shares: picture(shares), gradient: gradient.map(picture).into() }
         }
 
         fn window(planes: FloatTensor<Self>) -> FloatTensor<Self> {
@@ -175,60 +177,4 @@ mod gpu {
             into_contiguous(planes)
         }
     }
-}
-
-/// The loss of `image` against a photograph, `[.., H, W]` f32, or f64 on CPUs, without autodiff: numbers whose sum it is, and
-/// its derivative if asked for.
-///
-/// The photograph is given by itself, its mean `μy` and its variance `σy² + C2`, all of the shape of the picture; `lambda`
-/// weighs the dissimilarity.
-///
-/// # Panics
-/// If the shapes differ, or the float type is another.
-pub fn photometric<const D: usize>(
-    image: &Tensor<D>,
-    photograph: [&Tensor<D>; 3],
-    lambda: f64,
-    with_gradient: bool,
-) -> (Tensor<D>, Option<Tensor<D>>) {
-    for tensor in [image, photograph[0], photograph[1], photograph[2]] {
-        check(tensor);
-        assert_eq!(tensor.dims(), image.dims(), "a picture and its photograph have one shape");
-        assert_eq!(tensor.dtype(), image.dtype(), "a picture and its photograph have one float type");
-    }
-    let [truth, mean, variance] = photograph.map(|t| t.clone().into_dispatch());
-    let inputs = PhotometricInputs { image: image.clone().into_dispatch(), truth, mean, variance };
-    let found = <Dispatch as PhotometricBackend>::photometric(inputs, lambda, with_gradient);
-    let gradient = match found.gradient {
-        Slot::Have(gradient) => Some(Tensor::from_dispatch(gradient)),
-        Slot::Skip => None,
-    };
-    (Tensor::from_dispatch(found.shares), gradient)
-}
-
-/// `Kx` of planes `[.., H, W]` f32, or f64 on CPUs, without autodiff.
-///
-/// # Panics
-/// If the float type is another.
-pub fn window<const D: usize>(planes: &Tensor<D>) -> Tensor<D> {
-    check(planes);
-    Tensor::from_dispatch(<Dispatch as PhotometricBackend>::window(planes.clone().into_dispatch()))
-}
-
-fn check<const D: usize>(tensor: &Tensor<D>) {
-    assert!(D >= 2, "a picture has rows and columns, found {D} dimension");
-    let dtype = tensor.dtype();
-    assert!(
-        dtype == DType::F32 || dtype == DType::F64 && !crate::is_gpu(&tensor.device()),
-        "pictures are f32, or f64 on a CPU; found {dtype:?}"
-    );
-}
-
-/// The same planes, one after the other in memory: what is read at every step should not be put in order at every step.
-///
-/// # Panics
-/// If the float type is another than those of [`window`].
-pub fn contiguous<const D: usize>(planes: &Tensor<D>) -> Tensor<D> {
-    check(planes);
-    Tensor::from_dispatch(<Dispatch as PhotometricBackend>::contiguous(planes.clone().into_dispatch()))
 }
