@@ -4,8 +4,8 @@
 /// in none of its pixels.
 ///
 /// Each lists what the ones after it list, and more. On CPUs pictures and gradients are the same bit by bit. On GPUs they are where
-/// no tile lists more Gaussians than one bucket of `blend` holds (32; 128 on a driver in software). In longer lists the borders
-/// of buckets lie elsewhere, so sums are grouped and rounded differently: the same within the rounding of f32.
+/// no tile lists more Gaussians than one bucket of `blend` holds (32). In longer lists the borders of buckets lie
+/// elsewhere, so sums are grouped and rounded differently: the same within the rounding of f32.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Default)]
 pub enum Culling {
     /// A square around the centre, as far on each side as the long axis of an opaque Gaussian of this shape shows. Kerbl et al.
@@ -31,7 +31,7 @@ pub enum Exponential {
     Polynomial,
 }
 
-/// How numbers are stored where they are read most. What is computed with them, sums and gradients are f32 or f64 as ever, and
+/// How coefficients of spherical harmonics are stored. What is computed with them, sums and gradients are f32 or f64 as ever, and
 /// gradients are those at the rounded numbers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Default)]
 pub enum Storage {
@@ -39,7 +39,7 @@ pub enum Storage {
     #[default]
     Full,
     /// Rounded to the nearest half-precision float, one of at most 65,504: an error of at most 2⁻¹¹ of a number, or of 2⁻²⁵ of one
-    /// below 2⁻¹⁴. (Coefficients become so by Burn's cast: a driver may round them towards zero, which doubles that.) On GPUs two
-    /// share a word, so half as much is read.
+    /// below 2⁻¹⁴. (It is Burn's cast: a driver may round towards zero, which doubles that.) On GPUs two share a word, so half as
+    /// much is read.
     Half,
 }

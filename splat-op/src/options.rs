@@ -42,9 +42,6 @@ pub struct RenderOptions {
     pub culling: Culling,
     /// Dial: how `exp` is computed in f32. Another `projection` or `order` than the plain one takes the library's.
     pub exponential: Exponential,
-    /// Dial: how features, or colours, are stored where `blend` reads them. For the plain `projection` and `order`; others read
-    /// them as they are.
-    pub features: Storage,
     /// Dial: how coefficients of spherical harmonics are stored where colours are computed from them. Ones of half precision are taken
     /// as they are; others are rounded in every render, at the cost of a pass over them, unless
     /// [`Colour::stored`](crate::Colour::stored) has done so once.
@@ -118,7 +115,6 @@ impl RenderOptions {
             accumulation: Accumulation::Atomic,
             culling: Culling::Ellipse,
             exponential: Exponential::Standard,
-            features: Storage::Full,
             coefficients: Storage::Full,
             depth: false,
         }
@@ -189,11 +185,6 @@ impl RenderOptions {
     /// With another exponential.
     pub const fn with_exponential(self, exponential: Exponential) -> Self {
         Self { exponential, ..self }
-    }
-
-    /// With features stored in another way.
-    pub const fn with_features(self, features: Storage) -> Self {
-        Self { features, ..self }
     }
 
     /// With coefficients of spherical harmonics stored in another way.

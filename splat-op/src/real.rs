@@ -11,9 +11,6 @@ use half::slice::HalfFloatSliceExt;
 /// Lanes per vector, for both float types, so that a tile splits the same way for both.
 pub(crate) const LANES: usize = 8;
 
-/// The largest half-precision float.
-pub(crate) const HALF_MAX: f32 = 65_504.0;
-
 pub(crate) const EXP2_CONSTANTS: usize = 8;
 
 /// f32 or f64.
@@ -70,8 +67,6 @@ pub(crate) trait Real:
     fn exp2_lanes<S: Simd>(q: Self::Lanes<S>, constants: &[Self::Lanes<S>; EXP2_CONSTANTS]) -> Self::Lanes<S>;
     /// `2^−q` by the standard library, within an ulp, whatever `q` is.
     fn exp2_library<S: Simd>(q: Self::Lanes<S>) -> Self::Lanes<S>;
-    /// The nearest half-precision float of at most [`HALF_MAX`], of its sign.
-    fn halved(self) -> Self;
     /// Half-precision floats as they are, into as many values.
     fn widen(halves: &[f16], into: &mut [Self]);
     /// `eˣ` within 1 ulp; zero or infinite beyond what the float type holds, anything for what is no number.
@@ -90,7 +85,7 @@ pub(crate) trait Real:
 }
 
 macro_rules! scalar_functions {
-    ($float:ty, $bits:ty, $dtype:expr, $to_half:path, $widen:ident) => {
+    ($float:ty, $bits:ty, $dtype:expr, $widen:ident) => {
         type SortKey = $bits;
         const DTYPE: DType = $dtype;
         const ZERO: Self = 0.0;
@@ -133,12 +128,6 @@ macro_rules! scalar_functions {
         fn sort_key(self) -> Self::SortKey {
             self.to_bits()
         }
-        fn halved(self) -> Self {
-            let most = <$float>::from(HALF_MAX);
-            // Not by `max` and `min`, which would make a number of what is none.
-            let held = if self > most { most } else { self };
-            <$float>::from($to_half(if held < -most { -most } else { held }))
-        }
         #[inline(always)]
         fn widen(halves: &[f16], into: &mut [Self]) {
             halves.$widen(into);
@@ -151,7 +140,7 @@ macro_rules! scalar_functions {
 
 impl Real for f32 {
     type Lanes<S: Simd> = f32x8<S>;
-    scalar_functions!(f32, u32, DType::F32, f16::from_f32, convert_to_f32_slice);
+    scalar_functions!(f32, u32, DType::F32, convert_to_f32_slice);
 
     const EXP2_MAX: Self = 126.0;
 
@@ -215,7 +204,7 @@ impl Real for f32 {
 
 impl Real for f64 {
     type Lanes<S: Simd> = f64x8<S>;
-    scalar_functions!(f64, u64, DType::F64, f16::from_f64, convert_to_f64_slice);
+    scalar_functions!(f64, u64, DType::F64, convert_to_f64_slice);
 
     const EXP2_MAX: Self = 1022.0;
     const EXP2: [f64; EXP2_CONSTANTS] = [0.0; EXP2_CONSTANTS];

@@ -6,7 +6,6 @@ use crate::dials::Storage;
 use crate::error::SplatError;
 use crate::limits::Need;
 use crate::options::RenderOptions;
-use crate::real::HALF_MAX;
 
 /// Gaussians with activated parameters, one row each, all of one float type (f32; f64 on CPU devices) and on one device.
 #[derive(Clone, Debug)]
@@ -81,6 +80,9 @@ impl Colour {
         }
     }
 }
+
+/// The largest half-precision float.
+const HALF_MAX: f32 = 65_504.0;
 
 /// Coefficients in half precision, the nearest ones, of at most [`HALF_MAX`].
 fn halved(sh: &Tensor<3>) -> Result<Tensor<3>, SplatError> {

@@ -145,7 +145,7 @@ fn without_a_cut_a_large_picture_of_many_gaussians_is_refused() {
 }
 
 #[test]
-fn exponentials_and_storage_change_no_more_than_they_say() {
+fn exponentials_change_no_more_than_they_say() {
     let scene = Scene::random(&mut Random::new(13), 60, 1, CAMERA);
     // Without cuts, beside which a pair within rounding would jump.
     let smooth = RenderOptions { alpha_min: 1e-12, transmittance_min: 0.0, ..OPTIONS };
@@ -158,12 +158,10 @@ fn exponentials_and_storage_change_no_more_than_they_say() {
         };
         let exponentials =
             [Exponential::Library, Exponential::Polynomial].map(|e| difference(smooth.with_exponential(e)));
-        let half = difference(smooth.with_features(Storage::Half));
-        println!("{} {:?}: exponentials {exponentials:?}, half precision {half:.1e}", place.0, place.2);
+        println!("{} {:?}: exponentials {exponentials:?}", place.0, place.2);
         // One of them is the standard one; in f64 both are.
         assert!(exponentials.contains(&0.0) && exponentials.iter().all(|d| *d <= 2e-6), "{exponentials:?}");
         assert_eq!(exponentials.iter().all(|d| *d == 0.0), place.2 == DType::F64, "{} {exponentials:?}", place.0);
-        assert!(half > 0.0 && half <= 2.0_f64.powi(-11), "{}: {half:.1e}", place.0);
     }
 }
 

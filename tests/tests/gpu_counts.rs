@@ -8,7 +8,7 @@ use splat_op::witness;
 use splat_tests::places;
 use splat_tests::slope::slope_trainer;
 
-/// Kernels per step on a driver in software. On a card it is some less.
+/// Kernels per step on a driver in software. On a card those of Burn may be others.
 const LAUNCHES: f64 = 67.0;
 
 /// Bytes per step of the buffers that the operations ask for.

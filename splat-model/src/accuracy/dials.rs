@@ -161,19 +161,6 @@ pub const DIALS: &[Dial] = &[
         exact: |o| o.with_exponential(Exponential::Library),
     },
     Dial {
-        name: "features",
-        what: "how colours are stored where they are blended",
-        judge: Judge::Exact,
-        same_picture: false,
-        gpu_only: false,
-        pinhole_only: false,
-        values: &[
-            value("full", 0.0, |o| o.with_features(Storage::Full)),
-            value("half", 2e-3, |o| o.with_features(Storage::Half)),
-        ],
-        exact: |o| o.with_features(Storage::Full),
-    },
-    Dial {
         name: "coefficients",
         what: "how coefficients of the harmonics are stored where colours are computed from them",
         judge: Judge::Exact,

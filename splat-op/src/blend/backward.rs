@@ -3,7 +3,7 @@
 //! 1. *Behind*, a cube per tile, a unit per pixel: what is seen behind each bucket, as far as the gradient cares,
 //!    `ρ = g·R`, from the last bucket to the first: `ρ = g·(sums of the bucket) + (share it lets through) ρ`.
 //! 2. *Layers*, a cube per bucket, all buckets of all tiles at once, however long a tile's list is: the sums of each hit over
-//!    the tile's pixels, a row per hit. In `strips.rs` for few channels, `buckets.rs` where a driver in software computes, and `channels.rs` for many.
+//!    the tile's pixels, a row per hit. In `strips.rs` for few channels and `channels.rs` for many.
 //! 3. *Gather*, a unit per Gaussian: the rows become gradients of the ellipse and the features.
 //!
 //! Rows are either added into one per Gaussian, in whatever order the device comes to them, or kept one per hit and added
@@ -11,7 +11,7 @@
 
 use cubecl::prelude::*;
 
-use super::layer::{Footprint, Limits, Shape, colour, first_slot, layer};
+use super::layer::{BUCKET, Footprint, Limits, Shape, colour, first_slot, layer};
 use crate::gpu::reduce::cube_sum;
 use crate::project::COLUMNS;
 use crate::tile::forward::Frame;
@@ -74,7 +74,7 @@ pub(super) fn blend_behind_kernel(
         let pixel = (row * frame.width + column) as usize;
         let first = tile_start[tile as usize];
         let places = tile_start[tile as usize + 1] - first;
-        let slot = first_slot(first, tile, shape);
+        let slot = first_slot(first, tile);
 
         let mut own = Array::<f32>::new(channels);
         let mut grad_alpha = 0.0f32;
@@ -121,8 +121,8 @@ pub(super) fn blend_behind_kernel(
                     seen = 0.0f32;
                     let mut relative = 1.0f32;
                     let mut stopped = 0.0f32;
-                    let end = min((bucket + 1) * comptime!(shape.bucket as u32), places);
-                    let mut place = bucket * comptime!(shape.bucket as u32);
+                    let end = min((bucket + 1) * comptime!(BUCKET as u32), places);
+                    let mut place = bucket * comptime!(BUCKET as u32);
                     let mut open = true;
                     while place < end && open {
                         let gaussian = gaussian_of_hit[hit_of_place[(first + place) as usize] as usize] as usize;
@@ -151,12 +151,12 @@ pub(super) fn blend_behind_kernel(
 
 /// The tile whose buckets hold `slot`: the last one that begins at or before it.
 #[cube]
-pub(super) fn tile_of_slot(tile_start: &[u32], tiles: u32, slot: u32, #[comptime] shape: Shape) -> u32 {
+pub(super) fn tile_of_slot(tile_start: &[u32], tiles: u32, slot: u32) -> u32 {
     let mut low = 0u32;
     let mut high = tiles;
     while high - low > 1 {
         let middle = low + (high - low) / 2;
-        if first_slot(tile_start[middle as usize], middle, shape) <= slot {
+        if first_slot(tile_start[middle as usize], middle) <= slot {
             low = middle;
         } else {
             high = middle;

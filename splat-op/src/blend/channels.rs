@@ -36,15 +36,12 @@ pub(super) fn blend_channels_kernel<A: FloatCell>(
     #[comptime] units: usize,
 ) {
     let channels = comptime!(shape.channels());
-    let few = comptime!(shape.few());
     let numbers = comptime!(shape.kept());
     let columns = comptime!(row_len(shape, absolute));
     // One more than a block's pixels, so that neither direction of reading meets a bank twice.
     let stride = comptime!(units + 1);
     let parts = comptime!(units / BUCKET);
     let mut footprints = Shared::<[f32]>::new_slice(comptime!(BUCKET * FOOTPRINT));
-    let mut colours = Shared::<[f32]>::new_slice(comptime!(if few { BUCKET * channels } else { 1 }));
-    let mut gradients = Shared::<[f32]>::new_slice(comptime!(if few { units * channels } else { 1 }));
     let mut alphas = Shared::<[f32]>::new_slice(comptime!(BUCKET * stride));
     let mut weights = Shared::<[f32]>::new_slice(comptime!(BUCKET * stride));
 
@@ -52,10 +49,10 @@ pub(super) fn blend_channels_kernel<A: FloatCell>(
     let unit = UNIT_POS;
     let tiles = frame.tiles_x * frame.tiles_y;
     if slot < slots {
-        let tile = tile_of_slot(tile_start, tiles, slot, shape);
+        let tile = tile_of_slot(tile_start, tiles, slot);
         let first = tile_start[tile as usize];
         let places = tile_start[tile as usize + 1] - first;
-        let bucket = slot - first_slot(first, tile, shape);
+        let bucket = slot - first_slot(first, tile);
         let place = bucket * comptime!(BUCKET as u32);
         if place < places {
             let count = min(places - place, comptime!(BUCKET as u32));
@@ -68,20 +65,12 @@ pub(super) fn blend_channels_kernel<A: FloatCell>(
                 gaussian = gaussian_of_hit[hit as usize];
             }
             let mut row = Array::<f32>::new(columns);
-            #[unroll(few)]
             for column in 0..columns {
                 row[column] = 0.0f32;
             }
             if bucket < passed[tile as usize] {
                 if unit < count {
                     Footprint::of(projected, gaussian as usize).store(&mut footprints, unit as usize);
-                    if comptime!(few) {
-                        #[unroll]
-                        for channel in 0..channels {
-                            colours[unit as usize * channels + channel] =
-                                colour(projected, features, gaussian as usize, channel, shape);
-                        }
-                    }
                 }
                 sync_cube();
                 let origin_x = tile % frame.tiles_x * comptime!(TILE as u32);
@@ -118,18 +107,8 @@ pub(super) fn blend_channels_kernel<A: FloatCell>(
                         alphas[i as usize * stride + unit as usize] = alpha;
                     }
                     let mut grad_alpha = 0.0f32;
-                    if inside {
+                    if comptime!(shape.grad_alpha) && inside {
                         grad_alpha = grad[comptime!(shape.features) * plane + in_picture];
-                    }
-                    if comptime!(few) {
-                        #[unroll]
-                        for channel in 0..channels {
-                            let mut value = 0.0f32;
-                            if inside {
-                                value = grad[plane_of(channel, shape) * plane + in_picture];
-                            }
-                            gradients[channel * units + unit as usize] = value;
-                        }
                     }
                     let mut rho = rho_behind[slot as usize * comptime!(TILE_PIXELS) + pixel as usize];
                     for step in 0..count {
@@ -137,19 +116,10 @@ pub(super) fn blend_channels_kernel<A: FloatCell>(
                         let alpha = alphas[i * stride + unit as usize];
                         if alpha > 0.0 {
                             let mut along = grad_alpha;
-                            if comptime!(few) {
-                                #[unroll]
-                                for channel in 0..channels {
-                                    along +=
-                                        gradients[channel * units + unit as usize] * colours[i * channels + channel];
-                                }
-                            } else {
-                                let there =
-                                    gaussian_of_hit[hit_of_place[(first + place) as usize + i] as usize] as usize;
-                                for channel in 0..channels {
-                                    along += grad[plane_of(channel, shape) * plane + in_picture]
-                                        * colour(projected, features, there, channel, shape);
-                                }
+                            let there = gaussian_of_hit[hit_of_place[(first + place) as usize + i] as usize] as usize;
+                            for channel in 0..channels {
+                                along += grad[plane_of(channel, shape) * plane + in_picture]
+                                    * colour(projected, features, there, channel, shape);
                             }
                             let ahead = along - rho;
                             rho += alpha * ahead;
@@ -190,18 +160,10 @@ pub(super) fn blend_channels_kernel<A: FloatCell>(
                                 row[3] += hu * u;
                                 row[4] += hu * v;
                                 row[5] += hv * v;
-                                if comptime!(few) {
-                                    #[unroll]
-                                    for channel in 0..channels {
-                                        row[comptime!(MOMENTS) + channel] +=
-                                            weight * gradients[channel * units + other as usize];
-                                    }
-                                } else {
-                                    let in_picture = (line * frame.width + column) as usize;
-                                    for channel in 0..channels {
-                                        row[comptime!(MOMENTS) + channel] +=
-                                            weight * grad[plane_of(channel, shape) * plane + in_picture];
-                                    }
+                                let in_picture = (line * frame.width + column) as usize;
+                                for channel in 0..channels {
+                                    row[comptime!(MOMENTS) + channel] +=
+                                        weight * grad[plane_of(channel, shape) * plane + in_picture];
                                 }
                                 if comptime!(absolute) {
                                     row[comptime!(MOMENTS + channels)] += (hu * footprint.inverse_u - hv * slope).abs();
@@ -215,7 +177,6 @@ pub(super) fn blend_channels_kernel<A: FloatCell>(
 
                 // The parts of a row.
                 if comptime!(parts > 1) {
-                    #[unroll(few)]
                     for column in 0..columns {
                         alphas[unit as usize] = row[column];
                         sync_cube();
@@ -230,14 +191,12 @@ pub(super) fn blend_channels_kernel<A: FloatCell>(
             }
             if part == 0 && lane < count {
                 if comptime!(add) {
-                    #[unroll(few)]
                     for column in 0..columns {
                         if row[column] != 0.0 {
                             A::add(&sums[gaussian as usize * columns + column], row[column]);
                         }
                     }
                 } else {
-                    #[unroll(few)]
                     for column in 0..columns {
                         rows[hit as usize * columns + column] = row[column];
                     }

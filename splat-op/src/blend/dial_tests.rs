@@ -3,7 +3,7 @@
 use super::cpu::{blend_backward_cpu, blend_cpu};
 use super::{BlendSpec, Layers};
 use crate::camera::Intrinsics;
-use crate::dials::{Culling, Exponential, Storage};
+use crate::dials::{Culling, Exponential};
 use crate::options::RenderOptions;
 use crate::project::Ellipse;
 use crate::real::Real;
@@ -132,33 +132,5 @@ fn exponentials_differ_by_rounding_alone() {
         let double = |exponential| scene.outcome::<f64>(options.with_exponential(exponential)).1;
         let (a, b) = (double(Exponential::Polynomial), double(Exponential::Library));
         assert!(a.iter().zip(&b).all(|(a, b)| bits(a) == bits(b)), "f64 is the yardstick");
-    }
-}
-
-fn assert_halves<F: Real>(channels: usize, depth: bool) {
-    let scene = Needles::new(6, 250, [0.05, 1.0], channels);
-    let features = scene.features.iter().map(|v| v.halved()).collect();
-    let rounded = Needles { features, packed: scene.packed.clone(), channels };
-    let options = RenderOptions::standard().with_depth(depth);
-    let found = scene.outcome::<F>(options.with_features(Storage::Half)).1;
-    let expected = rounded.outcome::<F>(options).1;
-    for ((found, expected), name) in found.iter().zip(&expected).zip(NAMES) {
-        assert!(bits(found) == bits(expected), "{channels} channels, depth {depth}: {name}");
-    }
-    let full = scene.outcome::<F>(options).1;
-    let plane = 64 * 56;
-    let difference = largest_difference(&found[0][..channels * plane], &full[0][..channels * plane]);
-    assert!(
-        difference > 0.0 && difference <= 2.0_f64.powi(-11),
-        "{channels} channels: {difference:.1e} of the largest"
-    );
-    assert!(found[0][channels * plane..] == full[0][channels * plane..], "alpha and depth are no features");
-}
-
-#[test]
-fn half_precision_is_a_render_of_rounded_features() {
-    for (channels, depth) in [(1, false), (3, false), (3, true), (5, true)] {
-        assert_halves::<f32>(channels, depth);
-        assert_halves::<f64>(channels, depth);
     }
 }

@@ -1,6 +1,5 @@
-//! The kernel of `blend`, forwards: a cube per tile, a unit per block of pixels, whose numbers stay in registers. A graphics
-//! card has units to fill, and hides behind them what reading takes. For few channels a driver in software has a kernel of its
-//! own, `quads_forward.rs`.
+//! The kernel of `blend`, forwards: a cube per tile, a unit per strip of pixels, some rows of a column, whose numbers stay in
+//! registers. A graphics card has units to fill, and hides behind them what reading takes.
 //!
 //! A tile's places are passed in buckets. Within a bucket a pixel's sums and transmittance are relative to those
 //! before it; at its end they are added in. What the backward pass needs of a bucket is then a few numbers per pixel that
@@ -9,7 +8,7 @@
 use cubecl::prelude::*;
 
 use super::layer::{
-    Block, FOOTPRINT, Footprint, Limits, Shape, behind_bucket, block_origin, colour, first_slot, layer,
+    BUCKET, FOOTPRINT, Footprint, Limits, Shape, behind_bucket, colour, first_slot, layer, strip_origin,
 };
 use crate::tile::forward::Frame;
 use crate::tile::{TILE, TILE_PIXELS};
@@ -37,11 +36,10 @@ pub(super) fn blend_forward_kernel(
     limits: Limits,
     #[comptime] shape: Shape,
     #[comptime] keep: bool,
-    #[comptime] block: Block,
+    #[comptime] pixels: usize,
 ) {
     let channels = comptime!(shape.channels());
     let few = comptime!(shape.few());
-    let pixels = comptime!(block.pixels());
     let tile = CUBE_POS as u32;
     let mut footprints = Shared::<[f32]>::new_slice(comptime!(BATCH * FOOTPRINT));
     let mut colours = Shared::<[f32]>::new_slice(comptime!(if few { BATCH * channels } else { 1 }));
@@ -49,7 +47,7 @@ pub(super) fn blend_forward_kernel(
     let mut anybody = Shared::<[u32]>::new_slice(1usize);
 
     if tile < frame.tiles_x * frame.tiles_y {
-        let (column, row) = block_origin(UNIT_POS, block);
+        let (column, row) = strip_origin(UNIT_POS, pixels);
         let first_column = tile % frame.tiles_x * comptime!(TILE as u32) + column;
         let first_row = tile / frame.tiles_x * comptime!(TILE as u32) + row;
         let in_tile = (row * comptime!(TILE as u32) + column) as usize;
@@ -58,7 +56,7 @@ pub(super) fn blend_forward_kernel(
         let own_row = f32::cast_from(row);
         let first = tile_start[tile as usize];
         let places = tile_start[tile as usize + 1] - first;
-        let slot = first_slot(first, tile, shape);
+        let slot = first_slot(first, tile);
 
         let mut transmittance = Array::<f32>::new(pixels);
         let mut through = Array::<f32>::new(pixels);
@@ -67,8 +65,7 @@ pub(super) fn blend_forward_kernel(
         let mut own = Array::<f32>::new(comptime!(pixels * channels));
         #[unroll]
         for p in 0..pixels {
-            let inside = first_column + comptime!(block.pixel(p)[0] as u32) < frame.width
-                && first_row + comptime!(block.pixel(p)[1] as u32) < frame.height;
+            let inside = first_column < frame.width && first_row + comptime!(p as u32) < frame.height;
             transmittance[p] = select(inside, 1.0f32, -1.0f32);
             #[unroll(few)]
             for channel in 0..channels {
@@ -105,7 +102,7 @@ pub(super) fn blend_forward_kernel(
                             colour(projected, features, gaussian as usize, channel, shape);
                     }
                 }
-                i += comptime!(block.of_tile() as u32);
+                i += comptime!((TILE_PIXELS / pixels) as u32);
             }
             sync_cube();
             running = anybody[0] != 0;
@@ -121,7 +118,7 @@ pub(super) fn blend_forward_kernel(
                             own[comptime!(p * channels) + channel] = 0.0f32;
                         }
                     }
-                    let end = select(open, min(bucket + comptime!(shape.bucket as u32), count), bucket);
+                    let end = select(open, min(bucket + comptime!(BUCKET as u32), count), bucket);
                     for i in bucket..end {
                         let footprint = Footprint::load(&footprints, i as usize);
                         let mut colour_here = Array::<f32>::new(comptime!(if few { channels } else { 1 }));
@@ -133,8 +130,8 @@ pub(super) fn blend_forward_kernel(
                         }
                         #[unroll]
                         for p in 0..pixels {
-                            let (u, below) = footprint.along_column(x + comptime!(block.pixel(p)[0] as f32), top);
-                            let v = (below + (own_row + comptime!(block.pixel(p)[1] as f32))) * footprint.inverse_v;
+                            let (u, below) = footprint.along_column(x, top);
+                            let v = (below + (own_row + comptime!(p as f32))) * footprint.inverse_v;
                             let alpha = footprint.alpha(u, v, frame.alpha_min, limits.alpha_max, shape);
                             let before = through[p];
                             let (alpha, next, stops) =
@@ -157,7 +154,7 @@ pub(super) fn blend_forward_kernel(
                             }
                         }
                     }
-                    let at = (slot + (place + bucket) / comptime!(shape.bucket as u32)) as usize
+                    let at = (slot + (place + bucket) / comptime!(BUCKET as u32)) as usize
                         * comptime!(shape.kept() * TILE_PIXELS)
                         + in_tile;
                     #[unroll]
@@ -165,7 +162,7 @@ pub(super) fn blend_forward_kernel(
                         let before = transmittance[p];
                         let share = through[p].abs();
                         if comptime!(keep) {
-                            let at = at + comptime!(block.in_tile(p));
+                            let at = at + comptime!(p * TILE);
                             kept[at] = before;
                             kept[at + comptime!(TILE_PIXELS)] = share;
                             if comptime!(few) {
@@ -184,7 +181,7 @@ pub(super) fn blend_forward_kernel(
                         // A pixel that finished in this bucket becomes negative here; one that had finished stays.
                         transmittance[p] = behind_bucket(before, through[p], stopped[p]);
                     }
-                    bucket += comptime!(shape.bucket as u32);
+                    bucket += comptime!(BUCKET as u32);
                 }
                 place += count;
             }
@@ -194,20 +191,18 @@ pub(super) fn blend_forward_kernel(
         if comptime!(keep) {
             #[unroll]
             for p in 0..pixels {
-                behind[tile as usize * comptime!(TILE_PIXELS) + in_tile + comptime!(block.in_tile(p))] =
-                    transmittance[p].abs();
+                behind[tile as usize * comptime!(TILE_PIXELS) + in_tile + comptime!(p * TILE)] = transmittance[p].abs();
             }
             if UNIT_POS == 0 {
-                passed[tile as usize] = (place + comptime!(shape.bucket as u32 - 1)) / comptime!(shape.bucket as u32);
+                passed[tile as usize] = (place + comptime!(BUCKET as u32 - 1)) / comptime!(BUCKET as u32);
             }
         }
         let plane = (frame.width * frame.height) as usize;
         #[unroll]
         for p in 0..pixels {
-            let column = first_column + comptime!(block.pixel(p)[0] as u32);
-            let row = first_row + comptime!(block.pixel(p)[1] as u32);
-            if column < frame.width && row < frame.height {
-                let pixel = (row * frame.width + column) as usize;
+            let row = first_row + comptime!(p as u32);
+            if first_column < frame.width && row < frame.height {
+                let pixel = (row * frame.width + first_column) as usize;
                 let left = transmittance[p].abs();
                 #[unroll(few)]
                 for channel in 0..comptime!(shape.features) {

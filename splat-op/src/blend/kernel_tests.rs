@@ -2,8 +2,6 @@
 
 use super::cpu::{blend_backward_cpu, blend_cpu};
 use super::launch::{launch_blend, launch_blend_backward};
-use super::layer::Shape;
-use super::order::{launch_order, launch_tile_order};
 use super::{BlendSpec, Layers};
 use crate::camera::Intrinsics;
 use crate::gpu::{Buffer, Gpu};
@@ -250,56 +248,6 @@ fn a_gradient_of_the_features_alone_is_one_with_zeros_for_alpha() {
             });
             assert!(all == alone && all.iter().all(|g| g.iter().any(|v| *v != 0.0)), "{form}, {channels} channels");
         }
-    }
-}
-
-#[test]
-fn buckets_are_taken_by_their_length() {
-    let Some(gpu) = gpu() else { return };
-    let scene = Scene::random(5_000, [200, 150], 3, [0.02, 1.0], RenderOptions::standard());
-    let inputs = scene.device(&gpu);
-    let lists = launch_tile(&gpu, &inputs.projected, &scene.spec.intrinsics, Cut::of(&scene.spec.options));
-    let tiles = lists.counts.len;
-    let shape = Shape { features: 3, depth: false, bucket: 64, grad_alpha: true, polynomial: false, half: false };
-    let order = launch_order(&gpu, &lists, tiles, shape).read(&gpu);
-    let starts = lists.tile_start.read(&gpu);
-    // Places of each slot, from the other end: each tile's buckets lie from its first slot on.
-    let mut length = vec![0; lists.hits / 64 + tiles];
-    for tile in 0..tiles {
-        let places: Vec<u32> = (starts[tile]..starts[tile + 1]).collect();
-        for (bucket, places) in places.chunks(64).enumerate() {
-            length[starts[tile] as usize / 64 + tile + bucket] = places.len();
-        }
-    }
-    assert_eq!(length.iter().sum::<usize>(), lists.hits);
-    let mut slots = order.clone();
-    slots.sort_unstable();
-    assert!(slots.iter().enumerate().all(|(i, slot)| i == *slot as usize), "not a permutation");
-    // Fifteen classes of length, so that one is at most five places wide.
-    let lengths: Vec<usize> = order.iter().map(|slot| length[*slot as usize]).collect();
-    assert!(lengths.windows(2).all(|pair| pair[1] < pair[0] + 5), "{lengths:?}");
-    assert!(lengths[0] == 64 && lengths.iter().any(|length| *length > 0 && *length < 20), "a scene that proves little");
-    assert!(lengths.last() == Some(&0));
-}
-
-#[test]
-fn tiles_are_taken_by_the_lengths_of_their_lists() {
-    let Some(gpu) = gpu() else { return };
-    // Of few Gaussians, so that some tiles have none, and of many.
-    for (count, longest) in [(40, 2), (5_000, 100)] {
-        let scene = Scene::random(count, [200, 150], 3, [0.02, 1.0], RenderOptions::standard());
-        let inputs = scene.device(&gpu);
-        let lists = launch_tile(&gpu, &inputs.projected, &scene.spec.intrinsics, Cut::of(&scene.spec.options));
-        let order = launch_tile_order(&gpu, &lists, lists.counts.len).read(&gpu);
-        let counts = lists.counts.read(&gpu);
-        let mut tiles = order.clone();
-        tiles.sort_unstable();
-        assert!(tiles.iter().enumerate().all(|(i, tile)| i == *tile as usize), "not a permutation");
-        // A class of lengths is a sixteenth of them wide.
-        let lengths: Vec<f64> = order.iter().map(|tile| f64::from(counts[*tile as usize])).collect();
-        assert!(lengths.windows(2).all(|pair| pair[1] + 1.0 <= (pair[0] + 1.0) * 1.07), "{lengths:?}");
-        let (first, last) = (lengths[0], lengths[lengths.len() - 1]);
-        assert!(first >= f64::from(longest) && last < 0.8 * first, "a scene that proves little: {first} to {last}");
     }
 }
 

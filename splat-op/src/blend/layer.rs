@@ -3,13 +3,11 @@
 
 use cubecl::prelude::*;
 
-use super::half::load_half;
 use super::power::power;
-use crate::gpu::math::within;
 use crate::project::COLUMNS;
 use crate::tile::TILE;
 
-/// Places of a bucket of [`Shape::bucket`] where a plane of units works on it together.
+/// Places of a bucket.
 pub(super) const BUCKET: usize = 32;
 
 /// Channels up to which colours go through shared memory and sums through registers, and the trace keeps the sums of each
@@ -18,9 +16,6 @@ pub(super) const FEW: usize = 4;
 
 /// Numbers of a [`Footprint`].
 pub(super) const FOOTPRINT: usize = 6;
-
-/// The columns of a packed ellipse that they come from: `mean2d, sigma_u, sigma_v, shear, opacity`.
-const NUMBERS: [usize; FOOTPRINT] = [0, 1, 2, 4, 3, 6];
 
 /// Thresholds of the render besides the frame's.
 #[derive(CubeType, CubeLaunch, Clone, Copy)]
@@ -38,14 +33,10 @@ pub(crate) struct Shape {
     pub features: usize,
     /// Whether depth is accumulated, as a further channel.
     pub depth: bool,
-    /// Places of a bucket.
-    pub bucket: usize,
     /// Whether the picture's alpha has a gradient. Where it has none, its plane is missing in the planes' gradient.
     pub grad_alpha: bool,
     /// Whether `exp` is a polynomial, or the device's own.
     pub polynomial: bool,
-    /// Whether features are stored in half precision.
-    pub half: bool,
 }
 
 impl Shape {
@@ -57,11 +48,6 @@ impl Shape {
         self.channels() <= FEW
     }
 
-    /// Planes of the gradient that a pixel has, one behind the other.
-    pub const fn gradients(&self) -> usize {
-        self.channels() + self.grad_alpha as usize
-    }
-
     /// Numbers per pixel and bucket that the forward pass keeps: the transmittance before the bucket (negative where the
     /// pixel was finished), the share that the bucket lets through, and its sums if there are few channels.
     pub const fn kept(&self) -> usize {
@@ -69,45 +55,11 @@ impl Shape {
     }
 }
 
-/// The pixels of a unit: a block of a tile. Pixels in one column share `u`, and all share what is read of a Gaussian.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub(crate) struct Block {
-    /// Columns and rows.
-    pub across: usize,
-    pub down: usize,
-}
-
-impl Block {
-    /// Blocks of a tile along a row.
-    pub const fn along(&self) -> usize {
-        TILE / self.across
-    }
-
-    /// Blocks of a tile.
-    pub const fn of_tile(&self) -> usize {
-        self.along() * (TILE / self.down)
-    }
-
-    pub const fn pixels(&self) -> usize {
-        self.across * self.down
-    }
-
-    /// Column and row of pixel `p`, down one column after the other.
-    pub const fn pixel(&self, p: usize) -> [usize; 2] {
-        [p / self.down, p % self.down]
-    }
-
-    /// Where pixel `p` lies from the block's first one, in planes of a tile's pixels.
-    pub const fn in_tile(&self, p: usize) -> usize {
-        p % self.down * TILE + p / self.down
-    }
-}
-
-/// Column and row in the tile of the first pixel of a block.
+/// Column and row in the tile of the first pixel of a unit, whose pixels are a strip: `rows` of a column. They share `u` and what is
+/// read of a Gaussian.
 #[cube]
-pub(super) fn block_origin(index: u32, #[comptime] block: Block) -> (u32, u32) {
-    let along = comptime!(block.along() as u32);
-    (index % along * comptime!(block.across as u32), index / along * comptime!(block.down as u32))
+pub(super) fn strip_origin(unit: u32, #[comptime] rows: usize) -> (u32, u32) {
+    (unit % comptime!(TILE as u32), unit / comptime!(TILE as u32) * comptime!(rows as u32))
 }
 
 /// An ellipse as the pixels' loop reads it.
@@ -126,13 +78,14 @@ pub(super) struct Footprint {
 impl Footprint {
     /// Of a row of the packed ellipses.
     pub fn of(projected: &[f32], gaussian: usize) -> Footprint {
+        let at = gaussian * comptime!(COLUMNS);
         Footprint {
-            x: Footprint::number(projected, gaussian, 0usize),
-            y: Footprint::number(projected, gaussian, 1usize),
-            inverse_u: Footprint::number(projected, gaussian, 2usize),
-            inverse_v: Footprint::number(projected, gaussian, 3usize),
-            shear: Footprint::number(projected, gaussian, 4usize),
-            opacity: Footprint::number(projected, gaussian, 5usize),
+            x: projected[at],
+            y: projected[at + 1],
+            inverse_u: 1.0 / projected[at + 2],
+            inverse_v: 1.0 / projected[at + 4],
+            shear: projected[at + 3],
+            opacity: projected[at + 6],
         }
     }
 
@@ -163,24 +116,6 @@ impl Footprint {
         }
     }
 
-    /// Number `number` of a row of the packed ellipses, in the order of the fields.
-    pub fn number(projected: &[f32], gaussian: usize, #[comptime] number: usize) -> f32 {
-        let value = projected[gaussian * comptime!(COLUMNS) + comptime!(NUMBERS[number])];
-        if comptime!(number == 2 || number == 3) { 1.0 / value } else { value }
-    }
-
-    /// Of arrays of those numbers.
-    pub fn among(numbers: &Sequence<Array<f32>>, index: usize) -> Footprint {
-        Footprint {
-            x: numbers[0][index],
-            y: numbers[1][index],
-            inverse_u: numbers[2][index],
-            inverse_v: numbers[3][index],
-            shear: numbers[4][index],
-            opacity: numbers[5][index],
-        }
-    }
-
     /// `u` in the column at `x` px, and how far its pixel in the tile's first row, at `top` px, lies below the ellipse's axis
     /// there, px: in a row further down, by so much more. Times `inverse_v` that is `v`. Small numbers are added to a
     /// distance, never to a coordinate, whose digits are coarser; and as every kernel counts from the tile's first row,
@@ -203,83 +138,6 @@ impl Footprint {
             if comptime!(shape.polynomial) { power(-exponent * core::f32::consts::LOG2_E) } else { exponent.exp() };
         let value = min(self.opacity * share, alpha_max);
         select(value >= alpha_min, value, 0.0)
-    }
-
-    /// Which blocks of the tile whose first pixel has its centre at `x, y` px the ellipse may show in, a bit each. Those left
-    /// out hold no pixel with an alpha of at least `alpha_min`: the ellipse of that alpha has the half-axes
-    /// `r sigma_u` and `r √(sigma_v² + shear² sigma_u²)` with `r² = 2 ln(opacity/alpha_min)`.
-    pub fn blocks_reached(&self, x: f32, y: f32, alpha_min: f32, #[comptime] block: Block) -> u32 {
-        let mut reach = f32::max_value();
-        if alpha_min > 0.0 {
-            // Relative and absolute margins above the rounding of logarithm, exponential and coordinates.
-            reach = (2.0002 * max((self.opacity / alpha_min).ln(), 0.0) + 1e-3).sqrt();
-        }
-        let slope = self.shear * (self.inverse_v / self.inverse_u);
-        let half_width = reach / self.inverse_u + 0.01;
-        let half_height = reach * (1.0 + slope * slope).sqrt() / self.inverse_v + 0.01;
-        let (dx, dy) = (x - self.x, y - self.y);
-        let mut columns = 0u32;
-        #[unroll]
-        for i in 0..comptime!(block.along()) {
-            let first = dx + comptime!((i * block.across) as f32);
-            if first <= half_width && first + comptime!((block.across - 1) as f32) >= -half_width {
-                columns |= comptime!(1u32 << i as u32);
-            }
-        }
-        let mut reached = 0u32;
-        #[unroll]
-        for i in 0..comptime!(TILE / block.down) {
-            let first = dy + comptime!((i * block.down) as f32);
-            if first <= half_height && first + comptime!((block.down - 1) as f32) >= -half_height {
-                reached |= columns << comptime!((i * block.along()) as u32);
-            }
-        }
-        reached
-    }
-
-    /// As [`Self::blocks_reached`], without those of the ellipse's bounding box that the ellipse itself does not meet: by the
-    /// least `u² + v²` over a block, which lies at the centre or on a side that faces it, where it is the minimum of a
-    /// parabola. For few large blocks; a test takes thirty instructions.
-    pub fn blocks_met(&self, x: f32, y: f32, alpha_min: f32, #[comptime] block: Block) -> u32 {
-        let reached = self.blocks_reached(x, y, alpha_min, block);
-        let mut reach = f32::max_value();
-        if alpha_min > 0.0 {
-            reach = (2.0002 * max((self.opacity / alpha_min).ln(), 0.0) + 1e-3).sqrt();
-        }
-        let ratio = self.inverse_u / self.inverse_v;
-        let denominator = self.shear * self.shear + ratio * ratio;
-        // Where the slope of the axis has no digits, the bounding box decides.
-        let sound = denominator > 1e-30 && denominator < 1e30;
-        let slope = self.shear / select(sound, denominator, 1.0);
-        let mut met = 0u32;
-        #[unroll]
-        for i in 0..comptime!(block.of_tile()) {
-            let left = x - self.x + comptime!((i % block.along() * block.across) as f32);
-            let right = left + comptime!((block.across - 1) as f32);
-            let top = y - self.y + comptime!((i / block.along() * block.down) as f32);
-            let bottom = top + comptime!((block.down - 1) as f32);
-            let near_x = within(0.0, left, right);
-            let near_y = within(0.0, top, bottom);
-            let beside = self.whitened_square(near_x, within(self.shear * near_x, top, bottom));
-            let above = self.whitened_square(within(slope * near_y, left, right), near_y);
-            let least =
-                min(select(near_x != 0.0, beside, f32::max_value()), select(near_y != 0.0, above, f32::max_value()));
-            // `dy − shear dx` loses digits when both terms are large; the pixels may then see a smaller value than this.
-            let farthest = max(left.abs(), right.abs()) * self.shear.abs() + max(top.abs(), bottom.abs());
-            let limit = reach + 1e-6 * farthest * self.inverse_v;
-            let inside = near_x == 0.0 && near_y == 0.0;
-            if inside || !sound || !(least > limit * limit) {
-                met |= comptime!(1u32 << i as u32);
-            }
-        }
-        reached & met
-    }
-
-    /// `u² + v²` at an offset from the centre, px.
-    fn whitened_square(&self, dx: f32, dy: f32) -> f32 {
-        let u = dx * self.inverse_u;
-        let v = (dy - self.shear * dx) * self.inverse_v;
-        u * u + v * v
     }
 }
 
@@ -331,8 +189,8 @@ pub(super) fn behind_bucket(before: f32, through: f32, stopped: f32) -> f32 {
 /// The first slot of a tile's buckets: a slot per started bucket, so that no two tiles share one and no list of slots
 /// is needed.
 #[cube]
-pub(super) fn first_slot(first_place: u32, tile: u32, #[comptime] shape: Shape) -> u32 {
-    first_place / comptime!(shape.bucket as u32) + tile
+pub(super) fn first_slot(first_place: u32, tile: u32) -> u32 {
+    first_place / comptime!(BUCKET as u32) + tile
 }
 
 /// Channel `channel` of a Gaussian, the depth after the features.
@@ -350,11 +208,7 @@ pub(super) fn colour(
         value = projected[gaussian * comptime!(COLUMNS) + 5];
     }
     if !is_depth {
-        value = if comptime!(shape.half) {
-            load_half(features, gaussian, channel, shape)
-        } else {
-            features[gaussian * comptime!(shape.features) + channel]
-        };
+        value = features[gaussian * comptime!(shape.features) + channel];
     }
     value
 }

@@ -14,8 +14,6 @@
 #[cfg(feature = "cube")]
 mod backward;
 #[cfg(feature = "cube")]
-mod buckets;
-#[cfg(feature = "cube")]
 mod channels;
 pub(crate) mod cpu;
 #[cfg(all(test, feature = "cube"))]
@@ -25,8 +23,6 @@ mod dial_tests;
 mod footprint;
 #[cfg(feature = "cube")]
 mod forward;
-#[cfg(feature = "cube")]
-mod half;
 #[cfg(all(test, feature = "cube"))]
 mod kernel_tests;
 #[cfg(feature = "cube")]
@@ -34,18 +30,10 @@ pub(crate) mod launch;
 #[cfg(feature = "cube")]
 mod layer;
 #[cfg(feature = "cube")]
-mod order;
-#[cfg(feature = "cube")]
 mod pixels;
 #[cfg(feature = "cube")]
 mod power;
 mod prepared;
-#[cfg(feature = "cube")]
-mod quads;
-#[cfg(feature = "cube")]
-mod quads_behind;
-#[cfg(feature = "cube")]
-mod quads_forward;
 #[cfg(feature = "cube")]
 mod strips;
 #[cfg(test)]

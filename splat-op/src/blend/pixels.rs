@@ -6,7 +6,7 @@
 use cubecl::prelude::*;
 
 use super::backward::{MOMENTS, plane_of};
-use super::layer::{Block, Footprint, Limits, Shape, checkpoint, layer, restore};
+use super::layer::{Footprint, Limits, Shape, checkpoint, layer, restore};
 use crate::tile::forward::Frame;
 use crate::tile::{TILE, TILE_PIXELS};
 
@@ -16,7 +16,7 @@ pub(super) const STEP: usize = 4;
 /// What does not change from layer to layer at a unit's pixels, and how far a pass has come.
 #[derive(CubeType)]
 pub(super) struct Pixels {
-    /// Centre of the first column and of the tile's first row, px, and the rows from there to the block's first.
+    /// Centre of the column and of the tile's first row, px, and the rows from there to the strip's first.
     x: f32,
     top: f32,
     row: f32,
@@ -34,16 +34,15 @@ pub(super) struct Pixels {
 
 #[cube]
 impl Pixels {
-    /// The pixels of the block that begins `column` and `row` pixels into a tile. [`Self::load`] fills each.
+    /// The strip that begins `column` and `row` pixels into a tile. [`Self::load`] fills each.
     pub fn new(
         tile: u32,
         column: u32,
         row: u32,
         frame: Frame,
         #[comptime] shape: Shape,
-        #[comptime] block: Block,
+        #[comptime] pixels: usize,
     ) -> Pixels {
-        let pixels = comptime!(block.pixels());
         Pixels {
             x: f32::cast_from(tile % frame.tiles_x * comptime!(TILE as u32) + column) + 0.5,
             top: f32::cast_from(tile / frame.tiles_x * comptime!(TILE as u32)) + 0.5,
@@ -69,11 +68,10 @@ impl Pixels {
         row: u32,
         frame: Frame,
         #[comptime] shape: Shape,
-        #[comptime] block: Block,
         #[comptime] p: usize,
     ) {
         let channels = comptime!(shape.channels());
-        let in_tile = (row * comptime!(TILE as u32) + column) as usize + comptime!(block.in_tile(p));
+        let in_tile = (row * comptime!(TILE as u32) + column) as usize + comptime!(p * TILE);
         self.before[p] = kept[slot as usize * comptime!(shape.kept() * TILE_PIXELS) + in_tile];
         self.rho[p] = rho_behind[slot as usize * comptime!(TILE_PIXELS) + in_tile];
         self.grad_alpha[p] = 0.0f32;
@@ -81,8 +79,8 @@ impl Pixels {
         for channel in 0..channels {
             self.gradients[comptime!(p * channels) + channel] = 0.0f32;
         }
-        let column = tile % frame.tiles_x * comptime!(TILE as u32) + column + comptime!(block.pixel(p)[0] as u32);
-        let row = tile / frame.tiles_x * comptime!(TILE as u32) + row + comptime!(block.pixel(p)[1] as u32);
+        let column = tile % frame.tiles_x * comptime!(TILE as u32) + column;
+        let row = tile / frame.tiles_x * comptime!(TILE as u32) + row + comptime!(p as u32);
         if column < frame.width && row < frame.height {
             let plane = (frame.width * frame.height) as usize;
             let pixel = (row * frame.width + column) as usize;
@@ -117,11 +115,9 @@ impl Pixels {
         alpha_min: f32,
         limits: Limits,
         #[comptime] shape: Shape,
-        #[comptime] block: Block,
         #[comptime] p: usize,
     ) -> (f32, f32) {
-        let [column, row] = comptime!(block.pixel(p));
-        let (u, v) = footprint.whiten(self.x + comptime!(column as f32), self.top, self.row + comptime!(row as f32));
+        let (u, v) = footprint.whiten(self.x, self.top, self.row + comptime!(p as f32));
         let alpha = footprint.alpha(u, v, alpha_min, limits.alpha_max, shape);
         let (alpha, through, stopped) =
             layer(alpha, self.through[p], self.stopped[p], self.before[p], limits.transmittance_min);
@@ -142,49 +138,45 @@ impl Pixels {
         alpha_max: f32,
         #[comptime] shape: Shape,
         #[comptime] absolute: bool,
-        #[comptime] block: Block,
+        #[comptime] pixels: usize,
         #[comptime] k: usize,
     ) {
         let channels = comptime!(shape.channels());
         let slope = footprint.inverse_v * footprint.shear;
+        let (u, below) = footprint.along_column(self.x, self.top);
+        // Sums of `h, h v, h v²` down the column, where `u` is the same.
+        let mut h_sum = 0.0f32;
+        let mut hv_sum = 0.0f32;
+        let mut hvv_sum = 0.0f32;
         #[unroll]
-        for across in 0..comptime!(block.across) {
-            let (u, below) = footprint.along_column(self.x + comptime!(across as f32), self.top);
-            // Sums of `h, h v, h v²` down the column, where `u` is the same.
-            let mut h_sum = 0.0f32;
-            let mut hv_sum = 0.0f32;
-            let mut hvv_sum = 0.0f32;
+        for p in 0..pixels {
+            let alpha = alphas[comptime!(k * pixels + p)];
+            let weight = weights[comptime!(k * pixels + p)];
+            let mut along = self.grad_alpha[p];
             #[unroll]
-            for down in 0..comptime!(block.down) {
-                let p = comptime!(across * block.down + down);
-                let alpha = alphas[comptime!(k * block.pixels() + p)];
-                let weight = weights[comptime!(k * block.pixels() + p)];
-                let mut along = self.grad_alpha[p];
-                #[unroll]
-                for channel in 0..channels {
-                    let gradient = self.gradients[comptime!(p * channels) + channel];
-                    along += gradient * colour[channel];
-                    row[comptime!(MOMENTS) + channel] += weight * gradient;
-                }
-                let ahead = along - self.rho[p];
-                self.rho[p] += alpha * ahead;
-                let h = select(alpha < alpha_max, weight * ahead, 0.0);
-                let v = (below + (self.row + comptime!(down as f32))) * footprint.inverse_v;
-                let hv = h * v;
-                h_sum += h;
-                hv_sum += hv;
-                hvv_sum += hv * v;
-                if comptime!(absolute) {
-                    row[comptime!(MOMENTS + channels)] += (h * u * footprint.inverse_u - hv * slope).abs();
-                    row[comptime!(MOMENTS + channels + 1)] += (hv * footprint.inverse_v).abs();
-                }
+            for channel in 0..channels {
+                let gradient = self.gradients[comptime!(p * channels) + channel];
+                along += gradient * colour[channel];
+                row[comptime!(MOMENTS) + channel] += weight * gradient;
             }
-            row[0] += h_sum;
-            row[1] += h_sum * u;
-            row[2] += hv_sum;
-            row[3] += h_sum * u * u;
-            row[4] += hv_sum * u;
-            row[5] += hvv_sum;
+            let ahead = along - self.rho[p];
+            self.rho[p] += alpha * ahead;
+            let h = select(alpha < alpha_max, weight * ahead, 0.0);
+            let v = (below + (self.row + comptime!(p as f32))) * footprint.inverse_v;
+            let hv = h * v;
+            h_sum += h;
+            hv_sum += hv;
+            hvv_sum += hv * v;
+            if comptime!(absolute) {
+                row[comptime!(MOMENTS + channels)] += (h * u * footprint.inverse_u - hv * slope).abs();
+                row[comptime!(MOMENTS + channels + 1)] += (hv * footprint.inverse_v).abs();
+            }
         }
+        row[0] += h_sum;
+        row[1] += h_sum * u;
+        row[2] += hv_sum;
+        row[3] += h_sum * u * u;
+        row[4] += hv_sum * u;
+        row[5] += hvv_sum;
     }
 }

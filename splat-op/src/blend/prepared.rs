@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use super::footprint::Footprint;
 use super::tile::{TileView, is_long};
 use super::{BlendSpec, Layers};
-use crate::dials::{Culling, Exponential, Storage};
+use crate::dials::{Culling, Exponential};
 use crate::project::{COLUMNS, Ellipse};
 use crate::real::Real;
 use crate::tile::cpu::needed_hits;
@@ -43,18 +43,14 @@ impl<'a, F: Real> Prepared<'a, F> {
             if ellipse.opacity > F::ZERO { Footprint::new(&ellipse, alpha_min) } else { Footprint::default() }
         };
         let features = inputs.background.len();
-        let stored: Cow<[F]> = match options.features {
-            Storage::Full => inputs.features.into(),
-            Storage::Half => inputs.features.iter().map(|feature| feature.halved()).collect::<Vec<F>>().into(),
-        };
         let colours = if options.depth {
-            let rows = stored.chunks_exact(features).zip(inputs.projected.chunks_exact(COLUMNS));
+            let rows = inputs.features.chunks_exact(features).zip(inputs.projected.chunks_exact(COLUMNS));
             let with_depth = rows.flat_map(|(feature, row)| {
                 feature.iter().copied().chain(std::iter::once(Ellipse::from_row(row).depth))
             });
             with_depth.collect::<Vec<F>>().into()
         } else {
-            stored
+            inputs.features.into()
         };
         let listed = hits.tile_start.windows(2).map(|ends| ends[1] - ends[0]);
         let apart = options.culling != Culling::Ellipse && listed.max().is_some_and(|most| is_long(most, alpha_min));

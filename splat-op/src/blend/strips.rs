@@ -1,4 +1,4 @@
-//! The layers of a bucket, backwards, for few channels on a graphics card: a unit per strip of pixels, a column and some rows
+//! The layers of a bucket, backwards, for few channels: a unit per strip of pixels, a column and some rows
 //! of a tile, whose numbers stay in registers.
 //!
 //! A cube takes a bucket four places at a time, from the last to the first. `α` and `T` of the four come from a forward
@@ -10,9 +10,10 @@
 use cubecl::prelude::*;
 
 use super::backward::{row_len, tile_of_slot};
-use super::layer::{BUCKET, Block, FOOTPRINT, Footprint, Limits, Shape, block_origin, colour, first_slot};
+use super::layer::{BUCKET, FOOTPRINT, Footprint, Limits, Shape, colour, first_slot, strip_origin};
 use super::pixels::{Pixels, STEP};
 use crate::gpu::atomic::FloatCell;
+use crate::tile::TILE_PIXELS;
 use crate::tile::forward::Frame;
 
 /// Rows of the hits of each bucket.
@@ -37,12 +38,11 @@ pub(super) fn blend_strips_kernel<A: FloatCell>(
     #[comptime] shape: Shape,
     #[comptime] absolute: bool,
     #[comptime] add: bool,
-    #[comptime] block: Block,
+    #[comptime] pixels: usize,
 ) {
     let channels = comptime!(shape.channels());
     let columns = comptime!(row_len(shape, absolute));
-    let units = comptime!(block.of_tile());
-    let pixels = comptime!(block.pixels());
+    let units = comptime!(TILE_PIXELS / pixels);
     let mut footprints = Shared::<[f32]>::new_slice(comptime!(BUCKET * FOOTPRINT));
     let mut colours = Shared::<[f32]>::new_slice(comptime!(BUCKET * channels));
     let mut hits = Shared::<[u32]>::new_slice(comptime!(BUCKET));
@@ -50,10 +50,10 @@ pub(super) fn blend_strips_kernel<A: FloatCell>(
 
     let slot = CUBE_POS as u32;
     if slot < slots {
-        let tile = tile_of_slot(tile_start, frame.tiles_x * frame.tiles_y, slot, shape);
+        let tile = tile_of_slot(tile_start, frame.tiles_x * frame.tiles_y, slot);
         let first = tile_start[tile as usize];
         let places = tile_start[tile as usize + 1] - first;
-        let bucket = slot - first_slot(first, tile, shape);
+        let bucket = slot - first_slot(first, tile);
         let place = bucket * comptime!(BUCKET as u32);
         if place < places {
             let count = min(places - place, comptime!(BUCKET as u32));
@@ -90,11 +90,11 @@ pub(super) fn blend_strips_kernel<A: FloatCell>(
                     }
                 }
             } else {
-                let (column, row) = block_origin(UNIT_POS, block);
-                let mut at = Pixels::new(tile, column, row, frame, shape, block);
+                let (column, row) = strip_origin(UNIT_POS, pixels);
+                let mut at = Pixels::new(tile, column, row, frame, shape, pixels);
                 #[unroll]
                 for p in 0..pixels {
-                    at.load(kept, rho_behind, grad, slot, tile, column, row, frame, shape, block, p);
+                    at.load(kept, rho_behind, grad, slot, tile, column, row, frame, shape, p);
                 }
 
                 // Forwards: what the layers before each step let through, and stop.
@@ -111,7 +111,7 @@ pub(super) fn blend_strips_kernel<A: FloatCell>(
                         let footprint = Footprint::load(&footprints, i as usize);
                         #[unroll]
                         for p in 0..pixels {
-                            at.pass(footprint, frame.alpha_min, limits, shape, block, p);
+                            at.pass(footprint, frame.alpha_min, limits, shape, p);
                         }
                     }
                 }
@@ -132,7 +132,7 @@ pub(super) fn blend_strips_kernel<A: FloatCell>(
                         let footprint = Footprint::load(&footprints, start as usize + k);
                         #[unroll]
                         for p in 0..pixels {
-                            let (alpha, weight) = at.pass(footprint, frame.alpha_min, limits, shape, block, p);
+                            let (alpha, weight) = at.pass(footprint, frame.alpha_min, limits, shape, p);
                             alphas[comptime!(k * pixels + p)] = alpha;
                             weights[comptime!(k * pixels + p)] = weight;
                         }
@@ -159,7 +159,7 @@ pub(super) fn blend_strips_kernel<A: FloatCell>(
                             limits.alpha_max,
                             shape,
                             absolute,
-                            block,
+                            pixels,
                             k,
                         );
                         #[unroll]

@@ -63,8 +63,8 @@ impl<T: Pod> Buffer<T> {
     }
 
     fn with_room(gpu: &Gpu, len: usize, words: usize) -> Self {
-        // One vector of four: a device binds nothing smaller where a kernel takes vectors.
-        let words = words.max(4);
+        // A device binds no empty buffer.
+        let words = words.max(1);
         // What is known beforehand is checked where it enters, and large buffers name themselves; this is for all others.
         let need = Need {
             what: "a buffer of the kernels",

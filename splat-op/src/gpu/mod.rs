@@ -29,8 +29,6 @@ pub(crate) struct Gpu {
     pub client: Client,
     /// Whether the units of a plane can sum among themselves; else they go through shared memory.
     pub planes: bool,
-    /// Whether a software driver computes on the processor.
-    pub software: bool,
     /// Whether floats can be added atomically; else by compare-and-swap on their bits.
     pub float_atomics: bool,
     /// Bytes of the largest buffer.
@@ -46,7 +44,6 @@ impl Gpu {
         let float = Type::atomic(Type::from(ElemType::Float(FloatKind::F32)));
         Self {
             planes: properties.features.plane.contains(Plane::Ops),
-            software: properties.identity.physical.is_none(),
             float_atomics: properties.atomic_type_usage(float).contains(AtomicUsage::Add),
             buffer_limit: properties.memory.max_page_size.min(INDEX_LIMIT),
             client: client.clone(),

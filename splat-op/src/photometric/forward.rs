@@ -1,4 +1,4 @@
-//! The four passes of the loss on a card, and the plain window. A unit holds a strip of values along the axis of its pass.
+//! The four passes of the loss, and the plain window. A unit holds a strip of values along the axis of its pass.
 
 use cubecl::prelude::*;
 

@@ -1,13 +1,10 @@
 //! Launches of the loss.
 
-use cubecl::prelude::{CubeCount, CubeDim};
-
 use super::forward::{
     PlanesLaunch, WeightsLaunch, WindowLaunch, gradient_kernel, index_kernel, moments_kernel, window_kernel,
 };
-use super::sweeps::{self, gradient_sweep_kernel, index_sweep_kernel};
 use super::taps::half_window;
-use crate::gpu::{Buffer, Gpu, cubes, elementwise};
+use crate::gpu::{Buffer, Gpu, elementwise};
 
 /// Inputs on the device, each `[C, H, W]`.
 pub(crate) struct DeviceInputs {
@@ -17,11 +14,11 @@ pub(crate) struct DeviceInputs {
     pub variance: Buffer<f32>,
 }
 
-/// Values of a unit down a column and along a row. A card reads a row by neighbouring units together, so there a unit takes
-/// one value of it; a software driver reads for each unit by itself, see `blend`.
-fn strips(gpu: &Gpu) -> [usize; 2] {
-    if gpu.software { [16, 16] } else { [8, 1] }
-}
+/// Values of a unit down a column.
+const DOWN: usize = 8;
+
+/// Values of a unit along a row. Neighbouring units read a row together, so each takes one value of it.
+const ALONG: usize = 1;
 
 fn window() -> WindowLaunch {
     let [t0, t1, t2, t3, t4, t5] = half_window().map(|tap| tap as f32);
@@ -31,13 +28,6 @@ fn window() -> WindowLaunch {
 /// Units that a pass over `values` in lines of `len` takes.
 fn units(values: usize, len: usize, strip: usize) -> usize {
     values / len * len.div_ceil(strip)
-}
-
-/// A dispatch that sweeps pictures of so many values, by cubes of one vector of a driver's in software.
-fn sweep_size([width, height]: [usize; 2], values: usize) -> (CubeCount, CubeDim) {
-    const CUBE: usize = 8;
-    let units = sweeps::units([width, height], values / (width * height));
-    (cubes(units.div_ceil(CUBE)), CubeDim::new_1d(CUBE as u32))
 }
 
 /// `Kx` of planes of the given width and height.
@@ -50,8 +40,7 @@ pub(crate) fn launch_window(gpu: &Gpu, planes: &Buffer<f32>, [width, height]: [u
 
 /// One direction of the window.
 fn launch_direction(gpu: &Gpu, from: &Buffer<f32>, to: &Buffer<f32>, [width, height]: [usize; 2], vertical: bool) {
-    let [down, along] = strips(gpu);
-    let (len, strip) = if vertical { (height, down) } else { (width, along) };
+    let (len, strip) = if vertical { (height, DOWN) } else { (width, ALONG) };
     let (grid, dim) = elementwise(units(from.len, len, strip));
     let planes = PlanesLaunch::new(width as u32, height as u32, (from.len / (width * height)) as u32);
     // SAFETY: strips beyond the last plane and values beyond the line are guarded.
@@ -83,11 +72,7 @@ pub(crate) fn launch_photometric(
     let shares = Buffer::new(gpu, values);
     let derivatives = Buffer::new(gpu, if with_gradient { 3 * values } else { 0 });
     let gradient = Buffer::if_needed(gpu, with_gradient, values);
-    if gpu.software {
-        job.launch_sweeps(&shares, &derivatives, gradient.as_ref());
-    } else {
-        job.launch_passes(&shares, &derivatives, gradient.as_ref());
-    }
+    job.launch(&shares, &derivatives, gradient.as_ref());
     (shares, gradient)
 }
 
@@ -110,53 +95,14 @@ impl Job<'_> {
         WeightsLaunch::new(((1.0 - self.lambda) * share) as f32, self.lambda as f32, share as f32)
     }
 
-    /// On a driver in software: the shares and, if `gradient` is wanted, the derivatives of the index and that of the loss.
-    fn launch_sweeps(&self, shares: &Buffer<f32>, derivatives: &Buffer<f32>, gradient: Option<&Buffer<f32>>) {
-        let Self { gpu, inputs, size, .. } = *self;
-        // SAFETY: units beyond the last plane and values beyond the picture are guarded.
-        unsafe {
-            let (grid, dim) = sweep_size(size, inputs.image.len);
-            index_sweep_kernel::launch_unchecked(
-                &gpu.client,
-                grid,
-                dim,
-                inputs.image.arg(),
-                inputs.truth.arg(),
-                inputs.mean.arg(),
-                inputs.variance.arg(),
-                shares.arg(),
-                derivatives.arg(),
-                window(),
-                self.planes(),
-                self.weights(),
-                gradient.is_some(),
-            );
-            let Some(gradient) = gradient else { return };
-            let (grid, dim) = sweep_size(size, inputs.image.len);
-            gradient_sweep_kernel::launch_unchecked(
-                &gpu.client,
-                grid,
-                dim,
-                inputs.image.arg(),
-                inputs.truth.arg(),
-                derivatives.arg(),
-                gradient.arg(),
-                window(),
-                self.planes(),
-                self.weights(),
-            );
-        }
-    }
-
-    /// The same on a card.
-    fn launch_passes(&self, shares: &Buffer<f32>, derivatives: &Buffer<f32>, gradient: Option<&Buffer<f32>>) {
+    /// Writes the shares and, if `gradient` is wanted, the derivatives of the index and that of the loss.
+    fn launch(&self, shares: &Buffer<f32>, derivatives: &Buffer<f32>, gradient: Option<&Buffer<f32>>) {
         let Self { gpu, inputs, size: [width, height], .. } = *self;
         let values = inputs.image.len;
-        let [down, along] = strips(gpu);
         let moments: Buffer<f32> = Buffer::new(gpu, 3 * values);
         // SAFETY: strips beyond the last plane and values beyond the line are guarded.
         unsafe {
-            let (grid, dim) = elementwise(units(values, height, down));
+            let (grid, dim) = elementwise(units(values, height, DOWN));
             moments_kernel::launch_unchecked(
                 &gpu.client,
                 grid,
@@ -166,9 +112,9 @@ impl Job<'_> {
                 moments.arg(),
                 window(),
                 self.planes(),
-                down,
+                DOWN,
             );
-            let (grid, dim) = elementwise(units(values, width, along));
+            let (grid, dim) = elementwise(units(values, width, ALONG));
             index_kernel::launch_unchecked(
                 &gpu.client,
                 grid,
@@ -184,13 +130,13 @@ impl Job<'_> {
                 self.planes(),
                 self.weights(),
                 gradient.is_some(),
-                along,
+                ALONG,
             );
         }
         let Some(gradient) = gradient else { return };
         // The moments are not read again: their memory takes the derivatives' filtered columns.
         launch_direction(gpu, derivatives, &moments, [width, height], true);
-        let (grid, dim) = elementwise(units(values, width, along));
+        let (grid, dim) = elementwise(units(values, width, ALONG));
         // SAFETY: as above.
         unsafe {
             gradient_kernel::launch_unchecked(
@@ -204,7 +150,7 @@ impl Job<'_> {
                 window(),
                 self.planes(),
                 self.weights(),
-                along,
+                ALONG,
             );
         }
     }

@@ -2,7 +2,7 @@
 //!
 //! The loss of 3D Gaussian splatting can be written as tensor code like any other, and `splat-model` has it as such. But that
 //! code is twelve convolutions and forty passes over the picture, with autodiff's on top, most of a training step (on a
-//! software driver 1.7 of 2.0 s). This operation computes the same in two sweeps on a CPU (and a driver in software) and four passes on a GPU: the
+//! software driver 1.7 of 2.0 s). This operation computes the same in two sweeps on a CPU and four passes on a GPU: the
 //! window is separable, and whoever has a strip of pixels in registers can filter it, multiply it and differentiate it at once.
 //!
 //! With `K` the window (11 × 11 taps, σ = 1.5 px, zero outside), the index of Wang et al. 2004, eq. 13, is
@@ -20,8 +20,6 @@ mod forward;
 mod kernel_tests;
 #[cfg(feature = "cube")]
 pub(crate) mod launch;
-#[cfg(feature = "cube")]
-mod sweeps;
 mod taps;
 #[cfg(test)]
 mod tests;

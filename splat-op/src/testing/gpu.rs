@@ -10,8 +10,8 @@ use burn::tensor::{Device, DeviceType};
 
 use crate::gpu::{Gpu, poison};
 
-/// The best GPU, a software driver if there is nothing better, and its other forms: without plane operations, without float
-/// atomics, a driver in software taken for a card and a card taken for one. Empty if there is none or `SPLAT_GPU=skip`, which is said; with `SPLAT_GPU=require` that is a failure.
+/// The best GPU, a software driver if there is nothing better, and its lesser forms: without plane operations, without float
+/// atomics. Empty if there is none or `SPLAT_GPU=skip`, which is said; with `SPLAT_GPU=require` that is a failure.
 pub fn gpus() -> Vec<(&'static str, Gpu)> {
     static GPU: OnceLock<Option<Gpu>> = OnceLock::new();
     let Some(gpu) = GPU.get_or_init(find).clone() else { return Vec::new() };
@@ -20,12 +20,8 @@ pub fn gpus() -> Vec<(&'static str, Gpu)> {
         gpus.push(("without planes", Gpu { planes: false, ..gpu.clone() }));
     }
     if gpu.float_atomics {
-        gpus.push(("without float atomics", Gpu { float_atomics: false, ..gpu.clone() }));
+        gpus.push(("without float atomics", Gpu { float_atomics: false, ..gpu }));
     }
-    gpus.push(match gpu.software {
-        true => ("as a card", Gpu { software: false, ..gpu }),
-        false => ("as a driver in software", Gpu { software: true, ..gpu }),
-    });
     gpus
 }
 

@@ -21,8 +21,6 @@ pub(crate) mod reach;
 mod scan;
 #[cfg(feature = "cube")]
 pub(crate) mod sort;
-#[cfg(feature = "cube")]
-mod sort_alone;
 #[cfg(test)]
 mod tests;
 

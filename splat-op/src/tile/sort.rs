@@ -1,5 +1,4 @@
-//! A stable radix sort of u32 keys with u32 values on the device: least significant digit first, four bits at a time, on a
-//! driver in software up to eight (`sort_alone.rs`).
+//! A stable radix sort of u32 keys with u32 values on the device: least significant digit first, four bits at a time.
 //!
 //! A pass counts the digits of each block of keys, scans the counts (digit by digit, within a digit block by block) and
 //! lets each block write its keys to their places. Within a block each unit holds consecutive keys and has a counter of
@@ -8,7 +7,6 @@
 use cubecl::prelude::*;
 
 use super::scan::launch_scan;
-use super::sort_alone;
 use crate::gpu::reduce::cube_exclusive_sum;
 use crate::gpu::{Buffer, Gpu, UNITS, cubes};
 
@@ -132,14 +130,8 @@ pub(crate) fn launch_sort(gpu: &Gpu, pairs: Pairs, bits: u32) -> Pairs {
     }
     let mut from = pairs;
     let mut to = Pairs { keys: Buffer::with_headroom(gpu, len), values: Buffer::with_headroom(gpu, len) };
-    let widest = if gpu.software { sort_alone::BITS } else { BITS };
-    let passes = bits.div_ceil(widest);
-    let width = if gpu.software { bits.div_ceil(passes) } else { BITS };
-    for shift in (0..bits).step_by(width as usize) {
-        match gpu.software {
-            true => sort_alone::launch_pass(gpu, &from, &to, shift, width.min(bits - shift)),
-            false => launch_pass(gpu, &from, &to, shift),
-        }
+    for shift in (0..bits).step_by(BITS as usize) {
+        launch_pass(gpu, &from, &to, shift);
         std::mem::swap(&mut from, &mut to);
     }
     from
