@@ -47,7 +47,7 @@
 //! let options = RenderOptions::standard().with_depth(true);
 //! let visible = Tensor::<1>::from_floats([1.0, 0.5], &device).require_grad();
 //!
-//! let projected = project(&splats, &camera, None, &options)?;
+//! let projected = project(&splats, &camera, &Extras::default(), &options)?;
 //! let mut ellipses = projected.ellipses();
 //! ellipses.opacity = ellipses.opacity * visible.clone();
 //! let projected = ellipses.pack(projected.intrinsics())?;
@@ -153,9 +153,11 @@ pub use dials::{Culling, Exponential, Storage};
 pub use error::SplatError;
 pub use limits::is_gpu;
 pub use options::{Accumulation, MAX_UNCUT_HITS, Order, Projection, RenderOptions};
-pub use render::{Rendered, render, render_view};
+pub use render::{render, render_view};
 pub use splats::{Colour, Extras, Splats};
-pub use stages::{Ellipses, Picture, Projected, Tiles, blend, project, tile};
+pub use stages::{Ellipses, Projected, Rendered, Tiles, blend, project, tile};
+// What stands in signatures: a caller needs no versions of its own.
+pub use {burn, glam};
 
 #[cfg(test)]
 mod testing;

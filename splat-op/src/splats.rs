@@ -48,6 +48,7 @@ pub struct Extras {
 /// What each Gaussian looks like. Coefficients of spherical harmonics may be of half precision where everything else is f32 or
 /// f64, see [`Colour::stored`].
 #[derive(Clone, Debug)]
+#[non_exhaustive]
 pub enum Colour {
     /// Spherical-harmonics coefficients `[N, (degree+1)², 3]`, degree 0 to 4.
     SphericalHarmonics(Tensor<3>),

@@ -52,15 +52,16 @@ pub struct Tiles {
     hits: HitCell,
 }
 
-/// What one camera sees. All fields are differentiable.
+/// What cameras see: `Rendered<3>` is one picture, `[H, W, …]`, and `Rendered<4>` those of several cameras, `[B, H, W, …]`. All
+/// fields are differentiable.
 #[derive(Clone, Debug)]
-pub struct Picture {
-    /// `[H, W, C]`: colours or features over the background.
-    pub colour: Tensor<3>,
-    /// `[H, W, 1]`: `1 − T`, the share of the background that is hidden.
-    pub alpha: Tensor<3>,
-    /// `[H, W, 1]`: `Σ wᵢ zᵢ`, not normalised, if asked for.
-    pub depth: Option<Tensor<3>>,
+pub struct Rendered<const D: usize> {
+    /// `[.., H, W, C]`: colours or features over the background.
+    pub colour: Tensor<D>,
+    /// `[.., H, W, 1]`: `1 − T`, the share of the background that is hidden.
+    pub alpha: Tensor<D>,
+    /// `[.., H, W, 1]`: `Σ wᵢ zᵢ`, not normalised, if asked for.
+    pub depth: Option<Tensor<D>>,
 }
 
 impl Projected {
@@ -132,17 +133,19 @@ impl Ellipses {
 /// culled: its opacity and depth are zero and so are its gradients. So is one whose centre lies beyond the reach of the camera's
 /// lens ([`Intrinsics::reach`]). `near` is a depth for every camera: a fisheye sees nothing 90° from its axis or farther.
 ///
+/// Of `extras`, `mean2d_probe` alone is read.
+///
 /// # Errors
 /// If a tensor's shape, type or device does not fit, or the camera or an option is out of range; if `options.projection` or
 /// `options.order` is not the plain one and the camera is no pinhole.
 pub fn project(
     splats: &Splats,
     camera: &Camera,
-    mean2d_probe: Option<&Tensor<2>>,
+    extras: &Extras,
     options: &RenderOptions,
 ) -> Result<Projected, SplatError> {
     let reference = check_geometry(splats, camera, options)?;
-    let probe = probe_or_empty(&reference, "mean2d_probe", mean2d_probe, splats.means.dims()[0])?;
+    let probe = probe_or_empty(&reference, "mean2d_probe", extras.mean2d_probe.as_ref(), splats.means.dims()[0])?;
     reference.check_fits(&[packed_need(splats.means.dims()[0])])?;
     let spec = ProjectSpec { intrinsics: camera.intrinsics, options: options.of_project() };
     let inputs = geometry(splats, camera, probe);
@@ -201,7 +204,7 @@ pub fn blend(
     tiles: &Tiles,
     extras: &Extras,
     options: &RenderOptions,
-) -> Result<Picture, SplatError> {
+) -> Result<Rendered<3>, SplatError> {
     options.check()?;
     check_rays(projected, options)?;
     let reference = Reference::new(&projected.packed)?;
@@ -236,12 +239,12 @@ pub fn blend(
 }
 
 /// Planes `[C + 1 (+ 1), H, W]` as named pictures.
-fn picture(planes: &Tensor<3>, channels: usize, depth: bool, parts: &PartsCell) -> Picture {
+fn picture(planes: &Tensor<3>, channels: usize, depth: bool, parts: &PartsCell) -> Rendered<3> {
     let part = |from: usize, to: usize| {
         let part = <Dispatch as SplatBackend>::part(planes.clone().into_dispatch(), from, to, parts.clone());
         Tensor::<3>::from_dispatch(part).permute([1, 2, 0])
     };
-    Picture {
+    Rendered {
         colour: part(0, channels),
         alpha: part(channels, channels + 1),
         depth: depth.then(|| part(channels + 1, channels + 2)),

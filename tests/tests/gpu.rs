@@ -285,7 +285,7 @@ fn too_many_hits_fail_where_the_result_is_read_and_nowhere_else() {
     let (splats, camera) = repeated(limit / 4 / tiles + 2, &device);
     let read = std::panic::catch_unwind(|| {
         let options = RenderOptions::standard();
-        let projected = project(&splats, &camera, None, &options).expect("it fits");
+        let projected = project(&splats, &camera, &Extras::default(), &options).expect("it fits");
         let tiles = tile(&projected, &options).expect("it fits");
         tiles.counts.try_into_data().map(|_| ()).map_err(|error| format!("{error:?}"))
     });

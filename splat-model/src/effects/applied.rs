@@ -5,7 +5,7 @@ mod state;
 use burn::tensor::{Bool, Device, Tensor};
 use glam::DAffine3;
 use rand::Rng;
-use splat_op::{Camera, Intrinsics, Picture, Splats};
+use splat_op::{Camera, Intrinsics, Rendered, Splats};
 
 use super::Effect;
 use super::background::{Background, Behind};
@@ -88,7 +88,7 @@ impl Applied {
     /// pixels do not count: these are cleared, and must be so in the photograph.
     pub fn shown(
         &mut self,
-        picture: &Picture,
+        picture: &Rendered<3>,
         view: usize,
         camera: (&Intrinsics, &DAffine3),
         excluded: Option<&Tensor<3, Bool>>,
@@ -123,7 +123,7 @@ impl Applied {
     }
 
     /// What known depths add to it, `[1]`, at a step, counted from 1, of so many.
-    pub fn depth_penalty(&mut self, picture: &Picture, view: usize, at: (usize, usize)) -> Option<Tensor<1>> {
+    pub fn depth_penalty(&mut self, picture: &Rendered<3>, view: usize, at: (usize, usize)) -> Option<Tensor<1>> {
         let depth = picture.depth.clone()?;
         self.depths.as_mut()?.penalty(depth, picture.alpha.clone(), view, at)
     }

@@ -16,7 +16,7 @@
 use burn::tensor::{Device, Tensor};
 use serde::{Deserialize, Serialize};
 use splat_op::{
-    Camera, CameraModel, Ellipses, Extras, Intrinsics, Picture, RenderOptions, SplatError, Splats, blend, colours,
+    Camera, CameraModel, Ellipses, Extras, Intrinsics, RenderOptions, Rendered, SplatError, Splats, blend, colours,
     project, tile,
 };
 
@@ -149,9 +149,9 @@ impl Optics {
         extras: &Extras,
         options: &RenderOptions,
         view: usize,
-    ) -> Result<Picture, SplatError> {
+    ) -> Result<Rendered<3>, SplatError> {
         let pinhole = camera.intrinsics.model == CameraModel::Pinhole;
-        let renders: Vec<Picture> = match self.exposures.get(view).filter(|_| !pinhole) {
+        let renders: Vec<Rendered<3>> = match self.exposures.get(view).filter(|_| !pinhole) {
             Some(exposure) => {
                 let poses = motion::poses(&camera.cam_from_world, &self.twist(exposure), SUB_EXPOSURES);
                 let renders = poses.into_iter().map(|cam_from_world| {
@@ -167,13 +167,13 @@ impl Optics {
             None => return self.render_once(splats, camera, extras, options, (view, [0.0; 2])),
         };
         let count = renders.len() as f32;
-        let sum = renders.into_iter().reduce(|a, b| Picture {
+        let sum = renders.into_iter().reduce(|a, b| Rendered {
             colour: a.colour + b.colour,
             alpha: a.alpha + b.alpha,
             depth: a.depth.zip(b.depth).map(|(a, b)| a + b),
         });
-        let Picture { colour, alpha, depth } = sum.expect("there are several places and poses");
-        Ok(Picture { colour: colour / count, alpha: alpha / count, depth: depth.map(|depth| depth / count) })
+        let Rendered { colour, alpha, depth } = sum.expect("there are several places and poses");
+        Ok(Rendered { colour: colour / count, alpha: alpha / count, depth: depth.map(|depth| depth / count) })
     }
 
     fn render_once(
@@ -183,8 +183,8 @@ impl Optics {
         extras: &Extras,
         options: &RenderOptions,
         (view, place): (usize, [f32; 2]),
-    ) -> Result<Picture, SplatError> {
-        let mut projected = project(splats, camera, extras.mean2d_probe.as_ref(), options)?;
+    ) -> Result<Rendered<3>, SplatError> {
+        let mut projected = project(splats, camera, extras, options)?;
         match self.changed(projected.ellipses(), &camera.intrinsics, options, (view, place)) {
             Ok(ellipses) => projected = ellipses.pack(&camera.intrinsics)?,
             // Its motion is in the poses that are averaged.

@@ -4,7 +4,7 @@ use std::fmt;
 
 use burn::tensor::Tensor;
 use splat_op::{
-    Camera, Extras, Picture, Projected, RenderOptions, SplatError, Splats, Tiles, blend, colours, project, tile,
+    Camera, Extras, Projected, RenderOptions, Rendered, SplatError, Splats, Tiles, blend, colours, project, tile,
 };
 
 use crate::density::rows::Gradients;
@@ -77,8 +77,8 @@ pub(super) fn render_checked(
     camera: &Camera,
     extras: &Extras,
     options: &RenderOptions,
-) -> Result<Picture, Stopped> {
-    let projected = project(splats, camera, extras.mean2d_probe.as_ref(), options)?;
+) -> Result<Rendered<3>, Stopped> {
+    let projected = project(splats, camera, extras, options)?;
     let opacities = check_projected(&projected)?;
     let features = colours(splats, camera)?;
     check_colours(&features, &opacities)?;
@@ -131,7 +131,7 @@ fn check_tiles(tiles: &Tiles, splats: usize) -> Result<(), Wrong> {
     }
 }
 
-fn check_picture(picture: &Picture) -> Result<(), Wrong> {
+fn check_picture(picture: &Rendered<3>) -> Result<(), Wrong> {
     let channels = picture.colour.dims()[2];
     let (colour, alpha) = (host(picture.colour.clone()), host(picture.alpha.clone()));
     look(Stage::Blend, "colour", (&colour, channels, "pixel"), "a finite number", f32::is_finite)?;

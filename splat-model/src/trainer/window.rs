@@ -6,7 +6,7 @@
 
 use burn::tensor::Tensor;
 use rand::{Rng, RngExt};
-use splat_op::{Camera, Extras, Intrinsics, Picture, RenderOptions, SplatError, Splats};
+use splat_op::{Camera, Extras, Intrinsics, RenderOptions, Rendered, SplatError, Splats};
 use splat_op::{blend, colours_up_to, project, tile};
 
 use super::views::SMALLEST_SIDE;
@@ -52,8 +52,8 @@ impl Strip {
         camera: &Camera,
         extras: &Extras,
         options: &RenderOptions,
-    ) -> Result<Picture, SplatError> {
-        let projected = project(splats, camera, extras.mean2d_probe.as_ref(), options)?;
+    ) -> Result<Rendered<3>, SplatError> {
+        let projected = project(splats, camera, extras, options)?;
         let mut ellipses = projected.ellipses();
         let origin = Tensor::<2>::from_floats([[0.0, self.from as f32]], &ellipses.mean2d.device());
         ellipses.mean2d = ellipses.mean2d - origin;
