@@ -57,7 +57,7 @@ fn every_stage_executes_kernels_and_no_twin() {
 
     let along_rays = options.with_projection(Projection::Exact).with_order(Order::PerPixel);
     let Tensors { splats, camera, background, .. } = leaves();
-    let projected = project(&splats, &camera, None, &along_rays).expect("a valid scene");
+    let projected = project(&splats, &camera, &Extras::default(), &along_rays).expect("a valid scene");
     let tiles = tile(&projected, &along_rays).expect("a valid scene");
     let hits: i64 = tiles.counts.clone().into_data().iter::<i64>().sum();
     assert!(hits > 0);

@@ -212,7 +212,7 @@ fn f64_and_tensors_elsewhere_are_refused() {
     // What makes an f64 tensor on a GPU is Burn's; that its elements are never read is ours.
     let Tensors { splats, camera, .. } = scene.tensors(&device, DType::F32);
     let double = Splats { means: splats.means.clone().cast(DType::F64), ..splats.clone() };
-    let refusal = project(&double, &camera, None, &SMOOTH).expect_err("refused").to_string();
+    let refusal = project(&double, &camera, &Extras::default(), &SMOOTH).expect_err("refused").to_string();
     for part in ["`means`", "F64", "F32", "Tensor::cast", "CPU"] {
         assert!(refusal.contains(part), "`{part}` is missing: {refusal}");
     }

@@ -74,7 +74,6 @@ fn leaves(scene: &HardScene, device: &Device, dtype: DType) -> Leaves {
             log_scales: scales.clone(),
             logit_opacities: opacities.clone(),
             sh: Tensor::zeros([count, 1, 3], (device, dtype)),
-            matte: None,
         };
         let fits = "shapes that the scene has";
         (activate::scales(&scales).expect(fits), activate::opacities(&raw).expect(fits))
