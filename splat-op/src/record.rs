@@ -13,9 +13,6 @@ macro_rules! record {
         }
 
         impl<T> $name<T> {
-            /// How many fields there are.
-            pub const FIELDS: usize = [$(stringify!($field)),*].len();
-
             /// Each field in another form.
             pub fn map<U>(self, mut f: impl FnMut(T) -> U) -> $name<U> {
                 $name { $($field: f(self.$field),)* }

@@ -29,16 +29,17 @@ pub use activate::ActivateBackend;
 #[cfg(feature = "cube")]
 pub use adam::{AdamBackend, AdamInputs, AdamState, Held};
 pub use custom_grad::CustomGradBackend;
-pub use photometric::{Photometric, PhotometricBackend, PhotometricInputs};
+pub use photometric::{Photometric, PhotometricBackend};
 pub use rays::RaysBackend;
 pub use stages::SplatBackend;
 pub use tensors::{
-    GeometryGrads, GeometryTensors, InputTensor, LayerGrads, LayerTensors, OptionalTensor, RawTensors, RayLayerGrads,
-    RayLayerTensors, ShadingGrads, ShadingTensors,
+    ComparedTensors, GeometryGrads, GeometryTensors, InputTensor, LayerGrads, LayerTensors, OptionalTensor, RawTensors,
+    RayLayerGrads, RayLayerTensors, ShadingGrads, ShadingTensors,
 };
 
 pub use crate::activate::rule::Raw;
 pub use crate::blend::{BlendSpec, Layers, PartsCell, TraceCell};
+pub use crate::photometric::taps::Compared;
 pub use crate::project::{Geometry, ProjectSpec};
 pub use crate::rays::RayLayers;
 pub use crate::shade::Shading;

@@ -7,27 +7,16 @@ use burn::backend::tensor::FloatTensor;
 use burn::backend::{Backend, ExtensionType, Flex, NdArray, TensorMetadata, backend_extension};
 use burn::tensor::{DType, Shape};
 
+use super::cpu::host;
 use super::host::HostBackend;
-use super::tensors::OptionalTensor;
+use super::tensors::{ComparedTensors, OptionalTensor};
 #[cfg(feature = "fusion")]
-use super::tensors::OptionalTensorMetadata;
-use crate::photometric::cpu::{self, Size, photometric_cpu, window_cpu};
+use super::tensors::{InputTensorMetadata, OptionalTensorMetadata};
+use crate::photometric::cpu::{Size, photometric_cpu, window_cpu};
+#[cfg(feature = "fusion")]
+use crate::photometric::taps::Compared;
 use crate::real::Real;
 use crate::witness::count_twin_call;
-
-/// A photograph with what the loss needs of it, and the picture to compare.
-#[derive(Clone, Debug, ExtensionType)]
-#[extension_type(fusion: cfg(feature = "fusion"))]
-pub struct PhotometricInputs<B: Backend> {
-    /// The picture.
-    pub image: FloatTensor<B>,
-    /// The photograph.
-    pub truth: FloatTensor<B>,
-    /// `μy` of the photograph.
-    pub mean: FloatTensor<B>,
-    /// `σy² + C2` of the photograph.
-    pub variance: FloatTensor<B>,
-}
 
 /// The loss and its derivative.
 #[derive(Clone, Debug, ExtensionType)]
@@ -46,7 +35,7 @@ pub trait PhotometricBackend: Backend {
     /// `(1 − λ) |x − y| + λ (1 − S)`, divided by the number of values, and its derivative.
     #[fusion(meta = photometric_meta)]
     fn photometric(
-        #[extension_type] inputs: PhotometricInputs<Self>,
+        #[extension_type] inputs: ComparedTensors<Self>,
         lambda: f64,
         with_gradient: bool,
     ) -> Photometric<Self>;
@@ -61,12 +50,12 @@ pub trait PhotometricBackend: Backend {
 }
 
 #[cfg(feature = "fusion")]
-fn photometric_meta(inputs: &PhotometricInputsMetadata, _: &f64, with_gradient: &bool) -> PhotometricMetadata {
+fn photometric_meta(inputs: &Compared<InputTensorMetadata>, _: &f64, with_gradient: &bool) -> PhotometricMetadata {
     let gradient = match with_gradient {
-        true => OptionalTensorMetadata::Present(inputs.image.clone()),
+        true => OptionalTensorMetadata::Present(inputs.image.0.clone()),
         false => OptionalTensorMetadata::Absent,
     };
-    PhotometricMetadata { shares: inputs.image.clone(), gradient }
+    PhotometricMetadata { shares: inputs.image.0.clone(), gradient }
 }
 
 /// Width and height: the last two dimensions, the other way round.
@@ -81,21 +70,18 @@ fn plane_size(shape: &Shape) -> Size {
 }
 
 fn photometric_host<B: HostBackend, F: Real>(
-    inputs: PhotometricInputs<B>,
+    inputs: ComparedTensors<B>,
     lambda: f64,
     with_gradient: bool,
 ) -> Photometric<B> {
     count_twin_call();
-    let like = inputs.image.clone();
-    let PhotometricInputs { image, truth, mean, variance } = inputs;
-    let host = [image, truth, mean, variance].map(B::host::<F>);
-    let [image, truth, mean, variance] = &host;
-    let shape = like.shape();
-    let (loss, gradient) =
-        photometric_cpu(cpu::Inputs { image, truth, mean, variance }, plane_size(&shape), lambda, with_gradient);
+    let like = &inputs.image.0;
+    let read = inputs.each_ref().map(host::<B, F>);
+    let (shape, slices) = (like.shape(), read.each_ref().map(|host| &host[..]));
+    let (loss, gradient) = photometric_cpu(slices, plane_size(&shape), lambda, with_gradient);
     Photometric {
-        shares: B::from_host(vec![loss], &vec![1; shape.num_dims()], &like),
-        gradient: gradient.map(|gradient| B::from_host(gradient, &shape, &like)).into(),
+        shares: B::from_host(vec![loss], &vec![1; shape.num_dims()], like),
+        gradient: gradient.map(|gradient| B::from_host(gradient, &shape, like)).into(),
     }
 }
 
@@ -114,8 +100,8 @@ fn contiguous_host<B: HostBackend, F: Real>(planes: FloatTensor<B>) -> FloatTens
 macro_rules! cpu_backend {
     ($backend:ty) => {
         impl PhotometricBackend for $backend {
-            fn photometric(inputs: PhotometricInputs<Self>, lambda: f64, with_gradient: bool) -> Photometric<Self> {
-                match inputs.image.dtype() {
+            fn photometric(inputs: ComparedTensors<Self>, lambda: f64, with_gradient: bool) -> Photometric<Self> {
+                match inputs.image.0.dtype() {
                     DType::F64 => photometric_host::<Self, f64>(inputs, lambda, with_gradient),
                     _ => photometric_host::<Self, f32>(inputs, lambda, with_gradient),
                 }
@@ -147,23 +133,17 @@ mod gpu {
     use burn_cubecl::kernel::into_contiguous;
 
     use super::*;
-    use crate::backend::cube::{buffer, tensor};
+    use crate::backend::cube::{buffer, on_device, tensor};
     use crate::gpu::Gpu;
-    use crate::photometric::launch::{DeviceInputs, launch_photometric, launch_window};
+    use crate::photometric::launch::{launch_photometric, launch_window};
 
     impl PhotometricBackend for CubeBackend {
-        fn photometric(inputs: PhotometricInputs<Self>, lambda: f64, with_gradient: bool) -> Photometric<Self> {
-            let like = inputs.image.clone();
-            let gpu = Gpu::new(&like.client);
-            let size = picture_size(&like.shape());
-            let on_device = DeviceInputs {
-                image: buffer(inputs.image),
-                truth: buffer(inputs.truth),
-                mean: buffer(inputs.mean),
-                variance: buffer(inputs.variance),
-            };
+        fn photometric(inputs: ComparedTensors<Self>, lambda: f64, with_gradient: bool) -> Photometric<Self> {
+            let like = &inputs.image.0;
+            let (gpu, size) = (Gpu::new(&like.client), picture_size(&like.shape()));
+            let on_device = inputs.each_ref().map(on_device);
             let (shares, gradient) = launch_photometric(&gpu, &on_device, size, lambda, with_gradient);
-            let picture = |found| tensor(found, like.shape(), DType::F32, &like);
+            let picture = |found| tensor(found, like.shape(), DType::F32, like);
             Photometric { shares: picture(shares), gradient: gradient.map(picture).into() }
         }
 

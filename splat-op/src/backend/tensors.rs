@@ -10,6 +10,7 @@ use burn::tensor::Tensor;
 
 use crate::activate::rule::Raw;
 use crate::blend::Layers;
+use crate::photometric::taps::Compared;
 use crate::project::Geometry;
 use crate::rays::RayLayers;
 use crate::shade::Shading;
@@ -86,6 +87,8 @@ pub type LayerGrads<B> = Layers<OptionalTensor<B>>;
 pub type RayLayerTensors<B> = RayLayers<InputTensor<B>>;
 /// Their gradients.
 pub type RayLayerGrads<B> = RayLayers<OptionalTensor<B>>;
+/// Inputs of `photometric`.
+pub type ComparedTensors<B> = Compared<InputTensor<B>>;
 /// Inputs of `opacities`.
 pub type RawTensors<B> = Raw<InputTensor<B>>;
 
@@ -125,7 +128,7 @@ macro_rules! crosses {
     )*};
 }
 
-crosses!(Geometry, Shading, Layers, RayLayers, Raw);
+crosses!(Geometry, Shading, Layers, RayLayers, Raw, Compared);
 
 #[cfg(feature = "fusion")]
 mod fused {
@@ -202,5 +205,5 @@ mod fused {
         )*};
     }
 
-    crosses_later!(Geometry, Shading, Layers, RayLayers, Raw);
+    crosses_later!(Geometry, Shading, Layers, RayLayers, Raw, Compared);
 }

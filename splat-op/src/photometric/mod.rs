@@ -20,15 +20,16 @@ mod forward;
 mod kernel_tests;
 #[cfg(feature = "cube")]
 pub(crate) mod launch;
-mod taps;
+pub(crate) mod taps;
 #[cfg(test)]
 mod tests;
 
 use burn::backend::Dispatch;
 use burn::tensor::{DType, Tensor};
+use taps::Compared;
 pub use taps::{C1, C2, SIGMA_PX, TAPS};
 
-use crate::backend::photometric::{PhotometricBackend, PhotometricInputs};
+use crate::backend::photometric::PhotometricBackend;
 use crate::limits::is_gpu;
 
 /// The loss of `image` against a photograph, `[.., H, W]` f32, or f64 on CPUs, without autodiff: numbers whose sum it is, and
@@ -50,8 +51,8 @@ pub fn photometric<const D: usize>(
         assert_eq!(tensor.dims(), image.dims(), "a picture and its photograph have one shape");
         assert_eq!(tensor.dtype(), image.dtype(), "a picture and its photograph have one float type");
     }
-    let [truth, mean, variance] = photograph.map(|t| t.clone().into_dispatch());
-    let inputs = PhotometricInputs { image: image.clone().into_dispatch(), truth, mean, variance };
+    let [truth, mean, variance] = photograph.map(|planes| planes.clone().into());
+    let inputs = Compared { image: image.clone().into(), truth, mean, variance };
     let found = <Dispatch as PhotometricBackend>::photometric(inputs, lambda, with_gradient);
     (Tensor::from_dispatch(found.shares), found.gradient.into_option().map(Tensor::from_dispatch))
 }
