@@ -10,7 +10,7 @@ pub const LARGEST: f64 = 1e18;
 pub const LARGEST_LOG_SCALE: f64 = 88.0;
 
 record! {
-    /// Parameters as an optimiser holds them; see [`RawSplats`].
+    /// Parameters as an optimiser holds them; see [`RawSplats`](crate::RawSplats).
     pub struct Raw {
         /// `[N, 3]`.
         means,

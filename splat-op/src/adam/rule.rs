@@ -43,7 +43,7 @@ pub struct Band {
     pub width: usize,
 }
 
-/// The scalars of one step; see [this module](self).
+/// The scalars of one step; see [`adam`](crate::adam).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Factors {
     /// Share of the first moment that is kept.
