@@ -13,7 +13,7 @@ use splat_benches::limit::Machine;
 use splat_benches::measure::table;
 use splat_benches::passes::passes;
 use splat_benches::{SyntheticView, share_apart, values};
-use splat_op::{Colour, project, shade, tile};
+use splat_op::{Colour, Extras, project, shade, tile};
 
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
@@ -42,7 +42,7 @@ fn verify_stages(view: &SyntheticView) {
     let device = Device::flex();
     let run = |dtype| {
         let (scene, camera) = (view.scene(&device, dtype), view.camera(&device, dtype));
-        let projected = project(&scene, &camera, None, &OPTIONS).expect("shapes fit");
+        let projected = project(&scene, &camera, &Extras::default(), &OPTIONS).expect("shapes fit");
         let counts = values(tile(&projected, &OPTIONS).expect("options are in range").counts.float());
         let Colour::SphericalHarmonics(sh) = &scene.colour else { unreachable!("the scene has harmonics") };
         let colours = values(shade(sh, &scene.means, &camera).expect("shapes fit"));

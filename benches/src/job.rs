@@ -213,7 +213,7 @@ impl Job {
             colour: Colour::Features(row(3)),
         };
         let camera = self.camera(device);
-        project(&splats, &camera, None, &OPTIONS)?;
+        project(&splats, &camera, &Extras::default(), &OPTIONS)?;
         let sh = Tensor::<3>::zeros([1, COEFFICIENTS, 3], device).expand([count, COEFFICIENTS, 3]);
         shade(&sh, &splats.means, &camera).map(drop)
     }

@@ -5,7 +5,7 @@ use std::fmt::{self, Display};
 use burn::tensor::Tensor;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use splat_op::{Camera, RenderOptions, Splats, project, tile};
+use splat_op::{Camera, Extras, RenderOptions, Splats, project, tile};
 
 use crate::values;
 
@@ -31,7 +31,7 @@ impl Load {
     /// # Panics
     /// If the scene's shapes do not fit together.
     pub fn of(splats: &Splats, camera: &Camera, options: &RenderOptions) -> Self {
-        let projected = project(splats, camera, None, options).expect("the scene's shapes fit");
+        let projected = project(splats, camera, &Extras::default(), options).expect("the scene's shapes fit");
         let counts = tile(&projected, options).expect("options are in range").counts;
         let columns = projected.ellipses();
         let column = |values_of: Tensor<1>| values(values_of);

@@ -12,10 +12,8 @@ use splat_model::gaussians::Gaussians;
 use splat_model::loss::{DEFAULT_LAMBDA, Truth, photometric};
 use splat_model::optim::Adam;
 use splat_model::trainer::Guard;
-use splat_op::blend::{BlendInputs, BlendSpec, PartsCell};
-use splat_op::project::{ProjectInputs, ProjectSpec};
-use splat_op::tile::HitCell;
-use splat_op::{Camera, Colour, Extras, SplatBackend, SplatError, Splats, render_view, shade, with_gradient};
+use splat_op::backend::{BlendSpec, Geometry, HitCell, Layers, PartsCell, ProjectSpec, SplatBackend};
+use splat_op::{Camera, Colour, Extras, SplatError, Splats, render_view, shade, with_gradient};
 
 use crate::job::{Job, OPTIONS};
 use crate::limit::Kind;
@@ -213,15 +211,16 @@ pub(crate) fn harmonics(splats: &Splats) -> Tensor<3> {
 /// As [`splat_op::project`], but the packed columns themselves: `backward` needs their gradient, and going through the
 /// named columns would time the slices. `probe` is `[N, 2]`, or `[0, 2]` for none.
 pub(crate) fn project_packed(splats: &Splats, camera: &Camera, probe: Tensor<2>) -> Tensor<2> {
-    let inputs = ProjectInputs {
-        means: splats.means.clone().into_dispatch(),
-        rotations: splats.rotations.clone().into_dispatch(),
-        scales: splats.scales.clone().into_dispatch(),
-        opacities: splats.opacities.clone().into_dispatch(),
-        cam_from_world: camera.cam_from_world.clone().into_dispatch(),
+    let inputs = Geometry {
+        means: splats.means.clone().into(),
+        rotations: splats.rotations.clone().into(),
+        scales: splats.scales.clone().into(),
+        opacities: splats.opacities.clone().into(),
+        cam_from_world: camera.cam_from_world.clone().into(),
+        mean2d: probe.into(),
     };
     let spec = ProjectSpec { intrinsics: camera.intrinsics, options: OPTIONS };
-    Tensor::from_dispatch(<Dispatch as SplatBackend>::project(inputs, probe.into_dispatch(), spec))
+    Tensor::from_dispatch(<Dispatch as SplatBackend>::project(inputs, spec))
 }
 
 fn no_probe(splats: &Splats) -> Tensor<2> {
@@ -235,15 +234,15 @@ pub(crate) fn blend_planes(
     spec: BlendSpec,
 ) -> Tensor<3> {
     let device = projected.device();
-    let inputs = BlendInputs {
-        background: Tensor::<1>::zeros([3], &device).into_dispatch(),
-        projected: projected.into_dispatch(),
-        features: features.into_dispatch(),
+    let inputs = Layers {
+        background: Tensor::<1>::zeros([3], &device).into(),
+        projected: projected.into(),
+        features: features.into(),
+        mean2d_abs: Tensor::<2>::zeros([0, 2], &device).into(),
     };
-    let probe = Tensor::<2>::zeros([0, 2], &device).into_dispatch();
     let counts = counts.clone().into_dispatch();
     let parts = PartsCell::default();
-    let planes = <Dispatch as SplatBackend>::blend(inputs, probe, counts, spec, hits.clone(), None, parts.clone());
+    let planes = <Dispatch as SplatBackend>::blend(inputs, counts, spec, hits.clone(), None, parts.clone());
     Tensor::from_dispatch(<Dispatch as SplatBackend>::part(planes, 0, 4, parts))
 }
 

@@ -5,7 +5,7 @@ use splat_model::capture::{Capture, load_all};
 use splat_model::effects::{Effect, Learned, Moment, RenderInput};
 use splat_model::state::{State, StateError};
 use splat_model::trainer::{TrainConfig, Trainer};
-use splat_op::Picture;
+use splat_op::Rendered;
 
 /// A pixel at a distance of `r` from the middle shows `1 − strength · r²` of its light; corners are at 1.
 struct Vignette(Learned<1>);
@@ -21,7 +21,7 @@ impl Effect for Vignette {
         "vignette"
     }
 
-    fn image(&mut self, image: Tensor<3>, _: &RenderInput, _: &Picture, _: Moment) -> Tensor<3> {
+    fn image(&mut self, image: Tensor<3>, _: &RenderInput, _: &Rendered<3>, _: Moment) -> Tensor<3> {
         let [height, width, _] = image.dims();
         let radii = TensorData::new(squared_radii(width, height), [height, width, 1]);
         let lost = Tensor::from_data(radii, &image.device()) * self.0.tracked().reshape([1, 1, 1]);

@@ -200,7 +200,6 @@ impl Gaussians {
             log_scales: self.log_scales.val(),
             logit_opacities: self.logit_opacities.val(),
             sh: self.sh.val(),
-            matte: None,
         };
         // As in `scales`.
         activate::opacities(&raw).unwrap_or_else(|_| activation::sigmoid(raw.logit_opacities))

@@ -7,6 +7,7 @@
 /// no tile lists more Gaussians than one bucket of `blend` holds (32). In longer lists the borders of buckets lie
 /// elsewhere, so sums are grouped and rounded differently: the same within the rounding of f32.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Default)]
+#[non_exhaustive]
 pub enum Culling {
     /// A square around the centre, as far on each side as the long axis of an opaque Gaussian of this shape shows. Kerbl et al.
     /// 2023 take 3 standard deviations; here it is `√(2 ln(1 / alpha_min))` of them, 3.33 for `1/255`, so that nothing is lost.
@@ -20,6 +21,7 @@ pub enum Culling {
 
 /// How `blend` computes `exp` in f32. In f64 it is always the library's: that is the yardstick.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Default)]
+#[non_exhaustive]
 pub enum Exponential {
     /// What is quickest where it runs: [`Self::Polynomial`] on CPUs, [`Self::Library`] on GPUs.
     #[default]
@@ -34,6 +36,7 @@ pub enum Exponential {
 /// How coefficients of spherical harmonics are stored. What is computed with them, sums and gradients are f32 or f64 as ever, and
 /// gradients are those at the rounded numbers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Default)]
+#[non_exhaustive]
 pub enum Storage {
     /// As they are given.
     #[default]

@@ -47,7 +47,7 @@
 //! let options = RenderOptions::standard().with_depth(true);
 //! let visible = Tensor::<1>::from_floats([1.0, 0.5], &device).require_grad();
 //!
-//! let projected = project(&splats, &camera, None, &options)?;
+//! let projected = project(&splats, &camera, &Extras::default(), &options)?;
 //! let mut ellipses = projected.ellipses();
 //! ellipses.opacity = ellipses.opacity * visible.clone();
 //! let projected = ellipses.pack(projected.intrinsics())?;
@@ -119,8 +119,6 @@ pub mod project;
 
 pub mod shade;
 
-pub mod project_shade;
-
 pub mod tile;
 
 pub mod blend;
@@ -134,15 +132,16 @@ pub mod photometric;
 
 pub mod adam;
 
-mod bind;
+pub mod backend;
 #[cfg(feature = "cube")]
 mod gpu;
 mod lanes;
 mod limits;
 mod linalg;
-mod op;
 mod real;
+mod record;
 mod render;
+mod splats;
 mod stages;
 #[doc(hidden)]
 pub mod witness;
@@ -150,22 +149,18 @@ pub mod witness;
 #[cfg(feature = "cube")]
 pub use abilities::Abilities;
 pub use activate::RawSplats;
-pub use bind::activate::{ActivateBackend, ActivateInputs};
-pub use bind::attach::{AttachBackend, with_gradient};
-pub use bind::rays::RaysBackend;
+pub use backend::custom_grad::with_gradient;
 pub use camera::{Camera, CameraModel, Intrinsics, Projector};
-pub use colour::{Colour, colours, colours_up_to, shade};
+pub use colour::{colours, colours_up_to, shade, visible_colours};
 pub use dials::{Culling, Exponential, Storage};
 pub use error::SplatError;
-pub use op::{Slot, SplatBackend};
+pub use limits::is_gpu;
 pub use options::{Accumulation, MAX_UNCUT_HITS, Order, Projection, RenderOptions};
-pub use render::{Rendered, render, render_view};
-pub use stages::{Ellipses, Extras, Picture, Projected, Splats, Tiles, blend, project, tile};
-
-/// Whether a device is a GPU: its results have to be waited for.
-pub fn is_gpu(device: &burn::tensor::Device) -> bool {
-    limits::buffer_limit(device).is_some()
-}
+pub use render::{render, render_view};
+pub use splats::{Colour, Extras, Splats};
+pub use stages::{Ellipses, Projected, Rendered, Tiles, blend, project, tile};
+// What stands in signatures: a caller needs no versions of its own.
+pub use {burn, glam};
 
 #[cfg(test)]
 mod testing;

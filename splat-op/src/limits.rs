@@ -52,6 +52,11 @@ pub(crate) fn check_fits(device: &Device, needs: &[Need]) -> Result<(), SplatErr
     }
 }
 
+/// Whether a device is a GPU: its results have to be waited for.
+pub fn is_gpu(device: &Device) -> bool {
+    buffer_limit(device).is_some()
+}
+
 /// The bytes of a GPU's largest buffer; `None` for a CPU device.
 #[cfg(feature = "cube")]
 pub(crate) fn buffer_limit(device: &Device) -> Option<u64> {

@@ -52,6 +52,7 @@ pub struct RenderOptions {
 
 /// What a pixel sees of a Gaussian.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Default)]
+#[non_exhaustive]
 pub enum Projection {
     /// Its projection linearised at its centre: an ellipse (EWA splatting, Zwicker et al. 2001). Good where a Gaussian is small
     /// beside its distance.
@@ -64,6 +65,7 @@ pub enum Projection {
 
 /// What is sorted by depth.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Default)]
+#[non_exhaustive]
 pub enum Order {
     /// All Gaussians once, by the camera z of their centres. Two of them change places in all pixels at the same moment as a
     /// camera turns or moves, which shows as popping.
@@ -76,6 +78,7 @@ pub enum Order {
 
 /// How GPUs add the gradients of one Gaussian's hits in many tiles.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+#[non_exhaustive]
 pub enum Accumulation {
     /// By atomic additions, in whatever order the device comes to them: the last digits differ from run to run.
     #[default]
@@ -140,6 +143,31 @@ impl RenderOptions {
     pub const fn exact() -> Self {
         // 2⁻²⁶: a thousand such contributions stay below half a level of a 16-bit picture.
         Self { alpha_min: 1.0 / 67_108_864.0, transmittance_min: 0.0, ..Self::standard() }
+    }
+
+    /// With another blur, px².
+    pub const fn with_blur(self, blur: f64) -> Self {
+        Self { blur, ..self }
+    }
+
+    /// With another margin of the Jacobian, a share of half the picture's size.
+    pub const fn with_jacobian_margin(self, jacobian_margin: f64) -> Self {
+        Self { jacobian_margin, ..self }
+    }
+
+    /// With another alpha below which contributions are skipped.
+    pub const fn with_alpha_min(self, alpha_min: f64) -> Self {
+        Self { alpha_min, ..self }
+    }
+
+    /// With another largest alpha.
+    pub const fn with_alpha_max(self, alpha_max: f64) -> Self {
+        Self { alpha_max, ..self }
+    }
+
+    /// With another transmittance at which a pixel is finished.
+    pub const fn with_transmittance_min(self, transmittance_min: f64) -> Self {
+        Self { transmittance_min, ..self }
     }
 
     /// With or without accumulated depth.
@@ -268,6 +296,44 @@ mod tests {
         }
         assert!(uncut.check_uncut(usize::MAX, 2).is_err(), "a product beyond all numbers");
         assert_eq!(RenderOptions::exact().check_uncut(usize::MAX, tiles), Ok(()), "with a cut the lists tell");
+    }
+
+    #[test]
+    fn every_field_has_a_builder_that_sets_it_alone() {
+        let built = RenderOptions::standard()
+            .with_blur(0.1)
+            .with_near(0.2)
+            .with_jacobian_margin(0.4)
+            .with_antialias(true)
+            .with_sh_degree(Some(1))
+            .with_projection(Projection::Exact)
+            .with_order(Order::PerPixel)
+            .with_alpha_min(0.01)
+            .with_alpha_max(0.9)
+            .with_transmittance_min(0.02)
+            .with_accumulation(Accumulation::Ordered)
+            .with_culling(Culling::OpacityBox)
+            .with_exponential(Exponential::Library)
+            .with_coefficients(Storage::Half)
+            .with_depth(true);
+        let expected = RenderOptions {
+            blur: 0.1,
+            near: 0.2,
+            jacobian_margin: 0.4,
+            antialias: true,
+            sh_degree: Some(1),
+            projection: Projection::Exact,
+            order: Order::PerPixel,
+            alpha_min: 0.01,
+            alpha_max: 0.9,
+            transmittance_min: 0.02,
+            accumulation: Accumulation::Ordered,
+            culling: Culling::OpacityBox,
+            exponential: Exponential::Library,
+            coefficients: Storage::Half,
+            depth: true,
+        };
+        assert_eq!(built, expected);
     }
 
     #[test]

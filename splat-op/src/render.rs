@@ -6,25 +6,15 @@ use burn::tensor::Tensor;
 
 use crate::camera::Camera;
 use crate::check::check_positive;
-use crate::colour::{Colour, colours_up_to};
+use crate::colour::visible_colours;
 use crate::dials::Storage;
 use crate::error::SplatError;
 use crate::options::RenderOptions;
-use crate::stages::{Extras, Picture, Splats, blend, check_render_fits, project, project_shade, tile};
+use crate::splats::{Extras, Splats};
+use crate::stages::{Rendered, blend, check_render_fits, project, tile};
 
-/// What all cameras see. All fields are differentiable.
-#[derive(Clone, Debug)]
-pub struct Rendered {
-    /// `[B, H, W, C]`.
-    pub colour: Tensor<4>,
-    /// `[B, H, W, 1]`.
-    pub alpha: Tensor<4>,
-    /// `[B, H, W, 1]`, if asked for.
-    pub depth: Option<Tensor<4>>,
-}
-
-/// Renders Gaussians as one or several cameras of one size see them: `project` and `shade`, in one pass unless
-/// gradients keep them apart (see `project_shade/`), then `tile` and `blend`.
+/// Renders Gaussians as one or several cameras of one size see them: `project`, `shade` of what
+/// can show, `tile` and `blend`.
 ///
 /// # Errors
 /// If there is no camera, cameras differ in size, a tensor's shape, type or device does not fit, or a camera or option is
@@ -34,7 +24,7 @@ pub fn render(
     cameras: &[Camera],
     extras: &Extras,
     options: &RenderOptions,
-) -> Result<Rendered, SplatError> {
+) -> Result<Rendered<4>, SplatError> {
     check_positive("cameras", cameras.len(), "at least one camera")?;
     let size = |camera: &Camera| (camera.intrinsics.width, camera.intrinsics.height);
     if let Some(other) = cameras.iter().find(|camera| size(camera) != size(&cameras[0])) {
@@ -47,7 +37,7 @@ pub fn render(
     check_render_fits(splats, cameras.len(), &cameras[0].intrinsics, options)?;
     let splats = as_stored(splats, options)?;
     let pictures = cameras.iter().map(|camera| stages(&splats, camera, extras, options));
-    let pictures: Vec<Picture> = pictures.collect::<Result<_, _>>()?;
+    let pictures: Vec<Rendered<3>> = pictures.collect::<Result<_, _>>()?;
     Ok(Rendered {
         colour: stack(pictures.iter().map(|picture| picture.colour.clone())),
         alpha: stack(pictures.iter().map(|picture| picture.alpha.clone())),
@@ -65,7 +55,7 @@ pub fn render_view(
     camera: &Camera,
     extras: &Extras,
     options: &RenderOptions,
-) -> Result<Picture, SplatError> {
+) -> Result<Rendered<3>, SplatError> {
     check_render_fits(splats, 1, &camera.intrinsics, options)?;
     stages(&*as_stored(splats, options)?, camera, extras, options)
 }
@@ -82,19 +72,14 @@ fn as_stored<'a>(splats: &'a Splats, options: &RenderOptions) -> Result<Cow<'a, 
     })
 }
 
-fn stages(splats: &Splats, camera: &Camera, extras: &Extras, options: &RenderOptions) -> Result<Picture, SplatError> {
-    let probe = extras.mean2d_probe.as_ref();
-    let (projected, features) = match &splats.colour {
-        // In one pass, Gaussians whose ellipses miss the picture have no colour; rays may still meet them.
-        _ if options.along_rays() => {
-            (project(splats, camera, probe, options)?, colours_up_to(splats, camera, options.sh_degree)?)
-        }
-        Colour::SphericalHarmonics(sh) => project_shade(splats, (sh, None), camera, probe, options)?,
-        Colour::Mixed { directional, matte } => {
-            project_shade(splats, (directional, Some(matte)), camera, probe, options)?
-        }
-        Colour::Features(features) => (project(splats, camera, probe, options)?, features.clone()),
-    };
+fn stages(
+    splats: &Splats,
+    camera: &Camera,
+    extras: &Extras,
+    options: &RenderOptions,
+) -> Result<Rendered<3>, SplatError> {
+    let projected = project(splats, camera, extras, options)?;
+    let features = visible_colours(splats, camera, &projected, options)?;
     let tiles = tile(&projected, options)?;
     blend(&projected, &features, &tiles, extras, options)
 }

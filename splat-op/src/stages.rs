@@ -3,57 +3,19 @@
 use burn::backend::Dispatch;
 use burn::tensor::{Int, Tensor};
 
-use crate::bind::rays::RaysBackend;
-use crate::blend::{BlendInputs, BlendSpec, PartsCell};
+use crate::backend::rays::RaysBackend;
+use crate::backend::stages::SplatBackend;
+use crate::backend::tensors::GeometryTensors;
+use crate::blend::{BlendSpec, Layers, PartsCell};
 use crate::camera::{Camera, CameraModel, Intrinsics};
 use crate::check::{Reference, check_positive};
-use crate::colour::{Colour, check_harmonics, sh_need, up_to_degree};
 use crate::error::SplatError;
 use crate::limits::{Need, check_fits};
-use crate::op::{Slot, SplatBackend};
 use crate::options::{Projection, RenderOptions};
-use crate::project::{COLUMNS, ProjectInputs, ProjectSpec};
-use crate::project_shade::ProjectShadeInputs;
-use crate::rays::RaysInputs;
+use crate::project::{COLUMNS, Geometry, ProjectSpec};
+use crate::rays::RayLayers;
+use crate::splats::{Colour, Extras, Splats, sh_need};
 use crate::tile::{HitCell, tile_grid};
-
-/// Gaussians with activated parameters, one row each, all of one float type (f32; f64 on CPU devices) and on one device.
-#[derive(Clone, Debug)]
-pub struct Splats {
-    /// `[N, 3]`: centres, world frame, scene units.
-    pub means: Tensor<2>,
-    /// `[N, 4]`: quaternions wxyz, world-from-Gaussian, of any non-zero length.
-    pub rotations: Tensor<2>,
-    /// `[N, 3]`: standard deviations along the rotated axes, scene units.
-    pub scales: Tensor<2>,
-    /// `[N]`: opacities, 0 to 1. One of exactly 0 is not drawn, and gets no gradient to grow by.
-    pub opacities: Tensor<1>,
-    /// Colours or features.
-    pub colour: Colour,
-}
-
-impl Splats {
-    /// The same with coefficients of spherical harmonics as `options` want them, once for many renders: see [`Colour::stored`].
-    ///
-    /// # Errors
-    /// As [`Colour::stored`].
-    pub fn stored(&self, options: &RenderOptions) -> Result<Self, SplatError> {
-        Ok(Self { colour: self.colour.stored(options.coefficients)?, ..self.clone() })
-    }
-}
-
-/// Optional inputs of a render.
-#[derive(Clone, Debug, Default)]
-pub struct Extras {
-    /// `[C]`: what is seen through the Gaussians; zero if absent.
-    pub background: Option<Tensor<1>>,
-    /// A tracked `[N, 2]` leaf whose gradient becomes `∂L/∂mean2d` at the projected centres, summed over the cameras,
-    /// per px. (Burn keeps no gradient of an inner tensor.) The densification threshold of the field, 2e-4, is per unit
-    /// of normalised device coordinates: multiply by `[width / 2, height / 2]` before comparing.
-    pub mean2d_probe: Option<Tensor<2>>,
-    /// As `mean2d_probe`, but each pixel's contribution enters with its absolute value (AbsGrad, Ye et al. 2024).
-    pub mean2d_abs_probe: Option<Tensor<2>>,
-}
 
 /// The screen-space ellipses of a view, by name; see `project/` for the factor. To change them, take them with
 /// [`Projected::ellipses`], compute, and put them back with [`Ellipses::pack`].
@@ -90,18 +52,24 @@ pub struct Tiles {
     hits: HitCell,
 }
 
-/// What one camera sees. All fields are differentiable.
+/// What cameras see: `Rendered<3>` is one picture, `[H, W, …]`, and `Rendered<4>` those of several cameras, `[B, H, W, …]`. All
+/// fields are differentiable.
 #[derive(Clone, Debug)]
-pub struct Picture {
-    /// `[H, W, C]`: colours or features over the background.
-    pub colour: Tensor<3>,
-    /// `[H, W, 1]`: `1 − T`, the share of the background that is hidden.
-    pub alpha: Tensor<3>,
-    /// `[H, W, 1]`: `Σ wᵢ zᵢ`, not normalised, if asked for.
-    pub depth: Option<Tensor<3>>,
+pub struct Rendered<const D: usize> {
+    /// `[.., H, W, C]`: colours or features over the background.
+    pub colour: Tensor<D>,
+    /// `[.., H, W, 1]`: `1 − T`, the share of the background that is hidden.
+    pub alpha: Tensor<D>,
+    /// `[.., H, W, 1]`: `Σ wᵢ zᵢ`, not normalised, if asked for.
+    pub depth: Option<Tensor<D>>,
 }
 
 impl Projected {
+    /// The packed ellipses, `[N, 7]`.
+    pub(crate) fn packed(&self) -> &Tensor<2> {
+        &self.packed
+    }
+
     /// The size and projection of the camera that saw them.
     pub fn intrinsics(&self) -> &Intrinsics {
         &self.intrinsics
@@ -165,61 +133,39 @@ impl Ellipses {
 /// culled: its opacity and depth are zero and so are its gradients. So is one whose centre lies beyond the reach of the camera's
 /// lens ([`Intrinsics::reach`]). `near` is a depth for every camera: a fisheye sees nothing 90° from its axis or farther.
 ///
+/// Of `extras`, `mean2d_probe` alone is read.
+///
 /// # Errors
 /// If a tensor's shape, type or device does not fit, or the camera or an option is out of range; if `options.projection` or
 /// `options.order` is not the plain one and the camera is no pinhole.
 pub fn project(
     splats: &Splats,
     camera: &Camera,
-    mean2d_probe: Option<&Tensor<2>>,
+    extras: &Extras,
     options: &RenderOptions,
 ) -> Result<Projected, SplatError> {
     let reference = check_geometry(splats, camera, options)?;
-    let probe = probe_or_empty(&reference, "mean2d_probe", mean2d_probe, splats)?;
+    let probe = probe_or_empty(&reference, "mean2d_probe", extras.mean2d_probe.as_ref(), splats.means.dims()[0])?;
     reference.check_fits(&[packed_need(splats.means.dims()[0])])?;
     let spec = ProjectSpec { intrinsics: camera.intrinsics, options: options.of_project() };
-    let inputs = project_inputs(splats, camera);
+    let inputs = geometry(splats, camera, probe);
     let tilt = options.along_rays().then(|| {
         let tilt = Tensor::from_dispatch(<Dispatch as RaysBackend>::tilt(inputs.clone(), spec));
         // For the affine projection it decides an order, which has no gradient.
         if options.projection == Projection::Exact { tilt } else { tilt.detach() }
     });
-    let packed = <Dispatch as SplatBackend>::project(inputs, probe.into_dispatch(), spec);
+    let packed = <Dispatch as SplatBackend>::project(inputs, spec);
     Ok(Projected { packed: Tensor::from_dispatch(packed), tilt, intrinsics: camera.intrinsics })
 }
 
-/// [`project`] and [`shade`] of `sh`, and of `matte` for the last Gaussians, in one, for a render: what cannot show in the
-/// picture has no colour.
-pub(crate) fn project_shade(
-    splats: &Splats,
-    (sh, matte): (&Tensor<3>, Option<&Tensor<3>>),
-    camera: &Camera,
-    mean2d_probe: Option<&Tensor<2>>,
-    options: &RenderOptions,
-) -> Result<(Projected, Tensor<2>), SplatError> {
-    let reference = check_geometry(splats, camera, options)?;
-    let probe = probe_or_empty(&reference, "mean2d_probe", mean2d_probe, splats)?;
-    let count = splats.means.dims()[0];
-    let (sh, matte) = check_harmonics(&reference, (sh, matte), count)?;
-    reference.check_fits(&[packed_need(count), sh_need(sh)])?;
-    let inputs = ProjectShadeInputs {
-        geometry: project_inputs(splats, camera),
-        sh: up_to_degree(sh, options.sh_degree).into_dispatch(),
-        matte: matte.map_or(Slot::Skip, |matte| Slot::Have(matte.clone().into_dispatch())),
-    };
-    let spec = ProjectSpec { intrinsics: camera.intrinsics, options: *options };
-    let out = <Dispatch as SplatBackend>::project_shade(inputs, probe.into_dispatch(), spec);
-    let projected = Projected { packed: Tensor::from_dispatch(out.packed), tilt: None, intrinsics: camera.intrinsics };
-    Ok((projected, Tensor::from_dispatch(out.colours)))
-}
-
-fn project_inputs(splats: &Splats, camera: &Camera) -> ProjectInputs<Dispatch> {
-    ProjectInputs {
-        means: splats.means.clone().into_dispatch(),
-        rotations: splats.rotations.clone().into_dispatch(),
-        scales: splats.scales.clone().into_dispatch(),
-        opacities: splats.opacities.clone().into_dispatch(),
-        cam_from_world: camera.cam_from_world.clone().into_dispatch(),
+fn geometry(splats: &Splats, camera: &Camera, mean2d_probe: Tensor<2>) -> GeometryTensors<Dispatch> {
+    Geometry {
+        means: splats.means.clone().into(),
+        rotations: splats.rotations.clone().into(),
+        scales: splats.scales.clone().into(),
+        opacities: splats.opacities.clone().into(),
+        cam_from_world: camera.cam_from_world.clone().into(),
+        mean2d: mean2d_probe.into(),
     }
 }
 
@@ -258,7 +204,7 @@ pub fn blend(
     tiles: &Tiles,
     extras: &Extras,
     options: &RenderOptions,
-) -> Result<Picture, SplatError> {
+) -> Result<Rendered<3>, SplatError> {
     options.check()?;
     check_rays(projected, options)?;
     let reference = Reference::new(&projected.packed)?;
@@ -272,38 +218,33 @@ pub fn blend(
         None => Tensor::zeros([channels], reference.options()),
     };
     reference.check("background", &background, [Some(channels)], "[C]")?;
-    let probe = match &extras.mean2d_abs_probe {
-        Some(probe) => probe.clone(),
-        None => Tensor::zeros([0, 2], reference.options()),
-    };
-    if extras.mean2d_abs_probe.is_some() {
-        reference.check("mean2d_abs_probe", &probe, [Some(count), Some(2)], "[N, 2]")?;
-    }
+    let probe = probe_or_empty(&reference, "mean2d_abs_probe", extras.mean2d_abs_probe.as_ref(), count)?;
     reference.check_device("tiles", &tiles.counts.device())?;
     let spec = BlendSpec { intrinsics: projected.intrinsics, options: *options };
-    let (packed, probe) = (projected.packed.clone().into_dispatch(), probe.into_dispatch());
-    let (features, background) = (features.clone().into_dispatch(), background.into_dispatch());
+    let (packed, features, background) = (projected.packed.clone().into(), features.clone().into(), background.into());
+    let mean2d_abs = probe.into();
     let (counts, hits, parts) = (tiles.counts.clone().into_dispatch(), tiles.hits.clone(), PartsCell::default());
     let planes = match &projected.tilt {
         None => {
-            let inputs = BlendInputs { projected: packed, features, background };
-            <Dispatch as SplatBackend>::blend(inputs, probe, counts, spec, hits, None, parts.clone())
+            let inputs = Layers { projected: packed, features, background, mean2d_abs };
+            <Dispatch as SplatBackend>::blend(inputs, counts, spec, hits, None, parts.clone())
         }
         Some(tilt) => {
-            let inputs = RaysInputs { projected: packed, tilt: tilt.clone().into_dispatch(), features, background };
-            <Dispatch as RaysBackend>::rays(inputs, probe, counts, spec, hits, parts.clone())
+            let tilt = tilt.clone().into();
+            let inputs = RayLayers { projected: packed, tilt, features, background, mean2d_abs };
+            <Dispatch as RaysBackend>::rays(inputs, counts, spec, hits, parts.clone())
         }
     };
     Ok(picture(&Tensor::from_dispatch(planes), channels, options.depth, &parts))
 }
 
 /// Planes `[C + 1 (+ 1), H, W]` as named pictures.
-fn picture(planes: &Tensor<3>, channels: usize, depth: bool, parts: &PartsCell) -> Picture {
+fn picture(planes: &Tensor<3>, channels: usize, depth: bool, parts: &PartsCell) -> Rendered<3> {
     let part = |from: usize, to: usize| {
         let part = <Dispatch as SplatBackend>::part(planes.clone().into_dispatch(), from, to, parts.clone());
         Tensor::<3>::from_dispatch(part).permute([1, 2, 0])
     };
-    Picture {
+    Rendered {
         colour: part(0, channels),
         alpha: part(channels, channels + 1),
         depth: depth.then(|| part(channels + 1, channels + 2)),
@@ -358,7 +299,7 @@ pub(crate) fn check_render_fits(
 ) -> Result<(), SplatError> {
     let count = splats.means.dims()[0];
     let (colour, channels) = match &splats.colour {
-        Colour::SphericalHarmonics(sh) | Colour::Mixed { directional: sh, .. } => (Some(sh_need(sh)), 3),
+        Colour::SphericalHarmonics(sh) => (Some(sh_need(sh)), 3),
         Colour::Features(features) => (None, features.dims()[1]),
     };
     let shape = [cameras, channels, intrinsics.height, intrinsics.width];
@@ -385,12 +326,12 @@ fn probe_or_empty(
     reference: &Reference,
     name: &'static str,
     probe: Option<&Tensor<2>>,
-    splats: &Splats,
+    count: usize,
 ) -> Result<Tensor<2>, SplatError> {
     match probe {
         None => Ok(Tensor::zeros([0, 2], reference.options())),
         Some(probe) => {
-            reference.check(name, probe, [Some(splats.means.dims()[0]), Some(2)], "[N, 2]")?;
+            reference.check(name, probe, [Some(count), Some(2)], "[N, 2]")?;
             Ok(probe.clone())
         }
     }

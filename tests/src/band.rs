@@ -25,7 +25,7 @@ const DEPTH_ULPS: f64 = 8.0;
 /// Whether each pixel belongs to the band.
 pub fn boundary_band(scene: &Scene, options: &RenderOptions, device: &Device) -> Vec<bool> {
     let Tensors { splats, camera, .. } = scene.tensors(device, DType::F64);
-    let ellipses = project(&splats, &camera, None, options).expect("a valid scene").ellipses();
+    let ellipses = project(&splats, &camera, &Extras::default(), options).expect("a valid scene").ellipses();
     // Features that differ from one Gaussian to the next, so that every exchange shows.
     let count = scene.count();
     let features = tensor(&Random::new(7).fill(count, 1.0, 2.0), [count, 1], device, DType::F64);

@@ -174,7 +174,7 @@ pub fn evaluate(
 /// What the stages before blending compute.
 fn stages(scene: &Scene, options: &RenderOptions, device: &Device, dtype: DType) -> Vec<Named> {
     let Tensors { splats, sh, camera, .. } = scene.tensors(device, dtype);
-    let ellipses = project(&splats, &camera, None, options).expect("a valid scene").ellipses();
+    let ellipses = project(&splats, &camera, &Extras::default(), options).expect("a valid scene").ellipses();
     let colours = shade(&sh, &splats.means, &camera).expect("a valid scene");
     let (sigma_u, shear, sigma_v) = (host(ellipses.sigma_u), host(ellipses.shear), host(ellipses.sigma_v));
     let conics = sigma_u.iter().zip(&shear).zip(&sigma_v).flat_map(|((u, k), v)| conic(*u, *k, *v)).collect();

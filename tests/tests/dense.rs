@@ -153,7 +153,8 @@ fn tensor_code_between_stages_and_any_features_agree_with_the_dense_formulation(
         };
 
         let (ours, our_own) = (scene.tensors(&device, DType::F64), own_leaves());
-        let mut ellipses = project(&ours.splats, &ours.camera, None, &options).expect("a valid scene").ellipses();
+        let mut ellipses =
+            project(&ours.splats, &ours.camera, &Extras::default(), &options).expect("a valid scene").ellipses();
         let Ellipses { sigma_u, shear, sigma_v, depth, .. } = ellipses.clone();
         [ellipses.sigma_u, ellipses.shear, ellipses.sigma_v] = edit(sigma_u, shear, sigma_v, &depth, &our_own.2);
         let projected = ellipses.pack(&CAMERA).expect("columns of one length");

@@ -38,7 +38,7 @@ fn picture(scene: &Scene, options: &RenderOptions, (_, device, dtype): &Where) -
     let Tensors { splats, camera, background, .. } = scene.tensors(device, *dtype);
     let extras = Extras { background: Some(background), ..Extras::default() };
     let out = render(&splats, std::slice::from_ref(&camera), &extras, options).expect("a valid scene");
-    let projected = project(&splats, &camera, None, options).expect("a valid scene");
+    let projected = project(&splats, &camera, &Extras::default(), options).expect("a valid scene");
     let hits = tile(&projected, options).expect("a valid scene").counts.sum().into_scalar::<i32>();
     ([host(out.colour), host(out.alpha), host(out.depth.expect("asked for"))], f64::from(hits))
 }
@@ -117,7 +117,7 @@ fn without_a_cut_a_large_picture_of_many_gaussians_is_refused() {
     let Tensors { splats, camera, .. } = needles(17).tensors(&Device::flex(), DType::F32);
     let camera = Camera { intrinsics: wide, ..camera };
     let uncut = RenderOptions { alpha_min: 0.0, ..OPTIONS };
-    let projected = project(&splats, &camera, None, &uncut).expect("a valid scene");
+    let projected = project(&splats, &camera, &Extras::default(), &uncut).expect("a valid scene");
     let message = tile(&projected, &uncut).expect_err("refused").to_string();
     for part in ["`alpha_min` is 0 for 17 Gaussians", &MAX_UNCUT_HITS.to_string(), "smaller picture"] {
         assert!(message.contains(part), "`{part}` is missing: {message}");

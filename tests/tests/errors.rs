@@ -131,7 +131,7 @@ fn single_stages_check_their_own_arguments() {
     let Call { tensors: Tensors { splats, sh, camera, .. }, extras, options } = call();
     let message = shade(&sh, &zeros([COUNT + 1, 3]), &camera).expect_err("refused").to_string();
     assert_names(&message, "sh", "dimension 0 must be 6");
-    let projected = project(&splats, &camera, None, &options).expect("a valid scene");
+    let projected = project(&splats, &camera, &Extras::default(), &options).expect("a valid scene");
     let tiles = tile(&projected, &options).expect("valid options");
     let message = blend(&projected, &zeros([COUNT + 1, 3]), &tiles, &extras, &options).expect_err("refused");
     assert_names(&message.to_string(), "features", "dimension 0 must be 5");

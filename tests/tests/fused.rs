@@ -28,7 +28,7 @@ fn every_stage_executes_kernels_and_no_twin() {
         before = after;
     };
 
-    let projected = project(&splats, &camera, None, &options).expect("a valid scene");
+    let projected = project(&splats, &camera, &Extras::default(), &options).expect("a valid scene");
     let ellipses = projected.ellipses();
     launched_after(host(ellipses.depth), || launched("project"));
     let loss = (ellipses.mean2d.sum() + ellipses.sigma_u.sum()).backward();
@@ -41,7 +41,7 @@ fn every_stage_executes_kernels_and_no_twin() {
     launched_after(host(sh.grad(&loss).expect("tracked")), || launched("the backward pass of shade"));
 
     let Tensors { splats, camera, background, .. } = leaves();
-    let projected = project(&splats, &camera, None, &options).expect("a valid scene");
+    let projected = project(&splats, &camera, &Extras::default(), &options).expect("a valid scene");
     launched_after(host(projected.ellipses().depth), || launched("project"));
     let tiles = tile(&projected, &options).expect("a valid scene");
     let hits: i64 = tiles.counts.clone().into_data().iter::<i64>().sum();
@@ -57,7 +57,7 @@ fn every_stage_executes_kernels_and_no_twin() {
 
     let along_rays = options.with_projection(Projection::Exact).with_order(Order::PerPixel);
     let Tensors { splats, camera, background, .. } = leaves();
-    let projected = project(&splats, &camera, None, &along_rays).expect("a valid scene");
+    let projected = project(&splats, &camera, &Extras::default(), &along_rays).expect("a valid scene");
     let tiles = tile(&projected, &along_rays).expect("a valid scene");
     let hits: i64 = tiles.counts.clone().into_data().iter::<i64>().sum();
     assert!(hits > 0);
@@ -72,7 +72,7 @@ fn every_stage_executes_kernels_and_no_twin() {
     });
     // The counter of twins counts.
     let Tensors { splats, camera, .. } = scene.tensors(&burn::tensor::Device::flex(), DType::F32);
-    project(&splats, &camera, None, &options).expect("a valid scene");
+    project(&splats, &camera, &Extras::default(), &options).expect("a valid scene");
     assert_eq!(witness::twin_calls(), 1);
 }
 

@@ -212,7 +212,7 @@ fn f64_and_tensors_elsewhere_are_refused() {
     // What makes an f64 tensor on a GPU is Burn's; that its elements are never read is ours.
     let Tensors { splats, camera, .. } = scene.tensors(&device, DType::F32);
     let double = Splats { means: splats.means.clone().cast(DType::F64), ..splats.clone() };
-    let refusal = project(&double, &camera, None, &SMOOTH).expect_err("refused").to_string();
+    let refusal = project(&double, &camera, &Extras::default(), &SMOOTH).expect_err("refused").to_string();
     for part in ["`means`", "F64", "F32", "Tensor::cast", "CPU"] {
         assert!(refusal.contains(part), "`{part}` is missing: {refusal}");
     }
@@ -285,7 +285,7 @@ fn too_many_hits_fail_where_the_result_is_read_and_nowhere_else() {
     let (splats, camera) = repeated(limit / 4 / tiles + 2, &device);
     let read = std::panic::catch_unwind(|| {
         let options = RenderOptions::standard();
-        let projected = project(&splats, &camera, None, &options).expect("it fits");
+        let projected = project(&splats, &camera, &Extras::default(), &options).expect("it fits");
         let tiles = tile(&projected, &options).expect("it fits");
         tiles.counts.try_into_data().map(|_| ()).map_err(|error| format!("{error:?}"))
     });

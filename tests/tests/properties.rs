@@ -29,7 +29,7 @@ fn picture(scene: &Scene, options: &RenderOptions, (device, dtype): Where) -> [V
     values(render(&splats, &[camera], &extras, options).expect("a valid scene"))
 }
 
-fn values(out: Rendered) -> [Vec<f64>; 3] {
+fn values(out: Rendered<4>) -> [Vec<f64>; 3] {
     [host(out.colour), host(out.alpha), host(out.depth.expect("asked for"))]
 }
 

@@ -60,7 +60,7 @@ fn tiles_lose_nothing() {
         let options = RenderOptions { transmittance_min: 0.0, ..RenderOptions::standard() };
         let options = options.with_projection(choice.0).with_order(choice.1).with_depth(true);
         let Tensors { splats, camera, .. } = scene.tensors(&Device::flex(), DType::F32);
-        let projected = project(&splats, &camera, None, &options).expect("a valid scene");
+        let projected = project(&splats, &camera, &Extras::default(), &options).expect("a valid scene");
         let features = colours(&splats, &camera).expect("a valid scene");
         let picture = |listed: &RenderOptions| {
             let tiles = tile(&projected, listed).expect("a valid scene");
@@ -245,7 +245,7 @@ fn what_cannot_be_is_refused() {
         let message = render_view(&splats, &fisheye, &Extras::default(), &options).expect_err("no pinhole").to_string();
         assert!(message.contains("Fisheye") && message.contains("pinhole"), "{message}");
 
-        let projected = project(&splats, &camera, None, &options).expect("a valid scene");
+        let projected = project(&splats, &camera, &Extras::default(), &options).expect("a valid scene");
         let refused = |result: Result<splat_op::Tiles, SplatError>, part: &str| {
             let message = result.expect_err("refused").to_string();
             assert!(message.contains("projection and order") && message.contains(part), "{message}");

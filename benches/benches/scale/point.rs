@@ -109,7 +109,8 @@ pub fn run(point: &Point) -> Result<(), Box<dyn Error>> {
 fn hits(view: &SyntheticView) -> usize {
     let device = Device::flex();
     let scene = view.scene(&device, DType::F32);
-    let projected = project(&scene, &view.camera(&device, DType::F32), None, &OPTIONS).expect("shapes fit");
+    let projected =
+        project(&scene, &view.camera(&device, DType::F32), &Extras::default(), &OPTIONS).expect("shapes fit");
     let counts = tile(&projected, &OPTIONS).expect("options are in range").counts;
     values(counts.float()).iter().sum::<f64>() as usize
 }

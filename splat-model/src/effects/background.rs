@@ -21,7 +21,7 @@ use rand::{Rng, RngExt};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use splat_op::shade::{harmonics, sh_degree};
-use splat_op::{Intrinsics, Picture};
+use splat_op::{Intrinsics, Rendered};
 use thiserror::Error;
 
 use super::learned::{Falling, Learned, Moment};
@@ -291,7 +291,7 @@ impl Effect for Environment {
         input.extras.background = Some(Tensor::zeros([3], &device));
     }
 
-    fn image(&mut self, image: Tensor<3>, input: &RenderInput, picture: &Picture, at: Moment) -> Tensor<3> {
+    fn image(&mut self, image: Tensor<3>, input: &RenderInput, picture: &Rendered<3>, at: Moment) -> Tensor<3> {
         self.behind(image, picture.alpha.clone(), at.view, &input.camera.intrinsics)
     }
 

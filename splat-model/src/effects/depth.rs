@@ -15,7 +15,7 @@ use burn::tensor::{Device, Int, Tensor, TensorData};
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
-use splat_op::Picture;
+use splat_op::Rendered;
 
 use super::learned::{Falling, Moment};
 use super::masks::by_name;
@@ -189,7 +189,7 @@ impl Effect for Depths {
         input.options = input.options.with_depth(input.options.depth || self.knows(at.view));
     }
 
-    fn penalty(&mut self, _: &RenderInput, picture: &Picture, at: Moment) -> Option<Tensor<1>> {
+    fn penalty(&mut self, _: &RenderInput, picture: &Rendered<3>, at: Moment) -> Option<Tensor<1>> {
         self.miss(picture.depth.clone()?, picture.alpha.clone(), at)
     }
 

@@ -9,7 +9,7 @@ use std::rc::Rc;
 use burn::tensor::{Device, Gradients, Tensor};
 use rand::Rng;
 use splat_op::{
-    Camera, Ellipses, Extras, Picture, Projected, RenderOptions, SplatError, Splats, blend, colours, project,
+    Camera, Ellipses, Extras, Projected, RenderOptions, Rendered, SplatError, Splats, blend, colours, project,
     render_view, tile,
 };
 
@@ -42,7 +42,7 @@ impl RenderInput {
 
     /// The projected Gaussians, edited.
     pub(crate) fn project(&self) -> Result<Projected, SplatError> {
-        let projected = project(&self.splats, &self.camera, self.extras.mean2d_probe.as_ref(), &self.options)?;
+        let projected = project(&self.splats, &self.camera, &self.extras, &self.options)?;
         if self.edits.is_empty() {
             return Ok(projected);
         }
@@ -54,7 +54,7 @@ impl RenderInput {
     ///
     /// # Errors
     /// Those of the operation.
-    pub fn render(&self) -> Result<Picture, SplatError> {
+    pub fn render(&self) -> Result<Rendered<3>, SplatError> {
         if self.edits.is_empty() {
             return render_view(&self.splats, &self.camera, &self.extras, &self.options);
         }
@@ -66,9 +66,9 @@ impl RenderInput {
 }
 
 /// The mean of one or more renders.
-pub(crate) fn mean_of(pictures: Vec<Picture>) -> Picture {
+pub(crate) fn mean_of(pictures: Vec<Rendered<3>>) -> Rendered<3> {
     let count = pictures.len() as f32;
-    let sum = pictures.into_iter().reduce(|a, b| Picture {
+    let sum = pictures.into_iter().reduce(|a, b| Rendered {
         colour: a.colour + b.colour,
         alpha: a.alpha + b.alpha,
         depth: a.depth.zip(b.depth).map(|(a, b)| a + b),
@@ -77,7 +77,7 @@ pub(crate) fn mean_of(pictures: Vec<Picture>) -> Picture {
     if count == 1.0 {
         return sum;
     }
-    Picture { colour: sum.colour / count, alpha: sum.alpha / count, depth: sum.depth.map(|depth| depth / count) }
+    Rendered { colour: sum.colour / count, alpha: sum.alpha / count, depth: sum.depth.map(|depth| depth / count) }
 }
 
 /// Something that happens between the scene and its photographs. The trainer calls it in the order of the functions below, none
@@ -105,12 +105,12 @@ pub trait Effect: Any {
 
     /// Changes the render, `[H, W, 3]`, before it is compared with the photograph. `input` is what was rendered, before it became
     /// several, and `picture` what the operation made of it.
-    fn image(&mut self, image: Tensor<3>, _input: &RenderInput, _picture: &Picture, _at: Moment) -> Tensor<3> {
+    fn image(&mut self, image: Tensor<3>, _input: &RenderInput, _picture: &Rendered<3>, _at: Moment) -> Tensor<3> {
         image
     }
 
     /// What is added to the loss, `[1]`, tracked.
-    fn penalty(&mut self, _input: &RenderInput, _picture: &Picture, _at: Moment) -> Option<Tensor<1>> {
+    fn penalty(&mut self, _input: &RenderInput, _picture: &Rendered<3>, _at: Moment) -> Option<Tensor<1>> {
         None
     }
 

@@ -14,7 +14,7 @@
 
 use burn::tensor::{Device, Gradients, Tensor, TensorData};
 use serde::{Deserialize, Serialize};
-use splat_op::Picture;
+use splat_op::Rendered;
 
 use super::centred::Centred;
 use super::learned::{Falling, Moment};
@@ -77,11 +77,11 @@ impl Effect for Grids {
         EffectKind::BilateralGrid.name()
     }
 
-    fn image(&mut self, image: Tensor<3>, _: &RenderInput, _: &Picture, at: Moment) -> Tensor<3> {
+    fn image(&mut self, image: Tensor<3>, _: &RenderInput, _: &Rendered<3>, at: Moment) -> Tensor<3> {
         apply(image, self.grids.tracked(at.view))
     }
 
-    fn penalty(&mut self, _: &RenderInput, _: &Picture, at: Moment) -> Option<Tensor<1>> {
+    fn penalty(&mut self, _: &RenderInput, _: &Rendered<3>, at: Moment) -> Option<Tensor<1>> {
         Some(self.pull(at.view))
     }
 

@@ -21,7 +21,7 @@ pub mod anchors;
 use burn::tensor::{Device, Gradients, Tensor};
 use glam::{DAffine3, DQuat, DVec3};
 use serde::{Deserialize, Serialize};
-use splat_op::Picture;
+use splat_op::Rendered;
 
 use self::anchors::{Anchors, OnDevice, rotation};
 use super::learned::{Learned, Moment};
@@ -132,7 +132,7 @@ impl Effect for Poses {
         input.camera.cam_from_world = self.apply(input.camera.cam_from_world.clone(), at.view);
     }
 
-    fn penalty(&mut self, input: &RenderInput, _: &Picture, at: Moment) -> Option<Tensor<1>> {
+    fn penalty(&mut self, input: &RenderInput, _: &Rendered<3>, at: Moment) -> Option<Tensor<1>> {
         let pose = input.camera.cam_from_world.clone();
         Some(self.anchors[at.view].as_ref()?.penalty(pose) * self.config.anchor_weight)
     }

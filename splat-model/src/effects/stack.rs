@@ -4,7 +4,7 @@ use std::any::Any;
 
 use burn::tensor::{Device, Gradients, Tensor};
 use rand::Rng;
-use splat_op::Picture;
+use splat_op::Rendered;
 
 use super::background::Background;
 use super::effect::{Effect, RenderInput};
@@ -72,11 +72,11 @@ impl Effect for EffectStack {
         })
     }
 
-    fn image(&mut self, image: Tensor<3>, input: &RenderInput, picture: &Picture, at: Moment) -> Tensor<3> {
+    fn image(&mut self, image: Tensor<3>, input: &RenderInput, picture: &Rendered<3>, at: Moment) -> Tensor<3> {
         self.0.iter_mut().fold(image, |image, effect| effect.image(image, input, picture, at))
     }
 
-    fn penalty(&mut self, input: &RenderInput, picture: &Picture, at: Moment) -> Option<Tensor<1>> {
+    fn penalty(&mut self, input: &RenderInput, picture: &Rendered<3>, at: Moment) -> Option<Tensor<1>> {
         self.0.iter_mut().filter_map(|effect| effect.penalty(input, picture, at)).reduce(|a, b| a + b)
     }
 

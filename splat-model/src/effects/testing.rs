@@ -115,7 +115,8 @@ pub(super) fn scene() -> Splats {
 pub(super) fn render(camera: Intrinsics, pose: Tensor<2>, change: impl Fn(Ellipses) -> Ellipses) -> Vec<f64> {
     let (options, splats) = (RenderOptions::exact(), scene());
     let Colour::Features(features) = &splats.colour else { unreachable!("features, above") };
-    let projected = project(&splats, &Camera { intrinsics: camera, cam_from_world: pose }, None, &options).unwrap();
+    let projected =
+        project(&splats, &Camera { intrinsics: camera, cam_from_world: pose }, &Extras::default(), &options).unwrap();
     let projected = change(projected.ellipses()).pack(&camera).unwrap();
     let tiles = tile(&projected, &options).unwrap();
     host(blend(&projected, features, &tiles, &Extras::default(), &options).unwrap().colour)

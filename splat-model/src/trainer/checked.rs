@@ -3,7 +3,7 @@
 use std::fmt;
 
 use burn::tensor::Tensor;
-use splat_op::{Picture, Projected, SplatError, Tiles, blend, colours, tile};
+use splat_op::{Projected, Rendered, SplatError, Tiles, blend, colours, tile};
 
 use crate::density::rows::Gradients;
 use crate::effects::RenderInput;
@@ -71,7 +71,7 @@ impl From<Wrong> for Stopped {
 }
 
 /// The picture that [`RenderInput::render`] gives, stage by stage, each of which is looked at before the next runs.
-pub(super) fn render_checked(input: &RenderInput) -> Result<Picture, Stopped> {
+pub(super) fn render_checked(input: &RenderInput) -> Result<Rendered<3>, Stopped> {
     let projected = input.project()?;
     let opacities = check_projected(&projected)?;
     let features = colours(&input.splats, &input.camera)?;
@@ -125,7 +125,7 @@ fn check_tiles(tiles: &Tiles, splats: usize) -> Result<(), Wrong> {
     }
 }
 
-fn check_picture(picture: &Picture) -> Result<(), Wrong> {
+fn check_picture(picture: &Rendered<3>) -> Result<(), Wrong> {
     let channels = picture.colour.dims()[2];
     let (colour, alpha) = (host(picture.colour.clone()), host(picture.alpha.clone()));
     look(Stage::Blend, "colour", (&colour, channels, "pixel"), "a finite number", f32::is_finite)?;

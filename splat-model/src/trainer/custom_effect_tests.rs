@@ -5,7 +5,7 @@ use std::rc::Rc;
 
 use burn::tensor::Gradients as Remaining;
 use rand::{Rng, RngExt};
-use splat_op::Picture;
+use splat_op::Rendered;
 
 use super::testing::{photos, points};
 use super::*;
@@ -65,13 +65,13 @@ impl Effect for Noted {
         vec![input; self.samples]
     }
 
-    fn image(&mut self, image: Tensor<3>, _: &RenderInput, picture: &Picture, _: Moment) -> Tensor<3> {
+    fn image(&mut self, image: Tensor<3>, _: &RenderInput, picture: &Rendered<3>, _: Moment) -> Tensor<3> {
         self.note("image");
         assert_eq!(image.dims()[..2], picture.alpha.dims()[..2]);
         image * (self.number.tracked() * 0.1 + 1.0).reshape([1, 1, 1])
     }
 
-    fn penalty(&mut self, _: &RenderInput, _: &Picture, _: Moment) -> Option<Tensor<1>> {
+    fn penalty(&mut self, _: &RenderInput, _: &Rendered<3>, _: Moment) -> Option<Tensor<1>> {
         self.note("penalty");
         Some((self.number.tracked() - 3.0).square() * 10.0)
     }

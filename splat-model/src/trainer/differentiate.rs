@@ -1,7 +1,7 @@
 //! The loss of a view and its gradients.
 
 use burn::tensor::{Bool, Gradients as Remaining, Tensor};
-use splat_op::{Extras, Picture};
+use splat_op::{Extras, Rendered};
 
 use super::checked::{check_gradients, check_loss, render_checked};
 use super::covered::covered;
@@ -69,7 +69,7 @@ impl Trainer {
     }
 
     /// What the camera sees: the mean, where effects make several renders of one.
-    fn render(&mut self, prepared: &Prepared) -> Result<Picture, TrainError> {
+    fn render(&mut self, prepared: &Prepared) -> Result<Rendered<3>, TrainError> {
         let inputs = self.effects.samples(prepared.input.clone(), prepared.at);
         let render = |input: &RenderInput| match self.checks {
             true => render_checked(input).map_err(|stopped| self.stopped(prepared.at.view, stopped)),
@@ -79,7 +79,7 @@ impl Trainer {
     }
 
     /// The loss of a picture, with all penalties.
-    pub(super) fn compare(&mut self, prepared: &Prepared, picture: Picture) -> Result<Compared, TrainError> {
+    pub(super) fn compare(&mut self, prepared: &Prepared, picture: Rendered<3>) -> Result<Compared, TrainError> {
         let Prepared { at, input, truth, excluded, signals } = prepared;
         let cleared = |picture: Tensor<3>| match excluded {
             Some(excluded) => masks::cleared(picture, excluded),

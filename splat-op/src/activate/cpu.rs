@@ -4,22 +4,12 @@ use fearless_simd::prelude::*;
 use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
 
-use super::{LARGEST, LARGEST_LOG_SCALE};
+use super::rule::{LARGEST, LARGEST_LOG_SCALE, Raw};
 use crate::lanes::{BLOCK, map_lanes};
 use crate::real::Real;
 
 /// Gaussians per task.
 const CHUNK: usize = 1024;
-
-/// Borrowed inputs, row-major.
-#[derive(Clone, Copy)]
-pub(crate) struct Inputs<'a, F> {
-    pub means: &'a [F],
-    pub rotations: &'a [F],
-    pub log_scales: &'a [F],
-    pub logit_opacities: &'a [F],
-    pub sh: &'a [F],
-}
 
 /// Whether all values are finite and not too large to be squared. Without a branch, so that it is vectorised: it passes over
 /// every coefficient of a scene.
@@ -63,27 +53,8 @@ fn rows_of<F>(values: &[F], first: usize, count: usize, columns: usize) -> &[F] 
     &values[columns * first..columns * (first + count)]
 }
 
-impl<F> Inputs<'_, F> {
-    /// The geometry of the first rows with the coefficients there are, and that of all others with those of `matte`.
-    fn groups<'a>(&'a self, matte: &'a [F]) -> [Inputs<'a, F>; 2] {
-        let first = self.logit_opacities.len() - matte.len() / 3;
-        let Self { means, rotations, log_scales, logit_opacities, sh } = self;
-        let (means, rotations) = (means.split_at(3 * first), rotations.split_at(4 * first));
-        let (logs, logits) = (log_scales.split_at(3 * first), logit_opacities.split_at(first));
-        [
-            Inputs { means: means.0, rotations: rotations.0, log_scales: logs.0, logit_opacities: logits.0, sh },
-            Inputs { means: means.1, rotations: rotations.1, log_scales: logs.1, logit_opacities: logits.1, sh: matte },
-        ]
-    }
-}
-
-/// `[N]` opacities, where the last rows have their coefficients in `matte`, `[N − M, 1, 3]`.
-pub(crate) fn opacities_of_groups_cpu<F: Real>(inputs: Inputs<F>, matte: &[F]) -> Vec<F> {
-    inputs.groups(matte).into_iter().flat_map(opacities_cpu).collect()
-}
-
 /// `[N]` opacities.
-pub(crate) fn opacities_cpu<F: Real>(inputs: Inputs<F>) -> Vec<F> {
+pub(crate) fn opacities_cpu<F: Real>(inputs: Raw<&[F]>) -> Vec<F> {
     let mut opacities = vec![F::ZERO; inputs.logit_opacities.len()];
     opacities.par_chunks_mut(CHUNK).enumerate().for_each(|(chunk, out)| {
         dispatch!(Level::new(), simd => opacities_chunk(simd, &inputs, chunk * CHUNK, out));
@@ -92,7 +63,7 @@ pub(crate) fn opacities_cpu<F: Real>(inputs: Inputs<F>) -> Vec<F> {
 }
 
 #[inline(always)]
-fn opacities_chunk<S: Simd, F: Real>(simd: S, inputs: &Inputs<F>, first: usize, out: &mut [F]) {
+fn opacities_chunk<S: Simd, F: Real>(simd: S, inputs: &Raw<&[F]>, first: usize, out: &mut [F]) {
     let count = inputs.logit_opacities.len();
     let coefficients = inputs.sh.len() / count.max(1);
     let [zero, one] = [F::ZERO, F::ONE].map(|value| F::Lanes::<S>::splat(simd, value));

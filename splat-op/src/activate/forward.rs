@@ -3,7 +3,7 @@
 
 use cubecl::prelude::*;
 
-use super::{LARGEST, LARGEST_LOG_SCALE};
+use super::rule::{LARGEST, LARGEST_LOG_SCALE};
 use crate::gpu::math::finite;
 
 /// Below this an exponential is no f32 any more, not even a subnormal one.
@@ -41,8 +41,6 @@ pub(super) fn opacities_kernel(
     log_scales: &[f32],
     logit_opacities: &[f32],
     sh: &[f32],
-    matte: ComptimeOption<Box<[f32]>>,
-    first_matte: ComptimeOption<u32>,
     opacities: &mut [f32],
     count: u32,
     sh_row: u32,
@@ -64,27 +62,8 @@ pub(super) fn opacities_kernel(
         }
         usable = usable && (turned & 0x7fff_ffff) != 0;
         let row = sh_row as usize;
-        #[comptime]
-        match first_matte {
-            ComptimeOption::Some(first) => {
-                let first = first as usize;
-                if gaussian < first {
-                    for k in 0..row {
-                        usable = usable && bounded(sh[row * gaussian + k]);
-                    }
-                } else {
-                    let matte = matte.unwrap();
-                    #[unroll]
-                    for channel in 0..3 {
-                        usable = usable && bounded(matte[3 * (gaussian - first) + channel]);
-                    }
-                }
-            }
-            ComptimeOption::None => {
-                for k in 0..row {
-                    usable = usable && bounded(sh[row * gaussian + k]);
-                }
-            }
+        for k in 0..row {
+            usable = usable && bounded(sh[row * gaussian + k]);
         }
         let x = select(usable, logit, 0.0);
         let e = max(-x.abs(), SMALLEST_EXPONENT).exp();

@@ -1,7 +1,8 @@
 //! The kernels of `activate` against the twin in f64.
 
-use super::cpu::{Inputs, opacities_cpu, opacities_of_groups_cpu, opacity_slopes_cpu, scales_cpu};
-use super::launch::{DeviceInputs, launch_non_finite, launch_opacities, launch_opacity_slopes, launch_scales};
+use super::cpu::{opacities_cpu, opacity_slopes_cpu, scales_cpu};
+use super::launch::{launch_non_finite, launch_opacities, launch_opacity_slopes, launch_scales};
+use super::rule::Raw;
 use crate::gpu::Buffer;
 use crate::testing::ceiling::{Yardstick, rounded, to_f32};
 use crate::testing::gpu::{gpu, gpus};
@@ -47,8 +48,8 @@ fn poison(tensors: &mut [Vec<f64>]) {
     }
 }
 
-fn inputs(t: &[Vec<f64>]) -> Inputs<'_, f64> {
-    Inputs { means: &t[0], rotations: &t[1], log_scales: &t[2], logit_opacities: &t[3], sh: &t[4] }
+fn inputs(t: &[Vec<f64>]) -> Raw<&'_ [f64]> {
+    Raw { means: &t[0], rotations: &t[1], log_scales: &t[2], logit_opacities: &t[3], sh: &t[4] }
 }
 
 #[test]
@@ -78,13 +79,12 @@ fn activations_and_slopes_agree_with_the_twin() {
         for (form, gpu) in gpus() {
             let what = format!("{count} Gaussians of {coefficients} coefficients, {form}");
             let buffer = |i: usize| Buffer::from_slice(&gpu, &to_f32(&tensors[i]));
-            let device = DeviceInputs {
+            let device = Raw {
                 means: buffer(0),
                 rotations: buffer(1),
                 log_scales: buffer(2),
                 logit_opacities: buffer(3),
                 sh: buffer(4),
-                matte: None,
             };
             let opacities = launch_opacities(&gpu, &device);
             let slopes = launch_opacity_slopes(&gpu, &device.logit_opacities, &opacities).read(&gpu);
@@ -102,41 +102,6 @@ fn activations_and_slopes_agree_with_the_twin() {
                     "{what}: {found}, {expected}"
                 );
             }
-        }
-    }
-}
-
-/// Of the last Gaussians only the coefficients of degree 0 are looked at, because they have no others.
-#[test]
-fn matte_gaussians_are_masked_like_others() {
-    const COEFFICIENTS: usize = 9;
-    for (count, first) in [(1_500, 800), (300, 1), (2_100, 2_099)] {
-        let mut flat = tensors(count as u64, count, COEFFICIENTS);
-        flat[4][3 * COEFFICIENTS * first..].chunks_mut(3 * COEFFICIENTS).for_each(|row| row[3..].fill(0.0));
-        poison(&mut flat);
-        // What is poisoned among the coefficients that a matte Gaussian does not have is lost with them.
-        flat[4][3 * COEFFICIENTS * first..].chunks_mut(3 * COEFFICIENTS).for_each(|row| row[3..].fill(0.0));
-        for row in (first..count).step_by(7) {
-            flat[4][3 * COEFFICIENTS * row + row % 3] = f64::NAN;
-        }
-        let (sh, rows) = flat[4].split_at(3 * COEFFICIENTS * first);
-        let matte: Vec<f64> = rows.chunks_exact(3 * COEFFICIENTS).flat_map(|row| &row[..3]).copied().collect();
-        let expected = opacities_cpu(inputs(&flat));
-        assert!(expected[first..].contains(&0.0), "nothing matte is masked");
-        assert_eq!(opacities_of_groups_cpu(Inputs { sh, ..inputs(&flat) }, &matte), expected);
-        for (form, gpu) in gpus() {
-            let buffer = |values: &[f64]| Buffer::from_slice(&gpu, &to_f32(values));
-            let whole = DeviceInputs {
-                means: buffer(&flat[0]),
-                rotations: buffer(&flat[1]),
-                log_scales: buffer(&flat[2]),
-                logit_opacities: buffer(&flat[3]),
-                sh: buffer(&flat[4]),
-                matte: None,
-            };
-            let parted = DeviceInputs { sh: buffer(sh), matte: Some(buffer(&matte)), ..whole.clone() };
-            let read = |inputs| launch_opacities(&gpu, inputs).read(&gpu);
-            assert_eq!(read(&parted), read(&whole), "{first} of {count}, {form}");
         }
     }
 }
@@ -166,14 +131,7 @@ fn a_number_that_is_not_finite_is_found_wherever_it_is() {
 fn nothing_is_activated() {
     let Some(gpu) = gpu() else { return };
     let empty = || Buffer::from_slice(&gpu, &[] as &[f32]);
-    let device = DeviceInputs {
-        means: empty(),
-        rotations: empty(),
-        log_scales: empty(),
-        logit_opacities: empty(),
-        sh: empty(),
-        matte: None,
-    };
+    let device = Raw { means: empty(), rotations: empty(), log_scales: empty(), logit_opacities: empty(), sh: empty() };
     assert!(launch_opacities(&gpu, &device).read(&gpu).is_empty());
     assert!(launch_opacity_slopes(&gpu, &empty(), &empty()).read(&gpu).is_empty());
     assert!(launch_scales(&gpu, &empty()).read(&gpu).is_empty());

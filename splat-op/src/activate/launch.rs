@@ -1,27 +1,11 @@
 //! Launches of `activate`.
 
 use super::forward::{non_finite_kernel, opacities_kernel, opacity_slopes_kernel, scales_kernel};
+use super::rule::Raw;
 use crate::gpu::{Buffer, Gpu, elementwise};
 
 /// Units that look for values that are not finite: enough to occupy a large card, few enough that each has several.
 const SEEKERS: usize = 65_536;
-
-/// Inputs on the device, row-major.
-#[derive(Clone, Debug)]
-pub(crate) struct DeviceInputs {
-    /// `[N, 3]`.
-    pub means: Buffer<f32>,
-    /// `[N, 4]`.
-    pub rotations: Buffer<f32>,
-    /// `[N, 3]`.
-    pub log_scales: Buffer<f32>,
-    /// `[N]`.
-    pub logit_opacities: Buffer<f32>,
-    /// `[N, K, 3]`, or `[M, K, 3]`.
-    pub sh: Buffer<f32>,
-    /// `[N − M, 1, 3]`, if there are matte Gaussians.
-    pub matte: Option<Buffer<f32>>,
-}
 
 /// `[N, 3]` standard deviations.
 pub(crate) fn launch_scales(gpu: &Gpu, log_scales: &Buffer<f32>) -> Buffer<f32> {
@@ -44,12 +28,11 @@ pub(crate) fn launch_scales(gpu: &Gpu, log_scales: &Buffer<f32>) -> Buffer<f32> 
 }
 
 /// `[N]` opacities.
-pub(crate) fn launch_opacities(gpu: &Gpu, inputs: &DeviceInputs) -> Buffer<f32> {
+pub(crate) fn launch_opacities(gpu: &Gpu, inputs: &Raw<Buffer<f32>>) -> Buffer<f32> {
     let count = inputs.logit_opacities.len;
     let opacities = Buffer::new(gpu, count);
     if count > 0 {
         let (grid, dim) = elementwise(count);
-        let first_matte = inputs.matte.as_ref().map(|matte| count - matte.len / 3);
         // SAFETY: every access is guarded by the number of Gaussians.
         unsafe {
             opacities_kernel::launch_unchecked(
@@ -61,11 +44,9 @@ pub(crate) fn launch_opacities(gpu: &Gpu, inputs: &DeviceInputs) -> Buffer<f32> 
                 inputs.log_scales.arg(),
                 inputs.logit_opacities.arg(),
                 inputs.sh.arg(),
-                inputs.matte.as_ref().map(Buffer::arg).into(),
-                first_matte.map(|first| first as u32).into(),
                 opacities.arg(),
                 count as u32,
-                (inputs.sh.len / first_matte.unwrap_or(count).max(1)) as u32,
+                (inputs.sh.len / count) as u32,
             );
         }
     }

@@ -20,7 +20,7 @@
 //! its digits where `opacity (1 − opacity)` has lost them.
 //!
 //! Shapes: centres `[N, 3]`, quaternions `[N, 4]`, logarithms of standard deviations `[N, 3]`, logits `[N]`, coefficients
-//! `[N, K, 3]`, or `[M, K, 3]` and `[N − M, 1, 3]` → standard deviations `[N, 3]`, opacities `[N]`.
+//! `[N, K, 3]` → standard deviations `[N, 3]`, opacities `[N]`.
 
 pub(crate) mod cpu;
 #[cfg(feature = "cube")]
@@ -29,23 +29,19 @@ mod forward;
 mod kernel_tests;
 #[cfg(feature = "cube")]
 pub(crate) mod launch;
+pub(crate) mod rule;
 #[cfg(test)]
 mod tests;
 
 use burn::backend::Dispatch;
 use burn::tensor::{Int, Tensor};
 
-use crate::bind::activate::{ActivateBackend, ActivateInputs};
+pub use rule::{LARGEST, LARGEST_LOG_SCALE};
+
+use crate::backend::activate::ActivateBackend;
 use crate::check::Reference;
 use crate::error::SplatError;
-use crate::op::Slot;
-
-/// The largest absolute value of a usable coordinate or colour coefficient: its square, and sums of many of those, are f32
-/// values. No scene that can be seen is that large.
-pub const LARGEST: f64 = 1e18;
-
-/// The largest usable logarithm of a standard deviation: `exp(88)` is 1.7e38, half of the largest f32.
-pub const LARGEST_LOG_SCALE: f64 = 88.0;
+pub(crate) use rule::Raw;
 
 /// Gaussians with unconstrained parameters, one row each, all of one float type and on one device.
 #[derive(Clone, Debug)]
@@ -58,11 +54,8 @@ pub struct RawSplats {
     pub log_scales: Tensor<2>,
     /// `[N]`: logits of the opacities.
     pub logit_opacities: Tensor<1>,
-    /// `[N, K, 3]`: colour coefficients; those of the first Gaussians if there are `matte` ones. Only whether they are usable
-    /// matters here.
+    /// `[N, K, 3]`: colour coefficients. Only whether they are usable matters here.
     pub sh: Tensor<3>,
-    /// Those of the Gaussians that `sh` has no row of, `[N − M, 1, 3]`; see [`Colour::Mixed`](crate::Colour::Mixed).
-    pub matte: Option<Tensor<3>>,
 }
 
 /// Standard deviations `[N, 3]`, scene units, from their natural logarithms; 0 where one is unusable.
@@ -87,21 +80,13 @@ pub fn opacities(raw: &RawSplats) -> Result<Tensor<1>, SplatError> {
     reference.check("rotations", &raw.rotations, [Some(count), Some(4)], "[N, 4]")?;
     reference.check("log_scales", &raw.log_scales, [Some(count), Some(3)], "[N, 3]")?;
     reference.check("logit_opacities", &raw.logit_opacities, [Some(count)], "[N]")?;
-    match &raw.matte {
-        None => reference.check("sh", &raw.sh, [Some(count), None, Some(3)], "[N, K, 3]")?,
-        Some(matte) => {
-            let first = raw.sh.dims()[0].min(count);
-            reference.check("sh", &raw.sh, [Some(first), None, Some(3)], "[M, K, 3]")?;
-            reference.check("matte", matte, [Some(count - first), Some(1), Some(3)], "[N − M, 1, 3]")?;
-        }
-    }
-    let inputs = ActivateInputs {
-        means: raw.means.clone().into_dispatch(),
-        rotations: raw.rotations.clone().into_dispatch(),
-        log_scales: raw.log_scales.clone().into_dispatch(),
-        logit_opacities: raw.logit_opacities.clone().into_dispatch(),
-        sh: raw.sh.clone().into_dispatch(),
-        matte: raw.matte.clone().map_or(Slot::Skip, |matte| Slot::Have(matte.into_dispatch())),
+    reference.check("sh", &raw.sh, [Some(count), None, Some(3)], "[N, K, 3]")?;
+    let inputs = Raw {
+        means: raw.means.clone().into(),
+        rotations: raw.rotations.clone().into(),
+        log_scales: raw.log_scales.clone().into(),
+        logit_opacities: raw.logit_opacities.clone().into(),
+        sh: raw.sh.clone().into(),
     };
     Ok(Tensor::from_dispatch(<Dispatch as ActivateBackend>::opacities(inputs)))
 }

@@ -2,7 +2,7 @@
 
 use burn::tensor::{DType, Device, Tensor, TensorData};
 
-use super::cpu::{Inputs, all_finite_cpu, opacities_cpu, opacity_slopes_cpu, scales_cpu};
+use super::cpu::{all_finite_cpu, opacities_cpu, opacity_slopes_cpu, scales_cpu};
 use super::*;
 use crate::testing::random::Random;
 
@@ -12,13 +12,7 @@ fn opacities_of(logits: &[f64]) -> Vec<f64> {
     let count = logits.len();
     let rotations: Vec<f64> = (0..count).flat_map(|_| [1.0, 0.0, 0.0, 0.0]).collect();
     let zeros = vec![0.0; 3 * count];
-    opacities_cpu(Inputs {
-        means: &zeros,
-        rotations: &rotations,
-        log_scales: &zeros,
-        logit_opacities: logits,
-        sh: &zeros,
-    })
+    opacities_cpu(Raw { means: &zeros, rotations: &rotations, log_scales: &zeros, logit_opacities: logits, sh: &zeros })
 }
 
 #[test]
@@ -82,7 +76,7 @@ const SLOTS: [Slot; 5] = [
 /// The opacity by the function on the host, by the twin in f32, and whether it has a slope.
 fn judged(one: &One) -> (bool, f32, f32) {
     let usable = is_usable(&one.mean, &one.rotation, &one.log_scale, one.logit, [&one.sh[..5], &one.sh[5..]]);
-    let opacity = opacities_cpu(Inputs {
+    let opacity = opacities_cpu(Raw {
         means: &one.mean,
         rotations: &one.rotation,
         log_scales: &one.log_scale,
@@ -154,7 +148,6 @@ fn no_gradient_passes_a_masked_gaussian_even_where_one_is_not_finite() {
                 TensorData::new([vec![0.1; 9], vec![f32::NAN; 3], vec![0.1; 3]].concat(), [5, 1, 3]),
                 &device,
             ),
-            matte: None,
         };
         let (scales, opacities) = (scales(&raw.log_scales).unwrap(), opacities(&raw).unwrap());
         let loss = (scales * 2.0).sum() + (opacities * 4.0).sum();
@@ -201,7 +194,6 @@ fn what_does_not_fit_is_named() {
         log_scales: zeros([4, 3]),
         logit_opacities: Tensor::zeros([4], &device),
         sh: Tensor::zeros([4, 1, 3], &device),
-        matte: None,
     };
     assert!(opacities(&raw).is_ok());
     let named = |raw: RawSplats, name: &str| {
@@ -212,12 +204,5 @@ fn what_does_not_fit_is_named() {
     named(RawSplats { log_scales: zeros([4, 2]), ..raw.clone() }, "log_scales");
     named(RawSplats { logit_opacities: Tensor::zeros([5], &device), ..raw.clone() }, "logit_opacities");
     named(RawSplats { sh: Tensor::zeros([4, 1, 2], &device), ..raw.clone() }, "sh");
-    let coefficients = |shape| Tensor::<3>::zeros(shape, &device);
-    let parted = RawSplats { sh: coefficients([3, 9, 3]), matte: Some(coefficients([1, 1, 3])), ..raw.clone() };
-    assert!(opacities(&parted).is_ok());
-    named(RawSplats { sh: coefficients([5, 9, 3]), ..parted.clone() }, "sh");
-    for wrong in [[2, 1, 3], [1, 4, 3], [1, 1, 4]] {
-        named(RawSplats { matte: Some(coefficients(wrong)), ..parted.clone() }, "matte");
-    }
     assert!(scales(&zeros([4, 4])).is_err());
 }

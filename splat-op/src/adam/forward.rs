@@ -2,7 +2,7 @@
 
 use cubecl::prelude::*;
 
-use super::Band;
+use super::rule::Band;
 use crate::gpu::math::finite;
 
 /// The scalars of one step.

@@ -1,7 +1,7 @@
 //! Launches of Adam's step and of the look at what it is to be made of.
 
 use super::forward::{StepFactorsLaunch, adam_kernel, watch_kernel};
-use super::{Band, Factors};
+use super::rule::{Band, Factors};
 use crate::gpu::{Buffer, Gpu, elementwise};
 
 /// Units that look for values that are not finite: enough to occupy a large card, few enough that each has several.

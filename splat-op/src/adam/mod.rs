@@ -23,72 +23,16 @@ mod forward;
 #[cfg(all(test, feature = "cube"))]
 mod kernel_tests;
 #[cfg(feature = "cube")]
-mod launch;
-#[cfg(feature = "cube")]
-mod op;
+pub(crate) mod launch;
+pub(crate) mod rule;
 
+#[cfg(feature = "cube")]
+use burn::backend::Dispatch;
 use burn::tensor::{Int, Tensor};
+pub use rule::{Band, Factors, Rates, VERDICT};
 
 #[cfg(feature = "cube")]
-pub use op::{AdamBackend, AdamInputs, AdamState, Held};
-
-/// Numbers of a verdict.
-pub const VERDICT: usize = 2;
-
-/// The rates of a parameter `[N, K, …]`.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Rates {
-    /// Of what has index 0 in the second dimension.
-    pub first: f64,
-    /// Of all else, and of parameters of one dimension.
-    pub others: f64,
-}
-
-impl From<f64> for Rates {
-    /// One rate for all.
-    fn from(rate: f64) -> Self {
-        Self { first: rate, others: rate }
-    }
-}
-
-impl Rates {
-    /// Both times `factor`.
-    pub fn times(self, factor: f64) -> Self {
-        Self { first: self.first * factor, others: self.others * factor }
-    }
-
-    /// Where the first rate holds in a parameter of the shape `dims`: what has index 0 in its second dimension. `None` if
-    /// there is one rate for all.
-    pub fn band(&self, dims: &[usize]) -> Option<Band> {
-        let width = dims.get(2..).unwrap_or_default().iter().product::<usize>();
-        let period = dims.get(1).map_or(0, |rows| rows * width);
-        (self.first != self.others && period > 0).then_some(Band { period, width })
-    }
-}
-
-/// The first `width` of every `period` numbers, row-major. Neither is 0.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub struct Band {
-    /// Numbers from one band to the next.
-    pub period: usize,
-    /// Numbers of one band.
-    pub width: usize,
-}
-
-/// The scalars of one step; see [this module](self).
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Factors {
-    /// Share of the first moment that is kept.
-    pub beta1: f64,
-    /// Share of the second moment that is kept.
-    pub beta2: f64,
-    /// The learning rates with both bias corrections.
-    pub rate: Rates,
-    /// Added to the root of the second moment, above 0.
-    pub floor: f64,
-    /// The largest absolute value of a gradient that is computed with.
-    pub largest: f64,
-}
+use crate::backend::adam::{AdamBackend, AdamInputs, AdamState, Held};
 
 /// A parameter with its moments.
 #[derive(Clone, Debug)]
@@ -116,7 +60,16 @@ pub fn step<const D: usize>(
 ) -> Result<Stepped<D>, Stepped<D>> {
     #[cfg(feature = "cube")]
     if taken(&from.param) {
-        return Ok(op::step(from, grad, verdict, factors));
+        let inputs = AdamInputs {
+            param: from.param.into_dispatch(),
+            grad: grad.clone().into_dispatch(),
+            m: from.m.into_dispatch(),
+            v: from.v.into_dispatch(),
+            held: verdict.map_or(Held::Never, |verdict| Held::By(verdict.clone().into_dispatch())),
+        };
+        let AdamState { param, m, v } = <Dispatch as AdamBackend>::adam(inputs, factors);
+        let [param, m, v] = [param, m, v].map(Tensor::from_dispatch);
+        return Ok(Stepped { param, m, v });
     }
     Err(from)
 }
@@ -136,7 +89,8 @@ pub fn watch<const D: usize>(
 ) -> Result<Tensor<1, Int>, Tensor<1, Int>> {
     #[cfg(feature = "cube")]
     if taken(values) {
-        return Ok(op::watch(values, verdict, at_step, bit));
+        let (values, verdict) = (values.clone().into_dispatch(), verdict.into_dispatch());
+        return Ok(Tensor::from_dispatch(<Dispatch as AdamBackend>::watch(values, verdict, at_step, bit)));
     }
     Err(verdict)
 }

@@ -8,7 +8,7 @@ use super::footprint::UNWHITEN;
 use super::prepared::Prepared;
 use super::tile::{Plane, Thresholds, TileView, blend_tile};
 use super::tile_backward::{MOMENTS, Scratch, TileGrad, blend_tile_backward};
-use super::{BlendNeeds, BlendSpec};
+use super::{BlendSpec, Layers};
 use crate::project::{COLUMNS, Ellipse};
 use crate::real::Real;
 use crate::tile::{HitLists, TILE, TILE_PIXELS};
@@ -16,28 +16,12 @@ use crate::tile::{HitLists, TILE, TILE_PIXELS};
 /// Gaussians per task.
 const CHUNK: usize = 1024;
 
-/// Borrowed inputs, row-major.
-#[derive(Clone, Copy)]
-pub(crate) struct Inputs<'a, F> {
-    pub projected: &'a [F],
-    pub features: &'a [F],
-    pub background: &'a [F],
-}
-
 /// What the forward pass keeps for the backward pass, tile by tile.
 pub(crate) struct Trace<F>(Vec<TileTrace<F>>);
 
 struct TileTrace<F> {
     passed: usize,
     checkpoints: Vec<F>,
-}
-
-/// Gradients; an empty vector where none was asked for.
-pub(crate) struct Grads<F> {
-    pub projected: Vec<F>,
-    pub features: Vec<F>,
-    pub background: Vec<F>,
-    pub mean2d_abs: Vec<F>,
 }
 
 /// Runs `$body` with the SIMD level of this processor as `$simd` and the number of channels as the constant `$c` where a
@@ -68,7 +52,7 @@ macro_rules! specialised {
 
 /// Planes `[C + 1 (+ 1), H, W]`, and the trace if it is to be kept.
 pub(crate) fn blend_cpu<F: Real>(
-    inputs: Inputs<F>,
+    inputs: Layers<&[F]>,
     spec: &BlendSpec,
     hits: &HitLists,
     keep: bool,
@@ -139,12 +123,12 @@ fn compose<F: Real>(by_tile: &[F], background: &[F], prepared: &Prepared<F>, str
 
 /// Gradients of the inputs from `grad`, that of the planes. Without a trace the forward pass runs again.
 pub(crate) fn blend_backward_cpu<F: Real>(
-    inputs: Inputs<F>,
+    inputs: Layers<&[F]>,
     grad: &[F],
     spec: &BlendSpec,
     (hits, trace): (&HitLists, Option<&Trace<F>>),
-    needs: BlendNeeds,
-) -> Grads<F> {
+    needs: Layers<bool>,
+) -> Layers<Vec<F>> {
     let rebuilt;
     let trace = match trace {
         Some(trace) => trace,
@@ -248,15 +232,15 @@ fn tile_gradient<F: Real>(
 
 /// Adds each Gaussian's hits in order and turns the sums into gradients of its ellipse and features.
 fn gather<F: Real>(
-    inputs: &Inputs<F>,
+    inputs: &Layers<&[F]>,
     prepared: &Prepared<F>,
     hit_sums: &[F],
     columns: usize,
-    needs: BlendNeeds,
-) -> Grads<F> {
+    needs: Layers<bool>,
+) -> Layers<Vec<F>> {
     let (count, features) = (prepared.footprints.len(), inputs.background.len());
     let rows = |needed: bool, columns: usize| vec![F::ZERO; if needed { count * columns } else { 0 }];
-    let mut grads = Grads {
+    let mut grads = Layers {
         projected: rows(needs.projected, COLUMNS),
         features: rows(needs.features, features),
         background: Vec::new(),

@@ -1,7 +1,7 @@
 //! What numerical dials change on CPUs, and what they must not.
 
-use super::cpu::{Inputs, blend_backward_cpu, blend_cpu};
-use super::{BlendNeeds, BlendSpec};
+use super::cpu::{blend_backward_cpu, blend_cpu};
+use super::{BlendSpec, Layers};
 use crate::camera::Intrinsics;
 use crate::dials::{Culling, Exponential};
 use crate::options::RenderOptions;
@@ -11,7 +11,7 @@ use crate::testing::random::Random;
 use crate::tile::Cut;
 use crate::tile::cpu::tile_cpu;
 
-const ALL: BlendNeeds = BlendNeeds { projected: true, features: true, background: true, mean2d_abs: true };
+const ALL: Layers<bool> = Layers { projected: true, features: true, background: true, mean2d_abs: true };
 
 const NAMES: [&str; 5] = ["planes", "gradient of ellipses", "of features", "of the background", "absolute"];
 
@@ -48,7 +48,7 @@ impl Needles {
         let spec = BlendSpec { intrinsics: Intrinsics::centred(64, 56, 30.0), options };
         let (packed, features) = (real(&self.packed), real(&self.features));
         let background = real(&Random::new(3).fill(self.channels, -1.0, 1.0));
-        let inputs = Inputs { projected: &packed, features: &features, background: &background };
+        let inputs = Layers { projected: &packed[..], features: &features, background: &background, mean2d_abs: &[] };
         let lists = tile_cpu(&packed, &spec.intrinsics, Cut::of(&options));
         let longest = lists.tile_start.windows(2).map(|ends| ends[1] - ends[0]).max().expect("there are tiles");
         let grad = real(&Random::new(4).fill(spec.planes(self.channels) * 64 * 56, -1.0, 1.0));

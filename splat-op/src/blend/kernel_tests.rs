@@ -1,8 +1,8 @@
 //! Kernels of `blend` against the CPU twin in f64, within what f32 can hold.
 
-use super::cpu::{Grads, Inputs, blend_backward_cpu, blend_cpu};
-use super::launch::{DeviceGrads, DeviceInputs, launch_blend, launch_blend_backward};
-use super::{BlendNeeds, BlendSpec};
+use super::cpu::{blend_backward_cpu, blend_cpu};
+use super::launch::{launch_blend, launch_blend_backward};
+use super::{BlendSpec, Layers};
 use crate::camera::Intrinsics;
 use crate::gpu::{Buffer, Gpu};
 use crate::options::{Accumulation, RenderOptions};
@@ -15,7 +15,7 @@ use crate::tile::Cut;
 use crate::tile::cpu::tile_cpu;
 use crate::tile::launch::launch_tile;
 
-pub(super) const ALL: BlendNeeds = BlendNeeds { projected: true, features: true, background: true, mean2d_abs: true };
+pub(super) const ALL: Layers<bool> = Layers { projected: true, features: true, background: true, mean2d_abs: true };
 
 #[derive(Clone)]
 pub(super) struct Scene {
@@ -56,8 +56,8 @@ impl Scene {
         self
     }
 
-    fn inputs(&self) -> Inputs<'_, f64> {
-        Inputs { projected: &self.projected, features: &self.features, background: &self.background }
+    fn inputs(&self) -> Layers<&'_ [f64]> {
+        Layers { projected: &self.projected, features: &self.features, background: &self.background, mean2d_abs: &[] }
     }
 
     fn planes(&self) -> Vec<f64> {
@@ -65,7 +65,7 @@ impl Scene {
         blend_cpu(self.inputs(), &self.spec, &lists, false).0
     }
 
-    fn backward(&self, grad: &[f64]) -> Grads<f64> {
+    fn backward(&self, grad: &[f64]) -> Layers<Vec<f64>> {
         let lists = tile_cpu(&self.projected, &self.spec.intrinsics, Cut::of(&self.spec.options));
         blend_backward_cpu(self.inputs(), grad, &self.spec, (&lists, None), ALL)
     }
@@ -95,17 +95,18 @@ impl Scene {
         band
     }
 
-    pub fn device(&self, gpu: &Gpu) -> DeviceInputs {
+    pub fn device(&self, gpu: &Gpu) -> Layers<Buffer<f32>> {
         let buffer = |values: &[f64]| Buffer::from_slice(gpu, &values.iter().map(|&v| v as f32).collect::<Vec<_>>());
-        DeviceInputs {
+        Layers {
             projected: buffer(&self.projected),
             features: buffer(&self.features),
             background: buffer(&self.background),
+            mean2d_abs: Buffer::new(gpu, 0),
         }
     }
 
     /// Planes and gradients on the device.
-    fn on(&self, gpu: &Gpu, grad: &[f64], needs: BlendNeeds) -> (Vec<f32>, DeviceGrads) {
+    fn on(&self, gpu: &Gpu, grad: &[f64], needs: Layers<bool>) -> (Vec<f32>, Layers<Option<Buffer<f32>>>) {
         let inputs = self.device(gpu);
         let lists = launch_tile(gpu, &inputs.projected, &self.spec.intrinsics, Cut::of(&self.spec.options));
         let grad = Buffer::from_slice(gpu, &grad.iter().map(|&v| v as f32).collect::<Vec<_>>());
@@ -218,7 +219,7 @@ fn only_what_is_needed() {
     let all = [all.projected, all.features, all.background, all.mean2d_abs].map(|b| b.expect("asked for").read(&gpu));
     for mask in 0..16_usize {
         let bit = |i: usize| mask >> i & 1 == 1;
-        let needs = BlendNeeds { projected: bit(0), features: bit(1), background: bit(2), mean2d_abs: bit(3) };
+        let needs = Layers { projected: bit(0), features: bit(1), background: bit(2), mean2d_abs: bit(3) };
         let some = scene.on(&gpu, &grad, needs).1;
         let some = [some.projected, some.features, some.background, some.mean2d_abs];
         for (i, some) in some.into_iter().enumerate() {

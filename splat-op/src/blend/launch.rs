@@ -7,7 +7,7 @@ use super::channels::blend_channels_kernel;
 use super::forward::blend_forward_kernel;
 use super::layer::{BUCKET, LimitsLaunch, Shape};
 use super::strips::blend_strips_kernel;
-use super::{BlendNeeds, BlendSpec};
+use super::{BlendSpec, Layers};
 use crate::dials::Exponential;
 use crate::gpu::reduce::launch_column_sums;
 use crate::gpu::{Buffer, Gpu, UNITS, cubes, elementwise};
@@ -21,18 +21,7 @@ use crate::tile::{TILE_PIXELS, tile_grid};
 /// of shared memory.
 const CHANNEL_UNITS: usize = 64;
 
-/// Inputs on the device, row-major.
-#[derive(Clone)]
-pub(crate) struct DeviceInputs {
-    /// `[N, 7]`.
-    pub projected: Buffer<f32>,
-    /// `[N, C]`.
-    pub features: Buffer<f32>,
-    /// `[C]`.
-    pub background: Buffer<f32>,
-}
-
-impl DeviceInputs {
+impl Layers<Buffer<f32>> {
     fn shape(&self, spec: &BlendSpec) -> Shape {
         Shape {
             features: self.background.len,
@@ -56,19 +45,6 @@ pub(crate) struct DeviceTrace {
     behind: Buffer<f32>,
     /// `[tiles]`: buckets passed before every pixel was finished.
     passed: Buffer<u32>,
-}
-
-/// Gradients, each only where it was asked for.
-#[derive(Default)]
-pub(crate) struct DeviceGrads {
-    /// `[N, 7]`.
-    pub projected: Option<Buffer<f32>>,
-    /// `[N, C]`.
-    pub features: Option<Buffer<f32>>,
-    /// `[C]`.
-    pub background: Option<Buffer<f32>>,
-    /// `[N, 2]`.
-    pub mean2d_abs: Option<Buffer<f32>>,
 }
 
 /// Pixels of a unit forwards for few channels; see `forward.rs`. For many there is one.
@@ -100,7 +76,7 @@ fn assert_fits(gpu: &Gpu, what: &'static str, len: usize) {
 /// Planes `[C + 1 (+ 1), H, W]`, and the trace if it is to be kept.
 pub(crate) fn launch_blend(
     gpu: &Gpu,
-    inputs: &DeviceInputs,
+    inputs: &Layers<Buffer<f32>>,
     lists: &DeviceLists,
     spec: &BlendSpec,
     keep: bool,
@@ -148,13 +124,13 @@ pub(crate) fn launch_blend(
 /// Gradients of the inputs from `grad`, that of the planes; of the features alone where nothing else has one.
 pub(crate) fn launch_blend_backward(
     gpu: &Gpu,
-    inputs: &DeviceInputs,
+    inputs: &Layers<Buffer<f32>>,
     grad: &Buffer<f32>,
     lists: &DeviceLists,
     trace: &DeviceTrace,
     spec: &BlendSpec,
-    needs: BlendNeeds,
-) -> DeviceGrads {
+    needs: Layers<bool>,
+) -> Layers<Option<Buffer<f32>>> {
     let camera = &spec.intrinsics;
     let shape = inputs.shape(spec);
     let alone = grad.len == shape.features * camera.width * camera.height;
@@ -190,9 +166,9 @@ pub(crate) fn launch_blend_backward(
             gpu.planes,
         );
     }
-    let mut grads = DeviceGrads {
+    let mut grads = Layers {
         background: needs.background.then(|| launch_column_sums(gpu, &background, shape.features)),
-        ..DeviceGrads::default()
+        ..Layers::default()
     };
     if !(needs.projected || needs.features || needs.mean2d_abs) {
         return grads;

@@ -45,50 +45,23 @@ use std::any::Any;
 use std::ops::Range;
 use std::sync::{Arc, Mutex, OnceLock};
 
-use burn::backend::tensor::FloatTensor;
-use burn::backend::{Backend, ExtensionType};
-
 use crate::camera::Intrinsics;
-use crate::op::Slot;
 use crate::options::RenderOptions;
+use crate::record::record;
 
-/// Inputs of the stage.
-#[derive(Clone, Debug, ExtensionType)]
-#[extension_type(fusion: cfg(feature = "fusion"))]
-pub struct BlendInputs<B: Backend> {
-    /// `[N, 7]`, packed by `project`.
-    pub projected: FloatTensor<B>,
-    /// `[N, C]`.
-    pub features: FloatTensor<B>,
-    /// `[C]`.
-    pub background: FloatTensor<B>,
-}
-
-/// Gradients of the stage's inputs, each only where it was asked for.
-#[derive(Clone, Debug, ExtensionType)]
-#[extension_type(fusion: cfg(feature = "fusion"))]
-pub struct BlendGrads<B: Backend> {
-    /// `[N, 7]`.
-    #[extension_type]
-    pub projected: Slot<B>,
-    /// `[N, C]`.
-    #[extension_type]
-    pub features: Slot<B>,
-    /// `[C]`.
-    #[extension_type]
-    pub background: Slot<B>,
-    /// `[N, 2]`: `Σ |∂L/∂mean2d|`, the absolute value taken pixel by pixel (AbsGrad, Ye et al. 2024), per px.
-    #[extension_type]
-    pub mean2d_abs: Slot<B>,
-}
-
-/// Which gradients are asked for.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct BlendNeeds {
-    pub projected: bool,
-    pub features: bool,
-    pub background: bool,
-    pub mean2d_abs: bool,
+record! {
+    /// What is blended.
+    pub struct Layers {
+        /// `[N, 7]`, packed by `project`.
+        projected,
+        /// `[N, C]`.
+        features,
+        /// `[C]`.
+        background,
+        /// The probe of AbsGrad (Ye et al. 2024): `[N, 2]`, or `[0, 2]` for none, and not read. Its gradient is `Σ |∂L/∂mean2d|`, the
+        /// absolute value taken pixel by pixel, per px.
+        mean2d_abs,
+    }
 }
 
 /// The plain numbers the stage depends on.

@@ -1,7 +1,7 @@
 //! `blend` against a sum written out pixel by pixel and against central finite differences.
 
-use super::cpu::{Grads, Inputs, blend_backward_cpu, blend_cpu};
-use super::{BlendNeeds, BlendSpec};
+use super::cpu::{blend_backward_cpu, blend_cpu};
+use super::{BlendSpec, Layers};
 use crate::camera::Intrinsics;
 use crate::options::RenderOptions;
 use crate::project::{COLUMNS, Ellipse};
@@ -12,7 +12,7 @@ use crate::testing::random::Random;
 use crate::tile::cpu::tile_cpu;
 use crate::tile::{Cut, HitLists};
 
-const ALL: BlendNeeds = BlendNeeds { projected: true, features: true, background: true, mean2d_abs: true };
+const ALL: Layers<bool> = Layers { projected: true, features: true, background: true, mean2d_abs: true };
 
 /// Packed ellipses, features, background.
 #[derive(Clone)]
@@ -51,7 +51,7 @@ impl Scene {
         blend_cpu(inputs(&self.inputs), &self.spec, &self.lists(), false).0
     }
 
-    fn backward(&self, grad: &[f64], needs: BlendNeeds) -> Grads<f64> {
+    fn backward(&self, grad: &[f64], needs: Layers<bool>) -> Layers<Vec<f64>> {
         let lists = self.lists();
         let (_, trace) = blend_cpu(inputs(&self.inputs), &self.spec, &lists, true);
         blend_backward_cpu(inputs(&self.inputs), grad, &self.spec, (&lists, trace.as_ref()), needs)
@@ -91,8 +91,8 @@ impl Scene {
     }
 }
 
-fn inputs<F>([projected, features, background]: &[Vec<F>; 3]) -> Inputs<'_, F> {
-    Inputs { projected, features, background }
+fn inputs<F>([projected, features, background]: &[Vec<F>; 3]) -> Layers<&'_ [F]> {
+    Layers { projected, features, background, mean2d_abs: &[] }
 }
 
 /// The definition, pixel by pixel.
@@ -191,7 +191,7 @@ fn absolute_gradients_are_the_sum_over_pixels_of_absolute_values() {
             let mut alone = vec![0.0; grad.len()];
             let planes = (pixel..grad.len()).step_by(scene.pixels());
             planes.for_each(|i| alone[i] = grad[i]);
-            let g = scene.backward(&alone, BlendNeeds { features: false, background: false, mean2d_abs: false, ..ALL });
+            let g = scene.backward(&alone, Layers { features: false, background: false, mean2d_abs: false, ..ALL });
             for (sum, row) in expected.chunks_exact_mut(2).zip(g.projected.chunks_exact(COLUMNS)) {
                 sum[0] += row[0].abs();
                 sum[1] += row[1].abs();
@@ -205,13 +205,13 @@ fn absolute_gradients_are_the_sum_over_pixels_of_absolute_values() {
 fn each_gradient_is_the_same_alone_and_without_a_trace() {
     let scene = Scene::random(80, 120, (20, 13), 3, [0.05, 0.9], RenderOptions::standard().with_depth(true));
     let (grad, lists) = (scene.random_grad(81), scene.lists());
-    let list = |g: Grads<f64>| [g.projected, g.features, g.background, g.mean2d_abs];
+    let list = |g: Layers<Vec<f64>>| [g.projected, g.features, g.background, g.mean2d_abs];
     let all = list(scene.backward(&grad, ALL));
     let without = blend_backward_cpu(inputs(&scene.inputs), &grad, &scene.spec, (&lists, None), ALL);
     assert_eq!(list(without), all, "a trace is a cache");
     for alone in 0..4 {
         let [projected, features, background, mean2d_abs] = std::array::from_fn(|i| i == alone);
-        let needs = BlendNeeds { projected, features, background, mean2d_abs };
+        let needs = Layers { projected, features, background, mean2d_abs };
         for (i, gradient) in list(scene.backward(&grad, needs)).iter().enumerate() {
             let expected = if i == alone { all[i].as_slice() } else { &[] };
             assert_eq!(gradient, expected, "gradient {i}, asked for {alone}");

@@ -8,7 +8,7 @@ use std::ops::Range;
 use fearless_simd::{Level, dispatch, prelude::*};
 use rayon::prelude::*;
 
-use super::{C1, C2, TAPS, half_window};
+use super::taps::{C1, C2, Compared, TAPS, half_window};
 use crate::real::{LANES, Real};
 
 /// Taps on one side of the middle.
@@ -16,15 +16,6 @@ const HALF: usize = TAPS / 2;
 
 /// Rows per task. The first sweep goes over five rows more above and below, and filters ten.
 const BAND: usize = 96;
-
-/// Planes `[.., H, W]`, row-major: the picture, the photograph, its mean `μy` and its variance `σy² + C2`.
-#[derive(Clone, Copy)]
-pub(crate) struct Inputs<'a, F> {
-    pub image: &'a [F],
-    pub truth: &'a [F],
-    pub mean: &'a [F],
-    pub variance: &'a [F],
-}
 
 /// The size of a plane.
 #[derive(Clone, Copy)]
@@ -46,7 +37,7 @@ impl Size {
 
 /// The loss and, if asked for, its derivative with respect to the picture.
 pub(crate) fn photometric_cpu<F: Real>(
-    inputs: Inputs<F>,
+    inputs: Compared<&[F]>,
     size: Size,
     lambda: f64,
     with_gradient: bool,
@@ -122,7 +113,7 @@ fn split<'a, F>(bands: &'a [Band], mut out: &'a mut [F], columns: usize, wanted:
 
 /// What all tasks share.
 struct Job<'a, F> {
-    inputs: Inputs<'a, F>,
+    inputs: Compared<&'a [F]>,
     size: Size,
     lambda: F,
     /// One divided by the number of values.

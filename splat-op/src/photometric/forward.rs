@@ -2,7 +2,7 @@
 
 use cubecl::prelude::*;
 
-use super::{C1, C2, TAPS};
+use super::taps::{C1, C2, TAPS};
 
 /// Taps on one side of the middle.
 pub(super) const HALF: usize = TAPS / 2;

@@ -1,6 +1,7 @@
 //! The window and the loss on GPUs against sums written out in f64.
 
-use super::launch::{DeviceInputs, launch_photometric, launch_window};
+use super::launch::{launch_photometric, launch_window};
+use super::taps::Compared;
 use super::tests::{pictures, shares, window};
 use crate::gpu::Buffer;
 use crate::testing::ceiling::{Yardstick, to_f32};
@@ -32,7 +33,7 @@ fn loss_and_derivative_agree_with_the_definition() {
         };
         for (form, gpu) in gpus() {
             let buffer = |i: usize| Buffer::from_slice(&gpu, &to_f32(&inputs[i]));
-            let device = DeviceInputs { image: buffer(0), truth: buffer(1), mean: buffer(2), variance: buffer(3) };
+            let device = Compared { image: buffer(0), truth: buffer(1), mean: buffer(2), variance: buffer(3) };
             let (found, gradient) = launch_photometric(&gpu, &device, size, lambda, true);
             let plain = launch_photometric(&gpu, &device, size, lambda, false);
             let found = found.read(&gpu);

@@ -3,16 +3,8 @@
 use super::forward::{
     PlanesLaunch, WeightsLaunch, WindowLaunch, gradient_kernel, index_kernel, moments_kernel, window_kernel,
 };
-use super::half_window;
+use super::taps::{Compared, half_window};
 use crate::gpu::{Buffer, Gpu, elementwise};
-
-/// Inputs on the device, each `[C, H, W]`.
-pub(crate) struct DeviceInputs {
-    pub image: Buffer<f32>,
-    pub truth: Buffer<f32>,
-    pub mean: Buffer<f32>,
-    pub variance: Buffer<f32>,
-}
 
 /// Values of a unit down a column.
 const DOWN: usize = 8;
@@ -62,7 +54,7 @@ fn launch_direction(gpu: &Gpu, from: &Buffer<f32>, to: &Buffer<f32>, [width, hei
 /// The shares of the loss, and its derivative if asked for, each `[C, H, W]`.
 pub(crate) fn launch_photometric(
     gpu: &Gpu,
-    inputs: &DeviceInputs,
+    inputs: &Compared<Buffer<f32>>,
     size: [usize; 2],
     lambda: f64,
     with_gradient: bool,
@@ -79,7 +71,7 @@ pub(crate) fn launch_photometric(
 /// One loss.
 struct Job<'a> {
     gpu: &'a Gpu,
-    inputs: &'a DeviceInputs,
+    inputs: &'a Compared<Buffer<f32>>,
     size: [usize; 2],
     lambda: f64,
 }

@@ -13,31 +13,73 @@
 //!
 //! Shapes: everything is `[.., H, W]`, of at least two dimensions, values 0 to 1.
 
-mod cpu;
+pub(crate) mod cpu;
 #[cfg(feature = "cube")]
 mod forward;
 #[cfg(all(test, feature = "cube"))]
 mod kernel_tests;
 #[cfg(feature = "cube")]
-mod launch;
-mod op;
+pub(crate) mod launch;
+pub(crate) mod taps;
 #[cfg(test)]
 mod tests;
 
-pub use op::{Photometric, PhotometricBackend, PhotometricInputs, contiguous, photometric, window};
+use burn::backend::Dispatch;
+use burn::tensor::{DType, Tensor};
+use taps::Compared;
+pub use taps::{C1, C2, SIGMA_PX, TAPS};
 
-/// Taps of the window along each axis.
-pub const TAPS: usize = 11;
-/// Standard deviation of the window, px.
-pub const SIGMA_PX: f64 = 1.5;
-/// `(0.01 L)²` for the dynamic range `L` = 1: keeps the ratio of means defined where both are black.
-pub const C1: f64 = 1e-4;
-/// `(0.03 L)²`: keeps the ratio of variances defined where both are flat.
-pub const C2: f64 = 9e-4;
+use crate::backend::photometric::PhotometricBackend;
+use crate::limits::is_gpu;
 
-/// Half the window, from the middle outwards; the whole sums to one.
-fn half_window() -> [f64; TAPS / 2 + 1] {
-    let weight = |i: usize| (-(i as f64).powi(2) / (2.0 * SIGMA_PX * SIGMA_PX)).exp();
-    let sum: f64 = weight(0) + 2.0 * (1..=TAPS / 2).map(weight).sum::<f64>();
-    std::array::from_fn(|i| weight(i) / sum)
+/// The loss of `image` against a photograph, `[.., H, W]` f32, or f64 on CPUs, without autodiff: numbers whose sum it is, and
+/// its derivative if asked for.
+///
+/// The photograph is given by itself, its mean `μy` and its variance `σy² + C2`, all of the shape of the picture; `lambda`
+/// weighs the dissimilarity.
+///
+/// # Panics
+/// If the shapes differ, or the float type is another.
+pub fn photometric<const D: usize>(
+    image: &Tensor<D>,
+    photograph: [&Tensor<D>; 3],
+    lambda: f64,
+    with_gradient: bool,
+) -> (Tensor<D>, Option<Tensor<D>>) {
+    for tensor in [image, photograph[0], photograph[1], photograph[2]] {
+        check(tensor);
+        assert_eq!(tensor.dims(), image.dims(), "a picture and its photograph have one shape");
+        assert_eq!(tensor.dtype(), image.dtype(), "a picture and its photograph have one float type");
+    }
+    let [truth, mean, variance] = photograph.map(|planes| planes.clone().into());
+    let inputs = Compared { image: image.clone().into(), truth, mean, variance };
+    let found = <Dispatch as PhotometricBackend>::photometric(inputs, lambda, with_gradient);
+    (Tensor::from_dispatch(found.shares), found.gradient.into_option().map(Tensor::from_dispatch))
+}
+
+/// `Kx` of planes `[.., H, W]` f32, or f64 on CPUs, without autodiff.
+///
+/// # Panics
+/// If the float type is another.
+pub fn window<const D: usize>(planes: &Tensor<D>) -> Tensor<D> {
+    check(planes);
+    Tensor::from_dispatch(<Dispatch as PhotometricBackend>::window(planes.clone().into_dispatch()))
+}
+
+fn check<const D: usize>(tensor: &Tensor<D>) {
+    assert!(D >= 2, "a picture has rows and columns, found {D} dimension");
+    let dtype = tensor.dtype();
+    assert!(
+        dtype == DType::F32 || dtype == DType::F64 && !is_gpu(&tensor.device()),
+        "pictures are f32, or f64 on a CPU; found {dtype:?}"
+    );
+}
+
+/// The same planes, one after the other in memory: what is read at every step should not be put in order at every step.
+///
+/// # Panics
+/// If the float type is another than those of [`window`].
+pub fn contiguous<const D: usize>(planes: &Tensor<D>) -> Tensor<D> {
+    check(planes);
+    Tensor::from_dispatch(<Dispatch as PhotometricBackend>::contiguous(planes.clone().into_dispatch()))
 }

@@ -1,6 +1,7 @@
 //! The CPU twin against sums written out in f64.
 
-use super::cpu::{Inputs, Size, photometric_cpu, window_cpu};
+use super::cpu::{Size, photometric_cpu, window_cpu};
+use super::taps::Compared;
 use crate::real::Real;
 use crate::testing::ceiling::{Yardstick, rounded, to_f32};
 use crate::testing::random::Random;
@@ -58,7 +59,7 @@ fn twin<F: Real>(
     lambda: f64,
     with_gradient: bool,
 ) -> (F, Option<Vec<F>>) {
-    let inputs = Inputs { image: &inputs[0], truth: &inputs[1], mean: &inputs[2], variance: &inputs[3] };
+    let inputs = Compared { image: &inputs[0][..], truth: &inputs[1], mean: &inputs[2], variance: &inputs[3] };
     photometric_cpu(inputs, Size { width, height }, lambda, with_gradient)
 }
 

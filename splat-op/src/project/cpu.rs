@@ -5,33 +5,13 @@ use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
 
 use super::eight::{Gaussians, Lens, Projection};
-use super::{COLUMNS, Ellipse, ProjectNeeds, ProjectSpec};
+use super::{COLUMNS, Ellipse, Geometry, ProjectSpec};
 use crate::lanes::{BLOCK, Columns};
 use crate::real::{LANES, Real};
 
 /// Gaussians per task. Sums over all Gaussians add one partial sum per chunk in order, so the number of threads never
 /// changes a result.
 const CHUNK: usize = 1024;
-
-/// Borrowed inputs, row-major.
-#[derive(Clone, Copy)]
-pub(crate) struct Inputs<'a, F> {
-    pub means: &'a [F],
-    pub rotations: &'a [F],
-    pub scales: &'a [F],
-    pub opacities: &'a [F],
-    pub cam_from_world: &'a [F],
-}
-
-/// Gradients; an empty vector where none was asked for.
-pub(crate) struct Grads<F> {
-    pub means: Vec<F>,
-    pub rotations: Vec<F>,
-    pub scales: Vec<F>,
-    pub opacities: Vec<F>,
-    pub cam_from_world: Vec<F>,
-    pub mean2d: Vec<F>,
-}
 
 /// The parameters of up to [`BLOCK`] Gaussians, column by column.
 struct Parameters<F> {
@@ -47,7 +27,7 @@ impl<F: Real> Parameters<F> {
     }
 
     #[inline(always)]
-    fn read(&mut self, inputs: &Inputs<F>, first: usize) {
+    fn read(&mut self, inputs: &Geometry<&[F]>, first: usize) {
         self.means.read(&inputs.means[3 * first..]);
         self.rotations.read(&inputs.rotations[4 * first..]);
         self.scales.read(&inputs.scales[3 * first..]);
@@ -78,7 +58,7 @@ impl<F: Real> Parameters<F> {
 }
 
 /// `[N, 7]` packed ellipses.
-pub(crate) fn project_cpu<F: Real>(inputs: Inputs<F>, spec: &ProjectSpec) -> Vec<F> {
+pub(crate) fn project_cpu<F: Real>(inputs: Geometry<&[F]>, spec: &ProjectSpec) -> Vec<F> {
     let lens = Lens::new(inputs.cam_from_world, spec);
     let mut packed = vec![F::ZERO; inputs.opacities.len() * COLUMNS];
     packed.par_chunks_mut(CHUNK * COLUMNS).enumerate().for_each(|(chunk, rows)| {
@@ -94,7 +74,7 @@ pub(crate) fn project_cpu<F: Real>(inputs: Inputs<F>, spec: &ProjectSpec) -> Vec
 #[inline(always)]
 fn project_chunk<S: Simd, F: Real, const BENDS: bool>(
     simd: S,
-    inputs: &Inputs<F>,
+    inputs: &Geometry<&[F]>,
     lens: &Lens<F>,
     first: usize,
     rows: &mut [F],
@@ -116,15 +96,15 @@ fn project_chunk<S: Simd, F: Real, const BENDS: bool>(
 
 /// Gradients of the inputs from `grad`, the `[N, 7]` gradient of the packed ellipses.
 pub(crate) fn project_backward_cpu<F: Real>(
-    inputs: Inputs<F>,
+    inputs: Geometry<&[F]>,
     grad: &[F],
     spec: &ProjectSpec,
-    needs: ProjectNeeds,
-) -> Grads<F> {
+    needs: Geometry<bool>,
+) -> Geometry<Vec<F>> {
     let lens = Lens::new(inputs.cam_from_world, spec);
     let count = inputs.opacities.len();
     let rows = |needed: bool, columns: usize| vec![F::ZERO; if needed { count * columns } else { 0 }];
-    let mut grads = Grads {
+    let mut grads = Geometry {
         means: rows(needs.means, 3),
         rotations: rows(needs.rotations, 4),
         scales: rows(needs.scales, 3),
@@ -200,7 +180,7 @@ impl<F: Real> Chunk<'_, F> {
 #[inline(always)]
 fn backward_chunk<S: Simd, F: Real, const BENDS: bool>(
     simd: S,
-    inputs: &Inputs<F>,
+    inputs: &Geometry<&[F]>,
     lens: &Lens<F>,
     (first, grad): (usize, &[F]),
     needs_pose: bool,

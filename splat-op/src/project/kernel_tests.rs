@@ -4,9 +4,9 @@ use cubecl::prelude::{ComptimeOptionArgs, CubeCount, CubeDim};
 use glam::{DAffine3, DMat3, DQuat, DVec3};
 
 use super::backward::project_backward_kernel;
-use super::cpu::{Grads, Inputs, project_backward_cpu, project_cpu};
-use super::launch::{DeviceGrads, DeviceInputs, launch_project, launch_project_backward, lens};
-use super::{COLUMNS, COMPENSATION_MIN, ProjectNeeds, ProjectSpec};
+use super::cpu::{project_backward_cpu, project_cpu};
+use super::launch::{launch_project, launch_project_backward, lens};
+use super::{COLUMNS, COMPENSATION_MIN, Geometry, ProjectSpec};
 use crate::camera::{CameraModel, Intrinsics};
 use crate::gpu::{Buffer, Gpu, UNITS};
 use crate::options::RenderOptions;
@@ -15,8 +15,8 @@ use crate::testing::gpu::gpus;
 use crate::testing::lenses::lenses;
 use crate::testing::random::Random;
 
-const ALL: ProjectNeeds =
-    ProjectNeeds { means: true, rotations: true, scales: true, opacities: true, cam_from_world: true, mean2d: true };
+const ALL: Geometry<bool> =
+    Geometry { means: true, rotations: true, scales: true, opacities: true, cam_from_world: true, mean2d: true };
 const NAMES: [&str; 6] = ["means", "rotations", "scales", "opacities", "pose", "mean2d"];
 
 // Classes of Gaussians. The first two are well-conditioned.
@@ -90,9 +90,9 @@ const POSE: usize = 4;
 const LENS: usize = 5;
 const GRAD: usize = 6;
 
-fn inputs<F>(tensors: &[Vec<F>]) -> Inputs<'_, F> {
+fn inputs<F>(tensors: &[Vec<F>]) -> Geometry<&'_ [F]> {
     let [means, rotations, scales, opacities, cam_from_world, ..] = tensors else { unreachable!("five tensors") };
-    Inputs { means, rotations, scales, opacities, cam_from_world }
+    Geometry { means, rotations, scales, opacities, cam_from_world, mean2d: &[] }
 }
 
 impl Scene {
@@ -155,14 +155,15 @@ impl Scene {
         self.kinds.len()
     }
 
-    fn upload(&self, gpu: &Gpu) -> (DeviceInputs, Buffer<f32>) {
+    fn upload(&self, gpu: &Gpu) -> (Geometry<Buffer<f32>>, Buffer<f32>) {
         let buffer = |i: usize| Buffer::from_slice(gpu, &to_f32(&self.tensors[i]));
-        let inputs = DeviceInputs {
+        let inputs = Geometry {
             means: buffer(0),
             rotations: buffer(1),
             scales: buffer(2),
             opacities: buffer(3),
             cam_from_world: buffer(POSE),
+            mean2d: Buffer::new(gpu, 0),
         };
         (inputs, buffer(GRAD))
     }
@@ -212,11 +213,11 @@ fn margins(tensors: &[Vec<f64>], view: &View) -> Vec<Vec<f64>> {
     vec![near, rest]
 }
 
-fn list(g: Grads<f64>) -> Vec<Vec<f64>> {
+fn list(g: Geometry<Vec<f64>>) -> Vec<Vec<f64>> {
     vec![g.means, g.rotations, g.scales, g.opacities, g.cam_from_world, g.mean2d]
 }
 
-fn read(gpu: &Gpu, g: &DeviceGrads) -> [Option<Vec<f32>>; 6] {
+fn read(gpu: &Gpu, g: &Geometry<Option<Buffer<f32>>>) -> [Option<Vec<f32>>; 6] {
     [&g.means, &g.rotations, &g.scales, &g.opacities, &g.cam_from_world, &g.mean2d]
         .map(|buffer| buffer.as_ref().map(|buffer| buffer.read(gpu)))
 }
@@ -248,14 +249,14 @@ fn backward_yardstick(mut scene: Scene, view: &View) -> (Scene, Vec<Option<u8>>,
     (scene, classes, yardstick)
 }
 
-fn check_backward(what: &str, scene: Scene, view: &View, needs: &[ProjectNeeds]) -> f64 {
+fn check_backward(what: &str, scene: Scene, view: &View, needs: &[Geometry<bool>]) -> f64 {
     let (scene, classes, yardstick) = backward_yardstick(scene, view);
     let mut worst = 0.0_f64;
     for (form, gpu) in gpus() {
         let (inputs, grad) = scene.upload(&gpu);
         for needs in needs {
             let found = launch_project_backward(&gpu, &inputs, &grad, &view.spec(&view.lens), *needs);
-            let ProjectNeeds { means, rotations, scales, opacities, cam_from_world, mean2d } = *needs;
+            let Geometry { means, rotations, scales, opacities, cam_from_world, mean2d } = *needs;
             let needed = [means, rotations, scales, opacities, cam_from_world, mean2d];
             for (i, found) in read(&gpu, &found).into_iter().enumerate() {
                 let what = format!("gradient of {}, {what}, {form}", NAMES[i]);
@@ -365,7 +366,7 @@ fn no_gaussians() {
 fn gradients_are_computed_where_asked_for() {
     let flags = |on: [bool; 6]| {
         let [means, rotations, scales, opacities, cam_from_world, mean2d] = on;
-        ProjectNeeds { means, rotations, scales, opacities, cam_from_world, mean2d }
+        Geometry { means, rotations, scales, opacities, cam_from_world, mean2d }
     };
     let mut needs = vec![flags([false; 6])];
     for i in 0..6 {

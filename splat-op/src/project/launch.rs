@@ -3,38 +3,11 @@
 use super::backward::project_backward_kernel;
 use super::forward::{AxisLaunch, LensLaunch, project_forward_kernel};
 use super::lens_forward::DistortionLaunch;
-use super::{COLUMNS, ProjectNeeds, ProjectSpec};
+use super::{COLUMNS, Geometry, ProjectSpec};
 use crate::camera::{CameraModel, Intrinsics};
 use crate::gpu::math::{POSE, Vec2Launch};
 use crate::gpu::reduce::launch_column_sums;
 use crate::gpu::{Buffer, Gpu, UNITS, elementwise};
-
-/// Inputs on the device, row-major.
-#[derive(Clone, Debug)]
-pub(crate) struct DeviceInputs {
-    /// `[N, 3]`, world frame.
-    pub means: Buffer<f32>,
-    /// `[N, 4]`, wxyz.
-    pub rotations: Buffer<f32>,
-    /// `[N, 3]`, scene units.
-    pub scales: Buffer<f32>,
-    /// `[N]`.
-    pub opacities: Buffer<f32>,
-    /// `[3, 4]`.
-    pub cam_from_world: Buffer<f32>,
-}
-
-/// Gradients on the device, of the inputs' shapes, each where it was asked for.
-#[derive(Clone, Debug)]
-pub(crate) struct DeviceGrads {
-    pub means: Option<Buffer<f32>>,
-    pub rotations: Option<Buffer<f32>>,
-    pub scales: Option<Buffer<f32>>,
-    pub opacities: Option<Buffer<f32>>,
-    pub cam_from_world: Option<Buffer<f32>>,
-    /// `[N, 2]`, per px.
-    pub mean2d: Option<Buffer<f32>>,
-}
 
 /// The camera and the options as an argument of the kernels. Computed in f64 and rounded once.
 pub(crate) fn lens(spec: &ProjectSpec) -> LensLaunch {
@@ -68,7 +41,7 @@ fn distortion(camera: &Intrinsics) -> Option<DistortionLaunch> {
 }
 
 /// Packed ellipses, `[N, 7]`.
-pub(crate) fn launch_project(gpu: &Gpu, inputs: &DeviceInputs, spec: &ProjectSpec) -> Buffer<f32> {
+pub(crate) fn launch_project(gpu: &Gpu, inputs: &Geometry<Buffer<f32>>, spec: &ProjectSpec) -> Buffer<f32> {
     let count = inputs.opacities.len;
     let projected = Buffer::new(gpu, count * COLUMNS);
     if count == 0 {
@@ -97,14 +70,14 @@ pub(crate) fn launch_project(gpu: &Gpu, inputs: &DeviceInputs, spec: &ProjectSpe
 /// Gradients of the inputs from `grad`, `[N, 7]`. Those of the pose are summed in a fixed order.
 pub(crate) fn launch_project_backward(
     gpu: &Gpu,
-    inputs: &DeviceInputs,
+    inputs: &Geometry<Buffer<f32>>,
     grad: &Buffer<f32>,
     spec: &ProjectSpec,
-    needs: ProjectNeeds,
-) -> DeviceGrads {
+    needs: Geometry<bool>,
+) -> Geometry<Option<Buffer<f32>>> {
     let count = inputs.opacities.len;
     let rows = |needed, columns| Buffer::if_needed(gpu, needed, count * columns);
-    let mut grads = DeviceGrads {
+    let mut grads = Geometry {
         means: rows(needs.means, 3),
         rotations: rows(needs.rotations, 4),
         scales: rows(needs.scales, 3),
@@ -116,7 +89,7 @@ pub(crate) fn launch_project_backward(
         grads.cam_from_world = needs.cam_from_world.then(|| Buffer::from_slice(gpu, &[0.0; POSE]));
         return grads;
     }
-    let ProjectNeeds { means, rotations, scales, opacities, cam_from_world, mean2d } = needs;
+    let Geometry { means, rotations, scales, opacities, cam_from_world, mean2d } = needs;
     if !(means || rotations || scales || opacities || cam_from_world || mean2d) {
         return grads;
     }

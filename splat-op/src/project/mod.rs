@@ -38,12 +38,9 @@ mod lens_forward;
 #[cfg(test)]
 mod tests;
 
-use burn::backend::tensor::FloatTensor;
-use burn::backend::{Backend, ExtensionType};
-
 use crate::camera::Intrinsics;
-use crate::op::Slot;
 use crate::options::RenderOptions;
+use crate::record::record;
 
 /// Columns of the packed output.
 pub(crate) const COLUMNS: usize = 7;
@@ -86,55 +83,23 @@ impl<F: Copy> Ellipse<F> {
     }
 }
 
-/// Inputs of the stage.
-#[derive(Clone, Debug, ExtensionType)]
-#[extension_type(fusion: cfg(feature = "fusion"))]
-pub struct ProjectInputs<B: Backend> {
-    /// `[N, 3]`, world frame.
-    pub means: FloatTensor<B>,
-    /// `[N, 4]`, quaternions wxyz of any non-zero length.
-    pub rotations: FloatTensor<B>,
-    /// `[N, 3]`, standard deviations, scene units.
-    pub scales: FloatTensor<B>,
-    /// `[N]`, 0 to 1.
-    pub opacities: FloatTensor<B>,
-    /// `[3, 4]`.
-    pub cam_from_world: FloatTensor<B>,
-}
-
-/// Gradients of the stage's inputs, each only where it was asked for.
-#[derive(Clone, Debug, ExtensionType)]
-#[extension_type(fusion: cfg(feature = "fusion"))]
-pub struct ProjectGrads<B: Backend> {
-    /// `[N, 3]`.
-    #[extension_type]
-    pub means: Slot<B>,
-    /// `[N, 4]`.
-    #[extension_type]
-    pub rotations: Slot<B>,
-    /// `[N, 3]`.
-    #[extension_type]
-    pub scales: Slot<B>,
-    /// `[N]`.
-    #[extension_type]
-    pub opacities: Slot<B>,
-    /// `[3, 4]`, every entry taken as free.
-    #[extension_type]
-    pub cam_from_world: Slot<B>,
-    /// `[N, 2]`: the gradient at the projected centres, per px.
-    #[extension_type]
-    pub mean2d: Slot<B>,
-}
-
-/// Which gradients are asked for.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct ProjectNeeds {
-    pub means: bool,
-    pub rotations: bool,
-    pub scales: bool,
-    pub opacities: bool,
-    pub cam_from_world: bool,
-    pub mean2d: bool,
+record! {
+    /// The geometry of Gaussians and the pose of the camera that sees them.
+    pub struct Geometry {
+        /// `[N, 3]`, world frame.
+        means,
+        /// `[N, 4]`, quaternions wxyz of any non-zero length.
+        rotations,
+        /// `[N, 3]`, standard deviations, scene units.
+        scales,
+        /// `[N]`, 0 to 1.
+        opacities,
+        /// `[3, 4]`; in the gradient every entry is taken as free.
+        cam_from_world,
+        /// The probe at the projected centres: `[N, 2]`, or `[0, 2]` for none, and not read. Its gradient is that of the centres,
+        /// per px.
+        mean2d,
+    }
 }
 
 /// The plain numbers the stage depends on.

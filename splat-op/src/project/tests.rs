@@ -1,7 +1,7 @@
 //! `project` against central finite differences, and what it culls.
 
-use super::cpu::{Grads, Inputs, project_backward_cpu, project_cpu};
-use super::{COLUMNS, COMPENSATION_MIN, ProjectNeeds, ProjectSpec};
+use super::cpu::{project_backward_cpu, project_cpu};
+use super::{COLUMNS, COMPENSATION_MIN, Geometry, ProjectSpec};
 use crate::camera::{CameraModel, Intrinsics};
 use crate::options::RenderOptions;
 use crate::real::Real;
@@ -9,8 +9,8 @@ use crate::testing::finite::{check_gradient, inner_product};
 use crate::testing::lenses::{FOX, lenses};
 use crate::testing::random::Random;
 
-const ALL: ProjectNeeds =
-    ProjectNeeds { means: true, rotations: true, scales: true, opacities: true, cam_from_world: true, mean2d: true };
+const ALL: Geometry<bool> =
+    Geometry { means: true, rotations: true, scales: true, opacities: true, cam_from_world: true, mean2d: true };
 
 fn spec(antialias: bool) -> ProjectSpec {
     let intrinsics = Intrinsics { fx: 35.0, fy: 31.0, cx: 18.0, cy: 15.5, ..Intrinsics::centred(40, 28, 35.0) };
@@ -59,16 +59,16 @@ impl Scene {
         project_cpu(inputs(&self.0), spec)
     }
 
-    fn backward(&self, grad: &[f64], spec: &ProjectSpec, needs: ProjectNeeds) -> Grads<f64> {
+    fn backward(&self, grad: &[f64], spec: &ProjectSpec, needs: Geometry<bool>) -> Geometry<Vec<f64>> {
         project_backward_cpu(inputs(&self.0), grad, spec, needs)
     }
 }
 
-fn inputs<F>([means, rotations, scales, opacities, cam_from_world]: &[Vec<F>; 5]) -> Inputs<'_, F> {
-    Inputs { means, rotations, scales, opacities, cam_from_world }
+fn inputs<F>([means, rotations, scales, opacities, cam_from_world]: &[Vec<F>; 5]) -> Geometry<&'_ [F]> {
+    Geometry { means, rotations, scales, opacities, cam_from_world, mean2d: &[] }
 }
 
-fn check_every_gradient(what: &str, scene: &Scene, spec: &ProjectSpec, grad: &[f64]) -> Grads<f64> {
+fn check_every_gradient(what: &str, scene: &Scene, spec: &ProjectSpec, grad: &[f64]) -> Geometry<Vec<f64>> {
     let g = scene.backward(grad, spec, ALL);
     let gradients = [&g.means, &g.rotations, &g.scales, &g.opacities, &g.cam_from_world];
     let names = ["means", "rotations", "scales", "opacities", "pose"];
@@ -163,11 +163,11 @@ fn what_lies_beyond_the_reach_of_a_lens_is_not_folded_into_the_picture() {
 fn each_gradient_is_the_same_alone_and_nothing_else_is_computed() {
     let (scene, spec) = (Scene::random(5, 20), spec(true));
     let grad = Random::new(6).fill(20 * COLUMNS, -1.0, 1.0);
-    let list = |g: Grads<f64>| [g.means, g.rotations, g.scales, g.opacities, g.cam_from_world, g.mean2d];
+    let list = |g: Geometry<Vec<f64>>| [g.means, g.rotations, g.scales, g.opacities, g.cam_from_world, g.mean2d];
     let all = list(scene.backward(&grad, &spec, ALL));
     for alone in 0..6 {
         let [means, rotations, scales, opacities, cam_from_world, mean2d] = std::array::from_fn(|i| i == alone);
-        let needs = ProjectNeeds { means, rotations, scales, opacities, cam_from_world, mean2d };
+        let needs = Geometry { means, rotations, scales, opacities, cam_from_world, mean2d };
         for (i, gradient) in list(scene.backward(&grad, &spec, needs)).iter().enumerate() {
             let expected = if i == alone { all[i].as_slice() } else { &[] };
             assert_eq!(gradient, expected, "gradient {i}, asked for {alone}");

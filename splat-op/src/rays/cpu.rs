@@ -4,34 +4,16 @@
 use rayon::prelude::*;
 
 use super::pixel::{Footprint, Layer, Rules, look};
-use super::{RaysNeeds, SUMS};
+use super::{RayLayers, SUMS};
 use crate::blend::BlendSpec;
 use crate::project::{COLUMNS, Ellipse};
 use crate::real::Real;
 use crate::tile::{HitLists, TILE, tile_grid};
 use crate::tilt::TILT;
 
-/// Borrowed inputs, row-major.
-#[derive(Clone, Copy)]
-pub(crate) struct Inputs<'a, F> {
-    pub projected: &'a [F],
-    pub tilt: &'a [F],
-    pub features: &'a [F],
-    pub background: &'a [F],
-}
-
-/// Gradients; an empty vector where none was asked for.
-pub(crate) struct Grads<F> {
-    pub projected: Vec<F>,
-    pub tilt: Vec<F>,
-    pub features: Vec<F>,
-    pub background: Vec<F>,
-    pub mean2d_abs: Vec<F>,
-}
-
 /// A view, prepared for its pixels.
 struct View<'a, F> {
-    inputs: Inputs<'a, F>,
+    inputs: RayLayers<&'a [F]>,
     footprints: Vec<Footprint<F>>,
     rules: Rules<F>,
     hits: &'a HitLists,
@@ -42,7 +24,7 @@ struct View<'a, F> {
 }
 
 impl<'a, F: Real> View<'a, F> {
-    fn new(inputs: Inputs<'a, F>, spec: &BlendSpec, hits: &'a HitLists) -> Self {
+    fn new(inputs: RayLayers<&'a [F]>, spec: &BlendSpec, hits: &'a HitLists) -> Self {
         let rules = Rules::new(&spec.options);
         let rows = inputs.projected.chunks_exact(COLUMNS).zip(inputs.tilt.chunks_exact(TILT));
         Self {
@@ -86,7 +68,7 @@ impl<'a, F: Real> View<'a, F> {
 }
 
 /// Planes `[C + 1 (+ 1), H, W]`.
-pub(crate) fn rays_cpu<F: Real>(inputs: Inputs<F>, spec: &BlendSpec, hits: &HitLists) -> Vec<F> {
+pub(crate) fn rays_cpu<F: Real>(inputs: RayLayers<&[F]>, spec: &BlendSpec, hits: &HitLists) -> Vec<F> {
     let view = View::new(inputs, spec, hits);
     let (count, pixels) = (view.planes(), view.size[0] * view.size[1]);
     let of_tile = |layers: &mut Vec<Layer<F>>, tile: usize| -> Vec<F> {
@@ -122,12 +104,12 @@ pub(crate) fn rays_cpu<F: Real>(inputs: Inputs<F>, spec: &BlendSpec, hits: &HitL
 
 /// Gradients of the inputs from `grad`, that of the planes.
 pub(crate) fn rays_backward_cpu<F: Real>(
-    inputs: Inputs<F>,
+    inputs: RayLayers<&[F]>,
     grad: &[F],
     spec: &BlendSpec,
     hits: &HitLists,
-    needs: RaysNeeds,
-) -> Grads<F> {
+    needs: RayLayers<bool>,
+) -> RayLayers<Vec<F>> {
     let view = View::new(inputs, spec, hits);
     let columns = SUMS + view.channels + if needs.mean2d_abs { 2 } else { 0 };
     let mut rows = vec![F::ZERO; hits.gaussian.len() * columns];
@@ -189,10 +171,10 @@ fn tile_backward<F: Real>(
 
 /// Adds each Gaussian's rows in order and turns the sums into gradients. Not in parallel: there is little to do beside the
 /// pixels' work.
-fn gather<F: Real>(view: &View<F>, rows: &[F], columns: usize, needs: RaysNeeds) -> Grads<F> {
+fn gather<F: Real>(view: &View<F>, rows: &[F], columns: usize, needs: RayLayers<bool>) -> RayLayers<Vec<F>> {
     let (count, channels, hits) = (view.footprints.len(), view.channels, view.hits);
     let zeros = |needed: bool, columns: usize| vec![F::ZERO; if needed { count * columns } else { 0 }];
-    let mut grads = Grads {
+    let mut grads = RayLayers {
         projected: zeros(needs.projected, COLUMNS),
         tilt: zeros(needs.tilt, TILT),
         features: zeros(needs.features, channels),

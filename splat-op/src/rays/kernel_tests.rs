@@ -1,8 +1,8 @@
 //! Kernels of `rays` against the CPU twin in f64, within what f32 can hold.
 
-use super::RaysNeeds;
-use super::cpu::{Grads, Inputs, rays_backward_cpu, rays_cpu};
-use super::launch::{DeviceGrads, DeviceInputs, launch_rays, launch_rays_backward_by};
+use super::RayLayers;
+use super::cpu::{rays_backward_cpu, rays_cpu};
+use super::launch::{launch_rays, launch_rays_backward_by};
 use super::pixel::{Footprint, Rules, look};
 use crate::blend::BlendSpec;
 use crate::camera::Intrinsics;
@@ -19,7 +19,8 @@ use crate::tile::launch::{DeviceLists, launch_tile};
 use crate::tilt::launch::launch_outline;
 use crate::tilt::{TILT, outline_cpu};
 
-const ALL: RaysNeeds = RaysNeeds { projected: true, tilt: true, features: true, background: true, mean2d_abs: true };
+const ALL: RayLayers<bool> =
+    RayLayers { projected: true, tilt: true, features: true, background: true, mean2d_abs: true };
 
 const CHOICES: [(Projection, Order); 3] =
     [(Projection::Exact, Order::Centre), (Projection::Affine, Order::PerPixel), (Projection::Exact, Order::PerPixel)];
@@ -68,9 +69,9 @@ impl Scene {
         Self { inputs: inputs[..4].to_vec(), ..self.clone() }
     }
 
-    fn view(&self) -> Inputs<'_, f64> {
+    fn view(&self) -> RayLayers<&'_ [f64]> {
         let [projected, tilt, features, background] = &self.inputs[..] else { unreachable!("four inputs") };
-        Inputs { projected, tilt, features, background }
+        RayLayers { projected, tilt, features, background, mean2d_abs: &[] }
     }
 
     fn lists(&self) -> HitLists {
@@ -87,7 +88,7 @@ impl Scene {
         rays_cpu(self.view(), &self.spec, &self.lists())
     }
 
-    fn backward(&self, grad: &[f64]) -> Grads<f64> {
+    fn backward(&self, grad: &[f64]) -> RayLayers<Vec<f64>> {
         rays_backward_cpu(self.view(), grad, &self.spec, &self.lists(), ALL)
     }
 
@@ -123,9 +124,15 @@ impl Scene {
         band
     }
 
-    fn device(&self, gpu: &Gpu) -> (DeviceInputs, DeviceLists) {
+    fn device(&self, gpu: &Gpu) -> (RayLayers<Buffer<f32>>, DeviceLists) {
         let buffer = |i: usize| Buffer::from_slice(gpu, &to_f32(&self.inputs[i]));
-        let inputs = DeviceInputs { projected: buffer(0), tilt: buffer(1), features: buffer(2), background: buffer(3) };
+        let inputs = RayLayers {
+            projected: buffer(0),
+            tilt: buffer(1),
+            features: buffer(2),
+            background: buffer(3),
+            mean2d_abs: Buffer::new(gpu, 0),
+        };
         let (camera, options) = (&self.spec.intrinsics, &self.spec.options);
         let rows = match options.reaches_by_outline() {
             true => launch_outline(gpu, &inputs.projected, &inputs.tilt, &self.spec),
@@ -136,7 +143,13 @@ impl Scene {
     }
 
     /// Planes and gradients on the device, with a table for `room` places.
-    fn on(&self, gpu: &Gpu, grad: &[f64], needs: RaysNeeds, room: usize) -> (Vec<f32>, DeviceGrads) {
+    fn on(
+        &self,
+        gpu: &Gpu,
+        grad: &[f64],
+        needs: RayLayers<bool>,
+        room: usize,
+    ) -> (Vec<f32>, RayLayers<Option<Buffer<f32>>>) {
         let (inputs, lists) = self.device(gpu);
         let grad = Buffer::from_slice(gpu, &to_f32(grad));
         let planes = launch_rays(gpu, &inputs, &lists, &self.spec).read(gpu);
@@ -237,14 +250,14 @@ fn only_what_is_needed_and_nothing_to_draw() {
     let options = RenderOptions::standard().with_projection(Projection::Exact);
     let scene = Scene::random(100, [40, 33], 3, [0.02, 1.0], options);
     let grad = Random::new(4).fill(4 * 40 * 33, -1.0, 1.0);
-    let read = |scene: &Scene, needs: RaysNeeds| {
+    let read = |scene: &Scene, needs: RayLayers<bool>| {
         let g = scene.on(&gpu, &grad, needs, 1 << 20).1;
         [g.projected, g.tilt, g.features, g.background, g.mean2d_abs].map(|b| b.map(|b| b.read(&gpu)))
     };
     let all = read(&scene, ALL);
     for alone in 0..5 {
         let [projected, tilt, features, background, mean2d_abs] = std::array::from_fn(|i| i == alone);
-        let needs = RaysNeeds { projected, tilt, features, background, mean2d_abs };
+        let needs = RayLayers { projected, tilt, features, background, mean2d_abs };
         for (i, found) in read(&scene, needs).iter().enumerate() {
             assert_eq!(found.as_ref(), all[i].as_ref().filter(|_| i == alone), "gradient {i} of {alone} alone");
         }

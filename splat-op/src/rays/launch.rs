@@ -2,7 +2,7 @@
 
 use cubecl::prelude::CubeDim;
 
-use super::RaysNeeds;
+use super::RayLayers;
 use super::backward::{rays_background_kernel, rays_gather_kernel, rays_sums_kernel, rays_walk_kernel, row_len};
 use super::forward::rays_forward_kernel;
 use super::layer::ViewLaunch;
@@ -20,34 +20,6 @@ const TABLE: usize = 32_768;
 
 /// What makes a render keep less for its backward pass.
 const FEWER_HITS: &str = "train on smaller pictures, raise `alpha_min`, or use fewer Gaussians";
-
-/// Inputs on the device, row-major.
-#[derive(Clone)]
-pub(crate) struct DeviceInputs {
-    /// `[N, 7]`.
-    pub projected: Buffer<f32>,
-    /// `[N, 3]`.
-    pub tilt: Buffer<f32>,
-    /// `[N, C]`.
-    pub features: Buffer<f32>,
-    /// `[C]`.
-    pub background: Buffer<f32>,
-}
-
-/// Gradients, each only where it was asked for.
-#[derive(Default)]
-pub(crate) struct DeviceGrads {
-    /// `[N, 7]`.
-    pub projected: Option<Buffer<f32>>,
-    /// `[N, 3]`.
-    pub tilt: Option<Buffer<f32>>,
-    /// `[N, C]`.
-    pub features: Option<Buffer<f32>>,
-    /// `[C]`.
-    pub background: Option<Buffer<f32>>,
-    /// `[N, 2]`.
-    pub mean2d_abs: Option<Buffer<f32>>,
-}
 
 /// The view as an argument of kernels over the tiles from `first` to before `end`.
 fn view(spec: &BlendSpec, features: usize, (first, end): (usize, usize)) -> ViewLaunch {
@@ -75,7 +47,12 @@ fn tiles(spec: &BlendSpec) -> usize {
 }
 
 /// Planes `[C + 1 (+ 1), H, W]`.
-pub(crate) fn launch_rays(gpu: &Gpu, inputs: &DeviceInputs, lists: &DeviceLists, spec: &BlendSpec) -> Buffer<f32> {
+pub(crate) fn launch_rays(
+    gpu: &Gpu,
+    inputs: &RayLayers<Buffer<f32>>,
+    lists: &DeviceLists,
+    spec: &BlendSpec,
+) -> Buffer<f32> {
     let features = inputs.background.len;
     let planes = Buffer::new(gpu, spec.planes(features) * spec.intrinsics.width * spec.intrinsics.height);
     let tiles = tiles(spec);
@@ -118,24 +95,24 @@ fn runs(counts: &[i32], room: usize) -> (Vec<(usize, usize)>, usize) {
 /// Gradients of the inputs from `grad`, that of the planes. Waits for the device once, to learn how long the lists are.
 pub(crate) fn launch_rays_backward(
     gpu: &Gpu,
-    inputs: &DeviceInputs,
+    inputs: &RayLayers<Buffer<f32>>,
     grad: &Buffer<f32>,
     lists: &DeviceLists,
     spec: &BlendSpec,
-    needs: RaysNeeds,
-) -> DeviceGrads {
+    needs: RayLayers<bool>,
+) -> RayLayers<Option<Buffer<f32>>> {
     launch_rays_backward_by(gpu, inputs, grad, (lists, TABLE), spec, needs)
 }
 
 /// The same with a table for that many places.
 pub(super) fn launch_rays_backward_by(
     gpu: &Gpu,
-    inputs: &DeviceInputs,
+    inputs: &RayLayers<Buffer<f32>>,
     grad: &Buffer<f32>,
     (lists, room): (&DeviceLists, usize),
     spec: &BlendSpec,
-    needs: RaysNeeds,
-) -> DeviceGrads {
+    needs: RayLayers<bool>,
+) -> RayLayers<Option<Buffer<f32>>> {
     let (camera, features, count) = (&spec.intrinsics, inputs.background.len, inputs.projected.len / COLUMNS);
     let pixels = camera.width * camera.height;
     let read = gpu.client.read_one(lists.counts.handle.clone()).unwrap_or_else(|error| panic!("{error}"));
@@ -193,7 +170,7 @@ pub(super) fn launch_rays_backward_by(
             );
         }
     }
-    let mut grads = DeviceGrads::default();
+    let mut grads = RayLayers::default();
     if needs.background {
         let sums = Buffer::new(gpu, features);
         // SAFETY: every access is guarded by the lengths given.

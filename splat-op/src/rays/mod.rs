@@ -52,10 +52,7 @@ mod pixel;
 #[cfg(test)]
 mod tests;
 
-use burn::backend::tensor::FloatTensor;
-use burn::backend::{Backend, ExtensionType};
-
-use crate::op::Slot;
+use crate::record::record;
 
 /// Whitened coordinates are held at this, and `|s|` at its square, so that no product overflows. What lies there is not seen, or
 /// seen as if it were infinitely long.
@@ -68,47 +65,18 @@ pub(crate) const D_MIN: f64 = 1e-30;
 /// gradients `p, q` of `u` and `v`, then of `p u, q u, q v`; of those of the tilts and the thickness; of that of the depth.
 pub(crate) const SUMS: usize = 10;
 
-/// Inputs of the stage.
-#[derive(Clone, Debug, ExtensionType)]
-#[extension_type(fusion: cfg(feature = "fusion"))]
-pub struct RaysInputs<B: Backend> {
-    /// `[N, 7]`, packed by `project`.
-    pub projected: FloatTensor<B>,
-    /// `[N, 3]`, of `tilt`.
-    pub tilt: FloatTensor<B>,
-    /// `[N, C]`.
-    pub features: FloatTensor<B>,
-    /// `[C]`.
-    pub background: FloatTensor<B>,
-}
-
-/// Gradients of the stage's inputs, each only where it was asked for.
-#[derive(Clone, Debug, ExtensionType)]
-#[extension_type(fusion: cfg(feature = "fusion"))]
-pub struct RaysGrads<B: Backend> {
-    /// `[N, 7]`.
-    #[extension_type]
-    pub projected: Slot<B>,
-    /// `[N, 3]`.
-    #[extension_type]
-    pub tilt: Slot<B>,
-    /// `[N, C]`.
-    #[extension_type]
-    pub features: Slot<B>,
-    /// `[C]`.
-    #[extension_type]
-    pub background: Slot<B>,
-    /// `[N, 2]`: `Σ |∂L/∂mean2d|`, the absolute value taken pixel by pixel (AbsGrad, Ye et al. 2024), per px.
-    #[extension_type]
-    pub mean2d_abs: Slot<B>,
-}
-
-/// Which gradients are asked for.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct RaysNeeds {
-    pub projected: bool,
-    pub tilt: bool,
-    pub features: bool,
-    pub background: bool,
-    pub mean2d_abs: bool,
+record! {
+    /// What is blended along the pixels' rays.
+    pub struct RayLayers {
+        /// `[N, 7]`, packed by `project`.
+        projected,
+        /// `[N, 3]`, of `tilt`.
+        tilt,
+        /// `[N, C]`.
+        features,
+        /// `[C]`.
+        background,
+        /// The probe of AbsGrad, as that of `blend`.
+        mean2d_abs,
+    }
 }

@@ -1,7 +1,7 @@
 //! `rays` against a sum written out pixel by pixel and against central finite differences.
 
-use super::RaysNeeds;
-use super::cpu::{Grads, Inputs, rays_backward_cpu, rays_cpu};
+use super::RayLayers;
+use super::cpu::{rays_backward_cpu, rays_cpu};
 use crate::blend::BlendSpec;
 use crate::blend::cpu::blend_cpu;
 use crate::camera::Intrinsics;
@@ -14,7 +14,8 @@ use crate::tile::HitLists;
 use crate::tile::cpu::tile_cpu;
 use crate::tilt::{TILT, outline_cpu};
 
-const ALL: RaysNeeds = RaysNeeds { projected: true, tilt: true, features: true, background: true, mean2d_abs: true };
+const ALL: RayLayers<bool> =
+    RayLayers { projected: true, tilt: true, features: true, background: true, mean2d_abs: true };
 
 const CHOICES: [(Projection, Order); 4] = [
     (Projection::Exact, Order::Centre),
@@ -68,7 +69,7 @@ impl Scene {
         rays_cpu(inputs(&self.inputs), &self.spec, &self.lists())
     }
 
-    fn backward(&self, grad: &[f64], needs: RaysNeeds) -> Grads<f64> {
+    fn backward(&self, grad: &[f64], needs: RayLayers<bool>) -> RayLayers<Vec<f64>> {
         rays_backward_cpu(inputs(&self.inputs), grad, &self.spec, &self.lists(), needs)
     }
 
@@ -132,8 +133,8 @@ impl Scene {
     }
 }
 
-fn inputs<F>([projected, tilt, features, background]: &[Vec<F>; 4]) -> Inputs<'_, F> {
-    Inputs { projected, tilt, features, background }
+fn inputs<F>([projected, tilt, features, background]: &[Vec<F>; 4]) -> RayLayers<&'_ [F]> {
+    RayLayers { projected, tilt, features, background, mean2d_abs: &[] }
 }
 
 /// The definition, pixel by pixel.
@@ -170,7 +171,7 @@ fn without_a_tilt_it_is_blend() {
         let mut scene = Scene::random(5, 300, (50, 40), 3, ([0.0, 1.0], 0.0, 0.0), options);
         scene.inputs[1].fill(0.0);
         let [projected, _, features, background] = &scene.inputs;
-        let plain = crate::blend::cpu::Inputs { projected, features, background };
+        let plain = crate::blend::Layers { projected: &projected[..], features, background, mean2d_abs: &[] };
         let lists = tile_cpu(projected, &scene.spec.intrinsics, options.alpha_min.into());
         let expected = blend_cpu(plain, &scene.spec, &lists, false).0;
         assert_close(&format!("{projection:?}, {order:?}"), &scene.planes(), &expected, 1e-13);
@@ -251,7 +252,7 @@ fn absolute_gradients_are_the_sum_over_pixels_of_absolute_values() {
             let mut alone = vec![0.0; grad.len()];
             let planes = (pixel..grad.len()).step_by(scene.pixels());
             planes.for_each(|i| alone[i] = grad[i]);
-            let g = scene.backward(&alone, RaysNeeds { mean2d_abs: false, ..ALL });
+            let g = scene.backward(&alone, RayLayers { mean2d_abs: false, ..ALL });
             for (sum, row) in expected.chunks_exact_mut(2).zip(g.projected.chunks_exact(COLUMNS)) {
                 sum[0] += row[0].abs();
                 sum[1] += row[1].abs();
@@ -266,11 +267,11 @@ fn each_gradient_is_the_same_alone() {
     let options = RenderOptions::standard().with_projection(Projection::Exact).with_order(Order::PerPixel);
     let scene = Scene::random(80, 120, (20, 13), 3, ([0.05, 0.9], 0.3, 0.2), options.with_depth(true));
     let grad = scene.random_grad(81);
-    let list = |g: Grads<f64>| [g.projected, g.tilt, g.features, g.background, g.mean2d_abs];
+    let list = |g: RayLayers<Vec<f64>>| [g.projected, g.tilt, g.features, g.background, g.mean2d_abs];
     let all = list(scene.backward(&grad, ALL));
     for alone in 0..5 {
         let [projected, tilt, features, background, mean2d_abs] = std::array::from_fn(|i| i == alone);
-        let needs = RaysNeeds { projected, tilt, features, background, mean2d_abs };
+        let needs = RayLayers { projected, tilt, features, background, mean2d_abs };
         for (i, gradient) in list(scene.backward(&grad, needs)).iter().enumerate() {
             let expected = if i == alone { all[i].as_slice() } else { &[] };
             assert_eq!(gradient, expected, "gradient {i}, asked for {alone}");

@@ -7,7 +7,7 @@
 
 use cubecl::prelude::*;
 
-use super::forward::{Eye, NORMS, basis, coefficient, linear_colour};
+use super::forward::{Eye, Frame, NORMS, basis, coefficient, linear_colour, may_show};
 use super::{Harmonics, coefficients_of};
 use crate::gpu::UNITS;
 use crate::gpu::math::{Pose, Vec3};
@@ -76,7 +76,7 @@ fn polynomials_backward(d: Vec3, w: &Sequence<f32>, #[comptime] degree: usize) -
 
 /// Whether any channel has a gradient, by its bits: NaN has.
 #[cube]
-pub(crate) fn any_colour(grad: Vec3) -> bool {
+fn any_colour(grad: Vec3) -> bool {
     let bits = u32::reinterpret(grad.x) | u32::reinterpret(grad.y) | u32::reinterpret(grad.z);
     (bits & 0x7fff_ffff) != 0
 }
@@ -84,7 +84,7 @@ pub(crate) fn any_colour(grad: Vec3) -> bool {
 /// Stores the gradient of a Gaussian's harmonics, if that is asked for, and returns that of the vector from the camera to its
 /// centre, or zero unless `through_direction`.
 #[cube]
-pub(crate) fn colour_backward(
+fn colour_backward(
     sh: &[f32],
     gaussian: usize,
     mean: Vec3,
@@ -130,7 +130,7 @@ pub(crate) fn colour_backward(
 
 /// Stores a gradient of zero for a Gaussian's harmonics, if one is asked for.
 #[cube]
-pub(crate) fn no_harmonics(gaussian: usize, grad_sh: &mut ComptimeOption<Box<[f32]>>, #[comptime] degree: usize) {
+fn no_harmonics(gaussian: usize, grad_sh: &mut ComptimeOption<Box<[f32]>>, #[comptime] degree: usize) {
     let values = comptime!(3 * coefficients_of(degree));
     #[comptime]
     if let ComptimeOption::Some(out) = grad_sh {
@@ -147,10 +147,12 @@ pub(super) fn shade_backward_kernel(
     sh: &[f32],
     means: &[f32],
     cam_from_world: &[f32],
+    ellipses: ComptimeOption<Box<[f32]>>,
     grad: &[f32],
     mut grad_sh: ComptimeOption<Box<[f32]>>,
     mut grad_means: ComptimeOption<Box<[f32]>>,
     mut sight_rows: ComptimeOption<Box<[f32]>>,
+    frame: Frame,
     count: u32,
     #[comptime] harmonics: Harmonics,
     #[comptime] planes: bool,
@@ -161,7 +163,12 @@ pub(super) fn shade_backward_kernel(
     if gaussian < count as usize {
         let g = Vec3::load(grad, 3 * gaussian);
         // Also what keeps a Gaussian that is not seen, whatever it holds, out of every sum.
-        if any_colour(g) {
+        let mut visible = any_colour(g);
+        #[comptime]
+        if let ComptimeOption::Some(ellipses) = ellipses {
+            visible = visible && may_show(&ellipses, gaussian, &frame);
+        }
+        if visible {
             let (mean, pose) = (Vec3::load(means, 3 * gaussian), Pose::load(cam_from_world));
             of_sight = colour_backward(sh, gaussian, mean, pose, g, &mut grad_sh, harmonics, through_direction);
         } else {

@@ -4,8 +4,9 @@ use burn::tensor::f16;
 use rayon::prelude::*;
 
 use super::basis::{basis, basis_backward};
-use super::{SH_COEFFICIENTS_MAX, ShadeNeeds, degree_of};
+use super::{SH_COEFFICIENTS_MAX, Shading, degree_of, reach_sigmas};
 use crate::linalg::{Mat3, add, cross, dot, matvec, norm, scale, sub, transpose, transposed_matvec};
+use crate::project::{COLUMNS, Ellipse, ProjectSpec};
 use crate::real::Real;
 
 /// Gaussians per task; also the unit of the ordered sum of the pose's gradient.
@@ -57,13 +58,6 @@ impl<F: Real> Coefficients<'_, F> {
             }
         }
     }
-}
-
-/// Gradients; an empty vector where none was asked for.
-pub(crate) struct Grads<F> {
-    pub sh: Vec<F>,
-    pub means: Vec<F>,
-    pub cam_from_world: Vec<F>,
 }
 
 /// Where the camera is in the world: the point that the pose takes to zero, `−A⁻¹ t`. The general inverse, so that the
@@ -118,13 +112,35 @@ fn linear_colour<F: Real>(y: &[F; SH_COEFFICIENTS_MAX], sh: &[F]) -> [F; 3] {
     colour
 }
 
-/// `[N, 3]` colours.
-pub(crate) fn shade_cpu<F: Real>(inputs: Inputs<F>) -> Vec<F> {
-    shade_where_cpu(inputs, |_| true)
+/// Which Gaussians can show in a picture; see [`super`].
+pub(crate) struct Visible<'a, F> {
+    /// `[N, 7]`, packed.
+    ellipses: &'a [F],
+    sigmas: F,
+    /// Of the picture, px.
+    size: [F; 2],
 }
 
-/// `[N, 3]` colours of the Gaussians that are `shown`, and zero for the others.
-pub(crate) fn shade_where_cpu<F: Real>(inputs: Inputs<F>, shown: impl Fn(usize) -> bool + Sync) -> Vec<F> {
+impl<'a, F: Real> Visible<'a, F> {
+    pub fn new(ellipses: &'a [F], spec: &ProjectSpec) -> Self {
+        let size = [spec.intrinsics.width, spec.intrinsics.height].map(|px| F::of(px as f64));
+        Self { ellipses, sigmas: F::of(reach_sigmas(spec.options.alpha_min)), size }
+    }
+
+    #[inline(always)]
+    fn has(&self, i: usize) -> bool {
+        let ellipse = Ellipse::from_row(&self.ellipses[COLUMNS * i..COLUMNS * (i + 1)]);
+        let half = [ellipse.sigma_u, ellipse.sigma_v + ellipse.shear.abs() * ellipse.sigma_u];
+        let meets = |axis: usize| {
+            let (centre, half) = (ellipse.mean_px[axis], self.sigmas * half[axis] + F::ONE);
+            centre + half >= F::ZERO && centre - half <= self.size[axis]
+        };
+        ellipse.opacity > F::ONE || (ellipse.opacity > F::ZERO && meets(0) && meets(1))
+    }
+}
+
+/// `[N, 3]` colours of the Gaussians that are visible, all unless it is said which, and zero for the others.
+pub(crate) fn shade_cpu<F: Real>(inputs: Inputs<F>, visible: Option<&Visible<F>>) -> Vec<F> {
     let eye = Eye::new(inputs.cam_from_world);
     let row = 3 * inputs.coefficients;
     let degree = degree_of(inputs.coefficients);
@@ -133,7 +149,7 @@ pub(crate) fn shade_where_cpu<F: Real>(inputs: Inputs<F>, shown: impl Fn(usize) 
         let mut room = [F::ZERO; 3 * SH_COEFFICIENTS_MAX];
         for (i, out) in out.chunks_exact_mut(3).enumerate() {
             let i = chunk * CHUNK + i;
-            if !shown(i) {
+            if visible.is_some_and(|visible| !visible.has(i)) {
                 continue;
             }
             let (direction, _) = eye.direction(&inputs.means[3 * i..3 * i + 3]);
@@ -145,26 +161,24 @@ pub(crate) fn shade_where_cpu<F: Real>(inputs: Inputs<F>, shown: impl Fn(usize) 
 }
 
 /// Gradients of the inputs from `grad`, the `[N, 3]` gradient of the colours.
-pub(crate) fn shade_backward_cpu<F: Real>(inputs: Inputs<F>, grad: &[F], needs: ShadeNeeds) -> Grads<F> {
-    let means = vec![F::ZERO; if needs.means { inputs.means.len() } else { 0 }];
-    shade_backward_onto_cpu(inputs, grad, means, needs)
-}
-
-/// The same, added to gradients of the means that are there already; these are empty if none was asked for.
-pub(crate) fn shade_backward_onto_cpu<F: Real>(
+pub(crate) fn shade_backward_cpu<F: Real>(
     inputs: Inputs<F>,
+    visible: Option<&Visible<F>>,
     grad: &[F],
-    means: Vec<F>,
-    needs: ShadeNeeds,
-) -> Grads<F> {
+    needs: Shading<bool>,
+) -> Shading<Vec<F>> {
     let eye = Eye::new(inputs.cam_from_world);
     let row = 3 * inputs.coefficients;
     let degree = degree_of(inputs.coefficients);
     let count = inputs.means.len() / 3;
     let chunks = count.div_ceil(CHUNK);
     let through_direction = needs.means || needs.cam_from_world;
-    let mut grads =
-        Grads { sh: vec![F::ZERO; if needs.sh { inputs.sh.len() } else { 0 }], means, cam_from_world: Vec::new() };
+    let zeros = |needed: bool, len: usize| vec![F::ZERO; if needed { len } else { 0 }];
+    let mut grads = Shading {
+        sh: zeros(needs.sh, inputs.sh.len()),
+        means: zeros(needs.means, inputs.means.len()),
+        cam_from_world: Vec::new(),
+    };
     let mut sh_chunks: Vec<&mut [F]> = grads.sh.chunks_mut(row * CHUNK).collect();
     let mut mean_chunks: Vec<&mut [F]> = grads.means.chunks_mut(3 * CHUNK).collect();
     sh_chunks.resize_with(chunks, Default::default);
@@ -179,7 +193,7 @@ pub(crate) fn shade_backward_onto_cpu<F: Real>(
                 let i = chunk * CHUNK + local;
                 let g = [grad[3 * i], grad[3 * i + 1], grad[3 * i + 2]];
                 // Also what keeps a Gaussian that is not seen, whatever it holds, out of every sum.
-                if g == [F::ZERO; 3] {
+                if g == [F::ZERO; 3] || visible.is_some_and(|visible| !visible.has(i)) {
                     continue;
                 }
                 let sh = inputs.sh.row(i, row, &mut room);
@@ -195,8 +209,7 @@ pub(crate) fn shade_backward_onto_cpu<F: Real>(
                 if through_direction && degree > 0 && distance > F::ZERO {
                     let to_mean = direction_backward(direction, distance, degree, sh, g);
                     if needs.means {
-                        let sum = &mut grad_means[3 * local..3 * local + 3];
-                        sum.iter_mut().zip(to_mean).for_each(|(sum, part)| *sum += part);
+                        grad_means[3 * local..3 * local + 3].copy_from_slice(&to_mean);
                     }
                     grad_position = sub(grad_position, to_mean);
                 }

@@ -10,6 +10,7 @@ use super::{Harmonics, SH_COEFFICIENTS_MAX, coefficients_of};
 use crate::dials::Storage;
 use crate::gpu::half::load_three_halves;
 use crate::gpu::math::{Mat3, Pose, Vec3};
+use crate::project::forward::Packed;
 
 /// Where the camera is in the world: the point that the pose takes to zero, `−A⁻¹ t`, by the general inverse.
 #[derive(CubeType, Clone, Copy)]
@@ -157,9 +158,32 @@ pub(super) fn linear_colour(
     colour
 }
 
+/// The picture in which Gaussians may show.
+#[derive(CubeType, CubeLaunch, Clone, Copy)]
+#[expand(derive(Clone, Copy))]
+pub(super) struct Frame {
+    /// Standard deviations out to which an opacity of 1 may show.
+    pub sigmas: f32,
+    /// Px.
+    pub width: f32,
+    /// Px.
+    pub height: f32,
+}
+
+/// Whether a Gaussian may show in the picture, by its packed ellipse; see [`super`].
+#[cube]
+pub(super) fn may_show(ellipses: &[f32], gaussian: usize, frame: &Frame) -> bool {
+    let ellipse = Packed::load(ellipses, gaussian);
+    let half_x = frame.sigmas * ellipse.sigma_u + 1.0;
+    let half_y = frame.sigmas * (ellipse.sigma_v + ellipse.shear.abs() * ellipse.sigma_u) + 1.0;
+    let beside = ellipse.x + half_x >= 0.0 && ellipse.x - half_x <= frame.width;
+    let level = ellipse.y + half_y >= 0.0 && ellipse.y - half_y <= frame.height;
+    ellipse.opacity > 1.0 || (ellipse.opacity > 0.0 && beside && level)
+}
+
 /// The colour of a Gaussian.
 #[cube]
-pub(crate) fn colour_of(sh: &[f32], gaussian: usize, mean: Vec3, pose: Pose, #[comptime] harmonics: Harmonics) -> Vec3 {
+fn colour_of(sh: &[f32], gaussian: usize, mean: Vec3, pose: Pose, #[comptime] harmonics: Harmonics) -> Vec3 {
     let sight = Eye::of(pose).sight(mean);
     let colour = linear_colour(sh, gaussian, &basis(sight.direction, comptime!(harmonics.degree)), harmonics);
     // Not `max`, which may turn a NaN into a colour.
@@ -175,12 +199,23 @@ pub(super) fn shade_forward_kernel(
     sh: &[f32],
     means: &[f32],
     cam_from_world: &[f32],
+    ellipses: ComptimeOption<Box<[f32]>>,
     colours: &mut [f32],
+    frame: Frame,
     count: u32,
     #[comptime] harmonics: Harmonics,
 ) {
     if ABSOLUTE_POS < count as usize {
-        let mean = Vec3::load(means, 3 * ABSOLUTE_POS);
-        colour_of(sh, ABSOLUTE_POS, mean, Pose::load(cam_from_world), harmonics).store(colours, 3 * ABSOLUTE_POS);
+        let mut visible = true;
+        #[comptime]
+        if let ComptimeOption::Some(ellipses) = ellipses {
+            visible = may_show(&ellipses, ABSOLUTE_POS, &frame);
+        }
+        let mut colour = Vec3::new(0.0, 0.0, 0.0);
+        if visible {
+            let mean = Vec3::load(means, 3 * ABSOLUTE_POS);
+            colour = colour_of(sh, ABSOLUTE_POS, mean, Pose::load(cam_from_world), harmonics);
+        }
+        colour.store(colours, 3 * ABSOLUTE_POS);
     }
 }

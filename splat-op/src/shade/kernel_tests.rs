@@ -2,15 +2,15 @@
 
 use glam::{DMat3, DVec3};
 
-use super::cpu::{Coefficients, Grads, Inputs, shade_backward_cpu, shade_cpu};
-use super::launch::{DeviceGrads, DeviceInputs, launch_shade, launch_shade_backward};
-use super::{ShadeNeeds, coefficients_of};
+use super::cpu::{Coefficients, Inputs, shade_backward_cpu, shade_cpu};
+use super::launch::{DeviceInputs, launch_shade, launch_shade_backward};
+use super::{Shading, coefficients_of};
 use crate::gpu::{Buffer, Gpu};
 use crate::testing::ceiling::{Yardstick, rounded, to_f32};
 use crate::testing::gpu::gpus;
 use crate::testing::random::Random;
 
-const ALL: ShadeNeeds = ShadeNeeds { sh: true, means: true, cam_from_world: true };
+const ALL: Shading<bool> = Shading { sh: true, means: true, cam_from_world: true };
 const NAMES: [&str; 3] = ["sh", "means", "pose"];
 
 // Classes of Gaussians.
@@ -97,7 +97,7 @@ impl Scene {
             for sh in tensors[0].chunks_exact_mut(row) {
                 sh[..3].iter_mut().for_each(|c| *c += lift / constant);
             }
-            vec![shade_cpu(inputs(&tensors, self.degree)).iter().map(|colour| colour - lift).collect()]
+            vec![shade_cpu(inputs(&tensors, self.degree), None).iter().map(|colour| colour - lift).collect()]
         };
         let band = Yardstick::new(&self.tensors, lifted).near_zero(0);
         let count = band.iter().filter(|band| **band).count();
@@ -106,38 +106,38 @@ impl Scene {
     }
 }
 
-fn list(g: Grads<f64>) -> Vec<Vec<f64>> {
+fn list(g: Shading<Vec<f64>>) -> Vec<Vec<f64>> {
     vec![g.sh, g.means, g.cam_from_world]
 }
 
-fn read(gpu: &Gpu, g: &DeviceGrads) -> [Option<Vec<f32>>; 3] {
+fn read(gpu: &Gpu, g: &Shading<Option<Buffer<f32>>>) -> [Option<Vec<f32>>; 3] {
     [&g.sh, &g.means, &g.cam_from_world].map(|buffer| buffer.as_ref().map(|buffer| buffer.read(gpu)))
 }
 
 fn check_forward(what: &str, scene: &Scene) -> f64 {
-    let yardstick = Yardstick::new(&scene.tensors, |tensors| vec![shade_cpu(inputs(tensors, scene.degree))]);
+    let yardstick = Yardstick::new(&scene.tensors, |tensors| vec![shade_cpu(inputs(tensors, scene.degree), None)]);
     let clamped = yardstick.expected[0].iter().filter(|colour| **colour == 0.0).count();
     assert!(scene.kinds.len() < 100 || clamped > 5, "{what}: only {clamped} channels are clamped");
     let mut worst = 0.0_f64;
     for (form, gpu) in gpus() {
-        let found = launch_shade(&gpu, &scene.upload(&gpu).0, coefficients_of(scene.degree)).read(&gpu);
+        let found = launch_shade(&gpu, &scene.upload(&gpu).0, None, coefficients_of(scene.degree)).read(&gpu);
         worst = worst.max(yardstick.check(&format!("colours, {what}, {form}"), 0, &found, &scene.classes()));
     }
     worst
 }
 
-fn check_backward(what: &str, mut scene: Scene, needs: &[ShadeNeeds]) -> f64 {
+fn check_backward(what: &str, mut scene: Scene, needs: &[Shading<bool>]) -> f64 {
     scene.mask_band();
     // A Gaussian that is not finite has no gradient, and is compared.
     let classes: Vec<_> = scene.kinds.iter().copied().map(Some).collect();
     let yardstick = Yardstick::new(&scene.tensors, |tensors| {
-        list(shade_backward_cpu(inputs(tensors, scene.degree), &tensors[GRAD], ALL))
+        list(shade_backward_cpu(inputs(tensors, scene.degree), None, &tensors[GRAD], ALL))
     });
     let mut worst = 0.0_f64;
     for (form, gpu) in gpus() {
         let (inputs, grad) = scene.upload(&gpu);
         for needs in needs {
-            let found = launch_shade_backward(&gpu, &inputs, coefficients_of(scene.degree), &grad, *needs);
+            let found = launch_shade_backward(&gpu, &inputs, None, coefficients_of(scene.degree), &grad, *needs);
             let needed = [needs.sh, needs.means, needs.cam_from_world];
             for (i, found) in read(&gpu, &found).into_iter().enumerate() {
                 let what = format!("gradient of {}, {what}, {form}", NAMES[i]);
@@ -181,8 +181,8 @@ fn any_number_of_gaussians() {
 fn no_gaussians() {
     for (_, gpu) in gpus() {
         let (inputs, grad) = Scene::random(0, 0, 2, false).upload(&gpu);
-        assert!(launch_shade(&gpu, &inputs, 9).read(&gpu).is_empty());
-        let found = read(&gpu, &launch_shade_backward(&gpu, &inputs, 9, &grad, ALL));
+        assert!(launch_shade(&gpu, &inputs, None, 9).read(&gpu).is_empty());
+        let found = read(&gpu, &launch_shade_backward(&gpu, &inputs, None, 9, &grad, ALL));
         assert_eq!(found, [Some(vec![]), Some(vec![]), Some(vec![0.0; 12])]);
     }
 }
@@ -190,7 +190,7 @@ fn no_gaussians() {
 #[test]
 fn gradients_are_computed_where_asked_for() {
     let needs: Vec<_> =
-        (0..8).map(|i| ShadeNeeds { sh: i & 1 != 0, means: i & 2 != 0, cam_from_world: i & 4 != 0 }).collect();
+        (0..8).map(|i| Shading { sh: i & 1 != 0, means: i & 2 != 0, cam_from_world: i & 4 != 0 }).collect();
     for degree in [0, 3] {
         check_backward("part", Scene::random(7, 300, degree, true), &needs);
     }
@@ -202,14 +202,14 @@ fn a_centre_on_the_camera_has_a_colour_and_no_direction() {
     scene.tensors[POSE] = vec![1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0];
     scene.tensors[1][..3].fill(0.0);
     scene.tensors[GRAD].fill(1.0);
-    let expected = shade_cpu(inputs(&scene.tensors, 2));
+    let expected = shade_cpu(inputs(&scene.tensors, 2), None);
     for (_, gpu) in gpus() {
         let (inputs, grad) = scene.upload(&gpu);
-        let colours = launch_shade(&gpu, &inputs, 9).read(&gpu);
+        let colours = launch_shade(&gpu, &inputs, None, 9).read(&gpu);
         for (found, expected) in colours[..3].iter().zip(&expected) {
             assert!((f64::from(*found) - expected).abs() <= 1e-6 * (1.0 + expected));
         }
-        let found = read(&gpu, &launch_shade_backward(&gpu, &inputs, 9, &grad, ALL));
+        let found = read(&gpu, &launch_shade_backward(&gpu, &inputs, None, 9, &grad, ALL));
         assert_eq!(found[1].as_ref().expect("asked for")[..3], [0.0; 3]);
     }
 }
@@ -225,8 +225,8 @@ fn more_cubes_than_fit_along_one_axis() {
         let [sh, means, grad] = [0, 1, GRAD].map(|i| Buffer::from_slice(&gpu, &repeated(i)));
         let large = DeviceInputs { sh: sh.into(), means, cam_from_world: small.cam_from_world.clone() };
         let run = |inputs: &DeviceInputs, grad: &Buffer<f32>| {
-            let found = launch_shade_backward(&gpu, inputs, 1, grad, ShadeNeeds { means: false, ..ALL });
-            [launch_shade(&gpu, inputs, 1).read(&gpu), found.sh.expect("asked for").read(&gpu)]
+            let found = launch_shade_backward(&gpu, inputs, None, 1, grad, Shading { means: false, ..ALL });
+            [launch_shade(&gpu, inputs, None, 1).read(&gpu), found.sh.expect("asked for").read(&gpu)]
         };
         for (found, expected) in run(&large, &grad).iter().zip(run(&small, &small_grad)) {
             let bits = |values: &[f32]| values.iter().map(|value| value.to_bits()).collect::<Vec<_>>();
@@ -241,7 +241,7 @@ fn a_second_run_gives_the_same_bits() {
     let bits = |values: Option<Vec<f32>>| values.expect("asked for").into_iter().map(f32::to_bits).collect::<Vec<_>>();
     for (_, gpu) in gpus() {
         let (inputs, grad) = scene.upload(&gpu);
-        let run = || read(&gpu, &launch_shade_backward(&gpu, &inputs, 16, &grad, ALL)).map(bits);
+        let run = || read(&gpu, &launch_shade_backward(&gpu, &inputs, None, 16, &grad, ALL)).map(bits);
         assert!(run() == run());
     }
 }

@@ -3,12 +3,13 @@
 use cubecl::prelude::{CubeCount, CubeDim};
 
 use super::backward::{pose_backward_kernel, shade_backward_kernel};
-use super::forward::shade_forward_kernel;
-use super::{Harmonics, ShadeNeeds, degree_of};
+use super::forward::{FrameLaunch, shade_forward_kernel};
+use super::{Harmonics, Shading, degree_of, reach_sigmas};
 use crate::dials::Storage;
 use crate::gpu::math::POSE;
 use crate::gpu::reduce::launch_column_sums;
 use crate::gpu::{Buffer, Gpu, UNITS, elementwise};
+use crate::project::ProjectSpec;
 
 /// Inputs on the device, row-major.
 #[derive(Clone, Debug)]
@@ -49,16 +50,18 @@ impl Coefficients {
     }
 }
 
-/// Gradients on the device, of the inputs' shapes, each where it was asked for.
-#[derive(Clone, Debug)]
-pub(crate) struct DeviceGrads {
-    pub sh: Option<Buffer<f32>>,
-    pub means: Option<Buffer<f32>>,
-    pub cam_from_world: Option<Buffer<f32>>,
+/// Which Gaussians are shaded: those whose packed ellipses, `[N, 7]`, can show in a picture.
+pub(crate) type Visible<'a> = Option<(&'a Buffer<f32>, &'a ProjectSpec)>;
+
+/// Not read without ellipses.
+fn frame(visible: Visible) -> FrameLaunch {
+    let size = |spec: &ProjectSpec| [spec.intrinsics.width as f32, spec.intrinsics.height as f32];
+    let [width, height] = visible.map_or([0.0; 2], |(_, spec)| size(spec));
+    FrameLaunch::new(visible.map_or(0.0, |(_, spec)| reach_sigmas(spec.options.alpha_min) as f32), width, height)
 }
 
-/// Colours, `[N, 3]`, from `coefficients` per channel.
-pub(crate) fn launch_shade(gpu: &Gpu, inputs: &DeviceInputs, coefficients: usize) -> Buffer<f32> {
+/// Colours, `[N, 3]`, from `coefficients` per channel; zero for what is not visible.
+pub(crate) fn launch_shade(gpu: &Gpu, inputs: &DeviceInputs, visible: Visible, coefficients: usize) -> Buffer<f32> {
     let count = inputs.means.len / 3;
     let colours = Buffer::new(gpu, 3 * count);
     if count == 0 {
@@ -74,7 +77,9 @@ pub(crate) fn launch_shade(gpu: &Gpu, inputs: &DeviceInputs, coefficients: usize
             inputs.sh.values.arg(),
             inputs.means.arg(),
             inputs.cam_from_world.arg(),
+            visible.map(|(ellipses, _)| ellipses.arg()).into(),
             colours.arg(),
+            frame(visible),
             count as u32,
             inputs.sh.harmonics(coefficients),
         );
@@ -86,12 +91,13 @@ pub(crate) fn launch_shade(gpu: &Gpu, inputs: &DeviceInputs, coefficients: usize
 pub(crate) fn launch_shade_backward(
     gpu: &Gpu,
     inputs: &DeviceInputs,
+    visible: Visible,
     coefficients: usize,
     grad: &Buffer<f32>,
-    needs: ShadeNeeds,
-) -> DeviceGrads {
+    needs: Shading<bool>,
+) -> Shading<Option<Buffer<f32>>> {
     let (count, harmonics) = (inputs.means.len / 3, inputs.sh.harmonics(coefficients));
-    let mut grads = DeviceGrads {
+    let mut grads = Shading {
         sh: Buffer::if_needed(gpu, needs.sh, inputs.sh.len),
         means: Buffer::if_needed(gpu, needs.means, inputs.means.len),
         cam_from_world: None,
@@ -111,10 +117,12 @@ pub(crate) fn launch_shade_backward(
                 inputs.sh.values.arg(),
                 inputs.means.arg(),
                 inputs.cam_from_world.arg(),
+                visible.map(|(ellipses, _)| ellipses.arg()).into(),
                 grad.arg(),
                 output(&grads.sh),
                 output(&grads.means),
                 output(&sight_rows),
+                frame(visible),
                 count as u32,
                 harmonics,
                 gpu.planes,

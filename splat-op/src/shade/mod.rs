@@ -8,27 +8,43 @@
 //! Coefficients may be half-precision numbers where everything else is f32 or f64 ([`crate::Storage`]): they are read as such, and
 //! all that is computed, their gradients too, is of the other type.
 //!
-//! Shapes: coefficients `[N, (degree+1)², 3]`, means `[N, 3]`, pose `[3, 4]` → colours `[N, 3]`.
+//! # Who is visible
+//!
+//! Given the packed ellipses of `project` as well, the stage shades what can show in their picture alone. The harmonics of all
+//! others, most of what there is to read of them, are left alone; their colours are zero and have no gradient. A Gaussian cannot
+//! show if it is culled, or if the box around its ellipse, out to where an opacity of 1 falls to `alpha_min`, does not meet the
+//! picture:
+//!
+//! ```text
+//! |x − centre| <= REACH_MARGIN · k · (sigma_u,  sigma_v + |shear| sigma_u) + 1 px,   k² = 2 ln(1 / alpha_min) + 0.001
+//! ```
+//!
+//! which is wider than what `tile` lists, so that no picture changes. An opacity above one, which the op does not forbid, reaches
+//! further than the box, and always counts as visible.
+//!
+//! Shapes: coefficients `[N, (degree+1)², 3]`, means `[N, 3]`, pose `[3, 4]`, and packed ellipses `[N, 7]` or none → colours
+//! `[N, 3]`.
 
 #[cfg(feature = "cube")]
-pub(crate) mod backward;
+mod backward;
 mod basis;
 pub(crate) mod cpu;
 #[cfg(feature = "cube")]
-pub(crate) mod forward;
+mod forward;
 #[cfg(all(test, feature = "cube"))]
 mod kernel_tests;
 #[cfg(feature = "cube")]
 pub(crate) mod launch;
 #[cfg(test)]
 mod tests;
-
-use burn::backend::tensor::FloatTensor;
-use burn::backend::{Backend, ExtensionType};
+#[cfg(all(test, feature = "cube"))]
+mod visible_kernel_tests;
+#[cfg(test)]
+mod visible_tests;
 
 #[cfg(feature = "cube")]
 use crate::dials::Storage;
-use crate::op::Slot;
+use crate::record::record;
 
 /// The highest degree of spherical harmonics.
 pub const SH_DEGREE_MAX: usize = 4;
@@ -74,44 +90,30 @@ impl Harmonics {
     pub const fn coefficients(self) -> usize {
         coefficients_of(self.degree)
     }
+}
 
-    /// Of Gaussians with the constant alone, stored in the same way.
-    pub const fn constant(self) -> Self {
-        Self { degree: 0, ..self }
+/// How much wider the box of what is visible is than exact arithmetic would have it, and what is added to the square of the
+/// reach. `tile` widens its own square by 1e-5 and adds 1e-4.
+const REACH_MARGIN: f64 = 1.01;
+const REACH_SLACK: f64 = 1e-3;
+
+/// No exponential of f32 or f64 tells `exp(−k²/2)` from zero here, whatever `alpha_min` is.
+const SIGMAS_MAX: f64 = 64.0;
+
+/// Standard deviations out to which a Gaussian of opacity 1 may show.
+fn reach_sigmas(alpha_min: f64) -> f64 {
+    let sigmas = if alpha_min > 0.0 { (REACH_SLACK - 2.0 * alpha_min.min(1.0).ln()).sqrt() } else { SIGMAS_MAX };
+    REACH_MARGIN * sigmas.min(SIGMAS_MAX)
+}
+
+record! {
+    /// What colours are computed from.
+    pub struct Shading {
+        /// `[N, (degree+1)², 3]`, of half precision or of the type of the others, which its gradient has.
+        sh,
+        /// `[N, 3]`, world frame.
+        means,
+        /// `[3, 4]`; in the gradient every entry is taken as free.
+        cam_from_world,
     }
-}
-
-/// Inputs of the stage.
-#[derive(Clone, Debug, ExtensionType)]
-#[extension_type(fusion: cfg(feature = "fusion"))]
-pub struct ShadeInputs<B: Backend> {
-    /// `[N, (degree+1)², 3]`, of half precision or of the type of the others.
-    pub sh: FloatTensor<B>,
-    /// `[N, 3]`, world frame.
-    pub means: FloatTensor<B>,
-    /// `[3, 4]`.
-    pub cam_from_world: FloatTensor<B>,
-}
-
-/// Gradients of the stage's inputs, each only where it was asked for.
-#[derive(Clone, Debug, ExtensionType)]
-#[extension_type(fusion: cfg(feature = "fusion"))]
-pub struct ShadeGrads<B: Backend> {
-    /// `[N, (degree+1)², 3]`.
-    #[extension_type]
-    pub sh: Slot<B>,
-    /// `[N, 3]`.
-    #[extension_type]
-    pub means: Slot<B>,
-    /// `[3, 4]`, every entry taken as free.
-    #[extension_type]
-    pub cam_from_world: Slot<B>,
-}
-
-/// Which gradients are asked for.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct ShadeNeeds {
-    pub sh: bool,
-    pub means: bool,
-    pub cam_from_world: bool,
 }

@@ -4,8 +4,7 @@ use rayon::prelude::*;
 
 use super::{THICKNESS_MAX, TILT};
 use crate::linalg::{Mat3, add, cross, dot, hadamard, matmul, matvec, norm, scale, sub, transpose, transposed_matvec};
-use crate::project::cpu::{Grads, Inputs};
-use crate::project::{ProjectNeeds, ProjectSpec};
+use crate::project::{Geometry, ProjectSpec};
 use crate::real::Real;
 
 /// Gaussians per task. The pose's gradient adds one partial sum per chunk in order.
@@ -67,7 +66,7 @@ struct Leaning<F> {
 
 impl<F: Real> Leaning<F> {
     /// `None` for a Gaussian without a tilt.
-    fn new(lens: &Lens<F>, inputs: &Inputs<F>, i: usize) -> Option<Self> {
+    fn new(lens: &Lens<F>, inputs: &Geometry<&[F]>, i: usize) -> Option<Self> {
         let three = |values: &[F]| [values[3 * i], values[3 * i + 1], values[3 * i + 2]];
         let (mean, scales) = (three(inputs.means), three(inputs.scales));
         let rotation: [F; 4] = std::array::from_fn(|k| inputs.rotations[4 * i + k]);
@@ -166,7 +165,7 @@ impl<F: Real> Leaning<F> {
 }
 
 /// `[N, 3]` tilts and thicknesses.
-pub(crate) fn tilt_cpu<F: Real>(inputs: Inputs<F>, spec: &ProjectSpec) -> Vec<F> {
+pub(crate) fn tilt_cpu<F: Real>(inputs: Geometry<&[F]>, spec: &ProjectSpec) -> Vec<F> {
     let lens = Lens::new(inputs.cam_from_world, spec);
     let mut tilts = vec![F::ZERO; inputs.opacities.len() * TILT];
     tilts.par_chunks_mut(TILT).with_min_len(CHUNK).enumerate().for_each(|(i, row)| {
@@ -186,7 +185,7 @@ struct Found<F> {
     pose: [F; 12],
 }
 
-fn backward_one<F: Real>(lens: &Lens<F>, inputs: &Inputs<F>, i: usize, grad: [F; TILT]) -> Option<Found<F>> {
+fn backward_one<F: Real>(lens: &Lens<F>, inputs: &Geometry<&[F]>, i: usize, grad: [F; TILT]) -> Option<Found<F>> {
     if grad.iter().all(|value| *value == F::ZERO) {
         return None;
     }
@@ -229,15 +228,15 @@ fn backward_one<F: Real>(lens: &Lens<F>, inputs: &Inputs<F>, i: usize, grad: [F;
 
 /// Gradients of the inputs from `grad`, `[N, 3]`. Opacities and projected centres have none.
 pub(crate) fn tilt_backward_cpu<F: Real>(
-    inputs: Inputs<F>,
+    inputs: Geometry<&[F]>,
     grad: &[F],
     spec: &ProjectSpec,
-    needs: ProjectNeeds,
-) -> Grads<F> {
+    needs: Geometry<bool>,
+) -> Geometry<Vec<F>> {
     let lens = Lens::new(inputs.cam_from_world, spec);
     let count = inputs.opacities.len();
     let rows = |needed: bool, columns: usize| vec![F::ZERO; if needed { count * columns } else { 0 }];
-    let mut grads = Grads {
+    let mut grads = Geometry {
         means: rows(needs.means, 3),
         rotations: rows(needs.rotations, 4),
         scales: rows(needs.scales, 3),

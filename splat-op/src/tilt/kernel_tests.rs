@@ -7,15 +7,14 @@ use crate::blend::BlendSpec;
 use crate::camera::Intrinsics;
 use crate::gpu::{Buffer, Gpu};
 use crate::options::{Projection, RenderOptions};
-use crate::project::cpu::{Grads, Inputs, project_cpu};
-use crate::project::launch::DeviceInputs;
-use crate::project::{COLUMNS, ProjectNeeds, ProjectSpec};
+use crate::project::cpu::project_cpu;
+use crate::project::{COLUMNS, Geometry, ProjectSpec};
 use crate::testing::ceiling::{Yardstick, rounded, to_f32};
 use crate::testing::gpu::gpus;
 use crate::testing::random::Random;
 
-const ALL: ProjectNeeds =
-    ProjectNeeds { means: true, rotations: true, scales: true, opacities: false, cam_from_world: true, mean2d: false };
+const ALL: Geometry<bool> =
+    Geometry { means: true, rotations: true, scales: true, opacities: false, cam_from_world: true, mean2d: false };
 
 const CAMERA: Intrinsics = Intrinsics { fx: 61.0, fy: 43.0, cx: 41.5, cy: 13.25, ..Intrinsics::centred(64, 48, 61.0) };
 
@@ -60,9 +59,9 @@ fn scene(seed: u64, count: usize) -> (Vec<Vec<f64>>, Vec<Option<u8>>) {
     (tensors.iter().map(|tensor| rounded(tensor)).collect(), classes)
 }
 
-fn inputs<F>(tensors: &[Vec<F>]) -> Inputs<'_, F> {
+fn inputs<F>(tensors: &[Vec<F>]) -> Geometry<&'_ [F]> {
     let [means, rotations, scales, opacities, cam_from_world, ..] = tensors else { unreachable!("five tensors") };
-    Inputs { means, rotations, scales, opacities, cam_from_world }
+    Geometry { means, rotations, scales, opacities, cam_from_world, mean2d: &[] }
 }
 
 fn specs() -> [ProjectSpec; 3] {
@@ -72,19 +71,20 @@ fn specs() -> [ProjectSpec; 3] {
     })
 }
 
-fn upload(gpu: &Gpu, tensors: &[Vec<f64>]) -> (DeviceInputs, Buffer<f32>) {
+fn upload(gpu: &Gpu, tensors: &[Vec<f64>]) -> (Geometry<Buffer<f32>>, Buffer<f32>) {
     let buffer = |i: usize| Buffer::from_slice(gpu, &to_f32(&tensors[i]));
-    let inputs = DeviceInputs {
+    let inputs = Geometry {
         means: buffer(0),
         rotations: buffer(1),
         scales: buffer(2),
         opacities: buffer(3),
         cam_from_world: buffer(4),
+        mean2d: Buffer::new(gpu, 0),
     };
     (inputs, buffer(GRAD))
 }
 
-fn list(g: Grads<f64>) -> Vec<Vec<f64>> {
+fn list(g: Geometry<Vec<f64>>) -> Vec<Vec<f64>> {
     vec![g.means, g.rotations, g.scales, g.cam_from_world]
 }
 
@@ -117,14 +117,14 @@ fn only_what_is_needed() {
     let spec = specs()[0];
     for (form, gpu) in gpus() {
         let (device, grad) = upload(&gpu, &tensors);
-        let read = |needs: ProjectNeeds| {
+        let read = |needs: Geometry<bool>| {
             let g = launch_tilt_backward(&gpu, &device, &grad, &spec, needs);
             [g.means, g.rotations, g.scales, g.cam_from_world].map(|buffer| buffer.map(|buffer| buffer.read(&gpu)))
         };
         let all = read(ALL);
         for alone in 0..4 {
             let [means, rotations, scales, cam_from_world] = std::array::from_fn(|i| i == alone);
-            let found = read(ProjectNeeds { means, rotations, scales, cam_from_world, ..ALL });
+            let found = read(Geometry { means, rotations, scales, cam_from_world, ..ALL });
             for (i, found) in found.iter().enumerate() {
                 let expected = all[i].as_ref().filter(|_| i == alone);
                 assert_eq!(found.as_ref(), expected, "gradient {i} of {alone} alone, {form}");

@@ -7,11 +7,11 @@ use crate::blend::BlendSpec;
 use crate::gpu::math::POSE;
 use crate::gpu::reduce::launch_column_sums;
 use crate::gpu::{Buffer, Gpu, UNITS, elementwise};
-use crate::project::launch::{DeviceGrads, DeviceInputs, lens};
-use crate::project::{COLUMNS, ProjectNeeds, ProjectSpec};
+use crate::project::launch::lens;
+use crate::project::{COLUMNS, Geometry, ProjectSpec};
 
 /// `[N, 3]`.
-pub(crate) fn launch_tilt(gpu: &Gpu, inputs: &DeviceInputs, spec: &ProjectSpec) -> Buffer<f32> {
+pub(crate) fn launch_tilt(gpu: &Gpu, inputs: &Geometry<Buffer<f32>>, spec: &ProjectSpec) -> Buffer<f32> {
     let count = inputs.opacities.len;
     let tilts = Buffer::new(gpu, count * TILT);
     if count == 0 {
@@ -67,14 +67,14 @@ pub(crate) fn launch_outline(gpu: &Gpu, projected: &Buffer<f32>, tilts: &Buffer<
 /// fixed order.
 pub(crate) fn launch_tilt_backward(
     gpu: &Gpu,
-    inputs: &DeviceInputs,
+    inputs: &Geometry<Buffer<f32>>,
     grad: &Buffer<f32>,
     spec: &ProjectSpec,
-    needs: ProjectNeeds,
-) -> DeviceGrads {
+    needs: Geometry<bool>,
+) -> Geometry<Option<Buffer<f32>>> {
     let count = inputs.opacities.len;
     let rows = |needed, columns| Buffer::if_needed(gpu, needed, count * columns);
-    let mut grads = DeviceGrads {
+    let mut grads = Geometry {
         means: rows(needs.means, 3),
         rotations: rows(needs.rotations, 4),
         scales: rows(needs.scales, 3),

@@ -7,14 +7,14 @@ use super::{REACH, THICKNESS_MAX, TILT, outline_cpu};
 use crate::blend::BlendSpec;
 use crate::camera::Intrinsics;
 use crate::options::{Projection, RenderOptions};
-use crate::project::cpu::{Grads, Inputs, project_cpu};
-use crate::project::{COLUMNS, Ellipse, ProjectNeeds, ProjectSpec};
+use crate::project::cpu::project_cpu;
+use crate::project::{COLUMNS, Ellipse, Geometry, ProjectSpec};
 use crate::real::Real;
 use crate::testing::finite::{check_gradient, inner_product};
 use crate::testing::random::Random;
 
-const ALL: ProjectNeeds =
-    ProjectNeeds { means: true, rotations: true, scales: true, opacities: false, cam_from_world: true, mean2d: false };
+const ALL: Geometry<bool> =
+    Geometry { means: true, rotations: true, scales: true, opacities: false, cam_from_world: true, mean2d: false };
 
 const CAMERA: Intrinsics = Intrinsics { fx: 35.0, fy: 31.0, cx: 18.0, cy: 15.5, ..Intrinsics::centred(40, 28, 35.0) };
 
@@ -49,13 +49,13 @@ impl Scene {
         tilt_cpu(inputs(&self.0), spec)
     }
 
-    fn backward(&self, grad: &[f64], spec: &ProjectSpec) -> Grads<f64> {
+    fn backward(&self, grad: &[f64], spec: &ProjectSpec) -> Geometry<Vec<f64>> {
         tilt_backward_cpu(inputs(&self.0), grad, spec, ALL)
     }
 }
 
-fn inputs<F>([means, rotations, scales, opacities, cam_from_world]: &[Vec<F>; 5]) -> Inputs<'_, F> {
-    Inputs { means, rotations, scales, opacities, cam_from_world }
+fn inputs<F>([means, rotations, scales, opacities, cam_from_world]: &[Vec<F>; 5]) -> Geometry<&'_ [F]> {
+    Geometry { means, rotations, scales, opacities, cam_from_world, mean2d: &[] }
 }
 
 /// The covariance of the contract, formed as it stands there.

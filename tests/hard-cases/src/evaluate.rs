@@ -74,7 +74,6 @@ fn leaves(scene: &HardScene, device: &Device, dtype: DType) -> Leaves {
             log_scales: scales.clone(),
             logit_opacities: opacities.clone(),
             sh: Tensor::zeros([count, 1, 3], (device, dtype)),
-            matte: None,
         };
         let fits = "shapes that the scene has";
         (activate::scales(&scales).expect(fits), activate::opacities(&raw).expect(fits))
@@ -140,8 +139,8 @@ pub fn evaluate(scene: &HardScene, weights: &Weights, device: &Device, dtype: DT
 /// Which Gaussians the projection culls.
 pub fn culled(scene: &HardScene, device: &Device, dtype: DType) -> Vec<usize> {
     let Leaves { splats, camera, .. } = leaves(scene, device, dtype);
-    let projected =
-        project(&splats, &camera, None, &scene.options).unwrap_or_else(|error| panic!("{}: {error}", scene.label));
+    let projected = project(&splats, &camera, &Extras::default(), &scene.options)
+        .unwrap_or_else(|error| panic!("{}: {error}", scene.label));
     let depths = host(projected.ellipses().depth);
     depths.iter().enumerate().filter(|(_, depth)| **depth == 0.0).map(|(i, _)| i).collect()
 }

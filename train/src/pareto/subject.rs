@@ -11,7 +11,7 @@ use rand_chacha::ChaCha8Rng;
 use splat_model::capture::Photo;
 use splat_model::gaussians::{GaussianRows, Gaussians};
 use splat_model::loss::{DEFAULT_LAMBDA, Truth, photometric};
-use splat_op::{Camera, Extras, Intrinsics, Picture, RenderOptions, Splats, Storage, render_view, with_gradient};
+use splat_op::{Camera, Extras, Intrinsics, RenderOptions, Rendered, Splats, Storage, render_view, with_gradient};
 
 /// A camera, and the photograph that it took if there is one.
 #[derive(Clone, Copy)]
@@ -116,11 +116,11 @@ impl Place {
     ///
     /// # Errors
     /// If the operation refuses the scene.
-    pub fn render(&self, view: usize, options: &RenderOptions) -> Result<Picture> {
+    pub fn render(&self, view: usize, options: &RenderOptions) -> Result<Rendered<3>> {
         // Stored once, as whoever renders a scene many times has it.
         let splats = match options.coefficients {
             Storage::Full => &self.splats,
-            Storage::Half => match self.halved.get() {
+            _ => match self.halved.get() {
                 Some(halved) => halved,
                 None => {
                     let halved = self.splats.stored(options)?;
@@ -135,12 +135,12 @@ impl Place {
     ///
     /// # Errors
     /// If the operation refuses the scene.
-    pub fn tracked(&self, view: usize, options: &RenderOptions) -> Result<Picture> {
+    pub fn tracked(&self, view: usize, options: &RenderOptions) -> Result<Rendered<3>> {
         Ok(render_view(&self.gaussians.splats(), &self.cameras[view], &self.extras, options)?)
     }
 
     /// The gradients of `Σ colour · cotangent`, `[H, W, 3]` each.
-    pub fn backward(&self, picture: Picture, cotangent: Tensor<3>) -> Gradients {
+    pub fn backward(&self, picture: Rendered<3>, cotangent: Tensor<3>) -> Gradients {
         let value = Tensor::<1>::zeros([1], (&self.device, self.dtype));
         with_gradient(picture.colour, value, cotangent).backward()
     }

@@ -68,7 +68,7 @@ fn colours_matter_only_where_something_is_drawn() {
 
 #[test]
 fn a_picture_is_finite_and_hides_no_more_than_all() {
-    let picture = |colour: f32, alpha: f32| Picture {
+    let picture = |colour: f32, alpha: f32| Rendered {
         colour: Tensor::from_floats([[[0.0, colour, 7.0], [0.0, 0.0, 0.0]]], &device()),
         alpha: Tensor::from_floats([[[0.0], [alpha]]], &device()),
         depth: None,

@@ -1,14 +1,14 @@
-//! The operations as an extension of Burn's GPU backend. Neither is differentiable.
+//! Adam's step as an extension of Burn's GPU backend. Not differentiable.
 
 use burn::backend::tensor::{FloatTensor, IntTensor};
-use burn::backend::{Backend, Dispatch, ExtensionType, TensorMetadata, backend_extension};
-use burn::tensor::{DType, Int, Shape, Tensor};
+use burn::backend::{Backend, ExtensionType, TensorMetadata, backend_extension};
+use burn::tensor::{DType, Shape};
 use burn_cubecl::CubeBackend;
 use burn_cubecl::tensor::CubeTensor;
 
-use super::launch::{DeviceState, launch_adam, launch_watch};
-use super::{Factors, Stepped, VERDICT};
-use crate::bind::cube::{buffer, owned};
+use super::cube::{buffer, owned};
+use crate::adam::launch::{DeviceState, launch_adam, launch_watch};
+use crate::adam::rule::{Factors, VERDICT};
 use crate::gpu::{Buffer, Gpu};
 
 /// What may hold a step back.
@@ -50,7 +50,7 @@ pub struct AdamState<B: Backend> {
     pub v: FloatTensor<B>,
 }
 
-/// The operations of this module, on GPU backends alone.
+/// Adam's step and the verdict that holds it back, on GPU backends alone; see `adam/`.
 #[backend_extension(Cube, Fusion: cfg(feature = "fusion"))]
 pub trait AdamBackend: Backend {
     /// One step.
@@ -94,33 +94,4 @@ impl AdamBackend for CubeBackend {
         launch_watch(&gpu, &buffer(values), &verdict_buffer(&verdict), at_step, bit);
         verdict
     }
-}
-
-/// See [`super::step()`].
-pub(super) fn step<const D: usize>(
-    from: Stepped<D>,
-    grad: &Tensor<D>,
-    verdict: Option<&Tensor<1, Int>>,
-    factors: Factors,
-) -> Stepped<D> {
-    let inputs = AdamInputs {
-        param: from.param.into_dispatch(),
-        grad: grad.clone().into_dispatch(),
-        m: from.m.into_dispatch(),
-        v: from.v.into_dispatch(),
-        held: verdict.map_or(Held::Never, |verdict| Held::By(verdict.clone().into_dispatch())),
-    };
-    let AdamState { param, m, v } = <Dispatch as AdamBackend>::adam(inputs, factors);
-    Stepped { param: Tensor::from_dispatch(param), m: Tensor::from_dispatch(m), v: Tensor::from_dispatch(v) }
-}
-
-/// See [`super::watch()`].
-pub(super) fn watch<const D: usize>(
-    values: &Tensor<D>,
-    verdict: Tensor<1, Int>,
-    at_step: u32,
-    bit: u32,
-) -> Tensor<1, Int> {
-    let (values, verdict) = (values.clone().into_dispatch(), verdict.into_dispatch());
-    Tensor::from_dispatch(<Dispatch as AdamBackend>::watch(values, verdict, at_step, bit))
 }

@@ -6,39 +6,24 @@ use burn::backend::autodiff::checkpoint::base::Checkpointer;
 use burn::backend::autodiff::checkpoint::strategy::CheckpointStrategy;
 use burn::backend::autodiff::grads::Gradients;
 use burn::backend::autodiff::ops::{Backward, Ops, OpsKind};
+#[cfg(feature = "fusion")]
+use burn::backend::fusion::custom::TensorSpec;
 use burn::backend::ops::IntTensorOps;
 use burn::backend::tensor::{FloatTensor, IntTensor};
-use burn::backend::{Autodiff, Backend, ExtensionType, Flex, NdArray, TensorMetadata, backend_extension};
+use burn::backend::{Autodiff, Backend, Flex, NdArray, TensorMetadata, backend_extension};
 use burn::tensor::{DType, TensorData};
 
-#[cfg(feature = "fusion")]
-use super::fusion;
+use super::autodiff::tracked;
+use super::cpu::host;
 use super::host::{HostBackend, by_type};
-use crate::activate::cpu::{
-    self, all_finite_cpu, opacities_cpu, opacities_of_groups_cpu, opacity_slopes_cpu, scales_cpu,
-};
-use crate::op::Slot;
+#[cfg(feature = "fusion")]
+use super::tensors::InputTensorMetadata;
+use super::tensors::{InputTensor, RawTensors};
+use crate::activate::cpu::{all_finite_cpu, opacities_cpu, opacity_slopes_cpu, scales_cpu};
+#[cfg(feature = "fusion")]
+use crate::activate::rule::Raw;
 
-/// Unconstrained parameters; see [`crate::RawSplats`].
-#[derive(Clone, Debug, ExtensionType)]
-#[extension_type(fusion: cfg(feature = "fusion"))]
-pub struct ActivateInputs<B: Backend> {
-    /// `[N, 3]`.
-    pub means: FloatTensor<B>,
-    /// `[N, 4]`.
-    pub rotations: FloatTensor<B>,
-    /// `[N, 3]`.
-    pub log_scales: FloatTensor<B>,
-    /// `[N]`.
-    pub logit_opacities: FloatTensor<B>,
-    /// `[N, K, 3]`, or `[M, K, 3]`.
-    pub sh: FloatTensor<B>,
-    /// `[N − M, 1, 3]`, if there are matte Gaussians.
-    #[extension_type]
-    pub matte: Slot<B>,
-}
-
-/// Activation of parameters, see `activate/`. No method has a default body: a backend that lacks one does not compile.
+/// Activation of parameters, see `activate/`.
 #[backend_extension(Cube: cfg(feature = "cube"), Flex, NdArray, Autodiff, Fusion: cfg(feature = "fusion"))]
 pub trait ActivateBackend: Backend {
     /// Standard deviations, of the shape of `log_scales`, `[N, 3]`.
@@ -46,8 +31,8 @@ pub trait ActivateBackend: Backend {
     fn scales(log_scales: FloatTensor<Self>) -> FloatTensor<Self>;
 
     /// Opacities, `[N]`. Differentiable in the logits.
-    #[fusion(meta = fusion::opacities)]
-    fn opacities(#[extension_type] inputs: ActivateInputs<Self>) -> FloatTensor<Self>;
+    #[fusion(meta = opacities)]
+    fn opacities(#[extension_type] inputs: RawTensors<Self>) -> FloatTensor<Self>;
 
     /// Derivatives of the opacities with respect to their logits, `[N]`. Not differentiable.
     #[fusion(dtype = logit_opacities, shape = logit_opacities)]
@@ -56,6 +41,11 @@ pub trait ActivateBackend: Backend {
     /// `[1]`: 1 if any value is not finite, else 0. Not differentiable.
     #[fusion(dtype = DType::I32, shape = burn::tensor::Shape::from([1]))]
     fn non_finite(values: FloatTensor<Self>) -> IntTensor<Self>;
+}
+
+#[cfg(feature = "fusion")]
+fn opacities(inputs: &Raw<InputTensorMetadata>) -> TensorSpec {
+    inputs.logit_opacities.0.clone()
 }
 
 macro_rules! cpu_backend {
@@ -68,18 +58,12 @@ macro_rules! cpu_backend {
                 })
             }
 
-            fn opacities(inputs: ActivateInputs<Self>) -> FloatTensor<Self> {
-                let like = inputs.logit_opacities.clone();
+            fn opacities(inputs: RawTensors<Self>) -> FloatTensor<Self> {
+                let like = &inputs.logit_opacities.0;
                 by_type!(like, F => {
-                    let ActivateInputs { means, rotations, log_scales, logit_opacities, sh, matte } = inputs;
-                    let host = [means, rotations, log_scales, logit_opacities, sh].map(Self::host::<F>);
-                    let [means, rotations, log_scales, logit_opacities, sh] = &host;
-                    let inputs = cpu::Inputs { means, rotations, log_scales, logit_opacities, sh };
-                    let opacities = match matte {
-                        Slot::Skip => opacities_cpu(inputs),
-                        Slot::Have(matte) => opacities_of_groups_cpu(inputs, &Self::host(matte)),
-                    };
-                    Self::from_host(opacities, &like.shape(), &like)
+                    let read = inputs.each_ref().map(host::<Self, F>);
+                    let opacities = opacities_cpu(read.each_ref().map(|host| &host[..]));
+                    Self::from_host(opacities, &like.shape(), like)
                 })
             }
 
@@ -108,10 +92,8 @@ mod gpu {
     use burn_cubecl::CubeBackend;
 
     use super::*;
-    use crate::activate::launch::{
-        DeviceInputs, launch_non_finite, launch_opacities, launch_opacity_slopes, launch_scales,
-    };
-    use crate::bind::cube::{buffer, tensor};
+    use crate::activate::launch::{launch_non_finite, launch_opacities, launch_opacity_slopes, launch_scales};
+    use crate::backend::cube::{buffer, on_device, tensor};
     use crate::gpu::Gpu;
 
     impl ActivateBackend for CubeBackend {
@@ -121,21 +103,10 @@ mod gpu {
             tensor(scales, log_scales.shape(), DType::F32, &log_scales)
         }
 
-        fn opacities(inputs: ActivateInputs<Self>) -> FloatTensor<Self> {
-            let like = inputs.logit_opacities.clone();
-            let gpu = Gpu::new(&like.client);
-            let on_device = DeviceInputs {
-                means: buffer(inputs.means),
-                rotations: buffer(inputs.rotations),
-                log_scales: buffer(inputs.log_scales),
-                logit_opacities: buffer(inputs.logit_opacities),
-                sh: buffer(inputs.sh),
-                matte: match inputs.matte {
-                    Slot::Skip => None,
-                    Slot::Have(matte) => Some(buffer(matte)),
-                },
-            };
-            tensor(launch_opacities(&gpu, &on_device), like.shape(), DType::F32, &like)
+        fn opacities(inputs: RawTensors<Self>) -> FloatTensor<Self> {
+            let like = &inputs.logit_opacities.0;
+            let opacities = launch_opacities(&Gpu::new(&like.client), &inputs.each_ref().map(on_device));
+            tensor(opacities, like.shape(), DType::F32, like)
         }
 
         fn opacity_slopes(logit_opacities: FloatTensor<Self>, opacities: FloatTensor<Self>) -> FloatTensor<Self> {
@@ -194,24 +165,12 @@ impl<B: ActivateBackend, C: CheckpointStrategy> ActivateBackend for Autodiff<B, 
         }
     }
 
-    fn opacities(inputs: ActivateInputs<Self>) -> FloatTensor<Self> {
-        let node = inputs.logit_opacities.node();
-        let logit_opacities = inputs.logit_opacities.into_primitive();
-        let output = B::opacities(ActivateInputs {
-            means: inputs.means.into_primitive(),
-            rotations: inputs.rotations.into_primitive(),
-            log_scales: inputs.log_scales.into_primitive(),
-            logit_opacities: logit_opacities.clone(),
-            sh: inputs.sh.into_primitive(),
-            matte: match inputs.matte {
-                Slot::Skip => Slot::Skip,
-                Slot::Have(matte) => Slot::Have(matte.into_primitive()),
-            },
-        });
-        match OpacitiesBackward.prepare::<C>([node]).compute_bound().stateful() {
-            OpsKind::Tracked(prep) => prep.finish((logit_opacities, output.clone()), output),
-            OpsKind::UnTracked(prep) => prep.finish(output),
-        }
+    fn opacities(inputs: RawTensors<Self>) -> FloatTensor<Self> {
+        let inner = inputs.each_ref().map(InputTensor::inner);
+        let logit_opacities = inner.logit_opacities.0.clone();
+        let output = B::opacities(inner);
+        let state = (logit_opacities, output.clone());
+        tracked(OpacitiesBackward, [&inputs.logit_opacities], state, output)
     }
 
     fn opacity_slopes(logit_opacities: FloatTensor<Self>, opacities: FloatTensor<Self>) -> FloatTensor<Self> {

@@ -12,7 +12,7 @@ use burn::tensor::{Shape, Tensor};
 
 /// Hands a value on, with a derivative beside it for autodiff.
 #[backend_extension(Cube: cfg(feature = "cube"), Flex, NdArray, Autodiff, Fusion: cfg(feature = "fusion"))]
-pub trait AttachBackend: Backend {
+pub trait CustomGradBackend: Backend {
     /// Returns `value`, `[1]`, whose derivative with respect to `variable` is `gradient`, of the shape of `variable`.
     #[fusion(dtype = value, shape = value)]
     fn with_gradient(
@@ -28,7 +28,7 @@ pub trait AttachBackend: Backend {
 
 macro_rules! without_autodiff {
     ($backend:ty, $scaled:expr) => {
-        impl AttachBackend for $backend {
+        impl CustomGradBackend for $backend {
             fn with_gradient(
                 _: FloatTensor<Self>,
                 value: FloatTensor<Self>,
@@ -55,9 +55,9 @@ without_autodiff!(burn::backend::NdArray, scaled_in_tensors::<Self>);
 without_autodiff!(burn_cubecl::CubeBackend, super::cube::scaled);
 
 #[derive(Debug)]
-struct AttachBackward;
+struct CustomGradBackward;
 
-impl<B: AttachBackend> Backward<B, 1> for AttachBackward {
+impl<B: CustomGradBackend> Backward<B, 1> for CustomGradBackward {
     type State = FloatTensor<B>;
 
     fn backward(self, ops: Ops<Self::State, 1>, grads: &mut Gradients, _: &mut Checkpointer) {
@@ -68,14 +68,14 @@ impl<B: AttachBackend> Backward<B, 1> for AttachBackward {
     }
 }
 
-impl<B: AttachBackend, C: CheckpointStrategy> AttachBackend for Autodiff<B, C> {
+impl<B: CustomGradBackend, C: CheckpointStrategy> CustomGradBackend for Autodiff<B, C> {
     fn with_gradient(
         variable: FloatTensor<Self>,
         value: FloatTensor<Self>,
         gradient: FloatTensor<Self>,
     ) -> FloatTensor<Self> {
         let (value, gradient) = (value.into_primitive(), gradient.into_primitive());
-        match AttachBackward.prepare::<C>([variable.node()]).compute_bound().stateful() {
+        match CustomGradBackward.prepare::<C>([variable.node()]).compute_bound().stateful() {
             OpsKind::Tracked(prep) => prep.finish(gradient, value),
             OpsKind::UnTracked(prep) => prep.finish(value),
         }
@@ -94,5 +94,5 @@ impl<B: AttachBackend, C: CheckpointStrategy> AttachBackend for Autodiff<B, C> {
 pub fn with_gradient<const D: usize>(variable: Tensor<D>, value: Tensor<1>, gradient: Tensor<D>) -> Tensor<1> {
     assert_eq!(variable.dims(), gradient.dims(), "a derivative has the shape of its variable");
     let (value, gradient) = (value.into_dispatch(), gradient.into_dispatch());
-    Tensor::from_dispatch(<Dispatch as AttachBackend>::with_gradient(variable.into_dispatch(), value, gradient))
+    Tensor::from_dispatch(<Dispatch as CustomGradBackend>::with_gradient(variable.into_dispatch(), value, gradient))
 }

@@ -1,0 +1,232 @@
+//! The backward nodes of the stages. Each stage is one node; a backward pass computes what is tracked.
+
+use std::ops::Range;
+use std::sync::PoisonError;
+
+use burn::backend::autodiff::checkpoint::base::Checkpointer;
+use burn::backend::autodiff::checkpoint::strategy::CheckpointStrategy;
+use burn::backend::autodiff::grads::Gradients;
+use burn::backend::autodiff::ops::{Backward, Ops, OpsKind};
+use burn::backend::tensor::{FloatTensor, IntTensor};
+use burn::backend::{Autodiff, Backend, TensorMetadata};
+use burn::tensor::Shape;
+
+use super::stages::SplatBackend;
+use super::tensors::{
+    GeometryGrads, GeometryTensors, InputTensor, LayerGrads, LayerTensors, OptionalTensor, ShadingGrads, ShadingTensors,
+};
+use crate::blend::{BlendSpec, Layers, PartsCell, TraceCell};
+use crate::project::{Geometry, ProjectSpec};
+use crate::shade::Shading;
+use crate::tile::HitCell;
+
+/// The output of a stage, with `kind` as its backward node if any of its inputs is tracked.
+pub(super) fn tracked<B: Backend, C: CheckpointStrategy, K: Backward<B, N>, const N: usize>(
+    kind: K,
+    inputs: [&InputTensor<Autodiff<B, C>>; N],
+    state: K::State,
+    output: FloatTensor<B>,
+) -> FloatTensor<Autodiff<B, C>> {
+    match kind.prepare::<C>(inputs.map(|input| input.0.node())).compute_bound().stateful() {
+        OpsKind::Tracked(prep) => prep.finish(state, output),
+        OpsKind::UnTracked(prep) => prep.finish(output),
+    }
+}
+
+/// Runs a backward pass for the inputs that want a gradient, and hands each what was found for it.
+pub(super) fn differentiate<B: Backend, S, const N: usize>(
+    ops: Ops<S, N>,
+    grads: &mut Gradients,
+    backward: impl FnOnce(S, [bool; N]) -> [OptionalTensor<B>; N],
+) {
+    let mask = ops.parents.each_ref().map(Option::is_some);
+    for (parent, found) in ops.parents.into_iter().zip(backward(ops.state, mask)) {
+        if let (Some(parent), OptionalTensor::Present(grad)) = (parent, found) {
+            grads.register::<B>(parent.id, grad);
+        }
+    }
+}
+
+#[derive(Debug)]
+struct ProjectBackward;
+
+impl<B: SplatBackend> Backward<B, 6> for ProjectBackward {
+    type State = (GeometryTensors<B>, ProjectSpec);
+
+    fn backward(self, ops: Ops<Self::State, 6>, grads: &mut Gradients, _: &mut Checkpointer) {
+        let grad = grads.consume::<B>(&ops.node);
+        differentiate::<B, _, _>(ops, grads, |(inputs, spec), mask| {
+            B::project_backward(inputs, grad, spec, Geometry::from_array(mask)).into_array()
+        });
+    }
+}
+
+#[derive(Debug)]
+struct ShadeBackward;
+
+impl<B: SplatBackend> Backward<B, 3> for ShadeBackward {
+    type State = (ShadingTensors<B>, OptionalTensor<B>, ProjectSpec);
+
+    fn backward(self, ops: Ops<Self::State, 3>, grads: &mut Gradients, _: &mut Checkpointer) {
+        let grad = grads.consume::<B>(&ops.node);
+        differentiate::<B, _, _>(ops, grads, |(inputs, visible, spec), mask| {
+            B::shade_backward(inputs, visible, grad, spec, Shading::from_array(mask)).into_array()
+        });
+    }
+}
+
+/// Hands a part's gradient to the node of the planes it is taken from, beside the graph.
+#[derive(Debug)]
+struct PartBackward;
+
+impl<B: SplatBackend> Backward<B, 1> for PartBackward {
+    type State = (Range<usize>, PartsCell);
+
+    fn backward(self, ops: Ops<Self::State, 1>, grads: &mut Gradients, _: &mut Checkpointer) {
+        let grad = grads.consume::<B>(&ops.node);
+        let (range, parts) = ops.state;
+        parts.0.lock().unwrap_or_else(PoisonError::into_inner).push((range, Box::new(grad)));
+    }
+}
+
+/// The gradient of the planes from those of the parts that have one: the part's own if that is all of the first `alone`
+/// planes, else all planes with zeros where no part is.
+pub(super) fn planes_grad<B: SplatBackend>(
+    parts: &PartsCell,
+    planes: &FloatTensor<B>,
+    alone: Option<usize>,
+) -> FloatTensor<B> {
+    let mut found: Vec<(Range<usize>, FloatTensor<B>)> = Vec::new();
+    for (range, grad) in parts.0.lock().unwrap_or_else(PoisonError::into_inner).drain(..) {
+        let grad = grad.downcast::<FloatTensor<B>>().expect("parts are of the planes' backend");
+        match found.iter_mut().find(|(other, _)| *other == range) {
+            Some((_, sum)) => *sum = B::float_add(sum.clone(), *grad),
+            None => found.push((range, *grad)),
+        }
+    }
+    assert!(!found.is_empty(), "the planes of `blend` have gradients only through `part`");
+    found.sort_by_key(|(range, _)| range.start);
+    if let [(range, grad)] = &found[..]
+        && alone.is_some_and(|alone| *range == (0..alone))
+    {
+        return grad.clone();
+    }
+    let [count, height, width] = planes.shape().dims();
+    let zeros = |len: usize| B::float_zeros(Shape::from([len, height, width]), &planes.device(), planes.dtype().into());
+    let mut pieces = Vec::new();
+    let mut at = 0;
+    for (range, grad) in found {
+        if range.start > at {
+            pieces.push(zeros(range.start - at));
+        }
+        at = range.end;
+        pieces.push(grad);
+    }
+    if at < count {
+        pieces.push(zeros(count - at));
+    }
+    if pieces.len() == 1 { pieces.remove(0) } else { B::float_cat(pieces, 0) }
+}
+
+#[derive(Debug)]
+struct BlendBackward;
+
+impl<B: SplatBackend> Backward<B, 4> for BlendBackward {
+    type State = (LayerTensors<B>, FloatTensor<B>, BlendSpec, HitCell, TraceCell, PartsCell);
+
+    fn backward(self, ops: Ops<Self::State, 4>, grads: &mut Gradients, _: &mut Checkpointer) {
+        differentiate::<B, _, _>(ops, grads, |(inputs, planes, spec, hits, trace, parts), mask| {
+            let alone = (!spec.options.depth).then(|| inputs.background.0.shape().num_elements());
+            // The planes are seen through their parts alone, whose nodes come before this one.
+            let grad = planes_grad::<B>(&parts, &planes, alone);
+            B::blend_backward(inputs, planes, grad, spec, Layers::from_array(mask), hits, trace).into_array()
+        });
+    }
+}
+
+impl<B: SplatBackend, C: CheckpointStrategy> SplatBackend for Autodiff<B, C> {
+    fn project(inputs: GeometryTensors<Self>, spec: ProjectSpec) -> FloatTensor<Self> {
+        let inner = inputs.each_ref().map(InputTensor::inner);
+        let output = B::project(inner.clone(), spec);
+        tracked(ProjectBackward, inputs.each_ref().into_array(), (inner, spec), output)
+    }
+
+    fn shade(inputs: ShadingTensors<Self>, visible: OptionalTensor<Self>, spec: ProjectSpec) -> FloatTensor<Self> {
+        // Who is visible changes at borders alone: it has no gradient.
+        let (inner, visible) = (inputs.each_ref().map(InputTensor::inner), visible.inner());
+        let output = B::shade(inner.clone(), visible.clone(), spec);
+        tracked(ShadeBackward, inputs.each_ref().into_array(), (inner, visible, spec), output)
+    }
+
+    fn tile(projected: FloatTensor<Self>, spec: BlendSpec, hits: HitCell) -> IntTensor<Self> {
+        B::tile(projected.into_primitive(), spec, hits)
+    }
+
+    fn blend(
+        inputs: LayerTensors<Self>,
+        tile_counts: IntTensor<Self>,
+        spec: BlendSpec,
+        hits: HitCell,
+        _: Option<TraceCell>,
+        parts: PartsCell,
+    ) -> FloatTensor<Self> {
+        let inner = inputs.each_ref().map(InputTensor::inner);
+        let nodes = inputs.into_array().map(|input| input.0.node());
+        // What a backward pass would need is kept where there can be one alone.
+        match BlendBackward.prepare::<C>(nodes).compute_bound().stateful() {
+            OpsKind::Tracked(prep) => {
+                let trace = TraceCell::default();
+                let kept = Some(trace.clone());
+                let output = B::blend(inner.clone(), tile_counts, spec, hits.clone(), kept, parts.clone());
+                prep.finish((inner, output.clone(), spec, hits, trace, parts), output)
+            }
+            OpsKind::UnTracked(prep) => prep.finish(B::blend(inner, tile_counts, spec, hits, None, parts)),
+        }
+    }
+
+    fn part(planes: FloatTensor<Self>, from: usize, to: usize, parts: PartsCell) -> FloatTensor<Self> {
+        let node = planes.node();
+        let output = B::part(planes.into_primitive(), from, to, parts.clone());
+        match PartBackward.prepare::<C>([node]).compute_bound().stateful() {
+            OpsKind::Tracked(prep) => prep.finish((from..to, parts), output),
+            OpsKind::UnTracked(prep) => prep.finish(output),
+        }
+    }
+
+    // Backward passes are not differentiable themselves: called on this backend they see constants.
+
+    fn project_backward(
+        inputs: GeometryTensors<Self>,
+        grad: FloatTensor<Self>,
+        spec: ProjectSpec,
+        mask: Geometry<bool>,
+    ) -> GeometryGrads<Self> {
+        let inputs = inputs.each_ref().map(InputTensor::inner);
+        B::project_backward(inputs, grad.into_primitive(), spec, mask).map(OptionalTensor::constant)
+    }
+
+    fn shade_backward(
+        inputs: ShadingTensors<Self>,
+        visible: OptionalTensor<Self>,
+        grad: FloatTensor<Self>,
+        spec: ProjectSpec,
+        mask: Shading<bool>,
+    ) -> ShadingGrads<Self> {
+        let inputs = inputs.each_ref().map(InputTensor::inner);
+        B::shade_backward(inputs, visible.inner(), grad.into_primitive(), spec, mask).map(OptionalTensor::constant)
+    }
+
+    fn blend_backward(
+        inputs: LayerTensors<Self>,
+        planes: FloatTensor<Self>,
+        grad: FloatTensor<Self>,
+        spec: BlendSpec,
+        mask: Layers<bool>,
+        hits: HitCell,
+        trace: TraceCell,
+    ) -> LayerGrads<Self> {
+        let inputs = inputs.each_ref().map(InputTensor::inner);
+        let (planes, grad) = (planes.into_primitive(), grad.into_primitive());
+        B::blend_backward(inputs, planes, grad, spec, mask, hits, trace).map(OptionalTensor::constant)
+    }
+}

@@ -1,0 +1,219 @@
+//! The stages on Burn's CPU backends: each method reads its tensors, picks the float type and calls the twin.
+
+#![allow(deprecated, reason = "burn-ndarray is deprecated in favour of burn-flex; this project supports both")]
+
+use burn::backend::ops::{FloatTensorOps, IntTensorOps};
+use burn::backend::tensor::{FloatTensor, IntTensor};
+use burn::backend::{Backend, Flex, NdArray, TensorMetadata};
+use burn::tensor::{Shape, Slice, TensorData};
+
+use super::host::{Host, HostBackend, HostCoefficients, by_type};
+use super::stages::SplatBackend;
+use super::tensors::{
+    GeometryGrads, GeometryTensors, InputTensor, LayerGrads, LayerTensors, OptionalTensor, ShadingGrads, ShadingTensors,
+};
+use crate::blend::cpu::{Trace, blend_backward_cpu, blend_cpu};
+use crate::blend::{BlendSpec, Layers, PartsCell, TraceCell};
+use crate::project::cpu::{project_backward_cpu, project_cpu};
+use crate::project::{COLUMNS, Geometry, ProjectSpec};
+use crate::real::Real;
+use crate::shade::Shading;
+use crate::shade::cpu::{Inputs, Visible, shade_backward_cpu, shade_cpu};
+use crate::tile::cpu::tile_cpu;
+use crate::tile::{Cut, HitCell, HitLists, Lists, tile_grid};
+
+/// The elements of an input.
+pub(super) fn host<B: HostBackend, F: Real>(input: &InputTensor<B>) -> Host<F> {
+    B::host(input.0.clone())
+}
+
+/// What a twin found for an input, as a tensor of the input's shape and the float type of the elements, if it was asked for.
+pub(super) fn gradient<B: HostBackend, F: Real>(
+    ((elements, asked), input): ((Vec<F>, bool), &InputTensor<B>),
+) -> OptionalTensor<B> {
+    match asked {
+        true => OptionalTensor::Present(B::from_host(elements, &input.0.shape(), &input.0)),
+        false => OptionalTensor::Absent,
+    }
+}
+
+/// The coefficients of the harmonics, and everything else that colours are computed from.
+struct ShadeHost<F: Real> {
+    sh: HostCoefficients<F>,
+    means: Host<F>,
+    cam_from_world: Host<F>,
+    /// Packed ellipses, if they say who is visible.
+    ellipses: Option<Host<F>>,
+    coefficients: usize,
+}
+
+impl<F: Real> ShadeHost<F> {
+    fn read<B: HostBackend>(inputs: &ShadingTensors<B>, visible: OptionalTensor<B>) -> Self {
+        Self {
+            sh: B::host_coefficients(inputs.sh.0.clone()),
+            means: host(&inputs.means),
+            cam_from_world: host(&inputs.cam_from_world),
+            ellipses: visible.into_option().map(B::host),
+            coefficients: inputs.sh.0.shape()[1],
+        }
+    }
+
+    fn inputs(&self) -> Inputs<'_, F> {
+        let Self { means, cam_from_world, coefficients, .. } = self;
+        Inputs { sh: self.sh.view(), means, cam_from_world, coefficients: *coefficients }
+    }
+
+    fn visible(&self, spec: &ProjectSpec) -> Option<Visible<'_, F>> {
+        self.ellipses.as_deref().map(|ellipses| Visible::new(ellipses, spec))
+    }
+}
+
+/// The lists in the cell, computed now if nobody has yet.
+fn hit_lists<'a, F: Real>(cell: &'a HitCell, projected: &[F], spec: &BlendSpec) -> &'a HitLists {
+    hit_lists_by(cell, || tile_cpu(projected, &spec.intrinsics, Cut::of(&spec.options)))
+}
+
+/// The lists in the cell, or those that `compute` makes.
+pub(super) fn hit_lists_by(cell: &HitCell, compute: impl FnOnce() -> HitLists) -> &HitLists {
+    match cell.0.get_or_init(|| Lists::Host(compute())) {
+        Lists::Host(lists) => lists,
+        #[cfg(feature = "cube")]
+        Lists::Device(_) => unreachable!("the public functions check that lists and ellipses are on one device"),
+    }
+}
+
+/// Planes as a tensor, of which `channels` are features.
+pub(super) fn planes_tensor<B: HostBackend, F: Real>(
+    planes: Vec<F>,
+    spec: &BlendSpec,
+    background: &InputTensor<B>,
+) -> FloatTensor<B> {
+    let count = spec.planes(background.0.shape()[0]);
+    B::from_host(planes, &[count, spec.intrinsics.height, spec.intrinsics.width], &background.0)
+}
+
+/// The gradient of all planes, where it may be that of the first `channels` alone.
+fn all_planes<B: Backend>(grad: FloatTensor<B>, spec: &BlendSpec, channels: usize) -> FloatTensor<B> {
+    let [given, height, width] = grad.shape().dims();
+    match spec.planes(channels) - given {
+        0 => grad,
+        missing => {
+            let shape = Shape::from([missing, height, width]);
+            let zeros = B::float_zeros(shape, &grad.device(), grad.dtype().into());
+            B::float_cat(vec![grad, zeros], 0)
+        }
+    }
+}
+
+macro_rules! cpu_backend {
+    ($backend:ty) => {
+        impl SplatBackend for $backend {
+            fn project(inputs: GeometryTensors<Self>, spec: ProjectSpec) -> FloatTensor<Self> {
+                by_type!(inputs.means.0, F => {
+                    let read = inputs.each_ref().map(host::<Self, F>);
+                    let packed = project_cpu(read.each_ref().map(|host| &host[..]), &spec);
+                    let count = packed.len() / COLUMNS;
+                    Self::from_host(packed, &[count, COLUMNS], &inputs.means.0)
+                })
+            }
+
+            fn project_backward(
+                inputs: GeometryTensors<Self>,
+                grad: FloatTensor<Self>,
+                spec: ProjectSpec,
+                mask: Geometry<bool>,
+            ) -> GeometryGrads<Self> {
+                by_type!(inputs.means.0, F => {
+                    let read = inputs.each_ref().map(host::<Self, F>);
+                    let slices = read.each_ref().map(|host| &host[..]);
+                    let found = project_backward_cpu(slices, &Self::host(grad), &spec, mask);
+                    found.zip(mask).zip(inputs.each_ref()).map(gradient)
+                })
+            }
+
+            fn shade(
+                inputs: ShadingTensors<Self>,
+                visible: OptionalTensor<Self>,
+                spec: ProjectSpec,
+            ) -> FloatTensor<Self> {
+                by_type!(inputs.means.0, F => {
+                    let read = ShadeHost::<F>::read(&inputs, visible);
+                    let colours = shade_cpu(read.inputs(), read.visible(&spec).as_ref());
+                    Self::from_host(colours, &inputs.means.0.shape(), &inputs.means.0)
+                })
+            }
+
+            fn shade_backward(
+                inputs: ShadingTensors<Self>,
+                visible: OptionalTensor<Self>,
+                grad: FloatTensor<Self>,
+                spec: ProjectSpec,
+                mask: Shading<bool>,
+            ) -> ShadingGrads<Self> {
+                by_type!(inputs.means.0, F => {
+                    let read = ShadeHost::<F>::read(&inputs, visible);
+                    let visible = read.visible(&spec);
+                    let found = shade_backward_cpu(read.inputs(), visible.as_ref(), &Self::host(grad), mask);
+                    found.zip(mask).zip(inputs.each_ref()).map(gradient)
+                })
+            }
+
+            fn tile(projected: FloatTensor<Self>, spec: BlendSpec, hits: HitCell) -> IntTensor<Self> {
+                let device = projected.device();
+                let lists = by_type!(projected, F => hit_lists(&hits, &Self::host::<F>(projected), &spec));
+                let counts: Vec<i32> = lists.tile_start.windows(2).map(|w| (w[1] - w[0]) as i32).collect();
+                let [tiles_x, tiles_y] = tile_grid(spec.intrinsics.width, spec.intrinsics.height);
+                Self::int_from_data(TensorData::new(counts, [tiles_y, tiles_x]), &device)
+            }
+
+            fn blend(
+                inputs: LayerTensors<Self>,
+                _: IntTensor<Self>,
+                spec: BlendSpec,
+                hits: HitCell,
+                trace: Option<TraceCell>,
+                _: PartsCell,
+            ) -> FloatTensor<Self> {
+                by_type!(inputs.projected.0, F => {
+                    let read = inputs.each_ref().map(host::<Self, F>);
+                    let slices = read.each_ref().map(|host| &host[..]);
+                    let lists = hit_lists(&hits, slices.projected, &spec);
+                    let (planes, kept) = blend_cpu(slices, &spec, lists, trace.is_some());
+                    if let (Some(cell), Some(kept)) = (trace, kept) {
+                        // A cell that is filled already holds the same trace.
+                        let _ = cell.0.set(Box::new(kept));
+                    }
+                    planes_tensor(planes, &spec, &inputs.background)
+                })
+            }
+
+            fn part(planes: FloatTensor<Self>, from: usize, to: usize, _: PartsCell) -> FloatTensor<Self> {
+                let [_, height, width] = planes.shape().dims();
+                Self::float_slice(planes, &[from..to, 0..height, 0..width].map(Slice::from))
+            }
+
+            fn blend_backward(
+                inputs: LayerTensors<Self>,
+                _: FloatTensor<Self>,
+                grad: FloatTensor<Self>,
+                spec: BlendSpec,
+                mask: Layers<bool>,
+                hits: HitCell,
+                trace: TraceCell,
+            ) -> LayerGrads<Self> {
+                let grad = all_planes::<Self>(grad, &spec, inputs.background.0.shape()[0]);
+                by_type!(inputs.projected.0, F => {
+                    let read = inputs.each_ref().map(host::<Self, F>);
+                    let slices = read.each_ref().map(|host| &host[..]);
+                    let lists = hit_lists(&hits, slices.projected, &spec);
+                    let kept = trace.0.get().and_then(|kept| kept.downcast_ref::<Trace<F>>());
+                    let found = blend_backward_cpu(slices, &Self::host(grad), &spec, (lists, kept), mask);
+                    found.zip(mask).zip(inputs.each_ref()).map(gradient)
+                })
+            }
+        }
+    };
+}
+
+cpu_backend!(Flex);
+cpu_backend!(NdArray);

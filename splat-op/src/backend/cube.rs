@@ -1,0 +1,209 @@
+//! The order of the launches on Burn's GPU backend, for every CubeCL runtime.
+
+use burn::backend::TensorMetadata;
+use burn::backend::ops::FloatTensorOps;
+use burn::backend::tensor::{FloatTensor, IntTensor};
+use burn::tensor::{DType, Shape, Slice};
+use burn_cubecl::CubeBackend;
+use burn_cubecl::kernel::into_contiguous;
+use burn_cubecl::tensor::CubeTensor;
+
+use super::stages::SplatBackend;
+use super::tensors::{
+    GeometryGrads, GeometryTensors, InputTensor, LayerGrads, LayerTensors, OptionalTensor, ShadingGrads, ShadingTensors,
+};
+use crate::blend::launch::{DeviceTrace, launch_blend, launch_blend_backward};
+use crate::blend::{BlendSpec, Layers, PartsCell, TraceCell};
+use crate::gpu::{Buffer, Gpu, launch_scale};
+use crate::project::launch::{launch_project, launch_project_backward};
+use crate::project::{COLUMNS, Geometry, ProjectSpec};
+use crate::shade::Shading;
+use crate::shade::launch::{Coefficients, DeviceInputs, launch_shade, launch_shade_backward};
+use crate::tile::launch::{DeviceLists, launch_tile};
+use crate::tile::{Cut, HitCell, Lists, tile_grid};
+
+/// A tensor's elements, row-major.
+pub(crate) fn buffer(tensor: CubeTensor) -> Buffer<f32> {
+    debug_assert_eq!(tensor.dtype, DType::F32, "the public functions check it");
+    let tensor = into_contiguous(tensor);
+    let len = tensor.meta.num_elements();
+    Buffer::from_handle(tensor.handle, len)
+}
+
+/// Coefficients of spherical harmonics, row-major: those of half precision in words of two.
+fn coefficients(tensor: CubeTensor) -> Coefficients {
+    if tensor.dtype != DType::F16 {
+        return buffer(tensor).into();
+    }
+    let tensor = into_contiguous(tensor);
+    let len = tensor.meta.num_elements();
+    Coefficients::halves(Buffer::from_handle(tensor.handle, len.div_ceil(2)), len)
+}
+
+/// Elements as a tensor, on the device of `like`.
+pub(crate) fn tensor<T>(buffer: Buffer<T>, shape: impl Into<Shape>, dtype: DType, like: &CubeTensor) -> CubeTensor {
+    let (client, device) = (like.client.clone(), like.device.clone());
+    CubeTensor::new_contiguous(client, device, shape.into(), buffer.handle, dtype)
+}
+
+/// The tensor itself if nobody else holds its memory, else a copy.
+pub(crate) fn owned(tensor: CubeTensor) -> CubeTensor {
+    let tensor = into_contiguous(tensor);
+    if tensor.can_mut() { tensor } else { tensor.copy() }
+}
+
+/// `values` times `factor`, `[1]`; tensor code would read both with all their dimensions.
+pub(crate) fn scaled(values: CubeTensor, factor: CubeTensor) -> CubeTensor {
+    if values.dtype != DType::F32 {
+        return CubeBackend::float_mul(
+            values.clone(),
+            CubeBackend::float_reshape(factor, vec![1; values.rank()].into()),
+        );
+    }
+    let values = owned(values);
+    launch_scale(&Gpu::new(&values.client), &buffer(values.clone()), &buffer(factor));
+    values
+}
+
+/// The elements of an input.
+pub(super) fn on_device(input: &InputTensor<CubeBackend>) -> Buffer<f32> {
+    buffer(input.0.clone())
+}
+
+/// What kernels found for an input, as a tensor of its shape, if it was asked for.
+pub(super) fn gradient(
+    (found, input): (Option<Buffer<f32>>, &InputTensor<CubeBackend>),
+) -> OptionalTensor<CubeBackend> {
+    found.map(|found| tensor(found, input.0.shape(), DType::F32, &input.0)).into()
+}
+
+fn shading_on_device(inputs: &ShadingTensors<CubeBackend>) -> DeviceInputs {
+    DeviceInputs {
+        sh: coefficients(inputs.sh.0.clone()),
+        means: on_device(&inputs.means),
+        cam_from_world: on_device(&inputs.cam_from_world),
+    }
+}
+
+/// The lists in the cell, computed now if nobody has yet.
+fn lists<'a>(gpu: &Gpu, cell: &'a HitCell, projected: &Buffer<f32>, spec: &BlendSpec) -> &'a DeviceLists {
+    lists_by(cell, || launch_tile(gpu, projected, &spec.intrinsics, Cut::of(&spec.options)))
+}
+
+/// The lists in the cell, or those that `compute` makes.
+pub(super) fn lists_by(cell: &HitCell, compute: impl FnOnce() -> DeviceLists) -> &DeviceLists {
+    match cell.0.get_or_init(|| Lists::Device(Box::new(compute()))) {
+        Lists::Device(lists) => lists,
+        Lists::Host(_) => unreachable!("the public functions check that lists and ellipses are on one device"),
+    }
+}
+
+/// Planes as a tensor.
+pub(super) fn planes_tensor(
+    planes: Buffer<f32>,
+    spec: &BlendSpec,
+    background: &InputTensor<CubeBackend>,
+) -> CubeTensor {
+    let shape = [spec.planes(background.0.shape()[0]), spec.intrinsics.height, spec.intrinsics.width];
+    tensor(planes, shape, DType::F32, &background.0)
+}
+
+impl SplatBackend for CubeBackend {
+    fn project(inputs: GeometryTensors<Self>, spec: ProjectSpec) -> FloatTensor<Self> {
+        let like = &inputs.means.0;
+        let packed = launch_project(&Gpu::new(&like.client), &inputs.each_ref().map(on_device), &spec);
+        tensor(packed, [like.shape()[0], COLUMNS], DType::F32, like)
+    }
+
+    fn project_backward(
+        inputs: GeometryTensors<Self>,
+        grad: FloatTensor<Self>,
+        spec: ProjectSpec,
+        mask: Geometry<bool>,
+    ) -> GeometryGrads<Self> {
+        let gpu = Gpu::new(&grad.client);
+        let found = launch_project_backward(&gpu, &inputs.each_ref().map(on_device), &buffer(grad), &spec, mask);
+        found.zip(inputs.each_ref()).map(gradient)
+    }
+
+    fn shade(inputs: ShadingTensors<Self>, visible: OptionalTensor<Self>, spec: ProjectSpec) -> FloatTensor<Self> {
+        let like = &inputs.means.0;
+        let visible = visible.into_option().map(buffer);
+        let visible = visible.as_ref().map(|ellipses| (ellipses, &spec));
+        let coefficients = inputs.sh.0.shape()[1];
+        let colours = launch_shade(&Gpu::new(&like.client), &shading_on_device(&inputs), visible, coefficients);
+        tensor(colours, like.shape(), DType::F32, like)
+    }
+
+    fn shade_backward(
+        inputs: ShadingTensors<Self>,
+        visible: OptionalTensor<Self>,
+        grad: FloatTensor<Self>,
+        spec: ProjectSpec,
+        mask: Shading<bool>,
+    ) -> ShadingGrads<Self> {
+        let gpu = Gpu::new(&grad.client);
+        let visible = visible.into_option().map(buffer);
+        let visible = visible.as_ref().map(|ellipses| (ellipses, &spec));
+        let (on_device, coefficients) = (shading_on_device(&inputs), inputs.sh.0.shape()[1]);
+        let found = launch_shade_backward(&gpu, &on_device, visible, coefficients, &buffer(grad), mask);
+        found.zip(inputs.each_ref()).map(gradient)
+    }
+
+    fn tile(projected: FloatTensor<Self>, spec: BlendSpec, hits: HitCell) -> IntTensor<Self> {
+        let gpu = Gpu::new(&projected.client);
+        let counts = lists(&gpu, &hits, &buffer(projected.clone()), &spec).counts.clone();
+        let [tiles_x, tiles_y] = tile_grid(spec.intrinsics.width, spec.intrinsics.height);
+        tensor(counts, [tiles_y, tiles_x], DType::I32, &projected)
+    }
+
+    fn blend(
+        inputs: LayerTensors<Self>,
+        _: IntTensor<Self>,
+        spec: BlendSpec,
+        hits: HitCell,
+        trace: Option<TraceCell>,
+        _: PartsCell,
+    ) -> FloatTensor<Self> {
+        let gpu = Gpu::new(&inputs.projected.0.client);
+        let on_device = inputs.each_ref().map(on_device);
+        let lists = lists(&gpu, &hits, &on_device.projected, &spec);
+        let (planes, kept) = launch_blend(&gpu, &on_device, lists, &spec, trace.is_some());
+        if let (Some(cell), Some(kept)) = (trace, kept) {
+            // A cell that is filled already holds the same trace.
+            let _ = cell.0.set(Box::new(kept));
+        }
+        planes_tensor(planes, &spec, &inputs.background)
+    }
+
+    fn part(planes: FloatTensor<Self>, from: usize, to: usize, _: PartsCell) -> FloatTensor<Self> {
+        let [count, height, width] = planes.shape().dims();
+        if from > 0 {
+            let slices = [from..to, 0..height, 0..width].map(Slice::from);
+            return Self::float_slice(planes, &slices);
+        }
+        let planes = into_contiguous(planes);
+        let behind = (count - to) * height * width * size_of::<f32>();
+        let first = Buffer::<f32>::from_handle(planes.handle.clone().offset_end(behind as u64), to * height * width);
+        tensor(first, [to, height, width], DType::F32, &planes)
+    }
+
+    fn blend_backward(
+        inputs: LayerTensors<Self>,
+        _: FloatTensor<Self>,
+        grad: FloatTensor<Self>,
+        spec: BlendSpec,
+        mask: Layers<bool>,
+        hits: HitCell,
+        trace: TraceCell,
+    ) -> LayerGrads<Self> {
+        let gpu = Gpu::new(&grad.client);
+        let on_device = inputs.each_ref().map(on_device);
+        let lists = lists(&gpu, &hits, &on_device.projected, &spec);
+        let kept = trace.0.get().and_then(|kept| kept.downcast_ref::<DeviceTrace>()).cloned();
+        let kept = kept
+            .unwrap_or_else(|| launch_blend(&gpu, &on_device, lists, &spec, true).1.expect("a trace was asked for"));
+        let found = launch_blend_backward(&gpu, &on_device, &buffer(grad), lists, &kept, &spec, mask);
+        found.zip(inputs.each_ref()).map(gradient)
+    }
+}

@@ -1,0 +1,114 @@
+//! What each operation will return, said before it runs: Burn's fusion asks when it registers the operation.
+
+use burn::backend::fusion::custom::TensorSpec;
+use burn::tensor::{DType, Shape};
+
+use super::tensors::{InputTensorMetadata, OptionalTensorMetadata};
+use crate::blend::{BlendSpec, Layers, PartsCell, TraceCell};
+use crate::project::{COLUMNS, Geometry, ProjectSpec};
+use crate::rays::RayLayers;
+use crate::shade::Shading;
+use crate::tile::{HitCell, tile_grid};
+use crate::tilt::TILT;
+
+/// A tensor of the float type of `like`.
+fn float<const D: usize>(shape: [usize; D], like: &TensorSpec) -> TensorSpec {
+    TensorSpec::new(Shape::from(shape), like.dtype)
+}
+
+/// The gradient of an input, of its shape and of the float type of `like`, if it is asked for.
+fn grad(input: &InputTensorMetadata, asked: bool, like: &TensorSpec) -> OptionalTensorMetadata {
+    match asked {
+        true => OptionalTensorMetadata::Present(TensorSpec::new(input.0.shape.clone(), like.dtype)),
+        false => OptionalTensorMetadata::Absent,
+    }
+}
+
+pub(super) fn project(inputs: &Geometry<InputTensorMetadata>, _: &ProjectSpec) -> TensorSpec {
+    float([inputs.opacities.0.shape[0], COLUMNS], &inputs.means.0)
+}
+
+pub(super) fn project_backward(
+    inputs: &Geometry<InputTensorMetadata>,
+    _: &TensorSpec,
+    _: &ProjectSpec,
+    mask: &Geometry<bool>,
+) -> Geometry<OptionalTensorMetadata> {
+    inputs.each_ref().zip(*mask).map(|(input, asked)| grad(input, asked, &inputs.means.0))
+}
+
+pub(super) fn shade(inputs: &Shading<InputTensorMetadata>, _: &OptionalTensorMetadata, _: &ProjectSpec) -> TensorSpec {
+    inputs.means.0.clone()
+}
+
+pub(super) fn shade_backward(
+    inputs: &Shading<InputTensorMetadata>,
+    _: &OptionalTensorMetadata,
+    _: &TensorSpec,
+    _: &ProjectSpec,
+    mask: &Shading<bool>,
+) -> Shading<OptionalTensorMetadata> {
+    inputs.each_ref().zip(*mask).map(|(input, asked)| grad(input, asked, &inputs.means.0))
+}
+
+pub(super) fn tile(_: &TensorSpec, spec: &BlendSpec, _: &HitCell) -> TensorSpec {
+    let [tiles_x, tiles_y] = tile_grid(spec.intrinsics.width, spec.intrinsics.height);
+    TensorSpec::new(Shape::from([tiles_y, tiles_x]), DType::I32)
+}
+
+fn planes(background: &InputTensorMetadata, spec: &BlendSpec) -> TensorSpec {
+    let planes = spec.planes(background.0.shape[0]);
+    float([planes, spec.intrinsics.height, spec.intrinsics.width], &background.0)
+}
+
+pub(super) fn blend(
+    inputs: &Layers<InputTensorMetadata>,
+    _: &TensorSpec,
+    spec: &BlendSpec,
+    _: &HitCell,
+    _: &Option<TraceCell>,
+    _: &PartsCell,
+) -> TensorSpec {
+    planes(&inputs.background, spec)
+}
+
+pub(super) fn part(planes: &TensorSpec, from: &usize, to: &usize, _: &PartsCell) -> TensorSpec {
+    float([to - from, planes.shape[1], planes.shape[2]], planes)
+}
+
+pub(super) fn blend_backward(
+    inputs: &Layers<InputTensorMetadata>,
+    _: &TensorSpec,
+    _: &TensorSpec,
+    _: &BlendSpec,
+    mask: &Layers<bool>,
+    _: &HitCell,
+    _: &TraceCell,
+) -> Layers<OptionalTensorMetadata> {
+    inputs.each_ref().zip(*mask).map(|(input, asked)| grad(input, asked, &inputs.projected.0))
+}
+
+pub(super) fn tilt(inputs: &Geometry<InputTensorMetadata>, _: &ProjectSpec) -> TensorSpec {
+    float([inputs.opacities.0.shape[0], TILT], &inputs.means.0)
+}
+
+pub(super) fn rays(
+    inputs: &RayLayers<InputTensorMetadata>,
+    _: &TensorSpec,
+    spec: &BlendSpec,
+    _: &HitCell,
+    _: &PartsCell,
+) -> TensorSpec {
+    planes(&inputs.background, spec)
+}
+
+pub(super) fn rays_backward(
+    inputs: &RayLayers<InputTensorMetadata>,
+    _: &TensorSpec,
+    _: &TensorSpec,
+    _: &BlendSpec,
+    mask: &RayLayers<bool>,
+    _: &HitCell,
+) -> RayLayers<OptionalTensorMetadata> {
+    inputs.each_ref().zip(*mask).map(|(input, asked)| grad(input, asked, &inputs.projected.0))
+}

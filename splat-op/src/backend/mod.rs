@@ -1,0 +1,46 @@
+//! Where the stages meet Burn: its CPU and GPU backends, its fusion and its autodiff. Kernels and twins know none of them.
+//!
+//! A trait for each group of operations says what a backend implements; no method has a default body, so a backend that lacks one
+//! does not compile. `cpu.rs` implements the stages for [`Flex`](burn::backend::Flex) and [`NdArray`](burn::backend::NdArray),
+//! `cube.rs` for every CubeCL runtime, `autodiff.rs` holds their backward nodes, and `fusion.rs` says what each will return. Users
+//! call the functions of this crate, which take tensors and check them; the methods here take backend primitives of the
+//! documented shapes and one float type.
+
+pub(crate) mod activate;
+#[cfg(feature = "cube")]
+pub(crate) mod adam;
+mod autodiff;
+mod cpu;
+#[cfg(feature = "cube")]
+mod cube;
+pub(crate) mod custom_grad;
+#[cfg(feature = "fusion")]
+mod fusion;
+mod host;
+pub(crate) mod photometric;
+pub(crate) mod rays;
+mod rays_autodiff;
+#[cfg(feature = "cube")]
+mod rays_cube;
+pub(crate) mod stages;
+pub(crate) mod tensors;
+
+pub use activate::ActivateBackend;
+#[cfg(feature = "cube")]
+pub use adam::{AdamBackend, AdamInputs, AdamState, Held};
+pub use custom_grad::CustomGradBackend;
+pub use photometric::{Photometric, PhotometricBackend};
+pub use rays::RaysBackend;
+pub use stages::SplatBackend;
+pub use tensors::{
+    ComparedTensors, GeometryGrads, GeometryTensors, InputTensor, LayerGrads, LayerTensors, OptionalTensor, RawTensors,
+    RayLayerGrads, RayLayerTensors, ShadingGrads, ShadingTensors,
+};
+
+pub use crate::activate::rule::Raw;
+pub use crate::blend::{BlendSpec, Layers, PartsCell, TraceCell};
+pub use crate::photometric::taps::Compared;
+pub use crate::project::{Geometry, ProjectSpec};
+pub use crate::rays::RayLayers;
+pub use crate::shade::Shading;
+pub use crate::tile::HitCell;

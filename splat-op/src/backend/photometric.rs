@@ -1,0 +1,160 @@
+//! The photometric loss as an extension of Burn's backends. It comes with its derivative, so no backward node is needed: whoever
+//! calls attaches the derivative.
+
+#![allow(deprecated, reason = "burn-ndarray is deprecated in favour of burn-flex; this project supports both")]
+
+use burn::backend::tensor::FloatTensor;
+use burn::backend::{Backend, ExtensionType, Flex, NdArray, TensorMetadata, backend_extension};
+use burn::tensor::{DType, Shape};
+
+use super::cpu::host;
+use super::host::HostBackend;
+use super::tensors::{ComparedTensors, OptionalTensor};
+#[cfg(feature = "fusion")]
+use super::tensors::{InputTensorMetadata, OptionalTensorMetadata};
+use crate::photometric::cpu::{Size, photometric_cpu, window_cpu};
+#[cfg(feature = "fusion")]
+use crate::photometric::taps::Compared;
+use crate::real::Real;
+use crate::witness::count_twin_call;
+
+/// The loss and its derivative.
+#[derive(Clone, Debug, ExtensionType)]
+#[extension_type(fusion: cfg(feature = "fusion"))]
+pub struct Photometric<B: Backend> {
+    /// Numbers whose sum is the loss, of the rank of the picture: one on a CPU, one for each value on a GPU.
+    pub shares: FloatTensor<B>,
+    /// The derivative of the loss with respect to the picture, if asked for.
+    #[extension_type]
+    pub gradient: OptionalTensor<B>,
+}
+
+/// The photometric loss and the filter it is made of, on backends without autodiff; see `photometric/`.
+#[backend_extension(Cube: cfg(feature = "cube"), Flex, NdArray, Fusion: cfg(feature = "fusion"))]
+pub trait PhotometricBackend: Backend {
+    /// `(1 − λ) |x − y| + λ (1 − S)`, divided by the number of values, and its derivative.
+    #[fusion(meta = photometric_meta)]
+    fn photometric(
+        #[extension_type] inputs: ComparedTensors<Self>,
+        lambda: f64,
+        with_gradient: bool,
+    ) -> Photometric<Self>;
+
+    /// `Kx`, of any number of planes.
+    #[fusion(dtype = planes, shape = planes)]
+    fn window(planes: FloatTensor<Self>) -> FloatTensor<Self>;
+
+    /// The same values in contiguous memory.
+    #[fusion(dtype = planes, shape = planes)]
+    fn contiguous(planes: FloatTensor<Self>) -> FloatTensor<Self>;
+}
+
+#[cfg(feature = "fusion")]
+fn photometric_meta(inputs: &Compared<InputTensorMetadata>, _: &f64, with_gradient: &bool) -> PhotometricMetadata {
+    let gradient = match with_gradient {
+        true => OptionalTensorMetadata::Present(inputs.image.0.clone()),
+        false => OptionalTensorMetadata::Absent,
+    };
+    PhotometricMetadata { shares: inputs.image.0.clone(), gradient }
+}
+
+/// Width and height: the last two dimensions, the other way round.
+fn picture_size(shape: &Shape) -> [usize; 2] {
+    let rank = shape.num_dims();
+    [shape[rank - 1], shape[rank - 2]]
+}
+
+fn plane_size(shape: &Shape) -> Size {
+    let [width, height] = picture_size(shape);
+    Size { width, height }
+}
+
+fn photometric_host<B: HostBackend, F: Real>(
+    inputs: ComparedTensors<B>,
+    lambda: f64,
+    with_gradient: bool,
+) -> Photometric<B> {
+    count_twin_call();
+    let like = &inputs.image.0;
+    let read = inputs.each_ref().map(host::<B, F>);
+    let (shape, slices) = (like.shape(), read.each_ref().map(|host| &host[..]));
+    let (loss, gradient) = photometric_cpu(slices, plane_size(&shape), lambda, with_gradient);
+    Photometric {
+        shares: B::from_host(vec![loss], &vec![1; shape.num_dims()], like),
+        gradient: gradient.map(|gradient| B::from_host(gradient, &shape, like)).into(),
+    }
+}
+
+fn window_host<B: HostBackend, F: Real>(planes: FloatTensor<B>) -> FloatTensor<B> {
+    count_twin_call();
+    let shape = planes.shape();
+    let filtered = window_cpu::<F>(&B::host(planes.clone()), plane_size(&shape));
+    B::from_host(filtered, &shape, &planes)
+}
+
+fn contiguous_host<B: HostBackend, F: Real>(planes: FloatTensor<B>) -> FloatTensor<B> {
+    let values = B::host::<F>(planes.clone()).to_vec();
+    B::from_host(values, &planes.shape(), &planes)
+}
+
+macro_rules! cpu_backend {
+    ($backend:ty) => {
+        impl PhotometricBackend for $backend {
+            fn photometric(inputs: ComparedTensors<Self>, lambda: f64, with_gradient: bool) -> Photometric<Self> {
+                match inputs.image.0.dtype() {
+                    DType::F64 => photometric_host::<Self, f64>(inputs, lambda, with_gradient),
+                    _ => photometric_host::<Self, f32>(inputs, lambda, with_gradient),
+                }
+            }
+
+            fn window(planes: FloatTensor<Self>) -> FloatTensor<Self> {
+                match planes.dtype() {
+                    DType::F64 => window_host::<Self, f64>(planes),
+                    _ => window_host::<Self, f32>(planes),
+                }
+            }
+
+            fn contiguous(planes: FloatTensor<Self>) -> FloatTensor<Self> {
+                match planes.dtype() {
+                    DType::F64 => contiguous_host::<Self, f64>(planes),
+                    _ => contiguous_host::<Self, f32>(planes),
+                }
+            }
+        }
+    };
+}
+
+cpu_backend!(Flex);
+cpu_backend!(NdArray);
+
+#[cfg(feature = "cube")]
+mod gpu {
+    use burn_cubecl::CubeBackend;
+    use burn_cubecl::kernel::into_contiguous;
+
+    use super::*;
+    use crate::backend::cube::{buffer, on_device, tensor};
+    use crate::gpu::Gpu;
+    use crate::photometric::launch::{launch_photometric, launch_window};
+
+    impl PhotometricBackend for CubeBackend {
+        fn photometric(inputs: ComparedTensors<Self>, lambda: f64, with_gradient: bool) -> Photometric<Self> {
+            let like = &inputs.image.0;
+            let (gpu, size) = (Gpu::new(&like.client), picture_size(&like.shape()));
+            let on_device = inputs.each_ref().map(on_device);
+            let (shares, gradient) = launch_photometric(&gpu, &on_device, size, lambda, with_gradient);
+            let picture = |found| tensor(found, like.shape(), DType::F32, like);
+            Photometric { shares: picture(shares), gradient: gradient.map(picture).into() }
+        }
+
+        fn window(planes: FloatTensor<Self>) -> FloatTensor<Self> {
+            let gpu = Gpu::new(&planes.client);
+            let filtered = launch_window(&gpu, &buffer(planes.clone()), picture_size(&planes.shape()));
+            tensor(filtered, planes.shape(), DType::F32, &planes)
+        }
+
+        fn contiguous(planes: FloatTensor<Self>) -> FloatTensor<Self> {
+            into_contiguous(planes)
+        }
+    }
+}

@@ -1,0 +1,148 @@
+//! `tilt` and `rays` on Burn's CPU backends.
+
+#![allow(deprecated, reason = "burn-ndarray is deprecated in favour of burn-flex; this project supports both")]
+
+use burn::backend::tensor::{FloatTensor, IntTensor};
+use burn::backend::{Backend, Flex, NdArray, TensorMetadata, backend_extension};
+
+use super::cpu::{gradient, hit_lists_by, host, planes_tensor};
+#[cfg(feature = "fusion")]
+use super::fusion;
+use super::host::{HostBackend, by_type};
+use super::tensors::{GeometryGrads, GeometryTensors, RayLayerGrads, RayLayerTensors};
+use crate::blend::{BlendSpec, PartsCell};
+use crate::project::{COLUMNS, Geometry, ProjectSpec};
+use crate::rays::RayLayers;
+use crate::rays::cpu::{rays_backward_cpu, rays_cpu};
+use crate::real::Real;
+use crate::tile::cpu::tile_cpu;
+use crate::tile::{Cut, HitCell, HitLists};
+use crate::tilt::cpu::{tilt_backward_cpu, tilt_cpu};
+use crate::tilt::{TILT, outline_cpu};
+
+/// The stages of renders whose pixels look along their rays.
+#[backend_extension(Cube: cfg(feature = "cube"), Flex, NdArray, Autodiff, Fusion: cfg(feature = "fusion"))]
+pub trait RaysBackend: Backend {
+    /// See `tilt/`. Returns `[N, 3]`.
+    #[fusion(meta = fusion::tilt)]
+    fn tilt(#[extension_type] inputs: GeometryTensors<Self>, spec: ProjectSpec) -> FloatTensor<Self>;
+
+    /// The gradients of `tilt` that `mask` asks for, from that of its output. Opacities and projected centres have none to ask for.
+    #[fusion(meta = fusion::project_backward)]
+    fn tilt_backward(
+        #[extension_type] inputs: GeometryTensors<Self>,
+        grad: FloatTensor<Self>,
+        spec: ProjectSpec,
+        mask: Geometry<bool>,
+    ) -> GeometryGrads<Self>;
+
+    /// See `tilt/`. Rows `[N, 7]` for `tile`, from packed ellipses `[N, 7]` and tilts `[N, 3]`. Not differentiable.
+    #[fusion(dtype = projected, shape = projected)]
+    fn outline(projected: FloatTensor<Self>, tilt: FloatTensor<Self>, spec: BlendSpec) -> FloatTensor<Self>;
+
+    /// See `rays/`. Returns planes as `blend` does; `tile_counts` and `parts` as there.
+    #[fusion(meta = fusion::rays)]
+    fn rays(
+        #[extension_type] inputs: RayLayerTensors<Self>,
+        tile_counts: IntTensor<Self>,
+        spec: BlendSpec,
+        hits: HitCell,
+        parts: PartsCell,
+    ) -> FloatTensor<Self>;
+
+    /// The gradients of `rays` that `mask` asks for, from that of all its planes. `planes` is what `rays` returned, and orders the
+    /// two; not read.
+    #[fusion(meta = fusion::rays_backward)]
+    fn rays_backward(
+        #[extension_type] inputs: RayLayerTensors<Self>,
+        planes: FloatTensor<Self>,
+        grad: FloatTensor<Self>,
+        spec: BlendSpec,
+        mask: RayLayers<bool>,
+        hits: HitCell,
+    ) -> RayLayerGrads<Self>;
+}
+
+/// The lists in the cell, computed now if nobody has yet.
+fn lists<'a, F: Real>(hits: &'a HitCell, inputs: RayLayers<&[F]>, spec: &BlendSpec) -> &'a HitLists {
+    hit_lists_by(hits, || {
+        let rows = |packed: &[F]| tile_cpu(packed, &spec.intrinsics, Cut::of(&spec.options));
+        match spec.options.reaches_by_outline() {
+            true => rows(&outline_cpu(inputs.projected, inputs.tilt, spec)),
+            false => rows(inputs.projected),
+        }
+    })
+}
+
+macro_rules! cpu_backend {
+    ($backend:ty) => {
+        impl RaysBackend for $backend {
+            fn tilt(inputs: GeometryTensors<Self>, spec: ProjectSpec) -> FloatTensor<Self> {
+                by_type!(inputs.means.0, F => {
+                    let read = inputs.each_ref().map(host::<Self, F>);
+                    let tilts = tilt_cpu(read.each_ref().map(|host| &host[..]), &spec);
+                    let count = tilts.len() / TILT;
+                    Self::from_host(tilts, &[count, TILT], &inputs.means.0)
+                })
+            }
+
+            fn tilt_backward(
+                inputs: GeometryTensors<Self>,
+                grad: FloatTensor<Self>,
+                spec: ProjectSpec,
+                mask: Geometry<bool>,
+            ) -> GeometryGrads<Self> {
+                by_type!(inputs.means.0, F => {
+                    let read = inputs.each_ref().map(host::<Self, F>);
+                    let slices = read.each_ref().map(|host| &host[..]);
+                    let found = tilt_backward_cpu(slices, &Self::host(grad), &spec, mask);
+                    found.zip(mask).zip(inputs.each_ref()).map(gradient)
+                })
+            }
+
+            fn outline(projected: FloatTensor<Self>, tilt: FloatTensor<Self>, spec: BlendSpec) -> FloatTensor<Self> {
+                by_type!(projected, F => {
+                    let like = projected.clone();
+                    let rows = outline_cpu::<F>(&Self::host(projected), &Self::host(tilt), &spec);
+                    let count = rows.len() / COLUMNS;
+                    Self::from_host(rows, &[count, COLUMNS], &like)
+                })
+            }
+
+            fn rays(
+                inputs: RayLayerTensors<Self>,
+                _: IntTensor<Self>,
+                spec: BlendSpec,
+                hits: HitCell,
+                _: PartsCell,
+            ) -> FloatTensor<Self> {
+                by_type!(inputs.projected.0, F => {
+                    let read = inputs.each_ref().map(host::<Self, F>);
+                    let slices = read.each_ref().map(|host| &host[..]);
+                    let planes = rays_cpu(slices, &spec, lists(&hits, slices, &spec));
+                    planes_tensor(planes, &spec, &inputs.background)
+                })
+            }
+
+            fn rays_backward(
+                inputs: RayLayerTensors<Self>,
+                _: FloatTensor<Self>,
+                grad: FloatTensor<Self>,
+                spec: BlendSpec,
+                mask: RayLayers<bool>,
+                hits: HitCell,
+            ) -> RayLayerGrads<Self> {
+                by_type!(inputs.projected.0, F => {
+                    let read = inputs.each_ref().map(host::<Self, F>);
+                    let slices = read.each_ref().map(|host| &host[..]);
+                    let lists = lists(&hits, slices, &spec);
+                    let found = rays_backward_cpu(slices, &Self::host(grad), &spec, lists, mask);
+                    found.zip(mask).zip(inputs.each_ref()).map(gradient)
+                })
+            }
+        }
+    };
+}
+
+cpu_backend!(Flex);
+cpu_backend!(NdArray);

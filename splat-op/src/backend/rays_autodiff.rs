@@ -1,0 +1,99 @@
+//! The backward nodes of `tilt` and `rays`.
+
+use burn::backend::Autodiff;
+use burn::backend::autodiff::checkpoint::base::Checkpointer;
+use burn::backend::autodiff::checkpoint::strategy::CheckpointStrategy;
+use burn::backend::autodiff::grads::Gradients;
+use burn::backend::autodiff::ops::{Backward, Ops};
+use burn::backend::tensor::{FloatTensor, IntTensor};
+
+use super::autodiff::{differentiate, planes_grad, tracked};
+use super::rays::RaysBackend;
+use super::stages::SplatBackend;
+use super::tensors::{GeometryGrads, GeometryTensors, InputTensor, OptionalTensor, RayLayerGrads, RayLayerTensors};
+use crate::blend::{BlendSpec, PartsCell};
+use crate::project::{Geometry, ProjectSpec};
+use crate::rays::RayLayers;
+use crate::tile::HitCell;
+
+#[derive(Debug)]
+struct TiltBackward;
+
+impl<B: RaysBackend> Backward<B, 4> for TiltBackward {
+    type State = (GeometryTensors<B>, ProjectSpec);
+
+    fn backward(self, ops: Ops<Self::State, 4>, grads: &mut Gradients, _: &mut Checkpointer) {
+        let grad = grads.consume::<B>(&ops.node);
+        differentiate::<B, _, _>(ops, grads, |(inputs, spec), [means, rotations, scales, cam_from_world]| {
+            let mask = Geometry { means, rotations, scales, cam_from_world, ..Geometry::default() };
+            let found = B::tilt_backward(inputs, grad, spec, mask);
+            [found.means, found.rotations, found.scales, found.cam_from_world]
+        });
+    }
+}
+
+#[derive(Debug)]
+struct RaysBackward;
+
+impl<B: RaysBackend + SplatBackend> Backward<B, 5> for RaysBackward {
+    type State = (RayLayerTensors<B>, FloatTensor<B>, BlendSpec, HitCell, PartsCell);
+
+    fn backward(self, ops: Ops<Self::State, 5>, grads: &mut Gradients, _: &mut Checkpointer) {
+        differentiate::<B, _, _>(ops, grads, |(inputs, planes, spec, hits, parts), mask| {
+            // The planes are seen through their parts alone, whose nodes come before this one.
+            let grad = planes_grad::<B>(&parts, &planes, None);
+            B::rays_backward(inputs, planes, grad, spec, RayLayers::from_array(mask), hits).into_array()
+        });
+    }
+}
+
+impl<B: RaysBackend + SplatBackend, C: CheckpointStrategy> RaysBackend for Autodiff<B, C> {
+    fn tilt(inputs: GeometryTensors<Self>, spec: ProjectSpec) -> FloatTensor<Self> {
+        let inner = inputs.each_ref().map(InputTensor::inner);
+        let output = B::tilt(inner.clone(), spec);
+        let Geometry { means, rotations, scales, cam_from_world, .. } = &inputs;
+        tracked(TiltBackward, [means, rotations, scales, cam_from_world], (inner, spec), output)
+    }
+
+    fn outline(projected: FloatTensor<Self>, tilt: FloatTensor<Self>, spec: BlendSpec) -> FloatTensor<Self> {
+        FloatTensor::<Self>::new(B::outline(projected.into_primitive(), tilt.into_primitive(), spec))
+    }
+
+    fn rays(
+        inputs: RayLayerTensors<Self>,
+        tile_counts: IntTensor<Self>,
+        spec: BlendSpec,
+        hits: HitCell,
+        parts: PartsCell,
+    ) -> FloatTensor<Self> {
+        let inner = inputs.each_ref().map(InputTensor::inner);
+        let output = B::rays(inner.clone(), tile_counts, spec, hits.clone(), parts.clone());
+        let state = (inner, output.clone(), spec, hits, parts);
+        tracked(RaysBackward, inputs.each_ref().into_array(), state, output)
+    }
+
+    // Backward passes are not differentiable themselves: called on this backend they see constants.
+
+    fn tilt_backward(
+        inputs: GeometryTensors<Self>,
+        grad: FloatTensor<Self>,
+        spec: ProjectSpec,
+        mask: Geometry<bool>,
+    ) -> GeometryGrads<Self> {
+        let inputs = inputs.each_ref().map(InputTensor::inner);
+        B::tilt_backward(inputs, grad.into_primitive(), spec, mask).map(OptionalTensor::constant)
+    }
+
+    fn rays_backward(
+        inputs: RayLayerTensors<Self>,
+        planes: FloatTensor<Self>,
+        grad: FloatTensor<Self>,
+        spec: BlendSpec,
+        mask: RayLayers<bool>,
+        hits: HitCell,
+    ) -> RayLayerGrads<Self> {
+        let inputs = inputs.each_ref().map(InputTensor::inner);
+        let (planes, grad) = (planes.into_primitive(), grad.into_primitive());
+        B::rays_backward(inputs, planes, grad, spec, mask, hits).map(OptionalTensor::constant)
+    }
+}

@@ -1,0 +1,83 @@
+//! The order of the launches of `tilt` and `rays` on Burn's GPU backend.
+
+use burn::backend::TensorMetadata;
+use burn::backend::tensor::{FloatTensor, IntTensor};
+use burn::tensor::DType;
+use burn_cubecl::CubeBackend;
+
+use super::cube::{buffer, gradient, lists_by, on_device, planes_tensor, tensor};
+use super::rays::RaysBackend;
+use super::tensors::{GeometryGrads, GeometryTensors, RayLayerGrads, RayLayerTensors};
+use crate::blend::{BlendSpec, PartsCell};
+use crate::gpu::{Buffer, Gpu};
+use crate::project::{Geometry, ProjectSpec};
+use crate::rays::RayLayers;
+use crate::rays::launch::{launch_rays, launch_rays_backward};
+use crate::tile::launch::{DeviceLists, launch_tile};
+use crate::tile::{Cut, HitCell};
+use crate::tilt::TILT;
+use crate::tilt::launch::{launch_outline, launch_tilt, launch_tilt_backward};
+
+/// The lists in the cell, computed now if nobody has yet.
+fn lists<'a>(gpu: &Gpu, cell: &'a HitCell, inputs: &RayLayers<Buffer<f32>>, spec: &BlendSpec) -> &'a DeviceLists {
+    lists_by(cell, || {
+        let rows = |packed: &Buffer<f32>| launch_tile(gpu, packed, &spec.intrinsics, Cut::of(&spec.options));
+        match spec.options.reaches_by_outline() {
+            true => rows(&launch_outline(gpu, &inputs.projected, &inputs.tilt, spec)),
+            false => rows(&inputs.projected),
+        }
+    })
+}
+
+impl RaysBackend for CubeBackend {
+    fn tilt(inputs: GeometryTensors<Self>, spec: ProjectSpec) -> FloatTensor<Self> {
+        let like = &inputs.means.0;
+        let tilts = launch_tilt(&Gpu::new(&like.client), &inputs.each_ref().map(on_device), &spec);
+        tensor(tilts, [like.shape()[0], TILT], DType::F32, like)
+    }
+
+    fn tilt_backward(
+        inputs: GeometryTensors<Self>,
+        grad: FloatTensor<Self>,
+        spec: ProjectSpec,
+        mask: Geometry<bool>,
+    ) -> GeometryGrads<Self> {
+        let gpu = Gpu::new(&grad.client);
+        let found = launch_tilt_backward(&gpu, &inputs.each_ref().map(on_device), &buffer(grad), &spec, mask);
+        found.zip(inputs.each_ref()).map(gradient)
+    }
+
+    fn outline(projected: FloatTensor<Self>, tilt: FloatTensor<Self>, spec: BlendSpec) -> FloatTensor<Self> {
+        let gpu = Gpu::new(&projected.client);
+        let rows = launch_outline(&gpu, &buffer(projected.clone()), &buffer(tilt), &spec);
+        tensor(rows, projected.shape(), DType::F32, &projected)
+    }
+
+    fn rays(
+        inputs: RayLayerTensors<Self>,
+        _: IntTensor<Self>,
+        spec: BlendSpec,
+        hits: HitCell,
+        _: PartsCell,
+    ) -> FloatTensor<Self> {
+        let gpu = Gpu::new(&inputs.projected.0.client);
+        let on_device = inputs.each_ref().map(on_device);
+        let planes = launch_rays(&gpu, &on_device, lists(&gpu, &hits, &on_device, &spec), &spec);
+        planes_tensor(planes, &spec, &inputs.background)
+    }
+
+    fn rays_backward(
+        inputs: RayLayerTensors<Self>,
+        _: FloatTensor<Self>,
+        grad: FloatTensor<Self>,
+        spec: BlendSpec,
+        mask: RayLayers<bool>,
+        hits: HitCell,
+    ) -> RayLayerGrads<Self> {
+        let gpu = Gpu::new(&grad.client);
+        let on_device = inputs.each_ref().map(on_device);
+        let lists = lists(&gpu, &hits, &on_device, &spec);
+        let found = launch_rays_backward(&gpu, &on_device, &buffer(grad), lists, &spec, mask);
+        found.zip(inputs.each_ref()).map(gradient)
+    }
+}

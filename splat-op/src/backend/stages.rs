@@ -1,0 +1,88 @@
+//! The stages of a render, as an extension of Burn's backends.
+
+#![allow(deprecated, reason = "burn-ndarray is deprecated in favour of burn-flex; this project supports both")]
+
+use burn::backend::tensor::{FloatTensor, IntTensor};
+use burn::backend::{Backend, backend_extension};
+
+#[cfg(feature = "fusion")]
+use super::fusion;
+use super::tensors::{
+    GeometryGrads, GeometryTensors, LayerGrads, LayerTensors, OptionalTensor, ShadingGrads, ShadingTensors,
+};
+use crate::blend::{BlendSpec, Layers, PartsCell, TraceCell};
+use crate::project::{Geometry, ProjectSpec};
+use crate::shade::Shading;
+use crate::tile::HitCell;
+
+/// Gaussian splatting on a Burn backend: four stages, and the backward pass of the three that have one.
+///
+/// With Burn's fusion, an operation on the GPU is registered first and runs later, on the device's own thread; the functions named
+/// in `#[fusion]` say what it will return.
+#[backend_extension(Cube: cfg(feature = "cube"), Flex, NdArray, Autodiff, Fusion: cfg(feature = "fusion"))]
+pub trait SplatBackend: Backend {
+    /// See `project/`. Returns `[N, 7]`.
+    #[fusion(meta = fusion::project)]
+    fn project(#[extension_type] inputs: GeometryTensors<Self>, spec: ProjectSpec) -> FloatTensor<Self>;
+
+    /// The gradients of `project` that `mask` asks for, from that of its output.
+    #[fusion(meta = fusion::project_backward)]
+    fn project_backward(
+        #[extension_type] inputs: GeometryTensors<Self>,
+        grad: FloatTensor<Self>,
+        spec: ProjectSpec,
+        mask: Geometry<bool>,
+    ) -> GeometryGrads<Self>;
+
+    /// See `shade/`. Returns `[N, 3]`. `visible` is what `project` returned, for colours of what shows in the picture of `spec` alone.
+    #[fusion(meta = fusion::shade)]
+    fn shade(
+        #[extension_type] inputs: ShadingTensors<Self>,
+        #[extension_type] visible: OptionalTensor<Self>,
+        spec: ProjectSpec,
+    ) -> FloatTensor<Self>;
+
+    /// The gradients of `shade` that `mask` asks for, from that of its output.
+    #[fusion(meta = fusion::shade_backward)]
+    fn shade_backward(
+        #[extension_type] inputs: ShadingTensors<Self>,
+        #[extension_type] visible: OptionalTensor<Self>,
+        grad: FloatTensor<Self>,
+        spec: ProjectSpec,
+        mask: Shading<bool>,
+    ) -> ShadingGrads<Self>;
+
+    /// See `tile/`. Fills `hits` and returns the number of hits per tile, `[tiles along y, tiles along x]`.
+    #[fusion(meta = fusion::tile)]
+    fn tile(projected: FloatTensor<Self>, spec: BlendSpec, hits: HitCell) -> IntTensor<Self>;
+
+    /// See `blend/`. Returns `[C + 1 (+ 1), H, W]` and fills `trace` if it is to be kept. `tile_counts` is what `tile`
+    /// returned, and orders the two; gradients come through [`Self::part`] alone.
+    #[fusion(meta = fusion::blend)]
+    fn blend(
+        #[extension_type] inputs: LayerTensors<Self>,
+        tile_counts: IntTensor<Self>,
+        spec: BlendSpec,
+        hits: HitCell,
+        trace: Option<TraceCell>,
+        parts: PartsCell,
+    ) -> FloatTensor<Self>;
+
+    /// Planes `from` to before `to` of what `blend` returned, which was given the same `parts`. The first ones are a view
+    /// where the backend knows views. Differentiable: without a copy if the part is all that has a gradient.
+    #[fusion(meta = fusion::part)]
+    fn part(planes: FloatTensor<Self>, from: usize, to: usize, parts: PartsCell) -> FloatTensor<Self>;
+
+    /// The gradients of `blend` that `mask` asks for, from that of its output, or, where depth is not rendered and alpha has no
+    /// gradient, of its first `C` planes. `planes` is what `blend` returned, and orders the two; not read.
+    #[fusion(meta = fusion::blend_backward)]
+    fn blend_backward(
+        #[extension_type] inputs: LayerTensors<Self>,
+        planes: FloatTensor<Self>,
+        grad: FloatTensor<Self>,
+        spec: BlendSpec,
+        mask: Layers<bool>,
+        hits: HitCell,
+        trace: TraceCell,
+    ) -> LayerGrads<Self>;
+}

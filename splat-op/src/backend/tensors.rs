@@ -1,0 +1,209 @@
+//! Records of tensors as they cross to a backend and back.
+
+use burn::backend::autodiff::checkpoint::strategy::CheckpointStrategy;
+use burn::backend::tensor::FloatTensor;
+use burn::backend::{
+    Autodiff, Backend, BackendTensor, Dispatch, DispatchAutodiffContext, DispatchTensor, DispatchTensorKind,
+    ExtensionType,
+};
+use burn::tensor::Tensor;
+
+use crate::activate::rule::Raw;
+use crate::blend::Layers;
+use crate::photometric::taps::Compared;
+use crate::project::Geometry;
+use crate::rays::RayLayers;
+use crate::shade::Shading;
+
+/// A tensor of a record of inputs.
+#[derive(Clone, Debug, ExtensionType)]
+#[extension_type(fusion: cfg(feature = "fusion"))]
+pub struct InputTensor<B: Backend>(pub FloatTensor<B>);
+
+impl<const D: usize> From<Tensor<D>> for InputTensor<Dispatch> {
+    fn from(tensor: Tensor<D>) -> Self {
+        Self(tensor.into_dispatch())
+    }
+}
+
+impl<B: Backend, C: CheckpointStrategy> InputTensor<Autodiff<B, C>> {
+    /// Without autodiff.
+    pub(super) fn inner(&self) -> InputTensor<B> {
+        InputTensor(self.0.primitive().clone())
+    }
+}
+
+/// A gradient that was asked for, or not; as an input, a tensor that there is, or not.
+#[derive(Clone, Debug, ExtensionType)]
+#[extension_type(fusion: cfg(feature = "fusion"))]
+pub enum OptionalTensor<B: Backend> {
+    /// There is none.
+    Absent,
+    /// There is one.
+    Present(FloatTensor<B>),
+}
+
+impl<B: Backend> OptionalTensor<B> {
+    /// What is in it.
+    pub(crate) fn into_option(self) -> Option<FloatTensor<B>> {
+        match self {
+            Self::Absent => None,
+            Self::Present(tensor) => Some(tensor),
+        }
+    }
+}
+
+impl<B: Backend> From<Option<FloatTensor<B>>> for OptionalTensor<B> {
+    fn from(tensor: Option<FloatTensor<B>>) -> Self {
+        tensor.map_or(Self::Absent, Self::Present)
+    }
+}
+
+impl<B: Backend, C: CheckpointStrategy> OptionalTensor<Autodiff<B, C>> {
+    /// Without autodiff.
+    pub(super) fn inner(self) -> OptionalTensor<B> {
+        self.into_option().map(|tensor| tensor.into_primitive()).into()
+    }
+
+    /// As a constant of the autodiff backend.
+    pub(super) fn constant(inner: OptionalTensor<B>) -> Self {
+        inner.into_option().map(FloatTensor::<Autodiff<B, C>>::new).into()
+    }
+}
+
+/// Inputs of `project` and `tilt`.
+pub type GeometryTensors<B> = Geometry<InputTensor<B>>;
+/// Their gradients.
+pub type GeometryGrads<B> = Geometry<OptionalTensor<B>>;
+/// Inputs of `shade`.
+pub type ShadingTensors<B> = Shading<InputTensor<B>>;
+/// Their gradients.
+pub type ShadingGrads<B> = Shading<OptionalTensor<B>>;
+/// Inputs of `blend`.
+pub type LayerTensors<B> = Layers<InputTensor<B>>;
+/// Their gradients.
+pub type LayerGrads<B> = Layers<OptionalTensor<B>>;
+/// Inputs of `rays`.
+pub type RayLayerTensors<B> = RayLayers<InputTensor<B>>;
+/// Their gradients.
+pub type RayLayerGrads<B> = RayLayers<OptionalTensor<B>>;
+/// Inputs of `photometric`.
+pub type ComparedTensors<B> = Compared<InputTensor<B>>;
+/// Inputs of `opacities`.
+pub type RawTensors<B> = Raw<InputTensor<B>>;
+
+/// Lets a record cross whose fields do: what Burn's derive writes for a struct over a backend, for a record over any field.
+macro_rules! crosses {
+    ($($record:ident),*) => {$(
+        impl<B: Backend, T: ExtensionType<B>> ExtensionType<B> for $record<T> {
+            type Target = $record<T::Target>;
+
+            fn map_to_dispatch<F>(self, map_kind: F, autodiff: DispatchAutodiffContext) -> Self::Target
+            where
+                F: Fn(BackendTensor<B>) -> DispatchTensorKind,
+            {
+                self.map(|field| field.map_to_dispatch(&map_kind, autodiff))
+            }
+
+            fn map_from_dispatch<F>(target: Self::Target, unwrap_kind: F) -> Self
+            where
+                F: Fn(DispatchTensor) -> BackendTensor<B>,
+            {
+                target.map(|field| T::map_from_dispatch(field, &unwrap_kind))
+            }
+
+            fn routing_tensor(target: &Self::Target) -> Option<&DispatchTensor> {
+                target.each_ref().into_array().into_iter().find_map(T::routing_tensor)
+            }
+
+            fn routing_float_tensor(target: &Self::Target) -> Option<&DispatchTensor> {
+                target.each_ref().into_array().into_iter().find_map(T::routing_float_tensor)
+            }
+
+            fn autodiff_context(target: &Self::Target) -> DispatchAutodiffContext {
+                let fields = target.each_ref().into_array().into_iter();
+                fields.map(T::autodiff_context).fold(DispatchAutodiffContext::Disabled, DispatchAutodiffContext::merge)
+            }
+        }
+    )*};
+}
+
+crosses!(Geometry, Shading, Layers, RayLayers, Raw, Compared);
+
+#[cfg(feature = "fusion")]
+mod fused {
+    use burn::backend::fusion::custom::{FusionValueAdapter, HandleContainer, TensorId, TensorIr};
+    use burn::backend::fusion::{ExecutionError, FusionBackend, FusionRuntime, FusionTensor};
+
+    use super::*;
+
+    type Handles<B> = HandleContainer<<<B as FusionBackend>::FusionRuntime as FusionRuntime>::FusionHandle>;
+
+    /// The same for operations that Burn's fusion runs later.
+    macro_rules! crosses_later {
+        ($($record:ident),*) => {$(
+            impl<B: FusionBackend, T: FusionValueAdapter<B>> FusionValueAdapter<B> for $record<T> {
+                type Metadata = $record<T::Metadata>;
+                type Input = $record<T::Input>;
+                type Output = $record<T::Output>;
+                type Inner = $record<T::Inner>;
+                type Fused = $record<T::Fused>;
+
+                fn to_metadata(value: &Self::Fused) -> Self::Metadata {
+                    value.each_ref().map(T::to_metadata)
+                }
+
+                fn visit_fused_tensors(
+                    value: &Self::Fused,
+                    visit: &mut impl FnMut(&FusionTensor<B::FusionRuntime>),
+                ) {
+                    value.each_ref().map(|field| T::visit_fused_tensors(field, visit));
+                }
+
+                fn tensor_count(meta: &Self::Metadata) -> usize {
+                    meta.each_ref().map(T::tensor_count).into_array().into_iter().sum()
+                }
+
+                fn append_input_ir(value: Self::Fused, inputs: &mut Vec<TensorIr>) -> Self::Input {
+                    value.map(|field| T::append_input_ir(field, inputs))
+                }
+
+                fn resolve_inputs(input: &Self::Input, handles: &mut Handles<B>) -> Self::Inner {
+                    input.each_ref().map(|field| T::resolve_inputs(field, handles))
+                }
+
+                fn append_output_ir(
+                    meta: &Self::Metadata,
+                    out: &mut Vec<TensorIr>,
+                    create: &mut impl FnMut() -> TensorId,
+                ) -> Self::Output {
+                    meta.each_ref().map(|field| T::append_output_ir(field, out, create))
+                }
+
+                fn validate_outputs(
+                    value: &Self::Inner,
+                    output: &Self::Output,
+                    device: Option<&B::Device>,
+                ) -> Result<(), ExecutionError> {
+                    let fields = value.each_ref().zip(output.each_ref()).into_array();
+                    fields.into_iter().try_for_each(|(value, output)| T::validate_outputs(value, output, device))
+                }
+
+                fn register_output_handles(value: Self::Inner, output: &Self::Output, handles: &mut Handles<B>) {
+                    value.zip(output.each_ref()).map(|(value, output)| {
+                        T::register_output_handles(value, output, handles);
+                    });
+                }
+
+                fn build_fused_output(
+                    meta: &Self::Metadata,
+                    tensors: &mut std::vec::IntoIter<FusionTensor<B::FusionRuntime>>,
+                ) -> Self::Fused {
+                    meta.each_ref().map(|field| T::build_fused_output(field, tensors))
+                }
+            }
+        )*};
+    }
+
+    crosses_later!(Geometry, Shading, Layers, RayLayers, Raw, Compared);
+}

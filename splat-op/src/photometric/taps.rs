@@ -1,0 +1,33 @@
+//! What is compared, the window, and the constants of the index.
+
+use crate::record::record;
+
+/// Taps of the window along each axis.
+pub const TAPS: usize = 11;
+/// Standard deviation of the window, px.
+pub const SIGMA_PX: f64 = 1.5;
+/// `(0.01 L)²` for the dynamic range `L` = 1: keeps the ratio of means defined where both are black.
+pub const C1: f64 = 1e-4;
+/// `(0.03 L)²`: keeps the ratio of variances defined where both are flat.
+pub const C2: f64 = 9e-4;
+
+/// Half the window, from the middle outwards; the whole sums to one.
+pub(super) fn half_window() -> [f64; TAPS / 2 + 1] {
+    let weight = |i: usize| (-(i as f64).powi(2) / (2.0 * SIGMA_PX * SIGMA_PX)).exp();
+    let sum: f64 = weight(0) + 2.0 * (1..=TAPS / 2).map(weight).sum::<f64>();
+    std::array::from_fn(|i| weight(i) / sum)
+}
+
+record! {
+    /// A picture and the photograph it is compared with, with what the loss needs of that. Each `[.., H, W]`.
+    pub struct Compared {
+        /// The picture.
+        image,
+        /// The photograph.
+        truth,
+        /// `μy` of the photograph.
+        mean,
+        /// `σy² + C2` of the photograph.
+        variance,
+    }
+}
