@@ -1,4 +1,4 @@
-//! A run is shown, and read back with Rerun's own reader.
+//! A run is shown and then read back with Rerun's own reader.
 
 use std::collections::BTreeMap;
 use std::fs::{self, File};
@@ -15,10 +15,10 @@ use serde_json::json;
 
 use super::*;
 
-/// An entity's chunks, which are static or have the steps of their rows.
+/// Chunks by entity. A chunk is static or has a step for each row.
 type Entities = BTreeMap<String, Vec<Chunk>>;
 
-/// The output folder of a run of 20 steps, two cameras, and one snapshot that is complete and one that is not.
+/// The output folder of a run of 20 steps with two cameras, one complete snapshot and one incomplete snapshot.
 fn run() -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
     let snapshots = folder.path().join("snapshots");
@@ -27,7 +27,7 @@ fn run() -> tempfile::TempDir {
         fs::create_dir_all(path.parent().unwrap()).unwrap();
         fs::write(path, text).unwrap();
     };
-    // One at the origin that looks along z, one two units to its right that looks along -x.
+    // One camera at the origin that looks along z, and one two units to its right that looks along -x.
     let view = |name: &str, is_test: bool, pose: [[f64; 4]; 3]| {
         json!({
             "name": name, "is_test": is_test, "model": "Pinhole", "width": 32, "height": 24,
@@ -69,7 +69,7 @@ fn read(path: &Path) -> Entities {
     entities
 }
 
-/// The values of a component of an entity, by row.
+/// The values of a component of an entity, row by row.
 fn values<C: Component>(entities: &Entities, path: &str, component: &'static str) -> Vec<Vec<C>> {
     let chunks = entities.get(path).unwrap_or_else(|| panic!("no {path} among {:?}", entities.keys()));
     let rows = |chunk: &Chunk| {
@@ -123,7 +123,7 @@ fn what_is_written_is_read_back() {
         let values = values::<Scalar>(&found, path, "Scalars:scalars");
         values.iter().map(|row| row[0].0.0).collect::<Vec<f64>>()
     };
-    // A loss that is not finite and an LPIPS that was not measured are not there.
+    // A loss that is not finite and an LPIPS that was not measured are absent.
     assert_eq!((curve("/curves/loss"), curve("/curves/splats")), (vec![0.25], vec![100.0, 200.0]));
     assert_eq!((curve("/test/psnr"), curve("/test/ssim")), (vec![20.5], vec![0.75]));
     assert_eq!((steps(&found, "/curves/splats"), steps(&found, "/test/psnr")), (vec![10, 20], vec![10]));
@@ -170,7 +170,7 @@ fn what_is_no_run_is_refused_and_leaves_no_file() {
     refused("000010/scene.ply", Some("ply\n"), "scene.ply");
     refused("000010/0.png", None, "0.png");
     let elsewhere = r#"{"step": 10, "views": [{"name": "b 2.png", "picture": "../run.json"}]}"#;
-    refused("000010/snapshot.json", Some(elsewhere), "no file of the snapshot");
+    refused("000010/snapshot.json", Some(elsewhere), "not a file of the snapshot");
     assert_eq!(fs::read(&path).unwrap(), b"before");
     let names = fs::read_dir(folder.path()).unwrap().map(|entry| entry.unwrap().file_name());
     assert_eq!(names.count(), 2, "a temporary file is left");
