@@ -1,4 +1,4 @@
-//! `splat demo`: the demo capture.
+//! `splat demo`: writes the demo capture.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -110,7 +110,7 @@ impl DemoArgs {
 /// Writes the capture and prints its folder.
 ///
 /// # Errors
-/// Those of [`ensure`].
+/// The errors of [`ensure`].
 pub fn run(args: &DemoArgs) -> Result<()> {
     let made = ensure(&args.out, &args.options())?;
     let what = if made { "demo capture" } else { "demo capture, unchanged" };

@@ -1,4 +1,4 @@
-//! `--effects`: which effects a run simulates, and what `metrics.json` says of them.
+//! `--effects`: the effects that a run simulates, and their entry in `metrics.json`.
 
 use std::collections::BTreeMap;
 use std::fmt;

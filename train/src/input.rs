@@ -97,7 +97,7 @@ impl Wanted<'_> {
     /// not end a long run.
     ///
     /// # Errors
-    /// Those of [`photographs`].
+    /// The errors of [`photographs`].
     pub fn within(&self, views: &[usize], room: &mut usize) -> Result<Vec<Photograph>> {
         let names = views.iter().map(|&view| (self.capture.views[view].name.as_str(), view));
         let by_name: BTreeMap<&str, usize> = names.collect();
@@ -165,7 +165,7 @@ pub fn scene(path: &Path, capture: &Capture, device: &Device) -> Result<Scene> {
 /// Reads the rows of a scene, under the conditions of [`scene`].
 ///
 /// # Errors
-/// Those of [`scene`].
+/// The errors of [`scene`].
 pub fn rows(path: &Path, capture: &Capture) -> Result<GaussianRows> {
     let (scene, _) = formats::read(path).context("cannot read the scene that `--scene` names")?;
     let formats::Scene { mut rows, origin, antialiased } = scene;

@@ -74,7 +74,7 @@ impl OutputFolder {
     /// Writes one file, replacing an existing one. See [`write()`].
     ///
     /// # Errors
-    /// Those of [`write()`].
+    /// The errors of [`write()`].
     pub fn write(&self, name: impl AsRef<Path>, fill: impl FnOnce(&mut BufWriter<File>) -> Result<()>) -> Result<()> {
         write(&self.join(name), fill)
     }

@@ -1,4 +1,4 @@
-//! `--strategy`: how splats are added, moved and removed.
+//! `--strategy`: density strategies, which add, move and remove splats.
 
 use clap::ValueEnum;
 use serde::{Deserialize, Serialize};

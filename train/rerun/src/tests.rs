@@ -100,7 +100,7 @@ fn what_is_written_is_read_back() {
     assert!(found[camera].iter().all(Chunk::is_static));
     let projection = &values::<PinholeProjection>(&found, camera, "Pinhole:image_from_camera")[0][0];
     assert_eq!(projection.0.0, [30.0, 0.0, 0.0, 0.0, 31.0, 0.0, 15.5, 12.5, 1.0]);
-    // By columns, from the world to the camera.
+    // Columns of the rotation from world to camera.
     let rotation = &values::<TransformMat3x3>(&found, camera, "Transform3D:mat3x3")[0][0];
     assert_eq!(rotation.0.0, [0.0, 0.0, -1.0, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0]);
     let translation = &values::<Translation3D>(&found, camera, "Transform3D:translation")[0][0];
@@ -112,7 +112,7 @@ fn what_is_written_is_read_back() {
     let positions = &values::<Position3D>(&found, "/world/splats", "Points3D:positions")[0];
     assert_eq!(positions[..], [Position3D::new(1.0, 2.0, 3.0), Position3D::new(4.0, 5.0, 6.0)]);
     let colours = &values::<Color>(&found, "/world/splats", "Points3D:colors")[0];
-    // Half grey plus the coefficient by the first harmonic, 0.2821; opacity 1/2, and 1.
+    // Half grey plus the coefficient times the harmonic of degree 0, 0.2821; opacities 1/2 and 1.
     let expected =
         [Color::from_unmultiplied_rgba(128, 128, 255, 128), Color::from_unmultiplied_rgba(128, 128, 128, 255)];
     assert_eq!(colours[..], expected);

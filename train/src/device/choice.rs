@@ -40,7 +40,7 @@ impl Display for Kind {
     }
 }
 
-/// One line of `splat devices`.
+/// An adapter, one line of `splat devices`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Adapter {
     /// Runtime that reaches it. A card that two runtimes reach is two adapters.

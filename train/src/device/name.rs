@@ -127,7 +127,7 @@ impl FromStr for DeviceName {
     }
 }
 
-/// The help of `--device`.
+/// Returns the help text of `--device`.
 pub fn help() -> String {
     format!("Device to compute on: {}; `splat devices` lists them", names())
 }

@@ -4,7 +4,7 @@
 use splat_model::accuracy::{DIALS, Dial, Judge, Preset, Setting};
 use splat_op::RenderOptions;
 
-/// Why a setting is measured.
+/// Reason to measure a setting.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Role {
     /// One of the presets.

@@ -233,7 +233,7 @@ mod tests {
         let count = |wanted: [u8; 3]| picture.pixels().filter(|pixel| pixel.0 == wanted).count();
         assert!(count([200, 80, 40]) > 300, "the frontier is not drawn");
         assert!(count([40, 90, 160]) > 20, "the other points are not drawn");
-        // Letters are drawn in shades.
+        // Letters are drawn in shades of grey.
         let dark = picture.pixels().filter(|pixel| pixel.0.iter().all(|&value| value < 120)).count();
         assert!(dark > 2000, "no letters: {dark}");
     }

@@ -177,7 +177,7 @@ mod tests {
         let score = recorder.keep_score(2, &scores, Duration::from_millis(30));
         assert_eq!((score.psnr, score.ssim, score.lpips, score.views), (20.0, 0.5, None, 1));
         assert!((100.0..100.025).contains(&score.seconds), "{score:?}");
-        // Nor does it go back.
+        // Nor does the clock go back.
         let score = recorder.keep_score(2, &scores, Duration::from_secs(3600));
         assert!(score.seconds >= 100.0, "{score:?}");
         for seconds in [-1.0, f64::NAN, f64::INFINITY] {

@@ -23,13 +23,13 @@ const FEW: usize = 4;
 #[derive(Serialize)]
 #[serde(tag = "event", rename_all = "lowercase")]
 pub enum Line<'a> {
-    /// Before the first step.
+    /// Written before the first step.
     Start { steps: usize, train_views: usize, test_views: usize, splats: usize, device: &'a str, version: &'a str },
-    /// Evenly over the steps, at most 251 times.
+    /// Written evenly over the steps, at most 251 times.
     Progress(Point),
-    /// After every `--eval-during` steps.
+    /// Written after every `--eval-during` steps.
     Evaluation(Score),
-    /// At the end.
+    /// Written at the end.
     Done { out: String, metrics: &'a Metrics },
 }
 

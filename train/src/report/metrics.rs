@@ -75,7 +75,7 @@ pub fn peak_rss_mib() -> Option<f64> {
     peak_of(&std::fs::read_to_string("/proc/self/status").ok()?)
 }
 
-/// The field `VmHWM` ("high water mark", KiB) of proc(5)'s status.
+/// Reads the field `VmHWM` ("high water mark", KiB) of proc(5)'s status.
 fn peak_of(status: &str) -> Option<f64> {
     let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
     let kib: f64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;

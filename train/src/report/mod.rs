@@ -30,7 +30,7 @@ pub const METRICS: &str = "metrics.json";
 pub const REPORT: &str = "report.html";
 /// The background, where a run learned it.
 pub const BACKGROUND: &str = "background.json";
-/// The photographs' poses, where a run refined them.
+/// Poses of the photographs, where a run refined them.
 pub const POSES: &str = "poses.json";
 /// The folder of pictures.
 pub const VIEWS: &str = "views";

@@ -45,7 +45,7 @@ struct Heard {
 static HEARD: OnceLock<Heard> = OnceLock::new();
 
 impl Stop {
-    /// Begins to listen.
+    /// Registers the handlers and begins to listen.
     ///
     /// # Errors
     /// If the system refuses a handler.

@@ -1,4 +1,4 @@
-//! `--lpips`: measured with weights, and never a number without.
+//! `--lpips`: a score with weights, and no number without.
 
 use std::fs;
 use std::path::PathBuf;

@@ -158,7 +158,7 @@ fn without_a_folder_no_run_replaces_another() {
         assert!(ended.stderr.contains(said), "{said:?} is not in: {}", ended.stderr);
     };
     let scene = |name: &str| fs::read(folder.path().join("out").join(name).join("scene.ply")).unwrap();
-    // The capture's folder has the name that the demo capture's run would have, too.
+    // The capture's folder has the name that the demo capture's default output would have, too.
     let capture = DEMO.file_name().unwrap().to_str().unwrap();
     assert_eq!(capture, "demo");
     train(&[text(&DEMO)], "writing to out/demo");

@@ -38,7 +38,7 @@ fn a_run_tells_programs_how_it_goes() {
     assert_eq!((&evaluations[0]["step"], &evaluations[0]["views"]), (&8.into(), &1.into()));
     let done = lines.last().unwrap();
     assert_eq!(done["metrics"], json(&folder.path().join("metrics.json")));
-    // One test view, and the scene of the last step: the same scores.
+    // There is one test view, and both score the scene of the last step: the scores are equal.
     for score in ["psnr", "ssim"] {
         let (during, after) = (&evaluations[1][score], &done["metrics"]["test"][score]);
         assert!((during.as_f64().unwrap() - after.as_f64().unwrap()).abs() < 1e-4, "{score}: {during} {after}");

@@ -41,7 +41,7 @@ fn duration(seconds: f64) -> String {
     }
 }
 
-/// Scores by view, the worst first, and pictures to compare.
+/// Table of the scores by view, the worst first, and pictures to compare.
 pub fn views(scores: Option<&Scores>, comparisons: &Comparisons) -> String {
     let Some(scores) = scores else {
         return "<section>\n<h2>Test views</h2>\n<p>None: <code>--eval-every 0</code> holds out no photograph.</p>\n</section>\n".into();
@@ -118,7 +118,7 @@ pub fn effects(chosen: Option<&Chosen>) -> String {
     text + "</section>\n"
 }
 
-/// Time by stage.
+/// Table of the times by stage.
 pub fn times(seconds: &Seconds) -> String {
     let all = [("loading", Some(seconds.load)), ("training", seconds.train), ("measuring", Some(seconds.eval))];
     let rows = all.into_iter().filter_map(|(what, time)| Some(vec![what.to_owned(), format!("{:.2}", time?)]));
