@@ -1,4 +1,5 @@
-//! Which function a render computes, and how accurately: a preset, or whatever measured setting meets a target.
+//! Choice of the function that a render computes and of its accuracy: a preset, or a measured setting that meets a
+//! target.
 
 use std::path::PathBuf;
 
@@ -15,17 +16,20 @@ use splat_op::{Order, Projection, RenderOptions};
 use crate::pareto::{self, Shot};
 use crate::progress;
 
-/// What a scene is a function of: whoever shows one renders as it was trained.
+/// Model choices: the function that a scene's parameters define. A scene is rendered with the choices it was trained
+/// with.
 #[derive(Clone, Debug, Default, clap::Args, Serialize, Deserialize)]
 pub struct ModelArgs {
-    /// Dim splats smaller than a pixel, so that scenes also look right from further away; a scene that was trained with it is
-    /// evaluated and rendered with it too
+    /// Dim splats smaller than a pixel, so that the scene also looks right from further away. Evaluate and render a
+    /// scene with the setting it was trained with
     #[arg(long)]
     pub antialias: bool,
-    /// What a pixel sees of a splat, for cameras without a lens; a scene is evaluated and rendered as it was trained
+    /// How a splat contributes to a pixel, for pinhole cameras. Evaluate and render a scene with the setting it was
+    /// trained with
     #[arg(long, value_enum, value_name = "WHAT", default_value_t)]
     pub projection: SeenOfASplat,
-    /// What is sorted by depth, for cameras without a lens; a scene is evaluated and rendered as it was trained
+    /// How splats are sorted by depth, for pinhole cameras. Evaluate and render a scene with the setting it was trained
+    /// with
     #[arg(long, value_enum, value_name = "WHAT", default_value_t)]
     pub order: Sorted,
 }
@@ -33,30 +37,30 @@ pub struct ModelArgs {
 /// [`Projection`] on the command line.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
 pub enum SeenOfASplat {
-    /// Its ellipse: its projection, taken as affine around its centre
+    /// Projected ellipse: the projection is taken as affine around the splat's centre
     #[default]
     Affine,
-    /// Its greatest value along the pixel's ray; some ten times as slow
+    /// Largest value along the pixel's ray; about ten times as slow
     Exact,
 }
 
 /// [`Order`] on the command line.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
 pub enum Sorted {
-    /// Splats, by their centres, once for the whole picture
+    /// One global sort by the depths of the splats' centres
     #[default]
     Centre,
-    /// What each pixel sees of them, so that nothing pops as the camera turns; some twenty times as slow
+    /// Sort for each pixel, so that nothing pops as the camera turns; about twenty times as slow
     PerPixel,
 }
 
 impl ModelArgs {
-    /// The configuration of a run that renders so, and is the usual one otherwise.
+    /// Returns the default configuration of a run with these model choices.
     pub fn config(&self) -> TrainConfig {
         TrainConfig { antialias: self.antialias, dials: self.dials(), ..TrainConfig::default() }
     }
 
-    /// What is turned of the standard beside [`Self::antialias`].
+    /// The dials turned from the standard setting, apart from [`Self::antialias`].
     fn dials(&self) -> Setting {
         let projection = match self.projection {
             SeenOfASplat::Affine => Projection::Affine,
@@ -71,41 +75,42 @@ impl ModelArgs {
     }
 }
 
-/// How accurate renders are.
+/// Accuracy of renders.
 #[derive(Clone, Debug, Default, clap::Args, Serialize, Deserialize)]
 pub struct AccuracyArgs {
-    /// How accurate renders are: fast, standard or exact
+    /// Accuracy preset: fast, standard or exact
     #[arg(long, value_name = "PRESET", default_value_t, conflicts_with_all = ["target_error", "target_ms"])]
     pub accuracy: Preset,
-    /// Take the cheapest setting whose PSNR against the exact render is at least this, dB
+    /// Choose the cheapest setting whose PSNR against the exact render is at least this, dB
     #[arg(long, value_name = "DB")]
     pub target_error: Option<f64>,
-    /// Take the most accurate setting whose frames take at most so many ms; with --target-error the cheapest that meets both
+    /// Choose the most accurate setting whose frames take at most this long, ms; with --target-error, the cheapest that
+    /// meets both
     #[arg(long, value_name = "MS")]
     pub target_ms: Option<f64>,
-    /// With a target: the pareto.json that `splat pareto` left, measured on this device and scene, or when training on a scene of
-    /// this capture. Without it a few settings are measured briefly: on the scene, or when training on what it has become after a
-    /// tenth of the steps
+    /// With a target: read settings from this pareto.json, written by `splat pareto` on this device and scene, or for
+    /// training on a scene of this capture [default: measure a few settings briefly, on the scene or, when training,
+    /// after a tenth of the steps]
     #[arg(long, value_name = "FILE")]
     pub frontier: Option<PathBuf>,
 }
 
-/// What the options come to before anything is measured.
+/// Accuracy options after parsing, before anything is measured.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Accuracy {
-    /// These dials are turned.
+    /// The dials to turn are known.
     Known(Setting),
-    /// Whatever meets the target on the frontier of a file.
+    /// A setting that meets the target is to be chosen from the frontier in a file.
     Measured(Box<Frontier>, PathBuf, Target),
-    /// Whatever meets this is to be found by measuring.
+    /// A setting that meets the target is to be found by measuring.
     ToMeasure(Target),
 }
 
 impl AccuracyArgs {
-    /// What they say, on a device by the name that `metrics.json` has for it.
+    /// Resolves the options. `device` is the device's name in `metrics.json`.
     ///
     /// # Errors
-    /// If a target is no positive number, or the frontier cannot be read or is another device's.
+    /// If a target is not a positive number, or the frontier cannot be read or was measured on another device.
     pub fn resolve(&self, device: &str) -> Result<Accuracy> {
         let target = Target { error_db: self.target_error, ms: self.target_ms };
         for (option, value) in [("--target-error", target.error_db), ("--target-ms", target.ms)] {
@@ -130,14 +135,15 @@ impl AccuracyArgs {
     }
 }
 
-/// What is rendered: a capture, the scene unless it is only going to be trained, and the mean number of pixels of a frame.
+/// Subject of a render: the capture, the scene if there is one already, and the mean number of pixels of a frame.
 pub type Subject<'a> = (&'a Capture, Option<&'a GaussianRows>, usize);
 
 impl Accuracy {
-    /// The same, chosen from the frontier if there is one. Says which dials are turned, and why. `base` has the model choices.
+    /// Chooses from the frontier, if there is one, and prints which dials are turned and why. `base` has the model
+    /// choices.
     ///
     /// # Errors
-    /// If the frontier is another scene's, or was measured under other model choices, or nothing on it meets the target.
+    /// If the frontier was measured on another scene or under other model choices, or nothing on it meets the target.
     pub fn on(self, (capture, scene, pixels): Subject, base: &RenderOptions, work: Work) -> Result<Self> {
         let Self::Measured(frontier, path, target) = self else { return Ok(self) };
         let (path, of) = (path.display(), &frontier.provenance);
@@ -164,17 +170,17 @@ impl Accuracy {
         );
         if pixels.abs_diff(frontier.pixels) > frontier.pixels / 4 {
             progress::note(&format!(
-                "{path} was measured on frames of {} pixels, and these have {pixels}: their times are others",
+                "{path} was measured on frames of {} pixels, and these have {pixels}: times will differ",
                 frontier.pixels
             ));
         }
         Ok(Self::Known(chosen(frontier.choose(&target, work)?)))
     }
 
-    /// The setting; measured briefly on a scene and some views of it where it is not known yet.
+    /// Returns the setting, after measuring it briefly on some views of the scene if it is not known yet.
     ///
     /// # Errors
-    /// If nothing that was measured meets the target, or measuring fails.
+    /// If no measured setting meets the target, or measuring fails.
     pub fn setting(
         self,
         (rows, shots): (&GaussianRows, Vec<Shot>),
@@ -184,13 +190,13 @@ impl Accuracy {
     ) -> Result<Setting> {
         match self {
             Self::Known(setting) => Ok(setting),
-            Self::Measured(_, path, _) => bail!("{} was not held to the scene", path.display()),
+            Self::Measured(_, path, _) => bail!("{} was not checked against the scene", path.display()),
             Self::ToMeasure(target) => Ok(chosen(pareto::choose_briefly(rows, shots, base, device, (&target, work))?)),
         }
     }
 }
 
-/// Says what was chosen and why.
+/// Prints the choice and the reason for it.
 fn chosen(choice: Choice) -> Setting {
     progress::note(&format!("accuracy: {}", choice.why));
     choice.measured.turned

@@ -1,4 +1,4 @@
-//! For `#[serde(with)]`: values written and read as on the command line.
+//! For `#[serde(with)]`: serializes values as their command-line text.
 
 use std::fmt::Display;
 use std::str::FromStr;

@@ -1,4 +1,4 @@
-//! `--background`: what is behind a scene.
+//! `--background`: the background behind a scene.
 
 use std::path::Path;
 use std::str::FromStr;
@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use splat_model::effects::background::{Backdrop, Background};
 use splat_model::trainer::TrainConfig;
 
-/// A colour by name or as three numbers with commas between them, 0 to 1.
+/// Parses a colour: a name, or three comma-separated numbers from 0 to 1.
 fn colour(text: &str) -> Option<[f32; 3]> {
     match text {
         "black" => return Some([0.0; 3]),
@@ -23,20 +23,20 @@ fn colour(text: &str) -> Option<[f32; 3]> {
 /// The value of `splat train --background`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub enum TrainBackground {
-    /// A colour that stays.
+    /// A constant colour.
     Colour([f32; 3]),
-    /// Another at each step.
+    /// A new random colour at each step.
     Random,
-    /// A colour that is learnt.
+    /// A learned colour.
     Learned,
-    /// Light from infinity that is learnt.
+    /// Learned light from infinity.
     Environment {
-        /// Degree of the harmonics.
+        /// Degree of the spherical harmonics.
         degree: usize,
     },
 }
 
-/// Degree of the harmonics of an environment unless told otherwise.
+/// Default degree of the environment's spherical harmonics.
 pub const ENVIRONMENT_DEGREE: usize = 3;
 
 impl FromStr for TrainBackground {
@@ -55,7 +55,7 @@ impl FromStr for TrainBackground {
         };
         found.ok_or_else(|| {
             format!(
-                "{text:?} is no background, expected black, white, three numbers from 0 to 1 such as 0.5,0.5,0.5, random, \
+                "{text:?} is not a background, expected black, white, three numbers from 0 to 1 such as 0.5,0.5,0.5, random, \
                  learned, environment, or environment:D with a degree from 0 to 4"
             )
         })
@@ -63,7 +63,7 @@ impl FromStr for TrainBackground {
 }
 
 impl TrainBackground {
-    /// The configuration of the run.
+    /// Applies the background to the configuration of a run.
     pub fn configure(self, config: &mut TrainConfig) {
         config.backdrop = match self {
             Self::Colour(colour) => {
@@ -77,7 +77,7 @@ impl TrainBackground {
     }
 }
 
-/// The value of `--background` where a scene is looked at.
+/// The value of `--background` of the subcommands that render a scene.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ShownBackground(String);
 
@@ -100,7 +100,7 @@ impl FromStr for ShownBackground {
         match colour(text).is_some() || text.ends_with(".json") {
             true => Ok(Self(text.into())),
             false => Err(format!(
-                "{text:?} is no background, expected black, white, three numbers from 0 to 1 such as 0.5,0.5,0.5, or the \
+                "{text:?} is not a background, expected black, white, three numbers from 0 to 1 such as 0.5,0.5,0.5, or the \
                  background.json that a run left beside its scene"
             )),
         }
@@ -108,7 +108,7 @@ impl FromStr for ShownBackground {
 }
 
 impl ShownBackground {
-    /// Reads it, if it is a file.
+    /// Returns the background, read from its file if it is one.
     ///
     /// # Errors
     /// If the file cannot be read or holds no background.

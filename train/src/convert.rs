@@ -1,4 +1,4 @@
-//! `splat convert`: a scene in another format, and what that lost.
+//! `splat convert`: writes a scene in another format and reports the loss.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -10,27 +10,28 @@ use splat_model::gaussians::GaussianRows;
 
 use crate::progress;
 
-/// The range of SPZ's standard deviations, in words; 8 bits of their logarithms have no more.
+/// Range of SPZ's standard deviations, in words: their logarithms are stored in 8 bits.
 const SPZ_SCALES: &str =
     "SPZ holds standard deviations from 0.000045 to 379 scene units; compressed PLY has no such limits";
 
-/// A scale in eight bits is at most half a step of 1/16 off; one that is further off was out of range.
+/// Largest relative error of a scale that is in range, half a step of 1/16 of the logarithm; a larger error means out
+/// of range.
 const SPZ_SCALE_ERROR: f64 = 0.033;
 
 /// Options of `splat convert`.
 #[derive(Clone, Debug, clap::Args)]
 pub struct ConvertArgs {
-    /// The scene: PLY, SuperSplat's compressed PLY, or SPZ; what is in the file tells which, not its name
+    /// Scene to convert: PLY, SuperSplat's compressed PLY, or SPZ, recognized by its content
     pub scene: PathBuf,
-    /// The file to write, in place of one that is there; its name tells the format: .ply, .compressed.ply or .spz
+    /// File to write, replacing an existing one; its name gives the format: .ply, .compressed.ply or .spz
     pub out: PathBuf,
-    /// The format, where the name does not tell it
+    /// Format to write, if the name does not give it
     #[arg(long, value_enum)]
     pub format: Option<FormatName>,
-    /// Keep spherical harmonics to this degree and drop higher ones; many readers know none above 3
+    /// Drop spherical harmonics above this degree; many readers support at most 3
     #[arg(long, value_name = "DEGREE", value_parser = value_parser!(u8).range(0..=4))]
     pub sh_degree: Option<u8>,
-    /// Mark the scene as trained with this option; SPZ alone has a place for it
+    /// Mark the scene as trained with --antialias; only SPZ can store this
     #[arg(long)]
     pub antialias: bool,
 }
@@ -38,11 +39,11 @@ pub struct ConvertArgs {
 /// [`Format`] on the command line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum FormatName {
-    /// The layout of the original 3D Gaussian splatting code: everything, in 32-bit numbers
+    /// Layout of the original 3D Gaussian splatting code: all parameters, in 32-bit floats
     Ply,
-    /// SuperSplat's: 16 bytes a splat, and one for each higher coefficient
+    /// SuperSplat's format: 16 bytes a splat, and one for each higher coefficient
     CompressedPly,
-    /// Niantic's: 20 bytes a splat, one for each higher coefficient, then gzip
+    /// Niantic's format: 20 bytes a splat and one for each higher coefficient, then gzip
     Spz,
 }
 
@@ -56,16 +57,16 @@ impl From<FormatName> for Format {
     }
 }
 
-/// Writes the scene anew, reads what was written, and says what differs.
+/// Writes the scene in the other format, reads it back, and prints the differences.
 ///
 /// # Errors
-/// If the scene cannot be read, the format is not to be told, or the file cannot be written; or if both are one file.
+/// If the scene cannot be read, the format is unknown, the file cannot be written, or both paths name the same file.
 pub fn run(args: &ConvertArgs) -> Result<()> {
     let shown = args.out.display();
     let format = args.format.map(Format::from).or_else(|| Format::of_name(&args.out)).with_context(|| {
         let known: Vec<&str> = Format::ALL.iter().map(|format| format.extension()).collect();
         format!(
-            "the name {shown} does not tell a format: end it in one of {}, or choose with `--format`",
+            "the name {shown} does not give a format: end it in one of {}, or choose with `--format`",
             known.join(", ")
         )
     })?;
@@ -99,26 +100,26 @@ pub fn run(args: &ConvertArgs) -> Result<()> {
     Ok(())
 }
 
-/// The rows with the coefficients of a lower degree.
+/// Returns the rows with the coefficients of a lower degree.
 fn with_degree(rows: &GaussianRows, sh_degree: usize) -> GaussianRows {
     let mut lower = GaussianRows { sh_degree, ..GaussianRows::default() };
     (0..rows.len()).for_each(|row| lower.push(rows, row));
     lower
 }
 
-/// A file in a line.
+/// Describes a file in one line.
 fn line(path: &Path, format: Format, splats: usize, sh_degree: usize) -> Result<String> {
-    let bytes = fs::metadata(path).with_context(|| format!("cannot learn the size of {}", path.display()))?.len();
+    let bytes = fs::metadata(path).with_context(|| format!("cannot read the size of {}", path.display()))?.len();
     let each = bytes as f64 / splats.max(1) as f64;
     Ok(format!("{}: {format}, {splats} splats of degree {sh_degree}, {bytes} bytes, {each:.1} a splat", path.display()))
 }
 
-/// What has no place in the format.
+/// Lists everything that the format cannot store.
 fn dropped(scene: &Scene, format: Format, left_out: usize, of_degree: usize, sh_degree: usize) -> Vec<String> {
     let mut lost = Vec::new();
     if left_out > 0 {
         lost.push(format!(
-            "{left_out} splats that cannot be rendered, because a parameter is not finite or out of all range"
+            "{left_out} splats that cannot be rendered, because a parameter is not finite or out of range"
         ));
     }
     if sh_degree < of_degree {
@@ -126,7 +127,7 @@ fn dropped(scene: &Scene, format: Format, left_out: usize, of_degree: usize, sh_
     }
     if scene.origin.to_array() != [0.0; 3] && !format.holds_origin() {
         let [x, y, z] = scene.origin.to_array();
-        lost.push(format!("the origin {x} {y} {z}, which positions were relative to and now stand without"));
+        lost.push(format!("the origin {x} {y} {z}, which positions were relative to: they are stored without it"));
     }
     if scene.antialiased && !format.holds_antialiasing() {
         lost.push("the mark that it was trained with antialiasing: show it with `--antialias`".into());
@@ -134,7 +135,7 @@ fn dropped(scene: &Scene, format: Format, left_out: usize, of_degree: usize, sh_
     lost
 }
 
-/// What rounding changed.
+/// The table of rounding errors.
 fn table(loss: &Loss, sh_degree: usize) -> Vec<String> {
     let row = |name: &str, Deviation { largest, rms }: Deviation, factor: f64, unit: &str| {
         format!("{name:10} {:>10} {:>10}  {unit}", short(factor * largest), short(factor * rms))
@@ -145,7 +146,7 @@ fn table(loss: &Loss, sh_degree: usize) -> Vec<String> {
         row("scale", loss.scale, 100.0, "% of the standard deviation"),
         row("rotation", loss.rotation, 1.0, "degrees"),
         row("opacity", loss.opacity, 1.0, "of 1"),
-        row("colour", loss.colour, 1.0, "of 1, the same from everywhere"),
+        row("colour", loss.colour, 1.0, "of 1, degree 0"),
     ];
     if sh_degree > 0 {
         rows.push(row("harmonics", loss.harmonics, 1.0, "higher coefficients"));
@@ -153,7 +154,7 @@ fn table(loss: &Loss, sh_degree: usize) -> Vec<String> {
     rows
 }
 
-/// Two digits that count.
+/// Formats a number with two significant digits.
 fn short(value: f64) -> String {
     match value {
         0.0 => "0".into(),

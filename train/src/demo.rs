@@ -1,4 +1,4 @@
-//! `splat demo`: the demo capture.
+//! `splat demo`: writes the demo capture.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -11,31 +11,31 @@ use splat_model::capture::demo::{self, DemoOptions};
 
 use crate::{output, progress};
 
-/// Marks a folder as a demo capture and says what it was made from.
+/// Marks a folder as a demo capture and records the options it was made with.
 pub const MARK: &str = "demo.json";
 
 /// Options of `splat demo`.
 #[derive(Clone, Debug, clap::Args)]
 pub struct DemoArgs {
-    /// The folder to write
+    /// Folder to write
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
-    /// Make one object mirror its surroundings, and lacquer all others
+    /// Make one object a mirror, and give all others a glossy coat
     #[arg(long)]
     pub glossy: bool,
     /// Give each photograph its own exposure and white balance
     #[arg(long)]
     pub exposure: bool,
-    /// Process each training photograph place by place, as phones do: brightness, white balance and tone change across the picture
+    /// Vary brightness, white balance and tone across each training photograph, as phones do
     #[arg(long)]
     pub graded: bool,
-    /// Photograph through a lens that bends straight lines (OPENCV): the corners move by 4% of the width
+    /// Use a lens that bends straight lines (OPENCV): corners move by 4% of the width
     #[arg(long)]
     pub lens: bool,
-    /// Photograph through an equidistant fisheye (OPENCV_FISHEYE) of 120 degrees; not with --lens
+    /// Use an equidistant fisheye lens (OPENCV_FISHEYE) of 120 degrees; not with --lens
     #[arg(long)]
     pub fisheye: bool,
-    /// Cover four places of each training photograph by bright discs, and write masks that exclude them
+    /// Cover four places of each training photograph with bright discs, and write masks that exclude them
     #[arg(long)]
     pub masks: bool,
     /// Make the ground and the sky transparent; not with --far
@@ -44,19 +44,20 @@ pub struct DemoArgs {
     /// Take a third of the photographs from a third of the distance, and a third from 3.5 times as far
     #[arg(long)]
     pub zoom: bool,
-    /// Write wrong poses for the training photographs: by 1 degree and 1% of the scene's extent
+    /// Perturb the poses of the training photographs: by 1 degree and 1% of the scene extent
     #[arg(long)]
     pub poses: bool,
-    /// Put a landscape with a sky around the scene, a hundred times as far away as the cameras, which stand lower to see it
+    /// Surround the scene with a landscape and a sky, a hundred times as far away as the cameras, which are placed
+    /// lower to see it
     #[arg(long)]
     pub far: bool,
     /// Move the camera during the exposure of two fifths of the training photographs, by 5% of the width
     #[arg(long)]
     pub motion: bool,
-    /// Move the camera while the rows of each training photograph are exposed one after the other, by 5% of the width
+    /// Move the camera while the rows of each training photograph are read out one after the other, by 5% of the width
     #[arg(long)]
     pub rolling: bool,
-    /// Take the training photographs with an open aperture: what is near and what is far is out of focus
+    /// Take the training photographs with an open aperture, so that near and far parts are out of focus
     #[arg(long)]
     pub defocus: bool,
     /// Write an exact depth map for each photograph: 16-bit PNG, 0.001 scene units a level
@@ -74,13 +75,13 @@ pub struct DemoArgs {
     /// Height of the photographs, px
     #[arg(long, value_name = "PX", default_value_t = DemoOptions::default().height)]
     pub height: usize,
-    /// Varies the cameras, the choice of sparse points, and what each effect draws by lot
+    /// Seed of the cameras, the choice of sparse points, and the random draws of each effect
     #[arg(long, value_name = "S", default_value_t = DemoOptions::default().seed)]
     pub seed: u64,
 }
 
 impl DemoArgs {
-    /// As the library takes them.
+    /// Returns the options in the library's type.
     pub fn options(&self) -> DemoOptions {
         DemoOptions {
             width: self.width,
@@ -106,10 +107,10 @@ impl DemoArgs {
     }
 }
 
-/// Writes the capture and says where it is.
+/// Writes the capture and prints its folder.
 ///
 /// # Errors
-/// Those of [`ensure`].
+/// The errors of [`ensure`].
 pub fn run(args: &DemoArgs) -> Result<()> {
     let made = ensure(&args.out, &args.options())?;
     let what = if made { "demo capture" } else { "demo capture, unchanged" };
@@ -117,13 +118,13 @@ pub fn run(args: &DemoArgs) -> Result<()> {
     Ok(())
 }
 
-/// Writes the demo capture into `folder`, unless the same one is already there and complete; says whether it wrote.
+/// Writes the demo capture into `folder`, unless the same one is already there and complete; returns whether it wrote.
 ///
-/// Everything is made in a hidden folder first, so that what stands under its own name is complete; if the process is
+/// Everything is made in a hidden folder first, so that files under their own names are complete. If the process is
 /// killed meanwhile, the hidden folder stays.
 ///
 /// # Errors
-/// If an option is out of range, two exclude each other, the folder holds some other capture, or it cannot be written.
+/// If an option is out of range, two exclude each other, the folder holds another capture, or it cannot be written.
 pub fn ensure(folder: &Path, options: &DemoOptions) -> Result<bool> {
     let mark = mark(options);
     let found = read_mark(folder);
@@ -137,16 +138,17 @@ pub fn ensure(folder: &Path, options: &DemoOptions) -> Result<bool> {
     let temporary = folder.join(format!(".demo.tmp-{}", process::id()));
     let made =
         demo::write(&temporary, options).map_err(Into::into).and_then(|()| put_in_place(folder, &temporary, &mark));
-    // Best effort: empty if all went well, and else the first error is the one to report.
+    // Best effort: the folder is empty after success, and after a failure the first error is the one to report.
     let _ = fs::remove_dir_all(&temporary);
     let shown = folder.display();
     made.with_context(|| {
-        format!("cannot make the demo capture in {shown}: mend what is named below, or choose another `--out`")
+        format!("cannot make the demo capture in {shown}: fix the problem named below, or choose another `--out`")
     })?;
     Ok(true)
 }
 
-/// The model goes first and comes last, so that the capture is never complete to look at while pictures are exchanged.
+/// Moves the capture into place. The model is removed first and moved last, so that the capture never looks complete
+/// while pictures are exchanged.
 fn put_in_place(folder: &Path, temporary: &Path, mark: &Value) -> Result<()> {
     for path in demo::PARTS.iter().rev().map(|name| folder.join(name)).filter(|path| path.exists()) {
         let removed = if path.is_dir() { fs::remove_dir_all(&path) } else { fs::remove_file(&path) };
@@ -162,9 +164,9 @@ fn put_in_place(folder: &Path, temporary: &Path, mark: &Value) -> Result<()> {
     Ok(())
 }
 
-/// What the capture depends on.
+/// The mark of a demo capture with these options: everything that its content depends on.
 fn mark(options: &DemoOptions) -> Value {
-    // In full, so that no option is forgotten.
+    // An exhaustive pattern, so that no option is forgotten.
     let DemoOptions {
         width,
         height,
@@ -195,7 +197,7 @@ fn mark(options: &DemoOptions) -> Value {
     })
 }
 
-/// The mark of a demo capture in `folder`. None also for a file that is no JSON: then it is not ours.
+/// Reads the mark of the demo capture in `folder`. `None` also for a file that is not JSON, which is not ours.
 pub fn read_mark(folder: &Path) -> Option<Value> {
     let value: Value = serde_json::from_slice(&fs::read(folder.join(MARK)).ok()?).ok()?;
     value.get("splat demo").is_some().then_some(value)
@@ -206,12 +208,12 @@ fn is_complete(folder: &Path, options: &DemoOptions) -> bool {
         && demo::files(options).iter().all(|file| folder.join(file).is_file())
 }
 
-/// A capture that somebody photographed is not to be replaced by a demo.
+/// Refuses a folder with a capture that is not a demo, which must not be replaced.
 fn refuse_foreign(folder: &Path) -> Result<()> {
     match demo::PARTS.iter().chain([&MARK]).map(|name| folder.join(name)).find(|name| name.exists()) {
         None => Ok(()),
         Some(taken) => bail!(
-            "{} is there already and belongs to no demo capture: choose another folder with `--out`, or move it away",
+            "{} already exists and does not belong to a demo capture: choose another folder with `--out`, or move it away",
             taken.display()
         ),
     }
@@ -240,7 +242,7 @@ mod tests {
         assert_eq!(names, ["demo.json", "images", "sparse"]);
     }
 
-    /// What an effect put beside the pictures goes when the effect does, and is made again when it is missing.
+    /// The files that an effect adds beside the pictures are removed with the effect, and are made again when missing.
     #[test]
     fn what_effects_add_comes_and_goes() {
         let folder = tempfile::tempdir().unwrap();
@@ -269,7 +271,7 @@ mod tests {
         }
     }
 
-    /// Two demos with different options never have the same mark: each option's value shows in it.
+    /// Two demos with different options never have the same mark: each option's value appears in it.
     #[test]
     fn each_flag_is_an_option_of_its_own() {
         use clap::{CommandFactory, FromArgMatches, Parser};

@@ -1,4 +1,4 @@
-//! `splat devices`: what there is to compute on.
+//! `splat devices`: lists the devices to compute on.
 
 use std::num::NonZero;
 use std::thread;
@@ -8,16 +8,16 @@ use anyhow::Result;
 use crate::device::{self, Adapter, DeviceName, Found, Runtime, choose};
 use crate::progress;
 
-/// The head of the table; the first column is what `--device` takes.
+/// Head of the table. The first column is the value of `--device`.
 const COLUMNS: [&str; 7] =
     ["--device", "adapter", "kind", "runtime", "largest buffer", "f32 atomics", "plane operations"];
 
 type Row = [String; COLUMNS.len()];
 
-/// Prints the devices, the runtimes of this build, and what `auto` takes.
+/// Prints the devices, the runtimes of this build, and the device that `auto` chooses.
 ///
 /// # Errors
-/// None today: an adapter that does not open is a line of the table.
+/// None today: an adapter that does not open is listed as such.
 pub fn run() -> Result<()> {
     let found = device::list(&Runtime::built());
     let mut rows = vec![cpu(DeviceName::Flex), cpu(DeviceName::Ndarray)];
@@ -33,7 +33,7 @@ pub fn run() -> Result<()> {
     Ok(())
 }
 
-/// What cannot be said of a processor is left open.
+/// Row of a CPU backend. Columns that do not apply hold a dash.
 fn cpu(name: DeviceName) -> Row {
     let threads = thread::available_parallelism().map_or(1, NonZero::get);
     let adapter = format!("the CPU, {threads} {}", if threads == 1 { "thread" } else { "threads" });
@@ -56,7 +56,7 @@ fn adapter(found: &Found) -> Row {
     }
 }
 
-/// In the largest unit that leaves at least one; rounded down to a tenth, so that what is named is there.
+/// Formats a size in the largest unit that leaves at least one, rounded down to a tenth so that it never overstates.
 fn bytes(count: u64) -> String {
     const UNITS: [&str; 5] = ["B", "KiB", "MiB", "GiB", "TiB"];
     let power = (count.max(1).ilog2() / 10).min(UNITS.len() as u32 - 1);
@@ -68,7 +68,7 @@ fn bytes(count: u64) -> String {
     }
 }
 
-/// Columns as wide as their widest cell, two spaces between them.
+/// Formats a table with columns as wide as their widest cell and two spaces between them.
 fn table(rows: &[Row]) -> Vec<String> {
     let head: Row = COLUMNS.map(String::from);
     let rows: Vec<&Row> = [&head].into_iter().chain(rows).collect();
@@ -81,7 +81,7 @@ fn table(rows: &[Row]) -> Vec<String> {
     rows.iter().map(line).collect()
 }
 
-/// What the table leaves unsaid.
+/// Remarks below the table: the device of `auto`, and the runtimes that are built in.
 fn remarks(adapters: &[Adapter]) -> Result<Vec<String>> {
     let (built, other): (Vec<Runtime>, Vec<Runtime>) = Runtime::ALL.into_iter().partition(|runtime| runtime.is_built());
     let mut lines = vec![match choose(DeviceName::Auto, adapters)? {

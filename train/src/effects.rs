@@ -1,4 +1,4 @@
-//! `--effects`: which effects a run simulates, and what `metrics.json` says of them.
+//! `--effects`: the effects that a run simulates, and their entry in `metrics.json`.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -21,21 +21,21 @@ use splat_model::trainer::{TrainConfig, TrainError, Trainer};
 use crate::background::{ENVIRONMENT_DEGREE, TrainBackground};
 use crate::progress;
 
-/// What adjustments start from.
+/// Set of effects that adjustments start from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Base {
-    /// What the capture calls for.
+    /// The effects that the capture calls for.
     Auto,
     /// No effect.
     None,
 }
 
-/// The value of `--effects`: `auto`, `none`, a list of effects, or `+name` and `-name`, which adjust what comes before or,
-/// with nothing before, `auto`.
+/// The value of `--effects`: `auto`, `none`, a list of effects, or `+name` and `-name`, which adjust the base given
+/// first, by default `auto`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct EffectsArg {
     base: Base,
-    /// Whether each is switched on or off; the last word on an effect counts.
+    /// Effects switched on or off, in order; the last entry for an effect counts.
     adjustments: Vec<(EffectKind, bool)>,
     text: String,
 }
@@ -83,7 +83,7 @@ impl FromStr for EffectsArg {
 }
 
 impl EffectsArg {
-    /// The effects of a run, given those that the capture calls for.
+    /// Returns the effects of a run, given those that the capture calls for.
     fn of(&self, called_for: &[EffectKind]) -> Vec<EffectKind> {
         let on = |effect: &EffectKind| {
             let adjusted = self.adjustments.iter().rev().find(|(name, _)| name == effect);
@@ -92,7 +92,8 @@ impl EffectsArg {
         EffectKind::ALL.into_iter().filter(on).collect()
     }
 
-    /// Decides for a capture, which is surveyed if that matters, by the views to train on. `antialias`: that option was given.
+    /// Decides on the effects for a capture, which is surveyed by its training views if `auto` needs it. `antialias`:
+    /// whether that option was given.
     ///
     /// # Errors
     /// If a picture of the capture cannot be read, or the two options contradict each other.
@@ -115,7 +116,7 @@ impl EffectsArg {
         }
         ensure!(
             !(on.contains(&EffectKind::Alpha) && on.contains(&EffectKind::Environment)),
-            "`--effects={}`: photographs with transparent parts say nothing of an environment to learn: leave out `alpha` or \
+            "`--effects={}`: photographs with transparent parts show no environment to learn: leave out `alpha` or \
              `environment`",
             self.text
         );
@@ -125,27 +126,29 @@ impl EffectsArg {
         progress::note(&format!("effects: {names}{}", why.unwrap_or_default()));
         if plan.as_ref().and_then(Plan::sh_degree) == Some(0) {
             progress::note(
-                "colours do not depend on the view: one for all directions, unless `--sh-degree` says otherwise",
+                "colours do not depend on the view: training with `--sh-degree 0`, unless that option is given",
             );
         }
         if !antialias && on.contains(&EffectKind::Antialias) {
-            progress::note("`splat eval` and `splat render` show this scene as it was trained with `--antialias`");
+            progress::note(
+                "pass `--antialias` to `splat eval` and `splat render` to show this scene as it was trained",
+            );
         }
         Ok(Chosen { asked: self.text.clone(), on, plan, survey, measured: BTreeMap::new() })
     }
 }
 
-/// The effects of a run, as `metrics.json` has them under `effects`.
+/// The effects of a run, under `effects` in `metrics.json`.
 #[derive(Clone, Debug, Serialize)]
 pub struct Chosen {
     asked: String,
     on: Vec<EffectKind>,
-    /// Null where nothing was left to decide.
+    /// The plan; null where nothing was left to decide.
     plan: Option<Plan>,
-    /// What the plan rests on.
+    /// The survey that the plan is based on.
     #[serde(skip)]
     survey: Option<Survey>,
-    /// What the effects of a step took, by name.
+    /// Measured cost of the effects of a step, by name.
     measured: BTreeMap<&'static str, Cost>,
 }
 
@@ -155,8 +158,8 @@ impl Chosen {
         self.on.contains(&effect)
     }
 
-    /// The configuration of the run; what the command line asks for by name stays. `degree`: that of the harmonics, if it was
-    /// given.
+    /// Applies the effects to the configuration of a run; options given on the command line stay. `degree`: the degree
+    /// of the spherical harmonics, if it was given.
     pub fn configure(&self, config: &mut TrainConfig, background: Option<TrainBackground>, degree: Option<usize>) {
         if let (None, Some(called_for)) = (degree, self.plan.as_ref().and_then(Plan::sh_degree)) {
             config.sh_degree = called_for;
@@ -182,7 +185,7 @@ impl Chosen {
         }
     }
 
-    /// What the run needs to know beside its photographs.
+    /// Gives the trainer the data that effects need beside the photographs: pose anchors and depth samples.
     ///
     /// # Errors
     /// If a depth map cannot be read.
@@ -201,27 +204,27 @@ impl Chosen {
         Ok(trainer.with_depths(samples))
     }
 
-    /// What was asked for, as it was written.
+    /// The value of `--effects`, as written.
     pub fn asked(&self) -> &str {
         &self.asked
     }
 
-    /// Those that are on.
+    /// The effects that are on.
     pub fn on(&self) -> &[EffectKind] {
         &self.on
     }
 
-    /// What decided on the effects; none where nothing was left to decide.
+    /// Survey and plan that decided on the effects; `None` where nothing was left to decide.
     pub fn grounds(&self) -> Option<(&Survey, &Plan)> {
         self.survey.as_ref().zip(self.plan.as_ref())
     }
 
-    /// What an effect took, by the name that reports have for it.
+    /// Measured cost of an effect, by its name in reports.
     pub fn measured_cost(&self, name: &str) -> Option<Cost> {
         self.measured.get(name).copied()
     }
 
-    /// Measures what the effects took, at the end of a run.
+    /// Measures the cost of the effects, at the end of a run.
     ///
     /// # Errors
     /// If the operation refuses the scene.

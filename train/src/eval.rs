@@ -1,4 +1,4 @@
-//! `splat eval`: scores of a scene on the photographs that were held out.
+//! `splat eval`: scores a scene on the held-out photographs.
 
 use std::fs::{self, File};
 use std::io;
@@ -23,47 +23,47 @@ use crate::pareto::Shot;
 use crate::report::metrics::{Metrics, Seconds, peak_rss_mib, seconds_since};
 use crate::report::{self, METRICS, SCENE, VIEWS};
 
-/// Options of `splat eval`. The scores are those of the training run if the photographs are split and sized as there.
+/// Options of `splat eval`. The scores equal those of the training run if the photographs are split and sized alike.
 #[derive(Clone, Debug, clap::Args)]
 pub struct EvalArgs {
-    /// Folder with `images/` and COLMAP's `sparse/0/`, or with `transforms.json` or `transforms_train.json`
+    /// Capture folder, with `images/` and COLMAP's `sparse/0/`, or with `transforms.json` or `transforms_train.json`
     pub capture: PathBuf,
-    /// The scene: PLY, compressed PLY or SPZ
+    /// Scene file: PLY, compressed PLY or SPZ
     #[arg(long, value_name = "FILE")]
     pub scene: PathBuf,
     /// Folder for metrics.json, views/ and a copy of the scene
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
-    /// Where to compute
+    /// Device to compute on
     #[arg(long, value_name = "NAME", default_value_t, help = device::help())]
     pub device: DeviceName,
     /// Photographs.
     #[command(flatten)]
     pub photos: PhotoArgs,
-    /// The function that is rendered.
+    /// Model choices.
     #[command(flatten)]
     pub model: ModelArgs,
-    /// How accurate the renders are.
+    /// Accuracy of the renders.
     #[command(flatten)]
     pub accuracy: AccuracyArgs,
-    /// What is behind the scene: black, white, R,G,B from 0 to 1, or the background.json that a run left beside it
+    /// Background behind the scene: black, white, R,G,B from 0 to 1, or the background.json of a training run
     #[arg(long, value_name = "WHAT", default_value_t)]
     pub background: ShownBackground,
-    /// Look from further away: compare with photographs of which each N × N pixels are averaged to one
+    /// Compare as from further away: average each N × N pixels of the photographs to one
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::builder::RangedU64ValueParser::<usize>::new().range(1..=64))]
     pub shrink: usize,
-    /// Leave out the pixels that the capture's masks exclude; for scenes that were trained with the effect `masks`
+    /// Ignore the pixels that the capture's masks exclude; for scenes trained with the effect `masks`
     #[arg(long)]
     pub masks: bool,
-    /// Take photographs as opaque, whatever their alpha channels say; for scenes that were trained without the effect `alpha`
+    /// Treat photographs as opaque, whatever their alpha channels hold; for scenes trained without the effect `alpha`
     #[arg(long)]
     pub ignore_alpha: bool,
-    /// Another score.
+    /// LPIPS.
     #[command(flatten)]
     pub lpips: LpipsArgs,
 }
 
-/// What `metrics.json` says under `options`.
+/// The `options` of `metrics.json`.
 #[derive(Serialize)]
 struct Options<'a> {
     capture: &'a Path,
@@ -80,7 +80,7 @@ struct Options<'a> {
     lpips: &'a LpipsArgs,
 }
 
-/// Measures, writes everything, and says where it is.
+/// Measures the scores, writes all files, and prints their location.
 ///
 /// # Errors
 /// If the capture or the scene cannot be read, no photograph is held out, or the results cannot be written.
@@ -104,7 +104,7 @@ pub fn run(args: &EvalArgs) -> Result<Metrics> {
         let small = |photo: &Photo| {
             let Intrinsics { width, height, .. } = photo.intrinsics;
             photo.box_filtered(args.shrink).with_context(|| {
-                format!("{} is {width} x {height} px, which `--shrink {}` leaves nothing of", photo.name, args.shrink)
+                format!("{} is {width} x {height} px, too small for `--shrink {}`", photo.name, args.shrink)
             })
         };
         photos = photos.iter().map(small).collect::<Result<_>>()?;
@@ -153,13 +153,13 @@ pub fn run(args: &EvalArgs) -> Result<Metrics> {
     Ok(metrics)
 }
 
-/// What the scene's copy is called: as a run calls its scene, but for its format.
+/// Name of the scene's copy: that of a run's scene, with the extension of the copy's format.
 fn scene_name(scene: &Path) -> Result<String> {
     let stem = SCENE.trim_end_matches(".ply");
     Ok(format!("{stem}{}", formats::detect(scene)?.extension()))
 }
 
-/// Puts the scene beside its scores, byte for byte, unless it is there already.
+/// Copies the scene beside its scores, byte for byte, unless it is there already.
 fn copy_scene(scene: &Path, name: &str, out: &OutputFolder) -> Result<()> {
     let same = |target: PathBuf| Some(fs::canonicalize(target).ok()? == fs::canonicalize(scene).ok()?);
     if same(out.join(name)).unwrap_or(false) {

@@ -1,4 +1,4 @@
-//! `splat hard-cases`: the battery of hard cases, and the table of what came of it.
+//! `splat hard-cases`: runs the battery of hard cases and writes the table of results.
 
 use std::io::Write;
 use std::path::PathBuf;
@@ -13,7 +13,7 @@ use crate::device::{self, DeviceName, Kind};
 use crate::output::OutputFolder;
 use crate::progress;
 
-/// The file that is written.
+/// Name of the table's file.
 pub const TABLE: &str = "HARD_CASES.md";
 
 /// Options of `splat hard-cases`.
@@ -22,10 +22,11 @@ pub struct HardCasesArgs {
     /// Folder for HARD_CASES.md
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
-    /// Run this group only; may be given several times
+    /// Run only this group; may be given several times
     #[arg(long, value_name = "NAME", value_parser = PossibleValuesParser::new(GROUPS.iter().map(|group| group.name)))]
     pub group: Vec<String>,
-    /// Run on this device only; may be given several times [default: flex, ndarray, and the best adapter if there is one]
+    /// Run only on this device; may be given several times [default: flex, ndarray, and the best adapter if there is
+    /// one]
     #[arg(long, value_name = "NAME")]
     pub device: Vec<DeviceName>,
 }
@@ -33,7 +34,8 @@ pub struct HardCasesArgs {
 /// Runs the battery, prints the table and writes it.
 ///
 /// # Errors
-/// If a device is not there, the table cannot be written, or a case fails: then the table is there and says which.
+/// If a device is missing, the table cannot be written, or a case fails; in the last case the table is complete and
+/// shows which.
 pub fn run(args: &HardCasesArgs) -> Result<()> {
     let places = places(&args.device)?;
     let out = OutputFolder::prepare(&args.out, &[TABLE], &[])?;
@@ -56,12 +58,12 @@ pub fn run(args: &HardCasesArgs) -> Result<()> {
     let rows = || sections.iter().flat_map(|section| &section.rows);
     let failed = rows().filter(|(_, row)| row.verdict() == Verdict::Failed).count();
     if failed > 0 {
-        bail!("{failed} of {} hard cases fail: {} says how", rows().count(), out.join(TABLE).display());
+        bail!("{failed} of {} hard cases fail: see {}", rows().count(), out.join(TABLE).display());
     }
     Ok(())
 }
 
-/// The paths to run on. A GPU that nobody asked for need not be there; that it is not is said.
+/// The devices to run on. A missing GPU is an error only where it was asked for, and is noted otherwise.
 fn places(names: &[DeviceName]) -> Result<Vec<Place>> {
     if !names.is_empty() {
         return names.iter().map(|name| place(*name)).collect();

@@ -1,4 +1,4 @@
-//! What the subcommands read: captures, photographs and scenes.
+//! Input of the subcommands: captures, photographs and scenes.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -16,13 +16,13 @@ use splat_op::Splats;
 
 use crate::progress;
 
-/// Photographs that are in memory at once while all are looked at.
+/// Largest number of photographs in memory at once while all are checked.
 const AT_ONCE: usize = 64;
 
-/// Reads the cameras of a capture; no picture is opened.
+/// Reads the cameras of a capture, without opening a picture.
 ///
 /// # Errors
-/// If the folder is missing or is no capture.
+/// If the folder is missing or is not a capture.
 pub fn capture(folder: &Path) -> Result<Capture> {
     ensure!(
         folder.is_dir(),
@@ -34,25 +34,25 @@ pub fn capture(folder: &Path) -> Result<Capture> {
     Ok(capture)
 }
 
-/// The extent of the scene that a capture's cameras see, scene units.
+/// Returns the extent of the scene that a capture's cameras see, scene units.
 pub fn extent(capture: &Capture) -> f64 {
     let centres: Vec<_> = capture.views.iter().map(|view| view.cam_from_world.inverse().translation).collect();
     scene_extent(&centres)
 }
 
-/// Decodes the photographs of some of a capture's views, on all threads; with `masked`, with their masks, and without those
-/// of which nothing is left.
+/// Decodes the photographs of some views of a capture, on all threads. With `masked`, they have their masks, and
+/// photographs whose masks exclude every pixel are dropped.
 ///
 /// # Errors
-/// If a picture is missing, cannot be decoded, or has another size than its camera; with `masked`, also if a mask is so, or if
-/// masks leave no photograph.
+/// If a picture is missing, cannot be decoded, or differs in size from its camera; with `masked`, also if this holds
+/// for a mask, or if masks leave no photograph.
 pub fn photographs(capture: &Capture, views: &[usize], max_side: Option<u32>, masked: bool) -> Result<Vec<Photo>> {
     let photos = decoded(capture, views, max_side, masked)?;
     say_dropped(capture, views.len(), photos.len())?;
     Ok(photos)
 }
 
-/// The same without a word on those of which nothing is left.
+/// Decodes as [`photographs`] does, without a note on dropped photographs.
 fn decoded(capture: &Capture, views: &[usize], max_side: Option<u32>, masked: bool) -> Result<Vec<Photo>> {
     let counter = progress::counter("reading photographs", views.len());
     let photos = load_all(views.iter().map(|&view| &capture.views[view]), max_side, |_| counter.inc(1));
@@ -60,7 +60,7 @@ fn decoded(capture: &Capture, views: &[usize], max_side: Option<u32>, masked: bo
     let mut photos = photos?;
     if masked {
         masks::attach(capture, views, &mut photos)
-            .context("a mask cannot be used (`splat train --effects=-masks` does without)")?;
+            .context("a mask cannot be used (`splat train --effects=-masks` ignores masks)")?;
     }
     Ok(photos)
 }
@@ -70,7 +70,7 @@ fn say_dropped(capture: &Capture, asked: usize, left: usize) -> Result<()> {
     ensure!(
         dropped == 0 || left > 0,
         "the masks of {} exclude every pixel of {dropped} photographs, and no other is left: `--effects=-masks` does \
-         without masks, and `--eval-every` chooses what is tested on",
+         without masks, and `--eval-every` chooses the held-out photographs",
         capture.folder.display()
     );
     if dropped > 0 {
@@ -79,24 +79,25 @@ fn say_dropped(capture: &Capture, asked: usize, left: usize) -> Result<()> {
     Ok(())
 }
 
-/// Which photographs of a capture, and how they are taken.
+/// Selection of a capture's photographs, and how they are read.
 pub struct Wanted<'a> {
     /// The capture.
     pub capture: &'a Arc<Capture>,
-    /// The longer side is at most this, px.
+    /// Largest length of the longer side, px; longer photographs are downsized.
     pub max_side: Option<u32>,
-    /// Whether masks count.
+    /// Whether masks apply.
     pub masked: bool,
-    /// Whether transparent parts are taken as they come.
+    /// Whether alpha channels are ignored.
     pub opaque: bool,
 }
 
 impl Wanted<'_> {
-    /// The photographs of some views, which need not all be in memory: those that `room`, bytes, is left for are kept, the
-    /// others are decoded again each time. All are decoded once, so that a broken picture does not end a long run.
+    /// Reads the photographs of some views, not all of which stay in memory: photographs are kept while they fit into
+    /// `room`, bytes, and the others are decoded again on each use. All are decoded once, so that a broken picture does
+    /// not end a long run.
     ///
     /// # Errors
-    /// Those of [`photographs`].
+    /// The errors of [`photographs`].
     pub fn within(&self, views: &[usize], room: &mut usize) -> Result<Vec<Photograph>> {
         let names = views.iter().map(|&view| (self.capture.views[view].name.as_str(), view));
         let by_name: BTreeMap<&str, usize> = names.collect();
@@ -115,7 +116,7 @@ impl Wanted<'_> {
         Ok(found)
     }
 
-    /// Decodes one as it was.
+    /// Returns a function that decodes a photograph again.
     fn again(&self, view: usize) -> impl Fn() -> Result<Photo, CaptureError> + Send + Sync + 'static {
         let (capture, max_side, masked, opaque) = (Arc::clone(self.capture), self.max_side, self.masked, self.opaque);
         move || {
@@ -134,37 +135,37 @@ fn made_opaque(photo: Photo, opaque: bool) -> Photo {
     Photo { alpha, ..photo }
 }
 
-/// A scene that was read.
+/// A scene on a device.
 pub struct Scene {
-    /// Without autodiff; Gaussians that cannot be rendered are masked.
+    /// The splats, without autodiff; Gaussians that cannot be rendered are masked.
     pub splats: Splats,
-    /// How many those are.
+    /// Number of Gaussians that cannot be rendered.
     pub unusable: usize,
 }
 
 impl Scene {
-    /// From its rows.
+    /// Builds a scene from its rows.
     ///
     /// # Errors
-    /// If they do not fit together.
+    /// If the rows do not fit together.
     pub fn new(rows: &GaussianRows, device: &Device) -> Result<Self> {
         Ok(Self { splats: Gaussians::from_rows(rows, device)?.splats(), unusable: rows.unusable() })
     }
 }
 
-/// Reads a scene, without autodiff, with positions relative to the origin of `capture`. Says so if Gaussians of it cannot be
-/// rendered.
+/// Reads a scene, without autodiff, with positions relative to the origin of `capture`. Prints a note if some of its
+/// Gaussians cannot be rendered.
 ///
 /// # Errors
-/// If the file is missing or holds no scene, or the scene no Gaussian.
+/// If the file is missing, is not a scene, or holds no Gaussian.
 pub fn scene(path: &Path, capture: &Capture, device: &Device) -> Result<Scene> {
     Scene::new(&rows(path, capture)?, device)
 }
 
-/// The rows of a scene, as [`scene`] has them.
+/// Reads the rows of a scene, under the conditions of [`scene`].
 ///
 /// # Errors
-/// Those of [`scene`].
+/// The errors of [`scene`].
 pub fn rows(path: &Path, capture: &Capture) -> Result<GaussianRows> {
     let (scene, _) = formats::read(path).context("cannot read the scene that `--scene` names")?;
     let formats::Scene { mut rows, origin, antialiased } = scene;
@@ -175,11 +176,11 @@ pub fn rows(path: &Path, capture: &Capture) -> Result<GaussianRows> {
     Ok(rows)
 }
 
-/// Says that a scene should be shown with antialiasing, if its file says so.
+/// Prints a note if a scene's file marks it as trained with antialiasing.
 pub fn note_antialiased(scene: &Path, antialiased: bool) {
     if antialiased {
         progress::note(&format!(
-            "{}: trained with antialiasing, its file says: show it with `--antialias`",
+            "{}: trained with antialiasing, according to its file: show it with `--antialias`",
             scene.display()
         ));
     }
@@ -187,11 +188,11 @@ pub fn note_antialiased(scene: &Path, antialiased: bool) {
 
 /// Adds `capture_from_scene` to every position, in f64.
 ///
-/// The positions move and not the cameras. A capture keeps its cameras near zero, so that positions which end up near
-/// them have digits to spare. Cameras moved to a scene that was stored far from zero would lose theirs, and the
-/// difference of two large numbers would have to be taken in every render.
+/// The positions move, not the cameras. A capture keeps its cameras near zero, so positions near them have digits to
+/// spare. Cameras moved to a scene stored far from zero would lose digits, and every render would have to take the
+/// difference of two large numbers.
 fn move_means(rows: &mut GaussianRows, capture_from_scene: [f64; 3]) {
-    // The usual case: a scene keeps its values to the last bit.
+    // Without an offset, the usual case, a scene keeps its values to the last bit.
     if capture_from_scene == [0.0; 3] {
         return;
     }

@@ -1,4 +1,4 @@
-//! `splat inspect`: what a capture shows, which effects it calls for, and what they would cost.
+//! `splat inspect`: reports what a capture shows, which effects it calls for, and what they would cost.
 
 use std::path::PathBuf;
 use std::time::Instant;
@@ -14,15 +14,15 @@ use crate::{input, progress};
 /// Columns of the chart on each side of the middle.
 const HALF_CHART: usize = 24;
 
-/// Lines of the chart at most: longer ones are not looked at. Photographs are left out evenly.
+/// Largest number of lines in the chart. Photographs beyond it are left out evenly.
 const CHART_LINES: usize = 60;
 
 /// Options of `splat inspect`.
 #[derive(Clone, Debug, clap::Args)]
 pub struct InspectArgs {
-    /// Folder with `images/` and COLMAP's `sparse/0/`, or with `transforms.json` or `transforms_train.json`
+    /// Capture folder, with `images/` and COLMAP's `sparse/0/`, or with `transforms.json` or `transforms_train.json`
     pub capture: PathBuf,
-    /// Write everything as JSON instead
+    /// Print the report as JSON
     #[arg(long)]
     pub json: bool,
 }
@@ -34,7 +34,7 @@ struct Report<'a> {
     seconds: f64,
 }
 
-/// Surveys a capture and says what was found.
+/// Surveys a capture and prints the report.
 ///
 /// # Errors
 /// If the capture or one of its pictures cannot be read.
@@ -52,11 +52,11 @@ pub fn run(args: &InspectArgs) -> Result<()> {
     Ok(())
 }
 
-/// What was found and decided, as people read it.
+/// Formats a survey and its plan for people.
 pub fn text(survey: &Survey, plan: &Plan) -> String {
     let looked = match survey.views_surveyed == survey.views {
         true => String::new(),
-        false => format!(", of which {} were looked at", survey.views_surveyed),
+        false => format!(", {} of them surveyed", survey.views_surveyed),
     };
     let head = format!("{} photographs{looked}, {} points", survey.views, survey.points);
     let decisions: Vec<String> = plan.decisions.iter().map(line).collect();
@@ -64,7 +64,7 @@ pub fn text(survey: &Survey, plan: &Plan) -> String {
     format!("{head}\n{}\n\n{}\n{chart}", plan::source(survey), decisions.join("\n"))
 }
 
-/// A decision as people read it.
+/// Formats a decision for people.
 fn line(decision: &Decision) -> String {
     let verdict = match decision.verdict {
         Verdict::On => "ON",
@@ -78,8 +78,8 @@ fn line(decision: &Decision) -> String {
     format!("{:18}  {verdict}: {}\n{:18}  ({}){cost}", decision.name, decision.evidence, "", decision.rule)
 }
 
-/// The photographs' exposure: `#` to the left of the middle is darker than the capture's median, to the right brighter;
-/// `r`, `g` and `b` mark the channels.
+/// Chart of the photographs' exposure. A bar of `#` to the left of the middle means darker than the capture's median,
+/// to the right brighter; `r`, `g` and `b` mark the channels.
 fn chart(views: &[ViewExposure]) -> String {
     let values = views.iter().flat_map(|view| view.stops_rgb);
     let largest = values.map(f64::abs).fold(0.05, f64::max);

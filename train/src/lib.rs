@@ -1,9 +1,9 @@
 //! The program `splat`: trains, evaluates and renders Gaussian-splatting scenes. One file per subcommand.
 //!
-//! Standard output holds results, standard error progress and errors.
+//! Results go to standard output, progress and errors to standard error.
 //!
-//! As a library it is what the program is: options in, files and [`Metrics`](report::metrics::Metrics) out. A capture in small, a scene,
-//! and its pictures:
+//! The library takes the program's options and writes its files; `train` also returns
+//! [`Metrics`](report::metrics::Metrics). An example makes a small capture, a scene, and pictures of it:
 //!
 //! ```
 //! use clap::Parser;
@@ -20,7 +20,7 @@
 //! let train = ["train", &capture, "--out", &out, "--steps", "20", "--effects", "none", "--sh-degree", "0", "--device", "cpu"];
 //! let Command::Train(options) = parse(&train)?.command else { unreachable!("asked for `train`") };
 //! let metrics = splat_train::train::run(&options)?;
-//! // Of nine photographs the first and the last are held out.
+//! // The first and the last of the nine photographs are held out.
 //! assert_eq!(metrics.test.map(|scores| scores.views.len()), Some(2));
 //!
 //! let scene = format!("{out}/scene.ply");
@@ -31,7 +31,7 @@
 //! # Ok::<(), anyhow::Error>(())
 //! ```
 //!
-//! What the options mean `splat --help` says; what is made of them is `splat-model`'s. [`describe`] writes an error as people read it.
+//! `splat --help` describes the options, and `splat-model` implements them. [`describe`] formats an error for people.
 
 pub mod options;
 
@@ -69,7 +69,7 @@ use crate::options::Command;
 /// Runs one subcommand.
 ///
 /// # Errors
-/// Whatever stops it, with the file or option to blame and what to do.
+/// If the subcommand fails; the message names the file or option to blame and the remedy.
 pub fn run(command: &Command) -> Result<()> {
     match command {
         Command::Train(args) => {
@@ -95,11 +95,11 @@ pub fn run(command: &Command) -> Result<()> {
     }
 }
 
-/// An error as people read it: what failed, then why, one line each.
+/// Formats an error for people: the failure, then its causes, one line each.
 pub fn describe(error: &anyhow::Error) -> String {
     let mut text = format!("error: {error}");
     for cause in error.chain().skip(1).map(ToString::to_string) {
-        // Some libraries print their cause themselves and also name it as their source.
+        // Some libraries include their cause in the message and also return it as their source.
         if !text.contains(&cause) {
             text.push_str("\n  because: ");
             text.push_str(&cause);

@@ -1,4 +1,4 @@
-//! `--lpips`: a score by what a network sees, with weights from a file.
+//! `--lpips`: a perceptual score by a network whose weights are in a file.
 
 use std::path::PathBuf;
 
@@ -7,21 +7,21 @@ use burn::tensor::Device;
 use serde::{Deserialize, Serialize};
 use splat_model::metrics::lpips::{Input, Lpips};
 
-/// Whether LPIPS is measured.
+/// Options of the LPIPS score.
 #[derive(Clone, Debug, Default, clap::Args, Serialize, Deserialize)]
 pub struct LpipsArgs {
-    /// Measure LPIPS too, with the network whose weights this safetensors file holds: AlexNet or VGG16, as docs/METRICS.md has
-    /// them exported. Without, LPIPS is reported as not measured
+    /// Also measure LPIPS, with the AlexNet or VGG16 weights in this safetensors file (export: docs/METRICS.md)
+    /// [default: not measured]
     #[arg(long, value_name = "WEIGHTS")]
     pub lpips: Option<PathBuf>,
-    /// With `--lpips`: give the network pixels from 0 to 1 as they are, as the evaluation of the original 3D Gaussian splatting
-    /// code does, for numbers to compare with papers; the network expects -1 to 1, which is what it is given without
+    /// With `--lpips`: pass pixels from 0 to 1 to the network, as the evaluation of the original 3D Gaussian splatting
+    /// code does, for comparison with published numbers [default: from -1 to 1, as the network expects]
     #[arg(long, requires = "lpips")]
     pub lpips_unscaled: bool,
 }
 
 impl LpipsArgs {
-    /// The metric on a device; none if it was not asked for.
+    /// Returns the metric on a device; `None` if it was not asked for.
     ///
     /// # Errors
     /// If the weights cannot be read.
@@ -30,7 +30,7 @@ impl LpipsArgs {
         Ok(self.lpips.as_deref().map(|path| Lpips::read(path, input, device)).transpose()?)
     }
 
-    /// The same from whatever folder.
+    /// Returns the options with an absolute path, which holds in any working directory.
     pub fn from_anywhere(self) -> Self {
         Self { lpips: self.lpips.map(|path| std::path::absolute(&path).unwrap_or(path)), ..self }
     }

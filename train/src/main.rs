@@ -1,4 +1,4 @@
-//! `splat`: the command line over [`splat_train`].
+//! `splat`: the command-line program over [`splat_train`].
 
 use std::process::ExitCode;
 
@@ -7,23 +7,24 @@ use splat_train::memory::Counted;
 use splat_train::options::Cli;
 use splat_train::train::Interrupted;
 
-/// A step makes and drops tensors of megabytes. The system's allocator hands such blocks back to the kernel each time
-/// and has them cleared on the next use; this one keeps them. It is counted where `splat pareto` asks how much memory a pass takes.
+/// Allocator that keeps freed blocks. A step allocates and frees tensors of megabytes; the system's allocator returns
+/// such blocks to the kernel each time and has them cleared on the next use. The wrapper counts bytes while
+/// `splat pareto` measures the memory of a pass.
 #[global_allocator]
 static ALLOCATOR: Counted<mimalloc::MiMalloc> = Counted(mimalloc::MiMalloc);
 
-/// Drivers of GPUs look for a Wayland display, whose library prints an error where nobody is logged in to a desktop and
-/// this variable is not set or empty.
+/// Silences GPU drivers, which look for a Wayland display: its library prints an error where nobody is logged in to a
+/// desktop and this variable is unset or empty.
 fn quieten_wayland() {
     const FOLDER: &str = "XDG_RUNTIME_DIR";
     if cfg!(target_os = "linux") && std::env::var_os(FOLDER).is_none_or(|folder| folder.is_empty()) {
-        // SAFETY: the program has one thread as yet, so nobody reads the environment meanwhile.
+        // SAFETY: no other thread exists yet that could read the environment.
         unsafe { std::env::set_var(FOLDER, "/nonexistent") };
     }
 }
 
-/// 0 on success, 1 on an error, 2 (by clap) for a command line that cannot be understood, 130 and 143 for a run that was
-/// stopped by Ctrl-C and SIGTERM.
+/// Exit codes: 0 on success, 1 on an error, 2 (from clap) for an invalid command line, 130 and 143 for a run stopped by
+/// Ctrl-C and SIGTERM.
 fn main() -> ExitCode {
     quieten_wayland();
     match splat_train::run(&Cli::parse().command) {

@@ -1,4 +1,4 @@
-//! `splat completions` and `splat man`: the command line as shells and the manual know it.
+//! `splat completions` and `splat man`: shell completions and manual pages.
 
 use std::io::{self, Write};
 use std::path::PathBuf;
@@ -14,7 +14,7 @@ use crate::progress;
 /// Options of `splat completions`.
 #[derive(Clone, Debug, clap::Args)]
 pub struct CompletionsArgs {
-    /// The shell; for bash: `splat completions bash > ~/.local/share/bash-completion/completions/splat`
+    /// Shell; for bash: `splat completions bash > ~/.local/share/bash-completion/completions/splat`
     pub shell: Shell,
 }
 
@@ -26,7 +26,7 @@ pub struct ManArgs {
     pub out: PathBuf,
 }
 
-/// Writes a shell's script to standard output.
+/// Writes a shell's completion script to standard output.
 ///
 /// # Errors
 /// If standard output is closed.
@@ -36,14 +36,14 @@ pub fn completions(args: &CompletionsArgs) -> Result<()> {
     io::stdout().write_all(&script).context("cannot write the script to standard output")
 }
 
-/// Writes the pages, and says where they are.
+/// Writes the manual pages and prints their location.
 ///
 /// # Errors
-/// If they cannot be written.
+/// If a page cannot be written.
 pub fn man(args: &ManArgs) -> Result<()> {
     let out = OutputFolder::prepare(&args.out, &[], &[])?;
     let mut program = Cli::command();
-    // Gives subcommands their whole names.
+    // Sets the full names of subcommands.
     program.build();
     let subcommands = program.get_subcommands().filter(|command| command.get_name() != "help").cloned();
     for command in subcommands.chain([program.clone()]) {

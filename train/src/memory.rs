@@ -1,12 +1,12 @@
-//! The memory that the program holds while something is measured.
+//! Memory that the program holds during a measurement.
 
 use std::alloc::{GlobalAlloc, Layout};
 use std::sync::atomic::{AtomicBool, AtomicI64, Ordering::Relaxed};
 use std::sync::{Mutex, PoisonError};
 
-/// Whether bytes are counted. Otherwise an allocation costs one load of this more.
+/// Whether bytes are counted. Otherwise the counter costs an allocation one load of this flag.
 static COUNTS: AtomicBool = AtomicBool::new(false);
-/// Bytes held beyond those at the start of the count; less than nothing where older ones were freed.
+/// Bytes held beyond those at the start of the count; negative after older blocks were freed.
 static LIVE: AtomicI64 = AtomicI64::new(0);
 static PEAK: AtomicI64 = AtomicI64::new(0);
 
@@ -18,7 +18,7 @@ fn changed(bytes: i64) {
     PEAK.fetch_max(live, Relaxed);
 }
 
-// SAFETY: every call is handed on as it is.
+// SAFETY: every call is forwarded unchanged.
 unsafe impl<A: GlobalAlloc> GlobalAlloc for Counted<A> {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         if COUNTS.load(Relaxed) {
@@ -44,7 +44,7 @@ unsafe impl<A: GlobalAlloc> GlobalAlloc for Counted<A> {
     unsafe fn realloc(&self, block: *mut u8, layout: Layout, size: usize) -> *mut u8 {
         let counts = COUNTS.load(Relaxed);
         if counts {
-            // Both blocks may be there at once while the contents move.
+            // Both blocks may exist at once while the contents move.
             changed(size as i64);
         }
         let moved = unsafe { self.0.realloc(block, layout, size) };
@@ -55,8 +55,9 @@ unsafe impl<A: GlobalAlloc> GlobalAlloc for Counted<A> {
     }
 }
 
-/// Runs `work`; also the most memory that the program held meanwhile beyond what it held before, on all threads, MiB. None in
-/// a program whose allocator is not [`Counted`]. Calls wait for each other; the memory of a GPU is not the program's.
+/// Runs `work` and returns its result and the peak memory of the program, on all threads, beyond the memory held
+/// before, MiB. `None` in a program whose allocator is not [`Counted`]. Concurrent calls wait for each other. GPU
+/// memory is not counted.
 pub fn peak_mib<T>(work: impl FnOnce() -> T) -> (T, Option<f64>) {
     static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
     let _held = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
@@ -79,7 +80,7 @@ mod tests {
     fn the_most_that_is_held_at_a_time_counts() {
         let counted = Counted(System);
         let layout = |size| Layout::from_size_align(size, 8).unwrap();
-        // SAFETY: blocks are freed with the layouts that they were asked for with.
+        // SAFETY: blocks are freed with the layouts they were allocated with.
         let ((), peak) = peak_mib(|| unsafe {
             let first = counted.alloc(layout(3 << 20));
             counted.dealloc(first, layout(3 << 20));

@@ -1,5 +1,5 @@
-//! The command line. What several subcommands share is here, the rest beside each of them. Defaults come from the typed
-//! configurations that the options end up in, so that there is one place to change them.
+//! The command line: options shared by several subcommands; the others are beside their subcommands. Defaults come from
+//! the typed configurations that the options are converted to, so that each default has one place.
 
 use clap::{Parser, Subcommand, value_parser};
 use serde::{Deserialize, Serialize};
@@ -17,12 +17,12 @@ use crate::render::RenderArgs;
 use crate::train::{ResumeArgs, TrainArgs};
 use crate::view::ViewArgs;
 
-/// What the program's exit codes mean, as `--help` ends.
+/// The exit codes, at the end of `--help`.
 pub const EXIT_CODES: &str = "\
 Exit codes:
-  0    all went well
-  1    an error, which standard error names
-  2    a command line that cannot be understood
+  0    success
+  1    error, with a message on standard error
+  2    invalid command line
   130  stopped by Ctrl-C
   143  stopped by SIGTERM";
 
@@ -30,7 +30,7 @@ Exit codes:
 #[derive(Clone, Debug, Parser)]
 #[command(name = "splat", version, after_help = EXIT_CODES)]
 pub struct Cli {
-    /// What to do.
+    /// The subcommand to run.
     #[command(subcommand)]
     pub command: Command,
 }
@@ -38,42 +38,42 @@ pub struct Cli {
 /// The subcommands.
 #[derive(Clone, Debug, Subcommand)]
 pub enum Command {
-    /// Train a scene on a capture, then measure it on the photographs that were held out
+    /// Train a scene on a capture, then score it on the held-out photographs
     Train(TrainArgs),
-    /// Go on with a training run that was stopped or killed, with the options that it was started with
+    /// Resume a training run that was stopped or killed, with its original options
     Resume(ResumeArgs),
-    /// Measure a scene on the photographs of a capture that were held out
+    /// Score a scene on the held-out photographs of a capture
     Eval(EvalArgs),
-    /// Render a scene as the cameras of a capture see it
+    /// Render a scene from the cameras of a capture
     Render(RenderArgs),
-    /// Show a scene in the browser, from a server for this machine alone
+    /// Show a scene in the browser, served to this machine only
     View(ViewArgs),
-    /// Write a scene in another format, and say what that loses
+    /// Convert a scene to another format and report the loss
     Convert(ConvertArgs),
-    /// Say what a capture shows, which effects it calls for, and what they would cost
+    /// Report what a capture shows, which effects it calls for, and what they would cost
     Inspect(InspectArgs),
     /// Write the demo capture: a small ray-traced scene as a COLMAP folder
     Demo(DemoArgs),
-    /// Measure what each effect gains and costs on demo captures that show it, and write the page
+    /// Measure the gain and the cost of each effect on demo captures, and write the page
     Effects(GainsArgs),
-    /// Run the battery of hard cases and write the table of how it fares
+    /// Run the battery of hard cases and write the table of results
     HardCases(HardCasesArgs),
-    /// Measure what every dial costs in time and in error, on a scene of yours, and draw the frontier
+    /// Measure the time and the error of every accuracy dial on a scene, and plot the Pareto frontier
     Pareto(ParetoArgs),
-    /// List what there is to compute on, by the names that `--device` takes
+    /// List the devices to compute on, by the names that `--device` accepts
     Devices,
-    /// Write the completions of the command line for a shell
+    /// Write completions of the command line for a shell
     Completions(CompletionsArgs),
-    /// Write the manual's pages
+    /// Write the manual pages
     Man(ManArgs),
 }
 
-/// Which photographs are used, and at which size.
+/// Selection and size of the photographs.
 #[derive(Clone, Debug, clap::Args, Serialize, Deserialize)]
 pub struct PhotoArgs {
-    /// Hold out every Kth photograph by name for testing
+    /// Hold out every Kth photograph in name order for testing
     #[arg(long, value_name = "K", help = format!(
-        "Hold out every Kth photograph by name for testing, beginning with the first; 0 holds out none [default: the \
+        "Hold out every Kth photograph in name order for testing, beginning with the first; 0 holds out none [default: the \
          capture's own split if its files have one, otherwise {}]", Split::USUAL
     ))]
     pub eval_every: Option<usize>,
@@ -83,8 +83,8 @@ pub struct PhotoArgs {
 }
 
 impl PhotoArgs {
-    /// The split of a capture, and these options as they are reported: with the number that was counted by, or none if
-    /// the capture's own split was taken.
+    /// Returns the split of a capture, and these options as reported: with the number that was used, or none if the
+    /// capture's own split applies.
     pub fn split(&self, capture: &Capture) -> (Split, Self) {
         let counted = self.eval_every.or_else(|| capture.split.is_none().then_some(Split::USUAL));
         (Split::of(capture, counted), Self { eval_every: counted, ..self.clone() })

@@ -1,4 +1,5 @@
-//! Files that appear whole or not at all: each is written under another name in the same folder, then renamed.
+//! Output files that appear complete or not at all: each is written under another name in the same folder, then
+//! renamed.
 
 use std::ffi::{OsStr, OsString};
 use std::fs::{self, File};
@@ -8,21 +9,21 @@ use std::{iter, process};
 
 use anyhow::{Context, Result, bail};
 
-/// In the names of files that are being written, before the number of the process.
+/// Part of the names of files in progress, before the process id.
 const TEMPORARY: &str = ".tmp-";
 
-/// A folder for results that can be written to.
+/// A writable folder for results.
 #[derive(Debug)]
 pub struct OutputFolder {
     path: PathBuf,
 }
 
 impl OutputFolder {
-    /// Makes the folder if need be and checks that it can hold `files` and `folders`, so that a long run does not fail
-    /// at its end.
+    /// Creates the folder if necessary and checks that it can hold `files` and `folders`, so that a long run does not
+    /// fail at its end.
     ///
     /// # Errors
-    /// If it cannot be made or written to, or if something of another kind has one of those names.
+    /// If the folder cannot be created or written to, or something of another kind has one of those names.
     pub fn prepare(path: &Path, files: &[&str], folders: &[&str]) -> Result<Self> {
         let shown = path.display();
         fs::create_dir_all(path).with_context(|| {
@@ -32,7 +33,7 @@ impl OutputFolder {
         })?;
         let trial = path.join(format!(".splat-trial-{}", process::id()));
         fs::write(&trial, b"").and_then(|()| fs::remove_file(&trial)).with_context(|| {
-            format!("cannot write to the output folder {shown}: mend its permissions, or choose another with `--out`")
+            format!("cannot write to the output folder {shown}: fix its permissions, or choose another with `--out`")
         })?;
         for (names, folder_wanted) in [(files, false), (folders, true)] {
             for taken in names.iter().map(|name| path.join(name)).filter(|name| name.exists()) {
@@ -48,44 +49,46 @@ impl OutputFolder {
         Ok(Self { path: path.to_owned() })
     }
 
-    /// The folder itself.
+    /// Path of the folder.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// The path of a file or folder in it.
+    /// Returns the path of a file or folder in it.
     pub fn join(&self, name: impl AsRef<Path>) -> PathBuf {
         self.path.join(name)
     }
 
-    /// Removes what a process that was killed while it wrote has left, here and in these folders. For whoever is alone in them.
+    /// Removes temporary files that a killed process left here and in these folders. Only for a process that owns them
+    /// alone.
     pub fn sweep(&self, folders: &[&str]) {
         let all = iter::once(self.path.clone()).chain(folders.iter().map(|name| self.join(name)));
         for entry in all.filter_map(|folder| fs::read_dir(folder).ok()).flatten().flatten() {
             if entry.file_name().to_str().is_some_and(is_temporary) {
-                // It takes room, and that is all.
+                // A leftover file only takes up space.
                 let _ = fs::remove_file(entry.path());
             }
         }
     }
 
-    /// Writes one file, which replaces the one of that name. See [`write()`].
+    /// Writes one file, replacing an existing one. See [`write()`].
     ///
     /// # Errors
-    /// Those of [`write()`].
+    /// The errors of [`write()`].
     pub fn write(&self, name: impl AsRef<Path>, fill: impl FnOnce(&mut BufWriter<File>) -> Result<()>) -> Result<()> {
         write(&self.join(name), fill)
     }
 }
 
-/// The first of `parent/NAME`, `parent/NAME-2`, `parent/NAME-3` and so on that is not there, or is a folder that holds at most
-/// these entries.
+/// Returns the first of `parent/NAME`, `parent/NAME-2`, `parent/NAME-3` and so on that does not exist, or is a folder
+/// that holds at most these entries.
 pub fn free_folder(parent: &Path, name: &OsStr, may_hold: &[&str]) -> PathBuf {
     let is_free = |path: &Path| match fs::read_dir(path) {
         Ok(mut entries) => {
             entries.all(|entry| entry.is_ok_and(|entry| may_hold.iter().any(|name| entry.file_name() == *name)))
         }
-        // What is there and cannot be looked into is not free. Where nothing can be made, making it will say so.
+        // An existing path that cannot be listed is not free. Where nothing can be created, creating the folder reports
+        // it.
         Err(_) => !path.exists(),
     };
     let mut path = parent.join(name);
@@ -100,8 +103,8 @@ pub fn free_folder(parent: &Path, name: &OsStr, may_hold: &[&str]) -> PathBuf {
     path
 }
 
-/// Writes a file: `fill` fills it under a temporary name, and only when it is complete does it take its own. Folders on
-/// the way are made. No temporary file is left behind unless the process is killed.
+/// Writes a file: `fill` writes it under a temporary name, and the complete file is renamed to its own. Missing parent
+/// folders are created. No temporary file is left behind unless the process is killed.
 ///
 /// # Errors
 /// If a folder or the file cannot be written, or `fill` fails.
@@ -130,7 +133,8 @@ fn fill_and_rename(temporary: &Path, path: &Path, fill: impl FnOnce(&mut BufWrit
     Ok(fs::rename(temporary, path)?)
 }
 
-/// A hidden name in the same folder, so that renaming never crosses file systems; the process id keeps two runs apart.
+/// Returns a hidden name in the same folder, so that renaming never crosses file systems; the process id keeps two runs
+/// apart.
 fn temporary_name(path: &Path) -> Result<PathBuf> {
     let mut name = OsString::from(".");
     name.push(path.file_name().context("the path names no file")?);
@@ -138,7 +142,7 @@ fn temporary_name(path: &Path) -> Result<PathBuf> {
     Ok(path.with_file_name(name))
 }
 
-/// Whether [`temporary_name`] gave this name.
+/// Whether [`temporary_name`] made this name.
 fn is_temporary(name: &str) -> bool {
     let process = name.strip_prefix('.').and_then(|name| name.rsplit_once(TEMPORARY));
     process.is_some_and(|(name, process)| !name.is_empty() && process.parse::<u32>().is_ok())
@@ -193,7 +197,7 @@ mod tests {
         fs::write(path("fox.v1-2"), "a file").unwrap();
         fs::create_dir_all(path("fox.v1-3/views")).unwrap();
         assert_eq!(free(&[]), path("fox.v1-4"));
-        // Nothing can be below a file, which is for whoever makes the folder to say.
+        // Nothing can be below a file; the error is left to whoever creates the folder.
         assert_eq!(free_folder(&path("fox.v1-2"), OsStr::new("a"), &[]), path("fox.v1-2/a"));
     }
 

@@ -1,5 +1,5 @@
-//! What a waiting person sees, on standard error: a bar on a terminal, plain lines elsewhere. And what a waiting program reads
-//! instead, on standard output.
+//! Progress of a run: for people on standard error, as a bar on a terminal and as plain lines elsewhere; for programs
+//! on standard output.
 
 use std::io::{IsTerminal, Write};
 use std::path::Path;
@@ -9,34 +9,34 @@ use std::time::{Duration, Instant};
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 
-/// Time between plain lines: a log of an hour stays readable.
+/// Interval between plain lines, long enough that the log of an hour stays readable.
 const BETWEEN_LINES: Duration = Duration::from_secs(5);
 
-/// Time between updates of the bar.
+/// Interval between updates of the bar.
 const BETWEEN_FRAMES: Duration = Duration::from_millis(200);
 
-/// Weight of the newest step in the running mean of the time that a step takes. A scene grows while it trains, so the
-/// mean over the whole run would promise too early an end.
+/// Weight of the newest step in the running mean of the time per step. A scene grows while it trains, so the mean over
+/// the whole run would predict too early an end.
 const NEWEST_WEIGHT: f64 = 0.02;
 
-/// Options that say how much is said.
+/// Options for the amount of output.
 #[derive(Clone, Copy, Debug, Default, clap::Args)]
 pub struct VoiceArgs {
-    /// Say nothing but errors
+    /// Print nothing but errors
     #[arg(long)]
     pub quiet: bool,
-    /// Write a line of JSON to standard output for every interval and evaluation, and one with the metrics at the end, instead
-    /// of words (see the README); with --quiet there is nothing else
+    /// Print a line of JSON to standard output for every interval and evaluation, and one with the metrics at the end,
+    /// instead of text (see docs/COMMAND_LINE.md); with --quiet, print nothing else
     #[arg(long)]
     pub json: bool,
 }
 
-/// Of the whole process: these lines come from everywhere.
+/// Applies to the whole process: output comes from everywhere.
 static QUIET: AtomicBool = AtomicBool::new(false);
 static JSON: AtomicBool = AtomicBool::new(false);
 
 impl VoiceArgs {
-    /// From now on.
+    /// Applies the options from now on.
     pub fn apply(self) {
         QUIET.store(self.quiet, Ordering::Relaxed);
         JSON.store(self.json, Ordering::Relaxed);
@@ -47,38 +47,38 @@ fn is_quiet() -> bool {
     QUIET.load(Ordering::Relaxed)
 }
 
-/// Writes a line to standard error, unless the process is to be quiet. A closed pipe is no reason to stop.
+/// Writes a line to standard error, unless the process is quiet. A closed pipe is not an error.
 pub fn note(line: &str) {
     if !is_quiet() {
         error(line);
     }
 }
 
-/// Writes a line to standard error, always.
+/// Writes a line to standard error, even if the process is quiet.
 pub fn error(line: &str) {
     let _ = writeln!(std::io::stderr().lock(), "{line}");
 }
 
-/// Says that some Gaussians of a scene are left out, if there are such.
+/// Prints a note if some Gaussians of a scene are left out.
 pub fn note_unusable(scene: &Path, unusable: usize, of: usize) {
     if unusable > 0 {
         note(&format!(
-            "{}: {unusable} of {of} splats are not drawn, because a parameter is not finite or out of all range, or the \
+            "{}: {unusable} of {of} splats are not drawn, because a parameter is not finite or out of range, or the \
              rotation is zero",
             scene.display()
         ));
     }
 }
 
-/// Writes a line to standard output, unless the process is to be quiet or speaks JSON. The results are in their files by then,
-/// so a closed pipe loses none.
+/// Writes a line to standard output, unless the process is quiet or prints JSON. A closed pipe loses no results, which
+/// are in their files by then.
 pub fn say(line: &str) {
     if !is_quiet() && !JSON.load(Ordering::Relaxed) {
         let _ = writeln!(std::io::stdout().lock(), "{line}");
     }
 }
 
-/// Writes a value as a line of JSON to standard output, if the process speaks that, at once.
+/// Writes a value as a line of JSON to standard output and flushes it, if the process prints JSON.
 pub fn line(value: &impl Serialize) {
     if JSON.load(Ordering::Relaxed)
         && let Ok(text) = serde_json::to_string(value)
@@ -88,7 +88,7 @@ pub fn line(value: &impl Serialize) {
     }
 }
 
-/// Counts things that take a moment each, such as pictures. Silent where there is no terminal.
+/// Returns a counter of things that take a moment each, such as pictures. Hidden without a terminal.
 pub fn counter(what: &'static str, total: usize) -> ProgressBar {
     if is_quiet() || !std::io::stderr().is_terminal() {
         return ProgressBar::hidden();
@@ -98,7 +98,7 @@ pub fn counter(what: &'static str, total: usize) -> ProgressBar {
     bar
 }
 
-/// A style, or indicatif's own if it refuses the template, which none here gives it reason to.
+/// Returns a style, or indicatif's default if it refuses the template, for which no template here gives a reason.
 fn style(template: &str) -> ProgressStyle {
     ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar())
 }
@@ -109,16 +109,16 @@ pub struct StepProgress {
     bar: Option<ProgressBar>,
     shown: Instant,
     stepped: Instant,
-    /// Steps that were counted here: a run that goes on from a checkpoint begins late.
+    /// Number of steps in this process; a resumed run begins at a later step.
     counted: usize,
-    /// Running mean of the time that a step takes, s.
+    /// Running mean of the time per step, s.
     step_s: f64,
-    /// Losses since they were last shown: their sum, and how many.
+    /// Sum and number of the losses since they were last shown.
     losses: (f64, usize),
 }
 
 impl StepProgress {
-    /// Of a run of `steps` steps, some of which may be done.
+    /// Begins the progress of a run of `steps` steps, some of which may be done.
     pub fn new(steps: usize) -> Self {
         let shows = !is_quiet() && std::io::stderr().is_terminal();
         let bar = shows.then(|| ProgressBar::new(steps as u64));
@@ -129,30 +129,30 @@ impl StepProgress {
         Self { steps, bar, shown: now, stepped: now, counted: 0, step_s: 0.0, losses: (0.0, 0) }
     }
 
-    /// After a step, counted from 1: whether it is time to [show](Self::show) something.
+    /// Counts a step; steps are numbered from 1. Returns whether it is time to [show](Self::show) progress.
     pub fn tick(&mut self, step: usize) -> bool {
         let now = Instant::now();
         let latest_s = (now - self.stepped).as_secs_f64();
         (self.stepped, self.counted) = (now, self.counted + 1);
-        // The plain mean at first, lest a slow first step colour the whole start.
+        // The plain mean at first, so that a slow first step does not dominate the start.
         let weight = NEWEST_WEIGHT.max(1.0 / self.counted as f64);
         self.step_s += weight * (latest_s - self.step_s);
         let pause = if self.bar.is_some() { BETWEEN_FRAMES } else { BETWEEN_LINES };
         !is_quiet() && (now - self.shown >= pause || step >= self.steps)
     }
 
-    /// After something else than a step, whose time is none of theirs.
+    /// Restarts the clock after other work, whose time belongs to no step.
     pub fn resume(&mut self) {
         self.stepped = Instant::now();
     }
 
-    /// Losses since the last call: their sum and number.
+    /// Adds the sum and the number of the losses since the last call.
     pub fn add(&mut self, (sum, count): (f64, usize)) {
         self.losses.0 += sum;
         self.losses.1 += count;
     }
 
-    /// Shows where the run is.
+    /// Shows the state of the run.
     pub fn show(&mut self, step: usize, splats: usize) {
         self.shown = Instant::now();
         let (sum, count) = std::mem::take(&mut self.losses);
@@ -166,7 +166,7 @@ impl StepProgress {
         }
     }
 
-    /// After the last step.
+    /// Removes the bar after the last step.
     pub fn finish(self) {
         if let Some(bar) = self.bar {
             bar.abandon();
@@ -180,7 +180,7 @@ fn progress_line(step: usize, steps: usize, loss: f64, splats: usize, step_s: f6
     format!("step {step}/{steps}  loss {loss:.4}  {splats} splats  {rate} steps/s  {left} left")
 }
 
-/// Seconds as `m:ss` or `h:mm:ss`.
+/// Formats seconds as `m:ss` or `h:mm:ss`.
 fn clock(seconds: f64) -> String {
     // Saturates: no run is that long, and NaN becomes zero.
     let whole = seconds.round() as u64;

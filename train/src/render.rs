@@ -1,4 +1,4 @@
-//! `splat render`: a scene as the cameras of a capture see it.
+//! `splat render`: renders a scene from the cameras of a capture.
 
 use std::fs::File;
 use std::io::{BufWriter, Write};
@@ -23,46 +23,46 @@ use crate::report::pictures::{self, level};
 use crate::report::values_of;
 use crate::{input, progress};
 
-/// The name that stands for all views.
+/// Value of `--view` for all views.
 const ALL: &str = "all";
 
-/// How many names of views an error lists.
+/// Number of view names that an error lists.
 const NAMES_LISTED: usize = 5;
 
 /// Options of `splat render`.
 #[derive(Clone, Debug, clap::Args)]
 pub struct RenderArgs {
-    /// The scene: PLY, compressed PLY or SPZ
+    /// Scene file: PLY, compressed PLY or SPZ
     #[arg(long, value_name = "FILE")]
     pub scene: PathBuf,
-    /// Capture whose cameras to render; its pictures are not needed, unless only they tell their sizes
+    /// Capture whose cameras to render from; its photographs are needed only if nothing else gives their sizes
     #[arg(long, value_name = "CAPTURE")]
     pub capture: PathBuf,
-    /// The name of a photograph in the capture, or `all`
+    /// Name of a photograph in the capture, or `all`
     #[arg(long, value_name = "NAME")]
     pub view: String,
     /// Folder for the pictures, which are named after the photographs
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
-    /// Kind of file
+    /// File format of the pictures
     #[arg(long, value_enum, default_value_t)]
     pub format: Format,
-    /// Where to compute
+    /// Device to compute on
     #[arg(long, value_name = "NAME", default_value_t, help = device::help())]
     pub device: DeviceName,
-    /// The function that is rendered.
+    /// Model choices.
     #[command(flatten)]
     pub model: ModelArgs,
-    /// How accurate the renders are.
+    /// Accuracy of the renders.
     #[command(flatten)]
     pub accuracy: AccuracyArgs,
-    /// What is behind the scene: black, white, R,G,B from 0 to 1, or the background.json that a run left beside it
+    /// Background behind the scene: black, white, R,G,B from 0 to 1, or the background.json of a training run
     #[arg(long, value_name = "WHAT", default_value_t)]
     pub background: ShownBackground,
 }
 
-/// How a picture is stored. Values are display-referred in each, as photographs are, and lie over `--background`; alpha is the
-/// share of it that is hidden, so over black, colours are multiplied by it.
+/// File format of a picture. Values are display-referred in all formats, as in photographs, and composited over
+/// `--background`. Alpha is the share of the background that is hidden, so colours over black are premultiplied.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 pub enum Format {
     /// 8-bit RGB over the background
@@ -84,10 +84,10 @@ impl Format {
     }
 }
 
-/// Renders the views, writes them, and says where they are. Returns the paths.
+/// Renders the views, writes the pictures, and prints their paths. Returns the paths.
 ///
 /// # Errors
-/// If the capture or the scene cannot be read, there is no such view, or a picture cannot be written.
+/// If the capture or the scene cannot be read, the view does not exist, or a picture cannot be written.
 pub fn run(args: &RenderArgs) -> Result<Vec<PathBuf>> {
     let (device, device_name) = args.device.resolve()?;
     let background = args.background.read()?;
@@ -118,7 +118,7 @@ pub fn run(args: &RenderArgs) -> Result<Vec<PathBuf>> {
     Ok(paths)
 }
 
-/// The views of a name, or all. A photograph whose name is "all" comes first.
+/// Returns the view with this name, or all views. A photograph with the name "all" takes precedence.
 fn chosen<'a>(capture: &'a Capture, name: &str) -> Result<Vec<&'a View>> {
     match capture.views.iter().find(|view| view.name == name) {
         Some(view) => Ok(vec![view]),

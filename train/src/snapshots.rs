@@ -1,14 +1,15 @@
-//! `--snapshots`: what each evaluation during a run saw, in files for programs that show it. `train/rerun/` is one.
+//! `--snapshots`: results of each evaluation during a run, in files for programs that show them, such as
+//! `train/rerun/`.
 //!
 //! ```text
 //! snapshots/run.json               all views and the number of steps, once
 //! snapshots/history.json           the curves so far
-//! snapshots/000500/snapshot.json   the evaluation after step 500: written last, so that what it names is there
-//! snapshots/000500/scene.ply       the scene's splats, or evenly some of them
+//! snapshots/000500/snapshot.json   the evaluation after step 500: written last, so that all files it names exist
+//! snapshots/000500/scene.ply       the scene's splats, or an even selection of them
 //! snapshots/000500/0.png           the render of a test view
 //! ```
 //!
-//! Frames are those of `docs/CONVENTIONS.md`, positions are less the capture's `origin`, which `run.json` tells.
+//! Frames are those of `docs/CONVENTIONS.md`. Positions are relative to the capture's `origin`, which `run.json` holds.
 
 use std::cell::RefCell;
 use std::fs;
@@ -28,10 +29,10 @@ use crate::report::history::History;
 use crate::report::pictures::level;
 use crate::report::values_of;
 
-/// Below a run's output folder.
+/// Folder of the snapshots, below a run's output folder.
 pub const FOLDER: &str = "snapshots";
 
-/// Splats of a snapshot at most: enough to see a scene by, in 7 MB.
+/// Largest number of splats in a snapshot: enough to recognize a scene, in 7 MB.
 const MOST_SPLATS: usize = 100_000;
 
 const RUN: &str = "run.json";
@@ -39,12 +40,12 @@ const HISTORY: &str = "history.json";
 const SNAPSHOT: &str = "snapshot.json";
 const SCENE: &str = "scene.ply";
 
-/// `run.json`.
+/// Content of `run.json`.
 #[derive(Clone, Debug, Serialize)]
 pub struct Described {
-    /// That the run takes.
+    /// Number of steps of the run.
     steps: usize,
-    /// What positions are less than in the capture's files, scene units.
+    /// Offset subtracted from the positions of the capture's files, scene units.
     origin: [f64; 3],
     views: Vec<View>,
 }
@@ -54,7 +55,7 @@ pub struct Described {
 struct View {
     name: String,
     is_test: bool,
-    /// Of the lens. All others are as good as a pinhole near the middle of their pictures.
+    /// Camera model. Near the middle of their pictures, all models are close to a pinhole.
     model: String,
     width: usize,
     height: usize,
@@ -67,7 +68,7 @@ struct View {
 }
 
 impl Described {
-    /// A run on a capture's photographs.
+    /// Describes a run on a capture's photographs.
     pub fn new(steps: usize, capture: &Capture, train: &[Photograph], test: &[Photograph]) -> Self {
         let view = |photo: &Photograph, is_test: bool| {
             let (camera, pose) = (photo.intrinsics, photo.cam_from_world);
@@ -91,22 +92,22 @@ impl Described {
     }
 }
 
-/// `snapshot.json`.
+/// Content of `snapshot.json`.
 #[derive(Debug, Serialize, Deserialize)]
 struct Snapshot {
-    /// Steps done.
+    /// Number of steps done.
     step: usize,
-    /// Of the scene, and of the file.
+    /// Number of splats in the scene; `shown` is the number in the file.
     splats: usize,
     shown: usize,
     views: Vec<Seen>,
 }
 
-/// A test view as the scene showed it.
+/// A test view, as rendered from the scene.
 #[derive(Debug, Serialize, Deserialize)]
 struct Seen {
     name: String,
-    /// A file beside this one.
+    /// Name of a file beside this one: the render.
     picture: PathBuf,
     psnr: f64,
     ssim: f64,
@@ -120,10 +121,10 @@ pub struct Snapshots<'a> {
 }
 
 impl<'a> Snapshots<'a> {
-    /// For a run that begins, or goes on; of one that begins, those that an earlier run left are removed.
+    /// Opens the snapshots of a run that begins or resumes. If it begins, the snapshots of an earlier run are removed.
     ///
     /// # Errors
-    /// If the run cannot be written down.
+    /// If the description of the run cannot be written.
     pub fn open(out: &'a OutputFolder, run: &Described, begins: bool) -> Result<Self> {
         if begins {
             remove_all(&out.join(FOLDER));
@@ -132,7 +133,7 @@ impl<'a> Snapshots<'a> {
         Ok(Self { out })
     }
 
-    /// Writes the curves until now.
+    /// Writes the curves so far.
     ///
     /// # Errors
     /// If they cannot be written.
@@ -140,7 +141,7 @@ impl<'a> Snapshots<'a> {
         self.out.write(Path::new(FOLDER).join(HISTORY), |file| Ok(serde_json::to_writer(file, history)?))
     }
 
-    /// The snapshot after a step.
+    /// Begins the snapshot after a step.
     pub fn after(&self, step: usize) -> Taken<'a> {
         Taken {
             out: self.out,
@@ -151,7 +152,7 @@ impl<'a> Snapshots<'a> {
     }
 }
 
-/// A snapshot that is being taken.
+/// A snapshot in progress.
 #[derive(Debug)]
 pub struct Taken<'a> {
     out: &'a OutputFolder,
@@ -176,7 +177,7 @@ impl Taken<'_> {
         pictures.push(write());
     }
 
-    /// Writes the rest: the scene, and what is known of the views that were looked at.
+    /// Writes the scene, then the description with the scores of the views.
     ///
     /// # Errors
     /// If a file cannot be written.
@@ -195,7 +196,8 @@ impl Taken<'_> {
     }
 }
 
-/// Splats that can be drawn, of one colour each, evenly over the rows, which neighbours are together in.
+/// Returns an even selection of the rows, in which neighbours are adjacent, limited to splats that can be drawn, with
+/// one colour each.
 fn some_of(rows: &GaussianRows) -> GaussianRows {
     let every = rows.len().div_ceil(MOST_SPLATS).max(1);
     let kept: Vec<usize> = (0..rows.len()).step_by(every).filter(|&i| rows.is_usable(i)).collect();
@@ -213,7 +215,7 @@ fn some_of(rows: &GaussianRows) -> GaussianRows {
     }
 }
 
-/// Removes the snapshots in a folder: the files that they name, and folders that are empty then. Whatever else is there stays.
+/// Removes the snapshots in a folder: the files that they name, then their folders if empty. All other files stay.
 fn remove_all(folder: &Path) {
     let found = fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path());
     for folder in found.filter(|path| path.is_dir()) {
@@ -228,7 +230,7 @@ fn remove_all(folder: &Path) {
     }
 }
 
-/// Of a file in its folder: what a file says of another may lead anywhere.
+/// Whether a path is the name of a file in the same folder: a path read from a file may lead anywhere.
 fn is_a_name(path: &Path) -> bool {
     path.file_name().is_some_and(|name| name == path.as_os_str())
 }

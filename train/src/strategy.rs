@@ -1,27 +1,27 @@
-//! `--strategy`: how splats are added, moved and removed.
+//! `--strategy`: density strategies, which add, move and remove splats.
 
 use clap::ValueEnum;
 use serde::{Deserialize, Serialize};
 use splat_model::density::{AdaptiveConfig, DensityConfig, McmcConfig};
 
-/// The strategies by name, each with the settings that were published with it.
+/// Density strategies by name, each with its published settings.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
 pub enum StrategyName {
-    /// Copy and split where gradients are large, remove what is faint (Kerbl et al. 2023)
+    /// Clone and split splats with large gradients, and remove faint ones (Kerbl et al. 2023)
     #[default]
     Adaptive,
-    /// The same by absolute gradients, which finds splats that blur fine detail (AbsGS, Ye et al. 2024)
+    /// Like adaptive, but with absolute gradients, which find splats that blur fine detail (AbsGS, Ye et al. 2024)
     Absgrad,
-    /// As adaptive, but only where several views find the picture wrong, and without splats that hardly show in any (in the manner
-    /// of FastGS, Ren et al. 2025)
+    /// Like adaptive, but densify only where several views show an error, and remove splats that hardly show in any
+    /// view (after FastGS, Ren et al. 2025)
     Consistent,
-    /// Move faint splats to where others are and grow by 5% at a time, up to `--max-splats`, which is to be chosen for the capture
-    /// (3DGS-MCMC, Kheradmand et al. 2024)
+    /// Move faint splats to others and grow by 5% at a time, up to `--max-splats`, which should be chosen for the
+    /// capture (3DGS-MCMC, Kheradmand et al. 2024)
     Mcmc,
 }
 
 impl StrategyName {
-    /// Its settings.
+    /// Returns its settings.
     pub fn config(self) -> DensityConfig {
         match self {
             Self::Adaptive => AdaptiveConfig::default().into(),

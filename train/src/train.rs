@@ -1,4 +1,4 @@
-//! `splat train`: photographs in; a scene, its scores and its pictures out.
+//! `splat train`: trains a scene on photographs, and writes the scene, its scores and its pictures.
 
 mod budget;
 mod checkpoints;
@@ -25,42 +25,43 @@ use crate::options::PhotoArgs;
 use crate::progress::VoiceArgs;
 use crate::strategy::StrategyName;
 
-/// Steps of a run on the demo capture, chosen so that the whole of it takes under 3 minutes on 2 CPU cores.
+/// Default number of steps on the demo capture, chosen so that the whole run takes under 3 minutes on 2 CPU cores.
 pub const DEMO_STEPS: usize = 1500;
 
-/// Degree of the spherical harmonics on the demo capture. Its surfaces are matte: their colour is the same from
+/// Default degree of the spherical harmonics on the demo capture. Its surfaces are matte: their colour is the same from
 /// everywhere.
 pub const DEMO_SH_DEGREE: usize = 0;
 
-/// Where runs write to unless told otherwise, each to a folder of its own.
+/// Default parent folder of the runs, each of which has its own folder.
 pub const OUT: &str = "out";
 
-/// Steps between checkpoints unless told otherwise: a minute or two of the usual run on a CPU, seconds on a GPU.
+/// Default number of steps between checkpoints: a minute or two of the usual run on a CPU, seconds on a GPU.
 pub const CHECKPOINT_EVERY: usize = 500;
 
-/// Options of `splat train`, which checkpoints keep.
+/// Options of `splat train`. Checkpoints store them.
 #[derive(Clone, Debug, clap::Args, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TrainArgs {
-    /// Folder with `images/` and COLMAP's `sparse/0/`, or with `transforms.json` or `transforms_train.json`; without one, the demo capture is made and trained on
+    /// Capture folder, with `images/` and COLMAP's `sparse/0/`, or with `transforms.json` or `transforms_train.json`;
+    /// without one, make the demo capture and train on it
     pub capture: Option<PathBuf>,
-    /// Folder for scene.ply, metrics.json and views/; results of an earlier run there are replaced [default: out/NAME of the
-    /// capture, `demo` for the demo capture; out/NAME-2 and so on where that holds something already]
+    /// Folder for scene.ply, metrics.json and views/, replacing the results of an earlier run [default: out/NAME, after
+    /// the capture, or out/demo for the demo capture; out/NAME-2 and so on if that is not empty]
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
     /// Training steps
     #[arg(long, value_name = "N", help = format!(
-        "Training steps, of one photograph each unless there is a `--batch` [default: {}; with the demo capture {DEMO_STEPS}]", TrainConfig::default().steps
+        "Training steps, each on `--batch` photographs [default: {}; with the demo capture {DEMO_STEPS}]", TrainConfig::default().steps
     ))]
     pub steps: Option<usize>,
-    /// Where to compute
+    /// Device to compute on
     #[arg(long, value_name = "NAME", default_value_t, help = device::help())]
     #[serde(with = "crate::as_text")]
     pub device: DeviceName,
-    /// Seed of everything random
+    /// Random seed
     #[arg(long, value_name = "S", default_value_t = TrainConfig::default().seed)]
     pub seed: u64,
-    /// The number of splats never exceeds this
+    /// Maximum number of splats
     #[arg(
         long,
         value_name = "N",
@@ -68,11 +69,11 @@ pub struct TrainArgs {
         value_parser = RangedU64ValueParser::<usize>::new().range(1..)
     )]
     pub max_splats: usize,
-    /// How splats are added, moved and removed
+    /// Density strategy: how splats are added, moved and removed
     #[arg(long, value_name = "NAME", value_enum, default_value_t)]
     pub strategy: StrategyName,
-    /// Photographs in each step. Learning rates grow with the root of their number, as the field has it; take `--steps` N times
-    /// smaller for a run that sees each photograph as often
+    /// Photographs per step. Learning rates grow with the square root of their number; divide `--steps` by it to use
+    /// each photograph as often
     #[arg(long, value_name = "N", default_value_t = TrainConfig::default().batch, value_parser = RangedU64ValueParser::<usize>::new().range(1..))]
     pub batch: usize,
     /// Photographs.
@@ -81,62 +82,67 @@ pub struct TrainArgs {
     /// Highest degree of the spherical harmonics
     #[arg(long, value_name = "D", help = format!(
         "Highest degree of the spherical harmonics, 0 to 4: how finely colour may vary with the direction of view \
-         [default: {}, or 0 where `--effects auto` finds that no colour does; with the demo capture {DEMO_SH_DEGREE}]",
+         [default: {}, or 0 where `--effects auto` finds no such variation; with the demo capture {DEMO_SH_DEGREE}]",
         TrainConfig::default().sh_degree
     ))]
     pub sh_degree: Option<usize>,
-    /// Steps until the degree rises by one, beginning with 0; 0 has all degrees from the start
+    /// Steps between increases of the degree, which begins at 0; 0 uses all degrees from the start
     #[arg(long, value_name = "N", default_value_t = TrainConfig::default().sh_every)]
     pub sh_every: usize,
-    /// The function that is rendered.
+    /// Model choices.
     #[command(flatten)]
     pub model: ModelArgs,
-    /// Weight of the mean opacity in the loss, against floaters; 0.01 is usual
+    /// Weight of the mean opacity in the loss, against floaters; 0.01 is typical
     #[arg(long, value_name = "W", default_value_t = TrainConfig::default().opacity_weight)]
     pub opacity_weight: f64,
-    /// Begin with photographs whose sides are this many times shorter: 1, 2, 4, 8 or 16
+    /// Begin with photographs downsized by this factor: 1, 2, 4, 8 or 16
     #[arg(long, value_name = "N", default_value_t = TrainConfig::default().resolution.coarsest_divisor)]
     pub coarsest: usize,
-    /// With `--coarsest`: share of the steps after which photographs have their full size
+    /// With `--coarsest`: fraction of the steps after which photographs have their full size
     #[arg(long, value_name = "SHARE", default_value_t = TrainConfig::default().resolution.full_from)]
     pub full_from: f64,
-    /// How accurate the renders are.
+    /// Accuracy of the renders.
     #[command(flatten)]
     pub accuracy: AccuracyArgs,
-    /// What is behind the scene: black, white, R,G,B from 0 to 1, random (another colour at each step), learned,
-    /// environment or environment:D (light from infinity, harmonics of degree D) [default: black, or what the effects call for]
+    /// Background behind the scene: black, white, R,G,B from 0 to 1, random (a new colour at each step), learned,
+    /// environment or environment:D (learned light from infinity, spherical harmonics of degree D) [default: black, or
+    /// the background that the effects call for]
     #[arg(long, value_name = "WHAT")]
     pub background: Option<TrainBackground>,
-    /// Effects to simulate: `auto`, as `splat inspect` decides; `none`; a list of names with commas between them; or `+NAME`
-    /// and `-NAME` to adjust `auto`. Names: antialias, alpha, exposure, bilateral-grid, masks, pose-refinement, environment,
-    /// motion-blur, rolling-shutter, defocus, depth-supervision
+    /// Effects to simulate: `auto` (as `splat inspect` decides), `none`, a comma-separated list of names, or `+NAME`
+    /// and `-NAME` to adjust `auto`. Names: antialias, alpha, exposure, bilateral-grid, masks, pose-refinement,
+    /// environment, motion-blur, rolling-shutter, defocus, depth-supervision
     #[arg(long, value_name = "LIST", default_value_t, allow_hyphen_values = true)]
     #[serde(with = "crate::as_text")]
     pub effects: EffectsArg,
-    /// Score the scene on a few test views after every N steps, for the curve in report.html and for --json [default: off]
+    /// Score the scene on a few held-out views every N steps, for the curve in report.html and for --json [default:
+    /// off]
     #[arg(long, value_name = "N", value_parser = RangedU64ValueParser::<usize>::new().range(1..))]
     pub eval_during: Option<usize>,
-    /// With `--eval-during`: keep what each evaluation sees in the folder snapshots of the output folder, at most 100,000 splats and
-    /// four renders each time. `train/rerun/` shows it in the Rerun viewer, see docs/RERUN.md
+    /// With `--eval-during`: save the scene and the renders of each evaluation in the folder snapshots of the output
+    /// folder, at most 100,000 splats and four renders each. `train/rerun/` shows them in the Rerun viewer (see
+    /// docs/RERUN.md)
     #[arg(long, requires = "eval_during")]
     #[serde(default)]
     pub snapshots: bool,
-    /// Another score.
+    /// LPIPS.
     #[command(flatten)]
     #[serde(default)]
     pub lpips: LpipsArgs,
-    /// How much is said.
+    /// Amount of output.
     #[command(flatten)]
     #[serde(skip)]
     pub voice: VoiceArgs,
-    /// Look at what every stage of every step leaves, and end at the first that goes wrong; several times as slow
+    /// Check the results of every stage of every step, and stop at the first stage that goes wrong; several times as
+    /// slow
     #[arg(long)]
     pub check: bool,
-    /// Memory for decoded photographs, and for those prepared for the loss, MB each; those beyond it are decoded again, in the background, each time they are trained on
-    /// [default: half of what the machine has left]
+    /// Memory for decoded photographs, and as much for photographs prepared for the loss, MB. Photographs that do not
+    /// fit are decoded again, in the background, each time they are used [default: half of the available memory]
     #[arg(long, value_name = "MB")]
     pub cache_mb: Option<usize>,
-    /// Steps between checkpoints, from which `splat resume` goes on; 0 writes them only when the run is stopped by Ctrl-C or SIGTERM
+    /// Steps between checkpoints, from which `splat resume` continues; 0 writes them only when the run is stopped by
+    /// Ctrl-C or SIGTERM
     #[arg(long, value_name = "K", default_value_t = CHECKPOINT_EVERY)]
     pub checkpoint_every: usize,
 }
@@ -144,19 +150,20 @@ pub struct TrainArgs {
 /// Options of `splat resume`.
 #[derive(Clone, Debug, clap::Args)]
 pub struct ResumeArgs {
-    /// The folder that the run writes to: its `--out`
+    /// Output folder of the run: its `--out`
     #[arg(value_name = "DIR")]
     pub out: PathBuf,
-    /// How much is said.
+    /// Amount of output.
     #[command(flatten)]
     pub voice: VoiceArgs,
 }
 
 impl TrainArgs {
-    /// The configuration of the run, before effects are decided on.
+    /// Returns the configuration of the run, before effects are decided on.
     ///
     /// # Errors
-    /// If the steps are zero or there is no such degree: found here, before anything is read or written.
+    /// If the number of steps is zero or the degree is not supported. This is checked before any file is read or
+    /// written.
     pub fn config(&self) -> Result<TrainConfig, TrainError> {
         let mut config = TrainConfig { seed: self.seed, ..self.model.config() };
         config.opacity_weight = self.opacity_weight;

@@ -1,4 +1,5 @@
-//! Shows what a run of `splat train --snapshots` kept, in the Rerun viewer or in a file for it; see `docs/RERUN.md`.
+//! Shows the snapshots of a `splat train --snapshots` run in the Rerun viewer, or writes them to a file for it; see
+//! `docs/RERUN.md`.
 
 mod run;
 mod show;
@@ -18,22 +19,22 @@ use re_sdk::{RecordingStream, RecordingStreamBuilder};
 use self::run::Folder;
 use self::show::Shown;
 
-/// Time between looks at the folder of a run that goes on.
+/// Interval between two checks of the folder of a run in progress.
 const BETWEEN_LOOKS: Duration = Duration::from_secs(1);
 
-/// Show what a run of `splat train --snapshots` kept, in the Rerun viewer.
+/// Show the snapshots of a `splat train --snapshots` run in the Rerun viewer
 #[derive(Debug, Parser)]
 #[command(version)]
 struct Args {
-    /// The run's output folder
+    /// Output folder of the run
     out: PathBuf,
-    /// Write a file that the viewer opens
+    /// Write a recording that the viewer can open
     #[arg(long, value_name = "FILE.rrd", required_unless_present = "connect", conflicts_with = "connect")]
     save: Option<PathBuf>,
-    /// Show it in a viewer that listens, at this address
+    /// Send the data to a running viewer at this address
     #[arg(long, value_name = "URL", num_args = 0..=1, default_missing_value = "rerun+http://127.0.0.1:9876/proxy")]
     connect: Option<String>,
-    /// Go on until the run is at its last step
+    /// Follow a run in progress until its last step
     #[arg(long)]
     follow: bool,
 }
@@ -47,22 +48,22 @@ fn main() -> Result<()> {
             let recording =
                 builder.connect_grpc_opts(url.as_str()).with_context(|| format!("could not connect to {url}"))?;
             show(&recording, &args.out, args.follow)?;
-            recording.flush_blocking().with_context(|| format!("no viewer takes it at {url}: start one with `rerun`"))
+            recording.flush_blocking().with_context(|| format!("no viewer answers at {url}: start one with `rerun`"))
         }
         (None, None) => unreachable!("clap asks for one of the two"),
     }
 }
 
-/// Writes a file, which appears under its name when it is complete.
+/// Writes a recording to a file, which appears under its name only when it is complete.
 fn save(builder: RecordingStreamBuilder, out: &Path, path: &Path, follow: bool) -> Result<()> {
-    let mut name = path.file_name().with_context(|| format!("{} is no name of a file", path.display()))?.to_owned();
+    let mut name = path.file_name().with_context(|| format!("{} is not a file name", path.display()))?.to_owned();
     name.push(format!(".tmp-{}", process::id()));
     let temporary = path.with_file_name(name);
     let write = || -> Result<()> {
         let recording = builder.save(&temporary)?;
         show(&recording, out, follow)?;
         recording.flush_blocking()?;
-        // The end of the file is written when nobody writes to it any longer.
+        // Dropping the recording writes the end of the file.
         drop(recording);
         Ok(fs::rename(&temporary, path)?)
     };

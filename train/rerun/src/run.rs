@@ -1,4 +1,4 @@
-//! What `splat train --snapshots` leaves in a run's folder, as `train/src/snapshots.rs` writes it.
+//! The files that `splat train --snapshots` writes to a run's folder. Their writer is `train/src/snapshots.rs`.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -7,18 +7,18 @@ use anyhow::{Context, Result, bail};
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
 
-/// A file of JSON is no larger: a camera takes half a kilobyte, a point of a curve a tenth of one.
+/// Largest accepted JSON file, bytes. A camera takes half a kilobyte, a point of a curve a tenth of one.
 const MOST_BYTES: u64 = 256 << 20;
 
 /// `run.json`.
 #[derive(Debug, Deserialize)]
 pub struct Run {
-    /// That the run takes.
+    /// Number of steps of the run.
     pub steps: usize,
     pub views: Vec<View>,
 }
 
-/// A photograph's camera: OpenCV axes, pixel centres at half numbers.
+/// Camera of a photograph: OpenCV axes, pixel centres at half-integers.
 #[derive(Debug, Deserialize)]
 pub struct View {
     pub name: String,
@@ -42,9 +42,9 @@ pub struct History {
 #[derive(Debug, Deserialize)]
 pub struct Point {
     pub step: usize,
-    /// Of training.
+    /// Training time so far, s.
     pub seconds: f64,
-    /// None where it was not finite.
+    /// Training loss; `None` where it was not finite.
     pub loss: Option<f64>,
     pub splats: usize,
 }
@@ -58,7 +58,7 @@ pub struct Score {
     pub lpips: Option<f64>,
 }
 
-/// `snapshot.json`, and where it is.
+/// `snapshot.json`, with its folder.
 #[derive(Debug, Deserialize)]
 pub struct Snapshot {
     pub step: usize,
@@ -70,7 +70,7 @@ pub struct Snapshot {
 #[derive(Debug, Deserialize)]
 pub struct Seen {
     pub name: String,
-    /// A file beside `snapshot.json`.
+    /// Name of a file beside `snapshot.json`: the render.
     pub picture: PathBuf,
 }
 
@@ -79,35 +79,37 @@ impl Snapshot {
         self.folder.join("scene.ply")
     }
 
-    /// Of a view.
+    /// Reads the render of a view.
     ///
     /// # Errors
-    /// If it cannot be read, or would be somewhere else.
+    /// If it cannot be read, or lies outside the snapshot's folder.
     pub fn picture(&self, seen: &Seen) -> Result<Vec<u8>> {
         if seen.picture.file_name() != Some(seen.picture.as_os_str()) {
-            bail!("{}: {:?} is no file of the snapshot", self.folder.display(), seen.picture);
+            bail!("{}: {:?} is not a file of the snapshot", self.folder.display(), seen.picture);
         }
         bytes(&self.folder.join(&seen.picture))
     }
 }
 
-/// The folder of a run's snapshots.
+/// The folder with the snapshots of a run.
 pub struct Folder(PathBuf);
 
 impl Folder {
-    /// Of the run whose output folder this is.
+    /// Returns the snapshot folder of the run whose output folder is `out`.
     pub fn of(out: &Path) -> Self {
         Self(out.join("snapshots"))
     }
 
+    /// Reads `run.json`.
+    ///
     /// # Errors
-    /// If there is none, or it cannot be read.
+    /// If the file is missing or cannot be read.
     pub fn run(&self) -> Result<Run> {
         let remedy = "is this the output folder of a run of `splat train --snapshots`?";
         json(&self.0.join("run.json")).with_context(|| format!("{}: {remedy}", self.0.display()))
     }
 
-    /// The curves so far.
+    /// Reads the curves so far.
     ///
     /// # Errors
     /// If they cannot be read.
@@ -116,16 +118,16 @@ impl Folder {
         if path.exists() { json(&path) } else { Ok(History::default()) }
     }
 
-    /// The snapshots after step `after`, or all, in the order of their steps.
+    /// Reads the snapshots after step `after`, or all of them, in the order of their steps.
     ///
     /// # Errors
-    /// If one cannot be read.
+    /// If one of them cannot be read.
     pub fn snapshots(&self, after: Option<usize>) -> Result<Vec<Snapshot>> {
         let entries = fs::read_dir(&self.0).with_context(|| format!("could not list {}", self.0.display()))?;
         let mut found = Vec::new();
         for folder in entries.filter_map(|entry| Some(entry.ok()?.path())) {
             let file = folder.join("snapshot.json");
-            // Written last: without it the snapshot is still being taken, or is none.
+            // This file is written last: without it, the snapshot is incomplete or the folder holds none.
             if !file.exists() {
                 continue;
             }

@@ -1,12 +1,12 @@
-//! A run as Rerun's entities, on the timelines `step` and `training` (time that training has taken).
+//! A run as Rerun entities, on the timelines `step` and `training` (training time so far).
 //!
 //! | entity | holds |
 //! |---|---|
 //! | `world/cameras/train/NAME`, `world/cameras/test/NAME` | pinhole and pose of a photograph, for all times |
-//! | `world/cameras/test/NAME/render` | the scene's render of it |
+//! | `world/cameras/test/NAME/render` | render of the scene from that camera |
 //! | `world/splats` | splats as points: colour and opacity, and the geometric mean of the standard deviations as radius |
-//! | `curves/loss`, `curves/splats` | of training |
-//! | `test/psnr`, `test/ssim`, `test/lpips` | means over the test views that are looked at during the run |
+//! | `curves/loss`, `curves/splats` | training loss, number of splats |
+//! | `test/psnr`, `test/ssim`, `test/lpips` | means over the held-out views that are evaluated during the run |
 
 use anyhow::{Context, Result};
 use re_sdk::{EntityPath, EntityPathPart, RecordingStream};
@@ -15,20 +15,20 @@ use re_sdk_types::components::{TransformRelation, ViewCoordinates};
 
 use crate::run::{Folder, Run, Snapshot, View};
 
-/// How far it is from a camera to its picture, as a part of how far cameras are apart.
+/// Distance from a camera to its image plane, as a fraction of the distance between cameras.
 const FRUSTUM: f64 = 0.2;
 
-/// What was shown of a run already.
+/// The part of a run that is shown already.
 #[derive(Debug, Default)]
 pub struct Shown {
     points: usize,
     scores: usize,
-    /// The last snapshot's step.
+    /// Step of the last snapshot.
     snapshot: Option<usize>,
 }
 
 impl Shown {
-    /// Shows the cameras, which do not change.
+    /// Logs the cameras, which do not change.
     ///
     /// # Errors
     /// If they cannot be logged.
@@ -42,10 +42,10 @@ impl Shown {
         Ok(Self::default())
     }
 
-    /// Shows what is new in the folder, and tells the last step that it knows of.
+    /// Logs whatever is new in the folder and returns the last step found there.
     ///
     /// # Errors
-    /// If a file cannot be read, or is not what `splat train` writes.
+    /// If a file cannot be read, or was not written by `splat train`.
     pub fn update(&mut self, recording: &RecordingStream, folder: &Folder) -> Result<usize> {
         let history = folder.history()?;
         for point in history.points.iter().skip(self.points) {
@@ -70,7 +70,7 @@ impl Shown {
     }
 }
 
-/// What is logged from now on is of this moment.
+/// Sets the time of all data logged from now on.
 fn at(recording: &RecordingStream, step: usize, seconds: Option<f64>) {
     recording.reset_time();
     recording.set_time_sequence("step", step as i64);
@@ -79,7 +79,7 @@ fn at(recording: &RecordingStream, step: usize, seconds: Option<f64>) {
     }
 }
 
-/// Nothing where there is no value: no measurement is no zero.
+/// Logs a value. An absent value logs nothing, because a missing measurement is not zero.
 fn scalar(recording: &RecordingStream, path: &str, value: Option<f64>) -> Result<()> {
     if let Some(value) = value {
         recording.log(path, &Scalars::new([value]))?;
@@ -98,7 +98,7 @@ fn snapshot(recording: &RecordingStream, taken: &Snapshot) -> Result<()> {
     Ok(())
 }
 
-/// A name is one part, whatever it holds.
+/// A camera's entity path. A name is a single part of the path, whatever characters it holds.
 fn camera(is_test: bool, name: &str) -> EntityPath {
     let parts = ["world", "cameras", if is_test { "test" } else { "train" }, name];
     EntityPath::new(parts.map(EntityPathPart::new).to_vec())
@@ -107,12 +107,13 @@ fn camera(is_test: bool, name: &str) -> EntityPath {
 fn pose(view: &View) -> Transform3D {
     let rows = view.cam_from_world;
     let column = |i: usize| [rows[0][i] as f32, rows[1][i] as f32, rows[2][i] as f32];
-    // Rerun's matrices are columns, and it would take a transform for the other way round.
+    // Rerun's matrices are column-major, and its default relation is parent from child, the inverse of
+    // `cam_from_world`.
     Transform3D::from_translation_mat3x3(column(3), [column(0), column(1), column(2)])
         .with_relation(TransformRelation::ChildFromParent)
 }
 
-/// Rerun's pixels begin where ours do, at the corner of the first.
+/// The pinhole of a view. Rerun's pixel coordinates begin at the corner of the first pixel, as ours do.
 fn pinhole(view: &View, distance: f32) -> Pinhole {
     let number = |value: f64| value as f32;
     Pinhole::new([[number(view.fx), 0.0, 0.0], [0.0, number(view.fy), 0.0], [number(view.cx), number(view.cy), 1.0]])
@@ -121,7 +122,8 @@ fn pinhole(view: &View, distance: f32) -> Pinhole {
         .with_image_plane_distance(distance)
 }
 
-/// How far cameras are from the nearest other, about: the edge of a cube around all, by the root of their number.
+/// Approximate distance between neighbouring cameras: the edge of the cube around all of them, divided by the square
+/// root of their number.
 fn spacing(views: &[View]) -> f64 {
     let centre = |view: &View| {
         let rows = view.cam_from_world;

@@ -1,4 +1,4 @@
-//! A run is shown, and read back with Rerun's own reader.
+//! A run is shown and then read back with Rerun's own reader.
 
 use std::collections::BTreeMap;
 use std::fs::{self, File};
@@ -15,10 +15,10 @@ use serde_json::json;
 
 use super::*;
 
-/// An entity's chunks, which are static or have the steps of their rows.
+/// Chunks by entity. A chunk is static or has a step for each row.
 type Entities = BTreeMap<String, Vec<Chunk>>;
 
-/// The output folder of a run of 20 steps, two cameras, and one snapshot that is complete and one that is not.
+/// The output folder of a run of 20 steps with two cameras, one complete snapshot and one incomplete snapshot.
 fn run() -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
     let snapshots = folder.path().join("snapshots");
@@ -27,7 +27,7 @@ fn run() -> tempfile::TempDir {
         fs::create_dir_all(path.parent().unwrap()).unwrap();
         fs::write(path, text).unwrap();
     };
-    // One at the origin that looks along z, one two units to its right that looks along -x.
+    // One camera at the origin that looks along z, and one two units to its right that looks along -x.
     let view = |name: &str, is_test: bool, pose: [[f64; 4]; 3]| {
         json!({
             "name": name, "is_test": is_test, "model": "Pinhole", "width": 32, "height": 24,
@@ -69,7 +69,7 @@ fn read(path: &Path) -> Entities {
     entities
 }
 
-/// The values of a component of an entity, by row.
+/// The values of a component of an entity, row by row.
 fn values<C: Component>(entities: &Entities, path: &str, component: &'static str) -> Vec<Vec<C>> {
     let chunks = entities.get(path).unwrap_or_else(|| panic!("no {path} among {:?}", entities.keys()));
     let rows = |chunk: &Chunk| {
@@ -100,7 +100,7 @@ fn what_is_written_is_read_back() {
     assert!(found[camera].iter().all(Chunk::is_static));
     let projection = &values::<PinholeProjection>(&found, camera, "Pinhole:image_from_camera")[0][0];
     assert_eq!(projection.0.0, [30.0, 0.0, 0.0, 0.0, 31.0, 0.0, 15.5, 12.5, 1.0]);
-    // By columns, from the world to the camera.
+    // Columns of the rotation from world to camera.
     let rotation = &values::<TransformMat3x3>(&found, camera, "Transform3D:mat3x3")[0][0];
     assert_eq!(rotation.0.0, [0.0, 0.0, -1.0, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0]);
     let translation = &values::<Translation3D>(&found, camera, "Transform3D:translation")[0][0];
@@ -112,7 +112,7 @@ fn what_is_written_is_read_back() {
     let positions = &values::<Position3D>(&found, "/world/splats", "Points3D:positions")[0];
     assert_eq!(positions[..], [Position3D::new(1.0, 2.0, 3.0), Position3D::new(4.0, 5.0, 6.0)]);
     let colours = &values::<Color>(&found, "/world/splats", "Points3D:colors")[0];
-    // Half grey plus the coefficient by the first harmonic, 0.2821; opacity 1/2, and 1.
+    // Half grey plus the coefficient times the harmonic of degree 0, 0.2821; opacities 1/2 and 1.
     let expected =
         [Color::from_unmultiplied_rgba(128, 128, 255, 128), Color::from_unmultiplied_rgba(128, 128, 128, 255)];
     assert_eq!(colours[..], expected);
@@ -123,7 +123,7 @@ fn what_is_written_is_read_back() {
         let values = values::<Scalar>(&found, path, "Scalars:scalars");
         values.iter().map(|row| row[0].0.0).collect::<Vec<f64>>()
     };
-    // A loss that is not finite and an LPIPS that was not measured are not there.
+    // A loss that is not finite and an LPIPS that was not measured are absent.
     assert_eq!((curve("/curves/loss"), curve("/curves/splats")), (vec![0.25], vec![100.0, 200.0]));
     assert_eq!((curve("/test/psnr"), curve("/test/ssim")), (vec![20.5], vec![0.75]));
     assert_eq!((steps(&found, "/curves/splats"), steps(&found, "/test/psnr")), (vec![10, 20], vec![10]));
@@ -170,7 +170,7 @@ fn what_is_no_run_is_refused_and_leaves_no_file() {
     refused("000010/scene.ply", Some("ply\n"), "scene.ply");
     refused("000010/0.png", None, "0.png");
     let elsewhere = r#"{"step": 10, "views": [{"name": "b 2.png", "picture": "../run.json"}]}"#;
-    refused("000010/snapshot.json", Some(elsewhere), "no file of the snapshot");
+    refused("000010/snapshot.json", Some(elsewhere), "not a file of the snapshot");
     assert_eq!(fs::read(&path).unwrap(), b"before");
     let names = fs::read_dir(folder.path()).unwrap().map(|entry| entry.unwrap().file_name());
     assert_eq!(names.count(), 2, "a temporary file is left");

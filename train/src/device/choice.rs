@@ -1,4 +1,4 @@
-//! Which of a machine's adapters a name stands for.
+//! Choice of an adapter by name.
 
 use std::fmt::{self, Display};
 
@@ -6,23 +6,23 @@ use anyhow::{Result, anyhow};
 
 use super::{DeviceName, Runtime};
 
-/// What an adapter is, best first.
+/// Kind of an adapter, best first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Kind {
     /// A graphics card.
     Discrete,
-    /// Part of the processor.
+    /// A GPU that is part of the processor.
     Integrated,
-    /// Of a virtual machine.
+    /// A GPU of a virtual machine.
     Virtual,
-    /// The driver does not say.
+    /// The driver does not report a kind.
     Unknown,
-    /// A driver that computes on the processor.
+    /// A driver that renders on the CPU.
     Software,
 }
 
 impl Kind {
-    /// Whether it is surely a GPU.
+    /// Whether it is certainly a GPU.
     fn is_gpu(self) -> bool {
         self <= Self::Virtual
     }
@@ -40,28 +40,28 @@ impl Display for Kind {
     }
 }
 
-/// One line of `splat devices`.
+/// An adapter, one line of `splat devices`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Adapter {
-    /// Through which it is reached. A card that two runtimes reach is two adapters.
+    /// Runtime that reaches it. A card that two runtimes reach is two adapters.
     pub runtime: Runtime,
-    /// Its place among the adapters of its runtime.
+    /// Index among the adapters of its runtime.
     pub index: usize,
-    /// What it is.
+    /// Kind of the adapter.
     pub kind: Kind,
 }
 
 impl Adapter {
-    /// What to pass to `--device` for this one.
+    /// The value of `--device` that selects this adapter.
     pub fn name(&self) -> DeviceName {
         DeviceName::Adapter(self.runtime, Some(self.index))
     }
 }
 
-/// The adapter that a name stands for; `None` for the CPU.
+/// Returns the adapter that a name selects; `None` for the CPU.
 ///
 /// # Errors
-/// If a GPU is asked for and none of `adapters` will do: what was looked for, and what to do.
+/// If a GPU is asked for and no adapter matches; the message names the drivers looked for and the remedy.
 pub fn choose(name: DeviceName, adapters: &[Adapter]) -> Result<Option<Adapter>> {
     let best = |admitted: &dyn Fn(&Adapter) -> bool| {
         let admitted = adapters.iter().filter(|adapter| admitted(adapter));
@@ -88,21 +88,21 @@ pub fn choose(name: DeviceName, adapters: &[Adapter]) -> Result<Option<Adapter>>
 fn out_of_range(runtime: Runtime, index: usize, count: usize) -> anyhow::Error {
     let prefix = runtime.prefix();
     let range = match count {
-        1 => format!("there is `{prefix}:0` alone"),
+        1 => format!("there is only `{prefix}:0`"),
         count => format!("numbers go from `{prefix}:0` to `{prefix}:{}`", count - 1),
     };
-    anyhow!("there is no adapter `{prefix}:{index}`: {range}; `splat devices` lists what there is")
+    anyhow!("there is no adapter `{prefix}:{index}`: {range}; `splat devices` lists all devices")
 }
 
 fn nothing_found(name: DeviceName, runtimes: &[Runtime]) -> anyhow::Error {
     if runtimes.is_empty() {
         return anyhow!(
-            "this program is built for the CPU alone: build it with its default features, or pass `--device cpu`"
+            "this program is built for the CPU only: build it with its default features, or pass `--device cpu`"
         );
     }
     let looked_for: Vec<&str> = runtimes.iter().map(|runtime| looked_for(*runtime)).collect();
     let mut advice: Vec<&str> = runtimes.iter().map(|runtime| advice(*runtime)).collect();
-    // wgpu alone and wgpu with Vulkan need the same.
+    // Wgpu alone and wgpu with Vulkan need the same driver.
     advice.dedup();
     anyhow!(
         "`--device {name}` finds no adapter: looked for {}. Install {}; or pass `--device cpu`",
@@ -111,7 +111,7 @@ fn nothing_found(name: DeviceName, runtimes: &[Runtime]) -> anyhow::Error {
     )
 }
 
-/// What a runtime needs, as wgpu and the makers' libraries look for it on this system.
+/// The drivers that a runtime looks for on this system.
 fn looked_for(runtime: Runtime) -> &'static str {
     match runtime {
         Runtime::Wgpu if cfg!(target_os = "macos") => "Metal adapters",
@@ -131,7 +131,7 @@ fn advice(runtime: Runtime) -> &'static str {
              AMD, Intel and a driver in software, or NVIDIA's own driver)"
         }
         Runtime::Wgpu | Runtime::Vulkan => "the GPU's driver",
-        Runtime::Metal => "macOS, which alone has Metal",
+        Runtime::Metal => "macOS, the only system with Metal",
         Runtime::Cuda => "NVIDIA's driver",
         Runtime::Rocm => "AMD's ROCm",
     }
@@ -220,7 +220,7 @@ mod tests {
         let message = refused(DeviceName::Adapter(WGPU, Some(2)), &all);
         assert!(message.contains("`gpu:2`") && message.contains("`gpu:0` to `gpu:1`"), "{message}");
         let message = refused(DeviceName::Adapter(Runtime::Cuda, Some(7)), &all);
-        assert!(message.contains("`cuda:7`") && message.contains("`cuda:0` alone"), "{message}");
+        assert!(message.contains("`cuda:7`") && message.contains("only `cuda:0`"), "{message}");
     }
 
     #[test]

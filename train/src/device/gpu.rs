@@ -1,4 +1,4 @@
-//! The adapters of this machine.
+//! Adapters of this machine.
 
 use anyhow::{Result, anyhow, bail};
 use burn::backend::{CubeDevice, DispatchDevice};
@@ -7,7 +7,7 @@ use splat_op::Abilities;
 
 use super::{Adapter, Facts, Found, Kind, Runtime};
 
-/// The adapters of some runtimes, in the order of the runtimes and then of their own numbers. Empty without a driver.
+/// Lists the adapters of some runtimes, in the order of the runtimes and then by index. Empty without a driver.
 pub fn list(runtimes: &[Runtime]) -> Vec<Found> {
     let of = |&runtime| {
         let found = move |(index, device)| Found { adapter: Adapter { runtime, index, kind: kind(&device) }, device };
@@ -47,22 +47,22 @@ fn kind(device: &Device) -> Kind {
                 _ => Kind::Unknown,
             }
         }
-        // Makers' runtimes list cards and nothing else; almost all of them are discrete.
+        // The makers' runtimes list only their own cards, almost all of which are discrete.
         DispatchDevice::Cube(CubeDevice::Cuda(_) | CubeDevice::Hip(_)) => Kind::Discrete,
         _ => Kind::Unknown,
     }
 }
 
-/// Opens an adapter for the rest of the process and says what it is.
+/// Opens an adapter for the rest of the process and returns its properties.
 ///
 /// # Errors
 /// If its driver refuses.
 pub fn open(found: &Found) -> Result<Facts> {
     let name = found.adapter.name();
     let refused =
-        |why: &str| anyhow!("cannot open the adapter `{name}`: {why}. Look after its driver, or pass `--device cpu`");
+        |why: &str| anyhow!("cannot open the adapter `{name}`: {why}. Check its driver, or pass `--device cpu`");
     let DispatchDevice::Cube(device) = found.device.as_dispatch() else {
-        bail!("`{name}` is no adapter");
+        bail!("`{name}` is not an adapter");
     };
     let interface = open_through_wgpu(device).map_err(|error| refused(&error))?;
     let client = device.client();
@@ -78,8 +78,8 @@ pub fn open(found: &Found) -> Result<Facts> {
     })
 }
 
-/// Opens what wgpu drives, in the way that reports a failure instead of panicking. The name of the graphics interface;
-/// none for other runtimes, and for what was open already.
+/// Opens an adapter of wgpu by the call that reports a failure instead of panicking. Returns the name of the graphics
+/// interface; `None` for other runtimes and for an adapter that was open already.
 #[cfg(feature = "wgpu")]
 fn open_through_wgpu(device: &CubeDevice) -> Result<Option<&'static str>, String> {
     use burn::backend::wgpu::graphics::AutoGraphicsApi;
@@ -105,7 +105,7 @@ fn open_through_wgpu(_: &CubeDevice) -> Result<Option<&'static str>, String> {
     Ok(None)
 }
 
-/// What kernels are compiled to, from CubeCL's name of the runtime.
+/// The language that kernels are compiled to, from CubeCL's name of the runtime.
 fn language(runtime: &str) -> &str {
     match runtime {
         "wgpu<wgsl>" => "WGSL",

@@ -1,4 +1,4 @@
-//! Devices by name: what the command line takes, what the machine has, and which of it is meant.
+//! Devices by name: the names that the command line accepts, the adapters of the machine, and the choice among them.
 
 mod choice;
 mod name;
@@ -8,7 +8,7 @@ mod gpu;
 
 #[cfg(not(feature = "cube"))]
 mod gpu {
-    //! Nothing to find in a program for the CPU alone.
+    //! Lists no adapters: this program is built for the CPU only.
 
     use anyhow::{Result, bail};
 
@@ -19,7 +19,7 @@ mod gpu {
     }
 
     pub fn open(found: &Found) -> Result<Facts> {
-        bail!("`{}` is in another program than this, which is for the CPU alone", found.adapter.name())
+        bail!("`{}` is not supported: this program is built for the CPU only", found.adapter.name())
     }
 }
 
@@ -34,29 +34,29 @@ pub use name::{DeviceName, Runtime, help};
 
 use crate::progress;
 
-/// An adapter and Burn's handle of it, which opens it at the first use.
+/// An adapter with Burn's handle, which opens it at the first use.
 #[derive(Clone, Debug)]
 pub struct Found {
-    /// What is known without opening it.
+    /// Properties known without opening it.
     pub adapter: Adapter,
-    /// For tensors.
+    /// Burn's device, for tensors.
     pub device: Device,
 }
 
-/// What an adapter says of itself once it is open. Printed on one line: what it is and how it is driven.
+/// Properties of an open adapter. `Display` prints the name, kind and runtime on one line.
 #[derive(Clone, Debug)]
 pub struct Facts {
-    /// The part's name.
+    /// Name of the hardware.
     pub name: String,
-    /// What it is.
+    /// Kind of the adapter.
     pub kind: Kind,
-    /// The graphics interface and the language of the kernels, or the maker's runtime.
+    /// Graphics interface and language of the kernels, or the maker's runtime.
     pub runtime: String,
-    /// The largest buffer, bytes.
+    /// Largest buffer, bytes.
     pub buffer_limit: u64,
-    /// Whether f32 can be added atomically.
+    /// Whether atomic additions of f32 are supported.
     pub float_atomics: bool,
-    /// Whether the units of a plane (subgroup, warp) can compute together.
+    /// Whether operations across the units of a plane (subgroup, warp) are supported.
     pub planes: bool,
 }
 
@@ -67,10 +67,10 @@ impl Display for Facts {
 }
 
 impl DeviceName {
-    /// The device, and what `metrics.json` calls it; standard error says what is computed on.
+    /// Returns the device and its name in `metrics.json`, and prints the name to standard error.
     ///
     /// # Errors
-    /// If an adapter is asked for that is not there, or its driver refuses.
+    /// If the adapter asked for does not exist, or its driver refuses.
     pub fn resolve(self) -> Result<(Device, String)> {
         let (found, adapters) = self.find()?;
         let Some(found) = found else {
@@ -84,10 +84,10 @@ impl DeviceName {
         Ok((found.device, name))
     }
 
-    /// The adapter that a name stands for on this machine, `None` for the CPU; and all that were considered.
+    /// Returns the adapter that a name selects on this machine, `None` for the CPU, and all adapters considered.
     ///
     /// # Errors
-    /// If an adapter is asked for that is not there.
+    /// If the adapter asked for does not exist.
     pub fn find(self) -> Result<(Option<Found>, Vec<Adapter>)> {
         let found = list(&self.runtimes());
         let adapters: Vec<Adapter> = found.iter().map(|found| found.adapter).collect();
@@ -95,7 +95,7 @@ impl DeviceName {
         Ok((found.into_iter().find(|found| Some(found.adapter) == chosen), adapters))
     }
 
-    /// Those that have to be asked for adapters. A GPU's driver takes a while to start, so none without need.
+    /// The runtimes to query for adapters. A GPU's driver takes a while to start, so none is queried without need.
     fn runtimes(self) -> Vec<Runtime> {
         match self {
             Self::Cpu | Self::Flex | Self::Ndarray => Vec::new(),
@@ -104,16 +104,16 @@ impl DeviceName {
         }
     }
 
-    /// The CPU backend that a name stands for where it stands for no adapter.
+    /// The CPU backend of a name that selects no adapter.
     fn cpu(self) -> (Device, &'static str) {
         if self == Self::Ndarray { (ndarray(), "ndarray") } else { (Device::flex(), "flex") }
     }
 }
 
-/// Why `auto` takes none of these.
+/// The reason why `auto` chooses none of these adapters.
 pub fn why_cpu(adapters: &[Adapter]) -> String {
     match adapters.iter().min_by_key(|adapter| adapter.kind) {
-        _ if Runtime::built().is_empty() => "this program is built for the CPU alone".into(),
+        _ if Runtime::built().is_empty() => "this program is built for the CPU only".into(),
         None => "no GPU found".into(),
         Some(best) => format!("no GPU found but `{}` ({}), which `--device gpu` takes", best.name(), best.kind),
     }

@@ -1,12 +1,12 @@
-//! What `--device` takes.
+//! The values of `--device`.
 
 use std::fmt::{self, Display};
 use std::str::FromStr;
 
-/// Where to compute, as the command line names it.
+/// Device to compute on, as named on the command line.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum DeviceName {
-    /// A GPU if there is one, else the CPU. A software adapter is no GPU here: the CPU is faster without it.
+    /// A GPU if there is one, otherwise the CPU. A software adapter does not count: the CPU is faster without it.
     #[default]
     Auto,
     /// The faster of the CPU backends: `flex`.
@@ -15,32 +15,32 @@ pub enum DeviceName {
     Flex,
     /// Burn's older CPU backend, deprecated by Burn.
     Ndarray,
-    /// The best adapter of any runtime, one in software if there is nothing better.
+    /// The best adapter of any runtime; a software adapter only if there is no other.
     Gpu,
-    /// An adapter of one runtime, by its number in `splat devices`; the best of them without a number.
+    /// An adapter of one runtime, by its index in `splat devices`; without an index, the best of them.
     Adapter(Runtime, Option<usize>),
 }
 
-/// What drives a GPU. A runtime is also a cargo feature, of the same name.
+/// Runtime that drives a GPU; also the name of a cargo feature.
 ///
-/// Ordered by preference where several reach the same card: a runtime for one maker's cards is built in only by those
-/// who want it.
+/// Ordered by preference where several reach the same card: a runtime for one maker's cards is built in only on
+/// request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Runtime {
     /// NVIDIA's CUDA.
     Cuda,
     /// AMD's ROCm.
     Rocm,
-    /// Metal through wgpu, kernels in its own language.
+    /// Metal through wgpu, with kernels in Metal's language.
     Metal,
-    /// Vulkan through wgpu, kernels in SPIR-V.
+    /// Vulkan through wgpu, with kernels in SPIR-V.
     Vulkan,
-    /// Whichever graphics interface the system offers, through wgpu.
+    /// Any graphics interface that the system offers, through wgpu.
     Wgpu,
 }
 
 impl Runtime {
-    /// All, whether this build has them or not.
+    /// All runtimes, whether this build has them or not.
     pub const ALL: [Self; 5] = [Self::Wgpu, Self::Vulkan, Self::Metal, Self::Cuda, Self::Rocm];
 
     /// Whether the program was built with it.
@@ -54,7 +54,7 @@ impl Runtime {
         }
     }
 
-    /// Those that the program was built with.
+    /// The runtimes that the program was built with.
     pub fn built() -> Vec<Self> {
         Self::ALL.into_iter().filter(|runtime| runtime.is_built()).collect()
     }
@@ -70,7 +70,7 @@ impl Runtime {
         }
     }
 
-    /// What its adapters are called on the command line, before the number.
+    /// Prefix of its adapters on the command line, before the index.
     pub fn prefix(self) -> &'static str {
         if self == Self::Wgpu { "gpu" } else { self.feature() }
     }
@@ -121,17 +121,18 @@ impl FromStr for DeviceName {
                 names()
             ));
         }
-        let index = index.map(|index| index.parse().map_err(|_| format!("{index:?} is no number, as in `{name}:0`")));
+        let index =
+            index.map(|index| index.parse().map_err(|_| format!("{index:?} is not a number, as in `{name}:0`")));
         Ok(Self::Adapter(runtime, index.transpose()?))
     }
 }
 
-/// The help of `--device`.
+/// Returns the help text of `--device`.
 pub fn help() -> String {
-    format!("Where to compute: {}; `splat devices` says what there is", names())
+    format!("Device to compute on: {}; `splat devices` lists them", names())
 }
 
-/// What this build accepts, as a list in a sentence.
+/// The values that this build accepts, as a list in a sentence.
 fn names() -> String {
     let mut names: Vec<&str> = vec!["auto", "cpu", "flex", "ndarray"];
     let built = Runtime::built();
@@ -174,7 +175,7 @@ mod tests {
         for runtime in Runtime::ALL {
             let name = format!("{}:x", runtime.prefix());
             let expected =
-                if runtime.is_built() { "is no number".into() } else { format!("--features {}", runtime.feature()) };
+                if runtime.is_built() { "is not a number".into() } else { format!("--features {}", runtime.feature()) };
             assert!(refusal(&name).contains(&expected), "{name}: {}", refusal(&name));
         }
     }

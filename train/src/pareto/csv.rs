@@ -1,11 +1,11 @@
-//! `pareto.csv`: all that was measured, a line per setting (RFC 4180).
+//! `pareto.csv`: all measurements, a line per setting (RFC 4180).
 
 use splat_model::accuracy::{Judge, Spread};
 
 use super::dials::Role;
 use super::measure::Row;
 
-/// The columns.
+/// Names of the columns.
 const HEADER: [&str; 23] = [
     "name",
     "role",
@@ -32,7 +32,7 @@ const HEADER: [&str; 23] = [
     "on_frontier",
 ];
 
-/// The file's text. `members` are the rows on the frontier of renders.
+/// Returns the file's text. `members` are the rows on the frontier of renders.
 pub fn text(rows: &[Row], members: &[usize]) -> String {
     let mut text = HEADER.join(",");
     text.push_str("\r\n");

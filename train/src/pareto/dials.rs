@@ -1,15 +1,15 @@
-//! What is measured: presets, every value of every dial on its own, and combinations. Dials themselves are in the table of the
-//! library, [`DIALS`]: one more there is measured here without another line.
+//! Settings to measure: presets, every value of every dial on its own, and combinations. The dials are the library's
+//! table [`DIALS`]; a dial added there is measured here without further code.
 
 use splat_model::accuracy::{DIALS, Dial, Judge, Preset, Setting};
 use splat_op::RenderOptions;
 
-/// Why a setting is measured.
+/// Reason to measure a setting.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Role {
     /// One of the presets.
     Preset,
-    /// One dial turned, the others as in the standard.
+    /// One dial turned, the others at the standard.
     Dial(&'static str),
     /// Several dials turned.
     Combination,
@@ -18,17 +18,17 @@ pub enum Role {
 /// One setting to be measured.
 #[derive(Clone, Debug)]
 pub struct Candidate {
-    /// What reports call it.
+    /// Name in reports.
     pub name: String,
     pub role: Role,
     /// The dials that are turned.
     pub setting: Setting,
-    /// What is rendered with.
+    /// Options to render with.
     pub options: RenderOptions,
 }
 
-/// Combinations that are worth a look: what stops early beside what skips little. The other two combinations, every dial at
-/// its most accurate and every dial at its coarsest, follow from the table.
+/// Combinations of interest, of the thresholds on alpha and on transmittance. Two more, every dial at its most accurate
+/// and every dial at its coarsest, follow from the table.
 const COMBINATIONS: &[(&str, &[(&str, &str)])] = &[
     ("half-way to fast", &[("alpha_min", "2/255"), ("transmittance_min", "1e-3")]),
     ("open layers", &[("alpha_max", "0.999"), ("transmittance_min", "1e-5")]),
@@ -40,22 +40,22 @@ impl Candidate {
         Self { name: name.into(), role, options: setting.apply(*base), setting }
     }
 
-    /// What it is judged against.
+    /// Reference that the setting is judged against.
     pub fn judge(&self) -> Judge {
         self.setting.judge()
     }
 }
 
-/// All settings around `base`, which is the standard with the scene's own model choices. On a CPU those are left out that make
-/// a difference on a GPU alone, for cameras with a lens those that know no lens; without `choices` also those that turn a model
-/// choice.
+/// Returns all settings around `base`, the standard with the scene's own model choices. The flags include dials
+/// that matter on a GPU only (`gpu`), dials for pinhole cameras only (`pinholes`), and settings that turn a model
+/// choice (`choices`).
 pub fn candidates(base: &RenderOptions, [gpu, pinholes, choices]: [bool; 3]) -> Vec<Candidate> {
     let dials = || DIALS.iter().filter(move |dial| (gpu || !dial.gpu_only) && (pinholes || !dial.pinhole_only));
     let presets =
         Preset::ALL.into_iter().map(|preset| Candidate::new(preset.name(), Role::Preset, preset.setting(), base));
     let mut all: Vec<Candidate> = presets.collect();
     for dial in dials() {
-        // The value at which the base stands is the base.
+        // The base's own value would give the base again.
         let others = dial.values.iter().filter(|value| (value.set)(*base) != *base);
         all.extend(others.filter_map(|value| {
             let setting = Setting::new([(dial.name, value.name)]).ok()?;

@@ -1,4 +1,4 @@
-//! Checks of every setting against what is exact; their times are in `time.rs`.
+//! Checks of every setting against the exact reference; the times are in `time.rs`.
 
 use std::time::Duration;
 
@@ -14,38 +14,38 @@ use super::yardstick::{Truth, check_crops};
 use crate::memory::peak_mib;
 use crate::progress;
 
-/// Parameters whose exact gradients are smaller than this share of the largest are not judged: such gradients are rounding, as
-/// those of the rotations of spheres.
+/// Parameters whose exact gradients are smaller than this fraction of the largest are not judged: such gradients are
+/// rounding noise, for example of the rotations of spheres.
 const NEGLIGIBLE: f64 = 1e-7;
 
-/// How far a setting is from what is exact.
+/// Deviation of a setting from the exact reference.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Accuracy {
-    /// Root mean square over all values of all views.
+    /// Root mean square error over all values of all views.
     pub rms: f64,
-    /// The largest difference of a value.
+    /// Largest error of a value.
     pub max: f64,
-    /// Relative L2, of the parameter for which it is largest, and which that is.
+    /// Largest relative L2 error of a parameter's gradients; `worst` names the parameter.
     pub gradient_error: f64,
     pub worst: &'static str,
-    /// Of the parameter for which it is smallest.
+    /// Smallest cosine between a parameter's gradients and the exact ones.
     pub gradient_cosine: f64,
 }
 
-/// All that was measured of one setting.
+/// All measurements of one setting.
 #[derive(Clone, Debug)]
 pub struct Row {
     pub candidate: Candidate,
-    /// Absent for model choices, which define another function.
+    /// `None` for model choices, which define another function.
     pub accuracy: Option<Accuracy>,
     /// PSNR, dB, and SSIM against the photographs.
     pub scores: Option<(f64, f64)>,
-    /// The most memory that a render with its backward pass holds, MiB; absent where it is not known.
+    /// Peak memory of a render with its backward pass, MiB; `None` where it is unknown.
     pub memory_mib: Option<f64>,
     pub times: Times,
 }
 
-/// What is measured, and on what.
+/// The subject of the measurements.
 pub struct Bench<'a> {
     pub place: Place,
     pub exact: Place,
@@ -53,30 +53,30 @@ pub struct Bench<'a> {
     pub base: RenderOptions,
 }
 
-/// What a value of a numerical dial does by itself.
+/// Error of a value of a numerical dial in isolation.
 #[derive(Clone, Debug)]
 pub struct Alone {
     pub dial: &'static str,
     pub value: &'static str,
-    /// With every other numerical dial at its most accurate, whose errors would hide it.
+    /// Measured with every other numerical dial at its most accurate, so that no other error hides it.
     pub accuracy: Accuracy,
 }
 
-/// What came of it.
+/// Results of the measurements.
 pub struct Outcome {
     pub rows: Vec<Row>,
-    /// Every value of every numerical dial that was measured.
+    /// Every measured value of every numerical dial.
     pub alone: Vec<Alone>,
-    /// The largest difference between the yardstick and the exact renderer on crops.
+    /// Largest difference between the reference renderer and the exact renderer on crops.
     pub yardstick: f64,
     pub rounds: usize,
 }
 
 impl Bench<'_> {
-    /// Checks every candidate, scores it, and times all in turns until `budget` is spent.
+    /// Checks and scores every candidate, and times all of them in turns until `budget` is spent.
     ///
     /// # Errors
-    /// If the yardstick or a candidate is not what it should be, or the operation refuses the scene.
+    /// If the reference or a candidate fails its check, or the operation refuses the scene.
     pub fn run(
         &self,
         candidates: Vec<Candidate>,
@@ -111,7 +111,7 @@ impl Bench<'_> {
         Ok(Outcome { rows: rows.collect(), alone, yardstick, rounds })
     }
 
-    /// What is exact under the model choices of `options`; computed once for each.
+    /// Returns the exact reference under the model choices of `options`; it is computed once for each.
     fn truth<'t>(&self, truths: &'t mut Vec<(RenderOptions, Truth)>, options: &RenderOptions) -> Result<&'t Truth> {
         let exact = Dial::all_exact(*options);
         let place = match truths.iter().position(|(of, _)| *of == exact) {
@@ -127,7 +127,7 @@ impl Bench<'_> {
         Ok(&truths[place].1)
     }
 
-    /// The error of every value of every numerical dial with the others out of the way.
+    /// Measures the error of every value of every numerical dial, with the other dials at their most accurate.
     fn alone(&self, truths: &mut Vec<(RenderOptions, Truth)>) -> Result<Vec<Alone>> {
         let gpu = splat_op::is_gpu(&self.place.device);
         let numerical = || DIALS.iter().filter(|dial| dial.judge == Judge::Exact && (gpu || !dial.gpu_only));
@@ -145,7 +145,7 @@ impl Bench<'_> {
         Ok(found)
     }
 
-    /// Those of the base, on the device.
+    /// Returns the cotangents of the base, on the device.
     fn cotangents(&self, truths: &mut Vec<(RenderOptions, Truth)>) -> Result<Vec<Tensor<3>>> {
         let truth = self.truth(truths, &self.base)?;
         Ok(truth.cotangents.iter().enumerate().map(|(view, values)| self.place.picture(view, values)).collect())
@@ -166,13 +166,13 @@ impl Bench<'_> {
         let bound = Dial::rms_bound(options);
         ensure!(
             !judged || found.rms <= bound,
-            "its pictures are {:.2e} from the exact ones, root mean square, and an approximation may be {bound:.2e}: it is broken",
+            "its pictures differ from the exact ones by {:.2e} (root mean square), more than the {bound:.2e} allowed: it is broken",
             found.rms
         );
         Ok((judged.then_some(found), score(options)?, memory_mib))
     }
 
-    /// `options` with the dials that promise the same picture where the base has them.
+    /// Returns `options` with each dial that promises the same picture at the value of the base.
     fn same_picture(&self, options: &RenderOptions) -> RenderOptions {
         DIALS
             .iter()
@@ -180,7 +180,8 @@ impl Bench<'_> {
             .fold(*options, |options, dial| dial.value_in(&self.base).map_or(options, |value| (value.set)(options)))
     }
 
-    /// Pictures that are promised to be the same must be, on a CPU to the last bit. On a GPU longer lists are added up in other groups.
+    /// Checks pictures that are promised to be equal: bit for bit on a CPU; within rounding on a GPU, which sums longer
+    /// lists in other groups.
     fn check_same_picture(&self, options: &RenderOptions, plain: &RenderOptions) -> Result<()> {
         if plain == options {
             return Ok(());
@@ -192,12 +193,12 @@ impl Bench<'_> {
                 true => within_rounding(&ours, &theirs),
                 false => same_bits(&ours, &theirs),
             };
-            ensure!(same, "it should leave the picture as it is, and changes that of view {view}");
+            ensure!(same, "it must not change the picture, and changes view {view}");
         }
         Ok(())
     }
 
-    /// Renders and differentiates every view.
+    /// Renders and differentiates every view. Returns the deviations and the peak memory, MiB.
     fn compare(&self, options: &RenderOptions, truth: &Truth) -> Result<(Accuracy, Option<f64>)> {
         let (mut squares, mut count, mut max) = (0.0, 0, 0.0_f64);
         let mut sums = Sums::default();
@@ -229,7 +230,7 @@ impl Bench<'_> {
             bail!("a gradient of {} is not finite", PARAMETERS[kind]);
         }
         let (gradient_error, worst, gradient_cosine) = compare_gradients(&sums, &truth.gradients);
-        // Of a GPU the program's own memory says nothing.
+        // The memory of the program says nothing about that of a GPU.
         let memory = memory.filter(|_| !splat_op::is_gpu(&self.place.device));
         Ok((Accuracy { rms: (squares / count as f64).sqrt(), max, gradient_error, worst, gradient_cosine }, memory))
     }
@@ -243,7 +244,7 @@ fn same_bits(a: &[f64], b: &[f64]) -> bool {
     a.len() == b.len() && a.iter().zip(b).all(|(a, b)| a.to_bits() == b.to_bits())
 }
 
-/// The largest relative L2 error of a parameter's gradients and whose it is, and the smallest cosine.
+/// Returns the largest relative L2 error of a parameter's gradients, the parameter's name, and the smallest cosine.
 fn compare_gradients(found: &Sums, exact: &Sums) -> (f64, &'static str, f64) {
     let norm = |values: &[f64]| values.iter().map(|value| value * value).sum::<f64>().sqrt();
     let largest = exact.iter().map(|values| norm(values)).fold(0.0, f64::max);
@@ -265,12 +266,12 @@ fn compare_gradients(found: &Sums, exact: &Sums) -> (f64, &'static str, f64) {
 }
 
 impl Row {
-    /// PSNR against the exact render, dB, where that is what it is judged by.
+    /// PSNR against the exact render, dB; `None` where photographs are the judge.
     pub fn error_db(&self) -> Option<f64> {
         Some(decibels(self.accuracy.as_ref()?.rms))
     }
 
-    /// As `pareto.json` has it; none for model choices.
+    /// Returns the entry of `pareto.json`; `None` for model choices.
     fn measured(&self) -> Option<Measured> {
         let accuracy = self.accuracy.as_ref()?;
         Some(Measured {
@@ -288,7 +289,7 @@ impl Row {
 }
 
 impl Outcome {
-    /// What others choose from.
+    /// Returns the frontier that other commands choose from.
     pub fn frontier(&self, bench: &Bench, device: &str, provenance: Provenance) -> Frontier {
         Frontier {
             device: device.into(),
@@ -348,11 +349,11 @@ mod tests {
     fn a_broken_setting_is_not_timed() {
         let bench = bench();
         let mut broken = candidates(&bench.base, [false, true, false]).remove(1);
-        // The dials are where the candidate says; the function is another.
+        // The dials have the candidate's values; the function is another.
         broken.options = RenderOptions { blur: 300.0, ..broken.options };
         let mut truths = Vec::new();
         bench.truth(&mut truths, &bench.base).unwrap();
-        // As if the picture had been meant to be the base's.
+        // As if the picture were promised to equal that of the base.
         truths[0].0 = Dial::all_exact(broken.options);
         let error = bench.check(&broken, &mut truths, &|_| Ok(None)).unwrap_err().to_string();
         assert!(error.contains("it is broken"), "{error}");
@@ -366,7 +367,7 @@ mod tests {
         bench.check_same_picture(&ordered, &bench.base).unwrap();
         let other = RenderOptions { alpha_min: 1.0 / 1024.0, ..bench.base };
         let error = bench.check_same_picture(&other, &bench.base).unwrap_err().to_string();
-        assert!(error.contains("changes that of view 0"), "{error}");
+        assert!(error.contains("changes view 0"), "{error}");
     }
 
     #[test]
@@ -374,7 +375,7 @@ mod tests {
         let exact: Sums = [vec![3.0, 4.0], vec![1e-9, 0.0], vec![1.0, 0.0], vec![2.0], vec![5.0]];
         assert_eq!(compare_gradients(&exact, &exact), (0.0, "means", 1.0));
         let mut found = exact.clone();
-        // A parameter without gradients to speak of may be anything.
+        // A parameter with negligible gradients may have any error.
         found[1] = vec![-1e-9, 0.0];
         assert_eq!(compare_gradients(&found, &exact).0, 0.0);
         found[2] = vec![0.0, 1.0];

@@ -1,4 +1,4 @@
-//! `splat pareto`: what every dial costs in time and in error, on a scene and a device at hand.
+//! `splat pareto`: measures the time and the error of every dial, on a given scene and device.
 
 mod csv;
 mod dials;
@@ -38,64 +38,64 @@ use crate::options::PhotoArgs;
 use crate::output::OutputFolder;
 use crate::{input, progress};
 
-/// What was measured, for `--frontier`.
+/// The measured settings, for `--frontier`.
 pub const FRONTIER: &str = "pareto.json";
-/// A line per setting.
+/// The measurements, a line per setting.
 pub const TABLE: &str = "pareto.csv";
-/// The tables and what they say.
+/// The tables and their summary.
 pub const PAGE: &str = "pareto.md";
-/// Time against error; each as SVG and as PNG.
+/// Plot of time against error, as SVG and as PNG.
 pub const PLOT: [&str; 2] = ["pareto.svg", "pareto.png"];
-/// Seconds of training against PSNR.
+/// Plot of seconds of training against PSNR, as SVG and as PNG.
 pub const TRAIN_PLOT: [&str; 2] = ["pareto_train.svg", "pareto_train.png"];
 
-/// Seconds that are measured where a target is given and no frontier.
+/// Duration of the measurement where a target is given without a frontier.
 const BRIEFLY: Duration = Duration::from_secs(8);
 
-/// Views that are looked at then.
+/// Number of views in that measurement, at most.
 pub const VIEWS_BRIEFLY: usize = 2;
 
 /// Options of `splat pareto`.
 #[derive(Clone, Debug, clap::Args)]
 pub struct ParetoArgs {
-    /// Folder with `images/` and COLMAP's `sparse/0/`, or with `transforms.json` or `transforms_train.json`
+    /// Capture folder, with `images/` and COLMAP's `sparse/0/`, or with `transforms.json` or `transforms_train.json`
     pub capture: PathBuf,
-    /// The scene: PLY, compressed PLY or SPZ
+    /// Scene file: PLY, compressed PLY or SPZ
     #[arg(long, value_name = "FILE")]
     pub scene: PathBuf,
     /// Folder for pareto.md, pareto.csv, pareto.json and the plots
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
-    /// Where to compute; what is exact is computed on the CPU in float64
+    /// Device to measure; the exact reference is computed on the CPU in float64
     #[arg(long, value_name = "NAME", default_value_t, help = device::help())]
     pub device: DeviceName,
-    /// Time settings over and over for so many seconds, three times each at least
+    /// Seconds to spend on timing; every setting is timed at least three times
     #[arg(long, value_name = "SECONDS", default_value_t = 60)]
     pub budget: u64,
-    /// Look at so many of the test views, spread evenly over them
+    /// Number of test views to measure, spread evenly
     #[arg(long, value_name = "N", default_value_t = 3, value_parser = RangedU64ValueParser::<usize>::new().range(1..))]
     pub views: usize,
     /// Photographs.
     #[command(flatten)]
     pub photos: PhotoArgs,
-    /// The function that is rendered.
+    /// Model choices.
     #[command(flatten)]
     pub model: ModelArgs,
-    /// What is behind the scene: black, white, R,G,B from 0 to 1, or the background.json that a run left beside it
+    /// Background behind the scene: black, white, R,G,B from 0 to 1, or the background.json of a training run
     #[arg(long, value_name = "WHAT", default_value_t)]
     pub background: ShownBackground,
-    /// Leave out the pixels that the capture's masks exclude; for scenes that were trained with the effect `masks`
+    /// Ignore the pixels that the capture's masks exclude; for scenes trained with the effect `masks`
     #[arg(long)]
     pub masks: bool,
-    /// Also train, shortly, under dials of the training
+    /// Also measure the training dials, by short training runs
     #[arg(long)]
     pub train: bool,
-    /// With `--train`: steps of a run
+    /// With `--train`: steps of each run
     #[arg(long, value_name = "N", default_value_t = 500, value_parser = RangedU64ValueParser::<usize>::new().range(1..))]
     pub train_steps: usize,
 }
 
-/// Measures, writes everything, and says where it is.
+/// Measures all settings, writes all files, and prints their location.
 ///
 /// # Errors
 /// If the capture or the scene cannot be read, no photograph is held out, a setting is broken, or the results cannot be written.
@@ -137,12 +137,12 @@ pub fn run(args: &ParetoArgs) -> Result<()> {
     Ok(())
 }
 
-/// The last part of a path.
+/// Returns the last component of a path.
 fn name(path: &Path) -> String {
     path.file_name().map_or_else(|| path.display().to_string(), |name| name.to_string_lossy().into_owned())
 }
 
-/// Up to `count` of the views, spread evenly.
+/// Returns up to `count` of the views, spread evenly.
 fn spread(views: &[usize], count: usize) -> Vec<usize> {
     let count = count.min(views.len());
     (0..count).map(|i| views[i * views.len() / count]).collect()
@@ -155,12 +155,12 @@ fn prepare(args: &ParetoArgs) -> Result<OutputFolder> {
 }
 
 impl<'a> Bench<'a> {
-    /// Whether no camera has a lens.
+    /// Whether all cameras are pinholes.
     fn pinholes(&self) -> bool {
         self.shots.iter().all(|shot| shot.intrinsics.model == CameraModel::Pinhole)
     }
 
-    /// A scene and views of it, over one colour.
+    /// Prepares a scene and views of it over a colour.
     ///
     /// # Errors
     /// If the rows do not fit together, or there is no view.
@@ -178,10 +178,10 @@ impl<'a> Bench<'a> {
     }
 }
 
-/// Measures the numerical dials briefly, on a scene and up to two views of it, and chooses.
+/// Measures the numerical dials briefly, on a scene and at most two views of it, and chooses a setting.
 ///
 /// # Errors
-/// If nothing that was measured meets the target, or measuring fails.
+/// If no measured setting meets the target, or measuring fails.
 pub fn choose_briefly(
     rows: &GaussianRows,
     shots: Vec<Shot>,
@@ -191,11 +191,11 @@ pub fn choose_briefly(
 ) -> Result<Choice> {
     let shots: Vec<Shot> =
         spread(&(0..shots.len()).collect::<Vec<_>>(), VIEWS_BRIEFLY).iter().map(|&i| shots[i]).collect();
-    progress::note("measuring what accuracy costs here (`splat pareto` does it thoroughly, for `--frontier`)");
+    progress::note("measuring what accuracy costs here (`splat pareto` measures it thoroughly, for `--frontier`)");
     let bench = Bench::new(rows, shots, [0.0; 3], *base, device)?;
     let outcome =
         bench.run(candidates(base, [splat_op::is_gpu(device), bench.pinholes(), false]), BRIEFLY, |_| Ok(None))?;
-    // It is not kept, so that nobody can take it for another's.
+    // The frontier is not saved, so that nobody can take it for another scene's.
     Ok(outcome.frontier(&bench, device_name, Provenance::default()).choose(target, work)?)
 }
 
@@ -206,10 +206,10 @@ fn train(args: &ParetoArgs, capture: &Capture, split: &Split, test: &[Photo], de
     Runs { train: &photos, test, points: &capture.points, extent, config, device }.all()
 }
 
-/// The rows on the frontier of renders, and on that of training steps.
+/// Rows on the frontier of renders, and rows on the frontier of training steps.
 fn members(outcome: &Outcome) -> [Vec<usize>; 2] {
     let of = |point: fn(&Row) -> Option<Point>| {
-        // Model choices have no place on it, and no quality by which they could have one.
+        // Model choices are not on it: they have no error to be placed by.
         let none = |row: &Row| Point { quality_db: f64::NAN, time: row.times.forward };
         frontier(&outcome.rows.iter().map(|row| point(row).unwrap_or(none(row))).collect::<Vec<_>>())
     };
@@ -233,7 +233,7 @@ fn write(out: &OutputFolder, subject: &page::Subject, outcome: &Outcome, trained
                 put(svg, plot::svg(&chart)?.as_bytes())?;
                 put(png, &plot::png(&chart)?)?;
             }
-            // Of an earlier run, there may be some.
+            // An earlier run may have left plots.
             None => [svg, png].iter().for_each(|name| _ = std::fs::remove_file(out.join(name))),
         }
     }

@@ -1,4 +1,4 @@
-//! `pareto.md`: the tables, and what they say by the rules of [`super::verdict`].
+//! `pareto.md`: the tables, and their summary by the rules of [`super::verdict`].
 
 use std::fmt::Write;
 
@@ -10,10 +10,10 @@ use super::measure::{Alone, Outcome, Row};
 use super::training::Trained;
 use super::verdict::{Graded, HARMLESS_DB, INVISIBLE_DB, Verdict, choice, verdict};
 
-/// Quartiles of fewer measurements than this say little.
+/// Quartiles of fewer rounds than this are unreliable.
 const FEW_ROUNDS: usize = 8;
 
-/// What a page is about.
+/// Subject of a page.
 pub struct Subject<'a> {
     pub capture: String,
     pub scene: String,
@@ -25,7 +25,7 @@ pub struct Subject<'a> {
     pub base: RenderOptions,
 }
 
-/// All of it. `members` are the rows on the frontiers of renders and of training steps.
+/// Returns the page. `members` are the rows on the frontiers of renders and of training steps.
 pub fn page(subject: &Subject, outcome: &Outcome, members: [&[usize]; 2], trained: &[Trained]) -> String {
     let mut text = intro(subject, outcome);
     text.push_str(&taken(subject, outcome, members));
@@ -77,7 +77,7 @@ fn intro(subject: &Subject, outcome: &Outcome) -> String {
     )
 }
 
-/// The sentences.
+/// Returns the summary.
 fn taken(subject: &Subject, outcome: &Outcome, members: [&[usize]; 2]) -> String {
     let mut text = String::from("\n## What to take from it\n\n");
     let works = [(Work::Render, INVISIBLE_DB, "to render"), (Work::Train, HARMLESS_DB, "to train")];
@@ -113,7 +113,7 @@ fn measured_dials(outcome: &Outcome, judge: Judge) -> impl Iterator<Item = &'sta
     DIALS.iter().filter(move |dial| dial.judge == judge).filter(measured)
 }
 
-/// The values of a dial in the table's order, with what was measured; where the base stands it is the base that was.
+/// The values of a dial in the table's order, with their rows. The base's own value has the row of the base.
 fn values<'a>(
     dial: &'static Dial,
     subject: &'a Subject,
@@ -125,7 +125,7 @@ fn values<'a>(
     })
 }
 
-/// The errors of a dial's values with the other dials out of the way.
+/// Table of the errors of a dial's values in isolation.
 fn alone(dial: &Dial, outcome: &Outcome) -> String {
     let mut text = String::from(
         "\nAlone, with every other numerical dial at its most accurate:\n\n\
@@ -138,8 +138,8 @@ fn alone(dial: &Dial, outcome: &Outcome) -> String {
     text
 }
 
-/// A dial's values with their own errors, which those of the other dials would hide, and their times beside the others' usual
-/// ones.
+/// A dial's values with their errors in isolation, which other dials would hide, and their times with the other dials
+/// at the base.
 fn graded(dial: &'static Dial, subject: &Subject, outcome: &Outcome, work: Work) -> Vec<Graded> {
     let one = |(value, row): (String, &Row)| {
         let alone = outcome.alone.iter().find(|alone| alone.dial == dial.name && alone.value == value)?;
@@ -189,7 +189,7 @@ fn times(spread: &Spread) -> String {
     format!("{:.2} ({:.2}–{:.2})", spread.median, spread.lower, spread.upper)
 }
 
-/// How a time compares with another.
+/// Formats a time relative to another.
 fn pace(ours: &Spread, theirs: &Spread) -> String {
     match () {
         () if ours == theirs => "itself".into(),

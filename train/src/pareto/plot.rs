@@ -1,5 +1,5 @@
-//! Time against error as a picture: one point per setting, the frontier drawn, presets marked. As SVG and as PNG, by the same
-//! drawing.
+//! Plot of time against error: one point per setting, the frontier as a line, presets marked. The same drawing gives
+//! SVG and PNG.
 
 use std::sync::LazyLock;
 
@@ -9,17 +9,17 @@ use plotters::coord::Shift;
 use plotters::prelude::*;
 use plotters::style::register_font;
 
-/// px.
+/// Width and height of a plot, px.
 const SIZE: (u32, u32) = (1000, 640);
 
-/// What a point is, and so how it is drawn.
+/// Kind of a point, which decides on its mark.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Mark {
-    /// A large ring with its name.
+    /// A preset: a large ring with its name.
     Preset,
-    /// A dot.
+    /// A single dial: a dot.
     Dial,
-    /// A triangle.
+    /// A combination: a triangle.
     Combination,
 }
 
@@ -30,13 +30,13 @@ pub struct Dot {
     pub mark: Mark,
     /// Time: lower quartile, median, upper quartile.
     pub x: [f64; 3],
-    /// The higher the better, dB.
+    /// Quality, dB; higher is better.
     pub y: f64,
-    /// Whether it is on the frontier; then its name is written.
+    /// Whether it is on the frontier; its name is drawn then.
     pub member: bool,
 }
 
-/// A picture.
+/// A plot.
 #[derive(Clone, Debug)]
 pub struct Chart {
     pub title: String,
@@ -46,8 +46,8 @@ pub struct Chart {
     pub dots: Vec<Dot>,
 }
 
-/// Makes the font known to the plotting library, which otherwise draws no letter. Its bytes are in the program, so that a plot
-/// is the same on every machine.
+/// Registers the font with the plotting library, which otherwise draws no text. The font is part of the program, so
+/// that a plot is the same on every machine.
 ///
 /// # Errors
 /// If the font cannot be read.
@@ -57,7 +57,7 @@ pub fn register() -> Result<()> {
     (*DONE).then_some(()).context("the font for plots cannot be read")
 }
 
-/// As SVG.
+/// Draws a plot as SVG.
 ///
 /// # Errors
 /// If it cannot be drawn.
@@ -68,7 +68,7 @@ pub fn svg(chart: &Chart) -> Result<String> {
     Ok(text)
 }
 
-/// As an 8-bit PNG.
+/// Draws a plot as an 8-bit PNG.
 ///
 /// # Errors
 /// If it cannot be drawn.
@@ -82,7 +82,7 @@ pub fn png(chart: &Chart) -> Result<Vec<u8>> {
     Ok(file.into_inner())
 }
 
-/// Where the picture proper begins, px.
+/// Left edge of the plotting area, px.
 const AXIS: i32 = 78;
 
 const GREY: RGBColor = RGBColor(150, 150, 150);
@@ -119,7 +119,7 @@ fn drawn<B: DrawingBackend>(
         .x_label_formatter(&|ms| short(*ms))
         .y_label_formatter(&|db| format!("{db:.0}"))
         .draw()?;
-    // Spreads first, so that nothing hides a point.
+    // Spreads come first, so that they hide no point.
     for Dot { x: spread, y, .. } in &chart.dots {
         let [lower, _, upper] = spread.map(|ms| ms.clamp(x.start, x.end));
         axes.draw_series([PathElement::new([(lower, *y), (upper, *y)], GREY)])?;
@@ -127,7 +127,7 @@ fn drawn<B: DrawingBackend>(
     let mut members: Vec<&Dot> = chart.dots.iter().filter(|dot| dot.member).collect();
     members.sort_by(|a, b| a.x[1].total_cmp(&b.x[1]));
     axes.draw_series(LineSeries::new(members.iter().map(|dot| (dot.x[1], dot.y)), ORANGE.stroke_width(2)))?;
-    // Those on the frontier last, so that no other hides them.
+    // Members of the frontier come last, so that no other point hides them.
     let mut dots: Vec<&Dot> = chart.dots.iter().collect();
     dots.sort_by_key(|dot| dot.member);
     for dot in dots {
@@ -150,9 +150,10 @@ fn drawn<B: DrawingBackend>(
     area.present()
 }
 
-/// Where names begin so that none covers another or a point, px: beside its point, or as near as there is room.
+/// Returns the start of each name, px: beside its point or as near as there is room, so that it covers no other name
+/// and no point.
 fn beside(places: &[(i32, i32)], named: &[&Dot]) -> Vec<(i32, i32)> {
-    // Of a letter of the font, about.
+    // Approximate size of a letter of the font.
     const LETTER: (i32, i32) = (8, 16);
     let overlap = |a: &[i32; 4], b: &[i32; 4]| a[0] < b[2] && b[0] < a[2] && a[1] < b[3] && b[1] < a[3];
     let mut taken: Vec<[i32; 4]> = places.iter().map(|&(x, y)| [x - 8, y - 8, x + 8, y + 8]).collect();
@@ -171,12 +172,13 @@ fn beside(places: &[(i32, i32)], named: &[&Dot]) -> Vec<(i32, i32)> {
     corners.collect()
 }
 
-/// Enough digits to tell ticks apart.
+/// Formats a tick, with enough digits to tell ticks apart.
 fn short(value: f64) -> String {
     if value >= 20.0 { format!("{value:.0}") } else { format!("{value:.1}") }
 }
 
-/// Some room around the medians. Spreads end there: one slow run should not press all points to the border.
+/// Range of the time axis: the medians with a margin. Spreads are cut off there, because one slow run should not press
+/// all points to the border.
 fn around_times(dots: &[Dot]) -> std::ops::Range<f64> {
     let (low, high) = limits(dots.iter().map(|dot| dot.x[1]));
     let (low, high) = if low <= high { (low, high) } else { (0.0, 0.0) };
@@ -231,7 +233,7 @@ mod tests {
         let count = |wanted: [u8; 3]| picture.pixels().filter(|pixel| pixel.0 == wanted).count();
         assert!(count([200, 80, 40]) > 300, "the frontier is not drawn");
         assert!(count([40, 90, 160]) > 20, "the other points are not drawn");
-        // Letters are drawn in shades.
+        // Letters are drawn in shades of grey.
         let dark = picture.pixels().filter(|pixel| pixel.0.iter().all(|&value| value < 120)).count();
         assert!(dark > 2000, "no letters: {dark}");
     }

@@ -1,4 +1,4 @@
-//! What is rendered: a scene and views of it, on the device that is measured and in f64 on the CPU.
+//! Subject of the measurements: a scene and views of it, on the measured device and in f64 on the CPU.
 
 use std::cell::OnceCell;
 
@@ -13,7 +13,7 @@ use splat_model::gaussians::{GaussianRows, Gaussians};
 use splat_model::loss::{DEFAULT_LAMBDA, Truth, photometric};
 use splat_op::{Camera, Extras, Intrinsics, RenderOptions, Rendered, Splats, Storage, render_view, with_gradient};
 
-/// A camera, and the photograph that it took if there is one.
+/// A camera, with its photograph if there is one.
 #[derive(Clone, Copy)]
 pub struct Shot<'a> {
     pub intrinsics: Intrinsics,
@@ -28,7 +28,7 @@ impl<'a> From<&'a Photo> for Shot<'a> {
 }
 
 impl Shot<'_> {
-    /// Mean number of pixels of some.
+    /// Mean number of pixels of some shots.
     pub fn pixels(shots: &[Self]) -> usize {
         let all: usize = shots.iter().map(|shot| shot.intrinsics.width * shot.intrinsics.height).sum();
         all / shots.len().max(1)
@@ -36,19 +36,19 @@ impl Shot<'_> {
 }
 
 impl Shot<'static> {
-    /// A camera without its photograph.
+    /// Returns a camera without a photograph.
     pub fn unseen(intrinsics: &Intrinsics, cam_from_world: &DAffine3) -> Self {
         Self { intrinsics: *intrinsics, cam_from_world: *cam_from_world, photo: None }
     }
 }
 
-/// A scene on one device and in one float type, and cameras there.
+/// A scene and cameras on one device, in one float type.
 pub struct Place {
-    /// Tracked.
+    /// The parameters, tracked.
     pub gaussians: Gaussians,
-    /// Not tracked.
+    /// The splats, not tracked.
     pub splats: Splats,
-    /// The same with coefficients of half precision, once somebody asked for them.
+    /// The splats with half-precision coefficients, made on first use.
     halved: OnceCell<Splats>,
     pub cameras: Vec<Camera>,
     pub extras: Extras,
@@ -56,14 +56,14 @@ pub struct Place {
     pub dtype: DType,
 }
 
-/// Names of what has gradients.
+/// Names of the differentiated parameters.
 pub const PARAMETERS: [&str; 5] = ["means", "rotations", "log_scales", "logit_opacities", "sh"];
 
-/// Gradients by [`PARAMETERS`], summed over views.
+/// Gradients in the order of [`PARAMETERS`], summed over views.
 pub type Sums = [Vec<f64>; 5];
 
 impl Place {
-    /// As training has it: f32 on any device.
+    /// Prepares a scene as in training: f32 on any device.
     ///
     /// # Errors
     /// If the rows do not fit together.
@@ -82,7 +82,8 @@ impl Place {
         })
     }
 
-    /// The same numbers, poses included, in f64 on the CPU: what f32 rounds off is an error, what it was given is not.
+    /// Prepares the same values, poses included, in f64 on the CPU. Rounding in f32 arithmetic is an error; rounding of
+    /// its input is not.
     ///
     /// # Errors
     /// If the rows do not fit together.
@@ -112,12 +113,12 @@ impl Place {
         })
     }
 
-    /// What a view shows, not tracked.
+    /// Renders a view, not tracked.
     ///
     /// # Errors
     /// If the operation refuses the scene.
     pub fn render(&self, view: usize, options: &RenderOptions) -> Result<Rendered<3>> {
-        // Stored once, as whoever renders a scene many times has it.
+        // Converted once, as by every user who renders a scene many times.
         let splats = match options.coefficients {
             Storage::Full => &self.splats,
             _ => match self.halved.get() {
@@ -131,7 +132,7 @@ impl Place {
         Ok(render_view(splats, &self.cameras[view], &self.extras, options)?)
     }
 
-    /// The same, tracked, ready for [`Self::backward`].
+    /// Renders a view, tracked, ready for [`Self::backward`].
     ///
     /// # Errors
     /// If the operation refuses the scene.
@@ -139,13 +140,13 @@ impl Place {
         Ok(render_view(&self.gaussians.splats(), &self.cameras[view], &self.extras, options)?)
     }
 
-    /// The gradients of `Σ colour · cotangent`, `[H, W, 3]` each.
+    /// Returns the gradients of `Σ colour · cotangent`, `[H, W, 3]` each.
     pub fn backward(&self, picture: Rendered<3>, cotangent: Tensor<3>) -> Gradients {
         let value = Tensor::<1>::zeros([1], (&self.device, self.dtype));
         with_gradient(picture.colour, value, cotangent).backward()
     }
 
-    /// Adds a view's gradients to `sums`, which begin empty.
+    /// Adds a view's gradients to `sums`, which are empty at first.
     pub fn add_gradients(&self, gradients: &Gradients, sums: &mut Sums) {
         let of = &self.gaussians;
         let all = [
@@ -162,21 +163,21 @@ impl Place {
         }
     }
 
-    /// Numbers of the picture of a view, `[H, W, 3]`, as a tensor here.
+    /// Returns the values of a view's picture, `[H, W, 3]`, as a tensor on this device.
     pub fn picture(&self, view: usize, values: &[f32]) -> Tensor<3> {
         let Intrinsics { width, height, .. } = self.cameras[view].intrinsics;
         Tensor::from_data(TensorData::new(values.to_vec(), [height, width, 3]), (&self.device, self.dtype))
     }
 }
 
-/// Colours of degree 0 closer to zero than this are taken as below it.
+/// Colours of degree 0 closer to zero than this are treated as below zero.
 const AT_THE_CLAMP: f32 = 1e-6;
 
-/// The rows, with channels that lie at the clamp of colours at zero moved below it by ten times [`AT_THE_CLAMP`], which no
-/// picture shows. There the gradient jumps, and rounding says to which side: f32 and f64 would differ by all of it, and that
-/// would hide what dials do. Points that are black in a channel begin there.
+/// Returns the rows with colour channels that lie at the clamp to zero moved below it by ten times [`AT_THE_CLAMP`],
+/// which no picture shows. The gradient jumps at the clamp, and rounding decides on the side: f32 and f64 would differ
+/// by the whole jump, which would hide the effect of dials. Points that are black in a channel begin there.
 pub fn off_the_clamp(rows: &GaussianRows) -> GaussianRows {
-    /// The harmonic of degree 0, `1 / (2 √π)`.
+    /// The spherical harmonic of degree 0, `1 / (2 √π)`.
     const HARMONIC: f32 = 0.25 * std::f32::consts::FRAC_2_SQRT_PI;
     let mut rows = rows.clone();
     for channel in rows.sh_dc.as_flattened_mut() {
@@ -187,9 +188,9 @@ pub fn off_the_clamp(rows: &GaussianRows) -> GaussianRows {
     rows
 }
 
-/// What the picture `exact` of a shot is differentiated against, `[H, W, 3]`: the derivative of the loss that a training step
-/// would have there, times the number of values; where there is no photograph, fixed random numbers from −1 to 1. In f32, so
-/// that every device is given the same.
+/// Returns the cotangent of the picture `exact` of a shot, `[H, W, 3]`: the derivative of the training loss there,
+/// times the number of values; without a photograph, fixed random numbers from −1 to 1. In f32, so that every device
+/// gets the same values.
 pub fn cotangent(shot: &Shot, exact: &[f64], background: [f32; 3]) -> Vec<f32> {
     let Intrinsics { width, height, .. } = shot.intrinsics;
     let Some(photo) = shot.photo else {
@@ -206,7 +207,7 @@ pub fn cotangent(shot: &Shot, exact: &[f64], background: [f32; 3]) -> Vec<f32> {
     values.iter().map(|value| (value * exact.len() as f64) as f32).collect()
 }
 
-/// A tensor's values; of f32 ones the exact equals.
+/// Returns a tensor's values; f32 values are converted exactly.
 pub fn host<const D: usize>(tensor: Tensor<D>) -> Vec<f64> {
     tensor.into_data().iter::<f64>().collect()
 }
@@ -223,7 +224,7 @@ mod tests {
     fn black_points_have_one_gradient_in_both_float_types() {
         let mut rows = rows(20);
         rows.sh_rest.fill(0.0);
-        // What a point has that is black in a channel.
+        // Value of a point that is black in this channel.
         rows.sh_dc.iter_mut().for_each(|colour| colour[1] = -1.772_453_8);
         let settled = off_the_clamp(&rows);
         assert!(settled.sh_dc.iter().zip(&rows.sh_dc).all(|(new, old)| new[0] == old[0] && new[1] < old[1]));

@@ -1,4 +1,4 @@
-//! Times of all settings, in turns.
+//! Times of all settings, measured in turns.
 
 use std::time::{Duration, Instant};
 
@@ -9,7 +9,7 @@ use splat_op::RenderOptions;
 
 use super::measure::Bench;
 
-/// Rounds that are timed at least: fewer have no spread.
+/// Minimum number of rounds: fewer have no spread.
 pub const ROUNDS_MIN: usize = 3;
 
 /// Times of a frame, ms.
@@ -21,8 +21,8 @@ pub struct Times {
 }
 
 impl Bench<'_> {
-    /// Times of all, in turns: what else a machine does comes and goes, and should meet all alike. Every one has run before, in
-    /// its check, so that kernels are compiled.
+    /// Times all settings in turns, so that other load on the machine affects all alike. Every setting has run before,
+    /// in its check, so kernels are compiled. Returns the times and the number of rounds.
     pub(super) fn time(
         &self,
         all: &[RenderOptions],
@@ -49,11 +49,11 @@ impl Bench<'_> {
         Ok((times.collect::<Result<_>>()?, rounds))
     }
 
-    /// ms a frame.
+    /// Time of a frame, ms.
     fn time_forward(&self, options: &RenderOptions) -> Result<f64> {
         self.place.device.sync()?;
         let start = Instant::now();
-        // Kept until they are there: what nobody waits for may never be computed.
+        // Kept until they are computed: a result that nobody waits for may never be computed.
         let pictures: Vec<_> =
             (0..self.shots.len()).map(|view| self.place.render(view, options)).collect::<Result<_>>()?;
         self.place.device.sync()?;
@@ -62,7 +62,7 @@ impl Bench<'_> {
         Ok(1e3 * elapsed.as_secs_f64() / self.shots.len() as f64)
     }
 
-    /// ms a frame, without the forward pass.
+    /// Time of a frame's backward pass, ms.
     fn time_backward(&self, options: &RenderOptions, cotangents: &[Tensor<3>]) -> Result<f64> {
         let mut elapsed = Duration::ZERO;
         for (view, cotangent) in cotangents.iter().enumerate() {

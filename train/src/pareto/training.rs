@@ -1,4 +1,4 @@
-//! Short runs under training dials: scores on the test photographs against seconds.
+//! Short runs under training dials: scores on the held-out photographs against seconds.
 
 use std::time::Instant;
 
@@ -12,19 +12,19 @@ use splat_model::trainer::{Resolution, TrainConfig, Trainer};
 
 use crate::progress;
 
-/// Runs of each setting, with seeds of their own: what a score differs by from run to run is its spread.
+/// Runs of each variant, with different seeds. The spread of a score is its variation from run to run.
 const RUNS: u64 = 3;
 
-/// A way to train.
+/// A variant of training.
 pub struct Way {
     pub name: &'static str,
-    /// On the command line of `splat train`; `{N}` stands for steps.
+    /// Its options of `splat train`; `{N}` stands for the number of steps.
     pub flags: &'static str,
     change: fn(&mut TrainConfig),
 }
 
 impl Way {
-    /// A run of this kind.
+    /// Returns the configuration of a run.
     fn of(&self, config: &TrainConfig) -> TrainConfig {
         let mut config = config.clone();
         (self.change)(&mut config);
@@ -32,7 +32,7 @@ impl Way {
     }
 }
 
-/// The first is what the others are compared with.
+/// The variants. The others are compared with the first.
 pub const WAYS: &[Way] = &[
     Way { name: "standard", flags: "", change: |_| () },
     Way { name: "half the steps", flags: "--steps {N/2}", change: |config| config.steps = (config.steps / 2).max(1) },
@@ -55,7 +55,7 @@ pub const WAYS: &[Way] = &[
     Way { name: "exact renders", flags: "--accuracy exact", change: |config| preset(config, Preset::Exact) },
 ];
 
-/// What a scene is a function of stays.
+/// Applies a preset and keeps the model choices.
 fn preset(config: &mut TrainConfig, preset: Preset) {
     config.dials = std::mem::take(&mut config.dials).and(&preset.setting());
 }
@@ -64,20 +64,20 @@ fn coarse(coarsest_divisor: usize) -> Resolution {
     Resolution { coarsest_divisor, ..Resolution::FULL }
 }
 
-/// What came of a way.
+/// Results of a variant.
 #[derive(Clone, Debug)]
 pub struct Trained {
     pub name: &'static str,
     pub flags: String,
-    /// On the test photographs, dB: of the runs.
+    /// PSNR of the held-out photographs over the runs, dB.
     pub psnr: Spread,
-    /// Of the steps, s.
+    /// Duration of the steps, s.
     pub seconds: Spread,
-    /// Gaussians at the end of the last run.
+    /// Number of Gaussians at the end of the last run.
     pub splats: usize,
 }
 
-/// What runs are made of.
+/// Input of the runs.
 pub struct Runs<'a> {
     pub train: &'a [Photo],
     pub test: &'a [Photo],
@@ -88,7 +88,7 @@ pub struct Runs<'a> {
 }
 
 impl Runs<'_> {
-    /// Trains in every way, in turns.
+    /// Trains every variant, in turns.
     ///
     /// # Errors
     /// If a run fails.
@@ -120,7 +120,7 @@ impl Runs<'_> {
 
     fn one(&self, way: &Way, seed: u64) -> Result<(f64, f64, usize)> {
         let config = TrainConfig { seed, ..way.of(&self.config) };
-        // Scores are those of one render, however a scene was trained.
+        // All scenes are scored with the same render settings, however they were trained.
         let shown = TrainConfig { dials: self.config.dials.clone(), ..config.clone() }.render_options(self.extent);
         let mut trainer = Trainer::new(self.train.to_vec(), self.points, config, self.device)?;
         self.device.sync()?;
@@ -144,7 +144,7 @@ mod tests {
 
     use super::*;
 
-    /// The dials of the training that there are: each is in a run at the least.
+    /// Every training dial is turned in at least one run.
     #[test]
     fn every_dial_of_the_training_is_turned_somewhere() {
         let base = TrainConfig { steps: 100, ..TrainConfig::default() };

@@ -1,33 +1,33 @@
-//! What the figures say of a dial: rules, so that no sentence is written by hand that a next run could belie.
+//! Verdicts on dials. They follow from rules, so that no hand-written sentence can contradict the next measurement.
 
 use splat_model::accuracy::{Point, Spread, frontier};
 
-/// Root mean square errors below this do not show in an 8-bit picture: half a level, `−20 log₁₀(0.5 / 255)` dB.
+/// Limit of visibility in an 8-bit picture: a root mean square error of half a level, `−20 log₁₀(0.5 / 255)` dB.
 pub const INVISIBLE_DB: f64 = 54.15;
 
-/// Gradients within 1% of the exact ones, in dB. Those of one photograph differ from those of the next by a hundred times that.
+/// Gradients within 1% of the exact ones, in dB. Gradients of two photographs differ by a hundred times as much.
 pub const HARMLESS_DB: f64 = 40.0;
 
-/// One value of a dial as it was measured.
+/// Measurement of one value of a dial.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Graded {
-    /// The value's name.
+    /// Name of the value.
     pub value: String,
-    /// How close to exact, dB; the higher the better.
+    /// Quality relative to the exact reference, dB; higher is better.
     pub quality_db: f64,
     pub time: Spread,
 }
 
-/// What came of a dial.
+/// Verdict on a dial.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Verdict {
-    /// All values are as accurate, and no time is told apart.
+    /// All values are equally accurate, and their times cannot be told apart.
     NoDifference,
     /// One value is measurably faster than another, and no less accurate.
     Free { value: String, than: String, saved: f64 },
     /// A value saves time, and its error is harmless.
     Cheap { value: String, than: String, saved: f64, quality_db: f64 },
-    /// Values save time, but the error of all that do shows. The fastest.
+    /// Some values save time, but the error of each of them shows. `value` is the fastest.
     Dear { value: String, than: String, saved: f64, quality_db: f64 },
     /// Values are less accurate, and none is measurably faster than the most accurate.
     SavesNothing { best: String },
@@ -35,7 +35,8 @@ pub enum Verdict {
     NeverWorthIt { best: String },
 }
 
-/// Judges the values of a dial. Errors of `harmless_db` and better are harmless. `None` for fewer than two values.
+/// Judges the values of a dial. A quality of at least `harmless_db` is harmless. `None` for fewer
+/// than two values.
 pub fn verdict(values: &[Graded], harmless_db: f64) -> Option<Verdict> {
     let tenths = |graded: &Graded| (10.0 * graded.quality_db).round();
     let points: Vec<Point> = values.iter().map(|v| Point { quality_db: v.quality_db, time: v.time }).collect();
@@ -70,12 +71,12 @@ pub fn verdict(values: &[Graded], harmless_db: f64) -> Option<Verdict> {
 }
 
 impl Verdict {
-    /// Whether nothing speaks for any value but the most accurate.
+    /// Whether no value but the most accurate is worth choosing.
     pub fn is_dominated(&self) -> bool {
         matches!(self, Self::SavesNothing { .. } | Self::NeverWorthIt { .. })
     }
 
-    /// The rest of a sentence that begins with the dial or with what it is done for.
+    /// Returns the rest of a sentence that begins with the dial or its purpose.
     pub fn sentence(&self) -> String {
         let percent = |share: &f64| format!("{:.0}%", 100.0 * share);
         match self {
@@ -101,7 +102,8 @@ impl Verdict {
     }
 }
 
-/// What photographs say of the values of a model choice, `(name, PSNR, time)`, around that of the scene: half a sentence.
+/// Compares the values of a model choice, `(name, PSNR, time)`, with the scene's own value by photographs. Returns half
+/// a sentence.
 pub fn choice(values: &[(String, f64, Spread)], own: &str) -> Option<String> {
     let (_, own_db, own_time) = values.iter().find(|(name, ..)| name == own)?;
     let (name, db, time) = values.iter().max_by(|a, b| a.1.total_cmp(&b.1))?;
@@ -196,7 +198,7 @@ mod tests {
     }
 
     proptest! {
-        /// Whether a dial is dominated is whether anything measurably faster than its most accurate value exists.
+        /// A dial saves time exactly if some value is measurably faster than the most accurate one.
         #[test]
         fn a_dial_is_dominated_where_nothing_is_faster(values in some()) {
             let found = verdict(&values, INVISIBLE_DB).unwrap();

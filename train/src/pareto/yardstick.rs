@@ -1,5 +1,5 @@
-//! The yardstick: whole pictures and their gradients in f64, checked on small crops against the renderer that approximates
-//! nothing.
+//! Reference renders: whole pictures and their gradients in f64, checked on small crops against the renderer without
+//! approximations.
 
 use anyhow::{Result, ensure};
 use burn::tensor::DType;
@@ -9,19 +9,19 @@ use splat_op::{Camera, Intrinsics, RenderOptions, render_view};
 
 use super::subject::{Place, Shot, Sums, cotangent, host};
 
-/// What is exact under some model choices.
+/// The exact reference under some model choices.
 pub struct Truth {
-    /// By view, `[H, W, 3]` row-major.
+    /// Pictures by view, `[H, W, 3]` row-major.
     pub pictures: Vec<Vec<f64>>,
-    /// By view, the same shape: what the pictures are differentiated against.
+    /// Cotangents of the pictures by view, `[H, W, 3]` row-major.
     pub cotangents: Vec<Vec<f32>>,
-    /// Summed over the views.
+    /// Gradients, summed over the views.
     pub gradients: Sums,
 }
 
 impl Truth {
-    /// Renders and differentiates every view of `place`, which must be in f64, with `options`, in which every numerical dial
-    /// should be where it approximates nothing. `done` is called after each view.
+    /// Renders and differentiates every view of `place`, which must be in f64. Each numerical dial of `options` should
+    /// have the value that approximates nothing. `done` is called after each view.
     ///
     /// # Errors
     /// If the operation refuses the scene.
@@ -46,19 +46,19 @@ fn background(place: &Place) -> [f32; 3] {
     std::array::from_fn(|channel| values.get(channel).copied().unwrap_or_default() as f32)
 }
 
-/// Sides of a crop, px.
+/// Width and height of a crop, px.
 const CROP: usize = 12;
 
-/// What may be between the yardstick and the exact renderer: it leaves out alphas below 1e-12, of which a thousand may be in
-/// a pixel, and both round in f64.
+/// Largest allowed difference between the reference renderer and the exact renderer: the reference leaves out alphas
+/// below 1e-12, up to a thousand of them in a pixel, and both round in f64.
 const TOLERANCE: f64 = 1e-9;
 
-/// Renders crops of up to three views as the yardstick does and with [`render_exact`], which visits every Gaussian in every
-/// pixel. A crop is a camera of its own, with its principal point moved; where its Jacobians are held is at least as far out as
-/// those of the whole picture. Returns the largest difference.
+/// Renders crops of up to three views with the reference renderer and with [`render_exact`], which visits every
+/// Gaussian in every pixel. A crop is a camera of its own, with a shifted principal point; its Jacobians are clamped at
+/// least as far out as those of the whole picture. Returns the largest difference.
 ///
 /// # Errors
-/// If the two differ by more than rounding: then no error that is measured with the yardstick means anything.
+/// If the two differ by more than rounding: no error measured against the reference would mean anything.
 pub fn check_crops(place: &Place, shots: &[Shot], options: &RenderOptions) -> Result<f64> {
     let mut largest = 0.0_f64;
     for (view, share) in (0..shots.len()).zip([(0.5, 0.5), (0.3, 0.6), (0.7, 0.4)]) {
@@ -66,7 +66,7 @@ pub fn check_crops(place: &Place, shots: &[Shot], options: &RenderOptions) -> Re
         let name = shots[view].photo.map_or(format!("view {view}"), |photo| photo.name.clone());
         ensure!(
             found <= TOLERANCE,
-            "the yardstick is wrong: in a crop of {name} it differs from the exact renderer by {found:.1e}, which is more \
+            "the reference renderer is wrong: in a crop of {name} it differs from the exact renderer by {found:.1e}, which is more \
              than the {TOLERANCE:.0e} of rounding; please report this with the scene"
         );
         largest = largest.max(found);
@@ -74,7 +74,8 @@ pub fn check_crops(place: &Place, shots: &[Shot], options: &RenderOptions) -> Re
     Ok(largest)
 }
 
-/// The camera of a crop whose middle is at `share` of the picture, and the margin that its Jacobians are held at.
+/// Returns the camera of a crop whose middle is at `share` of the picture, and the margin at which its Jacobians are
+/// clamped.
 fn crop(full: &Intrinsics, share: (f64, f64), options: &RenderOptions) -> (Intrinsics, f64) {
     let corner = |size: usize, share: f64| {
         let side = CROP.min(size);
@@ -99,11 +100,11 @@ fn crop_difference(
     let exact = render_exact(&gaussians(place, &camera)?, &pose(&camera), &intrinsics, &background, &options);
     let exact = exact.iter().flat_map(|pixel| &pixel.features);
     let differences = found.iter().zip(exact).map(|(found, exact)| (found - exact).abs());
-    // Not `max`, which would pass over NaN.
+    // `max` would ignore NaN.
     Ok(differences.fold(0.0, |largest, difference| if difference <= largest { largest } else { difference }))
 }
 
-/// The Gaussians that can be rendered, with the colours that `camera` sees.
+/// Returns the Gaussians that can be rendered, with their colours as seen by `camera`.
 fn gaussians(place: &Place, camera: &Camera) -> Result<Vec<ExactGaussian>> {
     debug_assert_eq!(place.dtype, DType::F64);
     let splats = &place.splats;
@@ -117,7 +118,7 @@ fn gaussians(place: &Place, camera: &Camera) -> Result<Vec<ExactGaussian>> {
         opacity: opacities[i],
         features: colours[3 * i..3 * i + 3].to_vec(),
     };
-    // Those of opacity 0 are masked: their other numbers may be anything.
+    // Gaussians of opacity 0 are masked; their other values may be anything.
     Ok((0..opacities.len()).filter(|&i| opacities[i] > 0.0).map(gaussian).collect())
 }
 
@@ -142,7 +143,7 @@ pub(super) mod tests {
 
     pub const CAMERA: Intrinsics = Intrinsics { cy: 17.0, ..Intrinsics::centred(40, 30, 36.0) };
 
-    /// Gaussians in front of [`CAMERA`] at the origin; one of them is far too large to be rendered.
+    /// Gaussians in front of [`CAMERA`] at the origin; one of them is too large to be rendered.
     pub fn rows(count: usize) -> GaussianRows {
         let mut random = ChaCha8Rng::seed_from_u64(3);
         let mut between = |low: f32, high: f32| random.random_range(low..high);
@@ -157,7 +158,7 @@ pub(super) mod tests {
             rows.sh_rest.extend([(); 9].map(|()| between(-0.3, 0.3)));
         }
         rows.log_scales[0][0] = f32::INFINITY;
-        // A wall behind half of them, which is denser than the standard lets a layer be.
+        // A wall behind half of them, denser than the standard's limit for a layer.
         (rows.means[1], rows.log_scales[1], rows.logit_opacities[1]) = ([0.0, -0.2, 4.0], [0.5; 3], 9.0);
         rows
     }
@@ -189,7 +190,7 @@ pub(super) mod tests {
             (RenderOptions { transmittance_min: 1e-2, ..exact }, "transmittance_min"),
         ] {
             let error = check_crops(&place, &shots(), &options).expect_err(what).to_string();
-            assert!(error.contains("the yardstick is wrong: in a crop of view 0"), "{what}: {error}");
+            assert!(error.contains("the reference renderer is wrong: in a crop of view 0"), "{what}: {error}");
         }
     }
 

@@ -1,43 +1,43 @@
-//! How a run went, from its first step to the present one: loss and size by step, scores where they were taken.
+//! History of a run, from its first step to the present one: loss and size by step, and scores where they were taken.
 
 use std::time::{Duration, Instant};
 
 use serde::{Deserialize, Serialize};
 use splat_model::evaluate::Scores;
 
-/// Points of a run's curve at most, but for the last: enough for a picture, and few enough that reading the loss from a device
-/// costs nothing.
+/// Largest number of points on a run's curve, not counting the last: enough for a plot, and few enough that reading the
+/// loss from a device costs nothing.
 const POINTS: usize = 250;
 
-/// What is kept of a run. It goes on where it was left, so that a run in two parts has one history.
+/// History of a run. A resumed run continues it, so that a run in two parts has one history.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct History {
-    /// Evenly over the steps, in their order.
+    /// Points, spread evenly over the steps, in step order.
     pub points: Vec<Point>,
-    /// In the order of their steps; empty unless `--eval-during` asks for them.
+    /// Scores, in step order; empty unless `--eval-during` asks for them.
     pub scores: Vec<Score>,
 }
 
-/// A moment of a run.
+/// State of a run after some steps.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Point {
-    /// Steps done.
+    /// Number of steps done.
     pub step: usize,
-    /// Time that training has taken so far, s; evaluations do not count.
+    /// Training time so far, s; evaluations do not count.
     pub seconds: f64,
     /// Mean loss of the steps since the last point; null if it was not finite.
     #[serde(deserialize_with = "finite_or_nan")]
     pub loss: f64,
-    /// Gaussians.
+    /// Number of Gaussians.
     pub splats: usize,
 }
 
-/// Scores on a few test views, during a run.
+/// Scores on a few held-out views during a run.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Score {
-    /// Steps done.
+    /// Number of steps done.
     pub step: usize,
-    /// Time that training has taken so far, s.
+    /// Training time so far, s.
     pub seconds: f64,
     /// Mean PSNR, dB.
     pub psnr: f64,
@@ -46,65 +46,65 @@ pub struct Score {
     /// Mean LPIPS; null where it was not measured.
     #[serde(default)]
     pub lpips: Option<f64>,
-    /// How many views that is the mean of.
+    /// Number of views that the scores are the means of.
     pub views: usize,
 }
 
-/// JSON has no NaN and says null.
+/// Reads null as NaN, which JSON does not have.
 fn finite_or_nan<'a, D: serde::Deserializer<'a>>(input: D) -> Result<f64, D::Error> {
     Ok(Option::<f64>::deserialize(input)?.unwrap_or(f64::NAN))
 }
 
-/// Keeps a [`History`] while a run goes on.
+/// Records the [`History`] of a run in progress.
 #[derive(Debug)]
 pub struct Recorder {
     history: History,
     /// Steps between points.
     every: usize,
     steps: usize,
-    /// Of the steps since the last point: their losses' sum, and their number.
+    /// Sum and number of the losses since the last point.
     losses: (f64, usize),
     started: Instant,
-    /// Taken before `started`.
+    /// Training time before `started`.
     earlier: Duration,
 }
 
 impl Recorder {
-    /// For a run of `steps` steps, of which `history` tells the first ones, which took so many seconds.
+    /// Starts to record a run of `steps` steps. `history` holds its first steps, which took `seconds`.
     pub fn new(steps: usize, history: History, seconds: f64) -> Self {
         Self {
             every: steps.div_ceil(POINTS).max(1),
             steps,
             losses: (0.0, 0),
             started: Instant::now(),
-            // What a file says need not be a time.
+            // A value read from a file may not be a valid duration.
             earlier: Duration::try_from_secs_f64(seconds).unwrap_or_default(),
             history,
         }
     }
 
-    /// Time that training has taken so far, s to the millisecond.
+    /// Training time so far, s to the millisecond.
     pub fn seconds(&self) -> f64 {
         ((self.earlier + self.started.elapsed()).as_secs_f64() * 1e3).round() / 1e3
     }
 
-    /// What is known so far. Losses since the last point are not in it.
+    /// The history so far, without the losses since the last point.
     pub fn history(&self) -> &History {
         &self.history
     }
 
-    /// Whether a point is to be kept after this step.
+    /// Whether a point is due after this step.
     pub fn is_due(&self, step: usize) -> bool {
         step.is_multiple_of(self.every) || step == self.steps
     }
 
-    /// Losses of steps since the last call: their sum and number.
+    /// Adds the sum and the number of the losses since the last call.
     pub fn add(&mut self, (sum, count): (f64, usize)) {
         self.losses.0 += sum;
         self.losses.1 += count;
     }
 
-    /// Keeps a point after a step.
+    /// Records a point after a step.
     pub fn keep(&mut self, step: usize, splats: usize) -> Point {
         let (sum, count) = std::mem::take(&mut self.losses);
         let point = Point { step, seconds: self.seconds(), loss: sum / count as f64, splats };
@@ -112,9 +112,9 @@ impl Recorder {
         point
     }
 
-    /// Keeps scores that were taken after a step and took `pause`, which is no time of training's.
+    /// Records scores taken after a step. Taking them took `pause`, which is no training time.
     pub fn keep_score(&mut self, step: usize, scores: &Scores, pause: Duration) -> Score {
-        // The clock stands still meanwhile; never set beyond now, whatever is said of the pause.
+        // The clock stands still meanwhile. It is never set beyond now, whatever the pause.
         self.started = (self.started + pause).min(Instant::now());
         let &Scores { psnr, ssim, lpips, ref views, .. } = scores;
         let score = Score { step, seconds: self.seconds(), psnr, ssim, lpips, views: views.len() };
@@ -122,7 +122,7 @@ impl Recorder {
         score
     }
 
-    /// All that is known, at the end.
+    /// Returns the whole history, at the end.
     pub fn into_history(self) -> History {
         self.history
     }
@@ -132,7 +132,7 @@ impl Recorder {
 mod tests {
     use super::*;
 
-    /// As an earlier version wrote them, of one view.
+    /// Scores of one view, as an earlier version wrote them.
     const SCORES: &str = r#"{"psnr": 20.0, "ssim": 0.5, "psnr_corrected": 21.0, "ssim_corrected": 0.6, "views": [
         {"name": "a.png", "psnr": 20.0, "ssim": 0.5, "psnr_corrected": 21.0, "ssim_corrected": 0.6}]}"#;
 
@@ -177,7 +177,7 @@ mod tests {
         let score = recorder.keep_score(2, &scores, Duration::from_millis(30));
         assert_eq!((score.psnr, score.ssim, score.lpips, score.views), (20.0, 0.5, None, 1));
         assert!((100.0..100.025).contains(&score.seconds), "{score:?}");
-        // Nor does it go back.
+        // Nor does the clock go back.
         let score = recorder.keep_score(2, &scores, Duration::from_secs(3600));
         assert!(score.seconds >= 100.0, "{score:?}");
         for seconds in [-1.0, f64::NAN, f64::INFINITY] {

@@ -1,10 +1,10 @@
-//! Text in HTML pages. Names of files are anyone's to choose.
+//! Text in HTML pages. File names may hold any character.
 
 use std::fmt::Write;
 
 use serde::Serialize;
 
-/// As the text of an element, or the value of an attribute in quotation marks.
+/// Escapes text for an element, or for the value of an attribute in quotation marks.
 pub fn escape(text: &str) -> String {
     let mut escaped = String::with_capacity(text.len());
     for letter in text.chars() {
@@ -14,7 +14,7 @@ pub fn escape(text: &str) -> String {
             '>' => escaped.push_str("&gt;"),
             '"' => escaped.push_str("&quot;"),
             '\'' => escaped.push_str("&#39;"),
-            // Pages cannot hold them.
+            // HTML pages cannot hold these characters.
             letter if letter.is_control() && !matches!(letter, '\n' | '\t') => {
                 escaped.push(char::REPLACEMENT_CHARACTER)
             }
@@ -24,7 +24,7 @@ pub fn escape(text: &str) -> String {
     escaped
 }
 
-/// As JSON within a `script` element, which ends at the first `</script` whatever that is part of.
+/// Formats a value as JSON for a `script` element, which ends at the first `</script`, even inside a string.
 ///
 /// # Errors
 /// If it cannot be written as JSON.
@@ -32,7 +32,8 @@ pub fn in_script(value: &impl Serialize) -> serde_json::Result<String> {
     Ok(serde_json::to_string(value)?.replace('<', "\\u003c"))
 }
 
-/// A table: titles, then rows of cells that are HTML already. A class per column: `number` stands to the right.
+/// Formats a table from titles with the classes of their columns, and rows of cells that are HTML already. The class
+/// `number` aligns a column to the right.
 pub fn table(titles: &[(&str, &str)], rows: impl IntoIterator<Item = Vec<String>>) -> String {
     let mut text = String::from("<table>\n<thead><tr>");
     for (title, class) in titles {

@@ -1,4 +1,4 @@
-//! What a run says of itself while it goes on: to its history, to a person, to a program.
+//! Log of a run in progress: to its history, for people, and for programs.
 
 use std::time::Instant;
 
@@ -16,31 +16,31 @@ use super::metrics::Metrics;
 use crate::progress::{self, StepProgress};
 use crate::snapshots::Snapshots;
 
-/// Views that are looked at during a run, at most: evenly among those to test on.
+/// Largest number of views scored during a run, spread evenly over the held-out views.
 const FEW: usize = 4;
 
 /// A line of `--json`. Fields are added over time, and never renamed.
 #[derive(Serialize)]
 #[serde(tag = "event", rename_all = "lowercase")]
 pub enum Line<'a> {
-    /// Before the first step.
+    /// Written before the first step.
     Start { steps: usize, train_views: usize, test_views: usize, splats: usize, device: &'a str, version: &'a str },
-    /// Evenly over the steps, at most 251 times.
+    /// Written evenly over the steps, at most 251 times.
     Progress(Point),
-    /// After every `--eval-during` steps.
+    /// Written after every `--eval-during` steps.
     Evaluation(Score),
-    /// At the end.
+    /// Written at the end.
     Done { out: String, metrics: &'a Metrics },
 }
 
-/// What a scene is scored on during a run, and what is kept of it.
+/// Subject of an evaluation during a run, and where its results are saved.
 #[derive(Clone, Copy)]
 pub struct Evaluation<'a> {
     pub test: &'a [Photograph],
     pub device: &'a Device,
-    /// To score with too, if there is one.
+    /// LPIPS, if it is measured.
     pub lpips: Option<&'a Lpips>,
-    /// Where renders and scene are kept, if they are.
+    /// Snapshots of renders and scene, if they are saved.
     pub snapshots: Option<&'a Snapshots<'a>>,
 }
 
@@ -48,17 +48,18 @@ pub struct Evaluation<'a> {
 pub struct RunLog {
     recorder: Recorder,
     bar: StepProgress,
-    /// `[1]`: sum of the losses that were not read yet, and how many. Kept on the device: reading each would wait.
+    /// `[1]`: sum of the losses that were not read yet, and their number. Kept on the device, because each read would
+    /// wait.
     losses: Option<(Tensor<1>, usize)>,
 }
 
 impl RunLog {
-    /// Before the next of `steps` steps, of which `history` tells the first ones, which took so many seconds.
+    /// Begins the log before the next of `steps` steps. `history` holds the earlier ones, which took `seconds`.
     pub fn new(steps: usize, history: History, seconds: f64) -> Self {
         Self { recorder: Recorder::new(steps, history, seconds), bar: StepProgress::new(steps), losses: None }
     }
 
-    /// After a step.
+    /// Logs a step.
     pub fn step(&mut self, report: &StepReport) {
         self.losses = Some(match self.losses.take() {
             Some((sum, count)) => (sum + report.loss.clone(), count + 1),
@@ -80,14 +81,14 @@ impl RunLog {
         }
     }
 
-    /// Scores the scene as it is on a few of the photographs to test on. The clock of the run stands still.
+    /// Scores the present scene on a few of the held-out photographs. The clock of the run stands still.
     ///
     /// # Errors
     /// If a view cannot be rendered.
     pub fn evaluate(&mut self, trainer: &Trainer, evaluation: Evaluation) -> Result<()> {
         let Evaluation { test, device, lpips, snapshots } = evaluation;
         let start = Instant::now();
-        // What smoothing does is in the rows, not in the parameters.
+        // The rows include the effect of smoothing, the parameters do not.
         let rows = trainer.rows();
         let splats = Gaussians::from_rows(&rows, device)?.splats();
         let (background, options) = (trainer.background(), trainer.render_options());
@@ -108,28 +109,28 @@ impl RunLog {
             score.step, score.psnr, score.ssim, score.views
         ));
         progress::line(&Line::Evaluation(score));
-        // Not worth a run: a disk that is full now may not be later.
+        // A failed snapshot does not end the run: a disk that is full now may have room later.
         let kept = kept.unwrap_or(Ok(())).and_then(|()| match snapshots {
             Some(snapshots) => snapshots.keep_history(self.recorder.history()),
             None => Ok(()),
         });
         if let Err(error) = kept {
-            progress::note(&format!("the snapshot after step {} is not kept: {error:#}", score.step));
+            progress::note(&format!("the snapshot after step {} was not saved: {error:#}", score.step));
         }
         Ok(())
     }
 
-    /// Time that training has taken so far, s; evaluations do not count.
+    /// Training time so far, s; evaluations do not count.
     pub fn seconds(&self) -> f64 {
         self.recorder.seconds()
     }
 
-    /// How the run went so far.
+    /// History of the run so far.
     pub fn history(&self) -> &History {
         self.recorder.history()
     }
 
-    /// After the last step.
+    /// Ends the log after the last step.
     pub fn finish(self) -> History {
         self.bar.finish();
         self.recorder.into_history()

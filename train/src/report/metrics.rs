@@ -13,29 +13,29 @@ use super::METRICS;
 use crate::effects::Chosen;
 use crate::output::OutputFolder;
 
-/// What a run measured and what it was made of. Keys are added over time, and never renamed.
+/// Results of a run and its options. Keys are added over time, and never renamed.
 #[derive(Clone, Debug, Serialize)]
 pub struct Metrics {
-    /// Scores on the photographs that were held out; null if there are none.
+    /// Scores on the held-out photographs; null if there are none.
     pub test: Option<Scores>,
-    /// Gaussians in the scene.
+    /// Number of Gaussians in the scene.
     pub splats: usize,
-    /// Those of them that are never drawn: a parameter is not finite or beyond what f32 computes with, or the rotation is
-    /// zero (see `splat_op::activate`).
+    /// Number of Gaussians that are never drawn: a parameter is not finite or out of the range of f32 arithmetic, or
+    /// the rotation is zero (see `splat_op::activate`).
     pub culled_non_finite: usize,
-    /// Training steps; null where none were made.
+    /// Number of training steps; null without training.
     pub steps: Option<usize>,
     /// Wall-clock times.
     pub seconds: Seconds,
-    /// The most memory that the process held, MiB; null where the system does not say.
+    /// Peak memory of the process, MiB; null where the system does not report it.
     pub peak_rss_mib: Option<f64>,
-    /// What computed: a CPU backend, or an adapter and how it was driven.
+    /// Device: a CPU backend, or an adapter and its runtime.
     pub device: String,
-    /// The effects that were simulated, why, and what they took; null where nothing was trained.
+    /// Simulated effects, the reasons for them, and their cost; null without training.
     pub effects: Option<Chosen>,
-    /// Seed of everything random; null where nothing was.
+    /// Seed of everything random; null where nothing was random.
     pub seed: Option<u64>,
-    /// All options, with the defaults of those that were not given.
+    /// All options, including defaults.
     pub options: Value,
     /// Version of the program.
     pub version: &'static str,
@@ -46,9 +46,9 @@ pub struct Metrics {
 pub struct Seconds {
     /// Reading and decoding.
     pub load: f64,
-    /// The training steps alone; null where none were made.
+    /// The training steps alone; null without training.
     pub train: Option<f64>,
-    /// The test views, their pictures included.
+    /// The test views, including their pictures.
     pub eval: f64,
 }
 
@@ -70,19 +70,19 @@ pub fn seconds_since(start: Instant) -> f64 {
     (start.elapsed().as_secs_f64() * 1e3).round() / 1e3
 }
 
-/// The largest resident set of this process so far, MiB to a tenth. Linux alone tells.
+/// Largest resident set of this process so far, MiB to a tenth. Known on Linux only.
 pub fn peak_rss_mib() -> Option<f64> {
     peak_of(&std::fs::read_to_string("/proc/self/status").ok()?)
 }
 
-/// The field `VmHWM` ("high water mark", KiB) of proc(5)'s status.
+/// Reads the field `VmHWM` ("high water mark", KiB) of proc(5)'s status.
 fn peak_of(status: &str) -> Option<f64> {
     let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
     let kib: f64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
     Some((kib / 1024.0 * 10.0).round() / 10.0)
 }
 
-/// The names of the test views in a `metrics.json`; none if there is no such file or it is not ours.
+/// Returns the names of the test views in a `metrics.json`; none if the file is missing or not ours.
 pub fn views_of(path: &Path) -> Vec<String> {
     let read = || serde_json::from_slice::<Value>(&std::fs::read(path).ok()?).ok();
     let metrics = read().unwrap_or_default();

@@ -1,5 +1,5 @@
-//! What a run leaves behind besides the scene: `metrics.json`, pictures of the test views, and `report.html`; and what it says
-//! while it goes on.
+//! Output of a run besides the scene: `metrics.json`, pictures of the test views, `report.html`, and messages while it
+//! is in progress.
 
 pub mod history;
 pub mod html;
@@ -26,19 +26,19 @@ use crate::progress;
 pub const SCENE: &str = "scene.ply";
 /// Scores, times and options.
 pub const METRICS: &str = "metrics.json";
-/// All of it for people to look at.
+/// The report, for people.
 pub const REPORT: &str = "report.html";
-/// What is behind the scene, where a run learnt it.
+/// The background, where a run learned it.
 pub const BACKGROUND: &str = "background.json";
-/// The photographs' poses, where a run refined them.
+/// Poses of the photographs, where a run refined them.
 pub const POSES: &str = "poses.json";
 /// The folder of pictures.
 pub const VIEWS: &str = "views";
 
-/// Scores a scene on photographs, by LPIPS too if there is one, and writes a picture of each comparison to `views/`.
+/// Scores a scene on photographs, with LPIPS if it is given, and writes a comparison picture of each to `views/`.
 ///
 /// # Errors
-/// If a view cannot be rendered or a picture not be written.
+/// If a view cannot be rendered or a picture cannot be written.
 pub fn measure(
     splats: &Splats,
     photos: &[Photograph],
@@ -63,7 +63,7 @@ pub fn measure(
     scores
 }
 
-/// Writes `metrics.json`, after removing the pictures of an earlier run's test views that this one did not have.
+/// Writes `metrics.json`, after removing pictures of an earlier run's test views that this run does not have.
 ///
 /// # Errors
 /// If it cannot be written.
@@ -80,7 +80,7 @@ pub fn finish(metrics: &Metrics, out: &OutputFolder) -> Result<()> {
     metrics.write(out)
 }
 
-/// Says on standard output what the scores are and where everything is; `scene` is the name of the scene's file.
+/// Prints the scores and the location of all files; `scene` is the name of the scene's file.
 pub fn say(metrics: &Metrics, scene: &str, out: &OutputFolder) {
     match &metrics.test {
         Some(test) => {
@@ -105,7 +105,7 @@ pub fn say(metrics: &Metrics, scene: &str, out: &OutputFolder) {
     }
 }
 
-/// The mean LPIPS and what it is of, or why it was not measured.
+/// Formats the mean LPIPS with its network and input, or the reason why it was not measured.
 fn perceived(scores: &Scores) -> String {
     let Scores { lpips, lpips_missing, lpips_net, lpips_input, .. } = scores;
     let of = |text: &Option<String>| text.clone().unwrap_or_default();
@@ -115,7 +115,7 @@ fn perceived(scores: &Scores) -> String {
     }
 }
 
-/// All elements, row-major.
+/// Returns all elements, row-major.
 pub(crate) fn values_of<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
     let data = tensor.into_data().convert::<f32>();
     data.try_into_vec().expect("converted to f32 in the line above")

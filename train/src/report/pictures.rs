@@ -1,4 +1,4 @@
-//! Pictures: comparisons of a render with its photograph, and renders on their own.
+//! Pictures: comparisons of a render with its photograph, and plain renders.
 
 use std::collections::HashSet;
 use std::fs::File;
@@ -11,12 +11,13 @@ use splat_model::evaluate::Comparison;
 
 use super::values_of;
 
-/// The error is shown this many times as large as it is: a twentieth of the range, plain to see in the pictures side by
-/// side, becomes a fifth, and a quarter and more becomes white.
+/// Magnification of the error: a twentieth of the range, plainly visible in the pictures side by side, becomes a fifth,
+/// and a quarter and more becomes white.
 pub const ERROR_GAIN: f32 = 4.0;
 
-/// Where the pictures of views go, below their folder: the view's name with another extension. Folders in names are
-/// kept; a name that is already taken (`0001.jpg` beside `0001.png`) keeps its own extension within the new name.
+/// Returns paths for the pictures of views, below their folder: the view's name with another extension. Folders in
+/// names are kept; a picture whose name is already taken (`0001.jpg` beside `0001.png`) keeps its own extension within
+/// the new name.
 pub fn names<'a>(views: impl IntoIterator<Item = &'a str>, extension: &str) -> Vec<PathBuf> {
     let mut taken = HashSet::new();
     let mut free = |path: PathBuf| taken.insert(path.clone()).then_some(path);
@@ -26,19 +27,19 @@ pub fn names<'a>(views: impl IntoIterator<Item = &'a str>, extension: &str) -> V
             _ => PathBuf::from(format!("{view}-{number}.{extension}")),
         };
         let short = free(Path::new(view).with_extension(extension));
-        // Ends: there are more numbers than names.
+        // Terminates: there are more numbers than names.
         short.or_else(|| (0..).map(whole).find_map(&mut free)).unwrap_or_default()
     };
     views.into_iter().map(&mut name).collect()
 }
 
-/// Whether a path leads below the folder that it is joined to. Names of a capture do; those of any other file may not.
+/// Whether a path stays below the folder that it is joined to. Names of a capture do; names in any other file may not.
 pub fn stays_inside(path: &Path) -> bool {
     path.components().all(|part| matches!(part, Component::Normal(_) | Component::CurDir))
 }
 
-/// Writes truth | render | error side by side as an 8-bit PNG. The error is the absolute difference of each channel,
-/// [`ERROR_GAIN`] times as large.
+/// Writes ground truth | render | error side by side as an 8-bit PNG. The error is the absolute difference of each
+/// channel, magnified by [`ERROR_GAIN`].
 ///
 /// # Errors
 /// If it cannot be written.
@@ -49,7 +50,7 @@ pub fn write_comparison(comparison: &Comparison, file: &mut BufWriter<File>) -> 
     Ok(picture.write_to(file, ImageFormat::Png)?)
 }
 
-/// From two pictures `[height, width, 3]` in 0..1.
+/// Places two pictures `[height, width, 3]` in 0..1 and their error side by side.
 fn side_by_side(truth: &[f32], render: &[f32], width: usize, height: usize) -> RgbImage {
     let pixel = |picture: &[f32], at: usize| [0, 1, 2].map(|channel| picture[3 * at + channel]);
     // Three times the largest side that a camera may have fits a u32.
@@ -65,7 +66,7 @@ fn side_by_side(truth: &[f32], render: &[f32], width: usize, height: usize) -> R
     })
 }
 
-/// A value in 0..1 as one of 256 levels. The conversion saturates, and NaN becomes 0.
+/// Converts a value in 0..1 to one of 256 levels. The conversion saturates, and NaN becomes 0.
 pub(crate) fn level(value: f32) -> u8 {
     (value * 255.0).round() as u8
 }

@@ -1,43 +1,44 @@
-//! What a run will take of the machine's memory, said before it begins.
+//! Prediction of a run's memory, printed before it begins.
 
 use splat_model::capture::Photograph;
 use splat_model::trainer::TrainConfig;
 use sysinfo::{MemoryRefreshKind, RefreshKind, System};
 
-/// Floats of a Gaussian besides its harmonics: centre, rotation, scales, opacity.
+/// Floats of a Gaussian besides its spherical harmonics: centre, rotation, scales, opacity.
 const PLAIN: usize = 11;
 
-/// Copies of a parameter at the worst moment: values, gradient and both moments, old and new while rows are edited, and once on
+/// Copies of a parameter at the peak: values, gradient and both moments, old and new while rows are edited, and one on
 /// the host.
 const COPIES: usize = 9;
 
-/// Bytes of a Gaussian in a render and its derivative: what is activated and projected, and its rows in the lists of tiles.
+/// Bytes of a Gaussian in a render and its backward pass: its activated and projected values, and its intersections
+/// with tiles.
 const RENDERED: usize = 400;
 
-/// Bytes of a pixel in a render, its loss and its derivative.
+/// Bytes of a pixel in a render, its loss and its backward pass.
 const PIXEL: usize = 200;
 
-/// The program, its kernels and its threads.
+/// Bytes of the program, its kernels and its threads.
 const PROGRAM: usize = 100 << 20;
 
 /// Bytes of a pixel of a photograph prepared for the loss.
 const PREPARED: usize = 36;
 
-/// A prediction, bytes.
+/// Predicted memory, bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Budget {
-    /// Photographs that stay in memory, decoded.
+    /// Decoded photographs that stay in memory.
     pub photographs: usize,
-    /// Those prepared for the loss.
+    /// Photographs prepared for the loss.
     pub prepared: usize,
-    /// So many Gaussians, trained.
+    /// The Gaussians with their training state.
     pub scene: usize,
-    /// All else.
+    /// Everything else.
     pub other: usize,
 }
 
 impl Budget {
-    /// Of a run over these photographs with so many Gaussians.
+    /// Predicts the memory of a run over these photographs with `splats` Gaussians.
     pub fn of(train: &[Photograph], test: &[Photograph], config: &TrainConfig, splats: usize) -> Self {
         let pixels = |photo: &Photograph| photo.intrinsics.width * photo.intrinsics.height;
         let kept = train.iter().chain(test).filter(|photo| photo.is_kept());
@@ -52,12 +53,12 @@ impl Budget {
         }
     }
 
-    /// Bytes of all.
+    /// Returns the sum, bytes.
     pub fn total(self) -> usize {
         self.photographs + self.prepared + self.scene + self.other
     }
 
-    /// What is said of it, where so many Gaussians are the most: how much of what, and what to do where the machine has less.
+    /// Formats the prediction for at most `splats` Gaussians, with advice if it exceeds the available memory.
     pub fn said(self, splats: usize, available: Option<usize>) -> String {
         let gb = |bytes: usize| format!("{:.1} GB", bytes as f64 / 1e9);
         let mut text = format!(
@@ -79,17 +80,17 @@ impl Budget {
     }
 }
 
-/// Bytes that programs can still take, where the system says so.
+/// Returns the memory that programs can still take, bytes, where the system reports it.
 pub fn available() -> Option<usize> {
     let memory = RefreshKind::nothing().with_memory(MemoryRefreshKind::nothing().with_ram());
     let bytes = System::new_with_specifics(memory).available_memory();
     usize::try_from(bytes).ok().filter(|bytes| *bytes > 0)
 }
 
-/// Bytes for decoded photographs: half of what is left, or what was asked for.
+/// Returns the memory for decoded photographs, bytes: the amount asked for, or half of what is available.
 pub fn cache(asked_mb: Option<usize>, available: Option<usize>) -> usize {
     let asked = asked_mb.map(|mb| mb.saturating_mul(1_000_000));
-    // Where nobody knows, as much as a small machine has.
+    // The memory of a small machine, where the available memory is unknown.
     asked.unwrap_or_else(|| available.map_or(2_000_000_000, |bytes| bytes / 2))
 }
 

@@ -1,7 +1,7 @@
-//! Checkpoints of a run, in the folder `checkpoints/` of its output: which there are, which are kept, and what they hold.
+//! Checkpoints of a run, in the folder `checkpoints/` of its output.
 //!
-//! Each is whole (see [`State::write`]), and the one before it is removed only when it is there. A folder belongs to one process
-//! at a time.
+//! Each is written completely (see [`State::write`]) before an older one is removed. A folder belongs to one process at
+//! a time.
 
 use std::fs::{self, File, TryLockError};
 use std::path::{Path, PathBuf};
@@ -15,75 +15,75 @@ use crate::progress;
 use crate::report::METRICS;
 use crate::report::history::History;
 
-/// Their folder, below the output.
+/// Folder of the checkpoints, below the output folder.
 pub const FOLDER: &str = "checkpoints";
 
-/// Where a new run puts those of an unfinished one.
+/// Folder to which a new run moves the checkpoints of an unfinished one.
 const BEFORE: &str = "checkpoints-before";
 
-/// Beside that folder while a process trains there.
+/// Lock file, beside that folder while a process trains there.
 const LOCK: &str = ".splat-lock";
 
-/// How many are kept.
+/// Number of checkpoints that are kept.
 const KEPT: usize = 2;
 
-/// A run as it was.
+/// Content of a checkpoint.
 pub struct Kept {
-    /// How it was started.
+    /// Options that the run was started with.
     pub args: TrainArgs,
-    /// What [`Trainer::resume`] takes.
+    /// Input of [`Trainer::resume`].
     pub trainer: State,
-    /// What else there is to know.
+    /// Progress besides the trainer.
     pub so_far: SoFar,
-    /// Where it was read from.
+    /// File that it was read from.
     pub path: PathBuf,
 }
 
-/// What a run has come to besides its trainer.
+/// Progress of a run besides its trainer.
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SoFar {
-    /// Spent on training, in all parts of the run.
+    /// Training time of all parts of the run, s.
     pub seconds: f64,
-    /// Whether the dials have been chosen, where a target asks for that.
+    /// Whether the dials have been chosen, where a target asks for a choice.
     pub dials_chosen: bool,
-    /// Its curve.
+    /// History of the run.
     pub history: History,
 }
 
-/// The checkpoints of the run that is on its way.
+/// Checkpoints of a run in progress.
 pub struct Checkpoints {
     folder: PathBuf,
     every: usize,
-    /// Held while the run is.
+    /// Held as long as the run lasts.
     _lock: File,
-    /// Whether the last could not be written.
+    /// Whether the last checkpoint could not be written.
     failing: bool,
 }
 
 impl Checkpoints {
-    /// Of a run that writes to `out` every so many steps; 0 for when it is asked to alone.
+    /// Opens the checkpoints of a run that writes to `out`. One is due after every `every` steps; with 0, only on
+    /// request.
     ///
     /// # Errors
     /// If the folder cannot be made, or another process trains there.
     pub fn open(out: &Path, every: usize) -> Result<Self> {
         let folder = out.join(FOLDER);
-        let cannot =
-            || format!("cannot write to {}: mend its permissions, or choose another `--out`", folder.display());
+        let cannot = || format!("cannot write to {}: fix its permissions, or choose another `--out`", folder.display());
         fs::create_dir_all(&folder).with_context(cannot)?;
-        // Beside the checkpoints, whose folder may be renamed.
+        // Beside the checkpoints, because their folder may be renamed.
         let lock = File::create(out.join(LOCK)).with_context(cannot)?;
         match lock.try_lock() {
             Err(TryLockError::WouldBlock) => {
                 bail!("another `splat train` is writing to {}: wait for it, or choose another `--out`", out.display())
             }
-            // There are file systems without locks.
+            // Some file systems have no locks.
             Ok(()) | Err(TryLockError::Error(_)) => {}
         }
         Ok(Self { folder, every, _lock: lock, failing: false })
     }
 
-    /// Makes room for a new run; those of an unfinished one are put aside.
+    /// Clears the folder for a new run. Checkpoints of an unfinished run are moved aside.
     ///
     /// # Errors
     /// If they cannot be moved.
@@ -91,14 +91,14 @@ impl Checkpoints {
         let Some((step, _)) = steps_in(&self.folder).pop() else { return Ok(()) };
         let before = self.folder.with_file_name(BEFORE);
         let shown = self.folder.display();
-        let cannot = || format!("cannot move {shown} away: mend its permissions, or choose another `--out`");
+        let cannot = || format!("cannot move {shown} away: fix its permissions, or choose another `--out`");
         if step > 0 {
             if before.exists() {
                 fs::remove_dir_all(&before).with_context(cannot)?;
             }
             fs::rename(&self.folder, &before).with_context(cannot)?;
             progress::note(&format!(
-                "an unfinished run was here, at step {step}; its checkpoints are in {} now: to go on with it, put them into \
+                "an unfinished run was here, at step {step}; its checkpoints are in {} now: to resume it, move them to \
                  `{FOLDER}` below another folder and `splat resume` that",
                 before.display()
             ));
@@ -108,15 +108,15 @@ impl Checkpoints {
         fs::create_dir_all(&self.folder).with_context(cannot)
     }
 
-    /// Whether one is to be written after `step`.
+    /// Whether a checkpoint is due after `step`.
     pub fn due_after(&self, step: usize) -> bool {
         self.every > 0 && step.is_multiple_of(self.every)
     }
 
-    /// Writes one, and removes what is older than the one before it.
+    /// Writes a checkpoint, and removes all that are older than its predecessor.
     ///
     /// # Errors
-    /// If it cannot be written; the others are as they were.
+    /// If it cannot be written; the others are unchanged then.
     pub fn write(&self, trainer: &mut Trainer, args: &TrainArgs, so_far: &SoFar) -> Result<PathBuf> {
         let mut state = State::default();
         state.tell("version", &env!("CARGO_PKG_VERSION"))?;
@@ -128,13 +128,13 @@ impl Checkpoints {
         let mut steps = steps_in(&self.folder);
         steps.truncate(steps.len().saturating_sub(KEPT));
         for (_, old) in steps {
-            // It takes room, and that is all.
+            // A leftover file only takes up space.
             let _ = fs::remove_file(old);
         }
         Ok(path)
     }
 
-    /// The same on the way: one that cannot be written is said once, and ends no run.
+    /// Writes a checkpoint during a run. A failure is noted once and does not end the run.
     pub fn try_write(&mut self, trainer: &mut Trainer, args: &TrainArgs, so_far: &SoFar) {
         let written = self.write(trainer, args, so_far);
         if let (Err(error), false) = (&written, self.failing) {
@@ -144,9 +144,9 @@ impl Checkpoints {
         self.failing = written.is_err();
     }
 
-    /// Removes them, after the run has left its results. The last one goes last.
+    /// Removes all checkpoints in step order, after the run has written its results.
     pub fn finish(self) {
-        // Left over, they do no harm.
+        // Leftover files do no harm.
         let _ = fs::remove_file(self.folder.with_file_name(LOCK));
         for (_, path) in steps_in(&self.folder) {
             let _ = fs::remove_file(path);
@@ -155,18 +155,18 @@ impl Checkpoints {
     }
 }
 
-/// The newest checkpoint of the run that wrote to `out`.
+/// Reads the newest checkpoint of the run that wrote to `out`.
 ///
 /// # Errors
-/// If there is none, or it cannot be read, is damaged, or of another version.
+/// If there is none, or it cannot be read, is damaged, or was written by another version.
 pub fn newest(out: &Path) -> Result<Kept> {
     let shown = out.display();
-    ensure!(out.is_dir(), "{shown} is no folder: give the `--out` of the run to go on with");
+    ensure!(out.is_dir(), "{shown} is not a folder: give the `--out` of the run to resume");
     let folder = out.join(FOLDER);
     let mut steps = steps_in(&folder);
     let Some((_, path)) = steps.pop() else {
         if out.join(METRICS).is_file() {
-            bail!("the run in {shown} is finished: there is nothing to go on with");
+            bail!("the run in {shown} is finished: there is nothing to resume");
         }
         let before = folder.with_file_name(BEFORE);
         let before = steps_in(&before).pop().map(|_| format!(", or rename {} to `{FOLDER}`", before.display()));
@@ -178,15 +178,15 @@ pub fn newest(out: &Path) -> Result<Kept> {
     };
     read(&path).with_context(|| {
         let older =
-            steps.pop().map(|(step, _)| format!("; without that file, `splat resume` goes on from step {step}"));
-        format!("cannot go on from {}{}", path.display(), older.unwrap_or_default())
+            steps.pop().map(|(step, _)| format!("; without that file, `splat resume` continues from step {step}"));
+        format!("cannot resume from {}{}", path.display(), older.unwrap_or_default())
     })
 }
 
 fn read(path: &Path) -> Result<Kept> {
     let mut state = State::read(path)?;
     let (version, own): (String, _) = (state.told("version")?, env!("CARGO_PKG_VERSION"));
-    ensure!(version == own, "it was written by splat {version}, and this is splat {own}: go on with that version");
+    ensure!(version == own, "it was written by splat {version}, and this is splat {own}: resume with that version");
     let (args, so_far) = (state.told("args")?, state.told("so_far")?);
     let trainer = state.take_part("trainer");
     state.finish()?;
@@ -197,7 +197,7 @@ fn name_of(step: usize) -> String {
     format!("step-{step:08}.safetensors")
 }
 
-/// Steps and files, in ascending order; none where there is no such folder.
+/// Lists steps and files in ascending order; empty if the folder does not exist.
 fn steps_in(folder: &Path) -> Vec<(usize, PathBuf)> {
     let step = |path: PathBuf| {
         let name = path.file_name()?.to_str()?;

@@ -1,4 +1,4 @@
-//! What a run leaves beside its scores: the scene, and what was learnt with it.
+//! Files that a run writes beside its scores: the scene, and everything learned with it.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -14,7 +14,7 @@ use splat_model::trainer::{TrainConfig, TrainError, Trainer};
 use crate::output::OutputFolder;
 use crate::report::{BACKGROUND, POSES, SCENE};
 
-/// Writes what was learnt beside the scene, and removes what an earlier run had learnt.
+/// Writes what was learned beside the scene, and removes such files of an earlier run.
 ///
 /// # Errors
 /// If a file cannot be written.
@@ -25,14 +25,15 @@ pub fn write_learnt(trainer: &Trainer, config: &TrainConfig, capture: &Capture, 
     for (name, text) in [(BACKGROUND, background), (POSES, poses)] {
         match text {
             Some(text) => out.write(name, |file| Ok(file.write_all(text.as_bytes())?))?,
-            // There may be none.
+            // The file may not exist.
             None => _ = fs::remove_file(out.join(name)),
         }
     }
     Ok(())
 }
 
-/// By photograph: the rows of `cam_from_world`, `[3, 4]`, OpenCV axes, in the world frame of the capture's file.
+/// Returns the poses by photograph, as JSON: the rows of `cam_from_world`, `[3, 4]`, OpenCV axes, in the world frame of
+/// the capture's file.
 fn poses_json(poses: &[(String, DAffine3)], capture: &Capture) -> serde_json::Result<String> {
     let local_from_world = DAffine3::from_translation(-capture.origin);
     let rows = |pose: &DAffine3| {
@@ -44,7 +45,7 @@ fn poses_json(poses: &[(String, DAffine3)], capture: &Capture) -> serde_json::Re
     serde_json::to_string_pretty(&by_name)
 }
 
-/// Writes the scene of a run that went wrong: as it was before the step that did. The error as the user sees it.
+/// Saves the scene of a failed run, as it was before the failing step. Returns the error to show to the user.
 pub fn keep_scene(error: TrainError, trainer: &Trainer, capture: &Capture, out: &OutputFolder) -> anyhow::Error {
     if !error.keeps_scene() {
         return error.into();
@@ -52,7 +53,7 @@ pub fn keep_scene(error: TrainError, trainer: &Trainer, capture: &Capture, out: 
     let path = out.join(SCENE);
     let kept = match ply::write(&path, &trainer.rows(), capture.origin) {
         Ok(()) => format!("{} is the scene before that step", path.display()),
-        Err(reason) => format!("the scene before that step could not be kept: {reason}"),
+        Err(reason) => format!("the scene before that step could not be saved: {reason}"),
     };
     anyhow!("{error}. {kept}")
 }

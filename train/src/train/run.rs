@@ -1,4 +1,4 @@
-//! A run from its options, or its last checkpoint, to its results.
+//! A run, from its options or its last checkpoint to its results.
 
 use std::collections::BTreeMap;
 use std::ffi::OsStr;
@@ -37,10 +37,10 @@ use crate::snapshots::{self, Described, Snapshots};
 use crate::view::scene::{ShownScene, Viewpoint};
 use crate::{demo, input};
 
-/// The demo capture, below the output folder.
+/// Folder of the demo capture, below the output folder.
 const DEMO_CAPTURE: &str = "demo-capture";
 
-/// What `metrics.json` says under `options`.
+/// The `options` of `metrics.json`.
 #[derive(Serialize)]
 struct Options<'a> {
     capture: &'a Path,
@@ -53,25 +53,26 @@ struct Options<'a> {
     lpips: &'a LpipsArgs,
 }
 
-/// Trains, measures, writes everything, and says where it is.
+/// Trains, measures, writes all files, and prints their location.
 ///
 /// # Errors
-/// If the capture cannot be read, the results not be written, or an option is out of range; or if a loss or a gradient is
-/// not finite: then `scene.ply` is the scene before that step. [`Interrupted`](super::Interrupted) if Ctrl-C or SIGTERM ended it.
+/// If the capture cannot be read, the results cannot be written, or an option is out of range; or if a loss or a
+/// gradient is not finite: `scene.ply` is the scene before that step then. [`Interrupted`](super::Interrupted) if
+/// Ctrl-C or SIGTERM ended it.
 pub fn run(args: &TrainArgs) -> Result<Metrics> {
     run_with(args, |trainer| trainer)
 }
 
-/// As [`run`], with the run changed before its first step. For tests, which make it go wrong.
+/// Runs as [`run`] does, with the trainer changed before its first step. For tests, which make the run fail.
 #[doc(hidden)]
 pub fn run_with(args: &TrainArgs, change: impl FnOnce(Trainer) -> Trainer) -> Result<Metrics> {
     to_the_end(args.clone(), None, change)
 }
 
-/// Goes on with a run from its newest checkpoint, with the options that it was started with.
+/// Resumes a run from its newest checkpoint, with its original options.
 ///
 /// # Errors
-/// If there is no checkpoint that can be gone on from, and as [`run`].
+/// If no checkpoint can be resumed from, and as for [`run`].
 pub fn resume(args: &ResumeArgs) -> Result<Metrics> {
     let kept = checkpoints::newest(&args.out)?;
     let of_the_run = TrainArgs { out: Some(args.out.clone()), voice: args.voice, ..kept.args.clone() };
@@ -85,7 +86,7 @@ fn to_the_end(mut args: TrainArgs, kept: Option<Kept>, change: impl FnOnce(Train
     let lpips = args.lpips.read(&device)?;
     let (out, capture, start) = open(&args)?;
     let capture = Arc::new(capture);
-    // A run may be gone on with from anywhere.
+    // A run may be resumed from any working directory.
     args.capture = args.capture.map(|capture| std::path::absolute(&capture).unwrap_or(capture));
     args.lpips = args.lpips.from_anywhere();
     let (split, photo_args) = args.photos.split(&capture);
@@ -124,7 +125,7 @@ fn to_the_end(mut args: TrainArgs, kept: Option<Kept>, change: impl FnOnce(Train
     let mut trainer = change(if args.check { trainer.with_checks() } else { trainer });
     let load = seconds_since(start);
 
-    // All that can be wrong with a capture has been found by now: of a run that does not begin nothing is left.
+    // All errors in the capture have been found by now: a run that does not begin leaves no files.
     let checkpoints = Checkpoints::open(out.path(), args.checkpoint_every)?;
     out.sweep(&[VIEWS]);
     let snapshots = described.map(|described| Snapshots::open(&out, &described, kept.is_none())).transpose()?;
@@ -134,9 +135,9 @@ fn to_the_end(mut args: TrainArgs, kept: Option<Kept>, change: impl FnOnce(Train
             SoFar::default()
         }
         Some(kept) => {
-            let cannot = || format!("cannot go on from {}", kept.path.display());
+            let cannot = || format!("cannot resume from {}", kept.path.display());
             trainer.resume(kept.trainer).with_context(cannot)?;
-            progress::note(&format!("going on from step {} of {}", trainer.steps_done(), config.steps));
+            progress::note(&format!("resuming from step {} of {}", trainer.steps_done(), config.steps));
             kept.so_far
         }
     };
@@ -163,7 +164,7 @@ fn to_the_end(mut args: TrainArgs, kept: Option<Kept>, change: impl FnOnce(Train
     config.dials = trainer.config().dials.clone();
     let background = trainer.background();
     let render_options = trainer.render_options();
-    // Before measuring, so that whatever goes wrong there does not cost the scene.
+    // Before measuring, so that a failure there does not lose the scene.
     let rows = trainer.rows();
     ply::write(&out.join(SCENE), &rows, capture.origin)?;
     write_learnt(&trainer, &config, &capture, &out)?;
@@ -176,7 +177,7 @@ fn to_the_end(mut args: TrainArgs, kept: Option<Kept>, change: impl FnOnce(Train
     let scene = ShownScene::new(&rows, page::SCENE_BYTES).ok();
     drop(rows);
     effects.measure(&mut trainer)?;
-    // Photographs and moments are not needed for the scores, and their memory is.
+    // The scores need the memory of photographs and moments, which are no longer used.
     drop(trainer);
 
     let start = Instant::now();
@@ -220,7 +221,7 @@ fn to_the_end(mut args: TrainArgs, kept: Option<Kept>, change: impl FnOnce(Train
     Ok(metrics)
 }
 
-/// Prepares the output folder and reads the capture, after making it if none was given.
+/// Prepares the output folder and reads the capture, after making the demo capture if none was given.
 fn open(args: &TrainArgs) -> Result<(OutputFolder, Capture, Instant)> {
     let prepare = || {
         let out = args.out.clone().unwrap_or_else(|| own_folder(args.capture.as_deref()));
@@ -246,12 +247,12 @@ fn open(args: &TrainArgs) -> Result<(OutputFolder, Capture, Instant)> {
     }
 }
 
-/// Where a run writes to that was not told: a folder with the name of its capture that holds nothing yet, so that no run ever
-/// replaces what another has left.
+/// Returns the default output folder: an empty one with the name of the capture, so that no run replaces the results of
+/// another.
 fn own_folder(capture: Option<&Path>) -> PathBuf {
     let (named, may_hold) = match capture {
         None => (PathBuf::from("demo"), &[DEMO_CAPTURE][..]),
-        // The name of `..` is that of the folder it leads to.
+        // The name of `..` is the name of the folder that it leads to.
         Some(folder) if folder.file_name().is_none() => (folder.canonicalize().unwrap_or_default(), &[][..]),
         Some(folder) => (folder.to_owned(), &[][..]),
     };
@@ -260,7 +261,7 @@ fn own_folder(capture: Option<&Path>) -> PathBuf {
     match free == first {
         true => progress::note(&format!("writing to {}", free.display())),
         false => progress::note(&format!(
-            "{} holds something already, which is kept: writing to {} (`--out` names another folder)",
+            "{} is not empty and is kept: writing to {} (`--out` names another folder)",
             first.display(),
             free.display()
         )),
@@ -268,14 +269,15 @@ fn own_folder(capture: Option<&Path>) -> PathBuf {
     free
 }
 
-/// The views of photographs, some of which may have been left out.
+/// Returns the indices of the views of photographs, some of which may have been left out.
 fn views_of(capture: &Capture, photos: &[Photograph]) -> Vec<usize> {
     let by_name: BTreeMap<&str, usize> =
         capture.views.iter().enumerate().map(|(i, view)| (view.name.as_str(), i)).collect();
     photos.iter().map(|photo| by_name[photo.name.as_str()]).collect()
 }
 
-/// The photographs to train on and those to test on, with so many bytes of their pixels in memory; those to train on come first.
+/// Returns the photographs to train on and those to test on, with at most this many bytes of pixels in memory; those to
+/// train on come first.
 fn photographs(
     capture: &Arc<Capture>,
     split: &Split,
@@ -283,7 +285,7 @@ fn photographs(
     (effects, mut room): (&Chosen, usize),
 ) -> Result<(Vec<Photograph>, Vec<Photograph>)> {
     let train = split.require_train()?;
-    // `--eval-every 0` asks for no test; any other number that leaves none is a mistake.
+    // `--eval-every 0` asks for no test; any other number that holds out no photograph is a mistake.
     let test = if args.eval_every == Some(0) { &[] } else { split.require_test()? };
     let (masked, opaque) = (effects.has(EffectKind::Masks), !effects.has(EffectKind::Alpha));
     let wanted = Wanted { capture, max_side: args.max_side, masked, opaque };

@@ -1,5 +1,5 @@
-//! The steps of a run, and what happens between them: dials are chosen, scores taken, checkpoints written, and the run stops where it is
-//! asked to.
+//! The steps of a run, and the work between them: choosing dials, taking scores, writing checkpoints, and stopping on
+//! request.
 
 use anyhow::{Context, Result};
 use burn::tensor::Device;
@@ -20,47 +20,48 @@ use crate::report::history::History;
 use crate::report::log::{Evaluation, RunLog};
 use crate::snapshots::Snapshots;
 
-/// With a target for the accuracy: settings are measured after this part of the steps.
+/// With an accuracy target, settings are measured after one part in this many of the steps.
 const MEASURED_AFTER: usize = 10;
 
-/// Dials that are still to be chosen, by what they do to these views.
+/// A choice of dials that is still to be made, by measuring them on these views.
 pub struct Choice<'a> {
     pub accuracy: Accuracy,
     pub shots: Vec<Shot<'a>>,
 }
 
-/// What they are done with.
+/// Inputs of the steps.
 pub struct Steps<'a> {
     pub args: &'a TrainArgs,
     pub capture: &'a Capture,
     pub out: &'a OutputFolder,
     pub test: &'a [Photograph],
     pub device: (&'a Device, &'a str),
-    /// To score with during the run, if asked for.
+    /// LPIPS for scores during the run, if asked for.
     pub lpips: Option<&'a Lpips>,
-    /// What to keep of those scores, if asked for.
+    /// Snapshots of the evaluations, if asked for.
     pub snapshots: Option<&'a Snapshots<'a>>,
     pub checkpoints: Checkpoints,
 }
 
-/// All steps are done.
+/// Result of the steps, when all are done.
 pub struct Done {
-    /// That they took, in all parts of the run.
+    /// Training time of all parts of the run, s.
     pub seconds: f64,
     pub history: History,
     pub checkpoints: Checkpoints,
 }
 
 impl Steps<'_> {
-    /// Takes a run to its last step.
+    /// Runs all remaining steps.
     ///
     /// # Errors
-    /// If a step goes wrong; [`Interrupted`] if the run was asked to stop.
+    /// If a step fails; [`Interrupted`] if the run was asked to stop.
     pub fn run(mut self, trainer: &mut Trainer, so_far: SoFar, mut choice: Option<Choice>) -> Result<Done> {
         let stop = Stop::listen().context("cannot listen for Ctrl-C")?;
         let steps = trainer.config().steps;
         let mut dials_chosen = so_far.dials_chosen;
-        // So that a run which is killed at once can be gone on with too, and a folder that cannot take one is found now.
+        // The first checkpoint comes before the first step: a run killed at once can be resumed too, and an unwritable
+        // folder is found now.
         if trainer.steps_done() == 0 && self.args.checkpoint_every > 0 {
             self.checkpoints.write(trainer, self.args, &so_far)?;
         }
@@ -70,7 +71,7 @@ impl Steps<'_> {
                 let so_far = SoFar { seconds: log.seconds(), dials_chosen, history: log.finish() };
                 return Err(self.interrupted(trainer, &so_far, signal));
             }
-            // Earlier a scene is not yet like what it will be.
+            // Before this, the scene does not resemble the final one.
             if trainer.steps_done() >= steps / MEASURED_AFTER
                 && let Some(Choice { accuracy, shots }) = choice.take()
             {
@@ -97,22 +98,22 @@ impl Steps<'_> {
         }
         let (seconds, history) = (log.seconds(), log.finish());
         if let Some(Err(error)) = self.snapshots.map(|snapshots| snapshots.keep_history(&history)) {
-            progress::note(&format!("the last curves of the snapshots are not kept: {error:#}"));
+            progress::note(&format!("the last curves of the snapshots were not saved: {error:#}"));
         }
         Ok(Done { seconds, history, checkpoints: self.checkpoints })
     }
 
-    /// Keeps the run as it is, for whoever asked it to stop.
+    /// Saves a run that was asked to stop.
     fn interrupted(&self, trainer: &mut Trainer, so_far: &SoFar, signal: u8) -> anyhow::Error {
         let step = trainer.steps_done();
         match self.checkpoints.write(trainer, self.args, so_far) {
             Ok(path) => {
                 let out = self.out.path().display();
                 let path = path.display();
-                let message = format!("stopped after step {step}; `splat resume {out}` goes on from {path}");
+                let message = format!("stopped after step {step}; `splat resume {out}` continues from {path}");
                 Interrupted { signal, message }.into()
             }
-            Err(error) => error.context(format!("stopped after step {step}, which could not be kept")),
+            Err(error) => error.context(format!("stopped after step {step}, which could not be saved")),
         }
     }
 }

@@ -1,4 +1,4 @@
-//! Ctrl-C and SIGTERM while a run is on its way: the first asks it to stop after its step, the second ends it at once.
+//! Ctrl-C and SIGTERM during a run: the first signal stops the run after its step, the second ends the process at once.
 
 use std::fmt::{self, Display};
 use std::io;
@@ -8,17 +8,17 @@ use std::sync::{Arc, OnceLock};
 use signal_hook::consts::{SIGINT, SIGTERM};
 use signal_hook::flag;
 
-/// A run that was asked to stop, and did.
+/// Error of a run that was asked to stop, and did.
 #[derive(Debug)]
 pub struct Interrupted {
-    /// Which signal asked.
+    /// Signal that asked to stop.
     pub signal: u8,
-    /// What became of the run, for people.
+    /// State of the run, for people.
     pub message: String,
 }
 
 impl Interrupted {
-    /// The code that a shell gives a program which that signal ended: 130 for Ctrl-C, 143 for SIGTERM.
+    /// Exit code that a shell reports for a program ended by that signal: 130 for Ctrl-C, 143 for SIGTERM.
     pub fn exit_code(&self) -> u8 {
         128 + self.signal
     }
@@ -32,10 +32,10 @@ impl Display for Interrupted {
 
 impl std::error::Error for Interrupted {}
 
-/// Listens while it lives. Before and afterwards such a signal ends the program at once.
+/// Listens for signals while it exists. Before and afterwards such a signal ends the process at once.
 pub struct Stop(&'static Heard);
 
-/// Of the whole process, because handlers stay.
+/// State of the whole process, because handlers stay registered.
 #[derive(Default)]
 struct Heard {
     signal: Arc<AtomicUsize>,
@@ -45,10 +45,10 @@ struct Heard {
 static HEARD: OnceLock<Heard> = OnceLock::new();
 
 impl Stop {
-    /// Begins to listen.
+    /// Registers the handlers and begins to listen.
     ///
     /// # Errors
-    /// If the system does not let it.
+    /// If the system refuses a handler.
     pub fn listen() -> io::Result<Self> {
         let heard = match HEARD.get() {
             Some(heard) => heard,
@@ -63,7 +63,7 @@ impl Stop {
         Ok(Self(heard))
     }
 
-    /// The signal that has asked to stop.
+    /// Returns the signal that asked to stop, if there was one.
     pub fn asked(&self) -> Option<u8> {
         u8::try_from(self.0.signal.load(Ordering::Relaxed)).ok().filter(|signal| *signal != 0)
     }
@@ -72,7 +72,7 @@ impl Stop {
 impl Heard {
     fn register(&self) -> io::Result<()> {
         for signal in [SIGINT, SIGTERM] {
-            // In this order: what the first signal sets is what the second one finds.
+            // The order matters: the second signal must find the flag that the first one sets.
             flag::register_conditional_shutdown(signal, 128 + signal, Arc::clone(&self.at_once))?;
             flag::register(signal, Arc::clone(&self.at_once))?;
             flag::register_usize(signal, Arc::clone(&self.signal), signal as usize)?;

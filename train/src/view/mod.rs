@@ -1,4 +1,4 @@
-//! `splat view`: a scene in the browser, to turn around and walk through.
+//! `splat view`: shows a scene in the browser, to turn around and walk through.
 
 pub mod page;
 pub mod scene;
@@ -18,30 +18,30 @@ use crate::{input, progress};
 /// Options of `splat view`.
 #[derive(Clone, Debug, clap::Args)]
 pub struct ViewArgs {
-    /// The scene: PLY, compressed PLY or SPZ
+    /// Scene file: PLY, compressed PLY or SPZ
     pub scene: PathBuf,
-    /// Port of 127.0.0.1 to serve on; 0 takes any that is free
+    /// Port of 127.0.0.1 to serve on; 0 chooses a free one
     #[arg(long, value_name = "P", default_value_t = 0)]
     pub port: u16,
-    /// For scenes that were trained with this option
+    /// Show the scene as trained with --antialias
     #[arg(long)]
     pub antialias: bool,
 }
 
-/// Reads the scene, says where it is served, and serves it until the process is ended (Ctrl-C).
+/// Reads the scene, prints its address, and serves it until the process is ended (Ctrl-C).
 ///
 /// # Errors
-/// If the file is missing or holds no scene, or the port is not to be had.
+/// If the file is missing or is not a scene, or the port is not available.
 pub fn run(args: &ViewArgs) -> Result<()> {
-    // Before a long read.
+    // An unavailable port is found before the scene is read, which may take long.
     let server = Server::bind(args.port)?;
     let pages = pages(args)?;
     progress::say(&server.url());
-    progress::note(&format!("serving {} on this machine alone; Ctrl-C ends it", args.scene.display()));
+    progress::note(&format!("serving {} on this machine only; Ctrl-C ends it", args.scene.display()));
     server.serve(&pages)
 }
 
-/// All that there is to ask for.
+/// Returns the pages to serve.
 fn pages(args: &ViewArgs) -> Result<[Page; 2]> {
     const SCENE: &str = "/scene.ply";
     let (scene, _) = formats::read(&args.scene).context("cannot read the scene")?;

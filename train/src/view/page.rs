@@ -1,4 +1,4 @@
-//! The interactive picture of a scene, as parts of an HTML page.
+//! Interactive viewer of a scene, as parts of an HTML page.
 
 use std::fmt::Write;
 
@@ -12,42 +12,42 @@ use splat_op::RenderOptions;
 use super::scene::{ShownScene, Viewpoint};
 use crate::report::html::{escape, in_script};
 
-/// The libraries; see `assets/viewer/README.md`.
+/// JavaScript libraries; see `assets/viewer/README.md`.
 const LIBRARY: &str = include_str!("../../assets/viewer/library.js");
-/// What their authors ask to go with every copy.
+/// Licences of the libraries, which go with every copy.
 const LICENSES: &str = include_str!("../../assets/viewer/LICENSES.txt");
 const SCRIPT: &str = include_str!("viewer.js");
-/// For the page's style sheet.
+/// Style sheet of the viewer.
 pub const STYLE: &str = include_str!("viewer.css");
 
-/// What pages with a viewer allow themselves, as a Content-Security-Policy: nothing from outside. The libraries run WebAssembly, in
-/// workers that they make of text.
+/// Content-Security-Policy of pages with a viewer: nothing is loaded from outside. The libraries run WebAssembly, in
+/// workers that they make from text.
 pub const POLICY: &str = "default-src 'none'; script-src 'unsafe-inline' 'wasm-unsafe-eval' blob: data:; worker-src blob: data:; \
      connect-src 'self' blob: data:; img-src data: blob:; style-src 'unsafe-inline'";
 
-/// Where the page finds the scene.
+/// Location of the scene's data.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Source {
-    /// In itself.
+    /// In the page itself.
     Page,
-    /// At an address of the same server.
+    /// At a URL of the same server.
     Url(&'static str),
 }
 
-/// A picture to be made.
+/// A viewer of a scene.
 #[derive(Clone, Copy, Debug)]
 pub struct Viewer<'a> {
     pub scene: &'a ShownScene,
     pub source: Source,
-    /// To look from, the first to begin with; none to look from outside.
+    /// Viewpoints to choose from, beginning at the first; without any, the scene is seen from outside.
     pub viewpoints: &'a [Viewpoint],
-    /// RGB, 0 to 1.
+    /// Background, RGB, 0 to 1.
     pub background: [f32; 3],
-    /// Whether the scene was trained with that option.
+    /// Whether the scene was trained with `--antialias`.
     pub antialias: bool,
 }
 
-/// What `viewer.js` reads. Lengths in scene units.
+/// Setup that `viewer.js` reads. Lengths are in scene units.
 #[derive(Serialize)]
 struct Setup<'a> {
     url: Option<&'static str>,
@@ -57,14 +57,14 @@ struct Setup<'a> {
     cameras: &'a [Viewpoint],
     background: [f32; 3],
     antialias: bool,
-    /// px².
+    /// Variance of the blur, px².
     blur: f64,
     /// Whether the page scrolls.
     wheel_after_click: bool,
 }
 
 impl Viewer<'_> {
-    /// The element that holds the picture.
+    /// Returns the HTML element that holds the picture.
     pub fn element(&self) -> String {
         let bar = match self.viewpoints {
             [] => String::new(),
@@ -79,16 +79,16 @@ impl Viewer<'_> {
             }
         };
         let wheel = if self.source == Source::Page { "wheel after a click" } else { "wheel" };
-        let how = format!("drag to turn, right button to move, {wheel} to come near");
+        let how = format!("drag to rotate, right button to pan, {wheel} to zoom");
         let (omissions, splats) = (self.scene.omissions(), self.scene.splats);
         let shown = if omissions.is_empty() { format!("{splats} splats. ") } else { omissions };
         format!("<div id=\"viewer\"><p id=\"viewer-note\">{}{how}</p>{bar}</div>\n", escape(&shown))
     }
 
-    /// What has to follow the element.
+    /// Returns the scripts that must follow the element.
     ///
     /// # Errors
-    /// None that is known: if the setup cannot be written as JSON.
+    /// If the setup cannot be written as JSON; no such case is known.
     pub fn scripts(&self) -> Result<String> {
         let outside = [Viewpoint::outside(&self.scene.extent)];
         let viewpoints = if self.viewpoints.is_empty() { &outside } else { self.viewpoints };
@@ -100,7 +100,7 @@ impl Viewer<'_> {
             },
             centre: self.scene.extent.centre.to_array(),
             radius: self.scene.extent.radius,
-            // Cameras that look all ways have no upwards in common.
+            // Cameras that look in all directions have no common up direction.
             up: up.try_normalize().unwrap_or(viewpoints[0].up).to_array(),
             cameras: viewpoints,
             background: self.background,

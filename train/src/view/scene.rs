@@ -1,4 +1,4 @@
-//! A scene as the browser gets it: a PLY file in memory, no larger than it may be, and where to look at it from.
+//! A scene for the browser: a PLY file in memory, of limited size, and viewpoints.
 
 use anyhow::{Context, Result};
 use glam::{DVec3, Vec3};
@@ -7,41 +7,41 @@ use splat_model::capture::Photograph;
 use splat_model::gaussians::GaussianRows;
 use splat_model::ply;
 
-/// The viewer's library reads no higher degree of the spherical harmonics.
+/// Highest degree of the spherical harmonics that the viewer's library reads.
 const DEGREE_MAX: usize = 3;
 
-/// Vertical field of view where no camera of a capture says one, degrees.
+/// Vertical field of view without a camera of a capture, degrees.
 const FOV_Y_DEGREES: f64 = 50.0;
 
-/// What is shown of a scene.
+/// A scene to show, possibly reduced.
 #[derive(Clone, Debug)]
 pub struct ShownScene {
-    /// A PLY file.
+    /// Content of a PLY file.
     pub ply: Vec<u8>,
-    /// Gaussians in it.
+    /// Number of Gaussians in it.
     pub splats: usize,
-    /// Gaussians of the scene that can be drawn.
+    /// Number of Gaussians in the scene that can be drawn.
     pub of: usize,
     /// Degree of the spherical harmonics in it.
     pub sh_degree: usize,
-    /// That of the scene.
+    /// Degree of the spherical harmonics in the scene.
     pub of_sh_degree: usize,
-    /// Where it is.
+    /// Position and size of the scene.
     pub extent: Extent,
 }
 
-/// Where a scene is, scene units, in the frame of its rows. Single Gaussians far away do not count.
+/// Position and size of a scene, scene units, in the frame of its rows. Single Gaussians far away do not count.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Extent {
-    /// By axis the median of the centres.
+    /// Median of the centres, by axis.
     pub centre: DVec3,
-    /// Nine tenths of the Gaussians are nearer to the centre.
+    /// Radius around the centre that contains nine tenths of the Gaussians.
     pub radius: f64,
 }
 
 impl ShownScene {
-    /// Of a scene, in at most `most_bytes`: with lower harmonics if need be, and then only with the Gaussians that cover the most.
-    /// Gaussians that cannot be drawn are left out.
+    /// Prepares a scene in at most `most_bytes`, if necessary with spherical harmonics of a lower degree, and then only
+    /// with the Gaussians that cover the most. Gaussians that cannot be drawn are left out.
     ///
     /// # Errors
     /// If the rows do not fit together, or none of them can be drawn.
@@ -57,7 +57,7 @@ impl ShownScene {
         Ok(Self { ply, splats: kept.len(), of: usable.len(), sh_degree, of_sh_degree: rows.sh_degree, extent })
     }
 
-    /// What of the scene is not shown, in words; empty if all is.
+    /// Describes the parts of the scene that are not shown; empty if all are.
     pub fn omissions(&self) -> String {
         let mut text = String::new();
         if self.splats < self.of {
@@ -71,12 +71,13 @@ impl ShownScene {
     }
 }
 
-/// Values of a Gaussian in a file: centre, normal, opacity, scales, rotation, and three times the harmonics.
+/// Returns the bytes of a Gaussian in a file: centre, normal, opacity, scales, rotation, and spherical harmonics of
+/// three channels.
 fn bytes_per_row(sh_degree: usize) -> usize {
     4 * (3 + 3 + 1 + 3 + 4 + 3 * (sh_degree + 1) * (sh_degree + 1))
 }
 
-/// The `most` rows with the largest product of opacity and area, in their old order.
+/// Returns the `most` rows with the largest product of opacity and area, in their original order.
 fn largest(rows: &GaussianRows, mut of: Vec<usize>, most: usize) -> Vec<usize> {
     if of.len() <= most {
         return of;
@@ -95,7 +96,7 @@ fn largest(rows: &GaussianRows, mut of: Vec<usize>, most: usize) -> Vec<usize> {
     of
 }
 
-/// Some rows, with harmonics up to `sh_degree`.
+/// Returns some rows, with spherical harmonics up to `sh_degree`.
 fn some_of(rows: &GaussianRows, kept: &[usize], sh_degree: usize) -> GaussianRows {
     let (all, rest) = (rows.rest_per_row(), 3 * ((sh_degree + 1) * (sh_degree + 1) - 1));
     GaussianRows {
@@ -110,7 +111,7 @@ fn some_of(rows: &GaussianRows, kept: &[usize], sh_degree: usize) -> GaussianRow
 }
 
 impl Extent {
-    /// Of the Gaussians `which`; none if there are none.
+    /// Returns the extent of the Gaussians `which`; `None` if there are none.
     fn of(rows: &GaussianRows, which: &[usize]) -> Option<Self> {
         let middle = |axis: usize| {
             let mut values: Vec<f32> = which.iter().map(|&i| rows.means[i][axis]).collect();
@@ -122,22 +123,22 @@ impl Extent {
             which.iter().map(|&i| Vec3::from(rows.means[i]).as_dvec3().distance(centre)).collect();
         let at = distances.len() * 9 / 10;
         let (_, radius, _) = distances.select_nth_unstable_by(at, f64::total_cmp);
-        // All in one place is no reason to divide by zero.
+        // All Gaussians may be in one place, which must not lead to a division by zero.
         let radius = if *radius > 0.0 { *radius } else { 1.0 };
         Some(Self { centre, radius })
     }
 }
 
-/// A camera to look from.
+/// A viewpoint.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Viewpoint {
-    /// The photograph's name.
+    /// Name of the photograph.
     pub name: String,
-    /// Its centre, in the frame of the scene's rows.
+    /// Camera centre, in the frame of the scene's rows.
     pub position: [f64; 3],
-    /// Unit vector of its optical axis.
+    /// Unit vector along the optical axis.
     pub forward: [f64; 3],
-    /// Unit vector upwards in its picture.
+    /// Unit vector upwards in the picture.
     #[serde(skip)]
     pub up: DVec3,
     /// Vertical field of view, degrees.
@@ -145,7 +146,7 @@ pub struct Viewpoint {
 }
 
 impl Viewpoint {
-    /// Of a photograph.
+    /// Returns the viewpoint of a photograph.
     pub fn of(photo: &Photograph) -> Self {
         let (intrinsics, world_from_cam) = (&photo.intrinsics, photo.cam_from_world.inverse());
         Self {
@@ -157,7 +158,7 @@ impl Viewpoint {
         }
     }
 
-    /// From outside, with +y down as captures usually have it.
+    /// Returns a viewpoint outside the scene, with +y down as in most captures.
     pub fn outside(extent: &Extent) -> Self {
         let forward = DVec3::new(0.0, 0.3, 1.0).normalize();
         Self {

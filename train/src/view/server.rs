@@ -1,4 +1,4 @@
-//! A server of two fixed paths, for this machine alone.
+//! HTTP server of two fixed paths, for this machine only.
 
 use std::io::ErrorKind;
 use std::net::Ipv4Addr;
@@ -8,12 +8,12 @@ use tiny_http::{Header, Method, Request, Response};
 
 use super::page::POLICY;
 
-/// Something to serve: nothing is read from disk, whatever a request asks for.
+/// A page to serve. No request reads from disk.
 #[derive(Clone, Debug)]
 pub struct Page {
-    /// Such as `/`.
+    /// Path in the URL, such as `/`.
     pub path: &'static str,
-    /// Its MIME type.
+    /// MIME type.
     pub kind: &'static str,
     pub content: Vec<u8>,
 }
@@ -25,30 +25,30 @@ pub struct Server {
 }
 
 impl Server {
-    /// Begins to listen on a port, on any that is free for 0.
+    /// Begins to listen on a port; 0 chooses a free one.
     ///
     /// # Errors
-    /// If it is taken, or this user may not have it.
+    /// If the port is taken, or this user may not use it.
     pub fn bind(port: u16) -> Result<Self> {
         let http = tiny_http::Server::http((Ipv4Addr::LOCALHOST, port)).map_err(|error| refused(port, &*error))?;
         let port = http.server_addr().to_ip().map_or(port, |address| address.port());
         Ok(Self { http, port })
     }
 
-    /// Where it is to be reached.
+    /// Returns the URL of the server.
     pub fn url(&self) -> String {
         format!("http://127.0.0.1:{}/", self.port)
     }
 
-    /// Answers until the process ends.
+    /// Answers requests until the process ends.
     ///
     /// # Errors
-    /// If no more connections can be had.
+    /// If no more connections can be accepted.
     pub fn serve(&self, pages: &[Page]) -> Result<()> {
         loop {
             let request = self.http.recv().map_err(|error| anyhow!("the server cannot go on: {error}"))?;
             let answer = self.answer(&request, pages);
-            // Whoever asked may have gone.
+            // The client may have gone.
             let _ = request.respond(answer);
         }
     }
@@ -56,8 +56,8 @@ impl Server {
     fn answer<'a>(&self, request: &Request, pages: &'a [Page]) -> Response<&'a [u8]> {
         let path = request.url().split(['?', '#']).next().unwrap_or_default();
         let (status, kind, content) = match pages.iter().find(|page| page.path == path) {
-            // A page elsewhere may have its own name lead to this address, to read what is here.
-            _ if !self.is_for_us(request) => (403, "text/plain", &b"this server answers to 127.0.0.1 alone\n"[..]),
+            // A page elsewhere may let its own host name resolve to this address, to read the content here.
+            _ if !self.is_for_us(request) => (403, "text/plain", &b"this server answers to 127.0.0.1 only\n"[..]),
             _ if !matches!(request.method(), Method::Get | Method::Head) => (405, "text/plain", &b"only GET\n"[..]),
             None => (404, "text/plain", &b"there is no such page\n"[..]),
             Some(page) => (200, page.kind, &page.content[..]),
@@ -68,16 +68,16 @@ impl Server {
             ("X-Content-Type-Options", "nosniff"),
             ("Cache-Control", "no-store"),
         ];
-        // All of them are ASCII, which is all that is asked for.
+        // All headers are ASCII, the only condition.
         let headers = headers.iter().filter_map(|(name, value)| Header::from_bytes(*name, *value).ok()).collect();
-        // In one piece, with its length, so that browsers can tell whether all of it came.
+        // Sent in one piece, with its length, so that browsers can tell whether it is complete.
         Response::new(status.into(), headers, content, Some(content.len()), None).with_chunked_threshold(usize::MAX)
     }
 
     fn is_for_us(&self, request: &Request) -> bool {
         let mut hosts = request.headers().iter().filter(|header| header.field.equiv("Host"));
         let names = ["127.0.0.1", "localhost"].map(|name| format!("{name}:{}", self.port));
-        // The default port of HTTP is not written.
+        // The default port of HTTP is omitted.
         let short = ["127.0.0.1", "localhost"].map(|name| if self.port == 80 { name } else { "" });
         hosts.all(|host| {
             let host = host.value.as_str();
@@ -86,7 +86,7 @@ impl Server {
     }
 }
 
-/// Why a port is not to be had, in words.
+/// Describes why a port is not available.
 fn refused(port: u16, error: &(dyn std::error::Error + Send + Sync + 'static)) -> anyhow::Error {
     let why = match error.downcast_ref::<std::io::Error>().map(std::io::Error::kind) {
         Some(ErrorKind::AddrInUse) => "another program has it".to_owned(),

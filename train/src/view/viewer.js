@@ -1,6 +1,6 @@
-// Draws a scene of Gaussians in the element #viewer, with the libraries of assets/viewer/library.js. What is drawn, and how,
-// is in #viewer-setup (see page.rs). When pixels have been drawn, the document's element says `data-viewer="drawn"`; where they
-// cannot be, `data-viewer="failed"`, and the reason is written where the picture would be.
+// Draws a scene of Gaussians in the element #viewer, with the libraries of assets/viewer/library.js. The settings are
+// in #viewer-setup (see page.rs). After the first complete frame, the document's element has `data-viewer="drawn"`;
+// after a failure it has `data-viewer="failed"`, and the reason is written in place of the picture.
 "use strict";
 (async () => {
   const root = document.documentElement;
@@ -14,11 +14,12 @@
     renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
     const scene = new Scene();
     const camera = new PerspectiveCamera(50, 1, 1e-3 * setup.radius, 1e4 * setup.radius);
-    // Before the controls are made, which turn around it from then on.
+    // Set before the controls are made, which turn around this axis from then on.
     camera.up.set(...setup.up);
     const controls = new OrbitControls(camera, renderer.domElement);
     let dirty = true;
-    // As the trainer draws: the same blur, with or without making up for it, and in the order of the centres' depths.
+    // The trainer's settings: the same blur, with or without compensation, and splats in the order of their centres'
+    // depths.
     const spark = new SparkRenderer({
       renderer,
       sortRadial: false,
@@ -40,7 +41,7 @@
     new ResizeObserver(resize).observe(holder);
     resize();
 
-    // Cameras look along +z with +y down, as in the trainer's files; those of three.js along -z with +y up.
+    // Cameras of the trainer's files look along +z with +y down; those of three.js along -z with +y up.
     const centre = new Vector3(...setup.centre);
     const look = ({ position, forward, fov_y_degrees }) => {
       camera.position.set(...position);
@@ -57,7 +58,7 @@
     const select = document.getElementById("viewer-camera");
     if (select) select.onchange = () => look(setup.cameras[Number(select.value)]);
 
-    // A page that scrolls keeps its wheel until the picture has been clicked.
+    // A page that scrolls keeps its wheel until the picture is clicked.
     if (setup.wheel_after_click) {
       controls.enableZoom = false;
       holder.addEventListener("pointerdown", () => { controls.enableZoom = true; });
@@ -72,7 +73,7 @@
 
     let visible = true;
     new IntersectionObserver((entries) => { visible = entries[entries.length - 1].isIntersecting; }).observe(holder);
-    // Pictures until the first that is right for sure.
+    // Number of frames after which the picture is certainly complete.
     const SURE = 3;
     let drawn = 0;
     renderer.setAnimationLoop(() => {
@@ -80,7 +81,7 @@
       dirty = false;
       controls.update();
       renderer.render(scene, camera);
-      // Splats are sorted beside the drawing, so the first pictures show none.
+      // Splats are sorted in parallel with the drawing, so the first frames show none.
       drawn = spark.activeSplats > 0 ? drawn + 1 : 0;
       if (drawn === SURE) root.dataset.viewer = "drawn";
     });

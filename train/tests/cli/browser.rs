@@ -1,5 +1,5 @@
-//! `report.html` and `splat view` in a browser. Where there is no Chromium these tests say so and pass; with
-//! `SPLAT_BROWSER=require` they fail. `SPLAT_BROWSER=PATH` names one.
+//! `report.html` and `splat view` in a browser. Without Chromium these tests say so and pass; with
+//! `SPLAT_BROWSER=require` they fail. `SPLAT_BROWSER=PATH` names the browser.
 
 use std::env;
 use std::fs;
@@ -20,7 +20,7 @@ use crate::view::Serving;
 /// Size of the browser's window, px.
 const WINDOW: (u32, u32) = (1100, 1000);
 
-/// After which a page is given up.
+/// Time after which a page is given up.
 const PATIENCE: Duration = Duration::from_secs(120);
 
 fn browser() -> Option<PathBuf> {
@@ -31,7 +31,7 @@ fn browser() -> Option<PathBuf> {
         names.iter().flat_map(|name| folders.iter().map(move |folder| folder.join(name))).find(|path| path.is_file());
     match wanted.as_str() {
         "" if found.is_none() => {
-            // Past the test harness, which swallows what passing tests print.
+            // Written past the test harness, which swallows the output of passing tests.
             let line = b"SKIPPED: no Chromium on the path (SPLAT_BROWSER=require makes that a failure)\n";
             let _ = std::io::stderr().write_all(line);
             None
@@ -42,25 +42,25 @@ fn browser() -> Option<PathBuf> {
     }
 }
 
-/// What became of a page.
+/// State of a page in the browser.
 pub struct Seen {
-    /// What the page in the frame said of itself, as JSON.
+    /// State that the page in the frame reports, as JSON.
     pub state: serde_json::Value,
-    /// Lines that the browser's console was given.
+    /// Lines written to the browser's console.
     pub console: Vec<String>,
     pub picture: RgbImage,
 }
 
-/// A page to look at.
+/// A page to test.
 pub enum Page {
     File(PathBuf),
-    /// From here on only the test asks the server, for the browser.
+    /// From here on, only the test asks the server, on behalf of the browser.
     Served(Serving),
 }
 
-/// The document that a page is looked at in: it waits until the page's viewer has drawn or failed, and writes down what became
-/// of it. The browser takes its picture when a document is complete; this one is not before an image has come, which [`serve`]
-/// keeps back until the page is ready.
+/// Returns the document that holds a page in a frame: it waits until the page's viewer has drawn or failed, and records
+/// the result. The browser takes its picture when a document is complete. An image that [`serve`] withholds keeps this
+/// one incomplete until the page is ready.
 fn harness(page: &str, gate: &str, script: &str) -> String {
     let (width, height) = WINDOW;
     include_str!("harness.html")
@@ -71,14 +71,14 @@ fn harness(page: &str, gate: &str, script: &str) -> String {
         .replace("HEIGHT", &height.to_string())
 }
 
-/// Loads a page into a frame and looks. `script` may do something to it before: its `page` is the page's document.
+/// Loads a page into a frame and records its state. `script` runs before that; its `page` is the page's document.
 pub fn look(name: &str, page: Page, script: &str) -> Option<Seen> {
     let browser = browser()?;
     let folder = fresh(&format!("browser-{name}"));
     fs::create_dir_all(&folder).unwrap();
     let gate = TcpListener::bind("127.0.0.1:0").unwrap();
     let address = format!("http://{}", gate.local_addr().unwrap());
-    // A document may look into a frame of the same origin, which all files are here.
+    // A document may access a frame of the same origin, which all files have here.
     let (url, html) = match &page {
         Page::File(path) => {
             let harness_path = folder.join("harness.html");
@@ -112,15 +112,15 @@ pub fn look(name: &str, page: Page, script: &str) -> Option<Seen> {
     })
 }
 
-/// Answers the browser: `/harness` with that, `/held` only once there was a request for `/open` or nobody waits any longer, and
-/// all else with what the page's server says.
+/// Answers the browser: `/harness` with the document, `/held` only after a request for `/open` or when nobody waits any
+/// longer, and everything else with the answer of the page's server.
 fn serve(gate: &TcpListener, harness: &str, page: &Page, stopped: &mpsc::Receiver<()>) {
     const EMPTY: &[u8] = b"HTTP/1.1 204 No Content\r\nConnection: close\r\n\r\n";
     gate.set_nonblocking(true).unwrap();
     let (start, mut held, mut open): (_, Vec<TcpStream>, _) = (Instant::now(), Vec::new(), false);
     while stopped.try_recv() != Err(mpsc::TryRecvError::Disconnected) {
         if open || start.elapsed() > PATIENCE {
-            // Whoever has gone has gone.
+            // The clients may have gone.
             held.drain(..).for_each(|mut stream| _ = stream.write_all(EMPTY));
         }
         let Ok((mut stream, _)) = gate.accept() else {
@@ -152,7 +152,7 @@ fn serve(gate: &TcpListener, harness: &str, page: &Page, stopped: &mpsc::Receive
     }
 }
 
-/// Nothing went wrong, and the scene is to be seen.
+/// Checks that nothing went wrong and that the scene is visible.
 #[track_caller]
 fn assert_drawn(seen: &Seen) {
     assert_eq!(seen.state["viewer"], "drawn", "{}\n{:?}", seen.state, seen.console);

@@ -1,4 +1,4 @@
-//! Model choices: what a scene is a function of, from the training to the picture.
+//! Model choices, from the training to the picture.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -9,10 +9,10 @@ use crate::{json, text};
 
 const CHOICES: [&str; 4] = ["--projection", "exact", "--order", "per-pixel"];
 
-/// A short run along rays.
+/// A short run with other model choices than the standard's.
 static ALONG_RAYS: LazyLock<PathBuf> = LazyLock::new(|| train("along-rays", &CHOICES));
 
-/// Photographs through a lens.
+/// A capture taken through a lens.
 static LENS: LazyLock<PathBuf> = LazyLock::new(|| {
     let folder = fresh("lens");
     let size = ["--views", "8", "--width", "64", "--height", "48", "--lens"];

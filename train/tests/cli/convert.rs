@@ -21,7 +21,7 @@ fn trained() -> PathBuf {
     TRAINED.join("scene.ply")
 }
 
-/// The trained scene in another format, and what was said.
+/// The trained scene in another format, and the program's output.
 fn converted(folder: &TempDir, format: Format) -> (PathBuf, String) {
     let path = folder.path().join(format!("converted{}", format.extension()));
     let said = succeed(&mut splat(&["convert", text(&trained()), text(&path)]));
@@ -42,7 +42,7 @@ fn converting_says_what_it_loses() {
         let bytes = |path: &Path| fs::metadata(path).unwrap().len();
         assert!(said.contains(&format!(" {} bytes", bytes(&path))), "{said}");
         assert!(3 * bytes(&path) < bytes(&trained()), "{said}");
-        // What is rounded already is held as it is.
+        // Values that are rounded already are stored unchanged.
         let back = folder.path().join("back.ply");
         let said = succeed(&mut splat(&["convert", text(&path), text(&back)])).stdout;
         assert!(said.ends_with("nothing is lost\n"), "{said}");
@@ -78,7 +78,7 @@ fn what_has_no_place_is_named() {
     assert!(spz.antialiased && spz.rows.sh_degree == 2);
     let said = convert("a.spz", "b.ply", &[]);
     assert!(said.contains("trained with antialiasing") && !said.contains("rounding"), "{said}");
-    // What is too fine for eight bits of a logarithm.
+    // Scales too small for eight bits of a logarithm.
     let mut fine: GaussianRows = spz.rows;
     fine.log_scales[0] = [-14.0; 3];
     formats::write(&path("fine.ply"), &Scene { rows: fine, ..Scene::default() }, Format::Ply).unwrap();
@@ -158,7 +158,7 @@ fn a_mark_of_antialiasing_is_told() {
     assert!(said.contains("marked.spz: trained with antialiasing") && said.contains("--antialias"), "{said}");
 }
 
-/// A page that opens a file with Spark's own readers and writes what it got where [`look`] finds it.
+/// A page that opens a file with Spark's own readers and writes the result where [`look`] finds it.
 fn reading_page(bytes: &[u8], kind: &str) -> String {
     let library = include_str!("../../assets/viewer/library.js");
     let data = STANDARD.encode(bytes);
@@ -182,7 +182,7 @@ fn reading_page(bytes: &[u8], kind: &str) -> String {
     )
 }
 
-/// Spark, the viewer that most pages on the web draw splats with, reads our files: every number of every splat.
+/// Spark, the viewer of most web pages with splats, reads every value of every splat in our files.
 #[test]
 fn browsers_read_every_format() {
     let folder = tempfile::tempdir().unwrap();
@@ -204,7 +204,7 @@ fn browsers_read_every_format() {
     }
 }
 
-/// In Spark positions of SPZ keep the frame of the file, right-up-back; those of PLY are as they are.
+/// Spark keeps positions of SPZ in the frame of the file, right-up-back, and positions of PLY unchanged.
 fn assert_read(format: Format, rows: &GaussianRows, theirs: &[[f64; 14]]) {
     let signs = if format == Format::Spz { [1.0, -1.0, -1.0] } else { [1.0; 3] };
     for (i, row) in theirs.iter().enumerate() {

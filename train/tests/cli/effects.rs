@@ -71,7 +71,7 @@ fn effects_are_adjusted_recorded_and_measured() {
         assert!(metrics["effects"]["measured"][name]["mib"].as_f64().unwrap() > 0.0);
     }
     assert!(metrics["options"]["exposure"]["rate"]["from"].is_number());
-    // The scores leave out what the mask does, and so can those of `eval`.
+    // The scores exclude the masked pixels, and those of `eval` can do the same.
     let scene = out.join("scene.ply");
     let evaluated = folder.path().join("evaluated");
     let arguments = ["eval", text(&capture), "--scene", text(&scene), "--out", text(&evaluated)];
@@ -103,13 +103,13 @@ fn masks_that_cannot_be_used_stop_only_those_who_use_them() {
     refuse(&mut train("auto"), &["a mask cannot be used", "--effects=-masks", "0003.png", "10 × 10"]);
     succeed(&mut train("-masks"));
     succeed(&mut splat(&["inspect", text(&capture)]));
-    // Every eighth photograph is tested on: of these two masks leave nothing.
+    // Every eighth photograph is held out: masks exclude all of these two.
     for view in ["0000", "0008"] {
         GrayImage::new(64, 48).save(masks.join(format!("{view}.png"))).unwrap();
     }
     std::fs::remove_file(masks.join("0003.png")).unwrap();
     refuse(&mut train("masks"), &["exclude every pixel of 2 photographs", "--effects=-masks"]);
-    // Of the others one may be left out.
+    // One of the two may be dropped if the other is left.
     std::fs::remove_file(masks.join("0008.png")).unwrap();
     assert!(succeed(&mut train("masks")).stderr.contains("every pixel: 1"));
 }
@@ -154,7 +154,7 @@ fn what_is_learnt_beside_the_scene_lies_beside_it() {
     refuse(splat(&eval).args(["--shrink", "64"]), &["0000.png", "--shrink 64"]);
     refuse(splat(&eval).args(["--background", "nowhere.json"]), &["nowhere.json", "background.json"]);
     assert_eq!(crate::run::end(splat(&eval).args(["--background", "red"])).code, Some(2));
-    // What a run did not learn is not left over from the one before it.
+    // Files that a run did not write are not left over from the run before it.
     train(&["--effects", "none"]);
     assert!(!background.exists() && !out.join("poses.json").exists());
 }
@@ -172,7 +172,7 @@ fn effects_are_measured_on_captures_that_show_them() {
     refuse(&mut splat(&again), &["EFFECTS.md", "no place"]);
 }
 
-/// What people wrote around the figures of the documentation stays when they are measured again.
+/// Text around the figures of the documentation stays when they are measured again.
 #[test]
 fn the_page_of_the_documentation_can_take_new_figures() {
     let folder = tempfile::tempdir().unwrap();

@@ -1,4 +1,4 @@
-//! What goes wrong is said in words that name the file or option and what to do.
+//! Error messages name the file or option and the remedy.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -26,7 +26,7 @@ fn copy_folder(from: &Path, to: &Path) {
     }
 }
 
-/// Training on `capture` is refused; nothing is left in the output folder.
+/// Checks that training on `capture` is refused and leaves nothing in the output folder.
 #[track_caller]
 fn refuse_capture(capture: &Path, parts: &[&str]) {
     let out = tempfile::tempdir().unwrap();
@@ -97,7 +97,7 @@ fn a_picture_of_another_size() {
 #[test]
 fn an_unreadable_picture() {
     let capture = copy();
-    // The one that is held out: it, too, is found before the run.
+    // The held-out photograph: it is checked before the run, too.
     let path = capture.path().join("images/0000.png");
     let bytes = fs::read(&path).unwrap();
     for content in [&bytes[..bytes.len() / 2], b"not a picture", b""] {
@@ -109,7 +109,7 @@ fn an_unreadable_picture() {
     refuse_capture(capture.path(), &[text(&path), "ordinary file"]);
 }
 
-/// Files in the way rather than permissions, which do not bind root.
+/// Files in the way stand in for missing permissions, which do not bind root.
 #[test]
 fn outputs_that_cannot_be_written() {
     let folder = tempfile::tempdir().unwrap();

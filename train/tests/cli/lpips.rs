@@ -1,4 +1,4 @@
-//! `--lpips`: measured with weights, and never a number without.
+//! `--lpips`: a score with weights, and no number without.
 
 use std::fs;
 use std::path::PathBuf;
@@ -11,7 +11,7 @@ use serde_json::Value;
 use crate::run::{DEMO, TRAIN, TRAINED, end, fresh, refuse, splat, succeed};
 use crate::{files, json, text};
 
-/// AlexNet with weights that mean nothing: uneven, so that pictures differ, and positive, so that features do not vanish.
+/// AlexNet with meaningless weights: uneven, so that pictures differ, and positive, so that features do not vanish.
 static WEIGHTS: LazyLock<PathBuf> = LazyLock::new(|| {
     let folder = fresh("lpips");
     fs::create_dir_all(&folder).unwrap();
@@ -37,7 +37,7 @@ static WEIGHTS: LazyLock<PathBuf> = LazyLock::new(|| {
     path
 });
 
-/// The scores of the trained scene with some options, and what was said.
+/// Returns the scores of the trained scene with some options, and the program's output.
 fn scores(options: &[&str]) -> (Value, String) {
     let folder = tempfile::tempdir().unwrap();
     let scene = TRAINED.join("scene.ply");

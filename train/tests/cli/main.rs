@@ -36,7 +36,7 @@ fn keys(value: &Value) -> BTreeSet<&str> {
     value.as_object().unwrap().keys().map(String::as_str).collect()
 }
 
-/// All files below a folder, relative to it.
+/// Returns all files below a folder, relative to it.
 fn files(folder: &Path) -> BTreeSet<String> {
     let mut found = BTreeSet::new();
     for entry in fs::read_dir(folder).unwrap().map(Result::unwrap) {
@@ -118,7 +118,7 @@ fn devices_are_listed_by_the_names_that_can_be_passed() {
     let names: Vec<&str> = lines.map(|line| line.split_whitespace().next().unwrap()).collect();
     assert_eq!(names[..2], ["flex", "ndarray"], "{listed}");
     for name in names {
-        // Far enough to see that the name is understood and the device there; the scene is not.
+        // Far enough to see that the name is understood and the device exists; the scene does not exist.
         let arguments = ["render", "--scene", "none.ply", "--capture", "none", "--view", "all", "--device", name];
         refuse(splat(&arguments).args(["--out", "none"]), &["computing on", "no capture folder"]);
     }
@@ -144,7 +144,7 @@ fn a_second_run_replaces_the_first() {
     succeed(splat(&TRAIN).args(["--out", text(out)]).arg(DEMO.as_path()));
     let expected = ["metrics.json", "report.html", "scene.ply", "views/0000.png", "views/mine.png"];
     assert_eq!(files(out), expected.map(String::from).into());
-    // The same seed, and so the same scene to the last bit.
+    // The same seed gives the same scene, to the last bit.
     assert_eq!(fs::read(out.join("scene.ply")).unwrap(), fs::read(TRAINED.join("scene.ply")).unwrap());
 }
 
@@ -158,13 +158,13 @@ fn without_a_folder_no_run_replaces_another() {
         assert!(ended.stderr.contains(said), "{said:?} is not in: {}", ended.stderr);
     };
     let scene = |name: &str| fs::read(folder.path().join("out").join(name).join("scene.ply")).unwrap();
-    // The capture's folder has the name that the demo capture's run would have, too.
+    // The capture's folder has the name that the demo capture's default output would have, too.
     let capture = DEMO.file_name().unwrap().to_str().unwrap();
     assert_eq!(capture, "demo");
     train(&[text(&DEMO)], "writing to out/demo");
     let first = scene("demo");
     fs::create_dir_all(folder.path().join("out/demo-2/checkpoints")).unwrap();
-    train(&[text(&DEMO), "--seed", "9"], "out/demo holds something already, which is kept: writing to out/demo-3 ");
+    train(&[text(&DEMO), "--seed", "9"], "out/demo is not empty and is kept: writing to out/demo-3 ");
     train(&[], "writing to out/demo-4 ");
     assert!(folder.path().join("out/demo-4/demo-capture").is_dir());
     assert!(scene("demo") == first && scene("demo-3") != scene("demo-4"), "a run has replaced another");
@@ -201,7 +201,7 @@ fn evaluation_repeats_the_scores_of_training() {
         assert!(difference.abs() <= 1e-4, "{metric}: {difference}");
     }
     let mut expected = files(TRAINED.as_path());
-    // What is told there is how a run went.
+    // The report describes the training, of which `eval` knows nothing.
     assert!(expected.remove("report.html"));
     assert_eq!(files(folder.path()), expected);
     assert_eq!(fs::read(folder.path().join("scene.ply")).unwrap(), fs::read(&scene).unwrap());

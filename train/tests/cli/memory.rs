@@ -1,4 +1,4 @@
-//! Photographs that are not kept in memory.
+//! Photographs that do not stay in memory.
 
 use std::fs;
 

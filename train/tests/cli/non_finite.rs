@@ -1,4 +1,4 @@
-//! Runs and scenes with numbers that are not finite.
+//! Runs and scenes with values that are not finite.
 
 use std::fs;
 use std::path::Path;
@@ -14,17 +14,17 @@ use splat_train::train;
 use crate::run::{DEMO, TRAIN, TRAINED, end, refuse, splat, succeed};
 use crate::{json, text};
 
-/// A photograph of the demo capture that is trained on.
+/// Whether a photograph of the demo capture is trained on.
 fn is_training_view(name: &str) -> bool {
     (1..8).any(|view| name == format!("{view:04}.png"))
 }
 
-/// The photograph that a message names.
+/// Returns the photograph that a message names.
 fn named_view(message: &str) -> &str {
     message.split('`').find(|part| part.ends_with(".png")).unwrap_or_else(|| panic!("no photograph: {message}"))
 }
 
-/// Trains within this process, with a loss that goes wrong, and gives the message.
+/// Trains within this process, with a loss that fails, and returns the message.
 fn train_with(loss: impl Fn(&Seen) -> Tensor<1> + 'static, options: &[&str], out: &Path) -> String {
     let arguments = [&["splat"], &TRAIN[..], &[text(&DEMO), "--device", "cpu", "--out", text(out)], options].concat();
     let Command::Train(args) = Cli::try_parse_from(arguments).unwrap().command else { panic!("asked for train") };
@@ -32,7 +32,8 @@ fn train_with(loss: impl Fn(&Seen) -> Tensor<1> + 'static, options: &[&str], out
     splat_train::describe(&error)
 }
 
-/// The mean of the picture, and the square root of 0 times it: at `step` the value is sound and the gradient is not.
+/// Returns the mean of the picture, plus at one step the square root of 0 times it: a finite value without a finite
+/// gradient.
 fn spoilt_gradient(at: usize) -> impl Fn(&Seen) -> Tensor<1> {
     move |seen| {
         let mean = seen.image.clone().mean();
@@ -43,7 +44,7 @@ fn spoilt_gradient(at: usize) -> impl Fn(&Seen) -> Tensor<1> {
 #[test]
 fn a_gradient_that_is_not_finite_ends_the_run_and_keeps_the_scene() {
     let folder = tempfile::tempdir().unwrap();
-    // The scene before the step, by a run that goes wrong a step later.
+    // The scene before the step, from a run that fails one step later.
     let [rows, later] = [6, 7].map(|step| {
         let out = folder.path().join(step.to_string());
         let message = train_with(spoilt_gradient(step), &[], &out);
@@ -79,7 +80,7 @@ fn check_names_the_stage() {
     assert!(is_training_view(named_view(&message)), "{message}");
 }
 
-/// The program itself: a weight that f32 cannot hold makes the loss infinite.
+/// The program itself fails on a weight that f32 cannot hold, because it makes the loss infinite.
 #[test]
 fn the_program_says_which_step_and_view() {
     let folder = tempfile::tempdir().unwrap();
@@ -101,7 +102,7 @@ fn check_changes_nothing_of_a_sound_run() {
     assert_eq!(json(&out.path().join("metrics.json"))["options"]["check"], true);
 }
 
-/// The trained scene with some Gaussians poisoned, and how many.
+/// Returns the trained scene with some Gaussians poisoned, and their number.
 fn poisoned() -> (GaussianRows, usize) {
     let (mut rows, _) = ply::read(&TRAINED.join("scene.ply")).unwrap();
     rows.means[0][1] = f32::NAN;
@@ -118,7 +119,7 @@ fn poisoned_splats_of_a_scene_are_counted_and_change_no_score() {
     let folder = tempfile::tempdir().unwrap();
     let (rows, count) = poisoned();
     let mut without = rows.clone();
-    // Too faint for one thousandth of a level.
+    // Too faint to change a picture by one thousandth of a level.
     without.logit_opacities[..count].fill(-200.0);
     for (values, fill) in
         [(&mut without.means, [0.0; 3]), (&mut without.log_scales, [-3.0; 3]), (&mut without.sh_dc, [0.0; 3])]

@@ -9,11 +9,11 @@ use splat_model::ply;
 use crate::run::{DEMO, TRAIN, TRAINED, splat, succeed};
 use crate::text;
 
-/// Where the capture is moved to: as far out as geo-referenced ones lie.
+/// Origin that the capture is moved to, as far out as geo-referenced ones lie.
 const FAR: [f64; 3] = [4_321_000.0, -650_000.0, 5_000.0];
 
-/// The largest difference between two renders, of 1. Numbers near [`FAR`] have a grain of 0.5 in f32: were positions
-/// or cameras ever rounded there, the picture would be lost.
+/// Largest allowed difference between two renders, of 1. Values near [`FAR`] have a spacing of 0.5 in f32: if positions
+/// or cameras were ever rounded there, the picture would be lost.
 const TOLERANCE: f32 = 2e-3;
 
 /// The demo capture, moved out to `offset`, without points.

@@ -1,4 +1,4 @@
-//! `splat pareto`, and the options that choose from it.
+//! `splat pareto`, and the options that use its results.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -9,7 +9,7 @@ use serde_json::Value;
 use crate::run::{DEMO, TRAINED, end, fresh, refuse, splat, succeed};
 use crate::{files, json, text};
 
-/// What the command wrote for the trained demo scene.
+/// Output of the command for the trained demo scene.
 static MEASURED: LazyLock<PathBuf> = LazyLock::new(|| {
     let folder = fresh("pareto");
     let scene = TRAINED.join("scene.ply");
@@ -35,7 +35,7 @@ fn fields(line: &str) -> Vec<String> {
     found
 }
 
-/// The table by name of the setting, then of the column.
+/// Returns the table, by name of the setting and then of the column.
 fn rows(folder: &Path) -> Vec<std::collections::BTreeMap<String, String>> {
     let table = fs::read_to_string(folder.join("pareto.csv")).unwrap();
     let mut lines = table.split("\r\n").filter(|line| !line.is_empty());
@@ -66,7 +66,7 @@ fn every_setting_is_measured_and_drawn() {
         assert!(number(row, "forward_ms_lower") <= number(row, "forward_ms_upper"));
         assert_eq!(row["judged_by"] == "photographs", row["error_db"].is_empty(), "{row:?}");
     }
-    // What its dials are for.
+    // The order that the dials exist for.
     let db = |name: &str| number(named(name), "error_db");
     assert!(db("all accurate") > 90.0 && db("all accurate") > db("standard"), "{}", db("all accurate"));
     assert!(db("standard") > db("all coarse"));
@@ -144,7 +144,7 @@ fn a_frontier_of_something_else_is_refused() {
         eval.args(["--frontier", text(&frontier), "--target-error", "10"]).args(options);
         eval
     };
-    // One number of one splat is another.
+    // One value of one splat differs.
     let other = folder.path().join("other.ply");
     let mut bytes = fs::read(&scene).unwrap();
     let last = bytes.len() - 4;
@@ -163,13 +163,13 @@ fn a_frontier_of_something_else_is_refused() {
     assert!(!out.exists(), "no folder is made for a run that cannot start");
     let train = ["train", text(&capture), "--steps", "2", "--frontier", text(&frontier), "--target-error", "10"];
     refuse(splat(&train).args(["--out", text(&out)]), &["another capture"]);
-    // A scene that is yet to be trained is no other scene.
+    // A scene that is yet to be trained is not another scene.
     let train = ["train", text(&DEMO), "--steps", "2", "--frontier", text(&frontier), "--target-error", "10"];
     let ended = succeed(splat(&train).args(["--effects", "none", "--out", text(&out)]));
     assert!(ended.stderr.contains("accuracy: "), "{}", ended.stderr);
     let ended = succeed(&mut with(&DEMO, &scene, &["--max-side", "32"]));
     assert!(ended.stderr.contains("frames of 3072 pixels, and these have 768"), "{}", ended.stderr);
-    // As every file that was written before it said what it was measured on.
+    // Files from before the provenance was written.
     let mut old = json(&frontier);
     old.as_object_mut().unwrap().remove("provenance");
     let path = folder.path().join("old.json");

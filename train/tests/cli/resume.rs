@@ -1,4 +1,4 @@
-//! Runs that are stopped, killed or hindered, and go on.
+//! Runs that are stopped, killed or obstructed, and resumed.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -12,7 +12,7 @@ use rand_chacha::ChaCha8Rng;
 use crate::run::{DEMO, end, fresh, refuse, splat, succeed};
 use crate::{files, json, text};
 
-/// Steps of a run, enough for some to be lost on the way.
+/// Number of steps of a run, enough for some to be lost.
 const STEPS: usize = 60;
 
 /// Steps between its checkpoints.
@@ -26,21 +26,21 @@ fn training(out: &Path) -> Command {
     command
 }
 
-/// Options are those of the run; another is an error.
+/// A resumed run keeps its options; any other option is an error.
 fn resuming(out: &Path) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_splat"));
     command.args(["resume", text(out)]);
     command
 }
 
-/// What such a run leaves when nothing hinders it, and how long it takes.
+/// Output and duration of such a run without interruption.
 static WHOLE: LazyLock<(PathBuf, Duration)> = LazyLock::new(|| {
     let (out, start) = (fresh("whole"), Instant::now());
     succeed(&mut training(&out));
     (out, start.elapsed())
 });
 
-/// Steps of the checkpoints that there are.
+/// Returns the steps of the existing checkpoints.
 fn checkpoints(out: &Path) -> Vec<usize> {
     let folder = out.join("checkpoints");
     let mut steps: Vec<usize> = fs::read_dir(folder)
@@ -55,7 +55,7 @@ fn checkpoints(out: &Path) -> Vec<usize> {
     steps
 }
 
-/// The same scene, bit for bit, and the same scores.
+/// Checks that the scene is the same, bit for bit, and so are the scores.
 #[track_caller]
 fn assert_as_whole(out: &Path) {
     let whole = WHOLE.0.as_path();
@@ -77,7 +77,7 @@ fn wait_for(out: &Path, step: usize, child: &mut Child) {
     }
 }
 
-/// A run that was killed after this step or a later one.
+/// Returns a run that was killed after this step or a later one.
 fn killed(name: &str, step: usize) -> PathBuf {
     let out = fresh(name);
     let mut child = spawn(&mut training(&out));
@@ -87,13 +87,13 @@ fn killed(name: &str, step: usize) -> PathBuf {
     out
 }
 
-/// Kills a run at so many random moments, letting it go on after each; then to its end.
+/// Kills a run at `times` random moments and resumes it after each, then lets it end.
 fn killed_at_random(name: &str, times: usize) {
     let (out, duration) = (fresh(name), WHOLE.1);
     let mut rng = ChaCha8Rng::seed_from_u64(times as u64);
     let mut kills = 0;
     while kills < times {
-        // Killed before its first checkpoint a run has not begun.
+        // A run killed before its first checkpoint has not begun.
         let begun = !checkpoints(&out).is_empty();
         let before = checkpoints(&out).pop().unwrap_or(0);
         let mut command = if begun { resuming(&out) } else { training(&out) };
@@ -113,13 +113,13 @@ fn killed_at_random(name: &str, times: usize) {
         kills += 1;
         let found = checkpoints(&out);
         if found.is_empty() && out.join("metrics.json").is_file() {
-            // Killed on its way out: all is done.
+            // Killed on exit, after its results were written.
             assert_as_whole(&out);
             fs::remove_dir_all(&out).unwrap();
             continue;
         }
         assert!(found.len() <= 3 && (!begun || found.last().is_some_and(|newest| *newest >= before)), "{found:?}");
-        // No more than what was done since the last one is lost.
+        // Only the steps since the last checkpoint are lost.
         assert!(found.windows(2).all(|pair| pair[1] - pair[0] == EVERY), "{found:?}");
     }
     let begun = !checkpoints(&out).is_empty();
@@ -165,11 +165,11 @@ fn options_are_those_of_the_run() {
     let ended = end(resuming(&out).args(["--steps", "9"]));
     assert_eq!(ended.code, Some(2), "{ended:?}");
     assert!(ended.stderr.contains("--steps"), "{}", ended.stderr);
-    // From another folder, under another name.
+    // Resumed from another folder, under another name.
     let moved = fresh("options-moved");
     fs::rename(&out, &moved).unwrap();
     let ended = succeed(resuming(&moved).current_dir("/"));
-    assert!(ended.stderr.contains("going on from step"), "{}", ended.stderr);
+    assert!(ended.stderr.contains("resuming from step"), "{}", ended.stderr);
     assert_as_whole(&moved);
     refuse(&mut resuming(&moved), &["finished", text(&moved)]);
 }
@@ -178,7 +178,7 @@ fn options_are_those_of_the_run() {
 fn where_there_is_no_run_none_goes_on() {
     let folder = tempfile::tempdir().unwrap();
     refuse(&mut resuming(folder.path()), &["no checkpoint", text(folder.path())]);
-    refuse(&mut resuming(&folder.path().join("none")), &["is no folder", "none"]);
+    refuse(&mut resuming(&folder.path().join("none")), &["is not a folder", "none"]);
 }
 
 #[test]
@@ -210,7 +210,7 @@ fn a_checkpoint_of_another_version_is_refused() {
     let _: String = state.told("version").unwrap();
     state.tell("version", &"9.9.9").unwrap();
     state.write(&path).unwrap();
-    refuse(&mut resuming(&out), &[text(&path), "splat 9.9.9", "go on with that version"]);
+    refuse(&mut resuming(&out), &[text(&path), "splat 9.9.9", "resume with that version"]);
 }
 
 #[test]
@@ -237,7 +237,7 @@ fn a_new_run_puts_an_unfinished_one_aside() {
     assert!(ended.stderr.contains("checkpoints-before"), "{}", ended.stderr);
     let aside = out.join("checkpoints-before");
     assert!(fs::read_dir(&aside).unwrap().count() > 0);
-    // It can still be gone on with.
+    // The moved run can still be resumed.
     fs::rename(&aside, out.join("checkpoints")).unwrap();
     succeed(&mut resuming(&out));
     assert_as_whole(&out);
@@ -253,7 +253,7 @@ fn two_runs_do_not_share_a_folder() {
     child.wait().unwrap();
 }
 
-/// Files of more than so many blocks of 512 bytes cannot be written, as on a disk that is full.
+/// Returns a command that cannot write files of more than `blocks` blocks of 512 bytes, as on a full disk.
 #[cfg(unix)]
 fn with_little_room(command: &Command, blocks: usize) -> Command {
     let mut limited = Command::new("sh");

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::LazyLock;
 
-/// Arguments of a training run; the capture and `--out DIR` are to be added.
+/// Arguments of a training run, without the capture and `--out DIR`.
 pub const TRAIN: [&str; 7] = ["train", "--steps", "16", "--max-side", "64", "--seed", "7"];
 
 /// A demo capture of 8 views, 64 × 48 px.
@@ -16,14 +16,15 @@ pub static DEMO: LazyLock<PathBuf> = LazyLock::new(|| {
     folder
 });
 
-/// What a training run on [`DEMO`] wrote.
+/// Output of a training run on [`DEMO`].
 pub static TRAINED: LazyLock<PathBuf> = LazyLock::new(|| {
     let folder = fresh("trained");
     succeed(splat(&TRAIN).arg(DEMO.as_path()).arg("--out").arg(&folder));
     folder
 });
 
-/// A folder below `target/` without what an earlier run left: statics are never dropped, and so could not tidy up.
+/// Returns a folder below `target/` without files of an earlier run: statics are never dropped, and so could not clean
+/// up.
 pub fn fresh(name: &str) -> PathBuf {
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("cli").join(name);
     if folder.exists() {
@@ -32,7 +33,7 @@ pub fn fresh(name: &str) -> PathBuf {
     folder
 }
 
-/// What a run said and how it ended.
+/// Output and exit code of a run.
 #[derive(Debug)]
 pub struct Ended {
     pub code: Option<i32>,
@@ -40,8 +41,8 @@ pub struct Ended {
     pub stderr: String,
 }
 
-/// The program with some arguments. It computes on the CPU unless they say otherwise, so that a test is the same on every
-/// machine.
+/// Returns the program with some arguments. It computes on the CPU unless they name a device, so that a test is the
+/// same on every machine.
 pub fn splat(arguments: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_splat"));
     command.args(arguments);
@@ -64,7 +65,8 @@ pub fn succeed(command: &mut Command) -> Ended {
     ended
 }
 
-/// The program refuses: exit code 1, no panic, nothing on standard output, and an error that holds all `parts`.
+/// Checks that the program refuses: exit code 1, no panic, nothing on standard output, and an error that holds all
+/// `parts`.
 #[track_caller]
 pub fn refuse(command: &mut Command, parts: &[&str]) {
     let ended = end(command);

@@ -1,4 +1,4 @@
-//! `splat view`: what it serves, and what it refuses.
+//! `splat view`: the pages that it serves, and its errors.
 
 use std::fs;
 use std::io::{BufRead, BufReader, Read, Write};
@@ -23,7 +23,7 @@ impl Serving {
         Self { child, url: url.trim().to_owned() }
     }
 
-    /// The whole answer to a path.
+    /// Returns the whole answer to a path.
     pub fn ask(&self, path: &str) -> Vec<u8> {
         let host = self.url.strip_prefix("http://").unwrap().trim_end_matches('/');
         let mut stream = TcpStream::connect(host).unwrap();
@@ -33,7 +33,7 @@ impl Serving {
         answer
     }
 
-    /// The same without its headers.
+    /// Returns the answer to a path without its headers.
     fn get(&self, path: &str) -> Vec<u8> {
         let mut answer = self.ask(path);
         let end = answer.windows(4).position(|four| four == b"\r\n\r\n").unwrap();

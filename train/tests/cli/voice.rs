@@ -1,4 +1,4 @@
-//! What programs read: lines of JSON, nothing at all, completions and the manual.
+//! Output for programs: lines of JSON, silence, completions and the manual.
 
 use std::fs;
 
@@ -7,7 +7,7 @@ use serde_json::Value;
 use crate::run::{DEMO, TRAIN, end, refuse, splat, succeed};
 use crate::{files, json, keys, text};
 
-/// The lines of a run that says them.
+/// Parses the output of a run with `--json`.
 fn lines(stdout: &str) -> Vec<Value> {
     stdout.lines().map(|line| serde_json::from_str(line).unwrap_or_else(|error| panic!("{error}: {line}"))).collect()
 }
@@ -38,7 +38,7 @@ fn a_run_tells_programs_how_it_goes() {
     assert_eq!((&evaluations[0]["step"], &evaluations[0]["views"]), (&8.into(), &1.into()));
     let done = lines.last().unwrap();
     assert_eq!(done["metrics"], json(&folder.path().join("metrics.json")));
-    // One test view, and the scene of the last step: the same scores.
+    // There is one test view, and both score the scene of the last step: the scores are equal.
     for score in ["psnr", "ssim"] {
         let (during, after) = (&evaluations[1][score], &done["metrics"]["test"][score]);
         assert!((during.as_f64().unwrap() - after.as_f64().unwrap()).abs() < 1e-4, "{score}: {during} {after}");
@@ -67,7 +67,7 @@ fn scores_during_a_run_need_test_views() {
 fn snapshots_hold_what_evaluations_saw() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path();
-    // Of an earlier run, with a picture too many, and of nobody.
+    // Files of an earlier run, with a surplus picture, and files of others.
     let old = out.join("snapshots/000004");
     fs::create_dir_all(&old).unwrap();
     fs::write(old.join("0.png"), "").unwrap();
@@ -113,7 +113,7 @@ fn snapshots_hold_what_evaluations_saw() {
     let render = image::open(out.join("snapshots/000016/0.png")).unwrap().into_rgb8();
     let panels = image::open(out.join("views/0000.png")).unwrap().into_rgb8();
     let middle = |x: u32, y: u32| panels.get_pixel(x + render.width(), y);
-    // The final scene, rendered once more; a level is where roundings differ.
+    // The final scene, rendered once more; a level may differ by 1 through rounding.
     let near = |(x, y, pixel): (u32, u32, &image::Rgb<u8>)| (0..3).all(|c| pixel.0[c].abs_diff(middle(x, y).0[c]) <= 1);
     assert!(render.enumerate_pixels().all(near));
     assert_eq!(end(splat(&TRAIN).arg(DEMO.as_path()).args(["--snapshots", "--out", "out"])).code, Some(2));

@@ -1,4 +1,4 @@
-//! Photographs and renders of test views, small enough for a page.
+//! Photographs and renders of test views, downsized for a page.
 
 use std::io::Cursor;
 use std::path::Path;
@@ -13,19 +13,19 @@ use splat_model::evaluate::Scores;
 use super::super::{VIEWS, pictures};
 use crate::output::OutputFolder;
 
-/// Views whose pictures are on the page, at most: half of them the worst, half the best.
+/// Largest number of views with pictures on the page: half of them the worst, half the best.
 pub const MOST: usize = 24;
 
-/// Longer sides are made this short, px.
+/// Largest length of the longer side, px.
 const MOST_SIDE: u32 = 800;
 
-/// Of JPEG: its blocks must not be taken for the render's faults.
+/// JPEG quality, so high that its blocks are not taken for faults of the render.
 const QUALITY: u8 = 92;
 
-/// A view's pictures, as addresses that hold them.
+/// Pictures of a view, as `data:` addresses.
 #[derive(Clone, Debug)]
 pub struct Comparison {
-    /// Of the view among the scores.
+    /// Index of the view among the scores.
     pub view: usize,
     pub width: u32,
     pub height: u32,
@@ -33,16 +33,16 @@ pub struct Comparison {
     pub render: String,
 }
 
-/// Of the views that are shown, the worst first.
+/// Pictures of the views that are shown, the worst first.
 #[derive(Clone, Debug, Default)]
 pub struct Comparisons {
     pub shown: Vec<Comparison>,
-    /// Views by their scores, the worst first.
+    /// Views in the order of their scores, the worst first.
     pub order: Vec<usize>,
 }
 
 impl Comparisons {
-    /// From the pictures that `views/` holds. Views whose picture cannot be read are left out.
+    /// Reads the pictures in `views/`. Views whose picture cannot be read are left out.
     pub fn of(scores: Option<&Scores>, out: &OutputFolder) -> Self {
         let Some(scores) = scores else { return Self::default() };
         let names = pictures::names(scores.views.iter().map(|view| view.name.as_str()), "png");
@@ -54,7 +54,7 @@ impl Comparisons {
     }
 }
 
-/// All, or as many of both ends as a page has room for.
+/// Returns all views, or as many from both ends as a page has room for.
 fn worst_and_best(order: &[usize]) -> Vec<usize> {
     if order.len() <= MOST {
         return order.to_vec();
@@ -64,7 +64,7 @@ fn worst_and_best(order: &[usize]) -> Vec<usize> {
 }
 
 impl Comparison {
-    /// From a picture of truth, render and error side by side.
+    /// Reads a picture with ground truth, render and error side by side.
     fn read(view: usize, path: &Path) -> Option<Self> {
         let panels = image::open(path).ok()?.into_rgb8();
         let (width, height) = (panels.width() / 3, panels.height());
@@ -81,7 +81,7 @@ impl Comparison {
     }
 }
 
-/// A picture as a `data:` address.
+/// Encodes a picture as a `data:` address.
 fn address(picture: &RgbImage) -> Option<String> {
     let mut file = Cursor::new(Vec::new());
     picture.write_with_encoder(JpegEncoder::new_with_quality(&mut file, QUALITY)).ok()?;

@@ -1,4 +1,4 @@
-//! `report.html`: a run on one page that needs nothing beside it, neither files nor a network.
+//! `report.html`: the report of a run on one page that loads no other file, neither from disk nor from a network.
 
 mod comparisons;
 mod sections;
@@ -17,26 +17,26 @@ use crate::output::OutputFolder;
 use crate::view::page::{POLICY, STYLE, Source, Viewer};
 use crate::view::scene::{ShownScene, Viewpoint};
 
-/// The scene takes no more of a page than this; in text it is a third longer. Browsers are slow with longer pages.
+/// Largest size of the scene in a page; its text encoding is a third longer. Browsers are slow with longer pages.
 pub const SCENE_BYTES: usize = 20_000_000;
 
-/// What is on the page.
+/// Content of the page.
 #[derive(Clone, Copy, Debug)]
 pub struct Page<'a> {
     pub metrics: &'a Metrics,
     pub history: &'a History,
-    /// None where no splat can be drawn.
+    /// The scene; `None` if no splat can be drawn.
     pub scene: Option<&'a ShownScene>,
-    /// Of the test views, in the order of their scores.
+    /// Viewpoints of the test views, in the order of their scores.
     pub viewpoints: &'a [Viewpoint],
-    /// RGB, 0 to 1.
+    /// Background, RGB, 0 to 1.
     pub background: [f32; 3],
-    /// Whether the scene was trained with that option.
+    /// Whether the scene was trained with `--antialias`.
     pub antialias: bool,
 }
 
 impl Page<'_> {
-    /// Writes the page. The pictures of the test views are there already, and are read.
+    /// Writes the page. Reads the pictures of the test views, which have been written before.
     ///
     /// # Errors
     /// If it cannot be written.

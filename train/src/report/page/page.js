@@ -4,7 +4,7 @@
   const [history, last] = JSON.parse(document.getElementById("history").textContent);
   const WIDTH = 340, HEIGHT = 190, LEFT = 48, BOTTOM = 24, TOP = 8;
 
-  // Round steps of 1, 2 or 5 times a power of ten.
+  // Ticks at multiples of 1, 2 or 5 times a power of ten.
   const ticks = (low, high, most) => {
     const rough = (high - low) / most, power = 10 ** Math.floor(Math.log10(rough));
     const step = [1, 2, 5, 10].map((times) => times * power).find((step) => step >= rough);
@@ -31,7 +31,7 @@
     return made;
   };
 
-  // `points`: [x, y]; `mark`: one more, that is drawn as a ring.
+  // `points`: [x, y]; `mark`: an additional point, drawn as a ring.
   const draw = (holder, points, mark, name) => {
     const all = mark ? [...points, mark] : points;
     const x = [0, limits(all.map((point) => point[0]), [0, 1])[1]];

@@ -1,4 +1,4 @@
-//! The parts of the page that are text and tables.
+//! Text and tables of the page.
 
 use std::fmt::Write;
 
@@ -11,7 +11,7 @@ use super::comparisons::{Comparisons, MOST};
 use crate::effects::Chosen;
 use crate::inspect;
 
-/// What a run came to, in a few numbers.
+/// The main results of a run.
 pub fn summary(metrics: &Metrics) -> String {
     let mut tiles: Vec<(String, &str)> = Vec::new();
     if let Some(test) = &metrics.test {
@@ -32,7 +32,7 @@ pub fn summary(metrics: &Metrics) -> String {
     text + &format!("</ul>\n<p>Device: {device}. splat {version}.</p>\n")
 }
 
-/// Seconds as people read them.
+/// Formats seconds for people.
 fn duration(seconds: f64) -> String {
     match seconds {
         ..120.0 => format!("{seconds:.1} s"),
@@ -41,7 +41,7 @@ fn duration(seconds: f64) -> String {
     }
 }
 
-/// Scores by view, the worst first, and pictures to compare.
+/// Table of the scores by view, the worst first, and pictures to compare.
 pub fn views(scores: Option<&Scores>, comparisons: &Comparisons) -> String {
     let Some(scores) = scores else {
         return "<section>\n<h2>Test views</h2>\n<p>None: <code>--eval-every 0</code> holds out no photograph.</p>\n</section>\n".into();
@@ -75,7 +75,7 @@ pub fn views(scores: Option<&Scores>, comparisons: &Comparisons) -> String {
     }
     let _ = writeln!(
         text,
-        "<p>Left of the line the photograph, right of it the render. <code>{VIEWS}/</code> has them without loss.</p>"
+        "<p>The photograph is left of the line, the render right. <code>{VIEWS}/</code> has lossless copies.</p>"
     );
     text.push_str("<div class=\"comparisons\">\n");
     for shown in &comparisons.shown {
@@ -93,7 +93,7 @@ pub fn views(scores: Option<&Scores>, comparisons: &Comparisons) -> String {
     text + "</div>\n</section>\n"
 }
 
-/// What the capture shows, what was decided, and what that took.
+/// The survey of the capture, the decisions on effects, and their measured cost.
 pub fn effects(chosen: Option<&Chosen>) -> String {
     let Some(chosen) = chosen else { return String::new() };
     let names: Vec<&str> = chosen.on().iter().map(|effect| effect.name()).collect();
@@ -118,7 +118,7 @@ pub fn effects(chosen: Option<&Chosen>) -> String {
     text + "</section>\n"
 }
 
-/// Time by stage.
+/// Table of the times by stage.
 pub fn times(seconds: &Seconds) -> String {
     let all = [("loading", Some(seconds.load)), ("training", seconds.train), ("measuring", Some(seconds.eval))];
     let rows = all.into_iter().filter_map(|(what, time)| Some(vec![what.to_owned(), format!("{:.2}", time?)]));

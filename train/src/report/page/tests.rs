@@ -12,7 +12,7 @@ use super::super::{VIEWS, pictures};
 use super::comparisons::MOST;
 use super::*;
 
-/// Names that somebody could give to photographs.
+/// Names that someone could give to photographs.
 const NASTY: &str = "</script><script>alert('1 & \"2\"')</script><img src=x onerror=alert(2)>.png";
 
 fn view(name: &str, psnr: f64) -> ViewScore {
@@ -75,12 +75,12 @@ fn scene() -> ShownScene {
     ShownScene::new(&rows, SCENE_BYTES).unwrap()
 }
 
-/// The page of a run with these views, whose pictures are there.
+/// Returns the page of a run with these views, whose pictures exist.
 fn page(views: Vec<ViewScore>) -> String {
     let folder = tempfile::tempdir().unwrap();
     let out = OutputFolder::prepare(folder.path(), &[], &[]).unwrap();
     for name in pictures::names(views.iter().map(|view| view.name.as_str()), "png") {
-        // Names with slashes are in folders, which the page must bear to be missing.
+        // Names with slashes are in folders; the page must work without their pictures.
         if name.components().count() == 1 {
             std::fs::create_dir_all(out.join(VIEWS)).unwrap();
             RgbImage::new(9, 2).save(out.join(Path::new(VIEWS).join(name))).unwrap();
@@ -107,7 +107,7 @@ fn page(views: Vec<ViewScore>) -> String {
     std::fs::read_to_string(out.join(REPORT)).unwrap()
 }
 
-/// The page without comments and without what is in its scripts and styles, whose tags stay.
+/// Returns the page without comments and without the content of its scripts and styles, whose tags stay.
 fn markup(page: &str) -> String {
     let mut rest = page.to_owned();
     while let Some((before, after)) = rest.split_once("<!--") {
@@ -129,7 +129,7 @@ fn markup(page: &str) -> String {
     text
 }
 
-/// The names of a page's tags in their order, those that end an element with a slash.
+/// Returns the names of a page's tags in their order, with a slash for those that end an element.
 fn tags(markup: &str) -> Vec<&str> {
     markup.split('<').skip(1).map(|tag| tag.split([' ', '>', '\n']).next().unwrap()).collect()
 }
@@ -186,7 +186,7 @@ fn nothing_is_asked_of_others() {
     let page = page(vec![view("a.png", 20.0)]);
     let without_comments = page.split("<!--").map(|part| part.split_once("-->").map_or(part, |(_, after)| after));
     let text: String = without_comments.collect();
-    // The name of a language, which three.js gives to elements that it makes. Nobody fetches it.
+    // An XML namespace that three.js gives to elements it makes. Nothing fetches it.
     let text = text.replace("http://www.w3.org/1999/xhtml", "");
     for scheme in ["http:/", "https:/", "ws:/", "wss:/"] {
         if let Some(at) = text.find(scheme) {

@@ -2,7 +2,7 @@ use splat_model::gaussians::GaussianRows;
 
 use super::*;
 
-/// A row of Gaussians.
+/// Gaussians in a row.
 fn scene() -> ShownScene {
     let count = 5;
     let rows = GaussianRows {
@@ -25,7 +25,7 @@ fn viewer<'a>(scene: &'a ShownScene, viewpoints: &'a [Viewpoint], source: Source
     Viewer { scene, source, viewpoints, background: [0.0, 0.5, 1.0], antialias: false }
 }
 
-/// The JSON that the script reads.
+/// Returns the setup that the script reads.
 fn setup(scripts: &str) -> serde_json::Value {
     let (_, rest) = scripts.split_once("id=\"viewer-setup\">").unwrap();
     serde_json::from_str(rest.split_once("</script>").unwrap().0).unwrap()
@@ -33,7 +33,7 @@ fn setup(scripts: &str) -> serde_json::Value {
 
 #[test]
 fn the_library_is_the_one_that_is_written_down() {
-    // As in assets/viewer/README.md. Whoever changes the file by hand should think again.
+    // The size is stated in assets/viewer/README.md. The file is not meant to be changed by hand.
     assert_eq!(LIBRARY.len(), 3_030_979);
     assert!(LIBRARY.is_ascii(), "a server or an editor with another encoding would spoil it");
     for part in ["</script", "<!--"] {

@@ -18,7 +18,7 @@ fn rows(count: usize, sh_degree: usize) -> GaussianRows {
     }
 }
 
-/// What a viewer reads of it.
+/// Returns the rows that a viewer reads.
 fn read(scene: &ShownScene) -> GaussianRows {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("scene.ply");
@@ -92,7 +92,7 @@ fn one_splat_far_away_does_not_count() {
 
 #[test]
 fn viewpoints_are_where_the_cameras_are() {
-    // At (0, 0, -5), looking along +z, as a camera of OpenCV stands.
+    // A camera with OpenCV axes at (0, 0, -5), looking along +z.
     let photo = Photo {
         name: "a".into(),
         intrinsics: Intrinsics::centred(200, 100, 50.0),

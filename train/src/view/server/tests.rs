@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use super::*;
 
-/// A server with one page, on a thread of its own until the process ends.
+/// Starts a server with one page, on a thread that runs until the process ends.
 fn started() -> Arc<Server> {
     let server = Arc::new(Server::bind(0).unwrap());
     let serving = Arc::clone(&server);
@@ -14,7 +14,7 @@ fn started() -> Arc<Server> {
     server
 }
 
-/// The answer to a request line and a host.
+/// Returns the answer to a request line with a host.
 fn ask(server: &Server, line: &str, host: &str) -> String {
     let mut stream = TcpStream::connect(("127.0.0.1", server.port)).unwrap();
     write!(stream, "{line} HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n\r\n").unwrap();
