@@ -11,7 +11,7 @@ use burn::backend::fusion::custom::TensorSpec;
 use burn::backend::ops::IntTensorOps;
 use burn::backend::tensor::{FloatTensor, IntTensor};
 use burn::backend::{Autodiff, Backend, Flex, NdArray, TensorMetadata, backend_extension};
-use burn::tensor::{DType, TensorData};
+use burn::tensor::TensorData;
 
 use super::autodiff::tracked;
 use super::cpu::host;
@@ -39,7 +39,7 @@ pub trait ActivateBackend: Backend {
     fn opacity_slopes(logit_opacities: FloatTensor<Self>, opacities: FloatTensor<Self>) -> FloatTensor<Self>;
 
     /// `[1]`: 1 if any value is not finite, else 0. Not differentiable.
-    #[fusion(dtype = DType::I32, shape = burn::tensor::Shape::from([1]))]
+    #[fusion(dtype = burn::tensor::DType::I32, shape = burn::tensor::Shape::from([1]))]
     fn non_finite(values: FloatTensor<Self>) -> IntTensor<Self>;
 }
 
@@ -89,6 +89,7 @@ cpu_backend!(NdArray);
 
 #[cfg(feature = "cube")]
 mod gpu {
+    use burn::tensor::DType;
     use burn_cubecl::CubeBackend;
 
     use super::*;
