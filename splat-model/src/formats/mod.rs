@@ -153,7 +153,7 @@ pub enum FormatError {
     /// A PLY file, compressed or not, that breaks the format; or rows that do not belong together.
     #[error(transparent)]
     Ply(#[from] PlyError),
-    /// The operating system refused.
+    /// The operating system reported an error.
     #[error("{path}: could not {action}: {source}", path = path.display())]
     Io {
         /// The file.

@@ -39,7 +39,7 @@ const ORIGIN_COMMENT: &str = "splat origin ";
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum PlyError {
-    /// The operating system refused.
+    /// The operating system reported an error.
     #[error("{path}: could not {action}: {source}", path = path.display())]
     Io {
         /// The file.

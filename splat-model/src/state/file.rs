@@ -31,7 +31,7 @@ const FACT: &str = "fact:";
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum FileError {
-    /// The operating system refused.
+    /// The operating system reported an error.
     #[error("{path}: could not {action}: {source}", path = path.display())]
     Io {
         /// The file.

@@ -26,7 +26,7 @@ const NAMES_TOLD: usize = 6;
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum WeightsError {
-    /// The operating system refused.
+    /// The operating system reported an error.
     #[error("{path}: could not read the weights of LPIPS: {source}", path = path.display())]
     Io {
         /// The file.
