@@ -1,4 +1,4 @@
-//! An effect of your own: a vignette, learnt beside the scene from photographs that are darkened here towards their corners.
+//! A custom effect: a vignette, trained together with the scene on photographs that the example darkens towards their corners.
 //! Run with a capture: `cargo run --release -p splat-model --example custom_effect -- CAPTURE`.
 use burn::tensor::{Device, Gradients, Tensor, TensorData};
 use splat_model::capture::{Capture, load_all};
@@ -7,7 +7,7 @@ use splat_model::state::{State, StateError};
 use splat_model::trainer::{TrainConfig, Trainer};
 use splat_op::Rendered;
 
-/// A pixel at a distance of `r` from the middle shows `1 − strength · r²` of its light; corners are at 1.
+/// Multiplies a pixel at distance `r` from the centre by `1 − strength · r²`; the corners are at distance 1.
 struct Vignette(Learned<1>);
 
 fn squared_radii(width: usize, height: usize) -> Vec<f32> {
@@ -42,7 +42,7 @@ impl Effect for Vignette {
 }
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let capture = Capture::load(std::env::args().nth(1).ok_or("name a capture's folder")?.as_ref())?;
+    let capture = Capture::load(std::env::args().nth(1).ok_or("pass the folder of a capture")?.as_ref())?;
     let mut photos = load_all(&capture.views, Some(96), |_| {})?;
     for photo in &mut photos {
         let radii = squared_radii(photo.intrinsics.width, photo.intrinsics.height);

@@ -1,4 +1,4 @@
-//! A loss of your own: L1 in which dark pixels count more, and opacities that are asked to decide.
+//! A custom loss: L1 with a higher weight for dark pixels, and a penalty on opacities between 0 and 1.
 //! Run with a capture: `cargo run --release -p splat-model --example custom_loss -- CAPTURE`.
 use std::path::Path;
 
@@ -8,7 +8,7 @@ use splat_model::evaluate::evaluate;
 use splat_model::trainer::{Seen, TrainConfig, Trainer};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let folder = std::env::args().nth(1).ok_or("name a capture's folder")?;
+    let folder = std::env::args().nth(1).ok_or("pass the folder of a capture")?;
     let capture = Capture::load(Path::new(&folder))?;
     let photos = load_all(&capture.views, Some(96), |_| {})?;
     let config = TrainConfig { steps: 60, ..TrainConfig::default() };

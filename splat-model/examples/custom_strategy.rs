@@ -1,5 +1,5 @@
-//! A strategy of density control of your own: every so often the Gaussians whose centres are pulled hardest are doubled, up to
-//! a budget, and those that are hardly there are removed.
+//! A custom density strategy: at regular intervals it clones the Gaussians with the largest accumulated gradients of their
+//! centres, up to a budget, and prunes nearly transparent ones.
 //! Run with a capture: `cargo run --release -p splat-model --example custom_strategy -- CAPTURE`.
 use std::path::Path;
 
@@ -16,7 +16,7 @@ use splat_model::trainer::{TrainConfig, Trainer};
 struct Budget {
     every: usize,
     most: usize,
-    /// `[N]`: how hard each centre has been pulled since the last change of rows.
+    /// `[N]`: accumulated length of the gradient of each centre since the last change of rows.
     pulled: Option<Tensor<1>>,
 }
 
@@ -61,7 +61,7 @@ impl Strategy for Budget {
         Ok(Some(RefineReport { cloned, pruned, ..RefineReport::default() }))
     }
 
-    // So that a run that was interrupted goes on as it would have.
+    // Saved so that an interrupted run continues without a difference.
     fn save(&self, to: &mut State) -> Result<(), StateError> {
         self.pulled.iter().for_each(|pulled| to.put("pulled", pulled.clone()));
         Ok(())
@@ -74,7 +74,7 @@ impl Strategy for Budget {
 }
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let folder = std::env::args().nth(1).ok_or("name a capture's folder")?;
+    let folder = std::env::args().nth(1).ok_or("pass the folder of a capture")?;
     let capture = Capture::load(Path::new(&folder))?;
     let photos = load_all(&capture.views, Some(96), |_| {})?;
     let config = TrainConfig { steps: 100, ..TrainConfig::default() };

@@ -10,7 +10,7 @@ use splat_op::{Camera, Colour, Extras, Intrinsics, RenderOptions, Splats, render
 
 const SIDE: usize = 24;
 
-/// Positions in, a picture out.
+/// A network from positions to a picture.
 #[derive(Module, Debug)]
 struct Painter {
     hidden: Linear,

@@ -1,4 +1,4 @@
-//! Scores of a scene on photographs that it was not trained on.
+//! Scores of a scene on held-out photographs.
 
 use std::borrow::Borrow;
 
@@ -12,13 +12,13 @@ use crate::gaussians::values_of;
 use crate::metrics::lpips::Lpips;
 use crate::metrics::{colour_corrected, mean_over_views, psnr, scores_without, ssim};
 
-/// Why there is no LPIPS where nobody asked for it.
+/// The reason for a missing LPIPS when it was not requested.
 const NO_WEIGHTS: &str = "no weights were named (`--lpips FILE`)";
 
 /// Scores of one photograph.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ViewScore {
-    /// Its name.
+    /// Name of the photograph.
     pub name: String,
     /// Peak signal-to-noise ratio, dB.
     pub psnr: f64,
@@ -26,15 +26,15 @@ pub struct ViewScore {
     pub ssim: f64,
     /// PSNR after the affine map of colours that fits the render to the photograph best (see [`colour_corrected`]), dB.
     pub psnr_corrected: f64,
-    /// SSIM after the same.
+    /// SSIM after the same correction.
     pub ssim_corrected: f64,
-    /// LPIPS, lower is better (see [`crate::metrics::lpips`]); none where it was not measured.
+    /// LPIPS, lower is better (see [`crate::metrics::lpips`]); `None` if it was not measured.
     pub lpips: Option<f64>,
-    /// Why it was not.
+    /// The reason why LPIPS was not measured.
     pub lpips_missing: Option<String>,
 }
 
-/// Scores of a set of photographs: the means over them, and each.
+/// Scores of a set of photographs: the means over them, and the scores of each.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Scores {
     /// Mean of the views' PSNR, dB.
@@ -45,15 +45,15 @@ pub struct Scores {
     pub psnr_corrected: f64,
     /// Mean of the views' SSIM after colour correction.
     pub ssim_corrected: f64,
-    /// Mean of the views' LPIPS; none unless it was measured for all of them: a mean over others would be of something else.
+    /// Mean of the views' LPIPS; `None` unless all views were measured, because a mean over some views is not comparable.
     pub lpips: Option<f64>,
-    /// Why there is none.
+    /// The reason why there is no mean.
     pub lpips_missing: Option<String>,
-    /// The network of LPIPS, `alex` or `vgg`; none where no weights were given.
+    /// The network of LPIPS, `alex` or `vgg`; `None` without weights.
     pub lpips_net: Option<String>,
-    /// The range of a picture that the network is given, `-1..1` or `0..1`; none where no weights were given.
+    /// The range of the network's input, `-1..1` or `0..1`; `None` without weights.
     pub lpips_input: Option<String>,
-    /// By view.
+    /// Scores of each view.
     pub views: Vec<ViewScore>,
 }
 
@@ -61,17 +61,17 @@ pub struct Scores {
 pub struct Comparison<'a> {
     /// The photograph.
     pub photo: &'a Photo,
-    /// It as a tensor, over the background.
+    /// The photograph as a tensor, composited over the background.
     pub truth: Tensor<3>,
-    /// What the scene shows there, clamped to 0..1.
+    /// The render, clamped to 0..1.
     pub image: Tensor<3>,
 }
 
-/// Renders `splats`, which must not be tracked, as each photograph's camera sees them, scores the renders and hands each
-/// to `look`. Pixels that a photograph's mask excludes have no part in the scores.
+/// Renders `splats`, which must not be tracked, with each photograph's camera, scores the renders and passes each to `look`.
+/// Pixels that a photograph's mask excludes do not affect the scores.
 ///
 /// # Errors
-/// If the operation refuses the scene.
+/// If the renderer refuses the scene.
 pub fn evaluate(
     splats: &Splats,
     photos: &[Photo],
@@ -82,10 +82,11 @@ pub fn evaluate(
     evaluate_each(splats, photos.iter().map(Ok::<_, SplatError>), background, options, None, look)
 }
 
-/// The same with photographs that come one after the other, and with LPIPS if there are weights for it.
+/// Evaluates like [`evaluate`], with photographs that are loaded one after the other, and with LPIPS if there are weights for
+/// it.
 ///
 /// # Errors
-/// If there is none where one should be, or the operation refuses the scene.
+/// If a photograph cannot be loaded, or the renderer refuses the scene.
 pub fn evaluate_each<P: Borrow<Photo>, E: From<SplatError>>(
     splats: &Splats,
     photos: impl IntoIterator<Item = Result<P, E>>,
@@ -144,19 +145,19 @@ fn scored(comparison: &Comparison, image: Tensor<3>) -> (f64, f64) {
     scores_without(image, truth, &excluded)
 }
 
-/// LPIPS of the render, or why it is not measured.
+/// LPIPS of the render, or the reason why it is not measured.
 fn perceived(lpips: Option<&Lpips>, comparison: &Comparison) -> Result<f64, String> {
     let lpips = lpips.ok_or(NO_WEIGHTS)?;
     if comparison.photo.mask.as_ref().is_some_and(|mask| mask.contains(&false)) {
-        return Err("a mask excludes a part of the photograph, and the features of LPIPS look across its border".into());
+        return Err("a mask excludes a part of the photograph, and features of LPIPS extend across its border".into());
     }
     let found = lpips.distance(comparison.image.clone(), comparison.truth.clone());
     let found = found.map_err(|error| error.to_string())?;
-    // JSON would say null, and nobody why.
+    // JSON would hold null, without a reason.
     if found.is_finite() { Ok(found) } else { Err("the render is not finite".into()) }
 }
 
-/// Why there is no mean of the views' LPIPS; none if there is one.
+/// The reason why there is no mean of the views' LPIPS; `None` if there is one.
 fn missing_lpips(lpips: Option<&Lpips>, views: &[ViewScore]) -> Option<String> {
     if lpips.is_none() {
         return Some(NO_WEIGHTS.into());
@@ -170,7 +171,7 @@ fn missing_lpips(lpips: Option<&Lpips>, views: &[ViewScore]) -> Option<String> {
     Some(format!("{count} of {} views cannot be measured; {name}: {reason}", views.len()))
 }
 
-/// The render, corrected in colour.
+/// The render after colour correction.
 fn corrected(comparison: &Comparison) -> Tensor<3> {
     let (image, truth) = (values_of(comparison.image.clone()), values_of(comparison.truth.clone()));
     let values = colour_corrected(&image, &truth, comparison.photo.mask.as_deref());

@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use splat_op::{Colour, RawSplats, Splats, activate};
 use thiserror::Error;
 
-/// The rows of a scene on the host, as files hold them. Row `i` of every field belongs to Gaussian `i`.
+/// The rows of a scene on the host, as in scene files. Row `i` of every field belongs to Gaussian `i`.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct GaussianRows {
     /// Centres, world frame, scene units.
@@ -25,7 +25,7 @@ pub struct GaussianRows {
     pub sh_degree: usize,
 }
 
-/// Rows that do not fit together.
+/// Fields of [`GaussianRows`] that do not fit together.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 #[error("`{field}` holds {found} numbers, expected {expected} for {count} Gaussians of degree {sh_degree}")]
 pub struct RowsError {
@@ -42,20 +42,20 @@ impl GaussianRows {
         self.means.len()
     }
 
-    /// Whether there are none.
+    /// Whether there are no Gaussians.
     pub fn is_empty(&self) -> bool {
         self.means.is_empty()
     }
 
-    /// Higher coefficients of one Gaussian: `3 ((degree+1)² − 1)` numbers.
+    /// Number of higher coefficients of one Gaussian, over all channels: `3 ((degree+1)² − 1)`.
     pub fn rest_per_row(&self) -> usize {
         3 * ((self.sh_degree + 1) * (self.sh_degree + 1) - 1)
     }
 
-    /// Appends row `i` of others as it is, but for coefficients of a degree that these rows do not have.
+    /// Appends row `i` of `from`, without the coefficients above the degree of these rows.
     ///
     /// # Panics
-    /// If there is no such row, or its degree is less than that of these rows.
+    /// If there is no such row, or the degree of `from` is below the degree of these rows.
     pub fn push(&mut self, from: &Self, i: usize) {
         let (rest, taken) = (from.rest_per_row(), self.rest_per_row());
         self.means.push(from.means[i]);
@@ -66,8 +66,8 @@ impl GaussianRows {
         self.sh_rest.extend_from_slice(&from.sh_rest[rest * i..rest * i + taken]);
     }
 
-    /// Whether Gaussian `i` can be rendered: all its parameters are finite and none is beyond what f32 can compute with (see
-    /// [`splat_op::activate`]). One that cannot is masked wherever the scene is used.
+    /// Whether Gaussian `i` can be rendered: all its parameters are finite and within the range that f32 can compute with (see
+    /// [`splat_op::activate`]). A Gaussian that cannot be rendered is masked wherever the scene is used.
     ///
     /// # Panics
     /// If there is no such Gaussian, or the rows do not fit together.
@@ -89,7 +89,7 @@ impl GaussianRows {
         (0..self.sh_dc.len()).flat_map(of_row).collect()
     }
 
-    /// The same from all coefficients of the degree.
+    /// Appends coefficients from `sh`, all coefficients in the layout of [`Self::sh`].
     fn set_sh(&mut self, sh: &[f32]) {
         for row in sh.chunks_exact(self.rest_per_row() + 3) {
             let (dc, rest) = row.split_at(3);
@@ -98,10 +98,10 @@ impl GaussianRows {
         }
     }
 
-    /// Refuses fields of different lengths and degrees above 4.
+    /// Checks that all fields have the same number of rows, and that the degree is at most 4.
     ///
     /// # Errors
-    /// Names the field.
+    /// [`RowsError`], which names the field.
     pub fn check(&self) -> Result<(), RowsError> {
         let count = self.len();
         let of = |field, found, expected| match found == expected {
@@ -128,18 +128,18 @@ pub struct Gaussians {
     pub log_scales: Param<Tensor<2>>,
     /// `[N]`: logits of the opacities.
     pub logit_opacities: Param<Tensor<1>>,
-    /// `[N, (degree+1)², 3]`: coefficients of the spherical harmonics, that of degree 0 first. Those of a degree that is not yet
-    /// in use are not stored: their gradients, moments and values would all be zero.
+    /// `[N, (degree+1)², 3]`: coefficients of the spherical harmonics, degree 0 first. Coefficients of a degree that is not yet
+    /// in use are not stored, because their gradients, moments and values would all be zero.
     pub sh: Param<Tensor<3>>,
 }
 
-/// A tracked parameter on an autodiff device, a plain one elsewhere.
+/// A parameter, tracked on an autodiff device and plain elsewhere.
 pub(crate) fn parameter<const D: usize>(values: Tensor<D>) -> Param<Tensor<D>> {
     Param::from_tensor(values)
 }
 
 impl Gaussians {
-    /// A scene from rows, on `device`; trainable if the device is an autodiff device.
+    /// Creates a scene from rows on `device`, trainable if the device is an autodiff device.
     ///
     /// # Errors
     /// If the rows' fields differ in length.
@@ -155,7 +155,7 @@ impl Gaussians {
         })
     }
 
-    /// The rows of the scene, copied to the host.
+    /// Copies the rows of the scene to the host.
     pub fn to_rows(&self) -> GaussianRows {
         let mut rows = GaussianRows {
             means: rows_of(self.means.val()),
@@ -174,7 +174,7 @@ impl Gaussians {
         self.means.val().dims()[0]
     }
 
-    /// Whether there are none.
+    /// Whether there are no Gaussians.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
@@ -187,12 +187,12 @@ impl Gaussians {
     /// `[N, 3]`: standard deviations, scene units; 0 where a logarithm is unusable.
     pub fn scales(&self) -> Tensor<2> {
         let log_scales = self.log_scales.val();
-        // Fields of other shapes than the documented ones are refused where they are rendered, with their names.
+        // The renderer refuses fields of undocumented shapes by name.
         activate::scales(&log_scales).unwrap_or_else(|_| log_scales.exp())
     }
 
     /// `[N]`: opacities, 0 to 1; exactly 0, without gradients, for Gaussians that are unusable in any parameter (see
-    /// [`splat_op::activate`]), so that they change nothing but themselves.
+    /// [`splat_op::activate`]), so that they do not affect other Gaussians.
     pub fn opacities(&self) -> Tensor<1> {
         let raw = RawSplats {
             means: self.means.val(),
@@ -205,7 +205,7 @@ impl Gaussians {
         activate::opacities(&raw).unwrap_or_else(|_| activation::sigmoid(raw.logit_opacities))
     }
 
-    /// The Gaussians with activated parameters, tracked as the parameters are. Unusable ones are masked, see
+    /// The Gaussians with activated parameters, tracked like the parameters. Unusable Gaussians are masked, see
     /// [`Self::opacities`].
     pub fn splats(&self) -> Splats {
         Splats {
@@ -217,7 +217,7 @@ impl Gaussians {
         }
     }
 
-    /// The same scene without autodiff: for evaluation, where a tracked forward pass would keep its state for nothing.
+    /// The scene without autodiff, for evaluation, where a tracked forward pass would store its state needlessly.
     pub fn untracked(&self) -> Self {
         let plain = |param: &Param<Tensor<2>>| Param::from_tensor(param.val().inner());
         if !self.means.val().device().is_autodiff() {
@@ -237,7 +237,7 @@ fn tensor<const D: usize>(values: &[f32], shape: [usize; D], device: &Device) ->
     Tensor::from_data(TensorData::new(values.to_vec(), shape), device)
 }
 
-/// All elements, row-major.
+/// All elements of a tensor, row-major.
 pub(crate) fn values_of<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
     let data = tensor.into_data().convert::<f32>();
     data.try_into_vec().expect("converted to f32 in the line above")

@@ -1,4 +1,4 @@
-//! The first Gaussians of a scene: from a sparse point cloud, or random where a capture has none.
+//! The initial Gaussians of a scene: from a sparse point cloud, or random for a capture without points.
 
 use glam::{DAffine3, DVec2, DVec3};
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
@@ -14,32 +14,32 @@ use crate::optim::scene_extent;
 /// `Y₀`: the degree-0 spherical harmonic, `1 / (2 √π)`.
 const SH_0: f32 = 0.282_094_8;
 
-/// The least value of a colour's channel at the start: half a level of 255.
+/// Minimum initial value of a colour channel: half a level of 255.
 const DARKEST: f32 = 0.5 / 255.0;
 
-/// Opacity of a Gaussian at the start (Kerbl et al. 2023, section 5.1, as their code has it).
+/// Initial opacity of a Gaussian (Kerbl et al. 2023, section 5.1, the value of their code).
 pub const START_OPACITY: f32 = 0.1;
 
-/// Neighbours whose root mean square distance is the first standard deviation (Kerbl et al. 2023, section 5.1).
+/// Number of neighbours whose root mean square distance is the initial standard deviation (Kerbl et al. 2023, section 5.1).
 const NEIGHBOURS: usize = 3;
 
-/// Squared distances below this count as this, as in the original code: points at one place would have no size. In a cloud
-/// that is less than a unit across, they count as so much of its squared size, so that a small scene begins as a large one.
+/// Minimum squared distance, as in the original code; without it, points at one place would have no size. For a cloud less than
+/// a unit across, the minimum is this share of its squared size, so that a small scene starts like a large one.
 const SMALLEST_SQUARED_DISTANCE: f32 = 1e-7;
 
-/// Gaussians made where there are no points.
+/// Number of random Gaussians for a capture without points.
 pub const RANDOM_COUNT: usize = 20_000;
 
-/// One round Gaussian per point: as large as the root mean square distance to its three nearest neighbours, opacity 0.1,
-/// of the point's colour, without view dependence.
+/// Returns one round Gaussian per point. Its standard deviation is the root mean square distance to the three nearest
+/// neighbours, its opacity 0.1, its colour the point's colour without view dependence.
 pub fn from_points(points: &PointCloud) -> GaussianRows {
     let squared = neighbour_distances(&points.positions);
     let across = size_of_cloud(&points.positions);
-    // Points all at one place say nothing about how large the scene is.
+    // Points at one place do not give the size of the scene.
     let floor = SMALLEST_SQUARED_DISTANCE * if across > 0.0 && across < 1.0 { across * across } else { 1.0 };
     let count = points.positions.len();
     let logit = (START_OPACITY / (1.0 - START_OPACITY)).ln();
-    // Not quite black: there colours are clamped and, begun there, have no gradient to leave by.
+    // Colours start slightly above black, where they would be clamped and have no gradient.
     let dc = |colour: &[u8; 3]| colour.map(|channel| ((f32::from(channel) / 255.0).max(DARKEST) - 0.5) / SH_0);
     GaussianRows {
         means: points.positions.clone(),
@@ -63,7 +63,7 @@ fn size_of_cloud(positions: &[[f32; 3]]) -> f32 {
     (0..3).map(side).fold(0.0, f32::max)
 }
 
-/// Mean squared distance of each point to its nearest neighbours; to those there are, if they are fewer.
+/// Mean squared distance of each point to its three nearest neighbours, or to all other points if they are fewer.
 fn neighbour_distances(positions: &[[f32; 3]]) -> Vec<f32> {
     if positions.len() < 2 {
         return vec![1.0; positions.len()];
@@ -79,10 +79,9 @@ fn neighbour_distances(positions: &[[f32; 3]]) -> Vec<f32> {
     positions.par_iter().map(mean).collect()
 }
 
-/// Random points of random colour in the volume that the cameras look at together: each lies in a random camera's
-/// picture, at a depth between half and one and a half times the camera's distance to the point nearest to all optical
-/// axes (a distance, not a depth, for a fisheye). A camera that stands at that point, as all do in a panorama, takes the
-/// scene's extent for the distance.
+/// Returns random points of random colour in the volume that all cameras look at. Each point lies in the picture of a random
+/// camera, at a depth between 0.5 and 1.5 times the camera's distance to the point nearest to all optical axes (a distance, not
+/// a depth, for a fisheye). For a camera at that point, as in a panorama, the scene extent replaces the distance.
 pub fn random_points(cameras: &[(Intrinsics, DAffine3)], count: usize, rng: &mut impl Rng) -> PointCloud {
     let mut points = PointCloud::default();
     let Some(focus) = common_focus(cameras) else { return points };
@@ -92,7 +91,7 @@ pub fn random_points(cameras: &[(Intrinsics, DAffine3)], count: usize, rng: &mut
         let (camera, cam_from_world) = &cameras[rng.random_range(0..cameras.len())];
         let world_from_cam = cam_from_world.inverse();
         let distance = (focus - world_from_cam.translation).length();
-        // The focus is computed, so what should be zero may be a rounding error.
+        // The focus is computed, so a zero distance may appear as a rounding error.
         let distance = if distance > 1e-6 * extent { distance } else { extent };
         let depth = distance * rng.random_range(0.5..1.5);
         let px = DVec2::new(rng.random_range(0.0..camera.width as f64), rng.random_range(0.0..camera.height as f64));
@@ -103,8 +102,8 @@ pub fn random_points(cameras: &[(Intrinsics, DAffine3)], count: usize, rng: &mut
     points
 }
 
-/// The point with the least sum of squared distances to the optical axes; in front of a single camera, or of cameras
-/// that all look the same way, one unit ahead of their mean. `None` without cameras.
+/// The point with the smallest sum of squared distances to the optical axes. For a single camera, or cameras that all look the
+/// same way, it is the point one unit ahead of their mean. `None` without cameras.
 fn common_focus(cameras: &[(Intrinsics, DAffine3)]) -> Option<DVec3> {
     let axes = cameras.iter().map(|(_, pose)| {
         let world_from_cam = pose.inverse();
@@ -125,7 +124,7 @@ fn common_focus(cameras: &[(Intrinsics, DAffine3)]) -> Option<DVec3> {
     }
 }
 
-/// The same cloud, neighbours next to each other (see [`morton_order`]).
+/// Returns the points in Morton order, so that neighbours are next to each other (see [`morton_order`]).
 pub fn ordered(points: &PointCloud) -> PointCloud {
     let order = morton_order(&points.positions);
     let rows = || order.iter().map(|&row| row as usize);
@@ -135,7 +134,7 @@ pub fn ordered(points: &PointCloud) -> PointCloud {
     }
 }
 
-/// The cloud itself, or every `k`th of its points if it holds more than `most`.
+/// Returns the whole cloud, or every `k`th of its points if it holds more than `most`.
 pub fn thinned(points: &PointCloud, most: usize) -> PointCloud {
     let stride = points.positions.len().div_ceil(most.max(1)).max(1);
     PointCloud {

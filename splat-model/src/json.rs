@@ -1,4 +1,4 @@
-//! Small files of JSON, which are never read beyond a length that none of their kind has.
+//! Small JSON files, which are not read beyond a maximum length.
 
 use std::fs::File;
 use std::io::{self, Read};
@@ -7,18 +7,18 @@ use std::path::Path;
 use serde::de::DeserializeOwned;
 use thiserror::Error;
 
-/// Why there is no value.
+/// A file without the expected value.
 #[derive(Debug, Error)]
 pub(crate) enum JsonFault {
     /// The file cannot be read.
     #[error("{0}")]
     Read(io::Error),
-    /// It holds something else, and what.
+    /// The file holds something else; a description of it.
     #[error("{0}")]
     Content(String),
 }
 
-/// What a file of at most `largest` bytes holds.
+/// Reads the value in a file of at most `largest` bytes.
 pub(crate) fn read<T: DeserializeOwned>(path: &Path, largest: u64) -> Result<T, JsonFault> {
     let mut text = Vec::new();
     let read = File::open(path).and_then(|file| file.take(largest + 1).read_to_end(&mut text));

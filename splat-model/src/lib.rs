@@ -1,8 +1,8 @@
 //! Gaussian scenes as ordinary Burn tensor code: captures, model, losses, optimiser, densification, metrics, formats.
 //!
-//! Photographs and points go in ([`capture`]), a [`Trainer`](trainer::Trainer) makes steps, and a scene comes out
-//! ([`gaussians`], [`ply`], [`formats`]). A run in small, on photographs that it takes itself; [`Capture::load`](capture::Capture::load) and
-//! [`load_all`](capture::load_all) read those of a folder.
+//! [`capture`] reads photographs and points, a [`Trainer`](trainer::Trainer) optimises a scene, and [`ply`] and [`formats`]
+//! write its [`gaussians`]. The example below trains on photographs that it renders itself;
+//! [`Capture::load`](capture::Capture::load) and [`load_all`](capture::load_all) read the photographs of a folder.
 //!
 //! ```
 //! use burn::tensor::Device;
@@ -20,7 +20,7 @@
 //!     colours: vec![[230, 60, 40], [50, 200, 70], [60, 80, 230], [240, 200, 40]],
 //! };
 //!
-//! // What is photographed: round Gaussians at the points, standard deviation 0.2, nearly opaque.
+//! // The photographed scene: round, nearly opaque Gaussians at the points, with a standard deviation of 0.2.
 //! let mut rows = init::from_points(&points);
 //! rows.log_scales.fill([0.2_f32.ln(); 3]);
 //! rows.logit_opacities.fill(2.0);
@@ -35,7 +35,7 @@
 //! };
 //! let photos = (0..4).map(photograph).collect::<Result<Vec<Photo>, _>>()?;
 //!
-//! // Points say where Gaussians begin: faint, and as large as the points are far apart.
+//! // Training starts from faint Gaussians at the points, as large as the distances between the points.
 //! let config = TrainConfig { steps: 40, sh_degree: 0, ..TrainConfig::default() };
 //! let mut trainer = Trainer::new(photos.clone(), &points, config, &device)?;
 //! let mut losses = Vec::new();
@@ -45,7 +45,7 @@
 //! let epoch = |losses: &[f32]| losses.iter().sum::<f32>() / 4.0;
 //! assert!(epoch(&losses[36..]) < epoch(&losses[..4]), "{losses:?}");
 //!
-//! // Scores are means over photographs; these were trained on, so they say little.
+//! // Scores are means over photographs. These photographs were trained on, so the scores say little.
 //! let splats = trainer.gaussians().untracked().splats();
 //! let scores = evaluate(&splats, &photos, &trainer.background(), &trainer.render_options(), |_, _| {})?;
 //! assert_eq!(scores.views.len(), 4);
@@ -57,9 +57,9 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! [`Trainer::with_loss`](trainer::Trainer::with_loss) takes a loss of your own (`docs/WRITE_A_LOSS.md`);
-//! [`TrainConfig`](trainer::TrainConfig) is all else that a run depends on. A loop of your own has the parts that the trainer is
-//! made of: [`loss`], [`optim`], [`density`], [`effects`].
+//! [`Trainer::with_loss`](trainer::Trainer::with_loss) sets a custom loss (`docs/WRITE_A_LOSS.md`);
+//! [`TrainConfig`](trainer::TrainConfig) holds all other options of a run. A custom training loop can use the parts of the
+//! trainer: [`loss`], [`optim`], [`density`], [`effects`].
 
 #![cfg_attr(docsrs, feature(doc_cfg))]
 #![warn(missing_docs)]
@@ -81,7 +81,7 @@ mod replace;
 pub mod state;
 pub mod trainer;
 
-/// The code of the pages in `docs/` is compiled with the other examples.
+/// Compiles the code of the pages in `docs/` together with the other examples.
 #[cfg(doctest)]
 #[doc = include_str!("../../docs/WRITE_A_LOSS.md")]
 #[doc = include_str!("../../docs/WRITE_A_STRATEGY.md")]

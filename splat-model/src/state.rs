@@ -1,7 +1,7 @@
-//! What the parts of a run have to keep so that it can go on later: arrays and facts, by name.
+//! The saved state of a run, from which it can continue: arrays and facts, by name.
 //!
-//! A part puts what it has into a [`State`] and takes the same out again; its names are its own, because parts are put into each
-//! other as folders are. What is not taken is noticed ([`State::finish`]): it would be lost.
+//! Each part of a run puts its entries into a [`State`] and takes the same entries out again. Parts are nested like folders, so
+//! each part chooses its names freely. [`State::finish`] reports an entry that was not taken, because it would be lost.
 
 mod file;
 
@@ -15,78 +15,78 @@ use thiserror::Error;
 pub use self::file::FileError;
 use crate::gaussians::values_of;
 
-/// What a state lacks or has too much of.
+/// An entry of a state that is missing, wrong or left over.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum StateError {
-    /// There is no such entry.
-    #[error("there is no `{name}`, which this version needs; start the run anew")]
+    /// The entry is missing.
+    #[error("there is no `{name}`, which this version requires; start the run anew")]
     Missing {
-        /// Of the entry.
+        /// Name of the entry.
         name: String,
     },
-    /// An array has another shape than what it is for.
+    /// An array does not have the expected shape.
     #[error("`{name}` has the shape {found:?}, expected {expected:?}; start the run anew")]
     Shape {
-        /// Of the entry.
+        /// Name of the entry.
         name: String,
-        /// In the state.
+        /// Shape in the state.
         found: Vec<usize>,
-        /// Where it goes.
+        /// Expected shape.
         expected: Vec<usize>,
     },
-    /// Arrays do not belong to each other.
-    #[error("`{name}` has the shape {found:?}, which does not fit to the rest; start the run anew")]
+    /// Arrays do not fit together.
+    #[error("`{name}` has the shape {found:?}, which does not match the other arrays; start the run anew")]
     Fit {
-        /// Of the entry.
+        /// Name of the entry.
         name: String,
-        /// In the state.
+        /// Shape in the state.
         found: Vec<usize>,
     },
-    /// A fact is not what it should be, or cannot be written down.
-    #[error("`{name}` is not what this version means by it: {source}; start the run anew")]
+    /// A fact has another type, or cannot be represented as JSON.
+    #[error("`{name}` does not have the form that this version requires: {source}; start the run anew")]
     Fact {
-        /// Of the entry.
+        /// Name of the entry.
         name: String,
-        /// What is wrong.
+        /// The reason.
         source: serde_json::Error,
     },
-    /// Something is left that nobody asked for.
-    #[error("`{name}` means nothing to this version; continue with the version that wrote it, or start the run anew")]
+    /// An entry was not taken.
+    #[error("`{name}` is unknown to this version; continue with the version that wrote it, or start the run anew")]
     Unknown {
-        /// Of the entry.
+        /// Name of the entry.
         name: String,
     },
 }
 
-/// Numbers in the order of their rows.
+/// An array of f32, row-major.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Array {
     pub(crate) shape: Vec<usize>,
     pub(crate) values: Vec<f32>,
 }
 
-/// Arrays of f32 and facts, each with a name that no other has.
+/// Arrays of f32 and facts, each with a unique name.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct State {
     pub(crate) arrays: BTreeMap<String, Array>,
-    /// As JSON.
+    /// Facts by name, as JSON.
     pub(crate) facts: BTreeMap<String, String>,
-    /// What this is a part of, for messages: empty, or ends with a slash.
+    /// Path of the enclosing part, for messages: empty, or ends with a slash.
     within: String,
 }
 
 impl State {
-    /// Keeps a tensor of f32; reading it waits for the device.
+    /// Saves a tensor of f32; reading it waits for the device.
     pub fn put<const D: usize>(&mut self, name: &str, tensor: Tensor<D>) {
         let shape = tensor.dims().to_vec();
         self.arrays.insert(name.to_owned(), Array { shape, values: values_of(tensor) });
     }
 
-    /// The tensor of that name, on `device`, not tracked.
+    /// Removes and returns the tensor of that name, on `device`, not tracked.
     ///
     /// # Errors
-    /// If there is none, or it has another number of dimensions.
+    /// If there is no such tensor, or it has another number of dimensions.
     pub fn take<const D: usize>(&mut self, name: &str, device: &Device) -> Result<Tensor<D>, StateError> {
         let Array { shape, values } = self.arrays.remove(name).ok_or_else(|| self.missing(name))?;
         match <[usize; D]>::try_from(shape) {
@@ -95,10 +95,10 @@ impl State {
         }
     }
 
-    /// The same where the shape is known.
+    /// Removes and returns the tensor of that name and shape, on `device`, not tracked.
     ///
     /// # Errors
-    /// If there is none, or it has another shape.
+    /// If there is no such tensor, or it has another shape.
     pub fn take_shaped<const D: usize>(
         &mut self,
         name: &str,
@@ -115,53 +115,53 @@ impl State {
         }
     }
 
-    /// Keeps a fact.
+    /// Saves a fact.
     ///
     /// # Errors
-    /// If it has no form in JSON.
+    /// If it cannot be represented as JSON.
     pub fn tell(&mut self, name: &str, fact: &impl Serialize) -> Result<(), StateError> {
         let text = serde_json::to_string(fact).map_err(|source| StateError::Fact { name: self.full(name), source })?;
         self.facts.insert(name.to_owned(), text);
         Ok(())
     }
 
-    /// The fact of that name.
+    /// Removes and returns the fact of that name.
     ///
     /// # Errors
-    /// If there is none, or it is of another kind.
+    /// If there is no such fact, or it has another type.
     pub fn told<T: DeserializeOwned>(&mut self, name: &str) -> Result<T, StateError> {
         let text = self.facts.remove(name).ok_or_else(|| self.missing(name))?;
         serde_json::from_str(&text).map_err(|source| StateError::Fact { name: self.full(name), source })
     }
 
-    /// Whether there is an array or a fact of that name, or a part.
+    /// Whether there is an array, a fact or a part of that name.
     pub fn has(&self, name: &str) -> bool {
         let below = format!("{name}/");
         let is_it = |key: &&String| *key == name || key.starts_with(&below);
         self.arrays.keys().any(|key| is_it(&key)) || self.facts.keys().any(|key| is_it(&key))
     }
 
-    /// Bytes of the arrays.
+    /// Size of all arrays, bytes.
     pub(crate) fn bytes(&self) -> usize {
         self.arrays.values().map(|array| array.values.len() * size_of::<f32>()).sum()
     }
 
-    /// Keeps all of a part's entries below a name.
+    /// Saves all entries of a part below a name.
     pub fn put_part(&mut self, name: &str, part: Self) {
         self.arrays.extend(part.arrays.into_iter().map(|(key, array)| (format!("{name}/{key}"), array)));
         self.facts.extend(part.facts.into_iter().map(|(key, fact)| (format!("{name}/{key}"), fact)));
     }
 
-    /// All entries below that name, under the names that the part gave them.
+    /// Removes and returns all entries below that name, under their names within the part.
     pub fn take_part(&mut self, name: &str) -> Self {
         let within = format!("{}{name}/", self.within);
         Self { arrays: split_off(&mut self.arrays, name), facts: split_off(&mut self.facts, name), within }
     }
 
-    /// Says that everything has been taken.
+    /// Checks that every entry has been taken.
     ///
     /// # Errors
-    /// If something has not.
+    /// [`StateError::Unknown`] if an entry has not.
     pub fn finish(self) -> Result<(), StateError> {
         match self.arrays.keys().chain(self.facts.keys()).next() {
             Some(name) => Err(StateError::Unknown { name: self.full(name) }),
@@ -169,7 +169,7 @@ impl State {
         }
     }
 
-    /// A name as the whole state has it.
+    /// The name of an entry within the whole state.
     fn full(&self, name: &str) -> String {
         format!("{}{name}", self.within)
     }
@@ -179,7 +179,7 @@ impl State {
     }
 }
 
-/// Removes the entries below `name` and gives them without it.
+/// Removes the entries below `name` and returns them without that prefix.
 fn split_off<T>(entries: &mut BTreeMap<String, T>, name: &str) -> BTreeMap<String, T> {
     let below = format!("{name}/");
     let (part, others) = std::mem::take(entries).into_iter().partition(|(key, _)| key.starts_with(&below));

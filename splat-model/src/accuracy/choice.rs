@@ -5,16 +5,16 @@ use thiserror::Error;
 use super::frontier::{Point, Spread, frontier, tenths};
 use super::measured::{Frontier, Measured, STANDARD};
 
-/// What is asked of a setting. At least one field should be given.
+/// Requirements on a setting. At least one field should be set.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Target {
-    /// The least PSNR against the exact render, dB.
+    /// Minimum PSNR against the exact render, dB.
     pub error_db: Option<f64>,
-    /// The most time of a frame, ms, that three of four measurements keep to.
+    /// Maximum time of a frame, ms, compared with the upper quartile of the measurements.
     pub ms: Option<f64>,
 }
 
-/// What the time of a frame is.
+/// The work that the time of a frame covers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Work {
     /// A render.
@@ -23,22 +23,22 @@ pub enum Work {
     Train,
 }
 
-/// A setting that meets a target, and why it is this one.
+/// A setting that meets a target, and the reason for the choice.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Choice {
-    /// The setting as it was measured.
+    /// The setting with its measurements.
     pub measured: Measured,
-    /// The dials that it turns, what it costs, and what the standard would, in a sentence.
+    /// One sentence with the changed dials, the cost of the setting and the cost of the standard.
     pub why: String,
 }
 
-/// No measured setting meets a target.
+/// A target that no measured setting meets.
 #[derive(Clone, Debug, PartialEq, Error)]
 #[error("no measured setting {wanted}: {best}")]
 pub struct NoChoice {
-    /// What was asked for.
+    /// The target, in words.
     wanted: String,
-    /// What comes closest.
+    /// The closest settings, in words.
     best: String,
 }
 
@@ -51,7 +51,7 @@ impl Work {
         }
     }
 
-    /// What takes that time.
+    /// Name of the work, for messages.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Render => "a frame",
@@ -61,7 +61,7 @@ impl Work {
 }
 
 impl Target {
-    /// Whether nothing is asked for.
+    /// Whether no field is set.
     pub fn is_empty(&self) -> bool {
         *self == Self::default()
     }
@@ -72,19 +72,19 @@ impl Target {
     }
 
     fn wanted(&self, work: Work) -> String {
-        let error = self.error_db.map(|least| format!("is within {least} dB of the exact render"));
-        let time = self.ms.map(|most| format!("keeps to {most} ms for {}", work.name()));
+        let error = self.error_db.map(|least| format!("reaches {least} dB against the exact render"));
+        let time = self.ms.map(|most| format!("takes at most {most} ms for {}", work.name()));
         error.into_iter().chain(time).collect::<Vec<_>>().join(" and ")
     }
 }
 
 impl Frontier {
-    /// The cheapest setting that meets `target`; with a time alone to keep to, the most accurate. Settings that are not
-    /// measurably faster than a more accurate one are not considered, and of settings that are neither told apart by their error
-    /// nor by their time it is the one that turns the fewest dials.
+    /// Returns the cheapest setting that meets `target`, or the most accurate one if only a time is given. Settings that are
+    /// not measurably faster than a more accurate one are not considered. Among settings that differ measurably in neither
+    /// error nor time, the one that changes the fewest dials is chosen.
     ///
     /// # Errors
-    /// If none does: with what comes closest.
+    /// [`NoChoice`], which names the closest settings, if no setting meets the target.
     pub fn choose(&self, target: &Target, work: Work) -> Result<Choice, NoChoice> {
         let point = |measured: &Measured| Point { quality_db: measured.error_db, time: work.time(measured) };
         let points: Vec<Point> = self.settings.iter().map(point).collect();
@@ -100,7 +100,7 @@ impl Frontier {
         }
     }
 
-    /// Of the settings that are like this one, the first of those that turn the fewest dials.
+    /// The setting that changes the fewest dials among those that do not differ measurably from `chosen`; the first of several.
     fn simplest<'a>(&'a self, chosen: &'a Measured, target: &Target, work: Work) -> &'a Measured {
         let alike = |other: &&Measured| {
             let as_accurate = tenths(other.error_db) == tenths(chosen.error_db);
@@ -122,7 +122,7 @@ impl Frontier {
         let standard = self.settings.iter().find(|measured| measured.name == STANDARD && measured.name != chosen.name);
         if let Some(standard) = standard {
             let (ours, theirs) = (work.time(chosen), work.time(standard));
-            let told = if ours.overlaps(&theirs) { ", which is not told apart from it" } else { "" };
+            let told = if ours.overlaps(&theirs) { ", not a measurable difference" } else { "" };
             let (db, ms) = (standard.error_db, theirs.median);
             why.push_str(&format!("; the standard has {db:.1} dB and takes {ms:.2} ms{told}"));
         }
@@ -130,14 +130,14 @@ impl Frontier {
     }
 }
 
-/// The ends of the frontier.
+/// Describes both ends of the frontier.
 fn closest(members: &[&Measured], work: Work) -> String {
     let said = |what: &str, m: &Measured| {
         format!("the {what} is {} ({}), {:.1} dB in {:.2} ms", m.name, m.turned, m.error_db, work.time(m).upper)
     };
     match members {
         [] => "none was measured".into(),
-        [only] => said("only one worth having", only),
+        [only] => said("only useful setting", only),
         [first, .., last] => format!("{}; {}", said("most accurate", first), said("fastest", last)),
     }
 }
@@ -206,7 +206,7 @@ pub(super) mod tests {
         all.settings.insert(0, measured("capped", [("alpha_max", "0.999")], 55.01, 4.9));
         let target = Target { error_db: Some(51.0), ms: None };
         assert_eq!(all.choose(&target, Work::Render).unwrap().measured.name, STANDARD);
-        // Where only that keeps to the time, it is taken.
+        // The capped setting is chosen where it alone meets the time.
         let target = Target { error_db: Some(51.0), ms: Some(5.2) };
         assert_eq!(all.choose(&target, Work::Render).unwrap().measured.name, "capped");
     }
@@ -214,12 +214,12 @@ pub(super) mod tests {
     #[test]
     fn what_nothing_meets_is_refused_with_what_there_is() {
         let error = chosen(Some(90.0), None, Work::Render).unwrap_err();
-        for part in ["within 90 dB", "the most accurate is exact (alpha_min 2^-26), 80.0 dB", "the fastest is fast"] {
+        for part in ["reaches 90 dB", "the most accurate is exact (alpha_min 2^-26), 80.0 dB", "the fastest is fast"] {
             assert!(error.contains(part), "{part:?} is not in {error}");
         }
         let error = chosen(Some(50.0), Some(1.0), Work::Train).unwrap_err();
         assert!(
-            error.contains("within 50 dB of the exact render and keeps to 1 ms for a frame with its back"),
+            error.contains("reaches 50 dB against the exact render and takes at most 1 ms for a frame with its back"),
             "{error}"
         );
         let nothing = Frontier { settings: Vec::new(), ..some() };

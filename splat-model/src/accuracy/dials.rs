@@ -1,74 +1,74 @@
-//! The table of dials. One more is one more entry here: it can then be measured, written down, chosen and trained with.
+//! The table of dials. A dial that is added here can be measured, stored in files, chosen and trained with.
 
 use splat_op::{Accumulation, Culling, Exponential, Order, Projection, RenderOptions, Storage};
 
-/// What a dial's values are judged against. The two are never mixed.
+/// The reference that a dial's values are judged against. The two kinds are never mixed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Judge {
-    /// A numerical dial, which approximates the function that the model choices define: the exact render in f64 under the
-    /// same choices.
+    /// The exact render in f64 under the same model choices. Numerical dials approximate the function that the model choices
+    /// define.
     Exact,
-    /// A model choice, which defines the function: photographs.
+    /// Photographs. Model choices define the function.
     Photographs,
 }
 
-/// One position of a dial.
+/// One value of a dial.
 #[derive(Clone, Copy, Debug)]
 pub struct Value {
-    /// As files and command lines have it.
+    /// Name in files and on command lines.
     pub name: &'static str,
-    /// Turns the dial to it.
+    /// Sets the dial to this value.
     pub set: fn(RenderOptions) -> RenderOptions,
-    /// Root mean square error of colours in 0..1 above which this is no approximation but broken. Nothing is said of model
-    /// choices: 0.
+    /// Root mean square error of colours in 0..1 above which the render counts as broken. Model choices have no bound: 0.
     pub rms_bound: f64,
 }
 
 /// A dial of [`RenderOptions`].
 #[derive(Clone, Copy, Debug)]
 pub struct Dial {
-    /// As files and command lines have it: the name of the field.
+    /// Name in files and on command lines: the name of the field.
     pub name: &'static str,
-    /// What it does, in half a sentence.
+    /// Description of the dial, a phrase for headings.
     pub what: &'static str,
-    /// What its values are judged against.
+    /// The reference that its values are judged against.
     pub judge: Judge,
-    /// Whether every value must give the same picture to the last bit: then only time may change, and gradients in their last
-    /// digits.
+    /// Whether every value must give the same picture to the last bit. Only the time may then change, and gradients in their
+    /// last digits.
     pub same_picture: bool,
-    /// Whether it does nothing on a CPU.
+    /// Whether the dial has no effect on a CPU.
     pub gpu_only: bool,
-    /// Whether it is for cameras without a lens alone.
+    /// Whether only cameras without a lens support the dial.
     pub pinhole_only: bool,
     /// The values that are measured, the most accurate first.
     pub values: &'static [Value],
-    /// Of a numerical dial: turns it to where it approximates nothing, for the exact render in f64, however long that takes. A
-    /// model choice is left as it is.
+    /// Sets a numerical dial to the value without approximation, for the exact render in f64, however long that takes. Leaves a
+    /// model choice unchanged.
     pub exact: fn(RenderOptions) -> RenderOptions,
 }
 
-/// Alphas that the exact render leaves out: a hundred thousand of them change a picture by less than f32 can tell.
+/// `alpha_min` of the exact render. A hundred thousand contributions below it change a picture by less than the precision of
+/// f32.
 const ALPHA_OF_THE_EXACT: f64 = 1e-12;
 
 const fn value(name: &'static str, rms_bound: f64, set: fn(RenderOptions) -> RenderOptions) -> Value {
     Value { name, set, rms_bound }
 }
 
-/// Values of a model choice.
+/// A value of a model choice.
 const fn choice(name: &'static str, set: fn(RenderOptions) -> RenderOptions) -> Value {
     value(name, 0.0, set)
 }
 
-/// What f32 itself may cost, with every dial at its most accurate.
+/// Root mean square error that f32 itself may cause, with every dial at its most accurate value.
 pub(super) const ROUNDING_RMS: f64 = 1e-3;
 
-/// All dials. Values of numerical ones go from accurate to coarse.
+/// All dials. Values of numerical dials are listed from accurate to coarse.
 ///
-/// The bounds: what is skipped below `alpha_min` has at most that weight a layer, and some ten such layers show in a pixel.
-/// What lies behind `transmittance_min` has that weight over `1 − alpha_max`, because the layer that would pass the threshold
-/// is left out with what is behind it; where that ratio reaches one, anything may be left out, and pixels of opaque surfaces
-/// are. `alpha_max` lets `1 − alpha_max` of what is behind through.
+/// Reasons for the bounds: a contribution skipped by `alpha_min` has at most that weight, and about ten such layers show in a
+/// pixel. The layers cut off by `transmittance_min` have at most that weight over `1 − alpha_max`, because the layer that would
+/// cross the threshold is left out together with the layers behind it; where that ratio reaches one, anything may be left out,
+/// and pixels of opaque surfaces are. `alpha_max` lets `1 − alpha_max` of the light behind a layer through.
 pub const DIALS: &[Dial] = &[
     Dial {
         name: "alpha_min",
@@ -90,7 +90,7 @@ pub const DIALS: &[Dial] = &[
     },
     Dial {
         name: "transmittance_min",
-        what: "what lies behind a smaller transmittance is left out, and the layer that would pass it too",
+        what: "compositing stops before the layer that would lower the transmittance below this value",
         judge: Judge::Exact,
         same_picture: false,
         gpu_only: false,
@@ -106,13 +106,13 @@ pub const DIALS: &[Dial] = &[
     },
     Dial {
         name: "alpha_max",
-        what: "no layer hides more of what is behind it",
+        what: "upper limit of the alpha of a contribution",
         judge: Judge::Exact,
         same_picture: false,
         gpu_only: false,
         pinhole_only: false,
         values: &[
-            // With a threshold of the transmittance this leaves out opaque layers, hence the bound.
+            // Together with a transmittance threshold, this value drops opaque layers, hence the bound.
             value("1", 0.5, |o| RenderOptions { alpha_max: 1.0, ..o }),
             value("0.999", 0.1, |o| RenderOptions { alpha_max: 0.999, ..o }),
             value("0.99", 0.02, |o| RenderOptions { alpha_max: 0.99, ..o }),
@@ -121,7 +121,7 @@ pub const DIALS: &[Dial] = &[
     },
     Dial {
         name: "accumulation",
-        what: "how the gradients of a Gaussian's hits are added",
+        what: "how the gradients of a Gaussian's intersections are summed",
         judge: Judge::Exact,
         same_picture: true,
         gpu_only: true,
@@ -134,7 +134,7 @@ pub const DIALS: &[Dial] = &[
     },
     Dial {
         name: "culling",
-        what: "which tiles list a Gaussian",
+        what: "which tiles a Gaussian is assigned to",
         judge: Judge::Exact,
         same_picture: true,
         gpu_only: false,
@@ -162,7 +162,7 @@ pub const DIALS: &[Dial] = &[
     },
     Dial {
         name: "coefficients",
-        what: "how coefficients of the harmonics are stored where colours are computed from them",
+        what: "how spherical-harmonics coefficients are stored when colours are computed from them",
         judge: Judge::Exact,
         same_picture: false,
         gpu_only: false,
@@ -175,7 +175,7 @@ pub const DIALS: &[Dial] = &[
     },
     Dial {
         name: "projection",
-        what: "what a pixel sees of a Gaussian: its ellipse, or the greatest value along the ray",
+        what: "how a Gaussian contributes to a pixel: by its projected ellipse, or by its maximum along the ray",
         judge: Judge::Photographs,
         same_picture: false,
         gpu_only: false,
@@ -188,7 +188,7 @@ pub const DIALS: &[Dial] = &[
     },
     Dial {
         name: "order",
-        what: "what is sorted by depth: Gaussians, or the contributions to each pixel",
+        what: "unit of the depth sort: whole Gaussians, or the contributions to each pixel",
         judge: Judge::Photographs,
         same_picture: false,
         gpu_only: false,
@@ -201,7 +201,7 @@ pub const DIALS: &[Dial] = &[
     },
     Dial {
         name: "sh_degree",
-        what: "harmonics above this degree are left out",
+        what: "spherical harmonics above this degree are left out",
         judge: Judge::Photographs,
         same_picture: false,
         gpu_only: false,
@@ -240,7 +240,7 @@ pub const DIALS: &[Dial] = &[
     },
     Dial {
         name: "jacobian_margin",
-        what: "how far outside the picture, as a share of half its size, the projection's derivative is taken",
+        what: "distance outside the picture up to which the projection's Jacobian is taken, as a share of half the picture's size",
         judge: Judge::Photographs,
         same_picture: false,
         gpu_only: false,
@@ -260,23 +260,23 @@ impl Dial {
         DIALS.iter().find(|dial| dial.name == name)
     }
 
-    /// Its value of that name.
+    /// The dial's value of that name.
     pub fn value(&self, name: &str) -> Option<&'static Value> {
         self.values.iter().find(|value| value.name == name)
     }
 
-    /// Where it stands in `options`, if at one of its values.
+    /// The dial's value in `options`, if it is one of the listed values.
     pub fn value_in(&self, options: &RenderOptions) -> Option<&'static Value> {
         self.values.iter().find(|value| (value.set)(*options) == *options)
     }
 
-    /// `options` with every numerical dial where it approximates nothing: what the exact render in f64 takes.
+    /// `options` with every numerical dial at its value without approximation, for the exact render in f64.
     pub fn all_exact(options: RenderOptions) -> RenderOptions {
         DIALS.iter().filter(|dial| dial.judge == Judge::Exact).fold(options, |options, dial| (dial.exact)(options))
     }
 
-    /// Root mean square error of colours above which a render with `options` is broken: the sum over the numerical dials, as
-    /// errors add up at worst, and what f32 may cost. A dial that stands elsewhere than at one of its values allows nothing.
+    /// Root mean square error of colours above which a render with `options` counts as broken: the sum over the numerical
+    /// dials, as errors add up in the worst case, plus the error of f32. A dial whose value is not listed adds nothing.
     pub fn rms_bound(options: &RenderOptions) -> f64 {
         let bound = |dial: &Dial| dial.value_in(options).map_or(0.0, |value| value.rms_bound);
         ROUNDING_RMS + DIALS.iter().map(bound).sum::<f64>()

@@ -1,4 +1,4 @@
-//! Times with their spread, and which of several settings are worth having.
+//! Times with their spread, and the Pareto frontier of several settings.
 
 use std::cmp::Ordering;
 
@@ -7,17 +7,17 @@ use serde::{Deserialize, Serialize};
 /// The median of repeated measurements and the quartiles around it.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Spread {
-    /// A quarter of the measurements lie below.
+    /// Lower quartile: a quarter of the measurements are smaller.
     pub lower: f64,
-    /// Half of them lie below.
+    /// Median: half of the measurements are smaller.
     pub median: f64,
-    /// A quarter of them lie above.
+    /// Upper quartile: a quarter of the measurements are larger.
     pub upper: f64,
 }
 
 impl Spread {
-    /// From measurements in any order, by linear interpolation between them (definition 7 of Hyndman and Fan 1996, which most
-    /// tools use). None without measurements, or if one is not finite.
+    /// Computes the quartiles of measurements in any order by linear interpolation (definition 7 of Hyndman and Fan 1996, which
+    /// most tools use). Returns `None` without measurements, or if one is not finite.
     pub fn of(measurements: &[f64]) -> Option<Self> {
         let mut sorted = measurements.to_vec();
         sorted.sort_by(f64::total_cmp);
@@ -33,33 +33,33 @@ impl Spread {
         Some(Self { lower: at(0.25), median: at(0.5), upper: at(0.75) })
     }
 
-    /// Whether it lies below the other as a whole: told apart, and smaller.
+    /// Whether the whole spread lies below the other: measurably different, and smaller.
     pub fn is_below(&self, other: &Self) -> bool {
         self.upper < other.lower
     }
 
-    /// Whether neither lies below the other: they are not told apart, and not ranked.
+    /// Whether neither spread lies below the other: not measurably different, and not ranked.
     pub fn overlaps(&self, other: &Self) -> bool {
         !self.is_below(other) && !other.is_below(self)
     }
 }
 
-/// What a setting costs and what it is worth.
+/// Quality and time of a setting.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Point {
-    /// The higher the better, dB. Tenths are compared, so that rounding decides nothing. Without NaN.
+    /// Quality, dB; higher is better. Comparisons use tenths, so that rounding decides nothing. Not NaN.
     pub quality_db: f64,
     /// Time, in any unit.
     pub time: Spread,
 }
 
-/// What is compared of a quality.
+/// Quality in tenths of a dB, the unit of comparisons.
 pub(super) fn tenths(quality_db: f64) -> f64 {
     (quality_db * 10.0).round()
 }
 
-/// The points worth having, the best quality first: each is measurably faster than every one before it. A point that is left
-/// out has another of no less quality which is not measurably slower. Points whose quality is NaN are left out.
+/// Returns the indices of the points on the frontier, best quality first. Each is measurably faster than all before it. For
+/// each point left out, another point is at least as good and not measurably slower. Points whose quality is NaN are left out.
 pub fn frontier(points: &[Point]) -> Vec<usize> {
     let mut order: Vec<usize> = (0..points.len()).filter(|&i| !points[i].quality_db.is_nan()).collect();
     let compare = |&a: &usize, &b: &usize| -> Ordering {
@@ -117,7 +117,7 @@ mod tests {
             point(40.0, 1.0, 2.0),
         ];
         assert_eq!(frontier(&points), [0, 2, 4]);
-        // A chain of neighbours that are not told apart does not hide that its ends are.
+        // Neighbours in this chain overlap, and its ends do not.
         let chain = [point(90.0, 5.0, 7.0), point(80.0, 4.0, 6.0), point(70.0, 3.0, 4.5)];
         assert_eq!(frontier(&chain), [0, 2]);
         assert_eq!(frontier(&[point(f64::NAN, 0.1, 0.2), point(50.0, 1.0, 2.0)]), [1]);

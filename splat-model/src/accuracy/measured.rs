@@ -1,4 +1,4 @@
-//! What was measured of settings on a scene and a device, as `pareto.json` has it.
+//! Measurements of settings on a scene and a device, as stored in `pareto.json`.
 
 use std::path::{Path, PathBuf};
 
@@ -10,49 +10,49 @@ use super::provenance::Provenance;
 use super::setting::Setting;
 use crate::json::{self, JsonFault};
 
-/// The name of the setting in which nothing is turned.
+/// Name of the setting that changes no dial.
 pub const STANDARD: &str = "standard";
 
-/// Errors smaller than this are given as if they were this large. It is beyond what f32 can tell, and JSON has no infinity.
+/// Smallest error that is reported. It is below the precision of f32, and JSON has no infinity.
 const SMALLEST_RMS: f64 = 1e-15;
 
-/// A root mean square error relative to 1 as dB: the higher the better, at most 300. NaN for NaN.
+/// Converts a root mean square error relative to 1 into dB: higher is better, at most 300. NaN stays NaN.
 pub fn decibels(rms: f64) -> f64 {
     // Not `max`, which would turn NaN into a perfect score.
     -20.0 * if rms < SMALLEST_RMS { SMALLEST_RMS } else { rms }.log10()
 }
 
-/// One setting of numerical dials.
+/// Measurements of one setting of numerical dials.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Measured {
-    /// What reports call it.
+    /// Name in reports.
     pub name: String,
-    /// The dials that are turned.
+    /// The changed dials.
     pub turned: Setting,
-    /// PSNR of its pictures against the exact ones, dB: of all pixels of all views together, not clamped. At most 300.
+    /// PSNR of its pictures against the exact ones, over all pixels of all views together, not clamped, dB. At most 300.
     pub error_db: f64,
-    /// The largest error of a pixel's channel, of colours in 0..1.
+    /// Largest error of any channel of any pixel, for colours in 0..1.
     pub max_error: f64,
-    /// The relative L2 error of the gradients against the exact ones: of the parameter for which it is largest.
+    /// Relative L2 error of the gradients against the exact ones, for the parameter with the largest error.
     pub gradient_error: f64,
-    /// The cosine between the gradients and the exact ones: of the parameter for which it is smallest.
+    /// Cosine between the gradients and the exact ones, for the parameter with the smallest cosine.
     pub gradient_cosine: f64,
-    /// Time of a render, ms a frame.
+    /// Time of a render, ms per frame.
     pub forward_ms: Spread,
-    /// Time of its backward pass, ms a frame.
+    /// Time of its backward pass, ms per frame.
     pub backward_ms: Spread,
-    /// Both together.
+    /// Time of both together, ms per frame.
     pub step_ms: Spread,
 }
 
-/// What was measured on one scene and one device.
+/// Measurements on one scene and one device.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Frontier {
-    /// The device, as `metrics.json` calls it.
+    /// The device, by its name in `metrics.json`.
     pub device: String,
     /// The scene, the capture and the model choices.
     pub provenance: Provenance,
-    /// Gaussians of the scene.
+    /// Number of Gaussians of the scene.
     pub splats: usize,
     /// Mean number of pixels of a frame.
     pub pixels: usize,
@@ -60,19 +60,19 @@ pub struct Frontier {
     pub settings: Vec<Measured>,
 }
 
-/// A file that holds no frontier.
+/// A file that holds no valid frontier. Each message names the file and what to do.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum FrontierError {
-    /// It cannot be read.
-    #[error("{path}: {source}; name the `pareto.json` that `splat pareto` left", path = path.display())]
+    /// The file cannot be read.
+    #[error("{path}: {source}; pass the `pareto.json` that `splat pareto` wrote", path = path.display())]
     Read {
         /// The file.
         path: PathBuf,
         /// The system's reason.
         source: std::io::Error,
     },
-    /// It holds something else.
+    /// The file holds something else.
     #[error("{path}: {reason}; measure again with `splat pareto`, which writes `pareto.json`", path = path.display())]
     Content {
         /// The file.
@@ -82,11 +82,11 @@ pub enum FrontierError {
     },
 }
 
-/// A frontier is some ten kilobytes; a file of more than this is none.
+/// Largest size of a file, bytes. A frontier takes about ten kilobytes.
 const LARGEST_FILE: u64 = 16 << 20;
 
 impl Frontier {
-    /// Reads what [`Self::to_json`] gave.
+    /// Reads a file that holds the output of [`Self::to_json`].
     ///
     /// # Errors
     /// If the file cannot be read or holds something else.
@@ -103,10 +103,10 @@ impl Frontier {
         }
     }
 
-    /// As a file has it.
+    /// The frontier as JSON, for a file.
     ///
     /// # Errors
-    /// If a number is not finite, which JSON cannot say.
+    /// If a number is not finite, which JSON cannot represent.
     pub fn to_json(&self) -> serde_json::Result<String> {
         serde_json::to_string_pretty(self)
     }
@@ -138,7 +138,7 @@ mod tests {
     fn a_frontier_survives_a_file() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("pareto.json");
-        // Numbers that decimals say exactly: the last bit of others is not kept.
+        // These numbers are exact as decimals; the last bit of others is not kept.
         let exact = Spread { lower: 1.5, median: 2.0, upper: 3.25 };
         let measured = measured("fast", [("alpha_min", "4/255")], 40.0, 3.0);
         let settings = vec![Measured { forward_ms: exact, backward_ms: exact, step_ms: exact, ..measured }];
@@ -157,7 +157,7 @@ mod tests {
         for (text, part) in [
             ("", "EOF"),
             ("{}", "missing field"),
-            // As it was before frontiers said what they were measured on.
+            // The format of frontiers before they held a provenance.
             (r#"{"device": "flex", "splats": 1, "pixels": 1, "settings": []}"#, "missing field `provenance`"),
             (
                 r#"{"device": "flex", "provenance": {"capture": "", "scene": "", "choices": {}}, "splats": 1, "pixels": 1, "settings": []}"#,

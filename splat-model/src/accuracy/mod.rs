@@ -1,7 +1,8 @@
-//! What accuracy costs in time: the dials of a render by name, what was measured of them, and the choice between them.
+//! The cost of accuracy in time: the dials of a render by name, their measurements, and the choice between them.
 //!
-//! [`DIALS`] is the one table of dials. A [`Setting`] is some of them turned, as files and command lines have it. `splat
-//! pareto` measures settings on a scene and a device and leaves a [`Frontier`]; [`Frontier::choose`] picks from it.
+//! [`DIALS`] is the one table of dials. A [`Setting`] holds values of some of them, as files and command lines do.
+//! `splat pareto` measures settings on a scene and a device and writes a [`Frontier`]; [`Frontier::choose`] picks a setting
+//! from it.
 
 mod choice;
 mod dials;

@@ -1,4 +1,4 @@
-//! What a frontier was measured on, so that none is taken for that of another scene.
+//! Identification of the scene that a frontier was measured on, so that it is not used for another scene.
 
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
@@ -9,29 +9,30 @@ use super::setting::Setting;
 use crate::capture::Capture;
 use crate::gaussians::GaussianRows;
 
-/// A capture, a scene of it and the model choices under which it was rendered. Which device that was, and how large frames
-/// were, is beside it.
+/// A capture, a scene of that capture and the model choices of its renders. The device and the size of frames are stored beside
+/// it.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Provenance {
-    /// [`Self::of_capture`].
+    /// Digest of the capture, from [`Self::of_capture`].
     pub capture: String,
-    /// [`Self::of_scene`].
+    /// Digest of the scene, from [`Self::of_scene`].
     pub scene: String,
-    /// [`Self::choices`].
+    /// Model choices, from [`Self::choices`].
     pub choices: Setting,
 }
 
 impl Provenance {
-    /// Of a scene of a capture, rendered with `options`.
+    /// Identifies a scene of a capture, rendered with `options`.
     pub fn new(capture: &Capture, scene: &GaussianRows, options: &RenderOptions) -> Self {
         Self { capture: Self::of_capture(capture), scene: Self::of_scene(scene), choices: Self::choices(options) }
     }
 
-    /// A digest of the capture's photographs by name, and of their cameras: not of the folder, which may be moved.
+    /// Digest of the names of the capture's photographs and of their cameras. The folder has no influence, because it may be
+    /// moved.
     pub fn of_capture(capture: &Capture) -> String {
         let mut digest = Sha256::new();
         for view in &capture.views {
-            // The length keeps a name from running into what follows.
+            // The length separates the name from the bytes after it.
             digest.update((view.name.len() as u64).to_le_bytes());
             digest.update(&view.name);
             let Intrinsics { width, height, fx, fy, cx, cy, distortion, .. } = view.intrinsics;
@@ -42,7 +43,7 @@ impl Provenance {
         hex(digest)
     }
 
-    /// A digest of all numbers of the Gaussians.
+    /// Digest of all parameters of the Gaussians.
     pub fn of_scene(rows: &GaussianRows) -> String {
         let mut digest = Sha256::new();
         for values in [
@@ -59,13 +60,13 @@ impl Provenance {
         hex(digest)
     }
 
-    /// The model choices of the options that stand elsewhere than in the standard.
+    /// The model choices of `options` that differ from the standard.
     pub fn choices(options: &RenderOptions) -> Setting {
         Setting::between(&RenderOptions::standard(), options).of(Judge::Photographs)
     }
 }
 
-/// The first half: 128 bits tell apart whatever was not made to be confused.
+/// The first half of a digest in hexadecimal digits: 128 bits distinguish all inputs that were not constructed to collide.
 fn hex(digest: Sha256) -> String {
     digest.finalize()[..16].iter().map(|byte| format!("{byte:02x}")).collect()
 }

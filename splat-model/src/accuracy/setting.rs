@@ -1,4 +1,4 @@
-//! Dials that are turned, by name.
+//! Settings of dials, by name.
 
 use std::collections::BTreeMap;
 use std::fmt::{self, Display};
@@ -10,29 +10,29 @@ use thiserror::Error;
 
 use super::dials::{DIALS, Dial, Judge};
 
-/// Some dials and the values they are turned to; the others stand where they stood.
+/// Values for some of the dials; the other dials keep their values.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(try_from = "BTreeMap<String, String>", into = "BTreeMap<String, String>")]
 pub struct Setting(BTreeMap<&'static str, &'static str>);
 
-/// A dial or a value that there is not.
+/// A dial or a value that does not exist.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 #[non_exhaustive]
 pub enum DialError {
-    /// No such dial.
-    #[error("there is no dial {found:?}: there are {}", names(DIALS.iter().map(|dial| dial.name)))]
+    /// The dial does not exist.
+    #[error("there is no dial {found:?}; the dials are {}", names(DIALS.iter().map(|dial| dial.name)))]
     Dial {
-        /// What was asked for.
+        /// The requested name.
         found: String,
     },
-    /// No such value of it.
-    #[error("the dial {dial} has no value {found:?}: it has {known}")]
+    /// The dial has no such value.
+    #[error("the dial {dial} has no value {found:?}; its values are {known}")]
     Value {
         /// The dial.
         dial: &'static str,
-        /// What was asked for.
+        /// The requested value.
         found: String,
-        /// What there is.
+        /// The values of the dial.
         known: String,
     },
 }
@@ -42,10 +42,10 @@ fn names<'a>(all: impl Iterator<Item = &'a str>) -> String {
 }
 
 impl Setting {
-    /// Dials and values by name.
+    /// A setting from names of dials and of their values.
     ///
     /// # Errors
-    /// If there is no such dial, or it has no such value.
+    /// If a dial or a value does not exist.
     pub fn new<'a>(turned: impl IntoIterator<Item = (&'a str, &'a str)>) -> Result<Self, DialError> {
         let mut setting = Self::default();
         for (name, value) in turned {
@@ -60,7 +60,8 @@ impl Setting {
         Ok(setting)
     }
 
-    /// The dials that stand elsewhere in `to` than in `from`, where `to` has them at one of their values.
+    /// The dials that differ between `from` and `to`, at their values in `to`. Dials whose value in `to` is not listed are left
+    /// out.
     pub fn between(from: &RenderOptions, to: &RenderOptions) -> Self {
         let turned = DIALS.iter().filter_map(|dial| {
             let value = dial.value_in(to)?;
@@ -69,18 +70,18 @@ impl Setting {
         Self(turned.collect())
     }
 
-    /// `options` with these dials turned.
+    /// `options` with these dials set.
     pub fn apply(&self, options: RenderOptions) -> RenderOptions {
         self.values().fold(options, |options, (_, value)| (value.set)(options))
     }
 
-    /// These dials turned and those of `other`, which has the last word.
+    /// The dials of both settings. Values of `other` take precedence.
     pub fn and(mut self, other: &Self) -> Self {
         self.0.extend(&other.0);
         self
     }
 
-    /// The dials and what they are turned to, in the order of their names.
+    /// The dials and their values, in the order of the dials' names.
     pub fn values(&self) -> impl Iterator<Item = (&'static Dial, &'static super::Value)> {
         self.0.iter().filter_map(|(name, value)| {
             let dial = Dial::named(name)?;
@@ -88,12 +89,12 @@ impl Setting {
         })
     }
 
-    /// Whether no dial is turned.
+    /// Whether no dial is set.
     pub fn is_empty(&self) -> bool {
         self.0.is_empty()
     }
 
-    /// Those of the dials that are judged so.
+    /// The part of the setting whose dials are judged against `judge`.
     pub fn of(&self, judge: Judge) -> Self {
         Self(
             self.values()
@@ -103,7 +104,7 @@ impl Setting {
         )
     }
 
-    /// What it is to be judged against: photographs as soon as one model choice is among it.
+    /// The reference that the setting is judged against: photographs as soon as it holds a model choice.
     pub fn judge(&self) -> Judge {
         let choices = self.values().any(|(dial, _)| dial.judge == Judge::Photographs);
         if choices { Judge::Photographs } else { Judge::Exact }
@@ -148,16 +149,16 @@ pub enum Preset {
     Exact,
 }
 
-/// No such preset.
+/// A preset that does not exist.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
-#[error("there is no accuracy {0:?}: it is fast, standard or exact")]
+#[error("there is no accuracy {0:?}, expected fast, standard or exact")]
 pub struct PresetError(String);
 
 impl Preset {
-    /// All of them.
+    /// All presets.
     pub const ALL: [Self; 3] = [Self::Fast, Self::Standard, Self::Exact];
 
-    /// As files and command lines have it.
+    /// Name in files and on command lines.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Fast => "fast",
@@ -166,7 +167,7 @@ impl Preset {
         }
     }
 
-    /// The preset itself.
+    /// The options of the preset.
     pub const fn options(self) -> RenderOptions {
         match self {
             Self::Fast => RenderOptions::fast(),
@@ -175,7 +176,7 @@ impl Preset {
         }
     }
 
-    /// What it turns of the standard.
+    /// The dials that differ from the standard.
     pub fn setting(self) -> Setting {
         Setting::between(&RenderOptions::standard(), &self.options())
     }
@@ -199,7 +200,7 @@ impl FromStr for Preset {
 mod tests {
     use super::*;
 
-    /// Fails where a preset turns a dial that the table does not have, or to a value that it does not have.
+    /// Fails if a preset sets a dial that the table does not have, or a value that it does not have.
     #[test]
     fn every_preset_is_made_of_dials_of_the_table() {
         for preset in Preset::ALL {
@@ -218,8 +219,8 @@ mod tests {
         assert_eq!(text, r#"{"alpha_min":"2/255","blur":"0.1"}"#);
         assert_eq!(serde_json::from_str::<Setting>(&text).unwrap(), setting);
         let refused = |text: &str| serde_json::from_str::<Setting>(text).unwrap_err().to_string();
-        assert!(refused(r#"{"alpha":"1"}"#).contains("there is no dial \"alpha\": there are alpha_min, "));
-        assert!(refused(r#"{"alpha_min":"0.5"}"#).contains("no value \"0.5\": it has 2^-26, 1/4096"));
+        assert!(refused(r#"{"alpha":"1"}"#).contains("there is no dial \"alpha\"; the dials are alpha_min, "));
+        assert!(refused(r#"{"alpha_min":"0.5"}"#).contains("no value \"0.5\"; its values are 2^-26, 1/4096"));
     }
 
     #[test]

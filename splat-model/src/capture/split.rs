@@ -14,7 +14,6 @@ pub struct Split {
 
 impl Split {
     /// The default interval: every eighth photograph is held out, as in papers since Mip-NeRF 360 (Barron et al. 2022).
-    /// compare.
     pub const USUAL: usize = 8;
 
     /// The split of a capture: [`every`](Self::every) `k`th view held out if `k` is given; otherwise the capture's own split,

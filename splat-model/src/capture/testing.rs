@@ -1,9 +1,10 @@
-//! What the tests of several formats share.
+//! Helpers that tests of several formats share.
 
 use std::io::Write;
 use std::path::PathBuf;
 
-/// The folder of a real capture below `SPLAT_DATA_DIR` (`docs/CAPTURES.md`), or none, after a line that says so.
+/// The folder of a real capture below `SPLAT_DATA_DIR` (`docs/CAPTURES.md`), or `None` after a message that the test is
+/// skipped.
 pub(crate) fn real_capture(name: &str) -> Option<PathBuf> {
     let folder = std::env::var_os("SPLAT_DATA_DIR").map(|data| PathBuf::from(data).join(name));
     let line = match folder {
@@ -13,12 +14,12 @@ pub(crate) fn real_capture(name: &str) -> Option<PathBuf> {
         }
         None => format!("SKIPPED: no {name}: SPLAT_DATA_DIR is not set (docs/CAPTURES.md)\n"),
     };
-    // Written past the test harness, which swallows what passing tests print, and in one piece.
+    // Written directly to stderr and in one piece, because the test harness hides the output of passing tests.
     std::io::stderr().write_all(line.as_bytes()).unwrap();
     None
 }
 
-/// Error messages are part of the interface: each must hold what the reader needs.
+/// Checks that a message holds every part. Error messages are part of the interface.
 #[track_caller]
 pub(super) fn assert_says(message: &str, parts: &[&str]) {
     for part in parts {

@@ -16,10 +16,10 @@ fn a_scene_scores_full_marks_on_its_own_renders() {
             |_, _| {},
         )
         .unwrap();
-        // A photograph holds bytes. Errors spread evenly over a byte's width are 58.9 dB, and less where all is flat.
+        // Photographs hold bytes. Errors that are uniform over the width of a level give 58.9 dB, and uniform areas give less.
         assert!(scores.views.iter().all(|view| view.psnr > 58.0 && view.ssim > 0.999), "{scores:?}");
     }
-    // Where every value is a byte's, nothing is lost: Gaussians of the background's own colour.
+    // Gaussians of the background's colour give values that bytes represent exactly, so nothing is lost.
     let background = [51.0 / 255.0, 102.0 / 255.0, 1.0];
     let mut photos = photos([0.0; 3]);
     photos.iter_mut().for_each(|photo| photo.rgb = [51, 102, 255].repeat(WIDTH * HEIGHT));
@@ -38,7 +38,7 @@ fn names_and_order_are_those_of_the_photographs() {
     let photos = photos([0.0; 3]);
     let mut looked = Vec::new();
     let splats = scene(&device).splats();
-    // Over another background than the photographs, so that views differ in their scores.
+    // The background differs from that of the photographs, so that views differ in their scores.
     let scores =
         evaluate(&splats, &photos, &Background::Colour([0.5; 3]), &RenderOptions::standard(), |comparison, score| {
             assert_eq!(comparison.photo.name, score.name);
@@ -79,7 +79,7 @@ fn lpips_is_a_number_or_a_reason() {
     let splats = scene(&device).splats();
     let scores = |photos: &[Photo], lpips| {
         let each = photos.iter().map(Ok::<_, SplatError>);
-        // Over another background than the photographs, so that they differ.
+        // The background differs from that of the photographs, so that the renders differ from them.
         evaluate_each(&splats, each, &Background::Colour([0.5; 3]), &RenderOptions::standard(), lpips, |_, _| {})
             .unwrap()
     };
@@ -88,7 +88,7 @@ fn lpips_is_a_number_or_a_reason() {
     assert!(values.iter().all(|value| *value > 1e-4), "{values:?}");
     assert_eq!((all.lpips, all.lpips_missing), (Some(values.iter().sum::<f64>() / 4.0), None));
     assert_eq!((all.lpips_net.as_deref(), all.lpips_input.as_deref()), (Some("vgg"), Some("-1..1")));
-    // A mask that excludes nothing is none.
+    // A mask that excludes nothing has no effect.
     photos[1].mask = Some(vec![true; WIDTH * HEIGHT]);
     photos[2].mask = Some((0..WIDTH * HEIGHT).map(|i| i > 3).collect());
     let some = scores(&photos, Some(&lpips));

@@ -1,40 +1,40 @@
-//! How far rows that were read are from those that were written.
+//! Differences between the rows that were written and the rows that were read.
 
 use crate::gaussians::{GaussianRows, sigmoid};
 
-/// Differences of one kind.
+/// Summary of the differences of one quantity.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Deviation {
-    /// The largest.
+    /// The largest difference.
     pub largest: f64,
-    /// The root of the mean square.
+    /// The root mean square of the differences.
     pub rms: f64,
 }
 
-/// What quantisation changed, over all Gaussians.
+/// The error of quantisation over all Gaussians.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Loss {
     /// Distance of centres, scene units.
     pub position: Deviation,
-    /// Standard deviations, relative: 0.03 is one that became 3% larger or smaller.
+    /// Standard deviations, relative: 0.03 is a change by 3% in either direction.
     pub scale: Deviation,
-    /// Angle between rotations, degrees. It means little where two axes are as long as each other.
+    /// Angle between rotations, degrees. It means little for Gaussians with two axes of equal length.
     pub rotation: Deviation,
     /// Opacities, 0 to 1.
     pub opacity: Deviation,
-    /// Colours without what varies with the direction, channel by channel; 1 is from black to white.
+    /// View-independent colours, by channel; 1 is the difference from black to white.
     pub colour: Deviation,
     /// Higher coefficients of the spherical harmonics.
     pub harmonics: Deviation,
 }
 
 impl Loss {
-    /// Between rows, each with the one of the same number.
+    /// Computes the error of each row that was read against the written row of the same number.
     ///
     /// # Panics
     /// If they differ in number or degree, or do not fit together.
     pub fn between(written: &GaussianRows, read: &GaussianRows) -> Self {
-        assert_eq!((written.len(), written.sh_degree), (read.len(), read.sh_degree), "rows of two scenes");
+        assert_eq!((written.len(), written.sh_degree), (read.len(), read.sh_degree), "rows of different scenes");
         let difference = |(a, b): (&f32, &f32)| (f64::from(*a) - f64::from(*b)).abs();
         let flat = |a: &[[f32; 3]], b: &[[f32; 3]], of: &dyn Fn(f64) -> f64| {
             deviation(a.as_flattened().iter().zip(b.as_flattened()).map(|pair| of(difference(pair))))
@@ -67,7 +67,7 @@ fn deviation(differences: impl Iterator<Item = f64>) -> Deviation {
     Deviation { largest, rms: if count == 0 { 0.0 } else { (squares / count as f64).sqrt() } }
 }
 
-/// Of the rotation from one to the other.
+/// Angle of the rotation from `a` to `b`, degrees.
 fn angle_degrees(a: &[f32; 4], b: &[f32; 4]) -> f64 {
     let unit = |q: &[f32; 4]| {
         let q = q.map(f64::from);
@@ -76,7 +76,7 @@ fn angle_degrees(a: &[f32; 4], b: &[f32; 4]) -> f64 {
     };
     let (a, b) = (unit(a), unit(b));
     let sign = 1.0_f64.copysign(a.iter().zip(b).map(|(a, b)| a * b).sum());
-    // From the chord, which keeps its digits where the angle is small; its cosine does not.
+    // Computed from the chord, which keeps its digits for small angles; the cosine does not.
     let chord = a.iter().zip(b).map(|(a, b)| (a - sign * b).powi(2)).sum::<f64>().sqrt();
     4.0 * (0.5 * chord).min(1.0).asin().to_degrees()
 }

@@ -1,4 +1,4 @@
-//! Scenes in files of every format that is known here, and what each loses.
+//! Scenes in files of all supported formats, and the precision that each loses.
 //!
 //! | [`Format`] | names | holds |
 //! |---|---|---|
@@ -6,12 +6,12 @@
 //! | [`CompressedPly`](Format::CompressedPly) | `.compressed.ply` | 16 bytes per Gaussian and one per higher coefficient, to degree 3: SuperSplat's |
 //! | [`Spz`](Format::Spz) | `.spz` | 20 bytes per Gaussian and one per higher coefficient, then gzip: Niantic's |
 //!
-//! Reading looks at a file's first bytes and not at its name. Bits, ranges and frames are in the private modules'
-//! documentation and in `docs/FORMATS.md`.
+//! Reading identifies the format by a file's first bytes, not by its name. The private modules and `docs/FORMATS.md` document
+//! bits, ranges and frames.
 //!
-//! Compressed formats hold Gaussians that can be rendered, and no others: a NaN has no place in them, and would be drawn
-//! after all. They also have no opacity of exactly 0 or 1 on reading: the first and last level stand for a quarter of a level
-//! within, because their logits would not be finite.
+//! Compressed formats hold only Gaussians that can be rendered: they cannot represent NaN, and such a Gaussian would be drawn.
+//! When read, they have no opacity of exactly 0 or 1, because the logits would not be finite: the first and last level count as
+//! a quarter of a level inside the range.
 //!
 //! ```
 //! use glam::DVec3;
@@ -71,18 +71,18 @@ pub enum Format {
 }
 
 impl Format {
-    /// All of them.
+    /// All formats.
     pub const ALL: [Self; 3] = [Self::Ply, Self::CompressedPly, Self::Spz];
 
-    /// The format that a file of this name has.
+    /// The format that a file name indicates.
     pub fn of_name(path: &Path) -> Option<Self> {
         let name = path.file_name()?.to_string_lossy().to_ascii_lowercase();
-        // A whole name is an extension's to no file.
+        // A name that consists of the extension alone does not count.
         let ends = |extension: &str| name.len() > extension.len() && name.ends_with(extension);
         [Self::CompressedPly, Self::Ply, Self::Spz].into_iter().find(|format| ends(format.extension()))
     }
 
-    /// How names of its files end.
+    /// The extension of its file names.
     pub fn extension(self) -> &'static str {
         match self {
             Self::Ply => ".ply",
@@ -91,7 +91,7 @@ impl Format {
         }
     }
 
-    /// The highest degree of the spherical harmonics that it holds.
+    /// The highest degree of the spherical harmonics that the format supports.
     pub fn sh_degree_max(self) -> usize {
         match self {
             Self::CompressedPly => compressed::DEGREE_MAX,
@@ -99,17 +99,17 @@ impl Format {
         }
     }
 
-    /// Whether it holds what positions are relative to.
+    /// Whether the format holds the origin that positions are relative to.
     pub fn holds_origin(self) -> bool {
         self != Self::Spz
     }
 
-    /// Whether it holds whether the scene was trained with antialiasing.
+    /// Whether the format records training with antialiasing.
     pub fn holds_antialiasing(self) -> bool {
         self == Self::Spz
     }
 
-    /// Whether it holds every number as it is.
+    /// Whether the format holds every number without loss.
     pub fn is_exact(self) -> bool {
         self == Self::Ply
     }
@@ -125,45 +125,45 @@ impl fmt::Display for Format {
     }
 }
 
-/// What a file holds.
+/// The content of a scene file.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Scene {
     /// The Gaussians.
     pub rows: GaussianRows,
-    /// What their positions are relative to: `position_world = position + origin`, world frame, scene units.
+    /// The origin that positions are relative to: `position_world = position + origin`, world frame, scene units.
     pub origin: DVec3,
-    /// Whether the file says that the scene was trained with antialiasing (Mip-Splatting's filter), and so should be
-    /// rendered with it. Only SPZ can.
+    /// Whether the file states that the scene was trained with antialiasing (Mip-Splatting's filter), and so should be rendered
+    /// with it. Only SPZ records this.
     pub antialiased: bool,
 }
 
-/// What was written of a scene.
+/// The part of a scene that was written.
 #[derive(Clone, Debug)]
 pub struct Written<'a> {
-    /// The rows that the file stands for, before they were rounded, in its order and of its degree.
+    /// The rows of the file before rounding, in its order and of its degree.
     pub rows: Cow<'a, GaussianRows>,
-    /// Gaussians that cannot be rendered, which the format has no place for.
+    /// Number of Gaussians that were left out, because they cannot be rendered and the format cannot represent them.
     pub left_out: usize,
 }
 
-/// A scene's file that cannot be read or written, named so that it can be mended.
+/// A scene file that cannot be read or written. Each message names the file, what was found and what to do.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum FormatError {
     /// A PLY file, compressed or not, that breaks the format; or rows that do not belong together.
     #[error(transparent)]
     Ply(#[from] PlyError),
-    /// The operating system refused.
+    /// The operating system reported an error.
     #[error("{path}: could not {action}: {source}", path = path.display())]
     Io {
         /// The file.
         path: PathBuf,
-        /// What was tried, with the remedy where there is one.
+        /// The attempted action, with the remedy if there is one.
         action: &'static str,
         /// The system's reason.
         source: io::Error,
     },
-    /// It begins like no scene.
+    /// The file does not begin like a scene of any supported format.
     #[error(
         "{path}: not a scene: it begins with `{found}`, expected a PLY file (original layout or SuperSplat's compressed one) or \
          SPZ (version 1 to 4); export it as one of these",
@@ -175,12 +175,12 @@ pub enum FormatError {
         /// Its first bytes, made printable.
         found: String,
     },
-    /// It begins as the format does, and goes on otherwise.
+    /// The file begins like the format, but the rest does not match it.
     #[error("{path}: broken {format} file: {detail}; copy or export it again", path = path.display())]
     Broken {
         /// The file.
         path: PathBuf,
-        /// What it began as.
+        /// The format that the file begins like.
         format: Format,
         /// What was found and what was expected.
         detail: String,
@@ -201,10 +201,10 @@ impl FormatError {
     }
 }
 
-/// The format of a file, whatever its name: by its first bytes, and of PLY by the header.
+/// Detects the format of a file by its first bytes and, for PLY, by its header. The name has no influence.
 ///
 /// # Errors
-/// If it cannot be opened, or is none.
+/// If the file cannot be opened or is not a scene.
 pub fn detect(path: &Path) -> Result<Format, FormatError> {
     match first_bytes(path)? {
         First::Spz => Ok(Format::Spz),
@@ -217,11 +217,11 @@ pub fn detect(path: &Path) -> Result<Format, FormatError> {
 
 /// Reads a scene of any format.
 ///
-/// Values are as the file has them; whether they are finite is not checked.
+/// The function does not check whether the values are finite.
 ///
 /// # Errors
-/// A [`FormatError`] for every file that is not a complete scene of one of the formats. Memory is bounded by a multiple of
-/// the file's size, whatever it claims: a small one for PLY, for SPZ what its compression can hold at most (1,032).
+/// A [`FormatError`] for every file that is not a complete scene of one of the formats. Memory is bounded by a multiple of the
+/// file's size, whatever the header claims: a small multiple for PLY, and the limit of its compression (1,032) for SPZ.
 pub fn read(path: &Path) -> Result<(Scene, Format), FormatError> {
     match first_bytes(path)? {
         First::Spz => Ok((spz::read(path)?, Format::Spz)),
@@ -236,7 +236,7 @@ pub fn read(path: &Path) -> Result<(Scene, Format), FormatError> {
     }
 }
 
-/// Writes a scene: what the format can hold of it ([`fit`]).
+/// Writes the part of a scene that the format can hold ([`fit`]).
 ///
 /// The file appears under its name only when it is complete; a file that was there before is replaced.
 ///
@@ -255,9 +255,9 @@ pub fn write<'a>(path: &Path, scene: &'a Scene, format: Format) -> Result<Writte
     Ok(Written { rows, left_out })
 }
 
-/// The rows that a file of the format stands for, before its numbers are rounded: those that can be rendered
-/// ([`GaussianRows::is_usable`]), harmonics up to its degree, and for compressed PLY neighbours next to each other, which
-/// share a chunk's box. PLY has them all as they are.
+/// The rows that a file of the format holds before rounding: the Gaussians that can be rendered ([`GaussianRows::is_usable`]),
+/// with harmonics up to the format's degree and, for compressed PLY, in an order in which neighbours share the box of a chunk.
+/// PLY holds all rows unchanged.
 ///
 /// # Panics
 /// If the rows do not fit together ([`GaussianRows::check`]).
@@ -276,7 +276,7 @@ pub fn fit(rows: &GaussianRows, format: Format) -> Cow<'_, GaussianRows> {
     Cow::Owned(fitted)
 }
 
-/// What a file begins as.
+/// The kind of file that the first bytes indicate.
 enum First {
     Ply,
     Spz,

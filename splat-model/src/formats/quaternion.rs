@@ -1,8 +1,8 @@
-//! Rotations without their largest component, which the other three and the length tell.
+//! Rotations without their largest component, which follows from the other three and the unit length.
 
-/// Which component of a quaternion is the largest, and the others in their order, in `±√½`. A quaternion and its negative are
-/// the same rotation: the largest is taken as positive. One of length zero is no rotation; it becomes the identity, if the
-/// first component is `w`.
+/// The index of the largest component of a quaternion, and the other components in their order, in `±√½`. A quaternion and its
+/// negative are the same rotation, so the largest component is taken as positive. A quaternion of length zero becomes the
+/// identity, if the first component is `w`.
 pub(super) fn smallest_three(quaternion: [f32; 4]) -> (usize, [f64; 3]) {
     let q = quaternion.map(f64::from);
     let length = q.iter().map(|value| value * value).sum::<f64>().sqrt();
@@ -14,7 +14,7 @@ pub(super) fn smallest_three(quaternion: [f32; 4]) -> (usize, [f64; 3]) {
     (largest, others(largest).map(|i| q[i] * scale))
 }
 
-/// The quaternion of length one that [`smallest_three`] tells of; rounding may have made the three longer than one.
+/// The unit quaternion with these components from [`smallest_three`]. Rounding may have made the three longer than one.
 pub(super) fn from_smallest_three(largest: usize, three: [f64; 3]) -> [f32; 4] {
     let mut quaternion = [0.0; 4];
     for (i, value) in others(largest).into_iter().zip(three) {
@@ -25,7 +25,7 @@ pub(super) fn from_smallest_three(largest: usize, three: [f64; 3]) -> [f32; 4] {
     quaternion
 }
 
-/// The components but for one.
+/// The indices of all components except the largest.
 fn others(largest: usize) -> [usize; 3] {
     [0, 1, 2].map(|i| i + usize::from(i >= largest))
 }

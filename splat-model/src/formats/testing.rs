@@ -16,7 +16,7 @@ pub fn rows(count: usize, sh_degree: usize, reach: f32) -> impl Strategy<Value =
         let mut rows = GaussianRows { sh_degree, ..GaussianRows::default() };
         for v in values.chunks_exact(14 + rest) {
             rows.means.push([v[0], v[1], v[2]].map(|x| reach * x));
-            // Away from zero.
+            // The length must not be zero.
             rows.rotations.push([v[3] + v[3].signum() * 0.1, v[4], v[5], v[6]]);
             rows.log_scales.push([v[7], v[8], v[9]].map(|x| 7.5 * x - 2.1));
             rows.logit_opacities.push(9.0 * v[10]);
@@ -27,13 +27,13 @@ pub fn rows(count: usize, sh_degree: usize, reach: f32) -> impl Strategy<Value =
     })
 }
 
-/// A file of another project's making, see the README there.
+/// A file written by another project, see the README there.
 pub fn fixture(name: &str) -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("tests/scenes").join(name)
 }
 
-/// Calls `read` with every beginning of a file, and with each of its bytes changed in three ways. What it returns does not
-/// matter, only that it does.
+/// Calls `read` with every prefix of a file, and with each of its bytes changed in three ways. Returns the number of accepted
+/// files of both kinds. The check is that `read` returns at all.
 pub fn spoil(bytes: &[u8], mut read: impl FnMut(&std::path::Path) -> bool) -> [usize; 2] {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("spoilt");

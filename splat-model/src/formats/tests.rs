@@ -36,7 +36,7 @@ fn names_tell_formats() {
     assert_eq!(of("a/scene.ply"), Some(Format::Ply));
     assert_eq!(of("SCENE.COMPRESSED.PLY"), Some(Format::CompressedPly));
     assert_eq!(of("scene.spz"), Some(Format::Spz));
-    // A name must be left.
+    // The extension alone is not a name.
     assert_eq!(of(".ply"), None);
     assert_eq!((of("scene"), of("scene.splat"), of("a.ply/"), of("..")), (None, None, Some(Format::Ply), None));
 }
@@ -122,7 +122,7 @@ fn the_mark_of_antialiasing_stays_where_there_is_a_place_for_it() {
     }
 }
 
-/// The ends of eight bits have no finite logit of their own.
+/// The first and last of 256 levels have no finite logit of their own.
 #[test]
 fn opacities_of_zero_and_one_stay_finite() {
     for level in 0..=u8::MAX {
@@ -153,7 +153,7 @@ fn rows_that_do_not_fit_together_are_refused_and_nothing_is_written() {
 fn a_failed_write_leaves_the_old_file_and_nothing_else() {
     for format in Format::ALL {
         let (folder, path) = folder_and_file(format);
-        // A folder of that name: the rename at the end must fail.
+        // The rename at the end must fail, because a folder has that name.
         fs::create_dir(&path).unwrap();
         let message = write(&path, &scene(one()), format).unwrap_err().to_string();
         assert!(message.contains("scene."), "{message}");
@@ -164,7 +164,7 @@ fn a_failed_write_leaves_the_old_file_and_nothing_else() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(24))]
 
-    /// Nothing is lost by writing what was read once more.
+    /// A second round trip loses nothing more.
     #[test]
     fn a_second_round_trip_changes_next_to_nothing(rows in rows(40, 2, 3.0)) {
         for format in [Format::CompressedPly, Format::Spz] {
@@ -176,7 +176,7 @@ proptest! {
             for deviation in [loss.position, loss.scale, loss.opacity, loss.colour, loss.harmonics] {
                 prop_assert!(deviation.largest < 1e-4, "{format}: {loss:?}");
             }
-            // The largest component, which is not stored, is a little off after rounding.
+            // The largest component, which is not stored, has a small error after rounding.
             prop_assert!(loss.rotation.largest < 0.2, "{format}: {loss:?}");
         }
     }
@@ -191,7 +191,7 @@ proptest! {
     }
 }
 
-/// A handful of Gaussians with harmonics, so that every part of a file is there.
+/// A few Gaussians with harmonics, so that a file has every part.
 fn handful() -> Scene {
     let mut rows = GaussianRows { sh_degree: 1, ..GaussianRows::default() };
     let mut from = one();

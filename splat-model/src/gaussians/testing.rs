@@ -1,4 +1,4 @@
-//! What the tests of scenes share.
+//! Helpers that tests of scenes share.
 
 use burn::tensor::Device;
 use rand::{RngExt, SeedableRng};
@@ -12,7 +12,7 @@ pub(crate) fn devices() -> [Device; 2] {
     [Device::flex(), Device::ndarray()]
 }
 
-/// Rows in which no two numbers are equal, so that a swapped row, column or field shows.
+/// Rows in which no two numbers are equal, so that tests detect a swapped row, column or field.
 pub(crate) fn random_rows(count: usize, sh_degree: usize, seed: u64) -> GaussianRows {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut rows = GaussianRows { sh_degree, ..GaussianRows::default() };

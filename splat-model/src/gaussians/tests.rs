@@ -42,7 +42,7 @@ fn accessors_activate() {
     }
 }
 
-/// Against `e⁻ˣ / (1 + e⁻ˣ)²` of the magnitude, which the derivative depends on alone.
+/// Compares with `e⁻ˣ / (1 + e⁻ˣ)²` of the magnitude, because the derivative depends on the magnitude alone.
 #[test]
 fn opacities_within_rounding_of_one_keep_their_derivative() {
     let logits: Vec<f32> = (-40..=40).map(|i| 1.25 * i as f32).collect();

@@ -17,7 +17,7 @@ fn grey(positions: Vec<[f32; 3]>) -> PointCloud {
     PointCloud { colours: vec![[128; 3]; positions.len()], positions }
 }
 
-/// The one size of a round Gaussian.
+/// The standard deviation of each Gaussian; all are round.
 fn sizes(points: &PointCloud) -> Vec<f32> {
     let rows = from_points(points);
     rows.check().unwrap();
@@ -54,7 +54,7 @@ fn points_at_one_place_have_a_size() {
         assert_eq!(found.len(), count);
         assert!(found.iter().all(|size| (size - smallest).abs() < 1e-8), "{count} points");
     }
-    // Two places, many points at each, on one plane: what a tree that splits at medians finds hardest.
+    // Many points at two places on one plane are the hardest case for a tree that splits at medians.
     let places: Vec<[f32; 3]> = (0..5_000).map(|i| [(i % 2) as f32, 0.0, 0.0]).collect();
     assert!(sizes(&grey(places)).iter().all(|size| (size - smallest).abs() < 1e-8));
 }
@@ -70,7 +70,7 @@ fn a_point_shows_its_colour_and_opacity() {
     let camera = Camera::new(Intrinsics::centred(32, 24, 30.0), &DAffine3::IDENTITY, &device);
     let shown = values_of(shade(&scene.sh.val(), &scene.means.val(), &camera).unwrap());
     for (shown, colour) in shown.iter().zip(colours.as_flattened()) {
-        // Black would be clamped, and have no gradient.
+        // Black would be clamped and have no gradient.
         let expected = f32::from(*colour).max(0.5) / 255.0;
         assert!((shown - expected).abs() < 1e-6, "{shown} instead of {colour}/255");
     }
@@ -103,7 +103,7 @@ fn ordered_points_keep_their_colours() {
     assert_eq!(super::ordered(&PointCloud::default()), PointCloud::default());
 }
 
-/// Wider than high, with its principal point off the middle.
+/// A landscape format with the principal point off the centre.
 fn intrinsics() -> Intrinsics {
     Intrinsics { cx: 25.0, cy: 10.0, fy: 55.0, ..Intrinsics::centred(64, 24, 60.0) }
 }
@@ -116,7 +116,7 @@ fn camera(centre: DVec3, forward: DVec3) -> (Intrinsics, DAffine3) {
     (intrinsics(), DAffine3::from_mat3_translation(cam_from_world, -(cam_from_world * centre)))
 }
 
-/// Depth of a point in a camera that shows it. Positions are rounded to f32: a point may fall off by a hair.
+/// Depth of a point in a camera that shows it. Positions are rounded to f32, so a point may lie slightly outside.
 fn depth_in((size, pose): &(Intrinsics, DAffine3), position: &[f32; 3]) -> Option<f64> {
     let at = pose.transform_point3(Vec3::from(*position).as_dvec3());
     let x = size.fx * at.x / at.z + size.cx;
@@ -167,7 +167,7 @@ fn cameras_without_a_common_focus_get_points_all_the_same() {
 
 #[test]
 fn a_panorama_gets_points_around_it() {
-    // All axes meet in the cameras themselves, where nothing can be seen.
+    // All optical axes meet at the cameras themselves, where nothing can be seen.
     let centre = DVec3::new(2.0, -1.0, 0.5);
     let around = |i: i32| TAU * f64::from(i) / 6.0;
     let cameras: Vec<_> = (0..6).map(|i| camera(centre, DVec3::new(around(i).cos(), 0.2, around(i).sin()))).collect();
@@ -178,7 +178,7 @@ fn a_panorama_gets_points_around_it() {
 fn a_small_cloud_begins_as_a_large_one() {
     let mut rng = ChaCha8Rng::seed_from_u64(5);
     let mut positions: Vec<[f32; 3]> = (0..50).map(|_| std::array::from_fn(|_| rng.random_range(-1.0..1.0))).collect();
-    // Two of them at one place, with two more: their distances are zero.
+    // Several points at one place, whose distances are zero.
     positions.extend([positions[0]; 3]);
     let cloud = |scale: f32| PointCloud {
         positions: positions.iter().map(|position| position.map(|c| c * scale)).collect(),

@@ -13,11 +13,11 @@ pub fn l1(image: Tensor<3>, truth: Tensor<3>) -> Tensor<1> {
 /// `Σ w |image − truth| / (C Σ w)`, `[1]`: the mean absolute error under weights, for masks and confidences.
 ///
 /// `image` and `truth` are `[H, W, C]`, 0 to 1; `weights` is `[H, W, 1]`, not negative. Weights that are all equal give
-/// [`l1()`]; weights that are all zero give 0, with gradients of 0, because such a view says nothing.
+/// [`l1()`]; weights that are all zero give 0, with gradients of 0, because such a view holds no information.
 pub fn weighted_l1(image: Tensor<3>, truth: Tensor<3>, weights: Tensor<3>) -> Tensor<1> {
     let channels = image.dims()[2] as f64;
     let total = weights.clone().sum() * channels;
-    // A total of zero has a numerator of zero: dividing by 1 instead gives the 0 that is wanted.
+    // If the total is zero, so is the numerator: division by 1 then gives 0.
     let divisor = total.clone().mask_fill(total.equal_elem(0.0), 1.0);
     ((image - truth).abs() * weights).sum() / divisor
 }

@@ -1,7 +1,7 @@
-//! What a render is trained against. Pictures are `[height, width, channels]`, display-referred, 0 to 1.
+//! Losses that compare a render with a photograph. Pictures are `[height, width, channels]`, display-referred, 0 to 1.
 //!
-//! Every loss is ordinary tensor code that returns a `[1]` tensor to call `backward` on. [`Truth`] holds what depends on
-//! the photograph alone, so that a training loop computes it once.
+//! Every loss is ordinary tensor code that returns a `[1]` tensor to call `backward` on. [`Truth`] holds the quantities that
+//! depend on the photograph alone, so that a training loop computes them once.
 
 pub mod l1;
 pub mod photometric;

@@ -1,4 +1,4 @@
-//! Penalties on the Gaussians themselves. None is on by default; the caller weighs and adds them.
+//! Penalties on the Gaussians themselves. None is on by default; the caller weights and adds them.
 
 use burn::tensor::Tensor;
 
@@ -17,7 +17,7 @@ pub fn scale(scales: Tensor<2>) -> Tensor<1> {
     scales.abs().mean()
 }
 
-/// How far Gaussians are needles, `[1]`: the mean of `max(0, ln(longest / shortest) − ln largest_ratio)`. `log_scales` is
+/// Penalty on needle-shaped Gaussians, `[1]`: the mean of `max(0, ln(longest / shortest) − ln largest_ratio)`. `log_scales` is
 /// `[N, 3]`, natural logarithms of the standard deviations; `largest_ratio` is at least 1, 10 in the source.
 ///
 /// The anisotropy regulariser of PhysGaussian (Xie et al. 2024), a hinge on the ratio of axes, here on its logarithm so

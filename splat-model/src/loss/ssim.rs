@@ -4,16 +4,16 @@
 //!
 //! `SSIM = (2 μxμy + C1)(2 σxy + C2) / ((μx² + μy² + C1)(σx² + σy² + C2))`.
 //!
-//! The window has 11 × 11 taps, σ = 1.5, and sums to 1 inside the picture. Outside, the picture counts as zero, so the
-//! weights near the border sum to less: that is what the original code trains and evaluates with. Channels are
-//! independent; the index is the mean over pixels and channels.
+//! The window has 11 × 11 taps, σ = 1.5, and sums to 1 inside the picture. Pixels outside the picture count as zero, so the
+//! weights near the border sum to less, as in the training and the evaluation of the original code. Channels are independent;
+//! the index is the mean over pixels and channels.
 //!
-//! Variances are differences of moments and are **not** clamped at zero, again as the field computes them. In f32 that
-//! leaves errors of about `1e-7 · x²` beside C2 = 9e-4: nothing for pictures in 0..1, everything for values of 100.
+//! Variances are differences of moments and are **not** clamped at zero, as is usual in the field. In f32 that leaves errors of
+//! about `1e-7 · x²` beside C2 = 9e-4: negligible for pictures in 0..1, dominant for values of 100.
 //!
-//! [`ssim_map`] and [`ssim`] are plain tensor code, the definition: the window is two depthwise convolutions, the fastest of
-//! the formulations tried on Burn Flex (banded matrix products, blocked or whole; shifted slices). Autodiff's gradient of such a
-//! convolution is far slower than the convolution, so [`d_ssim`] and the loss are one operation, see
+//! [`ssim_map`] and [`ssim`] define the metric in plain tensor code. The window is two depthwise convolutions, the fastest of
+//! the formulations tried on Burn Flex (banded matrix products, blocked or whole; shifted slices). The autodiff gradient of
+//! such a convolution is far slower than the convolution, so [`d_ssim`] and the loss are one operation, see
 //! [`splat_op::photometric`].
 
 use burn::tensor::{Tensor, TensorData, module::conv2d, ops::ConvOptions};
@@ -30,7 +30,7 @@ struct Window {
 }
 
 impl Window {
-    /// For pictures like `like`, `[1, C, H, W]`.
+    /// The window for pictures of the channels, type and device of `like`, `[1, C, H, W]`.
     fn new(like: &Tensor<4>) -> Self {
         let channels = like.dims()[1];
         let centre = (TAPS / 2) as f64;
@@ -44,7 +44,7 @@ impl Window {
         Self { vertical, horizontal }
     }
 
-    /// `Kx`, the shape of `x`.
+    /// `Kx`, of the shape of `x`.
     fn apply(&self, x: Tensor<4>) -> Tensor<4> {
         let channels = x.dims()[1];
         let along = |padding| ConvOptions::new([1, 1], padding, [1, 1], channels);
@@ -54,12 +54,12 @@ impl Window {
     }
 }
 
-/// `[H, W, C]` to `[1, C, H, W]`. A render is a permuted view of planes, so this gives its storage back without a copy.
+/// Converts `[H, W, C]` to `[1, C, H, W]`. A render is a permuted view of planes, so this returns its storage without a copy.
 pub(crate) fn planes(image: Tensor<3>) -> Tensor<4> {
     image.permute([2, 0, 1]).unsqueeze()
 }
 
-/// A photograph with what SSIM needs of it, computed once and used at every step. Holds three pictures, no gradient.
+/// A photograph with the moments that SSIM needs, computed once and used at every step. Holds three pictures, no gradient.
 #[derive(Clone, Debug)]
 pub struct Truth {
     /// The photograph, `[1, C, H, W]`.
@@ -71,7 +71,7 @@ pub struct Truth {
 }
 
 impl Truth {
-    /// Prepares `truth`, `[H, W, C]`, 0 to 1. Its gradients, if it has any, are not followed.
+    /// Prepares `truth`, `[H, W, C]`, 0 to 1. Gradients of `truth` are not tracked.
     pub fn new(truth: Tensor<3>) -> Self {
         let layout = planes(truth.inner());
         // One copy per photograph instead of a strided read at every step.
@@ -81,7 +81,7 @@ impl Truth {
         Self { planes, mean, variance }
     }
 
-    /// The loss `(1 − λ) L1 + λ (1 − SSIM)` of a picture `[1, C, H, W]` without autodiff and, if asked for, its derivative.
+    /// The loss `(1 − λ) L1 + λ (1 − SSIM)` of a picture `[1, C, H, W]` without autodiff and, if requested, its derivative.
     pub(super) fn loss(&self, x: &Tensor<4>, lambda: f64, with_derivative: bool) -> (Tensor<1>, Option<Tensor<4>>) {
         let photograph = [&self.planes, &self.mean, &self.variance];
         let (shares, gradient) = splat_op::photometric::photometric(x, photograph, lambda, with_derivative);

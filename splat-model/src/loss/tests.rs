@@ -26,7 +26,7 @@ impl Picture {
         Tensor::from_data(TensorData::new(self.values.clone(), self.shape), (device, dtype))
     }
 
-    /// Zero outside, as the padding is.
+    /// The value at a pixel; zero outside the picture, like the padding.
     fn at(&self, y: isize, x: isize, c: usize) -> f64 {
         let [height, width, channels] = self.shape;
         if y < 0 || x < 0 || y >= height as isize || x >= width as isize {
@@ -36,7 +36,7 @@ impl Picture {
     }
 }
 
-/// SSIM at every pixel by its definition: a double loop over the 11 × 11 window, moments in one go.
+/// SSIM at every pixel by its definition: a double loop over the 11 × 11 window that computes all moments in one pass.
 fn reference_map(a: &Picture, b: &Picture) -> Vec<f64> {
     let total: f64 = (-5..=5).map(|d: isize| (-((d * d) as f64) / 4.5).exp()).sum();
     let [height, width, channels] = a.shape;
@@ -166,7 +166,7 @@ fn gradients_are_those_of_finite_differences() {
                 0.8 * mean(&absolute) + 0.2 * (1.0 - mean(&reference_map(moved, &b)))
             });
 
-            // Autodiff of the plain formulation, and a gradient that arrives from outside.
+            // Compares with autodiff of the plain formulation, under an incoming gradient other than 1.
             let (_, plain) = differentiate(tensor(&a), |image| ssim(image, tensor(&b)) * -3.0);
             let (_, closed) = differentiate(tensor(&a), |image| d_ssim(image, &truth) * 3.0);
             for (plain, closed) in plain.iter().zip(&closed) {

@@ -1,17 +1,17 @@
-//! Scores that forgive a picture its exposure.
+//! Colour correction of renders, for scores that do not depend on the exposure.
 //!
-//! A test photograph has an exposure that no training photograph tells. Before it is scored once more, the render is
-//! mapped by the affine map of colours that brings it closest to the photograph in the sense of least squares: the
-//! evaluation of NeRF in the wild's successors with an affine map (as `color_correct` of Mip-NeRF 360's code, without its
-//! quadratic terms and its repetition against clipping), fitted to the whole picture. Both scores are reported, because this
-//! one cannot see a scene whose colours are wrong throughout.
+//! The exposure of a test photograph is not known from the training photographs. For a second score, the render is mapped by
+//! the affine map of colours that brings it closest to the photograph in the least-squares sense, fitted to the whole picture.
+//! Successors of NeRF in the Wild are evaluated with such an affine map; `color_correct` of Mip-NeRF 360's code also has
+//! quadratic terms and a repetition against clipping, which are left out here. Both scores are reported, because the corrected
+//! one does not detect a scene whose colours are wrong throughout.
 
-/// Weight of the identity in the fit, per pixel: decides only what the picture does not, such as channels that are all
+/// Weight of the identity in the fit, per pixel. It decides only what the picture leaves open, for example if all channels are
 /// equal.
 const TOWARDS_IDENTITY: f64 = 1e-6;
 
-/// Applies to `image`, RGB row by row, the affine map that brings it closest to `truth` over the pixels that `counts` (all
-/// of them if none). Not clamped.
+/// Applies to `image`, RGB row by row, the affine map that brings it closest to `truth` over the pixels marked in `counts` (all
+/// pixels without it). The result is not clamped.
 pub fn colour_corrected(image: &[f32], truth: &[f32], counts: Option<&[bool]>) -> Vec<f32> {
     let (pixels, truths) = (image.as_chunks::<3>().0, truth.as_chunks::<3>().0);
     // The normal equations `(Σ x xᵀ + w I) m = Σ x y + w m₀` with `x = (r, g, b, 1)`, for each channel `y`.
@@ -44,8 +44,8 @@ pub fn colour_corrected(image: &[f32], truth: &[f32], counts: Option<&[bool]>) -
     mapped.collect()
 }
 
-/// `m` of `gram m = moment`. The matrix is symmetric and, for its weight on the diagonal, positive definite: elimination
-/// needs no pivots.
+/// Solves `gram m = moment` for `m`. The matrix is symmetric and, because of the weight on its diagonal, positive definite, so
+/// elimination needs no pivots.
 fn solve(mut gram: [[f64; 4]; 4], mut moment: [[f64; 3]; 4]) -> [[f64; 3]; 4] {
     for step in 0..4 {
         for row in step + 1..4 {
@@ -75,7 +75,7 @@ mod tests {
         (0..3 * count).map(|_| rng.random_range(0.0..1.0)).collect()
     }
 
-    /// Channels are mixed, scaled and shifted.
+    /// Mixes, scales and shifts the channels.
     fn exposed(image: &[f32]) -> Vec<f32> {
         let pixels = image.as_chunks::<3>().0.iter();
         pixels.flat_map(|&[r, g, b]| [0.7 * r + 0.1 * g, 1.2 * g - 0.05, 0.2 + 0.5 * b]).collect()
@@ -109,7 +109,7 @@ mod tests {
         let (image, truth) = (vec![0.5; 300], [0.1, 0.4, 0.9].repeat(100));
         assert!(worst(&colour_corrected(&image, &truth, None), &truth) < 1e-3);
         assert_eq!(colour_corrected(&[], &[], None), [] as [f32; 0]);
-        // Nothing counts: nothing is known.
+        // Without pixels that count, the map is the identity.
         assert!(worst(&colour_corrected(&image, &truth, Some(&[false; 100])), &image) < 1e-6);
     }
 }

@@ -11,11 +11,10 @@ use crate::state::{State, StateError};
 /// bounded by the learning rate either way, because Adam is invariant to the gradient's length.
 const LARGEST_GRADIENT: f64 = 1e17;
 
-/// Running sums over the gradients of one parameter, of its shape, without autodiff.
+/// Running sums over the gradients of one parameter, of the parameter's shape, without autodiff.
 ///
-/// They are the paper's `m` and `v` divided by `1 − β₁` and `1 − β₂`, which saves two passes over memory per step and
-/// is made up for in the scalar factors. Zero means "no history", and rows may be moved, copied or zeroed with the
-/// parameter's.
+/// They are the paper's `m` and `v` divided by `1 − β₁` and `1 − β₂`, which saves two passes over memory per step; scalar
+/// factors compensate for it. Zero means "no history", and rows may be moved, copied or zeroed with the parameter's.
 #[derive(Clone, Debug)]
 pub struct Moments<const D: usize> {
     /// `Σ β₁ᵏ g`
@@ -25,19 +24,19 @@ pub struct Moments<const D: usize> {
 }
 
 impl<const D: usize> Moments<D> {
-    /// No history, for a parameter like `param`.
+    /// Moments without history, for a parameter of the shape of `param`.
     pub fn new(param: &Tensor<D>) -> Self {
         let m = param.clone().inner().zeros_like();
         Self { v: m.zeros_like(), m }
     }
 
-    /// Keeps both sums.
+    /// Saves both sums.
     pub fn save(&self, to: &mut State) {
         to.put("m", self.m.clone());
         to.put("v", self.v.clone());
     }
 
-    /// Those that were kept, of a parameter of this shape.
+    /// Loads the sums of a parameter of this shape.
     ///
     /// # Errors
     /// If they are missing or of another shape.
@@ -53,8 +52,8 @@ pub struct Adam {
     pub beta1: f64,
     /// Share of the second moment that is kept per step, 0.999.
     pub beta2: f64,
-    /// Added to the root of the second moment, 1e-15: the value of the original implementation.
-    /// Gradients of single Gaussians are tiny, and the usual 1e-8 would slow them down.
+    /// Added to the root of the second moment, 1e-15: the value of the original implementation. Gradients of single Gaussians
+    /// are tiny, and the usual 1e-8 would shorten their steps.
     pub eps: f64,
 }
 
@@ -64,7 +63,7 @@ impl Default for Adam {
     }
 }
 
-/// The scalars of one step, so that tensors are passed over as seldom as possible.
+/// The scalars of one step, combined so that tensors are traversed as few times as possible.
 struct Factors {
     beta1: f64,
     beta2: f64,
@@ -74,26 +73,26 @@ struct Factors {
 }
 
 impl Adam {
-    /// The constants of steps of `views` photographs each, whose gradients are averaged: `βᵛ` forgets as much per photograph as
-    /// `β` does, and gradients have `√views` times less noise, so that `ε / √views` weighs as much. With learning rates that are
-    /// `√views` times as large this is the square-root scaling rule of Malladi et al. (2022, "On the SDEs and Scaling Rules for Adaptive
-    /// Gradient Algorithms"), which gsplat has too. Their `1 − views (1 − β)` is the first order of the power, and negative from ten
-    /// views on; the power is what Zhao et al. have ("On Scaling Up 3D Gaussian Splatting Training", 2024).
+    /// Returns the constants for steps of `views` photographs each, whose gradients are averaged. `βᵛ` forgets as much per
+    /// photograph as `β` does. Gradients have `√views` times less noise, so `ε / √views` has the same weight. With learning
+    /// rates `√views` times as large this is the square-root scaling rule of Malladi et al. (2022, "On the SDEs and Scaling
+    /// Rules for Adaptive Gradient Algorithms"), which gsplat also has. Their `1 − views (1 − β)` is the first order of the
+    /// power, and negative from ten views on; Zhao et al. use the power ("On Scaling Up 3D Gaussian Splatting Training", 2024).
     pub fn for_batch(self, views: usize) -> Self {
         let views = views as f64;
         Self { beta1: self.beta1.powf(views), beta2: self.beta2.powf(views), eps: self.eps / views.sqrt() }
     }
 
-    /// The parameter after step `t`, counted from 1, with learning rate `lr` (one for all, or [`Rates`]): with bias
+    /// Returns the parameter after step `t`, counted from 1, with learning rate `lr` (one for all, or [`Rates`]): with bias
     /// correction, `param − lr · m̂ / (√v̂ + ε)`.
     ///
-    /// `param`, `grad` and `moments` have one shape and no autodiff. A gradient of zero without history changes nothing.
-    /// An infinite gradient counts as 1e17; `v` forgets such a one at the rate β₂, so that its row hardly moves for
-    /// thousands of steps. NaN is passed on: the operation that made it must not.
+    /// `param`, `grad` and `moments` have one shape and no autodiff. A gradient of zero without history changes nothing. An
+    /// infinite gradient counts as 1e17; `v` forgets it at the rate β₂, so its row hardly moves for thousands of steps. NaN is
+    /// passed on: the operation that computes the gradient must not return it.
     ///
     /// Panics if the shapes differ.
     ///
-    /// Storage is reused where nobody else holds it: take `grad` with `grad_remove`, and hand `param` over.
+    /// Storage is reused if no other tensor shares it: take `grad` with `grad_remove`, and pass `param` without a clone.
     pub fn step<const D: usize>(
         &self,
         param: Tensor<D>,
@@ -105,7 +104,7 @@ impl Adam {
         self.step_unless(param, grad, lr, moments, (t, None))
     }
 
-    /// As [`Self::step`] in tensor code, whatever the device: what all other forms are held to.
+    /// Computes [`Self::step`] in tensor code on any device. Tests compare all other forms with it.
     pub fn step_in_tensors<const D: usize>(
         &self,
         param: Tensor<D>,
@@ -117,7 +116,7 @@ impl Adam {
         self.factors(lr.into(), t).step_in_tensors(param, grad, moments)
     }
 
-    /// As [`Self::step`], but nothing changes where a step is entered in the verdict, `[2]` (see [`splat_op::adam`]).
+    /// Computes [`Self::step`], but changes nothing if the verdict, `[2]`, holds a step (see [`splat_op::adam`]).
     pub(crate) fn step_unless<const D: usize>(
         &self,
         param: Tensor<D>,
@@ -129,7 +128,7 @@ impl Adam {
         assert_eq!(param.shape(), grad.shape(), "a gradient has the shape of its parameter");
         assert_eq!(param.shape(), moments.m.shape(), "moments have the shape of their parameter");
         let factors = self.factors(lr.into(), t);
-        // On a GPU one operation does all of it.
+        // On a GPU, one operation does the whole step.
         let param = match factors.step_on_gpu(param, &grad, moments, verdict) {
             Ok(param) => return param,
             Err(param) => param,
@@ -161,7 +160,7 @@ impl Adam {
 }
 
 impl Factors {
-    /// The same in one pass; gives the parameter back where there is no such operation.
+    /// Computes the step in one pass on a GPU. The error is the parameter, where the operation is not supported.
     #[expect(clippy::result_large_err, reason = "the error is the argument, handed back")]
     fn step_on_gpu<const D: usize>(
         &self,
@@ -206,7 +205,7 @@ impl Factors {
         param - self.rated(ratio)
     }
 
-    /// Each number times its rate.
+    /// Multiplies each number by its rate.
     fn rated<const D: usize>(&self, ratio: Tensor<D>) -> Tensor<D> {
         let dims = ratio.dims();
         match self.rate.band(&dims) {
@@ -219,7 +218,7 @@ impl Factors {
         Tensor::cat(vec![first, others], 1)
     }
 
-    /// The same for f32 on a device whose tensors lie in host memory.
+    /// Computes the step for f32 on a device whose tensors are in host memory.
     fn step_in_host_memory<const D: usize>(
         &self,
         param: Tensor<D>,
@@ -243,7 +242,7 @@ impl Factors {
     }
 
     fn step_slices(&self, param: &mut [f32], grad: &[f32], m: &mut [f32], v: &mut [f32], band: Option<Band>) {
-        // 64 KiB of each array: large enough to hide the scheduling, small enough to share out evenly.
+        // 64 KiB of each array: large enough to hide the scheduling, small enough to balance the load.
         const CHUNK: usize = 16_384;
         let rates = self.pattern(band);
         let chunk = CHUNK.next_multiple_of(rates.len());
@@ -257,7 +256,7 @@ impl Factors {
         });
     }
 
-    /// The rates of the numbers of a parameter, which repeat: whole periods and whole vectors.
+    /// The repeating pattern of the rates of a parameter's numbers, in whole periods and whole vectors.
     fn pattern(&self, band: Option<Band>) -> Vec<f32> {
         const LANES: usize = 16;
         let Band { period, width } = band.unwrap_or(Band { period: 64, width: 0 });

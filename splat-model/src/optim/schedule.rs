@@ -9,16 +9,16 @@ use splat_op::RenderOptions;
 pub struct Decay {
     /// Rate at step 0, positive.
     pub initial: f64,
-    /// Rate at `steps` and after, positive.
+    /// Rate from step `steps` on, positive.
     pub last: f64,
-    /// Length of the decay. Zero means that it is over at once.
+    /// Number of steps of the decay. With zero, `last` holds from the start.
     pub steps: usize,
 }
 
 impl Decay {
     /// The rate at `step`: `initial^(1 − s) · last^s`, `s = min(step / steps, 1)`.
     ///
-    /// The schedule of Plenoxels (Fridovich-Keil et al. 2022), which 3D Gaussian splatting took over without its delay.
+    /// The schedule of Plenoxels (Fridovich-Keil et al. 2022), which 3D Gaussian splatting adopted without its delay.
     pub fn at(&self, step: usize) -> f64 {
         if step >= self.steps {
             return self.last;
@@ -33,9 +33,9 @@ impl Decay {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct LearningRates {
-    /// Centres at step 0, as a share of the scene's extent: 1.6e-4.
+    /// Centres at step 0, as a share of the scene extent: 1.6e-4.
     pub means: f64,
-    /// What is left of `means` at the last step: 0.01.
+    /// Share of `means` that remains at the last step: 0.01.
     pub means_final_share: f64,
     /// Logarithms of the standard deviations: 5e-3.
     pub scales: f64,
@@ -64,7 +64,7 @@ impl Default for LearningRates {
 }
 
 impl LearningRates {
-    /// The rates of steps of `views` photographs each: `√views` times these (see [`crate::optim::Adam::for_batch`]).
+    /// Returns the rates for steps of `views` photographs each: `√views` times these (see [`crate::optim::Adam::for_batch`]).
     pub fn for_batch(self, views: usize) -> Self {
         let factor = (views as f64).sqrt();
         Self {
@@ -78,42 +78,42 @@ impl LearningRates {
         }
     }
 
-    /// The decay of the rate of the centres over `steps`, scene units, for a scene of `extent` (see [`scene_extent`]).
+    /// The decay of the centres' learning rate over `steps`, scene units, for a scene of `extent` (see [`scene_extent`]).
     pub fn means_decay(&self, extent: f64, steps: usize) -> Decay {
         let initial = self.means * extent;
         Decay { initial, last: initial * self.means_final_share, steps }
     }
 }
 
-/// Steps between two degrees in the original's schedule.
+/// Steps between two degrees in the schedule of the original implementation.
 pub const STEPS_PER_SH_DEGREE: usize = 1_000;
 
-/// Degree of the spherical harmonics in use at `step`: one more every `every` steps (usually
-/// [`STEPS_PER_SH_DEGREE`]) up to `largest`, so that diffuse colour settles first (Kerbl et al. 2023, section 7.1).
-/// `every` = 0 uses all from the start.
+/// Degree of the spherical harmonics in use at `step`. It rises by one every `every` steps (usually [`STEPS_PER_SH_DEGREE`]) up
+/// to `largest`, so that diffuse colour settles first (Kerbl et al. 2023, section 7.1). With `every` = 0, all degrees are in
+/// use from the start.
 pub fn sh_degree_at(step: usize, every: usize, largest: usize) -> usize {
     step.checked_div(every).map_or(largest, |degree| degree.min(largest))
 }
 
-/// The radius of the scene that learning rates and density control are relative to: 1.1 × the largest distance of a
-/// camera's centre from the mean of all centres, as the original implementation measures it. Same unit as `centres`.
+/// The scene extent, the radius that learning rates and density control are relative to: 1.1 × the largest distance of a
+/// camera's centre from the mean of all centres, as in the original implementation. Same unit as `centres`.
 ///
-/// One camera, none, or several at one place have no such radius: 1 is returned, which takes the scene's unit as it is.
-/// So it is if a centre is not finite. The remedy for a wrong unit is to scale the capture.
+/// One camera, none, or several at one place have no extent. The function then returns 1, which uses the scene's unit as it is,
+/// and also if a centre is not finite. The remedy for a wrong unit is to scale the capture.
 pub fn scene_extent(centres: &[DVec3]) -> f64 {
-    // Relative to the first, so that geo-referenced centres lose nothing in the sum.
+    // Positions are relative to the first centre, so that geo-referenced centres lose no digits in the sum.
     let Some(&first) = centres.first() else { return 1.0 };
     let mean = centres.iter().map(|centre| *centre - first).sum::<DVec3>() / centres.len() as f64;
     let largest = centres.iter().map(|centre| (*centre - first - mean).length()).fold(0.0, f64::max);
-    // Rounding puts coincident centres a few ulps apart; that is no extent.
+    // Rounding puts coincident centres a few ulps apart, which must not count as an extent.
     let rounding = 1e-12 * centres.iter().map(|centre| centre.length()).fold(0.0, f64::max);
     let extent = 1.1 * largest;
     if extent > rounding && extent.is_finite() { extent } else { 1.0 }
 }
 
-/// The near plane of a scene of `extent` (see [`scene_extent`]), scene units: that of [`RenderOptions::standard`], or a
-/// hundredth of the extent if that is less. A scene of a few millimetres, in metres, lies before a near plane of a
-/// centimetre as a whole.
+/// The near plane of a scene of `extent` (see [`scene_extent`]), scene units: the value of [`RenderOptions::standard`], or a
+/// hundredth of the extent if that is less. A scene of a few millimetres, in metres, would lie entirely before a near plane at
+/// a centimetre.
 pub fn near_plane(extent: f64) -> f64 {
     RenderOptions::standard().near * extent.min(1.0)
 }

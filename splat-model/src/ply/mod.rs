@@ -1,15 +1,14 @@
-//! Scenes as PLY files, in the layout of the original 3D Gaussian splatting code (Kerbl et al. 2023), which every
-//! splat viewer opens. [`crate::formats`] also reads compressed ones.
+//! Scenes as PLY files, in the layout of the original 3D Gaussian splatting code (Kerbl et al. 2023), which every splat viewer
+//! opens. [`crate::formats`] also reads compressed files.
 //!
 //! The element `vertex` holds one row of float properties per Gaussian: `x y z` (scene units), `nx ny nz` (always 0),
-//! `f_dc_0..2`, `f_rest_0..` (all coefficients of red, then green, then blue), `opacity` (logit), `scale_0..2`
-//! (natural logarithm), `rot_0..3` (quaternion wxyz). Files are written as binary little endian. Reading also takes
-//! ascii and big endian, properties in any order and of any numeric type, and ignores what it does not know.
+//! `f_dc_0..2`, `f_rest_0..` (all coefficients of red, then green, then blue), `opacity` (logit), `scale_0..2` (natural
+//! logarithm), `rot_0..3` (quaternion wxyz). Files are written as binary little endian. Reading also supports ASCII and big
+//! endian, and properties in any order and of any numeric type. Unknown properties are ignored.
 //!
-//! [`read_points`] reads files of plain points instead, positions and colours, as sparse reconstructions are exchanged.
+//! [`read_points`] reads plain points with positions and colours, as in files of sparse reconstructions.
 //!
-//! A scene whose positions are relative to an origin says so in the comment `splat origin X Y Z`:
-//! `position_file_world = position + origin`.
+//! The comment `splat origin X Y Z` holds the origin that positions are relative to: `position_file_world = position + origin`.
 
 mod points;
 mod read;
@@ -26,26 +25,26 @@ pub use points::read_points;
 pub use read::read;
 pub use write::{write, write_to};
 
-// For the compressed layout, which is a PLY file too.
+// The compressed layout, which is PLY too, uses these.
 pub(crate) use read::{Input, brief, origin, read_from, require, vertex};
 pub(crate) use write::{check, origin_comment};
 
 /// The element that holds the Gaussians.
 pub(crate) const VERTEX: &str = "vertex";
 
-/// What the comment that carries the origin begins with.
+/// Prefix of the comment that holds the origin.
 const ORIGIN_COMMENT: &str = "splat origin ";
 
-/// A PLY file that cannot be read or written, named so that it can be mended.
+/// A PLY file that cannot be read or written. Each message names the file, what was found and what to do.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum PlyError {
-    /// The operating system refused.
+    /// The operating system reported an error.
     #[error("{path}: could not {action}: {source}", path = path.display())]
     Io {
         /// The file.
         path: PathBuf,
-        /// What was tried, with the remedy where there is one.
+        /// The attempted action, with the remedy if there is one.
         action: &'static str,
         /// The system's reason.
         source: std::io::Error,
@@ -71,7 +70,7 @@ pub enum PlyError {
     MissingVertex {
         /// The file.
         path: PathBuf,
-        /// The elements that there are.
+        /// The elements of the file.
         found: String,
     },
     /// `vertex` lacks a property that a Gaussian or a point needs.
@@ -85,7 +84,7 @@ pub enum PlyError {
         path: PathBuf,
         /// The property.
         property: String,
-        /// The properties that there are.
+        /// The properties of the element.
         found: String,
     },
     /// A property of `vertex` is a list.
@@ -105,7 +104,7 @@ pub enum PlyError {
     RestCount {
         /// The file.
         path: PathBuf,
-        /// How many there are.
+        /// Number of these properties.
         found: usize,
     },
     /// The header claims more rows than the file can hold.
@@ -119,11 +118,11 @@ pub enum PlyError {
         path: PathBuf,
         /// The element.
         element: String,
-        /// Rows claimed.
+        /// Number of rows that the header claims.
         rows: usize,
-        /// Bytes that all rows up to and including this element take at the very least.
+        /// Minimum number of bytes of all rows up to and including this element.
         needed: u64,
-        /// Bytes after the header.
+        /// Number of bytes after the header.
         found: u64,
     },
     /// The file ends before its last row.
@@ -136,12 +135,12 @@ pub enum PlyError {
         path: PathBuf,
         /// The element.
         element: String,
-        /// First row that is not complete, from 0.
+        /// First incomplete row, from 0.
         row: usize,
-        /// Rows claimed.
+        /// Number of rows that the header claims.
         rows: usize,
     },
-    /// A row holds something else than the header declares.
+    /// A row does not match the header.
     #[error("{path}: row {row} of `{element}`: {detail}; correct that row or export the scene again", path = path.display())]
     Row {
         /// The file.
@@ -153,7 +152,7 @@ pub enum PlyError {
         /// What was found and what was expected.
         detail: String,
     },
-    /// The comment that carries the origin does not hold three finite numbers.
+    /// The comment with the origin does not hold three finite numbers.
     #[error("{path}: comment `splat origin {found}`, expected three finite numbers; correct or remove that line", path = path.display())]
     Origin {
         /// The file.
@@ -161,7 +160,7 @@ pub enum PlyError {
         /// What follows the words `splat origin`.
         found: String,
     },
-    /// The rows to be written do not belong together.
+    /// The rows to be written do not fit together.
     #[error("{path}: not written: `{field}` is {found}, expected {expected}; make all fields describe the same Gaussians", path = path.display())]
     Rows {
         /// The file.
@@ -170,7 +169,7 @@ pub enum PlyError {
         field: &'static str,
         /// Its length or value.
         found: String,
-        /// What the other fields ask for.
+        /// The length or value that the other fields require.
         expected: String,
     },
 }

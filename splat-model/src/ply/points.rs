@@ -1,4 +1,4 @@
-//! Plain points: `x y z` and, where there are any, `red green blue`.
+//! Plain points: `x y z` and, if present, `red green blue`.
 
 use std::path::Path;
 
@@ -8,10 +8,10 @@ use ply_rs_bw::ply::{Property, PropertyAccess, PropertyAccessResult};
 use super::read::{Input, require, vertex};
 use super::{PlyError, VERTEX};
 
-/// Coordinates beyond this are damage: squared, they still fit an f32.
+/// Largest valid coordinate; its square still fits an f32. Larger values indicate damage.
 const MAX_COORDINATE: f64 = 1e15;
 
-/// The colour of a point that has none.
+/// Channel value of a point without a colour.
 const GREY: f64 = 127.0;
 
 const COORDINATES: [&str; 3] = ["x", "y", "z"];
@@ -30,7 +30,7 @@ impl PropertyAccess for Point {
     }
 
     fn set_property(&mut self, name: &str, property: Property) -> PropertyAccessResult {
-        // Floating-point colours go from 0 to 1, all others to 255.
+        // Floating-point colours range from 0 to 1, all others from 0 to 255.
         let (value, full) = match property {
             Property::Char(value) => (value.into(), 255.0),
             Property::UChar(value) => (value.into(), 255.0),
@@ -56,13 +56,12 @@ impl PropertyAccess for Point {
 
 /// Reads points: positions, and display-referred colours from 0 to 255.
 ///
-/// `x y z` may be of any numeric type. `red green blue` are taken as they are, or as 0 to 1 where they are floating-point
-/// numbers; beyond their range they count as its end, and points without colours are grey. Whatever else the file
-/// holds is passed over.
+/// `x y z` may be of any numeric type. `red green blue` range from 0 to 255, or from 0 to 1 if they are floating-point numbers,
+/// and are clamped to that range. Points without colours are grey. All other content of the file is ignored.
 ///
 /// # Errors
 ///
-/// A [`PlyError`] for every file that is not a complete PLY file with such points, or in which a coordinate is not finite or
+/// A [`PlyError`] for every file that is not a complete PLY file with such points, or in which a coordinate is not finite or is
 /// beyond 1e15. Memory is bounded by a small multiple of the file's true size, whatever its header claims.
 pub fn read_points(path: &Path) -> Result<(Vec<DVec3>, Vec<[u8; 3]>), PlyError> {
     let (mut input, header) = Input::open(path)?;
@@ -77,7 +76,7 @@ pub fn read_points(path: &Path) -> Result<(Vec<DVec3>, Vec<[u8; 3]>), PlyError> 
             return Err(PlyError::Row { path: path.to_path_buf(), element: VERTEX.into(), row, detail });
         }
         positions.push(DVec3::from_array(point.position));
-        // The cast ends at 0 and 255, and takes what is not a number as 0.
+        // The cast clamps to 0..255 and converts NaN to 0.
         colours.push(point.colour.map(|channel| channel.round() as u8));
         Ok(())
     })?;

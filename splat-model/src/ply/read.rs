@@ -1,4 +1,4 @@
-//! Reading: any encoding, any order and type of properties.
+//! Reading of files in any encoding, with properties in any order and of any type.
 
 use std::fs::File;
 use std::io::{self, BufRead, BufReader, ErrorKind, Read};
@@ -12,7 +12,7 @@ use super::row::{REQUIRED, Row, Skipped, degree_of_rest};
 use super::{ORIGIN_COMMENT, PlyError, VERTEX};
 use crate::gaussians::GaussianRows;
 
-/// A header longer than this is none; degree 4 with every property takes 3 KB.
+/// Maximum length of a header, bytes. Degree 4 with every property takes 3 KB.
 const MAX_HEADER_BYTES: u64 = 1 << 20;
 
 /// Reads a scene, and the origin that its positions are relative to (zero if the file names none).
@@ -28,7 +28,7 @@ pub fn read(path: &Path) -> Result<(GaussianRows, DVec3), PlyError> {
     read_from(input, &header)
 }
 
-/// The same from a file whose header has been read.
+/// Reads a scene and its origin from a file whose header has been read.
 pub(crate) fn read_from(mut input: Input, header: &Header) -> Result<(GaussianRows, DVec3), PlyError> {
     let path = input.path;
     let origin = origin(path, header)?;
@@ -51,7 +51,7 @@ pub(crate) fn io_error(path: &Path, action: &'static str, source: io::Error) -> 
 pub(crate) struct Input<'a> {
     path: &'a Path,
     reader: BufReader<File>,
-    /// What follows the header.
+    /// Number of bytes after the header.
     payload_bytes: u64,
 }
 
@@ -59,7 +59,7 @@ impl<'a> Input<'a> {
     /// Opens a file and reads its header.
     pub fn open(path: &'a Path) -> Result<(Self, Header), PlyError> {
         let file = File::open(path).map_err(|source| io_error(path, "open the scene (is the path right?)", source))?;
-        let file_bytes = file.metadata().map_err(|source| io_error(path, "learn the size of the file", source))?.len();
+        let file_bytes = file.metadata().map_err(|source| io_error(path, "read the size of the file", source))?.len();
         let mut input = Self { path, reader: BufReader::with_capacity(1 << 20, file), payload_bytes: 0 };
         let text = input.header_text()?;
         input.payload_bytes = file_bytes.saturating_sub(text.len() as u64);
@@ -67,8 +67,8 @@ impl<'a> Input<'a> {
         Ok((input, header))
     }
 
-    /// Passes over what stands before the vertices. Refuses a header that claims more rows than there are bytes, before
-    /// anybody reserves memory for them.
+    /// Skips the elements before the vertices. Refuses a header that claims more rows than the file can hold, before memory is
+    /// reserved for them.
     pub fn begin(&mut self, header: &Header) -> Result<(), PlyError> {
         self.check_size(header, VERTEX)?;
         for element in header.elements.values().take_while(|element| element.name != VERTEX) {
@@ -77,14 +77,14 @@ impl<'a> Input<'a> {
         Ok(())
     }
 
-    /// Refuses a header whose rows, up to those of the element `last`, do not fit in the file: before memory is reserved for
-    /// them.
+    /// Refuses a header whose rows, up to the rows of the element `last`, do not fit into the file, before memory is reserved
+    /// for them.
     pub fn check_size(&self, header: &Header, last: &str) -> Result<(), PlyError> {
         let mut needed = 0_u64;
         for element in header.elements.values() {
             let row_bytes = least_row_bytes(element, header.encoding);
             needed = needed.saturating_add(row_bytes.saturating_mul(element.count as u64));
-            // The last line of an ascii file need not be ended.
+            // The last line of an ASCII file may lack a line break.
             let slack = u64::from(header.encoding == Encoding::Ascii);
             if needed > self.payload_bytes.saturating_add(slack) {
                 return Err(PlyError::TooManyRows {
@@ -102,13 +102,13 @@ impl<'a> Input<'a> {
         Ok(())
     }
 
-    /// The bytes up to and including the line `end_header`.
+    /// Reads the bytes up to and including the line `end_header`.
     fn header_text(&mut self) -> Result<Vec<u8>, PlyError> {
         let mut text = Vec::new();
         let mut limited = self.reader.by_ref().take(MAX_HEADER_BYTES);
         loop {
             let start = text.len();
-            // A first line is `ply`: a file that is none is not searched for its first line break.
+            // The first line is `ply`. A file of another kind is not searched for its first line break.
             let limit = if start == 0 { 16 } else { MAX_HEADER_BYTES };
             limited
                 .by_ref()
@@ -130,9 +130,9 @@ impl<'a> Input<'a> {
         }
     }
 
-    /// Passes over an element.
+    /// Skips an element.
     pub fn skip(&mut self, element: &ElementDef, header: &Header) -> Result<(), PlyError> {
-        // In binary such rows take no space, and there may be 2⁶⁴ of them to step through.
+        // In binary, such rows take no space, and a header may claim 2⁶⁴ of them.
         if element.properties.is_empty() && header.encoding != Encoding::Ascii {
             return Ok(());
         }
@@ -143,7 +143,7 @@ impl<'a> Input<'a> {
         skipped.map(drop).map_err(|error| self.row_error(element, row, &error))
     }
 
-    /// Reads the rows of an element that has no lists, and gives `take` each with its number, from 0.
+    /// Reads the rows of an element without lists, and passes each to `take` with its number, from 0.
     pub fn each_row<R: PropertyAccess>(
         &mut self,
         vertex: &ElementDef,
@@ -182,7 +182,7 @@ impl<'a> Input<'a> {
         if self.reader.read_line(line)? == 0 {
             return Err(io::Error::from(ErrorKind::UnexpectedEof).into());
         }
-        // The parser would let surplus numbers pass.
+        // The parser would accept surplus numbers.
         let (found, expected) = (line.split_ascii_whitespace().count(), vertex.properties.len());
         if found != expected {
             let detail = format!("the line holds {found} values, expected {expected}");
@@ -203,8 +203,8 @@ impl<'a> Input<'a> {
     }
 }
 
-/// The parser quotes whole lines over several lines, whatever they hold; messages stay readable on one, and terminals as they
-/// are.
+/// Shortens a message of the parser to one line without control characters, because the parser quotes whole lines, whatever
+/// they hold.
 pub(crate) fn brief(message: &str) -> String {
     const MAX_CHARS: usize = 240;
     let words: Vec<&str> = message.split_whitespace().collect();
@@ -216,11 +216,11 @@ pub(crate) fn brief(message: &str) -> String {
     text
 }
 
-/// What the parser says of a header, without the state of the parser that follows.
+/// The parser's message about a header, without the parser's state.
 fn header_detail(message: &str) -> String {
     let says = message.split("Error: ParseError").next().unwrap_or(message);
     format!(
-        "{}, expected lines `format`, `element`, `property`, `comment` and `obj_info` as the format has them",
+        "{}, expected lines `format`, `element`, `property`, `comment` and `obj_info` in the form of the format",
         brief(says)
     )
 }
@@ -232,7 +232,7 @@ fn parse_header(path: &Path, text: &[u8]) -> Result<Header, PlyError> {
     let header = Parser::<Row>::new()
         .read_header(&mut Reader::new(text.as_bytes()))
         .map_err(|error| broken(header_detail(&error.to_string())))?;
-    // The parser keeps the last of two equal names, and every row would then be read askew.
+    // The parser keeps the last of two equal names, so every row would be misread.
     let declared = |keyword: &str| text.lines().filter(|line| line.split_whitespace().next() == Some(keyword)).count();
     let properties = header.elements.values().map(|element| element.properties.len()).sum::<usize>();
     if declared("element") != header.elements.len() || declared("property") != properties {
@@ -262,7 +262,7 @@ pub(crate) fn vertex<'a>(path: &Path, header: &'a Header) -> Result<&'a ElementD
         .ok_or_else(|| PlyError::MissingVertex { path: path.to_path_buf(), found: quoted(header.elements.keys()) })
 }
 
-/// Names for an error message, the first few of them.
+/// The first few names, for an error message.
 fn quoted<'a>(names: impl Iterator<Item = &'a String>) -> String {
     let names: Vec<String> = names.map(|name| format!("`{name}`")).collect();
     match names.len() {
@@ -272,7 +272,7 @@ fn quoted<'a>(names: impl Iterator<Item = &'a String>) -> String {
     }
 }
 
-/// Refuses lists, and vertices without one of these properties.
+/// Refuses lists, and vertices that lack one of these properties.
 pub(crate) fn require(path: &Path, vertex: &ElementDef, properties: &[&str]) -> Result<(), PlyError> {
     let path_buf = || path.to_path_buf();
     if let Some(list) = vertex.properties.values().find(|p| matches!(p.data_type, PropertyType::List(..))) {
@@ -287,7 +287,7 @@ pub(crate) fn require(path: &Path, vertex: &ElementDef, properties: &[&str]) -> 
     }
 }
 
-/// Checks that a Gaussian can be made of the properties; the degree of its spherical harmonics.
+/// Checks that the properties describe a Gaussian, and returns the degree of its spherical harmonics.
 fn check_properties(path: &Path, vertex: &ElementDef) -> Result<usize, PlyError> {
     let path_buf = || path.to_path_buf();
     require(path, vertex, &REQUIRED)?;
@@ -303,7 +303,7 @@ fn check_properties(path: &Path, vertex: &ElementDef) -> Result<usize, PlyError>
     }
 }
 
-/// What a row takes at the very least, bytes.
+/// Minimum size of a row, bytes.
 fn least_row_bytes(element: &ElementDef, encoding: Encoding) -> u64 {
     if encoding == Encoding::Ascii {
         // A digit and a separator per property; a row without any is an empty line.
@@ -317,13 +317,13 @@ fn least_row_bytes(element: &ElementDef, encoding: Encoding) -> u64 {
     };
     let least = |property: &PropertyType| match property {
         PropertyType::Scalar(scalar) => size(scalar),
-        // An empty list is its length alone.
+        // An empty list takes only the bytes of its length.
         PropertyType::List(length, _) => size(length),
     };
     element.properties.values().map(|property| least(&property.data_type)).sum()
 }
 
-/// A scene with room for `count` rows, no longer than the file was seen to hold.
+/// An empty scene with room for `count` rows, which the file was checked to hold.
 fn empty_rows(count: usize, sh_degree: usize) -> GaussianRows {
     GaussianRows {
         means: Vec::with_capacity(count),

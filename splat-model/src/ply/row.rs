@@ -1,4 +1,4 @@
-//! One Gaussian as the row of a PLY file, and which property goes where.
+//! One Gaussian as a row of a PLY file, and the slot of each property.
 
 use ply_rs_bw::ply::{Property, PropertyAccess, PropertyAccessResult};
 
@@ -21,12 +21,12 @@ pub(super) const REQUIRED: [&str; REST] = [
     "rot_3",
 ];
 
-/// Higher coefficients per colour channel at a degree of the spherical harmonics.
+/// Number of higher coefficients per colour channel at a degree of the spherical harmonics.
 pub(super) const fn rest_per_channel(degree: usize) -> usize {
     (degree + 1) * (degree + 1) - 1
 }
 
-/// The degree that `rest` properties `f_rest_*` belong to, if any.
+/// The degree with `rest` properties `f_rest_*`, if there is one.
 pub(super) fn degree_of_rest(rest: usize) -> Option<usize> {
     (0..=MAX_DEGREE).find(|&degree| 3 * rest_per_channel(degree) == rest)
 }
@@ -43,9 +43,10 @@ pub(super) fn names(degree: usize) -> Vec<String> {
     names
 }
 
-/// Where a property is kept; `None` for one that Gaussians do not have.
+/// The slot of a property; `None` if Gaussians do not have it.
 ///
-/// Called for every value of a file, 62 million times for a large scene: a `match` on the name, not a hash map.
+/// The function is called for every value of a file, 62 million times for a large scene, so it is a `match` on the name, not a
+/// hash map.
 pub(super) fn slot(name: &str) -> Option<usize> {
     Some(match name {
         "x" => MEAN,
@@ -66,7 +67,7 @@ pub(super) fn slot(name: &str) -> Option<usize> {
     })
 }
 
-/// The number of `f_rest_<number>`, if it is below that of [`MAX_DEGREE`] and written without leading zeros.
+/// The number of `f_rest_<number>`, if it occurs at [`MAX_DEGREE`] and is written without leading zeros.
 fn rest_index(name: &str) -> Option<usize> {
     let index = match name.strip_prefix("f_rest_")?.as_bytes() {
         [one @ b'0'..=b'9'] => usize::from(one - b'0'),
@@ -76,11 +77,11 @@ fn rest_index(name: &str) -> Option<usize> {
     (index < SLOTS - REST).then_some(index)
 }
 
-/// The values of one Gaussian, at the place that [`slot`] gives.
+/// The values of one Gaussian, by [`slot`].
 pub(super) struct Row([f32; SLOTS]);
 
 impl Row {
-    /// Row `i` of the scene. All fields must be that long.
+    /// Copies row `i` of the scene. All fields must have that row.
     pub(super) fn of(rows: &GaussianRows, i: usize) -> Self {
         let mut row = Self::new();
         let values = &mut row.0;
@@ -99,7 +100,7 @@ impl Row {
         row
     }
 
-    /// Appends the row to a scene, whose degree says how many coefficients count.
+    /// Appends the row to a scene, whose degree gives the number of coefficients.
     pub(super) fn push_to(&self, rows: &mut GaussianRows) {
         let three = |slot: usize| [self.0[slot], self.0[slot + 1], self.0[slot + 2]];
         rows.means.push(three(MEAN));
@@ -149,7 +150,7 @@ impl PropertyAccess for Row {
     }
 }
 
-/// The row of an element that is only skipped.
+/// The row of an element that is skipped.
 pub(super) struct Skipped;
 
 impl PropertyAccess for Skipped {

@@ -10,7 +10,7 @@ use super::row::{names, rest_per_channel};
 use super::{PlyError, read, write};
 use crate::gaussians::GaussianRows;
 
-/// Rows whose values all differ, so that any swap of two shows.
+/// Rows whose values all differ, so that tests detect a swap of any two.
 fn numbered_rows(count: usize, sh_degree: usize) -> GaussianRows {
     let mut next = 0;
     let mut value = || {
@@ -29,7 +29,7 @@ fn numbered_rows(count: usize, sh_degree: usize) -> GaussianRows {
     rows
 }
 
-/// Equality of bits, which `==` on floats is not.
+/// The bits of all values, because `==` on floats does not compare bits.
 fn bits(rows: &GaussianRows) -> Vec<u32> {
     let fields: [Vec<f32>; 6] = [
         rows.means.concat(),
@@ -95,7 +95,7 @@ fn an_empty_scene_round_trips() {
     assert_eq!(round_trip(&rows, DVec3::ZERO), (rows, DVec3::ZERO));
 }
 
-/// The layout byte by byte, against the description of the original code rather than against our reader.
+/// Checks the layout byte by byte against the description of the original code, not against our reader.
 #[test]
 fn the_layout_is_that_of_the_original_code() {
     let rows = numbered_rows(2, 1);
@@ -307,7 +307,7 @@ fn rows_that_do_not_belong_together_are_not_written() {
 fn a_failed_write_leaves_the_old_file_and_nothing_else() {
     let folder = TempDir::new().unwrap();
     let path = folder.path().join("scene.ply");
-    // A folder of that name: the rename at the end must fail.
+    // The rename at the end must fail, because a folder has that name.
     fs::create_dir(&path).unwrap();
     assert!(matches!(write(&path, &numbered_rows(2, 0), DVec3::ZERO), Err(PlyError::Io { .. })));
     assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
@@ -379,7 +379,7 @@ proptest! {
     }
 }
 
-/// The promise is 5 s each way at release; run with `--ignored --nocapture` to see the times.
+/// The limit is 5 s each way in release builds; run with `--ignored --nocapture` to see the times.
 #[test]
 #[ignore = "writes 248 MB"]
 fn a_million_splats_load_and_save_in_seconds() {

@@ -1,4 +1,4 @@
-//! Writing: binary little endian, first under a temporary name.
+//! Writing as binary little endian, first under a temporary name.
 
 use std::io::{self, Write};
 use std::path::Path;
@@ -12,7 +12,7 @@ use super::{ORIGIN_COMMENT, PlyError, VERTEX};
 use crate::gaussians::GaussianRows;
 use crate::replace::{Refused, replace};
 
-/// Writes a scene whose positions are relative to `origin` (world frame, scene units; zero if they are not).
+/// Writes a scene whose positions are relative to `origin` (world frame, scene units; zero without an origin).
 ///
 /// The file appears under its name only when it is complete; a file that was there before is replaced.
 ///
@@ -57,10 +57,10 @@ pub(crate) fn check(path: &Path, rows: &GaussianRows, origin: DVec3) -> Result<(
     }
 }
 
-/// Writes what [`write()`] puts into a file, to anything. The rows fit together ([`GaussianRows::check`]).
+/// Writes the bytes of a file of [`write()`] to `out`. The rows must fit together ([`GaussianRows::check`]).
 ///
 /// # Errors
-/// If it cannot be written to.
+/// If `out` cannot be written to.
 pub fn write_to(out: &mut impl Write, rows: &GaussianRows, origin: DVec3) -> io::Result<()> {
     let header = header(rows, origin);
     let writer = Writer::<Row>::new();
@@ -86,7 +86,7 @@ fn header(rows: &GaussianRows, origin: DVec3) -> Header {
     header
 }
 
-/// The comment that carries an origin, if there is one.
+/// The comment that holds an origin; `None` for an origin of zero.
 pub(crate) fn origin_comment(origin: DVec3) -> Option<String> {
     // `{:?}` of an f64 is the shortest text that reads back as the same number.
     (origin != DVec3::ZERO).then(|| format!("{ORIGIN_COMMENT}{:?} {:?} {:?}", origin.x, origin.y, origin.z))

@@ -1,7 +1,7 @@
-//! States in files: safetensors, which other programs open, with the facts and a checksum among the metadata.
+//! State files: safetensors, which other programs can open, with the facts and a checksum in the metadata.
 //!
-//! The checksum is the SHA-256 of all names, shapes, values and facts. A file appears whole or not at all, and is on the disk
-//! before it takes its name.
+//! The checksum is the SHA-256 of all names, shapes, values and facts. A file is written under a temporary name and renamed
+//! when it is complete and on the disk.
 
 use std::borrow::Cow;
 use std::collections::HashMap;
@@ -15,46 +15,46 @@ use thiserror::Error;
 
 use super::{Array, State};
 
-/// What [`FORMAT`] is found under.
+/// Metadata key of [`FORMAT`].
 const FORMAT_KEY: &str = "splat_state";
 
-/// Of the file, not of what the parts of a run mean by their entries.
+/// Version of the file format. The meaning of the entries is not part of it.
 const FORMAT: &str = "1";
 
-/// What the checksum is found under.
+/// Metadata key of the checksum.
 const CHECKSUM_KEY: &str = "sha256";
 
-/// What the names of facts begin with, among the metadata.
+/// Prefix of the metadata keys of facts.
 const FACT: &str = "fact:";
 
-/// A state that cannot be written or read.
+/// A state that cannot be written or read. Each message names the file.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum FileError {
-    /// The operating system refused.
+    /// The operating system reported an error.
     #[error("{path}: could not {action}: {source}", path = path.display())]
     Io {
         /// The file.
         path: PathBuf,
-        /// What was tried, with the remedy where there is one.
+        /// The attempted action, with the remedy if there is one.
         action: &'static str,
         /// The system's reason.
         source: io::Error,
     },
-    /// It is no file of ours, or one of another version.
+    /// The file is not a state, or has another version of the format.
     #[error("{path}: {found}, expected a state of the format {FORMAT}: read it with the version that wrote it", path = path.display())]
     Format {
         /// The file.
         path: PathBuf,
-        /// What it is instead.
+        /// The content that was found.
         found: String,
     },
-    /// Not what was written.
+    /// The file is damaged.
     #[error("{path}: the file is damaged: {detail}", path = path.display())]
     Damaged {
         /// The file.
         path: PathBuf,
-        /// How that is known.
+        /// The reason.
         detail: String,
     },
 }
@@ -78,10 +78,10 @@ impl View for &Array {
 }
 
 impl State {
-    /// Writes it to a file, which replaces the one of that name once all of it is on the disk.
+    /// Writes the state to a file. An existing file is replaced once the new one is complete and on the disk.
     ///
     /// # Errors
-    /// If it cannot be written; then what was there still is.
+    /// If the file cannot be written. An existing file then stays unchanged.
     pub fn write(&self, path: &Path) -> Result<(), FileError> {
         let temporary = temporary(path);
         let written = self.write_to(&temporary).and_then(|()| {
@@ -105,14 +105,14 @@ impl State {
             SafeTensorError::IoError(source) => source,
             other => io::Error::other(other),
         })?;
-        // Opened for writing, which some systems ask for.
+        // The file is opened for writing, because some systems require it.
         File::options().append(true).open(path)?.sync_all()
     }
 
-    /// Reads one that [`Self::write`] wrote.
+    /// Reads a file that [`Self::write`] wrote.
     ///
     /// # Errors
-    /// If it cannot be read, is of another format, or is not what was written.
+    /// If the file cannot be read, has another format, or is damaged.
     pub fn read(path: &Path) -> Result<Self, FileError> {
         let io = |source| FileError::Io { path: path.to_owned(), action: "read it", source };
         let damaged = |detail: String| FileError::Damaged { path: path.to_owned(), detail };
@@ -139,14 +139,14 @@ impl State {
         state.facts = metadata.into_iter().filter_map(fact).collect();
         match state.checksum() == checksum {
             true => Ok(state),
-            false => Err(damaged("its checksum is not that of its contents".into())),
+            false => Err(damaged("its checksum does not match its contents".into())),
         }
     }
 
-    /// In hexadecimal digits.
+    /// The checksum in hexadecimal digits.
     fn checksum(&self) -> String {
         let mut hash = Sha256::new();
-        // Lengths first, so that no two states have one sequence of bytes.
+        // Each entry begins with its length, so that different states never give the same bytes.
         let mut add = |bytes: &[u8]| {
             hash.update((bytes.len() as u64).to_le_bytes());
             hash.update(bytes);
@@ -164,12 +164,12 @@ impl State {
     }
 }
 
-/// One name for all, in the same folder: what a killed process leaves is overwritten by the next.
+/// One temporary name for all states of a folder, so that the next process overwrites what a killed one left.
 fn temporary(path: &Path) -> PathBuf {
     path.with_file_name(".state.tmp")
 }
 
-/// So that the new name outlives a loss of power too. Some systems have no such thing.
+/// Writes the folder's entry to the disk, so that the new name survives a power loss. Some systems do not support it.
 fn sync_folder(path: &Path) {
     if let Some(folder) = path.parent().and_then(|folder| File::open(folder).ok()) {
         let _ = folder.sync_all();
@@ -212,7 +212,7 @@ mod tests {
                 let mut changed = bytes.clone();
                 changed[at] ^= 1 << bit;
                 fs::write(&path, changed).unwrap();
-                // Blanks between header and data mean nothing.
+                // Blanks between header and data have no meaning.
                 let found = State::read(&path);
                 let harmless = found.as_ref().is_ok_and(|found| *found == state());
                 assert!(found.is_err() || harmless && bytes[at] == b' ', "byte {at}, bit {bit}: {found:?}");
@@ -246,7 +246,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.safetensors");
         state().write(&path).unwrap();
-        // In the way of the temporary file.
+        // A folder in place of the temporary file.
         fs::create_dir(folder.path().join(".state.tmp")).unwrap();
         let error = State::default().write(&path).unwrap_err().to_string();
         assert!(error.contains("a.safetensors") && error.contains("room"), "{error}");

@@ -123,8 +123,8 @@ fn targets_choose_from_what_was_measured() {
     assert!(ended.stderr.contains("accuracy: ") && ended.stderr.contains("dB against the exact render"));
     let dials = &json(&out.join("metrics.json"))["options"]["dials"];
     assert_eq!((&dials["alpha_min"], &dials["transmittance_min"]), (&"2^-26".into(), &"0".into()), "{dials}");
-    refuse(&mut with(&["--frontier", frontier, "--target-error", "250"]), &["within 250 dB", "dB in "]);
-    refuse(&mut with(&["--frontier", frontier, "--target-ms", "1e-6"]), &["keeps to", "for a frame"]);
+    refuse(&mut with(&["--frontier", frontier, "--target-error", "250"]), &["reaches 250 dB", "dB in "]);
+    refuse(&mut with(&["--frontier", frontier, "--target-ms", "1e-6"]), &["takes at most", "for a frame"]);
     refuse(&mut with(&["--frontier", frontier]), &["--target-error"]);
     refuse(&mut with(&["--target-ms=-1"]), &["--target-ms", "positive"]);
     let none = ["--frontier", "nowhere/pareto.json", "--target-ms", "5"];

@@ -1,4 +1,4 @@
-//! The three readers and the writer, on models made here and on real captures.
+//! Tests of the three readers and the writer, on small models and on real captures.
 
 mod binary_files;
 mod real;
@@ -50,14 +50,14 @@ fn file(entries: &[Vec<u8>]) -> Vec<u8> {
     bytes
 }
 
-/// At `centre`, looking along the world's z.
+/// Pose of a camera at `centre` that looks along the world's z.
 fn looking_from(centre: [f64; 3]) -> [f64; 7] {
     let [x, y, z] = centre;
     [1.0, 0.0, 0.0, 0.0, -x, -y, -z]
 }
 
-/// The files of a small valid model: two images listed against their order by name, a camera that no image uses, and a
-/// point with an empty track.
+/// The files of a small valid model: two images in reverse order of their names, a camera that no image uses, and a point with
+/// an empty track.
 fn small_model() -> [(&'static str, Vec<u8>); 3] {
     let cameras = [
         camera(4, 1, [40, 30], &[50.0, 51.0, 20.5, 15.5]),
@@ -89,7 +89,7 @@ fn folder<B: AsRef<[u8]>>(model: &str, files: &[(&str, B)]) -> tempfile::TempDir
     folder
 }
 
-/// The message of loading a small model of which one file was replaced; it must name that file.
+/// The error message of a small model with one file replaced; it must name that file.
 fn message_with(name: &str, bytes: &[u8]) -> String {
     let folder = folder("sparse/0", &small_model());
     let replaced = folder.path().join("sparse/0").join(name);
@@ -146,7 +146,7 @@ fn of_several_models_the_largest_is_taken_and_said() {
     put(root.path(), "0", Some(&single));
     put(root.path(), "10", None);
     put(root.path(), "2", None);
-    // Not a model, and not complete.
+    // The first is not a model, the second is incomplete.
     fs::create_dir_all(root.path().join("sparse/geo")).unwrap();
     fs::create_dir_all(root.path().join("sparse/1")).unwrap();
     let capture = load(root.path()).unwrap();
@@ -158,7 +158,7 @@ fn of_several_models_the_largest_is_taken_and_said() {
     fs::remove_dir_all(root.path().join("sparse/10")).unwrap();
     let capture = load(root.path()).unwrap();
     assert_eq!((capture.views.len(), capture.remarks.len()), (1, 0));
-    // One that cannot be read is not passed over.
+    // An unreadable model is not skipped.
     put(root.path(), "2", None);
     fs::write(root.path().join("sparse/2/images.bin"), [1, 2]).unwrap();
     assert!(load(root.path()).unwrap_err().to_string().contains("sparse/2"));
@@ -199,7 +199,7 @@ fn tracks_lead_to_views_and_keypoints() {
     let mut seen = point([1.0, -2.0, 3.5], [255, 0, 7], 0);
     seen.truncate(seen.len() - 8);
     seen.extend(5_u64.to_le_bytes());
-    // An image and a keypoint that are not there among them.
+    // The track includes an image and a keypoint that do not exist.
     seen.extend([2_u32, 1, 8, 0, 3, 0, 8, 2, 2, 0].map(u32::to_le_bytes).concat());
     let [cameras, images, _] = small_model();
     let points = ("points3D.bin", file(&[point([0.25, 0.5, 0.75], [1, 2, 3], 0), seen]));
@@ -266,7 +266,7 @@ fn a_model_without_images_is_refused() {
     assert_says(&message_with("images.bin", &file(&[])), &["no images", "Run the reconstruction again"]);
 }
 
-/// The same capture, moved as a geo-referenced one is.
+/// The same capture, offset like a geo-referenced one.
 #[test]
 fn a_capture_far_from_zero_is_moved_next_to_it() {
     let offset = DVec3::new(6.4e6, -2.5e5, 1.25e5);

@@ -25,7 +25,7 @@ fn lit(glossy: bool) -> LitScene {
     LitScene::new(Scene::still_life(&DemoOptions { glossy, ..SMALL }))
 }
 
-/// Every file below a folder, by its path.
+/// The content of every file below a folder, by its path.
 fn files(folder: &Path) -> BTreeMap<String, Vec<u8>> {
     let mut found = BTreeMap::new();
     for entry in fs::read_dir(folder).unwrap() {
@@ -108,7 +108,7 @@ fn every_ray_meets_a_surface_that_faces_it() {
     }
 }
 
-/// Whatever is skipped to save time, the nearest surface is found.
+/// Shortcuts that save time do not change the nearest surface.
 #[test]
 fn skipping_changes_nothing() {
     let scene = lit(false).scene;
@@ -136,7 +136,7 @@ fn every_point_is_seen_by_two_cameras() {
     for (point, position) in cloud.positions.iter().enumerate() {
         assert!(tracks.of(point).len() >= 2);
         let position = glam::Vec3::from(*position).as_dvec3();
-        // Stored as f32: the ray that looks for it may pass a surface at a distance that differs by rounding.
+        // Positions are stored as f32, so the ray to a point may meet a surface at a distance that differs by rounding.
         let seen = cameras.iter().filter(|camera| {
             camera.project(position).filter(|&at_px| camera.shows(at_px)).is_some_and(|at_px| {
                 let first = scene.scene.hit(&camera.ray_through(at_px)).unwrap().distance;
@@ -196,7 +196,7 @@ fn a_folder_that_cannot_be_made_is_named() {
     assert!(message.contains("images") && message.contains("writable"), "{message}");
 }
 
-/// The promise is about 6 s on 2 cores; run with `--ignored --nocapture` to see the time. `SPLAT_DEMO` keeps the files.
+/// The documented time is about 6 s on 2 cores; run with `--ignored --nocapture` to see the time. `SPLAT_DEMO` keeps the files.
 #[test]
 #[ignore = "renders the whole capture"]
 fn the_default_capture_takes_seconds() {

@@ -98,7 +98,7 @@ fn each_side_keeps_at_least_a_pixel() {
     }
 }
 
-/// Left half opaque and orange, right half transparent: black, as renderers leave it, or any other colour.
+/// The left half is opaque and orange. The right half is transparent: black, as renderers leave it, or any other colour.
 #[test]
 fn transparent_colours_do_not_bleed_across_an_edge() {
     for hidden in [[0, 0, 0], [0, 255, 0]] {
@@ -117,7 +117,7 @@ fn transparent_colours_do_not_bleed_across_an_edge() {
     }
 }
 
-/// Orientation 6, "turn by 90° to show", as a phone held upright writes it.
+/// Orientation 6, "turn by 90° to show", as in pictures of a phone held upright.
 #[test]
 fn rotation_tags_are_not_applied() {
     let folder = tempfile::tempdir().unwrap();
@@ -186,7 +186,7 @@ fn a_giant_header_is_refused_unless_the_camera_is_as_large() {
     assert_says(&message(&view), &["is 65535 × 65535 px", "expected 16 × 8 px"]);
 }
 
-/// Of a PNG chunk, bit by bit.
+/// Checksum of a PNG chunk, computed bit by bit.
 fn crc32(bytes: &[u8]) -> u32 {
     !bytes.iter().fold(u32::MAX, |crc, &byte| {
         (0..8).fold(crc ^ u32::from(byte), |crc, _| (crc >> 1) ^ (0xEDB8_8320 * (crc & 1)))

@@ -1,4 +1,4 @@
-//! Files written here in every variant, what is refused, and a real capture.
+//! Tests of files in every variant, of refused files, and of a real capture.
 
 mod lenses;
 mod refused;
@@ -11,10 +11,10 @@ use crate::capture::image as photos;
 use crate::capture::testing::real_capture;
 use crate::effects::masks;
 
-/// A camera at (1, 2, 3) whose right is the world's y, whose up is its z, and which looks along −x.
+/// A camera at (1, 2, 3) that looks along −x, with the world's y to its right and the world's z up.
 const LOOKING_BACK: &str = "[[0, 0, 1, 1], [1, 0, 0, 2], [0, 1, 0, 3], [0, 0, 0, 1]]";
 
-/// A folder with these files; pictures, 8 × 6 px, where the text is empty.
+/// A folder with these files. A file with an empty text is a picture of 8 × 6 px.
 fn folder(files: &[(&str, &str)]) -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
     for (name, text) in files {
@@ -36,7 +36,7 @@ fn names(capture: &Capture) -> Vec<&str> {
     capture.views.iter().map(|view| view.name.as_str()).collect()
 }
 
-/// A capture of one `transforms.json`, which names no picture without telling its size.
+/// Loads a capture of one `transforms.json`, which states the size of every picture that it names.
 fn single(text: &str) -> Result<Capture, CaptureError> {
     Capture::load(folder(&[(SINGLE, text)]).path())
 }
@@ -60,7 +60,7 @@ fn a_camera_that_looks_at_a_point_has_it_in_the_middle_of_its_picture() {
     let back = (eye - target).normalize();
     let right = DVec3::Z.cross(back).normalize();
     let up = back.cross(right);
-    // Three digits, as some exporters round to: the reader must make a rotation of it.
+    // Some exporters round to three digits; the reader must restore a rotation.
     let row = |axis: usize| format!("[{:.3}, {:.3}, {:.3}, {}]", right[axis], up[axis], back[axis], eye[axis]);
     let matrix = format!("[{}, {}, {}]", row(0), row(1), row(2));
     let text = format!(
@@ -112,7 +112,7 @@ fn nerf_synthetic_loads_with_its_split() {
     assert!(capture.points.positions.is_empty());
     assert_eq!(photos::load_all(&capture.views, None, |_| ()).unwrap().len(), 3);
 
-    // Asked for a count, it is counted; without a test of its own, validation is it.
+    // A given interval takes precedence. Without test photographs, the validation photographs are held out.
     assert_eq!(Split::of(&capture, None).test, [0]);
     assert_eq!(Split::of(&capture, Some(2)).test, [0, 2]);
     fs::remove_file(root.path().join("transforms_test.json")).unwrap();
@@ -121,7 +121,7 @@ fn nerf_synthetic_loads_with_its_split() {
     assert_eq!(capture.split, Some(Split { train: vec![0, 1], test: vec![2] }));
     fs::remove_file(root.path().join("transforms_val.json")).unwrap();
     let capture = Capture::load(root.path()).unwrap();
-    assert_eq!((capture.split.as_ref(), Split::of(&capture, None).test), (None, vec![0]), "none of its own: counted");
+    assert_eq!((capture.split.as_ref(), Split::of(&capture, None).test), (None, vec![0]), "no split in the files");
 }
 
 #[test]
@@ -184,7 +184,7 @@ fn a_complete_colmap_model_comes_first() {
     let text = format!(r#"{{"w": 8, "h": 6, "fl_x": 8, "frames": [{}]}}"#, frame("json.png"));
     let cameras = ("sparse/0/cameras.txt", "1 PINHOLE 8 6 8 8 4 3\n");
     let root = folder(&[(SINGLE, &text), cameras]);
-    assert_eq!(names(&Capture::load(root.path()).unwrap()), ["json.png"], "a model without images is none");
+    assert_eq!(names(&Capture::load(root.path()).unwrap()), ["json.png"], "a model without images is not used");
     fs::write(root.path().join("sparse/0/images.txt"), "1 1 0 0 0 0 0 0 1 colmap.png\n\n").unwrap();
     assert_eq!(names(&Capture::load(root.path()).unwrap()), ["colmap.png"]);
 }
@@ -200,7 +200,7 @@ fn the_real_lego_has_its_split_and_alpha() {
     for view in &capture.views {
         let camera = view.intrinsics;
         assert_eq!((camera.width, camera.height), (400, 400));
-        // 200 / tan(0.6911112 / 2), as everybody has it for half the size: 1111.11 px for 800.
+        // 200 / tan(0.6911112 / 2), half of the usual 1111.11 px for 800 px.
         assert!((camera.fx - 555.555_5).abs() < 1e-3, "{}", camera.fx);
         let middle = view.cam_from_world.transform_point3(DVec3::ZERO);
         assert!((middle.z - 4.031).abs() < 0.01 && middle.truncate().length() < 0.05, "{}: {middle}", view.name);

@@ -1,19 +1,18 @@
-//! SuperSplat's compressed PLY, as PlayCanvas' engine, SuperSplat and `splat-transform` read and write it (read from the
-//! sources of `splat-transform` 2.7.1, `compressed-chunk.ts` and `decompress-ply.ts`). No crate was found that packs it.
+//! SuperSplat's compressed PLY, as PlayCanvas' engine, SuperSplat and `splat-transform` read and write it (from the sources of
+//! `splat-transform` 2.7.1, `compressed-chunk.ts` and `decompress-ply.ts`). No crate was found that packs it.
 //!
-//! Gaussians come in chunks of 256, neighbours in space. Elements, of which rows are as many as there are Gaussians unless
-//! said otherwise:
+//! Gaussians are stored in chunks of 256 neighbours in space. Each element has one row per Gaussian unless stated otherwise:
 //!
 //! | element | property | holds |
 //! |---|---|---|
-//! | `chunk`, a row for each 256 | `min_x` … `max_z`, `min_scale_x` … `max_scale_z`, `min_r` … `max_b` (`float`) | the chunk's smallest and largest centre, logarithm of the standard deviation, and colour `0.5 + 0.28209479 f_dc`; logarithms are written within ±20; files without colours mean 0 to 1 |
+//! | `chunk`, a row for each 256 | `min_x` … `max_z`, `min_scale_x` … `max_scale_z`, `min_r` … `max_b` (`float`) | the chunk's smallest and largest centre, logarithm of the standard deviation, and colour `0.5 + 0.28209479 f_dc`; logarithms are written within ±20; in files without colours the range is 0 to 1 |
 //! | `vertex` | `packed_position` (`uint`) | `x` 11 bits, `y` 10, `z` 11, from the highest bit on: 0 is the chunk's smallest, all ones its largest |
-//! | | `packed_rotation` | 2 bits for which of `w x y z` is the largest, then 10 bits for each other from −√½ to √½ |
+//! | | `packed_rotation` | 2 bits for the index of the largest of `w x y z`, then 10 bits for each other component from −√½ to √½ |
 //! | | `packed_scale` | as the position |
 //! | | `packed_color` | red, green and blue in the chunk's range, opacity from 0 to 1: 8 bits each |
 //! | `sh`, absent at degree 0 | `f_rest_0` … (`uchar`) | higher coefficients from −4 to 4 in 256 steps, all of red, then green, then blue; degree 1 to 3 |
 //!
-//! Frames, axes and harmonics are those of the original layout ([`crate::ply`]), and so is the comment with the origin.
+//! Frames, axes, harmonics and the comment with the origin are as in the original layout ([`crate::ply`]).
 
 mod pack;
 mod read;
@@ -32,10 +31,10 @@ use crate::ply::VERTEX;
 /// The highest degree of the spherical harmonics.
 pub(super) const DEGREE_MAX: usize = 3;
 
-/// Gaussians that share a range.
+/// Number of Gaussians that share a range.
 const CHUNK: usize = 256;
 
-/// Whether a PLY file's header is of this layout.
+/// Whether a PLY file's header has this layout.
 pub(super) fn is_compressed(header: &Header) -> bool {
     header.elements.get(VERTEX).is_some_and(|vertex| vertex.properties.contains_key(row::PACKED[0]))
 }

@@ -1,4 +1,4 @@
-//! Gaussians as words of bits, and back. See the table of [this folder](super).
+//! Packing of Gaussians into words of bits, and unpacking. See the table of [this folder](super).
 
 use std::f64::consts::{FRAC_1_SQRT_2, SQRT_2};
 
@@ -6,44 +6,44 @@ use super::row::{Levels, Ranges, Words};
 use crate::formats::{DC, opacity, quaternion};
 use crate::gaussians::GaussianRows;
 
-/// Where a position's or a scale's three axes begin in their word, and how many bits each has.
+/// First bit and number of bits of each axis in the word of a position or a scale.
 const AXES: [(u32, u32); 3] = [(21, 11), (11, 10), (0, 11)];
 
-/// Where the first of three such ranges begins in [`Ranges`]: smallest values, and three further the largest.
+/// Index of each quantity in [`Ranges`]: its three smallest values, then its three largest.
 const POSITION: usize = 0;
 const SCALE: usize = 6;
 const COLOUR: usize = 12;
 
-/// Logarithms of standard deviations are taken within ± this, as `splat-transform` has it: one that is all but zero would take the
-/// bits from a whole chunk.
+/// Logarithms of standard deviations are clamped to ± this, as in `splat-transform`, because a single size near zero would take
+/// the precision of a whole chunk.
 const SCALE_MAX: f32 = 20.0;
 
-/// Steps of a higher coefficient from −4 to 4.
+/// Number of steps of a higher coefficient from −4 to 4.
 const STEPS: f64 = 256.0;
 
-/// The largest number of so many bits.
+/// The largest integer of `bits` bits.
 fn most(bits: u32) -> f64 {
     f64::from((1_u32 << bits) - 1)
 }
 
-/// A share of a range, 0 to 1, in so many bits.
+/// Quantises a share of a range, 0 to 1, to `bits` bits.
 fn level(share: f64, bits: u32) -> u32 {
     // The cast clamps from below.
     (share * most(bits)).round().min(most(bits)) as u32
 }
 
-/// The share that some bits of a word stand for.
+/// The share of a range, 0 to 1, from `bits` bits of a word at `shift`.
 fn share(word: u32, shift: u32, bits: u32) -> f64 {
     f64::from(word >> shift & ((1 << bits) - 1)) / most(bits)
 }
 
-/// Colours by channel as chunks have them.
+/// Colours by channel, as stored in chunks.
 fn colour(dc: &[f32; 3]) -> [f32; 3] {
     dc.map(|dc| (0.5 + DC * f64::from(dc)) as f32)
 }
 
 impl Ranges {
-    /// Of the rows `of`, at least one.
+    /// Computes the ranges of the rows `of`, at least one.
     pub fn around(rows: &GaussianRows, of: std::ops::Range<usize>) -> Self {
         let mut ranges = [0.0; 18];
         let mut span = |at: usize, values: &mut dyn Iterator<Item = [f32; 3]>| {
@@ -64,7 +64,7 @@ impl Ranges {
         Self(ranges)
     }
 
-    /// The range of an axis, in f64: the difference of two f32 may be larger than one.
+    /// The range of an axis, in f64, because the difference of two f32 values may overflow f32.
     fn of(&self, at: usize, axis: usize) -> (f64, f64) {
         (f64::from(self.0[at + axis]), f64::from(self.0[at + 3 + axis]))
     }
@@ -91,7 +91,7 @@ impl Ranges {
         })
     }
 
-    /// Row `i` of a scene that this range is around.
+    /// Packs row `i` of a scene; its values lie within these ranges.
     pub fn pack(&self, rows: &GaussianRows, i: usize) -> Words {
         let (largest, three) = quaternion::smallest_three(rows.rotations[i]);
         let rotation =
@@ -106,7 +106,7 @@ impl Ranges {
         ])
     }
 
-    /// Appends a Gaussian, but for its higher coefficients.
+    /// Appends a Gaussian without its higher coefficients.
     pub fn unpack_to(&self, words: &Words, rows: &mut GaussianRows) {
         let Words([position, rotation, scale, colours]) = *words;
         rows.means.push(self.unpack_axes(POSITION, position));
@@ -122,7 +122,7 @@ impl Ranges {
 }
 
 impl Levels {
-    /// Of the higher coefficients of a row, channels innermost.
+    /// Quantises the higher coefficients of a row, channels innermost.
     pub fn of(rest: &[f32]) -> Self {
         let mut levels = [0; _];
         let per_channel = rest.len() / 3;
@@ -133,8 +133,8 @@ impl Levels {
         Self(levels)
     }
 
-    /// The `per_channel` coefficients of each channel, channels innermost. A level is the middle of its step; the first and the
-    /// last are the ends.
+    /// The `per_channel` coefficients of each channel, channels innermost. A level stands for the middle of its step, the first
+    /// and the last level for the ends of the range.
     pub fn values(&self, per_channel: usize) -> impl Iterator<Item = f32> {
         (0..3 * per_channel).map(move |i| {
             let share = match self.0[i % 3 * per_channel + i / 3] {

@@ -1,4 +1,4 @@
-//! Reading: elements in any order, and any encoding that PLY has.
+//! Reading of files with elements in any order and in any encoding of PLY.
 
 use std::path::Path;
 
@@ -51,7 +51,7 @@ pub fn read(path: &Path, mut input: Input, header: &Header) -> Result<(GaussianR
     Ok((rows, origin))
 }
 
-/// Refuses what no Gaussian can be made of; the degree of the spherical harmonics.
+/// Refuses files that do not describe Gaussians, and returns the degree of the spherical harmonics.
 fn check(
     path: &Path,
     header: &Header,
@@ -63,7 +63,7 @@ fn check(
         .elements
         .get(CHUNKS)
         .ok_or_else(|| broken(format!("no element `{CHUNKS}`, expected a row for each {CHUNK} of `{VERTEX}`")))?;
-    // Colours have ranges altogether or not at all.
+    // Either all channels of the colours have ranges or none.
     let ranges = if RANGES[12..].iter().any(|name| chunks.properties.contains_key(*name)) { 18 } else { 12 };
     require(path, chunks, &RANGES[..ranges])?;
     require(path, vertex, &PACKED)?;
@@ -103,7 +103,7 @@ fn of_type(element: &ElementDef, which: impl Fn(&str) -> bool, wanted: &ScalarTy
     };
     match element.properties.values().find(wrong) {
         Some(property) => Err(format!(
-            "`{}` of `{}` is not of the type `{name}`, as expected",
+            "`{}` of `{}` is not of the expected type `{name}`",
             brief(&property.name),
             brief(&element.name)
         )),

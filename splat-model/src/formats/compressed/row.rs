@@ -1,4 +1,4 @@
-//! Rows of the three elements, and which property goes where.
+//! Rows of the three elements, and the slot of each property.
 
 use ply_rs_bw::ply::{Property, PropertyAccess, PropertyAccessResult};
 
@@ -8,7 +8,7 @@ pub(super) const CHUNKS: &str = "chunk";
 /// The element that holds higher coefficients.
 pub(super) const HARMONICS: &str = "sh";
 
-/// Properties of a chunk; files from before colours had ranges lack the last six.
+/// Properties of a chunk. Old files without ranges of colours lack the last six.
 pub(super) const RANGES: [&str; 18] = [
     "min_x",
     "min_y",
@@ -33,7 +33,7 @@ pub(super) const RANGES: [&str; 18] = [
 /// Properties of a Gaussian.
 pub(super) const PACKED: [&str; 4] = ["packed_position", "packed_rotation", "packed_scale", "packed_color"];
 
-/// Higher coefficients at degree 3.
+/// Number of higher coefficients at degree 3.
 const COEFFICIENTS: usize = 45;
 
 /// The ranges of a chunk, in the order of [`RANGES`].
@@ -94,7 +94,7 @@ impl PropertyAccess for Words {
     }
 }
 
-/// The higher coefficients of a Gaussian as the file has them, channel by channel.
+/// The higher coefficients of a Gaussian in the order of the file, channel by channel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Levels(pub [u8; COEFFICIENTS]);
 

@@ -19,7 +19,7 @@ fn round_trip(rows: &GaussianRows) -> (GaussianRows, GaussianRows) {
     (written, formats::read(&path).unwrap().0.rows)
 }
 
-/// Half a step of each number of bits, and what f32 adds to it.
+/// Checks that each error is at most half a step of the quantisation, plus rounding in f32.
 fn assert_within_bits(written: &GaussianRows, read: &GaussianRows) {
     assert_eq!(written.len(), read.len());
     let half = |low: f32, high: f32, bits: u32| {
@@ -96,7 +96,7 @@ fn one_place_is_no_reason_to_divide_by_zero() {
     assert_within_bits(&written, &read);
 }
 
-/// A Gaussian whose size has gone to nothing leaves the others theirs.
+/// A Gaussian of vanishing size does not reduce the precision of the others.
 #[test]
 fn sizes_beyond_all_bounds_take_no_bits_from_others() {
     let mut runner = proptest::test_runner::TestRunner::deterministic();
@@ -113,7 +113,7 @@ fn sizes_beyond_all_bounds_take_no_bits_from_others() {
     }
 }
 
-/// A header and rows by hand; what it asks for is not there, or not as it should be.
+/// Headers and rows written by hand, in which a part is missing or wrong.
 #[test]
 fn what_is_missing_is_named() {
     let folder = TempDir::new().unwrap();
@@ -129,7 +129,7 @@ fn what_is_missing_is_named() {
         formats::read(&path).map(|(scene, _)| scene.rows).map_err(|error| error.to_string())
     };
     assert_eq!(read(&whole).unwrap().len(), 1);
-    // Ranges of colours may be missing: then they go from 0 to 1.
+    // Ranges of colours may be missing; the colours then range from 0 to 1.
     let old = whole.lines().filter(|line| !line.ends_with("_r") && !line.ends_with("_g") && !line.ends_with("_b"));
     let old = read(&(old.collect::<Vec<_>>().join("\n") + "\n")).unwrap();
     assert!((old.sh_dc[0][0] + 0.5 / 0.28209479).abs() < 1e-6, "{old:?}");
@@ -159,7 +159,8 @@ fn what_is_missing_is_named() {
     }
 }
 
-/// `splat-transform` wrote both from the same PLY; what it lost stands in the second (see `tests/scenes/README.md`).
+/// `splat-transform` wrote both files from the same PLY; the second holds the values after its loss (see
+/// `tests/scenes/README.md`).
 #[test]
 fn files_of_splat_transform_are_read_as_it_reads_them() {
     let (scene, format) = formats::read(&fixture("splat-transform.compressed.ply")).unwrap();
@@ -169,7 +170,7 @@ fn files_of_splat_transform_are_read_as_it_reads_them() {
     let loss = Loss::between(&theirs.rows, &scene.rows);
     assert!(loss.position.largest < 1e-6 && loss.scale.largest < 1e-5 && loss.colour.largest < 1e-6, "{loss:?}");
     assert!(loss.rotation.largest < 1e-3 && loss.opacity.largest < 1e-3 && loss.harmonics.largest < 1e-6, "{loss:?}");
-    // And it is the scene that they were given, in another order.
+    // The scene equals the one that they were given, in another order.
     let given = formats::read(&fixture("given.ply")).unwrap().0.rows;
     let mut in_their_order = GaussianRows { sh_degree: 3, ..GaussianRows::default() };
     for mean in &scene.rows.means {

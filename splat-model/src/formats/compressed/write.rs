@@ -1,4 +1,4 @@
-//! Writing: binary little endian, the elements in the order in which SuperSplat writes them.
+//! Writing as binary little endian, with the elements in SuperSplat's order.
 
 use std::io::{self, Write};
 use std::path::Path;

@@ -1,10 +1,10 @@
-//! From right-down-front to right-up-back and back, which is the same: half a turn about `x`.
+//! Conversion between right-down-front and right-up-back. Both directions are half a turn about `x`.
 
-/// Signs of a position's axes, and of a rotation's components `x y z`: of a half turn about `x` both have the same.
+/// Signs of a position's axes under half a turn about `x`; the components `x y z` of a rotation have the same signs.
 pub(super) const AXES: [f32; 3] = [1.0, -1.0, -1.0];
 
-/// Sign of the spherical harmonic `k ≥ 1` in the order of the coefficients, `k = l² + l + m`. It is odd in `y` where `m < 0`, and
-/// odd in `z` where `l + m` is.
+/// Sign of the spherical harmonic `k ≥ 1` in the order of the coefficients, `k = l² + l + m`. It is odd in `y` where `m < 0`,
+/// and odd in `z` where `l + m` is odd.
 pub(super) fn sign(k: usize) -> f32 {
     let l = k.isqrt();
     let m = k as isize - (l * l + l) as isize;

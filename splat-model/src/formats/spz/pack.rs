@@ -1,4 +1,4 @@
-//! Gaussians as bytes, and back. See the table of [this folder](super).
+//! Packing of Gaussians into bytes, and unpacking. See the table of [this folder](super).
 
 use std::f64::consts::FRAC_1_SQRT_2;
 
@@ -8,36 +8,36 @@ use super::frame::{AXES, sign};
 use crate::formats::{opacity, quaternion};
 use crate::gaussians::GaussianRows;
 
-/// The share of a colour's range that one of the coefficient is.
+/// Share of a colour's range that one unit of the coefficient covers.
 const COLOUR: f64 = 0.15;
 
-/// The largest position of 24 bits.
+/// The largest position in 24 bits.
 const MOST: f64 = 8_388_607.0;
 
-/// Bits of a fraction at most, so that readers' `1 << bits` has room.
+/// Maximum number of fractional bits, so that `1 << bits` in readers does not overflow.
 const FRACTION_MAX: u32 = 24;
 
-/// Sizes of a rotation's component.
+/// Largest stored magnitude of a rotation's component.
 const SIZES: f64 = 511.0;
 
-/// What a header says of the sections.
+/// The layout of the sections, from the header.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Layout {
-    /// 1 to 4.
+    /// Version of the format, 1 to 4.
     pub version: u32,
-    /// Gaussians.
+    /// Number of Gaussians.
     pub count: usize,
     /// Degree of the spherical harmonics.
     pub sh_degree: usize,
-    /// Bits of a position's fraction.
+    /// Number of fractional bits of positions.
     pub fraction: u32,
 }
 
-/// How many sections there are.
+/// Number of sections.
 pub(super) const SECTIONS: usize = 6;
 
 impl Layout {
-    /// Bytes of a Gaussian in each section.
+    /// Number of bytes of a Gaussian in each section.
     pub fn bytes(&self) -> [usize; SECTIONS] {
         let position = if self.version == 1 { 6 } else { 9 };
         let rotation = if self.version < 3 { 3 } else { 4 };
@@ -45,7 +45,7 @@ impl Layout {
     }
 }
 
-/// Bits of a fraction that leave room for all positions.
+/// The largest number of fractional bits with which all positions fit.
 pub(super) fn fraction(rows: &GaussianRows) -> u32 {
     let farthest = rows.means.as_flattened().iter().fold(0.0_f64, |far, x| far.max(f64::from(x.abs())));
     let fits = |bits: &u32| (farthest * f64::from(1_u32 << bits)).round() <= MOST;
@@ -57,7 +57,7 @@ fn byte(value: f64) -> u8 {
     value.round() as u8
 }
 
-/// The bytes of all Gaussians, section by section, as version 3 has them.
+/// The bytes of all Gaussians, section by section, in the layout of version 3.
 pub(super) fn pack(rows: &GaussianRows, fraction: u32) -> [Vec<u8>; SECTIONS] {
     let unit = f64::from(1_u32 << fraction);
     let positions = rows.means.iter().flat_map(|mean| {
@@ -91,7 +91,7 @@ fn pack_rotation(&[w, x, y, z]: &[f32; 4]) -> u32 {
     })
 }
 
-/// The Gaussians of sections that are as long as the layout says.
+/// Unpacks Gaussians from sections of the lengths that the layout states.
 pub(super) fn unpack(layout: &Layout, sections: &[Vec<u8>; SECTIONS]) -> GaussianRows {
     let [positions, opacities, colours, scales, rotations, harmonics] = sections;
     let three = |values: Vec<f32>| values.as_chunks::<3>().0.to_vec();
@@ -99,7 +99,7 @@ pub(super) fn unpack(layout: &Layout, sections: &[Vec<u8>; SECTIONS]) -> Gaussia
         1 => positions.as_chunks().0.iter().map(|&bytes| f16::from_le_bytes(bytes).to_f32()).collect(),
         _ => {
             let unit = f64::from(1_u32 << layout.fraction);
-            // In the upper three bytes the sign is where it belongs.
+            // In the upper three bytes the sign bit is in its place.
             let steps = |&[a, b, c]: &[u8; 3]| i32::from_le_bytes([0, a, b, c]) >> 8;
             positions.as_chunks().0.iter().map(|bytes| (f64::from(steps(bytes)) / unit) as f32).collect()
         }

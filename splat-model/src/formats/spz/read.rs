@@ -1,4 +1,4 @@
-//! Reading, without believing what a header says before the bytes are there.
+//! Reading, without trusting a header before the bytes it claims have been read.
 
 use std::fs::File;
 use std::io::{self, BufRead, BufReader, Read, Seek, SeekFrom};
@@ -14,28 +14,28 @@ use super::pack::{Layout, SECTIONS, unpack};
 use super::{ANTIALIASED, GZIP, MAGIC};
 use crate::formats::{Format, FormatError, Scene};
 
-/// Bytes that one byte of a file can stand for: the most that deflate makes of it (zlib's documentation), and more than any
-/// scene needs with zstd.
+/// Maximum number of bytes that one byte of a file can expand to: the limit of deflate (zlib's documentation), and more than
+/// any scene needs with zstd.
 const EXPANSION_MAX: u64 = 1_032;
 
-/// Bits of a fraction that 32 have room for.
+/// Maximum number of fractional bits, which fit into 32 bits.
 const FRACTION_MAX: u32 = 30;
 
-/// Bytes behind the sections that are looked at for gzip's checksum, which is the last: extensions are short.
+/// Maximum number of bytes read after the sections, to verify gzip's checksum at the end; extensions are short.
 const EXTENSIONS_MAX: u64 = 1 << 24;
 
-/// The window that any zstd file may have (RFC 8878).
+/// Window size that any zstd file may use, bytes (RFC 8878).
 const WINDOW: u64 = 8 << 20;
 
-/// Whether a file that begins so may be one.
+/// Whether a file with these first bytes may be an SPZ file.
 pub fn is_spz(first: &[u8]) -> bool {
     first.starts_with(&GZIP) || first.starts_with(&MAGIC)
 }
 
-/// Reads a file of which [`is_spz`] holds.
+/// Reads a file that [`is_spz`] accepts.
 pub fn read(path: &Path) -> Result<Scene, FormatError> {
     let file = File::open(path).map_err(FormatError::io(path, "open the scene (is the path right?)"))?;
-    let bytes = file.metadata().map_err(FormatError::io(path, "learn the size of the file"))?.len();
+    let bytes = file.metadata().map_err(FormatError::io(path, "read the size of the file"))?.len();
     let mut file = BufReader::with_capacity(1 << 20, file);
     let is_gzip = file.fill_buf().map_err(FormatError::io(path, "read the scene"))?.starts_with(&GZIP);
     let of = Of { path, bytes };
@@ -43,7 +43,7 @@ pub fn read(path: &Path) -> Result<Scene, FormatError> {
     Ok(Scene { rows: unpack(&layout, &sections), origin: DVec3::ZERO, antialiased: flags & ANTIALIASED != 0 })
 }
 
-/// A layout, flags and the sections.
+/// The layout, flags and sections of a file.
 type Found = (Layout, u8, [Vec<u8>; SECTIONS]);
 
 /// The file that is read.
@@ -58,7 +58,7 @@ impl Of<'_> {
         FormatError::broken(self.path, Format::Spz, detail)
     }
 
-    /// So many bytes of what is called `name`. Memory grows with those that are there.
+    /// Reads exactly `bytes` bytes; `name` describes them in messages. Memory grows only with bytes that exist.
     fn exactly(&self, source: &mut impl Read, name: &str, bytes: usize) -> Result<Vec<u8>, FormatError> {
         let mut found = Vec::new();
         let read = source.take(bytes as u64).read_to_end(&mut found);
@@ -78,9 +78,9 @@ impl Of<'_> {
         for ((section, each), name) in sections.iter_mut().zip(layout.bytes()).zip(NAMES) {
             *section = self.exactly(&mut stream, name, each * layout.count)?;
         }
-        // The checksum is looked at when the stream has ended.
+        // The checksum is verified at the end of the stream.
         io::copy(&mut stream.take(EXTENSIONS_MAX), &mut io::sink())
-            .map_err(|error| self.broken(format!("behind the last section: {error}")))?;
+            .map_err(|error| self.broken(format!("after the last section: {error}")))?;
         Ok((layout, flags, sections))
     }
 
@@ -89,13 +89,13 @@ impl Of<'_> {
         let header = self.exactly(&mut file, "header", 32)?;
         let (layout, flags) = self.layout(&header, 4..=4)?;
         let sizes = layout.bytes().map(|each| each * layout.count);
-        // Sections of no bytes have no stream.
+        // Empty sections have no stream.
         let wanted: Vec<usize> = (0..SECTIONS).filter(|&section| sizes[section] > 0).collect();
         let (streams, table) = (usize::from(header[15]), number(&header[16..20]));
         let mut at = table + 16 * streams as u64;
         if streams != wanted.len() || table < 32 || at > self.bytes {
             return Err(self.broken(format!(
-                "a table of {streams} streams at byte {table}, expected {} within the {} bytes of the file and behind its first 32",
+                "a table of {streams} streams at byte {table}, expected {} within the {} bytes of the file and after its first 32",
                 wanted.len(),
                 self.bytes
             )));
@@ -127,7 +127,8 @@ impl Of<'_> {
         file.seek(SeekFrom::Start(to)).map_err(FormatError::io(self.path, "read the scene")).map(drop)
     }
 
-    /// What the 16 bytes say that all versions begin with, and the flags. Refuses more Gaussians than the file can hold.
+    /// Parses the 16 bytes that all versions begin with. Returns the layout and the flags. Refuses more Gaussians than the file
+    /// can hold.
     fn layout(&self, header: &[u8], versions: RangeInclusive<u32>) -> Result<(Layout, u8), FormatError> {
         if header[..4] != MAGIC {
             let found = header[..4].escape_ascii();
@@ -152,7 +153,7 @@ impl Of<'_> {
         let needed = layout.bytes().iter().map(|each| *each as u64 * count as u64).sum::<u64>();
         if needed > EXPANSION_MAX.saturating_mul(self.bytes) {
             return Err(self.broken(format!(
-                "the header claims {count} Gaussians, {needed} bytes, more than {} bytes can be the compressed form of",
+                "the header claims {count} Gaussians, {needed} bytes, more than a file of {} bytes can hold",
                 self.bytes
             )));
         }
@@ -160,10 +161,10 @@ impl Of<'_> {
     }
 }
 
-/// Of the sections, in messages.
+/// Names of the sections, for messages.
 const NAMES: [&str; SECTIONS] = ["positions", "opacities", "colours", "scales", "rotations", "harmonics"];
 
-/// Little endian.
+/// Parses a little-endian number.
 fn number(bytes: &[u8]) -> u64 {
     bytes.iter().rev().fold(0, |number, byte| number << 8 | u64::from(*byte))
 }

@@ -23,11 +23,12 @@ fn read(path: &Path) -> GaussianRows {
     formats::read(path).unwrap().0.rows
 }
 
-/// Rounding of harmonics to eight bits before they are rounded to fewer, as the reference does; here they are rounded once.
+/// Additional error of the reference, which rounds harmonics to eight bits before it rounds them to fewer; here they are
+/// rounded once.
 const TWICE: f32 = 0.5 / 128.0;
 const ONCE: f32 = 1e-6;
 
-/// Half a step of each number of bits; that of positions is `fraction` bits.
+/// Checks that each error is at most half a step of the quantisation; positions have `fraction` fractional bits.
 fn assert_within_bits(written: &GaussianRows, read: &GaussianRows, fraction: i32, more: f32) {
     let loss = Loss::between(written, read);
     let half = 0.5 / 2.0_f64.powi(fraction);
@@ -56,7 +57,7 @@ proptest! {
         let folder = TempDir::new().unwrap();
         let path = folder.path().join("scene.spz");
         let written = written(&rows, &path);
-        // 23 bits below the sign, and none more than 24 for a fraction.
+        // 23 bits below the sign, at most 24 of them fractional.
         let fraction = (22 - reach.log2().floor() as i32).min(24);
         assert_within_bits(&written, &read(&path), fraction - 1, ONCE);
     }
@@ -97,10 +98,10 @@ fn what_is_out_of_range_is_taken_to_its_edge() {
     let read = read(&path);
     assert_eq!(read.means, [[8_388_607.0, -8_388_607.0, 0.0]]);
     assert_eq!(read.log_scales, [[-10.0, 5.9375, 0.0]]);
-    // The same rotation as its negative.
+    // A quaternion and its negative are the same rotation.
     assert_eq!(read.rotations, [[0.0, 0.0, 0.0, -1.0]]);
     assert!((read.sh_dc[0][0] - 10.0 / 3.0).abs() < 1e-5 && (read.sh_dc[0][1] + 10.0 / 3.0).abs() < 1e-5, "{read:?}");
-    // The second harmonic, of `z`, changes its sign on the way: so does the end of the range that is nearer.
+    // The second harmonic, of `z`, changes its sign, so the nearer end of the range changes too.
     assert_eq!(read.sh_rest[..3], [1.0, -127.0 / 128.0, 0.0]);
 }
 
@@ -116,7 +117,7 @@ fn header(version: u32, count: u32, sh_degree: u8, fraction: u8) -> Vec<u8> {
     bytes
 }
 
-/// Files that no writer of today makes.
+/// Files of versions that current writers no longer write.
 #[test]
 fn versions_one_and_two_are_read() {
     let folder = TempDir::new().unwrap();
@@ -196,7 +197,7 @@ fn a_changed_byte_is_found_by_the_checksum() {
     assert!(message.contains("checksum"), "{message}");
 }
 
-/// The scene as a reader gets it, against what was written.
+/// Compares the scene that the crate `spz` reads with the written rows.
 fn assert_read(path: &Path, written: &GaussianRows) {
     use spz::{CoordinateSystem, GaussianSplat, UnpackOptions};
     let options = UnpackOptions::builder().to_coord_system(CoordinateSystem::RDF).build();
@@ -218,7 +219,7 @@ fn assert_read(path: &Path, written: &GaussianRows) {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(12))]
 
-    /// Another project's crate reads what is written here: bits, frame and all.
+    /// Another project's crate reads our files, including their bits and frame.
     #[test]
     fn the_crate_spz_reads_our_files(rows in (0_usize..=3).prop_flat_map(|degree| rows(30, degree, 7.0))) {
         let folder = TempDir::new().unwrap();
@@ -228,7 +229,7 @@ proptest! {
     }
 }
 
-/// `splat-transform`, which uses the reference implementation, wrote these; what it lost stands in the last (see
+/// `splat-transform`, which uses the reference implementation, wrote these files; the last holds the values after its loss (see
 /// `tests/scenes/README.md`).
 #[test]
 fn files_of_the_reference_are_read_as_it_reads_them() {

@@ -1,4 +1,4 @@
-//! Writing: version 3.
+//! Writing of version 3.
 
 use std::io::{self, Write};
 use std::path::Path;
@@ -19,7 +19,7 @@ pub fn write(path: &Path, rows: &GaussianRows, antialiased: bool) -> Result<(), 
 fn write_to(out: &mut impl Write, rows: &GaussianRows, antialiased: bool) -> io::Result<()> {
     let count = u32::try_from(rows.len()).map_err(|_| io::Error::other("more Gaussians than the format can count"))?;
     let fraction = fraction(rows);
-    // Without a time, so that the same scene is the same file.
+    // The stream has no timestamp, so that the same scene gives the same file.
     let mut stream = GzBuilder::new().write(out, Compression::default());
     stream.write_all(&MAGIC)?;
     stream.write_all(&3_u32.to_le_bytes())?;

@@ -1,23 +1,23 @@
-//! The networks as tables, and what follows from them: how many features a picture has, and what pixels one looks at.
+//! Tables of the networks, and what follows from them: the number of features of a picture, and their receptive fields.
 //!
-//! The tables are those of torchvision's `alexnet` and `vgg16` up to their last feature that LPIPS looks at; a layer's number
-//! is its place in torchvision's `features`, where ReLUs and pools count too.
+//! The tables are those of torchvision's `alexnet` and `vgg16` up to the last feature that LPIPS uses. The number of a layer is
+//! its index in torchvision's `features`, where ReLUs and pools count too.
 
 use std::ops::Range;
 
-/// Taps, and with them slices, of either network.
+/// Number of taps, and so of slices, of either network.
 pub const TAPS: usize = 5;
 
-/// What a feature is made by. Every convolution is followed by a ReLU.
+/// A layer of a network. Every convolution is followed by a ReLU.
 #[derive(Clone, Copy, Debug)]
 pub enum Layer {
-    /// To so many channels, with a bias.
+    /// Convolution to `channels` channels, with a bias.
     Conv { number: usize, channels: usize, window: Window },
-    /// Greatest value of the window, which does not reach beyond the border.
+    /// Maximum over the window, which does not extend beyond the border.
     Pool { window: Window },
 }
 
-/// A square window, px of the layer before.
+/// A square window, in pixels of the previous layer.
 #[derive(Clone, Copy, Debug)]
 pub struct Window {
     pub side: usize,
@@ -43,7 +43,7 @@ pub enum Net {
     Vgg,
 }
 
-/// Layers between two taps: the features after the last are compared.
+/// The layers between two taps. The features after the last layer are compared.
 pub type Slice = &'static [Layer];
 
 const fn conv(number: usize, channels: usize, side: usize, stride: usize, padding: usize) -> Layer {
@@ -71,7 +71,7 @@ const VGG: [Slice; TAPS] = [
 ];
 
 impl Net {
-    /// As `lpips.LPIPS(net=…)` calls it.
+    /// Name of the network, as in `lpips.LPIPS(net=…)`.
     pub fn name(self) -> &'static str {
         match self {
             Self::Alex => "alex",
@@ -79,7 +79,7 @@ impl Net {
         }
     }
 
-    /// Layers up to each of the features that are compared.
+    /// The layers up to each of the compared features.
     pub fn slices(self) -> [Slice; TAPS] {
         match self {
             Self::Alex => ALEX,
@@ -92,7 +92,7 @@ impl Net {
         (1..).find(|side| self.features(*side).is_some()).expect("no table makes a picture shorter without end")
     }
 
-    /// Features along a side of so many pixels, by tap; none if some tap has none.
+    /// Number of features along a side of `side` pixels, by tap; `None` if a tap has none.
     pub fn features(self, side: usize) -> Option<[usize; TAPS]> {
         let mut length = side;
         let mut features = [0; TAPS];
@@ -105,7 +105,7 @@ impl Net {
         Some(features)
     }
 
-    /// What a feature of each tap looks at.
+    /// The receptive field of a feature, by tap.
     pub fn views(self) -> [View; TAPS] {
         let mut view = View { stride: 1, before: 0, after: 0 };
         self.slices().map(|slice| {
@@ -119,8 +119,8 @@ impl Net {
     }
 }
 
-/// Along either side of a picture: feature `i` looks at the pixels from `i · stride − before` to `i · stride + after`, both
-/// included. Those outside the picture are zeros, in the first layer or between layers.
+/// Receptive field along either side of a picture: feature `i` depends on the pixels from `i · stride − before` to
+/// `i · stride + after`, both included. Pixels outside the picture are zeros, in the first layer or between layers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct View {
     pub stride: usize,
@@ -131,27 +131,28 @@ pub struct View {
 /// A part of a side, px.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Part {
-    /// Whose features are wanted: those of every tap that begin here, `i · stride` being in it.
+    /// The pixels whose features belong to the part: the features of every tap for which `i · stride` lies here.
     pub core: Range<usize>,
-    /// What they look at, and what keeps features where they are: its start is a multiple of every stride.
+    /// The pixels that these features depend on. The start is a multiple of every stride, so that features keep their
+    /// positions.
     pub seen: Range<usize>,
-    /// Whether this is the last part, whose features go on to the side's end.
+    /// Whether this is the last part, whose features extend to the end of the side.
     pub is_last: bool,
 }
 
 impl Part {
-    /// Which of the features of `seen` are wanted, of `length` that a tap with this stride has there.
+    /// The range of features that belong to the part, among the `length` features that a tap with this stride has for `seen`.
     pub fn wanted(&self, stride: usize, length: usize) -> Range<usize> {
         let local = |at: usize| (at / stride - self.seen.start / stride).min(length);
         local(self.core.start)..if self.is_last { length } else { local(self.core.end) }
     }
 }
 
-/// Cuts a side into parts of at most `most` pixels, of which each sees all that its features look at. The features that
-/// the network makes of a part are those that it makes of the whole, and every feature is wanted of one part.
+/// Cuts a side into parts of at most `most` pixels. Each part includes the receptive fields of its features, so the network
+/// computes the same features for the part as for the whole picture. Every feature belongs to exactly one part.
 ///
 /// # Panics
-/// If `most` is too short to hold more than what lies around a core.
+/// If `most` leaves no room for a core between its margins.
 pub fn parts(net: Net, side: usize, most: usize) -> Vec<Part> {
     if side <= most {
         return vec![Part { core: 0..side, seen: 0..side, is_last: true }];
@@ -161,7 +162,7 @@ pub fn parts(net: Net, side: usize, most: usize) -> Vec<Part> {
     let reach = |of: fn(&View) -> usize| views.iter().map(of).max().unwrap_or_default().next_multiple_of(grid);
     let (before, after) = (reach(|view| view.before), reach(|view| view.after));
     let room = most.checked_sub(before + after).map_or(0, |room| room / grid * grid);
-    assert!(room > 0, "parts of {most} px hold no more than what lies around a core: {before} + {after} px");
+    assert!(room > 0, "parts of {most} px leave no room for a core between margins of {before} + {after} px");
     let core = side.div_ceil(side.div_ceil(room)).next_multiple_of(grid);
     let starts = (0..side).step_by(core);
     let part = |start: usize| {

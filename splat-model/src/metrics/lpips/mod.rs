@@ -1,18 +1,18 @@
-//! LPIPS: how different two pictures look, by the features that a network trained on photographs sees in them.
+//! LPIPS: the perceptual difference of two pictures, by the features of a network trained on photographs.
 //!
-//! Zhang et al. 2018, "The unreasonable effectiveness of deep features as a perceptual metric", in the version 0.1 of the
-//! authors' package `lpips`. With `f` and `g` the features of the two pictures after a tap `l` of the network, unit vectors over
-//! the channels `c` at each place `p`,
+//! Zhang et al. 2018, "The unreasonable effectiveness of deep features as a perceptual metric", in version 0.1 of the authors'
+//! package `lpips`. With `f` and `g` the features of the two pictures after tap `l` of the network, normalised to unit length
+//! over the channels `c` at each position `p`,
 //!
 //! ```text
 //! LPIPS = Σ_l  mean_p  Σ_c  w_lc (f_lcp − g_lcp)²
 //! ```
 //!
-//! with weights `w ≥ 0` fitted to the judgement of people. Nothing of a network is in this crate: [`Lpips::read`] takes the
-//! weights from a file, whose names and whose export `docs/METRICS.md` describes.
+//! with weights `w ≥ 0` fitted to human judgements. This crate contains no network weights: [`Lpips::read`] reads them from a
+//! file. `docs/METRICS.md` describes the names in that file and how to export it.
 //!
-//! Large pictures are compared in parts, with what the features of each look at around it, and the means are over the whole:
-//! the values are those of the whole picture, and the memory is bounded.
+//! Large pictures are compared in parts that include the receptive fields of their features, and the means are over the whole
+//! picture. The values are those of the whole picture, and the memory is bounded.
 
 mod layers;
 mod weights;
@@ -27,32 +27,33 @@ pub use self::layers::Net;
 use self::layers::{Layer, Part, TAPS, Window, parts};
 pub use self::weights::WeightsError;
 
-/// Of the package's `normalize_tensor`, added to the length of a vector of features.
+/// Added to the length of a feature vector, as in the package's `normalize_tensor`.
 const LENGTH_EPSILON: f64 = 1e-10;
 
-/// Of the package's `ScalingLayer`: the mean and the deviation of photographs' colours, from −1 to 1.
+/// Mean and deviation of the colours of photographs on a scale from −1 to 1, from the package's `ScalingLayer`.
 const SHIFT: [f32; 3] = [-0.030, -0.088, -0.188];
 const SCALE: [f32; 3] = [0.458, 0.448, 0.450];
 
-/// The longest side of a part on a CPU, px: one that takes some 1.5 GB with either network.
+/// The longest side of a part on a CPU, px. Such a part takes about 1.5 GB with either network.
 const MOST_ON_CPU: usize = 1088;
 
-/// The same on a GPU: its largest tensor, of 64 channels, is within the 128 MiB that every adapter has for a buffer.
+/// The longest side of a part on a GPU, px. The largest tensor of such a part, of 64 channels, fits into the 128 MiB that every
+/// adapter supports for a buffer.
 const MOST_ON_GPU: usize = 720;
 
-/// What the network is given of a picture from 0 to 1.
+/// The range of the network's input, for pictures from 0 to 1.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Input {
     /// −1 to 1, as the network's scaling expects.
     #[default]
     Scaled,
-    /// 0 to 1 as it is, as the evaluation of 3D Gaussian splatting's original implementation has it, and those that compare
-    /// with its numbers. Values are lower than those of [`Self::Scaled`] as a rule.
+    /// 0 to 1, unscaled, as in the evaluation of 3D Gaussian splatting's original implementation and in work that compares with
+    /// its numbers. Values are usually lower than those of [`Self::Scaled`].
     Unscaled,
 }
 
 impl Input {
-    /// The range that the network is given.
+    /// The range as text.
     pub fn range(self) -> &'static str {
         match self {
             Self::Scaled => "-1..1",
@@ -61,20 +62,20 @@ impl Input {
     }
 }
 
-/// A picture that the network makes no features of.
+/// A picture that is too small for the network.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 #[error(
-    "the picture is {width} x {height} px, and the network {} of LPIPS needs {least} px or more each way",
+    "the picture is {width} x {height} px, and the network {} of LPIPS needs at least {least} px in each direction",
     net.name()
 )]
 pub struct TooSmall {
-    /// Of the picture, px.
+    /// Width of the picture, px.
     pub width: usize,
-    /// Of the picture, px.
+    /// Height of the picture, px.
     pub height: usize,
-    /// The shortest side that will do, px.
+    /// Minimum length of each side, px.
     pub least: usize,
-    /// The network that was asked.
+    /// The network.
     pub net: Net,
 }
 
@@ -85,14 +86,14 @@ struct Convolution {
     bias: Tensor<1>,
 }
 
-/// The metric: a network with its weights on a device. Gradients are not followed.
+/// The metric: a network with its weights on a device. Gradients are not tracked.
 #[derive(Clone, Debug)]
 pub struct Lpips {
     net: Net,
     input: Input,
-    /// In the order of the network's layers.
+    /// Convolutions, in the order of the network's layers.
     convolutions: Vec<Convolution>,
-    /// By tap, `[1, C]`.
+    /// Weights of the taps, `[1, C]` each.
     linear: Vec<Tensor<2>>,
     device: Device,
     /// The longest side of a part, px.
@@ -105,16 +106,16 @@ impl Lpips {
         self.net
     }
 
-    /// What it is given of a picture.
+    /// The range of the network's input.
     pub fn input(&self) -> Input {
         self.input
     }
 
-    /// LPIPS of `image` and `truth`, `[H, W, 3]` each, RGB from 0 to 1, clamped first as a screen would: 0 for equal pictures,
-    /// and rarely above 1. NaN if either holds what is not finite.
+    /// LPIPS of `image` and `truth`, `[H, W, 3]` each, RGB from 0 to 1, clamped first. Equal pictures have 0, and values above
+    /// 1 are rare. NaN if either picture holds a value that is not finite.
     ///
     /// # Errors
-    /// If the pictures have no features at some tap of the network.
+    /// [`TooSmall`] if the pictures have no features at some tap of the network.
     ///
     /// # Panics
     /// If the pictures differ in size.
@@ -141,13 +142,13 @@ impl Lpips {
         Ok((0..TAPS).map(|tap| sums[tap] / (rows[tap] * columns[tap]) as f64).sum())
     }
 
-    /// `[1, 3, H, W]` on the network's device.
+    /// The picture as `[1, 3, H, W]` on the network's device, clamped to 0..1.
     fn placed(&self, picture: Tensor<3>) -> Tensor<4> {
         let picture = picture.inner().cast(DType::F32).to_device(&self.device).clamp(0.0, 1.0);
         picture.permute([2, 0, 1]).unsqueeze()
     }
 
-    /// By tap: the sum over the features that are wanted of a part of both pictures.
+    /// The weighted squared differences of a part of both pictures by tap, summed over the features that belong to the part.
     fn compare(&self, pictures: &[Tensor<4>; 2], row: &Part, column: &Part) -> [f64; TAPS] {
         let [mut a, mut b] = pictures
             .each_ref()
@@ -176,17 +177,17 @@ impl Lpips {
                         unit(wanted.permute([0, 2, 3, 1]).reshape([height * width, channels]))
                     });
                     let distances = ((a - b).square() * linear.clone()).sum_dim(1);
-                    // By rows: a backend may add a million numbers one after the other.
+                    // Summed by rows, because a backend may add a million numbers one after the other.
                     distances.reshape([height, width]).sum_dim(1).sum()
                 }
             });
         }
-        // Read together: each reading waits for the device.
+        // Read together, because each read waits for the device.
         let sums: Vec<f64> = Tensor::cat(sums, 0).into_data().iter::<f64>().collect();
         sums.try_into().expect("a sum for every tap")
     }
 
-    /// As the network wants its colours.
+    /// Scales colours to the network's input.
     fn scaled(&self, picture: Tensor<4>) -> Tensor<4> {
         let picture = match self.input {
             Input::Scaled => picture * 2.0 - 1.0,
@@ -208,8 +209,8 @@ fn pooled(features: Tensor<4>, Window { side, stride, .. }: Window) -> Tensor<4>
     max_pool2d(features, MaxPoolOptions::new([side; 2]).with_stride([stride; 2]))
 }
 
-/// Unit vectors from rows of features, and zeros where there is none. Rows, because Burn 0.22.1 fuses the sum over the channels of a
-/// convolution's `[1, C, 1, 1]` with the root of it into a kernel for GPUs that gives something else.
+/// Normalises rows of features to unit length; rows of zeros stay zero. The features are rows because Burn 0.22.1 fuses the sum
+/// over the channels of a convolution's `[1, C, 1, 1]` and its square root into a GPU kernel with a wrong result.
 fn unit(features: Tensor<2>) -> Tensor<2> {
     let length = features.clone().square().sum_dim(1).sqrt();
     features / (length + LENGTH_EPSILON)

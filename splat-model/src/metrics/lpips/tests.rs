@@ -14,7 +14,7 @@ use super::*;
 /// Tensors by name: shape and values.
 pub(crate) type Tensors = BTreeMap<String, (Vec<usize>, Vec<f32>)>;
 
-/// Weights at random of the size that keeps features as large as they are.
+/// Random weights, scaled so that features keep their magnitude.
 pub(crate) fn tensors(net: Net) -> Tensors {
     let mut rng = ChaCha8Rng::seed_from_u64(3);
     let mut tensors = Tensors::new();
@@ -37,7 +37,7 @@ pub(crate) fn tensors(net: Net) -> Tensors {
     tensors
 }
 
-/// A file of tensors, in a folder that goes with it.
+/// Writes tensors to a file, and returns it with its folder.
 fn file(tensors: &Tensors) -> (TempDir, PathBuf) {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("weights.safetensors");
@@ -69,7 +69,7 @@ fn a_picture_in_parts_has_the_value_of_the_whole() {
         let (image, truth) = (noise(height, width), noise(height, width));
         let expected = whole.distance(image.clone(), truth.clone()).unwrap();
         let found = in_parts.distance(image, truth).unwrap();
-        // The same features; sums of them in another order.
+        // The features are the same; their sums are in another order.
         assert!((found / expected - 1.0).abs() < 1e-6 && expected > 1e-3, "{net:?}: {found}, {expected}");
     }
 }
@@ -82,7 +82,7 @@ fn equal_pictures_are_at_no_distance_and_others_are() {
     let found = lpips.distance(image.clone(), other.clone()).unwrap();
     assert!(found > 1e-3);
     assert_eq!(lpips.distance(other, image.clone()), Ok(found));
-    // What a screen cannot show is not there.
+    // Values outside the range of a screen are clamped.
     assert_eq!(lpips.distance(image.clone() * 0.0 + 7.0, image.clone() * 0.0 + 1.0), Ok(0.0));
 }
 
@@ -108,7 +108,7 @@ fn pictures_without_features_are_refused() {
     assert!(lpips.distance(noise(31, 31), noise(31, 31)).is_ok());
 }
 
-/// What is said of a file after a change to it.
+/// The error message for a file after a change to its tensors.
 fn refusal(change: impl FnOnce(&mut Tensors)) -> String {
     let mut tensors = tensors(Net::Alex);
     change(&mut tensors);
@@ -165,7 +165,7 @@ fn other_types_and_other_files_are_refused() {
     }
     fs::write(&path, [whole.as_slice(), &[0]].concat()).unwrap();
     assert!(matches!(read(), Err(WeightsError::Format { .. })));
-    // A header that promises more than there is must not be believed.
+    // The header claims more bytes than the file holds.
     fs::write(&path, [&u64::MAX.to_le_bytes(), whole.as_slice()].concat()).unwrap();
     assert!(matches!(read(), Err(WeightsError::Format { .. })));
     let half = [0_u8; 64 * 3 * 11 * 11 * 2];

@@ -13,20 +13,20 @@ use thiserror::Error;
 use super::layers::{Layer, Net};
 use super::{Convolution, Input, Lpips, MOST_ON_CPU, MOST_ON_GPU};
 
-/// Of a file. All of torchvision's VGG16, with the layers that LPIPS has no use for, is 553 MB.
+/// Largest size of a file, bytes. Torchvision's complete VGG16, including the layers that LPIPS does not use, is 553 MB.
 const MOST_BYTES: u64 = 600_000_000;
 
-/// The tensor that tells networks apart.
+/// The tensor whose shape identifies the network.
 const FIRST: &str = "net.slice1.0.weight";
 
-/// The file's names that a message tells.
+/// Number of tensor names that a message lists.
 const NAMES_TOLD: usize = 6;
 
-/// Weights that cannot be read.
+/// Weights that cannot be read. Each message names the file.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum WeightsError {
-    /// The operating system refused.
+    /// The operating system reported an error.
     #[error("{path}: could not read the weights of LPIPS: {source}", path = path.display())]
     Io {
         /// The file.
@@ -34,59 +34,60 @@ pub enum WeightsError {
         /// The system's reason.
         source: io::Error,
     },
-    /// No file of safetensors, or a damaged one.
+    /// The file is not a safetensors file, or is damaged.
     #[error(
-        "{path}: the weights of LPIPS are to be in a safetensors file, and this is none: {detail}; docs/METRICS.md has the \
-         command that writes one",
+        "{path}: not a safetensors file: {detail}; expected the weights of LPIPS, docs/METRICS.md has the \
+         command that exports them",
         path = path.display()
     )]
     Format {
         /// The file.
         path: PathBuf,
-        /// How that is known.
+        /// The reason.
         detail: String,
     },
-    /// Tensors, but not those of a network that is known here.
+    /// The tensors do not belong to a supported network.
     #[error(
         "{path}: {found}, expected the weights of LPIPS with the network alex (AlexNet) or vgg (VGG16), as docs/METRICS.md \
-         has them",
+         describes them",
         path = path.display()
     )]
     Network {
         /// The file.
         path: PathBuf,
-        /// What it is instead.
+        /// The tensors that were found, in words.
         found: String,
     },
-    /// One of the network's tensors is not what it has to be.
-    #[error("{path}: `{name}` of the network {} {found}, expected {expected}; docs/METRICS.md has all names", net.name(), path = path.display())]
+    /// A tensor of the network is missing or wrong.
+    #[error("{path}: `{name}` of the network {} {found}, expected {expected}; docs/METRICS.md lists all names", net.name(), path = path.display())]
     Tensor {
         /// The file.
         path: PathBuf,
         /// The tensor's name.
         name: String,
-        /// The network that the first layer is of.
+        /// The network, identified by its first layer.
         net: Net,
-        /// What it is.
+        /// What was found.
         found: String,
-        /// What it has to be.
+        /// What was expected.
         expected: String,
     },
 }
 
 impl Lpips {
-    /// Reads the weights of a network, which their shapes tell, and puts them on a device. Tensors of other names are left alone.
+    /// Reads the weights of a network and moves them to a device. The shape of the first layer identifies the network. Tensors
+    /// with other names are ignored.
     ///
     /// # Errors
-    /// If the file cannot be read or is none of safetensors, its tensors are of no known network, or one of them is missing or has
-    /// another shape or type, values that are not finite, or, in a linear layer, negative ones.
+    /// If the file cannot be read or is not a safetensors file, if its tensors belong to no supported network, or if one of
+    /// them is missing, has another shape or type, or holds values that are not finite or, in a linear layer, negative.
     pub fn read(path: &Path, input: Input, device: &Device) -> Result<Self, WeightsError> {
         let io = |source| WeightsError::Io { path: path.to_owned(), source };
         let format = |detail: String| WeightsError::Format { path: path.to_owned(), detail };
         let mut bytes = Vec::new();
         File::open(path).map_err(io)?.take(MOST_BYTES + 1).read_to_end(&mut bytes).map_err(io)?;
         if bytes.len() as u64 > MOST_BYTES {
-            return Err(format(format!("it is larger than {} MB, which no network here is", MOST_BYTES / 1_000_000)));
+            return Err(format(format!("it is larger than {} MB, more than any network", MOST_BYTES / 1_000_000)));
         }
         let tensors = SafeTensors::deserialize(&bytes).map_err(|error| format(error.to_string()))?;
         let net = network(&tensors).map_err(|found| WeightsError::Network { path: path.to_owned(), found })?;
@@ -111,7 +112,7 @@ impl Lpips {
     }
 }
 
-/// The network that tensors are of, or what they are instead.
+/// The network that the tensors belong to, or a description of the tensors.
 fn network(tensors: &SafeTensors) -> Result<Net, String> {
     let Ok(first) = tensors.tensor(FIRST) else {
         let mut names: Vec<&str> = tensors.names();
@@ -119,10 +120,10 @@ fn network(tensors: &SafeTensors) -> Result<Net, String> {
         let told: Vec<String> = names.iter().take(NAMES_TOLD).map(|name| format!("`{}`", printable(name))).collect();
         let more = if names.len() > NAMES_TOLD { ", …" } else { "" };
         let has = if told.is_empty() { "no tensors".into() } else { format!("{}{more}", told.join(", ")) };
-        return Err(format!("there is no `{FIRST}` but {has}"));
+        return Err(format!("there is no `{FIRST}`, found {has}"));
     };
     if tensors.tensor("lin5.model.1.weight").is_ok() {
-        return Err("the network is squeeze (SqueezeNet), which is not known here".into());
+        return Err("the network is squeeze (SqueezeNet), which is not supported".into());
     }
     match first.shape() {
         [64, 3, 11, 11] => Ok(Net::Alex),
@@ -131,7 +132,7 @@ fn network(tensors: &SafeTensors) -> Result<Net, String> {
     }
 }
 
-/// Names are anyone's to choose, and messages go to terminals.
+/// A name without control characters, because files may hold any name and messages go to terminals.
 fn printable(name: &str) -> String {
     name.chars().take(60).map(|letter| if letter.is_control() { char::REPLACEMENT_CHARACTER } else { letter }).collect()
 }
@@ -144,7 +145,8 @@ struct Source<'a> {
 }
 
 impl Source<'_> {
-    /// A tensor of the network, which is finite, and not negative where it must not be.
+    /// Reads a tensor of the network and checks its type and shape, and that its values are finite and, if `is_weight`, not
+    /// negative.
     fn tensor<const D: usize>(
         &self,
         name: &str,
@@ -165,7 +167,7 @@ impl Source<'_> {
             return Err(wrong(format!("holds {} as value {at}", values[at]), "finite numbers".into()));
         }
         if is_weight && let Some(at) = values.iter().position(|value| *value < 0.0) {
-            let expected = "numbers that are not negative, as version 0.1 of LPIPS has them".into();
+            let expected = "no negative numbers, as in version 0.1 of LPIPS".into();
             return Err(wrong(format!("holds {} as value {at}", values[at]), expected));
         }
         Ok(Tensor::from_data(TensorData::new(values, shape), self.device))

@@ -17,7 +17,7 @@ fn devices() -> [Device; 2] {
     [Device::flex(), Device::ndarray()]
 }
 
-/// The algorithm as the paper's box states it.
+/// Reference implementation of the paper's algorithm 1.
 fn reference(start: &[f64], gradients: &[Vec<f64>], lr: f64) -> Vec<f64> {
     let (beta1, beta2, eps) = (0.9, 0.999, 1e-15);
     let mut theta = start.to_vec();
@@ -61,7 +61,7 @@ fn twenty_steps_follow_the_paper() {
 #[test]
 fn host_memory_and_tensors_agree() {
     let device = Device::flex();
-    // More than one chunk, and not a whole number of them.
+    // The count takes more than one chunk, and not a whole number of chunks.
     let count = 2 * 20_011;
     let mut rng = ChaCha8Rng::seed_from_u64(9);
     let mut random = || -> Vec<f64> { (0..count).map(|_| rng.random_range(-1.0..1.0)).collect() };

@@ -31,7 +31,7 @@ fn other_cameras_are_refused_by_name() {
     }
 }
 
-/// COLMAP's number, its parameters, and what they are in ours.
+/// COLMAP's number and parameters of each model, and ours.
 #[test]
 fn every_lens_is_read() {
     let p = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0, 11.0, 12.0];
@@ -146,7 +146,7 @@ fn contradictions_are_refused() {
 #[test]
 fn bad_positions_are_refused() {
     for (slot, field) in ["X", "Y", "Z"].into_iter().enumerate() {
-        // The last is finite, but not as an f32.
+        // The last value is finite in f64, but not as an f32.
         for value in [f64::NAN, f64::NEG_INFINITY, 1e300] {
             let mut xyz = [0.0; 3];
             xyz[slot] = value;
@@ -174,7 +174,7 @@ fn every_shorter_file_is_refused() {
     }
 }
 
-/// Counts that would take the machine's memory, or wrap to a small number when multiplied by the size of an entry.
+/// Counts that would exhaust the memory, or wrap to a small number when multiplied by the size of an entry.
 #[test]
 fn hostile_counts_allocate_nothing() {
     let started = Instant::now();
@@ -208,7 +208,7 @@ proptest! {
         let _ = binary::points(file, &bytes);
     }
 
-    /// Closer to the truth than random bytes, and so deeper into the readers.
+    /// Damaged files are closer to valid ones than random bytes, and so test deeper parts of the readers.
     #[test]
     fn damaged_files_never_panic(
         which in 0_usize..3,

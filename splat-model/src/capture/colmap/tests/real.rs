@@ -16,7 +16,7 @@ fn check(capture: &Capture, views: usize, points: usize) {
     assert_eq!(capture.origin, DVec3::ZERO);
 }
 
-/// How many of the points lie before the camera and inside its picture.
+/// Number of points that lie before the camera and inside its picture.
 fn seen(view: &View, points: &PointCloud) -> usize {
     let camera = &view.intrinsics;
     let inside = |position: &&[f32; 3]| {
@@ -49,7 +49,7 @@ fn fox_small() {
     let count = capture.tracks.observations() as f64;
     // docs/CAPTURES.md says 0.23 px, the mean over points; long tracks, which count more here, err a little more.
     assert!((sum_px / count - 0.24).abs() < 0.02, "{}", sum_px / count);
-    // What the file states was measured on pictures twice as large, so it may differ; it is of the same kind.
+    // The file's value was measured on pictures twice as large, so it may differ; its magnitude is similar.
     assert!((0.1..1.0).contains(&(stated_px / count)), "{}", stated_px / count);
 }
 
@@ -63,7 +63,7 @@ fn fox_small_as_text_is_the_same() {
     }
     let (text, binary) = (load(folder.path()).unwrap(), load(&root).unwrap());
     assert_eq!(text.points.positions.len(), 14_689);
-    // The two list their points in different orders.
+    // The two files list their points in different orders.
     assert_eq!(sorted(&text.points), sorted(&binary.points));
     assert_eq!(text.tracks.observations(), binary.tracks.observations());
     for (text, binary) in text.views.iter().zip(&binary.views) {
@@ -79,7 +79,7 @@ fn sorted(points: &PointCloud) -> Vec<([u32; 3], [u8; 3])> {
     points
 }
 
-/// Points on the photographs, by the lens and with their keypoints: COLMAP's own measurements of the same projection.
+/// Compares points projected through the lens with their keypoints, COLMAP's own measurements of the same projection.
 #[test]
 fn fox_distorted_projects_its_points_onto_their_keypoints() {
     let Some(root) = real_capture("fox_distorted") else { return };
@@ -103,12 +103,12 @@ fn fox_distorted_projects_its_points_onto_their_keypoints() {
         assert!(errors.len() > 50_000, "{} keypoints", errors.len());
         errors.iter().sum::<f64>() / errors.len() as f64
     };
-    // What `docs/CAPTURES.md` states, 0.34 px, is a mean over the points.
+    // The value in `docs/CAPTURES.md`, 0.34 px, is a mean over the points.
     let (with, without) = (errors_px(false), errors_px(true));
     assert!(with < 0.45 && without > 1.0, "{with:.3} px with the lens, {without:.3} px without");
 }
 
-/// The keypoints of each picture that have a point, with its number.
+/// The keypoints with a point of each picture, and the point's number.
 fn keypoints(mut bytes: &[u8]) -> HashMap<String, Vec<(DVec2, u64)>> {
     let count = u64::from_le_bytes(take(&mut bytes));
     let image = |_| {

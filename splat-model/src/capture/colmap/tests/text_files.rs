@@ -2,7 +2,7 @@ use proptest::prelude::*;
 
 use super::*;
 
-/// The message of loading a small text model of which one file was replaced; it must name that file.
+/// The error message of a small text model with one file replaced; it must name that file.
 fn message(name: &str, text: impl AsRef<[u8]>) -> String {
     let folder = folder("sparse/0", &small_model_as_text());
     let replaced = folder.path().join("sparse/0").join(name);
@@ -105,7 +105,7 @@ proptest! {
         let _ = text::points(file, bytes);
     }
 
-    /// Closer to the truth than random text, and so deeper into the readers.
+    /// Shuffled fields are closer to valid files than random text, and so test deeper parts of the readers.
     #[test]
     fn shuffled_fields_never_panic(text in "((-?[0-9]{1,3}(\\.[0-9])?|nan|inf|PINHOLE|#|a\\.jpg|\\.\\.)( |  |\n)){0,80}") {
         let (file, bytes) = (Path::new("random.txt"), text.as_bytes());

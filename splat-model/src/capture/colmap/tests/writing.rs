@@ -100,7 +100,7 @@ fn any_rotation_survives() {
     }
 }
 
-/// Writes nothing, and says why.
+/// The error message of a refused model. Checks that nothing is written.
 fn refusal(views: &[View], points: &PointCloud) -> String {
     let folder = tempfile::tempdir().unwrap();
     let message = write_binary(folder.path(), views, points).unwrap_err().to_string();

@@ -1,5 +1,5 @@
-//! That each switch puts into the capture what its documentation says, and nothing else. What the survey makes of them is
-//! tested beside it.
+//! Tests that each switch adds to the capture what its documentation says, and nothing else. The tests of the survey are beside
+//! this module.
 
 use glam::DVec3;
 
@@ -11,7 +11,7 @@ use super::*;
 use crate::capture::Capture;
 use crate::optim::scene_extent;
 
-/// Each switch alone.
+/// Options with each switch alone.
 pub(super) fn switches(base: DemoOptions) -> Vec<(&'static str, DemoOptions)> {
     vec![
         ("glossy", DemoOptions { glossy: true, ..base }),
@@ -31,7 +31,7 @@ pub(super) fn switches(base: DemoOptions) -> Vec<(&'static str, DemoOptions)> {
     ]
 }
 
-/// Those that may be combined.
+/// All switches that may be combined.
 const ALL: DemoOptions = DemoOptions {
     glossy: true,
     exposure: true,
@@ -50,15 +50,15 @@ const ALL: DemoOptions = DemoOptions {
 
 const TINY: DemoOptions = DemoOptions { width: 32, height: 24, views: 10, points: 60, ..DemoOptions::PLAIN };
 
-/// The size that figures in pixels are given for, and one view to train on.
+/// The size that figures in pixels refer to, and one view to train on.
 pub(super) const FULL: DemoOptions = DemoOptions { views: 3, points: 0, ..DemoOptions::PLAIN };
 
 pub(super) fn scene(options: &DemoOptions) -> LitScene {
     LitScene::new(Scene::still_life(options))
 }
 
-/// FNV-1a (Fowler, Noll, Vo) of the pixels and the model that this program wrote when there were two switches. The last bit of
-/// a sine may differ between systems, and a level or a coordinate with it.
+/// FNV-1a (Fowler, Noll, Vo) of the pixels and the model that the program wrote when it had two switches. The last bit of a
+/// sine may differ between systems, and so may a level or a coordinate.
 #[test]
 #[cfg(all(target_os = "linux", target_arch = "x86_64"))]
 fn the_plain_demo_is_what_it_always_was() {
@@ -117,7 +117,7 @@ fn lenses_bend_as_far_as_they_say() {
     let most = moved.into_iter().fold(0.0, f64::max);
     assert!((most / DemoOptions::LENS_SHARE - 1.0).abs() < 0.1, "{moved:?}");
     assert!(lens.distortion[..4].iter().all(|coefficient| *coefficient != 0.0), "no part of the model is idle");
-    // A picture of any shape has a lens that reaches its corners.
+    // The lens reaches the corners of a picture of any shape.
     for (width, height) in [(16, 4096), (4096, 16)] {
         let lens = cameras(&DemoOptions { lens: true, width, height, ..FULL })[0].intrinsics;
         assert!(lens.px_from_cam(lens.cam_from_px(DVec2::ZERO)).unwrap().length() < 1e-6);
@@ -127,7 +127,7 @@ fn lenses_bend_as_far_as_they_say() {
     assert!((2.0 * angle - DemoOptions::FISHEYE_FOV_DEG).abs() < 1e-6, "{angle}");
 }
 
-/// Through each lens, and while rows are read, a photograph shows a point in its own colour where its track says.
+/// A photograph shows a point in its own colour at the position in its track, through each lens and with a rolling shutter.
 #[test]
 fn tracks_lead_to_what_the_pictures_show() {
     let base = DemoOptions { width: 64, height: 48, views: 6, points: 200, ..DemoOptions::PLAIN };
@@ -197,7 +197,7 @@ fn no_track_leads_to_what_covers_the_scene() {
     }
 }
 
-/// Against rays that are counted here: nine of each pixel.
+/// Compares with nine rays of each pixel, which the test counts itself.
 #[test]
 fn alpha_and_colour_come_from_the_same_rays() {
     let options = DemoOptions { alpha: true, ..SMALL };
@@ -247,7 +247,7 @@ fn zoomed_cameras_stand_free_at_three_distances() {
             () if apart(DemoOptions::ZOOM_FAR) => 2,
             () => 0,
         });
-        // Nothing right before the lens, and no camera inside a thing: from there one would see its far side turned away.
+        // No object is directly before the lens, and no camera is inside an object, where it would see surfaces from behind.
         for ray in grid(camera).iter().step_by(7) {
             let point = scene.scene.hit(ray).unwrap();
             assert!(point.distance > 0.2 && point.normal_world.dot(ray.direction) < 1e-6, "{point:?}");
@@ -312,7 +312,7 @@ fn depth_maps_hold_depth_along_the_axis() {
     }
 }
 
-/// The capture with everything in it is one that can be loaded, and so is every other.
+/// The capture with all switches can be loaded, and so can every other.
 #[test]
 fn captures_of_every_switch_are_read() {
     for (name, options) in switches(TINY).into_iter().chain([("all", ALL)]) {

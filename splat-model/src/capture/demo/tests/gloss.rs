@@ -1,4 +1,4 @@
-//! What `glossy` makes of light.
+//! Tests of the light with `glossy`.
 
 use glam::DVec3;
 
@@ -45,7 +45,7 @@ fn gloss_depends_on_the_view() {
     assert!(largest > 0.1, "{largest}");
 }
 
-/// By the law of reflection and Schlick's approximation, with what is matte at the other end.
+/// Checks the law of reflection and Schlick's approximation, with the matte colour of the surface that the mirrored ray meets.
 #[test]
 fn a_mirror_shows_what_lies_in_the_mirrored_direction() {
     let scene = lit(true);
@@ -60,7 +60,7 @@ fn a_mirror_shows_what_lies_in_the_mirrored_direction() {
         let seen = scene.matte(&scene.scene.hit(&mirrored).unwrap());
         let share = 0.3 + 0.7 * (1.0 + ray.direction.dot(normal)).powi(5);
         let expected = (1.0 - share) * scene.matte(&point) + share * seen;
-        // The sun's own image is small and white.
+        // The mirror image of the sun is small and white.
         let more = scene.along(&ray) - expected;
         assert!((more - DVec3::splat(more.x)).length() < 1e-9 && more.x > -1e-9, "{more}");
         compared += usize::from(more.x < 1e-6);
@@ -68,7 +68,7 @@ fn a_mirror_shows_what_lies_in_the_mirrored_direction() {
     assert!(compared > 5, "{compared}");
 }
 
-/// Lacquer has a white highlight, at places that are others from another side.
+/// Lacquer has a white highlight, whose position depends on the viewpoint.
 #[test]
 fn lacquer_shines_towards_the_mirrored_sun() {
     let (matte, glossy) = (lit(false), lit(true));

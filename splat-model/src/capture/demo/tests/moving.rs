@@ -1,4 +1,4 @@
-//! Photographs that one still ray per place does not explain: by motion, rows, and the aperture.
+//! Tests of photographs with motion blur, a rolling shutter or an open aperture.
 
 use glam::DVec3;
 
@@ -6,7 +6,7 @@ use super::super::shot::{Aperture, Moment};
 use super::effects::{FULL, scene};
 use super::*;
 
-/// Against the average of sixteen sharp photographs on the way.
+/// Compares with the average of sixteen sharp photographs along the way.
 #[test]
 fn motion_is_an_average_along_a_straight_way() {
     let options = DemoOptions { motion: true, ..FULL };
@@ -16,7 +16,7 @@ fn motion_is_an_average_along_a_straight_way() {
     assert_eq!(blurred.len(), 17, "two fifths of 42: {blurred:?}");
     assert_eq!(blurred[..4], [2, 4, 7, 10]);
     let shot = &shots[2];
-    // Over the exposure, what the camera looks at moves by 12 px.
+    // During the exposure, the subject moves by 12 px.
     let subject = shot.camera.ray_through(DVec2::new(120.0, 90.0)).at(shot.camera.subject_distance);
     let at = |time: f64| shot.camera_at(0.0, Moment { time, ..Moment::default() });
     let [start, end] = [at(-0.5), at(0.5)].map(|camera| camera.project(subject).unwrap());
@@ -45,7 +45,7 @@ fn nine(scene: &LitScene, shot: &Shot, corner_px: DVec2) -> DVec3 {
     (0..9).map(|i| scene.along(&shot.camera.ray_through(corner_px + place(i)))).sum()
 }
 
-/// Each row is that of a still camera which stands where the moving one is then.
+/// Each row equals that row of a still camera at the moving camera's position at that time.
 #[test]
 fn rows_are_read_one_after_the_other() {
     let options = DemoOptions { rolling: true, ..FULL };
@@ -106,7 +106,7 @@ fn the_aperture_blurs_what_is_near_and_what_is_far() {
     }
 }
 
-/// The plane in focus is one across the axis, through a fisheye too, whose rays are of unit length and not of unit depth.
+/// The plane in focus is perpendicular to the axis, also for a fisheye, whose rays have unit length and not unit depth.
 #[test]
 fn what_is_in_focus_is_at_one_depth() {
     let options = DemoOptions { defocus: true, fisheye: true, ..FULL };

@@ -1,10 +1,10 @@
-//! What files say of lenses.
+//! Tests of the lens parameters of files.
 
 use splat_op::Intrinsics;
 
 use super::*;
 
-/// The camera of a file with these fields, and these in its one frame.
+/// The camera of a file with the fields `of_file` and one frame with the fields `of_frame`.
 fn camera(of_file: &str, of_frame: &str) -> Result<Intrinsics, String> {
     let text =
         format!(r#"{{{of_file} "frames": [{{{of_frame} "file_path": "a.png", "transform_matrix": {LOOKING_BACK}}}]}}"#);
@@ -30,7 +30,7 @@ fn the_frame_goes_before_the_file_and_lengths_before_angles() {
     let right_angle = format!(r#""camera_angle_x": {},"#, std::f64::consts::FRAC_PI_2);
     let upright = right_angle.replace('x', "y");
     let near = |found: [f64; 2], expected: [f64; 2]| (0..2).all(|i| (found[i] - expected[i]).abs() < 1e-12);
-    // 8 × 6 px under a right angle: half the side.
+    // 8 × 6 px under a right angle: the focal length is half the side.
     assert!(near(focals(&right_angle, "").unwrap(), [4.0, 4.0]), "pixels are square");
     assert!(near(focals(&[right_angle.as_str(), &upright].concat(), "").unwrap(), [4.0, 3.0]));
     assert_eq!(focals(&[&right_angle, r#""fl_x": 7,"#].concat(), ""), Ok([7.0, 7.0]));

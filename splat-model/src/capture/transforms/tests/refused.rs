@@ -1,9 +1,10 @@
-//! Files that are no capture: each message names the file, the frame, the field, what was found and what was expected.
+//! Tests of files that are not a capture: each message names the file, the frame, the field, what was found and what was
+//! expected.
 
 use super::*;
 use crate::capture::testing::assert_says;
 
-/// The message of a file that has these frames; it must name the file.
+/// The error message for a file with these frames; it must name the file.
 fn message(frames: &str) -> String {
     message_of(&format!(r#"{{"w": 8, "h": 6, "fl_x": 8, "frames": {frames}}}"#))
 }
@@ -49,7 +50,7 @@ fn matrices_that_are_no_poses() {
 
 #[test]
 fn numbers_that_json_does_not_have() {
-    // Python writes them so.
+    // Python writes these.
     for number in ["NaN", "-Infinity", "1e999"] {
         let matrix = format!("[[1, 0, 0, {number}], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]");
         let message = with_matrix(&matrix);
