@@ -77,9 +77,7 @@ pub enum TrainError {
     #[error("the saved state does not fit the run: {0}")]
     State(#[from] StateError),
     /// The saved state belongs to another run.
-    #[error(
-        "{what} is {found}, and was {expected} in the saved run: restore the old value, or start a new run"
-    )]
+    #[error("{what} is {found}, and was {expected} in the saved run: restore the old value, or start a new run")]
     OtherRun {
         /// Name of the option or photograph.
         what: String,
