@@ -87,7 +87,7 @@ pub enum BackgroundError {
     Content {
         /// The file.
         path: PathBuf,
-        /// What was found.
+        /// The found content.
         reason: String,
     },
 }

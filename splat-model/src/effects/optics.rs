@@ -13,7 +13,7 @@
 //! `--defocus` widening alone gained nothing.
 //!
 //! Motion blur does not determine the sign of the motion and has no gradient at rest, so twists start slightly off zero.
-//! Renders without these effects are sharp, and are what is compared with test views.
+//! Renders without these effects are sharp. These are compared with test views.
 
 use burn::tensor::{Device, Gradients, Tensor};
 use serde::{Deserialize, Serialize};

@@ -27,7 +27,7 @@ pub(crate) fn scene(device: &Device) -> Gaussians {
     Gaussians::from_rows(&random_rows(30, 1, 11), device).unwrap()
 }
 
-/// Four photographs of [`scene`], in an order that differs from that of their names.
+/// Four photographs of [`scene`], not in the order of their names.
 pub(crate) fn photos(background: [f32; 3]) -> Vec<Photo> {
     photographed(["c", "a", "d", "b"].map(String::from), background)
 }

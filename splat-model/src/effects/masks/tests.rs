@@ -116,7 +116,7 @@ fn both_conventions_are_found_and_read() {
     assert_eq!(find(&capture), [Some(whole.clone()), Some(stem), Some(below), None]);
     let stated = folder.path().join("elsewhere.png");
     capture.masks = vec![None, Some(stated.clone()), None, None];
-    assert_eq!(find(&capture)[..2], [Some(whole.clone()), Some(stated)], "what the capture names comes first");
+    assert_eq!(find(&capture)[..2], [Some(whole.clone()), Some(stated)], "masks that the capture names come first");
     let mask = load(&whole, &capture.views[0].intrinsics).unwrap();
     assert_eq!(mask, [false, false, true, true, false, true]);
     assert_eq!(excluded_share(&mask), 0.5);

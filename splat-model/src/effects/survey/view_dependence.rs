@@ -36,7 +36,7 @@ impl ViewDependenceEvidence {
     pub const VISIBLE: f64 = 0.02;
 }
 
-/// A sample, and what its photograph adds to the logarithm of a colour.
+/// A sample, and its photograph's offset to the logarithm of a colour.
 type Seen = (Sample, [f64; 3]);
 
 pub(super) fn evidence(sights: &Sights, fit: &Fit) -> Option<ViewDependenceEvidence> {
