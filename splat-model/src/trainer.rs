@@ -1,4 +1,4 @@
-//! Training: photographs in, a scene out. One step at a time, so that a caller can watch, stop or add to it.
+//! Training of a scene from photographs. The caller drives it step by step, and so can observe, stop or extend it.
 
 mod batch;
 mod checked;
@@ -42,24 +42,24 @@ pub use self::guard::{Fault, Guard};
 pub use self::resolution::Resolution;
 use self::views::Views;
 
-/// What a loss sees of one step.
+/// The inputs of a loss in one step.
 pub struct Seen<'a> {
-    /// `[H, W, 3]`: the render as the photograph would show it, tracked: with its exposure, if that is learnt, and black
-    /// where a mask leaves pixels out, as in `truth`.
+    /// `[H, W, 3]`: the render as it is compared with the photograph, tracked. It includes the exposure if one is learned,
+    /// and is black where a mask excludes pixels, like `truth`.
     pub image: Tensor<3>,
-    /// `[H, W, 1]`: the share of the background that is hidden, tracked; zero where a mask leaves pixels out.
+    /// `[H, W, 1]`: the render's alpha, tracked; zero where a mask excludes pixels.
     pub alpha: Tensor<3>,
     /// The photograph, prepared; [`Truth::image`] gives it as `[H, W, 3]`.
     pub truth: &'a Truth,
-    /// What was rendered, tracked: activated parameters.
+    /// The activated parameters that were rendered, tracked.
     pub splats: &'a Splats,
-    /// Counted from 1.
+    /// Number of the step, counted from 1.
     pub step: usize,
     /// The photograph's name.
     pub view: &'a str,
 }
 
-/// Something to minimise: any function of what is [`Seen`] to a `[1]` tensor.
+/// A loss: any function of [`Seen`] to a `[1]` tensor.
 pub trait Loss {
     /// The loss of one step, `[1]`, tracked.
     fn loss(&self, seen: &Seen) -> Tensor<1>;
@@ -71,22 +71,22 @@ impl<F: Fn(&Seen) -> Tensor<1>> Loss for F {
     }
 }
 
-/// What a step did.
+/// The result of a step.
 #[derive(Clone, Debug)]
 pub struct StepReport {
-    /// Counted from 1.
+    /// Number of the step, counted from 1.
     pub step: usize,
-    /// `[1]`: the loss, of a batch its mean; reading it waits for the device.
+    /// `[1]`: the loss, or its mean over a batch. Reading it waits for the device.
     pub loss: Tensor<1>,
-    /// The photograph's name; of a batch, the first's.
+    /// The photograph's name; the first photograph's in a batch.
     pub view: String,
-    /// Gaussians after the step.
+    /// Number of Gaussians after the step.
     pub splats: usize,
-    /// What density control did, if it was due.
+    /// Report of density control, if it changed rows.
     pub refined: Option<RefineReport>,
 }
 
-/// A run.
+/// A training run.
 pub struct Trainer {
     config: TrainConfig,
     options: RenderOptions,
@@ -100,16 +100,16 @@ pub struct Trainer {
     means_decay: Decay,
     loss: Box<dyn Loss>,
     guard: Guard,
-    /// Whether every stage is looked at.
+    /// Whether each stage is checked.
     checks: bool,
     rng: ChaCha8Rng,
-    /// Views still to come in this epoch.
+    /// Remaining views of this epoch.
     queue: Vec<usize>,
     step: usize,
 }
 
 impl Trainer {
-    /// A run over `photos` that starts from `points`, or from random points where there are none, on `device`.
+    /// A run over `photos` on `device` that starts from `points`, or from random points if there are none.
     ///
     /// # Errors
     /// If there are no photographs or no steps.
@@ -122,10 +122,10 @@ impl Trainer {
         Self::of(photos.into_iter().map(Photograph::from).collect(), points, config, device)
     }
 
-    /// The same with photographs that need not all be in memory.
+    /// A run over photographs that need not all be in memory.
     ///
     /// # Errors
-    /// As [`Self::new`].
+    /// Errors of [`Self::new`].
     pub fn of(
         photos: Vec<Photograph>,
         points: &PointCloud,
@@ -178,16 +178,16 @@ impl Trainer {
         })
     }
 
-    /// The same run with a loss of the caller's instead of L1 + D-SSIM.
+    /// Replaces the loss, L1 + D-SSIM, by a custom one.
     pub fn with_loss(self, loss: impl Loss + 'static) -> Self {
         Self { loss: Box::new(loss), ..self }
     }
 
-    /// The same run with a strategy of density control of the caller's, which starts from what that of [`TrainConfig::density`]
-    /// has started from. To be asked for before the first step.
+    /// Replaces density control by a custom strategy, which starts from the initial Gaussians of [`TrainConfig::density`].
+    /// Must be called before the first step.
     ///
     /// # Errors
-    /// If the rows with which the strategy starts do not fit together.
+    /// If the initial rows of the strategy are inconsistent.
     pub fn with_strategy(mut self, mut strategy: impl Strategy + 'static) -> Result<Self, TrainError> {
         let mut rows = self.scene.gaussians.to_rows();
         strategy.start(&mut rows);
@@ -196,33 +196,33 @@ impl Trainer {
         Ok(self)
     }
 
-    /// The same run, but every step looks at what each stage leaves: to find out which goes wrong first. Slow.
+    /// Checks the output of each stage in every step, to find the first that goes wrong. Slow.
     pub fn with_checks(self) -> Self {
         Self { checks: true, ..self }
     }
 
-    /// The scene's parameters as they are now. After a step that went wrong it is still the one before that step.
+    /// The current parameters of the scene. After a failed step, these are the parameters before that step.
     pub fn gaussians(&self) -> &Gaussians {
         &self.scene.gaussians
     }
 
-    /// How the run renders; whoever looks at its scene should render like this.
+    /// Render options of the run, which viewers of its scene should use too.
     pub fn render_options(&self) -> RenderOptions {
         self.options
     }
 
-    /// Turns dials of the renders, from the next step on; the others stand where they stood.
+    /// Changes dials of the renders, from the next step on. Other dials stay unchanged.
     pub fn turn(&mut self, dials: &Setting) {
         self.options = dials.apply(self.options);
         self.config.dials = mem::take(&mut self.config.dials).and(dials);
     }
 
-    /// What the run depends on besides its photographs, with the dials as they are turned now.
+    /// The configuration of the run, with the current dials.
     pub fn config(&self) -> &TrainConfig {
         &self.config
     }
 
-    /// Steps done.
+    /// Number of completed steps.
     pub fn steps_done(&self) -> usize {
         self.step
     }
@@ -232,13 +232,13 @@ impl Trainer {
         self.step >= self.config.steps
     }
 
-    /// Renders the cameras of a photograph or of a batch, compares, and moves every parameter against its gradient; then density
-    /// control acts.
+    /// Renders the views of a step, compares them with their photographs, and takes an optimiser step on every parameter.
+    /// Density control follows.
     ///
     /// # Errors
-    /// If the operation refuses the scene, or if the loss or a gradient is not finite: then the scene is as it was before
-    /// that step, and the run is over. On a GPU, which is not waited for, the error may come up to fifty steps later; the
-    /// scene is kept as it was all the same.
+    /// If the render operation rejects the scene, or if the loss or a gradient is not finite. The scene then keeps its
+    /// state before that step, and the run is over. On a GPU, which is not waited for, the error may come up to fifty steps
+    /// later. The scene keeps its state before the failed step all the same.
     pub fn step(&mut self) -> Result<StepReport, TrainError> {
         self.step += 1;
         let (step, steps) = (self.step, self.config.steps);
@@ -256,7 +256,7 @@ impl Trainer {
         for (view, mut of_effects) in views {
             self.effects.step(&mut of_effects, Moment { view, step, steps, verdict: held.as_ref() });
         }
-        // Refinement reads the scene and acts on what it finds, so nothing may be left in doubt.
+        // Refinement reads the scene and acts on it, so the verdict on earlier steps must be known.
         let read = self.density.acts_at(step) || self.is_done();
         self.guard.read(read).map_err(|fault| self.non_finite(fault))?;
         let at = At { step, steps, extent: self.extent, means_rate: rates.means, verdict: held.as_ref() };
@@ -272,7 +272,7 @@ impl Trainer {
         Adam::default().for_batch(self.config.batch)
     }
 
-    /// The optimiser's step, taken back if it spoils a Gaussian.
+    /// Takes the optimiser step, and reverts it if a Gaussian becomes unusable.
     fn checked_update(&mut self, view: usize, gradients: Gradients, rates: &StepRates) -> Result<(), TrainError> {
         let before = self.scene.clone();
         self.scene.step(gradients, &self.adam(), rates, self.step, None);
@@ -299,7 +299,7 @@ impl Trainer {
         }
     }
 
-    /// Every photograph once per epoch, in random order.
+    /// The next view: every photograph once per epoch, in random order.
     fn next_view(&mut self) -> usize {
         if self.queue.is_empty() {
             self.queue = (0..self.views.len()).collect();

@@ -1,5 +1,5 @@
-//! Adaptive density control (Kerbl et al. 2023, section 5.2), with what the field has learned to add: a hard cap, a
-//! limit on needles, and a threshold that rises at the cap.
+//! Adaptive density control (Kerbl et al. 2023, section 5.2) with later additions of the field: a hard cap, a limit on
+//! needles, and a threshold that rises at the cap.
 
 use burn::tensor::{Device, Tensor};
 use glam::{DQuat, Vec3};
@@ -14,7 +14,7 @@ use super::strategy::{At, Observed, RefineReport, Signals, Strategy};
 use crate::gaussians::{self, GaussianRows, RowsError, values_of};
 use crate::state::{State, StateError};
 
-/// When and how to densify. Defaults are those of the original implementation unless said otherwise.
+/// Options of adaptive density control. Defaults are those of the original implementation unless stated otherwise.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct AdaptiveConfig {
@@ -25,25 +25,25 @@ pub struct AdaptiveConfig {
     /// Share of the run after which the number of Gaussians is fixed: 0.5.
     pub until_share: f64,
     /// Gaussians whose mean gradient at the projected centre, per unit of normalised device coordinates, exceeds this
-    /// are copied or split: 2e-4, and 8e-4 for absolute gradients.
+    /// threshold are copied or split: 2e-4, and 8e-4 for absolute gradients.
     pub grad_threshold: f64,
-    /// Whether the gradient is that of AbsGS (Ye et al. 2024): its absolute value is taken pixel by pixel, so that the two edges
-    /// of a Gaussian that blurs what is smaller do not cancel.
+    /// Whether the gradient is AbsGS's (Ye et al. 2024): the sum of absolute values over the pixels, so that the gradients
+    /// of the two edges of a Gaussian that blurs smaller detail do not cancel.
     pub absolute: bool,
-    /// Whether several views are asked before Gaussians are copied, split or kept, and how much they have to agree: none are.
+    /// Whether Gaussians are copied, split and kept only where several views agree, and by how much: off.
     pub consistency: Option<ConsistencyConfig>,
-    /// Up to this size, as a share of the scene's extent, a Gaussian is copied; above, it is split: 0.01.
+    /// Largest size of a Gaussian that is copied instead of split, as a share of the scene extent: 0.01.
     pub split_scale: f64,
-    /// Gaussians with an opacity below this are removed: 0.005.
+    /// Opacity below which Gaussians are removed: 0.005.
     pub prune_opacity: f64,
-    /// Gaussians larger than this share of the scene's extent are removed after the first opacity reset: 0.1.
+    /// Size above which Gaussians are removed after the first opacity reset, as a share of the scene extent: 0.1.
     pub prune_scale: f64,
-    /// Steps between opacity resets, which end floaters in front of the cameras: 3,000; 0 for never.
+    /// Steps between opacity resets, which remove floaters in front of the cameras: 3,000; 0 for never.
     pub reset_every: usize,
-    /// The number of Gaussians never exceeds this; at the cap only those with the largest gradients are copied or split.
+    /// Largest number of Gaussians. At the cap only those with the largest gradients are copied or split.
     pub max_splats: usize,
-    /// A Gaussian's largest standard deviation is at most this many times its middle one: 30. Needles far longer than
-    /// wide streak across views that were not trained on. (Not in the original.)
+    /// Largest ratio of a Gaussian's largest standard deviation to its middle one: 30. Needles far longer than wide show as
+    /// streaks in views outside the training set. (Not in the original.)
     pub max_elongation: f64,
 }
 
@@ -67,44 +67,44 @@ impl Default for AdaptiveConfig {
 }
 
 impl AdaptiveConfig {
-    /// AbsGS: absolute gradients, and the threshold that the field has for them, which is in the same unit.
+    /// AbsGS: absolute gradients with the threshold that is common for them, in the same unit.
     pub fn absgrad() -> Self {
         Self { absolute: true, grad_threshold: 8e-4, ..Self::default() }
     }
 }
 
 impl AdaptiveConfig {
-    /// Densification and pruning on which views agree.
+    /// Densification and pruning by the agreement of several views.
     pub fn consistent() -> Self {
         Self { consistency: Some(ConsistencyConfig::default()), ..Self::default() }
     }
 }
 
-/// A split Gaussian's parts are this much smaller (Kerbl et al. 2023, section 5.2).
+/// Factor by which the parts of a split Gaussian are smaller (Kerbl et al. 2023, section 5.2).
 const SPLIT_SHRINK: f32 = 1.6;
 
 /// Opacity after a reset, as in the original.
 const RESET_OPACITY: f64 = 0.01;
 
-/// Statistics between refinements, and the policy.
+/// The strategy with its statistics since the last refinement.
 #[derive(Debug)]
 pub struct Adaptive {
     config: AdaptiveConfig,
     extent: f64,
     steps: usize,
-    /// `[N]`: sums of gradient lengths and numbers of steps in which there was one; absent right after an edit.
+    /// `[N]`: sums of gradient norms, and numbers of steps with a gradient. `None` right after an edit of rows.
     seen: Option<(Tensor<1>, Tensor<1>)>,
-    /// Of the views that were asked since.
+    /// Statistics of the views that were evaluated since the last edit.
     agreement: Option<Agreement>,
 }
 
 impl Adaptive {
-    /// For a run of `steps` over a scene of `extent` (see [`crate::optim::scene_extent`]).
+    /// A strategy for a run of `steps` on a scene of `extent` (see [`crate::optim::scene_extent`]).
     pub fn new(config: AdaptiveConfig, extent: f64, steps: usize) -> Self {
         Self { config, extent, steps, seen: None, agreement: None }
     }
 
-    /// Whether it is time for anything at `step`, counted from 1.
+    /// Whether a refinement or a reset is due at `step`, counted from 1.
     fn is_time_at(&self, step: usize) -> bool {
         (step as f64) < self.config.until_share * self.steps as f64
     }
@@ -150,7 +150,7 @@ impl Adaptive {
         Ok(report)
     }
 
-    /// Mean gradient of each Gaussian over the steps in which it was seen.
+    /// Mean gradient of each Gaussian over the steps in which it was visible.
     fn mean_gradients(&mut self, count: usize) -> Vec<f32> {
         match self.seen.take() {
             Some((sum, seen)) => values_of(sum / seen.clamp_min(1.0)),
@@ -158,7 +158,7 @@ impl Adaptive {
         }
     }
 
-    /// Too faint to matter, too large to be right, or unusable: no step of the optimiser makes finite what is not.
+    /// Whether a Gaussian is too faint, too large, or unusable. No optimiser step makes a non-finite value finite.
     fn is_doomed(&self, rows: &GaussianRows, i: usize, keep_largest: bool) -> bool {
         let opacity = gaussians::sigmoid(rows.logit_opacities[i]);
         let largest = f64::from(largest_scale(rows, i));
@@ -166,7 +166,7 @@ impl Adaptive {
         !(sound && (keep_largest || largest <= self.config.prune_scale * self.extent))
     }
 
-    /// The rows to copy or split, in order, and the threshold that chose them.
+    /// Selects the rows to copy or split, in order, and returns the threshold of the selection.
     fn choose(
         &self,
         gradients: &[f32],
@@ -177,7 +177,7 @@ impl Adaptive {
         let wanted = |i: &usize| !doomed[*i] && f64::from(gradients[*i]) > self.config.grad_threshold && is_wrong(*i);
         let mut chosen: Vec<usize> = (0..gradients.len()).filter(wanted).collect();
         let surviving = doomed.iter().filter(|&&gone| !gone).count();
-        // Copying adds one row, and so does splitting.
+        // Copying and splitting add one row each.
         let room = self.config.max_splats.saturating_sub(surviving);
         if chosen.len() <= room {
             return (chosen, self.config.grad_threshold);
@@ -189,7 +189,7 @@ impl Adaptive {
         (chosen, threshold)
     }
 
-    /// Holds each Gaussian's largest standard deviation at `max_elongation` times its middle one.
+    /// Limits each Gaussian's largest standard deviation to `max_elongation` times its middle one.
     fn limit_elongation(&self, scene: &mut Trained) {
         let logs = scene.gaussians.log_scales.val().inner();
         let (smallest, largest) = (logs.clone().min_dim(1), logs.clone().max_dim(1));
@@ -215,7 +215,7 @@ impl Strategy for Adaptive {
         }
         let Some(grad_mean2d) = seen.gradient.or(seen.abs_gradient) else { return };
         let device = grad_mean2d.device();
-        // Pixels per unit of normalised device coordinates, which run from -1 to 1.
+        // Half the picture size: normalised device coordinates run from -1 to 1.
         let per_ndc = Tensor::<1>::from_floats([seen.size.0 as f32 / 2.0, seen.size.1 as f32 / 2.0], &device);
         let squared = (grad_mean2d * per_ndc.unsqueeze()).square().sum_dim(1).squeeze_dim::<1>(1);
         let length = squared.sqrt();
@@ -280,10 +280,10 @@ fn largest_scale(rows: &GaussianRows, i: usize) -> f32 {
     rows.log_scales[i].iter().fold(f32::NEG_INFINITY, |largest, log| largest.max(*log)).exp()
 }
 
-/// Appends a smaller copy of row `i`, moved to a place drawn from the Gaussian itself.
+/// Appends a smaller copy of row `i` at a position drawn from the Gaussian's own distribution.
 fn push_split(to: &mut GaussianRows, from: &GaussianRows, i: usize, rng: &mut dyn Rng) {
     to.push(from, i);
-    // In f64, because the length of a quaternion is free and its square may be too much, or too little, for f32.
+    // In f64, because quaternions may have any length, whose square may overflow or underflow in f32.
     let [w, x, y, z] = from.rotations[i].map(f64::from);
     let world_from_gaussian = DQuat::from_xyzw(x, y, z, w).normalize().as_quat();
     let scale = Vec3::from(from.log_scales[i]).exp();

@@ -1,16 +1,16 @@
-//! Which strategy a run has.
+//! The choice of a density control strategy.
 
 use serde::{Deserialize, Serialize};
 
 use super::{Adaptive, AdaptiveConfig, Mcmc, McmcConfig, Strategy};
 
-/// A strategy and its settings.
+/// A strategy and its options.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "strategy", rename_all = "kebab-case")]
 pub enum DensityConfig {
-    /// Copies and splits Gaussians where gradients are large, removes faint ones.
+    /// Copies and splits Gaussians with large gradients, removes faint ones.
     Adaptive(AdaptiveConfig),
-    /// Moves Gaussians that died to where others are.
+    /// Moves dead Gaussians to the positions of others.
     Mcmc(McmcConfig),
 }
 
@@ -33,7 +33,7 @@ impl From<McmcConfig> for DensityConfig {
 }
 
 impl DensityConfig {
-    /// The number of Gaussians never exceeds this.
+    /// Largest number of Gaussians.
     pub fn max_splats(&self) -> usize {
         match self {
             Self::Adaptive(config) => config.max_splats,
@@ -41,7 +41,7 @@ impl DensityConfig {
         }
     }
 
-    /// The same with another cap.
+    /// The same options with another cap.
     pub fn with_max_splats(mut self, most: usize) -> Self {
         match &mut self {
             Self::Adaptive(config) => config.max_splats = most,
@@ -50,7 +50,7 @@ impl DensityConfig {
         self
     }
 
-    /// For a run of `steps` over a scene of `extent` (see [`crate::optim::scene_extent`]).
+    /// The strategy for a run of `steps` on a scene of `extent` (see [`crate::optim::scene_extent`]).
     pub fn strategy(&self, extent: f64, steps: usize) -> Box<dyn Strategy> {
         match self {
             Self::Adaptive(config) => Box::new(Adaptive::new(*config, extent, steps)),

@@ -1,5 +1,6 @@
-//! Which Gaussians several views agree on: where pictures are still wrong, and what hardly shows in any of them (in the manner
-//! of FastGS, Ren et al. 2025, whose counts of pixels are here sums of blending weights, as in Rota Bulò et al. 2024).
+//! Statistics of several views: Gaussians in pixels with large errors, and Gaussians that are hardly visible in any view
+//! (in the manner of FastGS, Ren et al. 2025, with sums of blending weights instead of counts of pixels, as in Rota Bulò et
+//! al. 2024).
 
 use burn::tensor::{Device, Tensor};
 use serde::{Deserialize, Serialize};
@@ -7,16 +8,16 @@ use serde::{Deserialize, Serialize};
 use crate::gaussians::values_of;
 use crate::state::{State, StateError};
 
-/// How much views have to agree. What is counted are pixels, each by the Gaussian's share in its colour.
+/// Options of the agreement of views. Pixels are weighted by the Gaussian's share in their colour.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ConsistencyConfig {
-    /// Views that are asked between two refinements: 10.
+    /// Number of views that are evaluated between two refinements: 10.
     pub views: usize,
-    /// Gaussians are copied or split only if in the mean of the views that show them they cover so many pixels that are wrong by
-    /// more than is usual in the picture.
+    /// Number of covered pixels with an error above the picture's mean, averaged over the views that show the Gaussian,
+    /// from which on it is copied or split.
     pub wrong_px: f32,
-    /// Gaussians that cover less than this in every view that was asked, and something in one, are removed.
+    /// Gaussians that cover fewer pixels than this in every evaluated view, and some in at least one, are removed.
     pub shown_px: f32,
 }
 
@@ -27,31 +28,31 @@ impl Default for ConsistencyConfig {
 }
 
 impl ConsistencyConfig {
-    /// Whether the view of `step` is asked, of `every` steps between refinements.
+    /// Whether the view of `step` is evaluated, with `every` steps between refinements.
     pub fn asks_at(&self, step: usize, every: usize) -> bool {
         step.is_multiple_of((every / self.views.max(1)).max(1))
     }
 }
 
-/// What the views that were asked have said since the last edit of rows.
+/// Statistics of the views that were evaluated since the last edit of rows.
 #[derive(Debug)]
 pub(super) struct Agreement {
-    /// `[N]`: pixels covered that were wrong, of all views.
+    /// `[N]`: covered pixels with a large error, summed over the views.
     wrong: Tensor<1>,
-    /// `[N]`: pixels covered in the view that shows most of it.
+    /// `[N]`: covered pixels in the view with the largest number.
     most: Tensor<1>,
-    /// `[N]`: views that show it.
+    /// `[N]`: number of views that show the Gaussian.
     views: Tensor<1>,
 }
 
-/// The same on the host.
+/// The statistics on the host.
 pub(super) struct Agreed {
     wrong_px: Vec<f32>,
     most_px: Vec<f32>,
 }
 
 impl Agreement {
-    /// Adds what a view says, `[N, 2]`: pixels covered, and those of them that are wrong.
+    /// Adds the statistics of a view, `[N, 2]`: covered pixels, and those of them with a large error.
     pub fn with(before: Option<Self>, covered: Tensor<2>) -> Self {
         let column = |i: usize| covered.clone().narrow(1, i, 1).squeeze_dim::<1>(1);
         let (shown, wrong) = (column(0), column(1));
@@ -87,12 +88,12 @@ impl Agreement {
 }
 
 impl Agreed {
-    /// Whether Gaussian `i` is where pictures are wrong.
+    /// Whether Gaussian `i` covers enough pixels with a large error.
     pub fn is_wrong(&self, i: usize, config: &ConsistencyConfig) -> bool {
         self.wrong_px[i] >= config.wrong_px
     }
 
-    /// Whether it hardly shows. One that no view shows is not known to.
+    /// Whether Gaussian `i` is hardly visible. False for one that no view shows.
     pub fn hardly_shows(&self, i: usize, config: &ConsistencyConfig) -> bool {
         self.most_px[i] > 0.0 && self.most_px[i] < config.shown_px
     }

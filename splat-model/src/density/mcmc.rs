@@ -1,5 +1,6 @@
-//! 3D Gaussian splatting as Markov chain Monte Carlo (Kheradmand et al. 2024): Gaussians are samples that wander, those that
-//! have faded are moved to where others are, and their number grows to a cap by a calendar instead of a threshold.
+//! 3D Gaussian splatting as Markov chain Monte Carlo (Kheradmand et al. 2024): Gaussians are samples with noise on their
+//! positions, faded ones are moved to the positions of others, and their number grows to a cap by a schedule instead of a
+//! threshold.
 
 mod relocate;
 
@@ -19,10 +20,10 @@ use crate::gaussians::{self, GaussianRows, Gaussians, RowsError};
 use crate::loss::regularise;
 use crate::state::{State, StateError};
 
-/// When Gaussians are moved and added, and how far they wander. Defaults are those of the paper and its code.
+/// Options of MCMC density control. Defaults are those of the paper and its code.
 ///
-/// That code trains on scenes some units across and takes their unit as it is. Here lengths count in units of the scene's extent
-/// (see [`crate::optim::scene_extent`]), so that a scene trains alike whatever its unit is.
+/// That code assumes scenes some units across and uses their unit directly. Here lengths are in units of the scene extent
+/// (see [`crate::optim::scene_extent`]), so that training does not depend on the unit of a scene.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct McmcConfig {
@@ -30,23 +31,23 @@ pub struct McmcConfig {
     pub every: usize,
     /// First step of refinement: 500.
     pub from: usize,
-    /// Share of the run after which Gaussians are neither moved nor added: 5/6. They wander to the end.
+    /// Share of the run after which Gaussians are neither moved nor added: 5/6. The noise continues to the end.
     pub until_share: f64,
-    /// By this factor their number grows at each refinement: 1.05.
+    /// Growth factor of the number of Gaussians at each refinement: 1.05.
     pub growth: f64,
-    /// The number of Gaussians never exceeds this.
+    /// Largest number of Gaussians.
     pub max_splats: usize,
-    /// Gaussians with an opacity of at most this are dead, and are moved: 0.005.
+    /// Largest opacity of a dead Gaussian, which is moved: 0.005.
     pub dead_opacity: f64,
-    /// How far Gaussians wander, in units of the centres' learning rate: 5e5.
+    /// Scale of the noise on positions, in multiples of the centres' learning rate: 5e5.
     pub noise: f64,
     /// Weight of the mean opacity in the loss: 0.01.
     pub opacity_weight: f64,
     /// Weight of the mean standard deviation, as a share of the extent, in the loss: 0.01.
     pub scale_weight: f64,
-    /// The opacity of a Gaussian at the start: 0.5.
+    /// Initial opacity of the Gaussians: 0.5.
     pub start_opacity: f64,
-    /// Standard deviations at the start, as a share of what they are without a strategy: 0.1.
+    /// Factor on the initial standard deviations, relative to those without a strategy: 0.1.
     pub start_scale: f64,
 }
 
@@ -68,10 +69,10 @@ impl Default for McmcConfig {
     }
 }
 
-/// How suddenly wandering ends where opacities rise above [`McmcConfig::dead_opacity`] (Kheradmand et al. 2024, eq. 8).
+/// Steepness of the noise's decrease where opacities exceed [`McmcConfig::dead_opacity`] (Kheradmand et al. 2024, eq. 8).
 const SUDDENNESS: f64 = 100.0;
 
-/// The policy, and the noise that it is in the middle of.
+/// The strategy and its stock of noise.
 #[derive(Debug)]
 pub struct Mcmc {
     config: McmcConfig,
@@ -81,22 +82,22 @@ pub struct Mcmc {
 }
 
 impl Mcmc {
-    /// For a run of `steps` over a scene of `extent` (see [`crate::optim::scene_extent`]).
+    /// A strategy for a run of `steps` on a scene of `extent` (see [`crate::optim::scene_extent`]).
     pub fn new(config: McmcConfig, extent: f64, steps: usize) -> Self {
         Self { config, extent, steps, noise: Noise::default() }
     }
 
-    /// Moves the dead and adds to the living: for each Gaussian that comes, one that lives is drawn by its opacity, and shares
-    /// what it is with those that were drawn to it. (The paper draws for the dead first and for those that are added next;
-    /// as long as what is shared is the same, one draw does for both.)
+    /// Replaces dead Gaussians and adds new ones: for each new Gaussian, a living one is drawn with a probability
+    /// proportional to its opacity and shares its opacity and size with all new ones at its position. (The paper draws for
+    /// the dead first and then for the additional ones. One draw for both is equivalent.)
     fn refine(&self, scene: &mut Trained, rng: &mut dyn Rng) -> Result<Option<RefineReport>, RowsError> {
         let rows = scene.gaussians.to_rows();
         let opacities: Vec<f64> = (0..rows.len()).map(|i| self.opacity_of_living(&rows, i)).collect();
         let living = opacities.iter().filter(|opacity| **opacity > 0.0).count();
-        // None lives, and nothing can be shared.
+        // Without living Gaussians there is nothing to share.
         let Ok(by_opacity) = WeightedIndex::new(&opacities) else { return Ok(None) };
         let grown = (rows.len() as f64 * self.config.growth) as usize;
-        // The cap ends growth; it removes nothing that lives.
+        // The cap ends growth and removes no living Gaussian.
         let wanted = grown.min(self.config.max_splats).max(living);
         let mut drawn = vec![0_usize; rows.len()];
         (living..wanted).for_each(|_| drawn[by_opacity.sample(rng)] += 1);
@@ -120,15 +121,15 @@ impl Mcmc {
         Ok(Some(RefineReport { cloned, pruned, ..RefineReport::default() }))
     }
 
-    /// 0 for one that is dead or unusable.
+    /// The opacity of a living Gaussian. 0 for a dead or unusable one.
     fn opacity_of_living(&self, rows: &GaussianRows, i: usize) -> f64 {
         let opacity = gaussians::sigmoid(rows.logit_opacities[i]);
         if rows.is_usable(i) && opacity > self.config.dead_opacity { opacity } else { 0.0 }
     }
 
-    /// Adds noise to the centres: `λ Σ η σ(k (t − o))`, with `λ` the learning rate times [`McmcConfig::noise`], `Σ` the covariance,
-    /// `η` normal, `o` the opacity and `t` that of the dead (Kheradmand et al. 2024, eq. 8 and its code): those that are faint
-    /// wander, mostly along what they cover, and those that show do not.
+    /// Adds noise to the centres: `λ Σ η σ(k (t − o))`, with `λ` the learning rate times [`McmcConfig::noise`], `Σ` the
+    /// covariance, `η` normal, `o` the opacity and `t` the opacity of the dead (Kheradmand et al. 2024, eq. 8 and its
+    /// code). Faint Gaussians move, mostly along their own extent, and visible ones do not.
     fn wander(&mut self, scene: &mut Trained, at: &At, rng: &mut dyn Rng) {
         let means = scene.gaussians.means.val().inner();
         let normal = self.noise.draw(means.dims()[0], rng, &means.device());
@@ -143,8 +144,8 @@ impl Mcmc {
         });
     }
 
-    /// `Σ η σ(k (t − o))`, `[N, 3]`, of normal `η`, `[N, 3]`. No Gaussian counts as larger than the scene. `Σ = R S² Rᵀ`, and `Rᵀ η` is as
-    /// normal as `η`: it is taken for it.
+    /// `Σ η σ(k (t − o))`, `[N, 3]`, for normal `η`, `[N, 3]`. Sizes are limited to the scene's. With `Σ = R S² Rᵀ`, `Rᵀ η`
+    /// is as normal as `η`, so `normal` is used as `Rᵀ η`.
     fn displacements(&self, gaussians: &Gaussians, normal: Tensor<2>) -> Tensor<2> {
         let opacities = sigmoid(gaussians.logit_opacities.val().inner()).unsqueeze_dim::<2>(1);
         let faint = sigmoid((opacities.neg() + self.config.dead_opacity) * SUDDENNESS);
@@ -154,9 +155,9 @@ impl Mcmc {
     }
 }
 
-/// The real part, `[N, 1]`, and the others, `[N, 3]`, of quaternions `[N, 4]`, wxyz, made one long whatever their length is.
+/// Real part, `[N, 1]`, and imaginary parts, `[N, 3]`, of the normalised quaternions `[N, 4]`, wxyz.
 fn unit(quaternions: Tensor<2>) -> (Tensor<2>, Tensor<2>) {
-    // First by the largest component, whose square may be too much, or too little, for f32.
+    // Divided by the largest component first, because its square may overflow or underflow in f32.
     let largest = quaternions.clone().abs().max_dim(1);
     let sized = quaternions / largest;
     let length = sized.clone().square().sum_dim(1).sqrt();
@@ -164,7 +165,7 @@ fn unit(quaternions: Tensor<2>) -> (Tensor<2>, Tensor<2>) {
     (unit.clone().narrow(1, 0, 1), unit.narrow(1, 1, 3))
 }
 
-/// `v` turned by unit quaternions: `v + 2 w (u × v) + 2 u × (u × v)`.
+/// Rotates `v` by unit quaternions: `v + 2 w (u × v) + 2 u × (u × v)`.
 fn rotated(v: Tensor<2>, w: Tensor<2>, u: Tensor<2>) -> Tensor<2> {
     let twice = u.clone().cross(v.clone(), 1) * 2.0;
     v + twice.clone() * w + u.cross(twice, 1)

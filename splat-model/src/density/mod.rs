@@ -1,5 +1,6 @@
-//! How many Gaussians, and where. A [`Strategy`] says which rows to keep, copy and add (`adaptive.rs`, `mcmc.rs`, or one of your
-//! own); `rows.rs` alone edits them, together with their Adam moments; `order.rs` says which order is quick to render.
+//! Density control: the number of Gaussians and their positions. A [`Strategy`] selects the rows to keep, copy and add
+//! (`adaptive.rs`, `mcmc.rs`, or a custom one). Only `rows.rs` edits rows, together with their Adam moments. `order.rs`
+//! computes the order that renders fastest.
 
 mod adaptive;
 mod config;

@@ -1,8 +1,8 @@
 //! Normal deviates for steps that need one per coordinate of every Gaussian.
 //!
-//! They are drawn on the host, so that a seed decides them on every device, but not at every step: twice as many rows as there
-//! are Gaussians are drawn at once and kept on the device, and each step takes them from another row on. What two Gaussians, or
-//! one at two steps, have in common by that is a matter of chance.
+//! They are drawn on the host, so that they depend only on the seed on every device, but not at every step: a stock of
+//! twice as many rows as there are Gaussians is drawn at once and kept on the device, and each step reads it from another
+//! random row on. Two Gaussians, or one Gaussian at two steps, share values only by chance.
 
 use burn::tensor::{Device, Tensor, TensorData};
 use rand::{Rng, RngExt, SeedableRng};
@@ -12,10 +12,10 @@ use rayon::prelude::*;
 
 use crate::state::{State, StateError};
 
-/// Rows that one stream of the generator draws: no result depends on the number of threads.
+/// Rows per stream of the generator. Results do not depend on the number of threads.
 const CHUNK: usize = 4096;
 
-/// A stock of deviates; empty until it is needed.
+/// A stock of deviates. Empty until it is needed.
 #[derive(Debug, Default)]
 pub(super) struct Noise {
     seed: u64,
@@ -24,7 +24,7 @@ pub(super) struct Noise {
 }
 
 impl Noise {
-    /// `[count, 3]`: standard normal deviates for a step. A new stock is drawn where it is not there for so many rows.
+    /// `[count, 3]`: standard normal deviates for a step. A new stock is drawn if there is none for this number of rows.
     pub fn draw(&mut self, count: usize, rng: &mut dyn Rng, device: &Device) -> Tensor<2> {
         let fits = self.stock.as_ref().is_some_and(|stock| stock.dims()[0] == 2 * count);
         if !fits {
@@ -36,7 +36,7 @@ impl Noise {
         stock.narrow(0, first, count)
     }
 
-    /// Draws anew next time.
+    /// Discards the stock, so that the next step draws a new one.
     pub fn forget(&mut self) {
         self.stock = None;
     }
@@ -59,7 +59,7 @@ impl Noise {
     }
 }
 
-/// `[rows, 3]`.
+/// `[rows, 3]`: standard normal deviates.
 fn normal(seed: u64, rows: usize, device: &Device) -> Tensor<2> {
     let mut values = vec![0.0_f32; 3 * rows];
     values.par_chunks_mut(3 * CHUNK).enumerate().for_each(|(stream, chunk)| {
@@ -82,7 +82,7 @@ mod tests {
         let count = values.len() as f32;
         let mean = values.iter().sum::<f32>() / count;
         let variance = values.iter().map(|value| value * value).sum::<f32>() / count;
-        // Five standard errors.
+        // Tolerance: five standard errors.
         assert!(mean.abs() < 5.0 / count.sqrt() && (variance - 1.0).abs() < 5.0 * (2.0 / count).sqrt());
         assert_ne!(values[..9], values[3 * CHUNK..3 * CHUNK + 9], "two streams are one");
         assert_ne!(values, values_of(normal(4, rows, &Device::flex())));

@@ -1,4 +1,4 @@
-//! The only place that edits rows: of the parameters and, with them, of their Adam moments.
+//! Edits of rows: the only place that changes the rows of parameters and of their Adam moments.
 
 mod state;
 
@@ -8,7 +8,7 @@ use burn::tensor::{Device, Int, Tensor, TensorData};
 use crate::gaussians::{GaussianRows, Gaussians, RowsError, parameter};
 use crate::optim::{Adam, LearningRates, Moments, Rates};
 
-/// Adam's state for all parameters of a scene.
+/// Adam moments of all parameters of a scene.
 #[derive(Clone, Debug)]
 pub struct GaussianMoments {
     pub(crate) means: Moments<2>,
@@ -19,7 +19,7 @@ pub struct GaussianMoments {
 }
 
 impl GaussianMoments {
-    /// No history.
+    /// Zero moments.
     pub fn new(gaussians: &Gaussians) -> Self {
         Self {
             means: Moments::new(&gaussians.means.val()),
@@ -31,7 +31,7 @@ impl GaussianMoments {
     }
 }
 
-/// A scene being trained: parameters and moments, always of the same rows.
+/// A scene in training: parameters and moments, always with the same rows.
 #[derive(Clone, Debug)]
 pub struct Trained {
     /// The parameters.
@@ -39,17 +39,17 @@ pub struct Trained {
     pub(crate) moments: GaussianMoments,
 }
 
-/// One edit of all rows. Rows that stay come before those that are added.
+/// One edit of all rows. Kept rows come before added rows.
 #[derive(Clone, Debug, Default)]
 pub struct RowEdit {
-    /// Rows that stay, in their new order.
+    /// Indices of the kept rows, in their new order.
     pub keep: Vec<u32>,
-    /// Rows that come, without history.
+    /// Added rows, whose moments are zero.
     pub add: GaussianRows,
 }
 
 impl Trained {
-    /// A scene without history.
+    /// A scene with zero moments.
     pub fn new(gaussians: Gaussians) -> Self {
         let moments = GaussianMoments::new(&gaussians);
         Self { gaussians, moments }
@@ -58,10 +58,10 @@ impl Trained {
     /// Keeps, reorders and adds rows.
     ///
     /// # Errors
-    /// If the added rows do not fit together or are of another degree than the scene.
+    /// If the added rows are inconsistent or have another degree than the scene.
     ///
     /// # Panics
-    /// If `keep` names a row that does not exist: that is a bug of the policy.
+    /// If `keep` names a row that does not exist, which is a bug of the strategy.
     pub fn edit(&mut self, edit: &RowEdit) -> Result<(), RowsError> {
         let device = self.gaussians.means.val().device().inner();
         let rows = GaussianRows { sh_degree: self.gaussians.sh_degree(), ..edit.add.clone() };
@@ -75,24 +75,24 @@ impl Trained {
         Ok(())
     }
 
-    /// Replaces the opacities' logits, whose history is forgotten.
+    /// Replaces the opacities' logits and sets their moments to zero.
     pub fn reset_opacities(&mut self, logits: Tensor<1>) {
         self.moments.logit_opacities = Moments::new(&logits);
         replace(&mut self.gaussians.logit_opacities, logits);
     }
 
-    /// Replaces the centres and keeps their history.
+    /// Replaces the centres and keeps their moments.
     pub fn replace_means(&mut self, means: Tensor<2>) {
         replace(&mut self.gaussians.means, means);
     }
 
-    /// Replaces the logarithms of the standard deviations and keeps their history.
+    /// Replaces the logarithms of the standard deviations and keeps their moments.
     pub fn replace_log_scales(&mut self, log_scales: Tensor<2>) {
         replace(&mut self.gaussians.log_scales, log_scales);
     }
 
-    /// Makes room for spherical harmonics up to `degree`: new coefficients and their moments are zero, just as if they
-    /// had been there from the start with zero gradients.
+    /// Extends the spherical harmonics to `degree`. New coefficients and their moments are zero, as if they had been there
+    /// from the start with zero gradients.
     pub fn grow_sh(&mut self, degree: usize) {
         let wanted = (degree + 1) * (degree + 1);
         let values = self.gaussians.sh.val().inner();
@@ -107,8 +107,8 @@ impl Trained {
         replace(&mut self.gaussians.sh, grown(values));
     }
 
-    /// One step of Adam on every parameter that has a gradient; `step` counts from 1. With a verdict, `[2]` (see
-    /// [`splat_op::adam`]), the device decides whether anything changes: nothing does where a step is entered in it.
+    /// Takes one Adam step on every parameter that has a gradient. `step` counts from 1. With a verdict, `[2]` (see
+    /// [`splat_op::adam`]), the device leaves everything unchanged if a step is recorded in it.
     pub fn step(
         &mut self,
         gradients: Gradients,
@@ -131,29 +131,29 @@ impl Trained {
 /// Learning rates of one step.
 #[derive(Clone, Copy, Debug)]
 pub struct StepRates {
-    /// Those that do not change.
+    /// Rates of the parameters other than the centres.
     pub rates: LearningRates,
-    /// Of the centres, scene units.
+    /// Rate of the centres, scene units.
     pub means: f64,
 }
 
-/// Gradients of a scene's parameters, without autodiff; absent where the loss does not depend on one.
+/// Gradients of a scene's parameters, without autodiff. `None` where the loss does not depend on a parameter.
 #[derive(Debug, Default)]
 pub struct Gradients {
-    /// `[N, 3]`, of the centres.
+    /// `[N, 3]`, centres.
     pub means: Option<Tensor<2>>,
-    /// `[N, 4]`, of the quaternions.
+    /// `[N, 4]`, quaternions.
     pub rotations: Option<Tensor<2>>,
-    /// `[N, 3]`, of the logarithms of the standard deviations.
+    /// `[N, 3]`, logarithms of the standard deviations.
     pub log_scales: Option<Tensor<2>>,
-    /// `[N]`, of the opacities' logits.
+    /// `[N]`, logits of the opacities.
     pub logit_opacities: Option<Tensor<1>>,
-    /// `[N, (degree + 1)², 3]`, of the harmonics' coefficients.
+    /// `[N, (degree + 1)², 3]`, coefficients of the spherical harmonics.
     pub sh: Option<Tensor<3>>,
 }
 
 impl Gradients {
-    /// Takes the gradients of a scene's parameters out of those of a loss.
+    /// Removes the gradients of a scene's parameters from the gradients of a loss.
     pub fn take(gaussians: &Gaussians, grads: &mut burn::tensor::Gradients) -> Self {
         Self {
             means: gaussians.means.val().grad_remove(grads),
@@ -166,7 +166,7 @@ impl Gradients {
 }
 
 impl Gradients {
-    /// The sum; what is absent counts as zero.
+    /// The sum of both. `None` counts as zero.
     pub fn plus(self, other: Self) -> Self {
         fn sum<const D: usize>(a: Option<Tensor<D>>, b: Option<Tensor<D>>) -> Option<Tensor<D>> {
             match (a, b) {
@@ -183,7 +183,7 @@ impl Gradients {
         }
     }
 
-    /// All of them times a factor.
+    /// The gradients multiplied by a factor.
     pub fn times(self, factor: f64) -> Self {
         Self {
             means: self.means.map(|grad| grad * factor),
@@ -200,13 +200,13 @@ fn on<const D: usize>(device: &Device, values: Tensor<D>) -> Tensor<D> {
     if device.is_autodiff() { Tensor::from_inner(values) } else { values }
 }
 
-/// Puts new values in a parameter's place.
+/// Replaces the values of a parameter.
 fn replace<const D: usize>(param: &mut Param<Tensor<D>>, values: Tensor<D>) {
     let device = param.val().device();
     *param = parameter(on(&device, values));
 }
 
-/// Takes the values out of a parameter, so that nothing else holds them.
+/// Moves the values out of a parameter, so that no other reference exists.
 fn take<const D: usize>(param: &mut Param<Tensor<D>>) -> Tensor<D> {
     let (device, dtype) = (param.val().device(), param.val().dtype());
     let empty = parameter(Tensor::zeros([0; D], (&device, dtype)));
@@ -226,14 +226,14 @@ fn update<const D: usize>(
     *param = parameter(on(&device, adam.step_unless(values, gradient, rate, moments, (step, verdict))));
 }
 
-/// Numbers of rows, on a device.
+/// Row indices as a tensor.
 fn indices(rows: &[u32], device: &Device) -> Tensor<1, Int> {
     let rows: Vec<i32> = rows.iter().map(|&row| row as i32).collect();
     let count = rows.len();
     Tensor::from_data(TensorData::new(rows, [count]), device)
 }
 
-/// The rows of `keep`, `[K]`, then the added ones, which have no history.
+/// The rows `keep`, `[K]`, followed by the added rows, whose moments are zero.
 fn edit_rows<const D: usize>(
     param: &mut Param<Tensor<D>>,
     moments: &mut Moments<D>,

@@ -1,7 +1,7 @@
-//! What a strategy of density control is: a run's policy on how many Gaussians there are, and where.
+//! The interface of density control strategies, which decide how many Gaussians a run has and where.
 //!
-//! A strategy of your own is one type that implements [`Strategy`], handed to
-//! [`Trainer::with_strategy`](crate::trainer::Trainer::with_strategy); `examples/custom_strategy.rs` is a whole one.
+//! A custom strategy is a type that implements [`Strategy`] and is passed to
+//! [`Trainer::with_strategy`](crate::trainer::Trainer::with_strategy). `examples/custom_strategy.rs` is a complete example.
 
 use burn::tensor::{Device, Int, Tensor};
 use rand::Rng;
@@ -11,49 +11,49 @@ use super::rows::Trained;
 use crate::gaussians::{GaussianRows, RowsError};
 use crate::state::{State, StateError};
 
-/// What a strategy wants to be told of a step. What nobody wants is not computed.
+/// The signals of a step that a strategy needs. Other signals are not computed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Signals {
     /// The gradient at the projected centres (Kerbl et al. 2023, section 5.2).
     pub gradient: bool,
-    /// The same with the absolute value taken pixel by pixel (AbsGS, Ye et al. 2024, eq. 7): gradients of two edges of a
-    /// Gaussian that is too large do not cancel.
+    /// The gradient at the projected centres as a sum of absolute values over the pixels (AbsGS, Ye et al. 2024, eq. 7), so
+    /// that the gradients of two edges of a Gaussian that is too large do not cancel.
     pub abs_gradient: bool,
-    /// What each Gaussian covers of the picture, and how much of that is wrong; takes another render.
+    /// The pixels that each Gaussian covers, and the share of them with a large error. Takes another render.
     pub covered: bool,
 }
 
-/// What there was to be told of a view; of a batch, each view is told by itself.
+/// The requested signals of one view. Each view of a batch has its own.
 #[derive(Clone, Debug, Default)]
 pub struct Observed {
     /// `[N, 2]`: `∂L/∂mean2d`, per px.
     pub gradient: Option<Tensor<2>>,
     /// `[N, 2]`: `Σ |∂L/∂mean2d|` over the pixels, per px.
     pub abs_gradient: Option<Tensor<2>>,
-    /// `[N, 2]`: pixels covered, each by the Gaussian's share in its colour, and those of them whose error is above the picture's
-    /// mean.
+    /// `[N, 2]`: covered pixels, each weighted by the Gaussian's share in its colour, and the same sum over the pixels
+    /// whose error exceeds the picture's mean.
     pub covered: Option<Tensor<2>>,
     /// Width and height of the picture, px.
     pub size: (usize, usize),
 }
 
-/// Where a run is when a strategy acts.
+/// The position in a run at which a strategy acts.
 #[derive(Clone, Copy, Debug)]
 pub struct At<'a> {
-    /// Counted from 1.
+    /// Number of the step, counted from 1.
     pub step: usize,
-    /// Of the whole run.
+    /// Number of steps in the whole run.
     pub steps: usize,
     /// See [`crate::optim::scene_extent`], scene units.
     pub extent: f64,
     /// The centres' learning rate in this step, scene units.
     pub means_rate: f64,
-    /// `[2]`: on a GPU the device's verdict on this step and those before. Nothing may change where a step is entered in it (see
-    /// [`splat_op::adam`]). Where [`Strategy::acts_at`] says so it has been read, and nothing is.
+    /// `[2]`: on a GPU, the device's verdict on this and earlier steps. Nothing may change if a step is recorded in it (see
+    /// [`splat_op::adam`]). At steps of [`Strategy::acts_at`] it has been read already, and no step is recorded.
     pub verdict: Option<&'a Tensor<1, Int>>,
 }
 
-/// What a refinement did.
+/// The changes of a refinement.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct RefineReport {
     /// Gaussians copied.
@@ -62,53 +62,54 @@ pub struct RefineReport {
     pub split: usize,
     /// Gaussians removed.
     pub pruned: usize,
-    /// The score above which Gaussians were copied or split; above the configured one at the cap. 0 where there is none.
+    /// Gradient threshold of the refinement, which at the cap exceeds the configured one. 0 if the strategy has none.
     pub threshold: f64,
 }
 
-/// A policy on how many Gaussians there are, and where. The trainer calls it in the order of the functions below.
+/// A strategy of density control. The trainer calls the functions in the order below.
 ///
-/// All that is random must come from the generator that is handed over, and all that is remembered must be saved: a run is to be
-/// the same in every repetition, interrupted or not.
+/// All randomness must come from the generator that is passed in, and all state must be saved, so that a run can be
+/// repeated exactly, interrupted or not.
 pub trait Strategy {
-    /// Changes the first Gaussians before anything is trained.
+    /// Changes the initial Gaussians before training.
     fn start(&mut self, _rows: &mut GaussianRows) {}
 
-    /// What is wanted of `step`, counted from 1.
+    /// The signals that the strategy needs at `step`, counted from 1.
     fn listens_at(&self, _step: usize) -> Signals {
         Signals::default()
     }
 
-    /// What is added to the loss of `step`, `[1]`, tracked. `splats` are activated.
+    /// Returns a term to add to the loss of `step`, `[1]`, tracked. `splats` are the activated parameters.
     fn penalty(&self, _splats: &Splats, _step: usize) -> Option<Tensor<1>> {
         None
     }
 
-    /// Is told what was wanted, before the optimiser's step.
+    /// Receives the requested signals, before the optimiser step.
     fn observe(&mut self, _seen: Observed) {}
 
-    /// Whether [`Self::act`] reads the scene at `step`, or adds, removes or moves rows. The device is waited for then.
+    /// Whether [`Self::act`] reads the scene at `step`, or adds, removes or moves rows. The trainer then waits for the
+    /// device.
     fn acts_at(&self, step: usize) -> bool;
 
-    /// Changes the scene after the optimiser's step; called at every step. A report says that rows were added, removed or
-    /// moved, or are other Gaussians now.
+    /// Changes the scene after the optimiser step. Called at every step. Returns a report if rows were added, removed,
+    /// moved or replaced.
     ///
     /// # Errors
-    /// If the scene's rows do not fit together.
+    /// If the rows of the scene are inconsistent.
     fn act(&mut self, scene: &mut Trained, at: &At, rng: &mut dyn Rng) -> Result<Option<RefineReport>, RowsError>;
 
-    /// Puts down what is remembered between steps.
+    /// Saves the strategy's state.
     ///
     /// # Errors
-    /// If something has no form in a state.
+    /// If a value cannot be stored in a state.
     fn save(&self, _to: &mut State) -> Result<(), StateError> {
         Ok(())
     }
 
-    /// Takes up what [`Self::save`] has put down. `device` is the scene's, without autodiff.
+    /// Restores what [`Self::save`] saved. `device` is the scene's device without autodiff.
     ///
     /// # Errors
-    /// If something is missing, or is not what it should be.
+    /// If a value is missing or invalid.
     fn load(&mut self, _from: &mut State, _device: &Device) -> Result<(), StateError> {
         Ok(())
     }

@@ -1,15 +1,16 @@
-//! What is behind the Gaussians: a colour, another at each step, one that is learnt, or a learnt environment.
+//! The background behind the Gaussians: a constant colour, a random colour for each step, a learned colour, or a learned
+//! environment.
 //!
-//! - **A random colour at each step** (as in the training of NeRF-synthetic scenes since Mildenhall et al. 2020's
-//!   successors) leaves transparent photographs no colour to hide in: what is to look right over every colour has the
-//!   photograph's alpha. An opaque photograph then asks for opaque Gaussians everywhere.
-//! - **A learnt colour** is one parameter of three numbers, blended over by the kernel.
-//! - **An environment** is light from infinitely far away: `0.5 + Σₖ Yₖ(d) cₖ` with `d` the direction in which a pixel looks
-//!   and `Yₖ` the real spherical harmonics of [`mod@splat_op::shade`]. It stands for skies, whose parallax no camera sees and
-//!   which Gaussians would have to be put at some distance for. It is added to the render over black, times the share of
-//!   the background that is not hidden.
+//! - **A random colour for each step** (as in training on the NeRF-synthetic scenes by successors of Mildenhall et al.
+//!   2020) prevents colours from hiding in transparent parts: a scene that looks right over every colour has the
+//!   photograph's alpha. An opaque photograph then requires opaque Gaussians everywhere.
+//! - **A learned colour** is one parameter of three numbers, composited by the kernel.
+//! - **An environment** is light from infinitely far away: `0.5 + Σₖ Yₖ(d) cₖ` with `d` the viewing direction of a pixel
+//!   and `Yₖ` the real spherical harmonics of [`mod@splat_op::shade`]. It models skies, which have no parallax and would
+//!   otherwise need Gaussians at some distance. It is multiplied by the visible share of the background and added to the
+//!   render over black.
 //!
-//! Directions are those of the photographs' poses as they were given, also while poses are refined.
+//! Directions use the photographs' given poses, also while poses are refined.
 
 use std::collections::BTreeMap;
 use std::io;
@@ -30,54 +31,54 @@ use crate::gaussians::{Gaussians, values_of};
 use crate::json::{self, JsonFault};
 use crate::state::{State, StateError};
 
-/// What a run puts behind the Gaussians.
+/// The kind of background of a run.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Backdrop {
     /// [`TrainConfig::background`](crate::trainer::TrainConfig::background) at every step.
     #[default]
     Fixed,
-    /// A colour at random at every step, the same behind the photograph's transparent parts. Scores and files are over
+    /// A random colour for each step, also behind the photograph's transparent parts. Scores and files use
     /// [`TrainConfig::background`](crate::trainer::TrainConfig::background).
     Random,
-    /// One colour, learnt; for photographs without alpha.
+    /// One learned colour. For photographs without alpha.
     Learned,
-    /// Harmonics of this degree, 0 to 4, learnt; for photographs without alpha.
+    /// A learned environment in spherical harmonics of this degree, 0 to 4. For photographs without alpha.
     Environment {
-        /// 2 knows that the sky is above, where the sun is and how light falls off around it.
+        /// The degree. Degree 2 can represent the sky above, the sun's direction and the falloff of light around it.
         degree: usize,
     },
 }
 
-/// Learning rates of colours and coefficients: those of exposures.
+/// Learning rates of colours and coefficients, as for exposures.
 const RATE: Falling = Falling { from: 0.01, to: 0.001 };
 
-/// Memory for what the harmonics are in each photograph's pixels; beyond it they are computed at each step.
+/// Memory for the values of the harmonics in each photograph's pixels. Beyond it they are computed at each step.
 const CACHE_BYTES: usize = 256 << 20;
 
-/// A background as a file or a command line has it.
+/// A background in a file or on the command line.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Background {
     /// RGB, 0 to 1.
     Colour([f32; 3]),
-    /// Coefficients by harmonic, RGB.
+    /// Coefficients in the order of the harmonics, RGB.
     Environment(Vec<[f32; 3]>),
 }
 
-/// A file that holds no background.
+/// Errors of background files.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum BackgroundError {
-    /// It cannot be read.
-    #[error("{path}: {source}; name the `background.json` that a run left beside its scene", path = path.display())]
+    /// The file cannot be read.
+    #[error("{path}: {source}; expected the `background.json` that a run writes beside its scene", path = path.display())]
     Read {
         /// The file.
         path: PathBuf,
         /// The system's reason.
         source: io::Error,
     },
-    /// It holds something else.
+    /// The file is not a background.
     #[error(
         "{path}: {reason}, expected {{\"colour\": [r, g, b]}} or {{\"environment\": [[r, g, b], ...]}} with 1, 4, 9, 16 or 25 \
          coefficients, all finite",
@@ -86,19 +87,19 @@ pub enum BackgroundError {
     Content {
         /// The file.
         path: PathBuf,
-        /// What was found.
+        /// The found content.
         reason: String,
     },
 }
 
-/// A background is a few hundred bytes; a file of more than this is none.
+/// Largest accepted file. A background is a few hundred bytes.
 const LARGEST_FILE: u64 = 1 << 20;
 
 impl Background {
-    /// Reads what [`Self::to_json`] gave.
+    /// Reads a file that [`Self::to_json`] wrote.
     ///
     /// # Errors
-    /// If the file cannot be read or holds something else.
+    /// If the file cannot be read or is not a background.
     pub fn read(path: &Path) -> Result<Self, BackgroundError> {
         let content = |reason| BackgroundError::Content { path: path.to_owned(), reason };
         let found: Self = json::read(path, LARGEST_FILE).map_err(|fault| match fault {
@@ -116,10 +117,10 @@ impl Background {
         }
     }
 
-    /// As a file has it.
+    /// The background in the format of its file.
     ///
     /// # Errors
-    /// If a number is not finite, which JSON cannot say.
+    /// If a number is not finite, which JSON cannot represent.
     pub fn to_json(&self) -> serde_json::Result<String> {
         serde_json::to_string_pretty(self)
     }
@@ -132,7 +133,7 @@ impl Background {
         all.as_flattened().iter().copied()
     }
 
-    /// The colour that the operation blends over: black where an environment is added later.
+    /// The colour for the render: black if an environment is added later.
     pub fn colour(&self) -> [f32; 3] {
         match self {
             Self::Colour(colour) => *colour,
@@ -140,7 +141,8 @@ impl Background {
         }
     }
 
-    /// A render over [`Self::colour`], `[H, W, 3]` with its alpha `[H, W, 1]`, over this background. Not tracked.
+    /// Composites a render over [`Self::colour`], `[H, W, 3]`, with its alpha `[H, W, 1]`, over this background. Not
+    /// tracked.
     pub fn behind(
         &self,
         image: Tensor<3>,
@@ -157,7 +159,7 @@ impl Background {
     }
 }
 
-/// `[H W, (degree+1)²]`: the harmonics in the directions in which the pixels of a camera look.
+/// `[H W, (degree+1)²]`: the values of the harmonics in the viewing directions of a camera's pixels.
 fn basis(camera: &Intrinsics, cam_from_world: &DAffine3, degree: usize, device: &Device) -> Tensor<2> {
     let (width, height, count) = (camera.width, camera.height, (degree + 1) * (degree + 1));
     let world_from_cam = cam_from_world.matrix3.transpose();
@@ -172,18 +174,18 @@ fn basis(camera: &Intrinsics, cam_from_world: &DAffine3, degree: usize, device: 
     Tensor::from_data(TensorData::new(values, [width * height, count]), device)
 }
 
-/// `[H W, 3]`: the environment's light.
+/// `[H W, 3]`: the light of the environment.
 fn sky(basis: Tensor<2>, coefficients: Tensor<2>) -> Tensor<2> {
     basis.matmul(coefficients) + 0.5
 }
 
-/// A render over black, with what is behind it, `[H W, 3]`.
+/// Adds the background `behind`, `[H W, 3]`, to a render over black.
 fn over(image: Tensor<3>, alpha: Tensor<3>, behind: Tensor<2>) -> Tensor<3> {
     let size = image.dims();
     image + behind.reshape(size) * (alpha.neg() + 1.0)
 }
 
-/// Another colour at each step.
+/// A background with a random colour for each step.
 pub struct RandomBackground;
 
 impl Effect for RandomBackground {
@@ -196,14 +198,14 @@ impl Effect for RandomBackground {
     }
 }
 
-/// One colour, learnt.
+/// A background with one learned colour.
 pub struct LearnedBackground {
     /// `[3]`
     colour: Learned<1>,
 }
 
 impl LearnedBackground {
-    /// Begins as `start`.
+    /// Starts at the colour `start`.
     pub fn new(start: [f32; 3], device: &Device) -> Self {
         Self { colour: Learned::new(Tensor::from_floats(start, device)) }
     }
@@ -236,26 +238,26 @@ impl Effect for LearnedBackground {
     }
 }
 
-/// A learnt environment.
+/// A learned environment in spherical harmonics.
 pub struct Environment {
     /// `[(degree+1)², 3]`
     coefficients: Learned<2>,
     degree: usize,
-    /// Of the photographs, as they were given.
+    /// Given poses of the photographs, `cam_from_world`.
     poses: Vec<DAffine3>,
-    /// `[H W, (degree+1)²]` by photograph, at the size that was last asked for, which goes with it.
+    /// `[H W, (degree+1)²]` by photograph, with the picture size for which it was computed.
     cache: BTreeMap<usize, ([usize; 2], Tensor<2>)>,
     cached_bytes: usize,
 }
 
 impl Environment {
-    /// Grey light around photographs of these poses, `cam_from_world`, as harmonics of `degree`, 0 to 4.
+    /// Grey light around photographs of the given poses, `cam_from_world`, in harmonics of `degree`, 0 to 4.
     pub fn new(degree: usize, poses: Vec<DAffine3>, device: &Device) -> Self {
         let coefficients = Learned::new(Tensor::zeros([(degree + 1) * (degree + 1), 3], device));
         Self { coefficients, degree, poses, cache: BTreeMap::new(), cached_bytes: 0 }
     }
 
-    /// The render over black of a photograph's camera, with the environment behind it.
+    /// The render over black of a photograph's camera, composited over the environment.
     fn behind(&mut self, image: Tensor<3>, alpha: Tensor<3>, view: usize, camera: &Intrinsics) -> Tensor<3> {
         let basis = self.basis_of(view, camera);
         over(image, alpha, sky(Tensor::from_inner(basis), self.coefficients.tracked()))
@@ -312,7 +314,7 @@ impl Effect for Environment {
         self.coefficients.load(from)
     }
 
-    /// With the harmonics that are kept.
+    /// Includes the cached harmonics.
     fn bytes(&self) -> usize {
         saved_bytes(self) + self.cached_bytes
     }

@@ -1,43 +1,43 @@
-//! A parameter for each photograph, whose mean over the photographs is kept neutral. The scene and all of these could change
-//! together and no photograph would tell; what they all agree on is the scene's.
+//! Parameters of photographs whose mean over the photographs is kept neutral. A change of the scene could cancel a common
+//! change of all parameters without a change in any render, so the common part belongs to the scene.
 
 use burn::tensor::{Gradients, Tensor};
 
 use super::learned::{Learned, Moment};
 use crate::state::{State, StateError};
 
-/// Such parameters.
+/// One parameter for each photograph, with a neutral mean.
 pub struct Centred<const D: usize> {
     all: Vec<Learned<D>>,
     neutral: Tensor<D>,
-    /// Steps of all of them since their mean was last set back.
+    /// Steps on all parameters since their mean was last reset.
     since_centred: usize,
 }
 
 impl<const D: usize> Centred<D> {
-    /// `neutral`, not tracked, for so many photographs.
+    /// Starts `views` parameters at `neutral`, which is not tracked.
     pub fn new(neutral: Tensor<D>, views: usize) -> Self {
         let all = (0..views).map(|_| Learned::new(neutral.clone())).collect();
         Self { all, neutral, since_centred: 0 }
     }
 
-    /// That of a photograph, tracked.
+    /// The tracked parameter of a photograph.
     pub fn tracked(&mut self, view: usize) -> Tensor<D> {
         self.all[view].tracked()
     }
 
-    /// The same without autodiff.
+    /// The parameter of a photograph without autodiff.
     #[cfg(test)]
     pub fn value(&self, view: usize) -> Tensor<D> {
         self.all[view].value()
     }
 
-    /// What their mean is, without autodiff.
+    /// The neutral value, without autodiff.
     pub fn neutral(&self) -> Tensor<D> {
         self.neutral.clone()
     }
 
-    /// Adam's step on that of the photograph. Once every as many steps as there are photographs the mean is set back.
+    /// Takes an Adam step on the photograph's parameter. Once in as many steps as there are photographs, the mean is reset.
     pub fn step(&mut self, gradients: &mut Gradients, rate: f64, at: Moment) {
         if !self.all[at.view].step(gradients, rate, at.verdict) {
             return;
@@ -49,7 +49,7 @@ impl<const D: usize> Centred<D> {
         }
     }
 
-    /// Moves all alike, so that their mean is neutral.
+    /// Shifts all parameters by the same amount such that their mean is neutral.
     fn centre(&mut self) {
         let Some(sum) = self.all.iter().map(Learned::value).reduce(|a, b| a + b) else { return };
         let excess = sum / self.all.len() as f32 - self.neutral();
@@ -58,19 +58,19 @@ impl<const D: usize> Centred<D> {
         }
     }
 
-    /// Keeps all, and how long ago their mean was set back.
+    /// Saves all parameters and the number of steps since the last reset.
     ///
     /// # Errors
-    /// None that is to be expected.
+    /// None expected.
     pub fn save(&self, to: &mut State) -> Result<(), StateError> {
         Learned::save_all(&self.all, to)?;
         to.tell("since_centred", &self.since_centred)
     }
 
-    /// Goes on from what was kept for as many photographs.
+    /// Restores the state of the same number of photographs.
     ///
     /// # Errors
-    /// If something is missing or of another shape.
+    /// If a value is missing or has another shape.
     pub fn load(&mut self, from: &mut State) -> Result<(), StateError> {
         Learned::load_all(&mut self.all, from)?;
         self.since_centred = from.told("since_centred")?;

@@ -1,13 +1,14 @@
-//! Depth supervision: what is known of the distance of things holds the scene in place where few photographs do.
+//! Depth supervision: known depths constrain the scene where few photographs do.
 //!
-//! Known are the depth maps that a capture brings, or else the sparse points in the photographs that their tracks name (Deng
-//! et al. 2022, "Depth-supervised NeRF"). The render's depth is `D/α` with `D = Σ wᵢ zᵢ`, and the loss is the mean of `|D/α − z| / z` over the known
-//! places, relative, so that near and far count alike. Places that the render covers by less than half say nothing.
+//! Known depths come from the depth maps of a capture, or else from the sparse points in the photographs of their tracks
+//! (Deng et al. 2022, "Depth-supervised NeRF"). The render's depth is `D/α` with `D = Σ wᵢ zᵢ`. The loss is the mean of the
+//! relative error `|D/α − z| / z` over the known pixels, so that near and far count alike. Pixels with an alpha below one
+//! half are left out.
 //!
-//! The gradient follows the opacity `α = Σ wᵢ` too. Were it held constant, as is sometimes done, thinning everything out would
-//! bring `D` down as well as moving things would: on the capture of `known_depths_pull_the_scene` depths then end up farther
-//! off (0.73 scene units) than without any supervision (0.46), and nearer (less than 0.28) with the whole derivative, which says
-//! `(zᵢ − D/α)/α` for each weight: what is too far off fades and what is nearer comes forward.
+//! The gradient includes the opacity `α = Σ wᵢ`. If `α` is held constant, as is sometimes done, lower opacities reduce `D`
+//! as well as movement does. On the capture of `known_depths_pull_the_scene`, depths are then further off at the end (0.73
+//! scene units) than without supervision (0.46). With the full derivative they are nearer (less than 0.28). It is
+//! `(zᵢ − D/α)/α` for each weight: Gaussians that are too far fade, and nearer ones gain.
 
 use std::path::Path;
 
@@ -24,12 +25,12 @@ use crate::capture::{Capture, CaptureError};
 use crate::gaussians::Gaussians;
 use crate::json;
 
-/// How depths are learnt from.
+/// Options of depth supervision.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct DepthConfig {
-    /// Weight of the relative error in the loss, 0.5 throughout: more helps where hardly anything else is known and harms where
-    /// photographs know better (`docs/EFFECTS.md`).
+    /// Weight of the relative error in the loss, 0.5 throughout. A larger weight helps where little else is known and harms
+    /// where photographs are more accurate (`docs/EFFECTS.md`).
     pub weight: Falling,
 }
 
@@ -39,19 +40,20 @@ impl Default for DepthConfig {
     }
 }
 
-/// A place of a photograph whose depth is known.
+/// A position in a photograph with known depth.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DepthSample {
-    /// Where, as shares of the picture's width and height.
+    /// Position, as shares of the picture's width and height.
     pub at: [f32; 2],
     /// Camera z, scene units, positive.
     pub depth: f32,
 }
 
-/// Sights that miss their point by more than this share of the picture's longer side are mistaken: 4 px in a thousand.
+/// Largest distance between an observation and its projected point, as a share of the picture's longer side: 4 px in a
+/// thousand. Observations beyond it are taken as wrong.
 const LARGEST_MISS: f64 = 0.004;
 
-/// What the tracks of a capture know of the depth of things in some of its photographs.
+/// The depths of the sparse points in the photographs `views`, by their tracks.
 pub fn from_tracks(capture: &Capture, views: &[usize]) -> Vec<Vec<DepthSample>> {
     let mut place = vec![None; capture.views.len()];
     views.iter().enumerate().for_each(|(at, &view)| place[view] = Some(at));
@@ -74,20 +76,20 @@ pub fn from_tracks(capture: &Capture, views: &[usize]) -> Vec<Vec<DepthSample>> 
     samples
 }
 
-/// What is beside the depth maps.
+/// The contents of `depth.json`.
 #[derive(Deserialize)]
 struct Scale {
     /// Scene units per level.
     scale: f64,
 }
 
-/// What depth maps know of some of a capture's photographs: in `folder` of the capture, 16-bit grey PNG pictures of any size
-/// named as masks are (see [`masks`](super::masks)), whose levels are camera z at the pixels' middles, zero where it is not
-/// known, and a file `depth.json` that says how many scene units a level is: `{"scale": 0.001}`. Of a large map some pixels are
-/// taken, evenly. A photograph without a map has no samples.
+/// Reads the depth maps of the photographs `views` in `folder` of the capture: 16-bit grey PNG files of any size, named
+/// like masks (see [`masks`](super::masks)). Levels are camera z at pixel centres, and zero where the depth is unknown. The
+/// file `depth.json` holds the scene units per level: `{"scale": 0.001}`. Large maps are sampled evenly. A photograph
+/// without a map has no samples.
 ///
 /// # Errors
-/// If `depth.json` is missing or holds no positive number, or a map cannot be read or is no 16-bit grey picture.
+/// If `depth.json` is missing or its scale is not positive, or if a map cannot be read or is not a 16-bit grey picture.
 pub fn from_maps(capture: &Capture, folder: &str, views: &[usize]) -> Result<Vec<Vec<DepthSample>>, CaptureError> {
     let folder = capture.folder.join(folder);
     let file = folder.join("depth.json");
@@ -116,16 +118,16 @@ pub fn from_maps(capture: &Capture, folder: &str, views: &[usize]) -> Result<Vec
     views.par_iter().map(of_view).collect()
 }
 
-/// Bytes of `depth.json` at most.
+/// Largest accepted size of `depth.json`, bytes.
 const LARGEST_TEXT: u64 = 1 << 16;
 
-/// Samples of a depth map at most.
+/// Largest number of samples of a depth map.
 const MOST_SAMPLES: usize = 16_384;
 
 /// A photograph's samples on the device, for one size of picture.
 struct OnDevice {
     size: [usize; 2],
-    /// `[M]`: pixels, row by row.
+    /// `[M]`: pixel indices, row-major.
     pixels: Tensor<1, Int>,
     /// `[M]`
     depths: Tensor<1>,
@@ -140,7 +142,7 @@ pub struct Depths {
 }
 
 impl Depths {
-    /// One list for each photograph.
+    /// The known depths, one list for each photograph.
     pub fn new(config: DepthConfig, samples: Vec<Vec<DepthSample>>, device: &Device) -> Self {
         let usable = |sample: &DepthSample| {
             sample.depth > 0.0 && sample.depth.is_finite() && sample.at.iter().all(|at| (0.0..1.0).contains(at))
@@ -151,12 +153,12 @@ impl Depths {
         Self { config, samples, on_device, device: device.clone() }
     }
 
-    /// Whether anything is known of a photograph, so that its depth has to be rendered.
+    /// Whether a photograph has known depths, so that its depth must be rendered.
     pub fn knows(&self, view: usize) -> bool {
         self.samples.get(view).is_some_and(|samples| !samples.is_empty())
     }
 
-    /// What is added to the loss of a step, `[1]`, with the render's accumulated depth and alpha, `[H, W, 1]` each.
+    /// The loss of a step, `[1]`, from the render's accumulated depth and alpha, `[H, W, 1]` each.
     fn miss(&mut self, depth: Tensor<3>, alpha: Tensor<3>, at: Moment) -> Option<Tensor<1>> {
         let Moment { view, step, steps, .. } = at;
         let samples = self.samples.get(view).filter(|samples| !samples.is_empty())?;
@@ -179,7 +181,7 @@ impl Depths {
     }
 }
 
-/// What is known of depths does not change, so that there is no state.
+/// Known depths do not change, so there is no state to save.
 impl Effect for Depths {
     fn name(&self) -> &'static str {
         EffectKind::DepthSupervision.name()
@@ -239,7 +241,7 @@ mod tests {
     #[test]
     fn the_error_is_relative_and_counts_where_something_is_drawn() {
         let sample = |x: f32, y: f32, depth: f32| DepthSample { at: [x, y], depth };
-        // Pixels 0 and 3 of four, one of them barely covered, and two that are no samples.
+        // Pixels 0 and 3 of four, one of them barely covered, and two without samples.
         let samples = vec![
             sample(0.2, 0.1, 2.0),
             sample(0.9, 0.6, 4.0),
@@ -257,14 +259,14 @@ mod tests {
         let gradient = values_of(depth.grad(&gradients).unwrap());
         let expected = [-1.0 / (0.8 * 2.0), 0.0, 0.0, -0.25];
         assert!(gradient.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-6), "{gradient:?}");
-        // What covers more is as if it were nearer.
+        // A higher alpha has the effect of a smaller depth.
         let gradient = values_of(alpha.grad(&gradients).unwrap());
         let expected = [1.2 / (0.8 * 0.8 * 2.0), 0.0, 0.0, 0.75];
         assert!(gradient.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-6), "{gradient:?}");
         assert!(depths.knows(0) && !depths.knows(1) && !depths.knows(7));
         assert!(depths.miss(depth.clone(), alpha.clone(), at(1)).is_none());
         assert_eq!(depths.bytes(), 3 * 8);
-        // At another size samples are elsewhere.
+        // At another picture size, samples map to other pixels.
         let small = |values: &[f32]| tracked(values, [1, 1, 1]);
         let loss = depths.miss(small(&[2.0]), small(&[1.0]), at(0)).unwrap().inner().into_scalar::<f32>();
         assert!((loss - 2.0 * (0.0 + 0.5 + 0.6) / 3.0).abs() < 1e-6, "{loss}");
@@ -279,7 +281,7 @@ mod tests {
         let capture = Capture::load(folder.path()).unwrap();
         let (tracks, maps) = (from_tracks(&capture, &[2]), from_maps(&capture, "depth", &[2]).unwrap());
         assert!(maps[0].len() > 1000, "{}", maps[0].len());
-        // At the place of a track the map has its depth, but for steps between things.
+        // At the positions of tracks the map has the tracks' depth, except at depth discontinuities.
         let at = |sample: &DepthSample| {
             let pixel = sample.at.iter().zip([64.0, 48.0]).map(|(at, side)| (at * side).floor());
             let place: Vec<f32> = pixel.zip([64.0, 48.0]).map(|(pixel, side)| (pixel + 0.5) / side).collect();
@@ -308,7 +310,7 @@ mod tests {
         assert!(samples.iter().all(|list| list.len() > 50), "{} and {}", samples[0].len(), samples[1].len());
         let sights = (0..capture.points.positions.len()).flat_map(|point| capture.tracks.of(point));
         assert_eq!(samples[1].len(), sights.filter(|sight| sight.view == 3).count());
-        // A sample and its depth lead back to a point.
+        // Unprojecting a sample by its depth returns to a point.
         let view = &capture.views[3];
         for sample in samples[1].iter().take(20) {
             let px = glam::DVec2::new(f64::from(sample.at[0]) * 64.0, f64::from(sample.at[1]) * 48.0);

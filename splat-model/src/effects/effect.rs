@@ -1,7 +1,7 @@
-//! What an effect is: something that happens between the scene and its photographs, with parameters of its own or without.
+//! The interface of effects: models of what happens between the scene and its photographs, with or without parameters.
 //!
-//! An effect of your own is one type that implements [`Effect`], handed to
-//! [`Trainer::with_effect`](crate::trainer::Trainer::with_effect); `examples/custom_effect.rs` is a whole one.
+//! A custom effect is a type that implements [`Effect`] and is passed to
+//! [`Trainer::with_effect`](crate::trainer::Trainer::with_effect). `examples/custom_effect.rs` is a complete example.
 
 use std::any::Any;
 use std::rc::Rc;
@@ -18,24 +18,23 @@ use super::learned::Moment;
 use crate::gaussians::{GaussianRows, Gaussians};
 use crate::state::{State, StateError};
 
-/// What a render is given, all of which effects may change.
+/// The inputs of a render. Effects may change all of them.
 #[derive(Clone)]
 pub struct RenderInput {
     /// Activated parameters, tracked.
     pub splats: Splats,
-    /// The photograph's camera, at the size that the run has come to.
+    /// The photograph's camera at the current image size.
     pub camera: Camera,
-    /// The background that the operation blends over, and the probes of density control.
+    /// The background colour and the gradient probes of density control.
     pub extras: Extras,
-    /// How is rendered.
+    /// Render options.
     pub options: RenderOptions,
     /// See [`Self::edit`].
     pub(crate) edits: Vec<Rc<dyn Fn(Ellipses) -> Ellipses>>,
 }
 
 impl RenderInput {
-    /// Has ellipses changed on the screen, after those edits that are there already. A render with edits takes
-    /// the stages one by one.
+    /// Adds an edit of the projected ellipses, applied after earlier edits. A render with edits runs the stages one by one.
     pub fn edit(&mut self, edit: impl Fn(Ellipses) -> Ellipses + 'static) {
         self.edits.push(Rc::new(edit));
     }
@@ -50,10 +49,10 @@ impl RenderInput {
         ellipses.pack(&self.camera.intrinsics)
     }
 
-    /// What the camera sees.
+    /// Renders the view.
     ///
     /// # Errors
-    /// Those of the operation.
+    /// Errors of the render operation.
     pub fn render(&self) -> Result<Rendered<3>, SplatError> {
         if self.edits.is_empty() {
             return render_view(&self.splats, &self.camera, &self.extras, &self.options);
@@ -80,13 +79,13 @@ pub(crate) fn mean_of(pictures: Vec<Rendered<3>>) -> Rendered<3> {
     Rendered { colour: sum.colour / count, alpha: sum.alpha / count, depth: sum.depth.map(|depth| depth / count) }
 }
 
-/// Something that happens between the scene and its photographs. The trainer calls it in the order of the functions below, none
-/// of which has to be there but the name.
+/// A model of something that happens between the scene and its photographs. The trainer calls the functions in the order
+/// below. Only the name is required.
 ///
-/// All that is random must come from the generator that is handed over, and all that changes must be saved: a run is to be the same
-/// in every repetition, interrupted or not. An effect without a function adds nothing to a step in its place.
+/// All randomness must come from the generator that is passed in, and all changing state must be saved, so that a run can
+/// be repeated exactly, interrupted or not. The defaults do nothing.
 pub trait Effect: Any {
-    /// What it is called in states. A run has one effect of a name.
+    /// The name in saved states. A run has at most one effect of a name.
     fn name(&self) -> &'static str;
 
     /// Draws the colour of this step's background, RGB, which is also put behind the photograph's transparent parts.
@@ -94,64 +93,64 @@ pub trait Effect: Any {
         None
     }
 
-    /// Changes what is rendered: Gaussians, camera, background, options, or, by [`RenderInput::edit`], ellipses. `gaussians` are the
-    /// parameters that [`RenderInput::splats`] were made from.
+    /// Changes the inputs of the render: Gaussians, camera, background, options, or, by [`RenderInput::edit`], ellipses.
+    /// `gaussians` are the parameters from which [`RenderInput::splats`] were made.
     fn before(&mut self, _input: &mut RenderInput, _gaussians: &Gaussians, _at: Moment) {}
 
-    /// Renders one input as the mean of several, at least one.
+    /// Splits one input into the inputs of one or more renders, whose mean is used.
     fn samples(&mut self, input: RenderInput, _at: Moment) -> Vec<RenderInput> {
         vec![input]
     }
 
-    /// Changes the render, `[H, W, 3]`, before it is compared with the photograph. `input` is what was rendered, before it became
-    /// several, and `picture` what the operation made of it.
+    /// Changes the render, `[H, W, 3]`, before the comparison with the photograph. `input` is the input before
+    /// [`Self::samples`], and `picture` is the output of the render.
     fn image(&mut self, image: Tensor<3>, _input: &RenderInput, _picture: &Rendered<3>, _at: Moment) -> Tensor<3> {
         image
     }
 
-    /// What is added to the loss, `[1]`, tracked.
+    /// Returns a term to add to the loss, `[1]`, tracked.
     fn penalty(&mut self, _input: &RenderInput, _picture: &Rendered<3>, _at: Moment) -> Option<Tensor<1>> {
         None
     }
 
-    /// Takes its optimiser's step by the gradients that belong to its parameters, such as [`Learned::step`](super::Learned::step).
-    /// Called once for each view of a batch, after all of them were rendered, and after the scene's step.
+    /// Takes an optimiser step on the effect's parameters, for example by [`Learned::step`](super::Learned::step). Called
+    /// once for each view of a batch, after all views are rendered and after the step of the scene.
     fn step(&mut self, _gradients: &mut Gradients, _at: Moment) {}
 
-    /// Forgets what is known row by row: Gaussians were added, removed or moved.
+    /// Discards state that belongs to single Gaussians, because Gaussians were added, removed or moved.
     fn forget_rows(&mut self) {}
 
-    /// Saves what is remembered between steps.
+    /// Saves the effect's state.
     ///
     /// # Errors
-    /// If something has no form in a state.
+    /// If a value cannot be stored in a state.
     fn save(&self, _to: &mut State) -> Result<(), StateError> {
         Ok(())
     }
 
-    /// Takes up what [`Self::save`] has saved. `device` is the scene's, without autodiff.
+    /// Restores what [`Self::save`] saved. `device` is the scene's device without autodiff.
     ///
     /// # Errors
-    /// If something is missing, or is not what it should be.
+    /// If a value is missing or invalid.
     fn load(&mut self, _from: &mut State, _device: &Device) -> Result<(), StateError> {
         Ok(())
     }
 
-    /// Applies it to rows for a file, as other viewers should show them.
+    /// Applies the effect to Gaussians that are written to a file, so that other viewers show its result.
     fn bake(&self, _rows: &mut GaussianRows) {}
 
-    /// The background that others should put behind the scene, if it was learnt.
+    /// The background that other viewers should show behind the scene, if the effect learned one.
     fn background(&self) -> Option<Background> {
         None
     }
 
-    /// Bytes kept from step to step: those of the arrays that are saved, and of whatever else there is.
+    /// Memory kept between steps, bytes. The default counts the saved arrays.
     fn bytes(&self) -> usize {
         saved_bytes(self)
     }
 }
 
-/// Bytes of the arrays that an effect saves.
+/// Size of the arrays that an effect saves, bytes.
 pub(super) fn saved_bytes(effect: &(impl Effect + ?Sized)) -> usize {
     let mut state = State::default();
     effect.save(&mut state).map_or(0, |()| state.bytes())

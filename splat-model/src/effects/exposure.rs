@@ -1,11 +1,12 @@
-//! Exposure and white balance of each photograph: an affine map of colours, learnt beside the scene.
+//! Exposure and white balance of each photograph: an affine colour map, learned along with the scene.
 //!
-//! A photograph shows `A c + b` where the scene is of colour `c`, with `A` `[3, 3]` and `b` `[3]` of its own, which begin as
-//! the identity: affine maps as in Rematas et al. 2022 ("Urban Radiance Fields", section 3.3) and, per image and trained
-//! with Adam, as in the original 3D Gaussian splatting code (`exposure_compensation`). The scene's colours and all maps
-//! could change together and no photograph would tell, and would: maps learn faster than colours. So the mean of the maps is
-//! set back to the identity once every as many steps as there are photographs; without it a render without any map loses up to 5 dB. A
-//! weak pull of each map towards the identity keeps those in bounds that little is known of.
+//! A photograph shows `A c + b` where the scene has colour `c`. Each photograph has its own `A` `[3, 3]` and `b` `[3]`,
+//! which start as the identity. The maps are affine as in Rematas et al. 2022 ("Urban Radiance Fields", section 3.3), and
+//! per image and trained with Adam as in the original 3D Gaussian splatting code (`exposure_compensation`). The scene's
+//! colours and all maps could change together without a change in any render, and they would, because maps learn faster
+//! than colours. The mean of the maps is therefore reset to the identity once in as many steps as there are photographs.
+//! Without the reset, a render without a map loses up to 5 dB. A weak penalty pulls each map towards the identity and so
+//! bounds maps with little evidence.
 
 use burn::tensor::{Device, Gradients, Tensor};
 use serde::{Deserialize, Serialize};
@@ -16,14 +17,14 @@ use super::learned::{Falling, Moment};
 use super::{Effect, EffectKind, RenderInput};
 use crate::state::{State, StateError};
 
-/// How maps are learnt.
+/// Options of exposures.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ExposureConfig {
-    /// Learning rate: from 0.01, as the original code has it, to 0.001.
+    /// Learning rate: from 0.01, as in the original code, to 0.001.
     pub rate: Falling,
-    /// Weight of `Σ (A − I)² + Σ b²` in the loss: 0.01. For the half of a stop that photographs differ by it is a hundredth
-    /// of what the difference itself costs.
+    /// Weight of `Σ (A − I)² + Σ b²` in the loss: 0.01. For a difference of half a stop between photographs, the penalty is
+    /// a hundredth of the loss that the difference itself causes.
     pub weight: f64,
 }
 
@@ -33,21 +34,21 @@ impl Default for ExposureConfig {
     }
 }
 
-/// The maps of all photographs of a run.
+/// The colour maps of all photographs of a run.
 pub struct Exposure {
     config: ExposureConfig,
-    /// `[3, 4]` each: `A` and, in the last column, `b`.
+    /// `[3, 4]` each: `A`, and `b` in the last column.
     maps: Centred<2>,
 }
 
 impl Exposure {
-    /// Identities, for so many photographs, on `device`.
+    /// Identity maps for `views` photographs, on `device`.
     pub fn new(config: ExposureConfig, views: usize, device: &Device) -> Self {
         let identity = Tensor::cat(vec![Tensor::<2>::eye(3, device), Tensor::zeros([3, 1], device)], 1);
         Self { config, maps: Centred::new(identity, views) }
     }
 
-    /// What is added to the loss of a step on `view`, `[1]`.
+    /// The penalty for a step on `view`, `[1]`.
     fn pull(&mut self, view: usize) -> Tensor<1> {
         let difference = self.maps.tracked(view) - Tensor::from_inner(self.maps.neutral());
         difference.square().sum() * self.config.weight
@@ -59,7 +60,7 @@ impl Effect for Exposure {
         EffectKind::Exposure.name()
     }
 
-    /// Not clamped: beyond 0 and 1 the gradient leads back.
+    /// The result is not clamped: beyond 0 and 1 the gradient leads back.
     fn image(&mut self, image: Tensor<3>, _: &RenderInput, _: &Rendered<3>, at: Moment) -> Tensor<3> {
         apply(image, self.maps.tracked(at.view))
     }
@@ -81,10 +82,10 @@ impl Effect for Exposure {
     }
 }
 
-/// `A c + b` for every pixel of `image`, `[H, W, 3]`, with `affine` `[3, 4]`; differentiable in both.
+/// `A c + b` for every pixel of `image`, `[H, W, 3]`, with `affine` `[3, 4]`. Differentiable in both.
 pub fn apply(image: Tensor<3>, affine: Tensor<2>) -> Tensor<3> {
     let [height, width, channels] = image.dims();
-    // A render is a permuted view of planes, so this gives its storage back without a copy.
+    // A render is a permuted view of planes, so this permutation returns to its storage without a copy.
     let pixels = image.permute([2, 0, 1]).reshape([channels, height * width]);
     let shown = affine.clone().narrow(1, 0, 3).matmul(pixels) + affine.narrow(1, 3, 1);
     shown.reshape([channels, height, width]).permute([1, 2, 0])
@@ -127,7 +128,7 @@ mod tests {
         assert_eq!(exposure.pull(0).into_scalar::<f32>(), 0.0);
     }
 
-    /// Two photographs of opposite exposures, and the mean of their maps.
+    /// Two photographs of opposite exposures: the mean of their maps is the identity.
     #[test]
     fn the_maps_of_photographs_are_found_around_the_identity() {
         let device = Device::flex();
@@ -153,7 +154,7 @@ mod tests {
         assert!(error(mean, identity) < 1e-6);
     }
 
-    /// What all photographs agree on is the scene's.
+    /// A change that all photographs have in common goes to the scene.
     #[test]
     fn maps_that_move_together_are_set_back() {
         let device = Device::flex();

@@ -1,16 +1,16 @@
-//! What a camera's own processing does to a photograph: an affine map of colours that varies over the picture and with
-//! brightness, a bilateral grid (Chen, Paris and Durand 2007) for each photograph, learnt beside the scene (Wang et al. 2024,
-//! "Bilateral Guided Radiance Field Processing", section 4).
+//! Local image processing of a camera: an affine colour map that varies over the picture and with brightness. Each
+//! photograph has a bilateral grid (Chen, Paris and Durand 2007) of such maps, learned along with the scene (Wang et al.
+//! 2024, "Bilateral Guided Radiance Field Processing", section 4).
 //!
-//! The grid holds a map `[3, 4]` at each of 16 × 16 places of the picture and 8 levels of brightness. A pixel takes the map
-//! that trilinear interpolation finds at its place and at the luma of the render there (Rec. 601), which is followed by the
-//! gradient too. Grids begin as the identity and are held together by the mean squared difference of neighbours, weight 10 as
-//! in the source's code. It is the stronger form of an [exposure](super::exposure), which is the same map everywhere; as there
-//! the mean of all grids is set back to the identity.
+//! The grid holds a map `[3, 4]` at each of 16 × 16 positions in the picture and 8 levels of brightness. A pixel uses the
+//! map that trilinear interpolation gives at its position and at the luma of the render there (Rec. 601). The gradient
+//! flows through the luma too. Grids start as the identity and are smoothed by the mean squared difference of neighbours,
+//! with weight 10 as in the authors' code. A grid is the stronger form of an [exposure](super::exposure), which is the same
+//! map everywhere. As for exposures, the mean of all grids is reset to the identity.
 //!
-//! Interpolation is separable, so it is two products with matrices that have two non-zero entries per column, then a sum
-//! over the levels with hat functions as weights: no gather, and no scatter in the backward pass. It takes 96 numbers per
-//! pixel, 400 MB per megapixel, and as much again for gradients.
+//! Interpolation is separable: two products with matrices of two non-zero entries per column, then a sum over the levels
+//! with hat functions as weights. There is no gather, and no scatter in the backward pass. It takes 96 numbers per pixel,
+//! 400 MB per megapixel, and the same again for gradients.
 
 use burn::tensor::{Device, Gradients, Tensor, TensorData};
 use serde::{Deserialize, Serialize};
@@ -21,19 +21,19 @@ use super::learned::{Falling, Moment};
 use super::{Effect, EffectKind, RenderInput};
 use crate::state::{State, StateError};
 
-/// Places along a side of the picture.
+/// Grid positions along a side of the picture.
 const SIDE: usize = 16;
 
 /// Levels of brightness.
 const LEVELS: usize = 8;
 
-/// Numbers of a map.
+/// Entries of a colour map.
 const MAP: usize = 12;
 
-/// Luma of RGB, Rec. 601, as the source has it.
+/// Luma weights of RGB, Rec. 601, as in the paper.
 const LUMA: [f32; 3] = [0.299, 0.587, 0.114];
 
-/// How grids are learnt.
+/// Options of bilateral grids.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct GridConfig {
@@ -57,7 +57,7 @@ pub struct Grids {
 }
 
 impl Grids {
-    /// Identities, for so many photographs, on `device`.
+    /// Identity grids for `views` photographs, on `device`.
     pub fn new(config: GridConfig, views: usize, device: &Device) -> Self {
         let diagonal = |entry: usize| if entry.is_multiple_of(5) { 1.0 } else { 0.0 };
         let entries: Vec<f32> = (0..MAP).map(diagonal).collect();
@@ -66,7 +66,7 @@ impl Grids {
         Self { config, grids: Centred::new(identity, views) }
     }
 
-    /// What is added to the loss of a step on `view`, `[1]`.
+    /// The smoothness penalty for a step on `view`, `[1]`.
     fn pull(&mut self, view: usize) -> Tensor<1> {
         roughness(self.grids.tracked(view)) * self.config.smoothness
     }
@@ -98,7 +98,7 @@ impl Effect for Grids {
     }
 }
 
-/// The mean squared difference of neighbours in a grid, over levels, rows and columns, `[1]`.
+/// The mean squared difference between neighbours in a grid, over levels, rows and columns, `[1]`.
 fn roughness(grid: Tensor<4>) -> Tensor<1> {
     let along = |dim: usize, count: usize| {
         let difference = grid.clone().narrow(dim, 1, count - 1) - grid.clone().narrow(dim, 0, count - 1);
@@ -107,7 +107,8 @@ fn roughness(grid: Tensor<4>) -> Tensor<1> {
     along(1, LEVELS) + along(2, SIDE) + along(3, SIDE)
 }
 
-/// `[SIDE, pixels]`: the share of each place of the grid in each pixel along a side. The grid's ends lie on the picture's.
+/// `[SIDE, pixels]`: the interpolation weight of each grid position for each pixel along a side. The ends of the grid are
+/// at the ends of the picture.
 fn hats(pixels: usize, device: &Device) -> Tensor<2> {
     let mut values = vec![0.0_f32; SIDE * pixels];
     for pixel in 0..pixels {
@@ -120,7 +121,7 @@ fn hats(pixels: usize, device: &Device) -> Tensor<2> {
     Tensor::from_data(TensorData::new(values, [SIDE, pixels]), device)
 }
 
-/// Every pixel of `image`, `[H, W, 3]`, mapped by `grid`, `[12, 8, 16, 16]`; differentiable in both.
+/// Maps every pixel of `image`, `[H, W, 3]`, by `grid`, `[12, 8, 16, 16]`. Differentiable in both.
 pub fn apply(image: Tensor<3>, grid: Tensor<4>) -> Tensor<3> {
     let [height, width, channels] = image.dims();
     let plain = image.device().inner();
@@ -130,7 +131,7 @@ pub fn apply(image: Tensor<3>, grid: Tensor<4>) -> Tensor<3> {
     let columns = grid.clone().reshape([MAP * LEVELS * SIDE, SIDE]).matmul(across).reshape([MAP * LEVELS, SIDE, width]);
     let columns = columns.permute([1, 0, 2]).reshape([SIDE, MAP * LEVELS * width]);
     let maps = down.transpose().matmul(columns).reshape([height, MAP, LEVELS, width]);
-    // [H, 3, W]: rows of planes, as the maps lie.
+    // [H, 3, W]: rows of planes, in the layout of the maps.
     let colours = image.permute([0, 2, 1]);
     let luma = Tensor::<1>::from_floats(LUMA, &plain).reshape([1, channels, 1]);
     let luma = if colours.is_autodiff() { Tensor::from_inner(luma) } else { luma };

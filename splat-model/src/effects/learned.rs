@@ -1,6 +1,6 @@
-//! A parameter that is learnt beside the scene, with Adam's state and a count of steps of its own: what belongs to one
-//! photograph sees a gradient only when that photograph is trained on, and what Adam does about a gradient of zero is not
-//! nothing.
+//! A parameter that is learned along with the scene. It has its own Adam state and step count: a parameter of one
+//! photograph gets a gradient only when that photograph is trained on, and Adam moves a parameter even if its gradient is
+//! zero.
 
 use burn::tensor::{Gradients, Int, Tensor};
 use serde::{Deserialize, Serialize};
@@ -8,49 +8,49 @@ use serde::{Deserialize, Serialize};
 use crate::optim::{Adam, Moments};
 use crate::state::{State, StateError};
 
-/// A learning rate that falls by the same share at every step.
+/// A learning rate that falls by a constant factor per step.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Falling {
-    /// At the first step.
+    /// Rate at the first step.
     pub from: f64,
-    /// At the last step.
+    /// Rate at the last step.
     pub to: f64,
 }
 
 impl Falling {
-    /// The rate at `step`, counted from 1, of a run of `steps`.
+    /// The rate at `step`, counted from 1, in a run of `steps` steps.
     pub fn at(&self, step: usize, steps: usize) -> f64 {
         let share = (step - 1) as f64 / steps.saturating_sub(1).max(1) as f64;
         self.from * (self.to / self.from).powf(share.min(1.0))
     }
 }
 
-/// Where a run is, and which photograph its step is about.
+/// Position in a run: the step and its photograph.
 #[derive(Clone, Copy, Debug)]
 pub struct Moment<'a> {
-    /// Number of the photograph.
+    /// Index of the photograph.
     pub view: usize,
-    /// Counted from 1.
+    /// Number of the step, counted from 1.
     pub step: usize,
-    /// Of the whole run.
+    /// Number of steps in the whole run.
     pub steps: usize,
-    /// `[2]`: in [`Effect::step`](super::Effect::step) on a GPU, the device's verdict. Nothing changes where a step is entered in
-    /// it (see [`splat_op::adam`]).
+    /// `[2]`: the device's verdict, in [`Effect::step`](super::Effect::step) on a GPU. Nothing may change if a step is
+    /// recorded in it (see [`splat_op::adam`]).
     pub verdict: Option<&'a Tensor<1, Int>>,
 }
 
-/// By this share of its reach a parameter moves at once at most. In a run that sees each photograph a few times, apertures
-/// would otherwise open a hundredfold in a step, beyond what a GPU's f32 bears.
+/// Largest step as a share of the parameter's reach. In a run that visits each photograph a few times, apertures would
+/// otherwise grow a hundredfold in one step, beyond what f32 arithmetic on a GPU tolerates.
 const LARGEST_STEP: f64 = 0.125;
 
-/// A parameter that is learnt beside the scene, with Adam's moments and a count of steps of its own.
+/// A parameter that is learned along with the scene, with its own Adam moments and step count.
 pub struct Learned<const D: usize> {
-    /// In units of `unit` where there is one.
+    /// In multiples of `unit`, if there is a unit.
     value: Tensor<D>,
-    /// The value as the renders since the last step have it, tracked. Views of one batch share it.
+    /// The tracked value that renders since the last step use. Views of one batch share it.
     leaf: Tensor<D>,
-    /// Whether the value has changed since.
+    /// Whether `value` has changed since `leaf` was made.
     moved: bool,
     unit: Option<Tensor<D>>,
     moments: Moments<D>,
@@ -58,19 +58,20 @@ pub struct Learned<const D: usize> {
 }
 
 impl<const D: usize> Learned<D> {
-    /// Without history. `start` is not tracked.
+    /// A parameter without optimiser history. `start` is not tracked.
     pub fn new(start: Tensor<D>) -> Self {
         let leaf = Tensor::from_inner(start.clone());
         Self { moments: Moments::new(&leaf), value: start, leaf, moved: true, unit: None, steps: 0 }
     }
 
-    /// The same, to go as far as `reach` in a run of [`Self::step_within`]. Adam's steps do not depend on the size of
-    /// gradients, so what is scaled is the parameter: it is learnt in units of its reach, none of which may be zero.
+    /// A parameter that can move by about `reach` in a run that uses [`Self::step_within`]. The size of Adam's steps does
+    /// not depend on the size of gradients, so the parameter itself is scaled: it is learned in units of `reach`, whose
+    /// components must not be zero.
     pub fn reaching(start: Tensor<D>, reach: Tensor<D>) -> Self {
         Self { unit: Some(reach.clone()), ..Self::new(start / reach) }
     }
 
-    /// Tracked, for the render or the loss.
+    /// The tracked value, for renders and losses.
     pub fn tracked(&mut self) -> Tensor<D> {
         if self.moved {
             self.leaf = Tensor::from_inner(self.value.clone()).require_grad();
@@ -80,25 +81,25 @@ impl<const D: usize> Learned<D> {
         self.unit.clone().map_or_else(|| leaf.clone(), |unit| leaf.clone() * Tensor::from_inner(unit))
     }
 
-    /// Without autodiff.
+    /// The value without autodiff.
     pub fn value(&self) -> Tensor<D> {
         let value = self.value.clone();
         self.unit.clone().map_or_else(|| value.clone(), |unit| value.clone() * unit)
     }
 
-    /// Replaces the value, not tracked, and keeps the history.
+    /// Replaces the value and keeps the optimiser history. `value` is not tracked.
     pub fn set(&mut self, value: Tensor<D>) {
         self.value = self.unit.clone().map_or_else(|| value.clone(), |unit| value.clone() / unit);
         self.moved = true;
     }
 
-    /// Takes the gradient of the last [`Self::tracked`] out of those of a loss; none where the loss does not depend on it.
+    /// Removes the gradient of the last [`Self::tracked`] from `gradients`. `None` if the loss does not depend on it.
     pub(super) fn gradient(&self, gradients: &mut Gradients) -> Option<Tensor<D>> {
         self.leaf.grad_remove(gradients)
     }
 
-    /// One step of Adam by the gradient that a loss has for the last [`Self::tracked`], which is taken out of `gradients`.
-    /// False where the loss does not depend on it: then nothing is done. A component that is not a number moves nothing.
+    /// Takes one Adam step by the gradient of the last [`Self::tracked`], which is removed from `gradients`. Returns false
+    /// and does nothing if the loss does not depend on the parameter. Components whose gradient is NaN do not move.
     pub fn step(&mut self, gradients: &mut Gradients, rate: f64, verdict: Option<&Tensor<1, Int>>) -> bool {
         let Some(gradient) = self.gradient(gradients) else { return false };
         self.steps += 1;
@@ -110,9 +111,10 @@ impl<const D: usize> Learned<D> {
         true
     }
 
-    /// The same for one of `views` such parameters, each of which belongs to a photograph, at rates that let it go as far as its
-    /// reach in a whole run and fall to the share `fall`. Adam moves a parameter by about its rate a step, so that short runs and
-    /// large captures, in which a photograph is seen seldom, need other rates than long ones.
+    /// Takes one Adam step on one of `views` parameters, each of which belongs to a photograph. The rate is chosen such
+    /// that the parameter can cover its reach in a whole run, and falls to the share `fall`. Adam moves a parameter by
+    /// about its rate per step, so short runs and large captures, in which a photograph is visited rarely, need other rates
+    /// than long runs.
     pub fn step_within(&mut self, gradients: &mut Gradients, (fall, views): (f64, usize), at: Moment) {
         let visits = at.steps as f64 / views.max(1) as f64;
         // Rates that fall from `r` to `fall r` over the run are `r (1 − fall) / −ln fall` on average.
@@ -121,20 +123,20 @@ impl<const D: usize> Learned<D> {
         self.step(gradients, rate, at.verdict);
     }
 
-    /// Keeps value, moments and count of steps.
+    /// Saves value, moments and step count.
     ///
     /// # Errors
-    /// None that is to be expected.
+    /// None expected.
     pub fn save(&self, to: &mut State) -> Result<(), StateError> {
         to.put("value", self.value.clone());
         self.moments.save(to);
         to.tell("steps", &self.steps)
     }
 
-    /// Goes on from what was kept of a parameter like this one.
+    /// Restores the state of a parameter of the same shape.
     ///
     /// # Errors
-    /// If it is missing or of another shape.
+    /// If a value is missing or has another shape.
     pub fn load(&mut self, from: &mut State) -> Result<(), StateError> {
         let (shape, device) = (self.value.dims(), self.value.device());
         self.value = from.take_shaped("value", shape, &device)?;
@@ -144,7 +146,7 @@ impl<const D: usize> Learned<D> {
         Ok(())
     }
 
-    /// Keeps one for each photograph.
+    /// Saves the parameters of all photographs.
     ///
     /// # Errors
     /// As [`Self::save`].
@@ -157,7 +159,7 @@ impl<const D: usize> Learned<D> {
         Ok(())
     }
 
-    /// Goes on from them.
+    /// Restores the parameters of all photographs.
     ///
     /// # Errors
     /// As [`Self::load`].
@@ -195,7 +197,7 @@ mod tests {
         let mut learned = Learned::reaching(tensor(start), tensor(reach));
         assert_eq!(values_of(learned.value()), values_of(tensor(start)));
         let loss = (learned.tracked() * Tensor::from_inner(tensor([[1.0, -1.0], [100.0, 0.01]]))).sum();
-        // In 4 visits: the rate is held at the largest step.
+        // With 4 visits the rate is limited to the largest step.
         learned.step_within(&mut loss.backward(), (0.5, 1), Moment { view: 0, step: 1, steps: 4, verdict: None });
         let moved = values_of(learned.value() - tensor(start));
         let expected = [-1.0, 1.0, -1.0, -1.0].into_iter().zip([0.5, 2.0, 0.25, 1.0]);

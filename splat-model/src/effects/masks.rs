@@ -1,15 +1,15 @@
-//! Masks: which pixels of a photograph count.
+//! Masks: the pixels of a photograph that count.
 //!
-//! A mask is a picture of the photograph's size, dark (below half) where pixels are to be left out: people who walk through,
-//! the sky, a turntable. Two conventions are read, below a folder `masks` or `mask` of the capture: `<name>.png` after the
-//! photograph's full name, as COLMAP has it (`masks/a.jpg.png`), or with the extension in its place (`masks/a.png`). A capture
-//! that names the masks itself (`mask_path` in `transforms.json`) is believed first.
+//! A mask is a picture of the photograph's size that is dark (below half) where pixels are excluded: passers-by, the sky, a
+//! turntable. Two conventions are supported in a folder `masks` or `mask` of the capture: `<name>.png` after the
+//! photograph's full name, as in COLMAP (`masks/a.jpg.png`), and the name with its extension replaced (`masks/a.png`).
+//! Masks that the capture itself names (`mask_path` in `transforms.json`) come first.
 //!
-//! What is left out has exactly no influence. The loss compares neighbourhoods, so that weighting pixels would not do: where
-//! a mask excludes, render and photograph are both black before anything is compared, as SSIM has them beyond the border.
-//! Then the difference there is zero, the gradient with respect to the render is cut off there whatever the loss makes of
-//! it, and the photograph's colours there are nowhere. The loss stays a mean over all pixels: those that count pull as hard
-//! as ever.
+//! Excluded pixels have exactly no influence. The loss compares neighbourhoods, so weights on pixels would not suffice.
+//! Instead, excluded pixels are black in render and photograph before the comparison, like the padding of SSIM beyond the
+//! border. The difference there is zero, the gradient with respect to the render is exactly zero there for any loss, and
+//! the photograph's excluded colours are not used anywhere. The loss stays a mean over all pixels, so the other pixels keep
+//! their full weight.
 
 use std::path::{Path, PathBuf};
 
@@ -19,13 +19,13 @@ use splat_op::Intrinsics;
 
 use crate::capture::{Capture, CaptureError, Photo, View, image};
 
-/// Folders below the capture in which masks are looked for.
+/// Folders of the capture that are searched for masks.
 const FOLDERS: [&str; 2] = ["masks", "mask"];
 
-/// Values from this on count as white.
+/// Smallest value that counts as white.
 const KEPT_FROM: u8 = 128;
 
-/// The mask file of each view; none for a view without.
+/// The mask file of each view. `None` for a view without a mask.
 pub fn find(capture: &Capture) -> Vec<Option<PathBuf>> {
     let folders: Vec<PathBuf> =
         FOLDERS.iter().map(|name| capture.folder.join(name)).filter(|folder| folder.is_dir()).collect();
@@ -36,7 +36,7 @@ pub fn find(capture: &Capture) -> Vec<Option<PathBuf>> {
     capture.views.iter().enumerate().map(of_view).collect()
 }
 
-/// The PNG file that is named after a photograph: after its whole name, or with the extension in its place.
+/// The PNG file for a photograph: named after its full name, or with the extension replaced.
 pub(super) fn by_name(folders: &[PathBuf], name: &str) -> Option<PathBuf> {
     let candidates = folders.iter().flat_map(|folder| {
         let whole = folder.join(format!("{name}.png"));
@@ -54,11 +54,11 @@ pub fn load(file: &Path, camera: &Intrinsics) -> Result<Vec<bool>, CaptureError>
     Ok(picture.into_raw().into_iter().map(|value| value >= KEPT_FROM).collect())
 }
 
-/// Gives `photos`, which are those of `views` of the capture, their masks at their size. A photograph of which no pixel
-/// counts is left out.
+/// Adds masks to `photos`, which are the photographs of `views` of the capture, at the size of the photographs. Photographs
+/// without any included pixel are removed.
 ///
 /// # Errors
-/// Those of [`load`].
+/// Errors of [`load`].
 pub fn attach(capture: &Capture, views: &[usize], photos: &mut Vec<Photo>) -> Result<(), CaptureError> {
     let found = find(capture);
     let masked =
@@ -79,7 +79,7 @@ pub fn excluded_share(mask: &[bool]) -> f64 {
     mask.iter().filter(|&&counts| !counts).count() as f64 / mask.len().max(1) as f64
 }
 
-/// A mask for a picture of another size: a pixel counts if all that it covers counts.
+/// Resizes a mask. A pixel counts if all pixels that it covers count.
 pub fn resized(mask: &[bool], from: [usize; 2], to: [usize; 2]) -> Vec<bool> {
     let [width, height] = from;
     let covered = |at: usize, from: usize, to: usize| at * from / to..((at + 1) * from).div_ceil(to);
@@ -93,10 +93,10 @@ pub fn resized(mask: &[bool], from: [usize; 2], to: [usize; 2]) -> Vec<bool> {
     counts.collect()
 }
 
-/// `image`, `[H, W, C]`, with zeros where `excluded`, `[1, H, W]`, says so; the gradient is exactly zero there.
+/// `image`, `[H, W, C]`, with zeros where `excluded`, `[1, H, W]`, is true. The gradient is exactly zero there.
 pub fn cleared(image: Tensor<3>, excluded: &Tensor<3, Bool>) -> Tensor<3> {
     let excluded = if image.is_autodiff() { Tensor::from_inner(excluded.clone()) } else { excluded.clone() };
-    // A picture is a permuted view of planes, and stays one.
+    // A picture is a permuted view of planes and keeps that layout.
     let planes = image.permute([2, 0, 1]);
     let size = planes.dims();
     planes.mask_fill(excluded.expand(size), 0.0).permute([1, 2, 0])

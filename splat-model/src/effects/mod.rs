@@ -1,8 +1,9 @@
-//! Effects of cameras and scenes beyond matte Gaussians under a constant light, simulated only where a scene calls for them.
+//! Effects of cameras and scenes that matte Gaussians under constant light do not model, simulated only where a scene needs
+//! them.
 //!
 //! [`Survey`] gathers the evidence, [`Plan`] decides, and each effect is a file of ordinary tensor code. An effect that is
-//! off does not exist: no parameter, no tensor, no launch. An effect is a type that implements [`Effect`], one of the user's own
-//! too, and a run has an [`EffectStack`] of them.
+//! off adds no parameter, no tensor and no launch. An effect is a type that implements [`Effect`], which may be the user's
+//! own. A run has an [`EffectStack`] of effects.
 
 pub mod background;
 mod centred;
@@ -37,38 +38,38 @@ pub use self::plan::Plan;
 pub use self::stack::EffectStack;
 pub use self::survey::Survey;
 
-/// The effects of this library, which can be switched on and off. How far colours depend on the direction of view is set by
-/// [`TrainConfig::sh_degree`](crate::trainer::TrainConfig::sh_degree).
+/// The effects of this library that can be switched on and off. How strongly colours depend on the viewing direction is set
+/// by [`TrainConfig::sh_degree`](crate::trainer::TrainConfig::sh_degree).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum EffectKind {
-    /// The same thing is seen at very different sizes: splats smaller than a pixel are dimmed, and none is finer than the
-    /// photographs can tell.
+    /// The same surface is seen at very different sizes: splats smaller than a pixel are dimmed, and no splat is finer than
+    /// the sampling of the photographs.
     Antialias,
-    /// Photographs have transparent parts, which are trained over a background of another colour at each step.
+    /// Photographs have transparent parts: each step composites them over another background colour.
     Alpha,
-    /// Photographs differ in brightness and white balance: each has an affine colour map of its own.
+    /// Photographs differ in brightness and white balance: each has its own affine colour map.
     Exposure,
-    /// Photographs were processed place by place: each has a grid of such maps, instead of one.
+    /// Photographs were processed locally: each has a grid of affine colour maps.
     BilateralGrid,
-    /// Masks say which pixels of the photographs count.
+    /// Masks select the pixels of the photographs that count.
     Masks,
     /// Poses do not explain the photographs: each camera is moved with the scene.
     PoseRefinement,
-    /// Much of what is seen is too far away for any parallax: light from infinity is learnt.
+    /// Much of the scene is too far away for parallax: light from infinity is learned.
     Environment,
-    /// Pictures are smeared: the camera moved while the shutter was open.
+    /// Photographs are blurred because the camera moved while the shutter was open.
     MotionBlur,
     /// Rows were exposed one after the other while the camera moved.
     RollingShutter,
-    /// An open aperture: what is not at the distance in focus is blurred. Asked for by name alone.
+    /// The aperture is open, so that what is out of focus is blurred. Switched on by name only.
     Defocus,
-    /// Few photographs show the scene, or depth maps came with them: known depths hold it in place.
+    /// Few photographs show the scene, or it comes with depth maps: known depths constrain the scene.
     DepthSupervision,
 }
 
 impl EffectKind {
-    /// All of them.
+    /// All effects.
     pub const ALL: [Self; 11] = [
         Self::Antialias,
         Self::Alpha,
@@ -83,7 +84,7 @@ impl EffectKind {
         Self::DepthSupervision,
     ];
 
-    /// As the command line and reports call it.
+    /// The name on the command line and in reports.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Antialias => "antialias",
@@ -100,7 +101,8 @@ impl EffectKind {
         }
     }
 
-    /// The name of what simulates it in an [`EffectStack`]; none has that of masks, which come with the photographs.
+    /// The name of the entry in an [`EffectStack`] that simulates the effect. Masks have none, because they are part of the
+    /// photographs.
     pub(crate) const fn in_stack(self) -> &'static str {
         match self {
             Self::MotionBlur | Self::RollingShutter | Self::Defocus => "optics",

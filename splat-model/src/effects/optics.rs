@@ -1,17 +1,19 @@
-//! What happens while a photograph is taken, learnt for each beside the scene: the camera moves while the shutter is open
-//! ([`motion`]), rows are read one after the other ([`motion::rolled`]), and the lens is focused at a distance ([`defocus`]).
+//! Effects during the exposure, learned for each photograph along with the scene: the camera moves while the shutter is
+//! open ([`motion`]), rows are read one after the other ([`motion::rolled`]), and the lens has a focus distance
+//! ([`defocus`]).
 //!
-//! Each changes the ellipses on the screen, between [`project`](splat_op::project()) and [`tile`](splat_op::tile()), in the order
-//! in which light meets lens, shutter and sensor. That is for pinholes. For other cameras motion is shown by averaging renders
-//! from several poses on the way, which costs as many times as much; rolling shutters and defocus are refused.
+//! Each effect changes the projected ellipses, between [`project`](splat_op::project()) and [`tile`](splat_op::tile()), in
+//! the order in which light passes lens, shutter and sensor. That holds for pinholes. For other cameras, motion blur
+//! averages renders from several poses along the motion, at a multiple of the cost. Rolling shutters and defocus are not
+//! supported for them.
 //!
-//! Defocus is averaged for pinholes too: over six places of the aperture, from each of which centres are moved by their circle of
-//! confusion, with ellipses widened by what lies between the places. Widening alone spreads each Gaussian's light and not the
-//! surface's: a disc of many pixels around splats of one leaves a wall half transparent. On the demo `--defocus` that gained
-//! nothing.
+//! Defocus averages renders for pinholes too: six positions in the aperture, each of which moves centres by their circle of
+//! confusion and widens ellipses by the blur of its part of the aperture. Widening alone spreads the light of each Gaussian
+//! instead of the surface's: a disc of many pixels around splats of one pixel leaves a wall half transparent. On the demo
+//! `--defocus` widening alone gained nothing.
 //!
-//! A motion blur says nothing of the sign of the motion, and at rest has no gradient: twists begin a little off zero. Renders
-//! of the scene without these effects are sharp, which is what test views are compared with.
+//! Motion blur does not determine the sign of the motion and has no gradient at rest, so twists start slightly off zero.
+//! Renders without these effects are sharp. These are compared with test views.
 
 use burn::tensor::{Device, Gradients, Tensor};
 use serde::{Deserialize, Serialize};
@@ -22,74 +24,75 @@ use super::screen::ScreenError;
 use super::{Effect, RenderInput, defocus, motion};
 use crate::state::{State, StateError};
 
-/// Which are simulated.
+/// Selects the simulated effects.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct OpticsConfig {
-    /// Motion while the shutter is open.
+    /// Motion blur.
     pub motion: bool,
-    /// Motion while rows are read.
+    /// Rolling shutter.
     pub rolling: bool,
-    /// A lens that is focused at a distance.
+    /// Defocus.
     pub defocus: bool,
 }
 
 impl OpticsConfig {
-    /// Whether there is anything to do.
+    /// Whether any effect is selected.
     pub fn any(self) -> bool {
         self.motion || self.rolling || self.defocus
     }
 }
 
-/// How far a twist can go in a run: rad, and extents of the scene.
+/// Reach of a twist in a run: rad, and scene extents.
 const TWIST_REACH: [f32; 2] = [0.15, 0.1];
 
-/// Where twists begin, rad: half a pixel at a focal length of 250 px.
+/// Initial rotation of twists, rad: half a pixel at a focal length of 250 px.
 const TWIST_START: f64 = 2e-3;
 
-/// How far the logarithm of an aperture and the inverse of a distance in focus, per extent, can go in a run.
+/// Reach in a run of the aperture's logarithm and of the inverse focus distance, per extent.
 const LENS_REACH: [f32; 2] = [2.0, 0.6];
 
-/// The aperture's radius at the beginning, extents of the scene.
+/// Initial radius of the aperture, scene extents.
 const APERTURE_START: f64 = 0.02;
 
-/// The last step by the first.
+/// Ratio of the last step size to the first.
 const FALL: f64 = 0.01;
 
-/// Renders that are averaged where ellipses cannot be changed.
+/// Number of renders that are averaged where ellipses cannot be changed.
 const SUB_EXPOSURES: usize = 5;
 
-/// Places of the aperture: one in the middle, the others around it, in unit radii. Each stands for a sixth of the disc, and
-/// their second moments with those of the sixths are the disc's.
+/// Number of positions in the aperture: one in the middle, the others around it, in unit radii. Each represents a sixth of
+/// the disc. The second moments of the positions and of the sixths add up to the disc's.
 const PLACES: usize = 6;
 
-/// Where they are.
+/// Position `i`, in units of the aperture's radius.
 fn place(i: usize) -> [f32; 2] {
     if i == 0 {
         return [0.0; 2];
     }
-    // A disc of radius 1 has 1/4 along each axis, one of a sixth of its area 1/24; the five outer places have the rest:
-    // 5/6 · ρ²/2 = 1/4 − 1/24.
+    // A disc of radius 1 has variance 1/4 along each axis, a disc of a sixth of its area 1/24. The five outer positions
+    // supply the rest: 5/6 · ρ²/2 = 1/4 − 1/24.
     let (radius, angle) = (0.5_f64.sqrt(), std::f64::consts::TAU * i as f64 / (PLACES - 1) as f64);
     [angle.cos(), angle.sin()].map(|share| (radius * share) as f32)
 }
 
-/// What was learnt of how the photographs of a run were taken.
+/// The learned optics of all photographs of a run.
 pub struct Optics {
     extent: f64,
-    /// `[2, 3]` each: `ω`, rad, and `τ`, extents, over the exposure.
+    /// `[2, 3]` each: `ω`, rad, and `τ`, scene extents, over the exposure.
     exposures: Vec<Learned<2>>,
-    /// The same over the time in which the rows are read.
+    /// `[2, 3]` each: `ω`, rad, and `τ`, scene extents, over the readout of the rows.
     readouts: Vec<Learned<2>>,
-    /// `[1, 2]` each: the logarithm of the aperture's radius by the scene's extent, and the extent by the distance in focus.
+    /// `[1, 2]` each: the logarithm of the aperture's radius divided by the scene extent, and the scene extent divided by
+    /// the focus distance.
     lenses: Vec<Learned<2>>,
 }
 
 impl Optics {
-    /// For the photographs of these cameras, of a scene of `extent` whose middle is `distance` away from them.
+    /// Parameters for photographs of these cameras, of a scene of `extent` whose middle is at a distance of `distance`.
     ///
     /// # Errors
-    /// [`ScreenError::Lens`] if rolling shutters or defocus are asked for and a camera is no pinhole.
+    /// [`ScreenError::Lens`] if rolling shutters or defocus are selected and a camera is not a pinhole.
     pub fn new(
         config: OpticsConfig,
         cameras: &[Intrinsics],
@@ -105,7 +108,7 @@ impl Optics {
             views.map(|view| Learned::reaching(start(view), reach.clone())).collect()
         };
         let twists = Tensor::<2>::from_floats(TWIST_REACH.map(|reach| [reach; 3]), device);
-        // In all directions, one after the other by the golden angle.
+        // Directions by the golden angle, one after the other.
         let twist = |view: usize| {
             let (sin, cos) = (2.399_963 * view as f64).sin_cos();
             let [x, y] = [cos, sin].map(|share| (TWIST_START * share) as f32);
@@ -120,7 +123,7 @@ impl Optics {
         })
     }
 
-    /// The render of `view` through this place of the aperture.
+    /// The parameters for a render of `view` through a position of the aperture.
     fn sample(&mut self, view: usize, place: [f32; 2]) -> Sample {
         let extent = self.extent;
         let lens = self.lenses.get_mut(view).map(|lens| {
@@ -140,7 +143,7 @@ fn twist(learned: &mut Learned<2>, extent: f64) -> Tensor<1> {
     Tensor::cat(vec![rows.narrow(0, 0, 1), moved], 0).reshape([6])
 }
 
-/// One of the renders of a photograph.
+/// The parameters of one of the averaged renders of a photograph.
 struct Sample {
     place: [f32; 2],
     /// Logarithm of the aperture's radius, scene units, and the inverse of the distance in focus, `[1]` each.
@@ -150,7 +153,7 @@ struct Sample {
 }
 
 impl Sample {
-    /// The ellipses through this place of the aperture, in motion; an error for a lens.
+    /// Applies the effects to the ellipses. Returns an error for a camera with a lens.
     fn changed(
         &self,
         mut ellipses: Ellipses,

@@ -1,6 +1,6 @@
-//! Which effects are simulated, decided from a [`Survey`] by stated thresholds.
+//! Decides which effects are simulated, from a [`Survey`] and fixed thresholds.
 //!
-//! `docs/EFFECTS.md` says where the thresholds come from: figures of captures that show an effect and of such that do not.
+//! `docs/EFFECTS.md` explains the thresholds by figures of captures with and without each effect.
 
 mod colour;
 
@@ -10,41 +10,41 @@ pub use self::colour::{BRIGHTNESS_STOPS, GRADED, PLACES_LEAVE, VIEW_DEPENDENT_SH
 use super::EffectKind;
 use super::survey::{ShutterEvidence, SightSource, Survey};
 
-/// The twentieth part of the points that is seen at the most different sizes is seen at sizes this many times apart.
+/// Threshold of the ratio between the largest and the smallest size of a point, exceeded by a twentieth of the points.
 pub const FOOTPRINT_RATIO: f64 = 8.0;
 
-/// Poses that miss by more than this on average blur a scene.
+/// Threshold of the mean reprojection error, px. Larger errors blur a scene.
 pub const POSE_PX: f64 = 1.0;
 
-/// Motion while rows are read leaves less than this of the errors of poses where it is what they come from. A share that is not
-/// small leaves room for what else is wrong.
+/// Largest share of the reprojection error that a rolling shutter may leave to count as its cause. The share is large to
+/// leave room for other errors.
 pub const ROWS_LEAVE: f64 = 0.5;
 
-/// Captures of fewer photographs than this leave much of a scene to chance.
+/// Number of photographs below which much of a scene is undetermined.
 pub const FEW_VIEWS: usize = 8;
 
-/// Share of points so far away that the cameras see no parallax.
+/// Threshold of the share of points that are too far away for parallax.
 pub const FAR_SHARE: f64 = 0.1;
 
-/// The least sharp twentieth of the pictures by the median.
+/// Threshold of the sharpness of the least sharp twentieth of the photographs, divided by the median sharpness.
 pub const BLUR_RATIO: f64 = 0.7;
 
-/// What the decision about the harmonics is called.
+/// The name of the decision on spherical harmonics.
 const VIEW_DEPENDENCE: &str = "view-dependence";
 
-/// What is done about one kind of evidence.
+/// The outcome of a decision.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Verdict {
-    /// Simulated.
+    /// The effect is simulated.
     On,
-    /// Not called for.
+    /// The effect is not needed.
     Off,
-    /// Set by an option of its own, whatever the capture shows.
+    /// Set by a separate option, whatever the capture shows.
     AsConfigured,
 }
 
-/// What simulating an effect is expected to take on top of a step without it, on two CPU cores (see `docs/EFFECTS.md`).
+/// Expected cost of an effect, on top of a step without it, on two CPU cores (see `docs/EFFECTS.md`).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Cost {
     /// Time of a step, ms.
@@ -53,25 +53,25 @@ pub struct Cost {
     pub mib: f64,
 }
 
-/// One effect, or one thing that is not simulated.
+/// The decision on an effect, or a remark on something that cannot be switched.
 #[derive(Clone, Debug, Serialize)]
 pub struct Decision {
-    /// What it is about: an [`EffectKind`]'s name, or another's.
+    /// The name: an [`EffectKind`]'s or another.
     pub name: &'static str,
-    /// The effect that is switched; none for what is not simulated.
+    /// The effect that is switched. `None` for remarks.
     #[serde(skip)]
     pub effect: Option<EffectKind>,
-    /// What is done.
+    /// The outcome.
     pub verdict: Verdict,
-    /// What was found, in words.
+    /// The findings, in words.
     pub evidence: String,
-    /// When it is on.
+    /// The condition for the effect.
     pub rule: String,
-    /// What being on takes.
+    /// Expected cost of the effect.
     pub predicted: Option<Cost>,
 }
 
-/// A decision for each effect, and a remark on each that is not simulated.
+/// A decision on each effect, and remarks on what cannot be switched.
 #[derive(Clone, Debug, Serialize)]
 pub struct Plan {
     /// Effects first.
@@ -84,8 +84,8 @@ impl Plan {
         self.decisions.iter().any(|decision| decision.effect == Some(effect) && decision.verdict == Verdict::On)
     }
 
-    /// Degree of the spherical harmonics that the colours call for: 0 where they do not depend on the view. None where they
-    /// do, or nothing is known: then it is the user's, or the default.
+    /// The degree of the spherical harmonics that the colours call for: 0 if they do not depend on the view. `None` if they
+    /// do, or if nothing is known: the user's value or the default then applies.
     pub fn sh_degree(&self) -> Option<usize> {
         let matte = |decision: &Decision| decision.name == VIEW_DEPENDENCE && decision.verdict == Verdict::Off;
         self.decisions.iter().any(matte).then_some(0)
@@ -118,12 +118,12 @@ impl From<&Survey> for Plan {
     }
 }
 
-/// Times per step and megapixel, ms: measured, see `docs/EFFECTS.md`.
+/// Time per step and megapixel, ms, as measured (see `docs/EFFECTS.md`).
 const MASKS_MS_PER_MEGAPIXEL: f64 = 20.0;
 const ENVIRONMENT_MS_PER_MEGAPIXEL: f64 = 60.0;
 const ALPHA_MS_PER_MEGAPIXEL: f64 = 60.0;
 
-/// Time per step of tensor code on the ellipses of some ten thousand Gaussians, ms.
+/// Time per step for tensor code on the ellipses of about ten thousand Gaussians, ms.
 const OPTICS_MS: f64 = 10.0;
 
 const MIB: f64 = (1 << 20) as f64;
@@ -138,13 +138,13 @@ fn percent(share: f64) -> String {
 }
 
 fn antialias(survey: &Survey) -> Decision {
-    let rule = format!("on where a twentieth of the points is seen at sizes more than {FOOTPRINT_RATIO} times apart");
+    let rule = format!("on if the sizes of a twentieth of the points differ by a factor above {FOOTPRINT_RATIO}");
     let (on, evidence) = match &survey.footprint {
-        None => (false, "not known: no point is in several photographs".into()),
+        None => (false, "not known: no point is visible in several photographs".into()),
         Some(found) => (
             found.largest_ratio > FOOTPRINT_RATIO,
             format!(
-                "the same point is seen at sizes {:.1} times apart (median), {:.1} times for a twentieth",
+                "the sizes of a point differ by a factor of {:.1} (median), for a twentieth by {:.1} or more",
                 found.median_ratio, found.largest_ratio
             ),
         ),
@@ -156,9 +156,9 @@ fn alpha(survey: &Survey) -> Decision {
     let with = survey.files.with_alpha;
     let evidence = match with {
         0 => "every photograph is opaque".into(),
-        _ => format!("{with} photographs have transparent parts, or a channel for them"),
+        _ => format!("{with} photographs have transparent pixels, or an alpha channel that was not decoded"),
     };
-    let rule = "on where a photograph has an alpha channel that is not opaque".into();
+    let rule = "on if a photograph has an alpha channel that is not opaque".into();
     let cost = Cost { ms_per_step: ALPHA_MS_PER_MEGAPIXEL * survey.pixels_per_view / 1e6, mib: 0.0 };
     decide(EffectKind::Alpha, with > 0, evidence, rule, Some(cost))
 }
@@ -166,36 +166,36 @@ fn alpha(survey: &Survey) -> Decision {
 fn masks(survey: &Survey) -> Decision {
     let files = &survey.files;
     let evidence = match files.with_mask {
-        0 => "no folder `masks` or `mask` with a file for a photograph".into(),
+        0 => "no folder `masks` or `mask` has a file for a photograph".into(),
         with => format!(
             "{with} of {} photographs have a mask; they exclude {} of their pixels",
             survey.views,
             percent(files.masked_share)
         ),
     };
-    let rule = "on where a photograph has a mask".into();
+    let rule = "on if a photograph has a mask".into();
     let mib = files.with_mask as f64 * survey.pixels_per_view / MIB;
     let cost = Cost { ms_per_step: MASKS_MS_PER_MEGAPIXEL * survey.pixels_per_view / 1e6, mib };
     decide(EffectKind::Masks, files.with_mask > 0, evidence, rule, Some(cost))
 }
 
-/// Not switched either: a lens is part of the camera, and a capture without one has kernels without one.
+/// The lens is not switched: it is part of the camera, and a capture without one uses kernels without one.
 fn lens(survey: &Survey) -> Decision {
     let lens = &survey.lens;
     let names = lens.models.join(", ");
     let (on, evidence) = match lens.largest_displacement_px {
         Some(0.0) => (false, format!("{names}: straight lines stay straight")),
-        Some(px) => (true, format!("{names}: the lens moves places by up to {px:.1} px")),
-        None => (true, format!("{names}: the pictures reach a right angle from the axis, where no pinhole sees")),
+        Some(px) => (true, format!("{names}: the lens displaces points by up to {px:.1} px")),
+        None => (true, format!("{names}: the field of view exceeds that of any pinhole (90° from the axis)")),
     };
     let rule =
-        "on where the cameras' models have a lens: it is projected through, and the photographs stay as they are"
+        "on if the camera models have a lens: the scene is projected through it, and photographs are not undistorted"
             .into();
     let verdict = if on { Verdict::On } else { Verdict::Off };
     Decision { name: "lens", effect: None, verdict, evidence, rule, predicted: None }
 }
 
-/// Whether cameras moved while rows were read, and what of the errors that leaves, by a change of poses and by such a motion.
+/// Whether poses are wrong and a rolling shutter explains the reprojection errors better than other poses do.
 fn rows_explain(survey: &Survey) -> bool {
     let wrong = survey.pose.as_ref().is_some_and(|pose| pose.mean_px > POSE_PX);
     let rows = |found: &ShutterEvidence| found.left_by_rows < ROWS_LEAVE && found.left_by_rows < found.left_by_poses;
@@ -204,14 +204,14 @@ fn rows_explain(survey: &Survey) -> bool {
 
 fn rolling_shutter(survey: &Survey) -> Decision {
     let rule = format!(
-        "on where the mean reprojection error exceeds {POSE_PX} px, and motion while rows are read leaves less than {} of it and \
+        "on if the mean reprojection error exceeds {POSE_PX} px, and camera motion during readout leaves less than {} of it and \
          less than other poses do",
         percent(ROWS_LEAVE)
     );
     let evidence = match &survey.shutter {
         None => "not known: no tracks".into(),
         Some(found) => format!(
-            "of the reprojection error, motion while rows are read would leave {}, other poses {}",
+            "camera motion during readout would leave {} of the reprojection error, other poses {}",
             percent(found.left_by_rows),
             percent(found.left_by_poses)
         ),
@@ -221,12 +221,12 @@ fn rolling_shutter(survey: &Survey) -> Decision {
 }
 
 fn pose(survey: &Survey) -> Decision {
-    let rule = format!("on where the mean reprojection error exceeds {POSE_PX} px and is no rolling shutter's");
+    let rule = format!("on if the mean reprojection error exceeds {POSE_PX} px and no rolling shutter causes it");
     let (on, evidence) = match &survey.pose {
-        None => (false, "reprojection error not known".into()),
+        None => (false, "not known: no reprojection error".into()),
         Some(pose) => {
             let evidence = format!(
-                "mean reprojection error {:.2} px, a twentieth above {:.2} px ({})",
+                "mean reprojection error {:.2} px, a twentieth of the errors above {:.2} px ({})",
                 pose.mean_px,
                 pose.largest_px,
                 match pose.source {
@@ -244,7 +244,7 @@ fn pose(survey: &Survey) -> Decision {
 
 fn environment(survey: &Survey) -> Decision {
     let rule = format!(
-        "on where more than {} of the points are so far away, and no photograph has transparent parts",
+        "on if more than {} of the points are that far away and no photograph has transparent parts",
         percent(FAR_SHARE)
     );
     let (on, evidence) = match &survey.depth {
@@ -266,46 +266,46 @@ fn environment(survey: &Survey) -> Decision {
 }
 
 fn depth(survey: &Survey) -> Decision {
-    let rule = format!("on where there is a folder of depth maps, or tracks and fewer than {FEW_VIEWS} photographs");
+    let rule = format!("on if there is a folder of depth maps, or tracks and fewer than {FEW_VIEWS} photographs");
     let few = survey.views < FEW_VIEWS && survey.source == SightSource::Tracks;
     let evidence = match &survey.files.depth_maps {
         None => format!("{} photographs, no depth maps", survey.views),
-        Some(folder) => format!("{} photographs, and depth maps in {folder:?}", survey.views),
+        Some(folder) => format!("{} photographs and depth maps in {folder:?}", survey.views),
     };
     let cost = Cost { ms_per_step: 5.0, mib: survey.sights_compared as f64 * 8.0 / MIB };
     decide(EffectKind::DepthSupervision, few || survey.files.depth_maps.is_some(), evidence, rule, Some(cost))
 }
 
 fn motion_blur(survey: &Survey) -> Decision {
-    let rule = format!("on where the least sharp twentieth has less than {BLUR_RATIO} of the median's sharpness");
+    let rule = format!("on if the least sharp twentieth has less than {BLUR_RATIO} of the median sharpness");
     let blur = &survey.blur;
     let (on, evidence) = match (blur.median, blur.least) {
         (Some(median), Some(least)) => {
             let name = blur.least_sharp.as_deref().unwrap_or_default();
             let evidence = format!(
-                "sharpness {median:.2} (median), {least:.2} for the least sharp twentieth, first of all {name:?}"
+                "sharpness {median:.2} (median), {least:.2} for the least sharp twentieth; the least sharp is {name:?}"
             );
             (least < BLUR_RATIO * median, evidence)
         }
-        _ => (false, "not known: the pictures show nothing".into()),
+        _ => (false, "not known: no photograph has any detail".into()),
     };
     let cost = Cost { ms_per_step: OPTICS_MS, mib: survey.views as f64 * 3.0 * 6.0 * 4.0 / MIB };
     decide(EffectKind::MotionBlur, on, evidence, rule, Some(cost))
 }
 
-/// What no evidence is known of.
+/// The decision on an effect that no evidence detects.
 fn by_name(effect: EffectKind, what: &str) -> Decision {
-    let evidence = format!("nothing that is looked at tells {what} from other faults");
+    let evidence = format!("not known: no measurement distinguishes {what} from other faults");
     let cost = Cost { ms_per_step: OPTICS_MS, mib: 0.0 };
-    decide(effect, false, evidence, "on where it is asked for by name".into(), Some(cost))
+    decide(effect, false, evidence, "on by name only".into(), Some(cost))
 }
 
-/// How the photographs were compared, in words.
+/// A sentence on how the photographs were compared.
 pub fn source(survey: &Survey) -> String {
     match survey.source {
         SightSource::None => "no sparse points: photographs cannot be compared".into(),
         SightSource::Tracks => format!(
-            "{} points compared through {} sights that the reconstruction lists",
+            "{} points compared through {} observations of the reconstruction's tracks",
             survey.points_compared, survey.sights_compared
         ),
         SightSource::Projection => format!(

@@ -1,20 +1,21 @@
-//! Refinement of the photographs' poses, learnt beside the scene.
+//! Refinement of the photographs' poses along with the scene.
 //!
-//! A camera that was placed wrongly is turned by `R(ω)` and moved by `e τ` in its own frame: `cam_from_world` becomes
-//! `[R(ω) R₀ | R(ω) t₀ + e τ]`, with `e` the extent of the scene, so that both are of one size. `R(ω)` is Cayley's map of `h = ω/2`,
+//! A correction rotates a camera by `R(ω)` and moves it by `e τ` in its own frame: `cam_from_world` becomes
+//! `[R(ω) R₀ | R(ω) t₀ + e τ]`. `e` is the scene extent, so that `ω` and `τ` are of similar size. `R(ω)` is the Cayley map
+//! of `h = ω/2`,
 //!
 //! `R = I + 2 (K + K²) / (1 + |h|²)`, `K v = h × v`,
 //!
-//! a rotation to rounding for every `h` (about `ω` by `2 atan(|ω|/2)`, which is `|ω|` but for its cube), with no angle to
-//! divide by and no square root: it and its derivative are rational and exact at zero, where the exponential map's series
-//! has to be patched. That poses are learnt with the scene, by the gradient of the photographs' colours, is BARF's (Lin et
-//! al. 2021), for Gaussians as in gsplat's `pose_opt`.
+//! which is a rotation up to rounding for every `h`. It rotates about `ω` by `2 atan(|ω|/2)`, which differs from `|ω|` in
+//! third order. It has no division by an angle and no square root: the map and its derivative are rational and exact at
+//! zero, where the series of the exponential map needs a special case. Learning poses along with the scene from the colour
+//! gradient follows BARF (Lin et al. 2021), and for Gaussians gsplat's `pose_opt`.
 //!
-//! Scene and cameras could move together and no photograph would tell, and they do: on the demo with poses that are wrong by
-//! 1° and 1%, forty cameras ended 0.037 scene units above the true ones together. Where the reconstruction has tracks, these
-//! hold cameras to the sparse points, see [`anchors`].
+//! Scene and cameras could move together without a change in any render, and they do: on the demo with poses wrong by 1°
+//! and 1%, forty cameras ended 0.037 scene units above the true ones together. Where the reconstruction has tracks, they
+//! hold the cameras to the sparse points (see [`anchors`]).
 //!
-//! How far a camera can go in a run is stated, and not a learning rate (see `Learned::step_within`).
+//! The configuration states how far a camera can move in a run instead of a learning rate (see `Learned::step_within`).
 
 pub mod anchors;
 
@@ -29,18 +30,18 @@ use super::{Effect, EffectKind, RenderInput, saved_bytes};
 use crate::gaussians::{Gaussians, values_of};
 use crate::state::{State, StateError};
 
-/// How poses are refined.
+/// Options of pose refinement.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct PoseConfig {
-    /// How far a camera can turn in the whole run, rad: 0.06, some 3.4°.
+    /// Largest rotation of a camera in the whole run, rad: 0.06, about 3.4°.
     pub reach_rad: f64,
-    /// How far it can move, extents of the scene: 0.06.
+    /// Largest movement of a camera in the whole run, scene extents: 0.06.
     pub reach_extents: f64,
-    /// The last step by the first: 0.01.
+    /// Ratio of the last step size to the first: 0.01.
     pub fall: f64,
-    /// Weight of the mean angle by which the tracks' directions are missed, per rad: 3, so that a pixel counts about as much as
-    /// it does in the photograph.
+    /// Weight of the mean angle between the tracks' directions and the pose's, per rad: 3. An error of one pixel then
+    /// counts about as much as it does in the photograph.
     pub anchor_weight: f64,
 }
 
@@ -50,24 +51,24 @@ impl Default for PoseConfig {
     }
 }
 
-/// The corrections of all photographs of a run.
+/// The pose corrections of all photographs of a run.
 pub struct Poses {
     config: PoseConfig,
     extent: f64,
-    /// `[2, 3]` each: `ω`, rad, and `τ`, extents of the scene.
+    /// `[2, 3]` each: `ω`, rad, and `τ`, scene extents.
     corrections: Vec<Learned<2>>,
-    /// What holds each camera; none where nothing does.
+    /// The tracks that hold each camera. `None` without tracks.
     anchors: Vec<Option<OnDevice>>,
-    /// `[3, 9]`: `h` to `K`, row by row.
+    /// `[3, 9]`: maps `h` to `K`, row-major.
     cross: Tensor<2>,
     /// `[3, 3]`
     identity: Tensor<2>,
 }
 
 impl Poses {
-    /// No corrections, for so many photographs of a scene of `extent` (see [`scene_extent`](crate::optim::scene_extent)).
+    /// Zero corrections for `views` photographs of a scene of `extent` (see [`scene_extent`](crate::optim::scene_extent)).
     pub fn new(config: PoseConfig, extent: f64, views: usize, device: &Device) -> Self {
-        // One that is to stay where it is has a reach too, too small to be seen.
+        // A camera that must not move has a reach that is too small to be seen, because a reach must not be zero.
         let reach = [config.reach_rad, config.reach_extents].map(|reach| [reach.max(1e-9); 3]);
         let reach = Tensor::<2>::from_floats(reach, device);
         let correction = |_| Learned::reaching(Tensor::zeros([2, 3], device), reach.clone());
@@ -84,13 +85,13 @@ impl Poses {
         Self { config, extent, corrections, anchors, cross, identity: Tensor::eye(3, device) }
     }
 
-    /// Puts the cameras, which were `given`, where tracks say that they were, and holds them there; in the order of the
-    /// photographs.
+    /// Moves the cameras from their `given` poses to the poses that the tracks imply, and holds them there. Both lists are
+    /// in the order of the photographs.
     pub fn anchor(&mut self, anchors: &[Anchors], given: &[DAffine3], device: &Device) {
         for (view, (anchors, given)) in anchors.iter().zip(given).enumerate().take(self.corrections.len()) {
             let moved = anchors.resected(given);
             let turn = DQuat::from_mat3(&(moved.matrix3 * given.matrix3.transpose()));
-            // tan(θ/2) along the axis; a camera that has to turn by half a circle is not refined but wrong.
+            // tan(θ/2) along the axis. A camera that would have to rotate by half a turn is not refined.
             let half = DVec3::new(turn.x, turn.y, turn.z) / turn.w;
             let shift = (moved.translation - rotation(2.0 * half) * given.translation) / self.extent;
             if half.is_finite() && shift.is_finite() {
@@ -101,7 +102,7 @@ impl Poses {
         }
     }
 
-    /// The pose of the photograph `view`, corrected: `[3, 4]`, tracked. `cam_from_world`, `[3, 4]`, is not.
+    /// The corrected pose of photograph `view`, `[3, 4]`, tracked. `cam_from_world`, `[3, 4]`, is not tracked.
     pub fn apply(&mut self, cam_from_world: Tensor<2>, view: usize) -> Tensor<2> {
         let correction = self.corrections[view].tracked();
         let half = correction.clone().narrow(0, 0, 1) * 0.5;
@@ -115,7 +116,7 @@ impl Poses {
         Tensor::cat(vec![turned.narrow(1, 0, 3), translation], 1)
     }
 
-    /// What the pose of a view is corrected to, on the host.
+    /// The corrected pose of a view, on the host.
     pub fn corrected(&self, cam_from_world: &DAffine3, view: usize) -> DAffine3 {
         let values: Vec<f64> = values_of(self.corrections[view].value()).into_iter().map(f64::from).collect();
         let moved = self.extent * DVec3::from_slice(&values[3..]);
@@ -203,7 +204,7 @@ mod tests {
         }
     }
 
-    /// Finite differences of the corrected pose in f64 against autodiff's.
+    /// Compares the gradient of autodiff with finite differences of the corrected pose in f64.
     #[test]
     fn gradients_are_those_of_the_map() {
         let device = Device::flex();
@@ -226,13 +227,13 @@ mod tests {
                 (value(correction), f64::from(correction.as_flattened()[i]))
             };
             let ((high, to), (low, from)) = (moved(1e-3), moved(-1e-3));
-            // Corrections are learnt in units of their reach.
+            // Corrections are learned in units of their reach.
             let expected = (high - low) / (to - from) * 0.06;
             assert!((f64::from(gradient[i]) - expected).abs() < 6e-6, "{i}: {} instead of {expected}", gradient[i]);
         }
     }
 
-    /// However long the run and however many photographs, a camera that is always pulled one way goes as far as stated.
+    /// For any length of run and number of photographs, a camera with a constant gradient moves as far as configured.
     #[test]
     fn a_camera_goes_as_far_as_stated() {
         let device = Device::flex();

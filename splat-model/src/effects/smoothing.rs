@@ -1,15 +1,16 @@
-//! The 3D smoothing filter of Mip-Splatting (Yu et al. 2024, section 5.1): no Gaussian is finer than the photographs can tell.
+//! The 3D smoothing filter of Mip-Splatting (Yu et al. 2024, section 5.1): no Gaussian is finer than the sampling of the
+//! photographs.
 //!
-//! A camera samples what is `z` away from it `f/z` times per scene unit. No photograph shows more of a Gaussian than the one
-//! that samples it most finely, at `ν = max f/z`, so it is convolved with an isotropic Gaussian of the variance `s/ν²`,
-//! `s = 0.2`: its variances become `σ² + s/ν²`, and its opacity is multiplied by `√(|Σ|/|Σ′|)`, so that it covers as much
-//! as before. Seen from closer than it was trained, the scene then shows no needles that no photograph showed.
+//! A camera samples a point at depth `z` with `f/z` samples per scene unit. The camera with the highest rate,
+//! `ν = max f/z`, shows the most detail of a Gaussian. The Gaussian is convolved with an isotropic Gaussian of variance
+//! `s/ν²`, `s = 0.2`: its variances become `σ² + s/ν²`, and its opacity is multiplied by `√(|Σ|/|Σ′|)`, so that its
+//! integral stays the same. From closer than in training, the scene then shows no needles that no photograph showed.
 //!
-//! Everything is computed in logarithms: with `p = ln(1 + exp(2 (ln g − ln σ)))` and `g² = s/ν²`, each standard deviation's
-//! logarithm grows by `p/2` and the opacity's falls by the sum of the three `p/2`. The determinants, sixth powers of lengths,
-//! are never formed: in f32 they are zero from 10⁻⁷ scene units down.
+//! Everything is computed in logarithms: with `p = ln(1 + exp(2 (ln g − ln σ)))` and `g² = s/ν²`, the logarithm of each
+//! standard deviation grows by `p/2`, and the logarithm of the opacity falls by the sum of the three `p/2`. The
+//! determinants, sixth powers of lengths, are never computed: in f32 they are zero from 10⁻⁷ scene units down.
 //!
-//! The filter is part of what is rendered. A file holds Gaussians that are convolved already, as other viewers expect.
+//! The filter is part of the render. A file holds Gaussians that are already convolved, as other viewers expect.
 
 use burn::tensor::{Device, Tensor, TensorData};
 use glam::{DAffine3, DVec3, Vec3};
@@ -20,16 +21,17 @@ use super::{Effect, EffectKind, Moment, RenderInput};
 use crate::gaussians::{GaussianRows, Gaussians, values_of};
 use crate::state::{State, StateError};
 
-/// Variance of the filter by that of a sample's spacing: 0.2, as the original has it.
+/// Variance of the filter as a multiple of the squared sample spacing: 0.2, as in the original.
 pub const VARIANCE: f64 = 0.2;
 
-/// Steps after which the filter follows the Gaussians that have moved.
+/// Steps between updates of the filter for Gaussians that have moved.
 const EVERY: usize = 100;
 
-/// A centre counts as seen up to this share of the picture beside it, because its Gaussian may reach in.
+/// A centre counts as visible up to this share of the picture beyond its border, because its Gaussian may extend into the
+/// picture.
 const MARGIN: f64 = 0.15;
 
-/// Logarithms of standard deviations are held within this: beyond it [`splat_op::activate`] masks the Gaussian anyway.
+/// Bound on the logarithms of standard deviations. [`splat_op::activate`] masks Gaussians beyond it anyway.
 const LARGEST_LOG: f32 = 88.0;
 
 /// A camera that photographs the scene.
@@ -42,7 +44,7 @@ struct Sampler {
 }
 
 impl Sampler {
-    /// Samples per scene unit at a point, zero where it is not seen.
+    /// Samples per scene unit at a point. Zero if the camera does not see it.
     fn rate(&self, world: DVec3) -> f64 {
         let cam = self.cam_from_world.transform_point3(world);
         let inside = |px: f64, size: f64| (-MARGIN * size..=(1.0 + MARGIN) * size).contains(&px);
@@ -53,17 +55,17 @@ impl Sampler {
     }
 }
 
-/// The filter of a run.
+/// The smoothing filter of a run.
 pub struct Smoothing {
     cameras: Vec<Sampler>,
-    /// `[N, 1]`: `ln g` of the Gaussians there are.
+    /// `[N, 1]`: `ln g` of the current Gaussians.
     ln_widths: Option<Tensor<2>>,
-    /// The step at which these were found.
+    /// The step at which the widths were computed.
     found_at: usize,
 }
 
 impl Smoothing {
-    /// For photographs of these cameras.
+    /// A filter for photographs of these cameras.
     pub fn new<'a>(cameras: impl IntoIterator<Item = (&'a Intrinsics, &'a DAffine3)>) -> Self {
         let sampler = |(intrinsics, cam_from_world): (&Intrinsics, &DAffine3)| Sampler {
             projector: intrinsics.projector(),
@@ -74,8 +76,8 @@ impl Smoothing {
         Self { cameras: cameras.into_iter().map(sampler).collect(), ln_widths: None, found_at: 0 }
     }
 
-    /// Logarithms of the filter's standard deviations, scene units, at these centres. Where no camera sees one, the widest of
-    /// the others, as the original has it.
+    /// Logarithms of the filter's standard deviations at these centres, scene units. A centre that no camera sees gets the
+    /// widest filter of the others, as in the original.
     pub fn ln_widths(&self, means: &[[f32; 3]]) -> Vec<f32> {
         let rate = |mean: &[f32; 3]| {
             let world = Vec3::from_array(*mean).as_dvec3();
@@ -88,7 +90,7 @@ impl Smoothing {
         rates.into_iter().map(ln_width).collect()
     }
 
-    /// Finds the widths anew if they were forgotten or a hundred steps have gone by.
+    /// Computes the widths again if they were discarded or a hundred steps have passed.
     fn follow(&mut self, gaussians: &Gaussians, step: usize) {
         if self.ln_widths.is_some() && step < self.found_at + EVERY {
             return;
@@ -101,7 +103,7 @@ impl Smoothing {
         self.found_at = step;
     }
 
-    /// The Gaussians, convolved. `log_scales` `[N, 3]` are those that `splats` were made from. Differentiable.
+    /// The convolved Gaussians. `log_scales` `[N, 3]` are the parameters from which `splats` were made. Differentiable.
     fn apply(&self, splats: Splats, log_scales: Tensor<2>) -> Splats {
         let Some(widths) = &self.ln_widths else { return splats };
         let widths = if log_scales.is_autodiff() { Tensor::from_inner(widths.clone()) } else { widths.clone() };
@@ -124,7 +126,7 @@ impl Effect for Smoothing {
         self.ln_widths = None;
     }
 
-    /// The widths are those of some steps ago.
+    /// The widths are saved because they were computed some steps ago.
     fn save(&self, to: &mut State) -> Result<(), StateError> {
         if let Some(widths) = &self.ln_widths {
             to.put("ln_widths", widths.clone());
@@ -138,12 +140,12 @@ impl Effect for Smoothing {
         Ok(())
     }
 
-    /// Convolves the rows.
+    /// Convolves the Gaussians.
     fn bake(&self, rows: &mut GaussianRows) {
         let widths = self.ln_widths(&rows.means);
         let of_row = rows.log_scales.iter_mut().zip(&mut rows.logit_opacities).zip(widths);
         for ((log_scales, logit), ln_width) in of_row {
-            // An unusable Gaussian stays as it is.
+            // An unusable Gaussian stays unchanged.
             if !(log_scales.iter().all(|scale| scale.is_finite()) && logit.is_finite()) {
                 continue;
             }
@@ -163,13 +165,13 @@ fn column(values: Vec<f32>, device: &Device) -> Tensor<2> {
     Tensor::from_data(TensorData::new(values, [count, 1]), device)
 }
 
-/// Logarithms of standard deviations `[N, 3]` and of the share of the opacity that is left, `[N]`.
+/// Logarithms of the new standard deviations, `[N, 3]`, and of the factor of the opacity, `[N]`.
 fn convolved(log_scales: Tensor<2>, ln_widths: Tensor<2>) -> (Tensor<2>, Tensor<1>) {
-    // What is unusable is masked elsewhere; here it must only not become NaN.
+    // Unusable Gaussians are masked elsewhere. Here they must only not become NaN.
     let unusable = log_scales.clone().abs().lower_equal_elem(LARGEST_LOG).bool_not();
     let log_scales = log_scales.mask_fill(unusable, 0.0);
     let excess = (ln_widths - log_scales.clone()) * 2.0;
-    // ln(1 + eˣ) without overflow. (x + |x|)/2 and not max(x, 0), whose derivative at 0 is not a half.
+    // ln(1 + eˣ) without overflow. (x + |x|)/2 is used instead of max(x, 0), whose derivative at 0 is not one half.
     let size = excess.clone().abs();
     let grown = (excess + size.clone()) * 0.25 + size.neg().exp().log1p() * 0.5;
     (log_scales + grown.clone(), grown.sum_dim(1).squeeze_dim::<1>(1).neg())
@@ -180,7 +182,7 @@ fn softplus(x: f64) -> f64 {
     x.max(0.0) + (-x.abs()).exp().ln_1p()
 }
 
-/// The logit of `σ(logit) · exp(ln_share)`, for shares up to 1: of `y = ln σ(logit) + ln_share`, it is `y − ln(1 − eʸ)`.
+/// The logit of `σ(logit) · exp(ln_share)`, for shares up to 1: with `y = ln σ(logit) + ln_share` it is `y − ln(1 − eʸ)`.
 fn logit_of_share(logit: f64, ln_share: f64) -> f64 {
     if ln_share == 0.0 {
         return logit;

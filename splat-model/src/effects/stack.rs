@@ -1,4 +1,4 @@
-//! The effects of one run, in the order in which light meets them.
+//! The effects of one run, in the order in which light passes them.
 
 use std::any::Any;
 
@@ -12,12 +12,12 @@ use super::learned::Moment;
 use crate::gaussians::{GaussianRows, Gaussians};
 use crate::state::{State, StateError};
 
-/// Effects one after the other, which together are an effect. Without any it holds nothing and does nothing.
+/// A sequence of effects, which is an effect itself. An empty stack holds nothing and does nothing.
 #[derive(Default)]
 pub struct EffectStack(Vec<Box<dyn Effect>>);
 
 impl EffectStack {
-    /// Adds an effect that light meets last, or puts it in the place of the one of its name.
+    /// Appends an effect, or replaces the effect of the same name.
     pub fn put(&mut self, effect: impl Effect) {
         match self.0.iter_mut().find(|other| other.name() == effect.name()) {
             Some(other) => *other = Box::new(effect),
@@ -25,28 +25,28 @@ impl EffectStack {
         }
     }
 
-    /// The effect of a type, if there is one.
+    /// The effect of type `T`, if there is one.
     pub fn get<T: Effect>(&self) -> Option<&T> {
         self.0.iter().find_map(|effect| (&**effect as &dyn Any).downcast_ref())
     }
 
-    /// The same, to be changed.
+    /// Mutable access to the effect of type `T`.
     pub fn get_mut<T: Effect>(&mut self) -> Option<&mut T> {
         self.0.iter_mut().find_map(|effect| (&mut **effect as &mut dyn Any).downcast_mut())
     }
 
-    /// The effect of a name, if there is one.
+    /// The effect of the given name, if there is one.
     pub fn named(&self, name: &str) -> Option<&dyn Effect> {
         self.0.iter().find(|effect| effect.name() == name).map(Box::as_ref)
     }
 
-    /// Takes the effect of a name out, and gives the rest: so that a run can be timed without it.
+    /// Removes the effect of a name and returns it with its position, so that a run can be timed without it.
     pub(crate) fn take(&mut self, name: &str) -> Option<(usize, Box<dyn Effect>)> {
         let at = self.0.iter().position(|effect| effect.name() == name)?;
         Some((at, self.0.remove(at)))
     }
 
-    /// Puts back what [`Self::take`] took.
+    /// Puts back an effect that [`Self::take`] removed.
     pub(crate) fn put_back(&mut self, (at, effect): (usize, Box<dyn Effect>)) {
         self.0.insert(at, effect);
     }
@@ -57,7 +57,7 @@ impl Effect for EffectStack {
         "effects"
     }
 
-    /// That of the last effect that draws one.
+    /// The background colour of the last effect that draws one.
     fn draw(&mut self, rng: &mut dyn Rng) -> Option<[f32; 3]> {
         self.0.iter_mut().filter_map(|effect| effect.draw(rng)).last()
     }

@@ -1,13 +1,13 @@
-//! What the tests of effects on the screen share: ellipses out of a row of numbers, gradients by differences, and a
-//! small scene with room between the stages.
+//! Helpers for tests of effects on the screen: ellipses from a row of numbers, gradients by differences, and a small scene
+//! that is rendered stage by stage.
 
 use burn::tensor::{DType, Device, Tensor, TensorData};
 use splat_op::{Camera, Colour, Ellipses, Extras, Intrinsics, RenderOptions, Splats, blend, project, tile};
 
-/// Numbers of an ellipse.
+/// Fields of an ellipse.
 pub(super) const FIELDS: usize = 7;
 
-/// `[values]` on the CPU.
+/// `values` as a tensor on the CPU.
 pub(super) fn tensor<const D: usize>(values: &[f64], shape: [usize; D], dtype: DType) -> Tensor<D> {
     Tensor::from_data(TensorData::new(values.to_vec(), shape), (&Device::flex(), dtype))
 }
@@ -16,7 +16,7 @@ pub(super) fn host<const D: usize>(tensor: Tensor<D>) -> Vec<f64> {
     tensor.into_data().iter::<f64>().collect()
 }
 
-/// The first `FIELDS · count` of `values`, field by field.
+/// Ellipses from the first `FIELDS · count` of `values`, field by field.
 pub(super) fn ellipses(values: &Tensor<1>, count: usize) -> Ellipses {
     let field = |i: usize| values.clone().narrow(0, i * count, count);
     Ellipses {
@@ -29,14 +29,14 @@ pub(super) fn ellipses(values: &Tensor<1>, count: usize) -> Ellipses {
     }
 }
 
-/// The reverse of [`ellipses`].
+/// The inverse of [`ellipses`].
 pub(super) fn numbers(ellipses: Ellipses) -> Tensor<1> {
     let Ellipses { mean2d, sigma_u, shear, sigma_v, depth, opacity } = ellipses;
     let count = mean2d.dims()[0];
     Tensor::cat(vec![mean2d.reshape([2 * count]), sigma_u, shear, sigma_v, depth, opacity], 0)
 }
 
-/// Ellipses in a picture of 64 × 48 px, some of them needles, as `ellipses` takes them.
+/// Random ellipses in a picture of 64 × 48 px, some of them needles, in the format of `ellipses`.
 pub(super) fn varied(count: usize) -> Vec<f64> {
     let wave = |i: usize, rate: f64| (rate * (i as f64 + 1.0)).sin();
     let field = |value: &dyn Fn(usize) -> f64| (0..count).map(value).collect::<Vec<f64>>();
@@ -52,7 +52,7 @@ pub(super) fn varied(count: usize) -> Vec<f64> {
     .concat()
 }
 
-/// Values like those of `varied`, one row per ellipse.
+/// Vectors like those of `varied`, one row per ellipse.
 pub(super) fn vectors(count: usize, size: f64) -> Vec<f64> {
     (0..2 * count).map(|i| size * (4.3 * i as f64 + 0.4).cos()).collect()
 }
@@ -96,7 +96,7 @@ pub(super) fn pose() -> Tensor<2> {
     tensor(&[cos, 0.0, sin, 0.1, 0.0, 1.0, 0.0, -0.05, -sin, 0.0, cos, 0.2], [3, 4], DType::F64)
 }
 
-/// Gaussians of a few px that hardly overlap, flat towards the camera, and one behind it.
+/// Gaussians of a few px that hardly overlap, parallel to the image plane, and one behind the camera.
 pub(super) fn scene() -> Splats {
     let means = [-0.9, -0.5, 2.6, 0.8, 0.6, 3.3, 0.1, -0.8, 3.9, -0.7, 0.9, 4.2, 1.0, -0.6, 3.0, 0.0, 0.0, -2.0];
     let scales = [0.25, 0.3, 0.05, 0.35, 0.25, 0.05, 0.4, 0.3, 0.05, 0.3, 0.45, 0.05, 0.25, 0.25, 0.05, 0.3, 0.3, 0.3];
@@ -111,7 +111,7 @@ pub(super) fn scene() -> Splats {
     }
 }
 
-/// `[H · W · 2]`: the scene from a pose, with its ellipses changed on the way.
+/// `[H · W · 2]`: a render of the scene from a pose, with changed ellipses.
 pub(super) fn render(camera: Intrinsics, pose: Tensor<2>, change: impl Fn(Ellipses) -> Ellipses) -> Vec<f64> {
     let (options, splats) = (RenderOptions::exact(), scene());
     let Colour::Features(features) = &splats.colour else { unreachable!("features, above") };
@@ -128,7 +128,7 @@ pub(super) fn average(pictures: &[Vec<f64>]) -> Vec<f64> {
         .collect()
 }
 
-/// The largest difference.
+/// The largest difference between two renders.
 pub(super) fn distance(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
 }

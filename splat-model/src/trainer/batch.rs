@@ -1,8 +1,8 @@
-//! The views of one step: their losses and gradients are averaged, as one loss over all their pixels would have it.
+//! Batches: the losses and gradients of a step's views are averaged.
 //!
-//! Learning rates and Adam's constants change with the number of views (see [`crate::optim::Adam::for_batch`]). The number of steps
-//! and all calendars that count in steps are left to the user. Parameters of effects, most of which belong to one photograph,
-//! take a step of their own for each view.
+//! Learning rates and Adam's constants change with the number of views (see [`crate::optim::Adam::for_batch`]). The number
+//! of steps and all schedules in steps are the user's choice. Parameters of effects, most of which belong to one
+//! photograph, take a separate step for each view.
 
 use burn::tensor::{Gradients as Remaining, Int, Tensor};
 
@@ -10,20 +10,20 @@ use super::differentiate::Differentiated;
 use super::{TrainError, Trainer};
 use crate::density::rows::Gradients;
 
-/// What the views of a step come to.
+/// The results of a batch.
 pub(super) struct Batch {
     /// `[1]`: the mean loss.
     pub loss: Tensor<1>,
     /// The mean gradients.
     pub gradients: Gradients,
-    /// Views, and the gradients of what effects learn of each.
+    /// Views, each with the gradients of its effects' parameters.
     pub views: Vec<(usize, Remaining)>,
     /// See [`super::Guard::look`].
     pub held: Option<Tensor<1, Int>>,
 }
 
 impl Trainer {
-    /// Differentiates the views of a step, which the guard looks at one by one.
+    /// Differentiates the views of a step. The guard checks them one by one.
     pub(super) fn differentiate_batch(&mut self) -> Result<Batch, TrainError> {
         let mut batch = self.differentiate_next()?;
         for _ in 1..self.config.batch {

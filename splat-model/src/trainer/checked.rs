@@ -1,4 +1,4 @@
-//! A step that looks at what every stage leaves, for `splat train --check`: slow, because all of it is read.
+//! A step that checks the output of every stage, for `splat train --check`. Slow, because it reads all outputs.
 
 use std::fmt;
 
@@ -42,19 +42,19 @@ impl fmt::Display for Stage {
     }
 }
 
-/// What a stage left that it must not: the stage, and the field, the place, what was found and what was expected.
+/// An invalid output: the stage, and the field, its position, the found and the expected value.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Wrong {
     pub stage: Stage,
     pub detail: String,
 }
 
-/// A step cannot go on.
+/// The reason why a checked step stopped.
 #[derive(Debug)]
 pub(super) enum Stopped {
-    /// The operation refused its inputs.
+    /// The render operation rejected its inputs.
     Op(SplatError),
-    /// A stage went wrong.
+    /// A stage produced an invalid output.
     Wrong(Wrong),
 }
 
@@ -70,7 +70,7 @@ impl From<Wrong> for Stopped {
     }
 }
 
-/// The picture that [`RenderInput::render`] gives, stage by stage, each of which is looked at before the next runs.
+/// [`RenderInput::render`] stage by stage, with a check of each output before the next stage runs.
 pub(super) fn render_checked(input: &RenderInput) -> Result<Rendered<3>, Stopped> {
     let projected = input.project()?;
     let opacities = check_projected(&projected)?;
@@ -83,7 +83,7 @@ pub(super) fn render_checked(input: &RenderInput) -> Result<Rendered<3>, Stopped
     Ok(picture)
 }
 
-/// Ellipses are finite, have an area, and opacities from 0 to 1, which are returned.
+/// Checks that ellipses are finite, have an area, and have opacities from 0 to 1. Returns the opacities.
 fn check_projected(projected: &Projected) -> Result<Vec<f32>, Wrong> {
     let ellipses = projected.ellipses();
     let look = |field, values: &[f32], columns, expected, good: fn(f32) -> bool| {
@@ -100,7 +100,7 @@ fn check_projected(projected: &Projected) -> Result<Vec<f32>, Wrong> {
     Ok(opacities)
 }
 
-/// Colours of what is drawn are finite. Those of masked Gaussians, which nobody sees, may be anything.
+/// Checks that the colours of visible Gaussians are finite. Colours of masked Gaussians may have any value.
 fn check_colours(colours: &Tensor<2>, opacities: &[f32]) -> Result<(), Wrong> {
     let columns = colours.dims()[1];
     let mut values = host(colours.clone());
@@ -112,7 +112,7 @@ fn check_colours(colours: &Tensor<2>, opacities: &[f32]) -> Result<(), Wrong> {
     look(Stage::Shade, "colour", (&values, columns, "Gaussian"), "a finite number", f32::is_finite)
 }
 
-/// No tile lists more Gaussians than there are.
+/// Checks that no tile lists more Gaussians than exist.
 fn check_tiles(tiles: &Tiles, splats: usize) -> Result<(), Wrong> {
     let counts = host(tiles.counts.clone().float());
     let wrong = counts.iter().position(|count| !(*count >= 0.0 && *count <= splats as f32));
@@ -151,7 +151,7 @@ pub(super) fn check_gradients(gradients: &Gradients) -> Result<(), Wrong> {
     one("sh", &gradients.sh)
 }
 
-/// No Gaussian became unusable. `before` and `after` are the same Gaussians.
+/// Checks that no Gaussian became unusable. `before` and `after` are the same Gaussians.
 pub(super) fn check_parameters(before: &GaussianRows, after: &GaussianRows) -> Result<(), Wrong> {
     let spoilt = (0..after.len()).find(|&i| before.is_usable(i) && !after.is_usable(i));
     let Some(i) = spoilt else { return Ok(()) };
@@ -168,7 +168,7 @@ pub(super) fn check_parameters(before: &GaussianRows, after: &GaussianRows) -> R
     Err(Wrong { stage: Stage::Parameters, detail })
 }
 
-/// The first value that is not as expected.
+/// Returns an error for the first value for which `good` is false.
 fn look(
     stage: Stage,
     field: &str,

@@ -1,4 +1,4 @@
-//! What a run depends on besides its photographs.
+//! The options of a run.
 
 use serde::{Deserialize, Deserializer, Serialize};
 use splat_op::RenderOptions;
@@ -16,60 +16,61 @@ use crate::loss::DEFAULT_LAMBDA;
 use crate::optim::schedule::STEPS_PER_SH_DEGREE;
 use crate::optim::{LearningRates, near_plane};
 
-/// All that a run depends on besides its photographs. Defaults are those of the original implementation.
+/// All options of a run. Defaults are those of the original implementation.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct TrainConfig {
-    /// Steps: 30,000.
+    /// Number of steps: 30,000.
     pub steps: usize,
-    /// Photographs in each of them: 1. More of them grow learning rates and Adam's memory as the field has it; steps, and what is
-    /// counted in steps, stay what they are.
+    /// Photographs per step: 1. Learning rates and Adam's constants follow the square-root scaling rule (see
+    /// [`crate::optim::Adam::for_batch`]). The number of steps and all schedules in steps stay unchanged.
     pub batch: usize,
-    /// Seed of everything random.
+    /// Seed of all random numbers.
     pub seed: u64,
-    /// Share of D-SSIM in the loss: 0.2.
+    /// Weight of D-SSIM in the loss: 0.2.
     pub lambda: f64,
     /// Highest degree of the spherical harmonics: 3.
     pub sh_degree: usize,
-    /// Steps until the degree rises by one: 1,000.
+    /// Steps between increases of the degree by one: 1,000.
     pub sh_every: usize,
     /// Learning rates.
     pub learning_rates: LearningRates,
-    /// Density control, and its strategy.
+    /// Strategy of density control and its options.
     pub density: DensityConfig,
-    /// How large photographs are as the run goes on.
+    /// Schedule of the photographs' size.
     pub resolution: Resolution,
-    /// What shows through the Gaussians, and through photographs with alpha: RGB, 0 to 1. Where another background is learnt,
-    /// what it begins as.
+    /// The background behind the Gaussians and behind photographs with alpha: RGB, 0 to 1. The initial value of a learned
+    /// background.
     #[serde(deserialize_with = "finite_colour")]
     pub background: [f32; 3],
-    /// Whether opacities are compensated for the blur (see [`RenderOptions::antialias`]).
+    /// Whether opacities are compensated for the screen-space blur (see [`RenderOptions::antialias`]).
     pub antialias: bool,
-    /// Dials of the renders that are turned from the standard: none.
+    /// Dials of the renders that differ from the standard: none.
     pub dials: Setting,
-    /// Whether Gaussians are kept as coarse as the photographs sample them (see [`smoothing`](crate::effects::smoothing)).
+    /// Whether Gaussians are limited to the photographs' sampling rate (see [`smoothing`](crate::effects::smoothing)).
     pub smoothing: bool,
-    /// What else is behind the Gaussians than [`Self::background`]: nothing else.
+    /// The kind of background: [`Self::background`].
     pub backdrop: Backdrop,
-    /// Whether and how each photograph learns an exposure of its own: not at all.
+    /// Options of learned exposures: off.
     pub exposure: Option<ExposureConfig>,
-    /// Whether and how each photograph learns a grid of colour maps: not at all.
+    /// Options of bilateral grids: off.
     pub grid: Option<GridConfig>,
-    /// Whether and how poses are refined: not at all.
+    /// Options of pose refinement: off.
     pub poses: Option<PoseConfig>,
-    /// Which of the things that happen while a photograph is taken are simulated: none.
+    /// The simulated effects of motion and optics: none.
     pub optics: OpticsConfig,
-    /// Whether and how known depths are learnt from (see [`Trainer::with_depths`](super::Trainer::with_depths)): not at all.
+    /// Options of depth supervision (see [`Trainer::with_depths`](super::Trainer::with_depths)): off.
     pub depth: Option<DepthConfig>,
-    /// Weight of the mean opacity in the loss: 0 for none, 0.01 as MCMC has it (Kheradmand et al. 2024). Gaussians that no
-    /// photograph asks for, floaters in front of the background above all, then fade and are pruned.
+    /// Weight of the mean opacity in the loss: 0 for none, 0.01 in MCMC (Kheradmand et al. 2024). Gaussians that no
+    /// photograph needs, mainly floaters in front of the background, then fade and are pruned.
     pub opacity_weight: f64,
-    /// Memory for photographs prepared for the loss, MiB: 512. On a CPU those beyond it are prepared again at each use; on a
-    /// GPU, where they do not all fit, they are kept there in four bytes per pixel, and those beyond it are uploaded again.
+    /// Memory for prepared photographs, MiB: 512. On a CPU, photographs beyond it are prepared again at each use. On a GPU
+    /// where not all prepared photographs fit, they are stored in four bytes per pixel, and those beyond the limit are
+    /// uploaded again.
     pub cache_mib: usize,
 }
 
-/// A number beyond f32 becomes an infinity, which can neither be trained with nor be written as JSON.
+/// Numbers beyond the range of f32 become infinite, which is unusable in training and in JSON.
 fn finite_colour<'de, D: Deserializer<'de>>(deserializer: D) -> Result<[f32; 3], D::Error> {
     let colour = <[f32; 3]>::deserialize(deserializer)?;
     match colour.iter().all(|value| value.is_finite()) {
@@ -107,12 +108,12 @@ impl Default for TrainConfig {
 }
 
 impl TrainConfig {
-    /// The learning rates of a step.
+    /// The learning rates, adapted to the batch size.
     pub(super) fn step_rates(&self) -> LearningRates {
         self.learning_rates.for_batch(self.batch)
     }
 
-    /// How a run whose cameras see a scene of `extent` renders (see [`scene_extent`](crate::optim::scene_extent)).
+    /// Render options of a run whose cameras see a scene of `extent` (see [`scene_extent`](crate::optim::scene_extent)).
     pub fn render_options(&self, extent: f64) -> RenderOptions {
         self.dials.apply(RenderOptions::standard().with_antialias(self.antialias).with_near(near_plane(extent)))
     }

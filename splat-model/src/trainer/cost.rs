@@ -1,4 +1,4 @@
-//! What the effects of a run cost: the time of a step with each and without, at the end of the run.
+//! Measured cost of a run's effects: the time of a step with and without each effect, at the end of the run.
 
 use std::time::Instant;
 
@@ -10,19 +10,20 @@ use super::{TrainError, Trainer};
 use crate::effects::plan::Cost;
 use crate::effects::{Effect, EffectKind};
 
-/// Pairs of steps that are timed, of each the fastest counts: what else the machine does only ever adds.
+/// Number of timed pairs of steps. The fastest of each counts, because other load on the machine only adds time.
 const PAIRS: usize = 9;
 
-/// The photograph that is timed.
+/// The photograph of the timed steps.
 const VIEW: usize = 0;
 
 impl Trainer {
-    /// What `effect` adds to a step on the first photograph as the run is now, ms, and its memory, MiB. Effects between
-    /// render and loss are timed without the render, which would drown them. Changes no parameter. None for effects that are
-    /// not part of a step, and for such that are off. Motion blur, rolling shutters and defocus are timed together.
+    /// Cost of `effect` in a step on the first photograph, at the current state of the run: time, ms, and memory, MiB.
+    /// Effects between render and loss are timed without the render, whose time would hide theirs. No parameter changes.
+    /// `None` for effects that are not part of a step, and for effects that are off. Motion blur, rolling shutters and
+    /// defocus are timed together.
     ///
     /// # Errors
-    /// If the operation refuses the scene.
+    /// If the render operation rejects the scene.
     pub fn cost_of(&mut self, effect: EffectKind) -> Result<Option<Cost>, TrainError> {
         let Some(bytes) = self.bytes_of(effect) else { return Ok(None) };
         let in_the_camera = matches!(effect, EffectKind::Exposure | EffectKind::BilateralGrid | EffectKind::Masks);
@@ -30,7 +31,7 @@ impl Trainer {
             true => run.time_loss(),
             false => run.time_step(),
         };
-        // Kernels are compiled and photographs prepared before the clock counts.
+        // The first run compiles kernels and prepares photographs.
         time(self)?;
         let mut fastest_ms = [f64::INFINITY; 2];
         for _ in 0..PAIRS {
@@ -48,7 +49,7 @@ impl Trainer {
         Ok(Some(Cost { ms_per_step: fastest_ms[0] - fastest_ms[1], mib }))
     }
 
-    /// Bytes that an effect keeps from step to step; none where it is off or no part of a step.
+    /// Memory that an effect keeps between steps, bytes. `None` if it is off or not part of a step.
     fn bytes_of(&self, effect: EffectKind) -> Option<usize> {
         match effect {
             EffectKind::Masks => self.views.masked_bytes(),
@@ -59,17 +60,17 @@ impl Trainer {
         }
     }
 
-    /// Time until the loss and the gradients are there, ms.
+    /// Time until the loss and the gradients are computed, ms.
     fn time_step(&mut self) -> Result<f64, TrainError> {
         let start = Instant::now();
         let Differentiated { loss, gradients, .. } = self.differentiate(VIEW)?;
-        // Both are read, because a device may not have begun.
+        // Both are read, because the device computes asynchronously.
         let _ = loss.into_data();
         let _ = gradients.means.map(|means| means.sum().into_data());
         Ok(start.elapsed().as_secs_f64() * 1e3)
     }
 
-    /// The same from a picture on, which is the photograph a little darker.
+    /// Time from the picture to the gradients, ms. The picture is the photograph, slightly darkened.
     fn time_loss(&mut self) -> Result<f64, TrainError> {
         let prepared = self.prepare(VIEW)?;
         let truth = prepared.truth.image();

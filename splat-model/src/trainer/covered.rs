@@ -1,13 +1,13 @@
-//! What each Gaussian covers of a picture: for strategies that listen to where pictures are wrong.
+//! The pixels that each Gaussian covers, for strategies that request `Signals::covered`.
 
 use burn::tensor::Tensor;
 use splat_op::{Camera, Colour, Extras, RenderOptions, SplatError, Splats, render_view};
 
-/// `[N, 2]`: for each Gaussian the pixels that it covers, each by its share in the pixel's colour, and those of them that are
-/// wrong: by more than the mean of `image − truth`, `[H, W, 3]`, over the picture.
+/// `[N, 2]`: for each Gaussian the covered pixels, weighted by its share in the pixel's colour, and the same sum over wrong
+/// pixels: those whose error, from `image − truth`, `[H, W, 3]`, exceeds the picture's mean.
 ///
-/// A pixel's colour is `Σ wᵢ cᵢ`, so that with `cᵢ` a feature `∂/∂cᵢ Σₚ mₚ Cₚ = Σₚ mₚ wᵢₚ`: one more render, there and back, of
-/// Gaussians that are tracked in nothing else.
+/// The colour of pixel `p` is `Cₚ = Σᵢ wᵢₚ cᵢ`. With a mask `m` of pixels and `cᵢ` a feature, `∂/∂cᵢ Σₚ mₚ Cₚ = Σₚ mₚ wᵢₚ`.
+/// That takes one more render with its backward pass, in which only the features are tracked.
 pub(super) fn covered(
     splats: &Splats,
     camera: &Camera,

@@ -1,4 +1,4 @@
-//! Runs with effects that are not the library's.
+//! Runs with custom effects.
 
 use std::cell::RefCell;
 use std::rc::Rc;
@@ -17,14 +17,14 @@ use crate::state::{State, StateError};
 
 type Log = Rc<RefCell<Vec<String>>>;
 
-/// Writes down what it is asked, and learns a number by its penalty alone, or by the picture.
+/// An effect that logs its calls and learns a number from its penalty, or from the picture.
 struct Noted {
     name: &'static str,
     log: Log,
     number: Learned<1>,
-    /// What is remembered but the number.
+    /// State other than the number.
     drawn: [f32; 3],
-    /// Renders for one.
+    /// Number of renders for one input.
     samples: usize,
 }
 
@@ -135,7 +135,7 @@ fn hooks_are_called_in_the_documented_order() {
         let refined = log.take();
         assert_eq!(refined[refined.len() - 2..], ["forget first", "forget second"]);
     }
-    // Of one name there is one, in its place.
+    // A second effect of a name replaces the first.
     let run = trainer(config()).with_effect(first).with_effect(second).with_effect(Noted::new("first", &log));
     let mut run = run;
     run.step().unwrap();
@@ -156,7 +156,7 @@ fn a_penalty_reaches_the_parameter_of_its_effect() {
         run.step().unwrap();
     }
     assert!((number(&run) - 3.0).abs() < 0.7, "{}", number(&run));
-    // What it leaves to others.
+    // The number that the effect writes for other renderers.
     assert!(run.rows().logit_opacities.iter().all(|logit| *logit == number(&run)));
     assert!(matches!(run.background(), Background::Colour(drawn) if drawn != [0.0; 3]));
 }
@@ -179,12 +179,12 @@ fn a_state_survives_to_the_bit() {
         second.resume(first.save().unwrap()).unwrap();
         assert!(end(second) == expected, "after {after} steps");
     }
-    // A run without the effect does not lose its state unseen.
+    // A run without the effect refuses the state instead of dropping a part.
     let error = trainer(config()).resume(new().save().unwrap()).unwrap_err().to_string();
     assert!(error.contains("effects/one"), "{error}");
 }
 
-/// Two renders of one input have the mean that is each of them.
+/// Two equal renders have the mean of one.
 #[test]
 fn the_mean_of_equal_renders_is_the_render() {
     let losses = |samples: usize| {

@@ -11,17 +11,17 @@ use crate::density::{Observed, Signals};
 use crate::effects::{Effect, Moment, RenderInput, masks, mean_of};
 use crate::loss::{Truth, regularise};
 
-/// What is rendered of a view, and what with it is compared.
+/// The inputs of a view's render, and the photograph to compare it with.
 pub(super) struct Prepared {
     at: Moment<'static>,
     pub input: RenderInput,
     pub truth: Truth,
-    /// `[1, H, W]`: pixels that a mask leaves out.
+    /// `[1, H, W]`: the pixels that a mask excludes.
     excluded: Option<Tensor<3, Bool>>,
     signals: Signals,
 }
 
-/// What a render comes to.
+/// The result of a comparison.
 pub(super) struct Compared {
     /// `[1]`, tracked.
     pub loss: Tensor<1>,
@@ -29,18 +29,18 @@ pub(super) struct Compared {
     covered: Option<Tensor<2>>,
 }
 
-/// What the way back leaves.
+/// The results of the backward pass.
 pub(super) struct Differentiated {
     /// `[1]`
     pub loss: Tensor<1>,
-    /// Of the scene.
+    /// Gradients of the scene.
     pub gradients: Gradients,
-    /// Of the effects' parameters.
+    /// Gradients of the effects' parameters.
     pub of_effects: Remaining,
 }
 
 impl Trainer {
-    /// The loss of a view and its gradients; tells density control what it listens for.
+    /// Computes the loss of a view and its gradients, and passes the requested signals to density control.
     pub(super) fn differentiate(&mut self, view: usize) -> Result<Differentiated, TrainError> {
         let prepared = self.prepare(view)?;
         let picture = self.render(&prepared)?;
@@ -48,7 +48,7 @@ impl Trainer {
         self.go_back(prepared, compared)
     }
 
-    /// The Gaussians, camera and background of a view as the effects have them, and the photograph.
+    /// Prepares a view: Gaussians, camera and background after the effects, and the photograph.
     pub(super) fn prepare(&mut self, view: usize) -> Result<Prepared, TrainError> {
         let at = Moment { view, step: self.step, steps: self.config.steps, verdict: None };
         let splats = self.scene.gaussians.splats();
@@ -68,7 +68,7 @@ impl Trainer {
         Ok(Prepared { at, input, truth, excluded, signals })
     }
 
-    /// What the camera sees: the mean, where effects make several renders of one.
+    /// Renders a view: the mean of all renders if effects make several.
     fn render(&mut self, prepared: &Prepared) -> Result<Rendered<3>, TrainError> {
         let inputs = self.effects.samples(prepared.input.clone(), prepared.at);
         let render = |input: &RenderInput| match self.checks {
@@ -78,14 +78,14 @@ impl Trainer {
         Ok(mean_of(inputs.iter().map(render).collect::<Result<_, _>>()?))
     }
 
-    /// The loss of a picture, with all penalties.
+    /// Computes the loss of a picture, with all penalties.
     pub(super) fn compare(&mut self, prepared: &Prepared, picture: Rendered<3>) -> Result<Compared, TrainError> {
         let Prepared { at, input, truth, excluded, signals } = prepared;
         let cleared = |picture: Tensor<3>| match excluded {
             Some(excluded) => masks::cleared(picture, excluded),
             None => picture,
         };
-        // Last, so that what is left out says nothing about the effects either.
+        // Excluded pixels are cleared last, so that they do not train the effects either.
         let image = cleared(self.effects.image(picture.colour.clone(), input, &picture, *at));
         let alpha = cleared(picture.alpha.clone());
         let covered = match signals.covered {
@@ -109,7 +109,7 @@ impl Trainer {
         Ok(Compared { loss, covered })
     }
 
-    /// The gradients of the scene, of the probes and of the effects.
+    /// Computes the gradients of the scene, of the probes and of the effects.
     fn go_back(&mut self, prepared: Prepared, compared: Compared) -> Result<Differentiated, TrainError> {
         let Prepared { at, input: RenderInput { splats, camera, extras, .. }, signals, .. } = prepared;
         let Compared { loss, covered } = compared;

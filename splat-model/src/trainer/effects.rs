@@ -1,4 +1,4 @@
-//! What a run has to do with effects: which it begins with, what they are told, and what they leave.
+//! The effects of a run: their setup, their inputs and their results.
 
 use burn::tensor::Device;
 use glam::{DAffine3, Vec3};
@@ -18,7 +18,7 @@ use crate::effects::smoothing::Smoothing;
 use crate::effects::{Effect, EffectStack};
 use crate::gaussians::GaussianRows;
 
-/// The effects of a run over `photos` of a scene of `extent`, as it begins, in the order in which light meets them.
+/// The initial effects of a run over `photos` of a scene of `extent`, in the order in which light passes them.
 pub(super) fn of(
     config: &TrainConfig,
     photos: &[Photograph],
@@ -64,7 +64,7 @@ pub(super) fn of(
     Ok(stack)
 }
 
-/// The median depth of the points in the photographs, scene units; none without points.
+/// The median depth of the points in the photographs, scene units. `None` without points.
 fn typical_depth(photos: &[Photograph], points: &PointCloud) -> Option<f64> {
     let every = points.positions.len().div_ceil(1000).max(1);
     let worlds = || points.positions.iter().step_by(every).map(|point| Vec3::from_array(*point).as_dvec3());
@@ -75,20 +75,20 @@ fn typical_depth(photos: &[Photograph], points: &PointCloud) -> Option<f64> {
 }
 
 impl Trainer {
-    /// The same run with an effect of the caller's, which light meets after those that are there; one of the same name gives it
-    /// its place. To be asked for before the first step.
+    /// Adds a custom effect after the existing ones, or replaces the effect of the same name. Must be called before the
+    /// first step.
     pub fn with_effect(mut self, effect: impl Effect) -> Self {
         self.effects.put(effect);
         self
     }
 
-    /// The effect of a type, such as one that was handed to [`Self::with_effect`], with what it has learnt.
+    /// The effect of type `T`, for example one that was passed to [`Self::with_effect`], with its learned parameters.
     pub fn effect<T: Effect>(&self) -> Option<&T> {
         self.effects.get()
     }
 
-    /// The same run, with what is known of the depth of things in each photograph, in the order of the photographs; nothing is
-    /// learnt from it unless [`TrainConfig::depth`] says so.
+    /// Adds known depths of each photograph, in the order of the photographs. They are used only if [`TrainConfig::depth`]
+    /// is set.
     pub fn with_depths(mut self, samples: Vec<Vec<DepthSample>>) -> Self {
         if let Some(depth) = self.config.depth {
             self.effects.put(Depths::new(depth, samples, &self.device));
@@ -96,8 +96,8 @@ impl Trainer {
         self
     }
 
-    /// The same run, with the directions in which each photograph saw the sparse points, in the order of the photographs: where
-    /// poses are refined, these are where it begins and what holds them.
+    /// Adds the observed directions of the sparse points in each photograph, in the order of the photographs. Pose
+    /// refinement starts from them and is held by them.
     pub fn with_anchors(mut self, anchors: &[Anchors]) -> Self {
         let given: Vec<DAffine3> = (0..self.views.len()).map(|view| *self.views.camera_of(view).1).collect();
         if let Some(poses) = self.effects.get_mut::<Poses>() {
@@ -106,19 +106,19 @@ impl Trainer {
         self
     }
 
-    /// The scene as others should render it: the parameters, or what effects make of them.
+    /// The scene for other renderers: the parameters after all effects that change them.
     pub fn rows(&self) -> GaussianRows {
         let mut rows = self.scene.gaussians.to_rows();
         self.effects.bake(&mut rows);
         rows
     }
 
-    /// What is behind the scene, for whoever renders it.
+    /// The background of the scene, for other renderers.
     pub fn background(&self) -> Background {
         self.effects.background().unwrap_or(Background::Colour(self.config.background))
     }
 
-    /// The photographs' names and their poses as refined, if they are.
+    /// Names and refined poses of the photographs. `None` if poses are not refined.
     pub fn refined_poses(&self) -> Option<Vec<(String, DAffine3)>> {
         let poses = self.effects.get::<Poses>()?;
         let refined = |view: usize| {

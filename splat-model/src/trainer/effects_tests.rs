@@ -36,7 +36,7 @@ fn losses(trainer: &mut Trainer) -> Vec<f32> {
     losses
 }
 
-/// The angle between two poses, rad, and the distance of their centres.
+/// The angle between two poses, rad, and the distance between their centres.
 fn apart(a: &DAffine3, b: &DAffine3) -> (f64, f64) {
     let between = glam::DQuat::from_mat3(&(a.matrix3 * b.matrix3.transpose()));
     let centre = |pose: &DAffine3| pose.inverse().translation;
@@ -60,7 +60,7 @@ fn a_camera_that_was_turned_finds_back() {
     assert!(without.refined_poses().is_none());
 }
 
-/// Photographs of the scene in front of a light that differs from direction to direction, and the light.
+/// Photographs of the scene in front of an environment that depends on the direction, and the environment.
 fn outdoors() -> (Vec<Photo>, Background) {
     let light = Background::Environment(vec![[0.4, -0.2, 0.1], [0.3, 0.2, -0.3], [-0.2, 0.4, 0.2], [0.1, -0.3, 0.4]]);
     let device = Device::flex();
@@ -85,7 +85,7 @@ fn an_environment_is_learnt_beside_the_scene() {
     let without = losses(&mut plain);
     let last = |losses: &[f32]| losses[220..].iter().sum::<f32>();
     assert!(last(&with) < 0.6 * last(&without), "{} and {}", last(&with), last(&without));
-    // Where nothing is in the way, at the picture's border, the light is the true one.
+    // At the picture's border, where no Gaussian is in front, the environment is the true one.
     let shown = |background: &Background| {
         let nothing = |channels: usize| Tensor::zeros([HEIGHT, WIDTH, channels], &Device::flex());
         values_of(background.behind(nothing(3), nothing(1), &photos[0].intrinsics, &photos[0].cam_from_world))
@@ -114,7 +114,7 @@ fn a_background_colour_is_learnt() {
     assert!(error.contains("`d`") && error.contains("--effects=-alpha"), "{error}");
 }
 
-/// A photograph that is transparent where nothing is, over black, which the scene's shadows could be mistaken for.
+/// A photograph that is transparent where the scene is empty, over black, which could be mistaken for dark Gaussians.
 #[test]
 fn random_backgrounds_make_alpha_right() {
     let device = Device::flex();
@@ -158,7 +158,7 @@ fn a_smoothed_run_leaves_smoothed_gaussians() {
     assert_eq!(plain.rows(), plain.gaussians().to_rows());
 }
 
-/// Everything at once runs, comes out the same for the same seed, and gets better.
+/// A run with all effects is reproducible and improves.
 #[test]
 fn all_effects_run_together() {
     let everything = TrainConfig {
@@ -183,7 +183,7 @@ fn all_effects_run_together() {
     assert!(mean(&first.0[32..]) < 0.7 * mean(&first.0[..8]), "{:?}", first.0);
 }
 
-/// A run with depths that say the scene is nearer than its points has a scene that is nearer.
+/// Known depths nearer than the points move the scene nearer.
 #[test]
 fn known_depths_pull_the_scene() {
     let place = |x: usize, y: usize| [(x as f32 + 0.5) / 8.0, (y as f32 + 0.5) / 6.0];

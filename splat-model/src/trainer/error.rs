@@ -1,4 +1,4 @@
-//! What can stop a run.
+//! Errors of a run.
 
 use splat_op::{CameraModel, SplatError};
 use thiserror::Error;
@@ -9,114 +9,112 @@ use crate::effects::screen::ScreenError;
 use crate::gaussians::RowsError;
 use crate::state::StateError;
 
-/// Why a run cannot start or go on.
+/// The reason why a run cannot start or continue.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum TrainError {
     /// No photographs.
     #[error("there are no photographs to train on: with every photograph in the test split, raise `--eval-every`")]
     NoViews,
-    /// Steps of zero.
+    /// `steps` is zero.
     #[error("`steps` is 0, expected at least 1: give `--steps N`")]
     NoSteps,
-    /// Steps without photographs.
+    /// `batch` is zero.
     #[error("`batch` is 0, expected at least 1: give `--batch N`")]
     NoBatch,
-    /// More degrees than there are.
+    /// The degree of the spherical harmonics is too high.
     #[error("`sh_degree` is {0}, expected 0 to 4")]
     ShDegree(usize),
-    /// More degrees than there are, behind the scene.
+    /// The degree of the environment is too high.
     #[error("the degree of `backdrop.environment` is {0}, expected 0 to 4")]
     EnvironmentDegree(usize),
-    /// Sizes of photographs that are none.
+    /// The schedule of the photographs' size is out of range.
     #[error(
         "`resolution` is {} from {}, expected a power of two up to {} and a share from 0 to 1: see `--coarsest` and `--full-from`",
         .0.coarsest_divisor, .0.full_from, Resolution::DIVISOR_MAX
     )]
     Resolution(Resolution),
-    /// Rays, for what changes ellipses.
+    /// Effects on ellipses with a render that has none.
     #[error(
-        "{optics} change ellipses on the screen, and with {rays} there are none: leave out one of them (`--effects=-NAME`)"
+        "{optics} change ellipses on the screen, which {rays} do not compute: leave out one of them (`--effects=-NAME`)"
     )]
     Ellipses {
-        /// The model choices.
+        /// The render options without ellipses.
         rays: &'static str,
         /// The effects.
         optics: &'static str,
     },
-    /// Rays through a lens.
+    /// Per-ray rasterization through a lens.
     #[error(
         "photograph `{photo}` was taken through a lens ({model:?}), and `--projection exact` and `--order per-pixel` are for \
          pinholes, whose pixels see straight rays of one origin: undistort the photographs, or leave out both"
     )]
     Lens {
-        /// Its name.
+        /// Name of the photograph.
         photo: String,
-        /// Its camera.
+        /// Its camera model.
         model: CameraModel,
     },
-    /// A background is to be learnt from a photograph that was cut out.
+    /// A background cannot be learned from a photograph with transparent parts.
     #[error(
-        "photograph `{0}` has transparent parts and says nothing of a background to learn: train with `--effects=-alpha` \
+        "photograph `{0}` has transparent parts, which do not show a background to learn: train with `--effects=-alpha` \
          to take photographs as opaque, or without learning a background"
     )]
     LearntBackground(String),
-    /// A rolling shutter or an open aperture before a lens.
-    #[error("{0}. Motion blur alone can be simulated for it; train without `rolling-shutter` and `defocus`")]
+    /// A rolling shutter or defocus with a lens.
+    #[error("{0}. Only motion blur is supported for it; train without `rolling-shutter` and `defocus`")]
     Screen(#[from] ScreenError),
-    /// The operation refused its inputs.
+    /// The render operation rejected its inputs.
     #[error(transparent)]
     Op(#[from] SplatError),
-    /// Rows that do not fit together.
+    /// The rows are inconsistent.
     #[error(transparent)]
     Rows(#[from] RowsError),
-    /// A photograph cannot be decoded again.
+    /// A photograph cannot be decoded.
     #[error(transparent)]
     Photograph(#[from] CaptureError),
-    /// What was kept of a run is not what this one needs.
-    #[error("what was kept of the run does not fit to it: {0}")]
+    /// The saved state does not fit this run.
+    #[error("the saved state does not fit the run: {0}")]
     State(#[from] StateError),
-    /// What was kept is of another run.
-    #[error(
-        "{what} is {found}, and was {expected} when the run was kept: give it back what it had, or start the run anew"
-    )]
+    /// The saved state belongs to another run.
+    #[error("{what} is {found}, and was {expected} in the saved run: restore the old value, or start a new run")]
     OtherRun {
-        /// The option or photograph.
+        /// Name of the option or photograph.
         what: String,
-        /// Of this run.
+        /// Value of this run.
         found: String,
-        /// Of the one that was kept.
+        /// Value of the saved run.
         expected: String,
     },
-    /// A loss or gradient that is not finite. The scene is as it was before the step.
+    /// A loss or gradient is not finite. The scene keeps its state before the step.
     #[error(
         "step {step}, photograph `{view}`: {what} is not finite, so the step was not taken and the run ends. Train with \
          `--check` to learn which stage goes wrong first"
     )]
     NonFinite {
-        /// Counted from 1.
+        /// Number of the step, counted from 1.
         step: usize,
         /// The photograph's name.
         view: String,
-        /// The loss, or the gradient of which parameters.
+        /// The loss, or the names of the parameters with non-finite gradients.
         what: String,
     },
-    /// A stage left what it must not (see [`with_checks`](super::Trainer::with_checks)).
+    /// A stage produced an invalid value (see [`with_checks`](super::Trainer::with_checks)).
     #[error("step {step}, photograph `{view}`: the stage `{stage}` is the first to go wrong: {detail}")]
     Check {
-        /// Counted from 1.
+        /// Number of the step, counted from 1.
         step: usize,
         /// The photograph's name.
         view: String,
         /// The stage.
         stage: Stage,
-        /// The field, the place, what was found and what was expected.
+        /// The field, its position, the found and the expected value.
         detail: String,
     },
 }
 
 impl TrainError {
-    /// Whether the run went wrong after it began, with a scene worth keeping as it was before the step.
+    /// Whether the run failed after its start and the scene before the failed step can be saved.
     pub fn keeps_scene(&self) -> bool {
         matches!(self, Self::NonFinite { .. } | Self::Check { .. } | Self::Photograph(_))
     }

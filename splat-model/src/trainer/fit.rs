@@ -1,4 +1,4 @@
-//! Whether the parts of a configuration fit together, and the photographs with them: found before a run, not in the middle of it.
+//! Checks that the options of a configuration fit together and fit the photographs, before a run starts.
 
 use splat_op::{CameraModel, Order, Projection, RenderOptions};
 
@@ -6,10 +6,10 @@ use super::{TrainConfig, TrainError};
 use crate::capture::Photograph;
 
 impl TrainConfig {
-    /// Refuses what no run can be.
+    /// Checks whether the options can be combined.
     ///
     /// # Errors
-    /// If what is to be simulated needs ellipses where there are none.
+    /// If effects on ellipses are combined with a render that has no ellipses.
     pub fn check(&self) -> Result<(), TrainError> {
         let rays = self.along_rays().then_some("`--projection exact` and `--order per-pixel`");
         let optics = self.optics.any().then_some("motion blur, rolling shutters and defocus");
@@ -19,13 +19,13 @@ impl TrainConfig {
         }
     }
 
-    /// Whether pixels look along their rays.
+    /// Whether pixels are rendered along their rays.
     fn along_rays(&self) -> bool {
         let options = self.dials.apply(RenderOptions::standard());
         options.projection != Projection::Affine || options.order != Order::Centre
     }
 
-    /// The same, and refuses photographs that such a run cannot be trained on.
+    /// [`Self::check`], and whether the run can use the photographs.
     pub(super) fn check_with(&self, photos: &[Photograph]) -> Result<(), TrainError> {
         self.check()?;
         let lens = photos.iter().find(|photo| photo.intrinsics.model != CameraModel::Pinhole);

@@ -1,9 +1,9 @@
-//! No step with a loss or a gradient that is not finite changes the scene.
+//! Protects the scene from steps whose loss or gradients are not finite.
 //!
-//! On a CPU every step is looked at before it is taken. On a GPU looking would wait for the device at each step; there the
-//! verdict stays on the device, where it holds back this step and all that follow, and is read from time to time: whenever
-//! the number of Gaussians is about to change, which reads the scene anyway, and every [`READ_EVERY`] steps. The error then
-//! comes some steps late, names the step it is about, and the scene is still that before the step.
+//! On a CPU every step is checked before it is taken. On a GPU a check would wait for the device at each step, so the
+//! verdict stays on the device, where it blocks the failed step and all later steps. It is read whenever the number of
+//! Gaussians is about to change, which reads the scene anyway, and every [`READ_EVERY`] steps. The error then comes some
+//! steps late and names the failed step. The scene still has its state before that step.
 
 use burn::tensor::{DType, Device, Int, Tensor};
 use splat_op::activate::non_finite;
@@ -11,46 +11,46 @@ use splat_op::adam::{VERDICT, watch};
 
 use crate::density::rows::Gradients;
 
-/// Steps between readings of the verdict on a GPU: one wait in fifty steps is not to be measured.
+/// Steps between readings of the verdict on a GPU. The cost of one wait in fifty steps is not measurable.
 const READ_EVERY: usize = 50;
 
-/// What is looked at, in the order in which it is computed.
+/// The checked values, in the order in which they are computed.
 const WATCHED: [&str; 6] = ["loss", "means", "rotations", "log_scales", "logit_opacities", "sh"];
 
-/// A step that was not taken.
+/// A step that was blocked.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Fault {
-    /// Counted from 1.
+    /// Number of the step, counted from 1.
     pub step: usize,
-    /// Number of the photograph.
+    /// Index of the photograph.
     pub view: usize,
-    /// "the loss", or which gradients, in words.
+    /// "the loss", or the names of the parameters with non-finite gradients.
     pub what: String,
 }
 
-/// Looks at every step; the trainer's, and for training loops of your own.
+/// Checks every step. Used by the trainer and available to custom training loops.
 pub struct Guard {
-    /// Whether results have to be waited for.
+    /// Whether the device computes asynchronously.
     waits: bool,
-    /// `[2]`, on a device that has to be waited for, see [`splat_op::adam`]: the first step that was not finite, 0 if there was
-    /// none, and which of [`WATCHED`] it was.
+    /// `[2]`, on an asynchronous device (see [`splat_op::adam`]): the first step with a non-finite value, 0 for none, and
+    /// the index in [`WATCHED`].
     verdict: Option<Tensor<1, Int>>,
-    /// Steps and their photographs since the verdict was last read.
+    /// Steps and their photographs since the last reading of the verdict.
     unread: Vec<(usize, usize)>,
 }
 
 impl Guard {
-    /// For a run on `device`.
+    /// A guard for a run on `device`.
     pub fn new(device: &Device) -> Self {
         Self { waits: splat_op::is_gpu(device), verdict: None, unread: Vec::new() }
     }
 
-    /// Looks at the loss, `[1]`, and the gradients of a step, counted from 1, on photograph number `view`, before it is taken.
-    /// Where the answer is not waited for, it is
-    /// returned: a verdict, `[2]`. This step must change nothing if one is entered in it.
+    /// Checks the loss, `[1]`, and the gradients of a step, counted from 1, on photograph number `view`, before the step is
+    /// taken. On an asynchronous device it returns a verdict, `[2]`. The step must change nothing if a step is recorded in
+    /// the verdict.
     ///
     /// # Errors
-    /// What is not finite, if that is known.
+    /// The non-finite values, if they are known yet.
     pub fn look(
         &mut self,
         step: usize,
@@ -84,10 +84,10 @@ impl Guard {
         Ok(Some(look.verdict))
     }
 
-    /// Reads the verdict if `now`, or if it has not been read for long.
+    /// Reads the verdict if `now` is set, or if it has not been read for [`READ_EVERY`] steps.
     ///
     /// # Errors
-    /// The first step that was not finite.
+    /// The first step with a non-finite value.
     pub fn read(&mut self, now: bool) -> Result<(), Fault> {
         if self.unread.is_empty() || !(now || self.unread.len() >= READ_EVERY) {
             return Ok(());
@@ -106,19 +106,19 @@ impl Guard {
     }
 }
 
-/// A verdict in the making.
+/// A verdict that is being computed.
 struct Look {
     verdict: Tensor<1, Int>,
     step: usize,
 }
 
 impl Look {
-    /// Looks at number `i` of [`WATCHED`].
+    /// Checks value number `i` of [`WATCHED`].
     fn at<const D: usize>(&mut self, i: u32, values: Option<&Tensor<D>>) {
         let Some(values) = values else { return };
         let step = self.step as i32;
         self.verdict.inplace(|verdict| {
-            // Where there is no operation for it, the same in tensor code.
+            // Devices without the kernel use tensor code.
             watch(values, verdict, step as u32, i).unwrap_or_else(|verdict| {
                 let first = verdict.clone().narrow(0, 0, 1);
                 let open = first.clone().equal_elem(0).int() + first.clone().equal_elem(step).int();
@@ -130,7 +130,7 @@ impl Look {
     }
 }
 
-/// The loss explains its gradients; else they are listed.
+/// Names the loss if it is not finite, because its gradients follow from it. Lists the gradients otherwise.
 fn in_words(bad: [bool; WATCHED.len()]) -> String {
     if bad[0] {
         return "the loss".into();

@@ -1,40 +1,41 @@
-//! Small photographs first.
+//! Training on reduced photographs first.
 
 use serde::{Deserialize, Serialize};
 
-/// How large the photographs are as a run goes on: a run that begins with smaller ones has its coarse shapes sooner and for
-/// a fraction of the work, as the cost of a step grows with its pixels. (Nerfstudio's splatfacto and OpenSplat do it by
-/// fixed numbers of steps; DashGaussian, Chen et al. 2025, by the spectrum of the photographs.)
+/// Schedule of the photographs' size. A run that starts with smaller photographs finds coarse shapes earlier and at a
+/// fraction of the cost, because the cost of a step grows with its pixels. (Nerfstudio's splatfacto and OpenSplat use fixed
+/// numbers of steps; DashGaussian, Chen et al. 2025, the spectrum of the photographs.)
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Resolution {
-    /// What the sides are divided by at the start: a power of two, 1 for photographs of full size throughout.
+    /// Initial divisor of the sides: a power of two, 1 for photographs of full size throughout.
     pub coarsest_divisor: usize,
-    /// Share of the run after which photographs have their full size. Each smaller size has an equal part of the steps
-    /// before.
+    /// Share of the run after which photographs have their full size. Each smaller size gets an equal part of the earlier
+    /// steps.
     pub full_from: f64,
 }
 
 impl Resolution {
-    /// The largest divisor that is accepted.
+    /// Largest accepted divisor.
     pub const DIVISOR_MAX: usize = 16;
 
-    /// Photographs of full size from the first step. With another divisor, they are smaller in the first half of the run.
+    /// Photographs of full size from the first step. With another divisor, photographs are smaller in the first half of the
+    /// run.
     pub const FULL: Self = Self { coarsest_divisor: 1, full_from: 0.5 };
 
-    /// What the sides are divided by at `step`, counted from 1, of a run of `steps`.
+    /// Divisor of the sides at `step`, counted from 1, in a run of `steps` steps.
     pub fn divisor_at(&self, step: usize, steps: usize) -> usize {
         let levels = self.coarsest_divisor.max(1).ilog2() as f64;
         let share = (step - 1) as f64 / steps as f64;
         if levels == 0.0 || share >= self.full_from {
             return 1;
         }
-        // Levels that are over.
+        // Number of completed levels.
         let over = (share / self.full_from * levels) as usize;
         (self.coarsest_divisor >> over).max(2)
     }
 
-    /// Whether the schedule can be followed.
+    /// Whether the values are in range.
     pub fn is_valid(&self) -> bool {
         self.coarsest_divisor.is_power_of_two()
             && self.coarsest_divisor <= Self::DIVISOR_MAX

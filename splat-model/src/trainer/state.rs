@@ -1,4 +1,4 @@
-//! Runs that are kept and go on later.
+//! Saving and resuming of runs.
 
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -11,7 +11,7 @@ use crate::density::rows::Trained;
 use crate::effects::Effect;
 use crate::state::{State, StateError};
 
-/// Where a generator of random numbers is.
+/// State of a random number generator.
 #[derive(Serialize, Deserialize)]
 struct Random {
     seed: [u8; 32],
@@ -35,11 +35,11 @@ impl Random {
 }
 
 impl Trainer {
-    /// All that the run needs to go on from where it is: parameters and their moments, what effects have learnt, what density
-    /// control has seen, random numbers. Not the photographs, and no loss of the caller's.
+    /// Saves the state that the run needs to resume: parameters and their moments, learned parameters of effects,
+    /// statistics of density control, random number generators. Photographs and custom losses are not included.
     ///
     /// # Errors
-    /// If a step before this one turns out to have gone wrong.
+    /// If an earlier step turns out to have failed.
     pub fn save(&mut self) -> Result<State, TrainError> {
         self.guard.read(true).map_err(|fault| self.non_finite(fault))?;
         let mut state = State::default();
@@ -57,10 +57,10 @@ impl Trainer {
         Ok(state)
     }
 
-    /// Goes on from where such a run was. On a CPU what follows is, bit for bit, what would have followed there.
+    /// Resumes from a saved state. On a CPU the continuation is equal to the uninterrupted run, bit for bit.
     ///
     /// # Errors
-    /// If the state is of a run with other options or photographs, or is not complete: then this run is of no use any more.
+    /// If the state belongs to a run with other options or photographs, or is incomplete. This run is then unusable.
     pub fn resume(&mut self, mut state: State) -> Result<(), TrainError> {
         let config: TrainConfig = state.told("config")?;
         let dials = config.dials.clone();
@@ -97,13 +97,14 @@ impl Trainer {
         Ok(())
     }
 
-    /// Names and sizes.
+    /// Names and sizes of the photographs.
     fn photographs(&self) -> Vec<(String, [usize; 2])> {
         (0..self.views.len()).map(|view| (self.views.name(view).to_owned(), self.views.full_size(view))).collect()
     }
 }
 
-/// The first option in which runs differ, with that of the second and of the first. Dials may be turned on the way.
+/// The first option that differs, with its value in the saved run and in this one. Dials may differ, because they may
+/// change during a run.
 fn difference(kept: &TrainConfig, own: &TrainConfig) -> Result<Option<(String, String, String)>, StateError> {
     let fields = |config: &TrainConfig| {
         let config = TrainConfig { dials: Setting::default(), ..config.clone() };

@@ -10,9 +10,9 @@ use crate::gaussians::{GaussianRows, values_of};
 use crate::optim::LearningRates;
 use crate::state::{State, StateError};
 
-/// Each strategy with a calendar for runs of a few dozen steps.
+/// Each strategy with a schedule for runs of a few dozen steps.
 fn strategies() -> [DensityConfig; 4] {
-    // At the cap it matters whose gradients are largest.
+    // A cap, so that the order of the gradients matters.
     let adaptive = AdaptiveConfig { every: 5, from: 5, grad_threshold: 1e-5, max_splats: 45, ..Default::default() };
     let mcmc = McmcConfig {
         every: 5,
@@ -20,12 +20,12 @@ fn strategies() -> [DensityConfig; 4] {
         growth: 1.2,
         max_splats: 60,
         dead_opacity: 0.3,
-        // In so few steps nobody grows back from a tenth, or from having wandered.
+        // A few steps are too short for growth from a tenth of the size, or for recovery from noise.
         start_scale: 1.0,
         noise: 1e3,
         ..McmcConfig::default()
     };
-    // Views of a few hundred pixels, a good part of which each Gaussian covers.
+    // Views of a few hundred pixels, in which each Gaussian covers a large part.
     let consistency = Some(ConsistencyConfig { views: 5, wrong_px: 8.0, ..ConsistencyConfig::default() });
     [
         adaptive.into(),
@@ -36,7 +36,7 @@ fn strategies() -> [DensityConfig; 4] {
 }
 
 fn config(density: DensityConfig) -> TrainConfig {
-    // The default rates are for thousands of steps.
+    // The default learning rates are for thousands of steps.
     let learning_rates =
         LearningRates { sh_dc: 0.05, opacities: 0.05, scales: 0.02, rotations: 0.01, ..LearningRates::default() };
     TrainConfig { steps: 24, sh_every: 6, density, learning_rates, ..TrainConfig::default() }
@@ -46,7 +46,7 @@ fn trainer(config: TrainConfig) -> Trainer {
     Trainer::new(photos(config.background), &points(), config, &Device::flex()).unwrap()
 }
 
-/// Losses by step, what was refined, and the scene.
+/// Losses by step, reports of refinements, and the scene.
 fn run(mut trainer: Trainer) -> (Vec<f32>, Vec<RefineReport>, GaussianRows) {
     let (mut losses, mut refined) = (Vec::new(), Vec::new());
     while !trainer.is_done() {
@@ -93,7 +93,7 @@ fn every_strategy_learns() {
     }
 }
 
-/// Does nothing but what it is asked to, and writes down what it is told.
+/// A strategy that does only the requested changes, and logs its calls.
 #[derive(Default)]
 struct Told {
     observed: usize,
@@ -121,11 +121,11 @@ impl Strategy for Told {
         assert_eq!(seen.covered.is_some(), self.observed <= 2);
         if let Some(covered) = seen.covered {
             let covered = values_of(covered);
-            // Of each Gaussian some pixels, not all of which are wrong.
+            // Gaussians cover pixels, and some of these are not wrong.
             let (all, wrong) = covered.as_chunks::<2>().0.iter().fold((0.0, 0.0), |sum, [a, w]| (sum.0 + a, sum.1 + w));
             assert!(0.1 * all < wrong && wrong < all && all < (seen.size.0 * seen.size.1) as f32, "{wrong} of {all}");
         }
-        // A sum is at most the sum of the absolute values.
+        // The absolute value of a sum is at most the sum of the absolute values.
         let signed = signed.unwrap_or_default();
         assert!(signed.iter().zip(&absolute).all(|(signed, absolute)| signed.abs() <= absolute * 1.001 + 1e-12));
         assert!(absolute.iter().any(|value| *value > 0.0) && absolute.iter().all(|value| *value >= 0.0));
@@ -195,7 +195,7 @@ fn a_batch_of_one_view_twice_is_that_view() {
     assert_eq!(values_of(a.loss.clone()), values_of(b.loss.clone()));
     assert_eq!(values_of(a.gradients.means.unwrap()), values_of(b.gradients.means.unwrap()));
     assert_eq!(values_of(a.gradients.sh.unwrap()), values_of(b.gradients.sh.unwrap()));
-    // Adam's first step is its rate, whatever the gradient is, and the rate is √2 times as large.
+    // Adam's first step has the size of its rate for any gradient, and the rate is √2 times as large.
     (one.step, two.step) = (0, 0);
     let [one, two] = [one, two].map(|mut run| {
         let loss = run.step().unwrap().loss.into_scalar::<f32>();
@@ -218,7 +218,7 @@ fn a_batch_averages_its_views_and_visits_each_once_an_epoch() {
         run.step = 1;
         run.differentiate_batch().unwrap()
     };
-    // The mean of all four is the mean of each.
+    // The mean over all four views is the mean of the single results.
     let all = gradients(4);
     let mut alone = trainer(single(1));
     alone.step = 1;
@@ -242,7 +242,7 @@ fn a_batch_averages_its_views_and_visits_each_once_an_epoch() {
             );
         }
     }
-    // Three to a step go on into the next epoch.
+    // Three views per step continue into the next epoch.
     let mut run = trainer(single(3));
     run.step = 1;
     let mut visited: Vec<usize> =
@@ -260,7 +260,8 @@ fn batches_are_decided_by_the_seed_and_learn() {
     assert!(mean(&losses[20..]) < 0.9 * mean(&losses[..4]), "{losses:?}");
 }
 
-/// What all Gaussians cover together is what is hidden of the background, and what of it is wrong is told pixel by pixel.
+/// The sum over all Gaussians of the covered pixels is the render's alpha, and that of the wrong pixels its sum over the
+/// wrong ones.
 #[test]
 fn what_is_covered_is_what_hides_the_background() {
     let run = trainer(config(DensityConfig::default()));

@@ -1,4 +1,4 @@
-//! A capture small enough for unit tests: a few random Gaussians, photographed by the operation itself.
+//! A capture small enough for unit tests: photographs are renders of a few random Gaussians.
 
 use burn::tensor::{Device, Tensor};
 use glam::{DAffine3, DMat3, DVec3};
@@ -13,7 +13,7 @@ use crate::gaussians::{Gaussians, values_of};
 pub(crate) const WIDTH: usize = 32;
 pub(crate) const HEIGHT: usize = 24;
 
-/// A camera on a circle around the origin, which it looks at.
+/// A camera on a circle around the origin, looking at the origin.
 fn pose(angle_rad: f64) -> DAffine3 {
     let centre = DVec3::new(3.0 * angle_rad.sin(), -0.8, -3.0 * angle_rad.cos());
     let z = -centre.normalize();
@@ -22,17 +22,17 @@ fn pose(angle_rad: f64) -> DAffine3 {
     DAffine3::from_mat3_translation(cam_from_world, -(cam_from_world * centre))
 }
 
-/// A scene, without autodiff.
+/// The scene, without autodiff.
 pub(crate) fn scene(device: &Device) -> Gaussians {
     Gaussians::from_rows(&random_rows(30, 1, 11), device).unwrap()
 }
 
-/// Four photographs of [`scene`], named in another order than their names sort.
+/// Four photographs of [`scene`], not in the order of their names.
 pub(crate) fn photos(background: [f32; 3]) -> Vec<Photo> {
     photographed(["c", "a", "d", "b"].map(String::from), background)
 }
 
-/// Photographs of it from all around, over black.
+/// Photographs of [`scene`] from all around, over black.
 pub(crate) fn ring(count: usize) -> Vec<Photo> {
     photographed((0..count).map(|i| format!("{i:02}")), [0.0; 3])
 }
@@ -52,7 +52,7 @@ fn photographed(names: impl IntoIterator<Item = String>, background: [f32; 3]) -
     names.into_iter().enumerate().map(photograph).collect()
 }
 
-/// Where the Gaussians of [`scene`] are, roughly, and grey.
+/// Grey points near the Gaussians of [`scene`].
 pub(crate) fn points() -> PointCloud {
     let mut rng = ChaCha8Rng::seed_from_u64(12);
     let rows = random_rows(30, 1, 11);

@@ -8,14 +8,14 @@ use crate::effects::background::Backdrop;
 use crate::gaussians::{GaussianRows, values_of};
 use crate::optim::LearningRates;
 
-/// Rates for a run of a few dozen steps; the default ones are for thousands.
+/// Learning rates for a run of a few dozen steps. The defaults are for thousands.
 fn config(steps: usize) -> TrainConfig {
     let learning_rates =
         LearningRates { sh_dc: 0.05, opacities: 0.1, scales: 0.02, rotations: 0.01, ..LearningRates::default() };
     TrainConfig { steps, learning_rates, ..TrainConfig::default() }
 }
 
-/// Density control in which everything happens in a few steps.
+/// Density control in which all events happen within a few steps.
 const EVENTFUL: AdaptiveConfig = AdaptiveConfig {
     every: 5,
     from: 5,
@@ -31,7 +31,7 @@ const EVENTFUL: AdaptiveConfig = AdaptiveConfig {
     max_elongation: 30.0,
 };
 
-/// A run in which everything happens: harmonics grow, Gaussians come and go, opacities are reset.
+/// A run with all events: the degree of the harmonics rises, Gaussians are added and removed, opacities are reset.
 fn eventful() -> TrainConfig {
     TrainConfig { sh_every: 6, density: EVENTFUL.into(), ..config(24) }
 }
@@ -40,7 +40,7 @@ fn trainer(config: TrainConfig) -> Trainer {
     Trainer::new(photos(config.background), &points(), config, &Device::flex()).unwrap()
 }
 
-/// Trains what is left of a run. Losses by step, and the scene.
+/// Trains to the end of a run. Returns losses by step, and the scene.
 fn run(mut trainer: Trainer) -> (Vec<f32>, GaussianRows) {
     let mut losses = Vec::new();
     while !trainer.is_done() {
@@ -68,7 +68,7 @@ fn a_seed_decides_everything() {
     let (first, second) = (run(seeded(7)), run(seeded(7)));
     assert_eq!(first, second);
     assert_ne!(first.1, run(seeded(8)).1);
-    // The run was as eventful as it set out to be.
+    // All events of the run happened.
     assert!(first.1.len() > 30 && first.1.len() <= 60 && first.1.sh_degree == 3, "{}", first.1.len());
 }
 
@@ -115,7 +115,7 @@ fn a_loss_of_the_callers_is_what_is_minimised() {
     let losses: Vec<f32> = reports.iter().map(|report| report.loss.clone().into_scalar()).collect();
     assert!((losses[0] - init::START_OPACITY).abs() < 1e-6, "{losses:?}");
     assert!(losses[2] < losses[1] && losses[1] < losses[0], "{losses:?}");
-    // Nothing but opacities was asked for, so nothing else moves.
+    // The loss depends on opacities only, so no other parameter changes.
     let after = trainer.gaussians().to_rows();
     assert_eq!(GaussianRows { logit_opacities: before.logit_opacities.clone(), ..after }, before);
     let expected: Vec<_> = reports.into_iter().map(|report| (report.step, report.view)).collect();
@@ -151,7 +151,7 @@ fn the_cache_changes_no_result() {
 #[test]
 fn the_cache_stops_when_it_is_full() {
     let mut trainer = trainer(config(8));
-    // Room for two photographs and a half.
+    // Memory for two and a half photographs.
     trainer.views.leave_room(5 * (3 * size_of::<f32>() * WIDTH * HEIGHT * 3) / 2);
     (0..8).for_each(|_| drop(trainer.step().unwrap()));
     assert_eq!(trainer.views.kept(), 2);
@@ -175,7 +175,8 @@ fn photographs_grow_to_their_full_size() {
     assert_eq!(*divisors.borrow(), [4, 4, 2, 2, 1, 1, 1, 1]);
 }
 
-/// One step or more on a photograph of every opacity, the first pixel transparent, and of a scene that leaves that pixel free.
+/// Trains on a photograph with pixels of every opacity, the first of them transparent, and a scene that leaves the first
+/// pixel empty.
 fn cut_out(config: TrainConfig, loss: impl Fn(&Seen, &Photo) + 'static) {
     let mut photo = photos([0.0; 3]).remove(0);
     photo.alpha = Some((0..WIDTH * HEIGHT).map(|i| (i % 256) as u8).collect());

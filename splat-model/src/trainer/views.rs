@@ -1,4 +1,4 @@
-//! The photographs of a run, at the size that it has come to and prepared for the loss.
+//! The photographs of a run, at its current picture size and prepared for the loss.
 
 mod ahead;
 
@@ -14,47 +14,47 @@ use crate::capture::{CaptureError, Photo, Photograph};
 use crate::effects::masks;
 use crate::loss::Truth;
 
-/// Pictures are not reduced to fewer pixels than this along a side: the window of SSIM has eleven.
+/// Smallest side of reduced pictures, px. The window of SSIM has eleven.
 pub(super) const SMALLEST_SIDE: usize = 32;
 
-/// A photograph to train on.
+/// A training photograph.
 struct View {
     photograph: Photograph,
-    /// Width and height of a picture that is smaller than the photograph, at the run's present size.
+    /// Width and height of the reduced picture at the run's current size. `None` at full size.
     reduced: Option<[usize; 2]>,
-    /// What `reduced` and all below are for.
+    /// The divisor for which `reduced` and the fields below are computed.
     divisor: usize,
     intrinsics: Intrinsics,
     camera: Camera,
-    /// Its pixels: for good where these are kept, for one step where they are not.
+    /// Decoded pixels: permanent if the photograph is kept, otherwise for one step.
     photo: Option<Arc<Photo>>,
     truth: Option<Truth>,
-    /// The same on the device, where prepared ones do not all fit.
+    /// Packed pixels on the device, if not all prepared photographs fit.
     packed: Option<Packed>,
-    /// `[1, H, W]`: which pixels a mask leaves out. A byte per pixel on a CPU and four on a GPU, not counted as cache.
+    /// `[1, H, W]`: the pixels that a mask excludes. A byte per pixel on a CPU and four on a GPU, not counted in the cache.
     excluded: Option<Tensor<3, Bool>>,
 }
 
-/// All of them.
+/// All photographs of a run.
 pub(super) struct Views {
     views: Vec<View>,
     background: [f32; 3],
     device: Device,
-    /// Bytes for photographs on the device, and those that are left of them.
+    /// Memory for photographs on the device, total and remaining, bytes.
     cache: usize,
     cache_left: usize,
-    /// Whether photographs are packed. On a CPU that would only copy them.
+    /// Whether photographs are packed. On a CPU packing would only copy them.
     packs: bool,
     divisor: usize,
-    /// While the cost of masks is measured.
+    /// Set while the cost of masks is measured.
     ignores_masks: bool,
-    /// Pixels on their way, of photographs that are not kept.
+    /// Photographs that are decoded ahead, of those that are not kept.
     ahead: Ahead,
-    /// The photograph whose pixels are here for one step.
+    /// The photograph whose pixels are in memory for one step.
     visiting: Option<usize>,
 }
 
-/// Bytes of a prepared value: the photograph and two of its windowed moments.
+/// Size of a prepared value, bytes: the photograph and two of its windowed moments.
 const PREPARED: usize = 3 * size_of::<f32>();
 
 impl Views {
@@ -93,19 +93,19 @@ impl Views {
         &self.views[view].photograph.name
     }
 
-    /// Width and height of a photograph as it was given, px.
+    /// Full width and height of a photograph, px.
     pub fn full_size(&self, view: usize) -> [usize; 2] {
         let camera = &self.views[view].photograph.intrinsics;
         [camera.width, camera.height]
     }
 
-    /// The camera of a view, as it was last prepared, and its pose as it was given.
+    /// The camera of a view at its last prepared size, and its given pose.
     pub fn camera_of(&self, view: usize) -> (&Intrinsics, &DAffine3) {
         let view = &self.views[view];
         (&view.intrinsics, &view.photograph.cam_from_world)
     }
 
-    /// From now on sides are divided by `divisor`.
+    /// Sets the divisor of the sides.
     pub fn reduce(&mut self, divisor: usize) {
         if divisor == self.divisor {
             return;
@@ -117,19 +117,19 @@ impl Views {
         }
     }
 
-    /// Until told otherwise, every pixel counts.
+    /// Switches masks off or on.
     pub fn ignore_masks(&mut self, ignore: bool) {
         self.ignores_masks = ignore;
     }
 
-    /// Bytes of the photographs' masks on a CPU; none where no photograph has one.
+    /// Size of the photographs' masks on a CPU, bytes. `None` if no photograph has a mask.
     pub fn masked_bytes(&self) -> Option<usize> {
         let masked = self.views.iter().filter(|view| view.photograph.has_mask);
         let pixels = |view: &View| view.photograph.intrinsics.width * view.photograph.intrinsics.height;
         masked.map(pixels).reduce(|a, b| a + b)
     }
 
-    /// Begins to decode those of the photographs that come next whose pixels will be needed and are not kept.
+    /// Begins to decode those of the next photographs whose pixels are needed and not kept.
     pub fn expect(&mut self, next: impl IntoIterator<Item = usize>) {
         for view in next.into_iter().take(ahead::MOST) {
             let View { photograph, photo, truth, packed, .. } = &self.views[view];
@@ -140,7 +140,8 @@ impl Views {
         }
     }
 
-    /// A photograph's pixels at the run's present size. Those that are not kept are let go when another's are asked for.
+    /// A photograph's pixels at the run's current size. Pixels that are not kept are released at the request for another
+    /// photograph.
     fn pixels(&mut self, view: usize) -> Result<Arc<Photo>, CaptureError> {
         if let Some(photo) = &self.views[view].photo {
             return Ok(Arc::clone(photo));
@@ -160,11 +161,10 @@ impl Views {
         Ok(photo)
     }
 
-    /// `[1, H, W]`: the pixels of a view, as it was last prepared, that do not count; none where all do. Kept for its next use
-    /// while there is room.
+    /// `[1, H, W]`: the excluded pixels of a view at its last prepared size. `None` if no pixel is excluded. Cached.
     ///
     /// # Errors
-    /// If the photograph has to be decoded again and cannot be.
+    /// If the photograph must be decoded again and cannot be.
     pub fn excluded(&mut self, view: usize) -> Result<Option<Tensor<3, Bool>>, CaptureError> {
         if self.ignores_masks || !self.views[view].photograph.has_mask {
             return Ok(None);
@@ -185,7 +185,7 @@ impl Views {
         Ok(Some(excluded))
     }
 
-    /// Brings a view to the run's present size.
+    /// Sets a view to the run's current size.
     fn resize(&mut self, view: usize) {
         let view = &mut self.views[view];
         if view.divisor != self.divisor {
@@ -197,12 +197,12 @@ impl Views {
         }
     }
 
-    /// A view's camera and its photograph, black where its mask leaves pixels out, which is kept for its next use while
-    /// there is room: prepared; or packed, on a GPU where prepared ones would not all fit. One with transparent parts is prepared
-    /// anew over `drawn`, if there is such a background for this step.
+    /// A view's camera and its photograph, which is black where its mask excludes pixels. The photograph is cached while
+    /// there is room: prepared, or packed on a GPU where not all prepared ones fit. A photograph with transparent parts is
+    /// prepared again over `drawn`, if this step has a drawn background.
     ///
     /// # Errors
-    /// If the photograph has to be decoded again and cannot be.
+    /// If the photograph must be decoded again and cannot be.
     pub fn prepare(&mut self, view: usize, drawn: Option<[f32; 3]>) -> Result<(Camera, Truth), CaptureError> {
         let packs = self.packs && self.prepared_bytes() > self.cache;
         self.resize(view);
@@ -238,7 +238,7 @@ impl Views {
         Ok((camera, prepared))
     }
 
-    /// The photograph in four bytes per pixel, if it is kept so, or there is room to from now on.
+    /// The photograph in four bytes per pixel, if it is cached in that form or can be from now on.
     fn packed(&mut self, view: usize, wanted: bool, bytes: usize) -> Result<Option<Packed>, CaptureError> {
         if self.views[view].packed.is_none() && wanted && bytes <= self.cache_left {
             let packed = Packed::new(&*self.pixels(view)?, &self.device);
@@ -248,14 +248,14 @@ impl Views {
         Ok(self.views[view].packed.clone())
     }
 
-    /// Whether there is room for so many bytes more, which are taken.
+    /// Whether `bytes` more fit into the cache. Reserves them if so.
     fn fits(&mut self, bytes: usize) -> bool {
         let fits = bytes <= self.cache_left;
         self.cache_left -= if fits { bytes } else { 0 };
         fits
     }
 
-    /// What all photographs take prepared, at the run's present size.
+    /// Size of all prepared photographs at the run's current size, bytes.
     fn prepared_bytes(&self) -> usize {
         let pixels = |camera: &Intrinsics| {
             let [width, height] = reduced_size(camera, self.divisor).unwrap_or([camera.width, camera.height]);
@@ -265,7 +265,7 @@ impl Views {
     }
 }
 
-/// Width and height of a picture with its sides divided, as far as that goes; `None` for its own size.
+/// Width and height of a picture with divided sides, down to the smallest side. `None` at full size.
 fn reduced_size(full: &Intrinsics, divisor: usize) -> Option<[usize; 2]> {
     let shorter = full.width.min(full.height);
     let divisor = std::iter::successors(Some(divisor), |&d| Some(d / 2))
@@ -274,7 +274,7 @@ fn reduced_size(full: &Intrinsics, divisor: usize) -> Option<[usize; 2]> {
     Some([full.width, full.height].map(|side| side.div_ceil(divisor)))
 }
 
-/// A photograph at the size of a run whose sides are divided so.
+/// A photograph with its sides divided by `divisor`.
 fn at_size(photo: Arc<Photo>, divisor: usize) -> Arc<Photo> {
     match reduced_size(&photo.intrinsics, divisor) {
         Some([width, height]) => Arc::new(photo.resized(width, height)),
@@ -284,17 +284,17 @@ fn at_size(photo: Arc<Photo>, divisor: usize) -> Arc<Photo> {
 
 #[cfg(test)]
 impl Views {
-    /// How many photographs are kept prepared.
+    /// Number of prepared photographs in the cache.
     pub fn kept(&self) -> usize {
         self.views.iter().filter(|view| view.truth.is_some()).count()
     }
 
-    /// How many are kept packed.
+    /// Number of packed photographs in the cache.
     fn kept_packed(&self) -> usize {
         self.views.iter().filter(|view| view.packed.is_some()).count()
     }
 
-    /// Leaves so many bytes for more of them.
+    /// Sets the remaining size of the cache, bytes.
     pub fn leave_room(&mut self, bytes: usize) {
         self.cache_left = bytes;
     }

@@ -1,4 +1,4 @@
-//! A demo capture that shows one effect, and two runs on it.
+//! Cases of `splat effects`: a demo capture that shows one effect, and two runs on it.
 
 use std::path::{Path, PathBuf};
 
@@ -14,64 +14,64 @@ use crate::report::metrics::Metrics;
 use crate::report::{BACKGROUND, SCENE};
 use crate::{demo, eval, train};
 
-/// Sizes of pictures and lengths of runs.
+/// Picture sizes and lengths of runs.
 #[derive(Clone, Copy, Debug)]
 pub struct Scale {
     /// Width of the pictures, px; the height is three quarters of it.
     pub width: usize,
-    /// Photographs, unless the case needs another number.
+    /// Number of photographs, unless the case sets its own.
     pub views: usize,
     /// Steps of each run.
     pub steps: usize,
 }
 
 impl Scale {
-    /// For figures.
+    /// The scale of published figures.
     pub const FULL: Self = Self { width: 160, views: 40, steps: 1500 };
-    /// For tests.
+    /// The scale of tests.
     pub const QUICK: Self = Self { width: 96, views: 24, steps: 300 };
 }
 
-/// What is compared.
+/// The compared score.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Score {
     /// PSNR.
     Plain,
-    /// PSNR after colour correction: no training photograph tells the exposure of a test photograph.
+    /// PSNR after colour correction, because no training photograph determines the exposure of a test photograph.
     Corrected,
 }
 
-/// One effect.
+/// A case about one effect.
 #[derive(Clone, Copy, Debug)]
 pub struct Case {
-    /// As `--case` calls it.
+    /// Name, as in `--case`.
     pub name: &'static str,
-    /// The demo capture, at any size.
+    /// Options of the demo capture, at any size.
     pub demo: fn(DemoOptions) -> DemoOptions,
-    /// The same on the command line.
+    /// The same options on the command line.
     pub demo_flags: &'static str,
-    /// What the plan must switch on.
+    /// Effects that the plan must switch on.
     pub expected: &'static [EffectKind],
-    /// Whether the plan must find that colours depend on the view. None where what else is wrong with the photographs makes
-    /// colours stray too, and harmonics stay, to be safe.
+    /// Whether the plan must find view-dependent colours. `None` where other faults of the photographs make colours vary
+    /// too, so that the plan may keep the harmonics.
     pub harmonics: Option<bool>,
     /// Options of both runs.
     pub both: &'static [&'static str],
-    /// Options of the run without the effect, and of that with it.
+    /// Options of the run without the effect. [`Self::with`] has those of the run with it.
     pub without: &'static [&'static str],
     /// See [`Self::without`].
     pub with: &'static [&'static str],
-    /// Options of `splat eval` for both scenes, and for that with the effect alone.
+    /// Options of `splat eval` for both scenes. [`Self::eval_with`] has those for the scene with the effect only.
     pub eval: &'static [&'static str],
     /// See [`Self::eval`].
     pub eval_with: &'static [&'static str],
-    /// What is compared.
+    /// The compared score.
     pub score: Score,
-    /// Whether the run without the effect calls the cameras pinholes.
+    /// Whether the cameras of the run without the effect are declared as pinholes.
     pub strip_lens: bool,
-    /// What the effect must gain at full size, dB: what it did, less what a run differs from the next by.
+    /// Smallest required gain at full size, dB: the measured gain minus the variation between runs.
     pub least_gain_db: f64,
-    /// How few photographs the case is about; none for the usual number.
+    /// Number of photographs of the case. `None` for the usual number.
     pub views: Option<usize>,
 }
 
@@ -92,7 +92,7 @@ const PLAIN: Case = Case {
     views: None,
 };
 
-/// All of them.
+/// All cases.
 pub(super) const CASES: &[Case] = &[
     Case { least_gain_db: 0.0, ..PLAIN },
     Case {
@@ -174,7 +174,7 @@ pub(super) const CASES: &[Case] = &[
         name: "depth-supervision",
         demo: |options| DemoOptions { depth: true, points: 150, ..options },
         demo_flags: "--depth --views 16 --points 150",
-        // Half of the photographs to train on.
+        // Half of the photographs are held out.
         both: &["--sh-degree", "0", "--eval-every", "2"],
         eval: &["--eval-every", "2"],
         expected: &[EffectKind::DepthSupervision],
@@ -211,32 +211,32 @@ pub(super) const CASES: &[Case] = &[
         demo: |options| DemoOptions { glossy: true, ..options },
         demo_flags: "--glossy",
         harmonics: Some(true),
-        // Or a run this short would be over when the harmonics begin.
+        // Otherwise a run this short would end before the harmonics start.
         both: &["--sh-every", "100"],
         without: &["--effects", "none", "--sh-degree", "0"],
         ..PLAIN
     },
 ];
 
-/// What came of a case.
+/// The results of a case.
 #[derive(Clone, Debug)]
 pub struct Gain {
-    /// What the plan switched on.
+    /// Effects that the plan switched on.
     pub planned: Vec<EffectKind>,
-    /// Whether it found that colours depend on the view.
+    /// Whether the plan found view-dependent colours.
     pub harmonics: bool,
-    /// What was found of the effect, as `splat inspect` says it.
+    /// Evidence of the effect in the words of `splat inspect`.
     pub evidence: String,
     /// Scores without and with the effect, dB.
     pub score_db: [f64; 2],
     /// Training times, s.
     pub seconds: [f64; 2],
-    /// What the effect took of a step, ms and MiB, as `metrics.json` of the run with it says.
+    /// Cost of the effect in a step, ms and MiB, from `metrics.json` of the run with it.
     pub cost: Option<[f64; 2]>,
 }
 
 impl Case {
-    /// Makes the capture below `work`, surveys it, trains twice and measures.
+    /// Creates the capture in `work`, surveys it, trains twice and measures.
     ///
     /// # Errors
     /// If a file cannot be written or a run fails.
@@ -291,12 +291,12 @@ impl Case {
         })
     }
 
-    /// What is not as it should be; with `gains`, gains too.
+    /// A description of the first failed expectation. Gains are checked only if `gains` is set.
     pub fn complaint(&self, gain: &Gain, gains: bool) -> Option<String> {
         let names = |effects: &[EffectKind]| effects.iter().map(|effect| effect.name()).collect::<Vec<_>>().join(", ");
         if gain.planned != self.expected {
             let (found, expected) = (names(&gain.planned), names(self.expected));
-            return Some(format!("{}: the plan has [{found}], expected [{expected}]", self.name));
+            return Some(format!("{}: the plan switches on [{found}], expected [{expected}]", self.name));
         }
         if let Some(expected) = self.harmonics.filter(|&expected| expected != gain.harmonics) {
             let [found, expected] = [gain.harmonics, expected].map(|depend| if depend { "depend" } else { "do not" });
@@ -311,7 +311,7 @@ impl Case {
     }
 }
 
-/// The same capture whose cameras are said to be pinholes.
+/// A copy of the capture whose cameras are declared as pinholes.
 fn strip_lens(folder: &Path, capture: &Capture) -> Result<PathBuf> {
     let stripped = folder.with_extension("pinhole");
     let mut views = capture.views.clone();

@@ -1,4 +1,4 @@
-//! `splat effects`: what each effect gains and costs, measured on demo captures that show it and nothing else.
+//! `splat effects`: gains and costs of the effects, measured on demo captures that show one effect each.
 
 mod case;
 mod page;
@@ -14,19 +14,19 @@ pub use self::case::{Case, Gain, Scale};
 use crate::output::OutputFolder;
 use crate::progress;
 
-/// The file that is written.
+/// Name of the written file.
 pub const PAGE: &str = "EFFECTS.md";
 
 /// Options of `splat effects`.
 #[derive(Clone, Debug, clap::Args)]
 pub struct GainsArgs {
-    /// Folder for EFFECTS.md; if it is there, the figures in it are replaced and its text stays
+    /// Folder for EFFECTS.md; in an existing file, only the figures are replaced
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
-    /// Measure this effect only; may be given several times
+    /// Measure only this case; may be given several times
     #[arg(long, value_name = "NAME")]
     pub case: Vec<String>,
-    /// Small pictures and few steps: to see that effects are found, not how much they gain
+    /// Small pictures and few steps, to test that effects are detected, not how much they gain
     #[arg(long)]
     pub quick: bool,
 }
@@ -36,11 +36,11 @@ pub fn cases() -> &'static [Case] {
     CASES
 }
 
-/// Measures, prints the table and writes the page.
+/// Measures the cases, prints the table and writes the page.
 ///
 /// # Errors
-/// If there is no such case, a run fails, or the page cannot be read or written; or if an effect was not found where it is, found where
-/// it is not, or gains less than it should: then the page is there and says which.
+/// If a case does not exist, a run fails, or the page cannot be read or written. If an effect was missed, found where it is
+/// absent, or gains less than required, the page is written and the error lists the cases.
 pub fn run(args: &GainsArgs) -> Result<()> {
     for name in &args.case {
         if !CASES.iter().any(|case| case.name == name) {
@@ -52,12 +52,12 @@ pub fn run(args: &GainsArgs) -> Result<()> {
     let path = out.join(PAGE);
     let around = match fs::read_to_string(&path) {
         Ok(page) => page::Around::of(&page).with_context(|| {
-            format!("{} has no place for what is measured: move it away, or choose another `--out`", path.display())
+            format!("{} has no marks for the measured figures: move it away, or choose another `--out`", path.display())
         })?,
         Err(error) if error.kind() == ErrorKind::NotFound => page::Around::new(),
         Err(error) => return Err(error).with_context(|| format!("cannot read {}", path.display())),
     };
-    let work = tempfile::tempdir().context("cannot make a temporary folder for the captures")?;
+    let work = tempfile::tempdir().context("cannot create a temporary folder for the captures")?;
     let scale = if args.quick { Scale::QUICK } else { Scale::FULL };
     let chosen = |case: &&Case| args.case.is_empty() || args.case.iter().any(|name| name == case.name);
     let mut gains = Vec::new();
@@ -72,6 +72,6 @@ pub fn run(args: &GainsArgs) -> Result<()> {
     let wrong: Vec<String> = gains.iter().filter_map(|(case, gain)| case.complaint(gain, !args.quick)).collect();
     match wrong.is_empty() {
         true => Ok(()),
-        false => bail!("{}\n{} has the figures", wrong.join("\n"), path.display()),
+        false => bail!("{}\nthe figures are in {}", wrong.join("\n"), path.display()),
     }
 }

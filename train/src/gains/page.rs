@@ -1,11 +1,11 @@
-//! The page: what was measured, between two marks. Whatever text people wrote around them stays as it is.
+//! The written page: measured figures between two marks. The text around the marks stays unchanged.
 
 use super::{Case, Gain, Scale};
 
-/// Before what was measured.
+/// Mark before the measured figures.
 const BEGIN: &str = "<!-- measured by `splat effects`: begin -->";
 
-/// After it.
+/// Mark after the measured figures.
 const END: &str = "<!-- measured by `splat effects`: end -->";
 
 /// The text around the marks of a page.
@@ -15,7 +15,7 @@ pub(super) struct Around {
 }
 
 impl Around {
-    /// Of a page without a text of its own.
+    /// The text of a new page.
     pub fn new() -> Self {
         Self {
             before: "# Effects\n\nWhat each effect gains on a demo capture that shows it and nothing else.\n\n".into(),
@@ -23,7 +23,7 @@ impl Around {
         }
     }
 
-    /// Of a page that is there; none if it has no marks.
+    /// The text of an existing page. `None` if the page has no marks.
     pub fn of(page: &str) -> Option<Self> {
         let (before, rest) = page.split_once(BEGIN)?;
         let (_, after) = rest.split_once(END)?;
@@ -31,7 +31,7 @@ impl Around {
     }
 }
 
-/// A line per case.
+/// The table, with one line per case.
 pub(super) fn table(gains: &[(&Case, Gain)]) -> String {
     let mut text = String::from(
         "| demo | `auto` switches on | evidence | without, dB | with, dB | gain, dB | cost: ms a step, MiB | training, s |\n\
@@ -54,7 +54,7 @@ pub(super) fn table(gains: &[(&Case, Gain)]) -> String {
     text
 }
 
-/// All of it.
+/// The complete page.
 pub(super) fn page(Around { before, after }: &Around, table: &str, scale: &Scale) -> String {
     let Scale { width, views, steps } = *scale;
     let size = format!("{views} photographs of {width} × {} px, {steps} steps.", 3 * width / 4);

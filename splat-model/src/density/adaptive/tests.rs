@@ -8,9 +8,9 @@ use crate::gaussians::testing::random_rows;
 
 const STEPS: usize = 30_000;
 const EXTENT: f64 = 2.0;
-/// A picture of 2 × 2 px: gradients per px are gradients per unit of normalised device coordinates.
+/// A picture of 2 × 2 px: gradients per px equal gradients per unit of normalised device coordinates.
 const UNIT: (usize, usize) = (2, 2);
-/// Below and above the share of the extent at which Gaussians are split, and above that at which they are removed.
+/// Sizes below and above the threshold for splitting, and above the threshold for removal, in shares of the extent.
 const SMALL: f32 = 0.019;
 const LARGE: f32 = 0.021;
 const HUGE: f32 = 0.21;
@@ -27,7 +27,7 @@ fn trained(rows: &GaussianRows) -> Trained {
     Trained::new(Gaussians::from_rows(rows, &Device::flex().autodiff()).unwrap())
 }
 
-/// Gradients at the projected centres, in a picture of so many px.
+/// Gradients at the projected centres, in a picture of the given size, px.
 fn seen(gradients: &[[f32; 2]], size: (usize, usize)) -> Observed {
     let values = TensorData::new(gradients.as_flattened().to_vec(), [gradients.len(), 2]);
     Observed { gradient: Some(Tensor::from_data(values, &Device::flex())), size, ..Observed::default() }
@@ -37,7 +37,7 @@ fn at(step: usize) -> At<'static> {
     At { step, steps: STEPS, extent: EXTENT, means_rate: 0.0, verdict: None }
 }
 
-/// Places that a refinement leaves in this order.
+/// Positions whose order a refinement keeps.
 fn in_order(count: usize) -> Vec<[f32; 3]> {
     (0..count).map(|i| [i as f32; 3]).collect()
 }
@@ -51,7 +51,7 @@ fn round(sizes_and_opacities: &[(f32, f32)]) -> GaussianRows {
     rows
 }
 
-/// Refines once, after one picture with these gradients.
+/// Refines once after one view with these gradients.
 fn refine(
     config: AdaptiveConfig,
     rows: &GaussianRows,
@@ -64,7 +64,7 @@ fn refine(
     (report, scene.gaussians.to_rows())
 }
 
-/// Row `i` as a scene of its own.
+/// Row `i` as a separate scene.
 fn row(rows: &GaussianRows, i: usize) -> GaussianRows {
     let mut one = GaussianRows { sh_degree: rows.sh_degree, ..GaussianRows::default() };
     one.push(rows, i);
@@ -77,7 +77,7 @@ fn small_are_cloned_large_are_split_and_faint_are_removed() {
     let lengths = [3e-4, 3e-4, 1.9e-4, 1.0, 1e-4, 0.0];
     let (report, after) = refine(AdaptiveConfig::default(), &rows, &lengths, 500);
     assert_eq!(report, Some(RefineReport { cloned: 1, split: 1, pruned: 1, threshold: 2e-4 }));
-    // Those that stay, then the copy, then the two parts.
+    // The rows that stay, then the copy, then the two parts.
     for (now, was) in [(0, 0), (1, 2), (2, 4), (3, 5), (4, 0)] {
         assert_eq!(row(&after, now), row(&rows, was), "row {now}");
     }
@@ -143,7 +143,7 @@ fn parts_are_drawn_from_the_gaussian() {
     let mut rows = random_rows(count, 0, 2);
     rows.means = vec![[1.0, 2.0, 3.0]; count];
     rows.log_scales = vec![scales.map(f32::ln); count];
-    // A quarter turn about z takes the Gaussian's x axis to y. Quaternions of any length mean the same.
+    // A quarter turn about z maps the Gaussian's x axis to y. The length of quaternions does not matter.
     rows.rotations =
         (0..count).map(|i| [1.0, 3.0, 1e-25, 1e25][i % 4]).map(|length| [length, 0.0, 0.0, length]).collect();
     let config = AdaptiveConfig { max_elongation: 1e9, ..AdaptiveConfig::default() };
@@ -152,7 +152,7 @@ fn parts_are_drawn_from_the_gaussian() {
     for (axis, sigma) in [scales[1], scales[0], scales[2]].into_iter().enumerate() {
         let offsets: Vec<f32> = after.means.iter().map(|mean| (mean[axis] - [1.0, 2.0, 3.0][axis]) / sigma).collect();
         assert!(offsets.iter().all(|offset| offset.abs() < 6.0), "axis {axis}");
-        // Of 1,000 draws, five standard errors.
+        // Tolerance: five standard errors of 1,000 draws.
         let mean = offsets.iter().sum::<f32>() / offsets.len() as f32;
         let variance = offsets.iter().map(|offset| offset * offset).sum::<f32>() / offsets.len() as f32;
         assert!(mean.abs() < 0.16 && (variance - 1.0).abs() < 0.23, "axis {axis}: mean {mean}, variance {variance}");
@@ -167,7 +167,7 @@ fn at_the_cap_the_largest_gradients_win() {
     let mut sizes = vec![(SMALL, 0.5); 8];
     (sizes[1], sizes[3]) = ((LARGE, 0.5), (SMALL, 0.001));
     let rows = round(&sizes);
-    // Row 3 is removed, so there is room for three; row 0 and 7 are not wanted.
+    // Row 3 is removed, so there is room for three. Rows 0 and 7 are below the threshold.
     let lengths = [1e-4, 9e-4, 4e-4, 1.0, 3e-4, 7e-4, 8e-4, 0.0];
     let config = AdaptiveConfig { max_splats: 10, ..AdaptiveConfig::default() };
     let (report, after) = refine(config, &rows, &lengths, 500);
@@ -178,7 +178,7 @@ fn at_the_cap_the_largest_gradients_win() {
     assert_eq!(copies.len(), 4);
     for max_splats in 0..=12 {
         let (report, after) = refine(AdaptiveConfig { max_splats, ..config }, &rows, &lengths, 500);
-        // Seven survive. The cap ends growth; it removes nothing.
+        // Seven survive. The cap ends growth and removes nothing.
         assert_eq!(after.len(), max_splats.clamp(7, 12), "cap {max_splats}");
         let threshold = report.unwrap().threshold;
         assert_eq!(threshold > 2.1e-4, max_splats < 12, "cap {max_splats}: {threshold}");
@@ -193,7 +193,7 @@ fn there_is_a_time_for_it() {
     for (step, pruned) in counts {
         let (report, after) = refine(config, &rows, &[1.0; 2], step);
         assert_eq!(report.map(|report| report.pruned), pruned, "step {step}");
-        // Opacities are reset by their own calendar, which ends when density control ends.
+        // Opacity resets have their own schedule, which ends with density control.
         assert_eq!(after.logit_opacities[0] < 0.0, step < 15_000, "step {step}");
         assert_eq!(adaptive(config).listens_at(step).gradient, step < 15_000, "step {step}");
         if step >= 15_000 {
@@ -221,7 +221,7 @@ fn a_reset_caps_opacities() {
 #[test]
 fn needles_are_shortened() {
     let mut rows = GaussianRows { means: in_order(4), ..random_rows(4, 0, 1) };
-    // Needles along each axis; a disc, which is no needle.
+    // Needles along each axis, and a disc, which is not a needle.
     let scales = [[0.05, 0.001, 1e-4], [1e-4, 0.05, 0.001], [0.001, 1e-4, 0.05], [0.019, 1e-6, 0.019]];
     rows.log_scales = scales.map(|scales: [f32; 3]| scales.map(f32::ln)).to_vec();
     let (_, after) = refine(AdaptiveConfig::default(), &rows, &[0.0; 4], 500);
@@ -237,10 +237,10 @@ fn needles_are_shortened() {
 #[test]
 fn gradients_are_averaged_per_unit_of_device_coordinates() {
     let mut policy = adaptive(AdaptiveConfig::default());
-    // Half of 32 × 24 px is 16 × 12: (3, 4) per px is (48, 48), and (1, 0) is 16.
+    // Half of 32 × 24 px is 16 × 12: a gradient of (3, 4) per px is (48, 48) per unit, and (1, 0) is 16.
     policy.observe(seen(&[[3.0, -4.0], [1.0, 0.0], [0.0, 0.0]], (32, 24)));
     policy.observe(seen(&[[0.0, 0.0], [0.0, -1.0], [0.0, 0.0]], (32, 24)));
-    // Steps in which a Gaussian was not seen do not count.
+    // Steps in which a Gaussian was not visible do not count.
     let found = policy.mean_gradients(3);
     for (found, expected) in found.iter().zip([48.0 * 2f32.sqrt(), 14.0, 0.0]) {
         assert!((found - expected).abs() < 1e-4, "{found} instead of {expected}");
@@ -285,7 +285,7 @@ fn statistics_are_taken_up_again() {
     again.load(&mut state, &Device::flex()).unwrap();
     state.finish().unwrap();
     assert_eq!(again.mean_gradients(2), [1.0, 1e-4]);
-    // Right after a refinement there is nothing to keep.
+    // Right after a refinement there are no statistics to keep.
     let mut scene = trained(&rows);
     policy.act(&mut scene, &at(500), &mut rng()).unwrap();
     let mut state = State::default();
@@ -306,8 +306,7 @@ fn views_have_to_agree() {
     let rows = round(&[(SMALL, 0.5); 5]);
     let (mut policy, mut scene) = (adaptive(config), trained(&rows));
     policy.observe(seen(&[[1.0, 0.0]; 5], UNIT));
-    // Pixels covered and wrong: enough of them in the mean; not enough; hardly shown; shown to one view alone, but there; not
-    // shown to any.
+    // Covered and wrong pixels: enough in the mean; too few; hardly visible; visible in one view only; visible in none.
     let views = [
         [[9.0, 2.5], [9.0, 2.5], [0.05, 0.0], [0.05, 0.0], [0.0, 0.0]],
         [[9.0, 1.6], [9.0, 1.4], [0.02, 0.0], [0.2, 0.0], [0.0, 0.0]],

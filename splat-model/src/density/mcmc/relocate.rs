@@ -1,18 +1,18 @@
-//! What becomes of a Gaussian that is replaced by several at its place (Kheradmand et al. 2024, section 4.4).
+//! Opacity and size of Gaussians that replace one at its position (Kheradmand et al. 2024, section 4.4).
 
-/// Opacities are held below this: one that hides all behind it cannot be shared out.
+/// Upper bound of opacities: a fully opaque Gaussian cannot be shared.
 const OPACITY_MAX: f64 = 1.0 - 1e-6;
 
-/// The opacity of each of `count` Gaussians at one place that together are as opaque there as one of `opacity` was, and the
-/// factor of their standard deviations.
+/// The opacity of each of `count` Gaussians at one position that together have the given `opacity`, and the factor of their
+/// standard deviations.
 ///
-/// `1 − (1 − o')ᴺ = o` gives `o'`. With `g` the profile of a new Gaussian along a line through the centre, N of them stop
-/// `1 − (1 − o' g)ᴺ = Σₖ C(N, k) (−1)^(k−1) o'ᵏ gᵏ`, k from 1 to N, and `∫ gᵏ = σ' √(2π/k)`. The old one's integral is
-/// `o σ √(2π)`, so that `σ' / σ = o / Σₖ C(N, k) (−1)^(k−1) o'ᵏ / √k`. That is the paper's equation 9, whose double sum over binomial
-/// coefficients is summed over its outer index.
+/// `1 − (1 − o')ᴺ = o` determines `o'`. With `g` the profile of a new Gaussian along a line through the centre, N of them
+/// have the opacity `1 − (1 − o' g)ᴺ = Σₖ C(N, k) (−1)^(k−1) o'ᵏ gᵏ`, k from 1 to N, and `∫ gᵏ = σ' √(2π/k)`. The integral
+/// of the old Gaussian is `o σ √(2π)`, so that `σ' / σ = o / Σₖ C(N, k) (−1)^(k−1) o'ᵏ / √k`. This is the paper's equation
+/// 9, whose double sum over binomial coefficients is summed over its outer index.
 ///
-/// Each term is the one before it times `−o' (N − k) / (k + 1)`, so that none is larger than `e^(N o')` however many there are:
-/// nothing overflows, and what cancels leaves most digits of an f64.
+/// Each term is the previous one times `−o' (N − k) / (k + 1)`, so that no term exceeds `e^(N o')` for any N: nothing
+/// overflows, and cancellation leaves most digits of an f64.
 pub(super) fn share(opacity: f64, count: usize) -> (f64, f64) {
     if count <= 1 || !(opacity > 0.0) {
         return (opacity, 1.0);
@@ -37,8 +37,8 @@ pub(super) fn share(opacity: f64, count: usize) -> (f64, f64) {
 mod tests {
     use super::*;
 
-    /// What `count` Gaussians at one place stop along a line through it: the integral, by the trapezoidal rule, which converges
-    /// faster than any power here.
+    /// The opacity of `count` Gaussians at one position, integrated along a line through it by the trapezoidal rule, which
+    /// converges faster than any power here.
     fn stopped(opacity: f64, sigma: f64, count: usize) -> f64 {
         let step = sigma / 50.0;
         let at =
@@ -59,7 +59,7 @@ mod tests {
         }
     }
 
-    /// The paper's equation 9 as it is written.
+    /// The double sum of the paper's equation 9.
     #[test]
     fn it_is_the_papers_double_sum() {
         let binomial = |n: usize, k: usize| (0..k).map(|i| (n - i) as f64 / (i + 1) as f64).product::<f64>();

@@ -11,7 +11,7 @@ use crate::gaussians::values_of;
 const STEPS: usize = 1200;
 const EXTENT: f64 = 2.0;
 
-/// Nobody wanders.
+/// Options without noise.
 fn still() -> McmcConfig {
     McmcConfig { noise: 0.0, ..McmcConfig::default() }
 }
@@ -32,7 +32,7 @@ fn logit(opacity: f64) -> f32 {
     (opacity / (1.0 - opacity)).ln() as f32
 }
 
-/// Gaussians of these opacities, in the order in which a refinement leaves them.
+/// Gaussians of these opacities, at positions whose order a refinement keeps.
 fn of_opacities(opacities: &[f64]) -> GaussianRows {
     let mut rows = random_rows(opacities.len(), 1, 3);
     rows.means = (0..rows.len()).map(|i| [i as f32; 3]).collect();
@@ -46,14 +46,14 @@ fn refine(config: McmcConfig, rows: &GaussianRows, step: usize) -> (Option<Refin
     (report, scene.gaussians.to_rows())
 }
 
-/// Row `i` as a scene of its own.
+/// Row `i` as a separate scene.
 fn row(rows: &GaussianRows, i: usize) -> GaussianRows {
     let mut one = GaussianRows { sh_degree: rows.sh_degree, ..GaussianRows::default() };
     one.push(rows, i);
     one
 }
 
-/// The row as one of `count` that share what it is.
+/// Row `i` as one of `count` Gaussians that share its opacity and size.
 fn shared(rows: &GaussianRows, i: usize, count: usize) -> GaussianRows {
     let mut one = row(rows, i);
     let opacity = 1.0 / (1.0 + (-f64::from(one.logit_opacities[0])).exp());
@@ -68,7 +68,7 @@ fn the_dead_are_moved_to_the_living() {
     let mut rows = of_opacities(&[0.003, 0.5, 0.005, 1e-9, 0.2]);
     rows.rotations[4] = [f32::NAN; 4];
     let (report, after) = refine(McmcConfig { growth: 1.0, ..still() }, &rows, 500);
-    // One is left to live, and becomes five.
+    // One Gaussian lives and becomes five.
     assert_eq!(report, Some(RefineReport { cloned: 4, pruned: 4, ..RefineReport::default() }));
     assert_eq!(after.len(), 5);
     for i in 0..5 {
@@ -83,7 +83,7 @@ fn those_who_are_not_drawn_stay_as_they_are_with_their_history() {
     scene.moments.means.m = Tensor::from_data(TensorData::new(vec![1.0_f32; 15], [5, 3]), &Device::flex());
     policy.act(&mut scene, &at(500), &mut rng()).unwrap();
     let after = scene.gaussians.to_rows();
-    // The most opaque is drawn (50 to 1), and shares with the one that was dead.
+    // The most opaque Gaussian is drawn (50 to 1) and shares with the one that was dead.
     for (now, was) in [(0, 1), (1, 3), (2, 4)] {
         assert_eq!(row(&after, now), row(&rows, was));
     }
@@ -99,7 +99,7 @@ fn the_number_grows_to_the_cap() {
         let (report, after) = refine(McmcConfig { max_splats, ..still() }, &rows, 500);
         assert_eq!((after.len(), report.unwrap().cloned), (expected, expected - 100), "cap {max_splats}");
     }
-    // Above the cap the dead are not moved but removed.
+    // Above the cap the dead are removed instead of moved.
     let half_dead: Vec<f64> = (0..100).map(|i| if i % 2 == 0 { 0.5 } else { 0.001 }).collect();
     let (report, after) = refine(McmcConfig { max_splats: 70, ..still() }, &of_opacities(&half_dead), 500);
     assert_eq!((after.len(), report.unwrap().pruned, report.unwrap().cloned), (70, 50, 20));
@@ -111,7 +111,7 @@ fn they_are_drawn_by_their_opacity() {
     (opacities[0], opacities[1]) = (0.6, 0.2);
     let (_, after) = refine(McmcConfig { growth: 1.0, ..still() }, &of_opacities(&opacities), 500);
     let first = after.means.iter().filter(|mean| mean[0] == 0.0).count() as f64;
-    // Of 3,998 draws three in four; five standard errors.
+    // Three quarters of 3,998 draws are expected, within five standard errors.
     assert!((first - 0.75 * 3998.0).abs() < 5.0 * (3998.0_f64 * 0.75 * 0.25).sqrt() + 1.0, "{first}");
 }
 
@@ -132,7 +132,7 @@ fn there_is_a_time_for_it() {
     }
 }
 
-/// What the camera sees before and after, `[H, W]` of opacity.
+/// The rendered opacity, `[H, W]`.
 fn seen(rows: &GaussianRows) -> Vec<f32> {
     let device = Device::flex();
     let camera = Camera::new(Intrinsics::centred(65, 65, 60.0), &DAffine3::IDENTITY, &device);
@@ -141,14 +141,14 @@ fn seen(rows: &GaussianRows) -> Vec<f32> {
     values_of(picture.alpha)
 }
 
-/// The centre of the picture and a line through it keep what they showed; that is what equation 9 is made for. Off the line the
-/// sum is another, but far less so than of copies that share nothing.
+/// The centre of the picture and a line through it stay the same, which equation 9 guarantees. Off the line the sum
+/// differs, but far less than for copies that share nothing.
 #[test]
 fn a_relocation_hardly_shows() {
     for (opacity, dead) in [(0.3, 1), (0.6, 2), (0.9, 4)] {
         let mut rows = of_opacities(&vec![0.001; dead + 1]);
         rows.means = vec![[0.0, 0.0, 3.0]; dead + 1];
-        // The dead are elsewhere, where the camera does not look.
+        // The dead Gaussians are out of view.
         rows.means[1..].fill([0.0, 0.0, -9.0]);
         rows.logit_opacities[0] = logit(opacity);
         rows.log_scales = vec![[0.25_f32.ln(); 3]; dead + 1];
@@ -172,7 +172,7 @@ fn a_relocation_hardly_shows() {
     }
 }
 
-/// The covariance of the displacement is that of the formula, for a rotated Gaussian; quaternions of any length mean the same.
+/// Checks the covariance of the displacement for a rotated Gaussian. The length of quaternions does not matter.
 #[test]
 fn noise_has_the_shape_of_the_covariance() {
     let count = 4000;
@@ -190,10 +190,10 @@ fn noise_has_the_shape_of_the_covariance() {
     assert_eq!(GaussianRows { means: rows.means.clone(), ..after.clone() }, rows);
     let moved = |i: usize| DVec3::from_array(std::array::from_fn(|a| f64::from(after.means[i][a] - rows.means[i][a])));
     for (axis, scale) in [DVec3::X, DVec3::Y, DVec3::Z].into_iter().zip(scales) {
-        // λ s² σ(0), where λ is the noise times the rate in units of the extent.
+        // λ s² σ(0), where λ is the noise times the learning rate in units of the extent.
         let expected = 1e3 * 1e-4 / (EXTENT * EXTENT) * scale * scale * 0.5;
         let along = (0..count).map(|i| moved(i).dot(turn * axis).powi(2)).sum::<f64>() / count as f64;
-        // Centres are rounded to some 1e-7.
+        // Centres are rounded to about 1e-7.
         assert!(
             (along.sqrt() / expected - 1.0).abs() < 0.06 + 3e-7 / expected,
             "{} instead of {expected}",
@@ -212,7 +212,7 @@ fn those_that_show_do_not_wander_and_none_wanders_without_bound() {
     let moved = |i: usize| (0..3).map(|a| f64::from(after.means[i][a] - rows.means[i][a]).abs()).fold(0.0, f64::max);
     assert!(moved(0) < 1e-9, "{}", moved(0));
     assert!(moved(1) > 1e-2 && moved(1) < 10.0, "{}", moved(1));
-    // As far as one that is as large as the scene.
+    // The same displacement as for a Gaussian of the scene's size.
     assert!(moved(2) > 1.0 && moved(2) < 5.0 * 5e5 * 1e-4, "{}", moved(2));
 }
 

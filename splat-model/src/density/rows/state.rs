@@ -1,4 +1,4 @@
-//! What a scene being trained has to keep: its parameters, and their Adam moments.
+//! The saved state of a scene in training: its parameters and their Adam moments.
 
 use burn::module::Param;
 use burn::tensor::{Device, Tensor};
@@ -9,7 +9,7 @@ use crate::optim::Moments;
 use crate::state::{State, StateError};
 
 impl Trained {
-    /// Parameters and moments.
+    /// Saves parameters and moments.
     pub fn save(&self) -> State {
         let (g, m) = (&self.gaussians, &self.moments);
         let mut state = State::default();
@@ -21,10 +21,10 @@ impl Trained {
         state
     }
 
-    /// The scene that was kept, trainable if `device` is an autodiff device.
+    /// Restores a scene. It can be trained if `device` is an autodiff device.
     ///
     /// # Errors
-    /// If something is missing, or parameters and moments do not fit together.
+    /// If a value is missing, or if parameters and moments are inconsistent.
     pub fn load(from: &mut State, device: &Device) -> Result<Self, StateError> {
         let (means, of_means) = take::<2>(from, "means", device, |shape| *shape == [shape[0], 3])?;
         let count = means.dims()[0];
@@ -65,7 +65,7 @@ fn put<const D: usize>(to: &mut State, name: &str, param: &Param<Tensor<D>>, mom
     to.put_part(name, part);
 }
 
-/// A parameter's values and moments, none tracked, if the shape is as it should be.
+/// A parameter's values and moments, not tracked. Returns an error if `fits` rejects the shape.
 fn take<const D: usize>(
     from: &mut State,
     name: &str,

@@ -37,7 +37,7 @@ fn step(scene: &mut Trained, gradients: Gradients, step: usize) {
     scene.step(gradients, &Adam::default(), &StepRates { rates: RATES, means: 0.06 }, step, None);
 }
 
-/// A scene with history in every moment.
+/// A scene whose moments are all non-zero.
 fn walked(rows: &GaussianRows, device: &Device) -> Trained {
     let mut scene = scene(rows, device);
     for i in 1..=3 {
@@ -54,7 +54,7 @@ fn numbers<const D: usize>(param: &Param<Tensor<D>>, moments: &Moments<D>) -> Nu
     [values_of(param.val()), values_of(moments.m.clone()), values_of(moments.v.clone())]
 }
 
-/// All numbers of a scene, by parameter.
+/// All values and moments of a scene, by parameter.
 fn all(scene: &Trained) -> Vec<(&'static str, Numbers)> {
     let (g, m) = (&scene.gaussians, &scene.moments);
     vec![
@@ -66,7 +66,7 @@ fn all(scene: &Trained) -> Vec<(&'static str, Numbers)> {
     ]
 }
 
-/// Whether each parameter can be trained further.
+/// Whether each parameter is tracked.
 fn all_tracked(scene: &Gaussians) -> bool {
     let two = [&scene.means, &scene.rotations, &scene.log_scales].iter().all(|param| param.val().is_require_grad());
     two && scene.logit_opacities.val().is_require_grad() && scene.sh.val().is_require_grad()
@@ -123,7 +123,7 @@ fn a_refused_edit_changes_nothing() {
     assert_eq!(all(&scene), before);
 }
 
-/// Makes the coefficients of higher degrees than `degree` zero.
+/// Sets the coefficients above `degree` to zero.
 fn cut(sh: Tensor<3>, degree: usize) -> Tensor<3> {
     let (have, all) = ((degree + 1) * (degree + 1), sh.dims()[1]);
     if have == all {
@@ -139,7 +139,7 @@ fn harmonics_that_come_later_are_as_if_they_had_always_been_there() {
         let (mut grown, mut full) = (scene(&rows, &device), scene(&rows, &device));
         full.grow_sh(3);
         for i in 1..=8 {
-            // Twice each degree.
+            // Each degree is requested twice.
             let degree = (i - 1) / 2;
             grown.grow_sh(degree);
             assert_eq!(grown.gaussians.sh_degree(), degree);
@@ -157,7 +157,7 @@ fn harmonics_that_come_later_are_as_if_they_had_always_been_there() {
             step(&mut full, gradients, i);
         }
         assert_eq!(all(&grown), all(&full));
-        // No way back, and nothing happens twice.
+        // The degree does not fall, and a repeated request does nothing.
         let before = all(&grown);
         grown.grow_sh(1);
         grown.grow_sh(3);
@@ -165,7 +165,7 @@ fn harmonics_that_come_later_are_as_if_they_had_always_been_there() {
     }
 }
 
-/// Asserts that two scenes agree except in one parameter, and returns that of the second.
+/// Asserts that two scenes agree except in one parameter, and returns that parameter of the second scene.
 #[track_caller]
 fn assert_only_changed(before: &Trained, after: &Trained, changed: &str) -> Numbers {
     let mut of_changed = None;
@@ -220,7 +220,7 @@ fn parameters_without_a_gradient_stay() {
 
 #[test]
 fn each_parameter_has_its_own_rate() {
-    // Adam's first step is as long as the learning rate, whatever the gradient.
+    // Adam's first step has the size of the learning rate for any gradient.
     for (device, degree) in devices().into_iter().flat_map(|device| (0..4).map(move |degree| (device.clone(), degree)))
     {
         let rows = random_rows(3, degree, 1);

@@ -10,7 +10,7 @@ fn camera() -> (Intrinsics, DAffine3) {
     (Intrinsics::centred(9, 7, 6.0), DAffine3::from_mat3_translation(turned, glam::DVec3::new(1.0, 2.0, 3.0)))
 }
 
-/// A light that is brighter towards +z of the world, and red towards +x.
+/// An environment that is brighter towards +z of the world and red towards +x.
 fn lit() -> Vec<[f32; 3]> {
     vec![[0.1, 0.0, -0.1], [0.0; 3], [0.3, 0.3, 0.3], [-0.4, 0.0, 0.0]]
 }
@@ -22,7 +22,7 @@ fn an_environment_shows_the_light_of_each_direction() {
     let nothing = Tensor::zeros([7, 9, 3], &device);
     let image = Background::Environment(lit()).behind(nothing, Tensor::zeros([7, 9, 1], &device), &intrinsics, &pose);
     let values = values_of(image);
-    // By the definition of the harmonics up to degree 1.
+    // Definition of the harmonics up to degree 1.
     let [y0, y1] = [0.5 / std::f64::consts::PI.sqrt(), (0.75 / std::f64::consts::PI).sqrt()];
     for (x, y) in [(0, 0), (8, 6), (4, 3), (2, 5)] {
         let direction = intrinsics.cam_from_px(DVec2::new(x as f64 + 0.5, y as f64 + 0.5)).normalize();
@@ -60,7 +60,7 @@ fn an_environment_is_learnt() {
     let device = Device::flex();
     let (image, alpha) = (Tensor::<3>::zeros([7, 9, 3], &device), Tensor::<3>::full([7, 9, 1], 0.25, &device));
     let truth = Background::Environment(lit());
-    // Several ways of looking, or not every harmonic is told from the others.
+    // Several viewing directions are needed to determine all harmonics.
     let poses: Vec<DAffine3> = (0..4)
         .map(|i| pose * DAffine3::from_rotation_y(1.5 * f64::from(i)) * DAffine3::from_rotation_z(f64::from(i)))
         .collect();
@@ -78,7 +78,7 @@ fn an_environment_is_learnt() {
     for (found, expected) in found.as_flattened().iter().zip(lit().as_flattened()) {
         assert!((found - expected).abs() < 0.02, "{found} instead of {expected}");
     }
-    // The harmonics of the four photographs are kept, and those of another size take their place.
+    // The harmonics of the four photographs are cached, and those of another size replace them.
     let per_view = 9 * 7 * 4 * size_of::<f32>();
     assert_eq!(environment.bytes(), 3 * 12 * size_of::<f32>() + 4 * per_view);
     let half = intrinsics.resized(4, 3);
@@ -120,7 +120,7 @@ fn files_are_read_back_and_others_refused() {
         let message = Background::read(&path).unwrap_err().to_string();
         assert!(message.contains(part) && message.contains("background.json"), "{message}");
     }
-    // Whatever it begins with, what is too long is not read.
+    // A file that is too long is not read, whatever its start.
     fs::write(&path, [Background::Colour([0.0; 3]).to_json().unwrap().as_bytes(), &vec![b' '; 1 << 20]].concat())
         .unwrap();
     let message = Background::read(&path).unwrap_err().to_string();
@@ -129,7 +129,7 @@ fn files_are_read_back_and_others_refused() {
     assert!(message.contains("none.json") && message.contains("beside its scene"), "{message}");
 }
 
-/// What a picture can show, however far the parameter went.
+/// The colour stays in the range of a picture, however far the parameter moves.
 #[test]
 fn a_learnt_colour_is_one_that_can_be_shown_and_is_learnt() {
     let device = Device::flex();
@@ -141,13 +141,13 @@ fn a_learnt_colour_is_one_that_can_be_shown_and_is_learnt() {
     }
     let Some(Background::Colour(found)) = learnt.background() else { panic!("a colour") };
     assert_eq!(found[..2], [1.0, 0.0]);
-    // Adam's steps under one gradient are as long as the rates, which fall from 0.01 to 0.001.
+    // Adam's steps under a constant gradient have the size of the rates, which fall from 0.01 to 0.001.
     let moved: f32 = (0..4).map(|step| 0.01 * 0.1_f32.powf(step as f32 / 3.0)).sum();
     assert!((0.5 - found[2] - moved).abs() < 1e-4, "{found:?}");
     assert_eq!(learnt.bytes(), 36);
 }
 
-/// Harmonics beyond what may be kept are computed anew and not counted.
+/// Harmonics beyond the size of the cache are computed again each time and not counted.
 #[test]
 fn what_does_not_fit_is_not_kept() {
     let (intrinsics, pose) = camera();

@@ -41,7 +41,7 @@ fn circles_are_those_of_a_thin_lens() {
     ];
     let given = ellipses(&tensor(&given, [FIELDS * 3], DType::F64), 3);
     let radii = host(confusion(&given, &camera(), &log_aperture, &inverse_focus).unwrap());
-    // 0 in focus; −½ · 1/7.2 behind it; ½ (1/0.9 − 1/3.6) = 5/12 before it; times 40 px and 44 px.
+    // 0 in focus; −½ · 1/7.2 behind it; ½ (1/0.9 − 1/3.6) = 5/12 in front of it; times 40 px and 44 px.
     let expected = [0.0, 0.0, -20.0 / 7.2, -22.0 / 7.2, 50.0 / 3.0, 55.0 / 3.0];
     assert!(distance(&radii, &expected) < 1e-12, "{radii:?}");
 }
@@ -49,14 +49,14 @@ fn circles_are_those_of_a_thin_lens() {
 #[test]
 fn a_blurred_ellipse_is_the_average_over_the_aperture() {
     let camera = camera();
-    // Points of equal area on a disc, and those opposite to them.
+    // Points of equal area on a disc, and their opposites.
     let golden = std::f64::consts::PI * (3.0 - 5.0_f64.sqrt());
     let points = (0..32).flat_map(|i| {
         let (radius, angle) = (APERTURE * ((f64::from(i) + 0.5) / 32.0).sqrt(), golden * f64::from(i));
         let (x, y) = (radius * angle.cos(), radius * angle.sin());
         [[x, y], [-x, -y]]
     });
-    // The eye moves over the aperture, and the picture with it so that what is in focus stays.
+    // The camera moves over the aperture, and the picture moves so that points in focus stay.
     let pictures: Vec<_> = points
         .map(|[x, y]| {
             let mut moved = camera;

@@ -11,7 +11,7 @@ fn grid(device: &Device) -> Tensor<4> {
     Tensor::random([MAP, LEVELS, SIDE, SIDE], Distribution::Uniform(-1.0, 1.0), device)
 }
 
-/// Trilinear interpolation, pixel by pixel.
+/// Compares with trilinear interpolation, pixel by pixel.
 #[test]
 fn a_pixel_takes_the_map_at_its_place_and_brightness() {
     let device = Device::flex();
@@ -60,7 +60,7 @@ fn identities_change_nothing_and_cost_nothing() {
     assert_eq!(grids.pull(0).into_scalar::<f32>(), 0.0);
 }
 
-/// The gradient to the render goes through its brightness too: against finite differences.
+/// The gradient with respect to the render includes its luma. Compared with finite differences.
 #[test]
 fn gradients_follow_the_brightness() {
     let device = Device::flex();
@@ -80,14 +80,14 @@ fn gradients_follow_the_brightness() {
             value(Tensor::from_data(TensorData::new(values, [4, 3, 3]), &device))
         };
         let expected = (moved(by) - moved(-by)) / f64::from(2.0 * by);
-        // A pixel may cross from one level to the next, where the slope jumps.
+        // A finite difference may cross from one level to the next, where the slope jumps.
         let near = (f64::from(gradient[i]) - expected).abs() < 0.02 * expected.abs().max(1.0);
         let luma: f32 = (0..3).map(|c| LUMA[c] * values_of(image.clone())[i / 3 * 3 + c]).sum::<f32>() * 7.0;
         assert!(near || (luma - luma.round()).abs() < 0.02, "{i}: {} instead of {expected}", gradient[i]);
     }
 }
 
-/// A vignette, which no single map of colours explains.
+/// A vignette, which no single colour map represents.
 #[test]
 fn a_vignette_is_found() {
     let device = Device::flex();
@@ -102,7 +102,7 @@ fn a_vignette_is_found() {
     let dark = Tensor::<3>::from_data(TensorData::new(dark, [height, width, 1]), &device);
     let config = GridConfig { smoothness: 0.1, ..GridConfig::default() };
     let mut grids = Grids::new(config, 2, &device);
-    // Two photographs, one darkened and one brightened as much: their mean is the scene.
+    // Two photographs, one darkened and one brightened by the same amount: their mean is the scene.
     let truths = [image.clone() * dark.clone(), image.clone() * (dark.neg() + 2.0)];
     let tracked = Tensor::from_inner(image);
     let mut errors = Vec::new();
@@ -121,7 +121,7 @@ fn a_vignette_is_found() {
     assert_eq!(grids.bytes(), 2 * 3 * 4 * MAP * LEVELS * SIDE * SIDE);
 }
 
-/// Outside of 0 to 1 a pixel has the map of the nearest level, and not none: what is shown goes on as a straight line.
+/// Outside of 0 to 1 a pixel uses the map of the nearest level, so that the result continues linearly.
 #[test]
 fn what_is_brighter_than_white_or_darker_than_black_has_a_map() {
     let device = Device::flex();
@@ -155,7 +155,7 @@ fn neighbours_are_held_together_in_all_directions() {
     }
 }
 
-/// Two photographs, of which one is stepped on, so that no mean is set back.
+/// Two photographs, of which only one takes steps, so that the mean is not reset.
 #[test]
 fn a_step_is_as_long_as_its_rate_and_rough_grids_cost() {
     let device = Device::flex();

@@ -9,7 +9,7 @@ use crate::loss::{Truth, photometric};
 use crate::trainer::testing::{HEIGHT, WIDTH, photos, points};
 use crate::trainer::{TrainConfig, Trainer};
 
-/// Every third pixel of a picture, and a block as wide as the window of SSIM.
+/// A mask that excludes every third pixel, and a block as wide as the window of SSIM.
 fn mask(width: usize, height: usize) -> Vec<bool> {
     let counts = |i: usize| (i % width >= 12 || i / width >= 12) && !i.is_multiple_of(3);
     (0..width * height).map(counts).collect()
@@ -20,7 +20,7 @@ fn excluded(mask: &[bool], [width, height]: [usize; 2], device: &Device) -> Tens
     Tensor::from_data(TensorData::new(excluded, [1, height, width]), device)
 }
 
-/// D-SSIM looks at neighbourhoods, so that every pixel has a gradient unless it is cut off.
+/// D-SSIM compares neighbourhoods, so every pixel would have a gradient without the mask.
 #[test]
 fn excluded_pixels_have_exactly_no_gradient_and_no_say() {
     let (width, height) = (31, 23);
@@ -52,7 +52,7 @@ fn excluded_pixels_have_exactly_no_gradient_and_no_say() {
     }
 }
 
-/// What a photograph shows where its mask excludes it changes not a bit of a trained scene.
+/// The colours of excluded pixels do not change a bit of the trained scene.
 #[test]
 fn a_run_does_not_see_what_is_excluded() {
     let mask = mask(WIDTH, HEIGHT);
@@ -80,7 +80,7 @@ fn a_smaller_mask_keeps_only_what_is_whole() {
     mask[2 * 6 + 3] = false;
     assert_eq!(resized(&mask, [6, 4], [6, 4]), mask);
     assert_eq!(resized(&mask, [6, 4], [3, 2]), [true, true, true, true, false, true]);
-    // Pixel 1 of 4 covers 1.5 to 3 of 6, pixel 2 3 to 4.5.
+    // Pixel 1 of 4 covers the range 1.5 to 3 of 6, pixel 2 the range 3 to 4.5.
     assert_eq!(resized(&mask, [6, 4], [4, 1]), [true, true, false, true]);
 }
 
@@ -116,7 +116,7 @@ fn both_conventions_are_found_and_read() {
     assert_eq!(find(&capture), [Some(whole.clone()), Some(stem), Some(below), None]);
     let stated = folder.path().join("elsewhere.png");
     capture.masks = vec![None, Some(stated.clone()), None, None];
-    assert_eq!(find(&capture)[..2], [Some(whole.clone()), Some(stated)], "what the capture names comes first");
+    assert_eq!(find(&capture)[..2], [Some(whole.clone()), Some(stated)], "masks that the capture names come first");
     let mask = load(&whole, &capture.views[0].intrinsics).unwrap();
     assert_eq!(mask, [false, false, true, true, false, true]);
     assert_eq!(excluded_share(&mask), 0.5);

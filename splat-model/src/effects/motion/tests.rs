@@ -19,7 +19,7 @@ fn affine(pose: Tensor<2>) -> DAffine3 {
     DAffine3 { matrix3: DMat3::from_cols(column(0), column(1), column(2)), translation: column(3) }
 }
 
-/// `exp(ξ)`, by many small steps of the differential equation `p' = ω × p + τ` in pairs of half a rotation and a shift.
+/// `exp(ξ)` by many small steps of the differential equation `p' = ω × p + τ`.
 fn exponential(twist: [f64; 6]) -> DAffine3 {
     let (rotation, shift) = (DVec3::from_slice(&twist[..3]), DVec3::from_slice(&twist[3..]));
     let steps = 1 << 14;
@@ -50,7 +50,7 @@ fn poses_follow_the_twist() {
     check_gradient(&[0.0; 6], |twist| pose_at(&beside(pose(), &twist), &twist, 0.4).reshape([12]));
 }
 
-/// `pose`, on autodiff where `like` is.
+/// `pose`, on an autodiff device if `like` is.
 fn beside(pose: Tensor<2>, like: &Tensor<1>) -> Tensor<2> {
     if like.is_autodiff() { Tensor::from_inner(pose) } else { pose }
 }
@@ -119,7 +119,7 @@ fn a_rolled_ellipse_is_in_each_row_where_it_is_at_that_time() {
 
 #[test]
 fn a_rolling_shutter_by_hand() {
-    // Round, at (30, 36) of 48 rows: half a quarter of the picture below the middle. Down by 12 px: k = 4/3.
+    // Round, at (30, 36) of 48 rows: a quarter of the height below the middle. It moves down by 12 px: k = 4/3.
     let given = [30.0, 36.0, 2.0, 0.0, 3.0, 1.0, 0.5];
     let v = tensor(&[-6.0, 12.0], [1, 2], DType::F64);
     let after = host(numbers(rolled(ellipses(&tensor(&given, [FIELDS], DType::F64), 1), v, 48)));
@@ -130,7 +130,7 @@ fn a_rolling_shutter_by_hand() {
     for (found, expected) in after.iter().zip(expected) {
         assert!((found - expected).abs() < 1e-12, "{found} instead of {expected}");
     }
-    // Faster than the shutter: as if by half of the height.
+    // Faster than the shutter: clamped to half of the height.
     let rows = |vy: f64| {
         let v = tensor(&[0.0, vy], [1, 2], DType::F64);
         host(numbers(rolled(ellipses(&tensor(&given, [FIELDS], DType::F64), 1), v, 48)))

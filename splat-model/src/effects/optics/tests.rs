@@ -21,7 +21,7 @@ fn shown(optics: &mut Optics, model: CameraModel) -> Vec<f32> {
     shown_with(optics, model, 0.0)
 }
 
-/// With logits that are lower by `faint`.
+/// A render with logits that are lower by `faint`.
 fn shown_with(optics: &mut Optics, model: CameraModel, faint: f32) -> Vec<f32> {
     let (camera, device) = camera(model);
     let mut rows = random_rows(30, 1, 11);
@@ -63,11 +63,11 @@ fn without_motion_and_aperture_nothing_is_different() {
     assert!(difference(&shown(&mut still, CameraModel::Pinhole), &plain) > 1e-3, "an open aperture");
 }
 
-/// A lens averages sub-exposures, a pinhole widens: for a small motion of what is not opaque they agree.
+/// A lens averages sub-exposures, a pinhole widens ellipses. For a small motion of translucent Gaussians both agree.
 #[test]
 fn a_lens_and_a_pinhole_show_the_same_motion() {
     let motion = OpticsConfig { motion: true, ..OpticsConfig::default() };
-    // An OpenCv camera without distortion is a pinhole that is not called one.
+    // An OpenCv camera without distortion is a pinhole under another model.
     let of = |model: CameraModel, turn: f32| {
         let mut optics = optics(motion, model).unwrap();
         optics.exposures[1].set(Tensor::from_floats([[0.0, turn, 0.0], [0.0; 3]], &Device::flex()));

@@ -1,42 +1,44 @@
-//! What is decided by the colours of the same points in several photographs.
+//! Decisions from the colours of the same points in several photographs.
 
 use super::super::EffectKind;
 use super::super::survey::{GradingEvidence, Survey, ViewDependenceEvidence};
 use super::{Cost, Decision, MIB, VIEW_DEPENDENCE, Verdict, decide, percent};
 
-/// Brightness differs by this many stops of stored values (deviation). Things look brighter from some sides than from others
-/// too, so that a smaller difference may be the scene's.
+/// Threshold of the brightness differences between photographs, stops of stored values (deviation). Surfaces also look
+/// brighter from some sides than from others, so a smaller difference may belong to the scene.
 pub const BRIGHTNESS_STOPS: f64 = 0.2;
 
-/// White balance, the same: hardly anything changes its hue with the side that it is seen from.
+/// Threshold of the white balance differences, stops of stored values (deviation). Hardly any surface changes its hue with
+/// the viewing direction.
 pub const WHITE_BALANCE_STOPS: f64 = 0.1;
 
-/// What one map of colours for each photograph leaves must be more than this, in display-referred values: five levels of 255, so
-/// that there is something to see.
+/// Smallest residual of one colour map for each photograph, in display-referred values. It is five levels of 255, the
+/// smallest visible difference.
 pub const GRADED: f64 = ViewDependenceEvidence::VISIBLE;
 
-/// And maps that vary over the picture must leave less than this of it. Real captures are left 86% and more, plain demos all of it; what
-/// texture makes of places that miss by half a pixel stays in any case.
+/// Largest share of that residual that varying maps may leave. Real captures keep 86% and more, plain demos all of it. The
+/// part that comes from texture, where points miss by half a pixel, always stays.
 pub const PLACES_LEAVE: f64 = 0.65;
 
-/// Share of the points whose colours visibly depend on the view, from which on a scene has spherical harmonics. Matte demos have up to
-/// 0.4%, of which none is real; real captures have 1.2% and more.
+/// Share of points with visibly view-dependent colour above which a scene has spherical harmonics. Demos without
+/// view-dependent colour have up to 0.4%, all of it noise. Real captures have 1.2% and more.
 pub const VIEW_DEPENDENT_SHARE: f64 = 0.005;
 
-/// Fewer points than this say nothing about shares of half a percent.
+/// Smallest number of points for a decision on shares of half a percent.
 const FEWEST_COMPARED: usize = 500;
 
-/// Times per step and megapixel, ms: measured, see `docs/EFFECTS.md`.
+/// Time per step and megapixel, ms, as measured (see `docs/EFFECTS.md`).
 const EXPOSURE_MS_PER_MEGAPIXEL: f64 = 40.0;
 const GRID_MS_PER_MEGAPIXEL: f64 = 2500.0;
 
-/// Decides on the degree of the harmonics and not on an effect. Leaving them out of a scene that needs them costs more than having
-/// them where they are idle, so that the threshold lies close above what matte scenes show (`docs/EFFECTS.md`).
+/// Decides on the degree of the spherical harmonics instead of an effect. Missing harmonics cost more than idle ones, so
+/// the threshold is close above the share that scenes without view-dependent colour show (`docs/EFFECTS.md`).
 pub(super) fn view_dependence(survey: &Survey) -> Decision {
     let (verdict, evidence) = match &survey.view_dependence {
         Some(found) if found.points >= FEWEST_COMPARED => {
             let evidence = format!(
-                "{} of {} points stray by more than {} of 1 in a third of their photographs, after exposure is removed",
+                "{} of {} points differ from their median colour by more than {} (of 1) in a third of their photographs, after \
+                 exposure correction",
                 percent(found.visible_share),
                 found.points,
                 ViewDependenceEvidence::VISIBLE
@@ -46,7 +48,7 @@ pub(super) fn view_dependence(survey: &Survey) -> Decision {
         _ => (Verdict::AsConfigured, format!("not known: fewer than {FEWEST_COMPARED} points could be compared")),
     };
     let rule = format!(
-        "harmonics where more than {} of the points stray, else one colour for all directions; `--sh-degree` overrules",
+        "harmonics if more than {} of the points differ, else one colour for all directions; `--sh-degree` overrides this",
         percent(VIEW_DEPENDENT_SHARE)
     );
     Decision { name: VIEW_DEPENDENCE, effect: None, verdict, evidence, rule, predicted: None }
@@ -54,11 +56,11 @@ pub(super) fn view_dependence(survey: &Survey) -> Decision {
 
 pub(super) fn exposure(survey: &Survey) -> Decision {
     let rule = format!(
-        "on where brightness differs by more than {BRIGHTNESS_STOPS} stops or white balance by more than {WHITE_BALANCE_STOPS}, \
-         unless `bilateral-grid` is"
+        "on if brightness differs by more than {BRIGHTNESS_STOPS} stops or white balance by more than {WHITE_BALANCE_STOPS}, \
+         unless `bilateral-grid` is on"
     );
     let (on, evidence) = match &survey.exposure {
-        None => (false, "not known: too few points are in several photographs".into()),
+        None => (false, "not known: too few points are visible in several photographs".into()),
         Some(found) => {
             let on = found.brightness_spread_stops > BRIGHTNESS_STOPS
                 || found.white_balance_spread_stops > WHITE_BALANCE_STOPS;
@@ -75,7 +77,7 @@ pub(super) fn exposure(survey: &Survey) -> Decision {
     decide(EffectKind::Exposure, on && !is_graded(survey), evidence, rule, Some(cost))
 }
 
-/// Whether colours change over the photographs, and what of the differences between them maps that do leave.
+/// Whether colours vary within photographs and varying maps explain enough of the differences.
 fn is_graded(survey: &Survey) -> bool {
     let graded = |found: &GradingEvidence| {
         found.left_by_maps > GRADED && found.left_by_places < PLACES_LEAVE * found.left_by_maps
@@ -83,18 +85,20 @@ fn is_graded(survey: &Survey) -> bool {
     survey.grading.as_ref().is_some_and(graded)
 }
 
-/// The stronger form of exposures, and instead of them.
+/// Decides on bilateral grids, which are the stronger form of exposures and replace them.
 pub(super) fn bilateral_grid(survey: &Survey) -> Decision {
     let evidence = match &survey.grading {
-        None => "not known: too few points are in several photographs".into(),
+        None => "not known: too few points are visible in several photographs".into(),
         Some(found) => format!(
-            "one map of colours for each photograph leaves differences of {:.4} of 1 (median), maps that vary over it {} of that",
+            "one colour map for each photograph leaves a median difference of {:.4} (of 1), maps that vary within the \
+             photograph {} of that",
             found.left_by_maps,
             percent(found.left_by_places / found.left_by_maps.max(f64::MIN_POSITIVE))
         ),
     };
     let rule = format!(
-        "on where one map for each photograph leaves more than {GRADED}, and maps that vary over it less than {} of that",
+        "on if one map for each photograph leaves more than {GRADED}, and maps that vary within the photograph less than \
+         {} of that",
         percent(PLACES_LEAVE)
     );
     let megapixels = survey.pixels_per_view / 1e6;

@@ -1,28 +1,28 @@
-//! What the tracks of a reconstruction say of a camera: the directions in which it saw the sparse points.
+//! Constraints on a camera from the tracks of a reconstruction: the directions in which it observed the sparse points.
 //!
-//! Photographs alone know poses up to a motion of everything, along which cameras drift while the scene is still a blur. Where
-//! there are tracks, each camera is first set to where they put it (resection, by Gauss and Newton's method with robust
-//! weights), and then held there by a weak pull. Directions, and not pixels, are compared, so that every lens and every size
-//! of picture is alike.
+//! Photographs alone determine poses only up to a motion of scene and cameras together, along which cameras drift while the
+//! scene is still blurred. Where there are tracks, each camera is first placed by them (resection, by the Gauss-Newton
+//! method with robust weights) and then held there by a weak penalty. The method compares directions instead of pixels, so
+//! that it works for every lens and image size.
 
 use burn::tensor::{Device, Tensor, TensorData};
 use glam::{DAffine3, DMat3, DVec3, Vec2, Vec3};
 
 use crate::capture::Capture;
 
-/// Directions that miss by much less than this count by their square, by more in proportion, rad: about a pixel.
+/// Scale of the robust loss, rad: errors well below it count by their square, larger errors linearly. About a pixel.
 pub(in crate::effects) const ROBUST_RAD: f64 = 2e-3;
 
-/// Rounds of the resection.
+/// Largest number of iterations of the resection.
 const ROUNDS: usize = 30;
 
-/// Fewer points than this leave a camera where it is.
+/// Smallest number of points for a resection. A camera with fewer is not moved.
 pub(in crate::effects) const FEWEST: usize = 8;
 
-/// One photograph's points.
+/// The observed points of one photograph.
 #[derive(Clone, Debug, Default)]
 pub struct Anchors {
-    /// World frame.
+    /// Positions, world frame.
     points: Vec<DVec3>,
     /// Unit vectors, camera frame.
     directions: Vec<DVec3>,
@@ -34,7 +34,7 @@ pub(super) struct OnDevice {
     directions: Tensor<2>,
 }
 
-/// The anchors of some of a capture's photographs.
+/// Collects the anchors of the photographs `views` of a capture.
 pub fn from_tracks(capture: &Capture, views: &[usize]) -> Vec<Anchors> {
     let mut place = vec![None; capture.views.len()];
     views.iter().enumerate().for_each(|(at, &view)| place[view] = Some(at));
@@ -52,7 +52,8 @@ pub fn from_tracks(capture: &Capture, views: &[usize]) -> Vec<Anchors> {
 }
 
 impl Anchors {
-    /// The pose that explains the directions best, from a pose near it; the same where there are too few of them.
+    /// The pose that fits the directions best, starting from `cam_from_world`. Returns `cam_from_world` if there are too
+    /// few points.
     pub fn resected(&self, cam_from_world: &DAffine3) -> DAffine3 {
         let mut pose = *cam_from_world;
         if self.points.len() < FEWEST {
@@ -66,7 +67,7 @@ impl Anchors {
                 break;
             }
         }
-        // Not to be worse off than before.
+        // Never returns a pose that fits worse than the given one.
         if self.cost(&pose) < self.cost(cam_from_world) { pose } else { *cam_from_world }
     }
 
@@ -79,8 +80,8 @@ impl Anchors {
         self.points.iter().zip(&self.directions).map(miss).map(robust).sum()
     }
 
-    /// `ω` and `τ` of the next step: the least squares of `d + J (ω, τ) − d*` with `d = p/|p|` and the columns of `J` as in
-    /// [`columns`], each weighted by what robustness leaves of it.
+    /// The next Gauss-Newton step, `ω` and `τ`: the least-squares solution for `d + J (ω, τ) − d*` with `d = p/|p|` and the
+    /// columns of `J` as in [`columns`], with robust weights.
     fn step(&self, pose: &DAffine3) -> Option<[f64; 6]> {
         let mut gram = [[0.0; 6]; 6];
         let mut moment = [0.0; 6];
@@ -113,7 +114,8 @@ impl Anchors {
 }
 
 impl OnDevice {
-    /// Mean of `√(|d − d*|² + r²) − r`, about the angle between them in rad, `[1]`; `pose` is `[3, 4]`, tracked.
+    /// Mean of `√(|d − d*|² + r²) − r`, which is about the angle between both directions in rad, `[1]`. `pose` is `[3, 4]`,
+    /// tracked.
     pub fn penalty(&self, pose: Tensor<2>) -> Tensor<1> {
         let constant = |tensor: &Tensor<2>| Tensor::<2>::from_inner(tensor.clone());
         let turned = constant(&self.points).matmul(pose.clone().narrow(1, 0, 3).transpose());
@@ -128,7 +130,7 @@ impl OnDevice {
     }
 }
 
-/// How the direction in which a camera sees a point at `p`, in its frame, changes with its `ω` and `τ`: the columns of
+/// Derivative of the direction to a point `p`, camera frame, with respect to the camera's `ω` and `τ`: the columns of
 /// `(I − d dᵀ)/|p| · [−p×, I]` with `d = p/|p|`.
 pub(in crate::effects) fn columns(cam: DVec3) -> [DVec3; 6] {
     let length = cam.length();
@@ -139,7 +141,7 @@ pub(in crate::effects) fn columns(cam: DVec3) -> [DVec3; 6] {
     std::array::from_fn(|i| tangent * if i < 3 { axes[i].cross(cam) } else { axes[i - 3] })
 }
 
-/// Cayley's map of `ω/2`.
+/// The Cayley map of `ω/2`.
 pub(super) fn rotation(omega: DVec3) -> DMat3 {
     let half = 0.5 * omega;
     let cross = DMat3::from_cols(
@@ -150,7 +152,7 @@ pub(super) fn rotation(omega: DVec3) -> DMat3 {
     DMat3::IDENTITY + (cross + cross * cross) * (2.0 / (1.0 + half.length_squared()))
 }
 
-/// `x` of `gram x = moment` for a symmetric positive definite matrix, by elimination; none if it is singular.
+/// Solves `gram x = moment` for a symmetric positive definite matrix by elimination. `None` if the matrix is singular.
 pub(in crate::effects) fn solve<const N: usize>(mut gram: [[f64; N]; N], mut moment: [f64; N]) -> Option<[f64; N]> {
     let largest = (0..N).map(|i| gram[i][i]).fold(0.0, f64::max);
     for step in 0..N {

@@ -5,7 +5,7 @@ use super::*;
 
 const COUNT: usize = 24;
 
-/// `[xx, xy, yy]` and opacity of ellipse `i` among the numbers of `COUNT`.
+/// The covariance `[xx, xy, yy]` and the opacity of ellipse `i` in the numbers of `COUNT` ellipses.
 fn covariance(numbers: &[f64], i: usize) -> ([f64; 3], f64) {
     let [u, shear, v, opacity] = [2, 3, 4, 6].map(|field| numbers[field * COUNT + i]);
     ([u * u, shear * u * u, shear * shear * u * u + v * v], opacity)
@@ -15,11 +15,11 @@ fn determinant([xx, xy, yy]: [f64; 3]) -> f64 {
     xx * yy - xy * xy
 }
 
-/// Compares a change of ellipses with what it should do to each covariance, in both precisions. `grows`: opacities fall as areas
-/// grow.
+/// Compares a change of ellipses with the expected change of each covariance, in both precisions. `grows`: whether
+/// opacities fall as areas grow.
 fn check(change: impl Fn(Ellipses, DType) -> Ellipses, expected: impl Fn(usize, [f64; 3]) -> [f64; 3], grows: bool) {
     for (dtype, tolerance) in [(DType::F64, 1e-13), (DType::F32, 2e-6)] {
-        // What an f32 holds, so that both precisions begin with the same.
+        // Rounded to f32, so that both precisions start from the same values.
         let before: Vec<f64> = varied(COUNT).iter().map(|&value| f64::from(value as f32)).collect();
         let after = host(numbers(change(ellipses(&tensor(&before, [FIELDS * COUNT], dtype), COUNT), dtype)));
         for i in 0..COUNT {
@@ -31,7 +31,7 @@ fn check(change: impl Fn(Ellipses, DType) -> Ellipses, expected: impl Fn(usize, 
                 let error = (found[entry] - right[entry]).abs() / size[entry];
                 assert!(error <= tolerance, "{dtype:?}, ellipse {i}: {found:?} instead of {right:?}");
             }
-            // By the factor, which loses nothing; what is expected loses digits in f64, for a needle.
+            // By the factor, which keeps all digits. The expected value loses digits in f64 for a needle.
             let u_v = after[2 * COUNT + i] * after[4 * COUNT + i];
             let error = (u_v * u_v / determinant(right) - 1.0).abs();
             let lost = 1e-15 * right[0] * right[2] / determinant(right);

@@ -18,11 +18,11 @@ fn the_finest_photograph_that_shows_a_centre_counts() {
     let rate = |mean: [f32; 3]| (0.5 * VARIANCE.ln() - f64::from(smoothing.ln_widths(&[mean])[0])).exp();
     // At the origin: 50/5 = 10, 20/1 = 20, 50/40.
     assert!((rate([0.0; 3]) - 20.0).abs() < 1e-4);
-    // At x = 2 the near camera sees slopes up to 1.3 only, with its margin.
+    // At x = 2 the near camera does not see the point: its slopes end at 1.3, margin included.
     assert!((rate([2.0, 0.0, 0.0]) - 10.0).abs() < 1e-4);
     // Behind the first two.
     assert!((rate([0.0, 0.0, -20.0]) - 2.5).abs() < 1e-4);
-    // What nobody sees has the coarsest of the others.
+    // A point that no camera sees gets the coarsest filter of the others.
     let widths = smoothing.ln_widths(&[[0.0; 3], [0.0, 0.0, -50.0], [2.0, 0.0, 0.0]]);
     assert_eq!(widths[1], widths[2]);
     assert!(smoothing.ln_widths(&[[0.0, 0.0, -50.0]])[0].is_finite());
@@ -52,7 +52,7 @@ fn variances_add_and_the_integral_stays() {
     }
 }
 
-/// A determinant of 10⁻¹² scene units would be 10⁻⁷², and its ratio 0 / 0.
+/// The determinant of 10⁻¹² scene units would be 10⁻⁷², which is 0 in f32, and its ratio 0 / 0.
 #[test]
 fn tiny_gaussians_keep_their_share() {
     let device = Device::flex();
@@ -89,7 +89,7 @@ fn what_is_unusable_stays_so_and_spoils_no_gradient() {
     assert_eq!(baked.logit_opacities[1], rows.logit_opacities[1]);
 }
 
-/// What a file shows is what was trained.
+/// Other viewers show the file as it was trained.
 #[test]
 fn a_baked_scene_is_the_smoothed_one() {
     let device = Device::flex();

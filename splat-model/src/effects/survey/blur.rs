@@ -1,4 +1,4 @@
-//! Sharpness of the pictures.
+//! Sharpness of the photographs.
 
 use serde::Serialize;
 
@@ -6,16 +6,17 @@ use super::pictures::Glance;
 use super::{Capture, quantile};
 use crate::capture::Photo;
 
-/// How sharp pictures are: the energy of differences between neighbouring pixels by that between pixels three apart, in the
-/// least sharp of four directions, as a moving camera blurs along its way alone. A ninth for a smooth picture, 1 for noise,
-/// whatever the contrast; what it is for sharp pictures depends on what they show, so it is compared within a capture.
+/// Sharpness of the photographs: the energy of differences between neighbouring pixels divided by that between pixels three
+/// apart, in the least sharp of four directions, because camera motion blurs along its direction only. It is one ninth for
+/// a smooth picture and 1 for noise, for any contrast. The value of a sharp picture depends on its content, so sharpness is
+/// compared within a capture.
 #[derive(Clone, Debug, Serialize)]
 pub struct BlurEvidence {
-    /// Of the pictures.
+    /// Median over the photographs.
     pub median: Option<f64>,
-    /// Of the twentieth part that is least sharp.
+    /// Quantile that a twentieth of the photographs are below.
     pub least: Option<f64>,
-    /// The least sharp picture.
+    /// Name of the least sharp photograph.
     pub least_sharp: Option<String>,
 }
 
@@ -30,13 +31,13 @@ pub(super) fn evidence(capture: &Capture, glances: &[Glance]) -> BlurEvidence {
     }
 }
 
-/// Directions that are compared, as steps of columns and rows.
+/// Directions of the differences, as steps of columns and rows.
 const DIRECTIONS: [[isize; 2]; 4] = [[1, 0], [0, 1], [1, 1], [1, -1]];
 
-/// How far apart the pixels are that neighbours are compared with: blur over less leaves differences between them.
+/// Distance between the pixels of the denominator. Blur over a smaller distance leaves differences between them.
 const APART: usize = 3;
 
-/// Of the green channel, which every camera measures best. None where nothing differs.
+/// Sharpness of the green channel, which every camera measures best. `None` if the picture is constant.
 pub(super) fn sharpness(photo: &Photo) -> Option<f64> {
     let (width, height) = (photo.intrinsics.width, photo.intrinsics.height);
     let along = |[right, down]: [isize; 2]| {
@@ -45,7 +46,7 @@ pub(super) fn sharpness(photo: &Photo) -> Option<f64> {
             i64::from(photo.rgb[3 * (y * width + x) + 1])
         };
         let (mut near, mut far) = (0, 0);
-        // As many steps lead up as down.
+        // The range is symmetric, because steps go up and down.
         for y in APART..height.saturating_sub(APART) {
             for x in 0..width.saturating_sub(APART) {
                 let here = green(x, y, 0);
@@ -65,7 +66,7 @@ mod tests {
 
     use super::*;
 
-    /// A grey picture of what `value` says.
+    /// A grey picture with the given values.
     fn picture(value: impl Fn(usize, usize) -> u8) -> Photo {
         let (width, height) = (40, 30);
         let pixels = (0..width * height).flat_map(|i| [value(i % width, i / width); 3]);
@@ -90,7 +91,7 @@ mod tests {
             let found = sharpness(&stripes).unwrap();
             assert!((0.9..1.1).contains(&found), "{found}");
         }
-        // Sharp across, smooth along: by either direction alone one of the two would count as sharp.
+        // Sharp across and smooth along the stripes: in one direction alone, one of the two pictures would count as sharp.
         let smeared = |across: usize, along: usize| 90 * (across as u8 / 2 % 2) + 3 * along as u8;
         for photo in [picture(smeared), picture(|x, y| smeared(y, x))] {
             let found = sharpness(&photo);

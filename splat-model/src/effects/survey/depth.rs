@@ -1,4 +1,4 @@
-//! How far away things are.
+//! Depths of the scene.
 
 use glam::{DVec3, Vec3};
 use serde::Serialize;
@@ -10,18 +10,18 @@ use crate::optim::scene_extent;
 /// Depths of the points in the photographs that show them, scene units.
 #[derive(Clone, Debug, Serialize)]
 pub struct DepthEvidence {
-    /// A hundredth is nearer.
+    /// Quantile of 1%.
     pub nearest: f64,
-    /// Half are nearer.
+    /// Median.
     pub median: f64,
-    /// A hundredth is further away.
+    /// Quantile of 99%.
     pub furthest: f64,
     /// Share of the points further from the middle of the cameras than [`DepthEvidence::FAR_EXTENTS`] times their extent.
     pub far_share: f64,
 }
 
 impl DepthEvidence {
-    /// Beyond so many extents of the cameras no two of them see a point in very different directions.
+    /// Distance beyond which no two cameras see a point in very different directions, in extents of the cameras.
     pub const FAR_EXTENTS: f64 = 10.0;
 }
 

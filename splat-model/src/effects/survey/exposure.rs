@@ -1,63 +1,64 @@
 //! Brightness and white balance of the photographs, from the same points in several of them.
 //!
-//! The logarithm of a point's colour is taken to be what the point is plus what the photograph adds, and each in turn is the
-//! median of what the other leaves: robust against points that are hidden, mirrors, and places that miss. What is common to
-//! all photographs belongs to the points.
+//! The logarithm of a point's colour is modelled as the point's own value plus an offset of the photograph. Alternating
+//! medians of the residuals find both, which is robust against hidden points, mirrors and wrong positions. An offset that
+//! all photographs have in common belongs to the points.
 
 use serde::Serialize;
 
 use super::sights::Sights;
 use super::{Capture, deviation, quantile};
 
-/// Values beyond are clipped, or all noise: their ratios say nothing.
+/// Range of usable values. Values outside are clipped or mostly noise.
 pub(super) const USABLE: std::ops::RangeInclusive<f32> = 0.04..=0.96;
 
-/// Rounds of medians; they settle within a few.
+/// Iterations of the medians, which converge within a few.
 const ROUNDS: usize = 10;
 
-/// A photograph with fewer points than this says nothing of its exposure.
+/// Smallest number of points for the exposure of a photograph.
 const FEWEST_POINTS: usize = 20;
 
-/// A photograph against the capture's median, in stops of stored (display-referred) values: log₂ of their ratio. A stop
-/// of light is a half to a third of that, because files hold about the 2.2nd root of light.
+/// The exposure of a photograph relative to the capture's median, in stops of stored (display-referred) values: log₂ of the
+/// ratio. A stop of light is a half to a third of a stop of stored values, because files hold about the 2.2nd root of
+/// light.
 #[derive(Clone, Debug, Serialize)]
 pub struct ViewExposure {
-    /// The photograph.
+    /// Name of the photograph.
     pub name: String,
-    /// By channel.
+    /// Stops by channel.
     pub stops_rgb: [f64; 3],
-    /// Points that it was compared by.
+    /// Number of compared points.
     pub points: usize,
 }
 
 impl ViewExposure {
-    /// The mean of the channels.
+    /// The mean over the channels.
     pub fn stops(&self) -> f64 {
         self.stops_rgb.iter().sum::<f64>() / 3.0
     }
 }
 
-/// How photographs differ, in stops of stored values (see [`ViewExposure`]).
+/// Exposure differences between photographs, in stops of stored values (see [`ViewExposure`]).
 #[derive(Clone, Debug, Serialize)]
 pub struct ExposureEvidence {
-    /// Deviation of the photographs' mean over the channels.
+    /// Standard deviation of the photographs' brightness, which is the mean over the channels.
     pub brightness_spread_stops: f64,
-    /// Deviation of a channel from that mean, the largest of the three.
+    /// Standard deviation of a channel's difference from the brightness, the largest of the three channels.
     pub white_balance_spread_stops: f64,
-    /// Every photograph with enough points, by name.
+    /// All photographs with enough points.
     pub views: Vec<ViewExposure>,
 }
 
-/// What each photograph adds to the logarithm of a colour, natural logarithms.
+/// The offset of each photograph to the natural logarithm of a colour.
 pub(super) struct Fit {
-    /// By view; none with too few points.
+    /// Offsets by view. `None` for views with too few points.
     pub views: Vec<Option<[f64; 3]>>,
     counts: Vec<usize>,
 }
 
 #[cfg(test)]
 impl Fit {
-    /// For tests of what is made of one.
+    /// A fit with known offsets, for tests.
     pub fn known(views: Vec<Option<[f64; 3]>>) -> Self {
         Self { counts: vec![FEWEST_POINTS; views.len()], views }
     }

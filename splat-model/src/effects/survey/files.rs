@@ -1,4 +1,4 @@
-//! What lies beside the pictures or in their alpha channels.
+//! Evidence from alpha channels and from files next to the photographs.
 
 use std::path::Path;
 
@@ -10,19 +10,19 @@ use super::pictures::Glance;
 use crate::capture::image::has_alpha;
 use crate::effects::masks;
 
-/// Folders in which tools put depth maps.
+/// Folder names that tools use for depth maps.
 const DEPTH_FOLDERS: [&str; 3] = ["depth", "depths", "depth_maps"];
 
-/// Files that say more of photographs than their colours.
+/// Alpha channels, masks and depth maps.
 #[derive(Clone, Debug, Serialize)]
 pub struct FileEvidence {
-    /// Photographs that are not opaque everywhere; of those whose pixels were not looked at, the ones with an alpha channel.
+    /// Photographs that are not opaque everywhere. Photographs that were not decoded count if they have an alpha channel.
     pub with_alpha: usize,
     /// Photographs with a mask (see [`masks::find`]).
     pub with_mask: usize,
-    /// Share of the pixels that masks exclude, over the photographs with masks that were looked at.
+    /// Share of the pixels that masks exclude, over the decoded photographs with masks.
     pub masked_share: f64,
-    /// A folder with depth maps, if there is one.
+    /// The folder with depth maps, if there is one.
     pub depth_maps: Option<String>,
 }
 

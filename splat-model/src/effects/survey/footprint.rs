@@ -1,17 +1,17 @@
-//! How large the same thing is in different photographs.
+//! Sizes of the same point in different photographs.
 
 use serde::Serialize;
 
 use super::quantile;
 use super::sights::Sights;
 
-/// Footprints are pixels per scene unit at a point: focal length by depth. Renders at the photographs' size see points as
-/// the photographs do, so the range across these is the range that a scene is trained and looked at with.
+/// Ratios of footprints. A footprint is the number of pixels per scene unit at a point: focal length divided by depth.
+/// Renders at the photographs' size have the same footprints, so this is the range of sizes in training and viewing.
 #[derive(Clone, Debug, Serialize)]
 pub struct FootprintEvidence {
-    /// The largest by the smallest footprint of a point, the median over the points.
+    /// Ratio of the largest to the smallest footprint of a point, median over the points.
     pub median_ratio: f64,
-    /// The same, exceeded by a twentieth of the points.
+    /// The same ratio, exceeded by a twentieth of the points.
     pub largest_ratio: f64,
 }
 

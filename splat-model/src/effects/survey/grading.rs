@@ -1,10 +1,11 @@
-//! Whether photographs were processed place by place, as phones do, from the same points in several of them.
+//! Whether photographs were processed locally, as phones do, from the same points in several of them.
 //!
-//! What a photograph shows of a point is taken to be an affine map of the point's colour, in each channel alone: one map all
-//! over the photograph, which is what an [exposure](crate::effects::exposure) could be, or one whose gain and offset rise evenly
-//! across it, the simplest thing that only a [grid](crate::effects::grid) could be. Both are fitted by least squares with robust
-//! weights, in turn with the colours of the points, and what they leave compared. What sees a thing differently from another side
-//! (gloss) does not rise evenly across the picture, and has nothing to gain by the second.
+//! A photograph's colour of a point is modelled as an affine map of the point's own colour, channel by channel. The first
+//! model has one map for the whole photograph, as an [exposure](crate::effects::exposure) has. In the second model gain and
+//! offset change linearly across the photograph, the simplest case that only a [grid](crate::effects::grid) can represent.
+//! Both are fitted by least squares with robust weights, alternating with the points' colours, and their residuals are
+//! compared. View-dependent colour (gloss) does not change linearly across a picture, so the second model does not explain
+//! it better.
 
 use rayon::prelude::*;
 use serde::Serialize;
@@ -14,29 +15,29 @@ use super::sights::Sights;
 use super::{Capture, ViewDependenceEvidence, quantile};
 use crate::effects::pose::anchors::solve;
 
-/// Rounds in which maps and colours follow each other; they settle within a few.
+/// Iterations between maps and colours, which converge within a few.
 const ROUNDS: usize = 8;
 
-/// A photograph with fewer points than this leaves six numbers too free.
+/// Smallest number of points of a photograph for the fit of six numbers.
 const FEWEST_POINTS: usize = 40;
 
-/// A point must be in so many photographs, or it explains itself.
+/// Smallest number of photographs of a point. With fewer, a point explains itself.
 const FEWEST_SIGHTS: usize = 3;
 
-/// Differences that are left between what photographs show and what maps make of the points' colours: the median of their sizes,
+/// Residuals between the photographs' colours and the mapped colours of the points: the median of their absolute values
 /// over all channels, in display-referred values of 0 to 1.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct GradingEvidence {
-    /// With one map for each photograph.
+    /// Residual of one map for each photograph.
     pub left_by_maps: f64,
-    /// With maps that vary over it.
+    /// Residual of maps that change linearly across each photograph.
     pub left_by_places: f64,
 }
 
-/// A point in a photograph, in one channel.
+/// The observation of a point in a photograph, in one channel.
 struct Seen {
     point: usize,
-    /// −1 to 1 from border to border.
+    /// Position, −1 to 1 from border to border.
     place: [f64; 2],
     value: f64,
 }
@@ -57,7 +58,7 @@ pub(super) fn evidence(capture: &Capture, sights: &Sights) -> Option<GradingEvid
     Some(GradingEvidence { left_by_maps: quantile(maps, 0.5)?, left_by_places: quantile(places, 0.5)? })
 }
 
-/// By photograph; those with too few points are left out.
+/// Observations by photograph, without photographs that have too few points.
 fn seen(capture: &Capture, sights: &Sights, channel: usize) -> Vec<Vec<Seen>> {
     let mut views: Vec<Vec<Seen>> = capture.views.iter().map(|_| Vec::new()).collect();
     for (point, all) in sights.points.iter().enumerate() {
@@ -79,7 +80,7 @@ fn seen(capture: &Capture, sights: &Sights, channel: usize) -> Vec<Vec<Seen>> {
     views
 }
 
-/// The sizes of what is left by maps that are linear in `terms` of a point's colour and its place, the second of which is the
+/// Absolute residuals of maps that are linear in `terms` of a point's colour and its position. The second term is the
 /// colour itself.
 fn left<const N: usize>(
     views: &[Vec<Seen>],

@@ -1,4 +1,4 @@
-//! Lenses.
+//! Lens distortion.
 
 use glam::DVec2;
 use serde::Serialize;
@@ -6,16 +6,16 @@ use splat_op::{CameraModel, Intrinsics};
 
 use super::Capture;
 
-/// Places on each border of a picture that are looked at; a lens moves those most that are farthest from its axis.
+/// Test positions on each border of a picture. A lens displaces points far from its axis most.
 const BORDER_PLACES: usize = 8;
 
-/// What the cameras say of their lenses.
+/// The lenses of a capture's cameras.
 #[derive(Clone, Debug, Serialize)]
 pub struct LensEvidence {
-    /// The models in use.
+    /// Names of the camera models.
     pub models: Vec<String>,
-    /// How far from where a pinhole would show it the lens shows what lies on the border of a picture, at most, px. None if a
-    /// picture shows what no pinhole of its focal length can: a right angle from the axis, or beyond.
+    /// Largest distance on the border of a picture between the image of a direction through the lens and through a pinhole,
+    /// px. `None` if a picture shows directions that no pinhole can show, at a right angle from the axis or beyond.
     pub largest_displacement_px: Option<f64>,
 }
 
@@ -43,7 +43,7 @@ fn displacement_px(camera: &Intrinsics) -> Option<f64> {
         for share in [(along, 0.0), (along, 1.0), (0.0, along), (1.0, along)] {
             let px = size * DVec2::from(share);
             let direction = camera.cam_from_px(px);
-            // A millionth of a radian from the right angle is no view of a pinhole either.
+            // Directions within a millionth of a radian of the right angle are not usable for a pinhole either.
             if !(direction.z > 1e-6 * direction.length()) {
                 return None;
             }
@@ -67,7 +67,7 @@ mod tests {
         assert!(displacement_px(&plain).expect("as a pinhole") < 1e-9);
         let mut barrel = plain;
         barrel.distortion[0] = -0.05;
-        // The corner lies at the image of the slopes s: r (1 - 0.05 r²) = |(50, 40)| / 50.
+        // The corner is the image of the slopes s: r (1 - 0.05 r²) = |(50, 40)| / 50.
         let corner = DVec2::new(50.0, 40.0).length() / 50.0;
         let mut r = corner;
         for _ in 0..200 {

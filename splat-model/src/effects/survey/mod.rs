@@ -1,8 +1,8 @@
-//! Evidence of the effects that a capture shows, gathered in seconds from its sparse reconstruction and its pictures.
+//! Evidence of the effects in a capture, gathered in seconds from its sparse reconstruction and its photographs.
 //!
-//! Colours are compared at places that several photographs show: the tracks of the reconstruction where it has any, else
-//! points projected into the photographs, of which those are left out that something nearer seems to hide. Nothing here
-//! decides anything; that is [`Plan`](super::Plan)'s.
+//! Colours are compared at points that several photographs show. The tracks of the reconstruction say which photographs
+//! show a point. Without tracks, points are projected into the photographs, and those that a nearer point seems to hide are
+//! left out. The survey decides nothing: decisions are made by [`Plan`](super::Plan).
 
 mod blur;
 mod depth;
@@ -36,51 +36,52 @@ pub use self::shutter::ShutterEvidence;
 pub use self::sights::SightSource;
 pub use self::view_dependence::ViewDependenceEvidence;
 
-/// All that is known of a capture before training. Absent is what the capture does not let one know.
+/// The evidence of a capture before training. A value is `None` if the capture does not determine it.
 #[derive(Clone, Debug, Serialize)]
 pub struct Survey {
     /// Photographs in the capture.
     pub views: usize,
-    /// Of those, the ones that were looked at: all that were asked for, unless they have more pixels than
+    /// Number of photographs that were decoded: all requested ones, unless they have more pixels than
     /// [`Survey::MOST_PIXELS`].
     pub views_surveyed: usize,
-    /// Pixels of a photograph, the mean over the capture.
+    /// Mean number of pixels per photograph.
     pub pixels_per_view: f64,
     /// Sparse points in the capture.
     pub points: usize,
-    /// How photographs were matched.
+    /// How the photographs of a point were found.
     pub source: SightSource,
-    /// Points that were compared, and how often one was seen in a picture.
+    /// Number of compared points.
     pub points_compared: usize,
-    /// See [`Self::points_compared`].
+    /// Number of observations of the compared points in photographs.
     pub sights_compared: usize,
-    /// Lenses.
+    /// Lens distortion.
     pub lens: LensEvidence,
     /// Brightness and white balance.
     pub exposure: Option<ExposureEvidence>,
-    /// Whether they change over a picture.
+    /// Local differences of colour within photographs.
     pub grading: Option<GradingEvidence>,
-    /// Colours that depend on where they are seen from.
+    /// View-dependent colour.
     pub view_dependence: Option<ViewDependenceEvidence>,
-    /// How large the same thing is in different photographs.
+    /// Sizes of the same point in different photographs.
     pub footprint: Option<FootprintEvidence>,
-    /// How well the poses explain the pictures.
+    /// Reprojection errors.
     pub pose: Option<PoseEvidence>,
-    /// Whether what they do not explain is the cameras' motion while rows were read.
+    /// How much of the reprojection errors a rolling shutter explains.
     pub shutter: Option<ShutterEvidence>,
-    /// How far away things are.
+    /// Depths of the scene.
     pub depth: Option<DepthEvidence>,
-    /// Sharpness.
+    /// Sharpness of the photographs.
     pub blur: BlurEvidence,
     /// Alpha channels, masks and depth maps.
     pub files: FileEvidence,
 }
 
 impl Survey {
-    /// Pixels that are decoded at most: about two seconds on two cores. Beyond it photographs are left out evenly.
+    /// Largest number of decoded pixels: about two seconds on two cores. In larger captures, evenly spaced photographs are
+    /// left out.
     pub const MOST_PIXELS: usize = 150_000_000;
 
-    /// Reads the pictures of `capture` and compares them.
+    /// Surveys all photographs of `capture`.
     ///
     /// # Errors
     /// A [`CaptureError`] if a picture is missing, cannot be decoded, or has another size than its camera.
@@ -88,11 +89,11 @@ impl Survey {
         Self::of_views(capture, &(0..capture.views.len()).collect::<Vec<_>>())
     }
 
-    /// The same, looking at the pictures of some views alone, indices in rising order: those to train on, where a decision must
-    /// not rest on those to test on.
+    /// Surveys only the photographs `views`, indices in ascending order: for example the training views, if decisions must
+    /// not depend on the held-out views.
     ///
     /// # Errors
-    /// Those of [`Self::of`].
+    /// Errors of [`Self::of`].
     pub fn of_views(capture: &Capture, views: &[usize]) -> Result<Self, CaptureError> {
         let size = |&view: &usize| capture.views[view].intrinsics.width * capture.views[view].intrinsics.height;
         let pixels: usize = views.iter().map(size).sum();
@@ -123,14 +124,14 @@ impl Survey {
     }
 }
 
-/// The value below which a share of `values` lies, none without values. Sorts them.
+/// The quantile at `share` of `values`, which are sorted. `None` without values.
 fn quantile(values: &mut [f64], share: f64) -> Option<f64> {
     values.sort_unstable_by(f64::total_cmp);
     let at = (share * values.len().saturating_sub(1) as f64).round() as usize;
     values.get(at).copied()
 }
 
-/// The root of the mean square of the differences to the mean; 0 without values.
+/// The standard deviation. 0 without values.
 fn deviation(values: &[f64]) -> f64 {
     let count = values.len().max(1) as f64;
     let mean = values.iter().sum::<f64>() / count;

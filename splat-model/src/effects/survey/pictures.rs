@@ -1,4 +1,4 @@
-//! What has to be read from the pictures: colours at the places that are compared, sharpness, alpha.
+//! Evidence that requires decoded photographs: colours at the compared points, sharpness, alpha.
 
 use rayon::prelude::*;
 
@@ -7,19 +7,19 @@ use crate::capture::image::load;
 use crate::capture::{Capture, CaptureError, Photo};
 use crate::effects::masks;
 
-/// What one picture shows.
+/// Evidence from one photograph.
 pub(super) struct Glance {
-    /// Whose.
+    /// Index of the photograph.
     pub view: usize,
-    /// See [`super::BlurEvidence`]; none for a picture of one colour.
+    /// See [`super::BlurEvidence`]. `None` for a picture of one colour.
     pub sharpness: Option<f64>,
     /// Share of the picture that is not opaque.
     pub transparent: f64,
-    /// Share of the picture that a mask excludes; none without a mask.
+    /// Share of the picture that a mask excludes. `None` without a mask.
     pub masked: Option<f64>,
 }
 
-/// Decodes each picture once, fills in the samples, and keeps nothing else of it.
+/// Decodes each photograph once, stores the samples of its observations, and discards its pixels.
 pub(super) fn look(capture: &Capture, surveyed: &[usize], sights: &mut Sights) -> Result<Vec<Glance>, CaptureError> {
     let mut places: Vec<Vec<(usize, usize)>> = vec![Vec::new(); capture.views.len()];
     for (point, seen) in sights.points.iter().enumerate() {
@@ -30,7 +30,7 @@ pub(super) fn look(capture: &Capture, surveyed: &[usize], sights: &mut Sights) -
     let found = masks::find(capture);
     let one = |&view: &usize| {
         let mut photo = load(&capture.views[view], None)?;
-        // One that cannot be used is no evidence; it stops those who train with it.
+        // An unusable mask is no evidence here. It is an error in training.
         photo.mask = found[view].as_ref().and_then(|file| masks::load(file, &photo.intrinsics).ok());
         let sample = |&(point, i): &(usize, usize)| sample(&photo, sights.points[point][i].at_px);
         let samples: Vec<Option<Sample>> = places[view].iter().map(sample).collect();
@@ -53,10 +53,11 @@ pub(super) fn look(capture: &Capture, surveyed: &[usize], sights: &mut Sights) -
     Ok(glances)
 }
 
-/// None within two pixels of the border, where the picture is not opaque, and where a mask excludes.
+/// Samples the colours around a position. `None` within two pixels of the border, and where the picture is transparent or
+/// masked.
 fn sample(photo: &Photo, at_px: [f64; 2]) -> Option<Sample> {
     let (width, height) = (photo.intrinsics.width, photo.intrinsics.height);
-    // Compared before it is converted: a damaged file may place a keypoint anywhere.
+    // Compared before the conversion to integers: a damaged file may place a keypoint anywhere.
     let inside = |px: f64, side: usize| px >= 2.0 && px < side as f64 - 2.0;
     if !(inside(at_px[0], width) && inside(at_px[1], height)) {
         return None;

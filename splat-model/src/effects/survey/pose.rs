@@ -1,4 +1,4 @@
-//! How well the poses explain where points were found.
+//! Reprojection errors of the poses.
 
 use glam::{Vec2, Vec3};
 use serde::Serialize;
@@ -6,24 +6,24 @@ use splat_op::Projector;
 
 use super::{Capture, quantile};
 
-/// Where reprojection errors come from.
+/// Source of the reprojection errors.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum PoseSource {
-    /// Measured: points of the tracks against keypoints.
+    /// Measured: projected points of the tracks against keypoints.
     Tracks,
-    /// As the points' ERROR field states, at the size of picture that the reconstruction was made at.
+    /// Taken from the points' ERROR field, in pixels of the reconstruction's picture size.
     Stated,
 }
 
-/// Distances between where a point was found and where it is projected, px.
+/// Distances between observed and projected positions of points, px.
 #[derive(Clone, Debug, Serialize)]
 pub struct PoseEvidence {
-    /// How they are known.
+    /// Source of the errors.
     pub source: PoseSource,
-    /// Their mean.
+    /// Mean error.
     pub mean_px: f64,
-    /// Exceeded by a twentieth of them.
+    /// Quantile that a twentieth of the errors exceed.
     pub largest_px: f64,
 }
 

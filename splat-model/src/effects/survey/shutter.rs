@@ -1,9 +1,9 @@
-//! Whether what the poses do not explain is the cameras' motion while rows were read.
+//! Whether reprojection errors come from a rolling shutter.
 //!
-//! Seen by a camera that moves while the rows of a picture are read one after the other, a point in the upper half is
-//! off one way and one in the lower half the other way, in proportion to the row; seen by one that is somewhere else than its pose
-//! says, all are off together. Both are twists of the camera, six numbers a photograph, and linear in what they do
-//! to directions, so that each is fitted to the tracks by least squares, with robust weights, and what is left of the errors compared.
+//! If the camera moves while rows are read one after the other, points in the upper half are displaced one way and points
+//! in the lower half the other way, in proportion to the row. If the pose is wrong, all points are displaced together. Both
+//! are twists of the camera, six numbers for each photograph, and linear in their effect on directions. Each model is
+//! fitted to the tracks by least squares with robust weights, and their residuals are compared.
 
 use glam::{DVec3, Vec2, Vec3};
 use rayon::prelude::*;
@@ -12,25 +12,25 @@ use serde::Serialize;
 use super::Capture;
 use crate::effects::pose::anchors::{FEWEST, ROBUST_RAD, columns, solve};
 
-/// Rounds in which weights follow what is left.
+/// Iterations of the robust weights.
 const ROUNDS: usize = 10;
 
-/// What is left of the errors of directions, as shares of their sum.
+/// Residuals of the directions, as shares of the errors before the fit.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct ShutterEvidence {
-    /// If each camera may be somewhere else.
+    /// Residual after a correction of each pose.
     pub left_by_poses: f64,
-    /// If each camera may have moved while its rows were read.
+    /// Residual after a rolling-shutter motion of each camera.
     pub left_by_rows: f64,
 }
 
-/// A point as a photograph shows it.
+/// The observation of a point in a photograph.
 struct Sight {
-    /// How its direction changes with `ω` and `τ` of the camera.
+    /// Derivative of the direction with respect to the camera's `ω` and `τ`.
     columns: [DVec3; 6],
-    /// The direction in which it was found less that in which it is.
+    /// Observed direction minus projected direction.
     miss: DVec3,
-    /// −½ in the first row, ½ in the last.
+    /// Row: −½ for the first, ½ for the last.
     row: f64,
 }
 
@@ -58,7 +58,7 @@ pub(super) fn evidence(capture: &Capture) -> Option<ShutterEvidence> {
     (given > 0.0).then(|| ShutterEvidence { left_by_poses: poses / given, left_by_rows: rows / given })
 }
 
-/// The sum of what is left of the misses by the twist that explains them best, times `share` of each sight.
+/// Sum of the residuals after the best-fitting twist, multiplied by `share` of each observation.
 fn left(sights: &[Sight], share: impl Fn(&Sight) -> f64) -> f64 {
     let mut twist = [0.0; 6];
     let rest = |sight: &Sight, twist: &[f64; 6]| {
@@ -102,7 +102,7 @@ mod tests {
         assert!(poses.left_by_poses < 0.2 && poses.left_by_rows > 0.5, "{poses:?}");
     }
 
-    /// Motion and poses as they are meant, to the last digit: directions that a camera of a known twist would show.
+    /// Checks both models to rounding: directions that a camera with a known twist would observe.
     #[test]
     fn what_each_explains_is_nothing_but_rounding() {
         let sights = |twist: [f64; 6], rolls: bool| {
@@ -122,7 +122,7 @@ mod tests {
             let [poses, rows] = [left(&sights, |_| 1.0), left(&sights, |sight| sight.row)];
             let (right, other) = if rolls { (rows, poses) } else { (poses, rows) };
             assert!(right < 1e-9 * given && other > 0.3 * given, "{right} and {other} of {given}");
-            // One of ten is nonsense, which squares alone would chase.
+            // One of ten observations is wrong, which plain least squares would follow.
             for sight in sights.iter_mut().step_by(10) {
                 sight.miss += DVec3::new(0.5, -0.3, 0.0);
             }
@@ -132,7 +132,8 @@ mod tests {
         }
     }
 
-    /// No tracks, no evidence; nor from so few that six numbers explain everything, nor a point where the camera stands.
+    /// There is no evidence without tracks, from few observations (six numbers explain them), or from a point at the
+    /// camera's centre.
     #[test]
     fn nothing_is_said_without_tracks() {
         let folder = tempfile::tempdir().unwrap();

@@ -1,4 +1,4 @@
-//! The places that several photographs show.
+//! Observations of points in several photographs.
 
 use glam::{DVec3, Vec3};
 use serde::Serialize;
@@ -6,63 +6,63 @@ use splat_op::Projector;
 
 use crate::capture::{Capture, View};
 
-/// Points that are compared at most: more change no median.
+/// Largest number of compared points. More points do not change medians.
 const MOST_POINTS: usize = 6_000;
 
-/// A point must be in so many photographs, or a median over them says nothing.
+/// Smallest number of photographs of a point. With fewer, a median over them means little.
 const FEWEST_SIGHTS: usize = 3;
 
-/// Cells along the longer side of a picture, for finding what hides what where there are no tracks.
+/// Cells along the longer side of a picture, for the occlusion test without tracks.
 const CELLS: usize = 24;
 
-/// A point counts as hidden if something in its cell or one beside it is nearer by more than this share.
+/// A point counts as hidden if a point in its cell or a neighbouring cell is nearer by more than this share.
 const HIDDEN_BEHIND: f64 = 0.05;
 
-/// How the photographs of a point are known.
+/// How the photographs of a point were found.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum SightSource {
-    /// From the reconstruction's tracks.
+    /// By the reconstruction's tracks.
     Tracks,
-    /// By projecting points, less those that something nearer seems to hide: some are compared that are hidden after all.
+    /// By projecting points and leaving out those that a nearer point seems to hide. Some hidden points remain.
     Projection,
     /// There are no points.
     None,
 }
 
-/// A point in a photograph.
+/// The observation of a point in a photograph.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Sight {
     pub view: usize,
     pub at_px: [f64; 2],
-    /// Along the camera's axis, scene units.
+    /// Depth along the camera's axis, scene units.
     pub depth: f64,
-    /// Pixels per scene unit there: focal length by depth.
+    /// Pixels per scene unit at the point: focal length divided by depth.
     pub footprint: f64,
-    /// Filled in when the picture is read; none at its border.
+    /// Set when the photograph is decoded. `None` at its border.
     pub sample: Option<Sample>,
 }
 
 /// Display-referred colours around a place, 0 to 1.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Sample {
-    /// Of 3 × 3 px.
+    /// Mean of 3 × 3 px.
     pub mean: [f32; 3],
-    /// Of 5 × 5 px: what a shift by a pixel or two could show instead.
+    /// Smallest and largest value of 5 × 5 px: the range that a shift by a pixel or two could show.
     pub low: [f32; 3],
     pub high: [f32; 3],
 }
 
-/// Points and their photographs.
+/// Compared points and their observations.
 pub(super) struct Sights {
     pub source: SightSource,
     pub points: Vec<Vec<Sight>>,
-    /// Index into the point cloud of each.
+    /// Index of each point in the point cloud.
     pub indices: Vec<usize>,
 }
 
 impl Sights {
-    /// In the photographs `surveyed`, indices in rising order.
+    /// Collects the observations in the photographs `surveyed`, indices in ascending order.
     pub fn of(capture: &Capture, surveyed: &[usize]) -> Self {
         let source = match () {
             () if capture.points.positions.is_empty() => SightSource::None,
@@ -101,7 +101,7 @@ fn tracked(capture: &Capture, surveyed: &[usize]) -> Vec<(usize, Vec<Sight>)> {
     (0..capture.points.positions.len()).map(of_point).collect()
 }
 
-/// Every point is projected, to know what hides what; some are compared.
+/// Projects all points for the occlusion test. The caller compares some of them.
 fn projected(capture: &Capture, surveyed: &[usize]) -> Vec<(usize, Vec<Sight>)> {
     let count = capture.points.positions.len();
     let every = count.div_ceil(MOST_POINTS).max(1);
@@ -133,7 +133,7 @@ fn projected(capture: &Capture, surveyed: &[usize]) -> Vec<(usize, Vec<Sight>)> 
     found
 }
 
-/// Where a point is in the picture of a view with the camera `projector`, px, and its depth; none outside.
+/// Projects a point into a view with the camera `projector`: position, px, and depth. `None` outside of the picture.
 pub(super) fn project(view: &View, projector: &Projector, world: DVec3) -> Option<([f64; 2], f64)> {
     let camera = &view.intrinsics;
     let cam = view.cam_from_world.transform_point3(world);

@@ -1,4 +1,4 @@
-//! On demo captures, of which everything is known.
+//! Tests on demo captures, whose effects are known.
 
 use tempfile::TempDir;
 
@@ -41,7 +41,8 @@ fn exposures_are_found_photograph_by_photograph() {
     let options = DemoOptions { exposure: true, ..SMALL };
     let (_folder, capture, survey) = survey_of(&options);
     assert_eq!(effects(&survey), [EffectKind::Exposure]);
-    // The gains are on light and the stops on stored values, which bend them: the order is kept, the size is not.
+    // The gains apply to light and the stops to stored values, which are not linear in light: the order is the same, the
+    // size is not.
     let gains = demo::gains(&options);
     let views = survey.exposure.unwrap().views;
     assert_eq!(views.len(), capture.views.len());
@@ -57,7 +58,8 @@ fn exposures_are_found_photograph_by_photograph() {
     }
 }
 
-/// What is the same all over a photograph, or belongs to the thing and not to its place in the picture, is no grading.
+/// A difference that is constant over a photograph, or belongs to the surface instead of the position in the picture, is
+/// not local processing.
 #[test]
 fn grading_is_told_from_exposure_and_gloss() {
     let found = |options| survey_of(&options).2.grading.unwrap();
@@ -67,7 +69,7 @@ fn grading_is_told_from_exposure_and_gloss() {
     }
     let graded = found(DemoOptions { graded: true, ..SMALL });
     assert!(graded.left_by_maps > 0.03 && graded.left_by_places < 0.5 * graded.left_by_maps, "{graded:?}");
-    // Too few to tell.
+    // Too few points for a fit.
     let (_folder, _, few) = survey_of(&DemoOptions { points: 30, ..SMALL });
     assert!(few.grading.is_none());
 }
@@ -85,7 +87,7 @@ fn a_grid_stands_in_for_exposures_where_it_is_called_for() {
     assert_eq!(decided(0.0, 0.0), [EffectKind::Exposure]);
 }
 
-/// One point, in photographs that show these colours of it and add these logarithms to them.
+/// One point with these colours in the photographs, whose exposures add these logarithms.
 fn seen(colours: &[f32], exposures: &[f64], spread: f32) -> (sights::Sights, exposure::Fit) {
     let sight = |(view, &colour): (usize, &f32)| sights::Sight {
         view,
@@ -129,12 +131,12 @@ fn colours_that_change_with_the_view_are_told_from_exposure_and_neighbours() {
         "one photograph is no evidence"
     );
     assert!(stray(&shiny[..8], &none[..8], 0.0).is_none(), "nor are eight, of which three may be hidden");
-    // At the photographs' limit everything is alike.
+    // Clipped values are all alike.
     let clipped = [0.99, 0.99, 0.99, 0.99, 0.6, 0.6, 0.6, 0.6, 0.6];
     assert!(stray(&clipped, &none, 0.0).is_none(), "too few are left");
 }
 
-/// Files without tracks are compared by projection.
+/// Captures without tracks are compared by projection.
 #[test]
 fn without_tracks_points_are_projected() {
     let (_folder, mut capture, tracked) = survey_of(&DemoOptions { exposure: true, ..SMALL });
@@ -155,7 +157,7 @@ fn without_tracks_points_are_projected() {
     assert_eq!(effects(&survey), []);
 }
 
-/// By a pinhole's projection the poses of this capture would be off by more than a pixel.
+/// With a pinhole's projection, the poses of this capture would have errors of more than a pixel.
 #[test]
 fn poses_are_judged_through_the_lens() {
     let Some(folder) = real_capture("fox_distorted") else { return };
@@ -169,7 +171,7 @@ fn poses_are_judged_through_the_lens() {
     assert_eq!(effects(&survey), []);
 }
 
-/// Tracks of a damaged file lead anywhere.
+/// Keypoints of a damaged file may be anywhere.
 #[test]
 fn keypoints_far_outside_are_passed_over() {
     let (_folder, mut capture, _) = survey_of(&DemoOptions { views: 4, points: 60, ..SMALL });
@@ -203,7 +205,7 @@ fn quantiles_and_deviations() {
     assert_eq!(deviation(&[]), 0.0);
 }
 
-/// Everything that is on or called for, but harmonics: what is wrong with photographs makes colours stray too.
+/// All decisions that are on, except spherical harmonics: other faults of photographs make colours vary too.
 fn called_for(survey: &Survey) -> Vec<&'static str> {
     let decisions = Plan::from(survey).decisions;
     let shown = |decision: &&Decision| decision.verdict == Verdict::On && decision.name != "view-dependence";
@@ -212,13 +214,13 @@ fn called_for(survey: &Survey) -> Vec<&'static str> {
 
 #[test]
 fn harmonics_are_for_colours_that_depend_on_the_view() {
-    // Smaller pictures show too little of a point for half a percent to mean anything.
+    // Smaller pictures show too little of a point for a threshold of half a percent.
     let usual = DemoOptions { width: 160, height: 120, views: 24, ..DemoOptions::default() };
     let (_folder, _, matte) = survey_of(&usual);
     assert_eq!(Plan::from(&matte).sh_degree(), Some(0), "{matte:#?}");
     let (_folder, _, glossy) = survey_of(&DemoOptions { glossy: true, ..usual });
     assert_eq!(Plan::from(&glossy).sh_degree(), None, "{glossy:#?}");
-    // Nothing is known.
+    // Too few points for a decision.
     let (_folder, _, few) = survey_of(&DemoOptions { points: 50, ..SMALL });
     let plan = Plan::from(&few);
     assert_eq!((plan.decisions[0].verdict, plan.sh_degree()), (Verdict::AsConfigured, None));
@@ -228,7 +230,7 @@ fn harmonics_are_for_colours_that_depend_on_the_view() {
 #[test]
 fn each_effect_of_the_demo_calls_for_itself_alone() {
     let wide = DemoOptions { views: 24, ..SMALL };
-    // What moves by some pixels there moves by half as many in a picture half as wide.
+    // Motion of some pixels there is half as many pixels in a picture of half the width.
     let large = DemoOptions { width: 240, height: 180, views: 11, ..SMALL };
     let cases = [
         (SMALL, ""),

@@ -1,4 +1,4 @@
-//! Colours that change with the direction of view, after exposure is removed.
+//! Colours that change with the viewing direction, after exposure correction.
 
 use serde::Serialize;
 
@@ -6,35 +6,37 @@ use super::exposure::Fit;
 use super::quantile;
 use super::sights::{Sample, Sight, Sights};
 
-/// Photographs of a point that must be comparable: fewer than three strays may be things that hide it.
+/// Smallest number of comparable photographs of a point. With fewer, the outliers could be fewer than three, which an
+/// occluder could cause.
 const FEWEST_SIGHTS: usize = 9;
 
-/// Share of a point's photographs in which it strays no further.
+/// The quantile over a point's photographs.
 const MOST_SIGHTS: f64 = 2.0 / 3.0;
 
-/// What is brighter in a photograph is at its limit, and says nothing: exposure does not move it as it does others.
+/// Largest usable value. Brighter values are close to clipping, where exposure does not scale them.
 const BRIGHTEST: f32 = 250.0 / 255.0;
 
-/// How far the colour of a point strays from its median over the photographs, beyond what moving by two pixels could
-/// explain: exceeded in a third of its photographs, in the worst channel, in display-referred values of 0 to 1.
+/// Differences between a point's colour and its median over the photographs, beyond what a shift by two pixels could
+/// explain. The difference of a point is the one that is exceeded in a third of its photographs, in the worst channel, in
+/// display-referred values of 0 to 1.
 #[derive(Clone, Debug, Serialize)]
 pub struct ViewDependenceEvidence {
-    /// Half of the points stray less.
+    /// Median over the points.
     pub median: f64,
-    /// Nine of ten do.
+    /// Quantile of 90%.
     pub tenth_strongest: f64,
-    /// Share of points that stray by more than [`ViewDependenceEvidence::VISIBLE`].
+    /// Share of points whose difference exceeds [`ViewDependenceEvidence::VISIBLE`].
     pub visible_share: f64,
-    /// Points that could be compared.
+    /// Number of compared points.
     pub points: usize,
 }
 
 impl ViewDependenceEvidence {
-    /// Five levels of 255: less is not seen, and within what noise and JPEG do.
+    /// Smallest visible difference: five levels of 255. Smaller ones are within the effects of noise and JPEG.
     pub const VISIBLE: f64 = 0.02;
 }
 
-/// A sample, and what its photograph adds to the logarithm of a colour.
+/// A sample, and its photograph's offset to the logarithm of a colour.
 type Seen = (Sample, [f64; 3]);
 
 pub(super) fn evidence(sights: &Sights, fit: &Fit) -> Option<ViewDependenceEvidence> {

@@ -1,4 +1,4 @@
-//! Each check sees what its stage may leave wrong. That a sound step passes all of them is a test of the trainer.
+//! Each check reports errors of its stage. A test of the trainer covers that sound steps pass all checks.
 
 use burn::tensor::{Device, Int, TensorData};
 use splat_op::{Ellipses, Intrinsics, RenderOptions};
@@ -113,6 +113,6 @@ fn a_gaussian_that_becomes_unusable_is_named() {
     assert_eq!(check_parameters(&before, &after), Ok(()));
     after.log_scales[2][1] = f32::NAN;
     assert_wrong(check_parameters(&before, &after), Stage::Parameters, &["Gaussian 2", "log_scale [3.0, NaN, 3.0]"]);
-    // One that was poisoned in the file is no news.
+    // A Gaussian that was unusable before the step is not reported.
     assert_eq!(check_parameters(&after, &after), Ok(()));
 }

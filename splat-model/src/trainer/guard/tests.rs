@@ -13,7 +13,7 @@ fn gradients(logit: f32) -> Gradients {
     Gradients { logit_opacities: Some(number(logit)), ..Gradients::default() }
 }
 
-/// As on a GPU, where results are waited for.
+/// A guard as on a GPU, which computes asynchronously.
 fn waiting() -> Guard {
     Guard { waits: true, ..Guard::new(&Device::flex()) }
 }
@@ -36,7 +36,7 @@ fn a_verdict_on_the_device_holds_back_that_step_and_all_after_it() {
         held.narrow(0, 0, 1).into_scalar::<i32>() != 0
     };
     assert_eq!([held(1, 0.5, 1.0), held(2, 0.4, f32::INFINITY), held(3, 0.3, 1.0)], [false, true, true]);
-    // What follows does not change the verdict.
+    // Later steps do not change the verdict.
     assert!(held(4, f32::NAN, f32::NAN));
     let fault = guard.read(true).expect_err("not finite");
     assert_eq!(fault, Fault { step: 2, view: 20, what: "the gradient of `logit_opacities`".into() });
@@ -59,7 +59,7 @@ fn the_verdict_is_read_when_asked_for_and_at_the_latest_every_fifty_steps() {
     assert_eq!(last - 14, READ_EVERY);
 }
 
-/// A run of twelve steps in which everything happens, with a loss that goes wrong at one of them.
+/// A run of twelve steps with all events, and a loss that becomes invalid at one of them.
 fn run(bad_step: usize, spoil: fn(&Seen) -> Tensor<1>, checks: bool) -> (TrainError, GaussianRows, GaussianRows) {
     let density = AdaptiveConfig { every: 3, from: 3, until_share: 0.9, grad_threshold: 1e-5, ..Default::default() };
     let config = TrainConfig { steps: 12, sh_every: 2, density: density.into(), ..TrainConfig::default() };
@@ -74,14 +74,14 @@ fn run(bad_step: usize, spoil: fn(&Seen) -> Tensor<1>, checks: bool) -> (TrainEr
     for _ in 1..bad_step {
         trainer.step().unwrap();
     }
-    // Harmonics grow before the step, which changes no picture.
+    // The degree of the harmonics rises before the step, which changes no picture.
     trainer.scene.grow_sh(super::super::sh_degree_at(bad_step - 1, 2, 3));
     let before = trainer.gaussians().to_rows();
     let error = trainer.step().expect_err("not finite");
     (error, before, trainer.gaussians().to_rows())
 }
 
-/// The value is 0, the derivative 0 · ∞.
+/// A function with the value 0 and the derivative 0 · ∞.
 fn root_of_zero(of: Tensor<1>) -> Tensor<1> {
     (of * 0.0).sqrt()
 }
@@ -127,7 +127,7 @@ fn checks_name_the_stage_and_change_nothing() {
     }
 }
 
-/// A run of the given configuration until it stops.
+/// Runs the given configuration until it stops.
 fn checked(config: TrainConfig) -> (TrainError, GaussianRows) {
     let trainer = Trainer::new(photos([0.0; 3]), &points(), config, &Device::flex()).unwrap();
     let mut trainer = trainer.with_checks();

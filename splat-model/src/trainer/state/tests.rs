@@ -9,7 +9,7 @@ use crate::effects::optics::OpticsConfig;
 use crate::effects::pose::PoseConfig;
 use crate::trainer::testing::{photos, points};
 
-/// A short run in which Gaussians come and go, and opacities are reset.
+/// A short run in which Gaussians are added and removed, and opacities are reset.
 fn eventful() -> TrainConfig {
     let density = AdaptiveConfig {
         every: 5,
@@ -23,7 +23,7 @@ fn eventful() -> TrainConfig {
     TrainConfig { steps: 24, sh_every: 6, density: density.into(), ..TrainConfig::default() }
 }
 
-/// The same with all that can be learnt beside the scene.
+/// The same run with all learned effects.
 fn with_effects() -> TrainConfig {
     TrainConfig {
         exposure: Some(ExposureConfig::default()),
@@ -41,7 +41,7 @@ fn trainer(config: &TrainConfig) -> Trainer {
     Trainer::new(photos(config.background), &points(), config.clone(), &Device::flex()).unwrap()
 }
 
-/// What is left at the end, to the bit.
+/// The final state.
 fn end(mut trainer: Trainer) -> State {
     while !trainer.is_done() {
         trainer.step().unwrap();
@@ -49,7 +49,7 @@ fn end(mut trainer: Trainer) -> State {
     trainer.save().unwrap()
 }
 
-/// Trains so many steps, keeps the run, and has another go on.
+/// Trains `after` steps, saves the run, and finishes it in another trainer.
 fn interrupted(config: &TrainConfig, after: usize) -> State {
     let mut first = trainer(config);
     (0..after).for_each(|_| _ = first.step().unwrap());

@@ -1,4 +1,4 @@
-//! Photographs that are decoded while others are trained on.
+//! Decoding of photographs on other threads, ahead of the step that needs them.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -7,18 +7,19 @@ use std::sync::mpsc::{Receiver, Sender, channel};
 use super::at_size;
 use crate::capture::{CaptureError, Photo, Photograph};
 
-/// So many at most are on their way or waiting. On a fast GPU a step takes less time than decoding; several threads then keep up.
+/// Largest number of photographs in decoding or waiting. On a fast GPU a step takes less time than decoding, and several
+/// threads keep up.
 pub const MOST: usize = 8;
 
 /// A photograph at a size of the run, or why there is none.
 type Decoded = Result<Arc<Photo>, CaptureError>;
 
-/// A photograph's number, and the divisor of the run's sides that it is for.
+/// Index of a photograph, and the divisor of its sides.
 type Key = (usize, usize);
 
-/// Those that were begun.
+/// Photographs whose decoding has begun.
 pub struct Ahead {
-    /// None while it is on its way.
+    /// The result. `None` while decoding.
     begun: BTreeMap<Key, Option<Decoded>>,
     sender: Sender<(Key, Decoded)>,
     receiver: Receiver<(Key, Decoded)>,
@@ -32,12 +33,12 @@ impl Default for Ahead {
 }
 
 impl Ahead {
-    /// Begins to decode a photograph, if that is not under way.
+    /// Begins to decode a photograph, unless that is under way.
     pub fn begin(&mut self, view: usize, photograph: &Photograph, divisor: usize) {
         while let Ok(arrived) = self.receiver.try_recv() {
             self.arrive(arrived);
         }
-        // What is there for another size is of no use any more, and what is on its way takes its place until it has come.
+        // Finished photographs of another size are discarded. Unfinished ones keep their place until they arrive.
         self.begun.retain(|(_, of), found| *of == divisor || found.is_none());
         if self.begun.len() >= MOST || self.begun.contains_key(&(view, divisor)) {
             return;
@@ -45,12 +46,12 @@ impl Ahead {
         self.begun.insert((view, divisor), None);
         let (photograph, sender) = (photograph.clone(), self.sender.clone());
         rayon::spawn(move || {
-            // Nobody may be left to take it.
+            // The receiver may be gone.
             let _ = sender.send(((view, divisor), decoded(&photograph, divisor)));
         });
     }
 
-    /// Its pixels; waits for them if they are on their way, and decodes them here if they are not.
+    /// Returns the photograph: waits for it if it is being decoded, and decodes it here otherwise.
     ///
     /// # Errors
     /// If it cannot be decoded.
@@ -60,7 +61,7 @@ impl Ahead {
                 return found;
             }
             self.begun.insert((view, divisor), None);
-            // There is a sender as long as there is a receiver.
+            // Receiving cannot fail while this struct holds a sender.
             let Ok(arrived) = self.receiver.recv() else { break };
             self.arrive(arrived);
         }
@@ -87,7 +88,7 @@ mod tests {
         let photographs: Vec<Photograph> = photos.into_iter().map(Photograph::from).collect();
         let mut ahead = Ahead::default();
         (0..MOST).for_each(|view| ahead.begin(view, &photographs[view], 1));
-        // All have come, and none is taken.
+        // All have arrived, and none is taken.
         while ahead.begun.values().any(Option::is_none) {
             let arrived = ahead.receiver.recv().unwrap();
             ahead.arrive(arrived);

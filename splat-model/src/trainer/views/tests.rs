@@ -82,7 +82,7 @@ fn room_is_given_back_when_the_size_changes() {
     assert!(views.cache_left == room && views.views[0].truth.is_none());
 }
 
-/// Photographs whose pixels are let go, and how often each was decoded.
+/// Photographs that are not kept in memory, and a count of how often each was decoded.
 fn forgetful(photos: &[Photo]) -> (Vec<Photograph>, Arc<Mutex<BTreeMap<String, usize>>>) {
     let counts = Arc::new(Mutex::new(BTreeMap::new()));
     let one = |photo: &Photo| {
@@ -116,7 +116,7 @@ fn what_is_let_go_is_decoded_in_time_and_once_a_step() {
         }
         let held = views.views.iter().filter(|view| view.photo.is_some()).count();
         assert!(held <= 1, "{held} photographs are in memory");
-        // Prepared ones are decoded once for each size, the others at each visit.
+        // Prepared photographs are decoded once for each size, the others at each visit.
         let expected = if cache > 0 { 2 } else { 4 };
         assert!(counts.lock().unwrap().values().all(|count| *count == expected), "{counts:?}");
     }
@@ -131,6 +131,6 @@ fn a_picture_that_has_gone_is_an_error() {
     assert!(views.prepare(0, None).is_err());
     views.expect([0]);
     assert!(views.prepare(0, None).is_err());
-    // Asked again, it is tried again.
+    // A second request tries again.
     assert!(views.prepare(0, None).is_err());
 }

@@ -5,7 +5,7 @@ use rand_chacha::ChaCha8Rng;
 use super::*;
 use crate::capture::demo::{self, DemoOptions};
 
-/// Points before a camera, in directions that are a little off if asked for, and the camera's pose.
+/// Points in front of a camera, with noise on the directions, and the camera's pose.
 fn sights(count: usize, noise: f64) -> (Anchors, DAffine3) {
     let pose = DAffine3::from_rotation_translation(DQuat::from_rotation_y(0.7), DVec3::new(0.3, -0.2, 2.0));
     let spread = |i: usize, by: f64| (by * i as f64).sin();
@@ -27,14 +27,14 @@ fn wrong(pose: &DAffine3) -> DAffine3 {
 fn a_camera_is_put_where_its_points_say() {
     let (anchors, pose) = sights(40, 0.0);
     assert!(anchors.resected(&wrong(&pose)).abs_diff_eq(pose, 1e-9));
-    // A fifth of the directions is nonsense.
+    // A fifth of the directions is wrong.
     let (mut anchors, pose) = sights(100, 1e-4);
     for i in (0..100).step_by(5) {
         anchors.directions[i] = (anchors.directions[i] + DVec3::new(0.2, 0.1, 0.0)).normalize();
     }
     let found = anchors.resected(&wrong(&pose));
     assert!(found.abs_diff_eq(pose, 3e-3), "{found:?} instead of {pose:?}");
-    // Too little to go by.
+    // Too few points.
     let (few, pose) = sights(FEWEST - 1, 0.0);
     assert_eq!(few.resected(&wrong(&pose)), wrong(&pose));
     assert!(few.on_device(&Device::flex()).is_none());
@@ -66,7 +66,7 @@ fn the_pull_is_an_angle_and_vanishes_at_the_right_pose() {
         on_device.penalty(Tensor::from_inner(pose)).into_scalar::<f32>()
     };
     assert!(penalty(&pose).abs() < 1e-6);
-    // Turned about the axis of view by 0.03 rad: each direction by that times its distance from the axis.
+    // Rotated about the viewing axis by 0.03 rad: each direction moves by that times its distance from the axis.
     let turned = DAffine3::from_mat3(rotation(DVec3::new(0.0, 0.0, 0.03))) * pose;
     let miss = |direction: &DVec3| (0.03 * direction.truncate().length()).hypot(ROBUST_RAD) - ROBUST_RAD;
     let expected = anchors.directions.iter().map(miss).sum::<f64>() / 40.0;
@@ -74,7 +74,7 @@ fn the_pull_is_an_angle_and_vanishes_at_the_right_pose() {
     assert_eq!(on_device.bytes(), 2 * 40 * 12);
 }
 
-/// By the demo capture, whose tracks are exact: each photograph has the directions of its own points.
+/// On the demo capture, whose tracks are exact, each photograph has the directions of its own points.
 #[test]
 fn tracks_are_those_of_the_photographs_asked_for() {
     let folder = tempfile::tempdir().unwrap();
@@ -95,7 +95,7 @@ fn tracks_are_those_of_the_photographs_asked_for() {
     }
 }
 
-/// A point where the camera stands has no direction; it changes nothing.
+/// A point at the camera's centre has no direction and changes nothing.
 #[test]
 fn a_point_at_the_camera_is_passed_over() {
     let (anchors, _) = sights(40, 0.0);
@@ -106,14 +106,14 @@ fn a_point_at_the_camera_is_passed_over() {
     assert!(step.is_some() && with.step(&DAffine3::IDENTITY) == step);
 }
 
-/// However little directions have to do with points, no camera is put where they fit worse.
+/// However little the directions fit the points, no camera is moved to a pose that fits worse.
 #[test]
 fn a_camera_is_never_worse_off() {
     for seed in 0..200 {
         let mut random = ChaCha8Rng::seed_from_u64(seed);
         let mut vector = || DVec3::from_array(std::array::from_fn(|_| random.random_range(-1.0..1.0)));
         let mut anchors = Anchors::default();
-        // Every other camera is closer to its points than steps are good for.
+        // Every other camera is closer to its points than the Gauss-Newton steps allow.
         let size = if seed % 2 == 0 { 1.0 } else { 0.03 };
         for _ in 0..FEWEST {
             anchors.points.push(size * vector());
