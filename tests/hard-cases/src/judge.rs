@@ -152,10 +152,10 @@ impl Yardstick {
     fn check_itself(&mut self, plain: &Outputs) {
         let finite = |outputs: &Outputs| outputs.tensors().all(|tensor| tensor.values.iter().all(|v| v.is_finite()));
         if !finite(&self.expected) || !finite(&self.spread) {
-            self.remarks.push("the truth is not finite".into());
+            self.remarks.push("the reference is not finite".into());
         }
         let outcome = self.compare(plain, F64_SHARE);
-        self.remarks.extend(outcome.failures.into_iter().map(|failure| format!("f64 against the truth: {failure}")));
+        self.remarks.extend(outcome.failures.into_iter().map(|failure| format!("f64 against the reference: {failure}")));
         let options = &self.scene.options;
         let cuts = options.alpha_min > 0.0 || options.transmittance_min > 0.0;
         let limited = self.scene.opacities.iter().any(|opacity| *opacity > options.alpha_max);
@@ -211,7 +211,7 @@ impl Yardstick {
         let alone = evaluate(&neighbours, &self.weights, &place.device, DType::F32);
         let seen = |pixel: usize| reach[pixel] <= UNSEEN;
         let shows = alone.pictures[1].values.iter().enumerate().any(|(pixel, alpha)| seen(pixel) && *alpha > 0.1);
-        outcome.require(shows, || "the neighbour is covered by the hard ones".into());
+        outcome.require(shows, || "the neighbour is covered by the hard Gaussians".into());
         for (found, alone) in found.pictures.iter().zip(&alone.pictures) {
             let rows = found.values.chunks(found.columns).zip(alone.values.chunks(alone.columns)).enumerate();
             let changed = rows.filter(|(pixel, (found, alone))| seen(*pixel) && found != alone).count();
