@@ -155,7 +155,7 @@ impl Yardstick {
             self.remarks.push("the reference is not finite".into());
         }
         let outcome = self.compare(plain, F64_SHARE);
-        self.remarks.extend(outcome.failures.into_iter().map(|failure| format!("f64 against the reference: {failure}")));
+        self.remarks.extend(outcome.failures.into_iter().map(|failure| format!("f64 against reference: {failure}")));
         let options = &self.scene.options;
         let cuts = options.alpha_min > 0.0 || options.transmittance_min > 0.0;
         let limited = self.scene.opacities.iter().any(|opacity| *opacity > options.alpha_max);
