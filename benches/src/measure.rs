@@ -96,7 +96,7 @@ fn summary(runs: &[Run]) -> Times {
 /// Returns the processor time of this program so far, on all threads, in seconds with a resolution of hundredths; NaN without
 /// `/proc`.
 fn processor_time() -> f64 {
-    // Hundredths of a second on every Linux.
+    // Linux counts in hundredths of a second on every machine.
     const TICKS_PER_S: f64 = 100.0;
     let read = || {
         let stat = std::fs::read_to_string("/proc/self/stat").ok()?;

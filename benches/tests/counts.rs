@@ -80,8 +80,7 @@ fn check() -> Result<(), Box<dyn Error>> {
         return Ok(());
     }
     let made = record.lines().find_map(|line| line.strip_prefix("# By ")).unwrap_or("an unknown compiler");
-    Err(format!("more than recorded (by {made}; another compiler counts differently). If justified: {ACCEPT}")
-        .into())
+    Err(format!("more than recorded (by {made}; another compiler counts differently). If justified: {ACCEPT}").into())
 }
 
 /// Runs the passes under callgrind and returns their counts.

@@ -16,12 +16,12 @@ pub struct Scene {
     pub opacities: Vec<f64>,
     pub sh: Vec<f64>,
     pub background: Vec<f64>,
-    /// Camera from world, `[3, 4]`.
+    /// Pose, camera from world, `[3, 4]`.
     pub pose: Vec<f64>,
     pub intrinsics: Intrinsics,
 }
 
-/// The loss is `Σ w·out` over image, alpha and depth.
+/// Weights of the loss `Σ w·out` over image, alpha and depth.
 #[derive(Clone, Debug)]
 pub struct Weights {
     pub image: Vec<f64>,
@@ -32,11 +32,11 @@ pub struct Weights {
 /// Stages, pictures and gradients of a render.
 #[derive(Clone, Debug)]
 pub struct Evaluation {
-    /// Per Gaussian: `means2d depths conics colors`.
+    /// Outputs per Gaussian: `means2d depths conics colors`.
     pub stages: Vec<Named>,
-    /// Per pixel: `image alpha depth`.
+    /// Outputs per pixel: `image alpha depth`.
     pub pictures: Vec<Named>,
-    /// `means quats scales opacities sh means2d viewmat background`.
+    /// Gradients of `means quats scales opacities sh means2d viewmat background`.
     pub gradients: Vec<Named>,
 }
 

@@ -38,7 +38,7 @@ pub struct Loose {
     pub processor: Processor,
     /// Allowed multiple of the ceiling, above 1.
     pub factor: f64,
-    /// Why f32 cannot do better.
+    /// Why f32 cannot meet the ceiling.
     pub why: &'static str,
 }
 
@@ -55,9 +55,9 @@ pub struct Place {
 /// Kind of processor. The table has a block of columns for each.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Processor {
-    /// The CPU twins.
+    /// The CPU, which runs the CPU twins.
     Cpu,
-    /// The kernels.
+    /// A GPU, which runs the kernels.
     Gpu,
 }
 

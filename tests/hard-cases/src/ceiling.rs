@@ -20,7 +20,7 @@ pub fn rounded(value: f64) -> f64 {
     f64::from(value as f32)
 }
 
-/// The value one f32 ulp up or down.
+/// Returns the value moved up or down by one f32 ulp.
 pub fn moved_value(value: f64, random: &mut Random) -> f64 {
     let value = value as f32;
     f64::from(if random.between(0.0, 1.0) < 0.5 { value.next_up() } else { value.next_down() })

@@ -63,7 +63,7 @@ pub struct HardScene {
     pub colours: Vec<f64>,
     pub paint: Paint,
     pub background: Vec<f64>,
-    /// Camera from world, `[3, 4]`.
+    /// Pose, camera from world, `[3, 4]`.
     pub pose: Vec<f64>,
     pub intrinsics: Intrinsics,
     pub options: RenderOptions,
@@ -84,7 +84,7 @@ pub struct HardScene {
     pub seed: u64,
 }
 
-/// The loss is `Σ w·out` over image, alpha and depth.
+/// Weights of the loss `Σ w·out` over image, alpha and depth.
 #[derive(Clone, Debug)]
 pub struct Weights {
     pub image: Vec<f64>,

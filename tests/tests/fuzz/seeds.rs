@@ -1,4 +1,4 @@
-//! Valid inputs, small enough that a mutation hits something.
+//! Valid inputs, so small that most mutations change something relevant.
 
 use std::fs;
 use std::path::Path;
@@ -48,7 +48,7 @@ pub fn scenes() -> Vec<Vec<u8>> {
     };
     let ascii = header("ascii", 2, &|_| "float") + &"0.5 1 -2 0 0 0 1.5 -3 -3 -3 1 0 0 0\n".repeat(2);
     seeds.push(ascii.into_bytes());
-    // An element before the Gaussians, with a list; numbers of all types.
+    // A file with another element, which has a list, before the Gaussians, and with numbers of all types.
     let types = ["double", "float", "int", "uint", "short", "ushort", "char", "uchar"];
     let before = "element face 2\nproperty list uchar int vertex_indices\n";
     let mixed = header("ascii", 1, &|i| types[i % 8]).replace("element vertex", &format!("{before}element vertex"));
@@ -63,7 +63,7 @@ pub fn scenes() -> Vec<Vec<u8>> {
     seeds
 }
 
-/// A model of three photographs and four points, in both encodings: `cameras`, `images` and `points3D`.
+/// A COLMAP model of three photographs and four points in both encodings: `cameras`, `images` and `points3D`.
 pub struct Model {
     pub binary: [Vec<u8>; 3],
     pub text: [Vec<u8>; 3],

@@ -77,7 +77,7 @@ pub fn cases() -> Vec<Case> {
     SLOTS.into_iter().map(of_slot).chain([zero]).collect()
 }
 
-/// A sound scene to be poisoned.
+/// A valid scene whose Gaussians can be poisoned.
 pub struct Poisoned {
     rows: GaussianRows,
     seed: u64,

@@ -79,7 +79,7 @@ fn centre<N: Number>(scene: &HardScene, pixel: usize) -> [N; 2] {
     [pixel % width, pixel / width].map(|px| N::of(px as f64 + 0.5))
 }
 
-/// The largest condition number of a 2D covariance in the scene.
+/// Returns the largest condition number of a 2D covariance in the scene.
 pub fn condition(scene: &HardScene) -> f64 {
     let view = View::<Wide>::new(scene);
     view.projected.iter().map(|(_, p)| p.condition()).fold(1.0, f64::max)
