@@ -26,7 +26,7 @@ const DEPTH_ULPS: f64 = 8.0;
 pub fn boundary_band(scene: &Scene, options: &RenderOptions, device: &Device) -> Vec<bool> {
     let Tensors { splats, camera, .. } = scene.tensors(device, DType::F64);
     let ellipses = project(&splats, &camera, None, options).expect("a valid scene").ellipses();
-    // Every Gaussian has a different feature, so that every exchange changes the picture.
+    // Features that differ from one Gaussian to the next, so that every exchange shows.
     let count = scene.count();
     let features = tensor(&Random::new(7).fill(count, 1.0, 2.0), [count, 1], device, DType::F64);
     let picture = |ellipses: Ellipses, options: &RenderOptions| pixels(ellipses, &features, &scene.intrinsics, options);
