@@ -1,8 +1,9 @@
-//! Each pass of a training step, and the whole step, on devices named at run time. A scene that is
-//! not what the figures are specified for, or a picture that is not the CPU's, is not timed.
+//! Times each pass of a training step, and the whole step, on devices named at run time. A scene outside the specified load,
+//! or a picture that differs from the CPU's, is not timed.
 //!
-//! `cargo bench --workspace --bench gpu -- flex gpu fox_small`: any of `splat devices` and any of `small`,
-//! `fox_small`, `fox_colmap`, `medium` and `large`; without, flex and the GPU, and `fox_small`, `medium` and `large`. The first device is what the others are compared with.
+//! `cargo bench --workspace --bench gpu -- flex gpu fox_small` takes any names of `splat devices` and any of `small`,
+//! `fox_small`, `fox_colmap`, `medium` and `large`. The default is flex and the GPU with `fox_small`, `medium` and `large`. All
+//! devices are compared with the first.
 
 use std::error::Error;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -20,14 +21,14 @@ use splat_train::device::DeviceName;
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
-/// For all passes of one size on one device. A driver in software needs it; a GPU is done long before.
+/// Time budget for all passes of one size on one device. Only a driver in software uses all of it.
 const BUDGET: Duration = Duration::from_secs(60);
 
-/// A device that is there.
+/// An opened device.
 struct Opened {
     name: String,
     device: Device,
-    /// Of a GPU only its copies are measured.
+    /// Measured rates. For a GPU only the copy bandwidth is measured.
     machine: Machine,
 }
 
@@ -69,18 +70,18 @@ fn open(name: DeviceName) -> Result<Opened, Box<dyn Error>> {
     Ok(Opened { name, device, machine })
 }
 
-/// Verifies, then times, one size on all devices.
+/// Verifies and then times one size on all devices.
 fn run(size: Size, devices: &[Opened]) -> Result<(), Box<dyn Error>> {
     let job = Job::new(size)?;
     let load = job.verify_load();
     let (width, height) = (job.intrinsics.width, job.intrinsics.height);
     println!("\n{size}, {width} × {height}: {load}");
-    // Medians of the first device.
+    // Medians of the first device, the base of the comparison.
     let mut base = Vec::new();
     for opened in devices {
         println!("\n {size} on {}", opened.name);
-        // What depends on the data and does not fit is found deep within an operation; Burn hands the panic to whoever
-        // waits for the device.
+        // A buffer whose size depends on the data can fail deep within an operation. Burn then passes the panic to the caller
+        // that waits for the device.
         let found = catch_unwind(AssertUnwindSafe(|| timed(&job, &load, opened, &base)));
         let medians = found.unwrap_or_else(|panic| Err(message(panic.as_ref()).into()));
         match medians {
@@ -92,7 +93,7 @@ fn run(size: Size, devices: &[Opened]) -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-/// Prints a line per pass and returns the medians.
+/// Times all passes, prints a line for each and returns the medians.
 fn timed(job: &Job, load: &Load, opened: &Opened, base: &[f64]) -> Result<Vec<f64>, Box<dyn Error>> {
     let Opened { device, machine, .. } = opened;
     job.check_fits(device)?;
@@ -104,8 +105,8 @@ fn timed(job: &Job, load: &Load, opened: &Opened, base: &[f64]) -> Result<Vec<f6
     Ok(times.into_iter().map(|times| times.median_s).collect())
 }
 
-/// What a panic says.
+/// Returns the message of a panic.
 fn message(panic: &(dyn std::any::Any + Send)) -> String {
     let text = panic.downcast_ref::<String>().map(String::as_str).or_else(|| panic.downcast_ref::<&str>().copied());
-    text.unwrap_or("a panic without words").to_owned()
+    text.unwrap_or("a panic without a message").to_owned()
 }

@@ -1,8 +1,8 @@
-//! Each pass of a training step on the CPU. First f32 is compared with the f64 path, which the tests prove against the exact
-//! renderer and the reference vectors; a wrong result is not timed.
+//! Times each pass of a training step on the CPU. Before that, f32 results are compared with the f64 path, which tests compare with
+//! the exact renderer and the reference vectors. A wrong result is not timed.
 //!
-//! `cargo bench --workspace --bench stages -- medium`: any of `small`, `fox_small`, `fox_colmap`, `medium` and `large`;
-//! without, `small` and `medium`.
+//! `cargo bench --workspace --bench stages -- medium` takes any of `small`, `fox_small`, `fox_colmap`, `medium` and `large`,
+//! by default `small` and `medium`.
 
 use std::error::Error;
 use std::time::Duration;
@@ -18,7 +18,7 @@ use splat_op::{Colour, Extras, project, shade, tile};
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
-/// For all passes of one size.
+/// Time budget for all passes of one size.
 const BUDGET: Duration = Duration::from_secs(30);
 
 fn main() -> Result<(), Box<dyn Error>> {
@@ -52,12 +52,12 @@ fn verify_stages(view: &SyntheticView) {
     assert!(share_apart(&values(found.0.sigma_u), &values(expected.0.sigma_u), 1e-4) == 0.0);
     assert!(share_apart(&values(found.0.sigma_v), &values(expected.0.sigma_v), 1e-4) == 0.0);
     assert!(share_apart(&values(found.0.mean2d), &values(expected.0.mean2d), 1e-3) == 0.0);
-    // Lists are conservative: rounding may list a Gaussian that just misses a tile, never the reverse by much.
+    // Lists are conservative: rounding may add a Gaussian that just misses a tile, and rarely does the reverse.
     assert!(share_apart(&found.1, &expected.1, 1.0) < 1e-2);
     assert!(share_apart(&found.2, &expected.2, 1e-5) == 0.0);
 }
 
-/// Pixels at a threshold may differ between the float types; all others agree.
+/// Checks that the float types agree in all pixels except those near a threshold.
 fn verify_picture(view: &SyntheticView) {
     let picture = |dtype| values(view.picture(&Device::flex(), dtype));
     let (found, expected) = (picture(DType::F32), picture(DType::F64));

@@ -1,10 +1,10 @@
-//! A whole training step: render, loss, backward, Adam. A run is first compared with what it is known to reach.
+//! Times a whole training step: render, loss, backward, Adam. Before that, a run is checked to train.
 //!
-//! `cargo bench --workspace --bench step -- medium`: any of `small`, `fox_small`, `fox_colmap`, `medium` and `large`; without,
-//! `small` and `medium`.
+//! `cargo bench --workspace --bench step -- medium` takes any of `small`, `fox_small`, `fox_colmap`, `medium` and `large`, by
+//! default `small` and `medium`.
 //!
-//! `cargo bench --workspace --bench step -- --profile` says where a step spends its time, as a table for the README: each of its
-//! passes, timed among the others, and what is left; without names on `fox_small`, `fox_colmap` and `large`.
+//! `cargo bench --workspace --bench step -- --profile` prints where a step spends its time, as a table for the README: each pass,
+//! timed within the step, and the remaining time. The default scenes are `fox_small`, `fox_colmap` and `large`.
 
 use std::cell::RefCell;
 use std::error::Error;
@@ -23,7 +23,7 @@ use splat_model::loss::Truth;
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
-/// For one size.
+/// Time budget for one size.
 const BUDGET: Duration = Duration::from_secs(15);
 const PROFILE_BUDGET: Duration = Duration::from_secs(40);
 
@@ -48,7 +48,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-/// 200 steps on one picture of the synthetic scene.
+/// Trains 200 steps on one picture of the synthetic scene and checks that the loss falls.
 fn verify() -> Result<(), Box<dyn Error>> {
     let mut run = SMALL.trainer(1);
     let mut loss = || run.step().map(|step| step.loss.into_scalar::<f32>());
@@ -61,20 +61,20 @@ fn verify() -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-/// A step of one size, pass by pass.
+/// Times of a step of one size, pass by pass.
 struct Profile {
     size: Size,
-    /// Medians in seconds, by [`Kind::PARTS`].
+    /// Medians in seconds, in the order of [`Kind::PARTS`].
     parts: Vec<f64>,
     /// Median of the whole step in seconds.
     step: f64,
-    /// Seconds, by [`Kind::PARTS`], then the step.
+    /// Limits in seconds, in the order of [`Kind::PARTS`], then of the step.
     limits: Vec<f64>,
-    /// Share of the processors' time that the whole step had.
+    /// Share of the processors' time that the whole step used.
     busy: f64,
 }
 
-/// Whole steps and steps in pieces by turns, so that what else the machine does meets both.
+/// Times whole steps and steps in pieces in turns, so that other load of the machine affects both.
 fn measure(size: Size, device: &Device, machine: &Machine) -> Result<Profile, Box<dyn Error>> {
     let job = Job::new(size)?;
     let load = job.verify_load();
@@ -94,7 +94,7 @@ fn measure(size: Size, device: &Device, machine: &Machine) -> Result<Profile, Bo
     let times = time([&mut whole.prepare, &mut in_pieces], device, PROFILE_BUDGET)?;
     let runs = runs.borrow();
     let median = |part: usize| {
-        // Those that the whole step's warm-up was by turns with are not counted either.
+        // Steps in pieces that ran in turns with the warm-up of the whole step are not counted either.
         let mut seconds: Vec<f64> = runs[runs.len() - times[0].runs..].iter().map(|run| run[part]).collect();
         seconds.sort_by(f64::total_cmp);
         seconds[seconds.len() / 2]
@@ -104,7 +104,7 @@ fn measure(size: Size, device: &Device, machine: &Machine) -> Result<Profile, Bo
     Ok(Profile { size, parts, step: times[0].median_s, limits, busy: times[0].busy })
 }
 
-/// A table in Markdown. What is not in the passes is Burn's: its graph, slices of tensors and sums of gradients.
+/// Prints a table in Markdown. The time outside the passes is Burn's: its graph, slices of tensors and sums of gradients.
 fn print_profile(profiles: &[Profile]) {
     let row = |name: &str, cell: &dyn Fn(&Profile) -> String| {
         let cells: Vec<String> = profiles.iter().map(cell).collect();
@@ -128,5 +128,5 @@ fn print_profile(profiles: &[Profile]) {
         let ratio = profile.step / profile.limits[Kind::PARTS.len()];
         format!("**{:.1}** ({ratio:.1} times the limit)", 1e3 * profile.step)
     });
-    row("processors' time not had", &|profile| format!("{:.0}%", 100.0 * (1.0 - profile.busy)));
+    row("processors' time not used", &|profile| format!("{:.0}%", 100.0 * (1.0 - profile.busy)));
 }

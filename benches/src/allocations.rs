@@ -1,4 +1,4 @@
-//! The memory that a program asks for.
+//! Counts the memory that a program allocates.
 
 use std::alloc::{GlobalAlloc, Layout};
 use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
@@ -7,7 +7,7 @@ static LIVE: AtomicUsize = AtomicUsize::new(0);
 static PEAK: AtomicUsize = AtomicUsize::new(0);
 static TOTAL: AtomicUsize = AtomicUsize::new(0);
 
-/// An allocator, counted.
+/// An allocator that counts allocated bytes.
 pub struct Counting<A>(pub A);
 
 fn asked(size: usize) {
@@ -16,7 +16,7 @@ fn asked(size: usize) {
     PEAK.fetch_max(live, Relaxed);
 }
 
-// SAFETY: every call is handed on as it is.
+// SAFETY: every call is forwarded unchanged.
 unsafe impl<A: GlobalAlloc> GlobalAlloc for Counting<A> {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         asked(layout.size());
@@ -34,7 +34,7 @@ unsafe impl<A: GlobalAlloc> GlobalAlloc for Counting<A> {
     }
 
     unsafe fn realloc(&self, block: *mut u8, layout: Layout, size: usize) -> *mut u8 {
-        // Both blocks may be there at once while the contents move.
+        // Both blocks may exist at once while the contents move.
         asked(size);
         let moved = unsafe { self.0.realloc(block, layout, size) };
         LIVE.fetch_sub(layout.size(), Relaxed);
@@ -42,21 +42,21 @@ unsafe impl<A: GlobalAlloc> GlobalAlloc for Counting<A> {
     }
 }
 
-/// Bytes.
+/// Allocated bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Allocated {
-    /// Asked for in all.
+    /// Total of all allocations.
     pub total: usize,
-    /// The most that was held at a time, beyond what was held before.
+    /// Most bytes held at a time, beyond the bytes held before.
     pub peak: usize,
 }
 
-/// Bytes that the program holds now, if its allocator is [`Counting`].
+/// Returns the bytes that the program holds now, if its allocator is [`Counting`].
 pub fn held() -> usize {
     LIVE.load(Relaxed)
 }
 
-/// Runs `work`, in a program whose allocator is [`Counting`]; also what was asked for meanwhile, on all threads.
+/// Runs `work` in a program whose allocator is [`Counting`]. Also returns the bytes allocated meanwhile, on all threads.
 pub fn allocated<T>(work: impl FnOnce() -> T) -> (T, Allocated) {
     let (held, total) = (LIVE.load(Relaxed), TOTAL.load(Relaxed));
     PEAK.store(held, Relaxed);

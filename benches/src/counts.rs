@@ -1,26 +1,26 @@
-//! Counts that do not depend on how busy a machine is, and their comparison with those on record.
+//! Counts that do not depend on a machine's load, and their comparison with the recorded counts.
 
 use std::fmt::{self, Display, Write as _};
 
-/// Growth beyond which a count has grown.
+/// Relative change above which a count is reported.
 const TOLERANCE: f64 = 0.05;
 
-/// What a pass did.
+/// Counts of a pass.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Count {
-    /// [`crate::limit::Kind::name`].
+    /// Name of the pass, [`crate::limit::Kind::name`].
     pub pass: String,
     /// Instructions on the AVX2 path, one thread.
     pub instructions: u64,
-    /// Bytes asked for in all.
+    /// Total bytes allocated.
     pub allocated: u64,
-    /// The most bytes held at a time, beyond what was held before.
+    /// Most bytes held at a time, beyond the bytes held before.
     pub peak: u64,
 }
 
 impl Count {
-    /// The numbers, what they are numbers of, and by how much each may grow whatever its size: an instruction more in a pass
-    /// of a few thousand is no regression.
+    /// Returns each number with its name and the absolute growth that is always allowed: a few more instructions in a pass
+    /// of a few thousand are not a regression.
     fn numbers(&self) -> [(u64, &'static str, u64); 3] {
         [
             (self.instructions, "instructions", 10_000),
@@ -30,12 +30,12 @@ impl Count {
     }
 }
 
-/// A count that is not as recorded.
+/// A count that differs from the record.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Difference {
-    /// More than 5% more.
+    /// A count more than 5% above the record.
     Grown { pass: String, what: &'static str, before: u64, now: u64 },
-    /// More than 5% less: no fault, but a gain that is not held until it is recorded.
+    /// A count more than 5% below the record: not a failure, but a gain that the test protects only after it is recorded.
     Shrunk { pass: String, what: &'static str, before: u64, now: u64 },
     /// A pass without a record.
     New { pass: String },
@@ -44,7 +44,7 @@ pub enum Difference {
 }
 
 impl Difference {
-    /// Whether the comparison fails for it.
+    /// Whether the difference fails the comparison.
     pub fn fails(&self) -> bool {
         !matches!(self, Self::Shrunk { .. })
     }
@@ -63,7 +63,7 @@ impl Display for Difference {
     }
 }
 
-/// What differs, in the order of the passes.
+/// Returns the differences, in the order of the passes.
 pub fn compare(recorded: &[Count], found: &[Count]) -> Vec<Difference> {
     let mut differences = Vec::new();
     for count in found {
@@ -86,7 +86,7 @@ pub fn compare(recorded: &[Count], found: &[Count]) -> Vec<Difference> {
     differences
 }
 
-/// A record as text: comments, then a line per pass with tabs between.
+/// Writes a record: comments, then a tab-separated line per pass.
 pub fn write(counts: &[Count], comments: &[&str]) -> String {
     let mut text = String::new();
     let columns = "pass\tinstructions\tbytes allocated\tbytes held at once";
@@ -99,10 +99,10 @@ pub fn write(counts: &[Count], comments: &[&str]) -> String {
     text
 }
 
-/// Reads what [`write()`] wrote.
+/// Reads a record of [`write()`].
 ///
 /// # Errors
-/// The line that is not of that form.
+/// The line that has another form.
 pub fn read(text: &str) -> Result<Vec<Count>, String> {
     let count = |line: &str| {
         let mut fields = line.split('\t');

@@ -1,4 +1,4 @@
-//! The sizes: a scene on the host, the camera that sees it, and the photograph it is compared with.
+//! Scenes by size: a scene on the host, its camera, and the photograph that it is compared with.
 
 use std::error::Error;
 use std::fmt::{self, Display};
@@ -15,28 +15,28 @@ use splat_op::{Camera, Colour, Extras, Intrinsics, RenderOptions, SplatError, Sp
 use crate::limit::Sizes;
 use crate::{LARGE, Load, MEDIUM, SMALL, SyntheticView, TINY, share_apart, values};
 
-/// How everything is rendered.
+/// Options of all renders.
 pub const OPTIONS: RenderOptions = RenderOptions::standard();
 
-/// Steps on the CPU that give the real scenes harmonics which are not zero.
+/// Training steps on the CPU that make the harmonics of the real scenes nonzero.
 const STEPS_OF_FOX: usize = 10;
 
-/// Degree of all harmonics.
+/// SH degree of all scenes.
 const DEGREE: usize = 3;
 
-/// Harmonics of that degree.
+/// Number of SH coefficients of that degree.
 pub const COEFFICIENTS: usize = (DEGREE + 1) * (DEGREE + 1);
 
-/// A scene to measure on.
+/// Name of a scene to measure.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Size {
     /// [`TINY`].
     Tiny,
     /// [`SMALL`].
     Small,
-    /// The real capture of that name, a quarter of its width.
+    /// The real capture `fox_small`, at a quarter of the photographs' width.
     FoxSmall,
-    /// The real capture of that name.
+    /// The real capture `fox_colmap`.
     FoxColmap,
     /// [`MEDIUM`].
     Medium,
@@ -47,20 +47,20 @@ pub enum Size {
 impl Size {
     pub const ALL: [Self; 6] = [Self::Tiny, Self::Small, Self::FoxSmall, Self::FoxColmap, Self::Medium, Self::Large];
 
-    /// The sizes named on the command line, else `standard`.
+    /// Returns the sizes named on the command line, or `standard` if there are none.
     ///
     /// # Errors
-    /// The word that is no size.
+    /// The word that is not a size.
     pub fn from_arguments(standard: &[Self]) -> Result<Vec<Self>, String> {
         let known = || Self::ALL.map(|size| size.to_string()).join(", ");
-        // Cargo passes `--bench`; other words with hyphens are the bench's own.
+        // Cargo passes `--bench`. Other words with hyphens are options of the bench.
         let words = std::env::args().skip(1).filter(|word| !word.starts_with("--"));
         let named: Result<Vec<Self>, String> =
-            words.map(|word| word.parse().map_err(|()| format!("`{word}` is none of {}", known()))).collect();
+            words.map(|word| word.parse().map_err(|()| format!("`{word}` is not one of {}", known()))).collect();
         named.map(|named| if named.is_empty() { standard.to_vec() } else { named })
     }
 
-    /// The synthetic view it is, if it is one.
+    /// Returns the synthetic view; `None` for a real capture.
     pub fn view(self) -> Option<SyntheticView> {
         match self {
             Self::Tiny => Some(TINY),
@@ -93,7 +93,7 @@ impl FromStr for Size {
     }
 }
 
-/// One size, on the host.
+/// Scene, camera and photograph of one size, on the host.
 pub struct Job {
     pub size: Size,
     pub rows: GaussianRows,
@@ -104,7 +104,7 @@ pub struct Job {
 }
 
 impl Job {
-    /// Makes or loads the scene. Captures lie in `SPLAT_DATA_DIR`, see `docs/CAPTURES.md`.
+    /// Generates or loads the scene. Captures are in `SPLAT_DATA_DIR`, see `docs/CAPTURES.md`.
     ///
     /// # Errors
     /// If a capture cannot be read or trained on.
@@ -138,7 +138,7 @@ impl Job {
         })
     }
 
-    /// The photograph is the scene's picture, half as strong: a loss with a derivative everywhere.
+    /// Creates a job whose photograph is the scene's picture at half the brightness, so that the loss has a derivative everywhere.
     fn synthetic(size: Size, view: &SyntheticView) -> Self {
         let device = Device::flex();
         let scene = view.scene(&device, DType::F32);
@@ -148,23 +148,23 @@ impl Job {
         Self { size, rows: view.rows(), intrinsics: camera.intrinsics, cam_from_world: DAffine3::IDENTITY, photograph }
     }
 
-    /// The camera on a device.
+    /// Creates the camera on a device.
     pub fn camera(&self, device: &Device) -> Camera {
         Camera::new(self.intrinsics, &self.cam_from_world, device)
     }
 
-    /// The scene on a device; trainable if that is an autodiff device.
+    /// Creates the scene on a device, trainable if the device records gradients.
     pub fn gaussians(&self, device: &Device) -> Gaussians {
         Gaussians::from_rows(&self.rows, device).expect("rows of one scene")
     }
 
-    /// `[H, W, 3]`.
+    /// Creates the photograph, `[H, W, 3]`.
     pub fn photograph(&self, device: &Device) -> Tensor<3> {
         let shape = [self.intrinsics.height, self.intrinsics.width, 3];
         Tensor::from_data(TensorData::new(self.photograph.clone(), shape), device)
     }
 
-    /// Counts on the CPU, and for [`MEDIUM`] and [`LARGE`] the assertion that they are what the figures are specified for.
+    /// Counts the load on the CPU, and for [`MEDIUM`] and [`LARGE`] asserts the load for which the figures are specified.
     pub fn verify_load(&self) -> Load {
         let device = Device::flex();
         let load = Load::of(&self.gaussians(&device).splats(), &self.camera(&device), &OPTIONS);
@@ -174,12 +174,12 @@ impl Job {
         load
     }
 
-    /// What the passes are asked to do.
+    /// Returns the sizes of the passes' work.
     pub fn sizes(&self, load: &Load) -> Sizes {
         Sizes::new(load, &self.intrinsics, DEGREE)
     }
 
-    /// The device's picture is the CPU's but for pixels at a threshold.
+    /// Asserts that the device's picture equals the CPU's, except at pixels near a threshold.
     ///
     /// # Errors
     /// If the op refuses the scene.
@@ -198,10 +198,10 @@ impl Job {
         Ok(())
     }
 
-    /// Asks the op whether the scene fits, by views of one row that take no memory themselves.
+    /// Checks whether the scene fits the device, with tensor views of one row that take no memory.
     ///
     /// # Errors
-    /// What does not fit.
+    /// If a buffer does not fit.
     pub fn check_fits(&self, device: &Device) -> Result<(), SplatError> {
         let count = self.rows.len();
         let row = |columns| Tensor::<2>::ones([1, columns], device).expand([count, columns]);

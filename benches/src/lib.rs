@@ -1,5 +1,5 @@
-//! What the benches share: scenes, what they are counted to hold, the limits of what they can be rendered in, and how times
-//! are taken.
+//! Shared code of the benches: scenes, their counted load, lower limits of the time of each pass, and the measurement of
+//! times.
 
 pub mod allocations;
 pub mod counts;
@@ -17,12 +17,12 @@ pub use scene::{LARGE, MEDIUM, SMALL, SyntheticView, TINY};
 
 use burn::tensor::Tensor;
 
-/// All elements as f64, row-major.
+/// Returns all elements as f64, row-major.
 pub fn values<const D: usize>(tensor: Tensor<D>) -> Vec<f64> {
     tensor.into_data().convert::<f64>().try_into_vec().expect("converted in this line")
 }
 
-/// The share of elements further than `tolerance` apart; NaN counts as far.
+/// Returns the share of elements that differ by more than `tolerance`. NaN counts as different.
 pub fn share_apart(found: &[f64], expected: &[f64], tolerance: f64) -> f64 {
     assert_eq!(found.len(), expected.len());
     let apart = found.iter().zip(expected).filter(|(a, b)| !((*a - *b).abs() <= tolerance)).count();

@@ -1,4 +1,4 @@
-//! What a scene puts the stages to, counted plainly on the CPU.
+//! Load that a scene puts on the stages, counted by plain code on the CPU.
 
 use std::fmt::{self, Display};
 
@@ -9,24 +9,25 @@ use splat_op::{Camera, Extras, RenderOptions, Splats, project, tile};
 
 use crate::values;
 
-/// Pixels whose layers are counted one by one: enough for the mean to be good to some hundredths.
+/// Number of pixels whose layers are counted one by one: enough for a mean within a few hundredths.
 const SAMPLED_PIXELS: usize = 256;
 
-/// Counts of one view.
+/// Load of one view.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Load {
     /// Gaussians.
     pub splats: usize,
-    /// Those whose reach, the ellipse within which alpha is at least `alpha_min`, has a bounding box that meets the picture.
+    /// Number of Gaussians whose extent, the ellipse within which alpha is at least `alpha_min`, has a bounding box that meets
+    /// the picture.
     pub visible: usize,
-    /// Pairs of a tile and a Gaussian that `tile` lists.
+    /// Number of intersections, pairs of a tile and a Gaussian that `tile` lists.
     pub hits: usize,
-    /// Gaussians that contribute to a pixel, by the rules of `blend`: the mean of `SAMPLED_PIXELS` random pixels.
+    /// Number of Gaussians that contribute to a pixel by the rules of `blend`, the mean over `SAMPLED_PIXELS` random pixels.
     pub layers: f64,
 }
 
 impl Load {
-    /// Counts; `splats` and `camera` lie on a CPU device.
+    /// Counts the load. `splats` and `camera` must be on a CPU device.
     ///
     /// # Panics
     /// If the scene's shapes do not fit together.
@@ -67,18 +68,18 @@ impl Load {
         }
     }
 
-    /// The share of the Gaussians that are visible.
+    /// Returns the share of Gaussians that are visible.
     pub fn visible_share(&self) -> f64 {
         self.visible as f64 / self.splats as f64
     }
 
-    /// Tiles per visible Gaussian.
+    /// Returns the number of tiles per visible Gaussian.
     pub fn hits_per_visible(&self) -> f64 {
         self.hits as f64 / self.visible as f64
     }
 
-    /// Asserts what the figures of the synthetic scenes are specified for: 80% visible, 4 tiles per visible Gaussian and 40
-    /// contributions per pixel at least, and hardly more.
+    /// Asserts the load for which the figures of the synthetic scenes are specified: at least, and hardly more than, 80% visible,
+    /// 4 tiles per visible Gaussian and 40 contributions per pixel.
     ///
     /// # Panics
     /// If a count is out of its range.
@@ -107,7 +108,7 @@ struct Ellipse {
     sigma_v: f64,
     depth: f64,
     opacity: f64,
-    /// In standard deviations.
+    /// Extent in standard deviations.
     reach: f64,
 }
 
@@ -119,7 +120,7 @@ impl Ellipse {
     }
 }
 
-/// Contributions to one pixel, front to back.
+/// Counts the contributions to one pixel, front to back.
 fn layers(visible: &[Ellipse], x: f64, y: f64, options: &RenderOptions) -> usize {
     let (mut count, mut transmittance) = (0, 1.0);
     for ellipse in visible {

@@ -1,4 +1,4 @@
-//! Times with the device waited for, and the table of what they mean.
+//! Measures times, including the wait for the device, and prints them as a table.
 
 use std::any::Any;
 use std::error::Error;
@@ -8,16 +8,16 @@ use burn::tensor::{Device, Tensor};
 
 use crate::limit::{Kind, Machine, Sizes};
 
-/// What a pass leaves behind, freed outside the timed part.
+/// Result of a pass, freed outside the timed part.
 pub type Kept = Box<dyn Any>;
 
-/// The timed part of a run. Errors are those of the op.
+/// Timed part of a run. Its errors are errors of the op.
 pub type Timed = Box<dyn FnOnce() -> Result<Kept, Box<dyn Error>>>;
 
-/// Prepares a run, untimed, and gives the timed part.
+/// Prepares a run, untimed, and returns the timed part.
 pub type Prepare = Box<dyn FnMut() -> Result<Timed, Box<dyn Error>>>;
 
-/// Something to be timed: a line of the table.
+/// A pass to time, a line of the table.
 pub struct Pass {
     pub kind: Kind,
     pub prepare: Prepare,
@@ -28,22 +28,22 @@ pub struct Pass {
 pub struct Times {
     pub median_s: f64,
     pub runs: usize,
-    /// Share of the processors' time that this program used while runs were timed, at most 1; NaN where the system does not
-    /// say, and of little worth under a tenth of a second, because the system counts in hundredths.
+    /// Share of the processors' time that this program used during timed runs, at most 1. NaN if the system does not report
+    /// it, and unreliable below a tenth of a second, because the system counts hundredths of a second.
     pub busy: f64,
 }
 
-/// Runs after which more would change no median that is worth reading.
+/// Largest number of runs. More runs would not change a median noticeably.
 const RUNS: usize = 31;
 
-/// Runs that are not counted: the first compiles the kernels, the second finds every buffer in the pool.
+/// Number of warm-up runs: the first compiles the kernels, and the second finds every buffer in the pool.
 const WARM_UP: usize = 2;
 
-/// Runs all of them in turns until the budget, which preparations share, is spent; each at least once after the warm-up. In
-/// turns, because what else a machine does comes and goes, and should meet all alike.
+/// Runs all passes in turns until the budget, which includes preparations, is spent, each at least once after the warm-up.
+/// The turns spread other load of the machine evenly over the passes.
 ///
 /// # Errors
-/// Those of what is timed.
+/// Errors of the timed passes.
 pub fn time<'a>(
     all: impl IntoIterator<Item = &'a mut Prepare>,
     device: &Device,
@@ -52,7 +52,7 @@ pub fn time<'a>(
     let mut all: Vec<(&mut Prepare, Vec<Run>)> = all.into_iter().map(|prepare| (prepare, Vec::new())).collect();
     let begin = Instant::now();
     for round in 0..WARM_UP + RUNS {
-        // On a slow device the second warm-up would be most of the budget.
+        // On a slow device the second warm-up would take most of the budget.
         let warm = round == 0 || round < WARM_UP && begin.elapsed() < budget / 4;
         for (prepare, runs) in &mut all {
             let run = run(prepare, device)?;
@@ -69,7 +69,7 @@ pub fn time<'a>(
 
 struct Run {
     elapsed_s: f64,
-    /// On all processors.
+    /// Processor time over all processors.
     used_s: f64,
 }
 
@@ -93,13 +93,14 @@ fn summary(runs: &[Run]) -> Times {
     Times { median_s: seconds[seconds.len() / 2], runs: seconds.len(), busy: used / there }
 }
 
-/// Seconds of processor time that this program has used so far, on all threads, in hundredths; NaN where `/proc` is not.
+/// Returns the processor time of this program so far, on all threads, in seconds with a resolution of hundredths; NaN without
+/// `/proc`.
 fn processor_time() -> f64 {
-    // Hundredths of a second on every Linux.
+    // Linux counts in hundredths of a second on every machine.
     const TICKS_PER_S: f64 = 100.0;
     let read = || {
         let stat = std::fs::read_to_string("/proc/self/stat").ok()?;
-        // The second field, the program's name, may hold anything but ends with the last parenthesis.
+        // The second field, the program's name, may contain any character and ends at the last parenthesis.
         let mut fields = stat.rsplit_once(')')?.1.split_whitespace().skip(11);
         let mut ticks = || fields.next()?.parse::<f64>().ok();
         Some((ticks()? + ticks()?) / TICKS_PER_S)
@@ -107,11 +108,11 @@ fn processor_time() -> f64 {
     read().unwrap_or(f64::NAN)
 }
 
-/// Times all passes in turns and prints a line for each; returns the times. `base` are medians of the device that
-/// is compared with.
+/// Times all passes in turns, prints a line for each and returns the times. `base` holds the medians of the device that
+/// the times are compared with.
 ///
 /// # Errors
-/// Those of the passes.
+/// Errors of the passes.
 pub fn table(
     passes: &mut [Pass],
     (device, machine): (&Device, &Machine),
@@ -141,10 +142,10 @@ pub fn table(
     Ok(all)
 }
 
-/// Bytes per second of adding a number to 64 MiB on a device, read and written.
+/// Measures the bytes per second, read and written, of adding a number to 64 MiB on a device.
 ///
 /// # Errors
-/// Those of the device.
+/// Errors of the device.
 pub fn copy_bandwidth(device: &Device) -> Result<f64, Box<dyn Error>> {
     const ELEMENTS: usize = 16 << 20;
     let source = Tensor::<1>::ones([ELEMENTS], device);

@@ -1,4 +1,4 @@
-//! Each stage's passes, what a training step does besides, and the whole step.
+//! The passes of each stage, the other passes of a training step, and the whole step.
 
 use std::cell::RefCell;
 use std::error::Error;
@@ -20,7 +20,7 @@ use crate::limit::Kind;
 use crate::measure::{Kept, Pass, Prepare, Timed};
 use crate::step::{SOUND, Step, density, rates};
 
-/// All passes, in the order of a training step, then the step.
+/// Returns all passes, in the order of a training step, then the step.
 ///
 /// # Errors
 /// If the op refuses the scene.
@@ -48,7 +48,7 @@ pub fn passes(job: &Job, device: &Device) -> Result<Vec<Pass>, Box<dyn Error>> {
     Ok(prepare.into_iter().map(|(kind, prepare)| Pass { kind, prepare }).collect())
 }
 
-/// The whole step alone.
+/// Returns the whole step alone.
 ///
 /// # Errors
 /// If the op refuses the scene.
@@ -113,7 +113,8 @@ fn project_backward(stages: &Rc<Stages>, camera: &Camera) -> Prepare {
     })
 }
 
-/// The gradients of scales, opacities and harmonics are given; the others are those of the parameters themselves.
+/// Prepares the backward pass of the activation. The gradients of scales, opacities and harmonics are given. The other gradients
+/// need no activation.
 fn activate_backward(job: &Job, device: &Device) -> Prepare {
     let gaussians = job.gaussians(&device.clone().autodiff());
     let grads = job.gaussians(device).splats();
@@ -132,7 +133,7 @@ fn observe(job: &Job, device: &Device) -> Prepare {
     let size = (job.intrinsics.width, job.intrinsics.height);
     let density = Rc::new(RefCell::new(density()));
     Box::new(move || {
-        // Nobody else holds the gradient that a step hands over.
+        // Nothing else holds the gradient that a step passes on.
         let (density, grad) = (density.clone(), grad.clone() * 1.0);
         Ok(Box::new(move || {
             density.borrow_mut().observe(Observed { gradient: Some(grad), size, ..Observed::default() });
@@ -170,7 +171,7 @@ fn step(job: &Job, truth: Truth, device: &Device) -> Prepare {
     })
 }
 
-/// Times the function.
+/// Prepares the timing of a function.
 fn forward<T: 'static>(run: impl Fn() -> Result<T, SplatError> + 'static) -> Prepare {
     let run = Rc::new(run);
     Box::new(move || {
@@ -179,7 +180,7 @@ fn forward<T: 'static>(run: impl Fn() -> Result<T, SplatError> + 'static) -> Pre
     })
 }
 
-/// Runs the function, tracked, and times the pass back from its result, whose gradient is given.
+/// Runs the function, tracked, and prepares the timing of its backward pass from a given gradient of the result.
 fn backward<const D: usize>(grad: Tensor<D>, run: impl Fn() -> Tensor<D> + 'static) -> Prepare {
     Box::new(move || {
         let value = Tensor::<1>::zeros([1], &grad.device());
@@ -188,7 +189,7 @@ fn backward<const D: usize>(grad: Tensor<D>, run: impl Fn() -> Tensor<D> + 'stat
     })
 }
 
-/// The values as a leaf that Burn tracks.
+/// Returns the values as a leaf that Burn tracks.
 fn leaf<const D: usize>(values: &Tensor<D>) -> Tensor<D> {
     Tensor::from_inner(values.clone()).require_grad()
 }
@@ -208,8 +209,8 @@ pub(crate) fn harmonics(splats: &Splats) -> Tensor<3> {
     sh.clone()
 }
 
-/// As [`splat_op::project`], but the packed columns themselves: `backward` needs their gradient, and going through the
-/// named columns would time the slices. `probe` is `[N, 2]`, or `[0, 2]` for none.
+/// Runs [`splat_op::project`] and returns the packed columns: `backward` needs their gradient, and the
+/// named columns would add the time of slices. `probe` is `[N, 2]`, or `[0, 2]` for none.
 pub(crate) fn project_packed(splats: &Splats, camera: &Camera, probe: Tensor<2>) -> Tensor<2> {
     let inputs = Geometry {
         means: splats.means.clone().into(),
@@ -227,7 +228,7 @@ fn no_probe(splats: &Splats) -> Tensor<2> {
     Tensor::zeros([0, 2], &splats.means.device())
 }
 
-/// As [`splat_op::blend`] without a background, for the reason of [`project_packed`].
+/// Runs [`splat_op::blend`] without a background on packed columns, for the reason given at [`project_packed`].
 pub(crate) fn blend_planes(
     [projected, features]: [Tensor<2>; 2],
     (counts, hits): (&Tensor<2, Int>, &HitCell),
@@ -246,14 +247,14 @@ pub(crate) fn blend_planes(
     Tensor::from_dispatch(<Dispatch as SplatBackend>::part(planes, 0, 4, parts))
 }
 
-/// The lists of packed ellipses, and how many Gaussians each tile has.
+/// Returns the lists of packed ellipses, and the number of Gaussians of each tile.
 pub(crate) fn tile_lists(packed: &Tensor<2>, spec: BlendSpec) -> (Tensor<2, Int>, HitCell) {
     let hits = HitCell::default();
     let counts = <Dispatch as SplatBackend>::tile(packed.clone().into_dispatch(), spec, hits.clone());
     (Tensor::from_dispatch(counts), hits)
 }
 
-/// The stages' inputs on a device, without autodiff.
+/// Inputs of the stages on a device, without autodiff.
 struct Stages {
     splats: Splats,
     packed: Tensor<2>,
@@ -277,14 +278,14 @@ impl Stages {
         blend_planes([projected, features], (&self.counts, &self.hits), self.spec)
     }
 
-    /// `[H, W, 3]`, as `render_view` hands it to a loss.
+    /// Renders `[H, W, 3]`, as `render_view` passes it to a loss.
     fn image(&self, job: &Job, camera: &Camera) -> Result<Tensor<3>, SplatError> {
         assert_eq!(job.rows.len(), self.packed.dims()[0]);
         Ok(render_view(&self.splats, camera, &Extras::default(), &OPTIONS)?.colour)
     }
 }
 
-/// Gradients that nobody else holds, of some size: a hundredth of the parameters.
+/// Returns gradients that nothing else holds: a hundredth of the parameters.
 fn gradients(gaussians: &Gaussians) -> Gradients {
     const SHARE: f64 = 0.01;
     Gradients {

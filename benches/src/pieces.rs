@@ -1,4 +1,4 @@
-//! A training step cut into its passes, each timed where it happens: among the others, in memory that they left.
+//! A training step split into its passes. Each pass is timed in place, among the others and in the memory that they leave.
 
 use std::time::Instant;
 
@@ -17,7 +17,7 @@ use crate::limit::Kind;
 use crate::passes::{blend_planes, harmonics, project_packed, tile_lists};
 use crate::step::{SOUND, density, rates};
 
-/// What [`crate::step::Step`] does, in one graph per pass instead of one for all, so that the way back can be timed pass by pass too.
+/// Performs the step of [`crate::step::Step`] with one graph per pass, so that the backward pass can also be timed pass by pass.
 pub struct Pieces {
     scene: Trained,
     density: Adaptive,
@@ -27,22 +27,22 @@ pub struct Pieces {
     step: usize,
 }
 
-/// What a step in pieces gives.
+/// Result of a step in pieces.
 pub struct Timed {
-    /// `[1]`.
+    /// Loss, `[1]`.
     pub loss: Tensor<1>,
-    /// By [`Kind::PARTS`].
+    /// Time of each pass, in the order of [`Kind::PARTS`].
     pub seconds: [f64; Kind::PARTS.len()],
 }
 
-/// A stop watch that knows what is next.
+/// A stopwatch for passes.
 struct Watch {
     last: Instant,
     seconds: [f64; Kind::PARTS.len()],
 }
 
 impl Watch {
-    /// Everything since the last call was this pass.
+    /// Adds the time since the last call to a pass.
     fn lap(&mut self, kind: Kind) {
         let now = Instant::now();
         let place = Kind::PARTS.iter().position(|part| *part == kind).expect("a part of a step");
@@ -50,20 +50,21 @@ impl Watch {
         self.last = now;
     }
 
-    /// Everything since the last call was none: what Burn does between the passes.
+    /// Drops the time since the last call, which Burn spends between passes.
     fn skip(&mut self) {
         self.last = Instant::now();
     }
 }
 
 impl Pieces {
-    /// As [`crate::step::Step::new`]; on a CPU, whose work is done when a call returns.
+    /// Creates the step as [`crate::step::Step::new`] does. The device must be a CPU, where a call returns when its work is
+    /// done.
     pub fn new(gaussians: Gaussians, camera: Camera, truth: Truth) -> Self {
         let guard = Guard::new(&camera.cam_from_world.device());
         Self { scene: Trained::new(gaussians), density: density(), camera, truth, guard, step: 0 }
     }
 
-    /// A step.
+    /// Takes a step.
     ///
     /// # Errors
     /// If the op refuses the scene.
@@ -85,7 +86,7 @@ impl Pieces {
         watch.skip();
         let packed = project_packed(&cut, &self.camera, probe.clone());
         watch.lap(Kind::Project);
-        // Centres of its own, so that the gradients of both stages can be told apart.
+        // A separate leaf of the centres, so that the gradients of the two stages stay separate.
         let seen = leaf(&splats.means);
         let colours = shade(&harmonics(&cut), &seen, &self.camera)?;
         watch.lap(Kind::Shade);
@@ -152,7 +153,7 @@ impl Pieces {
     }
 }
 
-/// The values without their history, as a leaf that Burn tracks.
+/// Returns the values without their history, as a leaf that Burn tracks.
 fn leaf<const D: usize>(values: &Tensor<D>) -> Tensor<D> {
     let values = if values.device().is_autodiff() { values.clone().inner() } else { values.clone() };
     Tensor::from_inner(values).require_grad()

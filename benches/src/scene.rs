@@ -15,45 +15,45 @@ use crate::values;
 /// A cloud of Gaussians in front of one camera.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SyntheticView {
-    /// Gaussians, of which a fifth lies outside the picture.
+    /// Number of Gaussians. A fifth of them lies outside the picture.
     pub splats: usize,
     /// Width of the picture, px.
     pub width: usize,
     /// Height of the picture, px.
     pub height: usize,
-    /// Typical standard deviation on the picture, px; those along a Gaussian's axes are 0.4 to 1.6 times as long.
+    /// Typical standard deviation in the picture, px. Those along a Gaussian's axes are 0.4 to 1.6 times as large.
     pub sigma_px: f64,
-    /// Least and largest opacity; all between are as likely.
+    /// Smallest and largest opacity of a uniform distribution.
     pub opacity: [f64; 2],
 }
 
-/// Small enough to be computed by valgrind, with pixels that are nearly as full as those of [`MEDIUM`].
+/// A scene small enough for valgrind, with nearly as many contributions per pixel as [`MEDIUM`].
 pub const TINY: SyntheticView =
     SyntheticView { splats: 3_000, width: 150, height: 100, sigma_px: 3.05, opacity: [0.02, 0.7] };
 
-/// As large as `fox_small` after densification.
+/// A scene as large as `fox_small` after densification.
 pub const SMALL: SyntheticView =
     SyntheticView { splats: 20_000, width: 270, height: 480, sigma_px: 3.6, opacity: [0.02, 0.6] };
 
-/// A tenth of a million Gaussians at a quarter of full HD. Sizes and opacities of this view and of [`LARGE`] were tried until
-/// [`crate::Load::verify`] passed with little to spare.
+/// A hundred thousand Gaussians at a quarter of full HD. Sizes and opacities of this view and of [`LARGE`] were adjusted until
+/// [`crate::Load::verify`] passed by a small margin.
 pub const MEDIUM: SyntheticView =
     SyntheticView { splats: 100_000, width: 960, height: 540, sigma_px: 3.05, opacity: [0.02, 0.7] };
 
-/// A million Gaussians at full HD. So many, of four tiles each, lie a hundred deep; the nearer ones are as opaque as it takes
+/// A million Gaussians at full HD. With four tiles each, they lie a hundred deep, and the nearer ones are opaque enough
 /// to hide those beyond the first forty.
 pub const LARGE: SyntheticView =
     SyntheticView { splats: 1_000_000, width: 1920, height: 1080, sigma_px: 2.65, opacity: [0.65, 0.99] };
 
 impl SyntheticView {
-    /// The camera, at the origin, looking along +z.
+    /// Creates the camera, at the origin, looking along +z.
     pub fn camera(&self, device: &Device, dtype: DType) -> Camera {
         let intrinsics = Intrinsics::centred(self.width, self.height, 0.9 * self.width.max(self.height) as f64);
         let camera = Camera::new(intrinsics, &DAffine3::IDENTITY, device);
         Camera { cam_from_world: camera.cam_from_world.cast(dtype), ..camera }
     }
 
-    /// The Gaussians, SH degree 3, rounded to f32 whatever the type asked for.
+    /// Creates the Gaussians, SH degree 3, with values rounded to f32 in any requested type.
     pub fn scene(&self, device: &Device, dtype: DType) -> Splats {
         let Drawn { means, rotations, scales, opacities, sh } = self.draw();
         let tensor = |values: Vec<f32>, shape: &[usize]| TensorData::new(values, shape.to_vec()).convert_dtype(dtype);
@@ -67,7 +67,7 @@ impl SyntheticView {
         }
     }
 
-    /// The same Gaussians as a trainer holds them.
+    /// Returns the Gaussians in the representation of a trainer.
     pub fn rows(&self) -> GaussianRows {
         let Drawn { means, rotations, scales, opacities, sh } = self.draw();
         let coefficients = sh.as_chunks::<48>().0;
@@ -102,8 +102,8 @@ impl SyntheticView {
         drawn.in_order()
     }
 
-    /// A training run on `views` photographs, all of them pictures of the scene, from its centres in grey, with every degree of
-    /// the harmonics in use from the start.
+    /// Creates a training run on `views` photographs, all of them pictures of the scene, from its centres in grey, with all SH
+    /// degrees in use from the start.
     ///
     /// # Panics
     /// If there are no views.
@@ -129,7 +129,7 @@ impl SyntheticView {
         Trainer::new(photos, &points, config, &device).expect("photographs and steps are given")
     }
 
-    /// `[1, H, W, 3]` in the given float type.
+    /// Renders `[1, H, W, 3]` in the given float type.
     pub fn picture(&self, device: &Device, dtype: DType) -> Tensor<4> {
         let (scene, camera) = (self.scene(device, dtype), self.camera(device, dtype));
         let rendered = render(&scene, &[camera], &Extras::default(), &RenderOptions::standard());
@@ -137,7 +137,7 @@ impl SyntheticView {
     }
 }
 
-/// Parameters, row-major.
+/// Drawn parameters, row-major.
 #[derive(Default)]
 struct Drawn {
     means: Vec<f32>,
@@ -148,7 +148,7 @@ struct Drawn {
 }
 
 impl Drawn {
-    /// The same in the order in which a trainer holds them.
+    /// Returns the parameters in the order of a trainer.
     fn in_order(self) -> Self {
         let order = morton_order(self.means.as_chunks().0);
         let of = |values: Vec<f32>| {

@@ -1,4 +1,4 @@
-//! A training step on a scene as it is.
+//! A training step on a given scene.
 
 use burn::tensor::Tensor;
 use splat_model::density::rows::{Gradients, StepRates, Trained};
@@ -11,8 +11,8 @@ use splat_op::{Camera, Extras, SplatError, render_view};
 
 use crate::job::OPTIONS;
 
-/// What [`splat_model::trainer::Trainer::step`] does, without refinement, so that the count stays; a trainer starts from points
-/// and could not take a scene.
+/// Performs the step of [`splat_model::trainer::Trainer::step`] without refinement, so that the number of Gaussians stays constant.
+/// A trainer starts from points and does not accept a scene.
 pub struct Step {
     scene: Trained,
     density: Adaptive,
@@ -23,18 +23,18 @@ pub struct Step {
     step: usize,
 }
 
-/// Of what a guard looks at here.
+/// Reason why the guard does not stop a bench.
 pub(crate) const SOUND: &str = "the scenes of the benches have finite losses and gradients";
 
 impl Step {
-    /// `gaussians` are on an autodiff device, `camera` and `truth` on the one beneath it.
+    /// Creates a step. `gaussians` are on an autodiff device, `camera` and `truth` on its inner device.
     pub fn new(gaussians: Gaussians, camera: Camera, truth: Truth) -> Self {
         let background = Tensor::zeros([3], &camera.cam_from_world.device());
         let guard = Guard::new(&camera.cam_from_world.device());
         Self { scene: Trained::new(gaussians), density: density(), camera, background, truth, guard, step: 0 }
     }
 
-    /// The loss, `[1]`.
+    /// Takes a step and returns the loss, `[1]`.
     ///
     /// # Errors
     /// If the op refuses the scene.

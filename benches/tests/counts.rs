@@ -1,10 +1,11 @@
-//! The instructions and bytes of each pass of a training step against those on record in `benches/counts.tsv`: what a change
-//! costs, on any machine, however busy it is. More than 5% more fails.
+//! Compares the instructions and bytes of each pass of a training step with the record in `benches/counts.tsv`. The counts show
+//! the cost of a change on any machine under any load. Growth of more than 5% fails.
 //!
-//! `SPLAT_COUNTS=accept cargo test --release --workspace --test counts` records what is found. With `SPLAT_COUNTS=require` it is a
-//! failure if nothing can be counted (CI sets it); unset, that is said and passed over; `skip` skips.
+//! `SPLAT_COUNTS=accept cargo test --release --workspace --test counts` records the counts. With `SPLAT_COUNTS=require`, which CI
+//! sets, a machine that cannot count fails the test. If the variable is unset, the test is skipped there with a message, and `skip`
+//! always skips it.
 //!
-//! Counting takes valgrind, an x86-64 processor with AVX2, and an optimised build.
+//! Counting requires valgrind, an x86-64 processor with AVX2, and an optimised build.
 
 use std::error::Error;
 use std::fs;
@@ -29,7 +30,7 @@ fn main() -> ExitCode {
 fn run() -> Result<(), Box<dyn Error>> {
     let mode = std::env::var("SPLAT_COUNTS").unwrap_or_default();
     match (mode.as_str(), obstacle()) {
-        ("skip", _) => println!("counts: skipped, as SPLAT_COUNTS says"),
+        ("skip", _) => println!("counts: skipped, because SPLAT_COUNTS is `skip`"),
         ("", Some(obstacle)) => println!("counts: skipped, because {obstacle}"),
         ("require" | "accept", Some(obstacle)) => return Err(obstacle.into()),
         ("accept", None) => accept()?,
@@ -39,17 +40,17 @@ fn run() -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-/// Why nothing can be counted here.
+/// Returns the reason why this machine or build cannot count.
 fn obstacle() -> Option<&'static str> {
     #[cfg(target_arch = "x86_64")]
     let avx2 = std::arch::is_x86_feature_detected!("avx2");
     #[cfg(not(target_arch = "x86_64"))]
     let avx2 = false;
     match () {
-        () if cfg!(debug_assertions) => Some("this build is not the optimised one: pass `--release`"),
+        () if cfg!(debug_assertions) => Some("this build is not optimised: pass `--release`"),
         () if !avx2 => Some("the processor has no AVX2"),
         () if Command::new("valgrind").arg("--version").output().is_err() => {
-            Some("there is no valgrind: `apt-get install valgrind`")
+            Some("valgrind is not installed: `apt-get install valgrind`")
         }
         () => None,
     }
@@ -74,19 +75,18 @@ fn check() -> Result<(), Box<dyn Error>> {
     }
     if !differences.iter().any(|difference| difference.fails()) {
         if !differences.is_empty() {
-            println!("counts: less than recorded; to hold the gain: {ACCEPT}");
+            println!("counts: less than recorded; to record the gain: {ACCEPT}");
         }
         return Ok(());
     }
-    let made = record.lines().find_map(|line| line.strip_prefix("# By ")).unwrap_or("one that it does not name");
-    Err(format!("more than recorded (by {made}; another compiler counts differently). If it is worth it: {ACCEPT}")
-        .into())
+    let made = record.lines().find_map(|line| line.strip_prefix("# By ")).unwrap_or("an unknown compiler");
+    Err(format!("more than recorded (by {made}; another compiler counts differently). If justified: {ACCEPT}").into())
 }
 
-/// Runs the passes under callgrind.
+/// Runs the passes under callgrind and returns their counts.
 fn count() -> Result<Vec<Count>, Box<dyn Error>> {
     let folder = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join("counts");
-    // Files of an earlier run would be taken for this one's.
+    // Files of an earlier run would be read as this run's.
     let _ = fs::remove_dir_all(&folder);
     fs::create_dir_all(&folder)?;
     let out = folder.join("callgrind");
@@ -95,7 +95,7 @@ fn count() -> Result<Vec<Count>, Box<dyn Error>> {
         .args(["--toggle-collect=splat_counted", "--dump-after=splat_counted"])
         .arg(format!("--callgrind-out-file={}", out.display()))
         .arg(env!("CARGO_BIN_EXE_counted"))
-        // Where the environment lies in memory moves the stack.
+        // The size of the environment moves the stack.
         .env_clear()
         .envs(std::env::var_os("PATH").map(|path| ("PATH", path)))
         .output()?;
@@ -107,7 +107,7 @@ fn count() -> Result<Vec<Count>, Box<dyn Error>> {
     passes.map(|(i, line)| with_instructions(line, &folder.join(format!("callgrind.{}", i + 1)))).collect()
 }
 
-/// A line of the program's, and the total of the file that callgrind wrote for it.
+/// Combines a line of the program with the total of the file that callgrind wrote for it.
 fn with_instructions(line: &str, file: &Path) -> Result<Count, Box<dyn Error>> {
     let text = fs::read_to_string(file).map_err(|error| format!("{}: {error}", file.display()))?;
     let total = text.lines().find_map(|line| line.strip_prefix("totals: ")).ok_or("a file without totals")?;

@@ -1,9 +1,9 @@
-//! Pixels at which the render is discontinuous within f32 rounding, and which therefore prove nothing in f32.
+//! Pixels at which the render is discontinuous within f32 rounding, so that f32 comparisons exclude them.
 //!
-//! Three decisions jump: whether a Gaussian's alpha reaches `alpha_min`, whether a pixel's transmittance has fallen to
-//! `transmittance_min`, and which of two Gaussians is in front. A pixel belongs to the band if its f64 result changes at
-//! all (bit by bit) when a threshold moves a little or when neighbours in depth closer than rounding change places.
-//! Everything smooth is untouched by these moves, so no other pixel is ever excused.
+//! Three decisions make a render jump: whether a Gaussian's alpha reaches `alpha_min`, whether a pixel's transmittance has
+//! fallen to `transmittance_min`, and which of two Gaussians is in front. A pixel belongs to the band if any bit of its f64
+//! result changes when a threshold moves a little, or when neighbours in depth closer than rounding change places. These moves
+//! do not affect smooth terms, so no other pixel is excluded.
 
 use burn::tensor::{DType, Device, Tensor};
 use splat_op::{Ellipses, Extras, Intrinsics, RenderOptions, blend, project, tile};
@@ -11,15 +11,15 @@ use splat_op::{Ellipses, Extras, Intrinsics, RenderOptions, blend, project, tile
 use crate::random::Random;
 use crate::scene::{Scene, Tensors, host, tensor};
 
-/// How far f32 rounding moves an alpha near the cut, relatively: the exponent there is -5.5 or less, `u` about 3, and a
+/// Relative change of an alpha near the cut by f32 rounding. The exponent there is -5.5 or less, `u` about 3, and a
 /// centre some 100 px from the origin is rounded to 8e-6 px, which is up to 1.5e-5 in `u` of the smallest ellipse
-/// (0.55 px); a few such roundings add up.
+/// (0.55 px). A few such roundings add up.
 const ALPHA_SHIFT: f64 = 1e-4;
 
-/// How far f32 rounding moves a transmittance, relatively: the sum of its layers' `dα / (1 − α)`.
+/// Relative change of a transmittance by f32 rounding: the sum of its layers' `dα / (1 − α)`.
 const TRANSMITTANCE_SHIFT: f64 = 1e-4;
 
-/// Depths closer than this many f32 ulps of the terms they are summed from can change places.
+/// Depths closer than this number of f32 ulps of their largest summed terms can change places.
 const DEPTH_ULPS: f64 = 8.0;
 
 /// Whether each pixel belongs to the band.
@@ -47,7 +47,7 @@ pub fn boundary_band(scene: &Scene, options: &RenderOptions, device: &Device) ->
     (0..plain.len()).map(|pixel| variants.iter().any(|variant| variant[pixel] != plain[pixel])).collect()
 }
 
-/// `(feature, alpha)` of every pixel, without accumulated depth, which a swap of depths changes smoothly.
+/// Renders `(feature, alpha)` of every pixel, without accumulated depth, which a swap of depths changes smoothly.
 fn pixels(
     ellipses: Ellipses,
     features: &Tensor<2>,
@@ -61,7 +61,7 @@ fn pixels(
     host(picture.colour).into_iter().zip(host(picture.alpha)).collect()
 }
 
-/// Depths with each pair of neighbours in depth exchanged, if they are that close; pairs begin at the `first`.
+/// Exchanges the depths of each pair of neighbours in depth that are within [`DEPTH_ULPS`]. Pairs begin at index `first`.
 fn swap_neighbours(depths: &[f64], scene: &Scene, first: usize) -> Vec<f64> {
     let p = &scene.pose;
     let terms = |i: usize| {
@@ -74,7 +74,7 @@ fn swap_neighbours(depths: &[f64], scene: &Scene, first: usize) -> Vec<f64> {
     for pair in order[first.min(order.len())..].chunks_exact(2) {
         let reach = DEPTH_ULPS * f64::from(f32::EPSILON) * terms(pair[0]).max(terms(pair[1]));
         if depths[pair[1]] - depths[pair[0]] <= reach {
-            // One step further than the other, so that equal depths, ordered by index, change places too.
+            // The larger depth moves one step further, so that equal depths, ordered by index, change places too.
             (swapped[pair[0]], swapped[pair[1]]) = (depths[pair[1]].next_up(), depths[pair[0]]);
         }
     }

@@ -3,8 +3,8 @@
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-/// A folder of `SPLAT_DATA_DIR`, laid out as `docs/CAPTURES.md` says: `fox_small` and the other captures, and `reference`.
-/// `None` where it is not there, after a line that says so.
+/// Returns a folder of `SPLAT_DATA_DIR`, whose layout `docs/CAPTURES.md` describes: `fox_small` and the other captures, and
+/// `reference`. `None` if the folder does not exist, after a line that says so.
 pub fn optional_data(name: &str) -> Option<PathBuf> {
     match find(std::env::var_os("SPLAT_DATA_DIR").as_deref().map(Path::new), name) {
         Ok(folder) => Some(folder),
@@ -15,7 +15,7 @@ pub fn optional_data(name: &str) -> Option<PathBuf> {
     }
 }
 
-/// The folder, or the line that says why there is none.
+/// Returns the folder, or a line that says why there is none.
 fn find(data: Option<&Path>, name: &str) -> Result<PathBuf, String> {
     let Some(data) = data else {
         return Err(format!("SKIPPED: no {name}: SPLAT_DATA_DIR is not set (docs/CAPTURES.md)"));
@@ -24,12 +24,12 @@ fn find(data: Option<&Path>, name: &str) -> Result<PathBuf, String> {
     if folder.is_dir() {
         return Ok(folder);
     }
-    Err(format!("SKIPPED: no {name}: {} is no folder (SPLAT_DATA_DIR, docs/CAPTURES.md)", folder.display()))
+    Err(format!("SKIPPED: no {name}: {} is not a folder (SPLAT_DATA_DIR, docs/CAPTURES.md)", folder.display()))
 }
 
-/// Writes a line that the test harness does not hide, so that what was skipped or measured is seen.
+/// Writes a line that the test harness does not hide, so that skipped tests and measurements are visible.
 pub fn announce(line: &str) {
-    // In one piece, because tests run at once. A test must not fail because nobody reads its log.
+    // One write per line, because tests run in parallel. A test must not fail because its log cannot be written.
     let _ = std::io::stderr().write_all(format!("{line}\n").as_bytes());
 }
 

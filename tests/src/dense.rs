@@ -1,16 +1,16 @@
-//! The same render as `splat_op`, written as ordinary Burn tensor code over all pairs of Gaussians and pixels, without
-//! tiles or thresholds. Burn's own autodiff gives its gradients. It shares no code with the operation: covariances are
-//! formed and inverted as the papers write them.
+//! The render of `splat_op` as ordinary Burn tensor code over all pairs of Gaussians and pixels, without
+//! tiles or thresholds. Burn's autodiff computes its gradients. It shares no code with the operation: covariances are
+//! formed and inverted by the papers' formulas.
 
 use burn::tensor::{Int, Tensor, TensorData};
 use splat_op::{CameraModel, Intrinsics, RenderOptions};
 
 use crate::scene::host;
 
-/// gsplat's floor of the opacity compensation, restated here on purpose.
+/// Floor of the opacity compensation in gsplat, repeated here so that the operation's constant is checked.
 const COMPENSATION_MIN: f64 = 0.005;
 
-/// Columns of `[N]`.
+/// Projected Gaussians, as columns `[N]`.
 #[derive(Clone)]
 pub struct DenseEllipses {
     pub mean2d: [Tensor<1>; 2],
@@ -21,7 +21,7 @@ pub struct DenseEllipses {
     pub opacity: Tensor<1>,
 }
 
-/// Colour `[P, C]`, alpha `[P]`, depth `[P]`, pixels row by row.
+/// A render: colour `[P, C]`, alpha `[P]`, depth `[P]`, pixels row by row.
 pub struct DensePicture {
     pub colour: Tensor<2>,
     pub alpha: Tensor<1>,
@@ -35,7 +35,7 @@ fn column(t: &Tensor<2>, i: usize) -> Tensor<1> {
     t.clone().slice([0..rows, i..i + 1]).squeeze_dim(1)
 }
 
-/// An element of a `[3, 4]` pose as `[1]`, which broadcasts over Gaussians.
+/// Returns an element of a `[3, 4]` pose as `[1]`, which broadcasts over Gaussians.
 fn entry(pose: &Tensor<2>, row: usize, col: usize) -> Tensor<1> {
     pose.clone().slice([row..row + 1, col..col + 1]).reshape([1])
 }
@@ -49,7 +49,7 @@ fn cross(a: &Vec3, b: &Vec3) -> Vec3 {
     [minor(1, 2), minor(2, 0), minor(0, 1)]
 }
 
-/// Rows of the rotation matrices of quaternions wxyz of any length.
+/// Returns the rows of the rotation matrices of quaternions wxyz of any length.
 fn rotations(quats: &Tensor<2>) -> [Vec3; 3] {
     let [w, x, y, z] = [0, 1, 2, 3].map(|i| column(quats, i));
     let squared = w.clone().square() + x.clone().square() + y.clone().square() + z.clone().square();
@@ -80,9 +80,9 @@ fn pinhole([x, y, z]: [&Tensor<1>; 3], axes: &[Vec3; 3], camera: &Intrinsics, op
     (m0, m1, mean2d)
 }
 
-/// Equidistant, without coefficients: `J` as gsplat's reference has it.
+/// Equidistant projection without coefficients, with the `J` of gsplat's reference.
 fn fisheye([x, y, z]: [&Tensor<1>; 3], axes: &[Vec3; 3], camera: &Intrinsics) -> Seen {
-    assert_eq!(camera.distortion, [0.0; 8], "only the equidistant projection is written here");
+    assert_eq!(camera.distortion, [0.0; 8], "only the equidistant projection is implemented here");
     let (xx, yy, xy) = (x.clone().square(), y.clone().square(), x.clone() * y.clone());
     let squared = xx.clone() + yy.clone();
     let rho = squared.clone().sqrt();
@@ -103,7 +103,7 @@ fn fisheye([x, y, z]: [&Tensor<1>; 3], axes: &[Vec3; 3], camera: &Intrinsics) ->
     (m0, m1, mean2d)
 }
 
-/// The projection of all Gaussians.
+/// Projects all Gaussians.
 pub fn project(
     [means, quats, scales]: [&Tensor<2>; 3],
     opacities: &Tensor<1>,
@@ -146,10 +146,10 @@ pub fn project(
     }
 }
 
-/// Colours `[N, 3]` from spherical harmonics to degree 2, `[N, K, 3]`.
+/// Evaluates colours `[N, 3]` from spherical harmonics up to degree 2, `[N, K, 3]`.
 pub fn shade(sh: &Tensor<3>, means: &Tensor<2>, pose: &Tensor<2>) -> Tensor<2> {
     let rows = [0, 1, 2].map(|row| [0, 1, 2].map(|col| entry(pose, row, col)));
-    // Columns of the inverse are the cross products of rows over the determinant.
+    // The columns of the inverse are cross products of rows, divided by the determinant.
     let columns = [cross(&rows[1], &rows[2]), cross(&rows[2], &rows[0]), cross(&rows[0], &rows[1])];
     let determinant = dot(&rows[0], &columns[0]);
     let t = [0, 1, 2].map(|row| entry(pose, row, 3));
@@ -184,7 +184,7 @@ pub fn shade(sh: &Tensor<3>, means: &Tensor<2>, pose: &Tensor<2>) -> Tensor<2> {
     colour.clamp_min(0.0)
 }
 
-/// Blends front to back; the order comes from the host, as it has no gradient.
+/// Rasterizes front to back. The order is computed on the host, because it has no gradient.
 pub fn blend(
     ellipses: &DenseEllipses,
     features: &Tensor<2>,

@@ -1,4 +1,4 @@
-//! The devices that tests across crates run on.
+//! The devices on which the tests across crates run.
 
 use std::sync::OnceLock;
 
@@ -8,14 +8,14 @@ use splat_train::device::{DeviceName, Found, Kind, open};
 
 use crate::data::announce;
 
-/// The devices that every proof in f32 runs on: those of [`cpu_devices`], and the GPU by the rules of [`gpu`].
+/// Devices for tests in f32: [`cpu_devices`], and the GPU by the rules of [`gpu`].
 pub fn devices() -> Vec<(&'static str, Device)> {
     let mut devices = cpu_devices();
     devices.extend(gpu().map(|device| ("gpu", device)));
     devices
 }
 
-/// As [`devices`], for the battery of hard cases.
+/// Returns [`devices`] as places for the battery of hard cases.
 pub fn places() -> Vec<Place> {
     let cpu = |(name, device): (&'static str, Device)| {
         let name = name.into();
@@ -29,23 +29,24 @@ pub fn places() -> Vec<Place> {
     places
 }
 
-/// The CPU devices, for proofs in f64, which kernels do not have, and of what the CPU alone promises.
+/// CPU devices, for tests in f64, which kernels do not support, and for guarantees of the CPU path only.
 pub fn cpu_devices() -> Vec<(&'static str, Device)> {
     vec![("flex", Device::flex()), ("ndarray", ndarray())]
 }
 
-/// The device of the backend that this project was asked to support beside Flex.
+/// Device of the ndarray backend, which this project supports beside Flex.
 #[allow(deprecated, reason = "burn-ndarray is deprecated in favour of burn-flex; this project supports both")]
 pub fn ndarray() -> Device {
     Device::ndarray()
 }
 
-/// The best adapter that the runtimes of this build reach, a driver in software if there is nothing better. The
-/// variable `SPLAT_GPU` decides: `skip` gives none, `require` fails where there is none, and unset none is given where
-/// there is none. That it is skipped, or what it is, is said once. From then on the kernels' buffers begin as NaN.
+/// Returns the best adapter that the runtimes of this build find, a driver in software if there is nothing better. The
+/// variable `SPLAT_GPU` controls the result: `skip` returns `None`, `require` panics if there is no adapter, and unset
+/// returns `None` if there is no adapter. The first call prints the adapter or the reason for skipping, and from then on
+/// the kernels' buffers begin as NaN.
 ///
 /// # Panics
-/// If it is required and not there, or if the variable has another value.
+/// If a required adapter is missing, or if the variable has another value.
 pub fn gpu() -> Option<Device> {
     static GPU: OnceLock<Option<Device>> = OnceLock::new();
     GPU.get_or_init(|| {
@@ -58,7 +59,7 @@ pub fn gpu() -> Option<Device> {
     .clone()
 }
 
-/// The best adapter and its name, or why there is none.
+/// Finds the best adapter and its name, or the reason why there is none.
 fn find() -> Result<(String, Device), String> {
     let found = adapter()?;
     let facts = open(&found).map_err(|error| error.to_string())?;
@@ -69,7 +70,7 @@ fn adapter() -> Result<Found, String> {
     Ok(DeviceName::Gpu.find().map_err(|error| error.to_string())?.0.expect("`gpu` is never the CPU"))
 }
 
-/// The rules of `SPLAT_GPU`: what to say and what to run on, or the failure.
+/// Applies the rules of `SPLAT_GPU`: returns the line to print and the device, or the failure.
 fn admit<D>(wish: &str, find: impl FnOnce() -> Result<(String, D), String>) -> Result<(String, Option<D>), String> {
     match wish {
         "skip" => Ok(("SKIPPED: tests on a GPU: SPLAT_GPU=skip".into(), None)),
@@ -78,7 +79,7 @@ fn admit<D>(wish: &str, find: impl FnOnce() -> Result<(String, D), String>) -> R
             Err(why) if wish == "require" => Err(format!("SPLAT_GPU=require: {why}")),
             Err(why) => Ok((format!("SKIPPED: tests on a GPU: {why}"), None)),
         },
-        other => Err(format!("SPLAT_GPU={other} means nothing: set it to `require` or `skip`, or not at all")),
+        other => Err(format!("SPLAT_GPU={other} is not supported: set it to `require` or `skip`, or unset it")),
     }
 }
 
@@ -124,7 +125,7 @@ mod tests {
         }
     }
 
-    /// With Burn's own operations: that the device opens, computes and gives results back.
+    /// Tests with Burn's own operations that the device opens, computes and returns results.
     #[test]
     fn the_gpu_computes() {
         let Some(device) = gpu() else { return };

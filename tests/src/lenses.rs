@@ -1,9 +1,9 @@
-//! Cameras that are no pinholes.
+//! Cameras with lens models other than the pinhole.
 
 use splat_op::{CameraModel, Intrinsics};
 
-/// A camera with a lens of each model, the coefficients not too strong; the first turns round not far outside the pictures that
-/// these tests draw, and one is equidistant.
+/// Returns a camera with each lens model and moderate coefficients. The distortion of the first turns back not far outside the
+/// pictures of these tests, and one lens is equidistant.
 pub fn lenses(camera: Intrinsics) -> [Intrinsics; 5] {
     let lens = |model, distortion| Intrinsics { model, distortion, ..camera };
     [

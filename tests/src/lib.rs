@@ -1,4 +1,4 @@
-//! What the tests of several crates share: scenes on the host, their render and gradients on any device and float type,
+//! Code shared by the tests of several crates: scenes on the host, their render and gradients on any device and float type,
 //! the reference vectors, and comparisons.
 
 pub mod band;

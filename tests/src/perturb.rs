@@ -1,4 +1,4 @@
-//! What one f32 ulp in every input does to a result: the unit in which f32 errors are judged.
+//! The change of a result when every input moves by one f32 ulp: the unit of f32 errors.
 
 use burn::tensor::{DType, Device};
 use splat_op::{Intrinsics, RenderOptions};
@@ -9,8 +9,8 @@ use splat_hard_cases::ceiling::{moved_value, rounded as rounded_value};
 use crate::random::Random;
 use crate::scene::{Evaluation, Named, Scene, Weights, evaluate};
 
-/// Random directions in which the inputs are moved. The largest change of several draws is a lower estimate of what an
-/// ulp can do.
+/// Number of random directions in which the inputs move. The largest change of several draws is a lower estimate of the largest
+/// change that an ulp can cause.
 const DRAWS: u64 = 8;
 
 fn map_scene(scene: &Scene, mut map: impl FnMut(f64) -> f64) -> Scene {
@@ -30,7 +30,7 @@ fn map_weights(weights: &Weights, mut map: impl FnMut(f64) -> f64) -> Weights {
     Weights { image: all(&weights.image), alpha: all(&weights.alpha), depth: all(&weights.depth) }
 }
 
-/// The scene, weights and options that an f32 render really sees.
+/// Rounds scene, weights and options to f32, as an f32 render receives them.
 pub fn rounded(scene: &Scene, weights: &Weights, options: &RenderOptions) -> (Scene, Weights, RenderOptions) {
     let options = RenderOptions {
         blur: rounded_value(options.blur),
@@ -43,12 +43,12 @@ pub fn rounded(scene: &Scene, weights: &Weights, options: &RenderOptions) -> (Sc
     (map_scene(scene, rounded_value), map_weights(weights, rounded_value), options)
 }
 
-/// The scene that an f32 render really sees.
+/// Rounds a scene to f32, as an f32 render receives it.
 pub fn rounded_scene(scene: &Scene) -> Scene {
     map_scene(scene, rounded_value)
 }
 
-/// The scene with every value one f32 ulp up or down, in several draws.
+/// Returns draws of the scene with every value moved up or down by one f32 ulp.
 pub fn moved_scenes(scene: &Scene) -> impl Iterator<Item = Scene> {
     (0..DRAWS).map(|draw| {
         let mut random = Random::new(draw);
@@ -56,8 +56,8 @@ pub fn moved_scenes(scene: &Scene) -> impl Iterator<Item = Scene> {
     })
 }
 
-/// Judges what `compute` gives in f32 on `device` by what it gives in f64 on the CPU for the same rounded scene, and by how
-/// much one ulp in every input moves that. The scene and the options must leave no threshold to jump over.
+/// Compares the result of `compute` in f32 on `device` with its result in f64 on the CPU for the same rounded scene. The ceiling of
+/// the error is the change of the f64 result by one ulp in every input. Scene and options must have no threshold to jump over.
 pub fn judge(
     what: &str,
     scene: &Scene,
@@ -83,8 +83,8 @@ pub fn judge(
     }
 }
 
-/// For every element of an evaluation, the largest change of the f64 result over several draws in which every input
-/// moves by one f32 ulp up or down. Inputs must be rounded already.
+/// Returns for every element of an evaluation the largest change of the f64 result over several draws, in which every input
+/// moves up or down by one f32 ulp. Inputs must be rounded to f32.
 pub fn ulp_spread(
     scene: &Scene,
     weights: &Weights,
@@ -98,7 +98,7 @@ pub fn ulp_spread(
         let mut random = Random::new(draw);
         let mut move_one = |value: f64| moved_value(value, &mut random);
         let scene = map_scene(scene, &mut move_one);
-        // A weight of zero masks a pixel; it stays zero.
+        // A weight of zero masks a pixel and stays zero.
         let weights = map_weights(weights, |w| if w == 0.0 { 0.0 } else { move_one(w) });
         let mut moved = evaluate(&scene, &weights, options, device, DType::F64);
         let mut plain = plain.clone();

@@ -9,7 +9,7 @@ use splat_op::{CameraModel, Intrinsics, RenderOptions};
 use crate::data::optional_data;
 use crate::scene::{Evaluation, Named, Scene, Weights};
 
-/// One file.
+/// One reference vector, a file.
 pub struct Vector {
     pub name: String,
     pub scene: Scene,
@@ -18,10 +18,10 @@ pub struct Vector {
     pub expected: Evaluation,
 }
 
-/// The vectors of this repository, and the larger ones in the folder `reference` of `SPLAT_DATA_DIR` where it is there.
+/// Reads the vectors of this repository, and the larger vectors in the folder `reference` of `SPLAT_DATA_DIR` if it exists.
 ///
 /// # Panics
-/// If a folder holds no vector or one that cannot be read.
+/// If a folder holds no vector, or a vector that cannot be read.
 pub fn read_vectors() -> Vec<Vector> {
     let own = Path::new(env!("CARGO_MANIFEST_DIR")).join("reference");
     let mut vectors = read_folder(&own);
@@ -94,7 +94,7 @@ fn read_vector(path: &Path) -> Vector {
     let degree = number("sh_degree") as usize;
     assert_eq!(scene.coefficients(), (degree + 1) * (degree + 1), "{name}: SH coefficients");
     let named = |name, columns| Named { name, columns, values: values(name) };
-    // The last row of a pose is no parameter of ours.
+    // The operation's poses have no last row.
     let pose = Named { name: "g_viewmat", columns: 4, values: values("g_viewmat")[..12].to_vec() };
     let expected = Evaluation {
         stages: vec![named("out_means2d", 2), named("out_depths", 1), named("out_conics", 3), named("out_colors", 3)],

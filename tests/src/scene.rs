@@ -1,4 +1,4 @@
-//! A scene on the host in f64, and its render with every output and gradient on any device and float type.
+//! A scene on the host in f64, and its render with all outputs and gradients on any device and float type.
 
 use burn::tensor::{DType, Device, Tensor};
 use splat_hard_cases::tensors::leaf;
@@ -7,7 +7,7 @@ use splat_op::{Camera, Colour, Extras, Intrinsics, RenderOptions, Splats, projec
 
 use crate::random::Random;
 
-/// Activated parameters, row-major, and the camera that sees them.
+/// Activated parameters, row-major, and a camera.
 #[derive(Clone, Debug)]
 pub struct Scene {
     pub means: Vec<f64>,
@@ -16,12 +16,12 @@ pub struct Scene {
     pub opacities: Vec<f64>,
     pub sh: Vec<f64>,
     pub background: Vec<f64>,
-    /// Camera from world, `[3, 4]`.
+    /// Pose, camera from world, `[3, 4]`.
     pub pose: Vec<f64>,
     pub intrinsics: Intrinsics,
 }
 
-/// The loss is `Σ w·out` over image, alpha and depth.
+/// Weights of the loss `Σ w·out` over image, alpha and depth.
 #[derive(Clone, Debug)]
 pub struct Weights {
     pub image: Vec<f64>,
@@ -29,18 +29,18 @@ pub struct Weights {
     pub depth: Vec<f64>,
 }
 
-/// All that a render computes.
+/// Stages, pictures and gradients of a render.
 #[derive(Clone, Debug)]
 pub struct Evaluation {
-    /// Per Gaussian: `means2d depths conics colors`.
+    /// Outputs per Gaussian: `means2d depths conics colors`.
     pub stages: Vec<Named>,
-    /// Per pixel: `image alpha depth`.
+    /// Outputs per pixel: `image alpha depth`.
     pub pictures: Vec<Named>,
-    /// `means quats scales opacities sh means2d viewmat background`.
+    /// Gradients of `means quats scales opacities sh means2d viewmat background`.
     pub gradients: Vec<Named>,
 }
 
-/// The tensors of a scene.
+/// Tensors of a scene.
 pub struct Tensors {
     pub splats: Splats,
     pub sh: Tensor<3>,
@@ -49,7 +49,7 @@ pub struct Tensors {
 }
 
 impl Scene {
-    /// `count` Gaussians in front of a camera that is turned and moved a little, all of them in and around its view.
+    /// Creates `count` Gaussians in and around the view of a camera that is rotated and moved a little.
     pub fn random(random: &mut Random, count: usize, degree: usize, intrinsics: Intrinsics) -> Self {
         let slope = intrinsics.width as f64 / (2.0 * intrinsics.fx);
         let mut means = Vec::with_capacity(3 * count);
@@ -90,18 +90,18 @@ impl Scene {
         self.opacities.len()
     }
 
-    /// SH coefficients per channel.
+    /// Number of SH coefficients per channel.
     pub fn coefficients(&self) -> usize {
         self.sh.len() / (3 * self.count())
     }
 
-    /// Camera z of every centre.
+    /// Returns the camera z of every centre.
     pub fn camera_z(&self) -> Vec<f64> {
         let p = &self.pose;
         self.means.chunks_exact(3).map(|m| p[8] * m[0] + p[9] * m[1] + p[10] * m[2] + p[11]).collect()
     }
 
-    /// As tensors; tracked leaves if the device records gradients.
+    /// Creates the tensors of the scene, tracked if the device records gradients.
     pub fn tensors(&self, device: &Device, dtype: DType) -> Tensors {
         let count = self.count();
         let sh = leaf(&self.sh, [count, self.coefficients(), 3], device, dtype);
@@ -121,7 +121,7 @@ impl Scene {
 }
 
 impl Weights {
-    /// From -1 to 1.
+    /// Creates random weights from -1 to 1.
     pub fn random(random: &mut Random, intrinsics: &Intrinsics) -> Self {
         let pixels = intrinsics.width * intrinsics.height;
         let mut fill = |count| random.fill(count, -1.0, 1.0);
@@ -129,7 +129,7 @@ impl Weights {
     }
 }
 
-/// Renders and differentiates. `options.depth` must be set; `device` is the plain one.
+/// Renders and differentiates a scene. `options.depth` must be set. `device` has no autodiff.
 pub fn evaluate(
     scene: &Scene,
     weights: &Weights,
@@ -171,7 +171,7 @@ pub fn evaluate(
     Evaluation { stages: stages(scene, options, &device.inner(), dtype), pictures, gradients }
 }
 
-/// What the stages before blending compute.
+/// Computes the outputs of the stages before rasterization.
 fn stages(scene: &Scene, options: &RenderOptions, device: &Device, dtype: DType) -> Vec<Named> {
     let Tensors { splats, sh, camera, .. } = scene.tensors(device, dtype);
     let ellipses = project(&splats, &camera, &Extras::default(), options).expect("a valid scene").ellipses();
@@ -186,7 +186,7 @@ fn stages(scene: &Scene, options: &RenderOptions, device: &Device, dtype: DType)
     ]
 }
 
-/// The inverse covariance `(a, b, c)` that a factor stands for.
+/// Returns the inverse covariance `(a, b, c)` of a factor.
 pub fn conic(sigma_u: f64, shear: f64, sigma_v: f64) -> [f64; 3] {
     let (variance_u, variance_v) = (sigma_u * sigma_u, sigma_v * sigma_v);
     [1.0 / variance_u + shear * shear / variance_v, -shear / variance_v, 1.0 / variance_v]

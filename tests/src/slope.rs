@@ -1,4 +1,4 @@
-//! A plain run, for what is counted and recorded of it.
+//! A plain training run, for tests that count or record its operations.
 
 use burn::tensor::Device;
 use glam::{DAffine3, DVec3};
@@ -6,7 +6,7 @@ use splat_model::capture::{Photo, PointCloud};
 use splat_model::trainer::{TrainConfig, Trainer};
 use splat_op::Intrinsics;
 
-/// A run on one photograph of 96 × 64 px, of a thousand Gaussians on a slope, whose harmonics reach their degree by step 4.
+/// Creates a run on one photograph of 96 × 64 px with a thousand Gaussians on a slope. The SH degree reaches its maximum by step 4.
 pub fn slope_trainer(device: &Device) -> Trainer {
     let (width, height) = (96, 64);
     let rgb = (0..width * height).flat_map(|i| [(i % width * 2) as u8, (i / width * 3) as u8, 90]).collect();

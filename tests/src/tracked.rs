@@ -1,4 +1,4 @@
-//! The gradients of a render of which only some inputs are tracked.
+//! Gradients of a render with only some inputs tracked.
 
 use burn::tensor::{DType, Device, Tensor};
 use splat_op::{Camera, Colour, Extras, Intrinsics, RenderOptions, Splats, render};
@@ -6,12 +6,12 @@ use splat_op::{Camera, Colour, Extras, Intrinsics, RenderOptions, Splats, render
 use crate::random::Random;
 use crate::scene::{Scene, host, tensor};
 
-/// The inputs of a render that can be tracked, in the order of [`gradients_of`].
+/// Inputs of a render that can be tracked, in the order of [`gradients_of`].
 pub const INPUTS: [&str; 9] =
     ["means", "rotations", "scales", "opacities", "sh", "pose", "background", "mean2d_probe", "mean2d_abs_probe"];
 
-/// The gradient of each of [`INPUTS`]; only those that `tracked` says are leaves have one. The loss sums all outputs with
-/// random weights, the same in every call. The first of the `cameras` is the scene's own, the others move away from it.
+/// Returns the gradient of each of [`INPUTS`], `None` where `tracked` is false. The loss sums all outputs with
+/// random weights that are equal in every call. The first of the `cameras` is the scene's camera, and the others move away from it.
 pub fn gradients_of(
     scene: &Scene,
     cameras: usize,
@@ -44,7 +44,7 @@ pub fn gradients_of(
     };
     let views: Vec<Camera> = (0..cameras)
         .map(|view| {
-            // A power of two times an integer, so that the shift is the same in both float types.
+            // The shift is an integer times a power of two, and therefore equal in both float types.
             let shift = 0.125 * view as f64;
             let mut sideways = vec![0.0; 12];
             sideways[3] = shift;

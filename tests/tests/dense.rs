@@ -1,4 +1,4 @@
-//! The composed operation against Burn's own autodiff of a dense tensor formulation, in f64 on Flex.
+//! Compares the composed operation with Burn's autodiff of a dense tensor formulation, in f64 on Flex.
 
 use burn::tensor::{DType, Device, Gradients, Tensor};
 use splat_op::{CameraModel, Ellipses, Extras, Intrinsics, RenderOptions, Splats, blend, project, render, tile};
@@ -7,7 +7,7 @@ use splat_tests::dense::{self, DenseEllipses};
 use splat_tests::random::Random;
 use splat_tests::scene::{Scene, Tensors, host, tensor};
 
-/// Both sides compute in f64; they differ by rounding only.
+/// Both sides compute in f64 and differ only by rounding.
 const TOLERANCE: f64 = 1e-11;
 
 const CAMERA: Intrinsics = Intrinsics { fx: 17.0, fy: 19.0, cx: 8.5, cy: 7.25, ..Intrinsics::centred(20, 13, 17.0) };
@@ -18,7 +18,7 @@ fn options(antialias: bool) -> RenderOptions {
     smooth.with_depth(true).with_antialias(antialias)
 }
 
-/// A scene with Gaussians inside, at the border and beyond the Jacobian's limits, some of them opaque, some tiny.
+/// A scene with Gaussians inside, at and beyond the Jacobian's limits, some of them opaque and some tiny.
 fn scene(seed: u64, camera: Intrinsics) -> Scene {
     let mut random = Random::new(seed);
     let mut scene = Scene::random(&mut random, 12, 2, camera);
@@ -28,7 +28,7 @@ fn scene(seed: u64, camera: Intrinsics) -> Scene {
     scene.means[7] = -5.0;
     scene.scales[3..6].fill(2.0);
     scene.scales[6..9].fill(1.5);
-    // Far below a pixel: where the render is anti-aliased, the compensation's floor holds.
+    // Far smaller than a pixel: in an anti-aliased render, the compensation is at its floor.
     scene.scales[9..12].fill(1e-4);
     scene
 }
@@ -45,7 +45,7 @@ struct Pictures {
     depth: Vec<f64>,
 }
 
-/// Values of a picture, and the loss `Σ w·out` with the same random weights on both sides.
+/// Computes the loss `Σ w·out` with the same random weights on both sides, and the values of the pictures.
 fn loss<const D: usize>(colour: Tensor<D>, alpha: Tensor<D>, depth: Tensor<D>) -> (Tensor<1>, Pictures) {
     let mut random = Random::new(99);
     let mut weighted = |t: &Tensor<D>| {
@@ -57,7 +57,7 @@ fn loss<const D: usize>(colour: Tensor<D>, alpha: Tensor<D>, depth: Tensor<D>) -
     (sum, Pictures { colour: host(colour), alpha: host(alpha), depth: host(depth) })
 }
 
-/// Gradients of the leaves of a scene, by name. A leaf that the loss does not depend on has none.
+/// Returns the gradients of a scene's leaves, by name. A leaf on which the loss does not depend has no gradient.
 fn gradients(leaves: &Tensors, grads: &Gradients) -> Vec<(&'static str, Vec<f64>)> {
     let Splats { means, rotations, scales, opacities, .. } = &leaves.splats;
     vec![
@@ -122,8 +122,8 @@ fn render_agrees_with_autodiff_of_the_dense_formulation() {
     }
 }
 
-/// Tensor code between the stages, the same for both sides: every column changes, by itself, by another column, and by a
-/// leaf `gain` of the user's own.
+/// Tensor code between the stages, for both sides: every column depends on itself, on another column, and on a
+/// leaf `gain` of the user.
 fn edit(
     sigma_u: Tensor<1>,
     shear: Tensor<1>,

@@ -1,4 +1,4 @@
-//! The dials of a render through the public functions, on every device: what each changes, and that it changes nothing else.
+//! The dials of a render through the public functions, on every device: each dial changes its own part of the result and no other.
 
 use burn::tensor::{DType, Device, f16};
 use splat_op::{
@@ -16,7 +16,7 @@ const OPTIONS: RenderOptions = RenderOptions::standard().with_depth(true).with_a
 
 type Where = (&'static str, Device, DType);
 
-/// Both float types on the CPU, and the GPU's.
+/// Every device with its float types: both on the CPU, f32 on the GPU.
 fn everywhere() -> Vec<Where> {
     let cpus = cpu_devices()
         .into_iter()
@@ -24,7 +24,7 @@ fn everywhere() -> Vec<Where> {
     cpus.chain(gpu().map(|device| ("gpu", device, DType::F32))).collect()
 }
 
-/// Needles in and around the picture, few enough for a bucket of `blend` to hold each tile's list.
+/// Needles in and around the picture, few enough for each tile's list to fit into one bucket of `blend`.
 fn needles(count: usize) -> Scene {
     let mut scene = Scene::random(&mut Random::new(11), count, 1, CAMERA);
     for scales in scene.scales.chunks_exact_mut(3) {
@@ -33,7 +33,7 @@ fn needles(count: usize) -> Scene {
     scene
 }
 
-/// `colour alpha depth`, and how many Gaussians all tiles list.
+/// Returns `colour alpha depth` and the number of intersections of all tiles.
 fn picture(scene: &Scene, options: &RenderOptions, (_, device, dtype): &Where) -> ([Vec<f64>; 3], f64) {
     let Tensors { splats, camera, background, .. } = scene.tensors(device, *dtype);
     let extras = Extras { background: Some(background), ..Extras::default() };
@@ -54,7 +54,7 @@ fn culling_changes_time_alone() {
         let mut before = fewest;
         for culling in [Culling::OpacityBox, Culling::BoundingBox] {
             let (found, hits) = picture(&scene, &OPTIONS.with_culling(culling), &place);
-            assert!(hits > before, "{}: {culling:?} lists {hits}, a finer one {before}", place.0);
+            assert!(hits > before, "{}: {culling:?} lists {hits}, a finer culling {before}", place.0);
             before = hits;
             assert!(found == expected, "{} {:?}: {culling:?} changes the picture", place.0, place.2);
             let found = gradients(OPTIONS.with_culling(culling));
@@ -63,7 +63,7 @@ fn culling_changes_time_alone() {
     }
 }
 
-/// Pictures and the gradients of the harmonics.
+/// Returns the pictures and the gradients of the harmonics.
 fn with_harmonics(scene: &Scene, options: &RenderOptions, (_, device, dtype): &Where) -> (Vec<f64>, Vec<f64>) {
     let device = device.clone().autodiff();
     let sh = tensor::<3>(&scene.sh, [scene.count(), scene.coefficients(), 3], &device, *dtype).require_grad();
@@ -86,7 +86,7 @@ fn harmonics_above_the_degree_are_as_if_they_were_not_there() {
             let found = with_harmonics(&scene, &OPTIONS.with_sh_degree(Some(degree)), &place);
             let what = format!("{} {:?}, degree {degree}", place.0, place.2);
             if degree >= 3 {
-                assert!(found == all, "{what}: there are none above it");
+                assert!(found == all, "{what}: there are no harmonics above this degree");
                 continue;
             }
             assert!(found.0 != all.0, "{what}: the dial changes nothing");
@@ -95,10 +95,10 @@ fn harmonics_above_the_degree_are_as_if_they_were_not_there() {
                 ..scene.clone()
             };
             let expected = with_harmonics(&lower, &OPTIONS, &place);
-            assert!(found.0 == expected.0, "{what}: not the picture of these coefficients");
+            assert!(found.0 == expected.0, "{what}: the picture differs from that of the lower coefficients");
             let rows = || found.1.chunks_exact(48);
-            assert!(rows().flat_map(|row| &row[..used]).eq(&expected.1), "{what}: not the gradient of those used");
-            assert!(rows().flat_map(|row| &row[used..]).all(|g| *g == 0.0), "{what}: a gradient of one not used");
+            assert!(rows().flat_map(|row| &row[..used]).eq(&expected.1), "{what}: a used coefficient's gradient");
+            assert!(rows().flat_map(|row| &row[used..]).all(|g| *g == 0.0), "{what}: an unused gradient");
         }
     }
 }
@@ -127,7 +127,7 @@ fn without_a_cut_a_large_picture_of_many_gaussians_is_refused() {
 #[test]
 fn exponentials_change_no_more_than_they_say() {
     let scene = Scene::random(&mut Random::new(13), 60, 1, CAMERA);
-    // Without cuts, beside which a pair within rounding would jump.
+    // Without cuts, at which a pair within rounding error would jump.
     let smooth = RenderOptions { alpha_min: 1e-12, transmittance_min: 0.0, ..OPTIONS };
     for place in everywhere() {
         let (expected, _) = picture(&scene, &smooth, &place);
@@ -139,18 +139,18 @@ fn exponentials_change_no_more_than_they_say() {
         let exponentials =
             [Exponential::Library, Exponential::Polynomial].map(|e| difference(smooth.with_exponential(e)));
         println!("{} {:?}: exponentials {exponentials:?}", place.0, place.2);
-        // One of them is the standard one; in f64 both are.
+        // One of the two is the default, and in f64 both give the default's result.
         assert!(exponentials.contains(&0.0) && exponentials.iter().all(|d| *d <= 2e-6), "{exponentials:?}");
         assert_eq!(exponentials.iter().all(|d| *d == 0.0), place.2 == DType::F64, "{} {exponentials:?}", place.0);
     }
 }
 
-/// The scene with its harmonics rounded as half precision rounds them.
+/// The scene with its harmonics rounded to half precision.
 fn rounded(scene: &Scene) -> Scene {
     Scene { sh: scene.sh.iter().map(|value| f16::from_f64(*value).to_f64()).collect(), ..scene.clone() }
 }
 
-/// The places that have tensors of half precision.
+/// The devices that support tensors of half precision.
 fn with_halves() -> Vec<Where> {
     let all = everywhere().into_iter();
     all.filter(|(_, device, _)| device.supports_dtype(DType::F16)).collect()
@@ -160,8 +160,8 @@ fn with_halves() -> Vec<Where> {
 fn assert_same(what: &str, exactly: bool, found: &[f64], expected: &[f64]) {
     assert_eq!(found.len(), expected.len(), "{what}");
     let most = expected.iter().fold(0.0_f64, |most, value| most.max(value.abs()));
-    assert!(most > 0.0, "{what}: a scene that proves nothing");
-    // Another kernel may contract other sums.
+    assert!(most > 0.0, "{what}: all zero, which proves nothing");
+    // Different kernels may contract different sums.
     let slack = if exactly { 0.0 } else { 1e-5 * most };
     let worst = found.iter().zip(expected).fold(0.0_f64, |worst, (a, b)| worst.max((a - b).abs()));
     assert!(worst <= slack, "{what}: {worst:e} of {most:e}");
@@ -173,7 +173,7 @@ fn coefficients_of_half_precision_are_rounded_ones() {
     let places = with_halves();
     assert!(places.iter().any(|place| place.0 == "flex"), "no device has half precision");
     for degree in 0..=4 {
-        // An odd number of Gaussians, so that the last word of an odd degree's coefficients is half empty.
+        // The number of Gaussians is odd, so that the last word of an odd number of coefficients is half empty.
         let scene = Scene::random(&mut Random::new(14 + degree as u64), 61, degree, CAMERA);
         for place in &places {
             let what = format!("{} {:?}, degree {degree}", place.0, place.2);
@@ -191,7 +191,8 @@ fn coefficients_of_half_precision_are_rounded_ones() {
 #[test]
 fn coefficients_of_half_precision_have_gradients_in_a_step_that_trains_all() {
     let scene = Scene::random(&mut Random::new(19), 61, 3, CAMERA);
-    // With the pose, without it, and along rays. One camera: a sum of more has an order, which another graph may change.
+    // With the pose, without it, and with per-ray rasterization. One camera, because another graph may change the order of a sum
+    // over several cameras.
     let poses = [[true; 9], [true, true, true, true, true, false, true, true, true]];
     for place in with_halves() {
         for tracked in poses {
@@ -216,7 +217,7 @@ fn coefficients_of_half_precision_have_gradients_in_a_step_that_trains_all() {
 #[test]
 fn a_scene_can_be_stored_in_half_precision_once() {
     let mut scene = Scene::random(&mut Random::new(20), 61, 2, CAMERA);
-    // Beyond the largest half: held there, and no infinity.
+    // A value above the largest half is clamped to it and does not become infinite.
     scene.sh[5] = 1e6;
     for (name, device, dtype) in with_halves() {
         let Tensors { splats, camera, .. } = scene.tensors(&device, dtype);
@@ -230,7 +231,7 @@ fn a_scene_can_be_stored_in_half_precision_once() {
         let expected = colour(&splats, &half);
         assert!(expected.iter().all(|value| value.is_finite()), "{name}");
         for options in [half, OPTIONS] {
-            assert!(colour(&stored, &options) == expected, "{name} {dtype:?}: not what each render stores");
+            assert!(colour(&stored, &options) == expected, "{name} {dtype:?}: differs from what each render stores");
         }
         let lower = half.with_sh_degree(Some(1));
         assert!(colour(&stored, &lower) == colour(&splats, &lower), "{name} {dtype:?}: of a lower degree");

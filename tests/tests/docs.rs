@@ -1,18 +1,18 @@
-//! Links of the documentation lead somewhere: to a file of this repository, and to a heading that it has. Every page is in the
+//! Tests that links of the documentation lead to an existing file and heading of this repository, and that every page is in the
 //! book's table of contents.
 
 use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Folders with pages; those below them have none.
+/// Folders with pages. Their subfolders have none.
 const FOLDERS: [&str; 5] = [".", "docs", "docs/pareto", "benches", "train/assets/viewer"];
 
 fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("..").canonicalize().unwrap()
 }
 
-/// The Markdown files of the repository, by their path in it.
+/// Returns the Markdown files of the repository, by relative path.
 fn pages() -> Vec<PathBuf> {
     let mut pages = Vec::new();
     for folder in FOLDERS {
@@ -24,7 +24,7 @@ fn pages() -> Vec<PathBuf> {
     pages
 }
 
-/// Lines of a page that are no code, without what stands between backquotes.
+/// Returns the lines of a page outside code blocks, without text between backquotes.
 fn prose(page: &str) -> Vec<String> {
     let mut code = false;
     let mut lines = Vec::new();
@@ -38,11 +38,11 @@ fn prose(page: &str) -> Vec<String> {
     lines
 }
 
-/// Targets of `[text](target)` in a line.
+/// Returns the targets of `[text](target)` in a line.
 fn targets(line: &str) -> Vec<&str> {
     let outside_code: Vec<&str> = line.split('`').collect();
     let mut targets = Vec::new();
-    // A link's text may be code, so what follows the text is searched for in all parts that are not.
+    // A link's text may be code, so the search looks for `](` rather than for the text.
     for part in outside_code.iter().step_by(2) {
         for (at, _) in part.match_indices("](") {
             let rest = &part[at + 2..];
@@ -52,7 +52,7 @@ fn targets(line: &str) -> Vec<&str> {
     targets
 }
 
-/// Anchors of a page's headings, as GitHub and mdBook make them.
+/// Returns the anchors of a page's headings, as GitHub and mdBook generate them.
 fn anchors(page: &str) -> BTreeSet<String> {
     let headings = prose(page).into_iter().filter(|line| line.starts_with('#'));
     headings
@@ -90,7 +90,7 @@ fn every_link_leads_to_a_file_and_a_heading() {
         }
     }
     assert!(broken.is_empty(), "these links lead nowhere:\n{}", broken.join("\n"));
-    assert!(followed > 20, "found {followed} links alone: the search for links is broken");
+    assert!(followed > 20, "found only {followed} links: the search for links is broken");
 }
 
 #[test]

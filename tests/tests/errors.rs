@@ -1,4 +1,4 @@
-//! What the operation refuses, and that its message names the argument.
+//! Tests that the operation rejects invalid arguments with a message that names the argument.
 
 use burn::tensor::{DType, Device, Tensor};
 use splat_op::{Camera, Colour, Extras, Intrinsics, RenderOptions, SplatError, blend, project, render, shade, tile};
@@ -10,7 +10,7 @@ const CAMERA: Intrinsics = Intrinsics { fx: 7.0, fy: 7.0, cx: 4.0, cy: 3.0, ..In
 
 const COUNT: usize = 5;
 
-/// A call of `render`, to be spoilt.
+/// Arguments of a valid call of `render`, which a test makes invalid.
 struct Call {
     tensors: Tensors,
     extras: Extras,
@@ -34,7 +34,7 @@ fn double<const D: usize>(t: &Tensor<D>) -> Tensor<D> {
     t.clone().cast(DType::F64)
 }
 
-/// Spoils a good call and returns the message.
+/// Makes a valid call invalid and returns the error message.
 fn refusal(spoil: impl FnOnce(&mut Call)) -> String {
     let mut call = call();
     spoil(&mut call);
@@ -53,7 +53,7 @@ fn a_good_call_is_accepted() {
     let Call { tensors: Tensors { splats, camera, .. }, extras, options } = call();
     let out = render(&splats, &[camera], &extras, &options).expect("nothing is wrong with it");
     assert_eq!(out.colour.dims(), [1, CAMERA.height, CAMERA.width, 3]);
-    assert!(out.depth.is_none(), "depth only if asked for");
+    assert!(out.depth.is_none(), "depth without a request for it");
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! The CPU operation against the exact renderer, with every numerical dial off.
+//! Compares the CPU operation with the exact renderer, with every numerical dial off.
 
 use burn::tensor::{DType, Device};
 use glam::{DMat3, DVec3};
@@ -12,7 +12,7 @@ use splat_tests::scene::{Scene, Tensors, host};
 
 const CAMERA: Intrinsics = Intrinsics { fx: 33.0, fy: 37.0, cx: 19.0, cy: 14.5, ..Intrinsics::centred(41, 27, 33.0) };
 
-/// Both sides compute in f64, by different formulas.
+/// Both sides compute in f64 with different formulas.
 const TOLERANCE: f64 = 1e-10;
 
 fn off() -> RenderOptions {
@@ -20,7 +20,7 @@ fn off() -> RenderOptions {
     off.with_depth(true)
 }
 
-/// Asserts that the render of every CPU device is the exact one.
+/// Asserts that the render of every CPU device equals the exact render.
 fn check(what: &str, scene: &Scene, options: &RenderOptions, tolerance: f64) {
     let tensors = scene.tensors(&Device::flex(), DType::F64);
     let colours = host(shade(&tensors.sh, &tensors.splats.means, &tensors.camera).expect("a valid scene"));
@@ -53,7 +53,7 @@ fn the_cpu_operation_agrees_with_the_exact_renderer() {
     let cases = cameras.flat_map(|camera| [(camera, 1, false), (camera, 2, true)]);
     for (camera, seed, antialias) in cases {
         let mut scene = Scene::random(&mut Random::new(seed), 80, 1, camera);
-        // One behind the camera, one beyond the Jacobian's limits, one far below a pixel.
+        // One Gaussian behind the camera, one beyond the Jacobian's limits, and one far smaller than a pixel.
         scene.means[2] = -1.0;
         scene.means[3] = 9.0;
         scene.scales[6..9].fill(1e-4);
@@ -62,7 +62,7 @@ fn the_cpu_operation_agrees_with_the_exact_renderer() {
     }
 }
 
-/// Gaussians as large as they are far, needles and sheets, some around the camera, under a wide angle and beside it.
+/// Gaussians as large as their distance, needles and sheets, some around the camera, inside and outside a wide view.
 #[test]
 fn rays_agree_with_the_exact_renderer() {
     let wide = Intrinsics { fx: 9.0, fy: 11.0, ..CAMERA };
@@ -84,7 +84,7 @@ fn rays_agree_with_the_exact_renderer() {
         scene.scales[6..9].fill(1e-4);
         for (projection, order) in choices {
             let options = off().with_antialias(seed % 2 == 0).with_projection(projection).with_order(order);
-            // The exact renderer inverts covariances; for the flattest of these that costs digits.
+            // The exact renderer inverts covariances, which costs digits for the flattest Gaussians.
             check(&format!("{projection:?}, {order:?}, seed {seed}"), &scene, &options, 1e-8);
         }
     }

@@ -1,5 +1,5 @@
-//! That every stage on a GPU executes kernels and no CPU twin, with Burn's fusion where it is built in. A process of its
-//! own: what is counted must be this test's alone.
+//! Tests that every stage on a GPU executes kernels and no CPU twin, with Burn's fusion where it is built in. The test is a
+//! process of its own, because the counters are global.
 
 use burn::tensor::{DType, Tensor};
 use splat_op::{Extras, Intrinsics, Order, Projection, RenderOptions, blend, project, shade, tile, witness};
@@ -16,7 +16,7 @@ fn every_stage_executes_kernels_and_no_twin() {
 
     let device = device.autodiff();
     let scene = Scene::random(&mut Random::new(1), 50, 2, Intrinsics::centred(40, 30, 35.0));
-    // Leaves of its own for each stage: Burn differentiates a graph once.
+    // Each stage has its own leaves, because Burn differentiates a graph only once.
     let leaves = || scene.tensors(&device, DType::F32);
     let Tensors { splats, camera, .. } = leaves();
     let options = RenderOptions::standard();
@@ -70,13 +70,13 @@ fn every_stage_executes_kernels_and_no_twin() {
     launched_after(host(splats.means.grad(&loss).expect("tracked")), || {
         launched("the backward passes of rays and tilt")
     });
-    // The counter of twins counts.
+    // The counter of twin calls works.
     let Tensors { splats, camera, .. } = scene.tensors(&burn::tensor::Device::flex(), DType::F32);
     project(&splats, &camera, &Extras::default(), &options).expect("a valid scene");
     assert_eq!(witness::twin_calls(), 1);
 }
 
-/// Fused operations run when their results are read.
+/// Runs `check` after results were read, because fused operations run only then.
 fn launched_after(read: Vec<f64>, check: impl FnOnce()) {
     assert!(read.iter().any(|value| *value != 0.0), "all zero, which proves nothing");
     check();

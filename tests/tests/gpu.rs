@@ -1,4 +1,4 @@
-//! What the GPU path alone can get wrong: whole renders at the borders of what kernels are written for, refusals, limits.
+//! Tests of the GPU path alone: whole renders at the limits of the kernels, rejected arguments, buffer limits.
 
 use burn::tensor::{DType, Device, Tensor, TensorData};
 use splat_model::optim::{Adam, Moments, Rates};
@@ -15,13 +15,13 @@ use splat_tests::tracked::{INPUTS, gradients_of};
 
 const CAMERA: Intrinsics = Intrinsics { fx: 61.0, fy: 64.0, cx: 36.0, cy: 26.5, ..Intrinsics::centred(75, 50, 61.0) };
 
-/// Without cuts: a pair within rounding of one would jump.
+/// Options without cuts, at which a pair within rounding error would jump.
 const SMOOTH: RenderOptions =
     RenderOptions { alpha_min: 0.0, transmittance_min: 0.0, ..RenderOptions::standard().with_depth(true) };
 
 type Where = (Device, DType);
 
-/// As [`gradients_of`], by name.
+/// Computes [`gradients_of`], by name.
 fn named_gradients(
     scene: &Scene,
     cameras: usize,
@@ -61,7 +61,7 @@ fn all_gradients_through_every_lens() {
         let mut scene = Scene::random(&mut Random::new(40 + i as u64), 200, 2, camera);
         scene.scales.iter_mut().for_each(|scale| *scale *= 0.4);
         let options = SMOOTH.with_antialias(i % 2 == 0);
-        // With the pose, stage by stage; without, `project` and `shade` in one.
+        // With a tracked pose the stages run one by one; without it, one kernel computes `project` and `shade`.
         for pose in [true, false] {
             let tracked = std::array::from_fn(|input| pose || INPUTS[input] != "pose");
             judge(&format!("{:?}, pose {pose}", camera.model), &scene, &device, |scene, place| {
@@ -71,7 +71,7 @@ fn all_gradients_through_every_lens() {
     }
 }
 
-/// Each input alone, and all but it: kernels are compiled without what is not asked for.
+/// Tracks each input alone, and all inputs but one, because kernels are compiled without the gradients that are not requested.
 #[test]
 fn gradients_do_not_depend_on_what_else_is_tracked() {
     let Some(device) = gpu() else { return };
@@ -89,7 +89,7 @@ fn gradients_do_not_depend_on_what_else_is_tracked() {
     }
 }
 
-/// `colour alpha` of a render of features, and the gradients of `means features background`.
+/// Renders features and returns `colour alpha` and the gradients of `means features background`.
 fn features_of(scene: &Scene, channels: usize, (device, dtype): &Where) -> Vec<(&'static str, Vec<f64>)> {
     let device = device.clone().autodiff();
     let plain = Scene { sh: vec![0.0; 3 * scene.count()], ..scene.clone() };
@@ -152,7 +152,7 @@ fn no_splats_and_none_visible_show_the_background_and_have_no_gradient() {
             // Behind the camera.
             scene.means.chunks_exact_mut(3).for_each(|mean| mean[2] = -3.0);
             let Tensors { camera, background, .. } = scene.tensors(&tracked, DType::F32);
-            // Burn does not track a slice of no rows, so these are leaves.
+            // Burn does not track a slice without rows, so these tensors are leaves.
             let rows = |values: &[f64], columns| {
                 tensor::<2>(&values[..columns * count], [count, columns], &tracked, DType::F32).require_grad()
             };
@@ -209,7 +209,7 @@ fn ordered_accumulation_gives_the_same_bits_in_every_run() {
 fn f64_and_tensors_elsewhere_are_refused() {
     let Some(device) = gpu() else { return };
     let scene = Scene::random(&mut Random::new(1), 5, 1, CAMERA);
-    // What makes an f64 tensor on a GPU is Burn's; that its elements are never read is ours.
+    // Burn may create an f64 tensor on a GPU. The operation must never read its elements.
     let Tensors { splats, camera, .. } = scene.tensors(&device, DType::F32);
     let double = Splats { means: splats.means.clone().cast(DType::F64), ..splats.clone() };
     let refusal = project(&double, &camera, &Extras::default(), &SMOOTH).expect_err("refused").to_string();
@@ -221,7 +221,7 @@ fn f64_and_tensors_elsewhere_are_refused() {
     assert!(refusal.contains("`scales`") && refusal.contains("Tensor::to_device"), "{refusal}");
 }
 
-/// The largest buffer of a device on which a test can exceed it; else says why not.
+/// Returns the size of a device's largest buffer if a test can exceed it. Otherwise prints why not.
 fn small_limit(device: &Device) -> Option<usize> {
     let limit = witness::buffer_limit(device).expect("a GPU") as usize;
     if limit > 1 << 28 {
@@ -231,7 +231,7 @@ fn small_limit(device: &Device) -> Option<usize> {
     Some(limit)
 }
 
-/// One Gaussian in the middle of the picture, seen `count` times through views that take no memory.
+/// One Gaussian in the middle of the picture, repeated `count` times by tensor views that take no memory.
 fn repeated(count: usize, device: &Device) -> (Splats, Camera) {
     let row = |values: &[f64], columns| tensor::<2>(values, [1, columns], device, DType::F32).expand([count, columns]);
     let splats = Splats {
@@ -271,12 +271,12 @@ fn inputs_and_pictures_beyond_the_largest_buffer_are_refused() {
     let many = Splats { colour: Colour::Features(features), ..splats.clone() };
     refused(&many, std::slice::from_ref(&camera), "the picture", "smaller picture");
     refused(&splats, &vec![camera.clone(); beyond(12 * 960 * 540)], "the pictures of all cameras", "fewer cameras");
-    // What was refused leaves nothing behind.
+    // A rejected call has no effect on later calls.
     let out = render(&splats, &[camera], &Extras::default(), &RenderOptions::standard()).expect("it fits");
     assert!(host(out.alpha).iter().all(|alpha| *alpha > 0.5));
 }
 
-/// How many hits there are is known only within the operation, which cannot return an error.
+/// The number of hits is known only inside the operation, which cannot return an error.
 #[test]
 fn too_many_hits_fail_where_the_result_is_read_and_nowhere_else() {
     let Some(device) = gpu() else { return };
@@ -289,7 +289,7 @@ fn too_many_hits_fail_where_the_result_is_read_and_nowhere_else() {
         let tiles = tile(&projected, &options).expect("it fits");
         tiles.counts.try_into_data().map(|_| ()).map_err(|error| format!("{error:?}"))
     });
-    // Without fusion the operation runs at once, and its panic is the caller's own.
+    // Without fusion the operation runs immediately, and the panic reaches the caller.
     let failure = match read {
         Ok(result) => result.expect_err("too many hits"),
         Err(panic) => panic.downcast_ref::<String>().expect("a message").clone(),
@@ -303,7 +303,7 @@ fn too_many_hits_fail_where_the_result_is_read_and_nowhere_else() {
     assert!(host(out.alpha).iter().all(|alpha| *alpha > 0.9), "later calls are not harmed");
 }
 
-/// What nobody else holds is stepped in place; what somebody holds must stay as it is.
+/// A step updates tensors in place if nothing else holds them, and must not change tensors that something else holds.
 #[test]
 fn adam_in_one_operation_is_adam_in_tensors_and_leaves_what_others_hold() {
     let Some(device) = gpu() else { return };
@@ -317,7 +317,7 @@ fn adam_in_one_operation_is_adam_in_tensors_and_leaves_what_others_hold() {
     let (mut moments, mut theirs) = (Moments::new(&start), Moments::new(&start));
     let before = host(start.clone());
     let adam = Adam::default();
-    // Of the first column and of the others.
+    // Rates of the first column and of the other columns.
     let rates = Rates { first: 0.05, others: 0.01 };
     for step in 1..=6 {
         let gradient = draw(-1e-3, 1e-3);
@@ -325,11 +325,11 @@ fn adam_in_one_operation_is_adam_in_tensors_and_leaves_what_others_hold() {
         let held = (step == 3).then(|| one.clone());
         let known = held.clone().map(host);
         one = adam.step(one, gradient, rates, &mut moments, step);
-        assert_eq!(held.map(host), known, "a tensor that somebody holds was stepped");
+        assert_eq!(held.map(host), known, "a step changed a tensor that is still held");
     }
-    assert_eq!(host(start), before, "a tensor that somebody holds was stepped");
+    assert_eq!(host(start), before, "a step changed a tensor that is still held");
     let (one, other) = (host(one), host(other));
-    assert!(one.iter().zip(&before).all(|(after, before)| after != before), "a step that changes nothing");
+    assert!(one.iter().zip(&before).all(|(after, before)| after != before), "the step changes nothing");
     for (one, other) in one.iter().zip(other) {
         assert!((one - other).abs() <= 1e-6, "{one} instead of {other}");
     }

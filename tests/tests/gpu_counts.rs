@@ -1,5 +1,5 @@
-//! What a training step launches and allocates on a GPU: counts, which do not depend on how busy the machine is. A process
-//! of its own: what is counted must be this test's alone.
+//! Counts the launches and allocations of a training step on a GPU. Counts do not depend on the machine's load. The test is a
+//! process of its own, because the counters are global.
 
 use std::collections::BTreeMap;
 
@@ -9,16 +9,16 @@ use splat_tests::data::announce;
 use splat_tests::places;
 use splat_tests::slope::slope_trainer;
 
-/// Kernels per step on a driver in software. On a card those of Burn may be others.
+/// Kernel launches per step on a driver in software. Burn may launch other kernels on a card.
 const LAUNCHES: f64 = 67.0;
 
-/// Bytes per step of the buffers that the operations ask for.
+/// Bytes of the buffers that the operations request per step.
 const BYTES: f64 = 1_467_172.0;
 
-/// What a regression is.
+/// Growth above which a count is a regression.
 const GROWTH: f64 = 1.05;
 
-/// Steps before those that count: all degrees of the harmonics are there by then, and the photograph is prepared.
+/// Steps before the counted steps. After them, all degrees of the harmonics are in use and the photograph is prepared.
 const BEFORE: usize = 6;
 const STEPS: usize = 8;
 

@@ -1,4 +1,4 @@
-//! What the trainer does on a GPU alone, or with tensor code that nothing else runs there.
+//! Tests of the trainer on a GPU: its GPU-only code, and tensor code that no other test runs on a GPU.
 
 use std::cell::RefCell;
 use std::rc::Rc;
@@ -19,7 +19,7 @@ use splat_op::Intrinsics;
 use splat_tests::gpu;
 use splat_tests::scene::host;
 
-/// Without room for prepared photographs they go to the device packed, and are unpacked there.
+/// Photographs that do not fit the cache of prepared photographs are uploaded packed and unpacked on the device.
 #[test]
 fn a_loss_sees_packed_photographs_as_they_are() {
     let Some(device) = gpu() else { return };
@@ -59,7 +59,7 @@ fn a_loss_sees_packed_photographs_as_they_are() {
     assert_eq!(seen.len(), expected.len());
 }
 
-/// Three photographs of noise, from places so far apart; one of them has a mask, if asked for.
+/// Three photographs of noise, from cameras `step` apart. The photograph `masked` has a mask.
 fn photos(step: f64, masked: Option<usize>) -> Vec<Photo> {
     let (width, height) = (48, 36);
     let byte = |i: usize| (i % 256) as u8;
@@ -74,13 +74,13 @@ fn photos(step: f64, masked: Option<usize>) -> Vec<Photo> {
     (0..3).map(photo).collect()
 }
 
-/// What is before them.
+/// Points in front of the cameras.
 fn points() -> PointCloud {
     let position = |i: usize| [(i % 8) as f32 / 4.0 - 0.9, (i / 8) as f32 / 4.0 - 0.7, (i % 3) as f32 / 4.0];
     PointCloud { positions: (0..48).map(position).collect(), colours: vec![[90, 140, 60]; 48] }
 }
 
-/// Each of the other effects by itself: tensor code that nothing else runs on a GPU.
+/// Trains each of the other effects alone: tensor code that no other test runs on a GPU.
 #[test]
 fn each_effect_trains_as_on_the_cpu() {
     let Some(device) = gpu() else { return };
@@ -113,12 +113,12 @@ fn each_effect_trains_as_on_the_cpu() {
         for (step, (found, expected)) in found.iter().zip(&expected).enumerate() {
             assert!((found - expected).abs() <= 2e-3 * expected, "{name}, step {step}: {found} instead of {expected}");
         }
-        // That it does something by the last step, which comes back to photographs seen before.
+        // The effect changes the last step, which returns to photographs already trained on.
         assert!((without[8] - expected[8]).abs() > 1e-6 * expected[8], "{name}: {} and {}", without[8], expected[8]);
     }
 }
 
-/// Exposures and masks are ordinary tensor code, but nothing of it runs on a GPU unless somebody trains with them there.
+/// Trains with exposures and masks, tensor code that no other test runs on a GPU.
 #[test]
 fn effects_train_as_on_the_cpu() {
     let Some(device) = gpu() else { return };
@@ -132,12 +132,12 @@ fn effects_train_as_on_the_cpu() {
     for (step, (found, expected)) in found.iter().zip(&expected).enumerate() {
         assert!((found - expected).abs() <= 1e-3 * expected, "step {step}: {found} instead of {expected}");
     }
-    // That the maps do something by the last step, which comes back to photographs seen before.
+    // The exposure maps change the last step, which returns to photographs already trained on.
     let without = losses(&TrainConfig { exposure: None, ..config }, &Device::flex());
     assert!((without[11] - expected[11]).abs() > 5e-3 * expected[11], "{} and {}", without[11], expected[11]);
 }
 
-/// The same seed gives the same bits where sums over hits have an order, with each strategy and with batches.
+/// With ordered sums over hits, the same seed gives the same bits, for each strategy and for batches.
 #[test]
 fn a_seed_decides_every_strategy_bit_for_bit() {
     let Some(device) = gpu() else { return };

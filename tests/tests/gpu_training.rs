@@ -1,4 +1,4 @@
-//! The same training run on the CPU and on the GPU. Long, so only when asked for:
+//! Compares the same training run on the CPU and on the GPU. The test is long and therefore ignored by default:
 //! `cargo test --release --workspace --test gpu_training -- --ignored`.
 
 use burn::tensor::Device;
@@ -11,26 +11,26 @@ use splat_op::witness;
 use splat_tests::data::{announce, optional_data};
 use splat_tests::gpu;
 
-/// Differences of the means over all starts.
+/// Largest differences between the means over all starts.
 const COUNT_TOLERANCE: f64 = 0.01;
 const PSNR_TOLERANCE_DB: f64 = 0.2;
-/// Runs on each device, from points one f32 ulp apart. One run proves nothing: rounding moves Gaussians across the threshold
-/// of densification one by one, and on the CPU alone an ulp in the points moves the PSNR after 200 steps by up to 0.4 dB,
-/// and with the default threshold by up to 0.7 dB and the count by up to 1.4%.
+/// Number of runs on each device, from points one f32 ulp apart. One run proves nothing, because rounding moves single Gaussians
+/// across the threshold of densification: on the CPU alone an ulp in the points changes the PSNR after 200 steps by up to
+/// 0.4 dB, and with the default threshold by up to 0.7 dB and the count by up to 1.4%.
 const STARTS: u8 = 6;
-/// Above the default, so that the count grows by a quarter rather than by more than its double.
+/// Threshold above the default, so that the count grows by a quarter instead of more than doubling.
 const GRAD_THRESHOLD: f64 = 6e-4;
-/// Less growth would leave density control unproven.
+/// Smallest growth of the count that tests density control.
 const GROWTH: f64 = 1.2;
 
-/// Gaussians before and after, and the PSNR of the test views.
+/// Number of Gaussians before and after, and the PSNR of the held-out views.
 struct Outcome {
     before: f64,
     count: f64,
     psnr: f64,
 }
 
-/// The means over all starts.
+/// Trains from all starts and returns the means.
 fn train_all(capture: &Capture, name: &str, device: &Device) -> Outcome {
     let runs: Vec<Outcome> = (0..STARTS)
         .map(|start| {
@@ -77,7 +77,7 @@ fn train(capture: &Capture, device: &Device) -> Outcome {
 #[ignore = "200 steps, several times on each device: ten minutes on a driver in software"]
 fn training_on_the_gpu_is_training_on_the_cpu() {
     let (Some(device), Some(folder)) = (gpu(), optional_data("fox_small")) else { return };
-    // The proofs of the kernels poison; here it would only take time.
+    // Poisoned buffers are for tests of the kernels and would only take time here.
     witness::poison(false);
     let capture = Capture::load(&folder).expect("a readable capture");
     let on_cpu = train_all(&capture, "the CPU", &Device::flex());

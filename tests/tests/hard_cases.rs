@@ -1,4 +1,4 @@
-//! The battery of hard cases, on every path. One test per group, so that failures name it.
+//! Runs the battery of hard cases on every path. Each group has a test, so that failures name the group.
 
 use splat_hard_cases::judge::judge;
 use splat_hard_cases::{GROUPS, Group, battery};
@@ -16,7 +16,7 @@ fn prove(name: &str) {
     assert!(failures.is_empty(), "{} failures:\n{}", failures.len(), failures.join("\n"));
 }
 
-/// The table in `docs/` is written by `splat hard-cases --out docs`; its figures are of one machine, its rows are not.
+/// `splat hard-cases --out docs` writes the table in `docs/`. Its figures depend on the machine, its rows do not.
 #[test]
 fn the_table_in_docs_lists_every_case() {
     let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../docs/HARD_CASES.md");

@@ -1,5 +1,5 @@
-//! LPIPS against the authors' package, on every device: `tests/lpips/reference.py` made the values, with weights and pictures by the
-//! formulas here.
+//! Compares LPIPS with the authors' package on every device. `tests/lpips/reference.py` computed the values, with weights and
+//! pictures by the formulas in this file.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -14,14 +14,14 @@ use splat_tests::devices;
 
 const REFERENCE: &str = include_str!("../lpips/reference.json");
 
-/// Relative: the longest sums of products are of 512 · 3 · 3 terms, whose roundings of 2⁻²⁴ add up as their root where they are
-/// random. A value is a mean over many of them. The package's own f32 is within 4e-7 of its f64.
+/// Relative tolerance. The longest sums of products have 512 · 3 · 3 terms, whose random roundings of 2⁻²⁴ grow with the square root
+/// of their number. A value is a mean over many such sums. The package's own f32 is within 4e-7 of its f64.
 const TOLERANCE: f64 = 68.0 / (1 << 24) as f64;
 
-/// Larger pictures take a GPU in software long.
+/// Largest picture on a GPU, because a driver in software is slow.
 const MOST_PIXELS_ON_A_GPU: usize = 128 * 128;
 
-/// A hash of the place, 0 to 2²⁴ − 1.
+/// Hashes an index to 0 to 2²⁴ − 1.
 fn mixed(seed: u32, i: usize) -> u32 {
     let mut x = (i as u32).wrapping_mul(0x9E37_79B9).wrapping_add(seed);
     x = (x ^ (x >> 16)).wrapping_mul(0x7FEB_352D);
@@ -29,7 +29,7 @@ fn mixed(seed: u32, i: usize) -> u32 {
     (x ^ (x >> 16)) >> 8
 }
 
-/// FNV-1a.
+/// Hashes a name by FNV-1a.
 fn seed_of(name: &str) -> u32 {
     name.bytes().fold(0x811C_9DC5, |seed, byte| (seed ^ u32::from(byte)).wrapping_mul(0x0100_0193))
 }
@@ -47,7 +47,7 @@ fn weights(name: &str, shape: &[usize]) -> Vec<u8> {
     (0..count).flat_map(|i| value(i).to_le_bytes()).collect()
 }
 
-/// The file of a network, with a tensor that means nothing.
+/// Writes the file of a network, with an additional tensor that readers must ignore.
 fn write(shapes: &Value, path: &Path) {
     let shapes: BTreeMap<String, Vec<usize>> = serde_json::from_value(shapes.clone()).unwrap();
     let mut tensors: Vec<(String, Vec<usize>, Vec<u8>)> = shapes
@@ -61,7 +61,7 @@ fn write(shapes: &Value, path: &Path) {
     safetensors::serialize_to_file(views, None, path).unwrap();
 }
 
-/// Two pictures, `[H, W, 3]`, of bytes.
+/// Creates two pictures, `[H, W, 3]`, with byte values.
 fn pictures(pair: &str, height: usize, width: usize, device: &Device) -> [Tensor<3>; 2] {
     let noise = |seed: u32, i: usize, levels: u32| i64::from(mixed(seed, i) % levels);
     let place = |i: usize| (i as i64 / 3 / width as i64, i as i64 / 3 % width as i64, i as i64 % 3);

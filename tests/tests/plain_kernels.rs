@@ -1,6 +1,6 @@
-//! That what is off is not there: the shaders of a plain training step, letter for letter. An effect that reaches a kernel is
-//! a compile-time argument of it, and must leave the kernel of a scene without the effect as it was. Where a plain kernel
-//! was changed on purpose, the record is written anew:
+//! Tests that disabled effects leave no trace in the shaders of a plain training step, letter for letter. An effect in a kernel
+//! is a compile-time argument of the kernel, and must not change the kernel of a scene without the effect. After an intended
+//! change of a plain kernel, this command rewrites the record:
 //!
 //! ```text
 //! SPLAT_KERNELS=accept cargo test --release --workspace --test plain_kernels
@@ -20,16 +20,16 @@ use splat_tests::slope::slope_trainer;
 
 const RECORD: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/plain_kernels.tsv");
 
-/// How long the log's own thread may take to write it.
+/// Longest time that the thread of the log may take to write it.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// The software driver, for which the record was written: what a device can do is compiled into its kernels.
+/// Returns the driver in software of the record. Kernels depend on the features that a device supports.
 fn software() -> Option<Device> {
     places().into_iter().find(|place| place.name == "gpu" && place.software).map(|place| place.device)
 }
 
-/// A shader of ours, by the kernel's name and the digest of its text without the name's own digest, which CubeCL derives from
-/// the compile-time arguments and their names.
+/// Returns the shaders of this project, each as the kernel's name and the digest of its text. The text is taken without the digest
+/// in its function name, which CubeCL derives from the compile-time arguments and their names.
 fn kernels(log: &str) -> BTreeSet<String> {
     let mut found = BTreeSet::new();
     for entry in log.split("[START_KERNEL_COMPILATION]").skip(1) {
@@ -51,12 +51,12 @@ fn kernels(log: &str) -> BTreeSet<String> {
     found
 }
 
-/// A function's line from its arguments on.
+/// Returns a function's line from its arguments on.
 fn signature(line: &str) -> &str {
     line.find('(').map_or(line, |at| &line[at..])
 }
 
-/// The log of a process of its own that trains: what compiles kernels reads its settings once.
+/// Trains in a separate process and returns its log, because CubeCL reads its settings once per process.
 fn log_of_a_run(file: &Path) -> String {
     let status = Command::new(env::current_exe().expect("a test has a file"))
         .args(["--exact", "a_run_whose_kernels_are_logged", "--ignored", "--quiet"])
@@ -70,7 +70,7 @@ fn log_of_a_run(file: &Path) -> String {
 #[test]
 #[ignore = "run by the other test, in a process of its own"]
 fn a_run_whose_kernels_are_logged() {
-    // Nothing to log for those who run all tests that are ignored.
+    // A run of all ignored tests has no file to log to.
     let (Some(device), Some(file)) = (software(), env::var_os("CUBECL_DEBUG_LOG").map(PathBuf::from)) else { return };
     let mut run = slope_trainer(&device);
     for _ in 0..6 {
@@ -110,7 +110,7 @@ fn a_plain_step_compiles_the_kernels_it_always_did() {
         (recorded.difference(&found).collect(), found.difference(&recorded).collect());
     assert!(
         missing.is_empty() && new.is_empty(),
-        "kernels of a plain step that are new: {new:#?}, and gone: {missing:#?}. If a plain kernel was to change: \
+        "new kernels of a plain step: {new:#?}, missing kernels: {missing:#?}. If a plain kernel was meant to change: \
          SPLAT_KERNELS=accept cargo test --release --workspace --test plain_kernels"
     );
 }

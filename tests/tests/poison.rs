@@ -1,5 +1,5 @@
-//! Poisoned Gaussians, in every slot and at random, and training that goes wrong: on the CPU at once, on a GPU by a verdict
-//! that nobody waits for.
+//! Poisoned Gaussians, in every slot and at random, and training runs that diverge: detected at once on the CPU, and on a GPU by
+//! a verdict that is read later without waiting.
 
 use burn::tensor::{Device, Tensor};
 use glam::{DAffine3, DVec3};
@@ -11,7 +11,7 @@ use splat_op::{Intrinsics, with_gradient};
 use splat_tests::{devices, places};
 
 proptest! {
-    // The battery judges every slot of one scene; this any scene, Gaussian and number.
+    // The battery judges every slot of one scene. This test draws scene, Gaussian and number at random.
     #![proptest_config(ProptestConfig { cases: 24, failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
@@ -27,7 +27,7 @@ proptest! {
     }
 }
 
-/// Three photographs of nothing in particular, and points before them.
+/// Three arbitrary photographs, and points in front of the cameras.
 fn capture() -> (Vec<Photo>, PointCloud) {
     let intrinsics = Intrinsics::centred(24, 16, 20.0);
     let photo = |i: usize| Photo {
@@ -43,7 +43,7 @@ fn capture() -> (Vec<Photo>, PointCloud) {
     ((0..3).map(photo).collect(), PointCloud { positions, colours: vec![[90, 128, 200]; 40] })
 }
 
-/// A run whose loss at `bad` is sound, and its derivative by one number is not.
+/// Creates a run whose loss at step `bad` is finite, with one element of its derivative that is not.
 fn run(device: &Device, steps: usize, bad: usize) -> Trainer {
     let (photos, points) = capture();
     let config = TrainConfig { steps, ..TrainConfig::default() };
@@ -85,7 +85,7 @@ fn a_step_that_is_not_finite_leaves_the_scene_as_it_was() {
         let message = error.to_string();
         let TrainError::NonFinite { step, view: named, what } = error else { panic!("{name}: {message}") };
         assert_eq!((step, what.as_str()), (bad, "the gradient of `log_scales`"), "{name}");
-        // On the CPU at once; where it would have to be waited for, within fifty steps.
+        // The error comes at once on the CPU, and within fifty steps on a device that would otherwise have to wait.
         let late = stopped - bad;
         assert!(
             if name == "gpu" { late > 0 && late <= 50 && named == view } else { late == 0 },
@@ -95,7 +95,7 @@ fn a_step_that_is_not_finite_leaves_the_scene_as_it_was() {
     }
 }
 
-/// A verdict that holds nothing back changes nothing.
+/// The guard does not change a run with finite values.
 #[test]
 fn a_sound_run_is_finite_on_every_device() {
     for (name, device) in devices() {

@@ -1,4 +1,4 @@
-//! What must hold for every scene.
+//! Properties that hold for every scene.
 
 use burn::tensor::{DType, Device};
 use proptest::prelude::*;
@@ -13,12 +13,12 @@ const CAMERA: Intrinsics = Intrinsics { fx: 27.0, fy: 30.0, cx: 15.0, cy: 11.5, 
 
 const OPTIONS: RenderOptions = RenderOptions::standard().with_depth(true);
 
-/// A device and a float type that it computes in.
+/// A device and a float type.
 type Where = (Device, DType);
 
 const F64: fn() -> Where = || (Device::flex(), DType::F64);
 
-/// Both float types on the CPU, and the GPU's.
+/// Every device with its float types: both on the CPU, f32 on the GPU.
 fn everywhere() -> impl Iterator<Item = Where> {
     [(Device::flex(), DType::F32), F64()].into_iter().chain(gpu().map(|device| (device, DType::F32)))
 }
@@ -33,7 +33,7 @@ fn values(out: Rendered<4>) -> [Vec<f64>; 3] {
     [host(out.colour), host(out.alpha), host(out.depth.expect("asked for"))]
 }
 
-/// A loss over some of the pictures of a render, and its gradient with respect to the centres.
+/// Returns the gradient of a loss over some of the pictures of a render with respect to the centres.
 fn gradient_through(parts: [bool; 3], depth: bool, scene: &Scene, (device, dtype): Where) -> Vec<f64> {
     let Tensors { splats, camera, background, .. } = scene.tensors(&device.autodiff(), dtype);
     let extras = Extras { background: Some(background), ..Extras::default() };
@@ -75,7 +75,7 @@ fn reorder(values: &[f64], order: &[usize]) -> Vec<f64> {
     order.iter().flat_map(|&i| values[i * columns..(i + 1) * columns].to_vec()).collect()
 }
 
-/// The rotation matrix of a unit quaternion wxyz, row by row.
+/// Returns the rotation matrix of a unit quaternion wxyz, row by row.
 fn rotation([w, x, y, z]: [f64; 4]) -> [[f64; 3]; 3] {
     [
         [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
@@ -93,7 +93,7 @@ fn quaternion_product(a: [f64; 4], b: &[f64]) -> [f64; 4] {
     ]
 }
 
-/// World and camera moved together by a rotation (unit quaternion) and a translation.
+/// Moves world and camera together by a rotation (unit quaternion) and a translation.
 fn moved(scene: &Scene, turn: [f64; 4], shift: [f64; 3]) -> Scene {
     let r = rotation(turn);
     let mut out = scene.clone();
@@ -150,7 +150,7 @@ proptest! {
         let length = turn.iter().map(|c| c * c).sum::<f64>().sqrt();
         prop_assume!(length > 0.1);
         let scene = Scene::random(&mut Random::new(seed), 30, 0, CAMERA);
-        // Without cuts: a pair within rounding of one would jump.
+        // Without cuts, at which a pair within rounding error would jump.
         let smooth = RenderOptions { alpha_min: 0.0, transmittance_min: 0.0, ..OPTIONS };
         let other = moved(&scene, turn.map(|c| c / length), shift);
         close(&picture(&other, &smooth, F64()), &picture(&scene, &smooth, F64()), 1e-10)?;
@@ -186,7 +186,7 @@ proptest! {
 
 #[test]
 fn one_thread_and_two_give_the_same_bits() {
-    // Several tasks in every stage.
+    // The scene is large enough for several tasks in every stage.
     let camera = Intrinsics { width: 90, height: 70, ..CAMERA };
     let mut random = Random::new(1);
     let mut scene = Scene::random(&mut random, 5000, 2, camera);

@@ -1,4 +1,4 @@
-//! Renders whose pixels look along their rays, as a whole: what the exact projection and the order of each pixel promise.
+//! Whole renders with per-ray rasterization: the guarantees of the ray-max projection and of the per-pixel sort.
 
 use burn::tensor::{DType, Device};
 use glam::DVec3;
@@ -26,8 +26,8 @@ fn largest_difference(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
 }
 
-/// By how much a picture differs from that of the plain choices, of a scene this many times smaller across the picture and in its
-/// Gaussians' sizes, seen as much closer: as large on the picture, and beside its distance smaller.
+/// Returns the difference between the ray-max and the affine render of a scene whose lateral extent and Gaussians are scaled by
+/// `size`, with the focal length divided by `size`: equally large in the picture, and smaller relative to the distance.
 fn difference(size: f64) -> f64 {
     let camera = Intrinsics { fx: CAMERA.fx / size, fy: CAMERA.fy / size, ..CAMERA };
     let mut scene = Scene::random(&mut Random::new(5), 60, 0, camera);
@@ -41,12 +41,12 @@ fn difference(size: f64) -> f64 {
 fn small_gaussians_look_as_their_ellipses_do() {
     let by_size = [1.0, 0.1, 0.01].map(difference);
     println!("{by_size:?}");
-    assert!(by_size[0] > 0.02, "{by_size:?}: a scene in which the two are the same");
-    // The first term that the affine projection leaves out is proportional to the size over the distance.
+    assert!(by_size[0] > 0.02, "{by_size:?}: a scene in which both renders are equal");
+    // The first term that the affine projection omits is proportional to size / distance.
     assert!(by_size[1] < 0.2 * by_size[0] && by_size[2] < 0.2 * by_size[1], "{by_size:?}");
 }
 
-/// Listing every Gaussian in every tile is what `alpha_min = 0` does; here the cut is the pixels' alone.
+/// Compares tile lists with lists of every Gaussian in every tile (`alpha_min = 0`), where only the pixels apply the cut.
 #[test]
 fn tiles_lose_nothing() {
     for (seed, choice) in (1..).zip(CHOICES) {
@@ -75,8 +75,8 @@ fn tiles_lose_nothing() {
     }
 }
 
-/// Two crossing sheets, seen by a camera that turns around the line where they cross: by how much a pixel changes in one small
-/// step at most, and the largest share of the picture that jumps in one.
+/// Renders two crossing sheets while the camera turns around the line where they cross. Returns the largest change of a pixel in one
+/// small step, and the largest share of the picture that jumps in one step.
 fn turning(order: Order) -> (f64, f64) {
     let mut scene = Scene::random(&mut Random::new(3), 2, 0, Intrinsics::centred(32, 32, 40.0));
     scene.means = vec![0.3, 0.0, 3.0, -0.3, 0.0, 3.0];
@@ -110,7 +110,7 @@ fn the_order_of_each_pixel_does_not_pop() {
     assert!(pixel.0 < 0.05 && pixel.1 == 0.0, "by pixel: {pixel:?}");
 }
 
-/// A Gaussian far beside the picture and close to the camera, where the affine projection smears it over the picture.
+/// A Gaussian far outside the picture and close to the camera, which the affine projection smears over the picture.
 #[test]
 fn a_wide_angle_shows_what_is_there() {
     let camera = Intrinsics::centred(64, 48, 20.0);
@@ -127,7 +127,7 @@ fn a_wide_angle_shows_what_is_there() {
         host(render_view(&splats, &camera, &Extras::default(), &options).expect("a valid scene").alpha)
     };
     let (exact, affine) = (alpha(Projection::Exact), alpha(Projection::Affine));
-    // A ball of 0.3: the greatest value along a ray is that of its distance from the centre.
+    // A ball with σ = 0.3: the largest value along a ray follows from the ray's distance from the centre.
     let centre = DVec3::new(2.4, 0.0, 1.5);
     let expected: Vec<f64> = (0..48 * 64)
         .map(|pixel| {
@@ -148,7 +148,7 @@ fn every_gradient_reaches_its_input() {
         let extras = Extras { background: Some(background.clone()), ..Extras::default() };
         let options = RenderOptions::standard().with_projection(Projection::Exact).with_order(Order::PerPixel);
         let out = render(&splats, std::slice::from_ref(&camera), &extras, &options).expect("a valid scene");
-        // The picture alone: neither alpha nor depth has a gradient.
+        // The loss uses the picture alone, so that alpha and depth have no gradient.
         let gradients = (out.colour.clone() * out.colour).sum().backward();
         let found = [
             host(splats.means.grad(&gradients).expect("tracked")),
@@ -163,13 +163,13 @@ fn every_gradient_reaches_its_input() {
     }
 }
 
-/// On every device, in f32, all gradients of renders by two cameras.
+/// All gradients of renders by two cameras, in f32 on every device.
 #[test]
 fn gradients_in_f32_are_those_in_f64() {
     let smooth = RenderOptions { alpha_min: 0.0, transmittance_min: 0.0, ..RenderOptions::standard() };
     let mut scene = Scene::random(&mut Random::new(11), 120, 1, CAMERA);
     scene.scales.iter_mut().for_each(|scale| *scale *= 0.4);
-    // So far apart in depth, and so thin, that no rounding exchanges two of them.
+    // The Gaussians are thin and far apart in depth, so that rounding exchanges no two of them.
     let mut apart = Scene::random(&mut Random::new(12), 12, 1, CAMERA);
     for (i, mean) in apart.means.chunks_exact_mut(3).enumerate() {
         let z = 1.5 * 1.35_f64.powi((5 * i % 12) as i32);
@@ -181,7 +181,7 @@ fn gradients_in_f32_are_those_in_f64() {
         for choice in CHOICES {
             let options = smooth.with_projection(choice.0).with_order(choice.1).with_depth(true).with_antialias(true);
             let scene = if choice.1 == Order::Centre { &scene } else { &apart };
-            // With alpha and depth rendered and trained, and with every probe.
+            // Alpha and depth are part of the loss, and every probe is tracked.
             judge(&format!("{name}, {choice:?}"), scene, &device, |scene, place| {
                 let gradients = gradients_of(scene, 2, [true; 9], &options, place);
                 let named = INPUTS.into_iter().zip(gradients);
@@ -191,7 +191,7 @@ fn gradients_in_f32_are_those_in_f64() {
     }
 }
 
-/// Along a line through all of a render's geometry, with the pose: the slope of the loss.
+/// Compares the gradient with the slope of the loss along a line through all geometry and the pose.
 #[test]
 fn the_slope_of_a_render_is_that_of_its_gradient() {
     let options = RenderOptions { alpha_min: 0.0, transmittance_min: 0.0, alpha_max: 1.0, ..RenderOptions::standard() };

@@ -1,5 +1,5 @@
-//! The operation against reference vectors computed with gsplat's PyTorch functions (`tests/reference/`), on every device, in f64
-//! where it has it, and in f32.
+//! Compares the operation with reference vectors computed by gsplat's PyTorch functions (`tests/reference/`), on every device, in
+//! f64 where the device supports it, and in f32.
 
 use burn::tensor::{DType, Device};
 use splat_tests::band::boundary_band;
@@ -10,13 +10,13 @@ use splat_tests::reference::{Vector, read_vectors};
 use splat_tests::scene::{Evaluation, Named, Weights, evaluate};
 use splat_tests::{cpu_devices, devices};
 
-/// In f64, relative to the largest element of the tensor, and for each row relative to its own length.
+/// Tolerances in f64, relative to the largest element of the tensor, and for each row relative to its own length.
 const F64_TOLERANCE: f64 = 1e-9;
 
-/// In f32, relative error of a gradient's row, and the share of rows that may exceed it.
+/// Tolerance in f32 for the relative error of a gradient's row, and the share of rows that may exceed it.
 const F32_ROW_TOLERANCE: f64 = 1e-3;
 const F32_ROW_EXCEPTIONS: f64 = 1e-3;
-/// Share of rows that may be too ill-conditioned for that.
+/// Share of rows that may be too ill-conditioned for this tolerance.
 const F32_ROW_CANCELLING: f64 = 0.01;
 /// Share of pixels that may lie in the boundary band.
 const BAND_SHARE: f64 = 0.01;
@@ -47,7 +47,7 @@ fn reference_vectors_in_f32() {
     }
 }
 
-/// Which Gaussians have specified outputs.
+/// Whether the output of each Gaussian is specified.
 fn in_front(vector: &Vector) -> Vec<bool> {
     vector.scene.camera_z().iter().map(|z| *z > vector.options.near).collect()
 }
@@ -75,14 +75,14 @@ fn compare_f64(vector: &Vector, found: &Evaluation) -> Vec<Finding> {
     findings
 }
 
-/// What an f32 render should give: the f64 render, itself proven against the vectors, of the rounded inputs, and how
-/// much an ulp in every input changes it. Pixels of the boundary band are left out, of the pictures and of the loss, so
-/// that they leave out no gradient of any other pixel.
+/// Expected result of an f32 render: the f64 render of the rounded inputs, itself compared with the vectors, and its
+/// change by one ulp in every input. Pixels of the boundary band are excluded from the pictures and from the loss, so
+/// that the gradients of all other pixels are compared in full.
 struct Yardstick {
     weights: Weights,
     expected: Evaluation,
     spread: Evaluation,
-    /// Pixels that are compared.
+    /// Whether each pixel is compared.
     kept: Vec<bool>,
 }
 
@@ -127,35 +127,35 @@ impl Yardstick {
     }
 }
 
-/// How many rows of a gradient are off by more than [`F32_ROW_TOLERANCE`], and how many cannot be judged by it.
+/// Counts the rows of a gradient that are off by more than [`F32_ROW_TOLERANCE`], and the rows that it cannot judge.
 ///
-/// The gradient of an opacity is one number, a sum over pixels of terms of both signs. Where they cancel, one ulp in the
-/// inputs moves the f64 result itself by more than the tolerance, so no f32 computation can meet it. Such rows are judged
-/// by the ceiling per element alone; they are counted, and the count is bounded.
+/// The gradient of an opacity is one number, a sum over pixels of terms of both signs. Where the terms cancel, one ulp in the
+/// inputs moves the f64 result itself by more than the tolerance, so no f32 computation can meet it. The ceiling per element
+/// alone judges such rows, and their number is bounded.
 fn judge_rows(what: &str, found: &Named, expected: &Named, spread: &Named) -> [Finding; 2] {
     let conditions = row_sizes(spread, expected);
     let errors = row_errors(found, expected);
     assert_eq!(conditions.len(), errors.len());
     let judged = || errors.iter().zip(&conditions).filter(|(_, condition)| **condition <= F32_ROW_TOLERANCE);
-    // Written so that NaN is an exception.
+    // The comparison is written so that NaN counts as off.
     let exceptions = judged().filter(|(error, _)| !(**error <= F32_ROW_TOLERANCE)).count();
     let ill = errors.len() - judged().count();
     let (off, cancelling) = (format!("{what} rows off"), format!("{what} rows that cancel"));
     let share = |share: f64| share * errors.len() as f64;
     [
         Finding { what: off, error: exceptions as f64, tolerance: share(F32_ROW_EXCEPTIONS).floor() },
-        // A small tensor may hold one such row.
+        // A small tensor may have one such row.
         Finding { what: cancelling, error: ill as f64, tolerance: share(F32_ROW_CANCELLING).ceil() },
     ]
 }
 
-/// The same tensor of three evaluations.
+/// Iterates over the same tensor of three evaluations.
 fn tuples(three: [&Vec<Named>; 3]) -> impl Iterator<Item = [&Named; 3]> {
     let [a, b, c] = three;
     a.iter().zip(b).zip(c).map(|((a, b), c)| [a, b, c])
 }
 
-/// One line per file: the finding that came closest to its tolerance, and every one if asked for.
+/// Prints one line per file with the finding closest to its tolerance, and every finding if requested.
 fn report(vector: &str, device: &str, float: &str, findings: &[Finding]) {
     let share = |f: &Finding| f.error / f.tolerance.max(f64::MIN_POSITIVE);
     if std::env::var_os("SPLAT_REFERENCE_VERBOSE").is_some() {

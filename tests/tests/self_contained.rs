@@ -1,22 +1,22 @@
-//! Tests, benches and pages find everything that they read inside the repository, or through `SPLAT_DATA_DIR`.
+//! Tests that tests, benches and pages read only files inside the repository, or files of `SPLAT_DATA_DIR`.
 
 use std::fs;
 use std::path::{Component, Path, PathBuf};
 
-/// The folder that lay beside the clones in which this project was written, in two parts, so that this file does not name it.
+/// Folder beside the clones in which this project was written, in two parts, so that this file does not contain its name.
 const BESIDE: [&str; 2] = ["..", "/shared"];
 
-/// What is not tracked, and `.ci`, which names optional data where it finds some.
+/// Folders that are not tracked, and `.ci`, which names optional data that may exist.
 const PASSED_OVER: [&str; 6] = [".ci", ".git", ".github", "target", "out", "node_modules"];
 
-/// Files that hold text.
+/// Extensions of text files.
 const TEXT: [&str; 12] = ["rs", "toml", "md", "py", "sh", "yml", "yaml", "json", "js", "html", "css", "txt"];
 
 fn repository() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("the tests are a folder of the repository").to_owned()
 }
 
-/// The text files below a folder.
+/// Collects the text files below a folder.
 fn texts(folder: &Path, found: &mut Vec<PathBuf>) {
     for entry in fs::read_dir(folder).expect("a readable folder").map(|entry| entry.expect("a readable entry")) {
         let (path, name) = (entry.path(), entry.file_name());
@@ -30,13 +30,13 @@ fn texts(folder: &Path, found: &mut Vec<PathBuf>) {
     }
 }
 
-/// The folder of the crate that a file belongs to, relative to the repository.
+/// Returns the folder of the crate that a file belongs to, relative to the repository.
 fn crate_of(file: &Path, root: &Path) -> PathBuf {
     let folder = file.ancestors().skip(1).find(|folder| folder.join("Cargo.toml").is_file());
     folder.expect("the repository has a Cargo.toml").strip_prefix(root).expect("below the root").to_owned()
 }
 
-/// Why a text reads what is outside the repository: it names the folder beside it, or climbs out of it from the folder of its crate.
+/// Returns the reason if a text reads files outside the repository: the name of the folder beside it, or a path that leaves it.
 fn leaves(text: &str, home: &Path) -> Option<String> {
     let beside = BESIDE.concat();
     if text.contains(&beside) {
@@ -45,7 +45,7 @@ fn leaves(text: &str, home: &Path) -> Option<String> {
     let after = text.split("env!(\"CARGO_MANIFEST_DIR\")").skip(1);
     let literals =
         after.filter_map(|rest| rest.split_once('"').map(|(_, rest)| rest.split('"').next().unwrap_or(rest)));
-    // A literal that belongs to something else does not begin by climbing.
+    // Other string literals do not begin with `..`.
     for literal in literals.map(|literal| literal.trim_start_matches('/')).filter(|literal| literal.starts_with("..")) {
         let mut depth = home.components().count();
         for component in Path::new(literal).components() {

@@ -1,10 +1,10 @@
-//! Time and memory of a render with its backward pass, and of a training step, against Gaussians, pixels and photographs.
+//! Time and memory of a render with its backward pass and of a training step, against the numbers of Gaussians, pixels and
+//! photographs.
 //!
-//! `cargo bench --workspace --bench scale -- splats`: any of `splats`, `pixels` and `views`; without, all three; `plot`
-//! draws anew what is on record. Each axis replaces its
-//! rows in `docs/scale/scale.csv` and its plot beside it, and leaves the others. Every point is a process of its own, so that
-//! none finds the memory of another. One that by the point before would take more than [`MEMORY`] or [`PATIENCE`] is
-//! skipped, and said to be.
+//! `cargo bench --workspace --bench scale -- splats` takes any of `splats`, `pixels` and `views`, by default all three. `plot`
+//! draws the recorded measurements. Each axis replaces its rows in `docs/scale/scale.csv` and its plot, and keeps the other
+//! axes. Every point runs in a process of its own, so that it does not reuse the memory of another. A point that would exceed
+//! [`MEMORY`] or [`PATIENCE`] by extrapolation from the point before is skipped, with a message.
 
 mod plot;
 mod point;
@@ -52,7 +52,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     for axis in axes {
         println!("\n{axis}");
         let rows = measure(axis)?;
-        // Read now, because another run may have measured another axis meanwhile.
+        // The file is read only now, because another run may have measured another axis meanwhile.
         let mut all = record::read(&csv)?;
         all.retain(|row| row.axis != axis);
         all.extend(rows.iter().cloned());
@@ -63,18 +63,18 @@ fn main() -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-/// Draws the plot and prints what it shows.
+/// Draws the plot and prints the growth.
 fn show(axis: Axis, rows: &[Row]) -> Result<(), Box<dyn Error>> {
     plot::draw(axis, rows, &Path::new(FOLDER).join(format!("{axis}.svg")))?;
     record::state_growth(axis, rows);
     Ok(())
 }
 
-/// The points of an axis, in ascending order.
+/// Returns the points of an axis, in ascending order.
 fn points(axis: Axis) -> Vec<(SyntheticView, usize)> {
-    // As many layers as there are Gaussians, until the nearest hide the others.
+    // The number of layers grows with the number of Gaussians, until the nearest hide the others.
     let splats = |splats| SyntheticView { splats, width: 1920, height: 1080, ..MEDIUM };
-    // One scene, photographed sharper and sharper.
+    // One scene, photographed at increasing resolution.
     let pixels = |(width, height): (usize, usize)| {
         let sigma_px = MEDIUM.sigma_px * width as f64 / MEDIUM.width as f64;
         SyntheticView { width, height, sigma_px, ..MEDIUM }
@@ -94,7 +94,7 @@ fn points(axis: Axis) -> Vec<(SyntheticView, usize)> {
 fn measure(axis: Axis) -> Result<Vec<Row>, Box<dyn Error>> {
     let mut rows = Vec::new();
     for work in Work::ALL {
-        // A render knows nothing of other photographs.
+        // A render does not depend on the number of photographs.
         if axis == Axis::Views && work == Work::Render {
             continue;
         }
@@ -120,25 +120,25 @@ fn measure(axis: Axis) -> Result<Vec<Row>, Box<dyn Error>> {
     Ok(rows)
 }
 
-/// Why a point is not worth trying, taking growth in proportion from the point before it.
+/// Returns the reason to skip a point, by linear extrapolation from the point before it.
 fn too_much(axis: Axis, before: &Row, point: &Point) -> Option<String> {
     let growth = axis.of(point) / axis.of(&before.point);
     let bytes = before.live_bytes as f64 * growth;
-    // One run that does not count and one that does, besides all that a point takes to be set up.
+    // One warm-up run and one timed run, in addition to the time of the setup.
     let set_up = (before.wall_s - (before.runs + 1) as f64 * before.median_s).max(0.0);
     let seconds = match axis {
-        // A step looks at one photograph, however many there are.
+        // A step uses one photograph, for any number of photographs.
         Axis::Views => set_up * growth,
         _ => (set_up + 2.0 * before.median_s) * growth,
     };
     match () {
-        () if bytes > MEMORY => Some(format!("it would take some {:.1} GiB", bytes / f64::from(1 << 30))),
-        () if seconds > PATIENCE.as_secs_f64() => Some(format!("it would take some {seconds:.0} s")),
+        () if bytes > MEMORY => Some(format!("it would take about {:.1} GiB", bytes / f64::from(1 << 30))),
+        () if seconds > PATIENCE.as_secs_f64() => Some(format!("it would take about {seconds:.0} s")),
         () => None,
     }
 }
 
-/// Measures a point in a process that ends after it.
+/// Measures a point in a separate process.
 fn in_a_process(axis: Axis, point: &Point) -> Result<Row, Box<dyn Error>> {
     let start = std::time::Instant::now();
     let output = Command::new(std::env::current_exe()?).arg("--point").args(point.write()).output()?;

@@ -1,4 +1,4 @@
-//! One picture per axis: time on the left, memory on the right, both scales logarithmic.
+//! One plot per axis: time on the left, memory on the right, with logarithmic scales.
 
 use std::error::Error;
 use std::ops::Range;
@@ -12,7 +12,7 @@ use crate::record::{ALLOWED_BYTES, Axis, Row};
 
 const SIZE: (u32, u32) = (1000, 420);
 
-/// A line: its name and its points.
+/// A line of a plot.
 struct Line {
     name: &'static str,
     colour: RGBColor,
@@ -32,7 +32,7 @@ pub fn draw(axis: Axis, rows: &[Row], to: &Path) -> Result<(), Box<dyn Error>> {
     let times = lines(&|row| 1e3 * row.median_s);
     let mut memory = lines(&|row| row.live_bytes as f64 / f64::from(1 << 20));
     if axis == Axis::Splats {
-        // The goal, on top of what the smallest step takes for its pictures.
+        // The goal, added to the memory of the smallest step, which its pictures dominate.
         let steps: Vec<&Row> = rows.iter().filter(|row| row.point.work == Work::Step).collect();
         let goal = |row: &&Row| {
             let fewest = steps[0];
@@ -96,13 +96,13 @@ fn chart(area: &Area, title: &str, unit: &str, lines: &[Line]) -> Result<(), Box
     Ok(())
 }
 
-/// Some room around the values.
+/// Returns a range with a margin around the values.
 fn around(values: impl Iterator<Item = f64>) -> Range<f64> {
     let (low, high) = values.fold((f64::INFINITY, 0.0_f64), |(low, high), value| (low.min(value), high.max(value)));
     0.7 * low..1.5 * high
 }
 
-/// The powers of ten around the values, so that there are some to label.
+/// Returns a range of whole powers of ten around the values, so that the axis has labels.
 fn decades(values: impl Iterator<Item = f64>) -> Range<f64> {
     let Range { start, end } = around(values);
     10.0_f64.powf(start.log10().floor())..10.0_f64.powf(end.log10().ceil())

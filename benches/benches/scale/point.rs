@@ -1,4 +1,4 @@
-//! One measurement, in a process of its own.
+//! One measurement, in a separate process.
 
 use std::error::Error;
 use std::fmt::{self, Display};
@@ -16,10 +16,10 @@ use splat_model::gaussians::Gaussians;
 use splat_model::loss::Truth;
 use splat_op::{Camera, Colour, Extras, project, render, tile, with_gradient};
 
-/// What is timed.
+/// Kind of work that is timed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Work {
-    /// A render and its backward pass, gradients of all parameters.
+    /// A render and its backward pass, with gradients of all parameters.
     Render,
     /// A training step.
     Step,
@@ -44,7 +44,7 @@ impl Work {
 pub struct Point {
     pub work: Work,
     pub view: SyntheticView,
-    /// Photographs.
+    /// Number of photographs.
     pub views: usize,
 }
 
@@ -60,12 +60,12 @@ impl Point {
         self.view.width * self.view.height
     }
 
-    /// By construction of the scenes; see [`SyntheticView::splats`].
+    /// Number of visible Gaussians, by construction of the scenes; see [`SyntheticView::splats`].
     pub fn visible(&self) -> f64 {
         0.8 * self.view.splats as f64
     }
 
-    /// As words that [`Self::read`] reads.
+    /// Writes the point as words for [`Self::read`].
     pub fn write(&self) -> Vec<String> {
         let SyntheticView { splats, width, height, sigma_px, opacity: [low, high] } = self.view;
         let numbers = [splats, width, height, self.views].map(|number| number.to_string());
@@ -86,10 +86,10 @@ impl Point {
     }
 }
 
-/// Time for a point's runs.
+/// Time budget for the runs of a point.
 const BUDGET: Duration = Duration::from_secs(15);
 
-/// Measures and prints: seconds, runs, hits, bytes held at once, bytes of the process's memory at once.
+/// Measures a point and prints seconds, runs, hits, peak bytes held, and peak bytes of the process's resident memory.
 pub fn run(point: &Point) -> Result<(), Box<dyn Error>> {
     let hits = hits(&point.view);
     let empty = held();
@@ -138,7 +138,7 @@ fn render_and_backward(view: &SyntheticView) -> Prepare {
     })
 }
 
-/// The photograph is grey: a loss with a derivative everywhere.
+/// Prepares a training step. The photograph is grey, so that the loss has a derivative everywhere.
 fn step(view: &SyntheticView) -> Prepare {
     let device = Device::flex();
     let gaussians = Gaussians::from_rows(&view.rows(), &device.clone().autodiff()).expect("rows of one scene");
@@ -159,12 +159,12 @@ fn trainer_step(view: &SyntheticView, views: usize) -> Prepare {
     })
 }
 
-/// From here on the system counts the most memory anew. Where it cannot, the peak is that of the whole process.
+/// Resets the system's peak of the resident memory. On systems without a reset, the peak covers the whole process.
 fn forget_peak() {
     let _ = fs::write("/proc/self/clear_refs", "5");
 }
 
-/// Bytes; 0 where the system does not say.
+/// Returns the peak of the resident memory in bytes; 0 if the system does not report it.
 fn peak_rss() -> usize {
     let kib = || {
         let status = fs::read_to_string("/proc/self/status").ok()?;

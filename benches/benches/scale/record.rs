@@ -1,4 +1,4 @@
-//! Measurements as CSV, and what they say about growth.
+//! Measurements as CSV, and the growth that they show.
 
 use std::error::Error;
 use std::fmt::{self, Display, Write as _};
@@ -19,7 +19,7 @@ pub enum Axis {
 impl Axis {
     pub const ALL: [Self; 3] = [Self::Splats, Self::Pixels, Self::Views];
 
-    /// The point's place on this axis.
+    /// Returns the point's coordinate on this axis.
     pub fn of(self, point: &Point) -> f64 {
         (match self {
             Self::Splats => point.view.splats,
@@ -44,7 +44,7 @@ impl FromStr for Axis {
 
     fn from_str(text: &str) -> Result<Self, String> {
         let found = Self::ALL.into_iter().find(|axis| axis.to_string() == text);
-        found.ok_or_else(|| format!("`{text}` is none of splats, pixels, views"))
+        found.ok_or_else(|| format!("`{text}` is not one of splats, pixels, views"))
     }
 }
 
@@ -55,11 +55,11 @@ pub struct Row {
     pub hits: usize,
     pub median_s: f64,
     pub runs: usize,
-    /// Most bytes that tensors and lists took at a time.
+    /// Peak of the bytes that the program allocated, for tensors and lists.
     pub live_bytes: usize,
-    /// Most memory that the process took at a time, as the system counts.
+    /// Peak of the process's resident memory.
     pub rss_bytes: usize,
-    /// Of the whole process; not recorded.
+    /// Wall time of the whole process, s; not recorded.
     pub wall_s: f64,
 }
 
@@ -91,7 +91,7 @@ pub fn write(rows: &[Row]) -> String {
     text
 }
 
-/// The rows of a file, none if it is not there.
+/// Reads the rows of a file; none if it does not exist.
 pub fn read(path: &Path) -> Result<Vec<Row>, Box<dyn Error>> {
     let Ok(text) = std::fs::read_to_string(path) else { return Ok(Vec::new()) };
     let row = |line: &str| -> Result<Row, Box<dyn Error>> {
@@ -113,10 +113,10 @@ pub fn read(path: &Path) -> Result<Vec<Row>, Box<dyn Error>> {
     text.lines().skip(1).map(row).collect()
 }
 
-/// Bytes per Gaussian of degree 3 that a trainer is allowed: 1.3 times its 59 parameters, two moments and one gradient of each.
+/// Allowed bytes of a trainer per Gaussian of degree 3: 1.3 times its 59 parameters, two moments and one gradient of each.
 pub const ALLOWED_BYTES: f64 = 1.3 * 59.0 * 4.0 * 4.0;
 
-/// Prints what each step along the axis costs per unit of work.
+/// Prints the cost of each step along the axis per unit of work.
 pub fn state_growth(axis: Axis, rows: &[Row]) {
     for work in Work::ALL {
         let rows: Vec<&Row> = rows.iter().filter(|row| row.point.work == work).collect();
@@ -135,7 +135,7 @@ pub fn state_growth(axis: Axis, rows: &[Row]) {
             );
         }
         if axis == Axis::Splats && work == Work::Step && rows.len() > 1 {
-            // Between the largest two: with fewer Gaussians the most is held in the loss, for the sake of the picture.
+            // Between the two largest scenes: with fewer Gaussians the peak is in the loss and depends on the picture.
             let [few, many] = [rows[rows.len() - 2], rows[rows.len() - 1]];
             let more = (many.point.view.splats - few.point.view.splats) as f64;
             let each = |of: fn(&Row) -> usize| (of(many) as f64 - of(few) as f64) / more;

@@ -1,11 +1,11 @@
 //! Runs each pass of a training step once for a tool that counts: `benches/tests/counts.rs` starts it under callgrind, which
-//! counts within [`splat_counted`] alone and writes a file each time that ends. For each pass it prints the name, the bytes
-//! it asked for, and the most it held at a time, with tabs between.
+//! counts only within [`splat_counted`] and writes a file each time that function returns. For each pass the program prints a
+//! tab-separated line: the name, the bytes allocated, and the peak of the bytes held.
 //!
-//! Everything is the same from run to run: the scene, one thread, and the vector instructions, which have to be AVX2's: what
-//! valgrind knows.
+//! Every run is the same: the scene, one thread, and the vector instructions, which must be AVX2, the widest that valgrind
+//! supports.
 //!
-//! `counted project blend`: passes by their first words; without, all, and a step of a trainer.
+//! `counted project blend` selects passes by their first words. The default is all passes and a step of a trainer.
 
 use std::alloc::System;
 use std::error::Error;
@@ -18,19 +18,19 @@ use splat_benches::limit::Kind;
 use splat_benches::measure::{Kept, Pass, Prepare, Timed};
 use splat_benches::passes::passes;
 
-// The system's: mimalloc gives memory back by the clock.
+// The system allocator, because mimalloc returns memory depending on time.
 #[global_allocator]
 static ALLOCATOR: Counting<System> = Counting(System);
 
-/// Runs before the one that counts: the first fills caches, and a trainer's first step has no moments.
+/// Number of runs before the counted run: the first fills caches, and a trainer's first step has no moments.
 const WARM_UP: usize = 2;
 
 fn main() -> Result<(), Box<dyn Error>> {
-    // This thread is the pool: no other works, waits or wakes.
+    // This thread is the whole pool: no other thread works, waits or wakes.
     rayon::ThreadPoolBuilder::new().num_threads(1).use_current_thread().build_global()?;
     let level = Level::new();
     if !matches!(level, Level::Avx2(_)) {
-        return Err(format!("the counts are those of AVX2, and this is {level:?}").into());
+        return Err(format!("the counts are recorded for AVX2, and this is {level:?}").into());
     }
     let wanted: Vec<String> = std::env::args().skip(1).collect();
     let wants = |kind: Kind| wanted.is_empty() || wanted.iter().any(|word| kind.name().starts_with(word.as_str()));
@@ -50,7 +50,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-/// The step of a trainer itself, not of what imitates it.
+/// Prepares a step of a trainer itself.
 fn trainer_step(job: &Job) -> Prepare {
     let view = job.size.view().expect("the scene is a synthetic one");
     let trainer = std::rc::Rc::new(std::cell::RefCell::new(view.trainer(1)));
@@ -60,7 +60,7 @@ fn trainer_step(job: &Job) -> Prepare {
     })
 }
 
-/// What is counted. Its name is what callgrind knows it by.
+/// Runs the counted part. Callgrind finds the function by its name.
 #[unsafe(no_mangle)]
 #[inline(never)]
 fn splat_counted(timed: Timed) -> Result<Kept, Box<dyn Error>> {

@@ -1,4 +1,4 @@
-//! What this machine's processors can do, measured.
+//! Measured rates of this machine's processors.
 
 use std::fmt::{self, Display};
 use std::hint::black_box;
@@ -12,27 +12,27 @@ use rayon::prelude::*;
 pub struct Machine {
     /// Bytes per second to and from memory.
     pub bandwidth: f64,
-    /// f32 operations per second, a fused multiply-add being two. `None` where they were not measured.
+    /// f32 operations per second, where a fused multiply-add counts as two. `None` if not measured.
     pub operations: Option<f64>,
 }
 
-/// Numbers in each of three arrays: 64 MiB, so that none stays in a cache.
+/// Length of each of three arrays: 64 MiB, so that no array stays in a cache.
 const NUMBERS: usize = 16 << 20;
 
-/// Numbers that a thread handles at a time.
+/// Number of values that a thread processes at a time.
 const CHUNK: usize = 1 << 16;
 
-/// Independent sums: more than a processor can have under way at once (five cycles, two per cycle).
+/// Number of independent sums: more than a processor can execute at once (five cycles, two per cycle).
 const CHAINS: usize = 12;
 
-/// Rounds of a run of [`chains`]: some 20 ms.
+/// Number of rounds of a run of [`chains`]: about 20 ms.
 const ROUNDS: usize = 5_000_000;
 
-/// The best of so many runs counts: a machine that others use is at times as fast as it can be.
+/// Number of runs, of which the fastest counts: a shared machine reaches its full speed only at times.
 const RUNS: usize = 10;
 
 impl Machine {
-    /// Measures the processors that rayon uses, for about a second: McCalpin's triad `a = b + s c`, read and written, and
+    /// Measures the processors that rayon uses, for about a second, with McCalpin's triad `a = b + s c`, read and written, and
     /// independent chains of fused multiply-adds on eight lanes.
     pub fn measure() -> Self {
         Self { bandwidth: triad(), operations: Some(arithmetic()) }
@@ -44,12 +44,12 @@ impl Display for Machine {
         write!(f, "{:.1} GB/s, read and written", self.bandwidth / 1e9)?;
         match self.operations {
             Some(rate) => write!(f, "; {:.0} billion f32 operations per second", rate / 1e9),
-            None => write!(f, "; arithmetic not measured, so that limits are those of memory alone"),
+            None => write!(f, "; arithmetic not measured, so limits count memory alone"),
         }
     }
 }
 
-/// The shortest of [`RUNS`] runs, in seconds.
+/// Returns the time of the shortest of [`RUNS`] runs, in seconds.
 fn best(mut run: impl FnMut()) -> f64 {
     let seconds = |run: &mut dyn FnMut()| {
         let start = Instant::now();
@@ -60,7 +60,7 @@ fn best(mut run: impl FnMut()) -> f64 {
 }
 
 fn triad() -> f64 {
-    // Not zeros: pages that nobody wrote are all the same page.
+    // Not zeros, because pages that were never written share one physical page.
     let (b, c) = (vec![1.0_f32; NUMBERS], vec![2.0_f32; NUMBERS]);
     let mut a = vec![3.0_f32; NUMBERS];
     let scale = black_box(0.5);
@@ -83,7 +83,7 @@ fn arithmetic() -> f64 {
     (2 * 8 * CHAINS * ROUNDS * rayon::current_num_threads()) as f64 / seconds
 }
 
-/// Sums that stay finite: `x ← x/2 + 1`.
+/// Computes sums that stay finite: `x ← x/2 + 1`.
 #[inline(always)]
 fn chains<S: Simd>(simd: S, start: f32) -> f32 {
     let (half, one) = (f32x8::splat(simd, 0.5 * start), f32x8::splat(simd, start));

@@ -8,7 +8,7 @@ const SIZES: Sizes = Sizes { splats: 5.0, visible: 4.0, pixels: 10.0, hits: 6.0,
 #[test]
 fn bytes_are_those_counted_by_hand() {
     let bytes = |kind| SIZES.work(kind).bytes;
-    // Five centres; of four Gaussians 8 further parameters, and 7 columns.
+    // Five centres, and 8 further parameters and 7 columns of four Gaussians.
     assert_eq!(bytes(Kind::Project), 4.0 * (5.0 * 3.0 + 4.0 * (8.0 + 7.0)));
     // 48 harmonics, centre, colour.
     assert_eq!(bytes(Kind::Shade), 4.0 * 4.0 * 54.0);
@@ -17,7 +17,7 @@ fn bytes_are_those_counted_by_hand() {
     assert_eq!(bytes(Kind::Blend), 4.0 * (4.0 * 10.0 + 6.0 + 40.0));
     assert_eq!(bytes(Kind::BlendBackward), 4.0 * (4.0 * 10.0 * 2.0 + 6.0 + 40.0));
     assert_eq!(bytes(Kind::Loss), 4.0 * 90.0);
-    // 59 parameters: three arrays read, three written, and the gradients of what is visible.
+    // 59 parameters: three arrays read, three written, and the gradients of the visible Gaussians.
     assert_eq!(bytes(Kind::Adam), 4.0 * 59.0 * (5.0 * 6.0 + 4.0));
 }
 
@@ -26,12 +26,12 @@ fn operations_are_those_counted_by_hand() {
     let operations = |kind| SIZES.work(kind).operations;
     assert_eq!(PROJECT, 179.0);
     assert_eq!(PROJECT_BACKWARD, 438.0);
-    // Of the Gaussian that does not show only its centre is transformed.
+    // Only the centre of the invisible Gaussian is transformed.
     assert_eq!(operations(Kind::Project), 4.0 * 179.0 + 18.0);
     // Direction 13, basis 43, 48 fused multiply-adds, 3 clamps.
     assert_eq!(operations(Kind::Shade), 4.0 * (13.0 + 43.0 + 96.0 + 3.0));
     assert_eq!(operations(Kind::Blend), 30.0 * (35.0 + 7.0));
-    // A comparison per doubling, a box; an ellipse against a tile.
+    // A comparison per doubling, a box, and an ellipse against a tile.
     assert_eq!(operations(Kind::Tile), 4.0 * (2.0 + 39.0) + 6.0 * 16.0);
     // Six windowed maps of 32 operations, 32 others.
     assert_eq!(operations(Kind::Loss), 10.0 * 3.0 * (6.0 * 32.0 + 32.0));
@@ -80,7 +80,7 @@ fn the_longer_of_moving_and_computing_limits() {
 fn a_step_is_limited_by_each_of_its_parts() {
     let parts: f64 = Kind::PARTS.into_iter().map(|part| SIZES.limit(part, &MACHINE)).sum();
     assert_eq!(SIZES.limit(Kind::Step, &MACHINE), parts);
-    // Some parts are bound by memory, others by arithmetic.
+    // Some parts are bound by memory and others by arithmetic.
     assert!(parts > SIZES.work(Kind::Step).seconds(&MACHINE));
 }
 

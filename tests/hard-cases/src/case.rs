@@ -1,4 +1,4 @@
-//! What a case is, where it runs and what comes of it.
+//! A hard case, the places where it runs, and its outcome.
 
 use burn::tensor::Device;
 
@@ -6,43 +6,43 @@ use crate::scene::HardScene;
 
 /// One row of the table.
 pub struct Case {
-    /// What is hard, in a few words; unique.
+    /// Unique name that says in a few words what is hard.
     pub name: String,
-    /// Why it is hard, in a sentence.
+    /// Why the case is hard, in a sentence.
     pub why: &'static str,
-    /// How hard it is, in numbers; the condition number of a scene's ellipses is added to it.
+    /// How hard the case is, in numbers. The table appends the condition number of the scene's ellipses.
     pub hardness: String,
-    /// What runs.
+    /// The scenes or the function that the case runs.
     pub kind: Kind,
-    /// Bounds that f32 does not meet, and why. The table lists them as loose, never as passed.
+    /// Bounds above the ceiling, where f32 cannot meet it, with reasons. The table lists such a case as loose, never as passed.
     pub loose: Vec<Loose>,
-    /// Why drivers in software cannot run it, if so. The table says that they did not.
+    /// Why drivers in software cannot run the case, if they cannot. The table states that they did not.
     pub beyond_software: Option<&'static str>,
 }
 
-/// What a case runs.
+/// Kind of a case.
 pub enum Kind {
-    /// Scenes, each judged on its own; the row shows the worst.
+    /// Scenes, each judged separately. The row shows the worst.
     Scenes(Vec<HardScene>),
-    /// Anything else.
+    /// Any other check.
     Check(Check),
 }
 
-/// Runs a case on one path.
+/// Function that runs a case on one path.
 pub type Check = Box<dyn Fn(&Place) -> Outcome + Send + Sync>;
 
 /// A bound above the ceiling.
 #[derive(Clone, Copy, Debug)]
 pub struct Loose {
-    /// Where.
+    /// Kind of path that the bound applies to.
     pub processor: Processor,
-    /// What may be used of the ceiling, above 1.
+    /// Allowed multiple of the ceiling, above 1.
     pub factor: f64,
-    /// Why f32 cannot do better.
+    /// Why f32 cannot meet the ceiling.
     pub why: &'static str,
 }
 
-/// A path: a device, by the name that the table gives it.
+/// A path: a device, with its name in the table.
 #[derive(Clone, Debug)]
 pub struct Place {
     pub name: String,
@@ -52,45 +52,45 @@ pub struct Place {
     pub software: bool,
 }
 
-/// What computes. The table has a block of columns for each.
+/// Kind of processor. The table has a block of columns for each.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Processor {
-    /// The CPU twins.
+    /// The CPU, which runs the CPU twins.
     Cpu,
-    /// The kernels.
+    /// A GPU, which runs the kernels.
     Gpu,
 }
 
-/// How far results are off.
+/// Error of a result.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Score {
-    /// The largest error relative to the largest element expected of its tensor.
+    /// Largest error, relative to the largest expected element of its tensor.
     pub error: f64,
-    /// The largest share of its ceiling that an element uses.
+    /// Largest error of an element as a share of its ceiling.
     pub used: f64,
 }
 
-/// What came of a case on one path. The default has passed, with nothing measured.
+/// Outcome of a case on one path. The default has passed, with nothing measured.
 #[derive(Clone, Debug, Default)]
 pub struct Outcome {
-    /// Of the pictures.
+    /// Score of the pictures.
     pub forward: Option<Score>,
-    /// Of the gradients.
+    /// Score of the gradients.
     pub gradient: Option<Score>,
-    /// Rows of gradients that one ulp in the inputs moves by more than the tolerance for rows, so that the ceiling alone
+    /// Number of gradient rows that one ulp in the inputs moves by more than the tolerance for rows. The ceiling alone
     /// judges them.
     pub ill_rows: usize,
-    /// What does not hold, a sentence each.
+    /// Requirements that do not hold, one sentence each.
     pub failures: Vec<String>,
 }
 
 impl Case {
-    /// A case of scenes.
+    /// Creates a case of scenes.
     pub fn scenes(name: impl Into<String>, why: &'static str, scenes: Vec<HardScene>) -> Self {
         Self::new(name.into(), why, Kind::Scenes(scenes))
     }
 
-    /// A case of another kind.
+    /// Creates a case that runs a function.
     pub fn check(
         name: impl Into<String>,
         why: &'static str,
@@ -103,30 +103,30 @@ impl Case {
         Self { name, why, hardness: String::new(), kind, loose: Vec::new(), beyond_software: None }
     }
 
-    /// With a measure of how hard it is.
+    /// Sets the text that says how hard the case is.
     pub fn hardness(self, hardness: impl Into<String>) -> Self {
         Self { hardness: hardness.into(), ..self }
     }
 
-    /// With a bound above the ceiling on one kind of path.
+    /// Allows a bound above the ceiling on one kind of path.
     pub fn loose(mut self, processor: Processor, factor: f64, why: &'static str) -> Self {
         self.loose.push(Loose { processor, factor, why });
         self
     }
 
-    /// Not for drivers in software.
+    /// Excludes drivers in software.
     pub fn beyond_software(self, why: &'static str) -> Self {
         Self { beyond_software: Some(why), ..self }
     }
 
-    /// What may be used of the ceiling on a kind of path.
+    /// Allowed multiple of the ceiling on a kind of path.
     pub fn limit(&self, processor: Processor) -> f64 {
         self.loose.iter().filter(|loose| loose.processor == processor).fold(1.0, |limit, loose| limit.max(loose.factor))
     }
 }
 
 impl Score {
-    /// The worse of each; NaN if one is.
+    /// The worse value of each field; NaN if either is NaN.
     pub fn worst(self, other: Self) -> Self {
         let worst = |a: f64, b: f64| if a.is_nan() || a >= b { a } else { b };
         Self { error: worst(self.error, other.error), used: worst(self.used, other.used) }
@@ -134,19 +134,19 @@ impl Score {
 }
 
 impl Outcome {
-    /// Whether all holds.
+    /// Whether every requirement holds.
     pub fn passed(&self) -> bool {
         self.failures.is_empty()
     }
 
-    /// Notes `what` as a failure unless it holds.
+    /// Records `what` as a failure unless `holds`.
     pub fn require(&mut self, holds: bool, what: impl FnOnce() -> String) {
         if !holds {
             self.failures.push(what());
         }
     }
 
-    /// Both outcomes, the worse of each score.
+    /// Combines two outcomes, with the worse of each score.
     pub fn and(mut self, other: Self) -> Self {
         let worst = |a: Option<Score>, b: Option<Score>| match (a, b) {
             (Some(a), Some(b)) => Some(a.worst(b)),

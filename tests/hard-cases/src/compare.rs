@@ -1,8 +1,8 @@
-//! Comparisons whose failures name the tensor, and which NaN always fails.
+//! Comparisons whose failures name the tensor. NaN always fails.
 
 use crate::tensors::Named;
 
-/// A measured error and what it may be.
+/// A measured error and its tolerance.
 #[derive(Clone, Debug)]
 pub struct Finding {
     pub what: String,
@@ -10,14 +10,14 @@ pub struct Finding {
     pub tolerance: f64,
 }
 
-/// Asserts every finding.
+/// Asserts that every finding is within its tolerance.
 pub fn assert_all(findings: &[Finding]) {
     for Finding { what, error, tolerance } in findings {
         assert!(error <= tolerance, "{what}: error {error:.3e}, tolerance {tolerance:.3e}");
     }
 }
 
-/// The largest of non-negative numbers; NaN if one is NaN.
+/// Largest of non-negative numbers; NaN if one is NaN.
 pub fn worst(values: impl IntoIterator<Item = f64>) -> f64 {
     values.into_iter().fold(0.0, |worst, value| if worst.is_nan() || worst >= value { worst } else { value })
 }
@@ -32,23 +32,23 @@ pub fn norm(values: &[f64]) -> f64 {
     values.iter().map(|v| v * v).sum::<f64>().sqrt()
 }
 
-/// The largest difference over the largest magnitude expected.
+/// Largest difference divided by the largest expected magnitude.
 pub fn relative_error(found: &[f64], expected: &[f64]) -> f64 {
     assert_eq!(found.len(), expected.len());
-    // A tensor that should be zero throughout is compared with zero itself.
+    // Where all expected values are zero, only zero passes.
     let scale = largest(expected).max(f64::MIN_POSITIVE);
     worst(found.iter().zip(expected).map(|(f, e)| (f - e).abs() / scale))
 }
 
-/// Relative Euclidean error of each row that is larger than 1e-4 of the largest: below that, a row's digits are lost to
-/// its neighbours' magnitude before anyone can use them.
+/// Relative Euclidean error of each row whose length exceeds 1e-4 of the largest. Shorter rows lose their digits to the
+/// magnitude of other rows before anything can use them.
 pub fn row_errors(found: &Named, expected: &Named) -> Vec<f64> {
     assert_eq!(found.values.len(), expected.values.len(), "{}", expected.name);
     let values = found.values.iter().zip(&expected.values).map(|(f, e)| f - e).collect();
     row_sizes(&Named { values, ..expected.clone() }, expected)
 }
 
-/// Length of each row relative to that of the expected row, for the rows that [`row_errors`] judges.
+/// Length of each row relative to the expected row's length, for the rows that [`row_errors`] judges.
 pub fn row_sizes(rows: &Named, expected: &Named) -> Vec<f64> {
     let lengths = |tensor: &Named| -> Vec<f64> { tensor.values.chunks_exact(expected.columns).map(norm).collect() };
     let expected_lengths = lengths(expected);
@@ -57,7 +57,7 @@ pub fn row_sizes(rows: &Named, expected: &Named) -> Vec<f64> {
     pairs.filter(|(_, expected)| *expected > floor).map(|(length, expected)| length / expected).collect()
 }
 
-/// The rows of a tensor that are kept.
+/// Returns the kept rows of a tensor.
 pub fn keep_rows(tensor: &Named, kept: &[bool]) -> Named {
     let rows = tensor.values.chunks_exact(tensor.columns);
     assert_eq!(rows.len(), kept.len(), "{}", tensor.name);

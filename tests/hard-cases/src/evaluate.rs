@@ -1,4 +1,4 @@
-//! A scene's render and gradients by the operation, on any device and float type.
+//! Render and gradients of a scene by the operation, on any device and float type.
 
 use burn::tensor::{DType, Device, Tensor};
 use splat_op::{Camera, Colour, Extras, RawSplats, Splats, activate, project, render};
@@ -10,10 +10,10 @@ use crate::tensors::{Named, host, leaf, tensor};
 pub const GRADIENTS: [&str; 8] =
     ["means", "rotations", "scales", "opacities", "colours", "mean2d", "pose", "background"];
 
-/// Where in [`GRADIENTS`] those begin that belong to no Gaussian.
+/// Index in [`GRADIENTS`] of the first gradient that has no row per Gaussian.
 pub const OF_NO_SPLAT: usize = 6;
 
-/// All that a render computes.
+/// Outputs and gradients of a render.
 #[derive(Clone, Debug)]
 pub struct Outputs {
     /// `image alpha depth`, a row per pixel.
@@ -28,12 +28,12 @@ impl Outputs {
         self.pictures.iter().chain(&self.gradients)
     }
 
-    /// As [`Self::tensors`].
+    /// Mutable references to the tensors of [`Self::tensors`].
     pub fn tensors_mut(&mut self) -> impl Iterator<Item = &mut Named> {
         self.pictures.iter_mut().chain(&mut self.gradients)
     }
 
-    /// Names and columns for the values of one render.
+    /// Adds names and columns to the values of one render.
     pub fn new(scene: &HardScene, pictures: [Vec<f64>; 3], gradients: [Vec<f64>; GRADIENTS.len()]) -> Self {
         let colours = scene.colour_columns();
         let columns = [3, 4, 3, 1, colours, 2, 4, scene.channels()];
@@ -67,7 +67,7 @@ fn leaves(scene: &HardScene, device: &Device, dtype: DType) -> Leaves {
     let (means, rotations) =
         (leaf(&scene.means, [count, 3], device, dtype), leaf(&scene.quats, [count, 4], device, dtype));
     let (activated_scales, activated_opacities) = if scene.stored {
-        // As `splat_model::Gaussians` activates what it stores. Colours are not what these scenes are about.
+        // The activation of `splat_model::Gaussians`. These scenes do not test colours.
         let raw = RawSplats {
             means: means.clone(),
             rotations: rotations.clone(),
@@ -96,7 +96,7 @@ fn leaves(scene: &HardScene, device: &Device, dtype: DType) -> Leaves {
     Leaves { splats, scales, opacities, colours, camera: Camera { intrinsics: scene.intrinsics, cam_from_world } }
 }
 
-/// Renders and differentiates on the plain `device`.
+/// Renders and differentiates a scene. `device` has no autodiff.
 ///
 /// # Panics
 /// If the operation refuses the scene.
@@ -117,7 +117,7 @@ pub fn evaluate(scene: &HardScene, weights: &Weights, device: &Device, dtype: DT
         + (out.alpha.clone() * weight(&weights.alpha, 1)).sum()
         + (depth.clone() * weight(&weights.depth, 1)).sum();
     let grads = loss.backward();
-    // A scene without Gaussians has no gradient to hold.
+    // Burn has no gradients for a scene without Gaussians.
     macro_rules! of {
         ($leaf:expr) => {
             $leaf.grad(&grads).map(host).unwrap_or_default()
@@ -136,7 +136,7 @@ pub fn evaluate(scene: &HardScene, weights: &Weights, device: &Device, dtype: DT
     Outputs::new(scene, [host(out.colour), host(out.alpha), host(depth)], gradients)
 }
 
-/// Which Gaussians the projection culls.
+/// Indices of the Gaussians that the projection culls.
 pub fn culled(scene: &HardScene, device: &Device, dtype: DType) -> Vec<usize> {
     let Leaves { splats, camera, .. } = leaves(scene, device, dtype);
     let projected = project(&splats, &camera, &Extras::default(), &scene.options)

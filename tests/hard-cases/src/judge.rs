@@ -1,4 +1,4 @@
-//! Judges cases: what is true of a scene, how far one ulp in its inputs moves that, and how far a path is from it.
+//! Judges cases: computes the reference of a scene, its change with one ulp in the inputs, and the error of each path.
 
 use burn::tensor::{DType, Device};
 use glam::{DMat3, DVec3};
@@ -15,31 +15,31 @@ use crate::scene::{HardScene, Paint, STANDARD, Truth, Weights};
 use crate::tensors::Named;
 use crate::textbook::{self, Backward};
 
-/// What came of a case.
+/// Result of a case.
 pub struct Row {
-    /// Of each path, in the order in which they were given.
+    /// Outcome of each path, in the given order.
     pub places: Vec<(Place, Outcome)>,
-    /// Of the textbook's formulas in f32, where they differ.
+    /// Outcome of the textbook's formulas in f32, where they differ from those of the operation.
     pub textbook: Option<Outcome>,
-    /// The largest condition number of a 2D covariance; 1 for what is no scene.
+    /// Largest condition number of a 2D covariance; 1 for a case without scenes.
     pub condition: f64,
-    /// What is wrong with the yardstick itself.
+    /// Errors of the reference itself.
     pub remarks: Vec<String>,
-    /// Whether the case was held to a bound above the ceiling anywhere.
+    /// Whether the case was allowed a bound above the ceiling on any path.
     pub loose: bool,
 }
 
-/// A row's last word.
+/// Verdict on a row.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Verdict {
     Passed,
-    /// Within a bound above the ceiling.
+    /// The case is within a bound above the ceiling.
     Loose,
     Failed,
 }
 
 impl Row {
-    /// Whether the case holds on all paths.
+    /// Verdict over all paths.
     pub fn verdict(&self) -> Verdict {
         let holds = self.remarks.is_empty() && self.places.iter().all(|(_, outcome)| outcome.passed());
         match (holds, self.loose) {
@@ -49,13 +49,13 @@ impl Row {
         }
     }
 
-    /// The worst outcome of a kind of path; `None` if none of them ran.
+    /// Worst outcome of a kind of path; `None` if no such path ran.
     pub fn of(&self, processor: Processor) -> Option<Outcome> {
         let places = self.places.iter().filter(|(place, _)| place.processor == processor);
         places.map(|(_, outcome)| outcome.clone()).reduce(Outcome::and)
     }
 
-    /// Everything that does not hold.
+    /// All failures, with the path of each.
     pub fn failures(&self) -> Vec<String> {
         let of_place = |(place, outcome): &(Place, Outcome)| {
             outcome.failures.iter().map(|failure| format!("{}: {failure}", place.name)).collect::<Vec<_>>()
@@ -92,25 +92,25 @@ pub fn judge(case: &Case, places: &[Place]) -> Row {
     row
 }
 
-/// How far a threshold moves within f32 rounding, relatively, for pixels that jump there.
+/// Relative change of a threshold by f32 rounding, for finding pixels that jump there.
 const CUT_SHIFT: f64 = 1e-4;
 
-/// The share of its f32 ceiling that f64 may use.
+/// Share of the f32 ceiling that an f64 result may use.
 const F64_SHARE: f64 = 1e-6;
 
-/// A depth weighted by less than an f32 can be.
+/// An accumulated depth below the smallest f32.
 const UNSEEN: f64 = 1e-46;
 
-/// Work, in pairs of a pixel and a Gaussian, above which the textbook is left out.
+/// Most pairs of a pixel and a Gaussian for which the textbook runs.
 const TEXTBOOK_PAIRS: usize = 20_000_000;
 
-/// What an f32 render should give, and how much an ulp in every input changes it.
+/// Expected result of an f32 render, and its change when every input moves by one ulp.
 pub struct Yardstick {
     scene: HardScene,
     weights: Weights,
     expected: Outputs,
     spread: Outputs,
-    /// Pixels that are compared: those at which no decision is within rounding.
+    /// Whether each pixel is compared. Pixels with a decision within rounding error are not.
     kept: Vec<bool>,
     condition: f64,
     remarks: Vec<String>,
@@ -147,19 +147,19 @@ impl Yardstick {
         yardstick
     }
 
-    /// The truth against the CPU twin in f64, which shares no formula with it, and against the exact renderer where that
+    /// Compares the reference with the CPU twin in f64, which shares no formula with it, and with the exact renderer where that
     /// has digits left.
     fn check_itself(&mut self, plain: &Outputs) {
         let finite = |outputs: &Outputs| outputs.tensors().all(|tensor| tensor.values.iter().all(|v| v.is_finite()));
         if !finite(&self.expected) || !finite(&self.spread) {
-            self.remarks.push("the truth is not finite".into());
+            self.remarks.push("the reference is not finite".into());
         }
         let outcome = self.compare(plain, F64_SHARE);
-        self.remarks.extend(outcome.failures.into_iter().map(|failure| format!("f64 against the truth: {failure}")));
+        self.remarks.extend(outcome.failures.into_iter().map(|failure| format!("f64 against reference: {failure}")));
         let options = &self.scene.options;
         let cuts = options.alpha_min > 0.0 || options.transmittance_min > 0.0;
         let limited = self.scene.opacities.iter().any(|opacity| *opacity > options.alpha_max);
-        // Along rays it inverts covariances in space.
+        // With per-ray rasterization the exact renderer inverts 3D covariances.
         let (condition, most, rounding) = match along_rays(options) {
             true => (self.condition.max(solid_condition(&self.scene)), 1e6, 1e-13),
             false => (self.condition, 1e9, 1e-14),
@@ -179,7 +179,7 @@ impl Yardstick {
         }
     }
 
-    /// Everything that is asked of a path.
+    /// Judges a path by every requirement.
     fn judge(&self, place: &Place, limit: f64) -> Outcome {
         let (scene, label) = (&self.scene, &self.scene.label);
         let device = &place.device;
@@ -200,18 +200,18 @@ impl Yardstick {
         outcome
     }
 
-    /// Whether the neighbours are, bit by bit, what they are alone: their gradients, and the pixels that no hard one
-    /// reaches.
+    /// Checks that the neighbours have the same bits as without the hard Gaussians: their gradients, and the pixels that no hard
+    /// Gaussian reaches.
     fn judge_neighbours(&self, found: &Outputs, place: &Place) -> Outcome {
         let mut outcome = Outcome::default();
         let hard = self.scene.count() - self.scene.neighbours;
         let (hard_ones, neighbours) = (self.scene.rows(0..hard), self.scene.rows(hard..self.scene.count()));
-        // The accumulated depth, because alpha is one minus something and does not show 1e-17.
+        // The accumulated depth, because alpha is a difference from one and cannot represent 1e-17.
         let reach = evaluate(&hard_ones, &self.weights, &Device::flex(), DType::F64).pictures.swap_remove(2).values;
         let alone = evaluate(&neighbours, &self.weights, &place.device, DType::F32);
         let seen = |pixel: usize| reach[pixel] <= UNSEEN;
         let shows = alone.pictures[1].values.iter().enumerate().any(|(pixel, alpha)| seen(pixel) && *alpha > 0.1);
-        outcome.require(shows, || "the neighbour is covered by the hard ones".into());
+        outcome.require(shows, || "the neighbour is covered by the hard Gaussians".into());
         for (found, alone) in found.pictures.iter().zip(&alone.pictures) {
             let rows = found.values.chunks(found.columns).zip(alone.values.chunks(alone.columns)).enumerate();
             let changed = rows.filter(|(pixel, (found, alone))| seen(*pixel) && found != alone).count();
@@ -224,7 +224,7 @@ impl Yardstick {
         outcome
     }
 
-    /// The textbook's formulas in f32; `None` where they are the same as ours, or would take too long.
+    /// Judges the textbook's formulas in f32; `None` where they equal those of the operation or would take too long.
     fn textbook(&self) -> Option<Outcome> {
         let scene = &self.scene;
         let pairs = scene.count() * self.kept.len();
@@ -235,7 +235,7 @@ impl Yardstick {
         })
     }
 
-    /// Pictures and gradients against `limit` times the ceiling.
+    /// Compares pictures and gradients with `limit` times the ceiling.
     fn compare(&self, found: &Outputs, limit: f64) -> Outcome {
         let mut outcome = Outcome::default();
         for (i, found) in found.pictures.iter().enumerate() {
@@ -247,7 +247,7 @@ impl Yardstick {
         let hard = self.scene.count() - self.scene.neighbours;
         for (i, found) in found.gradients.iter().enumerate() {
             let (expected, spread) = (&self.expected.gradients[i], &self.spread.gradients[i]);
-            // The hard ones' large values must not excuse the neighbours, nor the other way round.
+            // Large values of the hard Gaussians must not excuse errors of the neighbours, nor vice versa.
             let classes = |tensor: &Named| -> Vec<Named> {
                 if i >= OF_NO_SPLAT {
                     return vec![tensor.clone()];
@@ -267,7 +267,7 @@ impl Yardstick {
     }
 }
 
-/// What f32 cannot hold is to be its largest number.
+/// Clamps values to the range of f32.
 fn within_f32(mut outputs: Outputs) -> Outputs {
     let largest = f64::from(f32::MAX);
     let values = outputs.tensors_mut().flat_map(|tensor| &mut tensor.values);
@@ -275,7 +275,7 @@ fn within_f32(mut outputs: Outputs) -> Outputs {
     outputs
 }
 
-/// The worst score of parts `[found, expected, spread]`, each with its own largest element.
+/// Worst score of the parts of `[found, expected, spread]`, each relative to its own largest element.
 fn score_parts([found, expected, spread]: &[Vec<Named>; 3], outcome: &mut Outcome, limit: f64) -> Score {
     let mut score = Score::default();
     for ((found, expected), spread) in found.iter().zip(expected).zip(spread) {
@@ -284,7 +284,7 @@ fn score_parts([found, expected, spread]: &[Vec<Named>; 3], outcome: &mut Outcom
         outcome.require(finite, || format!("{name} is not finite"));
         let used = ceiling_used(&found.values, &expected.values, &spread.values);
         outcome.require(used <= limit, || format!("{name} uses {used:.2e} of its ceiling"));
-        // Where the truth is zero but for its own uncertainty, nothing is relative to it.
+        // A relative error means nothing where the reference is zero within its own uncertainty.
         let largest = largest(&expected.values).max(largest(&spread.values)).max(SMALLEST);
         let errors = found.values.iter().zip(&expected.values).map(|(f, e)| (f - e).abs());
         let error = worst(errors) / if largest > 0.0 { largest } else { 1.0 };
@@ -293,7 +293,7 @@ fn score_parts([found, expected, spread]: &[Vec<Named>; 3], outcome: &mut Outcom
     score
 }
 
-/// Rows of a gradient as vectors: off by more than the tolerance, or too ill-conditioned to be judged by it.
+/// Judges the rows of a gradient as vectors: off by more than the tolerance, or too ill-conditioned for it.
 fn judge_rows(found: &Named, expected: &Named, spread: &Named, limit: f64, outcome: &mut Outcome) {
     let lengths = |values: &[f64]| values.chunks(expected.columns).map(norm).collect::<Vec<f64>>();
     let (sizes, spreads) = (lengths(&expected.values), lengths(&spread.values));
@@ -316,19 +316,19 @@ fn judge_rows(found: &Named, expected: &Named, spread: &Named, limit: f64, outco
     });
 }
 
-/// Rows of the pixels that are kept.
+/// Returns the rows of the kept pixels.
 fn keep(tensor: &Named, kept: &[bool]) -> Named {
     let rows = tensor.values.chunks(tensor.columns).zip(kept).filter(|(_, kept)| **kept);
     Named { values: rows.flat_map(|(row, _)| row.iter().copied()).collect(), ..tensor.clone() }
 }
 
-/// Each column on its own: channels may differ in magnitude.
+/// Splits a tensor into columns, because channels may differ in magnitude.
 fn columns(tensor: &Named) -> Vec<Named> {
     let column = |i: usize| tensor.values.iter().skip(i).step_by(tensor.columns).copied().collect();
     (0..tensor.columns).map(|i| Named { columns: 1, values: column(i), ..tensor.clone() }).collect()
 }
 
-/// Which pixels no cut within rounding changes.
+/// Whether each pixel is unchanged when cuts move within rounding error.
 fn kept(scene: &HardScene) -> Vec<bool> {
     let options = &scene.options;
     let pixels = scene.intrinsics.width * scene.intrinsics.height;
@@ -346,12 +346,13 @@ fn kept(scene: &HardScene) -> Vec<bool> {
     (0..pixels).map(|pixel| variants.iter().all(|variant| variant[pixel] == plain[pixel])).collect()
 }
 
-/// Whether pixels look along their rays, of which the textbook knows nothing.
+/// Whether the options ask for per-ray rasterization, which the textbook does not cover.
 fn along_rays(options: &RenderOptions) -> bool {
     options.projection != Projection::Affine || options.order != Order::Centre
 }
 
-/// The largest condition number of a covariance in space, in units of the centre's depth too: cameras stand at the origin.
+/// Largest condition number of a 3D covariance, where a centre's depth counts as an axis if it is the shortest length. Cameras
+/// stand at the origin.
 fn solid_condition(scene: &HardScene) -> f64 {
     let ratio = |(scale, mean): (&[f64], &[f64])| {
         let longest = scale.iter().fold(0.0_f64, |most, s| most.max(*s));
@@ -360,12 +361,12 @@ fn solid_condition(scene: &HardScene) -> f64 {
     scene.scales.chunks(3).zip(scene.means.chunks(3)).map(ratio).fold(1.0, f64::max).powi(2)
 }
 
-/// The standard cuts, with the scene's model.
+/// The standard cuts, with the scene's other options.
 fn with_cuts(options: &RenderOptions) -> RenderOptions {
     RenderOptions { alpha_min: STANDARD.alpha_min, transmittance_min: STANDARD.transmittance_min, ..*options }
 }
 
-/// `image alpha depth` by the exact renderer.
+/// Renders `image alpha depth` with the exact renderer.
 fn exact(scene: &HardScene) -> [Vec<f64>; 3] {
     let gaussian = |i: usize| ExactGaussian {
         mean: DVec3::from_slice(&scene.means[3 * i..]),

@@ -1,8 +1,8 @@
-//! The battery of hard cases: small scenes built in code on which splatting loses digits, runs out of range or divides by
-//! zero, each with a sentence on why. They run on every path, forwards and backwards, and are judged by what is true.
+//! The battery of hard cases: small scenes built in code on which splatting loses digits, leaves the range of f32 or divides by
+//! zero, each with a sentence on why. They run on every path, forwards and backwards, and are compared with a reference.
 //!
-//! [`battery`] lists the cases, [`judge`] runs one, [`table`] prints what came of them beside what the
-//! [`textbook`]'s formulas give on the same scenes.
+//! [`battery`] lists the cases, [`judge`] runs one, and [`table`] prints the results beside those of the
+//! [`textbook`]'s formulas on the same scenes.
 //!
 //! A case that is not a scene is a [`Check`]: a function of the [`Place`] that returns an [`Outcome`].
 

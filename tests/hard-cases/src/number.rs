@@ -1,10 +1,10 @@
-//! The numbers that the textbook formulas are computed in: f32, as most implementations do, f64, and [`Wide`], in which the
-//! same formulas are the truth.
+//! The number types of the textbook formulas: f32, as in most implementations, f64, and [`Wide`], in which the
+//! same formulas are the reference.
 
 use std::fmt::Debug;
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
-/// A float of any width.
+/// A floating-point number of any width.
 pub trait Number:
     Copy
     + Debug
@@ -45,8 +45,8 @@ macro_rules! number {
 number!(f32);
 number!(f64);
 
-/// A sum of two f64 of which the second is below half an ulp of the first: some 106 bits, with the range of an f64 (Dekker
-/// 1971; the sequences of operations are those of Hida, Li and Bailey 2001, "Algorithms for quad-double precision").
+/// A sum of two f64, the second below half an ulp of the first: about 106 bits, with the range of an f64 (Dekker
+/// 1971; sequences of operations from Hida, Li and Bailey 2001, "Algorithms for quad-double precision").
 #[derive(Clone, Copy, Debug, PartialEq, PartialOrd)]
 pub struct Wide {
     high: f64,
@@ -60,7 +60,7 @@ impl Wide {
     /// `a + b` without error, for `|a| >= |b|`.
     fn of_ordered(a: f64, b: f64) -> Self {
         let high = a + b;
-        // What is not finite has no rounding error; `inf - inf` would make it one.
+        // A value that is not finite has no rounding error, and `inf - inf` would produce one.
         Self { high, low: if high.is_finite() { b - (high - a) } else { 0.0 } }
     }
 
@@ -72,13 +72,13 @@ impl Wide {
         Self { high, low: if high.is_finite() { low } else { 0.0 } }
     }
 
-    /// `a b` without error, short of underflow.
+    /// `a b` without error, unless it underflows.
     fn of_product(a: f64, b: f64) -> Self {
         let high = a * b;
         Self { high, low: if high.is_finite() { a.mul_add(b, -high) } else { 0.0 } }
     }
 
-    /// Times a power of two.
+    /// Product with a power of two.
     fn scaled(self, factor: f64) -> Self {
         Self { high: self.high * factor, low: self.low * factor }
     }
@@ -158,8 +158,8 @@ impl Number for Wide {
         if self.high < -708.0 {
             return Self::of(0.0);
         }
-        // x = n ln 2 + 512 r; the series gives e^r - 1, which is squared nine times as (1 + p)² - 1 = 2p + p², so that no
-        // digit is lost to the one.
+        // x = n ln 2 + 512 r; the series gives e^r - 1, which is squared nine times as (1 + p)² - 1 = 2p + p², so that the
+        // addition of one costs no digits.
         const HALVINGS: i32 = 9;
         let n = (self.high / std::f64::consts::LN_2).round();
         let r = (self - Self::LN_2 * Self::of(n)).scaled(0.5_f64.powi(HALVINGS));
@@ -187,14 +187,14 @@ mod tests {
 
     #[test]
     fn thirty_digits_are_kept() {
-        // (1 + 2⁻⁹⁰) − 1 is nothing in f64.
+        // (1 + 2⁻⁹⁰) − 1 is zero in f64.
         let small = 2.0_f64.powi(-90);
         assert_eq!((Wide::of(1.0) + Wide::of(small) - Wide::of(1.0)).f64(), small);
         let third = Wide::of(1.0) / Wide::of(3.0);
         close(third * Wide::of(3.0), Wide::of(1.0), 1e-31);
         let root = Wide::of(2.0).sqrt();
         close(root * root, Wide::of(2.0), 1e-31);
-        // Products of the form (a + b)(a − b) = a² − b² hold to the last digits.
+        // (a + b)(a − b) = a² − b² holds to the last digits.
         let (a, b) = (Wide::of(1e8) + Wide::of(1e-9), Wide::of(1e8) - third);
         close((a + b) * (a - b), a * a - b * b, 1e-21);
     }

@@ -1,6 +1,6 @@
 //! Reproducible numbers for tests. The unit tests of `splat-op` include this file by its path.
 
-/// SplitMix64 (Steele, Lea and Flood 2014): one line of state, the same on every platform.
+/// SplitMix64 (Steele, Lea and Flood 2014): one word of state, the same numbers on every platform.
 pub struct Random(u64);
 
 impl Random {
@@ -8,7 +8,7 @@ impl Random {
         Self(seed)
     }
 
-    /// From `low` to below `high`.
+    /// Returns a number from `low` to below `high`.
     pub fn between(&mut self, low: f64, high: f64) -> f64 {
         self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
         let mut z = self.0;
@@ -18,7 +18,7 @@ impl Random {
         low + (high - low) * unit
     }
 
-    /// `count` numbers from `low` to below `high`.
+    /// Returns `count` numbers from `low` to below `high`.
     pub fn fill(&mut self, count: usize, low: f64, high: f64) -> Vec<f64> {
         (0..count).map(|_| self.between(low, high)).collect()
     }

@@ -1,20 +1,20 @@
-//! A hard scene: Gaussians, a camera, options and a cotangent, on the host.
+//! A hard scene: Gaussians, a camera, options and the weights of the loss, on the host.
 
 use splat_op::{Accumulation, Intrinsics, RenderOptions};
 
 use crate::ceiling::rounded;
 use crate::random::Random;
 
-/// Without cuts, so that nothing jumps: what remains is arithmetic.
+/// Options without cuts: the render is continuous, and arithmetic is the only source of error.
 pub const SMOOTH: RenderOptions = RenderOptions {
     alpha_min: 0.0,
     transmittance_min: 0.0,
-    // So that gradients on a GPU are the same bits in every run, and so is the table.
+    // Gradients on a GPU, and therefore the table, have the same bits in every run.
     accumulation: Accumulation::Ordered,
     ..RenderOptions::standard().with_depth(true)
 };
 
-/// The cuts of every implementation, and ours by default.
+/// Options with the cuts that every implementation makes and that are the default here.
 pub const STANDARD: RenderOptions =
     RenderOptions { alpha_min: RenderOptions::standard().alpha_min, transmittance_min: 1e-4, ..SMOOTH };
 
@@ -25,36 +25,36 @@ pub struct Splat {
     pub mean: [f64; 3],
     /// Quaternion wxyz.
     pub quat: [f64; 4],
-    /// Standard deviations; their logarithms in a scene with [`HardScene::stored`].
+    /// Standard deviations along the axes; their logarithms in a scene with [`HardScene::stored`].
     pub scale: [f64; 3],
-    /// 0 to 1; its logit in a scene with [`HardScene::stored`].
+    /// Opacity, 0 to 1; its logit in a scene with [`HardScene::stored`].
     pub opacity: f64,
     /// Features, or coefficients of spherical harmonics.
     pub colour: Vec<f64>,
 }
 
-/// What colours are made of.
+/// Representation of colours.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Paint {
-    /// Features as they are, this many.
+    /// This number of features, used as they are.
     Features(usize),
-    /// Spherical harmonics of this degree; the textbook has no column for these, as all compute them alike.
+    /// Spherical harmonics of this degree. The textbook has no column for them, because all implementations compute them alike.
     Harmonics(usize),
 }
 
-/// What is true of a scene.
+/// Source of a scene's reference values.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Truth {
-    /// The papers' formulas in 106 bits, checked against the exact renderer where float64 suffices for it.
+    /// The papers' formulas in 106 bits, checked against the exact renderer where float64 suffices for that renderer.
     Wide,
-    /// The CPU twin in f64: where decisions are judged, or there is too much for 106 bits.
+    /// The CPU twin in f64, for decisions at thresholds and for scenes too large for 106-bit arithmetic.
     Twin,
 }
 
-/// A scene and what is expected of it.
+/// A scene and the expectations on its render.
 #[derive(Clone, Debug)]
 pub struct HardScene {
-    /// Which of the case's scenes it is.
+    /// Name of the scene within its case.
     pub label: String,
     pub means: Vec<f64>,
     pub quats: Vec<f64>,
@@ -63,28 +63,28 @@ pub struct HardScene {
     pub colours: Vec<f64>,
     pub paint: Paint,
     pub background: Vec<f64>,
-    /// Camera from world, `[3, 4]`.
+    /// Pose, camera from world, `[3, 4]`.
     pub pose: Vec<f64>,
     pub intrinsics: Intrinsics,
     pub options: RenderOptions,
-    /// The last rows are neighbours: beside the hard ones, without overlap, and not to be changed by them.
+    /// Number of neighbours, the last rows. They lie beside the hard Gaussians without overlap and must not be changed by them.
     pub neighbours: usize,
     /// Whether scales and opacities are logarithms and logits, as scenes are stored and trained.
     pub stored: bool,
-    /// Whether camera z is held when inputs move: where the order in depth is the question.
+    /// Whether camera z stays fixed when inputs move, for cases that test the order in depth.
     pub hold_depth: bool,
-    /// Whether centres, camera and opacities are held too: where an alpha is at a threshold, and any move a jump.
+    /// Whether centres, camera and opacities stay fixed too, for cases with an alpha at a threshold, where any move is a jump.
     pub hold_alpha: bool,
-    /// Rows that must be culled; all others must not.
+    /// Rows that must be culled. No other row may be culled.
     pub culled: Vec<usize>,
     pub truth: Truth,
-    /// Random moves of the inputs by one ulp.
+    /// Number of random moves of the inputs by one ulp.
     pub draws: u64,
-    /// Of the cotangent.
+    /// Seed of the weights of the loss.
     pub seed: u64,
 }
 
-/// The loss is `Σ w·out` over image, alpha and depth.
+/// Weights of the loss `Σ w·out` over image, alpha and depth.
 #[derive(Clone, Debug)]
 pub struct Weights {
     pub image: Vec<f64>,
@@ -95,19 +95,19 @@ pub struct Weights {
 /// The camera at the origin that looks along z.
 pub const IDENTITY: [f64; 12] = [1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0];
 
-/// An ordinary view, of no whole number of tiles.
+/// An ordinary view whose size is not a multiple of the tile size.
 pub fn camera() -> Intrinsics {
     Intrinsics { fx: 60.0, fy: 63.0, cx: 28.5, cy: 22.5, ..Intrinsics::centred(60, 44, 60.0) }
 }
 
 impl Splat {
-    /// One with its centre at `px` of [`camera`] at a depth, its standard deviations near one in px: not equal, because a
-    /// round one's rotation has no gradient.
+    /// Creates a Gaussian with its centre at `px` of [`camera`] and standard deviations near `sigma_px`. They differ, because
+    /// the rotation of a round Gaussian has no gradient.
     pub fn at(px: [f64; 2], depth: f64, sigma_px: f64) -> Self {
         Self::seen_by(&camera(), px, depth, sigma_px)
     }
 
-    /// As [`Self::at`], on another camera's picture.
+    /// Creates a Gaussian as [`Self::at`] does, on another camera's picture.
     pub fn seen_by(lens: &Intrinsics, px: [f64; 2], depth: f64, sigma_px: f64) -> Self {
         Self {
             mean: [(px[0] - lens.cx) / lens.fx * depth, (px[1] - lens.cy) / lens.fy * depth, depth],
@@ -140,7 +140,7 @@ impl Splat {
 }
 
 impl HardScene {
-    /// Three channels, seen by [`camera`] from the origin, without cuts.
+    /// Creates a scene of three channels with [`camera`] at the origin, without cuts.
     pub fn new(label: impl Into<String>, splats: &[Splat]) -> Self {
         let mut scene = Self {
             label: label.into(),
@@ -175,7 +175,7 @@ impl HardScene {
         self.colours.extend(&splat.colour);
     }
 
-    /// With one more, which none before it reaches.
+    /// Adds a neighbour, which no Gaussian before it overlaps.
     pub fn with_neighbour(mut self, splat: &Splat) -> Self {
         self.push(splat);
         self.neighbours += 1;
@@ -206,12 +206,12 @@ impl HardScene {
         Self { draws, ..self }
     }
 
-    /// Colours are coefficients of spherical harmonics.
+    /// Declares colours to be coefficients of spherical harmonics.
     pub fn with_harmonics(self, degree: usize) -> Self {
         Self { paint: Paint::Harmonics(degree), truth: Truth::Twin, ..self }
     }
 
-    /// Scales are logarithms and opacities logits.
+    /// Declares scales to be logarithms and opacities logits.
     pub fn stored(self) -> Self {
         Self { stored: true, ..self }
     }
@@ -229,7 +229,7 @@ impl HardScene {
         self.opacities.len()
     }
 
-    /// Some of the Gaussians, none of them a neighbour.
+    /// Returns the scene with some of the Gaussians, none of them a neighbour.
     pub fn rows(&self, rows: std::ops::Range<usize>) -> Self {
         let of = |values: &[f64], columns: usize| values[columns * rows.start..columns * rows.end].to_vec();
         Self {
@@ -243,7 +243,7 @@ impl HardScene {
         }
     }
 
-    /// Numbers of a Gaussian's colour.
+    /// Number of values of a Gaussian's colour.
     pub fn colour_columns(&self) -> usize {
         match self.paint {
             Paint::Features(channels) => channels,
@@ -251,12 +251,12 @@ impl HardScene {
         }
     }
 
-    /// Channels of the image.
+    /// Number of channels of the image.
     pub fn channels(&self) -> usize {
         self.background.len()
     }
 
-    /// The same with other numbers.
+    /// Applies a function to every number of the scene.
     fn map(&self, mut map: impl FnMut(f64) -> f64) -> Self {
         let mut all = |values: &[f64]| values.iter().map(|v| map(*v)).collect::<Vec<f64>>();
         let lens = &self.intrinsics;
@@ -274,7 +274,7 @@ impl HardScene {
         }
     }
 
-    /// What an f32 render really sees.
+    /// Rounds every number to f32, as an f32 render receives it.
     pub fn rounded(&self) -> Self {
         let options = RenderOptions {
             blur: rounded(self.options.blur),
@@ -287,7 +287,7 @@ impl HardScene {
         Self { options, ..self.map(rounded) }
     }
 
-    /// Every number one f32 ulp up or down, the blur too, but for what is zero or not finite: that it is so is a statement.
+    /// Moves every number, the blur too, by one f32 ulp. Values that are zero or not finite are intended to be so and stay.
     pub fn moved(&self, random: &mut Random) -> Self {
         let options = RenderOptions { blur: moved(self.options.blur, random), ..self.options };
         let mut moved = Self { options, ..self.map(|value| moved(value, random)) };
@@ -304,7 +304,7 @@ impl HardScene {
         moved
     }
 
-    /// The cotangent, the same in f32 and f64.
+    /// Weights of the loss, equal in f32 and f64.
     pub fn weights(&self) -> Weights {
         let pixels = self.intrinsics.width * self.intrinsics.height;
         let mut random = Random::new(self.seed);
@@ -314,13 +314,13 @@ impl HardScene {
 }
 
 impl Weights {
-    /// Each one ulp up or down; one of zero masks a pixel and stays.
+    /// Moves every weight by one ulp. A weight of zero masks a pixel and stays.
     pub fn moved(&self, random: &mut Random) -> Self {
         let mut all = |values: &[f64]| values.iter().map(|v| moved(*v, random)).collect::<Vec<f64>>();
         Self { image: all(&self.image), alpha: all(&self.alpha), depth: all(&self.depth) }
     }
 
-    /// Zero in the pixels that are not kept.
+    /// Sets the weights of pixels that are not kept to zero.
     pub fn mask(&mut self, kept: &[bool]) {
         let channels = self.image.len() / kept.len().max(1);
         for (pixel, _) in kept.iter().enumerate().filter(|(_, kept)| !**kept) {

@@ -1,4 +1,4 @@
-//! Folders for cases that go through files.
+//! Temporary folders for cases that read and write files.
 
 use std::fs;
 use std::io;
@@ -14,10 +14,10 @@ use splat_model::capture::{Capture, CaptureError, Photo, load_all};
 pub struct Scratch(PathBuf);
 
 impl Scratch {
-    /// An empty one, below the system's folder for such things.
+    /// Creates an empty folder below the system's folder for temporary files.
     ///
     /// # Errors
-    /// If it cannot be made.
+    /// If the folder cannot be created.
     pub fn new() -> io::Result<Self> {
         static COUNTER: AtomicU64 = AtomicU64::new(0);
         let number = COUNTER.fetch_add(1, Ordering::Relaxed);
@@ -26,7 +26,7 @@ impl Scratch {
         Ok(Self(path))
     }
 
-    /// Where it is.
+    /// Path of the folder.
     pub fn path(&self) -> &Path {
         &self.0
     }
@@ -34,15 +34,15 @@ impl Scratch {
 
 impl Drop for Scratch {
     fn drop(&mut self) {
-        // What is left there does no harm.
+        // Files left there do no harm.
         let _ = fs::remove_dir_all(&self.0);
     }
 }
 
-/// The demo capture at a small size, and its photographs.
+/// Writes the demo capture and reads it back, with its photographs.
 ///
 /// # Errors
-/// If it cannot be written or read.
+/// If the capture cannot be written or read.
 pub fn demo(folder: &Path, options: &DemoOptions) -> Result<(Capture, Vec<Photo>), DemoError> {
     write(folder, options)?;
     let capture = Capture::load(folder)?;
@@ -50,10 +50,10 @@ pub fn demo(folder: &Path, options: &DemoOptions) -> Result<(Capture, Vec<Photo>
     Ok((capture, photos))
 }
 
-/// All photographs of a capture, in their full size.
+/// Reads all photographs of a capture, at full size.
 ///
 /// # Errors
-/// If one cannot be read.
+/// If a photograph cannot be read.
 pub fn photographs(capture: &Capture) -> Result<Vec<Photo>, CaptureError> {
     load_all(&capture.views, None, |_| {})
 }

@@ -1,17 +1,17 @@
-//! The table of the battery, as `HARD_CASES.md` holds it.
+//! The table of the battery, the content of `HARD_CASES.md`.
 
 use std::fmt::Write;
 
 use crate::case::{Case, Outcome, Place, Processor, Score};
 use crate::judge::{Row, Verdict};
 
-/// One group's cases with what came of each.
+/// The cases of one group, each with its result.
 pub struct Section {
     pub title: &'static str,
     pub rows: Vec<(Case, Row)>,
 }
 
-/// The file's text. Figures have two digits, so that it changes only when something does.
+/// Formats the file's text. Figures are rounded so that the text changes only when a result does.
 pub fn markdown(sections: &[Section], places: &[Place]) -> String {
     let mut text = String::from(HEAD);
     let rows = || sections.iter().flat_map(|section| &section.rows);
@@ -45,26 +45,26 @@ const HEAD: &str = "\
 
 Written by `splat hard-cases --out DIR`; do not edit.
 
-Scenes on which splatting loses digits, runs out of range or divides by zero. Each is rendered and differentiated in f32 and
-compared with the truth: the papers' formulas in 106 bits, forwards and backwards. In f64 the CPU twin, which shares no formula with
-them, must agree with them to a millionth of the ceiling, and the exact renderer wherever float64 leaves it digits. Where decisions are
-judged, layers are too many for 106 bits, or pixels look along their rays, of which those formulas know nothing, the twin in f64 is the
-truth.
+These scenes make splatting lose digits, leave the range of f32 or divide by zero. Each scene is rendered and differentiated in f32
+and compared with a reference: the papers' formulas in 106-bit arithmetic, forwards and backwards. The CPU twin in f64, which shares
+no formula with this reference, must agree with it to a millionth of the ceiling, and the exact renderer must agree wherever float64
+leaves it digits. The twin in f64 is itself the reference for decisions at thresholds, for scenes with too many layers for 106-bit
+arithmetic, and for per-ray rasterization, which the papers' formulas do not cover.
 
-A score is *largest relative error (share of the ceiling)*. The ceiling is 16 times what the true result changes by when every
-input moves by one f32 ulp, plus 1e-6 of the largest element; rows of gradients must also be within 1e-3 of their length, unless
-one ulp moves them by more than that. A case passes if no share exceeds 1, everything is finite (with the standard cuts too), what
-must be culled is culled and nothing else, and neighbours that the hard ones do not reach keep every bit of their pixels and
-gradients. A bound above the ceiling is *loose*, with the reason below the table; it is not a pass.
+A score is *largest relative error (share of the ceiling)*. The ceiling is 16 times the change of the reference when every input
+moves by one f32 ulp, plus 1e-6 of the largest element. Rows of gradients must also be within 1e-3 of their length, unless one ulp
+moves them by more than that. A case passes if no share exceeds 1, every value is finite (with the standard cuts too), exactly the
+expected Gaussians are culled, and neighbours outside the extent of the hard Gaussians keep every bit of their pixels and gradients.
+A case with a bound above the ceiling is *loose*, with the reason below the table, and does not count as passed.
 
-Cases that are not one scene (captures far away, poison, loss and optimiser, training) are held to what they say themselves: their
-shares are of that bound.
+Cases that are not one scene (captures far away, poison, loss and optimiser, training) state their own bounds, and their shares are
+relative to those bounds.
 
-The columns *textbook* hold the same scenes by the formulas of most implementations, in f32: determinant `a·c − b²`, an inverted
-covariance, an expanded quadratic form, division by `1 − α` on the way back. A dash means that the case does not touch them. Unless a
-case is about cuts nothing is cut, neither faint layers nor pixels that are almost opaque, since cuts hide what arithmetic does:
-implementations that stop at a transmittance of 1e-4 do not come to the last of 10,000 layers. κ is the largest condition number of a
-2D covariance.
+The columns *textbook* show the same scenes computed in f32 by the formulas of most implementations: determinant `a·c − b²`, an
+inverted covariance, an expanded quadratic form, division by `1 − α` in the backward pass. A dash means that the case does not use
+these formulas. Cases that do not test a cut disable the cuts of faint layers and of almost opaque pixels, because cuts hide errors
+of arithmetic: implementations that stop at a transmittance of 1e-4 never process the last of 10,000 layers. κ is the largest
+condition number of a 2D covariance.
 ";
 
 const COLUMNS: &str = "\
@@ -76,7 +76,7 @@ textbook gradient |
 fn line(case: &Case, row: &Row) -> String {
     let [cpu, gpu] = [Processor::Cpu, Processor::Gpu].map(|processor| row.of(processor));
     let verdict = match row.verdict() {
-        // On what ran.
+        // The GPU did not run the case.
         Verdict::Passed if case.beyond_software.is_some() && gpu.is_none() => "yes, on the CPU",
         Verdict::Passed => "yes",
         Verdict::Loose => "loose",
@@ -106,12 +106,12 @@ fn hardness(case: &Case, row: &Row) -> String {
     if parts.is_empty() { "–".into() } else { parts.join("; ") }
 }
 
-/// A dash where nothing was measured.
+/// Formats a score; a dash if nothing was measured.
 fn cell(measured: Option<Score>) -> String {
     measured.map_or("–".into(), score)
 }
 
-/// `error (share)`; a share that breaks the ceiling is bold.
+/// Formats `error (share)`, with a share above the ceiling in bold.
 fn score(score: Score) -> String {
     if !(score.error.is_finite() && score.used.is_finite()) {
         return "**not finite**".into();
@@ -125,10 +125,10 @@ fn score(score: Score) -> String {
     if score.used <= 1.0 { format!("{error} ({share})") } else { format!("{error} (**{share}**)") }
 }
 
-/// Failures of a case that are listed.
+/// Most failures of a case that the table lists.
 const FAILURES: usize = 4;
 
-/// Why a case is loose or fails, and which rows nothing but the ceiling judged.
+/// Notes on why a case is loose or fails, and on rows that the ceiling alone judged.
 fn notes(case: &Case, row: &Row) -> Vec<String> {
     let mut notes = Vec::new();
     for loose in &case.loose {
@@ -137,7 +137,7 @@ fn notes(case: &Case, row: &Row) -> Vec<String> {
             Processor::Gpu => "GPUs",
         };
         notes.push(format!(
-            "- *{}* is held to {} times the ceiling on {place}: {}.",
+            "- *{}* is allowed {} times the ceiling on {place}: {}.",
             case.name, loose.factor, loose.why
         ));
     }

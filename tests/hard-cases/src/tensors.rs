@@ -1,8 +1,8 @@
-//! Values between the host and a device.
+//! Copies of values between the host and a device.
 
 use burn::tensor::{DType, Device, Tensor, TensorData};
 
-/// A tensor's values on the host. Rows are what belongs to one Gaussian or one pixel.
+/// Values of a tensor on the host. A row belongs to one Gaussian or one pixel.
 #[derive(Clone, Debug)]
 pub struct Named {
     pub name: &'static str,
@@ -10,18 +10,18 @@ pub struct Named {
     pub values: Vec<f64>,
 }
 
-/// A tensor of the given values and type.
+/// Creates a tensor of the given values and type.
 pub fn tensor<const D: usize>(values: &[f64], shape: [usize; D], device: &Device, dtype: DType) -> Tensor<D> {
     Tensor::from_data(TensorData::new(values.to_vec(), shape), (device, dtype))
 }
 
-/// As [`tensor`]; a tracked leaf if the device records gradients.
+/// Creates a tensor as [`tensor`] does, tracked if the device records gradients.
 pub fn leaf<const D: usize>(values: &[f64], shape: [usize; D], device: &Device, dtype: DType) -> Tensor<D> {
     let tensor = tensor(values, shape, device, dtype);
     if device.is_autodiff() { tensor.require_grad() } else { tensor }
 }
 
-/// A tensor's values; of f32 ones the exact equals.
+/// Copies a tensor's values to the host. The conversion of f32 values is exact.
 pub fn host<const D: usize>(tensor: Tensor<D>) -> Vec<f64> {
     tensor.into_data().iter::<f64>().collect()
 }

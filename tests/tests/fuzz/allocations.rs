@@ -1,15 +1,15 @@
-//! The memory that a thread holds, and the most it held.
+//! The memory that a thread holds, and its peak.
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 
 thread_local! {
-    // Constants without destructors, so that the allocator may use them at any time of a thread's life.
+    // Constants without destructors, so that the allocator can use them at any time of a thread's life.
     static LIVE: Cell<isize> = const { Cell::new(0) };
     static MOST: Cell<isize> = const { Cell::new(0) };
 }
 
-/// The system's allocator, counted by thread.
+/// The system allocator, with counts per thread.
 pub struct Counting;
 
 fn count(change: isize) {
@@ -19,7 +19,7 @@ fn count(change: isize) {
     });
 }
 
-// SAFETY: every call is handed on as it is.
+// SAFETY: every call is forwarded unchanged.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         count(layout.size() as isize);
@@ -37,7 +37,7 @@ unsafe impl GlobalAlloc for Counting {
     }
 
     unsafe fn realloc(&self, block: *mut u8, layout: Layout, size: usize) -> *mut u8 {
-        // Both blocks may be there at once while the contents move.
+        // Both blocks may exist at once while the contents move.
         count(size as isize);
         let moved = unsafe { System.realloc(block, layout, size) };
         count(-(layout.size() as isize));
@@ -45,7 +45,7 @@ unsafe impl GlobalAlloc for Counting {
     }
 }
 
-/// Runs `work`; also the most bytes that this thread held meanwhile, beyond what it held before.
+/// Runs `work`. Also returns the most bytes that this thread held meanwhile, beyond those it held before.
 pub fn most_held<T>(work: impl FnOnce() -> T) -> (T, usize) {
     let before = LIVE.get();
     MOST.set(before);

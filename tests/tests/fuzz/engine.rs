@@ -1,4 +1,4 @@
-//! The loop: take an input, mutate it, read it, look at what came of it, keep it if that is new.
+//! The fuzzing loop: mutates an input, reads it, and keeps it if its outcome is new.
 
 use std::collections::HashSet;
 use std::env;
@@ -14,52 +14,52 @@ use std::time::{Duration, Instant};
 use super::allocations::most_held;
 use super::mutate::{Mutator, mutate};
 
-/// A reader may take this long over one input, on a machine that is busy with other tests.
+/// Longest time of a reader on one input, on a machine that is busy with other tests.
 pub const LIMIT: Duration = Duration::from_secs(5);
 
-/// Bytes that a reader may hold whatever its input: its read buffer, for the most part.
+/// Bytes that a reader may hold for any input, mostly for its read buffer.
 pub const ROOM: usize = 3 << 20;
 
-/// Bytes per byte of input that it may hold beyond that.
+/// Further bytes that a reader may hold per byte of input.
 pub const MULTIPLE: usize = 24;
 
-/// Longer inputs are not made: what goes wrong with many bytes goes wrong with these.
+/// Length of the longest input. Faults of longer inputs also appear at this length.
 const LONGEST: usize = 1 << 16;
 
-/// Inputs that are mutated further, at most: a long run must not fill the memory.
+/// Largest number of inputs that are mutated further, so that a long run does not fill the memory.
 const LARGEST_CORPUS: usize = 20_000;
 
 /// A reader under test.
 pub trait Target {
-    /// Short, for files.
+    /// Short name, for files.
     fn name(&self) -> &'static str;
-    /// Valid inputs.
+    /// Returns valid inputs.
     fn seeds(&self) -> Vec<Vec<u8>>;
-    /// Words of the format.
+    /// Returns words of the format.
     fn words(&self) -> &'static [&'static str];
-    /// The fields of an input, in order, as far as it still has any; together they are the input.
+    /// Splits an input into fields, as far as it still has any. The fields in order are the whole input.
     fn split(&self, input: &[u8]) -> Vec<Vec<u8>>;
-    /// Puts an input where [`Target::read`] finds it.
+    /// Writes an input to the file that [`Target::read`] reads.
     fn place(&mut self, input: &[u8]);
-    /// Reads it: what came of it in words, the same for inputs that are much alike.
+    /// Reads the input. Returns a description of the outcome, equal for similar inputs.
     ///
     /// # Errors
-    /// What does not make sense.
+    /// A description of an inconsistent result.
     fn read(&mut self) -> Result<String, String>;
 }
 
-/// What a run did.
+/// Statistics of a run.
 #[derive(Default)]
 struct Tally {
     inputs: u64,
     accepted: u64,
     slowest: Duration,
     most_bytes: usize,
-    /// The largest `(bytes held − ROOM) / input`.
+    /// Largest `(bytes held − ROOM) / input`.
     multiple: f64,
 }
 
-/// Mutates and reads for as long as `SPLAT_FUZZ_SECONDS` says.
+/// Mutates and reads inputs for `SPLAT_FUZZ_SECONDS`.
 ///
 /// # Panics
 /// At the first input that breaks a rule, which is kept in `target/tmp/fuzz`.
@@ -86,7 +86,7 @@ pub fn fuzz(target: &mut dyn Target) {
         }
     }
     watch.stop();
-    // Each target has its own, and none is needed any more.
+    // The folder belongs to this target and is no longer needed.
     let _ = fs::remove_dir_all(folder(target.name()));
     let Tally { inputs, accepted, slowest, most_bytes, multiple } = tally;
     let line = format!(
@@ -96,14 +96,14 @@ pub fn fuzz(target: &mut dyn Target) {
         inputs / seconds.max(1),
         seen.len(),
     );
-    // Past the test harness, which swallows what passing tests print.
+    // Written directly to stderr, because the test harness hides the output of passing tests.
     let _ = writeln!(std::io::stderr(), "{line}");
-    // Else hardly anything deep would be reached.
+    // With few accepted inputs the deeper code of a reader would hardly run.
     assert!(accepted * 100 > inputs, "{line}: hardly anything is accepted");
     assert!(seen.len() > 10 || seconds < 10, "{line}: few outcomes");
 }
 
-/// Reads one input and holds the reader to the rules; what came of it.
+/// Reads one input, checks the reader against the rules and returns the outcome.
 fn one(target: &mut dyn Target, input: &[u8], watch: &Watch, tally: &mut Tally) -> String {
     target.place(input);
     watch.begin();
@@ -135,7 +135,7 @@ fn one(target: &mut dyn Target, input: &[u8], watch: &Watch, tally: &mut Tally) 
     outcome
 }
 
-/// Where a target keeps what it reads: in memory where the system offers that, because each input is a file.
+/// Returns the folder of a target's files, in memory if the system supports it, because each input is a file.
 pub fn folder(name: &str) -> PathBuf {
     let shared_memory = Path::new("/dev/shm");
     let base = if shared_memory.is_dir() { shared_memory } else { Path::new(env!("CARGO_TARGET_TMPDIR")) };
@@ -151,22 +151,22 @@ fn keep(name: &str, input: &[u8]) -> PathBuf {
     path
 }
 
-/// FNV-1a: a name for some bytes.
+/// Hashes bytes by FNV-1a, for a file name.
 fn checksum(bytes: &[u8]) -> u64 {
     bytes.iter().fold(0xcbf2_9ce4_8422_2325, |hash, byte| (hash ^ u64::from(*byte)).wrapping_mul(0x0100_0000_01b3))
 }
 
 fn number(variable: &str) -> Option<u64> {
     let text = env::var(variable).ok()?;
-    Some(text.parse().unwrap_or_else(|_| panic!("{variable}={text} means nothing: give a whole number")))
+    Some(text.parse().unwrap_or_else(|_| panic!("{variable}={text} is not a number: give a whole number")))
 }
 
-/// Ends the process if a reader never returns: a test cannot be ended otherwise. What it reads is then still in its folder.
+/// Ends the process if a reader never returns, because a test cannot be ended otherwise. The input is then still in its folder.
 struct Watch(Arc<Times>);
 
 struct Times {
     start: Instant,
-    /// When the present input was given, ms since `start`, plus 1; 0 between inputs, `u64::MAX` at the end.
+    /// Start of the current input, ms since `start`, plus 1; 0 between inputs, `u64::MAX` at the end.
     since: AtomicU64,
 }
 

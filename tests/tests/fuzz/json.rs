@@ -1,4 +1,4 @@
-//! The readers of JSON, and what must hold of what they return.
+//! The readers of JSON, and checks of their results.
 
 use std::fs;
 use std::path::PathBuf;
@@ -11,7 +11,7 @@ use super::seeds;
 use super::split;
 use super::targets::{bucket, shape};
 
-/// What the program reads of its own making: the mark of a demo capture, the metrics of an earlier run, a configuration.
+/// JSON files that the program writes and reads: the mark of a demo capture, the metrics of an earlier run, a configuration.
 pub struct Json {
     folder: PathBuf,
     text: Vec<u8>,
@@ -97,15 +97,15 @@ impl Target for Json {
         };
         let is_json = serde_json::from_slice::<serde_json::Value>(&self.text).is_ok();
         if !is_json && (mark || !views.is_empty()) {
-            return Err("something was read from what is no JSON".into());
+            return Err("a value was read from invalid JSON".into());
         }
         let accepted = if is_json { "accepted" } else { "refused" };
         Ok(format!("{accepted}: mark {mark}, 2^{} views, 2^{} inside, {config}", bucket(views.len()), bucket(inside)))
     }
 }
 
-/// Whether two documents hold the same, numbers within an ulp: `serde_json` parses faster than it parses exactly, unless its feature
-/// `float_roundtrip` is on.
+/// Whether two documents are equal, with numbers within an ulp: the default parser of `serde_json` is not exact without its feature
+/// `float_roundtrip`.
 fn same(a: &serde_json::Value, b: &serde_json::Value) -> bool {
     use serde_json::Value::{Array, Number, Object};
     match (a, b) {

@@ -1,15 +1,15 @@
 //! Mutation fuzzing of every reader, on the stable toolchain.
 //!
-//! `cargo fuzz` would build Burn a second time, instrumented. Here inputs grow from valid files by mutations that know the
-//! formats ([`split`], [`mutate`]), and one that reaches an outcome not seen before (another error, another shape of message,
-//! another size of result) joins those that are mutated further ([`engine`]): what coverage would tell, as far as the
-//! readers' own words tell it.
+//! `cargo fuzz` would build Burn a second time, with instrumentation. Here inputs grow from valid files by mutations that know
+//! the formats ([`split`], [`mutate`]). An input with a new outcome (another error, another form of message, another size of
+//! result) joins the corpus that is mutated further ([`engine`]): outcomes replace coverage, as far as the readers' messages
+//! distinguish them.
 //!
-//! For every input a reader must return, within [`engine::LIMIT`], without a panic, and without holding more memory at any
-//! time than [`engine::ROOM`] plus [`engine::MULTIPLE`] times the input's size; what it accepts must make sense, and what it
-//! refuses it must refuse in words that name the file and say what to do.
+//! For every input a reader must return within [`engine::LIMIT`], without a panic, and without holding more memory at any
+//! time than [`engine::ROOM`] plus [`engine::MULTIPLE`] times the input's size. The result of an accepted input must be
+//! consistent, and the error of a refused input must name the file and say what to do.
 //!
-//! `SPLAT_FUZZ_SECONDS` sets the time for each reader, 30 s if unset; `SPLAT_FUZZ_SEED` another start than 0. A failure
+//! `SPLAT_FUZZ_SECONDS` sets the time per reader, 30 s by default, and `SPLAT_FUZZ_SEED` the seed, 0 by default. A failure
 //! leaves its input in `target/tmp/fuzz`.
 
 mod allocations;

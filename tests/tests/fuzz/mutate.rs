@@ -1,4 +1,4 @@
-//! Mutations: of bytes, of fields, and of words of the format.
+//! Mutations of bytes, of fields, and of words of the format.
 
 use super::engine::Target;
 
@@ -18,7 +18,7 @@ impl Mutator {
         z ^ (z >> 31)
     }
 
-    /// 0 to `end`, exclusive; 0 if there is nothing.
+    /// Returns a number from 0 to `end`, exclusive; 0 if `end` is 0.
     pub fn below(&mut self, end: usize) -> usize {
         (self.next() % end.max(1) as u64) as usize
     }
@@ -27,7 +27,7 @@ impl Mutator {
         &from[self.below(from.len())]
     }
 
-    /// Some range of `len` elements, short ones more often.
+    /// Returns a random range within `len` elements, short ranges more often.
     fn range(&mut self, len: usize) -> std::ops::Range<usize> {
         let start = self.below(len);
         let power = self.below(12);
@@ -36,7 +36,7 @@ impl Mutator {
     }
 }
 
-/// Numbers as text that readers trip over.
+/// Numbers as text that often break readers.
 const TEXT_NUMBERS: [&str; 26] = [
     "0",
     "-1",
@@ -72,9 +72,9 @@ const INTEGERS: [u64; 13] =
 const FLOATS: [f64; 11] =
     [0.0, -0.0, 1.0, -1.0, f64::NAN, f64::INFINITY, f64::NEG_INFINITY, f64::MAX, 5e-324, 1e15, 1e39];
 
-/// A new input: one of the corpus, changed once or several times. The first `seeds` of the corpus are valid.
+/// Returns an input of the corpus, changed once or several times. The first `seeds` of the corpus are valid.
 pub fn mutate(rng: &mut Mutator, target: &dyn Target, corpus: &[Vec<u8>], seeds: usize, longest: usize) -> Vec<u8> {
-    // Half of the time from what is valid, so that something deep is reached; else from what was found, the latest more often.
+    // Half of the inputs start from a valid one, to reach deep code. The others start from found inputs, recent ones more often.
     let base = match rng.below(4) {
         0 | 1 => rng.pick(&corpus[..seeds]),
         2 => rng.pick(corpus),
@@ -92,7 +92,7 @@ pub fn mutate(rng: &mut Mutator, target: &dyn Target, corpus: &[Vec<u8>], seeds:
     input
 }
 
-/// Changes that know nothing of the format.
+/// Changes bytes without knowledge of the format.
 fn bytes(rng: &mut Mutator, mut input: Vec<u8>, target: &dyn Target, corpus: &[Vec<u8>]) -> Vec<u8> {
     let len = input.len();
     match rng.below(9) {
@@ -115,7 +115,7 @@ fn bytes(rng: &mut Mutator, mut input: Vec<u8>, target: &dyn Target, corpus: &[V
             input.splice(at..end, extreme);
         }
         6 => {
-            // The head of one and the tail of another.
+            // The head of one input and the tail of another.
             let other = rng.pick(corpus);
             input.truncate(rng.below(len + 1));
             input.extend_from_slice(&other[rng.below(other.len() + 1)..]);
@@ -135,7 +135,7 @@ fn bytes(rng: &mut Mutator, mut input: Vec<u8>, target: &dyn Target, corpus: &[V
     input
 }
 
-/// Changes of whole fields.
+/// Changes whole fields.
 fn fields(rng: &mut Mutator, input: &[u8], target: &dyn Target, corpus: &[Vec<u8>]) -> Vec<u8> {
     let mut fields = target.split(input);
     let count = fields.len();
@@ -160,7 +160,7 @@ fn fields(rng: &mut Mutator, input: &[u8], target: &dyn Target, corpus: &[Vec<u8
             fields.swap(at, other);
         }
         7 => {
-            // A field of another input, where formats agree: a count for a coordinate, a name for a count.
+            // A field of another input of the format, such as a count in place of a coordinate or a name in place of a count.
             let other: &Vec<u8> = rng.pick(corpus);
             let others = target.split(other);
             if !others.is_empty() {
@@ -172,7 +172,7 @@ fn fields(rng: &mut Mutator, input: &[u8], target: &dyn Target, corpus: &[Vec<u8
     fields.concat()
 }
 
-/// An extreme of about the size of the field: text for text, a number of so many bytes for a binary one.
+/// Returns an extreme value of about the size of the field: text for text, a number of `len` bytes for a binary field.
 fn extreme(rng: &mut Mutator, len: usize) -> Vec<u8> {
     let integer = *rng.pick(&INTEGERS);
     let float = *rng.pick(&FLOATS);
@@ -185,7 +185,7 @@ fn extreme(rng: &mut Mutator, len: usize) -> Vec<u8> {
     }
 }
 
-/// A number one larger or smaller, as text or as little-endian bytes: counts that are off by one.
+/// Returns a number one larger or smaller, as text or as little-endian bytes, for counts that are off by one.
 fn nudged(rng: &mut Mutator, field: &[u8]) -> Vec<u8> {
     let step = if rng.below(2) == 0 { 1_i128 } else { -1 };
     if let Some(number) = str::from_utf8(field).ok().and_then(|text| text.trim().parse::<i64>().ok()) {

@@ -1,4 +1,4 @@
-//! Inputs that a reader once answered badly.
+//! Inputs with which a reader once failed.
 
 use std::fs;
 use std::path::PathBuf;
@@ -10,7 +10,7 @@ use splat_model::trainer::TrainConfig;
 use super::engine::folder;
 use super::seeds;
 
-/// Writes a scene and gives the message that refuses it.
+/// Writes a scene and returns the error message of its reader.
 fn refused_scene(name: &str, bytes: &[u8]) -> (PathBuf, String) {
     let folder = folder(name);
     let path = folder.join("scene.ply");
@@ -20,7 +20,7 @@ fn refused_scene(name: &str, bytes: &[u8]) -> (PathBuf, String) {
     (path, message)
 }
 
-/// What a broken line held went to the terminal as it was, with the state of the parser after it.
+/// The content of a broken line once went to the terminal unescaped, followed by the state of the parser.
 #[test]
 fn a_broken_header_is_quoted_without_control_characters() {
     let bytes = b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float\x1b[2J\0 x\nend_header\n1\n";
@@ -37,7 +37,7 @@ fn names_in_a_header_are_quoted_without_control_characters() {
     assert!(!message.chars().any(char::is_control), "{message:?}");
 }
 
-/// A photograph's name of four thousand letters was quoted as a whole.
+/// A photograph's name of four thousand letters was once quoted in full.
 #[test]
 fn a_long_name_is_cut_where_it_is_quoted() {
     let folder = folder("regression-name");
@@ -58,14 +58,14 @@ fn a_long_name_is_cut_where_it_is_quoted() {
     let _ = fs::remove_dir_all(folder);
 }
 
-/// It became an infinity, which was written as `null` and could not be read again.
+/// Such a background once became infinite, was written as `null` and could not be read again.
 #[test]
 fn a_background_beyond_f32_is_refused() {
     let text = serde_json::to_string(&TrainConfig::default()).expect("plain data");
     let text = text.replace("\"background\":[0.0,0.0,0.0]", "\"background\":[0.0,0.0,1e39]");
     let message = serde_json::from_str::<TrainConfig>(&text).expect_err("refused").to_string();
     assert!(message.contains("out of range"), "{message}");
-    // Where the text is read as f64 first.
+    // The path that reads the text as f64 first.
     let value: serde_json::Value = serde_json::from_str(&text).expect("JSON");
     let message = serde_json::from_value::<TrainConfig>(value).expect_err("refused").to_string();
     assert!(message.contains("expected three finite f32 numbers"), "{message}");

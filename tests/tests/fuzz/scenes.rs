@@ -1,4 +1,4 @@
-//! The readers of compressed scenes, and what must hold of what they return.
+//! The readers of compressed scenes, and checks of their results.
 
 use std::fs;
 use std::io::{Read, Write};
@@ -14,8 +14,8 @@ use super::seeds::rows;
 use super::split;
 use super::targets::{bucket, judge_message, shape};
 
-/// Scenes of any format. The first byte of an input says whether the others are the file, or what is gzipped in it: mutations of
-/// what is gzipped already would not get beyond its checksum.
+/// Scenes of any format. The first byte of an input says whether the other bytes are the file or its content before gzip. Mutations
+/// of gzipped bytes would fail at the checksum.
 pub struct Scenes {
     folder: PathBuf,
 }
@@ -48,7 +48,7 @@ impl Target for Scenes {
                 if format == Format::Spz {
                     let mut plain = vec![GZIPPED];
                     GzDecoder::new(&file[..]).read_to_end(&mut plain).expect("written above");
-                    // The rotations of older versions are shorter; what is left over is passed over.
+                    // Rotations of older versions are shorter, and the reader ignores the remaining bytes.
                     for version in [1, 2] {
                         plain[5] = version;
                         seeds.push(plain.clone());
@@ -59,7 +59,7 @@ impl Target for Scenes {
                 seeds.push([&[PLAIN], &file[..]].concat());
             }
         }
-        // Version 4, which nobody here writes.
+        // Version 4, which this project does not write.
         let four = include_bytes!("../../../splat-model/tests/scenes/splat-transform.v4.spz");
         seeds.push([&[PLAIN], &four[..]].concat());
         seeds
@@ -137,7 +137,7 @@ impl Target for Scenes {
                 let message = error.to_string();
                 judge_message(&message, &self.folder)?;
                 Ok(match error {
-                    // Whatever it begins with instead.
+                    // The bytes at which another file begins vary.
                     FormatError::Unknown { .. } => "unknown".into(),
                     _ => shape(&message, &self.folder),
                 })

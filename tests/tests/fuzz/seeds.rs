@@ -1,4 +1,4 @@
-//! Valid inputs, small enough that a mutation hits something.
+//! Valid inputs, so small that most mutations change something relevant.
 
 use std::fs;
 use std::path::Path;
@@ -11,7 +11,7 @@ use splat_op::{CameraModel, Intrinsics};
 
 use super::engine::folder;
 
-/// Gaussians that can all be rendered.
+/// Returns Gaussians that can all be rendered.
 pub fn rows(count: usize, sh_degree: usize) -> GaussianRows {
     let rest = 3 * ((sh_degree + 1) * (sh_degree + 1) - 1);
     let value = |i: usize| (i as f32 * 0.37).sin();
@@ -26,7 +26,7 @@ pub fn rows(count: usize, sh_degree: usize) -> GaussianRows {
     }
 }
 
-/// Scenes of every encoding, of several degrees and types.
+/// Returns scenes of every encoding, several SH degrees and several number types.
 pub fn scenes() -> Vec<Vec<u8>> {
     let path = folder("ply").join("seed.ply");
     let binary = |count: usize, degree: usize, origin: DVec3| {
@@ -48,7 +48,7 @@ pub fn scenes() -> Vec<Vec<u8>> {
     };
     let ascii = header("ascii", 2, &|_| "float") + &"0.5 1 -2 0 0 0 1.5 -3 -3 -3 1 0 0 0\n".repeat(2);
     seeds.push(ascii.into_bytes());
-    // An element before the Gaussians, with a list; numbers of all types.
+    // A file with another element, which has a list, before the Gaussians, and with numbers of all types.
     let types = ["double", "float", "int", "uint", "short", "ushort", "char", "uchar"];
     let before = "element face 2\nproperty list uchar int vertex_indices\n";
     let mixed = header("ascii", 1, &|i| types[i % 8]).replace("element vertex", &format!("{before}element vertex"));
@@ -63,7 +63,7 @@ pub fn scenes() -> Vec<Vec<u8>> {
     seeds
 }
 
-/// A model of three photographs and four points, in both encodings: `cameras`, `images` and `points3D`.
+/// A COLMAP model of three photographs and four points in both encodings: `cameras`, `images` and `points3D`.
 pub struct Model {
     pub binary: [Vec<u8>; 3],
     pub text: [Vec<u8>; 3],
@@ -92,8 +92,8 @@ pub fn model(folder: &Path) -> Model {
     };
     write_binary(folder, &[0, 1, 2].map(view), &points).expect("the folder can be written to");
     let read = |name: &str| fs::read(folder.join("sparse/0").join(name)).expect("written above");
-    // The writer knows no tracks: the last photograph gets two keypoints, and the last point two sights in it and one
-    // elsewhere.
+    // The writer does not support tracks: the last photograph gets two keypoints, and the last point gets two observations in it
+    // and one elsewhere.
     let [cameras, mut images, mut points] = ["cameras.bin", "images.bin", "points3D.bin"].map(read);
     images.truncate(images.len() - 8);
     images.extend(2_u64.to_le_bytes());
@@ -113,7 +113,7 @@ pub fn model(folder: &Path) -> Model {
     Model { binary: [cameras, images, points], text: text.map(|text| text.as_bytes().to_vec()) }
 }
 
-/// Files that the program writes and reads again.
+/// Returns JSON files that the program writes and reads again.
 pub fn json() -> Vec<Vec<u8>> {
     let config = serde_json::to_string_pretty(&splat_model::trainer::TrainConfig::default()).expect("plain data");
     [

@@ -1,6 +1,6 @@
-//! Where the fields of an input are. What is broken already is split as far as it can be; the parts always add up to it.
+//! Splits inputs into fields. A broken input is split as far as possible, and its parts always add up to the input.
 
-/// Words, blanks and line ends, each a field.
+/// Splits text into words, blanks and line ends.
 pub fn text(input: &[u8]) -> Vec<Vec<u8>> {
     let class = |byte: &u8| match byte {
         b'\n' | b'\r' => 0,
@@ -8,11 +8,11 @@ pub fn text(input: &[u8]) -> Vec<Vec<u8>> {
         b'"' | b',' | b':' | b'[' | b']' | b'{' | b'}' => 2,
         _ => 3,
     };
-    // Punctuation and line ends stand alone.
+    // Punctuation and line ends are fields of their own.
     input.chunk_by(|a, b| class(a) == class(b) && matches!(class(a), 1 | 3)).map(<[u8]>::to_vec).collect()
 }
 
-/// The header of a PLY file as text, and its rows as numbers of four bytes, or as text too.
+/// Splits the header of a PLY file as text, and its rows as numbers of four bytes or as text.
 pub fn ply(input: &[u8]) -> Vec<Vec<u8>> {
     const END: &[u8] = b"end_header\n";
     let header = input.windows(END.len()).position(|window| window == END).map_or(input.len(), |at| at + END.len());
@@ -25,7 +25,7 @@ pub fn ply(input: &[u8]) -> Vec<Vec<u8>> {
     fields
 }
 
-/// The files of a COLMAP model.
+/// File of a COLMAP model.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Part {
     Cameras,
@@ -33,7 +33,7 @@ pub enum Part {
     Points,
 }
 
-/// A file of a binary COLMAP model, entry by entry as the format's document has them.
+/// Splits a file of a binary COLMAP model by the entries of the format's documentation.
 pub fn colmap(part: Part, input: &[u8]) -> Vec<Vec<u8>> {
     let mut rest = input;
     let mut fields = Vec::new();
@@ -64,7 +64,7 @@ pub fn colmap(part: Part, input: &[u8]) -> Vec<Vec<u8>> {
                 take(4);
                 (0..7).for_each(|_| _ = take(8));
                 take(4);
-                // A name, byte by byte until its end.
+                // The bytes of a name, up to its end.
                 while !matches!(take(1), (true, _) | (_, [0])) {}
                 let keypoints = number(take(8).1);
                 (0..3 * keypoints.min(8)).map(|_| take(8).0).last().or(Some(false))

@@ -1,4 +1,4 @@
-//! The readers of captures and scenes, and what must hold of what they return.
+//! The readers of captures and scenes, and checks of their results.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -12,7 +12,7 @@ use super::engine::{Target, folder};
 use super::seeds;
 use super::split::{self, Part};
 
-/// What a message tells its reader to do.
+/// Words with which a message says what to do.
 const REMEDIES: [&str; 19] = [
     "Export",
     "Put the",
@@ -35,7 +35,7 @@ const REMEDIES: [&str; 19] = [
     "Use the",
 ];
 
-/// A message must name a file of `folder` and say what to do, on a screen's worth of printable text.
+/// Checks that a message names a file of `folder` and says what to do, in printable text that fits a screen.
 pub fn judge_message(message: &str, folder: &Path) -> Result<(), String> {
     let named = folder.to_str().is_some_and(|folder| message.contains(folder));
     match () {
@@ -51,7 +51,7 @@ pub fn judge_message(message: &str, folder: &Path) -> Result<(), String> {
     }
 }
 
-/// A message without what varies: paths, quoted oddities, and all of a number but how long it is.
+/// Returns a message without its variable parts: paths, unusual quoted text, and the digits of numbers except their count.
 pub fn shape(message: &str, folder: &Path) -> String {
     let message = message.replace(folder.to_str().unwrap_or_default(), "");
     let mut shape = String::new();
@@ -71,12 +71,12 @@ pub fn shape(message: &str, folder: &Path) -> String {
     shape
 }
 
-/// About how many.
+/// Returns the order of magnitude of a count, to base 2.
 pub fn bucket(count: usize) -> u32 {
     (count + 1).ilog2()
 }
 
-/// Scenes.
+/// Scenes in PLY.
 pub struct Ply {
     folder: PathBuf,
     bytes: usize,
@@ -91,13 +91,13 @@ impl Ply {
         self.folder.join("scene.ply")
     }
 
-    /// What holds of rows that were read from so many bytes.
+    /// Checks rows that were read from `self.bytes` bytes.
     fn judge(&self, rows: &GaussianRows, origin: DVec3) -> Result<(), String> {
         rows.check().map_err(|error| error.to_string())?;
         if !origin.is_finite() {
             return Err(format!("the origin is {origin}"));
         }
-        // A number takes a byte at least.
+        // A number takes at least one byte.
         if rows.len() * (14 + rows.rest_per_row()) > self.bytes {
             return Err(format!("{} rows of degree {} from {} bytes", rows.len(), rows.sh_degree, self.bytes));
         }
@@ -184,13 +184,13 @@ impl Target for Ply {
     }
 }
 
-/// Models: one of three files is the input, the others are valid. Its first byte says which.
+/// COLMAP models: one of three files is the input, the others are valid. The first byte of the input says which.
 pub struct Colmap {
     name: &'static str,
     folder: PathBuf,
     valid: [Vec<u8>; 3],
     extension: &'static str,
-    /// The file that is not the valid one; three are none.
+    /// Index of the file that holds the input; 3 if all are valid.
     changed: usize,
 }
 
@@ -304,7 +304,7 @@ impl Target for Colmap {
             "bin" => split::colmap(PARTS[Self::part(input)].0, rest),
             _ => split::text(rest),
         };
-        // The first byte stays with the first field.
+        // The first byte is part of the first field.
         let mut fields = fields.into_iter();
         let head = [&[*first], &fields.next().unwrap_or_default()[..]].concat();
         std::iter::once(head).chain(fields).collect()

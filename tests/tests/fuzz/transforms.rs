@@ -1,4 +1,4 @@
-//! The reader of captures in JSON, and what must hold of what it returns.
+//! The reader of captures in JSON, and checks of its results.
 
 use std::fs;
 use std::path::{Component, Path, PathBuf};
@@ -12,12 +12,12 @@ use super::engine::{Target, folder};
 use super::split;
 use super::targets::{bucket, judge_message, shape};
 
-/// A folder with `transforms.json` and a file of points: one of them is the input, the other is valid. The first byte of the input
-/// says which.
+/// A folder with `transforms.json` and a file of points: one of the two is the input, the other is valid. The first byte of the
+/// input says which.
 pub struct Transforms {
     name: &'static str,
     folder: PathBuf,
-    /// The file that is not the valid one; two are none.
+    /// Index of the file that holds the input; 2 if both are valid.
     changed: usize,
 }
 
@@ -44,7 +44,7 @@ impl Transforms {
         let folder = folder(name);
         let options = DemoOptions { width: 40, height: 30, views: 2, points: 1, ..DemoOptions::default() };
         demo::write(&folder, &options).expect("the target folder can be written to");
-        // A COLMAP model would come first.
+        // The reader would prefer a COLMAP model.
         fs::remove_dir_all(folder.join("sparse")).expect("written by the line above");
         let mut target = Self { name, folder, changed: 2 };
         (0..2).for_each(|part| target.write(part, Self::valid(part)));
@@ -89,11 +89,11 @@ impl Transforms {
             () if !capture.views.windows(2).all(|pair| pair[0].name < pair[1].name) => {
                 Err("names are not sorted, or not unique".into())
             }
-            () if !(poses && lenses && points && capture.origin.is_finite()) => Err("a number is not right".into()),
+            () if !(poses && lenses && points && capture.origin.is_finite()) => Err("a number is invalid".into()),
             () if !capture.views.iter().all(|view| below(&view.image_path)) => Err("a picture outside".into()),
             () if !masks::find(capture).iter().flatten().all(|path| below(path)) => Err("a mask outside".into()),
             () if capture.masks.len() != capture.views.len() => Err("masks of other views".into()),
-            () if !split.windows(2).all(|pair| pair[0] < pair[1]) => Err("a view is in the split twice".into()),
+            () if !split.windows(2).all(|pair| pair[0] < pair[1]) => Err("a view occurs twice in the split".into()),
             () if split.last().is_some_and(|&last| last >= capture.views.len()) => Err("no such view".into()),
             () if capture.points.positions.len() != capture.points.colours.len() => {
                 Err("points without colours".into())
@@ -158,7 +158,7 @@ impl Target for Transforms {
     fn split(&self, input: &[u8]) -> Vec<Vec<u8>> {
         let Some((first, rest)) = input.split_first() else { return Vec::new() };
         let fields = if Self::part(input) == 0 { split::text(rest) } else { split::ply(rest) };
-        // The first byte stays with the first field.
+        // The first byte is part of the first field.
         let mut fields = fields.into_iter();
         let head = [&[*first], &fields.next().unwrap_or_default()[..]].concat();
         std::iter::once(head).chain(fields).collect()

@@ -1,4 +1,4 @@
-//! Cameras: extreme fields of view, principal points and pictures.
+//! Cameras: extreme fields of view, principal points and picture sizes.
 
 use splat_op::Intrinsics;
 
@@ -18,13 +18,13 @@ pub fn cases() -> Vec<Case> {
     vec![
         Case::scenes(
             "1° field of view",
-            "x/z is tiny and multiplied by a focal length of thousands",
+            "x/z is tiny and is multiplied by a focal length of thousands of pixels",
             vec![view(narrow)],
         )
         .hardness("fx 3438 px"),
         Case::scenes(
             "170° field of view",
-            "slopes of eleven: the affine approximation is held at its limit for most of what is seen",
+            "slopes reach eleven, and the affine approximation is clamped at its limit for most of the view",
             vec![view(wide)],
         )
         .hardness("fx 2.6 px"),
@@ -36,25 +36,25 @@ pub fn cases() -> Vec<Case> {
         .hardness("5000 px"),
         Case::scenes(
             "fx / fy = 10 and 1/10",
-            "round splats are needles on the picture",
+            "round splats become needles in the picture",
             vec![view(Intrinsics { fy: 6.0, ..plain }), view(Intrinsics { fx: 6.0, ..plain })],
         ),
-        Case::scenes("1 × 1 picture", "a tile of one pixel", vec![sized(1, 1)]),
+        Case::scenes("1 × 1 picture", "the only tile has one pixel", vec![sized(1, 1)]),
         Case::scenes(
             "1 × 5000 and 5000 × 1 pictures",
-            "one pixel of every tile is in the picture, and coordinates have few digits after the point",
+            "every tile is cut to a width or height of one pixel, and coordinates have few digits after the decimal point",
             vec![sized(1, 5000), sized(5000, 1)],
         )
         .hardness("5000 px"),
         Case::scenes(
-            "pictures that are no whole number of tiles",
-            "tiles at the border are cut",
+            "pictures with incomplete tiles",
+            "tiles at the border lie partly outside the picture",
             vec![sized(17, 33), sized(31, 16), sized(16, 16), sized(15, 47)],
         ),
     ]
 }
 
-/// Three layers, placed and sized by the picture.
+/// Three layers whose positions and sizes scale with the picture.
 fn view(lens: Intrinsics) -> HardScene {
     let (width, height) = (lens.width as f64, lens.height as f64);
     let size = (width.min(height) / 8.0).max(0.7);

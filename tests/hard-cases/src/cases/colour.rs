@@ -1,4 +1,4 @@
-//! Colours: out of range, at the clamp, and of several magnitudes at once.
+//! Colours: out of range, at the clamp, and of several orders of magnitude at once.
 
 use crate::case::Case;
 use crate::random::Random;
@@ -11,26 +11,26 @@ pub fn cases() -> Vec<Case> {
     vec![
         Case::scenes(
             "harmonics of 1e4",
-            "a colour is a sum of terms a thousand times larger than itself, of both signs",
+            "a colour is a sum of terms of both signs, each a thousand times larger than the colour",
             [1, 2, 3, 4].map(large_harmonics).into(),
         )
         .hardness("coefficients 1e4"),
         Case::scenes(
             "negative colours at the clamp",
-            "a clamped channel has no gradient, its neighbours do; a hair above zero it has all of it",
+            "a clamped channel has no gradient while its neighbours do; a channel just above zero has its full gradient",
             vec![clamped()],
         )
         .hardness("colour ± 1e-4"),
         Case::scenes(
             "features of 1e-6, 1 and 1e6",
-            "one transmittance serves channels of twelve magnitudes, and their gradients meet in one sum",
+            "channels that span twelve orders of magnitude share a transmittance, and their gradients meet in one sum",
             vec![mixed("small first", [1e-6, 1.0, 1e6]), mixed("large first", [1e6, 1.0, 1e-6])],
         )
         .hardness("ratio 1e12"),
     ]
 }
 
-/// Two layers, with coefficients of their own.
+/// Two layers with different coefficients.
 fn harmonics(label: String, degree: usize, colours: [Vec<f64>; 2]) -> HardScene {
     let [front, back] = colours;
     let splats = [Splat::at([24.3, 20.6], 3.0, 3.0).colour(&front), Splat::at([30.8, 24.1], 4.0, 5.0).colour(&back)];

@@ -1,4 +1,4 @@
-//! Numbers of things: none, one, none that shows, and very many in one place.
+//! Numbers of Gaussians: none, one, none visible, and very many in one place.
 
 use splat_op::Intrinsics;
 
@@ -6,18 +6,18 @@ use crate::case::{Case, Processor};
 use crate::random::Random;
 use crate::scene::{HardScene, Splat, Truth};
 
-/// Gaussians over one tile.
+/// Number of Gaussians over one tile.
 const CROWD: usize = 200_000;
 
-/// As many as a driver in software takes.
+/// Number of Gaussians that a driver in software can render.
 const SMALLER_CROWD: usize = 40_000;
 
-/// What the kernels do not do, because it takes registers.
-const PLAIN: &str = "the kernels add up what the layers of a bucket stop, but multiply and add the buckets plainly and do not \
-                     keep what rounding takes, as the CPU does";
+/// The kernels do not compensate for rounding, because that takes registers.
+const PLAIN: &str = "the kernels sum the light that the layers of a bucket stop, but multiply and add the buckets without \
+                     compensating for rounding, which the CPU does";
 
-/// Found with Mesa 22.3: lists above some 52,000 are cut short, without a word.
-const LOOPS: &str = "Mesa's llvmpipe ends the loops of a kernel after 65,535 rounds, whatever is left to do";
+/// Found with Mesa 22.3: lists above about 52,000 entries are truncated without an error.
+const LOOPS: &str = "Mesa's llvmpipe ends a kernel's loops after 65,535 iterations, whether or not they are finished";
 
 pub fn cases() -> Vec<Case> {
     vec![
@@ -31,19 +31,19 @@ pub fn cases() -> Vec<Case> {
         .hardness("1 splat"),
         Case::scenes(
             "all culled",
-            "there are rows but no hits; every gradient is there and exactly zero",
+            "there are rows but no intersections; every gradient exists and is exactly zero",
             vec![all_culled()],
         )
-        .hardness("300 splats, no hits"),
+        .hardness("300 splats, no intersections"),
         Case::scenes(
             "all in one pixel",
-            "one pixel has every layer, and only the blur gives them a size",
+            "one pixel holds every layer, and only the blur gives the layers a size",
             vec![one_pixel()],
         )
         .hardness("500 splats"),
         Case::scenes(
             "200,000 splats over one tile",
-            "every pixel adds 200,000 terms and multiplies as many factors next to one",
+            "every pixel adds 200,000 terms and multiplies as many factors close to one",
             vec![crowd(CROWD)],
         )
         .hardness("200,000 layers")
@@ -51,7 +51,7 @@ pub fn cases() -> Vec<Case> {
         .beyond_software(LOOPS),
         Case::scenes(
             "40,000 splats over one tile",
-            "as above, for those that cannot do more",
+            "as above, for drivers in software, which cannot run more",
             vec![crowd(SMALLER_CROWD)],
         )
         .hardness("40,000 layers")
@@ -77,7 +77,7 @@ fn one_pixel() -> HardScene {
     HardScene::new("pixel 28, 22", &splats).holding_depth()
 }
 
-/// So faint that the last of them still shows, on part of a tile to keep it short.
+/// Layers so faint that the last one is still visible, on part of a tile to keep the run short.
 fn crowd(count: usize) -> HardScene {
     let lens = Intrinsics { cx: 4.2, cy: 3.9, ..Intrinsics::centred(8, 8, 20.0) };
     let mut random = Random::new(6);

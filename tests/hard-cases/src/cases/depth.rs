@@ -1,4 +1,4 @@
-//! Depth: the order of layers, and distances of ten magnitudes in one view.
+//! Depth: the order of layers, and distances that span ten orders of magnitude in one view.
 
 use splat_op::RenderOptions;
 
@@ -19,32 +19,32 @@ pub fn cases() -> Vec<Case> {
     vec![
         Case::scenes(
             "five layers at one depth",
-            "their order is the order of input, on every path and for every order of input",
+            "they must keep the order of input, on every path and for every order of input",
             scenes([three; 5]),
         )
         .hardness("Δz 0"),
         Case::scenes(
             "five layers, 1 ulp apart",
-            "a sort by fewer bits than the depth has cannot tell them apart",
+            "a sort key with fewer bits than the depth cannot separate them",
             scenes(ulps),
         )
         .hardness("Δz 2e-7"),
         Case::scenes(
             "pairs at one depth between others 1 ulp away",
-            "ties and near ties at once: a sort must be stable and exact",
+            "ties and near ties occur together, so the sort must be stable and exact",
             scenes([ulps[1], ulps[0], ulps[1], ulps[2], ulps[0]]),
         )
         .hardness("Δz 0 and 2e-7"),
         Case::scenes(
             "depths from 1e-3 to 1e7 in one view",
-            "gradients of centres and accumulated depths span ten magnitudes in one sum",
+            "gradients of centres and accumulated depths span ten orders of magnitude in one sum",
             vec![far_and_near()],
         )
         .hardness("z ratio 1e10"),
     ]
 }
 
-/// Of a colour, place and size of its own.
+/// Layer `i`, with its own colour, position and size.
 fn layer(i: usize, depth: f64) -> Splat {
     let t = i as f64;
     let splat = Splat::at([26.0 + 1.7 * t, 20.0 + 1.1 * t], depth, 4.0 + t);

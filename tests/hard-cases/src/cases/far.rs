@@ -1,7 +1,7 @@
-//! Far from the origin, from capture file to picture; and very small.
+//! Captures far from the origin or very small, from capture file to picture.
 //!
-//! The demo capture is written as a COLMAP model moved or scaled as a whole, loaded, turned into Gaussians, stored as PLY,
-//! read again, rendered and differentiated by the photometric loss. The capture at zero must give the same.
+//! The demo capture is written as a COLMAP model that is moved or scaled as a whole, loaded, turned into Gaussians, stored as PLY,
+//! read again, rendered and differentiated by the photometric loss. The result must equal that of the capture at the origin.
 
 use std::fs;
 use std::path::Path;
@@ -21,25 +21,25 @@ use crate::compare::{largest, relative_error};
 use crate::scratch::{Scratch, demo, photographs};
 use crate::tensors::host;
 
-/// The demo capture of all cases.
+/// Options of the demo capture in all cases.
 const DEMO: DemoOptions = DemoOptions { width: 48, height: 36, views: 4, points: 400, seed: 3, ..DemoOptions::PLAIN };
 
-/// The direction in which captures are moved: none of it along an axis, none of it round.
+/// Direction in which captures are moved: not along an axis, and without round numbers.
 const DIRECTION: [f64; 3] = [0.6123, -0.4871, 0.6228];
 
-/// The largest error relative to the largest element of a picture or gradient. Positions and poses of a capture that was
-/// moved are rounded to f32 at other places than those of the one at zero: by 6e-8 of up to a unit of offset that is left,
-/// beside Gaussians of 0.03 units, whose cut-off contributions, 1/255, then appear in other pixels.
+/// Largest error relative to the largest element of a picture or gradient. Positions and poses of a moved capture are
+/// rounded to f32 at other values than those of the capture at the origin: by 6e-8 of a remaining offset of up to one unit,
+/// beside Gaussians of 0.03 units, whose contributions at the cut of 1/255 then appear in other pixels.
 const BOUND: f64 = 1e-4;
 
 pub fn cases() -> Vec<Case> {
     let moved = |metres: f64, grain: &str| {
         Case::check(
             format!("capture {metres:e} m from the origin"),
-            "geo-referenced coordinates have no digits left in f32 for what the scene is made of",
+            "geo-referenced coordinates leave no f32 digits for the details of the scene",
             move |place| judge(place, DVec3::from(DIRECTION) * metres, 1.0),
         )
-        .hardness(format!("the grain of f32 there is {grain}; held to {BOUND:e} of the largest"))
+        .hardness(format!("the spacing of f32 values there is {grain}; the bound is {BOUND:e} of the largest element"))
     };
     vec![
         moved(1e4, "1 mm"),
@@ -47,23 +47,23 @@ pub fn cases() -> Vec<Case> {
         moved(6.4e6, "0.5 m"),
         Case::check(
             "millimetre scene",
-            "thresholds in scene units, the near plane above all, are larger than the scene",
+            "thresholds in scene units, above all the near plane, are larger than the scene",
             |place| judge(place, DVec3::ZERO, 1e-3),
         )
-        .hardness(format!("4 mm from the cameras, near plane at 10 mm; held to {BOUND:e} of the largest")),
-        Case::check("millimetre scene 1e4 m from the origin", "both at once", |place| {
+        .hardness(format!("4 mm from the cameras, near plane at 10 mm; the bound is {BOUND:e} of the largest element")),
+        Case::check("millimetre scene 1e4 m from the origin", "both difficulties occur at once", |place| {
             judge(place, DVec3::from(DIRECTION) * 1e4, 1e-3)
         })
-        .hardness(format!("the grain of f32 there is 1 mm; held to {BOUND:e} of the largest")),
+        .hardness(format!("the spacing of f32 values there is 1 mm; the bound is {BOUND:e} of the largest element")),
     ]
 }
 
-/// What is seen of a capture.
+/// Pictures and gradients of a capture.
 struct Seen {
     pictures: Vec<f64>,
-    /// Of rotations, logarithms of scales, logits and colours, and of means in units of the scene's scale.
+    /// Gradients of rotations, log scales, logits and colours, and of means in units of the scene's scale.
     gradients: Vec<Vec<f64>>,
-    /// Where the PLY file says that the scene lies.
+    /// Origin of the scene, as stored in the PLY file.
     origin: DVec3,
 }
 
@@ -82,7 +82,7 @@ fn judge(place: &Place, offset: DVec3, scale: f64) -> Outcome {
                 let used = score.map_or(f64::NAN, |score| score.used);
                 outcome.require(used <= 1.0, || format!("the {what} differ by {used:.2e} of {BOUND:e}"));
             }
-            // The cameras' middle, in whole units; or zero where that is no further away.
+            // The origin is the cameras' middle in whole units, or zero where that is no further away.
             let far = found.origin.distance(offset) <= 3.0 * scale + 1.0;
             outcome.require(far, || format!("the scene's file says it lies at {}, not {offset}", found.origin));
         }
@@ -91,7 +91,7 @@ fn judge(place: &Place, offset: DVec3, scale: f64) -> Outcome {
     outcome
 }
 
-/// Writes, loads, stores, reads, renders and differentiates.
+/// Writes, loads, stores, reads, renders and differentiates a capture.
 fn seen(place: &Place, offset: DVec3, scale: f64) -> Result<Seen, String> {
     let text = |error: &dyn std::error::Error| error.to_string();
     let scratch = Scratch::new().map_err(|error| text(&error))?;
@@ -102,7 +102,7 @@ fn seen(place: &Place, offset: DVec3, scale: f64) -> Result<Seen, String> {
     let photos = photographs(&capture).map_err(|error| text(&error))?;
     let path = scratch.path().join("scene.ply");
     let mut rows = init::from_points(&capture.points);
-    // The first Gaussians are round, and their rotations have no gradient: these are not.
+    // Initial Gaussians are round, and their rotations have no gradient. The scales are changed so that they have.
     for (i, (log_scale, rotation)) in rows.log_scales.iter_mut().zip(&mut rows.rotations).enumerate() {
         log_scale[0] += 0.7;
         log_scale[2] -= 0.7;
@@ -144,14 +144,14 @@ fn plain(device: &Device) -> Device {
     device.clone().inner()
 }
 
-/// Replaces a capture's model by the same, scaled and moved: cameras in f64, as COLMAP has them, and points too.
+/// Scales and moves a capture's model: cameras in f64, as COLMAP stores them, and points in f64 too.
 fn move_model(folder: &Path, offset: DVec3, scale: f64) -> Result<(), String> {
     let mut capture = Capture::load(folder).map_err(|error| error.to_string())?;
     for view in &mut capture.views {
         let pose = &mut view.cam_from_world;
         pose.translation = pose.translation * scale - pose.matrix3 * offset;
     }
-    // The writer takes points in f32: they go into the file as text, in f64.
+    // The writer takes points in f32, so the points are written separately as text, in f64.
     write_binary(folder, &capture.views, &Default::default()).map_err(|error| error.to_string())?;
     let points = capture.points.positions.iter().zip(&capture.points.colours).enumerate();
     let line = |(i, (position, [r, g, b])): (usize, (&[f32; 3], &[u8; 3]))| {

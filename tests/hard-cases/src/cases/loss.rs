@@ -1,4 +1,4 @@
-//! The loss and the optimiser where they divide by almost nothing, or start and end with it.
+//! The loss and the optimiser where they divide by almost zero, or start or end at zero.
 
 use burn::tensor::{DType, Device};
 use splat_model::density::rows::{Gradients, RowEdit, StepRates, Trained};
@@ -13,16 +13,16 @@ use crate::compare::relative_error;
 use crate::random::Random;
 use crate::tensors::{host, tensor};
 
-/// Width and height of the pictures, px: more than the window, so that some pixels do not feel the border.
+/// Width and height of the pictures, px: larger than the window, so that the border does not affect some pixels.
 const SIZE: [usize; 2] = [22, 17];
 
-/// Draws of inputs moved by an ulp.
+/// Number of random moves of the inputs by one ulp.
 const DRAWS: u64 = 6;
 
-// Variances are differences of moments, as the field computes them. What one ulp in a flat picture does to its true variance
-// is nothing to first order, so the ceiling is narrow there.
-const MOMENTS: &str = "variances are differences of moments, as in all implementations of this loss: their rounding, 6e-8 of \
-                       the square of the pixel, is not small beside C2 = 9e-4";
+// Variances are differences of moments, as is usual in the field. To first order, one ulp does not change the true variance
+// of a flat picture, so the ceiling is narrow there.
+const MOMENTS: &str = "variances are differences of moments, as in all implementations of this loss: their rounding error, \
+                       6e-8 of the squared pixel value, is not small beside C2 = 9e-4";
 
 pub fn cases() -> Vec<Case> {
     let of = |name: &str, why, pair: (Picture, Picture), loose: &[(Processor, f64, &'static str)]| {
@@ -36,35 +36,35 @@ pub fn cases() -> Vec<Case> {
         loose.iter().fold(case, |case, (processor, factor, why)| case.loose(*processor, *factor, why))
     };
     let moments = |cpu, gpu| [(Processor::Cpu, cpu, MOMENTS), (Processor::Gpu, gpu, MOMENTS)];
-    let constants = "no variance and no covariance: the constants alone keep the ratio defined";
+    let constants = "variance and covariance are zero, and only the constants keep the ratio defined";
     vec![
         of("black against white", constants, (black, white), &moments(3.0, 3.0)),
         of("white against white", "the variance is the difference of two equal numbers", (white, white), &[]),
         of("black against black", "everything is zero", (black, black), &[]),
-        of("grey against a photograph", "one of the two has no variance", (grey, noise), &[]),
-        of("a photograph against grey", "the other has none", (noise, grey), &[]),
+        of("grey against a photograph", "the first picture has no variance", (grey, noise), &[]),
+        of("a photograph against grey", "the second picture has no variance", (noise, grey), &[]),
         of("an edge against white", "half of the windows are flat", (edge, white), &moments(3.0, 3.0)),
         Case::check(
             "PSNR of identical pictures",
-            "the logarithm of zero is infinite, and would swallow every mean",
+            "the logarithm of zero is infinite and would make every mean infinite",
             psnr_ends,
         ),
         Case::check("Adam without gradients", "0 / (√0 + ε)", no_gradient).hardness("ε 1e-15"),
         Case::check(
             "Adam with gradients of 1e20 and of 1e-30",
-            "their squares are no f32: the one overflows, the other vanishes",
+            "f32 cannot hold their squares: one overflows, the other underflows to zero",
             wild_gradients,
         )
         .hardness("g² 1e40 and 1e-60"),
         Case::check(
             "moments after rows were removed and added",
-            "a row that inherits another's moments jumps with its next step",
+            "a row that inherits another row's moments jumps at its next step",
             surgery,
         ),
     ]
 }
 
-/// `[H, W, 3]` values.
+/// Function that returns `[H, W, 3]` values.
 type Picture = fn() -> Vec<f64>;
 
 fn constant(value: f64) -> Vec<f64> {
@@ -95,7 +95,7 @@ fn edge() -> Vec<f64> {
 
 const SHAPE: [usize; 3] = [SIZE[1], SIZE[0], 3];
 
-/// `1 − SSIM` and its gradient by Burn's autodiff of the plain formulation, in f64.
+/// Computes `1 − SSIM` and its gradient by Burn's autodiff of the plain formulation, in f64.
 fn plainly(image: &[f64], truth: &[f64]) -> (f64, Vec<f64>) {
     let device = Device::flex().autodiff();
     let image = tensor::<3>(image, SHAPE, &device, DType::F64).require_grad();
@@ -125,7 +125,7 @@ fn similarity(place: &Place, image: Picture, truth: Picture, limit: f64) -> Outc
     let found_value = host(loss);
 
     let mut outcome = Outcome::default();
-    // Both pictures' similarity is at most one: errors of the loss are relative to that.
+    // The similarity of two pictures is at most one, and errors of the loss are relative to one.
     let error = (found_value[0] - value).abs();
     let used = error / (16.0 * value_spread + 1e-6);
     outcome.forward = Some(Score { error, used });
@@ -136,7 +136,7 @@ fn similarity(place: &Place, image: Picture, truth: Picture, limit: f64) -> Outc
         let used = score.map_or(f64::NAN, |score| score.used);
         outcome.require(used <= limit, || format!("{what} uses {used:.2e} of its ceiling"));
     }
-    // With L1 beside it, whose derivative jumps where the pictures are equal, the gradient is finite.
+    // The gradient stays finite with L1 added, whose derivative jumps where the pictures are equal.
     let tracked = tensor::<3>(&image, SHAPE, &device, DType::F32).require_grad();
     let grads = photometric(tracked.clone(), &prepared, 0.2).backward();
     let finite = host(tracked.grad(&grads).expect("tracked")).iter().all(|g| g.is_finite());
@@ -162,7 +162,7 @@ fn psnr_ends(place: &Place) -> Outcome {
     outcome
 }
 
-/// A parameter, its moments and its steps.
+/// Runs Adam on one parameter. Returns its values at the start and after each step.
 fn adam(place: &Place, start: &[f64], gradients: impl Fn(usize) -> Vec<f64>, steps: usize, rate: f64) -> Vec<Vec<f64>> {
     let make = |values: &[f64]| tensor::<1>(values, [values.len()], &place.device, DType::F32);
     let mut param = make(start);
@@ -185,11 +185,11 @@ fn no_gradient(place: &Place) -> Outcome {
     outcome
 }
 
-/// The steps are those of f64 with gradients clamped to what f32 can square, as documented.
+/// Compares the steps with Adam in f64, whose gradients are clamped to values that f32 can square, as documented.
 fn wild_gradients(place: &Place) -> Outcome {
     const RATE: f64 = 0.01;
     let sizes = [1e20, -1e20, 1e17, 1e-5, 1e-15, 1e-30, f64::from(f32::MAX), f64::INFINITY];
-    // The large come once and are followed by ordinary ones.
+    // Large gradients come once, followed by ordinary gradients.
     let gradients = |step: usize| -> Vec<f64> {
         sizes.iter().map(|size| if step <= 3 { rounded(*size) } else { rounded(1e-3 * (step as f64).sin()) }).collect()
     };
@@ -202,7 +202,7 @@ fn wild_gradients(place: &Place) -> Outcome {
     let largest_step = largest_step.fold(0.0, f64::max);
     // |m̂| / √v̂ is at most √((1 − β₁)² / ((1 − β₂)(1 − β₁² / β₂))), 7.3, and 1 where gradients are alike.
     outcome.require(largest_step <= 7.3 * RATE, || format!("a step of {largest_step:.3} at a rate of {RATE}"));
-    // Adam in f64, by the paper's algorithm.
+    // Adam in f64, by the algorithm of the paper.
     let (mut m, mut v, mut expected) = ([0.0; 8], [0.0; 8], [0.5_f64; 8]);
     let mut worst = 0.0_f64;
     for (step, found) in path.iter().enumerate().skip(1) {
@@ -215,13 +215,13 @@ fn wild_gradients(place: &Place) -> Outcome {
             worst = worst.max((found[i] - expected[i]).abs() / RATE);
         }
     }
-    // In shares of a full step.
+    // The error as a share of a full step.
     outcome.forward = Some(Score { error: worst, used: worst / 1e-3 });
     outcome.require(worst <= 1e-3, || format!("the path is off by {worst:.2e} steps"));
     outcome
 }
 
-/// `count` rows that differ in everything.
+/// Returns `count` rows that differ in every value.
 fn rows(count: usize, seed: u64) -> GaussianRows {
     let mut random = Random::new(seed);
     let mut rows = GaussianRows::default();
@@ -236,7 +236,7 @@ fn rows(count: usize, seed: u64) -> GaussianRows {
     rows
 }
 
-/// A step whose gradients of row `i` are those of `ids[i]`.
+/// Takes a step in which row `i` has the gradients of `ids[i]`.
 fn step(scene: &mut Trained, ids: &[usize], step: usize, device: &Device) {
     let of = |kind: usize, columns: usize, id: usize| {
         Random::new((1000 * step + 10 * id + kind) as u64).fill(columns, -1.0, 1.0)
@@ -254,7 +254,7 @@ fn step(scene: &mut Trained, ids: &[usize], step: usize, device: &Device) {
     scene.step(gradients, &Adam::default(), &rates, step, None);
 }
 
-/// Rows that stay go on as if nothing had happened; new ones as if nothing had been before.
+/// Checks that kept rows continue unchanged and that new rows start without a history.
 fn surgery(place: &Place) -> Outcome {
     let device = &place.device;
     let trained = |rows: &GaussianRows| Trained::new(Gaussians::from_rows(rows, device).expect("rows of one length"));
@@ -265,7 +265,7 @@ fn surgery(place: &Place) -> Outcome {
     for scene in [&mut undisturbed, &mut edited] {
         (1..=10).for_each(|number| step(scene, &ids, number, device));
     }
-    // In another order, without rows 0 and 2, and with two new ones.
+    // The rows in another order, without rows 0 and 2, and with two new rows.
     let mut outcome = Outcome::default();
     let edit = RowEdit { keep: vec![4, 1, 3], add: added.clone() };
     if let Err(error) = edited.edit(&edit) {

@@ -1,4 +1,4 @@
-//! The cases, by group. A group is a file here; to add one, add it to [`GROUPS`].
+//! The cases, by group. Each group is a file here. A new group is added to [`GROUPS`].
 
 mod cameras;
 mod colour;
@@ -17,12 +17,12 @@ mod training;
 
 use crate::case::Case;
 
-/// Cases of one kind of hardness.
+/// Cases that are hard in one way.
 #[derive(Clone, Copy, Debug)]
 pub struct Group {
-    /// Short, for choosing it.
+    /// Short name, for choosing the group.
     pub name: &'static str,
-    /// As the table heads it.
+    /// Heading in the table.
     pub title: &'static str,
     /// Builds the cases.
     pub cases: fn() -> Vec<Case>,
@@ -38,15 +38,15 @@ pub const GROUPS: &[Group] = &[
     Group { name: "rotations", title: "Rotations", cases: rotations::cases },
     Group { name: "cameras", title: "Cameras", cases: cameras::cases },
     Group { name: "colour", title: "Colour", cases: colour::cases },
-    Group { name: "rays", title: "Exact projection and per-pixel order", cases: rays::cases },
+    Group { name: "rays", title: "Ray-max projection and per-pixel sort", cases: rays::cases },
     Group { name: "far", title: "Far from the origin, and very small", cases: far::cases },
     Group { name: "poison", title: "Poison", cases: poison::cases },
-    Group { name: "counts", title: "Numbers of things", cases: counts::cases },
+    Group { name: "counts", title: "Numbers of Gaussians", cases: counts::cases },
     Group { name: "loss", title: "Loss and optimiser", cases: loss::cases },
     Group { name: "training", title: "Training", cases: training::cases },
 ];
 
-/// Every case, with its group.
+/// Returns every case, by group.
 pub fn battery() -> Vec<(&'static Group, Vec<Case>)> {
     GROUPS.iter().map(|group| (group, (group.cases)())).collect()
 }

@@ -16,7 +16,7 @@ pub fn cases() -> Vec<Case> {
         HardScene::new(label, &[hard]).with_neighbour(&neighbour()).with_culled(&[0])
     };
     let lens = camera();
-    // Slopes at which the Jacobian is held.
+    // Slopes at which the Jacobian is clamped.
     let margin = |size: usize, focal: f64| SMOOTH.jacobian_margin * size as f64 / (2.0 * focal);
     let limit_x = (lens.width as f64 - lens.cx) / lens.fx + margin(lens.width, lens.fx);
     let limit_y = -lens.cy / lens.fy - margin(lens.height, lens.fy);
@@ -27,7 +27,7 @@ pub fn cases() -> Vec<Case> {
     vec![
         Case::scenes(
             "centre at the near plane ± 1 ulp",
-            "one ulp decides whether a splat is drawn a hundred times as large as a step behind",
+            "one ulp decides whether a splat is drawn, a hundred times as large as one unit farther away",
             vec![
                 at_near("one ulp behind it", near.next_up(), &[]),
                 at_near("on it", near, &[0]),
@@ -37,7 +37,7 @@ pub fn cases() -> Vec<Case> {
         .hardness("z 0.01 ± 9e-10"),
         Case::scenes(
             "crosses the camera plane",
-            "half of it is behind the camera, where the projection does not exist",
+            "half of it is behind the camera, where the projection is undefined",
             vec![crossing("along the view", [0.1, 0.1, 3.0]), crossing("all around", [2.0, 2.5, 3.0])],
         ),
         Case::scenes(
@@ -52,7 +52,7 @@ pub fn cases() -> Vec<Case> {
         .hardness("scale 1, z 0.05"),
         Case::scenes(
             "centre on the optical axis",
-            "offsets and slopes are exactly zero, and so is the direction's sideways part",
+            "offsets and slopes are exactly zero, and so are the lateral components of the direction",
             vec![
                 HardScene::new("features", &[axial().colour(&[0.5, 0.2, 0.8]), background_splat()]),
                 HardScene::new("harmonics", &[harmonic(axial()), harmonic(background_splat())]).with_harmonics(3),
@@ -60,7 +60,7 @@ pub fn cases() -> Vec<Case> {
         ),
         Case::scenes(
             "grazing the border of the view",
-            "the slope of the Jacobian is held at a limit beyond the border, where its gradient jumps",
+            "the slope in the Jacobian is clamped at a limit beyond the border, where its gradient jumps",
             [1.0 - 1e-4, 1.0 + 1e-4, 1.5]
                 .into_iter()
                 .flat_map(|share| {
@@ -79,7 +79,7 @@ pub fn cases() -> Vec<Case> {
         .hardness("limit ± 1e-4"),
         Case::scenes(
             "behind the camera",
-            "its projection is a mirror image, in range and wrong",
+            "its projection is a mirror image: within range, and wrong",
             vec![behind("far", -3.0), behind("by the near distance", -0.01), behind("on the camera plane", 0.0)],
         ),
     ]
@@ -107,7 +107,7 @@ fn axial() -> Splat {
     Splat::at([28.5, 22.5], 2.0, 4.0)
 }
 
-/// With coefficients of degree 3 instead of features.
+/// Replaces features by SH coefficients of degree 3.
 fn harmonic(splat: Splat) -> Splat {
     let colour = Random::new((splat.mean[2] * 8.0) as u64).fill(48, -0.4, 0.4);
     splat.colour(&colour)

@@ -8,11 +8,12 @@ use crate::scene::{HardScene, SMOOTH, Splat, camera};
 /// Scale ratios.
 const RATIOS: [f64; 3] = [1e2, 1e4, 1e6];
 
-/// Standard deviation of the short axes of what is long, and of the long axes of what is thin, px.
+/// Standard deviation of the short axes of long Gaussians, px.
 const SHORT_PX: f64 = 0.5;
+/// Standard deviation of the long axes of thin Gaussians, px.
 const LONG_PX: f64 = 6.0;
 
-/// Where on the picture they are.
+/// Centre of the Gaussians in the picture, px.
 const CENTRE_PX: [f64; 2] = [26.3, 20.6];
 
 pub fn cases() -> Vec<Case> {
@@ -35,7 +36,7 @@ pub fn cases() -> Vec<Case> {
             cases.push(
                 Case::scenes(
                     named("thin needle"),
-                    "two axes far below a pixel: their gradients are tiny beside the long one's",
+                    "two axes are far shorter than a pixel, and their gradients are tiny beside that of the long axis",
                     scenes(LONG_PX / ratio, LONG_PX, false),
                 )
                 .hardness(format!("ratio {ratio:.0e}")),
@@ -43,7 +44,7 @@ pub fn cases() -> Vec<Case> {
             cases.push(
                 Case::scenes(
                     named("thin disc"),
-                    "seen edge on it is a needle, and turning it a little changes which axis is seen",
+                    "edge-on it looks like a needle, and a small rotation changes which axis is visible",
                     scenes(LONG_PX / ratio, LONG_PX, true),
                 )
                 .hardness(format!("ratio {ratio:.0e}")),
@@ -58,7 +59,7 @@ pub fn cases() -> Vec<Case> {
     cases.push(
         Case::scenes(
             "needle 1e4, compensated",
-            "the compensation is the root of a ratio of two determinants, of which both lose their digits",
+            "the compensation is the square root of a ratio of two determinants, and both lose their digits",
             [compensated(in_plane()), compensated(out_of_plane())].concat(),
         )
         .hardness("ratio 1e4"),
@@ -66,7 +67,7 @@ pub fn cases() -> Vec<Case> {
     cases.push(
         Case::scenes(
             "long needle 1e4 beside a neighbour",
-            "it runs through the whole picture, and any error of its slope would take it to where others are",
+            "it crosses the whole picture, and any error of its slope would move it onto other Gaussians",
             in_plane().into_iter().enumerate().map(beside_a_neighbour).collect(),
         )
         .hardness("ratio 1e4"),
@@ -74,7 +75,7 @@ pub fn cases() -> Vec<Case> {
     cases
 }
 
-/// A neighbour at a distance across the needle that is turned into an octant.
+/// Places a neighbour at a distance across the needle that is turned into an octant.
 fn beside_a_neighbour((octant, (label, quat)): (usize, (String, [f64; 4]))) -> HardScene {
     const ACROSS_PX: f64 = 17.0;
     let (sin, cos) = degrees(octant).to_radians().sin_cos();
@@ -83,7 +84,7 @@ fn beside_a_neighbour((octant, (label, quat)): (usize, (String, [f64; 4]))) -> H
     HardScene::new(label, &[needle(quat, SHORT_PX, SHORT_PX * 1e4, false)]).with_neighbour(&neighbour)
 }
 
-/// Turns about the line of sight, into each octant of the picture and off its axes.
+/// Rotations about the line of sight, into each octant of the picture and off its axes.
 fn in_plane() -> Vec<(String, [f64; 4])> {
     let turn = |octant: usize| {
         let degrees = degrees(octant);
@@ -97,14 +98,14 @@ fn degrees(octant: usize) -> f64 {
     45.0 * octant as f64 + 17.0
 }
 
-/// The x axis turned into each octant of space.
+/// Rotations of the x axis into each octant of space.
 fn out_of_plane() -> Vec<(String, [f64; 4])> {
     let octants = (0..8).map(|octant: usize| [4, 2, 1].map(|bit| if octant & bit == 0 { -1.0 } else { 1.0 }));
     octants
         .map(|[x, y, z]| {
             // Not quite a diagonal, so that no two components are equal.
             let v = [0.6 * x, 0.5 * y, 0.62449979983984 * z];
-            // The shortest turn from the x axis to v: (1 + x·v, x × v), of any length.
+            // The shortest rotation from the x axis to v: (1 + x·v, x × v), of any length.
             (format!("octant {x:+} {y:+} {z:+}"), [1.0 + v[0], 0.0, -v[2], v[1]])
         })
         .collect()

@@ -6,7 +6,7 @@ use crate::case::Case;
 use crate::random::Random;
 use crate::scene::{HardScene, SMOOTH, STANDARD, Splat, Truth};
 
-/// Layers of a deep stack.
+/// Number of layers of a deep stack.
 const LAYERS: usize = 10_000;
 
 pub fn cases() -> Vec<Case> {
@@ -16,24 +16,24 @@ pub fn cases() -> Vec<Case> {
     vec![
         Case::scenes(
             "logit −50",
-            "the opacity is below what any picture shows, yet its gradient is what brings it back",
+            "the opacity is too small to be visible, yet its gradient must be able to restore it",
             vec![saturated("−50", -50.0)],
         )
         .hardness("opacity 2e-22"),
         Case::scenes(
             "logit +50",
-            "one minus the opacity is nothing in f32, and with it the derivative of the logistic function",
+            "one minus the opacity is zero in f32, and so is the derivative of the logistic function computed from it",
             vec![saturated("+50", 50.0)],
         )
         .hardness("1 − opacity 2e-22"),
         Case::scenes(
             "opacity 0",
-            "the derivative divides by it",
+            "the derivative divides by the opacity",
             vec![HardScene::new("0", &[front(0.0)]).with_neighbour(&neighbour()).with_options(STANDARD)],
         ),
         Case::scenes(
             "opacity 1",
-            "nothing is let through, and with the limit of 0.99 lifted what divides by `1 − α` divides by zero",
+            "no light passes, and without the limit of 0.99 a formula that divides by `1 − α` divides by zero",
             vec![
                 HardScene::new("alpha up to 0.99", &[front(1.0), behind()]),
                 HardScene::new("alpha up to 1", &[front(1.0), behind()]).with_options(unlimited),
@@ -42,7 +42,7 @@ pub fn cases() -> Vec<Case> {
         .hardness("1 − α = 0"),
         Case::scenes(
             "alpha at the cut ± 1 ulp",
-            "one ulp decides whether a pixel is drawn; the backward pass must decide as the forward pass did",
+            "one ulp decides whether a pixel is drawn; the backward pass must make the forward pass's decision",
             [("below", cut.next_down()), ("on it", cut), ("above", cut.next_up())]
                 .map(|(label, opacity)| at_threshold(label, opacity, STANDARD))
                 .into(),
@@ -58,7 +58,7 @@ pub fn cases() -> Vec<Case> {
         .hardness("0.99 ± 6e-8"),
         Case::scenes(
             "transmittance at its cut ± 1 ulp",
-            "one ulp decides whether a pixel is finished, and with it all layers behind",
+            "one ulp decides whether a pixel is finished, and thereby whether the layers behind it contribute",
             [("below", 0.25_f32.next_down()), ("on it", 0.25), ("above", 0.25_f32.next_up())]
                 .map(|(label, cut)| finishing(label, f64::from(cut)))
                 .into(),
@@ -66,19 +66,19 @@ pub fn cases() -> Vec<Case> {
         .hardness("0.25 ± 3e-8"),
         Case::scenes(
             "10,000 layers of alpha 0.99",
-            "the transmittance is zero after twenty layers; divided back, every gradient is lost",
+            "the transmittance is zero after twenty layers; dividing it back loses every gradient",
             vec![stack("0.99", LAYERS, 0.99)],
         )
         .hardness("T 1e-20000"),
         Case::scenes(
             "10,000 layers of alpha 1/255",
-            "ten thousand roundings of the transmittance on the way there and, divided back, as many on the way",
+            "the transmittance is rounded ten thousand times forwards and, if divided back, as many times backwards",
             vec![stack("1/255", LAYERS, 1.0 / 255.0)],
         )
         .hardness("T 9e-18"),
         Case::scenes(
             "transmittance below f32",
-            "it leaves the range of f32 amid the layers, by way of subnormal numbers",
+            "the transmittance leaves the range of f32 among the layers, through the subnormal numbers",
             vec![stack("0.7", 200, 0.7)],
         )
         .hardness("T 3e-105"),
@@ -89,7 +89,7 @@ fn neighbour() -> Splat {
     Splat::at([50.5, 8.5], 2.0, 1.3).colour(&[0.3, 0.9, 0.6])
 }
 
-/// At a pixel's very centre, so that its alpha there is its opacity.
+/// A Gaussian at the exact centre of a pixel, so that its alpha there is its opacity.
 fn front(opacity: f64) -> Splat {
     Splat::at([28.5, 22.5], 2.0, 1.4).opacity(opacity)
 }
@@ -115,7 +115,7 @@ fn at_threshold(label: &str, opacity: f32, options: RenderOptions) -> HardScene 
         .holding_alpha()
 }
 
-/// Two layers that leave a quarter at one pixel, exactly, and one behind them.
+/// Two layers that leave a transmittance of exactly a quarter at one pixel, and one layer behind them.
 fn finishing(label: &str, transmittance_min: f64) -> HardScene {
     let layer = |depth: f64, opacity: f64| {
         let splat = Splat::at([28.5, 22.5], depth, 1.0).opacity(opacity);
@@ -127,7 +127,7 @@ fn finishing(label: &str, transmittance_min: f64) -> HardScene {
         .holding_alpha()
 }
 
-/// Wide layers before a small picture, in no order.
+/// Wide layers in front of a small picture, in random order.
 fn stack(label: &str, layers: usize, alpha: f64) -> HardScene {
     let lens = Intrinsics { cx: 4.2, cy: 3.1, ..Intrinsics::centred(9, 7, 20.0) };
     let mut random = Random::new(11);

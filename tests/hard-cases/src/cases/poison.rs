@@ -1,7 +1,7 @@
-//! Poison: what is not finite, or barely, in each slot of a Gaussian's unconstrained parameters.
+//! Poison: values that are not finite, or barely finite, in each slot of a Gaussian's unconstrained parameters.
 //!
-//! A poisoned Gaussian must be as if its opacity were 0: not one bit of the pictures and of the other gradients may differ, its
-//! own gradients are exactly zero, and it is counted. What is finite and of use must stay finite.
+//! A poisoned Gaussian must behave as if its opacity were 0: no bit of the pictures and of the other gradients may differ, its
+//! own gradients are exactly zero, and it is counted. Finite and usable values must give finite results.
 
 use burn::tensor::{Device, Tensor};
 use splat_model::gaussians::{GaussianRows, Gaussians};
@@ -11,7 +11,7 @@ use crate::case::{Case, Outcome, Place};
 use crate::random::Random;
 use crate::tensors::host;
 
-const WHY: &str = "a loader, an optimiser or another program may leave anything there; one NaN that gets through is in every \
+const WHY: &str = "a loader, an optimiser or another program may store any value there; one NaN that passes is in every \
                    parameter a step later, and 0 · NaN in a backward pass is enough";
 
 /// A kind of parameter.
@@ -25,7 +25,7 @@ pub enum Slot {
     ShRest,
 }
 
-/// All of them, with their numbers per Gaussian at degree 1.
+/// All slots, with their names and their numbers of values per Gaussian at degree 1.
 pub const SLOTS: [(Slot, &str, usize); 6] = [
     (Slot::Mean, "mean", 3),
     (Slot::Rotation, "quaternion", 4),
@@ -35,7 +35,7 @@ pub const SLOTS: [(Slot, &str, usize); 6] = [
     (Slot::ShRest, "sh_rest", 9),
 ];
 
-/// What is put there.
+/// Values that are put into the slots.
 pub const VALUES: [f32; 14] = [
     f32::NAN,
     f32::INFINITY,
@@ -53,10 +53,10 @@ pub const VALUES: [f32; 14] = [
     0.0,
 ];
 
-/// Gaussians of every scene; an unlucky one is all that a poisoned one needs.
+/// Number of Gaussians per scene. A poisoned Gaussian needs only one other Gaussian to do harm.
 const COUNT: usize = 24;
 
-/// Of the degree-1 scene.
+/// Values of `sh_rest` per Gaussian at degree 1.
 const REST: usize = 9;
 
 pub fn cases() -> Vec<Case> {
@@ -77,23 +77,23 @@ pub fn cases() -> Vec<Case> {
     SLOTS.into_iter().map(of_slot).chain([zero]).collect()
 }
 
-/// A sound scene to be poisoned.
+/// A valid scene whose Gaussians can be poisoned.
 pub struct Poisoned {
     rows: GaussianRows,
     seed: u64,
     options: RenderOptions,
 }
 
-/// What a render and its backward pass leave, as bits.
+/// Results of a render and its backward pass, for comparison bit by bit.
 struct Found {
     /// `colour alpha depth` and the gradients that belong to no Gaussian.
     shared: Vec<(&'static str, Vec<f64>)>,
-    /// Gradients by Gaussian.
+    /// Gradients with rows per Gaussian.
     rows: Vec<(&'static str, Vec<f64>)>,
 }
 
 impl Poisoned {
-    /// Of the seed's scene, anti-aliased if it is odd.
+    /// Creates the scene of a seed, anti-aliased if the seed is odd.
     pub fn new(seed: u64) -> Self {
         let mut random = Random::new(seed);
         let mut rows = GaussianRows { sh_degree: 1, ..GaussianRows::default() };
@@ -110,7 +110,7 @@ impl Poisoned {
         Self { rows, seed, options: options.with_antialias(seed % 2 == 1) }
     }
 
-    /// Puts `value` into a cell and judges what comes of it.
+    /// Puts `value` into a cell and judges the result.
     pub fn judge(&self, place: &Place, slot: Slot, row: usize, column: usize, value: f32) -> Outcome {
         let outcome = self.judge_row(place, row, |rows| *cell(rows, slot, row, column) = value);
         Outcome {
@@ -123,7 +123,7 @@ impl Poisoned {
         }
     }
 
-    /// Changes one Gaussian and judges what comes of it.
+    /// Changes one Gaussian and judges the result.
     pub fn judge_row(&self, place: &Place, row: usize, poison: impl FnOnce(&mut GaussianRows)) -> Outcome {
         let mut rows = self.rows.clone();
         poison(&mut rows);
@@ -155,7 +155,7 @@ impl Poisoned {
         outcome
     }
 
-    /// Renders and differentiates the scene by every parameter, the pose, the background and both probes.
+    /// Renders the scene and differentiates with respect to every parameter, the pose, the background and both probes.
     fn evaluate(&self, rows: &GaussianRows, device: &Device) -> Found {
         let device = device.clone().autodiff();
         let gaussians = Gaussians::from_rows(rows, &device).expect("rows of one length");
@@ -179,7 +179,7 @@ impl Poisoned {
                 random.fill(picture.shape().num_elements(), -1.0, 1.0).iter().map(|weight| *weight as f32).collect();
             (picture.clone() * Tensor::<1>::from_floats(weights.as_slice(), &device).reshape(picture.dims())).sum()
         };
-        // A regulariser too, whose gradient does not know what was drawn.
+        // A regulariser, whose gradient reaches Gaussians that were not drawn.
         let loss = weighted(&out.colour) + weighted(&out.alpha) + weighted(&depth) + splats.opacities.clone().mean();
         let grads = loss.backward();
         const TRACKED: &str = "a tracked leaf of the loss";
@@ -219,7 +219,7 @@ fn bits(values: &[f64]) -> impl Iterator<Item = u64> {
     values.iter().map(|value| value.to_bits())
 }
 
-/// `len` values from `at` on, and all others.
+/// Splits `values` into `len` values from `at` on and all others.
 fn split(values: &[f64], at: usize, len: usize) -> (Vec<f64>, Vec<f64>) {
     (values[at..at + len].to_vec(), [&values[..at], &values[at + len..]].concat())
 }

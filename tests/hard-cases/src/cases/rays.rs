@@ -1,8 +1,8 @@
-//! Pixels that look along their rays: the hard scenes of other groups under the exact projection and the pixels' own order, and
-//! what is hard for these alone.
+//! Per-ray rasterization: hard scenes of other groups under the ray-max projection and the per-pixel sort, and
+//! scenes that are hard for these two only.
 //!
-//! The formulas of the papers in 106 bits know neither: the twin in f64 is the truth, and is held to the exact renderer wherever
-//! that has digits left.
+//! The papers' formulas in 106 bits cover neither. The reference is the twin in f64, which is compared with the exact renderer
+//! wherever that renderer has digits left.
 
 use splat_op::{Intrinsics, Order, Projection, RenderOptions};
 
@@ -11,7 +11,7 @@ use crate::case::{Case, Kind, Processor};
 use crate::random::Random;
 use crate::scene::{HardScene, SMOOTH, Splat, Truth};
 
-/// Of other groups, for the exact projection.
+/// Cases of other groups that also run with the ray-max projection.
 const PROJECTED: [&str; 17] = [
     "long needle 1e2 in the image plane",
     "long needle 1e2 out of the plane",
@@ -32,7 +32,7 @@ const PROJECTED: [&str; 17] = [
     "behind the camera",
 ];
 
-/// For the pixels' own order.
+/// Cases of other groups that also run with the per-pixel sort.
 const SORTED: [&str; 9] = [
     "long needle 1e2 out of the plane",
     "long needle 1e4 out of the plane",
@@ -45,18 +45,18 @@ const SORTED: [&str; 9] = [
     "behind the camera",
 ];
 
-/// What f32 does not hold of the exact projection, by how much at most on CPUs and on GPUs.
+/// Cases whose ceiling f32 cannot meet with the ray-max projection, with the allowed multiples on CPUs and on GPUs.
 const LOOSE: [(&str, [f64; 2]); 4] = [
     ("larger than the screen", [300.0, 300.0]),
-    // No digit is left: what is seen of such a splat, whose centre is ten thousand pictures outside, is wrong altogether.
+    // No digit is left: the visible part of such a splat, whose centre is ten thousand pictures outside, is entirely wrong.
     ("larger than the scene", [1e8, 1e8]),
     ("log-scale +50", [500.0, 500.0]),
     ("camera inside a splat", [1.0, 10.0]),
 ];
 
-/// Why.
-const APART: &str = "a pixel's whitened place and the tilt are rounded apart, and `s = 1 − tilt·(u, v)` is a small difference of \
-                     the two where a splat is many times as large as it is far away";
+/// Reason for [`LOOSE`].
+const APART: &str = "a pixel's whitened position and the depth slope are rounded separately, and `s = 1 − slope·(u, v)` is a \
+                     small difference of the two where a splat is many times larger than its distance";
 
 pub fn cases() -> Vec<Case> {
     let exact = SMOOTH.with_projection(Projection::Exact);
@@ -73,14 +73,14 @@ pub fn cases() -> Vec<Case> {
         let case = if cpu > 1.0 { case.loose(Processor::Cpu, cpu, APART) } else { case };
         if gpu > 1.0 { case.loose(Processor::Gpu, gpu, APART) } else { case }
     };
-    let mut cases: Vec<Case> = again(&PROJECTED, "exact projection", exact).into_iter().map(loose).collect();
-    cases.extend(again(&SORTED, "per-pixel order", sorted));
-    for (what, options) in [("per-pixel order", sorted), ("exact projection and per-pixel order", both)] {
+    let mut cases: Vec<Case> = again(&PROJECTED, "ray-max projection", exact).into_iter().map(loose).collect();
+    cases.extend(again(&SORTED, "per-pixel sort", sorted));
+    for (what, options) in [("per-pixel sort", sorted), ("ray-max projection and per-pixel sort", both)] {
         let seen = |scene: HardScene| vec![scene.with_options(options).with_truth(Truth::Twin)];
         cases.push(
             Case::scenes(
                 format!("sheets that cross, {what}"),
-                "which is in front changes along a line, at which pictures jump and gradients do not exist",
+                "the order of the sheets changes along a line, where pictures jump and gradients do not exist",
                 seen(crossing()),
             )
             .hardness("3 sheets"),
@@ -88,7 +88,7 @@ pub fn cases() -> Vec<Case> {
         cases.push(
             Case::scenes(
                 format!("24 leaning layers in every pixel, {what}"),
-                "the order is another in every pixel, and more than a kernel's unit sorts at once",
+                "every pixel has its own order, and there are more layers than a kernel's unit sorts at once",
                 seen(leaning()),
             )
             .hardness("24 layers"),
@@ -97,7 +97,7 @@ pub fn cases() -> Vec<Case> {
     cases
 }
 
-/// A case of another group, rendered with other options.
+/// Runs a case of another group with other options.
 fn along_rays(case: Case, what: &str, options: RenderOptions) -> Case {
     let Kind::Scenes(scenes) = case.kind else { return case };
     let scene = |scene: HardScene| scene.with_options(options).with_truth(Truth::Twin);
@@ -105,7 +105,7 @@ fn along_rays(case: Case, what: &str, options: RenderOptions) -> Case {
     Case { name: format!("{}, {what}", case.name), kind: Kind::Scenes(scenes), ..case }
 }
 
-/// Discs through one another.
+/// Discs that intersect each other.
 fn crossing() -> HardScene {
     let sheet = |i: usize, quat: [f64; 4]| {
         let colour = std::array::from_fn::<f64, 3, _>(|channel| if channel == i { 0.9 } else { 0.1 });
@@ -120,8 +120,8 @@ fn crossing() -> HardScene {
     )
 }
 
-/// Wide, flat and turned at random, so that each pixel has an order of its own. Few pixels and layers, so that no two change places
-/// within rounding: there a picture jumps.
+/// Wide, flat and randomly rotated layers, so that each pixel has its own order. Pixels and layers are few, so that no two layers
+/// change places within rounding error, where the picture would jump.
 fn leaning() -> HardScene {
     let lens = Intrinsics { cx: 8.2, cy: 5.9, ..Intrinsics::centred(16, 12, 20.0) };
     let mut random = Random::new(12);

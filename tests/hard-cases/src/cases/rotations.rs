@@ -1,4 +1,4 @@
-//! Rotations: quaternions without a length, with an extreme one, and the two of each rotation.
+//! Rotations: quaternions of zero or extreme length, and the two quaternions of each rotation.
 
 use burn::tensor::DType;
 
@@ -6,14 +6,14 @@ use crate::case::{Case, Outcome, Place};
 use crate::evaluate::{Outputs, evaluate};
 use crate::scene::{HardScene, Splat, Truth};
 
-/// A quaternion of no special length.
+/// A quaternion without special values.
 const QUAT: [f64; 4] = [0.61, -0.42, 0.37, 0.55];
 
 pub fn cases() -> Vec<Case> {
     vec![
         Case::scenes(
             "zero quaternion",
-            "it has no direction: normalised, it is NaN in every implementation that does not look",
+            "it has no direction, and normalising it gives NaN in every implementation without a check",
             [("0", 0.0), ("−0", -0.0)]
                 .map(|(label, zero)| scene(label, [zero; 4]).with_culled(&[0]).with_truth(Truth::Twin))
                 .into(),
@@ -27,7 +27,7 @@ pub fn cases() -> Vec<Case> {
         .hardness("|q|² 1e-38"),
         Case::scenes(
             "subnormal quaternion",
-            "it has few digits left, its square none, and its true gradient is beyond what f32 holds",
+            "it has few digits left, its square has none, and its true gradient exceeds the range of f32",
             vec![scene("1e-39", QUAT.map(|q| q * 1e-39))],
         )
         .hardness("|q| 1e-39"),
@@ -39,7 +39,7 @@ pub fn cases() -> Vec<Case> {
         .hardness("|q|² 1e60"),
         Case::check(
             "the two signs of a rotation",
-            "q and −q are one rotation: not a bit may differ but the sign of the gradient",
+            "q and −q are the same rotation: only the sign of the gradient may differ, and no other bit",
             both_signs,
         ),
     ]

@@ -1,4 +1,4 @@
-//! Sizes: from a millionth of a pixel to beyond what squares can hold.
+//! Sizes: from a millionth of a pixel to values whose squares overflow.
 
 use crate::case::Case;
 use crate::scene::{HardScene, SMOOTH, Splat, Truth};
@@ -16,25 +16,27 @@ pub fn cases() -> Vec<Case> {
     vec![
         Case::scenes(
             "far below a pixel",
-            "its size is lost beside the blur in every sum, and so is the gradient by which it could grow",
+            "its size is lost beside the blur in every sum, and so is the gradient that would make it grow",
             vec![small(1e-3), small(1e-6)],
         )
         .hardness("1e-6 px"),
         Case::scenes(
             "far below a pixel, compensated",
-            "the compensation is a ratio of two areas of which one is almost nothing; below its floor it has no gradient",
+            "the compensation is a ratio of two areas, one of them almost zero; below its floor it has no gradient",
             [0.3, 0.06, 1e-3, 1e-6].map(|px| small(px).with_options(antialiased)).into(),
         )
         .hardness("1e-6 px"),
         Case::scenes(
             "large, compensated",
-            "the compensation is one but for what the blur adds, a difference of almost equal areas",
-            [30.0, 1e3, 1e5].map(|px| large(&format!("{px:.0e} px"), [20.0, 15.0], px).with_options(antialiased)).into(),
+            "the compensation differs from one only by the blur's share, a difference of almost equal areas",
+            [30.0, 1e3, 1e5]
+                .map(|px| large(&format!("{px:.0e} px"), [20.0, 15.0], px).with_options(antialiased))
+                .into(),
         )
         .hardness("1e5 px"),
         Case::scenes(
             "larger than the screen",
-            "covers every tile; moments over the picture are tiny beside its size",
+            "it covers every tile, and moments over the picture are tiny beside its size",
             vec![large("in view", [31.0, 18.0], 1e3), large("beside the view", [-700.0, 900.0], 1e3)],
         )
         .hardness("1e3 px"),
@@ -46,31 +48,31 @@ pub fn cases() -> Vec<Case> {
         .hardness("1e7 px"),
         Case::scenes(
             "log-scale −50",
-            "as stored by a training run that diverged: the scale squared is below what f32 holds",
+            "a training run that diverged can store this value, and its squared scale is below the range of f32",
             vec![stored("−50", [-50.0; 3], Truth::Wide).with_neighbour(&logit(neighbour()))],
         )
         .hardness("2e-22 units"),
         Case::scenes(
             "log-scale +50",
-            "as stored by a training run that diverged: the scale squared is beyond what f32 holds",
+            "a training run that diverged can store this value, and its squared scale is above the range of f32",
             vec![stored("+50", [50.0, 49.5, 50.2], Truth::Wide)],
         )
         .hardness("5e21 units"),
         Case::scenes(
             "log-scale +50, −50 and 0",
-            "a needle whose determinant no float holds; the direction it points in is within rounding",
+            "it is a needle whose determinant no float can represent and whose direction is within rounding error",
             vec![stored("mixed", [50.0, -50.0, 0.0], Truth::Twin)],
         )
         .hardness("ratio 3e43"),
     ]
 }
 
-/// Beside the hard ones.
+/// A neighbour beside the hard Gaussians.
 fn neighbour() -> Splat {
     Splat::at([47.2, 9.4], 2.0, 1.5).colour(&[0.3, 0.9, 0.6])
 }
 
-/// With logarithms and logits.
+/// Converts scale and opacity to log scale and logit.
 fn logit(splat: Splat) -> Splat {
     let scale = splat.scale.map(f64::ln);
     splat.scale(scale).opacity(0.85)

@@ -1,4 +1,4 @@
-//! Whole runs on captures that training is known to diverge on.
+//! Whole runs on captures on which training is known to diverge.
 
 use burn::tensor::Tensor;
 use glam::DVec3;
@@ -14,22 +14,21 @@ use crate::scratch::{Scratch, demo};
 
 const DEMO: DemoOptions = DemoOptions { width: 40, height: 30, views: 6, points: 300, seed: 5, ..DemoOptions::PLAIN };
 
-/// Steps of a run; on a GPU fewer, because there may be none but a driver in software.
+/// Steps of a run on a CPU.
 const STEPS: usize = 500;
-/// See [`STEPS`].
+/// Steps of a run on a GPU. They are fewer than [`STEPS`] because the device may be a driver in software.
 const GPU_STEPS: usize = 20;
 
-/// Gaussians stay within this many times the larger of the cameras' extent and the distance to the first Gaussians, from
-/// the cameras' middle; and smaller than that.
+/// Largest distance of a Gaussian from the cameras' middle, and its largest size, as a multiple of the larger of the scene extent
+/// and the distance to the initial Gaussians.
 const REACH: f64 = 3.0;
 
-/// No colour coefficient exceeds this: colours from −1.4 to 2.4.
+/// Largest magnitude of a colour coefficient, for colours from −1.4 to 2.4.
 const LARGEST_COEFFICIENT: f32 = 7.0;
 
-/// The loss at the end, the mean of the last tenth, is at most this share of the one at the beginning; on a GPU, where two
-/// steps are compared with two, photographs differ by more than the first steps improve.
+/// Largest ratio of the loss at the end to the loss at the beginning on a CPU, each the mean of a tenth of the steps.
 const LOSS_SHARE: f64 = 1.0;
-/// See [`LOSS_SHARE`].
+/// [`LOSS_SHARE`] on a GPU, where two steps are compared with two and photographs differ by more than the first steps improve.
 const GPU_LOSS_SHARE: f64 = 1.2;
 
 type Change = fn(&mut Vec<Photo>, &mut PointCloud);
@@ -40,30 +39,30 @@ pub fn cases() -> Vec<Case> {
             .hardness(format!("{STEPS} steps, {GPU_STEPS} on a GPU"))
     };
     vec![
-        of("training without points", "random Gaussians lie anywhere, most of them wrongly", |_, points| {
+        of("training without points", "Gaussians begin at random, mostly wrong positions", |_, points| {
             *points = PointCloud::default();
         }),
-        of("training on one photograph", "nothing holds depth, and the cameras have no extent", |photos, _| {
+        of("training on one photograph", "nothing constrains depth, and the cameras have no extent", |photos, _| {
             photos.truncate(1)
         }),
-        of("training on duplicate cameras", "cameras at one place, with contradicting photographs", |photos, _| {
+        of("training on duplicate cameras", "cameras at one place have contradictory photographs", |photos, _| {
             let first = photos[0].clone();
             photos.iter_mut().for_each(|photo| photo.cam_from_world = first.cam_from_world);
             photos.push(first);
         }),
         of(
             "training with a camera inside an object",
-            "Gaussians surround it, at depths down to nothing",
+            "Gaussians surround the camera, at depths down to zero",
             |photos, points| {
                 let pose = &mut photos[2].cam_from_world;
-                // At a point of the cloud, among its neighbours.
+                // The camera moves to a point of the cloud, among its neighbours.
                 let centre = DVec3::from_array(points.positions[0].map(f64::from));
                 pose.translation = -(pose.matrix3 * centre);
             },
         ),
         of(
             "training with wildly wrong exposure",
-            "photographs of one thing that are black, right and white",
+            "photographs of one object are black, correctly exposed or white",
             |photos, _| {
                 for (i, photo) in photos.iter_mut().enumerate() {
                     let gain = [0.0, 1.0, 20.0][i % 3];
@@ -99,11 +98,11 @@ fn train(
         Processor::Cpu => (STEPS, LOSS_SHARE),
         Processor::Gpu => (GPU_STEPS, GPU_LOSS_SHARE),
     };
-    // All that happens in a run of 30,000 steps happens in this one: harmonics grow, Gaussians come and go, opacities are reset.
+    // A short run with every event of a run of 30,000 steps: the SH degree grows, Gaussians come and go, opacities are reset.
     let density = AdaptiveConfig {
         every: steps / 10,
         from: steps / 10,
-        // A short run would end in the dark.
+        // A run this short would end right after a reset, with a dark picture.
         reset_every: if place.processor == Processor::Gpu { 0 } else { steps / 3 },
         max_splats: 1_500,
         ..AdaptiveConfig::default()

@@ -1,4 +1,4 @@
-//! That the judge can condemn: each rule, broken alone, fails a result that is otherwise the truth.
+//! Tests that the judge can fail a result: each rule, broken alone, fails a result that otherwise equals the reference.
 
 use super::*;
 use crate::scene::Splat;
@@ -13,7 +13,7 @@ fn place() -> Place {
     Place { name: "flex".into(), device: Device::flex(), processor: Processor::Cpu, software: false }
 }
 
-/// The truth with one change to a gradient or a picture.
+/// Judges the reference with one change to a gradient or a picture.
 fn changed(yardstick: &Yardstick, change: impl Fn(&mut Outputs, &Outputs)) -> Outcome {
     let mut found = yardstick.expected.clone();
     change(&mut found, &yardstick.spread);
@@ -46,13 +46,13 @@ fn what_is_not_finite_fails() {
 #[test]
 fn twice_the_ceiling_fails_and_half_of_it_passes() {
     let yardstick = yardstick();
-    // The smallest of the hard splat's and the largest of the background's, so that neither hides behind another.
+    // The hard Gaussian's smallest element and the background's largest, so that no other error hides either.
     for (tensor, element) in [(0, 0), (1, 1), (2, 2), (3, 0), (5, 1), (6, 7), (7, 1)] {
         for (share, passes) in [(0.5, true), (2.0, false)] {
             let outcome = changed(&yardstick, |found, spread| {
                 let spread = 16.0 * spread.gradients[tensor].values[element];
                 found.gradients[tensor].values[element] += share * spread.max(1e-30);
-                // The other part of the ceiling.
+                // The part of the ceiling that the floor adds.
                 if share > 1.0 {
                     let largest = largest(&found.gradients[tensor].values);
                     found.gradients[tensor].values[element] += share * 1e-6 * largest;
@@ -66,7 +66,7 @@ fn twice_the_ceiling_fails_and_half_of_it_passes() {
 #[test]
 fn a_row_that_is_off_fails_though_its_elements_are_below_the_ceiling() {
     let mut yardstick = yardstick();
-    // As if the inputs' last digits mattered much, but less than a row may be off.
+    // A spread as if the last digits of the inputs had much effect, but less than the tolerance of a row.
     let expected = yardstick.expected.gradients[0].values.clone();
     let spread = &mut yardstick.spread.gradients[0].values;
     spread.iter_mut().zip(&expected).for_each(|(spread, expected)| *spread = 5e-4 * expected.abs());
@@ -91,7 +91,7 @@ fn a_neighbour_that_changes_fails() {
     let mut other = found.clone();
     one_ulp(&mut other.pictures[0].values[3 * (8 * 60 + 50)]);
     assert!(!yardstick.judge_neighbours(&other, &place).passed(), "a pixel");
-    // One that the hard one covers proves nothing.
+    // A neighbour that the hard Gaussian covers proves nothing.
     let covered = HardScene::new("covered", &[Splat::at([20.0, 18.0], 3.0, 2.0)]).with_neighbour(&Splat::at(
         [22.0, 18.0],
         2.0,
@@ -112,7 +112,7 @@ fn a_splat_culled_without_reason_fails() {
 
 #[test]
 fn a_truth_that_disagrees_with_the_twin_is_remarked_on() {
-    // The twin gives a zero quaternion up, the papers' formulas make it NaN.
+    // The twin culls a zero quaternion, and the papers' formulas make it NaN.
     let scene = HardScene::new("zero", &[Splat::at([20.0, 18.0], 3.0, 2.0).quat([0.0; 4])]);
     assert!(!Yardstick::new(&scene).remarks.is_empty());
 }
@@ -131,7 +131,7 @@ fn loose_bounds_hold_where_they_are_given_and_never_pass() {
     let fails = Case::check("fails", "", |_| Outcome { failures: vec!["it does".into()], ..Outcome::default() });
     let row = judge(&fails, &[place()]);
     assert_eq!((row.verdict(), row.failures()), (Verdict::Failed, vec!["flex: it does".to_owned()]));
-    // What a driver in software cannot run is left out there alone.
+    // A case that drivers in software cannot run is left out on them alone.
     let software = Place { software: true, ..gpu };
     let beyond = || Case::check("fails", "", |_| panic!("ran")).beyond_software("because");
     assert!(judge(&beyond(), &[software]).places.is_empty());

@@ -1,4 +1,4 @@
-//! Blending at one pixel as most implementations have it: an expanded quadratic form forwards, and backwards a
+//! Rasterization of one pixel, as in most implementations: an expanded quadratic form forwards, and backwards a
 //! transmittance that is divided by `1 − α` layer by layer.
 
 use splat_op::RenderOptions;
@@ -7,7 +7,7 @@ use super::Backward;
 use super::project::Conic;
 use crate::number::Number;
 
-/// Thresholds.
+/// Thresholds of alpha and transmittance.
 pub struct Cuts<N> {
     alpha_min: N,
     alpha_max: N,
@@ -26,18 +26,18 @@ impl<N: Number> Cuts<N> {
 
 /// One layer at a pixel.
 pub struct Layer<N> {
-    /// In the order of depth.
+    /// Index in the order of depth.
     place: usize,
     offset: [N; 2],
     falloff: N,
     alpha: N,
-    /// Whether alpha is not at its limit.
+    /// Whether alpha is below its limit.
     free: bool,
-    /// In front of it.
+    /// Transmittance in front of the layer.
     transmittance: N,
 }
 
-/// What a pixel sees, and through which layers.
+/// Result of one pixel, and the layers that contribute to it.
 pub struct Pixel<N> {
     pub colour: Vec<N>,
     pub depth: N,
@@ -45,7 +45,7 @@ pub struct Pixel<N> {
     pub layers: Vec<Layer<N>>,
 }
 
-/// Front to back over sorted `splats`, each with its colour.
+/// Rasterizes one pixel, front to back over sorted `splats`, each with its colour.
 pub fn forward<N: Number>(centre: [N; 2], splats: &[(Conic<N>, &[N])], background: &[N], cuts: &Cuts<N>) -> Pixel<N> {
     let (zero, one) = (N::of(0.0), N::of(1.0));
     let mut pixel = Pixel { colour: vec![zero; background.len()], depth: zero, transmittance: one, layers: Vec::new() };
@@ -77,7 +77,7 @@ pub fn forward<N: Number>(centre: [N; 2], splats: &[(Conic<N>, &[N])], backgroun
     pixel
 }
 
-/// The gradient of the picture at a pixel.
+/// Gradient of the loss with respect to one pixel's outputs.
 pub struct PixelGrad<N> {
     pub colour: Vec<N>,
     pub alpha: N,
@@ -96,7 +96,7 @@ pub fn backward<N: Number>(
     let (zero, one) = (N::of(0.0), N::of(1.0));
     let inner = |a: &[N], b: &[N]| a.iter().zip(b).fold(zero, |sum, (a, b)| sum + *a * *b);
     let through_background = inner(&grad.colour, background);
-    // What lies behind, as the loss sees it: `g·R`. Dividing implementations leave the background out of it.
+    // `g·R`, the share of everything behind the layer in the loss. Implementations that divide leave out the background.
     let mut behind = match style {
         Backward::Dividing => zero,
         Backward::Kept => through_background,
@@ -112,10 +112,10 @@ pub fn backward<N: Number>(
         let own = inner(&grad.colour, colour) + grad.depth * splat.depth;
         let mut grad_alpha = match style {
             Backward::Dividing => {
-                // The last transmittance as each layer changes it, and with it background and alpha.
+                // Effect of each layer on the final transmittance, and thereby on background and alpha.
                 (own - behind) * transmittance + pixel.transmittance / through * (grad.alpha - through_background)
             }
-            // Alpha is a channel of colour one over a background of zero.
+            // Alpha is a channel whose colour is one, over a background of zero.
             Backward::Kept => (own + grad.alpha - behind) * transmittance,
         };
         behind = match style {

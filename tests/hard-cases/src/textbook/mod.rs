@@ -1,7 +1,7 @@
-//! Splatting by the formulas of the papers (Zwicker et al. 2001; Kerbl et al. 2023), as most implementations have them:
-//! determinant `a c − b²`, an inverted covariance, an expanded quadratic form, division by `1 − α` on the way back.
-//! Dense and pixel by pixel, over any [`Number`]: in f32 it is the table's second block of columns, in [`Wide`] the
-//! truth. It shares no code with the operation.
+//! Splatting by the papers' formulas (Zwicker et al. 2001; Kerbl et al. 2023), as in most implementations:
+//! determinant `a c − b²`, an inverted covariance, an expanded quadratic form, division by `1 − α` in the backward pass.
+//! Every pixel visits every Gaussian, over any [`Number`]: in f32 this fills the table's textbook columns, in [`Wide`] it is
+//! the reference. It shares no code with the operation.
 
 mod blend;
 mod linalg;
@@ -17,22 +17,22 @@ use crate::evaluate::Outputs;
 use crate::number::{Number, Wide};
 use crate::scene::{HardScene, Weights};
 
-/// How the backward pass comes by the transmittance in front of a layer.
+/// How the backward pass obtains the transmittance in front of a layer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Backward {
-    /// From the last one, divided by `1 − α` layer by layer: the textbook's.
+    /// Divides the final transmittance by `1 − α` layer by layer, as the textbook does.
     Dividing,
-    /// Kept from the forward pass: the truth's, which may not divide by zero.
+    /// Keeps the forward pass's values: the reference must not divide by zero.
     Kept,
 }
 
-/// Pixels whose sums are added together before they join the others: the order is fixed.
+/// Number of pixels per partial sum. The partial sums are added in a fixed order.
 const CHUNK: usize = 64;
 
-/// What is known before blending.
+/// The projected and sorted scene, before rasterization.
 struct View<N> {
     lens: Lens<N>,
-    /// The Gaussians that are seen, in the order of depth, then of input; and where they are in the input.
+    /// Visible Gaussians, by depth and then by order of input, each with its index in the input.
     projected: Vec<(usize, Projected<N>)>,
     colours: Vec<Vec<N>>,
     background: Vec<N>,
@@ -61,7 +61,7 @@ impl<N: Number> View<N> {
         let lens = Lens::new(&scene.pose, &scene.intrinsics, &scene.options);
         let seen = (0..scene.count()).filter_map(|i| Some((i, project(gaussian(scene, i), &lens)?)));
         let mut projected: Vec<(usize, Projected<N>)> = seen.collect();
-        // Stable, and without an opinion on what cannot be ordered.
+        // A stable sort, in which values without an order (NaN) count as equal.
         projected
             .sort_by(|(_, a), (_, b)| a.conic.depth.partial_cmp(&b.conic.depth).unwrap_or(std::cmp::Ordering::Equal));
         let colour = |i: usize| all(&scene.colours[i * scene.channels()..(i + 1) * scene.channels()]);
@@ -79,13 +79,13 @@ fn centre<N: Number>(scene: &HardScene, pixel: usize) -> [N; 2] {
     [pixel % width, pixel / width].map(|px| N::of(px as f64 + 0.5))
 }
 
-/// The largest condition number of a 2D covariance in the scene.
+/// Returns the largest condition number of a 2D covariance in the scene.
 pub fn condition(scene: &HardScene) -> f64 {
     let view = View::<Wide>::new(scene);
     view.projected.iter().map(|(_, p)| p.condition()).fold(1.0, f64::max)
 }
 
-/// `image alpha` of every pixel under some options, for boundary bands.
+/// `image alpha` of every pixel under the given options, for boundary bands.
 pub fn pictures<N: Number>(scene: &HardScene, options: &RenderOptions) -> Vec<Vec<f64>> {
     let view = View::<N>::new(&HardScene { options: *options, ..scene.clone() });
     let (splats, cuts) = (view.splats(), Cuts::new(options));
@@ -97,13 +97,13 @@ pub fn pictures<N: Number>(scene: &HardScene, options: &RenderOptions) -> Vec<Ve
     (0..pixels).into_par_iter().map(pixel).collect()
 }
 
-/// One pixel's colour, alpha and depth.
+/// Colour, alpha and depth of one pixel.
 type Seen<N> = (Vec<N>, N, N);
 
-/// Sums over pixels: per seen Gaussian, and of the background.
+/// Sums over pixels: one per visible Gaussian, and one for the background.
 type Sums<N> = (Vec<(Conic<N>, Vec<N>)>, Vec<N>);
 
-/// Renders and differentiates a scene of features.
+/// Renders and differentiates a scene whose colours are features.
 pub fn evaluate<N: Number>(scene: &HardScene, weights: &Weights, style: Backward) -> Outputs {
     let view = View::<N>::new(scene);
     let (splats, cuts) = (view.splats(), Cuts::new(&scene.options));
@@ -158,7 +158,7 @@ fn added<N: Number>((mut conics, mut background): Sums<N>, (more, behind): Sums<
     (conics, background)
 }
 
-/// From the sums over pixels to the gradients of the parameters.
+/// Computes the gradients of the parameters from the sums over pixels.
 fn gradients<N: Number>(
     scene: &HardScene,
     view: &View<N>,
@@ -179,7 +179,7 @@ fn gradients<N: Number>(
         if scene.stored {
             let activated = gaussian::<N>(scene, *i);
             one.scale = [0, 1, 2].map(|k| one.scale[k] * activated.scale[k]);
-            // The logistic function's derivative by way of `1 − σ(x) = σ(−x)`.
+            // The derivative of the logistic function, with `1 − σ(x) = σ(−x)`.
             let logit = N::of(scene.opacities[*i]);
             one.opacity = one.opacity * activated.opacity * (N::of(1.0) / (N::of(1.0) + logit.exp()));
         }

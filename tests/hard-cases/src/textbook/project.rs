@@ -1,20 +1,20 @@
-//! The projection as the papers write it: a 3D covariance, its image under the Jacobian, a determinant, an inverse.
+//! Projection by the papers' formulas: a 3D covariance, its image under the Jacobian, a determinant and an inverse.
 
 use splat_op::{CameraModel, Intrinsics, RenderOptions};
 
 use super::linalg::{Mat3, Vec3, add, apply, dot, outer, plus, scale, times, transpose, zero};
 use crate::number::Number;
 
-/// The floor of the opacity compensation, as in gsplat.
+/// Floor of the opacity compensation, as in gsplat.
 const COMPENSATION_MIN: f64 = 0.005;
 
-/// The camera.
+/// A pinhole camera with its pose and the limits of the Jacobian.
 pub struct Lens<N> {
     pub rotation: Mat3<N>,
     pub translation: Vec3<N>,
     pub focal: [N; 2],
     pub principal: [N; 2],
-    /// Slopes at which the Jacobian is held.
+    /// Slopes at which the Jacobian is clamped.
     low: [N; 2],
     high: [N; 2],
     near: N,
@@ -24,7 +24,7 @@ pub struct Lens<N> {
 
 impl<N: Number> Lens<N> {
     /// # Panics
-    /// If the camera is no pinhole, of which alone the textbook is written here.
+    /// If the camera is not a pinhole, the only model that the textbook implements.
     pub fn new(pose: &[f64], camera: &Intrinsics, options: &RenderOptions) -> Self {
         assert_eq!(camera.model, CameraModel::Pinhole, "the battery's cameras are pinholes");
         let row = |i: usize| [0, 1, 2].map(|j| N::of(pose[4 * i + j]));
@@ -56,7 +56,7 @@ pub struct Gaussian<N> {
     pub opacity: N,
 }
 
-/// A Gaussian on the picture, or the gradient of one.
+/// A Gaussian projected onto the picture, or its gradient.
 #[derive(Clone, Copy, Debug)]
 pub struct Conic<N> {
     pub mean_px: [N; 2],
@@ -66,7 +66,7 @@ pub struct Conic<N> {
     pub opacity: N,
 }
 
-/// What forward computes and backward needs.
+/// Values of the forward pass that the backward pass needs.
 pub struct Projected<N> {
     gaussian: Gaussian<N>,
     quat_length: N,
@@ -75,12 +75,12 @@ pub struct Projected<N> {
     mean_cam: Vec3<N>,
     slope: [N; 2],
     slope_free: [bool; 2],
-    /// Of the world, and of the camera.
+    /// Covariances in the world frame and in the camera frame.
     covariance_world: Mat3<N>,
     covariance_cam: Mat3<N>,
-    /// Two rows of the Jacobian and one of zeros.
+    /// Two rows of the Jacobian and one row of zeros.
     jacobian: Mat3<N>,
-    /// `a, b, c` without the blur, and with it; their determinants.
+    /// `a, b, c` without and with the blur, and both determinants.
     sharp: [N; 3],
     sharp_determinant: N,
     covariance: [N; 3],
@@ -90,7 +90,7 @@ pub struct Projected<N> {
     pub conic: Conic<N>,
 }
 
-/// Gradients of one Gaussian and its share of the pose's.
+/// Gradients of one Gaussian, and its share of the pose's gradient.
 pub struct Gradient<N> {
     pub mean: Vec3<N>,
     pub quat: [N; 4],
@@ -114,7 +114,7 @@ fn determinant<N: Number>([a, b, c]: [N; 3]) -> N {
     a * c - b * b
 }
 
-/// `None` before the near plane, and where the determinant is not positive, as implementations have it.
+/// Projects a Gaussian; `None` before the near plane and for a determinant that is not positive, as in most implementations.
 pub fn project<N: Number>(gaussian: Gaussian<N>, lens: &Lens<N>) -> Option<Projected<N>> {
     let zero_ = N::of(0.0);
     let mean_cam = add(apply(&lens.rotation, gaussian.mean), lens.translation);
@@ -187,7 +187,7 @@ pub fn project<N: Number>(gaussian: Gaussian<N>, lens: &Lens<N>) -> Option<Proje
 }
 
 impl<N: Number> Projected<N> {
-    /// The ratio of the larger to the smaller eigenvalue of the 2D covariance.
+    /// Ratio of the larger to the smaller eigenvalue of the 2D covariance.
     pub fn condition(&self) -> f64 {
         let [a, _, c] = self.covariance;
         let half = (a + c) / N::of(2.0);
@@ -196,10 +196,10 @@ impl<N: Number> Projected<N> {
         (larger * larger / self.determinant).f64()
     }
 
-    /// Gradient of the sharp covariance `a, b, c` from that of the conic: `−K G K`, and through the compensation.
+    /// Gradient of the covariance `a, b, c` without blur, from the conic's gradient: `−K G K`, and through the compensation.
     fn covariance_backward(&self, grad: &Conic<N>) -> [N; 3] {
         let [a, b, c] = self.conic.conic;
-        // `b` stands for two entries, so each has half of its gradient.
+        // `b` is two entries of the matrix, and each gets half of the gradient.
         let half = N::of(0.5);
         let [ga, gb, gc] = [grad.conic[0], half * grad.conic[1], grad.conic[2]];
         // Rows of G K.
@@ -268,7 +268,7 @@ impl<N: Number> Projected<N> {
         }
     }
 
-    /// Through the rotation matrix, then through `q / |q|`.
+    /// Gradient of the quaternion, through the rotation matrix and then through `q / |q|`.
     fn quat_backward(&self, g: &Mat3<N>) -> [N; 4] {
         let [w, x, y, z] = self.unit;
         let two = N::of(2.0);
