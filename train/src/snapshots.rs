@@ -47,12 +47,12 @@ pub struct Described {
     steps: usize,
     /// Offset subtracted from the positions of the capture's files, scene units.
     origin: [f64; 3],
-    views: Vec<View>,
+    views: Vec<SnapshotView>,
 }
 
 /// A photograph, at the size it is trained or tested on.
 #[derive(Clone, Debug, Serialize)]
-struct View {
+struct SnapshotView {
     name: String,
     is_test: bool,
     /// Camera model. Near the middle of their pictures, all models are close to a pinhole.
@@ -73,7 +73,7 @@ impl Described {
         let view = |photo: &Photograph, is_test: bool| {
             let (camera, pose) = (photo.intrinsics, photo.cam_from_world);
             let row = |i: usize| [pose.x_axis[i], pose.y_axis[i], pose.z_axis[i], pose.translation[i]];
-            View {
+            SnapshotView {
                 name: photo.name.clone(),
                 is_test,
                 model: format!("{:?}", camera.model),

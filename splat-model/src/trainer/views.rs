@@ -18,7 +18,7 @@ use crate::loss::Truth;
 pub(super) const SMALLEST_SIDE: usize = 32;
 
 /// A training photograph.
-struct View {
+struct TrainingView {
     photograph: Photograph,
     /// Width and height of the reduced picture at the run's current size. `None` at full size.
     reduced: Option<[usize; 2]>,
@@ -37,7 +37,7 @@ struct View {
 
 /// All photographs of a run.
 pub(super) struct Views {
-    views: Vec<View>,
+    views: Vec<TrainingView>,
     background: [f32; 3],
     device: Device,
     /// Memory for photographs on the device, total and remaining, bytes.
@@ -59,7 +59,7 @@ const PREPARED: usize = 3 * size_of::<f32>();
 
 impl Views {
     pub fn new(photographs: Vec<Photograph>, background: [f32; 3], cache_mib: usize, device: &Device) -> Self {
-        let view = |photograph: Photograph| View {
+        let view = |photograph: Photograph| TrainingView {
             reduced: None,
             divisor: 1,
             intrinsics: photograph.intrinsics,
@@ -125,14 +125,14 @@ impl Views {
     /// Size of the photographs' masks on a CPU, bytes. `None` if no photograph has a mask.
     pub fn masked_bytes(&self) -> Option<usize> {
         let masked = self.views.iter().filter(|view| view.photograph.has_mask);
-        let pixels = |view: &View| view.photograph.intrinsics.width * view.photograph.intrinsics.height;
+        let pixels = |view: &TrainingView| view.photograph.intrinsics.width * view.photograph.intrinsics.height;
         masked.map(pixels).reduce(|a, b| a + b)
     }
 
     /// Begins to decode those of the next photographs whose pixels are needed and not kept.
     pub fn expect(&mut self, next: impl IntoIterator<Item = usize>) {
         for view in next.into_iter().take(ahead::MOST) {
-            let View { photograph, photo, truth, packed, .. } = &self.views[view];
+            let TrainingView { photograph, photo, truth, packed, .. } = &self.views[view];
             let needed = photo.is_none() && truth.is_none() && packed.is_none();
             if needed && !photograph.is_kept() {
                 self.ahead.begin(view, photograph, self.divisor);

@@ -30,7 +30,7 @@ const SHORT_QUATERNION: u8 = 6;
 const LONG_QUATERNION: u8 = 7;
 
 /// A camera, its pose and the options.
-struct View {
+struct TestCamera {
     pose: Vec<f64>,
     /// Width, height.
     size: [usize; 2],
@@ -40,7 +40,7 @@ struct View {
     options: RenderOptions,
 }
 
-impl View {
+impl TestCamera {
     /// Centred at the origin; turned, moved, and off centre; no rotation at all, its principal point outside.
     fn new(which: usize, blur: f64, antialias: bool) -> Self {
         let turn = DMat3::from_quat(DQuat::from_xyzw(0.4, -0.3, 0.2, 0.8).normalize());
@@ -97,7 +97,7 @@ fn inputs<F>(tensors: &[Vec<F>]) -> Geometry<&'_ [F]> {
 
 impl Scene {
     /// Gaussians in view, beside it and behind it, bad ones, and others without a gradient; `wild` ones too.
-    fn random(seed: u64, count: usize, view: &View, wild: bool) -> Self {
+    fn random(seed: u64, count: usize, view: &TestCamera, wild: bool) -> Self {
         let mut random = Random::new(seed);
         let p = &view.pose;
         let column = |c: usize| DVec3::new(p[c], p[4 + c], p[8 + c]);
@@ -170,7 +170,7 @@ impl Scene {
 
     /// The class of each Gaussian. In the band are those that rounding may cull or not, and for the backward pass those
     /// that it may take across a limit of the Jacobian or the floor of the compensation.
-    fn classes(&self, view: &View, backward: bool) -> Vec<Option<u8>> {
+    fn classes(&self, view: &TestCamera, backward: bool) -> Vec<Option<u8>> {
         let spec = view.spec(&view.lens);
         let margins = Yardstick::new(&self.tensors, |tensors| margins(tensors, view));
         let (cull, rest) = (margins.near_zero(0), margins.near_zero(1));
@@ -190,7 +190,7 @@ impl Scene {
 
 /// Relative distances from the thresholds: `[N, 2]` from the near plane and the lens's reach; `[N, 5]` from the limits of the Jacobian and from
 /// the floor of the compensation, which is the share of the ellipse's area that is there without the blur.
-fn margins(tensors: &[Vec<f64>], view: &View) -> Vec<Vec<f64>> {
+fn margins(tensors: &[Vec<f64>], view: &TestCamera) -> Vec<Vec<f64>> {
     let (p, limits) = (&tensors[POSE], view.limits(&tensors[LENS]));
     let mut spec = view.spec(&tensors[LENS]);
     let area = |spec: &ProjectSpec| -> Vec<f64> {
@@ -222,7 +222,7 @@ fn read(gpu: &Gpu, g: &Geometry<Option<Buffer<f32>>>) -> [Option<Vec<f32>>; 6] {
         .map(|buffer| buffer.as_ref().map(|buffer| buffer.read(gpu)))
 }
 
-fn check_forward(what: &str, scene: &Scene, view: &View) -> f64 {
+fn check_forward(what: &str, scene: &Scene, view: &TestCamera) -> f64 {
     let classes = scene.classes(view, false);
     let forward = |tensors: &[Vec<f64>]| vec![project_cpu(inputs(tensors), &view.spec(&tensors[LENS]))];
     let yardstick = Yardstick::new(&scene.tensors, forward);
@@ -235,7 +235,7 @@ fn check_forward(what: &str, scene: &Scene, view: &View) -> f64 {
 }
 
 /// A scene whose Gaussians in the band have no gradient, its classes, and what the twin makes of it.
-fn backward_yardstick(mut scene: Scene, view: &View) -> (Scene, Vec<Option<u8>>, Yardstick) {
+fn backward_yardstick(mut scene: Scene, view: &TestCamera) -> (Scene, Vec<Option<u8>>, Yardstick) {
     let classes = scene.classes(view, true);
     for (i, _) in classes.iter().enumerate().filter(|(_, class)| class.is_none()) {
         scene.tensors[GRAD][COLUMNS * i..COLUMNS * (i + 1)].fill(0.0);
@@ -249,7 +249,7 @@ fn backward_yardstick(mut scene: Scene, view: &View) -> (Scene, Vec<Option<u8>>,
     (scene, classes, yardstick)
 }
 
-fn check_backward(what: &str, scene: Scene, view: &View, needs: &[Geometry<bool>]) -> f64 {
+fn check_backward(what: &str, scene: Scene, view: &TestCamera, needs: &[Geometry<bool>]) -> f64 {
     let (scene, classes, yardstick) = backward_yardstick(scene, view);
     let mut worst = 0.0_f64;
     for (form, gpu) in gpus() {
@@ -275,10 +275,10 @@ fn check_backward(what: &str, scene: Scene, view: &View, needs: &[Geometry<bool>
 }
 
 /// Views, blurs and anti-aliasing.
-fn views() -> impl Iterator<Item = (String, View)> {
+fn views() -> impl Iterator<Item = (String, TestCamera)> {
     (0..12).map(|i| {
         let (which, blur, antialias) = (i % 3, [0.3, 0.0][i / 3 % 2], i >= 6);
-        (format!("view {which}, blur {blur}, antialias {antialias}"), View::new(which, blur, antialias))
+        (format!("view {which}, blur {blur}, antialias {antialias}"), TestCamera::new(which, blur, antialias))
     })
 }
 
@@ -304,7 +304,7 @@ fn backward_agrees_with_the_twin() {
 #[test]
 fn every_lens_agrees_with_the_twin() {
     for (i, lens) in lenses().into_iter().enumerate() {
-        let view = View::new(1, 0.3, i % 2 == 1).with_lens(lens);
+        let view = TestCamera::new(1, 0.3, i % 2 == 1).with_lens(lens);
         for wild in [false, true] {
             let (seed, what) = (200 + 2 * i as u64, format!("{lens:?}, wild {wild}"));
             let forward = check_forward(&what, &Scene::random(seed, 1_500, &view, wild), &view);
@@ -318,7 +318,7 @@ fn every_lens_agrees_with_the_twin() {
 #[test]
 fn the_twin_in_f32_agrees_with_itself_in_f64_for_every_lens() {
     for (i, lens) in lenses().into_iter().enumerate() {
-        let view = View::new(1, 0.3, i % 2 == 1).with_lens(lens);
+        let view = TestCamera::new(1, 0.3, i % 2 == 1).with_lens(lens);
         let scene = Scene::random(300 + i as u64, 1_500, &view, false);
         let classes = scene.classes(&view, false);
         let spec = |tensors: &[Vec<f64>]| view.spec(&tensors[LENS]);
@@ -338,7 +338,7 @@ fn the_twin_in_f32_agrees_with_itself_in_f64_for_every_lens() {
 
 #[test]
 fn any_number_of_gaussians() {
-    let view = View::new(1, 0.3, true);
+    let view = TestCamera::new(1, 0.3, true);
     for count in [1, 2, 255, 256, 257, 100_000] {
         let what = format!("{count} Gaussians");
         let forward = check_forward(&what, &Scene::random(count as u64, count, &view, true), &view);
@@ -349,7 +349,7 @@ fn any_number_of_gaussians() {
 
 #[test]
 fn no_gaussians() {
-    let view = View::new(1, 0.3, true);
+    let view = TestCamera::new(1, 0.3, true);
     let scene = Scene::random(0, 0, &view, false);
     for (_, gpu) in gpus() {
         let (inputs, grad) = scene.upload(&gpu);
@@ -373,14 +373,14 @@ fn gradients_are_computed_where_asked_for() {
         needs.push(flags(std::array::from_fn(|j| i == j)));
         needs.push(flags(std::array::from_fn(|j| i != j)));
     }
-    let view = View::new(1, 0.3, true);
+    let view = TestCamera::new(1, 0.3, true);
     check_backward("part", Scene::random(7, 300, &view, true), &view, &needs);
 }
 
 /// A dispatch along two axes holds more cubes than the Gaussians need; those write nothing.
 #[test]
 fn surplus_cubes_write_nothing() {
-    let (view, count) = (View::new(1, 0.3, true), 300);
+    let (view, count) = (TestCamera::new(1, 0.3, true), 300);
     let scene = Scene::random(9, count, &view, false);
     let nothing = || ComptimeOptionArgs::None;
     for (_, gpu) in gpus() {
@@ -420,7 +420,7 @@ fn surplus_cubes_write_nothing() {
 
 #[test]
 fn a_second_run_gives_the_same_bits() {
-    let view = View::new(2, 0.3, true);
+    let view = TestCamera::new(2, 0.3, true);
     let scene = Scene::random(8, 20_000, &view, true);
     let bits = |values: Option<Vec<f32>>| values.expect("asked for").into_iter().map(f32::to_bits).collect::<Vec<_>>();
     for (_, gpu) in gpus() {

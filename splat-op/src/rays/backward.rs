@@ -10,7 +10,7 @@
 use cubecl::prelude::*;
 
 use super::SUMS;
-use super::layer::{CHUNK, Footprint, Pixel, View, Walk};
+use super::layer::{CHUNK, Footprint, Pixel, RayFrame, Walk};
 use crate::gpu::UNITS;
 use crate::gpu::reduce::cube_sum;
 use crate::project::COLUMNS;
@@ -35,7 +35,7 @@ pub(super) fn rays_walk_kernel(
     gaussian_of_hit: &[u32],
     table: &mut [u32],
     left: &mut [f32],
-    view: View,
+    view: RayFrame,
 ) {
     let tile = view.first_tile + CUBE_POS as u32;
     if tile < view.end_tile {
@@ -114,7 +114,7 @@ pub(super) fn rays_walk_kernel(
 
 /// The tile whose list holds a place: the last one that begins at or before it.
 #[cube]
-fn tile_of_place(tile_start: &[u32], view: &View, place: u32) -> u32 {
+fn tile_of_place(tile_start: &[u32], view: &RayFrame, place: u32) -> u32 {
     let mut low = view.first_tile;
     let mut high = view.end_tile;
     while high - low > 1 {
@@ -139,7 +139,7 @@ pub(super) fn rays_sums_kernel(
     gaussian_of_hit: &[u32],
     table: &[u32],
     rows: &mut [f32],
-    view: View,
+    view: RayFrame,
     #[comptime] absolute: bool,
 ) {
     let start = tile_start[view.first_tile as usize];

@@ -12,7 +12,7 @@ use crate::tile::{HitLists, TILE, tile_grid};
 use crate::tilt::TILT;
 
 /// A view, prepared for its pixels.
-struct View<'a, F> {
+struct PreparedRayView<'a, F> {
     inputs: RayLayers<&'a [F]>,
     footprints: Vec<Footprint<F>>,
     rules: Rules<F>,
@@ -23,7 +23,7 @@ struct View<'a, F> {
     depth: bool,
 }
 
-impl<'a, F: Real> View<'a, F> {
+impl<'a, F: Real> PreparedRayView<'a, F> {
     fn new(inputs: RayLayers<&'a [F]>, spec: &BlendSpec, hits: &'a HitLists) -> Self {
         let rules = Rules::new(&spec.options);
         let rows = inputs.projected.chunks_exact(COLUMNS).zip(inputs.tilt.chunks_exact(TILT));
@@ -69,7 +69,7 @@ impl<'a, F: Real> View<'a, F> {
 
 /// Planes `[C + 1 (+ 1), H, W]`.
 pub(crate) fn rays_cpu<F: Real>(inputs: RayLayers<&[F]>, spec: &BlendSpec, hits: &HitLists) -> Vec<F> {
-    let view = View::new(inputs, spec, hits);
+    let view = PreparedRayView::new(inputs, spec, hits);
     let (count, pixels) = (view.planes(), view.size[0] * view.size[1]);
     let of_tile = |layers: &mut Vec<Layer<F>>, tile: usize| -> Vec<F> {
         let mut values = Vec::new();
@@ -110,7 +110,7 @@ pub(crate) fn rays_backward_cpu<F: Real>(
     hits: &HitLists,
     needs: RayLayers<bool>,
 ) -> RayLayers<Vec<F>> {
-    let view = View::new(inputs, spec, hits);
+    let view = PreparedRayView::new(inputs, spec, hits);
     let columns = SUMS + view.channels + if needs.mean2d_abs { 2 } else { 0 };
     let mut rows = vec![F::ZERO; hits.gaussian.len() * columns];
     let tasks: Vec<&mut [F]> = {
@@ -135,7 +135,7 @@ pub(crate) fn rays_backward_cpu<F: Real>(
 
 /// Adds to a tile's rows, one per hit, and returns its share of the background's gradient.
 fn tile_backward<F: Real>(
-    view: &View<F>,
+    view: &PreparedRayView<F>,
     grad: &[F],
     tile: usize,
     (rows, columns): (&mut [F], usize),
@@ -171,7 +171,7 @@ fn tile_backward<F: Real>(
 
 /// Adds each Gaussian's rows in order and turns the sums into gradients. Not in parallel: there is little to do beside the
 /// pixels' work.
-fn gather<F: Real>(view: &View<F>, rows: &[F], columns: usize, needs: RayLayers<bool>) -> RayLayers<Vec<F>> {
+fn gather<F: Real>(view: &PreparedRayView<F>, rows: &[F], columns: usize, needs: RayLayers<bool>) -> RayLayers<Vec<F>> {
     let (count, channels, hits) = (view.footprints.len(), view.channels, view.hits);
     let zeros = |needed: bool, columns: usize| vec![F::ZERO; if needed { count * columns } else { 0 }];
     let mut grads = RayLayers {

@@ -6,7 +6,7 @@
 
 use cubecl::prelude::*;
 
-use super::layer::{CHUNK, Footprint, Pixel, View, Walk};
+use super::layer::{CHUNK, Footprint, Pixel, RayFrame, Walk};
 use crate::tile::TILE_PIXELS;
 
 /// Planes `[C + 1 (+ 1), H, W]`.
@@ -20,7 +20,7 @@ pub(super) fn rays_forward_kernel(
     hit_of_place: &[u32],
     gaussian_of_hit: &[u32],
     planes: &mut [f32],
-    view: View,
+    view: RayFrame,
 ) {
     let tile = CUBE_POS as u32;
     let pixel = Pixel::of(tile, UNIT_POS % comptime!(TILE_PIXELS as u32), &view);

@@ -5,7 +5,7 @@ use cubecl::prelude::CubeDim;
 use super::RayLayers;
 use super::backward::{rays_background_kernel, rays_gather_kernel, rays_sums_kernel, rays_walk_kernel, row_len};
 use super::forward::rays_forward_kernel;
-use super::layer::ViewLaunch;
+use super::layer::RayFrameLaunch;
 use crate::blend::BlendSpec;
 use crate::gpu::{Buffer, Gpu, UNITS, cubes, elementwise};
 use crate::limits::Need;
@@ -22,10 +22,10 @@ const TABLE: usize = 32_768;
 const FEWER_HITS: &str = "train on smaller pictures, raise `alpha_min`, or use fewer Gaussians";
 
 /// The view as an argument of kernels over the tiles from `first` to before `end`.
-fn view(spec: &BlendSpec, features: usize, (first, end): (usize, usize)) -> ViewLaunch {
+fn view(spec: &BlendSpec, features: usize, (first, end): (usize, usize)) -> RayFrameLaunch {
     let (camera, options) = (&spec.intrinsics, &spec.options);
     let least = options.transmittance_min;
-    ViewLaunch::new(
+    RayFrameLaunch::new(
         camera.width as u32,
         camera.height as u32,
         tile_grid(camera.width, camera.height)[0] as u32,

@@ -17,7 +17,7 @@ pub(super) const CHUNK: usize = 16;
 /// The picture, the tiles of a launch, and the rules.
 #[derive(CubeType, CubeLaunch, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
-pub(super) struct View {
+pub(super) struct RayFrame {
     pub width: u32,
     pub height: u32,
     pub tiles_x: u32,
@@ -51,7 +51,7 @@ pub(super) struct Pixel {
 
 #[cube]
 impl Pixel {
-    pub fn of(tile: u32, unit: u32, view: &View) -> Pixel {
+    pub fn of(tile: u32, unit: u32, view: &RayFrame) -> Pixel {
         let column = tile % view.tiles_x * comptime!(TILE as u32) + unit % comptime!(TILE as u32);
         let row = tile / view.tiles_x * comptime!(TILE as u32) + unit / comptime!(TILE as u32);
         Pixel {
@@ -114,7 +114,7 @@ impl Footprint {
         }
     }
 
-    pub fn at(&self, x: f32, y: f32, view: &View) -> Layer {
+    pub fn at(&self, x: f32, y: f32, view: &RayFrame) -> Layer {
         let widest = comptime!(WHITENED_MAX as f32);
         let farthest = comptime!((WHITENED_MAX * WHITENED_MAX) as f32);
         let (dx, dy) = (x - self.x, y - self.y);
@@ -148,7 +148,7 @@ impl Footprint {
     }
 
     /// The depth a layer is seen at, scene units.
-    pub fn depth_of(&self, layer: &Layer, view: &View) -> f32 {
+    pub fn depth_of(&self, layer: &Layer, view: &RayFrame) -> f32 {
         let mut depth = self.depth;
         if comptime!(view.exact) {
             depth = layer.key;
@@ -220,7 +220,7 @@ impl Walk {
         first: u32,
         places: u32,
         pixel: &Pixel,
-        view: &View,
+        view: &RayFrame,
     ) -> u32 {
         let mut count = 0u32;
         // By the pixel's own order the next ones may lie anywhere in the list.

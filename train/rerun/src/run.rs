@@ -15,12 +15,12 @@ const MOST_BYTES: u64 = 256 << 20;
 pub struct Run {
     /// Number of steps of the run.
     pub steps: usize,
-    pub views: Vec<View>,
+    pub views: Vec<SnapshotView>,
 }
 
 /// Camera of a photograph: OpenCV axes, pixel centres at half-integers.
 #[derive(Debug, Deserialize)]
-pub struct View {
+pub struct SnapshotView {
     pub name: String,
     pub is_test: bool,
     pub width: usize,

@@ -13,7 +13,7 @@ use re_sdk::{EntityPath, EntityPathPart, RecordingStream};
 use re_sdk_types::archetypes::{EncodedImage, Pinhole, Points3D, Scalars, Transform3D};
 use re_sdk_types::components::{TransformRelation, ViewCoordinates};
 
-use crate::run::{Folder, Run, Snapshot, View};
+use crate::run::{Folder, Run, Snapshot, SnapshotView};
 
 /// Distance from a camera to its image plane, as a fraction of the distance between cameras.
 const FRUSTUM: f64 = 0.2;
@@ -104,7 +104,7 @@ fn camera(is_test: bool, name: &str) -> EntityPath {
     EntityPath::new(parts.map(EntityPathPart::new).to_vec())
 }
 
-fn pose(view: &View) -> Transform3D {
+fn pose(view: &SnapshotView) -> Transform3D {
     let rows = view.cam_from_world;
     let column = |i: usize| [rows[0][i] as f32, rows[1][i] as f32, rows[2][i] as f32];
     // Rerun's matrices are column-major, and its default relation is parent from child, the inverse of
@@ -114,7 +114,7 @@ fn pose(view: &View) -> Transform3D {
 }
 
 /// The pinhole of a view. Rerun's pixel coordinates begin at the corner of the first pixel, as ours do.
-fn pinhole(view: &View, distance: f32) -> Pinhole {
+fn pinhole(view: &SnapshotView, distance: f32) -> Pinhole {
     let number = |value: f64| value as f32;
     Pinhole::new([[number(view.fx), 0.0, 0.0], [0.0, number(view.fy), 0.0], [number(view.cx), number(view.cy), 1.0]])
         .with_resolution([view.width as f32, view.height as f32])
@@ -124,8 +124,8 @@ fn pinhole(view: &View, distance: f32) -> Pinhole {
 
 /// Approximate distance between neighbouring cameras: the edge of the cube around all of them, divided by the square
 /// root of their number.
-fn spacing(views: &[View]) -> f64 {
-    let centre = |view: &View| {
+fn spacing(views: &[SnapshotView]) -> f64 {
+    let centre = |view: &SnapshotView| {
         let rows = view.cam_from_world;
         [0, 1, 2].map(|i| -(0..3).map(|row| rows[row][i] * rows[row][3]).sum::<f64>())
     };

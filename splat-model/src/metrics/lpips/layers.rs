@@ -106,8 +106,8 @@ impl Net {
     }
 
     /// The receptive field of a feature, by tap.
-    pub fn views(self) -> [View; TAPS] {
-        let mut view = View { stride: 1, before: 0, after: 0 };
+    pub fn views(self) -> [ReceptiveField; TAPS] {
+        let mut view = ReceptiveField { stride: 1, before: 0, after: 0 };
         self.slices().map(|slice| {
             for Window { side, stride, padding } in slice.iter().map(|layer| layer.window()) {
                 view.before += view.stride * padding;
@@ -122,7 +122,7 @@ impl Net {
 /// Receptive field along either side of a picture: feature `i` depends on the pixels from `i · stride − before` to
 /// `i · stride + after`, both included. Pixels outside the picture are zeros, in the first layer or between layers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct View {
+pub struct ReceptiveField {
     pub stride: usize,
     pub before: usize,
     pub after: usize,
@@ -159,7 +159,8 @@ pub fn parts(net: Net, side: usize, most: usize) -> Vec<Part> {
     }
     let views = net.views();
     let grid = views[TAPS - 1].stride;
-    let reach = |of: fn(&View) -> usize| views.iter().map(of).max().unwrap_or_default().next_multiple_of(grid);
+    let reach =
+        |of: fn(&ReceptiveField) -> usize| views.iter().map(of).max().unwrap_or_default().next_multiple_of(grid);
     let (before, after) = (reach(|view| view.before), reach(|view| view.after));
     let room = most.checked_sub(before + after).map_or(0, |room| room / grid * grid);
     assert!(room > 0, "parts of {most} px leave no room for a core between margins of {before} + {after} px");

@@ -30,7 +30,7 @@ pub enum Backward {
 const CHUNK: usize = 64;
 
 /// The projected and sorted scene, before rasterization.
-struct View<N> {
+struct ProjectedScene<N> {
     lens: Lens<N>,
     /// Visible Gaussians, by depth and then by order of input, each with its index in the input.
     projected: Vec<(usize, Projected<N>)>,
@@ -56,7 +56,7 @@ fn gaussian<N: Number>(scene: &HardScene, i: usize) -> Gaussian<N> {
     }
 }
 
-impl<N: Number> View<N> {
+impl<N: Number> ProjectedScene<N> {
     fn new(scene: &HardScene) -> Self {
         let lens = Lens::new(&scene.pose, &scene.intrinsics, &scene.options);
         let seen = (0..scene.count()).filter_map(|i| Some((i, project(gaussian(scene, i), &lens)?)));
@@ -81,13 +81,13 @@ fn centre<N: Number>(scene: &HardScene, pixel: usize) -> [N; 2] {
 
 /// Returns the largest condition number of a 2D covariance in the scene.
 pub fn condition(scene: &HardScene) -> f64 {
-    let view = View::<Wide>::new(scene);
+    let view = ProjectedScene::<Wide>::new(scene);
     view.projected.iter().map(|(_, p)| p.condition()).fold(1.0, f64::max)
 }
 
 /// `image alpha` of every pixel under the given options, for boundary bands.
 pub fn pictures<N: Number>(scene: &HardScene, options: &RenderOptions) -> Vec<Vec<f64>> {
-    let view = View::<N>::new(&HardScene { options: *options, ..scene.clone() });
+    let view = ProjectedScene::<N>::new(&HardScene { options: *options, ..scene.clone() });
     let (splats, cuts) = (view.splats(), Cuts::new(options));
     let pixels = scene.intrinsics.width * scene.intrinsics.height;
     let pixel = |pixel: usize| {
@@ -105,7 +105,7 @@ type Sums<N> = (Vec<(Conic<N>, Vec<N>)>, Vec<N>);
 
 /// Renders and differentiates a scene whose colours are features.
 pub fn evaluate<N: Number>(scene: &HardScene, weights: &Weights, style: Backward) -> Outputs {
-    let view = View::<N>::new(scene);
+    let view = ProjectedScene::<N>::new(scene);
     let (splats, cuts) = (view.splats(), Cuts::new(&scene.options));
     let channels = scene.channels();
     let pixels = scene.intrinsics.width * scene.intrinsics.height;
@@ -161,7 +161,7 @@ fn added<N: Number>((mut conics, mut background): Sums<N>, (more, behind): Sums<
 /// Computes the gradients of the parameters from the sums over pixels.
 fn gradients<N: Number>(
     scene: &HardScene,
-    view: &View<N>,
+    view: &ProjectedScene<N>,
     sums: &[(Conic<N>, Vec<N>)],
     background: &[N],
     pictures: [Vec<f64>; 3],
