@@ -5,7 +5,7 @@ use std::path::Path;
 use burn::tensor::Device;
 use splat_model::capture::{Capture, load_all};
 use splat_model::evaluate::evaluate;
-use splat_model::trainer::{Seen, TrainConfig, Trainer};
+use splat_model::trainer::{LossInputs, TrainConfig, Trainer};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let folder = std::env::args().nth(1).ok_or("pass the folder of a capture")?;
@@ -14,7 +14,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let config = TrainConfig { steps: 60, ..TrainConfig::default() };
     let device = Device::flex();
 
-    let loss = |seen: &Seen| {
+    let loss = |seen: &LossInputs| {
         let truth = seen.truth.image();
         let weight = truth.clone().neg() + 1.5;
         let colour = ((seen.image.clone() - truth).abs() * weight).mean();

@@ -43,7 +43,7 @@ pub use self::resolution::Resolution;
 use self::views::Views;
 
 /// The inputs of a loss in one step.
-pub struct Seen<'a> {
+pub struct LossInputs<'a> {
     /// `[H, W, 3]`: the render as it is compared with the photograph, tracked. It includes the exposure if one is learned,
     /// and is black where a mask excludes pixels, like `truth`.
     pub image: Tensor<3>,
@@ -59,14 +59,14 @@ pub struct Seen<'a> {
     pub view: &'a str,
 }
 
-/// A loss: any function of [`Seen`] to a `[1]` tensor.
+/// A loss: any function of [`LossInputs`] to a `[1]` tensor.
 pub trait Loss {
     /// The loss of one step, `[1]`, tracked.
-    fn loss(&self, seen: &Seen) -> Tensor<1>;
+    fn loss(&self, seen: &LossInputs) -> Tensor<1>;
 }
 
-impl<F: Fn(&Seen) -> Tensor<1>> Loss for F {
-    fn loss(&self, seen: &Seen) -> Tensor<1> {
+impl<F: Fn(&LossInputs) -> Tensor<1>> Loss for F {
+    fn loss(&self, seen: &LossInputs) -> Tensor<1> {
         self(seen)
     }
 }
@@ -168,7 +168,7 @@ impl Trainer {
             density,
             extent,
             means_decay: config.step_rates().means_decay(extent, config.steps),
-            loss: Box::new(move |seen: &Seen| photometric(seen.image.clone(), seen.truth, lambda)),
+            loss: Box::new(move |seen: &LossInputs| photometric(seen.image.clone(), seen.truth, lambda)),
             guard: Guard::new(device),
             checks: false,
             rng,

@@ -63,7 +63,7 @@ struct Ellipse<'a> {
 }
 
 /// What a pixel sees of a Gaussian.
-struct Seen<'a> {
+struct Contribution<'a> {
     alpha: f64,
     depth: f64,
     /// By which it is sorted.
@@ -87,7 +87,8 @@ pub fn render_exact(
     let centres = (0..camera.height).flat_map(|y| (0..camera.width).map(move |x| (x, y)));
     let see = |(x, y)| {
         let centre_px = DVec2::new(x as f64 + 0.5, y as f64 + 0.5);
-        let mut seen: Vec<Seen> = ellipses.iter().map(|ellipse| ellipse.seen(centre_px, camera, options)).collect();
+        let mut seen: Vec<Contribution> =
+            ellipses.iter().map(|ellipse| ellipse.seen(centre_px, camera, options)).collect();
         // Stable: Gaussians at one depth keep their order.
         seen.sort_by(|a, b| a.key.total_cmp(&b.key));
         pixel(&seen, background)
@@ -96,10 +97,11 @@ pub fn render_exact(
 }
 
 impl<'a> Ellipse<'a> {
-    fn seen(&self, centre_px: DVec2, camera: &Intrinsics, options: &RenderOptions) -> Seen<'a> {
+    fn seen(&self, centre_px: DVec2, camera: &Intrinsics, options: &RenderOptions) -> Contribution<'a> {
         let d = centre_px - self.mean_px;
         let value = (-0.5 * d.dot(self.conic * d)).exp();
-        let plain = Seen { alpha: self.opacity * value, depth: self.depth, key: self.depth, features: self.features };
+        let plain =
+            Contribution { alpha: self.opacity * value, depth: self.depth, key: self.depth, features: self.features };
         let Some(solid) = &self.solid else { return plain };
         let mut seen = plain;
         let met = match options.projection {
@@ -119,10 +121,10 @@ impl<'a> Ellipse<'a> {
     }
 }
 
-fn pixel(seen: &[Seen], background: &[f64]) -> ExactPixel {
+fn pixel(seen: &[Contribution], background: &[f64]) -> ExactPixel {
     let mut transmittance = 1.0;
     let mut out = ExactPixel { features: vec![0.0; background.len()], alpha: 0.0, depth: 0.0 };
-    for Seen { alpha, depth, features, .. } in seen {
+    for Contribution { alpha, depth, features, .. } in seen {
         let weight = transmittance * alpha;
         out.features.iter_mut().zip(*features).for_each(|(sum, c)| *sum += weight * c);
         out.depth += weight * depth;

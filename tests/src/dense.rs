@@ -63,9 +63,14 @@ fn rotations(quats: &Tensor<2>) -> [Vec3; 3] {
 }
 
 /// The rows of `J W R diag(s)`, one component per axis of the Gaussian, and the projected centres.
-type Seen = (Vec3, Vec3, [Tensor<1>; 2]);
+type ProjectedRows = (Vec3, Vec3, [Tensor<1>; 2]);
 
-fn pinhole([x, y, z]: [&Tensor<1>; 3], axes: &[Vec3; 3], camera: &Intrinsics, options: &RenderOptions) -> Seen {
+fn pinhole(
+    [x, y, z]: [&Tensor<1>; 3],
+    axes: &[Vec3; 3],
+    camera: &Intrinsics,
+    options: &RenderOptions,
+) -> ProjectedRows {
     let held = |slope: Tensor<1>, size: usize, focal: f64, principal: f64| {
         let margin = options.jacobian_margin * size as f64 / (2.0 * focal);
         slope.clamp(-principal / focal - margin, (size as f64 - principal) / focal + margin)
@@ -81,7 +86,7 @@ fn pinhole([x, y, z]: [&Tensor<1>; 3], axes: &[Vec3; 3], camera: &Intrinsics, op
 }
 
 /// Equidistant projection without coefficients, with the `J` of gsplat's reference.
-fn fisheye([x, y, z]: [&Tensor<1>; 3], axes: &[Vec3; 3], camera: &Intrinsics) -> Seen {
+fn fisheye([x, y, z]: [&Tensor<1>; 3], axes: &[Vec3; 3], camera: &Intrinsics) -> ProjectedRows {
     assert_eq!(camera.distortion, [0.0; 8], "only the equidistant projection is implemented here");
     let (xx, yy, xy) = (x.clone().square(), y.clone().square(), x.clone() * y.clone());
     let squared = xx.clone() + yy.clone();

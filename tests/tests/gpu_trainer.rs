@@ -14,7 +14,7 @@ use splat_model::effects::exposure::ExposureConfig;
 use splat_model::effects::grid::GridConfig;
 use splat_model::effects::optics::OpticsConfig;
 use splat_model::effects::pose::PoseConfig;
-use splat_model::trainer::{Seen, TrainConfig, Trainer};
+use splat_model::trainer::{LossInputs, TrainConfig, Trainer};
 use splat_op::Intrinsics;
 use splat_tests::gpu;
 use splat_tests::scene::host;
@@ -42,7 +42,7 @@ fn a_loss_sees_packed_photographs_as_they_are() {
     let config = TrainConfig { steps: 2, cache_mib: 0, background, ..TrainConfig::default() };
     let seen_by_loss = Rc::new(RefCell::new(Vec::new()));
     let record = seen_by_loss.clone();
-    let loss = move |seen: &Seen| {
+    let loss = move |seen: &LossInputs| {
         record.borrow_mut().push((seen.view.to_owned(), host(seen.truth.image())));
         (seen.image.clone() - seen.truth.image()).square().mean()
     };

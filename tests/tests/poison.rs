@@ -6,7 +6,7 @@ use glam::{DAffine3, DVec3};
 use proptest::prelude::*;
 use splat_hard_cases::cases::poison::{Poisoned, SLOTS, VALUES};
 use splat_model::capture::{Photo, PointCloud};
-use splat_model::trainer::{Seen, TrainConfig, TrainError, Trainer};
+use splat_model::trainer::{LossInputs, TrainConfig, TrainError, Trainer};
 use splat_op::{Intrinsics, with_gradient};
 use splat_tests::{devices, places};
 
@@ -47,7 +47,7 @@ fn capture() -> (Vec<Photo>, PointCloud) {
 fn run(device: &Device, steps: usize, bad: usize) -> Trainer {
     let (photos, points) = capture();
     let config = TrainConfig { steps, ..TrainConfig::default() };
-    Trainer::new(photos, &points, config, device).expect("a valid run").with_loss(move |seen: &Seen| {
+    Trainer::new(photos, &points, config, device).expect("a valid run").with_loss(move |seen: &LossInputs| {
         let loss = (seen.image.clone() - seen.truth.image()).abs().mean();
         if seen.step != bad {
             return loss;

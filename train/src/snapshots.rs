@@ -100,12 +100,12 @@ struct Snapshot {
     /// Number of splats in the scene; `shown` is the number in the file.
     splats: usize,
     shown: usize,
-    views: Vec<Seen>,
+    views: Vec<SnapshotRender>,
 }
 
 /// A test view, as rendered from the scene.
 #[derive(Debug, Serialize, Deserialize)]
-struct Seen {
+struct SnapshotRender {
     name: String,
     /// Name of a file beside this one: the render.
     picture: PathBuf,
@@ -188,7 +188,7 @@ impl Taken<'_> {
         ply::write(&out.join(folder.join(SCENE)), &shown, DVec3::ZERO)?;
         let views = scores.views.iter().zip(pictures.into_inner()).map(|(view, picture)| {
             let (name, picture) = (view.name.clone(), picture?);
-            Ok(Seen { name, picture, psnr: view.psnr, ssim: view.ssim, lpips: view.lpips })
+            Ok(SnapshotRender { name, picture, psnr: view.psnr, ssim: view.ssim, lpips: view.lpips })
         });
         let views = views.collect::<Result<_>>()?;
         let snapshot = Snapshot { step, splats: rows.len(), shown: shown.len(), views };
@@ -269,8 +269,13 @@ mod tests {
         let (ours, theirs) = (folder.path().join("all/000010"), folder.path().join("all/mine"));
         fs::create_dir_all(&ours).unwrap();
         fs::create_dir_all(&theirs).unwrap();
-        let seen =
-            |picture: &str| Seen { name: "a".into(), picture: picture.into(), psnr: 1.0, ssim: 0.0, lpips: None };
+        let seen = |picture: &str| SnapshotRender {
+            name: "a".into(),
+            picture: picture.into(),
+            psnr: 1.0,
+            ssim: 0.0,
+            lpips: None,
+        };
         let views = vec![seen("0.png"), seen("../../outside.png"), seen("..")];
         let snapshot = Snapshot { step: 10, splats: 1, shown: 1, views };
         fs::write(ours.join(SNAPSHOT), serde_json::to_string(&snapshot).unwrap()).unwrap();

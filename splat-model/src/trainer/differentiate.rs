@@ -5,7 +5,7 @@ use splat_op::{Extras, Rendered};
 
 use super::checked::{check_gradients, check_loss, render_checked};
 use super::covered::covered;
-use super::{Seen, TrainError, Trainer};
+use super::{LossInputs, TrainError, Trainer};
 use crate::density::rows::Gradients;
 use crate::density::{Observed, Signals};
 use crate::effects::{Effect, Moment, RenderInput, masks, mean_of};
@@ -93,7 +93,8 @@ impl Trainer {
             false => None,
         };
         let name = self.views.name(at.view);
-        let mut loss = self.loss.loss(&Seen { image, alpha, truth, splats: &input.splats, step: at.step, view: name });
+        let mut loss =
+            self.loss.loss(&LossInputs { image, alpha, truth, splats: &input.splats, step: at.step, view: name });
         if let Some(penalty) = self.effects.penalty(input, &picture, *at) {
             loss = loss + penalty;
         }

@@ -102,7 +102,7 @@ fn every_epoch_visits_every_view_once() {
 fn a_loss_of_the_callers_is_what_is_minimised() {
     let seen_views = Rc::new(RefCell::new(Vec::new()));
     let record = seen_views.clone();
-    let loss = move |seen: &Seen| {
+    let loss = move |seen: &LossInputs| {
         assert_eq!(seen.image.dims(), [HEIGHT, WIDTH, 3]);
         assert_eq!(seen.alpha.dims(), [HEIGHT, WIDTH, 1]);
         assert_eq!(seen.truth.image().dims(), [HEIGHT, WIDTH, 3]);
@@ -164,7 +164,7 @@ fn photographs_grow_to_their_full_size() {
     let trainer = Trainer::new(photos, &points(), TrainConfig { resolution, ..config(8) }, &Device::flex()).unwrap();
     let divisors = Rc::new(RefCell::new(Vec::new()));
     let seen_by = divisors.clone();
-    let loss = move |seen: &Seen| {
+    let loss = move |seen: &LossInputs| {
         let [height, width, _] = seen.image.dims();
         assert_eq!([height, width, 3], seen.truth.image().dims());
         assert_eq!(8 * WIDTH * height, 8 * HEIGHT * width);
@@ -177,12 +177,12 @@ fn photographs_grow_to_their_full_size() {
 
 /// Trains on a photograph with pixels of every opacity, the first of them transparent, and a scene that leaves the first
 /// pixel empty.
-fn cut_out(config: TrainConfig, loss: impl Fn(&Seen, &Photo) + 'static) {
+fn cut_out(config: TrainConfig, loss: impl Fn(&LossInputs, &Photo) + 'static) {
     let mut photo = photos([0.0; 3]).remove(0);
     photo.alpha = Some((0..WIDTH * HEIGHT).map(|i| (i % 256) as u8).collect());
     let points = PointCloud { positions: vec![[0.0; 3], [0.01; 3]], colours: vec![[128; 3]; 2] };
     let trainer = Trainer::new(vec![photo.clone()], &points, config, &Device::flex()).unwrap();
-    let checked = move |seen: &Seen| {
+    let checked = move |seen: &LossInputs| {
         assert_eq!(values_of(seen.alpha.clone())[0], 0.0);
         loss(seen, &photo);
         seen.image.clone().mean()

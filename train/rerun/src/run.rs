@@ -62,13 +62,13 @@ pub struct Score {
 #[derive(Debug, Deserialize)]
 pub struct Snapshot {
     pub step: usize,
-    pub views: Vec<Seen>,
+    pub views: Vec<SnapshotRender>,
     #[serde(skip)]
     pub folder: PathBuf,
 }
 
 #[derive(Debug, Deserialize)]
-pub struct Seen {
+pub struct SnapshotRender {
     pub name: String,
     /// Name of a file beside `snapshot.json`: the render.
     pub picture: PathBuf,
@@ -83,7 +83,7 @@ impl Snapshot {
     ///
     /// # Errors
     /// If it cannot be read, or lies outside the snapshot's folder.
-    pub fn picture(&self, seen: &Seen) -> Result<Vec<u8>> {
+    pub fn picture(&self, seen: &SnapshotRender) -> Result<Vec<u8>> {
         if seen.picture.file_name() != Some(seen.picture.as_os_str()) {
             bail!("{}: {:?} is not a file of the snapshot", self.folder.display(), seen.picture);
         }

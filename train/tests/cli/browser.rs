@@ -43,7 +43,7 @@ fn browser() -> Option<PathBuf> {
 }
 
 /// State of a page in the browser.
-pub struct Seen {
+pub struct PageResult {
     /// State that the page in the frame reports, as JSON.
     pub state: serde_json::Value,
     /// Lines written to the browser's console.
@@ -72,7 +72,7 @@ fn harness(page: &str, gate: &str, script: &str) -> String {
 }
 
 /// Loads a page into a frame and records its state. `script` runs before that; its `page` is the page's document.
-pub fn look(name: &str, page: Page, script: &str) -> Option<Seen> {
+pub fn look(name: &str, page: Page, script: &str) -> Option<PageResult> {
     let browser = browser()?;
     let folder = fresh(&format!("browser-{name}"));
     fs::create_dir_all(&folder).unwrap();
@@ -105,7 +105,7 @@ pub fn look(name: &str, page: Page, script: &str) -> Option<Seen> {
     let (dom, log) = (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
     let state = dom.split_once("<pre id=\"state\">").and_then(|(_, rest)| rest.split_once("</pre>"));
     let state = state.and_then(|(state, _)| serde_json::from_str(state).ok());
-    Some(Seen {
+    Some(PageResult {
         state: state.unwrap_or_else(|| panic!("the page did not answer\n{log}\n{dom}")),
         console: log.lines().filter(|line| line.contains(":CONSOLE")).map(String::from).collect(),
         picture: image::open(picture).unwrap().into_rgb8(),
@@ -154,7 +154,7 @@ fn serve(gate: &TcpListener, harness: &str, page: &Page, stopped: &mpsc::Receive
 
 /// Checks that nothing went wrong and that the scene is visible.
 #[track_caller]
-fn assert_drawn(seen: &Seen) {
+fn assert_drawn(seen: &PageResult) {
     assert_eq!(seen.state["viewer"], "drawn", "{}\n{:?}", seen.state, seen.console);
     let complaints: Vec<&String> =
         seen.console.iter().filter(|line| !line.contains("GPU stall due to ReadPixels")).collect();

@@ -7,7 +7,7 @@ use burn::tensor::Tensor;
 use clap::Parser;
 use splat_model::gaussians::GaussianRows;
 use splat_model::ply;
-use splat_model::trainer::Seen;
+use splat_model::trainer::LossInputs;
 use splat_train::options::{Cli, Command};
 use splat_train::train;
 
@@ -25,7 +25,7 @@ fn named_view(message: &str) -> &str {
 }
 
 /// Trains within this process, with a loss that fails, and returns the message.
-fn train_with(loss: impl Fn(&Seen) -> Tensor<1> + 'static, options: &[&str], out: &Path) -> String {
+fn train_with(loss: impl Fn(&LossInputs) -> Tensor<1> + 'static, options: &[&str], out: &Path) -> String {
     let arguments = [&["splat"], &TRAIN[..], &[text(&DEMO), "--device", "cpu", "--out", text(out)], options].concat();
     let Command::Train(args) = Cli::try_parse_from(arguments).unwrap().command else { panic!("asked for train") };
     let error = train::run_with(&args, |trainer| trainer.with_loss(loss)).expect_err("not finite");
@@ -34,7 +34,7 @@ fn train_with(loss: impl Fn(&Seen) -> Tensor<1> + 'static, options: &[&str], out
 
 /// Returns the mean of the picture, plus at one step the square root of 0 times it: a finite value without a finite
 /// gradient.
-fn spoilt_gradient(at: usize) -> impl Fn(&Seen) -> Tensor<1> {
+fn spoilt_gradient(at: usize) -> impl Fn(&LossInputs) -> Tensor<1> {
     move |seen| {
         let mean = seen.image.clone().mean();
         if seen.step == at { mean.clone() + (mean * 0.0).sqrt() } else { mean }

@@ -35,7 +35,7 @@ pub struct GradingEvidence {
 }
 
 /// The observation of a point in a photograph, in one channel.
-struct Seen {
+struct ChannelObservation {
     point: usize,
     /// Position, −1 to 1 from border to border.
     place: [f64; 2],
@@ -59,8 +59,8 @@ pub(super) fn evidence(capture: &Capture, sights: &Sights) -> Option<GradingEvid
 }
 
 /// Observations by photograph, without photographs that have too few points.
-fn seen(capture: &Capture, sights: &Sights, channel: usize) -> Vec<Vec<Seen>> {
-    let mut views: Vec<Vec<Seen>> = capture.views.iter().map(|_| Vec::new()).collect();
+fn seen(capture: &Capture, sights: &Sights, channel: usize) -> Vec<Vec<ChannelObservation>> {
+    let mut views: Vec<Vec<ChannelObservation>> = capture.views.iter().map(|_| Vec::new()).collect();
     for (point, all) in sights.points.iter().enumerate() {
         let usable = all.iter().filter_map(|sight| {
             let value = sight.sample.map(|sample| sample.mean[channel]).filter(|value| USABLE.contains(value))?;
@@ -73,7 +73,7 @@ fn seen(capture: &Capture, sights: &Sights, channel: usize) -> Vec<Vec<Seen>> {
             let camera = &capture.views[sight.view].intrinsics;
             let share = |at_px: f64, side: usize| 2.0 * at_px / side as f64 - 1.0;
             let place = [share(sight.at_px[0], camera.width), share(sight.at_px[1], camera.height)];
-            views[sight.view].push(Seen { point, place, value });
+            views[sight.view].push(ChannelObservation { point, place, value });
         }
     }
     views.retain(|seen| seen.len() >= FEWEST_POINTS);
@@ -83,7 +83,7 @@ fn seen(capture: &Capture, sights: &Sights, channel: usize) -> Vec<Vec<Seen>> {
 /// Absolute residuals of maps that are linear in `terms` of a point's colour and its position. The second term is the
 /// colour itself.
 fn left<const N: usize>(
-    views: &[Vec<Seen>],
+    views: &[Vec<ChannelObservation>],
     points: usize,
     terms: impl Fn(f64, [f64; 2]) -> [f64; N] + Sync,
 ) -> Vec<f64> {
@@ -102,7 +102,7 @@ fn left<const N: usize>(
     let mut maps = vec![identity; views.len()];
     let mut misses = Vec::new();
     for _ in 0..ROUNDS {
-        let rest = |seen: &Seen, map: &[f64; N]| {
+        let rest = |seen: &ChannelObservation, map: &[f64; N]| {
             let terms = terms(colours[seen.point], seen.place);
             let shown: f64 = terms.iter().zip(map).map(|(term, factor)| term * factor).sum();
             (terms, seen.value - shown)
@@ -119,7 +119,8 @@ fn left<const N: usize>(
             }
             *map = solve(gram, moment).unwrap_or(*map);
         });
-        let of_view = |(seen, map): (&Vec<Seen>, &[f64; N])| seen.iter().map(|seen| rest(seen, map).1).collect();
+        let of_view =
+            |(seen, map): (&Vec<ChannelObservation>, &[f64; N])| seen.iter().map(|seen| rest(seen, map).1).collect();
         misses = views.iter().zip(&maps).map(of_view).collect::<Vec<Vec<f64>>>();
         let moved = median(by_point(&misses)).map(Option::unwrap_or_default);
         colours.iter_mut().zip(moved).for_each(|(colour, moved)| *colour += moved);

@@ -37,12 +37,12 @@ impl ViewDependenceEvidence {
 }
 
 /// A sample, and its photograph's offset to the logarithm of a colour.
-type Seen = (Sample, [f64; 3]);
+type ExposedSample = (Sample, [f64; 3]);
 
 pub(super) fn evidence(sights: &Sights, fit: &Fit) -> Option<ViewDependenceEvidence> {
     let stray = |sights: &Vec<Sight>| -> Option<f64> {
         let seen = sights.iter().filter_map(|sight| Some((sight.sample?, fit.views[sight.view]?)));
-        let seen: Vec<Seen> = seen.collect();
+        let seen: Vec<ExposedSample> = seen.collect();
         (seen.len() >= FEWEST_SIGHTS)
             .then(|| (0..3).filter_map(|channel| strays_by(&seen, channel)).reduce(f64::max))?
     };
@@ -57,14 +57,14 @@ pub(super) fn evidence(sights: &Sights, fit: &Fit) -> Option<ViewDependenceEvide
 }
 
 /// One point in one channel.
-fn strays_by(seen: &[Seen], channel: usize) -> Option<f64> {
-    let unexposed = |(sample, exposure): &Seen| f64::from(sample.mean[channel]) * (-exposure[channel]).exp();
-    let seen: Vec<&Seen> = seen.iter().filter(|(sample, _)| sample.high[channel] < BRIGHTEST).collect();
+fn strays_by(seen: &[ExposedSample], channel: usize) -> Option<f64> {
+    let unexposed = |(sample, exposure): &ExposedSample| f64::from(sample.mean[channel]) * (-exposure[channel]).exp();
+    let seen: Vec<&ExposedSample> = seen.iter().filter(|(sample, _)| sample.high[channel] < BRIGHTEST).collect();
     if seen.len() < FEWEST_SIGHTS {
         return None;
     }
     let middle = quantile(&mut seen.iter().map(|&seen| unexposed(seen)).collect::<Vec<_>>(), 0.5)?;
-    let beyond = |(sample, exposure): &Seen| {
+    let beyond = |(sample, exposure): &ExposedSample| {
         let expected = middle * exposure[channel].exp();
         (expected - expected.clamp(sample.low[channel].into(), sample.high[channel].into())).abs()
     };

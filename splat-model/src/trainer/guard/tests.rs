@@ -1,5 +1,5 @@
 use super::super::testing::{photos, points};
-use super::super::{Seen, TrainConfig, TrainError, Trainer};
+use super::super::{LossInputs, TrainConfig, TrainError, Trainer};
 use super::*;
 use crate::density::AdaptiveConfig;
 use crate::gaussians::GaussianRows;
@@ -60,11 +60,11 @@ fn the_verdict_is_read_when_asked_for_and_at_the_latest_every_fifty_steps() {
 }
 
 /// A run of twelve steps with all events, and a loss that becomes invalid at one of them.
-fn run(bad_step: usize, spoil: fn(&Seen) -> Tensor<1>, checks: bool) -> (TrainError, GaussianRows, GaussianRows) {
+fn run(bad_step: usize, spoil: fn(&LossInputs) -> Tensor<1>, checks: bool) -> (TrainError, GaussianRows, GaussianRows) {
     let density = AdaptiveConfig { every: 3, from: 3, until_share: 0.9, grad_threshold: 1e-5, ..Default::default() };
     let config = TrainConfig { steps: 12, sh_every: 2, density: density.into(), ..TrainConfig::default() };
     let trainer = Trainer::new(photos([0.0; 3]), &points(), config, &Device::flex()).unwrap();
-    let mut trainer = trainer.with_loss(move |seen: &Seen| {
+    let mut trainer = trainer.with_loss(move |seen: &LossInputs| {
         let loss = photometric(seen.image.clone(), seen.truth, DEFAULT_LAMBDA);
         if seen.step == bad_step { loss + spoil(seen) } else { loss }
     });
@@ -88,7 +88,7 @@ fn root_of_zero(of: Tensor<1>) -> Tensor<1> {
 
 #[test]
 fn a_step_that_is_not_finite_changes_nothing_and_is_named() {
-    type Spoil = fn(&Seen) -> Tensor<1>;
+    type Spoil = fn(&LossInputs) -> Tensor<1>;
     let cases: [(usize, Spoil, &str); 4] = [
         (1, |seen| seen.image.clone().mean() * f32::NAN, "the loss"),
         (7, |seen| seen.image.clone().mean() * f32::INFINITY, "the loss"),
@@ -112,7 +112,7 @@ fn a_step_that_is_not_finite_changes_nothing_and_is_named() {
 
 #[test]
 fn checks_name_the_stage_and_change_nothing() {
-    type Spoil = fn(&Seen) -> Tensor<1>;
+    type Spoil = fn(&LossInputs) -> Tensor<1>;
     let cases: [(Spoil, &str, &str); 2] = [
         (|seen| seen.image.clone().mean() * f32::NAN, "`loss`", "NaN"),
         (|seen| root_of_zero(seen.splats.scales.clone().sum()), "`gradients`", "`log_scales` of Gaussian 0"),

@@ -59,7 +59,7 @@ pub fn cases() -> Vec<Case> {
 }
 
 /// Pictures and gradients of a capture.
-struct Seen {
+struct CaptureResult {
     pictures: Vec<f64>,
     /// Gradients of rotations, log scales, logits and colours, and of means in units of the scene's scale.
     gradients: Vec<Vec<f64>>,
@@ -92,7 +92,7 @@ fn judge(place: &Place, offset: DVec3, scale: f64) -> Outcome {
 }
 
 /// Writes, loads, stores, reads, renders and differentiates a capture.
-fn seen(place: &Place, offset: DVec3, scale: f64) -> Result<Seen, String> {
+fn seen(place: &Place, offset: DVec3, scale: f64) -> Result<CaptureResult, String> {
     let text = |error: &dyn std::error::Error| error.to_string();
     let scratch = Scratch::new().map_err(|error| text(&error))?;
     demo(scratch.path(), &DEMO).map_err(|error| text(&error))?;
@@ -137,7 +137,7 @@ fn seen(place: &Place, offset: DVec3, scale: f64) -> Result<Seen, String> {
         host(gaussians.logit_opacities.val().grad(&grads).expect(TRACKED)),
         host(gaussians.sh.val().grad(&grads).expect(TRACKED)),
     ];
-    Ok(Seen { pictures, gradients, origin })
+    Ok(CaptureResult { pictures, gradients, origin })
 }
 
 fn plain(device: &Device) -> Device {

@@ -98,7 +98,7 @@ pub fn pictures<N: Number>(scene: &HardScene, options: &RenderOptions) -> Vec<Ve
 }
 
 /// Colour, alpha and depth of one pixel.
-type Seen<N> = (Vec<N>, N, N);
+type PixelValues<N> = (Vec<N>, N, N);
 
 /// Sums over pixels: one per visible Gaussian, and one for the background.
 type Sums<N> = (Vec<(Conic<N>, Vec<N>)>, Vec<N>);
@@ -111,7 +111,7 @@ pub fn evaluate<N: Number>(scene: &HardScene, weights: &Weights, style: Backward
     let pixels = scene.intrinsics.width * scene.intrinsics.height;
     let nought = N::of(0.0);
     let nothing = || Conic { mean_px: [nought; 2], conic: [nought; 3], depth: nought, opacity: nought };
-    let chunk = |first: usize| -> (Vec<Seen<N>>, Sums<N>) {
+    let chunk = |first: usize| -> (Vec<PixelValues<N>>, Sums<N>) {
         let mut sums: Vec<_> = splats.iter().map(|_| (nothing(), vec![nought; channels])).collect();
         let mut background = vec![nought; channels];
         let seen = (first..(first + CHUNK).min(pixels)).map(|pixel| {
