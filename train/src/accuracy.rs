@@ -13,7 +13,7 @@ use splat_model::gaussians::GaussianRows;
 use splat_model::trainer::TrainConfig;
 use splat_op::{Order, Projection, RenderOptions};
 
-use crate::pareto::{self, Shot};
+use crate::pareto::{self, MeasuredView};
 use crate::progress;
 
 /// Model choices: the function that a scene's parameters define. A scene is rendered with the choices it was trained
@@ -183,7 +183,7 @@ impl Accuracy {
     /// If no measured setting meets the target, or measuring fails.
     pub fn setting(
         self,
-        (rows, shots): (&GaussianRows, Vec<Shot>),
+        (rows, shots): (&GaussianRows, Vec<MeasuredView>),
         base: &RenderOptions,
         device: (&Device, &str),
         work: Work,

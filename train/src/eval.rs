@@ -19,7 +19,7 @@ use crate::input::{self, Scene};
 use crate::lpips::LpipsArgs;
 use crate::options::PhotoArgs;
 use crate::output::OutputFolder;
-use crate::pareto::Shot;
+use crate::pareto::MeasuredView;
 use crate::report::metrics::{Metrics, Seconds, peak_rss_mib, seconds_since};
 use crate::report::{self, METRICS, SCENE, VIEWS};
 
@@ -109,8 +109,8 @@ pub fn run(args: &EvalArgs) -> Result<Metrics> {
         };
         photos = photos.iter().map(small).collect::<Result<_>>()?;
     }
-    let shots: Vec<Shot> = photos.iter().map(Shot::from).collect();
-    let accuracy = accuracy.on((&capture, Some(&rows), Shot::pixels(&shots)), &base, Work::Render)?;
+    let shots: Vec<MeasuredView> = photos.iter().map(MeasuredView::from).collect();
+    let accuracy = accuracy.on((&capture, Some(&rows), MeasuredView::pixels(&shots)), &base, Work::Render)?;
     let scene_name = scene_name(&args.scene)?;
     let out = OutputFolder::prepare(&args.out, &[&scene_name, METRICS], &[VIEWS])?;
     let Scene { splats, unusable } = Scene::new(&rows, &device)?;

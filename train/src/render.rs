@@ -18,7 +18,7 @@ use crate::background::ShownBackground;
 use crate::device::{self, DeviceName};
 use crate::input::Scene;
 use crate::output::OutputFolder;
-use crate::pareto::Shot;
+use crate::pareto::MeasuredView;
 use crate::report::pictures::{self, level};
 use crate::report::values_of;
 use crate::{input, progress};
@@ -97,8 +97,9 @@ pub fn run(args: &RenderArgs) -> Result<Vec<PathBuf>> {
     let rows = input::rows(&args.scene, &capture)?;
     let splats = Scene::new(&rows, &device)?.splats;
     let base = args.model.config().render_options(input::extent(&capture));
-    let shots: Vec<Shot> = views.iter().map(|view| Shot::unseen(&view.intrinsics, &view.cam_from_world)).collect();
-    let accuracy = accuracy.on((&capture, Some(&rows), Shot::pixels(&shots)), &base, Work::Render)?;
+    let shots: Vec<MeasuredView> =
+        views.iter().map(|view| MeasuredView::unseen(&view.intrinsics, &view.cam_from_world)).collect();
+    let accuracy = accuracy.on((&capture, Some(&rows), MeasuredView::pixels(&shots)), &base, Work::Render)?;
     let out = OutputFolder::prepare(&args.out, &[], &[])?;
     let options = accuracy.setting((&rows, shots), &base, (&device, &device_name), Work::Render)?.apply(base);
     let splats = splats.stored(&options)?;

@@ -8,7 +8,7 @@ use splat_model::accuracy::{DIALS, Dial, Frontier, Judge, Measured, Provenance, 
 use splat_op::RenderOptions;
 
 use super::dials::Candidate;
-use super::subject::{PARAMETERS, Place, Shot, Sums, host};
+use super::subject::{MeasuredView, PARAMETERS, Place, Sums, host};
 use super::time::Times;
 use super::yardstick::{Truth, check_crops};
 use crate::memory::peak_mib;
@@ -49,7 +49,7 @@ pub struct Row {
 pub struct Bench<'a> {
     pub place: Place,
     pub exact: Place,
-    pub shots: Vec<Shot<'a>>,
+    pub shots: Vec<MeasuredView<'a>>,
     pub base: RenderOptions,
 }
 
@@ -295,7 +295,7 @@ impl Outcome {
             device: device.into(),
             provenance,
             splats: bench.place.gaussians.len(),
-            pixels: Shot::pixels(&bench.shots),
+            pixels: MeasuredView::pixels(&bench.shots),
             settings: self.rows.iter().filter_map(Row::measured).collect(),
         }
     }

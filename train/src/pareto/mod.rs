@@ -28,7 +28,7 @@ use splat_op::{CameraModel, RenderOptions};
 use self::dials::{Role, candidates};
 use self::measure::{Bench, Outcome, Row};
 use self::plot::{Chart, Dot, Mark};
-pub use self::subject::Shot;
+pub use self::subject::MeasuredView;
 use self::subject::{Place, off_the_clamp};
 use self::training::{Runs, Trained};
 use crate::accuracy::ModelArgs;
@@ -108,7 +108,7 @@ pub fn run(args: &ParetoArgs) -> Result<()> {
     let rows = input::rows(&args.scene, &capture)?;
     let out = prepare(args)?;
     let photos = input::photographs(&capture, &views, args.photos.max_side, args.masks)?;
-    let shots: Vec<Shot> = photos.iter().map(Shot::from).collect();
+    let shots: Vec<MeasuredView> = photos.iter().map(MeasuredView::from).collect();
     let extent = input::extent(&capture);
     let base = args.model.config().render_options(extent);
     let bench = Bench::new(&rows, shots, background.colour(), base, &device)?;
@@ -166,7 +166,7 @@ impl<'a> Bench<'a> {
     /// If the rows do not fit together, or there is no view.
     fn new(
         rows: &GaussianRows,
-        shots: Vec<Shot<'a>>,
+        shots: Vec<MeasuredView<'a>>,
         background: [f32; 3],
         base: RenderOptions,
         device: &Device,
@@ -184,12 +184,12 @@ impl<'a> Bench<'a> {
 /// If no measured setting meets the target, or measuring fails.
 pub fn choose_briefly(
     rows: &GaussianRows,
-    shots: Vec<Shot>,
+    shots: Vec<MeasuredView>,
     base: &RenderOptions,
     (device, device_name): (&Device, &str),
     (target, work): (&Target, Work),
 ) -> Result<Choice> {
-    let shots: Vec<Shot> =
+    let shots: Vec<MeasuredView> =
         spread(&(0..shots.len()).collect::<Vec<_>>(), VIEWS_BRIEFLY).iter().map(|&i| shots[i]).collect();
     progress::note("measuring what accuracy costs here (`splat pareto` measures it thoroughly, for `--frontier`)");
     let bench = Bench::new(rows, shots, [0.0; 3], *base, device)?;

@@ -15,19 +15,19 @@ use splat_op::{Camera, Extras, Intrinsics, RenderOptions, Rendered, Splats, Stor
 
 /// A camera, with its photograph if there is one.
 #[derive(Clone, Copy)]
-pub struct Shot<'a> {
+pub struct MeasuredView<'a> {
     pub intrinsics: Intrinsics,
     pub cam_from_world: DAffine3,
     pub photo: Option<&'a Photo>,
 }
 
-impl<'a> From<&'a Photo> for Shot<'a> {
+impl<'a> From<&'a Photo> for MeasuredView<'a> {
     fn from(photo: &'a Photo) -> Self {
         Self { intrinsics: photo.intrinsics, cam_from_world: photo.cam_from_world, photo: Some(photo) }
     }
 }
 
-impl Shot<'_> {
+impl MeasuredView<'_> {
     /// Mean number of pixels of some shots.
     pub fn pixels(shots: &[Self]) -> usize {
         let all: usize = shots.iter().map(|shot| shot.intrinsics.width * shot.intrinsics.height).sum();
@@ -35,7 +35,7 @@ impl Shot<'_> {
     }
 }
 
-impl Shot<'static> {
+impl MeasuredView<'static> {
     /// Returns a camera without a photograph.
     pub fn unseen(intrinsics: &Intrinsics, cam_from_world: &DAffine3) -> Self {
         Self { intrinsics: *intrinsics, cam_from_world: *cam_from_world, photo: None }
@@ -67,9 +67,9 @@ impl Place {
     ///
     /// # Errors
     /// If the rows do not fit together.
-    pub fn new(rows: &GaussianRows, shots: &[Shot], background: [f32; 3], device: &Device) -> Result<Self> {
+    pub fn new(rows: &GaussianRows, shots: &[MeasuredView], background: [f32; 3], device: &Device) -> Result<Self> {
         let gaussians = Gaussians::from_rows(rows, &device.clone().autodiff())?;
-        let camera = |shot: &Shot| Camera::new(shot.intrinsics, &shot.cam_from_world, device);
+        let camera = |shot: &MeasuredView| Camera::new(shot.intrinsics, &shot.cam_from_world, device);
         let background = Some(Tensor::from_floats(background, device));
         Ok(Self {
             splats: gaussians.untracked().splats(),
@@ -87,7 +87,7 @@ impl Place {
     ///
     /// # Errors
     /// If the rows do not fit together.
-    pub fn in_f64(rows: &GaussianRows, shots: &[Shot], background: [f32; 3]) -> Result<Self> {
+    pub fn in_f64(rows: &GaussianRows, shots: &[MeasuredView], background: [f32; 3]) -> Result<Self> {
         let f32 = Self::new(rows, shots, background, &Device::flex())?;
         let plain = f32.gaussians.untracked();
         fn wide<const D: usize>(param: &Param<Tensor<D>>) -> Param<Tensor<D>> {
@@ -191,7 +191,7 @@ pub fn off_the_clamp(rows: &GaussianRows) -> GaussianRows {
 /// Returns the cotangent of the picture `exact` of a shot, `[H, W, 3]`: the derivative of the training loss there,
 /// times the number of values; without a photograph, fixed random numbers from −1 to 1. In f32, so that every device
 /// gets the same values.
-pub fn cotangent(shot: &Shot, exact: &[f64], background: [f32; 3]) -> Vec<f32> {
+pub fn cotangent(shot: &MeasuredView, exact: &[f64], background: [f32; 3]) -> Vec<f32> {
     let Intrinsics { width, height, .. } = shot.intrinsics;
     let Some(photo) = shot.photo else {
         let mut random = ChaCha8Rng::seed_from_u64(7);

@@ -7,7 +7,7 @@ use glam::{DMat3, DVec3};
 use splat_op::exact::{ExactGaussian, ExactPose, render_exact};
 use splat_op::{Camera, Intrinsics, RenderOptions, render_view};
 
-use super::subject::{Place, Shot, Sums, cotangent, host};
+use super::subject::{MeasuredView, Place, Sums, cotangent, host};
 
 /// The exact reference under some model choices.
 pub struct Truth {
@@ -25,7 +25,7 @@ impl Truth {
     ///
     /// # Errors
     /// If the operation refuses the scene.
-    pub fn new(place: &Place, shots: &[Shot], options: &RenderOptions, mut done: impl FnMut()) -> Result<Self> {
+    pub fn new(place: &Place, shots: &[MeasuredView], options: &RenderOptions, mut done: impl FnMut()) -> Result<Self> {
         let mut truth = Self { pictures: Vec::new(), cotangents: Vec::new(), gradients: Sums::default() };
         for (view, shot) in shots.iter().enumerate() {
             let picture = place.tracked(view, options)?;
@@ -59,7 +59,7 @@ const TOLERANCE: f64 = 1e-9;
 ///
 /// # Errors
 /// If the two differ by more than rounding: no error measured against the reference would mean anything.
-pub fn check_crops(place: &Place, shots: &[Shot], options: &RenderOptions) -> Result<f64> {
+pub fn check_crops(place: &Place, shots: &[MeasuredView], options: &RenderOptions) -> Result<f64> {
     let mut largest = 0.0_f64;
     for (view, share) in (0..shots.len()).zip([(0.5, 0.5), (0.3, 0.6), (0.7, 0.4)]) {
         let found = crop_difference(place, view, crop(&shots[view].intrinsics, share, options), options.to_owned())?;
@@ -163,8 +163,8 @@ pub(super) mod tests {
         rows
     }
 
-    pub fn shots() -> Vec<Shot<'static>> {
-        let shot = |x: f64| Shot {
+    pub fn shots() -> Vec<MeasuredView<'static>> {
+        let shot = |x: f64| MeasuredView {
             intrinsics: CAMERA,
             cam_from_world: DAffine3::from_translation(DVec3::new(x, 0.0, 0.1)),
             photo: None,
@@ -197,7 +197,7 @@ pub(super) mod tests {
     #[test]
     fn gradients_are_those_of_all_views() {
         let options = Dial::all_exact(RenderOptions::standard());
-        let truth = |shots: &[Shot]| {
+        let truth = |shots: &[MeasuredView]| {
             let place = Place::in_f64(&rows(12), shots, [0.0; 3]).unwrap();
             Truth::new(&place, shots, &options, || ()).unwrap()
         };

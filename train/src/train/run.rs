@@ -27,7 +27,7 @@ use crate::input::Wanted;
 use crate::lpips::LpipsArgs;
 use crate::options::PhotoArgs;
 use crate::output::{self, OutputFolder};
-use crate::pareto::Shot;
+use crate::pareto::MeasuredView;
 use crate::progress;
 use crate::report::log::Line;
 use crate::report::metrics::{Metrics, Seconds, peak_rss_mib, seconds_since};
@@ -105,9 +105,10 @@ fn to_the_end(mut args: TrainArgs, kept: Option<Kept>, change: impl FnOnce(Train
     );
     let train_views = views_of(&capture, &train);
     let described = args.snapshots.then(|| Described::new(config.steps, &capture, &train, &test));
-    let shots: Vec<Shot> = train.iter().map(|photo| Shot::unseen(&photo.intrinsics, &photo.cam_from_world)).collect();
+    let shots: Vec<MeasuredView> =
+        train.iter().map(|photo| MeasuredView::unseen(&photo.intrinsics, &photo.cam_from_world)).collect();
     let base = config.render_options(input::extent(&capture));
-    let mut accuracy = Some(accuracy.on((&capture, None, Shot::pixels(&shots)), &base, Work::Train)?);
+    let mut accuracy = Some(accuracy.on((&capture, None, MeasuredView::pixels(&shots)), &base, Work::Train)?);
     if let Some(Accuracy::Known(setting)) = accuracy.take_if(|accuracy| matches!(accuracy, Accuracy::Known(_))) {
         config.dials = config.dials.and(&setting);
     }

@@ -14,7 +14,7 @@ use super::results::keep_scene;
 use super::stop::{Interrupted, Stop};
 use crate::accuracy::Accuracy;
 use crate::output::OutputFolder;
-use crate::pareto::Shot;
+use crate::pareto::MeasuredView;
 use crate::progress;
 use crate::report::history::History;
 use crate::report::log::{Evaluation, RunLog};
@@ -26,7 +26,7 @@ const MEASURED_AFTER: usize = 10;
 /// A choice of dials that is still to be made, by measuring them on these views.
 pub struct Choice<'a> {
     pub accuracy: Accuracy,
-    pub shots: Vec<Shot<'a>>,
+    pub shots: Vec<MeasuredView<'a>>,
 }
 
 /// Inputs of the steps.
