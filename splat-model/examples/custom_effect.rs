@@ -2,7 +2,7 @@
 //! Run with a capture: `cargo run --release -p splat-model --example custom_effect -- CAPTURE`.
 use burn::tensor::{Device, Gradients, Tensor, TensorData};
 use splat_model::capture::{Capture, load_all};
-use splat_model::effects::{Effect, Learned, Moment, RenderInput};
+use splat_model::effects::{Effect, EffectContext, Learned, RenderInput};
 use splat_model::state::{State, StateError};
 use splat_model::trainer::{TrainConfig, Trainer};
 use splat_op::Rendered;
@@ -21,14 +21,14 @@ impl Effect for Vignette {
         "vignette"
     }
 
-    fn image(&mut self, image: Tensor<3>, _: &RenderInput, _: &Rendered<3>, _: Moment) -> Tensor<3> {
+    fn image(&mut self, image: Tensor<3>, _: &RenderInput, _: &Rendered<3>, _: EffectContext) -> Tensor<3> {
         let [height, width, _] = image.dims();
         let radii = TensorData::new(squared_radii(width, height), [height, width, 1]);
         let lost = Tensor::from_data(radii, &image.device()) * self.0.tracked().reshape([1, 1, 1]);
         image * (lost.neg() + 1.0)
     }
 
-    fn step(&mut self, gradients: &mut Gradients, at: Moment) {
+    fn step(&mut self, gradients: &mut Gradients, at: EffectContext) {
         self.0.step(gradients, 0.01, at.verdict);
     }
 

@@ -27,7 +27,7 @@ use crate::accuracy::Setting;
 use crate::capture::{Photo, Photograph, PointCloud};
 use crate::density::rows::{Gradients, StepRates, Trained};
 use crate::density::{At, RefineReport, Strategy};
-use crate::effects::{Effect, EffectStack, Moment};
+use crate::effects::{Effect, EffectContext, EffectStack};
 use crate::gaussians::Gaussians;
 use crate::init;
 use crate::loss::{Truth, photometric};
@@ -254,7 +254,7 @@ impl Trainer {
             self.scene.step(gradients, &self.adam(), &rates, step, held.as_ref());
         }
         for (view, mut of_effects) in views {
-            self.effects.step(&mut of_effects, Moment { view, step, steps, verdict: held.as_ref() });
+            self.effects.step(&mut of_effects, EffectContext { view, step, steps, verdict: held.as_ref() });
         }
         // Refinement reads the scene and acts on it, so the verdict on earlier steps must be known.
         let read = self.density.acts_at(step) || self.is_done();

@@ -25,7 +25,7 @@ use splat_op::shade::{harmonics, sh_degree};
 use splat_op::{Intrinsics, Rendered};
 use thiserror::Error;
 
-use super::learned::{Falling, Learned, Moment};
+use super::learned::{EffectContext, Falling, Learned};
 use super::{Effect, EffectKind, RenderInput, saved_bytes};
 use crate::gaussians::{Gaussians, values_of};
 use crate::json::{self, JsonFault};
@@ -216,11 +216,11 @@ impl Effect for LearnedBackground {
         "learned-background"
     }
 
-    fn before(&mut self, input: &mut RenderInput, _: &Gaussians, _: Moment) {
+    fn before(&mut self, input: &mut RenderInput, _: &Gaussians, _: EffectContext) {
         input.extras.background = Some(self.colour.tracked());
     }
 
-    fn step(&mut self, gradients: &mut Gradients, at: Moment) {
+    fn step(&mut self, gradients: &mut Gradients, at: EffectContext) {
         self.colour.step(gradients, RATE.at(at.step, at.steps), at.verdict);
     }
 
@@ -288,16 +288,16 @@ impl Effect for Environment {
         EffectKind::Environment.name()
     }
 
-    fn before(&mut self, input: &mut RenderInput, _: &Gaussians, _: Moment) {
+    fn before(&mut self, input: &mut RenderInput, _: &Gaussians, _: EffectContext) {
         let device = self.coefficients.value().device();
         input.extras.background = Some(Tensor::zeros([3], &device));
     }
 
-    fn image(&mut self, image: Tensor<3>, input: &RenderInput, picture: &Rendered<3>, at: Moment) -> Tensor<3> {
+    fn image(&mut self, image: Tensor<3>, input: &RenderInput, picture: &Rendered<3>, at: EffectContext) -> Tensor<3> {
         self.behind(image, picture.alpha.clone(), at.view, &input.camera.intrinsics)
     }
 
-    fn step(&mut self, gradients: &mut Gradients, at: Moment) {
+    fn step(&mut self, gradients: &mut Gradients, at: EffectContext) {
         self.coefficients.step(gradients, RATE.at(at.step, at.steps), at.verdict);
     }
 

@@ -3,7 +3,7 @@
 
 use burn::tensor::{Gradients, Tensor};
 
-use super::learned::{Learned, Moment};
+use super::learned::{EffectContext, Learned};
 use crate::state::{State, StateError};
 
 /// One parameter for each photograph, with a neutral mean.
@@ -38,7 +38,7 @@ impl<const D: usize> Centred<D> {
     }
 
     /// Takes an Adam step on the photograph's parameter. Once in as many steps as there are photographs, the mean is reset.
-    pub fn step(&mut self, gradients: &mut Gradients, rate: f64, at: Moment) {
+    pub fn step(&mut self, gradients: &mut Gradients, rate: f64, at: EffectContext) {
         if !self.all[at.view].step(gradients, rate, at.verdict) {
             return;
         }

@@ -18,7 +18,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use splat_op::Rendered;
 
-use super::learned::{Falling, Moment};
+use super::learned::{EffectContext, Falling};
 use super::masks::by_name;
 use super::{Effect, EffectKind, RenderInput};
 use crate::capture::{Capture, CaptureError};
@@ -159,8 +159,8 @@ impl Depths {
     }
 
     /// The loss of a step, `[1]`, from the render's accumulated depth and alpha, `[H, W, 1]` each.
-    fn miss(&mut self, depth: Tensor<3>, alpha: Tensor<3>, at: Moment) -> Option<Tensor<1>> {
-        let Moment { view, step, steps, .. } = at;
+    fn miss(&mut self, depth: Tensor<3>, alpha: Tensor<3>, at: EffectContext) -> Option<Tensor<1>> {
+        let EffectContext { view, step, steps, .. } = at;
         let samples = self.samples.get(view).filter(|samples| !samples.is_empty())?;
         let [height, width, _] = depth.dims();
         let size = [width, height];
@@ -187,11 +187,11 @@ impl Effect for Depths {
         EffectKind::DepthSupervision.name()
     }
 
-    fn before(&mut self, input: &mut RenderInput, _: &Gaussians, at: Moment) {
+    fn before(&mut self, input: &mut RenderInput, _: &Gaussians, at: EffectContext) {
         input.options = input.options.with_depth(input.options.depth || self.knows(at.view));
     }
 
-    fn penalty(&mut self, _: &RenderInput, picture: &Rendered<3>, at: Moment) -> Option<Tensor<1>> {
+    fn penalty(&mut self, _: &RenderInput, picture: &Rendered<3>, at: EffectContext) -> Option<Tensor<1>> {
         self.miss(picture.depth.clone()?, picture.alpha.clone(), at)
     }
 
@@ -229,8 +229,8 @@ mod tests {
         Depths::new(DepthConfig { weight }, vec![samples, vec![]], &Device::flex())
     }
 
-    fn at(view: usize) -> Moment<'static> {
-        Moment { view, step: 1, steps: 10, verdict: None }
+    fn at(view: usize) -> EffectContext<'static> {
+        EffectContext { view, step: 1, steps: 10, verdict: None }
     }
 
     fn tracked(values: &[f32], size: [usize; 3]) -> Tensor<3> {

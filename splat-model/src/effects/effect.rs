@@ -14,7 +14,7 @@ use splat_op::{
 };
 
 use super::background::Background;
-use super::learned::Moment;
+use super::learned::EffectContext;
 use crate::gaussians::{GaussianRows, Gaussians};
 use crate::state::{State, StateError};
 
@@ -95,27 +95,33 @@ pub trait Effect: Any {
 
     /// Changes the inputs of the render: Gaussians, camera, background, options, or, by [`RenderInput::edit`], ellipses.
     /// `gaussians` are the parameters from which [`RenderInput::splats`] were made.
-    fn before(&mut self, _input: &mut RenderInput, _gaussians: &Gaussians, _at: Moment) {}
+    fn before(&mut self, _input: &mut RenderInput, _gaussians: &Gaussians, _at: EffectContext) {}
 
     /// Splits one input into the inputs of one or more renders, whose mean is used.
-    fn samples(&mut self, input: RenderInput, _at: Moment) -> Vec<RenderInput> {
+    fn samples(&mut self, input: RenderInput, _at: EffectContext) -> Vec<RenderInput> {
         vec![input]
     }
 
     /// Changes the render, `[H, W, 3]`, before the comparison with the photograph. `input` is the input before
     /// [`Self::samples`], and `picture` is the output of the render.
-    fn image(&mut self, image: Tensor<3>, _input: &RenderInput, _picture: &Rendered<3>, _at: Moment) -> Tensor<3> {
+    fn image(
+        &mut self,
+        image: Tensor<3>,
+        _input: &RenderInput,
+        _picture: &Rendered<3>,
+        _at: EffectContext,
+    ) -> Tensor<3> {
         image
     }
 
     /// Returns a term to add to the loss, `[1]`, tracked.
-    fn penalty(&mut self, _input: &RenderInput, _picture: &Rendered<3>, _at: Moment) -> Option<Tensor<1>> {
+    fn penalty(&mut self, _input: &RenderInput, _picture: &Rendered<3>, _at: EffectContext) -> Option<Tensor<1>> {
         None
     }
 
     /// Takes an optimiser step on the effect's parameters, for example by [`Learned::step`](super::Learned::step). Called
     /// once for each view of a batch, after all views are rendered and after the step of the scene.
-    fn step(&mut self, _gradients: &mut Gradients, _at: Moment) {}
+    fn step(&mut self, _gradients: &mut Gradients, _at: EffectContext) {}
 
     /// Discards state that belongs to single Gaussians, because Gaussians were added, removed or moved.
     fn forget_rows(&mut self) {}

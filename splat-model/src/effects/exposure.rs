@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 use splat_op::Rendered;
 
 use super::centred::Centred;
-use super::learned::{Falling, Moment};
+use super::learned::{EffectContext, Falling};
 use super::{Effect, EffectKind, RenderInput};
 use crate::state::{State, StateError};
 
@@ -61,15 +61,15 @@ impl Effect for Exposure {
     }
 
     /// The result is not clamped: beyond 0 and 1 the gradient leads back.
-    fn image(&mut self, image: Tensor<3>, _: &RenderInput, _: &Rendered<3>, at: Moment) -> Tensor<3> {
+    fn image(&mut self, image: Tensor<3>, _: &RenderInput, _: &Rendered<3>, at: EffectContext) -> Tensor<3> {
         apply(image, self.maps.tracked(at.view))
     }
 
-    fn penalty(&mut self, _: &RenderInput, _: &Rendered<3>, at: Moment) -> Option<Tensor<1>> {
+    fn penalty(&mut self, _: &RenderInput, _: &Rendered<3>, at: EffectContext) -> Option<Tensor<1>> {
         Some(self.pull(at.view))
     }
 
-    fn step(&mut self, gradients: &mut Gradients, at: Moment) {
+    fn step(&mut self, gradients: &mut Gradients, at: EffectContext) {
         self.maps.step(gradients, self.config.rate.at(at.step, at.steps), at);
     }
 
@@ -144,7 +144,7 @@ mod tests {
             let view = step % 2;
             let shown = apply(tracked.clone(), exposure.maps.tracked(view));
             let loss = (shown - Tensor::from_inner(truths[view].clone())).square().mean() + exposure.pull(view);
-            exposure.step(&mut loss.backward(), Moment { view, step, steps, verdict: None });
+            exposure.step(&mut loss.backward(), EffectContext { view, step, steps, verdict: None });
         }
         let error = |found: Tensor<2>, expected: Tensor<2>| (found - expected).abs().max().into_scalar::<f32>();
         for (view, map) in maps.into_iter().enumerate() {
@@ -161,7 +161,7 @@ mod tests {
         let mut exposure = Exposure::new(ExposureConfig::default(), 3, &device);
         for step in 1..=3 {
             let mut gradients = exposure.maps.tracked(step - 1).sum().backward();
-            exposure.step(&mut gradients, Moment { view: step - 1, step, steps: 10, verdict: None });
+            exposure.step(&mut gradients, EffectContext { view: step - 1, step, steps: 10, verdict: None });
         }
         for view in 0..3 {
             let strayed = (exposure.maps.value(view) - exposure.maps.neutral()).abs().max().into_scalar::<f32>();
@@ -175,7 +175,7 @@ mod tests {
         let mut exposure = Exposure::new(ExposureConfig::default(), 2, &device);
         let verdict = Tensor::<1, Int>::from_data(TensorData::from([4, 1]), &device);
         let mut gradients = exposure.maps.tracked(0).sum().backward();
-        exposure.step(&mut gradients, Moment { view: 0, step: 5, steps: 10, verdict: Some(&verdict) });
+        exposure.step(&mut gradients, EffectContext { view: 0, step: 5, steps: 10, verdict: Some(&verdict) });
         assert_eq!(values_of(exposure.maps.value(0)), values_of(exposure.maps.neutral()));
     }
 }

@@ -17,7 +17,7 @@ use serde::{Deserialize, Serialize};
 use splat_op::Rendered;
 
 use super::centred::Centred;
-use super::learned::{Falling, Moment};
+use super::learned::{EffectContext, Falling};
 use super::{Effect, EffectKind, RenderInput};
 use crate::state::{State, StateError};
 
@@ -77,15 +77,15 @@ impl Effect for Grids {
         EffectKind::BilateralGrid.name()
     }
 
-    fn image(&mut self, image: Tensor<3>, _: &RenderInput, _: &Rendered<3>, at: Moment) -> Tensor<3> {
+    fn image(&mut self, image: Tensor<3>, _: &RenderInput, _: &Rendered<3>, at: EffectContext) -> Tensor<3> {
         apply(image, self.grids.tracked(at.view))
     }
 
-    fn penalty(&mut self, _: &RenderInput, _: &Rendered<3>, at: Moment) -> Option<Tensor<1>> {
+    fn penalty(&mut self, _: &RenderInput, _: &Rendered<3>, at: EffectContext) -> Option<Tensor<1>> {
         Some(self.pull(at.view))
     }
 
-    fn step(&mut self, gradients: &mut Gradients, at: Moment) {
+    fn step(&mut self, gradients: &mut Gradients, at: EffectContext) {
         self.grids.step(gradients, self.config.rate.at(at.step, at.steps), at);
     }
 

@@ -28,7 +28,7 @@ impl Falling {
 
 /// Position in a run: the step and its photograph.
 #[derive(Clone, Copy, Debug)]
-pub struct Moment<'a> {
+pub struct EffectContext<'a> {
     /// Index of the photograph.
     pub view: usize,
     /// Number of the step, counted from 1.
@@ -115,7 +115,7 @@ impl<const D: usize> Learned<D> {
     /// that the parameter can cover its reach in a whole run, and falls to the share `fall`. Adam moves a parameter by
     /// about its rate per step, so short runs and large captures, in which a photograph is visited rarely, need other rates
     /// than long runs.
-    pub fn step_within(&mut self, gradients: &mut Gradients, (fall, views): (f64, usize), at: Moment) {
+    pub fn step_within(&mut self, gradients: &mut Gradients, (fall, views): (f64, usize), at: EffectContext) {
         let visits = at.steps as f64 / views.max(1) as f64;
         // Rates that fall from `r` to `fall r` over the run are `r (1 − fall) / −ln fall` on average.
         let first = (-fall.ln() / ((1.0 - fall) * visits.max(1.0))).min(LARGEST_STEP);
@@ -198,7 +198,11 @@ mod tests {
         assert_eq!(values_of(learned.value()), values_of(tensor(start)));
         let loss = (learned.tracked() * Tensor::from_inner(tensor([[1.0, -1.0], [100.0, 0.01]]))).sum();
         // With 4 visits the rate is limited to the largest step.
-        learned.step_within(&mut loss.backward(), (0.5, 1), Moment { view: 0, step: 1, steps: 4, verdict: None });
+        learned.step_within(
+            &mut loss.backward(),
+            (0.5, 1),
+            EffectContext { view: 0, step: 1, steps: 4, verdict: None },
+        );
         let moved = values_of(learned.value() - tensor(start));
         let expected = [-1.0, 1.0, -1.0, -1.0].into_iter().zip([0.5, 2.0, 0.25, 1.0]);
         for (moved, (sign, reach)) in moved.into_iter().zip(expected) {

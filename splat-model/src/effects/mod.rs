@@ -33,7 +33,7 @@ use serde::Serialize;
 pub(crate) use self::effect::mean_of;
 use self::effect::saved_bytes;
 pub use self::effect::{Effect, RenderInput};
-pub use self::learned::{Falling, Learned, Moment};
+pub use self::learned::{EffectContext, Falling, Learned};
 pub use self::plan::Plan;
 pub use self::stack::EffectStack;
 pub use self::survey::Survey;

@@ -19,7 +19,7 @@ use burn::tensor::{Device, Gradients, Tensor};
 use serde::{Deserialize, Serialize};
 use splat_op::{Camera, CameraModel, Ellipses, Intrinsics, RenderOptions};
 
-use super::learned::{Learned, Moment};
+use super::learned::{EffectContext, Learned};
 use super::screen::ScreenError;
 use super::{Effect, RenderInput, defocus, motion};
 use crate::state::{State, StateError};
@@ -183,7 +183,7 @@ impl Effect for Optics {
         "optics"
     }
 
-    fn samples(&mut self, input: RenderInput, at: Moment) -> Vec<RenderInput> {
+    fn samples(&mut self, input: RenderInput, at: EffectContext) -> Vec<RenderInput> {
         let (camera, options) = (input.camera.intrinsics, input.options);
         if camera.model == CameraModel::Pinhole {
             let places = if self.lenses.is_empty() { 1 } else { PLACES };
@@ -206,7 +206,7 @@ impl Effect for Optics {
         poses.into_iter().map(from).collect()
     }
 
-    fn step(&mut self, gradients: &mut Gradients, at: Moment) {
+    fn step(&mut self, gradients: &mut Gradients, at: EffectContext) {
         for all in [&mut self.exposures, &mut self.readouts, &mut self.lenses] {
             let views = all.len();
             if let Some(learned) = all.get_mut(at.view) {

@@ -25,7 +25,7 @@ use serde::{Deserialize, Serialize};
 use splat_op::Rendered;
 
 use self::anchors::{Anchors, OnDevice, rotation};
-use super::learned::{Learned, Moment};
+use super::learned::{EffectContext, Learned};
 use super::{Effect, EffectKind, RenderInput, saved_bytes};
 use crate::gaussians::{Gaussians, values_of};
 use crate::state::{State, StateError};
@@ -129,16 +129,16 @@ impl Effect for Poses {
         EffectKind::PoseRefinement.name()
     }
 
-    fn before(&mut self, input: &mut RenderInput, _: &Gaussians, at: Moment) {
+    fn before(&mut self, input: &mut RenderInput, _: &Gaussians, at: EffectContext) {
         input.camera.cam_from_world = self.apply(input.camera.cam_from_world.clone(), at.view);
     }
 
-    fn penalty(&mut self, input: &RenderInput, _: &Rendered<3>, at: Moment) -> Option<Tensor<1>> {
+    fn penalty(&mut self, input: &RenderInput, _: &Rendered<3>, at: EffectContext) -> Option<Tensor<1>> {
         let pose = input.camera.cam_from_world.clone();
         Some(self.anchors[at.view].as_ref()?.penalty(pose) * self.config.anchor_weight)
     }
 
-    fn step(&mut self, gradients: &mut Gradients, at: Moment) {
+    fn step(&mut self, gradients: &mut Gradients, at: EffectContext) {
         let views = self.corrections.len();
         self.corrections[at.view].step_within(gradients, (self.config.fall, views), at);
     }
@@ -242,7 +242,7 @@ mod tests {
                 Poses::new(PoseConfig { reach_extents: 0.02, ..PoseConfig::default() }, 1.0, views, &device);
             for step in (1..=steps).filter(|step| step % views == 0) {
                 let mut gradients = poses.corrections[0].tracked().sum().backward();
-                poses.step(&mut gradients, Moment { view: 0, step, steps, verdict: None });
+                poses.step(&mut gradients, EffectContext { view: 0, step, steps, verdict: None });
             }
             let moved = values_of(poses.corrections[0].value());
             for (moved, reach) in moved.into_iter().zip([0.06, 0.06, 0.06, 0.02, 0.02, 0.02]) {

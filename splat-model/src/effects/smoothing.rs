@@ -17,7 +17,7 @@ use glam::{DAffine3, DVec3, Vec3};
 use rayon::prelude::*;
 use splat_op::{Intrinsics, Projector, Splats};
 
-use super::{Effect, EffectKind, Moment, RenderInput};
+use super::{Effect, EffectContext, EffectKind, RenderInput};
 use crate::gaussians::{GaussianRows, Gaussians, values_of};
 use crate::state::{State, StateError};
 
@@ -117,7 +117,7 @@ impl Effect for Smoothing {
         EffectKind::Antialias.name()
     }
 
-    fn before(&mut self, input: &mut RenderInput, gaussians: &Gaussians, at: Moment) {
+    fn before(&mut self, input: &mut RenderInput, gaussians: &Gaussians, at: EffectContext) {
         self.follow(gaussians, at.step);
         input.splats = self.apply(input.splats.clone(), gaussians.log_scales.val());
     }

@@ -8,7 +8,7 @@ use splat_op::Rendered;
 
 use super::background::Background;
 use super::effect::{Effect, RenderInput};
-use super::learned::Moment;
+use super::learned::EffectContext;
 use crate::gaussians::{GaussianRows, Gaussians};
 use crate::state::{State, StateError};
 
@@ -62,25 +62,25 @@ impl Effect for EffectStack {
         self.0.iter_mut().filter_map(|effect| effect.draw(rng)).last()
     }
 
-    fn before(&mut self, input: &mut RenderInput, gaussians: &Gaussians, at: Moment) {
+    fn before(&mut self, input: &mut RenderInput, gaussians: &Gaussians, at: EffectContext) {
         self.0.iter_mut().for_each(|effect| effect.before(input, gaussians, at));
     }
 
-    fn samples(&mut self, input: RenderInput, at: Moment) -> Vec<RenderInput> {
+    fn samples(&mut self, input: RenderInput, at: EffectContext) -> Vec<RenderInput> {
         self.0.iter_mut().fold(vec![input], |inputs, effect| {
             inputs.into_iter().flat_map(|input| effect.samples(input, at)).collect()
         })
     }
 
-    fn image(&mut self, image: Tensor<3>, input: &RenderInput, picture: &Rendered<3>, at: Moment) -> Tensor<3> {
+    fn image(&mut self, image: Tensor<3>, input: &RenderInput, picture: &Rendered<3>, at: EffectContext) -> Tensor<3> {
         self.0.iter_mut().fold(image, |image, effect| effect.image(image, input, picture, at))
     }
 
-    fn penalty(&mut self, input: &RenderInput, picture: &Rendered<3>, at: Moment) -> Option<Tensor<1>> {
+    fn penalty(&mut self, input: &RenderInput, picture: &Rendered<3>, at: EffectContext) -> Option<Tensor<1>> {
         self.0.iter_mut().filter_map(|effect| effect.penalty(input, picture, at)).reduce(|a, b| a + b)
     }
 
-    fn step(&mut self, gradients: &mut Gradients, at: Moment) {
+    fn step(&mut self, gradients: &mut Gradients, at: EffectContext) {
         self.0.iter_mut().for_each(|effect| effect.step(gradients, at));
     }
 

@@ -50,7 +50,7 @@ impl Effect for Noted {
         Some(self.drawn)
     }
 
-    fn before(&mut self, input: &mut RenderInput, gaussians: &Gaussians, _: Moment) {
+    fn before(&mut self, input: &mut RenderInput, gaussians: &Gaussians, _: EffectContext) {
         self.note("before");
         assert_eq!(input.splats.means.dims()[0], gaussians.len());
         let (name, log) = (self.name, self.log.clone());
@@ -60,23 +60,23 @@ impl Effect for Noted {
         });
     }
 
-    fn samples(&mut self, input: RenderInput, _: Moment) -> Vec<RenderInput> {
+    fn samples(&mut self, input: RenderInput, _: EffectContext) -> Vec<RenderInput> {
         self.note("samples");
         vec![input; self.samples]
     }
 
-    fn image(&mut self, image: Tensor<3>, _: &RenderInput, picture: &Rendered<3>, _: Moment) -> Tensor<3> {
+    fn image(&mut self, image: Tensor<3>, _: &RenderInput, picture: &Rendered<3>, _: EffectContext) -> Tensor<3> {
         self.note("image");
         assert_eq!(image.dims()[..2], picture.alpha.dims()[..2]);
         image * (self.number.tracked() * 0.1 + 1.0).reshape([1, 1, 1])
     }
 
-    fn penalty(&mut self, _: &RenderInput, _: &Rendered<3>, _: Moment) -> Option<Tensor<1>> {
+    fn penalty(&mut self, _: &RenderInput, _: &Rendered<3>, _: EffectContext) -> Option<Tensor<1>> {
         self.note("penalty");
         Some((self.number.tracked() - 3.0).square() * 10.0)
     }
 
-    fn step(&mut self, gradients: &mut Remaining, at: Moment) {
+    fn step(&mut self, gradients: &mut Remaining, at: EffectContext) {
         self.note("step");
         assert!(self.number.step(gradients, 0.25, at.verdict), "the loss depends on it");
     }

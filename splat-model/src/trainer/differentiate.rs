@@ -8,12 +8,12 @@ use super::covered::covered;
 use super::{LossInputs, TrainError, Trainer};
 use crate::density::rows::Gradients;
 use crate::density::{Observed, Signals};
-use crate::effects::{Effect, Moment, RenderInput, masks, mean_of};
+use crate::effects::{Effect, EffectContext, RenderInput, masks, mean_of};
 use crate::loss::{Truth, regularise};
 
 /// The inputs of a view's render, and the photograph to compare it with.
 pub(super) struct Prepared {
-    at: Moment<'static>,
+    at: EffectContext<'static>,
     pub input: RenderInput,
     pub truth: Truth,
     /// `[1, H, W]`: the pixels that a mask excludes.
@@ -50,7 +50,7 @@ impl Trainer {
 
     /// Prepares a view: Gaussians, camera and background after the effects, and the photograph.
     pub(super) fn prepare(&mut self, view: usize) -> Result<Prepared, TrainError> {
-        let at = Moment { view, step: self.step, steps: self.config.steps, verdict: None };
+        let at = EffectContext { view, step: self.step, steps: self.config.steps, verdict: None };
         let splats = self.scene.gaussians.splats();
         let tracked = splats.means.device();
         let signals = self.density.listens_at(self.step);

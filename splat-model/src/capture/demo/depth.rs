@@ -6,7 +6,7 @@ use rayon::prelude::*;
 
 use super::DemoOptions;
 use super::light::LitScene;
-use super::shot::{Moment, Shot};
+use super::shot::{ExposurePoint, Shot};
 
 /// A depth map as stored.
 pub(super) type DepthMap = ImageBuffer<Luma<u16>, Vec<u16>>;
@@ -26,9 +26,9 @@ pub(super) fn render(scene: &LitScene, shot: &Shot) -> DepthMap {
 
 /// Depth along the axis, scene units; none where the ray meets nothing.
 pub(super) fn depth(scene: &LitScene, shot: &Shot, at_px: DVec2) -> Option<f64> {
-    let point = scene.scene.hit(&shot.ray(at_px, Moment::default()))?;
+    let point = scene.scene.hit(&shot.ray(at_px, ExposurePoint::default()))?;
     let hidden = shot.transparent && scene.scene.is_surroundings(&point);
-    let camera = shot.camera_at(at_px.y, Moment::default());
+    let camera = shot.camera_at(at_px.y, ExposurePoint::default());
     (!hidden).then(|| camera.cam_from_world.transform_point3(point.position_world).z)
 }
 

@@ -6,7 +6,7 @@ use rayon::prelude::*;
 
 use super::DemoOptions;
 use super::light::LitScene;
-use super::shot::{Moment, Shot};
+use super::shot::{ExposurePoint, Shot};
 
 /// Samples along each side of a pixel. The average over the pixel's square is what a sensor measures.
 const SAMPLES: usize = 3;
@@ -15,7 +15,7 @@ const SAMPLES: usize = 3;
 const BLURRED_SAMPLES: usize = 36;
 
 /// A ray's position within a pixel, px from its upper left corner, and its time within the exposure.
-type Sample = (DVec2, Moment);
+type Sample = (DVec2, ExposurePoint);
 
 /// Photographs the scene, its rows in parallel: RGB, or RGBA (straight) if the shot is transparent. The result does not depend
 /// on the number of threads.
@@ -56,7 +56,7 @@ pub(super) fn mask(shot: &Shot) -> GrayImage {
 }
 
 fn sharp_samples() -> Vec<Sample> {
-    (0..SAMPLES * SAMPLES).map(|i| (place(i), Moment::default())).collect()
+    (0..SAMPLES * SAMPLES).map(|i| (place(i), ExposurePoint::default())).collect()
 }
 
 /// The same positions, each with four times and four points of the aperture.
@@ -69,7 +69,7 @@ fn blurred_samples() -> Vec<Sample> {
         // It has one point in each quarter of the aperture's area, on a sunflower spiral, whose points cover equal areas.
         let lens = (7 * i) % BLURRED_SAMPLES;
         let radius = ((lens as f64 + 0.5) / BLURRED_SAMPLES as f64).sqrt();
-        let moment = Moment {
+        let moment = ExposurePoint {
             time: (time as f64 + 0.5) / BLURRED_SAMPLES as f64 - 0.5,
             lens: radius * DVec2::from_angle(golden_angle * lens as f64),
         };
@@ -101,7 +101,7 @@ fn pixel_light(scene: &LitScene, shot: &Shot, corner_px: DVec2, samples: &[Sampl
 }
 
 /// The light of a sample; none where the photograph is transparent.
-fn light_along(scene: &LitScene, shot: &Shot, at_px: DVec2, moment: Moment) -> Option<DVec3> {
+fn light_along(scene: &LitScene, shot: &Shot, at_px: DVec2, moment: ExposurePoint) -> Option<DVec3> {
     let ray = shot.ray(at_px, moment);
     if !shot.transparent {
         return Some(scene.along(&ray));

@@ -70,7 +70,7 @@ pub(super) struct Disc {
 
 /// A ray's time and point of the aperture within an exposure.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(super) struct Moment {
+pub(super) struct ExposurePoint {
     /// −½ to ½, from the beginning of the exposure to its end.
     pub time: f64,
     /// The point of the aperture, within the unit disc.
@@ -109,7 +109,7 @@ impl Shot {
     }
 
     /// The camera at the time at which the row at a position, px, is exposed.
-    pub fn camera_at(&self, row_px: f64, moment: Moment) -> DemoCamera {
+    pub fn camera_at(&self, row_px: f64, moment: ExposurePoint) -> DemoCamera {
         let read_out = row_px / self.camera.intrinsics.height as f64 - 0.5;
         let Motion { linear_cam, angular_cam } = self.motion.times(moment.time).plus(self.readout.times(read_out));
         let turned = DMat3::from_quat(DQuat::from_scaled_axis(angular_cam));
@@ -117,7 +117,7 @@ impl Shot {
     }
 
     /// A ray that ends at a position of the picture, px; world frame.
-    pub fn ray(&self, at_px: DVec2, moment: Moment) -> Ray {
+    pub fn ray(&self, at_px: DVec2, moment: ExposurePoint) -> Ray {
         let moved;
         let camera = if self.motion.is_none() && self.readout.is_none() {
             &self.camera
@@ -145,7 +145,7 @@ impl Shot {
             // The row that shows the point decides the time, and the time decides the row: a twentieth of the width from the
             // first row to the last, so that each iteration leaves less than a tenth of the error.
             for _ in 0..16 {
-                camera = self.camera_at(at_px.y, Moment::default());
+                camera = self.camera_at(at_px.y, ExposurePoint::default());
                 at_px = camera.project(point_world)?;
             }
         }

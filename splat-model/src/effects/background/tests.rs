@@ -72,7 +72,7 @@ fn an_environment_is_learnt() {
         let shown = environment.behind(tracked(&image), tracked(&alpha), view, &intrinsics);
         let expected = truth.behind(image.clone(), alpha.clone(), &intrinsics, &poses[view]);
         let mut gradients = (shown - Tensor::from_inner(expected)).square().mean().backward();
-        environment.step(&mut gradients, Moment { view, step, steps, verdict: None });
+        environment.step(&mut gradients, EffectContext { view, step, steps, verdict: None });
     }
     let Some(Background::Environment(found)) = environment.background() else { panic!("an environment") };
     for (found, expected) in found.as_flattened().iter().zip(lit().as_flattened()) {
@@ -137,7 +137,7 @@ fn a_learnt_colour_is_one_that_can_be_shown_and_is_learnt() {
     let weights = Tensor::<1>::from_inner(Tensor::from_floats([-1.0, 1.0, 1.0], &device));
     for step in 1..=4 {
         let mut gradients = (learnt.colour.tracked() * weights.clone()).sum().backward();
-        learnt.step(&mut gradients, Moment { view: 0, step, steps: 4, verdict: None });
+        learnt.step(&mut gradients, EffectContext { view: 0, step, steps: 4, verdict: None });
     }
     let Some(Background::Colour(found)) = learnt.background() else { panic!("a colour") };
     assert_eq!(found[..2], [1.0, 0.0]);

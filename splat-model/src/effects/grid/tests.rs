@@ -113,7 +113,7 @@ fn a_vignette_is_found() {
         let error = (shown - Tensor::from_inner(truths[view].clone())).square().mean();
         errors.push(error.clone().inner().into_scalar::<f32>());
         let mut gradients = (error + grids.pull(view)).backward();
-        grids.step(&mut gradients, Moment { view, step, steps, verdict: None });
+        grids.step(&mut gradients, EffectContext { view, step, steps, verdict: None });
     }
     assert!(errors[steps - 1] < 0.02 * errors[0], "from {} to {}", errors[0], errors[steps - 1]);
     let mean = (grids.grids.value(0) + grids.grids.value(1)) / 2.0 - grids.grids.neutral();
@@ -165,7 +165,7 @@ fn a_step_is_as_long_as_its_rate_and_rough_grids_cost() {
         up[5] = 1.0;
         let up = Tensor::<4>::from_data(TensorData::new(up, [MAP, LEVELS, SIDE, SIDE]), &device);
         let mut gradients = (grids.grids.tracked(1) * Tensor::from_inner(up)).sum().backward();
-        grids.step(&mut gradients, Moment { view: 1, step, steps: 10, verdict: None });
+        grids.step(&mut gradients, EffectContext { view: 1, step, steps: 10, verdict: None });
         let moved = values_of(grids.grids.value(1) - grids.grids.neutral());
         assert!((moved[5] + rate).abs() < 1e-6 && moved.iter().filter(|moved| **moved != 0.0).count() == 1);
         let expected = 10.0 * roughness(grids.grids.value(1)).into_scalar::<f32>();

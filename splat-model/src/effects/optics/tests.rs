@@ -31,7 +31,7 @@ fn shown_with(optics: &mut Optics, model: CameraModel, faint: f32) -> Vec<f32> {
     let camera = Camera { cam_from_world: Tensor::from_inner(camera.cam_from_world), ..camera };
     let options = RenderOptions::exact();
     let input = RenderInput { splats, camera, extras: Extras::default(), options, edits: Vec::new() };
-    let samples = optics.samples(input, Moment { view: 1, step: 1, steps: 1, verdict: None });
+    let samples = optics.samples(input, EffectContext { view: 1, step: 1, steps: 1, verdict: None });
     let pictures: Result<Vec<_>, SplatError> = samples.iter().map(RenderInput::render).collect();
     values_of(mean_of(pictures.unwrap()).colour.inner())
 }

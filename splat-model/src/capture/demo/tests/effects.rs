@@ -6,7 +6,7 @@ use glam::DVec3;
 use super::super::depth;
 use super::super::picture::mask;
 use super::super::pose;
-use super::super::shot::Moment;
+use super::super::shot::ExposurePoint;
 use super::*;
 use crate::capture::Capture;
 use crate::optim::scene_extent;
@@ -141,7 +141,7 @@ fn tracks_lead_to_what_the_pictures_show() {
         let mut seen = 0;
         for (point, colour) in cloud.colours.iter().enumerate() {
             for sight in tracks.of(point) {
-                let ray = shots[sight.view].ray(glam::Vec2::from(sight.at_px).as_dvec2(), Moment::default());
+                let ray = shots[sight.view].ray(glam::Vec2::from(sight.at_px).as_dvec2(), ExposurePoint::default());
                 let shown = super::super::picture::to_bytes(display(scene.along(&ray)));
                 let apart = (0..3).map(|i| shown[i].abs_diff(colour[i])).max().unwrap();
                 // Rounded to f32, a position beside an edge may lie on it.

@@ -2,7 +2,7 @@
 
 use glam::DVec3;
 
-use super::super::shot::{Aperture, Moment};
+use super::super::shot::{Aperture, ExposurePoint};
 use super::effects::{FULL, scene};
 use super::*;
 
@@ -18,7 +18,7 @@ fn motion_is_an_average_along_a_straight_way() {
     let shot = &shots[2];
     // During the exposure, the subject moves by 12 px.
     let subject = shot.camera.ray_through(DVec2::new(120.0, 90.0)).at(shot.camera.subject_distance);
-    let at = |time: f64| shot.camera_at(0.0, Moment { time, ..Moment::default() });
+    let at = |time: f64| shot.camera_at(0.0, ExposurePoint { time, ..ExposurePoint::default() });
     let [start, end] = [at(-0.5), at(0.5)].map(|camera| camera.project(subject).unwrap());
     assert!((start.distance(end) - 12.0).abs() < 0.2, "{start} {end}");
     assert!((0.5 * (start + end)).distance(DVec2::new(120.0, 90.0)) < 0.1, "the pose is the middle one");
@@ -52,16 +52,16 @@ fn rows_are_read_one_after_the_other() {
     let scene = scene(&options);
     let shot = &shots(&options)[1];
     let subject = shot.camera.ray_through(DVec2::new(120.0, 90.0)).at(shot.camera.subject_distance);
-    let [first, last] = [0.0, 180.0].map(|row| shot.camera_at(row, Moment::default()));
+    let [first, last] = [0.0, 180.0].map(|row| shot.camera_at(row, ExposurePoint::default()));
     let [first_px, last_px] = [first, last].map(|camera| camera.project(subject).unwrap());
     assert!((first_px.distance(last_px) - 12.0).abs() < 0.2, "{first_px} {last_px}");
-    let middle = shot.camera_at(90.0, Moment::default());
+    let middle = shot.camera_at(90.0, ExposurePoint::default());
     assert!(middle.cam_from_world.abs_diff_eq(shot.camera.cam_from_world, 1e-12));
     let picture = render(&scene, shot).into_rgb8();
     let (mut error, mut moved) = (0.0, 0.0);
     let rows = [3, 20, 70, 120, 150, 177];
     for y in rows {
-        let still = Shot::plain(shot.camera_at(f64::from(y) + 0.5, Moment::default()));
+        let still = Shot::plain(shot.camera_at(f64::from(y) + 0.5, ExposurePoint::default()));
         for x in (0..240).step_by(4) {
             let expected = |shot: &Shot| 255.0 * display(nine(&scene, shot, DVec2::new(x.into(), y.into())) / 9.0).y;
             let found = f64::from(picture.get_pixel(x, y)[1]);
@@ -81,7 +81,7 @@ fn the_aperture_blurs_what_is_near_and_what_is_far() {
             continue;
         };
         let through = |lens: DVec2, at_px: DVec2, depth: f64| {
-            let ray = shot.ray(at_px, Moment { lens, ..Moment::default() });
+            let ray = shot.ray(at_px, ExposurePoint { lens, ..ExposurePoint::default() });
             let cam = shot.camera.cam_from_world;
             let (origin, direction) = (cam.transform_point3(ray.origin), cam.transform_vector3(ray.direction));
             origin + direction * ((depth - origin.z) / direction.z)
@@ -113,7 +113,7 @@ fn what_is_in_focus_is_at_one_depth() {
     let shot = &shots(&options)[1];
     let focus_depth = shot.aperture.unwrap().focus_depth;
     let at = |lens: DVec2| {
-        let ray = shot.ray(DVec2::new(30.0, 40.0), Moment { lens, ..Moment::default() });
+        let ray = shot.ray(DVec2::new(30.0, 40.0), ExposurePoint { lens, ..ExposurePoint::default() });
         let cam = shot.camera.cam_from_world;
         let (origin, direction) = (cam.transform_point3(ray.origin), cam.transform_vector3(ray.direction));
         origin + direction * ((focus_depth - origin.z) / direction.z)
