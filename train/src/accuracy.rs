@@ -97,7 +97,7 @@ pub struct AccuracyArgs {
 
 /// Accuracy options after parsing, before anything is measured.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Accuracy {
+pub enum RequestedAccuracy {
     /// The dials to turn are known.
     Known(Setting),
     /// A setting that meets the target is to be chosen from the frontier in a file.
@@ -111,15 +111,15 @@ impl AccuracyArgs {
     ///
     /// # Errors
     /// If a target is not a positive number, or the frontier cannot be read or was measured on another device.
-    pub fn resolve(&self, device: &str) -> Result<Accuracy> {
+    pub fn resolve(&self, device: &str) -> Result<RequestedAccuracy> {
         let target = Target { error_db: self.target_error, ms: self.target_ms };
         for (option, value) in [("--target-error", target.error_db), ("--target-ms", target.ms)] {
             let valid = value.is_none_or(|value| value.is_finite() && value > 0.0);
             ensure!(valid, "`{option}` is {}: give a positive number", value.unwrap_or_default());
         }
         let Some(path) = &self.frontier else {
-            let preset = || Accuracy::Known(self.accuracy.setting());
-            return Ok(if target.is_empty() { preset() } else { Accuracy::ToMeasure(target) });
+            let preset = || RequestedAccuracy::Known(self.accuracy.setting());
+            return Ok(if target.is_empty() { preset() } else { RequestedAccuracy::ToMeasure(target) });
         };
         if target.is_empty() {
             bail!("`--frontier` without a target chooses nothing: add `--target-error DB` or `--target-ms MS`");
@@ -131,14 +131,14 @@ impl AccuracyArgs {
             path.display(),
             frontier.device
         );
-        Ok(Accuracy::Measured(Box::new(frontier), path.clone(), target))
+        Ok(RequestedAccuracy::Measured(Box::new(frontier), path.clone(), target))
     }
 }
 
 /// Subject of a render: the capture, the scene if there is one already, and the mean number of pixels of a frame.
 pub type Subject<'a> = (&'a Capture, Option<&'a GaussianRows>, usize);
 
-impl Accuracy {
+impl RequestedAccuracy {
     /// Chooses from the frontier, if there is one, and prints which dials are turned and why. `base` has the model
     /// choices.
     ///

@@ -20,7 +20,7 @@ const NEGLIGIBLE: f64 = 1e-7;
 
 /// Deviation of a setting from the exact reference.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Accuracy {
+pub struct MeasuredError {
     /// Root mean square error over all values of all views.
     pub rms: f64,
     /// Largest error of a value.
@@ -37,7 +37,7 @@ pub struct Accuracy {
 pub struct Row {
     pub candidate: Candidate,
     /// `None` for model choices, which define another function.
-    pub accuracy: Option<Accuracy>,
+    pub accuracy: Option<MeasuredError>,
     /// PSNR, dB, and SSIM against the photographs.
     pub scores: Option<(f64, f64)>,
     /// Peak memory of a render with its backward pass, MiB; `None` where it is unknown.
@@ -59,7 +59,7 @@ pub struct Alone {
     pub dial: &'static str,
     pub value: &'static str,
     /// Measured with every other numerical dial at its most accurate, so that no other error hides it.
-    pub accuracy: Accuracy,
+    pub accuracy: MeasuredError,
 }
 
 /// Results of the measurements.
@@ -157,7 +157,7 @@ impl Bench<'_> {
         candidate: &Candidate,
         truths: &mut Vec<(RenderOptions, Truth)>,
         score: &impl Fn(&RenderOptions) -> Result<Option<(f64, f64)>>,
-    ) -> Result<(Option<Accuracy>, Option<(f64, f64)>, Option<f64>)> {
+    ) -> Result<(Option<MeasuredError>, Option<(f64, f64)>, Option<f64>)> {
         let options = &candidate.options;
         self.check_same_picture(options, &self.same_picture(options))?;
         let judged = candidate.judge() == Judge::Exact;
@@ -199,7 +199,7 @@ impl Bench<'_> {
     }
 
     /// Renders and differentiates every view. Returns the deviations and the peak memory, MiB.
-    fn compare(&self, options: &RenderOptions, truth: &Truth) -> Result<(Accuracy, Option<f64>)> {
+    fn compare(&self, options: &RenderOptions, truth: &Truth) -> Result<(MeasuredError, Option<f64>)> {
         let (mut squares, mut count, mut max) = (0.0, 0, 0.0_f64);
         let mut sums = Sums::default();
         let mut memory = None;
@@ -232,7 +232,10 @@ impl Bench<'_> {
         let (gradient_error, worst, gradient_cosine) = compare_gradients(&sums, &truth.gradients);
         // The memory of the program says nothing about that of a GPU.
         let memory = memory.filter(|_| !splat_op::is_gpu(&self.place.device));
-        Ok((Accuracy { rms: (squares / count as f64).sqrt(), max, gradient_error, worst, gradient_cosine }, memory))
+        Ok((
+            MeasuredError { rms: (squares / count as f64).sqrt(), max, gradient_error, worst, gradient_cosine },
+            memory,
+        ))
     }
 }
 

@@ -21,7 +21,7 @@ use super::checkpoints::{self, Checkpoints, Kept, SoFar};
 use super::results::write_learnt;
 use super::steps::{Choice, Done, Steps};
 use super::{OUT, ResumeArgs, TrainArgs};
-use crate::accuracy::Accuracy;
+use crate::accuracy::RequestedAccuracy;
 use crate::effects::Chosen;
 use crate::input::Wanted;
 use crate::lpips::LpipsArgs;
@@ -109,7 +109,9 @@ fn to_the_end(mut args: TrainArgs, kept: Option<Kept>, change: impl FnOnce(Train
         train.iter().map(|photo| MeasuredView::unseen(&photo.intrinsics, &photo.cam_from_world)).collect();
     let base = config.render_options(input::extent(&capture));
     let mut accuracy = Some(accuracy.on((&capture, None, MeasuredView::pixels(&shots)), &base, Work::Train)?);
-    if let Some(Accuracy::Known(setting)) = accuracy.take_if(|accuracy| matches!(accuracy, Accuracy::Known(_))) {
+    if let Some(RequestedAccuracy::Known(setting)) =
+        accuracy.take_if(|accuracy| matches!(accuracy, RequestedAccuracy::Known(_)))
+    {
         config.dials = config.dials.and(&setting);
     }
     progress::note(&format!(

@@ -12,7 +12,7 @@ use super::TrainArgs;
 use super::checkpoints::{Checkpoints, SoFar};
 use super::results::keep_scene;
 use super::stop::{Interrupted, Stop};
-use crate::accuracy::Accuracy;
+use crate::accuracy::RequestedAccuracy;
 use crate::output::OutputFolder;
 use crate::pareto::MeasuredView;
 use crate::progress;
@@ -25,7 +25,7 @@ const MEASURED_AFTER: usize = 10;
 
 /// A choice of dials that is still to be made, by measuring them on these views.
 pub struct Choice<'a> {
-    pub accuracy: Accuracy,
+    pub accuracy: RequestedAccuracy,
     pub shots: Vec<MeasuredView<'a>>,
 }
 
