@@ -7,7 +7,7 @@ use burn::tensor::{Device, Tensor};
 use rand::Rng;
 use splat_model::capture::{Capture, load_all};
 use splat_model::density::rows::{RowEdit, Trained};
-use splat_model::density::{At, Observed, RefineReport, Signals, Strategy};
+use splat_model::density::{Observed, RefineReport, Signals, Strategy, StrategyContext};
 use splat_model::evaluate::evaluate;
 use splat_model::gaussians::RowsError;
 use splat_model::state::{State, StateError};
@@ -38,7 +38,12 @@ impl Strategy for Budget {
         step.is_multiple_of(self.every)
     }
 
-    fn act(&mut self, scene: &mut Trained, at: &At, _rng: &mut dyn Rng) -> Result<Option<RefineReport>, RowsError> {
+    fn act(
+        &mut self,
+        scene: &mut Trained,
+        at: &StrategyContext,
+        _rng: &mut dyn Rng,
+    ) -> Result<Option<RefineReport>, RowsError> {
         if !self.acts_at(at.step) || at.step == at.steps {
             return Ok(None);
         }

@@ -26,7 +26,7 @@ use splat_op::{Intrinsics, RenderOptions, Splats};
 use crate::accuracy::Setting;
 use crate::capture::{Photo, Photograph, PointCloud};
 use crate::density::rows::{Gradients, StepRates, Trained};
-use crate::density::{At, RefineReport, Strategy};
+use crate::density::{RefineReport, Strategy, StrategyContext};
 use crate::effects::{Effect, EffectContext, EffectStack};
 use crate::gaussians::Gaussians;
 use crate::init;
@@ -259,7 +259,7 @@ impl Trainer {
         // Refinement reads the scene and acts on it, so the verdict on earlier steps must be known.
         let read = self.density.acts_at(step) || self.is_done();
         self.guard.read(read).map_err(|fault| self.non_finite(fault))?;
-        let at = At { step, steps, extent: self.extent, means_rate: rates.means, verdict: held.as_ref() };
+        let at = StrategyContext { step, steps, extent: self.extent, means_rate: rates.means, verdict: held.as_ref() };
         let refined = self.density.act(&mut self.scene, &at, &mut self.rng)?;
         if refined.is_some() {
             self.effects.forget_rows();

@@ -21,7 +21,7 @@ use std::path::Path;
 use glam::{DAffine3, DVec3};
 use splat_op::Intrinsics;
 
-use self::check::{At, Place};
+use self::check::{EntryPosition, Place};
 pub(super) use self::check::{MAX_MAGNITUDE, quoted};
 use self::files::{Files, Found, find};
 use super::{Capture, CaptureError, Observation, PointCloud, Tracks, View, origin};
@@ -31,7 +31,7 @@ pub use write::{write_binary, write_binary_with_tracks};
 /// One line of `cameras`.
 #[derive(Clone, Debug, PartialEq)]
 struct CameraRecord {
-    at: At,
+    at: EntryPosition,
     id: u32,
     intrinsics: Intrinsics,
 }
@@ -39,7 +39,7 @@ struct CameraRecord {
 /// One entry of `images`.
 #[derive(Clone, Debug, PartialEq)]
 struct ImageRecord {
-    at: At,
+    at: EntryPosition,
     id: u32,
     camera_id: u32,
     name: String,

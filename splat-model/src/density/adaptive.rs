@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 use super::consistency::{Agreed, Agreement, ConsistencyConfig};
 use super::order::morton_order;
 use super::rows::{RowEdit, Trained};
-use super::strategy::{At, Observed, RefineReport, Signals, Strategy};
+use super::strategy::{Observed, RefineReport, Signals, Strategy, StrategyContext};
 use crate::gaussians::{self, GaussianRows, RowsError, values_of};
 use crate::state::{State, StateError};
 
@@ -230,7 +230,12 @@ impl Strategy for Adaptive {
         self.is_time_at(step) && (self.densifies_at(step) || self.resets_at(step))
     }
 
-    fn act(&mut self, scene: &mut Trained, at: &At, rng: &mut dyn Rng) -> Result<Option<RefineReport>, RowsError> {
+    fn act(
+        &mut self,
+        scene: &mut Trained,
+        at: &StrategyContext,
+        rng: &mut dyn Rng,
+    ) -> Result<Option<RefineReport>, RowsError> {
         if !self.is_time_at(at.step) {
             return Ok(None);
         }

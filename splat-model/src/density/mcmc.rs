@@ -15,7 +15,7 @@ use self::relocate::share;
 use super::noise::Noise;
 use super::order::morton_order;
 use super::rows::{RowEdit, Trained};
-use super::strategy::{At, RefineReport, Strategy};
+use super::strategy::{RefineReport, Strategy, StrategyContext};
 use crate::gaussians::{self, GaussianRows, Gaussians, RowsError};
 use crate::loss::regularise;
 use crate::state::{State, StateError};
@@ -130,7 +130,7 @@ impl Mcmc {
     /// Adds noise to the centres: `λ Σ η σ(k (t − o))`, with `λ` the learning rate times [`McmcConfig::noise`], `Σ` the
     /// covariance, `η` normal, `o` the opacity and `t` the opacity of the dead (Kheradmand et al. 2024, eq. 8 and its
     /// code). Faint Gaussians move, mostly along their own extent, and visible ones do not.
-    fn wander(&mut self, scene: &mut Trained, at: &At, rng: &mut dyn Rng) {
+    fn wander(&mut self, scene: &mut Trained, at: &StrategyContext, rng: &mut dyn Rng) {
         let means = scene.gaussians.means.val().inner();
         let normal = self.noise.draw(means.dims()[0], rng, &means.device());
         let by = self.config.noise * at.means_rate / (self.extent * self.extent);
@@ -189,7 +189,12 @@ impl Strategy for Mcmc {
         is_due && (step as f64) < self.config.until_share * self.steps as f64
     }
 
-    fn act(&mut self, scene: &mut Trained, at: &At, rng: &mut dyn Rng) -> Result<Option<RefineReport>, RowsError> {
+    fn act(
+        &mut self,
+        scene: &mut Trained,
+        at: &StrategyContext,
+        rng: &mut dyn Rng,
+    ) -> Result<Option<RefineReport>, RowsError> {
         let report = if self.acts_at(at.step) { self.refine(scene, rng)? } else { None };
         if report.is_some() {
             self.noise.forget();

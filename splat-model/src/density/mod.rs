@@ -16,4 +16,4 @@ pub use config::DensityConfig;
 pub use consistency::ConsistencyConfig;
 pub use mcmc::{Mcmc, McmcConfig};
 pub use order::morton_order;
-pub use strategy::{At, Observed, RefineReport, Signals, Strategy};
+pub use strategy::{Observed, RefineReport, Signals, Strategy, StrategyContext};

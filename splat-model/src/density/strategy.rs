@@ -39,7 +39,7 @@ pub struct Observed {
 
 /// The position in a run at which a strategy acts.
 #[derive(Clone, Copy, Debug)]
-pub struct At<'a> {
+pub struct StrategyContext<'a> {
     /// Number of the step, counted from 1.
     pub step: usize,
     /// Number of steps in the whole run.
@@ -96,7 +96,12 @@ pub trait Strategy {
     ///
     /// # Errors
     /// If the rows of the scene are inconsistent.
-    fn act(&mut self, scene: &mut Trained, at: &At, rng: &mut dyn Rng) -> Result<Option<RefineReport>, RowsError>;
+    fn act(
+        &mut self,
+        scene: &mut Trained,
+        at: &StrategyContext,
+        rng: &mut dyn Rng,
+    ) -> Result<Option<RefineReport>, RowsError>;
 
     /// Saves the strategy's state.
     ///

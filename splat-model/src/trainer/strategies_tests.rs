@@ -138,7 +138,7 @@ impl Strategy for Told {
     fn act(
         &mut self,
         scene: &mut Trained,
-        at: &At,
+        at: &StrategyContext,
         _: &mut dyn rand::Rng,
     ) -> Result<Option<RefineReport>, crate::gaussians::RowsError> {
         self.acted.push(at.step);

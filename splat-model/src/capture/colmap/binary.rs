@@ -5,7 +5,7 @@
 
 use std::path::Path;
 
-use super::check::{At, Place, quoted};
+use super::check::{EntryPosition, Place, quoted};
 use super::model::Model;
 use super::{CameraRecord, ImageRecord, PointRecord, TrackElement};
 use crate::capture::CaptureError;
@@ -91,7 +91,7 @@ impl<'a> Input<'a> {
     }
 
     fn place(&self) -> Place<'a> {
-        Place { file: self.file, kind: self.kind, at: At::Entry(self.entry) }
+        Place { file: self.file, kind: self.kind, at: EntryPosition::Entry(self.entry) }
     }
 
     /// Reads `count` entries, which must fill the file. Left-over bytes mean that the count and the

@@ -27,7 +27,7 @@ pub(in crate::capture) fn quoted(name: &str) -> String {
 
 /// The position of an entry in a file, counted from one.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) enum At {
+pub(super) enum EntryPosition {
     Entry(usize),
     Line(usize),
 }
@@ -38,14 +38,14 @@ pub(super) struct Place<'a> {
     pub file: &'a Path,
     /// "camera", "image" or "point".
     pub kind: &'static str,
-    pub at: At,
+    pub at: EntryPosition,
 }
 
 impl fmt::Display for Place<'_> {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self.at {
-            At::Entry(index) => write!(out, "{} entry {index}", self.kind),
-            At::Line(line) => write!(out, "{} on line {line}", self.kind),
+            EntryPosition::Entry(index) => write!(out, "{} entry {index}", self.kind),
+            EntryPosition::Line(line) => write!(out, "{} on line {line}", self.kind),
         }
     }
 }

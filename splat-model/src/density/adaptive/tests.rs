@@ -33,8 +33,8 @@ fn seen(gradients: &[[f32; 2]], size: (usize, usize)) -> Observed {
     Observed { gradient: Some(Tensor::from_data(values, &Device::flex())), size, ..Observed::default() }
 }
 
-fn at(step: usize) -> At<'static> {
-    At { step, steps: STEPS, extent: EXTENT, means_rate: 0.0, verdict: None }
+fn at(step: usize) -> StrategyContext<'static> {
+    StrategyContext { step, steps: STEPS, extent: EXTENT, means_rate: 0.0, verdict: None }
 }
 
 /// Positions whose order a refinement keeps.

@@ -16,8 +16,8 @@ fn still() -> McmcConfig {
     McmcConfig { noise: 0.0, ..McmcConfig::default() }
 }
 
-fn at(step: usize) -> At<'static> {
-    At { step, steps: STEPS, extent: EXTENT, means_rate: 1e-4, verdict: None }
+fn at(step: usize) -> StrategyContext<'static> {
+    StrategyContext { step, steps: STEPS, extent: EXTENT, means_rate: 1e-4, verdict: None }
 }
 
 fn rng() -> ChaCha8Rng {
@@ -222,7 +222,7 @@ fn a_step_that_is_held_back_moves_nobody() {
     for (entered, moves) in [(0, true), (3, false)] {
         let verdict = Tensor::from_data(TensorData::new(vec![entered, 0], [2]), &Device::flex());
         let (mut policy, mut scene) = (Mcmc::new(McmcConfig::default(), EXTENT, STEPS), trained(&rows));
-        policy.act(&mut scene, &At { verdict: Some(&verdict), ..at(3) }, &mut rng()).unwrap();
+        policy.act(&mut scene, &StrategyContext { verdict: Some(&verdict), ..at(3) }, &mut rng()).unwrap();
         assert_eq!(scene.gaussians.to_rows() != rows, moves);
     }
 }
