@@ -20,7 +20,7 @@ use splat_benches::allocations::Counting;
 use splat_benches::{MEDIUM, SyntheticView};
 
 use point::{Point, Work};
-use record::{Axis, Row};
+use record::{Row, ScaleAxis};
 
 #[global_allocator]
 static ALLOCATOR: Counting<mimalloc::MiMalloc> = Counting(mimalloc::MiMalloc);
@@ -40,14 +40,14 @@ fn main() -> Result<(), Box<dyn Error>> {
     }
     let csv = Path::new(FOLDER).join("scale.csv");
     if words == ["plot"] {
-        return Axis::ALL.into_iter().try_for_each(|axis| {
+        return ScaleAxis::ALL.into_iter().try_for_each(|axis| {
             println!("\n{axis}");
             let rows: Vec<Row> = record::read(&csv)?.into_iter().filter(|row| row.axis == axis).collect();
             show(axis, &rows)
         });
     }
-    let axes: Result<Vec<Axis>, String> = words.iter().map(|word| word.parse()).collect();
-    let axes = axes.map(|axes| if axes.is_empty() { Axis::ALL.to_vec() } else { axes })?;
+    let axes: Result<Vec<ScaleAxis>, String> = words.iter().map(|word| word.parse()).collect();
+    let axes = axes.map(|axes| if axes.is_empty() { ScaleAxis::ALL.to_vec() } else { axes })?;
     fs::create_dir_all(FOLDER)?;
     for axis in axes {
         println!("\n{axis}");
@@ -64,14 +64,14 @@ fn main() -> Result<(), Box<dyn Error>> {
 }
 
 /// Draws the plot and prints the growth.
-fn show(axis: Axis, rows: &[Row]) -> Result<(), Box<dyn Error>> {
+fn show(axis: ScaleAxis, rows: &[Row]) -> Result<(), Box<dyn Error>> {
     plot::draw(axis, rows, &Path::new(FOLDER).join(format!("{axis}.svg")))?;
     record::state_growth(axis, rows);
     Ok(())
 }
 
 /// Returns the points of an axis, in ascending order.
-fn points(axis: Axis) -> Vec<(SyntheticView, usize)> {
+fn points(axis: ScaleAxis) -> Vec<(SyntheticView, usize)> {
     // The number of layers grows with the number of Gaussians, until the nearest hide the others.
     let splats = |splats| SyntheticView { splats, width: 1920, height: 1080, ..MEDIUM };
     // One scene, photographed at increasing resolution.
@@ -81,21 +81,21 @@ fn points(axis: Axis) -> Vec<(SyntheticView, usize)> {
     };
     let views = |views| (SyntheticView { splats: 5_000, width: 320, height: 180, ..MEDIUM }, views);
     match axis {
-        Axis::Splats => [1_000, 3_000, 10_000, 30_000, 100_000, 300_000, 1_000_000, 3_000_000, 10_000_000]
+        ScaleAxis::Splats => [1_000, 3_000, 10_000, 30_000, 100_000, 300_000, 1_000_000, 3_000_000, 10_000_000]
             .map(|count| (splats(count), 1))
             .to_vec(),
-        Axis::Pixels => [(426, 240), (854, 480), (1280, 720), (1920, 1080), (3840, 2160), (7680, 4320)]
+        ScaleAxis::Pixels => [(426, 240), (854, 480), (1280, 720), (1920, 1080), (3840, 2160), (7680, 4320)]
             .map(|size| (pixels(size), 1))
             .to_vec(),
-        Axis::Views => [10, 30, 100, 300, 1_000, 3_000, 10_000].map(views).to_vec(),
+        ScaleAxis::Views => [10, 30, 100, 300, 1_000, 3_000, 10_000].map(views).to_vec(),
     }
 }
 
-fn measure(axis: Axis) -> Result<Vec<Row>, Box<dyn Error>> {
+fn measure(axis: ScaleAxis) -> Result<Vec<Row>, Box<dyn Error>> {
     let mut rows = Vec::new();
     for work in Work::ALL {
         // A render does not depend on the number of photographs.
-        if axis == Axis::Views && work == Work::Render {
+        if axis == ScaleAxis::Views && work == Work::Render {
             continue;
         }
         let mut before: Option<Row> = None;
@@ -121,14 +121,14 @@ fn measure(axis: Axis) -> Result<Vec<Row>, Box<dyn Error>> {
 }
 
 /// Returns the reason to skip a point, by linear extrapolation from the point before it.
-fn too_much(axis: Axis, before: &Row, point: &Point) -> Option<String> {
+fn too_much(axis: ScaleAxis, before: &Row, point: &Point) -> Option<String> {
     let growth = axis.of(point) / axis.of(&before.point);
     let bytes = before.live_bytes as f64 * growth;
     // One warm-up run and one timed run, in addition to the time of the setup.
     let set_up = (before.wall_s - (before.runs + 1) as f64 * before.median_s).max(0.0);
     let seconds = match axis {
         // A step uses one photograph, for any number of photographs.
-        Axis::Views => set_up * growth,
+        ScaleAxis::Views => set_up * growth,
         _ => (set_up + 2.0 * before.median_s) * growth,
     };
     match () {
@@ -139,7 +139,7 @@ fn too_much(axis: Axis, before: &Row, point: &Point) -> Option<String> {
 }
 
 /// Measures a point in a separate process.
-fn in_a_process(axis: Axis, point: &Point) -> Result<Row, Box<dyn Error>> {
+fn in_a_process(axis: ScaleAxis, point: &Point) -> Result<Row, Box<dyn Error>> {
     let start = std::time::Instant::now();
     let output = Command::new(std::env::current_exe()?).arg("--point").args(point.write()).output()?;
     if !output.status.success() {

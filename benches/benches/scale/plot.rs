@@ -8,7 +8,7 @@ use plotters::coord::combinators::IntoLogRange;
 use plotters::prelude::*;
 
 use crate::point::Work;
-use crate::record::{ALLOWED_BYTES, Axis, Row};
+use crate::record::{ALLOWED_BYTES, Row, ScaleAxis};
 
 const SIZE: (u32, u32) = (1000, 420);
 
@@ -19,7 +19,7 @@ struct Line {
     points: Vec<(f64, f64)>,
 }
 
-pub fn draw(axis: Axis, rows: &[Row], to: &Path) -> Result<(), Box<dyn Error>> {
+pub fn draw(axis: ScaleAxis, rows: &[Row], to: &Path) -> Result<(), Box<dyn Error>> {
     let colours = [RGBColor(40, 90, 160), RGBColor(200, 80, 40)];
     let lines = |value: &dyn Fn(&Row) -> f64| -> Vec<Line> {
         let of = |(work, colour): (Work, RGBColor)| {
@@ -31,7 +31,7 @@ pub fn draw(axis: Axis, rows: &[Row], to: &Path) -> Result<(), Box<dyn Error>> {
     };
     let times = lines(&|row| 1e3 * row.median_s);
     let mut memory = lines(&|row| row.live_bytes as f64 / f64::from(1 << 20));
-    if axis == Axis::Splats {
+    if axis == ScaleAxis::Splats {
         // The goal, added to the memory of the smallest step, which its pictures dominate.
         let steps: Vec<&Row> = rows.iter().filter(|row| row.point.work == Work::Step).collect();
         let goal = |row: &&Row| {
@@ -50,9 +50,9 @@ pub fn draw(axis: Axis, rows: &[Row], to: &Path) -> Result<(), Box<dyn Error>> {
     drawing.fill(&WHITE)?;
     let halves = drawing.split_evenly((1, 2));
     let unit = match axis {
-        Axis::Splats => "Gaussians",
-        Axis::Pixels => "pixels",
-        Axis::Views => "photographs",
+        ScaleAxis::Splats => "Gaussians",
+        ScaleAxis::Pixels => "pixels",
+        ScaleAxis::Views => "photographs",
     };
     chart(&halves[0], "ms", unit, &times)?;
     chart(&halves[1], "MiB held at a time", unit, &memory)?;

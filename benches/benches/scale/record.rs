@@ -10,13 +10,13 @@ use splat_benches::SyntheticView;
 use crate::point::{Point, Work};
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Axis {
+pub enum ScaleAxis {
     Splats,
     Pixels,
     Views,
 }
 
-impl Axis {
+impl ScaleAxis {
     pub const ALL: [Self; 3] = [Self::Splats, Self::Pixels, Self::Views];
 
     /// Returns the point's coordinate on this axis.
@@ -29,7 +29,7 @@ impl Axis {
     }
 }
 
-impl Display for Axis {
+impl Display for ScaleAxis {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
             Self::Splats => "splats",
@@ -39,7 +39,7 @@ impl Display for Axis {
     }
 }
 
-impl FromStr for Axis {
+impl FromStr for ScaleAxis {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
@@ -50,7 +50,7 @@ impl FromStr for Axis {
 
 #[derive(Clone, Debug, PartialEq)]
 pub struct Row {
-    pub axis: Axis,
+    pub axis: ScaleAxis,
     pub point: Point,
     pub hits: usize,
     pub median_s: f64,
@@ -117,7 +117,7 @@ pub fn read(path: &Path) -> Result<Vec<Row>, Box<dyn Error>> {
 pub const ALLOWED_BYTES: f64 = 1.3 * 59.0 * 4.0 * 4.0;
 
 /// Prints the cost of each step along the axis per unit of work.
-pub fn state_growth(axis: Axis, rows: &[Row]) {
+pub fn state_growth(axis: ScaleAxis, rows: &[Row]) {
     for work in Work::ALL {
         let rows: Vec<&Row> = rows.iter().filter(|row| row.point.work == work).collect();
         for pair in rows.windows(2) {
@@ -134,7 +134,7 @@ pub fn state_growth(axis: Axis, rows: &[Row]) {
                 per_unit(axis, high),
             );
         }
-        if axis == Axis::Splats && work == Work::Step && rows.len() > 1 {
+        if axis == ScaleAxis::Splats && work == Work::Step && rows.len() > 1 {
             // Between the two largest scenes: with fewer Gaussians the peak is in the loss and depends on the picture.
             let [few, many] = [rows[rows.len() - 2], rows[rows.len() - 1]];
             let more = (many.point.view.splats - few.point.view.splats) as f64;
@@ -148,15 +148,15 @@ pub fn state_growth(axis: Axis, rows: &[Row]) {
     }
 }
 
-fn per_unit(axis: Axis, row: &Row) -> String {
+fn per_unit(axis: ScaleAxis, row: &Row) -> String {
     let SyntheticView { splats, .. } = row.point.view;
     match axis {
-        Axis::Splats => format!(
+        ScaleAxis::Splats => format!(
             "{:.0} ns per visible Gaussian and {:.0} ns per hit at {splats}",
             1e9 * row.median_s / row.point.visible(),
             1e9 * row.median_s / row.hits as f64
         ),
-        Axis::Pixels => format!("{:.0} ns per pixel", 1e9 * row.median_s / row.point.pixels() as f64),
-        Axis::Views => format!("{:.2} ms", 1e3 * row.median_s),
+        ScaleAxis::Pixels => format!("{:.0} ns per pixel", 1e9 * row.median_s / row.point.pixels() as f64),
+        ScaleAxis::Views => format!("{:.2} ms", 1e3 * row.median_s),
     }
 }

@@ -13,7 +13,7 @@ use crate::gpu::math::{Mat3, Pose, Quaternion, Vec3, finite, within};
 /// One axis of the picture, px.
 #[derive(CubeType, CubeLaunch, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
-pub(crate) struct Axis {
+pub(crate) struct CameraAxis {
     pub focal: f32,
     pub principal: f32,
     /// `x/z` or `y/z` at which the Jacobian is held.
@@ -25,8 +25,8 @@ pub(crate) struct Axis {
 #[derive(CubeType, CubeLaunch, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub(crate) struct Lens {
-    pub x: Axis,
-    pub y: Axis,
+    pub x: CameraAxis,
+    pub y: CameraAxis,
     /// Camera z, scene units.
     pub near: f32,
     /// The root of the blur, px.
@@ -121,7 +121,7 @@ pub(crate) struct Row {
 }
 
 #[cube]
-impl Axis {
+impl CameraAxis {
     /// `across` is the camera x or y of the centre; `row` and `last` are rows of `W R`.
     fn project(&self, across: f32, depth: f32, row: Vec3, last: Vec3, scale: Vec3) -> Row {
         let ratio = across / depth;

@@ -1,7 +1,7 @@
 //! Launches of `project`.
 
 use super::backward::project_backward_kernel;
-use super::forward::{AxisLaunch, LensLaunch, project_forward_kernel};
+use super::forward::{CameraAxisLaunch, LensLaunch, project_forward_kernel};
 use super::lens_forward::DistortionLaunch;
 use super::{COLUMNS, Geometry, ProjectSpec};
 use crate::camera::{CameraModel, Intrinsics};
@@ -13,7 +13,7 @@ use crate::gpu::{Buffer, Gpu, UNITS, elementwise};
 pub(crate) fn lens(spec: &ProjectSpec) -> LensLaunch {
     let (camera, options) = (&spec.intrinsics, &spec.options);
     let axis = |focal: f64, principal: f64, [low, high]: [f64; 2]| {
-        AxisLaunch::new(focal as f32, principal as f32, low as f32, high as f32)
+        CameraAxisLaunch::new(focal as f32, principal as f32, low as f32, high as f32)
     };
     let [x, y] = camera.slope_limits(options.jacobian_margin);
     LensLaunch::new(
