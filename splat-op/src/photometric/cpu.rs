@@ -46,9 +46,9 @@ pub(crate) fn photometric_cpu<F: Real>(
         return (F::ZERO, with_gradient.then(Vec::new));
     }
     let planes = inputs.image.len() / size.pixels();
-    let bands: Vec<Band> = (0..planes)
+    let bands: Vec<RowBand> = (0..planes)
         .flat_map(|plane| (0..size.height).step_by(BAND).map(move |first| (plane, first)))
-        .map(|(plane, first)| Band { plane, rows: first..size.height.min(first + BAND) })
+        .map(|(plane, first)| RowBand { plane, rows: first..size.height.min(first + BAND) })
         .collect();
     let job = Job { inputs, size, lambda: F::of(lambda), share: F::of(1.0 / inputs.image.len() as f64) };
     let mut gradient = vec![F::ZERO; if with_gradient { inputs.image.len() } else { 0 }];
@@ -90,12 +90,12 @@ pub(crate) fn window_cpu<F: Real>(planes: &[F], size: Size) -> Vec<F> {
 }
 
 /// Rows of a plane.
-struct Band {
+struct RowBand {
     plane: usize,
     rows: Range<usize>,
 }
 
-impl Band {
+impl RowBand {
     /// Its rows and so many more above and below, as far as there are any.
     fn reached(&self, more: usize, height: usize) -> Range<usize> {
         self.rows.start.saturating_sub(more)..height.min(self.rows.end + more)
@@ -103,8 +103,13 @@ impl Band {
 }
 
 /// Each band with its part of what is to be written, `columns` values per row, or with nothing.
-fn split<'a, F>(bands: &'a [Band], mut out: &'a mut [F], columns: usize, wanted: bool) -> Vec<(&'a Band, &'a mut [F])> {
-    let part = |band: &'a Band| {
+fn split<'a, F>(
+    bands: &'a [RowBand],
+    mut out: &'a mut [F],
+    columns: usize,
+    wanted: bool,
+) -> Vec<(&'a RowBand, &'a mut [F])> {
+    let part = |band: &'a RowBand| {
         let len = if wanted { band.rows.len() * columns } else { 0 };
         (band, out.split_off_mut(..len).expect("as many rows as the bands have"))
     };
@@ -125,7 +130,7 @@ impl<F: Real> Job<'_, F> {
     /// derivatives of `−λ S`, divided by the number of values, with respect to `Kx`, to `Kx²` (twice) and to `Kxy`, row by row
     /// of `rows`, which may be more than the band's.
     #[inline(always)]
-    fn index<S: Simd>(&self, simd: S, band: &Band, rows: &Range<usize>, maps: &mut [F]) -> f64 {
+    fn index<S: Simd>(&self, simd: S, band: &RowBand, rows: &Range<usize>, maps: &mut [F]) -> f64 {
         let Self { inputs, size, .. } = *self;
         let lanes = |value: f64| F::Lanes::<S>::splat(simd, F::of(value));
         let (one, two, c1, c2) = (lanes(1.0), lanes(2.0), lanes(C1), lanes(C2));
@@ -196,7 +201,7 @@ impl<F: Real> Job<'_, F> {
     /// The second sweep: `K ∂Kx + 2 x K ∂Kx² + y K ∂Kxy` and the derivative of `|x − y|` over a band, from the maps of the
     /// first, whose rows begin with the one of this number.
     #[inline(always)]
-    fn gradient<S: Simd>(&self, simd: S, band: &Band, (maps, first): (&[F], usize), out: &mut [F]) {
+    fn gradient<S: Simd>(&self, simd: S, band: &RowBand, (maps, first): (&[F], usize), out: &mut [F]) {
         let Self { inputs, size, .. } = *self;
         let weight = (F::ONE - self.lambda) * self.share;
         let (up, down) = (F::Lanes::<S>::splat(simd, weight), F::Lanes::<S>::splat(simd, -weight));
