@@ -3,7 +3,7 @@
 
 use fearless_simd::prelude::*;
 
-use super::lens_eight::{Bent, BentGrad, Distortion};
+use super::lens_eight::{BentGrad, Distortion, LensProjectionSimd};
 use super::{COMPENSATION_MIN, Ellipse, ProjectSpec};
 use crate::linalg::{Mat3, add, cross, dot, hadamard, matmul, matvec, scale, sub, transposed_matvec};
 use crate::real::Real;
@@ -124,7 +124,7 @@ pub(super) struct Projection<S: Simd, F: Real> {
     compensation: F::Lanes<S>,
     compensation_free: MaskOf<S, F>,
     /// What a lens adds; `None` for a pinhole, in code that was compiled for pinholes alone.
-    bent: Option<Bent<S, F>>,
+    bent: Option<LensProjectionSimd<S, F>>,
 }
 
 impl<S: Simd, F: Real> Projection<S, F> {
@@ -151,7 +151,8 @@ impl<S: Simd, F: Real> Projection<S, F> {
         };
         let (mut j, mut bent) = ([row(0), row(1)], None);
         if BENDS && let Some(distortion) = &lens.distortion {
-            let found = Bent::<S, F>::new(distortion, mean_cam, &cam_from_gaussian, [lens.low, lens.high]);
+            let found =
+                LensProjectionSimd::<S, F>::new(distortion, mean_cam, &cam_from_gaussian, [lens.low, lens.high]);
             (ratio, j) = (found.seen_at(), found.rows(lens.focal));
             seen &= found.within;
             bent = Some(found);

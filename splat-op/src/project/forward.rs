@@ -6,7 +6,7 @@
 
 use cubecl::prelude::*;
 
-use super::lens_forward::{Bent, Distortion, bent_rows};
+use super::lens_forward::{Distortion, LensProjection, bent_rows};
 use super::{COLUMNS, COMPENSATION_MIN};
 use crate::gpu::math::{Mat3, Pose, Quaternion, Vec3, finite, within};
 
@@ -148,7 +148,7 @@ pub(crate) struct Projection {
     pub x: Row,
     pub y: Row,
     /// What a lens adds.
-    pub bent: ComptimeOption<Bent>,
+    pub bent: ComptimeOption<LensProjection>,
     /// `m0 / sigma_u`, `m1 / sigma_u`, `n × m1` and its length.
     pub n: Vec3,
     pub along: Vec3,
@@ -164,7 +164,12 @@ pub(crate) struct Projection {
 
 /// What both axes see, and what a lens adds, from the centre in the camera's frame and `W R`.
 #[cube]
-fn seen_rows(mean_cam: Vec3, cam_from_gaussian: Mat3, scale: Vec3, lens: &Lens) -> (Row, Row, ComptimeOption<Bent>) {
+fn seen_rows(
+    mean_cam: Vec3,
+    cam_from_gaussian: Mat3,
+    scale: Vec3,
+    lens: &Lens,
+) -> (Row, Row, ComptimeOption<LensProjection>) {
     #[comptime]
     match lens.distortion {
         ComptimeOption::Some(distortion) => {
@@ -182,7 +187,7 @@ fn seen_rows(mean_cam: Vec3, cam_from_gaussian: Mat3, scale: Vec3, lens: &Lens) 
 
 /// Whether what would be drawn is also within a lens's reach.
 #[cube]
-fn within_reach(drawn: bool, bent: ComptimeOption<Bent>) -> bool {
+fn within_reach(drawn: bool, bent: ComptimeOption<LensProjection>) -> bool {
     #[comptime]
     match bent {
         ComptimeOption::Some(bent) => drawn && bent.within,

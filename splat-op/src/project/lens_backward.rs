@@ -4,7 +4,7 @@ use cubecl::prelude::*;
 
 use super::backward::SeenGrad;
 use super::forward::{Lens, Packed};
-use super::lens_forward::{Bent, Distortion, Fisheye, Mat2, Perspective, Planar};
+use super::lens_forward::{Distortion, Fisheye, LensProjection, Mat2, Perspective, Planar};
 use crate::gpu::math::{Mat3, Vec2, Vec3};
 
 /// The second derivative of the planar map, contracted with a matrix.
@@ -20,7 +20,7 @@ fn second(distortion: &Distortion, at: &Planar, m: &Mat2) -> Vec2 {
 
 /// From gradients of the rows of `J W R` and of the ellipse.
 #[cube]
-pub(super) fn bent_backward(bent: &Bent, lens: &Lens, grad_j: (Vec3, Vec3), grad: &Packed) -> SeenGrad {
+pub(super) fn bent_backward(bent: &LensProjection, lens: &Lens, grad_j: (Vec3, Vec3), grad: &Packed) -> SeenGrad {
     let distortion = lens.distortion.unwrap();
     let (x, y, by) = (grad_j.0.times(lens.x.focal), grad_j.1.times(lens.y.focal), bent.held.by);
     let base_x = x.times(by.x.x).plus(y.times(by.y.x));
@@ -37,7 +37,7 @@ pub(super) fn bent_backward(bent: &Bent, lens: &Lens, grad_j: (Vec3, Vec3), grad
 
 /// Through the first step, from gradients of `b₀, b₁`, of where the Jacobian is taken, and of the centre.
 #[cube]
-fn first_backward(bent: &Bent, grad_base: (Vec3, Vec3), grad_held: Vec2, grad_centre: Vec2) -> SeenGrad {
+fn first_backward(bent: &LensProjection, grad_base: (Vec3, Vec3), grad_held: Vec2, grad_centre: Vec2) -> SeenGrad {
     #[comptime]
     match bent.perspective {
         ComptimeOption::Some(step) => perspective_backward(bent, &step, grad_base, grad_held, grad_centre),
@@ -47,7 +47,7 @@ fn first_backward(bent: &Bent, grad_base: (Vec3, Vec3), grad_held: Vec2, grad_ce
 
 #[cube]
 fn perspective_backward(
-    bent: &Bent,
+    bent: &LensProjection,
     step: &Perspective,
     grad_base: (Vec3, Vec3),
     grad_held: Vec2,
@@ -65,7 +65,7 @@ fn perspective_backward(
 }
 
 #[cube]
-fn fisheye_backward(bent: &Bent, step: &Fisheye, grad_base: (Vec3, Vec3), grad_s: Vec2) -> SeenGrad {
+fn fisheye_backward(bent: &LensProjection, step: &Fisheye, grad_base: (Vec3, Vec3), grad_s: Vec2) -> SeenGrad {
     let (p, rows, inverse) = (step.p, bent.rows, step.inverse_length);
     let (x, y) = (grad_base.0.times(inverse), grad_base.1.times(inverse));
     let sum = x.times(p.x).plus(y.times(p.y));

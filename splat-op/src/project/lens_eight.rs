@@ -159,7 +159,7 @@ enum FirstStep<S: Simd, F: Real> {
 }
 
 /// What a lens makes of eight centres, and what its gradient needs again.
-pub(super) struct Bent<S: Simd, F: Real> {
+pub(super) struct LensProjectionSimd<S: Simd, F: Real> {
     first: FirstStep<S, F>,
     /// Not beyond the lens's reach.
     pub within: MaskOf<S, F>,
@@ -177,7 +177,7 @@ pub(super) struct BentGrad<L> {
     pub rows: Mat3<L>,
 }
 
-impl<S: Simd, F: Real> Bent<S, F> {
+impl<S: Simd, F: Real> LensProjectionSimd<S, F> {
     /// From the centre, the rows of `W R`, and the slopes between which a perspective lens's Jacobian is held.
     #[inline(always)]
     pub fn new(
@@ -249,7 +249,7 @@ impl<S: Simd, F: Real> Perspective<S, F> {
     #[inline(always)]
     fn backward(
         &self,
-        bent: &Bent<S, F>,
+        bent: &LensProjectionSimd<S, F>,
         grad_base: [Vector<S, F>; 2],
         grad_slope: [Lanes<S, F>; 2],
         grad_s: [Lanes<S, F>; 2],

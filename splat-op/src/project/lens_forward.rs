@@ -140,7 +140,7 @@ pub(crate) struct Fisheye {
 /// What a lens makes of a centre, and what its gradient needs again.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
-pub(crate) struct Bent {
+pub(crate) struct LensProjection {
     /// Not beyond the lens's reach.
     pub within: bool,
     /// The planar map at the centre, and where the Jacobian is taken.
@@ -162,7 +162,7 @@ pub(super) fn bent_rows(
     scale: Vec3,
     lens: &Lens,
     distortion: &Distortion,
-) -> (Row, Row, Bent) {
+) -> (Row, Row, LensProjection) {
     let bent = if comptime!(distortion.model.is_fisheye()) {
         fisheye(mean_cam, rows, distortion)
     } else {
@@ -178,12 +178,12 @@ pub(super) fn bent_rows(
 }
 
 #[cube]
-fn perspective(mean_cam: Vec3, rows: Mat3, lens: &Lens, distortion: &Distortion) -> Bent {
+fn perspective(mean_cam: Vec3, rows: Mat3, lens: &Lens, distortion: &Distortion) -> LensProjection {
     let inverse_depth = 1.0 / mean_cam.z;
     let ratio = Vec2::new(mean_cam.x / mean_cam.z, mean_cam.y / mean_cam.z);
     let s = Vec2::new(within(ratio.x, lens.x.low, lens.x.high), within(ratio.y, lens.y.low, lens.y.high));
     let (free_x, free_y) = (s.x == ratio.x, s.y == ratio.y);
-    Bent {
+    LensProjection {
         within: ratio.dot(ratio) < distortion.reach_squared,
         centre: distortion.at(ratio),
         held: distortion.at(s),
@@ -196,7 +196,7 @@ fn perspective(mean_cam: Vec3, rows: Mat3, lens: &Lens, distortion: &Distortion)
 }
 
 #[cube]
-fn fisheye(mean_cam: Vec3, rows: Mat3, distortion: &Distortion) -> Bent {
+fn fisheye(mean_cam: Vec3, rows: Mat3, distortion: &Distortion) -> LensProjection {
     let length = mean_cam.length();
     let (p, c) = (Vec2::new(mean_cam.x / length, mean_cam.y / length), mean_cam.z / length);
     let v = p.dot(p) / ((1.0 + c) * (1.0 + c));
@@ -213,7 +213,7 @@ fn fisheye(mean_cam: Vec3, rows: Mat3, distortion: &Distortion) -> Bent {
     let inverse_length = 1.0 / length;
     let s = p.times(alpha);
     let at = distortion.at(s);
-    Bent {
+    LensProjection {
         within: s.dot(s) < distortion.reach_squared,
         centre: at,
         held: at,
