@@ -3,7 +3,7 @@
 
 use fearless_simd::prelude::*;
 
-use super::lens_eight::{BentGrad, Distortion, LensProjectionSimd};
+use super::lens_eight::{Distortion, LensProjectionGrad, LensProjectionSimd};
 use super::{COMPENSATION_MIN, Ellipse, ProjectSpec};
 use crate::linalg::{Mat3, add, cross, dot, hadamard, matmul, matvec, scale, sub, transposed_matvec};
 use crate::real::Real;
@@ -268,10 +268,10 @@ impl<S: Simd, F: Real> Projection<S, F> {
         lens: &Lens<F::Lanes<S>>,
         grad_j: [Vector<S, F>; 2],
         grad: &Ellipse<F::Lanes<S>>,
-    ) -> BentGrad<F::Lanes<S>> {
+    ) -> LensProjectionGrad<F::Lanes<S>> {
         let zero = self.lanes(F::ZERO);
         let inverse_z = self.lanes(F::ONE) / self.mean_cam[2];
-        let mut out = BentGrad { mean_cam: [zero, zero, grad.depth], rows: [[zero; 3]; 3] };
+        let mut out = LensProjectionGrad { mean_cam: [zero, zero, grad.depth], rows: [[zero; 3]; 3] };
         for axis in 0..2 {
             // j = (focal / z) (row - slope · last row)
             let grad_leaning = scale(grad_j[axis], lens.focal[axis] * inverse_z);
@@ -305,15 +305,16 @@ impl<S: Simd, F: Real> Projection<S, F> {
         let (grad_m, grad_opacity) = self.factor_backward(lens, g.opacity, grad);
         let grad_scale = add(hadamard(grad_m[0], self.j[0]), hadamard(grad_m[1], self.j[1]));
         let grad_j = grad_m.map(|grad| hadamard(grad, g.scale));
-        let BentGrad { mean_cam: grad_cam, rows: grad_cam_from_gaussian } = match (&self.bent, &lens.distortion) {
-            (Some(bent), Some(distortion)) => {
-                let grad_seen_at = [0, 1].map(|axis| grad.mean_px[axis] * lens.focal[axis]);
-                let mut out = bent.backward(distortion, lens.focal, grad_j, grad_seen_at);
-                out.mean_cam[2] += grad.depth;
-                out
-            }
-            _ => self.rows_backward(lens, grad_j, grad),
-        };
+        let LensProjectionGrad { mean_cam: grad_cam, rows: grad_cam_from_gaussian } =
+            match (&self.bent, &lens.distortion) {
+                (Some(bent), Some(distortion)) => {
+                    let grad_seen_at = [0, 1].map(|axis| grad.mean_px[axis] * lens.focal[axis]);
+                    let mut out = bent.backward(distortion, lens.focal, grad_j, grad_seen_at);
+                    out.mean_cam[2] += grad.depth;
+                    out
+                }
+                _ => self.rows_backward(lens, grad_j, grad),
+            };
 
         // cam_from_gaussian = pose rotation · world_from_gaussian
         if let Some(pose) = pose {

@@ -172,7 +172,7 @@ pub(super) struct LensProjectionSimd<S: Simd, F: Real> {
 }
 
 /// Gradients of the centre in the camera's frame and of `W R`.
-pub(super) struct BentGrad<L> {
+pub(super) struct LensProjectionGrad<L> {
     pub mean_cam: [L; 3],
     pub rows: Mat3<L>,
 }
@@ -230,7 +230,7 @@ impl<S: Simd, F: Real> LensProjectionSimd<S, F> {
         focal: [Lanes<S, F>; 2],
         grad_j: [Vector<S, F>; 2],
         grad_seen_at: [Lanes<S, F>; 2],
-    ) -> BentGrad<Lanes<S, F>> {
+    ) -> LensProjectionGrad<Lanes<S, F>> {
         let grad = [0, 1].map(|i| scale(grad_j[i], focal[i]));
         let by = &self.held.by;
         let grad_base = [0, 1].map(|k| add(scale(grad[0], by[0][k]), scale(grad[1], by[1][k])));
@@ -253,10 +253,10 @@ impl<S: Simd, F: Real> Perspective<S, F> {
         grad_base: [Vector<S, F>; 2],
         grad_slope: [Lanes<S, F>; 2],
         grad_s: [Lanes<S, F>; 2],
-    ) -> BentGrad<Lanes<S, F>> {
+    ) -> LensProjectionGrad<Lanes<S, F>> {
         let lanes = |value: F| F::Lanes::<S>::splat(self.z.token(), value);
         let (zero, inverse_z) = (lanes(F::ZERO), lanes(F::ONE) / self.z);
-        let mut out = BentGrad { mean_cam: [zero; 3], rows: [[zero; 3]; 3] };
+        let mut out = LensProjectionGrad { mean_cam: [zero; 3], rows: [[zero; 3]; 3] };
         for k in 0..2 {
             let grad_row = scale(grad_base[k], inverse_z);
             out.rows[k] = grad_row;
@@ -303,7 +303,7 @@ impl<S: Simd, F: Real> Fisheye<S, F> {
         rows: &Mat3<Lanes<S, F>>,
         grad_base: [Vector<S, F>; 2],
         grad_s: [Lanes<S, F>; 2],
-    ) -> BentGrad<Lanes<S, F>> {
+    ) -> LensProjectionGrad<Lanes<S, F>> {
         let (p, beta) = (self.p, self.beta);
         let inverse = F::Lanes::<S>::splat(self.c.token(), F::ONE) / self.length;
         let grad = grad_base.map(|grad| scale(grad, inverse));
@@ -317,7 +317,7 @@ impl<S: Simd, F: Real> Fisheye<S, F> {
         let grad_p = [0, 1].map(|k| across(k) + p[k] * common);
         let grad_c = twice(m + self.c * last) - u - along;
         let of_row = |k: usize| add(scale(grad[k], self.alpha), scale(sum, beta * p[k]));
-        BentGrad {
+        LensProjectionGrad {
             mean_cam: [grad_p[0] * inverse, grad_p[1] * inverse, grad_c * inverse],
             rows: [of_row(0), of_row(1), sum.map(|value| -value)],
         }
