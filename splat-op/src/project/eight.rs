@@ -3,7 +3,7 @@
 
 use fearless_simd::prelude::*;
 
-use super::lens_eight::{Distortion, LensProjectionGrad, LensProjectionSimd};
+use super::lens_eight::{DistortionSimd, LensProjectionGrad, LensProjectionSimd};
 use super::{COMPENSATION_MIN, Ellipse, ProjectSpec};
 use crate::linalg::{Mat3, add, cross, dot, hadamard, matmul, matvec, scale, sub, transposed_matvec};
 use crate::real::Real;
@@ -23,7 +23,7 @@ pub(super) struct Lens<L> {
     blur_sigma: L,
     antialias: bool,
     /// `None` for a pinhole.
-    distortion: Option<Distortion<L>>,
+    distortion: Option<DistortionSimd<L>>,
 }
 
 impl<F: Real> Lens<F> {
@@ -47,7 +47,7 @@ impl<F: Real> Lens<F> {
             blur: F::of(options.blur),
             blur_sigma: F::of(options.blur).sqrt(),
             antialias: options.antialias,
-            distortion: Distortion::new(camera),
+            distortion: DistortionSimd::new(camera),
         }
     }
 

@@ -15,7 +15,7 @@ type Vector<S, F> = [<F as Real>::Lanes<S>; 3];
 
 /// A lens's planar map, as numbers or with one copy in each lane.
 #[derive(Clone, Copy)]
-pub(super) struct Distortion<L> {
+pub(super) struct DistortionSimd<L> {
     model: CameraModel,
     radial: [L; 4],
     denominator: [L; 3],
@@ -26,7 +26,7 @@ pub(super) struct Distortion<L> {
     reach_squared: L,
 }
 
-impl<F: Real> Distortion<F> {
+impl<F: Real> DistortionSimd<F> {
     /// `None` for a pinhole.
     pub fn new(camera: &Intrinsics) -> Option<Self> {
         let found = camera.coefficients();
@@ -41,9 +41,9 @@ impl<F: Real> Distortion<F> {
     }
 
     #[inline(always)]
-    pub fn lanes<S: Simd>(&self, simd: S) -> Distortion<F::Lanes<S>> {
+    pub fn lanes<S: Simd>(&self, simd: S) -> DistortionSimd<F::Lanes<S>> {
         let lanes = |value: F| F::Lanes::<S>::splat(simd, value);
-        Distortion {
+        DistortionSimd {
             model: self.model,
             radial: self.radial.map(lanes),
             denominator: self.denominator.map(lanes),
@@ -65,7 +65,7 @@ struct Planar<L> {
     four_bend: L,
 }
 
-impl<L: Copy> Distortion<L> {
+impl<L: Copy> DistortionSimd<L> {
     /// `g`, `g'` and `g''` at `w`.
     #[inline(always)]
     fn radial<S: Simd, F: Real<Lanes<S> = L>>(&self, w: L) -> [L; 3]
@@ -181,7 +181,7 @@ impl<S: Simd, F: Real> LensProjectionSimd<S, F> {
     /// From the centre, the rows of `W R`, and the slopes between which a perspective lens's Jacobian is held.
     #[inline(always)]
     pub fn new(
-        distortion: &Distortion<Lanes<S, F>>,
+        distortion: &DistortionSimd<Lanes<S, F>>,
         mean_cam: Vector<S, F>,
         rows: &Mat3<Lanes<S, F>>,
         [low, high]: [[Lanes<S, F>; 2]; 2],
@@ -226,7 +226,7 @@ impl<S: Simd, F: Real> LensProjectionSimd<S, F> {
     #[inline(always)]
     pub fn backward(
         &self,
-        distortion: &Distortion<Lanes<S, F>>,
+        distortion: &DistortionSimd<Lanes<S, F>>,
         focal: [Lanes<S, F>; 2],
         grad_j: [Vector<S, F>; 2],
         grad_seen_at: [Lanes<S, F>; 2],
