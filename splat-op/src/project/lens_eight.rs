@@ -140,7 +140,7 @@ struct Perspective<S: Simd, F: Real> {
 }
 
 /// That of a fisheye, in the contract's names.
-struct Fisheye<S: Simd, F: Real> {
+struct FisheyeSimd<S: Simd, F: Real> {
     length: Lanes<S, F>,
     p: [Lanes<S, F>; 2],
     c: Lanes<S, F>,
@@ -155,7 +155,7 @@ struct Fisheye<S: Simd, F: Real> {
 
 enum FirstStep<S: Simd, F: Real> {
     Perspective(Perspective<S, F>),
-    Fisheye(Fisheye<S, F>),
+    Fisheye(FisheyeSimd<S, F>),
 }
 
 /// What a lens makes of eight centres, and what its gradient needs again.
@@ -187,7 +187,7 @@ impl<S: Simd, F: Real> LensProjectionSimd<S, F> {
         [low, high]: [[Lanes<S, F>; 2]; 2],
     ) -> Self {
         let (first, s, slope, base) = if distortion.model.is_fisheye() {
-            let step = Fisheye::new(mean_cam, rows);
+            let step = FisheyeSimd::new(mean_cam, rows);
             let (s, base) = (step.p.map(|p| step.alpha * p), step.rows(rows));
             (FirstStep::Fisheye(step), s, s, base)
         } else {
@@ -270,7 +270,7 @@ impl<S: Simd, F: Real> Perspective<S, F> {
     }
 }
 
-impl<S: Simd, F: Real> Fisheye<S, F> {
+impl<S: Simd, F: Real> FisheyeSimd<S, F> {
     #[inline(always)]
     fn new([x, y, z]: Vector<S, F>, rows: &Mat3<Lanes<S, F>>) -> Self {
         let lanes = |value: f64| F::Lanes::<S>::splat(z.token(), F::of(value));
