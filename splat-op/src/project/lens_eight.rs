@@ -133,7 +133,7 @@ impl<L: Copy> DistortionSimd<L> {
 }
 
 /// The first step of a perspective lens.
-struct Perspective<S: Simd, F: Real> {
+struct PerspectiveSimd<S: Simd, F: Real> {
     z: Lanes<S, F>,
     ratio: [Lanes<S, F>; 2],
     slope_free: [MaskOf<S, F>; 2],
@@ -154,7 +154,7 @@ struct FisheyeSimd<S: Simd, F: Real> {
 }
 
 enum FirstStep<S: Simd, F: Real> {
-    Perspective(Perspective<S, F>),
+    Perspective(PerspectiveSimd<S, F>),
     Fisheye(FisheyeSimd<S, F>),
 }
 
@@ -197,7 +197,7 @@ impl<S: Simd, F: Real> LensProjectionSimd<S, F> {
             let slope_free = [0, 1].map(|k| slope[k].simd_eq(ratio[k]));
             let inverse_z = F::Lanes::<S>::splat(z.token(), F::ONE) / z;
             let base = [0, 1].map(|k| scale(sub(rows[k], scale(rows[2], slope[k])), inverse_z));
-            (FirstStep::Perspective(Perspective { z, ratio, slope_free }), ratio, slope, base)
+            (FirstStep::Perspective(PerspectiveSimd { z, ratio, slope_free }), ratio, slope, base)
         };
         Self {
             first,
@@ -245,7 +245,7 @@ impl<S: Simd, F: Real> LensProjectionSimd<S, F> {
     }
 }
 
-impl<S: Simd, F: Real> Perspective<S, F> {
+impl<S: Simd, F: Real> PerspectiveSimd<S, F> {
     #[inline(always)]
     fn backward(
         &self,
