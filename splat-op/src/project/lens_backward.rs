@@ -4,12 +4,12 @@ use cubecl::prelude::*;
 
 use super::backward::SeenGrad;
 use super::forward::{Lens, Packed};
-use super::lens_forward::{Distortion, Fisheye, LensProjection, Mat2, Perspective, Planar};
+use super::lens_forward::{Distortion, Fisheye, LensProjection, Mat2, Perspective, PlanarMap};
 use crate::gpu::math::{Mat3, Vec2, Vec3};
 
 /// The second derivative of the planar map, contracted with a matrix.
 #[cube]
-fn second(distortion: &Distortion, at: &Planar, m: &Mat2) -> Vec2 {
+fn second(distortion: &Distortion, at: &PlanarMap, m: &Mat2) -> Vec2 {
     let (s, p) = (at.s, distortion.tangential);
     let trace = m.x.x + m.y.y;
     let by_s = m.apply(s);

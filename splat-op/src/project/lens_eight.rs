@@ -55,7 +55,7 @@ impl<F: Real> DistortionSimd<F> {
 }
 
 /// The planar map at a place.
-struct Planar<L> {
+struct PlanarMapSimd<L> {
     s: [L; 2],
     value: [L; 2],
     /// `A` of the contract, row by row.
@@ -90,7 +90,7 @@ impl<L: Copy> DistortionSimd<L> {
     }
 
     #[inline(always)]
-    fn at<S: Simd, F: Real<Lanes<S> = L>>(&self, s: [L; 2]) -> Planar<L>
+    fn at<S: Simd, F: Real<Lanes<S> = L>>(&self, s: [L; 2]) -> PlanarMapSimd<L>
     where
         L: SimdFloat<S, Element = F>,
     {
@@ -104,7 +104,7 @@ impl<L: Copy> DistortionSimd<L> {
             let half = s[i] * (slope * s[j] + p[j]) + both[i] * s[j];
             if i == j { factor + half + half } else { half + half }
         };
-        Planar {
+        PlanarMapSimd {
             s,
             value: [0, 1].map(|i| s[i] * factor + both[i] * w),
             by: [0, 1].map(|i| [entry(i, 0), entry(i, 1)]),
@@ -115,7 +115,7 @@ impl<L: Copy> DistortionSimd<L> {
 
     /// The second derivative, contracted with a matrix.
     #[inline(always)]
-    fn second<S: Simd, F: Real<Lanes<S> = L>>(&self, at: &Planar<L>, m: &[[L; 2]; 2]) -> [L; 2]
+    fn second<S: Simd, F: Real<Lanes<S> = L>>(&self, at: &PlanarMapSimd<L>, m: &[[L; 2]; 2]) -> [L; 2]
     where
         L: SimdFloat<S, Element = F>,
     {
@@ -164,8 +164,8 @@ pub(super) struct LensProjectionSimd<S: Simd, F: Real> {
     /// Not beyond the lens's reach.
     pub within: MaskOf<S, F>,
     /// The planar map at the centre, and where the Jacobian is taken.
-    centre: Planar<Lanes<S, F>>,
-    held: Planar<Lanes<S, F>>,
+    centre: PlanarMapSimd<Lanes<S, F>>,
+    held: PlanarMapSimd<Lanes<S, F>>,
     /// `b₀, b₁`
     base: [Vector<S, F>; 2],
     rows: Mat3<Lanes<S, F>>,

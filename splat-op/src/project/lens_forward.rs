@@ -61,7 +61,7 @@ struct Radial {
 /// The planar map at a place.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
-pub(crate) struct Planar {
+pub(crate) struct PlanarMap {
     pub s: Vec2,
     pub value: Vec2,
     /// `A` of the contract.
@@ -89,7 +89,7 @@ impl Distortion {
         }
     }
 
-    pub fn at(&self, s: Vec2) -> Planar {
+    pub fn at(&self, s: Vec2) -> PlanarMap {
         let w = s.dot(s);
         let g = self.radial(w);
         let p = self.tangential;
@@ -99,7 +99,7 @@ impl Distortion {
         let outward = p.plus(self.prism);
         let diagonal = g.value + twice;
         let (x, y) = (2.0 * outward.x, 2.0 * outward.y);
-        Planar {
+        PlanarMap {
             s,
             value: s.times(diagonal).plus(outward.times(w)),
             by: Mat2 {
@@ -144,8 +144,8 @@ pub(crate) struct LensProjection {
     /// Not beyond the lens's reach.
     pub within: bool,
     /// The planar map at the centre, and where the Jacobian is taken.
-    pub centre: Planar,
-    pub held: Planar,
+    pub centre: PlanarMap,
+    pub held: PlanarMap,
     /// `b₀, b₁`, and `W R`.
     pub base_x: Vec3,
     pub base_y: Vec3,
