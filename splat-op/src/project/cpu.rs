@@ -4,7 +4,7 @@ use fearless_simd::prelude::*;
 use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
 
-use super::eight::{Gaussians, Lens, Projection};
+use super::eight::{GaussiansSimd, Lens, Projection};
 use super::{COLUMNS, Ellipse, Geometry, ProjectSpec};
 use crate::lanes::{BLOCK, Columns};
 use crate::real::{LANES, Real};
@@ -35,7 +35,7 @@ impl<F: Real> Parameters<F> {
     }
 
     #[inline(always)]
-    fn store<S: Simd>(&mut self, first: usize, eight: &Gaussians<F::Lanes<S>>) {
+    fn store<S: Simd>(&mut self, first: usize, eight: &GaussiansSimd<F::Lanes<S>>) {
         for axis in 0..3 {
             self.means.store(axis, first, eight.mean[axis]);
             self.scales.store(axis, first, eight.scale[axis]);
@@ -47,8 +47,8 @@ impl<F: Real> Parameters<F> {
     }
 
     #[inline(always)]
-    fn eight<S: Simd>(&self, simd: S, first: usize) -> Gaussians<F::Lanes<S>> {
-        Gaussians {
+    fn eight<S: Simd>(&self, simd: S, first: usize) -> GaussiansSimd<F::Lanes<S>> {
+        GaussiansSimd {
             mean: self.means.all_lanes(simd, first),
             rotation: self.rotations.all_lanes(simd, first),
             scale: self.scales.all_lanes(simd, first),

@@ -71,14 +71,14 @@ impl<F: Real> Lens<F> {
 }
 
 /// Parameters, or their gradients.
-pub(super) struct Gaussians<L> {
+pub(super) struct GaussiansSimd<L> {
     pub mean: [L; 3],
     pub rotation: [L; 4],
     pub scale: [L; 3],
     pub opacity: L,
 }
 
-impl<L: Copy> Gaussians<L> {
+impl<L: Copy> GaussiansSimd<L> {
     #[inline(always)]
     fn all<S: Simd, F: Real<Lanes<S> = L>>(&self, mut holds: impl FnMut(L) -> MaskOf<S, F>) -> MaskOf<S, F>
     where
@@ -130,7 +130,7 @@ pub(super) struct Projection<S: Simd, F: Real> {
 impl<S: Simd, F: Real> Projection<S, F> {
     /// `BENDS` as the lens does, so that a pinhole's code knows nothing of lenses.
     #[inline(always)]
-    pub fn new<const BENDS: bool>(simd: S, g: &Gaussians<F::Lanes<S>>, lens: &Lens<F::Lanes<S>>) -> Self {
+    pub fn new<const BENDS: bool>(simd: S, g: &GaussiansSimd<F::Lanes<S>>, lens: &Lens<F::Lanes<S>>) -> Self {
         let lanes = |value: F| F::Lanes::<S>::splat(simd, value);
         let (zero, one, largest) = (lanes(F::ZERO), lanes(F::ONE), lanes(F::MAX));
         let finite = |value: F::Lanes<S>| value.abs().simd_le(largest);
@@ -207,7 +207,7 @@ impl<S: Simd, F: Real> Projection<S, F> {
     }
 
     #[inline(always)]
-    pub fn ellipse(&self, lens: &Lens<F::Lanes<S>>, g: &Gaussians<F::Lanes<S>>) -> Ellipse<F::Lanes<S>> {
+    pub fn ellipse(&self, lens: &Lens<F::Lanes<S>>, g: &GaussiansSimd<F::Lanes<S>>) -> Ellipse<F::Lanes<S>> {
         let (zero, one) = (self.lanes(F::ZERO), self.lanes(F::ONE));
         let seen = |value: F::Lanes<S>| self.seen.select(value, zero);
         let centre = |axis: usize| seen(lens.focal[axis] * self.ratio[axis] + lens.principal[axis]);
@@ -291,7 +291,7 @@ impl<S: Simd, F: Real> Projection<S, F> {
     pub fn backward(
         &self,
         lens: &Lens<F::Lanes<S>>,
-        g: &Gaussians<F::Lanes<S>>,
+        g: &GaussiansSimd<F::Lanes<S>>,
         grad: &Ellipse<F::Lanes<S>>,
         pose: Option<&mut [F::Lanes<S>; 12]>,
     ) -> Gradients<F::Lanes<S>> {
@@ -337,7 +337,7 @@ impl<S: Simd, F: Real> Projection<S, F> {
         let rotation = self.quaternion_backward(&grad_world_from_gaussian);
         let kept = |value: F::Lanes<S>| takes_part.select(value, zero);
         Gradients {
-            parameters: Gaussians {
+            parameters: GaussiansSimd {
                 mean: transposed_matvec(&lens.rotation, grad_cam).map(kept),
                 rotation: rotation.map(kept),
                 scale: grad_scale.map(kept),
@@ -378,7 +378,7 @@ impl<S: Simd, F: Real> Projection<S, F> {
 
 /// Gradients of eight Gaussians.
 pub(super) struct Gradients<L> {
-    pub parameters: Gaussians<L>,
+    pub parameters: GaussiansSimd<L>,
     /// At the projected centres, per px.
     pub mean2d: [L; 2],
 }
