@@ -294,7 +294,7 @@ impl<S: Simd, F: Real> Projection<S, F> {
         g: &GaussiansSimd<F::Lanes<S>>,
         grad: &Ellipse<F::Lanes<S>>,
         pose: Option<&mut [F::Lanes<S>; 12]>,
-    ) -> Gradients<F::Lanes<S>> {
+    ) -> GradientsSimd<F::Lanes<S>> {
         let zero = self.lanes(F::ZERO);
         let mut takes_part = zero.simd_gt(zero);
         for value in grad.to_row() {
@@ -336,7 +336,7 @@ impl<S: Simd, F: Real> Projection<S, F> {
         }
         let rotation = self.quaternion_backward(&grad_world_from_gaussian);
         let kept = |value: F::Lanes<S>| takes_part.select(value, zero);
-        Gradients {
+        GradientsSimd {
             parameters: GaussiansSimd {
                 mean: transposed_matvec(&lens.rotation, grad_cam).map(kept),
                 rotation: rotation.map(kept),
@@ -377,7 +377,7 @@ impl<S: Simd, F: Real> Projection<S, F> {
 }
 
 /// Gradients of eight Gaussians.
-pub(super) struct Gradients<L> {
+pub(super) struct GradientsSimd<L> {
     pub parameters: GaussiansSimd<L>,
     /// At the projected centres, per px.
     pub mean2d: [L; 2],
