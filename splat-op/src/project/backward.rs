@@ -12,7 +12,7 @@
 
 use cubecl::prelude::*;
 
-use super::forward::{CameraAxis, Gaussian, Lens, Packed, Projection, Row, project_one};
+use super::forward::{CameraAxis, Gaussian, Lens, Packed, ProjectionTerms, Row, project_one};
 use super::lens_backward::bent_backward;
 use crate::gpu::UNITS;
 use crate::gpu::math::{Mat3, POSE, Pose, Quaternion, Vec3};
@@ -29,7 +29,7 @@ pub(crate) fn any(packed: &Packed) -> bool {
 
 /// Gradients of `m0` and `m1`.
 #[cube]
-fn factor_backward(f: &Projection, lens: &Lens, opacity: f32, grad: &Packed) -> (Vec3, Vec3) {
+fn factor_backward(f: &ProjectionTerms, lens: &Lens, opacity: f32, grad: &Packed) -> (Vec3, Vec3) {
     let inverse_v = 1.0 / f.sigma_v;
     // Both are at most one, whatever the scales.
     let blur = lens.blur_sigma * inverse_v;
@@ -74,7 +74,7 @@ struct RowGrad {
 }
 
 #[cube]
-fn row_backward(f: &Projection, row: &Row, axis: &CameraAxis, grad_j: Vec3, grad_mean_px: f32) -> RowGrad {
+fn row_backward(f: &ProjectionTerms, row: &Row, axis: &CameraAxis, grad_j: Vec3, grad_mean_px: f32) -> RowGrad {
     let inverse = 1.0 / f.depth;
     // j = (focal / z) (row − slope · last)
     let grad_row = grad_j.times(axis.focal * inverse);
@@ -85,7 +85,7 @@ fn row_backward(f: &Projection, row: &Row, axis: &CameraAxis, grad_j: Vec3, grad
 
 /// From gradients of the rows of `J W R` and of the ellipse.
 #[cube]
-pub(crate) fn seen_backward(p: &Projection, lens: &Lens, grad_j: (Vec3, Vec3), grad: &Packed) -> SeenGrad {
+pub(crate) fn seen_backward(p: &ProjectionTerms, lens: &Lens, grad_j: (Vec3, Vec3), grad: &Packed) -> SeenGrad {
     #[comptime]
     match p.bent {
         ComptimeOption::Some(bent) => bent_backward(&bent, lens, grad_j, grad),

@@ -4,7 +4,7 @@ use fearless_simd::prelude::*;
 use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
 
-use super::eight::{GaussiansSimd, Lens, Projection};
+use super::eight::{GaussiansSimd, Lens, ProjectionTermsSimd};
 use super::{COLUMNS, Ellipse, Geometry, ProjectSpec};
 use crate::lanes::{BLOCK, Columns};
 use crate::real::{LANES, Real};
@@ -85,7 +85,7 @@ fn project_chunk<S: Simd, F: Real, const BENDS: bool>(
         parameters.read(inputs, first + block * BLOCK);
         for at in (0..rows.len() / COLUMNS).step_by(LANES) {
             let eight = parameters.eight(simd, at);
-            let ellipse = Projection::<S, F>::new::<BENDS>(simd, &eight, &lens).ellipse(&lens, &eight);
+            let ellipse = ProjectionTermsSimd::<S, F>::new::<BENDS>(simd, &eight, &lens).ellipse(&lens, &eight);
             for (column, value) in ellipse.to_row().into_iter().enumerate() {
                 ellipses.store(column, at, value);
             }
@@ -205,7 +205,7 @@ fn backward_chunk<S: Simd, F: Real, const BENDS: bool>(
         for at in (0..count).step_by(LANES) {
             let eight = parameters.eight(simd, at);
             let row = grads.all_lanes(simd, at);
-            let projection = Projection::<S, F>::new::<BENDS>(simd, &eight, &lens);
+            let projection = ProjectionTermsSimd::<S, F>::new::<BENDS>(simd, &eight, &lens);
             let one = projection.backward(&lens, &eight, &Ellipse::from_row(&row), needs_pose.then_some(&mut pose));
             found.store::<S>(at, &one.parameters);
             for (axis, value) in one.mean2d.into_iter().enumerate() {

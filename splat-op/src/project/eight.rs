@@ -96,7 +96,7 @@ type MaskOf<S, F> = <<F as Real>::Lanes<S> as SimdBase<S>>::Mask;
 type Vector<S, F> = [<F as Real>::Lanes<S>; 3];
 
 /// What the forward pass computes on its way and the backward pass needs again.
-pub(super) struct Projection<S: Simd, F: Real> {
+pub(super) struct ProjectionTermsSimd<S: Simd, F: Real> {
     simd: S,
     /// Not culled: finite, with a rotation, and in front of the near plane.
     seen: MaskOf<S, F>,
@@ -127,7 +127,7 @@ pub(super) struct Projection<S: Simd, F: Real> {
     bent: Option<LensProjectionSimd<S, F>>,
 }
 
-impl<S: Simd, F: Real> Projection<S, F> {
+impl<S: Simd, F: Real> ProjectionTermsSimd<S, F> {
     /// `BENDS` as the lens does, so that a pinhole's code knows nothing of lenses.
     #[inline(always)]
     pub fn new<const BENDS: bool>(simd: S, g: &GaussiansSimd<F::Lanes<S>>, lens: &Lens<F::Lanes<S>>) -> Self {

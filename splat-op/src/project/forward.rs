@@ -135,7 +135,7 @@ impl CameraAxis {
 /// `project`.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
-pub(crate) struct Projection {
+pub(crate) struct ProjectionTerms {
     /// Without it the rest means nothing: the Gaussian is not finite, has no rotation, or is not in front of the near
     /// plane.
     pub visible: bool,
@@ -196,7 +196,7 @@ fn within_reach(drawn: bool, bent: ComptimeOption<LensProjection>) -> bool {
 }
 
 #[cube]
-pub(crate) fn project_one(gaussian: &Gaussian, pose: &Pose, lens: &Lens) -> Projection {
+pub(crate) fn project_one(gaussian: &Gaussian, pose: &Pose, lens: &Lens) -> ProjectionTerms {
     let mean_cam = pose.apply(gaussian.mean);
     let (quaternion, quaternion_length) = gaussian.rotation.unit();
     let world_from_gaussian = quaternion.matrix();
@@ -226,7 +226,7 @@ pub(crate) fn project_one(gaussian: &Gaussian, pose: &Pose, lens: &Lens) -> Proj
         compensation = max(areas, floor);
         compensation_free = areas > floor;
     }
-    Projection {
+    ProjectionTerms {
         visible,
         depth,
         quaternion,
@@ -250,7 +250,7 @@ pub(crate) fn project_one(gaussian: &Gaussian, pose: &Pose, lens: &Lens) -> Proj
 
 /// The row of a Gaussian: of one that is culled all zero but `sigma_u = sigma_v = 1`.
 #[cube]
-pub(crate) fn packed_of(gaussian: &Gaussian, p: &Projection, lens: &Lens) -> Packed {
+pub(crate) fn packed_of(gaussian: &Gaussian, p: &ProjectionTerms, lens: &Lens) -> Packed {
     Packed {
         x: select(p.visible, lens.x.focal * p.x.ratio + lens.x.principal, 0.0),
         y: select(p.visible, lens.y.focal * p.y.ratio + lens.y.principal, 0.0),

@@ -11,11 +11,17 @@ use super::forward::{Leaning, lean};
 use crate::gpu::UNITS;
 use crate::gpu::math::{POSE, Pose, Vec3};
 use crate::project::backward::{Wanted, no_gradient, seen_backward, store_sum};
-use crate::project::forward::{Gaussian, Lens, Packed, Projection, project_one};
+use crate::project::forward::{Gaussian, Lens, Packed, ProjectionTerms, project_one};
 
 /// Gradients of `m0`, `m1` and `mz`.
 #[cube]
-fn factor_backward(f: &Projection, l: &Leaning, grad_u: f32, grad_v: f32, grad_thickness: f32) -> (Vec3, Vec3, Vec3) {
+fn factor_backward(
+    f: &ProjectionTerms,
+    l: &Leaning,
+    grad_u: f32,
+    grad_v: f32,
+    grad_thickness: f32,
+) -> (Vec3, Vec3, Vec3) {
     let (n, m1, mz, a, p) = (f.n, f.y.m, l.mz, l.a, l.p);
     let e = a.cross(mz);
     let length = mz.length();
