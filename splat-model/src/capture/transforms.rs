@@ -192,7 +192,7 @@ impl Reading<'_> {
         file: &Path,
         index: usize,
         frame: &Frame,
-        of_file: &json::Lens,
+        of_file: &json::LensFields,
     ) -> Result<(), CaptureError> {
         let place = Place { file, frame: Some((index, "")) };
         let stated = place.required("file_path", &frame.path, "the path of a picture")?;

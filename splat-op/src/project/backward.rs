@@ -12,7 +12,7 @@
 
 use cubecl::prelude::*;
 
-use super::forward::{CameraAxis, Gaussian, Lens, Packed, ProjectionTerms, Row, project_one};
+use super::forward::{CameraAxis, Gaussian, Packed, ProjectCamera, ProjectionTerms, Row, project_one};
 use super::lens_backward::bent_backward;
 use crate::gpu::UNITS;
 use crate::gpu::math::{Mat3, POSE, Pose, Quaternion, Vec3};
@@ -29,7 +29,7 @@ pub(crate) fn any(packed: &Packed) -> bool {
 
 /// Gradients of `m0` and `m1`.
 #[cube]
-fn factor_backward(f: &ProjectionTerms, lens: &Lens, opacity: f32, grad: &Packed) -> (Vec3, Vec3) {
+fn factor_backward(f: &ProjectionTerms, lens: &ProjectCamera, opacity: f32, grad: &Packed) -> (Vec3, Vec3) {
     let inverse_v = 1.0 / f.sigma_v;
     // Both are at most one, whatever the scales.
     let blur = lens.blur_sigma * inverse_v;
@@ -85,7 +85,12 @@ fn row_backward(f: &ProjectionTerms, row: &Row, axis: &CameraAxis, grad_j: Vec3,
 
 /// From gradients of the rows of `J W R` and of the ellipse.
 #[cube]
-pub(crate) fn seen_backward(p: &ProjectionTerms, lens: &Lens, grad_j: (Vec3, Vec3), grad: &Packed) -> SeenGrad {
+pub(crate) fn seen_backward(
+    p: &ProjectionTerms,
+    lens: &ProjectCamera,
+    grad_j: (Vec3, Vec3),
+    grad: &Packed,
+) -> SeenGrad {
     #[comptime]
     match p.bent {
         ComptimeOption::Some(bent) => bent_backward(&bent, lens, grad_j, grad),
@@ -142,7 +147,7 @@ pub(crate) fn no_gradient() -> GaussianGrad {
 pub(crate) fn gaussian_backward(
     g: &Gaussian,
     pose: &Pose,
-    lens: &Lens,
+    lens: &ProjectCamera,
     grad: &Packed,
     #[comptime] wanted: Wanted,
 ) -> GaussianGrad {
@@ -195,7 +200,7 @@ pub(super) fn project_backward_kernel(
     grad_opacities: ComptimeOption<&mut [f32]>,
     grad_mean2d: ComptimeOption<&mut [f32]>,
     pose_rows: ComptimeOption<&mut [f32]>,
-    lens: Lens,
+    lens: ProjectCamera,
     count: u32,
     #[comptime] planes: bool,
 ) {

@@ -4,7 +4,7 @@ use fearless_simd::prelude::*;
 use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
 
-use super::eight::{GaussiansSimd, Lens, ProjectionTermsSimd};
+use super::eight::{GaussiansSimd, ProjectCameraSimd, ProjectionTermsSimd};
 use super::{COLUMNS, Ellipse, Geometry, ProjectSpec};
 use crate::lanes::{BLOCK, Columns};
 use crate::real::{LANES, Real};
@@ -59,7 +59,7 @@ impl<F: Real> Parameters<F> {
 
 /// `[N, 7]` packed ellipses.
 pub(crate) fn project_cpu<F: Real>(inputs: Geometry<&[F]>, spec: &ProjectSpec) -> Vec<F> {
-    let lens = Lens::new(inputs.cam_from_world, spec);
+    let lens = ProjectCameraSimd::new(inputs.cam_from_world, spec);
     let mut packed = vec![F::ZERO; inputs.opacities.len() * COLUMNS];
     packed.par_chunks_mut(CHUNK * COLUMNS).enumerate().for_each(|(chunk, rows)| {
         let first = chunk * CHUNK;
@@ -75,7 +75,7 @@ pub(crate) fn project_cpu<F: Real>(inputs: Geometry<&[F]>, spec: &ProjectSpec) -
 fn project_chunk<S: Simd, F: Real, const BENDS: bool>(
     simd: S,
     inputs: &Geometry<&[F]>,
-    lens: &Lens<F>,
+    lens: &ProjectCameraSimd<F>,
     first: usize,
     rows: &mut [F],
 ) {
@@ -101,7 +101,7 @@ pub(crate) fn project_backward_cpu<F: Real>(
     spec: &ProjectSpec,
     needs: Geometry<bool>,
 ) -> Geometry<Vec<F>> {
-    let lens = Lens::new(inputs.cam_from_world, spec);
+    let lens = ProjectCameraSimd::new(inputs.cam_from_world, spec);
     let count = inputs.opacities.len();
     let rows = |needed: bool, columns: usize| vec![F::ZERO; if needed { count * columns } else { 0 }];
     let mut grads = Geometry {
@@ -181,7 +181,7 @@ impl<F: Real> Chunk<'_, F> {
 fn backward_chunk<S: Simd, F: Real, const BENDS: bool>(
     simd: S,
     inputs: &Geometry<&[F]>,
-    lens: &Lens<F>,
+    lens: &ProjectCameraSimd<F>,
     (first, grad): (usize, &[F]),
     needs_pose: bool,
     out: &mut Chunk<F>,

@@ -9,7 +9,7 @@ use crate::linalg::{Mat3, add, cross, dot, hadamard, matmul, matvec, scale, sub,
 use crate::real::Real;
 
 /// The camera, as numbers or with one copy in each lane.
-pub(super) struct Lens<L> {
+pub(super) struct ProjectCameraSimd<L> {
     rotation: Mat3<L>,
     translation: [L; 3],
     focal: [L; 2],
@@ -26,7 +26,7 @@ pub(super) struct Lens<L> {
     distortion: Option<DistortionSimd<L>>,
 }
 
-impl<F: Real> Lens<F> {
+impl<F: Real> ProjectCameraSimd<F> {
     /// Whether it is no pinhole.
     pub fn bends(&self) -> bool {
         self.distortion.is_some()
@@ -52,9 +52,9 @@ impl<F: Real> Lens<F> {
     }
 
     #[inline(always)]
-    pub fn lanes<S: Simd>(&self, simd: S) -> Lens<F::Lanes<S>> {
+    pub fn lanes<S: Simd>(&self, simd: S) -> ProjectCameraSimd<F::Lanes<S>> {
         let lanes = |value: F| F::Lanes::<S>::splat(simd, value);
-        Lens {
+        ProjectCameraSimd {
             rotation: self.rotation.map(|row| row.map(lanes)),
             translation: self.translation.map(lanes),
             focal: self.focal.map(lanes),
@@ -130,7 +130,11 @@ pub(super) struct ProjectionTermsSimd<S: Simd, F: Real> {
 impl<S: Simd, F: Real> ProjectionTermsSimd<S, F> {
     /// `BENDS` as the lens does, so that a pinhole's code knows nothing of lenses.
     #[inline(always)]
-    pub fn new<const BENDS: bool>(simd: S, g: &GaussiansSimd<F::Lanes<S>>, lens: &Lens<F::Lanes<S>>) -> Self {
+    pub fn new<const BENDS: bool>(
+        simd: S,
+        g: &GaussiansSimd<F::Lanes<S>>,
+        lens: &ProjectCameraSimd<F::Lanes<S>>,
+    ) -> Self {
         let lanes = |value: F| F::Lanes::<S>::splat(simd, value);
         let (zero, one, largest) = (lanes(F::ZERO), lanes(F::ONE), lanes(F::MAX));
         let finite = |value: F::Lanes<S>| value.abs().simd_le(largest);
@@ -207,7 +211,11 @@ impl<S: Simd, F: Real> ProjectionTermsSimd<S, F> {
     }
 
     #[inline(always)]
-    pub fn ellipse(&self, lens: &Lens<F::Lanes<S>>, g: &GaussiansSimd<F::Lanes<S>>) -> Ellipse<F::Lanes<S>> {
+    pub fn ellipse(
+        &self,
+        lens: &ProjectCameraSimd<F::Lanes<S>>,
+        g: &GaussiansSimd<F::Lanes<S>>,
+    ) -> Ellipse<F::Lanes<S>> {
         let (zero, one) = (self.lanes(F::ZERO), self.lanes(F::ONE));
         let seen = |value: F::Lanes<S>| self.seen.select(value, zero);
         let centre = |axis: usize| seen(lens.focal[axis] * self.ratio[axis] + lens.principal[axis]);
@@ -225,7 +233,7 @@ impl<S: Simd, F: Real> ProjectionTermsSimd<S, F> {
     #[inline(always)]
     fn factor_backward(
         &self,
-        lens: &Lens<F::Lanes<S>>,
+        lens: &ProjectCameraSimd<F::Lanes<S>>,
         opacity: F::Lanes<S>,
         grad: &Ellipse<F::Lanes<S>>,
     ) -> ([Vector<S, F>; 2], F::Lanes<S>) {
@@ -265,7 +273,7 @@ impl<S: Simd, F: Real> ProjectionTermsSimd<S, F> {
     #[inline(always)]
     fn rows_backward(
         &self,
-        lens: &Lens<F::Lanes<S>>,
+        lens: &ProjectCameraSimd<F::Lanes<S>>,
         grad_j: [Vector<S, F>; 2],
         grad: &Ellipse<F::Lanes<S>>,
     ) -> LensProjectionGrad<F::Lanes<S>> {
@@ -290,7 +298,7 @@ impl<S: Simd, F: Real> ProjectionTermsSimd<S, F> {
     #[inline(always)]
     pub fn backward(
         &self,
-        lens: &Lens<F::Lanes<S>>,
+        lens: &ProjectCameraSimd<F::Lanes<S>>,
         g: &GaussiansSimd<F::Lanes<S>>,
         grad: &Ellipse<F::Lanes<S>>,
         pose: Option<&mut [F::Lanes<S>; 12]>,

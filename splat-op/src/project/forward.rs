@@ -24,7 +24,7 @@ pub(crate) struct CameraAxis {
 /// What the kernels know of the camera and of the options.
 #[derive(CubeType, CubeLaunch, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
-pub(crate) struct Lens {
+pub(crate) struct ProjectCamera {
     pub x: CameraAxis,
     pub y: CameraAxis,
     /// Camera z, scene units.
@@ -168,7 +168,7 @@ fn seen_rows(
     mean_cam: Vec3,
     cam_from_gaussian: Mat3,
     scale: Vec3,
-    lens: &Lens,
+    lens: &ProjectCamera,
 ) -> (Row, Row, ComptimeOption<LensProjection>) {
     #[comptime]
     match lens.distortion {
@@ -196,7 +196,7 @@ fn within_reach(drawn: bool, bent: ComptimeOption<LensProjection>) -> bool {
 }
 
 #[cube]
-pub(crate) fn project_one(gaussian: &Gaussian, pose: &Pose, lens: &Lens) -> ProjectionTerms {
+pub(crate) fn project_one(gaussian: &Gaussian, pose: &Pose, lens: &ProjectCamera) -> ProjectionTerms {
     let mean_cam = pose.apply(gaussian.mean);
     let (quaternion, quaternion_length) = gaussian.rotation.unit();
     let world_from_gaussian = quaternion.matrix();
@@ -250,7 +250,7 @@ pub(crate) fn project_one(gaussian: &Gaussian, pose: &Pose, lens: &Lens) -> Proj
 
 /// The row of a Gaussian: of one that is culled all zero but `sigma_u = sigma_v = 1`.
 #[cube]
-pub(crate) fn packed_of(gaussian: &Gaussian, p: &ProjectionTerms, lens: &Lens) -> Packed {
+pub(crate) fn packed_of(gaussian: &Gaussian, p: &ProjectionTerms, lens: &ProjectCamera) -> Packed {
     Packed {
         x: select(p.visible, lens.x.focal * p.x.ratio + lens.x.principal, 0.0),
         y: select(p.visible, lens.y.focal * p.y.ratio + lens.y.principal, 0.0),
@@ -270,7 +270,7 @@ pub(super) fn project_forward_kernel(
     opacities: &[f32],
     cam_from_world: &[f32],
     projected: &mut [f32],
-    lens: Lens,
+    lens: ProjectCamera,
     count: u32,
 ) {
     if ABSOLUTE_POS < count as usize {

@@ -1,7 +1,7 @@
 //! Launches of `project`.
 
 use super::backward::project_backward_kernel;
-use super::forward::{CameraAxisLaunch, LensLaunch, project_forward_kernel};
+use super::forward::{CameraAxisLaunch, ProjectCameraLaunch, project_forward_kernel};
 use super::lens_forward::DistortionLaunch;
 use super::{COLUMNS, Geometry, ProjectSpec};
 use crate::camera::{CameraModel, Intrinsics};
@@ -10,13 +10,13 @@ use crate::gpu::reduce::launch_column_sums;
 use crate::gpu::{Buffer, Gpu, UNITS, elementwise};
 
 /// The camera and the options as an argument of the kernels. Computed in f64 and rounded once.
-pub(crate) fn lens(spec: &ProjectSpec) -> LensLaunch {
+pub(crate) fn lens(spec: &ProjectSpec) -> ProjectCameraLaunch {
     let (camera, options) = (&spec.intrinsics, &spec.options);
     let axis = |focal: f64, principal: f64, [low, high]: [f64; 2]| {
         CameraAxisLaunch::new(focal as f32, principal as f32, low as f32, high as f32)
     };
     let [x, y] = camera.slope_limits(options.jacobian_margin);
-    LensLaunch::new(
+    ProjectCameraLaunch::new(
         axis(camera.fx, camera.cx, x),
         axis(camera.fy, camera.cy, y),
         options.near as f32,

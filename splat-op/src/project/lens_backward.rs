@@ -3,7 +3,7 @@
 use cubecl::prelude::*;
 
 use super::backward::SeenGrad;
-use super::forward::{Lens, Packed};
+use super::forward::{Packed, ProjectCamera};
 use super::lens_forward::{Distortion, Fisheye, LensProjection, Mat2, Perspective, PlanarMap};
 use crate::gpu::math::{Mat3, Vec2, Vec3};
 
@@ -20,7 +20,12 @@ fn second(distortion: &Distortion, at: &PlanarMap, m: &Mat2) -> Vec2 {
 
 /// From gradients of the rows of `J W R` and of the ellipse.
 #[cube]
-pub(super) fn bent_backward(bent: &LensProjection, lens: &Lens, grad_j: (Vec3, Vec3), grad: &Packed) -> SeenGrad {
+pub(super) fn bent_backward(
+    bent: &LensProjection,
+    lens: &ProjectCamera,
+    grad_j: (Vec3, Vec3),
+    grad: &Packed,
+) -> SeenGrad {
     let distortion = lens.distortion.unwrap();
     let (x, y, by) = (grad_j.0.times(lens.x.focal), grad_j.1.times(lens.y.focal), bent.held.by);
     let base_x = x.times(by.x.x).plus(y.times(by.y.x));

@@ -2,7 +2,7 @@
 
 use cubecl::prelude::*;
 
-use super::forward::{Lens, Row};
+use super::forward::{ProjectCamera, Row};
 use super::lens::HALF_ANGLE_F32;
 use crate::camera::CameraModel;
 use crate::gpu::math::{Mat3, Vec2, Vec3, within};
@@ -160,7 +160,7 @@ pub(super) fn bent_rows(
     mean_cam: Vec3,
     rows: Mat3,
     scale: Vec3,
-    lens: &Lens,
+    lens: &ProjectCamera,
     distortion: &Distortion,
 ) -> (Row, Row, LensProjection) {
     let bent = if comptime!(distortion.model.is_fisheye()) {
@@ -178,7 +178,7 @@ pub(super) fn bent_rows(
 }
 
 #[cube]
-fn perspective(mean_cam: Vec3, rows: Mat3, lens: &Lens, distortion: &Distortion) -> LensProjection {
+fn perspective(mean_cam: Vec3, rows: Mat3, lens: &ProjectCamera, distortion: &Distortion) -> LensProjection {
     let inverse_depth = 1.0 / mean_cam.z;
     let ratio = Vec2::new(mean_cam.x / mean_cam.z, mean_cam.y / mean_cam.z);
     let s = Vec2::new(within(ratio.x, lens.x.low, lens.x.high), within(ratio.y, lens.y.low, lens.y.high));

@@ -11,7 +11,7 @@ use super::forward::{Leaning, lean};
 use crate::gpu::UNITS;
 use crate::gpu::math::{POSE, Pose, Vec3};
 use crate::project::backward::{Wanted, no_gradient, seen_backward, store_sum};
-use crate::project::forward::{Gaussian, Lens, Packed, ProjectionTerms, project_one};
+use crate::project::forward::{Gaussian, Packed, ProjectCamera, ProjectionTerms, project_one};
 
 /// Gradients of `m0`, `m1` and `mz`.
 #[cube]
@@ -68,7 +68,7 @@ pub(super) fn tilt_backward_kernel(
     grad_rotations: ComptimeOption<&mut [f32]>,
     grad_scales: ComptimeOption<&mut [f32]>,
     pose_rows: ComptimeOption<&mut [f32]>,
-    lens: Lens,
+    lens: ProjectCamera,
     count: u32,
     #[comptime] planes: bool,
 ) {

@@ -11,7 +11,7 @@ use crate::real::Real;
 const CHUNK: usize = 1024;
 
 /// The camera.
-struct Lens<F> {
+struct TiltCamera<F> {
     rotation: Mat3<F>,
     translation: [F; 3],
     focal: [F; 2],
@@ -21,7 +21,7 @@ struct Lens<F> {
     near: F,
 }
 
-impl<F: Real> Lens<F> {
+impl<F: Real> TiltCamera<F> {
     fn new(p: &[F], spec: &ProjectSpec) -> Self {
         let camera = &spec.intrinsics;
         let limits = camera.slope_limits(spec.options.jacobian_margin);
@@ -66,7 +66,7 @@ struct Leaning<F> {
 
 impl<F: Real> Leaning<F> {
     /// `None` for a Gaussian without a tilt.
-    fn new(lens: &Lens<F>, inputs: &Geometry<&[F]>, i: usize) -> Option<Self> {
+    fn new(lens: &TiltCamera<F>, inputs: &Geometry<&[F]>, i: usize) -> Option<Self> {
         let three = |values: &[F]| [values[3 * i], values[3 * i + 1], values[3 * i + 2]];
         let (mean, scales) = (three(inputs.means), three(inputs.scales));
         let rotation: [F; 4] = std::array::from_fn(|k| inputs.rotations[4 * i + k]);
@@ -166,7 +166,7 @@ impl<F: Real> Leaning<F> {
 
 /// `[N, 3]` tilts and thicknesses.
 pub(crate) fn tilt_cpu<F: Real>(inputs: Geometry<&[F]>, spec: &ProjectSpec) -> Vec<F> {
-    let lens = Lens::new(inputs.cam_from_world, spec);
+    let lens = TiltCamera::new(inputs.cam_from_world, spec);
     let mut tilts = vec![F::ZERO; inputs.opacities.len() * TILT];
     tilts.par_chunks_mut(TILT).with_min_len(CHUNK).enumerate().for_each(|(i, row)| {
         if let Some(leaning) = Leaning::new(&lens, &inputs, i) {
@@ -185,7 +185,7 @@ struct Found<F> {
     pose: [F; 12],
 }
 
-fn backward_one<F: Real>(lens: &Lens<F>, inputs: &Geometry<&[F]>, i: usize, grad: [F; TILT]) -> Option<Found<F>> {
+fn backward_one<F: Real>(lens: &TiltCamera<F>, inputs: &Geometry<&[F]>, i: usize, grad: [F; TILT]) -> Option<Found<F>> {
     if grad.iter().all(|value| *value == F::ZERO) {
         return None;
     }
@@ -233,7 +233,7 @@ pub(crate) fn tilt_backward_cpu<F: Real>(
     spec: &ProjectSpec,
     needs: Geometry<bool>,
 ) -> Geometry<Vec<F>> {
-    let lens = Lens::new(inputs.cam_from_world, spec);
+    let lens = TiltCamera::new(inputs.cam_from_world, spec);
     let count = inputs.opacities.len();
     let rows = |needed: bool, columns: usize| vec![F::ZERO; if needed { count * columns } else { 0 }];
     let mut grads = Geometry {

@@ -4,7 +4,7 @@ use cubecl::prelude::*;
 
 use super::{LEAST, REACH, SLACK, THICKNESS_MAX, TILT};
 use crate::gpu::math::{Pose, Vec3, finite};
-use crate::project::forward::{Gaussian, Lens, Packed, ProjectionTerms, project_one};
+use crate::project::forward::{Gaussian, Packed, ProjectCamera, ProjectionTerms, project_one};
 
 /// What the forward pass computes on its way and the backward pass needs again. The names are those of the contract.
 #[derive(CubeType, Clone, Copy)]
@@ -28,7 +28,7 @@ pub(super) struct Leaning {
 }
 
 #[cube]
-pub(super) fn lean(projection: &ProjectionTerms, gaussian: &Gaussian, lens: &Lens) -> Leaning {
+pub(super) fn lean(projection: &ProjectionTerms, gaussian: &Gaussian, lens: &ProjectCamera) -> Leaning {
     let j = projection.last.times(1.0 / projection.depth);
     let mz = j.by_axis(gaussian.scale);
     let inverse_v = 1.0 / projection.sigma_v;
@@ -69,7 +69,7 @@ pub(super) fn tilt_forward_kernel(
     opacities: &[f32],
     cam_from_world: &[f32],
     tilts: &mut [f32],
-    lens: Lens,
+    lens: ProjectCamera,
     count: u32,
 ) {
     if ABSOLUTE_POS < count as usize {

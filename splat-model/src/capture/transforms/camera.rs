@@ -65,8 +65,8 @@ fn nearest_rotation(matrix: DMat3) -> DMat3 {
 /// The lens fields of a frame: the frame's own, then the file's.
 pub(super) struct Lenses<'a> {
     pub place: Place<'a>,
-    pub frame: Option<&'a json::Lens>,
-    pub file: &'a json::Lens,
+    pub frame: Option<&'a json::LensFields>,
+    pub file: &'a json::LensFields,
 }
 
 impl Lenses<'_> {

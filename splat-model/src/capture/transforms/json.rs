@@ -37,7 +37,7 @@ impl<T> Field<T> {
 pub(super) struct File {
     /// The frames up to the first without a path or a matrix, which are required.
     pub frames: Field<Vec<Frame>>,
-    pub lenses: Lens,
+    pub lenses: LensFields,
     /// `ply_file_path`
     pub points: Field<String>,
     pub lists: super::Lists,
@@ -53,7 +53,7 @@ pub(super) struct Frame {
     /// `mask_path`
     pub mask: Field<String>,
     /// None if the frame has no lens fields.
-    pub lens: Option<Box<Lens>>,
+    pub lens: Option<Box<LensFields>>,
 }
 
 /// Four rows; a missing last row is 0 0 0 1.
@@ -82,7 +82,7 @@ const NUMBERS: [&str; 16] = [
 
 /// The lens fields of a file or a frame.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub(super) struct Lens {
+pub(super) struct LensFields {
     numbers: [Field<f64>; NUMBERS.len()],
     /// `camera_model`
     pub model: Field<String>,
@@ -90,7 +90,7 @@ pub(super) struct Lens {
     pub fisheye: Field<bool>,
 }
 
-impl Lens {
+impl LensFields {
     /// One of the numbers, by its field.
     pub fn number(&self, field: &str) -> &Field<f64> {
         let slot = NUMBERS.iter().position(|&known| known == field);
@@ -318,7 +318,7 @@ impl Object for File {
         match field {
             "frames" => self.frames = map.next_value()?,
             "ply_file_path" => self.points = map.next_value()?,
-            _ if Lens::knows(field) => self.lenses.take(field, map)?,
+            _ if LensFields::knows(field) => self.lenses.take(field, map)?,
             _ => match super::LISTS.iter().position(|&known| known == field) {
                 Some(list) => self.lists[list] = map.next_value()?,
                 None => drop(map.next_value::<IgnoredAny>()?),
@@ -336,7 +336,7 @@ impl Object for Frame {
             "file_path" => self.path = map.next_value()?,
             "transform_matrix" => self.matrix = map.next_value()?,
             "mask_path" => self.mask = map.next_value()?,
-            _ if Lens::knows(field) => self.lens.get_or_insert_default().take(field, map)?,
+            _ if LensFields::knows(field) => self.lens.get_or_insert_default().take(field, map)?,
             _ => drop(map.next_value::<IgnoredAny>()?),
         }
         Ok(())

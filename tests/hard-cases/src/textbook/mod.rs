@@ -12,7 +12,7 @@ use splat_op::RenderOptions;
 
 use self::blend::{Cuts, PixelGrad};
 use self::linalg::{add, plus, zero};
-use self::project::{Conic, Gaussian, Lens, Projected, project};
+use self::project::{Conic, Gaussian, Projected, TextbookCamera, project};
 use crate::evaluate::Outputs;
 use crate::number::{Number, Wide};
 use crate::scene::{HardScene, Weights};
@@ -31,7 +31,7 @@ const CHUNK: usize = 64;
 
 /// The projected and sorted scene, before rasterization.
 struct ProjectedScene<N> {
-    lens: Lens<N>,
+    lens: TextbookCamera<N>,
     /// Visible Gaussians, by depth and then by order of input, each with its index in the input.
     projected: Vec<(usize, Projected<N>)>,
     colours: Vec<Vec<N>>,
@@ -58,7 +58,7 @@ fn gaussian<N: Number>(scene: &HardScene, i: usize) -> Gaussian<N> {
 
 impl<N: Number> ProjectedScene<N> {
     fn new(scene: &HardScene) -> Self {
-        let lens = Lens::new(&scene.pose, &scene.intrinsics, &scene.options);
+        let lens = TextbookCamera::new(&scene.pose, &scene.intrinsics, &scene.options);
         let seen = (0..scene.count()).filter_map(|i| Some((i, project(gaussian(scene, i), &lens)?)));
         let mut projected: Vec<(usize, Projected<N>)> = seen.collect();
         // A stable sort, in which values without an order (NaN) count as equal.

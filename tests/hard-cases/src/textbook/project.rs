@@ -9,7 +9,7 @@ use crate::number::Number;
 const COMPENSATION_MIN: f64 = 0.005;
 
 /// A pinhole camera with its pose and the limits of the Jacobian.
-pub struct Lens<N> {
+pub struct TextbookCamera<N> {
     pub rotation: Mat3<N>,
     pub translation: Vec3<N>,
     pub focal: [N; 2],
@@ -22,7 +22,7 @@ pub struct Lens<N> {
     antialias: bool,
 }
 
-impl<N: Number> Lens<N> {
+impl<N: Number> TextbookCamera<N> {
     /// # Panics
     /// If the camera is not a pinhole, the only model that the textbook implements.
     pub fn new(pose: &[f64], camera: &Intrinsics, options: &RenderOptions) -> Self {
@@ -115,7 +115,7 @@ fn determinant<N: Number>([a, b, c]: [N; 3]) -> N {
 }
 
 /// Projects a Gaussian; `None` before the near plane and for a determinant that is not positive, as in most implementations.
-pub fn project<N: Number>(gaussian: Gaussian<N>, lens: &Lens<N>) -> Option<Projected<N>> {
+pub fn project<N: Number>(gaussian: Gaussian<N>, lens: &TextbookCamera<N>) -> Option<Projected<N>> {
     let zero_ = N::of(0.0);
     let mean_cam = add(apply(&lens.rotation, gaussian.mean), lens.translation);
     let [x, y, z] = mean_cam;
@@ -219,7 +219,7 @@ impl<N: Number> Projected<N> {
         out
     }
 
-    pub fn backward(&self, lens: &Lens<N>, grad: &Conic<N>) -> Gradient<N> {
+    pub fn backward(&self, lens: &TextbookCamera<N>, grad: &Conic<N>) -> Gradient<N> {
         let (nought, half, two) = (N::of(0.0), N::of(0.5), N::of(2.0));
         let [ga, gb, gc] = self.covariance_backward(grad);
         let mut grad_image = zero();
