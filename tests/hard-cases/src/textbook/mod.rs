@@ -12,7 +12,7 @@ use splat_op::RenderOptions;
 
 use self::blend::{Cuts, PixelGrad};
 use self::linalg::{add, plus, zero};
-use self::project::{Conic, Gaussian, Projected, TextbookCamera, project};
+use self::project::{Conic, Gaussian, TextbookCamera, TextbookProjection, project};
 use crate::evaluate::Outputs;
 use crate::number::{Number, Wide};
 use crate::scene::{HardScene, Weights};
@@ -33,7 +33,7 @@ const CHUNK: usize = 64;
 struct ProjectedScene<N> {
     lens: TextbookCamera<N>,
     /// Visible Gaussians, by depth and then by order of input, each with its index in the input.
-    projected: Vec<(usize, Projected<N>)>,
+    projected: Vec<(usize, TextbookProjection<N>)>,
     colours: Vec<Vec<N>>,
     background: Vec<N>,
 }
@@ -60,7 +60,7 @@ impl<N: Number> ProjectedScene<N> {
     fn new(scene: &HardScene) -> Self {
         let lens = TextbookCamera::new(&scene.pose, &scene.intrinsics, &scene.options);
         let seen = (0..scene.count()).filter_map(|i| Some((i, project(gaussian(scene, i), &lens)?)));
-        let mut projected: Vec<(usize, Projected<N>)> = seen.collect();
+        let mut projected: Vec<(usize, TextbookProjection<N>)> = seen.collect();
         // A stable sort, in which values without an order (NaN) count as equal.
         projected
             .sort_by(|(_, a), (_, b)| a.conic.depth.partial_cmp(&b.conic.depth).unwrap_or(std::cmp::Ordering::Equal));

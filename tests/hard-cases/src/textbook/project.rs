@@ -67,7 +67,7 @@ pub struct Conic<N> {
 }
 
 /// Values of the forward pass that the backward pass needs.
-pub struct Projected<N> {
+pub struct TextbookProjection<N> {
     gaussian: Gaussian<N>,
     quat_length: N,
     unit: [N; 4],
@@ -115,7 +115,7 @@ fn determinant<N: Number>([a, b, c]: [N; 3]) -> N {
 }
 
 /// Projects a Gaussian; `None` before the near plane and for a determinant that is not positive, as in most implementations.
-pub fn project<N: Number>(gaussian: Gaussian<N>, lens: &TextbookCamera<N>) -> Option<Projected<N>> {
+pub fn project<N: Number>(gaussian: Gaussian<N>, lens: &TextbookCamera<N>) -> Option<TextbookProjection<N>> {
     let zero_ = N::of(0.0);
     let mean_cam = add(apply(&lens.rotation, gaussian.mean), lens.translation);
     let [x, y, z] = mean_cam;
@@ -165,7 +165,7 @@ pub fn project<N: Number>(gaussian: Gaussian<N>, lens: &TextbookCamera<N>) -> Op
         depth: z,
         opacity: gaussian.opacity * compensation,
     };
-    Some(Projected {
+    Some(TextbookProjection {
         gaussian,
         quat_length,
         unit,
@@ -186,7 +186,7 @@ pub fn project<N: Number>(gaussian: Gaussian<N>, lens: &TextbookCamera<N>) -> Op
     })
 }
 
-impl<N: Number> Projected<N> {
+impl<N: Number> TextbookProjection<N> {
     /// Ratio of the larger to the smaller eigenvalue of the 2D covariance.
     pub fn condition(&self) -> f64 {
         let [a, _, c] = self.covariance;
