@@ -12,7 +12,7 @@ use splat_op::RenderOptions;
 
 use self::blend::{Cuts, PixelGrad};
 use self::linalg::{add, plus, zero};
-use self::project::{Conic, Gaussian, TextbookCamera, TextbookProjection, project};
+use self::project::{Conic, TextbookCamera, TextbookGaussian, TextbookProjection, project};
 use crate::evaluate::Outputs;
 use crate::number::{Number, Wide};
 use crate::scene::{HardScene, Weights};
@@ -43,12 +43,12 @@ fn all<N: Number>(values: &[f64]) -> Vec<N> {
 }
 
 /// Activated parameters of one Gaussian.
-fn gaussian<N: Number>(scene: &HardScene, i: usize) -> Gaussian<N> {
+fn gaussian<N: Number>(scene: &HardScene, i: usize) -> TextbookGaussian<N> {
     let take = |values: &[f64], k: usize| N::of(values[k]);
     let one = N::of(1.0);
     let activated = |scale: N| if scene.stored { scale.exp() } else { scale };
     let opacity = take(&scene.opacities, i);
-    Gaussian {
+    TextbookGaussian {
         mean: [0, 1, 2].map(|k| take(&scene.means, 3 * i + k)),
         quat: [0, 1, 2, 3].map(|k| take(&scene.quats, 4 * i + k)),
         scale: [0, 1, 2].map(|k| activated(take(&scene.scales, 3 * i + k))),

@@ -48,7 +48,7 @@ impl<N: Number> TextbookCamera<N> {
 
 /// One Gaussian's activated parameters.
 #[derive(Clone, Copy, Debug)]
-pub struct Gaussian<N> {
+pub struct TextbookGaussian<N> {
     pub mean: Vec3<N>,
     /// Quaternion wxyz.
     pub quat: [N; 4],
@@ -68,7 +68,7 @@ pub struct Conic<N> {
 
 /// Values of the forward pass that the backward pass needs.
 pub struct TextbookProjection<N> {
-    gaussian: Gaussian<N>,
+    gaussian: TextbookGaussian<N>,
     quat_length: N,
     unit: [N; 4],
     rotation: Mat3<N>,
@@ -115,7 +115,7 @@ fn determinant<N: Number>([a, b, c]: [N; 3]) -> N {
 }
 
 /// Projects a Gaussian; `None` before the near plane and for a determinant that is not positive, as in most implementations.
-pub fn project<N: Number>(gaussian: Gaussian<N>, lens: &TextbookCamera<N>) -> Option<TextbookProjection<N>> {
+pub fn project<N: Number>(gaussian: TextbookGaussian<N>, lens: &TextbookCamera<N>) -> Option<TextbookProjection<N>> {
     let zero_ = N::of(0.0);
     let mean_cam = add(apply(&lens.rotation, gaussian.mean), lens.translation);
     let [x, y, z] = mean_cam;
