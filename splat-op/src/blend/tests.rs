@@ -6,7 +6,7 @@ use crate::camera::Intrinsics;
 use crate::options::RenderOptions;
 use crate::project::{COLUMNS, Ellipse};
 use crate::real::Real;
-use crate::testing::blending::{Layer, assert_close, blended, small_ellipse, smooth};
+use crate::testing::blending::{PixelLayer, assert_close, blended, small_ellipse, smooth};
 use crate::testing::finite::{check_gradient, inner_product};
 use crate::testing::random::Random;
 use crate::tile::cpu::tile_cpu;
@@ -103,7 +103,7 @@ fn planes_by_definition(scene: &Scene) -> Vec<f64> {
     order.sort_by(|&a, &b| ellipses[a].depth.total_cmp(&ellipses[b].depth));
     blended(&scene.spec, features, background, |pixel| {
         let layer =
-            |&i: &usize| Layer { gaussian: i, alpha: scene.alpha(pixel, &ellipses[i]), depth: ellipses[i].depth };
+            |&i: &usize| PixelLayer { gaussian: i, alpha: scene.alpha(pixel, &ellipses[i]), depth: ellipses[i].depth };
         order.iter().map(layer).collect()
     })
 }

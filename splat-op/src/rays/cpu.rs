@@ -3,7 +3,7 @@
 
 use rayon::prelude::*;
 
-use super::pixel::{Footprint, Layer, Rules, look};
+use super::pixel::{Footprint, RayLayerCpu, Rules, look};
 use super::{RayLayers, SUMS};
 use crate::blend::BlendSpec;
 use crate::project::{COLUMNS, Ellipse};
@@ -71,7 +71,7 @@ impl<'a, F: Real> PreparedRayView<'a, F> {
 pub(crate) fn rays_cpu<F: Real>(inputs: RayLayers<&[F]>, spec: &BlendSpec, hits: &HitLists) -> Vec<F> {
     let view = PreparedRayView::new(inputs, spec, hits);
     let (count, pixels) = (view.planes(), view.size[0] * view.size[1]);
-    let of_tile = |layers: &mut Vec<Layer<F>>, tile: usize| -> Vec<F> {
+    let of_tile = |layers: &mut Vec<RayLayerCpu<F>>, tile: usize| -> Vec<F> {
         let mut values = Vec::new();
         for pixel in view.pixels(tile) {
             let left = look(&view.footprints, view.gaussians(tile), view.centre(pixel), &view.rules, layers);
@@ -139,7 +139,7 @@ fn tile_backward<F: Real>(
     grad: &[F],
     tile: usize,
     (rows, columns): (&mut [F], usize),
-    layers: &mut Vec<Layer<F>>,
+    layers: &mut Vec<RayLayerCpu<F>>,
 ) -> Vec<F> {
     let (channels, pixels) = (view.channels, view.size[0] * view.size[1]);
     let mut background = vec![F::ZERO; channels];

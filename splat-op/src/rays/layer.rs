@@ -82,7 +82,7 @@ pub(super) struct Footprint {
 /// A Gaussian at a pixel; the names are those of the contract. An alpha of zero where it is not seen.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
-pub(super) struct Layer {
+pub(super) struct RayLayer {
     pub u: f32,
     pub v: f32,
     pub exponent: f32,
@@ -114,7 +114,7 @@ impl Footprint {
         }
     }
 
-    pub fn at(&self, x: f32, y: f32, view: &RayFrame) -> Layer {
+    pub fn at(&self, x: f32, y: f32, view: &RayFrame) -> RayLayer {
         let widest = comptime!(WHITENED_MAX as f32);
         let farthest = comptime!((WHITENED_MAX * WHITENED_MAX) as f32);
         let (dx, dy) = (x - self.x, y - self.y);
@@ -135,7 +135,7 @@ impl Footprint {
         }
         let whole = self.opacity * (-exponent).exp();
         let alpha = min(whole, view.alpha_max);
-        Layer {
+        RayLayer {
             u,
             v,
             exponent,
@@ -148,7 +148,7 @@ impl Footprint {
     }
 
     /// The depth a layer is seen at, scene units.
-    pub fn depth_of(&self, layer: &Layer, view: &RayFrame) -> f32 {
+    pub fn depth_of(&self, layer: &RayLayer, view: &RayFrame) -> f32 {
         let mut depth = self.depth;
         if comptime!(view.exact) {
             depth = layer.key;

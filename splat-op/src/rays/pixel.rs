@@ -60,7 +60,7 @@ impl<F: Real> Rules<F> {
 
 /// A Gaussian at a pixel; the names are those of the contract.
 #[derive(Clone, Copy)]
-pub(super) struct Layer<F> {
+pub(super) struct RayLayerCpu<F> {
     /// In the tile's list.
     pub place: usize,
     pub gaussian: u32,
@@ -78,7 +78,7 @@ pub(super) struct Layer<F> {
     pub before: F,
 }
 
-impl<F: Real> Layer<F> {
+impl<F: Real> RayLayerCpu<F> {
     /// What the pixel with its centre at `at` px sees of a Gaussian; `None` if that is nothing.
     #[inline(always)]
     fn new(footprint: &Footprint<F>, at: [F; 2], rules: &Rules<F>, (place, gaussian): (usize, u32)) -> Option<Self> {
@@ -136,12 +136,12 @@ pub(super) fn look<F: Real>(
     gaussians: &[u32],
     at: [F; 2],
     rules: &Rules<F>,
-    layers: &mut Vec<Layer<F>>,
+    layers: &mut Vec<RayLayerCpu<F>>,
 ) -> F {
     layers.clear();
     let mut transmittance = F::ONE;
     // Passes a layer, unless that would end the pixel.
-    let pass = |transmittance: &mut F, layer: &mut Layer<F>| {
+    let pass = |transmittance: &mut F, layer: &mut RayLayerCpu<F>| {
         let behind = *transmittance - layer.alpha * *transmittance;
         layer.before = *transmittance;
         let ends = behind <= rules.transmittance_min;
@@ -151,7 +151,7 @@ pub(super) fn look<F: Real>(
         !ends
     };
     for (place, &gaussian) in gaussians.iter().enumerate() {
-        let Some(mut layer) = Layer::new(&footprints[gaussian as usize], at, rules, (place, gaussian)) else {
+        let Some(mut layer) = RayLayerCpu::new(&footprints[gaussian as usize], at, rules, (place, gaussian)) else {
             continue;
         };
         if !rules.per_pixel && !pass(&mut transmittance, &mut layer) {
@@ -181,7 +181,7 @@ pub(super) struct LayerGrad<F> {
     pub mean2d: [F; 2],
 }
 
-impl<F: Real> Layer<F> {
+impl<F: Real> RayLayerCpu<F> {
     /// From `∂L/∂α` and the gradient of the depth plane.
     #[inline(always)]
     pub fn backward(&self, footprint: &Footprint<F>, rules: &Rules<F>, grad_alpha: F, grad_depth: F) -> LayerGrad<F> {

@@ -7,7 +7,7 @@ use crate::blend::cpu::blend_cpu;
 use crate::camera::Intrinsics;
 use crate::options::{Order, Projection, RenderOptions};
 use crate::project::{COLUMNS, Ellipse};
-use crate::testing::blending::{Layer, assert_close, blended, small_ellipse, smooth};
+use crate::testing::blending::{PixelLayer, assert_close, blended, small_ellipse, smooth};
 use crate::testing::finite::{check_gradient, inner_product};
 use crate::testing::random::Random;
 use crate::tile::HitLists;
@@ -143,7 +143,7 @@ fn planes_by_definition(scene: &Scene) -> Vec<f64> {
     blended(&scene.spec, features, background, |pixel| {
         let layer = |i: usize| {
             let [alpha, depth, _] = scene.seen(pixel, i);
-            Layer { gaussian: i, alpha, depth }
+            PixelLayer { gaussian: i, alpha, depth }
         };
         scene.order(pixel).into_iter().map(layer).collect()
     })

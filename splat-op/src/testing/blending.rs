@@ -6,7 +6,7 @@ use crate::options::RenderOptions;
 use crate::project::Ellipse;
 
 /// What a pixel sees of a Gaussian.
-pub struct Layer {
+pub struct PixelLayer {
     pub gaussian: usize,
     /// Before its limit.
     pub alpha: f64,
@@ -19,14 +19,14 @@ pub fn blended(
     spec: &BlendSpec,
     features: &[f64],
     background: &[f64],
-    layers: impl Fn(usize) -> Vec<Layer>,
+    layers: impl Fn(usize) -> Vec<PixelLayer>,
 ) -> Vec<f64> {
     let (options, channels) = (&spec.options, background.len());
     let pixels = spec.intrinsics.width * spec.intrinsics.height;
     let mut planes = vec![0.0; spec.planes(channels) * pixels];
     for pixel in 0..pixels {
         let mut transmittance = 1.0;
-        for Layer { gaussian, alpha, depth } in layers(pixel) {
+        for PixelLayer { gaussian, alpha, depth } in layers(pixel) {
             let alpha = alpha.min(options.alpha_max);
             if alpha < options.alpha_min {
                 continue;

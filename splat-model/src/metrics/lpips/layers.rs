@@ -10,7 +10,7 @@ pub const TAPS: usize = 5;
 
 /// A layer of a network. Every convolution is followed by a ReLU.
 #[derive(Clone, Copy, Debug)]
-pub enum Layer {
+pub enum NetworkLayer {
     /// Convolution to `channels` channels, with a bias.
     Conv { number: usize, channels: usize, window: Window },
     /// Maximum over the window, which does not extend beyond the border.
@@ -26,7 +26,7 @@ pub struct Window {
     pub padding: usize,
 }
 
-impl Layer {
+impl NetworkLayer {
     pub fn window(self) -> Window {
         match self {
             Self::Conv { window, .. } | Self::Pool { window } => window,
@@ -44,14 +44,14 @@ pub enum Net {
 }
 
 /// The layers between two taps. The features after the last layer are compared.
-pub type Slice = &'static [Layer];
+pub type Slice = &'static [NetworkLayer];
 
-const fn conv(number: usize, channels: usize, side: usize, stride: usize, padding: usize) -> Layer {
-    Layer::Conv { number, channels, window: Window { side, stride, padding } }
+const fn conv(number: usize, channels: usize, side: usize, stride: usize, padding: usize) -> NetworkLayer {
+    NetworkLayer::Conv { number, channels, window: Window { side, stride, padding } }
 }
 
-const fn pool(side: usize, stride: usize) -> Layer {
-    Layer::Pool { window: Window { side, stride, padding: 0 } }
+const fn pool(side: usize, stride: usize) -> NetworkLayer {
+    NetworkLayer::Pool { window: Window { side, stride, padding: 0 } }
 }
 
 const ALEX: [Slice; TAPS] = [

@@ -24,7 +24,7 @@ use burn::tensor::{DType, Device, Tensor};
 use thiserror::Error;
 
 pub use self::layers::Net;
-use self::layers::{Layer, Part, TAPS, Window, parts};
+use self::layers::{NetworkLayer, Part, TAPS, Window, parts};
 pub use self::weights::WeightsError;
 
 /// Added to the length of a feature vector, as in the package's `normalize_tensor`.
@@ -158,8 +158,8 @@ impl Lpips {
         for ((slice, view), linear) in self.net.slices().into_iter().zip(self.net.views()).zip(&self.linear) {
             for layer in slice {
                 [a, b] = match *layer {
-                    Layer::Pool { window } => [a, b].map(|features| pooled(features, window)),
-                    Layer::Conv { window, .. } => {
+                    NetworkLayer::Pool { window } => [a, b].map(|features| pooled(features, window)),
+                    NetworkLayer::Conv { window, .. } => {
                         let convolution = convolutions.next().expect("read for every layer of the table");
                         [a, b].map(|features| convolution.over(features, window))
                     }

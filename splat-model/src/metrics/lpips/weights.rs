@@ -10,7 +10,7 @@ use safetensors::{Dtype, SafeTensors};
 use splat_op::is_gpu;
 use thiserror::Error;
 
-use super::layers::{Layer, Net};
+use super::layers::{Net, NetworkLayer};
 use super::{Convolution, Input, Lpips, MOST_ON_CPU, MOST_ON_GPU};
 
 /// Largest size of a file, bytes. Torchvision's complete VGG16, including the layers that LPIPS does not use, is 553 MB.
@@ -98,7 +98,7 @@ impl Lpips {
         let mut channels = 3;
         for (tap, slice) in net.slices().into_iter().enumerate() {
             for layer in slice {
-                let Layer::Conv { number, channels: out, window } = *layer else { continue };
+                let NetworkLayer::Conv { number, channels: out, window } = *layer else { continue };
                 let name = |what| format!("net.slice{}.{number}.{what}", tap + 1);
                 let weight = source.tensor(&name("weight"), [out, channels, window.side, window.side], false)?;
                 convolutions.push(Convolution { weight, bias: source.tensor(&name("bias"), [out], false)? });

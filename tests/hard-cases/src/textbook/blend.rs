@@ -25,7 +25,7 @@ impl<N: Number> Cuts<N> {
 }
 
 /// One layer at a pixel.
-pub struct Layer<N> {
+pub struct TextbookLayer<N> {
     /// Index in the order of depth.
     place: usize,
     offset: [N; 2],
@@ -42,7 +42,7 @@ pub struct Pixel<N> {
     pub colour: Vec<N>,
     pub depth: N,
     pub transmittance: N,
-    pub layers: Vec<Layer<N>>,
+    pub layers: Vec<TextbookLayer<N>>,
 }
 
 /// Rasterizes one pixel, front to back over sorted `splats`, each with its colour.
@@ -70,7 +70,7 @@ pub fn forward<N: Number>(centre: [N; 2], splats: &[(Conic<N>, &[N])], backgroun
         let weight = alpha * pixel.transmittance;
         pixel.colour.iter_mut().zip(*colour).for_each(|(sum, c)| *sum = *sum + weight * *c);
         pixel.depth = pixel.depth + weight * splat.depth;
-        pixel.layers.push(Layer { place, offset, falloff, alpha, free, transmittance: pixel.transmittance });
+        pixel.layers.push(TextbookLayer { place, offset, falloff, alpha, free, transmittance: pixel.transmittance });
         pixel.transmittance = behind;
     }
     pixel.colour.iter_mut().zip(background).for_each(|(sum, c)| *sum = *sum + pixel.transmittance * *c);
