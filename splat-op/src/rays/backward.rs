@@ -10,7 +10,7 @@
 use cubecl::prelude::*;
 
 use super::SUMS;
-use super::layer::{CHUNK, Footprint, Pixel, RayFrame, Walk};
+use super::layer::{CHUNK, Footprint, RayFrame, RayPixel, Walk};
 use crate::gpu::UNITS;
 use crate::gpu::reduce::cube_sum;
 use crate::project::COLUMNS;
@@ -40,7 +40,7 @@ pub(super) fn rays_walk_kernel(
     let tile = view.first_tile + CUBE_POS as u32;
     if tile < view.end_tile {
         let unit = UNIT_POS % comptime!(TILE_PIXELS as u32);
-        let pixel = Pixel::of(tile, unit, &view);
+        let pixel = RayPixel::of(tile, unit, &view);
         let plane = (view.width * view.height) as usize;
         let channels = view.features as usize;
         let first = tile_start[tile as usize];
@@ -161,7 +161,7 @@ pub(super) fn rays_sums_kernel(
         for unit in 0..comptime!(TILE_PIXELS as u32) {
             let weight = f32::reinterpret(table[own + 2 * unit as usize + 1]);
             if weight > 0.0 {
-                let pixel = Pixel::of(tile, unit, &view);
+                let pixel = RayPixel::of(tile, unit, &view);
                 let layer = footprint.at(pixel.x, pixel.y, &view);
                 let (u, v) = (layer.u, layer.v);
                 let h = f32::reinterpret(table[own + 2 * unit as usize]);
@@ -209,7 +209,7 @@ pub(super) fn rays_sums_kernel(
             for unit in 0..comptime!(TILE_PIXELS as u32) {
                 let weight = f32::reinterpret(table[own + 2 * unit as usize + 1]);
                 if weight > 0.0 {
-                    sum += weight * grad[channel * plane + Pixel::of(tile, unit, &view).index];
+                    sum += weight * grad[channel * plane + RayPixel::of(tile, unit, &view).index];
                 }
             }
             rows[at + comptime!(SUMS) + channel] = sum;

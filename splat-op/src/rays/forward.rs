@@ -6,7 +6,7 @@
 
 use cubecl::prelude::*;
 
-use super::layer::{CHUNK, Footprint, Pixel, RayFrame, Walk};
+use super::layer::{CHUNK, Footprint, RayFrame, RayPixel, Walk};
 use crate::tile::TILE_PIXELS;
 
 /// Planes `[C + 1 (+ 1), H, W]`.
@@ -23,7 +23,7 @@ pub(super) fn rays_forward_kernel(
     view: RayFrame,
 ) {
     let tile = CUBE_POS as u32;
-    let pixel = Pixel::of(tile, UNIT_POS % comptime!(TILE_PIXELS as u32), &view);
+    let pixel = RayPixel::of(tile, UNIT_POS % comptime!(TILE_PIXELS as u32), &view);
     if tile < view.end_tile && pixel.inside {
         let plane = (view.width * view.height) as usize;
         let channels = view.features as usize;

@@ -40,7 +40,7 @@ pub(super) struct RayFrame {
 /// One pixel of a tile, a unit's own.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
-pub(super) struct Pixel {
+pub(super) struct RayPixel {
     /// Its centre, px.
     pub x: f32,
     pub y: f32,
@@ -50,11 +50,11 @@ pub(super) struct Pixel {
 }
 
 #[cube]
-impl Pixel {
-    pub fn of(tile: u32, unit: u32, view: &RayFrame) -> Pixel {
+impl RayPixel {
+    pub fn of(tile: u32, unit: u32, view: &RayFrame) -> RayPixel {
         let column = tile % view.tiles_x * comptime!(TILE as u32) + unit % comptime!(TILE as u32);
         let row = tile / view.tiles_x * comptime!(TILE as u32) + unit / comptime!(TILE as u32);
-        Pixel {
+        RayPixel {
             x: f32::cast_from(column) + 0.5,
             y: f32::cast_from(row) + 0.5,
             inside: column < view.width && row < view.height,
@@ -219,7 +219,7 @@ impl Walk {
         gaussian_of_hit: &[u32],
         first: u32,
         places: u32,
-        pixel: &Pixel,
+        pixel: &RayPixel,
         view: &RayFrame,
     ) -> u32 {
         let mut count = 0u32;

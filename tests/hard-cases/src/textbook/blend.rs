@@ -38,7 +38,7 @@ pub struct TextbookLayer<N> {
 }
 
 /// Result of one pixel, and the layers that contribute to it.
-pub struct Pixel<N> {
+pub struct TextbookPixel<N> {
     pub colour: Vec<N>,
     pub depth: N,
     pub transmittance: N,
@@ -46,9 +46,15 @@ pub struct Pixel<N> {
 }
 
 /// Rasterizes one pixel, front to back over sorted `splats`, each with its colour.
-pub fn forward<N: Number>(centre: [N; 2], splats: &[(Conic<N>, &[N])], background: &[N], cuts: &Cuts<N>) -> Pixel<N> {
+pub fn forward<N: Number>(
+    centre: [N; 2],
+    splats: &[(Conic<N>, &[N])],
+    background: &[N],
+    cuts: &Cuts<N>,
+) -> TextbookPixel<N> {
     let (zero, one) = (N::of(0.0), N::of(1.0));
-    let mut pixel = Pixel { colour: vec![zero; background.len()], depth: zero, transmittance: one, layers: Vec::new() };
+    let mut pixel =
+        TextbookPixel { colour: vec![zero; background.len()], depth: zero, transmittance: one, layers: Vec::new() };
     for (place, (splat, colour)) in splats.iter().enumerate() {
         let offset = [0, 1].map(|i| centre[i] - splat.mean_px[i]);
         let ([dx, dy], [a, b, c]) = (offset, splat.conic);
@@ -86,7 +92,7 @@ pub struct PixelGrad<N> {
 
 /// Adds a pixel's share to the gradients of the `splats` and of their colours.
 pub fn backward<N: Number>(
-    pixel: &Pixel<N>,
+    pixel: &TextbookPixel<N>,
     grad: &PixelGrad<N>,
     splats: &[(Conic<N>, &[N])],
     background: &[N],
