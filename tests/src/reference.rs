@@ -10,7 +10,7 @@ use crate::data::optional_data;
 use crate::scene::{Evaluation, Named, Scene, Weights};
 
 /// One reference vector, a file.
-pub struct Vector {
+pub struct ReferenceVector {
     pub name: String,
     pub scene: Scene,
     pub weights: Weights,
@@ -22,17 +22,18 @@ pub struct Vector {
 ///
 /// # Panics
 /// If a folder holds no vector, or a vector that cannot be read.
-pub fn read_vectors() -> Vec<Vector> {
+pub fn read_vectors() -> Vec<ReferenceVector> {
     let own = Path::new(env!("CARGO_MANIFEST_DIR")).join("reference");
     let mut vectors = read_folder(&own);
     if let Some(larger) = optional_data("reference") {
-        let named = |vector: Vector| Vector { name: format!("SPLAT_DATA_DIR {}", vector.name), ..vector };
+        let named =
+            |vector: ReferenceVector| ReferenceVector { name: format!("SPLAT_DATA_DIR {}", vector.name), ..vector };
         vectors.extend(read_folder(&larger).into_iter().map(named));
     }
     vectors
 }
 
-fn read_folder(folder: &Path) -> Vec<Vector> {
+fn read_folder(folder: &Path) -> Vec<ReferenceVector> {
     let entries = folder.read_dir().unwrap_or_else(|error| panic!("{}: {error}", folder.display()));
     let entries = entries.map(|entry| entry.expect("a readable entry").path());
     let mut files: Vec<PathBuf> = entries.filter(|path| path.extension().is_some_and(|e| e == "safetensors")).collect();
@@ -41,7 +42,7 @@ fn read_folder(folder: &Path) -> Vec<Vector> {
     files.iter().map(|file| read_vector(file)).collect()
 }
 
-fn read_vector(path: &Path) -> Vector {
+fn read_vector(path: &Path) -> ReferenceVector {
     let name = path.file_stem().expect("found by its extension").to_string_lossy().into_owned();
     let bytes = std::fs::read(path).unwrap_or_else(|error| panic!("{name}: {error}"));
     let (_, header) = SafeTensors::read_metadata(&bytes).unwrap_or_else(|error| panic!("{name}: {error}"));
@@ -111,5 +112,5 @@ fn read_vector(path: &Path) -> Vector {
         ],
     };
     let weights = Weights { image: values("w_image"), alpha: values("w_alpha"), depth: values("w_depth") };
-    Vector { name, scene, weights, options, expected }
+    ReferenceVector { name, scene, weights, options, expected }
 }

@@ -6,7 +6,7 @@ use splat_tests::band::boundary_band;
 use splat_tests::compare::{Finding, assert_all, keep_rows, relative_error, row_errors, row_sizes, worst};
 use splat_tests::data::announce;
 use splat_tests::perturb::{ceiling_used, rounded, ulp_spread};
-use splat_tests::reference::{Vector, read_vectors};
+use splat_tests::reference::{ReferenceVector, read_vectors};
 use splat_tests::scene::{Evaluation, Named, Weights, evaluate};
 use splat_tests::{cpu_devices, devices};
 
@@ -38,7 +38,7 @@ fn reference_vectors_in_f32() {
     for vector in read_vectors() {
         let yardstick = Yardstick::new(&vector, &Device::flex());
         for (device_name, device) in devices() {
-            let Vector { scene, options, .. } = &vector;
+            let ReferenceVector { scene, options, .. } = &vector;
             let found = evaluate(scene, &yardstick.weights, options, &device, DType::F32);
             let findings = yardstick.compare(&vector, &found);
             report(&vector.name, device_name, "f32", &findings);
@@ -48,11 +48,11 @@ fn reference_vectors_in_f32() {
 }
 
 /// Whether the output of each Gaussian is specified.
-fn in_front(vector: &Vector) -> Vec<bool> {
+fn in_front(vector: &ReferenceVector) -> Vec<bool> {
     vector.scene.camera_z().iter().map(|z| *z > vector.options.near).collect()
 }
 
-fn compare_f64(vector: &Vector, found: &Evaluation) -> Vec<Finding> {
+fn compare_f64(vector: &ReferenceVector, found: &Evaluation) -> Vec<Finding> {
     let mut findings = Vec::new();
     let mut compare = |found: &Named, expected: &Named| {
         assert_eq!(found.name, expected.name);
@@ -87,7 +87,7 @@ struct Yardstick {
 }
 
 impl Yardstick {
-    fn new(vector: &Vector, device: &Device) -> Self {
+    fn new(vector: &ReferenceVector, device: &Device) -> Self {
         let (scene, mut weights, options) = rounded(&vector.scene, &vector.weights, &vector.options);
         let kept: Vec<bool> = boundary_band(&scene, &options, device).iter().map(|band| !band).collect();
         for (pixel, _) in kept.iter().enumerate().filter(|(_, kept)| !**kept) {
@@ -99,7 +99,7 @@ impl Yardstick {
         Self { weights, expected, spread, kept }
     }
 
-    fn compare(&self, vector: &Vector, found: &Evaluation) -> Vec<Finding> {
+    fn compare(&self, vector: &ReferenceVector, found: &Evaluation) -> Vec<Finding> {
         let mut findings = Vec::new();
         let band = self.kept.iter().filter(|kept| !**kept).count();
         let (error, what) = (band as f64 / self.kept.len() as f64, format!("{} share of band", vector.name));
