@@ -34,12 +34,12 @@ const TILE_BLOCKS: usize = TILE_PIXELS / (ROWS * LANES);
 
 /// A Gaussian on a block: transmittances before it and alphas, row by row. The last pass over a Gaussian replaces the first by
 /// its weights.
-type Block<F> = [[F; 2 * LANES]; ROWS];
+type BlockAlphas<F> = [[F; 2 * LANES]; ROWS];
 
 /// Buffers that one thread reuses from tile to tile, sized for a chunk whose Gaussians show in every pixel.
 pub(super) struct Scratch<F> {
     /// For each block that a Gaussian of the chunk shows in.
-    layers: Vec<Block<F>>,
+    layers: Vec<BlockAlphas<F>>,
     /// Where in the tile each of them lies.
     places: Vec<u16>,
     /// Where each Gaussian of the chunk begins in the two.
@@ -146,7 +146,7 @@ fn backwards<S: Simd, F: Real, const C: usize, const LONG: bool, const LIBRARY: 
     grad: &TileGrad<F>,
     (splat, colour, thresholds): (&Splat<S, F>, &[F], &Thresholds<S, F, LIBRARY>),
     x: &[F::Lanes<S>; ROW_VECTORS],
-    (blocks, places): (&mut [Block<F>], &[u16]),
+    (blocks, places): (&mut [BlockAlphas<F>], &[u16]),
     (rho, row): (&mut Transmittances<F>, &mut [F]),
 ) {
     let alpha_max = thresholds.alpha_max;
