@@ -26,7 +26,7 @@ const PREPARED: usize = 36;
 
 /// Predicted memory, bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Budget {
+pub struct MemoryEstimate {
     /// Decoded photographs that stay in memory.
     pub photographs: usize,
     /// Photographs prepared for the loss.
@@ -37,7 +37,7 @@ pub struct Budget {
     pub other: usize,
 }
 
-impl Budget {
+impl MemoryEstimate {
     /// Predicts the memory of a run over these photographs with `splats` Gaussians.
     pub fn of(train: &[Photograph], test: &[Photograph], config: &TrainConfig, splats: usize) -> Self {
         let pixels = |photo: &Photograph| photo.intrinsics.width * photo.intrinsics.height;
@@ -113,18 +113,18 @@ mod tests {
         let kept = Photograph::from(photo());
         let let_go = Photograph::read_again(&photo(), || Ok(photo()));
         let config = TrainConfig { sh_degree: 0, cache_mib: 0, ..TrainConfig::default() };
-        let budget = Budget::of(&[kept.clone(), let_go], &[kept], &config, 10);
+        let budget = MemoryEstimate::of(&[kept.clone(), let_go], &[kept], &config, 10);
         assert_eq!(budget.photographs, 2 * 15_000);
         assert_eq!(budget.prepared, 0);
         assert_eq!(budget.scene, 10 * (COPIES * 14 * 4 + RENDERED));
         let config = TrainConfig { sh_degree: 1, ..config };
-        assert_eq!(Budget::of(&[], &[], &config, 10).scene - budget.scene, 10 * COPIES * 9 * 4);
-        assert_eq!(Budget::of(&[], &[], &config, 0).total(), PROGRAM);
+        assert_eq!(MemoryEstimate::of(&[], &[], &config, 10).scene - budget.scene, 10 * COPIES * 9 * 4);
+        assert_eq!(MemoryEstimate::of(&[], &[], &config, 0).total(), PROGRAM);
     }
 
     #[test]
     fn a_run_that_would_not_fit_says_so() {
-        let budget = |photographs, scene| Budget { photographs, prepared: 0, scene, other: 0 };
+        let budget = |photographs, scene| MemoryEstimate { photographs, prepared: 0, scene, other: 0 };
         let large = budget(1_000_000_000, 3_000_000_000);
         assert!(!large.said(7, None).contains("--") && !large.said(7, Some(5_000_000_000)).contains("--"));
         let said = large.said(7, Some(2_000_000_000));

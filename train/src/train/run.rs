@@ -16,7 +16,7 @@ use splat_model::gaussians::Gaussians;
 use splat_model::ply;
 use splat_model::trainer::{TrainConfig, Trainer};
 
-use super::budget::{self, Budget};
+use super::budget::{self, MemoryEstimate};
 use super::checkpoints::{self, Checkpoints, Kept, SoFar};
 use super::results::write_learnt;
 use super::steps::{Choice, Done, Steps};
@@ -122,7 +122,7 @@ fn to_the_end(mut args: TrainArgs, kept: Option<Kept>, change: impl FnOnce(Train
         capture.points.positions.len()
     ));
     let most = config.density.max_splats();
-    progress::note(&Budget::of(&train, &test, &config, most).said(most, available));
+    progress::note(&MemoryEstimate::of(&train, &test, &config, most).said(most, available));
     let trainer = Trainer::of(train, &capture.points, config.clone(), &device)?;
     let trainer = effects.supply(trainer, &capture, &train_views)?;
     let mut trainer = change(if args.check { trainer.with_checks() } else { trainer });
