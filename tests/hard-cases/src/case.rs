@@ -5,7 +5,7 @@ use burn::tensor::Device;
 use crate::scene::HardScene;
 
 /// One row of the table.
-pub struct Case {
+pub struct HardCase {
     /// Unique name that says in a few words what is hard.
     pub name: String,
     /// Why the case is hard, in a sentence.
@@ -84,7 +84,7 @@ pub struct Outcome {
     pub failures: Vec<String>,
 }
 
-impl Case {
+impl HardCase {
     /// Creates a case of scenes.
     pub fn scenes(name: impl Into<String>, why: &'static str, scenes: Vec<HardScene>) -> Self {
         Self::new(name.into(), why, Kind::Scenes(scenes))

@@ -5,7 +5,7 @@ use glam::{DMat3, DVec3};
 use splat_op::exact::{ExactGaussian, ExactPose, render_exact};
 use splat_op::{Order, Projection, RenderOptions};
 
-use crate::case::{Case, Kind, Outcome, Place, Processor, Score};
+use crate::case::{HardCase, Kind, Outcome, Place, Processor, Score};
 use crate::ceiling::{ROW_EXCEPTIONS, ROW_TOLERANCE, SMALLEST, ceiling_used};
 use crate::compare::{largest, norm, relative_error, worst};
 use crate::evaluate::{OF_NO_SPLAT, Outputs, culled, evaluate};
@@ -65,7 +65,7 @@ impl Row {
 }
 
 /// Runs a case on every path.
-pub fn judge(case: &Case, places: &[Place]) -> Row {
+pub fn judge(case: &HardCase, places: &[Place]) -> Row {
     let places: Vec<&Place> =
         places.iter().filter(|place| !(place.software && case.beyond_software.is_some())).collect();
     let loose = places.iter().any(|place| case.limit(place.processor) > 1.0);

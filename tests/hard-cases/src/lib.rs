@@ -21,5 +21,5 @@ pub mod scratch;
 pub mod table;
 pub mod textbook;
 
-pub use case::{Case, Check, Kind, Loose, Outcome, Place, Processor, Score};
+pub use case::{Check, HardCase, Kind, Loose, Outcome, Place, Processor, Score};
 pub use cases::{GROUPS, Group, battery};

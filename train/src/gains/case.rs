@@ -43,7 +43,7 @@ pub enum Score {
 
 /// A case about one effect.
 #[derive(Clone, Copy, Debug)]
-pub struct Case {
+pub struct EffectCase {
     /// Name, as in `--case`.
     pub name: &'static str,
     /// Options of the demo capture, at any size.
@@ -75,7 +75,7 @@ pub struct Case {
     pub views: Option<usize>,
 }
 
-const PLAIN: Case = Case {
+const PLAIN: EffectCase = EffectCase {
     name: "plain",
     demo: |options| options,
     demo_flags: "",
@@ -93,9 +93,9 @@ const PLAIN: Case = Case {
 };
 
 /// All cases.
-pub(super) const CASES: &[Case] = &[
-    Case { least_gain_db: 0.0, ..PLAIN },
-    Case {
+pub(super) const CASES: &[EffectCase] = &[
+    EffectCase { least_gain_db: 0.0, ..PLAIN },
+    EffectCase {
         name: "exposure",
         demo: |options| DemoOptions { exposure: true, ..options },
         demo_flags: "--exposure",
@@ -104,7 +104,7 @@ pub(super) const CASES: &[Case] = &[
         harmonics: None,
         ..PLAIN
     },
-    Case {
+    EffectCase {
         name: "bilateral-grid",
         demo: |options| DemoOptions { graded: true, ..options },
         demo_flags: "--graded",
@@ -113,7 +113,7 @@ pub(super) const CASES: &[Case] = &[
         harmonics: None,
         ..PLAIN
     },
-    Case {
+    EffectCase {
         name: "masks",
         demo: |options| DemoOptions { masks: true, ..options },
         demo_flags: "--masks",
@@ -122,7 +122,7 @@ pub(super) const CASES: &[Case] = &[
         harmonics: None,
         ..PLAIN
     },
-    Case {
+    EffectCase {
         name: "alpha",
         demo: |options| DemoOptions { alpha: true, ..options },
         demo_flags: "--alpha",
@@ -130,7 +130,7 @@ pub(super) const CASES: &[Case] = &[
         eval: &["--background", "white"],
         ..PLAIN
     },
-    Case {
+    EffectCase {
         name: "antialias",
         demo: |options| DemoOptions { zoom: true, ..options },
         demo_flags: "--zoom",
@@ -140,21 +140,21 @@ pub(super) const CASES: &[Case] = &[
         harmonics: None,
         ..PLAIN
     },
-    Case {
+    EffectCase {
         name: "lens",
         demo: |options| DemoOptions { lens: true, ..options },
         demo_flags: "--lens",
         strip_lens: true,
         ..PLAIN
     },
-    Case {
+    EffectCase {
         name: "fisheye",
         demo: |options| DemoOptions { fisheye: true, ..options },
         demo_flags: "--fisheye",
         strip_lens: true,
         ..PLAIN
     },
-    Case {
+    EffectCase {
         name: "environment",
         demo: |options| DemoOptions { far: true, ..options },
         demo_flags: "--far --views 17",
@@ -163,14 +163,14 @@ pub(super) const CASES: &[Case] = &[
         harmonics: None,
         ..PLAIN
     },
-    Case {
+    EffectCase {
         name: "pose-refinement",
         demo: |options| DemoOptions { poses: true, ..options },
         demo_flags: "--poses",
         expected: &[EffectKind::PoseRefinement],
         ..PLAIN
     },
-    Case {
+    EffectCase {
         name: "depth-supervision",
         demo: |options| DemoOptions { depth: true, points: 150, ..options },
         demo_flags: "--depth --views 16 --points 150",
@@ -182,7 +182,7 @@ pub(super) const CASES: &[Case] = &[
         harmonics: None,
         ..PLAIN
     },
-    Case {
+    EffectCase {
         name: "motion-blur",
         demo: |options| DemoOptions { motion: true, ..options },
         demo_flags: "--motion",
@@ -190,14 +190,14 @@ pub(super) const CASES: &[Case] = &[
         harmonics: None,
         ..PLAIN
     },
-    Case {
+    EffectCase {
         name: "rolling-shutter",
         demo: |options| DemoOptions { rolling: true, ..options },
         demo_flags: "--rolling",
         expected: &[EffectKind::RollingShutter],
         ..PLAIN
     },
-    Case {
+    EffectCase {
         name: "defocus",
         demo: |options| DemoOptions { defocus: true, ..options },
         demo_flags: "--defocus",
@@ -206,7 +206,7 @@ pub(super) const CASES: &[Case] = &[
         harmonics: None,
         ..PLAIN
     },
-    Case {
+    EffectCase {
         name: "view-dependence",
         demo: |options| DemoOptions { glossy: true, ..options },
         demo_flags: "--glossy",
@@ -235,7 +235,7 @@ pub struct Gain {
     pub cost: Option<[f64; 2]>,
 }
 
-impl Case {
+impl EffectCase {
     /// Creates the capture in `work`, surveys it, trains twice and measures.
     ///
     /// # Errors

@@ -10,7 +10,7 @@ use std::path::PathBuf;
 use anyhow::{Context, Result, bail};
 
 use self::case::CASES;
-pub use self::case::{Case, Gain, Scale};
+pub use self::case::{EffectCase, Gain, Scale};
 use crate::output::OutputFolder;
 use crate::progress;
 
@@ -32,7 +32,7 @@ pub struct GainsArgs {
 }
 
 /// All cases.
-pub fn cases() -> &'static [Case] {
+pub fn cases() -> &'static [EffectCase] {
     CASES
 }
 
@@ -59,7 +59,7 @@ pub fn run(args: &GainsArgs) -> Result<()> {
     };
     let work = tempfile::tempdir().context("cannot create a temporary folder for the captures")?;
     let scale = if args.quick { Scale::QUICK } else { Scale::FULL };
-    let chosen = |case: &&Case| args.case.is_empty() || args.case.iter().any(|name| name == case.name);
+    let chosen = |case: &&EffectCase| args.case.is_empty() || args.case.iter().any(|name| name == case.name);
     let mut gains = Vec::new();
     for case in CASES.iter().filter(chosen) {
         progress::note(&format!("effects: {}", case.name));

@@ -2,10 +2,10 @@
 
 use splat_op::Intrinsics;
 
-use crate::case::Case;
+use crate::case::HardCase;
 use crate::scene::{HardScene, Splat, camera};
 
-pub fn cases() -> Vec<Case> {
+pub fn cases() -> Vec<HardCase> {
     let focal = |width: usize, degrees: f64| width as f64 / (2.0 * (degrees / 2.0).to_radians().tan());
     let plain = camera();
     let wide = Intrinsics { fx: focal(60, 170.0), fy: focal(60, 170.0), ..plain };
@@ -16,37 +16,37 @@ pub fn cases() -> Vec<Case> {
     };
     let offset = |cx: f64, cy: f64| HardScene { label: format!("{cx}, {cy}"), ..view(Intrinsics { cx, cy, ..plain }) };
     vec![
-        Case::scenes(
+        HardCase::scenes(
             "1° field of view",
             "x/z is tiny and is multiplied by a focal length of thousands of pixels",
             vec![view(narrow)],
         )
         .hardness("fx 3438 px"),
-        Case::scenes(
+        HardCase::scenes(
             "170° field of view",
             "slopes reach eleven, and the affine approximation is clamped at its limit for most of the view",
             vec![view(wide)],
         )
         .hardness("fx 2.6 px"),
-        Case::scenes(
+        HardCase::scenes(
             "principal point outside the picture",
             "the projected centre is a difference of large numbers",
             vec![offset(-400.0, 900.0), offset(30.5, -2000.0), offset(5000.0, 20.0)],
         )
         .hardness("5000 px"),
-        Case::scenes(
+        HardCase::scenes(
             "fx / fy = 10 and 1/10",
             "round splats become needles in the picture",
             vec![view(Intrinsics { fy: 6.0, ..plain }), view(Intrinsics { fx: 6.0, ..plain })],
         ),
-        Case::scenes("1 × 1 picture", "the only tile has one pixel", vec![sized(1, 1)]),
-        Case::scenes(
+        HardCase::scenes("1 × 1 picture", "the only tile has one pixel", vec![sized(1, 1)]),
+        HardCase::scenes(
             "1 × 5000 and 5000 × 1 pictures",
             "every tile is cut to a width or height of one pixel, and coordinates have few digits after the decimal point",
             vec![sized(1, 5000), sized(5000, 1)],
         )
         .hardness("5000 px"),
-        Case::scenes(
+        HardCase::scenes(
             "pictures with incomplete tiles",
             "tiles at the border lie partly outside the picture",
             vec![sized(17, 33), sized(31, 16), sized(16, 16), sized(15, 47)],

@@ -1,27 +1,27 @@
 //! Colours: out of range, at the clamp, and of several orders of magnitude at once.
 
-use crate::case::Case;
+use crate::case::HardCase;
 use crate::random::Random;
 use crate::scene::{HardScene, Splat};
 
 /// The constant function among the spherical harmonics, `1 / (2 √π)`.
 const Y0: f64 = 0.282_094_791_773_878_14;
 
-pub fn cases() -> Vec<Case> {
+pub fn cases() -> Vec<HardCase> {
     vec![
-        Case::scenes(
+        HardCase::scenes(
             "harmonics of 1e4",
             "a colour is a sum of terms of both signs, each a thousand times larger than the colour",
             [1, 2, 3, 4].map(large_harmonics).into(),
         )
         .hardness("coefficients 1e4"),
-        Case::scenes(
+        HardCase::scenes(
             "negative colours at the clamp",
             "a clamped channel has no gradient while its neighbours do; a channel just above zero has its full gradient",
             vec![clamped()],
         )
         .hardness("colour ± 1e-4"),
-        Case::scenes(
+        HardCase::scenes(
             "features of 1e-6, 1 and 1e6",
             "channels that span twelve orders of magnitude share a transmittance, and their gradients meet in one sum",
             vec![mixed("small first", [1e-6, 1.0, 1e6]), mixed("large first", [1e6, 1.0, 1e-6])],

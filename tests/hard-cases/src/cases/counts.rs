@@ -2,7 +2,7 @@
 
 use splat_op::Intrinsics;
 
-use crate::case::{Case, Processor};
+use crate::case::{HardCase, Processor};
 use crate::random::Random;
 use crate::scene::{HardScene, Splat, Truth};
 
@@ -19,29 +19,29 @@ const PLAIN: &str = "the kernels sum the light that the layers of a bucket stop,
 /// Found with Mesa 22.3: lists above about 52,000 entries are truncated without an error.
 const LOOPS: &str = "Mesa's llvmpipe ends a kernel's loops after 65,535 iterations, whether or not they are finished";
 
-pub fn cases() -> Vec<Case> {
+pub fn cases() -> Vec<HardCase> {
     vec![
-        Case::scenes("no splats", "every list is empty, and so is every launch", vec![HardScene::new("none", &[])])
+        HardCase::scenes("no splats", "every list is empty, and so is every launch", vec![HardScene::new("none", &[])])
             .hardness("0 splats"),
-        Case::scenes(
+        HardCase::scenes(
             "one splat",
             "most lists are empty",
             vec![HardScene::new("one", &[Splat::at([24.3, 20.6], 3.0, 3.0)])],
         )
         .hardness("1 splat"),
-        Case::scenes(
+        HardCase::scenes(
             "all culled",
             "there are rows but no intersections; every gradient exists and is exactly zero",
             vec![all_culled()],
         )
         .hardness("300 splats, no intersections"),
-        Case::scenes(
+        HardCase::scenes(
             "all in one pixel",
             "one pixel holds every layer, and only the blur gives the layers a size",
             vec![one_pixel()],
         )
         .hardness("500 splats"),
-        Case::scenes(
+        HardCase::scenes(
             "200,000 splats over one tile",
             "every pixel adds 200,000 terms and multiplies as many factors close to one",
             vec![crowd(CROWD)],
@@ -49,7 +49,7 @@ pub fn cases() -> Vec<Case> {
         .hardness("200,000 layers")
         .loose(Processor::Gpu, 10.0, PLAIN)
         .beyond_software(LOOPS),
-        Case::scenes(
+        HardCase::scenes(
             "40,000 splats over one tile",
             "as above, for drivers in software, which cannot run more",
             vec![crowd(SMALLER_CROWD)],

@@ -2,10 +2,10 @@
 
 use splat_op::RenderOptions;
 
-use crate::case::Case;
+use crate::case::HardCase;
 use crate::scene::{HardScene, SMOOTH, Splat};
 
-pub fn cases() -> Vec<Case> {
+pub fn cases() -> Vec<HardCase> {
     let three = 3.0_f32;
     let orders: [[usize; 5]; 3] = [[0, 1, 2, 3, 4], [4, 3, 2, 1, 0], [2, 0, 4, 1, 3]];
     let scenes = |depths: [f32; 5]| {
@@ -17,25 +17,25 @@ pub fn cases() -> Vec<Case> {
     };
     let ulps: [f32; 5] = std::array::from_fn(|i| f32::from_bits(three.to_bits() + i as u32));
     vec![
-        Case::scenes(
+        HardCase::scenes(
             "five layers at one depth",
             "they must keep the order of input, on every path and for every order of input",
             scenes([three; 5]),
         )
         .hardness("Δz 0"),
-        Case::scenes(
+        HardCase::scenes(
             "five layers, 1 ulp apart",
             "a sort key with fewer bits than the depth cannot separate them",
             scenes(ulps),
         )
         .hardness("Δz 2e-7"),
-        Case::scenes(
+        HardCase::scenes(
             "pairs at one depth between others 1 ulp away",
             "ties and near ties occur together, so the sort must be stable and exact",
             scenes([ulps[1], ulps[0], ulps[1], ulps[2], ulps[0]]),
         )
         .hardness("Δz 0 and 2e-7"),
-        Case::scenes(
+        HardCase::scenes(
             "depths from 1e-3 to 1e7 in one view",
             "gradients of centres and accumulated depths span ten orders of magnitude in one sum",
             vec![far_and_near()],

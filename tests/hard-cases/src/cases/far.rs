@@ -16,7 +16,7 @@ use splat_model::optim::{near_plane, scene_extent};
 use splat_model::{init, ply};
 use splat_op::{Camera, Colour, Extras, RenderOptions, render};
 
-use crate::case::{Case, Outcome, Place, Score};
+use crate::case::{HardCase, Outcome, Place, Score};
 use crate::compare::{largest, relative_error};
 use crate::scratch::{Scratch, demo, photographs};
 use crate::tensors::host;
@@ -32,9 +32,9 @@ const DIRECTION: [f64; 3] = [0.6123, -0.4871, 0.6228];
 /// beside Gaussians of 0.03 units, whose contributions at the cut of 1/255 then appear in other pixels.
 const BOUND: f64 = 1e-4;
 
-pub fn cases() -> Vec<Case> {
+pub fn cases() -> Vec<HardCase> {
     let moved = |metres: f64, grain: &str| {
-        Case::check(
+        HardCase::check(
             format!("capture {metres:e} m from the origin"),
             "geo-referenced coordinates leave no f32 digits for the details of the scene",
             move |place| judge(place, DVec3::from(DIRECTION) * metres, 1.0),
@@ -45,13 +45,13 @@ pub fn cases() -> Vec<Case> {
         moved(1e4, "1 mm"),
         moved(1e6, "6 cm"),
         moved(6.4e6, "0.5 m"),
-        Case::check(
+        HardCase::check(
             "millimetre scene",
             "thresholds in scene units, above all the near plane, are larger than the scene",
             |place| judge(place, DVec3::ZERO, 1e-3),
         )
         .hardness(format!("4 mm from the cameras, near plane at 10 mm; the bound is {BOUND:e} of the largest element")),
-        Case::check("millimetre scene 1e4 m from the origin", "both difficulties occur at once", |place| {
+        HardCase::check("millimetre scene 1e4 m from the origin", "both difficulties occur at once", |place| {
             judge(place, DVec3::from(DIRECTION) * 1e4, 1e-3)
         })
         .hardness(format!("the spacing of f32 values there is 1 mm; the bound is {BOUND:e} of the largest element")),

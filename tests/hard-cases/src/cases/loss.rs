@@ -7,7 +7,7 @@ use splat_model::loss::{Truth, d_ssim, photometric, ssim};
 use splat_model::metrics::{LARGEST_PSNR_DB, psnr};
 use splat_model::optim::{Adam, LearningRates, Moments};
 
-use crate::case::{Case, Outcome, Place, Processor, Score};
+use crate::case::{HardCase, Outcome, Place, Processor, Score};
 use crate::ceiling::{ceiling_used, moved_value, rounded};
 use crate::compare::relative_error;
 use crate::random::Random;
@@ -24,7 +24,7 @@ const DRAWS: u64 = 6;
 const MOMENTS: &str = "variances are differences of moments, as in all implementations of this loss: their rounding error, \
                        6e-8 of the squared pixel value, is not small beside C2 = 9e-4";
 
-pub fn cases() -> Vec<Case> {
+pub fn cases() -> Vec<HardCase> {
     let of = |name: &str, why, pair: (Picture, Picture), loose: &[(Processor, f64, &'static str)]| {
         let limits = loose.to_vec();
         let judge = move |place: &Place| {
@@ -32,7 +32,7 @@ pub fn cases() -> Vec<Case> {
                 limits.iter().find(|(processor, ..)| *processor == place.processor).map_or(1.0, |limit| limit.1);
             similarity(place, pair.0, pair.1, limit)
         };
-        let case = Case::check(format!("D-SSIM of {name}"), why, judge).hardness("σ² = 0");
+        let case = HardCase::check(format!("D-SSIM of {name}"), why, judge).hardness("σ² = 0");
         loose.iter().fold(case, |case, (processor, factor, why)| case.loose(*processor, *factor, why))
     };
     let moments = |cpu, gpu| [(Processor::Cpu, cpu, MOMENTS), (Processor::Gpu, gpu, MOMENTS)];
@@ -44,19 +44,19 @@ pub fn cases() -> Vec<Case> {
         of("grey against a photograph", "the first picture has no variance", (grey, noise), &[]),
         of("a photograph against grey", "the second picture has no variance", (noise, grey), &[]),
         of("an edge against white", "half of the windows are flat", (edge, white), &moments(3.0, 3.0)),
-        Case::check(
+        HardCase::check(
             "PSNR of identical pictures",
             "the logarithm of zero is infinite and would make every mean infinite",
             psnr_ends,
         ),
-        Case::check("Adam without gradients", "0 / (√0 + ε)", no_gradient).hardness("ε 1e-15"),
-        Case::check(
+        HardCase::check("Adam without gradients", "0 / (√0 + ε)", no_gradient).hardness("ε 1e-15"),
+        HardCase::check(
             "Adam with gradients of 1e20 and of 1e-30",
             "f32 cannot hold their squares: one overflows, the other underflows to zero",
             wild_gradients,
         )
         .hardness("g² 1e40 and 1e-60"),
-        Case::check(
+        HardCase::check(
             "moments after rows were removed and added",
             "a row that inherits another row's moments jumps at its next step",
             surgery,

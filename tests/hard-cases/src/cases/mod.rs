@@ -15,7 +15,7 @@ mod rotations;
 mod sizes;
 mod training;
 
-use crate::case::Case;
+use crate::case::HardCase;
 
 /// Cases that are hard in one way.
 #[derive(Clone, Copy, Debug)]
@@ -25,7 +25,7 @@ pub struct Group {
     /// Heading in the table.
     pub title: &'static str,
     /// Builds the cases.
-    pub cases: fn() -> Vec<Case>,
+    pub cases: fn() -> Vec<HardCase>,
 }
 
 /// All groups, in the order of the table.
@@ -47,6 +47,6 @@ pub const GROUPS: &[Group] = &[
 ];
 
 /// Returns every case, by group.
-pub fn battery() -> Vec<(&'static Group, Vec<Case>)> {
+pub fn battery() -> Vec<(&'static Group, Vec<HardCase>)> {
     GROUPS.iter().map(|group| (group, (group.cases)())).collect()
 }

@@ -1,10 +1,10 @@
 //! The near plane, the inside of splats, and the border of the view.
 
-use crate::case::Case;
+use crate::case::HardCase;
 use crate::random::Random;
 use crate::scene::{HardScene, SMOOTH, Splat, camera};
 
-pub fn cases() -> Vec<Case> {
+pub fn cases() -> Vec<HardCase> {
     let near = SMOOTH.near as f32;
     let at_near = |label: &str, z: f32, culled: &[usize]| {
         let z = f64::from(z);
@@ -25,7 +25,7 @@ pub fn cases() -> Vec<Case> {
         HardScene::new(label, &[hard, background_splat()])
     };
     vec![
-        Case::scenes(
+        HardCase::scenes(
             "centre at the near plane ± 1 ulp",
             "one ulp decides whether a splat is drawn, a hundred times as large as one unit farther away",
             vec![
@@ -35,12 +35,12 @@ pub fn cases() -> Vec<Case> {
             ],
         )
         .hardness("z 0.01 ± 9e-10"),
-        Case::scenes(
+        HardCase::scenes(
             "crosses the camera plane",
             "half of it is behind the camera, where the projection is undefined",
             vec![crossing("along the view", [0.1, 0.1, 3.0]), crossing("all around", [2.0, 2.5, 3.0])],
         ),
-        Case::scenes(
+        HardCase::scenes(
             "camera inside a splat",
             "the Jacobian grows with 1/z², and the centre projects far outside the picture",
             vec![
@@ -50,7 +50,7 @@ pub fn cases() -> Vec<Case> {
             ],
         )
         .hardness("scale 1, z 0.05"),
-        Case::scenes(
+        HardCase::scenes(
             "centre on the optical axis",
             "offsets and slopes are exactly zero, and so are the lateral components of the direction",
             vec![
@@ -58,7 +58,7 @@ pub fn cases() -> Vec<Case> {
                 HardScene::new("harmonics", &[harmonic(axial()), harmonic(background_splat())]).with_harmonics(3),
             ],
         ),
-        Case::scenes(
+        HardCase::scenes(
             "grazing the border of the view",
             "the slope in the Jacobian is clamped at a limit beyond the border, where its gradient jumps",
             [1.0 - 1e-4, 1.0 + 1e-4, 1.5]
@@ -77,7 +77,7 @@ pub fn cases() -> Vec<Case> {
                 .collect(),
         )
         .hardness("limit ± 1e-4"),
-        Case::scenes(
+        HardCase::scenes(
             "behind the camera",
             "its projection is a mirror image: within range, and wrong",
             vec![behind("far", -3.0), behind("by the near distance", -0.01), behind("on the camera plane", 0.0)],

@@ -2,7 +2,7 @@
 
 use std::f64::consts::FRAC_1_SQRT_2;
 
-use crate::case::Case;
+use crate::case::HardCase;
 use crate::scene::{HardScene, SMOOTH, Splat, camera};
 
 /// Scale ratios.
@@ -16,7 +16,7 @@ const LONG_PX: f64 = 6.0;
 /// Centre of the Gaussians in the picture, px.
 const CENTRE_PX: [f64; 2] = [26.3, 20.6];
 
-pub fn cases() -> Vec<Case> {
+pub fn cases() -> Vec<HardCase> {
     let mut cases = Vec::new();
     for ratio in RATIOS {
         let power = ratio.log10();
@@ -26,7 +26,7 @@ pub fn cases() -> Vec<Case> {
             };
             let named = |what: &str| format!("{what} 1e{power:.0} {plane}");
             cases.push(
-                Case::scenes(
+                HardCase::scenes(
                     named("long needle"),
                     "the covariance's determinant is a difference of products that agree in most digits",
                     scenes(SHORT_PX, SHORT_PX * ratio, false),
@@ -34,7 +34,7 @@ pub fn cases() -> Vec<Case> {
                 .hardness(format!("ratio {ratio:.0e}")),
             );
             cases.push(
-                Case::scenes(
+                HardCase::scenes(
                     named("thin needle"),
                     "two axes are far shorter than a pixel, and their gradients are tiny beside that of the long axis",
                     scenes(LONG_PX / ratio, LONG_PX, false),
@@ -42,7 +42,7 @@ pub fn cases() -> Vec<Case> {
                 .hardness(format!("ratio {ratio:.0e}")),
             );
             cases.push(
-                Case::scenes(
+                HardCase::scenes(
                     named("thin disc"),
                     "edge-on it looks like a needle, and a small rotation changes which axis is visible",
                     scenes(LONG_PX / ratio, LONG_PX, true),
@@ -57,7 +57,7 @@ pub fn cases() -> Vec<Case> {
         turns.into_iter().map(scene).collect::<Vec<_>>()
     };
     cases.push(
-        Case::scenes(
+        HardCase::scenes(
             "needle 1e4, compensated",
             "the compensation is the square root of a ratio of two determinants, and both lose their digits",
             [compensated(in_plane()), compensated(out_of_plane())].concat(),
@@ -65,7 +65,7 @@ pub fn cases() -> Vec<Case> {
         .hardness("ratio 1e4"),
     );
     cases.push(
-        Case::scenes(
+        HardCase::scenes(
             "long needle 1e4 beside a neighbour",
             "it crosses the whole picture, and any error of its slope would move it onto other Gaussians",
             in_plane().into_iter().enumerate().map(beside_a_neighbour).collect(),

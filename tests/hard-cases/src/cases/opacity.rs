@@ -2,36 +2,36 @@
 
 use splat_op::{Intrinsics, RenderOptions};
 
-use crate::case::Case;
+use crate::case::HardCase;
 use crate::random::Random;
 use crate::scene::{HardScene, SMOOTH, STANDARD, Splat, Truth};
 
 /// Number of layers of a deep stack.
 const LAYERS: usize = 10_000;
 
-pub fn cases() -> Vec<Case> {
+pub fn cases() -> Vec<HardCase> {
     let unlimited = RenderOptions { alpha_max: 1.0, ..SMOOTH };
     let cut = STANDARD.alpha_min as f32;
     let limit = STANDARD.alpha_max as f32;
     vec![
-        Case::scenes(
+        HardCase::scenes(
             "logit −50",
             "the opacity is too small to be visible, yet its gradient must be able to restore it",
             vec![saturated("−50", -50.0)],
         )
         .hardness("opacity 2e-22"),
-        Case::scenes(
+        HardCase::scenes(
             "logit +50",
             "one minus the opacity is zero in f32, and so is the derivative of the logistic function computed from it",
             vec![saturated("+50", 50.0)],
         )
         .hardness("1 − opacity 2e-22"),
-        Case::scenes(
+        HardCase::scenes(
             "opacity 0",
             "the derivative divides by the opacity",
             vec![HardScene::new("0", &[front(0.0)]).with_neighbour(&neighbour()).with_options(STANDARD)],
         ),
-        Case::scenes(
+        HardCase::scenes(
             "opacity 1",
             "no light passes, and without the limit of 0.99 a formula that divides by `1 − α` divides by zero",
             vec![
@@ -40,7 +40,7 @@ pub fn cases() -> Vec<Case> {
             ],
         )
         .hardness("1 − α = 0"),
-        Case::scenes(
+        HardCase::scenes(
             "alpha at the cut ± 1 ulp",
             "one ulp decides whether a pixel is drawn; the backward pass must make the forward pass's decision",
             [("below", cut.next_down()), ("on it", cut), ("above", cut.next_up())]
@@ -48,7 +48,7 @@ pub fn cases() -> Vec<Case> {
                 .into(),
         )
         .hardness("1/255 ± 5e-10"),
-        Case::scenes(
+        HardCase::scenes(
             "alpha at its limit ± 1 ulp",
             "one ulp decides whether a pixel has a gradient",
             [("below", limit.next_down()), ("on it", limit), ("above", limit.next_up())]
@@ -56,7 +56,7 @@ pub fn cases() -> Vec<Case> {
                 .into(),
         )
         .hardness("0.99 ± 6e-8"),
-        Case::scenes(
+        HardCase::scenes(
             "transmittance at its cut ± 1 ulp",
             "one ulp decides whether a pixel is finished, and thereby whether the layers behind it contribute",
             [("below", 0.25_f32.next_down()), ("on it", 0.25), ("above", 0.25_f32.next_up())]
@@ -64,19 +64,19 @@ pub fn cases() -> Vec<Case> {
                 .into(),
         )
         .hardness("0.25 ± 3e-8"),
-        Case::scenes(
+        HardCase::scenes(
             "10,000 layers of alpha 0.99",
             "the transmittance is zero after twenty layers; dividing it back loses every gradient",
             vec![stack("0.99", LAYERS, 0.99)],
         )
         .hardness("T 1e-20000"),
-        Case::scenes(
+        HardCase::scenes(
             "10,000 layers of alpha 1/255",
             "the transmittance is rounded ten thousand times forwards and, if divided back, as many times backwards",
             vec![stack("1/255", LAYERS, 1.0 / 255.0)],
         )
         .hardness("T 9e-18"),
-        Case::scenes(
+        HardCase::scenes(
             "transmittance below f32",
             "the transmittance leaves the range of f32 among the layers, through the subnormal numbers",
             vec![stack("0.7", 200, 0.7)],

@@ -7,7 +7,7 @@ use burn::tensor::{Device, Tensor};
 use splat_model::gaussians::{GaussianRows, Gaussians};
 use splat_op::{Accumulation, Camera, Extras, Intrinsics, RenderOptions, render};
 
-use crate::case::{Case, Outcome, Place};
+use crate::case::{HardCase, Outcome, Place};
 use crate::random::Random;
 use crate::tensors::host;
 
@@ -59,9 +59,9 @@ const COUNT: usize = 24;
 /// Values of `sh_rest` per Gaussian at degree 1.
 const REST: usize = 9;
 
-pub fn cases() -> Vec<Case> {
+pub fn cases() -> Vec<HardCase> {
     let of_slot = |(slot, name, columns): (Slot, &str, usize)| {
-        Case::check(format!("poison in {name}"), WHY, move |place| {
+        HardCase::check(format!("poison in {name}"), WHY, move |place| {
             let scene = Poisoned::new(7);
             let cells = VALUES.iter().enumerate().map(|(i, value)| (5 * i % COUNT, i % columns, *value));
             cells
@@ -71,9 +71,10 @@ pub fn cases() -> Vec<Case> {
         })
         .hardness("NaN, ±∞, ±f32::MAX, ±1e18, subnormal, ±0")
     };
-    let zero = Case::check("poison: zero quaternion", "it has no direction, and its normalisation is 0 / 0", |place| {
-        Poisoned::new(8).judge_row(place, 3, |rows| rows.rotations[3] = [0.0, -0.0, 0.0, 0.0])
-    });
+    let zero =
+        HardCase::check("poison: zero quaternion", "it has no direction, and its normalisation is 0 / 0", |place| {
+            Poisoned::new(8).judge_row(place, 3, |rows| rows.rotations[3] = [0.0, -0.0, 0.0, 0.0])
+        });
     SLOTS.into_iter().map(of_slot).chain([zero]).collect()
 }
 

@@ -7,7 +7,7 @@
 use splat_op::{Intrinsics, Order, Projection, RenderOptions};
 
 use super::{near, needles, sizes};
-use crate::case::{Case, Kind, Processor};
+use crate::case::{HardCase, Kind, Processor};
 use crate::random::Random;
 use crate::scene::{HardScene, SMOOTH, Splat, Truth};
 
@@ -58,27 +58,27 @@ const LOOSE: [(&str, [f64; 2]); 4] = [
 const APART: &str = "a pixel's whitened position and the depth slope are rounded separately, and `s = 1 − slope·(u, v)` is a \
                      small difference of the two where a splat is many times larger than its distance";
 
-pub fn cases() -> Vec<Case> {
+pub fn cases() -> Vec<HardCase> {
     let exact = SMOOTH.with_projection(Projection::Exact);
     let sorted = SMOOTH.with_order(Order::PerPixel);
     let both = exact.with_order(Order::PerPixel);
     let others = || [needles::cases(), sizes::cases(), near::cases()].into_iter().flatten();
-    let again = |names: &'static [&str], what: &str, options: RenderOptions| -> Vec<Case> {
+    let again = |names: &'static [&str], what: &str, options: RenderOptions| -> Vec<HardCase> {
         let chosen = others().filter(|case| names.contains(&case.name.as_str()));
         chosen.map(|case| along_rays(case, what, options)).collect()
     };
-    let loose = |case: Case| {
+    let loose = |case: HardCase| {
         let found = LOOSE.iter().find(|(name, _)| case.name.starts_with(name));
         let [cpu, gpu] = found.map_or([1.0; 2], |(_, factors)| *factors);
         let case = if cpu > 1.0 { case.loose(Processor::Cpu, cpu, APART) } else { case };
         if gpu > 1.0 { case.loose(Processor::Gpu, gpu, APART) } else { case }
     };
-    let mut cases: Vec<Case> = again(&PROJECTED, "ray-max projection", exact).into_iter().map(loose).collect();
+    let mut cases: Vec<HardCase> = again(&PROJECTED, "ray-max projection", exact).into_iter().map(loose).collect();
     cases.extend(again(&SORTED, "per-pixel sort", sorted));
     for (what, options) in [("per-pixel sort", sorted), ("ray-max projection and per-pixel sort", both)] {
         let seen = |scene: HardScene| vec![scene.with_options(options).with_truth(Truth::Twin)];
         cases.push(
-            Case::scenes(
+            HardCase::scenes(
                 format!("sheets that cross, {what}"),
                 "the order of the sheets changes along a line, where pictures jump and gradients do not exist",
                 seen(crossing()),
@@ -86,7 +86,7 @@ pub fn cases() -> Vec<Case> {
             .hardness("3 sheets"),
         );
         cases.push(
-            Case::scenes(
+            HardCase::scenes(
                 format!("24 leaning layers in every pixel, {what}"),
                 "every pixel has its own order, and there are more layers than a kernel's unit sorts at once",
                 seen(leaning()),
@@ -98,11 +98,11 @@ pub fn cases() -> Vec<Case> {
 }
 
 /// Runs a case of another group with other options.
-fn along_rays(case: Case, what: &str, options: RenderOptions) -> Case {
+fn along_rays(case: HardCase, what: &str, options: RenderOptions) -> HardCase {
     let Kind::Scenes(scenes) = case.kind else { return case };
     let scene = |scene: HardScene| scene.with_options(options).with_truth(Truth::Twin);
     let scenes = scenes.into_iter().map(scene).collect();
-    Case { name: format!("{}, {what}", case.name), kind: Kind::Scenes(scenes), ..case }
+    HardCase { name: format!("{}, {what}", case.name), kind: Kind::Scenes(scenes), ..case }
 }
 
 /// Discs that intersect each other.

@@ -2,16 +2,16 @@
 
 use burn::tensor::DType;
 
-use crate::case::{Case, Outcome, Place};
+use crate::case::{HardCase, Outcome, Place};
 use crate::evaluate::{Outputs, evaluate};
 use crate::scene::{HardScene, Splat, Truth};
 
 /// A quaternion without special values.
 const QUAT: [f64; 4] = [0.61, -0.42, 0.37, 0.55];
 
-pub fn cases() -> Vec<Case> {
+pub fn cases() -> Vec<HardCase> {
     vec![
-        Case::scenes(
+        HardCase::scenes(
             "zero quaternion",
             "it has no direction, and normalising it gives NaN in every implementation without a check",
             [("0", 0.0), ("−0", -0.0)]
@@ -19,25 +19,25 @@ pub fn cases() -> Vec<Case> {
                 .into(),
         )
         .hardness("|q| 0"),
-        Case::scenes(
+        HardCase::scenes(
             "quaternions of length 1e-15 to 1e-19",
             "the sum of squares is out of range, and the gradient is divided by the length",
             [1e-15, 1e-19].map(|length| scene(&format!("{length:.0e}"), QUAT.map(|q| q * length))).into(),
         )
         .hardness("|q|² 1e-38"),
-        Case::scenes(
+        HardCase::scenes(
             "subnormal quaternion",
             "it has few digits left, its square has none, and its true gradient exceeds the range of f32",
             vec![scene("1e-39", QUAT.map(|q| q * 1e-39))],
         )
         .hardness("|q| 1e-39"),
-        Case::scenes(
+        HardCase::scenes(
             "quaternion of length 1e30",
             "the sum of squares overflows",
             vec![scene("1e30", QUAT.map(|q| q * 1e30))],
         )
         .hardness("|q|² 1e60"),
-        Case::check(
+        HardCase::check(
             "the two signs of a rotation",
             "q and −q are the same rotation: only the sign of the gradient may differ, and no other bit",
             both_signs,

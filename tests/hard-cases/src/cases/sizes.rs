@@ -1,9 +1,9 @@
 //! Sizes: from a millionth of a pixel to values whose squares overflow.
 
-use crate::case::Case;
+use crate::case::HardCase;
 use crate::scene::{HardScene, SMOOTH, Splat, Truth};
 
-pub fn cases() -> Vec<Case> {
+pub fn cases() -> Vec<HardCase> {
     let antialiased = SMOOTH.with_antialias(true);
     let small = |sigma_px: f64| {
         let hard = Splat::at([12.3, 30.8], 3.0, sigma_px);
@@ -14,19 +14,19 @@ pub fn cases() -> Vec<Case> {
         HardScene::new(label, &[hard, Splat::at([30.0, 20.0], 5.0, 4.0).colour(&[0.2, 0.3, 0.9])])
     };
     vec![
-        Case::scenes(
+        HardCase::scenes(
             "far below a pixel",
             "its size is lost beside the blur in every sum, and so is the gradient that would make it grow",
             vec![small(1e-3), small(1e-6)],
         )
         .hardness("1e-6 px"),
-        Case::scenes(
+        HardCase::scenes(
             "far below a pixel, compensated",
             "the compensation is a ratio of two areas, one of them almost zero; below its floor it has no gradient",
             [0.3, 0.06, 1e-3, 1e-6].map(|px| small(px).with_options(antialiased)).into(),
         )
         .hardness("1e-6 px"),
-        Case::scenes(
+        HardCase::scenes(
             "large, compensated",
             "the compensation differs from one only by the blur's share, a difference of almost equal areas",
             [30.0, 1e3, 1e5]
@@ -34,31 +34,31 @@ pub fn cases() -> Vec<Case> {
                 .into(),
         )
         .hardness("1e5 px"),
-        Case::scenes(
+        HardCase::scenes(
             "larger than the screen",
             "it covers every tile, and moments over the picture are tiny beside its size",
             vec![large("in view", [31.0, 18.0], 1e3), large("beside the view", [-700.0, 900.0], 1e3)],
         )
         .hardness("1e3 px"),
-        Case::scenes(
+        HardCase::scenes(
             "larger than the scene",
             "the far end of a splat is a million pictures away",
             vec![large("in view", [31.0, 18.0], 1e7), large("beside the view", [-5e5, 7e5], 1e7)],
         )
         .hardness("1e7 px"),
-        Case::scenes(
+        HardCase::scenes(
             "log-scale −50",
             "a training run that diverged can store this value, and its squared scale is below the range of f32",
             vec![stored("−50", [-50.0; 3], Truth::Wide).with_neighbour(&logit(neighbour()))],
         )
         .hardness("2e-22 units"),
-        Case::scenes(
+        HardCase::scenes(
             "log-scale +50",
             "a training run that diverged can store this value, and its squared scale is above the range of f32",
             vec![stored("+50", [50.0, 49.5, 50.2], Truth::Wide)],
         )
         .hardness("5e21 units"),
-        Case::scenes(
+        HardCase::scenes(
             "log-scale +50, −50 and 0",
             "it is a needle whose determinant no float can represent and whose direction is within rounding error",
             vec![stored("mixed", [50.0, -50.0, 0.0], Truth::Twin)],

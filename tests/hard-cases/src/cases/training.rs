@@ -9,7 +9,7 @@ use splat_model::gaussians::GaussianRows;
 use splat_model::optim::scene_extent;
 use splat_model::trainer::{TrainConfig, Trainer};
 
-use crate::case::{Case, Outcome, Place, Processor};
+use crate::case::{HardCase, Outcome, Place, Processor};
 use crate::scratch::{Scratch, demo};
 
 const DEMO: DemoOptions = DemoOptions { width: 40, height: 30, views: 6, points: 300, seed: 5, ..DemoOptions::PLAIN };
@@ -33,9 +33,9 @@ const GPU_LOSS_SHARE: f64 = 1.2;
 
 type Change = fn(&mut Vec<Photo>, &mut PointCloud);
 
-pub fn cases() -> Vec<Case> {
+pub fn cases() -> Vec<HardCase> {
     let of = |name: &str, why, change: Change| {
-        Case::check(name, why, move |place| judge(place, change))
+        HardCase::check(name, why, move |place| judge(place, change))
             .hardness(format!("{STEPS} steps, {GPU_STEPS} on a GPU"))
     };
     vec![
