@@ -7,7 +7,7 @@ use anyhow::{Result, bail, ensure};
 use burn::tensor::Device;
 use clap::ValueEnum;
 use serde::{Deserialize, Serialize};
-use splat_model::accuracy::{Choice, Frontier, Preset, Provenance, Setting, Target, Work};
+use splat_model::accuracy::{ChosenSetting, Frontier, Preset, Provenance, Setting, Target, Work};
 use splat_model::capture::Capture;
 use splat_model::gaussians::GaussianRows;
 use splat_model::trainer::TrainConfig;
@@ -197,7 +197,7 @@ impl RequestedAccuracy {
 }
 
 /// Prints the choice and the reason for it.
-fn chosen(choice: Choice) -> Setting {
+fn chosen(choice: ChosenSetting) -> Setting {
     progress::note(&format!("accuracy: {}", choice.why));
     choice.measured.turned
 }

@@ -25,7 +25,7 @@ pub enum Work {
 
 /// A setting that meets a target, and the reason for the choice.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Choice {
+pub struct ChosenSetting {
     /// The setting with its measurements.
     pub measured: Measured,
     /// One sentence with the changed dials, the cost of the setting and the cost of the standard.
@@ -85,7 +85,7 @@ impl Frontier {
     ///
     /// # Errors
     /// [`NoChoice`], which names the closest settings, if no setting meets the target.
-    pub fn choose(&self, target: &Target, work: Work) -> Result<Choice, NoChoice> {
+    pub fn choose(&self, target: &Target, work: Work) -> Result<ChosenSetting, NoChoice> {
         let point = |measured: &Measured| Point { quality_db: measured.error_db, time: work.time(measured) };
         let points: Vec<Point> = self.settings.iter().map(point).collect();
         let members: Vec<&Measured> = frontier(&points).into_iter().map(|i| &self.settings[i]).collect();
@@ -94,7 +94,7 @@ impl Frontier {
         match found {
             Some(measured) => {
                 let measured = self.simplest(measured, target, work);
-                Ok(Choice { measured: measured.clone(), why: self.why(measured, work) })
+                Ok(ChosenSetting { measured: measured.clone(), why: self.why(measured, work) })
             }
             None => Err(NoChoice { wanted: target.wanted(work), best: closest(&members, work) }),
         }

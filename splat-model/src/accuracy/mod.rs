@@ -11,7 +11,7 @@ mod measured;
 mod provenance;
 mod setting;
 
-pub use self::choice::{Choice, NoChoice, Target, Work};
+pub use self::choice::{ChosenSetting, NoChoice, Target, Work};
 pub use self::dials::{DIALS, Dial, Judge, Value};
 pub use self::frontier::{Point, Spread, frontier};
 pub use self::measured::{Frontier, FrontierError, Measured, STANDARD, decibels};

@@ -18,7 +18,7 @@ use std::time::Duration;
 use anyhow::{Result, ensure};
 use burn::tensor::Device;
 use clap::builder::RangedU64ValueParser;
-use splat_model::accuracy::{Choice, Point, Provenance, Target, Work, decibels, frontier};
+use splat_model::accuracy::{ChosenSetting, Point, Provenance, Target, Work, decibels, frontier};
 use splat_model::capture::{Capture, Photo, Split};
 use splat_model::evaluate::evaluate;
 use splat_model::gaussians::GaussianRows;
@@ -188,7 +188,7 @@ pub fn choose_briefly(
     base: &RenderOptions,
     (device, device_name): (&Device, &str),
     (target, work): (&Target, Work),
-) -> Result<Choice> {
+) -> Result<ChosenSetting> {
     let shots: Vec<MeasuredView> =
         spread(&(0..shots.len()).collect::<Vec<_>>(), VIEWS_BRIEFLY).iter().map(|&i| shots[i]).collect();
     progress::note("measuring what accuracy costs here (`splat pareto` measures it thoroughly, for `--frontier`)");

@@ -24,7 +24,7 @@ use crate::snapshots::Snapshots;
 const MEASURED_AFTER: usize = 10;
 
 /// A choice of dials that is still to be made, by measuring them on these views.
-pub struct Choice<'a> {
+pub struct PendingChoice<'a> {
     pub accuracy: RequestedAccuracy,
     pub shots: Vec<MeasuredView<'a>>,
 }
@@ -56,7 +56,7 @@ impl Steps<'_> {
     ///
     /// # Errors
     /// If a step fails; [`Interrupted`] if the run was asked to stop.
-    pub fn run(mut self, trainer: &mut Trainer, so_far: SoFar, mut choice: Option<Choice>) -> Result<Done> {
+    pub fn run(mut self, trainer: &mut Trainer, so_far: SoFar, mut choice: Option<PendingChoice>) -> Result<Done> {
         let stop = Stop::listen().context("cannot listen for Ctrl-C")?;
         let steps = trainer.config().steps;
         let mut dials_chosen = so_far.dials_chosen;
@@ -73,7 +73,7 @@ impl Steps<'_> {
             }
             // Before this, the scene does not resemble the final one.
             if trainer.steps_done() >= steps / MEASURED_AFTER
-                && let Some(Choice { accuracy, shots }) = choice.take()
+                && let Some(PendingChoice { accuracy, shots }) = choice.take()
             {
                 let (rows, base) = (trainer.rows(), trainer.render_options());
                 let dials = accuracy.setting((&rows, shots), &base, self.device, Work::Train)?;
