@@ -18,7 +18,7 @@ use crate::gpu::{Buffer, Gpu, launch_scale};
 use crate::project::launch::{launch_project, launch_project_backward};
 use crate::project::{COLUMNS, Geometry, ProjectSpec};
 use crate::shade::Shading;
-use crate::shade::launch::{Coefficients, DeviceInputs, launch_shade, launch_shade_backward};
+use crate::shade::launch::{DeviceInputs, DeviceShCoefficients, launch_shade, launch_shade_backward};
 use crate::tile::launch::{DeviceLists, launch_tile};
 use crate::tile::{Cut, HitCell, Lists, tile_grid};
 
@@ -31,13 +31,13 @@ pub(crate) fn buffer(tensor: CubeTensor) -> Buffer<f32> {
 }
 
 /// Coefficients of spherical harmonics, row-major: those of half precision in words of two.
-fn coefficients(tensor: CubeTensor) -> Coefficients {
+fn coefficients(tensor: CubeTensor) -> DeviceShCoefficients {
     if tensor.dtype != DType::F16 {
         return buffer(tensor).into();
     }
     let tensor = into_contiguous(tensor);
     let len = tensor.meta.num_elements();
-    Coefficients::halves(Buffer::from_handle(tensor.handle, len.div_ceil(2)), len)
+    DeviceShCoefficients::halves(Buffer::from_handle(tensor.handle, len.div_ceil(2)), len)
 }
 
 /// Elements as a tensor, on the device of `like`.

@@ -12,7 +12,7 @@ use burn_ndarray::NdArrayTensor;
 use bytemuck::Pod;
 
 use crate::real::Real;
-use crate::shade::cpu::Coefficients;
+use crate::shade::cpu::ShCoefficients;
 
 /// A backend whose tensors lie in this program's memory.
 pub(crate) trait HostBackend: Backend {
@@ -50,10 +50,10 @@ pub(crate) enum HostCoefficients<F> {
 }
 
 impl<F: Real> HostCoefficients<F> {
-    pub fn view(&self) -> Coefficients<'_, F> {
+    pub fn view(&self) -> ShCoefficients<'_, F> {
         match self {
-            Self::Full(values) => Coefficients::Full(values),
-            Self::Half(halves) => Coefficients::Half(halves),
+            Self::Full(values) => ShCoefficients::Full(values),
+            Self::Half(halves) => ShCoefficients::Half(halves),
         }
     }
 }

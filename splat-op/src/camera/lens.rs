@@ -27,7 +27,7 @@ const BORDER_POINTS: usize = 8;
 
 /// The coefficients of the planar map by their names in the equations; zero where the model has none.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(crate) struct Coefficients {
+pub(crate) struct LensCoefficients {
     /// `g = (1 + Σ radialᵢ wⁱ⁺¹) / (1 + Σ denominatorᵢ wⁱ⁺¹)`.
     pub radial: [f64; 4],
     pub denominator: [f64; 3],
@@ -37,7 +37,7 @@ pub(crate) struct Coefficients {
     pub prism: [f64; 2],
 }
 
-impl Coefficients {
+impl LensCoefficients {
     /// `g(w)` and `g'(w)`.
     fn radial(&self, w: f64) -> [f64; 2] {
         let [n, n_slope] = with_slope(&self.radial, w);
@@ -120,7 +120,7 @@ impl Coefficients {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Projector {
     camera: Intrinsics,
-    lens: Coefficients,
+    lens: LensCoefficients,
     reach: f64,
 }
 
@@ -160,18 +160,18 @@ impl Projector {
 }
 
 impl Intrinsics {
-    pub(crate) fn coefficients(&self) -> Coefficients {
+    pub(crate) fn coefficients(&self) -> LensCoefficients {
         let [a, b, c, d, e, f, g, h] = self.distortion;
-        let none = Coefficients::default();
+        let none = LensCoefficients::default();
         match self.model {
             CameraModel::Pinhole => none,
-            CameraModel::OpenCv => Coefficients { radial: [a, b, 0.0, 0.0], tangential: [d, c], ..none },
+            CameraModel::OpenCv => LensCoefficients { radial: [a, b, 0.0, 0.0], tangential: [d, c], ..none },
             CameraModel::FullOpenCv => {
-                Coefficients { radial: [a, b, e, 0.0], denominator: [f, g, h], tangential: [d, c], ..none }
+                LensCoefficients { radial: [a, b, e, 0.0], denominator: [f, g, h], tangential: [d, c], ..none }
             }
-            CameraModel::Fisheye => Coefficients { radial: [a, b, c, d], ..none },
+            CameraModel::Fisheye => LensCoefficients { radial: [a, b, c, d], ..none },
             CameraModel::ThinPrismFisheye => {
-                Coefficients { radial: [a, b, e, f], tangential: [d, c], prism: [g, h], ..none }
+                LensCoefficients { radial: [a, b, e, f], tangential: [d, c], prism: [g, h], ..none }
             }
         }
     }

@@ -15,7 +15,7 @@ const CHUNK: usize = 1024;
 /// Borrowed inputs, row-major.
 #[derive(Clone, Copy)]
 pub(crate) struct Inputs<'a, F> {
-    pub sh: Coefficients<'a, F>,
+    pub sh: ShCoefficients<'a, F>,
     pub means: &'a [F],
     pub cam_from_world: &'a [F],
     /// Coefficients per channel.
@@ -24,12 +24,12 @@ pub(crate) struct Inputs<'a, F> {
 
 /// Coefficients as they are stored.
 #[derive(Clone, Copy)]
-pub(crate) enum Coefficients<'a, F> {
+pub(crate) enum ShCoefficients<'a, F> {
     Full(&'a [F]),
     Half(&'a [f16]),
 }
 
-impl<'a, F> From<&'a [F]> for Coefficients<'a, F> {
+impl<'a, F> From<&'a [F]> for ShCoefficients<'a, F> {
     fn from(values: &'a [F]) -> Self {
         Self::Full(values)
     }
@@ -38,7 +38,7 @@ impl<'a, F> From<&'a [F]> for Coefficients<'a, F> {
 /// The numbers of a Gaussian, of all channels, at the highest degree.
 type Row<F> = [F; 3 * SH_COEFFICIENTS_MAX];
 
-impl<F: Real> Coefficients<'_, F> {
+impl<F: Real> ShCoefficients<'_, F> {
     /// How many there are.
     pub fn len(&self) -> usize {
         match self {

@@ -2,7 +2,7 @@
 
 use glam::{DMat3, DVec3};
 
-use super::cpu::{Coefficients, Inputs, shade_backward_cpu, shade_cpu};
+use super::cpu::{Inputs, ShCoefficients, shade_backward_cpu, shade_cpu};
 use super::launch::{DeviceInputs, launch_shade, launch_shade_backward};
 use super::{Shading, coefficients_of};
 use crate::gpu::{Buffer, Gpu};
@@ -30,7 +30,7 @@ const GRAD: usize = 3;
 
 fn inputs(tensors: &[Vec<f64>], degree: usize) -> Inputs<'_, f64> {
     let [sh, means, cam_from_world, ..] = tensors else { unreachable!("three tensors") };
-    Inputs { sh: Coefficients::Full(sh), means, cam_from_world, coefficients: coefficients_of(degree) }
+    Inputs { sh: ShCoefficients::Full(sh), means, cam_from_world, coefficients: coefficients_of(degree) }
 }
 
 impl Scene {

@@ -15,7 +15,7 @@ use crate::project::ProjectSpec;
 #[derive(Clone, Debug)]
 pub(crate) struct DeviceInputs {
     /// `[N, (degree+1)², 3]`.
-    pub sh: Coefficients,
+    pub sh: DeviceShCoefficients,
     /// `[N, 3]`, world frame.
     pub means: Buffer<f32>,
     /// `[3, 4]`.
@@ -24,7 +24,7 @@ pub(crate) struct DeviceInputs {
 
 /// Coefficients on the device, row-major.
 #[derive(Clone, Debug)]
-pub(crate) struct Coefficients {
+pub(crate) struct DeviceShCoefficients {
     /// The numbers, or words of two.
     pub values: Buffer<f32>,
     /// How many there are.
@@ -32,13 +32,13 @@ pub(crate) struct Coefficients {
     pub storage: Storage,
 }
 
-impl From<Buffer<f32>> for Coefficients {
+impl From<Buffer<f32>> for DeviceShCoefficients {
     fn from(values: Buffer<f32>) -> Self {
         Self { len: values.len, values, storage: Storage::Full }
     }
 }
 
-impl Coefficients {
+impl DeviceShCoefficients {
     /// Half-precision numbers from the words that they lie in.
     pub fn halves(values: Buffer<f32>, len: usize) -> Self {
         Self { values, len, storage: Storage::Half }

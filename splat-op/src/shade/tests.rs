@@ -1,6 +1,6 @@
 //! `shade` against central finite differences, against published values of the basis, and where it clamps.
 
-use super::cpu::{Coefficients, Inputs, shade_backward_cpu, shade_cpu};
+use super::cpu::{Inputs, ShCoefficients, shade_backward_cpu, shade_cpu};
 use super::{Shading, sh_degree};
 use crate::testing::finite::{check_gradient, inner_product};
 use crate::testing::random::Random;
@@ -28,7 +28,7 @@ impl Scene {
 
     fn inputs(&self) -> Inputs<'_, f64> {
         let [sh, means, cam_from_world] = &self.0;
-        Inputs { sh: Coefficients::Full(sh), means, cam_from_world, coefficients: self.1 }
+        Inputs { sh: ShCoefficients::Full(sh), means, cam_from_world, coefficients: self.1 }
     }
 }
 

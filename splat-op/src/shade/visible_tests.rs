@@ -1,6 +1,6 @@
 //! The mask of what is visible: against shading all, and against the lists of `tile`.
 
-use super::cpu::{Coefficients, Inputs, Visible, shade_backward_cpu, shade_cpu};
+use super::cpu::{Inputs, ShCoefficients, Visible, shade_backward_cpu, shade_cpu};
 use super::{Shading, reach_sigmas};
 use crate::camera::Intrinsics;
 use crate::options::RenderOptions;
@@ -54,7 +54,7 @@ impl Scene {
     }
 
     pub fn inputs(&self) -> Inputs<'_, f64> {
-        let (sh, means, cam_from_world) = (Coefficients::Full(&self.0[4][..]), &self.0[0][..], &self.0[5][..]);
+        let (sh, means, cam_from_world) = (ShCoefficients::Full(&self.0[4][..]), &self.0[0][..], &self.0[5][..]);
         Inputs { sh, means, cam_from_world, coefficients: COEFFICIENTS }
     }
 
