@@ -24,7 +24,7 @@ const QUALITY: u8 = 92;
 
 /// Pictures of a view, as `data:` addresses.
 #[derive(Clone, Debug)]
-pub struct Comparison {
+pub struct PictureComparison {
     /// Index of the view among the scores.
     pub view: usize,
     pub width: u32,
@@ -36,7 +36,7 @@ pub struct Comparison {
 /// Pictures of the views that are shown, the worst first.
 #[derive(Clone, Debug, Default)]
 pub struct Comparisons {
-    pub shown: Vec<Comparison>,
+    pub shown: Vec<PictureComparison>,
     /// Views in the order of their scores, the worst first.
     pub order: Vec<usize>,
 }
@@ -49,7 +49,7 @@ impl Comparisons {
         let mut order: Vec<usize> = (0..names.len()).collect();
         order.sort_by(|&a, &b| scores.views[a].psnr.total_cmp(&scores.views[b].psnr).then(a.cmp(&b)));
         let shown = worst_and_best(&order);
-        let shown = shown.iter().filter_map(|&view| Comparison::read(view, &out.join(VIEWS).join(&names[view])));
+        let shown = shown.iter().filter_map(|&view| PictureComparison::read(view, &out.join(VIEWS).join(&names[view])));
         Self { shown: shown.collect(), order }
     }
 }
@@ -63,7 +63,7 @@ fn worst_and_best(order: &[usize]) -> Vec<usize> {
     [worst, &rest[rest.len() - MOST / 2..]].concat()
 }
 
-impl Comparison {
+impl PictureComparison {
     /// Reads a picture with ground truth, render and error side by side.
     fn read(view: usize, path: &Path) -> Option<Self> {
         let panels = image::open(path).ok()?.into_rgb8();
@@ -105,7 +105,7 @@ mod tests {
         let path = folder.path().join("a.png");
         let shades = |x: u32| if x < 1000 { [200, 0, 0] } else { [0, 0, 200] };
         RgbImage::from_fn(3000, 500, |x, _| image::Rgb(shades(x))).save(&path).unwrap();
-        let comparison = Comparison::read(7, &path).unwrap();
+        let comparison = PictureComparison::read(7, &path).unwrap();
         assert_eq!((comparison.view, comparison.width, comparison.height), (7, 1000, 500));
         for (address, channel) in [(&comparison.truth, 0), (&comparison.render, 2)] {
             let bytes = BASE64_STANDARD.decode(address.strip_prefix("data:image/jpeg;base64,").unwrap()).unwrap();
@@ -114,6 +114,6 @@ mod tests {
             let pixel = picture.get_pixel(400, 200).0;
             assert!(pixel[channel] > 190 && pixel[2 - channel] < 10, "{pixel:?}");
         }
-        assert!(Comparison::read(7, folder.path()).is_none());
+        assert!(PictureComparison::read(7, folder.path()).is_none());
     }
 }
