@@ -8,7 +8,7 @@ static PEAK: AtomicUsize = AtomicUsize::new(0);
 static TOTAL: AtomicUsize = AtomicUsize::new(0);
 
 /// An allocator that counts allocated bytes.
-pub struct Counting<A>(pub A);
+pub struct CountingAllocator<A>(pub A);
 
 fn asked(size: usize) {
     TOTAL.fetch_add(size, Relaxed);
@@ -17,7 +17,7 @@ fn asked(size: usize) {
 }
 
 // SAFETY: every call is forwarded unchanged.
-unsafe impl<A: GlobalAlloc> GlobalAlloc for Counting<A> {
+unsafe impl<A: GlobalAlloc> GlobalAlloc for CountingAllocator<A> {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         asked(layout.size());
         unsafe { self.0.alloc(layout) }
@@ -51,12 +51,12 @@ pub struct Allocated {
     pub peak: usize,
 }
 
-/// Returns the bytes that the program holds now, if its allocator is [`Counting`].
+/// Returns the bytes that the program holds now, if its allocator is [`CountingAllocator`].
 pub fn held() -> usize {
     LIVE.load(Relaxed)
 }
 
-/// Runs `work` in a program whose allocator is [`Counting`]. Also returns the bytes allocated meanwhile, on all threads.
+/// Runs `work` in a program whose allocator is [`CountingAllocator`]. Also returns the bytes allocated meanwhile, on all threads.
 pub fn allocated<T>(work: impl FnOnce() -> T) -> (T, Allocated) {
     let (held, total) = (LIVE.load(Relaxed), TOTAL.load(Relaxed));
     PEAK.store(held, Relaxed);

@@ -16,14 +16,14 @@ use std::path::Path;
 use std::process::Command;
 use std::time::Duration;
 
-use splat_benches::allocations::Counting;
+use splat_benches::allocations::CountingAllocator;
 use splat_benches::{MEDIUM, SyntheticView};
 
 use point::{Point, Work};
 use record::{Row, ScaleAxis};
 
 #[global_allocator]
-static ALLOCATOR: Counting<mimalloc::MiMalloc> = Counting(mimalloc::MiMalloc);
+static ALLOCATOR: CountingAllocator<mimalloc::MiMalloc> = CountingAllocator(mimalloc::MiMalloc);
 
 /// Most bytes for a point.
 const MEMORY: f64 = 16.0 * 1024.0 * 1024.0 * 1024.0;

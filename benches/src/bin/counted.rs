@@ -12,7 +12,7 @@ use std::error::Error;
 
 use burn::tensor::Device;
 use fearless_simd::Level;
-use splat_benches::allocations::{Allocated, Counting, allocated};
+use splat_benches::allocations::{Allocated, CountingAllocator, allocated};
 use splat_benches::job::{Job, Size};
 use splat_benches::limit::Kind;
 use splat_benches::measure::{Kept, Pass, Prepare, Timed};
@@ -20,7 +20,7 @@ use splat_benches::passes::passes;
 
 // The system allocator, because mimalloc returns memory depending on time.
 #[global_allocator]
-static ALLOCATOR: Counting<System> = Counting(System);
+static ALLOCATOR: CountingAllocator<System> = CountingAllocator(System);
 
 /// Number of runs before the counted run: the first fills caches, and a trainer's first step has no moments.
 const WARM_UP: usize = 2;

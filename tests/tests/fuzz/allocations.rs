@@ -10,7 +10,7 @@ thread_local! {
 }
 
 /// The system allocator, with counts per thread.
-pub struct Counting;
+pub struct ThreadCountingAllocator;
 
 fn count(change: isize) {
     let _ = LIVE.try_with(|live| {
@@ -20,7 +20,7 @@ fn count(change: isize) {
 }
 
 // SAFETY: every call is forwarded unchanged.
-unsafe impl GlobalAlloc for Counting {
+unsafe impl GlobalAlloc for ThreadCountingAllocator {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         count(layout.size() as isize);
         unsafe { System.alloc(layout) }

@@ -24,7 +24,7 @@ mod targets;
 mod transforms;
 
 #[global_allocator]
-static ALLOCATOR: allocations::Counting = allocations::Counting;
+static ALLOCATOR: allocations::ThreadCountingAllocator = allocations::ThreadCountingAllocator;
 
 #[test]
 fn ply() {
