@@ -11,7 +11,7 @@ use super::TILE;
 use crate::dials::Culling;
 use crate::gpu::math::{Vec3, finite, within};
 
-/// Numbers of a [`Cover`].
+/// Numbers of a [`TileCover`].
 pub(super) const COVER: usize = 4;
 
 /// Cells along each side of a cover.
@@ -31,7 +31,7 @@ pub(crate) struct Frame {
 /// The tiles that a Gaussian is listed in.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
-struct Cover {
+struct TileCover {
     /// The first tile of the box.
     x: u32,
     y: u32,
@@ -44,10 +44,10 @@ struct Cover {
 }
 
 #[cube]
-impl Cover {
-    fn load(covers: &[u32], gaussian: usize) -> Cover {
+impl TileCover {
+    fn load(covers: &[u32], gaussian: usize) -> TileCover {
         let at = gaussian * comptime!(COVER);
-        Cover {
+        TileCover {
             x: covers[at] & 0xffff,
             y: covers[at] >> 16,
             width: covers[at + 1] & 0xffff,
@@ -199,7 +199,7 @@ pub(super) fn cover_kernel(
         let square = comptime!(culling == Culling::BoundingBox);
         let at = gaussian * comptime!(crate::project::COLUMNS);
         let (depth, opacity) = (projected[at + 5], projected[at + 6]);
-        let mut cover = Cover { x: 0, y: 0, width: 0, height: 0, low: 0, high: 0 };
+        let mut cover = TileCover { x: 0, y: 0, width: 0, height: 0, low: 0, high: 0 };
         let mut usable = depth > 0.0 && opacity > 0.0 && opacity >= frame.alpha_min;
         #[unroll]
         for column in 0..comptime!(crate::project::COLUMNS) {
@@ -252,7 +252,7 @@ pub(super) fn cover_kernel(
 
 /// The bits of the cells that the ellipse reaches, or of all of the box.
 #[cube]
-fn covered_cells(cover: &Cover, reach: &Reach, frame: &Frame, #[comptime] culling: Culling) -> (u32, u32) {
+fn covered_cells(cover: &TileCover, reach: &Reach, frame: &Frame, #[comptime] culling: Culling) -> (u32, u32) {
     let mut low = 0u32;
     let mut high = 0u32;
     let (cell_width, cell_height) = (cover.cell_width(), cover.cell_height());
@@ -300,7 +300,7 @@ pub(super) fn count_kernel(
         let shown = keys[rank] != 0xffff_ffff;
         let mut hits = 0u32;
         if shown {
-            hits = Cover::load(covers, order[rank] as usize).count();
+            hits = TileCover::load(covers, order[rank] as usize).count();
         }
         counts[rank] = hits;
         // Those without hits come last, so exactly one unit sees the border.
@@ -332,7 +332,7 @@ pub(super) fn emit_kernel(
     let rank = ABSOLUTE_POS;
     if rank < visible as usize {
         let gaussian = order[rank];
-        let cover = Cover::load(covers, gaussian as usize);
+        let cover = TileCover::load(covers, gaussian as usize);
         let mut hit = starts[rank];
         for y in 0..cover.height {
             for x in 0..cover.width {

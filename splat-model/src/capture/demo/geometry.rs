@@ -177,7 +177,7 @@ fn endless(side: Side) -> Span {
 
 /// The share of a thin cone around a ray that a solid blocks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Cover {
+pub(super) enum Occlusion {
     Nothing,
     Part,
     All,
@@ -186,28 +186,28 @@ pub(super) enum Cover {
 impl Shape {
     /// The share of the cone around `ray` (the shape's frame) that the solid blocks. The cone's radius grows by `spread` per
     /// unit of distance. The answer is `Part` wherever a bounding test does not decide.
-    pub fn cover(&self, ray: &Ray, spread: f64) -> Cover {
+    pub fn cover(&self, ray: &Ray, spread: f64) -> Occlusion {
         match *self {
             Shape::Torus { major, minor } => torus::cover(ray, spread, major, minor),
-            Shape::Cylinder { half_height, .. } if rises(ray, spread, half_height) => Cover::Nothing,
-            Shape::Cuboid { half } if rises(ray, spread, half.z) => Cover::Nothing,
+            Shape::Cylinder { half_height, .. } if rises(ray, spread, half_height) => Occlusion::Nothing,
+            Shape::Cuboid { half } if rises(ray, spread, half.z) => Occlusion::Nothing,
             _ => self.ball_cover(ray, spread),
         }
     }
 
     /// By the bounding sphere, which is the solid itself if that is a sphere.
-    fn ball_cover(&self, ray: &Ray, spread: f64) -> Cover {
+    fn ball_cover(&self, ray: &Ray, spread: f64) -> Occlusion {
         let radius = self.bounding_radius();
         let along = -ray.origin.dot(ray.direction);
         let beside = ray.at(along).length();
         // Where the cone leaves the sphere it is a little wider than at the middle.
         let cone = spread * (along + radius).max(0.0);
         if along < -radius || beside > radius + cone {
-            Cover::Nothing
+            Occlusion::Nothing
         } else if matches!(self, Shape::Sphere { .. }) && along > radius && beside + cone < radius {
-            Cover::All
+            Occlusion::All
         } else {
-            Cover::Part
+            Occlusion::Part
         }
     }
 }
@@ -319,9 +319,9 @@ mod tests {
                     shape.hit(&Ray { origin, direction: bent.normalize() }, f64::INFINITY).is_some()
                 });
                 match (shape.cover(&Ray { origin, direction }, SPREAD), hits.count()) {
-                    (Cover::Nothing, hits) => prop_assert_eq!(hits, 0, "{:?}", shape),
-                    (Cover::All, hits) => prop_assert_eq!(hits, 40, "{:?}", shape),
-                    (Cover::Part, _) => {}
+                    (Occlusion::Nothing, hits) => prop_assert_eq!(hits, 0, "{:?}", shape),
+                    (Occlusion::All, hits) => prop_assert_eq!(hits, 40, "{:?}", shape),
+                    (Occlusion::Part, _) => {}
                 }
             }
         }

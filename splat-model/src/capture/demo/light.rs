@@ -4,7 +4,7 @@ use std::f64::consts::TAU;
 
 use glam::DVec3;
 
-use super::geometry::{Cover, Ray, Shape};
+use super::geometry::{Occlusion, Ray, Shape};
 use super::scene::{Kind, Object, Scene, SurfacePoint};
 
 /// Rays to the sun per shaded point: 16 levels of penumbra, finer than 8 bits show after averaging 9 samples.
@@ -107,9 +107,9 @@ impl LitScene {
                 continue;
             }
             match object.cover(&middle, SUN_RADIUS_RAD) {
-                Cover::Nothing => {}
-                Cover::Part => in_the_way.push(object),
-                Cover::All => return 0.0,
+                Occlusion::Nothing => {}
+                Occlusion::Part => in_the_way.push(object),
+                Occlusion::All => return 0.0,
             }
         }
         if in_the_way.is_empty() {

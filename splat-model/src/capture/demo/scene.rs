@@ -3,7 +3,7 @@
 use glam::{DAffine3, DQuat, DVec3};
 
 use super::DemoOptions;
-use super::geometry::{Cover, Ray, Shape};
+use super::geometry::{Occlusion, Ray, Shape};
 use super::texture::{self, Texture, srgb};
 
 /// One object of the scene.
@@ -60,7 +60,7 @@ impl Object {
     }
 
     /// The share of a cone around a ray of the world frame that the object blocks; see [`Shape::cover`].
-    pub fn cover(&self, ray: &Ray, spread: f64) -> Cover {
+    pub fn cover(&self, ray: &Ray, spread: f64) -> Occlusion {
         self.shape.cover(&self.local(ray), spread)
     }
 

@@ -3,7 +3,7 @@
 
 use glam::{DVec2, DVec3};
 
-use super::geometry::{Cover, Hit, Ray, slab, tube};
+use super::geometry::{Hit, Occlusion, Ray, slab, tube};
 
 /// Signed distance to the torus.
 fn distance_to(point: DVec3, major: f64, minor: f64) -> f64 {
@@ -62,18 +62,18 @@ pub(super) fn hit(ray: &Ray, limit: f64, major: f64, minor: f64) -> Option<Hit> 
 }
 
 /// Marches along the cone's axis by the distance between the surface and the cone.
-pub(super) fn cover(ray: &Ray, spread: f64, major: f64, minor: f64) -> Cover {
+pub(super) fn cover(ray: &Ray, spread: f64, major: f64, minor: f64) -> Occlusion {
     // The hull of a torus thickened by the cone's radius at the exit.
     let widest = spread * (ray.origin.length() + major + minor);
-    let Some((mut t, end)) = stretch(ray, major, minor + widest) else { return Cover::Nothing };
-    let mut cover = Cover::Nothing;
+    let Some((mut t, end)) = stretch(ray, major, minor + widest) else { return Occlusion::Nothing };
+    let mut cover = Occlusion::Nothing;
     for _ in 0..MAX_STEPS {
         let (distance, radius) = (distance_to(ray.at(t), major, minor), spread * t);
         if distance < -radius {
-            return Cover::All;
+            return Occlusion::All;
         }
         if distance < radius {
-            cover = Cover::Part;
+            cover = Occlusion::Part;
         }
         // The least step passes over contacts too shallow to darken anything.
         t += ((distance.abs() - radius) / (1.0 + spread)).max(0.02 * minor);
@@ -81,7 +81,7 @@ pub(super) fn cover(ray: &Ray, spread: f64, major: f64, minor: f64) -> Cover {
             return cover;
         }
     }
-    Cover::Part
+    Occlusion::Part
 }
 
 /// The surface ahead of a point just before it, by Newton's method; `None` if the ray only passes close by.
