@@ -18,7 +18,7 @@ use crate::gpu::{Buffer, Gpu, launch_scale};
 use crate::project::launch::{launch_project, launch_project_backward};
 use crate::project::{COLUMNS, Geometry, ProjectSpec};
 use crate::shade::Shading;
-use crate::shade::launch::{DeviceInputs, DeviceShCoefficients, launch_shade, launch_shade_backward};
+use crate::shade::launch::{DeviceShCoefficients, ShadeDeviceInputs, launch_shade, launch_shade_backward};
 use crate::tile::launch::{DeviceLists, launch_tile};
 use crate::tile::{Cut, HitCell, Lists, tile_grid};
 
@@ -77,8 +77,8 @@ pub(super) fn gradient(
     found.map(|found| tensor(found, input.0.shape(), DType::F32, &input.0)).into()
 }
 
-fn shading_on_device(inputs: &ShadingTensors<CubeBackend>) -> DeviceInputs {
-    DeviceInputs {
+fn shading_on_device(inputs: &ShadingTensors<CubeBackend>) -> ShadeDeviceInputs {
+    ShadeDeviceInputs {
         sh: coefficients(inputs.sh.0.clone()),
         means: on_device(&inputs.means),
         cam_from_world: on_device(&inputs.cam_from_world),

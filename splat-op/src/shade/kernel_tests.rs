@@ -3,7 +3,7 @@
 use glam::{DMat3, DVec3};
 
 use super::cpu::{Inputs, ShCoefficients, shade_backward_cpu, shade_cpu};
-use super::launch::{DeviceInputs, launch_shade, launch_shade_backward};
+use super::launch::{ShadeDeviceInputs, launch_shade, launch_shade_backward};
 use super::{Shading, coefficients_of};
 use crate::gpu::{Buffer, Gpu};
 use crate::testing::ceiling::{Yardstick, rounded, to_f32};
@@ -72,9 +72,9 @@ impl Scene {
         Self { tensors, kinds, degree }
     }
 
-    fn upload(&self, gpu: &Gpu) -> (DeviceInputs, Buffer<f32>) {
+    fn upload(&self, gpu: &Gpu) -> (ShadeDeviceInputs, Buffer<f32>) {
         let buffer = |i: usize| Buffer::from_slice(gpu, &to_f32(&self.tensors[i]));
-        (DeviceInputs { sh: buffer(0).into(), means: buffer(1), cam_from_world: buffer(POSE) }, buffer(GRAD))
+        (ShadeDeviceInputs { sh: buffer(0).into(), means: buffer(1), cam_from_world: buffer(POSE) }, buffer(GRAD))
     }
 
     /// The class of each Gaussian; none for one that is not finite.
@@ -223,8 +223,8 @@ fn more_cubes_than_fit_along_one_axis() {
     for (_, gpu) in gpus() {
         let (small, small_grad) = scene.upload(&gpu);
         let [sh, means, grad] = [0, 1, GRAD].map(|i| Buffer::from_slice(&gpu, &repeated(i)));
-        let large = DeviceInputs { sh: sh.into(), means, cam_from_world: small.cam_from_world.clone() };
-        let run = |inputs: &DeviceInputs, grad: &Buffer<f32>| {
+        let large = ShadeDeviceInputs { sh: sh.into(), means, cam_from_world: small.cam_from_world.clone() };
+        let run = |inputs: &ShadeDeviceInputs, grad: &Buffer<f32>| {
             let found = launch_shade_backward(&gpu, inputs, None, 1, grad, Shading { means: false, ..ALL });
             [launch_shade(&gpu, inputs, None, 1).read(&gpu), found.sh.expect("asked for").read(&gpu)]
         };

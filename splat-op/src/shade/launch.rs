@@ -13,7 +13,7 @@ use crate::project::ProjectSpec;
 
 /// Inputs on the device, row-major.
 #[derive(Clone, Debug)]
-pub(crate) struct DeviceInputs {
+pub(crate) struct ShadeDeviceInputs {
     /// `[N, (degree+1)², 3]`.
     pub sh: DeviceShCoefficients,
     /// `[N, 3]`, world frame.
@@ -61,7 +61,12 @@ fn frame(visible: Visible) -> FrameLaunch {
 }
 
 /// Colours, `[N, 3]`, from `coefficients` per channel; zero for what is not visible.
-pub(crate) fn launch_shade(gpu: &Gpu, inputs: &DeviceInputs, visible: Visible, coefficients: usize) -> Buffer<f32> {
+pub(crate) fn launch_shade(
+    gpu: &Gpu,
+    inputs: &ShadeDeviceInputs,
+    visible: Visible,
+    coefficients: usize,
+) -> Buffer<f32> {
     let count = inputs.means.len / 3;
     let colours = Buffer::new(gpu, 3 * count);
     if count == 0 {
@@ -90,7 +95,7 @@ pub(crate) fn launch_shade(gpu: &Gpu, inputs: &DeviceInputs, visible: Visible, c
 /// Gradients of the inputs from `grad`, `[N, 3]`. Those of the pose are summed in a fixed order.
 pub(crate) fn launch_shade_backward(
     gpu: &Gpu,
-    inputs: &DeviceInputs,
+    inputs: &ShadeDeviceInputs,
     visible: Visible,
     coefficients: usize,
     grad: &Buffer<f32>,

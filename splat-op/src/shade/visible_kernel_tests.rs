@@ -2,7 +2,7 @@
 
 use super::Shading;
 use super::cpu::{Visible, shade_cpu};
-use super::launch::{DeviceInputs, launch_shade, launch_shade_backward};
+use super::launch::{ShadeDeviceInputs, launch_shade, launch_shade_backward};
 use super::visible_tests::{COEFFICIENTS, Scene, check_colours, spec};
 use crate::gpu::{Buffer, Gpu};
 use crate::project::cpu::project_cpu;
@@ -11,9 +11,9 @@ use crate::testing::ceiling::to_f32;
 use crate::testing::gpu::gpus;
 
 /// The inputs, the packed ellipses, and the gradient of the colours.
-fn upload(scene: &Scene, spec: &ProjectSpec, gpu: &Gpu) -> (DeviceInputs, Buffer<f32>, Buffer<f32>) {
+fn upload(scene: &Scene, spec: &ProjectSpec, gpu: &Gpu) -> (ShadeDeviceInputs, Buffer<f32>, Buffer<f32>) {
     let buffer = |values: &[f64]| Buffer::from_slice(gpu, &to_f32(values));
-    let inputs = DeviceInputs {
+    let inputs = ShadeDeviceInputs {
         sh: buffer(&scene.0[4]).into(),
         means: buffer(&scene.0[0]),
         cam_from_world: buffer(&scene.0[5]),
