@@ -18,7 +18,7 @@ use crate::project::cpu::{project_backward_cpu, project_cpu};
 use crate::project::{COLUMNS, Geometry, ProjectSpec};
 use crate::real::Real;
 use crate::shade::Shading;
-use crate::shade::cpu::{Inputs, Visible, shade_backward_cpu, shade_cpu};
+use crate::shade::cpu::{ShadeCpuInputs, Visible, shade_backward_cpu, shade_cpu};
 use crate::tile::cpu::tile_cpu;
 use crate::tile::{Cut, HitCell, HitLists, Lists, tile_grid};
 
@@ -58,9 +58,9 @@ impl<F: Real> ShadeHost<F> {
         }
     }
 
-    fn inputs(&self) -> Inputs<'_, F> {
+    fn inputs(&self) -> ShadeCpuInputs<'_, F> {
         let Self { means, cam_from_world, coefficients, .. } = self;
-        Inputs { sh: self.sh.view(), means, cam_from_world, coefficients: *coefficients }
+        ShadeCpuInputs { sh: self.sh.view(), means, cam_from_world, coefficients: *coefficients }
     }
 
     fn visible(&self, spec: &ProjectSpec) -> Option<Visible<'_, F>> {

@@ -14,7 +14,7 @@ const CHUNK: usize = 1024;
 
 /// Borrowed inputs, row-major.
 #[derive(Clone, Copy)]
-pub(crate) struct Inputs<'a, F> {
+pub(crate) struct ShadeCpuInputs<'a, F> {
     pub sh: ShCoefficients<'a, F>,
     pub means: &'a [F],
     pub cam_from_world: &'a [F],
@@ -140,7 +140,7 @@ impl<'a, F: Real> Visible<'a, F> {
 }
 
 /// `[N, 3]` colours of the Gaussians that are visible, all unless it is said which, and zero for the others.
-pub(crate) fn shade_cpu<F: Real>(inputs: Inputs<F>, visible: Option<&Visible<F>>) -> Vec<F> {
+pub(crate) fn shade_cpu<F: Real>(inputs: ShadeCpuInputs<F>, visible: Option<&Visible<F>>) -> Vec<F> {
     let eye = Eye::new(inputs.cam_from_world);
     let row = 3 * inputs.coefficients;
     let degree = degree_of(inputs.coefficients);
@@ -162,7 +162,7 @@ pub(crate) fn shade_cpu<F: Real>(inputs: Inputs<F>, visible: Option<&Visible<F>>
 
 /// Gradients of the inputs from `grad`, the `[N, 3]` gradient of the colours.
 pub(crate) fn shade_backward_cpu<F: Real>(
-    inputs: Inputs<F>,
+    inputs: ShadeCpuInputs<F>,
     visible: Option<&Visible<F>>,
     grad: &[F],
     needs: Shading<bool>,

@@ -2,7 +2,7 @@
 
 use glam::{DMat3, DVec3};
 
-use super::cpu::{Inputs, ShCoefficients, shade_backward_cpu, shade_cpu};
+use super::cpu::{ShCoefficients, ShadeCpuInputs, shade_backward_cpu, shade_cpu};
 use super::launch::{ShadeDeviceInputs, launch_shade, launch_shade_backward};
 use super::{Shading, coefficients_of};
 use crate::gpu::{Buffer, Gpu};
@@ -28,9 +28,9 @@ struct Scene {
 const POSE: usize = 2;
 const GRAD: usize = 3;
 
-fn inputs(tensors: &[Vec<f64>], degree: usize) -> Inputs<'_, f64> {
+fn inputs(tensors: &[Vec<f64>], degree: usize) -> ShadeCpuInputs<'_, f64> {
     let [sh, means, cam_from_world, ..] = tensors else { unreachable!("three tensors") };
-    Inputs { sh: ShCoefficients::Full(sh), means, cam_from_world, coefficients: coefficients_of(degree) }
+    ShadeCpuInputs { sh: ShCoefficients::Full(sh), means, cam_from_world, coefficients: coefficients_of(degree) }
 }
 
 impl Scene {

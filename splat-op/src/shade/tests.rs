@@ -1,6 +1,6 @@
 //! `shade` against central finite differences, against published values of the basis, and where it clamps.
 
-use super::cpu::{Inputs, ShCoefficients, shade_backward_cpu, shade_cpu};
+use super::cpu::{ShCoefficients, ShadeCpuInputs, shade_backward_cpu, shade_cpu};
 use super::{Shading, sh_degree};
 use crate::testing::finite::{check_gradient, inner_product};
 use crate::testing::random::Random;
@@ -26,9 +26,9 @@ impl Scene {
         Self([sh, means, pose], coefficients)
     }
 
-    fn inputs(&self) -> Inputs<'_, f64> {
+    fn inputs(&self) -> ShadeCpuInputs<'_, f64> {
         let [sh, means, cam_from_world] = &self.0;
-        Inputs { sh: ShCoefficients::Full(sh), means, cam_from_world, coefficients: self.1 }
+        ShadeCpuInputs { sh: ShCoefficients::Full(sh), means, cam_from_world, coefficients: self.1 }
     }
 }
 

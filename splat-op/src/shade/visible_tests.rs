@@ -1,6 +1,6 @@
 //! The mask of what is visible: against shading all, and against the lists of `tile`.
 
-use super::cpu::{Inputs, ShCoefficients, Visible, shade_backward_cpu, shade_cpu};
+use super::cpu::{ShCoefficients, ShadeCpuInputs, Visible, shade_backward_cpu, shade_cpu};
 use super::{Shading, reach_sigmas};
 use crate::camera::Intrinsics;
 use crate::options::RenderOptions;
@@ -53,9 +53,9 @@ impl Scene {
         Geometry { means, rotations, scales, opacities, cam_from_world, mean2d: &[] }
     }
 
-    pub fn inputs(&self) -> Inputs<'_, f64> {
+    pub fn inputs(&self) -> ShadeCpuInputs<'_, f64> {
         let (sh, means, cam_from_world) = (ShCoefficients::Full(&self.0[4][..]), &self.0[0][..], &self.0[5][..]);
-        Inputs { sh, means, cam_from_world, coefficients: COEFFICIENTS }
+        ShadeCpuInputs { sh, means, cam_from_world, coefficients: COEFFICIENTS }
     }
 
     pub fn grad(&self) -> &[f64] {
