@@ -41,9 +41,9 @@ impl Load {
         let mean2d = values(columns.mean2d);
         let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
 
-        let mut visible: Vec<Ellipse> = (0..opacity.len())
+        let mut visible: Vec<ProjectedEllipse> = (0..opacity.len())
             .filter(|&i| opacity[i] >= options.alpha_min && opacity[i] > 0.0)
-            .map(|i| Ellipse {
+            .map(|i| ProjectedEllipse {
                 x: mean2d[2 * i],
                 y: mean2d[2 * i + 1],
                 sigma_u: sigma_u[i],
@@ -100,7 +100,7 @@ impl Display for Load {
 }
 
 /// A projected Gaussian; see `splat_op::Ellipses`.
-struct Ellipse {
+struct ProjectedEllipse {
     x: f64,
     y: f64,
     sigma_u: f64,
@@ -112,7 +112,7 @@ struct Ellipse {
     reach: f64,
 }
 
-impl Ellipse {
+impl ProjectedEllipse {
     fn meets(&self, width: f64, height: f64) -> bool {
         let half_x = self.reach * self.sigma_u;
         let half_y = self.reach * (self.shear * self.sigma_u).hypot(self.sigma_v);
@@ -121,7 +121,7 @@ impl Ellipse {
 }
 
 /// Counts the contributions to one pixel, front to back.
-fn layers(visible: &[Ellipse], x: f64, y: f64, options: &RenderOptions) -> usize {
+fn layers(visible: &[ProjectedEllipse], x: f64, y: f64, options: &RenderOptions) -> usize {
     let (mut count, mut transmittance) = (0, 1.0);
     for ellipse in visible {
         let u = (x - ellipse.x) / ellipse.sigma_u;

@@ -51,7 +51,7 @@ pub struct ExactPixel {
 }
 
 /// A Gaussian on the picture.
-struct Ellipse<'a> {
+struct ExactEllipse<'a> {
     mean_px: DVec2,
     /// Inverse of the 2D covariance, px⁻².
     conic: DMat2,
@@ -83,7 +83,7 @@ pub fn render_exact(
     options: &RenderOptions,
 ) -> Vec<ExactPixel> {
     assert!(!options.along_rays() || camera.model == CameraModel::Pinhole, "rays are those of a pinhole");
-    let ellipses: Vec<Ellipse> = gaussians.iter().filter_map(|g| project(g, pose, camera, options)).collect();
+    let ellipses: Vec<ExactEllipse> = gaussians.iter().filter_map(|g| project(g, pose, camera, options)).collect();
     let centres = (0..camera.height).flat_map(|y| (0..camera.width).map(move |x| (x, y)));
     let see = |(x, y)| {
         let centre_px = DVec2::new(x as f64 + 0.5, y as f64 + 0.5);
@@ -96,7 +96,7 @@ pub fn render_exact(
     centres.map(see).collect()
 }
 
-impl<'a> Ellipse<'a> {
+impl<'a> ExactEllipse<'a> {
     fn seen(&self, centre_px: DVec2, camera: &Intrinsics, options: &RenderOptions) -> Contribution<'a> {
         let d = centre_px - self.mean_px;
         let value = (-0.5 * d.dot(self.conic * d)).exp();
@@ -140,7 +140,7 @@ fn project<'a>(
     pose: &ExactPose,
     camera: &Intrinsics,
     options: &RenderOptions,
-) -> Option<Ellipse<'a>> {
+) -> Option<ExactEllipse<'a>> {
     let mean_cam = pose.rotation * gaussian.mean + pose.translation;
     let DVec3 { x, y, z } = mean_cam;
     if z <= options.near {
@@ -173,7 +173,7 @@ fn project<'a>(
         Projection::Exact => Solid::in_camera(mean_cam, covariance_cam, camera, options.blur),
         Projection::Affine => Solid::on_screen(mean_cam, covariance_cam, [j0, j1], options.blur),
     });
-    Some(Ellipse {
+    Some(ExactEllipse {
         mean_px: DVec2::from_array(mean_px),
         conic: covariance.inverse(),
         depth: z,
