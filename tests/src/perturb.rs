@@ -7,7 +7,7 @@ pub use splat_hard_cases::ceiling::ceiling_used;
 use splat_hard_cases::ceiling::{moved_value, rounded as rounded_value};
 
 use crate::random::Random;
-use crate::scene::{Evaluation, Named, Scene, Weights, evaluate};
+use crate::scene::{Named, RenderOutputs, Scene, Weights, evaluate};
 
 /// Number of random directions in which the inputs move. The largest change of several draws is a lower estimate of the largest
 /// change that an ulp can cause.
@@ -90,8 +90,8 @@ pub fn ulp_spread(
     weights: &Weights,
     options: &RenderOptions,
     device: &Device,
-    plain: &Evaluation,
-) -> Evaluation {
+    plain: &RenderOutputs,
+) -> RenderOutputs {
     let mut spread = plain.clone();
     each(&mut spread).for_each(|tensor| tensor.values.fill(0.0));
     for draw in 0..DRAWS {
@@ -111,6 +111,6 @@ pub fn ulp_spread(
     spread
 }
 
-fn each(evaluation: &mut Evaluation) -> impl Iterator<Item = &mut Named> {
+fn each(evaluation: &mut RenderOutputs) -> impl Iterator<Item = &mut Named> {
     evaluation.stages.iter_mut().chain(&mut evaluation.pictures).chain(&mut evaluation.gradients)
 }

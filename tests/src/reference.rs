@@ -7,7 +7,7 @@ use serde_json::Value;
 use splat_op::{CameraModel, Intrinsics, RenderOptions};
 
 use crate::data::optional_data;
-use crate::scene::{Evaluation, Named, Scene, Weights};
+use crate::scene::{Named, RenderOutputs, Scene, Weights};
 
 /// One reference vector, a file.
 pub struct ReferenceVector {
@@ -15,7 +15,7 @@ pub struct ReferenceVector {
     pub scene: Scene,
     pub weights: Weights,
     pub options: RenderOptions,
-    pub expected: Evaluation,
+    pub expected: RenderOutputs,
 }
 
 /// Reads the vectors of this repository, and the larger vectors in the folder `reference` of `SPLAT_DATA_DIR` if it exists.
@@ -97,7 +97,7 @@ fn read_vector(path: &Path) -> ReferenceVector {
     let named = |name, columns| Named { name, columns, values: values(name) };
     // The operation's poses have no last row.
     let pose = Named { name: "g_viewmat", columns: 4, values: values("g_viewmat")[..12].to_vec() };
-    let expected = Evaluation {
+    let expected = RenderOutputs {
         stages: vec![named("out_means2d", 2), named("out_depths", 1), named("out_conics", 3), named("out_colors", 3)],
         pictures: vec![named("out_image", 3), named("out_alpha", 1), named("out_depth", 1)],
         gradients: vec![

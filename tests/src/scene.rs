@@ -31,7 +31,7 @@ pub struct Weights {
 
 /// Stages, pictures and gradients of a render.
 #[derive(Clone, Debug)]
-pub struct Evaluation {
+pub struct RenderOutputs {
     /// Outputs per Gaussian: `means2d depths conics colors`.
     pub stages: Vec<Named>,
     /// Outputs per pixel: `image alpha depth`.
@@ -136,7 +136,7 @@ pub fn evaluate(
     options: &RenderOptions,
     device: &Device,
     dtype: DType,
-) -> Evaluation {
+) -> RenderOutputs {
     let device = device.clone().autodiff();
     let Tensors { splats, sh, camera, background } = scene.tensors(&device, dtype);
     let probe = Tensor::zeros([scene.count(), 2], (&device, dtype)).require_grad();
@@ -168,7 +168,7 @@ pub fn evaluate(
         named("out_alpha", 1, host(out.alpha)),
         named("out_depth", 1, host(depth)),
     ];
-    Evaluation { stages: stages(scene, options, &device.inner(), dtype), pictures, gradients }
+    RenderOutputs { stages: stages(scene, options, &device.inner(), dtype), pictures, gradients }
 }
 
 /// Computes the outputs of the stages before rasterization.

@@ -5,7 +5,7 @@ use proptest::prelude::*;
 use splat_op::{Accumulation, Camera, Extras, Intrinsics, RenderOptions, Rendered, render};
 use splat_tests::compare::relative_error;
 use splat_tests::random::Random;
-use splat_tests::scene::{Evaluation, Scene, Tensors, Weights, evaluate, host, tensor};
+use splat_tests::scene::{RenderOutputs, Scene, Tensors, Weights, evaluate, host, tensor};
 use splat_tests::tracked::gradients_of;
 use splat_tests::{cpu_devices, devices, gpu};
 
@@ -199,7 +199,7 @@ fn one_thread_and_two_give_the_same_bits() {
                 pool.install(|| evaluate(&scene, &weights, &OPTIONS, &device, dtype))
             };
             let (one, two) = (with(1), with(2));
-            let all = |e: Evaluation| [e.stages, e.pictures, e.gradients].concat();
+            let all = |e: RenderOutputs| [e.stages, e.pictures, e.gradients].concat();
             for (one, two) in all(one).iter().zip(all(two)) {
                 assert!(one.values == two.values, "{} differs on {name} in {dtype:?}", one.name);
             }

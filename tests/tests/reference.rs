@@ -7,7 +7,7 @@ use splat_tests::compare::{Finding, assert_all, keep_rows, relative_error, row_e
 use splat_tests::data::announce;
 use splat_tests::perturb::{ceiling_used, rounded, ulp_spread};
 use splat_tests::reference::{ReferenceVector, read_vectors};
-use splat_tests::scene::{Evaluation, Named, Weights, evaluate};
+use splat_tests::scene::{Named, RenderOutputs, Weights, evaluate};
 use splat_tests::{cpu_devices, devices};
 
 /// Tolerances in f64, relative to the largest element of the tensor, and for each row relative to its own length.
@@ -52,7 +52,7 @@ fn in_front(vector: &ReferenceVector) -> Vec<bool> {
     vector.scene.camera_z().iter().map(|z| *z > vector.options.near).collect()
 }
 
-fn compare_f64(vector: &ReferenceVector, found: &Evaluation) -> Vec<Finding> {
+fn compare_f64(vector: &ReferenceVector, found: &RenderOutputs) -> Vec<Finding> {
     let mut findings = Vec::new();
     let mut compare = |found: &Named, expected: &Named| {
         assert_eq!(found.name, expected.name);
@@ -80,8 +80,8 @@ fn compare_f64(vector: &ReferenceVector, found: &Evaluation) -> Vec<Finding> {
 /// that the gradients of all other pixels are compared in full.
 struct Yardstick {
     weights: Weights,
-    expected: Evaluation,
-    spread: Evaluation,
+    expected: RenderOutputs,
+    spread: RenderOutputs,
     /// Whether each pixel is compared.
     kept: Vec<bool>,
 }
@@ -99,7 +99,7 @@ impl Yardstick {
         Self { weights, expected, spread, kept }
     }
 
-    fn compare(&self, vector: &ReferenceVector, found: &Evaluation) -> Vec<Finding> {
+    fn compare(&self, vector: &ReferenceVector, found: &RenderOutputs) -> Vec<Finding> {
         let mut findings = Vec::new();
         let band = self.kept.iter().filter(|kept| !**kept).count();
         let (error, what) = (band as f64 / self.kept.len() as f64, format!("{} share of band", vector.name));
@@ -109,7 +109,7 @@ impl Yardstick {
         let kept_rows = |tensors: &[Named], kept: &[bool]| -> Vec<Named> {
             tensors.iter().map(|tensor| keep_rows(tensor, kept)).collect()
         };
-        let parts = |e: &Evaluation| [kept_rows(&e.stages, &in_front), kept_rows(&e.pictures, &self.kept)].concat();
+        let parts = |e: &RenderOutputs| [kept_rows(&e.stages, &in_front), kept_rows(&e.pictures, &self.kept)].concat();
         let outputs = [parts(found), parts(&self.expected), parts(&self.spread)];
         let gradients = [&found.gradients, &self.expected.gradients, &self.spread.gradients];
         for ([found, expected, spread], rows) in tuples(outputs.each_ref())

@@ -35,7 +35,7 @@ pub enum Line<'a> {
 
 /// Subject of an evaluation during a run, and where its results are saved.
 #[derive(Clone, Copy)]
-pub struct Evaluation<'a> {
+pub struct EvaluationSetup<'a> {
     pub test: &'a [Photograph],
     pub device: &'a Device,
     /// LPIPS, if it is measured.
@@ -85,8 +85,8 @@ impl RunLog {
     ///
     /// # Errors
     /// If a view cannot be rendered.
-    pub fn evaluate(&mut self, trainer: &Trainer, evaluation: Evaluation) -> Result<()> {
-        let Evaluation { test, device, lpips, snapshots } = evaluation;
+    pub fn evaluate(&mut self, trainer: &Trainer, evaluation: EvaluationSetup) -> Result<()> {
+        let EvaluationSetup { test, device, lpips, snapshots } = evaluation;
         let start = Instant::now();
         // The rows include the effect of smoothing, the parameters do not.
         let rows = trainer.rows();

@@ -17,7 +17,7 @@ use crate::output::OutputFolder;
 use crate::pareto::MeasuredView;
 use crate::progress;
 use crate::report::history::History;
-use crate::report::log::{Evaluation, RunLog};
+use crate::report::log::{EvaluationSetup, RunLog};
 use crate::snapshots::Snapshots;
 
 /// With an accuracy target, settings are measured after one part in this many of the steps.
@@ -89,7 +89,7 @@ impl Steps<'_> {
             }
             if self.args.eval_during.is_some_and(|every| trainer.steps_done().is_multiple_of(every)) {
                 let (device, lpips, snapshots) = (self.device.0, self.lpips, self.snapshots);
-                log.evaluate(trainer, Evaluation { test: self.test, device, lpips, snapshots })?;
+                log.evaluate(trainer, EvaluationSetup { test: self.test, device, lpips, snapshots })?;
             }
             if self.checkpoints.due_after(trainer.steps_done()) {
                 let so_far = SoFar { seconds: log.seconds(), dials_chosen, history: log.history().clone() };
