@@ -7,7 +7,7 @@
 
 use cubecl::prelude::*;
 
-use super::forward::{Eye, Frame, NORMS, basis, coefficient, linear_colour, may_show};
+use super::forward::{CameraPosition, Frame, NORMS, basis, coefficient, linear_colour, may_show};
 use super::{Harmonics, coefficients_of};
 use crate::gpu::UNITS;
 use crate::gpu::math::{Pose, Vec3};
@@ -96,7 +96,7 @@ fn colour_backward(
 ) -> Vec3 {
     let degree = comptime!(harmonics.degree);
     let coefficients = comptime!(harmonics.coefficients());
-    let sight = Eye::of(pose).sight(mean);
+    let sight = CameraPosition::of(pose).sight(mean);
     let y = basis(sight.direction, degree);
     let colour = linear_colour(sh, gaussian, &y, harmonics);
     let g = Vec3::new(
@@ -198,7 +198,7 @@ pub(super) fn shade_backward_kernel(
 #[cube(launch_unchecked)]
 pub(super) fn pose_backward_kernel(grad_sights: &[f32], cam_from_world: &[f32], grad_pose: &mut [f32]) {
     if ABSOLUTE_POS == 0 {
-        let eye = Eye::of(Pose::load(cam_from_world));
+        let eye = CameraPosition::of(Pose::load(cam_from_world));
         // The position's gradient is the negative of that of the sights.
         let grad_t = eye.world_from_cam.apply_transposed(Vec3::load(grad_sights, 0));
         eye.position.times(grad_t.x).store(grad_pose, 0);

@@ -62,13 +62,13 @@ impl<F: Real> ShCoefficients<'_, F> {
 
 /// Where the camera is in the world: the point that the pose takes to zero, `−A⁻¹ t`. The general inverse, so that the
 /// answer holds for any invertible `A` and every entry of the pose is a free variable.
-struct Eye<F> {
+struct CameraPositionCpu<F> {
     /// `A⁻¹`.
     world_from_cam: Mat3<F>,
     position: [F; 3],
 }
 
-impl<F: Real> Eye<F> {
+impl<F: Real> CameraPositionCpu<F> {
     fn new(p: &[F]) -> Self {
         let rows = [[p[0], p[1], p[2]], [p[4], p[5], p[6]], [p[8], p[9], p[10]]];
         let cofactors = [cross(rows[1], rows[2]), cross(rows[2], rows[0]), cross(rows[0], rows[1])];
@@ -141,7 +141,7 @@ impl<'a, F: Real> Visible<'a, F> {
 
 /// `[N, 3]` colours of the Gaussians that are visible, all unless it is said which, and zero for the others.
 pub(crate) fn shade_cpu<F: Real>(inputs: ShadeCpuInputs<F>, visible: Option<&Visible<F>>) -> Vec<F> {
-    let eye = Eye::new(inputs.cam_from_world);
+    let eye = CameraPositionCpu::new(inputs.cam_from_world);
     let row = 3 * inputs.coefficients;
     let degree = degree_of(inputs.coefficients);
     let mut colours = vec![F::ZERO; inputs.means.len()];
@@ -167,7 +167,7 @@ pub(crate) fn shade_backward_cpu<F: Real>(
     grad: &[F],
     needs: Shading<bool>,
 ) -> Shading<Vec<F>> {
-    let eye = Eye::new(inputs.cam_from_world);
+    let eye = CameraPositionCpu::new(inputs.cam_from_world);
     let row = 3 * inputs.coefficients;
     let degree = degree_of(inputs.coefficients);
     let count = inputs.means.len() / 3;

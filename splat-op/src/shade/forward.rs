@@ -15,22 +15,22 @@ use crate::project::forward::Packed;
 /// Where the camera is in the world: the point that the pose takes to zero, `−A⁻¹ t`, by the general inverse.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
-pub(super) struct Eye {
+pub(super) struct CameraPosition {
     /// `A⁻¹`.
     pub world_from_cam: Mat3,
     pub position: Vec3,
 }
 
 #[cube]
-impl Eye {
-    pub fn of(pose: Pose) -> Eye {
+impl CameraPosition {
+    pub fn of(pose: Pose) -> CameraPosition {
         let a = pose.matrix;
         let cofactors = Mat3 { x: a.y.cross(a.z), y: a.z.cross(a.x), z: a.x.cross(a.y) };
         let inverse = 1.0 / a.x.dot(cofactors.x);
         let scaled =
             Mat3 { x: cofactors.x.times(inverse), y: cofactors.y.times(inverse), z: cofactors.z.times(inverse) };
         let world_from_cam = scaled.transposed();
-        Eye { world_from_cam, position: world_from_cam.apply(pose.translation).times(-1.0) }
+        CameraPosition { world_from_cam, position: world_from_cam.apply(pose.translation).times(-1.0) }
     }
 
     /// Straight ahead for a centre on the camera itself.
@@ -184,7 +184,7 @@ pub(super) fn may_show(ellipses: &[f32], gaussian: usize, frame: &Frame) -> bool
 /// The colour of a Gaussian.
 #[cube]
 fn colour_of(sh: &[f32], gaussian: usize, mean: Vec3, pose: Pose, #[comptime] harmonics: Harmonics) -> Vec3 {
-    let sight = Eye::of(pose).sight(mean);
+    let sight = CameraPosition::of(pose).sight(mean);
     let colour = linear_colour(sh, gaussian, &basis(sight.direction, comptime!(harmonics.degree)), harmonics);
     // Not `max`, which may turn a NaN into a colour.
     Vec3::new(
