@@ -64,7 +64,7 @@ impl Default for Adam {
 }
 
 /// The scalars of one step, combined so that tensors are traversed as few times as possible.
-struct Factors {
+struct StepScalars {
     beta1: f64,
     beta2: f64,
     /// Rates of `m / (√v + floor)`.
@@ -150,16 +150,16 @@ impl Adam {
         }
     }
 
-    fn factors(&self, lr: Rates, t: usize) -> Factors {
+    fn factors(&self, lr: Rates, t: usize) -> StepScalars {
         // √v̂ = c √v and m̂ = b m; both factors move out of the tensors: lr m̂ / (√v̂ + ε) = (lr b/c) m / (√v + ε/c).
         let t = t as f64;
         let b = (1.0 - self.beta1) / (1.0 - self.beta1.powf(t));
         let c = ((1.0 - self.beta2) / (1.0 - self.beta2.powf(t))).sqrt();
-        Factors { beta1: self.beta1, beta2: self.beta2, rate: lr.times(b / c), floor: self.eps / c }
+        StepScalars { beta1: self.beta1, beta2: self.beta2, rate: lr.times(b / c), floor: self.eps / c }
     }
 }
 
-impl Factors {
+impl StepScalars {
     /// Computes the step in one pass on a GPU. The error is the parameter, where the operation is not supported.
     #[expect(clippy::result_large_err, reason = "the error is the argument, handed back")]
     fn step_on_gpu<const D: usize>(

@@ -69,7 +69,7 @@ fn host_memory_and_tensors_agree() {
         let start = tensor(&random(), &device, DType::F32);
         let mut moments = [Moments::new(&start), Moments::new(&start)];
         let mut params = [start.clone(), start];
-        let factors = Factors { beta1: 0.9, beta2: 0.999, rate, floor: 1e-8 };
+        let factors = StepScalars { beta1: 0.9, beta2: 0.999, rate, floor: 1e-8 };
         for _ in 0..3 {
             let grad = tensor(&random(), &device, DType::F32);
             let [host, tensors] = params;
