@@ -11,7 +11,7 @@
 
 use cubecl::prelude::*;
 
-use super::layer::{BUCKET, Footprint, Limits, Shape, colour, first_slot, layer};
+use super::layer::{BUCKET, LayerEllipse, Limits, Shape, colour, first_slot, layer};
 use crate::gpu::reduce::cube_sum;
 use crate::project::COLUMNS;
 use crate::tile::forward::Frame;
@@ -126,7 +126,7 @@ pub(super) fn blend_behind_kernel(
                     let mut open = true;
                     while place < end && open {
                         let gaussian = gaussian_of_hit[hit_of_place[(first + place) as usize] as usize] as usize;
-                        let footprint = Footprint::of(projected, gaussian);
+                        let footprint = LayerEllipse::of(projected, gaussian);
                         let (u, v) = footprint.whiten(x, top, f32::cast_from(own_row));
                         let alpha = footprint.alpha(u, v, frame.alpha_min, limits.alpha_max, shape);
                         let (alpha, next, stops) = layer(alpha, relative, stopped, kept[at], limits.transmittance_min);

@@ -6,7 +6,7 @@
 use cubecl::prelude::*;
 
 use super::backward::{MOMENTS, plane_of, row_len, tile_of_slot};
-use super::layer::{BUCKET, FOOTPRINT, Footprint, Limits, Shape, colour, first_slot, layer};
+use super::layer::{BUCKET, FOOTPRINT, LayerEllipse, Limits, Shape, colour, first_slot, layer};
 use crate::gpu::atomic::FloatCell;
 use crate::tile::forward::Frame;
 use crate::tile::{TILE, TILE_PIXELS};
@@ -70,7 +70,7 @@ pub(super) fn blend_channels_kernel<A: FloatCell>(
             }
             if bucket < passed[tile as usize] {
                 if unit < count {
-                    Footprint::of(projected, gaussian as usize).store(&mut footprints, unit as usize);
+                    LayerEllipse::of(projected, gaussian as usize).store(&mut footprints, unit as usize);
                 }
                 sync_cube();
                 let origin_x = tile % frame.tiles_x * comptime!(TILE as u32);
@@ -94,7 +94,7 @@ pub(super) fn blend_channels_kernel<A: FloatCell>(
                     for i in 0..count {
                         let mut alpha = 0.0f32;
                         if through >= 0.0 {
-                            let footprint = Footprint::load(&footprints, i as usize);
+                            let footprint = LayerEllipse::load(&footprints, i as usize);
                             let (u, v) = footprint.whiten(x, top, f32::cast_from(own_row));
                             let value = footprint.alpha(u, v, frame.alpha_min, limits.alpha_max, shape);
                             let (contributes, next, stops) =
@@ -137,7 +137,7 @@ pub(super) fn blend_channels_kernel<A: FloatCell>(
 
                     // The units are Gaussians, each with a part of the pixels.
                     if lane < count {
-                        let footprint = Footprint::load(&footprints, lane as usize);
+                        let footprint = LayerEllipse::load(&footprints, lane as usize);
                         let slope = footprint.inverse_v * footprint.shear;
                         for step in 0..comptime!(BUCKET as u32) {
                             let other = part * comptime!(BUCKET as u32) + step;

@@ -8,7 +8,7 @@
 use cubecl::prelude::*;
 
 use super::layer::{
-    BUCKET, FOOTPRINT, Footprint, Limits, Shape, behind_bucket, colour, first_slot, layer, strip_origin,
+    BUCKET, FOOTPRINT, LayerEllipse, Limits, Shape, behind_bucket, colour, first_slot, layer, strip_origin,
 };
 use crate::tile::forward::Frame;
 use crate::tile::{TILE, TILE_PIXELS};
@@ -93,7 +93,7 @@ pub(super) fn blend_forward_kernel(
             let mut i = UNIT_POS;
             while i < count {
                 let gaussian = gaussian_of_hit[hit_of_place[(first + place + i) as usize] as usize];
-                Footprint::of(projected, gaussian as usize).store(&mut footprints, i as usize);
+                LayerEllipse::of(projected, gaussian as usize).store(&mut footprints, i as usize);
                 gaussians[i as usize] = gaussian;
                 if comptime!(few) {
                     #[unroll]
@@ -120,7 +120,7 @@ pub(super) fn blend_forward_kernel(
                     }
                     let end = select(open, min(bucket + comptime!(BUCKET as u32), count), bucket);
                     for i in bucket..end {
-                        let footprint = Footprint::load(&footprints, i as usize);
+                        let footprint = LayerEllipse::load(&footprints, i as usize);
                         let mut colour_here = Array::<f32>::new(comptime!(if few { channels } else { 1 }));
                         if comptime!(few) {
                             #[unroll]

@@ -14,7 +14,7 @@ pub(super) const BUCKET: usize = 32;
 /// bucket; above, all three would not fit.
 pub(super) const FEW: usize = 4;
 
-/// Numbers of a [`Footprint`].
+/// Numbers of a [`LayerEllipse`].
 pub(super) const FOOTPRINT: usize = 6;
 
 /// Thresholds of the render besides the frame's.
@@ -65,7 +65,7 @@ pub(super) fn strip_origin(unit: u32, #[comptime] rows: usize) -> (u32, u32) {
 /// An ellipse as the pixels' loop reads it.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
-pub(super) struct Footprint {
+pub(super) struct LayerEllipse {
     pub x: f32,
     pub y: f32,
     pub inverse_u: f32,
@@ -75,11 +75,11 @@ pub(super) struct Footprint {
 }
 
 #[cube]
-impl Footprint {
+impl LayerEllipse {
     /// Of a row of the packed ellipses.
-    pub fn of(projected: &[f32], gaussian: usize) -> Footprint {
+    pub fn of(projected: &[f32], gaussian: usize) -> LayerEllipse {
         let at = gaussian * comptime!(COLUMNS);
-        Footprint {
+        LayerEllipse {
             x: projected[at],
             y: projected[at + 1],
             inverse_u: 1.0 / projected[at + 2],
@@ -90,8 +90,8 @@ impl Footprint {
     }
 
     /// One that shows in no pixel.
-    pub fn nowhere() -> Footprint {
-        Footprint { x: 0.0, y: 0.0, inverse_u: 0.0, inverse_v: 0.0, shear: 0.0, opacity: 0.0 }
+    pub fn nowhere() -> LayerEllipse {
+        LayerEllipse { x: 0.0, y: 0.0, inverse_u: 0.0, inverse_v: 0.0, shear: 0.0, opacity: 0.0 }
     }
 
     pub fn store(&self, to: &mut Shared<[f32]>, index: usize) {
@@ -104,9 +104,9 @@ impl Footprint {
         to[at + 5] = self.opacity;
     }
 
-    pub fn load(from: &Shared<[f32]>, index: usize) -> Footprint {
+    pub fn load(from: &Shared<[f32]>, index: usize) -> LayerEllipse {
         let at = index * comptime!(FOOTPRINT);
-        Footprint {
+        LayerEllipse {
             x: from[at],
             y: from[at + 1],
             inverse_u: from[at + 2],

@@ -6,7 +6,7 @@
 use cubecl::prelude::*;
 
 use super::backward::{MOMENTS, plane_of};
-use super::layer::{Footprint, Limits, Shape, checkpoint, layer, restore};
+use super::layer::{LayerEllipse, Limits, Shape, checkpoint, layer, restore};
 use crate::tile::forward::Frame;
 use crate::tile::{TILE, TILE_PIXELS};
 
@@ -111,7 +111,7 @@ impl Pixels {
     /// Passes a Gaussian forwards at pixel `p`: its alpha, zero if it does not contribute, and its weight `α T`.
     pub fn pass(
         &mut self,
-        footprint: Footprint,
+        footprint: LayerEllipse,
         alpha_min: f32,
         limits: Limits,
         #[comptime] shape: Shape,
@@ -130,7 +130,7 @@ impl Pixels {
     /// Passes a Gaussian backwards, place `k` of its step, and adds its sums over the pixels to `row`.
     pub fn add_sums(
         &mut self,
-        footprint: Footprint,
+        footprint: LayerEllipse,
         colour: &Array<f32>,
         alphas: &Array<f32>,
         weights: &Array<f32>,

@@ -10,7 +10,7 @@
 use cubecl::prelude::*;
 
 use super::backward::{row_len, tile_of_slot};
-use super::layer::{BUCKET, FOOTPRINT, Footprint, Limits, Shape, colour, first_slot, strip_origin};
+use super::layer::{BUCKET, FOOTPRINT, LayerEllipse, Limits, Shape, colour, first_slot, strip_origin};
 use super::pixels::{Pixels, STEP};
 use crate::gpu::atomic::FloatCell;
 use crate::tile::TILE_PIXELS;
@@ -65,9 +65,9 @@ pub(super) fn blend_strips_kernel<A: FloatCell>(
                 if i < count {
                     hit = hit_of_place[(first + place + i) as usize];
                     gaussian = gaussian_of_hit[hit as usize];
-                    Footprint::of(projected, gaussian as usize).store(&mut footprints, i as usize);
+                    LayerEllipse::of(projected, gaussian as usize).store(&mut footprints, i as usize);
                 } else {
-                    Footprint::nowhere().store(&mut footprints, i as usize);
+                    LayerEllipse::nowhere().store(&mut footprints, i as usize);
                 }
                 hits[i as usize] = if comptime!(add) { gaussian } else { hit };
                 #[unroll]
@@ -108,7 +108,7 @@ pub(super) fn blend_strips_kernel<A: FloatCell>(
                     // Nothing comes after the last.
                     let end = select(step + 1 < steps, (step + 1) * comptime!(STEP as u32), 0u32);
                     for i in step * comptime!(STEP as u32)..end {
-                        let footprint = Footprint::load(&footprints, i as usize);
+                        let footprint = LayerEllipse::load(&footprints, i as usize);
                         #[unroll]
                         for p in 0..pixels {
                             at.pass(footprint, frame.alpha_min, limits, shape, p);
@@ -129,7 +129,7 @@ pub(super) fn blend_strips_kernel<A: FloatCell>(
                     }
                     #[unroll]
                     for k in 0..comptime!(STEP) {
-                        let footprint = Footprint::load(&footprints, start as usize + k);
+                        let footprint = LayerEllipse::load(&footprints, start as usize + k);
                         #[unroll]
                         for p in 0..pixels {
                             let (alpha, weight) = at.pass(footprint, frame.alpha_min, limits, shape, p);
@@ -151,7 +151,7 @@ pub(super) fn blend_strips_kernel<A: FloatCell>(
                             own[column] = 0.0f32;
                         }
                         at.add_sums(
-                            Footprint::load(&footprints, start as usize + k),
+                            LayerEllipse::load(&footprints, start as usize + k),
                             &colour_here,
                             &alphas,
                             &weights,

@@ -10,7 +10,7 @@
 use cubecl::prelude::*;
 
 use super::SUMS;
-use super::layer::{CHUNK, Footprint, RayFrame, RayPixel, Walk};
+use super::layer::{CHUNK, RayFrame, RayGaussian, RayPixel, Walk};
 use crate::gpu::UNITS;
 use crate::gpu::reduce::cube_sum;
 use crate::project::COLUMNS;
@@ -96,7 +96,7 @@ pub(super) fn rays_walk_kernel(
                 let before = f32::reinterpret(table[at]);
                 link = table[at + 1];
                 let gaussian = gaussian_of_hit[hit_of_place[(first + place) as usize] as usize] as usize;
-                let footprint = Footprint::load(projected, tilts, gaussian);
+                let footprint = RayGaussian::load(projected, tilts, gaussian);
                 let layer = footprint.at(pixel.x, pixel.y, &view);
                 // Alpha is one more channel, of colour one.
                 let mut here = grad_alpha + grad_depth * footprint.depth_of(&layer, &view);
@@ -147,7 +147,7 @@ pub(super) fn rays_sums_kernel(
     if place < tile_start[view.end_tile as usize] {
         let tile = tile_of_place(tile_start, &view, place);
         let hit = hit_of_place[place as usize];
-        let footprint = Footprint::load(projected, tilts, gaussian_of_hit[hit as usize] as usize);
+        let footprint = RayGaussian::load(projected, tilts, gaussian_of_hit[hit as usize] as usize);
         let plane = (view.width * view.height) as usize;
         let channels = view.features as usize;
         let own = ABSOLUTE_POS * comptime!(2 * TILE_PIXELS);

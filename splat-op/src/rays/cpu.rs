@@ -3,7 +3,7 @@
 
 use rayon::prelude::*;
 
-use super::pixel::{Footprint, RayLayerCpu, Rules, look};
+use super::pixel::{RayGaussianCpu, RayLayerCpu, Rules, look};
 use super::{RayLayers, SUMS};
 use crate::blend::BlendSpec;
 use crate::project::{COLUMNS, Ellipse};
@@ -14,7 +14,7 @@ use crate::tilt::TILT;
 /// A view, prepared for its pixels.
 struct PreparedRayView<'a, F> {
     inputs: RayLayers<&'a [F]>,
-    footprints: Vec<Footprint<F>>,
+    footprints: Vec<RayGaussianCpu<F>>,
     rules: Rules<F>,
     hits: &'a HitLists,
     size: [usize; 2],
@@ -29,7 +29,7 @@ impl<'a, F: Real> PreparedRayView<'a, F> {
         let rows = inputs.projected.chunks_exact(COLUMNS).zip(inputs.tilt.chunks_exact(TILT));
         Self {
             inputs,
-            footprints: rows.map(|(row, tilt)| Footprint::new(row, tilt, &rules)).collect(),
+            footprints: rows.map(|(row, tilt)| RayGaussianCpu::new(row, tilt, &rules)).collect(),
             rules,
             hits,
             size: [spec.intrinsics.width, spec.intrinsics.height],

@@ -6,7 +6,7 @@
 
 use cubecl::prelude::*;
 
-use super::layer::{CHUNK, Footprint, RayFrame, RayPixel, Walk};
+use super::layer::{CHUNK, RayFrame, RayGaussian, RayPixel, Walk};
 use crate::tile::TILE_PIXELS;
 
 /// Planes `[C + 1 (+ 1), H, W]`.
@@ -50,7 +50,7 @@ pub(super) fn rays_forward_kernel(
                             planes[channel * plane + pixel.index] += weight * features[gaussian * channels + channel];
                         }
                         if comptime!(view.depth) {
-                            let footprint = Footprint::load(projected, tilts, gaussian);
+                            let footprint = RayGaussian::load(projected, tilts, gaussian);
                             let layer = footprint.at(pixel.x, pixel.y, &view);
                             depth += weight * footprint.depth_of(&layer, &view);
                         }

@@ -3,7 +3,7 @@
 use super::RayLayers;
 use super::cpu::{rays_backward_cpu, rays_cpu};
 use super::launch::{launch_rays, launch_rays_backward_by};
-use super::pixel::{Footprint, Rules, look};
+use super::pixel::{RayGaussianCpu, Rules, look};
 use crate::blend::BlendSpec;
 use crate::camera::Intrinsics;
 use crate::gpu::{Buffer, Gpu};
@@ -111,7 +111,8 @@ impl Scene {
         if self.spec.options.order == Order::PerPixel {
             let rows = self.inputs[0].chunks_exact(COLUMNS).zip(self.inputs[1].chunks_exact(TILT));
             let rules = Rules { transmittance_min: -1.0, ..Rules::new(&self.spec.options) };
-            let footprints: Vec<Footprint<f64>> = rows.map(|(row, tilt)| Footprint::new(row, tilt, &rules)).collect();
+            let footprints: Vec<RayGaussianCpu<f64>> =
+                rows.map(|(row, tilt)| RayGaussianCpu::new(row, tilt, &rules)).collect();
             let all: Vec<u32> =
                 (0..footprints.len() as u32).filter(|i| footprints[*i as usize].ellipse.depth > 0.0).collect();
             let mut layers = Vec::new();

@@ -66,7 +66,7 @@ impl RayPixel {
 /// A Gaussian as pixels see it: its row and its tilt.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
-pub(super) struct Footprint {
+pub(super) struct RayGaussian {
     pub x: f32,
     pub y: f32,
     pub sigma_u: f32,
@@ -96,11 +96,11 @@ pub(super) struct RayLayer {
 }
 
 #[cube]
-impl Footprint {
-    pub fn load(projected: &[f32], tilts: &[f32], gaussian: usize) -> Footprint {
+impl RayGaussian {
+    pub fn load(projected: &[f32], tilts: &[f32], gaussian: usize) -> RayGaussian {
         let at = gaussian * comptime!(COLUMNS);
         let tilt = gaussian * comptime!(TILT);
-        Footprint {
+        RayGaussian {
             x: projected[at],
             y: projected[at + 1],
             sigma_u: projected[at + 2],
@@ -231,7 +231,7 @@ impl Walk {
         let mut going = place < places;
         while going {
             let gaussian = gaussian_of_hit[hit_of_place[(first + place) as usize] as usize];
-            let layer = Footprint::load(projected, tilts, gaussian as usize).at(pixel.x, pixel.y, view);
+            let layer = RayGaussian::load(projected, tilts, gaussian as usize).at(pixel.x, pixel.y, view);
             if layer.alpha > 0.0 {
                 if comptime!(view.per_pixel) {
                     let begun = self.come_to[0] != 0;

@@ -9,7 +9,7 @@ use crate::tilt::TILT;
 
 /// A Gaussian as pixels see it.
 #[derive(Clone, Copy, Default)]
-pub(super) struct Footprint<F> {
+pub(super) struct RayGaussianCpu<F> {
     pub ellipse: Ellipse<F>,
     /// Zero for the affine projection, but for the order.
     pub tilt: [F; TILT],
@@ -19,7 +19,7 @@ pub(super) struct Footprint<F> {
     limit: F,
 }
 
-impl<F: Real> Footprint<F> {
+impl<F: Real> RayGaussianCpu<F> {
     /// Of its rows.
     pub fn new(row: &[F], tilt: &[F], rules: &Rules<F>) -> Self {
         let ellipse = Ellipse::from_row(row);
@@ -81,7 +81,12 @@ pub(super) struct RayLayerCpu<F> {
 impl<F: Real> RayLayerCpu<F> {
     /// What the pixel with its centre at `at` px sees of a Gaussian; `None` if that is nothing.
     #[inline(always)]
-    fn new(footprint: &Footprint<F>, at: [F; 2], rules: &Rules<F>, (place, gaussian): (usize, u32)) -> Option<Self> {
+    fn new(
+        footprint: &RayGaussianCpu<F>,
+        at: [F; 2],
+        rules: &Rules<F>,
+        (place, gaussian): (usize, u32),
+    ) -> Option<Self> {
         let (e, [tilt_u, tilt_v, thickness]) = (&footprint.ellipse, footprint.tilt);
         let (widest, farthest) = (F::of(WHITENED_MAX), F::of(WHITENED_MAX * WHITENED_MAX));
         let (dx, dy) = (at[0] - e.mean_px[0], at[1] - e.mean_px[1]);
@@ -124,7 +129,7 @@ impl<F: Real> RayLayerCpu<F> {
 
     /// The depth it is seen at, scene units.
     #[inline(always)]
-    pub fn depth(&self, footprint: &Footprint<F>, rules: &Rules<F>) -> F {
+    pub fn depth(&self, footprint: &RayGaussianCpu<F>, rules: &Rules<F>) -> F {
         if rules.exact { self.key } else { footprint.ellipse.depth }
     }
 }
@@ -132,7 +137,7 @@ impl<F: Real> RayLayerCpu<F> {
 /// Fills `layers` with what a pixel sees, front to back, and returns the transmittance behind it all.
 #[inline(always)]
 pub(super) fn look<F: Real>(
-    footprints: &[Footprint<F>],
+    footprints: &[RayGaussianCpu<F>],
     gaussians: &[u32],
     at: [F; 2],
     rules: &Rules<F>,
@@ -184,7 +189,13 @@ pub(super) struct LayerGrad<F> {
 impl<F: Real> RayLayerCpu<F> {
     /// From `∂L/∂α` and the gradient of the depth plane.
     #[inline(always)]
-    pub fn backward(&self, footprint: &Footprint<F>, rules: &Rules<F>, grad_alpha: F, grad_depth: F) -> LayerGrad<F> {
+    pub fn backward(
+        &self,
+        footprint: &RayGaussianCpu<F>,
+        rules: &Rules<F>,
+        grad_alpha: F,
+        grad_depth: F,
+    ) -> LayerGrad<F> {
         let (e, [tilt_u, tilt_v, thickness]) = (&footprint.ellipse, footprint.tilt);
         let Self { u, v, exponent, lambda, phi, .. } = *self;
         let (two, four) = (F::of(2.0), F::of(4.0));
