@@ -46,7 +46,7 @@ pub struct RenderArgs {
     pub out: PathBuf,
     /// File format of the pictures
     #[arg(long, value_enum, default_value_t)]
-    pub format: Format,
+    pub format: PictureFormat,
     /// Device to compute on
     #[arg(long, value_name = "NAME", default_value_t, help = device::help())]
     pub device: DeviceName,
@@ -64,7 +64,7 @@ pub struct RenderArgs {
 /// File format of a picture. Values are display-referred in all formats, as in photographs, and composited over
 /// `--background`. Alpha is the share of the background that is hidden, so colours over black are premultiplied.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
-pub enum Format {
+pub enum PictureFormat {
     /// 8-bit RGB over the background
     #[default]
     Png,
@@ -74,7 +74,7 @@ pub enum Format {
     Npy,
 }
 
-impl Format {
+impl PictureFormat {
     fn extension(self) -> &'static str {
         match self {
             Self::Png => "png",
@@ -159,21 +159,21 @@ impl Rgba {
         Ok(Self { width: view.intrinsics.width, height: view.intrinsics.height, values })
     }
 
-    fn write(self, format: Format, file: &mut BufWriter<File>) -> Result<()> {
+    fn write(self, format: PictureFormat, file: &mut BufWriter<File>) -> Result<()> {
         const LENGTH: &str = "a picture has four values per pixel";
         // The largest side of a camera fits a u32.
         let (width, height) = (self.width as u32, self.height as u32);
         match format {
-            Format::Png => {
+            PictureFormat::Png => {
                 let levels = self.values.as_chunks().0.iter().flat_map(|&[r, g, b, _]: &[f32; 4]| [r, g, b].map(level));
                 let picture = RgbImage::from_raw(width, height, levels.collect()).context(LENGTH)?;
                 picture.write_to(file, ImageFormat::Png)?;
             }
-            Format::Exr => {
+            PictureFormat::Exr => {
                 let picture = Rgba32FImage::from_raw(width, height, self.values).context(LENGTH)?;
                 picture.write_to(file, ImageFormat::OpenExr)?;
             }
-            Format::Npy => {
+            PictureFormat::Npy => {
                 file.write_all(&npy_header([self.height, self.width, 4]))?;
                 for value in self.values {
                     file.write_all(&value.to_le_bytes())?;
