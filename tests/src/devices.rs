@@ -4,7 +4,7 @@ use std::sync::OnceLock;
 
 use burn::tensor::Device;
 use splat_hard_cases::{Place, Processor};
-use splat_train::device::{DeviceName, Found, Kind, open};
+use splat_train::device::{AdapterDevice, DeviceName, Kind, open};
 
 use crate::data::announce;
 
@@ -66,7 +66,7 @@ fn find() -> Result<(String, Device), String> {
     Ok((facts.to_string(), found.device))
 }
 
-fn adapter() -> Result<Found, String> {
+fn adapter() -> Result<AdapterDevice, String> {
     Ok(DeviceName::Gpu.find().map_err(|error| error.to_string())?.0.expect("`gpu` is never the CPU"))
 }
 

@@ -5,7 +5,7 @@ use std::thread;
 
 use anyhow::Result;
 
-use crate::device::{self, Adapter, DeviceName, Found, Runtime, choose};
+use crate::device::{self, Adapter, AdapterDevice, DeviceName, Runtime, choose};
 use crate::progress;
 
 /// Head of the table. The first column is the value of `--device`.
@@ -41,7 +41,7 @@ fn cpu(name: DeviceName) -> Row {
     [name.to_string(), adapter, "processor".into(), runtime, "-".into(), "-".into(), "-".into()]
 }
 
-fn adapter(found: &Found) -> Row {
+fn adapter(found: &AdapterDevice) -> Row {
     let (name, kind) = (found.adapter.name().to_string(), found.adapter.kind.to_string());
     match device::open(found) {
         Ok(facts) => {

@@ -23,7 +23,7 @@ use splat_op::Intrinsics;
 
 use self::check::{EntryPosition, Place};
 pub(super) use self::check::{MAX_MAGNITUDE, quoted};
-use self::files::{Files, Found, find};
+use self::files::{Files, FoundModel, find};
 use super::{Capture, CaptureError, Observation, PointCloud, Tracks, View, origin};
 
 pub use write::{write_binary, write_binary_with_tracks};
@@ -73,7 +73,7 @@ pub(super) fn is_there(folder: &Path) -> bool {
 
 /// See [`Capture::load`].
 pub(super) fn load(folder: &Path) -> Result<Capture, CaptureError> {
-    let Found { files, remark } = find(folder)?;
+    let FoundModel { files, remark } = find(folder)?;
     let cameras = parse(&files.cameras, binary::cameras, text::cameras)?;
     let images = parse(&files.images, binary::images, text::images)?;
     let points = match files.points.exists() {

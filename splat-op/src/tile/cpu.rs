@@ -60,17 +60,18 @@ pub(crate) fn needed_hits<F: Real>(packed: &[F], camera: &Intrinsics, alpha_min:
 }
 
 /// The hits of all Gaussians, chunk by chunk.
-fn find<F: Real>(packed: &[F], camera: &Intrinsics, cut: Cut) -> Vec<Found<F>> {
+fn find<F: Real>(packed: &[F], camera: &Intrinsics, cut: Cut) -> Vec<ChunkHits<F>> {
     let reach = Reach::new(camera, cut);
     let chunks = packed.par_chunks(CHUNK * COLUMNS).enumerate();
-    let found = chunks
-        .map_init(Scratch::default, |scratch, (chunk, rows)| Found::new((chunk * CHUNK) as u32, rows, &reach, scratch));
+    let found = chunks.map_init(Scratch::default, |scratch, (chunk, rows)| {
+        ChunkHits::new((chunk * CHUNK) as u32, rows, &reach, scratch)
+    });
     found.collect()
 }
 
 /// The hits of consecutive Gaussians, in the order in which they are found. Counting and writing both read this one result,
 /// so they cannot disagree.
-struct Found<F: Real> {
+struct ChunkHits<F: Real> {
     /// The Gaussians that have hits.
     gaussians: Vec<u32>,
     /// Their depths, as they sort.
@@ -81,7 +82,7 @@ struct Found<F: Real> {
     tiles: Vec<u32>,
 }
 
-impl<F: Real> Found<F> {
+impl<F: Real> ChunkHits<F> {
     /// The hits of the Gaussians from `first` on, with these ellipses.
     fn new(first: u32, rows: &[F], reach: &Reach<F>, scratch: &mut Scratch<F>) -> Self {
         let count = rows.len() / COLUMNS;
@@ -174,7 +175,7 @@ fn offsets(sorters: &[Sorter], tiles: usize) -> (Vec<usize>, Vec<Vec<u32>>) {
     (tile_start, cursors)
 }
 
-fn concat<F: Real, T: Copy>(found: &[Found<F>], part: impl Fn(&Found<F>) -> &[T]) -> Vec<T> {
+fn concat<F: Real, T: Copy>(found: &[ChunkHits<F>], part: impl Fn(&ChunkHits<F>) -> &[T]) -> Vec<T> {
     found.iter().map(part).collect::<Vec<_>>().concat()
 }
 

@@ -177,7 +177,7 @@ pub(crate) fn tilt_cpu<F: Real>(inputs: Geometry<&[F]>, spec: &ProjectSpec) -> V
 }
 
 /// One Gaussian's gradients.
-struct Found<F> {
+struct TiltGaussianGrads<F> {
     mean: [F; 3],
     rotation: [F; 4],
     scale: [F; 3],
@@ -185,7 +185,12 @@ struct Found<F> {
     pose: [F; 12],
 }
 
-fn backward_one<F: Real>(lens: &TiltCamera<F>, inputs: &Geometry<&[F]>, i: usize, grad: [F; TILT]) -> Option<Found<F>> {
+fn backward_one<F: Real>(
+    lens: &TiltCamera<F>,
+    inputs: &Geometry<&[F]>,
+    i: usize,
+    grad: [F; TILT],
+) -> Option<TiltGaussianGrads<F>> {
     if grad.iter().all(|value| *value == F::ZERO) {
         return None;
     }
@@ -218,7 +223,7 @@ fn backward_one<F: Real>(lens: &TiltCamera<F>, inputs: &Geometry<&[F]>, i: usize
         pose[3] = centre[axis];
     }
     let of_world = matmul(&transpose(&lens.rotation), &rows);
-    Some(Found {
+    Some(TiltGaussianGrads {
         mean: transposed_matvec(&lens.rotation, centre),
         rotation: quaternion_backward(leaning.quaternion, leaning.quaternion_length, &of_world),
         scale: grad_scale,
@@ -244,7 +249,7 @@ pub(crate) fn tilt_backward_cpu<F: Real>(
         cam_from_world: rows(needs.cam_from_world, 0),
         mean2d: rows(needs.mean2d, 2),
     };
-    let found: Vec<Option<Found<F>>> = grad
+    let found: Vec<Option<TiltGaussianGrads<F>>> = grad
         .par_chunks(TILT)
         .with_min_len(CHUNK)
         .enumerate()

@@ -5,12 +5,13 @@ use burn::backend::{CubeDevice, DispatchDevice};
 use burn::tensor::{Device, DeviceType};
 use splat_op::Abilities;
 
-use super::{Adapter, Facts, Found, Kind, Runtime};
+use super::{Adapter, AdapterDevice, Facts, Kind, Runtime};
 
 /// Lists the adapters of some runtimes, in the order of the runtimes and then by index. Empty without a driver.
-pub fn list(runtimes: &[Runtime]) -> Vec<Found> {
+pub fn list(runtimes: &[Runtime]) -> Vec<AdapterDevice> {
     let of = |&runtime| {
-        let found = move |(index, device)| Found { adapter: Adapter { runtime, index, kind: kind(&device) }, device };
+        let found =
+            move |(index, device)| AdapterDevice { adapter: Adapter { runtime, index, kind: kind(&device) }, device };
         enumerate(runtime).into_iter().enumerate().map(found)
     };
     runtimes.iter().flat_map(of).collect()
@@ -57,7 +58,7 @@ fn kind(device: &Device) -> Kind {
 ///
 /// # Errors
 /// If its driver refuses.
-pub fn open(found: &Found) -> Result<Facts> {
+pub fn open(found: &AdapterDevice) -> Result<Facts> {
     let name = found.adapter.name();
     let refused =
         |why: &str| anyhow!("cannot open the adapter `{name}`: {why}. Check its driver, or pass `--device cpu`");

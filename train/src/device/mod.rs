@@ -12,13 +12,13 @@ mod gpu {
 
     use anyhow::{Result, bail};
 
-    use super::{Facts, Found, Runtime};
+    use super::{AdapterDevice, Facts, Runtime};
 
-    pub fn list(_: &[Runtime]) -> Vec<Found> {
+    pub fn list(_: &[Runtime]) -> Vec<AdapterDevice> {
         Vec::new()
     }
 
-    pub fn open(found: &Found) -> Result<Facts> {
+    pub fn open(found: &AdapterDevice) -> Result<Facts> {
         bail!("`{}` is not supported: this program is built for the CPU only", found.adapter.name())
     }
 }
@@ -36,7 +36,7 @@ use crate::progress;
 
 /// An adapter with Burn's handle, which opens it at the first use.
 #[derive(Clone, Debug)]
-pub struct Found {
+pub struct AdapterDevice {
     /// Properties known without opening it.
     pub adapter: Adapter,
     /// Burn's device, for tensors.
@@ -88,7 +88,7 @@ impl DeviceName {
     ///
     /// # Errors
     /// If the adapter asked for does not exist.
-    pub fn find(self) -> Result<(Option<Found>, Vec<Adapter>)> {
+    pub fn find(self) -> Result<(Option<AdapterDevice>, Vec<Adapter>)> {
         let found = list(&self.runtimes());
         let adapters: Vec<Adapter> = found.iter().map(|found| found.adapter).collect();
         let chosen = choose(self, &adapters)?;

@@ -35,7 +35,7 @@ impl Files {
 }
 
 /// The chosen model.
-pub(super) struct Found {
+pub(super) struct FoundModel {
     pub files: Files,
     /// A note for the user about the choice.
     pub remark: Option<String>,
@@ -51,7 +51,7 @@ pub(super) fn is_there(folder: &Path) -> bool {
 ///
 /// # Errors
 /// If there is none, or the photographs of one of several cannot be counted.
-pub(super) fn find(folder: &Path) -> Result<Found, CaptureError> {
+pub(super) fn find(folder: &Path) -> Result<FoundModel, CaptureError> {
     let models = candidates(folder);
     let complete: Vec<(&PathBuf, Files)> =
         models.iter().filter_map(|model| Some((model, of_model(model).ok()?))).collect();
@@ -59,7 +59,7 @@ pub(super) fn find(folder: &Path) -> Result<Found, CaptureError> {
         // The error names the model that should exist.
         let usual = || models.first().cloned().unwrap_or_else(|| folder.join(SPARSE));
         let only = complete.into_iter().next().map(|(_, files)| Ok(files));
-        return Ok(Found { files: only.unwrap_or_else(|| of_model(&usual()))?, remark: None });
+        return Ok(FoundModel { files: only.unwrap_or_else(|| of_model(&usual()))?, remark: None });
     };
     let mut counted = Vec::with_capacity(complete.len());
     for (model, files) in complete {
@@ -78,7 +78,7 @@ pub(super) fn find(folder: &Path) -> Result<Found, CaptureError> {
         others.collect::<Vec<_>>().join(", ")
     );
     let (_, _, files) = counted.swap_remove(0);
-    Ok(Found { files, remark: Some(remark) })
+    Ok(FoundModel { files, remark: Some(remark) })
 }
 
 /// Candidate folders: the numbered ones in `sparse/`, in order, or else `sparse/` itself.

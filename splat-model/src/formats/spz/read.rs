@@ -44,7 +44,7 @@ pub fn read(path: &Path) -> Result<Scene, FormatError> {
 }
 
 /// The layout, flags and sections of a file.
-type Found = (Layout, u8, [Vec<u8>; SECTIONS]);
+type SpzSections = (Layout, u8, [Vec<u8>; SECTIONS]);
 
 /// The file that is read.
 #[derive(Clone, Copy)]
@@ -70,7 +70,7 @@ impl Of<'_> {
     }
 
     /// Versions 1 to 3.
-    fn gzip(&self, file: BufReader<File>) -> Result<Found, FormatError> {
+    fn gzip(&self, file: BufReader<File>) -> Result<SpzSections, FormatError> {
         let mut stream = GzDecoder::new(file);
         let header = self.exactly(&mut stream, "header", 16)?;
         let (layout, flags) = self.layout(&header, 1..=3)?;
@@ -85,7 +85,7 @@ impl Of<'_> {
     }
 
     /// Version 4.
-    fn zstd(&self, mut file: BufReader<File>) -> Result<Found, FormatError> {
+    fn zstd(&self, mut file: BufReader<File>) -> Result<SpzSections, FormatError> {
         let header = self.exactly(&mut file, "header", 32)?;
         let (layout, flags) = self.layout(&header, 4..=4)?;
         let sizes = layout.bytes().map(|each| each * layout.count);

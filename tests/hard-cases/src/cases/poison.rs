@@ -86,7 +86,7 @@ pub struct Poisoned {
 }
 
 /// Results of a render and its backward pass, for comparison bit by bit.
-struct Found {
+struct RenderBits {
     /// `colour alpha depth` and the gradients that belong to no Gaussian.
     shared: Vec<(&'static str, Vec<f64>)>,
     /// Gradients with rows per Gaussian.
@@ -157,7 +157,7 @@ impl Poisoned {
     }
 
     /// Renders the scene and differentiates with respect to every parameter, the pose, the background and both probes.
-    fn evaluate(&self, rows: &GaussianRows, device: &Device) -> Found {
+    fn evaluate(&self, rows: &GaussianRows, device: &Device) -> RenderBits {
         let device = device.clone().autodiff();
         let gaussians = Gaussians::from_rows(rows, &device).expect("rows of one length");
         let leaf = |values: [[f32; 4]; 3]| Tensor::<2>::from_floats(values, &device).require_grad();
@@ -184,7 +184,7 @@ impl Poisoned {
         let loss = weighted(&out.colour) + weighted(&out.alpha) + weighted(&depth) + splats.opacities.clone().mean();
         let grads = loss.backward();
         const TRACKED: &str = "a tracked leaf of the loss";
-        Found {
+        RenderBits {
             shared: vec![
                 ("the picture", host(out.colour)),
                 ("alpha", host(out.alpha)),
