@@ -26,7 +26,7 @@ use std::path::{Component, Path, PathBuf};
 use glam::DAffine3;
 
 use self::camera::Lenses;
-use self::json::{Field, File, Frame};
+use self::json::{Field, File, TransformsFrame};
 use super::colmap::quoted;
 use super::{Capture, CaptureError, PointCloud, Split, View, origin};
 use crate::ply;
@@ -191,7 +191,7 @@ impl Reading<'_> {
         &mut self,
         file: &Path,
         index: usize,
-        frame: &Frame,
+        frame: &TransformsFrame,
         of_file: &json::LensFields,
     ) -> Result<(), CaptureError> {
         let place = Place { file, frame: Some((index, "")) };

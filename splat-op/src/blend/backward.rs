@@ -14,7 +14,7 @@ use cubecl::prelude::*;
 use super::layer::{BUCKET, LayerEllipse, Limits, Shape, colour, first_slot, layer};
 use crate::gpu::reduce::cube_sum;
 use crate::project::COLUMNS;
-use crate::tile::forward::Frame;
+use crate::tile::forward::TileFrame;
 use crate::tile::{TILE, TILE_PIXELS};
 
 /// Sums of `h, h u, h v, h u², h u v, h v²` with `h = α ∂L/∂α` where alpha is not at its limit; the channels follow, then
@@ -51,7 +51,7 @@ pub(super) fn blend_behind_kernel(
     passed: &[u32],
     rho_behind: &mut [f32],
     grad_background: &mut [f32],
-    frame: Frame,
+    frame: TileFrame,
     limits: Limits,
     #[comptime] shape: Shape,
     #[comptime] with_background: bool,

@@ -8,7 +8,7 @@ use cubecl::prelude::*;
 use super::backward::{MOMENTS, plane_of, row_len, tile_of_slot};
 use super::layer::{BUCKET, FOOTPRINT, LayerEllipse, Limits, Shape, colour, first_slot, layer};
 use crate::gpu::atomic::FloatCell;
-use crate::tile::forward::Frame;
+use crate::tile::forward::TileFrame;
 use crate::tile::{TILE, TILE_PIXELS};
 
 /// Rows of the hits of each bucket; `units`, a multiple of 32, is the cube's size and the pixels of a block.
@@ -27,7 +27,7 @@ pub(super) fn blend_channels_kernel<A: FloatCell>(
     rho_behind: &[f32],
     rows: &mut [f32],
     sums: &[A],
-    frame: Frame,
+    frame: TileFrame,
     limits: Limits,
     slots: u32,
     #[comptime] shape: Shape,

@@ -10,7 +10,7 @@ use cubecl::prelude::*;
 use super::layer::{
     BUCKET, FOOTPRINT, LayerEllipse, Limits, Shape, behind_bucket, colour, first_slot, layer, strip_origin,
 };
-use crate::tile::forward::Frame;
+use crate::tile::forward::TileFrame;
 use crate::tile::{TILE, TILE_PIXELS};
 
 /// Places that a cube loads at once, a whole number of buckets.
@@ -32,7 +32,7 @@ pub(super) fn blend_forward_kernel(
     kept: &mut [f32],
     behind: &mut [f32],
     passed: &mut [u32],
-    frame: Frame,
+    frame: TileFrame,
     limits: Limits,
     #[comptime] shape: Shape,
     #[comptime] keep: bool,

@@ -7,7 +7,7 @@ use cubecl::prelude::*;
 
 use super::backward::{MOMENTS, plane_of};
 use super::layer::{LayerEllipse, Limits, Shape, checkpoint, layer, restore};
-use crate::tile::forward::Frame;
+use crate::tile::forward::TileFrame;
 use crate::tile::{TILE, TILE_PIXELS};
 
 /// Places that are worked on at once. Their alphas and weights lie in registers.
@@ -39,7 +39,7 @@ impl Pixels {
         tile: u32,
         column: u32,
         row: u32,
-        frame: Frame,
+        frame: TileFrame,
         #[comptime] shape: Shape,
         #[comptime] pixels: usize,
     ) -> Pixels {
@@ -66,7 +66,7 @@ impl Pixels {
         tile: u32,
         column: u32,
         row: u32,
-        frame: Frame,
+        frame: TileFrame,
         #[comptime] shape: Shape,
         #[comptime] p: usize,
     ) {

@@ -14,7 +14,7 @@ use super::layer::{BUCKET, FOOTPRINT, LayerEllipse, Limits, Shape, colour, first
 use super::pixels::{Pixels, STEP};
 use crate::gpu::atomic::FloatCell;
 use crate::tile::TILE_PIXELS;
-use crate::tile::forward::Frame;
+use crate::tile::forward::TileFrame;
 
 /// Rows of the hits of each bucket.
 ///
@@ -32,7 +32,7 @@ pub(super) fn blend_strips_kernel<A: FloatCell>(
     rho_behind: &[f32],
     rows: &mut [f32],
     sums: &[A],
-    frame: Frame,
+    frame: TileFrame,
     limits: Limits,
     slots: u32,
     #[comptime] shape: Shape,

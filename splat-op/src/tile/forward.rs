@@ -20,7 +20,7 @@ const CELLS: u32 = 8;
 /// What `tile` and `blend` need to know of the picture.
 #[derive(CubeType, CubeLaunch, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
-pub(crate) struct Frame {
+pub(crate) struct TileFrame {
     pub width: u32,
     pub height: u32,
     pub tiles_x: u32,
@@ -190,7 +190,7 @@ pub(super) fn cover_kernel(
     covers: &mut [u32],
     keys: &mut [u32],
     indices: &mut [u32],
-    frame: Frame,
+    frame: TileFrame,
     count: u32,
     #[comptime] culling: Culling,
 ) {
@@ -252,7 +252,7 @@ pub(super) fn cover_kernel(
 
 /// The bits of the cells that the ellipse reaches, or of all of the box.
 #[cube]
-fn covered_cells(cover: &TileCover, reach: &Reach, frame: &Frame, #[comptime] culling: Culling) -> (u32, u32) {
+fn covered_cells(cover: &TileCover, reach: &Reach, frame: &TileFrame, #[comptime] culling: Culling) -> (u32, u32) {
     let mut low = 0u32;
     let mut high = 0u32;
     let (cell_width, cell_height) = (cover.cell_width(), cover.cell_height());

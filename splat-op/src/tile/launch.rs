@@ -1,6 +1,6 @@
 //! Launches of `tile`, and the lists they leave on the device.
 
-use super::forward::{COVER, FrameLaunch, count_kernel, cover_kernel, emit_kernel, ranges_kernel};
+use super::forward::{COVER, TileFrameLaunch, count_kernel, cover_kernel, emit_kernel, ranges_kernel};
 use super::scan::launch_scan;
 use super::sort::{Pairs, launch_sort};
 use super::{Cut, tile_grid};
@@ -35,9 +35,9 @@ const FEWER_HITS: &str =
     "raise `alpha_min`, render a smaller picture, or use fewer Gaussians that cover most of it (smaller `scales`)";
 
 /// As an argument of a kernel.
-pub(crate) fn frame(camera: &Intrinsics, alpha_min: f64) -> FrameLaunch {
+pub(crate) fn frame(camera: &Intrinsics, alpha_min: f64) -> TileFrameLaunch {
     let [tiles_x, tiles_y] = tile_grid(camera.width, camera.height);
-    FrameLaunch::new(camera.width as u32, camera.height as u32, tiles_x as u32, tiles_y as u32, alpha_min as f32)
+    TileFrameLaunch::new(camera.width as u32, camera.height as u32, tiles_x as u32, tiles_y as u32, alpha_min as f32)
 }
 
 /// Lists the hits of `projected`, `[count, 7]`, and counts them by tile. Waits for the device once, to learn how many hits

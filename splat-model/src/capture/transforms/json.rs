@@ -36,7 +36,7 @@ impl<T> Field<T> {
 #[derive(Debug, Default)]
 pub(super) struct File {
     /// The frames up to the first without a path or a matrix, which are required.
-    pub frames: Field<Vec<Frame>>,
+    pub frames: Field<Vec<TransformsFrame>>,
     pub lenses: LensFields,
     /// `ply_file_path`
     pub points: Field<String>,
@@ -45,7 +45,7 @@ pub(super) struct File {
 
 /// One of `frames`.
 #[derive(Debug, Default)]
-pub(super) struct Frame {
+pub(super) struct TransformsFrame {
     /// `file_path`
     pub path: Field<String>,
     /// `transform_matrix`
@@ -243,10 +243,10 @@ where
     })
 }
 
-impl Value for Vec<Frame> {
+impl Value for Vec<TransformsFrame> {
     fn from_list<'de, A: SeqAccess<'de>>(mut list: A) -> Result<Field<Self>, A::Error> {
         let mut frames = Vec::new();
-        while let Some(frame) = list.next_element::<Frame>()? {
+        while let Some(frame) = list.next_element::<TransformsFrame>()? {
             let right = frame.path.is_right() && frame.matrix.is_right();
             frames.push(frame);
             if !right {
@@ -328,7 +328,7 @@ impl Object for File {
     }
 }
 
-impl Object for Frame {
+impl Object for TransformsFrame {
     const WHAT: &str = "a frame, which is an object";
 
     fn take<'de, A: MapAccess<'de>>(&mut self, field: &str, map: &mut A) -> Result<(), A::Error> {
@@ -366,7 +366,7 @@ impl<'de> Deserialize<'de> for File {
     }
 }
 
-impl<'de> Deserialize<'de> for Frame {
+impl<'de> Deserialize<'de> for TransformsFrame {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         deserializer.deserialize_map(OfObject(PhantomData))
     }
