@@ -1,12 +1,12 @@
 //! Runs the battery of hard cases on every path. Each group has a test, so that failures name the group.
 
 use splat_hard_cases::judge::judge;
-use splat_hard_cases::{GROUPS, Group, battery};
+use splat_hard_cases::{CaseGroup, GROUPS, battery};
 use splat_tests::places;
 
 #[track_caller]
 fn prove(name: &str) {
-    let Group { cases, .. } = GROUPS.iter().find(|group| group.name == name).expect("a group of that name");
+    let CaseGroup { cases, .. } = GROUPS.iter().find(|group| group.name == name).expect("a group of that name");
     let places = places();
     let mut failures = Vec::new();
     for case in cases() {

@@ -7,7 +7,7 @@ use anyhow::{Result, bail};
 use clap::builder::PossibleValuesParser;
 use splat_hard_cases::judge::{Verdict, judge};
 use splat_hard_cases::table::{Section, markdown};
-use splat_hard_cases::{GROUPS, Group, Place, Processor};
+use splat_hard_cases::{CaseGroup, GROUPS, Place, Processor};
 
 use crate::device::{self, DeviceName, Kind};
 use crate::output::OutputFolder;
@@ -39,7 +39,7 @@ pub struct HardCasesArgs {
 pub fn run(args: &HardCasesArgs) -> Result<()> {
     let places = places(&args.device)?;
     let out = OutputFolder::prepare(&args.out, &[TABLE], &[])?;
-    let chosen = |group: &&Group| args.group.is_empty() || args.group.iter().any(|name| name == group.name);
+    let chosen = |group: &&CaseGroup| args.group.is_empty() || args.group.iter().any(|name| name == group.name);
     let groups: Vec<_> = GROUPS.iter().filter(chosen).map(|group| (group.title, (group.cases)())).collect();
     let bar = progress::counter("hard cases", groups.iter().map(|(_, cases)| cases.len()).sum());
     let mut sections = Vec::new();

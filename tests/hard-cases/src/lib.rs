@@ -22,4 +22,4 @@ pub mod table;
 pub mod textbook;
 
 pub use case::{Check, HardCase, Kind, Loose, Outcome, Place, Processor, Score};
-pub use cases::{GROUPS, Group, battery};
+pub use cases::{CaseGroup, GROUPS, battery};

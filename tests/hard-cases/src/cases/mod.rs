@@ -19,7 +19,7 @@ use crate::case::HardCase;
 
 /// Cases that are hard in one way.
 #[derive(Clone, Copy, Debug)]
-pub struct Group {
+pub struct CaseGroup {
     /// Short name, for choosing the group.
     pub name: &'static str,
     /// Heading in the table.
@@ -29,24 +29,24 @@ pub struct Group {
 }
 
 /// All groups, in the order of the table.
-pub const GROUPS: &[Group] = &[
-    Group { name: "needles", title: "Needles and discs", cases: needles::cases },
-    Group { name: "sizes", title: "Sizes", cases: sizes::cases },
-    Group { name: "near", title: "The near plane and the border of the view", cases: near::cases },
-    Group { name: "opacity", title: "Opacity and transmittance", cases: opacity::cases },
-    Group { name: "depth", title: "Depth", cases: depth::cases },
-    Group { name: "rotations", title: "Rotations", cases: rotations::cases },
-    Group { name: "cameras", title: "Cameras", cases: cameras::cases },
-    Group { name: "colour", title: "Colour", cases: colour::cases },
-    Group { name: "rays", title: "Ray-max projection and per-pixel sort", cases: rays::cases },
-    Group { name: "far", title: "Far from the origin, and very small", cases: far::cases },
-    Group { name: "poison", title: "Poison", cases: poison::cases },
-    Group { name: "counts", title: "Numbers of Gaussians", cases: counts::cases },
-    Group { name: "loss", title: "Loss and optimiser", cases: loss::cases },
-    Group { name: "training", title: "Training", cases: training::cases },
+pub const GROUPS: &[CaseGroup] = &[
+    CaseGroup { name: "needles", title: "Needles and discs", cases: needles::cases },
+    CaseGroup { name: "sizes", title: "Sizes", cases: sizes::cases },
+    CaseGroup { name: "near", title: "The near plane and the border of the view", cases: near::cases },
+    CaseGroup { name: "opacity", title: "Opacity and transmittance", cases: opacity::cases },
+    CaseGroup { name: "depth", title: "Depth", cases: depth::cases },
+    CaseGroup { name: "rotations", title: "Rotations", cases: rotations::cases },
+    CaseGroup { name: "cameras", title: "Cameras", cases: cameras::cases },
+    CaseGroup { name: "colour", title: "Colour", cases: colour::cases },
+    CaseGroup { name: "rays", title: "Ray-max projection and per-pixel sort", cases: rays::cases },
+    CaseGroup { name: "far", title: "Far from the origin, and very small", cases: far::cases },
+    CaseGroup { name: "poison", title: "Poison", cases: poison::cases },
+    CaseGroup { name: "counts", title: "Numbers of Gaussians", cases: counts::cases },
+    CaseGroup { name: "loss", title: "Loss and optimiser", cases: loss::cases },
+    CaseGroup { name: "training", title: "Training", cases: training::cases },
 ];
 
 /// Returns every case, by group.
-pub fn battery() -> Vec<(&'static Group, Vec<HardCase>)> {
+pub fn battery() -> Vec<(&'static CaseGroup, Vec<HardCase>)> {
     GROUPS.iter().map(|group| (group, (group.cases)())).collect()
 }
