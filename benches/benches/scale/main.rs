@@ -19,7 +19,7 @@ use std::time::Duration;
 use splat_benches::allocations::CountingAllocator;
 use splat_benches::{MEDIUM, SyntheticView};
 
-use point::{Point, Work};
+use point::{ScalePoint, Work};
 use record::{Row, ScaleAxis};
 
 #[global_allocator]
@@ -36,7 +36,7 @@ const FOLDER: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../docs/scale");
 fn main() -> Result<(), Box<dyn Error>> {
     let words: Vec<String> = std::env::args().skip(1).filter(|word| word != "--bench").collect();
     if let Some(("--point", point)) = words.split_first().map(|(first, rest)| (first.as_str(), rest)) {
-        return point::run(&Point::read(point)?);
+        return point::run(&ScalePoint::read(point)?);
     }
     let csv = Path::new(FOLDER).join("scale.csv");
     if words == ["plot"] {
@@ -100,7 +100,7 @@ fn measure(axis: ScaleAxis) -> Result<Vec<Row>, Box<dyn Error>> {
         }
         let mut before: Option<Row> = None;
         for (view, views) in points(axis) {
-            let point = Point { work, view, views };
+            let point = ScalePoint { work, view, views };
             if let Some(reason) = before.as_ref().and_then(|before| too_much(axis, before, &point)) {
                 println!("  {point} is skipped: {reason}");
                 continue;
@@ -121,7 +121,7 @@ fn measure(axis: ScaleAxis) -> Result<Vec<Row>, Box<dyn Error>> {
 }
 
 /// Returns the reason to skip a point, by linear extrapolation from the point before it.
-fn too_much(axis: ScaleAxis, before: &Row, point: &Point) -> Option<String> {
+fn too_much(axis: ScaleAxis, before: &Row, point: &ScalePoint) -> Option<String> {
     let growth = axis.of(point) / axis.of(&before.point);
     let bytes = before.live_bytes as f64 * growth;
     // One warm-up run and one timed run, in addition to the time of the setup.
@@ -139,7 +139,7 @@ fn too_much(axis: ScaleAxis, before: &Row, point: &Point) -> Option<String> {
 }
 
 /// Measures a point in a separate process.
-fn in_a_process(axis: ScaleAxis, point: &Point) -> Result<Row, Box<dyn Error>> {
+fn in_a_process(axis: ScaleAxis, point: &ScalePoint) -> Result<Row, Box<dyn Error>> {
     let start = std::time::Instant::now();
     let output = Command::new(std::env::current_exe()?).arg("--point").args(point.write()).output()?;
     if !output.status.success() {

@@ -41,21 +41,21 @@ impl Work {
 }
 
 #[derive(Clone, Debug, PartialEq)]
-pub struct Point {
+pub struct ScalePoint {
     pub work: Work,
     pub view: SyntheticView,
     /// Number of photographs.
     pub views: usize,
 }
 
-impl Display for Point {
+impl Display for ScalePoint {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { work, view: SyntheticView { splats, width, height, .. }, views } = self;
         write!(f, "{}, {splats} Gaussians, {width} × {height}, {views} views", work.name())
     }
 }
 
-impl Point {
+impl ScalePoint {
     pub fn pixels(&self) -> usize {
         self.view.width * self.view.height
     }
@@ -90,7 +90,7 @@ impl Point {
 const BUDGET: Duration = Duration::from_secs(15);
 
 /// Measures a point and prints seconds, runs, hits, peak bytes held, and peak bytes of the process's resident memory.
-pub fn run(point: &Point) -> Result<(), Box<dyn Error>> {
+pub fn run(point: &ScalePoint) -> Result<(), Box<dyn Error>> {
     let hits = hits(&point.view);
     let empty = held();
     let mut prepare = match (point.work, point.views) {

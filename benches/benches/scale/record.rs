@@ -7,7 +7,7 @@ use std::str::FromStr;
 
 use splat_benches::SyntheticView;
 
-use crate::point::{Point, Work};
+use crate::point::{ScalePoint, Work};
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum ScaleAxis {
@@ -20,7 +20,7 @@ impl ScaleAxis {
     pub const ALL: [Self; 3] = [Self::Splats, Self::Pixels, Self::Views];
 
     /// Returns the point's coordinate on this axis.
-    pub fn of(self, point: &Point) -> f64 {
+    pub fn of(self, point: &ScalePoint) -> f64 {
         (match self {
             Self::Splats => point.view.splats,
             Self::Pixels => point.pixels(),
@@ -51,7 +51,7 @@ impl FromStr for ScaleAxis {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Row {
     pub axis: ScaleAxis,
-    pub point: Point,
+    pub point: ScalePoint,
     pub hits: usize,
     pub median_s: f64,
     pub runs: usize,
@@ -101,7 +101,7 @@ pub fn read(path: &Path) -> Result<Vec<Row>, Box<dyn Error>> {
         };
         Ok(Row {
             axis: axis.parse()?,
-            point: Point::read(point)?,
+            point: ScalePoint::read(point)?,
             hits: hits.parse()?,
             median_s: median_s.parse()?,
             runs: runs.parse()?,

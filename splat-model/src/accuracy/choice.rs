@@ -2,7 +2,7 @@
 
 use thiserror::Error;
 
-use super::frontier::{Point, Spread, frontier, tenths};
+use super::frontier::{FrontierPoint, Spread, frontier, tenths};
 use super::measured::{Frontier, Measured, STANDARD};
 
 /// Requirements on a setting. At least one field should be set.
@@ -86,8 +86,8 @@ impl Frontier {
     /// # Errors
     /// [`NoChoice`], which names the closest settings, if no setting meets the target.
     pub fn choose(&self, target: &Target, work: Work) -> Result<ChosenSetting, NoChoice> {
-        let point = |measured: &Measured| Point { quality_db: measured.error_db, time: work.time(measured) };
-        let points: Vec<Point> = self.settings.iter().map(point).collect();
+        let point = |measured: &Measured| FrontierPoint { quality_db: measured.error_db, time: work.time(measured) };
+        let points: Vec<FrontierPoint> = self.settings.iter().map(point).collect();
         let members: Vec<&Measured> = frontier(&points).into_iter().map(|i| &self.settings[i]).collect();
         let mut meeting = members.iter().copied().filter(|measured| target.is_met(measured, work));
         let found = if target.error_db.is_some() { meeting.next_back() } else { meeting.next() };

@@ -46,7 +46,7 @@ impl Spread {
 
 /// Quality and time of a setting.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Point {
+pub struct FrontierPoint {
     /// Quality, dB; higher is better. Comparisons use tenths, so that rounding decides nothing. Not NaN.
     pub quality_db: f64,
     /// Time, in any unit.
@@ -60,7 +60,7 @@ pub(super) fn tenths(quality_db: f64) -> f64 {
 
 /// Returns the indices of the points on the frontier, best quality first. Each is measurably faster than all before it. For
 /// each point left out, another point is at least as good and not measurably slower. Points whose quality is NaN are left out.
-pub fn frontier(points: &[Point]) -> Vec<usize> {
+pub fn frontier(points: &[FrontierPoint]) -> Vec<usize> {
     let mut order: Vec<usize> = (0..points.len()).filter(|&i| !points[i].quality_db.is_nan()).collect();
     let compare = |&a: &usize, &b: &usize| -> Ordering {
         let (a, b) = (&points[a], &points[b]);
@@ -84,8 +84,8 @@ mod tests {
 
     use super::*;
 
-    fn point(quality_db: f64, lower: f64, upper: f64) -> Point {
-        Point { quality_db, time: Spread { lower, median: 0.5 * (lower + upper), upper } }
+    fn point(quality_db: f64, lower: f64, upper: f64) -> FrontierPoint {
+        FrontierPoint { quality_db, time: Spread { lower, median: 0.5 * (lower + upper), upper } }
     }
 
     #[test]
@@ -129,7 +129,7 @@ mod tests {
         assert_eq!(frontier(&[point(60.01, 5.0, 6.0), point(60.0, 1.0, 2.0)]), [1]);
     }
 
-    fn points() -> impl Strategy<Value = Vec<Point>> {
+    fn points() -> impl Strategy<Value = Vec<FrontierPoint>> {
         let one = (0_u8..60, 1_u8..40, 0_u8..10).prop_map(|(quality, lower, width)| {
             point(f64::from(quality) / 20.0 + 40.0, f64::from(lower), f64::from(lower) + f64::from(width))
         });
@@ -162,7 +162,7 @@ mod tests {
         fn the_order_in_which_points_come_changes_nothing(points in points()) {
             let mut turned = points.clone();
             turned.reverse();
-            let of = |points: &[Point]| frontier(points).into_iter().map(|i| points[i]).collect::<Vec<_>>();
+            let of = |points: &[FrontierPoint]| frontier(points).into_iter().map(|i| points[i]).collect::<Vec<_>>();
             prop_assert_eq!(of(&points), of(&turned));
         }
 

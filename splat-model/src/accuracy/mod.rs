@@ -13,7 +13,7 @@ mod setting;
 
 pub use self::choice::{ChosenSetting, NoChoice, Target, Work};
 pub use self::dials::{DIALS, Dial, Judge, Value};
-pub use self::frontier::{Point, Spread, frontier};
+pub use self::frontier::{FrontierPoint, Spread, frontier};
 pub use self::measured::{Frontier, FrontierError, Measured, STANDARD, decibels};
 pub use self::provenance::Provenance;
 pub use self::setting::{DialError, Preset, PresetError, Setting};

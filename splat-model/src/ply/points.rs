@@ -18,13 +18,13 @@ const COORDINATES: [&str; 3] = ["x", "y", "z"];
 const CHANNELS: [&str; 3] = ["red", "green", "blue"];
 
 /// One point.
-struct Point {
+struct PlyPoint {
     position: [f64; 3],
     /// 0 to 255.
     colour: [f64; 3],
 }
 
-impl PropertyAccess for Point {
+impl PropertyAccess for PlyPoint {
     fn new() -> Self {
         Self { position: [0.0; 3], colour: [GREY; 3] }
     }
@@ -69,7 +69,7 @@ pub fn read_points(path: &Path) -> Result<(Vec<DVec3>, Vec<[u8; 3]>), PlyError> 
     require(path, vertex, &COORDINATES)?;
     input.begin(&header)?;
     let (mut positions, mut colours) = (Vec::with_capacity(vertex.count), Vec::with_capacity(vertex.count));
-    input.each_row(vertex, header.encoding, |row, point: Point| {
+    input.each_row(vertex, header.encoding, |row, point: PlyPoint| {
         if let Some(axis) = point.position.iter().position(|value| !(value.abs() <= MAX_COORDINATE)) {
             let (name, value) = (COORDINATES[axis], point.position[axis]);
             let detail = format!("`{name}` is {value:e}, expected a finite number of at most 1e15");

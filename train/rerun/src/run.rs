@@ -35,12 +35,12 @@ pub struct SnapshotView {
 /// `history.json`.
 #[derive(Debug, Default, Deserialize)]
 pub struct History {
-    pub points: Vec<Point>,
+    pub points: Vec<HistoryPoint>,
     pub scores: Vec<Score>,
 }
 
 #[derive(Debug, Deserialize)]
-pub struct Point {
+pub struct HistoryPoint {
     pub step: usize,
     /// Training time so far, s.
     pub seconds: f64,

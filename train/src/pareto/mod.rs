@@ -18,7 +18,7 @@ use std::time::Duration;
 use anyhow::{Result, ensure};
 use burn::tensor::Device;
 use clap::builder::RangedU64ValueParser;
-use splat_model::accuracy::{ChosenSetting, Point, Provenance, Target, Work, decibels, frontier};
+use splat_model::accuracy::{ChosenSetting, FrontierPoint, Provenance, Target, Work, decibels, frontier};
 use splat_model::capture::{Capture, Photo, Split};
 use splat_model::evaluate::evaluate;
 use splat_model::gaussians::GaussianRows;
@@ -208,15 +208,15 @@ fn train(args: &ParetoArgs, capture: &Capture, split: &Split, test: &[Photo], de
 
 /// Rows on the frontier of renders, and rows on the frontier of training steps.
 fn members(outcome: &Outcome) -> [Vec<usize>; 2] {
-    let of = |point: fn(&Row) -> Option<Point>| {
+    let of = |point: fn(&Row) -> Option<FrontierPoint>| {
         // Model choices are not on it: they have no error to be placed by.
-        let none = |row: &Row| Point { quality_db: f64::NAN, time: row.times.forward };
+        let none = |row: &Row| FrontierPoint { quality_db: f64::NAN, time: row.times.forward };
         frontier(&outcome.rows.iter().map(|row| point(row).unwrap_or(none(row))).collect::<Vec<_>>())
     };
-    let render = of(|row| Some(Point { quality_db: row.error_db()?, time: row.times.forward }));
+    let render = of(|row| Some(FrontierPoint { quality_db: row.error_db()?, time: row.times.forward }));
     let step = of(|row| {
         let quality_db = decibels(row.accuracy.as_ref()?.gradient_error);
-        Some(Point { quality_db, time: row.times.step })
+        Some(FrontierPoint { quality_db, time: row.times.step })
     });
     [render, step]
 }
@@ -264,8 +264,8 @@ fn chart(subject: &page::Subject, outcome: &Outcome, members: &[usize]) -> Chart
 }
 
 fn train_chart(trained: &[Trained]) -> Option<Chart> {
-    let points: Vec<Point> =
-        trained.iter().map(|run| Point { quality_db: run.psnr.median, time: run.seconds }).collect();
+    let points: Vec<FrontierPoint> =
+        trained.iter().map(|run| FrontierPoint { quality_db: run.psnr.median, time: run.seconds }).collect();
     let members = frontier(&points);
     let dot = |(i, run): (usize, &Trained)| Dot {
         name: run.name.into(),

@@ -1,6 +1,6 @@
 //! Verdicts on dials. They follow from rules, so that no hand-written sentence can contradict the next measurement.
 
-use splat_model::accuracy::{Point, Spread, frontier};
+use splat_model::accuracy::{FrontierPoint, Spread, frontier};
 
 /// Limit of visibility in an 8-bit picture: a root mean square error of half a level, `−20 log₁₀(0.5 / 255)` dB.
 pub const INVISIBLE_DB: f64 = 54.15;
@@ -39,7 +39,8 @@ pub enum Verdict {
 /// than two values.
 pub fn verdict(values: &[Graded], harmless_db: f64) -> Option<Verdict> {
     let tenths = |graded: &Graded| (10.0 * graded.quality_db).round();
-    let points: Vec<Point> = values.iter().map(|v| Point { quality_db: v.quality_db, time: v.time }).collect();
+    let points: Vec<FrontierPoint> =
+        values.iter().map(|v| FrontierPoint { quality_db: v.quality_db, time: v.time }).collect();
     let members: Vec<&Graded> = frontier(&points).into_iter().map(|i| &values[i]).collect();
     let (best, others) = members.split_first()?;
     if values.len() < 2 {

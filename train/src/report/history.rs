@@ -13,14 +13,14 @@ const POINTS: usize = 250;
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct History {
     /// Points, spread evenly over the steps, in step order.
-    pub points: Vec<Point>,
+    pub points: Vec<HistoryPoint>,
     /// Scores, in step order; empty unless `--eval-during` asks for them.
     pub scores: Vec<Score>,
 }
 
 /// State of a run after some steps.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Point {
+pub struct HistoryPoint {
     /// Number of steps done.
     pub step: usize,
     /// Training time so far, s; evaluations do not count.
@@ -105,9 +105,9 @@ impl Recorder {
     }
 
     /// Records a point after a step.
-    pub fn keep(&mut self, step: usize, splats: usize) -> Point {
+    pub fn keep(&mut self, step: usize, splats: usize) -> HistoryPoint {
         let (sum, count) = std::mem::take(&mut self.losses);
-        let point = Point { step, seconds: self.seconds(), loss: sum / count as f64, splats };
+        let point = HistoryPoint { step, seconds: self.seconds(), loss: sum / count as f64, splats };
         self.history.points.push(point);
         point
     }

@@ -11,7 +11,7 @@ use splat_model::gaussians::Gaussians;
 use splat_model::metrics::lpips::Lpips;
 use splat_model::trainer::{StepReport, Trainer};
 
-use super::history::{History, Point, Recorder, Score};
+use super::history::{History, HistoryPoint, Recorder, Score};
 use super::metrics::Metrics;
 use crate::progress::{self, StepProgress};
 use crate::snapshots::Snapshots;
@@ -26,7 +26,7 @@ pub enum Line<'a> {
     /// Written before the first step.
     Start { steps: usize, train_views: usize, test_views: usize, splats: usize, device: &'a str, version: &'a str },
     /// Written evenly over the steps, at most 251 times.
-    Progress(Point),
+    Progress(HistoryPoint),
     /// Written after every `--eval-during` steps.
     Evaluation(Score),
     /// Written at the end.
