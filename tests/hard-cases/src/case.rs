@@ -63,7 +63,7 @@ pub enum Processor {
 
 /// Error of a result.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Score {
+pub struct MeasuredDeviation {
     /// Largest error, relative to the largest expected element of its tensor.
     pub error: f64,
     /// Largest error of an element as a share of its ceiling.
@@ -74,9 +74,9 @@ pub struct Score {
 #[derive(Clone, Debug, Default)]
 pub struct Outcome {
     /// Score of the pictures.
-    pub forward: Option<Score>,
+    pub forward: Option<MeasuredDeviation>,
     /// Score of the gradients.
-    pub gradient: Option<Score>,
+    pub gradient: Option<MeasuredDeviation>,
     /// Number of gradient rows that one ulp in the inputs moves by more than the tolerance for rows. The ceiling alone
     /// judges them.
     pub ill_rows: usize,
@@ -125,7 +125,7 @@ impl HardCase {
     }
 }
 
-impl Score {
+impl MeasuredDeviation {
     /// The worse value of each field; NaN if either is NaN.
     pub fn worst(self, other: Self) -> Self {
         let worst = |a: f64, b: f64| if a.is_nan() || a >= b { a } else { b };
@@ -148,7 +148,7 @@ impl Outcome {
 
     /// Combines two outcomes, with the worse of each score.
     pub fn and(mut self, other: Self) -> Self {
-        let worst = |a: Option<Score>, b: Option<Score>| match (a, b) {
+        let worst = |a: Option<MeasuredDeviation>, b: Option<MeasuredDeviation>| match (a, b) {
             (Some(a), Some(b)) => Some(a.worst(b)),
             (a, b) => a.or(b),
         };
@@ -168,7 +168,8 @@ mod tests {
 
     #[test]
     fn the_worst_of_scores_keeps_nan() {
-        let (good, bad) = (Score { error: 1.0, used: 2.0 }, Score { error: f64::NAN, used: 0.5 });
+        let (good, bad) =
+            (MeasuredDeviation { error: 1.0, used: 2.0 }, MeasuredDeviation { error: f64::NAN, used: 0.5 });
         for worst in [good.worst(bad), bad.worst(good)] {
             assert!(worst.error.is_nan() && worst.used == 2.0, "{worst:?}");
         }
@@ -180,7 +181,7 @@ mod tests {
         assert!(first.passed());
         first.require(true, || unreachable!());
         first.require(false, || "first".into());
-        let second = Outcome { forward: Some(Score::default()), ill_rows: 2, ..Outcome::default() };
+        let second = Outcome { forward: Some(MeasuredDeviation::default()), ill_rows: 2, ..Outcome::default() };
         let both = second.and(first);
         assert!(!both.passed() && both.ill_rows == 3 && both.forward.is_some() && both.gradient.is_none());
     }

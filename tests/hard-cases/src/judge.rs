@@ -5,7 +5,7 @@ use glam::{DMat3, DVec3};
 use splat_op::exact::{ExactGaussian, ExactPose, render_exact};
 use splat_op::{Order, Projection, RenderOptions};
 
-use crate::case::{HardCase, Kind, Outcome, Place, Processor, Score};
+use crate::case::{HardCase, Kind, MeasuredDeviation, Outcome, Place, Processor};
 use crate::ceiling::{ROW_EXCEPTIONS, ROW_TOLERANCE, SMALLEST, ceiling_used};
 use crate::compare::{largest, norm, relative_error, worst};
 use crate::evaluate::{OF_NO_SPLAT, Outputs, culled, evaluate};
@@ -276,8 +276,8 @@ fn within_f32(mut outputs: Outputs) -> Outputs {
 }
 
 /// Worst score of the parts of `[found, expected, spread]`, each relative to its own largest element.
-fn score_parts([found, expected, spread]: &[Vec<Named>; 3], outcome: &mut Outcome, limit: f64) -> Score {
-    let mut score = Score::default();
+fn score_parts([found, expected, spread]: &[Vec<Named>; 3], outcome: &mut Outcome, limit: f64) -> MeasuredDeviation {
+    let mut score = MeasuredDeviation::default();
     for ((found, expected), spread) in found.iter().zip(expected).zip(spread) {
         let name = found.name;
         let finite = found.values.iter().all(|v| v.is_finite());
@@ -288,7 +288,7 @@ fn score_parts([found, expected, spread]: &[Vec<Named>; 3], outcome: &mut Outcom
         let largest = largest(&expected.values).max(largest(&spread.values)).max(SMALLEST);
         let errors = found.values.iter().zip(&expected.values).map(|(f, e)| (f - e).abs());
         let error = worst(errors) / if largest > 0.0 { largest } else { 1.0 };
-        score = score.worst(Score { error, used });
+        score = score.worst(MeasuredDeviation { error, used });
     }
     score
 }

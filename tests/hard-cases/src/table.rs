@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use crate::case::{HardCase, Outcome, Place, Processor, Score};
+use crate::case::{HardCase, MeasuredDeviation, Outcome, Place, Processor};
 use crate::judge::{Row, Verdict};
 
 /// The cases of one group, each with its result.
@@ -107,12 +107,12 @@ fn hardness(case: &HardCase, row: &Row) -> String {
 }
 
 /// Formats a score; a dash if nothing was measured.
-fn cell(measured: Option<Score>) -> String {
+fn cell(measured: Option<MeasuredDeviation>) -> String {
     measured.map_or("–".into(), score)
 }
 
 /// Formats `error (share)`, with a share above the ceiling in bold.
-fn score(score: Score) -> String {
+fn score(score: MeasuredDeviation) -> String {
     if !(score.error.is_finite() && score.used.is_finite()) {
         return "**not finite**".into();
     }

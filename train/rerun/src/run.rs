@@ -36,7 +36,7 @@ pub struct SnapshotView {
 #[derive(Debug, Default, Deserialize)]
 pub struct History {
     pub points: Vec<HistoryPoint>,
-    pub scores: Vec<Score>,
+    pub scores: Vec<HistoryScore>,
 }
 
 #[derive(Debug, Deserialize)]
@@ -50,7 +50,7 @@ pub struct HistoryPoint {
 }
 
 #[derive(Debug, Deserialize)]
-pub struct Score {
+pub struct HistoryScore {
     pub step: usize,
     pub seconds: f64,
     pub psnr: Option<f64>,

@@ -34,7 +34,7 @@ impl Scale {
 
 /// The compared score.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Score {
+pub enum ScoreKind {
     /// PSNR.
     Plain,
     /// PSNR after colour correction, because no training photograph determines the exposure of a test photograph.
@@ -66,7 +66,7 @@ pub struct EffectCase {
     /// See [`Self::eval`].
     pub eval_with: &'static [&'static str],
     /// The compared score.
-    pub score: Score,
+    pub score: ScoreKind,
     /// Whether the cameras of the run without the effect are declared as pinholes.
     pub strip_lens: bool,
     /// Smallest required gain at full size, dB: the measured gain minus the variation between runs.
@@ -86,7 +86,7 @@ const PLAIN: EffectCase = EffectCase {
     with: &["--effects", "auto"],
     eval: &[],
     eval_with: &[],
-    score: Score::Plain,
+    score: ScoreKind::Plain,
     strip_lens: false,
     least_gain_db: 0.9,
     views: None,
@@ -100,7 +100,7 @@ pub(super) const CASES: &[EffectCase] = &[
         demo: |options| DemoOptions { exposure: true, ..options },
         demo_flags: "--exposure",
         expected: &[EffectKind::Exposure],
-        score: Score::Corrected,
+        score: ScoreKind::Corrected,
         harmonics: None,
         ..PLAIN
     },
@@ -109,7 +109,7 @@ pub(super) const CASES: &[EffectCase] = &[
         demo: |options| DemoOptions { graded: true, ..options },
         demo_flags: "--graded",
         expected: &[EffectKind::BilateralGrid],
-        score: Score::Corrected,
+        score: ScoreKind::Corrected,
         harmonics: None,
         ..PLAIN
     },
@@ -286,8 +286,8 @@ impl EffectCase {
         let Command::Eval(args) = Cli::try_parse_from(arguments)?.command else { bail!("`eval` is another command") };
         let test = eval::run(&args)?.test.context("photographs were held out")?;
         Ok(match self.score {
-            Score::Plain => test.psnr,
-            Score::Corrected => test.psnr_corrected,
+            ScoreKind::Plain => test.psnr,
+            ScoreKind::Corrected => test.psnr_corrected,
         })
     }
 

@@ -15,7 +15,7 @@ pub struct History {
     /// Points, spread evenly over the steps, in step order.
     pub points: Vec<HistoryPoint>,
     /// Scores, in step order; empty unless `--eval-during` asks for them.
-    pub scores: Vec<Score>,
+    pub scores: Vec<HistoryScore>,
 }
 
 /// State of a run after some steps.
@@ -34,7 +34,7 @@ pub struct HistoryPoint {
 
 /// Scores on a few held-out views during a run.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Score {
+pub struct HistoryScore {
     /// Number of steps done.
     pub step: usize,
     /// Training time so far, s.
@@ -113,11 +113,11 @@ impl Recorder {
     }
 
     /// Records scores taken after a step. Taking them took `pause`, which is no training time.
-    pub fn keep_score(&mut self, step: usize, scores: &Scores, pause: Duration) -> Score {
+    pub fn keep_score(&mut self, step: usize, scores: &Scores, pause: Duration) -> HistoryScore {
         // The clock stands still meanwhile. It is never set beyond now, whatever the pause.
         self.started = (self.started + pause).min(Instant::now());
         let &Scores { psnr, ssim, lpips, ref views, .. } = scores;
-        let score = Score { step, seconds: self.seconds(), psnr, ssim, lpips, views: views.len() };
+        let score = HistoryScore { step, seconds: self.seconds(), psnr, ssim, lpips, views: views.len() };
         self.history.scores.push(score);
         score
     }
@@ -188,7 +188,7 @@ mod tests {
     #[test]
     fn what_is_written_is_read_again() {
         let mut history = run(3, History::default(), 3);
-        history.scores.push(Score { step: 2, seconds: 0.5, psnr: 20.0, ssim: 0.9, lpips: Some(0.25), views: 4 });
+        history.scores.push(HistoryScore { step: 2, seconds: 0.5, psnr: 20.0, ssim: 0.9, lpips: Some(0.25), views: 4 });
         let text = serde_json::to_string(&history).unwrap();
         assert_eq!(serde_json::from_str::<History>(&text).unwrap(), history);
         history.points[0].loss = f64::NAN;

@@ -11,7 +11,7 @@ use splat_model::gaussians::Gaussians;
 use splat_model::metrics::lpips::Lpips;
 use splat_model::trainer::{StepReport, Trainer};
 
-use super::history::{History, HistoryPoint, Recorder, Score};
+use super::history::{History, HistoryPoint, HistoryScore, Recorder};
 use super::metrics::Metrics;
 use crate::progress::{self, StepProgress};
 use crate::snapshots::Snapshots;
@@ -28,7 +28,7 @@ pub enum Line<'a> {
     /// Written evenly over the steps, at most 251 times.
     Progress(HistoryPoint),
     /// Written after every `--eval-during` steps.
-    Evaluation(Score),
+    Evaluation(HistoryScore),
     /// Written at the end.
     Done { out: String, metrics: &'a Metrics },
 }

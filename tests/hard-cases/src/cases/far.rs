@@ -16,7 +16,7 @@ use splat_model::optim::{near_plane, scene_extent};
 use splat_model::{init, ply};
 use splat_op::{Camera, Colour, Extras, RenderOptions, render};
 
-use crate::case::{HardCase, Outcome, Place, Score};
+use crate::case::{HardCase, MeasuredDeviation, Outcome, Place};
 use crate::compare::{largest, relative_error};
 use crate::scratch::{Scratch, demo, photographs};
 use crate::tensors::host;
@@ -72,10 +72,10 @@ fn judge(place: &Place, offset: DVec3, scale: f64) -> Outcome {
     match (seen(place, DVec3::ZERO, 1.0), seen(place, offset, scale)) {
         (Ok(expected), Ok(found)) => {
             let error = relative_error(&found.pictures, &expected.pictures);
-            outcome.forward = Some(Score { error, used: error / BOUND });
+            outcome.forward = Some(MeasuredDeviation { error, used: error / BOUND });
             let pairs = found.gradients.iter().zip(&expected.gradients);
             let error = pairs.map(|(found, expected)| relative_error(found, expected)).fold(0.0, f64::max);
-            outcome.gradient = Some(Score { error, used: error / BOUND });
+            outcome.gradient = Some(MeasuredDeviation { error, used: error / BOUND });
             let shown = largest(&expected.pictures) > 0.1;
             outcome.require(shown, || "nothing is in the pictures".into());
             for (what, score) in [("pictures", outcome.forward), ("gradients", outcome.gradient)] {

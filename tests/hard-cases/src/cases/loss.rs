@@ -7,7 +7,7 @@ use splat_model::loss::{Truth, d_ssim, photometric, ssim};
 use splat_model::metrics::{LARGEST_PSNR_DB, psnr};
 use splat_model::optim::{Adam, LearningRates, Moments};
 
-use crate::case::{HardCase, Outcome, Place, Processor, Score};
+use crate::case::{HardCase, MeasuredDeviation, Outcome, Place, Processor};
 use crate::ceiling::{ceiling_used, moved_value, rounded};
 use crate::compare::relative_error;
 use crate::random::Random;
@@ -128,10 +128,10 @@ fn similarity(place: &Place, image: Picture, truth: Picture, limit: f64) -> Outc
     // The similarity of two pictures is at most one, and errors of the loss are relative to one.
     let error = (found_value[0] - value).abs();
     let used = error / (16.0 * value_spread + 1e-6);
-    outcome.forward = Some(Score { error, used });
+    outcome.forward = Some(MeasuredDeviation { error, used });
     let scale = gradient.iter().fold(0.0_f64, |largest, g| largest.max(g.abs()));
     let error = relative_error(&found, &gradient) * if scale > 0.0 { 1.0 } else { f64::MIN_POSITIVE };
-    outcome.gradient = Some(Score { error, used: ceiling_used(&found, &gradient, &spread) });
+    outcome.gradient = Some(MeasuredDeviation { error, used: ceiling_used(&found, &gradient, &spread) });
     for (what, score) in [("the loss", outcome.forward), ("its gradient", outcome.gradient)] {
         let used = score.map_or(f64::NAN, |score| score.used);
         outcome.require(used <= limit, || format!("{what} uses {used:.2e} of its ceiling"));
@@ -216,7 +216,7 @@ fn wild_gradients(place: &Place) -> Outcome {
         }
     }
     // The error as a share of a full step.
-    outcome.forward = Some(Score { error: worst, used: worst / 1e-3 });
+    outcome.forward = Some(MeasuredDeviation { error: worst, used: worst / 1e-3 });
     outcome.require(worst <= 1e-3, || format!("the path is off by {worst:.2e} steps"));
     outcome
 }

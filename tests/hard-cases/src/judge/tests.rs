@@ -26,8 +26,8 @@ fn the_truth_passes_and_is_not_off() {
     assert_eq!(yardstick.remarks, Vec::<String>::new());
     let outcome = changed(&yardstick, |_, _| {});
     assert!(outcome.passed(), "{:?}", outcome.failures);
-    assert_eq!(outcome.forward, Some(Score::default()));
-    assert_eq!(outcome.gradient, Some(Score::default()));
+    assert_eq!(outcome.forward, Some(MeasuredDeviation::default()));
+    assert_eq!(outcome.gradient, Some(MeasuredDeviation::default()));
     let outcome = yardstick.judge(&place(), 1.0);
     assert!(outcome.passed(), "{:?}", outcome.failures);
 }

@@ -6,7 +6,7 @@ use serde_json::json;
 use splat_model::evaluate::{Scores, ViewScore};
 use splat_model::gaussians::GaussianRows;
 
-use super::super::history::{HistoryPoint, Score};
+use super::super::history::{HistoryPoint, HistoryScore};
 use super::super::metrics::Seconds;
 use super::super::{VIEWS, pictures};
 use super::comparisons::MOST;
@@ -58,7 +58,7 @@ fn history() -> History {
     let point = |step| HistoryPoint { step, seconds: step as f64, loss: 1.0 / step as f64, splats: 10 * step };
     History {
         points: (1..=9).map(point).collect(),
-        scores: vec![Score { step: 4, seconds: 4.0, psnr: 15.0, ssim: 0.3, lpips: None, views: 2 }],
+        scores: vec![HistoryScore { step: 4, seconds: 4.0, psnr: 15.0, ssim: 0.3, lpips: None, views: 2 }],
     }
 }
 
