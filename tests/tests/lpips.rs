@@ -8,7 +8,7 @@ use burn::tensor::{Device, Tensor, TensorData};
 use safetensors::Dtype;
 use safetensors::tensor::TensorView;
 use serde_json::Value;
-use splat_model::metrics::lpips::{Input, Lpips};
+use splat_model::metrics::lpips::{InputScaling, Lpips};
 use splat_op::is_gpu;
 use splat_tests::devices;
 
@@ -92,8 +92,10 @@ fn values_are_those_of_the_authors_package() {
         for (device_name, device) in devices() {
             let mut compared = 0;
             for case in reference["cases"].as_array().unwrap().iter().filter(|case| case["net"] == **net) {
-                let input =
-                    [Input::Scaled, Input::Unscaled].into_iter().find(|input| case["input"] == input.range()).unwrap();
+                let input = [InputScaling::Scaled, InputScaling::Unscaled]
+                    .into_iter()
+                    .find(|input| case["input"] == input.range())
+                    .unwrap();
                 let [height, width] = ["height", "width"].map(|key| case[key].as_u64().unwrap() as usize);
                 if is_gpu(&device) && height * width > MOST_PIXELS_ON_A_GPU {
                     continue;

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use anyhow::Result;
 use burn::tensor::Device;
 use serde::{Deserialize, Serialize};
-use splat_model::metrics::lpips::{Input, Lpips};
+use splat_model::metrics::lpips::{InputScaling, Lpips};
 
 /// Options of the LPIPS score.
 #[derive(Clone, Debug, Default, clap::Args, Serialize, Deserialize)]
@@ -26,7 +26,7 @@ impl LpipsArgs {
     /// # Errors
     /// If the weights cannot be read.
     pub fn read(&self, device: &Device) -> Result<Option<Lpips>> {
-        let input = if self.lpips_unscaled { Input::Unscaled } else { Input::Scaled };
+        let input = if self.lpips_unscaled { InputScaling::Unscaled } else { InputScaling::Scaled };
         Ok(self.lpips.as_deref().map(|path| Lpips::read(path, input, device)).transpose()?)
     }
 

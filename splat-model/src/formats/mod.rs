@@ -209,7 +209,7 @@ pub fn detect(path: &Path) -> Result<Format, FormatError> {
     match first_bytes(path)? {
         First::Spz => Ok(Format::Spz),
         First::Ply => {
-            let (_, header) = ply::Input::open(path)?;
+            let (_, header) = ply::PlyReader::open(path)?;
             Ok(if compressed::is_compressed(&header) { Format::CompressedPly } else { Format::Ply })
         }
     }
@@ -226,7 +226,7 @@ pub fn read(path: &Path) -> Result<(Scene, Format), FormatError> {
     match first_bytes(path)? {
         First::Spz => Ok((spz::read(path)?, Format::Spz)),
         First::Ply => {
-            let (input, header) = ply::Input::open(path)?;
+            let (input, header) = ply::PlyReader::open(path)?;
             let (format, (rows, origin)) = match compressed::is_compressed(&header) {
                 true => (Format::CompressedPly, compressed::read(path, input, &header)?),
                 false => (Format::Ply, ply::read_from(input, &header)?),

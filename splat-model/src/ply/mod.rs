@@ -26,7 +26,7 @@ pub use read::read;
 pub use write::{write, write_to};
 
 // The compressed layout, which is PLY too, uses these.
-pub(crate) use read::{Input, brief, origin, read_from, require, vertex};
+pub(crate) use read::{PlyReader, brief, origin, read_from, require, vertex};
 pub(crate) use write::{check, origin_comment};
 
 /// The element that holds the Gaussians.

@@ -5,7 +5,7 @@ use std::path::Path;
 use glam::DVec3;
 use ply_rs_bw::ply::{Property, PropertyAccess, PropertyAccessResult};
 
-use super::read::{Input, require, vertex};
+use super::read::{PlyReader, require, vertex};
 use super::{PlyError, VERTEX};
 
 /// Largest valid coordinate; its square still fits an f32. Larger values indicate damage.
@@ -64,7 +64,7 @@ impl PropertyAccess for PlyPoint {
 /// A [`PlyError`] for every file that is not a complete PLY file with such points, or in which a coordinate is not finite or is
 /// beyond 1e15. Memory is bounded by a small multiple of the file's true size, whatever its header claims.
 pub fn read_points(path: &Path) -> Result<(Vec<DVec3>, Vec<[u8; 3]>), PlyError> {
-    let (mut input, header) = Input::open(path)?;
+    let (mut input, header) = PlyReader::open(path)?;
     let vertex = vertex(path, &header)?;
     require(path, vertex, &COORDINATES)?;
     input.begin(&header)?;

@@ -24,12 +24,12 @@ const MAX_HEADER_BYTES: u64 = 1 << 20;
 /// A [`PlyError`] for every file that is not a complete scene in the layout of [this module](super). Memory is bounded
 /// by a small multiple of the file's true size, whatever its header claims.
 pub fn read(path: &Path) -> Result<(GaussianRows, DVec3), PlyError> {
-    let (input, header) = Input::open(path)?;
+    let (input, header) = PlyReader::open(path)?;
     read_from(input, &header)
 }
 
 /// Reads a scene and its origin from a file whose header has been read.
-pub(crate) fn read_from(mut input: Input, header: &Header) -> Result<(GaussianRows, DVec3), PlyError> {
+pub(crate) fn read_from(mut input: PlyReader, header: &Header) -> Result<(GaussianRows, DVec3), PlyError> {
     let path = input.path;
     let origin = origin(path, header)?;
     let vertex = vertex(path, header)?;
@@ -48,14 +48,14 @@ pub(crate) fn io_error(path: &Path, action: &'static str, source: io::Error) -> 
 }
 
 /// A file whose header has been read.
-pub(crate) struct Input<'a> {
+pub(crate) struct PlyReader<'a> {
     path: &'a Path,
     reader: BufReader<File>,
     /// Number of bytes after the header.
     payload_bytes: u64,
 }
 
-impl<'a> Input<'a> {
+impl<'a> PlyReader<'a> {
     /// Opens a file and reads its header.
     pub fn open(path: &'a Path) -> Result<(Self, Header), PlyError> {
         let file = File::open(path).map_err(|source| io_error(path, "open the scene (is the path right?)", source))?;

@@ -23,7 +23,7 @@ const TRACK_BYTES: usize = 4 + 4;
 
 /// The entries of `cameras.bin`.
 pub(super) fn cameras(file: &Path, bytes: &[u8]) -> Result<Vec<CameraRecord>, CaptureError> {
-    let mut input = Input::new(file, "camera", bytes);
+    let mut input = BinaryReader::new(file, "camera", bytes);
     let count = input.count("cameras", CAMERA_BYTES)?;
     input.entries(count, "cameras", |input| {
         let id = u32::from_le_bytes(input.take("CAMERA_ID")?);
@@ -40,7 +40,7 @@ pub(super) fn cameras(file: &Path, bytes: &[u8]) -> Result<Vec<CameraRecord>, Ca
 
 /// The entries of `images.bin`.
 pub(super) fn images(file: &Path, bytes: &[u8]) -> Result<Vec<ImageRecord>, CaptureError> {
-    let mut input = Input::new(file, "image", bytes);
+    let mut input = BinaryReader::new(file, "image", bytes);
     let count = input.count("images", IMAGE_BYTES)?;
     input.entries(count, "images", |input| {
         let id = u32::from_le_bytes(input.take("IMAGE_ID")?);
@@ -61,7 +61,7 @@ pub(super) fn images(file: &Path, bytes: &[u8]) -> Result<Vec<ImageRecord>, Capt
 
 /// The entries of `points3D.bin`.
 pub(super) fn points(file: &Path, bytes: &[u8]) -> Result<Vec<PointRecord>, CaptureError> {
-    let mut input = Input::new(file, "point", bytes);
+    let mut input = BinaryReader::new(file, "point", bytes);
     let count = input.count("points", POINT_BYTES)?;
     input.entries(count, "points", |input| {
         input.take::<8>("POINT3D_ID")?;
@@ -78,14 +78,14 @@ pub(super) fn points(file: &Path, bytes: &[u8]) -> Result<Vec<PointRecord>, Capt
 }
 
 /// The unread part of a file, and the entry being read.
-struct Input<'a> {
+struct BinaryReader<'a> {
     file: &'a Path,
     kind: &'static str,
     entry: usize,
     rest: &'a [u8],
 }
 
-impl<'a> Input<'a> {
+impl<'a> BinaryReader<'a> {
     fn new(file: &'a Path, kind: &'static str, bytes: &'a [u8]) -> Self {
         Self { file, kind, entry: 0, rest: bytes }
     }

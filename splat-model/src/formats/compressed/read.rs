@@ -9,10 +9,10 @@ use super::row::{CHUNKS, HARMONICS, Levels, PACKED, RANGES, Ranges, Words};
 use super::{CHUNK, DEGREE_MAX};
 use crate::formats::{Format, FormatError};
 use crate::gaussians::GaussianRows;
-use crate::ply::{Input, VERTEX, brief, origin, require, vertex};
+use crate::ply::{PlyReader, VERTEX, brief, origin, require, vertex};
 
 /// Reads the rows, and the origin that their positions are relative to, of a file whose header has been read.
-pub fn read(path: &Path, mut input: Input, header: &Header) -> Result<(GaussianRows, DVec3), FormatError> {
+pub fn read(path: &Path, mut input: PlyReader, header: &Header) -> Result<(GaussianRows, DVec3), FormatError> {
     let origin = origin(path, header)?;
     let vertex = vertex(path, header)?;
     let harmonics = header.elements.get(HARMONICS);

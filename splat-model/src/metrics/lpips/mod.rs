@@ -43,7 +43,7 @@ const MOST_ON_GPU: usize = 720;
 
 /// The range of the network's input, for pictures from 0 to 1.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Input {
+pub enum InputScaling {
     /// −1 to 1, as the network's scaling expects.
     #[default]
     Scaled,
@@ -52,7 +52,7 @@ pub enum Input {
     Unscaled,
 }
 
-impl Input {
+impl InputScaling {
     /// The range as text.
     pub fn range(self) -> &'static str {
         match self {
@@ -90,7 +90,7 @@ struct Convolution {
 #[derive(Clone, Debug)]
 pub struct Lpips {
     net: Net,
-    input: Input,
+    input: InputScaling,
     /// Convolutions, in the order of the network's layers.
     convolutions: Vec<Convolution>,
     /// Weights of the taps, `[1, C]` each.
@@ -107,7 +107,7 @@ impl Lpips {
     }
 
     /// The range of the network's input.
-    pub fn input(&self) -> Input {
+    pub fn input(&self) -> InputScaling {
         self.input
     }
 
@@ -190,8 +190,8 @@ impl Lpips {
     /// Scales colours to the network's input.
     fn scaled(&self, picture: Tensor<4>) -> Tensor<4> {
         let picture = match self.input {
-            Input::Scaled => picture * 2.0 - 1.0,
-            Input::Unscaled => picture,
+            InputScaling::Scaled => picture * 2.0 - 1.0,
+            InputScaling::Unscaled => picture,
         };
         let colour = |of: [f32; 3]| Tensor::<1>::from_floats(of, &self.device).reshape([1, 3, 1, 1]);
         (picture - colour(SHIFT)) / colour(SCALE)
