@@ -50,7 +50,7 @@ pub(crate) fn photometric_cpu<F: Real>(
         .flat_map(|plane| (0..size.height).step_by(BAND).map(move |first| (plane, first)))
         .map(|(plane, first)| RowBand { plane, rows: first..size.height.min(first + BAND) })
         .collect();
-    let job = Job { inputs, size, lambda: F::of(lambda), share: F::of(1.0 / inputs.image.len() as f64) };
+    let job = LossTask { inputs, size, lambda: F::of(lambda), share: F::of(1.0 / inputs.image.len() as f64) };
     let mut gradient = vec![F::ZERO; if with_gradient { inputs.image.len() } else { 0 }];
     let sums: Vec<f64> = split(&bands, &mut gradient, size.width, with_gradient)
         .into_par_iter()
@@ -117,7 +117,7 @@ fn split<'a, F>(
 }
 
 /// What all tasks share.
-struct Job<'a, F> {
+struct LossTask<'a, F> {
     inputs: Compared<&'a [F]>,
     size: Size,
     lambda: F,
@@ -125,7 +125,7 @@ struct Job<'a, F> {
     share: F,
 }
 
-impl<F: Real> Job<'_, F> {
+impl<F: Real> LossTask<'_, F> {
     /// The first sweep: the sum of `(1 − λ) |x − y| + λ (1 − S)` over a band. Into `maps`, unless it is empty, go the
     /// derivatives of `−λ S`, divided by the number of values, with respect to `Kx`, to `Kx²` (twice) and to `Kxy`, row by row
     /// of `rows`, which may be more than the band's.

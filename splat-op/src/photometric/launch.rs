@@ -59,7 +59,7 @@ pub(crate) fn launch_photometric(
     lambda: f64,
     with_gradient: bool,
 ) -> (Buffer<f32>, Option<Buffer<f32>>) {
-    let job = Job { gpu, inputs, size, lambda };
+    let job = LossLaunch { gpu, inputs, size, lambda };
     let values = inputs.image.len;
     let shares = Buffer::new(gpu, values);
     let derivatives = Buffer::new(gpu, if with_gradient { 3 * values } else { 0 });
@@ -69,14 +69,14 @@ pub(crate) fn launch_photometric(
 }
 
 /// One loss.
-struct Job<'a> {
+struct LossLaunch<'a> {
     gpu: &'a Gpu,
     inputs: &'a Compared<Buffer<f32>>,
     size: [usize; 2],
     lambda: f64,
 }
 
-impl Job<'_> {
+impl LossLaunch<'_> {
     fn planes(&self) -> PlanesLaunch {
         let [width, height] = self.size;
         PlanesLaunch::new(width as u32, height as u32, (self.inputs.image.len / (width * height)) as u32)
