@@ -15,7 +15,7 @@ use burn::tensor::Device;
 use splat_benches::SMALL;
 use splat_benches::job::{Job, Size};
 use splat_benches::limit::{Kind, Machine};
-use splat_benches::measure::{Kept, Prepare, table, time};
+use splat_benches::measure::{PassResult, Prepare, table, time};
 use splat_benches::passes::whole_step;
 use splat_benches::pieces::Pieces;
 use splat_model::loss::Truth;
@@ -88,7 +88,7 @@ fn measure(size: Size, device: &Device, machine: &Machine) -> Result<Profile, Bo
     let mut in_pieces: Prepare = Box::new(move || {
         let seconds = pieces.run()?.seconds;
         kept.borrow_mut().push(seconds);
-        Ok(Box::new(|| Ok(Box::new(()) as Kept)))
+        Ok(Box::new(|| Ok(Box::new(()) as PassResult)))
     });
     let mut whole = whole_step(&job, device);
     let times = time([&mut whole.prepare, &mut in_pieces], device, PROFILE_BUDGET)?;

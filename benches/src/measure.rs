@@ -9,10 +9,10 @@ use burn::tensor::{Device, Tensor};
 use crate::limit::{Kind, Machine, Sizes};
 
 /// Result of a pass, freed outside the timed part.
-pub type Kept = Box<dyn Any>;
+pub type PassResult = Box<dyn Any>;
 
 /// Timed part of a run. Its errors are errors of the op.
-pub type Timed = Box<dyn FnOnce() -> Result<Kept, Box<dyn Error>>>;
+pub type Timed = Box<dyn FnOnce() -> Result<PassResult, Box<dyn Error>>>;
 
 /// Prepares a run, untimed, and returns the timed part.
 pub type Prepare = Box<dyn FnMut() -> Result<Timed, Box<dyn Error>>>;
@@ -151,7 +151,7 @@ pub fn copy_bandwidth(device: &Device) -> Result<f64, Box<dyn Error>> {
     let source = Tensor::<1>::ones([ELEMENTS], device);
     let mut copy: Prepare = Box::new(move || {
         let source = source.clone();
-        Ok(Box::new(move || Ok(Box::new(source + 1.0) as Kept)))
+        Ok(Box::new(move || Ok(Box::new(source + 1.0) as PassResult)))
     });
     let times = time([&mut copy], device, Duration::from_secs(5))?;
     Ok((2 * size_of::<f32>() * ELEMENTS) as f64 / times[0].median_s)

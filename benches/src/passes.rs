@@ -17,7 +17,7 @@ use splat_op::{Camera, Colour, Extras, SplatError, Splats, render_view, shade, w
 
 use crate::job::{Job, OPTIONS};
 use crate::limit::Kind;
-use crate::measure::{Kept, Pass, Prepare, Timed};
+use crate::measure::{Pass, PassResult, Prepare, Timed};
 use crate::step::{SOUND, Step, density, rates};
 
 /// Returns all passes, in the order of a training step, then the step.
@@ -88,7 +88,7 @@ fn loss(image: Tensor<3>, truth: Truth) -> Prepare {
 fn loss_backward(image: Tensor<3>, truth: Truth) -> Prepare {
     Box::new(move || {
         let loss = photometric(leaf(&image), &truth, DEFAULT_LAMBDA);
-        Ok(Box::new(move || Ok(Box::new(loss.backward()) as Kept)) as Timed)
+        Ok(Box::new(move || Ok(Box::new(loss.backward()) as PassResult)) as Timed)
     })
 }
 
@@ -124,7 +124,7 @@ fn activate_backward(job: &Job, device: &Device) -> Prepare {
         let loss = with_gradient(splats.scales.clone(), zero.clone(), grads.scales.clone())
             + with_gradient(splats.opacities.clone(), zero.clone(), grads.opacities.clone())
             + with_gradient(harmonics(&splats), zero, harmonics(&grads));
-        Ok(Box::new(move || Ok(Box::new(loss.backward()) as Kept)))
+        Ok(Box::new(move || Ok(Box::new(loss.backward()) as PassResult)))
     })
 }
 
@@ -137,7 +137,7 @@ fn observe(job: &Job, device: &Device) -> Prepare {
         let (density, grad) = (density.clone(), grad.clone() * 1.0);
         Ok(Box::new(move || {
             density.borrow_mut().observe(Observed { gradient: Some(grad), size, ..Observed::default() });
-            Ok(Box::new(()) as Kept)
+            Ok(Box::new(()) as PassResult)
         }))
     })
 }
@@ -157,7 +157,7 @@ fn adam(job: &Job, device: &Device) -> Prepare {
         let (scene, gradients) = (scene.clone(), gradients(&plain));
         Ok(Box::new(move || {
             scene.borrow_mut().step(gradients, &Adam::default(), &rates(), step, None);
-            Ok(Box::new(()) as Kept)
+            Ok(Box::new(()) as PassResult)
         }))
     })
 }
@@ -167,7 +167,7 @@ fn step(job: &Job, truth: Truth, device: &Device) -> Prepare {
     let step = Rc::new(RefCell::new(Step::new(gaussians, job.camera(device), truth)));
     Box::new(move || {
         let step = step.clone();
-        Ok(Box::new(move || Ok(Box::new(step.borrow_mut().run()?) as Kept)))
+        Ok(Box::new(move || Ok(Box::new(step.borrow_mut().run()?) as PassResult)))
     })
 }
 
@@ -176,7 +176,7 @@ fn forward<T: 'static>(run: impl Fn() -> Result<T, SplatError> + 'static) -> Pre
     let run = Rc::new(run);
     Box::new(move || {
         let run = run.clone();
-        Ok(Box::new(move || Ok(Box::new(run()?) as Kept)))
+        Ok(Box::new(move || Ok(Box::new(run()?) as PassResult)))
     })
 }
 
@@ -185,7 +185,7 @@ fn backward<const D: usize>(grad: Tensor<D>, run: impl Fn() -> Tensor<D> + 'stat
     Box::new(move || {
         let value = Tensor::<1>::zeros([1], &grad.device());
         let loss = with_gradient(run(), value, grad.clone());
-        Ok(Box::new(move || Ok(Box::new(loss.backward()) as Kept)))
+        Ok(Box::new(move || Ok(Box::new(loss.backward()) as PassResult)))
     })
 }
 

@@ -9,7 +9,7 @@ use burn::tensor::{DType, Device, Tensor};
 use glam::DAffine3;
 use splat_benches::allocations::{allocated, held};
 use splat_benches::job::OPTIONS;
-use splat_benches::measure::{Kept, Prepare, Times, time};
+use splat_benches::measure::{PassResult, Prepare, Times, time};
 use splat_benches::step::Step;
 use splat_benches::{SyntheticView, values};
 use splat_model::gaussians::Gaussians;
@@ -133,7 +133,7 @@ fn render_and_backward(view: &SyntheticView) -> Prepare {
         Ok(Box::new(move || {
             let rendered = render(&scene, &[camera], &Extras::default(), &OPTIONS)?;
             let value = Tensor::<1>::zeros([1], &grad.device());
-            Ok(Box::new(with_gradient(rendered.colour, value, grad).backward()) as Kept)
+            Ok(Box::new(with_gradient(rendered.colour, value, grad).backward()) as PassResult)
         }))
     })
 }
@@ -147,7 +147,7 @@ fn step(view: &SyntheticView) -> Prepare {
     let step = std::rc::Rc::new(std::cell::RefCell::new(Step::new(gaussians, camera, truth)));
     Box::new(move || {
         let step = step.clone();
-        Ok(Box::new(move || Ok(Box::new(step.borrow_mut().run()?) as Kept)))
+        Ok(Box::new(move || Ok(Box::new(step.borrow_mut().run()?) as PassResult)))
     })
 }
 
@@ -155,7 +155,7 @@ fn trainer_step(view: &SyntheticView, views: usize) -> Prepare {
     let trainer = std::rc::Rc::new(std::cell::RefCell::new(view.trainer(views)));
     Box::new(move || {
         let trainer = trainer.clone();
-        Ok(Box::new(move || Ok(Box::new(trainer.borrow_mut().step()?) as Kept)))
+        Ok(Box::new(move || Ok(Box::new(trainer.borrow_mut().step()?) as PassResult)))
     })
 }
 

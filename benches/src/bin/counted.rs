@@ -15,7 +15,7 @@ use fearless_simd::Level;
 use splat_benches::allocations::{Allocated, CountingAllocator, allocated};
 use splat_benches::job::{Job, Size};
 use splat_benches::limit::Kind;
-use splat_benches::measure::{Kept, Pass, Prepare, Timed};
+use splat_benches::measure::{Pass, PassResult, Prepare, Timed};
 use splat_benches::passes::passes;
 
 // The system allocator, because mimalloc returns memory depending on time.
@@ -56,13 +56,13 @@ fn trainer_step(job: &Job) -> Prepare {
     let trainer = std::rc::Rc::new(std::cell::RefCell::new(view.trainer(1)));
     Box::new(move || {
         let trainer = trainer.clone();
-        Ok(Box::new(move || Ok(Box::new(trainer.borrow_mut().step()?) as Kept)))
+        Ok(Box::new(move || Ok(Box::new(trainer.borrow_mut().step()?) as PassResult)))
     })
 }
 
 /// Runs the counted part. Callgrind finds the function by its name.
 #[unsafe(no_mangle)]
 #[inline(never)]
-fn splat_counted(timed: Timed) -> Result<Kept, Box<dyn Error>> {
+fn splat_counted(timed: Timed) -> Result<PassResult, Box<dyn Error>> {
     timed()
 }

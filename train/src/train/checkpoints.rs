@@ -28,7 +28,7 @@ const LOCK: &str = ".splat-lock";
 const KEPT: usize = 2;
 
 /// Content of a checkpoint.
-pub struct Kept {
+pub struct SavedRun {
     /// Options that the run was started with.
     pub args: TrainArgs,
     /// Input of [`Trainer::resume`].
@@ -159,7 +159,7 @@ impl Checkpoints {
 ///
 /// # Errors
 /// If there is none, or it cannot be read, is damaged, or was written by another version.
-pub fn newest(out: &Path) -> Result<Kept> {
+pub fn newest(out: &Path) -> Result<SavedRun> {
     let shown = out.display();
     ensure!(out.is_dir(), "{shown} is not a folder: give the `--out` of the run to resume");
     let folder = out.join(FOLDER);
@@ -183,14 +183,14 @@ pub fn newest(out: &Path) -> Result<Kept> {
     })
 }
 
-fn read(path: &Path) -> Result<Kept> {
+fn read(path: &Path) -> Result<SavedRun> {
     let mut state = State::read(path)?;
     let (version, own): (String, _) = (state.told("version")?, env!("CARGO_PKG_VERSION"));
     ensure!(version == own, "it was written by splat {version}, and this is splat {own}: resume with that version");
     let (args, so_far) = (state.told("args")?, state.told("so_far")?);
     let trainer = state.take_part("trainer");
     state.finish()?;
-    Ok(Kept { args, trainer, so_far, path: path.to_owned() })
+    Ok(SavedRun { args, trainer, so_far, path: path.to_owned() })
 }
 
 fn name_of(step: usize) -> String {

@@ -17,7 +17,7 @@ use splat_model::ply;
 use splat_model::trainer::{TrainConfig, Trainer};
 
 use super::budget::{self, MemoryEstimate};
-use super::checkpoints::{self, Checkpoints, Kept, SoFar};
+use super::checkpoints::{self, Checkpoints, SavedRun, SoFar};
 use super::results::write_learnt;
 use super::steps::{Done, PendingChoice, Steps};
 use super::{OUT, ResumeArgs, TrainArgs};
@@ -79,7 +79,7 @@ pub fn resume(args: &ResumeArgs) -> Result<Metrics> {
     to_the_end(of_the_run, Some(kept), |trainer| trainer)
 }
 
-fn to_the_end(mut args: TrainArgs, kept: Option<Kept>, change: impl FnOnce(Trainer) -> Trainer) -> Result<Metrics> {
+fn to_the_end(mut args: TrainArgs, kept: Option<SavedRun>, change: impl FnOnce(Trainer) -> Trainer) -> Result<Metrics> {
     let mut config = args.config()?;
     let (device, device_name) = args.device.resolve()?;
     let accuracy = args.accuracy.resolve(&device_name)?;
