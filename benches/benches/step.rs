@@ -14,7 +14,7 @@ use std::time::Duration;
 use burn::tensor::Device;
 use splat_benches::SMALL;
 use splat_benches::job::{Job, Size};
-use splat_benches::limit::{Kind, Machine};
+use splat_benches::limit::{Machine, PassKind};
 use splat_benches::measure::{PassResult, Prepare, table, time};
 use splat_benches::passes::whole_step;
 use splat_benches::pieces::Pieces;
@@ -64,11 +64,11 @@ fn verify() -> Result<(), Box<dyn Error>> {
 /// Times of a step of one size, pass by pass.
 struct Profile {
     size: Size,
-    /// Medians in seconds, in the order of [`Kind::PARTS`].
+    /// Medians in seconds, in the order of [`PassKind::PARTS`].
     parts: Vec<f64>,
     /// Median of the whole step in seconds.
     step: f64,
-    /// Limits in seconds, in the order of [`Kind::PARTS`], then of the step.
+    /// Limits in seconds, in the order of [`PassKind::PARTS`], then of the step.
     limits: Vec<f64>,
     /// Share of the processors' time that the whole step used.
     busy: f64,
@@ -99,8 +99,8 @@ fn measure(size: Size, device: &Device, machine: &Machine) -> Result<Profile, Bo
         seconds.sort_by(f64::total_cmp);
         seconds[seconds.len() / 2]
     };
-    let limits = Kind::PARTS.into_iter().chain([Kind::Step]).map(|kind| sizes.limit(kind, machine)).collect();
-    let parts = (0..Kind::PARTS.len()).map(median).collect();
+    let limits = PassKind::PARTS.into_iter().chain([PassKind::Step]).map(|kind| sizes.limit(kind, machine)).collect();
+    let parts = (0..PassKind::PARTS.len()).map(median).collect();
     Ok(Profile { size, parts, step: times[0].median_s, limits, busy: times[0].busy })
 }
 
@@ -113,7 +113,7 @@ fn print_profile(profiles: &[Profile]) {
     println!();
     row("median ms (share of the step; times the limit)", &|profile| format!("`{}`", profile.size));
     println!("|---|{}", "---|".repeat(profiles.len()));
-    for (i, kind) in Kind::PARTS.into_iter().enumerate() {
+    for (i, kind) in PassKind::PARTS.into_iter().enumerate() {
         row(kind.name(), &|profile| {
             let median = profile.parts[i];
             let (share, ratio) = (100.0 * median / profile.step, median / profile.limits[i]);
@@ -125,7 +125,7 @@ fn print_profile(profiles: &[Profile]) {
         format!("{:.2} ({:.1}%)", 1e3 * rest, 100.0 * rest / profile.step)
     });
     row("**training step**", &|profile| {
-        let ratio = profile.step / profile.limits[Kind::PARTS.len()];
+        let ratio = profile.step / profile.limits[PassKind::PARTS.len()];
         format!("**{:.1}** ({ratio:.1} times the limit)", 1e3 * profile.step)
     });
     row("processors' time not used", &|profile| format!("{:.0}%", 100.0 * (1.0 - profile.busy)));

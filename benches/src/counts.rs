@@ -8,7 +8,7 @@ const TOLERANCE: f64 = 0.05;
 /// Counts of a pass.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Count {
-    /// Name of the pass, [`crate::limit::Kind::name`].
+    /// Name of the pass, [`crate::limit::PassKind::name`].
     pub pass: String,
     /// Instructions on the AVX2 path, one thread.
     pub instructions: u64,

@@ -45,7 +45,7 @@ const BASIS_BACKWARD: [f64; 5] = [0.0, 3.0, 33.0, 105.0, 183.0];
 
 /// A pass of a training step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum Kind {
+pub enum PassKind {
     Activate,
     Project,
     Shade,
@@ -63,7 +63,7 @@ pub enum Kind {
     Step,
 }
 
-impl Kind {
+impl PassKind {
     /// The passes of a step, in order.
     pub const PARTS: [Self; 14] = [
         Self::Activate,
@@ -157,9 +157,9 @@ impl Sizes {
     }
 
     /// Returns the least work of a pass. The work of a step is the sum over its parts.
-    pub fn work(&self, kind: Kind) -> Work {
-        if kind == Kind::Step {
-            return Kind::PARTS.into_iter().map(|part| self.work(part)).fold(Work::default(), |sum, part| Work {
+    pub fn work(&self, kind: PassKind) -> Work {
+        if kind == PassKind::Step {
+            return PassKind::PARTS.into_iter().map(|part| self.work(part)).fold(Work::default(), |sum, part| Work {
                 bytes: sum.bytes + part.bytes,
                 operations: sum.operations + part.operations,
             });
@@ -169,15 +169,15 @@ impl Sizes {
 
     /// Returns the limit of a pass in seconds. The limit of a step is the sum over its parts, each bound by memory or by
     /// arithmetic.
-    pub fn limit(&self, kind: Kind, machine: &Machine) -> f64 {
+    pub fn limit(&self, kind: PassKind, machine: &Machine) -> f64 {
         match kind {
-            Kind::Step => Kind::PARTS.into_iter().map(|part| self.work(part).seconds(machine)).sum(),
+            PassKind::Step => PassKind::PARTS.into_iter().map(|part| self.work(part).seconds(machine)).sum(),
             part => self.work(part).seconds(machine),
         }
     }
 
     /// Returns the number of f32 values read and written.
-    fn floats(&self, kind: Kind) -> f64 {
+    fn floats(&self, kind: PassKind) -> f64 {
         let Self { splats, visible, pixels, hits, .. } = *self;
         let (harmonics, picture) = (self.harmonics(), CHANNELS * pixels);
         // The centre is enough to tell that a Gaussian is not visible.
@@ -187,45 +187,45 @@ impl Sizes {
         let planes = (CHANNELS + 1.0) * pixels;
         match kind {
             // Scales and opacity, read and written.
-            Kind::Activate => 2.0 * 4.0 * splats,
-            Kind::Project => centres + (GEOMETRY + PACKED) * visible,
-            Kind::Shade => (harmonics + 3.0 + CHANNELS) * visible,
-            Kind::Tile => PACKED * visible + hits,
-            Kind::Blend => blended + planes,
+            PassKind::Activate => 2.0 * 4.0 * splats,
+            PassKind::Project => centres + (GEOMETRY + PACKED) * visible,
+            PassKind::Shade => (harmonics + 3.0 + CHANNELS) * visible,
+            PassKind::Tile => PACKED * visible + hits,
+            PassKind::Blend => blended + planes,
             // Picture, photograph and derivative.
-            Kind::Loss => 3.0 * picture,
+            PassKind::Loss => 3.0 * picture,
             // The derivative is read, scaled by the incoming gradient and written.
-            Kind::LossBackward => 2.0 * picture,
-            Kind::BlendBackward => blended + planes + (PACKED + CHANNELS) * visible,
-            Kind::ShadeBackward => (CHANNELS + 2.0 * (harmonics + 3.0)) * visible,
-            Kind::ProjectBackward => (PACKED + 2.0 * GEOMETRY) * visible,
+            PassKind::LossBackward => 2.0 * picture,
+            PassKind::BlendBackward => blended + planes + (PACKED + CHANNELS) * visible,
+            PassKind::ShadeBackward => (CHANNELS + 2.0 * (harmonics + 3.0)) * visible,
+            PassKind::ProjectBackward => (PACKED + 2.0 * GEOMETRY) * visible,
             // Gradients read and written, and the slopes, which are functions of the outputs.
-            Kind::ActivateBackward => 3.0 * 4.0 * visible,
+            PassKind::ActivateBackward => 3.0 * 4.0 * visible,
             // The gradient of the centre, and two sums, read and written.
-            Kind::Observe => (2.0 + 4.0) * visible,
-            Kind::Guard => (GEOMETRY + harmonics) * visible,
+            PassKind::Observe => (2.0 + 4.0) * visible,
+            PassKind::Guard => (GEOMETRY + harmonics) * visible,
             // Parameters and two moments, read and written: the moments of an invisible Gaussian decay and move it.
-            Kind::Adam => (GEOMETRY + harmonics) * (6.0 * splats + visible),
-            Kind::Step => unreachable!("a sum of the others"),
+            PassKind::Adam => (GEOMETRY + harmonics) * (6.0 * splats + visible),
+            PassKind::Step => unreachable!("a sum of the others"),
         }
     }
 
-    fn operations(&self, kind: Kind) -> f64 {
+    fn operations(&self, kind: PassKind) -> f64 {
         let Self { splats, visible, pixels, hits, contributions, degree, .. } = *self;
         let harmonics = self.harmonics();
         match kind {
             // Three exponentials, and the logistic function: an exponential, a sum and a division.
-            Kind::Activate => (3.0 * EXP + EXP + 2.0) * splats,
+            PassKind::Activate => (3.0 * EXP + EXP + 2.0) * splats,
             // The transform to the camera frame for all Gaussians, the rest for visible ones.
-            Kind::Project => (MATVEC + 3.0) * splats + (PROJECT - MATVEC - 3.0) * visible,
-            Kind::Shade => (DIRECTION + BASIS[degree] + 2.0 * harmonics + CHANNELS) * visible,
+            PassKind::Project => (MATVEC + 3.0) * splats + (PROJECT - MATVEC - 3.0) * visible,
+            PassKind::Shade => (DIRECTION + BASIS[degree] + 2.0 * harmonics + CHANNELS) * visible,
             // The comparisons of a sort, a bounding box, and one test of an ellipse against a rectangle per intersection.
-            Kind::Tile => (visible.max(2.0).log2() + BOX) * visible + RECTANGLE * hits,
-            Kind::Blend => (LAYER + 2.0 * CHANNELS + 1.0) * contributions,
-            Kind::Loss => LOSS * CHANNELS * pixels,
-            Kind::LossBackward => CHANNELS * pixels,
-            Kind::BlendBackward => LAYER_BACKWARD * contributions + ELLIPSE_BACKWARD * visible,
-            Kind::ShadeBackward => {
+            PassKind::Tile => (visible.max(2.0).log2() + BOX) * visible + RECTANGLE * hits,
+            PassKind::Blend => (LAYER + 2.0 * CHANNELS + 1.0) * contributions,
+            PassKind::Loss => LOSS * CHANNELS * pixels,
+            PassKind::LossBackward => CHANNELS * pixels,
+            PassKind::BlendBackward => LAYER_BACKWARD * contributions + ELLIPSE_BACKWARD * visible,
+            PassKind::ShadeBackward => {
                 // The colours again, for clamped channels, their harmonics, and the direction if the degree is above 0.
                 let colours = DIRECTION + BASIS[degree] + 2.0 * harmonics;
                 let direction = if degree == 0 {
@@ -235,15 +235,15 @@ impl Sizes {
                 };
                 (colours + harmonics + direction) * visible
             }
-            Kind::ProjectBackward => PROJECT_BACKWARD * visible,
+            PassKind::ProjectBackward => PROJECT_BACKWARD * visible,
             // The derivative of an exponential is the exponential, and that of the logistic function takes two operations.
-            Kind::ActivateBackward => (4.0 + 2.0) * visible,
+            PassKind::ActivateBackward => (4.0 + 2.0) * visible,
             // Two scaled components, squared and added, a root, a comparison and two sums.
-            Kind::Observe => (2.0 + 3.0 + 1.0 + 1.0 + 2.0) * visible,
-            Kind::Guard => (GEOMETRY + harmonics) * visible,
+            PassKind::Observe => (2.0 + 3.0 + 1.0 + 1.0 + 2.0) * visible,
+            PassKind::Guard => (GEOMETRY + harmonics) * visible,
             // Both moments decay and grow, then a root, a sum, a division, a product and a difference.
-            Kind::Adam => (GEOMETRY + harmonics) * (2.0 + 3.0 + 5.0) * splats,
-            Kind::Step => unreachable!("a sum of the others"),
+            PassKind::Adam => (GEOMETRY + harmonics) * (2.0 + 3.0 + 5.0) * splats,
+            PassKind::Step => unreachable!("a sum of the others"),
         }
     }
 }

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use burn::tensor::{Device, Tensor};
 
-use crate::limit::{Kind, Machine, Sizes};
+use crate::limit::{Machine, PassKind, Sizes};
 
 /// Result of a pass, freed outside the timed part.
 pub type PassResult = Box<dyn Any>;
@@ -19,7 +19,7 @@ pub type Prepare = Box<dyn FnMut() -> Result<Timed, Box<dyn Error>>>;
 
 /// A pass to time, a line of the table.
 pub struct Pass {
-    pub kind: Kind,
+    pub kind: PassKind,
     pub prepare: Prepare,
 }
 

@@ -16,7 +16,7 @@ use splat_op::backend::{BlendSpec, Geometry, HitCell, Layers, PartsCell, Project
 use splat_op::{Camera, Colour, Extras, SplatError, Splats, render_view, shade, with_gradient};
 
 use crate::job::{Job, OPTIONS};
-use crate::limit::Kind;
+use crate::limit::PassKind;
 use crate::measure::{Pass, PassResult, Prepare, Timed};
 use crate::step::{SOUND, Step, density, rates};
 
@@ -28,22 +28,22 @@ pub fn passes(job: &Job, device: &Device) -> Result<Vec<Pass>, Box<dyn Error>> {
     let camera = job.camera(device);
     let stages = Rc::new(Stages::new(job, device)?);
     let truth = Truth::new(job.photograph(device));
-    let prepare: [(Kind, Prepare); 15] = [
-        (Kind::Activate, activate(job, device)),
-        (Kind::Project, project_forward(&stages, &camera)),
-        (Kind::Shade, shade_forward(&stages, &camera)),
-        (Kind::Tile, tile(&stages)),
-        (Kind::Blend, blend_forward(&stages)),
-        (Kind::Loss, loss(stages.image(job, &camera)?, truth.clone())),
-        (Kind::LossBackward, loss_backward(stages.image(job, &camera)?, truth.clone())),
-        (Kind::BlendBackward, blend_backward(&stages)),
-        (Kind::ShadeBackward, shade_backward(&stages, &camera)),
-        (Kind::ProjectBackward, project_backward(&stages, &camera)),
-        (Kind::ActivateBackward, activate_backward(job, device)),
-        (Kind::Observe, observe(job, device)),
-        (Kind::Guard, guard(job, device)),
-        (Kind::Adam, adam(job, device)),
-        (Kind::Step, step(job, truth, device)),
+    let prepare: [(PassKind, Prepare); 15] = [
+        (PassKind::Activate, activate(job, device)),
+        (PassKind::Project, project_forward(&stages, &camera)),
+        (PassKind::Shade, shade_forward(&stages, &camera)),
+        (PassKind::Tile, tile(&stages)),
+        (PassKind::Blend, blend_forward(&stages)),
+        (PassKind::Loss, loss(stages.image(job, &camera)?, truth.clone())),
+        (PassKind::LossBackward, loss_backward(stages.image(job, &camera)?, truth.clone())),
+        (PassKind::BlendBackward, blend_backward(&stages)),
+        (PassKind::ShadeBackward, shade_backward(&stages, &camera)),
+        (PassKind::ProjectBackward, project_backward(&stages, &camera)),
+        (PassKind::ActivateBackward, activate_backward(job, device)),
+        (PassKind::Observe, observe(job, device)),
+        (PassKind::Guard, guard(job, device)),
+        (PassKind::Adam, adam(job, device)),
+        (PassKind::Step, step(job, truth, device)),
     ];
     Ok(prepare.into_iter().map(|(kind, prepare)| Pass { kind, prepare }).collect())
 }
@@ -53,7 +53,7 @@ pub fn passes(job: &Job, device: &Device) -> Result<Vec<Pass>, Box<dyn Error>> {
 /// # Errors
 /// If the op refuses the scene.
 pub fn whole_step(job: &Job, device: &Device) -> Pass {
-    Pass { kind: Kind::Step, prepare: step(job, Truth::new(job.photograph(device)), device) }
+    Pass { kind: PassKind::Step, prepare: step(job, Truth::new(job.photograph(device)), device) }
 }
 
 fn activate(job: &Job, device: &Device) -> Prepare {

@@ -13,7 +13,7 @@ use splat_op::blend::BlendSpec;
 use splat_op::{Camera, Colour, SplatError, Splats, shade, with_gradient};
 
 use crate::job::OPTIONS;
-use crate::limit::Kind;
+use crate::limit::PassKind;
 use crate::passes::{blend_planes, harmonics, project_packed, tile_lists};
 use crate::step::{SOUND, density, rates};
 
@@ -31,21 +31,21 @@ pub struct Pieces {
 pub struct Timed {
     /// Loss, `[1]`.
     pub loss: Tensor<1>,
-    /// Time of each pass, in the order of [`Kind::PARTS`].
-    pub seconds: [f64; Kind::PARTS.len()],
+    /// Time of each pass, in the order of [`PassKind::PARTS`].
+    pub seconds: [f64; PassKind::PARTS.len()],
 }
 
 /// A stopwatch for passes.
 struct Watch {
     last: Instant,
-    seconds: [f64; Kind::PARTS.len()],
+    seconds: [f64; PassKind::PARTS.len()],
 }
 
 impl Watch {
     /// Adds the time since the last call to a pass.
-    fn lap(&mut self, kind: Kind) {
+    fn lap(&mut self, kind: PassKind) {
         let now = Instant::now();
-        let place = Kind::PARTS.iter().position(|part| *part == kind).expect("a part of a step");
+        let place = PassKind::PARTS.iter().position(|part| *part == kind).expect("a part of a step");
         self.seconds[place] += (now - self.last).as_secs_f64();
         self.last = now;
     }
@@ -72,7 +72,7 @@ impl Pieces {
         self.step += 1;
         let mut watch = Watch { last: Instant::now(), seconds: [0.0; _] };
         let splats = self.scene.gaussians.splats();
-        watch.lap(Kind::Activate);
+        watch.lap(PassKind::Activate);
 
         let cut = Splats {
             means: leaf(&splats.means),
@@ -85,25 +85,25 @@ impl Pieces {
         let probe = Tensor::<2>::zeros([self.scene.gaussians.len(), 2], &device).require_grad();
         watch.skip();
         let packed = project_packed(&cut, &self.camera, probe.clone());
-        watch.lap(Kind::Project);
+        watch.lap(PassKind::Project);
         // A separate leaf of the centres, so that the gradients of the two stages stay separate.
         let seen = leaf(&splats.means);
         let colours = shade(&harmonics(&cut), &seen, &self.camera)?;
-        watch.lap(Kind::Shade);
+        watch.lap(PassKind::Shade);
         let spec = BlendSpec { intrinsics: self.camera.intrinsics, options: OPTIONS };
         let (counts, hits) = tile_lists(&packed.clone().inner(), spec);
-        watch.lap(Kind::Tile);
+        watch.lap(PassKind::Tile);
         let [ellipses, features] = [leaf(&packed), leaf(&colours)];
         let planes = blend_planes([ellipses.clone(), features.clone()], (&counts, &hits), spec);
-        watch.lap(Kind::Blend);
+        watch.lap(PassKind::Blend);
         let [_, height, width] = planes.dims();
         let image = leaf(&planes.clone().slice([0..3, 0..height, 0..width]).permute([1, 2, 0]));
         watch.skip();
         let loss = photometric(image.clone(), &self.truth, DEFAULT_LAMBDA);
-        watch.lap(Kind::Loss);
+        watch.lap(PassKind::Loss);
 
         let grad = image.grad_remove(&mut loss.backward()).expect("the loss depends on the picture");
-        watch.lap(Kind::LossBackward);
+        watch.lap(PassKind::LossBackward);
         let alpha = Tensor::<3>::zeros([1, height, width], &grad.device());
         let grad = Tensor::cat(vec![grad.permute([2, 0, 1]), alpha], 0);
         let zero = || Tensor::<1>::zeros([1], &grad.device());
@@ -112,12 +112,12 @@ impl Pieces {
         let ellipses = ellipses.grad_remove(&mut grads).expect("the picture depends on the ellipses");
         let features = features.grad_remove(&mut grads).expect("the picture depends on the colours");
         drop((grads, hits));
-        watch.lap(Kind::BlendBackward);
+        watch.lap(PassKind::BlendBackward);
         let mut grads = with_gradient(colours, zero(), features).backward();
         let sh = harmonics(&cut).grad_remove(&mut grads).expect("the colours depend on the harmonics");
         let through_direction = seen.grad_remove(&mut grads).expect("the colours depend on the direction");
         drop(grads);
-        watch.lap(Kind::ShadeBackward);
+        watch.lap(PassKind::ShadeBackward);
         let mut grads = with_gradient(packed, zero(), ellipses).backward();
         let shown = "the ellipses depend on all of them";
         let means = cut.means.grad_remove(&mut grads).expect(shown);
@@ -126,7 +126,7 @@ impl Pieces {
         let opacities = cut.opacities.grad_remove(&mut grads).expect(shown);
         let mean2d = probe.grad_remove(&mut grads).expect(shown);
         drop((grads, cut));
-        watch.lap(Kind::ProjectBackward);
+        watch.lap(PassKind::ProjectBackward);
         let means = means + through_direction;
         watch.skip();
         let activated = with_gradient(splats.scales.clone(), zero(), scales)
@@ -140,15 +140,15 @@ impl Pieces {
             ..Gradients::take(&self.scene.gaussians, &mut grads)
         };
         drop(grads);
-        watch.lap(Kind::ActivateBackward);
+        watch.lap(PassKind::ActivateBackward);
 
         self.density.observe(Observed { gradient: Some(mean2d), size: (width, height), ..Observed::default() });
-        watch.lap(Kind::Observe);
+        watch.lap(PassKind::Observe);
         let loss = loss.inner();
         self.guard.look(self.step, 0, &loss, &gradients).expect(SOUND);
-        watch.lap(Kind::Guard);
+        watch.lap(PassKind::Guard);
         self.scene.step(gradients, &Adam::default(), &rates(), self.step, None);
-        watch.lap(Kind::Adam);
+        watch.lap(PassKind::Adam);
         Ok(Timed { loss, seconds: watch.seconds })
     }
 }

@@ -4,7 +4,7 @@ use std::sync::OnceLock;
 
 use burn::tensor::Device;
 use splat_hard_cases::{Place, Processor};
-use splat_train::device::{AdapterDevice, DeviceName, Kind, open};
+use splat_train::device::{AdapterDevice, AdapterKind, DeviceName, open};
 
 use crate::data::announce;
 
@@ -23,7 +23,7 @@ pub fn places() -> Vec<Place> {
     };
     let mut places: Vec<Place> = cpu_devices().into_iter().map(cpu).collect();
     places.extend(gpu().map(|device| {
-        let software = adapter().expect("it is open").adapter.kind == Kind::Software;
+        let software = adapter().expect("it is open").adapter.kind == AdapterKind::Software;
         Place { name: "gpu".into(), device, processor: Processor::Gpu, software }
     }));
     places

@@ -9,7 +9,7 @@ use splat_hard_cases::judge::{Verdict, judge};
 use splat_hard_cases::table::{Section, markdown};
 use splat_hard_cases::{CaseGroup, GROUPS, Place, Processor};
 
-use crate::device::{self, DeviceName, Kind};
+use crate::device::{self, AdapterKind, DeviceName};
 use crate::output::OutputFolder;
 use crate::progress;
 
@@ -78,7 +78,7 @@ fn places(names: &[DeviceName]) -> Result<Vec<Place>> {
 
 fn place(name: DeviceName) -> Result<Place> {
     let (processor, software) = match name.find()?.0 {
-        Some(found) => (Processor::Gpu, device::open(&found)?.kind == Kind::Software),
+        Some(found) => (Processor::Gpu, device::open(&found)?.kind == AdapterKind::Software),
         None => (Processor::Cpu, false),
     };
     let (device, name) = name.resolve()?;

@@ -14,7 +14,7 @@ use burn::tensor::Device;
 use fearless_simd::Level;
 use splat_benches::allocations::{Allocated, CountingAllocator, allocated};
 use splat_benches::job::{Job, Size};
-use splat_benches::limit::Kind;
+use splat_benches::limit::PassKind;
 use splat_benches::measure::{Pass, PassResult, Prepare, Timed};
 use splat_benches::passes::passes;
 
@@ -33,11 +33,11 @@ fn main() -> Result<(), Box<dyn Error>> {
         return Err(format!("the counts are recorded for AVX2, and this is {level:?}").into());
     }
     let wanted: Vec<String> = std::env::args().skip(1).collect();
-    let wants = |kind: Kind| wanted.is_empty() || wanted.iter().any(|word| kind.name().starts_with(word.as_str()));
+    let wants = |kind: PassKind| wanted.is_empty() || wanted.iter().any(|word| kind.name().starts_with(word.as_str()));
     let job = Job::new(Size::Tiny)?;
     let mut passes = passes(&job, &Device::flex())?;
-    passes.retain(|pass| pass.kind != Kind::Step);
-    passes.push(Pass { kind: Kind::Step, prepare: trainer_step(&job) });
+    passes.retain(|pass| pass.kind != PassKind::Step);
+    passes.push(Pass { kind: PassKind::Step, prepare: trainer_step(&job) });
     for Pass { kind, prepare } in passes.iter_mut().filter(|pass| wants(pass.kind)) {
         for _ in 0..WARM_UP {
             prepare()?()?;

@@ -13,7 +13,7 @@ pub struct HardCase {
     /// How hard the case is, in numbers. The table appends the condition number of the scene's ellipses.
     pub hardness: String,
     /// The scenes or the function that the case runs.
-    pub kind: Kind,
+    pub kind: CaseKind,
     /// Bounds above the ceiling, where f32 cannot meet it, with reasons. The table lists such a case as loose, never as passed.
     pub loose: Vec<Loose>,
     /// Why drivers in software cannot run the case, if they cannot. The table states that they did not.
@@ -21,7 +21,7 @@ pub struct HardCase {
 }
 
 /// Kind of a case.
-pub enum Kind {
+pub enum CaseKind {
     /// Scenes, each judged separately. The row shows the worst.
     Scenes(Vec<HardScene>),
     /// Any other check.
@@ -87,7 +87,7 @@ pub struct Outcome {
 impl HardCase {
     /// Creates a case of scenes.
     pub fn scenes(name: impl Into<String>, why: &'static str, scenes: Vec<HardScene>) -> Self {
-        Self::new(name.into(), why, Kind::Scenes(scenes))
+        Self::new(name.into(), why, CaseKind::Scenes(scenes))
     }
 
     /// Creates a case that runs a function.
@@ -96,10 +96,10 @@ impl HardCase {
         why: &'static str,
         check: impl Fn(&Place) -> Outcome + Send + Sync + 'static,
     ) -> Self {
-        Self::new(name.into(), why, Kind::Check(Box::new(check)))
+        Self::new(name.into(), why, CaseKind::Check(Box::new(check)))
     }
 
-    fn new(name: String, why: &'static str, kind: Kind) -> Self {
+    fn new(name: String, why: &'static str, kind: CaseKind) -> Self {
         Self { name, why, hardness: String::new(), kind, loose: Vec::new(), beyond_software: None }
     }
 

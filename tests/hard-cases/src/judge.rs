@@ -5,7 +5,7 @@ use glam::{DMat3, DVec3};
 use splat_op::exact::{ExactGaussian, ExactPose, render_exact};
 use splat_op::{Order, Projection, RenderOptions};
 
-use crate::case::{HardCase, Kind, MeasuredDeviation, Outcome, Place, Processor};
+use crate::case::{CaseKind, HardCase, MeasuredDeviation, Outcome, Place, Processor};
 use crate::ceiling::{ROW_EXCEPTIONS, ROW_TOLERANCE, SMALLEST, ceiling_used};
 use crate::compare::{largest, norm, relative_error, worst};
 use crate::evaluate::{OF_NO_SPLAT, Outputs, culled, evaluate};
@@ -71,10 +71,10 @@ pub fn judge(case: &HardCase, places: &[Place]) -> Row {
     let loose = places.iter().any(|place| case.limit(place.processor) > 1.0);
     let mut row = Row { places: Vec::new(), textbook: None, condition: 1.0, remarks: Vec::new(), loose };
     match &case.kind {
-        Kind::Check(check) => {
+        CaseKind::Check(check) => {
             row.places = places.iter().map(|&place| (place.clone(), check(place))).collect();
         }
-        Kind::Scenes(scenes) => {
+        CaseKind::Scenes(scenes) => {
             row.places = places.iter().map(|&place| (place.clone(), Outcome::default())).collect();
             for scene in scenes {
                 let yardstick = Yardstick::new(scene);

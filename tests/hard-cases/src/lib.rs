@@ -21,5 +21,5 @@ pub mod scratch;
 pub mod table;
 pub mod textbook;
 
-pub use case::{Check, HardCase, Kind, Loose, MeasuredDeviation, Outcome, Place, Processor};
+pub use case::{CaseKind, Check, HardCase, Loose, MeasuredDeviation, Outcome, Place, Processor};
 pub use cases::{CaseGroup, GROUPS, battery};

@@ -8,7 +8,7 @@ use super::{DeviceName, Runtime};
 
 /// Kind of an adapter, best first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Kind {
+pub enum AdapterKind {
     /// A graphics card.
     Discrete,
     /// A GPU that is part of the processor.
@@ -21,14 +21,14 @@ pub enum Kind {
     Software,
 }
 
-impl Kind {
+impl AdapterKind {
     /// Whether it is certainly a GPU.
     fn is_gpu(self) -> bool {
         self <= Self::Virtual
     }
 }
 
-impl Display for Kind {
+impl Display for AdapterKind {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
             Self::Discrete => "discrete",
@@ -48,7 +48,7 @@ pub struct Adapter {
     /// Index among the adapters of its runtime.
     pub index: usize,
     /// Kind of the adapter.
-    pub kind: Kind,
+    pub kind: AdapterKind,
 }
 
 impl Adapter {
@@ -141,7 +141,7 @@ fn advice(runtime: Runtime) -> &'static str {
 mod tests {
     use super::*;
 
-    fn adapter(runtime: Runtime, index: usize, kind: Kind) -> Adapter {
+    fn adapter(runtime: Runtime, index: usize, kind: AdapterKind) -> Adapter {
         Adapter { runtime, index, kind }
     }
 
@@ -157,7 +157,14 @@ mod tests {
 
     #[test]
     fn auto_takes_the_best_gpu_wherever_it_is_listed() {
-        let kinds = [Kind::Software, Kind::Unknown, Kind::Virtual, Kind::Integrated, Kind::Discrete, Kind::Discrete];
+        let kinds = [
+            AdapterKind::Software,
+            AdapterKind::Unknown,
+            AdapterKind::Virtual,
+            AdapterKind::Integrated,
+            AdapterKind::Discrete,
+            AdapterKind::Discrete,
+        ];
         let all: Vec<Adapter> = kinds.into_iter().enumerate().map(|(i, kind)| adapter(WGPU, i, kind)).collect();
         assert_eq!(chosen(DeviceName::Auto, &all), Some(all[4]), "the first of the discrete ones");
         assert_eq!(chosen(DeviceName::Auto, &all[..4]), Some(all[3]), "else an integrated one");
@@ -167,13 +174,13 @@ mod tests {
     #[test]
     fn auto_takes_the_cpu_rather_than_a_driver_in_software() {
         assert_eq!(chosen(DeviceName::Auto, &[]), None);
-        let doubtful = [adapter(WGPU, 0, Kind::Software), adapter(WGPU, 1, Kind::Unknown)];
+        let doubtful = [adapter(WGPU, 0, AdapterKind::Software), adapter(WGPU, 1, AdapterKind::Unknown)];
         assert_eq!(chosen(DeviceName::Auto, &doubtful), None);
     }
 
     #[test]
     fn names_of_the_cpu_never_take_a_gpu() {
-        let card = [adapter(WGPU, 0, Kind::Discrete)];
+        let card = [adapter(WGPU, 0, AdapterKind::Discrete)];
         for name in [DeviceName::Cpu, DeviceName::Flex, DeviceName::Ndarray] {
             assert_eq!(chosen(name, &card), None);
         }
@@ -181,29 +188,29 @@ mod tests {
 
     #[test]
     fn gpu_takes_software_if_there_is_nothing_better() {
-        let software = adapter(WGPU, 0, Kind::Software);
-        let card = adapter(WGPU, 1, Kind::Integrated);
+        let software = adapter(WGPU, 0, AdapterKind::Software);
+        let card = adapter(WGPU, 1, AdapterKind::Integrated);
         assert_eq!(chosen(DeviceName::Gpu, &[software]), Some(software));
         assert_eq!(chosen(DeviceName::Gpu, &[software, card]), Some(card));
-        let unknown = adapter(WGPU, 2, Kind::Unknown);
+        let unknown = adapter(WGPU, 2, AdapterKind::Unknown);
         assert_eq!(chosen(DeviceName::Gpu, &[software, unknown]), Some(unknown));
     }
 
     #[test]
     fn of_one_card_the_maker_s_own_runtime_is_taken_and_the_better_card_before_that() {
-        let card = [WGPU, Runtime::Vulkan, Runtime::Cuda].map(|runtime| adapter(runtime, 0, Kind::Discrete));
+        let card = [WGPU, Runtime::Vulkan, Runtime::Cuda].map(|runtime| adapter(runtime, 0, AdapterKind::Discrete));
         assert_eq!(chosen(DeviceName::Auto, &card), Some(card[2]));
         assert_eq!(chosen(DeviceName::Auto, &card[..2]), Some(card[1]));
-        let mixed = [adapter(WGPU, 0, Kind::Discrete), adapter(Runtime::Vulkan, 0, Kind::Software)];
+        let mixed = [adapter(WGPU, 0, AdapterKind::Discrete), adapter(Runtime::Vulkan, 0, AdapterKind::Software)];
         assert_eq!(chosen(DeviceName::Gpu, &mixed), Some(mixed[0]));
     }
 
     #[test]
     fn a_runtime_takes_the_best_of_its_own() {
         let all = [
-            adapter(WGPU, 0, Kind::Discrete),
-            adapter(Runtime::Vulkan, 0, Kind::Software),
-            adapter(Runtime::Vulkan, 1, Kind::Integrated),
+            adapter(WGPU, 0, AdapterKind::Discrete),
+            adapter(Runtime::Vulkan, 0, AdapterKind::Software),
+            adapter(Runtime::Vulkan, 1, AdapterKind::Integrated),
         ];
         assert_eq!(chosen(DeviceName::Adapter(Runtime::Vulkan, None), &all), Some(all[2]));
         assert_eq!(chosen(DeviceName::Adapter(Runtime::Vulkan, Some(0)), &all), Some(all[1]));
@@ -213,9 +220,9 @@ mod tests {
     #[test]
     fn a_number_beyond_the_last_names_the_range() {
         let all = [
-            adapter(WGPU, 0, Kind::Discrete),
-            adapter(WGPU, 1, Kind::Software),
-            adapter(Runtime::Cuda, 0, Kind::Discrete),
+            adapter(WGPU, 0, AdapterKind::Discrete),
+            adapter(WGPU, 1, AdapterKind::Software),
+            adapter(Runtime::Cuda, 0, AdapterKind::Discrete),
         ];
         let message = refused(DeviceName::Adapter(WGPU, Some(2)), &all);
         assert!(message.contains("`gpu:2`") && message.contains("`gpu:0` to `gpu:1`"), "{message}");
@@ -225,7 +232,7 @@ mod tests {
 
     #[test]
     fn without_any_the_message_says_what_was_looked_for_and_what_to_do() {
-        let cuda = [adapter(Runtime::Cuda, 0, Kind::Discrete)];
+        let cuda = [adapter(Runtime::Cuda, 0, AdapterKind::Discrete)];
         for name in [DeviceName::Adapter(Runtime::Vulkan, None), DeviceName::Adapter(Runtime::Vulkan, Some(1))] {
             let message = refused(name, &cuda);
             for part in [&format!("--device {name}"), "looked for Vulkan", "Install", "--device cpu"] {

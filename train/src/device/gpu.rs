@@ -5,7 +5,7 @@ use burn::backend::{CubeDevice, DispatchDevice};
 use burn::tensor::{Device, DeviceType};
 use splat_op::Abilities;
 
-use super::{Adapter, AdapterDevice, Facts, Kind, Runtime};
+use super::{Adapter, AdapterDevice, AdapterKind, Facts, Runtime};
 
 /// Lists the adapters of some runtimes, in the order of the runtimes and then by index. Empty without a driver.
 pub fn list(runtimes: &[Runtime]) -> Vec<AdapterDevice> {
@@ -35,22 +35,22 @@ fn enumerate(runtime: Runtime) -> Vec<Device> {
     Device::enumerate(kind_of_device).into_vec()
 }
 
-fn kind(device: &Device) -> Kind {
+fn kind(device: &Device) -> AdapterKind {
     match device.as_dispatch() {
         #[cfg(feature = "wgpu")]
         DispatchDevice::Cube(CubeDevice::Wgpu(device)) => {
             use burn::backend::WgpuDeviceKind;
             match device.kind {
-                WgpuDeviceKind::DiscreteGpu(_) => Kind::Discrete,
-                WgpuDeviceKind::IntegratedGpu(_) => Kind::Integrated,
-                WgpuDeviceKind::VirtualGpu(_) => Kind::Virtual,
-                WgpuDeviceKind::Cpu => Kind::Software,
-                _ => Kind::Unknown,
+                WgpuDeviceKind::DiscreteGpu(_) => AdapterKind::Discrete,
+                WgpuDeviceKind::IntegratedGpu(_) => AdapterKind::Integrated,
+                WgpuDeviceKind::VirtualGpu(_) => AdapterKind::Virtual,
+                WgpuDeviceKind::Cpu => AdapterKind::Software,
+                _ => AdapterKind::Unknown,
             }
         }
         // The makers' runtimes list only their own cards, almost all of which are discrete.
-        DispatchDevice::Cube(CubeDevice::Cuda(_) | CubeDevice::Hip(_)) => Kind::Discrete,
-        _ => Kind::Unknown,
+        DispatchDevice::Cube(CubeDevice::Cuda(_) | CubeDevice::Hip(_)) => AdapterKind::Discrete,
+        _ => AdapterKind::Unknown,
     }
 }
 

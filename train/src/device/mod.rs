@@ -28,7 +28,7 @@ use std::fmt::{self, Display};
 use anyhow::Result;
 use burn::tensor::Device;
 
-pub use choice::{Adapter, Kind, choose};
+pub use choice::{Adapter, AdapterKind, choose};
 pub use gpu::{list, open};
 pub use name::{DeviceName, Runtime, help};
 
@@ -49,7 +49,7 @@ pub struct Facts {
     /// Name of the hardware.
     pub name: String,
     /// Kind of the adapter.
-    pub kind: Kind,
+    pub kind: AdapterKind,
     /// Graphics interface and language of the kernels, or the maker's runtime.
     pub runtime: String,
     /// Largest buffer, bytes.

@@ -5,7 +5,7 @@ use std::f64::consts::TAU;
 use glam::DVec3;
 
 use super::geometry::{Occlusion, Ray, Shape};
-use super::scene::{Kind, Object, Scene, SurfacePoint};
+use super::scene::{Object, ObjectKind, Scene, SurfacePoint};
 
 /// Rays to the sun per shaded point: 16 levels of penumbra, finer than 8 bits show after averaging 9 samples.
 const SUN_SAMPLES: usize = 16;
@@ -58,9 +58,9 @@ impl LitScene {
     pub fn towards(&self, ray: &Ray, point: &SurfacePoint) -> DVec3 {
         let matte = self.matte(point);
         match self.scene.objects[point.object].kind {
-            Kind::Glossy => self.with_reflection(ray, point, matte),
-            Kind::Lacquered => matte + self.sheen(ray, point),
-            Kind::Matte | Kind::Ground | Kind::Sky => matte,
+            ObjectKind::Glossy => self.with_reflection(ray, point, matte),
+            ObjectKind::Lacquered => matte + self.sheen(ray, point),
+            ObjectKind::Matte | ObjectKind::Ground | ObjectKind::Sky => matte,
         }
     }
 
@@ -68,7 +68,7 @@ impl LitScene {
     pub fn matte(&self, point: &SurfacePoint) -> DVec3 {
         let object = &self.scene.objects[point.object];
         let colour = object.colour(point.position_world, point.normal_world);
-        if object.kind == Kind::Sky {
+        if object.kind == ObjectKind::Sky {
             return SKY_GLOW * colour;
         }
         let cosine = point.normal_world.dot(self.to_sun);

@@ -11,7 +11,7 @@ use super::texture::{self, Texture, srgb};
 pub(super) struct Object {
     pub shape: Shape,
     pub texture: Texture,
-    pub kind: Kind,
+    pub kind: ObjectKind,
     pub centre_world: DVec3,
     pub bounding_radius: f64,
     /// The rigid transform into the shape's frame.
@@ -21,7 +21,7 @@ pub(super) struct Object {
 
 /// How an object takes part in shading.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Kind {
+pub(super) enum ObjectKind {
     /// Lit, and casts shadows.
     Matte,
     /// As matte, with a mirror reflection added.
@@ -41,7 +41,7 @@ impl Object {
         Self {
             shape,
             texture,
-            kind: Kind::Matte,
+            kind: ObjectKind::Matte,
             centre_world,
             bounding_radius: shape.bounding_radius(),
             local_from_world: world_from_local.inverse(),
@@ -49,7 +49,7 @@ impl Object {
         }
     }
 
-    fn of_kind(self, kind: Kind) -> Self {
+    fn of_kind(self, kind: ObjectKind) -> Self {
         Self { kind, ..self }
     }
 
@@ -88,7 +88,7 @@ impl Object {
     }
 
     pub fn casts_shadow(&self) -> bool {
-        matches!(self.kind, Kind::Matte | Kind::Glossy | Kind::Lacquered)
+        matches!(self.kind, ObjectKind::Matte | ObjectKind::Glossy | ObjectKind::Lacquered)
     }
 
     /// The texture's colour at a point of the surface.
@@ -120,7 +120,7 @@ impl Scene {
         for (i, object) in self.objects.iter().enumerate() {
             let limit = nearest.map_or(f64::INFINITY, |point| point.distance);
             // The sky is behind everything.
-            let hidden = object.kind == Kind::Sky && nearest.is_some();
+            let hidden = object.kind == ObjectKind::Sky && nearest.is_some();
             if hidden || !object.may_be_hit(ray, limit) {
                 continue;
             }
@@ -133,12 +133,12 @@ impl Scene {
 
     /// Whether a point lies on the ground or the sky.
     pub fn is_surroundings(&self, point: &SurfacePoint) -> bool {
-        matches!(self.objects[point.object].kind, Kind::Ground | Kind::Sky)
+        matches!(self.objects[point.object].kind, ObjectKind::Ground | ObjectKind::Sky)
     }
 
     /// Whether a point lies on clear sky, which has no features to match.
     pub fn is_clear_sky(&self, point: &SurfacePoint, options: &DemoOptions) -> bool {
-        let is_sky = matches!(self.objects[point.object].kind, Kind::Sky);
+        let is_sky = matches!(self.objects[point.object].kind, ObjectKind::Sky);
         options.far && is_sky && point.position_world.normalize_or_zero().z > texture::VISTA_CREST
     }
 
@@ -152,8 +152,8 @@ impl Scene {
         if options.glossy {
             objects
                 .iter_mut()
-                .filter(|object| object.kind == Kind::Matte)
-                .for_each(|object| object.kind = Kind::Lacquered);
+                .filter(|object| object.kind == ObjectKind::Matte)
+                .for_each(|object| object.kind = ObjectKind::Lacquered);
         }
         let mirror = Object::new(
             Shape::Sphere { radius: 0.42 },
@@ -161,7 +161,7 @@ impl Scene {
             [-0.72, 1.12, 0.42],
             about_z(40.0),
         );
-        objects.push(mirror.of_kind(if options.glossy { Kind::Glossy } else { Kind::Matte }));
+        objects.push(mirror.of_kind(if options.glossy { ObjectKind::Glossy } else { ObjectKind::Matte }));
         objects.push(sky);
         Self { objects }
     }
@@ -251,7 +251,7 @@ fn surroundings(options: &DemoOptions) -> [Object; 3] {
     let sky = Object::new(Shape::Dome { radius: dome }, air, [0.0, 0.0, -0.36], DQuat::IDENTITY);
     [
         Object::new(platform, Texture::Wood, [0.0, 0.0, -0.18], DQuat::IDENTITY),
-        ground.of_kind(Kind::Ground),
-        sky.of_kind(Kind::Sky),
+        ground.of_kind(ObjectKind::Ground),
+        sky.of_kind(ObjectKind::Sky),
     ]
 }

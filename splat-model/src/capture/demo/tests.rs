@@ -15,7 +15,7 @@ use super::geometry::Ray;
 use super::light::{LitScene, display};
 use super::picture::render;
 use super::points::{sample, sight};
-use super::scene::{Kind, Scene};
+use super::scene::{ObjectKind, Scene};
 use super::shot::{Shot, shots};
 use super::*;
 

@@ -7,7 +7,7 @@
 use splat_op::{Intrinsics, Order, Projection, RenderOptions};
 
 use super::{near, needles, sizes};
-use crate::case::{HardCase, Kind, Processor};
+use crate::case::{CaseKind, HardCase, Processor};
 use crate::random::Random;
 use crate::scene::{HardScene, SMOOTH, Splat, Truth};
 
@@ -99,10 +99,10 @@ pub fn cases() -> Vec<HardCase> {
 
 /// Runs a case of another group with other options.
 fn along_rays(case: HardCase, what: &str, options: RenderOptions) -> HardCase {
-    let Kind::Scenes(scenes) = case.kind else { return case };
+    let CaseKind::Scenes(scenes) = case.kind else { return case };
     let scene = |scene: HardScene| scene.with_options(options).with_truth(Truth::Twin);
     let scenes = scenes.into_iter().map(scene).collect();
-    HardCase { name: format!("{}, {what}", case.name), kind: Kind::Scenes(scenes), ..case }
+    HardCase { name: format!("{}, {what}", case.name), kind: CaseKind::Scenes(scenes), ..case }
 }
 
 /// Discs that intersect each other.

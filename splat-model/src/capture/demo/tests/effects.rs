@@ -212,7 +212,7 @@ fn alpha_and_colour_come_from_the_same_rays() {
                 DVec2::new(f64::from(x), f64::from(y)) + (DVec2::new(f64::from(i % 3), f64::from(i / 3)) + 0.5) / 3.0;
             let ray = shot.camera.ray_through(at_px);
             let kind = scene.scene.objects[scene.scene.hit(&ray).unwrap().object].kind;
-            if !matches!(kind, Kind::Ground | Kind::Sky) {
+            if !matches!(kind, ObjectKind::Ground | ObjectKind::Sky) {
                 sum += scene.along(&ray);
                 count += 1;
             }
@@ -297,7 +297,7 @@ fn depth_maps_hold_depth_along_the_axis() {
         for (x, y, level) in depth::render(&scene, shot).enumerate_pixels() {
             let ray = shot.camera.ray_through(DVec2::new(f64::from(x), f64::from(y)) + 0.5);
             let point = scene.scene.hit(&ray).unwrap();
-            if unknown && scene.scene.objects[point.object].kind == Kind::Sky {
+            if unknown && scene.scene.objects[point.object].kind == ObjectKind::Sky {
                 assert_eq!(level.0[0], 0);
             }
             zeros += usize::from(level.0[0] == 0);

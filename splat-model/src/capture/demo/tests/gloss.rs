@@ -13,16 +13,17 @@ fn gloss_shows_only_on_glossy_objects() {
             let point = glossy.scene.hit(&ray).unwrap();
             let difference = (display(matte.along(&ray)) - display(glossy.along(&ray))).length();
             match glossy.scene.objects[point.object].kind {
-                Kind::Glossy => mirrored += usize::from(difference > 0.02),
-                Kind::Lacquered => lacquered += usize::from(difference > 0.02),
-                Kind::Matte | Kind::Ground | Kind::Sky => assert_eq!(difference, 0.0, "{point:?}"),
+                ObjectKind::Glossy => mirrored += usize::from(difference > 0.02),
+                ObjectKind::Lacquered => lacquered += usize::from(difference > 0.02),
+                ObjectKind::Matte | ObjectKind::Ground | ObjectKind::Sky => assert_eq!(difference, 0.0, "{point:?}"),
             }
         }
     }
     assert!(mirrored > 50 && lacquered > 500, "they show in only {mirrored} and {lacquered} pixels");
-    let kinds = |scene: &LitScene, kind: Kind| scene.scene.objects.iter().filter(|object| object.kind == kind).count();
-    assert_eq!((kinds(&matte, Kind::Glossy), kinds(&matte, Kind::Lacquered)), (0, 0));
-    assert_eq!((kinds(&glossy, Kind::Glossy), kinds(&glossy, Kind::Matte)), (1, 0));
+    let kinds =
+        |scene: &LitScene, kind: ObjectKind| scene.scene.objects.iter().filter(|object| object.kind == kind).count();
+    assert_eq!((kinds(&matte, ObjectKind::Glossy), kinds(&matte, ObjectKind::Lacquered)), (0, 0));
+    assert_eq!((kinds(&glossy, ObjectKind::Glossy), kinds(&glossy, ObjectKind::Matte)), (1, 0));
 }
 
 #[test]
@@ -33,7 +34,7 @@ fn gloss_depends_on_the_view() {
     for ray in grid(&cameras[2]) {
         let point = scene.scene.hit(&ray).unwrap();
         for other in &cameras {
-            if scene.scene.objects[point.object].kind != Kind::Glossy {
+            if scene.scene.objects[point.object].kind != ObjectKind::Glossy {
                 continue;
             }
             if let Some(at_px) = sight(&scene, &Shot::plain(*other), point.position_world) {
@@ -53,7 +54,7 @@ fn a_mirror_shows_what_lies_in_the_mirrored_direction() {
     for ray in grid(&cameras(&SMALL)[2]) {
         let point = scene.scene.hit(&ray).unwrap();
         let normal = point.normal_world;
-        if scene.scene.objects[point.object].kind != Kind::Glossy {
+        if scene.scene.objects[point.object].kind != ObjectKind::Glossy {
             continue;
         }
         let mirrored = Ray { origin: point.position_world + 1e-4 * normal, direction: ray.direction.reflect(normal) };
@@ -76,7 +77,7 @@ fn lacquer_shines_towards_the_mirrored_sun() {
     let mut largest: f64 = 0.0;
     for ray in grid(&cameras[2]) {
         let point = glossy.scene.hit(&ray).unwrap();
-        if glossy.scene.objects[point.object].kind != Kind::Lacquered {
+        if glossy.scene.objects[point.object].kind != ObjectKind::Lacquered {
             continue;
         }
         let sheen = |ray: &Ray| glossy.along(ray) - matte.along(ray);
