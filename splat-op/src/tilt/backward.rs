@@ -7,7 +7,7 @@
 use cubecl::prelude::*;
 
 use super::TILT;
-use super::forward::{Leaning, lean};
+use super::forward::{TiltTerms, lean};
 use crate::gpu::UNITS;
 use crate::gpu::math::{POSE, Pose, Vec3};
 use crate::project::backward::{Wanted, no_gradient, seen_backward, store_sum};
@@ -17,7 +17,7 @@ use crate::project::forward::{Gaussian, Packed, ProjectCamera, ProjectionTerms, 
 #[cube]
 fn factor_backward(
     f: &ProjectionTerms,
-    l: &Leaning,
+    l: &TiltTerms,
     grad_u: f32,
     grad_v: f32,
     grad_thickness: f32,

@@ -38,7 +38,7 @@ impl<F: Real> TiltCamera<F> {
 }
 
 /// What the forward pass computes on its way; the names are those of the contract.
-struct Leaning<F> {
+struct TiltTermsCpu<F> {
     mean_cam: [F; 3],
     ratio: [F; 2],
     slope: [F; 2],
@@ -64,7 +64,7 @@ struct Leaning<F> {
     thickness_free: bool,
 }
 
-impl<F: Real> Leaning<F> {
+impl<F: Real> TiltTermsCpu<F> {
     /// `None` for a Gaussian without a tilt.
     fn new(lens: &TiltCamera<F>, inputs: &Geometry<&[F]>, i: usize) -> Option<Self> {
         let three = |values: &[F]| [values[3 * i], values[3 * i + 1], values[3 * i + 2]];
@@ -169,7 +169,7 @@ pub(crate) fn tilt_cpu<F: Real>(inputs: Geometry<&[F]>, spec: &ProjectSpec) -> V
     let lens = TiltCamera::new(inputs.cam_from_world, spec);
     let mut tilts = vec![F::ZERO; inputs.opacities.len() * TILT];
     tilts.par_chunks_mut(TILT).with_min_len(CHUNK).enumerate().for_each(|(i, row)| {
-        if let Some(leaning) = Leaning::new(&lens, &inputs, i) {
+        if let Some(leaning) = TiltTermsCpu::new(&lens, &inputs, i) {
             row.copy_from_slice(&leaning.tilt);
         }
     });
@@ -194,7 +194,7 @@ fn backward_one<F: Real>(
     if grad.iter().all(|value| *value == F::ZERO) {
         return None;
     }
-    let leaning = Leaning::new(lens, inputs, i)?;
+    let leaning = TiltTermsCpu::new(lens, inputs, i)?;
     let three = |values: &[F]| [values[3 * i], values[3 * i + 1], values[3 * i + 2]];
     let (mean, scales) = (three(inputs.means), three(inputs.scales));
     let grad_m = leaning.factor_backward(grad);

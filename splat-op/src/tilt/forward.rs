@@ -9,7 +9,7 @@ use crate::project::forward::{Gaussian, Packed, ProjectCamera, ProjectionTerms, 
 /// What the forward pass computes on its way and the backward pass needs again. The names are those of the contract.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
-pub(super) struct Leaning {
+pub(super) struct TiltTerms {
     /// Without it the Gaussian has no tilt: it is culled, or too long.
     pub sound: bool,
     /// The last row of `W R` over z, and the same times the scales.
@@ -28,7 +28,7 @@ pub(super) struct Leaning {
 }
 
 #[cube]
-pub(super) fn lean(projection: &ProjectionTerms, gaussian: &Gaussian, lens: &ProjectCamera) -> Leaning {
+pub(super) fn lean(projection: &ProjectionTerms, gaussian: &Gaussian, lens: &ProjectCamera) -> TiltTerms {
     let j = projection.last.times(1.0 / projection.depth);
     let mz = j.by_axis(gaussian.scale);
     let inverse_v = 1.0 / projection.sigma_v;
@@ -44,7 +44,7 @@ pub(super) fn lean(projection: &ProjectionTerms, gaussian: &Gaussian, lens: &Pro
     let tilt_v = p.dot(c) + b_u * a.dot(mz);
     let held = min(thickness, comptime!(THICKNESS_MAX as f32));
     let known = finite(tilt_u) && finite(tilt_v) && finite(thickness);
-    Leaning {
+    TiltTerms {
         sound: projection.visible && length <= 1e30 && known,
         j,
         mz,
