@@ -276,13 +276,13 @@ mod tests {
     fn each_flag_is_an_option_of_its_own() {
         use clap::{CommandFactory, FromArgMatches, Parser};
         #[derive(Parser)]
-        struct Line {
+        struct DemoCli {
             #[command(flatten)]
             demo: DemoArgs,
         }
         let marked = |line: &[&str]| {
             let line = ["demo", "--out", "x"].iter().chain(line);
-            mark(&Line::from_arg_matches(&Line::command().get_matches_from(line)).unwrap().demo.options())
+            mark(&DemoCli::from_arg_matches(&DemoCli::command().get_matches_from(line)).unwrap().demo.options())
         };
         let plain = marked(&[]);
         assert_eq!(plain, mark(&DemoOptions::PLAIN));

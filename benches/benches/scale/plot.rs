@@ -13,7 +13,7 @@ use crate::record::{ALLOWED_BYTES, Row, ScaleAxis};
 const SIZE: (u32, u32) = (1000, 420);
 
 /// A line of a plot.
-struct Line {
+struct PlotLine {
     name: &'static str,
     colour: RGBColor,
     points: Vec<(f64, f64)>,
@@ -21,10 +21,10 @@ struct Line {
 
 pub fn draw(axis: ScaleAxis, rows: &[Row], to: &Path) -> Result<(), Box<dyn Error>> {
     let colours = [RGBColor(40, 90, 160), RGBColor(200, 80, 40)];
-    let lines = |value: &dyn Fn(&Row) -> f64| -> Vec<Line> {
+    let lines = |value: &dyn Fn(&Row) -> f64| -> Vec<PlotLine> {
         let of = |(work, colour): (Work, RGBColor)| {
             let rows = rows.iter().filter(|row| row.point.work == work);
-            Line { name: work.name(), colour, points: rows.map(|row| (axis.of(&row.point), value(row))).collect() }
+            PlotLine { name: work.name(), colour, points: rows.map(|row| (axis.of(&row.point), value(row))).collect() }
         };
         let lines = Work::ALL.into_iter().zip(colours).map(of);
         lines.filter(|line| !line.points.is_empty()).collect()
@@ -39,7 +39,7 @@ pub fn draw(axis: ScaleAxis, rows: &[Row], to: &Path) -> Result<(), Box<dyn Erro
             let more = axis.of(&row.point) - axis.of(&fewest.point);
             (axis.of(&row.point), (fewest.live_bytes as f64 + ALLOWED_BYTES * more) / f64::from(1 << 20))
         };
-        memory.push(Line {
+        memory.push(PlotLine {
             name: "1.3 × (parameters, moments, gradient)",
             colour: RGBColor(120, 120, 120),
             points: steps.iter().map(goal).collect(),
@@ -62,7 +62,7 @@ pub fn draw(axis: ScaleAxis, rows: &[Row], to: &Path) -> Result<(), Box<dyn Erro
 
 type Area<'a> = DrawingArea<SVGBackend<'a>, plotters::coord::Shift>;
 
-fn chart(area: &Area, title: &str, unit: &str, lines: &[Line]) -> Result<(), Box<dyn Error>> {
+fn chart(area: &Area, title: &str, unit: &str, lines: &[PlotLine]) -> Result<(), Box<dyn Error>> {
     let all = || lines.iter().flat_map(|line| &line.points);
     let (x, y) = (around(all().map(|point| point.0)), decades(all().map(|point| point.1)));
     let mut chart = ChartBuilder::on(area)
@@ -80,7 +80,7 @@ fn chart(area: &Area, title: &str, unit: &str, lines: &[Line]) -> Result<(), Box
         .x_label_formatter(&label)
         .y_label_formatter(&label)
         .draw()?;
-    for Line { name, colour, points } in lines {
+    for PlotLine { name, colour, points } in lines {
         let colour = *colour;
         chart
             .draw_series(LineSeries::new(points.iter().copied(), colour.stroke_width(2)).point_size(3))?

@@ -22,7 +22,7 @@ const FEW: usize = 4;
 /// A line of `--json`. Fields are added over time, and never renamed.
 #[derive(Serialize)]
 #[serde(tag = "event", rename_all = "lowercase")]
-pub enum Line<'a> {
+pub enum LogLine<'a> {
     /// Written before the first step.
     Start { steps: usize, train_views: usize, test_views: usize, splats: usize, device: &'a str, version: &'a str },
     /// Written evenly over the steps, at most 251 times.
@@ -77,7 +77,7 @@ impl RunLog {
         }
         if keeps {
             let point = self.recorder.keep(report.step, report.splats);
-            progress::line(&Line::Progress(point));
+            progress::line(&LogLine::Progress(point));
         }
     }
 
@@ -108,7 +108,7 @@ impl RunLog {
             "step {}: {:.2} dB PSNR, {:.4} SSIM{perceived} on {} test views",
             score.step, score.psnr, score.ssim, score.views
         ));
-        progress::line(&Line::Evaluation(score));
+        progress::line(&LogLine::Evaluation(score));
         // A failed snapshot does not end the run: a disk that is full now may have room later.
         let kept = kept.unwrap_or(Ok(())).and_then(|()| match snapshots {
             Some(snapshots) => snapshots.keep_history(self.recorder.history()),

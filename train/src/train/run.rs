@@ -29,7 +29,7 @@ use crate::options::PhotoArgs;
 use crate::output::{self, OutputFolder};
 use crate::pareto::MeasuredView;
 use crate::progress;
-use crate::report::log::Line;
+use crate::report::log::LogLine;
 use crate::report::metrics::{Metrics, Seconds, peak_rss_mib, seconds_since};
 use crate::report::page::{self, Page};
 use crate::report::{self, BACKGROUND, METRICS, POSES, REPORT, SCENE, VIEWS};
@@ -144,7 +144,7 @@ fn to_the_end(mut args: TrainArgs, kept: Option<SavedRun>, change: impl FnOnce(T
             kept.so_far
         }
     };
-    progress::line(&Line::Start {
+    progress::line(&LogLine::Start {
         steps: config.steps,
         train_views: train_views.len(),
         test_views: test.len(),
@@ -220,7 +220,7 @@ fn to_the_end(mut args: TrainArgs, kept: Option<SavedRun>, change: impl FnOnce(T
     page.write(&out)?;
     checkpoints.finish();
     report::say(&metrics, SCENE, &out);
-    progress::line(&Line::Done { out: out.path().display().to_string(), metrics: &metrics });
+    progress::line(&LogLine::Done { out: out.path().display().to_string(), metrics: &metrics });
     Ok(metrics)
 }
 

@@ -72,7 +72,7 @@ pub(super) fn points(file: &Path, bytes: &[u8]) -> Result<Vec<PointRecord>, Capt
 
 /// The keypoints of a line. A line that cannot hold keypoints is the next image, in a file without keypoint lines: skipping
 /// it would lose every second photograph.
-fn keypoints(mut line: Line) -> Result<Vec<[f32; 2]>, CaptureError> {
+fn keypoints(mut line: TextLine) -> Result<Vec<[f32; 2]>, CaptureError> {
     let count = line.rest.split_whitespace().count();
     let last_is_id = line.rest.split_whitespace().next_back().is_none_or(|last| last.parse::<i64>().is_ok());
     if !(count.is_multiple_of(3) && last_is_id) {
@@ -89,7 +89,7 @@ fn keypoints(mut line: Line) -> Result<Vec<[f32; 2]>, CaptureError> {
     Ok(keypoints)
 }
 
-fn is_entry(line: &Line) -> bool {
+fn is_entry(line: &TextLine) -> bool {
     !line.rest.is_empty() && !line.rest.starts_with('#')
 }
 
@@ -98,23 +98,25 @@ fn lines<'a>(
     file: &'a Path,
     kind: &'static str,
     bytes: &'a [u8],
-) -> Result<impl Iterator<Item = Line<'a>>, CaptureError> {
+) -> Result<impl Iterator<Item = TextLine<'a>>, CaptureError> {
     let text = str::from_utf8(bytes).map_err(|error| {
         let line = 1 + bytes[..error.valid_up_to()].iter().filter(|&&byte| byte == b'\n').count();
         Place { file, kind, at: EntryPosition::Line(line) }.refuse("text", "a byte that is not UTF-8", "UTF-8 text")
     })?;
     let numbered = text.lines().enumerate();
-    Ok(numbered
-        .map(move |(i, line)| Line { place: Place { file, kind, at: EntryPosition::Line(i + 1) }, rest: line.trim() }))
+    Ok(numbered.map(move |(i, line)| TextLine {
+        place: Place { file, kind, at: EntryPosition::Line(i + 1) },
+        rest: line.trim(),
+    }))
 }
 
 /// The unread part of a line.
-struct Line<'a> {
+struct TextLine<'a> {
     place: Place<'a>,
     rest: &'a str,
 }
 
-impl<'a> Line<'a> {
+impl<'a> TextLine<'a> {
     fn field(&mut self, field: &'static str) -> Result<&'a str, CaptureError> {
         if self.rest.is_empty() {
             return Err(self.place.refuse(field, "missing: the line ends before it", "a value"));
