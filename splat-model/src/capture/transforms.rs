@@ -153,7 +153,7 @@ pub(super) fn load(folder: &Path) -> Result<Capture, CaptureError> {
 }
 
 /// The lists of file names that nerfstudio knows: for training, validation and testing.
-type Lists = [Field<Vec<String>>; 3];
+type SplitLists = [Field<Vec<String>>; 3];
 
 /// The JSON fields of those lists.
 const LISTS: [&str; 3] = ["train_filenames", "val_filenames", "test_filenames"];
@@ -170,7 +170,7 @@ struct Reading<'a> {
 
 impl Reading<'_> {
     /// Reads a file and adds its frames. Returns the number of views so far and the file's lists.
-    fn add(&mut self, path: &Path) -> Result<(usize, Lists), CaptureError> {
+    fn add(&mut self, path: &Path) -> Result<(usize, SplitLists), CaptureError> {
         let whole = Place { file: path, frame: None };
         let File { frames, lenses, points, lists } = json::parse(path, &read(path)?)?;
         whole.required("frames", &frames, "a list of frames")?;
@@ -238,7 +238,7 @@ impl Reading<'_> {
 
     /// The split given by the lists, if there are any. Validation views replace missing test views. Views
     /// in no list are for training if there is no training list, and held out if that is the only list.
-    fn split(&self, file: &Path, lists: Lists) -> Result<Option<Split>, CaptureError> {
+    fn split(&self, file: &Path, lists: SplitLists) -> Result<Option<Split>, CaptureError> {
         let place = Place { file, frame: None };
         let mut listed: [Option<BTreeSet<usize>>; 3] = [None, None, None];
         for ((field, list), views) in LISTS.into_iter().zip(&lists).zip(&mut listed) {

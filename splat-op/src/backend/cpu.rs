@@ -20,7 +20,7 @@ use crate::real::Real;
 use crate::shade::Shading;
 use crate::shade::cpu::{ShadeCpuInputs, Visible, shade_backward_cpu, shade_cpu};
 use crate::tile::cpu::tile_cpu;
-use crate::tile::{Cut, HitCell, HitLists, Lists, tile_grid};
+use crate::tile::{Cut, HitCell, HitLists, TileLists, tile_grid};
 
 /// The elements of an input.
 pub(super) fn host<B: HostBackend, F: Real>(input: &InputTensor<B>) -> Host<F> {
@@ -75,10 +75,10 @@ fn hit_lists<'a, F: Real>(cell: &'a HitCell, projected: &[F], spec: &BlendSpec) 
 
 /// The lists in the cell, or those that `compute` makes.
 pub(super) fn hit_lists_by(cell: &HitCell, compute: impl FnOnce() -> HitLists) -> &HitLists {
-    match cell.0.get_or_init(|| Lists::Host(compute())) {
-        Lists::Host(lists) => lists,
+    match cell.0.get_or_init(|| TileLists::Host(compute())) {
+        TileLists::Host(lists) => lists,
         #[cfg(feature = "cube")]
-        Lists::Device(_) => unreachable!("the public functions check that lists and ellipses are on one device"),
+        TileLists::Device(_) => unreachable!("the public functions check that lists and ellipses are on one device"),
     }
 }
 

@@ -20,7 +20,7 @@ use crate::project::{COLUMNS, Geometry, ProjectSpec};
 use crate::shade::Shading;
 use crate::shade::launch::{DeviceShCoefficients, ShadeDeviceInputs, launch_shade, launch_shade_backward};
 use crate::tile::launch::{DeviceLists, launch_tile};
-use crate::tile::{Cut, HitCell, Lists, tile_grid};
+use crate::tile::{Cut, HitCell, TileLists, tile_grid};
 
 /// A tensor's elements, row-major.
 pub(crate) fn buffer(tensor: CubeTensor) -> Buffer<f32> {
@@ -92,9 +92,9 @@ fn lists<'a>(gpu: &Gpu, cell: &'a HitCell, projected: &Buffer<f32>, spec: &Blend
 
 /// The lists in the cell, or those that `compute` makes.
 pub(super) fn lists_by(cell: &HitCell, compute: impl FnOnce() -> DeviceLists) -> &DeviceLists {
-    match cell.0.get_or_init(|| Lists::Device(Box::new(compute()))) {
-        Lists::Device(lists) => lists,
-        Lists::Host(_) => unreachable!("the public functions check that lists and ellipses are on one device"),
+    match cell.0.get_or_init(|| TileLists::Device(Box::new(compute()))) {
+        TileLists::Device(lists) => lists,
+        TileLists::Host(_) => unreachable!("the public functions check that lists and ellipses are on one device"),
     }
 }
 

@@ -78,7 +78,7 @@ pub(crate) struct HitLists {
 
 /// The lists of one view, where its stages run.
 #[derive(Debug)]
-pub(crate) enum Lists {
+pub(crate) enum TileLists {
     Host(HitLists),
     #[cfg(feature = "cube")]
     Device(Box<launch::DeviceLists>),
@@ -87,4 +87,4 @@ pub(crate) enum Lists {
 /// Holds the lists of one view once they are computed. It is passed to forward and backward as an ordinary argument; the
 /// tensor of counts that `tile` returns orders them for backends that run lazily.
 #[derive(Clone, Debug, Default)]
-pub struct HitCell(pub(crate) Arc<OnceLock<Lists>>);
+pub struct HitCell(pub(crate) Arc<OnceLock<TileLists>>);

@@ -40,7 +40,7 @@ pub(super) struct File {
     pub lenses: LensFields,
     /// `ply_file_path`
     pub points: Field<String>,
-    pub lists: super::Lists,
+    pub lists: super::SplitLists,
 }
 
 /// One of `frames`.
