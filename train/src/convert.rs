@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, ensure};
 use clap::{ValueEnum, value_parser};
-use splat_model::formats::{self, Deviation, Format, Loss, Scene};
+use splat_model::formats::{self, Deviation, Format, QuantisationError, Scene};
 use splat_model::gaussians::GaussianRows;
 
 use crate::progress;
@@ -85,7 +85,7 @@ pub fn run(args: &ConvertArgs) -> Result<()> {
     }
     let written = formats::write(&args.out, &scene, format).context("cannot write the scene")?;
     let (read, _) = formats::read(&args.out).context("cannot read what was written")?;
-    let loss = Loss::between(&written.rows, &read.rows);
+    let loss = QuantisationError::between(&written.rows, &read.rows);
 
     progress::say(&line(&args.scene, found, scene.rows.len(), of_degree)?);
     progress::say(&line(&args.out, format, read.rows.len(), read.rows.sh_degree)?);
@@ -136,7 +136,7 @@ fn dropped(scene: &Scene, format: Format, left_out: usize, of_degree: usize, sh_
 }
 
 /// The table of rounding errors.
-fn table(loss: &Loss, sh_degree: usize) -> Vec<String> {
+fn table(loss: &QuantisationError, sh_degree: usize) -> Vec<String> {
     let row = |name: &str, Deviation { largest, rms }: Deviation, factor: f64, unit: &str| {
         format!("{name:10} {:>10} {:>10}  {unit}", short(factor * largest), short(factor * rms))
     };

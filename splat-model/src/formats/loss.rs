@@ -13,7 +13,7 @@ pub struct Deviation {
 
 /// The error of quantisation over all Gaussians.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Loss {
+pub struct QuantisationError {
     /// Distance of centres, scene units.
     pub position: Deviation,
     /// Standard deviations, relative: 0.03 is a change by 3% in either direction.
@@ -28,7 +28,7 @@ pub struct Loss {
     pub harmonics: Deviation,
 }
 
-impl Loss {
+impl QuantisationError {
     /// Computes the error of each row that was read against the written row of the same number.
     ///
     /// # Panics
@@ -97,7 +97,7 @@ mod tests {
             sh_rest: vec![],
             sh_degree: 0,
         };
-        assert_eq!(Loss::between(&written, &written), Loss::default());
+        assert_eq!(QuantisationError::between(&written, &written), QuantisationError::default());
         let mut read = written.clone();
         read.means[0] = [3.0, 0.0, 4.0];
         // Twice as long, negated, and turned by one degree.
@@ -105,7 +105,7 @@ mod tests {
         read.log_scales[1][2] = 1.1_f32.ln();
         read.logit_opacities[1] = 3.0_f32.ln();
         read.sh_dc[0][1] = -1.0;
-        let loss = Loss::between(&written, &read);
+        let loss = QuantisationError::between(&written, &read);
         let near = |found: Deviation, largest: f64, rms: f64| {
             assert!(
                 (found.largest - largest).abs() < 1e-5 && (found.rms - rms).abs() < 1e-5,

@@ -16,7 +16,7 @@
 //! ```
 //! use glam::DVec3;
 //! use splat_model::capture::PointCloud;
-//! use splat_model::formats::{self, Format, Loss, Scene};
+//! use splat_model::formats::{self, Format, QuantisationError, Scene};
 //! use splat_model::init;
 //!
 //! let points = PointCloud { positions: vec![[0.1, 0.2, 0.3], [1.0, -1.0, 2.0]], colours: vec![[255, 0, 0], [0, 90, 255]] };
@@ -26,7 +26,7 @@
 //! let written = formats::write(&file, &scene, Format::Spz)?;
 //! let (read, format) = formats::read(&file)?;
 //! assert_eq!(format, Format::Spz);
-//! assert!(Loss::between(&written.rows, &read.rows).position.largest < 1e-6);
+//! assert!(QuantisationError::between(&written.rows, &read.rows).position.largest < 1e-6);
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
@@ -49,7 +49,7 @@ use std::path::{Path, PathBuf};
 use glam::DVec3;
 use thiserror::Error;
 
-pub use loss::{Deviation, Loss};
+pub use loss::{Deviation, QuantisationError};
 
 use crate::density::morton_order;
 use crate::gaussians::GaussianRows;

@@ -172,7 +172,7 @@ proptest! {
             write(&path, &scene(rows.clone()), format).unwrap();
             let once = read(&path).unwrap().0;
             let written = write(&path, &once, format).unwrap();
-            let loss = Loss::between(&written.rows, &read(&path).unwrap().0.rows);
+            let loss = QuantisationError::between(&written.rows, &read(&path).unwrap().0.rows);
             for deviation in [loss.position, loss.scale, loss.opacity, loss.colour, loss.harmonics] {
                 prop_assert!(deviation.largest < 1e-4, "{format}: {loss:?}");
             }

@@ -8,7 +8,7 @@ use tempfile::TempDir;
 use super::row::Ranges;
 use super::*;
 use crate::formats::testing::{fixture, rows};
-use crate::formats::{self, Format, Loss, Scene};
+use crate::formats::{self, Format, QuantisationError, Scene};
 use crate::gaussians::GaussianRows;
 
 fn round_trip(rows: &GaussianRows) -> (GaussianRows, GaussianRows) {
@@ -40,7 +40,7 @@ fn assert_within_bits(written: &GaussianRows, read: &GaussianRows) {
             near(written.sh_dc[i][axis], read.sh_dc[i][axis], colour);
         }
     }
-    let loss = Loss::between(written, read);
+    let loss = QuantisationError::between(written, read);
     assert!(loss.opacity.largest <= 0.5 / 255.0 + 1e-6, "{loss:?}");
     // Three components are off by half a step of √2 / 1023 each, the largest, at least one half, by up to three times that.
     let step = 2.0_f64.sqrt() / 2046.0;
@@ -167,7 +167,7 @@ fn files_of_splat_transform_are_read_as_it_reads_them() {
     let (theirs, plain) = formats::read(&fixture("splat-transform.compressed.read.ply")).unwrap();
     assert_eq!((format, plain), (Format::CompressedPly, Format::Ply));
     assert_eq!((scene.rows.len(), scene.rows.sh_degree, scene.origin), (20, 3, DVec3::ZERO));
-    let loss = Loss::between(&theirs.rows, &scene.rows);
+    let loss = QuantisationError::between(&theirs.rows, &scene.rows);
     assert!(loss.position.largest < 1e-6 && loss.scale.largest < 1e-5 && loss.colour.largest < 1e-6, "{loss:?}");
     assert!(loss.rotation.largest < 1e-3 && loss.opacity.largest < 1e-3 && loss.harmonics.largest < 1e-6, "{loss:?}");
     // The scene equals the one that they were given, in another order.

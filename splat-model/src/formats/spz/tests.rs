@@ -11,7 +11,7 @@ use tempfile::TempDir;
 use super::pack::{Layout, pack};
 use super::{GZIP, MAGIC};
 use crate::formats::testing::{fixture, rows, spoil};
-use crate::formats::{self, Format, Loss, Scene};
+use crate::formats::{self, Format, QuantisationError, Scene};
 use crate::gaussians::GaussianRows;
 
 fn written(rows: &GaussianRows, path: &Path) -> GaussianRows {
@@ -30,7 +30,7 @@ const ONCE: f32 = 1e-6;
 
 /// Checks that each error is at most half a step of the quantisation; positions have `fraction` fractional bits.
 fn assert_within_bits(written: &GaussianRows, read: &GaussianRows, fraction: i32, more: f32) {
-    let loss = Loss::between(written, read);
+    let loss = QuantisationError::between(written, read);
     let half = 0.5 / 2.0_f64.powi(fraction);
     assert!(loss.position.largest <= half * 3.0_f64.sqrt() + 1e-6 * half.max(1.0), "{loss:?}");
     assert!(loss.scale.largest <= (0.5_f64 / 16.0).exp_m1() + 1e-5, "{loss:?}");
@@ -238,7 +238,7 @@ fn files_of_the_reference_are_read_as_it_reads_them() {
     for name in ["splat-transform.v3.spz", "splat-transform.v4.spz"] {
         let (scene, format) = formats::read(&fixture(name)).unwrap();
         assert_eq!(format, Format::Spz);
-        let loss = Loss::between(&theirs, &scene.rows);
+        let loss = QuantisationError::between(&theirs, &scene.rows);
         assert!(
             loss.position.largest < 1e-6 && loss.scale.largest < 1e-5 && loss.colour.largest < 1e-6,
             "{name}: {loss:?}"
