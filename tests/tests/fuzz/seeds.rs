@@ -64,13 +64,13 @@ pub fn scenes() -> Vec<Vec<u8>> {
 }
 
 /// A COLMAP model of three photographs and four points in both encodings: `cameras`, `images` and `points3D`.
-pub struct Model {
+pub struct SeedModel {
     pub binary: [Vec<u8>; 3],
     pub text: [Vec<u8>; 3],
 }
 
 /// Writes the model and reads its bytes.
-pub fn model(folder: &Path) -> Model {
+pub fn model(folder: &Path) -> SeedModel {
     let view = |i: usize| View {
         name: format!("{i:02}.png"),
         image_path: folder.join("images"),
@@ -110,7 +110,7 @@ pub fn model(folder: &Path) -> Model {
          2 0.9 0 0.1 0 0 0 4 1 sub/01.png\n\n3 0.8 0.1 0 0 1e3 0 4 2 02 with blanks.png\n1 2 3\n",
         "# POINT3D_ID, X, Y, Z, R, G, B, ERROR, TRACK[]\n1 0 0.5 -1 0 100 255 0.7 1 0 2 0\n2 1e-3 2 3 9 8 7 -1\n",
     ];
-    Model { binary: [cameras, images, points], text: text.map(|text| text.as_bytes().to_vec()) }
+    SeedModel { binary: [cameras, images, points], text: text.map(|text| text.as_bytes().to_vec()) }
 }
 
 /// Returns JSON files that the program writes and reads again.

@@ -6,7 +6,7 @@
 use std::path::Path;
 
 use super::check::{EntryPosition, Place, quoted};
-use super::model::Model;
+use super::model::ColmapCameraModel;
 use super::{CameraRecord, ImageRecord, PointRecord, TrackElement};
 use crate::capture::CaptureError;
 
@@ -29,7 +29,7 @@ pub(super) fn cameras(file: &Path, bytes: &[u8]) -> Result<Vec<CameraRecord>, Ca
         let id = u32::from_le_bytes(input.take("CAMERA_ID")?);
         let model = input.place().model_by_number(i32::from_le_bytes(input.take("MODEL")?))?;
         let size_px = [u64::from_le_bytes(input.take("WIDTH")?), u64::from_le_bytes(input.take("HEIGHT")?)];
-        let parameters = &mut [0.0; Model::MOST_PARAMETERS][..model.parameters()];
+        let parameters = &mut [0.0; ColmapCameraModel::MOST_PARAMETERS][..model.parameters()];
         for parameter in parameters.iter_mut() {
             *parameter = f64::from_le_bytes(input.take("PARAMS")?);
         }

@@ -7,7 +7,7 @@ use glam::{DAffine3, DQuat, DVec3};
 use splat_op::Intrinsics;
 use splat_op::camera::{MAX_COEFFICIENT, MAX_SIDE_PX};
 
-use super::model::Model;
+use super::model::ColmapCameraModel;
 use crate::capture::CaptureError;
 
 /// Positions and lens parameters beyond this count as damage. The square of this limit still fits an f32, and no survey needs more.
@@ -68,15 +68,15 @@ impl Place<'_> {
         CaptureError::Entry { file: self.file.to_owned(), place: self.to_string(), field, found, expected, fix }
     }
 
-    pub fn model_by_number(&self, number: i32) -> Result<Model, CaptureError> {
-        match Model::name(number) {
+    pub fn model_by_number(&self, number: i32) -> Result<ColmapCameraModel, CaptureError> {
+        match ColmapCameraModel::name(number) {
             Some(name) => self.model_by_name(name),
             None => self.model_by_name(&format!("number {number}")),
         }
     }
 
-    pub fn model_by_name(&self, name: &str) -> Result<Model, CaptureError> {
-        Model::by_name(name).ok_or_else(|| self.unsupported(name))
+    pub fn model_by_name(&self, name: &str) -> Result<ColmapCameraModel, CaptureError> {
+        ColmapCameraModel::by_name(name).ok_or_else(|| self.unsupported(name))
     }
 
     /// The error for a camera model that cannot be read or written.
@@ -86,7 +86,12 @@ impl Place<'_> {
     }
 
     /// Checks and converts a camera; `parameters` are in the model's order.
-    pub fn intrinsics(&self, model: Model, size_px: [u64; 2], parameters: &[f64]) -> Result<Intrinsics, CaptureError> {
+    pub fn intrinsics(
+        &self,
+        model: ColmapCameraModel,
+        size_px: [u64; 2],
+        parameters: &[f64],
+    ) -> Result<Intrinsics, CaptureError> {
         let (focals, rest) = parameters.split_at(model.focals.min(parameters.len()));
         let (fx, fy, cx, cy, coefficients) = match (focals, rest) {
             (&[f], &[cx, cy, ref rest @ ..]) if rest.len() == model.coefficients => (f, f, cx, cy, rest),

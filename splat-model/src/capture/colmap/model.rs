@@ -5,7 +5,7 @@ use splat_op::CameraModel;
 /// A supported COLMAP model and its parameter layout: one or two focal lengths, the principal point, and
 /// the first coefficients of our model; the others are zero.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Model {
+pub(super) struct ColmapCameraModel {
     pub ours: CameraModel,
     /// 1 or 2.
     pub focals: usize,
@@ -13,7 +13,7 @@ pub(super) struct Model {
 }
 
 /// COLMAP's model names by id, with our model where there is one (`src/colmap/sensor/models.h`).
-const MODELS: [(&str, Option<Model>); 18] = [
+const MODELS: [(&str, Option<ColmapCameraModel>); 18] = [
     ("SIMPLE_PINHOLE", model(CameraModel::Pinhole, 1, 0)),
     ("PINHOLE", model(CameraModel::Pinhole, 2, 0)),
     ("SIMPLE_RADIAL", model(CameraModel::OpenCv, 1, 1)),
@@ -34,11 +34,11 @@ const MODELS: [(&str, Option<Model>); 18] = [
     ("EQUIRECTANGULAR", None),
 ];
 
-const fn model(ours: CameraModel, focals: usize, coefficients: usize) -> Option<Model> {
-    Some(Model { ours, focals, coefficients })
+const fn model(ours: CameraModel, focals: usize, coefficients: usize) -> Option<ColmapCameraModel> {
+    Some(ColmapCameraModel { ours, focals, coefficients })
 }
 
-impl Model {
+impl ColmapCameraModel {
     /// The largest number of parameters of any model.
     pub const MOST_PARAMETERS: usize = 12;
 
@@ -60,8 +60,9 @@ impl Model {
 
     /// The COLMAP model and id that can express any of our models' coefficients.
     pub fn full(ours: CameraModel) -> Option<(i32, Self)> {
-        let complete =
-            |model: &Model| model.ours == ours && model.focals == 2 && model.coefficients == ours.coefficients();
+        let complete = |model: &ColmapCameraModel| {
+            model.ours == ours && model.focals == 2 && model.coefficients == ours.coefficients()
+        };
         (0..).zip(MODELS).find_map(|(number, (_, model))| Some((number, model.filter(complete)?)))
     }
 }

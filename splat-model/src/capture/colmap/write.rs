@@ -7,7 +7,7 @@ use glam::{DAffine3, DMat3, DQuat};
 use splat_op::Intrinsics;
 
 use super::check::{EntryPosition, Place};
-use super::model::Model;
+use super::model::ColmapCameraModel;
 use super::{Files, assemble, binary};
 use crate::capture::{CaptureError, PointCloud, Tracks, View};
 
@@ -82,7 +82,7 @@ fn camera_bytes(file: &Path, cameras: &[Intrinsics]) -> Result<Vec<u8>, CaptureE
     for (i, camera) in cameras.iter().enumerate() {
         let place = Place { file, kind: "camera", at: EntryPosition::Entry(i + 1) };
         let (number, model) =
-            Model::full(camera.model).ok_or_else(|| place.unsupported(&format!("{:?}", camera.model)))?;
+            ColmapCameraModel::full(camera.model).ok_or_else(|| place.unsupported(&format!("{:?}", camera.model)))?;
         out.add(number_of(i).to_le_bytes());
         out.add(number.to_le_bytes());
         out.add((camera.width as u64).to_le_bytes());
