@@ -5,7 +5,7 @@ use std::f64::consts::TAU;
 use glam::DVec3;
 
 use super::geometry::{Occlusion, Ray, Shape};
-use super::scene::{Object, ObjectKind, Scene, SurfacePoint};
+use super::scene::{ObjectKind, Scene, SceneObject, SurfacePoint};
 
 /// Rays to the sun per shaded point: 16 levels of penumbra, finer than 8 bits show after averaging 9 samples.
 const SUN_SAMPLES: usize = 16;
@@ -99,7 +99,7 @@ impl LitScene {
     fn sun_share(&self, point: &SurfacePoint) -> f64 {
         let origin = point.position_world + LIFT * point.normal_world;
         let middle = Ray { origin, direction: self.to_sun };
-        let mut in_the_way: Vec<&Object> = Vec::new();
+        let mut in_the_way: Vec<&SceneObject> = Vec::new();
         for (i, object) in self.scene.objects.iter().enumerate() {
             // A convex solid never stands between the sun and the side of it that faces the sun.
             let itself = i == point.object && !matches!(object.shape, Shape::Torus { .. });

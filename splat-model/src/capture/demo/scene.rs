@@ -8,7 +8,7 @@ use super::texture::{self, Texture, srgb};
 
 /// One object of the scene.
 #[derive(Clone, Debug)]
-pub(super) struct Object {
+pub(super) struct SceneObject {
     pub shape: Shape,
     pub texture: Texture,
     pub kind: ObjectKind,
@@ -34,7 +34,7 @@ pub(super) enum ObjectKind {
     Sky,
 }
 
-impl Object {
+impl SceneObject {
     fn new(shape: Shape, texture: Texture, centre_world: [f64; 3], rotation: DQuat) -> Self {
         let centre_world = DVec3::from(centre_world);
         let world_from_local = DAffine3::from_rotation_translation(rotation, centre_world);
@@ -110,7 +110,7 @@ pub(super) struct SurfacePoint {
 /// All objects.
 #[derive(Clone, Debug)]
 pub(super) struct Scene {
-    pub objects: Vec<Object>,
+    pub objects: Vec<SceneObject>,
 }
 
 impl Scene {
@@ -155,7 +155,7 @@ impl Scene {
                 .filter(|object| object.kind == ObjectKind::Matte)
                 .for_each(|object| object.kind = ObjectKind::Lacquered);
         }
-        let mirror = Object::new(
+        let mirror = SceneObject::new(
             Shape::Sphere { radius: 0.42 },
             Texture::Marble { scale: 3.0, colours: [srgb(0x6b2c4e), srgb(0xc98aa2)] },
             [-0.72, 1.12, 0.42],
@@ -171,30 +171,30 @@ fn about_z(angle_deg: f64) -> DQuat {
     DQuat::from_rotation_z(angle_deg.to_radians())
 }
 
-fn large_things() -> Vec<Object> {
+fn large_things() -> Vec<SceneObject> {
     let cream = srgb(0xf3e6cf);
     let upright = about_z(-14.0) * DQuat::from_rotation_x(90_f64.to_radians());
     vec![
-        Object::new(Shape::Sphere { radius: 0.56 }, Texture::Planet, [0.1, 0.28, 0.56], about_z(70.0)),
-        Object::new(
+        SceneObject::new(Shape::Sphere { radius: 0.56 }, Texture::Planet, [0.1, 0.28, 0.56], about_z(70.0)),
+        SceneObject::new(
             Shape::Torus { major: 1.3, minor: 0.13 },
             Texture::Rainbow { segments: 24.0 },
             [0.1, 0.28, 0.0],
             upright,
         ),
-        Object::new(
+        SceneObject::new(
             Shape::Cuboid { half: DVec3::new(0.34, 0.34, 0.3) },
             Texture::Checks { side: 0.17, colours: [srgb(0xc23b32), cream] },
             [-0.85, -0.78, 0.3],
             about_z(28.0),
         ),
-        Object::new(
+        SceneObject::new(
             Shape::Cylinder { radius: 0.2, half_height: 0.55 },
             Texture::Helix { stripes: 2.0, turns_per_unit: 1.6, colours: [srgb(0x2c7d5b), cream] },
             [0.98, -0.72, 0.55],
             DQuat::IDENTITY,
         ),
-        Object::new(
+        SceneObject::new(
             Shape::Sphere { radius: 0.36 },
             Texture::Dots { colours: [srgb(0xe8792b), srgb(0xfdf1dc)] },
             [0.86, 1.18, 0.36],
@@ -203,25 +203,25 @@ fn large_things() -> Vec<Object> {
     ]
 }
 
-fn small_things() -> Vec<Object> {
+fn small_things() -> Vec<SceneObject> {
     let marble = |radius: f64, colours: [u32; 2], x: f64, y: f64| {
         let texture = Texture::Marble { scale: 0.9 / radius, colours: colours.map(srgb) };
-        Object::new(Shape::Sphere { radius }, texture, [x, y, radius], about_z(200.0 * x + 90.0 * y))
+        SceneObject::new(Shape::Sphere { radius }, texture, [x, y, radius], about_z(200.0 * x + 90.0 * y))
     };
     vec![
-        Object::new(
+        SceneObject::new(
             Shape::Sphere { radius: 0.23 },
             Texture::Dots { colours: [srgb(0xf2c231), srgb(0x2a3d77)] },
             [-0.88, -0.8, 0.83],
             DQuat::from_rotation_x(0.7),
         ),
-        Object::new(
+        SceneObject::new(
             Shape::Torus { major: 0.36, minor: 0.13 },
             Texture::Twist { major: 0.36, stripes: 6.0, colours: [srgb(0x148a94), srgb(0xe9f0dd)] },
             [0.12, -1.2, 0.13],
             DQuat::IDENTITY,
         ),
-        Object::new(
+        SceneObject::new(
             Shape::Cuboid { half: DVec3::new(0.3, 0.2, 0.09) },
             Texture::Checks { side: 0.12, colours: [srgb(0x2f4f9e), srgb(0xa9c3ea)] },
             [-1.52, 0.3, 0.09],
@@ -243,14 +243,14 @@ const GROUND_RADIUS: f64 = 8.0;
 const ZOOM_GROUND: f64 = 5.0;
 
 /// Platform, ground and sky.
-fn surroundings(options: &DemoOptions) -> [Object; 3] {
+fn surroundings(options: &DemoOptions) -> [SceneObject; 3] {
     let platform = Shape::Cylinder { radius: 1.95, half_height: 0.18 };
     let radius = if options.zoom { ZOOM_GROUND * GROUND_RADIUS } else { GROUND_RADIUS };
     let (dome, air) = if options.far { (DemoOptions::FAR_RADIUS, Texture::Vista) } else { (radius, Texture::Sky) };
-    let ground = Object::new(Shape::Disc { radius }, Texture::Garden, [0.0, 0.0, -0.36], DQuat::IDENTITY);
-    let sky = Object::new(Shape::Dome { radius: dome }, air, [0.0, 0.0, -0.36], DQuat::IDENTITY);
+    let ground = SceneObject::new(Shape::Disc { radius }, Texture::Garden, [0.0, 0.0, -0.36], DQuat::IDENTITY);
+    let sky = SceneObject::new(Shape::Dome { radius: dome }, air, [0.0, 0.0, -0.36], DQuat::IDENTITY);
     [
-        Object::new(platform, Texture::Wood, [0.0, 0.0, -0.18], DQuat::IDENTITY),
+        SceneObject::new(platform, Texture::Wood, [0.0, 0.0, -0.18], DQuat::IDENTITY),
         ground.of_kind(ObjectKind::Ground),
         sky.of_kind(ObjectKind::Sky),
     ]

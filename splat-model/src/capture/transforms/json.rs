@@ -305,13 +305,13 @@ impl<'de, T: Value> Visitor<'de> for OfValue<T> {
 }
 
 /// An object whose fields are taken one by one.
-trait Object: Default {
+trait JsonObject: Default {
     const WHAT: &str;
     /// Stores the value of any field.
     fn take<'de, A: MapAccess<'de>>(&mut self, field: &str, map: &mut A) -> Result<(), A::Error>;
 }
 
-impl Object for File {
+impl JsonObject for File {
     const WHAT: &str = "an object with `frames`";
 
     fn take<'de, A: MapAccess<'de>>(&mut self, field: &str, map: &mut A) -> Result<(), A::Error> {
@@ -328,7 +328,7 @@ impl Object for File {
     }
 }
 
-impl Object for TransformsFrame {
+impl JsonObject for TransformsFrame {
     const WHAT: &str = "a frame, which is an object";
 
     fn take<'de, A: MapAccess<'de>>(&mut self, field: &str, map: &mut A) -> Result<(), A::Error> {
@@ -345,7 +345,7 @@ impl Object for TransformsFrame {
 
 struct OfObject<T>(PhantomData<T>);
 
-impl<'de, T: Object> Visitor<'de> for OfObject<T> {
+impl<'de, T: JsonObject> Visitor<'de> for OfObject<T> {
     type Value = T;
 
     fn expecting(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
