@@ -125,7 +125,7 @@ const LARGEST_TEXT: u64 = 1 << 16;
 const MOST_SAMPLES: usize = 16_384;
 
 /// A photograph's samples on the device, for one size of picture.
-struct OnDevice {
+struct DeviceDepths {
     size: [usize; 2],
     /// `[M]`: pixel indices, row-major.
     pixels: Tensor<1, Int>,
@@ -137,7 +137,7 @@ struct OnDevice {
 pub struct Depths {
     config: DepthConfig,
     samples: Vec<Vec<DepthSample>>,
-    on_device: Vec<Option<OnDevice>>,
+    on_device: Vec<Option<DeviceDepths>>,
     device: Device,
 }
 
@@ -166,9 +166,9 @@ impl Depths {
         let size = [width, height];
         let kept = &mut self.on_device[view];
         if kept.as_ref().is_none_or(|kept| kept.size != size) {
-            *kept = Some(OnDevice::new(samples, size, &self.device));
+            *kept = Some(DeviceDepths::new(samples, size, &self.device));
         }
-        let OnDevice { pixels, depths, .. } = kept.as_ref()?;
+        let DeviceDepths { pixels, depths, .. } = kept.as_ref()?;
         let constant = |values: &Tensor<1>| Tensor::<1>::from_inner(values.clone());
         let flat = |plane: Tensor<3>| plane.reshape([width * height]);
         let covered = flat(alpha.clone().inner()).select(0, pixels.clone()).greater_equal_elem(0.5).float();
@@ -196,12 +196,12 @@ impl Effect for Depths {
     }
 
     fn bytes(&self) -> usize {
-        let bytes = |kept: &OnDevice| kept.depths.dims()[0] * 2 * size_of::<f32>();
+        let bytes = |kept: &DeviceDepths| kept.depths.dims()[0] * 2 * size_of::<f32>();
         self.on_device.iter().flatten().map(bytes).sum()
     }
 }
 
-impl OnDevice {
+impl DeviceDepths {
     fn new(samples: &[DepthSample], [width, height]: [usize; 2], device: &Device) -> Self {
         let pixel = |sample: &DepthSample| {
             let along = |share: f32, side: usize| ((share * side as f32) as usize).min(side - 1);

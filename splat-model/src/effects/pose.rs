@@ -24,7 +24,7 @@ use glam::{DAffine3, DQuat, DVec3};
 use serde::{Deserialize, Serialize};
 use splat_op::Rendered;
 
-use self::anchors::{Anchors, OnDevice, rotation};
+use self::anchors::{Anchors, DeviceAnchors, rotation};
 use super::learned::{EffectContext, Learned};
 use super::{Effect, EffectKind, RenderInput, saved_bytes};
 use crate::gaussians::{Gaussians, values_of};
@@ -58,7 +58,7 @@ pub struct Poses {
     /// `[2, 3]` each: `ω`, rad, and `τ`, scene extents.
     corrections: Vec<Learned<2>>,
     /// The tracks that hold each camera. `None` without tracks.
-    anchors: Vec<Option<OnDevice>>,
+    anchors: Vec<Option<DeviceAnchors>>,
     /// `[3, 9]`: maps `h` to `K`, row-major.
     cross: Tensor<2>,
     /// `[3, 3]`
@@ -152,7 +152,7 @@ impl Effect for Poses {
     }
 
     fn bytes(&self) -> usize {
-        saved_bytes(self) + self.anchors.iter().flatten().map(OnDevice::bytes).sum::<usize>()
+        saved_bytes(self) + self.anchors.iter().flatten().map(DeviceAnchors::bytes).sum::<usize>()
     }
 }
 

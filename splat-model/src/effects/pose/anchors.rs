@@ -29,7 +29,7 @@ pub struct Anchors {
 }
 
 /// Points and directions on the device, `[M, 3]` each.
-pub(super) struct OnDevice {
+pub(super) struct DeviceAnchors {
     points: Tensor<2>,
     directions: Tensor<2>,
 }
@@ -103,17 +103,17 @@ impl Anchors {
         solve(gram, moment)
     }
 
-    pub(super) fn on_device(&self, device: &Device) -> Option<OnDevice> {
+    pub(super) fn on_device(&self, device: &Device) -> Option<DeviceAnchors> {
         let count = self.points.len();
         let tensor = |rows: &[DVec3]| {
             let values: Vec<f32> = rows.iter().flat_map(|row| row.as_vec3().to_array()).collect();
             Tensor::<2>::from_data(TensorData::new(values, [count, 3]), device)
         };
-        (count >= FEWEST).then(|| OnDevice { points: tensor(&self.points), directions: tensor(&self.directions) })
+        (count >= FEWEST).then(|| DeviceAnchors { points: tensor(&self.points), directions: tensor(&self.directions) })
     }
 }
 
-impl OnDevice {
+impl DeviceAnchors {
     /// Mean of `√(|d − d*|² + r²) − r`, which is about the angle between both directions in rad, `[1]`. `pose` is `[3, 4]`,
     /// tracked.
     pub fn penalty(&self, pose: Tensor<2>) -> Tensor<1> {
