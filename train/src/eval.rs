@@ -65,7 +65,7 @@ pub struct EvalArgs {
 
 /// The `options` of `metrics.json`.
 #[derive(Serialize)]
-struct Options<'a> {
+struct EvalOptionsRecord<'a> {
     capture: &'a Path,
     scene: &'a Path,
     #[serde(flatten)]
@@ -123,7 +123,7 @@ pub fn run(args: &EvalArgs) -> Result<Metrics> {
     let scores = report::measure(&splats, &photos, &background, &render_options, lpips.as_ref(), &out)?;
     let eval = seconds_since(start);
     copy_scene(&args.scene, &scene_name, &out)?;
-    let options = Options {
+    let options = EvalOptionsRecord {
         capture: &args.capture,
         scene: &args.scene,
         photos: &photo_args,

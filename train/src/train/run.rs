@@ -42,7 +42,7 @@ const DEMO_CAPTURE: &str = "demo-capture";
 
 /// The `options` of `metrics.json`.
 #[derive(Serialize)]
-struct Options<'a> {
+struct TrainOptionsRecord<'a> {
     capture: &'a Path,
     #[serde(flatten)]
     photos: &'a PhotoArgs,
@@ -187,7 +187,7 @@ fn to_the_end(mut args: TrainArgs, kept: Option<SavedRun>, change: impl FnOnce(T
     let measure = || report::measure(&gaussians.splats(), &test, &background, &render_options, lpips.as_ref(), &out);
     let test_scores = if test.is_empty() { None } else { Some(measure()?) };
     let eval = seconds_since(start);
-    let options = Options {
+    let options = TrainOptionsRecord {
         capture: &capture.folder,
         photos: &photo_args,
         config: &config,
