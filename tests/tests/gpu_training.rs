@@ -24,15 +24,15 @@ const GRAD_THRESHOLD: f64 = 6e-4;
 const GROWTH: f64 = 1.2;
 
 /// Number of Gaussians before and after, and the PSNR of the held-out views.
-struct Outcome {
+struct TrainingOutcome {
     before: f64,
     count: f64,
     psnr: f64,
 }
 
 /// Trains from all starts and returns the means.
-fn train_all(capture: &Capture, name: &str, device: &Device) -> Outcome {
-    let runs: Vec<Outcome> = (0..STARTS)
+fn train_all(capture: &Capture, name: &str, device: &Device) -> TrainingOutcome {
+    let runs: Vec<TrainingOutcome> = (0..STARTS)
         .map(|start| {
             let mut capture = capture.clone();
             let scale = 1.0 + f32::from(start) * f32::EPSILON;
@@ -42,11 +42,11 @@ fn train_all(capture: &Capture, name: &str, device: &Device) -> Outcome {
             run
         })
         .collect();
-    let mean = |of: fn(&Outcome) -> f64| runs.iter().map(of).sum::<f64>() / f64::from(STARTS);
-    Outcome { before: mean(|run| run.before), count: mean(|run| run.count), psnr: mean(|run| run.psnr) }
+    let mean = |of: fn(&TrainingOutcome) -> f64| runs.iter().map(of).sum::<f64>() / f64::from(STARTS);
+    TrainingOutcome { before: mean(|run| run.before), count: mean(|run| run.count), psnr: mean(|run| run.psnr) }
 }
 
-fn train(capture: &Capture, device: &Device) -> Outcome {
+fn train(capture: &Capture, device: &Device) -> TrainingOutcome {
     let split = Split::every(&capture.views, 8);
     let photos = |views: &[usize]| -> Vec<Photo> {
         load_all(views.iter().map(|view| &capture.views[*view]), None, |_| ()).expect("readable photographs")
@@ -70,7 +70,7 @@ fn train(capture: &Capture, device: &Device) -> Outcome {
     let scores =
         evaluate(&gaussians.splats(), &photos(&split.test), &Background::Colour(background), &options, |_, _| ());
     let psnr = scores.expect("a valid scene").psnr;
-    Outcome { before: before as f64, count: gaussians.len() as f64, psnr }
+    TrainingOutcome { before: before as f64, count: gaussians.len() as f64, psnr }
 }
 
 #[test]

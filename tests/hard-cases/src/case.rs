@@ -29,7 +29,7 @@ pub enum CaseKind {
 }
 
 /// Function that runs a case on one path.
-pub type Check = Box<dyn Fn(&Place) -> Outcome + Send + Sync>;
+pub type Check = Box<dyn Fn(&Place) -> CaseOutcome + Send + Sync>;
 
 /// A bound above the ceiling.
 #[derive(Clone, Copy, Debug)]
@@ -72,7 +72,7 @@ pub struct MeasuredDeviation {
 
 /// Outcome of a case on one path. The default has passed, with nothing measured.
 #[derive(Clone, Debug, Default)]
-pub struct Outcome {
+pub struct CaseOutcome {
     /// Score of the pictures.
     pub forward: Option<MeasuredDeviation>,
     /// Score of the gradients.
@@ -94,7 +94,7 @@ impl HardCase {
     pub fn check(
         name: impl Into<String>,
         why: &'static str,
-        check: impl Fn(&Place) -> Outcome + Send + Sync + 'static,
+        check: impl Fn(&Place) -> CaseOutcome + Send + Sync + 'static,
     ) -> Self {
         Self::new(name.into(), why, CaseKind::Check(Box::new(check)))
     }
@@ -133,7 +133,7 @@ impl MeasuredDeviation {
     }
 }
 
-impl Outcome {
+impl CaseOutcome {
     /// Whether every requirement holds.
     pub fn passed(&self) -> bool {
         self.failures.is_empty()
@@ -177,11 +177,11 @@ mod tests {
 
     #[test]
     fn outcomes_add_up() {
-        let mut first = Outcome { ill_rows: 1, ..Outcome::default() };
+        let mut first = CaseOutcome { ill_rows: 1, ..CaseOutcome::default() };
         assert!(first.passed());
         first.require(true, || unreachable!());
         first.require(false, || "first".into());
-        let second = Outcome { forward: Some(MeasuredDeviation::default()), ill_rows: 2, ..Outcome::default() };
+        let second = CaseOutcome { forward: Some(MeasuredDeviation::default()), ill_rows: 2, ..CaseOutcome::default() };
         let both = second.and(first);
         assert!(!both.passed() && both.ill_rows == 3 && both.forward.is_some() && both.gradient.is_none());
     }

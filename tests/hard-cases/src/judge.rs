@@ -5,7 +5,7 @@ use glam::{DMat3, DVec3};
 use splat_op::exact::{ExactGaussian, ExactPose, render_exact};
 use splat_op::{Order, Projection, RenderOptions};
 
-use crate::case::{CaseKind, HardCase, MeasuredDeviation, Outcome, Place, Processor};
+use crate::case::{CaseKind, CaseOutcome, HardCase, MeasuredDeviation, Place, Processor};
 use crate::ceiling::{ROW_EXCEPTIONS, ROW_TOLERANCE, SMALLEST, ceiling_used};
 use crate::compare::{largest, norm, relative_error, worst};
 use crate::evaluate::{OF_NO_SPLAT, Outputs, culled, evaluate};
@@ -18,9 +18,9 @@ use crate::textbook::{self, Backward};
 /// Result of a case.
 pub struct Row {
     /// Outcome of each path, in the given order.
-    pub places: Vec<(Place, Outcome)>,
+    pub places: Vec<(Place, CaseOutcome)>,
     /// Outcome of the textbook's formulas in f32, where they differ from those of the operation.
-    pub textbook: Option<Outcome>,
+    pub textbook: Option<CaseOutcome>,
     /// Largest condition number of a 2D covariance; 1 for a case without scenes.
     pub condition: f64,
     /// Errors of the reference itself.
@@ -50,14 +50,14 @@ impl Row {
     }
 
     /// Worst outcome of a kind of path; `None` if no such path ran.
-    pub fn of(&self, processor: Processor) -> Option<Outcome> {
+    pub fn of(&self, processor: Processor) -> Option<CaseOutcome> {
         let places = self.places.iter().filter(|(place, _)| place.processor == processor);
-        places.map(|(_, outcome)| outcome.clone()).reduce(Outcome::and)
+        places.map(|(_, outcome)| outcome.clone()).reduce(CaseOutcome::and)
     }
 
     /// All failures, with the path of each.
     pub fn failures(&self) -> Vec<String> {
-        let of_place = |(place, outcome): &(Place, Outcome)| {
+        let of_place = |(place, outcome): &(Place, CaseOutcome)| {
             outcome.failures.iter().map(|failure| format!("{}: {failure}", place.name)).collect::<Vec<_>>()
         };
         self.remarks.iter().cloned().chain(self.places.iter().flat_map(of_place)).collect()
@@ -75,7 +75,7 @@ pub fn judge(case: &HardCase, places: &[Place]) -> Row {
             row.places = places.iter().map(|&place| (place.clone(), check(place))).collect();
         }
         CaseKind::Scenes(scenes) => {
-            row.places = places.iter().map(|&place| (place.clone(), Outcome::default())).collect();
+            row.places = places.iter().map(|&place| (place.clone(), CaseOutcome::default())).collect();
             for scene in scenes {
                 let yardstick = Yardstick::new(scene);
                 row.condition = row.condition.max(yardstick.condition);
@@ -180,7 +180,7 @@ impl Yardstick {
     }
 
     /// Judges a path by every requirement.
-    fn judge(&self, place: &Place, limit: f64) -> Outcome {
+    fn judge(&self, place: &Place, limit: f64) -> CaseOutcome {
         let (scene, label) = (&self.scene, &self.scene.label);
         let device = &place.device;
         let found = evaluate(scene, &self.weights, device, DType::F32);
@@ -202,8 +202,8 @@ impl Yardstick {
 
     /// Checks that the neighbours have the same bits as without the hard Gaussians: their gradients, and the pixels that no hard
     /// Gaussian reaches.
-    fn judge_neighbours(&self, found: &Outputs, place: &Place) -> Outcome {
-        let mut outcome = Outcome::default();
+    fn judge_neighbours(&self, found: &Outputs, place: &Place) -> CaseOutcome {
+        let mut outcome = CaseOutcome::default();
         let hard = self.scene.count() - self.scene.neighbours;
         let (hard_ones, neighbours) = (self.scene.rows(0..hard), self.scene.rows(hard..self.scene.count()));
         // The accumulated depth, because alpha is a difference from one and cannot represent 1e-17.
@@ -225,7 +225,7 @@ impl Yardstick {
     }
 
     /// Judges the textbook's formulas in f32; `None` where they equal those of the operation or would take too long.
-    fn textbook(&self) -> Option<Outcome> {
+    fn textbook(&self) -> Option<CaseOutcome> {
         let scene = &self.scene;
         let pairs = scene.count() * self.kept.len();
         let knows = scene.paint == Paint::Features(scene.channels()) && !along_rays(&scene.options);
@@ -236,8 +236,8 @@ impl Yardstick {
     }
 
     /// Compares pictures and gradients with `limit` times the ceiling.
-    fn compare(&self, found: &Outputs, limit: f64) -> Outcome {
-        let mut outcome = Outcome::default();
+    fn compare(&self, found: &Outputs, limit: f64) -> CaseOutcome {
+        let mut outcome = CaseOutcome::default();
         for (i, found) in found.pictures.iter().enumerate() {
             let (expected, spread) = (&self.expected.pictures[i], &self.spread.pictures[i]);
             let parts = [found, expected, spread].map(|tensor| columns(&keep(tensor, &self.kept)));
@@ -276,7 +276,11 @@ fn within_f32(mut outputs: Outputs) -> Outputs {
 }
 
 /// Worst score of the parts of `[found, expected, spread]`, each relative to its own largest element.
-fn score_parts([found, expected, spread]: &[Vec<Named>; 3], outcome: &mut Outcome, limit: f64) -> MeasuredDeviation {
+fn score_parts(
+    [found, expected, spread]: &[Vec<Named>; 3],
+    outcome: &mut CaseOutcome,
+    limit: f64,
+) -> MeasuredDeviation {
     let mut score = MeasuredDeviation::default();
     for ((found, expected), spread) in found.iter().zip(expected).zip(spread) {
         let name = found.name;
@@ -294,7 +298,7 @@ fn score_parts([found, expected, spread]: &[Vec<Named>; 3], outcome: &mut Outcom
 }
 
 /// Judges the rows of a gradient as vectors: off by more than the tolerance, or too ill-conditioned for it.
-fn judge_rows(found: &Named, expected: &Named, spread: &Named, limit: f64, outcome: &mut Outcome) {
+fn judge_rows(found: &Named, expected: &Named, spread: &Named, limit: f64, outcome: &mut CaseOutcome) {
     let lengths = |values: &[f64]| values.chunks(expected.columns).map(norm).collect::<Vec<f64>>();
     let (sizes, spreads) = (lengths(&expected.values), lengths(&spread.values));
     let errors: Vec<f64> = found.values.iter().zip(&expected.values).map(|(f, e)| f - e).collect();

@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use crate::case::{HardCase, MeasuredDeviation, Outcome, Place, Processor};
+use crate::case::{CaseOutcome, HardCase, MeasuredDeviation, Place, Processor};
 use crate::judge::{Row, Verdict};
 
 /// The cases of one group, each with its result.
@@ -82,8 +82,8 @@ fn line(case: &HardCase, row: &Row) -> String {
         Verdict::Loose => "loose",
         Verdict::Failed => "**no**",
     };
-    let forward = |outcome: &Option<Outcome>| cell(outcome.as_ref().and_then(|outcome| outcome.forward));
-    let gradient = |outcome: &Option<Outcome>| cell(outcome.as_ref().and_then(|outcome| outcome.gradient));
+    let forward = |outcome: &Option<CaseOutcome>| cell(outcome.as_ref().and_then(|outcome| outcome.forward));
+    let gradient = |outcome: &Option<CaseOutcome>| cell(outcome.as_ref().and_then(|outcome| outcome.gradient));
     let cells = [
         case.name.clone(),
         case.why.into(),

@@ -63,7 +63,7 @@ pub struct Alone {
 }
 
 /// Results of the measurements.
-pub struct Outcome {
+pub struct BenchOutcome {
     pub rows: Vec<Row>,
     /// Every measured value of every numerical dial.
     pub alone: Vec<Alone>,
@@ -82,7 +82,7 @@ impl Bench<'_> {
         candidates: Vec<Candidate>,
         budget: Duration,
         score: impl Fn(&RenderOptions) -> Result<Option<(f64, f64)>>,
-    ) -> Result<Outcome> {
+    ) -> Result<BenchOutcome> {
         let yardstick = check_crops(&self.exact, &self.shots, &Dial::all_exact(self.base))?;
         let mut truths: Vec<(RenderOptions, Truth)> = Vec::new();
         let counter = progress::counter("checking settings", candidates.len());
@@ -108,7 +108,7 @@ impl Bench<'_> {
             memory_mib,
             times,
         });
-        Ok(Outcome { rows: rows.collect(), alone, yardstick, rounds })
+        Ok(BenchOutcome { rows: rows.collect(), alone, yardstick, rounds })
     }
 
     /// Returns the exact reference under the model choices of `options`; it is computed once for each.
@@ -291,7 +291,7 @@ impl Row {
     }
 }
 
-impl Outcome {
+impl BenchOutcome {
     /// Returns the frontier that other commands choose from.
     pub fn frontier(&self, bench: &Bench, device: &str, provenance: Provenance) -> Frontier {
         Frontier {

@@ -26,7 +26,7 @@ use splat_model::trainer::TrainConfig;
 use splat_op::{CameraModel, RenderOptions};
 
 use self::dials::{Role, candidates};
-use self::measure::{Bench, Outcome, Row};
+use self::measure::{Bench, BenchOutcome, Row};
 use self::plot::{Chart, Dot, Mark};
 pub use self::subject::MeasuredView;
 use self::subject::{Place, off_the_clamp};
@@ -207,7 +207,7 @@ fn train(args: &ParetoArgs, capture: &Capture, split: &Split, test: &[Photo], de
 }
 
 /// Rows on the frontier of renders, and rows on the frontier of training steps.
-fn members(outcome: &Outcome) -> [Vec<usize>; 2] {
+fn members(outcome: &BenchOutcome) -> [Vec<usize>; 2] {
     let of = |point: fn(&Row) -> Option<FrontierPoint>| {
         // Model choices are not on it: they have no error to be placed by.
         let none = |row: &Row| FrontierPoint { quality_db: f64::NAN, time: row.times.forward };
@@ -221,7 +221,7 @@ fn members(outcome: &Outcome) -> [Vec<usize>; 2] {
     [render, step]
 }
 
-fn write(out: &OutputFolder, subject: &page::Subject, outcome: &Outcome, trained: &[Trained]) -> Result<()> {
+fn write(out: &OutputFolder, subject: &page::Subject, outcome: &BenchOutcome, trained: &[Trained]) -> Result<()> {
     let [render, step] = members(outcome);
     let put = |name: &str, bytes: &[u8]| out.write(name, |file| Ok(file.write_all(bytes)?));
     put(TABLE, csv::text(&outcome.rows, &render).as_bytes())?;
@@ -240,7 +240,7 @@ fn write(out: &OutputFolder, subject: &page::Subject, outcome: &Outcome, trained
     Ok(())
 }
 
-fn chart(subject: &page::Subject, outcome: &Outcome, members: &[usize]) -> Chart {
+fn chart(subject: &page::Subject, outcome: &BenchOutcome, members: &[usize]) -> Chart {
     let dot = |(i, row): (usize, &Row)| {
         let time = row.times.forward;
         Some(Dot {
@@ -282,7 +282,7 @@ fn train_chart(trained: &[Trained]) -> Option<Chart> {
     })
 }
 
-fn say(out: &OutputFolder, outcome: &Outcome, trained: &[Trained]) {
+fn say(out: &OutputFolder, outcome: &BenchOutcome, trained: &[Trained]) {
     let [render, _] = members(outcome);
     progress::say("the frontier of renders, from accurate to fast:");
     for row in render.iter().map(|&i| &outcome.rows[i]) {

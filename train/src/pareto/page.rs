@@ -6,7 +6,7 @@ use splat_model::accuracy::{DIALS, Dial, Judge, STANDARD, Spread, Work, decibels
 use splat_op::RenderOptions;
 
 use super::dials::Role;
-use super::measure::{Alone, Outcome, Row};
+use super::measure::{Alone, BenchOutcome, Row};
 use super::training::Trained;
 use super::verdict::{Graded, HARMLESS_DB, INVISIBLE_DB, Verdict, choice, verdict};
 
@@ -26,7 +26,7 @@ pub struct Subject<'a> {
 }
 
 /// Returns the page. `members` are the rows on the frontiers of renders and of training steps.
-pub fn page(subject: &Subject, outcome: &Outcome, members: [&[usize]; 2], trained: &[Trained]) -> String {
+pub fn page(subject: &Subject, outcome: &BenchOutcome, members: [&[usize]; 2], trained: &[Trained]) -> String {
     let mut text = intro(subject, outcome);
     text.push_str(&taken(subject, outcome, members));
     text.push_str("\n## Presets and combinations\n\n");
@@ -54,7 +54,7 @@ pub fn page(subject: &Subject, outcome: &Outcome, members: [&[usize]; 2], traine
     text
 }
 
-fn intro(subject: &Subject, outcome: &Outcome) -> String {
+fn intro(subject: &Subject, outcome: &BenchOutcome) -> String {
     let Subject { capture, scene, device, splats, views, size: (width, height), .. } = subject;
     let (rounds, yardstick, names) = (outcome.rounds, outcome.yardstick, views.join(", "));
     let few = match rounds < FEW_ROUNDS {
@@ -78,7 +78,7 @@ fn intro(subject: &Subject, outcome: &Outcome) -> String {
 }
 
 /// Returns the summary.
-fn taken(subject: &Subject, outcome: &Outcome, members: [&[usize]; 2]) -> String {
+fn taken(subject: &Subject, outcome: &BenchOutcome, members: [&[usize]; 2]) -> String {
     let mut text = String::from("\n## What to take from it\n\n");
     let works = [(Work::Render, INVISIBLE_DB, "to render"), (Work::Train, HARMLESS_DB, "to train")];
     for dial in measured_dials(outcome, Judge::Exact) {
@@ -108,7 +108,7 @@ fn taken(subject: &Subject, outcome: &Outcome, members: [&[usize]; 2]) -> String
     text
 }
 
-fn measured_dials(outcome: &Outcome, judge: Judge) -> impl Iterator<Item = &'static Dial> {
+fn measured_dials(outcome: &BenchOutcome, judge: Judge) -> impl Iterator<Item = &'static Dial> {
     let measured = |dial: &&Dial| outcome.rows.iter().any(|row| row.candidate.role == Role::Dial(dial.name));
     DIALS.iter().filter(move |dial| dial.judge == judge).filter(measured)
 }
@@ -117,7 +117,7 @@ fn measured_dials(outcome: &Outcome, judge: Judge) -> impl Iterator<Item = &'sta
 fn values<'a>(
     dial: &'static Dial,
     subject: &'a Subject,
-    outcome: &'a Outcome,
+    outcome: &'a BenchOutcome,
 ) -> impl Iterator<Item = (String, &'a Row)> {
     dial.values.iter().filter_map(move |value| {
         let options = (value.set)(subject.base);
@@ -126,7 +126,7 @@ fn values<'a>(
 }
 
 /// Table of the errors of a dial's values in isolation.
-fn alone(dial: &Dial, outcome: &Outcome) -> String {
+fn alone(dial: &Dial, outcome: &BenchOutcome) -> String {
     let mut text = String::from(
         "\nAlone, with every other numerical dial at its most accurate:\n\n\
          | setting | error, dB | max | gradient error | cosine |\n|---|---|---|---|---|\n",
@@ -140,7 +140,7 @@ fn alone(dial: &Dial, outcome: &Outcome) -> String {
 
 /// A dial's values with their errors in isolation, which other dials would hide, and their times with the other dials
 /// at the base.
-fn graded(dial: &'static Dial, subject: &Subject, outcome: &Outcome, work: Work) -> Vec<Graded> {
+fn graded(dial: &'static Dial, subject: &Subject, outcome: &BenchOutcome, work: Work) -> Vec<Graded> {
     let one = |(value, row): (String, &Row)| {
         let alone = outcome.alone.iter().find(|alone| alone.dial == dial.name && alone.value == value)?;
         let accuracy = &alone.accuracy;
@@ -153,7 +153,7 @@ fn graded(dial: &'static Dial, subject: &Subject, outcome: &Outcome, work: Work)
     values(dial, subject, outcome).filter_map(one).collect()
 }
 
-fn table<'a>(outcome: &'a Outcome, rows: impl Iterator<Item = (String, &'a Row)>) -> String {
+fn table<'a>(outcome: &'a BenchOutcome, rows: impl Iterator<Item = (String, &'a Row)>) -> String {
     let mut text = String::from(
         "| setting | error, dB | max | PSNR, dB | SSIM | forward, ms | backward, ms | memory, MiB | gradient error | cosine | \
          a frame, to the standard |\n|---|---|---|---|---|---|---|---|---|---|---|\n",

@@ -16,7 +16,7 @@ use splat_model::optim::{near_plane, scene_extent};
 use splat_model::{init, ply};
 use splat_op::{Camera, Colour, Extras, RenderOptions, render};
 
-use crate::case::{HardCase, MeasuredDeviation, Outcome, Place};
+use crate::case::{CaseOutcome, HardCase, MeasuredDeviation, Place};
 use crate::compare::{largest, relative_error};
 use crate::scratch::{Scratch, demo, photographs};
 use crate::tensors::host;
@@ -67,8 +67,8 @@ struct CaptureResult {
     origin: DVec3,
 }
 
-fn judge(place: &Place, offset: DVec3, scale: f64) -> Outcome {
-    let mut outcome = Outcome::default();
+fn judge(place: &Place, offset: DVec3, scale: f64) -> CaseOutcome {
+    let mut outcome = CaseOutcome::default();
     match (seen(place, DVec3::ZERO, 1.0), seen(place, offset, scale)) {
         (Ok(expected), Ok(found)) => {
             let error = relative_error(&found.pictures, &expected.pictures);

@@ -7,7 +7,7 @@ use splat_model::loss::{Truth, d_ssim, photometric, ssim};
 use splat_model::metrics::{LARGEST_PSNR_DB, psnr};
 use splat_model::optim::{Adam, LearningRates, Moments};
 
-use crate::case::{HardCase, MeasuredDeviation, Outcome, Place, Processor};
+use crate::case::{CaseOutcome, HardCase, MeasuredDeviation, Place, Processor};
 use crate::ceiling::{ceiling_used, moved_value, rounded};
 use crate::compare::relative_error;
 use crate::random::Random;
@@ -104,7 +104,7 @@ fn plainly(image: &[f64], truth: &[f64]) -> (f64, Vec<f64>) {
     (loss.into_scalar::<f64>(), host(image.grad(&grads).expect("tracked")))
 }
 
-fn similarity(place: &Place, image: Picture, truth: Picture, limit: f64) -> Outcome {
+fn similarity(place: &Place, image: Picture, truth: Picture, limit: f64) -> CaseOutcome {
     let (image, truth) = (image(), truth());
     let (value, gradient) = plainly(&image, &truth);
     let (mut value_spread, mut spread) = (0.0_f64, vec![0.0_f64; gradient.len()]);
@@ -124,7 +124,7 @@ fn similarity(place: &Place, image: Picture, truth: Picture, limit: f64) -> Outc
     let found = host(tracked.grad(&grads).expect("tracked"));
     let found_value = host(loss);
 
-    let mut outcome = Outcome::default();
+    let mut outcome = CaseOutcome::default();
     // The similarity of two pictures is at most one, and errors of the loss are relative to one.
     let error = (found_value[0] - value).abs();
     let used = error / (16.0 * value_spread + 1e-6);
@@ -144,8 +144,8 @@ fn similarity(place: &Place, image: Picture, truth: Picture, limit: f64) -> Outc
     outcome
 }
 
-fn psnr_ends(place: &Place) -> Outcome {
-    let mut outcome = Outcome::default();
+fn psnr_ends(place: &Place) -> CaseOutcome {
+    let mut outcome = CaseOutcome::default();
     let of = |a: Picture, b: Picture| {
         let picture = |values: Vec<f64>| tensor::<3>(&values, SHAPE, &place.device, DType::F32);
         psnr(picture(a()), picture(b()))
@@ -175,8 +175,8 @@ fn adam(place: &Place, start: &[f64], gradients: impl Fn(usize) -> Vec<f64>, ste
     path
 }
 
-fn no_gradient(place: &Place) -> Outcome {
-    let mut outcome = Outcome::default();
+fn no_gradient(place: &Place) -> CaseOutcome {
+    let mut outcome = CaseOutcome::default();
     let start: Vec<f64> = [0.0, -0.0, 1.5, -1e-40, 1e30].map(rounded).to_vec();
     let path = adam(place, &start, |_| vec![0.0; 5], 20, 0.1);
     // Some devices have no subnormal numbers.
@@ -186,7 +186,7 @@ fn no_gradient(place: &Place) -> Outcome {
 }
 
 /// Compares the steps with Adam in f64, whose gradients are clamped to values that f32 can square, as documented.
-fn wild_gradients(place: &Place) -> Outcome {
+fn wild_gradients(place: &Place) -> CaseOutcome {
     const RATE: f64 = 0.01;
     let sizes = [1e20, -1e20, 1e17, 1e-5, 1e-15, 1e-30, f64::from(f32::MAX), f64::INFINITY];
     // Large gradients come once, followed by ordinary gradients.
@@ -194,7 +194,7 @@ fn wild_gradients(place: &Place) -> Outcome {
         sizes.iter().map(|size| if step <= 3 { rounded(*size) } else { rounded(1e-3 * (step as f64).sin()) }).collect()
     };
     let path = adam(place, &[0.5; 8], gradients, 30, RATE);
-    let mut outcome = Outcome::default();
+    let mut outcome = CaseOutcome::default();
     let finite = path.iter().flatten().all(|value| value.is_finite());
     outcome.require(finite, || "a parameter is not finite".into());
     let largest_step =
@@ -255,7 +255,7 @@ fn step(scene: &mut Trained, ids: &[usize], step: usize, device: &Device) {
 }
 
 /// Checks that kept rows continue unchanged and that new rows start without a history.
-fn surgery(place: &Place) -> Outcome {
+fn surgery(place: &Place) -> CaseOutcome {
     let device = &place.device;
     let trained = |rows: &GaussianRows| Trained::new(Gaussians::from_rows(rows, device).expect("rows of one length"));
     let (start, added) = (rows(5, 1), rows(2, 2));
@@ -266,7 +266,7 @@ fn surgery(place: &Place) -> Outcome {
         (1..=10).for_each(|number| step(scene, &ids, number, device));
     }
     // The rows in another order, without rows 0 and 2, and with two new rows.
-    let mut outcome = Outcome::default();
+    let mut outcome = CaseOutcome::default();
     let edit = RowEdit { keep: vec![4, 1, 3], add: added.clone() };
     if let Err(error) = edited.edit(&edit) {
         outcome.failures.push(error.to_string());

@@ -7,7 +7,7 @@ use burn::tensor::{Device, Tensor};
 use splat_model::gaussians::{GaussianRows, Gaussians};
 use splat_op::{Accumulation, Camera, Extras, Intrinsics, RenderOptions, render};
 
-use crate::case::{HardCase, Outcome, Place};
+use crate::case::{CaseOutcome, HardCase, Place};
 use crate::random::Random;
 use crate::tensors::host;
 
@@ -66,7 +66,7 @@ pub fn cases() -> Vec<HardCase> {
             let cells = VALUES.iter().enumerate().map(|(i, value)| (5 * i % COUNT, i % columns, *value));
             cells
                 .map(|(row, column, value)| scene.judge(place, slot, row, column, value))
-                .reduce(Outcome::and)
+                .reduce(CaseOutcome::and)
                 .unwrap_or_default()
         })
         .hardness("NaN, ±∞, ±f32::MAX, ±1e18, subnormal, ±0")
@@ -112,9 +112,9 @@ impl Poisoned {
     }
 
     /// Puts `value` into a cell and judges the result.
-    pub fn judge(&self, place: &Place, slot: Slot, row: usize, column: usize, value: f32) -> Outcome {
+    pub fn judge(&self, place: &Place, slot: Slot, row: usize, column: usize, value: f32) -> CaseOutcome {
         let outcome = self.judge_row(place, row, |rows| *cell(rows, slot, row, column) = value);
-        Outcome {
+        CaseOutcome {
             failures: outcome
                 .failures
                 .into_iter()
@@ -125,11 +125,11 @@ impl Poisoned {
     }
 
     /// Changes one Gaussian and judges the result.
-    pub fn judge_row(&self, place: &Place, row: usize, poison: impl FnOnce(&mut GaussianRows)) -> Outcome {
+    pub fn judge_row(&self, place: &Place, row: usize, poison: impl FnOnce(&mut GaussianRows)) -> CaseOutcome {
         let mut rows = self.rows.clone();
         poison(&mut rows);
         let found = self.evaluate(&rows, &place.device);
-        let mut outcome = Outcome::default();
+        let mut outcome = CaseOutcome::default();
         let tensors = || found.shared.iter().chain(&found.rows);
         for (name, values) in tensors() {
             outcome.require(values.iter().all(|value| value.is_finite()), || format!("{name} is not finite"));

@@ -2,7 +2,7 @@
 
 use burn::tensor::DType;
 
-use crate::case::{HardCase, Outcome, Place};
+use crate::case::{CaseOutcome, HardCase, Place};
 use crate::evaluate::{Outputs, evaluate};
 use crate::scene::{HardScene, Splat, Truth};
 
@@ -51,12 +51,12 @@ fn scene(label: &str, quat: [f64; 4]) -> HardScene {
     HardScene::new(label, &[hard]).with_neighbour(&neighbour)
 }
 
-fn both_signs(place: &Place) -> Outcome {
+fn both_signs(place: &Place) -> CaseOutcome {
     let [plus, minus] = [QUAT, QUAT.map(|q| -q)].map(|quat| {
         let scene = HardScene { neighbours: 0, ..scene("both signs", quat) }.rounded();
         evaluate(&scene, &scene.weights(), &place.device, DType::F32)
     });
-    let mut outcome = Outcome::default();
+    let mut outcome = CaseOutcome::default();
     let Outputs { pictures, gradients } = minus;
     for (plus, minus) in plus.pictures.iter().zip(&pictures) {
         outcome.require(plus.values == minus.values, || format!("{} differs", plus.name));

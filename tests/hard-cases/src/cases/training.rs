@@ -9,7 +9,7 @@ use splat_model::gaussians::GaussianRows;
 use splat_model::optim::scene_extent;
 use splat_model::trainer::{TrainConfig, Trainer};
 
-use crate::case::{HardCase, Outcome, Place, Processor};
+use crate::case::{CaseOutcome, HardCase, Place, Processor};
 use crate::scratch::{Scratch, demo};
 
 const DEMO: DemoOptions = DemoOptions { width: 40, height: 30, views: 6, points: 300, seed: 5, ..DemoOptions::PLAIN };
@@ -73,8 +73,8 @@ pub fn cases() -> Vec<HardCase> {
     ]
 }
 
-fn judge(place: &Place, change: Change) -> Outcome {
-    let mut outcome = Outcome::default();
+fn judge(place: &Place, change: Change) -> CaseOutcome {
+    let mut outcome = CaseOutcome::default();
     let mut run = || -> Result<(), Box<dyn std::error::Error>> {
         let scratch = Scratch::new()?;
         let (capture, mut photos) = demo(scratch.path(), &DEMO)?;
@@ -92,7 +92,7 @@ fn train(
     place: &Place,
     photos: Vec<Photo>,
     points: &PointCloud,
-    outcome: &mut Outcome,
+    outcome: &mut CaseOutcome,
 ) -> Result<(), Box<dyn std::error::Error>> {
     let (steps, share) = match place.processor {
         Processor::Cpu => (STEPS, LOSS_SHARE),

@@ -14,7 +14,7 @@ fn place() -> Place {
 }
 
 /// Judges the reference with one change to a gradient or a picture.
-fn changed(yardstick: &Yardstick, change: impl Fn(&mut Outputs, &Outputs)) -> Outcome {
+fn changed(yardstick: &Yardstick, change: impl Fn(&mut Outputs, &Outputs)) -> CaseOutcome {
     let mut found = yardstick.expected.clone();
     change(&mut found, &yardstick.spread);
     yardstick.compare(&found, 1.0)
@@ -120,7 +120,7 @@ fn a_truth_that_disagrees_with_the_twin_is_remarked_on() {
 #[test]
 fn loose_bounds_hold_where_they_are_given_and_never_pass() {
     let case = |loose: bool| {
-        let case = HardCase::check("three times", "", |_| Outcome::default());
+        let case = HardCase::check("three times", "", |_| CaseOutcome::default());
         if loose { case.loose(Processor::Cpu, 3.0, "because") } else { case }
     };
     assert_eq!(judge(&case(false), &[place()]).verdict(), Verdict::Passed);
@@ -128,7 +128,8 @@ fn loose_bounds_hold_where_they_are_given_and_never_pass() {
     let gpu = Place { processor: Processor::Gpu, ..place() };
     assert_eq!(judge(&case(true), std::slice::from_ref(&gpu)).verdict(), Verdict::Passed);
     assert_eq!((case(true).limit(Processor::Cpu), case(true).limit(Processor::Gpu)), (3.0, 1.0));
-    let fails = HardCase::check("fails", "", |_| Outcome { failures: vec!["it does".into()], ..Outcome::default() });
+    let fails =
+        HardCase::check("fails", "", |_| CaseOutcome { failures: vec!["it does".into()], ..CaseOutcome::default() });
     let row = judge(&fails, &[place()]);
     assert_eq!((row.verdict(), row.failures()), (Verdict::Failed, vec!["flex: it does".to_owned()]));
     // A case that drivers in software cannot run is left out on them alone.
