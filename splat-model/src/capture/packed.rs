@@ -11,13 +11,13 @@ const BITS: usize = 8;
 
 /// A packed photograph.
 #[derive(Clone, Debug)]
-pub(crate) struct Packed {
+pub(crate) struct PackedPhoto {
     /// `[H, W]`, i32: red in the lowest byte, then green, blue and alpha.
     words: Tensor<2, Int>,
     opaque: bool,
 }
 
-impl Packed {
+impl PackedPhoto {
     /// Bytes of a pixel.
     pub const PIXEL: usize = size_of::<i32>();
 
@@ -77,7 +77,7 @@ mod tests {
         for device in devices() {
             for (alpha, background) in [(false, [0.0; 3]), (false, [0.1, 0.5, 0.9]), (true, [0.1, 0.5, 0.9])] {
                 let photo = photo(alpha);
-                let unpacked = Packed::new(&photo, &device).rgb_over(background);
+                let unpacked = PackedPhoto::new(&photo, &device).rgb_over(background);
                 assert_eq!(unpacked.dims(), [7, 37, 3]);
                 let expected = values_of(photo.rgb_over(background, &device));
                 for (found, expected) in values_of(unpacked).iter().zip(expected) {

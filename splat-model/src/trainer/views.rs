@@ -9,7 +9,7 @@ use glam::DAffine3;
 use splat_op::{Camera, Intrinsics};
 
 use self::ahead::Ahead;
-use crate::capture::packed::Packed;
+use crate::capture::packed::PackedPhoto;
 use crate::capture::{CaptureError, Photo, Photograph};
 use crate::effects::masks;
 use crate::loss::Truth;
@@ -30,7 +30,7 @@ struct TrainingView {
     photo: Option<Arc<Photo>>,
     truth: Option<Truth>,
     /// Packed pixels on the device, if not all prepared photographs fit.
-    packed: Option<Packed>,
+    packed: Option<PackedPhoto>,
     /// `[1, H, W]`: the pixels that a mask excludes. A byte per pixel on a CPU and four on a GPU, not counted in the cache.
     excluded: Option<Tensor<3, Bool>>,
 }
@@ -213,7 +213,7 @@ impl Views {
         };
         let of = &self.views[view];
         let (camera, values) = (of.camera.clone(), 3 * of.intrinsics.width * of.intrinsics.height);
-        let packed_bytes = values / 3 * Packed::PIXEL;
+        let packed_bytes = values / 3 * PackedPhoto::PIXEL;
         if let Some(background) = drawn.filter(|_| of.photograph.has_alpha) {
             let truth = match self.packed(view, self.packs, packed_bytes)? {
                 Some(packed) => packed.rgb_over(background),
@@ -227,7 +227,7 @@ impl Views {
         if packs {
             let packed = match self.packed(view, true, packed_bytes)? {
                 Some(packed) => packed,
-                None => Packed::new(&*self.pixels(view)?, &self.device),
+                None => PackedPhoto::new(&*self.pixels(view)?, &self.device),
             };
             return Ok((camera, Truth::new(clear(packed.rgb_over(self.background)))));
         }
@@ -239,9 +239,9 @@ impl Views {
     }
 
     /// The photograph in four bytes per pixel, if it is cached in that form or can be from now on.
-    fn packed(&mut self, view: usize, wanted: bool, bytes: usize) -> Result<Option<Packed>, CaptureError> {
+    fn packed(&mut self, view: usize, wanted: bool, bytes: usize) -> Result<Option<PackedPhoto>, CaptureError> {
         if self.views[view].packed.is_none() && wanted && bytes <= self.cache_left {
-            let packed = Packed::new(&*self.pixels(view)?, &self.device);
+            let packed = PackedPhoto::new(&*self.pixels(view)?, &self.device);
             self.cache_left -= bytes;
             self.views[view].packed = Some(packed);
         }

@@ -12,7 +12,7 @@
 
 use cubecl::prelude::*;
 
-use super::forward::{CameraAxis, Gaussian, Packed, ProjectCamera, ProjectionTerms, Row, project_one};
+use super::forward::{CameraAxis, Gaussian, PackedEllipse, ProjectCamera, ProjectionTerms, Row, project_one};
 use super::lens_backward::bent_backward;
 use crate::gpu::UNITS;
 use crate::gpu::math::{Mat3, POSE, Pose, Quaternion, Vec3};
@@ -20,7 +20,7 @@ use crate::gpu::reduce::cube_sum;
 
 /// Whether any number is not zero, by its bits, so that NaN counts.
 #[cube]
-pub(crate) fn any(packed: &Packed) -> bool {
+pub(crate) fn any(packed: &PackedEllipse) -> bool {
     let mean = u32::reinterpret(packed.x) | u32::reinterpret(packed.y);
     let sigmas = u32::reinterpret(packed.sigma_u) | u32::reinterpret(packed.sigma_v);
     let rest = u32::reinterpret(packed.shear) | u32::reinterpret(packed.depth) | u32::reinterpret(packed.opacity);
@@ -29,7 +29,7 @@ pub(crate) fn any(packed: &Packed) -> bool {
 
 /// Gradients of `m0` and `m1`.
 #[cube]
-fn factor_backward(f: &ProjectionTerms, lens: &ProjectCamera, opacity: f32, grad: &Packed) -> (Vec3, Vec3) {
+fn factor_backward(f: &ProjectionTerms, lens: &ProjectCamera, opacity: f32, grad: &PackedEllipse) -> (Vec3, Vec3) {
     let inverse_v = 1.0 / f.sigma_v;
     // Both are at most one, whatever the scales.
     let blur = lens.blur_sigma * inverse_v;
@@ -89,7 +89,7 @@ pub(crate) fn seen_backward(
     p: &ProjectionTerms,
     lens: &ProjectCamera,
     grad_j: (Vec3, Vec3),
-    grad: &Packed,
+    grad: &PackedEllipse,
 ) -> SeenGrad {
     #[comptime]
     match p.bent {
@@ -148,7 +148,7 @@ pub(crate) fn gaussian_backward(
     g: &Gaussian,
     pose: &Pose,
     lens: &ProjectCamera,
-    grad: &Packed,
+    grad: &PackedEllipse,
     #[comptime] wanted: Wanted,
 ) -> GaussianGrad {
     let through_rows = comptime!(wanted.means || wanted.rotations || wanted.pose);
@@ -213,7 +213,7 @@ pub(super) fn project_backward_kernel(
     let gaussian = ABSOLUTE_POS;
     let mut of = no_gradient();
     if gaussian < count as usize {
-        let grad = Packed::load(grad, gaussian);
+        let grad = PackedEllipse::load(grad, gaussian);
         // Most Gaussians of a large scene are out of view, and their gradient is exactly zero.
         if any(&grad) {
             let g = Gaussian::load(means, rotations, scales, opacities, gaussian);

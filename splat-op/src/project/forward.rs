@@ -69,7 +69,7 @@ impl Gaussian {
 /// A row of the packed output, or of its gradient.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
-pub(crate) struct Packed {
+pub(crate) struct PackedEllipse {
     pub x: f32,
     pub y: f32,
     pub sigma_u: f32,
@@ -80,10 +80,10 @@ pub(crate) struct Packed {
 }
 
 #[cube]
-impl Packed {
-    pub fn load(from: &[f32], gaussian: usize) -> Packed {
+impl PackedEllipse {
+    pub fn load(from: &[f32], gaussian: usize) -> PackedEllipse {
         let at = gaussian * comptime!(COLUMNS);
-        Packed {
+        PackedEllipse {
             x: from[at],
             y: from[at + 1],
             sigma_u: from[at + 2],
@@ -250,8 +250,8 @@ pub(crate) fn project_one(gaussian: &Gaussian, pose: &Pose, lens: &ProjectCamera
 
 /// The row of a Gaussian: of one that is culled all zero but `sigma_u = sigma_v = 1`.
 #[cube]
-pub(crate) fn packed_of(gaussian: &Gaussian, p: &ProjectionTerms, lens: &ProjectCamera) -> Packed {
-    Packed {
+pub(crate) fn packed_of(gaussian: &Gaussian, p: &ProjectionTerms, lens: &ProjectCamera) -> PackedEllipse {
+    PackedEllipse {
         x: select(p.visible, lens.x.focal * p.x.ratio + lens.x.principal, 0.0),
         y: select(p.visible, lens.y.focal * p.y.ratio + lens.y.principal, 0.0),
         sigma_u: select(p.visible, p.sigma_u, 1.0),

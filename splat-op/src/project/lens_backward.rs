@@ -3,7 +3,7 @@
 use cubecl::prelude::*;
 
 use super::backward::SeenGrad;
-use super::forward::{Packed, ProjectCamera};
+use super::forward::{PackedEllipse, ProjectCamera};
 use super::lens_forward::{Distortion, Fisheye, LensProjection, Mat2, Perspective, PlanarMap};
 use crate::gpu::math::{Mat3, Vec2, Vec3};
 
@@ -24,7 +24,7 @@ pub(super) fn bent_backward(
     bent: &LensProjection,
     lens: &ProjectCamera,
     grad_j: (Vec3, Vec3),
-    grad: &Packed,
+    grad: &PackedEllipse,
 ) -> SeenGrad {
     let distortion = lens.distortion.unwrap();
     let (x, y, by) = (grad_j.0.times(lens.x.focal), grad_j.1.times(lens.y.focal), bent.held.by);

@@ -10,7 +10,7 @@ use super::{Harmonics, SH_COEFFICIENTS_MAX, coefficients_of};
 use crate::dials::Storage;
 use crate::gpu::half::load_three_halves;
 use crate::gpu::math::{Mat3, Pose, Vec3};
-use crate::project::forward::Packed;
+use crate::project::forward::PackedEllipse;
 
 /// Where the camera is in the world: the point that the pose takes to zero, `−A⁻¹ t`, by the general inverse.
 #[derive(CubeType, Clone, Copy)]
@@ -173,7 +173,7 @@ pub(super) struct Frame {
 /// Whether a Gaussian may show in the picture, by its packed ellipse; see [`super`].
 #[cube]
 pub(super) fn may_show(ellipses: &[f32], gaussian: usize, frame: &Frame) -> bool {
-    let ellipse = Packed::load(ellipses, gaussian);
+    let ellipse = PackedEllipse::load(ellipses, gaussian);
     let half_x = frame.sigmas * ellipse.sigma_u + 1.0;
     let half_y = frame.sigmas * (ellipse.sigma_v + ellipse.shear.abs() * ellipse.sigma_u) + 1.0;
     let beside = ellipse.x + half_x >= 0.0 && ellipse.x - half_x <= frame.width;

@@ -11,7 +11,7 @@ use super::forward::{TiltTerms, lean};
 use crate::gpu::UNITS;
 use crate::gpu::math::{POSE, Pose, Vec3};
 use crate::project::backward::{Wanted, no_gradient, seen_backward, store_sum};
-use crate::project::forward::{Gaussian, Packed, ProjectCamera, ProjectionTerms, project_one};
+use crate::project::forward::{Gaussian, PackedEllipse, ProjectCamera, ProjectionTerms, project_one};
 
 /// Gradients of `m0`, `m1` and `mz`.
 #[cube]
@@ -94,8 +94,15 @@ pub(super) fn tilt_backward_kernel(
                 let (grad_m0, grad_m1, grad_mz) = factor_backward(&f, &l, grad_u, grad_v, grad_thickness);
                 of.scale = grad_m0.by_axis(f.x.j).plus(grad_m1.by_axis(f.y.j)).plus(grad_mz.by_axis(l.j));
                 let zero = 0.0f32.runtime();
-                let none =
-                    Packed { x: zero, y: zero, sigma_u: zero, shear: zero, sigma_v: zero, depth: zero, opacity: zero };
+                let none = PackedEllipse {
+                    x: zero,
+                    y: zero,
+                    sigma_u: zero,
+                    shear: zero,
+                    sigma_v: zero,
+                    depth: zero,
+                    opacity: zero,
+                };
                 let mut seen = seen_backward(&f, &lens, (grad_m0.by_axis(g.scale), grad_m1.by_axis(g.scale)), &none);
                 // The last row over z.
                 let grad_j = grad_mz.by_axis(g.scale);

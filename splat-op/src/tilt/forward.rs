@@ -4,7 +4,7 @@ use cubecl::prelude::*;
 
 use super::{LEAST, REACH, SLACK, THICKNESS_MAX, TILT};
 use crate::gpu::math::{Pose, Vec3, finite};
-use crate::project::forward::{Gaussian, Packed, ProjectCamera, ProjectionTerms, project_one};
+use crate::project::forward::{Gaussian, PackedEllipse, ProjectCamera, ProjectionTerms, project_one};
 
 /// What the forward pass computes on its way and the backward pass needs again. The names are those of the contract.
 #[derive(CubeType, Clone, Copy)]
@@ -85,8 +85,8 @@ pub(super) fn tilt_forward_kernel(
 
 /// A row that covers the whole picture.
 #[cube]
-fn everywhere(e: &Packed, width: f32, height: f32, reached: f32, alpha_min: f32) -> Packed {
-    Packed {
+fn everywhere(e: &PackedEllipse, width: f32, height: f32, reached: f32, alpha_min: f32) -> PackedEllipse {
+    PackedEllipse {
         x: width * 0.5,
         y: height * 0.5,
         sigma_u: width + height,
@@ -99,7 +99,14 @@ fn everywhere(e: &Packed, width: f32, height: f32, reached: f32, alpha_min: f32)
 
 /// The row of a Gaussian, and whether it has an end.
 #[cube]
-fn outline(e: &Packed, tilt_u: f32, tilt_v: f32, thickness: f32, reached: f32, alpha_min: f32) -> (Packed, bool) {
+fn outline(
+    e: &PackedEllipse,
+    tilt_u: f32,
+    tilt_v: f32,
+    thickness: f32,
+    reached: f32,
+    alpha_min: f32,
+) -> (PackedEllipse, bool) {
     let least = comptime!(LEAST as f32);
     let faintest = max(alpha_min, f32::MIN_POSITIVE);
     let tau = 2.0 * (e.opacity / faintest).ln() * comptime!(1.0 + SLACK[0] as f32) + comptime!(SLACK[1] as f32);
@@ -116,7 +123,7 @@ fn outline(e: &Packed, tilt_u: f32, tilt_v: f32, thickness: f32, reached: f32, a
     let (g_u, g_v) = (c * tilt_u / root, c * tilt_v / root);
     let scale = c / (root * comptime!(REACH as f32));
     let wide = 1.0 + g_u * g_u;
-    let row = Packed {
+    let row = PackedEllipse {
         x: e.x + e.sigma_u * shift_u,
         y: e.y + e.shear * e.sigma_u * shift_u + e.sigma_v * shift_v,
         sigma_u: scale * e.sigma_u * wide.sqrt(),
@@ -141,7 +148,7 @@ pub(super) fn outline_kernel(
     count: u32,
 ) {
     if ABSOLUTE_POS < count as usize {
-        let e = Packed::load(projected, ABSOLUTE_POS);
+        let e = PackedEllipse::load(projected, ABSOLUTE_POS);
         let at = ABSOLUTE_POS * comptime!(TILT);
         if e.opacity > 0.0 && e.opacity >= alpha_min {
             let reached = alpha_min * comptime!((0.5 * REACH * REACH).exp() as f32);

@@ -60,7 +60,7 @@ fn photographs_that_do_not_fit_prepared_are_packed() {
         (first, views.kept(), views.kept_packed())
     };
     let count = photos([0.2; 3]).len();
-    let (prepared, packed) = (count * 3 * PREPARED * WIDTH * HEIGHT, Packed::PIXEL * WIDTH * HEIGHT);
+    let (prepared, packed) = (count * 3 * PREPARED * WIDTH * HEIGHT, PackedPhoto::PIXEL * WIDTH * HEIGHT);
     let (expected, kept, kept_packed) = all(prepared, true);
     assert_eq!((kept, kept_packed), (count, 0));
     for (cache, packs, kept) in
