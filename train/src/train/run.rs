@@ -31,7 +31,7 @@ use crate::pareto::MeasuredView;
 use crate::progress;
 use crate::report::log::LogLine;
 use crate::report::metrics::{Metrics, Seconds, peak_rss_mib, seconds_since};
-use crate::report::page::{self, Page};
+use crate::report::page::{self, ReportPage};
 use crate::report::{self, BACKGROUND, METRICS, POSES, REPORT, SCENE, VIEWS};
 use crate::snapshots::{self, Described, Snapshots};
 use crate::view::scene::{ShownScene, Viewpoint};
@@ -209,7 +209,7 @@ fn to_the_end(mut args: TrainArgs, kept: Option<SavedRun>, change: impl FnOnce(T
     };
     report::finish(&metrics, &out)?;
     let viewpoints: Vec<Viewpoint> = test.iter().map(Viewpoint::of).collect();
-    let page = Page {
+    let page = ReportPage {
         metrics: &metrics,
         history: &history,
         scene: scene.as_ref(),

@@ -11,7 +11,7 @@ use splat_model::formats;
 
 use self::page::{Source, Viewer};
 use self::scene::ShownScene;
-use self::server::{Page, Server};
+use self::server::{ServedFile, Server};
 use crate::report::html::escape;
 use crate::{input, progress};
 
@@ -42,7 +42,7 @@ pub fn run(args: &ViewArgs) -> Result<()> {
 }
 
 /// Returns the pages to serve.
-fn pages(args: &ViewArgs) -> Result<[Page; 2]> {
+fn pages(args: &ViewArgs) -> Result<[ServedFile; 2]> {
     const SCENE: &str = "/scene.ply";
     let (scene, _) = formats::read(&args.scene).context("cannot read the scene")?;
     input::note_antialiased(&args.scene, scene.antialiased && !args.antialias);
@@ -69,7 +69,7 @@ fn pages(args: &ViewArgs) -> Result<[Page; 2]> {
         viewer.scripts()?,
     );
     Ok([
-        Page { path: "/", kind: "text/html; charset=utf-8", content: html.into_bytes() },
-        Page { path: SCENE, kind: "application/octet-stream", content: scene.ply },
+        ServedFile { path: "/", kind: "text/html; charset=utf-8", content: html.into_bytes() },
+        ServedFile { path: SCENE, kind: "application/octet-stream", content: scene.ply },
     ])
 }

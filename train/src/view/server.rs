@@ -10,7 +10,7 @@ use super::page::POLICY;
 
 /// A page to serve. No request reads from disk.
 #[derive(Clone, Debug)]
-pub struct Page {
+pub struct ServedFile {
     /// Path in the URL, such as `/`.
     pub path: &'static str,
     /// MIME type.
@@ -44,7 +44,7 @@ impl Server {
     ///
     /// # Errors
     /// If no more connections can be accepted.
-    pub fn serve(&self, pages: &[Page]) -> Result<()> {
+    pub fn serve(&self, pages: &[ServedFile]) -> Result<()> {
         loop {
             let request = self.http.recv().map_err(|error| anyhow!("the server cannot go on: {error}"))?;
             let answer = self.answer(&request, pages);
@@ -53,7 +53,7 @@ impl Server {
         }
     }
 
-    fn answer<'a>(&self, request: &Request, pages: &'a [Page]) -> Response<&'a [u8]> {
+    fn answer<'a>(&self, request: &Request, pages: &'a [ServedFile]) -> Response<&'a [u8]> {
         let path = request.url().split(['?', '#']).next().unwrap_or_default();
         let (status, kind, content) = match pages.iter().find(|page| page.path == path) {
             // A page elsewhere may let its own host name resolve to this address, to read the content here.

@@ -52,7 +52,7 @@ pub struct PageResult {
 }
 
 /// A page to test.
-pub enum Page {
+pub enum BrowserPage {
     File(PathBuf),
     /// From here on, only the test asks the server, on behalf of the browser.
     Served(Serving),
@@ -72,7 +72,7 @@ fn harness(page: &str, gate: &str, script: &str) -> String {
 }
 
 /// Loads a page into a frame and records its state. `script` runs before that; its `page` is the page's document.
-pub fn look(name: &str, page: Page, script: &str) -> Option<PageResult> {
+pub fn look(name: &str, page: BrowserPage, script: &str) -> Option<PageResult> {
     let browser = browser()?;
     let folder = fresh(&format!("browser-{name}"));
     fs::create_dir_all(&folder).unwrap();
@@ -80,12 +80,12 @@ pub fn look(name: &str, page: Page, script: &str) -> Option<PageResult> {
     let address = format!("http://{}", gate.local_addr().unwrap());
     // A document may access a frame of the same origin, which all files have here.
     let (url, html) = match &page {
-        Page::File(path) => {
+        BrowserPage::File(path) => {
             let harness_path = folder.join("harness.html");
             fs::write(&harness_path, harness(&format!("file://{}", text(path)), &address, script)).unwrap();
             (format!("file://{}", text(&harness_path)), String::new())
         }
-        Page::Served(_) => (format!("{address}/harness"), harness("/", &address, script)),
+        BrowserPage::Served(_) => (format!("{address}/harness"), harness("/", &address, script)),
     };
     let (stop, stopped) = mpsc::channel::<()>();
     let serving = thread::spawn(move || serve(&gate, &html, &page, &stopped));
@@ -114,7 +114,7 @@ pub fn look(name: &str, page: Page, script: &str) -> Option<PageResult> {
 
 /// Answers the browser: `/harness` with the document, `/held` only after a request for `/open` or when nobody waits any
 /// longer, and everything else with the answer of the page's server.
-fn serve(gate: &TcpListener, harness: &str, page: &Page, stopped: &mpsc::Receiver<()>) {
+fn serve(gate: &TcpListener, harness: &str, page: &BrowserPage, stopped: &mpsc::Receiver<()>) {
     const EMPTY: &[u8] = b"HTTP/1.1 204 No Content\r\nConnection: close\r\n\r\n";
     gate.set_nonblocking(true).unwrap();
     let (start, mut held, mut open): (_, Vec<TcpStream>, _) = (Instant::now(), Vec::new(), false);
@@ -145,7 +145,7 @@ fn serve(gate: &TcpListener, harness: &str, page: &Page, stopped: &mpsc::Receive
                 let head = "HTTP/1.1 200 OK\r\nContent-Type: text/html; charset=utf-8\r\nConnection: close\r\n\r\n";
                 format!("{head}{harness}").into_bytes()
             }
-            (Some(path), Page::Served(server)) if path != "/favicon.ico" => server.ask(path),
+            (Some(path), BrowserPage::Served(server)) if path != "/favicon.ico" => server.ask(path),
             _ => EMPTY.to_vec(),
         };
         let _ = stream.write_all(&answer);
@@ -170,7 +170,7 @@ fn assert_drawn(seen: &PageResult) {
 
 #[test]
 fn browsers_draw_the_scene_of_a_report_from_its_file() {
-    let report = Page::File(TRAINED.join("report.html"));
+    let report = BrowserPage::File(TRAINED.join("report.html"));
     let Some(seen) = look("report", report, "page.getElementById(\"viewer\").scrollIntoView();") else { return };
     assert_drawn(&seen);
     let lengths: Vec<u64> = serde_json::from_value(seen.state["curves"].clone()).unwrap();
@@ -182,7 +182,7 @@ fn browsers_draw_the_scene_of_a_report_from_its_file() {
 #[test]
 fn browsers_draw_a_scene_that_is_served() {
     let serving = Serving::start(&[text(&TRAINED.join("scene.ply"))]);
-    let Some(seen) = look("view", Page::Served(serving), "") else { return };
+    let Some(seen) = look("view", BrowserPage::Served(serving), "") else { return };
     assert_drawn(&seen);
 }
 
@@ -195,7 +195,7 @@ fn browsers_say_what_is_wrong_with_a_scene() {
     fs::create_dir_all(&folder).unwrap();
     let broken = folder.join("report.html");
     fs::write(&broken, format!("{before}id=\"viewer-scene\">bm90IGEgcGx5</script>{after}")).unwrap();
-    let Some(seen) = look("broken", Page::File(broken), "") else { return };
+    let Some(seen) = look("broken", BrowserPage::File(broken), "") else { return };
     assert_eq!(seen.state["viewer"], "failed", "{}", seen.state);
     assert!(seen.state["note"].as_str().unwrap().contains("cannot be drawn here"), "{}", seen.state);
 }

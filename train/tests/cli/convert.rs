@@ -10,7 +10,7 @@ use splat_model::formats::{self, Format, Scene};
 use splat_model::gaussians::GaussianRows;
 use tempfile::TempDir;
 
-use crate::browser::{Page, look};
+use crate::browser::{BrowserPage, look};
 use crate::run::{DEMO, TRAINED, end, fresh, refuse, splat, succeed};
 use crate::view::Serving;
 use crate::{TEST_VIEW, files, json, text};
@@ -193,7 +193,7 @@ fn browsers_read_every_format() {
         let page = fresh(&format!("{name}-page")).with_extension("html");
         fs::create_dir_all(page.parent().unwrap()).unwrap();
         fs::write(&page, reading_page(&fs::read(&path).unwrap(), kind)).unwrap();
-        let Some(seen) = look(&name, Page::File(page), "") else { return };
+        let Some(seen) = look(&name, BrowserPage::File(page), "") else { return };
         let note = seen.state["note"].as_str().unwrap_or_default();
         assert_eq!(seen.state["viewer"], "drawn", "{format}: {note} {:?}", seen.console);
         let theirs: Vec<[f64; 14]> = serde_json::from_str::<Value>(note)

@@ -22,7 +22,7 @@ pub const SCENE_BYTES: usize = 20_000_000;
 
 /// Content of the page.
 #[derive(Clone, Copy, Debug)]
-pub struct Page<'a> {
+pub struct ReportPage<'a> {
     pub metrics: &'a Metrics,
     pub history: &'a History,
     /// The scene; `None` if no splat can be drawn.
@@ -35,7 +35,7 @@ pub struct Page<'a> {
     pub antialias: bool,
 }
 
-impl Page<'_> {
+impl ReportPage<'_> {
     /// Writes the page. Reads the pictures of the test views, which have been written before.
     ///
     /// # Errors

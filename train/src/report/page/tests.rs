@@ -95,7 +95,7 @@ fn page(views: Vec<ViewScore>) -> String {
     };
     let viewpoints: Vec<Viewpoint> = views.iter().map(point).collect();
     let metrics = metrics(views, &format!("/captures/{}", NASTY.replace('/', "|")));
-    let page = Page {
+    let page = ReportPage {
         metrics: &metrics,
         history: &history(),
         scene: Some(&scene()),
@@ -217,7 +217,7 @@ fn a_run_without_test_views_or_splats_has_a_page() {
     let out = OutputFolder::prepare(folder.path(), &[], &[]).unwrap();
     let metrics = metrics(Vec::new(), "");
     let history = History::default();
-    let page = Page {
+    let page = ReportPage {
         metrics: &metrics,
         history: &history,
         scene: None,

@@ -9,7 +9,7 @@ fn started() -> Arc<Server> {
     let server = Arc::new(Server::bind(0).unwrap());
     let serving = Arc::clone(&server);
     std::thread::spawn(move || {
-        serving.serve(&[Page { path: "/", kind: "text/html", content: b"hello".to_vec() }]).unwrap();
+        serving.serve(&[ServedFile { path: "/", kind: "text/html", content: b"hello".to_vec() }]).unwrap();
     });
     server
 }
