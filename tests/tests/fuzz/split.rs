@@ -27,14 +27,14 @@ pub fn ply(input: &[u8]) -> Vec<Vec<u8>> {
 
 /// File of a COLMAP model.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Part {
+pub enum ModelFile {
     Cameras,
     Images,
     Points,
 }
 
 /// Splits a file of a binary COLMAP model by the entries of the format's documentation.
-pub fn colmap(part: Part, input: &[u8]) -> Vec<Vec<u8>> {
+pub fn colmap(part: ModelFile, input: &[u8]) -> Vec<Vec<u8>> {
     let mut rest = input;
     let mut fields = Vec::new();
     let mut take = |bytes: usize| {
@@ -49,7 +49,7 @@ pub fn colmap(part: Part, input: &[u8]) -> Vec<Vec<u8>> {
     take(8);
     loop {
         let ended = match part {
-            Part::Cameras => {
+            ModelFile::Cameras => {
                 take(4);
                 let parameters = match number(take(4).1) {
                     0 | 14 => 3,
@@ -60,7 +60,7 @@ pub fn colmap(part: Part, input: &[u8]) -> Vec<Vec<u8>> {
                 };
                 (0..2 + parameters).map(|_| take(8).0).last()
             }
-            Part::Images => {
+            ModelFile::Images => {
                 take(4);
                 (0..7).for_each(|_| _ = take(8));
                 take(4);
@@ -69,7 +69,7 @@ pub fn colmap(part: Part, input: &[u8]) -> Vec<Vec<u8>> {
                 let keypoints = number(take(8).1);
                 (0..3 * keypoints.min(8)).map(|_| take(8).0).last().or(Some(false))
             }
-            Part::Points => {
+            ModelFile::Points => {
                 (0..4).for_each(|_| _ = take(8));
                 (0..3).for_each(|_| _ = take(1));
                 take(8);
@@ -91,7 +91,7 @@ fn fields_add_up_to_the_input() {
     for input in [&ascii[..], json, b"", b"\n\n", &[0xff; 100]] {
         assert_eq!(text(input).concat(), input);
         assert_eq!(ply(input).concat(), input);
-        for part in [Part::Cameras, Part::Images, Part::Points] {
+        for part in [ModelFile::Cameras, ModelFile::Images, ModelFile::Points] {
             assert_eq!(colmap(part, input).concat(), input, "{part:?}");
         }
     }

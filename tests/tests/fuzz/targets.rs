@@ -10,7 +10,7 @@ use splat_model::ply;
 
 use super::engine::{Target, folder};
 use super::seeds;
-use super::split::{self, Part};
+use super::split::{self, ModelFile};
 
 /// Words with which a message says what to do.
 const REMEDIES: [&str; 19] = [
@@ -194,7 +194,8 @@ pub struct Colmap {
     changed: usize,
 }
 
-const PARTS: [(Part, &str); 3] = [(Part::Cameras, "cameras"), (Part::Images, "images"), (Part::Points, "points3D")];
+const PARTS: [(ModelFile, &str); 3] =
+    [(ModelFile::Cameras, "cameras"), (ModelFile::Images, "images"), (ModelFile::Points, "points3D")];
 
 impl Colmap {
     pub fn binary(name: &'static str) -> Self {

@@ -130,7 +130,7 @@ pub struct ReceptiveField {
 
 /// A part of a side, px.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Part {
+pub struct SidePart {
     /// The pixels whose features belong to the part: the features of every tap for which `i · stride` lies here.
     pub core: Range<usize>,
     /// The pixels that these features depend on. The start is a multiple of every stride, so that features keep their
@@ -140,7 +140,7 @@ pub struct Part {
     pub is_last: bool,
 }
 
-impl Part {
+impl SidePart {
     /// The range of features that belong to the part, among the `length` features that a tap with this stride has for `seen`.
     pub fn wanted(&self, stride: usize, length: usize) -> Range<usize> {
         let local = |at: usize| (at / stride - self.seen.start / stride).min(length);
@@ -153,9 +153,9 @@ impl Part {
 ///
 /// # Panics
 /// If `most` leaves no room for a core between its margins.
-pub fn parts(net: Net, side: usize, most: usize) -> Vec<Part> {
+pub fn parts(net: Net, side: usize, most: usize) -> Vec<SidePart> {
     if side <= most {
-        return vec![Part { core: 0..side, seen: 0..side, is_last: true }];
+        return vec![SidePart { core: 0..side, seen: 0..side, is_last: true }];
     }
     let views = net.views();
     let grid = views[TAPS - 1].stride;
@@ -168,7 +168,7 @@ pub fn parts(net: Net, side: usize, most: usize) -> Vec<Part> {
     let starts = (0..side).step_by(core);
     let part = |start: usize| {
         let end = (start + core).min(side);
-        Part { core: start..end, seen: start.saturating_sub(before)..(end + after).min(side), is_last: end == side }
+        SidePart { core: start..end, seen: start.saturating_sub(before)..(end + after).min(side), is_last: end == side }
     };
     starts.map(part).collect()
 }

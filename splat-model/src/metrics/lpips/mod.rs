@@ -24,7 +24,7 @@ use burn::tensor::{DType, Device, Tensor};
 use thiserror::Error;
 
 pub use self::layers::Net;
-use self::layers::{NetworkLayer, Part, TAPS, Window, parts};
+use self::layers::{NetworkLayer, SidePart, TAPS, Window, parts};
 pub use self::weights::WeightsError;
 
 /// Added to the length of a feature vector, as in the package's `normalize_tensor`.
@@ -149,7 +149,7 @@ impl Lpips {
     }
 
     /// The weighted squared differences of a part of both pictures by tap, summed over the features that belong to the part.
-    fn compare(&self, pictures: &[Tensor<4>; 2], row: &Part, column: &Part) -> [f64; TAPS] {
+    fn compare(&self, pictures: &[Tensor<4>; 2], row: &SidePart, column: &SidePart) -> [f64; TAPS] {
         let [mut a, mut b] = pictures
             .each_ref()
             .map(|picture| self.scaled(picture.clone().slice([0..1, 0..3, row.seen.clone(), column.seen.clone()])));
