@@ -7,12 +7,12 @@ use super::*;
 
 /// A picture on the host, `[H, W, C]` row-major.
 #[derive(Clone)]
-struct Picture {
+struct HostPicture {
     shape: [usize; 3],
     values: Vec<f64>,
 }
 
-impl Picture {
+impl HostPicture {
     fn random(shape: [usize; 3], seed: u64) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         Self { shape, values: (0..shape.iter().product()).map(|_| rng.random_range(0.0..1.0)).collect() }
@@ -37,7 +37,7 @@ impl Picture {
 }
 
 /// SSIM at every pixel by its definition: a double loop over the 11 × 11 window that computes all moments in one pass.
-fn reference_map(a: &Picture, b: &Picture) -> Vec<f64> {
+fn reference_map(a: &HostPicture, b: &HostPicture) -> Vec<f64> {
     let total: f64 = (-5..=5).map(|d: isize| (-((d * d) as f64) / 4.5).exp()).sum();
     let [height, width, channels] = a.shape;
     let mut map = Vec::new();
@@ -99,7 +99,7 @@ fn ssim_is_its_definition() {
     for device in devices() {
         for (dtype, tolerance) in [(DType::F64, 1e-12), (DType::F32, 2e-5)] {
             for (seed, shape) in SHAPES.into_iter().enumerate() {
-                let (a, b) = (Picture::random(shape, seed as u64), Picture::random(shape, 100 + seed as u64));
+                let (a, b) = (HostPicture::random(shape, seed as u64), HostPicture::random(shape, 100 + seed as u64));
                 let expected = reference_map(&a, &b);
                 let (image, truth) = (a.tensor(&device, dtype), b.tensor(&device, dtype));
                 let found = host(ssim_map(image.clone(), truth.clone()));
@@ -121,7 +121,7 @@ fn ssim_is_its_definition() {
 fn photometric_mixes_both_terms_and_tracking_changes_no_value() {
     let device = Device::flex();
     for shape in SHAPES {
-        let (a, b) = (Picture::random(shape, 1), Picture::random(shape, 2));
+        let (a, b) = (HostPicture::random(shape, 1), HostPicture::random(shape, 2));
         let truth = Truth::new(b.tensor(&device, DType::F64));
         let absolute: Vec<f64> = a.values.iter().zip(&b.values).map(|(a, b)| (a - b).abs()).collect();
         let expected = 0.7 * mean(&absolute) + 0.3 * (1.0 - mean(&reference_map(&a, &b)));
@@ -134,7 +134,7 @@ fn photometric_mixes_both_terms_and_tracking_changes_no_value() {
 }
 
 /// Central differences of `value` at every `stride`-th element against `gradient`.
-fn assert_gradient(picture: &Picture, gradient: &[f64], stride: usize, value: impl Fn(&Picture) -> f64) {
+fn assert_gradient(picture: &HostPicture, gradient: &[f64], stride: usize, value: impl Fn(&HostPicture) -> f64) {
     let largest = gradient.iter().fold(0.0f64, |largest, g| largest.max(g.abs()));
     assert!(largest > 0.0);
     for i in (0..gradient.len()).step_by(stride) {
@@ -153,9 +153,9 @@ fn assert_gradient(picture: &Picture, gradient: &[f64], stride: usize, value: im
 fn gradients_are_those_of_finite_differences() {
     for device in devices() {
         for (shape, stride) in SHAPES.into_iter().zip([401, 7, 1, 1, 3]) {
-            let (a, b) = (Picture::random(shape, 3), Picture::random(shape, 4));
+            let (a, b) = (HostPicture::random(shape, 3), HostPicture::random(shape, 4));
             let truth = Truth::new(b.tensor(&device, DType::F64));
-            let tensor = |picture: &Picture| picture.tensor(&device, DType::F64);
+            let tensor = |picture: &HostPicture| picture.tensor(&device, DType::F64);
 
             let (_, gradient) = differentiate(tensor(&a), |image| d_ssim(image, &truth));
             assert_gradient(&a, &gradient, stride, |moved| 1.0 - mean(&reference_map(moved, &b)));
@@ -178,7 +178,7 @@ fn gradients_are_those_of_finite_differences() {
 
 #[test]
 fn f32_gradients_agree_with_f64() {
-    let (a, b) = (Picture::random([37, 53, 3], 5), Picture::random([37, 53, 3], 6));
+    let (a, b) = (HostPicture::random([37, 53, 3], 5), HostPicture::random([37, 53, 3], 6));
     let gradient = |dtype| {
         let truth = Truth::new(b.tensor(&Device::flex(), dtype));
         differentiate(a.tensor(&Device::flex(), dtype), |image| photometric(image, &truth, 1.0)).1
@@ -193,7 +193,7 @@ fn f32_gradients_agree_with_f64() {
 #[test]
 fn flat_pictures_equal_themselves_and_have_finite_gradients() {
     let shape = [23, 31, 3];
-    let flat = [0.0, 1.0, 0.5, 1e-20].map(|value| Picture::constant(shape, value));
+    let flat = [0.0, 1.0, 0.5, 1e-20].map(|value| HostPicture::constant(shape, value));
     for device in devices() {
         for a in &flat {
             for b in &flat {
@@ -216,7 +216,7 @@ fn flat_pictures_equal_themselves_and_have_finite_gradients() {
 
 #[test]
 fn truth_gives_its_photograph_back() {
-    let picture = Picture::random([4, 6, 3], 8);
+    let picture = HostPicture::random([4, 6, 3], 8);
     for device in devices() {
         let truth = Truth::new(picture.tensor(&device, DType::F64));
         assert_eq!(host(truth.image()), picture.values);

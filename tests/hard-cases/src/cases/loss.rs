@@ -25,7 +25,7 @@ const MOMENTS: &str = "variances are differences of moments, as in all implement
                        6e-8 of the squared pixel value, is not small beside C2 = 9e-4";
 
 pub fn cases() -> Vec<HardCase> {
-    let of = |name: &str, why, pair: (Picture, Picture), loose: &[(Processor, f64, &'static str)]| {
+    let of = |name: &str, why, pair: (PictureFn, PictureFn), loose: &[(Processor, f64, &'static str)]| {
         let limits = loose.to_vec();
         let judge = move |place: &Place| {
             let limit =
@@ -65,7 +65,7 @@ pub fn cases() -> Vec<HardCase> {
 }
 
 /// Function that returns `[H, W, 3]` values.
-type Picture = fn() -> Vec<f64>;
+type PictureFn = fn() -> Vec<f64>;
 
 fn constant(value: f64) -> Vec<f64> {
     vec![rounded(value); 3 * SIZE[0] * SIZE[1]]
@@ -104,7 +104,7 @@ fn plainly(image: &[f64], truth: &[f64]) -> (f64, Vec<f64>) {
     (loss.into_scalar::<f64>(), host(image.grad(&grads).expect("tracked")))
 }
 
-fn similarity(place: &Place, image: Picture, truth: Picture, limit: f64) -> CaseOutcome {
+fn similarity(place: &Place, image: PictureFn, truth: PictureFn, limit: f64) -> CaseOutcome {
     let (image, truth) = (image(), truth());
     let (value, gradient) = plainly(&image, &truth);
     let (mut value_spread, mut spread) = (0.0_f64, vec![0.0_f64; gradient.len()]);
@@ -146,7 +146,7 @@ fn similarity(place: &Place, image: Picture, truth: Picture, limit: f64) -> Case
 
 fn psnr_ends(place: &Place) -> CaseOutcome {
     let mut outcome = CaseOutcome::default();
-    let of = |a: Picture, b: Picture| {
+    let of = |a: PictureFn, b: PictureFn| {
         let picture = |values: Vec<f64>| tensor::<3>(&values, SHAPE, &place.device, DType::F32);
         psnr(picture(a()), picture(b()))
     };
@@ -156,7 +156,7 @@ fn psnr_ends(place: &Place) -> CaseOutcome {
     }
     let found = of(black, white);
     outcome.require(found.abs() < 1e-5, || format!("black against white gives {found} dB"));
-    let one_level: Picture = || constant(0.3 + 1.0 / 65_535.0);
+    let one_level: PictureFn = || constant(0.3 + 1.0 / 65_535.0);
     let (found, expected) = (of(grey, one_level), 20.0 * 65_535_f64.log10());
     outcome.require((found - expected).abs() < 0.05, || format!("a 16-bit level off gives {found} dB, not {expected}"));
     outcome
