@@ -11,7 +11,7 @@ use super::{CaptureError, Photo};
 type Read = dyn Fn() -> Result<Photo, CaptureError> + Send + Sync;
 
 #[derive(Clone)]
-enum Pixels {
+enum PixelSource {
     Kept(Arc<Photo>),
     Read(Arc<Read>),
 }
@@ -29,23 +29,23 @@ pub struct Photograph {
     pub has_alpha: bool,
     /// Whether a mask excludes any of its pixels.
     pub has_mask: bool,
-    pixels: Pixels,
+    pixels: PixelSource,
 }
 
 impl From<Photo> for Photograph {
     fn from(photo: Photo) -> Self {
         let photo = Arc::new(photo);
-        Self::with(&photo, Pixels::Kept(Arc::clone(&photo)))
+        Self::with(&photo, PixelSource::Kept(Arc::clone(&photo)))
     }
 }
 
 impl Photograph {
     /// A photograph whose pixels are released: `read` decodes it again on each use.
     pub fn read_again(photo: &Photo, read: impl Fn() -> Result<Photo, CaptureError> + Send + Sync + 'static) -> Self {
-        Self::with(photo, Pixels::Read(Arc::new(read)))
+        Self::with(photo, PixelSource::Read(Arc::new(read)))
     }
 
-    fn with(photo: &Photo, pixels: Pixels) -> Self {
+    fn with(photo: &Photo, pixels: PixelSource) -> Self {
         Self {
             name: photo.name.clone(),
             intrinsics: photo.intrinsics,
@@ -58,7 +58,7 @@ impl Photograph {
 
     /// Whether its pixels stay in memory.
     pub fn is_kept(&self) -> bool {
-        matches!(self.pixels, Pixels::Kept(_))
+        matches!(self.pixels, PixelSource::Kept(_))
     }
 
     /// The photograph with its pixels, decoded if they were not kept.
@@ -67,8 +67,8 @@ impl Photograph {
     /// If the picture is missing or has changed.
     pub fn pixels(&self) -> Result<Arc<Photo>, CaptureError> {
         let read = match &self.pixels {
-            Pixels::Kept(photo) => return Ok(Arc::clone(photo)),
-            Pixels::Read(read) => read,
+            PixelSource::Kept(photo) => return Ok(Arc::clone(photo)),
+            PixelSource::Read(read) => read,
         };
         let photo = read()?;
         let size = |camera: &Intrinsics| [camera.width, camera.height];

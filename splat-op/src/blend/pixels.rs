@@ -15,7 +15,7 @@ pub(super) const STEP: usize = 4;
 
 /// What does not change from layer to layer at a unit's pixels, and how far a pass has come.
 #[derive(CubeType)]
-pub(super) struct Pixels {
+pub(super) struct UnitPixels {
     /// Centre of the column and of the tile's first row, px, and the rows from there to the strip's first.
     x: f32,
     top: f32,
@@ -33,7 +33,7 @@ pub(super) struct Pixels {
 }
 
 #[cube]
-impl Pixels {
+impl UnitPixels {
     /// The strip that begins `column` and `row` pixels into a tile. [`Self::load`] fills each.
     pub fn new(
         tile: u32,
@@ -42,8 +42,8 @@ impl Pixels {
         frame: TileFrame,
         #[comptime] shape: Shape,
         #[comptime] pixels: usize,
-    ) -> Pixels {
-        Pixels {
+    ) -> UnitPixels {
+        UnitPixels {
             x: f32::cast_from(tile % frame.tiles_x * comptime!(TILE as u32) + column) + 0.5,
             top: f32::cast_from(tile / frame.tiles_x * comptime!(TILE as u32)) + 0.5,
             row: f32::cast_from(row),

@@ -11,7 +11,7 @@ use cubecl::prelude::*;
 
 use super::backward::{row_len, tile_of_slot};
 use super::layer::{BUCKET, FOOTPRINT, LayerEllipse, Limits, Shape, colour, first_slot, strip_origin};
-use super::pixels::{Pixels, STEP};
+use super::pixels::{STEP, UnitPixels};
 use crate::gpu::atomic::FloatCell;
 use crate::tile::TILE_PIXELS;
 use crate::tile::forward::TileFrame;
@@ -91,7 +91,7 @@ pub(super) fn blend_strips_kernel<A: FloatCell>(
                 }
             } else {
                 let (column, row) = strip_origin(UNIT_POS, pixels);
-                let mut at = Pixels::new(tile, column, row, frame, shape, pixels);
+                let mut at = UnitPixels::new(tile, column, row, frame, shape, pixels);
                 #[unroll]
                 for p in 0..pixels {
                     at.load(kept, rho_behind, grad, slot, tile, column, row, frame, shape, p);
