@@ -3,7 +3,7 @@
 use std::sync::OnceLock;
 
 use burn::tensor::Device;
-use splat_hard_cases::{Place, Processor};
+use splat_hard_cases::{Processor, TestDevice};
 use splat_train::device::{AdapterDevice, AdapterKind, DeviceName, open};
 
 use crate::data::announce;
@@ -16,15 +16,15 @@ pub fn devices() -> Vec<(&'static str, Device)> {
 }
 
 /// Returns [`devices`] as places for the battery of hard cases.
-pub fn places() -> Vec<Place> {
+pub fn places() -> Vec<TestDevice> {
     let cpu = |(name, device): (&'static str, Device)| {
         let name = name.into();
-        Place { name, device, processor: Processor::Cpu, software: false }
+        TestDevice { name, device, processor: Processor::Cpu, software: false }
     };
-    let mut places: Vec<Place> = cpu_devices().into_iter().map(cpu).collect();
+    let mut places: Vec<TestDevice> = cpu_devices().into_iter().map(cpu).collect();
     places.extend(gpu().map(|device| {
         let software = adapter().expect("it is open").adapter.kind == AdapterKind::Software;
-        Place { name: "gpu".into(), device, processor: Processor::Gpu, software }
+        TestDevice { name: "gpu".into(), device, processor: Processor::Gpu, software }
     }));
     places
 }

@@ -7,7 +7,7 @@ use anyhow::{Result, bail};
 use clap::builder::PossibleValuesParser;
 use splat_hard_cases::judge::{Verdict, judge};
 use splat_hard_cases::table::{Section, markdown};
-use splat_hard_cases::{CaseGroup, GROUPS, Place, Processor};
+use splat_hard_cases::{CaseGroup, GROUPS, Processor, TestDevice};
 
 use crate::device::{self, AdapterKind, DeviceName};
 use crate::output::OutputFolder;
@@ -64,7 +64,7 @@ pub fn run(args: &HardCasesArgs) -> Result<()> {
 }
 
 /// The devices to run on. A missing GPU is an error only where it was asked for, and is noted otherwise.
-fn places(names: &[DeviceName]) -> Result<Vec<Place>> {
+fn places(names: &[DeviceName]) -> Result<Vec<TestDevice>> {
     if !names.is_empty() {
         return names.iter().map(|name| place(*name)).collect();
     }
@@ -76,11 +76,11 @@ fn places(names: &[DeviceName]) -> Result<Vec<Place>> {
     Ok(places)
 }
 
-fn place(name: DeviceName) -> Result<Place> {
+fn place(name: DeviceName) -> Result<TestDevice> {
     let (processor, software) = match name.find()?.0 {
         Some(found) => (Processor::Gpu, device::open(&found)?.kind == AdapterKind::Software),
         None => (Processor::Cpu, false),
     };
     let (device, name) = name.resolve()?;
-    Ok(Place { name, device, processor, software })
+    Ok(TestDevice { name, device, processor, software })
 }

@@ -21,7 +21,7 @@ use std::path::Path;
 use glam::{DAffine3, DVec3};
 use splat_op::Intrinsics;
 
-use self::check::{EntryPosition, Place};
+use self::check::{ColmapEntry, EntryPosition};
 pub(super) use self::check::{MAX_MAGNITUDE, quoted};
 use self::files::{Files, FoundModel, find};
 use super::{Capture, CaptureError, Observation, PointCloud, Tracks, View, origin};
@@ -159,7 +159,7 @@ fn by_id(file: &Path, cameras: Vec<CameraRecord>) -> Result<HashMap<u32, Intrins
     let mut map = HashMap::with_capacity(cameras.len());
     for camera in cameras {
         if map.insert(camera.id, camera.intrinsics).is_some() {
-            let place = Place { file, kind: "camera", at: camera.at };
+            let place = ColmapEntry { file, kind: "camera", at: camera.at };
             return Err(place.refuse(
                 "CAMERA_ID",
                 format!("{} again", camera.id),
@@ -173,7 +173,7 @@ fn by_id(file: &Path, cameras: Vec<CameraRecord>) -> Result<HashMap<u32, Intrins
 fn check_unique(file: &Path, images: &[ImageRecord]) -> Result<(), CaptureError> {
     let (mut ids, mut names) = (HashSet::new(), HashSet::new());
     for image in images {
-        let place = Place { file, kind: "image", at: image.at };
+        let place = ColmapEntry { file, kind: "image", at: image.at };
         if !ids.insert(image.id) {
             return Err(place.refuse("IMAGE_ID", format!("{} again", image.id), "a number of its own for each image"));
         }
@@ -189,7 +189,7 @@ fn check_unique(file: &Path, images: &[ImageRecord]) -> Result<(), CaptureError>
 }
 
 fn no_camera(files: &Files, image: &ImageRecord, cameras: usize) -> CaptureError {
-    let place = Place { file: &files.images, kind: "image", at: image.at };
+    let place = ColmapEntry { file: &files.images, kind: "image", at: image.at };
     let found = format!("{} (of image {})", image.camera_id, quoted(&image.name));
     place.refuse("CAMERA_ID", found, format!("one of the {cameras} cameras in {}", files.cameras.display()))
 }

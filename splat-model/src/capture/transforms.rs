@@ -51,13 +51,13 @@ const CORRECT: &str = "Correct the file, or export it again";
 
 /// An entry of a file, as errors name it.
 #[derive(Clone, Copy, Debug)]
-struct Place<'a> {
+struct TransformsEntry<'a> {
     file: &'a Path,
     /// The frame's index, from 0, and its `file_path`; none for fields beside `frames`.
     frame: Option<(usize, &'a str)>,
 }
 
-impl fmt::Display for Place<'_> {
+impl fmt::Display for TransformsEntry<'_> {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self.frame {
             Some((index, "")) => write!(out, "frame {index}"),
@@ -67,7 +67,7 @@ impl fmt::Display for Place<'_> {
     }
 }
 
-impl Place<'_> {
+impl TransformsEntry<'_> {
     fn refuse(&self, field: &'static str, found: impl fmt::Display, expected: impl fmt::Display) -> CaptureError {
         self.refuse_with(field, found, expected, CORRECT)
     }
@@ -171,7 +171,7 @@ struct Reading<'a> {
 impl Reading<'_> {
     /// Reads a file and adds its frames. Returns the number of views so far and the file's lists.
     fn add(&mut self, path: &Path) -> Result<(usize, SplitLists), CaptureError> {
-        let whole = Place { file: path, frame: None };
+        let whole = TransformsEntry { file: path, frame: None };
         let File { frames, lenses, points, lists } = json::parse(path, &read(path)?)?;
         whole.required("frames", &frames, "a list of frames")?;
         let Field::Is(frames) = frames else { return Err(CaptureError::NoViews { file: path.to_owned() }) };
@@ -194,9 +194,9 @@ impl Reading<'_> {
         frame: &TransformsFrame,
         of_file: &json::LensFields,
     ) -> Result<(), CaptureError> {
-        let place = Place { file, frame: Some((index, "")) };
+        let place = TransformsEntry { file, frame: Some((index, "")) };
         let stated = place.required("file_path", &frame.path, "the path of a picture")?;
-        let place = Place { file, frame: Some((index, stated)) };
+        let place = TransformsEntry { file, frame: Some((index, stated)) };
         let matrix = place.required("transform_matrix", &frame.matrix, json::MATRIX)?;
         let cam_from_world = camera::pose(&place, matrix)?;
         let stated = place.path("file_path", stated)?;
@@ -239,7 +239,7 @@ impl Reading<'_> {
     /// The split given by the lists, if there are any. Validation views replace missing test views. Views
     /// in no list are for training if there is no training list, and held out if that is the only list.
     fn split(&self, file: &Path, lists: SplitLists) -> Result<Option<Split>, CaptureError> {
-        let place = Place { file, frame: None };
+        let place = TransformsEntry { file, frame: None };
         let mut listed: [Option<BTreeSet<usize>>; 3] = [None, None, None];
         for ((field, list), views) in LISTS.into_iter().zip(&lists).zip(&mut listed) {
             let Some(list) = place.optional(field, list, "a list of paths")? else { continue };

@@ -29,7 +29,7 @@ pub enum CaseKind {
 }
 
 /// Function that runs a case on one path.
-pub type Check = Box<dyn Fn(&Place) -> CaseOutcome + Send + Sync>;
+pub type Check = Box<dyn Fn(&TestDevice) -> CaseOutcome + Send + Sync>;
 
 /// A bound above the ceiling.
 #[derive(Clone, Copy, Debug)]
@@ -44,7 +44,7 @@ pub struct Loose {
 
 /// A path: a device, with its name in the table.
 #[derive(Clone, Debug)]
-pub struct Place {
+pub struct TestDevice {
     pub name: String,
     pub device: Device,
     pub processor: Processor,
@@ -94,7 +94,7 @@ impl HardCase {
     pub fn check(
         name: impl Into<String>,
         why: &'static str,
-        check: impl Fn(&Place) -> CaseOutcome + Send + Sync + 'static,
+        check: impl Fn(&TestDevice) -> CaseOutcome + Send + Sync + 'static,
     ) -> Self {
         Self::new(name.into(), why, CaseKind::Check(Box::new(check)))
     }

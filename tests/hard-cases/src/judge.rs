@@ -5,7 +5,7 @@ use glam::{DMat3, DVec3};
 use splat_op::exact::{ExactGaussian, ExactPose, render_exact};
 use splat_op::{Order, Projection, RenderOptions};
 
-use crate::case::{CaseKind, CaseOutcome, HardCase, MeasuredDeviation, Place, Processor};
+use crate::case::{CaseKind, CaseOutcome, HardCase, MeasuredDeviation, Processor, TestDevice};
 use crate::ceiling::{ROW_EXCEPTIONS, ROW_TOLERANCE, SMALLEST, ceiling_used};
 use crate::compare::{largest, norm, relative_error, worst};
 use crate::evaluate::{OF_NO_SPLAT, Outputs, culled, evaluate};
@@ -18,7 +18,7 @@ use crate::textbook::{self, Backward};
 /// Result of a case.
 pub struct Row {
     /// Outcome of each path, in the given order.
-    pub places: Vec<(Place, CaseOutcome)>,
+    pub places: Vec<(TestDevice, CaseOutcome)>,
     /// Outcome of the textbook's formulas in f32, where they differ from those of the operation.
     pub textbook: Option<CaseOutcome>,
     /// Largest condition number of a 2D covariance; 1 for a case without scenes.
@@ -57,7 +57,7 @@ impl Row {
 
     /// All failures, with the path of each.
     pub fn failures(&self) -> Vec<String> {
-        let of_place = |(place, outcome): &(Place, CaseOutcome)| {
+        let of_place = |(place, outcome): &(TestDevice, CaseOutcome)| {
             outcome.failures.iter().map(|failure| format!("{}: {failure}", place.name)).collect::<Vec<_>>()
         };
         self.remarks.iter().cloned().chain(self.places.iter().flat_map(of_place)).collect()
@@ -65,8 +65,8 @@ impl Row {
 }
 
 /// Runs a case on every path.
-pub fn judge(case: &HardCase, places: &[Place]) -> Row {
-    let places: Vec<&Place> =
+pub fn judge(case: &HardCase, places: &[TestDevice]) -> Row {
+    let places: Vec<&TestDevice> =
         places.iter().filter(|place| !(place.software && case.beyond_software.is_some())).collect();
     let loose = places.iter().any(|place| case.limit(place.processor) > 1.0);
     let mut row = Row { places: Vec::new(), textbook: None, condition: 1.0, remarks: Vec::new(), loose };
@@ -180,7 +180,7 @@ impl Yardstick {
     }
 
     /// Judges a path by every requirement.
-    fn judge(&self, place: &Place, limit: f64) -> CaseOutcome {
+    fn judge(&self, place: &TestDevice, limit: f64) -> CaseOutcome {
         let (scene, label) = (&self.scene, &self.scene.label);
         let device = &place.device;
         let found = evaluate(scene, &self.weights, device, DType::F32);
@@ -202,7 +202,7 @@ impl Yardstick {
 
     /// Checks that the neighbours have the same bits as without the hard Gaussians: their gradients, and the pixels that no hard
     /// Gaussian reaches.
-    fn judge_neighbours(&self, found: &Outputs, place: &Place) -> CaseOutcome {
+    fn judge_neighbours(&self, found: &Outputs, place: &TestDevice) -> CaseOutcome {
         let mut outcome = CaseOutcome::default();
         let hard = self.scene.count() - self.scene.neighbours;
         let (hard_ones, neighbours) = (self.scene.rows(0..hard), self.scene.rows(hard..self.scene.count()));

@@ -4,7 +4,7 @@
 //! [`battery`] lists the cases, [`judge`] runs one, and [`table`] prints the results beside those of the
 //! [`textbook`]'s formulas on the same scenes.
 //!
-//! A case that is not a scene is a [`Check`]: a function of the [`Place`] that returns an [`CaseOutcome`].
+//! A case that is not a scene is a [`Check`]: a function of the [`TestDevice`] that returns an [`CaseOutcome`].
 
 pub mod ceiling;
 pub mod compare;
@@ -21,5 +21,5 @@ pub mod scratch;
 pub mod table;
 pub mod textbook;
 
-pub use case::{CaseKind, CaseOutcome, Check, HardCase, Loose, MeasuredDeviation, Place, Processor};
+pub use case::{CaseKind, CaseOutcome, Check, HardCase, Loose, MeasuredDeviation, Processor, TestDevice};
 pub use cases::{CaseGroup, GROUPS, battery};

@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use crate::case::{CaseOutcome, HardCase, MeasuredDeviation, Place, Processor};
+use crate::case::{CaseOutcome, HardCase, MeasuredDeviation, Processor, TestDevice};
 use crate::judge::{Row, Verdict};
 
 /// The cases of one group, each with its result.
@@ -12,7 +12,7 @@ pub struct Section {
 }
 
 /// Formats the file's text. Figures are rounded so that the text changes only when a result does.
-pub fn markdown(sections: &[Section], places: &[Place]) -> String {
+pub fn markdown(sections: &[Section], places: &[TestDevice]) -> String {
     let mut text = String::from(HEAD);
     let rows = || sections.iter().flat_map(|section| &section.rows);
     let count = |verdict| rows().filter(|(_, row)| row.verdict() == verdict).count();

@@ -8,7 +8,7 @@ use splat_model::accuracy::{DIALS, Dial, Frontier, Judge, Measured, Provenance, 
 use splat_op::RenderOptions;
 
 use super::dials::Candidate;
-use super::subject::{MeasuredView, PARAMETERS, Place, Sums, host};
+use super::subject::{DeviceScene, MeasuredView, PARAMETERS, Sums, host};
 use super::time::Times;
 use super::yardstick::{Truth, check_crops};
 use crate::memory::peak_mib;
@@ -47,8 +47,8 @@ pub struct Row {
 
 /// The subject of the measurements.
 pub struct Bench<'a> {
-    pub place: Place,
-    pub exact: Place,
+    pub place: DeviceScene,
+    pub exact: DeviceScene,
     pub shots: Vec<MeasuredView<'a>>,
     pub base: RenderOptions,
 }
@@ -317,8 +317,8 @@ mod tests {
     fn bench() -> Bench<'static> {
         let base = RenderOptions::standard();
         let (rows, shots) = (rows(60), shots());
-        let place = Place::new(&rows, &shots, [0.2; 3], &Device::flex()).unwrap();
-        Bench { place, exact: Place::in_f64(&rows, &shots, [0.2; 3]).unwrap(), shots, base }
+        let place = DeviceScene::new(&rows, &shots, [0.2; 3], &Device::flex()).unwrap();
+        Bench { place, exact: DeviceScene::in_f64(&rows, &shots, [0.2; 3]).unwrap(), shots, base }
     }
 
     #[test]

@@ -29,7 +29,7 @@ use self::dials::{Role, candidates};
 use self::measure::{Bench, BenchOutcome, Row};
 use self::plot::{Chart, Dot, Mark};
 pub use self::subject::MeasuredView;
-use self::subject::{Place, off_the_clamp};
+use self::subject::{DeviceScene, off_the_clamp};
 use self::training::{Runs, Trained};
 use crate::accuracy::ModelArgs;
 use crate::background::ShownBackground;
@@ -173,8 +173,8 @@ impl<'a> Bench<'a> {
     ) -> Result<Self> {
         ensure!(!shots.is_empty(), "there is no view to measure with");
         let rows = off_the_clamp(rows);
-        let place = Place::new(&rows, &shots, background, device)?;
-        Ok(Self { place, exact: Place::in_f64(&rows, &shots, background)?, shots, base })
+        let place = DeviceScene::new(&rows, &shots, background, device)?;
+        Ok(Self { place, exact: DeviceScene::in_f64(&rows, &shots, background)?, shots, base })
     }
 }
 

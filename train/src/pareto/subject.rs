@@ -43,7 +43,7 @@ impl MeasuredView<'static> {
 }
 
 /// A scene and cameras on one device, in one float type.
-pub struct Place {
+pub struct DeviceScene {
     /// The parameters, tracked.
     pub gaussians: Gaussians,
     /// The splats, not tracked.
@@ -62,7 +62,7 @@ pub const PARAMETERS: [&str; 5] = ["means", "rotations", "log_scales", "logit_op
 /// Gradients in the order of [`PARAMETERS`], summed over views.
 pub type Sums = [Vec<f64>; 5];
 
-impl Place {
+impl DeviceScene {
     /// Prepares a scene as in training: f32 on any device.
     ///
     /// # Errors
@@ -230,7 +230,7 @@ mod tests {
         assert!(settled.sh_dc.iter().zip(&rows.sh_dc).all(|(new, old)| new[0] == old[0] && new[1] < old[1]));
         let (shots, options) = (shots(), Dial::all_exact(RenderOptions::standard()));
         let moved = |rows: &GaussianRows| {
-            let place = Place::in_f64(rows, &shots, [0.0; 3]).unwrap();
+            let place = DeviceScene::in_f64(rows, &shots, [0.0; 3]).unwrap();
             let truth = Truth::new(&place, &shots, &options, || ()).unwrap();
             let green = truth.gradients[4].iter().skip(1).step_by(3);
             (green.fold(0.0_f64, |most, value| most.max(value.abs())), truth.pictures)

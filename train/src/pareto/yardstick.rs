@@ -7,7 +7,7 @@ use glam::{DMat3, DVec3};
 use splat_op::exact::{ExactGaussian, ExactPose, render_exact};
 use splat_op::{Camera, Intrinsics, RenderOptions, render_view};
 
-use super::subject::{MeasuredView, Place, Sums, cotangent, host};
+use super::subject::{DeviceScene, MeasuredView, Sums, cotangent, host};
 
 /// The exact reference under some model choices.
 pub struct Truth {
@@ -25,7 +25,12 @@ impl Truth {
     ///
     /// # Errors
     /// If the operation refuses the scene.
-    pub fn new(place: &Place, shots: &[MeasuredView], options: &RenderOptions, mut done: impl FnMut()) -> Result<Self> {
+    pub fn new(
+        place: &DeviceScene,
+        shots: &[MeasuredView],
+        options: &RenderOptions,
+        mut done: impl FnMut(),
+    ) -> Result<Self> {
         let mut truth = Self { pictures: Vec::new(), cotangents: Vec::new(), gradients: Sums::default() };
         for (view, shot) in shots.iter().enumerate() {
             let picture = place.tracked(view, options)?;
@@ -41,7 +46,7 @@ impl Truth {
     }
 }
 
-fn background(place: &Place) -> [f32; 3] {
+fn background(place: &DeviceScene) -> [f32; 3] {
     let values = place.extras.background.clone().map(host).unwrap_or_default();
     std::array::from_fn(|channel| values.get(channel).copied().unwrap_or_default() as f32)
 }
@@ -59,7 +64,7 @@ const TOLERANCE: f64 = 1e-9;
 ///
 /// # Errors
 /// If the two differ by more than rounding: no error measured against the reference would mean anything.
-pub fn check_crops(place: &Place, shots: &[MeasuredView], options: &RenderOptions) -> Result<f64> {
+pub fn check_crops(place: &DeviceScene, shots: &[MeasuredView], options: &RenderOptions) -> Result<f64> {
     let mut largest = 0.0_f64;
     for (view, share) in (0..shots.len()).zip([(0.5, 0.5), (0.3, 0.6), (0.7, 0.4)]) {
         let found = crop_difference(place, view, crop(&shots[view].intrinsics, share, options), options.to_owned())?;
@@ -88,7 +93,7 @@ fn crop(full: &Intrinsics, share: (f64, f64), options: &RenderOptions) -> (Intri
 }
 
 fn crop_difference(
-    place: &Place,
+    place: &DeviceScene,
     view: usize,
     (intrinsics, jacobian_margin): (Intrinsics, f64),
     options: RenderOptions,
@@ -105,7 +110,7 @@ fn crop_difference(
 }
 
 /// Returns the Gaussians that can be rendered, with their colours as seen by `camera`.
-fn gaussians(place: &Place, camera: &Camera) -> Result<Vec<ExactGaussian>> {
+fn gaussians(place: &DeviceScene, camera: &Camera) -> Result<Vec<ExactGaussian>> {
     debug_assert_eq!(place.dtype, DType::F64);
     let splats = &place.splats;
     let colours = host(splat_op::colours(splats, camera)?);
@@ -174,7 +179,7 @@ pub(super) mod tests {
 
     #[test]
     fn the_yardstick_is_the_exact_renderer() {
-        let place = Place::in_f64(&rows(80), &shots(), [0.1, 0.2, 0.3]).unwrap();
+        let place = DeviceScene::in_f64(&rows(80), &shots(), [0.1, 0.2, 0.3]).unwrap();
         let options = Dial::all_exact(RenderOptions::standard());
         let found = check_crops(&place, &shots(), &options).unwrap();
         assert!(found < TOLERANCE, "{found:.1e}");
@@ -182,7 +187,7 @@ pub(super) mod tests {
 
     #[test]
     fn a_yardstick_that_approximates_is_refused() {
-        let place = Place::in_f64(&rows(80), &shots(), [0.0; 3]).unwrap();
+        let place = DeviceScene::in_f64(&rows(80), &shots(), [0.0; 3]).unwrap();
         let exact = Dial::all_exact(RenderOptions::standard());
         for (options, what) in [
             (RenderOptions { alpha_max: 0.99, ..exact }, "alpha_max"),
@@ -198,7 +203,7 @@ pub(super) mod tests {
     fn gradients_are_those_of_all_views() {
         let options = Dial::all_exact(RenderOptions::standard());
         let truth = |shots: &[MeasuredView]| {
-            let place = Place::in_f64(&rows(12), shots, [0.0; 3]).unwrap();
+            let place = DeviceScene::in_f64(&rows(12), shots, [0.0; 3]).unwrap();
             Truth::new(&place, shots, &options, || ()).unwrap()
         };
         let all = shots();

@@ -5,7 +5,7 @@
 
 use std::path::Path;
 
-use super::check::{EntryPosition, Place, quoted};
+use super::check::{ColmapEntry, EntryPosition, quoted};
 use super::model::ColmapCameraModel;
 use super::{CameraRecord, ImageRecord, PointRecord, TrackElement};
 use crate::capture::CaptureError;
@@ -90,8 +90,8 @@ impl<'a> BinaryReader<'a> {
         Self { file, kind, entry: 0, rest: bytes }
     }
 
-    fn place(&self) -> Place<'a> {
-        Place { file: self.file, kind: self.kind, at: EntryPosition::Entry(self.entry) }
+    fn place(&self) -> ColmapEntry<'a> {
+        ColmapEntry { file: self.file, kind: self.kind, at: EntryPosition::Entry(self.entry) }
     }
 
     /// Reads `count` entries, which must fill the file. Left-over bytes mean that the count and the

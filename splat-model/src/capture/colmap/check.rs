@@ -34,14 +34,14 @@ pub(super) enum EntryPosition {
 
 /// An entry of a file, as errors name it.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Place<'a> {
+pub(super) struct ColmapEntry<'a> {
     pub file: &'a Path,
     /// "camera", "image" or "point".
     pub kind: &'static str,
     pub at: EntryPosition,
 }
 
-impl fmt::Display for Place<'_> {
+impl fmt::Display for ColmapEntry<'_> {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self.at {
             EntryPosition::Entry(index) => write!(out, "{} entry {index}", self.kind),
@@ -50,7 +50,7 @@ impl fmt::Display for Place<'_> {
     }
 }
 
-impl Place<'_> {
+impl ColmapEntry<'_> {
     /// The error for a field with an invalid value.
     pub fn refuse(&self, field: &'static str, found: impl fmt::Display, expected: impl Into<String>) -> CaptureError {
         self.refuse_with(field, found, expected, EXPORT_AGAIN)

@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::str::FromStr;
 
-use super::check::{EntryPosition, Place, quoted};
+use super::check::{ColmapEntry, EntryPosition, quoted};
 use super::{CameraRecord, ImageRecord, PointRecord, TrackElement};
 use crate::capture::CaptureError;
 
@@ -101,18 +101,22 @@ fn lines<'a>(
 ) -> Result<impl Iterator<Item = TextLine<'a>>, CaptureError> {
     let text = str::from_utf8(bytes).map_err(|error| {
         let line = 1 + bytes[..error.valid_up_to()].iter().filter(|&&byte| byte == b'\n').count();
-        Place { file, kind, at: EntryPosition::Line(line) }.refuse("text", "a byte that is not UTF-8", "UTF-8 text")
+        ColmapEntry { file, kind, at: EntryPosition::Line(line) }.refuse(
+            "text",
+            "a byte that is not UTF-8",
+            "UTF-8 text",
+        )
     })?;
     let numbered = text.lines().enumerate();
     Ok(numbered.map(move |(i, line)| TextLine {
-        place: Place { file, kind, at: EntryPosition::Line(i + 1) },
+        place: ColmapEntry { file, kind, at: EntryPosition::Line(i + 1) },
         rest: line.trim(),
     }))
 }
 
 /// The unread part of a line.
 struct TextLine<'a> {
-    place: Place<'a>,
+    place: ColmapEntry<'a>,
     rest: &'a str,
 }
 

@@ -6,7 +6,7 @@ use std::path::Path;
 use glam::{DAffine3, DMat3, DQuat};
 use splat_op::Intrinsics;
 
-use super::check::{EntryPosition, Place};
+use super::check::{ColmapEntry, EntryPosition};
 use super::model::ColmapCameraModel;
 use super::{Files, assemble, binary};
 use crate::capture::{CaptureError, PointCloud, Tracks, View};
@@ -80,7 +80,7 @@ fn distinct(views: &[View]) -> Vec<Intrinsics> {
 fn camera_bytes(file: &Path, cameras: &[Intrinsics]) -> Result<Vec<u8>, CaptureError> {
     let mut out = Bytes::counted(cameras.len());
     for (i, camera) in cameras.iter().enumerate() {
-        let place = Place { file, kind: "camera", at: EntryPosition::Entry(i + 1) };
+        let place = ColmapEntry { file, kind: "camera", at: EntryPosition::Entry(i + 1) };
         let (number, model) =
             ColmapCameraModel::full(camera.model).ok_or_else(|| place.unsupported(&format!("{:?}", camera.model)))?;
         out.add(number_of(i).to_le_bytes());
@@ -124,7 +124,7 @@ fn image_bytes(
 ) -> Result<Vec<u8>, CaptureError> {
     let mut out = Bytes::counted(views.len());
     for (i, view) in views.iter().enumerate() {
-        let place = Place { file, kind: "image", at: EntryPosition::Entry(i + 1) };
+        let place = ColmapEntry { file, kind: "image", at: EntryPosition::Entry(i + 1) };
         let name = place.name(&view.name)?;
         let rotation = rotation(&place, &view.cam_from_world)?;
         out.add(number_of(i).to_le_bytes());
@@ -168,7 +168,7 @@ fn number_of(index: usize) -> u32 {
     (index as u32).wrapping_add(1)
 }
 
-fn rotation(place: &Place, cam_from_world: &DAffine3) -> Result<DQuat, CaptureError> {
+fn rotation(place: &ColmapEntry, cam_from_world: &DAffine3) -> Result<DQuat, CaptureError> {
     let matrix = cam_from_world.matrix3;
     let rigid = (matrix * matrix.transpose()).abs_diff_eq(DMat3::IDENTITY, RIGID_WITHIN) && matrix.determinant() > 0.0;
     match rigid {

@@ -7,7 +7,7 @@ use glam::{DAffine3, DMat3, DVec3};
 use splat_op::camera::{MAX_COEFFICIENT, MAX_SIDE_PX};
 use splat_op::{CameraModel, Intrinsics};
 
-use super::Place;
+use super::TransformsEntry;
 use super::json::{self, Matrix};
 use crate::capture::colmap::MAX_MAGNITUDE;
 use crate::capture::{CaptureError, image};
@@ -29,7 +29,7 @@ const FIELD_MATRIX: &str = "transform_matrix";
 /// ```
 ///
 /// `R` is first replaced by the nearest rotation, because files are rounded.
-pub(super) fn pose(place: &Place, matrix: &Matrix) -> Result<DAffine3, CaptureError> {
+pub(super) fn pose(place: &TransformsEntry, matrix: &Matrix) -> Result<DAffine3, CaptureError> {
     let [x, y, z, last] = *matrix;
     let shown = |row: [f64; 4]| row.map(|value| value.to_string()).join(" ");
     if last != [0.0, 0.0, 0.0, 1.0] {
@@ -64,7 +64,7 @@ fn nearest_rotation(matrix: DMat3) -> DMat3 {
 
 /// The lens fields of a frame: the frame's own, then the file's.
 pub(super) struct Lenses<'a> {
-    pub place: Place<'a>,
+    pub place: TransformsEntry<'a>,
     pub frame: Option<&'a json::LensFields>,
     pub file: &'a json::LensFields,
 }

@@ -16,7 +16,7 @@ use splat_model::optim::{near_plane, scene_extent};
 use splat_model::{init, ply};
 use splat_op::{Camera, Colour, Extras, RenderOptions, render};
 
-use crate::case::{CaseOutcome, HardCase, MeasuredDeviation, Place};
+use crate::case::{CaseOutcome, HardCase, MeasuredDeviation, TestDevice};
 use crate::compare::{largest, relative_error};
 use crate::scratch::{Scratch, demo, photographs};
 use crate::tensors::host;
@@ -67,7 +67,7 @@ struct CaptureResult {
     origin: DVec3,
 }
 
-fn judge(place: &Place, offset: DVec3, scale: f64) -> CaseOutcome {
+fn judge(place: &TestDevice, offset: DVec3, scale: f64) -> CaseOutcome {
     let mut outcome = CaseOutcome::default();
     match (seen(place, DVec3::ZERO, 1.0), seen(place, offset, scale)) {
         (Ok(expected), Ok(found)) => {
@@ -92,7 +92,7 @@ fn judge(place: &Place, offset: DVec3, scale: f64) -> CaseOutcome {
 }
 
 /// Writes, loads, stores, reads, renders and differentiates a capture.
-fn seen(place: &Place, offset: DVec3, scale: f64) -> Result<CaptureResult, String> {
+fn seen(place: &TestDevice, offset: DVec3, scale: f64) -> Result<CaptureResult, String> {
     let text = |error: &dyn std::error::Error| error.to_string();
     let scratch = Scratch::new().map_err(|error| text(&error))?;
     demo(scratch.path(), &DEMO).map_err(|error| text(&error))?;

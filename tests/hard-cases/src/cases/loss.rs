@@ -7,7 +7,7 @@ use splat_model::loss::{Truth, d_ssim, photometric, ssim};
 use splat_model::metrics::{LARGEST_PSNR_DB, psnr};
 use splat_model::optim::{Adam, LearningRates, Moments};
 
-use crate::case::{CaseOutcome, HardCase, MeasuredDeviation, Place, Processor};
+use crate::case::{CaseOutcome, HardCase, MeasuredDeviation, Processor, TestDevice};
 use crate::ceiling::{ceiling_used, moved_value, rounded};
 use crate::compare::relative_error;
 use crate::random::Random;
@@ -27,7 +27,7 @@ const MOMENTS: &str = "variances are differences of moments, as in all implement
 pub fn cases() -> Vec<HardCase> {
     let of = |name: &str, why, pair: (PictureFn, PictureFn), loose: &[(Processor, f64, &'static str)]| {
         let limits = loose.to_vec();
-        let judge = move |place: &Place| {
+        let judge = move |place: &TestDevice| {
             let limit =
                 limits.iter().find(|(processor, ..)| *processor == place.processor).map_or(1.0, |limit| limit.1);
             similarity(place, pair.0, pair.1, limit)
@@ -104,7 +104,7 @@ fn plainly(image: &[f64], truth: &[f64]) -> (f64, Vec<f64>) {
     (loss.into_scalar::<f64>(), host(image.grad(&grads).expect("tracked")))
 }
 
-fn similarity(place: &Place, image: PictureFn, truth: PictureFn, limit: f64) -> CaseOutcome {
+fn similarity(place: &TestDevice, image: PictureFn, truth: PictureFn, limit: f64) -> CaseOutcome {
     let (image, truth) = (image(), truth());
     let (value, gradient) = plainly(&image, &truth);
     let (mut value_spread, mut spread) = (0.0_f64, vec![0.0_f64; gradient.len()]);
@@ -144,7 +144,7 @@ fn similarity(place: &Place, image: PictureFn, truth: PictureFn, limit: f64) -> 
     outcome
 }
 
-fn psnr_ends(place: &Place) -> CaseOutcome {
+fn psnr_ends(place: &TestDevice) -> CaseOutcome {
     let mut outcome = CaseOutcome::default();
     let of = |a: PictureFn, b: PictureFn| {
         let picture = |values: Vec<f64>| tensor::<3>(&values, SHAPE, &place.device, DType::F32);
@@ -163,7 +163,13 @@ fn psnr_ends(place: &Place) -> CaseOutcome {
 }
 
 /// Runs Adam on one parameter. Returns its values at the start and after each step.
-fn adam(place: &Place, start: &[f64], gradients: impl Fn(usize) -> Vec<f64>, steps: usize, rate: f64) -> Vec<Vec<f64>> {
+fn adam(
+    place: &TestDevice,
+    start: &[f64],
+    gradients: impl Fn(usize) -> Vec<f64>,
+    steps: usize,
+    rate: f64,
+) -> Vec<Vec<f64>> {
     let make = |values: &[f64]| tensor::<1>(values, [values.len()], &place.device, DType::F32);
     let mut param = make(start);
     let mut moments = Moments::new(&param);
@@ -175,7 +181,7 @@ fn adam(place: &Place, start: &[f64], gradients: impl Fn(usize) -> Vec<f64>, ste
     path
 }
 
-fn no_gradient(place: &Place) -> CaseOutcome {
+fn no_gradient(place: &TestDevice) -> CaseOutcome {
     let mut outcome = CaseOutcome::default();
     let start: Vec<f64> = [0.0, -0.0, 1.5, -1e-40, 1e30].map(rounded).to_vec();
     let path = adam(place, &start, |_| vec![0.0; 5], 20, 0.1);
@@ -186,7 +192,7 @@ fn no_gradient(place: &Place) -> CaseOutcome {
 }
 
 /// Compares the steps with Adam in f64, whose gradients are clamped to values that f32 can square, as documented.
-fn wild_gradients(place: &Place) -> CaseOutcome {
+fn wild_gradients(place: &TestDevice) -> CaseOutcome {
     const RATE: f64 = 0.01;
     let sizes = [1e20, -1e20, 1e17, 1e-5, 1e-15, 1e-30, f64::from(f32::MAX), f64::INFINITY];
     // Large gradients come once, followed by ordinary gradients.
@@ -255,7 +261,7 @@ fn step(scene: &mut Trained, ids: &[usize], step: usize, device: &Device) {
 }
 
 /// Checks that kept rows continue unchanged and that new rows start without a history.
-fn surgery(place: &Place) -> CaseOutcome {
+fn surgery(place: &TestDevice) -> CaseOutcome {
     let device = &place.device;
     let trained = |rows: &GaussianRows| Trained::new(Gaussians::from_rows(rows, device).expect("rows of one length"));
     let (start, added) = (rows(5, 1), rows(2, 2));

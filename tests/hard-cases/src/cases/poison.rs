@@ -7,7 +7,7 @@ use burn::tensor::{Device, Tensor};
 use splat_model::gaussians::{GaussianRows, Gaussians};
 use splat_op::{Accumulation, Camera, Extras, Intrinsics, RenderOptions, render};
 
-use crate::case::{CaseOutcome, HardCase, Place};
+use crate::case::{CaseOutcome, HardCase, TestDevice};
 use crate::random::Random;
 use crate::tensors::host;
 
@@ -112,7 +112,7 @@ impl Poisoned {
     }
 
     /// Puts `value` into a cell and judges the result.
-    pub fn judge(&self, place: &Place, slot: Slot, row: usize, column: usize, value: f32) -> CaseOutcome {
+    pub fn judge(&self, place: &TestDevice, slot: Slot, row: usize, column: usize, value: f32) -> CaseOutcome {
         let outcome = self.judge_row(place, row, |rows| *cell(rows, slot, row, column) = value);
         CaseOutcome {
             failures: outcome
@@ -125,7 +125,7 @@ impl Poisoned {
     }
 
     /// Changes one Gaussian and judges the result.
-    pub fn judge_row(&self, place: &Place, row: usize, poison: impl FnOnce(&mut GaussianRows)) -> CaseOutcome {
+    pub fn judge_row(&self, place: &TestDevice, row: usize, poison: impl FnOnce(&mut GaussianRows)) -> CaseOutcome {
         let mut rows = self.rows.clone();
         poison(&mut rows);
         let found = self.evaluate(&rows, &place.device);

@@ -2,7 +2,7 @@
 
 use burn::tensor::DType;
 
-use crate::case::{CaseOutcome, HardCase, Place};
+use crate::case::{CaseOutcome, HardCase, TestDevice};
 use crate::evaluate::{Outputs, evaluate};
 use crate::scene::{HardScene, Splat, Truth};
 
@@ -51,7 +51,7 @@ fn scene(label: &str, quat: [f64; 4]) -> HardScene {
     HardScene::new(label, &[hard]).with_neighbour(&neighbour)
 }
 
-fn both_signs(place: &Place) -> CaseOutcome {
+fn both_signs(place: &TestDevice) -> CaseOutcome {
     let [plus, minus] = [QUAT, QUAT.map(|q| -q)].map(|quat| {
         let scene = HardScene { neighbours: 0, ..scene("both signs", quat) }.rounded();
         evaluate(&scene, &scene.weights(), &place.device, DType::F32)

@@ -9,7 +9,7 @@ use splat_model::gaussians::GaussianRows;
 use splat_model::optim::scene_extent;
 use splat_model::trainer::{TrainConfig, Trainer};
 
-use crate::case::{CaseOutcome, HardCase, Place, Processor};
+use crate::case::{CaseOutcome, HardCase, Processor, TestDevice};
 use crate::scratch::{Scratch, demo};
 
 const DEMO: DemoOptions = DemoOptions { width: 40, height: 30, views: 6, points: 300, seed: 5, ..DemoOptions::PLAIN };
@@ -73,7 +73,7 @@ pub fn cases() -> Vec<HardCase> {
     ]
 }
 
-fn judge(place: &Place, change: Change) -> CaseOutcome {
+fn judge(place: &TestDevice, change: Change) -> CaseOutcome {
     let mut outcome = CaseOutcome::default();
     let mut run = || -> Result<(), Box<dyn std::error::Error>> {
         let scratch = Scratch::new()?;
@@ -89,7 +89,7 @@ fn judge(place: &Place, change: Change) -> CaseOutcome {
 }
 
 fn train(
-    place: &Place,
+    place: &TestDevice,
     photos: Vec<Photo>,
     points: &PointCloud,
     outcome: &mut CaseOutcome,

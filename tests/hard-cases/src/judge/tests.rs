@@ -9,8 +9,8 @@ fn yardstick() -> Yardstick {
     Yardstick::new(&HardScene::new("plain", &[hard]).with_neighbour(&neighbour))
 }
 
-fn place() -> Place {
-    Place { name: "flex".into(), device: Device::flex(), processor: Processor::Cpu, software: false }
+fn place() -> TestDevice {
+    TestDevice { name: "flex".into(), device: Device::flex(), processor: Processor::Cpu, software: false }
 }
 
 /// Judges the reference with one change to a gradient or a picture.
@@ -125,7 +125,7 @@ fn loose_bounds_hold_where_they_are_given_and_never_pass() {
     };
     assert_eq!(judge(&case(false), &[place()]).verdict(), Verdict::Passed);
     assert_eq!(judge(&case(true), &[place()]).verdict(), Verdict::Loose);
-    let gpu = Place { processor: Processor::Gpu, ..place() };
+    let gpu = TestDevice { processor: Processor::Gpu, ..place() };
     assert_eq!(judge(&case(true), std::slice::from_ref(&gpu)).verdict(), Verdict::Passed);
     assert_eq!((case(true).limit(Processor::Cpu), case(true).limit(Processor::Gpu)), (3.0, 1.0));
     let fails =
@@ -133,7 +133,7 @@ fn loose_bounds_hold_where_they_are_given_and_never_pass() {
     let row = judge(&fails, &[place()]);
     assert_eq!((row.verdict(), row.failures()), (Verdict::Failed, vec!["flex: it does".to_owned()]));
     // A case that drivers in software cannot run is left out on them alone.
-    let software = Place { software: true, ..gpu };
+    let software = TestDevice { software: true, ..gpu };
     let beyond = || HardCase::check("fails", "", |_| panic!("ran")).beyond_software("because");
     assert!(judge(&beyond(), &[software]).places.is_empty());
 }
