@@ -13,14 +13,14 @@ use crate::state::{State, StateError};
 
 /// State of a random number generator.
 #[derive(Serialize, Deserialize)]
-struct Random {
+struct RandomState {
     seed: [u8; 32],
     stream: u64,
     /// High and low half of the position, in words of 32 bits.
     word: [u64; 2],
 }
 
-impl Random {
+impl RandomState {
     fn of(rng: &ChaCha8Rng) -> Self {
         let word = rng.get_word_pos();
         Self { seed: rng.get_seed(), stream: rng.get_stream(), word: [(word >> 64) as u64, word as u64] }
@@ -47,7 +47,7 @@ impl Trainer {
         state.tell("config", &self.config)?;
         state.tell("photographs", &self.photographs())?;
         state.tell("queue", &self.queue)?;
-        state.tell("random", &Random::of(&self.rng))?;
+        state.tell("random", &RandomState::of(&self.rng))?;
         state.put_part("scene", self.scene.save());
         let [mut density, mut effects] = [State::default(), State::default()];
         self.density.save(&mut density)?;
@@ -83,7 +83,7 @@ impl Trainer {
             let (found, expected) = (view.to_string(), format!("below {}", own.len()));
             return Err(TrainError::OtherRun { what: "a photograph in the queue".into(), found, expected });
         }
-        let random: Random = state.told("random")?;
+        let random: RandomState = state.told("random")?;
         let [mut scene, mut density, mut effects] = ["scene", "density", "effects"].map(|name| state.take_part(name));
         state.finish()?;
         self.scene = Trained::load(&mut scene, &self.device.clone().autodiff())?;

@@ -141,7 +141,7 @@ fn random_numbers_go_on() {
     let mut rng = ChaCha8Rng::seed_from_u64(3);
     for _ in 0..37 {
         rng.random::<u32>();
-        let mut resumed = Random::of(&rng).resumed();
+        let mut resumed = RandomState::of(&rng).resumed();
         assert_eq!(resumed.random::<u64>(), rng.clone().random::<u64>());
     }
 }
