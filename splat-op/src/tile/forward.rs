@@ -108,7 +108,7 @@ impl TileCover {
 /// A packed ellipse and how far it reaches.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
-struct Reach {
+struct EllipseReach {
     x: f32,
     y: f32,
     sigma_u: f32,
@@ -119,7 +119,7 @@ struct Reach {
 }
 
 #[cube]
-impl Reach {
+impl EllipseReach {
     /// Whether the ellipse reaches the rectangle of pixel centres from `first` to before `end` px along each axis: the
     /// least `u² + v²` over it lies at the centre, or on a side that faces the centre, where it is the minimum of a
     /// parabola.
@@ -214,7 +214,7 @@ pub(super) fn cover_kernel(
                 // A relative margin for the logarithm, an absolute one for the exponential.
                 limit = 2.0 * (shown / frame.alpha_min).ln() * 1.00001 + 1e-4;
             }
-            let reach = Reach {
+            let reach = EllipseReach {
                 x: projected[at],
                 y: projected[at + 1],
                 sigma_u: projected[at + 2],
@@ -252,7 +252,12 @@ pub(super) fn cover_kernel(
 
 /// The bits of the cells that the ellipse reaches, or of all of the box.
 #[cube]
-fn covered_cells(cover: &TileCover, reach: &Reach, frame: &TileFrame, #[comptime] culling: Culling) -> (u32, u32) {
+fn covered_cells(
+    cover: &TileCover,
+    reach: &EllipseReach,
+    frame: &TileFrame,
+    #[comptime] culling: Culling,
+) -> (u32, u32) {
     let mut low = 0u32;
     let mut high = 0u32;
     let (cell_width, cell_height) = (cover.cell_width(), cover.cell_height());

@@ -35,7 +35,7 @@ pub(crate) fn half_extent<F: Real>(ellipse: &Ellipse<F>, limit: F) -> [F; 2] {
 
 /// What decides how far a Gaussian reaches.
 #[derive(Clone, Copy)]
-pub(super) struct Reach<F> {
+pub(super) struct ReachRules<F> {
     grid: [usize; 2],
     /// Of the picture, px.
     size: [F; 2],
@@ -43,7 +43,7 @@ pub(super) struct Reach<F> {
     culling: Culling,
 }
 
-impl<F: Real> Reach<F> {
+impl<F: Real> ReachRules<F> {
     pub fn new(camera: &Intrinsics, cut: Cut) -> Self {
         Self {
             grid: tile_grid(camera.width, camera.height),
@@ -135,7 +135,7 @@ struct Eight<S: Simd, F: Real> {
 
 impl<S: Simd, F: Real> Eight<S, F> {
     #[inline(always)]
-    fn read(simd: S, reach: &Reach<F>, scratch: &Scratch<F>, first: usize) -> Self {
+    fn read(simd: S, reach: &ReachRules<F>, scratch: &Scratch<F>, first: usize) -> Self {
         let lanes = |value: F| F::Lanes::<S>::splat(simd, value);
         let column = |column| scratch.ellipses.lanes(simd, column, first);
         let [x, y, sigma_u, shear, sigma_v, depth, opacity] =
@@ -186,14 +186,14 @@ impl<S: Simd, F: Real> Eight<S, F> {
 
     /// On every row of tiles of the box: its first tile and the one behind the last.
     #[inline(always)]
-    fn columns(&self, reach: &Reach<F>) -> (F::Lanes<S>, F::Lanes<S>) {
+    fn columns(&self, reach: &ReachRules<F>) -> (F::Lanes<S>, F::Lanes<S>) {
         let x = self.mean[0];
         tiles((x - self.half_width, x + self.half_width), self.margin, reach.size[0])
     }
 
     /// On the row of tiles this many behind each one's first: the first tile and the one behind the last.
     #[inline(always)]
-    fn span(&self, reach: &Reach<F>, row: F) -> (F::Lanes<S>, F::Lanes<S>) {
+    fn span(&self, reach: &ReachRules<F>, row: F) -> (F::Lanes<S>, F::Lanes<S>) {
         let lanes = |value: F| F::Lanes::<S>::splat(self.r.token(), value);
         let first = (self.rows.0 + row) * F::of(TILE as f64);
         let last = (first + F::of((TILE - 1) as f64)).min(lanes(reach.size[1] - F::ONE));
