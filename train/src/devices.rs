@@ -12,7 +12,7 @@ use crate::progress;
 const COLUMNS: [&str; 7] =
     ["--device", "adapter", "kind", "runtime", "largest buffer", "f32 atomics", "plane operations"];
 
-type Row = [String; COLUMNS.len()];
+type TableRow = [String; COLUMNS.len()];
 
 /// Prints the devices, the runtimes of this build, and the device that `auto` chooses.
 ///
@@ -34,14 +34,14 @@ pub fn run() -> Result<()> {
 }
 
 /// Row of a CPU backend. Columns that do not apply hold a dash.
-fn cpu(name: DeviceName) -> Row {
+fn cpu(name: DeviceName) -> TableRow {
     let threads = thread::available_parallelism().map_or(1, NonZero::get);
     let adapter = format!("the CPU, {threads} {}", if threads == 1 { "thread" } else { "threads" });
     let runtime = format!("Burn's {name} backend");
     [name.to_string(), adapter, "processor".into(), runtime, "-".into(), "-".into(), "-".into()]
 }
 
-fn adapter(found: &AdapterDevice) -> Row {
+fn adapter(found: &AdapterDevice) -> TableRow {
     let (name, kind) = (found.adapter.name().to_string(), found.adapter.kind.to_string());
     match device::open(found) {
         Ok(facts) => {
@@ -69,12 +69,12 @@ fn bytes(count: u64) -> String {
 }
 
 /// Formats a table with columns as wide as their widest cell and two spaces between them.
-fn table(rows: &[Row]) -> Vec<String> {
-    let head: Row = COLUMNS.map(String::from);
-    let rows: Vec<&Row> = [&head].into_iter().chain(rows).collect();
+fn table(rows: &[TableRow]) -> Vec<String> {
+    let head: TableRow = COLUMNS.map(String::from);
+    let rows: Vec<&TableRow> = [&head].into_iter().chain(rows).collect();
     let width = |column: usize| rows.iter().map(|row| row[column].chars().count()).max().unwrap_or_default();
     let widths: [usize; COLUMNS.len()] = std::array::from_fn(width);
-    let line = |row: &&Row| {
+    let line = |row: &&TableRow| {
         let cells = row.iter().zip(widths).map(|(cell, width)| format!("{cell:width$}"));
         cells.collect::<Vec<_>>().join("  ").trim_end().to_owned()
     };
@@ -127,7 +127,7 @@ mod tests {
     #[test]
     fn columns_are_aligned() {
         let row = |name: &str, adapter: &str| {
-            let mut row: Row = Default::default();
+            let mut row: TableRow = Default::default();
             (row[0], row[1], row[6]) = (name.into(), adapter.into(), "no".into());
             row
         };

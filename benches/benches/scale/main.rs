@@ -20,7 +20,7 @@ use splat_benches::allocations::CountingAllocator;
 use splat_benches::{MEDIUM, SyntheticView};
 
 use point::{ScalePoint, Work};
-use record::{Row, ScaleAxis};
+use record::{ScaleAxis, ScaleRow};
 
 #[global_allocator]
 static ALLOCATOR: CountingAllocator<mimalloc::MiMalloc> = CountingAllocator(mimalloc::MiMalloc);
@@ -42,7 +42,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     if words == ["plot"] {
         return ScaleAxis::ALL.into_iter().try_for_each(|axis| {
             println!("\n{axis}");
-            let rows: Vec<Row> = record::read(&csv)?.into_iter().filter(|row| row.axis == axis).collect();
+            let rows: Vec<ScaleRow> = record::read(&csv)?.into_iter().filter(|row| row.axis == axis).collect();
             show(axis, &rows)
         });
     }
@@ -64,7 +64,7 @@ fn main() -> Result<(), Box<dyn Error>> {
 }
 
 /// Draws the plot and prints the growth.
-fn show(axis: ScaleAxis, rows: &[Row]) -> Result<(), Box<dyn Error>> {
+fn show(axis: ScaleAxis, rows: &[ScaleRow]) -> Result<(), Box<dyn Error>> {
     plot::draw(axis, rows, &Path::new(FOLDER).join(format!("{axis}.svg")))?;
     record::state_growth(axis, rows);
     Ok(())
@@ -91,14 +91,14 @@ fn points(axis: ScaleAxis) -> Vec<(SyntheticView, usize)> {
     }
 }
 
-fn measure(axis: ScaleAxis) -> Result<Vec<Row>, Box<dyn Error>> {
+fn measure(axis: ScaleAxis) -> Result<Vec<ScaleRow>, Box<dyn Error>> {
     let mut rows = Vec::new();
     for work in Work::ALL {
         // A render does not depend on the number of photographs.
         if axis == ScaleAxis::Views && work == Work::Render {
             continue;
         }
-        let mut before: Option<Row> = None;
+        let mut before: Option<ScaleRow> = None;
         for (view, views) in points(axis) {
             let point = ScalePoint { work, view, views };
             if let Some(reason) = before.as_ref().and_then(|before| too_much(axis, before, &point)) {
@@ -121,7 +121,7 @@ fn measure(axis: ScaleAxis) -> Result<Vec<Row>, Box<dyn Error>> {
 }
 
 /// Returns the reason to skip a point, by linear extrapolation from the point before it.
-fn too_much(axis: ScaleAxis, before: &Row, point: &ScalePoint) -> Option<String> {
+fn too_much(axis: ScaleAxis, before: &ScaleRow, point: &ScalePoint) -> Option<String> {
     let growth = axis.of(point) / axis.of(&before.point);
     let bytes = before.live_bytes as f64 * growth;
     // One warm-up run and one timed run, in addition to the time of the setup.
@@ -139,7 +139,7 @@ fn too_much(axis: ScaleAxis, before: &Row, point: &ScalePoint) -> Option<String>
 }
 
 /// Measures a point in a separate process.
-fn in_a_process(axis: ScaleAxis, point: &ScalePoint) -> Result<Row, Box<dyn Error>> {
+fn in_a_process(axis: ScaleAxis, point: &ScalePoint) -> Result<ScaleRow, Box<dyn Error>> {
     let start = std::time::Instant::now();
     let output = Command::new(std::env::current_exe()?).arg("--point").args(point.write()).output()?;
     if !output.status.success() {
@@ -152,7 +152,7 @@ fn in_a_process(axis: ScaleAxis, point: &ScalePoint) -> Result<Row, Box<dyn Erro
     let [median_s, runs, hits, live_bytes, rss_bytes] = numbers[..] else {
         return Err(format!("not a measurement: {measured:?}").into());
     };
-    Ok(Row {
+    Ok(ScaleRow {
         axis,
         point: point.clone(),
         hits: hits as usize,

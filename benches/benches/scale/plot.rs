@@ -8,7 +8,7 @@ use plotters::coord::combinators::IntoLogRange;
 use plotters::prelude::*;
 
 use crate::point::Work;
-use crate::record::{ALLOWED_BYTES, Row, ScaleAxis};
+use crate::record::{ALLOWED_BYTES, ScaleAxis, ScaleRow};
 
 const SIZE: (u32, u32) = (1000, 420);
 
@@ -19,9 +19,9 @@ struct PlotLine {
     points: Vec<(f64, f64)>,
 }
 
-pub fn draw(axis: ScaleAxis, rows: &[Row], to: &Path) -> Result<(), Box<dyn Error>> {
+pub fn draw(axis: ScaleAxis, rows: &[ScaleRow], to: &Path) -> Result<(), Box<dyn Error>> {
     let colours = [RGBColor(40, 90, 160), RGBColor(200, 80, 40)];
-    let lines = |value: &dyn Fn(&Row) -> f64| -> Vec<PlotLine> {
+    let lines = |value: &dyn Fn(&ScaleRow) -> f64| -> Vec<PlotLine> {
         let of = |(work, colour): (Work, RGBColor)| {
             let rows = rows.iter().filter(|row| row.point.work == work);
             PlotLine { name: work.name(), colour, points: rows.map(|row| (axis.of(&row.point), value(row))).collect() }
@@ -33,8 +33,8 @@ pub fn draw(axis: ScaleAxis, rows: &[Row], to: &Path) -> Result<(), Box<dyn Erro
     let mut memory = lines(&|row| row.live_bytes as f64 / f64::from(1 << 20));
     if axis == ScaleAxis::Splats {
         // The goal, added to the memory of the smallest step, which its pictures dominate.
-        let steps: Vec<&Row> = rows.iter().filter(|row| row.point.work == Work::Step).collect();
-        let goal = |row: &&Row| {
+        let steps: Vec<&ScaleRow> = rows.iter().filter(|row| row.point.work == Work::Step).collect();
+        let goal = |row: &&ScaleRow| {
             let fewest = steps[0];
             let more = axis.of(&row.point) - axis.of(&fewest.point);
             (axis.of(&row.point), (fewest.live_bytes as f64 + ALLOWED_BYTES * more) / f64::from(1 << 20))

@@ -49,7 +49,7 @@ impl FromStr for ScaleAxis {
 }
 
 #[derive(Clone, Debug, PartialEq)]
-pub struct Row {
+pub struct ScaleRow {
     pub axis: ScaleAxis,
     pub point: ScalePoint,
     pub hits: usize,
@@ -63,7 +63,7 @@ pub struct Row {
     pub wall_s: f64,
 }
 
-impl Display for Row {
+impl Display for ScaleRow {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let mib = |bytes: usize| bytes as f64 / f64::from(1 << 20);
         write!(
@@ -82,9 +82,9 @@ impl Display for Row {
 const HEADER: &str =
     "axis,work,splats,width,height,views,sigma_px,opacity_min,opacity_max,hits,median_s,runs,live_bytes,rss_bytes";
 
-pub fn write(rows: &[Row]) -> String {
+pub fn write(rows: &[ScaleRow]) -> String {
     let mut text = format!("{HEADER}\n");
-    for Row { axis, point, hits, median_s, runs, live_bytes, rss_bytes, .. } in rows {
+    for ScaleRow { axis, point, hits, median_s, runs, live_bytes, rss_bytes, .. } in rows {
         let _ =
             writeln!(text, "{axis},{},{hits},{median_s:.6},{runs},{live_bytes},{rss_bytes}", point.write().join(","));
     }
@@ -92,14 +92,14 @@ pub fn write(rows: &[Row]) -> String {
 }
 
 /// Reads the rows of a file; none if it does not exist.
-pub fn read(path: &Path) -> Result<Vec<Row>, Box<dyn Error>> {
+pub fn read(path: &Path) -> Result<Vec<ScaleRow>, Box<dyn Error>> {
     let Ok(text) = std::fs::read_to_string(path) else { return Ok(Vec::new()) };
-    let row = |line: &str| -> Result<Row, Box<dyn Error>> {
+    let row = |line: &str| -> Result<ScaleRow, Box<dyn Error>> {
         let fields: Vec<String> = line.split(',').map(str::to_owned).collect();
         let [axis, point @ .., hits, median_s, runs, live_bytes, rss_bytes] = &fields[..] else {
             return Err(format!("{}: {line:?}", path.display()).into());
         };
-        Ok(Row {
+        Ok(ScaleRow {
             axis: axis.parse()?,
             point: ScalePoint::read(point)?,
             hits: hits.parse()?,
@@ -117,9 +117,9 @@ pub fn read(path: &Path) -> Result<Vec<Row>, Box<dyn Error>> {
 pub const ALLOWED_BYTES: f64 = 1.3 * 59.0 * 4.0 * 4.0;
 
 /// Prints the cost of each step along the axis per unit of work.
-pub fn state_growth(axis: ScaleAxis, rows: &[Row]) {
+pub fn state_growth(axis: ScaleAxis, rows: &[ScaleRow]) {
     for work in Work::ALL {
-        let rows: Vec<&Row> = rows.iter().filter(|row| row.point.work == work).collect();
+        let rows: Vec<&ScaleRow> = rows.iter().filter(|row| row.point.work == work).collect();
         for pair in rows.windows(2) {
             let [low, high] = [pair[0], pair[1]];
             let ratio = axis.of(&high.point) / axis.of(&low.point);
@@ -138,7 +138,7 @@ pub fn state_growth(axis: ScaleAxis, rows: &[Row]) {
             // Between the two largest scenes: with fewer Gaussians the peak is in the loss and depends on the picture.
             let [few, many] = [rows[rows.len() - 2], rows[rows.len() - 1]];
             let more = (many.point.view.splats - few.point.view.splats) as f64;
-            let each = |of: fn(&Row) -> usize| (of(many) as f64 - of(few) as f64) / more;
+            let each = |of: fn(&ScaleRow) -> usize| (of(many) as f64 - of(few) as f64) / more;
             println!(
                 "  a training step holds {:.0} bytes for each Gaussian, the goal is {ALLOWED_BYTES:.0}; resident are {:.0}",
                 each(|row| row.live_bytes),
@@ -148,7 +148,7 @@ pub fn state_growth(axis: ScaleAxis, rows: &[Row]) {
     }
 }
 
-fn per_unit(axis: ScaleAxis, row: &Row) -> String {
+fn per_unit(axis: ScaleAxis, row: &ScaleRow) -> String {
     let SyntheticView { splats, .. } = row.point.view;
     match axis {
         ScaleAxis::Splats => format!(

@@ -8,7 +8,7 @@ use glam::DVec3;
 use ply_rs_bw::parser::{ParseError, Parser, Reader};
 use ply_rs_bw::ply::{ElementDef, Encoding, Header, PropertyAccess, PropertyType, ScalarType};
 
-use super::row::{REQUIRED, Row, Skipped, degree_of_rest};
+use super::row::{PlyRow, REQUIRED, Skipped, degree_of_rest};
 use super::{ORIGIN_COMMENT, PlyError, VERTEX};
 use crate::gaussians::GaussianRows;
 
@@ -36,7 +36,7 @@ pub(crate) fn read_from(mut input: PlyReader, header: &Header) -> Result<(Gaussi
     let degree = check_properties(path, vertex)?;
     input.begin(header)?;
     let mut rows = empty_rows(vertex.count, degree);
-    input.each_row(vertex, header.encoding, |_, row: Row| {
+    input.each_row(vertex, header.encoding, |_, row: PlyRow| {
         row.push_to(&mut rows);
         Ok(())
     })?;
@@ -229,7 +229,7 @@ fn parse_header(path: &Path, text: &[u8]) -> Result<Header, PlyError> {
     let broken = |detail: String| PlyError::Header { path: path.to_path_buf(), detail };
     // Comments may be in any encoding, and everything else is ascii.
     let text = String::from_utf8_lossy(text);
-    let header = Parser::<Row>::new()
+    let header = Parser::<PlyRow>::new()
         .read_header(&mut Reader::new(text.as_bytes()))
         .map_err(|error| broken(header_detail(&error.to_string())))?;
     // The parser keeps the last of two equal names, so every row would be misread.

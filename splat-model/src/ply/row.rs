@@ -78,9 +78,9 @@ fn rest_index(name: &str) -> Option<usize> {
 }
 
 /// The values of one Gaussian, by [`slot`].
-pub(super) struct Row([f32; SLOTS]);
+pub(super) struct PlyRow([f32; SLOTS]);
 
-impl Row {
+impl PlyRow {
     /// Copies row `i` of the scene. All fields must have that row.
     pub(super) fn of(rows: &GaussianRows, i: usize) -> Self {
         let mut row = Self::new();
@@ -126,7 +126,7 @@ impl Row {
     }
 }
 
-impl PropertyAccess for Row {
+impl PropertyAccess for PlyRow {
     fn new() -> Self {
         Self([0.0; SLOTS])
     }

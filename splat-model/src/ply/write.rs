@@ -7,7 +7,7 @@ use glam::DVec3;
 use ply_rs_bw::ply::{Addable, ElementDef, Encoding, Header, PropertyDef, PropertyType, ScalarType};
 use ply_rs_bw::writer::Writer;
 
-use super::row::{MAX_DEGREE, Row, names, rest_per_channel};
+use super::row::{MAX_DEGREE, PlyRow, names, rest_per_channel};
 use super::{ORIGIN_COMMENT, PlyError, VERTEX};
 use crate::gaussians::GaussianRows;
 use crate::replace::{Refused, replace};
@@ -63,11 +63,11 @@ pub(crate) fn check(path: &Path, rows: &GaussianRows, origin: DVec3) -> Result<(
 /// If `out` cannot be written to.
 pub fn write_to(out: &mut impl Write, rows: &GaussianRows, origin: DVec3) -> io::Result<()> {
     let header = header(rows, origin);
-    let writer = Writer::<Row>::new();
+    let writer = Writer::<PlyRow>::new();
     writer.write_header(out, &header)?;
     let element = &header.elements[VERTEX];
     for i in 0..rows.means.len() {
-        writer.write_little_endian_element(out, &Row::of(rows, i), element)?;
+        writer.write_little_endian_element(out, &PlyRow::of(rows, i), element)?;
     }
     Ok(())
 }

@@ -12,7 +12,7 @@
 
 use cubecl::prelude::*;
 
-use super::forward::{CameraAxis, Gaussian, PackedEllipse, ProjectCamera, ProjectionTerms, Row, project_one};
+use super::forward::{CameraAxis, Gaussian, JacobianRow, PackedEllipse, ProjectCamera, ProjectionTerms, project_one};
 use super::lens_backward::bent_backward;
 use crate::gpu::UNITS;
 use crate::gpu::math::{Mat3, POSE, Pose, Quaternion, Vec3};
@@ -74,7 +74,7 @@ struct RowGrad {
 }
 
 #[cube]
-fn row_backward(f: &ProjectionTerms, row: &Row, axis: &CameraAxis, grad_j: Vec3, grad_mean_px: f32) -> RowGrad {
+fn row_backward(f: &ProjectionTerms, row: &JacobianRow, axis: &CameraAxis, grad_j: Vec3, grad_mean_px: f32) -> RowGrad {
     let inverse = 1.0 / f.depth;
     // j = (focal / z) (row − slope · last)
     let grad_row = grad_j.times(axis.focal * inverse);

@@ -109,7 +109,7 @@ impl PackedEllipse {
 /// What an axis of the picture sees of a Gaussian.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
-pub(crate) struct Row {
+pub(crate) struct JacobianRow {
     /// `x/z` or `y/z`, the slope at which the Jacobian is taken, and whether that is free (not held at a limit). Where there is
     /// a lens, `ratio` is what it makes of the centre, in units of the focal length.
     pub ratio: f32,
@@ -123,11 +123,11 @@ pub(crate) struct Row {
 #[cube]
 impl CameraAxis {
     /// `across` is the camera x or y of the centre; `row` and `last` are rows of `W R`.
-    fn project(&self, across: f32, depth: f32, row: Vec3, last: Vec3, scale: Vec3) -> Row {
+    fn project(&self, across: f32, depth: f32, row: Vec3, last: Vec3, scale: Vec3) -> JacobianRow {
         let ratio = across / depth;
         let slope = within(ratio, self.low, self.high);
         let j = row.minus(last.times(slope)).times(self.focal / depth);
-        Row { ratio, slope, slope_free: slope == ratio, j, m: j.by_axis(scale) }
+        JacobianRow { ratio, slope, slope_free: slope == ratio, j, m: j.by_axis(scale) }
     }
 }
 
@@ -145,8 +145,8 @@ pub(crate) struct ProjectionTerms {
     pub world_from_gaussian: Mat3,
     /// The last row of `W R`.
     pub last: Vec3,
-    pub x: Row,
-    pub y: Row,
+    pub x: JacobianRow,
+    pub y: JacobianRow,
     /// What a lens adds.
     pub bent: ComptimeOption<LensProjection>,
     /// `m0 / sigma_u`, `m1 / sigma_u`, `n × m1` and its length.
@@ -169,7 +169,7 @@ fn seen_rows(
     cam_from_gaussian: Mat3,
     scale: Vec3,
     lens: &ProjectCamera,
-) -> (Row, Row, ComptimeOption<LensProjection>) {
+) -> (JacobianRow, JacobianRow, ComptimeOption<LensProjection>) {
     #[comptime]
     match lens.distortion {
         ComptimeOption::Some(distortion) => {

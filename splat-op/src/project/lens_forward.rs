@@ -2,7 +2,7 @@
 
 use cubecl::prelude::*;
 
-use super::forward::{ProjectCamera, Row};
+use super::forward::{JacobianRow, ProjectCamera};
 use super::lens::HALF_ANGLE_F32;
 use crate::camera::CameraModel;
 use crate::gpu::math::{Mat3, Vec2, Vec3, within};
@@ -162,7 +162,7 @@ pub(super) fn bent_rows(
     scale: Vec3,
     lens: &ProjectCamera,
     distortion: &Distortion,
-) -> (Row, Row, LensProjection) {
+) -> (JacobianRow, JacobianRow, LensProjection) {
     let bent = if comptime!(distortion.model.is_fisheye()) {
         fisheye(mean_cam, rows, distortion)
     } else {
@@ -172,8 +172,8 @@ pub(super) fn bent_rows(
     let j_x = bent.base_x.times(focal_x * by.x.x).plus(bent.base_y.times(focal_x * by.x.y));
     let j_y = bent.base_x.times(focal_y * by.y.x).plus(bent.base_y.times(focal_y * by.y.y));
     let (seen_at, s) = (bent.centre.value, bent.held.s);
-    let x = Row { ratio: seen_at.x, slope: s.x, slope_free: false, j: j_x, m: j_x.by_axis(scale) };
-    let y = Row { ratio: seen_at.y, slope: s.y, slope_free: false, j: j_y, m: j_y.by_axis(scale) };
+    let x = JacobianRow { ratio: seen_at.x, slope: s.x, slope_free: false, j: j_x, m: j_x.by_axis(scale) };
+    let y = JacobianRow { ratio: seen_at.y, slope: s.y, slope_free: false, j: j_y, m: j_y.by_axis(scale) };
     (x, y, bent)
 }
 

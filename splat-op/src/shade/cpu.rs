@@ -36,7 +36,7 @@ impl<'a, F> From<&'a [F]> for ShCoefficients<'a, F> {
 }
 
 /// The numbers of a Gaussian, of all channels, at the highest degree.
-type Row<F> = [F; 3 * SH_COEFFICIENTS_MAX];
+type ShRow<F> = [F; 3 * SH_COEFFICIENTS_MAX];
 
 impl<F: Real> ShCoefficients<'_, F> {
     /// How many there are.
@@ -49,7 +49,7 @@ impl<F: Real> ShCoefficients<'_, F> {
 
     /// Those of Gaussian `i`, `row` numbers, in `room` unless they lie somewhere as they are.
     #[inline(always)]
-    fn row<'a>(&'a self, i: usize, row: usize, room: &'a mut Row<F>) -> &'a [F] {
+    fn row<'a>(&'a self, i: usize, row: usize, room: &'a mut ShRow<F>) -> &'a [F] {
         match self {
             Self::Full(values) => &values[row * i..row * (i + 1)],
             Self::Half(halves) => {

@@ -16,7 +16,7 @@ use crate::tensors::Named;
 use crate::textbook::{self, Backward};
 
 /// Result of a case.
-pub struct Row {
+pub struct CaseResult {
     /// Outcome of each path, in the given order.
     pub places: Vec<(TestDevice, CaseOutcome)>,
     /// Outcome of the textbook's formulas in f32, where they differ from those of the operation.
@@ -38,7 +38,7 @@ pub enum Verdict {
     Failed,
 }
 
-impl Row {
+impl CaseResult {
     /// Verdict over all paths.
     pub fn verdict(&self) -> Verdict {
         let holds = self.remarks.is_empty() && self.places.iter().all(|(_, outcome)| outcome.passed());
@@ -65,11 +65,11 @@ impl Row {
 }
 
 /// Runs a case on every path.
-pub fn judge(case: &HardCase, places: &[TestDevice]) -> Row {
+pub fn judge(case: &HardCase, places: &[TestDevice]) -> CaseResult {
     let places: Vec<&TestDevice> =
         places.iter().filter(|place| !(place.software && case.beyond_software.is_some())).collect();
     let loose = places.iter().any(|place| case.limit(place.processor) > 1.0);
-    let mut row = Row { places: Vec::new(), textbook: None, condition: 1.0, remarks: Vec::new(), loose };
+    let mut row = CaseResult { places: Vec::new(), textbook: None, condition: 1.0, remarks: Vec::new(), loose };
     match &case.kind {
         CaseKind::Check(check) => {
             row.places = places.iter().map(|&place| (place.clone(), check(place))).collect();

@@ -3,12 +3,12 @@
 use std::fmt::Write;
 
 use crate::case::{CaseOutcome, HardCase, MeasuredDeviation, Processor, TestDevice};
-use crate::judge::{Row, Verdict};
+use crate::judge::{CaseResult, Verdict};
 
 /// The cases of one group, each with its result.
 pub struct Section {
     pub title: &'static str,
-    pub rows: Vec<(HardCase, Row)>,
+    pub rows: Vec<(HardCase, CaseResult)>,
 }
 
 /// Formats the file's text. Figures are rounded so that the text changes only when a result does.
@@ -73,7 +73,7 @@ textbook gradient |
 |---|---|---|---|---|---|---|---|---|---|
 ";
 
-fn line(case: &HardCase, row: &Row) -> String {
+fn line(case: &HardCase, row: &CaseResult) -> String {
     let [cpu, gpu] = [Processor::Cpu, Processor::Gpu].map(|processor| row.of(processor));
     let verdict = match row.verdict() {
         // The GPU did not run the case.
@@ -99,7 +99,7 @@ fn line(case: &HardCase, row: &Row) -> String {
     format!("| {} |\n", cells.map(|cell| cell.replace('|', "\\|")).join(" | "))
 }
 
-fn hardness(case: &HardCase, row: &Row) -> String {
+fn hardness(case: &HardCase, row: &CaseResult) -> String {
     let condition = (row.condition > 10.0).then(|| format!("κ {:.0e}", row.condition));
     let parts = [Some(case.hardness.clone()).filter(|text| !text.is_empty()), condition];
     let parts: Vec<String> = parts.into_iter().flatten().collect();
@@ -129,7 +129,7 @@ fn score(score: MeasuredDeviation) -> String {
 const FAILURES: usize = 4;
 
 /// Notes on why a case is loose or fails, and on rows that the ceiling alone judged.
-fn notes(case: &HardCase, row: &Row) -> Vec<String> {
+fn notes(case: &HardCase, row: &CaseResult) -> Vec<String> {
     let mut notes = Vec::new();
     for loose in &case.loose {
         let place = match loose.processor {

@@ -3,7 +3,7 @@
 use splat_model::accuracy::{Judge, Spread};
 
 use super::dials::Role;
-use super::measure::Row;
+use super::measure::SettingMeasurements;
 
 /// Names of the columns.
 const HEADER: [&str; 23] = [
@@ -33,7 +33,7 @@ const HEADER: [&str; 23] = [
 ];
 
 /// Returns the file's text. `members` are the rows on the frontier of renders.
-pub fn text(rows: &[Row], members: &[usize]) -> String {
+pub fn text(rows: &[SettingMeasurements], members: &[usize]) -> String {
     let mut text = HEADER.join(",");
     text.push_str("\r\n");
     for (i, row) in rows.iter().enumerate() {
@@ -43,7 +43,7 @@ pub fn text(rows: &[Row], members: &[usize]) -> String {
     text
 }
 
-fn line(row: &Row, on_frontier: bool) -> String {
+fn line(row: &SettingMeasurements, on_frontier: bool) -> String {
     let number = |value: Option<f64>| value.map(|value| format!("{value:.6e}")).unwrap_or_default();
     let candidate = &row.candidate;
     let role = match candidate.role {

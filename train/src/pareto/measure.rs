@@ -34,7 +34,7 @@ pub struct MeasuredError {
 
 /// All measurements of one setting.
 #[derive(Clone, Debug)]
-pub struct Row {
+pub struct SettingMeasurements {
     pub candidate: Candidate,
     /// `None` for model choices, which define another function.
     pub accuracy: Option<MeasuredError>,
@@ -64,7 +64,7 @@ pub struct Alone {
 
 /// Results of the measurements.
 pub struct BenchOutcome {
-    pub rows: Vec<Row>,
+    pub rows: Vec<SettingMeasurements>,
     /// Every measured value of every numerical dial.
     pub alone: Vec<Alone>,
     /// Largest difference between the reference renderer and the exact renderer on crops.
@@ -101,12 +101,8 @@ impl Bench<'_> {
         drop(truths);
         let options: Vec<RenderOptions> = checked.iter().map(|(_, candidate)| candidate.options).collect();
         let (times, rounds) = self.time(&options, &cotangents, budget)?;
-        let rows = checked.into_iter().zip(times).map(|(((accuracy, scores, memory_mib), candidate), times)| Row {
-            candidate,
-            accuracy,
-            scores,
-            memory_mib,
-            times,
+        let rows = checked.into_iter().zip(times).map(|(((accuracy, scores, memory_mib), candidate), times)| {
+            SettingMeasurements { candidate, accuracy, scores, memory_mib, times }
         });
         Ok(BenchOutcome { rows: rows.collect(), alone, yardstick, rounds })
     }
@@ -268,7 +264,7 @@ fn compare_gradients(found: &Sums, exact: &Sums) -> (f64, &'static str, f64) {
     (error, worst, cosine)
 }
 
-impl Row {
+impl SettingMeasurements {
     /// PSNR against the exact render, dB; `None` where photographs are the judge.
     pub fn error_db(&self) -> Option<f64> {
         Some(decibels(self.accuracy.as_ref()?.rms))
@@ -299,7 +295,7 @@ impl BenchOutcome {
             provenance,
             splats: bench.place.gaussians.len(),
             pixels: MeasuredView::pixels(&bench.shots),
-            settings: self.rows.iter().filter_map(Row::measured).collect(),
+            settings: self.rows.iter().filter_map(SettingMeasurements::measured).collect(),
         }
     }
 }

@@ -26,7 +26,7 @@ use splat_model::trainer::TrainConfig;
 use splat_op::{CameraModel, RenderOptions};
 
 use self::dials::{Role, candidates};
-use self::measure::{Bench, BenchOutcome, Row};
+use self::measure::{Bench, BenchOutcome, SettingMeasurements};
 use self::plot::{Chart, Dot, Mark};
 pub use self::subject::MeasuredView;
 use self::subject::{DeviceScene, off_the_clamp};
@@ -208,9 +208,9 @@ fn train(args: &ParetoArgs, capture: &Capture, split: &Split, test: &[Photo], de
 
 /// Rows on the frontier of renders, and rows on the frontier of training steps.
 fn members(outcome: &BenchOutcome) -> [Vec<usize>; 2] {
-    let of = |point: fn(&Row) -> Option<FrontierPoint>| {
+    let of = |point: fn(&SettingMeasurements) -> Option<FrontierPoint>| {
         // Model choices are not on it: they have no error to be placed by.
-        let none = |row: &Row| FrontierPoint { quality_db: f64::NAN, time: row.times.forward };
+        let none = |row: &SettingMeasurements| FrontierPoint { quality_db: f64::NAN, time: row.times.forward };
         frontier(&outcome.rows.iter().map(|row| point(row).unwrap_or(none(row))).collect::<Vec<_>>())
     };
     let render = of(|row| Some(FrontierPoint { quality_db: row.error_db()?, time: row.times.forward }));
@@ -241,7 +241,7 @@ fn write(out: &OutputFolder, subject: &page::Subject, outcome: &BenchOutcome, tr
 }
 
 fn chart(subject: &page::Subject, outcome: &BenchOutcome, members: &[usize]) -> Chart {
-    let dot = |(i, row): (usize, &Row)| {
+    let dot = |(i, row): (usize, &SettingMeasurements)| {
         let time = row.times.forward;
         Some(Dot {
             name: row.candidate.name.clone(),

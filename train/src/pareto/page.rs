@@ -6,7 +6,7 @@ use splat_model::accuracy::{DIALS, Dial, Judge, STANDARD, Spread, Work, decibels
 use splat_op::RenderOptions;
 
 use super::dials::Role;
-use super::measure::{Alone, BenchOutcome, Row};
+use super::measure::{Alone, BenchOutcome, SettingMeasurements};
 use super::training::Trained;
 use super::verdict::{Graded, HARMLESS_DB, INVISIBLE_DB, Verdict, choice, verdict};
 
@@ -30,7 +30,7 @@ pub fn page(subject: &Subject, outcome: &BenchOutcome, members: [&[usize]; 2], t
     let mut text = intro(subject, outcome);
     text.push_str(&taken(subject, outcome, members));
     text.push_str("\n## Presets and combinations\n\n");
-    let several = |row: &&Row| !matches!(row.candidate.role, Role::Dial(_));
+    let several = |row: &&SettingMeasurements| !matches!(row.candidate.role, Role::Dial(_));
     text.push_str(&table(outcome, outcome.rows.iter().filter(several).map(|row| (row.candidate.name.clone(), row))));
     text.push_str("\nWhat they turn:\n\n");
     for row in outcome.rows.iter().filter(several) {
@@ -118,7 +118,7 @@ fn values<'a>(
     dial: &'static Dial,
     subject: &'a Subject,
     outcome: &'a BenchOutcome,
-) -> impl Iterator<Item = (String, &'a Row)> {
+) -> impl Iterator<Item = (String, &'a SettingMeasurements)> {
     dial.values.iter().filter_map(move |value| {
         let options = (value.set)(subject.base);
         Some((value.name.to_owned(), outcome.rows.iter().find(|row| row.candidate.options == options)?))
@@ -141,7 +141,7 @@ fn alone(dial: &Dial, outcome: &BenchOutcome) -> String {
 /// A dial's values with their errors in isolation, which other dials would hide, and their times with the other dials
 /// at the base.
 fn graded(dial: &'static Dial, subject: &Subject, outcome: &BenchOutcome, work: Work) -> Vec<Graded> {
-    let one = |(value, row): (String, &Row)| {
+    let one = |(value, row): (String, &SettingMeasurements)| {
         let alone = outcome.alone.iter().find(|alone| alone.dial == dial.name && alone.value == value)?;
         let accuracy = &alone.accuracy;
         let (quality_db, time) = match work {
@@ -153,7 +153,7 @@ fn graded(dial: &'static Dial, subject: &Subject, outcome: &BenchOutcome, work: 
     values(dial, subject, outcome).filter_map(one).collect()
 }
 
-fn table<'a>(outcome: &'a BenchOutcome, rows: impl Iterator<Item = (String, &'a Row)>) -> String {
+fn table<'a>(outcome: &'a BenchOutcome, rows: impl Iterator<Item = (String, &'a SettingMeasurements)>) -> String {
     let mut text = String::from(
         "| setting | error, dB | max | PSNR, dB | SSIM | forward, ms | backward, ms | memory, MiB | gradient error | cosine | \
          a frame, to the standard |\n|---|---|---|---|---|---|---|---|---|---|---|\n",

@@ -57,8 +57,8 @@ pub(super) struct TransformsFrame {
 }
 
 /// Four rows; a missing last row is 0 0 0 1.
-pub(super) type Matrix = [Row; 4];
-type Row = [f64; 4];
+pub(super) type Matrix = [MatrixRow; 4];
+type MatrixRow = [f64; 4];
 
 /// The numbers that describe a lens.
 const NUMBERS: [&str; 16] = [
@@ -204,7 +204,7 @@ impl Value for Vec<String> {
     }
 }
 
-impl Value for Row {
+impl Value for MatrixRow {
     fn from_list<'de, A: SeqAccess<'de>>(list: A) -> Result<Field<Self>, A::Error> {
         fixed(list, "numbers", 4, [0.0; 4])
     }
