@@ -65,7 +65,7 @@ pub(crate) struct SeenGrad {
 /// Gradients of what an axis of the picture is computed from.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
-struct RowGrad {
+struct JacobianRowGrad {
     /// Of the camera x or y of the centre, and a share of that of its z.
     across: f32,
     depth: f32,
@@ -74,13 +74,19 @@ struct RowGrad {
 }
 
 #[cube]
-fn row_backward(f: &ProjectionTerms, row: &JacobianRow, axis: &CameraAxis, grad_j: Vec3, grad_mean_px: f32) -> RowGrad {
+fn row_backward(
+    f: &ProjectionTerms,
+    row: &JacobianRow,
+    axis: &CameraAxis,
+    grad_j: Vec3,
+    grad_mean_px: f32,
+) -> JacobianRowGrad {
     let inverse = 1.0 / f.depth;
     // j = (focal / z) (row − slope · last)
     let grad_row = grad_j.times(axis.focal * inverse);
     let through_slope = select(row.slope_free, grad_row.dot(f.last), 0.0);
     let across = (grad_mean_px * axis.focal - through_slope) * inverse;
-    RowGrad { across, depth: -(grad_j.dot(row.j) * inverse) - across * row.ratio, row: grad_row }
+    JacobianRowGrad { across, depth: -(grad_j.dot(row.j) * inverse) - across * row.ratio, row: grad_row }
 }
 
 /// From gradients of the rows of `J W R` and of the ellipse.
