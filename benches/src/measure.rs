@@ -49,7 +49,7 @@ pub fn time<'a>(
     device: &Device,
     budget: Duration,
 ) -> Result<Vec<Times>, Box<dyn Error>> {
-    let mut all: Vec<(&mut Prepare, Vec<Run>)> = all.into_iter().map(|prepare| (prepare, Vec::new())).collect();
+    let mut all: Vec<(&mut Prepare, Vec<TimedRun>)> = all.into_iter().map(|prepare| (prepare, Vec::new())).collect();
     let begin = Instant::now();
     for round in 0..WARM_UP + RUNS {
         // On a slow device the second warm-up would take most of the budget.
@@ -67,13 +67,13 @@ pub fn time<'a>(
     Ok(all.into_iter().map(|(_, runs)| summary(&runs)).collect())
 }
 
-struct Run {
+struct TimedRun {
     elapsed_s: f64,
     /// Processor time over all processors.
     used_s: f64,
 }
 
-fn run(prepare: &mut Prepare, device: &Device) -> Result<Run, Box<dyn Error>> {
+fn run(prepare: &mut Prepare, device: &Device) -> Result<TimedRun, Box<dyn Error>> {
     let timed = prepare()?;
     device.sync()?;
     let before = processor_time();
@@ -82,10 +82,10 @@ fn run(prepare: &mut Prepare, device: &Device) -> Result<Run, Box<dyn Error>> {
     device.sync()?;
     let (elapsed_s, used_s) = (start.elapsed().as_secs_f64(), processor_time() - before);
     drop(kept);
-    Ok(Run { elapsed_s, used_s })
+    Ok(TimedRun { elapsed_s, used_s })
 }
 
-fn summary(runs: &[Run]) -> Times {
+fn summary(runs: &[TimedRun]) -> Times {
     let mut seconds: Vec<f64> = runs.iter().map(|run| run.elapsed_s).collect();
     let there = seconds.iter().sum::<f64>() * rayon::current_num_threads() as f64;
     seconds.sort_by(f64::total_cmp);
