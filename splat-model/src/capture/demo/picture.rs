@@ -15,7 +15,7 @@ const SAMPLES: usize = 3;
 const BLURRED_SAMPLES: usize = 36;
 
 /// A ray's position within a pixel, px from its upper left corner, and its time within the exposure.
-type Sample = (DVec2, ExposurePoint);
+type PixelSample = (DVec2, ExposurePoint);
 
 /// Photographs the scene, its rows in parallel: RGB, or RGBA (straight) if the shot is transparent. The result does not depend
 /// on the number of threads.
@@ -55,12 +55,12 @@ pub(super) fn mask(shot: &Shot) -> GrayImage {
     })
 }
 
-fn sharp_samples() -> Vec<Sample> {
+fn sharp_samples() -> Vec<PixelSample> {
     (0..SAMPLES * SAMPLES).map(|i| (place(i), ExposurePoint::default())).collect()
 }
 
 /// The same positions, each with four times and four points of the aperture.
-fn blurred_samples() -> Vec<Sample> {
+fn blurred_samples() -> Vec<PixelSample> {
     const PLACES: usize = SAMPLES * SAMPLES;
     let golden_angle = std::f64::consts::PI * (3.0 - 5.0_f64.sqrt());
     let sample = |i: usize| {
@@ -84,7 +84,7 @@ fn place(i: usize) -> DVec2 {
 
 /// Linear light averaged over the opaque part of a pixel's square, and that part's share of the square. Both
 /// come from the same rays, so that the pixel is right over any background.
-fn pixel_light(scene: &LitScene, shot: &Shot, corner_px: DVec2, samples: &[Sample]) -> (DVec3, f64) {
+fn pixel_light(scene: &LitScene, shot: &Shot, corner_px: DVec2, samples: &[PixelSample]) -> (DVec3, f64) {
     let (mut sum, mut opaque) = (DVec3::ZERO, 0_usize);
     for &(place, moment) in samples {
         let at_px = corner_px + place;

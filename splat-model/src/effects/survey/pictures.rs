@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use super::sights::{Sample, Sights};
+use super::sights::{ColourSample, Sights};
 use crate::capture::image::load;
 use crate::capture::{Capture, CaptureError, Photo};
 use crate::effects::masks;
@@ -33,7 +33,7 @@ pub(super) fn look(capture: &Capture, surveyed: &[usize], sights: &mut Sights) -
         // An unusable mask is no evidence here. It is an error in training.
         photo.mask = found[view].as_ref().and_then(|file| masks::load(file, &photo.intrinsics).ok());
         let sample = |&(point, i): &(usize, usize)| sample(&photo, sights.points[point][i].at_px);
-        let samples: Vec<Option<Sample>> = places[view].iter().map(sample).collect();
+        let samples: Vec<Option<ColourSample>> = places[view].iter().map(sample).collect();
         let glance = Glance {
             view,
             sharpness: super::blur::sharpness(&photo),
@@ -42,7 +42,8 @@ pub(super) fn look(capture: &Capture, surveyed: &[usize], sights: &mut Sights) -
         };
         Ok((glance, samples))
     };
-    let seen: Vec<(Glance, Vec<Option<Sample>>)> = surveyed.par_iter().map(one).collect::<Result<_, CaptureError>>()?;
+    let seen: Vec<(Glance, Vec<Option<ColourSample>>)> =
+        surveyed.par_iter().map(one).collect::<Result<_, CaptureError>>()?;
     let mut glances = Vec::with_capacity(surveyed.len());
     for (&view, (glance, samples)) in surveyed.iter().zip(seen) {
         for (&(point, i), sample) in places[view].iter().zip(samples) {
@@ -55,7 +56,7 @@ pub(super) fn look(capture: &Capture, surveyed: &[usize], sights: &mut Sights) -
 
 /// Samples the colours around a position. `None` within two pixels of the border, and where the picture is transparent or
 /// masked.
-fn sample(photo: &Photo, at_px: [f64; 2]) -> Option<Sample> {
+fn sample(photo: &Photo, at_px: [f64; 2]) -> Option<ColourSample> {
     let (width, height) = (photo.intrinsics.width, photo.intrinsics.height);
     // Compared before the conversion to integers: a damaged file may place a keypoint anywhere.
     let inside = |px: f64, side: usize| px >= 2.0 && px < side as f64 - 2.0;
@@ -63,7 +64,7 @@ fn sample(photo: &Photo, at_px: [f64; 2]) -> Option<Sample> {
         return None;
     }
     let [x, y] = at_px.map(|px| px as usize);
-    let mut sample = Sample { mean: [0.0; 3], low: [1.0; 3], high: [0.0; 3] };
+    let mut sample = ColourSample { mean: [0.0; 3], low: [1.0; 3], high: [0.0; 3] };
     for row in y - 2..=y + 2 {
         for column in x - 2..=x + 2 {
             let at = row * width + column;

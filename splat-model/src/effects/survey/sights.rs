@@ -40,12 +40,12 @@ pub(super) struct Sight {
     /// Pixels per scene unit at the point: focal length divided by depth.
     pub footprint: f64,
     /// Set when the photograph is decoded. `None` at its border.
-    pub sample: Option<Sample>,
+    pub sample: Option<ColourSample>,
 }
 
 /// Display-referred colours around a place, 0 to 1.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Sample {
+pub(super) struct ColourSample {
     /// Mean of 3 × 3 px.
     pub mean: [f32; 3],
     /// Smallest and largest value of 5 × 5 px: the range that a shift by a pixel or two could show.

@@ -94,7 +94,7 @@ fn seen(colours: &[f32], exposures: &[f64], spread: f32) -> (sights::Sights, exp
         at_px: [9.0; 2],
         depth: 1.0,
         footprint: 1.0,
-        sample: Some(sights::Sample { mean: [colour; 3], low: [colour - spread; 3], high: [colour + spread; 3] }),
+        sample: Some(sights::ColourSample { mean: [colour; 3], low: [colour - spread; 3], high: [colour + spread; 3] }),
     };
     let points = vec![colours.iter().enumerate().map(sight).collect()];
     let sights = sights::Sights { source: SightSource::Tracks, points, indices: vec![0] };

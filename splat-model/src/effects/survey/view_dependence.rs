@@ -4,7 +4,7 @@ use serde::Serialize;
 
 use super::exposure::Fit;
 use super::quantile;
-use super::sights::{Sample, Sight, Sights};
+use super::sights::{ColourSample, Sight, Sights};
 
 /// Smallest number of comparable photographs of a point. With fewer, the outliers could be fewer than three, which an
 /// occluder could cause.
@@ -37,7 +37,7 @@ impl ViewDependenceEvidence {
 }
 
 /// A sample, and its photograph's offset to the logarithm of a colour.
-type ExposedSample = (Sample, [f64; 3]);
+type ExposedSample = (ColourSample, [f64; 3]);
 
 pub(super) fn evidence(sights: &Sights, fit: &Fit) -> Option<ViewDependenceEvidence> {
     let stray = |sights: &Vec<Sight>| -> Option<f64> {
