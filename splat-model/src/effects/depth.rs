@@ -78,7 +78,7 @@ pub fn from_tracks(capture: &Capture, views: &[usize]) -> Vec<Vec<DepthSample>> 
 
 /// The contents of `depth.json`.
 #[derive(Deserialize)]
-struct Scale {
+struct DepthScale {
     /// Scene units per level.
     scale: f64,
 }
@@ -94,7 +94,7 @@ pub fn from_maps(capture: &Capture, folder: &str, views: &[usize]) -> Result<Vec
     let folder = capture.folder.join(folder);
     let file = folder.join("depth.json");
     let wrong = |file: &Path, reason: String| CaptureError::Depth { file: file.to_owned(), reason };
-    let Scale { scale } = json::read(&file, LARGEST_TEXT).map_err(|fault| wrong(&file, fault.to_string()))?;
+    let DepthScale { scale } = json::read(&file, LARGEST_TEXT).map_err(|fault| wrong(&file, fault.to_string()))?;
     if !(scale > 0.0 && scale.is_finite()) {
         return Err(wrong(&file, format!("`scale` is {scale}, expected a number above 0")));
     }

@@ -16,7 +16,7 @@ use crate::{demo, eval, train};
 
 /// Picture sizes and lengths of runs.
 #[derive(Clone, Copy, Debug)]
-pub struct Scale {
+pub struct RunSize {
     /// Width of the pictures, px; the height is three quarters of it.
     pub width: usize,
     /// Number of photographs, unless the case sets its own.
@@ -25,7 +25,7 @@ pub struct Scale {
     pub steps: usize,
 }
 
-impl Scale {
+impl RunSize {
     /// The scale of published figures.
     pub const FULL: Self = Self { width: 160, views: 40, steps: 1500 };
     /// The scale of tests.
@@ -240,7 +240,7 @@ impl EffectCase {
     ///
     /// # Errors
     /// If a file cannot be written or a run fails.
-    pub fn measure(&self, scale: &Scale, work: &Path) -> Result<Gain> {
+    pub fn measure(&self, scale: &RunSize, work: &Path) -> Result<Gain> {
         let folder = work.join(self.name);
         let (width, views) = (scale.width, self.views.unwrap_or(scale.views));
         let options = DemoOptions { width, height: 3 * width / 4, views, ..DemoOptions::default() };
@@ -265,7 +265,7 @@ impl EffectCase {
         Ok(Gain { planned: plan.effects(), harmonics: plan.sh_degree().is_none(), evidence, score_db, seconds, cost })
     }
 
-    fn train(&self, capture: &Path, out: &Path, options: &[&str], scale: &Scale) -> Result<Metrics> {
+    fn train(&self, capture: &Path, out: &Path, options: &[&str], scale: &RunSize) -> Result<Metrics> {
         let steps = scale.steps.to_string();
         let always = ["splat", "train", text(capture)?, "--out", text(out)?, "--device", "cpu", "--steps", &steps];
         let arguments = always.iter().chain(self.both).chain(options);

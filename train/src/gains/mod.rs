@@ -10,7 +10,7 @@ use std::path::PathBuf;
 use anyhow::{Context, Result, bail};
 
 use self::case::CASES;
-pub use self::case::{EffectCase, Gain, Scale};
+pub use self::case::{EffectCase, Gain, RunSize};
 use crate::output::OutputFolder;
 use crate::progress;
 
@@ -58,7 +58,7 @@ pub fn run(args: &GainsArgs) -> Result<()> {
         Err(error) => return Err(error).with_context(|| format!("cannot read {}", path.display())),
     };
     let work = tempfile::tempdir().context("cannot create a temporary folder for the captures")?;
-    let scale = if args.quick { Scale::QUICK } else { Scale::FULL };
+    let scale = if args.quick { RunSize::QUICK } else { RunSize::FULL };
     let chosen = |case: &&EffectCase| args.case.is_empty() || args.case.iter().any(|name| name == case.name);
     let mut gains = Vec::new();
     for case in CASES.iter().filter(chosen) {

@@ -1,6 +1,6 @@
 //! The written page: measured figures between two marks. The text around the marks stays unchanged.
 
-use super::{EffectCase, Gain, Scale};
+use super::{EffectCase, Gain, RunSize};
 
 /// Mark before the measured figures.
 const BEGIN: &str = "<!-- measured by `splat effects`: begin -->";
@@ -55,8 +55,8 @@ pub(super) fn table(gains: &[(&EffectCase, Gain)]) -> String {
 }
 
 /// The complete page.
-pub(super) fn page(Around { before, after }: &Around, table: &str, scale: &Scale) -> String {
-    let Scale { width, views, steps } = *scale;
+pub(super) fn page(Around { before, after }: &Around, table: &str, scale: &RunSize) -> String {
+    let RunSize { width, views, steps } = *scale;
     let size = format!("{views} photographs of {width} × {} px, {steps} steps.", 3 * width / 4);
     format!("{before}{BEGIN}\n\n{size}\n\n{}\n\n{END}{after}", table.trim_end())
 }
@@ -67,12 +67,12 @@ mod tests {
 
     #[test]
     fn text_stays_and_what_was_measured_is_replaced() {
-        let first = page(&Around::new(), "| old |\n", &Scale::QUICK);
+        let first = page(&Around::new(), "| old |\n", &RunSize::QUICK);
         let edited = format!("Mine.\n\n{first}\n## More\n");
-        let second = page(&Around::of(&edited).unwrap(), "| new |\n", &Scale::FULL);
+        let second = page(&Around::of(&edited).unwrap(), "| new |\n", &RunSize::FULL);
         assert!(second.starts_with("Mine.\n\n# Effects") && second.ends_with("\n## More\n"), "{second}");
         assert!(second.contains("1500 steps.\n\n| new |\n\n<!--") && !second.contains("old"), "{second}");
-        assert_eq!(page(&Around::of(&second).unwrap(), "| new |", &Scale::FULL), second);
+        assert_eq!(page(&Around::of(&second).unwrap(), "| new |", &RunSize::FULL), second);
         assert!(Around::of(&second.replace(END, "")).is_none());
     }
 }
