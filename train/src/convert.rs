@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, ensure};
 use clap::{ValueEnum, value_parser};
-use splat_model::formats::{self, Deviation, Format, QuantisationError, Scene};
+use splat_model::formats::{self, Deviation, Format, QuantisationError, SceneFile};
 use splat_model::gaussians::GaussianRows;
 
 use crate::progress;
@@ -115,7 +115,7 @@ fn line(path: &Path, format: Format, splats: usize, sh_degree: usize) -> Result<
 }
 
 /// Lists everything that the format cannot store.
-fn dropped(scene: &Scene, format: Format, left_out: usize, of_degree: usize, sh_degree: usize) -> Vec<String> {
+fn dropped(scene: &SceneFile, format: Format, left_out: usize, of_degree: usize, sh_degree: usize) -> Vec<String> {
     let mut lost = Vec::new();
     if left_out > 0 {
         lost.push(format!(

@@ -15,7 +15,7 @@ use splat_op::Intrinsics;
 use crate::accuracy::{AccuracyArgs, ModelArgs};
 use crate::background::ShownBackground;
 use crate::device::{self, DeviceName};
-use crate::input::{self, Scene};
+use crate::input::{self, LoadedScene};
 use crate::lpips::LpipsArgs;
 use crate::options::PhotoArgs;
 use crate::output::OutputFolder;
@@ -113,7 +113,7 @@ pub fn run(args: &EvalArgs) -> Result<Metrics> {
     let accuracy = accuracy.on((&capture, Some(&rows), MeasuredView::pixels(&shots)), &base, Work::Render)?;
     let scene_name = scene_name(&args.scene)?;
     let out = OutputFolder::prepare(&args.out, &[&scene_name, METRICS], &[VIEWS])?;
-    let Scene { splats, unusable } = Scene::new(&rows, &device)?;
+    let LoadedScene { splats, unusable } = LoadedScene::new(&rows, &device)?;
     let load = seconds_since(start);
 
     let dials = accuracy.setting((&rows, shots), &base, (&device, &device_name), Work::Render)?;

@@ -136,14 +136,14 @@ fn made_opaque(photo: Photo, opaque: bool) -> Photo {
 }
 
 /// A scene on a device.
-pub struct Scene {
+pub struct LoadedScene {
     /// The splats, without autodiff; Gaussians that cannot be rendered are masked.
     pub splats: Splats,
     /// Number of Gaussians that cannot be rendered.
     pub unusable: usize,
 }
 
-impl Scene {
+impl LoadedScene {
     /// Builds a scene from its rows.
     ///
     /// # Errors
@@ -158,8 +158,8 @@ impl Scene {
 ///
 /// # Errors
 /// If the file is missing, is not a scene, or holds no Gaussian.
-pub fn scene(path: &Path, capture: &Capture, device: &Device) -> Result<Scene> {
-    Scene::new(&rows(path, capture)?, device)
+pub fn scene(path: &Path, capture: &Capture, device: &Device) -> Result<LoadedScene> {
+    LoadedScene::new(&rows(path, capture)?, device)
 }
 
 /// Reads the rows of a scene, under the conditions of [`scene`].
@@ -168,7 +168,7 @@ pub fn scene(path: &Path, capture: &Capture, device: &Device) -> Result<Scene> {
 /// The errors of [`scene`].
 pub fn rows(path: &Path, capture: &Capture) -> Result<GaussianRows> {
     let (scene, _) = formats::read(path).context("cannot read the scene that `--scene` names")?;
-    let formats::Scene { mut rows, origin, antialiased } = scene;
+    let formats::SceneFile { mut rows, origin, antialiased } = scene;
     ensure!(!rows.is_empty(), "{} holds no Gaussian: name a scene that was trained with `--scene`", path.display());
     move_means(&mut rows, (origin - capture.origin).to_array());
     progress::note_unusable(path, rows.unusable(), rows.len());

@@ -16,7 +16,7 @@ use splat_op::{Camera, Extras, RenderOptions, Splats};
 use crate::accuracy::{AccuracyArgs, ModelArgs};
 use crate::background::ShownBackground;
 use crate::device::{self, DeviceName};
-use crate::input::Scene;
+use crate::input::LoadedScene;
 use crate::output::OutputFolder;
 use crate::pareto::MeasuredView;
 use crate::report::pictures::{self, level};
@@ -95,7 +95,7 @@ pub fn run(args: &RenderArgs) -> Result<Vec<PathBuf>> {
     let capture = input::capture(&args.capture)?;
     let views = chosen(&capture, &args.view)?;
     let rows = input::rows(&args.scene, &capture)?;
-    let splats = Scene::new(&rows, &device)?.splats;
+    let splats = LoadedScene::new(&rows, &device)?.splats;
     let base = args.model.config().render_options(input::extent(&capture));
     let shots: Vec<MeasuredView> =
         views.iter().map(|view| MeasuredView::unseen(&view.intrinsics, &view.cam_from_world)).collect();

@@ -16,11 +16,11 @@
 //! ```
 //! use glam::DVec3;
 //! use splat_model::capture::PointCloud;
-//! use splat_model::formats::{self, Format, QuantisationError, Scene};
+//! use splat_model::formats::{self, Format, QuantisationError, SceneFile};
 //! use splat_model::init;
 //!
 //! let points = PointCloud { positions: vec![[0.1, 0.2, 0.3], [1.0, -1.0, 2.0]], colours: vec![[255, 0, 0], [0, 90, 255]] };
-//! let scene = Scene { rows: init::from_points(&points), origin: DVec3::ZERO, antialiased: false };
+//! let scene = SceneFile { rows: init::from_points(&points), origin: DVec3::ZERO, antialiased: false };
 //! let folder = tempfile::tempdir()?;
 //! let file = folder.path().join("scene.spz");
 //! let written = formats::write(&file, &scene, Format::Spz)?;
@@ -127,7 +127,7 @@ impl fmt::Display for Format {
 
 /// The content of a scene file.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Scene {
+pub struct SceneFile {
     /// The Gaussians.
     pub rows: GaussianRows,
     /// The origin that positions are relative to: `position_world = position + origin`, world frame, scene units.
@@ -222,7 +222,7 @@ pub fn detect(path: &Path) -> Result<Format, FormatError> {
 /// # Errors
 /// A [`FormatError`] for every file that is not a complete scene of one of the formats. Memory is bounded by a multiple of the
 /// file's size, whatever the header claims: a small multiple for PLY, and the limit of its compression (1,032) for SPZ.
-pub fn read(path: &Path) -> Result<(Scene, Format), FormatError> {
+pub fn read(path: &Path) -> Result<(SceneFile, Format), FormatError> {
     match first_bytes(path)? {
         First::Spz => Ok((spz::read(path)?, Format::Spz)),
         First::Ply => {
@@ -231,7 +231,7 @@ pub fn read(path: &Path) -> Result<(Scene, Format), FormatError> {
                 true => (Format::CompressedPly, compressed::read(path, input, &header)?),
                 false => (Format::Ply, ply::read_from(input, &header)?),
             };
-            Ok((Scene { rows, origin, antialiased: false }, format))
+            Ok((SceneFile { rows, origin, antialiased: false }, format))
         }
     }
 }
@@ -243,7 +243,7 @@ pub fn read(path: &Path) -> Result<(Scene, Format), FormatError> {
 /// # Errors
 /// If the rows' fields differ in length, the degree is above 4, the origin is not finite, or the file cannot be written. No
 /// temporary file is left behind.
-pub fn write<'a>(path: &Path, scene: &'a Scene, format: Format) -> Result<Written<'a>, FormatError> {
+pub fn write<'a>(path: &Path, scene: &'a SceneFile, format: Format) -> Result<Written<'a>, FormatError> {
     ply::check(path, &scene.rows, scene.origin)?;
     let rows = fit(&scene.rows, format);
     match format {

@@ -20,8 +20,8 @@ fn one() -> GaussianRows {
     }
 }
 
-fn scene(rows: GaussianRows) -> Scene {
-    Scene { rows, ..Scene::default() }
+fn scene(rows: GaussianRows) -> SceneFile {
+    SceneFile { rows, ..SceneFile::default() }
 }
 
 fn folder_and_file(format: Format) -> (TempDir, PathBuf) {
@@ -103,7 +103,7 @@ fn what_cannot_be_rendered_is_left_out_where_it_would_be_drawn_after_all() {
 
 #[test]
 fn origins_stay_where_there_is_a_place_for_them() {
-    let scene = Scene { origin: DVec3::new(4e6, -2.5, 0.125), ..scene(one()) };
+    let scene = SceneFile { origin: DVec3::new(4e6, -2.5, 0.125), ..scene(one()) };
     for format in Format::ALL {
         let (_folder, path) = folder_and_file(format);
         write(&path, &scene, format).unwrap();
@@ -114,7 +114,7 @@ fn origins_stay_where_there_is_a_place_for_them() {
 
 #[test]
 fn the_mark_of_antialiasing_stays_where_there_is_a_place_for_it() {
-    let scene = Scene { antialiased: true, ..scene(one()) };
+    let scene = SceneFile { antialiased: true, ..scene(one()) };
     for format in Format::ALL {
         let (_folder, path) = folder_and_file(format);
         write(&path, &scene, format).unwrap();
@@ -143,7 +143,7 @@ fn rows_that_do_not_fit_together_are_refused_and_nothing_is_written() {
         rows.logit_opacities.clear();
         let message = write(&path, &scene(rows), format).unwrap_err().to_string();
         assert!(message.contains("logit_opacities"), "{message}");
-        let far = Scene { origin: DVec3::NAN, ..scene(one()) };
+        let far = SceneFile { origin: DVec3::NAN, ..scene(one()) };
         assert!(write(&path, &far, format).is_err());
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0);
     }
@@ -192,7 +192,7 @@ proptest! {
 }
 
 /// A few Gaussians with harmonics, so that a file has every part.
-fn handful() -> Scene {
+fn handful() -> SceneFile {
     let mut rows = GaussianRows { sh_degree: 1, ..GaussianRows::default() };
     let mut from = one();
     from.sh_rest = (0..9).map(|i| 0.1 * i as f32 - 0.4).collect();
@@ -201,7 +201,7 @@ fn handful() -> Scene {
     for (i, mean) in rows.means.iter_mut().enumerate() {
         mean[0] += i as f32;
     }
-    Scene { rows, origin: DVec3::new(1e6, 0.0, 0.0), antialiased: true }
+    SceneFile { rows, origin: DVec3::new(1e6, 0.0, 0.0), antialiased: true }
 }
 
 #[test]

@@ -2,7 +2,7 @@
 //! driver in software takes half a minute to compile one.
 
 use super::BlendSpec;
-use super::kernel_tests::{ALL, Scene};
+use super::kernel_tests::{ALL, StageInputs};
 use super::launch::{launch_blend, launch_blend_backward};
 use super::layer::BUCKET;
 use crate::dials::{Culling, Exponential};
@@ -14,7 +14,7 @@ use crate::tile::Cut;
 use crate::tile::launch::launch_tile;
 
 /// Planes, then the gradients of ellipses, features, background, and absolute values, added in order.
-fn outcome(scene: &Scene, gpu: &Gpu, options: RenderOptions) -> [Vec<f32>; 5] {
+fn outcome(scene: &StageInputs, gpu: &Gpu, options: RenderOptions) -> [Vec<f32>; 5] {
     let spec = BlendSpec { options: options.with_accumulation(Accumulation::Ordered), ..scene.spec };
     let (camera, inputs) = (&spec.intrinsics, scene.device(gpu));
     let values = spec.planes(scene.background.len()) * camera.width * camera.height;
@@ -44,7 +44,7 @@ fn differences(a: &[Vec<f32>; 5], b: &[Vec<f32>; 5]) -> [f32; 5] {
     })
 }
 
-fn longest(scene: &Scene, gpu: &Gpu, culling: Culling) -> i32 {
+fn longest(scene: &StageInputs, gpu: &Gpu, culling: Culling) -> i32 {
     let cut = Cut { culling, ..Cut::of(&scene.spec.options) };
     let lists = launch_tile(gpu, &scene.device(gpu).projected, &scene.spec.intrinsics, cut);
     lists.counts.read(gpu).into_iter().max().expect("there are tiles")
@@ -62,7 +62,7 @@ fn culling_changes_no_bit_where_a_bucket_holds_each_list() {
     for (channels, depth) in SHAPES {
         let options = RenderOptions::standard().with_depth(depth);
         for (form, gpu) in forms() {
-            let scene = Scene::random(26, [100, 70], channels, [0.02, 1.0], options);
+            let scene = StageInputs::random(26, [100, 70], channels, [0.02, 1.0], options);
             let expected = outcome(&scene, &gpu, options);
             assert!(expected.iter().all(|values| values.iter().any(|v| *v != 0.0)), "a scene that proves nothing");
             let least = longest(&scene, &gpu, Culling::Ellipse);
@@ -82,7 +82,7 @@ fn culling_of_long_lists_changes_rounding_alone() {
     for (channels, depth) in SHAPES {
         // Without a threshold of the transmittance, beside which a pixel may end one layer sooner.
         let options = RenderOptions { transmittance_min: 0.0, ..RenderOptions::standard().with_depth(depth) };
-        let scene = Scene::random(3_000, [100, 70], channels, [0.02, 0.6], options);
+        let scene = StageInputs::random(3_000, [100, 70], channels, [0.02, 0.6], options);
         for (form, gpu) in forms() {
             let expected = outcome(&scene, &gpu, options);
             for culling in BOXES {
@@ -102,7 +102,7 @@ fn a_polynomial_differs_from_the_device_by_rounding() {
     for (channels, depth) in SHAPES {
         // Nearly without cuts, beside which a pair may show or not.
         let options = RenderOptions::exact().with_depth(depth);
-        let scene = Scene::random(300, [50, 35], channels, [0.05, 0.9], options);
+        let scene = StageInputs::random(300, [50, 35], channels, [0.05, 0.9], options);
         for (form, gpu) in forms() {
             let by = |exponential| outcome(&scene, &gpu, options.with_exponential(exponential));
             let library = by(Exponential::Library);

@@ -18,7 +18,7 @@ use crate::tile::launch::launch_tile;
 pub(super) const ALL: Layers<bool> = Layers { projected: true, features: true, background: true, mean2d_abs: true };
 
 #[derive(Clone)]
-pub(super) struct Scene {
+pub(super) struct StageInputs {
     name: String,
     projected: Vec<f64>,
     pub features: Vec<f64>,
@@ -26,7 +26,7 @@ pub(super) struct Scene {
     pub spec: BlendSpec,
 }
 
-impl Scene {
+impl StageInputs {
     pub fn random(
         count: usize,
         [width, height]: [usize; 2],
@@ -160,44 +160,45 @@ impl Scene {
 fn pictures_and_gradients_agree_with_the_twin() {
     let options = RenderOptions::standard();
     for (count, size) in [(1, [1, 1]), (3, [17, 5]), (100, [33, 47]), (1_000, [100, 70]), (20_000, [331, 203])] {
-        Scene::random(count, size, 3, [0.02, 1.0], options).check();
+        StageInputs::random(count, size, 3, [0.02, 1.0], options).check();
     }
 }
 
 #[test]
 fn any_number_of_channels() {
     for (channels, depth) in [(1, false), (2, true), (3, true), (4, true), (16, false), (64, true)] {
-        Scene::random(300, [50, 35], channels, [0.05, 0.9], RenderOptions::standard().with_depth(depth)).check();
+        StageInputs::random(300, [50, 35], channels, [0.05, 0.9], RenderOptions::standard().with_depth(depth)).check();
     }
 }
 
 #[test]
 fn hundreds_of_layers() {
     // Faint, so that no pixel is finished early; and opaque, so that all are.
-    Scene::random(3_000, [40, 24], 3, [0.004, 0.01], RenderOptions::standard()).check();
-    Scene::random(3_000, [40, 24], 3, [0.9, 1.0], RenderOptions::standard()).check();
+    StageInputs::random(3_000, [40, 24], 3, [0.004, 0.01], RenderOptions::standard()).check();
+    StageInputs::random(3_000, [40, 24], 3, [0.9, 1.0], RenderOptions::standard()).check();
 }
 
 #[test]
 fn other_thresholds() {
-    Scene::random(400, [61, 40], 3, [0.02, 1.0], RenderOptions::exact()).check();
-    Scene::random(400, [61, 40], 3, [0.02, 1.0], RenderOptions::fast().with_depth(true)).check();
+    StageInputs::random(400, [61, 40], 3, [0.02, 1.0], RenderOptions::exact()).check();
+    StageInputs::random(400, [61, 40], 3, [0.02, 1.0], RenderOptions::fast().with_depth(true)).check();
     // Opaque layers let nothing through, and nothing may be divided by that.
     let opaque = RenderOptions { alpha_max: 1.0, ..RenderOptions::exact() };
-    Scene::random(400, [61, 40], 3, [1.0, 1.0], opaque).check();
+    StageInputs::random(400, [61, 40], 3, [1.0, 1.0], opaque).check();
 }
 
 #[test]
 #[ignore = "long: a minute on a software driver"]
 fn a_hundred_thousand_splats() {
-    Scene::random(100_000, [961, 539], 3, [0.02, 1.0], RenderOptions::standard().with_depth(true)).check();
+    StageInputs::random(100_000, [961, 539], 3, [0.02, 1.0], RenderOptions::standard().with_depth(true)).check();
 }
 
 #[test]
 fn nothing_to_draw() {
     let Some(gpu) = gpu() else { return };
     for projected in [vec![], [0.0, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0].repeat(40)] {
-        let mut scene = Scene::random(projected.len() / COLUMNS, [20, 18], 3, [0.1, 0.9], RenderOptions::standard());
+        let mut scene =
+            StageInputs::random(projected.len() / COLUMNS, [20, 18], 3, [0.1, 0.9], RenderOptions::standard());
         scene.projected = projected;
         let (planes, grads) = scene.on(&gpu, &vec![1.0; 4 * 20 * 18], ALL);
         let background: Vec<f32> = scene.background.iter().map(|&v| v as f32).collect();
@@ -213,7 +214,7 @@ fn nothing_to_draw() {
 #[test]
 fn only_what_is_needed() {
     let Some(gpu) = gpu() else { return };
-    let scene = Scene::random(200, [40, 33], 3, [0.02, 1.0], RenderOptions::standard());
+    let scene = StageInputs::random(200, [40, 33], 3, [0.02, 1.0], RenderOptions::standard());
     let grad = Random::new(4).fill(4 * 40 * 33, -1.0, 1.0);
     let all = scene.on(&gpu, &grad, ALL).1;
     let all = [all.projected, all.features, all.background, all.mean2d_abs].map(|b| b.expect("asked for").read(&gpu));
@@ -238,7 +239,7 @@ fn a_gradient_of_the_features_alone_is_one_with_zeros_for_alpha() {
     for (form, gpu) in gpus() {
         for channels in [3, 16] {
             let options = RenderOptions::standard().with_accumulation(Accumulation::Ordered);
-            let scene = Scene::random(500, [70, 50], channels, [0.02, 1.0], options);
+            let scene = StageInputs::random(500, [70, 50], channels, [0.02, 1.0], options);
             let mut grad = Random::new(4).fill((channels + 1) * 70 * 50, -1.0, 1.0);
             grad[channels * 70 * 50..].fill(0.0);
             let [all, alone] = [&grad[..], &grad[..channels * 70 * 50]].map(|grad| {
@@ -255,7 +256,7 @@ fn a_gradient_of_the_features_alone_is_one_with_zeros_for_alpha() {
 fn ordered_sums_are_the_same_in_every_run() {
     for (form, gpu) in gpus() {
         let options = RenderOptions::standard().with_accumulation(Accumulation::Ordered);
-        let scene = Scene::random(5_000, [200, 150], 3, [0.02, 1.0], options);
+        let scene = StageInputs::random(5_000, [200, 150], 3, [0.02, 1.0], options);
         let grad = Random::new(4).fill(4 * 200 * 150, -1.0, 1.0);
         let run = || {
             let (planes, grads) = scene.on(&gpu, &grad, ALL);

@@ -16,12 +16,12 @@ const ALL: Layers<bool> = Layers { projected: true, features: true, background: 
 
 /// Packed ellipses, features, background.
 #[derive(Clone)]
-struct Scene {
+struct StageInputs {
     inputs: [Vec<f64>; 3],
     spec: BlendSpec,
 }
 
-impl Scene {
+impl StageInputs {
     /// `opacity` is the range that opacities are drawn from.
     fn random(
         seed: u64,
@@ -96,7 +96,7 @@ fn inputs<F>([projected, features, background]: &[Vec<F>; 3]) -> Layers<&'_ [F]>
 }
 
 /// The definition, pixel by pixel.
-fn planes_by_definition(scene: &Scene) -> Vec<f64> {
+fn planes_by_definition(scene: &StageInputs) -> Vec<f64> {
     let [packed, features, background] = &scene.inputs;
     let ellipses: Vec<Ellipse<f64>> = packed.chunks_exact(COLUMNS).map(Ellipse::from_row).collect();
     let mut order: Vec<usize> = (0..ellipses.len()).collect();
@@ -115,7 +115,7 @@ fn planes_are_those_of_the_definition() {
         for options in [RenderOptions::standard(), RenderOptions::fast(), RenderOptions::exact(), smooth(0.95)] {
             for (channels, depth) in [(1, false), (3, true), (3, false), (4, false), (7, true)] {
                 let options = options.with_depth(depth);
-                let scene = Scene::random(seed as u64, 300, size, channels, [0.0, 1.0], options);
+                let scene = StageInputs::random(seed as u64, 300, size, channels, [0.0, 1.0], options);
                 assert_close(&format!("{size:?}"), &scene.planes(), &planes_by_definition(&scene), 1e-13);
             }
         }
@@ -123,7 +123,7 @@ fn planes_are_those_of_the_definition() {
 }
 
 /// How close any alpha comes to `value` before the clamp.
-fn nearest_alpha(scene: &Scene, value: f64) -> f64 {
+fn nearest_alpha(scene: &StageInputs, value: f64) -> f64 {
     let pairs =
         scene.inputs[0].chunks_exact(COLUMNS).flat_map(|row| (0..scene.pixels()).map(move |pixel| (row, pixel)));
     let alphas = pairs.map(|(row, pixel)| scene.alpha(pixel, &Ellipse::from_row(row)));
@@ -136,7 +136,7 @@ fn every_gradient_agrees_with_finite_differences() {
     for channels in [1, 3, 4, 7] {
         for depth in [false, true] {
             let options = smooth(0.8).with_depth(depth);
-            let scene = |seed| Scene::random(seed, 14, (20, 13), channels, [0.4, 1.0], options);
+            let scene = |seed| StageInputs::random(seed, 14, (20, 13), channels, [0.4, 1.0], options);
             // There is no derivative where an alpha meets its limit: take a scene in which no step gets there.
             let first = 1000 * channels as u64 + 500 * u64::from(depth);
             let scene = (first..first + 500).map(scene).find(|scene| nearest_alpha(scene, 0.8) > 1e-3);
@@ -152,7 +152,7 @@ fn every_gradient_agrees_with_finite_differences() {
 fn gradients_hold_over_several_checkpoints() {
     // 150 Gaussians in one tile and a half: three chunks. The last layers still shine through.
     for channels in [3, 5] {
-        let scene = Scene::random(50, 150, (24, 9), channels, [0.01, 0.1], smooth(0.99).with_depth(true));
+        let scene = StageInputs::random(50, 150, (24, 9), channels, [0.01, 0.1], smooth(0.99).with_depth(true));
         scene.check(&format!("{channels} channels"), 3);
     }
 }
@@ -161,7 +161,7 @@ fn gradients_hold_over_several_checkpoints() {
 fn gradients_hold_on_long_lists() {
     // Enough faint Gaussians over every pixel that the tile is blended with compensation, in any number of channels.
     for channels in [3, 5] {
-        let mut scene = Scene::random(51, 400, (12, 9), channels, [0.002, 0.03], smooth(0.99).with_depth(true));
+        let mut scene = StageInputs::random(51, 400, (12, 9), channels, [0.002, 0.03], smooth(0.99).with_depth(true));
         for (i, row) in scene.inputs[0].chunks_exact_mut(COLUMNS).enumerate().filter(|(_, row)| row[5] > 0.0) {
             // Farther apart than they are moved, in no order.
             row[5] = 1.01_f64.powi((171 * i % 400) as i32);
@@ -174,7 +174,7 @@ fn gradients_hold_on_long_lists() {
 fn gradients_hold_where_pixels_finish_and_small_alphas_are_cut() {
     // Dense enough that pixels finish, in different chunks. No pair is within a step of a threshold for these seeds.
     let options = RenderOptions { transmittance_min: 1e-2, alpha_min: 1e-2, ..RenderOptions::standard() };
-    let scene = Scene::random(61, 160, (9, 7), 3, [0.2, 0.9], options.with_depth(true));
+    let scene = StageInputs::random(61, 160, (9, 7), 3, [0.2, 0.9], options.with_depth(true));
     let finished = scene.planes()[3 * scene.pixels()..4 * scene.pixels()].iter().filter(|a| **a > 0.9).count();
     assert!(finished > scene.pixels() / 2, "{finished} pixels nearly finished");
     scene.check("with thresholds", 1);
@@ -183,7 +183,8 @@ fn gradients_hold_where_pixels_finish_and_small_alphas_are_cut() {
 #[test]
 fn absolute_gradients_are_the_sum_over_pixels_of_absolute_values() {
     for (channels, depth) in [(3, true), (5, false)] {
-        let scene = Scene::random(70, 90, (20, 13), channels, [0.05, 0.6], RenderOptions::standard().with_depth(depth));
+        let scene =
+            StageInputs::random(70, 90, (20, 13), channels, [0.05, 0.6], RenderOptions::standard().with_depth(depth));
         let grad = scene.random_grad(71);
         let found = scene.backward(&grad, ALL).mean2d_abs;
         let mut expected = vec![0.0; found.len()];
@@ -203,7 +204,7 @@ fn absolute_gradients_are_the_sum_over_pixels_of_absolute_values() {
 
 #[test]
 fn each_gradient_is_the_same_alone_and_without_a_trace() {
-    let scene = Scene::random(80, 120, (20, 13), 3, [0.05, 0.9], RenderOptions::standard().with_depth(true));
+    let scene = StageInputs::random(80, 120, (20, 13), 3, [0.05, 0.9], RenderOptions::standard().with_depth(true));
     let (grad, lists) = (scene.random_grad(81), scene.lists());
     let list = |g: Layers<Vec<f64>>| [g.projected, g.features, g.background, g.mean2d_abs];
     let all = list(scene.backward(&grad, ALL));
@@ -222,7 +223,7 @@ fn each_gradient_is_the_same_alone_and_without_a_trace() {
 #[test]
 fn many_layers_behind_an_opaque_one_keep_their_digits() {
     // Where 1 − alpha is 1e-9, dividing by it, or taking a prefix from a total, would leave noise.
-    let mut scene = Scene::random(90, 200, (6, 5), 3, [0.3, 1.0], smooth(1.0 - 1e-9));
+    let mut scene = StageInputs::random(90, 200, (6, 5), 3, [0.3, 1.0], smooth(1.0 - 1e-9));
     let wall = Ellipse { mean_px: [2.5, 2.5], sigma_u: 4.0, shear: 0.1, sigma_v: 3.0, depth: 4.0, opacity: 1.0 };
     scene.inputs[0][..COLUMNS].copy_from_slice(&wall.to_row());
     let double = scene.backward(&scene.random_grad(91), ALL);
@@ -242,7 +243,7 @@ fn many_layers_behind_an_opaque_one_keep_their_digits() {
 
 #[test]
 fn the_number_of_threads_changes_no_bit() {
-    let scene = Scene::random(95, 3000, (90, 70), 3, [0.0, 1.0], RenderOptions::standard().with_depth(true));
+    let scene = StageInputs::random(95, 3000, (90, 70), 3, [0.0, 1.0], RenderOptions::standard().with_depth(true));
     let grad = scene.random_grad(96);
     let with = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a small pool");

@@ -81,7 +81,7 @@ impl TestCamera {
 }
 
 /// Means, rotations, scales, opacities, pose, lens, gradient, all in f32 precision; and the kind of each Gaussian.
-struct Scene {
+struct StageInputs {
     tensors: Vec<Vec<f64>>,
     kinds: Vec<u8>,
 }
@@ -95,7 +95,7 @@ fn inputs<F>(tensors: &[Vec<F>]) -> Geometry<&'_ [F]> {
     Geometry { means, rotations, scales, opacities, cam_from_world, mean2d: &[] }
 }
 
-impl Scene {
+impl StageInputs {
     /// Gaussians in view, beside it and behind it, bad ones, and others without a gradient; `wild` ones too.
     fn random(seed: u64, count: usize, view: &TestCamera, wild: bool) -> Self {
         let mut random = Random::new(seed);
@@ -222,7 +222,7 @@ fn read(gpu: &Gpu, g: &Geometry<Option<Buffer<f32>>>) -> [Option<Vec<f32>>; 6] {
         .map(|buffer| buffer.as_ref().map(|buffer| buffer.read(gpu)))
 }
 
-fn check_forward(what: &str, scene: &Scene, view: &TestCamera) -> f64 {
+fn check_forward(what: &str, scene: &StageInputs, view: &TestCamera) -> f64 {
     let classes = scene.classes(view, false);
     let forward = |tensors: &[Vec<f64>]| vec![project_cpu(inputs(tensors), &view.spec(&tensors[LENS]))];
     let yardstick = Yardstick::new(&scene.tensors, forward);
@@ -235,7 +235,7 @@ fn check_forward(what: &str, scene: &Scene, view: &TestCamera) -> f64 {
 }
 
 /// A scene whose Gaussians in the band have no gradient, its classes, and what the twin makes of it.
-fn backward_yardstick(mut scene: Scene, view: &TestCamera) -> (Scene, Vec<Option<u8>>, Yardstick) {
+fn backward_yardstick(mut scene: StageInputs, view: &TestCamera) -> (StageInputs, Vec<Option<u8>>, Yardstick) {
     let classes = scene.classes(view, true);
     for (i, _) in classes.iter().enumerate().filter(|(_, class)| class.is_none()) {
         scene.tensors[GRAD][COLUMNS * i..COLUMNS * (i + 1)].fill(0.0);
@@ -249,7 +249,7 @@ fn backward_yardstick(mut scene: Scene, view: &TestCamera) -> (Scene, Vec<Option
     (scene, classes, yardstick)
 }
 
-fn check_backward(what: &str, scene: Scene, view: &TestCamera, needs: &[Geometry<bool>]) -> f64 {
+fn check_backward(what: &str, scene: StageInputs, view: &TestCamera, needs: &[Geometry<bool>]) -> f64 {
     let (scene, classes, yardstick) = backward_yardstick(scene, view);
     let mut worst = 0.0_f64;
     for (form, gpu) in gpus() {
@@ -285,7 +285,7 @@ fn views() -> impl Iterator<Item = (String, TestCamera)> {
 #[test]
 fn forward_agrees_with_the_twin() {
     for (i, (what, view)) in views().enumerate() {
-        let scene = Scene::random(i as u64, 1_500, &view, true);
+        let scene = StageInputs::random(i as u64, 1_500, &view, true);
         println!("{what}: {:.3}", check_forward(&what, &scene, &view));
     }
 }
@@ -294,7 +294,7 @@ fn forward_agrees_with_the_twin() {
 fn backward_agrees_with_the_twin() {
     for (i, (what, view)) in views().enumerate() {
         for wild in [false, true] {
-            let scene = Scene::random(100 + i as u64, 1_500, &view, wild);
+            let scene = StageInputs::random(100 + i as u64, 1_500, &view, wild);
             let what = format!("{what}, wild {wild}");
             println!("{what}: {:.3}", check_backward(&what, scene, &view, &[ALL]));
         }
@@ -307,8 +307,8 @@ fn every_lens_agrees_with_the_twin() {
         let view = TestCamera::new(1, 0.3, i % 2 == 1).with_lens(lens);
         for wild in [false, true] {
             let (seed, what) = (200 + 2 * i as u64, format!("{lens:?}, wild {wild}"));
-            let forward = check_forward(&what, &Scene::random(seed, 1_500, &view, wild), &view);
-            let backward = check_backward(&what, Scene::random(seed + 1, 1_500, &view, wild), &view, &[ALL]);
+            let forward = check_forward(&what, &StageInputs::random(seed, 1_500, &view, wild), &view);
+            let backward = check_backward(&what, StageInputs::random(seed + 1, 1_500, &view, wild), &view, &[ALL]);
             println!("{what}: {forward:.3}, {backward:.3}");
         }
     }
@@ -319,11 +319,11 @@ fn every_lens_agrees_with_the_twin() {
 fn the_twin_in_f32_agrees_with_itself_in_f64_for_every_lens() {
     for (i, lens) in lenses().into_iter().enumerate() {
         let view = TestCamera::new(1, 0.3, i % 2 == 1).with_lens(lens);
-        let scene = Scene::random(300 + i as u64, 1_500, &view, false);
+        let scene = StageInputs::random(300 + i as u64, 1_500, &view, false);
         let classes = scene.classes(&view, false);
         let spec = |tensors: &[Vec<f64>]| view.spec(&tensors[LENS]);
         let yardstick = Yardstick::new(&scene.tensors, |tensors| vec![project_cpu(inputs(tensors), &spec(tensors))]);
-        let in_f32 = |scene: &Scene| scene.tensors.iter().map(|tensor| to_f32(tensor)).collect::<Vec<_>>();
+        let in_f32 = |scene: &StageInputs| scene.tensors.iter().map(|tensor| to_f32(tensor)).collect::<Vec<_>>();
         let found = project_cpu(inputs(&in_f32(&scene)), &spec(&scene.tensors));
         let forward = yardstick.check(&format!("{lens:?} in f32"), 0, &found, &classes);
 
@@ -341,8 +341,8 @@ fn any_number_of_gaussians() {
     let view = TestCamera::new(1, 0.3, true);
     for count in [1, 2, 255, 256, 257, 100_000] {
         let what = format!("{count} Gaussians");
-        let forward = check_forward(&what, &Scene::random(count as u64, count, &view, true), &view);
-        let backward = check_backward(&what, Scene::random(count as u64, count, &view, false), &view, &[ALL]);
+        let forward = check_forward(&what, &StageInputs::random(count as u64, count, &view, true), &view);
+        let backward = check_backward(&what, StageInputs::random(count as u64, count, &view, false), &view, &[ALL]);
         println!("{what}: {forward:.3}, {backward:.3}");
     }
 }
@@ -350,7 +350,7 @@ fn any_number_of_gaussians() {
 #[test]
 fn no_gaussians() {
     let view = TestCamera::new(1, 0.3, true);
-    let scene = Scene::random(0, 0, &view, false);
+    let scene = StageInputs::random(0, 0, &view, false);
     for (_, gpu) in gpus() {
         let (inputs, grad) = scene.upload(&gpu);
         let spec = view.spec(&view.lens);
@@ -374,14 +374,14 @@ fn gradients_are_computed_where_asked_for() {
         needs.push(flags(std::array::from_fn(|j| i != j)));
     }
     let view = TestCamera::new(1, 0.3, true);
-    check_backward("part", Scene::random(7, 300, &view, true), &view, &needs);
+    check_backward("part", StageInputs::random(7, 300, &view, true), &view, &needs);
 }
 
 /// A dispatch along two axes holds more cubes than the Gaussians need; those write nothing.
 #[test]
 fn surplus_cubes_write_nothing() {
     let (view, count) = (TestCamera::new(1, 0.3, true), 300);
-    let scene = Scene::random(9, count, &view, false);
+    let scene = StageInputs::random(9, count, &view, false);
     let nothing = || ComptimeOptionArgs::None;
     for (_, gpu) in gpus() {
         let (inputs, grad) = scene.upload(&gpu);
@@ -421,7 +421,7 @@ fn surplus_cubes_write_nothing() {
 #[test]
 fn a_second_run_gives_the_same_bits() {
     let view = TestCamera::new(2, 0.3, true);
-    let scene = Scene::random(8, 20_000, &view, true);
+    let scene = StageInputs::random(8, 20_000, &view, true);
     let bits = |values: Option<Vec<f32>>| values.expect("asked for").into_iter().map(f32::to_bits).collect::<Vec<_>>();
     for (_, gpu) in gpus() {
         let (inputs, grad) = scene.upload(&gpu);

@@ -23,9 +23,9 @@ fn with_lens(spec: ProjectSpec, (model, distortion): (CameraModel, [f64; 8])) ->
 
 /// Inputs on the host, in the order of the stage: means, rotations, scales, opacities, pose.
 #[derive(Clone)]
-struct Scene([Vec<f64>; 5]);
+struct StageInputs([Vec<f64>; 5]);
 
-impl Scene {
+impl StageInputs {
     /// Gaussians in view, beyond each of the four limits of the Jacobian, thin as needles, and far below a pixel.
     fn random(seed: u64, count: usize) -> Self {
         let mut random = Random::new(seed);
@@ -68,7 +68,7 @@ fn inputs<F>([means, rotations, scales, opacities, cam_from_world]: &[Vec<F>; 5]
     Geometry { means, rotations, scales, opacities, cam_from_world, mean2d: &[] }
 }
 
-fn check_every_gradient(what: &str, scene: &Scene, spec: &ProjectSpec, grad: &[f64]) -> Geometry<Vec<f64>> {
+fn check_every_gradient(what: &str, scene: &StageInputs, spec: &ProjectSpec, grad: &[f64]) -> Geometry<Vec<f64>> {
     let g = scene.backward(grad, spec, ALL);
     let gradients = [&g.means, &g.rotations, &g.scales, &g.opacities, &g.cam_from_world];
     let names = ["means", "rotations", "scales", "opacities", "pose"];
@@ -85,7 +85,7 @@ fn check_every_gradient(what: &str, scene: &Scene, spec: &ProjectSpec, grad: &[f
 #[test]
 fn every_gradient_agrees_with_finite_differences() {
     for (seed, antialias) in [(1, false), (2, true), (3, false), (4, true)] {
-        let (scene, spec) = (Scene::random(seed, 20), spec(antialias));
+        let (scene, spec) = (StageInputs::random(seed, 20), spec(antialias));
         let grad = Random::new(seed + 100).fill(20 * COLUMNS, -1.0, 1.0);
         let g = check_every_gradient(&format!("antialias {antialias}"), &scene, &spec, &grad);
         let centres: Vec<f64> = grad.chunks_exact(COLUMNS).flat_map(|row| [row[0], row[1]]).collect();
@@ -97,7 +97,7 @@ fn every_gradient_agrees_with_finite_differences() {
 fn every_gradient_through_every_lens_agrees_with_finite_differences() {
     for (i, lens) in lenses().into_iter().enumerate() {
         for antialias in [false, true] {
-            let (scene, spec) = (Scene::random(20 + i as u64, 20), with_lens(spec(antialias), lens));
+            let (scene, spec) = (StageInputs::random(20 + i as u64, 20), with_lens(spec(antialias), lens));
             let grad = Random::new(120 + i as u64).fill(20 * COLUMNS, -1.0, 1.0);
             check_every_gradient(&format!("{lens:?}, antialias {antialias}"), &scene, &spec, &grad);
         }
@@ -107,7 +107,7 @@ fn every_gradient_through_every_lens_agrees_with_finite_differences() {
 /// On the axis, within rounding of it, near it, and almost across it.
 #[test]
 fn a_fisheye_is_smooth_on_its_axis_and_to_its_rim() {
-    let mut scene = Scene::random(30, 8);
+    let mut scene = StageInputs::random(30, 8);
     let places = [
         [0.0, 0.0, 2.0],
         [1e-160, 0.0, 2.0],
@@ -135,7 +135,7 @@ fn a_fisheye_is_smooth_on_its_axis_and_to_its_rim() {
 
 #[test]
 fn a_lens_without_coefficients_is_a_pinhole() {
-    let (scene, spec) = (Scene::random(40, 20), spec(true));
+    let (scene, spec) = (StageInputs::random(40, 20), spec(true));
     let pinhole = scene.project(&spec);
     for model in [CameraModel::OpenCv, CameraModel::FullOpenCv] {
         let found = scene.project(&with_lens(spec, (model, [0.0; 8])));
@@ -149,7 +149,7 @@ fn a_lens_without_coefficients_is_a_pinhole() {
 /// folded back onto the picture.
 #[test]
 fn what_lies_beyond_the_reach_of_a_lens_is_not_folded_into_the_picture() {
-    let mut scene = Scene::random(50, 8);
+    let mut scene = StageInputs::random(50, 8);
     scene.0[0] = (1..9).flat_map(|i| [0.45 * f64::from(i), 0.0, 1.0]).collect();
     scene.0[4] = vec![1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0];
     let spec = with_lens(spec(false), FOX);
@@ -161,7 +161,7 @@ fn what_lies_beyond_the_reach_of_a_lens_is_not_folded_into_the_picture() {
 
 #[test]
 fn each_gradient_is_the_same_alone_and_nothing_else_is_computed() {
-    let (scene, spec) = (Scene::random(5, 20), spec(true));
+    let (scene, spec) = (StageInputs::random(5, 20), spec(true));
     let grad = Random::new(6).fill(20 * COLUMNS, -1.0, 1.0);
     let list = |g: Geometry<Vec<f64>>| [g.means, g.rotations, g.scales, g.opacities, g.cam_from_world, g.mean2d];
     let all = list(scene.backward(&grad, &spec, ALL));
@@ -178,7 +178,7 @@ fn each_gradient_is_the_same_alone_and_nothing_else_is_computed() {
 #[test]
 fn the_factor_is_that_of_the_covariance() {
     let spec = spec(false);
-    let mut scene = Scene::random(7, 1);
+    let mut scene = StageInputs::random(7, 1);
     // Straight ahead, axes along the camera's, pose the identity: variances are those of the axes, magnified.
     let pose = vec![1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0];
     scene.0 = [vec![0.0, 0.0, 4.0], vec![2.0, 0.0, 0.0, 0.0], vec![0.4, 0.2, 9.0], vec![0.5], pose];
@@ -193,7 +193,7 @@ fn the_factor_is_that_of_the_covariance() {
 
 #[test]
 fn compensation_holds_its_floor() {
-    let (scene, spec) = (Scene::random(8, 20), spec(true));
+    let (scene, spec) = (StageInputs::random(8, 20), spec(true));
     let row = &scene.project(&spec)[4 * COLUMNS..5 * COLUMNS];
     assert_eq!(row[6], scene.0[3][4] * COMPENSATION_MIN, "Gaussian 4 is far below a pixel");
 }
@@ -212,7 +212,7 @@ fn spoil<F: Real>([means, rotations, scales, opacities, _]: &mut [Vec<F>; 5], no
 #[test]
 fn bad_gaussians_are_culled_have_no_gradient_and_change_nothing_else() {
     for not_finite in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
-        let (good, spec) = (Scene::random(9, 20), spec(true));
+        let (good, spec) = (StageInputs::random(9, 20), spec(true));
         let mut bad = good.clone();
         let spoilt = spoil(&mut bad.0, not_finite);
         let (good_rows, rows) = (good.project(&spec), bad.project(&spec));
@@ -236,7 +236,7 @@ fn bad_gaussians_are_culled_have_no_gradient_and_change_nothing_else() {
 
 #[test]
 fn extreme_scales_stay_finite_in_f32() {
-    let scene = Scene::random(11, 20);
+    let scene = StageInputs::random(11, 20);
     let spec = spec(true);
     for log_scale in [-50.0_f64, -20.0, 20.0, 50.0] {
         let mut wild = scene.0.each_ref().map(|values| values.iter().map(|v| *v as f32).collect::<Vec<f32>>());

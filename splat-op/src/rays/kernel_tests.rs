@@ -30,13 +30,13 @@ const NEAR: f64 = 2e-5;
 
 /// Projected, tilts, features, background.
 #[derive(Clone)]
-struct Scene {
+struct StageInputs {
     name: String,
     inputs: Vec<Vec<f64>>,
     spec: BlendSpec,
 }
 
-impl Scene {
+impl StageInputs {
     fn random(
         count: usize,
         [width, height]: [usize; 2],
@@ -196,7 +196,7 @@ fn pictures_and_gradients_agree_with_the_twin() {
     for (projection, order) in CHOICES {
         let options = RenderOptions::standard().with_projection(projection).with_order(order);
         for (count, size) in [(1, [1, 1]), (3, [17, 5]), (100, [33, 47]), (1_000, [70, 50])] {
-            Scene::random(count, size, 3, [0.02, 1.0], options.with_depth(count != 3)).check();
+            StageInputs::random(count, size, 3, [0.02, 1.0], options.with_depth(count != 3)).check();
         }
     }
 }
@@ -205,10 +205,10 @@ fn pictures_and_gradients_agree_with_the_twin() {
 fn any_number_of_channels_and_other_thresholds() {
     for (projection, order) in CHOICES {
         let options = RenderOptions::standard().with_projection(projection).with_order(order);
-        Scene::random(200, [40, 35], 1, [0.05, 0.9], options).check();
-        Scene::random(200, [40, 35], 17, [0.05, 0.9], options.with_depth(true)).check();
+        StageInputs::random(200, [40, 35], 1, [0.05, 0.9], options).check();
+        StageInputs::random(200, [40, 35], 17, [0.05, 0.9], options.with_depth(true)).check();
         let faint = RenderOptions { alpha_min: 1e-6, transmittance_min: 0.0, alpha_max: 1.0, ..options };
-        Scene::random(150, [40, 35], 3, [0.02, 1.0], faint.with_depth(true)).check();
+        StageInputs::random(150, [40, 35], 3, [0.02, 1.0], faint.with_depth(true)).check();
     }
 }
 
@@ -217,9 +217,9 @@ fn any_number_of_channels_and_other_thresholds() {
 fn hundreds_of_layers() {
     for (projection, order) in CHOICES {
         let options = RenderOptions::standard().with_projection(projection).with_order(order);
-        Scene::random(600, [20, 17], 3, [0.9, 1.0], options.with_depth(true)).check();
+        StageInputs::random(600, [20, 17], 3, [0.9, 1.0], options.with_depth(true)).check();
         // Faint, so that no pixel is finished early; far apart in depth, so that few are near to changing places.
-        let mut scene = Scene::random(300, [20, 17], 3, [0.006, 0.02], options.with_depth(true));
+        let mut scene = StageInputs::random(300, [20, 17], 3, [0.006, 0.02], options.with_depth(true));
         for (i, row) in scene.inputs[0].chunks_exact_mut(COLUMNS).enumerate().filter(|(_, row)| row[5] > 0.0) {
             row[5] = f64::from(1.05_f64.powi((171 * i % 300) as i32) as f32);
             row[2] = row[2].max(3.0);
@@ -233,7 +233,7 @@ fn hundreds_of_layers() {
 fn the_same_bits_in_every_run_and_for_any_table() {
     let Some(gpu) = gpu() else { return };
     let options = RenderOptions::standard().with_projection(Projection::Exact).with_order(Order::PerPixel);
-    let scene = Scene::random(400, [70, 50], 3, [0.02, 1.0], options.with_depth(true));
+    let scene = StageInputs::random(400, [70, 50], 3, [0.02, 1.0], options.with_depth(true));
     let grad = Random::new(4).fill(5 * 70 * 50, -1.0, 1.0);
     let bits = |room: usize| {
         let (planes, g) = scene.on(&gpu, &grad, ALL, room);
@@ -249,9 +249,9 @@ fn the_same_bits_in_every_run_and_for_any_table() {
 fn only_what_is_needed_and_nothing_to_draw() {
     let Some(gpu) = gpu() else { return };
     let options = RenderOptions::standard().with_projection(Projection::Exact);
-    let scene = Scene::random(100, [40, 33], 3, [0.02, 1.0], options);
+    let scene = StageInputs::random(100, [40, 33], 3, [0.02, 1.0], options);
     let grad = Random::new(4).fill(4 * 40 * 33, -1.0, 1.0);
-    let read = |scene: &Scene, needs: RayLayers<bool>| {
+    let read = |scene: &StageInputs, needs: RayLayers<bool>| {
         let g = scene.on(&gpu, &grad, needs, 1 << 20).1;
         [g.projected, g.tilt, g.features, g.background, g.mean2d_abs].map(|b| b.map(|b| b.read(&gpu)))
     };

@@ -26,12 +26,12 @@ const CHOICES: [(Projection, Order); 4] = [
 
 /// Packed ellipses, tilts, features, background.
 #[derive(Clone)]
-struct Scene {
+struct StageInputs {
     inputs: [Vec<f64>; 4],
     spec: BlendSpec,
 }
 
-impl Scene {
+impl StageInputs {
     /// `opacity` is the range that opacities are drawn from, `steep` and `thick` the largest tilt and thickness.
     fn random(
         seed: u64,
@@ -138,7 +138,7 @@ fn inputs<F>([projected, tilt, features, background]: &[Vec<F>; 4]) -> RayLayers
 }
 
 /// The definition, pixel by pixel.
-fn planes_by_definition(scene: &Scene) -> Vec<f64> {
+fn planes_by_definition(scene: &StageInputs) -> Vec<f64> {
     let [_, _, features, background] = &scene.inputs;
     blended(&scene.spec, features, background, |pixel| {
         let layer = |i: usize| {
@@ -156,7 +156,7 @@ fn planes_are_those_of_the_definition() {
         for (projection, order) in CHOICES {
             for options in [RenderOptions::standard(), RenderOptions::fast(), RenderOptions::exact(), smooth(0.95)] {
                 let options = options.with_projection(projection).with_order(order).with_depth(seed % 2 == 0);
-                let scene = Scene::random(seed as u64, 200, size, 1 + seed, ([0.0, 1.0], 0.3, 0.3), options);
+                let scene = StageInputs::random(seed as u64, 200, size, 1 + seed, ([0.0, 1.0], 0.3, 0.3), options);
                 let what = format!("{size:?}, {projection:?}, {order:?}, {}", options.alpha_min);
                 assert_close(&what, &scene.planes(), &planes_by_definition(&scene), 1e-11);
             }
@@ -168,7 +168,7 @@ fn planes_are_those_of_the_definition() {
 fn without_a_tilt_it_is_blend() {
     for (projection, order) in CHOICES {
         let options = RenderOptions::standard().with_projection(projection).with_order(order).with_depth(true);
-        let mut scene = Scene::random(5, 300, (50, 40), 3, ([0.0, 1.0], 0.0, 0.0), options);
+        let mut scene = StageInputs::random(5, 300, (50, 40), 3, ([0.0, 1.0], 0.0, 0.0), options);
         scene.inputs[1].fill(0.0);
         let [projected, _, features, background] = &scene.inputs;
         let plain = crate::blend::Layers { projected: &projected[..], features, background, mean2d_abs: &[] };
@@ -179,7 +179,7 @@ fn without_a_tilt_it_is_blend() {
 }
 
 /// How close any alpha comes to `value` before its limit, and any two that matter to changing places, relatively.
-fn nearest(scene: &Scene, value: f64) -> f64 {
+fn nearest(scene: &StageInputs, value: f64) -> f64 {
     let count = scene.inputs[0].len() / COLUMNS;
     let mut nearest = f64::MAX;
     for pixel in 0..scene.pixels() {
@@ -201,7 +201,7 @@ fn every_gradient_agrees_with_finite_differences() {
         for (channels, depth) in [(1, false), (3, true), (5, true)] {
             let options = smooth(0.8).with_depth(depth).with_projection(projection).with_order(order);
             let range = ([0.4, 1.0], 0.4, 0.12);
-            let scene = |seed| Scene::random(seed, 8, (14, 10), channels, range, options);
+            let scene = |seed| StageInputs::random(seed, 8, (14, 10), channels, range, options);
             // There is no derivative where an alpha meets its limit or layers change places: take a scene in which no step
             // gets there.
             let first = 1000 * channels as u64;
@@ -233,7 +233,7 @@ fn gradients_hold_where_pixels_finish_and_small_alphas_are_cut() {
     for (projection, order) in CHOICES.into_iter().filter(|(_, order)| *order == Order::Centre) {
         let options = RenderOptions { transmittance_min: 1e-2, alpha_min: 1e-2, ..RenderOptions::standard() };
         let options = options.with_depth(true).with_projection(projection).with_order(order);
-        let scene = Scene::random(61, 160, (9, 7), 3, ([0.2, 0.9], 0.2, 0.1), options);
+        let scene = StageInputs::random(61, 160, (9, 7), 3, ([0.2, 0.9], 0.2, 0.1), options);
         let finished = scene.planes()[3 * scene.pixels()..4 * scene.pixels()].iter().filter(|a| **a > 0.9).count();
         assert!(finished > scene.pixels() / 2, "{finished} pixels nearly finished");
         scene.check(&format!("with thresholds, {projection:?}"), 1);
@@ -244,7 +244,7 @@ fn gradients_hold_where_pixels_finish_and_small_alphas_are_cut() {
 fn absolute_gradients_are_the_sum_over_pixels_of_absolute_values() {
     for (projection, order) in CHOICES {
         let options = RenderOptions::standard().with_depth(true).with_projection(projection).with_order(order);
-        let scene = Scene::random(70, 60, (20, 13), 3, ([0.05, 0.6], 0.3, 0.2), options);
+        let scene = StageInputs::random(70, 60, (20, 13), 3, ([0.05, 0.6], 0.3, 0.2), options);
         let grad = scene.random_grad(71);
         let found = scene.backward(&grad, ALL).mean2d_abs;
         let mut expected = vec![0.0; found.len()];
@@ -265,7 +265,7 @@ fn absolute_gradients_are_the_sum_over_pixels_of_absolute_values() {
 #[test]
 fn each_gradient_is_the_same_alone() {
     let options = RenderOptions::standard().with_projection(Projection::Exact).with_order(Order::PerPixel);
-    let scene = Scene::random(80, 120, (20, 13), 3, ([0.05, 0.9], 0.3, 0.2), options.with_depth(true));
+    let scene = StageInputs::random(80, 120, (20, 13), 3, ([0.05, 0.9], 0.3, 0.2), options.with_depth(true));
     let grad = scene.random_grad(81);
     let list = |g: RayLayers<Vec<f64>>| [g.projected, g.tilt, g.features, g.background, g.mean2d_abs];
     let all = list(scene.backward(&grad, ALL));
@@ -282,7 +282,7 @@ fn each_gradient_is_the_same_alone() {
 #[test]
 fn the_number_of_threads_changes_no_bit() {
     let options = RenderOptions::standard().with_projection(Projection::Exact).with_order(Order::PerPixel);
-    let scene = Scene::random(95, 1500, (90, 70), 3, ([0.0, 1.0], 0.2, 0.1), options.with_depth(true));
+    let scene = StageInputs::random(95, 1500, (90, 70), 3, ([0.0, 1.0], 0.2, 0.1), options.with_depth(true));
     let grad = scene.random_grad(96);
     let with = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a small pool");

@@ -19,7 +19,7 @@ const FAR: u8 = 1;
 const CLOSE: u8 = 2;
 
 /// Coefficients, means, pose, gradient, all in f32 precision; and the kind of each Gaussian.
-struct Scene {
+struct StageInputs {
     tensors: Vec<Vec<f64>>,
     kinds: Vec<u8>,
     degree: usize,
@@ -33,7 +33,7 @@ fn inputs(tensors: &[Vec<f64>], degree: usize) -> ShadeCpuInputs<'_, f64> {
     ShadeCpuInputs { sh: ShCoefficients::Full(sh), means, cam_from_world, coefficients: coefficients_of(degree) }
 }
 
-impl Scene {
+impl StageInputs {
     /// Gaussians around the camera, far from it and close to it, some without a gradient and some of these not finite. A
     /// turned camera away from the origin, or no rotation at all.
     fn random(seed: u64, count: usize, degree: usize, bent: bool) -> Self {
@@ -114,7 +114,7 @@ fn read(gpu: &Gpu, g: &Shading<Option<Buffer<f32>>>) -> [Option<Vec<f32>>; 3] {
     [&g.sh, &g.means, &g.cam_from_world].map(|buffer| buffer.as_ref().map(|buffer| buffer.read(gpu)))
 }
 
-fn check_forward(what: &str, scene: &Scene) -> f64 {
+fn check_forward(what: &str, scene: &StageInputs) -> f64 {
     let yardstick = Yardstick::new(&scene.tensors, |tensors| vec![shade_cpu(inputs(tensors, scene.degree), None)]);
     let clamped = yardstick.expected[0].iter().filter(|colour| **colour == 0.0).count();
     assert!(scene.kinds.len() < 100 || clamped > 5, "{what}: only {clamped} channels are clamped");
@@ -126,7 +126,7 @@ fn check_forward(what: &str, scene: &Scene) -> f64 {
     worst
 }
 
-fn check_backward(what: &str, mut scene: Scene, needs: &[Shading<bool>]) -> f64 {
+fn check_backward(what: &str, mut scene: StageInputs, needs: &[Shading<bool>]) -> f64 {
     scene.mask_band();
     // A Gaussian that is not finite has no gradient, and is compared.
     let classes: Vec<_> = scene.kinds.iter().copied().map(Some).collect();
@@ -160,8 +160,8 @@ fn both_passes_agree_with_the_twin() {
     for degree in 0..=4 {
         for bent in [false, true] {
             let what = format!("degree {degree}, bent {bent}");
-            let forward = check_forward(&what, &Scene::random(degree as u64, 1_000, degree, bent));
-            let backward = check_backward(&what, Scene::random(10 + degree as u64, 1_000, degree, bent), &[ALL]);
+            let forward = check_forward(&what, &StageInputs::random(degree as u64, 1_000, degree, bent));
+            let backward = check_backward(&what, StageInputs::random(10 + degree as u64, 1_000, degree, bent), &[ALL]);
             println!("{what}: {forward:.3}, {backward:.3}");
         }
     }
@@ -171,8 +171,8 @@ fn both_passes_agree_with_the_twin() {
 fn any_number_of_gaussians() {
     for count in [1, 2, 255, 256, 257, 100_000] {
         let what = format!("{count} Gaussians");
-        let forward = check_forward(&what, &Scene::random(count as u64, count, 3, false));
-        let backward = check_backward(&what, Scene::random(count as u64, count, 3, false), &[ALL]);
+        let forward = check_forward(&what, &StageInputs::random(count as u64, count, 3, false));
+        let backward = check_backward(&what, StageInputs::random(count as u64, count, 3, false), &[ALL]);
         println!("{what}: {forward:.3}, {backward:.3}");
     }
 }
@@ -180,7 +180,7 @@ fn any_number_of_gaussians() {
 #[test]
 fn no_gaussians() {
     for (_, gpu) in gpus() {
-        let (inputs, grad) = Scene::random(0, 0, 2, false).upload(&gpu);
+        let (inputs, grad) = StageInputs::random(0, 0, 2, false).upload(&gpu);
         assert!(launch_shade(&gpu, &inputs, None, 9).read(&gpu).is_empty());
         let found = read(&gpu, &launch_shade_backward(&gpu, &inputs, None, 9, &grad, ALL));
         assert_eq!(found, [Some(vec![]), Some(vec![]), Some(vec![0.0; 12])]);
@@ -192,13 +192,13 @@ fn gradients_are_computed_where_asked_for() {
     let needs: Vec<_> =
         (0..8).map(|i| Shading { sh: i & 1 != 0, means: i & 2 != 0, cam_from_world: i & 4 != 0 }).collect();
     for degree in [0, 3] {
-        check_backward("part", Scene::random(7, 300, degree, true), &needs);
+        check_backward("part", StageInputs::random(7, 300, degree, true), &needs);
     }
 }
 
 #[test]
 fn a_centre_on_the_camera_has_a_colour_and_no_direction() {
-    let mut scene = Scene::random(8, 10, 2, false);
+    let mut scene = StageInputs::random(8, 10, 2, false);
     scene.tensors[POSE] = vec![1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0];
     scene.tensors[1][..3].fill(0.0);
     scene.tensors[GRAD].fill(1.0);
@@ -218,7 +218,7 @@ fn a_centre_on_the_camera_has_a_colour_and_no_direction() {
 #[ignore = "large: half a GB of buffers"]
 fn more_cubes_than_fit_along_one_axis() {
     let (few, count) = (1_000, 32_768 * 256 + 1_500);
-    let scene = Scene::random(9, few, 0, false);
+    let scene = StageInputs::random(9, few, 0, false);
     let repeated = |i: usize| to_f32(&scene.tensors[i]).into_iter().cycle().take(3 * count).collect::<Vec<f32>>();
     for (_, gpu) in gpus() {
         let (small, small_grad) = scene.upload(&gpu);
@@ -237,7 +237,7 @@ fn more_cubes_than_fit_along_one_axis() {
 
 #[test]
 fn a_second_run_gives_the_same_bits() {
-    let scene = Scene::random(9, 20_000, 3, true);
+    let scene = StageInputs::random(9, 20_000, 3, true);
     let bits = |values: Option<Vec<f32>>| values.expect("asked for").into_iter().map(f32::to_bits).collect::<Vec<_>>();
     for (_, gpu) in gpus() {
         let (inputs, grad) = scene.upload(&gpu);

@@ -10,9 +10,9 @@ const COUNT: usize = 16;
 
 /// Coefficients, means, pose.
 #[derive(Clone)]
-struct Scene([Vec<f64>; 3], usize);
+struct StageInputs([Vec<f64>; 3], usize);
 
-impl Scene {
+impl StageInputs {
     fn random(seed: u64, degree: usize) -> Self {
         let mut random = Random::new(seed);
         let coefficients = (degree + 1) * (degree + 1);
@@ -39,7 +39,7 @@ fn list(g: Shading<Vec<f64>>) -> [Vec<f64>; 3] {
 #[test]
 fn every_gradient_agrees_with_finite_differences() {
     for degree in 0..=4 {
-        let scene = Scene::random(20 + degree as u64, degree);
+        let scene = StageInputs::random(20 + degree as u64, degree);
         let colours = shade_cpu(scene.inputs(), None);
         let clamped = colours.iter().filter(|c| **c == 0.0).count();
         assert!(clamped > 2 && clamped < colours.len(), "degree {degree}: {clamped} of {} clamped", colours.len());
@@ -57,7 +57,7 @@ fn every_gradient_agrees_with_finite_differences() {
 
 #[test]
 fn each_gradient_is_the_same_alone_and_nothing_else_is_computed() {
-    let scene = Scene::random(30, 3);
+    let scene = StageInputs::random(30, 3);
     let grad = Random::new(31).fill(3 * COUNT, -1.0, 1.0);
     let all = list(shade_backward_cpu(scene.inputs(), None, &grad, ALL));
     for alone in 0..3 {
@@ -100,7 +100,7 @@ fn the_basis_is_orthonormal() {
 
 #[test]
 fn a_centre_on_the_camera_is_finite_and_has_no_direction() {
-    let mut scene = Scene::random(32, 2);
+    let mut scene = StageInputs::random(32, 2);
     scene.0[2] = vec![1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0];
     scene.0[1][..3].fill(0.0);
     assert!(shade_cpu(scene.inputs(), None).iter().all(|c| c.is_finite()));

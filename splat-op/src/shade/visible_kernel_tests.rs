@@ -3,7 +3,7 @@
 use super::Shading;
 use super::cpu::{Visible, shade_cpu};
 use super::launch::{ShadeDeviceInputs, launch_shade, launch_shade_backward};
-use super::visible_tests::{COEFFICIENTS, Scene, check_colours, spec};
+use super::visible_tests::{COEFFICIENTS, StageInputs, check_colours, spec};
 use crate::gpu::{Buffer, Gpu};
 use crate::project::cpu::project_cpu;
 use crate::project::{COLUMNS, ProjectSpec};
@@ -11,7 +11,7 @@ use crate::testing::ceiling::to_f32;
 use crate::testing::gpu::gpus;
 
 /// The inputs, the packed ellipses, and the gradient of the colours.
-fn upload(scene: &Scene, spec: &ProjectSpec, gpu: &Gpu) -> (ShadeDeviceInputs, Buffer<f32>, Buffer<f32>) {
+fn upload(scene: &StageInputs, spec: &ProjectSpec, gpu: &Gpu) -> (ShadeDeviceInputs, Buffer<f32>, Buffer<f32>) {
     let buffer = |values: &[f64]| Buffer::from_slice(gpu, &to_f32(values));
     let inputs = ShadeDeviceInputs {
         sh: buffer(&scene.0[4]).into(),
@@ -37,7 +37,7 @@ fn assert_close(what: &str, found: &[f32], expected: &[f32]) {
 #[test]
 fn colours_are_those_of_all_or_zero_where_nothing_can_show() {
     for (count, alpha_min) in [(1, 0.0), (255, 0.05), (256, 1.0 / 255.0), (2_000, 1.0 / 255.0), (300, 0.0)] {
-        let (scene, spec) = (Scene::random(count as u64, count), spec(alpha_min));
+        let (scene, spec) = (StageInputs::random(count as u64, count), spec(alpha_min));
         let packed = project_cpu(scene.geometry(), &spec);
         let by_twin = shade_cpu(scene.inputs(), Some(&Visible::new(&packed, &spec)));
         for (form, gpu) in gpus() {
@@ -58,7 +58,7 @@ fn colours_are_those_of_all_or_zero_where_nothing_can_show() {
 fn gradients_are_those_of_all_without_the_colours_that_cannot_show() {
     let spec = spec(1.0 / 255.0);
     for (count, choices) in [(700, (0..8).collect()), (256, vec![7]), (1, vec![7])] as [(usize, Vec<u32>); 3] {
-        let scene = Scene::random(10 + count as u64, count);
+        let scene = StageInputs::random(10 + count as u64, count);
         for ((form, gpu), choice) in gpus().iter().flat_map(|gpu| choices.iter().map(move |choice| (gpu, choice))) {
             let (inputs, ellipses, grad) = upload(&scene, &spec, gpu);
             let visible = Some((&ellipses, &spec));
@@ -93,7 +93,7 @@ fn gradients_are_those_of_all_without_the_colours_that_cannot_show() {
 fn no_gaussians() {
     let spec = spec(0.01);
     for (_, gpu) in gpus() {
-        let (inputs, ellipses, grad) = upload(&Scene::random(0, 0), &spec, &gpu);
+        let (inputs, ellipses, grad) = upload(&StageInputs::random(0, 0), &spec, &gpu);
         let visible = Some((&ellipses, &spec));
         assert!(launch_shade(&gpu, &inputs, visible, COEFFICIENTS).read(&gpu).is_empty());
         let needs = Shading { sh: true, means: true, cam_from_world: true };

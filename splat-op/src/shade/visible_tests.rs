@@ -19,9 +19,9 @@ pub(super) fn spec(alpha_min: f64) -> ProjectSpec {
 }
 
 /// Means, rotations, scales, opacities, harmonics, pose, gradient of the colours.
-pub(super) struct Scene(pub Vec<Vec<f64>>);
+pub(super) struct StageInputs(pub Vec<Vec<f64>>);
 
-impl Scene {
+impl StageInputs {
     /// Gaussians in view, across each border, far beside the picture, and behind the camera; some thin, some turned along a
     /// diagonal, some too faint to show, some of an opacity above one, one in seven without a gradient.
     pub fn random(seed: u64, count: usize) -> Self {
@@ -87,7 +87,7 @@ pub(super) fn check_colours<F: Real>(
 #[test]
 fn colours_are_those_of_all_or_zero_where_nothing_can_show() {
     for (seed, alpha_min) in [(1, 1.0 / 255.0), (2, 0.05), (3, 1e-12), (4, 0.0)] {
-        let (scene, spec) = (Scene::random(seed, 2_000), spec(alpha_min));
+        let (scene, spec) = (StageInputs::random(seed, 2_000), spec(alpha_min));
         let packed = project_cpu(scene.geometry(), &spec);
         let colours = shade_cpu(scene.inputs(), Some(&Visible::new(&packed, &spec)));
         let expected = shade_cpu(scene.inputs(), None);
@@ -107,7 +107,7 @@ fn without_a_smallest_alpha_only_what_rounds_to_nothing_is_left_out() {
 
 #[test]
 fn harmonics_of_what_cannot_show_are_not_read() {
-    let (mut scene, spec) = (Scene::random(5, 500), spec(1.0 / 255.0));
+    let (mut scene, spec) = (StageInputs::random(5, 500), spec(1.0 / 255.0));
     let packed = project_cpu(scene.geometry(), &spec);
     let visible = Visible::new(&packed, &spec);
     let expected = shade_cpu(scene.inputs(), Some(&visible));
@@ -125,7 +125,7 @@ fn harmonics_of_what_cannot_show_are_not_read() {
 
 #[test]
 fn gradients_are_those_of_all_without_the_colours_that_cannot_show() {
-    let (scene, spec) = (Scene::random(4, 2_000), spec(1.0 / 255.0));
+    let (scene, spec) = (StageInputs::random(4, 2_000), spec(1.0 / 255.0));
     let packed = project_cpu(scene.geometry(), &spec);
     let visible = Visible::new(&packed, &spec);
     let colours = shade_cpu(scene.inputs(), Some(&visible));

@@ -25,9 +25,9 @@ fn spec(projection: Projection, blur: f64) -> ProjectSpec {
 
 /// Means, rotations, scales, opacities, pose.
 #[derive(Clone)]
-struct Scene([Vec<f64>; 5]);
+struct StageInputs([Vec<f64>; 5]);
 
-impl Scene {
+impl StageInputs {
     /// Gaussians in view and far beside it, small and large beside their distance, thin as needles and flat.
     fn random(seed: u64, count: usize) -> Self {
         let mut random = Random::new(seed);
@@ -59,7 +59,7 @@ fn inputs<F>([means, rotations, scales, opacities, cam_from_world]: &[Vec<F>; 5]
 }
 
 /// The covariance of the contract, formed as it stands there.
-fn covariance(scene: &Scene, i: usize, blur: f64) -> DMat3 {
+fn covariance(scene: &StageInputs, i: usize, blur: f64) -> DMat3 {
     let [means, rotations, scales, _, p] = &scene.0;
     let pose = DMat3::from_cols_array(&[p[0], p[4], p[8], p[1], p[5], p[9], p[2], p[6], p[10]]);
     let q = &rotations[4 * i..];
@@ -75,7 +75,7 @@ fn covariance(scene: &Scene, i: usize, blur: f64) -> DMat3 {
 #[test]
 fn it_is_the_last_row_of_the_factor() {
     for blur in [0.3, 0.0] {
-        let (scene, spec) = (Scene::random(1, 200), spec(Projection::Exact, blur));
+        let (scene, spec) = (StageInputs::random(1, 200), spec(Projection::Exact, blur));
         let packed = project_cpu(inputs(&scene.0), &spec);
         for (i, (row, tilt)) in packed.chunks_exact(COLUMNS).zip(scene.tilts(&spec).chunks_exact(TILT)).enumerate() {
             let e = Ellipse::from_row(row);
@@ -100,7 +100,7 @@ fn every_gradient_agrees_with_finite_differences() {
     for (seed, projection, blur) in
         [(1, Projection::Exact, 0.3), (2, Projection::Exact, 0.0), (3, Projection::Affine, 0.3)]
     {
-        let (scene, spec) = (Scene::random(seed, 30), spec(projection, blur));
+        let (scene, spec) = (StageInputs::random(seed, 30), spec(projection, blur));
         let grad = Random::new(seed + 100).fill(30 * TILT, -1.0, 1.0);
         let g = scene.backward(&grad, &spec);
         assert!(g.opacities.is_empty() && g.mean2d.is_empty());
@@ -117,7 +117,7 @@ fn every_gradient_agrees_with_finite_differences() {
 
 #[test]
 fn extreme_sizes_stay_finite_in_f32() {
-    let mut scene = Scene::random(5, 40);
+    let mut scene = StageInputs::random(5, 40);
     for (i, scale) in scene.0[2].chunks_exact_mut(3).enumerate() {
         let size = [50.0_f64, -50.0][i % 2].exp();
         (0..3).filter(|axis| ((i / 2) >> axis) & 1 == 0).for_each(|axis| scale[axis] = size);

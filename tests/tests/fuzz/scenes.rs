@@ -7,7 +7,7 @@ use std::path::PathBuf;
 use flate2::Compression;
 use flate2::read::GzDecoder;
 use flate2::write::GzEncoder;
-use splat_model::formats::{self, Format, FormatError, Scene};
+use splat_model::formats::{self, Format, FormatError, SceneFile};
 
 use super::engine::{Target, folder};
 use super::seeds::rows;
@@ -42,7 +42,7 @@ impl Target for Scenes {
         let mut seeds = Vec::new();
         for (count, sh_degree) in [(0, 0), (1, 1), (3, 0), (2, 3), (40, 0)] {
             for format in [Format::CompressedPly, Format::Spz] {
-                let scene = Scene { rows: rows(count, sh_degree), ..Scene::default() };
+                let scene = SceneFile { rows: rows(count, sh_degree), ..SceneFile::default() };
                 formats::write(&self.path(), &scene, format).expect("the target folder can be written to");
                 let file = fs::read(self.path()).expect("written above");
                 if format == Format::Spz {
@@ -124,7 +124,7 @@ impl Target for Scenes {
 
     fn read(&mut self) -> Result<String, String> {
         match formats::read(&self.path()) {
-            Ok((Scene { rows, origin, antialiased }, format)) => {
+            Ok((SceneFile { rows, origin, antialiased }, format)) => {
                 rows.check().map_err(|error| error.to_string())?;
                 if !origin.is_finite() || Ok(format) != formats::detect(&self.path()).map_err(|error| error.to_string())
                 {

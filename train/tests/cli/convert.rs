@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use serde_json::Value;
-use splat_model::formats::{self, Format, Scene};
+use splat_model::formats::{self, Format, SceneFile};
 use splat_model::gaussians::GaussianRows;
 use tempfile::TempDir;
 
@@ -60,7 +60,7 @@ fn what_has_no_place_is_named() {
     rows.means[3][0] = f32::NAN;
     rows.sh_degree = 4;
     rows.sh_rest = vec![0.1; 72 * rows.len()];
-    let scene = Scene { rows, origin: [1e6, 2.5, 0.0].into(), antialiased: false };
+    let scene = SceneFile { rows, origin: [1e6, 2.5, 0.0].into(), antialiased: false };
     formats::write(&path("a.ply"), &scene, Format::Ply).unwrap();
     let convert = |from: &str, to: &str, more: &[&str]| {
         succeed(splat(&["convert", text(&path(from)), text(&path(to))]).args(more)).stdout
@@ -81,7 +81,7 @@ fn what_has_no_place_is_named() {
     // Scales too small for eight bits of a logarithm.
     let mut fine: GaussianRows = spz.rows;
     fine.log_scales[0] = [-14.0; 3];
-    formats::write(&path("fine.ply"), &Scene { rows: fine, ..Scene::default() }, Format::Ply).unwrap();
+    formats::write(&path("fine.ply"), &SceneFile { rows: fine, ..SceneFile::default() }, Format::Ply).unwrap();
     let said = convert("fine.ply", "fine.spz", &[]);
     assert!(said.contains("0.000045 to 379"), "{said}");
 }

@@ -9,7 +9,7 @@ use splat_op::{CameraModel, Intrinsics, Projector};
 use super::DemoOptions;
 use super::geometry::Ray;
 use super::options::Stream;
-use super::scene::Scene;
+use super::scene::DemoScene;
 
 /// Horizontal field of view.
 const FOV_X_DEG: f64 = 50.0;
@@ -109,7 +109,7 @@ impl DemoCamera {
 pub(super) fn cameras(options: &DemoOptions) -> Vec<DemoCamera> {
     let mut random = options.random(Stream::Cameras);
     let intrinsics = intrinsics(options);
-    let scene = options.zoom.then(|| Scene::still_life(options));
+    let scene = options.zoom.then(|| DemoScene::still_life(options));
     let (lower, lift) = if options.far { (FAR_ELEVATION, FAR_LIFT) } else { (1.0, 0.0) };
     let mut jitter = |size: f64| size * (2.0 * random.random::<f64>() - 1.0);
     (0..options.views)
@@ -151,7 +151,7 @@ fn intrinsics(options: &DemoOptions) -> Intrinsics {
 
 /// Centre and target of a camera at its distance, which is usual, near or far in turn. The target is what an ordinary
 /// photograph shows in its middle, so that nothing lies between.
-fn zoomed(scene: &Scene, i: usize, centre_world: DVec3, target_world: DVec3) -> (DVec3, DVec3) {
+fn zoomed(scene: &DemoScene, i: usize, centre_world: DVec3, target_world: DVec3) -> (DVec3, DVec3) {
     // Chosen by the index, so that three successive held-out views, whose indices differ by 8 and 16, have all three distances; every 24
     // views the rings change places.
     let times = match (i + i / (3 * DemoOptions::HELD_OUT_EVERY)) % 3 {

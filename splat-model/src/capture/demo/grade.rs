@@ -43,7 +43,7 @@ mod tests {
     use super::super::camera::cameras;
     use super::super::light::LitScene;
     use super::super::picture::render;
-    use super::super::scene::Scene;
+    use super::super::scene::DemoScene;
     use super::super::shot::{Shot, shots};
     use super::*;
 
@@ -68,7 +68,7 @@ mod tests {
     #[test]
     fn photographs_to_train_on_are_graded_each_in_its_own_way() {
         let options = DemoOptions { graded: true, ..SMALL };
-        let scene = LitScene::new(Scene::still_life(&options));
+        let scene = LitScene::new(DemoScene::still_life(&options));
         let mut grades = Vec::new();
         for (view, shot) in shots(&options).iter().enumerate() {
             let Some(grade) = shot.grade else {

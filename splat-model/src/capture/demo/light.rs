@@ -5,7 +5,7 @@ use std::f64::consts::TAU;
 use glam::DVec3;
 
 use super::geometry::{Occlusion, Ray, Shape};
-use super::scene::{ObjectKind, Scene, SceneObject, SurfacePoint};
+use super::scene::{DemoScene, ObjectKind, SceneObject, SurfacePoint};
 
 /// Rays to the sun per shaded point: 16 levels of penumbra, finer than 8 bits show after averaging 9 samples.
 const SUN_SAMPLES: usize = 16;
@@ -26,14 +26,14 @@ const SKY_GLOW: f64 = 2.0;
 /// The scene with its light.
 #[derive(Clone, Debug)]
 pub(super) struct LitScene {
-    pub scene: Scene,
+    pub scene: DemoScene,
     to_sun: DVec3,
     /// Unit directions, spread evenly over the sun's disc.
     sun_samples: [DVec3; SUN_SAMPLES],
 }
 
 impl LitScene {
-    pub fn new(scene: Scene) -> Self {
+    pub fn new(scene: DemoScene) -> Self {
         let to_sun = DVec3::new(0.5, -0.42, 0.85).normalize();
         let (side, up) = to_sun.any_orthonormal_pair();
         // A sunflower's spiral: equal areas, no rows.

@@ -30,7 +30,7 @@ use thiserror::Error;
 
 use self::light::LitScene;
 pub use self::options::DemoOptions;
-use self::scene::Scene;
+use self::scene::DemoScene;
 #[cfg(test)]
 pub(crate) use self::shot::gains;
 use super::{CaptureError, View, write_binary_with_tracks};
@@ -101,7 +101,7 @@ pub enum DemoError {
 /// file cannot be written.
 pub fn write(folder: &Path, options: &DemoOptions) -> Result<(), DemoError> {
     options.check()?;
-    let scene = LitScene::new(Scene::still_life(options));
+    let scene = LitScene::new(DemoScene::still_life(options));
     let shots = shot::shots(options);
     let poses = pose::written(&shots, options);
     let [images, masks, depths] = [IMAGES, MASKS, DEPTHS].map(|name| folder.join(name));

@@ -109,11 +109,11 @@ pub(super) struct SurfacePoint {
 
 /// All objects.
 #[derive(Clone, Debug)]
-pub(super) struct Scene {
+pub(super) struct DemoScene {
     pub objects: Vec<SceneObject>,
 }
 
-impl Scene {
+impl DemoScene {
     /// The nearest surface ahead. Within the dome every ray meets one.
     pub fn hit(&self, ray: &Ray) -> Option<SurfacePoint> {
         let mut nearest: Option<SurfacePoint> = None;

@@ -15,14 +15,14 @@ use super::geometry::Ray;
 use super::light::{LitScene, display};
 use super::picture::render;
 use super::points::{sample, sight};
-use super::scene::{ObjectKind, Scene};
+use super::scene::{DemoScene, ObjectKind};
 use super::shot::{Shot, shots};
 use super::*;
 
 const SMALL: DemoOptions = DemoOptions { width: 64, height: 48, views: 6, points: 200, ..DemoOptions::PLAIN };
 
 fn lit(glossy: bool) -> LitScene {
-    LitScene::new(Scene::still_life(&DemoOptions { glossy, ..SMALL }))
+    LitScene::new(DemoScene::still_life(&DemoOptions { glossy, ..SMALL }))
 }
 
 /// The content of every file below a folder, by its path.

@@ -8,13 +8,13 @@ use tempfile::TempDir;
 use super::row::Ranges;
 use super::*;
 use crate::formats::testing::{fixture, rows};
-use crate::formats::{self, Format, QuantisationError, Scene};
+use crate::formats::{self, Format, QuantisationError, SceneFile};
 use crate::gaussians::GaussianRows;
 
 fn round_trip(rows: &GaussianRows) -> (GaussianRows, GaussianRows) {
     let folder = TempDir::new().unwrap();
     let path = folder.path().join("scene.ply");
-    let scene = Scene { rows: rows.clone(), ..Scene::default() };
+    let scene = SceneFile { rows: rows.clone(), ..SceneFile::default() };
     let written = formats::write(&path, &scene, Format::CompressedPly).unwrap().rows.into_owned();
     (written, formats::read(&path).unwrap().0.rows)
 }

@@ -12,7 +12,7 @@ use splat_op::shade::SH_DEGREE_MAX;
 
 use super::pack::{Layout, SECTIONS, unpack};
 use super::{ANTIALIASED, GZIP, MAGIC};
-use crate::formats::{Format, FormatError, Scene};
+use crate::formats::{Format, FormatError, SceneFile};
 
 /// Maximum number of bytes that one byte of a file can expand to: the limit of deflate (zlib's documentation), and more than
 /// any scene needs with zstd.
@@ -33,14 +33,14 @@ pub fn is_spz(first: &[u8]) -> bool {
 }
 
 /// Reads a file that [`is_spz`] accepts.
-pub fn read(path: &Path) -> Result<Scene, FormatError> {
+pub fn read(path: &Path) -> Result<SceneFile, FormatError> {
     let file = File::open(path).map_err(FormatError::io(path, "open the scene (is the path right?)"))?;
     let bytes = file.metadata().map_err(FormatError::io(path, "read the size of the file"))?.len();
     let mut file = BufReader::with_capacity(1 << 20, file);
     let is_gzip = file.fill_buf().map_err(FormatError::io(path, "read the scene"))?.starts_with(&GZIP);
     let of = Of { path, bytes };
     let (layout, flags, sections) = if is_gzip { of.gzip(file)? } else { of.zstd(file)? };
-    Ok(Scene { rows: unpack(&layout, &sections), origin: DVec3::ZERO, antialiased: flags & ANTIALIASED != 0 })
+    Ok(SceneFile { rows: unpack(&layout, &sections), origin: DVec3::ZERO, antialiased: flags & ANTIALIASED != 0 })
 }
 
 /// The layout, flags and sections of a file.

@@ -11,11 +11,11 @@ use tempfile::TempDir;
 use super::pack::{Layout, pack};
 use super::{GZIP, MAGIC};
 use crate::formats::testing::{fixture, rows, spoil};
-use crate::formats::{self, Format, QuantisationError, Scene};
+use crate::formats::{self, Format, QuantisationError, SceneFile};
 use crate::gaussians::GaussianRows;
 
 fn written(rows: &GaussianRows, path: &Path) -> GaussianRows {
-    let scene = Scene { rows: rows.clone(), ..Scene::default() };
+    let scene = SceneFile { rows: rows.clone(), ..SceneFile::default() };
     formats::write(path, &scene, Format::Spz).unwrap().rows.into_owned()
 }
 

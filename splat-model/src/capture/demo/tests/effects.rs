@@ -54,7 +54,7 @@ const TINY: DemoOptions = DemoOptions { width: 32, height: 24, views: 10, points
 pub(super) const FULL: DemoOptions = DemoOptions { views: 3, points: 0, ..DemoOptions::PLAIN };
 
 pub(super) fn scene(options: &DemoOptions) -> LitScene {
-    LitScene::new(Scene::still_life(options))
+    LitScene::new(DemoScene::still_life(options))
 }
 
 /// FNV-1a (Fowler, Noll, Vo) of the pixels and the model that the program wrote when it had two switches. The last bit of a
