@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use super::footprint::UNWHITEN;
 use super::prepared::Prepared;
 use super::tile::{Plane, Thresholds, TileView, blend_tile};
-use super::tile_backward::{MOMENTS, Scratch, TileGrad, blend_tile_backward};
+use super::tile_backward::{MOMENTS, TileGrad, TileScratch, blend_tile_backward};
 use super::{BlendSpec, Layers};
 use crate::project::{COLUMNS, Ellipse};
 use crate::real::Real;
@@ -168,7 +168,7 @@ pub(crate) fn blend_backward_cpu<F: Real>(
 struct Buffers<F: Real> {
     planes: Vec<F>,
     behind: Vec<F>,
-    scratch: Scratch<F>,
+    scratch: TileScratch<F>,
 }
 
 /// Fills one tile's sums per hit and returns its share of the background's gradient.

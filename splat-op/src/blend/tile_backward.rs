@@ -37,7 +37,7 @@ const TILE_BLOCKS: usize = TILE_PIXELS / (ROWS * LANES);
 type BlockAlphas<F> = [[F; 2 * LANES]; ROWS];
 
 /// Buffers that one thread reuses from tile to tile, sized for a chunk whose Gaussians show in every pixel.
-pub(super) struct Scratch<F> {
+pub(super) struct TileScratch<F> {
     /// For each block that a Gaussian of the chunk shows in.
     layers: Vec<BlockAlphas<F>>,
     /// Where in the tile each of them lies.
@@ -46,7 +46,7 @@ pub(super) struct Scratch<F> {
     starts: [usize; CHECKPOINT_EVERY + 1],
 }
 
-impl<F: Real> Default for Scratch<F> {
+impl<F: Real> Default for TileScratch<F> {
     fn default() -> Self {
         Self {
             layers: vec![[[F::ZERO; 2 * LANES]; ROWS]; CHECKPOINT_EVERY * TILE_BLOCKS],
@@ -65,7 +65,7 @@ pub(super) fn blend_tile_backward<S: Simd, F: Real, const C: usize, const LONG: 
     grad: &TileGrad<F>,
     thresholds: &Thresholds<S, F, LIBRARY>,
     (hits, transmittance_behind): (&mut [F], &mut [F; TILE_PIXELS]),
-    scratch: &mut Scratch<F>,
+    scratch: &mut TileScratch<F>,
 ) {
     let channels = if C == 0 { view.channels } else { C };
     let columns = MOMENTS + channels + if grad.absolute { 2 } else { 0 };
@@ -111,7 +111,7 @@ fn forwards<S: Simd, F: Real, const LONG: bool, const LIBRARY: bool>(
     near: &[Footprint<F>],
     thresholds: &Thresholds<S, F, LIBRARY>,
     transmittance: &mut Transmittances<F>,
-    scratch: &mut Scratch<F>,
+    scratch: &mut TileScratch<F>,
 ) {
     let mut met = 0;
     let x = centres::<S, F>(simd, corner[0]);

@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
 
-use super::reach::{ReachRules, Scratch};
+use super::reach::{ReachRules, ReachScratch};
 use super::{Cut, HitLists, tile_grid};
 use crate::camera::Intrinsics;
 use crate::dials::Culling;
@@ -63,7 +63,7 @@ pub(crate) fn needed_hits<F: Real>(packed: &[F], camera: &Intrinsics, alpha_min:
 fn find<F: Real>(packed: &[F], camera: &Intrinsics, cut: Cut) -> Vec<ChunkHits<F>> {
     let reach = ReachRules::new(camera, cut);
     let chunks = packed.par_chunks(CHUNK * COLUMNS).enumerate();
-    let found = chunks.map_init(Scratch::default, |scratch, (chunk, rows)| {
+    let found = chunks.map_init(ReachScratch::default, |scratch, (chunk, rows)| {
         ChunkHits::new((chunk * CHUNK) as u32, rows, &reach, scratch)
     });
     found.collect()
@@ -84,7 +84,7 @@ struct ChunkHits<F: Real> {
 
 impl<F: Real> ChunkHits<F> {
     /// The hits of the Gaussians from `first` on, with these ellipses.
-    fn new(first: u32, rows: &[F], reach: &ReachRules<F>, scratch: &mut Scratch<F>) -> Self {
+    fn new(first: u32, rows: &[F], reach: &ReachRules<F>, scratch: &mut ReachScratch<F>) -> Self {
         let count = rows.len() / COLUMNS;
         let mut found = Self {
             gaussians: Vec::with_capacity(count),

@@ -56,7 +56,13 @@ impl<F: Real> ReachRules<F> {
     /// Adds to `tiles` those of each of up to [`BLOCK`] Gaussians in turn: the tiles whose rectangle of pixel centres its
     /// ellipse, or box, meets. Returns how many each has.
     #[inline(always)]
-    pub fn emit<S: Simd>(&self, simd: S, rows: &[F], scratch: &mut Scratch<F>, tiles: &mut Vec<u32>) -> [u32; BLOCK] {
+    pub fn emit<S: Simd>(
+        &self,
+        simd: S,
+        rows: &[F],
+        scratch: &mut ReachScratch<F>,
+        tiles: &mut Vec<u32>,
+    ) -> [u32; BLOCK] {
         let count = rows.len() / COLUMNS;
         scratch.ellipses.read(rows);
         let opacities = scratch.ellipses.column(6);
@@ -97,14 +103,14 @@ impl<F: Real> ReachRules<F> {
 }
 
 /// Buffers that one thread reuses.
-pub(super) struct Scratch<F> {
+pub(super) struct ReachScratch<F> {
     ellipses: Columns<F, COLUMNS>,
     limits: [F; BLOCK],
     /// For each row of tiles: the first tile and the one behind the last.
     spans: Vec<[[F; LANES]; 2]>,
 }
 
-impl<F: Real> Default for Scratch<F> {
+impl<F: Real> Default for ReachScratch<F> {
     fn default() -> Self {
         Self { ellipses: Columns::new(), limits: [F::ZERO; BLOCK], spans: Vec::new() }
     }
@@ -135,7 +141,7 @@ struct Eight<S: Simd, F: Real> {
 
 impl<S: Simd, F: Real> Eight<S, F> {
     #[inline(always)]
-    fn read(simd: S, reach: &ReachRules<F>, scratch: &Scratch<F>, first: usize) -> Self {
+    fn read(simd: S, reach: &ReachRules<F>, scratch: &ReachScratch<F>, first: usize) -> Self {
         let lanes = |value: F| F::Lanes::<S>::splat(simd, value);
         let column = |column| scratch.ellipses.lanes(simd, column, first);
         let [x, y, sigma_u, shear, sigma_v, depth, opacity] =

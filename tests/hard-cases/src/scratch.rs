@@ -11,9 +11,9 @@ use splat_model::capture::{Capture, CaptureError, Photo, load_all};
 
 /// A folder that is removed when it is dropped.
 #[derive(Debug)]
-pub struct Scratch(PathBuf);
+pub struct TemporaryFolder(PathBuf);
 
-impl Scratch {
+impl TemporaryFolder {
     /// Creates an empty folder below the system's folder for temporary files.
     ///
     /// # Errors
@@ -32,7 +32,7 @@ impl Scratch {
     }
 }
 
-impl Drop for Scratch {
+impl Drop for TemporaryFolder {
     fn drop(&mut self) {
         // Files left there do no harm.
         let _ = fs::remove_dir_all(&self.0);

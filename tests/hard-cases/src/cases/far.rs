@@ -18,7 +18,7 @@ use splat_op::{Camera, Colour, Extras, RenderOptions, render};
 
 use crate::case::{CaseOutcome, HardCase, MeasuredDeviation, TestDevice};
 use crate::compare::{largest, relative_error};
-use crate::scratch::{Scratch, demo, photographs};
+use crate::scratch::{TemporaryFolder, demo, photographs};
 use crate::tensors::host;
 
 /// Options of the demo capture in all cases.
@@ -94,7 +94,7 @@ fn judge(place: &TestDevice, offset: DVec3, scale: f64) -> CaseOutcome {
 /// Writes, loads, stores, reads, renders and differentiates a capture.
 fn seen(place: &TestDevice, offset: DVec3, scale: f64) -> Result<CaptureResult, String> {
     let text = |error: &dyn std::error::Error| error.to_string();
-    let scratch = Scratch::new().map_err(|error| text(&error))?;
+    let scratch = TemporaryFolder::new().map_err(|error| text(&error))?;
     demo(scratch.path(), &DEMO).map_err(|error| text(&error))?;
     move_model(scratch.path(), offset, scale)?;
 

@@ -10,7 +10,7 @@ use splat_model::optim::scene_extent;
 use splat_model::trainer::{TrainConfig, Trainer};
 
 use crate::case::{CaseOutcome, HardCase, Processor, TestDevice};
-use crate::scratch::{Scratch, demo};
+use crate::scratch::{TemporaryFolder, demo};
 
 const DEMO: DemoOptions = DemoOptions { width: 40, height: 30, views: 6, points: 300, seed: 5, ..DemoOptions::PLAIN };
 
@@ -76,7 +76,7 @@ pub fn cases() -> Vec<HardCase> {
 fn judge(place: &TestDevice, change: Change) -> CaseOutcome {
     let mut outcome = CaseOutcome::default();
     let mut run = || -> Result<(), Box<dyn std::error::Error>> {
-        let scratch = Scratch::new()?;
+        let scratch = TemporaryFolder::new()?;
         let (capture, mut photos) = demo(scratch.path(), &DEMO)?;
         let mut points = capture.points;
         change(&mut photos, &mut points);
