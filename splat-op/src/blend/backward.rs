@@ -11,7 +11,7 @@
 
 use cubecl::prelude::*;
 
-use super::layer::{BUCKET, LayerEllipse, Limits, Shape, colour, first_slot, layer};
+use super::layer::{BUCKET, KernelShape, LayerEllipse, Limits, colour, first_slot, layer};
 use crate::gpu::reduce::cube_sum;
 use crate::project::COLUMNS;
 use crate::tile::forward::TileFrame;
@@ -22,13 +22,13 @@ use crate::tile::{TILE, TILE_PIXELS};
 pub(super) const MOMENTS: usize = 6;
 
 /// Numbers of a row.
-pub(super) const fn row_len(shape: Shape, absolute: bool) -> usize {
+pub(super) const fn row_len(shape: KernelShape, absolute: bool) -> usize {
     MOMENTS + shape.channels() + if absolute { 2 } else { 0 }
 }
 
 /// The plane of the picture that holds channel `channel`: alpha lies before depth.
 #[cube]
-pub(super) fn plane_of(channel: usize, #[comptime] shape: Shape) -> usize {
+pub(super) fn plane_of(channel: usize, #[comptime] shape: KernelShape) -> usize {
     let mut plane = channel;
     if comptime!(shape.depth) && channel == comptime!(shape.features) {
         plane = channel + 1;
@@ -53,7 +53,7 @@ pub(super) fn blend_behind_kernel(
     grad_background: &mut [f32],
     frame: TileFrame,
     limits: Limits,
-    #[comptime] shape: Shape,
+    #[comptime] shape: KernelShape,
     #[comptime] with_background: bool,
     #[comptime] planes: bool,
 ) {
@@ -180,7 +180,7 @@ pub(super) fn blend_gather_kernel(
     grad_absolute: &mut [f32],
     visible: u32,
     hits: u32,
-    #[comptime] shape: Shape,
+    #[comptime] shape: KernelShape,
     #[comptime] absolute: bool,
     #[comptime] per_hit: bool,
     #[comptime] wanted: (bool, bool),

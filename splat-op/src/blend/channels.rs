@@ -6,7 +6,7 @@
 use cubecl::prelude::*;
 
 use super::backward::{MOMENTS, plane_of, row_len, tile_of_slot};
-use super::layer::{BUCKET, FOOTPRINT, LayerEllipse, Limits, Shape, colour, first_slot, layer};
+use super::layer::{BUCKET, FOOTPRINT, KernelShape, LayerEllipse, Limits, colour, first_slot, layer};
 use crate::gpu::atomic::FloatCell;
 use crate::tile::forward::TileFrame;
 use crate::tile::{TILE, TILE_PIXELS};
@@ -30,7 +30,7 @@ pub(super) fn blend_channels_kernel<A: FloatCell>(
     frame: TileFrame,
     limits: Limits,
     slots: u32,
-    #[comptime] shape: Shape,
+    #[comptime] shape: KernelShape,
     #[comptime] absolute: bool,
     #[comptime] add: bool,
     #[comptime] units: usize,

@@ -8,7 +8,7 @@
 use cubecl::prelude::*;
 
 use super::layer::{
-    BUCKET, FOOTPRINT, LayerEllipse, Limits, Shape, behind_bucket, colour, first_slot, layer, strip_origin,
+    BUCKET, FOOTPRINT, KernelShape, LayerEllipse, Limits, behind_bucket, colour, first_slot, layer, strip_origin,
 };
 use crate::tile::forward::TileFrame;
 use crate::tile::{TILE, TILE_PIXELS};
@@ -34,7 +34,7 @@ pub(super) fn blend_forward_kernel(
     passed: &mut [u32],
     frame: TileFrame,
     limits: Limits,
-    #[comptime] shape: Shape,
+    #[comptime] shape: KernelShape,
     #[comptime] keep: bool,
     #[comptime] pixels: usize,
 ) {

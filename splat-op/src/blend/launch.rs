@@ -5,7 +5,7 @@ use cubecl::prelude::*;
 use super::backward::{blend_behind_kernel, blend_gather_kernel, row_len};
 use super::channels::blend_channels_kernel;
 use super::forward::blend_forward_kernel;
-use super::layer::{BUCKET, LimitsLaunch, Shape};
+use super::layer::{BUCKET, KernelShape, LimitsLaunch};
 use super::strips::blend_strips_kernel;
 use super::{BlendSpec, Layers};
 use crate::dials::Exponential;
@@ -22,8 +22,8 @@ use crate::tile::{TILE_PIXELS, tile_grid};
 const CHANNEL_UNITS: usize = 64;
 
 impl Layers<Buffer<f32>> {
-    fn shape(&self, spec: &BlendSpec) -> Shape {
-        Shape {
+    fn shape(&self, spec: &BlendSpec) -> KernelShape {
+        KernelShape {
             features: self.background.len,
             depth: spec.options.depth,
             grad_alpha: true,
@@ -39,7 +39,7 @@ impl Layers<Buffer<f32>> {
 /// What the forward pass keeps for the backward pass.
 #[derive(Clone, Debug)]
 pub(crate) struct DeviceTrace {
-    /// `[slots, kept, 256]`: numbers per bucket and pixel, see [`Shape::kept`].
+    /// `[slots, kept, 256]`: numbers per bucket and pixel, see [`KernelShape::kept`].
     kept: Buffer<f32>,
     /// `[tiles, 256]`: the transmittance behind all layers.
     behind: Buffer<f32>,
@@ -135,7 +135,7 @@ pub(crate) fn launch_blend_backward(
     let shape = inputs.shape(spec);
     let alone = grad.len == shape.features * camera.width * camera.height;
     debug_assert!(!(alone && shape.depth), "where depth is rendered, the gradient has all planes");
-    let shape = Shape { grad_alpha: !alone, ..shape };
+    let shape = KernelShape { grad_alpha: !alone, ..shape };
     let [tiles_x, tiles_y] = tile_grid(camera.width, camera.height);
     let tiles = tiles_x * tiles_y;
     let slots = slots(lists, tiles);

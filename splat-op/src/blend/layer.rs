@@ -28,7 +28,7 @@ pub(crate) struct Limits {
 
 /// What a kernel of this stage is compiled for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub(crate) struct Shape {
+pub(crate) struct KernelShape {
     /// Features.
     pub features: usize,
     /// Whether depth is accumulated, as a further channel.
@@ -39,7 +39,7 @@ pub(crate) struct Shape {
     pub polynomial: bool,
 }
 
-impl Shape {
+impl KernelShape {
     pub const fn channels(&self) -> usize {
         self.features + self.depth as usize
     }
@@ -132,7 +132,7 @@ impl LayerEllipse {
     }
 
     /// The alpha at whitened coordinates; zero where it does not show.
-    pub fn alpha(&self, u: f32, v: f32, alpha_min: f32, alpha_max: f32, #[comptime] shape: Shape) -> f32 {
+    pub fn alpha(&self, u: f32, v: f32, alpha_min: f32, alpha_max: f32, #[comptime] shape: KernelShape) -> f32 {
         let exponent = -(0.5 * (u * u + v * v));
         let share =
             if comptime!(shape.polynomial) { power(-exponent * core::f32::consts::LOG2_E) } else { exponent.exp() };
@@ -200,7 +200,7 @@ pub(super) fn colour(
     features: &[f32],
     gaussian: usize,
     channel: usize,
-    #[comptime] shape: Shape,
+    #[comptime] shape: KernelShape,
 ) -> f32 {
     let is_depth = comptime!(shape.depth) && channel == comptime!(shape.features);
     let mut value = 0.0f32;

@@ -6,7 +6,7 @@
 use cubecl::prelude::*;
 
 use super::backward::{MOMENTS, plane_of};
-use super::layer::{LayerEllipse, Limits, Shape, checkpoint, layer, restore};
+use super::layer::{KernelShape, LayerEllipse, Limits, checkpoint, layer, restore};
 use crate::tile::forward::TileFrame;
 use crate::tile::{TILE, TILE_PIXELS};
 
@@ -40,7 +40,7 @@ impl UnitPixels {
         column: u32,
         row: u32,
         frame: TileFrame,
-        #[comptime] shape: Shape,
+        #[comptime] shape: KernelShape,
         #[comptime] pixels: usize,
     ) -> UnitPixels {
         UnitPixels {
@@ -67,7 +67,7 @@ impl UnitPixels {
         column: u32,
         row: u32,
         frame: TileFrame,
-        #[comptime] shape: Shape,
+        #[comptime] shape: KernelShape,
         #[comptime] p: usize,
     ) {
         let channels = comptime!(shape.channels());
@@ -114,7 +114,7 @@ impl UnitPixels {
         footprint: LayerEllipse,
         alpha_min: f32,
         limits: Limits,
-        #[comptime] shape: Shape,
+        #[comptime] shape: KernelShape,
         #[comptime] p: usize,
     ) -> (f32, f32) {
         let (u, v) = footprint.whiten(self.x, self.top, self.row + comptime!(p as f32));
@@ -136,7 +136,7 @@ impl UnitPixels {
         weights: &Array<f32>,
         row: &mut Array<f32>,
         alpha_max: f32,
-        #[comptime] shape: Shape,
+        #[comptime] shape: KernelShape,
         #[comptime] absolute: bool,
         #[comptime] pixels: usize,
         #[comptime] k: usize,

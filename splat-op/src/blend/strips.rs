@@ -10,7 +10,7 @@
 use cubecl::prelude::*;
 
 use super::backward::{row_len, tile_of_slot};
-use super::layer::{BUCKET, FOOTPRINT, LayerEllipse, Limits, Shape, colour, first_slot, strip_origin};
+use super::layer::{BUCKET, FOOTPRINT, KernelShape, LayerEllipse, Limits, colour, first_slot, strip_origin};
 use super::pixels::{STEP, UnitPixels};
 use crate::gpu::atomic::FloatCell;
 use crate::tile::TILE_PIXELS;
@@ -35,7 +35,7 @@ pub(super) fn blend_strips_kernel<A: FloatCell>(
     frame: TileFrame,
     limits: Limits,
     slots: u32,
-    #[comptime] shape: Shape,
+    #[comptime] shape: KernelShape,
     #[comptime] absolute: bool,
     #[comptime] add: bool,
     #[comptime] pixels: usize,
