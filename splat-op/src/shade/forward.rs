@@ -34,7 +34,7 @@ impl CameraPosition {
     }
 
     /// Straight ahead for a centre on the camera itself.
-    pub fn sight(&self, mean: Vec3) -> Sight {
+    pub fn sight(&self, mean: Vec3) -> ViewDirection {
         let to_mean = mean.minus(self.position);
         let distance = to_mean.length();
         let inverse = 1.0 / distance;
@@ -44,14 +44,14 @@ impl CameraPosition {
             select(apart, to_mean.y * inverse, 0.0),
             select(apart, to_mean.z * inverse, 1.0),
         );
-        Sight { direction, distance }
+        ViewDirection { direction, distance }
     }
 }
 
 /// Unit direction from the camera to a centre, and the distance, scene units.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
-pub(super) struct Sight {
+pub(super) struct ViewDirection {
     pub direction: Vec3,
     pub distance: f32,
 }

@@ -16,7 +16,7 @@ pub struct FootprintEvidence {
 }
 
 pub(super) fn evidence(sights: &Sights) -> Option<FootprintEvidence> {
-    let ratio = |seen: &Vec<super::sights::Sight>| {
+    let ratio = |seen: &Vec<super::sights::PointObservation>| {
         let footprints = seen.iter().map(|sight| sight.footprint);
         let largest = footprints.clone().fold(0.0, f64::max);
         largest / footprints.fold(f64::INFINITY, f64::min)

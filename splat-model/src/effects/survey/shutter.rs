@@ -25,7 +25,7 @@ pub struct ShutterEvidence {
 }
 
 /// The observation of a point in a photograph.
-struct Sight {
+struct ShutterObservation {
     /// Derivative of the direction with respect to the camera's `ω` and `τ`.
     columns: [DVec3; 6],
     /// Observed direction minus projected direction.
@@ -35,7 +35,7 @@ struct Sight {
 }
 
 pub(super) fn evidence(capture: &Capture) -> Option<ShutterEvidence> {
-    let mut views: Vec<Vec<Sight>> = capture.views.iter().map(|_| Vec::new()).collect();
+    let mut views: Vec<Vec<ShutterObservation>> = capture.views.iter().map(|_| Vec::new()).collect();
     for (point, position) in capture.points.positions.iter().enumerate() {
         let world = Vec3::from_array(*position).as_dvec3();
         for sight in capture.tracks.of(point) {
@@ -43,7 +43,7 @@ pub(super) fn evidence(capture: &Capture) -> Option<ShutterEvidence> {
             let found = view.intrinsics.cam_from_px(Vec2::from_array(sight.at_px).as_dvec2()).normalize_or_zero();
             let cam = view.cam_from_world.transform_point3(world);
             let row = f64::from(sight.at_px[1]) / view.intrinsics.height as f64 - 0.5;
-            let seen = Sight { columns: columns(cam), miss: found - cam.normalize_or_zero(), row };
+            let seen = ShutterObservation { columns: columns(cam), miss: found - cam.normalize_or_zero(), row };
             if seen.miss.is_finite() && seen.columns.iter().all(|column| column.is_finite()) {
                 views[sight.view].push(seen);
             }
@@ -59,9 +59,9 @@ pub(super) fn evidence(capture: &Capture) -> Option<ShutterEvidence> {
 }
 
 /// Sum of the residuals after the best-fitting twist, multiplied by `share` of each observation.
-fn left(sights: &[Sight], share: impl Fn(&Sight) -> f64) -> f64 {
+fn left(sights: &[ShutterObservation], share: impl Fn(&ShutterObservation) -> f64) -> f64 {
     let mut twist = [0.0; 6];
-    let rest = |sight: &Sight, twist: &[f64; 6]| {
+    let rest = |sight: &ShutterObservation, twist: &[f64; 6]| {
         let moved: DVec3 = sight.columns.iter().zip(twist).map(|(column, by)| *column * *by).sum();
         sight.miss - moved * share(sight)
     };
@@ -111,9 +111,13 @@ mod tests {
                 let columns = columns(DVec3::new(1.5 * wave(1.3), 1.2 * wave(2.1), 4.0 + wave(0.7)));
                 let row = 0.5 * wave(1.7);
                 let share = if rolls { row } else { 1.0 };
-                Sight { columns, miss: columns.iter().zip(twist).map(|(c, by)| share * by * *c).sum(), row }
+                ShutterObservation {
+                    columns,
+                    miss: columns.iter().zip(twist).map(|(c, by)| share * by * *c).sum(),
+                    row,
+                }
             };
-            (0..60).map(sight).collect::<Vec<Sight>>()
+            (0..60).map(sight).collect::<Vec<ShutterObservation>>()
         };
         let twist = [0.02, -0.01, 0.015, 0.03, 0.02, -0.05];
         for rolls in [false, true] {

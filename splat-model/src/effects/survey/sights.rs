@@ -32,7 +32,7 @@ pub enum SightSource {
 
 /// The observation of a point in a photograph.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Sight {
+pub(super) struct PointObservation {
     pub view: usize,
     pub at_px: [f64; 2],
     /// Depth along the camera's axis, scene units.
@@ -56,7 +56,7 @@ pub(super) struct ColourSample {
 /// Compared points and their observations.
 pub(super) struct Sights {
     pub source: SightSource,
-    pub points: Vec<Vec<Sight>>,
+    pub points: Vec<Vec<PointObservation>>,
     /// Index of each point in the point cloud.
     pub indices: Vec<usize>,
 }
@@ -69,7 +69,7 @@ impl Sights {
             () if capture.tracks.observations() > 0 => SightSource::Tracks,
             () => SightSource::Projection,
         };
-        let candidates: Vec<(usize, Vec<Sight>)> = match source {
+        let candidates: Vec<(usize, Vec<PointObservation>)> = match source {
             SightSource::None => Vec::new(),
             SightSource::Tracks => tracked(capture, surveyed),
             SightSource::Projection => projected(capture, surveyed),
@@ -86,14 +86,15 @@ fn position(capture: &Capture, point: usize) -> DVec3 {
     Vec3::from_array(capture.points.positions[point]).as_dvec3()
 }
 
-fn tracked(capture: &Capture, surveyed: &[usize]) -> Vec<(usize, Vec<Sight>)> {
+fn tracked(capture: &Capture, surveyed: &[usize]) -> Vec<(usize, Vec<PointObservation>)> {
     let of_point = |point: usize| {
         let world = position(capture, point);
         let sights = capture.tracks.of(point).iter().filter(|sight| surveyed.binary_search(&sight.view).is_ok());
         let sight = |at: &crate::capture::Observation| {
             let depth = capture.views[at.view].cam_from_world.transform_point3(world).z;
             let footprint = focal_px(&capture.views[at.view]) / depth;
-            let sight = Sight { view: at.view, at_px: at.at_px.map(f64::from), depth, footprint, sample: None };
+            let sight =
+                PointObservation { view: at.view, at_px: at.at_px.map(f64::from), depth, footprint, sample: None };
             (depth > 0.0).then_some(sight)
         };
         (point, sights.filter_map(sight).collect())
@@ -102,10 +103,11 @@ fn tracked(capture: &Capture, surveyed: &[usize]) -> Vec<(usize, Vec<Sight>)> {
 }
 
 /// Projects all points for the occlusion test. The caller compares some of them.
-fn projected(capture: &Capture, surveyed: &[usize]) -> Vec<(usize, Vec<Sight>)> {
+fn projected(capture: &Capture, surveyed: &[usize]) -> Vec<(usize, Vec<PointObservation>)> {
     let count = capture.points.positions.len();
     let every = count.div_ceil(MOST_POINTS).max(1);
-    let mut found: Vec<(usize, Vec<Sight>)> = (0..count).step_by(every).map(|point| (point, Vec::new())).collect();
+    let mut found: Vec<(usize, Vec<PointObservation>)> =
+        (0..count).step_by(every).map(|point| (point, Vec::new())).collect();
     for &index in surveyed {
         let view = &capture.views[index];
         let side_px = (view.intrinsics.width.max(view.intrinsics.height) as f64 / CELLS as f64).max(1.0);
@@ -126,7 +128,7 @@ fn projected(capture: &Capture, surveyed: &[usize]) -> Vec<(usize, Vec<Sight>)> 
             let first = around.copied().fold(f64::INFINITY, f64::min);
             if depth * (1.0 - HIDDEN_BEHIND) <= first {
                 let footprint = focal_px(view) / depth;
-                sights.push(Sight { view: index, at_px, depth, footprint, sample: None });
+                sights.push(PointObservation { view: index, at_px, depth, footprint, sample: None });
             }
         }
     }

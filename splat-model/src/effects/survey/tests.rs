@@ -89,7 +89,7 @@ fn a_grid_stands_in_for_exposures_where_it_is_called_for() {
 
 /// One point with these colours in the photographs, whose exposures add these logarithms.
 fn seen(colours: &[f32], exposures: &[f64], spread: f32) -> (sights::Sights, exposure::Fit) {
-    let sight = |(view, &colour): (usize, &f32)| sights::Sight {
+    let sight = |(view, &colour): (usize, &f32)| sights::PointObservation {
         view,
         at_px: [9.0; 2],
         depth: 1.0,

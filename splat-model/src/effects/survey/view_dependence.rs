@@ -4,7 +4,7 @@ use serde::Serialize;
 
 use super::exposure::Fit;
 use super::quantile;
-use super::sights::{ColourSample, Sight, Sights};
+use super::sights::{ColourSample, PointObservation, Sights};
 
 /// Smallest number of comparable photographs of a point. With fewer, the outliers could be fewer than three, which an
 /// occluder could cause.
@@ -40,7 +40,7 @@ impl ViewDependenceEvidence {
 type ExposedSample = (ColourSample, [f64; 3]);
 
 pub(super) fn evidence(sights: &Sights, fit: &Fit) -> Option<ViewDependenceEvidence> {
-    let stray = |sights: &Vec<Sight>| -> Option<f64> {
+    let stray = |sights: &Vec<PointObservation>| -> Option<f64> {
         let seen = sights.iter().filter_map(|sight| Some((sight.sample?, fit.views[sight.view]?)));
         let seen: Vec<ExposedSample> = seen.collect();
         (seen.len() >= FEWEST_SIGHTS)
