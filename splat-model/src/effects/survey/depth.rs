@@ -3,7 +3,7 @@
 use glam::{DVec3, Vec3};
 use serde::Serialize;
 
-use super::sights::Sights;
+use super::sights::PointObservations;
 use super::{Capture, quantile};
 use crate::optim::scene_extent;
 
@@ -25,7 +25,7 @@ impl DepthEvidence {
     pub const FAR_EXTENTS: f64 = 10.0;
 }
 
-pub(super) fn evidence(capture: &Capture, sights: &Sights) -> Option<DepthEvidence> {
+pub(super) fn evidence(capture: &Capture, sights: &PointObservations) -> Option<DepthEvidence> {
     let mut depths: Vec<f64> = sights.points.iter().flatten().map(|sight| sight.depth).collect();
     let centres: Vec<DVec3> = capture.views.iter().map(|view| view.cam_from_world.inverse().translation).collect();
     let middle = centres.iter().sum::<DVec3>() / centres.len().max(1) as f64;

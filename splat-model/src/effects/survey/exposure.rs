@@ -6,7 +6,7 @@
 
 use serde::Serialize;
 
-use super::sights::Sights;
+use super::sights::PointObservations;
 use super::{Capture, deviation, quantile};
 
 /// Range of usable values. Values outside are clipped or mostly noise.
@@ -64,7 +64,7 @@ impl Fit {
     }
 }
 
-pub(super) fn fit(sights: &Sights, views: usize) -> Fit {
+pub(super) fn fit(sights: &PointObservations, views: usize) -> Fit {
     let mut fit = Fit { views: vec![None; views], counts: vec![0; views] };
     let usable = |value: &f32| USABLE.contains(value);
     for sight in sights.points.iter().flatten() {

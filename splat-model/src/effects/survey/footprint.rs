@@ -3,7 +3,7 @@
 use serde::Serialize;
 
 use super::quantile;
-use super::sights::Sights;
+use super::sights::PointObservations;
 
 /// Ratios of footprints. A footprint is the number of pixels per scene unit at a point: focal length divided by depth.
 /// Renders at the photographs' size have the same footprints, so this is the range of sizes in training and viewing.
@@ -15,7 +15,7 @@ pub struct FootprintEvidence {
     pub largest_ratio: f64,
 }
 
-pub(super) fn evidence(sights: &Sights) -> Option<FootprintEvidence> {
+pub(super) fn evidence(sights: &PointObservations) -> Option<FootprintEvidence> {
     let ratio = |seen: &Vec<super::sights::PointObservation>| {
         let footprints = seen.iter().map(|sight| sight.footprint);
         let largest = footprints.clone().fold(0.0, f64::max);

@@ -11,7 +11,7 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use super::exposure::USABLE;
-use super::sights::Sights;
+use super::sights::PointObservations;
 use super::{Capture, ViewDependenceEvidence, quantile};
 use crate::effects::pose::anchors::solve;
 
@@ -42,7 +42,7 @@ struct ChannelObservation {
     value: f64,
 }
 
-pub(super) fn evidence(capture: &Capture, sights: &Sights) -> Option<GradingEvidence> {
+pub(super) fn evidence(capture: &Capture, sights: &PointObservations) -> Option<GradingEvidence> {
     let points = sights.points.len();
     let of_channel = |channel: usize| {
         let views = seen(capture, sights, channel);
@@ -59,7 +59,7 @@ pub(super) fn evidence(capture: &Capture, sights: &Sights) -> Option<GradingEvid
 }
 
 /// Observations by photograph, without photographs that have too few points.
-fn seen(capture: &Capture, sights: &Sights, channel: usize) -> Vec<Vec<ChannelObservation>> {
+fn seen(capture: &Capture, sights: &PointObservations, channel: usize) -> Vec<Vec<ChannelObservation>> {
     let mut views: Vec<Vec<ChannelObservation>> = capture.views.iter().map(|_| Vec::new()).collect();
     for (point, all) in sights.points.iter().enumerate() {
         let usable = all.iter().filter_map(|sight| {

@@ -99,7 +99,7 @@ impl Survey {
         let pixels: usize = views.iter().map(size).sum();
         let every = pixels.div_ceil(Self::MOST_PIXELS).max(1);
         let surveyed: Vec<usize> = views.iter().copied().step_by(every).collect();
-        let mut sights = sights::Sights::of(capture, &surveyed);
+        let mut sights = sights::PointObservations::of(capture, &surveyed);
         let glances = pictures::look(capture, &surveyed, &mut sights)?;
         let fit = exposure::fit(&sights, capture.views.len());
         Ok(Self {

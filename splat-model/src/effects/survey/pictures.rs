@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use super::sights::{ColourSample, Sights};
+use super::sights::{ColourSample, PointObservations};
 use crate::capture::image::load;
 use crate::capture::{Capture, CaptureError, Photo};
 use crate::effects::masks;
@@ -20,7 +20,11 @@ pub(super) struct Glance {
 }
 
 /// Decodes each photograph once, stores the samples of its observations, and discards its pixels.
-pub(super) fn look(capture: &Capture, surveyed: &[usize], sights: &mut Sights) -> Result<Vec<Glance>, CaptureError> {
+pub(super) fn look(
+    capture: &Capture,
+    surveyed: &[usize],
+    sights: &mut PointObservations,
+) -> Result<Vec<Glance>, CaptureError> {
     let mut places: Vec<Vec<(usize, usize)>> = vec![Vec::new(); capture.views.len()];
     for (point, seen) in sights.points.iter().enumerate() {
         for (i, sight) in seen.iter().enumerate() {

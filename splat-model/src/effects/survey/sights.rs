@@ -54,14 +54,14 @@ pub(super) struct ColourSample {
 }
 
 /// Compared points and their observations.
-pub(super) struct Sights {
+pub(super) struct PointObservations {
     pub source: SightSource,
     pub points: Vec<Vec<PointObservation>>,
     /// Index of each point in the point cloud.
     pub indices: Vec<usize>,
 }
 
-impl Sights {
+impl PointObservations {
     /// Collects the observations in the photographs `surveyed`, indices in ascending order.
     pub fn of(capture: &Capture, surveyed: &[usize]) -> Self {
         let source = match () {

@@ -88,7 +88,7 @@ fn a_grid_stands_in_for_exposures_where_it_is_called_for() {
 }
 
 /// One point with these colours in the photographs, whose exposures add these logarithms.
-fn seen(colours: &[f32], exposures: &[f64], spread: f32) -> (sights::Sights, exposure::Fit) {
+fn seen(colours: &[f32], exposures: &[f64], spread: f32) -> (sights::PointObservations, exposure::Fit) {
     let sight = |(view, &colour): (usize, &f32)| sights::PointObservation {
         view,
         at_px: [9.0; 2],
@@ -97,7 +97,7 @@ fn seen(colours: &[f32], exposures: &[f64], spread: f32) -> (sights::Sights, exp
         sample: Some(sights::ColourSample { mean: [colour; 3], low: [colour - spread; 3], high: [colour + spread; 3] }),
     };
     let points = vec![colours.iter().enumerate().map(sight).collect()];
-    let sights = sights::Sights { source: SightSource::Tracks, points, indices: vec![0] };
+    let sights = sights::PointObservations { source: SightSource::Tracks, points, indices: vec![0] };
     (sights, exposure::Fit::known(exposures.iter().map(|&exposure| Some([exposure; 3])).collect()))
 }
 

@@ -4,7 +4,7 @@ use serde::Serialize;
 
 use super::exposure::Fit;
 use super::quantile;
-use super::sights::{ColourSample, PointObservation, Sights};
+use super::sights::{ColourSample, PointObservation, PointObservations};
 
 /// Smallest number of comparable photographs of a point. With fewer, the outliers could be fewer than three, which an
 /// occluder could cause.
@@ -39,7 +39,7 @@ impl ViewDependenceEvidence {
 /// A sample, and its photograph's offset to the logarithm of a colour.
 type ExposedSample = (ColourSample, [f64; 3]);
 
-pub(super) fn evidence(sights: &Sights, fit: &Fit) -> Option<ViewDependenceEvidence> {
+pub(super) fn evidence(sights: &PointObservations, fit: &Fit) -> Option<ViewDependenceEvidence> {
     let stray = |sights: &Vec<PointObservation>| -> Option<f64> {
         let seen = sights.iter().filter_map(|sight| Some((sight.sample?, fit.views[sight.view]?)));
         let seen: Vec<ExposedSample> = seen.collect();
