@@ -8,7 +8,7 @@ use serde::Serialize;
 
 pub use self::colour::{BRIGHTNESS_STOPS, GRADED, PLACES_LEAVE, VIEW_DEPENDENT_SHARE, WHITE_BALANCE_STOPS};
 use super::EffectKind;
-use super::survey::{ShutterEvidence, SightSource, Survey};
+use super::survey::{ObservationSource, ShutterEvidence, Survey};
 
 /// Threshold of the ratio between the largest and the smallest size of a point, exceeded by a twentieth of the points.
 pub const FOOTPRINT_RATIO: f64 = 8.0;
@@ -267,7 +267,7 @@ fn environment(survey: &Survey) -> Decision {
 
 fn depth(survey: &Survey) -> Decision {
     let rule = format!("on if there is a folder of depth maps, or tracks and fewer than {FEW_VIEWS} photographs");
-    let few = survey.views < FEW_VIEWS && survey.source == SightSource::Tracks;
+    let few = survey.views < FEW_VIEWS && survey.source == ObservationSource::Tracks;
     let evidence = match &survey.files.depth_maps {
         None => format!("{} photographs, no depth maps", survey.views),
         Some(folder) => format!("{} photographs and depth maps in {folder:?}", survey.views),
@@ -303,12 +303,12 @@ fn by_name(effect: EffectKind, what: &str) -> Decision {
 /// A sentence on how the photographs were compared.
 pub fn source(survey: &Survey) -> String {
     match survey.source {
-        SightSource::None => "no sparse points: photographs cannot be compared".into(),
-        SightSource::Tracks => format!(
+        ObservationSource::None => "no sparse points: photographs cannot be compared".into(),
+        ObservationSource::Tracks => format!(
             "{} points compared through {} observations of the reconstruction's tracks",
             survey.points_compared, survey.sights_compared
         ),
-        SightSource::Projection => format!(
+        ObservationSource::Projection => format!(
             "no tracks: {} points projected into the photographs, {} sights that nothing seems to hide; some are wrong, which \
              medians bear",
             survey.points_compared, survey.sights_compared

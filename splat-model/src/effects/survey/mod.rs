@@ -33,7 +33,7 @@ pub use self::grading::GradingEvidence;
 pub use self::lens::LensEvidence;
 pub use self::pose::{PoseEvidence, PoseSource};
 pub use self::shutter::ShutterEvidence;
-pub use self::sights::SightSource;
+pub use self::sights::ObservationSource;
 pub use self::view_dependence::ViewDependenceEvidence;
 
 /// The evidence of a capture before training. A value is `None` if the capture does not determine it.
@@ -49,7 +49,7 @@ pub struct Survey {
     /// Sparse points in the capture.
     pub points: usize,
     /// How the photographs of a point were found.
-    pub source: SightSource,
+    pub source: ObservationSource,
     /// Number of compared points.
     pub points_compared: usize,
     /// Number of observations of the compared points in photographs.

@@ -21,7 +21,7 @@ const HIDDEN_BEHIND: f64 = 0.05;
 /// How the photographs of a point were found.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum SightSource {
+pub enum ObservationSource {
     /// By the reconstruction's tracks.
     Tracks,
     /// By projecting points and leaving out those that a nearer point seems to hide. Some hidden points remain.
@@ -55,7 +55,7 @@ pub(super) struct ColourSample {
 
 /// Compared points and their observations.
 pub(super) struct PointObservations {
-    pub source: SightSource,
+    pub source: ObservationSource,
     pub points: Vec<Vec<PointObservation>>,
     /// Index of each point in the point cloud.
     pub indices: Vec<usize>,
@@ -65,14 +65,14 @@ impl PointObservations {
     /// Collects the observations in the photographs `surveyed`, indices in ascending order.
     pub fn of(capture: &Capture, surveyed: &[usize]) -> Self {
         let source = match () {
-            () if capture.points.positions.is_empty() => SightSource::None,
-            () if capture.tracks.observations() > 0 => SightSource::Tracks,
-            () => SightSource::Projection,
+            () if capture.points.positions.is_empty() => ObservationSource::None,
+            () if capture.tracks.observations() > 0 => ObservationSource::Tracks,
+            () => ObservationSource::Projection,
         };
         let candidates: Vec<(usize, Vec<PointObservation>)> = match source {
-            SightSource::None => Vec::new(),
-            SightSource::Tracks => tracked(capture, surveyed),
-            SightSource::Projection => projected(capture, surveyed),
+            ObservationSource::None => Vec::new(),
+            ObservationSource::Tracks => tracked(capture, surveyed),
+            ObservationSource::Projection => projected(capture, surveyed),
         };
         let mut chosen = candidates.into_iter().filter(|(_, sights)| sights.len() >= FEWEST_SIGHTS).collect::<Vec<_>>();
         let every = chosen.len().div_ceil(MOST_POINTS).max(1);

@@ -26,7 +26,7 @@ fn effects(survey: &Survey) -> Vec<EffectKind> {
 #[test]
 fn a_matte_scene_under_one_exposure_calls_for_nothing() {
     let (_folder, _, survey) = survey_of(&SMALL);
-    assert_eq!(survey.source, SightSource::Tracks);
+    assert_eq!(survey.source, ObservationSource::Tracks);
     assert!(survey.points_compared > 2000, "{}", survey.points_compared);
     let exposure = survey.exposure.as_ref().unwrap();
     assert!(exposure.brightness_spread_stops < 0.003 && exposure.white_balance_spread_stops < 0.003, "{exposure:?}");
@@ -97,7 +97,7 @@ fn seen(colours: &[f32], exposures: &[f64], spread: f32) -> (sights::PointObserv
         sample: Some(sights::ColourSample { mean: [colour; 3], low: [colour - spread; 3], high: [colour + spread; 3] }),
     };
     let points = vec![colours.iter().enumerate().map(sight).collect()];
-    let sights = sights::PointObservations { source: SightSource::Tracks, points, indices: vec![0] };
+    let sights = sights::PointObservations { source: ObservationSource::Tracks, points, indices: vec![0] };
     (sights, exposure::Fit::known(exposures.iter().map(|&exposure| Some([exposure; 3])).collect()))
 }
 
@@ -142,7 +142,7 @@ fn without_tracks_points_are_projected() {
     let (_folder, mut capture, tracked) = survey_of(&DemoOptions { exposure: true, ..SMALL });
     capture.tracks = Default::default();
     let survey = Survey::of(&capture).unwrap();
-    assert_eq!(survey.source, SightSource::Projection);
+    assert_eq!(survey.source, ObservationSource::Projection);
     assert!(survey.pose.is_none());
     assert!(survey.exposure.as_ref().unwrap().white_balance_spread_stops > 0.06);
     for (view, tracked) in survey.exposure.unwrap().views.iter().zip(tracked.exposure.unwrap().views) {
@@ -152,7 +152,7 @@ fn without_tracks_points_are_projected() {
     let survey = Survey::of(&capture).unwrap();
     assert_eq!(
         (survey.source, survey.exposure.is_some(), survey.footprint.is_some()),
-        (SightSource::None, false, false)
+        (ObservationSource::None, false, false)
     );
     assert_eq!(effects(&survey), []);
 }
