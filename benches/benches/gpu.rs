@@ -11,7 +11,7 @@ use std::time::Duration;
 
 use burn::tensor::Device;
 use splat_benches::Load;
-use splat_benches::job::{Job, Size};
+use splat_benches::job::{Job, JobSize};
 use splat_benches::limit::Machine;
 use splat_benches::measure::{copy_bandwidth, table};
 use splat_benches::passes::passes;
@@ -33,7 +33,7 @@ struct Opened {
 }
 
 fn main() -> Result<(), Box<dyn Error>> {
-    let (mut names, mut sizes) = (Vec::<DeviceName>::new(), Vec::<Size>::new());
+    let (mut names, mut sizes) = (Vec::<DeviceName>::new(), Vec::<JobSize>::new());
     // Cargo passes `--bench`.
     for word in std::env::args().skip(1).filter(|word| word != "--bench") {
         match word.parse() {
@@ -45,7 +45,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         names = vec![DeviceName::Flex, DeviceName::Gpu];
     }
     if sizes.is_empty() {
-        sizes = vec![Size::FoxSmall, Size::Medium, Size::Large];
+        sizes = vec![JobSize::FoxSmall, JobSize::Medium, JobSize::Large];
     }
     let mut devices = Vec::new();
     for name in names {
@@ -71,7 +71,7 @@ fn open(name: DeviceName) -> Result<Opened, Box<dyn Error>> {
 }
 
 /// Verifies and then times one size on all devices.
-fn run(size: Size, devices: &[Opened]) -> Result<(), Box<dyn Error>> {
+fn run(size: JobSize, devices: &[Opened]) -> Result<(), Box<dyn Error>> {
     let job = Job::new(size)?;
     let load = job.verify_load();
     let (width, height) = (job.intrinsics.width, job.intrinsics.height);
@@ -97,7 +97,7 @@ fn run(size: Size, devices: &[Opened]) -> Result<(), Box<dyn Error>> {
 fn timed(job: &Job, load: &Load, opened: &Opened, base: &[f64]) -> Result<Vec<f64>, Box<dyn Error>> {
     let Opened { device, machine, .. } = opened;
     job.check_fits(device)?;
-    if job.size == Size::FoxSmall {
+    if job.size == JobSize::FoxSmall {
         job.verify_picture(device)?;
     }
     let mut passes = passes(job, device)?;

@@ -8,7 +8,7 @@ use std::error::Error;
 use std::time::Duration;
 
 use burn::tensor::{DType, Device};
-use splat_benches::job::{Job, OPTIONS, Size};
+use splat_benches::job::{Job, JobSize, OPTIONS};
 use splat_benches::limit::Machine;
 use splat_benches::measure::table;
 use splat_benches::passes::passes;
@@ -22,7 +22,7 @@ static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 const BUDGET: Duration = Duration::from_secs(30);
 
 fn main() -> Result<(), Box<dyn Error>> {
-    let sizes = Size::from_arguments(&[Size::Small, Size::Medium])?;
+    let sizes = JobSize::from_arguments(&[JobSize::Small, JobSize::Medium])?;
     let (device, machine) = (Device::flex(), Machine::measure());
     println!("{} threads: {machine}", rayon::current_num_threads());
     for size in sizes {

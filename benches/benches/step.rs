@@ -13,7 +13,7 @@ use std::time::Duration;
 
 use burn::tensor::Device;
 use splat_benches::SMALL;
-use splat_benches::job::{Job, Size};
+use splat_benches::job::{Job, JobSize};
 use splat_benches::limit::{Machine, PassKind};
 use splat_benches::measure::{PassResult, Prepare, table, time};
 use splat_benches::passes::whole_step;
@@ -32,12 +32,12 @@ fn main() -> Result<(), Box<dyn Error>> {
     let (device, machine) = (Device::flex(), Machine::measure());
     println!("{} threads: {machine}", rayon::current_num_threads());
     if profile {
-        let sizes = Size::from_arguments(&[Size::FoxSmall, Size::FoxColmap, Size::Large])?;
+        let sizes = JobSize::from_arguments(&[JobSize::FoxSmall, JobSize::FoxColmap, JobSize::Large])?;
         let measured: Result<Vec<_>, _> = sizes.into_iter().map(|size| measure(size, &device, &machine)).collect();
         print_profile(&measured?);
         return Ok(());
     }
-    let sizes = Size::from_arguments(&[Size::Small, Size::Medium])?;
+    let sizes = JobSize::from_arguments(&[JobSize::Small, JobSize::Medium])?;
     verify()?;
     for size in sizes {
         let job = Job::new(size)?;
@@ -63,7 +63,7 @@ fn verify() -> Result<(), Box<dyn Error>> {
 
 /// Times of a step of one size, pass by pass.
 struct Profile {
-    size: Size,
+    size: JobSize,
     /// Medians in seconds, in the order of [`PassKind::PARTS`].
     parts: Vec<f64>,
     /// Median of the whole step in seconds.
@@ -75,7 +75,7 @@ struct Profile {
 }
 
 /// Times whole steps and steps in pieces in turns, so that other load of the machine affects both.
-fn measure(size: Size, device: &Device, machine: &Machine) -> Result<Profile, Box<dyn Error>> {
+fn measure(size: JobSize, device: &Device, machine: &Machine) -> Result<Profile, Box<dyn Error>> {
     let job = Job::new(size)?;
     let load = job.verify_load();
     println!("{size}, {} × {}: {load}", job.intrinsics.width, job.intrinsics.height);

@@ -29,7 +29,7 @@ pub const COEFFICIENTS: usize = (DEGREE + 1) * (DEGREE + 1);
 
 /// Name of a scene to measure.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Size {
+pub enum JobSize {
     /// [`TINY`].
     Tiny,
     /// [`SMALL`].
@@ -44,7 +44,7 @@ pub enum Size {
     Large,
 }
 
-impl Size {
+impl JobSize {
     pub const ALL: [Self; 6] = [Self::Tiny, Self::Small, Self::FoxSmall, Self::FoxColmap, Self::Medium, Self::Large];
 
     /// Returns the sizes named on the command line, or `standard` if there are none.
@@ -72,7 +72,7 @@ impl Size {
     }
 }
 
-impl Display for Size {
+impl Display for JobSize {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
             Self::Tiny => "tiny",
@@ -85,7 +85,7 @@ impl Display for Size {
     }
 }
 
-impl FromStr for Size {
+impl FromStr for JobSize {
     type Err = ();
 
     fn from_str(text: &str) -> Result<Self, ()> {
@@ -95,7 +95,7 @@ impl FromStr for Size {
 
 /// Scene, camera and photograph of one size, on the host.
 pub struct Job {
-    pub size: Size,
+    pub size: JobSize,
     pub rows: GaussianRows,
     pub intrinsics: Intrinsics,
     cam_from_world: DAffine3,
@@ -108,14 +108,14 @@ impl Job {
     ///
     /// # Errors
     /// If a capture cannot be read or trained on.
-    pub fn new(size: Size) -> Result<Self, Box<dyn Error>> {
+    pub fn new(size: JobSize) -> Result<Self, Box<dyn Error>> {
         match size.view() {
             Some(view) => Ok(Self::synthetic(size, &view)),
             None => Self::fox(size),
         }
     }
 
-    fn fox(size: Size) -> Result<Self, Box<dyn Error>> {
+    fn fox(size: JobSize) -> Result<Self, Box<dyn Error>> {
         let folder = std::env::var_os("SPLAT_DATA_DIR")
             .ok_or_else(|| format!("`{size}` is a real capture: set SPLAT_DATA_DIR as docs/CAPTURES.md says"))?;
         let capture = Capture::load(&PathBuf::from(folder).join(size.to_string()))?;
@@ -139,7 +139,7 @@ impl Job {
     }
 
     /// Creates a job whose photograph is the scene's picture at half the brightness, so that the loss has a derivative everywhere.
-    fn synthetic(size: Size, view: &SyntheticView) -> Self {
+    fn synthetic(size: JobSize, view: &SyntheticView) -> Self {
         let device = Device::flex();
         let scene = view.scene(&device, DType::F32);
         let camera = view.camera(&device, DType::F32);
@@ -168,7 +168,7 @@ impl Job {
     pub fn verify_load(&self) -> Load {
         let device = Device::flex();
         let load = Load::of(&self.gaussians(&device).splats(), &self.camera(&device), &OPTIONS);
-        if matches!(self.size, Size::Medium | Size::Large) {
+        if matches!(self.size, JobSize::Medium | JobSize::Large) {
             load.verify();
         }
         load

@@ -164,13 +164,13 @@ mod tests {
     use burn::tensor::Device;
 
     use super::*;
-    use crate::job::{Job, Size};
+    use crate::job::{Job, JobSize};
     use crate::step::Step;
 
     #[test]
     fn pieces_are_the_step() {
         let device = Device::flex();
-        let job = Job::new(Size::Tiny).expect("a synthetic scene");
+        let job = Job::new(JobSize::Tiny).expect("a synthetic scene");
         let gaussians = || job.gaussians(&device.clone().autodiff());
         let truth = Truth::new(job.photograph(&device));
         let mut whole = Step::new(gaussians(), job.camera(&device), truth.clone());

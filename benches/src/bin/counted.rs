@@ -13,7 +13,7 @@ use std::error::Error;
 use burn::tensor::Device;
 use fearless_simd::Level;
 use splat_benches::allocations::{Allocated, CountingAllocator, allocated};
-use splat_benches::job::{Job, Size};
+use splat_benches::job::{Job, JobSize};
 use splat_benches::limit::PassKind;
 use splat_benches::measure::{Pass, PassResult, Prepare, Timed};
 use splat_benches::passes::passes;
@@ -34,7 +34,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     }
     let wanted: Vec<String> = std::env::args().skip(1).collect();
     let wants = |kind: PassKind| wanted.is_empty() || wanted.iter().any(|word| kind.name().starts_with(word.as_str()));
-    let job = Job::new(Size::Tiny)?;
+    let job = Job::new(JobSize::Tiny)?;
     let mut passes = passes(&job, &Device::flex())?;
     passes.retain(|pass| pass.kind != PassKind::Step);
     passes.push(Pass { kind: PassKind::Step, prepare: trainer_step(&job) });

@@ -12,7 +12,7 @@ use super::host::HostBackend;
 use super::tensors::{ComparedTensors, OptionalTensor};
 #[cfg(feature = "fusion")]
 use super::tensors::{InputTensorMetadata, OptionalTensorMetadata};
-use crate::photometric::cpu::{Size, photometric_cpu, window_cpu};
+use crate::photometric::cpu::{PlaneSize, photometric_cpu, window_cpu};
 #[cfg(feature = "fusion")]
 use crate::photometric::taps::Compared;
 use crate::real::Real;
@@ -64,9 +64,9 @@ fn picture_size(shape: &Shape) -> [usize; 2] {
     [shape[rank - 1], shape[rank - 2]]
 }
 
-fn plane_size(shape: &Shape) -> Size {
+fn plane_size(shape: &Shape) -> PlaneSize {
     let [width, height] = picture_size(shape);
-    Size { width, height }
+    PlaneSize { width, height }
 }
 
 fn photometric_host<B: HostBackend, F: Real>(

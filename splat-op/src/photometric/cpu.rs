@@ -19,12 +19,12 @@ const BAND: usize = 96;
 
 /// The size of a plane.
 #[derive(Clone, Copy)]
-pub(crate) struct Size {
+pub(crate) struct PlaneSize {
     pub width: usize,
     pub height: usize,
 }
 
-impl Size {
+impl PlaneSize {
     fn pixels(self) -> usize {
         self.width * self.height
     }
@@ -38,7 +38,7 @@ impl Size {
 /// The loss and, if asked for, its derivative with respect to the picture.
 pub(crate) fn photometric_cpu<F: Real>(
     inputs: Compared<&[F]>,
-    size: Size,
+    size: PlaneSize,
     lambda: f64,
     with_gradient: bool,
 ) -> (F, Option<Vec<F>>) {
@@ -72,7 +72,7 @@ pub(crate) fn photometric_cpu<F: Real>(
 }
 
 /// `Kx` of planes of one size.
-pub(crate) fn window_cpu<F: Real>(planes: &[F], size: Size) -> Vec<F> {
+pub(crate) fn window_cpu<F: Real>(planes: &[F], size: PlaneSize) -> Vec<F> {
     let mut out = vec![F::ZERO; planes.len()];
     if planes.is_empty() {
         return out;
@@ -119,7 +119,7 @@ fn split<'a, F>(
 /// What all tasks share.
 struct LossTask<'a, F> {
     inputs: Compared<&'a [F]>,
-    size: Size,
+    size: PlaneSize,
     lambda: F,
     /// One divided by the number of values.
     share: F,

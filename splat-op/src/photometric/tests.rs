@@ -1,6 +1,6 @@
 //! The CPU twin against sums written out in f64.
 
-use super::cpu::{Size, photometric_cpu, window_cpu};
+use super::cpu::{PlaneSize, photometric_cpu, window_cpu};
 use super::taps::Compared;
 use crate::real::Real;
 use crate::testing::ceiling::{Yardstick, rounded, to_f32};
@@ -60,7 +60,7 @@ fn twin<F: Real>(
     with_gradient: bool,
 ) -> (F, Option<Vec<F>>) {
     let inputs = Compared { image: &inputs[0][..], truth: &inputs[1], mean: &inputs[2], variance: &inputs[3] };
-    photometric_cpu(inputs, Size { width, height }, lambda, with_gradient)
+    photometric_cpu(inputs, PlaneSize { width, height }, lambda, with_gradient)
 }
 
 #[test]
@@ -69,13 +69,13 @@ fn window_is_the_double_sum() {
         for planes in [1, 3] {
             let x = pictures(size, planes).swap_remove(0);
             let expected = window(&x, size);
-            let found = window_cpu(&x, Size { width, height });
+            let found = window_cpu(&x, PlaneSize { width, height });
             assert_eq!(found.len(), expected.len());
             for (i, (found, expected)) in found.iter().zip(&expected).enumerate() {
                 assert!((found - expected).abs() <= 1e-14, "{size:?}, {i}: {found} instead of {expected}");
             }
             let yardstick = Yardstick::new(&[x], |inputs| vec![window(&inputs[0], size)]);
-            let narrow = window_cpu(&to_f32(&pictures(size, planes)[0]), Size { width, height });
+            let narrow = window_cpu(&to_f32(&pictures(size, planes)[0]), PlaneSize { width, height });
             yardstick.check(&format!("{size:?}"), 0, &narrow, &vec![Some(0); narrow.len()]);
         }
     }
@@ -152,5 +152,5 @@ fn what_is_not_a_number_spreads_as_far_as_the_window_reaches() {
 fn no_pixels_no_loss() {
     let none: Vec<Vec<f32>> = vec![Vec::new(); 4];
     assert_eq!(twin(&none, [0, 5], 0.2, true), (0.0, Some(Vec::new())));
-    assert!(window_cpu::<f32>(&[], Size { width: 4, height: 0 }).is_empty());
+    assert!(window_cpu::<f32>(&[], PlaneSize { width: 4, height: 0 }).is_empty());
 }
