@@ -63,9 +63,9 @@ fn good() -> One {
 }
 
 /// A way to set one slot.
-type Slot = (&'static str, fn(&mut One, f32));
+type SetValue = (&'static str, fn(&mut One, f32));
 
-const SLOTS: [Slot; 5] = [
+const SLOTS: [SetValue; 5] = [
     ("mean", |one, value| one.mean[1] = value),
     ("rotation", |one, value| one.rotation[2] = value),
     ("log_scale", |one, value| one.log_scale[2] = value),

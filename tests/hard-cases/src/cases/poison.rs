@@ -16,7 +16,7 @@ const WHY: &str = "a loader, an optimiser or another program may store any value
 
 /// A kind of parameter.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Slot {
+pub enum ParameterKind {
     Mean,
     Rotation,
     LogScale,
@@ -26,13 +26,13 @@ pub enum Slot {
 }
 
 /// All slots, with their names and their numbers of values per Gaussian at degree 1.
-pub const SLOTS: [(Slot, &str, usize); 6] = [
-    (Slot::Mean, "mean", 3),
-    (Slot::Rotation, "quaternion", 4),
-    (Slot::LogScale, "log_scale", 3),
-    (Slot::LogitOpacity, "logit_opacity", 1),
-    (Slot::ShDc, "sh_dc", 3),
-    (Slot::ShRest, "sh_rest", 9),
+pub const SLOTS: [(ParameterKind, &str, usize); 6] = [
+    (ParameterKind::Mean, "mean", 3),
+    (ParameterKind::Rotation, "quaternion", 4),
+    (ParameterKind::LogScale, "log_scale", 3),
+    (ParameterKind::LogitOpacity, "logit_opacity", 1),
+    (ParameterKind::ShDc, "sh_dc", 3),
+    (ParameterKind::ShRest, "sh_rest", 9),
 ];
 
 /// Values that are put into the slots.
@@ -60,7 +60,7 @@ const COUNT: usize = 24;
 const REST: usize = 9;
 
 pub fn cases() -> Vec<HardCase> {
-    let of_slot = |(slot, name, columns): (Slot, &str, usize)| {
+    let of_slot = |(slot, name, columns): (ParameterKind, &str, usize)| {
         HardCase::check(format!("poison in {name}"), WHY, move |place| {
             let scene = Poisoned::new(7);
             let cells = VALUES.iter().enumerate().map(|(i, value)| (5 * i % COUNT, i % columns, *value));
@@ -112,7 +112,7 @@ impl Poisoned {
     }
 
     /// Puts `value` into a cell and judges the result.
-    pub fn judge(&self, place: &TestDevice, slot: Slot, row: usize, column: usize, value: f32) -> CaseOutcome {
+    pub fn judge(&self, place: &TestDevice, slot: ParameterKind, row: usize, column: usize, value: f32) -> CaseOutcome {
         let outcome = self.judge_row(place, row, |rows| *cell(rows, slot, row, column) = value);
         CaseOutcome {
             failures: outcome
@@ -205,14 +205,14 @@ impl Poisoned {
     }
 }
 
-fn cell(rows: &mut GaussianRows, slot: Slot, row: usize, column: usize) -> &mut f32 {
+fn cell(rows: &mut GaussianRows, slot: ParameterKind, row: usize, column: usize) -> &mut f32 {
     match slot {
-        Slot::Mean => &mut rows.means[row][column],
-        Slot::Rotation => &mut rows.rotations[row][column],
-        Slot::LogScale => &mut rows.log_scales[row][column],
-        Slot::LogitOpacity => &mut rows.logit_opacities[row],
-        Slot::ShDc => &mut rows.sh_dc[row][column],
-        Slot::ShRest => &mut rows.sh_rest[REST * row + column],
+        ParameterKind::Mean => &mut rows.means[row][column],
+        ParameterKind::Rotation => &mut rows.rotations[row][column],
+        ParameterKind::LogScale => &mut rows.log_scales[row][column],
+        ParameterKind::LogitOpacity => &mut rows.logit_opacities[row],
+        ParameterKind::ShDc => &mut rows.sh_dc[row][column],
+        ParameterKind::ShRest => &mut rows.sh_rest[REST * row + column],
     }
 }
 
