@@ -31,7 +31,7 @@ pub struct ModelArgs {
     /// How splats are sorted by depth, for pinhole cameras. Evaluate and render a scene with the setting it was trained
     /// with
     #[arg(long, value_enum, value_name = "WHAT", default_value_t)]
-    pub order: Sorted,
+    pub order: OrderArg,
 }
 
 /// [`Projection`] on the command line.
@@ -46,7 +46,7 @@ pub enum SeenOfASplat {
 
 /// [`Order`] on the command line.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
-pub enum Sorted {
+pub enum OrderArg {
     /// One global sort by the depths of the splats' centres
     #[default]
     Centre,
@@ -67,8 +67,8 @@ impl ModelArgs {
             SeenOfASplat::Exact => Projection::Exact,
         };
         let order = match self.order {
-            Sorted::Centre => Order::Centre,
-            Sorted::PerPixel => Order::PerPixel,
+            OrderArg::Centre => Order::Centre,
+            OrderArg::PerPixel => Order::PerPixel,
         };
         let standard = RenderOptions::standard();
         Setting::between(&standard, &standard.with_projection(projection).with_order(order))

@@ -108,12 +108,12 @@ impl<F: Real> ChunkHits<F> {
 
 /// Consecutive Gaussians in the order of their depths.
 struct Sorter {
-    gaussians: Vec<Sorted>,
+    gaussians: Vec<SortedGaussian>,
     /// Tile of each of their hits.
     tiles: Vec<u32>,
 }
 
-struct Sorted {
+struct SortedGaussian {
     id: u32,
     /// Where its hits were found.
     first: u32,
@@ -125,9 +125,9 @@ impl Sorter {
     fn new(order: impl Iterator<Item = usize>, visible: &[u32], visible_start: &[u32], tiles: &[u32]) -> Self {
         let sorted = |place: usize| {
             let first = visible_start[place];
-            Sorted { id: visible[place], first, hits: visible_start[place + 1] - first }
+            SortedGaussian { id: visible[place], first, hits: visible_start[place + 1] - first }
         };
-        let gaussians: Vec<Sorted> = order.map(sorted).collect();
+        let gaussians: Vec<SortedGaussian> = order.map(sorted).collect();
         let hits = gaussians.iter().map(|gaussian| gaussian.hits as usize).sum();
         let mut own = Vec::with_capacity(hits);
         for gaussian in &gaussians {
