@@ -27,7 +27,7 @@ pub struct ModelArgs {
     /// How a splat contributes to a pixel, for pinhole cameras. Evaluate and render a scene with the setting it was
     /// trained with
     #[arg(long, value_enum, value_name = "WHAT", default_value_t)]
-    pub projection: SeenOfASplat,
+    pub projection: ProjectionArg,
     /// How splats are sorted by depth, for pinhole cameras. Evaluate and render a scene with the setting it was trained
     /// with
     #[arg(long, value_enum, value_name = "WHAT", default_value_t)]
@@ -36,7 +36,7 @@ pub struct ModelArgs {
 
 /// [`Projection`] on the command line.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
-pub enum SeenOfASplat {
+pub enum ProjectionArg {
     /// Projected ellipse: the projection is taken as affine around the splat's centre
     #[default]
     Affine,
@@ -63,8 +63,8 @@ impl ModelArgs {
     /// The dials turned from the standard setting, apart from [`Self::antialias`].
     fn dials(&self) -> Setting {
         let projection = match self.projection {
-            SeenOfASplat::Affine => Projection::Affine,
-            SeenOfASplat::Exact => Projection::Exact,
+            ProjectionArg::Affine => Projection::Affine,
+            ProjectionArg::Exact => Projection::Exact,
         };
         let order = match self.order {
             OrderArg::Centre => Order::Centre,
