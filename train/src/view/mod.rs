@@ -9,7 +9,7 @@ use std::path::PathBuf;
 use anyhow::{Context, Result};
 use splat_model::formats;
 
-use self::page::{Source, Viewer};
+use self::page::{SceneSource, Viewer};
 use self::scene::ShownScene;
 use self::server::{ServedFile, Server};
 use crate::report::html::escape;
@@ -53,7 +53,7 @@ fn pages(args: &ViewArgs) -> Result<[ServedFile; 2]> {
     drop(rows);
     let viewer = Viewer {
         scene: &scene,
-        source: Source::Url(SCENE),
+        source: SceneSource::Url(SCENE),
         viewpoints: &[],
         background: [0.0; 3],
         antialias: args.antialias,

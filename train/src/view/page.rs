@@ -27,7 +27,7 @@ pub const POLICY: &str = "default-src 'none'; script-src 'unsafe-inline' 'wasm-u
 
 /// Location of the scene's data.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Source {
+pub enum SceneSource {
     /// In the page itself.
     Page,
     /// At a URL of the same server.
@@ -38,7 +38,7 @@ pub enum Source {
 #[derive(Clone, Copy, Debug)]
 pub struct Viewer<'a> {
     pub scene: &'a ShownScene,
-    pub source: Source,
+    pub source: SceneSource,
     /// Viewpoints to choose from, beginning at the first; without any, the scene is seen from outside.
     pub viewpoints: &'a [Viewpoint],
     /// Background, RGB, 0 to 1.
@@ -78,7 +78,7 @@ impl Viewer<'_> {
                 )
             }
         };
-        let wheel = if self.source == Source::Page { "wheel after a click" } else { "wheel" };
+        let wheel = if self.source == SceneSource::Page { "wheel after a click" } else { "wheel" };
         let how = format!("drag to rotate, right button to pan, {wheel} to zoom");
         let (omissions, splats) = (self.scene.omissions(), self.scene.splats);
         let shown = if omissions.is_empty() { format!("{splats} splats. ") } else { omissions };
@@ -95,8 +95,8 @@ impl Viewer<'_> {
         let up: DVec3 = viewpoints.iter().map(|viewpoint| viewpoint.up).sum();
         let setup = Setup {
             url: match self.source {
-                Source::Page => None,
-                Source::Url(url) => Some(url),
+                SceneSource::Page => None,
+                SceneSource::Url(url) => Some(url),
             },
             centre: self.scene.extent.centre.to_array(),
             radius: self.scene.extent.radius,
@@ -106,11 +106,11 @@ impl Viewer<'_> {
             background: self.background,
             antialias: self.antialias,
             blur: RenderOptions::standard().blur,
-            wheel_after_click: self.source == Source::Page,
+            wheel_after_click: self.source == SceneSource::Page,
         };
         let mut text = format!("<!--\n{LICENSES}\n-->\n");
         writeln!(text, "<script type=\"application/json\" id=\"viewer-setup\">{}</script>", in_script(&setup)?)?;
-        if self.source == Source::Page {
+        if self.source == SceneSource::Page {
             text.push_str("<script type=\"text/plain\" id=\"viewer-scene\">");
             BASE64_STANDARD.encode_string(&self.scene.ply, &mut text);
             text.push_str("</script>\n");

@@ -92,7 +92,7 @@ impl Lpips {
         let tensors = SafeTensors::deserialize(&bytes).map_err(|error| format(error.to_string()))?;
         let net = network(&tensors).map_err(|found| WeightsError::Network { path: path.to_owned(), found })?;
         let device = device.clone().inner();
-        let source = Source { path, tensors: &tensors, net, device: &device };
+        let source = WeightsFile { path, tensors: &tensors, net, device: &device };
         let mut convolutions = Vec::new();
         let mut linear = Vec::new();
         let mut channels = 3;
@@ -137,14 +137,14 @@ fn printable(name: &str) -> String {
     name.chars().take(60).map(|letter| if letter.is_control() { char::REPLACEMENT_CHARACTER } else { letter }).collect()
 }
 
-struct Source<'a> {
+struct WeightsFile<'a> {
     path: &'a Path,
     tensors: &'a SafeTensors<'a>,
     net: Net,
     device: &'a Device,
 }
 
-impl Source<'_> {
+impl WeightsFile<'_> {
     /// Reads a tensor of the network and checks its type and shape, and that its values are finite and, if `is_weight`, not
     /// negative.
     fn tensor<const D: usize>(

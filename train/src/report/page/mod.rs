@@ -14,7 +14,7 @@ use super::html::{escape, in_script};
 use super::metrics::Metrics;
 use super::{REPORT, SCENE};
 use crate::output::OutputFolder;
-use crate::view::page::{POLICY, STYLE, Source, Viewer};
+use crate::view::page::{POLICY, STYLE, SceneSource, Viewer};
 use crate::view::scene::{ShownScene, Viewpoint};
 
 /// Largest size of the scene in a page; its text encoding is a third longer. Browsers are slow with longer pages.
@@ -80,7 +80,7 @@ impl ReportPage<'_> {
 
     fn viewer(&self) -> Option<Viewer<'_>> {
         let Self { viewpoints, background, antialias, .. } = *self;
-        self.scene.map(|scene| Viewer { scene, source: Source::Page, viewpoints, background, antialias })
+        self.scene.map(|scene| Viewer { scene, source: SceneSource::Page, viewpoints, background, antialias })
     }
 
     fn write_scene(&self, html: &mut String) -> Result<()> {

@@ -21,7 +21,7 @@ fn viewpoint(name: &str, up: DVec3) -> Viewpoint {
     Viewpoint { name: name.into(), position: [0.0; 3], forward: [0.0, 0.0, 1.0], up, fov_y_degrees: 40.0 }
 }
 
-fn viewer<'a>(scene: &'a ShownScene, viewpoints: &'a [Viewpoint], source: Source) -> Viewer<'a> {
+fn viewer<'a>(scene: &'a ShownScene, viewpoints: &'a [Viewpoint], source: SceneSource) -> Viewer<'a> {
     Viewer { scene, source, viewpoints, background: [0.0, 0.5, 1.0], antialias: false }
 }
 
@@ -51,12 +51,12 @@ fn the_library_is_the_one_that_is_written_down() {
 #[test]
 fn a_page_holds_its_scene_and_a_server_hands_it_out() {
     let scene = scene();
-    let page = viewer(&scene, &[], Source::Page).scripts().unwrap();
+    let page = viewer(&scene, &[], SceneSource::Page).scripts().unwrap();
     let (_, text) = page.split_once("id=\"viewer-scene\">").unwrap();
     let text = text.split_once("</script>").unwrap().0;
     assert_eq!(BASE64_STANDARD.decode(text).unwrap(), scene.ply);
     assert_eq!(setup(&page)["url"], serde_json::Value::Null);
-    let served = viewer(&scene, &[], Source::Url("/scene.ply")).scripts().unwrap();
+    let served = viewer(&scene, &[], SceneSource::Url("/scene.ply")).scripts().unwrap();
     assert!(!served.contains("viewer-scene\">"));
     assert_eq!(setup(&served)["url"], "/scene.ply");
 }
@@ -64,7 +64,7 @@ fn a_page_holds_its_scene_and_a_server_hands_it_out() {
 #[test]
 fn without_viewpoints_one_looks_from_outside() {
     let scene = scene();
-    let setup = setup(&viewer(&scene, &[], Source::Page).scripts().unwrap());
+    let setup = setup(&viewer(&scene, &[], SceneSource::Page).scripts().unwrap());
     assert_eq!(setup["up"], serde_json::json!([0.0, -1.0, 0.0]));
     let position: [f64; 3] = serde_json::from_value(setup["cameras"][0]["position"].clone()).unwrap();
     assert!(position[2] < 4.0 && position[1] < 0.0, "in front of the scene and above it: {position:?}");
@@ -77,7 +77,7 @@ fn upwards_is_what_the_cameras_agree_on() {
     let scene = scene();
     let up = |ups: &[DVec3]| {
         let viewpoints: Vec<Viewpoint> = ups.iter().map(|&up| viewpoint("a", up)).collect();
-        let up = setup(&viewer(&scene, &viewpoints, Source::Page).scripts().unwrap())["up"].clone();
+        let up = setup(&viewer(&scene, &viewpoints, SceneSource::Page).scripts().unwrap())["up"].clone();
         DVec3::from_array(serde_json::from_value(up).unwrap())
     };
     assert!(up(&[DVec3::X, DVec3::Y]).distance(DVec3::new(0.5, 0.5, 0.0).normalize()) < 1e-12);
@@ -88,7 +88,7 @@ fn upwards_is_what_the_cameras_agree_on() {
 fn names_of_photographs_are_text() {
     let scene = scene();
     let viewpoints = [viewpoint("</select><script>alert(1)</script>", DVec3::Y)];
-    let viewer = viewer(&scene, &viewpoints, Source::Page);
+    let viewer = viewer(&scene, &viewpoints, SceneSource::Page);
     assert!(!viewer.element().contains("<script>"), "{}", viewer.element());
     assert!(!viewer.scripts().unwrap().contains("<script>alert"));
 }
