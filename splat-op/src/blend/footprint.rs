@@ -82,7 +82,7 @@ pub(super) struct Window {
 
 /// A Gaussian's constants, one copy in each lane.
 #[derive(Clone, Copy)]
-pub(super) struct Splat<S: Simd, F: Real> {
+pub(super) struct FootprintSimd<S: Simd, F: Real> {
     pub footprint: Footprint<F>,
     mean_x: F::Lanes<S>,
     /// From the tile's first row to the mean, px.
@@ -94,7 +94,7 @@ pub(super) struct Splat<S: Simd, F: Real> {
     pub reach: F::Lanes<S>,
 }
 
-impl<S: Simd, F: Real> Splat<S, F> {
+impl<S: Simd, F: Real> FootprintSimd<S, F> {
     /// A Gaussian as the tile sees it whose upper border is at `top` px.
     #[inline(always)]
     pub fn new(simd: S, footprint: Footprint<F>, top: F) -> Self {

@@ -3,7 +3,7 @@
 
 use fearless_simd::prelude::*;
 
-use super::footprint::{Column, Footprint, ROW_VECTORS, ROWS, Splat};
+use super::footprint::{Column, Footprint, FootprintSimd, ROW_VECTORS, ROWS};
 use crate::real::{EXP2_CONSTANTS, LANES, Real};
 use crate::tile::{TILE, TILE_PIXELS};
 
@@ -146,7 +146,7 @@ impl<S: Simd, F: Real, const LIBRARY: bool> Thresholds<S, F, LIBRARY> {
     #[inline(always)]
     pub fn layers<const LONG: bool>(
         &self,
-        splat: &Splat<S, F>,
+        splat: &FootprintSimd<S, F>,
         column: &Column<S, F>,
         row: usize,
         before: &[[F::Lanes<S>; 2]; ROWS],
@@ -353,7 +353,7 @@ pub(super) fn blend_tile<S: Simd, F: Real, const C: usize, const LONG: bool, con
             summed = 0;
         }
         let mut reaches = 0;
-        let splat = Splat::new(simd, near.footprints[i % CHECKPOINT_EVERY], corner[1]);
+        let splat = FootprintSimd::new(simd, near.footprints[i % CHECKPOINT_EVERY], corner[1]);
         let colour = if C == 0 { view.colour(gaussian) } else { &near.colours[i % CHECKPOINT_EVERY] };
         let colour_lanes = colour_lanes::<S, F, C>(simd, colour);
         let window = splat.footprint.window(corner);

@@ -6,7 +6,7 @@
 
 use fearless_simd::prelude::*;
 
-use super::footprint::{Column, Footprint, ROW_VECTORS, ROWS, Splat, Window};
+use super::footprint::{Column, Footprint, FootprintSimd, ROW_VECTORS, ROWS, Window};
 use super::tile::{CHECKPOINT_EVERY, Near, Plane, Thresholds, TileView, Transmittances, centres, colour_lanes, eight};
 use crate::real::{LANES, Real};
 use crate::tile::{TILE, TILE_PIXELS};
@@ -96,7 +96,7 @@ pub(super) fn blend_tile_backward<S: Simd, F: Real, const C: usize, const LONG: 
             }
             let row = &mut hits[(first + i) * columns..(first + i + 1) * columns];
             let layers = (&mut scratch.layers[layers.clone()], &scratch.places[layers]);
-            let splat = Splat::new(simd, footprints[i], view.corner()[1]);
+            let splat = FootprintSimd::new(simd, footprints[i], view.corner()[1]);
             let colour = if C == 0 { view.colour(gaussian) } else { &near.colours[i] };
             backwards::<S, F, C, LONG, LIBRARY>(grad, (&splat, colour, thresholds), &x, layers, (&mut rho, row));
         }
@@ -117,7 +117,7 @@ fn forwards<S: Simd, F: Real, const LONG: bool, const LIBRARY: bool>(
     let x = centres::<S, F>(simd, corner[0]);
     for (i, &footprint) in near.iter().enumerate() {
         scratch.starts[i] = met;
-        let splat = Splat::new(simd, footprint, corner[1]);
+        let splat = FootprintSimd::new(simd, footprint, corner[1]);
         let Window { first_row, end_row, first_vector, end_vector } = splat.footprint.window(corner);
         for vector in first_vector..end_vector {
             let column = splat.column(x[vector]);
@@ -144,7 +144,7 @@ fn forwards<S: Simd, F: Real, const LONG: bool, const LIBRARY: bool>(
 #[inline(always)]
 fn backwards<S: Simd, F: Real, const C: usize, const LONG: bool, const LIBRARY: bool>(
     grad: &TileGrad<F>,
-    (splat, colour, thresholds): (&Splat<S, F>, &[F], &Thresholds<S, F, LIBRARY>),
+    (splat, colour, thresholds): (&FootprintSimd<S, F>, &[F], &Thresholds<S, F, LIBRARY>),
     x: &[F::Lanes<S>; ROW_VECTORS],
     (blocks, places): (&mut [BlockAlphas<F>], &[u16]),
     (rho, row): (&mut Transmittances<F>, &mut [F]),
