@@ -43,7 +43,7 @@ pub(super) struct Weights {
 /// A unit's strip.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
-struct Strip {
+struct UnitStrip {
     /// Where its line begins, and from value to value along it.
     base: usize,
     stride: usize,
@@ -56,7 +56,7 @@ struct Strip {
 
 /// The strip of this unit: down a column, or along a row.
 #[cube]
-fn own_strip(planes: Planes, #[comptime] vertical: bool, #[comptime] strip: usize) -> Strip {
+fn own_strip(planes: Planes, #[comptime] vertical: bool, #[comptime] strip: usize) -> UnitStrip {
     let unit = ABSOLUTE_POS as u32;
     let mut len = planes.width;
     if comptime!(vertical) {
@@ -75,11 +75,11 @@ fn own_strip(planes: Planes, #[comptime] vertical: bool, #[comptime] strip: usiz
         stride = planes.width;
     }
     let exists = line < planes.height * planes.count;
-    Strip { base: base as usize, stride: stride as usize, first, len, exists }
+    UnitStrip { base: base as usize, stride: stride as usize, first, len, exists }
 }
 
 #[cube]
-impl Strip {
+impl UnitStrip {
     /// The strip's values with those that the window reaches on both sides; zero outside the picture.
     fn load(&self, from: &[f32], offset: usize, #[comptime] strip: usize) -> Array<f32> {
         let mut values = Array::<f32>::new(comptime!(strip + 2 * HALF));
