@@ -136,7 +136,7 @@ impl AccuracyArgs {
 }
 
 /// Subject of a render: the capture, the scene if there is one already, and the mean number of pixels of a frame.
-pub type Subject<'a> = (&'a Capture, Option<&'a GaussianRows>, usize);
+pub type AccuracySubject<'a> = (&'a Capture, Option<&'a GaussianRows>, usize);
 
 impl RequestedAccuracy {
     /// Chooses from the frontier, if there is one, and prints which dials are turned and why. `base` has the model
@@ -144,7 +144,7 @@ impl RequestedAccuracy {
     ///
     /// # Errors
     /// If the frontier was measured on another scene or under other model choices, or nothing on it meets the target.
-    pub fn on(self, (capture, scene, pixels): Subject, base: &RenderOptions, work: Work) -> Result<Self> {
+    pub fn on(self, (capture, scene, pixels): AccuracySubject, base: &RenderOptions, work: Work) -> Result<Self> {
         let Self::Measured(frontier, path, target) = self else { return Ok(self) };
         let (path, of) = (path.display(), &frontier.provenance);
         const REMEDY: &str = "measure this one with `splat pareto`, or leave out `--frontier`";

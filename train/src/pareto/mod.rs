@@ -120,7 +120,7 @@ pub fn run(args: &ParetoArgs) -> Result<()> {
     })?;
     let trained = if args.train { train(args, &capture, &split, &photos, &device)? } else { Vec::new() };
 
-    let subject = page::Subject {
+    let subject = page::PageSubject {
         capture: name(&args.capture),
         scene: name(&args.scene),
         device: &device_name,
@@ -221,7 +221,7 @@ fn members(outcome: &BenchOutcome) -> [Vec<usize>; 2] {
     [render, step]
 }
 
-fn write(out: &OutputFolder, subject: &page::Subject, outcome: &BenchOutcome, trained: &[Trained]) -> Result<()> {
+fn write(out: &OutputFolder, subject: &page::PageSubject, outcome: &BenchOutcome, trained: &[Trained]) -> Result<()> {
     let [render, step] = members(outcome);
     let put = |name: &str, bytes: &[u8]| out.write(name, |file| Ok(file.write_all(bytes)?));
     put(TABLE, csv::text(&outcome.rows, &render).as_bytes())?;
@@ -240,7 +240,7 @@ fn write(out: &OutputFolder, subject: &page::Subject, outcome: &BenchOutcome, tr
     Ok(())
 }
 
-fn chart(subject: &page::Subject, outcome: &BenchOutcome, members: &[usize]) -> Chart {
+fn chart(subject: &page::PageSubject, outcome: &BenchOutcome, members: &[usize]) -> Chart {
     let dot = |(i, row): (usize, &SettingMeasurements)| {
         let time = row.times.forward;
         Some(Dot {

@@ -14,7 +14,7 @@ use super::verdict::{Graded, HARMLESS_DB, INVISIBLE_DB, Verdict, choice, verdict
 const FEW_ROUNDS: usize = 8;
 
 /// Subject of a page.
-pub struct Subject<'a> {
+pub struct PageSubject<'a> {
     pub capture: String,
     pub scene: String,
     pub device: &'a str,
@@ -26,7 +26,7 @@ pub struct Subject<'a> {
 }
 
 /// Returns the page. `members` are the rows on the frontiers of renders and of training steps.
-pub fn page(subject: &Subject, outcome: &BenchOutcome, members: [&[usize]; 2], trained: &[Trained]) -> String {
+pub fn page(subject: &PageSubject, outcome: &BenchOutcome, members: [&[usize]; 2], trained: &[Trained]) -> String {
     let mut text = intro(subject, outcome);
     text.push_str(&taken(subject, outcome, members));
     text.push_str("\n## Presets and combinations\n\n");
@@ -54,8 +54,8 @@ pub fn page(subject: &Subject, outcome: &BenchOutcome, members: [&[usize]; 2], t
     text
 }
 
-fn intro(subject: &Subject, outcome: &BenchOutcome) -> String {
-    let Subject { capture, scene, device, splats, views, size: (width, height), .. } = subject;
+fn intro(subject: &PageSubject, outcome: &BenchOutcome) -> String {
+    let PageSubject { capture, scene, device, splats, views, size: (width, height), .. } = subject;
     let (rounds, yardstick, names) = (outcome.rounds, outcome.yardstick, views.join(", "));
     let few = match rounds < FEW_ROUNDS {
         true => " **That is few**: before believing small differences, measure for longer (`--budget`).",
@@ -78,7 +78,7 @@ fn intro(subject: &Subject, outcome: &BenchOutcome) -> String {
 }
 
 /// Returns the summary.
-fn taken(subject: &Subject, outcome: &BenchOutcome, members: [&[usize]; 2]) -> String {
+fn taken(subject: &PageSubject, outcome: &BenchOutcome, members: [&[usize]; 2]) -> String {
     let mut text = String::from("\n## What to take from it\n\n");
     let works = [(Work::Render, INVISIBLE_DB, "to render"), (Work::Train, HARMLESS_DB, "to train")];
     for dial in measured_dials(outcome, Judge::Exact) {
@@ -116,7 +116,7 @@ fn measured_dials(outcome: &BenchOutcome, judge: Judge) -> impl Iterator<Item = 
 /// The values of a dial in the table's order, with their rows. The base's own value has the row of the base.
 fn values<'a>(
     dial: &'static Dial,
-    subject: &'a Subject,
+    subject: &'a PageSubject,
     outcome: &'a BenchOutcome,
 ) -> impl Iterator<Item = (String, &'a SettingMeasurements)> {
     dial.values.iter().filter_map(move |value| {
@@ -140,7 +140,7 @@ fn alone(dial: &Dial, outcome: &BenchOutcome) -> String {
 
 /// A dial's values with their errors in isolation, which other dials would hide, and their times with the other dials
 /// at the base.
-fn graded(dial: &'static Dial, subject: &Subject, outcome: &BenchOutcome, work: Work) -> Vec<Graded> {
+fn graded(dial: &'static Dial, subject: &PageSubject, outcome: &BenchOutcome, work: Work) -> Vec<Graded> {
     let one = |(value, row): (String, &SettingMeasurements)| {
         let alone = outcome.alone.iter().find(|alone| alone.dial == dial.name && alone.value == value)?;
         let accuracy = &alone.accuracy;
