@@ -8,7 +8,7 @@ use splat_model::accuracy::{DIALS, Dial, Frontier, Judge, Measured, Provenance, 
 use splat_op::RenderOptions;
 
 use super::dials::Candidate;
-use super::subject::{DeviceScene, MeasuredView, PARAMETERS, Sums, host};
+use super::subject::{DeviceScene, GradientSums, MeasuredView, PARAMETERS, host};
 use super::time::Times;
 use super::yardstick::{Truth, check_crops};
 use crate::memory::peak_mib;
@@ -197,7 +197,7 @@ impl Bench<'_> {
     /// Renders and differentiates every view. Returns the deviations and the peak memory, MiB.
     fn compare(&self, options: &RenderOptions, truth: &Truth) -> Result<(MeasuredError, Option<f64>)> {
         let (mut squares, mut count, mut max) = (0.0, 0, 0.0_f64);
-        let mut sums = Sums::default();
+        let mut sums = GradientSums::default();
         let mut memory = None;
         for view in 0..self.shots.len() {
             let cotangent = self.place.picture(view, &truth.cotangents[view]);
@@ -244,7 +244,7 @@ fn same_bits(a: &[f64], b: &[f64]) -> bool {
 }
 
 /// Returns the largest relative L2 error of a parameter's gradients, the parameter's name, and the smallest cosine.
-fn compare_gradients(found: &Sums, exact: &Sums) -> (f64, &'static str, f64) {
+fn compare_gradients(found: &GradientSums, exact: &GradientSums) -> (f64, &'static str, f64) {
     let norm = |values: &[f64]| values.iter().map(|value| value * value).sum::<f64>().sqrt();
     let largest = exact.iter().map(|values| norm(values)).fold(0.0, f64::max);
     let (mut error, mut worst, mut cosine) = (0.0, PARAMETERS[0], 1.0_f64);
@@ -371,7 +371,7 @@ mod tests {
 
     #[test]
     fn gradients_are_compared_parameter_by_parameter() {
-        let exact: Sums = [vec![3.0, 4.0], vec![1e-9, 0.0], vec![1.0, 0.0], vec![2.0], vec![5.0]];
+        let exact: GradientSums = [vec![3.0, 4.0], vec![1e-9, 0.0], vec![1.0, 0.0], vec![2.0], vec![5.0]];
         assert_eq!(compare_gradients(&exact, &exact), (0.0, "means", 1.0));
         let mut found = exact.clone();
         // A parameter with negligible gradients may have any error.

@@ -60,7 +60,7 @@ pub struct DeviceScene {
 pub const PARAMETERS: [&str; 5] = ["means", "rotations", "log_scales", "logit_opacities", "sh"];
 
 /// Gradients in the order of [`PARAMETERS`], summed over views.
-pub type Sums = [Vec<f64>; 5];
+pub type GradientSums = [Vec<f64>; 5];
 
 impl DeviceScene {
     /// Prepares a scene as in training: f32 on any device.
@@ -147,7 +147,7 @@ impl DeviceScene {
     }
 
     /// Adds a view's gradients to `sums`, which are empty at first.
-    pub fn add_gradients(&self, gradients: &Gradients, sums: &mut Sums) {
+    pub fn add_gradients(&self, gradients: &Gradients, sums: &mut GradientSums) {
         let of = &self.gaussians;
         let all = [
             of.means.val().grad(gradients).map(host),

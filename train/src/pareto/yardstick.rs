@@ -7,7 +7,7 @@ use glam::{DMat3, DVec3};
 use splat_op::exact::{ExactGaussian, ExactPose, render_exact};
 use splat_op::{Camera, Intrinsics, RenderOptions, render_view};
 
-use super::subject::{DeviceScene, MeasuredView, Sums, cotangent, host};
+use super::subject::{DeviceScene, GradientSums, MeasuredView, cotangent, host};
 
 /// The exact reference under some model choices.
 pub struct Truth {
@@ -16,7 +16,7 @@ pub struct Truth {
     /// Cotangents of the pictures by view, `[H, W, 3]` row-major.
     pub cotangents: Vec<Vec<f32>>,
     /// Gradients, summed over the views.
-    pub gradients: Sums,
+    pub gradients: GradientSums,
 }
 
 impl Truth {
@@ -31,7 +31,7 @@ impl Truth {
         options: &RenderOptions,
         mut done: impl FnMut(),
     ) -> Result<Self> {
-        let mut truth = Self { pictures: Vec::new(), cotangents: Vec::new(), gradients: Sums::default() };
+        let mut truth = Self { pictures: Vec::new(), cotangents: Vec::new(), gradients: GradientSums::default() };
         for (view, shot) in shots.iter().enumerate() {
             let picture = place.tracked(view, options)?;
             let exact = host(picture.colour.clone().inner());

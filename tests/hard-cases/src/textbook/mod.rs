@@ -101,7 +101,7 @@ pub fn pictures<N: Number>(scene: &HardScene, options: &RenderOptions) -> Vec<Ve
 type PixelValues<N> = (Vec<N>, N, N);
 
 /// Sums over pixels: one per visible Gaussian, and one for the background.
-type Sums<N> = (Vec<(Conic<N>, Vec<N>)>, Vec<N>);
+type PixelSums<N> = (Vec<(Conic<N>, Vec<N>)>, Vec<N>);
 
 /// Renders and differentiates a scene whose colours are features.
 pub fn evaluate<N: Number>(scene: &HardScene, weights: &Weights, style: Backward) -> Outputs {
@@ -111,7 +111,7 @@ pub fn evaluate<N: Number>(scene: &HardScene, weights: &Weights, style: Backward
     let pixels = scene.intrinsics.width * scene.intrinsics.height;
     let nought = N::of(0.0);
     let nothing = || Conic { mean_px: [nought; 2], conic: [nought; 3], depth: nought, opacity: nought };
-    let chunk = |first: usize| -> (Vec<PixelValues<N>>, Sums<N>) {
+    let chunk = |first: usize| -> (Vec<PixelValues<N>>, PixelSums<N>) {
         let mut sums: Vec<_> = splats.iter().map(|_| (nothing(), vec![nought; channels])).collect();
         let mut background = vec![nought; channels];
         let seen = (first..(first + CHUNK).min(pixels)).map(|pixel| {
@@ -129,7 +129,7 @@ pub fn evaluate<N: Number>(scene: &HardScene, weights: &Weights, style: Backward
     };
     let chunks: Vec<_> = (0..pixels).step_by(CHUNK).collect::<Vec<_>>().into_par_iter().map(chunk).collect();
     let mut pictures = [Vec::new(), Vec::new(), Vec::new()];
-    let mut total: Option<Sums<N>> = None;
+    let mut total: Option<PixelSums<N>> = None;
     for (seen, sums) in chunks {
         for (colour, alpha, depth) in seen {
             pictures[0].extend(colour.iter().map(|v| v.f64()));
@@ -145,7 +145,7 @@ pub fn evaluate<N: Number>(scene: &HardScene, weights: &Weights, style: Backward
     gradients(scene, &view, &sums, &background, pictures)
 }
 
-fn added<N: Number>((mut conics, mut background): Sums<N>, (more, behind): Sums<N>) -> Sums<N> {
+fn added<N: Number>((mut conics, mut background): PixelSums<N>, (more, behind): PixelSums<N>) -> PixelSums<N> {
     let sum = |to: &mut N, from: N| *to = *to + from;
     for ((to, to_colour), (from, from_colour)) in conics.iter_mut().zip(more) {
         to.mean_px.iter_mut().zip(from.mean_px).for_each(|(to, from)| sum(to, from));
