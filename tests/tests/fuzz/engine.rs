@@ -30,7 +30,7 @@ const LONGEST: usize = 1 << 16;
 const LARGEST_CORPUS: usize = 20_000;
 
 /// A reader under test.
-pub trait Target {
+pub trait FuzzTarget {
     /// Short name, for files.
     fn name(&self) -> &'static str;
     /// Returns valid inputs.
@@ -39,7 +39,7 @@ pub trait Target {
     fn words(&self) -> &'static [&'static str];
     /// Splits an input into fields, as far as it still has any. The fields in order are the whole input.
     fn split(&self, input: &[u8]) -> Vec<Vec<u8>>;
-    /// Writes an input to the file that [`Target::read`] reads.
+    /// Writes an input to the file that [`FuzzTarget::read`] reads.
     fn place(&mut self, input: &[u8]);
     /// Reads the input. Returns a description of the outcome, equal for similar inputs.
     ///
@@ -63,7 +63,7 @@ struct Tally {
 ///
 /// # Panics
 /// At the first input that breaks a rule, which is kept in `target/tmp/fuzz`.
-pub fn fuzz(target: &mut dyn Target) {
+pub fn fuzz(target: &mut dyn FuzzTarget) {
     let seconds = number("SPLAT_FUZZ_SECONDS").unwrap_or(30);
     let mut mutator = Mutator::new(number("SPLAT_FUZZ_SEED").unwrap_or(0));
     let watch = Watch::start(target.name());
@@ -104,7 +104,7 @@ pub fn fuzz(target: &mut dyn Target) {
 }
 
 /// Reads one input, checks the reader against the rules and returns the outcome.
-fn one(target: &mut dyn Target, input: &[u8], watch: &Watch, tally: &mut Tally) -> String {
+fn one(target: &mut dyn FuzzTarget, input: &[u8], watch: &Watch, tally: &mut Tally) -> String {
     target.place(input);
     watch.begin();
     let start = Instant::now();

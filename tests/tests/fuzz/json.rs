@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use splat_model::trainer::TrainConfig;
 use splat_train::{demo, report};
 
-use super::engine::{Target, folder};
+use super::engine::{FuzzTarget, folder};
 use super::seeds;
 use super::split;
 use super::targets::{bucket, shape};
@@ -23,7 +23,7 @@ impl Json {
     }
 }
 
-impl Target for Json {
+impl FuzzTarget for Json {
     fn name(&self) -> &'static str {
         "json"
     }

@@ -1,6 +1,6 @@
 //! Mutations of bytes, of fields, and of words of the format.
 
-use super::engine::Target;
+use super::engine::FuzzTarget;
 
 /// A stream of numbers (splitmix64, Steele et al. 2014).
 pub struct Mutator(u64);
@@ -73,7 +73,7 @@ const FLOATS: [f64; 11] =
     [0.0, -0.0, 1.0, -1.0, f64::NAN, f64::INFINITY, f64::NEG_INFINITY, f64::MAX, 5e-324, 1e15, 1e39];
 
 /// Returns an input of the corpus, changed once or several times. The first `seeds` of the corpus are valid.
-pub fn mutate(rng: &mut Mutator, target: &dyn Target, corpus: &[Vec<u8>], seeds: usize, longest: usize) -> Vec<u8> {
+pub fn mutate(rng: &mut Mutator, target: &dyn FuzzTarget, corpus: &[Vec<u8>], seeds: usize, longest: usize) -> Vec<u8> {
     // Half of the inputs start from a valid one, to reach deep code. The others start from found inputs, recent ones more often.
     let base = match rng.below(4) {
         0 | 1 => rng.pick(&corpus[..seeds]),
@@ -93,7 +93,7 @@ pub fn mutate(rng: &mut Mutator, target: &dyn Target, corpus: &[Vec<u8>], seeds:
 }
 
 /// Changes bytes without knowledge of the format.
-fn bytes(rng: &mut Mutator, mut input: Vec<u8>, target: &dyn Target, corpus: &[Vec<u8>]) -> Vec<u8> {
+fn bytes(rng: &mut Mutator, mut input: Vec<u8>, target: &dyn FuzzTarget, corpus: &[Vec<u8>]) -> Vec<u8> {
     let len = input.len();
     match rng.below(9) {
         0 => input.truncate(rng.below(len + 1)),
@@ -136,7 +136,7 @@ fn bytes(rng: &mut Mutator, mut input: Vec<u8>, target: &dyn Target, corpus: &[V
 }
 
 /// Changes whole fields.
-fn fields(rng: &mut Mutator, input: &[u8], target: &dyn Target, corpus: &[Vec<u8>]) -> Vec<u8> {
+fn fields(rng: &mut Mutator, input: &[u8], target: &dyn FuzzTarget, corpus: &[Vec<u8>]) -> Vec<u8> {
     let mut fields = target.split(input);
     let count = fields.len();
     if count == 0 {

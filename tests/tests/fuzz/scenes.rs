@@ -9,7 +9,7 @@ use flate2::read::GzDecoder;
 use flate2::write::GzEncoder;
 use splat_model::formats::{self, Format, FormatError, SceneFile};
 
-use super::engine::{Target, folder};
+use super::engine::{FuzzTarget, folder};
 use super::seeds::rows;
 use super::split;
 use super::targets::{bucket, judge_message, shape};
@@ -33,7 +33,7 @@ impl Scenes {
     }
 }
 
-impl Target for Scenes {
+impl FuzzTarget for Scenes {
     fn name(&self) -> &'static str {
         "scenes"
     }

@@ -8,7 +8,7 @@ use splat_model::capture::Capture;
 use splat_model::gaussians::GaussianRows;
 use splat_model::ply;
 
-use super::engine::{Target, folder};
+use super::engine::{FuzzTarget, folder};
 use super::seeds;
 use super::split::{self, ModelFile};
 
@@ -105,7 +105,7 @@ impl Ply {
     }
 }
 
-impl Target for Ply {
+impl FuzzTarget for Ply {
     fn name(&self) -> &'static str {
         "ply"
     }
@@ -250,7 +250,7 @@ impl Colmap {
     }
 }
 
-impl Target for Colmap {
+impl FuzzTarget for Colmap {
     fn name(&self) -> &'static str {
         self.name
     }

@@ -8,7 +8,7 @@ use splat_model::capture::demo::{self, DemoOptions};
 use splat_model::capture::{Capture, Split};
 use splat_model::effects::masks;
 
-use super::engine::{Target, folder};
+use super::engine::{FuzzTarget, folder};
 use super::split;
 use super::targets::{bucket, judge_message, shape};
 
@@ -103,7 +103,7 @@ impl Transforms {
     }
 }
 
-impl Target for Transforms {
+impl FuzzTarget for Transforms {
     fn name(&self) -> &'static str {
         self.name
     }
