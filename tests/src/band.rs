@@ -9,7 +9,7 @@ use burn::tensor::{DType, Device, Tensor};
 use splat_op::{Ellipses, Extras, Intrinsics, RenderOptions, blend, project, tile};
 
 use crate::random::Random;
-use crate::scene::{Scene, Tensors, host, tensor};
+use crate::scene::{Scene, SceneTensors, host, tensor};
 
 /// Relative change of an alpha near the cut by f32 rounding. The exponent there is -5.5 or less, `u` about 3, and a
 /// centre some 100 px from the origin is rounded to 8e-6 px, which is up to 1.5e-5 in `u` of the smallest ellipse
@@ -24,7 +24,7 @@ const DEPTH_ULPS: f64 = 8.0;
 
 /// Whether each pixel belongs to the band.
 pub fn boundary_band(scene: &Scene, options: &RenderOptions, device: &Device) -> Vec<bool> {
-    let Tensors { splats, camera, .. } = scene.tensors(device, DType::F64);
+    let SceneTensors { splats, camera, .. } = scene.tensors(device, DType::F64);
     let ellipses = project(&splats, &camera, &Extras::default(), options).expect("a valid scene").ellipses();
     // Features that differ from one Gaussian to the next, so that every exchange shows.
     let count = scene.count();

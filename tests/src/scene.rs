@@ -41,7 +41,7 @@ pub struct RenderOutputs {
 }
 
 /// Tensors of a scene.
-pub struct Tensors {
+pub struct SceneTensors {
     pub splats: Splats,
     pub sh: Tensor<3>,
     pub camera: Camera,
@@ -102,10 +102,10 @@ impl Scene {
     }
 
     /// Creates the tensors of the scene, tracked if the device records gradients.
-    pub fn tensors(&self, device: &Device, dtype: DType) -> Tensors {
+    pub fn tensors(&self, device: &Device, dtype: DType) -> SceneTensors {
         let count = self.count();
         let sh = leaf(&self.sh, [count, self.coefficients(), 3], device, dtype);
-        Tensors {
+        SceneTensors {
             splats: Splats {
                 means: leaf(&self.means, [count, 3], device, dtype),
                 rotations: leaf(&self.quats, [count, 4], device, dtype),
@@ -138,7 +138,7 @@ pub fn evaluate(
     dtype: DType,
 ) -> RenderOutputs {
     let device = device.clone().autodiff();
-    let Tensors { splats, sh, camera, background } = scene.tensors(&device, dtype);
+    let SceneTensors { splats, sh, camera, background } = scene.tensors(&device, dtype);
     let probe = Tensor::zeros([scene.count(), 2], (&device, dtype)).require_grad();
     let extras =
         Extras { background: Some(background.clone()), mean2d_probe: Some(probe.clone()), mean2d_abs_probe: None };
@@ -173,7 +173,7 @@ pub fn evaluate(
 
 /// Computes the outputs of the stages before rasterization.
 fn stages(scene: &Scene, options: &RenderOptions, device: &Device, dtype: DType) -> Vec<Named> {
-    let Tensors { splats, sh, camera, .. } = scene.tensors(device, dtype);
+    let SceneTensors { splats, sh, camera, .. } = scene.tensors(device, dtype);
     let ellipses = project(&splats, &camera, &Extras::default(), options).expect("a valid scene").ellipses();
     let colours = shade(&sh, &splats.means, &camera).expect("a valid scene");
     let (sigma_u, shear, sigma_v) = (host(ellipses.sigma_u), host(ellipses.shear), host(ellipses.sigma_v));

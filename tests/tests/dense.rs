@@ -5,7 +5,7 @@ use splat_op::{CameraModel, Ellipses, Extras, Intrinsics, RenderOptions, Splats,
 use splat_tests::compare::relative_error;
 use splat_tests::dense::{self, DenseEllipses};
 use splat_tests::random::Random;
-use splat_tests::scene::{Scene, Tensors, host, tensor};
+use splat_tests::scene::{Scene, SceneTensors, host, tensor};
 
 /// Both sides compute in f64 and differ only by rounding.
 const TOLERANCE: f64 = 1e-11;
@@ -58,7 +58,7 @@ fn loss<const D: usize>(colour: Tensor<D>, alpha: Tensor<D>, depth: Tensor<D>) -
 }
 
 /// Returns the gradients of a scene's leaves, by name. A leaf on which the loss does not depend has no gradient.
-fn gradients(leaves: &Tensors, grads: &Gradients) -> Vec<(&'static str, Vec<f64>)> {
+fn gradients(leaves: &SceneTensors, grads: &Gradients) -> Vec<(&'static str, Vec<f64>)> {
     let Splats { means, rotations, scales, opacities, .. } = &leaves.splats;
     vec![
         ("means", host(means.grad(grads).expect("tracked"))),
@@ -69,7 +69,7 @@ fn gradients(leaves: &Tensors, grads: &Gradients) -> Vec<(&'static str, Vec<f64>
     ]
 }
 
-fn assert_same_gradients(what: &str, [ours, theirs]: [(&Tensors, &Gradients); 2]) {
+fn assert_same_gradients(what: &str, [ours, theirs]: [(&SceneTensors, &Gradients); 2]) {
     for ((name, found), (_, expected)) in gradients(ours.0, ours.1).iter().zip(gradients(theirs.0, theirs.1)) {
         assert_same(&format!("{what}: gradient of {name}"), found, &expected);
     }
@@ -81,7 +81,7 @@ fn assert_same_pictures(what: &str, found: &Pictures, expected: &Pictures) {
     assert_same(&format!("{what}: depth"), &found.depth, &expected.depth);
 }
 
-fn dense_ellipses(leaves: &Tensors, options: &RenderOptions) -> DenseEllipses {
+fn dense_ellipses(leaves: &SceneTensors, options: &RenderOptions) -> DenseEllipses {
     let s = &leaves.splats;
     let geometry = [&s.means, &s.rotations, &s.scales];
     dense::project(geometry, &s.opacities, &leaves.camera.cam_from_world, &leaves.camera.intrinsics, options)
@@ -115,9 +115,9 @@ fn render_agrees_with_autodiff_of_the_dense_formulation() {
 
         assert_same_pictures(&what, &found, &expected);
         assert_same_gradients(&what, [(&ours, &our_grads), (&theirs, &their_grads)]);
-        let of = |leaves: &Tensors, grads| host(leaves.sh.grad(grads).expect("tracked"));
+        let of = |leaves: &SceneTensors, grads| host(leaves.sh.grad(grads).expect("tracked"));
         assert_same(&format!("{what}: gradient of sh"), &of(&ours, &our_grads), &of(&theirs, &their_grads));
-        let of = |leaves: &Tensors, grads| host(leaves.background.grad(grads).expect("tracked"));
+        let of = |leaves: &SceneTensors, grads| host(leaves.background.grad(grads).expect("tracked"));
         assert_same(&format!("{what}: gradient of background"), &of(&ours, &our_grads), &of(&theirs, &their_grads));
     }
 }

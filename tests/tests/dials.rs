@@ -6,7 +6,7 @@ use splat_op::{
     Splats, Storage, project, render, tile,
 };
 use splat_tests::random::Random;
-use splat_tests::scene::{Scene, Tensors, host, tensor};
+use splat_tests::scene::{Scene, SceneTensors, host, tensor};
 use splat_tests::tracked::{INPUTS, gradients_of};
 use splat_tests::{cpu_devices, gpu, ndarray};
 
@@ -35,7 +35,7 @@ fn needles(count: usize) -> Scene {
 
 /// Returns `colour alpha depth` and the number of intersections of all tiles.
 fn picture(scene: &Scene, options: &RenderOptions, (_, device, dtype): &Where) -> ([Vec<f64>; 3], f64) {
-    let Tensors { splats, camera, background, .. } = scene.tensors(device, *dtype);
+    let SceneTensors { splats, camera, background, .. } = scene.tensors(device, *dtype);
     let extras = Extras { background: Some(background), ..Extras::default() };
     let out = render(&splats, std::slice::from_ref(&camera), &extras, options).expect("a valid scene");
     let projected = project(&splats, &camera, &Extras::default(), options).expect("a valid scene");
@@ -67,7 +67,7 @@ fn culling_changes_time_alone() {
 fn with_harmonics(scene: &Scene, options: &RenderOptions, (_, device, dtype): &Where) -> (Vec<f64>, Vec<f64>) {
     let device = device.clone().autodiff();
     let sh = tensor::<3>(&scene.sh, [scene.count(), scene.coefficients(), 3], &device, *dtype).require_grad();
-    let Tensors { splats, camera, .. } = scene.tensors(&device, *dtype);
+    let SceneTensors { splats, camera, .. } = scene.tensors(&device, *dtype);
     let splats = Splats { colour: Colour::SphericalHarmonics(sh.clone()), ..splats };
     let out = render(&splats, &[camera], &Extras::default(), options).expect("a valid scene");
     let weights = Random::new(5).fill(CAMERA.width * CAMERA.height * 3, -1.0, 1.0);
@@ -105,7 +105,7 @@ fn harmonics_above_the_degree_are_as_if_they_were_not_there() {
 
 #[test]
 fn a_degree_that_no_harmonics_have_is_refused() {
-    let Tensors { splats, camera, .. } = needles(3).tensors(&Device::flex(), DType::F32);
+    let SceneTensors { splats, camera, .. } = needles(3).tensors(&Device::flex(), DType::F32);
     let options = OPTIONS.with_sh_degree(Some(5));
     let message = render(&splats, &[camera], &Extras::default(), &options).expect_err("refused").to_string();
     assert!(message.contains("`sh_degree` is 5") && message.contains("0 to 4"), "{message}");
@@ -114,7 +114,7 @@ fn a_degree_that_no_harmonics_have_is_refused() {
 #[test]
 fn without_a_cut_a_large_picture_of_many_gaussians_is_refused() {
     let wide = Intrinsics::centred(32_768, 32_768, 30_000.0);
-    let Tensors { splats, camera, .. } = needles(17).tensors(&Device::flex(), DType::F32);
+    let SceneTensors { splats, camera, .. } = needles(17).tensors(&Device::flex(), DType::F32);
     let camera = Camera { intrinsics: wide, ..camera };
     let uncut = RenderOptions { alpha_min: 0.0, ..OPTIONS };
     let projected = project(&splats, &camera, &Extras::default(), &uncut).expect("a valid scene");
@@ -220,7 +220,7 @@ fn a_scene_can_be_stored_in_half_precision_once() {
     // A value above the largest half is clamped to it and does not become infinite.
     scene.sh[5] = 1e6;
     for (name, device, dtype) in with_halves() {
-        let Tensors { splats, camera, .. } = scene.tensors(&device, dtype);
+        let SceneTensors { splats, camera, .. } = scene.tensors(&device, dtype);
         let colour = |splats: &Splats, options: &RenderOptions| {
             host(render(splats, std::slice::from_ref(&camera), &Extras::default(), options).expect("valid").colour)
         };
@@ -242,7 +242,7 @@ fn a_scene_can_be_stored_in_half_precision_once() {
 fn half_precision_is_refused_where_there_is_none() {
     let scene = Scene::random(&mut Random::new(21), 10, 1, CAMERA);
     let half = OPTIONS.with_coefficients(Storage::Half);
-    let Tensors { splats, camera, .. } = scene.tensors(&ndarray(), DType::F32);
+    let SceneTensors { splats, camera, .. } = scene.tensors(&ndarray(), DType::F32);
     let message = render(&splats, &[camera], &Extras::default(), &half).expect_err("refused").to_string();
     assert!(message.contains("`coefficients` is Storage::Half") && message.contains("Storage::Full"), "{message}");
 }

@@ -4,7 +4,7 @@ use burn::tensor::{DType, Device, Tensor};
 use splat_op::{Camera, Colour, Extras, Intrinsics, RenderOptions, SplatError, blend, project, render, shade, tile};
 use splat_tests::ndarray;
 use splat_tests::random::Random;
-use splat_tests::scene::{Scene, Tensors};
+use splat_tests::scene::{Scene, SceneTensors};
 
 const CAMERA: Intrinsics = Intrinsics { fx: 7.0, fy: 7.0, cx: 4.0, cy: 3.0, ..Intrinsics::centred(8, 6, 7.0) };
 
@@ -12,7 +12,7 @@ const COUNT: usize = 5;
 
 /// Arguments of a valid call of `render`, which a test makes invalid.
 struct Call {
-    tensors: Tensors,
+    tensors: SceneTensors,
     extras: Extras,
     options: RenderOptions,
 }
@@ -38,7 +38,7 @@ fn double<const D: usize>(t: &Tensor<D>) -> Tensor<D> {
 fn refusal(spoil: impl FnOnce(&mut Call)) -> String {
     let mut call = call();
     spoil(&mut call);
-    let Call { tensors: Tensors { splats, camera, .. }, extras, options } = call;
+    let Call { tensors: SceneTensors { splats, camera, .. }, extras, options } = call;
     render(&splats, &[camera], &extras, &options).expect_err("refused").to_string()
 }
 
@@ -50,7 +50,7 @@ fn assert_names(message: &str, argument: &str, hint: &str) {
 
 #[test]
 fn a_good_call_is_accepted() {
-    let Call { tensors: Tensors { splats, camera, .. }, extras, options } = call();
+    let Call { tensors: SceneTensors { splats, camera, .. }, extras, options } = call();
     let out = render(&splats, &[camera], &extras, &options).expect("nothing is wrong with it");
     assert_eq!(out.colour.dims(), [1, CAMERA.height, CAMERA.width, 3]);
     assert!(out.depth.is_none(), "depth without a request for it");
@@ -118,7 +118,7 @@ fn cameras_and_options_out_of_range_are_named() {
     assert_names(&spoilt(|c| c.tensors.camera.intrinsics.fx = 0.0), "fx", "positive");
     assert_names(&spoilt(|c| c.tensors.camera.intrinsics.fy = f64::NAN), "fy", "NaN");
     assert_names(&spoilt(|c| c.tensors.camera.intrinsics.cx = f64::INFINITY), "cx", "finite");
-    let Call { tensors: Tensors { splats, camera, .. }, extras, options } = call();
+    let Call { tensors: SceneTensors { splats, camera, .. }, extras, options } = call();
     let none = render(&splats, &[], &extras, &options).expect_err("refused");
     assert_names(&none.to_string(), "cameras", "at least one");
     let wide = Camera { intrinsics: Intrinsics { width: 9, ..CAMERA }, ..camera.clone() };
@@ -128,7 +128,7 @@ fn cameras_and_options_out_of_range_are_named() {
 
 #[test]
 fn single_stages_check_their_own_arguments() {
-    let Call { tensors: Tensors { splats, sh, camera, .. }, extras, options } = call();
+    let Call { tensors: SceneTensors { splats, sh, camera, .. }, extras, options } = call();
     let message = shade(&sh, &zeros([COUNT + 1, 3]), &camera).expect_err("refused").to_string();
     assert_names(&message, "sh", "dimension 0 must be 6");
     let projected = project(&splats, &camera, &Extras::default(), &options).expect("a valid scene");

@@ -8,7 +8,7 @@ use splat_tests::compare::relative_error;
 use splat_tests::cpu_devices;
 use splat_tests::lenses::lenses;
 use splat_tests::random::Random;
-use splat_tests::scene::{Scene, Tensors, host};
+use splat_tests::scene::{Scene, SceneTensors, host};
 
 const CAMERA: Intrinsics = Intrinsics { fx: 33.0, fy: 37.0, cx: 19.0, cy: 14.5, ..Intrinsics::centred(41, 27, 33.0) };
 
@@ -33,7 +33,7 @@ fn check(what: &str, scene: &Scene, options: &RenderOptions, tolerance: f64) {
     };
     let expected = render_exact(&gaussians, &pose, &scene.intrinsics, &scene.background, options);
     for (name, device) in cpu_devices() {
-        let Tensors { splats, camera, background, .. } = scene.tensors(&device, DType::F64);
+        let SceneTensors { splats, camera, background, .. } = scene.tensors(&device, DType::F64);
         let extras = Extras { background: Some(background), ..Extras::default() };
         let out = render(&splats, &[camera], &extras, options).expect("a valid scene");
         let colour: Vec<f64> = expected.iter().flat_map(|pixel| pixel.features.clone()).collect();

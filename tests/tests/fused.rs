@@ -5,7 +5,7 @@ use burn::tensor::{DType, Tensor};
 use splat_op::{Extras, Intrinsics, Order, Projection, RenderOptions, blend, project, shade, tile, witness};
 use splat_tests::gpu;
 use splat_tests::random::Random;
-use splat_tests::scene::{Scene, Tensors, host};
+use splat_tests::scene::{Scene, SceneTensors, host};
 
 #[test]
 fn every_stage_executes_kernels_and_no_twin() {
@@ -18,7 +18,7 @@ fn every_stage_executes_kernels_and_no_twin() {
     let scene = Scene::random(&mut Random::new(1), 50, 2, Intrinsics::centred(40, 30, 35.0));
     // Each stage has its own leaves, because Burn differentiates a graph only once.
     let leaves = || scene.tensors(&device, DType::F32);
-    let Tensors { splats, camera, .. } = leaves();
+    let SceneTensors { splats, camera, .. } = leaves();
     let options = RenderOptions::standard();
     let mut before = witness::dispatches();
     let mut launched = |stage: &str| {
@@ -34,13 +34,13 @@ fn every_stage_executes_kernels_and_no_twin() {
     let loss = (ellipses.mean2d.sum() + ellipses.sigma_u.sum()).backward();
     launched_after(host(splats.means.grad(&loss).expect("tracked")), || launched("the backward pass of project"));
 
-    let Tensors { splats, sh, camera, .. } = leaves();
+    let SceneTensors { splats, sh, camera, .. } = leaves();
     let colours = shade(&sh, &splats.means, &camera).expect("a valid scene");
     launched_after(host(colours.clone()), || launched("shade"));
     let loss = colours.clone().sum().backward();
     launched_after(host(sh.grad(&loss).expect("tracked")), || launched("the backward pass of shade"));
 
-    let Tensors { splats, camera, background, .. } = leaves();
+    let SceneTensors { splats, camera, background, .. } = leaves();
     let projected = project(&splats, &camera, &Extras::default(), &options).expect("a valid scene");
     launched_after(host(projected.ellipses().depth), || launched("project"));
     let tiles = tile(&projected, &options).expect("a valid scene");
@@ -56,7 +56,7 @@ fn every_stage_executes_kernels_and_no_twin() {
     launched_after(host(colours.grad(&loss).expect("tracked")), || launched("the backward pass of blend"));
 
     let along_rays = options.with_projection(Projection::Exact).with_order(Order::PerPixel);
-    let Tensors { splats, camera, background, .. } = leaves();
+    let SceneTensors { splats, camera, background, .. } = leaves();
     let projected = project(&splats, &camera, &Extras::default(), &along_rays).expect("a valid scene");
     let tiles = tile(&projected, &along_rays).expect("a valid scene");
     let hits: i64 = tiles.counts.clone().into_data().iter::<i64>().sum();
@@ -71,7 +71,7 @@ fn every_stage_executes_kernels_and_no_twin() {
         launched("the backward passes of rays and tilt")
     });
     // The counter of twin calls works.
-    let Tensors { splats, camera, .. } = scene.tensors(&burn::tensor::Device::flex(), DType::F32);
+    let SceneTensors { splats, camera, .. } = scene.tensors(&burn::tensor::Device::flex(), DType::F32);
     project(&splats, &camera, &Extras::default(), &options).expect("a valid scene");
     assert_eq!(witness::twin_calls(), 1);
 }

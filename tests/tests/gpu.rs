@@ -10,7 +10,7 @@ use splat_tests::gpu;
 use splat_tests::lenses::lenses;
 use splat_tests::perturb::judge;
 use splat_tests::random::Random;
-use splat_tests::scene::{Scene, Tensors, host, tensor};
+use splat_tests::scene::{Scene, SceneTensors, host, tensor};
 use splat_tests::tracked::{INPUTS, gradients_of};
 
 const CAMERA: Intrinsics = Intrinsics { fx: 61.0, fy: 64.0, cx: 36.0, cy: 26.5, ..Intrinsics::centred(75, 50, 61.0) };
@@ -93,7 +93,7 @@ fn gradients_do_not_depend_on_what_else_is_tracked() {
 fn features_of(scene: &Scene, channels: usize, (device, dtype): &Where) -> Vec<(&'static str, Vec<f64>)> {
     let device = device.clone().autodiff();
     let plain = Scene { sh: vec![0.0; 3 * scene.count()], ..scene.clone() };
-    let Tensors { mut splats, camera, background, .. } = plain.tensors(&device, *dtype);
+    let SceneTensors { mut splats, camera, background, .. } = plain.tensors(&device, *dtype);
     let features: Tensor<2> = tensor(&scene.sh, [scene.count(), channels], &device, *dtype).require_grad();
     splats.colour = Colour::Features(features.clone());
     let extras = Extras { background: Some(background.clone()), ..Extras::default() };
@@ -151,7 +151,7 @@ fn no_splats_and_none_visible_show_the_background_and_have_no_gradient() {
             let mut scene = Scene::random(&mut Random::new(7), 40, 1, CAMERA);
             // Behind the camera.
             scene.means.chunks_exact_mut(3).for_each(|mean| mean[2] = -3.0);
-            let Tensors { camera, background, .. } = scene.tensors(&tracked, DType::F32);
+            let SceneTensors { camera, background, .. } = scene.tensors(&tracked, DType::F32);
             // Burn does not track a slice without rows, so these tensors are leaves.
             let rows = |values: &[f64], columns| {
                 tensor::<2>(&values[..columns * count], [count, columns], &tracked, DType::F32).require_grad()
@@ -210,7 +210,7 @@ fn f64_and_tensors_elsewhere_are_refused() {
     let Some(device) = gpu() else { return };
     let scene = Scene::random(&mut Random::new(1), 5, 1, CAMERA);
     // Burn may create an f64 tensor on a GPU. The operation must never read its elements.
-    let Tensors { splats, camera, .. } = scene.tensors(&device, DType::F32);
+    let SceneTensors { splats, camera, .. } = scene.tensors(&device, DType::F32);
     let double = Splats { means: splats.means.clone().cast(DType::F64), ..splats.clone() };
     let refusal = project(&double, &camera, &Extras::default(), &SMOOTH).expect_err("refused").to_string();
     for part in ["`means`", "F64", "F32", "Tensor::cast", "CPU"] {

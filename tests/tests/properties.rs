@@ -5,7 +5,7 @@ use proptest::prelude::*;
 use splat_op::{Accumulation, Camera, Extras, Intrinsics, RenderOptions, Rendered, render};
 use splat_tests::compare::relative_error;
 use splat_tests::random::Random;
-use splat_tests::scene::{RenderOutputs, Scene, Tensors, Weights, evaluate, host, tensor};
+use splat_tests::scene::{RenderOutputs, Scene, SceneTensors, Weights, evaluate, host, tensor};
 use splat_tests::tracked::gradients_of;
 use splat_tests::{cpu_devices, devices, gpu};
 
@@ -24,7 +24,7 @@ fn everywhere() -> impl Iterator<Item = Where> {
 }
 
 fn picture(scene: &Scene, options: &RenderOptions, (device, dtype): Where) -> [Vec<f64>; 3] {
-    let Tensors { splats, camera, background, .. } = scene.tensors(&device, dtype);
+    let SceneTensors { splats, camera, background, .. } = scene.tensors(&device, dtype);
     let extras = Extras { background: Some(background), ..Extras::default() };
     values(render(&splats, &[camera], &extras, options).expect("a valid scene"))
 }
@@ -35,7 +35,7 @@ fn values(out: Rendered<4>) -> [Vec<f64>; 3] {
 
 /// Returns the gradient of a loss over some of the pictures of a render with respect to the centres.
 fn gradient_through(parts: [bool; 3], depth: bool, scene: &Scene, (device, dtype): Where) -> Vec<f64> {
-    let Tensors { splats, camera, background, .. } = scene.tensors(&device.autodiff(), dtype);
+    let SceneTensors { splats, camera, background, .. } = scene.tensors(&device.autodiff(), dtype);
     let extras = Extras { background: Some(background), ..Extras::default() };
     let options = RenderOptions::standard().with_depth(depth);
     let out = render(&splats, &[camera], &extras, &options).expect("a valid scene");

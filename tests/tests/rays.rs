@@ -8,7 +8,7 @@ use splat_op::{
 };
 use splat_tests::perturb::judge;
 use splat_tests::random::Random;
-use splat_tests::scene::{Scene, Tensors, host};
+use splat_tests::scene::{Scene, SceneTensors, host};
 use splat_tests::tracked::{INPUTS, gradients_of};
 use splat_tests::{cpu_devices, devices};
 
@@ -18,7 +18,7 @@ const CHOICES: [(Projection, Order); 3] =
     [(Projection::Exact, Order::Centre), (Projection::Affine, Order::PerPixel), (Projection::Exact, Order::PerPixel)];
 
 fn picture(scene: &Scene, options: &RenderOptions) -> Vec<f64> {
-    let Tensors { splats, camera, .. } = scene.tensors(&Device::flex(), DType::F64);
+    let SceneTensors { splats, camera, .. } = scene.tensors(&Device::flex(), DType::F64);
     host(render_view(&splats, &camera, &Extras::default(), options).expect("a valid scene").colour)
 }
 
@@ -59,7 +59,7 @@ fn tiles_lose_nothing() {
         }
         let options = RenderOptions { transmittance_min: 0.0, ..RenderOptions::standard() };
         let options = options.with_projection(choice.0).with_order(choice.1).with_depth(true);
-        let Tensors { splats, camera, .. } = scene.tensors(&Device::flex(), DType::F32);
+        let SceneTensors { splats, camera, .. } = scene.tensors(&Device::flex(), DType::F32);
         let projected = project(&splats, &camera, &Extras::default(), &options).expect("a valid scene");
         let features = colours(&splats, &camera).expect("a valid scene");
         let picture = |listed: &RenderOptions| {
@@ -121,7 +121,7 @@ fn a_wide_angle_shows_what_is_there() {
     scene.quats = vec![1.0, 0.0, 0.0, 0.0];
     scene.opacities = vec![1.0];
     let alpha = |projection: Projection| {
-        let Tensors { splats, camera, .. } = scene.tensors(&Device::flex(), DType::F64);
+        let SceneTensors { splats, camera, .. } = scene.tensors(&Device::flex(), DType::F64);
         let options = RenderOptions { alpha_min: 0.0, blur: 0.0, ..RenderOptions::standard() };
         let options = options.with_projection(projection);
         host(render_view(&splats, &camera, &Extras::default(), &options).expect("a valid scene").alpha)
@@ -144,7 +144,7 @@ fn a_wide_angle_shows_what_is_there() {
 fn every_gradient_reaches_its_input() {
     for (name, device) in cpu_devices() {
         let scene = Scene::random(&mut Random::new(8), 40, 1, CAMERA);
-        let Tensors { splats, sh, camera, background } = scene.tensors(&device.autodiff(), DType::F64);
+        let SceneTensors { splats, sh, camera, background } = scene.tensors(&device.autodiff(), DType::F64);
         let extras = Extras { background: Some(background.clone()), ..Extras::default() };
         let options = RenderOptions::standard().with_projection(Projection::Exact).with_order(Order::PerPixel);
         let out = render(&splats, std::slice::from_ref(&camera), &extras, &options).expect("a valid scene");
@@ -209,7 +209,7 @@ fn the_slope_of_a_render_is_that_of_its_gradient() {
         }
         scene
     };
-    let loss = |tensors: &Tensors| {
+    let loss = |tensors: &SceneTensors| {
         let picture = render_view(&tensors.splats, &tensors.camera, &Extras::default(), &options).expect("valid");
         let planes =
             [picture.colour, picture.alpha, picture.depth.expect("asked for")].map(|plane| plane.reshape([-1]));
@@ -236,7 +236,7 @@ fn the_slope_of_a_render_is_that_of_its_gradient() {
 #[test]
 fn what_cannot_be_is_refused() {
     let scene = Scene::random(&mut Random::new(1), 5, 0, CAMERA);
-    let Tensors { splats, camera, .. } = scene.tensors(&Device::flex(), DType::F32);
+    let SceneTensors { splats, camera, .. } = scene.tensors(&Device::flex(), DType::F32);
     let plain = RenderOptions::standard();
     for choice in CHOICES {
         let options = plain.with_projection(choice.0).with_order(choice.1);

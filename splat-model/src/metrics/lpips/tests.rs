@@ -12,12 +12,12 @@ use tempfile::TempDir;
 use super::*;
 
 /// Tensors by name: shape and values.
-pub(crate) type Tensors = BTreeMap<String, (Vec<usize>, Vec<f32>)>;
+pub(crate) type NamedTensors = BTreeMap<String, (Vec<usize>, Vec<f32>)>;
 
 /// Random weights, scaled so that features keep their magnitude.
-pub(crate) fn tensors(net: Net) -> Tensors {
+pub(crate) fn tensors(net: Net) -> NamedTensors {
     let mut rng = ChaCha8Rng::seed_from_u64(3);
-    let mut tensors = Tensors::new();
+    let mut tensors = NamedTensors::new();
     let mut add = |name: String, shape: Vec<usize>, range: std::ops::Range<f32>| {
         let values = (0..shape.iter().product()).map(|_| rng.random_range(range.clone())).collect();
         tensors.insert(name, (shape, values));
@@ -38,7 +38,7 @@ pub(crate) fn tensors(net: Net) -> Tensors {
 }
 
 /// Writes tensors to a file, and returns it with its folder.
-fn file(tensors: &Tensors) -> (TempDir, PathBuf) {
+fn file(tensors: &NamedTensors) -> (TempDir, PathBuf) {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("weights.safetensors");
     let views = tensors.iter().map(|(name, (shape, values))| {
@@ -48,7 +48,7 @@ fn file(tensors: &Tensors) -> (TempDir, PathBuf) {
     (folder, path)
 }
 
-pub(crate) fn read(tensors: &Tensors) -> Result<Lpips, WeightsError> {
+pub(crate) fn read(tensors: &NamedTensors) -> Result<Lpips, WeightsError> {
     let (_folder, path) = file(tensors);
     Lpips::read(&path, InputScaling::Scaled, &Device::flex())
 }
@@ -109,7 +109,7 @@ fn pictures_without_features_are_refused() {
 }
 
 /// The error message for a file after a change to its tensors.
-fn refusal(change: impl FnOnce(&mut Tensors)) -> String {
+fn refusal(change: impl FnOnce(&mut NamedTensors)) -> String {
     let mut tensors = tensors(Net::Alex);
     change(&mut tensors);
     let message = read(&tensors).expect_err("the weights are wrong").to_string();
@@ -127,7 +127,7 @@ fn wrong_weights_are_named() {
         &["`net.slice3.6.bias`", "alex", "missing", "[384]"],
     );
     has(refusal(|tensors| _ = tensors.remove("lin4.model.1.weight")), &["`lin4.model.1.weight`", "[1, 256, 1, 1]"]);
-    let flat = |tensors: &mut Tensors| {
+    let flat = |tensors: &mut NamedTensors| {
         _ = tensors.insert("net.slice2.3.weight".into(), (vec![192, 1600], vec![0.0; 192 * 1600]))
     };
     has(refusal(flat), &["`net.slice2.3.weight`", "[192, 1600]", "[192, 64, 5, 5]"]);
@@ -139,16 +139,17 @@ fn wrong_weights_are_named() {
         refusal(|tensors| tensors.get_mut("lin0.model.1.weight").unwrap().1[63] = -0.5),
         &["-0.5 as value 63", "negative"],
     );
-    has(refusal(Tensors::clear), &["no tensors", "net.slice1.0.weight"]);
-    let renamed = |tensors: &mut Tensors| {
+    has(refusal(NamedTensors::clear), &["no tensors", "net.slice1.0.weight"]);
+    let renamed = |tensors: &mut NamedTensors| {
         let first = tensors.remove("net.slice1.0.weight").unwrap();
         tensors.insert("features\u{1b}[2J.0.weight".into(), first);
     };
     has(refusal(renamed), &["no `net.slice1.0.weight`", "`features\u{fffd}[2J.0.weight`", "vgg"]);
-    let squeeze =
-        |tensors: &mut Tensors| _ = tensors.insert("lin5.model.1.weight".into(), (vec![1, 512, 1, 1], vec![0.0; 512]));
+    let squeeze = |tensors: &mut NamedTensors| {
+        _ = tensors.insert("lin5.model.1.weight".into(), (vec![1, 512, 1, 1], vec![0.0; 512]))
+    };
     has(refusal(squeeze), &["squeeze"]);
-    let other = |tensors: &mut Tensors| {
+    let other = |tensors: &mut NamedTensors| {
         _ = tensors.insert("net.slice1.0.weight".into(), (vec![64, 3, 7, 7], vec![0.0; 64 * 3 * 49]))
     };
     has(refusal(other), &["[64, 3, 7, 7]", "alex", "vgg"]);
