@@ -12,10 +12,10 @@ use crate::limit::{Machine, PassKind, Sizes};
 pub type PassResult = Box<dyn Any>;
 
 /// Timed part of a run. Its errors are errors of the op.
-pub type Timed = Box<dyn FnOnce() -> Result<PassResult, Box<dyn Error>>>;
+pub type TimedPart = Box<dyn FnOnce() -> Result<PassResult, Box<dyn Error>>>;
 
 /// Prepares a run, untimed, and returns the timed part.
-pub type Prepare = Box<dyn FnMut() -> Result<Timed, Box<dyn Error>>>;
+pub type Prepare = Box<dyn FnMut() -> Result<TimedPart, Box<dyn Error>>>;
 
 /// A pass to time, a line of the table.
 pub struct Pass {

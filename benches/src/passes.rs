@@ -17,7 +17,7 @@ use splat_op::{Camera, Colour, Extras, SplatError, Splats, render_view, shade, w
 
 use crate::job::{Job, OPTIONS};
 use crate::limit::PassKind;
-use crate::measure::{Pass, PassResult, Prepare, Timed};
+use crate::measure::{Pass, PassResult, Prepare, TimedPart};
 use crate::step::{SOUND, Step, density, rates};
 
 /// Returns all passes, in the order of a training step, then the step.
@@ -88,7 +88,7 @@ fn loss(image: Tensor<3>, truth: Truth) -> Prepare {
 fn loss_backward(image: Tensor<3>, truth: Truth) -> Prepare {
     Box::new(move || {
         let loss = photometric(leaf(&image), &truth, DEFAULT_LAMBDA);
-        Ok(Box::new(move || Ok(Box::new(loss.backward()) as PassResult)) as Timed)
+        Ok(Box::new(move || Ok(Box::new(loss.backward()) as PassResult)) as TimedPart)
     })
 }
 

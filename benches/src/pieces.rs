@@ -28,7 +28,7 @@ pub struct Pieces {
 }
 
 /// Result of a step in pieces.
-pub struct Timed {
+pub struct TimedStep {
     /// Loss, `[1]`.
     pub loss: Tensor<1>,
     /// Time of each pass, in the order of [`PassKind::PARTS`].
@@ -68,7 +68,7 @@ impl Pieces {
     ///
     /// # Errors
     /// If the op refuses the scene.
-    pub fn run(&mut self) -> Result<Timed, SplatError> {
+    pub fn run(&mut self) -> Result<TimedStep, SplatError> {
         self.step += 1;
         let mut watch = Watch { last: Instant::now(), seconds: [0.0; _] };
         let splats = self.scene.gaussians.splats();
@@ -149,7 +149,7 @@ impl Pieces {
         watch.lap(PassKind::Guard);
         self.scene.step(gradients, &Adam::default(), &rates(), self.step, None);
         watch.lap(PassKind::Adam);
-        Ok(Timed { loss, seconds: watch.seconds })
+        Ok(TimedStep { loss, seconds: watch.seconds })
     }
 }
 
@@ -178,7 +178,7 @@ mod tests {
         let mut losses = Vec::new();
         for _ in 0..5 {
             let expected = whole.run().expect("shapes fit").into_scalar::<f32>();
-            let Timed { loss, seconds } = pieces.run().expect("shapes fit");
+            let TimedStep { loss, seconds } = pieces.run().expect("shapes fit");
             assert_eq!(loss.into_scalar::<f32>(), expected);
             assert!(seconds.iter().all(|&part| part > 0.0), "{seconds:?}");
             losses.push(expected);

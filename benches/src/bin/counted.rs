@@ -15,7 +15,7 @@ use fearless_simd::Level;
 use splat_benches::allocations::{Allocated, CountingAllocator, allocated};
 use splat_benches::job::{Job, JobSize};
 use splat_benches::limit::PassKind;
-use splat_benches::measure::{Pass, PassResult, Prepare, Timed};
+use splat_benches::measure::{Pass, PassResult, Prepare, TimedPart};
 use splat_benches::passes::passes;
 
 // The system allocator, because mimalloc returns memory depending on time.
@@ -63,6 +63,6 @@ fn trainer_step(job: &Job) -> Prepare {
 /// Runs the counted part. Callgrind finds the function by its name.
 #[unsafe(no_mangle)]
 #[inline(never)]
-fn splat_counted(timed: Timed) -> Result<PassResult, Box<dyn Error>> {
+fn splat_counted(timed: TimedPart) -> Result<PassResult, Box<dyn Error>> {
     timed()
 }
