@@ -25,7 +25,7 @@ pub struct Pass {
 
 /// Times of several runs.
 #[derive(Clone, Copy, Debug)]
-pub struct Times {
+pub struct RunTimes {
     pub median_s: f64,
     pub runs: usize,
     /// Share of the processors' time that this program used during timed runs, at most 1. NaN if the system does not report
@@ -48,7 +48,7 @@ pub fn time<'a>(
     all: impl IntoIterator<Item = &'a mut Prepare>,
     device: &Device,
     budget: Duration,
-) -> Result<Vec<Times>, Box<dyn Error>> {
+) -> Result<Vec<RunTimes>, Box<dyn Error>> {
     let mut all: Vec<(&mut Prepare, Vec<TimedRun>)> = all.into_iter().map(|prepare| (prepare, Vec::new())).collect();
     let begin = Instant::now();
     for round in 0..WARM_UP + RUNS {
@@ -85,12 +85,12 @@ fn run(prepare: &mut Prepare, device: &Device) -> Result<TimedRun, Box<dyn Error
     Ok(TimedRun { elapsed_s, used_s })
 }
 
-fn summary(runs: &[TimedRun]) -> Times {
+fn summary(runs: &[TimedRun]) -> RunTimes {
     let mut seconds: Vec<f64> = runs.iter().map(|run| run.elapsed_s).collect();
     let there = seconds.iter().sum::<f64>() * rayon::current_num_threads() as f64;
     seconds.sort_by(f64::total_cmp);
     let used: f64 = runs.iter().map(|run| run.used_s).sum();
-    Times { median_s: seconds[seconds.len() / 2], runs: seconds.len(), busy: used / there }
+    RunTimes { median_s: seconds[seconds.len() / 2], runs: seconds.len(), busy: used / there }
 }
 
 /// Returns the processor time of this program so far, on all threads, in seconds with a resolution of hundredths; NaN without
@@ -119,7 +119,7 @@ pub fn table(
     sizes: &Sizes,
     budget: Duration,
     base: &[f64],
-) -> Result<Vec<Times>, Box<dyn Error>> {
+) -> Result<Vec<RunTimes>, Box<dyn Error>> {
     let all = time(passes.iter_mut().map(|pass| &mut pass.prepare), device, budget)?;
     println!(
         "  {:<21}{:>10}{:>6}{:>10}{:>9}{:>11}{:>11}{:>9}",

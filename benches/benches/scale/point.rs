@@ -9,7 +9,7 @@ use burn::tensor::{DType, Device, Tensor};
 use glam::DAffine3;
 use splat_benches::allocations::{allocated, held};
 use splat_benches::job::OPTIONS;
-use splat_benches::measure::{PassResult, Prepare, Times, time};
+use splat_benches::measure::{PassResult, Prepare, RunTimes, time};
 use splat_benches::step::Step;
 use splat_benches::{SyntheticView, values};
 use splat_model::gaussians::Gaussians;
@@ -101,7 +101,7 @@ pub fn run(point: &ScalePoint) -> Result<(), Box<dyn Error>> {
     let set_up = held() - empty;
     forget_peak();
     let (times, during) = allocated(|| time([&mut prepare], &Device::flex(), BUDGET));
-    let Times { median_s, runs, .. } = times?[0];
+    let RunTimes { median_s, runs, .. } = times?[0];
     println!("{median_s} {runs} {hits} {} {}", set_up + during.peak, peak_rss());
     Ok(())
 }

@@ -162,9 +162,9 @@ fn number(variable: &str) -> Option<u64> {
 }
 
 /// Ends the process if a reader never returns, because a test cannot be ended otherwise. The input is then still in its folder.
-struct Watch(Arc<Times>);
+struct Watch(Arc<WatchdogTimes>);
 
-struct Times {
+struct WatchdogTimes {
     start: Instant,
     /// Start of the current input, ms since `start`, plus 1; 0 between inputs, `u64::MAX` at the end.
     since: AtomicU64,
@@ -172,7 +172,7 @@ struct Times {
 
 impl Watch {
     fn start(name: &'static str) -> Self {
-        let times = Arc::new(Times { start: Instant::now(), since: AtomicU64::new(0) });
+        let times = Arc::new(WatchdogTimes { start: Instant::now(), since: AtomicU64::new(0) });
         let watched = times.clone();
         thread::spawn(move || {
             loop {
@@ -206,7 +206,7 @@ impl Watch {
     }
 }
 
-impl Times {
+impl WatchdogTimes {
     fn now(&self) -> u64 {
         self.start.elapsed().as_millis() as u64 + 1
     }

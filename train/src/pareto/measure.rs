@@ -9,7 +9,7 @@ use splat_op::RenderOptions;
 
 use super::dials::Candidate;
 use super::subject::{DeviceScene, GradientSums, MeasuredView, PARAMETERS, host};
-use super::time::Times;
+use super::time::FrameTimes;
 use super::yardstick::{Truth, check_crops};
 use crate::memory::peak_mib;
 use crate::progress;
@@ -42,7 +42,7 @@ pub struct SettingMeasurements {
     pub scores: Option<(f64, f64)>,
     /// Peak memory of a render with its backward pass, MiB; `None` where it is unknown.
     pub memory_mib: Option<f64>,
-    pub times: Times,
+    pub times: FrameTimes,
 }
 
 /// The subject of the measurements.

@@ -14,7 +14,7 @@ pub const ROUNDS_MIN: usize = 3;
 
 /// Times of a frame, ms.
 #[derive(Clone, Copy, Debug)]
-pub struct Times {
+pub struct FrameTimes {
     pub forward: Spread,
     pub backward: Spread,
     pub step: Spread,
@@ -28,7 +28,7 @@ impl Bench<'_> {
         all: &[RenderOptions],
         cotangents: &[Tensor<3>],
         budget: Duration,
-    ) -> Result<(Vec<Times>, usize)> {
+    ) -> Result<(Vec<FrameTimes>, usize)> {
         let begin = Instant::now();
         let mut samples = vec![[const { Vec::new() }; 3]; all.len()];
         let mut rounds = 0;
@@ -44,7 +44,7 @@ impl Bench<'_> {
         }
         let spread = |samples: &Vec<f64>| Spread::of(samples).context("a time is not finite");
         let times = samples.iter().map(|[forward, backward, step]| {
-            Ok(Times { forward: spread(forward)?, backward: spread(backward)?, step: spread(step)? })
+            Ok(FrameTimes { forward: spread(forward)?, backward: spread(backward)?, step: spread(step)? })
         });
         Ok((times.collect::<Result<_>>()?, rounds))
     }
