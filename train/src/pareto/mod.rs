@@ -30,7 +30,7 @@ use self::measure::{Bench, BenchOutcome, SettingMeasurements};
 use self::plot::{Chart, Dot, Mark};
 pub use self::subject::MeasuredView;
 use self::subject::{DeviceScene, off_the_clamp};
-use self::training::{Runs, Trained};
+use self::training::{Runs, TrainingResult};
 use crate::accuracy::ModelArgs;
 use crate::background::ShownBackground;
 use crate::device::{self, DeviceName};
@@ -199,7 +199,13 @@ pub fn choose_briefly(
     Ok(outcome.frontier(&bench, device_name, Provenance::default()).choose(target, work)?)
 }
 
-fn train(args: &ParetoArgs, capture: &Capture, split: &Split, test: &[Photo], device: &Device) -> Result<Vec<Trained>> {
+fn train(
+    args: &ParetoArgs,
+    capture: &Capture,
+    split: &Split,
+    test: &[Photo],
+    device: &Device,
+) -> Result<Vec<TrainingResult>> {
     let photos = input::photographs(capture, split.require_train()?, args.photos.max_side, args.masks)?;
     let config = TrainConfig { steps: args.train_steps, ..args.model.config() };
     let extent = input::extent(capture);
@@ -221,7 +227,12 @@ fn members(outcome: &BenchOutcome) -> [Vec<usize>; 2] {
     [render, step]
 }
 
-fn write(out: &OutputFolder, subject: &page::PageSubject, outcome: &BenchOutcome, trained: &[Trained]) -> Result<()> {
+fn write(
+    out: &OutputFolder,
+    subject: &page::PageSubject,
+    outcome: &BenchOutcome,
+    trained: &[TrainingResult],
+) -> Result<()> {
     let [render, step] = members(outcome);
     let put = |name: &str, bytes: &[u8]| out.write(name, |file| Ok(file.write_all(bytes)?));
     put(TABLE, csv::text(&outcome.rows, &render).as_bytes())?;
@@ -263,11 +274,11 @@ fn chart(subject: &page::PageSubject, outcome: &BenchOutcome, members: &[usize])
     }
 }
 
-fn train_chart(trained: &[Trained]) -> Option<Chart> {
+fn train_chart(trained: &[TrainingResult]) -> Option<Chart> {
     let points: Vec<FrontierPoint> =
         trained.iter().map(|run| FrontierPoint { quality_db: run.psnr.median, time: run.seconds }).collect();
     let members = frontier(&points);
-    let dot = |(i, run): (usize, &Trained)| Dot {
+    let dot = |(i, run): (usize, &TrainingResult)| Dot {
         name: run.name.into(),
         mark: if i == 0 { Mark::Preset } else { Mark::Dial },
         x: [run.seconds.lower, run.seconds.median, run.seconds.upper],
@@ -282,7 +293,7 @@ fn train_chart(trained: &[Trained]) -> Option<Chart> {
     })
 }
 
-fn say(out: &OutputFolder, outcome: &BenchOutcome, trained: &[Trained]) {
+fn say(out: &OutputFolder, outcome: &BenchOutcome, trained: &[TrainingResult]) {
     let [render, _] = members(outcome);
     progress::say("the frontier of renders, from accurate to fast:");
     for row in render.iter().map(|&i| &outcome.rows[i]) {

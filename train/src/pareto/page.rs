@@ -7,7 +7,7 @@ use splat_op::RenderOptions;
 
 use super::dials::Role;
 use super::measure::{Alone, BenchOutcome, SettingMeasurements};
-use super::training::Trained;
+use super::training::TrainingResult;
 use super::verdict::{Graded, HARMLESS_DB, INVISIBLE_DB, Verdict, choice, verdict};
 
 /// Quartiles of fewer rounds than this are unreliable.
@@ -26,7 +26,12 @@ pub struct PageSubject<'a> {
 }
 
 /// Returns the page. `members` are the rows on the frontiers of renders and of training steps.
-pub fn page(subject: &PageSubject, outcome: &BenchOutcome, members: [&[usize]; 2], trained: &[Trained]) -> String {
+pub fn page(
+    subject: &PageSubject,
+    outcome: &BenchOutcome,
+    members: [&[usize]; 2],
+    trained: &[TrainingResult],
+) -> String {
     let mut text = intro(subject, outcome);
     text.push_str(&taken(subject, outcome, members));
     text.push_str("\n## Presets and combinations\n\n");
@@ -198,7 +203,7 @@ fn pace(ours: &Spread, theirs: &Spread) -> String {
     }
 }
 
-fn training(trained: &[Trained]) -> String {
+fn training(trained: &[TrainingResult]) -> String {
     let Some(standard) = trained.first() else { return String::new() };
     let mut text = String::from(
         "\n## Training dials\n\n![Seconds of training against PSNR](pareto_train.svg)\n\nShort runs, with three seeds each, scored on \

@@ -66,7 +66,7 @@ fn coarse(coarsest_divisor: usize) -> Resolution {
 
 /// Results of a variant.
 #[derive(Clone, Debug)]
-pub struct Trained {
+pub struct TrainingResult {
     pub name: &'static str,
     pub flags: String,
     /// PSNR of the held-out photographs over the runs, dB.
@@ -92,7 +92,7 @@ impl Runs<'_> {
     ///
     /// # Errors
     /// If a run fails.
-    pub fn all(&self) -> Result<Vec<Trained>> {
+    pub fn all(&self) -> Result<Vec<TrainingResult>> {
         let counter = progress::counter("training", RUNS as usize * WAYS.len());
         let mut found = vec![(Vec::new(), Vec::new(), 0); WAYS.len()];
         for seed in 0..RUNS {
@@ -113,7 +113,7 @@ impl Runs<'_> {
             let flags =
                 flags.iter().fold(way.flags.to_owned(), |text, (name, number)| text.replace(name, &number.to_string()));
             let spread = |values: &[f64]| Spread::of(values).context("a score is not finite");
-            Ok(Trained { name: way.name, flags, psnr: spread(&psnr)?, seconds: spread(&seconds)?, splats })
+            Ok(TrainingResult { name: way.name, flags, psnr: spread(&psnr)?, seconds: spread(&seconds)?, splats })
         });
         trained.collect()
     }
