@@ -11,7 +11,7 @@ use crate::compare::{largest, norm, relative_error, worst};
 use crate::evaluate::{OF_NO_SPLAT, Outputs, culled, evaluate};
 use crate::number::Wide;
 use crate::random::Random;
-use crate::scene::{HardScene, Paint, STANDARD, Truth, Weights};
+use crate::scene::{HardScene, Paint, STANDARD, TruthSource, Weights};
 use crate::tensors::Named;
 use crate::textbook::{self, Backward};
 
@@ -123,7 +123,7 @@ impl Yardstick {
         let kept = kept(&scene);
         weights.mask(&kept);
         let plain = within_f32(evaluate(&scene, &weights, &device, DType::F64));
-        let wide = scene.truth == Truth::Wide;
+        let wide = scene.truth == TruthSource::Wide;
         let expected = match wide {
             true => within_f32(textbook::evaluate::<Wide>(&scene, &weights, Backward::Kept)),
             false => plain.clone(),
@@ -164,7 +164,7 @@ impl Yardstick {
             true => (self.condition.max(solid_condition(&self.scene)), 1e6, 1e-13),
             false => (self.condition, 1e9, 1e-14),
         };
-        let known = self.scene.truth == Truth::Wide || along_rays(options);
+        let known = self.scene.truth == TruthSource::Wide || along_rays(options);
         let features = self.scene.paint == Paint::Features(self.scene.channels());
         if known && features && !self.scene.stored && !cuts && !limited && condition < most {
             let found = exact(&self.scene);
@@ -337,7 +337,7 @@ fn kept(scene: &HardScene) -> Vec<bool> {
     let options = &scene.options;
     let pixels = scene.intrinsics.width * scene.intrinsics.height;
     let cuts = options.alpha_min > 0.0 || options.transmittance_min > 0.0;
-    if !cuts || scene.truth == Truth::Twin {
+    if !cuts || scene.truth == TruthSource::Twin {
         return vec![true; pixels];
     }
     let picture = |options: RenderOptions| textbook::pictures::<Wide>(scene, &options);

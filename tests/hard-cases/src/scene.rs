@@ -44,7 +44,7 @@ pub enum Paint {
 
 /// Source of a scene's reference values.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Truth {
+pub enum TruthSource {
     /// The papers' formulas in 106 bits, checked against the exact renderer where float64 suffices for that renderer.
     Wide,
     /// The CPU twin in f64, for decisions at thresholds and for scenes too large for 106-bit arithmetic.
@@ -77,7 +77,7 @@ pub struct HardScene {
     pub hold_alpha: bool,
     /// Rows that must be culled. No other row may be culled.
     pub culled: Vec<usize>,
-    pub truth: Truth,
+    pub truth: TruthSource,
     /// Number of random moves of the inputs by one ulp.
     pub draws: u64,
     /// Seed of the weights of the loss.
@@ -159,7 +159,7 @@ impl HardScene {
             hold_depth: false,
             hold_alpha: false,
             culled: Vec::new(),
-            truth: Truth::Wide,
+            truth: TruthSource::Wide,
             draws: 8,
             seed: 1,
         };
@@ -190,7 +190,7 @@ impl HardScene {
         Self { intrinsics, ..self }
     }
 
-    pub fn with_truth(self, truth: Truth) -> Self {
+    pub fn with_truth(self, truth: TruthSource) -> Self {
         Self { truth, ..self }
     }
 
@@ -208,7 +208,7 @@ impl HardScene {
 
     /// Declares colours to be coefficients of spherical harmonics.
     pub fn with_harmonics(self, degree: usize) -> Self {
-        Self { paint: Paint::Harmonics(degree), truth: Truth::Twin, ..self }
+        Self { paint: Paint::Harmonics(degree), truth: TruthSource::Twin, ..self }
     }
 
     /// Declares scales to be logarithms and opacities logits.

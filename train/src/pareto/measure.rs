@@ -10,7 +10,7 @@ use splat_op::RenderOptions;
 use super::dials::Candidate;
 use super::subject::{DeviceScene, GradientSums, MeasuredView, PARAMETERS, host};
 use super::time::FrameTimes;
-use super::yardstick::{Truth, check_crops};
+use super::yardstick::{ReferenceRender, check_crops};
 use crate::memory::peak_mib;
 use crate::progress;
 
@@ -84,7 +84,7 @@ impl Bench<'_> {
         score: impl Fn(&RenderOptions) -> Result<Option<(f64, f64)>>,
     ) -> Result<BenchOutcome> {
         let yardstick = check_crops(&self.exact, &self.shots, &Dial::all_exact(self.base))?;
-        let mut truths: Vec<(RenderOptions, Truth)> = Vec::new();
+        let mut truths: Vec<(RenderOptions, ReferenceRender)> = Vec::new();
         let counter = progress::counter("checking settings", candidates.len());
         let mut checked = Vec::new();
         for candidate in candidates {
@@ -108,13 +108,17 @@ impl Bench<'_> {
     }
 
     /// Returns the exact reference under the model choices of `options`; it is computed once for each.
-    fn truth<'t>(&self, truths: &'t mut Vec<(RenderOptions, Truth)>, options: &RenderOptions) -> Result<&'t Truth> {
+    fn truth<'t>(
+        &self,
+        truths: &'t mut Vec<(RenderOptions, ReferenceRender)>,
+        options: &RenderOptions,
+    ) -> Result<&'t ReferenceRender> {
         let exact = Dial::all_exact(*options);
         let place = match truths.iter().position(|(of, _)| *of == exact) {
             Some(place) => place,
             None => {
                 let counter = progress::counter("rendering exactly", self.shots.len());
-                let truth = Truth::new(&self.exact, &self.shots, &exact, || counter.inc(1))?;
+                let truth = ReferenceRender::new(&self.exact, &self.shots, &exact, || counter.inc(1))?;
                 counter.finish_and_clear();
                 truths.push((exact, truth));
                 truths.len() - 1
@@ -124,7 +128,7 @@ impl Bench<'_> {
     }
 
     /// Measures the error of every value of every numerical dial, with the other dials at their most accurate.
-    fn alone(&self, truths: &mut Vec<(RenderOptions, Truth)>) -> Result<Vec<Alone>> {
+    fn alone(&self, truths: &mut Vec<(RenderOptions, ReferenceRender)>) -> Result<Vec<Alone>> {
         let gpu = splat_op::is_gpu(&self.place.device);
         let numerical = || DIALS.iter().filter(|dial| dial.judge == Judge::Exact && (gpu || !dial.gpu_only));
         let accurate = numerical().filter_map(|dial| dial.values.first());
@@ -142,7 +146,7 @@ impl Bench<'_> {
     }
 
     /// Returns the cotangents of the base, on the device.
-    fn cotangents(&self, truths: &mut Vec<(RenderOptions, Truth)>) -> Result<Vec<Tensor<3>>> {
+    fn cotangents(&self, truths: &mut Vec<(RenderOptions, ReferenceRender)>) -> Result<Vec<Tensor<3>>> {
         let truth = self.truth(truths, &self.base)?;
         Ok(truth.cotangents.iter().enumerate().map(|(view, values)| self.place.picture(view, values)).collect())
     }
@@ -151,7 +155,7 @@ impl Bench<'_> {
     fn check(
         &self,
         candidate: &Candidate,
-        truths: &mut Vec<(RenderOptions, Truth)>,
+        truths: &mut Vec<(RenderOptions, ReferenceRender)>,
         score: &impl Fn(&RenderOptions) -> Result<Option<(f64, f64)>>,
     ) -> Result<(Option<MeasuredError>, Option<(f64, f64)>, Option<f64>)> {
         let options = &candidate.options;
@@ -195,7 +199,7 @@ impl Bench<'_> {
     }
 
     /// Renders and differentiates every view. Returns the deviations and the peak memory, MiB.
-    fn compare(&self, options: &RenderOptions, truth: &Truth) -> Result<(MeasuredError, Option<f64>)> {
+    fn compare(&self, options: &RenderOptions, truth: &ReferenceRender) -> Result<(MeasuredError, Option<f64>)> {
         let (mut squares, mut count, mut max) = (0.0, 0, 0.0_f64);
         let mut sums = GradientSums::default();
         let mut memory = None;

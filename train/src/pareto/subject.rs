@@ -216,7 +216,7 @@ pub fn host<const D: usize>(tensor: Tensor<D>) -> Vec<f64> {
 mod tests {
     use splat_model::accuracy::Dial;
 
-    use super::super::yardstick::Truth;
+    use super::super::yardstick::ReferenceRender;
     use super::super::yardstick::tests::{rows, shots};
     use super::*;
 
@@ -231,7 +231,7 @@ mod tests {
         let (shots, options) = (shots(), Dial::all_exact(RenderOptions::standard()));
         let moved = |rows: &GaussianRows| {
             let place = DeviceScene::in_f64(rows, &shots, [0.0; 3]).unwrap();
-            let truth = Truth::new(&place, &shots, &options, || ()).unwrap();
+            let truth = ReferenceRender::new(&place, &shots, &options, || ()).unwrap();
             let green = truth.gradients[4].iter().skip(1).step_by(3);
             (green.fold(0.0_f64, |most, value| most.max(value.abs())), truth.pictures)
         };

@@ -10,7 +10,7 @@ use splat_op::{Camera, Intrinsics, RenderOptions, render_view};
 use super::subject::{DeviceScene, GradientSums, MeasuredView, cotangent, host};
 
 /// The exact reference under some model choices.
-pub struct Truth {
+pub struct ReferenceRender {
     /// Pictures by view, `[H, W, 3]` row-major.
     pub pictures: Vec<Vec<f64>>,
     /// Cotangents of the pictures by view, `[H, W, 3]` row-major.
@@ -19,7 +19,7 @@ pub struct Truth {
     pub gradients: GradientSums,
 }
 
-impl Truth {
+impl ReferenceRender {
     /// Renders and differentiates every view of `place`, which must be in f64. Each numerical dial of `options` should
     /// have the value that approximates nothing. `done` is called after each view.
     ///
@@ -204,7 +204,7 @@ pub(super) mod tests {
         let options = Dial::all_exact(RenderOptions::standard());
         let truth = |shots: &[MeasuredView]| {
             let place = DeviceScene::in_f64(&rows(12), shots, [0.0; 3]).unwrap();
-            Truth::new(&place, shots, &options, || ()).unwrap()
+            ReferenceRender::new(&place, shots, &options, || ()).unwrap()
         };
         let all = shots();
         let (both, first, second) = (truth(&all), truth(&all[..1]), truth(&all[1..]));

@@ -4,7 +4,7 @@ use splat_op::Intrinsics;
 
 use crate::case::{HardCase, Processor};
 use crate::random::Random;
-use crate::scene::{HardScene, Splat, Truth};
+use crate::scene::{HardScene, Splat, TruthSource};
 
 /// Number of Gaussians over one tile.
 const CROWD: usize = 200_000;
@@ -88,5 +88,5 @@ fn crowd(count: usize) -> HardScene {
             splat.opacity(random.between(1e-5, 5e-5)).colour(&random.fill(3, 0.0, 1.0))
         })
         .collect();
-    HardScene::new("8 × 8 px", &splats).with_camera(lens).holding_depth().with_truth(Truth::Twin).with_draws(2)
+    HardScene::new("8 × 8 px", &splats).with_camera(lens).holding_depth().with_truth(TruthSource::Twin).with_draws(2)
 }

@@ -4,7 +4,7 @@ use splat_op::{Intrinsics, RenderOptions};
 
 use crate::case::HardCase;
 use crate::random::Random;
-use crate::scene::{HardScene, SMOOTH, STANDARD, Splat, Truth};
+use crate::scene::{HardScene, SMOOTH, STANDARD, Splat, TruthSource};
 
 /// Number of layers of a deep stack.
 const LAYERS: usize = 10_000;
@@ -111,7 +111,7 @@ fn at_threshold(label: &str, opacity: f32, options: RenderOptions) -> HardScene 
     HardScene::new(label, &[front(f64::from(opacity))])
         .with_neighbour(&neighbour())
         .with_options(options)
-        .with_truth(Truth::Twin)
+        .with_truth(TruthSource::Twin)
         .holding_alpha()
 }
 
@@ -123,7 +123,7 @@ fn finishing(label: &str, transmittance_min: f64) -> HardScene {
     };
     HardScene::new(label, &[layer(2.0, 0.5), layer(3.0, 0.5), layer(4.0, 0.25)])
         .with_options(RenderOptions { transmittance_min, ..SMOOTH })
-        .with_truth(Truth::Twin)
+        .with_truth(TruthSource::Twin)
         .holding_alpha()
 }
 

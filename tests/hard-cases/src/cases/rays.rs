@@ -9,7 +9,7 @@ use splat_op::{Intrinsics, Order, Projection, RenderOptions};
 use super::{near, needles, sizes};
 use crate::case::{CaseKind, HardCase, Processor};
 use crate::random::Random;
-use crate::scene::{HardScene, SMOOTH, Splat, Truth};
+use crate::scene::{HardScene, SMOOTH, Splat, TruthSource};
 
 /// Cases of other groups that also run with the ray-max projection.
 const PROJECTED: [&str; 17] = [
@@ -76,7 +76,7 @@ pub fn cases() -> Vec<HardCase> {
     let mut cases: Vec<HardCase> = again(&PROJECTED, "ray-max projection", exact).into_iter().map(loose).collect();
     cases.extend(again(&SORTED, "per-pixel sort", sorted));
     for (what, options) in [("per-pixel sort", sorted), ("ray-max projection and per-pixel sort", both)] {
-        let seen = |scene: HardScene| vec![scene.with_options(options).with_truth(Truth::Twin)];
+        let seen = |scene: HardScene| vec![scene.with_options(options).with_truth(TruthSource::Twin)];
         cases.push(
             HardCase::scenes(
                 format!("sheets that cross, {what}"),
@@ -100,7 +100,7 @@ pub fn cases() -> Vec<HardCase> {
 /// Runs a case of another group with other options.
 fn along_rays(case: HardCase, what: &str, options: RenderOptions) -> HardCase {
     let CaseKind::Scenes(scenes) = case.kind else { return case };
-    let scene = |scene: HardScene| scene.with_options(options).with_truth(Truth::Twin);
+    let scene = |scene: HardScene| scene.with_options(options).with_truth(TruthSource::Twin);
     let scenes = scenes.into_iter().map(scene).collect();
     HardCase { name: format!("{}, {what}", case.name), kind: CaseKind::Scenes(scenes), ..case }
 }

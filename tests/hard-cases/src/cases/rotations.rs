@@ -4,7 +4,7 @@ use burn::tensor::DType;
 
 use crate::case::{CaseOutcome, HardCase, TestDevice};
 use crate::evaluate::{Outputs, evaluate};
-use crate::scene::{HardScene, Splat, Truth};
+use crate::scene::{HardScene, Splat, TruthSource};
 
 /// A quaternion without special values.
 const QUAT: [f64; 4] = [0.61, -0.42, 0.37, 0.55];
@@ -15,7 +15,7 @@ pub fn cases() -> Vec<HardCase> {
             "zero quaternion",
             "it has no direction, and normalising it gives NaN in every implementation without a check",
             [("0", 0.0), ("−0", -0.0)]
-                .map(|(label, zero)| scene(label, [zero; 4]).with_culled(&[0]).with_truth(Truth::Twin))
+                .map(|(label, zero)| scene(label, [zero; 4]).with_culled(&[0]).with_truth(TruthSource::Twin))
                 .into(),
         )
         .hardness("|q| 0"),

@@ -1,7 +1,7 @@
 //! Sizes: from a millionth of a pixel to values whose squares overflow.
 
 use crate::case::HardCase;
-use crate::scene::{HardScene, SMOOTH, Splat, Truth};
+use crate::scene::{HardScene, SMOOTH, Splat, TruthSource};
 
 pub fn cases() -> Vec<HardCase> {
     let antialiased = SMOOTH.with_antialias(true);
@@ -49,19 +49,19 @@ pub fn cases() -> Vec<HardCase> {
         HardCase::scenes(
             "log-scale −50",
             "a training run that diverged can store this value, and its squared scale is below the range of f32",
-            vec![stored("−50", [-50.0; 3], Truth::Wide).with_neighbour(&logit(neighbour()))],
+            vec![stored("−50", [-50.0; 3], TruthSource::Wide).with_neighbour(&logit(neighbour()))],
         )
         .hardness("2e-22 units"),
         HardCase::scenes(
             "log-scale +50",
             "a training run that diverged can store this value, and its squared scale is above the range of f32",
-            vec![stored("+50", [50.0, 49.5, 50.2], Truth::Wide)],
+            vec![stored("+50", [50.0, 49.5, 50.2], TruthSource::Wide)],
         )
         .hardness("5e21 units"),
         HardCase::scenes(
             "log-scale +50, −50 and 0",
             "it is a needle whose determinant no float can represent and whose direction is within rounding error",
-            vec![stored("mixed", [50.0, -50.0, 0.0], Truth::Twin)],
+            vec![stored("mixed", [50.0, -50.0, 0.0], TruthSource::Twin)],
         )
         .hardness("ratio 3e43"),
     ]
@@ -78,7 +78,7 @@ fn logit(splat: Splat) -> Splat {
     splat.scale(scale).opacity(0.85)
 }
 
-fn stored(label: &str, log_scale: [f64; 3], truth: Truth) -> HardScene {
+fn stored(label: &str, log_scale: [f64; 3], truth: TruthSource) -> HardScene {
     let hard = Splat::at([12.3, 30.8], 3.0, 1.0).scale(log_scale).opacity(0.4);
     HardScene::new(label, &[hard]).stored().with_truth(truth)
 }
