@@ -15,7 +15,7 @@ pub enum Judge {
 
 /// One value of a dial.
 #[derive(Clone, Copy, Debug)]
-pub struct Value {
+pub struct DialValue {
     /// Name in files and on command lines.
     pub name: &'static str,
     /// Sets the dial to this value.
@@ -41,7 +41,7 @@ pub struct Dial {
     /// Whether only cameras without a lens support the dial.
     pub pinhole_only: bool,
     /// The values that are measured, the most accurate first.
-    pub values: &'static [Value],
+    pub values: &'static [DialValue],
     /// Sets a numerical dial to the value without approximation, for the exact render in f64, however long that takes. Leaves a
     /// model choice unchanged.
     pub exact: fn(RenderOptions) -> RenderOptions,
@@ -51,12 +51,12 @@ pub struct Dial {
 /// f32.
 const ALPHA_OF_THE_EXACT: f64 = 1e-12;
 
-const fn value(name: &'static str, rms_bound: f64, set: fn(RenderOptions) -> RenderOptions) -> Value {
-    Value { name, set, rms_bound }
+const fn value(name: &'static str, rms_bound: f64, set: fn(RenderOptions) -> RenderOptions) -> DialValue {
+    DialValue { name, set, rms_bound }
 }
 
 /// A value of a model choice.
-const fn choice(name: &'static str, set: fn(RenderOptions) -> RenderOptions) -> Value {
+const fn choice(name: &'static str, set: fn(RenderOptions) -> RenderOptions) -> DialValue {
     value(name, 0.0, set)
 }
 
@@ -261,12 +261,12 @@ impl Dial {
     }
 
     /// The dial's value of that name.
-    pub fn value(&self, name: &str) -> Option<&'static Value> {
+    pub fn value(&self, name: &str) -> Option<&'static DialValue> {
         self.values.iter().find(|value| value.name == name)
     }
 
     /// The dial's value in `options`, if it is one of the listed values.
-    pub fn value_in(&self, options: &RenderOptions) -> Option<&'static Value> {
+    pub fn value_in(&self, options: &RenderOptions) -> Option<&'static DialValue> {
         self.values.iter().find(|value| (value.set)(*options) == *options)
     }
 

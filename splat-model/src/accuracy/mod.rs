@@ -12,7 +12,7 @@ mod provenance;
 mod setting;
 
 pub use self::choice::{ChosenSetting, NoChoice, Target, Work};
-pub use self::dials::{DIALS, Dial, Judge, Value};
+pub use self::dials::{DIALS, Dial, DialValue, Judge};
 pub use self::frontier::{FrontierPoint, Spread, frontier};
 pub use self::measured::{Frontier, FrontierError, Measured, STANDARD, decibels};
 pub use self::provenance::Provenance;

@@ -82,7 +82,7 @@ impl Setting {
     }
 
     /// The dials and their values, in the order of the dials' names.
-    pub fn values(&self) -> impl Iterator<Item = (&'static Dial, &'static super::Value)> {
+    pub fn values(&self) -> impl Iterator<Item = (&'static Dial, &'static super::DialValue)> {
         self.0.iter().filter_map(|(name, value)| {
             let dial = Dial::named(name)?;
             Some((dial, dial.value(value)?))

@@ -63,7 +63,7 @@ pub fn candidates(base: &RenderOptions, [gpu, pinholes, choices]: [bool; 3]) -> 
         }));
     }
     let numerical = || dials().filter(|dial| dial.judge == Judge::Exact);
-    let every = |which: fn(&Dial) -> Option<&'static splat_model::accuracy::Value>| {
+    let every = |which: fn(&Dial) -> Option<&'static splat_model::accuracy::DialValue>| {
         let turned = numerical().filter_map(move |dial| {
             let value = which(dial)?;
             ((value.set)(*base) != *base).then_some((dial.name, value.name))

@@ -146,7 +146,7 @@ fn excerpt(bytes: &[u8], line: usize, column: usize) -> String {
 }
 
 /// A value of a field, built from JSON.
-trait Value: Sized {
+trait JsonValue: Sized {
     fn from_number(_: f64) -> Option<Self> {
         None
     }
@@ -170,25 +170,25 @@ fn drain<'de, A: SeqAccess<'de>>(mut list: A) -> Result<usize, A::Error> {
     Ok(count)
 }
 
-impl Value for f64 {
+impl JsonValue for f64 {
     fn from_number(number: f64) -> Option<Self> {
         Some(number)
     }
 }
 
-impl Value for bool {
+impl JsonValue for bool {
     fn from_truth(truth: bool) -> Option<Self> {
         Some(truth)
     }
 }
 
-impl Value for String {
+impl JsonValue for String {
     fn from_text(text: &str) -> Option<Self> {
         Some(text.to_owned())
     }
 }
 
-impl Value for Vec<String> {
+impl JsonValue for Vec<String> {
     fn from_list<'de, A: SeqAccess<'de>>(mut list: A) -> Result<Field<Self>, A::Error> {
         let mut texts = Vec::new();
         while let Some(text) = list.next_element::<Field<String>>()? {
@@ -204,27 +204,27 @@ impl Value for Vec<String> {
     }
 }
 
-impl Value for MatrixRow {
+impl JsonValue for MatrixRow {
     fn from_list<'de, A: SeqAccess<'de>>(list: A) -> Result<Field<Self>, A::Error> {
         fixed(list, "numbers", 4, [0.0; 4])
     }
 }
 
-impl Value for Matrix {
+impl JsonValue for Matrix {
     fn from_list<'de, A: SeqAccess<'de>>(list: A) -> Result<Field<Self>, A::Error> {
         fixed(list, "rows", 3, [[0.0; 4], [0.0; 4], [0.0; 4], [0.0, 0.0, 0.0, 1.0]])
     }
 }
 
 /// Reads a list of `least` to `N` values over those of `values`.
-fn fixed<'de, T: Value, A: SeqAccess<'de>, const N: usize>(
+fn fixed<'de, T: JsonValue, A: SeqAccess<'de>, const N: usize>(
     mut list: A,
     what: &str,
     least: usize,
     mut values: [T; N],
 ) -> Result<Field<[T; N]>, A::Error>
 where
-    [T; N]: Value,
+    [T; N]: JsonValue,
 {
     let (mut count, mut wrong) = (0, None);
     while let Some(value) = list.next_element::<Field<T>>()? {
@@ -243,7 +243,7 @@ where
     })
 }
 
-impl Value for Vec<TransformsFrame> {
+impl JsonValue for Vec<TransformsFrame> {
     fn from_list<'de, A: SeqAccess<'de>>(mut list: A) -> Result<Field<Self>, A::Error> {
         let mut frames = Vec::new();
         while let Some(frame) = list.next_element::<TransformsFrame>()? {
@@ -258,7 +258,7 @@ impl Value for Vec<TransformsFrame> {
     }
 }
 
-impl<'de, T: Value> Deserialize<'de> for Field<T> {
+impl<'de, T: JsonValue> Deserialize<'de> for Field<T> {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         deserializer.deserialize_any(OfValue(PhantomData))
     }
@@ -271,7 +271,7 @@ fn field<T>(value: Option<T>, found: impl fmt::Display) -> Field<T> {
     value.map_or_else(|| Field::Wrong(found.to_string().into()), Field::Is)
 }
 
-impl<'de, T: Value> Visitor<'de> for OfValue<T> {
+impl<'de, T: JsonValue> Visitor<'de> for OfValue<T> {
     type Value = Field<T>;
 
     fn expecting(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
