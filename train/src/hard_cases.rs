@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use anyhow::{Result, bail};
 use clap::builder::PossibleValuesParser;
-use splat_hard_cases::judge::{Verdict, judge};
+use splat_hard_cases::judge::{CaseVerdict, judge};
 use splat_hard_cases::table::{Section, markdown};
 use splat_hard_cases::{CaseGroup, GROUPS, Processor, TestDevice};
 
@@ -56,7 +56,7 @@ pub fn run(args: &HardCasesArgs) -> Result<()> {
     progress::say(&text);
     out.write(TABLE, |file| Ok(file.write_all(text.as_bytes())?))?;
     let rows = || sections.iter().flat_map(|section| &section.rows);
-    let failed = rows().filter(|(_, row)| row.verdict() == Verdict::Failed).count();
+    let failed = rows().filter(|(_, row)| row.verdict() == CaseVerdict::Failed).count();
     if failed > 0 {
         bail!("{failed} of {} hard cases fail: see {}", rows().count(), out.join(TABLE).display());
     }

@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use anyhow::Result;
 use serde::Serialize;
-use splat_model::effects::plan::{self, Cost, Decision, Plan, Verdict};
+use splat_model::effects::plan::{self, Cost, Decision, EffectVerdict, Plan};
 use splat_model::effects::survey::{Survey, ViewExposure};
 
 use crate::report::metrics::seconds_since;
@@ -67,11 +67,11 @@ pub fn text(survey: &Survey, plan: &Plan) -> String {
 /// Formats a decision for people.
 fn line(decision: &Decision) -> String {
     let verdict = match decision.verdict {
-        Verdict::On => "ON",
-        Verdict::Off => "off",
-        Verdict::AsConfigured => "as configured",
+        EffectVerdict::On => "ON",
+        EffectVerdict::Off => "off",
+        EffectVerdict::AsConfigured => "as configured",
     };
-    let cost = decision.predicted.filter(|_| decision.verdict == Verdict::On).map_or(String::new(), |cost| {
+    let cost = decision.predicted.filter(|_| decision.verdict == EffectVerdict::On).map_or(String::new(), |cost| {
         let Cost { ms_per_step, mib } = cost;
         format!("\n{:18}  predicted cost: {ms_per_step:.1} ms a step, {mib:.2} MiB", "")
     });

@@ -35,7 +35,7 @@ const VIEW_DEPENDENCE: &str = "view-dependence";
 /// The outcome of a decision.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum Verdict {
+pub enum EffectVerdict {
     /// The effect is simulated.
     On,
     /// The effect is not needed.
@@ -62,7 +62,7 @@ pub struct Decision {
     #[serde(skip)]
     pub effect: Option<EffectKind>,
     /// The outcome.
-    pub verdict: Verdict,
+    pub verdict: EffectVerdict,
     /// The findings, in words.
     pub evidence: String,
     /// The condition for the effect.
@@ -81,13 +81,13 @@ pub struct Plan {
 impl Plan {
     /// Whether an effect is on.
     pub fn has(&self, effect: EffectKind) -> bool {
-        self.decisions.iter().any(|decision| decision.effect == Some(effect) && decision.verdict == Verdict::On)
+        self.decisions.iter().any(|decision| decision.effect == Some(effect) && decision.verdict == EffectVerdict::On)
     }
 
     /// The degree of the spherical harmonics that the colours call for: 0 if they do not depend on the view. `None` if they
     /// do, or if nothing is known: the user's value or the default then applies.
     pub fn sh_degree(&self) -> Option<usize> {
-        let matte = |decision: &Decision| decision.name == VIEW_DEPENDENCE && decision.verdict == Verdict::Off;
+        let matte = |decision: &Decision| decision.name == VIEW_DEPENDENCE && decision.verdict == EffectVerdict::Off;
         self.decisions.iter().any(matte).then_some(0)
     }
 
@@ -129,7 +129,7 @@ const OPTICS_MS: f64 = 10.0;
 const MIB: f64 = (1 << 20) as f64;
 
 fn decide(effect: EffectKind, on: bool, evidence: String, rule: String, cost: Option<Cost>) -> Decision {
-    let verdict = if on { Verdict::On } else { Verdict::Off };
+    let verdict = if on { EffectVerdict::On } else { EffectVerdict::Off };
     Decision { name: effect.name(), effect: Some(effect), verdict, evidence, rule, predicted: cost }
 }
 
@@ -191,7 +191,7 @@ fn lens(survey: &Survey) -> Decision {
     let rule =
         "on if the camera models have a lens: the scene is projected through it, and photographs are not undistorted"
             .into();
-    let verdict = if on { Verdict::On } else { Verdict::Off };
+    let verdict = if on { EffectVerdict::On } else { EffectVerdict::Off };
     Decision { name: "lens", effect: None, verdict, evidence, rule, predicted: None }
 }
 

@@ -31,7 +31,7 @@ pub struct CaseResult {
 
 /// Verdict on a row.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Verdict {
+pub enum CaseVerdict {
     Passed,
     /// The case is within a bound above the ceiling.
     Loose,
@@ -40,12 +40,12 @@ pub enum Verdict {
 
 impl CaseResult {
     /// Verdict over all paths.
-    pub fn verdict(&self) -> Verdict {
+    pub fn verdict(&self) -> CaseVerdict {
         let holds = self.remarks.is_empty() && self.places.iter().all(|(_, outcome)| outcome.passed());
         match (holds, self.loose) {
-            (false, _) => Verdict::Failed,
-            (true, true) => Verdict::Loose,
-            (true, false) => Verdict::Passed,
+            (false, _) => CaseVerdict::Failed,
+            (true, true) => CaseVerdict::Loose,
+            (true, false) => CaseVerdict::Passed,
         }
     }
 

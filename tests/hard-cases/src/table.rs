@@ -3,7 +3,7 @@
 use std::fmt::Write;
 
 use crate::case::{CaseOutcome, HardCase, MeasuredDeviation, Processor, TestDevice};
-use crate::judge::{CaseResult, Verdict};
+use crate::judge::{CaseResult, CaseVerdict};
 
 /// The cases of one group, each with its result.
 pub struct Section {
@@ -22,9 +22,9 @@ pub fn markdown(sections: &[Section], places: &[TestDevice]) -> String {
         "\nPaths: {}. Of {} cases {} pass, {} are loose, {} fail.",
         names.join(", "),
         rows().count(),
-        count(Verdict::Passed),
-        count(Verdict::Loose),
-        count(Verdict::Failed),
+        count(CaseVerdict::Passed),
+        count(CaseVerdict::Loose),
+        count(CaseVerdict::Failed),
     );
     if !places.iter().any(|place| place.processor == Processor::Gpu) {
         text.push_str("\nThe GPU was skipped: no adapter was found, or `SPLAT_GPU=skip`.\n");
@@ -77,10 +77,10 @@ fn line(case: &HardCase, row: &CaseResult) -> String {
     let [cpu, gpu] = [Processor::Cpu, Processor::Gpu].map(|processor| row.of(processor));
     let verdict = match row.verdict() {
         // The GPU did not run the case.
-        Verdict::Passed if case.beyond_software.is_some() && gpu.is_none() => "yes, on the CPU",
-        Verdict::Passed => "yes",
-        Verdict::Loose => "loose",
-        Verdict::Failed => "**no**",
+        CaseVerdict::Passed if case.beyond_software.is_some() && gpu.is_none() => "yes, on the CPU",
+        CaseVerdict::Passed => "yes",
+        CaseVerdict::Loose => "loose",
+        CaseVerdict::Failed => "**no**",
     };
     let forward = |outcome: &Option<CaseOutcome>| cell(outcome.as_ref().and_then(|outcome| outcome.forward));
     let gradient = |outcome: &Option<CaseOutcome>| cell(outcome.as_ref().and_then(|outcome| outcome.gradient));

@@ -8,7 +8,7 @@ use splat_op::RenderOptions;
 use super::dials::Role;
 use super::measure::{Alone, BenchOutcome, SettingMeasurements};
 use super::training::TrainingResult;
-use super::verdict::{Graded, HARMLESS_DB, INVISIBLE_DB, Verdict, choice, verdict};
+use super::verdict::{DialVerdict, Graded, HARMLESS_DB, INVISIBLE_DB, choice, verdict};
 
 /// Quartiles of fewer rounds than this are unreliable.
 const FEW_ROUNDS: usize = 8;
@@ -93,7 +93,7 @@ fn taken(subject: &PageSubject, outcome: &BenchOutcome, members: [&[usize]; 2]) 
             .zip(&found)
             .filter_map(|((_, _, what), found)| Some(format!("{what}, {}", found.as_ref()?.sentence())));
         _ = write!(text, "- `{}`: {}.", dial.name, said.collect::<Vec<_>>().join("; "));
-        if found.iter().flatten().all(Verdict::is_dominated) {
+        if found.iter().flatten().all(DialVerdict::is_dominated) {
             text.push_str(" **Dominated here**: nothing speaks for a coarser value.");
         }
         text.push('\n');

@@ -20,7 +20,7 @@ pub struct Graded {
 
 /// Verdict on a dial.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Verdict {
+pub enum DialVerdict {
     /// All values are equally accurate, and their times cannot be told apart.
     NoDifference,
     /// One value is measurably faster than another, and no less accurate.
@@ -37,7 +37,7 @@ pub enum Verdict {
 
 /// Judges the values of a dial. A quality of at least `harmless_db` is harmless. `None` for fewer
 /// than two values.
-pub fn verdict(values: &[Graded], harmless_db: f64) -> Option<Verdict> {
+pub fn verdict(values: &[Graded], harmless_db: f64) -> Option<DialVerdict> {
     let tenths = |graded: &Graded| (10.0 * graded.quality_db).round();
     let points: Vec<FrontierPoint> =
         values.iter().map(|v| FrontierPoint { quality_db: v.quality_db, time: v.time }).collect();
@@ -52,26 +52,26 @@ pub fn verdict(values: &[Graded], harmless_db: f64) -> Option<Verdict> {
         let (value, than) = (found.value.clone(), best.value.clone());
         let (saved, quality_db) = (saved(found, best), found.quality_db);
         return Some(match harmless.is_some() {
-            true => Verdict::Cheap { value, than, saved, quality_db },
-            false => Verdict::Dear { value, than, saved, quality_db },
+            true => DialVerdict::Cheap { value, than, saved, quality_db },
+            false => DialVerdict::Dear { value, than, saved, quality_db },
         });
     }
     let equals = || values.iter().filter(|graded| tenths(graded) == tenths(best));
     let slowest = equals().filter(|graded| best.time.is_below(&graded.time));
     if let Some(slower) = slowest.max_by(|a, b| a.time.median.total_cmp(&b.time.median)) {
         let (value, than) = (best.value.clone(), slower.value.clone());
-        return Some(Verdict::Free { value, than, saved: saved(best, slower) });
+        return Some(DialVerdict::Free { value, than, saved: saved(best, slower) });
     }
     let worse: Vec<&Graded> = values.iter().filter(|graded| tenths(graded) < tenths(best)).collect();
     let best_name = best.value.clone();
     Some(match worse.iter().all(|graded| best.time.is_below(&graded.time)) {
-        _ if worse.is_empty() => Verdict::NoDifference,
-        true => Verdict::NeverWorthIt { best: best_name },
-        false => Verdict::SavesNothing { best: best_name },
+        _ if worse.is_empty() => DialVerdict::NoDifference,
+        true => DialVerdict::NeverWorthIt { best: best_name },
+        false => DialVerdict::SavesNothing { best: best_name },
     })
 }
 
-impl Verdict {
+impl DialVerdict {
     /// Whether no value but the most accurate is worth choosing.
     pub fn is_dominated(&self) -> bool {
         matches!(self, Self::SavesNothing { .. } | Self::NeverWorthIt { .. })
@@ -138,7 +138,7 @@ mod tests {
         Graded { value: value.into(), quality_db, time: Spread { lower: 0.95 * ms, median: ms, upper: 1.05 * ms } }
     }
 
-    fn of<const N: usize>(values: [Graded; N]) -> Verdict {
+    fn of<const N: usize>(values: [Graded; N]) -> DialVerdict {
         verdict(&values, INVISIBLE_DB).unwrap()
     }
 
@@ -146,7 +146,7 @@ mod tests {
     fn a_harmless_saving_is_cheap_and_the_largest_is_named() {
         let found =
             of([graded("a", 100.0, 10.0), graded("b", 70.0, 8.0), graded("c", 60.0, 5.0), graded("d", 30.0, 2.0)]);
-        let Verdict::Cheap { value, than, saved, quality_db } = &found else { panic!("{found:?}") };
+        let DialVerdict::Cheap { value, than, saved, quality_db } = &found else { panic!("{found:?}") };
         assert_eq!((value.as_str(), than.as_str(), *quality_db), ("c", "a", 60.0));
         assert!((saved - 0.5).abs() < 1e-12 && !found.is_dominated());
         assert_eq!(found.sentence(), "cheap: c saves 50% over a, and its error is harmless (60.0 dB)");
@@ -169,11 +169,11 @@ mod tests {
     #[test]
     fn an_error_for_nothing_is_said_so() {
         let found = of([graded("a", 100.0, 10.0), graded("b", 50.0, 10.2), graded("c", 40.0, 30.0)]);
-        assert_eq!(found, Verdict::SavesNothing { best: "a".into() });
+        assert_eq!(found, DialVerdict::SavesNothing { best: "a".into() });
         let found = of([graded("a", 100.0, 10.0), graded("b", 50.0, 12.0)]);
-        assert_eq!(found, Verdict::NeverWorthIt { best: "a".into() });
+        assert_eq!(found, DialVerdict::NeverWorthIt { best: "a".into() });
         assert!(found.is_dominated() && found.sentence().starts_with("never worth it"));
-        assert_eq!(of([graded("a", 100.0, 10.0), graded("b", 100.0, 10.1)]), Verdict::NoDifference);
+        assert_eq!(of([graded("a", 100.0, 10.0), graded("b", 100.0, 10.1)]), DialVerdict::NoDifference);
         assert_eq!(verdict(&[graded("a", 1.0, 1.0)], INVISIBLE_DB), None);
         assert_eq!(verdict(&[], INVISIBLE_DB), None);
     }
@@ -206,15 +206,15 @@ mod tests {
             let most = values.iter().map(|v| v.quality_db).fold(f64::MIN, f64::max);
             let best = values.iter().filter(|v| v.quality_db == most).map(|v| v.time).reduce(|a, b| if a.upper <= b.upper { a } else { b });
             let faster = values.iter().any(|v| v.time.is_below(&best.unwrap()));
-            let saves = matches!(found, Verdict::Cheap { .. } | Verdict::Dear { .. });
+            let saves = matches!(found, DialVerdict::Cheap { .. } | DialVerdict::Dear { .. });
             prop_assert_eq!(saves, faster, "{:?}", found);
         }
 
         #[test]
         fn what_is_called_harmless_is(values in some()) {
             match verdict(&values, INVISIBLE_DB).unwrap() {
-                Verdict::Cheap { quality_db, saved, .. } => prop_assert!(quality_db >= INVISIBLE_DB && saved > 0.0),
-                Verdict::Dear { quality_db, saved, .. } => prop_assert!(quality_db < INVISIBLE_DB && saved > 0.0),
+                DialVerdict::Cheap { quality_db, saved, .. } => prop_assert!(quality_db >= INVISIBLE_DB && saved > 0.0),
+                DialVerdict::Dear { quality_db, saved, .. } => prop_assert!(quality_db < INVISIBLE_DB && saved > 0.0),
                 _ => {}
             }
         }

@@ -2,7 +2,7 @@
 
 use super::super::EffectKind;
 use super::super::survey::{GradingEvidence, Survey, ViewDependenceEvidence};
-use super::{Cost, Decision, MIB, VIEW_DEPENDENCE, Verdict, decide, percent};
+use super::{Cost, Decision, EffectVerdict, MIB, VIEW_DEPENDENCE, decide, percent};
 
 /// Threshold of the brightness differences between photographs, stops of stored values (deviation). Surfaces also look
 /// brighter from some sides than from others, so a smaller difference may belong to the scene.
@@ -43,9 +43,9 @@ pub(super) fn view_dependence(survey: &Survey) -> Decision {
                 found.points,
                 ViewDependenceEvidence::VISIBLE
             );
-            (if found.visible_share > VIEW_DEPENDENT_SHARE { Verdict::On } else { Verdict::Off }, evidence)
+            (if found.visible_share > VIEW_DEPENDENT_SHARE { EffectVerdict::On } else { EffectVerdict::Off }, evidence)
         }
-        _ => (Verdict::AsConfigured, format!("not known: fewer than {FEWEST_COMPARED} points could be compared")),
+        _ => (EffectVerdict::AsConfigured, format!("not known: fewer than {FEWEST_COMPARED} points could be compared")),
     };
     let rule = format!(
         "harmonics if more than {} of the points differ, else one colour for all directions; `--sh-degree` overrides this",

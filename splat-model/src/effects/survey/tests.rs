@@ -5,7 +5,7 @@ use tempfile::TempDir;
 use super::*;
 use crate::capture::demo::{self, DemoOptions};
 use crate::capture::testing::real_capture;
-use crate::effects::plan::{Decision, Verdict};
+use crate::effects::plan::{Decision, EffectVerdict};
 use crate::effects::{EffectKind, Plan};
 
 const SMALL: DemoOptions =
@@ -208,7 +208,7 @@ fn quantiles_and_deviations() {
 /// All decisions that are on, except spherical harmonics: other faults of photographs make colours vary too.
 fn called_for(survey: &Survey) -> Vec<&'static str> {
     let decisions = Plan::from(survey).decisions;
-    let shown = |decision: &&Decision| decision.verdict == Verdict::On && decision.name != "view-dependence";
+    let shown = |decision: &&Decision| decision.verdict == EffectVerdict::On && decision.name != "view-dependence";
     decisions.iter().filter(shown).map(|decision| decision.name).collect()
 }
 
@@ -223,7 +223,7 @@ fn harmonics_are_for_colours_that_depend_on_the_view() {
     // Too few points for a decision.
     let (_folder, _, few) = survey_of(&DemoOptions { points: 50, ..SMALL });
     let plan = Plan::from(&few);
-    assert_eq!((plan.decisions[0].verdict, plan.sh_degree()), (Verdict::AsConfigured, None));
+    assert_eq!((plan.decisions[0].verdict, plan.sh_degree()), (EffectVerdict::AsConfigured, None));
 }
 
 /// A capture for each effect, in which exactly that effect is present.

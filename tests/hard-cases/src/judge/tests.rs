@@ -123,15 +123,15 @@ fn loose_bounds_hold_where_they_are_given_and_never_pass() {
         let case = HardCase::check("three times", "", |_| CaseOutcome::default());
         if loose { case.loose(Processor::Cpu, 3.0, "because") } else { case }
     };
-    assert_eq!(judge(&case(false), &[place()]).verdict(), Verdict::Passed);
-    assert_eq!(judge(&case(true), &[place()]).verdict(), Verdict::Loose);
+    assert_eq!(judge(&case(false), &[place()]).verdict(), CaseVerdict::Passed);
+    assert_eq!(judge(&case(true), &[place()]).verdict(), CaseVerdict::Loose);
     let gpu = TestDevice { processor: Processor::Gpu, ..place() };
-    assert_eq!(judge(&case(true), std::slice::from_ref(&gpu)).verdict(), Verdict::Passed);
+    assert_eq!(judge(&case(true), std::slice::from_ref(&gpu)).verdict(), CaseVerdict::Passed);
     assert_eq!((case(true).limit(Processor::Cpu), case(true).limit(Processor::Gpu)), (3.0, 1.0));
     let fails =
         HardCase::check("fails", "", |_| CaseOutcome { failures: vec!["it does".into()], ..CaseOutcome::default() });
     let row = judge(&fails, &[place()]);
-    assert_eq!((row.verdict(), row.failures()), (Verdict::Failed, vec!["flex: it does".to_owned()]));
+    assert_eq!((row.verdict(), row.failures()), (CaseVerdict::Failed, vec!["flex: it does".to_owned()]));
     // A case that drivers in software cannot run is left out on them alone.
     let software = TestDevice { software: true, ..gpu };
     let beyond = || HardCase::check("fails", "", |_| panic!("ran")).beyond_software("because");
