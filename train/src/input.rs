@@ -80,7 +80,7 @@ fn say_dropped(capture: &Capture, asked: usize, left: usize) -> Result<()> {
 }
 
 /// Selection of a capture's photographs, and how they are read.
-pub struct Wanted<'a> {
+pub struct PhotoSelection<'a> {
     /// The capture.
     pub capture: &'a Arc<Capture>,
     /// Largest length of the longer side, px; longer photographs are downsized.
@@ -91,7 +91,7 @@ pub struct Wanted<'a> {
     pub opaque: bool,
 }
 
-impl Wanted<'_> {
+impl PhotoSelection<'_> {
     /// Reads the photographs of some views, not all of which stay in memory: photographs are kept while they fit into
     /// `room`, bytes, and the others are decoded again on each use. All are decoded once, so that a broken picture does
     /// not end a long run.

@@ -114,7 +114,7 @@ pub(crate) fn seen_backward(
 
 /// Which gradients of a Gaussian are computed; those of the opacity and the projected centre always are.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub(crate) struct Wanted {
+pub(crate) struct GeometryGradMask {
     pub means: bool,
     pub rotations: bool,
     pub scales: bool,
@@ -155,7 +155,7 @@ pub(crate) fn gaussian_backward(
     pose: &Pose,
     lens: &ProjectCamera,
     grad: &PackedEllipse,
-    #[comptime] wanted: Wanted,
+    #[comptime] wanted: GeometryGradMask,
 ) -> GaussianGrad {
     let through_rows = comptime!(wanted.means || wanted.rotations || wanted.pose);
     let mut of = no_gradient();
@@ -210,7 +210,7 @@ pub(super) fn project_backward_kernel(
     count: u32,
     #[comptime] planes: bool,
 ) {
-    let wanted = comptime!(Wanted {
+    let wanted = comptime!(GeometryGradMask {
         means: grad_means.is_some(),
         rotations: grad_rotations.is_some(),
         scales: grad_scales.is_some(),

@@ -10,7 +10,7 @@ use super::TILT;
 use super::forward::{TiltTerms, lean};
 use crate::gpu::UNITS;
 use crate::gpu::math::{POSE, Pose, Vec3};
-use crate::project::backward::{Wanted, no_gradient, seen_backward, store_sum};
+use crate::project::backward::{GeometryGradMask, no_gradient, seen_backward, store_sum};
 use crate::project::forward::{Gaussian, PackedEllipse, ProjectCamera, ProjectionTerms, project_one};
 
 /// Gradients of `m0`, `m1` and `mz`.
@@ -72,7 +72,7 @@ pub(super) fn tilt_backward_kernel(
     count: u32,
     #[comptime] planes: bool,
 ) {
-    let wanted = comptime!(Wanted {
+    let wanted = comptime!(GeometryGradMask {
         means: grad_means.is_some(),
         rotations: grad_rotations.is_some(),
         scales: grad_scales.is_some(),

@@ -23,7 +23,7 @@ use super::steps::{Done, PendingChoice, Steps};
 use super::{OUT, ResumeArgs, TrainArgs};
 use crate::accuracy::RequestedAccuracy;
 use crate::effects::Chosen;
-use crate::input::Wanted;
+use crate::input::PhotoSelection;
 use crate::lpips::LpipsArgs;
 use crate::options::PhotoArgs;
 use crate::output::{self, OutputFolder};
@@ -291,6 +291,6 @@ fn photographs(
     // `--eval-every 0` asks for no test; any other number that holds out no photograph is a mistake.
     let test = if args.eval_every == Some(0) { &[] } else { split.require_test()? };
     let (masked, opaque) = (effects.has(EffectKind::Masks), !effects.has(EffectKind::Alpha));
-    let wanted = Wanted { capture, max_side: args.max_side, masked, opaque };
+    let wanted = PhotoSelection { capture, max_side: args.max_side, masked, opaque };
     Ok((wanted.within(train, &mut room)?, wanted.within(test, &mut room)?))
 }
