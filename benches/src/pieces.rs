@@ -36,12 +36,12 @@ pub struct TimedStep {
 }
 
 /// A stopwatch for passes.
-struct Watch {
+struct StopWatch {
     last: Instant,
     seconds: [f64; PassKind::PARTS.len()],
 }
 
-impl Watch {
+impl StopWatch {
     /// Adds the time since the last call to a pass.
     fn lap(&mut self, kind: PassKind) {
         let now = Instant::now();
@@ -70,7 +70,7 @@ impl Pieces {
     /// If the op refuses the scene.
     pub fn run(&mut self) -> Result<TimedStep, SplatError> {
         self.step += 1;
-        let mut watch = Watch { last: Instant::now(), seconds: [0.0; _] };
+        let mut watch = StopWatch { last: Instant::now(), seconds: [0.0; _] };
         let splats = self.scene.gaussians.splats();
         watch.lap(PassKind::Activate);
 

@@ -66,7 +66,7 @@ struct Tally {
 pub fn fuzz(target: &mut dyn FuzzTarget) {
     let seconds = number("SPLAT_FUZZ_SECONDS").unwrap_or(30);
     let mut mutator = Mutator::new(number("SPLAT_FUZZ_SEED").unwrap_or(0));
-    let watch = Watch::start(target.name());
+    let watch = Watchdog::start(target.name());
     let mut seen = HashSet::new();
     let mut corpus: Vec<Vec<u8>> = Vec::new();
     let mut tally = Tally::default();
@@ -104,7 +104,7 @@ pub fn fuzz(target: &mut dyn FuzzTarget) {
 }
 
 /// Reads one input, checks the reader against the rules and returns the outcome.
-fn one(target: &mut dyn FuzzTarget, input: &[u8], watch: &Watch, tally: &mut Tally) -> String {
+fn one(target: &mut dyn FuzzTarget, input: &[u8], watch: &Watchdog, tally: &mut Tally) -> String {
     target.place(input);
     watch.begin();
     let start = Instant::now();
@@ -162,7 +162,7 @@ fn number(variable: &str) -> Option<u64> {
 }
 
 /// Ends the process if a reader never returns, because a test cannot be ended otherwise. The input is then still in its folder.
-struct Watch(Arc<WatchdogTimes>);
+struct Watchdog(Arc<WatchdogTimes>);
 
 struct WatchdogTimes {
     start: Instant,
@@ -170,7 +170,7 @@ struct WatchdogTimes {
     since: AtomicU64,
 }
 
-impl Watch {
+impl Watchdog {
     fn start(name: &'static str) -> Self {
         let times = Arc::new(WatchdogTimes { start: Instant::now(), since: AtomicU64::new(0) });
         let watched = times.clone();
