@@ -7,7 +7,7 @@ pub use splat_hard_cases::ceiling::ceiling_used;
 use splat_hard_cases::ceiling::{moved_value, rounded as rounded_value};
 
 use crate::random::Random;
-use crate::scene::{Named, RenderOutputs, Scene, Weights, evaluate};
+use crate::scene::{LossWeights, Named, RenderOutputs, Scene, evaluate};
 
 /// Number of random directions in which the inputs move. The largest change of several draws is a lower estimate of the largest
 /// change that an ulp can cause.
@@ -25,13 +25,13 @@ fn map_scene(scene: &Scene, mut map: impl FnMut(f64) -> f64) -> Scene {
     Scene { means, quats, scales, opacities, sh, background, pose, intrinsics }
 }
 
-fn map_weights(weights: &Weights, mut map: impl FnMut(f64) -> f64) -> Weights {
+fn map_weights(weights: &LossWeights, mut map: impl FnMut(f64) -> f64) -> LossWeights {
     let mut all = |values: &[f64]| values.iter().map(|v| map(*v)).collect::<Vec<f64>>();
-    Weights { image: all(&weights.image), alpha: all(&weights.alpha), depth: all(&weights.depth) }
+    LossWeights { image: all(&weights.image), alpha: all(&weights.alpha), depth: all(&weights.depth) }
 }
 
 /// Rounds scene, weights and options to f32, as an f32 render receives them.
-pub fn rounded(scene: &Scene, weights: &Weights, options: &RenderOptions) -> (Scene, Weights, RenderOptions) {
+pub fn rounded(scene: &Scene, weights: &LossWeights, options: &RenderOptions) -> (Scene, LossWeights, RenderOptions) {
     let options = RenderOptions {
         blur: rounded_value(options.blur),
         near: rounded_value(options.near),
@@ -87,7 +87,7 @@ pub fn judge(
 /// moves up or down by one f32 ulp. Inputs must be rounded to f32.
 pub fn ulp_spread(
     scene: &Scene,
-    weights: &Weights,
+    weights: &LossWeights,
     options: &RenderOptions,
     device: &Device,
     plain: &RenderOutputs,

@@ -7,13 +7,13 @@ use serde_json::Value;
 use splat_op::{CameraModel, Intrinsics, RenderOptions};
 
 use crate::data::optional_data;
-use crate::scene::{Named, RenderOutputs, Scene, Weights};
+use crate::scene::{LossWeights, Named, RenderOutputs, Scene};
 
 /// One reference vector, a file.
 pub struct ReferenceVector {
     pub name: String,
     pub scene: Scene,
-    pub weights: Weights,
+    pub weights: LossWeights,
     pub options: RenderOptions,
     pub expected: RenderOutputs,
 }
@@ -111,6 +111,6 @@ fn read_vector(path: &Path) -> ReferenceVector {
             named("g_background", 3),
         ],
     };
-    let weights = Weights { image: values("w_image"), alpha: values("w_alpha"), depth: values("w_depth") };
+    let weights = LossWeights { image: values("w_image"), alpha: values("w_alpha"), depth: values("w_depth") };
     ReferenceVector { name, scene, weights, options, expected }
 }

@@ -23,7 +23,7 @@ pub struct Scene {
 
 /// Weights of the loss `Σ w·out` over image, alpha and depth.
 #[derive(Clone, Debug)]
-pub struct Weights {
+pub struct LossWeights {
     pub image: Vec<f64>,
     pub alpha: Vec<f64>,
     pub depth: Vec<f64>,
@@ -120,7 +120,7 @@ impl Scene {
     }
 }
 
-impl Weights {
+impl LossWeights {
     /// Creates random weights from -1 to 1.
     pub fn random(random: &mut Random, intrinsics: &Intrinsics) -> Self {
         let pixels = intrinsics.width * intrinsics.height;
@@ -132,7 +132,7 @@ impl Weights {
 /// Renders and differentiates a scene. `options.depth` must be set. `device` has no autodiff.
 pub fn evaluate(
     scene: &Scene,
-    weights: &Weights,
+    weights: &LossWeights,
     options: &RenderOptions,
     device: &Device,
     dtype: DType,

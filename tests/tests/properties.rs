@@ -5,7 +5,7 @@ use proptest::prelude::*;
 use splat_op::{Accumulation, Camera, Extras, Intrinsics, RenderOptions, Rendered, render};
 use splat_tests::compare::relative_error;
 use splat_tests::random::Random;
-use splat_tests::scene::{RenderOutputs, Scene, SceneTensors, Weights, evaluate, host, tensor};
+use splat_tests::scene::{LossWeights, RenderOutputs, Scene, SceneTensors, evaluate, host, tensor};
 use splat_tests::tracked::gradients_of;
 use splat_tests::{cpu_devices, devices, gpu};
 
@@ -191,7 +191,7 @@ fn one_thread_and_two_give_the_same_bits() {
     let mut random = Random::new(1);
     let mut scene = Scene::random(&mut random, 5000, 2, camera);
     scene.scales.iter_mut().for_each(|s| *s *= 0.2);
-    let weights = Weights::random(&mut random, &camera);
+    let weights = LossWeights::random(&mut random, &camera);
     for (name, device) in cpu_devices() {
         for dtype in [DType::F32, DType::F64] {
             let with = |threads: usize| {

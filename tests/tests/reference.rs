@@ -7,7 +7,7 @@ use splat_tests::compare::{Finding, assert_all, keep_rows, relative_error, row_e
 use splat_tests::data::announce;
 use splat_tests::perturb::{ceiling_used, rounded, ulp_spread};
 use splat_tests::reference::{ReferenceVector, read_vectors};
-use splat_tests::scene::{Named, RenderOutputs, Weights, evaluate};
+use splat_tests::scene::{LossWeights, Named, RenderOutputs, evaluate};
 use splat_tests::{cpu_devices, devices};
 
 /// Tolerances in f64, relative to the largest element of the tensor, and for each row relative to its own length.
@@ -79,7 +79,7 @@ fn compare_f64(vector: &ReferenceVector, found: &RenderOutputs) -> Vec<Finding> 
 /// change by one ulp in every input. Pixels of the boundary band are excluded from the pictures and from the loss, so
 /// that the gradients of all other pixels are compared in full.
 struct Yardstick {
-    weights: Weights,
+    weights: LossWeights,
     expected: RenderOutputs,
     spread: RenderOutputs,
     /// Whether each pixel is compared.

@@ -31,7 +31,7 @@ pub(super) struct Planes {
 /// What weighs the terms.
 #[derive(CubeType, CubeLaunch, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
-pub(super) struct Weights {
+pub(super) struct TermWeights {
     /// `(1 − λ)/N`
     pub absolute: f32,
     /// `λ`
@@ -217,7 +217,7 @@ pub(super) fn index_kernel(
     derivatives: &mut [f32],
     window: Window,
     planes: Planes,
-    weights: Weights,
+    weights: TermWeights,
     #[comptime] with_gradient: bool,
     #[comptime] strip: usize,
 ) {
@@ -254,7 +254,7 @@ pub(super) fn gradient_kernel(
     gradient: &mut [f32],
     window: Window,
     planes: Planes,
-    weights: Weights,
+    weights: TermWeights,
     #[comptime] strip: usize,
 ) {
     let own = own_strip(planes, false, strip);

@@ -1,7 +1,7 @@
 //! Launches of the loss.
 
 use super::forward::{
-    PlanesLaunch, WeightsLaunch, WindowLaunch, gradient_kernel, index_kernel, moments_kernel, window_kernel,
+    PlanesLaunch, TermWeightsLaunch, WindowLaunch, gradient_kernel, index_kernel, moments_kernel, window_kernel,
 };
 use super::taps::{Compared, half_window};
 use crate::gpu::{Buffer, Gpu, elementwise};
@@ -82,9 +82,9 @@ impl LossLaunch<'_> {
         PlanesLaunch::new(width as u32, height as u32, (self.inputs.image.len / (width * height)) as u32)
     }
 
-    fn weights(&self) -> WeightsLaunch {
+    fn weights(&self) -> TermWeightsLaunch {
         let share = 1.0 / self.inputs.image.len as f64;
-        WeightsLaunch::new(((1.0 - self.lambda) * share) as f32, self.lambda as f32, share as f32)
+        TermWeightsLaunch::new(((1.0 - self.lambda) * share) as f32, self.lambda as f32, share as f32)
     }
 
     /// Writes the shares and, if `gradient` is wanted, the derivatives of the index and that of the loss.

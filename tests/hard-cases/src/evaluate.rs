@@ -3,7 +3,7 @@
 use burn::tensor::{DType, Device, Tensor};
 use splat_op::{Camera, Colour, Extras, RawSplats, Splats, activate, project, render};
 
-use crate::scene::{HardScene, Paint, Weights};
+use crate::scene::{HardScene, OutputWeights, Paint};
 use crate::tensors::{Named, host, leaf, tensor};
 
 /// Names of the gradients, in the order of [`Outputs::gradients`]; those before [`OF_NO_SPLAT`] have a row per Gaussian.
@@ -100,7 +100,7 @@ fn leaves(scene: &HardScene, device: &Device, dtype: DType) -> Leaves {
 ///
 /// # Panics
 /// If the operation refuses the scene.
-pub fn evaluate(scene: &HardScene, weights: &Weights, device: &Device, dtype: DType) -> Outputs {
+pub fn evaluate(scene: &HardScene, weights: &OutputWeights, device: &Device, dtype: DType) -> Outputs {
     let device = device.clone().autodiff();
     let Leaves { splats, scales, opacities, colours, camera } = leaves(scene, &device, dtype);
     let background: Tensor<1> = leaf(&scene.background, [scene.channels()], &device, dtype);

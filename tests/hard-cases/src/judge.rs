@@ -11,7 +11,7 @@ use crate::compare::{largest, norm, relative_error, worst};
 use crate::evaluate::{OF_NO_SPLAT, Outputs, culled, evaluate};
 use crate::number::Wide;
 use crate::random::Random;
-use crate::scene::{HardScene, Paint, STANDARD, TruthSource, Weights};
+use crate::scene::{HardScene, OutputWeights, Paint, STANDARD, TruthSource};
 use crate::tensors::Named;
 use crate::textbook::{self, Backward};
 
@@ -107,7 +107,7 @@ const TEXTBOOK_PAIRS: usize = 20_000_000;
 /// Expected result of an f32 render, and its change when every input moves by one ulp.
 pub struct Yardstick {
     scene: HardScene,
-    weights: Weights,
+    weights: OutputWeights,
     expected: Outputs,
     spread: Outputs,
     /// Whether each pixel is compared. Pixels with a decision within rounding error are not.

@@ -86,7 +86,7 @@ pub struct HardScene {
 
 /// Weights of the loss `Σ w·out` over image, alpha and depth.
 #[derive(Clone, Debug)]
-pub struct Weights {
+pub struct OutputWeights {
     pub image: Vec<f64>,
     pub alpha: Vec<f64>,
     pub depth: Vec<f64>,
@@ -305,15 +305,15 @@ impl HardScene {
     }
 
     /// Weights of the loss, equal in f32 and f64.
-    pub fn weights(&self) -> Weights {
+    pub fn weights(&self) -> OutputWeights {
         let pixels = self.intrinsics.width * self.intrinsics.height;
         let mut random = Random::new(self.seed);
         let mut fill = |count| random.fill(count, -1.0, 1.0).into_iter().map(rounded).collect::<Vec<f64>>();
-        Weights { image: fill(self.channels() * pixels), alpha: fill(pixels), depth: fill(pixels) }
+        OutputWeights { image: fill(self.channels() * pixels), alpha: fill(pixels), depth: fill(pixels) }
     }
 }
 
-impl Weights {
+impl OutputWeights {
     /// Moves every weight by one ulp. A weight of zero masks a pixel and stays.
     pub fn moved(&self, random: &mut Random) -> Self {
         let mut all = |values: &[f64]| values.iter().map(|v| moved(*v, random)).collect::<Vec<f64>>();

@@ -15,7 +15,7 @@ use self::linalg::{add, plus, zero};
 use self::project::{Conic, TextbookCamera, TextbookGaussian, TextbookProjection, project};
 use crate::evaluate::Outputs;
 use crate::number::{Number, Wide};
-use crate::scene::{HardScene, Weights};
+use crate::scene::{HardScene, OutputWeights};
 
 /// How the backward pass obtains the transmittance in front of a layer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -104,7 +104,7 @@ type PixelValues<N> = (Vec<N>, N, N);
 type PixelSums<N> = (Vec<(Conic<N>, Vec<N>)>, Vec<N>);
 
 /// Renders and differentiates a scene whose colours are features.
-pub fn evaluate<N: Number>(scene: &HardScene, weights: &Weights, style: Backward) -> Outputs {
+pub fn evaluate<N: Number>(scene: &HardScene, weights: &OutputWeights, style: Backward) -> Outputs {
     let view = ProjectedScene::<N>::new(scene);
     let (splats, cuts) = (view.splats(), Cuts::new(&scene.options));
     let channels = scene.channels();
