@@ -22,14 +22,14 @@ use splat_op::photometric::{C1, C2, SIGMA_PX, TAPS, contiguous, window};
 
 /// The separable window, as weights of a depthwise convolution.
 #[derive(Clone, Debug)]
-struct Window {
+struct SsimWindow {
     /// `[C, 1, 11, 1]`
     vertical: Tensor<4>,
     /// `[C, 1, 1, 11]`
     horizontal: Tensor<4>,
 }
 
-impl Window {
+impl SsimWindow {
     /// The window for pictures of the channels, type and device of `like`, `[1, C, H, W]`.
     fn new(like: &Tensor<4>) -> Self {
         let channels = like.dims()[1];
@@ -105,7 +105,7 @@ pub fn d_ssim(image: Tensor<3>, truth: &Truth) -> Tensor<1> {
 /// Plain differentiable tensor code in both arguments, for new losses. [`d_ssim`] is many times faster for the mean.
 pub fn ssim_map(image: Tensor<3>, truth: Tensor<3>) -> Tensor<3> {
     let (x, y) = (planes(image), planes(truth));
-    let window = Window::new(&x);
+    let window = SsimWindow::new(&x);
     let (mean_x, mean_y) = (window.apply(x.clone()), window.apply(y.clone()));
     let (square_x, square_y) = (mean_x.clone().square(), mean_y.clone().square());
     let cross = mean_x * mean_y;

@@ -50,7 +50,7 @@ impl<F: Real> Footprint<F> {
 
     /// The rows and the vectors along a row of the tile at `origin` px that the bounding box meets, whole [`ROWS`].
     #[inline(always)]
-    pub fn window(&self, origin: [F; 2]) -> Window {
+    pub fn window(&self, origin: [F; 2]) -> TileWindow {
         // Pixel `i` has its centre at `origin + i + 0.5`; the margin covers rounding.
         let span = |axis: usize| {
             let margin = F::of(0.01) + F::of(8.0) * F::EPSILON * (self.mean_px[axis].abs() + self.half[axis]);
@@ -62,7 +62,7 @@ impl<F: Real> Footprint<F> {
             (low.index(), (high + F::ONE).index())
         };
         let ((first_pixel, end_pixel), (first_row, end_row)) = (span(0), span(1));
-        Window {
+        TileWindow {
             first_row: first_row - first_row % ROWS,
             end_row: end_row.next_multiple_of(ROWS),
             first_vector: first_pixel / LANES,
@@ -73,7 +73,7 @@ impl<F: Real> Footprint<F> {
 
 /// Part of a tile.
 #[derive(Clone, Copy)]
-pub(super) struct Window {
+pub(super) struct TileWindow {
     pub first_row: usize,
     pub end_row: usize,
     pub first_vector: usize,

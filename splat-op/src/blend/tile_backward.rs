@@ -6,7 +6,7 @@
 
 use fearless_simd::prelude::*;
 
-use super::footprint::{Column, Footprint, FootprintSimd, ROW_VECTORS, ROWS, Window};
+use super::footprint::{Column, Footprint, FootprintSimd, ROW_VECTORS, ROWS, TileWindow};
 use super::tile::{CHECKPOINT_EVERY, Near, Plane, Thresholds, TileView, Transmittances, centres, colour_lanes, eight};
 use crate::real::{LANES, Real};
 use crate::tile::{TILE, TILE_PIXELS};
@@ -118,7 +118,7 @@ fn forwards<S: Simd, F: Real, const LONG: bool, const LIBRARY: bool>(
     for (i, &footprint) in near.iter().enumerate() {
         scratch.starts[i] = met;
         let splat = FootprintSimd::new(simd, footprint, corner[1]);
-        let Window { first_row, end_row, first_vector, end_vector } = splat.footprint.window(corner);
+        let TileWindow { first_row, end_row, first_vector, end_vector } = splat.footprint.window(corner);
         for vector in first_vector..end_vector {
             let column = splat.column(x[vector]);
             for row in (first_row..end_row).step_by(ROWS) {

@@ -10,7 +10,7 @@ pub(super) const HALF: usize = TAPS / 2;
 /// Half the window, from the middle outwards.
 #[derive(CubeType, CubeLaunch, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
-pub(super) struct Window {
+pub(super) struct HalfWindow {
     pub t0: f32,
     pub t1: f32,
     pub t2: f32,
@@ -105,7 +105,7 @@ impl UnitStrip {
 }
 
 #[cube]
-impl Window {
+impl HalfWindow {
     /// The window on the value `i` of a strip.
     pub fn on(&self, values: &Array<f32>, #[comptime] i: usize) -> f32 {
         let m = comptime!(i + HALF);
@@ -123,7 +123,7 @@ impl Window {
 pub(super) fn window_kernel(
     from: &[f32],
     to: &mut [f32],
-    window: Window,
+    window: HalfWindow,
     planes: Planes,
     #[comptime] vertical: bool,
     #[comptime] strip: usize,
@@ -146,7 +146,7 @@ pub(super) fn moments_kernel(
     image: &[f32],
     truth: &[f32],
     moments: &mut [f32],
-    window: Window,
+    window: HalfWindow,
     planes: Planes,
     #[comptime] strip: usize,
 ) {
@@ -215,7 +215,7 @@ pub(super) fn index_kernel(
     moments: &[f32],
     shares: &mut [f32],
     derivatives: &mut [f32],
-    window: Window,
+    window: HalfWindow,
     planes: Planes,
     weights: TermWeights,
     #[comptime] with_gradient: bool,
@@ -252,7 +252,7 @@ pub(super) fn gradient_kernel(
     truth: &[f32],
     derivatives: &[f32],
     gradient: &mut [f32],
-    window: Window,
+    window: HalfWindow,
     planes: Planes,
     weights: TermWeights,
     #[comptime] strip: usize,

@@ -1,7 +1,7 @@
 //! Launches of the loss.
 
 use super::forward::{
-    PlanesLaunch, TermWeightsLaunch, WindowLaunch, gradient_kernel, index_kernel, moments_kernel, window_kernel,
+    HalfWindowLaunch, PlanesLaunch, TermWeightsLaunch, gradient_kernel, index_kernel, moments_kernel, window_kernel,
 };
 use super::taps::{Compared, half_window};
 use crate::gpu::{Buffer, Gpu, elementwise};
@@ -12,9 +12,9 @@ const DOWN: usize = 8;
 /// Values of a unit along a row. Neighbouring units read a row together, so each takes one value of it.
 const ALONG: usize = 1;
 
-fn window() -> WindowLaunch {
+fn window() -> HalfWindowLaunch {
     let [t0, t1, t2, t3, t4, t5] = half_window().map(|tap| tap as f32);
-    WindowLaunch::new(t0, t1, t2, t3, t4, t5)
+    HalfWindowLaunch::new(t0, t1, t2, t3, t4, t5)
 }
 
 /// Units that a pass over `values` in lines of `len` takes.

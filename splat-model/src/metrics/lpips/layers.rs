@@ -12,14 +12,14 @@ pub const TAPS: usize = 5;
 #[derive(Clone, Copy, Debug)]
 pub enum NetworkLayer {
     /// Convolution to `channels` channels, with a bias.
-    Conv { number: usize, channels: usize, window: Window },
+    Conv { number: usize, channels: usize, window: SlidingWindow },
     /// Maximum over the window, which does not extend beyond the border.
-    Pool { window: Window },
+    Pool { window: SlidingWindow },
 }
 
 /// A square window, in pixels of the previous layer.
 #[derive(Clone, Copy, Debug)]
-pub struct Window {
+pub struct SlidingWindow {
     pub side: usize,
     pub stride: usize,
     /// Zeros around the picture.
@@ -27,7 +27,7 @@ pub struct Window {
 }
 
 impl NetworkLayer {
-    pub fn window(self) -> Window {
+    pub fn window(self) -> SlidingWindow {
         match self {
             Self::Conv { window, .. } | Self::Pool { window } => window,
         }
@@ -47,11 +47,11 @@ pub enum Net {
 pub type Slice = &'static [NetworkLayer];
 
 const fn conv(number: usize, channels: usize, side: usize, stride: usize, padding: usize) -> NetworkLayer {
-    NetworkLayer::Conv { number, channels, window: Window { side, stride, padding } }
+    NetworkLayer::Conv { number, channels, window: SlidingWindow { side, stride, padding } }
 }
 
 const fn pool(side: usize, stride: usize) -> NetworkLayer {
-    NetworkLayer::Pool { window: Window { side, stride, padding: 0 } }
+    NetworkLayer::Pool { window: SlidingWindow { side, stride, padding: 0 } }
 }
 
 const ALEX: [Slice; TAPS] = [
@@ -97,7 +97,7 @@ impl Net {
         let mut length = side;
         let mut features = [0; TAPS];
         for (slice, features) in self.slices().into_iter().zip(&mut features) {
-            for Window { side, stride, padding } in slice.iter().map(|layer| layer.window()) {
+            for SlidingWindow { side, stride, padding } in slice.iter().map(|layer| layer.window()) {
                 length = (length + 2 * padding).checked_sub(side)? / stride + 1;
             }
             *features = length;
@@ -109,7 +109,7 @@ impl Net {
     pub fn views(self) -> [ReceptiveField; TAPS] {
         let mut view = ReceptiveField { stride: 1, before: 0, after: 0 };
         self.slices().map(|slice| {
-            for Window { side, stride, padding } in slice.iter().map(|layer| layer.window()) {
+            for SlidingWindow { side, stride, padding } in slice.iter().map(|layer| layer.window()) {
                 view.before += view.stride * padding;
                 view.after += view.stride * (side - 1 - padding);
                 view.stride *= stride;

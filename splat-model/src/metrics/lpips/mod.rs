@@ -24,7 +24,7 @@ use burn::tensor::{DType, Device, Tensor};
 use thiserror::Error;
 
 pub use self::layers::Net;
-use self::layers::{NetworkLayer, SidePart, TAPS, Window, parts};
+use self::layers::{NetworkLayer, SidePart, SlidingWindow, TAPS, parts};
 pub use self::weights::WeightsError;
 
 /// Added to the length of a feature vector, as in the package's `normalize_tensor`.
@@ -199,13 +199,13 @@ impl Lpips {
 }
 
 impl Convolution {
-    fn over(&self, features: Tensor<4>, Window { stride, padding, .. }: Window) -> Tensor<4> {
+    fn over(&self, features: Tensor<4>, SlidingWindow { stride, padding, .. }: SlidingWindow) -> Tensor<4> {
         let options = ConvOptions::new([stride; 2], [padding; 2], [1; 2], 1);
         relu(conv2d(features, self.weight.clone(), Some(self.bias.clone()), options))
     }
 }
 
-fn pooled(features: Tensor<4>, Window { side, stride, .. }: Window) -> Tensor<4> {
+fn pooled(features: Tensor<4>, SlidingWindow { side, stride, .. }: SlidingWindow) -> Tensor<4> {
     max_pool2d(features, MaxPoolOptions::new([side; 2]).with_stride([stride; 2]))
 }
 

@@ -25,7 +25,9 @@ pub(crate) fn tensors(net: Net) -> NamedTensors {
     let mut channels = 3;
     for (tap, slice) in net.slices().into_iter().enumerate() {
         for layer in slice {
-            let NetworkLayer::Conv { number, channels: out, window: Window { side, .. } } = *layer else { continue };
+            let NetworkLayer::Conv { number, channels: out, window: SlidingWindow { side, .. } } = *layer else {
+                continue;
+            };
             let bound = (6.0 / (channels * side * side) as f32).sqrt();
             let name = |what| format!("net.slice{}.{number}.{what}", tap + 1);
             add(name("weight"), vec![out, channels, side, side], -bound..bound);
