@@ -123,12 +123,12 @@ pub struct Sizes {
 
 /// Least work of a pass.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Work {
+pub struct LeastWork {
     pub bytes: f64,
     pub operations: f64,
 }
 
-impl Work {
+impl LeastWork {
     /// Returns the limit in seconds: the longer of the times for memory and arithmetic, each at its measured rate. Without a
     /// measured arithmetic rate, only the bandwidth counts.
     pub fn seconds(&self, machine: &Machine) -> f64 {
@@ -157,14 +157,13 @@ impl Sizes {
     }
 
     /// Returns the least work of a pass. The work of a step is the sum over its parts.
-    pub fn work(&self, kind: PassKind) -> Work {
+    pub fn work(&self, kind: PassKind) -> LeastWork {
         if kind == PassKind::Step {
-            return PassKind::PARTS.into_iter().map(|part| self.work(part)).fold(Work::default(), |sum, part| Work {
-                bytes: sum.bytes + part.bytes,
-                operations: sum.operations + part.operations,
+            return PassKind::PARTS.into_iter().map(|part| self.work(part)).fold(LeastWork::default(), |sum, part| {
+                LeastWork { bytes: sum.bytes + part.bytes, operations: sum.operations + part.operations }
             });
         }
-        Work { bytes: size_of::<f32>() as f64 * self.floats(kind), operations: self.operations(kind) }
+        LeastWork { bytes: size_of::<f32>() as f64 * self.floats(kind), operations: self.operations(kind) }
     }
 
     /// Returns the limit of a pass in seconds. The limit of a step is the sum over its parts, each bound by memory or by

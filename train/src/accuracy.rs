@@ -7,7 +7,7 @@ use anyhow::{Result, bail, ensure};
 use burn::tensor::Device;
 use clap::ValueEnum;
 use serde::{Deserialize, Serialize};
-use splat_model::accuracy::{ChosenSetting, Frontier, Preset, Provenance, Setting, Target, Work};
+use splat_model::accuracy::{ChosenSetting, Frontier, Preset, Provenance, Setting, Target, Workload};
 use splat_model::capture::Capture;
 use splat_model::gaussians::GaussianRows;
 use splat_model::trainer::TrainConfig;
@@ -144,7 +144,7 @@ impl RequestedAccuracy {
     ///
     /// # Errors
     /// If the frontier was measured on another scene or under other model choices, or nothing on it meets the target.
-    pub fn on(self, (capture, scene, pixels): AccuracySubject, base: &RenderOptions, work: Work) -> Result<Self> {
+    pub fn on(self, (capture, scene, pixels): AccuracySubject, base: &RenderOptions, work: Workload) -> Result<Self> {
         let Self::Measured(frontier, path, target) = self else { return Ok(self) };
         let (path, of) = (path.display(), &frontier.provenance);
         const REMEDY: &str = "measure this one with `splat pareto`, or leave out `--frontier`";
@@ -186,7 +186,7 @@ impl RequestedAccuracy {
         (rows, shots): (&GaussianRows, Vec<MeasuredView>),
         base: &RenderOptions,
         device: (&Device, &str),
-        work: Work,
+        work: Workload,
     ) -> Result<Setting> {
         match self {
             Self::Known(setting) => Ok(setting),

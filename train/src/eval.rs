@@ -7,7 +7,7 @@ use std::time::Instant;
 
 use anyhow::{Context, Result};
 use serde::Serialize;
-use splat_model::accuracy::{Setting, Work};
+use splat_model::accuracy::{Setting, Workload};
 use splat_model::capture::{Photo, Photograph};
 use splat_model::formats;
 use splat_op::Intrinsics;
@@ -110,13 +110,13 @@ pub fn run(args: &EvalArgs) -> Result<Metrics> {
         photos = photos.iter().map(small).collect::<Result<_>>()?;
     }
     let shots: Vec<MeasuredView> = photos.iter().map(MeasuredView::from).collect();
-    let accuracy = accuracy.on((&capture, Some(&rows), MeasuredView::pixels(&shots)), &base, Work::Render)?;
+    let accuracy = accuracy.on((&capture, Some(&rows), MeasuredView::pixels(&shots)), &base, Workload::Render)?;
     let scene_name = scene_name(&args.scene)?;
     let out = OutputFolder::prepare(&args.out, &[&scene_name, METRICS], &[VIEWS])?;
     let LoadedScene { splats, unusable } = LoadedScene::new(&rows, &device)?;
     let load = seconds_since(start);
 
-    let dials = accuracy.setting((&rows, shots), &base, (&device, &device_name), Work::Render)?;
+    let dials = accuracy.setting((&rows, shots), &base, (&device, &device_name), Workload::Render)?;
     let render_options = dials.apply(base);
     let photos: Vec<Photograph> = photos.into_iter().map(Photograph::from).collect();
     let start = Instant::now();

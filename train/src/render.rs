@@ -8,7 +8,7 @@ use anyhow::{Context, Result, anyhow};
 use burn::tensor::{Device, Tensor};
 use clap::ValueEnum;
 use image::{ImageFormat, RgbImage, Rgba32FImage};
-use splat_model::accuracy::Work;
+use splat_model::accuracy::Workload;
 use splat_model::capture::{Capture, View};
 use splat_model::effects::background::Background;
 use splat_op::{Camera, Extras, RenderOptions, Splats};
@@ -99,9 +99,9 @@ pub fn run(args: &RenderArgs) -> Result<Vec<PathBuf>> {
     let base = args.model.config().render_options(input::extent(&capture));
     let shots: Vec<MeasuredView> =
         views.iter().map(|view| MeasuredView::unseen(&view.intrinsics, &view.cam_from_world)).collect();
-    let accuracy = accuracy.on((&capture, Some(&rows), MeasuredView::pixels(&shots)), &base, Work::Render)?;
+    let accuracy = accuracy.on((&capture, Some(&rows), MeasuredView::pixels(&shots)), &base, Workload::Render)?;
     let out = OutputFolder::prepare(&args.out, &[], &[])?;
-    let options = accuracy.setting((&rows, shots), &base, (&device, &device_name), Work::Render)?.apply(base);
+    let options = accuracy.setting((&rows, shots), &base, (&device, &device_name), Workload::Render)?.apply(base);
     let splats = splats.stored(&options)?;
     let names = pictures::names(views.iter().map(|view| view.name.as_str()), args.format.extension());
     let counter = progress::counter("rendering", views.len());

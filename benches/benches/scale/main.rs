@@ -19,7 +19,7 @@ use std::time::Duration;
 use splat_benches::allocations::CountingAllocator;
 use splat_benches::{MEDIUM, SyntheticView};
 
-use point::{ScalePoint, Work};
+use point::{ScalePoint, ScaleWork};
 use record::{ScaleAxis, ScaleRow};
 
 #[global_allocator]
@@ -93,9 +93,9 @@ fn points(axis: ScaleAxis) -> Vec<(SyntheticView, usize)> {
 
 fn measure(axis: ScaleAxis) -> Result<Vec<ScaleRow>, Box<dyn Error>> {
     let mut rows = Vec::new();
-    for work in Work::ALL {
+    for work in ScaleWork::ALL {
         // A render does not depend on the number of photographs.
-        if axis == ScaleAxis::Views && work == Work::Render {
+        if axis == ScaleAxis::Views && work == ScaleWork::Render {
             continue;
         }
         let mut before: Option<ScaleRow> = None;

@@ -7,7 +7,7 @@ use std::path::Path;
 use plotters::coord::combinators::IntoLogRange;
 use plotters::prelude::*;
 
-use crate::point::Work;
+use crate::point::ScaleWork;
 use crate::record::{ALLOWED_BYTES, ScaleAxis, ScaleRow};
 
 const SIZE: (u32, u32) = (1000, 420);
@@ -22,18 +22,18 @@ struct PlotLine {
 pub fn draw(axis: ScaleAxis, rows: &[ScaleRow], to: &Path) -> Result<(), Box<dyn Error>> {
     let colours = [RGBColor(40, 90, 160), RGBColor(200, 80, 40)];
     let lines = |value: &dyn Fn(&ScaleRow) -> f64| -> Vec<PlotLine> {
-        let of = |(work, colour): (Work, RGBColor)| {
+        let of = |(work, colour): (ScaleWork, RGBColor)| {
             let rows = rows.iter().filter(|row| row.point.work == work);
             PlotLine { name: work.name(), colour, points: rows.map(|row| (axis.of(&row.point), value(row))).collect() }
         };
-        let lines = Work::ALL.into_iter().zip(colours).map(of);
+        let lines = ScaleWork::ALL.into_iter().zip(colours).map(of);
         lines.filter(|line| !line.points.is_empty()).collect()
     };
     let times = lines(&|row| 1e3 * row.median_s);
     let mut memory = lines(&|row| row.live_bytes as f64 / f64::from(1 << 20));
     if axis == ScaleAxis::Splats {
         // The goal, added to the memory of the smallest step, which its pictures dominate.
-        let steps: Vec<&ScaleRow> = rows.iter().filter(|row| row.point.work == Work::Step).collect();
+        let steps: Vec<&ScaleRow> = rows.iter().filter(|row| row.point.work == ScaleWork::Step).collect();
         let goal = |row: &&ScaleRow| {
             let fewest = steps[0];
             let more = axis.of(&row.point) - axis.of(&fewest.point);

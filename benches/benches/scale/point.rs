@@ -18,14 +18,14 @@ use splat_op::{Camera, Colour, Extras, project, render, tile, with_gradient};
 
 /// Kind of work that is timed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Work {
+pub enum ScaleWork {
     /// A render and its backward pass, with gradients of all parameters.
     Render,
     /// A training step.
     Step,
 }
 
-impl Work {
+impl ScaleWork {
     pub const ALL: [Self; 2] = [Self::Render, Self::Step];
 
     pub fn name(self) -> &'static str {
@@ -42,7 +42,7 @@ impl Work {
 
 #[derive(Clone, Debug, PartialEq)]
 pub struct ScalePoint {
-    pub work: Work,
+    pub work: ScaleWork,
     pub view: SyntheticView,
     /// Number of photographs.
     pub views: usize,
@@ -82,7 +82,7 @@ impl ScalePoint {
             sigma_px: sigma_px.parse()?,
             opacity: [low.parse()?, high.parse()?],
         };
-        Ok(Self { work: Work::parse(work).ok_or("no such work")?, view, views: views.parse()? })
+        Ok(Self { work: ScaleWork::parse(work).ok_or("no such work")?, view, views: views.parse()? })
     }
 }
 
@@ -94,9 +94,9 @@ pub fn run(point: &ScalePoint) -> Result<(), Box<dyn Error>> {
     let hits = hits(&point.view);
     let empty = held();
     let mut prepare = match (point.work, point.views) {
-        (Work::Render, _) => render_and_backward(&point.view),
-        (Work::Step, 1) => step(&point.view),
-        (Work::Step, views) => trainer_step(&point.view, views),
+        (ScaleWork::Render, _) => render_and_backward(&point.view),
+        (ScaleWork::Step, 1) => step(&point.view),
+        (ScaleWork::Step, views) => trainer_step(&point.view, views),
     };
     let set_up = held() - empty;
     forget_peak();

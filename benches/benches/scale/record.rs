@@ -7,7 +7,7 @@ use std::str::FromStr;
 
 use splat_benches::SyntheticView;
 
-use crate::point::{ScalePoint, Work};
+use crate::point::{ScalePoint, ScaleWork};
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum ScaleAxis {
@@ -118,7 +118,7 @@ pub const ALLOWED_BYTES: f64 = 1.3 * 59.0 * 4.0 * 4.0;
 
 /// Prints the cost of each step along the axis per unit of work.
 pub fn state_growth(axis: ScaleAxis, rows: &[ScaleRow]) {
-    for work in Work::ALL {
+    for work in ScaleWork::ALL {
         let rows: Vec<&ScaleRow> = rows.iter().filter(|row| row.point.work == work).collect();
         for pair in rows.windows(2) {
             let [low, high] = [pair[0], pair[1]];
@@ -134,7 +134,7 @@ pub fn state_growth(axis: ScaleAxis, rows: &[ScaleRow]) {
                 per_unit(axis, high),
             );
         }
-        if axis == ScaleAxis::Splats && work == Work::Step && rows.len() > 1 {
+        if axis == ScaleAxis::Splats && work == ScaleWork::Step && rows.len() > 1 {
             // Between the two largest scenes: with fewer Gaussians the peak is in the loss and depends on the picture.
             let [few, many] = [rows[rows.len() - 2], rows[rows.len() - 1]];
             let more = (many.point.view.splats - few.point.view.splats) as f64;

@@ -70,7 +70,7 @@ fn work_grows_with_what_it_is_made_of() {
 
 #[test]
 fn the_longer_of_moving_and_computing_limits() {
-    let work = Work { bytes: 2e9, operations: 3e9 };
+    let work = LeastWork { bytes: 2e9, operations: 3e9 };
     assert_eq!(work.seconds(&MACHINE), 3.0);
     assert_eq!(work.seconds(&Machine { operations: Some(1e10), ..MACHINE }), 2.0);
     assert_eq!(work.seconds(&Machine { operations: None, ..MACHINE }), 2.0);

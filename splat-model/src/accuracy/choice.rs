@@ -16,7 +16,7 @@ pub struct Target {
 
 /// The work that the time of a frame covers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Work {
+pub enum Workload {
     /// A render.
     Render,
     /// A render and its backward pass.
@@ -42,7 +42,7 @@ pub struct NoChoice {
     best: String,
 }
 
-impl Work {
+impl Workload {
     /// The time of a frame.
     pub fn time(self, measured: &Measured) -> Spread {
         match self {
@@ -66,12 +66,12 @@ impl Target {
         *self == Self::default()
     }
 
-    fn is_met(&self, measured: &Measured, work: Work) -> bool {
+    fn is_met(&self, measured: &Measured, work: Workload) -> bool {
         let accurate = self.error_db.is_none_or(|least| measured.error_db >= least);
         accurate && self.ms.is_none_or(|most| work.time(measured).upper <= most)
     }
 
-    fn wanted(&self, work: Work) -> String {
+    fn wanted(&self, work: Workload) -> String {
         let error = self.error_db.map(|least| format!("reaches {least} dB against the exact render"));
         let time = self.ms.map(|most| format!("takes at most {most} ms for {}", work.name()));
         error.into_iter().chain(time).collect::<Vec<_>>().join(" and ")
@@ -85,7 +85,7 @@ impl Frontier {
     ///
     /// # Errors
     /// [`NoChoice`], which names the closest settings, if no setting meets the target.
-    pub fn choose(&self, target: &Target, work: Work) -> Result<ChosenSetting, NoChoice> {
+    pub fn choose(&self, target: &Target, work: Workload) -> Result<ChosenSetting, NoChoice> {
         let point = |measured: &Measured| FrontierPoint { quality_db: measured.error_db, time: work.time(measured) };
         let points: Vec<FrontierPoint> = self.settings.iter().map(point).collect();
         let members: Vec<&Measured> = frontier(&points).into_iter().map(|i| &self.settings[i]).collect();
@@ -101,7 +101,7 @@ impl Frontier {
     }
 
     /// The setting that changes the fewest dials among those that do not differ measurably from `chosen`; the first of several.
-    fn simplest<'a>(&'a self, chosen: &'a Measured, target: &Target, work: Work) -> &'a Measured {
+    fn simplest<'a>(&'a self, chosen: &'a Measured, target: &Target, work: Workload) -> &'a Measured {
         let alike = |other: &&Measured| {
             let as_accurate = tenths(other.error_db) == tenths(chosen.error_db);
             as_accurate && work.time(other).overlaps(&work.time(chosen)) && target.is_met(other, work)
@@ -110,7 +110,7 @@ impl Frontier {
         simpler.unwrap_or(chosen)
     }
 
-    fn why(&self, chosen: &Measured, work: Work) -> String {
+    fn why(&self, chosen: &Measured, work: Workload) -> String {
         let mut why = format!(
             "{} ({}): {:.1} dB against the exact render, {:.2} ms for {}",
             chosen.name,
@@ -131,7 +131,7 @@ impl Frontier {
 }
 
 /// Describes both ends of the frontier.
-fn closest(members: &[&Measured], work: Work) -> String {
+fn closest(members: &[&Measured], work: Workload) -> String {
     let said = |what: &str, m: &Measured| {
         format!("the {what} is {} ({}), {:.1} dB in {:.2} ms", m.name, m.turned, m.error_db, work.time(m).upper)
     };
@@ -174,7 +174,7 @@ pub(super) mod tests {
         Frontier { device: "flex".into(), provenance: Provenance::default(), splats: 1, pixels: 1, settings }
     }
 
-    fn chosen(error_db: Option<f64>, ms: Option<f64>, work: Work) -> Result<String, String> {
+    fn chosen(error_db: Option<f64>, ms: Option<f64>, work: Workload) -> Result<String, String> {
         let choice = some().choose(&Target { error_db, ms }, work);
         choice.map(|choice| choice.measured.name).map_err(|none| none.to_string())
     }
@@ -182,18 +182,18 @@ pub(super) mod tests {
     #[test]
     fn the_cheapest_that_is_accurate_enough() {
         for (least, expected) in [(30.0, "fast"), (40.0, "fast"), (40.1, STANDARD), (50.0, STANDARD), (60.0, "exact")] {
-            assert_eq!(chosen(Some(least), None, Work::Render).unwrap(), expected, "{least} dB");
+            assert_eq!(chosen(Some(least), None, Workload::Render).unwrap(), expected, "{least} dB");
         }
     }
 
     #[test]
     fn the_most_accurate_that_is_fast_enough() {
         for (most, expected) in [(3.2, "fast"), (5.2, "fast"), (5.25, STANDARD), (9.0, STANDARD), (100.0, "exact")] {
-            assert_eq!(chosen(None, Some(most), Work::Render).unwrap(), expected, "{most} ms");
+            assert_eq!(chosen(None, Some(most), Workload::Render).unwrap(), expected, "{most} ms");
         }
-        assert_eq!(chosen(None, Some(10.0), Work::Train).unwrap(), "fast", "a backward pass counts too");
+        assert_eq!(chosen(None, Some(10.0), Workload::Train).unwrap(), "fast", "a backward pass counts too");
         assert_eq!(
-            chosen(Some(41.0), Some(100.0), Work::Render).unwrap(),
+            chosen(Some(41.0), Some(100.0), Workload::Render).unwrap(),
             STANDARD,
             "of those that meet both, the cheapest"
         );
@@ -205,36 +205,36 @@ pub(super) mod tests {
         // As accurate as the standard, a little faster, but not measurably.
         all.settings.insert(0, measured("capped", [("alpha_max", "0.999")], 55.01, 4.9));
         let target = Target { error_db: Some(51.0), ms: None };
-        assert_eq!(all.choose(&target, Work::Render).unwrap().measured.name, STANDARD);
+        assert_eq!(all.choose(&target, Workload::Render).unwrap().measured.name, STANDARD);
         // The capped setting is chosen where it alone meets the time.
         let target = Target { error_db: Some(51.0), ms: Some(5.2) };
-        assert_eq!(all.choose(&target, Work::Render).unwrap().measured.name, "capped");
+        assert_eq!(all.choose(&target, Workload::Render).unwrap().measured.name, "capped");
     }
 
     #[test]
     fn what_nothing_meets_is_refused_with_what_there_is() {
-        let error = chosen(Some(90.0), None, Work::Render).unwrap_err();
+        let error = chosen(Some(90.0), None, Workload::Render).unwrap_err();
         for part in ["reaches 90 dB", "the most accurate is exact (alpha_min 2^-26), 80.0 dB", "the fastest is fast"] {
             assert!(error.contains(part), "{part:?} is not in {error}");
         }
-        let error = chosen(Some(50.0), Some(1.0), Work::Train).unwrap_err();
+        let error = chosen(Some(50.0), Some(1.0), Workload::Train).unwrap_err();
         assert!(
             error.contains("reaches 50 dB against the exact render and takes at most 1 ms for a frame with its back"),
             "{error}"
         );
         let nothing = Frontier { settings: Vec::new(), ..some() };
-        let error = nothing.choose(&Target { ms: Some(1.0), ..Target::default() }, Work::Render).unwrap_err();
+        let error = nothing.choose(&Target { ms: Some(1.0), ..Target::default() }, Workload::Render).unwrap_err();
         assert!(error.to_string().ends_with("none was measured"));
     }
 
     #[test]
     fn the_reason_names_dials_and_the_standard() {
         let target = Target { error_db: Some(30.0), ms: None };
-        let why = some().choose(&target, Work::Render).unwrap().why;
+        let why = some().choose(&target, Workload::Render).unwrap().why;
         let expected = "fast (alpha_min 4/255): 40.0 dB against the exact render, 3.00 ms for a frame; the standard has \
                         55.0 dB and takes 5.00 ms";
         assert_eq!(why, expected);
         let target = Target { error_db: Some(51.0), ms: None };
-        assert!(!some().choose(&target, Work::Render).unwrap().why.contains("; the standard"));
+        assert!(!some().choose(&target, Workload::Render).unwrap().why.contains("; the standard"));
     }
 }

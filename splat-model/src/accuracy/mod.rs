@@ -11,7 +11,7 @@ mod measured;
 mod provenance;
 mod setting;
 
-pub use self::choice::{ChosenSetting, NoChoice, Target, Work};
+pub use self::choice::{ChosenSetting, NoChoice, Target, Workload};
 pub use self::dials::{DIALS, Dial, DialValue, Judge};
 pub use self::frontier::{FrontierPoint, Spread, frontier};
 pub use self::measured::{Frontier, FrontierError, Measured, STANDARD, decibels};

@@ -18,7 +18,7 @@ use std::time::Duration;
 use anyhow::{Result, ensure};
 use burn::tensor::Device;
 use clap::builder::RangedU64ValueParser;
-use splat_model::accuracy::{ChosenSetting, FrontierPoint, Provenance, Target, Work, decibels, frontier};
+use splat_model::accuracy::{ChosenSetting, FrontierPoint, Provenance, Target, Workload, decibels, frontier};
 use splat_model::capture::{Capture, Photo, Split};
 use splat_model::evaluate::evaluate;
 use splat_model::gaussians::GaussianRows;
@@ -187,7 +187,7 @@ pub fn choose_briefly(
     shots: Vec<MeasuredView>,
     base: &RenderOptions,
     (device, device_name): (&Device, &str),
-    (target, work): (&Target, Work),
+    (target, work): (&Target, Workload),
 ) -> Result<ChosenSetting> {
     let shots: Vec<MeasuredView> =
         spread(&(0..shots.len()).collect::<Vec<_>>(), VIEWS_BRIEFLY).iter().map(|&i| shots[i]).collect();

@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use splat_model::accuracy::{DIALS, Dial, Judge, STANDARD, Spread, Work, decibels};
+use splat_model::accuracy::{DIALS, Dial, Judge, STANDARD, Spread, Workload, decibels};
 use splat_op::RenderOptions;
 
 use super::dials::Role;
@@ -85,7 +85,7 @@ fn intro(subject: &PageSubject, outcome: &BenchOutcome) -> String {
 /// Returns the summary.
 fn taken(subject: &PageSubject, outcome: &BenchOutcome, members: [&[usize]; 2]) -> String {
     let mut text = String::from("\n## What to take from it\n\n");
-    let works = [(Work::Render, INVISIBLE_DB, "to render"), (Work::Train, HARMLESS_DB, "to train")];
+    let works = [(Workload::Render, INVISIBLE_DB, "to render"), (Workload::Train, HARMLESS_DB, "to train")];
     for dial in measured_dials(outcome, Judge::Exact) {
         let found = works.map(|(work, harmless, _)| verdict(&graded(dial, subject, outcome, work), harmless));
         let said = works
@@ -145,13 +145,13 @@ fn alone(dial: &Dial, outcome: &BenchOutcome) -> String {
 
 /// A dial's values with their errors in isolation, which other dials would hide, and their times with the other dials
 /// at the base.
-fn graded(dial: &'static Dial, subject: &PageSubject, outcome: &BenchOutcome, work: Work) -> Vec<Graded> {
+fn graded(dial: &'static Dial, subject: &PageSubject, outcome: &BenchOutcome, work: Workload) -> Vec<Graded> {
     let one = |(value, row): (String, &SettingMeasurements)| {
         let alone = outcome.alone.iter().find(|alone| alone.dial == dial.name && alone.value == value)?;
         let accuracy = &alone.accuracy;
         let (quality_db, time) = match work {
-            Work::Render => (decibels(accuracy.rms), row.times.forward),
-            Work::Train => (decibels(accuracy.gradient_error), row.times.step),
+            Workload::Render => (decibels(accuracy.rms), row.times.forward),
+            Workload::Train => (decibels(accuracy.gradient_error), row.times.step),
         };
         Some(Graded { value, quality_db, time })
     };

@@ -8,7 +8,7 @@ use std::time::Instant;
 
 use anyhow::{Context, Result, ensure};
 use serde::Serialize;
-use splat_model::accuracy::Work;
+use splat_model::accuracy::Workload;
 use splat_model::capture::demo::DemoOptions;
 use splat_model::capture::{Capture, Photograph, Split};
 use splat_model::effects::EffectKind;
@@ -108,7 +108,7 @@ fn to_the_end(mut args: TrainArgs, kept: Option<SavedRun>, change: impl FnOnce(T
     let shots: Vec<MeasuredView> =
         train.iter().map(|photo| MeasuredView::unseen(&photo.intrinsics, &photo.cam_from_world)).collect();
     let base = config.render_options(input::extent(&capture));
-    let mut accuracy = Some(accuracy.on((&capture, None, MeasuredView::pixels(&shots)), &base, Work::Train)?);
+    let mut accuracy = Some(accuracy.on((&capture, None, MeasuredView::pixels(&shots)), &base, Workload::Train)?);
     if let Some(RequestedAccuracy::Known(setting)) =
         accuracy.take_if(|accuracy| matches!(accuracy, RequestedAccuracy::Known(_)))
     {

@@ -3,7 +3,7 @@
 
 use anyhow::{Context, Result};
 use burn::tensor::Device;
-use splat_model::accuracy::Work;
+use splat_model::accuracy::Workload;
 use splat_model::capture::{Capture, Photograph};
 use splat_model::metrics::lpips::Lpips;
 use splat_model::trainer::Trainer;
@@ -76,7 +76,7 @@ impl Steps<'_> {
                 && let Some(PendingChoice { accuracy, shots }) = choice.take()
             {
                 let (rows, base) = (trainer.rows(), trainer.render_options());
-                let dials = accuracy.setting((&rows, shots), &base, self.device, Work::Train)?;
+                let dials = accuracy.setting((&rows, shots), &base, self.device, Workload::Train)?;
                 trainer.turn(&dials);
                 dials_chosen = true;
             }
