@@ -36,7 +36,7 @@ fn reference_vectors_in_f64() {
 #[test]
 fn reference_vectors_in_f32() {
     for vector in read_vectors() {
-        let yardstick = Yardstick::new(&vector, &Device::flex());
+        let yardstick = RoundedReference::new(&vector, &Device::flex());
         for (device_name, device) in devices() {
             let ReferenceVector { scene, options, .. } = &vector;
             let found = evaluate(scene, &yardstick.weights, options, &device, DType::F32);
@@ -78,7 +78,7 @@ fn compare_f64(vector: &ReferenceVector, found: &RenderOutputs) -> Vec<Finding> 
 /// Expected result of an f32 render: the f64 render of the rounded inputs, itself compared with the vectors, and its
 /// change by one ulp in every input. Pixels of the boundary band are excluded from the pictures and from the loss, so
 /// that the gradients of all other pixels are compared in full.
-struct Yardstick {
+struct RoundedReference {
     weights: LossWeights,
     expected: RenderOutputs,
     spread: RenderOutputs,
@@ -86,7 +86,7 @@ struct Yardstick {
     kept: Vec<bool>,
 }
 
-impl Yardstick {
+impl RoundedReference {
     fn new(vector: &ReferenceVector, device: &Device) -> Self {
         let (scene, mut weights, options) = rounded(&vector.scene, &vector.weights, &vector.options);
         let kept: Vec<bool> = boundary_band(&scene, &options, device).iter().map(|band| !band).collect();

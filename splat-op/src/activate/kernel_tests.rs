@@ -4,7 +4,7 @@ use super::cpu::{opacities_cpu, opacity_slopes_cpu, scales_cpu};
 use super::launch::{launch_non_finite, launch_opacities, launch_opacity_slopes, launch_scales};
 use super::rule::Raw;
 use crate::gpu::Buffer;
-use crate::testing::ceiling::{Yardstick, rounded, to_f32};
+use crate::testing::ceiling::{PerturbedReference, rounded, to_f32};
 use crate::testing::gpu::{gpu, gpus};
 use crate::testing::random::Random;
 
@@ -61,7 +61,7 @@ fn activations_and_slopes_agree_with_the_twin() {
         let plain = opacities_cpu(inputs(&tensors));
         let masked: Vec<bool> = plain.iter().map(|opacity| *opacity == 0.0).collect();
         assert!(count < 100 || (masked.iter().any(|m| *m) && masked.iter().any(|m| !*m)));
-        let logits = Yardstick::new(&tensors[3..4], |moved| {
+        let logits = PerturbedReference::new(&tensors[3..4], |moved| {
             let sigmoid = |x: &f64| if *x < 0.0 { x.exp() / (1.0 + x.exp()) } else { 1.0 / (1.0 + (-x).exp()) };
             let opacities = moved[0].iter().zip(&masked).map(|(x, masked)| if *masked { 0.0 } else { sigmoid(x) });
             let opacities: Vec<f64> = opacities.collect();
@@ -70,7 +70,7 @@ fn activations_and_slopes_agree_with_the_twin() {
         });
         // The twin is the yardstick; the closure above repeats it so that logits can move.
         assert_eq!(logits.expected[0], plain);
-        let scales = Yardstick::new(&[rounded(&tensors[2])], |moved| vec![scales_cpu(&moved[0])]);
+        let scales = PerturbedReference::new(&[rounded(&tensors[2])], |moved| vec![scales_cpu(&moved[0])]);
         let at_limit: Vec<Option<u8>> =
             tensors[2].iter().map(|log| (*log != 88.0).then_some(scale_class(*log))).collect();
         // Opacities have one class, because all lie between 0 and 1; slopes one per power of e.

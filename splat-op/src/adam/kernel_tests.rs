@@ -3,7 +3,7 @@
 use super::launch::{DeviceState, launch_adam, launch_watch};
 use super::{Band, Factors, Rates, VERDICT};
 use crate::gpu::{Buffer, Gpu};
-use crate::testing::ceiling::{Yardstick, rounded, to_f32};
+use crate::testing::ceiling::{PerturbedReference, rounded, to_f32};
 use crate::testing::gpu::gpus;
 use crate::testing::random::Random;
 
@@ -49,7 +49,8 @@ fn a_step_is_that_of_the_equations() {
     for count in [1, 255, 256, 5_000] {
         let tensors = tensors(count);
         let band = Some(Band { period: 12, width: 3 });
-        let yardsticks = [None, band].map(|band| (band, Yardstick::new(&tensors, |inputs| step(inputs, band))));
+        let yardsticks =
+            [None, band].map(|band| (band, PerturbedReference::new(&tensors, |inputs| step(inputs, band))));
         for (form, gpu) in gpus() {
             let sound = Buffer::from_slice(&gpu, &[0_u32; VERDICT]);
             let guards = [("without a verdict", None), ("with one", Some(&sound))];

@@ -7,7 +7,7 @@ use crate::camera::Intrinsics;
 use crate::gpu::{Buffer, Gpu};
 use crate::options::{Accumulation, RenderOptions};
 use crate::project::COLUMNS;
-use crate::testing::ceiling::{Yardstick, rounded};
+use crate::testing::ceiling::{PerturbedReference, rounded};
 use crate::testing::ellipses::ellipses;
 use crate::testing::gpu::{gpu, gpus};
 use crate::testing::random::Random;
@@ -129,7 +129,7 @@ impl StageInputs {
         let grad = mask(rounded(&Random::new(3).fill(planes * band.len(), -1.0, 1.0)));
         let inputs = [scene.projected.clone(), scene.features.clone(), scene.background.clone(), grad.clone()];
         // The gradient of a pixel in the band is zero, so the others' prove as much as they can.
-        let yardstick = Yardstick::new(&inputs, |inputs| {
+        let yardstick = PerturbedReference::new(&inputs, |inputs| {
             let scene = scene.with(inputs);
             let g = scene.backward(&inputs[3]);
             vec![mask(scene.planes()), g.projected, g.features, g.background, g.mean2d_abs]

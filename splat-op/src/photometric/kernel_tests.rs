@@ -4,14 +4,14 @@ use super::launch::{launch_photometric, launch_window};
 use super::taps::Compared;
 use super::tests::{pictures, shares, window};
 use crate::gpu::Buffer;
-use crate::testing::ceiling::{Yardstick, to_f32};
+use crate::testing::ceiling::{PerturbedReference, to_f32};
 use crate::testing::gpu::gpus;
 
 #[test]
 fn window_is_the_double_sum() {
     for (size, planes) in [([1, 1], 1), ([3, 40], 2), ([33, 17], 3), ([101, 64], 1)] {
         let inputs = pictures(size, planes);
-        let yardstick = Yardstick::new(&inputs[..1], |inputs| vec![window(&inputs[0], size)]);
+        let yardstick = PerturbedReference::new(&inputs[..1], |inputs| vec![window(&inputs[0], size)]);
         for (form, gpu) in gpus() {
             let found = launch_window(&gpu, &Buffer::from_slice(&gpu, &to_f32(&inputs[0])), size).read(&gpu);
             yardstick.check(&format!("{size:?}, {form}"), 0, &found, &vec![Some(0); found.len()]);
@@ -25,7 +25,7 @@ fn loss_and_derivative_agree_with_the_definition() {
         [([1, 1], 1, 0.2), ([37, 21], 3, 0.2), ([16, 33], 2, 1.0), ([20, 12], 3, 0.0), ([6, 150], 1, 0.2)]
     {
         let inputs = pictures(size, planes);
-        let yardstick = Yardstick::new(&inputs, |inputs| vec![shares(inputs, size, lambda)]);
+        let yardstick = PerturbedReference::new(&inputs, |inputs| vec![shares(inputs, size, lambda)]);
         // The derivative of the sum by differences of the definition.
         let total = |x: &[f64]| {
             let moved = [x.to_vec(), inputs[1].clone(), inputs[2].clone(), inputs[3].clone()];

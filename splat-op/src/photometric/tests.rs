@@ -3,7 +3,7 @@
 use super::cpu::{PlaneSize, photometric_cpu, window_cpu};
 use super::taps::Compared;
 use crate::real::Real;
-use crate::testing::ceiling::{Yardstick, rounded, to_f32};
+use crate::testing::ceiling::{PerturbedReference, rounded, to_f32};
 use crate::testing::random::Random;
 
 /// `Kx` by the definition: every pair of a pixel and a tap.
@@ -74,7 +74,7 @@ fn window_is_the_double_sum() {
             for (i, (found, expected)) in found.iter().zip(&expected).enumerate() {
                 assert!((found - expected).abs() <= 1e-14, "{size:?}, {i}: {found} instead of {expected}");
             }
-            let yardstick = Yardstick::new(&[x], |inputs| vec![window(&inputs[0], size)]);
+            let yardstick = PerturbedReference::new(&[x], |inputs| vec![window(&inputs[0], size)]);
             let narrow = window_cpu(&to_f32(&pictures(size, planes)[0]), PlaneSize { width, height });
             yardstick.check(&format!("{size:?}"), 0, &narrow, &vec![Some(0); narrow.len()]);
         }

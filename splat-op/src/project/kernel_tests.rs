@@ -10,7 +10,7 @@ use super::{COLUMNS, COMPENSATION_MIN, Geometry, ProjectSpec};
 use crate::camera::{CameraModel, Intrinsics};
 use crate::gpu::{Buffer, Gpu, UNITS};
 use crate::options::RenderOptions;
-use crate::testing::ceiling::{Yardstick, rounded, to_f32};
+use crate::testing::ceiling::{PerturbedReference, rounded, to_f32};
 use crate::testing::gpu::gpus;
 use crate::testing::lenses::lenses;
 use crate::testing::random::Random;
@@ -172,7 +172,7 @@ impl StageInputs {
     /// that it may take across a limit of the Jacobian or the floor of the compensation.
     fn classes(&self, view: &TestCamera, backward: bool) -> Vec<Option<u8>> {
         let spec = view.spec(&view.lens);
-        let margins = Yardstick::new(&self.tensors, |tensors| margins(tensors, view));
+        let margins = PerturbedReference::new(&self.tensors, |tensors| margins(tensors, view));
         let (cull, rest) = (margins.near_zero(0), margins.near_zero(1));
         let cull: Vec<bool> = cull.chunks_exact(2).map(|pair| pair.contains(&true)).collect();
         let seen: Vec<bool> =
@@ -225,7 +225,7 @@ fn read(gpu: &Gpu, g: &Geometry<Option<Buffer<f32>>>) -> [Option<Vec<f32>>; 6] {
 fn check_forward(what: &str, scene: &StageInputs, view: &TestCamera) -> f64 {
     let classes = scene.classes(view, false);
     let forward = |tensors: &[Vec<f64>]| vec![project_cpu(inputs(tensors), &view.spec(&tensors[LENS]))];
-    let yardstick = Yardstick::new(&scene.tensors, forward);
+    let yardstick = PerturbedReference::new(&scene.tensors, forward);
     let mut worst = 0.0_f64;
     for (form, gpu) in gpus() {
         let found = launch_project(&gpu, &scene.upload(&gpu).0, &view.spec(&view.lens)).read(&gpu);
@@ -235,12 +235,12 @@ fn check_forward(what: &str, scene: &StageInputs, view: &TestCamera) -> f64 {
 }
 
 /// A scene whose Gaussians in the band have no gradient, its classes, and what the twin makes of it.
-fn backward_yardstick(mut scene: StageInputs, view: &TestCamera) -> (StageInputs, Vec<Option<u8>>, Yardstick) {
+fn backward_yardstick(mut scene: StageInputs, view: &TestCamera) -> (StageInputs, Vec<Option<u8>>, PerturbedReference) {
     let classes = scene.classes(view, true);
     for (i, _) in classes.iter().enumerate().filter(|(_, class)| class.is_none()) {
         scene.tensors[GRAD][COLUMNS * i..COLUMNS * (i + 1)].fill(0.0);
     }
-    let yardstick = Yardstick::new(&scene.tensors, |tensors| {
+    let yardstick = PerturbedReference::new(&scene.tensors, |tensors| {
         let mut spec = view.spec(&tensors[LENS]);
         // Without blur the compensation is one, and its gradient zero; the twin finds the latter as a difference.
         spec.options.antialias &= spec.options.blur > 0.0;
@@ -322,7 +322,8 @@ fn the_twin_in_f32_agrees_with_itself_in_f64_for_every_lens() {
         let scene = StageInputs::random(300 + i as u64, 1_500, &view, false);
         let classes = scene.classes(&view, false);
         let spec = |tensors: &[Vec<f64>]| view.spec(&tensors[LENS]);
-        let yardstick = Yardstick::new(&scene.tensors, |tensors| vec![project_cpu(inputs(tensors), &spec(tensors))]);
+        let yardstick =
+            PerturbedReference::new(&scene.tensors, |tensors| vec![project_cpu(inputs(tensors), &spec(tensors))]);
         let in_f32 = |scene: &StageInputs| scene.tensors.iter().map(|tensor| to_f32(tensor)).collect::<Vec<_>>();
         let found = project_cpu(inputs(&in_f32(&scene)), &spec(&scene.tensors));
         let forward = yardstick.check(&format!("{lens:?} in f32"), 0, &found, &classes);

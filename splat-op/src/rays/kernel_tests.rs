@@ -9,7 +9,7 @@ use crate::camera::Intrinsics;
 use crate::gpu::{Buffer, Gpu};
 use crate::options::{Order, Projection, RenderOptions};
 use crate::project::COLUMNS;
-use crate::testing::ceiling::{Yardstick, rounded, to_f32};
+use crate::testing::ceiling::{PerturbedReference, rounded, to_f32};
 use crate::testing::ellipses::ellipses;
 use crate::testing::gpu::{gpu, gpus};
 use crate::testing::random::Random;
@@ -169,7 +169,7 @@ impl StageInputs {
         let inputs: Vec<Vec<f64>> = self.inputs.iter().cloned().chain([grad.clone()]).collect();
         // The gradient of a pixel in the band is zero, so the others' prove as much as they can. The expected layers are those of
         // the inputs as they are, which one ulp in every input may exchange too.
-        let yardstick = Yardstick::new(&inputs, |inputs| {
+        let yardstick = PerturbedReference::new(&inputs, |inputs| {
             let scene = self.with(inputs);
             let g = scene.backward(&inputs[4]);
             vec![mask(scene.planes()), g.projected, g.tilt, g.features, g.background, g.mean2d_abs]

@@ -6,7 +6,7 @@ use super::cpu::{ShCoefficients, ShadeCpuInputs, shade_backward_cpu, shade_cpu};
 use super::launch::{ShadeDeviceInputs, launch_shade, launch_shade_backward};
 use super::{Shading, coefficients_of};
 use crate::gpu::{Buffer, Gpu};
-use crate::testing::ceiling::{Yardstick, rounded, to_f32};
+use crate::testing::ceiling::{PerturbedReference, rounded, to_f32};
 use crate::testing::gpu::gpus;
 use crate::testing::random::Random;
 
@@ -99,7 +99,7 @@ impl StageInputs {
             }
             vec![shade_cpu(inputs(&tensors, self.degree), None).iter().map(|colour| colour - lift).collect()]
         };
-        let band = Yardstick::new(&self.tensors, lifted).near_zero(0);
+        let band = PerturbedReference::new(&self.tensors, lifted).near_zero(0);
         let count = band.iter().filter(|band| **band).count();
         assert!(count <= 1 + band.len() / 100, "{count} of {} channels in the band", band.len());
         self.tensors[GRAD].iter_mut().zip(band).filter(|(_, band)| *band).for_each(|(grad, _)| *grad = 0.0);
@@ -115,7 +115,8 @@ fn read(gpu: &Gpu, g: &Shading<Option<Buffer<f32>>>) -> [Option<Vec<f32>>; 3] {
 }
 
 fn check_forward(what: &str, scene: &StageInputs) -> f64 {
-    let yardstick = Yardstick::new(&scene.tensors, |tensors| vec![shade_cpu(inputs(tensors, scene.degree), None)]);
+    let yardstick =
+        PerturbedReference::new(&scene.tensors, |tensors| vec![shade_cpu(inputs(tensors, scene.degree), None)]);
     let clamped = yardstick.expected[0].iter().filter(|colour| **colour == 0.0).count();
     assert!(scene.kinds.len() < 100 || clamped > 5, "{what}: only {clamped} channels are clamped");
     let mut worst = 0.0_f64;
@@ -130,7 +131,7 @@ fn check_backward(what: &str, mut scene: StageInputs, needs: &[Shading<bool>]) -
     scene.mask_band();
     // A Gaussian that is not finite has no gradient, and is compared.
     let classes: Vec<_> = scene.kinds.iter().copied().map(Some).collect();
-    let yardstick = Yardstick::new(&scene.tensors, |tensors| {
+    let yardstick = PerturbedReference::new(&scene.tensors, |tensors| {
         list(shade_backward_cpu(inputs(tensors, scene.degree), None, &tensors[GRAD], ALL))
     });
     let mut worst = 0.0_f64;

@@ -43,12 +43,12 @@ fn moved(values: &[f64], random: &mut Random) -> Vec<f64> {
 }
 
 /// Tensors in f64 and the largest change of each element over several draws.
-pub struct Yardstick {
+pub struct PerturbedReference {
     pub expected: Vec<Vec<f64>>,
     pub spread: Vec<Vec<f64>>,
 }
 
-impl Yardstick {
+impl PerturbedReference {
     /// `inputs` are rounded already.
     pub fn new(inputs: &[Vec<f64>], evaluate: impl Fn(&[Vec<f64>]) -> Vec<Vec<f64>>) -> Self {
         let expected = evaluate(inputs);

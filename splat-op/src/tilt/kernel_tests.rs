@@ -9,7 +9,7 @@ use crate::gpu::{Buffer, Gpu};
 use crate::options::{Projection, RenderOptions};
 use crate::project::cpu::project_cpu;
 use crate::project::{COLUMNS, Geometry, ProjectSpec};
-use crate::testing::ceiling::{Yardstick, rounded, to_f32};
+use crate::testing::ceiling::{PerturbedReference, rounded, to_f32};
 use crate::testing::gpu::gpus;
 use crate::testing::random::Random;
 
@@ -92,9 +92,10 @@ fn list(g: Geometry<Vec<f64>>) -> Vec<Vec<f64>> {
 fn kernels_agree_with_the_twin() {
     for (seed, spec) in specs().into_iter().enumerate() {
         let (tensors, classes) = scene(seed as u64, 1_200);
-        let forward = Yardstick::new(&tensors, |tensors| vec![tilt_cpu(inputs(tensors), &spec)]);
-        let backward =
-            Yardstick::new(&tensors, |tensors| list(tilt_backward_cpu(inputs(tensors), &tensors[GRAD], &spec, ALL)));
+        let forward = PerturbedReference::new(&tensors, |tensors| vec![tilt_cpu(inputs(tensors), &spec)]);
+        let backward = PerturbedReference::new(&tensors, |tensors| {
+            list(tilt_backward_cpu(inputs(tensors), &tensors[GRAD], &spec, ALL))
+        });
         for (form, gpu) in gpus() {
             let what = |what: &str| format!("{what}, {form}, spec {seed}");
             let (device, grad) = upload(&gpu, &tensors);
@@ -141,7 +142,7 @@ fn outlines_agree_with_the_twin() {
         spec.options.alpha_min = f64::from(alpha_min as f32);
         let blend = BlendSpec { intrinsics: CAMERA, options: spec.options };
         let rows = [project_cpu(inputs(&tensors), &spec), tilt_cpu(inputs(&tensors), &spec)].map(|t| rounded(&t));
-        let yardstick = Yardstick::new(&rows, |rows| vec![outline_cpu(&rows[0], &rows[1], &blend)]);
+        let yardstick = PerturbedReference::new(&rows, |rows| vec![outline_cpu(&rows[0], &rows[1], &blend)]);
         // Near the end of those that have one, a row may have one or not; the slack that tells them apart is no rounding.
         let jumps = |i: usize| {
             let row = |values: &[f64]| values[COLUMNS * i..COLUMNS * (i + 1)].to_vec();

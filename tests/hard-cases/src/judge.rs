@@ -77,7 +77,7 @@ pub fn judge(case: &HardCase, places: &[TestDevice]) -> CaseResult {
         CaseKind::Scenes(scenes) => {
             row.places = places.iter().map(|&place| (place.clone(), CaseOutcome::default())).collect();
             for scene in scenes {
-                let yardstick = Yardstick::new(scene);
+                let yardstick = CaseReference::new(scene);
                 row.condition = row.condition.max(yardstick.condition);
                 row.remarks.extend(yardstick.remarks.iter().map(|remark| format!("{}: {remark}", scene.label)));
                 for (place, outcome) in &mut row.places {
@@ -105,7 +105,7 @@ const UNSEEN: f64 = 1e-46;
 const TEXTBOOK_PAIRS: usize = 20_000_000;
 
 /// Expected result of an f32 render, and its change when every input moves by one ulp.
-pub struct Yardstick {
+pub struct CaseReference {
     scene: HardScene,
     weights: OutputWeights,
     expected: Outputs,
@@ -116,7 +116,7 @@ pub struct Yardstick {
     remarks: Vec<String>,
 }
 
-impl Yardstick {
+impl CaseReference {
     pub fn new(scene: &HardScene) -> Self {
         let (device, scene) = (Device::flex(), scene.rounded());
         let mut weights = scene.weights();

@@ -3,10 +3,10 @@
 use super::*;
 use crate::scene::Splat;
 
-fn yardstick() -> Yardstick {
+fn yardstick() -> CaseReference {
     let hard = Splat::at([20.3, 18.6], 3.0, 2.0);
     let neighbour = Splat::at([50.2, 8.4], 2.0, 1.0).colour(&[0.3, 0.9, 0.6]);
-    Yardstick::new(&HardScene::new("plain", &[hard]).with_neighbour(&neighbour))
+    CaseReference::new(&HardScene::new("plain", &[hard]).with_neighbour(&neighbour))
 }
 
 fn place() -> TestDevice {
@@ -14,7 +14,7 @@ fn place() -> TestDevice {
 }
 
 /// Judges the reference with one change to a gradient or a picture.
-fn changed(yardstick: &Yardstick, change: impl Fn(&mut Outputs, &Outputs)) -> CaseOutcome {
+fn changed(yardstick: &CaseReference, change: impl Fn(&mut Outputs, &Outputs)) -> CaseOutcome {
     let mut found = yardstick.expected.clone();
     change(&mut found, &yardstick.spread);
     yardstick.compare(&found, 1.0)
@@ -97,7 +97,7 @@ fn a_neighbour_that_changes_fails() {
         2.0,
         1.0,
     ));
-    let outcome = Yardstick::new(&covered).judge(&place, 1.0);
+    let outcome = CaseReference::new(&covered).judge(&place, 1.0);
     assert!(outcome.failures.iter().any(|failure| failure.contains("covered")), "{:?}", outcome.failures);
 }
 
@@ -105,7 +105,7 @@ fn a_neighbour_that_changes_fails() {
 fn a_splat_culled_without_reason_fails() {
     let scene = HardScene::new("behind", &[Splat::at([20.0, 18.0], -3.0, 2.0), Splat::at([20.0, 18.0], 3.0, 2.0)]);
     for (culled, passes) in [(vec![0], true), (vec![], false), (vec![0, 1], false), (vec![1], false)] {
-        let outcome = Yardstick::new(&scene.clone().with_culled(&culled)).judge(&place(), 1.0);
+        let outcome = CaseReference::new(&scene.clone().with_culled(&culled)).judge(&place(), 1.0);
         assert_eq!(outcome.passed(), passes, "{culled:?}: {:?}", outcome.failures);
     }
 }
@@ -114,7 +114,7 @@ fn a_splat_culled_without_reason_fails() {
 fn a_truth_that_disagrees_with_the_twin_is_remarked_on() {
     // The twin culls a zero quaternion, and the papers' formulas make it NaN.
     let scene = HardScene::new("zero", &[Splat::at([20.0, 18.0], 3.0, 2.0).quat([0.0; 4])]);
-    assert!(!Yardstick::new(&scene).remarks.is_empty());
+    assert!(!CaseReference::new(&scene).remarks.is_empty());
 }
 
 #[test]
