@@ -12,7 +12,7 @@ use crate::effects::{Effect, EffectContext, RenderInput, masks, mean_of};
 use crate::loss::{Truth, regularise};
 
 /// The inputs of a view's render, and the photograph to compare it with.
-pub(super) struct Prepared {
+pub(super) struct PreparedStep {
     at: EffectContext<'static>,
     pub input: RenderInput,
     pub truth: Truth,
@@ -49,7 +49,7 @@ impl Trainer {
     }
 
     /// Prepares a view: Gaussians, camera and background after the effects, and the photograph.
-    pub(super) fn prepare(&mut self, view: usize) -> Result<Prepared, TrainError> {
+    pub(super) fn prepare(&mut self, view: usize) -> Result<PreparedStep, TrainError> {
         let at = EffectContext { view, step: self.step, steps: self.config.steps, verdict: None };
         let splats = self.scene.gaussians.splats();
         let tracked = splats.means.device();
@@ -65,11 +65,11 @@ impl Trainer {
         let excluded = self.views.excluded(view)?;
         let mut input = RenderInput { splats, camera, extras, options: self.options, edits: Vec::new() };
         self.effects.before(&mut input, &self.scene.gaussians, at);
-        Ok(Prepared { at, input, truth, excluded, signals })
+        Ok(PreparedStep { at, input, truth, excluded, signals })
     }
 
     /// Renders a view: the mean of all renders if effects make several.
-    fn render(&mut self, prepared: &Prepared) -> Result<Rendered<3>, TrainError> {
+    fn render(&mut self, prepared: &PreparedStep) -> Result<Rendered<3>, TrainError> {
         let inputs = self.effects.samples(prepared.input.clone(), prepared.at);
         let render = |input: &RenderInput| match self.checks {
             true => render_checked(input).map_err(|stopped| self.stopped(prepared.at.view, stopped)),
@@ -79,8 +79,8 @@ impl Trainer {
     }
 
     /// Computes the loss of a picture, with all penalties.
-    pub(super) fn compare(&mut self, prepared: &Prepared, picture: Rendered<3>) -> Result<Compared, TrainError> {
-        let Prepared { at, input, truth, excluded, signals } = prepared;
+    pub(super) fn compare(&mut self, prepared: &PreparedStep, picture: Rendered<3>) -> Result<Compared, TrainError> {
+        let PreparedStep { at, input, truth, excluded, signals } = prepared;
         let cleared = |picture: Tensor<3>| match excluded {
             Some(excluded) => masks::cleared(picture, excluded),
             None => picture,
@@ -111,8 +111,8 @@ impl Trainer {
     }
 
     /// Computes the gradients of the scene, of the probes and of the effects.
-    fn go_back(&mut self, prepared: Prepared, compared: Compared) -> Result<Differentiated, TrainError> {
-        let Prepared { at, input: RenderInput { splats, camera, extras, .. }, signals, .. } = prepared;
+    fn go_back(&mut self, prepared: PreparedStep, compared: Compared) -> Result<Differentiated, TrainError> {
+        let PreparedStep { at, input: RenderInput { splats, camera, extras, .. }, signals, .. } = prepared;
         let Compared { loss, covered } = compared;
         drop(splats);
         let mut left = loss.backward();
