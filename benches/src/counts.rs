@@ -125,14 +125,15 @@ mod tests {
 
     #[test]
     fn five_per_cent_more_is_growth() {
-        let record = [count("blend", 1_000_000, 1_000_000, 1_000_000)];
+        let record = [count("rasterize", 1_000_000, 1_000_000, 1_000_000)];
         assert!(compare(&record, &record).is_empty());
-        assert!(compare(&record, &[count("blend", 1_049_000, 1_049_000, 1_049_000)]).is_empty());
-        let found = compare(&record, &[count("blend", 1_051_000, 1_000_000, 1_000_000)]);
+        assert!(compare(&record, &[count("rasterize", 1_049_000, 1_049_000, 1_049_000)]).is_empty());
+        let found = compare(&record, &[count("rasterize", 1_051_000, 1_000_000, 1_000_000)]);
         assert_eq!(found.len(), 1);
         assert!(found[0].fails());
-        assert_eq!(found[0].to_string(), "blend: +5.1% instructions, 1051000 after 1000000");
-        for found in [count("blend", 1_000_000, 1_051_000, 1_000_000), count("blend", 1_000_000, 1_000_000, 1_051_000)]
+        assert_eq!(found[0].to_string(), "rasterize: +5.1% instructions, 1051000 after 1000000");
+        for found in
+            [count("rasterize", 1_000_000, 1_051_000, 1_000_000), count("rasterize", 1_000_000, 1_000_000, 1_051_000)]
         {
             assert!(compare(&record, &[found]).iter().any(Difference::fails));
         }
@@ -160,9 +161,9 @@ mod tests {
 
     #[test]
     fn records_read_back_and_nothing_else_does() {
-        let counts = [count("blend backward", 3, 2, 1), count("Adam", 0, u64::MAX, 7)];
+        let counts = [count("rasterize backward", 3, 2, 1), count("Adam", 0, u64::MAX, 7)];
         assert_eq!(read(&write(&counts, &["a comment"])), Ok(counts.to_vec()));
-        for text in ["blend\t1\t2", "blend\t1\t2\t3\t4", "blend 1 2 3", "blend\t1\t-2\t3"] {
+        for text in ["rasterize\t1\t2", "rasterize\t1\t2\t3\t4", "rasterize 1 2 3", "rasterize\t1\t-2\t3"] {
             assert!(read(text).is_err(), "{text}");
         }
     }

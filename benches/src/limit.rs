@@ -50,10 +50,10 @@ pub enum PassKind {
     Project,
     Shade,
     Tile,
-    Blend,
+    Rasterize,
     Loss,
     LossBackward,
-    BlendBackward,
+    RasterizeBackward,
     ShadeBackward,
     ProjectBackward,
     ActivateBackward,
@@ -70,10 +70,10 @@ impl PassKind {
         Self::Project,
         Self::Shade,
         Self::Tile,
-        Self::Blend,
+        Self::Rasterize,
         Self::Loss,
         Self::LossBackward,
-        Self::BlendBackward,
+        Self::RasterizeBackward,
         Self::ShadeBackward,
         Self::ProjectBackward,
         Self::ActivateBackward,
@@ -89,10 +89,10 @@ impl PassKind {
             Self::Project => "project",
             Self::Shade => "shade",
             Self::Tile => "tile",
-            Self::Blend => "blend",
+            Self::Rasterize => "rasterize",
             Self::Loss => "loss with derivative",
             Self::LossBackward => "loss backward",
-            Self::BlendBackward => "blend backward",
+            Self::RasterizeBackward => "rasterize backward",
             Self::ShadeBackward => "shade backward",
             Self::ProjectBackward => "project backward",
             Self::ActivateBackward => "activate backward",
@@ -190,12 +190,12 @@ impl Sizes {
             PassKind::Project => centres + (GEOMETRY + PACKED) * visible,
             PassKind::Shade => (harmonics + 3.0 + CHANNELS) * visible,
             PassKind::Tile => PACKED * visible + hits,
-            PassKind::Blend => blended + planes,
+            PassKind::Rasterize => blended + planes,
             // Picture, photograph and derivative.
             PassKind::Loss => 3.0 * picture,
             // The derivative is read, scaled by the incoming gradient and written.
             PassKind::LossBackward => 2.0 * picture,
-            PassKind::BlendBackward => blended + planes + (PACKED + CHANNELS) * visible,
+            PassKind::RasterizeBackward => blended + planes + (PACKED + CHANNELS) * visible,
             PassKind::ShadeBackward => (CHANNELS + 2.0 * (harmonics + 3.0)) * visible,
             PassKind::ProjectBackward => (PACKED + 2.0 * GEOMETRY) * visible,
             // Gradients read and written, and the slopes, which are functions of the outputs.
@@ -220,10 +220,10 @@ impl Sizes {
             PassKind::Shade => (DIRECTION + BASIS[degree] + 2.0 * harmonics + CHANNELS) * visible,
             // The comparisons of a sort, a bounding box, and one test of an ellipse against a rectangle per intersection.
             PassKind::Tile => (visible.max(2.0).log2() + BOX) * visible + RECTANGLE * hits,
-            PassKind::Blend => (LAYER + 2.0 * CHANNELS + 1.0) * contributions,
+            PassKind::Rasterize => (LAYER + 2.0 * CHANNELS + 1.0) * contributions,
             PassKind::Loss => LOSS * CHANNELS * pixels,
             PassKind::LossBackward => CHANNELS * pixels,
-            PassKind::BlendBackward => LAYER_BACKWARD * contributions + ELLIPSE_BACKWARD * visible,
+            PassKind::RasterizeBackward => LAYER_BACKWARD * contributions + ELLIPSE_BACKWARD * visible,
             PassKind::ShadeBackward => {
                 // The colours again, for clamped channels, their harmonics, and the direction if the degree is above 0.
                 let colours = DIRECTION + BASIS[degree] + 2.0 * harmonics;
@@ -296,7 +296,7 @@ const LAYER: f64 = 1.0 + 1.0 + (2.0 + 1.0) + (1.0 + 2.0 + 1.0) + (EXP + 1.0) + 2
 /// gradient of the colours.
 const LAYER_BACKWARD: f64 = LAYER + 2.0 * CHANNELS + 1.0 + 2.0 + 2.0 + 2.0 + (3.0 + 3.0 * 2.0) + 2.0 * CHANNELS;
 
-/// Operations from six moments to the gradient of the ellipse, see `blend/cpu.rs`.
+/// Operations from six moments to the gradient of the ellipse, see `rasterize/cpu.rs`.
 const ELLIPSE_BACKWARD: f64 = 1.0 + 3.0 + 1.0 + 2.0 + 1.0 + 1.0;
 
 /// Operations of a symmetric window of 11 taps along one axis: six products, ten sums.

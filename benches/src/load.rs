@@ -22,7 +22,7 @@ pub struct Load {
     pub visible: usize,
     /// Number of intersections, pairs of a tile and a Gaussian that `tile` lists.
     pub hits: usize,
-    /// Number of Gaussians that contribute to a pixel by the rules of `blend`, the mean over `SAMPLED_PIXELS` random pixels.
+    /// Number of Gaussians that contribute to a pixel by the rules of `rasterize`, the mean over `SAMPLED_PIXELS` random pixels.
     pub layers: f64,
 }
 

@@ -12,7 +12,7 @@ use splat_model::gaussians::Gaussians;
 use splat_model::loss::{DEFAULT_LAMBDA, Truth, photometric};
 use splat_model::optim::Adam;
 use splat_model::trainer::Guard;
-use splat_op::backend::{BlendSpec, Geometry, HitCell, Layers, PartsCell, ProjectSpec, SplatBackend};
+use splat_op::backend::{Geometry, HitCell, Layers, PartsCell, ProjectSpec, RasterizeSpec, SplatBackend};
 use splat_op::{Camera, Colour, Extras, SplatError, Splats, render_view, shade, with_gradient};
 
 use crate::job::{Job, OPTIONS};
@@ -33,10 +33,10 @@ pub fn passes(job: &Job, device: &Device) -> Result<Vec<Pass>, Box<dyn Error>> {
         (PassKind::Project, project_forward(&stages, &camera)),
         (PassKind::Shade, shade_forward(&stages, &camera)),
         (PassKind::Tile, tile(&stages)),
-        (PassKind::Blend, blend_forward(&stages)),
+        (PassKind::Rasterize, rasterize_forward(&stages)),
         (PassKind::Loss, loss(stages.image(job, &camera)?, truth.clone())),
         (PassKind::LossBackward, loss_backward(stages.image(job, &camera)?, truth.clone())),
-        (PassKind::BlendBackward, blend_backward(&stages)),
+        (PassKind::RasterizeBackward, rasterize_backward(&stages)),
         (PassKind::ShadeBackward, shade_backward(&stages, &camera)),
         (PassKind::ProjectBackward, project_backward(&stages, &camera)),
         (PassKind::ActivateBackward, activate_backward(job, device)),
@@ -76,9 +76,9 @@ fn tile(stages: &Rc<Stages>) -> Prepare {
     forward(move || Ok(tile_lists(&stages.packed, stages.spec)))
 }
 
-fn blend_forward(stages: &Rc<Stages>) -> Prepare {
+fn rasterize_forward(stages: &Rc<Stages>) -> Prepare {
     let stages = stages.clone();
-    forward(move || Ok(stages.blend(stages.packed.clone(), stages.colours.clone())))
+    forward(move || Ok(stages.rasterize(stages.packed.clone(), stages.colours.clone())))
 }
 
 fn loss(image: Tensor<3>, truth: Truth) -> Prepare {
@@ -92,9 +92,9 @@ fn loss_backward(image: Tensor<3>, truth: Truth) -> Prepare {
     })
 }
 
-fn blend_backward(stages: &Rc<Stages>) -> Prepare {
-    let (stages, grad) = (stages.clone(), stages.blend(stages.packed.clone(), stages.colours.clone()));
-    backward(grad, move || stages.blend(leaf(&stages.packed), leaf(&stages.colours)))
+fn rasterize_backward(stages: &Rc<Stages>) -> Prepare {
+    let (stages, grad) = (stages.clone(), stages.rasterize(stages.packed.clone(), stages.colours.clone()));
+    backward(grad, move || stages.rasterize(leaf(&stages.packed), leaf(&stages.colours)))
 }
 
 fn shade_backward(stages: &Rc<Stages>, camera: &Camera) -> Prepare {
@@ -228,11 +228,11 @@ fn no_probe(splats: &Splats) -> Tensor<2> {
     Tensor::zeros([0, 2], &splats.means.device())
 }
 
-/// Runs [`splat_op::blend`] without a background on packed columns, for the reason given at [`project_packed`].
-pub(crate) fn blend_planes(
+/// Runs [`splat_op::rasterize`] without a background on packed columns, for the reason given at [`project_packed`].
+pub(crate) fn rasterize_planes(
     [projected, features]: [Tensor<2>; 2],
     (counts, hits): (&Tensor<2, Int>, &HitCell),
-    spec: BlendSpec,
+    spec: RasterizeSpec,
 ) -> Tensor<3> {
     let device = projected.device();
     let inputs = Layers {
@@ -243,12 +243,12 @@ pub(crate) fn blend_planes(
     };
     let counts = counts.clone().into_dispatch();
     let parts = PartsCell::default();
-    let planes = <Dispatch as SplatBackend>::blend(inputs, counts, spec, hits.clone(), None, parts.clone());
+    let planes = <Dispatch as SplatBackend>::rasterize(inputs, counts, spec, hits.clone(), None, parts.clone());
     Tensor::from_dispatch(<Dispatch as SplatBackend>::part(planes, 0, 4, parts))
 }
 
 /// Returns the lists of packed ellipses, and the number of Gaussians of each tile.
-pub(crate) fn tile_lists(packed: &Tensor<2>, spec: BlendSpec) -> (Tensor<2, Int>, HitCell) {
+pub(crate) fn tile_lists(packed: &Tensor<2>, spec: RasterizeSpec) -> (Tensor<2, Int>, HitCell) {
     let hits = HitCell::default();
     let counts = <Dispatch as SplatBackend>::tile(packed.clone().into_dispatch(), spec, hits.clone());
     (Tensor::from_dispatch(counts), hits)
@@ -261,7 +261,7 @@ struct Stages {
     colours: Tensor<2>,
     counts: Tensor<2, Int>,
     hits: HitCell,
-    spec: BlendSpec,
+    spec: RasterizeSpec,
 }
 
 impl Stages {
@@ -269,13 +269,13 @@ impl Stages {
         let (splats, camera) = (job.gaussians(device).splats(), job.camera(device));
         let packed = project_packed(&splats, &camera, no_probe(&splats));
         let colours = shade(&harmonics(&splats), &splats.means, &camera)?;
-        let spec = BlendSpec { intrinsics: job.intrinsics, options: OPTIONS };
+        let spec = RasterizeSpec { intrinsics: job.intrinsics, options: OPTIONS };
         let (counts, hits) = tile_lists(&packed, spec);
         Ok(Self { splats, packed, colours, counts, hits, spec })
     }
 
-    fn blend(&self, projected: Tensor<2>, features: Tensor<2>) -> Tensor<3> {
-        blend_planes([projected, features], (&self.counts, &self.hits), self.spec)
+    fn rasterize(&self, projected: Tensor<2>, features: Tensor<2>) -> Tensor<3> {
+        rasterize_planes([projected, features], (&self.counts, &self.hits), self.spec)
     }
 
     /// Renders `[H, W, 3]`, as `render_view` passes it to a loss.

@@ -9,12 +9,12 @@ use splat_model::gaussians::Gaussians;
 use splat_model::loss::{DEFAULT_LAMBDA, Truth, photometric};
 use splat_model::optim::Adam;
 use splat_model::trainer::Guard;
-use splat_op::blend::BlendSpec;
+use splat_op::rasterize::RasterizeSpec;
 use splat_op::{Camera, Colour, SplatError, Splats, shade, with_gradient};
 
 use crate::job::OPTIONS;
 use crate::limit::PassKind;
-use crate::passes::{blend_planes, harmonics, project_packed, tile_lists};
+use crate::passes::{harmonics, project_packed, rasterize_planes, tile_lists};
 use crate::step::{SOUND, density, rates};
 
 /// Performs the step of [`crate::step::Step`] with one graph per pass, so that the backward pass can also be timed pass by pass.
@@ -90,12 +90,12 @@ impl Pieces {
         let seen = leaf(&splats.means);
         let colours = shade(&harmonics(&cut), &seen, &self.camera)?;
         watch.lap(PassKind::Shade);
-        let spec = BlendSpec { intrinsics: self.camera.intrinsics, options: OPTIONS };
+        let spec = RasterizeSpec { intrinsics: self.camera.intrinsics, options: OPTIONS };
         let (counts, hits) = tile_lists(&packed.clone().inner(), spec);
         watch.lap(PassKind::Tile);
         let [ellipses, features] = [leaf(&packed), leaf(&colours)];
-        let planes = blend_planes([ellipses.clone(), features.clone()], (&counts, &hits), spec);
-        watch.lap(PassKind::Blend);
+        let planes = rasterize_planes([ellipses.clone(), features.clone()], (&counts, &hits), spec);
+        watch.lap(PassKind::Rasterize);
         let [_, height, width] = planes.dims();
         let image = leaf(&planes.clone().slice([0..3, 0..height, 0..width]).permute([1, 2, 0]));
         watch.skip();
@@ -112,7 +112,7 @@ impl Pieces {
         let ellipses = ellipses.grad_remove(&mut grads).expect("the picture depends on the ellipses");
         let features = features.grad_remove(&mut grads).expect("the picture depends on the colours");
         drop((grads, hits));
-        watch.lap(PassKind::BlendBackward);
+        watch.lap(PassKind::RasterizeBackward);
         let mut grads = with_gradient(colours, zero(), features).backward();
         let sh = harmonics(&cut).grad_remove(&mut grads).expect("the colours depend on the harmonics");
         let through_direction = seen.grad_remove(&mut grads).expect("the colours depend on the direction");

@@ -4,7 +4,7 @@
 /// in none of its pixels.
 ///
 /// Each lists what the ones after it list, and more. On CPUs pictures and gradients are the same bit by bit. On GPUs they are where
-/// no tile lists more Gaussians than one bucket of `blend` holds (32). In longer lists the borders of buckets lie
+/// no tile lists more Gaussians than one bucket of `rasterize` holds (32). In longer lists the borders of buckets lie
 /// elsewhere, so sums are grouped and rounded differently: the same within the rounding of f32.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Default)]
 #[non_exhaustive]
@@ -19,7 +19,7 @@ pub enum Culling {
     Ellipse,
 }
 
-/// How `blend` computes `exp` in f32. In f64 it is always the library's: that is the yardstick.
+/// How `rasterize` computes `exp` in f32. In f64 it is always the library's: that is the yardstick.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Default)]
 #[non_exhaustive]
 pub enum Exponential {

@@ -1,7 +1,7 @@
 //! Differentiable Gaussian splatting as custom operations of the Burn framework.
 //!
 //! [`render`] takes [`Splats`] and [`Camera`]s and gives pictures; [`project`](fn@project), [`shade`](fn@shade),
-//! [`tile`](fn@tile) and [`blend`](fn@blend) are its stages, for those who put code of their own between them. Each module
+//! [`tile`](fn@tile) and [`rasterize`](fn@rasterize) are its stages, for those who put code of their own between them. Each module
 //! of a stage states its equations, their sources, shapes and units. [`exact`] is the yardstick.
 //!
 //! ```
@@ -32,7 +32,7 @@
 //!
 //! ```
 //! use burn::tensor::{Device, Tensor};
-//! use splat_op::{Camera, Colour, Extras, Intrinsics, RenderOptions, Splats, blend, project, tile};
+//! use splat_op::{Camera, Colour, Extras, Intrinsics, RenderOptions, Splats, rasterize, project, tile};
 //!
 //! let device = Device::flex().autodiff();
 //! let features = Tensor::<2>::from_floats([[1.0, 0.5, 0.1], [0.1, 0.3, 0.9]], &device);
@@ -52,7 +52,7 @@
 //! ellipses.opacity = ellipses.opacity * visible.clone();
 //! let projected = ellipses.pack(projected.intrinsics())?;
 //! let tiles = tile(&projected, &options)?;
-//! let picture = blend(&projected, &features, &tiles, &Extras::default(), &options)?;
+//! let picture = rasterize(&projected, &features, &tiles, &Extras::default(), &options)?;
 //! assert_eq!(picture.depth.map(|depth| depth.dims()), Some([32, 32, 1]));
 //! let gradients = picture.alpha.mean().backward();
 //! assert_eq!(visible.grad(&gradients).expect("tracked").dims(), [2]);
@@ -121,7 +121,7 @@ pub mod shade;
 
 pub mod tile;
 
-pub mod blend;
+pub mod rasterize;
 
 // In place of the last, for pixels that look along their rays.
 pub mod tilt;
@@ -158,7 +158,7 @@ pub use limits::is_gpu;
 pub use options::{Accumulation, MAX_UNCUT_HITS, Order, Projection, RenderOptions};
 pub use render::{render, render_view};
 pub use splats::{Colour, Extras, Splats};
-pub use stages::{Ellipses, Projected, Rendered, Tiles, blend, project, tile};
+pub use stages::{Ellipses, Projected, Rendered, Tiles, project, rasterize, tile};
 // What stands in signatures: a caller needs no versions of its own.
 pub use {burn, glam};
 

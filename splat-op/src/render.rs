@@ -11,10 +11,10 @@ use crate::dials::Storage;
 use crate::error::SplatError;
 use crate::options::RenderOptions;
 use crate::splats::{Extras, Splats};
-use crate::stages::{Rendered, blend, check_render_fits, project, tile};
+use crate::stages::{Rendered, check_render_fits, project, rasterize, tile};
 
 /// Renders Gaussians as one or several cameras of one size see them: `project`, `shade` of what
-/// can show, `tile` and `blend`.
+/// can show, `tile` and `rasterize`.
 ///
 /// # Errors
 /// If there is no camera, cameras differ in size, a tensor's shape, type or device does not fit, or a camera or option is
@@ -81,7 +81,7 @@ fn stages(
     let projected = project(splats, camera, extras, options)?;
     let features = visible_colours(splats, camera, &projected, options)?;
     let tiles = tile(&projected, options)?;
-    blend(&projected, &features, &tiles, extras, options)
+    rasterize(&projected, &features, &tiles, extras, options)
 }
 
 /// `[B, H, W, C]` from pictures `[H, W, C]`; a single picture is viewed, not copied.

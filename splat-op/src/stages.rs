@@ -6,13 +6,13 @@ use burn::tensor::{Int, Tensor};
 use crate::backend::rays::RaysBackend;
 use crate::backend::stages::SplatBackend;
 use crate::backend::tensors::GeometryTensors;
-use crate::blend::{BlendSpec, Layers, PartsCell};
 use crate::camera::{Camera, CameraModel, Intrinsics};
 use crate::check::{Reference, check_positive};
 use crate::error::SplatError;
 use crate::limits::{Need, check_fits};
 use crate::options::{Projection, RenderOptions};
 use crate::project::{COLUMNS, Geometry, ProjectSpec};
+use crate::rasterize::{Layers, PartsCell, RasterizeSpec};
 use crate::rays::RayLayers;
 use crate::splats::{Colour, Extras, Splats, sh_need};
 use crate::tile::{HitCell, tile_grid};
@@ -100,7 +100,7 @@ impl Projected {
 }
 
 impl Ellipses {
-    /// Packs the fields for [`tile`] and [`blend`], for the camera of `intrinsics`.
+    /// Packs the fields for [`tile`] and [`rasterize`], for the camera of `intrinsics`.
     ///
     /// How a Gaussian leans in depth is not among the fields: what is packed can be rendered with
     /// [`Projection::Affine`](crate::Projection) and [`Order::Centre`](crate::Order) alone.
@@ -181,7 +181,7 @@ pub fn tile(projected: &Projected, options: &RenderOptions) -> Result<Tiles, Spl
     check_rays(projected, options)?;
     check_fits(&projected.packed.device(), &[packed_need(projected.len())])?;
     let hits = HitCell::default();
-    let spec = BlendSpec { intrinsics: projected.intrinsics, options: *options };
+    let spec = RasterizeSpec { intrinsics: projected.intrinsics, options: *options };
     let mut packed = projected.packed.clone().detach().into_dispatch();
     if let Some(tilt) = projected.tilt.clone().filter(|_| options.reaches_by_outline()) {
         packed = <Dispatch as RaysBackend>::outline(packed, tilt.detach().into_dispatch(), spec);
@@ -198,7 +198,7 @@ pub fn tile(projected: &Projected, options: &RenderOptions) -> Result<Tiles, Spl
 /// # Errors
 /// If a tensor's shape, type or device does not fit, an option is out of range, or `projected` was not made for
 /// `options.projection` and `options.order`.
-pub fn blend(
+pub fn rasterize(
     projected: &Projected,
     features: &Tensor<2>,
     tiles: &Tiles,
@@ -212,7 +212,7 @@ pub fn blend(
     reference.check("features", features, [Some(count), None], "[N, C]")?;
     let channels = features.dims()[1];
     check_positive("features", channels, "at least one channel")?;
-    reference.check_fits(&blend_needs(features.dims(), &projected.intrinsics, options))?;
+    reference.check_fits(&rasterize_needs(features.dims(), &projected.intrinsics, options))?;
     let background = match &extras.background {
         Some(background) => background.clone(),
         None => Tensor::zeros([channels], reference.options()),
@@ -220,14 +220,14 @@ pub fn blend(
     reference.check("background", &background, [Some(channels)], "[C]")?;
     let probe = probe_or_empty(&reference, "mean2d_abs_probe", extras.mean2d_abs_probe.as_ref(), count)?;
     reference.check_device("tiles", &tiles.counts.device())?;
-    let spec = BlendSpec { intrinsics: projected.intrinsics, options: *options };
+    let spec = RasterizeSpec { intrinsics: projected.intrinsics, options: *options };
     let (packed, features, background) = (projected.packed.clone().into(), features.clone().into(), background.into());
     let mean2d_abs = probe.into();
     let (counts, hits, parts) = (tiles.counts.clone().into_dispatch(), tiles.hits.clone(), PartsCell::default());
     let planes = match &projected.tilt {
         None => {
             let inputs = Layers { projected: packed, features, background, mean2d_abs };
-            <Dispatch as SplatBackend>::blend(inputs, counts, spec, hits, None, parts.clone())
+            <Dispatch as SplatBackend>::rasterize(inputs, counts, spec, hits, None, parts.clone())
         }
         Some(tilt) => {
             let tilt = tilt.clone().into();
@@ -304,7 +304,7 @@ pub(crate) fn check_render_fits(
     };
     let shape = [cameras, channels, intrinsics.height, intrinsics.width];
     let pictures = Need::floats("the pictures of all cameras", shape, "render fewer cameras in one call");
-    let needs = blend_needs([count, channels], intrinsics, options);
+    let needs = rasterize_needs([count, channels], intrinsics, options);
     let all: Vec<Need> = needs.into_iter().chain(colour).chain([packed_need(count), pictures]).collect();
     check_fits(&splats.means.device(), &all)
 }
@@ -313,8 +313,8 @@ fn packed_need(count: usize) -> Need {
     Need::floats("projected", [count, COLUMNS], "use fewer Gaussians")
 }
 
-fn blend_needs(features: [usize; 2], intrinsics: &Intrinsics, options: &RenderOptions) -> [Need; 2] {
-    let planes = BlendSpec { intrinsics: *intrinsics, options: *options }.planes(features[1]);
+fn rasterize_needs(features: [usize; 2], intrinsics: &Intrinsics, options: &RenderOptions) -> [Need; 2] {
+    let planes = RasterizeSpec { intrinsics: *intrinsics, options: *options }.planes(features[1]);
     let picture = [planes, intrinsics.height, intrinsics.width];
     [
         Need::floats("features", features, "use fewer Gaussians or fewer channels"),

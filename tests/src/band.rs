@@ -6,7 +6,7 @@
 //! do not affect smooth terms, so no other pixel is excluded.
 
 use burn::tensor::{DType, Device, Tensor};
-use splat_op::{Ellipses, Extras, Intrinsics, RenderOptions, blend, project, tile};
+use splat_op::{Ellipses, Extras, Intrinsics, RenderOptions, project, rasterize, tile};
 
 use crate::random::Random;
 use crate::scene::{Scene, SceneTensors, host, tensor};
@@ -57,7 +57,7 @@ fn pixels(
     let options = options.with_depth(false);
     let projected = ellipses.pack(intrinsics).expect("columns of one render");
     let tiles = tile(&projected, &options).expect("valid options");
-    let picture = blend(&projected, features, &tiles, &Extras::default(), &options).expect("valid features");
+    let picture = rasterize(&projected, features, &tiles, &Extras::default(), &options).expect("valid features");
     host(picture.colour).into_iter().zip(host(picture.alpha)).collect()
 }
 

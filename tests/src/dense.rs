@@ -190,7 +190,7 @@ pub fn shade(sh: &Tensor<3>, means: &Tensor<2>, pose: &Tensor<2>) -> Tensor<2> {
 }
 
 /// Rasterizes front to back. The order is computed on the host, because it has no gradient.
-pub fn blend(
+pub fn rasterize(
     ellipses: &DenseEllipses,
     features: &Tensor<2>,
     background: &Tensor<1>,

@@ -1,7 +1,7 @@
 //! Compares the composed operation with Burn's autodiff of a dense tensor formulation, in f64 on Flex.
 
 use burn::tensor::{DType, Device, Gradients, Tensor};
-use splat_op::{CameraModel, Ellipses, Extras, Intrinsics, RenderOptions, Splats, blend, project, render, tile};
+use splat_op::{CameraModel, Ellipses, Extras, Intrinsics, RenderOptions, Splats, project, rasterize, render, tile};
 use splat_tests::compare::relative_error;
 use splat_tests::dense::{self, DenseEllipses};
 use splat_tests::random::Random;
@@ -109,7 +109,7 @@ fn render_agrees_with_autodiff_of_the_dense_formulation() {
         let theirs = scene.tensors(&device, DType::F64);
         let colours = dense::shade(&theirs.sh, &theirs.splats.means, &theirs.camera.cam_from_world);
         let ellipses = dense_ellipses(&theirs, &options);
-        let out = dense::blend(&ellipses, &colours, &theirs.background, &CAMERA, options.alpha_max);
+        let out = dense::rasterize(&ellipses, &colours, &theirs.background, &CAMERA, options.alpha_max);
         let (sum, expected) = loss(out.colour, out.alpha.unsqueeze_dim(1), out.depth.unsqueeze_dim(1));
         let their_grads = sum.backward();
 
@@ -160,7 +160,7 @@ fn tensor_code_between_stages_and_any_features_agree_with_the_dense_formulation(
         let projected = ellipses.pack(&CAMERA).expect("columns of one length");
         let tiles = tile(&projected, &options).expect("valid options");
         let extras = Extras { background: Some(our_own.1.clone()), ..Extras::default() };
-        let out = blend(&projected, &our_own.0, &tiles, &extras, &options).expect("valid features");
+        let out = rasterize(&projected, &our_own.0, &tiles, &extras, &options).expect("valid features");
         let (sum, found) = loss(flat(out.colour), flat(out.alpha), flat(out.depth.expect("asked for")));
         let our_grads = sum.backward();
 
@@ -168,7 +168,7 @@ fn tensor_code_between_stages_and_any_features_agree_with_the_dense_formulation(
         let mut ellipses = dense_ellipses(&theirs, &options);
         let DenseEllipses { sigma_u, shear, sigma_v, depth, .. } = ellipses.clone();
         [ellipses.sigma_u, ellipses.shear, ellipses.sigma_v] = edit(sigma_u, shear, sigma_v, &depth, &their_own.2);
-        let out = dense::blend(&ellipses, &their_own.0, &their_own.1, &CAMERA, options.alpha_max);
+        let out = dense::rasterize(&ellipses, &their_own.0, &their_own.1, &CAMERA, options.alpha_max);
         let (sum, expected) = loss(out.colour, out.alpha.unsqueeze_dim(1), out.depth.unsqueeze_dim(1));
         let their_grads = sum.backward();
 

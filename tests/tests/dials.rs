@@ -24,7 +24,7 @@ fn everywhere() -> Vec<Where> {
     cpus.chain(gpu().map(|device| ("gpu", device, DType::F32))).collect()
 }
 
-/// Needles in and around the picture, few enough for each tile's list to fit into one bucket of `blend`.
+/// Needles in and around the picture, few enough for each tile's list to fit into one bucket of `rasterize`.
 fn needles(count: usize) -> Scene {
     let mut scene = Scene::random(&mut Random::new(11), count, 1, CAMERA);
     for scales in scene.scales.chunks_exact_mut(3) {

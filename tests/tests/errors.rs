@@ -1,7 +1,9 @@
 //! Tests that the operation rejects invalid arguments with a message that names the argument.
 
 use burn::tensor::{DType, Device, Tensor};
-use splat_op::{Camera, Colour, Extras, Intrinsics, RenderOptions, SplatError, blend, project, render, shade, tile};
+use splat_op::{
+    Camera, Colour, Extras, Intrinsics, RenderOptions, SplatError, project, rasterize, render, shade, tile,
+};
 use splat_tests::ndarray;
 use splat_tests::random::Random;
 use splat_tests::scene::{Scene, SceneTensors};
@@ -133,7 +135,7 @@ fn single_stages_check_their_own_arguments() {
     assert_names(&message, "sh", "dimension 0 must be 6");
     let projected = project(&splats, &camera, &Extras::default(), &options).expect("a valid scene");
     let tiles = tile(&projected, &options).expect("valid options");
-    let message = blend(&projected, &zeros([COUNT + 1, 3]), &tiles, &extras, &options).expect_err("refused");
+    let message = rasterize(&projected, &zeros([COUNT + 1, 3]), &tiles, &extras, &options).expect_err("refused");
     assert_names(&message.to_string(), "features", "dimension 0 must be 5");
     let mut ellipses = projected.ellipses();
     ellipses.shear = zeros([COUNT + 1]);

@@ -2,7 +2,7 @@
 //! process of its own, because the counters are global.
 
 use burn::tensor::{DType, Tensor};
-use splat_op::{Extras, Intrinsics, Order, Projection, RenderOptions, blend, project, shade, tile, witness};
+use splat_op::{Extras, Intrinsics, Order, Projection, RenderOptions, project, rasterize, shade, tile, witness};
 use splat_tests::gpu;
 use splat_tests::random::Random;
 use splat_tests::scene::{Scene, SceneTensors, host};
@@ -50,10 +50,10 @@ fn every_stage_executes_kernels_and_no_twin() {
 
     let colours = Tensor::from_data(colours.into_data(), &device).require_grad();
     let extras = Extras { background: Some(background), ..Extras::default() };
-    let picture = blend(&projected, &colours, &tiles, &extras, &options).expect("a valid scene");
-    launched_after(host(picture.colour.clone()), || launched("blend"));
+    let picture = rasterize(&projected, &colours, &tiles, &extras, &options).expect("a valid scene");
+    launched_after(host(picture.colour.clone()), || launched("rasterize"));
     let loss = picture.colour.sum().backward();
-    launched_after(host(colours.grad(&loss).expect("tracked")), || launched("the backward pass of blend"));
+    launched_after(host(colours.grad(&loss).expect("tracked")), || launched("the backward pass of rasterize"));
 
     let along_rays = options.with_projection(Projection::Exact).with_order(Order::PerPixel);
     let SceneTensors { splats, camera, background, .. } = leaves();
@@ -64,7 +64,7 @@ fn every_stage_executes_kernels_and_no_twin() {
     launched("tilt and its outlines");
     let extras = Extras { background: Some(background), ..Extras::default() };
     let colours = Tensor::from_data(colours.into_data(), &device);
-    let picture = blend(&projected, &colours, &tiles, &extras, &along_rays).expect("a valid scene");
+    let picture = rasterize(&projected, &colours, &tiles, &extras, &along_rays).expect("a valid scene");
     launched_after(host(picture.colour.clone()), || launched("rays"));
     let loss = picture.colour.sum().backward();
     launched_after(host(splats.means.grad(&loss).expect("tracked")), || {

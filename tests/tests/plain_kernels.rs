@@ -96,7 +96,7 @@ fn a_plain_step_compiles_the_kernels_it_always_did() {
     let folder = tempfile::tempdir().expect("a place for a log");
     let found = kernels(&log_of_a_run(&folder.path().join("kernels.log")));
     assert!(
-        found.iter().any(|line| line.starts_with("blend::")) && found.len() > 20,
+        found.iter().any(|line| line.starts_with("rasterize::")) && found.len() > 20,
         "not the log of a step: {found:#?}"
     );
     if env::var("SPLAT_KERNELS").is_ok_and(|wish| wish == "accept") {

@@ -3,7 +3,7 @@
 use burn::tensor::{DType, Device};
 use glam::DVec3;
 use splat_op::{
-    CameraModel, Extras, Intrinsics, Order, Projection, RenderOptions, SplatError, blend, colours, project, render,
+    CameraModel, Extras, Intrinsics, Order, Projection, RenderOptions, SplatError, colours, project, rasterize, render,
     render_view, tile,
 };
 use splat_tests::perturb::judge;
@@ -65,7 +65,8 @@ fn tiles_lose_nothing() {
         let picture = |listed: &RenderOptions| {
             let tiles = tile(&projected, listed).expect("a valid scene");
             let hits: i64 = tiles.counts.clone().into_data().iter::<i64>().sum();
-            let picture = blend(&projected, &features, &tiles, &Extras::default(), &options).expect("a valid scene");
+            let picture =
+                rasterize(&projected, &features, &tiles, &Extras::default(), &options).expect("a valid scene");
             (hits, [host(picture.colour), host(picture.alpha), host(picture.depth.expect("asked for"))])
         };
         let (listed, found) = picture(&options);
@@ -255,7 +256,7 @@ fn what_cannot_be_is_refused() {
         refused(tile(&packed, &options), "packed");
         let tiles = tile(&packed, &plain).expect("ellipses as they are");
         let features = colours(&splats, &camera).expect("a valid scene");
-        let refused = blend(&packed, &features, &tiles, &Extras::default(), &options).expect_err("no tilt");
+        let refused = rasterize(&packed, &features, &tiles, &Extras::default(), &options).expect_err("no tilt");
         assert!(refused.to_string().contains("packed"), "{refused}");
     }
 }

@@ -5,7 +5,7 @@
 //! Every run is the same: the scene, one thread, and the vector instructions, which must be AVX2, the widest that valgrind
 //! supports.
 //!
-//! `counted project blend` selects passes by their first words. The default is all passes and a step of a trainer.
+//! `counted project rasterize` selects passes by their first words. The default is all passes and a step of a trainer.
 
 use std::alloc::System;
 use std::error::Error;

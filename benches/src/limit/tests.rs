@@ -14,8 +14,8 @@ fn bytes_are_those_counted_by_hand() {
     assert_eq!(bytes(PassKind::Shade), 4.0 * 4.0 * 54.0);
     assert_eq!(bytes(PassKind::Tile), 4.0 * (4.0 * 7.0 + 6.0));
     // Ellipses, colours, lists; four planes.
-    assert_eq!(bytes(PassKind::Blend), 4.0 * (4.0 * 10.0 + 6.0 + 40.0));
-    assert_eq!(bytes(PassKind::BlendBackward), 4.0 * (4.0 * 10.0 * 2.0 + 6.0 + 40.0));
+    assert_eq!(bytes(PassKind::Rasterize), 4.0 * (4.0 * 10.0 + 6.0 + 40.0));
+    assert_eq!(bytes(PassKind::RasterizeBackward), 4.0 * (4.0 * 10.0 * 2.0 + 6.0 + 40.0));
     assert_eq!(bytes(PassKind::Loss), 4.0 * 90.0);
     // 59 parameters: three arrays read, three written, and the gradients of the visible Gaussians.
     assert_eq!(bytes(PassKind::Adam), 4.0 * 59.0 * (5.0 * 6.0 + 4.0));
@@ -30,12 +30,12 @@ fn operations_are_those_counted_by_hand() {
     assert_eq!(operations(PassKind::Project), 4.0 * 179.0 + 18.0);
     // Direction 13, basis 43, 48 fused multiply-adds, 3 clamps.
     assert_eq!(operations(PassKind::Shade), 4.0 * (13.0 + 43.0 + 96.0 + 3.0));
-    assert_eq!(operations(PassKind::Blend), 30.0 * (35.0 + 7.0));
+    assert_eq!(operations(PassKind::Rasterize), 30.0 * (35.0 + 7.0));
     // A comparison per doubling, a box, and an ellipse against a tile.
     assert_eq!(operations(PassKind::Tile), 4.0 * (2.0 + 39.0) + 6.0 * 16.0);
     // Six windowed maps of 32 operations, 32 others.
     assert_eq!(operations(PassKind::Loss), 10.0 * 3.0 * (6.0 * 32.0 + 32.0));
-    assert_eq!(operations(PassKind::BlendBackward), 30.0 * 63.0 + 4.0 * 9.0);
+    assert_eq!(operations(PassKind::RasterizeBackward), 30.0 * 63.0 + 4.0 * 9.0);
     // The colour again 152, the harmonics 48, the basis' gradient from 16 dot products 80 and its derivative 105, the direction 14.
     assert_eq!(operations(PassKind::ShadeBackward), 4.0 * (152.0 + 48.0 + 80.0 + 105.0 + 14.0));
     assert_eq!(operations(PassKind::Adam), 59.0 * 5.0 * 10.0);

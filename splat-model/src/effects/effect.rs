@@ -9,7 +9,7 @@ use std::rc::Rc;
 use burn::tensor::{Device, Gradients, Tensor};
 use rand::Rng;
 use splat_op::{
-    Camera, Ellipses, Extras, Projected, RenderOptions, Rendered, SplatError, Splats, blend, colours, project,
+    Camera, Ellipses, Extras, Projected, RenderOptions, Rendered, SplatError, Splats, colours, project, rasterize,
     render_view, tile,
 };
 
@@ -60,7 +60,7 @@ impl RenderInput {
         let projected = self.project()?;
         let features = colours(&self.splats, &self.camera)?;
         let tiles = tile(&projected, &self.options)?;
-        blend(&projected, &features, &tiles, &self.extras, &self.options)
+        rasterize(&projected, &features, &tiles, &self.extras, &self.options)
     }
 }
 

@@ -2,7 +2,7 @@
 //! that is rendered stage by stage.
 
 use burn::tensor::{DType, Device, Tensor, TensorData};
-use splat_op::{Camera, Colour, Ellipses, Extras, Intrinsics, RenderOptions, Splats, blend, project, tile};
+use splat_op::{Camera, Colour, Ellipses, Extras, Intrinsics, RenderOptions, Splats, project, rasterize, tile};
 
 /// Fields of an ellipse.
 pub(super) const FIELDS: usize = 7;
@@ -119,7 +119,7 @@ pub(super) fn render(camera: Intrinsics, pose: Tensor<2>, change: impl Fn(Ellips
         project(&splats, &Camera { intrinsics: camera, cam_from_world: pose }, &Extras::default(), &options).unwrap();
     let projected = change(projected.ellipses()).pack(&camera).unwrap();
     let tiles = tile(&projected, &options).unwrap();
-    host(blend(&projected, features, &tiles, &Extras::default(), &options).unwrap().colour)
+    host(rasterize(&projected, features, &tiles, &Extras::default(), &options).unwrap().colour)
 }
 
 pub(super) fn average(pictures: &[Vec<f64>]) -> Vec<f64> {

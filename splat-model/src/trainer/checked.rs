@@ -3,7 +3,7 @@
 use std::fmt;
 
 use burn::tensor::Tensor;
-use splat_op::{Projected, Rendered, SplatError, Tiles, blend, colours, tile};
+use splat_op::{Projected, Rendered, SplatError, Tiles, colours, rasterize, tile};
 
 use crate::density::rows::Gradients;
 use crate::effects::RenderInput;
@@ -19,7 +19,7 @@ pub enum Stage {
     /// Ellipses to tile lists.
     Tile,
     /// Tile lists to a picture.
-    Blend,
+    Rasterize,
     /// The picture to a number.
     Loss,
     /// The gradients of the parameters.
@@ -34,7 +34,7 @@ impl fmt::Display for Stage {
             Self::Project => "project",
             Self::Shade => "shade",
             Self::Tile => "tile",
-            Self::Blend => "blend",
+            Self::Rasterize => "rasterize",
             Self::Loss => "loss",
             Self::Gradients => "gradients",
             Self::Parameters => "parameters",
@@ -78,7 +78,7 @@ pub(super) fn render_checked(input: &RenderInput) -> Result<Rendered<3>, Stopped
     check_colours(&features, &opacities)?;
     let tiles = tile(&projected, &input.options)?;
     check_tiles(&tiles, projected.len())?;
-    let picture = blend(&projected, &features, &tiles, &input.extras, &input.options)?;
+    let picture = rasterize(&projected, &features, &tiles, &input.extras, &input.options)?;
     check_picture(&picture)?;
     Ok(picture)
 }
@@ -128,8 +128,8 @@ fn check_tiles(tiles: &Tiles, splats: usize) -> Result<(), Wrong> {
 fn check_picture(picture: &Rendered<3>) -> Result<(), Wrong> {
     let channels = picture.colour.dims()[2];
     let (colour, alpha) = (host(picture.colour.clone()), host(picture.alpha.clone()));
-    look(Stage::Blend, "colour", (&colour, channels, "pixel"), "a finite number", f32::is_finite)?;
-    look(Stage::Blend, "alpha", (&alpha, 1, "pixel"), "0 to 1", |value| (0.0..=1.0).contains(&value))
+    look(Stage::Rasterize, "colour", (&colour, channels, "pixel"), "a finite number", f32::is_finite)?;
+    look(Stage::Rasterize, "alpha", (&alpha, 1, "pixel"), "0 to 1", |value| (0.0..=1.0).contains(&value))
 }
 
 pub(super) fn check_loss(loss: &Tensor<1>) -> Result<(), Wrong> {

@@ -15,8 +15,8 @@ use super::stages::SplatBackend;
 use super::tensors::{
     GeometryGrads, GeometryTensors, InputTensor, LayerGrads, LayerTensors, OptionalTensor, ShadingGrads, ShadingTensors,
 };
-use crate::blend::{BlendSpec, Layers, PartsCell, TraceCell};
 use crate::project::{Geometry, ProjectSpec};
+use crate::rasterize::{Layers, PartsCell, RasterizeSpec, TraceCell};
 use crate::shade::Shading;
 use crate::tile::HitCell;
 
@@ -104,7 +104,7 @@ pub(super) fn planes_grad<B: SplatBackend>(
             None => found.push((range, *grad)),
         }
     }
-    assert!(!found.is_empty(), "the planes of `blend` have gradients only through `part`");
+    assert!(!found.is_empty(), "the planes of `rasterize` have gradients only through `part`");
     found.sort_by_key(|(range, _)| range.start);
     if let [(range, grad)] = &found[..]
         && alone.is_some_and(|alone| *range == (0..alone))
@@ -129,17 +129,17 @@ pub(super) fn planes_grad<B: SplatBackend>(
 }
 
 #[derive(Debug)]
-struct BlendBackward;
+struct RasterizeBackward;
 
-impl<B: SplatBackend> Backward<B, 4> for BlendBackward {
-    type State = (LayerTensors<B>, FloatTensor<B>, BlendSpec, HitCell, TraceCell, PartsCell);
+impl<B: SplatBackend> Backward<B, 4> for RasterizeBackward {
+    type State = (LayerTensors<B>, FloatTensor<B>, RasterizeSpec, HitCell, TraceCell, PartsCell);
 
     fn backward(self, ops: Ops<Self::State, 4>, grads: &mut Gradients, _: &mut Checkpointer) {
         differentiate::<B, _, _>(ops, grads, |(inputs, planes, spec, hits, trace, parts), mask| {
             let alone = (!spec.options.depth).then(|| inputs.background.0.shape().num_elements());
             // The planes are seen through their parts alone, whose nodes come before this one.
             let grad = planes_grad::<B>(&parts, &planes, alone);
-            B::blend_backward(inputs, planes, grad, spec, Layers::from_array(mask), hits, trace).into_array()
+            B::rasterize_backward(inputs, planes, grad, spec, Layers::from_array(mask), hits, trace).into_array()
         });
     }
 }
@@ -158,14 +158,14 @@ impl<B: SplatBackend, C: CheckpointStrategy> SplatBackend for Autodiff<B, C> {
         tracked(ShadeBackward, inputs.each_ref().into_array(), (inner, visible, spec), output)
     }
 
-    fn tile(projected: FloatTensor<Self>, spec: BlendSpec, hits: HitCell) -> IntTensor<Self> {
+    fn tile(projected: FloatTensor<Self>, spec: RasterizeSpec, hits: HitCell) -> IntTensor<Self> {
         B::tile(projected.into_primitive(), spec, hits)
     }
 
-    fn blend(
+    fn rasterize(
         inputs: LayerTensors<Self>,
         tile_counts: IntTensor<Self>,
-        spec: BlendSpec,
+        spec: RasterizeSpec,
         hits: HitCell,
         _: Option<TraceCell>,
         parts: PartsCell,
@@ -173,14 +173,14 @@ impl<B: SplatBackend, C: CheckpointStrategy> SplatBackend for Autodiff<B, C> {
         let inner = inputs.each_ref().map(InputTensor::inner);
         let nodes = inputs.into_array().map(|input| input.0.node());
         // What a backward pass would need is kept where there can be one alone.
-        match BlendBackward.prepare::<C>(nodes).compute_bound().stateful() {
+        match RasterizeBackward.prepare::<C>(nodes).compute_bound().stateful() {
             OpsKind::Tracked(prep) => {
                 let trace = TraceCell::default();
                 let kept = Some(trace.clone());
-                let output = B::blend(inner.clone(), tile_counts, spec, hits.clone(), kept, parts.clone());
+                let output = B::rasterize(inner.clone(), tile_counts, spec, hits.clone(), kept, parts.clone());
                 prep.finish((inner, output.clone(), spec, hits, trace, parts), output)
             }
-            OpsKind::UnTracked(prep) => prep.finish(B::blend(inner, tile_counts, spec, hits, None, parts)),
+            OpsKind::UnTracked(prep) => prep.finish(B::rasterize(inner, tile_counts, spec, hits, None, parts)),
         }
     }
 
@@ -216,17 +216,17 @@ impl<B: SplatBackend, C: CheckpointStrategy> SplatBackend for Autodiff<B, C> {
         B::shade_backward(inputs, visible.inner(), grad.into_primitive(), spec, mask).map(OptionalTensor::constant)
     }
 
-    fn blend_backward(
+    fn rasterize_backward(
         inputs: LayerTensors<Self>,
         planes: FloatTensor<Self>,
         grad: FloatTensor<Self>,
-        spec: BlendSpec,
+        spec: RasterizeSpec,
         mask: Layers<bool>,
         hits: HitCell,
         trace: TraceCell,
     ) -> LayerGrads<Self> {
         let inputs = inputs.each_ref().map(InputTensor::inner);
         let (planes, grad) = (planes.into_primitive(), grad.into_primitive());
-        B::blend_backward(inputs, planes, grad, spec, mask, hits, trace).map(OptionalTensor::constant)
+        B::rasterize_backward(inputs, planes, grad, spec, mask, hits, trace).map(OptionalTensor::constant)
     }
 }

@@ -12,10 +12,10 @@ use super::stages::SplatBackend;
 use super::tensors::{
     GeometryGrads, GeometryTensors, InputTensor, LayerGrads, LayerTensors, OptionalTensor, ShadingGrads, ShadingTensors,
 };
-use crate::blend::cpu::{Trace, blend_backward_cpu, blend_cpu};
-use crate::blend::{BlendSpec, Layers, PartsCell, TraceCell};
 use crate::project::cpu::{project_backward_cpu, project_cpu};
 use crate::project::{COLUMNS, Geometry, ProjectSpec};
+use crate::rasterize::cpu::{Trace, rasterize_backward_cpu, rasterize_cpu};
+use crate::rasterize::{Layers, PartsCell, RasterizeSpec, TraceCell};
 use crate::real::Real;
 use crate::shade::Shading;
 use crate::shade::cpu::{ShadeCpuInputs, Visible, shade_backward_cpu, shade_cpu};
@@ -69,7 +69,7 @@ impl<F: Real> ShadeHost<F> {
 }
 
 /// The lists in the cell, computed now if nobody has yet.
-fn hit_lists<'a, F: Real>(cell: &'a HitCell, projected: &[F], spec: &BlendSpec) -> &'a HitLists {
+fn hit_lists<'a, F: Real>(cell: &'a HitCell, projected: &[F], spec: &RasterizeSpec) -> &'a HitLists {
     hit_lists_by(cell, || tile_cpu(projected, &spec.intrinsics, Cut::of(&spec.options)))
 }
 
@@ -85,7 +85,7 @@ pub(super) fn hit_lists_by(cell: &HitCell, compute: impl FnOnce() -> HitLists) -
 /// Planes as a tensor, of which `channels` are features.
 pub(super) fn planes_tensor<B: HostBackend, F: Real>(
     planes: Vec<F>,
-    spec: &BlendSpec,
+    spec: &RasterizeSpec,
     background: &InputTensor<B>,
 ) -> FloatTensor<B> {
     let count = spec.planes(background.0.shape()[0]);
@@ -93,7 +93,7 @@ pub(super) fn planes_tensor<B: HostBackend, F: Real>(
 }
 
 /// The gradient of all planes, where it may be that of the first `channels` alone.
-fn all_planes<B: Backend>(grad: FloatTensor<B>, spec: &BlendSpec, channels: usize) -> FloatTensor<B> {
+fn all_planes<B: Backend>(grad: FloatTensor<B>, spec: &RasterizeSpec, channels: usize) -> FloatTensor<B> {
     let [given, height, width] = grad.shape().dims();
     match spec.planes(channels) - given {
         0 => grad,
@@ -158,7 +158,7 @@ macro_rules! cpu_backend {
                 })
             }
 
-            fn tile(projected: FloatTensor<Self>, spec: BlendSpec, hits: HitCell) -> IntTensor<Self> {
+            fn tile(projected: FloatTensor<Self>, spec: RasterizeSpec, hits: HitCell) -> IntTensor<Self> {
                 let device = projected.device();
                 let lists = by_type!(projected, F => hit_lists(&hits, &Self::host::<F>(projected), &spec));
                 let counts: Vec<i32> = lists.tile_start.windows(2).map(|w| (w[1] - w[0]) as i32).collect();
@@ -166,10 +166,10 @@ macro_rules! cpu_backend {
                 Self::int_from_data(TensorData::new(counts, [tiles_y, tiles_x]), &device)
             }
 
-            fn blend(
+            fn rasterize(
                 inputs: LayerTensors<Self>,
                 _: IntTensor<Self>,
-                spec: BlendSpec,
+                spec: RasterizeSpec,
                 hits: HitCell,
                 trace: Option<TraceCell>,
                 _: PartsCell,
@@ -178,7 +178,7 @@ macro_rules! cpu_backend {
                     let read = inputs.each_ref().map(host::<Self, F>);
                     let slices = read.each_ref().map(|host| &host[..]);
                     let lists = hit_lists(&hits, slices.projected, &spec);
-                    let (planes, kept) = blend_cpu(slices, &spec, lists, trace.is_some());
+                    let (planes, kept) = rasterize_cpu(slices, &spec, lists, trace.is_some());
                     if let (Some(cell), Some(kept)) = (trace, kept) {
                         // A cell that is filled already holds the same trace.
                         let _ = cell.0.set(Box::new(kept));
@@ -192,11 +192,11 @@ macro_rules! cpu_backend {
                 Self::float_slice(planes, &[from..to, 0..height, 0..width].map(Slice::from))
             }
 
-            fn blend_backward(
+            fn rasterize_backward(
                 inputs: LayerTensors<Self>,
                 _: FloatTensor<Self>,
                 grad: FloatTensor<Self>,
-                spec: BlendSpec,
+                spec: RasterizeSpec,
                 mask: Layers<bool>,
                 hits: HitCell,
                 trace: TraceCell,
@@ -207,7 +207,7 @@ macro_rules! cpu_backend {
                     let slices = read.each_ref().map(|host| &host[..]);
                     let lists = hit_lists(&hits, slices.projected, &spec);
                     let kept = trace.0.get().and_then(|kept| kept.downcast_ref::<Trace<F>>());
-                    let found = blend_backward_cpu(slices, &Self::host(grad), &spec, (lists, kept), mask);
+                    let found = rasterize_backward_cpu(slices, &Self::host(grad), &spec, (lists, kept), mask);
                     found.zip(mask).zip(inputs.each_ref()).map(gradient)
                 })
             }

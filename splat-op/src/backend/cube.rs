@@ -12,11 +12,11 @@ use super::stages::SplatBackend;
 use super::tensors::{
     GeometryGrads, GeometryTensors, InputTensor, LayerGrads, LayerTensors, OptionalTensor, ShadingGrads, ShadingTensors,
 };
-use crate::blend::launch::{DeviceTrace, launch_blend, launch_blend_backward};
-use crate::blend::{BlendSpec, Layers, PartsCell, TraceCell};
 use crate::gpu::{Buffer, Gpu, launch_scale};
 use crate::project::launch::{launch_project, launch_project_backward};
 use crate::project::{COLUMNS, Geometry, ProjectSpec};
+use crate::rasterize::launch::{DeviceTrace, launch_rasterize, launch_rasterize_backward};
+use crate::rasterize::{Layers, PartsCell, RasterizeSpec, TraceCell};
 use crate::shade::Shading;
 use crate::shade::launch::{DeviceShCoefficients, ShadeDeviceInputs, launch_shade, launch_shade_backward};
 use crate::tile::launch::{DeviceLists, launch_tile};
@@ -86,7 +86,7 @@ fn shading_on_device(inputs: &ShadingTensors<CubeBackend>) -> ShadeDeviceInputs 
 }
 
 /// The lists in the cell, computed now if nobody has yet.
-fn lists<'a>(gpu: &Gpu, cell: &'a HitCell, projected: &Buffer<f32>, spec: &BlendSpec) -> &'a DeviceLists {
+fn lists<'a>(gpu: &Gpu, cell: &'a HitCell, projected: &Buffer<f32>, spec: &RasterizeSpec) -> &'a DeviceLists {
     lists_by(cell, || launch_tile(gpu, projected, &spec.intrinsics, Cut::of(&spec.options)))
 }
 
@@ -101,7 +101,7 @@ pub(super) fn lists_by(cell: &HitCell, compute: impl FnOnce() -> DeviceLists) ->
 /// Planes as a tensor.
 pub(super) fn planes_tensor(
     planes: Buffer<f32>,
-    spec: &BlendSpec,
+    spec: &RasterizeSpec,
     background: &InputTensor<CubeBackend>,
 ) -> CubeTensor {
     let shape = [spec.planes(background.0.shape()[0]), spec.intrinsics.height, spec.intrinsics.width];
@@ -150,17 +150,17 @@ impl SplatBackend for CubeBackend {
         found.zip(inputs.each_ref()).map(gradient)
     }
 
-    fn tile(projected: FloatTensor<Self>, spec: BlendSpec, hits: HitCell) -> IntTensor<Self> {
+    fn tile(projected: FloatTensor<Self>, spec: RasterizeSpec, hits: HitCell) -> IntTensor<Self> {
         let gpu = Gpu::new(&projected.client);
         let counts = lists(&gpu, &hits, &buffer(projected.clone()), &spec).counts.clone();
         let [tiles_x, tiles_y] = tile_grid(spec.intrinsics.width, spec.intrinsics.height);
         tensor(counts, [tiles_y, tiles_x], DType::I32, &projected)
     }
 
-    fn blend(
+    fn rasterize(
         inputs: LayerTensors<Self>,
         _: IntTensor<Self>,
-        spec: BlendSpec,
+        spec: RasterizeSpec,
         hits: HitCell,
         trace: Option<TraceCell>,
         _: PartsCell,
@@ -168,7 +168,7 @@ impl SplatBackend for CubeBackend {
         let gpu = Gpu::new(&inputs.projected.0.client);
         let on_device = inputs.each_ref().map(on_device);
         let lists = lists(&gpu, &hits, &on_device.projected, &spec);
-        let (planes, kept) = launch_blend(&gpu, &on_device, lists, &spec, trace.is_some());
+        let (planes, kept) = launch_rasterize(&gpu, &on_device, lists, &spec, trace.is_some());
         if let (Some(cell), Some(kept)) = (trace, kept) {
             // A cell that is filled already holds the same trace.
             let _ = cell.0.set(Box::new(kept));
@@ -188,11 +188,11 @@ impl SplatBackend for CubeBackend {
         tensor(first, [to, height, width], DType::F32, &planes)
     }
 
-    fn blend_backward(
+    fn rasterize_backward(
         inputs: LayerTensors<Self>,
         _: FloatTensor<Self>,
         grad: FloatTensor<Self>,
-        spec: BlendSpec,
+        spec: RasterizeSpec,
         mask: Layers<bool>,
         hits: HitCell,
         trace: TraceCell,
@@ -201,9 +201,10 @@ impl SplatBackend for CubeBackend {
         let on_device = inputs.each_ref().map(on_device);
         let lists = lists(&gpu, &hits, &on_device.projected, &spec);
         let kept = trace.0.get().and_then(|kept| kept.downcast_ref::<DeviceTrace>()).cloned();
-        let kept = kept
-            .unwrap_or_else(|| launch_blend(&gpu, &on_device, lists, &spec, true).1.expect("a trace was asked for"));
-        let found = launch_blend_backward(&gpu, &on_device, &buffer(grad), lists, &kept, &spec, mask);
+        let kept = kept.unwrap_or_else(|| {
+            launch_rasterize(&gpu, &on_device, lists, &spec, true).1.expect("a trace was asked for")
+        });
+        let found = launch_rasterize_backward(&gpu, &on_device, &buffer(grad), lists, &kept, &spec, mask);
         found.zip(inputs.each_ref()).map(gradient)
     }
 }

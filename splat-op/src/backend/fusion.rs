@@ -4,8 +4,8 @@ use burn::backend::fusion::custom::TensorSpec;
 use burn::tensor::{DType, Shape};
 
 use super::tensors::{InputTensorMetadata, OptionalTensorMetadata};
-use crate::blend::{BlendSpec, Layers, PartsCell, TraceCell};
 use crate::project::{COLUMNS, Geometry, ProjectSpec};
+use crate::rasterize::{Layers, PartsCell, RasterizeSpec, TraceCell};
 use crate::rays::RayLayers;
 use crate::shade::Shading;
 use crate::tile::{HitCell, tile_grid};
@@ -51,20 +51,20 @@ pub(super) fn shade_backward(
     inputs.each_ref().zip(*mask).map(|(input, asked)| grad(input, asked, &inputs.means.0))
 }
 
-pub(super) fn tile(_: &TensorSpec, spec: &BlendSpec, _: &HitCell) -> TensorSpec {
+pub(super) fn tile(_: &TensorSpec, spec: &RasterizeSpec, _: &HitCell) -> TensorSpec {
     let [tiles_x, tiles_y] = tile_grid(spec.intrinsics.width, spec.intrinsics.height);
     TensorSpec::new(Shape::from([tiles_y, tiles_x]), DType::I32)
 }
 
-fn planes(background: &InputTensorMetadata, spec: &BlendSpec) -> TensorSpec {
+fn planes(background: &InputTensorMetadata, spec: &RasterizeSpec) -> TensorSpec {
     let planes = spec.planes(background.0.shape[0]);
     float([planes, spec.intrinsics.height, spec.intrinsics.width], &background.0)
 }
 
-pub(super) fn blend(
+pub(super) fn rasterize(
     inputs: &Layers<InputTensorMetadata>,
     _: &TensorSpec,
-    spec: &BlendSpec,
+    spec: &RasterizeSpec,
     _: &HitCell,
     _: &Option<TraceCell>,
     _: &PartsCell,
@@ -76,11 +76,11 @@ pub(super) fn part(planes: &TensorSpec, from: &usize, to: &usize, _: &PartsCell)
     float([to - from, planes.shape[1], planes.shape[2]], planes)
 }
 
-pub(super) fn blend_backward(
+pub(super) fn rasterize_backward(
     inputs: &Layers<InputTensorMetadata>,
     _: &TensorSpec,
     _: &TensorSpec,
-    _: &BlendSpec,
+    _: &RasterizeSpec,
     mask: &Layers<bool>,
     _: &HitCell,
     _: &TraceCell,
@@ -95,7 +95,7 @@ pub(super) fn tilt(inputs: &Geometry<InputTensorMetadata>, _: &ProjectSpec) -> T
 pub(super) fn rays(
     inputs: &RayLayers<InputTensorMetadata>,
     _: &TensorSpec,
-    spec: &BlendSpec,
+    spec: &RasterizeSpec,
     _: &HitCell,
     _: &PartsCell,
 ) -> TensorSpec {
@@ -106,7 +106,7 @@ pub(super) fn rays_backward(
     inputs: &RayLayers<InputTensorMetadata>,
     _: &TensorSpec,
     _: &TensorSpec,
-    _: &BlendSpec,
+    _: &RasterizeSpec,
     mask: &RayLayers<bool>,
     _: &HitCell,
 ) -> RayLayers<OptionalTensorMetadata> {

@@ -10,8 +10,8 @@ use super::cpu::{gradient, hit_lists_by, host, planes_tensor};
 use super::fusion;
 use super::host::{HostBackend, by_type};
 use super::tensors::{GeometryGrads, GeometryTensors, RayLayerGrads, RayLayerTensors};
-use crate::blend::{BlendSpec, PartsCell};
 use crate::project::{COLUMNS, Geometry, ProjectSpec};
+use crate::rasterize::{PartsCell, RasterizeSpec};
 use crate::rays::RayLayers;
 use crate::rays::cpu::{rays_backward_cpu, rays_cpu};
 use crate::real::Real;
@@ -38,14 +38,14 @@ pub trait RaysBackend: Backend {
 
     /// See `tilt/`. Rows `[N, 7]` for `tile`, from packed ellipses `[N, 7]` and tilts `[N, 3]`. Not differentiable.
     #[fusion(dtype = projected, shape = projected)]
-    fn outline(projected: FloatTensor<Self>, tilt: FloatTensor<Self>, spec: BlendSpec) -> FloatTensor<Self>;
+    fn outline(projected: FloatTensor<Self>, tilt: FloatTensor<Self>, spec: RasterizeSpec) -> FloatTensor<Self>;
 
-    /// See `rays/`. Returns planes as `blend` does; `tile_counts` and `parts` as there.
+    /// See `rays/`. Returns planes as `rasterize` does; `tile_counts` and `parts` as there.
     #[fusion(meta = fusion::rays)]
     fn rays(
         #[extension_type] inputs: RayLayerTensors<Self>,
         tile_counts: IntTensor<Self>,
-        spec: BlendSpec,
+        spec: RasterizeSpec,
         hits: HitCell,
         parts: PartsCell,
     ) -> FloatTensor<Self>;
@@ -57,14 +57,14 @@ pub trait RaysBackend: Backend {
         #[extension_type] inputs: RayLayerTensors<Self>,
         planes: FloatTensor<Self>,
         grad: FloatTensor<Self>,
-        spec: BlendSpec,
+        spec: RasterizeSpec,
         mask: RayLayers<bool>,
         hits: HitCell,
     ) -> RayLayerGrads<Self>;
 }
 
 /// The lists in the cell, computed now if nobody has yet.
-fn lists<'a, F: Real>(hits: &'a HitCell, inputs: RayLayers<&[F]>, spec: &BlendSpec) -> &'a HitLists {
+fn lists<'a, F: Real>(hits: &'a HitCell, inputs: RayLayers<&[F]>, spec: &RasterizeSpec) -> &'a HitLists {
     hit_lists_by(hits, || {
         let rows = |packed: &[F]| tile_cpu(packed, &spec.intrinsics, Cut::of(&spec.options));
         match spec.options.reaches_by_outline() {
@@ -100,7 +100,7 @@ macro_rules! cpu_backend {
                 })
             }
 
-            fn outline(projected: FloatTensor<Self>, tilt: FloatTensor<Self>, spec: BlendSpec) -> FloatTensor<Self> {
+            fn outline(projected: FloatTensor<Self>, tilt: FloatTensor<Self>, spec: RasterizeSpec) -> FloatTensor<Self> {
                 by_type!(projected, F => {
                     let like = projected.clone();
                     let rows = outline_cpu::<F>(&Self::host(projected), &Self::host(tilt), &spec);
@@ -112,7 +112,7 @@ macro_rules! cpu_backend {
             fn rays(
                 inputs: RayLayerTensors<Self>,
                 _: IntTensor<Self>,
-                spec: BlendSpec,
+                spec: RasterizeSpec,
                 hits: HitCell,
                 _: PartsCell,
             ) -> FloatTensor<Self> {
@@ -128,7 +128,7 @@ macro_rules! cpu_backend {
                 inputs: RayLayerTensors<Self>,
                 _: FloatTensor<Self>,
                 grad: FloatTensor<Self>,
-                spec: BlendSpec,
+                spec: RasterizeSpec,
                 mask: RayLayers<bool>,
                 hits: HitCell,
             ) -> RayLayerGrads<Self> {

@@ -11,8 +11,8 @@ use super::autodiff::{differentiate, planes_grad, tracked};
 use super::rays::RaysBackend;
 use super::stages::SplatBackend;
 use super::tensors::{GeometryGrads, GeometryTensors, InputTensor, OptionalTensor, RayLayerGrads, RayLayerTensors};
-use crate::blend::{BlendSpec, PartsCell};
 use crate::project::{Geometry, ProjectSpec};
+use crate::rasterize::{PartsCell, RasterizeSpec};
 use crate::rays::RayLayers;
 use crate::tile::HitCell;
 
@@ -36,7 +36,7 @@ impl<B: RaysBackend> Backward<B, 4> for TiltBackward {
 struct RaysBackward;
 
 impl<B: RaysBackend + SplatBackend> Backward<B, 5> for RaysBackward {
-    type State = (RayLayerTensors<B>, FloatTensor<B>, BlendSpec, HitCell, PartsCell);
+    type State = (RayLayerTensors<B>, FloatTensor<B>, RasterizeSpec, HitCell, PartsCell);
 
     fn backward(self, ops: Ops<Self::State, 5>, grads: &mut Gradients, _: &mut Checkpointer) {
         differentiate::<B, _, _>(ops, grads, |(inputs, planes, spec, hits, parts), mask| {
@@ -55,14 +55,14 @@ impl<B: RaysBackend + SplatBackend, C: CheckpointStrategy> RaysBackend for Autod
         tracked(TiltBackward, [means, rotations, scales, cam_from_world], (inner, spec), output)
     }
 
-    fn outline(projected: FloatTensor<Self>, tilt: FloatTensor<Self>, spec: BlendSpec) -> FloatTensor<Self> {
+    fn outline(projected: FloatTensor<Self>, tilt: FloatTensor<Self>, spec: RasterizeSpec) -> FloatTensor<Self> {
         FloatTensor::<Self>::new(B::outline(projected.into_primitive(), tilt.into_primitive(), spec))
     }
 
     fn rays(
         inputs: RayLayerTensors<Self>,
         tile_counts: IntTensor<Self>,
-        spec: BlendSpec,
+        spec: RasterizeSpec,
         hits: HitCell,
         parts: PartsCell,
     ) -> FloatTensor<Self> {
@@ -88,7 +88,7 @@ impl<B: RaysBackend + SplatBackend, C: CheckpointStrategy> RaysBackend for Autod
         inputs: RayLayerTensors<Self>,
         planes: FloatTensor<Self>,
         grad: FloatTensor<Self>,
-        spec: BlendSpec,
+        spec: RasterizeSpec,
         mask: RayLayers<bool>,
         hits: HitCell,
     ) -> RayLayerGrads<Self> {

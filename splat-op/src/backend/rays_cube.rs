@@ -8,9 +8,9 @@ use burn_cubecl::CubeBackend;
 use super::cube::{buffer, gradient, lists_by, on_device, planes_tensor, tensor};
 use super::rays::RaysBackend;
 use super::tensors::{GeometryGrads, GeometryTensors, RayLayerGrads, RayLayerTensors};
-use crate::blend::{BlendSpec, PartsCell};
 use crate::gpu::{Buffer, Gpu};
 use crate::project::{Geometry, ProjectSpec};
+use crate::rasterize::{PartsCell, RasterizeSpec};
 use crate::rays::RayLayers;
 use crate::rays::launch::{launch_rays, launch_rays_backward};
 use crate::tile::launch::{DeviceLists, launch_tile};
@@ -19,7 +19,7 @@ use crate::tilt::TILT;
 use crate::tilt::launch::{launch_outline, launch_tilt, launch_tilt_backward};
 
 /// The lists in the cell, computed now if nobody has yet.
-fn lists<'a>(gpu: &Gpu, cell: &'a HitCell, inputs: &RayLayers<Buffer<f32>>, spec: &BlendSpec) -> &'a DeviceLists {
+fn lists<'a>(gpu: &Gpu, cell: &'a HitCell, inputs: &RayLayers<Buffer<f32>>, spec: &RasterizeSpec) -> &'a DeviceLists {
     lists_by(cell, || {
         let rows = |packed: &Buffer<f32>| launch_tile(gpu, packed, &spec.intrinsics, Cut::of(&spec.options));
         match spec.options.reaches_by_outline() {
@@ -47,7 +47,7 @@ impl RaysBackend for CubeBackend {
         found.zip(inputs.each_ref()).map(gradient)
     }
 
-    fn outline(projected: FloatTensor<Self>, tilt: FloatTensor<Self>, spec: BlendSpec) -> FloatTensor<Self> {
+    fn outline(projected: FloatTensor<Self>, tilt: FloatTensor<Self>, spec: RasterizeSpec) -> FloatTensor<Self> {
         let gpu = Gpu::new(&projected.client);
         let rows = launch_outline(&gpu, &buffer(projected.clone()), &buffer(tilt), &spec);
         tensor(rows, projected.shape(), DType::F32, &projected)
@@ -56,7 +56,7 @@ impl RaysBackend for CubeBackend {
     fn rays(
         inputs: RayLayerTensors<Self>,
         _: IntTensor<Self>,
-        spec: BlendSpec,
+        spec: RasterizeSpec,
         hits: HitCell,
         _: PartsCell,
     ) -> FloatTensor<Self> {
@@ -70,7 +70,7 @@ impl RaysBackend for CubeBackend {
         inputs: RayLayerTensors<Self>,
         _: FloatTensor<Self>,
         grad: FloatTensor<Self>,
-        spec: BlendSpec,
+        spec: RasterizeSpec,
         mask: RayLayers<bool>,
         hits: HitCell,
     ) -> RayLayerGrads<Self> {

@@ -10,8 +10,8 @@ use super::fusion;
 use super::tensors::{
     GeometryGrads, GeometryTensors, LayerGrads, LayerTensors, OptionalTensor, ShadingGrads, ShadingTensors,
 };
-use crate::blend::{BlendSpec, Layers, PartsCell, TraceCell};
 use crate::project::{Geometry, ProjectSpec};
+use crate::rasterize::{Layers, PartsCell, RasterizeSpec, TraceCell};
 use crate::shade::Shading;
 use crate::tile::HitCell;
 
@@ -54,33 +54,33 @@ pub trait SplatBackend: Backend {
 
     /// See `tile/`. Fills `hits` and returns the number of hits per tile, `[tiles along y, tiles along x]`.
     #[fusion(meta = fusion::tile)]
-    fn tile(projected: FloatTensor<Self>, spec: BlendSpec, hits: HitCell) -> IntTensor<Self>;
+    fn tile(projected: FloatTensor<Self>, spec: RasterizeSpec, hits: HitCell) -> IntTensor<Self>;
 
-    /// See `blend/`. Returns `[C + 1 (+ 1), H, W]` and fills `trace` if it is to be kept. `tile_counts` is what `tile`
+    /// See `rasterize/`. Returns `[C + 1 (+ 1), H, W]` and fills `trace` if it is to be kept. `tile_counts` is what `tile`
     /// returned, and orders the two; gradients come through [`Self::part`] alone.
-    #[fusion(meta = fusion::blend)]
-    fn blend(
+    #[fusion(meta = fusion::rasterize)]
+    fn rasterize(
         #[extension_type] inputs: LayerTensors<Self>,
         tile_counts: IntTensor<Self>,
-        spec: BlendSpec,
+        spec: RasterizeSpec,
         hits: HitCell,
         trace: Option<TraceCell>,
         parts: PartsCell,
     ) -> FloatTensor<Self>;
 
-    /// Planes `from` to before `to` of what `blend` returned, which was given the same `parts`. The first ones are a view
+    /// Planes `from` to before `to` of what `rasterize` returned, which was given the same `parts`. The first ones are a view
     /// where the backend knows views. Differentiable: without a copy if the part is all that has a gradient.
     #[fusion(meta = fusion::part)]
     fn part(planes: FloatTensor<Self>, from: usize, to: usize, parts: PartsCell) -> FloatTensor<Self>;
 
-    /// The gradients of `blend` that `mask` asks for, from that of its output, or, where depth is not rendered and alpha has no
-    /// gradient, of its first `C` planes. `planes` is what `blend` returned, and orders the two; not read.
-    #[fusion(meta = fusion::blend_backward)]
-    fn blend_backward(
+    /// The gradients of `rasterize` that `mask` asks for, from that of its output, or, where depth is not rendered and alpha has no
+    /// gradient, of its first `C` planes. `planes` is what `rasterize` returned, and orders the two; not read.
+    #[fusion(meta = fusion::rasterize_backward)]
+    fn rasterize_backward(
         #[extension_type] inputs: LayerTensors<Self>,
         planes: FloatTensor<Self>,
         grad: FloatTensor<Self>,
-        spec: BlendSpec,
+        spec: RasterizeSpec,
         mask: Layers<bool>,
         hits: HitCell,
         trace: TraceCell,

@@ -9,9 +9,9 @@ use burn::backend::{
 use burn::tensor::Tensor;
 
 use crate::activate::rule::Raw;
-use crate::blend::Layers;
 use crate::photometric::taps::Compared;
 use crate::project::Geometry;
+use crate::rasterize::Layers;
 use crate::rays::RayLayers;
 use crate::shade::Shading;
 
@@ -79,7 +79,7 @@ pub type GeometryGrads<B> = Geometry<OptionalTensor<B>>;
 pub type ShadingTensors<B> = Shading<InputTensor<B>>;
 /// Their gradients.
 pub type ShadingGrads<B> = Shading<OptionalTensor<B>>;
-/// Inputs of `blend`.
+/// Inputs of `rasterize`.
 pub type LayerTensors<B> = Layers<InputTensor<B>>;
 /// Their gradients.
 pub type LayerGrads<B> = Layers<OptionalTensor<B>>;

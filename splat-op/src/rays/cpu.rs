@@ -5,8 +5,8 @@ use rayon::prelude::*;
 
 use super::pixel::{RayGaussianCpu, RayLayerCpu, Rules, look};
 use super::{RayLayers, SUMS};
-use crate::blend::BlendSpec;
 use crate::project::{COLUMNS, Ellipse};
+use crate::rasterize::RasterizeSpec;
 use crate::real::Real;
 use crate::tile::{HitLists, TILE, tile_grid};
 use crate::tilt::TILT;
@@ -24,7 +24,7 @@ struct PreparedRayView<'a, F> {
 }
 
 impl<'a, F: Real> PreparedRayView<'a, F> {
-    fn new(inputs: RayLayers<&'a [F]>, spec: &BlendSpec, hits: &'a HitLists) -> Self {
+    fn new(inputs: RayLayers<&'a [F]>, spec: &RasterizeSpec, hits: &'a HitLists) -> Self {
         let rules = Rules::new(&spec.options);
         let rows = inputs.projected.chunks_exact(COLUMNS).zip(inputs.tilt.chunks_exact(TILT));
         Self {
@@ -68,7 +68,7 @@ impl<'a, F: Real> PreparedRayView<'a, F> {
 }
 
 /// Planes `[C + 1 (+ 1), H, W]`.
-pub(crate) fn rays_cpu<F: Real>(inputs: RayLayers<&[F]>, spec: &BlendSpec, hits: &HitLists) -> Vec<F> {
+pub(crate) fn rays_cpu<F: Real>(inputs: RayLayers<&[F]>, spec: &RasterizeSpec, hits: &HitLists) -> Vec<F> {
     let view = PreparedRayView::new(inputs, spec, hits);
     let (count, pixels) = (view.planes(), view.size[0] * view.size[1]);
     let of_tile = |layers: &mut Vec<RayLayerCpu<F>>, tile: usize| -> Vec<F> {
@@ -106,7 +106,7 @@ pub(crate) fn rays_cpu<F: Real>(inputs: RayLayers<&[F]>, spec: &BlendSpec, hits:
 pub(crate) fn rays_backward_cpu<F: Real>(
     inputs: RayLayers<&[F]>,
     grad: &[F],
-    spec: &BlendSpec,
+    spec: &RasterizeSpec,
     hits: &HitLists,
     needs: RayLayers<bool>,
 ) -> RayLayers<Vec<F>> {

@@ -4,11 +4,11 @@ use super::RayLayers;
 use super::cpu::{rays_backward_cpu, rays_cpu};
 use super::launch::{launch_rays, launch_rays_backward_by};
 use super::pixel::{RayGaussianCpu, Rules, look};
-use crate::blend::BlendSpec;
 use crate::camera::Intrinsics;
 use crate::gpu::{Buffer, Gpu};
 use crate::options::{Order, Projection, RenderOptions};
 use crate::project::COLUMNS;
+use crate::rasterize::RasterizeSpec;
 use crate::testing::ceiling::{PerturbedReference, rounded, to_f32};
 use crate::testing::ellipses::ellipses;
 use crate::testing::gpu::{gpu, gpus};
@@ -33,7 +33,7 @@ const NEAR: f64 = 2e-5;
 struct StageInputs {
     name: String,
     inputs: Vec<Vec<f64>>,
-    spec: BlendSpec,
+    spec: RasterizeSpec,
 }
 
 impl StageInputs {
@@ -61,7 +61,7 @@ impl StageInputs {
                 options.projection, options.order
             ),
             inputs: inputs.iter().map(|values| rounded(values)).collect(),
-            spec: BlendSpec { intrinsics, options },
+            spec: RasterizeSpec { intrinsics, options },
         }
     }
 

@@ -6,11 +6,11 @@ use super::RayLayers;
 use super::backward::{rays_background_kernel, rays_gather_kernel, rays_sums_kernel, rays_walk_kernel, row_len};
 use super::forward::rays_forward_kernel;
 use super::layer::RayFrameLaunch;
-use crate::blend::BlendSpec;
 use crate::gpu::{Buffer, Gpu, UNITS, cubes, elementwise};
 use crate::limits::Need;
 use crate::options::{Order, Projection};
 use crate::project::COLUMNS;
+use crate::rasterize::RasterizeSpec;
 use crate::tile::launch::DeviceLists;
 use crate::tile::{TILE_PIXELS, tile_grid};
 use crate::tilt::TILT;
@@ -22,7 +22,7 @@ const TABLE: usize = 32_768;
 const FEWER_HITS: &str = "train on smaller pictures, raise `alpha_min`, or use fewer Gaussians";
 
 /// The view as an argument of kernels over the tiles from `first` to before `end`.
-fn view(spec: &BlendSpec, features: usize, (first, end): (usize, usize)) -> RayFrameLaunch {
+fn view(spec: &RasterizeSpec, features: usize, (first, end): (usize, usize)) -> RayFrameLaunch {
     let (camera, options) = (&spec.intrinsics, &spec.options);
     let least = options.transmittance_min;
     RayFrameLaunch::new(
@@ -42,7 +42,7 @@ fn view(spec: &BlendSpec, features: usize, (first, end): (usize, usize)) -> RayF
     )
 }
 
-fn tiles(spec: &BlendSpec) -> usize {
+fn tiles(spec: &RasterizeSpec) -> usize {
     tile_grid(spec.intrinsics.width, spec.intrinsics.height).iter().product()
 }
 
@@ -51,7 +51,7 @@ pub(crate) fn launch_rays(
     gpu: &Gpu,
     inputs: &RayLayers<Buffer<f32>>,
     lists: &DeviceLists,
-    spec: &BlendSpec,
+    spec: &RasterizeSpec,
 ) -> Buffer<f32> {
     let features = inputs.background.len;
     let planes = Buffer::new(gpu, spec.planes(features) * spec.intrinsics.width * spec.intrinsics.height);
@@ -98,7 +98,7 @@ pub(crate) fn launch_rays_backward(
     inputs: &RayLayers<Buffer<f32>>,
     grad: &Buffer<f32>,
     lists: &DeviceLists,
-    spec: &BlendSpec,
+    spec: &RasterizeSpec,
     needs: RayLayers<bool>,
 ) -> RayLayers<Option<Buffer<f32>>> {
     launch_rays_backward_by(gpu, inputs, grad, (lists, TABLE), spec, needs)
@@ -110,7 +110,7 @@ pub(super) fn launch_rays_backward_by(
     inputs: &RayLayers<Buffer<f32>>,
     grad: &Buffer<f32>,
     (lists, room): (&DeviceLists, usize),
-    spec: &BlendSpec,
+    spec: &RasterizeSpec,
     needs: RayLayers<bool>,
 ) -> RayLayers<Option<Buffer<f32>>> {
     let (camera, features, count) = (&spec.intrinsics, inputs.background.len, inputs.projected.len / COLUMNS);

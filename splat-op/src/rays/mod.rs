@@ -1,4 +1,4 @@
-//! Tile lists + features → picture, along the pixels' rays. Differentiable. In the place of `blend` where
+//! Tile lists + features → picture, along the pixels' rays. Differentiable. In the place of `rasterize` where
 //! [`RenderOptions::projection`](crate::RenderOptions) or `order` is not the plain one.
 //!
 //! A pixel sees a Gaussian at the whitened coordinates `(u, v)` of `project`, and with `ρ² = u² + v²` and the Gaussian's
@@ -16,7 +16,7 @@
 //! `tilt = thickness = 0`: of a Gaussian that is small beside its distance. (Where its Jacobian is held at a limit, so it is for
 //! the `λ` that orders its layers.)
 //!
-//! Alphas, thresholds, sums and the gradient back to front are those of `blend`, over the same lists. Their order is that of
+//! Alphas, thresholds, sums and the gradient back to front are those of `rasterize`, over the same lists. Their order is that of
 //! the lists (camera z of the centres, then the index), or for each pixel that of `λ z`, then the index; by it alone is decided
 //! which contributions are behind a `transmittance_min`. The depth plane is `Σ wᵢ zᵢ` for the affine projection and `Σ wᵢ λᵢ zᵢ`
 //! for the exact one.
@@ -35,7 +35,7 @@
 //! sums over the tile's pixels, and a Gaussian's rows are added in the order of its hits: on every device the same bits in
 //! every run, whatever [`Accumulation`](crate::Accumulation) says.
 //!
-//! Shapes: packed ellipses `[N, 7]`, tilts `[N, 3]`, features `[N, C]`, background `[C]` → planes as `blend`.
+//! Shapes: packed ellipses `[N, 7]`, tilts `[N, 3]`, features `[N, C]`, background `[C]` → planes as `rasterize`.
 
 #[cfg(feature = "cube")]
 mod backward;
@@ -76,7 +76,7 @@ record! {
         features,
         /// `[C]`.
         background,
-        /// The probe of AbsGrad, as that of `blend`.
+        /// The probe of AbsGrad, as that of `rasterize`.
         mean2d_abs,
     }
 }

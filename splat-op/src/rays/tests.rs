@@ -2,11 +2,11 @@
 
 use super::RayLayers;
 use super::cpu::{rays_backward_cpu, rays_cpu};
-use crate::blend::BlendSpec;
-use crate::blend::cpu::blend_cpu;
 use crate::camera::Intrinsics;
 use crate::options::{Order, Projection, RenderOptions};
 use crate::project::{COLUMNS, Ellipse};
+use crate::rasterize::RasterizeSpec;
+use crate::rasterize::cpu::rasterize_cpu;
 use crate::testing::blending::{PixelLayer, assert_close, blended, small_ellipse, smooth};
 use crate::testing::finite::{check_gradient, inner_product};
 use crate::testing::random::Random;
@@ -28,7 +28,7 @@ const CHOICES: [(Projection, Order); 4] = [
 #[derive(Clone)]
 struct StageInputs {
     inputs: [Vec<f64>; 4],
-    spec: BlendSpec,
+    spec: RasterizeSpec,
 }
 
 impl StageInputs {
@@ -51,7 +51,7 @@ impl StageInputs {
         }
         let features = random.fill(count * channels, -1.0, 1.0);
         let background = random.fill(channels, -1.0, 1.0);
-        let spec = BlendSpec { intrinsics: Intrinsics::centred(width, height, 30.0), options };
+        let spec = RasterizeSpec { intrinsics: Intrinsics::centred(width, height, 30.0), options };
         Self { inputs: [packed, tilts, features, background], spec }
     }
 
@@ -165,15 +165,15 @@ fn planes_are_those_of_the_definition() {
 }
 
 #[test]
-fn without_a_tilt_it_is_blend() {
+fn without_a_tilt_it_is_rasterize() {
     for (projection, order) in CHOICES {
         let options = RenderOptions::standard().with_projection(projection).with_order(order).with_depth(true);
         let mut scene = StageInputs::random(5, 300, (50, 40), 3, ([0.0, 1.0], 0.0, 0.0), options);
         scene.inputs[1].fill(0.0);
         let [projected, _, features, background] = &scene.inputs;
-        let plain = crate::blend::Layers { projected: &projected[..], features, background, mean2d_abs: &[] };
+        let plain = crate::rasterize::Layers { projected: &projected[..], features, background, mean2d_abs: &[] };
         let lists = tile_cpu(projected, &scene.spec.intrinsics, options.alpha_min.into());
-        let expected = blend_cpu(plain, &scene.spec, &lists, false).0;
+        let expected = rasterize_cpu(plain, &scene.spec, &lists, false).0;
         assert_close(&format!("{projection:?}, {order:?}"), &scene.planes(), &expected, 1e-13);
     }
 }

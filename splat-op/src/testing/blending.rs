@@ -1,9 +1,9 @@
-//! What the tests of `blend` and of `rays` share: blending by its definition.
+//! What the tests of `rasterize` and of `rays` share: blending by its definition.
 
 use super::random::Random;
-use crate::blend::BlendSpec;
 use crate::options::RenderOptions;
 use crate::project::Ellipse;
+use crate::rasterize::RasterizeSpec;
 
 /// What a pixel sees of a Gaussian.
 pub struct PixelLayer {
@@ -16,7 +16,7 @@ pub struct PixelLayer {
 
 /// The planes of features `[N, C]` over a background `[C]`. `layers` are those of a pixel, front to back.
 pub fn blended(
-    spec: &BlendSpec,
+    spec: &RasterizeSpec,
     features: &[f64],
     background: &[f64],
     layers: impl Fn(usize) -> Vec<PixelLayer>,

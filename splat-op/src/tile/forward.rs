@@ -17,7 +17,7 @@ pub(super) const COVER: usize = 4;
 /// Cells along each side of a cover.
 const CELLS: u32 = 8;
 
-/// What `tile` and `blend` need to know of the picture.
+/// What `tile` and `rasterize` need to know of the picture.
 #[derive(CubeType, CubeLaunch, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub(crate) struct TileFrame {
@@ -141,7 +141,7 @@ impl EllipseReach {
                 let slope = across * self.sigma_u / (across * across + self.sigma_v * self.sigma_v);
                 least = min(least, self.whitened(within(slope * near_y, left, right), near_y));
             }
-            // `dy − shear dx` loses digits when both terms are large; `blend` may then see a smaller value than this.
+            // `dy − shear dx` loses digits when both terms are large; `rasterize` may then see a smaller value than this.
             let farthest = max(left.abs(), right.abs()) * self.shear.abs() + max(top.abs(), bottom.abs());
             let reach = self.limit.sqrt() + 1e-6 * farthest / self.sigma_v;
             reached = !(least > reach * reach);

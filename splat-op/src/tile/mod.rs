@@ -1,9 +1,9 @@
 //! Ellipses → for each 16 × 16 tile of the picture, the Gaussians that can show in it, front to back.
 //!
-//! Not differentiable, and it changes no result: which Gaussian contributes to which pixel is decided in `blend`, and
+//! Not differentiable, and it changes no result: which Gaussian contributes to which pixel is decided in `rasterize`, and
 //! these lists only leave out pairs that cannot contribute. A Gaussian reaches as far as its alpha stays at or above
 //! `alpha_min`: within the ellipse `u² + v² <= 2 ln(opacity / alpha_min)`. A tile lists it if the rectangle of the tile's pixel
-//! centres meets that ellipse, with a margin for the rounding of `blend`: the twin computes the interval that the ellipse
+//! centres meets that ellipse, with a margin for the rounding of `rasterize`: the twin computes the interval that the ellipse
 //! spans on each row of tiles, the kernel tests each tile of the bounding box. By request it is a box around the ellipse
 //! instead, see [`Culling`].
 //!

@@ -17,7 +17,7 @@ pub(crate) fn whitened_limit<F: Real>(opacity: F, alpha_min: F) -> F {
     if alpha_min > F::ZERO { F::of(2.0) * (opacity / alpha_min).ln() } else { F::MAX }
 }
 
-/// The same, widened so that no rounding of `blend` shows a Gaussian beyond it: a relative margin for the logarithm, an
+/// The same, widened so that no rounding of `rasterize` shows a Gaussian beyond it: a relative margin for the logarithm, an
 /// absolute one for the exponential.
 #[inline(always)]
 pub(crate) fn widened_limit<F: Real>(opacity: F, alpha_min: F) -> F {
@@ -131,7 +131,7 @@ struct Eight<S: Simd, F: Real> {
     h: F::Lanes<S>,
     /// `1 / V`
     inverse: F::Lanes<S>,
-    /// How much higher or lower than it is a pixel may look to `blend`.
+    /// How much higher or lower than it is a pixel may look to `rasterize`.
     slip: F::Lanes<S>,
     /// What ends along `x` are widened by for their rounding.
     margin: F::Lanes<S>,

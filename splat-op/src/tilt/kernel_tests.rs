@@ -3,12 +3,12 @@
 use super::cpu::{tilt_backward_cpu, tilt_cpu};
 use super::launch::{launch_outline, launch_tilt, launch_tilt_backward};
 use super::{TILT, outline_cpu};
-use crate::blend::BlendSpec;
 use crate::camera::Intrinsics;
 use crate::gpu::{Buffer, Gpu};
 use crate::options::{Projection, RenderOptions};
 use crate::project::cpu::project_cpu;
 use crate::project::{COLUMNS, Geometry, ProjectSpec};
+use crate::rasterize::RasterizeSpec;
 use crate::testing::ceiling::{PerturbedReference, rounded, to_f32};
 use crate::testing::gpu::gpus;
 use crate::testing::random::Random;
@@ -140,9 +140,9 @@ fn outlines_agree_with_the_twin() {
     for alpha_min in [1.0 / 255.0, 1e-6, 0.0] {
         let mut spec = specs()[0];
         spec.options.alpha_min = f64::from(alpha_min as f32);
-        let blend = BlendSpec { intrinsics: CAMERA, options: spec.options };
+        let rasterize = RasterizeSpec { intrinsics: CAMERA, options: spec.options };
         let rows = [project_cpu(inputs(&tensors), &spec), tilt_cpu(inputs(&tensors), &spec)].map(|t| rounded(&t));
-        let yardstick = PerturbedReference::new(&rows, |rows| vec![outline_cpu(&rows[0], &rows[1], &blend)]);
+        let yardstick = PerturbedReference::new(&rows, |rows| vec![outline_cpu(&rows[0], &rows[1], &rasterize)]);
         // Near the end of those that have one, a row may have one or not; the slack that tells them apart is no rounding.
         let jumps = |i: usize| {
             let row = |values: &[f64]| values[COLUMNS * i..COLUMNS * (i + 1)].to_vec();
@@ -152,7 +152,7 @@ fn outlines_agree_with_the_twin() {
         assert!(classes.iter().flatten().count() > 1_000, "too many jump");
         for (form, gpu) in gpus() {
             let [projected, tilts] = rows.each_ref().map(|values| Buffer::from_slice(&gpu, &to_f32(values)));
-            let found = launch_outline(&gpu, &projected, &tilts, &blend).read(&gpu);
+            let found = launch_outline(&gpu, &projected, &tilts, &rasterize).read(&gpu);
             yardstick.check(&format!("outlines, {form}, alpha_min {alpha_min}"), 0, &found, &classes);
         }
     }

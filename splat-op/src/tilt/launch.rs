@@ -3,12 +3,12 @@
 use super::TILT;
 use super::backward::tilt_backward_kernel;
 use super::forward::{outline_kernel, tilt_forward_kernel};
-use crate::blend::BlendSpec;
 use crate::gpu::math::POSE;
 use crate::gpu::reduce::launch_column_sums;
 use crate::gpu::{Buffer, Gpu, UNITS, elementwise};
 use crate::project::launch::lens;
 use crate::project::{COLUMNS, Geometry, ProjectSpec};
+use crate::rasterize::RasterizeSpec;
 
 /// `[N, 3]`.
 pub(crate) fn launch_tilt(gpu: &Gpu, inputs: &Geometry<Buffer<f32>>, spec: &ProjectSpec) -> Buffer<f32> {
@@ -38,7 +38,12 @@ pub(crate) fn launch_tilt(gpu: &Gpu, inputs: &Geometry<Buffer<f32>>, spec: &Proj
 }
 
 /// Rows for `tile`, `[N, 7]`, from packed ellipses and their tilts.
-pub(crate) fn launch_outline(gpu: &Gpu, projected: &Buffer<f32>, tilts: &Buffer<f32>, spec: &BlendSpec) -> Buffer<f32> {
+pub(crate) fn launch_outline(
+    gpu: &Gpu,
+    projected: &Buffer<f32>,
+    tilts: &Buffer<f32>,
+    spec: &RasterizeSpec,
+) -> Buffer<f32> {
     let count = projected.len / COLUMNS;
     let outlines = Buffer::new(gpu, count * COLUMNS);
     if count == 0 {

@@ -3,9 +3,9 @@
 use rayon::prelude::*;
 
 use super::{LEAST, REACH, SLACK, TILT};
-use crate::blend::BlendSpec;
 use crate::linalg::norm;
 use crate::project::{COLUMNS, Ellipse};
+use crate::rasterize::RasterizeSpec;
 use crate::real::Real;
 use crate::tile::reach::whitened_limit;
 
@@ -13,7 +13,7 @@ use crate::tile::reach::whitened_limit;
 const CHUNK: usize = 1024;
 
 /// `[N, 7]` rows for `tile`, from packed ellipses `[N, 7]` and their tilts `[N, 3]`. What is culled stays culled.
-pub(crate) fn outline_cpu<F: Real>(packed: &[F], tilts: &[F], spec: &BlendSpec) -> Vec<F> {
+pub(crate) fn outline_cpu<F: Real>(packed: &[F], tilts: &[F], spec: &RasterizeSpec) -> Vec<F> {
     let mut outlines = vec![F::ZERO; packed.len()];
     let rows = (outlines.par_chunks_mut(COLUMNS), packed.par_chunks(COLUMNS), tilts.par_chunks(TILT));
     rows.into_par_iter().with_min_len(CHUNK).for_each(|(out, row, tilt)| {
@@ -22,7 +22,7 @@ pub(crate) fn outline_cpu<F: Real>(packed: &[F], tilts: &[F], spec: &BlendSpec) 
     outlines
 }
 
-fn outline<F: Real>(e: &Ellipse<F>, [tilt_u, tilt_v, thickness]: [F; TILT], spec: &BlendSpec) -> Ellipse<F> {
+fn outline<F: Real>(e: &Ellipse<F>, [tilt_u, tilt_v, thickness]: [F; TILT], spec: &RasterizeSpec) -> Ellipse<F> {
     let alpha_min = F::of(spec.options.alpha_min);
     if !(e.opacity > F::ZERO && e.opacity >= alpha_min) {
         return *e;

@@ -4,11 +4,11 @@ use glam::{DMat3, DQuat, DVec3};
 
 use super::cpu::{tilt_backward_cpu, tilt_cpu};
 use super::{REACH, THICKNESS_MAX, TILT, outline_cpu};
-use crate::blend::BlendSpec;
 use crate::camera::Intrinsics;
 use crate::options::{Projection, RenderOptions};
 use crate::project::cpu::project_cpu;
 use crate::project::{COLUMNS, Ellipse, Geometry, ProjectSpec};
+use crate::rasterize::RasterizeSpec;
 use crate::real::Real;
 use crate::testing::finite::{check_gradient, inner_product};
 use crate::testing::random::Random;
@@ -142,7 +142,7 @@ fn extreme_sizes_stay_finite_in_f32() {
 fn check_outline<F: Real>(seed: u64) {
     let mut random = Random::new(seed);
     let options = RenderOptions::standard().with_projection(Projection::Exact);
-    let spec = BlendSpec { intrinsics: Intrinsics::centred(640, 480, 500.0), options };
+    let spec = RasterizeSpec { intrinsics: Intrinsics::centred(640, 480, 500.0), options };
     let mut bounded = 0;
     for _ in 0..2000 {
         let e = Ellipse {
@@ -200,7 +200,7 @@ fn outlines_hold_what_shows_and_little_more() {
 #[test]
 fn what_is_culled_or_too_faint_keeps_its_row() {
     let options = RenderOptions::standard().with_projection(Projection::Exact);
-    let spec = BlendSpec { intrinsics: CAMERA, options };
+    let spec = RasterizeSpec { intrinsics: CAMERA, options };
     let rows = [[0.0, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0], [5.0, 6.0, 2.0, 0.1, 1.5, 3.0, 0.003]].concat();
     assert_eq!(outline_cpu(&rows, &[0.1; 6], &spec), rows);
 }

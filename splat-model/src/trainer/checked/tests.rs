@@ -74,9 +74,9 @@ fn a_picture_is_finite_and_hides_no_more_than_all() {
         depth: None,
     };
     assert_eq!(check_picture(&picture(-2.0, 1.0)), Ok(()));
-    assert_wrong(check_picture(&picture(f32::INFINITY, 1.0)), Stage::Blend, &["`colour` of pixel 0", "inf"]);
-    assert_wrong(check_picture(&picture(0.0, 1.1)), Stage::Blend, &["`alpha` of pixel 1", "1.1", "0 to 1"]);
-    assert_wrong(check_picture(&picture(0.0, f32::NAN)), Stage::Blend, &["`alpha`"]);
+    assert_wrong(check_picture(&picture(f32::INFINITY, 1.0)), Stage::Rasterize, &["`colour` of pixel 0", "inf"]);
+    assert_wrong(check_picture(&picture(0.0, 1.1)), Stage::Rasterize, &["`alpha` of pixel 1", "1.1", "0 to 1"]);
+    assert_wrong(check_picture(&picture(0.0, f32::NAN)), Stage::Rasterize, &["`alpha`"]);
 }
 
 #[test]

@@ -138,7 +138,7 @@ fn checked(config: TrainConfig) -> (TrainError, GaussianRows) {
 #[test]
 fn checks_reach_the_picture_and_the_optimiser() {
     let (error, rows) = checked(TrainConfig { steps: 5, background: [0.0, f32::NAN, 0.0], ..TrainConfig::default() });
-    assert!(matches!(error, TrainError::Check { step: 1, stage: super::super::Stage::Blend, .. }), "{error}");
+    assert!(matches!(error, TrainError::Check { step: 1, stage: super::super::Stage::Rasterize, .. }), "{error}");
     assert_eq!(rows.unusable(), 0);
     let mut config = TrainConfig { steps: 5, ..TrainConfig::default() };
     config.learning_rates.scales = 1e39;

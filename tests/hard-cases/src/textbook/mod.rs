@@ -3,16 +3,16 @@
 //! Every pixel visits every Gaussian, over any [`Number`]: in f32 this fills the table's textbook columns, in [`Wide`] it is
 //! the reference. It shares no code with the operation.
 
-mod blend;
 mod linalg;
 mod project;
+mod rasterize;
 
 use rayon::prelude::*;
 use splat_op::RenderOptions;
 
-use self::blend::{Cuts, PixelGrad};
 use self::linalg::{add, plus, zero};
 use self::project::{Conic, TextbookCamera, TextbookGaussian, TextbookProjection, project};
+use self::rasterize::{Cuts, PixelGrad};
 use crate::evaluate::Outputs;
 use crate::number::{Number, Wide};
 use crate::scene::{HardScene, OutputWeights};
@@ -91,7 +91,7 @@ pub fn pictures<N: Number>(scene: &HardScene, options: &RenderOptions) -> Vec<Ve
     let (splats, cuts) = (view.splats(), Cuts::new(options));
     let pixels = scene.intrinsics.width * scene.intrinsics.height;
     let pixel = |pixel: usize| {
-        let seen = blend::forward(centre(scene, pixel), &splats, &view.background, &cuts);
+        let seen = rasterize::forward(centre(scene, pixel), &splats, &view.background, &cuts);
         seen.colour.iter().map(|v| v.f64()).chain([seen.transmittance.f64()]).collect()
     };
     (0..pixels).into_par_iter().map(pixel).collect()
@@ -115,13 +115,13 @@ pub fn evaluate<N: Number>(scene: &HardScene, weights: &OutputWeights, style: Ba
         let mut sums: Vec<_> = splats.iter().map(|_| (nothing(), vec![nought; channels])).collect();
         let mut background = vec![nought; channels];
         let seen = (first..(first + CHUNK).min(pixels)).map(|pixel| {
-            let out = blend::forward(centre(scene, pixel), &splats, &view.background, &cuts);
+            let out = rasterize::forward(centre(scene, pixel), &splats, &view.background, &cuts);
             let grad = PixelGrad {
                 colour: all(&weights.image[channels * pixel..channels * (pixel + 1)]),
                 alpha: N::of(weights.alpha[pixel]),
                 depth: N::of(weights.depth[pixel]),
             };
-            blend::backward(&out, &grad, &splats, &view.background, style, &mut sums);
+            rasterize::backward(&out, &grad, &splats, &view.background, style, &mut sums);
             background.iter_mut().zip(&grad.colour).for_each(|(sum, g)| *sum = *sum + out.transmittance * *g);
             (out.colour, N::of(1.0) - out.transmittance, out.depth)
         });

@@ -1,9 +1,9 @@
 //! What numerical dials change on GPUs, and what they must not. Run with `--ignored`; each dial is a kernel of its own, and a
 //! driver in software takes half a minute to compile one.
 
-use super::BlendSpec;
+use super::RasterizeSpec;
 use super::kernel_tests::{ALL, StageInputs};
-use super::launch::{launch_blend, launch_blend_backward};
+use super::launch::{launch_rasterize, launch_rasterize_backward};
 use super::layer::BUCKET;
 use crate::dials::{Culling, Exponential};
 use crate::gpu::{Buffer, Gpu};
@@ -15,14 +15,14 @@ use crate::tile::launch::launch_tile;
 
 /// Planes, then the gradients of ellipses, features, background, and absolute values, added in order.
 fn outcome(scene: &StageInputs, gpu: &Gpu, options: RenderOptions) -> [Vec<f32>; 5] {
-    let spec = BlendSpec { options: options.with_accumulation(Accumulation::Ordered), ..scene.spec };
+    let spec = RasterizeSpec { options: options.with_accumulation(Accumulation::Ordered), ..scene.spec };
     let (camera, inputs) = (&spec.intrinsics, scene.device(gpu));
     let values = spec.planes(scene.background.len()) * camera.width * camera.height;
     let grad: Vec<f32> = Random::new(4).fill(values, -1.0, 1.0).iter().map(|v| *v as f32).collect();
     let lists = launch_tile(gpu, &inputs.projected, camera, Cut::of(&options));
-    let (planes, trace) = launch_blend(gpu, &inputs, &lists, &spec, true);
+    let (planes, trace) = launch_rasterize(gpu, &inputs, &lists, &spec, true);
     let trace = trace.expect("asked for");
-    let grads = launch_blend_backward(gpu, &inputs, &Buffer::from_slice(gpu, &grad), &lists, &trace, &spec, ALL);
+    let grads = launch_rasterize_backward(gpu, &inputs, &Buffer::from_slice(gpu, &grad), &lists, &trace, &spec, ALL);
     let read = |buffer: Option<Buffer<f32>>| buffer.expect("asked for").read(gpu);
     [planes.read(gpu), read(grads.projected), read(grads.features), read(grads.background), read(grads.mean2d_abs)]
 }

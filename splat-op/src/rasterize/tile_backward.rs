@@ -59,7 +59,7 @@ impl<F: Real> Default for TileScratch<F> {
 /// Fills `hits`, `[passed, MOMENTS + channels (+ 2)]`, with each hit's sums over the tile, and returns with
 /// `transmittance` as it is behind all layers (negated where finished).
 #[inline(always)]
-pub(super) fn blend_tile_backward<S: Simd, F: Real, const C: usize, const LONG: bool, const LIBRARY: bool>(
+pub(super) fn rasterize_tile_backward<S: Simd, F: Real, const C: usize, const LONG: bool, const LIBRARY: bool>(
     simd: S,
     view: &TileView<F>,
     grad: &TileGrad<F>,

@@ -1,4 +1,4 @@
-//! The CPU twin of `blend`: both passes, parallel over tiles. Each hit's gradient has a place of its own; a Gaussian's
+//! The CPU twin of `rasterize`: both passes, parallel over tiles. Each hit's gradient has a place of its own; a Gaussian's
 //! are added in a fixed order, so the number of threads never changes a result.
 
 use fearless_simd::{Level, dispatch};
@@ -6,9 +6,9 @@ use rayon::prelude::*;
 
 use super::footprint::UNWHITEN;
 use super::prepared::Prepared;
-use super::tile::{Plane, Thresholds, TileView, blend_tile};
-use super::tile_backward::{MOMENTS, TileGrad, TileScratch, blend_tile_backward};
-use super::{BlendSpec, Layers};
+use super::tile::{Plane, Thresholds, TileView, rasterize_tile};
+use super::tile_backward::{MOMENTS, TileGrad, TileScratch, rasterize_tile_backward};
+use super::{Layers, RasterizeSpec};
 use crate::project::{COLUMNS, Ellipse};
 use crate::real::Real;
 use crate::tile::{HitLists, TILE, TILE_PIXELS};
@@ -51,9 +51,9 @@ macro_rules! specialised {
 }
 
 /// Planes `[C + 1 (+ 1), H, W]`, and the trace if it is to be kept.
-pub(crate) fn blend_cpu<F: Real>(
+pub(crate) fn rasterize_cpu<F: Real>(
     inputs: Layers<&[F]>,
-    spec: &BlendSpec,
+    spec: &RasterizeSpec,
     hits: &HitLists,
     keep: bool,
 ) -> (Vec<F>, Option<Trace<F>>) {
@@ -67,7 +67,7 @@ pub(crate) fn blend_cpu<F: Real>(
     for plane in planes.chunks_mut(width * height) {
         strips.iter_mut().zip(plane.chunks_mut(TILE * width)).for_each(|(strip, rows)| strip.push(rows));
     }
-    let blend_strip = |(y, mut strip): (usize, Vec<&mut [F]>)| {
+    let rasterize_strip = |(y, mut strip): (usize, Vec<&mut [F]>)| {
         let columns = prepared.grid[0];
         let mut by_tile = vec![F::ZERO; columns * plane_count * TILE_PIXELS];
         let traces: Vec<TileTrace<F>> = by_tile
@@ -80,7 +80,7 @@ pub(crate) fn blend_cpu<F: Real>(
                 let passed = specialised!(prepared, tile, simd, C, IS_LONG, LIBRARY => {
                     let thresholds =
                         Thresholds::<_, F, LIBRARY>::new(simd, alpha_min, alpha_max, transmittance_min);
-                    blend_tile::<_, F, C, IS_LONG, LIBRARY>(simd, &view, &thresholds, planes, keep.then_some(&mut checkpoints))
+                    rasterize_tile::<_, F, C, IS_LONG, LIBRARY>(simd, &view, &thresholds, planes, keep.then_some(&mut checkpoints))
                 });
                 TileTrace { passed, checkpoints }
             })
@@ -88,7 +88,7 @@ pub(crate) fn blend_cpu<F: Real>(
         compose(&by_tile, inputs.background, &prepared, &mut strip);
         traces
     };
-    let traces: Vec<Vec<TileTrace<F>>> = strips.into_par_iter().enumerate().map(blend_strip).collect();
+    let traces: Vec<Vec<TileTrace<F>>> = strips.into_par_iter().enumerate().map(rasterize_strip).collect();
     (planes, keep.then(|| Trace(traces.into_iter().flatten().collect())))
 }
 
@@ -122,10 +122,10 @@ fn compose<F: Real>(by_tile: &[F], background: &[F], prepared: &Prepared<F>, str
 }
 
 /// Gradients of the inputs from `grad`, that of the planes. Without a trace the forward pass runs again.
-pub(crate) fn blend_backward_cpu<F: Real>(
+pub(crate) fn rasterize_backward_cpu<F: Real>(
     inputs: Layers<&[F]>,
     grad: &[F],
-    spec: &BlendSpec,
+    spec: &RasterizeSpec,
     (hits, trace): (&HitLists, Option<&Trace<F>>),
     needs: Layers<bool>,
 ) -> Layers<Vec<F>> {
@@ -133,7 +133,7 @@ pub(crate) fn blend_backward_cpu<F: Real>(
     let trace = match trace {
         Some(trace) => trace,
         None => {
-            rebuilt = blend_cpu(inputs, spec, hits, true).1.expect("a trace was asked for");
+            rebuilt = rasterize_cpu(inputs, spec, hits, true).1.expect("a trace was asked for");
             &rebuilt
         }
     };
@@ -191,7 +191,7 @@ fn tile_sums<F: Real>(
     specialised!(prepared, tile, simd, C, IS_LONG, LIBRARY => {
         let thresholds = Thresholds::<_, F, LIBRARY>::new(simd, alpha_min, alpha_max, transmittance_min);
         let out = (sums, &mut transmittance);
-        blend_tile_backward::<_, F, C, IS_LONG, LIBRARY>(simd, &view, &tile_grad, &thresholds, out, scratch);
+        rasterize_tile_backward::<_, F, C, IS_LONG, LIBRARY>(simd, &view, &tile_grad, &thresholds, out, scratch);
     });
     let through = |plane: &Plane<F>| plane.iter().zip(transmittance).map(|(&g, t)| g * t.abs()).sum();
     planes.iter().take(features).map(through).collect()

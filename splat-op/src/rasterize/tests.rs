@@ -1,7 +1,7 @@
-//! `blend` against a sum written out pixel by pixel and against central finite differences.
+//! `rasterize` against a sum written out pixel by pixel and against central finite differences.
 
-use super::cpu::{blend_backward_cpu, blend_cpu};
-use super::{BlendSpec, Layers};
+use super::cpu::{rasterize_backward_cpu, rasterize_cpu};
+use super::{Layers, RasterizeSpec};
 use crate::camera::Intrinsics;
 use crate::options::RenderOptions;
 use crate::project::{COLUMNS, Ellipse};
@@ -18,7 +18,7 @@ const ALL: Layers<bool> = Layers { projected: true, features: true, background: 
 #[derive(Clone)]
 struct StageInputs {
     inputs: [Vec<f64>; 3],
-    spec: BlendSpec,
+    spec: RasterizeSpec,
 }
 
 impl StageInputs {
@@ -39,7 +39,7 @@ impl StageInputs {
         }
         let features = random.fill(count * channels, -1.0, 1.0);
         let background = random.fill(channels, -1.0, 1.0);
-        let spec = BlendSpec { intrinsics: Intrinsics::centred(width, height, 30.0), options };
+        let spec = RasterizeSpec { intrinsics: Intrinsics::centred(width, height, 30.0), options };
         Self { inputs: [packed, features, background], spec }
     }
 
@@ -48,13 +48,13 @@ impl StageInputs {
     }
 
     fn planes(&self) -> Vec<f64> {
-        blend_cpu(inputs(&self.inputs), &self.spec, &self.lists(), false).0
+        rasterize_cpu(inputs(&self.inputs), &self.spec, &self.lists(), false).0
     }
 
     fn backward(&self, grad: &[f64], needs: Layers<bool>) -> Layers<Vec<f64>> {
         let lists = self.lists();
-        let (_, trace) = blend_cpu(inputs(&self.inputs), &self.spec, &lists, true);
-        blend_backward_cpu(inputs(&self.inputs), grad, &self.spec, (&lists, trace.as_ref()), needs)
+        let (_, trace) = rasterize_cpu(inputs(&self.inputs), &self.spec, &lists, true);
+        rasterize_backward_cpu(inputs(&self.inputs), grad, &self.spec, (&lists, trace.as_ref()), needs)
     }
 
     fn channels(&self) -> usize {
@@ -208,7 +208,7 @@ fn each_gradient_is_the_same_alone_and_without_a_trace() {
     let (grad, lists) = (scene.random_grad(81), scene.lists());
     let list = |g: Layers<Vec<f64>>| [g.projected, g.features, g.background, g.mean2d_abs];
     let all = list(scene.backward(&grad, ALL));
-    let without = blend_backward_cpu(inputs(&scene.inputs), &grad, &scene.spec, (&lists, None), ALL);
+    let without = rasterize_backward_cpu(inputs(&scene.inputs), &grad, &scene.spec, (&lists, None), ALL);
     assert_eq!(list(without), all, "a trace is a cache");
     for alone in 0..4 {
         let [projected, features, background, mean2d_abs] = std::array::from_fn(|i| i == alone);
@@ -230,7 +230,7 @@ fn many_layers_behind_an_opaque_one_keep_their_digits() {
     let single_inputs = scene.inputs.each_ref().map(|values| values.iter().map(|v| *v as f32).collect::<Vec<f32>>());
     let single_grad: Vec<f32> = scene.random_grad(91).iter().map(|v| *v as f32).collect();
     let lists = tile_cpu(&single_inputs[0], &scene.spec.intrinsics, 0.0.into());
-    let single = blend_backward_cpu(inputs(&single_inputs), &single_grad, &scene.spec, (&lists, None), ALL);
+    let single = rasterize_backward_cpu(inputs(&single_inputs), &single_grad, &scene.spec, (&lists, None), ALL);
     for (name, single, double) in
         [("ellipses", &single.projected, &double.projected), ("features", &single.features, &double.features)]
     {

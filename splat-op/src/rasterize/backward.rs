@@ -1,4 +1,4 @@
-//! The kernels of `blend`, backwards, that surround the one over the layers. None divides by what a layer lets through.
+//! The kernels of `rasterize`, backwards, that surround the one over the layers. None divides by what a layer lets through.
 //!
 //! 1. *Behind*, a cube per tile, a unit per pixel: what is seen behind each bucket, as far as the gradient cares,
 //!    `ρ = g·R`, from the last bucket to the first: `ρ = g·(sums of the bucket) + (share it lets through) ρ`.
@@ -38,7 +38,7 @@ pub(super) fn plane_of(channel: usize, #[comptime] shape: KernelShape) -> usize 
 
 /// Writes `ρ` behind each bucket, `[slot][pixel]`, and the tile's share of the background's gradient, `[tile][feature]`.
 #[cube(launch_unchecked)]
-pub(super) fn blend_behind_kernel(
+pub(super) fn rasterize_behind_kernel(
     projected: &[f32],
     features: &[f32],
     background: &[f32],
@@ -170,7 +170,7 @@ pub(super) fn tile_of_slot(tile_start: &[u32], tiles: u32, slot: u32) -> u32 {
 ///
 /// Gaussians without hits are left as they are: the gradients must hold zeros before.
 #[cube(launch_unchecked)]
-pub(super) fn blend_gather_kernel(
+pub(super) fn rasterize_gather_kernel(
     projected: &[f32],
     order: &[u32],
     first_hit: &[u32],

@@ -20,7 +20,7 @@ use crate::tile::forward::TileFrame;
 ///
 /// `rows` is `[H, row]` and every hit's row is written, or, with `add`, one row per Gaussian that is added to in `sums`.
 #[cube(launch_unchecked)]
-pub(super) fn blend_strips_kernel<A: FloatCell>(
+pub(super) fn rasterize_strips_kernel<A: FloatCell>(
     projected: &[f32],
     features: &[f32],
     grad: &[f32],

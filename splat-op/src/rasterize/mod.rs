@@ -66,12 +66,12 @@ record! {
 
 /// The plain numbers the stage depends on.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct BlendSpec {
+pub struct RasterizeSpec {
     pub intrinsics: Intrinsics,
     pub options: RenderOptions,
 }
 
-impl BlendSpec {
+impl RasterizeSpec {
     /// Planes of the output for `features` channels.
     pub(crate) fn planes(&self, features: usize) -> usize {
         features + 1 + usize::from(self.options.depth)

@@ -19,7 +19,7 @@ const WHITEN: f64 = 0.849_321_800_288_019_1;
 /// What takes the scale out of a sum again, once for each scaled factor of its terms.
 pub(super) const UNWHITEN: f64 = 1.0 / WHITEN;
 
-/// An ellipse as `blend` reads it, in what its pixels' loop multiplies by.
+/// An ellipse as `rasterize` reads it, in what its pixels' loop multiplies by.
 #[derive(Clone, Copy, Default)]
 pub(super) struct Footprint<F> {
     pub mean_px: [F; 2],

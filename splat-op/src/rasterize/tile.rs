@@ -322,7 +322,7 @@ fn move_into<F: Real>(sums: &mut [F], totals: &mut [[F; 2]]) {
 ///
 /// `C` is the number of channels where it is known at compile time, else zero.
 #[inline(always)]
-pub(super) fn blend_tile<S: Simd, F: Real, const C: usize, const LONG: bool, const LIBRARY: bool>(
+pub(super) fn rasterize_tile<S: Simd, F: Real, const C: usize, const LONG: bool, const LIBRARY: bool>(
     simd: S,
     view: &TileView<F>,
     thresholds: &Thresholds<S, F, LIBRARY>,

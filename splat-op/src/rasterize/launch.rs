@@ -1,13 +1,13 @@
-//! Launches of `blend`.
+//! Launches of `rasterize`.
 
 use cubecl::prelude::*;
 
-use super::backward::{blend_behind_kernel, blend_gather_kernel, row_len};
-use super::channels::blend_channels_kernel;
-use super::forward::blend_forward_kernel;
+use super::backward::{rasterize_behind_kernel, rasterize_gather_kernel, row_len};
+use super::channels::rasterize_channels_kernel;
+use super::forward::rasterize_forward_kernel;
 use super::layer::{BUCKET, KernelShape, LimitsLaunch};
-use super::strips::blend_strips_kernel;
-use super::{BlendSpec, Layers};
+use super::strips::rasterize_strips_kernel;
+use super::{Layers, RasterizeSpec};
 use crate::dials::Exponential;
 use crate::gpu::reduce::launch_column_sums;
 use crate::gpu::{Buffer, Gpu, UNITS, cubes, elementwise};
@@ -22,7 +22,7 @@ use crate::tile::{TILE_PIXELS, tile_grid};
 const CHANNEL_UNITS: usize = 64;
 
 impl Layers<Buffer<f32>> {
-    fn shape(&self, spec: &BlendSpec) -> KernelShape {
+    fn shape(&self, spec: &RasterizeSpec) -> KernelShape {
         KernelShape {
             features: self.background.len,
             depth: spec.options.depth,
@@ -58,7 +58,7 @@ fn slots(lists: &DeviceLists, tiles: usize) -> usize {
     lists.hits / BUCKET + tiles
 }
 
-fn limits(spec: &BlendSpec) -> LimitsLaunch {
+fn limits(spec: &RasterizeSpec) -> LimitsLaunch {
     let least = spec.options.transmittance_min;
     // A threshold of zero leaves out nothing, not even what is behind an alpha of one.
     LimitsLaunch::new(spec.options.alpha_max as f32, if least > 0.0 { least as f32 } else { -1.0 })
@@ -74,11 +74,11 @@ fn assert_fits(gpu: &Gpu, what: &'static str, len: usize) {
 }
 
 /// Planes `[C + 1 (+ 1), H, W]`, and the trace if it is to be kept.
-pub(crate) fn launch_blend(
+pub(crate) fn launch_rasterize(
     gpu: &Gpu,
     inputs: &Layers<Buffer<f32>>,
     lists: &DeviceLists,
-    spec: &BlendSpec,
+    spec: &RasterizeSpec,
     keep: bool,
 ) -> (Buffer<f32>, Option<DeviceTrace>) {
     let camera = &spec.intrinsics;
@@ -97,7 +97,7 @@ pub(crate) fn launch_blend(
     let pixels = if shape.few() { FORWARD_STRIP } else { 1 };
     // SAFETY: places, hits and Gaussians come from the lists, which hold none out of range; pixels are guarded.
     unsafe {
-        blend_forward_kernel::launch_unchecked(
+        rasterize_forward_kernel::launch_unchecked(
             &gpu.client,
             cubes(tiles),
             CubeDim::new_1d((TILE_PIXELS / pixels) as u32),
@@ -122,13 +122,13 @@ pub(crate) fn launch_blend(
 }
 
 /// Gradients of the inputs from `grad`, that of the planes; of the features alone where nothing else has one.
-pub(crate) fn launch_blend_backward(
+pub(crate) fn launch_rasterize_backward(
     gpu: &Gpu,
     inputs: &Layers<Buffer<f32>>,
     grad: &Buffer<f32>,
     lists: &DeviceLists,
     trace: &DeviceTrace,
-    spec: &BlendSpec,
+    spec: &RasterizeSpec,
     needs: Layers<bool>,
 ) -> Layers<Option<Buffer<f32>>> {
     let camera = &spec.intrinsics;
@@ -143,7 +143,7 @@ pub(crate) fn launch_blend_backward(
     let background = Buffer::new(gpu, if needs.background { tiles * shape.features } else { 0 });
     // SAFETY: as in the forward pass; slots are those that the forward pass wrote.
     unsafe {
-        blend_behind_kernel::launch_unchecked(
+        rasterize_behind_kernel::launch_unchecked(
             &gpu.client,
             cubes(tiles),
             CubeDim::new_1d(UNITS as u32),
@@ -217,13 +217,13 @@ pub(crate) fn launch_blend_backward(
     }
     let few = TILE_PIXELS / STRIP;
     match (shape.few(), gpu.float_atomics) {
-        (true, true) => launch!(blend_strips_kernel::launch_unchecked::<Atomic<f32>>, few, STRIP),
-        (true, false) => launch!(blend_strips_kernel::launch_unchecked::<Atomic<u32>>, few, STRIP),
+        (true, true) => launch!(rasterize_strips_kernel::launch_unchecked::<Atomic<f32>>, few, STRIP),
+        (true, false) => launch!(rasterize_strips_kernel::launch_unchecked::<Atomic<u32>>, few, STRIP),
         (false, true) => {
-            launch!(blend_channels_kernel::launch_unchecked::<Atomic<f32>>, CHANNEL_UNITS, CHANNEL_UNITS)
+            launch!(rasterize_channels_kernel::launch_unchecked::<Atomic<f32>>, CHANNEL_UNITS, CHANNEL_UNITS)
         }
         (false, false) => {
-            launch!(blend_channels_kernel::launch_unchecked::<Atomic<u32>>, CHANNEL_UNITS, CHANNEL_UNITS)
+            launch!(rasterize_channels_kernel::launch_unchecked::<Atomic<u32>>, CHANNEL_UNITS, CHANNEL_UNITS)
         }
     }
     let zeros = |needed: bool, columns: usize| Buffer::zeros(gpu, if needed { inputs.count() * columns } else { 0 });
@@ -233,7 +233,7 @@ pub(crate) fn launch_blend_backward(
     let (grid, dim) = elementwise(lists.visible);
     // SAFETY: ranks stay below the number of visible Gaussians; hits below theirs.
     unsafe {
-        blend_gather_kernel::launch_unchecked(
+        rasterize_gather_kernel::launch_unchecked(
             &gpu.client,
             grid,
             dim,

@@ -6,7 +6,7 @@ use rayon::prelude::*;
 
 use super::footprint::Footprint;
 use super::tile::{TileView, is_long};
-use super::{BlendSpec, Layers};
+use super::{Layers, RasterizeSpec};
 use crate::dials::{Culling, Exponential};
 use crate::project::{COLUMNS, Ellipse};
 use crate::real::Real;
@@ -34,7 +34,7 @@ pub(super) struct Prepared<'a, F: Real> {
 }
 
 impl<'a, F: Real> Prepared<'a, F> {
-    pub fn new(inputs: Layers<&'a [F]>, spec: &BlendSpec, hits: &'a HitLists) -> Self {
+    pub fn new(inputs: Layers<&'a [F]>, spec: &RasterizeSpec, hits: &'a HitLists) -> Self {
         let options = &spec.options;
         let alpha_min = F::of(options.alpha_min);
         let footprint = |row: &[F]| {

@@ -1,4 +1,4 @@
-//! The kernel of `blend`, forwards: a cube per tile, a unit per strip of pixels, some rows of a column, whose numbers stay in
+//! The kernel of `rasterize`, forwards: a cube per tile, a unit per strip of pixels, some rows of a column, whose numbers stay in
 //! registers. A graphics card has units to fill, and hides behind them what reading takes.
 //!
 //! A tile's places are passed in buckets. Within a bucket a pixel's sums and transmittance are relative to those
@@ -21,7 +21,7 @@ const BATCH: usize = 64;
 ///
 /// A finished pixel has its transmittance negated, and one outside the picture is finished from the start.
 #[cube(launch_unchecked)]
-pub(super) fn blend_forward_kernel(
+pub(super) fn rasterize_forward_kernel(
     projected: &[f32],
     features: &[f32],
     background: &[f32],

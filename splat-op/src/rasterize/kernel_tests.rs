@@ -1,8 +1,8 @@
-//! Kernels of `blend` against the CPU twin in f64, within what f32 can hold.
+//! Kernels of `rasterize` against the CPU twin in f64, within what f32 can hold.
 
-use super::cpu::{blend_backward_cpu, blend_cpu};
-use super::launch::{launch_blend, launch_blend_backward};
-use super::{BlendSpec, Layers};
+use super::cpu::{rasterize_backward_cpu, rasterize_cpu};
+use super::launch::{launch_rasterize, launch_rasterize_backward};
+use super::{Layers, RasterizeSpec};
 use crate::camera::Intrinsics;
 use crate::gpu::{Buffer, Gpu};
 use crate::options::{Accumulation, RenderOptions};
@@ -23,7 +23,7 @@ pub(super) struct StageInputs {
     projected: Vec<f64>,
     pub features: Vec<f64>,
     pub background: Vec<f64>,
-    pub spec: BlendSpec,
+    pub spec: RasterizeSpec,
 }
 
 impl StageInputs {
@@ -43,7 +43,7 @@ impl StageInputs {
             projected: ellipses(seed, count, &intrinsics, opacity),
             features: round(random.fill(count * channels, -1.0, 1.0)),
             background: round(random.fill(channels, -1.0, 1.0)),
-            spec: BlendSpec { intrinsics, options },
+            spec: RasterizeSpec { intrinsics, options },
         }
     }
 
@@ -62,12 +62,12 @@ impl StageInputs {
 
     fn planes(&self) -> Vec<f64> {
         let lists = tile_cpu(&self.projected, &self.spec.intrinsics, Cut::of(&self.spec.options));
-        blend_cpu(self.inputs(), &self.spec, &lists, false).0
+        rasterize_cpu(self.inputs(), &self.spec, &lists, false).0
     }
 
     fn backward(&self, grad: &[f64]) -> Layers<Vec<f64>> {
         let lists = tile_cpu(&self.projected, &self.spec.intrinsics, Cut::of(&self.spec.options));
-        blend_backward_cpu(self.inputs(), grad, &self.spec, (&lists, None), ALL)
+        rasterize_backward_cpu(self.inputs(), grad, &self.spec, (&lists, None), ALL)
     }
 
     /// The scene of other inputs: projected, features, background.
@@ -110,12 +110,12 @@ impl StageInputs {
         let inputs = self.device(gpu);
         let lists = launch_tile(gpu, &inputs.projected, &self.spec.intrinsics, Cut::of(&self.spec.options));
         let grad = Buffer::from_slice(gpu, &grad.iter().map(|&v| v as f32).collect::<Vec<_>>());
-        let (planes, trace) = launch_blend(gpu, &inputs, &lists, &self.spec, true);
-        let plain = launch_blend(gpu, &inputs, &lists, &self.spec, false).0.read(gpu);
+        let (planes, trace) = launch_rasterize(gpu, &inputs, &lists, &self.spec, true);
+        let plain = launch_rasterize(gpu, &inputs, &lists, &self.spec, false).0.read(gpu);
         let planes = planes.read(gpu);
         assert!(planes == plain, "{}: keeping a trace changes the picture", self.name);
         let trace = trace.expect("asked for");
-        (planes, launch_blend_backward(gpu, &inputs, &grad, &lists, &trace, &self.spec, needs))
+        (planes, launch_rasterize_backward(gpu, &inputs, &grad, &lists, &trace, &self.spec, needs))
     }
 
     fn check(self) {

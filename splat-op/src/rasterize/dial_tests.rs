@@ -1,7 +1,7 @@
 //! What numerical dials change on CPUs, and what they must not.
 
-use super::cpu::{blend_backward_cpu, blend_cpu};
-use super::{BlendSpec, Layers};
+use super::cpu::{rasterize_backward_cpu, rasterize_cpu};
+use super::{Layers, RasterizeSpec};
 use crate::camera::Intrinsics;
 use crate::dials::{Culling, Exponential};
 use crate::options::RenderOptions;
@@ -45,15 +45,15 @@ impl Needles {
     /// The longest list of a tile, then planes and gradients as [`NAMES`] says.
     fn outcome<F: Real>(&self, options: RenderOptions) -> (usize, [Vec<F>; 5]) {
         let real = |values: &[f64]| values.iter().map(|v| F::of(*v)).collect::<Vec<F>>();
-        let spec = BlendSpec { intrinsics: Intrinsics::centred(64, 56, 30.0), options };
+        let spec = RasterizeSpec { intrinsics: Intrinsics::centred(64, 56, 30.0), options };
         let (packed, features) = (real(&self.packed), real(&self.features));
         let background = real(&Random::new(3).fill(self.channels, -1.0, 1.0));
         let inputs = Layers { projected: &packed[..], features: &features, background: &background, mean2d_abs: &[] };
         let lists = tile_cpu(&packed, &spec.intrinsics, Cut::of(&options));
         let longest = lists.tile_start.windows(2).map(|ends| ends[1] - ends[0]).max().expect("there are tiles");
         let grad = real(&Random::new(4).fill(spec.planes(self.channels) * 64 * 56, -1.0, 1.0));
-        let (planes, trace) = blend_cpu(inputs, &spec, &lists, true);
-        let g = blend_backward_cpu(inputs, &grad, &spec, (&lists, trace.as_ref()), ALL);
+        let (planes, trace) = rasterize_cpu(inputs, &spec, &lists, true);
+        let g = rasterize_backward_cpu(inputs, &grad, &spec, (&lists, trace.as_ref()), ALL);
         (longest, [planes, g.projected, g.features, g.background, g.mean2d_abs])
     }
 }

@@ -15,7 +15,7 @@ use crate::tile::{TILE, TILE_PIXELS};
 ///
 /// `rows` is `[H, row]` and every hit's row is written, or, with `add`, one row per Gaussian that is added to.
 #[cube(launch_unchecked)]
-pub(super) fn blend_channels_kernel<A: FloatCell>(
+pub(super) fn rasterize_channels_kernel<A: FloatCell>(
     projected: &[f32],
     features: &[f32],
     grad: &[f32],
