@@ -114,7 +114,7 @@ pub struct Sizes {
     /// Number of pixels, P.
     pub pixels: f64,
     /// Number of intersections, pairs of a tile and a Gaussian, H.
-    pub hits: f64,
+    pub intersections: f64,
     /// Number of contributions, pairs of a pixel and a Gaussian that contributes to it, K.
     pub contributions: f64,
     /// SH degree, 0 to 4.
@@ -145,7 +145,7 @@ impl Sizes {
             splats: load.splats as f64,
             visible: load.visible as f64,
             pixels,
-            hits: load.hits as f64,
+            intersections: load.intersections as f64,
             contributions: load.layers * pixels,
             degree,
         }
@@ -177,19 +177,19 @@ impl Sizes {
 
     /// Returns the number of f32 values read and written.
     fn floats(&self, kind: PassKind) -> f64 {
-        let Self { splats, visible, pixels, hits, .. } = *self;
+        let Self { splats, visible, pixels, intersections, .. } = *self;
         let (harmonics, picture) = (self.harmonics(), CHANNELS * pixels);
         // The centre is enough to tell that a Gaussian is not visible.
         let centres = 3.0 * (splats - visible);
         // The ellipse and colour of each visible Gaussian, and the index of each intersection.
-        let blended = (PACKED + CHANNELS) * visible + hits;
+        let blended = (PACKED + CHANNELS) * visible + intersections;
         let planes = (CHANNELS + 1.0) * pixels;
         match kind {
             // Scales and opacity, read and written.
             PassKind::Activate => 2.0 * 4.0 * splats,
             PassKind::Project => centres + (GEOMETRY + PACKED) * visible,
             PassKind::Shade => (harmonics + 3.0 + CHANNELS) * visible,
-            PassKind::Tile => PACKED * visible + hits,
+            PassKind::Tile => PACKED * visible + intersections,
             PassKind::Rasterize => blended + planes,
             // Picture, photograph and derivative.
             PassKind::Loss => 3.0 * picture,
@@ -210,7 +210,7 @@ impl Sizes {
     }
 
     fn operations(&self, kind: PassKind) -> f64 {
-        let Self { splats, visible, pixels, hits, contributions, degree, .. } = *self;
+        let Self { splats, visible, pixels, intersections, contributions, degree, .. } = *self;
         let harmonics = self.harmonics();
         match kind {
             // Three exponentials, and the logistic function: an exponential, a sum and a division.
@@ -219,7 +219,7 @@ impl Sizes {
             PassKind::Project => (MATVEC + 3.0) * splats + (PROJECT - MATVEC - 3.0) * visible,
             PassKind::Shade => (DIRECTION + BASIS[degree] + 2.0 * harmonics + CHANNELS) * visible,
             // The comparisons of a sort, a bounding box, and one test of an ellipse against a rectangle per intersection.
-            PassKind::Tile => (visible.max(2.0).log2() + BOX) * visible + RECTANGLE * hits,
+            PassKind::Tile => (visible.max(2.0).log2() + BOX) * visible + RECTANGLE * intersections,
             PassKind::Rasterize => (LAYER + 2.0 * CHANNELS + 1.0) * contributions,
             PassKind::Loss => LOSS * CHANNELS * pixels,
             PassKind::LossBackward => CHANNELS * pixels,

@@ -21,7 +21,7 @@ pub struct Load {
     /// the picture.
     pub visible: usize,
     /// Number of intersections, pairs of a tile and a Gaussian that `tile` lists.
-    pub hits: usize,
+    pub intersections: usize,
     /// Number of Gaussians that contribute to a pixel by the rules of `rasterize`, the mean over `SAMPLED_PIXELS` random pixels.
     pub layers: f64,
 }
@@ -63,7 +63,7 @@ impl Load {
         Self {
             splats: opacity.len(),
             visible: visible.len(),
-            hits: values(counts.float()).iter().sum::<f64>() as usize,
+            intersections: values(counts.float()).iter().sum::<f64>() as usize,
             layers: layers as f64 / SAMPLED_PIXELS as f64,
         }
     }
@@ -74,8 +74,8 @@ impl Load {
     }
 
     /// Returns the number of tiles per visible Gaussian.
-    pub fn hits_per_visible(&self) -> f64 {
-        self.hits as f64 / self.visible as f64
+    pub fn intersections_per_visible(&self) -> f64 {
+        self.intersections as f64 / self.visible as f64
     }
 
     /// Asserts the load for which the figures of the synthetic scenes are specified: at least, and hardly more than, 80% visible,
@@ -85,16 +85,19 @@ impl Load {
     /// If a count is out of its range.
     pub fn verify(&self) {
         assert!((0.8..0.85).contains(&self.visible_share()), "visible: {self:?}");
-        assert!((4.0..4.5).contains(&self.hits_per_visible()), "tiles per visible Gaussian: {self:?}");
+        assert!((4.0..4.5).contains(&self.intersections_per_visible()), "tiles per visible Gaussian: {self:?}");
         assert!((40.0..48.0).contains(&self.layers), "contributions per pixel: {self:?}");
     }
 }
 
 impl Display for Load {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { splats, visible, hits, layers } = self;
-        let (share, tiles) = (100.0 * self.visible_share(), self.hits_per_visible());
-        write!(f, "{splats} Gaussians, {visible} visible ({share:.1}%), {hits} hits ({tiles:.2} per visible), ")?;
+        let Self { splats, visible, intersections, layers } = self;
+        let (share, tiles) = (100.0 * self.visible_share(), self.intersections_per_visible());
+        write!(
+            f,
+            "{splats} Gaussians, {visible} visible ({share:.1}%), {intersections} intersections ({tiles:.2} per visible), "
+        )?;
         write!(f, "{layers:.1} contributions per pixel")
     }
 }

@@ -12,7 +12,7 @@ use splat_model::gaussians::Gaussians;
 use splat_model::loss::{DEFAULT_LAMBDA, Truth, photometric};
 use splat_model::optim::Adam;
 use splat_model::trainer::Guard;
-use splat_op::backend::{Geometry, HitCell, Layers, PartsCell, ProjectSpec, RasterizeSpec, SplatBackend};
+use splat_op::backend::{Geometry, IntersectionCell, Layers, PartsCell, ProjectSpec, RasterizeSpec, SplatBackend};
 use splat_op::{Camera, Colour, Extras, SplatError, Splats, render_view, shade, with_gradient};
 
 use crate::job::{Job, OPTIONS};
@@ -231,7 +231,7 @@ fn no_probe(splats: &Splats) -> Tensor<2> {
 /// Runs [`splat_op::rasterize`] without a background on packed columns, for the reason given at [`project_packed`].
 pub(crate) fn rasterize_planes(
     [projected, features]: [Tensor<2>; 2],
-    (counts, hits): (&Tensor<2, Int>, &HitCell),
+    (counts, intersections): (&Tensor<2, Int>, &IntersectionCell),
     spec: RasterizeSpec,
 ) -> Tensor<3> {
     let device = projected.device();
@@ -243,15 +243,16 @@ pub(crate) fn rasterize_planes(
     };
     let counts = counts.clone().into_dispatch();
     let parts = PartsCell::default();
-    let planes = <Dispatch as SplatBackend>::rasterize(inputs, counts, spec, hits.clone(), None, parts.clone());
+    let planes =
+        <Dispatch as SplatBackend>::rasterize(inputs, counts, spec, intersections.clone(), None, parts.clone());
     Tensor::from_dispatch(<Dispatch as SplatBackend>::part(planes, 0, 4, parts))
 }
 
 /// Returns the lists of packed ellipses, and the number of Gaussians of each tile.
-pub(crate) fn tile_lists(packed: &Tensor<2>, spec: RasterizeSpec) -> (Tensor<2, Int>, HitCell) {
-    let hits = HitCell::default();
-    let counts = <Dispatch as SplatBackend>::tile(packed.clone().into_dispatch(), spec, hits.clone());
-    (Tensor::from_dispatch(counts), hits)
+pub(crate) fn tile_lists(packed: &Tensor<2>, spec: RasterizeSpec) -> (Tensor<2, Int>, IntersectionCell) {
+    let intersections = IntersectionCell::default();
+    let counts = <Dispatch as SplatBackend>::tile(packed.clone().into_dispatch(), spec, intersections.clone());
+    (Tensor::from_dispatch(counts), intersections)
 }
 
 /// Inputs of the stages on a device, without autodiff.
@@ -260,7 +261,7 @@ struct Stages {
     packed: Tensor<2>,
     colours: Tensor<2>,
     counts: Tensor<2, Int>,
-    hits: HitCell,
+    intersections: IntersectionCell,
     spec: RasterizeSpec,
 }
 
@@ -270,12 +271,12 @@ impl Stages {
         let packed = project_packed(&splats, &camera, no_probe(&splats));
         let colours = shade(&harmonics(&splats), &splats.means, &camera)?;
         let spec = RasterizeSpec { intrinsics: job.intrinsics, options: OPTIONS };
-        let (counts, hits) = tile_lists(&packed, spec);
-        Ok(Self { splats, packed, colours, counts, hits, spec })
+        let (counts, intersections) = tile_lists(&packed, spec);
+        Ok(Self { splats, packed, colours, counts, intersections, spec })
     }
 
     fn rasterize(&self, projected: Tensor<2>, features: Tensor<2>) -> Tensor<3> {
-        rasterize_planes([projected, features], (&self.counts, &self.hits), self.spec)
+        rasterize_planes([projected, features], (&self.counts, &self.intersections), self.spec)
     }
 
     /// Renders `[H, W, 3]`, as `render_view` passes it to a loss.

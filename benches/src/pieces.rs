@@ -91,10 +91,10 @@ impl Pieces {
         let colours = shade(&harmonics(&cut), &seen, &self.camera)?;
         watch.lap(PassKind::Shade);
         let spec = RasterizeSpec { intrinsics: self.camera.intrinsics, options: OPTIONS };
-        let (counts, hits) = tile_lists(&packed.clone().inner(), spec);
+        let (counts, intersections) = tile_lists(&packed.clone().inner(), spec);
         watch.lap(PassKind::Tile);
         let [ellipses, features] = [leaf(&packed), leaf(&colours)];
-        let planes = rasterize_planes([ellipses.clone(), features.clone()], (&counts, &hits), spec);
+        let planes = rasterize_planes([ellipses.clone(), features.clone()], (&counts, &intersections), spec);
         watch.lap(PassKind::Rasterize);
         let [_, height, width] = planes.dims();
         let image = leaf(&planes.clone().slice([0..3, 0..height, 0..width]).permute([1, 2, 0]));
@@ -111,7 +111,7 @@ impl Pieces {
         let mut grads = with_gradient(planes, zero(), grad.clone()).backward();
         let ellipses = ellipses.grad_remove(&mut grads).expect("the picture depends on the ellipses");
         let features = features.grad_remove(&mut grads).expect("the picture depends on the colours");
-        drop((grads, hits));
+        drop((grads, intersections));
         watch.lap(PassKind::RasterizeBackward);
         let mut grads = with_gradient(colours, zero(), features).backward();
         let sh = harmonics(&cut).grad_remove(&mut grads).expect("the colours depend on the harmonics");

@@ -155,7 +155,7 @@ pub use colour::{colours, colours_up_to, shade, visible_colours};
 pub use dials::{Culling, Exponential, Storage};
 pub use error::SplatError;
 pub use limits::is_gpu;
-pub use options::{Accumulation, MAX_UNCUT_HITS, Order, Projection, RenderOptions};
+pub use options::{Accumulation, MAX_UNCULLED_INTERSECTIONS, Order, Projection, RenderOptions};
 pub use render::{render, render_view};
 pub use splats::{Colour, Extras, Splats};
 pub use stages::{Ellipses, Projected, Rendered, Tiles, project, rasterize, tile};

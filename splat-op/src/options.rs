@@ -28,14 +28,14 @@ pub struct RenderOptions {
     /// Model: what is sorted by depth, Gaussians for the whole picture or the contributions to each pixel.
     pub order: Order,
     /// Dial: contributions with alpha below this are skipped. Zero skips none, and lists every Gaussian in every tile: a render is
-    /// then refused above [`MAX_UNCUT_HITS`] pairs of the two.
+    /// then refused above [`MAX_UNCULLED_INTERSECTIONS`] pairs of the two.
     pub alpha_min: f64,
     /// Dial: alpha is at most this, so that every layer lets some light through.
     pub alpha_max: f64,
     /// Dial: the splat that would bring a pixel's transmittance to this or below, and all behind it, are left out.
     /// Zero leaves out none.
     pub transmittance_min: f64,
-    /// Dial: how GPUs add the gradients of a Gaussian's hits. CPU backends always add in order, and so do renders with another
+    /// Dial: how GPUs add the gradients of a Gaussian's intersections. CPU backends always add in order, and so do renders with another
     /// `projection` or `order` than the plain ones.
     pub accumulation: Accumulation,
     /// Dial: which tiles list a Gaussian. Changes time only.
@@ -76,14 +76,14 @@ pub enum Order {
     PerPixel,
 }
 
-/// How GPUs add the gradients of one Gaussian's hits in many tiles.
+/// How GPUs add the gradients of one Gaussian's intersections in many tiles.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub enum Accumulation {
     /// By atomic additions, in whatever order the device comes to them: the last digits differ from run to run.
     #[default]
     Atomic,
-    /// One row per hit, added in the order of the hits: the same bits in every run, for memory in proportion to the hits.
+    /// One row per intersection, added in the order of the intersections: the same bits in every run, for memory in proportion to the intersections.
     Ordered,
 }
 
@@ -92,7 +92,7 @@ const MAX_SH_DEGREE: usize = 4;
 
 /// The most pairs of a Gaussian and a tile that a render lists where `alpha_min` is zero: 2²⁶, 8,224 Gaussians in a picture of
 /// 1920 × 1080 px. A CPU keeps 16 bytes of each pair in its lists and 36 for the gradients of three channels: 3.3 GiB for so many.
-pub const MAX_UNCUT_HITS: usize = 1 << 26;
+pub const MAX_UNCULLED_INTERSECTIONS: usize = 1 << 26;
 
 impl RenderOptions {
     /// The thresholds of the original implementation and of gsplat: 8-bit contributions below one level are skipped
@@ -259,10 +259,10 @@ impl RenderOptions {
         within("transmittance_min", self.transmittance_min, 0.0, 1.0, "0 to 1")
     }
 
-    /// Refuses to list every Gaussian in every tile where that is more than [`MAX_UNCUT_HITS`].
+    /// Refuses to list every Gaussian in every tile where that is more than [`MAX_UNCULLED_INTERSECTIONS`].
     pub(crate) fn check_uncut(&self, gaussians: usize, tiles: usize) -> Result<(), SplatError> {
         let pairs = gaussians.saturating_mul(tiles);
-        if self.alpha_min > 0.0 || pairs <= MAX_UNCUT_HITS {
+        if self.alpha_min > 0.0 || pairs <= MAX_UNCULLED_INTERSECTIONS {
             return Ok(());
         }
         Err(SplatError::Value {
@@ -291,7 +291,13 @@ mod tests {
         let tiles = 2048 * 2048;
         assert_eq!(uncut.check_uncut(16, tiles), Ok(()));
         let message = uncut.check_uncut(17, tiles).expect_err("one too many").to_string();
-        for part in ["`alpha_min`", "17 Gaussians", "71303168 pairs", &MAX_UNCUT_HITS.to_string(), "fewer Gaussians"] {
+        for part in [
+            "`alpha_min`",
+            "17 Gaussians",
+            "71303168 pairs",
+            &MAX_UNCULLED_INTERSECTIONS.to_string(),
+            "fewer Gaussians",
+        ] {
             assert!(message.contains(part), "`{part}` is missing: {message}");
         }
         assert!(uncut.check_uncut(usize::MAX, 2).is_err(), "a product beyond all numbers");

@@ -15,7 +15,7 @@ use crate::project::{COLUMNS, Geometry, ProjectSpec};
 use crate::rasterize::{Layers, PartsCell, RasterizeSpec};
 use crate::rays::RayLayers;
 use crate::splats::{Colour, Extras, Splats, sh_need};
-use crate::tile::{HitCell, tile_grid};
+use crate::tile::{IntersectionCell, tile_grid};
 
 /// The screen-space ellipses of a view, by name; see `project/` for the factor. To change them, take them with
 /// [`Projected::ellipses`], compute, and put them back with [`Ellipses::pack`].
@@ -49,7 +49,7 @@ pub struct Projected {
 pub struct Tiles {
     /// `[tiles along y, tiles along x]`: Gaussians listed in each 16 × 16 tile.
     pub counts: Tensor<2, Int>,
-    hits: HitCell,
+    cell: IntersectionCell,
 }
 
 /// What cameras see: `Rendered<3>` is one picture, `[H, W, …]`, and `Rendered<4>` those of several cameras, `[B, H, W, …]`. All
@@ -173,21 +173,21 @@ fn geometry(splats: &Splats, camera: &Camera, mean2d_probe: Tensor<2>) -> Geomet
 ///
 /// # Errors
 /// If an option is out of range, `projected` was not made for `options.projection` and `options.order`, or `options.alpha_min`
-/// is zero and there are more than [`crate::MAX_UNCUT_HITS`] pairs of a Gaussian and a tile.
+/// is zero and there are more than [`crate::MAX_UNCULLED_INTERSECTIONS`] pairs of a Gaussian and a tile.
 pub fn tile(projected: &Projected, options: &RenderOptions) -> Result<Tiles, SplatError> {
     options.check()?;
     let [tiles_x, tiles_y] = tile_grid(projected.intrinsics.width, projected.intrinsics.height);
     options.check_uncut(projected.len(), tiles_x * tiles_y)?;
     check_rays(projected, options)?;
     check_fits(&projected.packed.device(), &[packed_need(projected.len())])?;
-    let hits = HitCell::default();
+    let intersections = IntersectionCell::default();
     let spec = RasterizeSpec { intrinsics: projected.intrinsics, options: *options };
     let mut packed = projected.packed.clone().detach().into_dispatch();
     if let Some(tilt) = projected.tilt.clone().filter(|_| options.reaches_by_outline()) {
         packed = <Dispatch as RaysBackend>::outline(packed, tilt.detach().into_dispatch(), spec);
     }
-    let counts = <Dispatch as SplatBackend>::tile(packed, spec, hits.clone());
-    Ok(Tiles { counts: Tensor::from_dispatch(counts), hits })
+    let counts = <Dispatch as SplatBackend>::tile(packed, spec, intersections.clone());
+    Ok(Tiles { counts: Tensor::from_dispatch(counts), cell: intersections })
 }
 
 /// Blends features `[N, C]` along the tile lists, front to back, over `extras.background`.
@@ -223,16 +223,17 @@ pub fn rasterize(
     let spec = RasterizeSpec { intrinsics: projected.intrinsics, options: *options };
     let (packed, features, background) = (projected.packed.clone().into(), features.clone().into(), background.into());
     let mean2d_abs = probe.into();
-    let (counts, hits, parts) = (tiles.counts.clone().into_dispatch(), tiles.hits.clone(), PartsCell::default());
+    let (counts, intersections, parts) =
+        (tiles.counts.clone().into_dispatch(), tiles.cell.clone(), PartsCell::default());
     let planes = match &projected.tilt {
         None => {
             let inputs = Layers { projected: packed, features, background, mean2d_abs };
-            <Dispatch as SplatBackend>::rasterize(inputs, counts, spec, hits, None, parts.clone())
+            <Dispatch as SplatBackend>::rasterize(inputs, counts, spec, intersections, None, parts.clone())
         }
         Some(tilt) => {
             let tilt = tilt.clone().into();
             let inputs = RayLayers { projected: packed, tilt, features, background, mean2d_abs };
-            <Dispatch as RaysBackend>::rays(inputs, counts, spec, hits, parts.clone())
+            <Dispatch as RaysBackend>::rays(inputs, counts, spec, intersections, parts.clone())
         }
     };
     Ok(picture(&Tensor::from_dispatch(planes), channels, options.depth, &parts))

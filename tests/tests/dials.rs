@@ -2,8 +2,8 @@
 
 use burn::tensor::{DType, Device, f16};
 use splat_op::{
-    Accumulation, Camera, Colour, Culling, Exponential, Extras, Intrinsics, MAX_UNCUT_HITS, Order, RenderOptions,
-    Splats, Storage, project, render, tile,
+    Accumulation, Camera, Colour, Culling, Exponential, Extras, Intrinsics, MAX_UNCULLED_INTERSECTIONS, Order,
+    RenderOptions, Splats, Storage, project, render, tile,
 };
 use splat_tests::random::Random;
 use splat_tests::scene::{Scene, SceneTensors, host, tensor};
@@ -39,8 +39,8 @@ fn picture(scene: &Scene, options: &RenderOptions, (_, device, dtype): &Where) -
     let extras = Extras { background: Some(background), ..Extras::default() };
     let out = render(&splats, std::slice::from_ref(&camera), &extras, options).expect("a valid scene");
     let projected = project(&splats, &camera, &Extras::default(), options).expect("a valid scene");
-    let hits = tile(&projected, options).expect("a valid scene").counts.sum().into_scalar::<i32>();
-    ([host(out.colour), host(out.alpha), host(out.depth.expect("asked for"))], f64::from(hits))
+    let pairs = tile(&projected, options).expect("a valid scene").counts.sum().into_scalar::<i32>();
+    ([host(out.colour), host(out.alpha), host(out.depth.expect("asked for"))], f64::from(pairs))
 }
 
 #[test]
@@ -53,9 +53,9 @@ fn culling_changes_time_alone() {
         let expected_gradients = gradients(OPTIONS);
         let mut before = fewest;
         for culling in [Culling::OpacityBox, Culling::BoundingBox] {
-            let (found, hits) = picture(&scene, &OPTIONS.with_culling(culling), &place);
-            assert!(hits > before, "{}: {culling:?} lists {hits}, a finer culling {before}", place.0);
-            before = hits;
+            let (found, pairs) = picture(&scene, &OPTIONS.with_culling(culling), &place);
+            assert!(pairs > before, "{}: {culling:?} lists {pairs}, a finer culling {before}", place.0);
+            before = pairs;
             assert!(found == expected, "{} {:?}: {culling:?} changes the picture", place.0, place.2);
             let found = gradients(OPTIONS.with_culling(culling));
             assert!(found == expected_gradients, "{} {:?}: {culling:?} changes a gradient", place.0, place.2);
@@ -119,7 +119,7 @@ fn without_a_cut_a_large_picture_of_many_gaussians_is_refused() {
     let uncut = RenderOptions { alpha_min: 0.0, ..OPTIONS };
     let projected = project(&splats, &camera, &Extras::default(), &uncut).expect("a valid scene");
     let message = tile(&projected, &uncut).expect_err("refused").to_string();
-    for part in ["`alpha_min` is 0 for 17 Gaussians", &MAX_UNCUT_HITS.to_string(), "smaller picture"] {
+    for part in ["`alpha_min` is 0 for 17 Gaussians", &MAX_UNCULLED_INTERSECTIONS.to_string(), "smaller picture"] {
         assert!(message.contains(part), "`{part}` is missing: {message}");
     }
 }

@@ -44,8 +44,8 @@ fn every_stage_executes_kernels_and_no_twin() {
     let projected = project(&splats, &camera, &Extras::default(), &options).expect("a valid scene");
     launched_after(host(projected.ellipses().depth), || launched("project"));
     let tiles = tile(&projected, &options).expect("a valid scene");
-    let hits: i64 = tiles.counts.clone().into_data().iter::<i64>().sum();
-    assert!(hits > 0);
+    let pairs: i64 = tiles.counts.clone().into_data().iter::<i64>().sum();
+    assert!(pairs > 0);
     launched("tile");
 
     let colours = Tensor::from_data(colours.into_data(), &device).require_grad();
@@ -59,8 +59,8 @@ fn every_stage_executes_kernels_and_no_twin() {
     let SceneTensors { splats, camera, background, .. } = leaves();
     let projected = project(&splats, &camera, &Extras::default(), &along_rays).expect("a valid scene");
     let tiles = tile(&projected, &along_rays).expect("a valid scene");
-    let hits: i64 = tiles.counts.clone().into_data().iter::<i64>().sum();
-    assert!(hits > 0);
+    let pairs: i64 = tiles.counts.clone().into_data().iter::<i64>().sum();
+    assert!(pairs > 0);
     launched("tilt and its outlines");
     let extras = Extras { background: Some(background), ..Extras::default() };
     let colours = Tensor::from_data(colours.into_data(), &device);

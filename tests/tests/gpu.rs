@@ -276,9 +276,9 @@ fn inputs_and_pictures_beyond_the_largest_buffer_are_refused() {
     assert!(host(out.alpha).iter().all(|alpha| *alpha > 0.5));
 }
 
-/// The number of hits is known only inside the operation, which cannot return an error.
+/// The number of intersections is known only inside the operation, which cannot return an error.
 #[test]
-fn too_many_hits_fail_where_the_result_is_read_and_nowhere_else() {
+fn too_many_intersections_fail_where_the_result_is_read_and_nowhere_else() {
     let Some(device) = gpu() else { return };
     let Some(limit) = small_limit(&device) else { return };
     let tiles = 60 * 34;
@@ -291,10 +291,10 @@ fn too_many_hits_fail_where_the_result_is_read_and_nowhere_else() {
     });
     // Without fusion the operation runs immediately, and the panic reaches the caller.
     let failure = match read {
-        Ok(result) => result.expect_err("too many hits"),
+        Ok(result) => result.expect_err("too many intersections"),
         Err(panic) => panic.downcast_ref::<String>().expect("a message").clone(),
     };
-    for part in ["the list of hits", "bytes", &limit.to_string(), "alpha_min", "smaller picture"] {
+    for part in ["the list of intersections", "bytes", &limit.to_string(), "alpha_min", "smaller picture"] {
         assert!(failure.contains(part), "`{part}` is missing: {failure}");
     }
 

@@ -137,7 +137,7 @@ fn effects_train_as_on_the_cpu() {
     assert!((without[11] - expected[11]).abs() > 5e-3 * expected[11], "{} and {}", without[11], expected[11]);
 }
 
-/// With ordered sums over hits, the same seed gives the same bits, for each strategy and for batches.
+/// With ordered sums over intersections, the same seed gives the same bits, for each strategy and for batches.
 #[test]
 fn a_seed_decides_every_strategy_bit_for_bit() {
     let Some(device) = gpu() else { return };

@@ -64,14 +64,14 @@ fn tiles_lose_nothing() {
         let features = colours(&splats, &camera).expect("a valid scene");
         let picture = |listed: &RenderOptions| {
             let tiles = tile(&projected, listed).expect("a valid scene");
-            let hits: i64 = tiles.counts.clone().into_data().iter::<i64>().sum();
+            let pairs: i64 = tiles.counts.clone().into_data().iter::<i64>().sum();
             let picture =
                 rasterize(&projected, &features, &tiles, &Extras::default(), &options).expect("a valid scene");
-            (hits, [host(picture.colour), host(picture.alpha), host(picture.depth.expect("asked for"))])
+            (pairs, [host(picture.colour), host(picture.alpha), host(picture.depth.expect("asked for"))])
         };
         let (listed, found) = picture(&options);
         let (all, expected) = picture(&RenderOptions { alpha_min: 0.0, ..options });
-        assert!(listed < all, "{choice:?}: {listed} of {all} hits are listed");
+        assert!(listed < all, "{choice:?}: {listed} of {all} pairs are listed");
         assert!(found == expected, "{choice:?}: the lists change the picture");
     }
 }

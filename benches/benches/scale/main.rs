@@ -149,13 +149,13 @@ fn in_a_process(axis: ScaleAxis, point: &ScalePoint) -> Result<ScaleRow, Box<dyn
     let measured = String::from_utf8(output.stdout)?;
     let numbers: Result<Vec<f64>, _> = measured.split_whitespace().map(str::parse).collect();
     let numbers = numbers?;
-    let [median_s, runs, hits, live_bytes, rss_bytes] = numbers[..] else {
+    let [median_s, runs, intersections, live_bytes, rss_bytes] = numbers[..] else {
         return Err(format!("not a measurement: {measured:?}").into());
     };
     Ok(ScaleRow {
         axis,
         point: point.clone(),
-        hits: hits as usize,
+        intersections: intersections as usize,
         median_s,
         runs: runs as usize,
         live_bytes: live_bytes as usize,

@@ -89,9 +89,9 @@ impl ScalePoint {
 /// Time budget for the runs of a point.
 const BUDGET: Duration = Duration::from_secs(15);
 
-/// Measures a point and prints seconds, runs, hits, peak bytes held, and peak bytes of the process's resident memory.
+/// Measures a point and prints seconds, runs, intersections, peak bytes held, and peak bytes of the process's resident memory.
 pub fn run(point: &ScalePoint) -> Result<(), Box<dyn Error>> {
-    let hits = hits(&point.view);
+    let intersections = intersections(&point.view);
     let empty = held();
     let mut prepare = match (point.work, point.views) {
         (ScaleWork::Render, _) => render_and_backward(&point.view),
@@ -102,11 +102,11 @@ pub fn run(point: &ScalePoint) -> Result<(), Box<dyn Error>> {
     forget_peak();
     let (times, during) = allocated(|| time([&mut prepare], &Device::flex(), BUDGET));
     let RunTimes { median_s, runs, .. } = times?[0];
-    println!("{median_s} {runs} {hits} {} {}", set_up + during.peak, peak_rss());
+    println!("{median_s} {runs} {intersections} {} {}", set_up + during.peak, peak_rss());
     Ok(())
 }
 
-fn hits(view: &SyntheticView) -> usize {
+fn intersections(view: &SyntheticView) -> usize {
     let device = Device::flex();
     let scene = view.scene(&device, DType::F32);
     let projected =

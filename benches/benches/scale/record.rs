@@ -52,7 +52,7 @@ impl FromStr for ScaleAxis {
 pub struct ScaleRow {
     pub axis: ScaleAxis,
     pub point: ScalePoint,
-    pub hits: usize,
+    pub intersections: usize,
     pub median_s: f64,
     pub runs: usize,
     /// Peak of the bytes that the program allocated, for tensors and lists.
@@ -68,25 +68,27 @@ impl Display for ScaleRow {
         let mib = |bytes: usize| bytes as f64 / f64::from(1 << 20);
         write!(
             f,
-            "{}: {:.2} ms ({} runs), {:.1} MiB held, {:.1} MiB resident, {} hits",
+            "{}: {:.2} ms ({} runs), {:.1} MiB held, {:.1} MiB resident, {} intersections",
             self.point,
             1e3 * self.median_s,
             self.runs,
             mib(self.live_bytes),
             mib(self.rss_bytes),
-            self.hits
+            self.intersections
         )
     }
 }
 
-const HEADER: &str =
-    "axis,work,splats,width,height,views,sigma_px,opacity_min,opacity_max,hits,median_s,runs,live_bytes,rss_bytes";
+const HEADER: &str = "axis,work,splats,width,height,views,sigma_px,opacity_min,opacity_max,intersections,median_s,runs,live_bytes,rss_bytes";
 
 pub fn write(rows: &[ScaleRow]) -> String {
     let mut text = format!("{HEADER}\n");
-    for ScaleRow { axis, point, hits, median_s, runs, live_bytes, rss_bytes, .. } in rows {
-        let _ =
-            writeln!(text, "{axis},{},{hits},{median_s:.6},{runs},{live_bytes},{rss_bytes}", point.write().join(","));
+    for ScaleRow { axis, point, intersections, median_s, runs, live_bytes, rss_bytes, .. } in rows {
+        let _ = writeln!(
+            text,
+            "{axis},{},{intersections},{median_s:.6},{runs},{live_bytes},{rss_bytes}",
+            point.write().join(",")
+        );
     }
     text
 }
@@ -96,13 +98,13 @@ pub fn read(path: &Path) -> Result<Vec<ScaleRow>, Box<dyn Error>> {
     let Ok(text) = std::fs::read_to_string(path) else { return Ok(Vec::new()) };
     let row = |line: &str| -> Result<ScaleRow, Box<dyn Error>> {
         let fields: Vec<String> = line.split(',').map(str::to_owned).collect();
-        let [axis, point @ .., hits, median_s, runs, live_bytes, rss_bytes] = &fields[..] else {
+        let [axis, point @ .., intersections, median_s, runs, live_bytes, rss_bytes] = &fields[..] else {
             return Err(format!("{}: {line:?}", path.display()).into());
         };
         Ok(ScaleRow {
             axis: axis.parse()?,
             point: ScalePoint::read(point)?,
-            hits: hits.parse()?,
+            intersections: intersections.parse()?,
             median_s: median_s.parse()?,
             runs: runs.parse()?,
             live_bytes: live_bytes.parse()?,
@@ -152,9 +154,9 @@ fn per_unit(axis: ScaleAxis, row: &ScaleRow) -> String {
     let SyntheticView { splats, .. } = row.point.view;
     match axis {
         ScaleAxis::Splats => format!(
-            "{:.0} ns per visible Gaussian and {:.0} ns per hit at {splats}",
+            "{:.0} ns per visible Gaussian and {:.0} ns per intersection at {splats}",
             1e9 * row.median_s / row.point.visible(),
-            1e9 * row.median_s / row.hits as f64
+            1e9 * row.median_s / row.intersections as f64
         ),
         ScaleAxis::Pixels => format!("{:.0} ns per pixel", 1e9 * row.median_s / row.point.pixels() as f64),
         ScaleAxis::Views => format!("{:.2} ms", 1e3 * row.median_s),

@@ -3,7 +3,8 @@ use super::*;
 const MACHINE: Machine = Machine { bandwidth: 1e9, operations: Some(1e9) };
 
 /// A picture of 10 pixels with 5 Gaussians, 4 of them visible.
-const SIZES: Sizes = Sizes { splats: 5.0, visible: 4.0, pixels: 10.0, hits: 6.0, contributions: 30.0, degree: 3 };
+const SIZES: Sizes =
+    Sizes { splats: 5.0, visible: 4.0, pixels: 10.0, intersections: 6.0, contributions: 30.0, degree: 3 };
 
 #[test]
 fn bytes_are_those_counted_by_hand() {
@@ -58,7 +59,7 @@ fn work_grows_with_what_it_is_made_of() {
         assert!(more(Sizes { splats: 6.0, ..SIZES }), "{kind:?}");
         assert!(more(Sizes { splats: 6.0, visible: 5.0, ..SIZES }), "{kind:?}");
         assert!(more(Sizes { pixels: 11.0, ..SIZES }), "{kind:?}");
-        assert!(more(Sizes { hits: 7.0, ..SIZES }), "{kind:?}");
+        assert!(more(Sizes { intersections: 7.0, ..SIZES }), "{kind:?}");
         assert!(more(Sizes { contributions: 31.0, ..SIZES }), "{kind:?}");
         assert!(SIZES.work(kind).bytes > 0.0 && SIZES.work(kind).operations > 0.0, "{kind:?}");
     }

@@ -18,7 +18,7 @@ use super::tensors::{
 use crate::project::{Geometry, ProjectSpec};
 use crate::rasterize::{Layers, PartsCell, RasterizeSpec, TraceCell};
 use crate::shade::Shading;
-use crate::tile::HitCell;
+use crate::tile::IntersectionCell;
 
 /// The output of a stage, with `kind` as its backward node if any of its inputs is tracked.
 pub(super) fn tracked<B: Backend, C: CheckpointStrategy, K: Backward<B, N>, const N: usize>(
@@ -132,14 +132,15 @@ pub(super) fn planes_grad<B: SplatBackend>(
 struct RasterizeBackward;
 
 impl<B: SplatBackend> Backward<B, 4> for RasterizeBackward {
-    type State = (LayerTensors<B>, FloatTensor<B>, RasterizeSpec, HitCell, TraceCell, PartsCell);
+    type State = (LayerTensors<B>, FloatTensor<B>, RasterizeSpec, IntersectionCell, TraceCell, PartsCell);
 
     fn backward(self, ops: Ops<Self::State, 4>, grads: &mut Gradients, _: &mut Checkpointer) {
-        differentiate::<B, _, _>(ops, grads, |(inputs, planes, spec, hits, trace, parts), mask| {
+        differentiate::<B, _, _>(ops, grads, |(inputs, planes, spec, intersections, trace, parts), mask| {
             let alone = (!spec.options.depth).then(|| inputs.background.0.shape().num_elements());
             // The planes are seen through their parts alone, whose nodes come before this one.
             let grad = planes_grad::<B>(&parts, &planes, alone);
-            B::rasterize_backward(inputs, planes, grad, spec, Layers::from_array(mask), hits, trace).into_array()
+            B::rasterize_backward(inputs, planes, grad, spec, Layers::from_array(mask), intersections, trace)
+                .into_array()
         });
     }
 }
@@ -158,15 +159,15 @@ impl<B: SplatBackend, C: CheckpointStrategy> SplatBackend for Autodiff<B, C> {
         tracked(ShadeBackward, inputs.each_ref().into_array(), (inner, visible, spec), output)
     }
 
-    fn tile(projected: FloatTensor<Self>, spec: RasterizeSpec, hits: HitCell) -> IntTensor<Self> {
-        B::tile(projected.into_primitive(), spec, hits)
+    fn tile(projected: FloatTensor<Self>, spec: RasterizeSpec, intersections: IntersectionCell) -> IntTensor<Self> {
+        B::tile(projected.into_primitive(), spec, intersections)
     }
 
     fn rasterize(
         inputs: LayerTensors<Self>,
         tile_counts: IntTensor<Self>,
         spec: RasterizeSpec,
-        hits: HitCell,
+        intersections: IntersectionCell,
         _: Option<TraceCell>,
         parts: PartsCell,
     ) -> FloatTensor<Self> {
@@ -177,10 +178,10 @@ impl<B: SplatBackend, C: CheckpointStrategy> SplatBackend for Autodiff<B, C> {
             OpsKind::Tracked(prep) => {
                 let trace = TraceCell::default();
                 let kept = Some(trace.clone());
-                let output = B::rasterize(inner.clone(), tile_counts, spec, hits.clone(), kept, parts.clone());
-                prep.finish((inner, output.clone(), spec, hits, trace, parts), output)
+                let output = B::rasterize(inner.clone(), tile_counts, spec, intersections.clone(), kept, parts.clone());
+                prep.finish((inner, output.clone(), spec, intersections, trace, parts), output)
             }
-            OpsKind::UnTracked(prep) => prep.finish(B::rasterize(inner, tile_counts, spec, hits, None, parts)),
+            OpsKind::UnTracked(prep) => prep.finish(B::rasterize(inner, tile_counts, spec, intersections, None, parts)),
         }
     }
 
@@ -222,11 +223,11 @@ impl<B: SplatBackend, C: CheckpointStrategy> SplatBackend for Autodiff<B, C> {
         grad: FloatTensor<Self>,
         spec: RasterizeSpec,
         mask: Layers<bool>,
-        hits: HitCell,
+        intersections: IntersectionCell,
         trace: TraceCell,
     ) -> LayerGrads<Self> {
         let inputs = inputs.each_ref().map(InputTensor::inner);
         let (planes, grad) = (planes.into_primitive(), grad.into_primitive());
-        B::rasterize_backward(inputs, planes, grad, spec, mask, hits, trace).map(OptionalTensor::constant)
+        B::rasterize_backward(inputs, planes, grad, spec, mask, intersections, trace).map(OptionalTensor::constant)
     }
 }

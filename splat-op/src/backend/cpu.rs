@@ -20,7 +20,7 @@ use crate::real::Real;
 use crate::shade::Shading;
 use crate::shade::cpu::{ShadeCpuInputs, Visible, shade_backward_cpu, shade_cpu};
 use crate::tile::cpu::tile_cpu;
-use crate::tile::{Cut, HitCell, HitLists, TileLists, tile_grid};
+use crate::tile::{Cut, IntersectionCell, IntersectionLists, TileLists, tile_grid};
 
 /// The elements of an input.
 pub(super) fn host<B: HostBackend, F: Real>(input: &InputTensor<B>) -> Host<F> {
@@ -69,12 +69,19 @@ impl<F: Real> ShadeHost<F> {
 }
 
 /// The lists in the cell, computed now if nobody has yet.
-fn hit_lists<'a, F: Real>(cell: &'a HitCell, projected: &[F], spec: &RasterizeSpec) -> &'a HitLists {
-    hit_lists_by(cell, || tile_cpu(projected, &spec.intrinsics, Cut::of(&spec.options)))
+fn intersection_lists<'a, F: Real>(
+    cell: &'a IntersectionCell,
+    projected: &[F],
+    spec: &RasterizeSpec,
+) -> &'a IntersectionLists {
+    intersection_lists_by(cell, || tile_cpu(projected, &spec.intrinsics, Cut::of(&spec.options)))
 }
 
 /// The lists in the cell, or those that `compute` makes.
-pub(super) fn hit_lists_by(cell: &HitCell, compute: impl FnOnce() -> HitLists) -> &HitLists {
+pub(super) fn intersection_lists_by(
+    cell: &IntersectionCell,
+    compute: impl FnOnce() -> IntersectionLists,
+) -> &IntersectionLists {
     match cell.0.get_or_init(|| TileLists::Host(compute())) {
         TileLists::Host(lists) => lists,
         #[cfg(feature = "cube")]
@@ -158,9 +165,9 @@ macro_rules! cpu_backend {
                 })
             }
 
-            fn tile(projected: FloatTensor<Self>, spec: RasterizeSpec, hits: HitCell) -> IntTensor<Self> {
+            fn tile(projected: FloatTensor<Self>, spec: RasterizeSpec, intersections: IntersectionCell) -> IntTensor<Self> {
                 let device = projected.device();
-                let lists = by_type!(projected, F => hit_lists(&hits, &Self::host::<F>(projected), &spec));
+                let lists = by_type!(projected, F => intersection_lists(&intersections, &Self::host::<F>(projected), &spec));
                 let counts: Vec<i32> = lists.tile_start.windows(2).map(|w| (w[1] - w[0]) as i32).collect();
                 let [tiles_x, tiles_y] = tile_grid(spec.intrinsics.width, spec.intrinsics.height);
                 Self::int_from_data(TensorData::new(counts, [tiles_y, tiles_x]), &device)
@@ -170,14 +177,14 @@ macro_rules! cpu_backend {
                 inputs: LayerTensors<Self>,
                 _: IntTensor<Self>,
                 spec: RasterizeSpec,
-                hits: HitCell,
+                intersections: IntersectionCell,
                 trace: Option<TraceCell>,
                 _: PartsCell,
             ) -> FloatTensor<Self> {
                 by_type!(inputs.projected.0, F => {
                     let read = inputs.each_ref().map(host::<Self, F>);
                     let slices = read.each_ref().map(|host| &host[..]);
-                    let lists = hit_lists(&hits, slices.projected, &spec);
+                    let lists = intersection_lists(&intersections, slices.projected, &spec);
                     let (planes, kept) = rasterize_cpu(slices, &spec, lists, trace.is_some());
                     if let (Some(cell), Some(kept)) = (trace, kept) {
                         // A cell that is filled already holds the same trace.
@@ -198,14 +205,14 @@ macro_rules! cpu_backend {
                 grad: FloatTensor<Self>,
                 spec: RasterizeSpec,
                 mask: Layers<bool>,
-                hits: HitCell,
+                intersections: IntersectionCell,
                 trace: TraceCell,
             ) -> LayerGrads<Self> {
                 let grad = all_planes::<Self>(grad, &spec, inputs.background.0.shape()[0]);
                 by_type!(inputs.projected.0, F => {
                     let read = inputs.each_ref().map(host::<Self, F>);
                     let slices = read.each_ref().map(|host| &host[..]);
-                    let lists = hit_lists(&hits, slices.projected, &spec);
+                    let lists = intersection_lists(&intersections, slices.projected, &spec);
                     let kept = trace.0.get().and_then(|kept| kept.downcast_ref::<Trace<F>>());
                     let found = rasterize_backward_cpu(slices, &Self::host(grad), &spec, (lists, kept), mask);
                     found.zip(mask).zip(inputs.each_ref()).map(gradient)

@@ -19,8 +19,8 @@ use crate::rasterize::launch::{DeviceTrace, launch_rasterize, launch_rasterize_b
 use crate::rasterize::{Layers, PartsCell, RasterizeSpec, TraceCell};
 use crate::shade::Shading;
 use crate::shade::launch::{DeviceShCoefficients, ShadeDeviceInputs, launch_shade, launch_shade_backward};
-use crate::tile::launch::{DeviceLists, launch_tile};
-use crate::tile::{Cut, HitCell, TileLists, tile_grid};
+use crate::tile::launch::{DeviceIntersections, launch_tile};
+use crate::tile::{Cut, IntersectionCell, TileLists, tile_grid};
 
 /// A tensor's elements, row-major.
 pub(crate) fn buffer(tensor: CubeTensor) -> Buffer<f32> {
@@ -86,12 +86,17 @@ fn shading_on_device(inputs: &ShadingTensors<CubeBackend>) -> ShadeDeviceInputs 
 }
 
 /// The lists in the cell, computed now if nobody has yet.
-fn lists<'a>(gpu: &Gpu, cell: &'a HitCell, projected: &Buffer<f32>, spec: &RasterizeSpec) -> &'a DeviceLists {
+fn lists<'a>(
+    gpu: &Gpu,
+    cell: &'a IntersectionCell,
+    projected: &Buffer<f32>,
+    spec: &RasterizeSpec,
+) -> &'a DeviceIntersections {
     lists_by(cell, || launch_tile(gpu, projected, &spec.intrinsics, Cut::of(&spec.options)))
 }
 
 /// The lists in the cell, or those that `compute` makes.
-pub(super) fn lists_by(cell: &HitCell, compute: impl FnOnce() -> DeviceLists) -> &DeviceLists {
+pub(super) fn lists_by(cell: &IntersectionCell, compute: impl FnOnce() -> DeviceIntersections) -> &DeviceIntersections {
     match cell.0.get_or_init(|| TileLists::Device(Box::new(compute()))) {
         TileLists::Device(lists) => lists,
         TileLists::Host(_) => unreachable!("the public functions check that lists and ellipses are on one device"),
@@ -150,9 +155,9 @@ impl SplatBackend for CubeBackend {
         found.zip(inputs.each_ref()).map(gradient)
     }
 
-    fn tile(projected: FloatTensor<Self>, spec: RasterizeSpec, hits: HitCell) -> IntTensor<Self> {
+    fn tile(projected: FloatTensor<Self>, spec: RasterizeSpec, intersections: IntersectionCell) -> IntTensor<Self> {
         let gpu = Gpu::new(&projected.client);
-        let counts = lists(&gpu, &hits, &buffer(projected.clone()), &spec).counts.clone();
+        let counts = lists(&gpu, &intersections, &buffer(projected.clone()), &spec).counts.clone();
         let [tiles_x, tiles_y] = tile_grid(spec.intrinsics.width, spec.intrinsics.height);
         tensor(counts, [tiles_y, tiles_x], DType::I32, &projected)
     }
@@ -161,13 +166,13 @@ impl SplatBackend for CubeBackend {
         inputs: LayerTensors<Self>,
         _: IntTensor<Self>,
         spec: RasterizeSpec,
-        hits: HitCell,
+        intersections: IntersectionCell,
         trace: Option<TraceCell>,
         _: PartsCell,
     ) -> FloatTensor<Self> {
         let gpu = Gpu::new(&inputs.projected.0.client);
         let on_device = inputs.each_ref().map(on_device);
-        let lists = lists(&gpu, &hits, &on_device.projected, &spec);
+        let lists = lists(&gpu, &intersections, &on_device.projected, &spec);
         let (planes, kept) = launch_rasterize(&gpu, &on_device, lists, &spec, trace.is_some());
         if let (Some(cell), Some(kept)) = (trace, kept) {
             // A cell that is filled already holds the same trace.
@@ -194,12 +199,12 @@ impl SplatBackend for CubeBackend {
         grad: FloatTensor<Self>,
         spec: RasterizeSpec,
         mask: Layers<bool>,
-        hits: HitCell,
+        intersections: IntersectionCell,
         trace: TraceCell,
     ) -> LayerGrads<Self> {
         let gpu = Gpu::new(&grad.client);
         let on_device = inputs.each_ref().map(on_device);
-        let lists = lists(&gpu, &hits, &on_device.projected, &spec);
+        let lists = lists(&gpu, &intersections, &on_device.projected, &spec);
         let kept = trace.0.get().and_then(|kept| kept.downcast_ref::<DeviceTrace>()).cloned();
         let kept = kept.unwrap_or_else(|| {
             launch_rasterize(&gpu, &on_device, lists, &spec, true).1.expect("a trace was asked for")

@@ -8,7 +8,7 @@ use crate::project::{COLUMNS, Geometry, ProjectSpec};
 use crate::rasterize::{Layers, PartsCell, RasterizeSpec, TraceCell};
 use crate::rays::RayLayers;
 use crate::shade::Shading;
-use crate::tile::{HitCell, tile_grid};
+use crate::tile::{IntersectionCell, tile_grid};
 use crate::tilt::TILT;
 
 /// A tensor of the float type of `like`.
@@ -51,7 +51,7 @@ pub(super) fn shade_backward(
     inputs.each_ref().zip(*mask).map(|(input, asked)| grad(input, asked, &inputs.means.0))
 }
 
-pub(super) fn tile(_: &TensorSpec, spec: &RasterizeSpec, _: &HitCell) -> TensorSpec {
+pub(super) fn tile(_: &TensorSpec, spec: &RasterizeSpec, _: &IntersectionCell) -> TensorSpec {
     let [tiles_x, tiles_y] = tile_grid(spec.intrinsics.width, spec.intrinsics.height);
     TensorSpec::new(Shape::from([tiles_y, tiles_x]), DType::I32)
 }
@@ -65,7 +65,7 @@ pub(super) fn rasterize(
     inputs: &Layers<InputTensorMetadata>,
     _: &TensorSpec,
     spec: &RasterizeSpec,
-    _: &HitCell,
+    _: &IntersectionCell,
     _: &Option<TraceCell>,
     _: &PartsCell,
 ) -> TensorSpec {
@@ -82,7 +82,7 @@ pub(super) fn rasterize_backward(
     _: &TensorSpec,
     _: &RasterizeSpec,
     mask: &Layers<bool>,
-    _: &HitCell,
+    _: &IntersectionCell,
     _: &TraceCell,
 ) -> Layers<OptionalTensorMetadata> {
     inputs.each_ref().zip(*mask).map(|(input, asked)| grad(input, asked, &inputs.projected.0))
@@ -96,7 +96,7 @@ pub(super) fn rays(
     inputs: &RayLayers<InputTensorMetadata>,
     _: &TensorSpec,
     spec: &RasterizeSpec,
-    _: &HitCell,
+    _: &IntersectionCell,
     _: &PartsCell,
 ) -> TensorSpec {
     planes(&inputs.background, spec)
@@ -108,7 +108,7 @@ pub(super) fn rays_backward(
     _: &TensorSpec,
     _: &RasterizeSpec,
     mask: &RayLayers<bool>,
-    _: &HitCell,
+    _: &IntersectionCell,
 ) -> RayLayers<OptionalTensorMetadata> {
     inputs.each_ref().zip(*mask).map(|(input, asked)| grad(input, asked, &inputs.projected.0))
 }

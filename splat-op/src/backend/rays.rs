@@ -5,7 +5,7 @@
 use burn::backend::tensor::{FloatTensor, IntTensor};
 use burn::backend::{Backend, Flex, NdArray, TensorMetadata, backend_extension};
 
-use super::cpu::{gradient, hit_lists_by, host, planes_tensor};
+use super::cpu::{gradient, host, intersection_lists_by, planes_tensor};
 #[cfg(feature = "fusion")]
 use super::fusion;
 use super::host::{HostBackend, by_type};
@@ -16,7 +16,7 @@ use crate::rays::RayLayers;
 use crate::rays::cpu::{rays_backward_cpu, rays_cpu};
 use crate::real::Real;
 use crate::tile::cpu::tile_cpu;
-use crate::tile::{Cut, HitCell, HitLists};
+use crate::tile::{Cut, IntersectionCell, IntersectionLists};
 use crate::tilt::cpu::{tilt_backward_cpu, tilt_cpu};
 use crate::tilt::{TILT, outline_cpu};
 
@@ -46,7 +46,7 @@ pub trait RaysBackend: Backend {
         #[extension_type] inputs: RayLayerTensors<Self>,
         tile_counts: IntTensor<Self>,
         spec: RasterizeSpec,
-        hits: HitCell,
+        intersections: IntersectionCell,
         parts: PartsCell,
     ) -> FloatTensor<Self>;
 
@@ -59,13 +59,17 @@ pub trait RaysBackend: Backend {
         grad: FloatTensor<Self>,
         spec: RasterizeSpec,
         mask: RayLayers<bool>,
-        hits: HitCell,
+        intersections: IntersectionCell,
     ) -> RayLayerGrads<Self>;
 }
 
 /// The lists in the cell, computed now if nobody has yet.
-fn lists<'a, F: Real>(hits: &'a HitCell, inputs: RayLayers<&[F]>, spec: &RasterizeSpec) -> &'a HitLists {
-    hit_lists_by(hits, || {
+fn lists<'a, F: Real>(
+    intersections: &'a IntersectionCell,
+    inputs: RayLayers<&[F]>,
+    spec: &RasterizeSpec,
+) -> &'a IntersectionLists {
+    intersection_lists_by(intersections, || {
         let rows = |packed: &[F]| tile_cpu(packed, &spec.intrinsics, Cut::of(&spec.options));
         match spec.options.reaches_by_outline() {
             true => rows(&outline_cpu(inputs.projected, inputs.tilt, spec)),
@@ -113,13 +117,13 @@ macro_rules! cpu_backend {
                 inputs: RayLayerTensors<Self>,
                 _: IntTensor<Self>,
                 spec: RasterizeSpec,
-                hits: HitCell,
+                intersections: IntersectionCell,
                 _: PartsCell,
             ) -> FloatTensor<Self> {
                 by_type!(inputs.projected.0, F => {
                     let read = inputs.each_ref().map(host::<Self, F>);
                     let slices = read.each_ref().map(|host| &host[..]);
-                    let planes = rays_cpu(slices, &spec, lists(&hits, slices, &spec));
+                    let planes = rays_cpu(slices, &spec, lists(&intersections, slices, &spec));
                     planes_tensor(planes, &spec, &inputs.background)
                 })
             }
@@ -130,12 +134,12 @@ macro_rules! cpu_backend {
                 grad: FloatTensor<Self>,
                 spec: RasterizeSpec,
                 mask: RayLayers<bool>,
-                hits: HitCell,
+                intersections: IntersectionCell,
             ) -> RayLayerGrads<Self> {
                 by_type!(inputs.projected.0, F => {
                     let read = inputs.each_ref().map(host::<Self, F>);
                     let slices = read.each_ref().map(|host| &host[..]);
-                    let lists = lists(&hits, slices, &spec);
+                    let lists = lists(&intersections, slices, &spec);
                     let found = rays_backward_cpu(slices, &Self::host(grad), &spec, lists, mask);
                     found.zip(mask).zip(inputs.each_ref()).map(gradient)
                 })

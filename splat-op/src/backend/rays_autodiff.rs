@@ -14,7 +14,7 @@ use super::tensors::{GeometryGrads, GeometryTensors, InputTensor, OptionalTensor
 use crate::project::{Geometry, ProjectSpec};
 use crate::rasterize::{PartsCell, RasterizeSpec};
 use crate::rays::RayLayers;
-use crate::tile::HitCell;
+use crate::tile::IntersectionCell;
 
 #[derive(Debug)]
 struct TiltBackward;
@@ -36,13 +36,13 @@ impl<B: RaysBackend> Backward<B, 4> for TiltBackward {
 struct RaysBackward;
 
 impl<B: RaysBackend + SplatBackend> Backward<B, 5> for RaysBackward {
-    type State = (RayLayerTensors<B>, FloatTensor<B>, RasterizeSpec, HitCell, PartsCell);
+    type State = (RayLayerTensors<B>, FloatTensor<B>, RasterizeSpec, IntersectionCell, PartsCell);
 
     fn backward(self, ops: Ops<Self::State, 5>, grads: &mut Gradients, _: &mut Checkpointer) {
-        differentiate::<B, _, _>(ops, grads, |(inputs, planes, spec, hits, parts), mask| {
+        differentiate::<B, _, _>(ops, grads, |(inputs, planes, spec, intersections, parts), mask| {
             // The planes are seen through their parts alone, whose nodes come before this one.
             let grad = planes_grad::<B>(&parts, &planes, None);
-            B::rays_backward(inputs, planes, grad, spec, RayLayers::from_array(mask), hits).into_array()
+            B::rays_backward(inputs, planes, grad, spec, RayLayers::from_array(mask), intersections).into_array()
         });
     }
 }
@@ -63,12 +63,12 @@ impl<B: RaysBackend + SplatBackend, C: CheckpointStrategy> RaysBackend for Autod
         inputs: RayLayerTensors<Self>,
         tile_counts: IntTensor<Self>,
         spec: RasterizeSpec,
-        hits: HitCell,
+        intersections: IntersectionCell,
         parts: PartsCell,
     ) -> FloatTensor<Self> {
         let inner = inputs.each_ref().map(InputTensor::inner);
-        let output = B::rays(inner.clone(), tile_counts, spec, hits.clone(), parts.clone());
-        let state = (inner, output.clone(), spec, hits, parts);
+        let output = B::rays(inner.clone(), tile_counts, spec, intersections.clone(), parts.clone());
+        let state = (inner, output.clone(), spec, intersections, parts);
         tracked(RaysBackward, inputs.each_ref().into_array(), state, output)
     }
 
@@ -90,10 +90,10 @@ impl<B: RaysBackend + SplatBackend, C: CheckpointStrategy> RaysBackend for Autod
         grad: FloatTensor<Self>,
         spec: RasterizeSpec,
         mask: RayLayers<bool>,
-        hits: HitCell,
+        intersections: IntersectionCell,
     ) -> RayLayerGrads<Self> {
         let inputs = inputs.each_ref().map(InputTensor::inner);
         let (planes, grad) = (planes.into_primitive(), grad.into_primitive());
-        B::rays_backward(inputs, planes, grad, spec, mask, hits).map(OptionalTensor::constant)
+        B::rays_backward(inputs, planes, grad, spec, mask, intersections).map(OptionalTensor::constant)
     }
 }

@@ -13,13 +13,18 @@ use crate::project::{Geometry, ProjectSpec};
 use crate::rasterize::{PartsCell, RasterizeSpec};
 use crate::rays::RayLayers;
 use crate::rays::launch::{launch_rays, launch_rays_backward};
-use crate::tile::launch::{DeviceLists, launch_tile};
-use crate::tile::{Cut, HitCell};
+use crate::tile::launch::{DeviceIntersections, launch_tile};
+use crate::tile::{Cut, IntersectionCell};
 use crate::tilt::TILT;
 use crate::tilt::launch::{launch_outline, launch_tilt, launch_tilt_backward};
 
 /// The lists in the cell, computed now if nobody has yet.
-fn lists<'a>(gpu: &Gpu, cell: &'a HitCell, inputs: &RayLayers<Buffer<f32>>, spec: &RasterizeSpec) -> &'a DeviceLists {
+fn lists<'a>(
+    gpu: &Gpu,
+    cell: &'a IntersectionCell,
+    inputs: &RayLayers<Buffer<f32>>,
+    spec: &RasterizeSpec,
+) -> &'a DeviceIntersections {
     lists_by(cell, || {
         let rows = |packed: &Buffer<f32>| launch_tile(gpu, packed, &spec.intrinsics, Cut::of(&spec.options));
         match spec.options.reaches_by_outline() {
@@ -57,12 +62,12 @@ impl RaysBackend for CubeBackend {
         inputs: RayLayerTensors<Self>,
         _: IntTensor<Self>,
         spec: RasterizeSpec,
-        hits: HitCell,
+        intersections: IntersectionCell,
         _: PartsCell,
     ) -> FloatTensor<Self> {
         let gpu = Gpu::new(&inputs.projected.0.client);
         let on_device = inputs.each_ref().map(on_device);
-        let planes = launch_rays(&gpu, &on_device, lists(&gpu, &hits, &on_device, &spec), &spec);
+        let planes = launch_rays(&gpu, &on_device, lists(&gpu, &intersections, &on_device, &spec), &spec);
         planes_tensor(planes, &spec, &inputs.background)
     }
 
@@ -72,11 +77,11 @@ impl RaysBackend for CubeBackend {
         grad: FloatTensor<Self>,
         spec: RasterizeSpec,
         mask: RayLayers<bool>,
-        hits: HitCell,
+        intersections: IntersectionCell,
     ) -> RayLayerGrads<Self> {
         let gpu = Gpu::new(&grad.client);
         let on_device = inputs.each_ref().map(on_device);
-        let lists = lists(&gpu, &hits, &on_device, &spec);
+        let lists = lists(&gpu, &intersections, &on_device, &spec);
         let found = launch_rays_backward(&gpu, &on_device, &buffer(grad), lists, &spec, mask);
         found.zip(inputs.each_ref()).map(gradient)
     }

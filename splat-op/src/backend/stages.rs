@@ -13,7 +13,7 @@ use super::tensors::{
 use crate::project::{Geometry, ProjectSpec};
 use crate::rasterize::{Layers, PartsCell, RasterizeSpec, TraceCell};
 use crate::shade::Shading;
-use crate::tile::HitCell;
+use crate::tile::IntersectionCell;
 
 /// Gaussian splatting on a Burn backend: four stages, and the backward pass of the three that have one.
 ///
@@ -52,9 +52,9 @@ pub trait SplatBackend: Backend {
         mask: Shading<bool>,
     ) -> ShadingGrads<Self>;
 
-    /// See `tile/`. Fills `hits` and returns the number of hits per tile, `[tiles along y, tiles along x]`.
+    /// See `tile/`. Fills `intersections` and returns the number of intersections per tile, `[tiles along y, tiles along x]`.
     #[fusion(meta = fusion::tile)]
-    fn tile(projected: FloatTensor<Self>, spec: RasterizeSpec, hits: HitCell) -> IntTensor<Self>;
+    fn tile(projected: FloatTensor<Self>, spec: RasterizeSpec, intersections: IntersectionCell) -> IntTensor<Self>;
 
     /// See `rasterize/`. Returns `[C + 1 (+ 1), H, W]` and fills `trace` if it is to be kept. `tile_counts` is what `tile`
     /// returned, and orders the two; gradients come through [`Self::part`] alone.
@@ -63,7 +63,7 @@ pub trait SplatBackend: Backend {
         #[extension_type] inputs: LayerTensors<Self>,
         tile_counts: IntTensor<Self>,
         spec: RasterizeSpec,
-        hits: HitCell,
+        intersections: IntersectionCell,
         trace: Option<TraceCell>,
         parts: PartsCell,
     ) -> FloatTensor<Self>;
@@ -82,7 +82,7 @@ pub trait SplatBackend: Backend {
         grad: FloatTensor<Self>,
         spec: RasterizeSpec,
         mask: Layers<bool>,
-        hits: HitCell,
+        intersections: IntersectionCell,
         trace: TraceCell,
     ) -> LayerGrads<Self>;
 }

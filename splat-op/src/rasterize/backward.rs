@@ -2,12 +2,12 @@
 //!
 //! 1. *Behind*, a cube per tile, a unit per pixel: what is seen behind each bucket, as far as the gradient cares,
 //!    `ρ = g·R`, from the last bucket to the first: `ρ = g·(sums of the bucket) + (share it lets through) ρ`.
-//! 2. *Layers*, a cube per bucket, all buckets of all tiles at once, however long a tile's list is: the sums of each hit over
-//!    the tile's pixels, a row per hit. In `strips.rs` for few channels and `channels.rs` for many.
+//! 2. *Layers*, a cube per bucket, all buckets of all tiles at once, however long a tile's list is: the sums of each intersection over
+//!    the tile's pixels, a row per intersection. In `strips.rs` for few channels and `channels.rs` for many.
 //! 3. *Gather*, a unit per Gaussian: the rows become gradients of the ellipse and the features.
 //!
-//! Rows are either added into one per Gaussian, in whatever order the device comes to them, or kept one per hit and added
-//! in the order of the hits, which gives the same bits in every run.
+//! Rows are either added into one per Gaussian, in whatever order the device comes to them, or kept one per intersection and added
+//! in the order of the intersections, which gives the same bits in every run.
 
 use cubecl::prelude::*;
 
@@ -44,8 +44,8 @@ pub(super) fn rasterize_behind_kernel(
     background: &[f32],
     grad: &[f32],
     tile_start: &[u32],
-    hit_of_place: &[u32],
-    gaussian_of_hit: &[u32],
+    intersection_of_place: &[u32],
+    gaussian_of_intersection: &[u32],
     kept: &[f32],
     behind: &[f32],
     passed: &[u32],
@@ -125,7 +125,8 @@ pub(super) fn rasterize_behind_kernel(
                     let mut place = bucket * comptime!(BUCKET as u32);
                     let mut open = true;
                     while place < end && open {
-                        let gaussian = gaussian_of_hit[hit_of_place[(first + place) as usize] as usize] as usize;
+                        let gaussian =
+                            gaussian_of_intersection[intersection_of_place[(first + place) as usize] as usize] as usize;
                         let footprint = LayerEllipse::of(projected, gaussian);
                         let (u, v) = footprint.whiten(x, top, f32::cast_from(own_row));
                         let alpha = footprint.alpha(u, v, frame.alpha_min, limits.alpha_max, shape);
@@ -168,21 +169,21 @@ pub(super) fn tile_of_slot(tile_start: &[u32], tiles: u32, slot: u32) -> u32 {
 /// From rows to gradients. With `e = −(u² + v²)/2`: `∂e/∂sigma_u = u²/sigma_u`, `∂e/∂sigma_v = v²/sigma_v`,
 /// `∂e/∂shear = u v sigma_u/sigma_v`, `∂e/∂mean = (u/sigma_u − v shear/sigma_v, v/sigma_v)`; and `∂α/∂opacity = α/opacity`.
 ///
-/// Gaussians without hits are left as they are: the gradients must hold zeros before.
+/// Gaussians without intersections are left as they are: the gradients must hold zeros before.
 #[cube(launch_unchecked)]
 pub(super) fn rasterize_gather_kernel(
     projected: &[f32],
     order: &[u32],
-    first_hit: &[u32],
+    first_intersection: &[u32],
     rows: &[f32],
     grad_projected: &mut [f32],
     grad_features: &mut [f32],
     grad_absolute: &mut [f32],
     visible: u32,
-    hits: u32,
+    intersections: u32,
     #[comptime] shape: KernelShape,
     #[comptime] absolute: bool,
-    #[comptime] per_hit: bool,
+    #[comptime] per_intersection: bool,
     #[comptime] wanted: (bool, bool),
 ) {
     let channels = comptime!(shape.channels());
@@ -192,20 +193,20 @@ pub(super) fn rasterize_gather_kernel(
     if rank < visible as usize {
         let gaussian = order[rank] as usize;
         let mut row = Array::<f32>::new(columns);
-        if comptime!(per_hit) {
-            let first = first_hit[rank];
-            let mut end = hits;
+        if comptime!(per_intersection) {
+            let first = first_intersection[rank];
+            let mut end = intersections;
             if rank + 1 < visible as usize {
-                end = first_hit[rank + 1];
+                end = first_intersection[rank + 1];
             }
             #[unroll(few)]
             for column in 0..columns {
                 row[column] = 0.0f32;
             }
-            for hit in first..end {
+            for intersection in first..end {
                 #[unroll(few)]
                 for column in 0..columns {
-                    row[column] += rows[hit as usize * columns + column];
+                    row[column] += rows[intersection as usize * columns + column];
                 }
             }
         } else {

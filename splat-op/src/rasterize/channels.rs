@@ -11,17 +11,17 @@ use crate::gpu::atomic::FloatCell;
 use crate::tile::forward::TileFrame;
 use crate::tile::{TILE, TILE_PIXELS};
 
-/// Rows of the hits of each bucket; `units`, a multiple of 32, is the cube's size and the pixels of a block.
+/// Rows of the intersections of each bucket; `units`, a multiple of 32, is the cube's size and the pixels of a block.
 ///
-/// `rows` is `[H, row]` and every hit's row is written, or, with `add`, one row per Gaussian that is added to.
+/// `rows` is `[H, row]` and every intersection's row is written, or, with `add`, one row per Gaussian that is added to.
 #[cube(launch_unchecked)]
 pub(super) fn rasterize_channels_kernel<A: FloatCell>(
     projected: &[f32],
     features: &[f32],
     grad: &[f32],
     tile_start: &[u32],
-    hit_of_place: &[u32],
-    gaussian_of_hit: &[u32],
+    intersection_of_place: &[u32],
+    gaussian_of_intersection: &[u32],
     kept: &[f32],
     passed: &[u32],
     rho_behind: &[f32],
@@ -58,11 +58,11 @@ pub(super) fn rasterize_channels_kernel<A: FloatCell>(
             let count = min(places - place, comptime!(BUCKET as u32));
             let lane = unit % comptime!(BUCKET as u32);
             let part = unit / comptime!(BUCKET as u32);
-            let mut hit = 0u32;
+            let mut intersection = 0u32;
             let mut gaussian = 0u32;
             if lane < count {
-                hit = hit_of_place[(first + place + lane) as usize];
-                gaussian = gaussian_of_hit[hit as usize];
+                intersection = intersection_of_place[(first + place + lane) as usize];
+                gaussian = gaussian_of_intersection[intersection as usize];
             }
             let mut row = Array::<f32>::new(columns);
             for column in 0..columns {
@@ -116,7 +116,9 @@ pub(super) fn rasterize_channels_kernel<A: FloatCell>(
                         let alpha = alphas[i * stride + unit as usize];
                         if alpha > 0.0 {
                             let mut along = grad_alpha;
-                            let there = gaussian_of_hit[hit_of_place[(first + place) as usize + i] as usize] as usize;
+                            let there = gaussian_of_intersection
+                                [intersection_of_place[(first + place) as usize + i] as usize]
+                                as usize;
                             for channel in 0..channels {
                                 along += grad[plane_of(channel, shape) * plane + in_picture]
                                     * colour(projected, features, there, channel, shape);
@@ -198,7 +200,7 @@ pub(super) fn rasterize_channels_kernel<A: FloatCell>(
                     }
                 } else {
                     for column in 0..columns {
-                        rows[hit as usize * columns + column] = row[column];
+                        rows[intersection as usize * columns + column] = row[column];
                     }
                 }
             }

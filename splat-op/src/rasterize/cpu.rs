@@ -1,4 +1,4 @@
-//! The CPU twin of `rasterize`: both passes, parallel over tiles. Each hit's gradient has a place of its own; a Gaussian's
+//! The CPU twin of `rasterize`: both passes, parallel over tiles. Each intersection's gradient has a place of its own; a Gaussian's
 //! are added in a fixed order, so the number of threads never changes a result.
 
 use fearless_simd::{Level, dispatch};
@@ -11,7 +11,7 @@ use super::tile_backward::{MOMENTS, TileGrad, TileScratch, rasterize_tile_backwa
 use super::{Layers, RasterizeSpec};
 use crate::project::{COLUMNS, Ellipse};
 use crate::real::Real;
-use crate::tile::{HitLists, TILE, TILE_PIXELS};
+use crate::tile::{IntersectionLists, TILE, TILE_PIXELS};
 
 /// Gaussians per task.
 const CHUNK: usize = 1024;
@@ -54,10 +54,10 @@ macro_rules! specialised {
 pub(crate) fn rasterize_cpu<F: Real>(
     inputs: Layers<&[F]>,
     spec: &RasterizeSpec,
-    hits: &HitLists,
+    intersections: &IntersectionLists,
     keep: bool,
 ) -> (Vec<F>, Option<Trace<F>>) {
-    let prepared = Prepared::new(inputs, spec, hits);
+    let prepared = Prepared::new(inputs, spec, intersections);
     let [alpha_min, alpha_max, transmittance_min] = prepared.thresholds;
     let plane_count = prepared.channels + 1;
     let [width, height] = prepared.size;
@@ -126,25 +126,27 @@ pub(crate) fn rasterize_backward_cpu<F: Real>(
     inputs: Layers<&[F]>,
     grad: &[F],
     spec: &RasterizeSpec,
-    (hits, trace): (&HitLists, Option<&Trace<F>>),
+    (intersections, trace): (&IntersectionLists, Option<&Trace<F>>),
     needs: Layers<bool>,
 ) -> Layers<Vec<F>> {
     let rebuilt;
     let trace = match trace {
         Some(trace) => trace,
         None => {
-            rebuilt = rasterize_cpu(inputs, spec, hits, true).1.expect("a trace was asked for");
+            rebuilt = rasterize_cpu(inputs, spec, intersections, true).1.expect("a trace was asked for");
             &rebuilt
         }
     };
-    let prepared = Prepared::new(inputs, spec, hits);
+    let prepared = Prepared::new(inputs, spec, intersections);
     let columns = MOMENTS + prepared.channels + if needs.mean2d_abs { 2 } else { 0 };
-    let mut hit_sums = vec![F::ZERO; hits.gaussian.len() * columns];
+    let mut intersection_sums = vec![F::ZERO; intersections.gaussian.len() * columns];
     let tasks: Vec<(usize, &mut [F])> = {
-        let mut rest = hit_sums.as_mut_slice();
-        let ends = hits.tile_start.windows(2).map(|w| w[1] - w[0]);
+        let mut rest = intersection_sums.as_mut_slice();
+        let ends = intersections.tile_start.windows(2).map(|w| w[1] - w[0]);
         ends.enumerate()
-            .map(|(tile, count)| (tile, rest.split_off_mut(..count * columns).expect("as many hits as their lists")))
+            .map(|(tile, count)| {
+                (tile, rest.split_off_mut(..count * columns).expect("as many intersections as their lists"))
+            })
             .collect()
     };
     let background: Vec<Vec<F>> = tasks
@@ -153,7 +155,7 @@ pub(crate) fn rasterize_backward_cpu<F: Real>(
             tile_sums(&prepared, inputs.background, grad, &trace.0[tile], (tile, sums, needs.mean2d_abs), buffers)
         })
         .collect();
-    let mut grads = gather(&inputs, &prepared, &hit_sums, columns, needs);
+    let mut grads = gather(&inputs, &prepared, &intersection_sums, columns, needs);
     if needs.background {
         grads.background = vec![F::ZERO; inputs.background.len()];
         for part in background {
@@ -171,7 +173,7 @@ struct Buffers<F: Real> {
     scratch: TileScratch<F>,
 }
 
-/// Fills one tile's sums per hit and returns its share of the background's gradient.
+/// Fills one tile's sums per intersection and returns its share of the background's gradient.
 fn tile_sums<F: Real>(
     prepared: &Prepared<F>,
     background: &[F],
@@ -230,11 +232,11 @@ fn tile_gradient<F: Real>(
     }
 }
 
-/// Adds each Gaussian's hits in order and turns the sums into gradients of its ellipse and features.
+/// Adds each Gaussian's intersections in order and turns the sums into gradients of its ellipse and features.
 fn gather<F: Real>(
     inputs: &Layers<&[F]>,
     prepared: &Prepared<F>,
-    hit_sums: &[F],
+    intersection_sums: &[F],
     columns: usize,
     needs: Layers<bool>,
 ) -> Layers<Vec<F>> {
@@ -246,7 +248,7 @@ fn gather<F: Real>(
         background: Vec::new(),
         mean2d_abs: rows(needs.mean2d_abs, 2),
     };
-    let hits = prepared.hits;
+    let intersections = prepared.intersections;
     let chunks = count.div_ceil(CHUNK);
     let mut projected: Vec<&mut [F]> = grads.projected.chunks_mut(CHUNK * COLUMNS).collect();
     let mut feature_rows: Vec<&mut [F]> = grads.features.chunks_mut(CHUNK * features).collect();
@@ -258,14 +260,20 @@ fn gather<F: Real>(
         |(chunk, (projected, feature, absolute))| {
             let mut sum = vec![F::ZERO; columns];
             let first = chunk * CHUNK;
-            let place = |gaussian: usize| hits.visible.partition_point(|&visible| (visible as usize) < gaussian);
+            let place =
+                |gaussian: usize| intersections.visible.partition_point(|&visible| (visible as usize) < gaussian);
             for place in place(first)..place(first + CHUNK) {
-                let i = hits.visible[place] as usize - first;
-                let range = hits.visible_start[place] as usize..hits.visible_start[place + 1] as usize;
+                let i = intersections.visible[place] as usize - first;
+                let range =
+                    intersections.visible_start[place] as usize..intersections.visible_start[place + 1] as usize;
                 sum.fill(F::ZERO);
                 match columns {
-                    RGB_COLUMNS => add_rows_of::<F, RGB_COLUMNS>(hit_sums, &hits.hit_of_visible[range], &mut sum),
-                    _ => add_rows(hit_sums, &hits.hit_of_visible[range], &mut sum),
+                    RGB_COLUMNS => add_rows_of::<F, RGB_COLUMNS>(
+                        intersection_sums,
+                        &intersections.intersection_of_visible[range],
+                        &mut sum,
+                    ),
+                    _ => add_rows(intersection_sums, &intersections.intersection_of_visible[range], &mut sum),
                 }
                 let (moments, colours) = sum.split_at(MOMENTS);
                 if needs.projected {
@@ -292,20 +300,20 @@ fn gather<F: Real>(
 /// Columns of the sums of a picture of three channels.
 const RGB_COLUMNS: usize = MOMENTS + 3;
 
-/// Adds rows of `hit_sums` to `sum`.
+/// Adds rows of `intersection_sums` to `sum`.
 #[inline(always)]
-fn add_rows<F: Real>(hit_sums: &[F], rows: &[u32], sum: &mut [F]) {
+fn add_rows<F: Real>(intersection_sums: &[F], rows: &[u32], sum: &mut [F]) {
     let columns = sum.len();
     for &row in rows {
-        let row = &hit_sums[row as usize * columns..(row as usize + 1) * columns];
+        let row = &intersection_sums[row as usize * columns..(row as usize + 1) * columns];
         sum.iter_mut().zip(row).for_each(|(sum, &value)| *sum += value);
     }
 }
 
 /// [`add_rows`] where their length is known at compile time: the fewer instructions a row takes, the more are fetched at a time.
 #[inline(always)]
-fn add_rows_of<F: Real, const COLUMNS: usize>(hit_sums: &[F], rows: &[u32], sum: &mut [F]) {
-    let table = hit_sums.as_chunks::<COLUMNS>().0;
+fn add_rows_of<F: Real, const COLUMNS: usize>(intersection_sums: &[F], rows: &[u32], sum: &mut [F]) {
+    let table = intersection_sums.as_chunks::<COLUMNS>().0;
     let mut total = [F::ZERO; COLUMNS];
     for &row in rows {
         total.iter_mut().zip(&table[row as usize]).for_each(|(sum, &value)| *sum += value);

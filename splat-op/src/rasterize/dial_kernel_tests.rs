@@ -89,7 +89,7 @@ fn culling_of_long_lists_changes_rounding_alone() {
                 let most = longest(&scene, &gpu, culling);
                 let found = outcome(&scene, &gpu, options.with_culling(culling));
                 let differences = differences(&found, &expected);
-                println!("{form}, {channels} channels, {culling:?}, up to {most} hits: {differences:?}");
+                println!("{form}, {channels} channels, {culling:?}, up to {most} intersections: {differences:?}");
                 assert!(differences.iter().all(|d| *d <= 3e-6), "{form}, {channels}, {culling:?}: {differences:?}");
             }
         }

@@ -26,8 +26,8 @@ pub(super) fn rasterize_forward_kernel(
     features: &[f32],
     background: &[f32],
     tile_start: &[u32],
-    hit_of_place: &[u32],
-    gaussian_of_hit: &[u32],
+    intersection_of_place: &[u32],
+    gaussian_of_intersection: &[u32],
     planes: &mut [f32],
     kept: &mut [f32],
     behind: &mut [f32],
@@ -92,7 +92,7 @@ pub(super) fn rasterize_forward_kernel(
             let count = min(places - place, comptime!(BATCH as u32));
             let mut i = UNIT_POS;
             while i < count {
-                let gaussian = gaussian_of_hit[hit_of_place[(first + place + i) as usize] as usize];
+                let gaussian = gaussian_of_intersection[intersection_of_place[(first + place + i) as usize] as usize];
                 LayerEllipse::of(projected, gaussian as usize).store(&mut footprints, i as usize);
                 gaussians[i as usize] = gaussian;
                 if comptime!(few) {

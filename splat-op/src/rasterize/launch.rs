@@ -14,7 +14,7 @@ use crate::gpu::{Buffer, Gpu, UNITS, cubes, elementwise};
 use crate::limits::Need;
 use crate::options::Accumulation;
 use crate::project::COLUMNS;
-use crate::tile::launch::{DeviceLists, frame};
+use crate::tile::launch::{DeviceIntersections, frame};
 use crate::tile::{TILE_PIXELS, tile_grid};
 
 /// Units of a cube of the kernel for many channels, and pixels of its blocks: what two arrays of 32 numbers per unit leave of 32 KiB
@@ -54,8 +54,8 @@ const FORWARD_STRIP: usize = 4;
 const STRIP: usize = 8;
 
 /// Slots of all tiles' buckets; see `first_slot`.
-fn slots(lists: &DeviceLists, tiles: usize) -> usize {
-    lists.hits / BUCKET + tiles
+fn slots(lists: &DeviceIntersections, tiles: usize) -> usize {
+    lists.intersections / BUCKET + tiles
 }
 
 fn limits(spec: &RasterizeSpec) -> LimitsLaunch {
@@ -68,7 +68,7 @@ fn limits(spec: &RasterizeSpec) -> LimitsLaunch {
 const FEWER_BUCKETS: &str =
     "train on smaller pictures, raise `alpha_min`, or render parts of the picture with several cameras";
 
-/// Refuses a buffer of `len` floats that the device cannot hold. How long it is, only the hits tell.
+/// Refuses a buffer of `len` floats that the device cannot hold. How long it is, only the intersections tell.
 fn assert_fits(gpu: &Gpu, what: &'static str, len: usize) {
     Need { what, bytes: 4 * len as u64, hint: FEWER_BUCKETS }.assert_fits(gpu.buffer_limit);
 }
@@ -77,7 +77,7 @@ fn assert_fits(gpu: &Gpu, what: &'static str, len: usize) {
 pub(crate) fn launch_rasterize(
     gpu: &Gpu,
     inputs: &Layers<Buffer<f32>>,
-    lists: &DeviceLists,
+    lists: &DeviceIntersections,
     spec: &RasterizeSpec,
     keep: bool,
 ) -> (Buffer<f32>, Option<DeviceTrace>) {
@@ -95,7 +95,7 @@ pub(crate) fn launch_rasterize(
         passed: Buffer::new(gpu, kept_len(tiles)),
     };
     let pixels = if shape.few() { FORWARD_STRIP } else { 1 };
-    // SAFETY: places, hits and Gaussians come from the lists, which hold none out of range; pixels are guarded.
+    // SAFETY: places, intersections and Gaussians come from the lists, which hold none out of range; pixels are guarded.
     unsafe {
         rasterize_forward_kernel::launch_unchecked(
             &gpu.client,
@@ -105,8 +105,8 @@ pub(crate) fn launch_rasterize(
             inputs.features.arg(),
             inputs.background.arg(),
             lists.tile_start.arg(),
-            lists.hit_of_place.arg(),
-            lists.gaussian_of_hit.arg(),
+            lists.intersection_of_place.arg(),
+            lists.gaussian_of_intersection.arg(),
             planes.arg(),
             trace.kept.arg(),
             trace.behind.arg(),
@@ -126,7 +126,7 @@ pub(crate) fn launch_rasterize_backward(
     gpu: &Gpu,
     inputs: &Layers<Buffer<f32>>,
     grad: &Buffer<f32>,
-    lists: &DeviceLists,
+    lists: &DeviceIntersections,
     trace: &DeviceTrace,
     spec: &RasterizeSpec,
     needs: Layers<bool>,
@@ -152,8 +152,8 @@ pub(crate) fn launch_rasterize_backward(
             inputs.background.arg(),
             grad.arg(),
             lists.tile_start.arg(),
-            lists.hit_of_place.arg(),
-            lists.gaussian_of_hit.arg(),
+            lists.intersection_of_place.arg(),
+            lists.gaussian_of_intersection.arg(),
             trace.kept.arg(),
             trace.behind.arg(),
             trace.passed.arg(),
@@ -178,8 +178,8 @@ pub(crate) fn launch_rasterize_backward(
     let ordered = spec.options.accumulation == Accumulation::Ordered;
     let rows = match ordered {
         true => {
-            assert_fits(gpu, "the rows of ordered gradients", lists.hits * columns);
-            Buffer::with_headroom(gpu, lists.hits * columns)
+            assert_fits(gpu, "the rows of ordered gradients", lists.intersections * columns);
+            Buffer::with_headroom(gpu, lists.intersections * columns)
         }
         false => Buffer::zeros(gpu, inputs.count() * columns),
     };
@@ -187,7 +187,7 @@ pub(crate) fn launch_rasterize_backward(
     let (written, added) = if ordered { (&rows, &unused) } else { (&unused, &rows) };
     macro_rules! launch {
         ($kernel:path, $units:expr, $own:expr) => {
-            // SAFETY: as in the forward pass; a row belongs to a hit or a Gaussian of the lists.
+            // SAFETY: as in the forward pass; a row belongs to an intersection or a Gaussian of the lists.
             unsafe {
                 $kernel(
                     &gpu.client,
@@ -197,8 +197,8 @@ pub(crate) fn launch_rasterize_backward(
                     inputs.features.arg(),
                     grad.arg(),
                     lists.tile_start.arg(),
-                    lists.hit_of_place.arg(),
-                    lists.gaussian_of_hit.arg(),
+                    lists.intersection_of_place.arg(),
+                    lists.gaussian_of_intersection.arg(),
                     trace.kept.arg(),
                     trace.passed.arg(),
                     rho_behind.arg(),
@@ -231,7 +231,7 @@ pub(crate) fn launch_rasterize_backward(
     let features = zeros(needs.features, shape.features);
     let absolute = zeros(needs.mean2d_abs, 2);
     let (grid, dim) = elementwise(lists.visible);
-    // SAFETY: ranks stay below the number of visible Gaussians; hits below theirs.
+    // SAFETY: ranks stay below the number of visible Gaussians; intersections below theirs.
     unsafe {
         rasterize_gather_kernel::launch_unchecked(
             &gpu.client,
@@ -239,13 +239,13 @@ pub(crate) fn launch_rasterize_backward(
             dim,
             inputs.projected.arg(),
             lists.order.arg(),
-            lists.first_hit.arg(),
+            lists.first_intersection.arg(),
             rows.arg(),
             projected.arg(),
             features.arg(),
             absolute.arg(),
             lists.visible as u32,
-            lists.hits as u32,
+            lists.intersections as u32,
             shape,
             needs.mean2d_abs,
             ordered,

@@ -10,8 +10,8 @@ use super::{Layers, RasterizeSpec};
 use crate::dials::{Culling, Exponential};
 use crate::project::{COLUMNS, Ellipse};
 use crate::real::Real;
-use crate::tile::cpu::needed_hits;
-use crate::tile::{HitLists, TILE, tile_grid};
+use crate::tile::cpu::needed_intersections;
+use crate::tile::{IntersectionLists, TILE, tile_grid};
 
 /// Gaussians per task.
 const CHUNK: usize = 1024;
@@ -24,7 +24,7 @@ pub(super) struct Prepared<'a, F: Real> {
     pub channels: usize,
     pub grid: [usize; 2],
     pub size: [usize; 2],
-    pub hits: &'a HitLists,
+    pub intersections: &'a IntersectionLists,
     pub thresholds: [F; 3],
     /// How many Gaussians each tile would list by [`Culling::Ellipse`], where it is another that made the lists and tells them
     /// apart by [`is_long`]: which arithmetic a tile takes must not depend on what it lists in vain.
@@ -34,7 +34,7 @@ pub(super) struct Prepared<'a, F: Real> {
 }
 
 impl<'a, F: Real> Prepared<'a, F> {
-    pub fn new(inputs: Layers<&'a [F]>, spec: &RasterizeSpec, hits: &'a HitLists) -> Self {
+    pub fn new(inputs: Layers<&'a [F]>, spec: &RasterizeSpec, intersections: &'a IntersectionLists) -> Self {
         let options = &spec.options;
         let alpha_min = F::of(options.alpha_min);
         let footprint = |row: &[F]| {
@@ -52,7 +52,7 @@ impl<'a, F: Real> Prepared<'a, F> {
         } else {
             inputs.features.into()
         };
-        let listed = hits.tile_start.windows(2).map(|ends| ends[1] - ends[0]);
+        let listed = intersections.tile_start.windows(2).map(|ends| ends[1] - ends[0]);
         let apart = options.culling != Culling::Ellipse && listed.max().is_some_and(|most| is_long(most, alpha_min));
         Self {
             footprints: inputs.projected.par_chunks_exact(COLUMNS).with_min_len(CHUNK).map(footprint).collect(),
@@ -60,16 +60,16 @@ impl<'a, F: Real> Prepared<'a, F> {
             channels: features + usize::from(options.depth),
             grid: tile_grid(spec.intrinsics.width, spec.intrinsics.height),
             size: [spec.intrinsics.width, spec.intrinsics.height],
-            hits,
+            intersections,
             thresholds: [alpha_min, F::of(options.alpha_max), F::of(options.transmittance_min)],
-            needed: apart.then(|| needed_hits(inputs.projected, &spec.intrinsics, options.alpha_min)),
+            needed: apart.then(|| needed_intersections(inputs.projected, &spec.intrinsics, options.alpha_min)),
             library: options.exponential == Exponential::Library,
         }
     }
 
     /// See [`fn@is_long`].
     pub fn is_long(&self, tile: usize) -> bool {
-        let listed = self.hits.tile_start[tile + 1] - self.hits.tile_start[tile];
+        let listed = self.intersections.tile_start[tile + 1] - self.intersections.tile_start[tile];
         is_long(self.needed.as_ref().map_or(listed, |needed| needed[tile] as usize), self.thresholds[0])
     }
 
@@ -78,7 +78,8 @@ impl<'a, F: Real> Prepared<'a, F> {
         TileView {
             origin,
             size: [0, 1].map(|axis| TILE.min(self.size[axis] - origin[axis])),
-            gaussians: &self.hits.gaussian[self.hits.tile_start[tile]..self.hits.tile_start[tile + 1]],
+            gaussians: &self.intersections.gaussian
+                [self.intersections.tile_start[tile]..self.intersections.tile_start[tile + 1]],
             footprints: &self.footprints,
             colours: &self.colours,
             channels: self.channels,

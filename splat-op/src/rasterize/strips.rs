@@ -16,17 +16,17 @@ use crate::gpu::atomic::FloatCell;
 use crate::tile::TILE_PIXELS;
 use crate::tile::forward::TileFrame;
 
-/// Rows of the hits of each bucket.
+/// Rows of the intersections of each bucket.
 ///
-/// `rows` is `[H, row]` and every hit's row is written, or, with `add`, one row per Gaussian that is added to in `sums`.
+/// `rows` is `[H, row]` and every intersection's row is written, or, with `add`, one row per Gaussian that is added to in `sums`.
 #[cube(launch_unchecked)]
 pub(super) fn rasterize_strips_kernel<A: FloatCell>(
     projected: &[f32],
     features: &[f32],
     grad: &[f32],
     tile_start: &[u32],
-    hit_of_place: &[u32],
-    gaussian_of_hit: &[u32],
+    intersection_of_place: &[u32],
+    gaussian_of_intersection: &[u32],
     kept: &[f32],
     passed: &[u32],
     rho_behind: &[f32],
@@ -45,7 +45,7 @@ pub(super) fn rasterize_strips_kernel<A: FloatCell>(
     let units = comptime!(TILE_PIXELS / pixels);
     let mut footprints = Shared::<[f32]>::new_slice(comptime!(BUCKET * FOOTPRINT));
     let mut colours = Shared::<[f32]>::new_slice(comptime!(BUCKET * channels));
-    let mut hits = Shared::<[u32]>::new_slice(comptime!(BUCKET));
+    let mut intersections = Shared::<[u32]>::new_slice(comptime!(BUCKET));
     let mut partial = Shared::<[f32]>::new_slice(comptime!(STEP * columns * (units + 1)));
 
     let slot = CUBE_POS as u32;
@@ -60,19 +60,19 @@ pub(super) fn rasterize_strips_kernel<A: FloatCell>(
             let steps = (count + comptime!(STEP as u32 - 1)) / comptime!(STEP as u32);
             let mut i = UNIT_POS;
             while i < steps * comptime!(STEP as u32) {
-                let mut hit = 0u32;
+                let mut intersection = 0u32;
                 let mut gaussian = 0u32;
                 if i < count {
-                    hit = hit_of_place[(first + place + i) as usize];
-                    gaussian = gaussian_of_hit[hit as usize];
+                    intersection = intersection_of_place[(first + place + i) as usize];
+                    gaussian = gaussian_of_intersection[intersection as usize];
                     LayerEllipse::of(projected, gaussian as usize).store(&mut footprints, i as usize);
                 } else {
                     LayerEllipse::nowhere().store(&mut footprints, i as usize);
                 }
-                hits[i as usize] = if comptime!(add) { gaussian } else { hit };
+                intersections[i as usize] = if comptime!(add) { gaussian } else { intersection };
                 #[unroll]
                 for channel in 0..channels {
-                    // Beside the last hit there is nothing; the colour of some Gaussian, times zero, may still be NaN.
+                    // Beside the last intersection there is nothing; the colour of some Gaussian, times zero, may still be NaN.
                     let value = colour(projected, features, gaussian as usize, channel, shape);
                     colours[i as usize * channels + channel] = select(i < count, value, 0.0f32);
                 }
@@ -84,8 +84,8 @@ pub(super) fn rasterize_strips_kernel<A: FloatCell>(
                 if comptime!(!add) {
                     let mut i = UNIT_POS;
                     while i < count * comptime!(columns as u32) {
-                        let hit = hits[(i / comptime!(columns as u32)) as usize] as usize;
-                        rows[hit * columns + (i % comptime!(columns as u32)) as usize] = 0.0f32;
+                        let intersection = intersections[(i / comptime!(columns as u32)) as usize] as usize;
+                        rows[intersection * columns + (i % comptime!(columns as u32)) as usize] = 0.0f32;
                         i += comptime!(units as u32);
                     }
                 }
@@ -178,8 +178,8 @@ pub(super) fn rasterize_strips_kernel<A: FloatCell>(
                             for unit in 0..units {
                                 sum += partial[pair as usize * comptime!(units + 1) + unit];
                             }
-                            let cell =
-                                hits[i as usize] as usize * columns + (pair % comptime!(columns as u32)) as usize;
+                            let cell = intersections[i as usize] as usize * columns
+                                + (pair % comptime!(columns as u32)) as usize;
                             if comptime!(add) {
                                 if sum != 0.0 {
                                     A::add(&sums[cell], sum);

@@ -10,7 +10,7 @@ use crate::testing::blending::{PixelLayer, assert_close, blended, small_ellipse,
 use crate::testing::finite::{check_gradient, inner_product};
 use crate::testing::random::Random;
 use crate::tile::cpu::tile_cpu;
-use crate::tile::{Cut, HitLists};
+use crate::tile::{Cut, IntersectionLists};
 
 const ALL: Layers<bool> = Layers { projected: true, features: true, background: true, mean2d_abs: true };
 
@@ -43,7 +43,7 @@ impl StageInputs {
         Self { inputs: [packed, features, background], spec }
     }
 
-    fn lists(&self) -> HitLists {
+    fn lists(&self) -> IntersectionLists {
         tile_cpu(&self.inputs[0], &self.spec.intrinsics, Cut::of(&self.spec.options))
     }
 

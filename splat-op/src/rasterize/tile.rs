@@ -14,13 +14,13 @@ pub(super) const CHECKPOINT_EVERY: usize = 64;
 /// too small to change the sum. Only those count that reach a pixel: what a tile lists in vain must change no bit.
 const SUM_LENGTH: usize = 8 * CHECKPOINT_EVERY;
 
-/// Whether a list of hits is blended with [`Transmittances::lost`] and shorter sums. That takes a fifth longer. Where it is
+/// Whether a list of intersections is blended with [`Transmittances::lost`] and shorter sums. That takes a fifth longer. Where it is
 /// not, roundings do not add up to what an f32 picture can show: lists are short enough, or if they are not very short, no
 /// layer is so faint that it alone would change no digit. Nothing but rounding depends on it.
-pub(super) fn is_long<F: Real>(hits: usize, alpha_min: F) -> bool {
+pub(super) fn is_long<F: Real>(intersections: usize, alpha_min: F) -> bool {
     const LONG: usize = 2048;
     const LONG_FOR_FAINT: usize = 256;
-    hits > if alpha_min >= F::of(1e-3) { LONG } else { LONG_FOR_FAINT }
+    intersections > if alpha_min >= F::of(1e-3) { LONG } else { LONG_FOR_FAINT }
 }
 
 /// The transmittances of a tile's pixels, in two parts: `lost` is what rounding took from `kept`, less than half an ulp of it.
@@ -229,7 +229,7 @@ pub(super) struct TileView<'a, F> {
     pub origin: [usize; 2],
     /// Pixels of it inside the picture along x and y.
     pub size: [usize; 2],
-    /// Gaussians of its hits, front to back.
+    /// Gaussians of its intersections, front to back.
     pub gaussians: &'a [u32],
     /// By Gaussian.
     pub footprints: &'a [Footprint<F>],

@@ -11,7 +11,7 @@ use super::tile::{CHECKPOINT_EVERY, Near, Plane, Thresholds, TileView, Transmitt
 use crate::real::{LANES, Real};
 use crate::tile::{TILE, TILE_PIXELS};
 
-/// Numbers per hit that do not depend on the channels: the sums of `h, h u, h v, h u², h u v, h v²` with
+/// Numbers per intersection that do not depend on the channels: the sums of `h, h u, h v, h u², h u v, h v²` with
 /// `h = α ∂L/∂α` where alpha is not at its limit.
 pub(super) const MOMENTS: usize = 6;
 
@@ -56,7 +56,7 @@ impl<F: Real> Default for TileScratch<F> {
     }
 }
 
-/// Fills `hits`, `[passed, MOMENTS + channels (+ 2)]`, with each hit's sums over the tile, and returns with
+/// Fills `intersections`, `[passed, MOMENTS + channels (+ 2)]`, with each intersection's sums over the tile, and returns with
 /// `transmittance` as it is behind all layers (negated where finished).
 #[inline(always)]
 pub(super) fn rasterize_tile_backward<S: Simd, F: Real, const C: usize, const LONG: bool, const LIBRARY: bool>(
@@ -64,7 +64,7 @@ pub(super) fn rasterize_tile_backward<S: Simd, F: Real, const C: usize, const LO
     view: &TileView<F>,
     grad: &TileGrad<F>,
     thresholds: &Thresholds<S, F, LIBRARY>,
-    (hits, transmittance_behind): (&mut [F], &mut [F; TILE_PIXELS]),
+    (intersections, transmittance_behind): (&mut [F], &mut [F; TILE_PIXELS]),
     scratch: &mut TileScratch<F>,
 ) {
     let channels = if C == 0 { view.channels } else { C };
@@ -94,7 +94,7 @@ pub(super) fn rasterize_tile_backward<S: Simd, F: Real, const C: usize, const LO
             if layers.is_empty() {
                 continue;
             }
-            let row = &mut hits[(first + i) * columns..(first + i + 1) * columns];
+            let row = &mut intersections[(first + i) * columns..(first + i + 1) * columns];
             let layers = (&mut scratch.layers[layers.clone()], &scratch.places[layers]);
             let splat = FootprintSimd::new(simd, footprints[i], view.corner()[1]);
             let colour = if C == 0 { view.colour(gaussian) } else { &near.colours[i] };

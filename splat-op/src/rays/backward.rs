@@ -5,7 +5,7 @@
 //!    weight `α T`. These two lie in a table `[places, 256, 2]` of all layers and pixels of some tiles; for many tiles there are
 //!    several launches, so that it does not grow with the picture.
 //! 2. *Sums*, a unit per place of these tiles: its row, the sums over the tile's pixels.
-//! 3. *Gather*, a unit per Gaussian: its rows, in the order of its hits, become gradients.
+//! 3. *Gather*, a unit per Gaussian: its rows, in the order of its intersections, become gradients.
 
 use cubecl::prelude::*;
 
@@ -31,8 +31,8 @@ pub(super) fn rays_walk_kernel(
     background: &[f32],
     grad: &[f32],
     tile_start: &[u32],
-    hit_of_place: &[u32],
-    gaussian_of_hit: &[u32],
+    intersection_of_place: &[u32],
+    gaussian_of_intersection: &[u32],
     table: &mut [u32],
     left: &mut [f32],
     view: RayFrame,
@@ -60,7 +60,16 @@ pub(super) fn rays_walk_kernel(
             let mut walk = Walk::new();
             let mut open = true;
             while open {
-                let count = walk.advance(projected, tilts, hit_of_place, gaussian_of_hit, first, places, &pixel, &view);
+                let count = walk.advance(
+                    projected,
+                    tilts,
+                    intersection_of_place,
+                    gaussian_of_intersection,
+                    first,
+                    places,
+                    &pixel,
+                    &view,
+                );
                 for i in 0..count {
                     if open {
                         let alpha = walk.alphas[i as usize];
@@ -95,7 +104,8 @@ pub(super) fn rays_walk_kernel(
                 let at = own + place as usize * comptime!(2 * TILE_PIXELS);
                 let before = f32::reinterpret(table[at]);
                 link = table[at + 1];
-                let gaussian = gaussian_of_hit[hit_of_place[(first + place) as usize] as usize] as usize;
+                let gaussian =
+                    gaussian_of_intersection[intersection_of_place[(first + place) as usize] as usize] as usize;
                 let footprint = RayGaussian::load(projected, tilts, gaussian);
                 let layer = footprint.at(pixel.x, pixel.y, &view);
                 // Alpha is one more channel, of colour one.
@@ -128,15 +138,15 @@ fn tile_of_place(tile_start: &[u32], view: &RayFrame, place: u32) -> u32 {
     low
 }
 
-/// Writes the rows, `[H, row]`, of the hits of some tiles.
+/// Writes the rows, `[H, row]`, of the intersections of some tiles.
 #[cube(launch_unchecked)]
 pub(super) fn rays_sums_kernel(
     projected: &[f32],
     tilts: &[f32],
     grad: &[f32],
     tile_start: &[u32],
-    hit_of_place: &[u32],
-    gaussian_of_hit: &[u32],
+    intersection_of_place: &[u32],
+    gaussian_of_intersection: &[u32],
     table: &[u32],
     rows: &mut [f32],
     view: RayFrame,
@@ -146,8 +156,8 @@ pub(super) fn rays_sums_kernel(
     let place = start + ABSOLUTE_POS as u32;
     if place < tile_start[view.end_tile as usize] {
         let tile = tile_of_place(tile_start, &view, place);
-        let hit = hit_of_place[place as usize];
-        let footprint = RayGaussian::load(projected, tilts, gaussian_of_hit[hit as usize] as usize);
+        let intersection = intersection_of_place[place as usize];
+        let footprint = RayGaussian::load(projected, tilts, gaussian_of_intersection[intersection as usize] as usize);
         let plane = (view.width * view.height) as usize;
         let channels = view.features as usize;
         let own = ABSOLUTE_POS * comptime!(2 * TILE_PIXELS);
@@ -199,7 +209,7 @@ pub(super) fn rays_sums_kernel(
                 }
             }
         }
-        let at = hit as usize * (comptime!(row_len(0, absolute)) + channels);
+        let at = intersection as usize * (comptime!(row_len(0, absolute)) + channels);
         #[unroll]
         for column in 0..comptime!(SUMS) {
             rows[at + column] = sums[column];
@@ -225,26 +235,26 @@ pub(super) fn rays_sums_kernel(
 #[cube]
 fn column_sum(rows: &[f32], first: u32, end: u32, columns: usize, column: usize) -> f32 {
     let mut sum = 0.0f32;
-    for hit in first..end {
-        sum += rows[hit as usize * columns + column];
+    for intersection in first..end {
+        sum += rows[intersection as usize * columns + column];
     }
     sum
 }
 
-/// From rows to gradients, as the twin has them. Gaussians without hits are left as they are: the gradients must hold zeros
+/// From rows to gradients, as the twin has them. Gaussians without intersections are left as they are: the gradients must hold zeros
 /// before.
 #[cube(launch_unchecked)]
 pub(super) fn rays_gather_kernel(
     projected: &[f32],
     order: &[u32],
-    first_hit: &[u32],
+    first_intersection: &[u32],
     rows: &[f32],
     grad_projected: &mut [f32],
     grad_tilts: &mut [f32],
     grad_features: &mut [f32],
     grad_absolute: &mut [f32],
     visible: u32,
-    hits: u32,
+    intersections: u32,
     features: u32,
     #[comptime] wanted: (bool, bool, bool),
     #[comptime] absolute: bool,
@@ -252,10 +262,10 @@ pub(super) fn rays_gather_kernel(
     let rank = ABSOLUTE_POS;
     if rank < visible as usize {
         let gaussian = order[rank] as usize;
-        let first = first_hit[rank];
-        let mut end = hits;
+        let first = first_intersection[rank];
+        let mut end = intersections;
         if rank + 1 < visible as usize {
-            end = first_hit[rank + 1];
+            end = first_intersection[rank + 1];
         }
         let channels = features as usize;
         let columns = comptime!(row_len(0, absolute)) + channels;

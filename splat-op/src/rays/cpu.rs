@@ -1,4 +1,4 @@
-//! The CPU twin of `rays`: both passes, parallel over tiles. Each hit's gradient has a place of its own; a Gaussian's are added
+//! The CPU twin of `rays`: both passes, parallel over tiles. Each intersection's gradient has a place of its own; a Gaussian's are added
 //! in a fixed order, so the number of threads never changes a result.
 
 use rayon::prelude::*;
@@ -8,7 +8,7 @@ use super::{RayLayers, SUMS};
 use crate::project::{COLUMNS, Ellipse};
 use crate::rasterize::RasterizeSpec;
 use crate::real::Real;
-use crate::tile::{HitLists, TILE, tile_grid};
+use crate::tile::{IntersectionLists, TILE, tile_grid};
 use crate::tilt::TILT;
 
 /// A view, prepared for its pixels.
@@ -16,7 +16,7 @@ struct PreparedRayView<'a, F> {
     inputs: RayLayers<&'a [F]>,
     footprints: Vec<RayGaussianCpu<F>>,
     rules: Rules<F>,
-    hits: &'a HitLists,
+    intersections: &'a IntersectionLists,
     size: [usize; 2],
     /// Features.
     channels: usize,
@@ -24,14 +24,14 @@ struct PreparedRayView<'a, F> {
 }
 
 impl<'a, F: Real> PreparedRayView<'a, F> {
-    fn new(inputs: RayLayers<&'a [F]>, spec: &RasterizeSpec, hits: &'a HitLists) -> Self {
+    fn new(inputs: RayLayers<&'a [F]>, spec: &RasterizeSpec, intersections: &'a IntersectionLists) -> Self {
         let rules = Rules::new(&spec.options);
         let rows = inputs.projected.chunks_exact(COLUMNS).zip(inputs.tilt.chunks_exact(TILT));
         Self {
             inputs,
             footprints: rows.map(|(row, tilt)| RayGaussianCpu::new(row, tilt, &rules)).collect(),
             rules,
-            hits,
+            intersections,
             size: [spec.intrinsics.width, spec.intrinsics.height],
             channels: inputs.background.len(),
             depth: spec.options.depth,
@@ -39,11 +39,11 @@ impl<'a, F: Real> PreparedRayView<'a, F> {
     }
 
     fn tiles(&self) -> usize {
-        self.hits.tile_start.len() - 1
+        self.intersections.tile_start.len() - 1
     }
 
     fn gaussians(&self, tile: usize) -> &'a [u32] {
-        &self.hits.gaussian[self.hits.tile_start[tile]..self.hits.tile_start[tile + 1]]
+        &self.intersections.gaussian[self.intersections.tile_start[tile]..self.intersections.tile_start[tile + 1]]
     }
 
     /// The pixels of a tile, by their index in the picture.
@@ -68,8 +68,12 @@ impl<'a, F: Real> PreparedRayView<'a, F> {
 }
 
 /// Planes `[C + 1 (+ 1), H, W]`.
-pub(crate) fn rays_cpu<F: Real>(inputs: RayLayers<&[F]>, spec: &RasterizeSpec, hits: &HitLists) -> Vec<F> {
-    let view = PreparedRayView::new(inputs, spec, hits);
+pub(crate) fn rays_cpu<F: Real>(
+    inputs: RayLayers<&[F]>,
+    spec: &RasterizeSpec,
+    intersections: &IntersectionLists,
+) -> Vec<F> {
+    let view = PreparedRayView::new(inputs, spec, intersections);
     let (count, pixels) = (view.planes(), view.size[0] * view.size[1]);
     let of_tile = |layers: &mut Vec<RayLayerCpu<F>>, tile: usize| -> Vec<F> {
         let mut values = Vec::new();
@@ -107,16 +111,16 @@ pub(crate) fn rays_backward_cpu<F: Real>(
     inputs: RayLayers<&[F]>,
     grad: &[F],
     spec: &RasterizeSpec,
-    hits: &HitLists,
+    intersections: &IntersectionLists,
     needs: RayLayers<bool>,
 ) -> RayLayers<Vec<F>> {
-    let view = PreparedRayView::new(inputs, spec, hits);
+    let view = PreparedRayView::new(inputs, spec, intersections);
     let columns = SUMS + view.channels + if needs.mean2d_abs { 2 } else { 0 };
-    let mut rows = vec![F::ZERO; hits.gaussian.len() * columns];
+    let mut rows = vec![F::ZERO; intersections.gaussian.len() * columns];
     let tasks: Vec<&mut [F]> = {
         let mut rest = rows.as_mut_slice();
-        let ends = hits.tile_start.windows(2).map(|w| w[1] - w[0]);
-        ends.map(|count| rest.split_off_mut(..count * columns).expect("as many hits as their lists")).collect()
+        let ends = intersections.tile_start.windows(2).map(|w| w[1] - w[0]);
+        ends.map(|count| rest.split_off_mut(..count * columns).expect("as many intersections as their lists")).collect()
     };
     let background: Vec<Vec<F>> = tasks
         .into_par_iter()
@@ -133,7 +137,7 @@ pub(crate) fn rays_backward_cpu<F: Real>(
     grads
 }
 
-/// Adds to a tile's rows, one per hit, and returns its share of the background's gradient.
+/// Adds to a tile's rows, one per intersection, and returns its share of the background's gradient.
 fn tile_backward<F: Real>(
     view: &PreparedRayView<F>,
     grad: &[F],
@@ -172,7 +176,7 @@ fn tile_backward<F: Real>(
 /// Adds each Gaussian's rows in order and turns the sums into gradients. Not in parallel: there is little to do beside the
 /// pixels' work.
 fn gather<F: Real>(view: &PreparedRayView<F>, rows: &[F], columns: usize, needs: RayLayers<bool>) -> RayLayers<Vec<F>> {
-    let (count, channels, hits) = (view.footprints.len(), view.channels, view.hits);
+    let (count, channels, intersections) = (view.footprints.len(), view.channels, view.intersections);
     let zeros = |needed: bool, columns: usize| vec![F::ZERO; if needed { count * columns } else { 0 }];
     let mut grads = RayLayers {
         projected: zeros(needs.projected, COLUMNS),
@@ -182,11 +186,11 @@ fn gather<F: Real>(view: &PreparedRayView<F>, rows: &[F], columns: usize, needs:
         mean2d_abs: zeros(needs.mean2d_abs, 2),
     };
     let mut sums = vec![F::ZERO; columns];
-    for (visible, &gaussian) in hits.visible.iter().enumerate() {
+    for (visible, &gaussian) in intersections.visible.iter().enumerate() {
         sums.fill(F::ZERO);
-        let range = hits.visible_start[visible] as usize..hits.visible_start[visible + 1] as usize;
-        for &hit in &hits.hit_of_visible[range] {
-            let row = &rows[hit as usize * columns..(hit as usize + 1) * columns];
+        let range = intersections.visible_start[visible] as usize..intersections.visible_start[visible + 1] as usize;
+        for &intersection in &intersections.intersection_of_visible[range] {
+            let row = &rows[intersection as usize * columns..(intersection as usize + 1) * columns];
             sums.iter_mut().zip(row).for_each(|(sum, value)| *sum += *value);
         }
         let (i, e) = (gaussian as usize, &view.footprints[gaussian as usize].ellipse);

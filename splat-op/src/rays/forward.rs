@@ -17,8 +17,8 @@ pub(super) fn rays_forward_kernel(
     features: &[f32],
     background: &[f32],
     tile_start: &[u32],
-    hit_of_place: &[u32],
-    gaussian_of_hit: &[u32],
+    intersection_of_place: &[u32],
+    gaussian_of_intersection: &[u32],
     planes: &mut [f32],
     view: RayFrame,
 ) {
@@ -37,7 +37,16 @@ pub(super) fn rays_forward_kernel(
         let mut walk = Walk::new();
         let mut open = true;
         while open {
-            let count = walk.advance(projected, tilts, hit_of_place, gaussian_of_hit, first, places, &pixel, &view);
+            let count = walk.advance(
+                projected,
+                tilts,
+                intersection_of_place,
+                gaussian_of_intersection,
+                first,
+                places,
+                &pixel,
+                &view,
+            );
             for i in 0..count {
                 if open {
                     let alpha = walk.alphas[i as usize];

@@ -13,9 +13,9 @@ use crate::testing::ceiling::{PerturbedReference, rounded, to_f32};
 use crate::testing::ellipses::ellipses;
 use crate::testing::gpu::{gpu, gpus};
 use crate::testing::random::Random;
-use crate::tile::HitLists;
+use crate::tile::IntersectionLists;
 use crate::tile::cpu::tile_cpu;
-use crate::tile::launch::{DeviceLists, launch_tile};
+use crate::tile::launch::{DeviceIntersections, launch_tile};
 use crate::tilt::launch::launch_outline;
 use crate::tilt::{TILT, outline_cpu};
 
@@ -74,7 +74,7 @@ impl StageInputs {
         RayLayers { projected, tilt, features, background, mean2d_abs: &[] }
     }
 
-    fn lists(&self) -> HitLists {
+    fn lists(&self) -> IntersectionLists {
         let (camera, options) = (&self.spec.intrinsics, &self.spec.options);
         match options.reaches_by_outline() {
             true => {
@@ -125,7 +125,7 @@ impl StageInputs {
         band
     }
 
-    fn device(&self, gpu: &Gpu) -> (RayLayers<Buffer<f32>>, DeviceLists) {
+    fn device(&self, gpu: &Gpu) -> (RayLayers<Buffer<f32>>, DeviceIntersections) {
         let buffer = |i: usize| Buffer::from_slice(gpu, &to_f32(&self.inputs[i]));
         let inputs = RayLayers {
             projected: buffer(0),

@@ -11,7 +11,7 @@ use crate::limits::Need;
 use crate::options::{Order, Projection};
 use crate::project::COLUMNS;
 use crate::rasterize::RasterizeSpec;
-use crate::tile::launch::DeviceLists;
+use crate::tile::launch::DeviceIntersections;
 use crate::tile::{TILE_PIXELS, tile_grid};
 use crate::tilt::TILT;
 
@@ -19,7 +19,7 @@ use crate::tilt::TILT;
 const TABLE: usize = 32_768;
 
 /// What makes a render keep less for its backward pass.
-const FEWER_HITS: &str = "train on smaller pictures, raise `alpha_min`, or use fewer Gaussians";
+const FEWER_INTERSECTIONS: &str = "train on smaller pictures, raise `alpha_min`, or use fewer Gaussians";
 
 /// The view as an argument of kernels over the tiles from `first` to before `end`.
 fn view(spec: &RasterizeSpec, features: usize, (first, end): (usize, usize)) -> RayFrameLaunch {
@@ -50,13 +50,13 @@ fn tiles(spec: &RasterizeSpec) -> usize {
 pub(crate) fn launch_rays(
     gpu: &Gpu,
     inputs: &RayLayers<Buffer<f32>>,
-    lists: &DeviceLists,
+    lists: &DeviceIntersections,
     spec: &RasterizeSpec,
 ) -> Buffer<f32> {
     let features = inputs.background.len;
     let planes = Buffer::new(gpu, spec.planes(features) * spec.intrinsics.width * spec.intrinsics.height);
     let tiles = tiles(spec);
-    // SAFETY: places, hits and Gaussians come from the lists, which hold none out of range; pixels are guarded.
+    // SAFETY: places, intersections and Gaussians come from the lists, which hold none out of range; pixels are guarded.
     unsafe {
         rays_forward_kernel::launch_unchecked(
             &gpu.client,
@@ -67,8 +67,8 @@ pub(crate) fn launch_rays(
             inputs.features.arg(),
             inputs.background.arg(),
             lists.tile_start.arg(),
-            lists.hit_of_place.arg(),
-            lists.gaussian_of_hit.arg(),
+            lists.intersection_of_place.arg(),
+            lists.gaussian_of_intersection.arg(),
             planes.arg(),
             view(spec, features, (0, tiles)),
         );
@@ -97,7 +97,7 @@ pub(crate) fn launch_rays_backward(
     gpu: &Gpu,
     inputs: &RayLayers<Buffer<f32>>,
     grad: &Buffer<f32>,
-    lists: &DeviceLists,
+    lists: &DeviceIntersections,
     spec: &RasterizeSpec,
     needs: RayLayers<bool>,
 ) -> RayLayers<Option<Buffer<f32>>> {
@@ -109,7 +109,7 @@ pub(super) fn launch_rays_backward_by(
     gpu: &Gpu,
     inputs: &RayLayers<Buffer<f32>>,
     grad: &Buffer<f32>,
-    (lists, room): (&DeviceLists, usize),
+    (lists, room): (&DeviceIntersections, usize),
     spec: &RasterizeSpec,
     needs: RayLayers<bool>,
 ) -> RayLayers<Option<Buffer<f32>>> {
@@ -119,16 +119,18 @@ pub(super) fn launch_rays_backward_by(
     let counts: Vec<i32> = bytemuck::pod_collect_to_vec(&read[..4 * tiles(spec)]);
     let (runs, longest) = runs(&counts, room.min(gpu.buffer_limit as usize / (8 * TILE_PIXELS)));
     let columns = row_len(features, needs.mean2d_abs);
-    let fits = |what, len: usize| Need { what, bytes: 4 * len as u64, hint: FEWER_HITS }.assert_fits(gpu.buffer_limit);
+    let fits = |what, len: usize| {
+        Need { what, bytes: 4 * len as u64, hint: FEWER_INTERSECTIONS }.assert_fits(gpu.buffer_limit)
+    };
     fits("the layers of a tile's pixels", longest * 2 * TILE_PIXELS);
-    fits("the rows of gradients", lists.hits * columns);
+    fits("the rows of gradients", lists.intersections * columns);
     let table: Buffer<u32> = Buffer::with_headroom(gpu, longest * 2 * TILE_PIXELS);
-    let rows: Buffer<f32> = Buffer::with_headroom(gpu, lists.hits * columns);
+    let rows: Buffer<f32> = Buffer::with_headroom(gpu, lists.intersections * columns);
     let left: Buffer<f32> = Buffer::new(gpu, pixels);
-    let of_hits = needs.projected || needs.tilt || needs.features || needs.mean2d_abs;
+    let of_intersections = needs.projected || needs.tilt || needs.features || needs.mean2d_abs;
     for &(first, end) in &runs {
         let places = counts[first..end].iter().sum::<i32>() as usize;
-        // SAFETY: as in the forward pass; the table holds all places of a run, and the rows all hits.
+        // SAFETY: as in the forward pass; the table holds all places of a run, and the rows all intersections.
         unsafe {
             rays_walk_kernel::launch_unchecked(
                 &gpu.client,
@@ -140,14 +142,14 @@ pub(super) fn launch_rays_backward_by(
                 inputs.background.arg(),
                 grad.arg(),
                 lists.tile_start.arg(),
-                lists.hit_of_place.arg(),
-                lists.gaussian_of_hit.arg(),
+                lists.intersection_of_place.arg(),
+                lists.gaussian_of_intersection.arg(),
                 table.arg(),
                 left.arg(),
                 view(spec, features, (first, end)),
             );
         }
-        if places == 0 || !of_hits {
+        if places == 0 || !of_intersections {
             continue;
         }
         let (grid, dim) = elementwise(places);
@@ -161,8 +163,8 @@ pub(super) fn launch_rays_backward_by(
                 inputs.tilt.arg(),
                 grad.arg(),
                 lists.tile_start.arg(),
-                lists.hit_of_place.arg(),
-                lists.gaussian_of_hit.arg(),
+                lists.intersection_of_place.arg(),
+                lists.gaussian_of_intersection.arg(),
                 table.arg(),
                 rows.arg(),
                 view(spec, features, (first, end)),
@@ -189,7 +191,7 @@ pub(super) fn launch_rays_backward_by(
         }
         grads.background = Some(sums);
     }
-    if !of_hits {
+    if !of_intersections {
         return grads;
     }
     let zeros = |needed: bool, columns: usize| Buffer::zeros(gpu, if needed { count * columns } else { 0 });
@@ -198,7 +200,7 @@ pub(super) fn launch_rays_backward_by(
     let feature_rows = zeros(needs.features, features);
     let absolute = zeros(needs.mean2d_abs, 2);
     let (grid, dim) = elementwise(lists.visible);
-    // SAFETY: ranks stay below the number of visible Gaussians; hits below theirs.
+    // SAFETY: ranks stay below the number of visible Gaussians; intersections below theirs.
     unsafe {
         rays_gather_kernel::launch_unchecked(
             &gpu.client,
@@ -206,14 +208,14 @@ pub(super) fn launch_rays_backward_by(
             dim,
             inputs.projected.arg(),
             lists.order.arg(),
-            lists.first_hit.arg(),
+            lists.first_intersection.arg(),
             rows.arg(),
             projected.arg(),
             tilt.arg(),
             feature_rows.arg(),
             absolute.arg(),
             lists.visible as u32,
-            lists.hits as u32,
+            lists.intersections as u32,
             features as u32,
             (needs.projected, needs.tilt, needs.features),
             needs.mean2d_abs,

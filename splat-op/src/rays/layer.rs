@@ -215,8 +215,8 @@ impl Walk {
         &mut self,
         projected: &[f32],
         tilts: &[f32],
-        hit_of_place: &[u32],
-        gaussian_of_hit: &[u32],
+        intersection_of_place: &[u32],
+        gaussian_of_intersection: &[u32],
         first: u32,
         places: u32,
         pixel: &RayPixel,
@@ -230,7 +230,7 @@ impl Walk {
         }
         let mut going = place < places;
         while going {
-            let gaussian = gaussian_of_hit[hit_of_place[(first + place) as usize] as usize];
+            let gaussian = gaussian_of_intersection[intersection_of_place[(first + place) as usize] as usize];
             let layer = RayGaussian::load(projected, tilts, gaussian as usize).at(pixel.x, pixel.y, view);
             if layer.alpha > 0.0 {
                 if comptime!(view.per_pixel) {

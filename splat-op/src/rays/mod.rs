@@ -31,8 +31,8 @@
 //! ∂λ/∂(u, v) = −2λφ (u, v) − κ tilt          ∂λ/∂tilt = −κ (u, v)       ∂λ/∂thickness = −4Eλ thickness
 //! ```
 //!
-//! in which nothing is divided by `1 − α`, and by `s` or `D` only where the value is. Each hit has a row of its own for its
-//! sums over the tile's pixels, and a Gaussian's rows are added in the order of its hits: on every device the same bits in
+//! in which nothing is divided by `1 − α`, and by `s` or `D` only where the value is. Each intersection has a row of its own for its
+//! sums over the tile's pixels, and a Gaussian's rows are added in the order of its intersections: on every device the same bits in
 //! every run, whatever [`Accumulation`](crate::Accumulation) says.
 //!
 //! Shapes: packed ellipses `[N, 7]`, tilts `[N, 3]`, features `[N, C]`, background `[C]` → planes as `rasterize`.
@@ -61,7 +61,7 @@ pub(crate) const WHITENED_MAX: f64 = 1e9;
 /// A `D` at or below this has no inverse to reckon with: the ray passes along a sheet, and `λ` counts as zero.
 pub(crate) const D_MIN: f64 = 1e-30;
 
-/// Sums of a hit over a tile's pixels besides those of its channels: of `h = α ∂L/∂α` where alpha is not at its limit; of the
+/// Sums of an intersection over a tile's pixels besides those of its channels: of `h = α ∂L/∂α` where alpha is not at its limit; of the
 /// gradients `p, q` of `u` and `v`, then of `p u, q u, q v`; of those of the tilts and the thickness; of that of the depth.
 pub(crate) const SUMS: usize = 10;
 

@@ -10,7 +10,7 @@ use crate::rasterize::cpu::rasterize_cpu;
 use crate::testing::blending::{PixelLayer, assert_close, blended, small_ellipse, smooth};
 use crate::testing::finite::{check_gradient, inner_product};
 use crate::testing::random::Random;
-use crate::tile::HitLists;
+use crate::tile::IntersectionLists;
 use crate::tile::cpu::tile_cpu;
 use crate::tilt::{TILT, outline_cpu};
 
@@ -55,7 +55,7 @@ impl StageInputs {
         Self { inputs: [packed, tilts, features, background], spec }
     }
 
-    fn lists(&self) -> HitLists {
+    fn lists(&self) -> IntersectionLists {
         let (camera, alpha_min) = (&self.spec.intrinsics, self.spec.options.alpha_min);
         match self.spec.options.projection {
             Projection::Exact => {
@@ -149,7 +149,7 @@ fn planes_by_definition(scene: &StageInputs) -> Vec<f64> {
     })
 }
 
-/// Listed by outline or ellipse, so that a hit that they lose shows.
+/// Listed by outline or ellipse, so that an intersection that they lose shows.
 #[test]
 fn planes_are_those_of_the_definition() {
     for (seed, size) in [(37, 21), (16, 16), (1, 1), (1, 50), (90, 60)].into_iter().enumerate() {

@@ -1,5 +1,5 @@
 //! The CPU twin of `tile`: the tiles of each Gaussian, a sort of the Gaussians by depth, then a stable counting sort of their
-//! hits by tile.
+//! intersections by tile.
 
 use std::sync::atomic::{AtomicU32, Ordering};
 
@@ -7,24 +7,27 @@ use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
 
 use super::reach::{ReachRules, ReachScratch};
-use super::{Cut, HitLists, tile_grid};
+use super::{Cut, IntersectionLists, tile_grid};
 use crate::camera::Intrinsics;
 use crate::dials::Culling;
 use crate::lanes::BLOCK;
 use crate::project::{COLUMNS, Ellipse};
 use crate::real::Real;
 
-/// Gaussians per task that looks for hits.
+/// Gaussians per task that looks for intersections.
 const CHUNK: usize = 2048;
 
-/// Tasks that sort hits by tile. Each counts all tiles, so few are better; no result depends on their number.
+/// Tasks that sort intersections by tile. Each counts all tiles, so few are better; no result depends on their number.
 const SORTERS: usize = 16;
 
 /// Computes the lists of a view from its `[N, 7]` packed ellipses.
-pub(crate) fn tile_cpu<F: Real>(packed: &[F], camera: &Intrinsics, cut: Cut) -> HitLists {
+pub(crate) fn tile_cpu<F: Real>(packed: &[F], camera: &Intrinsics, cut: Cut) -> IntersectionLists {
     let found = find(packed, camera, cut);
-    let hits: usize = found.iter().map(|found| found.tiles.len()).sum();
-    assert!(u32::try_from(hits).is_ok(), "{hits} hits: more than 2^32; raise `alpha_min` or render a smaller picture");
+    let intersections: usize = found.iter().map(|found| found.tiles.len()).sum();
+    assert!(
+        u32::try_from(intersections).is_ok(),
+        "{intersections} intersections: more than 2^32; raise `alpha_min` or render a smaller picture"
+    );
 
     let visible = concat(&found, |found| &found.gaussians);
     let mut visible_start = Vec::with_capacity(visible.len() + 1);
@@ -46,44 +49,53 @@ pub(crate) fn tile_cpu<F: Real>(packed: &[F], camera: &Intrinsics, cut: Cut) -> 
         .collect();
     let (tile_start, cursors) = offsets(&sorters, tile_grid(camera.width, camera.height).iter().product());
     // Each place is written once, by whichever thread holds its Gaussian.
-    let (gaussian, hit_of_visible) = (zeros(hits), zeros(hits));
-    sorters.into_par_iter().zip(cursors).for_each(|(sorter, cursor)| sorter.write(cursor, &gaussian, &hit_of_visible));
-    HitLists { tile_start, gaussian: plain(gaussian), visible, visible_start, hit_of_visible: plain(hit_of_visible) }
+    let (gaussian, intersection_of_visible) = (zeros(intersections), zeros(intersections));
+    sorters
+        .into_par_iter()
+        .zip(cursors)
+        .for_each(|(sorter, cursor)| sorter.write(cursor, &gaussian, &intersection_of_visible));
+    IntersectionLists {
+        tile_start,
+        gaussian: plain(gaussian),
+        visible,
+        visible_start,
+        intersection_of_visible: plain(intersection_of_visible),
+    }
 }
 
 /// How many Gaussians each tile lists by [`Culling::Ellipse`], whatever else lists are made by.
-pub(crate) fn needed_hits<F: Real>(packed: &[F], camera: &Intrinsics, alpha_min: f64) -> Vec<u32> {
+pub(crate) fn needed_intersections<F: Real>(packed: &[F], camera: &Intrinsics, alpha_min: f64) -> Vec<u32> {
     let found = find(packed, camera, Cut { alpha_min, culling: Culling::Ellipse });
     let mut counts = vec![0; tile_grid(camera.width, camera.height).iter().product()];
     found.iter().flat_map(|found| &found.tiles).for_each(|&tile| counts[tile as usize] += 1);
     counts
 }
 
-/// The hits of all Gaussians, chunk by chunk.
-fn find<F: Real>(packed: &[F], camera: &Intrinsics, cut: Cut) -> Vec<ChunkHits<F>> {
+/// The intersections of all Gaussians, chunk by chunk.
+fn find<F: Real>(packed: &[F], camera: &Intrinsics, cut: Cut) -> Vec<ChunkIntersections<F>> {
     let reach = ReachRules::new(camera, cut);
     let chunks = packed.par_chunks(CHUNK * COLUMNS).enumerate();
     let found = chunks.map_init(ReachScratch::default, |scratch, (chunk, rows)| {
-        ChunkHits::new((chunk * CHUNK) as u32, rows, &reach, scratch)
+        ChunkIntersections::new((chunk * CHUNK) as u32, rows, &reach, scratch)
     });
     found.collect()
 }
 
-/// The hits of consecutive Gaussians, in the order in which they are found. Counting and writing both read this one result,
+/// The intersections of consecutive Gaussians, in the order in which they are found. Counting and writing both read this one result,
 /// so they cannot disagree.
-struct ChunkHits<F: Real> {
-    /// The Gaussians that have hits.
+struct ChunkIntersections<F: Real> {
+    /// The Gaussians that have intersections.
     gaussians: Vec<u32>,
     /// Their depths, as they sort.
     depths: Vec<F::SortKey>,
-    /// Hits of each.
+    /// Intersections of each.
     counts: Vec<u32>,
-    /// Tile of each hit.
+    /// Tile of each intersection.
     tiles: Vec<u32>,
 }
 
-impl<F: Real> ChunkHits<F> {
-    /// The hits of the Gaussians from `first` on, with these ellipses.
+impl<F: Real> ChunkIntersections<F> {
+    /// The intersections of the Gaussians from `first` on, with these ellipses.
     fn new(first: u32, rows: &[F], reach: &ReachRules<F>, scratch: &mut ReachScratch<F>) -> Self {
         let count = rows.len() / COLUMNS;
         let mut found = Self {
@@ -109,15 +121,15 @@ impl<F: Real> ChunkHits<F> {
 /// Consecutive Gaussians in the order of their depths.
 struct Sorter {
     gaussians: Vec<SortedGaussian>,
-    /// Tile of each of their hits.
+    /// Tile of each of their intersections.
     tiles: Vec<u32>,
 }
 
 struct SortedGaussian {
     id: u32,
-    /// Where its hits were found.
+    /// Where its intersections were found.
     first: u32,
-    hits: u32,
+    intersections: u32,
 }
 
 impl Sorter {
@@ -125,33 +137,33 @@ impl Sorter {
     fn new(order: impl Iterator<Item = usize>, visible: &[u32], visible_start: &[u32], tiles: &[u32]) -> Self {
         let sorted = |place: usize| {
             let first = visible_start[place];
-            SortedGaussian { id: visible[place], first, hits: visible_start[place + 1] - first }
+            SortedGaussian { id: visible[place], first, intersections: visible_start[place + 1] - first }
         };
         let gaussians: Vec<SortedGaussian> = order.map(sorted).collect();
-        let hits = gaussians.iter().map(|gaussian| gaussian.hits as usize).sum();
-        let mut own = Vec::with_capacity(hits);
+        let intersections = gaussians.iter().map(|gaussian| gaussian.intersections as usize).sum();
+        let mut own = Vec::with_capacity(intersections);
         for gaussian in &gaussians {
             let first = gaussian.first as usize;
-            own.extend(&tiles[first..first + gaussian.hits as usize]);
+            own.extend(&tiles[first..first + gaussian.intersections as usize]);
         }
         Self { gaussians, tiles: own }
     }
 
-    /// Writes each hit's Gaussian to the next place of its tile, and the place to where the hit was found.
-    fn write(&self, mut cursor: Vec<u32>, gaussian: &[AtomicU32], place_of_hit: &[AtomicU32]) {
+    /// Writes each intersection's Gaussian to the next place of its tile, and the place to where the intersection was found.
+    fn write(&self, mut cursor: Vec<u32>, gaussian: &[AtomicU32], place_of_intersection: &[AtomicU32]) {
         let mut tiles = self.tiles.iter();
         for sorted in &self.gaussians {
-            for (hit, tile) in (sorted.first..sorted.first + sorted.hits).zip(&mut tiles) {
+            for (intersection, tile) in (sorted.first..sorted.first + sorted.intersections).zip(&mut tiles) {
                 let place = &mut cursor[*tile as usize];
                 gaussian[*place as usize].store(sorted.id, Ordering::Relaxed);
-                place_of_hit[hit as usize].store(*place, Ordering::Relaxed);
+                place_of_intersection[intersection as usize].store(*place, Ordering::Relaxed);
                 *place += 1;
             }
         }
     }
 }
 
-/// Where each tile's hits begin, and for each sorter where its first hit in each tile goes.
+/// Where each tile's intersections begin, and for each sorter where its first intersection in each tile goes.
 fn offsets(sorters: &[Sorter], tiles: usize) -> (Vec<usize>, Vec<Vec<u32>>) {
     let mut cursors: Vec<Vec<u32>> = sorters
         .par_iter()
@@ -175,7 +187,7 @@ fn offsets(sorters: &[Sorter], tiles: usize) -> (Vec<usize>, Vec<Vec<u32>>) {
     (tile_start, cursors)
 }
 
-fn concat<F: Real, T: Copy>(found: &[ChunkHits<F>], part: impl Fn(&ChunkHits<F>) -> &[T]) -> Vec<T> {
+fn concat<F: Real, T: Copy>(found: &[ChunkIntersections<F>], part: impl Fn(&ChunkIntersections<F>) -> &[T]) -> Vec<T> {
     found.iter().map(part).collect::<Vec<_>>().concat()
 }
 

@@ -1,8 +1,8 @@
-//! Kernels of `tile`: what each Gaussian covers, its hits in depth order, and where each tile's hits begin.
+//! Kernels of `tile`: what each Gaussian covers, its intersections in depth order, and where each tile's intersections begin.
 //!
 //! What a Gaussian covers is decided once, by floats, and stored as integers: its box of tiles, cut into at most 8 × 8
-//! cells, with one bit per cell. Counting the hits and writing them both read these integers, so they cannot disagree.
-//! The cell of a box of up to 8 × 8 tiles is one tile; in a larger box a cell is several, and its hits are those of all
+//! cells, with one bit per cell. Counting the intersections and writing them both read these integers, so they cannot disagree.
+//! The cell of a box of up to 8 × 8 tiles is one tile; in a larger box a cell is several, and its intersections are those of all
 //! its tiles: some that cannot contribute are listed, none that can is lost.
 
 use cubecl::prelude::*;
@@ -290,7 +290,7 @@ fn covered_cells(
     (low, high)
 }
 
-/// Number of hits of each Gaussian in depth order, and how many Gaussians have any.
+/// Number of intersections of each Gaussian in depth order, and how many Gaussians have any.
 #[cube(launch_unchecked)]
 pub(super) fn count_kernel(
     keys: &[u32],
@@ -303,12 +303,12 @@ pub(super) fn count_kernel(
     let rank = ABSOLUTE_POS;
     if rank < count as usize {
         let shown = keys[rank] != 0xffff_ffff;
-        let mut hits = 0u32;
+        let mut intersections = 0u32;
         if shown {
-            hits = TileCover::load(covers, order[rank] as usize).count();
+            intersections = TileCover::load(covers, order[rank] as usize).count();
         }
-        counts[rank] = hits;
-        // Those without hits come last, so exactly one unit sees the border.
+        counts[rank] = intersections;
+        // Those without intersections come last, so exactly one unit sees the border.
         let mut next_shown = false;
         if rank + 1 < count as usize {
             next_shown = keys[rank + 1] != 0xffff_ffff;
@@ -322,7 +322,7 @@ pub(super) fn count_kernel(
     }
 }
 
-/// Writes the hits of each Gaussian: the tile and the Gaussian of each, and its own number.
+/// Writes the intersections of each Gaussian: the tile and the Gaussian of each, and its own number.
 #[cube(launch_unchecked)]
 pub(super) fn emit_kernel(
     order: &[u32],
@@ -338,38 +338,44 @@ pub(super) fn emit_kernel(
     if rank < visible as usize {
         let gaussian = order[rank];
         let cover = TileCover::load(covers, gaussian as usize);
-        let mut hit = starts[rank];
+        let mut intersection = starts[rank];
         for y in 0..cover.height {
             for x in 0..cover.width {
                 if cover.holds(x, y) {
-                    tiles[hit as usize] = (cover.y + y) * tiles_x + cover.x + x;
-                    gaussians[hit as usize] = gaussian;
-                    numbers[hit as usize] = hit;
-                    hit += 1;
+                    tiles[intersection as usize] = (cover.y + y) * tiles_x + cover.x + x;
+                    gaussians[intersection as usize] = gaussian;
+                    numbers[intersection as usize] = intersection;
+                    intersection += 1;
                 }
             }
         }
     }
 }
 
-/// Where each tile's hits begin in the sorted list, with one place more for the end, and how many each has.
+/// Where each tile's intersections begin in the sorted list, with one place more for the end, and how many each has.
 #[cube(launch_unchecked)]
-pub(super) fn ranges_kernel(sorted_tiles: &[u32], starts: &mut [u32], counts: &mut [i32], hits: u32, tiles: u32) {
+pub(super) fn ranges_kernel(
+    sorted_tiles: &[u32],
+    starts: &mut [u32],
+    counts: &mut [i32],
+    intersections: u32,
+    tiles: u32,
+) {
     let tile = ABSOLUTE_POS as u32;
     if tile <= tiles {
-        let start = lower_bound(sorted_tiles, hits, tile);
+        let start = lower_bound(sorted_tiles, intersections, tile);
         starts[tile as usize] = start;
         if tile < tiles {
-            counts[tile as usize] = i32::cast_from(lower_bound(sorted_tiles, hits, tile + 1) - start);
+            counts[tile as usize] = i32::cast_from(lower_bound(sorted_tiles, intersections, tile + 1) - start);
         }
     }
 }
 
 /// The first place whose tile is at least `tile`.
 #[cube]
-fn lower_bound(sorted_tiles: &[u32], hits: u32, tile: u32) -> u32 {
+fn lower_bound(sorted_tiles: &[u32], intersections: u32, tile: u32) -> u32 {
     let mut low = 0u32;
-    let mut high = hits;
+    let mut high = intersections;
     while low < high {
         let middle = low + (high - low) / 2;
         if sorted_tiles[middle as usize] < tile {

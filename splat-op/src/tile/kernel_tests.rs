@@ -4,7 +4,7 @@ use super::cpu::tile_cpu;
 use super::launch::launch_tile;
 use super::scan::launch_scan;
 use super::sort::{Pairs, launch_sort};
-use super::{Cut, HitLists, TILE, tile_grid};
+use super::{Cut, IntersectionLists, TILE, tile_grid};
 use crate::camera::Intrinsics;
 use crate::dials::Culling;
 use crate::gpu::Buffer;
@@ -90,11 +90,11 @@ fn sort_and_scan_of_ten_million_keys() {
 }
 
 /// Gaussians of each tile, front to back.
-fn by_tile(lists: &HitLists) -> Vec<&[u32]> {
+fn by_tile(lists: &IntersectionLists) -> Vec<&[u32]> {
     lists.tile_start.windows(2).map(|w| &lists.gaussian[w[0]..w[1]]).collect()
 }
 
-/// Whether a Gaussian's box of tiles is so large that its hits are listed by cells of several tiles.
+/// Whether a Gaussian's box of tiles is so large that its intersections are listed by cells of several tiles.
 fn coarse(row: &[f32], alpha_min: f64) -> bool {
     let ellipse = Ellipse::from_row(row);
     let limit = super::reach::whitened_limit(ellipse.opacity, alpha_min as f32);
@@ -120,27 +120,33 @@ fn check_lists_by(count: usize, [width, height]: [usize; 2], cut: Cut) {
         let name = format!("{count} splats, {width} × {height}, {cut:?}, {form}");
         let lists = launch_tile(&gpu, &Buffer::from_slice(&gpu, &projected), &camera, cut);
         let start = lists.tile_start.read(&gpu);
-        let (hit_of_place, gaussian_of_hit) = (lists.hit_of_place.read(&gpu), lists.gaussian_of_hit.read(&gpu));
-        assert_eq!((start[0], start[tiles]), (0, lists.hits as u32), "{name}");
+        let (intersection_of_place, gaussian_of_intersection) =
+            (lists.intersection_of_place.read(&gpu), lists.gaussian_of_intersection.read(&gpu));
+        assert_eq!((start[0], start[tiles]), (0, lists.intersections as u32), "{name}");
         let counts: Vec<i32> = start.windows(2).map(|w| (w[1] - w[0]) as i32).collect();
         assert_eq!(lists.counts.read(&gpu), counts, "{name}");
 
-        // Hits are numbered by Gaussian, in depth order.
-        let (order, first_hit) = (lists.order.read(&gpu), lists.first_hit.read(&gpu));
+        // Intersections are numbered by Gaussian, in depth order.
+        let (order, first_intersection) = (lists.order.read(&gpu), lists.first_intersection.read(&gpu));
         let key = |i: u32| (projected[i as usize * COLUMNS + 5], i);
         assert!(order[..lists.visible].windows(2).all(|w| key(w[0]) < key(w[1])), "{name}: not in depth order");
         for (rank, &gaussian) in order[..lists.visible].iter().enumerate() {
-            let end = if rank + 1 < lists.visible { first_hit[rank + 1] as usize } else { lists.hits };
-            let own = &gaussian_of_hit[first_hit[rank] as usize..end];
-            assert!(!own.is_empty() && own.iter().all(|&g| g == gaussian), "{name}: hits of rank {rank}");
+            let end =
+                if rank + 1 < lists.visible { first_intersection[rank + 1] as usize } else { lists.intersections };
+            let own = &gaussian_of_intersection[first_intersection[rank] as usize..end];
+            assert!(!own.is_empty() && own.iter().all(|&g| g == gaussian), "{name}: intersections of rank {rank}");
         }
-        let mut sorted = hit_of_place.clone();
+        let mut sorted = intersection_of_place.clone();
         sorted.sort_unstable();
-        assert!(sorted.iter().enumerate().all(|(i, &hit)| i == hit as usize), "{name}: a hit twice or nowhere");
+        assert!(
+            sorted.iter().enumerate().all(|(i, &intersection)| i == intersection as usize),
+            "{name}: an intersection twice or nowhere"
+        );
 
         for (tile, (least, most)) in by_tile(&least).into_iter().zip(by_tile(&most)).enumerate() {
-            let places = &hit_of_place[start[tile] as usize..start[tile + 1] as usize];
-            let found: Vec<u32> = places.iter().map(|&hit| gaussian_of_hit[hit as usize]).collect();
+            let places = &intersection_of_place[start[tile] as usize..start[tile + 1] as usize];
+            let found: Vec<u32> =
+                places.iter().map(|&intersection| gaussian_of_intersection[intersection as usize]).collect();
             assert!(found.windows(2).all(|w| key(w[0]) < key(w[1])), "{name}: tile {tile} is not front to back");
             for needed in least {
                 assert!(found.contains(needed), "{name}: tile {tile} lacks Gaussian {needed}");
@@ -190,8 +196,8 @@ fn each_culling_lists_fewer_than_the_coarser_one() {
         let projected = Buffer::from_slice(&gpu, &projected);
         let by = |culling| launch_tile(&gpu, &projected, &camera, Cut { alpha_min: 1.0 / 255.0, culling });
         let [square, opacity, ellipse] =
-            [Culling::BoundingBox, Culling::OpacityBox, Culling::Ellipse].map(|culling| by(culling).hits);
-        println!("{form}: {square} hits by BoundingBox, {opacity} by OpacityBox, {ellipse} by Ellipse");
+            [Culling::BoundingBox, Culling::OpacityBox, Culling::Ellipse].map(|culling| by(culling).intersections);
+        println!("{form}: {square} intersections by BoundingBox, {opacity} by OpacityBox, {ellipse} by Ellipse");
         assert!(10 * square > 11 * opacity && 10 * opacity > 11 * ellipse, "{form}: {square}, {opacity}, {ellipse}");
     }
 }

@@ -8,30 +8,30 @@ use crate::camera::Intrinsics;
 use crate::gpu::{Buffer, Gpu, elementwise};
 use crate::limits::Need;
 
-/// The lists of one view on the device. Hits are numbered Gaussian by Gaussian in depth order; a place is where a hit
+/// The lists of one view on the device. Intersections are numbered Gaussian by Gaussian in depth order; a place is where an intersection
 /// lies once they are sorted by tile.
 #[derive(Clone, Debug)]
-pub(crate) struct DeviceLists {
-    /// `[tiles]`: hits of each tile.
+pub(crate) struct DeviceIntersections {
+    /// `[tiles]`: intersections of each tile.
     pub counts: Buffer<i32>,
     /// `[tiles + 1]`: where each tile's places begin; tiles run along x, then y.
     pub tile_start: Buffer<u32>,
-    /// `[H]`: the hit of each place.
-    pub hit_of_place: Buffer<u32>,
-    /// `[H]`: the Gaussian of each hit.
-    pub gaussian_of_hit: Buffer<u32>,
-    /// `[N]`: Gaussians by depth, then by index; those without hits last.
+    /// `[H]`: the intersection of each place.
+    pub intersection_of_place: Buffer<u32>,
+    /// `[H]`: the Gaussian of each intersection.
+    pub gaussian_of_intersection: Buffer<u32>,
+    /// `[N]`: Gaussians by depth, then by index; those without intersections last.
     pub order: Buffer<u32>,
-    /// `[N]`: the first hit of each Gaussian of `order`.
-    pub first_hit: Buffer<u32>,
-    /// Gaussians that have hits.
+    /// `[N]`: the first intersection of each Gaussian of `order`.
+    pub first_intersection: Buffer<u32>,
+    /// Gaussians that have intersections.
     pub visible: usize,
-    /// Hits.
-    pub hits: usize,
+    /// Intersections.
+    pub intersections: usize,
 }
 
-/// What to change when there are too many hits.
-const FEWER_HITS: &str =
+/// What to change when there are too many intersections.
+const FEWER_INTERSECTIONS: &str =
     "raise `alpha_min`, render a smaller picture, or use fewer Gaussians that cover most of it (smaller `scales`)";
 
 /// As an argument of a kernel.
@@ -40,9 +40,9 @@ pub(crate) fn frame(camera: &Intrinsics, alpha_min: f64) -> TileFrameLaunch {
     TileFrameLaunch::new(camera.width as u32, camera.height as u32, tiles_x as u32, tiles_y as u32, alpha_min as f32)
 }
 
-/// Lists the hits of `projected`, `[count, 7]`, and counts them by tile. Waits for the device once, to learn how many hits
+/// Lists the intersections of `projected`, `[count, 7]`, and counts them by tile. Waits for the device once, to learn how many intersections
 /// there are.
-pub(crate) fn launch_tile(gpu: &Gpu, projected: &Buffer<f32>, camera: &Intrinsics, cut: Cut) -> DeviceLists {
+pub(crate) fn launch_tile(gpu: &Gpu, projected: &Buffer<f32>, camera: &Intrinsics, cut: Cut) -> DeviceIntersections {
     let count = projected.len / crate::project::COLUMNS;
     let [tiles_x, tiles_y] = tile_grid(camera.width, camera.height);
     let tiles = tiles_x * tiles_y;
@@ -65,7 +65,7 @@ pub(crate) fn launch_tile(gpu: &Gpu, projected: &Buffer<f32>, camera: &Intrinsic
         );
     }
     let by_depth = launch_sort(gpu, pairs, u32::BITS);
-    let first_hit = Buffer::new(gpu, count);
+    let first_intersection = Buffer::new(gpu, count);
     let visible = Buffer::<u32>::from_slice(gpu, &[0]);
     // SAFETY: every access is guarded by the lengths given.
     unsafe {
@@ -76,22 +76,26 @@ pub(crate) fn launch_tile(gpu: &Gpu, projected: &Buffer<f32>, camera: &Intrinsic
             by_depth.keys.arg(),
             by_depth.values.arg(),
             covers.arg(),
-            first_hit.arg(),
+            first_intersection.arg(),
             visible.arg(),
             count as u32,
         );
     }
-    let hits = launch_scan(gpu, &first_hit);
-    let read = gpu.client.read(vec![visible.handle.clone(), hits.handle.clone()]);
+    let intersections = launch_scan(gpu, &first_intersection);
+    let read = gpu.client.read(vec![visible.handle.clone(), intersections.handle.clone()]);
     let read = read.unwrap_or_else(|error| panic!("{error}"));
-    let [visible, hits] = [0, 1].map(|i| bytemuck::pod_read_unaligned::<u32>(&read[i][..4]) as usize);
+    let [visible, intersections] = [0, 1].map(|i| bytemuck::pod_read_unaligned::<u32>(&read[i][..4]) as usize);
     // The sum stops at the largest u32, which then no longer says how many there are.
-    assert!(hits < u32::MAX as usize, "2^32 or more hits of {visible} Gaussians in {tiles} tiles: {FEWER_HITS}");
-    let list = Need { what: "the list of hits", bytes: 4 * hits as u64, hint: FEWER_HITS };
+    assert!(
+        intersections < u32::MAX as usize,
+        "2^32 or more intersections of {visible} Gaussians in {tiles} tiles: {FEWER_INTERSECTIONS}"
+    );
+    let list = Need { what: "the list of intersections", bytes: 4 * intersections as u64, hint: FEWER_INTERSECTIONS };
     list.assert_fits(gpu.buffer_limit);
 
-    let by_tile = Pairs { keys: Buffer::with_headroom(gpu, hits), values: Buffer::with_headroom(gpu, hits) };
-    let gaussian_of_hit = Buffer::with_headroom(gpu, hits);
+    let by_tile =
+        Pairs { keys: Buffer::with_headroom(gpu, intersections), values: Buffer::with_headroom(gpu, intersections) };
+    let gaussian_of_intersection = Buffer::with_headroom(gpu, intersections);
     let (grid, dim) = elementwise(visible);
     // SAFETY: the scan that sized the lists gives each Gaussian the places that the same covers count.
     unsafe {
@@ -101,9 +105,9 @@ pub(crate) fn launch_tile(gpu: &Gpu, projected: &Buffer<f32>, camera: &Intrinsic
             dim,
             by_depth.values.arg(),
             covers.arg(),
-            first_hit.arg(),
+            first_intersection.arg(),
             by_tile.keys.arg(),
-            gaussian_of_hit.arg(),
+            gaussian_of_intersection.arg(),
             by_tile.values.arg(),
             visible as u32,
             tiles_x as u32,
@@ -121,18 +125,18 @@ pub(crate) fn launch_tile(gpu: &Gpu, projected: &Buffer<f32>, camera: &Intrinsic
             by_tile.keys.arg(),
             tile_start.arg(),
             counts.arg(),
-            hits as u32,
+            intersections as u32,
             tiles as u32,
         );
     }
-    DeviceLists {
+    DeviceIntersections {
         counts,
         tile_start,
-        hit_of_place: by_tile.values,
-        gaussian_of_hit,
+        intersection_of_place: by_tile.values,
+        gaussian_of_intersection,
         order: by_depth.values,
-        first_hit,
+        first_intersection,
         visible,
-        hits,
+        intersections,
     }
 }

@@ -7,7 +7,7 @@
 //! spans on each row of tiles, the kernel tests each tile of the bounding box. By request it is a box around the ellipse
 //! instead, see [`Culling`].
 //!
-//! The lists live in a cell beside the tensors, because their length depends on the data. See `HitCell`.
+//! The lists live in a cell beside the tensors, because their length depends on the data. See `IntersectionCell`.
 
 pub(crate) mod cpu;
 #[cfg(feature = "cube")]
@@ -61,30 +61,30 @@ impl From<f64> for Cut {
     }
 }
 
-/// The lists of one view. A hit is a pair of a tile and a Gaussian.
+/// The lists of one view. An intersection is a pair of a tile and a Gaussian.
 #[derive(Debug, Default)]
-pub(crate) struct HitLists {
-    /// `[tiles + 1]`: where each tile's hits begin; tiles run along x, then y.
+pub(crate) struct IntersectionLists {
+    /// `[tiles + 1]`: where each tile's intersections begin; tiles run along x, then y.
     pub tile_start: Vec<usize>,
-    /// `[H]`: the Gaussian of each hit; tile by tile, within a tile front to back.
+    /// `[H]`: the Gaussian of each intersection; tile by tile, within a tile front to back.
     pub gaussian: Vec<u32>,
-    /// `[V]`: the Gaussians that have hits, by index.
+    /// `[V]`: the Gaussians that have intersections, by index.
     pub visible: Vec<u32>,
-    /// `[V + 1]`: where each visible Gaussian's hits begin in `hit_of_visible`.
+    /// `[V + 1]`: where each visible Gaussian's intersections begin in `intersection_of_visible`.
     pub visible_start: Vec<u32>,
-    /// `[H]`: places in `gaussian` of each visible Gaussian's hits. Sums over a Gaussian's hits run in this order.
-    pub hit_of_visible: Vec<u32>,
+    /// `[H]`: places in `gaussian` of each visible Gaussian's intersections. Sums over a Gaussian's intersections run in this order.
+    pub intersection_of_visible: Vec<u32>,
 }
 
 /// The lists of one view, where its stages run.
 #[derive(Debug)]
 pub(crate) enum TileLists {
-    Host(HitLists),
+    Host(IntersectionLists),
     #[cfg(feature = "cube")]
-    Device(Box<launch::DeviceLists>),
+    Device(Box<launch::DeviceIntersections>),
 }
 
 /// Holds the lists of one view once they are computed. It is passed to forward and backward as an ordinary argument; the
 /// tensor of counts that `tile` returns orders them for backends that run lazily.
 #[derive(Clone, Debug, Default)]
-pub struct HitCell(pub(crate) Arc<OnceLock<TileLists>>);
+pub struct IntersectionCell(pub(crate) Arc<OnceLock<TileLists>>);

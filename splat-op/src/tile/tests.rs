@@ -1,7 +1,7 @@
 //! `tile` against brute force: nothing that shows is missing, and the lists are what they say they are.
 
-use super::cpu::{needed_hits, tile_cpu};
-use super::{Cut, HitLists, TILE, tile_grid};
+use super::cpu::{needed_intersections, tile_cpu};
+use super::{Cut, IntersectionLists, TILE, tile_grid};
 use crate::camera::Intrinsics;
 use crate::dials::Culling;
 use crate::project::{COLUMNS, Ellipse};
@@ -41,7 +41,7 @@ fn alpha<F: Real>(e: &Ellipse<F>, x: usize, y: usize) -> f64 {
 }
 
 /// Whether each Gaussian is listed in each tile.
-fn listed(lists: &HitLists, tiles: usize, count: usize) -> Vec<Vec<bool>> {
+fn listed(lists: &IntersectionLists, tiles: usize, count: usize) -> Vec<Vec<bool>> {
     let list = |tile: usize| {
         let mut listed = vec![false; count];
         for &gaussian in &lists.gaussian[lists.tile_start[tile]..lists.tile_start[tile + 1]] {
@@ -63,15 +63,15 @@ fn assert_nothing_is_missing<F: Real>(seed: u64) {
             let lists = tile_cpu(&packed, &Intrinsics::centred(size.0, size.1, 50.0), Cut { alpha_min, culling });
             let [tiles_x, tiles_y] = tile_grid(size.0, size.1);
             let listed = listed(&lists, tiles_x * tiles_y, 150);
-            let (mut needed, mut hits) = (0, vec![vec![false; 150]; tiles_x * tiles_y]);
+            let (mut needed, mut intersections) = (0, vec![vec![false; 150]; tiles_x * tiles_y]);
             for (i, row) in packed.chunks_exact(COLUMNS).enumerate() {
                 let ellipse = Ellipse::from_row(row);
                 for (x, y) in (0..size.1).flat_map(|y| (0..size.0).map(move |x| (x, y))) {
                     let tile = y / TILE * tiles_x + x / TILE;
                     if alpha(&ellipse, x, y) >= alpha_min {
                         assert!(listed[tile][i], "{size:?}, alpha_min {alpha_min}: Gaussian {i} shows at {x}, {y}");
-                        needed += usize::from(!hits[tile][i]);
-                        hits[tile][i] = true;
+                        needed += usize::from(!intersections[tile][i]);
+                        intersections[tile][i] = true;
                     }
                 }
             }
@@ -79,7 +79,7 @@ fn assert_nothing_is_missing<F: Real>(seed: u64) {
             // between them. (A picture within one tile keeps all that its bounding box meets.)
             if tiles_x * tiles_y > 4 && culling == Culling::Ellipse {
                 let total = lists.gaussian.len();
-                assert!(total <= needed + needed / 5 + 20, "{size:?}: {total} hits where {needed} would do");
+                assert!(total <= needed + needed / 5 + 20, "{size:?}: {total} intersections where {needed} would do");
             }
         }
     }
@@ -103,7 +103,7 @@ fn without_a_cut_every_gaussian_is_in_every_tile() {
 }
 
 #[test]
-fn lists_run_front_to_back_and_hits_are_found_from_both_sides() {
+fn lists_run_front_to_back_and_intersections_are_found_from_both_sides() {
     for (seed, size) in SIZES.into_iter().enumerate() {
         // More Gaussians than one task takes.
         let packed = ellipses::<f32>(&mut Random::new(10 + seed as u64), 5000, size);
@@ -121,12 +121,15 @@ fn lists_run_front_to_back_and_hits_are_found_from_both_sides() {
         let mut seen = vec![false; lists.gaussian.len()];
         for (place, &gaussian) in lists.visible.iter().enumerate() {
             let [first, end] = [0, 1].map(|next| lists.visible_start[place + next] as usize);
-            assert!(end > first, "Gaussian {gaussian} is listed without a hit");
-            let hits = &lists.hit_of_visible[first..end];
-            assert!(hits.is_sorted(), "tile by tile, which fixes the order of sums");
-            for &hit in hits {
-                assert_eq!(lists.gaussian[hit as usize], gaussian);
-                assert!(!std::mem::replace(&mut seen[hit as usize], true), "hit {hit} belongs to one Gaussian");
+            assert!(end > first, "Gaussian {gaussian} is listed without an intersection");
+            let intersections = &lists.intersection_of_visible[first..end];
+            assert!(intersections.is_sorted(), "tile by tile, which fixes the order of sums");
+            for &intersection in intersections {
+                assert_eq!(lists.gaussian[intersection as usize], gaussian);
+                assert!(
+                    !std::mem::replace(&mut seen[intersection as usize], true),
+                    "intersection {intersection} belongs to one Gaussian"
+                );
             }
         }
         assert!(seen.into_iter().all(|seen| seen));
@@ -161,7 +164,7 @@ fn the_number_of_threads_changes_no_list() {
     let with = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a small pool");
         let lists = pool.install(|| tile_cpu(&packed, &Intrinsics::centred(75, 50, 50.0), (1.0 / 255.0).into()));
-        (lists.tile_start, lists.gaussian, lists.visible, lists.visible_start, lists.hit_of_visible)
+        (lists.tile_start, lists.gaussian, lists.visible, lists.visible_start, lists.intersection_of_visible)
     };
     assert_eq!(with(1), with(2));
 }
@@ -189,8 +192,13 @@ fn each_culling_lists_what_the_finer_ones_list_and_of_needles_more() {
             assert!(pairs.into_iter().all(|(coarse, fine)| *coarse || !*fine), "a pair that only the finer one lists");
         }
         let [square, opacity, ellipse] = found.each_ref().map(|listed| total(listed));
-        println!("alpha_min {alpha_min}: {square} hits by BoundingBox, {opacity} by OpacityBox, {ellipse} by Ellipse");
-        assert!(10 * square > 12 * opacity && 10 * opacity > 12 * ellipse, "{square}, {opacity}, {ellipse} hits");
+        println!(
+            "alpha_min {alpha_min}: {square} intersections by BoundingBox, {opacity} by OpacityBox, {ellipse} by Ellipse"
+        );
+        assert!(
+            10 * square > 12 * opacity && 10 * opacity > 12 * ellipse,
+            "{square}, {opacity}, {ellipse} intersections"
+        );
     }
 }
 
@@ -230,11 +238,11 @@ fn what_is_more_than_opaque_is_not_cut_off_by_the_square() {
 }
 
 #[test]
-fn needed_hits_are_those_that_the_ellipses_list() {
+fn needed_intersections_are_those_that_the_ellipses_list() {
     let packed = ellipses::<f32>(&mut Random::new(41), 3000, (150, 120));
     let camera = Intrinsics::centred(150, 120, 50.0);
     let lists = tile_cpu(&packed, &camera, (1.0 / 255.0).into());
     let counts: Vec<u32> = lists.tile_start.windows(2).map(|ends| (ends[1] - ends[0]) as u32).collect();
-    assert_eq!(needed_hits(&packed, &camera, 1.0 / 255.0), counts);
+    assert_eq!(needed_intersections(&packed, &camera, 1.0 / 255.0), counts);
     assert!(counts.iter().any(|count| *count != counts[0]));
 }
