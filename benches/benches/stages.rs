@@ -13,7 +13,7 @@ use splat_benches::limit::Machine;
 use splat_benches::measure::table;
 use splat_benches::passes::passes;
 use splat_benches::{SyntheticView, share_apart, values};
-use splat_op::{Colour, Extras, project, shade, tile};
+use splat_op::{Colour, Extras, intersect, project, shade};
 
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
@@ -43,7 +43,7 @@ fn verify_stages(view: &SyntheticView) {
     let run = |dtype| {
         let (scene, camera) = (view.scene(&device, dtype), view.camera(&device, dtype));
         let projected = project(&scene, &camera, &Extras::default(), &OPTIONS).expect("shapes fit");
-        let counts = values(tile(&projected, &OPTIONS).expect("options are in range").counts.float());
+        let counts = values(intersect(&projected, &OPTIONS).expect("options are in range").counts.float());
         let Colour::SphericalHarmonics(sh) = &scene.colour else { unreachable!("the scene has harmonics") };
         let colours = values(shade(sh, &scene.means, &camera).expect("shapes fit"));
         (projected.ellipses(), counts, colours)

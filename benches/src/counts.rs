@@ -141,7 +141,7 @@ mod tests {
 
     #[test]
     fn less_is_reported_and_does_not_fail() {
-        let found = compare(&[count("tile", 1_000_000, 0, 0)], &[count("tile", 900_000, 0, 0)]);
+        let found = compare(&[count("intersect", 1_000_000, 0, 0)], &[count("intersect", 900_000, 0, 0)]);
         assert_eq!(found.len(), 1);
         assert!(!found[0].fails());
     }

@@ -5,7 +5,7 @@ use std::fmt::{self, Display};
 use burn::tensor::Tensor;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use splat_op::{Camera, Extras, RenderOptions, Splats, project, tile};
+use splat_op::{Camera, Extras, RenderOptions, Splats, intersect, project};
 
 use crate::values;
 
@@ -20,7 +20,7 @@ pub struct Load {
     /// Number of Gaussians whose extent, the ellipse within which alpha is at least `alpha_min`, has a bounding box that meets
     /// the picture.
     pub visible: usize,
-    /// Number of intersections, pairs of a tile and a Gaussian that `tile` lists.
+    /// Number of intersections, pairs of a tile and a Gaussian that `intersect` lists.
     pub intersections: usize,
     /// Number of Gaussians that contribute to a pixel by the rules of `rasterize`, the mean over `SAMPLED_PIXELS` random pixels.
     pub layers: f64,
@@ -33,7 +33,7 @@ impl Load {
     /// If the scene's shapes do not fit together.
     pub fn of(splats: &Splats, camera: &Camera, options: &RenderOptions) -> Self {
         let projected = project(splats, camera, &Extras::default(), options).expect("the scene's shapes fit");
-        let counts = tile(&projected, options).expect("options are in range").counts;
+        let counts = intersect(&projected, options).expect("options are in range").counts;
         let columns = projected.ellipses();
         let column = |values_of: Tensor<1>| values(values_of);
         let (sigma_u, shear, sigma_v) = (column(columns.sigma_u), column(columns.shear), column(columns.sigma_v));

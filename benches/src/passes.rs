@@ -32,7 +32,7 @@ pub fn passes(job: &Job, device: &Device) -> Result<Vec<Pass>, Box<dyn Error>> {
         (PassKind::Activate, activate(job, device)),
         (PassKind::Project, project_forward(&stages, &camera)),
         (PassKind::Shade, shade_forward(&stages, &camera)),
-        (PassKind::Tile, tile(&stages)),
+        (PassKind::Intersect, intersect(&stages)),
         (PassKind::Rasterize, rasterize_forward(&stages)),
         (PassKind::Loss, loss(stages.image(job, &camera)?, truth.clone())),
         (PassKind::LossBackward, loss_backward(stages.image(job, &camera)?, truth.clone())),
@@ -71,9 +71,9 @@ fn shade_forward(stages: &Rc<Stages>, camera: &Camera) -> Prepare {
     forward(move || shade(&harmonics(&stages.splats), &stages.splats.means, &camera))
 }
 
-fn tile(stages: &Rc<Stages>) -> Prepare {
+fn intersect(stages: &Rc<Stages>) -> Prepare {
     let stages = stages.clone();
-    forward(move || Ok(tile_lists(&stages.packed, stages.spec)))
+    forward(move || Ok(intersection_lists(&stages.packed, stages.spec)))
 }
 
 fn rasterize_forward(stages: &Rc<Stages>) -> Prepare {
@@ -249,9 +249,9 @@ pub(crate) fn rasterize_planes(
 }
 
 /// Returns the lists of packed ellipses, and the number of Gaussians of each tile.
-pub(crate) fn tile_lists(packed: &Tensor<2>, spec: RasterizeSpec) -> (Tensor<2, Int>, IntersectionCell) {
+pub(crate) fn intersection_lists(packed: &Tensor<2>, spec: RasterizeSpec) -> (Tensor<2, Int>, IntersectionCell) {
     let intersections = IntersectionCell::default();
-    let counts = <Dispatch as SplatBackend>::tile(packed.clone().into_dispatch(), spec, intersections.clone());
+    let counts = <Dispatch as SplatBackend>::intersect(packed.clone().into_dispatch(), spec, intersections.clone());
     (Tensor::from_dispatch(counts), intersections)
 }
 
@@ -271,7 +271,7 @@ impl Stages {
         let packed = project_packed(&splats, &camera, no_probe(&splats));
         let colours = shade(&harmonics(&splats), &splats.means, &camera)?;
         let spec = RasterizeSpec { intrinsics: job.intrinsics, options: OPTIONS };
-        let (counts, intersections) = tile_lists(&packed, spec);
+        let (counts, intersections) = intersection_lists(&packed, spec);
         Ok(Self { splats, packed, colours, counts, intersections, spec })
     }
 

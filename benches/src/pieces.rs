@@ -14,7 +14,7 @@ use splat_op::{Camera, Colour, SplatError, Splats, shade, with_gradient};
 
 use crate::job::OPTIONS;
 use crate::limit::PassKind;
-use crate::passes::{harmonics, project_packed, rasterize_planes, tile_lists};
+use crate::passes::{harmonics, intersection_lists, project_packed, rasterize_planes};
 use crate::step::{SOUND, density, rates};
 
 /// Performs the step of [`crate::step::Step`] with one graph per pass, so that the backward pass can also be timed pass by pass.
@@ -91,8 +91,8 @@ impl Pieces {
         let colours = shade(&harmonics(&cut), &seen, &self.camera)?;
         watch.lap(PassKind::Shade);
         let spec = RasterizeSpec { intrinsics: self.camera.intrinsics, options: OPTIONS };
-        let (counts, intersections) = tile_lists(&packed.clone().inner(), spec);
-        watch.lap(PassKind::Tile);
+        let (counts, intersections) = intersection_lists(&packed.clone().inner(), spec);
+        watch.lap(PassKind::Intersect);
         let [ellipses, features] = [leaf(&packed), leaf(&colours)];
         let planes = rasterize_planes([ellipses.clone(), features.clone()], (&counts, &intersections), spec);
         watch.lap(PassKind::Rasterize);

@@ -1,7 +1,7 @@
 //! Differentiable Gaussian splatting as custom operations of the Burn framework.
 //!
 //! [`render`] takes [`Splats`] and [`Camera`]s and gives pictures; [`project`](fn@project), [`shade`](fn@shade),
-//! [`tile`](fn@tile) and [`rasterize`](fn@rasterize) are its stages, for those who put code of their own between them. Each module
+//! [`intersect`](fn@intersect) and [`rasterize`](fn@rasterize) are its stages, for those who put code of their own between them. Each module
 //! of a stage states its equations, their sources, shapes and units. [`exact`] is the yardstick.
 //!
 //! ```
@@ -28,11 +28,11 @@
 //! # Between the stages
 //!
 //! Each stage is a function, and what is between them are tensors. Here a model of one number per Gaussian decides what is
-//! visible, and learns through the render. Ellipses are changed before `tile` makes lists of them:
+//! visible, and learns through the render. Ellipses are changed before `intersect` makes lists of them:
 //!
 //! ```
 //! use burn::tensor::{Device, Tensor};
-//! use splat_op::{Camera, Colour, Extras, Intrinsics, RenderOptions, Splats, rasterize, project, tile};
+//! use splat_op::{Camera, Colour, Extras, Intrinsics, RenderOptions, Splats, rasterize, project, intersect};
 //!
 //! let device = Device::flex().autodiff();
 //! let features = Tensor::<2>::from_floats([[1.0, 0.5, 0.1], [0.1, 0.3, 0.9]], &device);
@@ -51,8 +51,8 @@
 //! let mut ellipses = projected.ellipses();
 //! ellipses.opacity = ellipses.opacity * visible.clone();
 //! let projected = ellipses.pack(projected.intrinsics())?;
-//! let tiles = tile(&projected, &options)?;
-//! let picture = rasterize(&projected, &features, &tiles, &Extras::default(), &options)?;
+//! let intersections = intersect(&projected, &options)?;
+//! let picture = rasterize(&projected, &features, &intersections, &Extras::default(), &options)?;
 //! assert_eq!(picture.depth.map(|depth| depth.dims()), Some([32, 32, 1]));
 //! let gradients = picture.alpha.mean().backward();
 //! assert_eq!(visible.grad(&gradients).expect("tracked").dims(), [2]);
@@ -119,7 +119,7 @@ pub mod project;
 
 pub mod shade;
 
-pub mod tile;
+pub mod intersect;
 
 pub mod rasterize;
 
@@ -158,7 +158,7 @@ pub use limits::is_gpu;
 pub use options::{Accumulation, MAX_UNCULLED_INTERSECTIONS, Order, Projection, RenderOptions};
 pub use render::{render, render_view};
 pub use splats::{Colour, Extras, Splats};
-pub use stages::{Ellipses, Projected, Rendered, Tiles, project, rasterize, tile};
+pub use stages::{Ellipses, Intersections, Projected, Rendered, intersect, project, rasterize};
 // What stands in signatures: a caller needs no versions of its own.
 pub use {burn, glam};
 

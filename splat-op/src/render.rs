@@ -11,10 +11,10 @@ use crate::dials::Storage;
 use crate::error::SplatError;
 use crate::options::RenderOptions;
 use crate::splats::{Extras, Splats};
-use crate::stages::{Rendered, check_render_fits, project, rasterize, tile};
+use crate::stages::{Rendered, check_render_fits, intersect, project, rasterize};
 
 /// Renders Gaussians as one or several cameras of one size see them: `project`, `shade` of what
-/// can show, `tile` and `rasterize`.
+/// can show, `intersect` and `rasterize`.
 ///
 /// # Errors
 /// If there is no camera, cameras differ in size, a tensor's shape, type or device does not fit, or a camera or option is
@@ -80,7 +80,7 @@ fn stages(
 ) -> Result<Rendered<3>, SplatError> {
     let projected = project(splats, camera, extras, options)?;
     let features = visible_colours(splats, camera, &projected, options)?;
-    let tiles = tile(&projected, options)?;
+    let tiles = intersect(&projected, options)?;
     rasterize(&projected, &features, &tiles, extras, options)
 }
 

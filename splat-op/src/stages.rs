@@ -9,13 +9,13 @@ use crate::backend::tensors::GeometryTensors;
 use crate::camera::{Camera, CameraModel, Intrinsics};
 use crate::check::{Reference, check_positive};
 use crate::error::SplatError;
+use crate::intersect::{IntersectionCell, tile_grid};
 use crate::limits::{Need, check_fits};
 use crate::options::{Projection, RenderOptions};
 use crate::project::{COLUMNS, Geometry, ProjectSpec};
 use crate::rasterize::{Layers, PartsCell, RasterizeSpec};
 use crate::rays::RayLayers;
 use crate::splats::{Colour, Extras, Splats, sh_need};
-use crate::tile::{IntersectionCell, tile_grid};
 
 /// The screen-space ellipses of a view, by name; see `project/` for the factor. To change them, take them with
 /// [`Projected::ellipses`], compute, and put them back with [`Ellipses::pack`].
@@ -46,7 +46,7 @@ pub struct Projected {
 
 /// The tile lists of one view.
 #[derive(Clone, Debug)]
-pub struct Tiles {
+pub struct Intersections {
     /// `[tiles along y, tiles along x]`: Gaussians listed in each 16 × 16 tile.
     pub counts: Tensor<2, Int>,
     cell: IntersectionCell,
@@ -100,7 +100,7 @@ impl Projected {
 }
 
 impl Ellipses {
-    /// Packs the fields for [`tile`] and [`rasterize`], for the camera of `intrinsics`.
+    /// Packs the fields for [`intersect`] and [`rasterize`], for the camera of `intrinsics`.
     ///
     /// How a Gaussian leans in depth is not among the fields: what is packed can be rendered with
     /// [`Projection::Affine`](crate::Projection) and [`Order::Centre`](crate::Order) alone.
@@ -174,7 +174,7 @@ fn geometry(splats: &Splats, camera: &Camera, mean2d_probe: Tensor<2>) -> Geomet
 /// # Errors
 /// If an option is out of range, `projected` was not made for `options.projection` and `options.order`, or `options.alpha_min`
 /// is zero and there are more than [`crate::MAX_UNCULLED_INTERSECTIONS`] pairs of a Gaussian and a tile.
-pub fn tile(projected: &Projected, options: &RenderOptions) -> Result<Tiles, SplatError> {
+pub fn intersect(projected: &Projected, options: &RenderOptions) -> Result<Intersections, SplatError> {
     options.check()?;
     let [tiles_x, tiles_y] = tile_grid(projected.intrinsics.width, projected.intrinsics.height);
     options.check_uncut(projected.len(), tiles_x * tiles_y)?;
@@ -186,13 +186,13 @@ pub fn tile(projected: &Projected, options: &RenderOptions) -> Result<Tiles, Spl
     if let Some(tilt) = projected.tilt.clone().filter(|_| options.reaches_by_outline()) {
         packed = <Dispatch as RaysBackend>::outline(packed, tilt.detach().into_dispatch(), spec);
     }
-    let counts = <Dispatch as SplatBackend>::tile(packed, spec, intersections.clone());
-    Ok(Tiles { counts: Tensor::from_dispatch(counts), cell: intersections })
+    let counts = <Dispatch as SplatBackend>::intersect(packed, spec, intersections.clone());
+    Ok(Intersections { counts: Tensor::from_dispatch(counts), cell: intersections })
 }
 
 /// Blends features `[N, C]` along the tile lists, front to back, over `extras.background`.
 ///
-/// `tiles` must come from `projected` with the same options; only `extras.background` and `extras.mean2d_abs_probe` are
+/// `intersections` must come from `projected` with the same options; only `extras.background` and `extras.mean2d_abs_probe` are
 /// read.
 ///
 /// # Errors
@@ -201,7 +201,7 @@ pub fn tile(projected: &Projected, options: &RenderOptions) -> Result<Tiles, Spl
 pub fn rasterize(
     projected: &Projected,
     features: &Tensor<2>,
-    tiles: &Tiles,
+    intersections: &Intersections,
     extras: &Extras,
     options: &RenderOptions,
 ) -> Result<Rendered<3>, SplatError> {
@@ -219,12 +219,12 @@ pub fn rasterize(
     };
     reference.check("background", &background, [Some(channels)], "[C]")?;
     let probe = probe_or_empty(&reference, "mean2d_abs_probe", extras.mean2d_abs_probe.as_ref(), count)?;
-    reference.check_device("tiles", &tiles.counts.device())?;
+    reference.check_device("intersections", &intersections.counts.device())?;
     let spec = RasterizeSpec { intrinsics: projected.intrinsics, options: *options };
     let (packed, features, background) = (projected.packed.clone().into(), features.clone().into(), background.into());
     let mean2d_abs = probe.into();
     let (counts, intersections, parts) =
-        (tiles.counts.clone().into_dispatch(), tiles.cell.clone(), PartsCell::default());
+        (intersections.counts.clone().into_dispatch(), intersections.cell.clone(), PartsCell::default());
     let planes = match &projected.tilt {
         None => {
             let inputs = Layers { projected: packed, features, background, mean2d_abs };

@@ -6,7 +6,7 @@
 //! do not affect smooth terms, so no other pixel is excluded.
 
 use burn::tensor::{DType, Device, Tensor};
-use splat_op::{Ellipses, Extras, Intrinsics, RenderOptions, project, rasterize, tile};
+use splat_op::{Ellipses, Extras, Intrinsics, RenderOptions, intersect, project, rasterize};
 
 use crate::random::Random;
 use crate::scene::{Scene, SceneTensors, host, tensor};
@@ -56,8 +56,9 @@ fn pixels(
 ) -> Vec<(f64, f64)> {
     let options = options.with_depth(false);
     let projected = ellipses.pack(intrinsics).expect("columns of one render");
-    let tiles = tile(&projected, &options).expect("valid options");
-    let picture = rasterize(&projected, features, &tiles, &Extras::default(), &options).expect("valid features");
+    let intersections = intersect(&projected, &options).expect("valid options");
+    let picture =
+        rasterize(&projected, features, &intersections, &Extras::default(), &options).expect("valid features");
     host(picture.colour).into_iter().zip(host(picture.alpha)).collect()
 }
 

@@ -1,7 +1,9 @@
 //! Compares the composed operation with Burn's autodiff of a dense tensor formulation, in f64 on Flex.
 
 use burn::tensor::{DType, Device, Gradients, Tensor};
-use splat_op::{CameraModel, Ellipses, Extras, Intrinsics, RenderOptions, Splats, project, rasterize, render, tile};
+use splat_op::{
+    CameraModel, Ellipses, Extras, Intrinsics, RenderOptions, Splats, intersect, project, rasterize, render,
+};
 use splat_tests::compare::relative_error;
 use splat_tests::dense::{self, DenseEllipses};
 use splat_tests::random::Random;
@@ -158,9 +160,9 @@ fn tensor_code_between_stages_and_any_features_agree_with_the_dense_formulation(
         let Ellipses { sigma_u, shear, sigma_v, depth, .. } = ellipses.clone();
         [ellipses.sigma_u, ellipses.shear, ellipses.sigma_v] = edit(sigma_u, shear, sigma_v, &depth, &our_own.2);
         let projected = ellipses.pack(&CAMERA).expect("columns of one length");
-        let tiles = tile(&projected, &options).expect("valid options");
+        let intersections = intersect(&projected, &options).expect("valid options");
         let extras = Extras { background: Some(our_own.1.clone()), ..Extras::default() };
-        let out = rasterize(&projected, &our_own.0, &tiles, &extras, &options).expect("valid features");
+        let out = rasterize(&projected, &our_own.0, &intersections, &extras, &options).expect("valid features");
         let (sum, found) = loss(flat(out.colour), flat(out.alpha), flat(out.depth.expect("asked for")));
         let our_grads = sum.backward();
 

@@ -3,7 +3,7 @@
 use burn::tensor::{DType, Device, f16};
 use splat_op::{
     Accumulation, Camera, Colour, Culling, Exponential, Extras, Intrinsics, MAX_UNCULLED_INTERSECTIONS, Order,
-    RenderOptions, Splats, Storage, project, render, tile,
+    RenderOptions, Splats, Storage, intersect, project, render,
 };
 use splat_tests::random::Random;
 use splat_tests::scene::{Scene, SceneTensors, host, tensor};
@@ -39,7 +39,7 @@ fn picture(scene: &Scene, options: &RenderOptions, (_, device, dtype): &Where) -
     let extras = Extras { background: Some(background), ..Extras::default() };
     let out = render(&splats, std::slice::from_ref(&camera), &extras, options).expect("a valid scene");
     let projected = project(&splats, &camera, &Extras::default(), options).expect("a valid scene");
-    let pairs = tile(&projected, options).expect("a valid scene").counts.sum().into_scalar::<i32>();
+    let pairs = intersect(&projected, options).expect("a valid scene").counts.sum().into_scalar::<i32>();
     ([host(out.colour), host(out.alpha), host(out.depth.expect("asked for"))], f64::from(pairs))
 }
 
@@ -118,7 +118,7 @@ fn without_a_cut_a_large_picture_of_many_gaussians_is_refused() {
     let camera = Camera { intrinsics: wide, ..camera };
     let uncut = RenderOptions { alpha_min: 0.0, ..OPTIONS };
     let projected = project(&splats, &camera, &Extras::default(), &uncut).expect("a valid scene");
-    let message = tile(&projected, &uncut).expect_err("refused").to_string();
+    let message = intersect(&projected, &uncut).expect_err("refused").to_string();
     for part in ["`alpha_min` is 0 for 17 Gaussians", &MAX_UNCULLED_INTERSECTIONS.to_string(), "smaller picture"] {
         assert!(message.contains(part), "`{part}` is missing: {message}");
     }

@@ -2,7 +2,7 @@
 
 use burn::tensor::{DType, Device, Tensor};
 use splat_op::{
-    Camera, Colour, Extras, Intrinsics, RenderOptions, SplatError, project, rasterize, render, shade, tile,
+    Camera, Colour, Extras, Intrinsics, RenderOptions, SplatError, intersect, project, rasterize, render, shade,
 };
 use splat_tests::ndarray;
 use splat_tests::random::Random;
@@ -134,8 +134,9 @@ fn single_stages_check_their_own_arguments() {
     let message = shade(&sh, &zeros([COUNT + 1, 3]), &camera).expect_err("refused").to_string();
     assert_names(&message, "sh", "dimension 0 must be 6");
     let projected = project(&splats, &camera, &Extras::default(), &options).expect("a valid scene");
-    let tiles = tile(&projected, &options).expect("valid options");
-    let message = rasterize(&projected, &zeros([COUNT + 1, 3]), &tiles, &extras, &options).expect_err("refused");
+    let intersections = intersect(&projected, &options).expect("valid options");
+    let message =
+        rasterize(&projected, &zeros([COUNT + 1, 3]), &intersections, &extras, &options).expect_err("refused");
     assert_names(&message.to_string(), "features", "dimension 0 must be 5");
     let mut ellipses = projected.ellipses();
     ellipses.shear = zeros([COUNT + 1]);

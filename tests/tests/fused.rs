@@ -2,7 +2,7 @@
 //! process of its own, because the counters are global.
 
 use burn::tensor::{DType, Tensor};
-use splat_op::{Extras, Intrinsics, Order, Projection, RenderOptions, project, rasterize, shade, tile, witness};
+use splat_op::{Extras, Intrinsics, Order, Projection, RenderOptions, intersect, project, rasterize, shade, witness};
 use splat_tests::gpu;
 use splat_tests::random::Random;
 use splat_tests::scene::{Scene, SceneTensors, host};
@@ -43,14 +43,14 @@ fn every_stage_executes_kernels_and_no_twin() {
     let SceneTensors { splats, camera, background, .. } = leaves();
     let projected = project(&splats, &camera, &Extras::default(), &options).expect("a valid scene");
     launched_after(host(projected.ellipses().depth), || launched("project"));
-    let tiles = tile(&projected, &options).expect("a valid scene");
-    let pairs: i64 = tiles.counts.clone().into_data().iter::<i64>().sum();
+    let intersections = intersect(&projected, &options).expect("a valid scene");
+    let pairs: i64 = intersections.counts.clone().into_data().iter::<i64>().sum();
     assert!(pairs > 0);
-    launched("tile");
+    launched("intersect");
 
     let colours = Tensor::from_data(colours.into_data(), &device).require_grad();
     let extras = Extras { background: Some(background), ..Extras::default() };
-    let picture = rasterize(&projected, &colours, &tiles, &extras, &options).expect("a valid scene");
+    let picture = rasterize(&projected, &colours, &intersections, &extras, &options).expect("a valid scene");
     launched_after(host(picture.colour.clone()), || launched("rasterize"));
     let loss = picture.colour.sum().backward();
     launched_after(host(colours.grad(&loss).expect("tracked")), || launched("the backward pass of rasterize"));
@@ -58,13 +58,13 @@ fn every_stage_executes_kernels_and_no_twin() {
     let along_rays = options.with_projection(Projection::Exact).with_order(Order::PerPixel);
     let SceneTensors { splats, camera, background, .. } = leaves();
     let projected = project(&splats, &camera, &Extras::default(), &along_rays).expect("a valid scene");
-    let tiles = tile(&projected, &along_rays).expect("a valid scene");
-    let pairs: i64 = tiles.counts.clone().into_data().iter::<i64>().sum();
+    let intersections = intersect(&projected, &along_rays).expect("a valid scene");
+    let pairs: i64 = intersections.counts.clone().into_data().iter::<i64>().sum();
     assert!(pairs > 0);
     launched("tilt and its outlines");
     let extras = Extras { background: Some(background), ..Extras::default() };
     let colours = Tensor::from_data(colours.into_data(), &device);
-    let picture = rasterize(&projected, &colours, &tiles, &extras, &along_rays).expect("a valid scene");
+    let picture = rasterize(&projected, &colours, &intersections, &extras, &along_rays).expect("a valid scene");
     launched_after(host(picture.colour.clone()), || launched("rays"));
     let loss = picture.colour.sum().backward();
     launched_after(host(splats.means.grad(&loss).expect("tracked")), || {

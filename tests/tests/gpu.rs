@@ -3,7 +3,8 @@
 use burn::tensor::{DType, Device, Tensor, TensorData};
 use splat_model::optim::{Adam, Moments, Rates};
 use splat_op::{
-    Accumulation, Camera, Colour, Extras, Intrinsics, RenderOptions, SplatError, Splats, project, render, tile, witness,
+    Accumulation, Camera, Colour, Extras, Intrinsics, RenderOptions, SplatError, Splats, intersect, project, render,
+    witness,
 };
 use splat_tests::data::announce;
 use splat_tests::gpu;
@@ -286,8 +287,8 @@ fn too_many_intersections_fail_where_the_result_is_read_and_nowhere_else() {
     let read = std::panic::catch_unwind(|| {
         let options = RenderOptions::standard();
         let projected = project(&splats, &camera, &Extras::default(), &options).expect("it fits");
-        let tiles = tile(&projected, &options).expect("it fits");
-        tiles.counts.try_into_data().map(|_| ()).map_err(|error| format!("{error:?}"))
+        let intersections = intersect(&projected, &options).expect("it fits");
+        intersections.counts.try_into_data().map(|_| ()).map_err(|error| format!("{error:?}"))
     });
     // Without fusion the operation runs immediately, and the panic reaches the caller.
     let failure = match read {

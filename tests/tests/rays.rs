@@ -3,8 +3,8 @@
 use burn::tensor::{DType, Device};
 use glam::DVec3;
 use splat_op::{
-    CameraModel, Extras, Intrinsics, Order, Projection, RenderOptions, SplatError, colours, project, rasterize, render,
-    render_view, tile,
+    CameraModel, Extras, Intrinsics, Order, Projection, RenderOptions, SplatError, colours, intersect, project,
+    rasterize, render, render_view,
 };
 use splat_tests::perturb::judge;
 use splat_tests::random::Random;
@@ -63,10 +63,10 @@ fn tiles_lose_nothing() {
         let projected = project(&splats, &camera, &Extras::default(), &options).expect("a valid scene");
         let features = colours(&splats, &camera).expect("a valid scene");
         let picture = |listed: &RenderOptions| {
-            let tiles = tile(&projected, listed).expect("a valid scene");
-            let pairs: i64 = tiles.counts.clone().into_data().iter::<i64>().sum();
+            let intersections = intersect(&projected, listed).expect("a valid scene");
+            let pairs: i64 = intersections.counts.clone().into_data().iter::<i64>().sum();
             let picture =
-                rasterize(&projected, &features, &tiles, &Extras::default(), &options).expect("a valid scene");
+                rasterize(&projected, &features, &intersections, &Extras::default(), &options).expect("a valid scene");
             (pairs, [host(picture.colour), host(picture.alpha), host(picture.depth.expect("asked for"))])
         };
         let (listed, found) = picture(&options);
@@ -247,16 +247,16 @@ fn what_cannot_be_is_refused() {
         assert!(message.contains("Fisheye") && message.contains("pinhole"), "{message}");
 
         let projected = project(&splats, &camera, &Extras::default(), &options).expect("a valid scene");
-        let refused = |result: Result<splat_op::Tiles, SplatError>, part: &str| {
+        let refused = |result: Result<splat_op::Intersections, SplatError>, part: &str| {
             let message = result.expect_err("refused").to_string();
             assert!(message.contains("projection and order") && message.contains(part), "{message}");
         };
-        refused(tile(&projected, &plain), "projected with");
+        refused(intersect(&projected, &plain), "projected with");
         let packed = projected.ellipses().pack(&CAMERA).expect("columns of one render");
-        refused(tile(&packed, &options), "packed");
-        let tiles = tile(&packed, &plain).expect("ellipses as they are");
+        refused(intersect(&packed, &options), "packed");
+        let intersections = intersect(&packed, &plain).expect("ellipses as they are");
         let features = colours(&splats, &camera).expect("a valid scene");
-        let refused = rasterize(&packed, &features, &tiles, &Extras::default(), &options).expect_err("no tilt");
+        let refused = rasterize(&packed, &features, &intersections, &Extras::default(), &options).expect_err("no tilt");
         assert!(refused.to_string().contains("packed"), "{refused}");
     }
 }

@@ -14,7 +14,7 @@ use splat_benches::step::Step;
 use splat_benches::{SyntheticView, values};
 use splat_model::gaussians::Gaussians;
 use splat_model::loss::Truth;
-use splat_op::{Camera, Colour, Extras, project, render, tile, with_gradient};
+use splat_op::{Camera, Colour, Extras, intersect, project, render, with_gradient};
 
 /// Kind of work that is timed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -111,7 +111,7 @@ fn intersections(view: &SyntheticView) -> usize {
     let scene = view.scene(&device, DType::F32);
     let projected =
         project(&scene, &view.camera(&device, DType::F32), &Extras::default(), &OPTIONS).expect("shapes fit");
-    let counts = tile(&projected, &OPTIONS).expect("options are in range").counts;
+    let counts = intersect(&projected, &OPTIONS).expect("options are in range").counts;
     values(counts.float()).iter().sum::<f64>() as usize
 }
 

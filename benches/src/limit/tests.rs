@@ -13,7 +13,7 @@ fn bytes_are_those_counted_by_hand() {
     assert_eq!(bytes(PassKind::Project), 4.0 * (5.0 * 3.0 + 4.0 * (8.0 + 7.0)));
     // 48 harmonics, centre, colour.
     assert_eq!(bytes(PassKind::Shade), 4.0 * 4.0 * 54.0);
-    assert_eq!(bytes(PassKind::Tile), 4.0 * (4.0 * 7.0 + 6.0));
+    assert_eq!(bytes(PassKind::Intersect), 4.0 * (4.0 * 7.0 + 6.0));
     // Ellipses, colours, lists; four planes.
     assert_eq!(bytes(PassKind::Rasterize), 4.0 * (4.0 * 10.0 + 6.0 + 40.0));
     assert_eq!(bytes(PassKind::RasterizeBackward), 4.0 * (4.0 * 10.0 * 2.0 + 6.0 + 40.0));
@@ -33,7 +33,7 @@ fn operations_are_those_counted_by_hand() {
     assert_eq!(operations(PassKind::Shade), 4.0 * (13.0 + 43.0 + 96.0 + 3.0));
     assert_eq!(operations(PassKind::Rasterize), 30.0 * (35.0 + 7.0));
     // A comparison per doubling, a box, and an ellipse against a tile.
-    assert_eq!(operations(PassKind::Tile), 4.0 * (2.0 + 39.0) + 6.0 * 16.0);
+    assert_eq!(operations(PassKind::Intersect), 4.0 * (2.0 + 39.0) + 6.0 * 16.0);
     // Six windowed maps of 32 operations, 32 others.
     assert_eq!(operations(PassKind::Loss), 10.0 * 3.0 * (6.0 * 32.0 + 32.0));
     assert_eq!(operations(PassKind::RasterizeBackward), 30.0 * 63.0 + 4.0 * 9.0);

@@ -9,8 +9,8 @@ use std::rc::Rc;
 use burn::tensor::{Device, Gradients, Tensor};
 use rand::Rng;
 use splat_op::{
-    Camera, Ellipses, Extras, Projected, RenderOptions, Rendered, SplatError, Splats, colours, project, rasterize,
-    render_view, tile,
+    Camera, Ellipses, Extras, Projected, RenderOptions, Rendered, SplatError, Splats, colours, intersect, project,
+    rasterize, render_view,
 };
 
 use super::background::Background;
@@ -59,8 +59,8 @@ impl RenderInput {
         }
         let projected = self.project()?;
         let features = colours(&self.splats, &self.camera)?;
-        let tiles = tile(&projected, &self.options)?;
-        rasterize(&projected, &features, &tiles, &self.extras, &self.options)
+        let intersections = intersect(&projected, &self.options)?;
+        rasterize(&projected, &features, &intersections, &self.extras, &self.options)
     }
 }
 

@@ -2,7 +2,7 @@
 //! open ([`motion`]), rows are read one after the other ([`motion::rolled`]), and the lens has a focus distance
 //! ([`defocus`]).
 //!
-//! Each effect changes the projected ellipses, between [`project`](splat_op::project()) and [`tile`](splat_op::tile()), in
+//! Each effect changes the projected ellipses, between [`project`](splat_op::project()) and [`intersect`](splat_op::intersect()), in
 //! the order in which light passes lens, shutter and sensor. That holds for pinholes. For other cameras, motion blur
 //! averages renders from several poses along the motion, at a multiple of the cost. Rolling shutters and defocus are not
 //! supported for them.

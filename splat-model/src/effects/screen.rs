@@ -1,4 +1,4 @@
-//! Changes of the projected ellipses, between [`project`](splat_op::project()) and [`tile`](splat_op::tile()). An effect
+//! Changes of the projected ellipses, between [`project`](splat_op::project()) and [`intersect`](splat_op::intersect()). An effect
 //! that blurs or shears a picture does the same to each Gaussian's ellipse. An ellipse after a linear map, or after the
 //! addition of another Gaussian's covariance, is an ellipse again.
 //!

@@ -2,7 +2,7 @@
 //! that is rendered stage by stage.
 
 use burn::tensor::{DType, Device, Tensor, TensorData};
-use splat_op::{Camera, Colour, Ellipses, Extras, Intrinsics, RenderOptions, Splats, project, rasterize, tile};
+use splat_op::{Camera, Colour, Ellipses, Extras, Intrinsics, RenderOptions, Splats, intersect, project, rasterize};
 
 /// Fields of an ellipse.
 pub(super) const FIELDS: usize = 7;
@@ -118,8 +118,8 @@ pub(super) fn render(camera: Intrinsics, pose: Tensor<2>, change: impl Fn(Ellips
     let projected =
         project(&splats, &Camera { intrinsics: camera, cam_from_world: pose }, &Extras::default(), &options).unwrap();
     let projected = change(projected.ellipses()).pack(&camera).unwrap();
-    let tiles = tile(&projected, &options).unwrap();
-    host(rasterize(&projected, features, &tiles, &Extras::default(), &options).unwrap().colour)
+    let intersections = intersect(&projected, &options).unwrap();
+    host(rasterize(&projected, features, &intersections, &Extras::default(), &options).unwrap().colour)
 }
 
 pub(super) fn average(pictures: &[Vec<f64>]) -> Vec<f64> {

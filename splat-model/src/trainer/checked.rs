@@ -3,7 +3,7 @@
 use std::fmt;
 
 use burn::tensor::Tensor;
-use splat_op::{Projected, Rendered, SplatError, Tiles, colours, rasterize, tile};
+use splat_op::{Intersections, Projected, Rendered, SplatError, colours, intersect, rasterize};
 
 use crate::density::rows::Gradients;
 use crate::effects::RenderInput;
@@ -17,7 +17,7 @@ pub enum Stage {
     /// Spherical harmonics to colours.
     Shade,
     /// Ellipses to tile lists.
-    Tile,
+    Intersect,
     /// Tile lists to a picture.
     Rasterize,
     /// The picture to a number.
@@ -33,7 +33,7 @@ impl fmt::Display for Stage {
         out.write_str(match self {
             Self::Project => "project",
             Self::Shade => "shade",
-            Self::Tile => "tile",
+            Self::Intersect => "intersect",
             Self::Rasterize => "rasterize",
             Self::Loss => "loss",
             Self::Gradients => "gradients",
@@ -76,9 +76,9 @@ pub(super) fn render_checked(input: &RenderInput) -> Result<Rendered<3>, Stopped
     let opacities = check_projected(&projected)?;
     let features = colours(&input.splats, &input.camera)?;
     check_colours(&features, &opacities)?;
-    let tiles = tile(&projected, &input.options)?;
-    check_tiles(&tiles, projected.len())?;
-    let picture = rasterize(&projected, &features, &tiles, &input.extras, &input.options)?;
+    let intersections = intersect(&projected, &input.options)?;
+    check_intersections(&intersections, projected.len())?;
+    let picture = rasterize(&projected, &features, &intersections, &input.extras, &input.options)?;
     check_picture(&picture)?;
     Ok(picture)
 }
@@ -113,14 +113,14 @@ fn check_colours(colours: &Tensor<2>, opacities: &[f32]) -> Result<(), Wrong> {
 }
 
 /// Checks that no tile lists more Gaussians than exist.
-fn check_tiles(tiles: &Tiles, splats: usize) -> Result<(), Wrong> {
-    let counts = host(tiles.counts.clone().float());
+fn check_intersections(intersections: &Intersections, splats: usize) -> Result<(), Wrong> {
+    let counts = host(intersections.counts.clone().float());
     let wrong = counts.iter().position(|count| !(*count >= 0.0 && *count <= splats as f32));
     match wrong {
         None => Ok(()),
         Some(at) => {
             let detail = format!("tile {at} lists {} Gaussians, expected 0 to {splats}", counts[at]);
-            Err(Wrong { stage: Stage::Tile, detail })
+            Err(Wrong { stage: Stage::Intersect, detail })
         }
     }
 }

@@ -12,7 +12,7 @@
 //! - logarithms of standard deviations are at most [`LARGEST_LOG_SCALE`], so that their exponentials are,
 //! - its quaternion is not zero (any other length is normalised).
 //!
-//! One that is not gets opacity 0: `tile` then lists it nowhere, and it is as if it were not there. Its gradients are exactly
+//! One that is not gets opacity 0: `intersect` then lists it nowhere, and it is as if it were not there. Its gradients are exactly
 //! zero, those through `exp` and the sigmoid included. An unusable logarithm of a standard deviation gives 0 for that
 //! standard deviation.
 //!

@@ -15,10 +15,10 @@ use super::stages::SplatBackend;
 use super::tensors::{
     GeometryGrads, GeometryTensors, InputTensor, LayerGrads, LayerTensors, OptionalTensor, ShadingGrads, ShadingTensors,
 };
+use crate::intersect::IntersectionCell;
 use crate::project::{Geometry, ProjectSpec};
 use crate::rasterize::{Layers, PartsCell, RasterizeSpec, TraceCell};
 use crate::shade::Shading;
-use crate::tile::IntersectionCell;
 
 /// The output of a stage, with `kind` as its backward node if any of its inputs is tracked.
 pub(super) fn tracked<B: Backend, C: CheckpointStrategy, K: Backward<B, N>, const N: usize>(
@@ -159,13 +159,17 @@ impl<B: SplatBackend, C: CheckpointStrategy> SplatBackend for Autodiff<B, C> {
         tracked(ShadeBackward, inputs.each_ref().into_array(), (inner, visible, spec), output)
     }
 
-    fn tile(projected: FloatTensor<Self>, spec: RasterizeSpec, intersections: IntersectionCell) -> IntTensor<Self> {
-        B::tile(projected.into_primitive(), spec, intersections)
+    fn intersect(
+        projected: FloatTensor<Self>,
+        spec: RasterizeSpec,
+        intersections: IntersectionCell,
+    ) -> IntTensor<Self> {
+        B::intersect(projected.into_primitive(), spec, intersections)
     }
 
     fn rasterize(
         inputs: LayerTensors<Self>,
-        tile_counts: IntTensor<Self>,
+        intersection_counts: IntTensor<Self>,
         spec: RasterizeSpec,
         intersections: IntersectionCell,
         _: Option<TraceCell>,
@@ -178,10 +182,13 @@ impl<B: SplatBackend, C: CheckpointStrategy> SplatBackend for Autodiff<B, C> {
             OpsKind::Tracked(prep) => {
                 let trace = TraceCell::default();
                 let kept = Some(trace.clone());
-                let output = B::rasterize(inner.clone(), tile_counts, spec, intersections.clone(), kept, parts.clone());
+                let output =
+                    B::rasterize(inner.clone(), intersection_counts, spec, intersections.clone(), kept, parts.clone());
                 prep.finish((inner, output.clone(), spec, intersections, trace, parts), output)
             }
-            OpsKind::UnTracked(prep) => prep.finish(B::rasterize(inner, tile_counts, spec, intersections, None, parts)),
+            OpsKind::UnTracked(prep) => {
+                prep.finish(B::rasterize(inner, intersection_counts, spec, intersections, None, parts))
+            }
         }
     }
 

@@ -12,6 +12,8 @@ use super::stages::SplatBackend;
 use super::tensors::{
     GeometryGrads, GeometryTensors, InputTensor, LayerGrads, LayerTensors, OptionalTensor, ShadingGrads, ShadingTensors,
 };
+use crate::intersect::cpu::intersect_cpu;
+use crate::intersect::{Cut, IntersectionCell, IntersectionLists, StoredIntersections, tile_grid};
 use crate::project::cpu::{project_backward_cpu, project_cpu};
 use crate::project::{COLUMNS, Geometry, ProjectSpec};
 use crate::rasterize::cpu::{Trace, rasterize_backward_cpu, rasterize_cpu};
@@ -19,8 +21,6 @@ use crate::rasterize::{Layers, PartsCell, RasterizeSpec, TraceCell};
 use crate::real::Real;
 use crate::shade::Shading;
 use crate::shade::cpu::{ShadeCpuInputs, Visible, shade_backward_cpu, shade_cpu};
-use crate::tile::cpu::tile_cpu;
-use crate::tile::{Cut, IntersectionCell, IntersectionLists, TileLists, tile_grid};
 
 /// The elements of an input.
 pub(super) fn host<B: HostBackend, F: Real>(input: &InputTensor<B>) -> Host<F> {
@@ -74,7 +74,7 @@ fn intersection_lists<'a, F: Real>(
     projected: &[F],
     spec: &RasterizeSpec,
 ) -> &'a IntersectionLists {
-    intersection_lists_by(cell, || tile_cpu(projected, &spec.intrinsics, Cut::of(&spec.options)))
+    intersection_lists_by(cell, || intersect_cpu(projected, &spec.intrinsics, Cut::of(&spec.options)))
 }
 
 /// The lists in the cell, or those that `compute` makes.
@@ -82,10 +82,12 @@ pub(super) fn intersection_lists_by(
     cell: &IntersectionCell,
     compute: impl FnOnce() -> IntersectionLists,
 ) -> &IntersectionLists {
-    match cell.0.get_or_init(|| TileLists::Host(compute())) {
-        TileLists::Host(lists) => lists,
+    match cell.0.get_or_init(|| StoredIntersections::Host(compute())) {
+        StoredIntersections::Host(lists) => lists,
         #[cfg(feature = "cube")]
-        TileLists::Device(_) => unreachable!("the public functions check that lists and ellipses are on one device"),
+        StoredIntersections::Device(_) => {
+            unreachable!("the public functions check that lists and ellipses are on one device")
+        }
     }
 }
 
@@ -165,7 +167,7 @@ macro_rules! cpu_backend {
                 })
             }
 
-            fn tile(projected: FloatTensor<Self>, spec: RasterizeSpec, intersections: IntersectionCell) -> IntTensor<Self> {
+            fn intersect(projected: FloatTensor<Self>, spec: RasterizeSpec, intersections: IntersectionCell) -> IntTensor<Self> {
                 let device = projected.device();
                 let lists = by_type!(projected, F => intersection_lists(&intersections, &Self::host::<F>(projected), &spec));
                 let counts: Vec<i32> = lists.tile_start.windows(2).map(|w| (w[1] - w[0]) as i32).collect();

@@ -13,14 +13,14 @@ use super::tensors::{
     GeometryGrads, GeometryTensors, InputTensor, LayerGrads, LayerTensors, OptionalTensor, ShadingGrads, ShadingTensors,
 };
 use crate::gpu::{Buffer, Gpu, launch_scale};
+use crate::intersect::launch::{DeviceIntersections, launch_intersect};
+use crate::intersect::{Cut, IntersectionCell, StoredIntersections, tile_grid};
 use crate::project::launch::{launch_project, launch_project_backward};
 use crate::project::{COLUMNS, Geometry, ProjectSpec};
 use crate::rasterize::launch::{DeviceTrace, launch_rasterize, launch_rasterize_backward};
 use crate::rasterize::{Layers, PartsCell, RasterizeSpec, TraceCell};
 use crate::shade::Shading;
 use crate::shade::launch::{DeviceShCoefficients, ShadeDeviceInputs, launch_shade, launch_shade_backward};
-use crate::tile::launch::{DeviceIntersections, launch_tile};
-use crate::tile::{Cut, IntersectionCell, TileLists, tile_grid};
 
 /// A tensor's elements, row-major.
 pub(crate) fn buffer(tensor: CubeTensor) -> Buffer<f32> {
@@ -92,14 +92,16 @@ fn lists<'a>(
     projected: &Buffer<f32>,
     spec: &RasterizeSpec,
 ) -> &'a DeviceIntersections {
-    lists_by(cell, || launch_tile(gpu, projected, &spec.intrinsics, Cut::of(&spec.options)))
+    lists_by(cell, || launch_intersect(gpu, projected, &spec.intrinsics, Cut::of(&spec.options)))
 }
 
 /// The lists in the cell, or those that `compute` makes.
 pub(super) fn lists_by(cell: &IntersectionCell, compute: impl FnOnce() -> DeviceIntersections) -> &DeviceIntersections {
-    match cell.0.get_or_init(|| TileLists::Device(Box::new(compute()))) {
-        TileLists::Device(lists) => lists,
-        TileLists::Host(_) => unreachable!("the public functions check that lists and ellipses are on one device"),
+    match cell.0.get_or_init(|| StoredIntersections::Device(Box::new(compute()))) {
+        StoredIntersections::Device(lists) => lists,
+        StoredIntersections::Host(_) => {
+            unreachable!("the public functions check that lists and ellipses are on one device")
+        }
     }
 }
 
@@ -155,7 +157,11 @@ impl SplatBackend for CubeBackend {
         found.zip(inputs.each_ref()).map(gradient)
     }
 
-    fn tile(projected: FloatTensor<Self>, spec: RasterizeSpec, intersections: IntersectionCell) -> IntTensor<Self> {
+    fn intersect(
+        projected: FloatTensor<Self>,
+        spec: RasterizeSpec,
+        intersections: IntersectionCell,
+    ) -> IntTensor<Self> {
         let gpu = Gpu::new(&projected.client);
         let counts = lists(&gpu, &intersections, &buffer(projected.clone()), &spec).counts.clone();
         let [tiles_x, tiles_y] = tile_grid(spec.intrinsics.width, spec.intrinsics.height);

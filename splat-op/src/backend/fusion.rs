@@ -4,11 +4,11 @@ use burn::backend::fusion::custom::TensorSpec;
 use burn::tensor::{DType, Shape};
 
 use super::tensors::{InputTensorMetadata, OptionalTensorMetadata};
+use crate::intersect::{IntersectionCell, tile_grid};
 use crate::project::{COLUMNS, Geometry, ProjectSpec};
 use crate::rasterize::{Layers, PartsCell, RasterizeSpec, TraceCell};
 use crate::rays::RayLayers;
 use crate::shade::Shading;
-use crate::tile::{IntersectionCell, tile_grid};
 use crate::tilt::TILT;
 
 /// A tensor of the float type of `like`.
@@ -51,7 +51,7 @@ pub(super) fn shade_backward(
     inputs.each_ref().zip(*mask).map(|(input, asked)| grad(input, asked, &inputs.means.0))
 }
 
-pub(super) fn tile(_: &TensorSpec, spec: &RasterizeSpec, _: &IntersectionCell) -> TensorSpec {
+pub(super) fn intersect(_: &TensorSpec, spec: &RasterizeSpec, _: &IntersectionCell) -> TensorSpec {
     let [tiles_x, tiles_y] = tile_grid(spec.intrinsics.width, spec.intrinsics.height);
     TensorSpec::new(Shape::from([tiles_y, tiles_x]), DType::I32)
 }

@@ -38,9 +38,9 @@ pub use tensors::{
 };
 
 pub use crate::activate::rule::Raw;
+pub use crate::intersect::IntersectionCell;
 pub use crate::photometric::taps::Compared;
 pub use crate::project::{Geometry, ProjectSpec};
 pub use crate::rasterize::{Layers, PartsCell, RasterizeSpec, TraceCell};
 pub use crate::rays::RayLayers;
 pub use crate::shade::Shading;
-pub use crate::tile::IntersectionCell;

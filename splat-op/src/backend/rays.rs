@@ -10,13 +10,13 @@ use super::cpu::{gradient, host, intersection_lists_by, planes_tensor};
 use super::fusion;
 use super::host::{HostBackend, by_type};
 use super::tensors::{GeometryGrads, GeometryTensors, RayLayerGrads, RayLayerTensors};
+use crate::intersect::cpu::intersect_cpu;
+use crate::intersect::{Cut, IntersectionCell, IntersectionLists};
 use crate::project::{COLUMNS, Geometry, ProjectSpec};
 use crate::rasterize::{PartsCell, RasterizeSpec};
 use crate::rays::RayLayers;
 use crate::rays::cpu::{rays_backward_cpu, rays_cpu};
 use crate::real::Real;
-use crate::tile::cpu::tile_cpu;
-use crate::tile::{Cut, IntersectionCell, IntersectionLists};
 use crate::tilt::cpu::{tilt_backward_cpu, tilt_cpu};
 use crate::tilt::{TILT, outline_cpu};
 
@@ -36,15 +36,15 @@ pub trait RaysBackend: Backend {
         mask: Geometry<bool>,
     ) -> GeometryGrads<Self>;
 
-    /// See `tilt/`. Rows `[N, 7]` for `tile`, from packed ellipses `[N, 7]` and tilts `[N, 3]`. Not differentiable.
+    /// See `tilt/`. Rows `[N, 7]` for `intersect`, from packed ellipses `[N, 7]` and tilts `[N, 3]`. Not differentiable.
     #[fusion(dtype = projected, shape = projected)]
     fn outline(projected: FloatTensor<Self>, tilt: FloatTensor<Self>, spec: RasterizeSpec) -> FloatTensor<Self>;
 
-    /// See `rays/`. Returns planes as `rasterize` does; `tile_counts` and `parts` as there.
+    /// See `rays/`. Returns planes as `rasterize` does; `intersection_counts` and `parts` as there.
     #[fusion(meta = fusion::rays)]
     fn rays(
         #[extension_type] inputs: RayLayerTensors<Self>,
-        tile_counts: IntTensor<Self>,
+        intersection_counts: IntTensor<Self>,
         spec: RasterizeSpec,
         intersections: IntersectionCell,
         parts: PartsCell,
@@ -70,7 +70,7 @@ fn lists<'a, F: Real>(
     spec: &RasterizeSpec,
 ) -> &'a IntersectionLists {
     intersection_lists_by(intersections, || {
-        let rows = |packed: &[F]| tile_cpu(packed, &spec.intrinsics, Cut::of(&spec.options));
+        let rows = |packed: &[F]| intersect_cpu(packed, &spec.intrinsics, Cut::of(&spec.options));
         match spec.options.reaches_by_outline() {
             true => rows(&outline_cpu(inputs.projected, inputs.tilt, spec)),
             false => rows(inputs.projected),

@@ -11,10 +11,10 @@ use super::autodiff::{differentiate, planes_grad, tracked};
 use super::rays::RaysBackend;
 use super::stages::SplatBackend;
 use super::tensors::{GeometryGrads, GeometryTensors, InputTensor, OptionalTensor, RayLayerGrads, RayLayerTensors};
+use crate::intersect::IntersectionCell;
 use crate::project::{Geometry, ProjectSpec};
 use crate::rasterize::{PartsCell, RasterizeSpec};
 use crate::rays::RayLayers;
-use crate::tile::IntersectionCell;
 
 #[derive(Debug)]
 struct TiltBackward;
@@ -61,13 +61,13 @@ impl<B: RaysBackend + SplatBackend, C: CheckpointStrategy> RaysBackend for Autod
 
     fn rays(
         inputs: RayLayerTensors<Self>,
-        tile_counts: IntTensor<Self>,
+        intersection_counts: IntTensor<Self>,
         spec: RasterizeSpec,
         intersections: IntersectionCell,
         parts: PartsCell,
     ) -> FloatTensor<Self> {
         let inner = inputs.each_ref().map(InputTensor::inner);
-        let output = B::rays(inner.clone(), tile_counts, spec, intersections.clone(), parts.clone());
+        let output = B::rays(inner.clone(), intersection_counts, spec, intersections.clone(), parts.clone());
         let state = (inner, output.clone(), spec, intersections, parts);
         tracked(RaysBackward, inputs.each_ref().into_array(), state, output)
     }

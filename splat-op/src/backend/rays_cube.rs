@@ -9,12 +9,12 @@ use super::cube::{buffer, gradient, lists_by, on_device, planes_tensor, tensor};
 use super::rays::RaysBackend;
 use super::tensors::{GeometryGrads, GeometryTensors, RayLayerGrads, RayLayerTensors};
 use crate::gpu::{Buffer, Gpu};
+use crate::intersect::launch::{DeviceIntersections, launch_intersect};
+use crate::intersect::{Cut, IntersectionCell};
 use crate::project::{Geometry, ProjectSpec};
 use crate::rasterize::{PartsCell, RasterizeSpec};
 use crate::rays::RayLayers;
 use crate::rays::launch::{launch_rays, launch_rays_backward};
-use crate::tile::launch::{DeviceIntersections, launch_tile};
-use crate::tile::{Cut, IntersectionCell};
 use crate::tilt::TILT;
 use crate::tilt::launch::{launch_outline, launch_tilt, launch_tilt_backward};
 
@@ -26,7 +26,7 @@ fn lists<'a>(
     spec: &RasterizeSpec,
 ) -> &'a DeviceIntersections {
     lists_by(cell, || {
-        let rows = |packed: &Buffer<f32>| launch_tile(gpu, packed, &spec.intrinsics, Cut::of(&spec.options));
+        let rows = |packed: &Buffer<f32>| launch_intersect(gpu, packed, &spec.intrinsics, Cut::of(&spec.options));
         match spec.options.reaches_by_outline() {
             true => rows(&launch_outline(gpu, &inputs.projected, &inputs.tilt, spec)),
             false => rows(&inputs.projected),

@@ -10,10 +10,10 @@ use super::fusion;
 use super::tensors::{
     GeometryGrads, GeometryTensors, LayerGrads, LayerTensors, OptionalTensor, ShadingGrads, ShadingTensors,
 };
+use crate::intersect::IntersectionCell;
 use crate::project::{Geometry, ProjectSpec};
 use crate::rasterize::{Layers, PartsCell, RasterizeSpec, TraceCell};
 use crate::shade::Shading;
-use crate::tile::IntersectionCell;
 
 /// Gaussian splatting on a Burn backend: four stages, and the backward pass of the three that have one.
 ///
@@ -52,16 +52,17 @@ pub trait SplatBackend: Backend {
         mask: Shading<bool>,
     ) -> ShadingGrads<Self>;
 
-    /// See `tile/`. Fills `intersections` and returns the number of intersections per tile, `[tiles along y, tiles along x]`.
-    #[fusion(meta = fusion::tile)]
-    fn tile(projected: FloatTensor<Self>, spec: RasterizeSpec, intersections: IntersectionCell) -> IntTensor<Self>;
+    /// See `intersect/`. Fills `intersections` and returns the number of intersections per tile, `[tiles along y, tiles along x]`.
+    #[fusion(meta = fusion::intersect)]
+    fn intersect(projected: FloatTensor<Self>, spec: RasterizeSpec, intersections: IntersectionCell)
+    -> IntTensor<Self>;
 
-    /// See `rasterize/`. Returns `[C + 1 (+ 1), H, W]` and fills `trace` if it is to be kept. `tile_counts` is what `tile`
+    /// See `rasterize/`. Returns `[C + 1 (+ 1), H, W]` and fills `trace` if it is to be kept. `intersection_counts` is what `intersect`
     /// returned, and orders the two; gradients come through [`Self::part`] alone.
     #[fusion(meta = fusion::rasterize)]
     fn rasterize(
         #[extension_type] inputs: LayerTensors<Self>,
-        tile_counts: IntTensor<Self>,
+        intersection_counts: IntTensor<Self>,
         spec: RasterizeSpec,
         intersections: IntersectionCell,
         trace: Option<TraceCell>,

@@ -13,9 +13,9 @@ use cubecl::prelude::*;
 
 use super::layer::{BUCKET, KernelShape, LayerEllipse, Limits, colour, first_slot, layer};
 use crate::gpu::reduce::cube_sum;
+use crate::intersect::forward::TileFrame;
+use crate::intersect::{TILE, TILE_PIXELS};
 use crate::project::COLUMNS;
-use crate::tile::forward::TileFrame;
-use crate::tile::{TILE, TILE_PIXELS};
 
 /// Sums of `h, h u, h v, h u², h u v, h v²` with `h = α ∂L/∂α` where alpha is not at its limit; the channels follow, then
 /// the two sums of absolute values if they are wanted.

@@ -8,8 +8,8 @@ use cubecl::prelude::*;
 use super::backward::{MOMENTS, plane_of, row_len, tile_of_slot};
 use super::layer::{BUCKET, FOOTPRINT, KernelShape, LayerEllipse, Limits, colour, first_slot, layer};
 use crate::gpu::atomic::FloatCell;
-use crate::tile::forward::TileFrame;
-use crate::tile::{TILE, TILE_PIXELS};
+use crate::intersect::forward::TileFrame;
+use crate::intersect::{TILE, TILE_PIXELS};
 
 /// Rows of the intersections of each bucket; `units`, a multiple of 32, is the cube's size and the pixels of a block.
 ///

@@ -9,9 +9,9 @@ use super::prepared::Prepared;
 use super::tile::{Plane, Thresholds, TileView, rasterize_tile};
 use super::tile_backward::{MOMENTS, TileGrad, TileScratch, rasterize_tile_backward};
 use super::{Layers, RasterizeSpec};
+use crate::intersect::{IntersectionLists, TILE, TILE_PIXELS};
 use crate::project::{COLUMNS, Ellipse};
 use crate::real::Real;
-use crate::tile::{IntersectionLists, TILE, TILE_PIXELS};
 
 /// Gaussians per task.
 const CHUNK: usize = 1024;

@@ -7,11 +7,11 @@ use super::launch::{launch_rasterize, launch_rasterize_backward};
 use super::layer::BUCKET;
 use crate::dials::{Culling, Exponential};
 use crate::gpu::{Buffer, Gpu};
+use crate::intersect::Cut;
+use crate::intersect::launch::launch_intersect;
 use crate::options::{Accumulation, RenderOptions};
 use crate::testing::gpu::gpus;
 use crate::testing::random::Random;
-use crate::tile::Cut;
-use crate::tile::launch::launch_tile;
 
 /// Planes, then the gradients of ellipses, features, background, and absolute values, added in order.
 fn outcome(scene: &StageInputs, gpu: &Gpu, options: RenderOptions) -> [Vec<f32>; 5] {
@@ -19,7 +19,7 @@ fn outcome(scene: &StageInputs, gpu: &Gpu, options: RenderOptions) -> [Vec<f32>;
     let (camera, inputs) = (&spec.intrinsics, scene.device(gpu));
     let values = spec.planes(scene.background.len()) * camera.width * camera.height;
     let grad: Vec<f32> = Random::new(4).fill(values, -1.0, 1.0).iter().map(|v| *v as f32).collect();
-    let lists = launch_tile(gpu, &inputs.projected, camera, Cut::of(&options));
+    let lists = launch_intersect(gpu, &inputs.projected, camera, Cut::of(&options));
     let (planes, trace) = launch_rasterize(gpu, &inputs, &lists, &spec, true);
     let trace = trace.expect("asked for");
     let grads = launch_rasterize_backward(gpu, &inputs, &Buffer::from_slice(gpu, &grad), &lists, &trace, &spec, ALL);
@@ -46,7 +46,7 @@ fn differences(a: &[Vec<f32>; 5], b: &[Vec<f32>; 5]) -> [f32; 5] {
 
 fn longest(scene: &StageInputs, gpu: &Gpu, culling: Culling) -> i32 {
     let cut = Cut { culling, ..Cut::of(&scene.spec.options) };
-    let lists = launch_tile(gpu, &scene.device(gpu).projected, &scene.spec.intrinsics, cut);
+    let lists = launch_intersect(gpu, &scene.device(gpu).projected, &scene.spec.intrinsics, cut);
     lists.counts.read(gpu).into_iter().max().expect("there are tiles")
 }
 

@@ -4,12 +4,12 @@ use super::cpu::{rasterize_backward_cpu, rasterize_cpu};
 use super::{Layers, RasterizeSpec};
 use crate::camera::Intrinsics;
 use crate::dials::{Culling, Exponential};
+use crate::intersect::Cut;
+use crate::intersect::cpu::intersect_cpu;
 use crate::options::RenderOptions;
 use crate::project::Ellipse;
 use crate::real::Real;
 use crate::testing::random::Random;
-use crate::tile::Cut;
-use crate::tile::cpu::tile_cpu;
 
 const ALL: Layers<bool> = Layers { projected: true, features: true, background: true, mean2d_abs: true };
 
@@ -49,7 +49,7 @@ impl Needles {
         let (packed, features) = (real(&self.packed), real(&self.features));
         let background = real(&Random::new(3).fill(self.channels, -1.0, 1.0));
         let inputs = Layers { projected: &packed[..], features: &features, background: &background, mean2d_abs: &[] };
-        let lists = tile_cpu(&packed, &spec.intrinsics, Cut::of(&options));
+        let lists = intersect_cpu(&packed, &spec.intrinsics, Cut::of(&options));
         let longest = lists.tile_start.windows(2).map(|ends| ends[1] - ends[0]).max().expect("there are tiles");
         let grad = real(&Random::new(4).fill(spec.planes(self.channels) * 64 * 56, -1.0, 1.0));
         let (planes, trace) = rasterize_cpu(inputs, &spec, &lists, true);

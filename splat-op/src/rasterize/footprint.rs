@@ -2,10 +2,10 @@
 
 use fearless_simd::prelude::*;
 
+use crate::intersect::TILE;
+use crate::intersect::reach::{half_extent, widened_limit};
 use crate::project::Ellipse;
 use crate::real::{LANES, Real};
-use crate::tile::TILE;
-use crate::tile::reach::{half_extent, widened_limit};
 
 /// Vectors along a row of a tile.
 pub(super) const ROW_VECTORS: usize = TILE / LANES;

@@ -10,8 +10,8 @@ use cubecl::prelude::*;
 use super::layer::{
     BUCKET, FOOTPRINT, KernelShape, LayerEllipse, Limits, behind_bucket, colour, first_slot, layer, strip_origin,
 };
-use crate::tile::forward::TileFrame;
-use crate::tile::{TILE, TILE_PIXELS};
+use crate::intersect::forward::TileFrame;
+use crate::intersect::{TILE, TILE_PIXELS};
 
 /// Places that a cube loads at once, a whole number of buckets.
 const BATCH: usize = 64;

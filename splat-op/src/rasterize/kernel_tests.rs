@@ -5,15 +5,15 @@ use super::launch::{launch_rasterize, launch_rasterize_backward};
 use super::{Layers, RasterizeSpec};
 use crate::camera::Intrinsics;
 use crate::gpu::{Buffer, Gpu};
+use crate::intersect::Cut;
+use crate::intersect::cpu::intersect_cpu;
+use crate::intersect::launch::launch_intersect;
 use crate::options::{Accumulation, RenderOptions};
 use crate::project::COLUMNS;
 use crate::testing::ceiling::{PerturbedReference, rounded};
 use crate::testing::ellipses::ellipses;
 use crate::testing::gpu::{gpu, gpus};
 use crate::testing::random::Random;
-use crate::tile::Cut;
-use crate::tile::cpu::tile_cpu;
-use crate::tile::launch::launch_tile;
 
 pub(super) const ALL: Layers<bool> = Layers { projected: true, features: true, background: true, mean2d_abs: true };
 
@@ -61,12 +61,12 @@ impl StageInputs {
     }
 
     fn planes(&self) -> Vec<f64> {
-        let lists = tile_cpu(&self.projected, &self.spec.intrinsics, Cut::of(&self.spec.options));
+        let lists = intersect_cpu(&self.projected, &self.spec.intrinsics, Cut::of(&self.spec.options));
         rasterize_cpu(self.inputs(), &self.spec, &lists, false).0
     }
 
     fn backward(&self, grad: &[f64]) -> Layers<Vec<f64>> {
-        let lists = tile_cpu(&self.projected, &self.spec.intrinsics, Cut::of(&self.spec.options));
+        let lists = intersect_cpu(&self.projected, &self.spec.intrinsics, Cut::of(&self.spec.options));
         rasterize_backward_cpu(self.inputs(), grad, &self.spec, (&lists, None), ALL)
     }
 
@@ -108,7 +108,7 @@ impl StageInputs {
     /// Planes and gradients on the device.
     fn on(&self, gpu: &Gpu, grad: &[f64], needs: Layers<bool>) -> (Vec<f32>, Layers<Option<Buffer<f32>>>) {
         let inputs = self.device(gpu);
-        let lists = launch_tile(gpu, &inputs.projected, &self.spec.intrinsics, Cut::of(&self.spec.options));
+        let lists = launch_intersect(gpu, &inputs.projected, &self.spec.intrinsics, Cut::of(&self.spec.options));
         let grad = Buffer::from_slice(gpu, &grad.iter().map(|&v| v as f32).collect::<Vec<_>>());
         let (planes, trace) = launch_rasterize(gpu, &inputs, &lists, &self.spec, true);
         let plain = launch_rasterize(gpu, &inputs, &lists, &self.spec, false).0.read(gpu);

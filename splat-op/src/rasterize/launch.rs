@@ -11,11 +11,11 @@ use super::{Layers, RasterizeSpec};
 use crate::dials::Exponential;
 use crate::gpu::reduce::launch_column_sums;
 use crate::gpu::{Buffer, Gpu, UNITS, cubes, elementwise};
+use crate::intersect::launch::{DeviceIntersections, frame};
+use crate::intersect::{TILE_PIXELS, tile_grid};
 use crate::limits::Need;
 use crate::options::Accumulation;
 use crate::project::COLUMNS;
-use crate::tile::launch::{DeviceIntersections, frame};
-use crate::tile::{TILE_PIXELS, tile_grid};
 
 /// Units of a cube of the kernel for many channels, and pixels of its blocks: what two arrays of 32 numbers per unit leave of 32 KiB
 /// of shared memory.

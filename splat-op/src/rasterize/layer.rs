@@ -4,8 +4,8 @@
 use cubecl::prelude::*;
 
 use super::power::power;
+use crate::intersect::TILE;
 use crate::project::COLUMNS;
-use crate::tile::TILE;
 
 /// Places of a bucket.
 pub(super) const BUCKET: usize = 32;

@@ -7,8 +7,8 @@ use cubecl::prelude::*;
 
 use super::backward::{MOMENTS, plane_of};
 use super::layer::{KernelShape, LayerEllipse, Limits, checkpoint, layer, restore};
-use crate::tile::forward::TileFrame;
-use crate::tile::{TILE, TILE_PIXELS};
+use crate::intersect::forward::TileFrame;
+use crate::intersect::{TILE, TILE_PIXELS};
 
 /// Places that are worked on at once. Their alphas and weights lie in registers.
 pub(super) const STEP: usize = 4;

@@ -8,10 +8,10 @@ use super::footprint::Footprint;
 use super::tile::{TileView, is_long};
 use super::{Layers, RasterizeSpec};
 use crate::dials::{Culling, Exponential};
+use crate::intersect::cpu::needed_intersections;
+use crate::intersect::{IntersectionLists, TILE, tile_grid};
 use crate::project::{COLUMNS, Ellipse};
 use crate::real::Real;
-use crate::tile::cpu::needed_intersections;
-use crate::tile::{IntersectionLists, TILE, tile_grid};
 
 /// Gaussians per task.
 const CHUNK: usize = 1024;

@@ -13,8 +13,8 @@ use super::backward::{row_len, tile_of_slot};
 use super::layer::{BUCKET, FOOTPRINT, KernelShape, LayerEllipse, Limits, colour, first_slot, strip_origin};
 use super::pixels::{STEP, UnitPixels};
 use crate::gpu::atomic::FloatCell;
-use crate::tile::TILE_PIXELS;
-use crate::tile::forward::TileFrame;
+use crate::intersect::TILE_PIXELS;
+use crate::intersect::forward::TileFrame;
 
 /// Rows of the intersections of each bucket.
 ///

@@ -3,14 +3,14 @@
 use super::cpu::{rasterize_backward_cpu, rasterize_cpu};
 use super::{Layers, RasterizeSpec};
 use crate::camera::Intrinsics;
+use crate::intersect::cpu::intersect_cpu;
+use crate::intersect::{Cut, IntersectionLists};
 use crate::options::RenderOptions;
 use crate::project::{COLUMNS, Ellipse};
 use crate::real::Real;
 use crate::testing::blending::{PixelLayer, assert_close, blended, small_ellipse, smooth};
 use crate::testing::finite::{check_gradient, inner_product};
 use crate::testing::random::Random;
-use crate::tile::cpu::tile_cpu;
-use crate::tile::{Cut, IntersectionLists};
 
 const ALL: Layers<bool> = Layers { projected: true, features: true, background: true, mean2d_abs: true };
 
@@ -44,7 +44,7 @@ impl StageInputs {
     }
 
     fn lists(&self) -> IntersectionLists {
-        tile_cpu(&self.inputs[0], &self.spec.intrinsics, Cut::of(&self.spec.options))
+        intersect_cpu(&self.inputs[0], &self.spec.intrinsics, Cut::of(&self.spec.options))
     }
 
     fn planes(&self) -> Vec<f64> {
@@ -229,7 +229,7 @@ fn many_layers_behind_an_opaque_one_keep_their_digits() {
     let double = scene.backward(&scene.random_grad(91), ALL);
     let single_inputs = scene.inputs.each_ref().map(|values| values.iter().map(|v| *v as f32).collect::<Vec<f32>>());
     let single_grad: Vec<f32> = scene.random_grad(91).iter().map(|v| *v as f32).collect();
-    let lists = tile_cpu(&single_inputs[0], &scene.spec.intrinsics, 0.0.into());
+    let lists = intersect_cpu(&single_inputs[0], &scene.spec.intrinsics, 0.0.into());
     let single = rasterize_backward_cpu(inputs(&single_inputs), &single_grad, &scene.spec, (&lists, None), ALL);
     for (name, single, double) in
         [("ellipses", &single.projected, &double.projected), ("features", &single.features, &double.features)]

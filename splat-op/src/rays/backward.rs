@@ -13,8 +13,8 @@ use super::SUMS;
 use super::layer::{CHUNK, RayFrame, RayGaussian, RayPixel, Walk};
 use crate::gpu::UNITS;
 use crate::gpu::reduce::cube_sum;
+use crate::intersect::TILE_PIXELS;
 use crate::project::COLUMNS;
-use crate::tile::TILE_PIXELS;
 use crate::tilt::TILT;
 
 /// Numbers of a row: the sums, one for each channel, and the two absolute ones.

@@ -5,10 +5,10 @@ use rayon::prelude::*;
 
 use super::pixel::{RayGaussianCpu, RayLayerCpu, Rules, look};
 use super::{RayLayers, SUMS};
+use crate::intersect::{IntersectionLists, TILE, tile_grid};
 use crate::project::{COLUMNS, Ellipse};
 use crate::rasterize::RasterizeSpec;
 use crate::real::Real;
-use crate::tile::{IntersectionLists, TILE, tile_grid};
 use crate::tilt::TILT;
 
 /// A view, prepared for its pixels.

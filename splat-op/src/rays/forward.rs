@@ -7,7 +7,7 @@
 use cubecl::prelude::*;
 
 use super::layer::{CHUNK, RayFrame, RayGaussian, RayPixel, Walk};
-use crate::tile::TILE_PIXELS;
+use crate::intersect::TILE_PIXELS;
 
 /// Planes `[C + 1 (+ 1), H, W]`.
 #[cube(launch_unchecked)]

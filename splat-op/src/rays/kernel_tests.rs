@@ -6,6 +6,9 @@ use super::launch::{launch_rays, launch_rays_backward_by};
 use super::pixel::{RayGaussianCpu, Rules, look};
 use crate::camera::Intrinsics;
 use crate::gpu::{Buffer, Gpu};
+use crate::intersect::IntersectionLists;
+use crate::intersect::cpu::intersect_cpu;
+use crate::intersect::launch::{DeviceIntersections, launch_intersect};
 use crate::options::{Order, Projection, RenderOptions};
 use crate::project::COLUMNS;
 use crate::rasterize::RasterizeSpec;
@@ -13,9 +16,6 @@ use crate::testing::ceiling::{PerturbedReference, rounded, to_f32};
 use crate::testing::ellipses::ellipses;
 use crate::testing::gpu::{gpu, gpus};
 use crate::testing::random::Random;
-use crate::tile::IntersectionLists;
-use crate::tile::cpu::tile_cpu;
-use crate::tile::launch::{DeviceIntersections, launch_tile};
 use crate::tilt::launch::launch_outline;
 use crate::tilt::{TILT, outline_cpu};
 
@@ -77,10 +77,12 @@ impl StageInputs {
     fn lists(&self) -> IntersectionLists {
         let (camera, options) = (&self.spec.intrinsics, &self.spec.options);
         match options.reaches_by_outline() {
-            true => {
-                tile_cpu(&outline_cpu(&self.inputs[0], &self.inputs[1], &self.spec), camera, options.alpha_min.into())
-            }
-            false => tile_cpu(&self.inputs[0], camera, options.alpha_min.into()),
+            true => intersect_cpu(
+                &outline_cpu(&self.inputs[0], &self.inputs[1], &self.spec),
+                camera,
+                options.alpha_min.into(),
+            ),
+            false => intersect_cpu(&self.inputs[0], camera, options.alpha_min.into()),
         }
     }
 
@@ -139,7 +141,7 @@ impl StageInputs {
             true => launch_outline(gpu, &inputs.projected, &inputs.tilt, &self.spec),
             false => inputs.projected.clone(),
         };
-        let lists = launch_tile(gpu, &rows, camera, options.alpha_min.into());
+        let lists = launch_intersect(gpu, &rows, camera, options.alpha_min.into());
         (inputs, lists)
     }
 

@@ -7,12 +7,12 @@ use super::backward::{rays_background_kernel, rays_gather_kernel, rays_sums_kern
 use super::forward::rays_forward_kernel;
 use super::layer::RayFrameLaunch;
 use crate::gpu::{Buffer, Gpu, UNITS, cubes, elementwise};
+use crate::intersect::launch::DeviceIntersections;
+use crate::intersect::{TILE_PIXELS, tile_grid};
 use crate::limits::Need;
 use crate::options::{Order, Projection};
 use crate::project::COLUMNS;
 use crate::rasterize::RasterizeSpec;
-use crate::tile::launch::DeviceIntersections;
-use crate::tile::{TILE_PIXELS, tile_grid};
 use crate::tilt::TILT;
 
 /// Places of the table of layers and pixels, unless one tile has more: 64 MiB.

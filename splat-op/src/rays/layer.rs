@@ -7,8 +7,8 @@ use cubecl::prelude::*;
 
 use super::{D_MIN, WHITENED_MAX};
 use crate::gpu::math::within;
+use crate::intersect::TILE;
 use crate::project::COLUMNS;
-use crate::tile::TILE;
 use crate::tilt::TILT;
 
 /// Layers that a unit looks for at once, and sorts in its registers. It goes through the tile's list once for so many.

@@ -1,10 +1,10 @@
 //! One pixel as the CPU twin sees it: what it sees of a Gaussian, its layers front to back, and their gradients.
 
 use super::{D_MIN, SUMS, WHITENED_MAX};
+use crate::intersect::reach::widened_limit;
 use crate::options::{Order, Projection};
 use crate::project::Ellipse;
 use crate::real::Real;
-use crate::tile::reach::widened_limit;
 use crate::tilt::TILT;
 
 /// A Gaussian as pixels see it.

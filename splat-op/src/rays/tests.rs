@@ -3,6 +3,8 @@
 use super::RayLayers;
 use super::cpu::{rays_backward_cpu, rays_cpu};
 use crate::camera::Intrinsics;
+use crate::intersect::IntersectionLists;
+use crate::intersect::cpu::intersect_cpu;
 use crate::options::{Order, Projection, RenderOptions};
 use crate::project::{COLUMNS, Ellipse};
 use crate::rasterize::RasterizeSpec;
@@ -10,8 +12,6 @@ use crate::rasterize::cpu::rasterize_cpu;
 use crate::testing::blending::{PixelLayer, assert_close, blended, small_ellipse, smooth};
 use crate::testing::finite::{check_gradient, inner_product};
 use crate::testing::random::Random;
-use crate::tile::IntersectionLists;
-use crate::tile::cpu::tile_cpu;
 use crate::tilt::{TILT, outline_cpu};
 
 const ALL: RayLayers<bool> =
@@ -59,9 +59,9 @@ impl StageInputs {
         let (camera, alpha_min) = (&self.spec.intrinsics, self.spec.options.alpha_min);
         match self.spec.options.projection {
             Projection::Exact => {
-                tile_cpu(&outline_cpu(&self.inputs[0], &self.inputs[1], &self.spec), camera, alpha_min.into())
+                intersect_cpu(&outline_cpu(&self.inputs[0], &self.inputs[1], &self.spec), camera, alpha_min.into())
             }
-            Projection::Affine => tile_cpu(&self.inputs[0], camera, alpha_min.into()),
+            Projection::Affine => intersect_cpu(&self.inputs[0], camera, alpha_min.into()),
         }
     }
 
@@ -172,7 +172,7 @@ fn without_a_tilt_it_is_rasterize() {
         scene.inputs[1].fill(0.0);
         let [projected, _, features, background] = &scene.inputs;
         let plain = crate::rasterize::Layers { projected: &projected[..], features, background, mean2d_abs: &[] };
-        let lists = tile_cpu(projected, &scene.spec.intrinsics, options.alpha_min.into());
+        let lists = intersect_cpu(projected, &scene.spec.intrinsics, options.alpha_min.into());
         let expected = rasterize_cpu(plain, &scene.spec, &lists, false).0;
         assert_close(&format!("{projection:?}, {order:?}"), &scene.planes(), &expected, 1e-13);
     }

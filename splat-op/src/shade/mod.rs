@@ -19,7 +19,7 @@
 //! |x − centre| <= REACH_MARGIN · k · (sigma_u,  sigma_v + |shear| sigma_u) + 1 px,   k² = 2 ln(1 / alpha_min) + 0.001
 //! ```
 //!
-//! which is wider than what `tile` lists, so that no picture changes. An opacity above one, which the op does not forbid, reaches
+//! which is wider than what `intersect` lists, so that no picture changes. An opacity above one, which the op does not forbid, reaches
 //! further than the box, and always counts as visible.
 //!
 //! Shapes: coefficients `[N, (degree+1)², 3]`, means `[N, 3]`, pose `[3, 4]`, and packed ellipses `[N, 7]` or none → colours
@@ -93,7 +93,7 @@ impl Harmonics {
 }
 
 /// How much wider the box of what is visible is than exact arithmetic would have it, and what is added to the square of the
-/// reach. `tile` widens its own square by 1e-5 and adds 1e-4.
+/// reach. `intersect` widens its own square by 1e-5 and adds 1e-4.
 const REACH_MARGIN: f64 = 1.01;
 const REACH_SLACK: f64 = 1e-3;
 

@@ -1,14 +1,14 @@
-//! The mask of what is visible: against shading all, and against the lists of `tile`.
+//! The mask of what is visible: against shading all, and against the lists of `intersect`.
 
 use super::cpu::{ShCoefficients, ShadeCpuInputs, Visible, shade_backward_cpu, shade_cpu};
 use super::{Shading, reach_sigmas};
 use crate::camera::Intrinsics;
+use crate::intersect::cpu::intersect_cpu;
 use crate::options::RenderOptions;
 use crate::project::cpu::project_cpu;
 use crate::project::{COLUMNS, Geometry, ProjectSpec};
 use crate::real::Real;
 use crate::testing::random::Random;
-use crate::tile::cpu::tile_cpu;
 
 /// Harmonics per channel, of degree 2.
 pub(super) const COEFFICIENTS: usize = 9;
@@ -72,7 +72,7 @@ pub(super) fn check_colours<F: Real>(
     same: impl Fn(usize) -> bool,
 ) -> usize {
     // Without a smallest alpha every Gaussian is in every list, though most of them add exactly nothing.
-    let lists = tile_cpu(packed, &spec.intrinsics, spec.options.alpha_min.max(1e-37).into());
+    let lists = intersect_cpu(packed, &spec.intrinsics, spec.options.alpha_min.max(1e-37).into());
     let mut skipped = 0;
     for (i, row) in packed.chunks_exact(COLUMNS).enumerate() {
         let zero = found[3 * i..3 * i + 3].iter().all(|value| *value == F::ZERO);
@@ -101,7 +101,7 @@ fn colours_are_those_of_all_or_zero_where_nothing_can_show() {
 fn without_a_smallest_alpha_only_what_rounds_to_nothing_is_left_out() {
     assert!((-0.5 * reach_sigmas(0.0).powi(2)).exp() == 0.0);
     assert!(reach_sigmas(1e-300) < reach_sigmas(0.0));
-    // What `tile` lists of a Gaussian whose opacity is the smallest alpha.
+    // What `intersect` lists of a Gaussian whose opacity is the smallest alpha.
     assert!(reach_sigmas(1.0) > 1e-4_f64.sqrt() && reach_sigmas(2.0) == reach_sigmas(1.0));
 }
 

@@ -1,4 +1,4 @@
-//! Random packed ellipses, as `tile` and `rasterize` take them, without a camera in front.
+//! Random packed ellipses, as `intersect` and `rasterize` take them, without a camera in front.
 
 use super::random::Random;
 use crate::camera::Intrinsics;

@@ -37,7 +37,7 @@ pub(crate) fn launch_tilt(gpu: &Gpu, inputs: &Geometry<Buffer<f32>>, spec: &Proj
     tilts
 }
 
-/// Rows for `tile`, `[N, 7]`, from packed ellipses and their tilts.
+/// Rows for `intersect`, `[N, 7]`, from packed ellipses and their tilts.
 pub(crate) fn launch_outline(
     gpu: &Gpu,
     projected: &Buffer<f32>,

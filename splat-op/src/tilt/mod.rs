@@ -38,10 +38,10 @@
 //! half-axes   c / (1 − e²) along t,  c / √(1 − e²) across        middle   −t e c / (1 − e²)
 //! ```
 //!
-//! the factor of `project` gets the column `L t e / √(1 − e²)` and is scaled. The stage `tile`, which reads a row's opacity for
+//! the factor of `project` gets the column `L t e / √(1 − e²)` and is scaled. The stage `intersect`, which reads a row's opacity for
 //! the reach alone, is given one for which that is `REACH`. Elsewhere a row covers the whole picture.
 //!
-//! Shapes: as `project` → `[N, 3]`; packed `[N, 7]` and those → outlines `[N, 7]`, not differentiable, for `tile` alone. Rows of
+//! Shapes: as `project` → `[N, 3]`; packed `[N, 7]` and those → outlines `[N, 7]`, not differentiable, for `intersect` alone. Rows of
 //! what `project` culls mean nothing, and have no gradient.
 
 #[cfg(feature = "cube")]

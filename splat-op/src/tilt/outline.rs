@@ -3,16 +3,16 @@
 use rayon::prelude::*;
 
 use super::{LEAST, REACH, SLACK, TILT};
+use crate::intersect::reach::whitened_limit;
 use crate::linalg::norm;
 use crate::project::{COLUMNS, Ellipse};
 use crate::rasterize::RasterizeSpec;
 use crate::real::Real;
-use crate::tile::reach::whitened_limit;
 
 /// Gaussians per task.
 const CHUNK: usize = 1024;
 
-/// `[N, 7]` rows for `tile`, from packed ellipses `[N, 7]` and their tilts `[N, 3]`. What is culled stays culled.
+/// `[N, 7]` rows for `intersect`, from packed ellipses `[N, 7]` and their tilts `[N, 3]`. What is culled stays culled.
 pub(crate) fn outline_cpu<F: Real>(packed: &[F], tilts: &[F], spec: &RasterizeSpec) -> Vec<F> {
     let mut outlines = vec![F::ZERO; packed.len()];
     let rows = (outlines.par_chunks_mut(COLUMNS), packed.par_chunks(COLUMNS), tilts.par_chunks(TILT));

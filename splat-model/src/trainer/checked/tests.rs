@@ -82,13 +82,13 @@ fn a_picture_is_finite_and_hides_no_more_than_all() {
 #[test]
 fn no_tile_lists_more_gaussians_than_there_are() {
     let options = RenderOptions::standard();
-    let tiles = tile(&projected(ellipses()), &options).unwrap();
-    assert_eq!(check_tiles(&tiles, 3), Ok(()));
+    let intersections = intersect(&projected(ellipses()), &options).unwrap();
+    assert_eq!(check_intersections(&intersections, 3), Ok(()));
     for count in [-1, 4] {
         let data = TensorData::new(vec![3_i32, count], [1, 2]);
-        let mut wrong = tiles.clone();
+        let mut wrong = intersections.clone();
         wrong.counts = Tensor::<2, Int>::from_data(data, &device());
-        assert_wrong(check_tiles(&wrong, 3), Stage::Tile, &["tile 1", &count.to_string(), "0 to 3"]);
+        assert_wrong(check_intersections(&wrong, 3), Stage::Intersect, &["tile 1", &count.to_string(), "0 to 3"]);
     }
 }
 

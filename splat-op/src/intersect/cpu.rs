@@ -1,4 +1,4 @@
-//! The CPU twin of `tile`: the tiles of each Gaussian, a sort of the Gaussians by depth, then a stable counting sort of their
+//! The CPU twin of `intersect`: the tiles of each Gaussian, a sort of the Gaussians by depth, then a stable counting sort of their
 //! intersections by tile.
 
 use std::sync::atomic::{AtomicU32, Ordering};
@@ -21,7 +21,7 @@ const CHUNK: usize = 2048;
 const SORTERS: usize = 16;
 
 /// Computes the lists of a view from its `[N, 7]` packed ellipses.
-pub(crate) fn tile_cpu<F: Real>(packed: &[F], camera: &Intrinsics, cut: Cut) -> IntersectionLists {
+pub(crate) fn intersect_cpu<F: Real>(packed: &[F], camera: &Intrinsics, cut: Cut) -> IntersectionLists {
     let found = find(packed, camera, cut);
     let intersections: usize = found.iter().map(|found| found.tiles.len()).sum();
     assert!(

@@ -78,13 +78,13 @@ pub(crate) struct IntersectionLists {
 
 /// The lists of one view, where its stages run.
 #[derive(Debug)]
-pub(crate) enum TileLists {
+pub(crate) enum StoredIntersections {
     Host(IntersectionLists),
     #[cfg(feature = "cube")]
     Device(Box<launch::DeviceIntersections>),
 }
 
 /// Holds the lists of one view once they are computed. It is passed to forward and backward as an ordinary argument; the
-/// tensor of counts that `tile` returns orders them for backends that run lazily.
+/// tensor of counts that `intersect` returns orders them for backends that run lazily.
 #[derive(Clone, Debug, Default)]
-pub struct IntersectionCell(pub(crate) Arc<OnceLock<TileLists>>);
+pub struct IntersectionCell(pub(crate) Arc<OnceLock<StoredIntersections>>);

@@ -1,6 +1,6 @@
-//! `tile` against brute force: nothing that shows is missing, and the lists are what they say they are.
+//! `intersect` against brute force: nothing that shows is missing, and the lists are what they say they are.
 
-use super::cpu::{needed_intersections, tile_cpu};
+use super::cpu::{intersect_cpu, needed_intersections};
 use super::{Cut, IntersectionLists, TILE, tile_grid};
 use crate::camera::Intrinsics;
 use crate::dials::Culling;
@@ -60,7 +60,7 @@ fn assert_nothing_is_missing<F: Real>(seed: u64) {
             [1.0 / 255.0, 1e-6, 0.3].into_iter().flat_map(|alpha_min| CULLINGS.map(|culling| (alpha_min, culling)));
         for (alpha_min, culling) in cuts {
             let packed = ellipses::<F>(&mut random, 150, size);
-            let lists = tile_cpu(&packed, &Intrinsics::centred(size.0, size.1, 50.0), Cut { alpha_min, culling });
+            let lists = intersect_cpu(&packed, &Intrinsics::centred(size.0, size.1, 50.0), Cut { alpha_min, culling });
             let [tiles_x, tiles_y] = tile_grid(size.0, size.1);
             let listed = listed(&lists, tiles_x * tiles_y, 150);
             let (mut needed, mut intersections) = (0, vec![vec![false; 150]; tiles_x * tiles_y]);
@@ -98,7 +98,7 @@ fn every_pair_that_shows_is_listed_in_f32() {
 #[test]
 fn without_a_cut_every_gaussian_is_in_every_tile() {
     let packed = ellipses::<f64>(&mut Random::new(3), 60, (40, 40));
-    let lists = tile_cpu(&packed, &Intrinsics::centred(40, 40, 50.0), 0.0.into());
+    let lists = intersect_cpu(&packed, &Intrinsics::centred(40, 40, 50.0), 0.0.into());
     assert_eq!(lists.gaussian.len(), 60 * 9);
 }
 
@@ -107,7 +107,7 @@ fn lists_run_front_to_back_and_intersections_are_found_from_both_sides() {
     for (seed, size) in SIZES.into_iter().enumerate() {
         // More Gaussians than one task takes.
         let packed = ellipses::<f32>(&mut Random::new(10 + seed as u64), 5000, size);
-        let lists = tile_cpu(&packed, &Intrinsics::centred(size.0, size.1, 50.0), (1.0 / 255.0).into());
+        let lists = intersect_cpu(&packed, &Intrinsics::centred(size.0, size.1, 50.0), (1.0 / 255.0).into());
         let key = |gaussian: &u32| (packed[*gaussian as usize * COLUMNS + 5].to_bits(), *gaussian);
         let [tiles_x, tiles_y] = tile_grid(size.0, size.1);
         assert_eq!(lists.tile_start.len(), tiles_x * tiles_y + 1);
@@ -153,7 +153,7 @@ fn what_cannot_show_is_not_listed() {
         Ellipse { mean_px: [-60.0, 8.0], ..row },
     ];
     let packed: Vec<f64> = bad.iter().chain([&row]).flat_map(|e| e.to_row()).collect();
-    let lists = tile_cpu(&packed, &Intrinsics::centred(16, 16, 50.0), (1.0 / 255.0).into());
+    let lists = intersect_cpu(&packed, &Intrinsics::centred(16, 16, 50.0), (1.0 / 255.0).into());
     assert_eq!(lists.gaussian, [bad.len() as u32], "only the good one");
     assert_eq!(lists.visible, [bad.len() as u32]);
 }
@@ -163,7 +163,7 @@ fn the_number_of_threads_changes_no_list() {
     let packed = ellipses::<f32>(&mut Random::new(30), 9000, (75, 50));
     let with = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a small pool");
-        let lists = pool.install(|| tile_cpu(&packed, &Intrinsics::centred(75, 50, 50.0), (1.0 / 255.0).into()));
+        let lists = pool.install(|| intersect_cpu(&packed, &Intrinsics::centred(75, 50, 50.0), (1.0 / 255.0).into()));
         (lists.tile_start, lists.gaussian, lists.visible, lists.visible_start, lists.intersection_of_visible)
     };
     assert_eq!(with(1), with(2));
@@ -173,7 +173,7 @@ fn the_number_of_threads_changes_no_list() {
 fn lists_by_culling<F: Real>(packed: &[F], alpha_min: f64) -> [Vec<Vec<bool>>; 3] {
     let [tiles_x, tiles_y] = tile_grid(150, 120);
     CULLINGS.map(|culling| {
-        let lists = tile_cpu(packed, &Intrinsics::centred(150, 120, 50.0), Cut { alpha_min, culling });
+        let lists = intersect_cpu(packed, &Intrinsics::centred(150, 120, 50.0), Cut { alpha_min, culling });
         listed(&lists, tiles_x * tiles_y, packed.len() / COLUMNS)
     })
 }
@@ -214,7 +214,7 @@ fn a_box_is_as_long_as_its_needle_or_as_the_long_axis_of_an_opaque_one() {
         opacity: 0.5,
     };
     let rectangle = |alpha_min: f64, culling| {
-        let lists = tile_cpu(&needle.to_row(), &Intrinsics::centred(150, 120, 50.0), Cut { alpha_min, culling });
+        let lists = intersect_cpu(&needle.to_row(), &Intrinsics::centred(150, 120, 50.0), Cut { alpha_min, culling });
         let [tiles_x, _] = tile_grid(150, 120);
         let tiles = (0..lists.tile_start.len() - 1).filter(|&tile| lists.tile_start[tile] < lists.tile_start[tile + 1]);
         let tiles: Vec<[usize; 2]> = tiles.map(|tile| [tile % tiles_x, tile / tiles_x]).collect();
@@ -241,7 +241,7 @@ fn what_is_more_than_opaque_is_not_cut_off_by_the_square() {
 fn needed_intersections_are_those_that_the_ellipses_list() {
     let packed = ellipses::<f32>(&mut Random::new(41), 3000, (150, 120));
     let camera = Intrinsics::centred(150, 120, 50.0);
-    let lists = tile_cpu(&packed, &camera, (1.0 / 255.0).into());
+    let lists = intersect_cpu(&packed, &camera, (1.0 / 255.0).into());
     let counts: Vec<u32> = lists.tile_start.windows(2).map(|ends| (ends[1] - ends[0]) as u32).collect();
     assert_eq!(needed_intersections(&packed, &camera, 1.0 / 255.0), counts);
     assert!(counts.iter().any(|count| *count != counts[0]));

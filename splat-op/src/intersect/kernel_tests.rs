@@ -1,7 +1,7 @@
 //! Scan and sort of the device against the standard library's, exactly; tile lists against the CPU twin's.
 
-use super::cpu::tile_cpu;
-use super::launch::launch_tile;
+use super::cpu::intersect_cpu;
+use super::launch::launch_intersect;
 use super::scan::launch_scan;
 use super::sort::{Pairs, launch_sort};
 use super::{Cut, IntersectionLists, TILE, tile_grid};
@@ -114,11 +114,11 @@ fn check_lists_by(count: usize, [width, height]: [usize; 2], cut: Cut) {
     // A box on the device is wider by a hundredth of a pixel.
     let lower = if cut.culling == Culling::Ellipse { 0.999 } else { 0.8 };
     let [least, most] =
-        [1.03, lower].map(|scale| tile_cpu(&projected, &camera, Cut { alpha_min: alpha_min * scale, ..cut }));
+        [1.03, lower].map(|scale| intersect_cpu(&projected, &camera, Cut { alpha_min: alpha_min * scale, ..cut }));
     let tiles = tile_grid(width, height).iter().product::<usize>();
     for (form, gpu) in gpus() {
         let name = format!("{count} splats, {width} × {height}, {cut:?}, {form}");
-        let lists = launch_tile(&gpu, &Buffer::from_slice(&gpu, &projected), &camera, cut);
+        let lists = launch_intersect(&gpu, &Buffer::from_slice(&gpu, &projected), &camera, cut);
         let start = lists.tile_start.read(&gpu);
         let (intersection_of_place, gaussian_of_intersection) =
             (lists.intersection_of_place.read(&gpu), lists.gaussian_of_intersection.read(&gpu));
@@ -194,7 +194,7 @@ fn each_culling_lists_fewer_than_the_coarser_one() {
     let projected: Vec<f32> = ellipses(8, 2_000, &camera, [0.003, 1.0]).iter().map(|&v| v as f32).collect();
     for (form, gpu) in gpus() {
         let projected = Buffer::from_slice(&gpu, &projected);
-        let by = |culling| launch_tile(&gpu, &projected, &camera, Cut { alpha_min: 1.0 / 255.0, culling });
+        let by = |culling| launch_intersect(&gpu, &projected, &camera, Cut { alpha_min: 1.0 / 255.0, culling });
         let [square, opacity, ellipse] =
             [Culling::BoundingBox, Culling::OpacityBox, Culling::Ellipse].map(|culling| by(culling).intersections);
         println!("{form}: {square} intersections by BoundingBox, {opacity} by OpacityBox, {ellipse} by Ellipse");

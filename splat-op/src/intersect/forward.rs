@@ -1,4 +1,4 @@
-//! Kernels of `tile`: what each Gaussian covers, its intersections in depth order, and where each tile's intersections begin.
+//! Kernels of `intersect`: what each Gaussian covers, its intersections in depth order, and where each tile's intersections begin.
 //!
 //! What a Gaussian covers is decided once, by floats, and stored as integers: its box of tiles, cut into at most 8 × 8
 //! cells, with one bit per cell. Counting the intersections and writing them both read these integers, so they cannot disagree.
@@ -11,13 +11,13 @@ use super::TILE;
 use crate::dials::Culling;
 use crate::gpu::math::{Vec3, finite, within};
 
-/// Numbers of a [`TileCover`].
+/// Numbers of a [`TileCoverage`].
 pub(super) const COVER: usize = 4;
 
 /// Cells along each side of a cover.
 const CELLS: u32 = 8;
 
-/// What `tile` and `rasterize` need to know of the picture.
+/// What `intersect` and `rasterize` need to know of the picture.
 #[derive(CubeType, CubeLaunch, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub(crate) struct TileFrame {
@@ -31,7 +31,7 @@ pub(crate) struct TileFrame {
 /// The tiles that a Gaussian is listed in.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
-struct TileCover {
+struct TileCoverage {
     /// The first tile of the box.
     x: u32,
     y: u32,
@@ -44,10 +44,10 @@ struct TileCover {
 }
 
 #[cube]
-impl TileCover {
-    fn load(covers: &[u32], gaussian: usize) -> TileCover {
+impl TileCoverage {
+    fn load(covers: &[u32], gaussian: usize) -> TileCoverage {
         let at = gaussian * comptime!(COVER);
-        TileCover {
+        TileCoverage {
             x: covers[at] & 0xffff,
             y: covers[at] >> 16,
             width: covers[at + 1] & 0xffff,
@@ -199,7 +199,7 @@ pub(super) fn cover_kernel(
         let square = comptime!(culling == Culling::BoundingBox);
         let at = gaussian * comptime!(crate::project::COLUMNS);
         let (depth, opacity) = (projected[at + 5], projected[at + 6]);
-        let mut cover = TileCover { x: 0, y: 0, width: 0, height: 0, low: 0, high: 0 };
+        let mut cover = TileCoverage { x: 0, y: 0, width: 0, height: 0, low: 0, high: 0 };
         let mut usable = depth > 0.0 && opacity > 0.0 && opacity >= frame.alpha_min;
         #[unroll]
         for column in 0..comptime!(crate::project::COLUMNS) {
@@ -253,7 +253,7 @@ pub(super) fn cover_kernel(
 /// The bits of the cells that the ellipse reaches, or of all of the box.
 #[cube]
 fn covered_cells(
-    cover: &TileCover,
+    cover: &TileCoverage,
     reach: &EllipseReach,
     frame: &TileFrame,
     #[comptime] culling: Culling,
@@ -305,7 +305,7 @@ pub(super) fn count_kernel(
         let shown = keys[rank] != 0xffff_ffff;
         let mut intersections = 0u32;
         if shown {
-            intersections = TileCover::load(covers, order[rank] as usize).count();
+            intersections = TileCoverage::load(covers, order[rank] as usize).count();
         }
         counts[rank] = intersections;
         // Those without intersections come last, so exactly one unit sees the border.
@@ -337,7 +337,7 @@ pub(super) fn emit_kernel(
     let rank = ABSOLUTE_POS;
     if rank < visible as usize {
         let gaussian = order[rank];
-        let cover = TileCover::load(covers, gaussian as usize);
+        let cover = TileCoverage::load(covers, gaussian as usize);
         let mut intersection = starts[rank];
         for y in 0..cover.height {
             for x in 0..cover.width {
@@ -371,7 +371,7 @@ pub(super) fn ranges_kernel(
     }
 }
 
-/// The first place whose tile is at least `tile`.
+/// The first place whose tile is at least `intersect`.
 #[cube]
 fn lower_bound(sorted_tiles: &[u32], intersections: u32, tile: u32) -> u32 {
     let mut low = 0u32;

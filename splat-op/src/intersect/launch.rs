@@ -1,4 +1,4 @@
-//! Launches of `tile`, and the lists they leave on the device.
+//! Launches of `intersect`, and the lists they leave on the device.
 
 use super::forward::{COVER, TileFrameLaunch, count_kernel, cover_kernel, emit_kernel, ranges_kernel};
 use super::scan::launch_scan;
@@ -42,7 +42,12 @@ pub(crate) fn frame(camera: &Intrinsics, alpha_min: f64) -> TileFrameLaunch {
 
 /// Lists the intersections of `projected`, `[count, 7]`, and counts them by tile. Waits for the device once, to learn how many intersections
 /// there are.
-pub(crate) fn launch_tile(gpu: &Gpu, projected: &Buffer<f32>, camera: &Intrinsics, cut: Cut) -> DeviceIntersections {
+pub(crate) fn launch_intersect(
+    gpu: &Gpu,
+    projected: &Buffer<f32>,
+    camera: &Intrinsics,
+    cut: Cut,
+) -> DeviceIntersections {
     let count = projected.len / crate::project::COLUMNS;
     let [tiles_x, tiles_y] = tile_grid(camera.width, camera.height);
     let tiles = tiles_x * tiles_y;
