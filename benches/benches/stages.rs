@@ -13,7 +13,7 @@ use splat_benches::limit::Machine;
 use splat_benches::measure::table;
 use splat_benches::passes::passes;
 use splat_benches::{SyntheticView, share_apart, values};
-use splat_op::{Colour, Extras, intersect, project, shade};
+use splat_op::{Colour, Extras, evaluate_sh, intersect, project};
 
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
@@ -45,7 +45,7 @@ fn verify_stages(view: &SyntheticView) {
         let projected = project(&scene, &camera, &Extras::default(), &OPTIONS).expect("shapes fit");
         let counts = values(intersect(&projected, &OPTIONS).expect("options are in range").counts.float());
         let Colour::SphericalHarmonics(sh) = &scene.colour else { unreachable!("the scene has harmonics") };
-        let colours = values(shade(sh, &scene.means, &camera).expect("shapes fit"));
+        let colours = values(evaluate_sh(sh, &scene.means, &camera).expect("shapes fit"));
         (projected.ellipses(), counts, colours)
     };
     let (found, expected) = (run(DType::F32), run(DType::F64));

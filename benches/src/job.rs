@@ -10,7 +10,7 @@ use glam::DAffine3;
 use splat_model::capture::{Capture, Split, load_all};
 use splat_model::gaussians::{GaussianRows, Gaussians};
 use splat_model::trainer::{TrainConfig, Trainer};
-use splat_op::{Camera, Colour, Extras, Intrinsics, RenderOptions, SplatError, Splats, project, render, shade};
+use splat_op::{Camera, Colour, Extras, Intrinsics, RenderOptions, SplatError, Splats, evaluate_sh, project, render};
 
 use crate::limit::Sizes;
 use crate::{LARGE, Load, MEDIUM, SMALL, SyntheticView, TINY, share_apart, values};
@@ -215,7 +215,7 @@ impl Job {
         let camera = self.camera(device);
         project(&splats, &camera, &Extras::default(), &OPTIONS)?;
         let sh = Tensor::<3>::zeros([1, COEFFICIENTS, 3], device).expand([count, COEFFICIENTS, 3]);
-        shade(&sh, &splats.means, &camera).map(drop)
+        evaluate_sh(&sh, &splats.means, &camera).map(drop)
     }
 }
 

@@ -39,7 +39,7 @@ const CROSS: f64 = 9.0;
 const MATVEC: f64 = 3.0 * DOT;
 const MATMUL: f64 = 9.0 * DOT;
 
-/// Operations of `shade/basis.rs` by degree, each including the lower degrees.
+/// Operations of `sh/basis.rs` by degree, each including the lower degrees.
 const BASIS: [f64; 5] = [0.0, 3.0, 18.0, 43.0, 69.0];
 const BASIS_BACKWARD: [f64; 5] = [0.0, 3.0, 33.0, 105.0, 183.0];
 
@@ -48,13 +48,13 @@ const BASIS_BACKWARD: [f64; 5] = [0.0, 3.0, 33.0, 105.0, 183.0];
 pub enum PassKind {
     Activate,
     Project,
-    Shade,
+    Sh,
     Intersect,
     Rasterize,
     Loss,
     LossBackward,
     RasterizeBackward,
-    ShadeBackward,
+    ShBackward,
     ProjectBackward,
     ActivateBackward,
     Observe,
@@ -68,13 +68,13 @@ impl PassKind {
     pub const PARTS: [Self; 14] = [
         Self::Activate,
         Self::Project,
-        Self::Shade,
+        Self::Sh,
         Self::Intersect,
         Self::Rasterize,
         Self::Loss,
         Self::LossBackward,
         Self::RasterizeBackward,
-        Self::ShadeBackward,
+        Self::ShBackward,
         Self::ProjectBackward,
         Self::ActivateBackward,
         Self::Observe,
@@ -87,13 +87,13 @@ impl PassKind {
         match self {
             Self::Activate => "activate",
             Self::Project => "project",
-            Self::Shade => "shade",
+            Self::Sh => "sh",
             Self::Intersect => "intersect",
             Self::Rasterize => "rasterize",
             Self::Loss => "loss with derivative",
             Self::LossBackward => "loss backward",
             Self::RasterizeBackward => "rasterize backward",
-            Self::ShadeBackward => "shade backward",
+            Self::ShBackward => "sh backward",
             Self::ProjectBackward => "project backward",
             Self::ActivateBackward => "activate backward",
             Self::Observe => "density statistics",
@@ -188,7 +188,7 @@ impl Sizes {
             // Scales and opacity, read and written.
             PassKind::Activate => 2.0 * 4.0 * splats,
             PassKind::Project => centres + (GEOMETRY + PACKED) * visible,
-            PassKind::Shade => (harmonics + 3.0 + CHANNELS) * visible,
+            PassKind::Sh => (harmonics + 3.0 + CHANNELS) * visible,
             PassKind::Intersect => PACKED * visible + intersections,
             PassKind::Rasterize => blended + planes,
             // Picture, photograph and derivative.
@@ -196,7 +196,7 @@ impl Sizes {
             // The derivative is read, scaled by the incoming gradient and written.
             PassKind::LossBackward => 2.0 * picture,
             PassKind::RasterizeBackward => blended + planes + (PACKED + CHANNELS) * visible,
-            PassKind::ShadeBackward => (CHANNELS + 2.0 * (harmonics + 3.0)) * visible,
+            PassKind::ShBackward => (CHANNELS + 2.0 * (harmonics + 3.0)) * visible,
             PassKind::ProjectBackward => (PACKED + 2.0 * GEOMETRY) * visible,
             // Gradients read and written, and the slopes, which are functions of the outputs.
             PassKind::ActivateBackward => 3.0 * 4.0 * visible,
@@ -217,14 +217,14 @@ impl Sizes {
             PassKind::Activate => (3.0 * EXP + EXP + 2.0) * splats,
             // The transform to the camera frame for all Gaussians, the rest for visible ones.
             PassKind::Project => (MATVEC + 3.0) * splats + (PROJECT - MATVEC - 3.0) * visible,
-            PassKind::Shade => (DIRECTION + BASIS[degree] + 2.0 * harmonics + CHANNELS) * visible,
+            PassKind::Sh => (DIRECTION + BASIS[degree] + 2.0 * harmonics + CHANNELS) * visible,
             // The comparisons of a sort, a bounding box, and one test of an ellipse against a rectangle per intersection.
             PassKind::Intersect => (visible.max(2.0).log2() + BOX) * visible + RECTANGLE * intersections,
             PassKind::Rasterize => (LAYER + 2.0 * CHANNELS + 1.0) * contributions,
             PassKind::Loss => LOSS * CHANNELS * pixels,
             PassKind::LossBackward => CHANNELS * pixels,
             PassKind::RasterizeBackward => LAYER_BACKWARD * contributions + ELLIPSE_BACKWARD * visible,
-            PassKind::ShadeBackward => {
+            PassKind::ShBackward => {
                 // The colours again, for clamped channels, their harmonics, and the direction if the degree is above 0.
                 let colours = DIRECTION + BASIS[degree] + 2.0 * harmonics;
                 let direction = if degree == 0 {

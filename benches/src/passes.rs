@@ -13,7 +13,7 @@ use splat_model::loss::{DEFAULT_LAMBDA, Truth, photometric};
 use splat_model::optim::Adam;
 use splat_model::trainer::Guard;
 use splat_op::backend::{Geometry, IntersectionCell, Layers, PartsCell, ProjectSpec, RasterizeSpec, SplatBackend};
-use splat_op::{Camera, Colour, Extras, SplatError, Splats, render_view, shade, with_gradient};
+use splat_op::{Camera, Colour, Extras, SplatError, Splats, evaluate_sh, render_view, with_gradient};
 
 use crate::job::{Job, OPTIONS};
 use crate::limit::PassKind;
@@ -31,13 +31,13 @@ pub fn passes(job: &Job, device: &Device) -> Result<Vec<Pass>, Box<dyn Error>> {
     let prepare: [(PassKind, Prepare); 15] = [
         (PassKind::Activate, activate(job, device)),
         (PassKind::Project, project_forward(&stages, &camera)),
-        (PassKind::Shade, shade_forward(&stages, &camera)),
+        (PassKind::Sh, sh_forward(&stages, &camera)),
         (PassKind::Intersect, intersect(&stages)),
         (PassKind::Rasterize, rasterize_forward(&stages)),
         (PassKind::Loss, loss(stages.image(job, &camera)?, truth.clone())),
         (PassKind::LossBackward, loss_backward(stages.image(job, &camera)?, truth.clone())),
         (PassKind::RasterizeBackward, rasterize_backward(&stages)),
-        (PassKind::ShadeBackward, shade_backward(&stages, &camera)),
+        (PassKind::ShBackward, sh_backward(&stages, &camera)),
         (PassKind::ProjectBackward, project_backward(&stages, &camera)),
         (PassKind::ActivateBackward, activate_backward(job, device)),
         (PassKind::Observe, observe(job, device)),
@@ -66,9 +66,9 @@ fn project_forward(stages: &Rc<Stages>, camera: &Camera) -> Prepare {
     forward(move || Ok(project_packed(&stages.splats, &camera, no_probe(&stages.splats))))
 }
 
-fn shade_forward(stages: &Rc<Stages>, camera: &Camera) -> Prepare {
+fn sh_forward(stages: &Rc<Stages>, camera: &Camera) -> Prepare {
     let (stages, camera) = (stages.clone(), camera.clone());
-    forward(move || shade(&harmonics(&stages.splats), &stages.splats.means, &camera))
+    forward(move || evaluate_sh(&harmonics(&stages.splats), &stages.splats.means, &camera))
 }
 
 fn intersect(stages: &Rc<Stages>) -> Prepare {
@@ -97,11 +97,11 @@ fn rasterize_backward(stages: &Rc<Stages>) -> Prepare {
     backward(grad, move || stages.rasterize(leaf(&stages.packed), leaf(&stages.colours)))
 }
 
-fn shade_backward(stages: &Rc<Stages>, camera: &Camera) -> Prepare {
+fn sh_backward(stages: &Rc<Stages>, camera: &Camera) -> Prepare {
     let (stages, camera, grad) = (stages.clone(), camera.clone(), stages.colours.clone());
     backward(grad, move || {
         let splats = leaves(&stages.splats);
-        shade(&harmonics(&splats), &splats.means, &camera).expect("as forwards")
+        evaluate_sh(&harmonics(&splats), &splats.means, &camera).expect("as forwards")
     })
 }
 
@@ -269,7 +269,7 @@ impl Stages {
     fn new(job: &Job, device: &Device) -> Result<Self, SplatError> {
         let (splats, camera) = (job.gaussians(device).splats(), job.camera(device));
         let packed = project_packed(&splats, &camera, no_probe(&splats));
-        let colours = shade(&harmonics(&splats), &splats.means, &camera)?;
+        let colours = evaluate_sh(&harmonics(&splats), &splats.means, &camera)?;
         let spec = RasterizeSpec { intrinsics: job.intrinsics, options: OPTIONS };
         let (counts, intersections) = intersection_lists(&packed, spec);
         Ok(Self { splats, packed, colours, counts, intersections, spec })

@@ -10,7 +10,7 @@ use splat_model::loss::{DEFAULT_LAMBDA, Truth, photometric};
 use splat_model::optim::Adam;
 use splat_model::trainer::Guard;
 use splat_op::rasterize::RasterizeSpec;
-use splat_op::{Camera, Colour, SplatError, Splats, shade, with_gradient};
+use splat_op::{Camera, Colour, SplatError, Splats, evaluate_sh, with_gradient};
 
 use crate::job::OPTIONS;
 use crate::limit::PassKind;
@@ -88,8 +88,8 @@ impl Pieces {
         watch.lap(PassKind::Project);
         // A separate leaf of the centres, so that the gradients of the two stages stay separate.
         let seen = leaf(&splats.means);
-        let colours = shade(&harmonics(&cut), &seen, &self.camera)?;
-        watch.lap(PassKind::Shade);
+        let colours = evaluate_sh(&harmonics(&cut), &seen, &self.camera)?;
+        watch.lap(PassKind::Sh);
         let spec = RasterizeSpec { intrinsics: self.camera.intrinsics, options: OPTIONS };
         let (counts, intersections) = intersection_lists(&packed.clone().inner(), spec);
         watch.lap(PassKind::Intersect);
@@ -117,7 +117,7 @@ impl Pieces {
         let sh = harmonics(&cut).grad_remove(&mut grads).expect("the colours depend on the harmonics");
         let through_direction = seen.grad_remove(&mut grads).expect("the colours depend on the direction");
         drop(grads);
-        watch.lap(PassKind::ShadeBackward);
+        watch.lap(PassKind::ShBackward);
         let mut grads = with_gradient(packed, zero(), ellipses).backward();
         let shown = "the ellipses depend on all of them";
         let means = cut.means.grad_remove(&mut grads).expect(shown);

@@ -108,7 +108,7 @@ impl GaussianRows {
             true => Ok(()),
             false => Err(RowsError { field, found, expected, count, sh_degree: self.sh_degree }),
         };
-        of("sh_degree", self.sh_degree, self.sh_degree.min(splat_op::shade::SH_DEGREE_MAX))?;
+        of("sh_degree", self.sh_degree, self.sh_degree.min(splat_op::sh::SH_DEGREE_MAX))?;
         of("rotations", self.rotations.len(), count)?;
         of("log_scales", self.log_scales.len(), count)?;
         of("logit_opacities", self.logit_opacities.len(), count)?;

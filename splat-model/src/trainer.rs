@@ -137,7 +137,7 @@ impl Trainer {
             () if config.steps == 0 => return Err(TrainError::NoSteps),
             () if config.batch == 0 => return Err(TrainError::NoBatch),
             () if !config.resolution.is_valid() => return Err(TrainError::Resolution(config.resolution)),
-            () if config.sh_degree > splat_op::shade::SH_DEGREE_MAX => {
+            () if config.sh_degree > splat_op::sh::SH_DEGREE_MAX => {
                 return Err(TrainError::ShDegree(config.sh_degree));
             }
             () => config.check_with(&photos)?,

@@ -9,7 +9,7 @@ use crate::check::Reference;
 use crate::error::SplatError;
 use crate::options::RenderOptions;
 use crate::project::{COLUMNS, ProjectSpec};
-use crate::shade::{Shading, sh_degree};
+use crate::sh::{Shading, sh_degree};
 use crate::splats::{Colour, Splats, sh_need, up_to_degree};
 use crate::stages::Projected;
 
@@ -17,13 +17,13 @@ use crate::stages::Projected;
 ///
 /// # Errors
 /// If a tensor's shape, type or device does not fit.
-pub fn shade(sh: &Tensor<3>, means: &Tensor<2>, camera: &Camera) -> Result<Tensor<2>, SplatError> {
+pub fn evaluate_sh(sh: &Tensor<3>, means: &Tensor<2>, camera: &Camera) -> Result<Tensor<2>, SplatError> {
     // Without ellipses to decide who is visible the options are not read.
-    shade_visible(sh, means, camera, (None, &RenderOptions::standard()))
+    sh_visible(sh, means, camera, (None, &RenderOptions::standard()))
 }
 
 /// The same for Gaussians that can show in the picture that `visible` was projected for, if it is given, and zero for all others.
-fn shade_visible(
+fn sh_visible(
     sh: &Tensor<3>,
     means: &Tensor<2>,
     camera: &Camera,
@@ -46,10 +46,10 @@ fn shade_visible(
     let intrinsics = visible.map_or(camera.intrinsics, |visible| *visible.intrinsics());
     let visible = visible.map(|visible| visible.packed().clone().into_dispatch());
     let spec = ProjectSpec { intrinsics, options: *options };
-    Ok(Tensor::from_dispatch(<Dispatch as SplatBackend>::shade(inputs, visible.into(), spec)))
+    Ok(Tensor::from_dispatch(<Dispatch as SplatBackend>::evaluate_sh(inputs, visible.into(), spec)))
 }
 
-/// What each Gaussian shows a camera, `[N, C]`, whatever its colour is made of: [`shade`](fn@shade) for harmonics, and features as
+/// What each Gaussian shows a camera, `[N, C]`, whatever its colour is made of: [`evaluate_sh`](fn@evaluate_sh) for harmonics, and features as
 /// they are.
 ///
 /// # Errors
@@ -64,13 +64,13 @@ pub fn colours(splats: &Splats, camera: &Camera) -> Result<Tensor<2>, SplatError
 /// As [`colours`].
 pub fn colours_up_to(splats: &Splats, camera: &Camera, degree: Option<usize>) -> Result<Tensor<2>, SplatError> {
     match &splats.colour {
-        Colour::SphericalHarmonics(sh) => shade(&up_to_degree(sh, degree), &splats.means, camera),
+        Colour::SphericalHarmonics(sh) => evaluate_sh(&up_to_degree(sh, degree), &splats.means, camera),
         Colour::Features(features) => Ok(features.clone()),
     }
 }
 
 /// What each Gaussian shows in one picture, `[N, C]`: as [`colours`], without harmonics above `options.sh_degree`, and zero for
-/// Gaussians whose ellipses in `projected` cannot show, whose harmonics are not read. `shade/` says which those are.
+/// Gaussians whose ellipses in `projected` cannot show, whose harmonics are not read. `sh/` says which those are.
 ///
 /// The zeros are constants: no gradient flows through them. A render whose pixels look along their rays needs the colours of
 /// all, and gets them.
@@ -87,7 +87,7 @@ pub fn visible_colours(
         // Rays may meet Gaussians whose ellipses miss the picture.
         Colour::SphericalHarmonics(sh) => {
             let visible = (!options.along_rays()).then_some(projected);
-            shade_visible(&up_to_degree(sh, options.sh_degree), &splats.means, camera, (visible, options))
+            sh_visible(&up_to_degree(sh, options.sh_degree), &splats.means, camera, (visible, options))
         }
         Colour::Features(features) => Ok(features.clone()),
     }

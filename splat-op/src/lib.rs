@@ -1,6 +1,6 @@
 //! Differentiable Gaussian splatting as custom operations of the Burn framework.
 //!
-//! [`render`] takes [`Splats`] and [`Camera`]s and gives pictures; [`project`](fn@project), [`shade`](fn@shade),
+//! [`render`] takes [`Splats`] and [`Camera`]s and gives pictures; [`project`](fn@project), [`evaluate_sh`](fn@evaluate_sh),
 //! [`intersect`](fn@intersect) and [`rasterize`](fn@rasterize) are its stages, for those who put code of their own between them. Each module
 //! of a stage states its equations, their sources, shapes and units. [`exact`] is the yardstick.
 //!
@@ -117,7 +117,7 @@ pub mod activate;
 // The stages, in the order in which data flows; the blank lines keep rustfmt from sorting them.
 pub mod project;
 
-pub mod shade;
+pub mod sh;
 
 pub mod intersect;
 
@@ -151,7 +151,7 @@ pub use abilities::Abilities;
 pub use activate::RawSplats;
 pub use backend::custom_grad::with_gradient;
 pub use camera::{Camera, CameraModel, Intrinsics, Projector};
-pub use colour::{colours, colours_up_to, shade, visible_colours};
+pub use colour::{colours, colours_up_to, evaluate_sh, visible_colours};
 pub use dials::{Culling, Exponential, Storage};
 pub use error::SplatError;
 pub use limits::is_gpu;

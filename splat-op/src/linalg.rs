@@ -1,4 +1,4 @@
-//! Small vectors and matrices for the CPU twins of `project` and `shade`: of numbers, or of SIMD lanes of them.
+//! Small vectors and matrices for the CPU twins of `project` and `evaluate_sh`: of numbers, or of SIMD lanes of them.
 
 use std::ops::{Add, Mul, Neg, Sub};
 

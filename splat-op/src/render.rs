@@ -13,7 +13,7 @@ use crate::options::RenderOptions;
 use crate::splats::{Extras, Splats};
 use crate::stages::{Rendered, check_render_fits, intersect, project, rasterize};
 
-/// Renders Gaussians as one or several cameras of one size see them: `project`, `shade` of what
+/// Renders Gaussians as one or several cameras of one size see them: `project`, `evaluate_sh` of what
 /// can show, `intersect` and `rasterize`.
 ///
 /// # Errors

@@ -152,7 +152,7 @@ pub fn project(
 }
 
 /// Evaluates colours `[N, 3]` from spherical harmonics up to degree 2, `[N, K, 3]`.
-pub fn shade(sh: &Tensor<3>, means: &Tensor<2>, pose: &Tensor<2>) -> Tensor<2> {
+pub fn evaluate_sh(sh: &Tensor<3>, means: &Tensor<2>, pose: &Tensor<2>) -> Tensor<2> {
     let rows = [0, 1, 2].map(|row| [0, 1, 2].map(|col| entry(pose, row, col)));
     // The columns of the inverse are cross products of rows, divided by the determinant.
     let columns = [cross(&rows[1], &rows[2]), cross(&rows[2], &rows[0]), cross(&rows[0], &rows[1])];

@@ -3,7 +3,7 @@
 use burn::tensor::{DType, Device, Tensor};
 use splat_hard_cases::tensors::leaf;
 pub use splat_hard_cases::tensors::{Named, host, tensor};
-use splat_op::{Camera, Colour, Extras, Intrinsics, RenderOptions, Splats, project, render, shade};
+use splat_op::{Camera, Colour, Extras, Intrinsics, RenderOptions, Splats, evaluate_sh, project, render};
 
 use crate::random::Random;
 
@@ -175,7 +175,7 @@ pub fn evaluate(
 fn stages(scene: &Scene, options: &RenderOptions, device: &Device, dtype: DType) -> Vec<Named> {
     let SceneTensors { splats, sh, camera, .. } = scene.tensors(device, dtype);
     let ellipses = project(&splats, &camera, &Extras::default(), options).expect("a valid scene").ellipses();
-    let colours = shade(&sh, &splats.means, &camera).expect("a valid scene");
+    let colours = evaluate_sh(&sh, &splats.means, &camera).expect("a valid scene");
     let (sigma_u, shear, sigma_v) = (host(ellipses.sigma_u), host(ellipses.shear), host(ellipses.sigma_v));
     let conics = sigma_u.iter().zip(&shear).zip(&sigma_v).flat_map(|((u, k), v)| conic(*u, *k, *v)).collect();
     vec![

@@ -109,7 +109,7 @@ fn render_agrees_with_autodiff_of_the_dense_formulation() {
         let our_grads = sum.backward();
 
         let theirs = scene.tensors(&device, DType::F64);
-        let colours = dense::shade(&theirs.sh, &theirs.splats.means, &theirs.camera.cam_from_world);
+        let colours = dense::evaluate_sh(&theirs.sh, &theirs.splats.means, &theirs.camera.cam_from_world);
         let ellipses = dense_ellipses(&theirs, &options);
         let out = dense::rasterize(&ellipses, &colours, &theirs.background, &CAMERA, options.alpha_max);
         let (sum, expected) = loss(out.colour, out.alpha.unsqueeze_dim(1), out.depth.unsqueeze_dim(1));

@@ -2,7 +2,7 @@
 
 use burn::tensor::{DType, Device, Tensor};
 use splat_op::{
-    Camera, Colour, Extras, Intrinsics, RenderOptions, SplatError, intersect, project, rasterize, render, shade,
+    Camera, Colour, Extras, Intrinsics, RenderOptions, SplatError, evaluate_sh, intersect, project, rasterize, render,
 };
 use splat_tests::ndarray;
 use splat_tests::random::Random;
@@ -131,7 +131,7 @@ fn cameras_and_options_out_of_range_are_named() {
 #[test]
 fn single_stages_check_their_own_arguments() {
     let Call { tensors: SceneTensors { splats, sh, camera, .. }, extras, options } = call();
-    let message = shade(&sh, &zeros([COUNT + 1, 3]), &camera).expect_err("refused").to_string();
+    let message = evaluate_sh(&sh, &zeros([COUNT + 1, 3]), &camera).expect_err("refused").to_string();
     assert_names(&message, "sh", "dimension 0 must be 6");
     let projected = project(&splats, &camera, &Extras::default(), &options).expect("a valid scene");
     let intersections = intersect(&projected, &options).expect("valid options");

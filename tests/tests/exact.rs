@@ -3,7 +3,7 @@
 use burn::tensor::{DType, Device};
 use glam::{DMat3, DVec3};
 use splat_op::exact::{ExactGaussian, ExactPose, render_exact};
-use splat_op::{Extras, Intrinsics, Order, Projection, RenderOptions, render, shade};
+use splat_op::{Extras, Intrinsics, Order, Projection, RenderOptions, evaluate_sh, render};
 use splat_tests::compare::relative_error;
 use splat_tests::cpu_devices;
 use splat_tests::lenses::lenses;
@@ -23,7 +23,7 @@ fn off() -> RenderOptions {
 /// Asserts that the render of every CPU device equals the exact render.
 fn check(what: &str, scene: &Scene, options: &RenderOptions, tolerance: f64) {
     let tensors = scene.tensors(&Device::flex(), DType::F64);
-    let colours = host(shade(&tensors.sh, &tensors.splats.means, &tensors.camera).expect("a valid scene"));
+    let colours = host(evaluate_sh(&tensors.sh, &tensors.splats.means, &tensors.camera).expect("a valid scene"));
     let gaussians: Vec<ExactGaussian> = (0..scene.count()).map(|i| exact_gaussian(scene, &colours, i)).collect();
     let p = &scene.pose;
     let rows = [[p[0], p[1], p[2]], [p[4], p[5], p[6]], [p[8], p[9], p[10]]];

@@ -2,7 +2,9 @@
 //! process of its own, because the counters are global.
 
 use burn::tensor::{DType, Tensor};
-use splat_op::{Extras, Intrinsics, Order, Projection, RenderOptions, intersect, project, rasterize, shade, witness};
+use splat_op::{
+    Extras, Intrinsics, Order, Projection, RenderOptions, evaluate_sh, intersect, project, rasterize, witness,
+};
 use splat_tests::gpu;
 use splat_tests::random::Random;
 use splat_tests::scene::{Scene, SceneTensors, host};
@@ -35,10 +37,10 @@ fn every_stage_executes_kernels_and_no_twin() {
     launched_after(host(splats.means.grad(&loss).expect("tracked")), || launched("the backward pass of project"));
 
     let SceneTensors { splats, sh, camera, .. } = leaves();
-    let colours = shade(&sh, &splats.means, &camera).expect("a valid scene");
-    launched_after(host(colours.clone()), || launched("shade"));
+    let colours = evaluate_sh(&sh, &splats.means, &camera).expect("a valid scene");
+    launched_after(host(colours.clone()), || launched("sh"));
     let loss = colours.clone().sum().backward();
-    launched_after(host(sh.grad(&loss).expect("tracked")), || launched("the backward pass of shade"));
+    launched_after(host(sh.grad(&loss).expect("tracked")), || launched("the backward pass of evaluate_sh"));
 
     let SceneTensors { splats, camera, background, .. } = leaves();
     let projected = project(&splats, &camera, &Extras::default(), &options).expect("a valid scene");

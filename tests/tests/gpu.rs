@@ -62,7 +62,7 @@ fn all_gradients_through_every_lens() {
         let mut scene = Scene::random(&mut Random::new(40 + i as u64), 200, 2, camera);
         scene.scales.iter_mut().for_each(|scale| *scale *= 0.4);
         let options = SMOOTH.with_antialias(i % 2 == 0);
-        // With a tracked pose the stages run one by one; without it, one kernel computes `project` and `shade`.
+        // With a tracked pose the stages run one by one; without it, one kernel computes `project` and `evaluate_sh`.
         for pose in [true, false] {
             let tracked = std::array::from_fn(|input| pose || INPUTS[input] != "pose");
             judge(&format!("{:?}, pose {pose}", camera.model), &scene, &device, |scene, place| {

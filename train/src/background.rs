@@ -43,7 +43,7 @@ impl FromStr for TrainBackground {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let degree = |digit: &str| digit.parse().ok().filter(|degree| *degree <= splat_op::shade::SH_DEGREE_MAX);
+        let degree = |digit: &str| digit.parse().ok().filter(|degree| *degree <= splat_op::sh::SH_DEGREE_MAX);
         let found = match text {
             "random" => Some(Self::Random),
             "learned" => Some(Self::Learned),

@@ -182,7 +182,7 @@ impl TrainArgs {
         }
         match config {
             TrainConfig { steps: 0, .. } => Err(TrainError::NoSteps),
-            TrainConfig { sh_degree, .. } if sh_degree > splat_op::shade::SH_DEGREE_MAX => {
+            TrainConfig { sh_degree, .. } if sh_degree > splat_op::sh::SH_DEGREE_MAX => {
                 Err(TrainError::ShDegree(sh_degree))
             }
             TrainConfig { resolution, .. } if !resolution.is_valid() => Err(TrainError::Resolution(resolution)),

@@ -12,7 +12,7 @@ fn bytes_are_those_counted_by_hand() {
     // Five centres, and 8 further parameters and 7 columns of four Gaussians.
     assert_eq!(bytes(PassKind::Project), 4.0 * (5.0 * 3.0 + 4.0 * (8.0 + 7.0)));
     // 48 harmonics, centre, colour.
-    assert_eq!(bytes(PassKind::Shade), 4.0 * 4.0 * 54.0);
+    assert_eq!(bytes(PassKind::Sh), 4.0 * 4.0 * 54.0);
     assert_eq!(bytes(PassKind::Intersect), 4.0 * (4.0 * 7.0 + 6.0));
     // Ellipses, colours, lists; four planes.
     assert_eq!(bytes(PassKind::Rasterize), 4.0 * (4.0 * 10.0 + 6.0 + 40.0));
@@ -30,7 +30,7 @@ fn operations_are_those_counted_by_hand() {
     // Only the centre of the invisible Gaussian is transformed.
     assert_eq!(operations(PassKind::Project), 4.0 * 179.0 + 18.0);
     // Direction 13, basis 43, 48 fused multiply-adds, 3 clamps.
-    assert_eq!(operations(PassKind::Shade), 4.0 * (13.0 + 43.0 + 96.0 + 3.0));
+    assert_eq!(operations(PassKind::Sh), 4.0 * (13.0 + 43.0 + 96.0 + 3.0));
     assert_eq!(operations(PassKind::Rasterize), 30.0 * (35.0 + 7.0));
     // A comparison per doubling, a box, and an ellipse against a tile.
     assert_eq!(operations(PassKind::Intersect), 4.0 * (2.0 + 39.0) + 6.0 * 16.0);
@@ -38,15 +38,15 @@ fn operations_are_those_counted_by_hand() {
     assert_eq!(operations(PassKind::Loss), 10.0 * 3.0 * (6.0 * 32.0 + 32.0));
     assert_eq!(operations(PassKind::RasterizeBackward), 30.0 * 63.0 + 4.0 * 9.0);
     // The colour again 152, the harmonics 48, the basis' gradient from 16 dot products 80 and its derivative 105, the direction 14.
-    assert_eq!(operations(PassKind::ShadeBackward), 4.0 * (152.0 + 48.0 + 80.0 + 105.0 + 14.0));
+    assert_eq!(operations(PassKind::ShBackward), 4.0 * (152.0 + 48.0 + 80.0 + 105.0 + 14.0));
     assert_eq!(operations(PassKind::Adam), 59.0 * 5.0 * 10.0);
 }
 
 #[test]
 fn a_degree_of_zero_has_no_direction() {
     let zero = Sizes { degree: 0, ..SIZES };
-    assert_eq!(zero.work(PassKind::Shade).bytes, 4.0 * 4.0 * 9.0);
-    assert_eq!(zero.work(PassKind::ShadeBackward).operations, 4.0 * (13.0 + 6.0 + 3.0));
+    assert_eq!(zero.work(PassKind::Sh).bytes, 4.0 * 4.0 * 9.0);
+    assert_eq!(zero.work(PassKind::ShBackward).operations, 4.0 * (13.0 + 6.0 + 3.0));
 }
 
 #[test]

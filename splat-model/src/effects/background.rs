@@ -6,7 +6,7 @@
 //!   photograph's alpha. An opaque photograph then requires opaque Gaussians everywhere.
 //! - **A learned colour** is one parameter of three numbers, composited by the kernel.
 //! - **An environment** is light from infinitely far away: `0.5 + Σₖ Yₖ(d) cₖ` with `d` the viewing direction of a pixel
-//!   and `Yₖ` the real spherical harmonics of [`mod@splat_op::shade`]. It models skies, which have no parallax and would
+//!   and `Yₖ` the real spherical harmonics of [`mod@splat_op::sh`]. It models skies, which have no parallax and would
 //!   otherwise need Gaussians at some distance. It is multiplied by the visible share of the background and added to the
 //!   render over black.
 //!
@@ -21,7 +21,7 @@ use glam::{DAffine3, DVec2};
 use rand::{Rng, RngExt};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
-use splat_op::shade::{harmonics, sh_degree};
+use splat_op::sh::{harmonics, sh_degree};
 use splat_op::{Intrinsics, Rendered};
 use thiserror::Error;
 

@@ -95,7 +95,7 @@ impl Format {
     pub fn sh_degree_max(self) -> usize {
         match self {
             Self::CompressedPly => compressed::DEGREE_MAX,
-            Self::Ply | Self::Spz => splat_op::shade::SH_DEGREE_MAX,
+            Self::Ply | Self::Spz => splat_op::sh::SH_DEGREE_MAX,
         }
     }
 

@@ -15,7 +15,7 @@ pub enum Stage {
     /// Gaussians to ellipses.
     Project,
     /// Spherical harmonics to colours.
-    Shade,
+    Sh,
     /// Ellipses to tile lists.
     Intersect,
     /// Tile lists to a picture.
@@ -32,7 +32,7 @@ impl fmt::Display for Stage {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         out.write_str(match self {
             Self::Project => "project",
-            Self::Shade => "shade",
+            Self::Sh => "sh",
             Self::Intersect => "intersect",
             Self::Rasterize => "rasterize",
             Self::Loss => "loss",
@@ -109,7 +109,7 @@ fn check_colours(colours: &Tensor<2>, opacities: &[f32]) -> Result<(), Wrong> {
             row.fill(0.0);
         }
     }
-    look(Stage::Shade, "colour", (&values, columns, "Gaussian"), "a finite number", f32::is_finite)
+    look(Stage::Sh, "colour", (&values, columns, "Gaussian"), "a finite number", f32::is_finite)
 }
 
 /// Checks that no tile lists more Gaussians than exist.

@@ -3,7 +3,7 @@
 use burn::tensor::Device;
 use glam::{DAffine3, Vec3};
 use splat_op::Intrinsics;
-use splat_op::shade::SH_DEGREE_MAX;
+use splat_op::sh::SH_DEGREE_MAX;
 
 use super::{TrainConfig, TrainError, Trainer};
 use crate::capture::{Photograph, PointCloud};

@@ -18,7 +18,7 @@ use super::tensors::{
 use crate::intersect::IntersectionCell;
 use crate::project::{Geometry, ProjectSpec};
 use crate::rasterize::{Layers, PartsCell, RasterizeSpec, TraceCell};
-use crate::shade::Shading;
+use crate::sh::Shading;
 
 /// The output of a stage, with `kind` as its backward node if any of its inputs is tracked.
 pub(super) fn tracked<B: Backend, C: CheckpointStrategy, K: Backward<B, N>, const N: usize>(
@@ -62,15 +62,15 @@ impl<B: SplatBackend> Backward<B, 6> for ProjectBackward {
 }
 
 #[derive(Debug)]
-struct ShadeBackward;
+struct ShBackward;
 
-impl<B: SplatBackend> Backward<B, 3> for ShadeBackward {
+impl<B: SplatBackend> Backward<B, 3> for ShBackward {
     type State = (ShadingTensors<B>, OptionalTensor<B>, ProjectSpec);
 
     fn backward(self, ops: Ops<Self::State, 3>, grads: &mut Gradients, _: &mut Checkpointer) {
         let grad = grads.consume::<B>(&ops.node);
         differentiate::<B, _, _>(ops, grads, |(inputs, visible, spec), mask| {
-            B::shade_backward(inputs, visible, grad, spec, Shading::from_array(mask)).into_array()
+            B::sh_backward(inputs, visible, grad, spec, Shading::from_array(mask)).into_array()
         });
     }
 }
@@ -152,11 +152,15 @@ impl<B: SplatBackend, C: CheckpointStrategy> SplatBackend for Autodiff<B, C> {
         tracked(ProjectBackward, inputs.each_ref().into_array(), (inner, spec), output)
     }
 
-    fn shade(inputs: ShadingTensors<Self>, visible: OptionalTensor<Self>, spec: ProjectSpec) -> FloatTensor<Self> {
+    fn evaluate_sh(
+        inputs: ShadingTensors<Self>,
+        visible: OptionalTensor<Self>,
+        spec: ProjectSpec,
+    ) -> FloatTensor<Self> {
         // Who is visible changes at borders alone: it has no gradient.
         let (inner, visible) = (inputs.each_ref().map(InputTensor::inner), visible.inner());
-        let output = B::shade(inner.clone(), visible.clone(), spec);
-        tracked(ShadeBackward, inputs.each_ref().into_array(), (inner, visible, spec), output)
+        let output = B::evaluate_sh(inner.clone(), visible.clone(), spec);
+        tracked(ShBackward, inputs.each_ref().into_array(), (inner, visible, spec), output)
     }
 
     fn intersect(
@@ -213,7 +217,7 @@ impl<B: SplatBackend, C: CheckpointStrategy> SplatBackend for Autodiff<B, C> {
         B::project_backward(inputs, grad.into_primitive(), spec, mask).map(OptionalTensor::constant)
     }
 
-    fn shade_backward(
+    fn sh_backward(
         inputs: ShadingTensors<Self>,
         visible: OptionalTensor<Self>,
         grad: FloatTensor<Self>,
@@ -221,7 +225,7 @@ impl<B: SplatBackend, C: CheckpointStrategy> SplatBackend for Autodiff<B, C> {
         mask: Shading<bool>,
     ) -> ShadingGrads<Self> {
         let inputs = inputs.each_ref().map(InputTensor::inner);
-        B::shade_backward(inputs, visible.inner(), grad.into_primitive(), spec, mask).map(OptionalTensor::constant)
+        B::sh_backward(inputs, visible.inner(), grad.into_primitive(), spec, mask).map(OptionalTensor::constant)
     }
 
     fn rasterize_backward(

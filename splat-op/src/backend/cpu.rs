@@ -19,8 +19,8 @@ use crate::project::{COLUMNS, Geometry, ProjectSpec};
 use crate::rasterize::cpu::{Trace, rasterize_backward_cpu, rasterize_cpu};
 use crate::rasterize::{Layers, PartsCell, RasterizeSpec, TraceCell};
 use crate::real::Real;
-use crate::shade::Shading;
-use crate::shade::cpu::{ShadeCpuInputs, Visible, shade_backward_cpu, shade_cpu};
+use crate::sh::Shading;
+use crate::sh::cpu::{ShCpuInputs, Visible, sh_backward_cpu, sh_cpu};
 
 /// The elements of an input.
 pub(super) fn host<B: HostBackend, F: Real>(input: &InputTensor<B>) -> Host<F> {
@@ -38,7 +38,7 @@ pub(super) fn gradient<B: HostBackend, F: Real>(
 }
 
 /// The coefficients of the harmonics, and everything else that colours are computed from.
-struct ShadeHost<F: Real> {
+struct ShHost<F: Real> {
     sh: HostCoefficients<F>,
     means: Host<F>,
     cam_from_world: Host<F>,
@@ -47,7 +47,7 @@ struct ShadeHost<F: Real> {
     coefficients: usize,
 }
 
-impl<F: Real> ShadeHost<F> {
+impl<F: Real> ShHost<F> {
     fn read<B: HostBackend>(inputs: &ShadingTensors<B>, visible: OptionalTensor<B>) -> Self {
         Self {
             sh: B::host_coefficients(inputs.sh.0.clone()),
@@ -58,9 +58,9 @@ impl<F: Real> ShadeHost<F> {
         }
     }
 
-    fn inputs(&self) -> ShadeCpuInputs<'_, F> {
+    fn inputs(&self) -> ShCpuInputs<'_, F> {
         let Self { means, cam_from_world, coefficients, .. } = self;
-        ShadeCpuInputs { sh: self.sh.view(), means, cam_from_world, coefficients: *coefficients }
+        ShCpuInputs { sh: self.sh.view(), means, cam_from_world, coefficients: *coefficients }
     }
 
     fn visible(&self, spec: &ProjectSpec) -> Option<Visible<'_, F>> {
@@ -140,19 +140,19 @@ macro_rules! cpu_backend {
                 })
             }
 
-            fn shade(
+            fn evaluate_sh(
                 inputs: ShadingTensors<Self>,
                 visible: OptionalTensor<Self>,
                 spec: ProjectSpec,
             ) -> FloatTensor<Self> {
                 by_type!(inputs.means.0, F => {
-                    let read = ShadeHost::<F>::read(&inputs, visible);
-                    let colours = shade_cpu(read.inputs(), read.visible(&spec).as_ref());
+                    let read = ShHost::<F>::read(&inputs, visible);
+                    let colours = sh_cpu(read.inputs(), read.visible(&spec).as_ref());
                     Self::from_host(colours, &inputs.means.0.shape(), &inputs.means.0)
                 })
             }
 
-            fn shade_backward(
+            fn sh_backward(
                 inputs: ShadingTensors<Self>,
                 visible: OptionalTensor<Self>,
                 grad: FloatTensor<Self>,
@@ -160,9 +160,9 @@ macro_rules! cpu_backend {
                 mask: Shading<bool>,
             ) -> ShadingGrads<Self> {
                 by_type!(inputs.means.0, F => {
-                    let read = ShadeHost::<F>::read(&inputs, visible);
+                    let read = ShHost::<F>::read(&inputs, visible);
                     let visible = read.visible(&spec);
-                    let found = shade_backward_cpu(read.inputs(), visible.as_ref(), &Self::host(grad), mask);
+                    let found = sh_backward_cpu(read.inputs(), visible.as_ref(), &Self::host(grad), mask);
                     found.zip(mask).zip(inputs.each_ref()).map(gradient)
                 })
             }

@@ -19,8 +19,8 @@ use crate::project::launch::{launch_project, launch_project_backward};
 use crate::project::{COLUMNS, Geometry, ProjectSpec};
 use crate::rasterize::launch::{DeviceTrace, launch_rasterize, launch_rasterize_backward};
 use crate::rasterize::{Layers, PartsCell, RasterizeSpec, TraceCell};
-use crate::shade::Shading;
-use crate::shade::launch::{DeviceShCoefficients, ShadeDeviceInputs, launch_shade, launch_shade_backward};
+use crate::sh::Shading;
+use crate::sh::launch::{DeviceShCoefficients, ShDeviceInputs, launch_sh, launch_sh_backward};
 
 /// A tensor's elements, row-major.
 pub(crate) fn buffer(tensor: CubeTensor) -> Buffer<f32> {
@@ -77,8 +77,8 @@ pub(super) fn gradient(
     found.map(|found| tensor(found, input.0.shape(), DType::F32, &input.0)).into()
 }
 
-fn shading_on_device(inputs: &ShadingTensors<CubeBackend>) -> ShadeDeviceInputs {
-    ShadeDeviceInputs {
+fn shading_on_device(inputs: &ShadingTensors<CubeBackend>) -> ShDeviceInputs {
+    ShDeviceInputs {
         sh: coefficients(inputs.sh.0.clone()),
         means: on_device(&inputs.means),
         cam_from_world: on_device(&inputs.cam_from_world),
@@ -133,16 +133,20 @@ impl SplatBackend for CubeBackend {
         found.zip(inputs.each_ref()).map(gradient)
     }
 
-    fn shade(inputs: ShadingTensors<Self>, visible: OptionalTensor<Self>, spec: ProjectSpec) -> FloatTensor<Self> {
+    fn evaluate_sh(
+        inputs: ShadingTensors<Self>,
+        visible: OptionalTensor<Self>,
+        spec: ProjectSpec,
+    ) -> FloatTensor<Self> {
         let like = &inputs.means.0;
         let visible = visible.into_option().map(buffer);
         let visible = visible.as_ref().map(|ellipses| (ellipses, &spec));
         let coefficients = inputs.sh.0.shape()[1];
-        let colours = launch_shade(&Gpu::new(&like.client), &shading_on_device(&inputs), visible, coefficients);
+        let colours = launch_sh(&Gpu::new(&like.client), &shading_on_device(&inputs), visible, coefficients);
         tensor(colours, like.shape(), DType::F32, like)
     }
 
-    fn shade_backward(
+    fn sh_backward(
         inputs: ShadingTensors<Self>,
         visible: OptionalTensor<Self>,
         grad: FloatTensor<Self>,
@@ -153,7 +157,7 @@ impl SplatBackend for CubeBackend {
         let visible = visible.into_option().map(buffer);
         let visible = visible.as_ref().map(|ellipses| (ellipses, &spec));
         let (on_device, coefficients) = (shading_on_device(&inputs), inputs.sh.0.shape()[1]);
-        let found = launch_shade_backward(&gpu, &on_device, visible, coefficients, &buffer(grad), mask);
+        let found = launch_sh_backward(&gpu, &on_device, visible, coefficients, &buffer(grad), mask);
         found.zip(inputs.each_ref()).map(gradient)
     }
 

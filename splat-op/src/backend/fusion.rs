@@ -8,7 +8,7 @@ use crate::intersect::{IntersectionCell, tile_grid};
 use crate::project::{COLUMNS, Geometry, ProjectSpec};
 use crate::rasterize::{Layers, PartsCell, RasterizeSpec, TraceCell};
 use crate::rays::RayLayers;
-use crate::shade::Shading;
+use crate::sh::Shading;
 use crate::tilt::TILT;
 
 /// A tensor of the float type of `like`.
@@ -37,11 +37,15 @@ pub(super) fn project_backward(
     inputs.each_ref().zip(*mask).map(|(input, asked)| grad(input, asked, &inputs.means.0))
 }
 
-pub(super) fn shade(inputs: &Shading<InputTensorMetadata>, _: &OptionalTensorMetadata, _: &ProjectSpec) -> TensorSpec {
+pub(super) fn evaluate_sh(
+    inputs: &Shading<InputTensorMetadata>,
+    _: &OptionalTensorMetadata,
+    _: &ProjectSpec,
+) -> TensorSpec {
     inputs.means.0.clone()
 }
 
-pub(super) fn shade_backward(
+pub(super) fn sh_backward(
     inputs: &Shading<InputTensorMetadata>,
     _: &OptionalTensorMetadata,
     _: &TensorSpec,

@@ -12,7 +12,7 @@ use burn_ndarray::NdArrayTensor;
 use bytemuck::Pod;
 
 use crate::real::Real;
-use crate::shade::cpu::ShCoefficients;
+use crate::sh::cpu::ShCoefficients;
 
 /// A backend whose tensors lie in this program's memory.
 pub(crate) trait HostBackend: Backend {

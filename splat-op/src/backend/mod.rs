@@ -43,4 +43,4 @@ pub use crate::photometric::taps::Compared;
 pub use crate::project::{Geometry, ProjectSpec};
 pub use crate::rasterize::{Layers, PartsCell, RasterizeSpec, TraceCell};
 pub use crate::rays::RayLayers;
-pub use crate::shade::Shading;
+pub use crate::sh::Shading;

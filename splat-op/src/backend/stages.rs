@@ -13,7 +13,7 @@ use super::tensors::{
 use crate::intersect::IntersectionCell;
 use crate::project::{Geometry, ProjectSpec};
 use crate::rasterize::{Layers, PartsCell, RasterizeSpec, TraceCell};
-use crate::shade::Shading;
+use crate::sh::Shading;
 
 /// Gaussian splatting on a Burn backend: four stages, and the backward pass of the three that have one.
 ///
@@ -34,17 +34,17 @@ pub trait SplatBackend: Backend {
         mask: Geometry<bool>,
     ) -> GeometryGrads<Self>;
 
-    /// See `shade/`. Returns `[N, 3]`. `visible` is what `project` returned, for colours of what shows in the picture of `spec` alone.
-    #[fusion(meta = fusion::shade)]
-    fn shade(
+    /// See `sh/`. Returns `[N, 3]`. `visible` is what `project` returned, for colours of what shows in the picture of `spec` alone.
+    #[fusion(meta = fusion::evaluate_sh)]
+    fn evaluate_sh(
         #[extension_type] inputs: ShadingTensors<Self>,
         #[extension_type] visible: OptionalTensor<Self>,
         spec: ProjectSpec,
     ) -> FloatTensor<Self>;
 
-    /// The gradients of `shade` that `mask` asks for, from that of its output.
-    #[fusion(meta = fusion::shade_backward)]
-    fn shade_backward(
+    /// The gradients of `evaluate_sh` that `mask` asks for, from that of its output.
+    #[fusion(meta = fusion::sh_backward)]
+    fn sh_backward(
         #[extension_type] inputs: ShadingTensors<Self>,
         #[extension_type] visible: OptionalTensor<Self>,
         grad: FloatTensor<Self>,

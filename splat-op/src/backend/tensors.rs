@@ -13,7 +13,7 @@ use crate::photometric::taps::Compared;
 use crate::project::Geometry;
 use crate::rasterize::Layers;
 use crate::rays::RayLayers;
-use crate::shade::Shading;
+use crate::sh::Shading;
 
 /// A tensor of a record of inputs.
 #[derive(Clone, Debug, ExtensionType)]
@@ -75,7 +75,7 @@ impl<B: Backend, C: CheckpointStrategy> OptionalTensor<Autodiff<B, C>> {
 pub type GeometryTensors<B> = Geometry<InputTensor<B>>;
 /// Their gradients.
 pub type GeometryGrads<B> = Geometry<OptionalTensor<B>>;
-/// Inputs of `shade`.
+/// Inputs of `evaluate_sh`.
 pub type ShadingTensors<B> = Shading<InputTensor<B>>;
 /// Their gradients.
 pub type ShadingGrads<B> = Shading<OptionalTensor<B>>;

@@ -32,7 +32,7 @@ impl Trained {
         let (log_scales, of_log_scales) = take::<2>(from, "log_scales", device, |shape| *shape == [count, 3])?;
         let (logit_opacities, of_opacities) = take::<1>(from, "logit_opacities", device, |shape| *shape == [count])?;
         let is_sh = |&[rows, coefficients, channels]: &[usize; 3]| {
-            let largest = splat_op::shade::SH_DEGREE_MAX + 1;
+            let largest = splat_op::sh::SH_DEGREE_MAX + 1;
             let side = coefficients.isqrt();
             rows == count && (1..=largest).contains(&side) && side * side == coefficients && channels == 3
         };

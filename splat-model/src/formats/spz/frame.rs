@@ -14,7 +14,7 @@ pub(super) fn sign(k: usize) -> f32 {
 
 #[cfg(test)]
 mod tests {
-    use splat_op::shade::harmonics;
+    use splat_op::sh::harmonics;
 
     use super::*;
 

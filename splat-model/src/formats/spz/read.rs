@@ -8,7 +8,7 @@ use std::path::Path;
 use flate2::bufread::GzDecoder;
 use glam::DVec3;
 use ruzstd::decoding::StreamingDecoder;
-use splat_op::shade::SH_DEGREE_MAX;
+use splat_op::sh::SH_DEGREE_MAX;
 
 use super::pack::{Layout, SECTIONS, unpack};
 use super::{ANTIALIASED, GZIP, MAGIC};

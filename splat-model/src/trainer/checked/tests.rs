@@ -63,7 +63,7 @@ fn colours_matter_only_where_something_is_drawn() {
     let colours = |bad| Tensor::from_floats([[0.1, 0.2, 0.3], [0.0, bad, 0.0], [0.0, 5.0, 1.0]], &device());
     assert_eq!(check_colours(&colours(f32::NAN), &[1.0, 0.0, 0.5]), Ok(()));
     let found = check_colours(&colours(f32::NAN), &[1.0, 0.1, 0.5]);
-    assert_wrong(found, Stage::Shade, &["Gaussian 1", "NaN", "1 of 9"]);
+    assert_wrong(found, Stage::Sh, &["Gaussian 1", "NaN", "1 of 9"]);
 }
 
 #[test]

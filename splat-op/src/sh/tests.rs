@@ -1,6 +1,6 @@
-//! `shade` against central finite differences, against published values of the basis, and where it clamps.
+//! `evaluate_sh` against central finite differences, against published values of the basis, and where it clamps.
 
-use super::cpu::{ShCoefficients, ShadeCpuInputs, shade_backward_cpu, shade_cpu};
+use super::cpu::{ShCoefficients, ShCpuInputs, sh_backward_cpu, sh_cpu};
 use super::{Shading, sh_degree};
 use crate::testing::finite::{check_gradient, inner_product};
 use crate::testing::random::Random;
@@ -26,9 +26,9 @@ impl StageInputs {
         Self([sh, means, pose], coefficients)
     }
 
-    fn inputs(&self) -> ShadeCpuInputs<'_, f64> {
+    fn inputs(&self) -> ShCpuInputs<'_, f64> {
         let [sh, means, cam_from_world] = &self.0;
-        ShadeCpuInputs { sh: ShCoefficients::Full(sh), means, cam_from_world, coefficients: self.1 }
+        ShCpuInputs { sh: ShCoefficients::Full(sh), means, cam_from_world, coefficients: self.1 }
     }
 }
 
@@ -40,16 +40,16 @@ fn list(g: Shading<Vec<f64>>) -> [Vec<f64>; 3] {
 fn every_gradient_agrees_with_finite_differences() {
     for degree in 0..=4 {
         let scene = StageInputs::random(20 + degree as u64, degree);
-        let colours = shade_cpu(scene.inputs(), None);
+        let colours = sh_cpu(scene.inputs(), None);
         let clamped = colours.iter().filter(|c| **c == 0.0).count();
         assert!(clamped > 2 && clamped < colours.len(), "degree {degree}: {clamped} of {} clamped", colours.len());
         let grad = Random::new(degree as u64).fill(3 * COUNT, -1.0, 1.0);
-        let gradients = list(shade_backward_cpu(scene.inputs(), None, &grad, ALL));
+        let gradients = list(sh_backward_cpu(scene.inputs(), None, &grad, ALL));
         for (i, name) in ["sh", "means", "pose"].into_iter().enumerate() {
             check_gradient(&format!("{name}, degree {degree}"), &scene.0[i], &gradients[i], 1, |moved| {
                 let mut scene = scene.clone();
                 scene.0[i] = moved.to_vec();
-                inner_product(&shade_cpu(scene.inputs(), None), &grad)
+                inner_product(&sh_cpu(scene.inputs(), None), &grad)
             });
         }
     }
@@ -59,10 +59,10 @@ fn every_gradient_agrees_with_finite_differences() {
 fn each_gradient_is_the_same_alone_and_nothing_else_is_computed() {
     let scene = StageInputs::random(30, 3);
     let grad = Random::new(31).fill(3 * COUNT, -1.0, 1.0);
-    let all = list(shade_backward_cpu(scene.inputs(), None, &grad, ALL));
+    let all = list(sh_backward_cpu(scene.inputs(), None, &grad, ALL));
     for alone in 0..3 {
         let [sh, means, cam_from_world] = std::array::from_fn(|i| i == alone);
-        let gradients = list(shade_backward_cpu(scene.inputs(), None, &grad, Shading { sh, means, cam_from_world }));
+        let gradients = list(sh_backward_cpu(scene.inputs(), None, &grad, Shading { sh, means, cam_from_world }));
         for (i, gradient) in gradients.iter().enumerate() {
             let expected = if i == alone { all[i].as_slice() } else { &[] };
             assert_eq!(gradient, expected, "gradient {i}, asked for {alone}");
@@ -103,8 +103,8 @@ fn a_centre_on_the_camera_is_finite_and_has_no_direction() {
     let mut scene = StageInputs::random(32, 2);
     scene.0[2] = vec![1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0];
     scene.0[1][..3].fill(0.0);
-    assert!(shade_cpu(scene.inputs(), None).iter().all(|c| c.is_finite()));
-    let gradients = list(shade_backward_cpu(scene.inputs(), None, &[1.0; 3 * COUNT], ALL));
+    assert!(sh_cpu(scene.inputs(), None).iter().all(|c| c.is_finite()));
+    let gradients = list(sh_backward_cpu(scene.inputs(), None, &[1.0; 3 * COUNT], ALL));
     assert!(gradients.iter().flatten().all(|g| g.is_finite()));
     assert_eq!(gradients[1][..3], [0.0; 3]);
 }

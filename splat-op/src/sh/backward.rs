@@ -1,4 +1,4 @@
-//! Kernels of `shade`, backward: one unit per Gaussian, and one unit for the pose. Outputs that nobody asked for are not
+//! Kernels of `evaluate_sh`, backward: one unit per Gaussian, and one unit for the pose. Outputs that nobody asked for are not
 //! arguments, and what only they need is not in the kernel.
 //!
 //! A channel that the clamp holds at zero has no gradient. With `r` the vector from camera to centre and `d = r / |r|`,
@@ -143,7 +143,7 @@ fn no_harmonics(gaussian: usize, grad_sh: &mut ComptimeOption<Box<[f32]>>, #[com
 
 /// `sight_rows` takes the sum over each cube of the gradients of the vectors from camera to centre.
 #[cube(launch_unchecked)]
-pub(super) fn shade_backward_kernel(
+pub(super) fn sh_backward_kernel(
     sh: &[f32],
     means: &[f32],
     cam_from_world: &[f32],

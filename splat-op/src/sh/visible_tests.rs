@@ -1,6 +1,6 @@
 //! The mask of what is visible: against shading all, and against the lists of `intersect`.
 
-use super::cpu::{ShCoefficients, ShadeCpuInputs, Visible, shade_backward_cpu, shade_cpu};
+use super::cpu::{ShCoefficients, ShCpuInputs, Visible, sh_backward_cpu, sh_cpu};
 use super::{Shading, reach_sigmas};
 use crate::camera::Intrinsics;
 use crate::intersect::cpu::intersect_cpu;
@@ -53,9 +53,9 @@ impl StageInputs {
         Geometry { means, rotations, scales, opacities, cam_from_world, mean2d: &[] }
     }
 
-    pub fn inputs(&self) -> ShadeCpuInputs<'_, f64> {
+    pub fn inputs(&self) -> ShCpuInputs<'_, f64> {
         let (sh, means, cam_from_world) = (ShCoefficients::Full(&self.0[4][..]), &self.0[0][..], &self.0[5][..]);
-        ShadeCpuInputs { sh, means, cam_from_world, coefficients: COEFFICIENTS }
+        ShCpuInputs { sh, means, cam_from_world, coefficients: COEFFICIENTS }
     }
 
     pub fn grad(&self) -> &[f64] {
@@ -89,8 +89,8 @@ fn colours_are_those_of_all_or_zero_where_nothing_can_show() {
     for (seed, alpha_min) in [(1, 1.0 / 255.0), (2, 0.05), (3, 1e-12), (4, 0.0)] {
         let (scene, spec) = (StageInputs::random(seed, 2_000), spec(alpha_min));
         let packed = project_cpu(scene.geometry(), &spec);
-        let colours = shade_cpu(scene.inputs(), Some(&Visible::new(&packed, &spec)));
-        let expected = shade_cpu(scene.inputs(), None);
+        let colours = sh_cpu(scene.inputs(), Some(&Visible::new(&packed, &spec)));
+        let expected = sh_cpu(scene.inputs(), None);
         let same = |i: usize| colours[3 * i..3 * i + 3] == expected[3 * i..3 * i + 3];
         let skipped = check_colours(&packed, &colours, &spec, same);
         assert!(skipped > 100, "only {skipped} of 2000 were left out: this shows nothing");
@@ -110,7 +110,7 @@ fn harmonics_of_what_cannot_show_are_not_read() {
     let (mut scene, spec) = (StageInputs::random(5, 500), spec(1.0 / 255.0));
     let packed = project_cpu(scene.geometry(), &spec);
     let visible = Visible::new(&packed, &spec);
-    let expected = shade_cpu(scene.inputs(), Some(&visible));
+    let expected = sh_cpu(scene.inputs(), Some(&visible));
     for (colour, sh) in expected.chunks_exact(3).zip(scene.0[4].chunks_exact_mut(3 * COEFFICIENTS)) {
         if colour.iter().all(|value| *value == 0.0) {
             sh.fill(f64::NAN);
@@ -118,8 +118,8 @@ fn harmonics_of_what_cannot_show_are_not_read() {
     }
     let grad = vec![1.0; 1_500];
     let needs = Shading { sh: true, means: true, cam_from_world: true };
-    let found = shade_backward_cpu(scene.inputs(), Some(&visible), &grad, needs);
-    assert!(shade_cpu(scene.inputs(), Some(&visible)) == expected);
+    let found = sh_backward_cpu(scene.inputs(), Some(&visible), &grad, needs);
+    assert!(sh_cpu(scene.inputs(), Some(&visible)) == expected);
     assert!([found.sh, found.means, found.cam_from_world].iter().flatten().all(|g| g.is_finite()));
 }
 
@@ -128,8 +128,8 @@ fn gradients_are_those_of_all_without_the_colours_that_cannot_show() {
     let (scene, spec) = (StageInputs::random(4, 2_000), spec(1.0 / 255.0));
     let packed = project_cpu(scene.geometry(), &spec);
     let visible = Visible::new(&packed, &spec);
-    let colours = shade_cpu(scene.inputs(), Some(&visible));
-    let (all, mut shown) = (shade_cpu(scene.inputs(), None), scene.grad().to_vec());
+    let colours = sh_cpu(scene.inputs(), Some(&visible));
+    let (all, mut shown) = (sh_cpu(scene.inputs(), None), scene.grad().to_vec());
     let mut hidden = 0;
     for (i, grad) in shown.chunks_exact_mut(3).enumerate() {
         if colours[3 * i..3 * i + 3] != all[3 * i..3 * i + 3] {
@@ -141,8 +141,8 @@ fn gradients_are_those_of_all_without_the_colours_that_cannot_show() {
     for choice in 0..8_u32 {
         let [sh, means, cam_from_world] = std::array::from_fn(|i| choice >> i & 1 != 0);
         let needs = Shading { sh, means, cam_from_world };
-        let found = shade_backward_cpu(scene.inputs(), Some(&visible), scene.grad(), needs);
-        let expected = shade_backward_cpu(scene.inputs(), None, &shown, needs);
+        let found = sh_backward_cpu(scene.inputs(), Some(&visible), scene.grad(), needs);
+        let expected = sh_backward_cpu(scene.inputs(), None, &shown, needs);
         assert!(found.sh == expected.sh && found.means == expected.means, "choice {choice}");
         assert!(found.cam_from_world == expected.cam_from_world, "choice {choice}");
     }

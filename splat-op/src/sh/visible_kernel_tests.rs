@@ -1,8 +1,8 @@
 //! The kernels' mask of what is visible against shading all, and against the twin's.
 
 use super::Shading;
-use super::cpu::{Visible, shade_cpu};
-use super::launch::{ShadeDeviceInputs, launch_shade, launch_shade_backward};
+use super::cpu::{Visible, sh_cpu};
+use super::launch::{ShDeviceInputs, launch_sh, launch_sh_backward};
 use super::visible_tests::{COEFFICIENTS, StageInputs, check_colours, spec};
 use crate::gpu::{Buffer, Gpu};
 use crate::project::cpu::project_cpu;
@@ -11,9 +11,9 @@ use crate::testing::ceiling::to_f32;
 use crate::testing::gpu::gpus;
 
 /// The inputs, the packed ellipses, and the gradient of the colours.
-fn upload(scene: &StageInputs, spec: &ProjectSpec, gpu: &Gpu) -> (ShadeDeviceInputs, Buffer<f32>, Buffer<f32>) {
+fn upload(scene: &StageInputs, spec: &ProjectSpec, gpu: &Gpu) -> (ShDeviceInputs, Buffer<f32>, Buffer<f32>) {
     let buffer = |values: &[f64]| Buffer::from_slice(gpu, &to_f32(values));
-    let inputs = ShadeDeviceInputs {
+    let inputs = ShDeviceInputs {
         sh: buffer(&scene.0[4]).into(),
         means: buffer(&scene.0[0]),
         cam_from_world: buffer(&scene.0[5]),
@@ -39,11 +39,11 @@ fn colours_are_those_of_all_or_zero_where_nothing_can_show() {
     for (count, alpha_min) in [(1, 0.0), (255, 0.05), (256, 1.0 / 255.0), (2_000, 1.0 / 255.0), (300, 0.0)] {
         let (scene, spec) = (StageInputs::random(count as u64, count), spec(alpha_min));
         let packed = project_cpu(scene.geometry(), &spec);
-        let by_twin = shade_cpu(scene.inputs(), Some(&Visible::new(&packed, &spec)));
+        let by_twin = sh_cpu(scene.inputs(), Some(&Visible::new(&packed, &spec)));
         for (form, gpu) in gpus() {
             let (inputs, ellipses, _) = upload(&scene, &spec, &gpu);
-            let colours = launch_shade(&gpu, &inputs, Some((&ellipses, &spec)), COEFFICIENTS).read(&gpu);
-            let expected = launch_shade(&gpu, &inputs, None, COEFFICIENTS).read(&gpu);
+            let colours = launch_sh(&gpu, &inputs, Some((&ellipses, &spec)), COEFFICIENTS).read(&gpu);
+            let expected = launch_sh(&gpu, &inputs, None, COEFFICIENTS).read(&gpu);
             let same = |i: usize| (3 * i..3 * i + 3).all(|at| close(colours[at], expected[at], 0.1));
             let skipped = check_colours(&to_f32(&packed), &colours, &spec, same);
             let twin_zero = |i: usize| by_twin[3 * i..3 * i + 3] == [0.0; 3];
@@ -62,8 +62,8 @@ fn gradients_are_those_of_all_without_the_colours_that_cannot_show() {
         for ((form, gpu), choice) in gpus().iter().flat_map(|gpu| choices.iter().map(move |choice| (gpu, choice))) {
             let (inputs, ellipses, grad) = upload(&scene, &spec, gpu);
             let visible = Some((&ellipses, &spec));
-            let colours = launch_shade(gpu, &inputs, visible, COEFFICIENTS).read(gpu);
-            let all = launch_shade(gpu, &inputs, None, COEFFICIENTS).read(gpu);
+            let colours = launch_sh(gpu, &inputs, visible, COEFFICIENTS).read(gpu);
+            let all = launch_sh(gpu, &inputs, None, COEFFICIENTS).read(gpu);
             let mut shown = grad.read(gpu);
             for (i, grad) in shown.chunks_exact_mut(3).enumerate() {
                 if (3 * i..3 * i + 3).any(|at| colours[at] == 0.0 && all[at] != 0.0) {
@@ -72,9 +72,9 @@ fn gradients_are_those_of_all_without_the_colours_that_cannot_show() {
             }
             let [sh, means, cam_from_world] = std::array::from_fn(|i| choice >> i & 1 != 0);
             let needs = Shading { sh, means, cam_from_world };
-            let found = launch_shade_backward(gpu, &inputs, visible, COEFFICIENTS, &grad, needs);
+            let found = launch_sh_backward(gpu, &inputs, visible, COEFFICIENTS, &grad, needs);
             let shown = Buffer::from_slice(gpu, &shown);
-            let expected = launch_shade_backward(gpu, &inputs, None, COEFFICIENTS, &shown, needs);
+            let expected = launch_sh_backward(gpu, &inputs, None, COEFFICIENTS, &shown, needs);
             let read = |buffer: &Option<Buffer<f32>>| buffer.as_ref().map(|buffer| buffer.read(gpu));
             for (name, found, expected) in [
                 ("sh", read(&found.sh), read(&expected.sh)),
@@ -95,9 +95,9 @@ fn no_gaussians() {
     for (_, gpu) in gpus() {
         let (inputs, ellipses, grad) = upload(&StageInputs::random(0, 0), &spec, &gpu);
         let visible = Some((&ellipses, &spec));
-        assert!(launch_shade(&gpu, &inputs, visible, COEFFICIENTS).read(&gpu).is_empty());
+        assert!(launch_sh(&gpu, &inputs, visible, COEFFICIENTS).read(&gpu).is_empty());
         let needs = Shading { sh: true, means: true, cam_from_world: true };
-        let found = launch_shade_backward(&gpu, &inputs, visible, COEFFICIENTS, &grad, needs);
+        let found = launch_sh_backward(&gpu, &inputs, visible, COEFFICIENTS, &grad, needs);
         assert!(found.sh.expect("asked for").read(&gpu).is_empty());
         assert_eq!(found.cam_from_world.expect("asked for").read(&gpu), [0.0; 12]);
     }

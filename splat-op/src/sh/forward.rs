@@ -1,8 +1,8 @@
-//! Kernel of `shade`, forward: one unit per Gaussian; and what the backward kernel shares with it: the camera's centre, the
+//! Kernel of `evaluate_sh`, forward: one unit per Gaussian; and what the backward kernel shares with it: the camera's centre, the
 //! direction from it, and the spherical harmonics. Their degree and how their coefficients are stored is fixed when a kernel is
 //! compiled.
 //!
-//! Shapes as in `shade`: coefficients `[N, (degree+1)², 3]`, means `[N, 3]`, pose `[3, 4]` → `[N, 3]`.
+//! Shapes as in `evaluate_sh`: coefficients `[N, (degree+1)², 3]`, means `[N, 3]`, pose `[3, 4]` → `[N, 3]`.
 
 use cubecl::prelude::*;
 
@@ -195,7 +195,7 @@ fn colour_of(sh: &[f32], gaussian: usize, mean: Vec3, pose: Pose, #[comptime] ha
 }
 
 #[cube(launch_unchecked)]
-pub(super) fn shade_forward_kernel(
+pub(super) fn sh_forward_kernel(
     sh: &[f32],
     means: &[f32],
     cam_from_world: &[f32],

@@ -1,4 +1,4 @@
-//! The CPU twin of `shade`: both passes, generic over the float, parallel over chunks of Gaussians.
+//! The CPU twin of `evaluate_sh`: both passes, generic over the float, parallel over chunks of Gaussians.
 
 use burn::tensor::f16;
 use rayon::prelude::*;
@@ -14,7 +14,7 @@ const CHUNK: usize = 1024;
 
 /// Borrowed inputs, row-major.
 #[derive(Clone, Copy)]
-pub(crate) struct ShadeCpuInputs<'a, F> {
+pub(crate) struct ShCpuInputs<'a, F> {
     pub sh: ShCoefficients<'a, F>,
     pub means: &'a [F],
     pub cam_from_world: &'a [F],
@@ -140,7 +140,7 @@ impl<'a, F: Real> Visible<'a, F> {
 }
 
 /// `[N, 3]` colours of the Gaussians that are visible, all unless it is said which, and zero for the others.
-pub(crate) fn shade_cpu<F: Real>(inputs: ShadeCpuInputs<F>, visible: Option<&Visible<F>>) -> Vec<F> {
+pub(crate) fn sh_cpu<F: Real>(inputs: ShCpuInputs<F>, visible: Option<&Visible<F>>) -> Vec<F> {
     let eye = CameraPositionCpu::new(inputs.cam_from_world);
     let row = 3 * inputs.coefficients;
     let degree = degree_of(inputs.coefficients);
@@ -161,8 +161,8 @@ pub(crate) fn shade_cpu<F: Real>(inputs: ShadeCpuInputs<F>, visible: Option<&Vis
 }
 
 /// Gradients of the inputs from `grad`, the `[N, 3]` gradient of the colours.
-pub(crate) fn shade_backward_cpu<F: Real>(
-    inputs: ShadeCpuInputs<F>,
+pub(crate) fn sh_backward_cpu<F: Real>(
+    inputs: ShCpuInputs<F>,
     visible: Option<&Visible<F>>,
     grad: &[F],
     needs: Shading<bool>,

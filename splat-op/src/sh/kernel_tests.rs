@@ -1,9 +1,9 @@
-//! The kernels of `shade` against the twin in f64.
+//! The kernels of `evaluate_sh` against the twin in f64.
 
 use glam::{DMat3, DVec3};
 
-use super::cpu::{ShCoefficients, ShadeCpuInputs, shade_backward_cpu, shade_cpu};
-use super::launch::{ShadeDeviceInputs, launch_shade, launch_shade_backward};
+use super::cpu::{ShCoefficients, ShCpuInputs, sh_backward_cpu, sh_cpu};
+use super::launch::{ShDeviceInputs, launch_sh, launch_sh_backward};
 use super::{Shading, coefficients_of};
 use crate::gpu::{Buffer, Gpu};
 use crate::testing::ceiling::{PerturbedReference, rounded, to_f32};
@@ -28,9 +28,9 @@ struct StageInputs {
 const POSE: usize = 2;
 const GRAD: usize = 3;
 
-fn inputs(tensors: &[Vec<f64>], degree: usize) -> ShadeCpuInputs<'_, f64> {
+fn inputs(tensors: &[Vec<f64>], degree: usize) -> ShCpuInputs<'_, f64> {
     let [sh, means, cam_from_world, ..] = tensors else { unreachable!("three tensors") };
-    ShadeCpuInputs { sh: ShCoefficients::Full(sh), means, cam_from_world, coefficients: coefficients_of(degree) }
+    ShCpuInputs { sh: ShCoefficients::Full(sh), means, cam_from_world, coefficients: coefficients_of(degree) }
 }
 
 impl StageInputs {
@@ -72,9 +72,9 @@ impl StageInputs {
         Self { tensors, kinds, degree }
     }
 
-    fn upload(&self, gpu: &Gpu) -> (ShadeDeviceInputs, Buffer<f32>) {
+    fn upload(&self, gpu: &Gpu) -> (ShDeviceInputs, Buffer<f32>) {
         let buffer = |i: usize| Buffer::from_slice(gpu, &to_f32(&self.tensors[i]));
-        (ShadeDeviceInputs { sh: buffer(0).into(), means: buffer(1), cam_from_world: buffer(POSE) }, buffer(GRAD))
+        (ShDeviceInputs { sh: buffer(0).into(), means: buffer(1), cam_from_world: buffer(POSE) }, buffer(GRAD))
     }
 
     /// The class of each Gaussian; none for one that is not finite.
@@ -97,7 +97,7 @@ impl StageInputs {
             for sh in tensors[0].chunks_exact_mut(row) {
                 sh[..3].iter_mut().for_each(|c| *c += lift / constant);
             }
-            vec![shade_cpu(inputs(&tensors, self.degree), None).iter().map(|colour| colour - lift).collect()]
+            vec![sh_cpu(inputs(&tensors, self.degree), None).iter().map(|colour| colour - lift).collect()]
         };
         let band = PerturbedReference::new(&self.tensors, lifted).near_zero(0);
         let count = band.iter().filter(|band| **band).count();
@@ -116,12 +116,12 @@ fn read(gpu: &Gpu, g: &Shading<Option<Buffer<f32>>>) -> [Option<Vec<f32>>; 3] {
 
 fn check_forward(what: &str, scene: &StageInputs) -> f64 {
     let yardstick =
-        PerturbedReference::new(&scene.tensors, |tensors| vec![shade_cpu(inputs(tensors, scene.degree), None)]);
+        PerturbedReference::new(&scene.tensors, |tensors| vec![sh_cpu(inputs(tensors, scene.degree), None)]);
     let clamped = yardstick.expected[0].iter().filter(|colour| **colour == 0.0).count();
     assert!(scene.kinds.len() < 100 || clamped > 5, "{what}: only {clamped} channels are clamped");
     let mut worst = 0.0_f64;
     for (form, gpu) in gpus() {
-        let found = launch_shade(&gpu, &scene.upload(&gpu).0, None, coefficients_of(scene.degree)).read(&gpu);
+        let found = launch_sh(&gpu, &scene.upload(&gpu).0, None, coefficients_of(scene.degree)).read(&gpu);
         worst = worst.max(yardstick.check(&format!("colours, {what}, {form}"), 0, &found, &scene.classes()));
     }
     worst
@@ -132,13 +132,13 @@ fn check_backward(what: &str, mut scene: StageInputs, needs: &[Shading<bool>]) -
     // A Gaussian that is not finite has no gradient, and is compared.
     let classes: Vec<_> = scene.kinds.iter().copied().map(Some).collect();
     let yardstick = PerturbedReference::new(&scene.tensors, |tensors| {
-        list(shade_backward_cpu(inputs(tensors, scene.degree), None, &tensors[GRAD], ALL))
+        list(sh_backward_cpu(inputs(tensors, scene.degree), None, &tensors[GRAD], ALL))
     });
     let mut worst = 0.0_f64;
     for (form, gpu) in gpus() {
         let (inputs, grad) = scene.upload(&gpu);
         for needs in needs {
-            let found = launch_shade_backward(&gpu, &inputs, None, coefficients_of(scene.degree), &grad, *needs);
+            let found = launch_sh_backward(&gpu, &inputs, None, coefficients_of(scene.degree), &grad, *needs);
             let needed = [needs.sh, needs.means, needs.cam_from_world];
             for (i, found) in read(&gpu, &found).into_iter().enumerate() {
                 let what = format!("gradient of {}, {what}, {form}", NAMES[i]);
@@ -182,8 +182,8 @@ fn any_number_of_gaussians() {
 fn no_gaussians() {
     for (_, gpu) in gpus() {
         let (inputs, grad) = StageInputs::random(0, 0, 2, false).upload(&gpu);
-        assert!(launch_shade(&gpu, &inputs, None, 9).read(&gpu).is_empty());
-        let found = read(&gpu, &launch_shade_backward(&gpu, &inputs, None, 9, &grad, ALL));
+        assert!(launch_sh(&gpu, &inputs, None, 9).read(&gpu).is_empty());
+        let found = read(&gpu, &launch_sh_backward(&gpu, &inputs, None, 9, &grad, ALL));
         assert_eq!(found, [Some(vec![]), Some(vec![]), Some(vec![0.0; 12])]);
     }
 }
@@ -203,14 +203,14 @@ fn a_centre_on_the_camera_has_a_colour_and_no_direction() {
     scene.tensors[POSE] = vec![1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0];
     scene.tensors[1][..3].fill(0.0);
     scene.tensors[GRAD].fill(1.0);
-    let expected = shade_cpu(inputs(&scene.tensors, 2), None);
+    let expected = sh_cpu(inputs(&scene.tensors, 2), None);
     for (_, gpu) in gpus() {
         let (inputs, grad) = scene.upload(&gpu);
-        let colours = launch_shade(&gpu, &inputs, None, 9).read(&gpu);
+        let colours = launch_sh(&gpu, &inputs, None, 9).read(&gpu);
         for (found, expected) in colours[..3].iter().zip(&expected) {
             assert!((f64::from(*found) - expected).abs() <= 1e-6 * (1.0 + expected));
         }
-        let found = read(&gpu, &launch_shade_backward(&gpu, &inputs, None, 9, &grad, ALL));
+        let found = read(&gpu, &launch_sh_backward(&gpu, &inputs, None, 9, &grad, ALL));
         assert_eq!(found[1].as_ref().expect("asked for")[..3], [0.0; 3]);
     }
 }
@@ -224,10 +224,10 @@ fn more_cubes_than_fit_along_one_axis() {
     for (_, gpu) in gpus() {
         let (small, small_grad) = scene.upload(&gpu);
         let [sh, means, grad] = [0, 1, GRAD].map(|i| Buffer::from_slice(&gpu, &repeated(i)));
-        let large = ShadeDeviceInputs { sh: sh.into(), means, cam_from_world: small.cam_from_world.clone() };
-        let run = |inputs: &ShadeDeviceInputs, grad: &Buffer<f32>| {
-            let found = launch_shade_backward(&gpu, inputs, None, 1, grad, Shading { means: false, ..ALL });
-            [launch_shade(&gpu, inputs, None, 1).read(&gpu), found.sh.expect("asked for").read(&gpu)]
+        let large = ShDeviceInputs { sh: sh.into(), means, cam_from_world: small.cam_from_world.clone() };
+        let run = |inputs: &ShDeviceInputs, grad: &Buffer<f32>| {
+            let found = launch_sh_backward(&gpu, inputs, None, 1, grad, Shading { means: false, ..ALL });
+            [launch_sh(&gpu, inputs, None, 1).read(&gpu), found.sh.expect("asked for").read(&gpu)]
         };
         for (found, expected) in run(&large, &grad).iter().zip(run(&small, &small_grad)) {
             let bits = |values: &[f32]| values.iter().map(|value| value.to_bits()).collect::<Vec<_>>();
@@ -242,7 +242,7 @@ fn a_second_run_gives_the_same_bits() {
     let bits = |values: Option<Vec<f32>>| values.expect("asked for").into_iter().map(f32::to_bits).collect::<Vec<_>>();
     for (_, gpu) in gpus() {
         let (inputs, grad) = scene.upload(&gpu);
-        let run = || read(&gpu, &launch_shade_backward(&gpu, &inputs, None, 16, &grad, ALL)).map(bits);
+        let run = || read(&gpu, &launch_sh_backward(&gpu, &inputs, None, 16, &grad, ALL)).map(bits);
         assert!(run() == run());
     }
 }

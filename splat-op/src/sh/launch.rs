@@ -1,9 +1,9 @@
-//! Launches of `shade`.
+//! Launches of `evaluate_sh`.
 
 use cubecl::prelude::{CubeCount, CubeDim};
 
-use super::backward::{pose_backward_kernel, shade_backward_kernel};
-use super::forward::{FrameLaunch, shade_forward_kernel};
+use super::backward::{pose_backward_kernel, sh_backward_kernel};
+use super::forward::{FrameLaunch, sh_forward_kernel};
 use super::{Harmonics, Shading, degree_of, reach_sigmas};
 use crate::dials::Storage;
 use crate::gpu::math::POSE;
@@ -13,7 +13,7 @@ use crate::project::ProjectSpec;
 
 /// Inputs on the device, row-major.
 #[derive(Clone, Debug)]
-pub(crate) struct ShadeDeviceInputs {
+pub(crate) struct ShDeviceInputs {
     /// `[N, (degree+1)², 3]`.
     pub sh: DeviceShCoefficients,
     /// `[N, 3]`, world frame.
@@ -61,12 +61,7 @@ fn frame(visible: Visible) -> FrameLaunch {
 }
 
 /// Colours, `[N, 3]`, from `coefficients` per channel; zero for what is not visible.
-pub(crate) fn launch_shade(
-    gpu: &Gpu,
-    inputs: &ShadeDeviceInputs,
-    visible: Visible,
-    coefficients: usize,
-) -> Buffer<f32> {
+pub(crate) fn launch_sh(gpu: &Gpu, inputs: &ShDeviceInputs, visible: Visible, coefficients: usize) -> Buffer<f32> {
     let count = inputs.means.len / 3;
     let colours = Buffer::new(gpu, 3 * count);
     if count == 0 {
@@ -75,7 +70,7 @@ pub(crate) fn launch_shade(
     let (grid, dim) = elementwise(count);
     // SAFETY: every access is guarded by the number of Gaussians.
     unsafe {
-        shade_forward_kernel::launch_unchecked(
+        sh_forward_kernel::launch_unchecked(
             &gpu.client,
             grid,
             dim,
@@ -93,9 +88,9 @@ pub(crate) fn launch_shade(
 }
 
 /// Gradients of the inputs from `grad`, `[N, 3]`. Those of the pose are summed in a fixed order.
-pub(crate) fn launch_shade_backward(
+pub(crate) fn launch_sh_backward(
     gpu: &Gpu,
-    inputs: &ShadeDeviceInputs,
+    inputs: &ShDeviceInputs,
     visible: Visible,
     coefficients: usize,
     grad: &Buffer<f32>,
@@ -115,7 +110,7 @@ pub(crate) fn launch_shade_backward(
         let (grid, dim) = elementwise(count);
         // SAFETY: every access is guarded by the number of Gaussians.
         unsafe {
-            shade_backward_kernel::launch_unchecked(
+            sh_backward_kernel::launch_unchecked(
                 &gpu.client,
                 grid,
                 dim,
