@@ -124,7 +124,7 @@ pub mod intersect;
 pub mod rasterize;
 
 // In place of the last, for pixels that look along their rays.
-pub mod tilt;
+pub mod depth_slope;
 
 pub mod rays;
 

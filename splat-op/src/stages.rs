@@ -39,8 +39,8 @@ pub struct Ellipses {
 #[derive(Clone, Debug)]
 pub struct Projected {
     packed: Tensor<2>,
-    /// `[N, 3]`, see `tilt/`, for a render whose pixels look along their rays.
-    tilt: Option<Tensor<2>>,
+    /// `[N, 3]`, see `depth_slope/`, for a render whose pixels look along their rays.
+    depth_slope: Option<Tensor<2>>,
     intrinsics: Intrinsics,
 }
 
@@ -123,7 +123,7 @@ impl Ellipses {
             reference.check(name, &column, [Some(count)], "[N]")?;
             columns.push(column.unsqueeze_dim(1));
         }
-        Ok(Projected { packed: Tensor::cat(columns, 1), tilt: None, intrinsics: *intrinsics })
+        Ok(Projected { packed: Tensor::cat(columns, 1), depth_slope: None, intrinsics: *intrinsics })
     }
 }
 
@@ -149,13 +149,13 @@ pub fn project(
     reference.check_fits(&[packed_need(splats.means.dims()[0])])?;
     let spec = ProjectSpec { intrinsics: camera.intrinsics, options: options.of_project() };
     let inputs = geometry(splats, camera, probe);
-    let tilt = options.along_rays().then(|| {
-        let tilt = Tensor::from_dispatch(<Dispatch as RaysBackend>::tilt(inputs.clone(), spec));
+    let depth_slope = options.along_rays().then(|| {
+        let depth_slope = Tensor::from_dispatch(<Dispatch as RaysBackend>::depth_slope(inputs.clone(), spec));
         // For the affine projection it decides an order, which has no gradient.
-        if options.projection == Projection::Exact { tilt } else { tilt.detach() }
+        if options.projection == Projection::Exact { depth_slope } else { depth_slope.detach() }
     });
     let packed = <Dispatch as SplatBackend>::project(inputs, spec);
-    Ok(Projected { packed: Tensor::from_dispatch(packed), tilt, intrinsics: camera.intrinsics })
+    Ok(Projected { packed: Tensor::from_dispatch(packed), depth_slope, intrinsics: camera.intrinsics })
 }
 
 fn geometry(splats: &Splats, camera: &Camera, mean2d_probe: Tensor<2>) -> GeometryTensors<Dispatch> {
@@ -183,8 +183,8 @@ pub fn intersect(projected: &Projected, options: &RenderOptions) -> Result<Inter
     let intersections = IntersectionCell::default();
     let spec = RasterizeSpec { intrinsics: projected.intrinsics, options: *options };
     let mut packed = projected.packed.clone().detach().into_dispatch();
-    if let Some(tilt) = projected.tilt.clone().filter(|_| options.reaches_by_outline()) {
-        packed = <Dispatch as RaysBackend>::outline(packed, tilt.detach().into_dispatch(), spec);
+    if let Some(depth_slope) = projected.depth_slope.clone().filter(|_| options.reaches_by_outline()) {
+        packed = <Dispatch as RaysBackend>::outline(packed, depth_slope.detach().into_dispatch(), spec);
     }
     let counts = <Dispatch as SplatBackend>::intersect(packed, spec, intersections.clone());
     Ok(Intersections { counts: Tensor::from_dispatch(counts), cell: intersections })
@@ -225,14 +225,14 @@ pub fn rasterize(
     let mean2d_abs = probe.into();
     let (counts, intersections, parts) =
         (intersections.counts.clone().into_dispatch(), intersections.cell.clone(), PartsCell::default());
-    let planes = match &projected.tilt {
+    let planes = match &projected.depth_slope {
         None => {
             let inputs = Layers { projected: packed, features, background, mean2d_abs };
             <Dispatch as SplatBackend>::rasterize(inputs, counts, spec, intersections, None, parts.clone())
         }
-        Some(tilt) => {
-            let tilt = tilt.clone().into();
-            let inputs = RayLayers { projected: packed, tilt, features, background, mean2d_abs };
+        Some(depth_slope) => {
+            let depth_slope = depth_slope.clone().into();
+            let inputs = RayLayers { projected: packed, depth_slope, features, background, mean2d_abs };
             <Dispatch as RaysBackend>::rays(inputs, counts, spec, intersections, parts.clone())
         }
     };
@@ -276,7 +276,7 @@ fn check_geometry(splats: &Splats, camera: &Camera, options: &RenderOptions) -> 
 /// Refuses ellipses that lack what a render along rays needs, or have it for one that does not look along them.
 fn check_rays(projected: &Projected, options: &RenderOptions) -> Result<(), SplatError> {
     let found = format!("{:?} with {:?}", options.projection, options.order);
-    match (options.along_rays(), projected.tilt.is_some()) {
+    match (options.along_rays(), projected.depth_slope.is_some()) {
         (true, false) => Err(SplatError::Value {
             field: "projection and order",
             found,

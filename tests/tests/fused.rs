@@ -63,14 +63,14 @@ fn every_stage_executes_kernels_and_no_twin() {
     let intersections = intersect(&projected, &along_rays).expect("a valid scene");
     let pairs: i64 = intersections.counts.clone().into_data().iter::<i64>().sum();
     assert!(pairs > 0);
-    launched("tilt and its outlines");
+    launched("depth slope and its outlines");
     let extras = Extras { background: Some(background), ..Extras::default() };
     let colours = Tensor::from_data(colours.into_data(), &device);
     let picture = rasterize(&projected, &colours, &intersections, &extras, &along_rays).expect("a valid scene");
     launched_after(host(picture.colour.clone()), || launched("rays"));
     let loss = picture.colour.sum().backward();
     launched_after(host(splats.means.grad(&loss).expect("tracked")), || {
-        launched("the backward passes of rays and tilt")
+        launched("the backward passes of rays and depth slope")
     });
     // The counter of twin calls works.
     let SceneTensors { splats, camera, .. } = scene.tensors(&burn::tensor::Device::flex(), DType::F32);

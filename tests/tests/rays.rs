@@ -256,7 +256,8 @@ fn what_cannot_be_is_refused() {
         refused(intersect(&packed, &options), "packed");
         let intersections = intersect(&packed, &plain).expect("ellipses as they are");
         let features = colours(&splats, &camera).expect("a valid scene");
-        let refused = rasterize(&packed, &features, &intersections, &Extras::default(), &options).expect_err("no tilt");
+        let refused =
+            rasterize(&packed, &features, &intersections, &Extras::default(), &options).expect_err("no depth slope");
         assert!(refused.to_string().contains("packed"), "{refused}");
     }
 }

@@ -4,12 +4,12 @@ use burn::backend::fusion::custom::TensorSpec;
 use burn::tensor::{DType, Shape};
 
 use super::tensors::{InputTensorMetadata, OptionalTensorMetadata};
+use crate::depth_slope::DEPTH_SLOPE;
 use crate::intersect::{IntersectionCell, tile_grid};
 use crate::project::{COLUMNS, Geometry, ProjectSpec};
 use crate::rasterize::{Layers, PartsCell, RasterizeSpec, TraceCell};
 use crate::rays::RayLayers;
 use crate::sh::Shading;
-use crate::tilt::TILT;
 
 /// A tensor of the float type of `like`.
 fn float<const D: usize>(shape: [usize; D], like: &TensorSpec) -> TensorSpec {
@@ -92,8 +92,8 @@ pub(super) fn rasterize_backward(
     inputs.each_ref().zip(*mask).map(|(input, asked)| grad(input, asked, &inputs.projected.0))
 }
 
-pub(super) fn tilt(inputs: &Geometry<InputTensorMetadata>, _: &ProjectSpec) -> TensorSpec {
-    float([inputs.opacities.0.shape[0], TILT], &inputs.means.0)
+pub(super) fn depth_slope(inputs: &Geometry<InputTensorMetadata>, _: &ProjectSpec) -> TensorSpec {
+    float([inputs.opacities.0.shape[0], DEPTH_SLOPE], &inputs.means.0)
 }
 
 pub(super) fn rays(

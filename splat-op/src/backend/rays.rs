@@ -1,4 +1,4 @@
-//! `tilt` and `rays` on Burn's CPU backends.
+//! `depth_slope` and `rays` on Burn's CPU backends.
 
 #![allow(deprecated, reason = "burn-ndarray is deprecated in favour of burn-flex; this project supports both")]
 
@@ -10,6 +10,8 @@ use super::cpu::{gradient, host, intersection_lists_by, planes_tensor};
 use super::fusion;
 use super::host::{HostBackend, by_type};
 use super::tensors::{GeometryGrads, GeometryTensors, RayLayerGrads, RayLayerTensors};
+use crate::depth_slope::cpu::{depth_slope_backward_cpu, depth_slope_cpu};
+use crate::depth_slope::{DEPTH_SLOPE, outline_cpu};
 use crate::intersect::cpu::intersect_cpu;
 use crate::intersect::{Cut, IntersectionCell, IntersectionLists};
 use crate::project::{COLUMNS, Geometry, ProjectSpec};
@@ -17,28 +19,26 @@ use crate::rasterize::{PartsCell, RasterizeSpec};
 use crate::rays::RayLayers;
 use crate::rays::cpu::{rays_backward_cpu, rays_cpu};
 use crate::real::Real;
-use crate::tilt::cpu::{tilt_backward_cpu, tilt_cpu};
-use crate::tilt::{TILT, outline_cpu};
 
 /// The stages of renders whose pixels look along their rays.
 #[backend_extension(Cube: cfg(feature = "cube"), Flex, NdArray, Autodiff, Fusion: cfg(feature = "fusion"))]
 pub trait RaysBackend: Backend {
-    /// See `tilt/`. Returns `[N, 3]`.
-    #[fusion(meta = fusion::tilt)]
-    fn tilt(#[extension_type] inputs: GeometryTensors<Self>, spec: ProjectSpec) -> FloatTensor<Self>;
+    /// See `depth_slope/`. Returns `[N, 3]`.
+    #[fusion(meta = fusion::depth_slope)]
+    fn depth_slope(#[extension_type] inputs: GeometryTensors<Self>, spec: ProjectSpec) -> FloatTensor<Self>;
 
-    /// The gradients of `tilt` that `mask` asks for, from that of its output. Opacities and projected centres have none to ask for.
+    /// The gradients of `depth_slope` that `mask` asks for, from that of its output. Opacities and projected centres have none to ask for.
     #[fusion(meta = fusion::project_backward)]
-    fn tilt_backward(
+    fn depth_slope_backward(
         #[extension_type] inputs: GeometryTensors<Self>,
         grad: FloatTensor<Self>,
         spec: ProjectSpec,
         mask: Geometry<bool>,
     ) -> GeometryGrads<Self>;
 
-    /// See `tilt/`. Rows `[N, 7]` for `intersect`, from packed ellipses `[N, 7]` and tilts `[N, 3]`. Not differentiable.
+    /// See `depth_slope/`. Rows `[N, 7]` for `intersect`, from packed ellipses `[N, 7]` and depth slopes `[N, 3]`. Not differentiable.
     #[fusion(dtype = projected, shape = projected)]
-    fn outline(projected: FloatTensor<Self>, tilt: FloatTensor<Self>, spec: RasterizeSpec) -> FloatTensor<Self>;
+    fn outline(projected: FloatTensor<Self>, depth_slope: FloatTensor<Self>, spec: RasterizeSpec) -> FloatTensor<Self>;
 
     /// See `rays/`. Returns planes as `rasterize` does; `intersection_counts` and `parts` as there.
     #[fusion(meta = fusion::rays)]
@@ -72,7 +72,7 @@ fn lists<'a, F: Real>(
     intersection_lists_by(intersections, || {
         let rows = |packed: &[F]| intersect_cpu(packed, &spec.intrinsics, Cut::of(&spec.options));
         match spec.options.reaches_by_outline() {
-            true => rows(&outline_cpu(inputs.projected, inputs.tilt, spec)),
+            true => rows(&outline_cpu(inputs.projected, inputs.depth_slope, spec)),
             false => rows(inputs.projected),
         }
     })
@@ -81,16 +81,16 @@ fn lists<'a, F: Real>(
 macro_rules! cpu_backend {
     ($backend:ty) => {
         impl RaysBackend for $backend {
-            fn tilt(inputs: GeometryTensors<Self>, spec: ProjectSpec) -> FloatTensor<Self> {
+            fn depth_slope(inputs: GeometryTensors<Self>, spec: ProjectSpec) -> FloatTensor<Self> {
                 by_type!(inputs.means.0, F => {
                     let read = inputs.each_ref().map(host::<Self, F>);
-                    let tilts = tilt_cpu(read.each_ref().map(|host| &host[..]), &spec);
-                    let count = tilts.len() / TILT;
-                    Self::from_host(tilts, &[count, TILT], &inputs.means.0)
+                    let depth_slopes = depth_slope_cpu(read.each_ref().map(|host| &host[..]), &spec);
+                    let count = depth_slopes.len() / DEPTH_SLOPE;
+                    Self::from_host(depth_slopes, &[count, DEPTH_SLOPE], &inputs.means.0)
                 })
             }
 
-            fn tilt_backward(
+            fn depth_slope_backward(
                 inputs: GeometryTensors<Self>,
                 grad: FloatTensor<Self>,
                 spec: ProjectSpec,
@@ -99,15 +99,15 @@ macro_rules! cpu_backend {
                 by_type!(inputs.means.0, F => {
                     let read = inputs.each_ref().map(host::<Self, F>);
                     let slices = read.each_ref().map(|host| &host[..]);
-                    let found = tilt_backward_cpu(slices, &Self::host(grad), &spec, mask);
+                    let found = depth_slope_backward_cpu(slices, &Self::host(grad), &spec, mask);
                     found.zip(mask).zip(inputs.each_ref()).map(gradient)
                 })
             }
 
-            fn outline(projected: FloatTensor<Self>, tilt: FloatTensor<Self>, spec: RasterizeSpec) -> FloatTensor<Self> {
+            fn outline(projected: FloatTensor<Self>, depth_slope: FloatTensor<Self>, spec: RasterizeSpec) -> FloatTensor<Self> {
                 by_type!(projected, F => {
                     let like = projected.clone();
-                    let rows = outline_cpu::<F>(&Self::host(projected), &Self::host(tilt), &spec);
+                    let rows = outline_cpu::<F>(&Self::host(projected), &Self::host(depth_slope), &spec);
                     let count = rows.len() / COLUMNS;
                     Self::from_host(rows, &[count, COLUMNS], &like)
                 })

@@ -1,4 +1,4 @@
-//! The backward nodes of `tilt` and `rays`.
+//! The backward nodes of `depth_slope` and `rays`.
 
 use burn::backend::Autodiff;
 use burn::backend::autodiff::checkpoint::base::Checkpointer;
@@ -17,16 +17,16 @@ use crate::rasterize::{PartsCell, RasterizeSpec};
 use crate::rays::RayLayers;
 
 #[derive(Debug)]
-struct TiltBackward;
+struct DepthSlopeBackward;
 
-impl<B: RaysBackend> Backward<B, 4> for TiltBackward {
+impl<B: RaysBackend> Backward<B, 4> for DepthSlopeBackward {
     type State = (GeometryTensors<B>, ProjectSpec);
 
     fn backward(self, ops: Ops<Self::State, 4>, grads: &mut Gradients, _: &mut Checkpointer) {
         let grad = grads.consume::<B>(&ops.node);
         differentiate::<B, _, _>(ops, grads, |(inputs, spec), [means, rotations, scales, cam_from_world]| {
             let mask = Geometry { means, rotations, scales, cam_from_world, ..Geometry::default() };
-            let found = B::tilt_backward(inputs, grad, spec, mask);
+            let found = B::depth_slope_backward(inputs, grad, spec, mask);
             [found.means, found.rotations, found.scales, found.cam_from_world]
         });
     }
@@ -48,15 +48,15 @@ impl<B: RaysBackend + SplatBackend> Backward<B, 5> for RaysBackward {
 }
 
 impl<B: RaysBackend + SplatBackend, C: CheckpointStrategy> RaysBackend for Autodiff<B, C> {
-    fn tilt(inputs: GeometryTensors<Self>, spec: ProjectSpec) -> FloatTensor<Self> {
+    fn depth_slope(inputs: GeometryTensors<Self>, spec: ProjectSpec) -> FloatTensor<Self> {
         let inner = inputs.each_ref().map(InputTensor::inner);
-        let output = B::tilt(inner.clone(), spec);
+        let output = B::depth_slope(inner.clone(), spec);
         let Geometry { means, rotations, scales, cam_from_world, .. } = &inputs;
-        tracked(TiltBackward, [means, rotations, scales, cam_from_world], (inner, spec), output)
+        tracked(DepthSlopeBackward, [means, rotations, scales, cam_from_world], (inner, spec), output)
     }
 
-    fn outline(projected: FloatTensor<Self>, tilt: FloatTensor<Self>, spec: RasterizeSpec) -> FloatTensor<Self> {
-        FloatTensor::<Self>::new(B::outline(projected.into_primitive(), tilt.into_primitive(), spec))
+    fn outline(projected: FloatTensor<Self>, depth_slope: FloatTensor<Self>, spec: RasterizeSpec) -> FloatTensor<Self> {
+        FloatTensor::<Self>::new(B::outline(projected.into_primitive(), depth_slope.into_primitive(), spec))
     }
 
     fn rays(
@@ -74,14 +74,14 @@ impl<B: RaysBackend + SplatBackend, C: CheckpointStrategy> RaysBackend for Autod
 
     // Backward passes are not differentiable themselves: called on this backend they see constants.
 
-    fn tilt_backward(
+    fn depth_slope_backward(
         inputs: GeometryTensors<Self>,
         grad: FloatTensor<Self>,
         spec: ProjectSpec,
         mask: Geometry<bool>,
     ) -> GeometryGrads<Self> {
         let inputs = inputs.each_ref().map(InputTensor::inner);
-        B::tilt_backward(inputs, grad.into_primitive(), spec, mask).map(OptionalTensor::constant)
+        B::depth_slope_backward(inputs, grad.into_primitive(), spec, mask).map(OptionalTensor::constant)
     }
 
     fn rays_backward(

@@ -1,4 +1,4 @@
-//! The order of the launches of `tilt` and `rays` on Burn's GPU backend.
+//! The order of the launches of `depth_slope` and `rays` on Burn's GPU backend.
 
 use burn::backend::TensorMetadata;
 use burn::backend::tensor::{FloatTensor, IntTensor};
@@ -8,6 +8,8 @@ use burn_cubecl::CubeBackend;
 use super::cube::{buffer, gradient, lists_by, on_device, planes_tensor, tensor};
 use super::rays::RaysBackend;
 use super::tensors::{GeometryGrads, GeometryTensors, RayLayerGrads, RayLayerTensors};
+use crate::depth_slope::DEPTH_SLOPE;
+use crate::depth_slope::launch::{launch_depth_slope, launch_depth_slope_backward, launch_outline};
 use crate::gpu::{Buffer, Gpu};
 use crate::intersect::launch::{DeviceIntersections, launch_intersect};
 use crate::intersect::{Cut, IntersectionCell};
@@ -15,8 +17,6 @@ use crate::project::{Geometry, ProjectSpec};
 use crate::rasterize::{PartsCell, RasterizeSpec};
 use crate::rays::RayLayers;
 use crate::rays::launch::{launch_rays, launch_rays_backward};
-use crate::tilt::TILT;
-use crate::tilt::launch::{launch_outline, launch_tilt, launch_tilt_backward};
 
 /// The lists in the cell, computed now if nobody has yet.
 fn lists<'a>(
@@ -28,33 +28,33 @@ fn lists<'a>(
     lists_by(cell, || {
         let rows = |packed: &Buffer<f32>| launch_intersect(gpu, packed, &spec.intrinsics, Cut::of(&spec.options));
         match spec.options.reaches_by_outline() {
-            true => rows(&launch_outline(gpu, &inputs.projected, &inputs.tilt, spec)),
+            true => rows(&launch_outline(gpu, &inputs.projected, &inputs.depth_slope, spec)),
             false => rows(&inputs.projected),
         }
     })
 }
 
 impl RaysBackend for CubeBackend {
-    fn tilt(inputs: GeometryTensors<Self>, spec: ProjectSpec) -> FloatTensor<Self> {
+    fn depth_slope(inputs: GeometryTensors<Self>, spec: ProjectSpec) -> FloatTensor<Self> {
         let like = &inputs.means.0;
-        let tilts = launch_tilt(&Gpu::new(&like.client), &inputs.each_ref().map(on_device), &spec);
-        tensor(tilts, [like.shape()[0], TILT], DType::F32, like)
+        let depth_slopes = launch_depth_slope(&Gpu::new(&like.client), &inputs.each_ref().map(on_device), &spec);
+        tensor(depth_slopes, [like.shape()[0], DEPTH_SLOPE], DType::F32, like)
     }
 
-    fn tilt_backward(
+    fn depth_slope_backward(
         inputs: GeometryTensors<Self>,
         grad: FloatTensor<Self>,
         spec: ProjectSpec,
         mask: Geometry<bool>,
     ) -> GeometryGrads<Self> {
         let gpu = Gpu::new(&grad.client);
-        let found = launch_tilt_backward(&gpu, &inputs.each_ref().map(on_device), &buffer(grad), &spec, mask);
+        let found = launch_depth_slope_backward(&gpu, &inputs.each_ref().map(on_device), &buffer(grad), &spec, mask);
         found.zip(inputs.each_ref()).map(gradient)
     }
 
-    fn outline(projected: FloatTensor<Self>, tilt: FloatTensor<Self>, spec: RasterizeSpec) -> FloatTensor<Self> {
+    fn outline(projected: FloatTensor<Self>, depth_slope: FloatTensor<Self>, spec: RasterizeSpec) -> FloatTensor<Self> {
         let gpu = Gpu::new(&projected.client);
-        let rows = launch_outline(&gpu, &buffer(projected.clone()), &buffer(tilt), &spec);
+        let rows = launch_outline(&gpu, &buffer(projected.clone()), &buffer(depth_slope), &spec);
         tensor(rows, projected.shape(), DType::F32, &projected)
     }
 

@@ -71,7 +71,7 @@ impl<B: Backend, C: CheckpointStrategy> OptionalTensor<Autodiff<B, C>> {
     }
 }
 
-/// Inputs of `project` and `tilt`.
+/// Inputs of `project` and `depth_slope`.
 pub type GeometryTensors<B> = Geometry<InputTensor<B>>;
 /// Their gradients.
 pub type GeometryGrads<B> = Geometry<OptionalTensor<B>>;

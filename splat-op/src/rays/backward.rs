@@ -11,11 +11,11 @@ use cubecl::prelude::*;
 
 use super::SUMS;
 use super::layer::{CHUNK, RayFrame, RayGaussian, RayPixel, Walk};
+use crate::depth_slope::DEPTH_SLOPE;
 use crate::gpu::UNITS;
 use crate::gpu::reduce::cube_sum;
 use crate::intersect::TILE_PIXELS;
 use crate::project::COLUMNS;
-use crate::tilt::TILT;
 
 /// Numbers of a row: the sums, one for each channel, and the two absolute ones.
 pub(super) const fn row_len(channels: usize, absolute: bool) -> usize {
@@ -26,7 +26,7 @@ pub(super) const fn row_len(channels: usize, absolute: bool) -> usize {
 #[cube(launch_unchecked)]
 pub(super) fn rays_walk_kernel(
     projected: &[f32],
-    tilts: &[f32],
+    depth_slopes: &[f32],
     features: &[f32],
     background: &[f32],
     grad: &[f32],
@@ -62,7 +62,7 @@ pub(super) fn rays_walk_kernel(
             while open {
                 let count = walk.advance(
                     projected,
-                    tilts,
+                    depth_slopes,
                     intersection_of_place,
                     gaussian_of_intersection,
                     first,
@@ -106,7 +106,7 @@ pub(super) fn rays_walk_kernel(
                 link = table[at + 1];
                 let gaussian =
                     gaussian_of_intersection[intersection_of_place[(first + place) as usize] as usize] as usize;
-                let footprint = RayGaussian::load(projected, tilts, gaussian);
+                let footprint = RayGaussian::load(projected, depth_slopes, gaussian);
                 let layer = footprint.at(pixel.x, pixel.y, &view);
                 // Alpha is one more channel, of colour one.
                 let mut here = grad_alpha + grad_depth * footprint.depth_of(&layer, &view);
@@ -142,7 +142,7 @@ fn tile_of_place(tile_start: &[u32], view: &RayFrame, place: u32) -> u32 {
 #[cube(launch_unchecked)]
 pub(super) fn rays_sums_kernel(
     projected: &[f32],
-    tilts: &[f32],
+    depth_slopes: &[f32],
     grad: &[f32],
     tile_start: &[u32],
     intersection_of_place: &[u32],
@@ -157,7 +157,8 @@ pub(super) fn rays_sums_kernel(
     if place < tile_start[view.end_tile as usize] {
         let tile = tile_of_place(tile_start, &view, place);
         let intersection = intersection_of_place[place as usize];
-        let footprint = RayGaussian::load(projected, tilts, gaussian_of_intersection[intersection as usize] as usize);
+        let footprint =
+            RayGaussian::load(projected, depth_slopes, gaussian_of_intersection[intersection as usize] as usize);
         let plane = (view.width * view.height) as usize;
         let channels = view.features as usize;
         let own = ABSOLUTE_POS * comptime!(2 * TILE_PIXELS);
@@ -185,11 +186,11 @@ pub(super) fn rays_sums_kernel(
                     let (exponent, lambda, phi) = (layer.exponent, layer.lambda, layer.phi);
                     let of_lambda = seen * footprint.depth;
                     let kappa = 2.0 * exponent * phi - lambda * lambda;
-                    // By how much E and λ change along (u, v), and along the tilt.
+                    // By how much E and λ change along (u, v), and along the depth slope.
                     let radial = -(h * lambda * lambda + of_lambda * 2.0 * lambda * phi);
                     let across = -(h * 2.0 * exponent * lambda + of_lambda * kappa);
-                    p = radial * u + across * footprint.tilt_u;
-                    q = radial * v + across * footprint.tilt_v;
+                    p = radial * u + across * footprint.depth_slope_u;
+                    q = radial * v + across * footprint.depth_slope_v;
                     sums[6] += across * u;
                     sums[7] += across * v;
                     sums[8] += 4.0 * exponent * footprint.thickness * (h * exponent - of_lambda * lambda);
@@ -250,7 +251,7 @@ pub(super) fn rays_gather_kernel(
     first_intersection: &[u32],
     rows: &[f32],
     grad_projected: &mut [f32],
-    grad_tilts: &mut [f32],
+    grad_depth_slopes: &mut [f32],
     grad_features: &mut [f32],
     grad_absolute: &mut [f32],
     visible: u32,
@@ -285,8 +286,9 @@ pub(super) fn rays_gather_kernel(
         }
         if comptime!(wanted.1) {
             #[unroll]
-            for k in 0..comptime!(TILT) {
-                grad_tilts[gaussian * comptime!(TILT) + k] = column_sum(rows, first, end, columns, comptime!(6 + k));
+            for k in 0..comptime!(DEPTH_SLOPE) {
+                grad_depth_slopes[gaussian * comptime!(DEPTH_SLOPE) + k] =
+                    column_sum(rows, first, end, columns, comptime!(6 + k));
             }
         }
         if comptime!(wanted.2) {

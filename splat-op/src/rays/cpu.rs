@@ -5,11 +5,11 @@ use rayon::prelude::*;
 
 use super::pixel::{RayGaussianCpu, RayLayerCpu, Rules, look};
 use super::{RayLayers, SUMS};
+use crate::depth_slope::DEPTH_SLOPE;
 use crate::intersect::{IntersectionLists, TILE, tile_grid};
 use crate::project::{COLUMNS, Ellipse};
 use crate::rasterize::RasterizeSpec;
 use crate::real::Real;
-use crate::tilt::TILT;
 
 /// A view, prepared for its pixels.
 struct PreparedRayView<'a, F> {
@@ -26,10 +26,10 @@ struct PreparedRayView<'a, F> {
 impl<'a, F: Real> PreparedRayView<'a, F> {
     fn new(inputs: RayLayers<&'a [F]>, spec: &RasterizeSpec, intersections: &'a IntersectionLists) -> Self {
         let rules = Rules::new(&spec.options);
-        let rows = inputs.projected.chunks_exact(COLUMNS).zip(inputs.tilt.chunks_exact(TILT));
+        let rows = inputs.projected.chunks_exact(COLUMNS).zip(inputs.depth_slope.chunks_exact(DEPTH_SLOPE));
         Self {
             inputs,
-            footprints: rows.map(|(row, tilt)| RayGaussianCpu::new(row, tilt, &rules)).collect(),
+            footprints: rows.map(|(row, depth_slope)| RayGaussianCpu::new(row, depth_slope, &rules)).collect(),
             rules,
             intersections,
             size: [spec.intrinsics.width, spec.intrinsics.height],
@@ -180,7 +180,7 @@ fn gather<F: Real>(view: &PreparedRayView<F>, rows: &[F], columns: usize, needs:
     let zeros = |needed: bool, columns: usize| vec![F::ZERO; if needed { count * columns } else { 0 }];
     let mut grads = RayLayers {
         projected: zeros(needs.projected, COLUMNS),
-        tilt: zeros(needs.tilt, TILT),
+        depth_slope: zeros(needs.depth_slope, DEPTH_SLOPE),
         features: zeros(needs.features, channels),
         background: Vec::new(),
         mean2d_abs: zeros(needs.mean2d_abs, 2),
@@ -207,8 +207,8 @@ fn gather<F: Real>(view: &PreparedRayView<F>, rows: &[F], columns: usize, needs:
             };
             grads.projected[i * COLUMNS..(i + 1) * COLUMNS].copy_from_slice(&grad.to_row());
         }
-        if needs.tilt {
-            grads.tilt[i * TILT..(i + 1) * TILT].copy_from_slice(&sums[6..6 + TILT]);
+        if needs.depth_slope {
+            grads.depth_slope[i * DEPTH_SLOPE..(i + 1) * DEPTH_SLOPE].copy_from_slice(&sums[6..6 + DEPTH_SLOPE]);
         }
         if needs.features {
             grads.features[i * channels..(i + 1) * channels].copy_from_slice(&sums[SUMS..SUMS + channels]);

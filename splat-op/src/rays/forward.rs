@@ -13,7 +13,7 @@ use crate::intersect::TILE_PIXELS;
 #[cube(launch_unchecked)]
 pub(super) fn rays_forward_kernel(
     projected: &[f32],
-    tilts: &[f32],
+    depth_slopes: &[f32],
     features: &[f32],
     background: &[f32],
     tile_start: &[u32],
@@ -39,7 +39,7 @@ pub(super) fn rays_forward_kernel(
         while open {
             let count = walk.advance(
                 projected,
-                tilts,
+                depth_slopes,
                 intersection_of_place,
                 gaussian_of_intersection,
                 first,
@@ -59,7 +59,7 @@ pub(super) fn rays_forward_kernel(
                             planes[channel * plane + pixel.index] += weight * features[gaussian * channels + channel];
                         }
                         if comptime!(view.depth) {
-                            let footprint = RayGaussian::load(projected, tilts, gaussian);
+                            let footprint = RayGaussian::load(projected, depth_slopes, gaussian);
                             let layer = footprint.at(pixel.x, pixel.y, &view);
                             depth += weight * footprint.depth_of(&layer, &view);
                         }

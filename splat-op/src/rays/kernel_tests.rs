@@ -5,6 +5,8 @@ use super::cpu::{rays_backward_cpu, rays_cpu};
 use super::launch::{launch_rays, launch_rays_backward_by};
 use super::pixel::{RayGaussianCpu, Rules, look};
 use crate::camera::Intrinsics;
+use crate::depth_slope::launch::launch_outline;
+use crate::depth_slope::{DEPTH_SLOPE, outline_cpu};
 use crate::gpu::{Buffer, Gpu};
 use crate::intersect::IntersectionLists;
 use crate::intersect::cpu::intersect_cpu;
@@ -16,11 +18,9 @@ use crate::testing::ceiling::{PerturbedReference, rounded, to_f32};
 use crate::testing::ellipses::ellipses;
 use crate::testing::gpu::{gpu, gpus};
 use crate::testing::random::Random;
-use crate::tilt::launch::launch_outline;
-use crate::tilt::{TILT, outline_cpu};
 
 const ALL: RayLayers<bool> =
-    RayLayers { projected: true, tilt: true, features: true, background: true, mean2d_abs: true };
+    RayLayers { projected: true, depth_slope: true, features: true, background: true, mean2d_abs: true };
 
 const CHOICES: [(Projection, Order); 3] =
     [(Projection::Exact, Order::Centre), (Projection::Affine, Order::PerPixel), (Projection::Exact, Order::PerPixel)];
@@ -28,7 +28,7 @@ const CHOICES: [(Projection, Order); 3] =
 /// Relative distance of two keys below which rounding may exchange them.
 const NEAR: f64 = 2e-5;
 
-/// Projected, tilts, features, background.
+/// Projected, depth slopes, features, background.
 #[derive(Clone)]
 struct StageInputs {
     name: String,
@@ -47,14 +47,15 @@ impl StageInputs {
         let intrinsics = Intrinsics::centred(width, height, 30.0);
         let seed = (count + 7 * width + channels) as u64;
         let mut random = Random::new(seed);
-        let tilts = (0..count).flat_map(|_| [[-0.2, 0.2], [-0.2, 0.2], [0.01, 0.25]]);
-        let tilts: Vec<f64> = tilts.map(|[low, high]| random.between(low, high)).collect();
+        let depth_slopes = (0..count).flat_map(|_| [[-0.2, 0.2], [-0.2, 0.2], [0.01, 0.25]]);
+        let depth_slopes: Vec<f64> = depth_slopes.map(|[low, high]| random.between(low, high)).collect();
         let mut options = options;
         for threshold in [&mut options.alpha_min, &mut options.alpha_max, &mut options.transmittance_min] {
             *threshold = f64::from(*threshold as f32);
         }
         let features = random.fill(count * channels, -1.0, 1.0);
-        let inputs = [ellipses(seed, count, &intrinsics, opacity), tilts, features, random.fill(channels, -1.0, 1.0)];
+        let inputs =
+            [ellipses(seed, count, &intrinsics, opacity), depth_slopes, features, random.fill(channels, -1.0, 1.0)];
         Self {
             name: format!(
                 "{count} splats, {width} × {height}, {channels} channels, {:?}, {:?}",
@@ -70,8 +71,8 @@ impl StageInputs {
     }
 
     fn view(&self) -> RayLayers<&'_ [f64]> {
-        let [projected, tilt, features, background] = &self.inputs[..] else { unreachable!("four inputs") };
-        RayLayers { projected, tilt, features, background, mean2d_abs: &[] }
+        let [projected, depth_slope, features, background] = &self.inputs[..] else { unreachable!("four inputs") };
+        RayLayers { projected, depth_slope, features, background, mean2d_abs: &[] }
     }
 
     fn lists(&self) -> IntersectionLists {
@@ -111,10 +112,10 @@ impl StageInputs {
             }
         }
         if self.spec.options.order == Order::PerPixel {
-            let rows = self.inputs[0].chunks_exact(COLUMNS).zip(self.inputs[1].chunks_exact(TILT));
+            let rows = self.inputs[0].chunks_exact(COLUMNS).zip(self.inputs[1].chunks_exact(DEPTH_SLOPE));
             let rules = Rules { transmittance_min: -1.0, ..Rules::new(&self.spec.options) };
             let footprints: Vec<RayGaussianCpu<f64>> =
-                rows.map(|(row, tilt)| RayGaussianCpu::new(row, tilt, &rules)).collect();
+                rows.map(|(row, depth_slope)| RayGaussianCpu::new(row, depth_slope, &rules)).collect();
             let all: Vec<u32> =
                 (0..footprints.len() as u32).filter(|i| footprints[*i as usize].ellipse.depth > 0.0).collect();
             let mut layers = Vec::new();
@@ -131,14 +132,14 @@ impl StageInputs {
         let buffer = |i: usize| Buffer::from_slice(gpu, &to_f32(&self.inputs[i]));
         let inputs = RayLayers {
             projected: buffer(0),
-            tilt: buffer(1),
+            depth_slope: buffer(1),
             features: buffer(2),
             background: buffer(3),
             mean2d_abs: Buffer::new(gpu, 0),
         };
         let (camera, options) = (&self.spec.intrinsics, &self.spec.options);
         let rows = match options.reaches_by_outline() {
-            true => launch_outline(gpu, &inputs.projected, &inputs.tilt, &self.spec),
+            true => launch_outline(gpu, &inputs.projected, &inputs.depth_slope, &self.spec),
             false => inputs.projected.clone(),
         };
         let lists = launch_intersect(gpu, &rows, camera, options.alpha_min.into());
@@ -174,7 +175,7 @@ impl StageInputs {
         let yardstick = PerturbedReference::new(&inputs, |inputs| {
             let scene = self.with(inputs);
             let g = scene.backward(&inputs[4]);
-            vec![mask(scene.planes()), g.projected, g.tilt, g.features, g.background, g.mean2d_abs]
+            vec![mask(scene.planes()), g.projected, g.depth_slope, g.features, g.background, g.mean2d_abs]
         });
         let classes = |rows: usize| vec![Some(0); rows];
         for (form, gpu) in gpus() {
@@ -183,9 +184,9 @@ impl StageInputs {
             assert!(planes.iter().all(|v| v.is_finite()), "{}", name("a pixel nobody wrote"));
             let planes: Vec<f32> = planes.iter().enumerate().map(|(i, &v)| outside(i, v.into()) as f32).collect();
             yardstick.check(&name("planes"), 0, &planes, &classes(planes.len()));
-            let found = [grads.projected, grads.tilt, grads.features, grads.background, grads.mean2d_abs];
+            let found = [grads.projected, grads.depth_slope, grads.features, grads.background, grads.mean2d_abs];
             for (which, (found, rows)) in found.into_iter().zip([count, count, count, channels, count]).enumerate() {
-                let name = name(["projected", "tilt", "features", "background", "mean2d_abs"][which]);
+                let name = name(["projected", "depth_slope", "features", "background", "mean2d_abs"][which]);
                 let found = found.expect("asked for").read(&gpu);
                 yardstick.check_gradient(&name, which + 1, &found, &classes(rows), &[]);
             }
@@ -239,7 +240,7 @@ fn the_same_bits_in_every_run_and_for_any_table() {
     let grad = Random::new(4).fill(5 * 70 * 50, -1.0, 1.0);
     let bits = |room: usize| {
         let (planes, g) = scene.on(&gpu, &grad, ALL, room);
-        let grads = [g.projected, g.tilt, g.features, g.background, g.mean2d_abs];
+        let grads = [g.projected, g.depth_slope, g.features, g.background, g.mean2d_abs];
         (planes, grads.map(|buffer| buffer.expect("asked for").read(&gpu)))
     };
     let first = bits(1 << 20);
@@ -255,12 +256,12 @@ fn only_what_is_needed_and_nothing_to_draw() {
     let grad = Random::new(4).fill(4 * 40 * 33, -1.0, 1.0);
     let read = |scene: &StageInputs, needs: RayLayers<bool>| {
         let g = scene.on(&gpu, &grad, needs, 1 << 20).1;
-        [g.projected, g.tilt, g.features, g.background, g.mean2d_abs].map(|b| b.map(|b| b.read(&gpu)))
+        [g.projected, g.depth_slope, g.features, g.background, g.mean2d_abs].map(|b| b.map(|b| b.read(&gpu)))
     };
     let all = read(&scene, ALL);
     for alone in 0..5 {
-        let [projected, tilt, features, background, mean2d_abs] = std::array::from_fn(|i| i == alone);
-        let needs = RayLayers { projected, tilt, features, background, mean2d_abs };
+        let [projected, depth_slope, features, background, mean2d_abs] = std::array::from_fn(|i| i == alone);
+        let needs = RayLayers { projected, depth_slope, features, background, mean2d_abs };
         for (i, found) in read(&scene, needs).iter().enumerate() {
             assert_eq!(found.as_ref(), all[i].as_ref().filter(|_| i == alone), "gradient {i} of {alone} alone");
         }
@@ -268,14 +269,14 @@ fn only_what_is_needed_and_nothing_to_draw() {
     for count in [0, 40] {
         let mut empty = scene.clone();
         empty.inputs[0] = [0.0, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0].repeat(count);
-        empty.inputs[1].truncate(count * TILT);
+        empty.inputs[1].truncate(count * DEPTH_SLOPE);
         empty.inputs[2].truncate(count * 3);
         let planes = empty.on(&gpu, &grad, ALL, 1 << 20).0;
         let expected = to_f32(&empty.inputs[3]);
         assert!(planes[..3 * 1320].chunks(1320).zip(expected).all(|(plane, b)| plane.iter().all(|&v| v == b)));
         assert!(planes[3 * 1320..].iter().all(|&v| v == 0.0));
-        let [projected, tilt, features, _, absolute] = read(&empty, ALL);
-        let zeros = [projected, tilt, features, absolute].into_iter().flatten().flatten();
+        let [projected, depth_slope, features, _, absolute] = read(&empty, ALL);
+        let zeros = [projected, depth_slope, features, absolute].into_iter().flatten().flatten();
         assert!(zeros.into_iter().all(|v| v == 0.0));
     }
 }

@@ -6,6 +6,7 @@ use super::RayLayers;
 use super::backward::{rays_background_kernel, rays_gather_kernel, rays_sums_kernel, rays_walk_kernel, row_len};
 use super::forward::rays_forward_kernel;
 use super::layer::RayFrameLaunch;
+use crate::depth_slope::DEPTH_SLOPE;
 use crate::gpu::{Buffer, Gpu, UNITS, cubes, elementwise};
 use crate::intersect::launch::DeviceIntersections;
 use crate::intersect::{TILE_PIXELS, tile_grid};
@@ -13,7 +14,6 @@ use crate::limits::Need;
 use crate::options::{Order, Projection};
 use crate::project::COLUMNS;
 use crate::rasterize::RasterizeSpec;
-use crate::tilt::TILT;
 
 /// Places of the table of layers and pixels, unless one tile has more: 64 MiB.
 const TABLE: usize = 32_768;
@@ -63,7 +63,7 @@ pub(crate) fn launch_rays(
             cubes(tiles),
             CubeDim::new_1d(TILE_PIXELS as u32),
             inputs.projected.arg(),
-            inputs.tilt.arg(),
+            inputs.depth_slope.arg(),
             inputs.features.arg(),
             inputs.background.arg(),
             lists.tile_start.arg(),
@@ -127,7 +127,7 @@ pub(super) fn launch_rays_backward_by(
     let table: Buffer<u32> = Buffer::with_headroom(gpu, longest * 2 * TILE_PIXELS);
     let rows: Buffer<f32> = Buffer::with_headroom(gpu, lists.intersections * columns);
     let left: Buffer<f32> = Buffer::new(gpu, pixels);
-    let of_intersections = needs.projected || needs.tilt || needs.features || needs.mean2d_abs;
+    let of_intersections = needs.projected || needs.depth_slope || needs.features || needs.mean2d_abs;
     for &(first, end) in &runs {
         let places = counts[first..end].iter().sum::<i32>() as usize;
         // SAFETY: as in the forward pass; the table holds all places of a run, and the rows all intersections.
@@ -137,7 +137,7 @@ pub(super) fn launch_rays_backward_by(
                 cubes(end - first),
                 CubeDim::new_1d(TILE_PIXELS as u32),
                 inputs.projected.arg(),
-                inputs.tilt.arg(),
+                inputs.depth_slope.arg(),
                 inputs.features.arg(),
                 inputs.background.arg(),
                 grad.arg(),
@@ -160,7 +160,7 @@ pub(super) fn launch_rays_backward_by(
                 grid,
                 dim,
                 inputs.projected.arg(),
-                inputs.tilt.arg(),
+                inputs.depth_slope.arg(),
                 grad.arg(),
                 lists.tile_start.arg(),
                 lists.intersection_of_place.arg(),
@@ -196,7 +196,7 @@ pub(super) fn launch_rays_backward_by(
     }
     let zeros = |needed: bool, columns: usize| Buffer::zeros(gpu, if needed { count * columns } else { 0 });
     let projected = zeros(needs.projected, COLUMNS);
-    let tilt = zeros(needs.tilt, TILT);
+    let depth_slope = zeros(needs.depth_slope, DEPTH_SLOPE);
     let feature_rows = zeros(needs.features, features);
     let absolute = zeros(needs.mean2d_abs, 2);
     let (grid, dim) = elementwise(lists.visible);
@@ -211,18 +211,18 @@ pub(super) fn launch_rays_backward_by(
             lists.first_intersection.arg(),
             rows.arg(),
             projected.arg(),
-            tilt.arg(),
+            depth_slope.arg(),
             feature_rows.arg(),
             absolute.arg(),
             lists.visible as u32,
             lists.intersections as u32,
             features as u32,
-            (needs.projected, needs.tilt, needs.features),
+            (needs.projected, needs.depth_slope, needs.features),
             needs.mean2d_abs,
         );
     }
     grads.projected = needs.projected.then_some(projected);
-    grads.tilt = needs.tilt.then_some(tilt);
+    grads.depth_slope = needs.depth_slope.then_some(depth_slope);
     grads.features = needs.features.then_some(feature_rows);
     grads.mean2d_abs = needs.mean2d_abs.then_some(absolute);
     grads

@@ -6,10 +6,10 @@
 use cubecl::prelude::*;
 
 use super::{D_MIN, WHITENED_MAX};
+use crate::depth_slope::DEPTH_SLOPE;
 use crate::gpu::math::within;
 use crate::intersect::TILE;
 use crate::project::COLUMNS;
-use crate::tilt::TILT;
 
 /// Layers that a unit looks for at once, and sorts in its registers. It goes through the tile's list once for so many.
 pub(super) const CHUNK: usize = 16;
@@ -63,7 +63,7 @@ impl RayPixel {
     }
 }
 
-/// A Gaussian as pixels see it: its row and its tilt.
+/// A Gaussian as pixels see it: its row and its depth slope.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub(super) struct RayGaussian {
@@ -74,8 +74,8 @@ pub(super) struct RayGaussian {
     pub sigma_v: f32,
     pub depth: f32,
     pub opacity: f32,
-    pub tilt_u: f32,
-    pub tilt_v: f32,
+    pub depth_slope_u: f32,
+    pub depth_slope_v: f32,
     pub thickness: f32,
 }
 
@@ -97,9 +97,9 @@ pub(super) struct RayLayer {
 
 #[cube]
 impl RayGaussian {
-    pub fn load(projected: &[f32], tilts: &[f32], gaussian: usize) -> RayGaussian {
+    pub fn load(projected: &[f32], depth_slopes: &[f32], gaussian: usize) -> RayGaussian {
         let at = gaussian * comptime!(COLUMNS);
-        let tilt = gaussian * comptime!(TILT);
+        let depth_slope = gaussian * comptime!(DEPTH_SLOPE);
         RayGaussian {
             x: projected[at],
             y: projected[at + 1],
@@ -108,9 +108,9 @@ impl RayGaussian {
             sigma_v: projected[at + 4],
             depth: projected[at + 5],
             opacity: projected[at + 6],
-            tilt_u: tilts[tilt],
-            tilt_v: tilts[tilt + 1],
-            thickness: tilts[tilt + 2],
+            depth_slope_u: depth_slopes[depth_slope],
+            depth_slope_v: depth_slopes[depth_slope + 1],
+            thickness: depth_slopes[depth_slope + 2],
         }
     }
 
@@ -121,7 +121,7 @@ impl RayGaussian {
         let u = within(dx / self.sigma_u, -widest, widest);
         let v = within((dy - self.shear * dx) / self.sigma_v, -widest, widest);
         let square = u * u + v * v;
-        let s = within(1.0 - (self.tilt_u * u + self.tilt_v * v), -farthest, farthest);
+        let s = within(1.0 - (self.depth_slope_u * u + self.depth_slope_v * v), -farthest, farthest);
         let thick = self.thickness * self.thickness;
         let d = s * s + thick * square;
         let sound = d > comptime!(D_MIN as f32);
@@ -214,7 +214,7 @@ impl Walk {
     pub fn advance(
         &mut self,
         projected: &[f32],
-        tilts: &[f32],
+        depth_slopes: &[f32],
         intersection_of_place: &[u32],
         gaussian_of_intersection: &[u32],
         first: u32,
@@ -231,7 +231,7 @@ impl Walk {
         let mut going = place < places;
         while going {
             let gaussian = gaussian_of_intersection[intersection_of_place[(first + place) as usize] as usize];
-            let layer = RayGaussian::load(projected, tilts, gaussian as usize).at(pixel.x, pixel.y, view);
+            let layer = RayGaussian::load(projected, depth_slopes, gaussian as usize).at(pixel.x, pixel.y, view);
             if layer.alpha > 0.0 {
                 if comptime!(view.per_pixel) {
                     let begun = self.come_to[0] != 0;

@@ -2,10 +2,10 @@
 //! [`RenderOptions::projection`](crate::RenderOptions) or `order` is not the plain one.
 //!
 //! A pixel sees a Gaussian at the whitened coordinates `(u, v)` of `project`, and with `ρ² = u² + v²` and the Gaussian's
-//! `tilt` and `thickness` (see `tilt/`)
+//! `depth_slope` and `thickness` (see `depth_slope/`)
 //!
 //! ```text
-//! s = 1 − tilt·(u, v)    D = s² + thickness² ρ²    λ = s / D
+//! s = 1 − depth_slope·(u, v)    D = s² + thickness² ρ²    λ = s / D
 //! Affine   g = exp(−E),  E = ρ²/2               Exact   g = exp(−E),  E = ρ²/(2D),  where s > 0
 //! ```
 //!
@@ -13,7 +13,7 @@
 //! widening of the Gaussian across the ray through its centre, `g` is that greatest value, exactly. (With the ray's points
 //! `λ(u, v)` and `(λs − 1)/thickness` from the centre in whitened coordinates, `2E = λ²ρ² + (λs − 1)²/thickness²` at its least.)
 //! Where `s <= 0` that place is at the camera or behind it, and the Gaussian is not seen. The affine projection is that with
-//! `tilt = thickness = 0`: of a Gaussian that is small beside its distance. (Where its Jacobian is held at a limit, so it is for
+//! `depth_slope = thickness = 0`: of a Gaussian that is small beside its distance. (Where its Jacobian is held at a limit, so it is for
 //! the `λ` that orders its layers.)
 //!
 //! Alphas, thresholds, sums and the gradient back to front are those of `rasterize`, over the same lists. Their order is that of
@@ -24,18 +24,18 @@
 //! # Gradient
 //!
 //! An order is constant but where it changes: the gradient is that of the values blended in it. For the affine projection the
-//! tilt, which then decides the order alone, has none. With `φ = thickness²/D` and `κ = 2Eφ − λ² = ∂λ/∂s`,
+//! depth slope, which then decides the order alone, has none. With `φ = thickness²/D` and `κ = 2Eφ − λ² = ∂λ/∂s`,
 //!
 //! ```text
-//! ∂E/∂(u, v) = λ (λ (u, v) + 2E tilt)        ∂E/∂tilt = 2Eλ (u, v)      ∂E/∂thickness = −4E² thickness
-//! ∂λ/∂(u, v) = −2λφ (u, v) − κ tilt          ∂λ/∂tilt = −κ (u, v)       ∂λ/∂thickness = −4Eλ thickness
+//! ∂E/∂(u, v) = λ (λ (u, v) + 2E depth_slope)        ∂E/∂depth_slope = 2Eλ (u, v)      ∂E/∂thickness = −4E² thickness
+//! ∂λ/∂(u, v) = −2λφ (u, v) − κ depth_slope          ∂λ/∂depth_slope = −κ (u, v)       ∂λ/∂thickness = −4Eλ thickness
 //! ```
 //!
 //! in which nothing is divided by `1 − α`, and by `s` or `D` only where the value is. Each intersection has a row of its own for its
 //! sums over the tile's pixels, and a Gaussian's rows are added in the order of its intersections: on every device the same bits in
 //! every run, whatever [`Accumulation`](crate::Accumulation) says.
 //!
-//! Shapes: packed ellipses `[N, 7]`, tilts `[N, 3]`, features `[N, C]`, background `[C]` → planes as `rasterize`.
+//! Shapes: packed ellipses `[N, 7]`, depth slopes `[N, 3]`, features `[N, C]`, background `[C]` → planes as `rasterize`.
 
 #[cfg(feature = "cube")]
 mod backward;
@@ -62,7 +62,7 @@ pub(crate) const WHITENED_MAX: f64 = 1e9;
 pub(crate) const D_MIN: f64 = 1e-30;
 
 /// Sums of an intersection over a tile's pixels besides those of its channels: of `h = α ∂L/∂α` where alpha is not at its limit; of the
-/// gradients `p, q` of `u` and `v`, then of `p u, q u, q v`; of those of the tilts and the thickness; of that of the depth.
+/// gradients `p, q` of `u` and `v`, then of `p u, q u, q v`; of those of the depth slopes and the thickness; of that of the depth.
 pub(crate) const SUMS: usize = 10;
 
 record! {
@@ -70,8 +70,8 @@ record! {
     pub struct RayLayers {
         /// `[N, 7]`, packed by `project`.
         projected,
-        /// `[N, 3]`, of `tilt`.
-        tilt,
+        /// `[N, 3]`, of `depth_slope`.
+        depth_slope,
         /// `[N, C]`.
         features,
         /// `[C]`.

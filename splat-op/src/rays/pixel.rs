@@ -1,18 +1,18 @@
 //! One pixel as the CPU twin sees it: what it sees of a Gaussian, its layers front to back, and their gradients.
 
 use super::{D_MIN, SUMS, WHITENED_MAX};
+use crate::depth_slope::DEPTH_SLOPE;
 use crate::intersect::reach::widened_limit;
 use crate::options::{Order, Projection};
 use crate::project::Ellipse;
 use crate::real::Real;
-use crate::tilt::TILT;
 
 /// A Gaussian as pixels see it.
 #[derive(Clone, Copy, Default)]
 pub(super) struct RayGaussianCpu<F> {
     pub ellipse: Ellipse<F>,
     /// Zero for the affine projection, but for the order.
-    pub tilt: [F; TILT],
+    pub depth_slope: [F; DEPTH_SLOPE],
     inverse_u: F,
     inverse_v: F,
     /// The exponent from which on its alpha is below `alpha_min` for certain.
@@ -21,11 +21,11 @@ pub(super) struct RayGaussianCpu<F> {
 
 impl<F: Real> RayGaussianCpu<F> {
     /// Of its rows.
-    pub fn new(row: &[F], tilt: &[F], rules: &Rules<F>) -> Self {
+    pub fn new(row: &[F], depth_slope: &[F], rules: &Rules<F>) -> Self {
         let ellipse = Ellipse::from_row(row);
         Self {
             ellipse,
-            tilt: [tilt[0], tilt[1], tilt[2]],
+            depth_slope: [depth_slope[0], depth_slope[1], depth_slope[2]],
             inverse_u: F::ONE / ellipse.sigma_u,
             inverse_v: F::ONE / ellipse.sigma_v,
             limit: F::of(0.5) * widened_limit(ellipse.opacity, rules.alpha_min),
@@ -87,13 +87,13 @@ impl<F: Real> RayLayerCpu<F> {
         rules: &Rules<F>,
         (place, gaussian): (usize, u32),
     ) -> Option<Self> {
-        let (e, [tilt_u, tilt_v, thickness]) = (&footprint.ellipse, footprint.tilt);
+        let (e, [depth_slope_u, depth_slope_v, thickness]) = (&footprint.ellipse, footprint.depth_slope);
         let (widest, farthest) = (F::of(WHITENED_MAX), F::of(WHITENED_MAX * WHITENED_MAX));
         let (dx, dy) = (at[0] - e.mean_px[0], at[1] - e.mean_px[1]);
         let u = (dx * footprint.inverse_u).within(-widest, widest);
         let v = ((dy - e.shear * dx) * footprint.inverse_v).within(-widest, widest);
         let square = u * u + v * v;
-        let s = (F::ONE - (tilt_u * u + tilt_v * v)).within(-farthest, farthest);
+        let s = (F::ONE - (depth_slope_u * u + depth_slope_v * v)).within(-farthest, farthest);
         let thick = thickness * thickness;
         let d = s * s + thick * square;
         let half = F::of(0.5) * square;
@@ -196,7 +196,7 @@ impl<F: Real> RayLayerCpu<F> {
         grad_alpha: F,
         grad_depth: F,
     ) -> LayerGrad<F> {
-        let (e, [tilt_u, tilt_v, thickness]) = (&footprint.ellipse, footprint.tilt);
+        let (e, [depth_slope_u, depth_slope_v, thickness]) = (&footprint.ellipse, footprint.depth_slope);
         let Self { u, v, exponent, lambda, phi, .. } = *self;
         let (two, four) = (F::of(2.0), F::of(4.0));
         let weight = self.alpha * self.before;
@@ -205,10 +205,10 @@ impl<F: Real> RayLayerCpu<F> {
         let (p, q, mut sums) = if rules.exact {
             let of_lambda = seen * e.depth;
             let kappa = two * exponent * phi - lambda * lambda;
-            // By how much E and λ change along (u, v), and along the tilt.
+            // By how much E and λ change along (u, v), and along the depth slope.
             let radial = -(h * lambda * lambda + of_lambda * two * lambda * phi);
             let across = -(h * two * exponent * lambda + of_lambda * kappa);
-            let (p, q) = (radial * u + across * tilt_u, radial * v + across * tilt_v);
+            let (p, q) = (radial * u + across * depth_slope_u, radial * v + across * depth_slope_v);
             let of_thickness = four * exponent * thickness * (h * exponent - of_lambda * lambda);
             let mut sums = [F::ZERO; SUMS];
             sums[6..].copy_from_slice(&[across * u, across * v, of_thickness, seen * lambda]);

@@ -3,6 +3,7 @@
 use super::RayLayers;
 use super::cpu::{rays_backward_cpu, rays_cpu};
 use crate::camera::Intrinsics;
+use crate::depth_slope::{DEPTH_SLOPE, outline_cpu};
 use crate::intersect::IntersectionLists;
 use crate::intersect::cpu::intersect_cpu;
 use crate::options::{Order, Projection, RenderOptions};
@@ -12,10 +13,9 @@ use crate::rasterize::cpu::rasterize_cpu;
 use crate::testing::blending::{PixelLayer, assert_close, blended, small_ellipse, smooth};
 use crate::testing::finite::{check_gradient, inner_product};
 use crate::testing::random::Random;
-use crate::tilt::{TILT, outline_cpu};
 
 const ALL: RayLayers<bool> =
-    RayLayers { projected: true, tilt: true, features: true, background: true, mean2d_abs: true };
+    RayLayers { projected: true, depth_slope: true, features: true, background: true, mean2d_abs: true };
 
 const CHOICES: [(Projection, Order); 4] = [
     (Projection::Exact, Order::Centre),
@@ -24,7 +24,7 @@ const CHOICES: [(Projection, Order); 4] = [
     (Projection::Affine, Order::Centre),
 ];
 
-/// Packed ellipses, tilts, features, background.
+/// Packed ellipses, depth slopes, features, background.
 #[derive(Clone)]
 struct StageInputs {
     inputs: [Vec<f64>; 4],
@@ -32,7 +32,7 @@ struct StageInputs {
 }
 
 impl StageInputs {
-    /// `opacity` is the range that opacities are drawn from, `steep` and `thick` the largest tilt and thickness.
+    /// `opacity` is the range that opacities are drawn from, `steep` and `thick` the largest depth slope and thickness.
     fn random(
         seed: u64,
         count: usize,
@@ -42,17 +42,17 @@ impl StageInputs {
         options: RenderOptions,
     ) -> Self {
         let mut random = Random::new(seed);
-        let (mut packed, mut tilts) = (Vec::new(), Vec::new());
+        let (mut packed, mut depth_slopes) = (Vec::new(), Vec::new());
         for _ in 0..count {
             let depth = |random: &mut Random| random.between(0.0, 4.0).exp();
             packed.extend(small_ellipse(&mut random, [width, height], depth, opacity).to_row());
-            let tilt = [random.between(-steep, steep), random.between(-steep, steep)];
-            tilts.extend([tilt[0], tilt[1], random.between(0.2 * thick, thick)]);
+            let depth_slope = [random.between(-steep, steep), random.between(-steep, steep)];
+            depth_slopes.extend([depth_slope[0], depth_slope[1], random.between(0.2 * thick, thick)]);
         }
         let features = random.fill(count * channels, -1.0, 1.0);
         let background = random.fill(channels, -1.0, 1.0);
         let spec = RasterizeSpec { intrinsics: Intrinsics::centred(width, height, 30.0), options };
-        Self { inputs: [packed, tilts, features, background], spec }
+        Self { inputs: [packed, depth_slopes, features, background], spec }
     }
 
     fn lists(&self) -> IntersectionLists {
@@ -89,7 +89,7 @@ impl StageInputs {
     fn seen(&self, pixel: usize, i: usize) -> [f64; 3] {
         let (width, options) = (self.spec.intrinsics.width, &self.spec.options);
         let e = Ellipse::from_row(&self.inputs[0][i * COLUMNS..]);
-        let t = &self.inputs[1][i * TILT..];
+        let t = &self.inputs[1][i * DEPTH_SLOPE..];
         let (dx, dy) = ((pixel % width) as f64 + 0.5 - e.mean_px[0], (pixel / width) as f64 + 0.5 - e.mean_px[1]);
         let (u, v) = (dx / e.sigma_u, (dy - e.shear * dx) / e.sigma_v);
         // The point λ of the ray, in the three whitened coordinates, and where it is nearest to the centre.
@@ -122,8 +122,8 @@ impl StageInputs {
     fn check(&self, name: &str, stride: usize) {
         let grad = self.random_grad(77);
         let g = self.backward(&grad, ALL);
-        let gradients = [&g.projected, &g.tilt, &g.features, &g.background];
-        for (i, part) in ["ellipses", "tilts", "features", "background"].into_iter().enumerate() {
+        let gradients = [&g.projected, &g.depth_slope, &g.features, &g.background];
+        for (i, part) in ["ellipses", "depth slopes", "features", "background"].into_iter().enumerate() {
             check_gradient(&format!("{name}: {part}"), &self.inputs[i], gradients[i], stride, |moved| {
                 let mut scene = self.clone();
                 scene.inputs[i] = moved.to_vec();
@@ -133,8 +133,8 @@ impl StageInputs {
     }
 }
 
-fn inputs<F>([projected, tilt, features, background]: &[Vec<F>; 4]) -> RayLayers<&'_ [F]> {
-    RayLayers { projected, tilt, features, background, mean2d_abs: &[] }
+fn inputs<F>([projected, depth_slope, features, background]: &[Vec<F>; 4]) -> RayLayers<&'_ [F]> {
+    RayLayers { projected, depth_slope, features, background, mean2d_abs: &[] }
 }
 
 /// The definition, pixel by pixel.
@@ -165,7 +165,7 @@ fn planes_are_those_of_the_definition() {
 }
 
 #[test]
-fn without_a_tilt_it_is_rasterize() {
+fn without_a_depth_slope_it_is_rasterize() {
     for (projection, order) in CHOICES {
         let options = RenderOptions::standard().with_projection(projection).with_order(order).with_depth(true);
         let mut scene = StageInputs::random(5, 300, (50, 40), 3, ([0.0, 1.0], 0.0, 0.0), options);
@@ -214,13 +214,13 @@ fn every_gradient_agrees_with_finite_differences() {
             let what = format!("{channels} channels, depth {depth}, {projection:?}, {order:?}");
             let mut scene = scene;
             if projection == Projection::Affine {
-                // The tilt has no gradient; and so finite differences find none.
+                // The depth slope has no gradient; and so finite differences find none.
                 let g = scene.backward(&scene.random_grad(77), ALL);
-                assert!(g.tilt.iter().all(|g| *g == 0.0), "{what}");
+                assert!(g.depth_slope.iter().all(|g| *g == 0.0), "{what}");
             }
             scene.check(&what, 1);
             // A camera inside some of them.
-            scene.inputs[1].iter_mut().skip(2).step_by(2 * TILT).for_each(|thickness| *thickness *= 6.0);
+            scene.inputs[1].iter_mut().skip(2).step_by(2 * DEPTH_SLOPE).for_each(|thickness| *thickness *= 6.0);
             if order == Order::Centre && nearest(&scene, 0.8) > 1e-3 {
                 scene.check(&format!("{what}, thick"), 1);
             }
@@ -267,11 +267,11 @@ fn each_gradient_is_the_same_alone() {
     let options = RenderOptions::standard().with_projection(Projection::Exact).with_order(Order::PerPixel);
     let scene = StageInputs::random(80, 120, (20, 13), 3, ([0.05, 0.9], 0.3, 0.2), options.with_depth(true));
     let grad = scene.random_grad(81);
-    let list = |g: RayLayers<Vec<f64>>| [g.projected, g.tilt, g.features, g.background, g.mean2d_abs];
+    let list = |g: RayLayers<Vec<f64>>| [g.projected, g.depth_slope, g.features, g.background, g.mean2d_abs];
     let all = list(scene.backward(&grad, ALL));
     for alone in 0..5 {
-        let [projected, tilt, features, background, mean2d_abs] = std::array::from_fn(|i| i == alone);
-        let needs = RayLayers { projected, tilt, features, background, mean2d_abs };
+        let [projected, depth_slope, features, background, mean2d_abs] = std::array::from_fn(|i| i == alone);
+        let needs = RayLayers { projected, depth_slope, features, background, mean2d_abs };
         for (i, gradient) in list(scene.backward(&grad, needs)).iter().enumerate() {
             let expected = if i == alone { all[i].as_slice() } else { &[] };
             assert_eq!(gradient, expected, "gradient {i}, asked for {alone}");
@@ -288,7 +288,7 @@ fn the_number_of_threads_changes_no_bit() {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a small pool");
         pool.install(|| {
             let g = scene.backward(&grad, ALL);
-            [scene.planes(), g.projected, g.tilt, g.features, g.background, g.mean2d_abs]
+            [scene.planes(), g.projected, g.depth_slope, g.features, g.background, g.mean2d_abs]
         })
     };
     assert!(with(1) == with(2), "one thread and two give different bits");

@@ -1,16 +1,16 @@
-//! Kernels of `tilt`, forward, and of the outlines: one unit per Gaussian. What projects a Gaussian is that of `project`.
+//! Kernels of `depth_slope`, forward, and of the outlines: one unit per Gaussian. What projects a Gaussian is that of `project`.
 
 use cubecl::prelude::*;
 
-use super::{LEAST, REACH, SLACK, THICKNESS_MAX, TILT};
+use super::{DEPTH_SLOPE, LEAST, REACH, SLACK, THICKNESS_MAX};
 use crate::gpu::math::{Pose, Vec3, finite};
 use crate::project::forward::{Gaussian, PackedEllipse, ProjectCamera, ProjectionTerms, project_one};
 
 /// What the forward pass computes on its way and the backward pass needs again. The names are those of the contract.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
-pub(super) struct TiltTerms {
-    /// Without it the Gaussian has no tilt: it is culled, or too long.
+pub(super) struct DepthSlopeTerms {
+    /// Without it the Gaussian has no depth slope: it is culled, or too long.
     pub sound: bool,
     /// The last row of `W R` over z, and the same times the scales.
     pub j: Vec3,
@@ -20,15 +20,15 @@ pub(super) struct TiltTerms {
     pub a: Vec3,
     pub b: f32,
     pub b_u: f32,
-    pub tilt_u: f32,
-    pub tilt_v: f32,
+    pub depth_slope_u: f32,
+    pub depth_slope_v: f32,
     pub thickness: f32,
     /// Whether the thickness is not held.
     pub free: bool,
 }
 
 #[cube]
-pub(super) fn lean(projection: &ProjectionTerms, gaussian: &Gaussian, lens: &ProjectCamera) -> TiltTerms {
+pub(super) fn lean(projection: &ProjectionTerms, gaussian: &Gaussian, lens: &ProjectCamera) -> DepthSlopeTerms {
     let j = projection.last.times(1.0 / projection.depth);
     let mz = j.by_axis(gaussian.scale);
     let inverse_v = 1.0 / projection.sigma_v;
@@ -40,11 +40,11 @@ pub(super) fn lean(projection: &ProjectionTerms, gaussian: &Gaussian, lens: &Pro
     let length = mz.length();
     let rest = Vec3::new(a.cross(mz).length(), b * b_u * length, 0.0).length();
     let thickness = Vec3::new(mz.dot(p), b * c.length(), rest).length();
-    let tilt_u = mz.dot(projection.n);
-    let tilt_v = p.dot(c) + b_u * a.dot(mz);
+    let depth_slope_u = mz.dot(projection.n);
+    let depth_slope_v = p.dot(c) + b_u * a.dot(mz);
     let held = min(thickness, comptime!(THICKNESS_MAX as f32));
-    let known = finite(tilt_u) && finite(tilt_v) && finite(thickness);
-    TiltTerms {
+    let known = finite(depth_slope_u) && finite(depth_slope_v) && finite(thickness);
+    DepthSlopeTerms {
         sound: projection.visible && length <= 1e30 && known,
         j,
         mz,
@@ -53,8 +53,8 @@ pub(super) fn lean(projection: &ProjectionTerms, gaussian: &Gaussian, lens: &Pro
         a,
         b,
         b_u,
-        tilt_u,
-        tilt_v,
+        depth_slope_u,
+        depth_slope_v,
         thickness: held,
         free: held == thickness,
     }
@@ -62,13 +62,13 @@ pub(super) fn lean(projection: &ProjectionTerms, gaussian: &Gaussian, lens: &Pro
 
 /// `[N, 3]`.
 #[cube(launch_unchecked)]
-pub(super) fn tilt_forward_kernel(
+pub(super) fn depth_slope_forward_kernel(
     means: &[f32],
     rotations: &[f32],
     scales: &[f32],
     opacities: &[f32],
     cam_from_world: &[f32],
-    tilts: &mut [f32],
+    depth_slopes: &mut [f32],
     lens: ProjectCamera,
     count: u32,
 ) {
@@ -76,10 +76,10 @@ pub(super) fn tilt_forward_kernel(
         let gaussian = Gaussian::load(means, rotations, scales, opacities, ABSOLUTE_POS);
         let projection = project_one(&gaussian, &Pose::load(cam_from_world), &lens);
         let found = lean(&projection, &gaussian, &lens);
-        let at = ABSOLUTE_POS * comptime!(TILT);
-        tilts[at] = select(found.sound, found.tilt_u, 0.0);
-        tilts[at + 1] = select(found.sound, found.tilt_v, 0.0);
-        tilts[at + 2] = select(found.sound, found.thickness, 0.0);
+        let at = ABSOLUTE_POS * comptime!(DEPTH_SLOPE);
+        depth_slopes[at] = select(found.sound, found.depth_slope_u, 0.0);
+        depth_slopes[at + 1] = select(found.sound, found.depth_slope_v, 0.0);
+        depth_slopes[at + 2] = select(found.sound, found.thickness, 0.0);
     }
 }
 
@@ -101,8 +101,8 @@ fn everywhere(e: &PackedEllipse, width: f32, height: f32, reached: f32, alpha_mi
 #[cube]
 fn outline(
     e: &PackedEllipse,
-    tilt_u: f32,
-    tilt_v: f32,
+    depth_slope_u: f32,
+    depth_slope_v: f32,
     thickness: f32,
     reached: f32,
     alpha_min: f32,
@@ -113,14 +113,14 @@ fn outline(
     let across = thickness * tau.sqrt();
     let thin = 1.0 - across * across;
     let c = (tau / max(thin, least)).sqrt();
-    // The eccentricity over the tilt is `c`.
-    let eccentricity = c * Vec3::new(tilt_u, tilt_v, 0.0).length();
+    // The eccentricity over the depth slope is `c`.
+    let eccentricity = c * Vec3::new(depth_slope_u, depth_slope_v, 0.0).length();
     let rest = (1.0 - eccentricity) * (1.0 + eccentricity);
     let ends = alpha_min > 0.0 && thin > least && rest > least;
     let rest = max(rest, least);
     let root = rest.sqrt();
-    let (shift_u, shift_v) = (-(c * tilt_u) * (c / rest), -(c * tilt_v) * (c / rest));
-    let (g_u, g_v) = (c * tilt_u / root, c * tilt_v / root);
+    let (shift_u, shift_v) = (-(c * depth_slope_u) * (c / rest), -(c * depth_slope_v) * (c / rest));
+    let (g_u, g_v) = (c * depth_slope_u / root, c * depth_slope_v / root);
     let scale = c / (root * comptime!(REACH as f32));
     let wide = 1.0 + g_u * g_u;
     let row = PackedEllipse {
@@ -140,7 +140,7 @@ fn outline(
 #[cube(launch_unchecked)]
 pub(super) fn outline_kernel(
     projected: &[f32],
-    tilts: &[f32],
+    depth_slopes: &[f32],
     outlines: &mut [f32],
     width: f32,
     height: f32,
@@ -149,10 +149,11 @@ pub(super) fn outline_kernel(
 ) {
     if ABSOLUTE_POS < count as usize {
         let e = PackedEllipse::load(projected, ABSOLUTE_POS);
-        let at = ABSOLUTE_POS * comptime!(TILT);
+        let at = ABSOLUTE_POS * comptime!(DEPTH_SLOPE);
         if e.opacity > 0.0 && e.opacity >= alpha_min {
             let reached = alpha_min * comptime!((0.5 * REACH * REACH).exp() as f32);
-            let (row, ends) = outline(&e, tilts[at], tilts[at + 1], tilts[at + 2], reached, alpha_min);
+            let (row, ends) =
+                outline(&e, depth_slopes[at], depth_slopes[at + 1], depth_slopes[at + 2], reached, alpha_min);
             if ends {
                 row.store(outlines, ABSOLUTE_POS);
             } else {

@@ -1,9 +1,9 @@
-//! `tilt` against a factorisation of the covariance, central finite differences, and what its outlines have to hold.
+//! `depth_slope` against a factorisation of the covariance, central finite differences, and what its outlines have to hold.
 
 use glam::{DMat3, DQuat, DVec3};
 
-use super::cpu::{tilt_backward_cpu, tilt_cpu};
-use super::{REACH, THICKNESS_MAX, TILT, outline_cpu};
+use super::cpu::{depth_slope_backward_cpu, depth_slope_cpu};
+use super::{DEPTH_SLOPE, REACH, THICKNESS_MAX, outline_cpu};
 use crate::camera::Intrinsics;
 use crate::options::{Projection, RenderOptions};
 use crate::project::cpu::project_cpu;
@@ -45,12 +45,12 @@ impl StageInputs {
         Self([means, random.fill(4 * count, -1.5, 1.5), scales, vec![0.5; count], pose])
     }
 
-    fn tilts(&self, spec: &ProjectSpec) -> Vec<f64> {
-        tilt_cpu(inputs(&self.0), spec)
+    fn depth_slopes(&self, spec: &ProjectSpec) -> Vec<f64> {
+        depth_slope_cpu(inputs(&self.0), spec)
     }
 
     fn backward(&self, grad: &[f64], spec: &ProjectSpec) -> Geometry<Vec<f64>> {
-        tilt_backward_cpu(inputs(&self.0), grad, spec, ALL)
+        depth_slope_backward_cpu(inputs(&self.0), grad, spec, ALL)
     }
 }
 
@@ -77,11 +77,13 @@ fn it_is_the_last_row_of_the_factor() {
     for blur in [0.3, 0.0] {
         let (scene, spec) = (StageInputs::random(1, 200), spec(Projection::Exact, blur));
         let packed = project_cpu(inputs(&scene.0), &spec);
-        for (i, (row, tilt)) in packed.chunks_exact(COLUMNS).zip(scene.tilts(&spec).chunks_exact(TILT)).enumerate() {
+        for (i, (row, depth_slope)) in
+            packed.chunks_exact(COLUMNS).zip(scene.depth_slopes(&spec).chunks_exact(DEPTH_SLOPE)).enumerate()
+        {
             let e = Ellipse::from_row(row);
-            let u = DVec3::new(e.sigma_u, e.shear * e.sigma_u, tilt[0]);
-            let v = DVec3::new(0.0, e.sigma_v, tilt[1]);
-            let w = DVec3::new(0.0, 0.0, tilt[2]);
+            let u = DVec3::new(e.sigma_u, e.shear * e.sigma_u, depth_slope[0]);
+            let v = DVec3::new(0.0, e.sigma_v, depth_slope[1]);
+            let w = DVec3::new(0.0, 0.0, depth_slope[2]);
             let factor = DMat3::from_cols(u, v, w);
             let (found, expected) = (factor * factor.transpose(), covariance(&scene, i, blur));
             // Depths are thousands of times smaller than pixels: each entry by the size of its row and column.
@@ -101,7 +103,7 @@ fn every_gradient_agrees_with_finite_differences() {
         [(1, Projection::Exact, 0.3), (2, Projection::Exact, 0.0), (3, Projection::Affine, 0.3)]
     {
         let (scene, spec) = (StageInputs::random(seed, 30), spec(projection, blur));
-        let grad = Random::new(seed + 100).fill(30 * TILT, -1.0, 1.0);
+        let grad = Random::new(seed + 100).fill(30 * DEPTH_SLOPE, -1.0, 1.0);
         let g = scene.backward(&grad, &spec);
         assert!(g.opacities.is_empty() && g.mean2d.is_empty());
         let gradients = [(0, "means", &g.means), (1, "rotations", &g.rotations), (2, "scales", &g.scales)];
@@ -109,7 +111,7 @@ fn every_gradient_agrees_with_finite_differences() {
             check_gradient(&format!("{name}, {projection:?}, blur {blur}"), &scene.0[i], gradient, 1, |moved| {
                 let mut scene = scene.clone();
                 scene.0[i] = moved.to_vec();
-                inner_product(&scene.tilts(&spec), &grad)
+                inner_product(&scene.depth_slopes(&spec), &grad)
             });
         }
     }
@@ -127,11 +129,11 @@ fn extreme_sizes_stay_finite_in_f32() {
     let single = scene.0.each_ref().map(|values| values.iter().map(|v| *v as f32).collect::<Vec<f32>>());
     for blur in [0.3, 0.0] {
         let spec = spec(Projection::Exact, blur);
-        let tilts = tilt_cpu(inputs(&single), &spec);
-        assert!(tilts.iter().all(|value| value.is_finite()), "{tilts:?}");
-        assert!(tilts[2] == 0.0 && tilts[5] == 0.0, "behind the camera, and nowhere");
-        assert!(tilts.chunks_exact(TILT).any(|row| f64::from(row[2]) == f64::from(THICKNESS_MAX as f32)));
-        let g = tilt_backward_cpu(inputs(&single), &vec![1.0; tilts.len()], &spec, ALL);
+        let depth_slopes = depth_slope_cpu(inputs(&single), &spec);
+        assert!(depth_slopes.iter().all(|value| value.is_finite()), "{depth_slopes:?}");
+        assert!(depth_slopes[2] == 0.0 && depth_slopes[5] == 0.0, "behind the camera, and nowhere");
+        assert!(depth_slopes.chunks_exact(DEPTH_SLOPE).any(|row| f64::from(row[2]) == f64::from(THICKNESS_MAX as f32)));
+        let g = depth_slope_backward_cpu(inputs(&single), &vec![1.0; depth_slopes.len()], &spec, ALL);
         for (name, gradient) in [("means", g.means), ("rotations", g.rotations), ("scales", g.scales)] {
             assert!(gradient.iter().all(|value| value.is_finite()), "{name}: {gradient:?}");
         }
@@ -154,9 +156,10 @@ fn check_outline<F: Real>(seed: u64) {
             opacity: random.between(0.004, 1.0),
         };
         let steep = random.between(0.0, 0.5);
-        let tilt = [random.between(-steep, steep), random.between(-steep, steep), random.between(0.0, 0.4)];
+        let depth_slope = [random.between(-steep, steep), random.between(-steep, steep), random.between(0.0, 0.4)];
         let row: Vec<F> = e.to_row().map(F::of).to_vec();
-        let found = Ellipse::from_row(&outline_cpu(&row, &tilt.map(F::of), &spec)).to_row().map(|value| value.f64());
+        let found =
+            Ellipse::from_row(&outline_cpu(&row, &depth_slope.map(F::of), &spec)).to_row().map(|value| value.f64());
         let found = Ellipse::from_row(&found);
         let all = found.sigma_u >= 1000.0;
         bounded += usize::from(!all);
@@ -168,8 +171,8 @@ fn check_outline<F: Real>(seed: u64) {
             for step in 0..330 {
                 let r = 0.02 * 1.03_f64.powi(step);
                 let (u, v) = (r * cos, r * sin);
-                let s = 1.0 - tilt[0] * u - tilt[1] * v;
-                let alpha = e.opacity * (-0.5 * r * r / (s * s + (tilt[2] * r).powi(2))).exp();
+                let s = 1.0 - depth_slope[0] * u - depth_slope[1] * v;
+                let alpha = e.opacity * (-0.5 * r * r / (s * s + (depth_slope[2] * r).powi(2))).exp();
                 if !(s > 0.0 && alpha >= options.alpha_min) {
                     continue;
                 }
@@ -182,11 +185,14 @@ fn check_outline<F: Real>(seed: u64) {
                 held &= reach <= 1.0 || (all && beyond);
             }
         }
-        assert!(held, "{e:?}, tilt {tilt:?} shows beyond {found:?}: {farthest}");
+        assert!(held, "{e:?}, depth slope {depth_slope:?} shows beyond {found:?}: {farthest}");
         // It touches what it holds, to the step of the walk and the slack, which tells where a Gaussian hardly shows at all or
         // almost everywhere.
         let telling = e.opacity < 0.05 || found.sigma_u > 10.0 * e.sigma_u;
-        assert!(all || telling || farthest > 0.93, "{e:?}, tilt {tilt:?}: {found:?} is too large, {farthest}");
+        assert!(
+            all || telling || farthest > 0.93,
+            "{e:?}, depth slope {depth_slope:?}: {found:?} is too large, {farthest}"
+        );
     }
     assert!(bounded > 500 && bounded < 1900, "{bounded} of 2000 have an end");
 }

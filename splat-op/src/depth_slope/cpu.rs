@@ -1,8 +1,8 @@
-//! The CPU twin of `tilt`: both passes, generic over the float, parallel over chunks of Gaussians.
+//! The CPU twin of `depth_slope`: both passes, generic over the float, parallel over chunks of Gaussians.
 
 use rayon::prelude::*;
 
-use super::{THICKNESS_MAX, TILT};
+use super::{DEPTH_SLOPE, THICKNESS_MAX};
 use crate::linalg::{Mat3, add, cross, dot, hadamard, matmul, matvec, norm, scale, sub, transpose, transposed_matvec};
 use crate::project::{Geometry, ProjectSpec};
 use crate::real::Real;
@@ -11,7 +11,7 @@ use crate::real::Real;
 const CHUNK: usize = 1024;
 
 /// The camera.
-struct TiltCamera<F> {
+struct DepthSlopeCamera<F> {
     rotation: Mat3<F>,
     translation: [F; 3],
     focal: [F; 2],
@@ -21,7 +21,7 @@ struct TiltCamera<F> {
     near: F,
 }
 
-impl<F: Real> TiltCamera<F> {
+impl<F: Real> DepthSlopeCamera<F> {
     fn new(p: &[F], spec: &ProjectSpec) -> Self {
         let camera = &spec.intrinsics;
         let limits = camera.slope_limits(spec.options.jacobian_margin);
@@ -38,7 +38,7 @@ impl<F: Real> TiltCamera<F> {
 }
 
 /// What the forward pass computes on its way; the names are those of the contract.
-struct TiltTermsCpu<F> {
+struct DepthSlopeTermsCpu<F> {
     mean_cam: [F; 3],
     ratio: [F; 2],
     slope: [F; 2],
@@ -60,13 +60,13 @@ struct TiltTermsCpu<F> {
     b: F,
     /// `m1 / sigma_u`
     along: [F; 3],
-    tilt: [F; TILT],
+    depth_slope: [F; DEPTH_SLOPE],
     thickness_free: bool,
 }
 
-impl<F: Real> TiltTermsCpu<F> {
-    /// `None` for a Gaussian without a tilt.
-    fn new(lens: &TiltCamera<F>, inputs: &Geometry<&[F]>, i: usize) -> Option<Self> {
+impl<F: Real> DepthSlopeTermsCpu<F> {
+    /// `None` for a Gaussian without a depth slope.
+    fn new(lens: &DepthSlopeCamera<F>, inputs: &Geometry<&[F]>, i: usize) -> Option<Self> {
         let three = |values: &[F]| [values[3 * i], values[3 * i + 1], values[3 * i + 2]];
         let (mean, scales) = (three(inputs.means), three(inputs.scales));
         let rotation: [F; 4] = std::array::from_fn(|k| inputs.rotations[4 * i + k]);
@@ -100,8 +100,8 @@ impl<F: Real> TiltTermsCpu<F> {
         let c = cross(n, mz);
         let thickness = norm([norm([dot(mz, p), b * norm(c), F::ZERO]), norm(cross(a, mz)), b * b_u * norm(mz)]);
         let held = thickness.min_of(F::of(THICKNESS_MAX));
-        let tilt = [dot(mz, n), dot(p, c) + b_u * dot(a, mz), held];
-        let sound = norm(mz) <= F::of(1e30) && tilt.iter().all(|value| value.finite());
+        let depth_slope = [dot(mz, n), dot(p, c) + b_u * dot(a, mz), held];
+        let sound = norm(mz) <= F::of(1e30) && depth_slope.iter().all(|value| value.finite());
         sound.then(|| Self {
             mean_cam,
             ratio,
@@ -121,20 +121,21 @@ impl<F: Real> TiltTermsCpu<F> {
             a,
             b,
             along,
-            tilt,
+            depth_slope,
             thickness_free: held == thickness,
         })
     }
 
-    /// Gradients of the rows of `m` from that of the tilt.
-    fn factor_backward(&self, [grad_u, grad_v, grad_thickness]: [F; TILT]) -> Mat3<F> {
+    /// Gradients of the rows of `m` from that of the depth slope.
+    fn factor_backward(&self, [grad_u, grad_v, grad_thickness]: [F; DEPTH_SLOPE]) -> Mat3<F> {
         let Self { n, b_u, p, a, b, along, .. } = *self;
         let (m1, mz) = (self.m[1], self.m[2]);
         let c = cross(n, mz);
         let (e, length) = (cross(a, mz), norm(mz));
         // The four parts of the thickness over the thickness; none is longer than one.
-        let free = self.thickness_free && self.tilt[2] > F::ZERO;
-        let (grad_thickness, inverse) = if free { (grad_thickness, F::ONE / self.tilt[2]) } else { (F::ZERO, F::ZERO) };
+        let free = self.thickness_free && self.depth_slope[2] > F::ZERO;
+        let (grad_thickness, inverse) =
+            if free { (grad_thickness, F::ONE / self.depth_slope[2]) } else { (F::ZERO, F::ZERO) };
         let (along_p, along_c) = (dot(mz, p) * inverse, scale(c, b * inverse));
         let (along_e, rest) = (scale(e, inverse), b * b_u * length * inverse);
         let of_length = if length > F::ZERO { scale(mz, F::ONE / length) } else { mz };
@@ -164,20 +165,20 @@ impl<F: Real> TiltTermsCpu<F> {
     }
 }
 
-/// `[N, 3]` tilts and thicknesses.
-pub(crate) fn tilt_cpu<F: Real>(inputs: Geometry<&[F]>, spec: &ProjectSpec) -> Vec<F> {
-    let lens = TiltCamera::new(inputs.cam_from_world, spec);
-    let mut tilts = vec![F::ZERO; inputs.opacities.len() * TILT];
-    tilts.par_chunks_mut(TILT).with_min_len(CHUNK).enumerate().for_each(|(i, row)| {
-        if let Some(leaning) = TiltTermsCpu::new(&lens, &inputs, i) {
-            row.copy_from_slice(&leaning.tilt);
+/// `[N, 3]` depth slopes and thicknesses.
+pub(crate) fn depth_slope_cpu<F: Real>(inputs: Geometry<&[F]>, spec: &ProjectSpec) -> Vec<F> {
+    let lens = DepthSlopeCamera::new(inputs.cam_from_world, spec);
+    let mut depth_slopes = vec![F::ZERO; inputs.opacities.len() * DEPTH_SLOPE];
+    depth_slopes.par_chunks_mut(DEPTH_SLOPE).with_min_len(CHUNK).enumerate().for_each(|(i, row)| {
+        if let Some(leaning) = DepthSlopeTermsCpu::new(&lens, &inputs, i) {
+            row.copy_from_slice(&leaning.depth_slope);
         }
     });
-    tilts
+    depth_slopes
 }
 
 /// One Gaussian's gradients.
-struct TiltGaussianGrads<F> {
+struct DepthSlopeGaussianGrads<F> {
     mean: [F; 3],
     rotation: [F; 4],
     scale: [F; 3],
@@ -186,15 +187,15 @@ struct TiltGaussianGrads<F> {
 }
 
 fn backward_one<F: Real>(
-    lens: &TiltCamera<F>,
+    lens: &DepthSlopeCamera<F>,
     inputs: &Geometry<&[F]>,
     i: usize,
-    grad: [F; TILT],
-) -> Option<TiltGaussianGrads<F>> {
+    grad: [F; DEPTH_SLOPE],
+) -> Option<DepthSlopeGaussianGrads<F>> {
     if grad.iter().all(|value| *value == F::ZERO) {
         return None;
     }
-    let leaning = TiltTermsCpu::new(lens, inputs, i)?;
+    let leaning = DepthSlopeTermsCpu::new(lens, inputs, i)?;
     let three = |values: &[F]| [values[3 * i], values[3 * i + 1], values[3 * i + 2]];
     let (mean, scales) = (three(inputs.means), three(inputs.scales));
     let grad_m = leaning.factor_backward(grad);
@@ -223,7 +224,7 @@ fn backward_one<F: Real>(
         pose[3] = centre[axis];
     }
     let of_world = matmul(&transpose(&lens.rotation), &rows);
-    Some(TiltGaussianGrads {
+    Some(DepthSlopeGaussianGrads {
         mean: transposed_matvec(&lens.rotation, centre),
         rotation: quaternion_backward(leaning.quaternion, leaning.quaternion_length, &of_world),
         scale: grad_scale,
@@ -232,13 +233,13 @@ fn backward_one<F: Real>(
 }
 
 /// Gradients of the inputs from `grad`, `[N, 3]`. Opacities and projected centres have none.
-pub(crate) fn tilt_backward_cpu<F: Real>(
+pub(crate) fn depth_slope_backward_cpu<F: Real>(
     inputs: Geometry<&[F]>,
     grad: &[F],
     spec: &ProjectSpec,
     needs: Geometry<bool>,
 ) -> Geometry<Vec<F>> {
-    let lens = TiltCamera::new(inputs.cam_from_world, spec);
+    let lens = DepthSlopeCamera::new(inputs.cam_from_world, spec);
     let count = inputs.opacities.len();
     let rows = |needed: bool, columns: usize| vec![F::ZERO; if needed { count * columns } else { 0 }];
     let mut grads = Geometry {
@@ -249,8 +250,8 @@ pub(crate) fn tilt_backward_cpu<F: Real>(
         cam_from_world: rows(needs.cam_from_world, 0),
         mean2d: rows(needs.mean2d, 2),
     };
-    let found: Vec<Option<TiltGaussianGrads<F>>> = grad
-        .par_chunks(TILT)
+    let found: Vec<Option<DepthSlopeGaussianGrads<F>>> = grad
+        .par_chunks(DEPTH_SLOPE)
         .with_min_len(CHUNK)
         .enumerate()
         .map(|(i, row)| backward_one(&lens, &inputs, i, [row[0], row[1], row[2]]))

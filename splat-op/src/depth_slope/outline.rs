@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use super::{LEAST, REACH, SLACK, TILT};
+use super::{DEPTH_SLOPE, LEAST, REACH, SLACK};
 use crate::intersect::reach::whitened_limit;
 use crate::linalg::norm;
 use crate::project::{COLUMNS, Ellipse};
@@ -12,17 +12,23 @@ use crate::real::Real;
 /// Gaussians per task.
 const CHUNK: usize = 1024;
 
-/// `[N, 7]` rows for `intersect`, from packed ellipses `[N, 7]` and their tilts `[N, 3]`. What is culled stays culled.
-pub(crate) fn outline_cpu<F: Real>(packed: &[F], tilts: &[F], spec: &RasterizeSpec) -> Vec<F> {
+/// `[N, 7]` rows for `intersect`, from packed ellipses `[N, 7]` and their depth slopes `[N, 3]`. What is culled stays culled.
+pub(crate) fn outline_cpu<F: Real>(packed: &[F], depth_slopes: &[F], spec: &RasterizeSpec) -> Vec<F> {
     let mut outlines = vec![F::ZERO; packed.len()];
-    let rows = (outlines.par_chunks_mut(COLUMNS), packed.par_chunks(COLUMNS), tilts.par_chunks(TILT));
-    rows.into_par_iter().with_min_len(CHUNK).for_each(|(out, row, tilt)| {
-        out.copy_from_slice(&outline(&Ellipse::from_row(row), [tilt[0], tilt[1], tilt[2]], spec).to_row());
+    let rows = (outlines.par_chunks_mut(COLUMNS), packed.par_chunks(COLUMNS), depth_slopes.par_chunks(DEPTH_SLOPE));
+    rows.into_par_iter().with_min_len(CHUNK).for_each(|(out, row, depth_slope)| {
+        out.copy_from_slice(
+            &outline(&Ellipse::from_row(row), [depth_slope[0], depth_slope[1], depth_slope[2]], spec).to_row(),
+        );
     });
     outlines
 }
 
-fn outline<F: Real>(e: &Ellipse<F>, [tilt_u, tilt_v, thickness]: [F; TILT], spec: &RasterizeSpec) -> Ellipse<F> {
+fn outline<F: Real>(
+    e: &Ellipse<F>,
+    [depth_slope_u, depth_slope_v, thickness]: [F; DEPTH_SLOPE],
+    spec: &RasterizeSpec,
+) -> Ellipse<F> {
     let alpha_min = F::of(spec.options.alpha_min);
     if !(e.opacity > F::ZERO && e.opacity >= alpha_min) {
         return *e;
@@ -46,7 +52,7 @@ fn outline<F: Real>(e: &Ellipse<F>, [tilt_u, tilt_v, thickness]: [F; TILT], spec
         return everywhere;
     }
     let c = (tau / thin).sqrt();
-    let length = norm([tilt_u, tilt_v, F::ZERO]);
+    let length = norm([depth_slope_u, depth_slope_v, F::ZERO]);
     let eccentricity = c * length;
     let rest = (F::ONE - eccentricity) * (F::ONE + eccentricity);
     if !(rest > F::of(LEAST)) {
@@ -54,8 +60,8 @@ fn outline<F: Real>(e: &Ellipse<F>, [tilt_u, tilt_v, thickness]: [F; TILT], spec
     }
     let along = if length > F::ZERO { eccentricity / length } else { F::ZERO };
     // From the focus to the middle, and the column, both in units of whitened coordinates.
-    let shift = [tilt_u, tilt_v].map(|tilt| -(along * tilt) * (c / rest));
-    let [g_u, g_v] = [tilt_u, tilt_v].map(|tilt| along * tilt / rest.sqrt());
+    let shift = [depth_slope_u, depth_slope_v].map(|depth_slope| -(along * depth_slope) * (c / rest));
+    let [g_u, g_v] = [depth_slope_u, depth_slope_v].map(|depth_slope| along * depth_slope / rest.sqrt());
     let scale = c / (rest.sqrt() * F::of(REACH));
     let wide = F::ONE + g_u * g_u;
     let row = Ellipse {

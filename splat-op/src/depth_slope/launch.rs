@@ -1,8 +1,8 @@
-//! Launches of `tilt`.
+//! Launches of `depth_slope`.
 
-use super::TILT;
-use super::backward::tilt_backward_kernel;
-use super::forward::{outline_kernel, tilt_forward_kernel};
+use super::DEPTH_SLOPE;
+use super::backward::depth_slope_backward_kernel;
+use super::forward::{depth_slope_forward_kernel, outline_kernel};
 use crate::gpu::math::POSE;
 use crate::gpu::reduce::launch_column_sums;
 use crate::gpu::{Buffer, Gpu, UNITS, elementwise};
@@ -11,16 +11,16 @@ use crate::project::{COLUMNS, Geometry, ProjectSpec};
 use crate::rasterize::RasterizeSpec;
 
 /// `[N, 3]`.
-pub(crate) fn launch_tilt(gpu: &Gpu, inputs: &Geometry<Buffer<f32>>, spec: &ProjectSpec) -> Buffer<f32> {
+pub(crate) fn launch_depth_slope(gpu: &Gpu, inputs: &Geometry<Buffer<f32>>, spec: &ProjectSpec) -> Buffer<f32> {
     let count = inputs.opacities.len;
-    let tilts = Buffer::new(gpu, count * TILT);
+    let depth_slopes = Buffer::new(gpu, count * DEPTH_SLOPE);
     if count == 0 {
-        return tilts;
+        return depth_slopes;
     }
     let (grid, dim) = elementwise(count);
     // SAFETY: every access is guarded by the number of Gaussians.
     unsafe {
-        tilt_forward_kernel::launch_unchecked(
+        depth_slope_forward_kernel::launch_unchecked(
             &gpu.client,
             grid,
             dim,
@@ -29,19 +29,19 @@ pub(crate) fn launch_tilt(gpu: &Gpu, inputs: &Geometry<Buffer<f32>>, spec: &Proj
             inputs.scales.arg(),
             inputs.opacities.arg(),
             inputs.cam_from_world.arg(),
-            tilts.arg(),
+            depth_slopes.arg(),
             lens(spec),
             count as u32,
         );
     }
-    tilts
+    depth_slopes
 }
 
-/// Rows for `intersect`, `[N, 7]`, from packed ellipses and their tilts.
+/// Rows for `intersect`, `[N, 7]`, from packed ellipses and their depth slopes.
 pub(crate) fn launch_outline(
     gpu: &Gpu,
     projected: &Buffer<f32>,
-    tilts: &Buffer<f32>,
+    depth_slopes: &Buffer<f32>,
     spec: &RasterizeSpec,
 ) -> Buffer<f32> {
     let count = projected.len / COLUMNS;
@@ -57,7 +57,7 @@ pub(crate) fn launch_outline(
             grid,
             dim,
             projected.arg(),
-            tilts.arg(),
+            depth_slopes.arg(),
             outlines.arg(),
             spec.intrinsics.width as f32,
             spec.intrinsics.height as f32,
@@ -70,7 +70,7 @@ pub(crate) fn launch_outline(
 
 /// Gradients of the inputs from `grad`, `[N, 3]`; none of opacities and projected centres. Those of the pose are summed in a
 /// fixed order.
-pub(crate) fn launch_tilt_backward(
+pub(crate) fn launch_depth_slope_backward(
     gpu: &Gpu,
     inputs: &Geometry<Buffer<f32>>,
     grad: &Buffer<f32>,
@@ -99,7 +99,7 @@ pub(crate) fn launch_tilt_backward(
     let (grid, dim) = elementwise(count);
     // SAFETY: every access is guarded by the number of Gaussians.
     unsafe {
-        tilt_backward_kernel::launch_unchecked(
+        depth_slope_backward_kernel::launch_unchecked(
             &gpu.client,
             grid,
             dim,

@@ -10,17 +10,17 @@
 //!     | mz 0  0 | | mz 0  0 |
 //! ```
 //!
-//! whose triangular factor is that of `project` with one more row, `(tilt_u, tilt_v, thickness)`. So written, no term is a
+//! whose triangular factor is that of `project` with one more row, `(depth_slope_u, depth_slope_v, thickness)`. So written, no term is a
 //! difference of others and all are lengths or products of vectors no longer than `|mz|`:
 //!
 //! ```text
 //! n = m0 / sigma_u    bᵤ = √ε / sigma_u    p = n × m1 / sigma_v    a = √ε m1 / (sigma_u sigma_v)    b = √ε / sigma_v
-//! tilt_u    = mz·n
-//! tilt_v    = p·c + bᵤ a·mz                                   c = n × mz
+//! depth_slope_u    = mz·n
+//! depth_slope_v    = p·c + bᵤ a·mz                                   c = n × mz
 //! thickness = |(mz·p, b c, a × mz, b bᵤ mz)|                  = √det C / (sigma_u sigma_v): all 3×3 minors of M, squared
 //! ```
 //!
-//! `tilt` is by how much the Gaussian's depth changes with the whitened `(u, v)` of `project`, and `thickness` its standard
+//! `depth_slope` is by how much the Gaussian's depth changes with the whitened `(u, v)` of `project`, and `thickness` its standard
 //! deviation in depth where `u, v` are known, all relative to the centre's depth: `1/thickness` is the camera's distance in
 //! standard deviations. The derivation is ours; what `rays` makes of it is that of a maximum along a ray (Keselman and Hebert
 //! 2022; Radl et al. 2024, StopThePop).
@@ -30,9 +30,9 @@
 //!
 //! # Outline
 //!
-//! `u² + v² <= τ (s² + thickness² (u² + v²))`, `s = 1 − tilt·(u, v) > 0`, is where an alpha reaches `alpha_min`, with
-//! `τ = 2 ln(opacity / alpha_min)`. In polar coordinates that is `r <= c (1 − |tilt| r cos φ)`, `c² = τ / (1 − τ thickness²)`: a
-//! conic with a focus in the centre and the eccentricity `e = c |tilt|`. Where it is an ellipse, with `t = tilt / |tilt|`,
+//! `u² + v² <= τ (s² + thickness² (u² + v²))`, `s = 1 − depth_slope·(u, v) > 0`, is where an alpha reaches `alpha_min`, with
+//! `τ = 2 ln(opacity / alpha_min)`. In polar coordinates that is `r <= c (1 − |depth_slope| r cos φ)`, `c² = τ / (1 − τ thickness²)`: a
+//! conic with a focus in the centre and the eccentricity `e = c |depth_slope|`. Where it is an ellipse, with `t = depth_slope / |depth_slope|`,
 //!
 //! ```text
 //! half-axes   c / (1 − e²) along t,  c / √(1 − e²) across        middle   −t e c / (1 − e²)
@@ -60,7 +60,7 @@ mod tests;
 pub(crate) use outline::outline_cpu;
 
 /// Columns of the output.
-pub(crate) const TILT: usize = 3;
+pub(crate) const DEPTH_SLOPE: usize = 3;
 
 /// From a camera that is a billionth of a standard deviation from a centre, the Gaussian is one to the last digit of an f64.
 pub(crate) const THICKNESS_MAX: f64 = 1e9;

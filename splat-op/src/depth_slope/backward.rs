@@ -1,4 +1,4 @@
-//! Kernel of `tilt`, backward: one unit per Gaussian, which projects it again and goes the same way back. Outputs that nobody
+//! Kernel of `depth_slope`, backward: one unit per Gaussian, which projects it again and goes the same way back. Outputs that nobody
 //! asked for are not arguments.
 //!
 //! `p`, `a` and `b` together have the length one and `sigma_v` as their common denominator, `n` and `bᵤ` have `sigma_u`: a
@@ -6,8 +6,8 @@
 
 use cubecl::prelude::*;
 
-use super::TILT;
-use super::forward::{TiltTerms, lean};
+use super::DEPTH_SLOPE;
+use super::forward::{DepthSlopeTerms, lean};
 use crate::gpu::UNITS;
 use crate::gpu::math::{POSE, Pose, Vec3};
 use crate::project::backward::{GeometryGradMask, no_gradient, seen_backward, store_sum};
@@ -17,7 +17,7 @@ use crate::project::forward::{Gaussian, PackedEllipse, ProjectCamera, Projection
 #[cube]
 fn factor_backward(
     f: &ProjectionTerms,
-    l: &TiltTerms,
+    l: &DepthSlopeTerms,
     grad_u: f32,
     grad_v: f32,
     grad_thickness: f32,
@@ -57,7 +57,7 @@ fn factor_backward(
 }
 
 #[cube(launch_unchecked)]
-pub(super) fn tilt_backward_kernel(
+pub(super) fn depth_slope_backward_kernel(
     means: &[f32],
     rotations: &[f32],
     scales: &[f32],
@@ -81,7 +81,7 @@ pub(super) fn tilt_backward_kernel(
     let gaussian = ABSOLUTE_POS;
     let mut of = no_gradient();
     if gaussian < count as usize {
-        let at = gaussian * comptime!(TILT);
+        let at = gaussian * comptime!(DEPTH_SLOPE);
         let (grad_u, grad_v, grad_thickness) = (grad[at], grad[at + 1], grad[at + 2]);
         // Most Gaussians of a large scene are out of view, and their gradient is exactly zero. By its bits, so that NaN counts.
         let any = u32::reinterpret(grad_u) | u32::reinterpret(grad_v) | u32::reinterpret(grad_thickness);

@@ -1,8 +1,8 @@
-//! The kernels of `tilt` against the twin in f64.
+//! The kernels of `depth_slope` against the twin in f64.
 
-use super::cpu::{tilt_backward_cpu, tilt_cpu};
-use super::launch::{launch_outline, launch_tilt, launch_tilt_backward};
-use super::{TILT, outline_cpu};
+use super::cpu::{depth_slope_backward_cpu, depth_slope_cpu};
+use super::launch::{launch_depth_slope, launch_depth_slope_backward, launch_outline};
+use super::{DEPTH_SLOPE, outline_cpu};
 use crate::camera::Intrinsics;
 use crate::gpu::{Buffer, Gpu};
 use crate::options::{Projection, RenderOptions};
@@ -54,7 +54,7 @@ fn scene(seed: u64, count: usize) -> (Vec<Vec<f64>>, Vec<Option<u8>>) {
         classes.push(Some(kind));
     }
     let pose = vec![1.0, 0.02, -0.05, 0.1, -0.03, 0.98, 0.04, -0.2, 0.006, -0.002, 1.03, 0.1];
-    let grad = random.fill(count * TILT, -1.0, 1.0);
+    let grad = random.fill(count * DEPTH_SLOPE, -1.0, 1.0);
     tensors.extend([pose, grad]);
     (tensors.iter().map(|tensor| rounded(tensor)).collect(), classes)
 }
@@ -92,16 +92,16 @@ fn list(g: Geometry<Vec<f64>>) -> Vec<Vec<f64>> {
 fn kernels_agree_with_the_twin() {
     for (seed, spec) in specs().into_iter().enumerate() {
         let (tensors, classes) = scene(seed as u64, 1_200);
-        let forward = PerturbedReference::new(&tensors, |tensors| vec![tilt_cpu(inputs(tensors), &spec)]);
+        let forward = PerturbedReference::new(&tensors, |tensors| vec![depth_slope_cpu(inputs(tensors), &spec)]);
         let backward = PerturbedReference::new(&tensors, |tensors| {
-            list(tilt_backward_cpu(inputs(tensors), &tensors[GRAD], &spec, ALL))
+            list(depth_slope_backward_cpu(inputs(tensors), &tensors[GRAD], &spec, ALL))
         });
         for (form, gpu) in gpus() {
             let what = |what: &str| format!("{what}, {form}, spec {seed}");
             let (device, grad) = upload(&gpu, &tensors);
-            let found = launch_tilt(&gpu, &device, &spec).read(&gpu);
-            forward.check(&what("tilts"), 0, &found, &classes);
-            let g = launch_tilt_backward(&gpu, &device, &grad, &spec, ALL);
+            let found = launch_depth_slope(&gpu, &device, &spec).read(&gpu);
+            forward.check(&what("depth slopes"), 0, &found, &classes);
+            let g = launch_depth_slope_backward(&gpu, &device, &grad, &spec, ALL);
             for (i, found) in [g.means, g.rotations, g.scales].into_iter().enumerate() {
                 let (name, found) = (what(["means", "rotations", "scales"][i]), found.expect("asked for").read(&gpu));
                 backward.check_gradient(&name, i, &found, &classes, &[CULLED, ORDINARY]);
@@ -119,7 +119,7 @@ fn only_what_is_needed() {
     for (form, gpu) in gpus() {
         let (device, grad) = upload(&gpu, &tensors);
         let read = |needs: Geometry<bool>| {
-            let g = launch_tilt_backward(&gpu, &device, &grad, &spec, needs);
+            let g = launch_depth_slope_backward(&gpu, &device, &grad, &spec, needs);
             [g.means, g.rotations, g.scales, g.cam_from_world].map(|buffer| buffer.map(|buffer| buffer.read(&gpu)))
         };
         let all = read(ALL);
@@ -141,7 +141,8 @@ fn outlines_agree_with_the_twin() {
         let mut spec = specs()[0];
         spec.options.alpha_min = f64::from(alpha_min as f32);
         let rasterize = RasterizeSpec { intrinsics: CAMERA, options: spec.options };
-        let rows = [project_cpu(inputs(&tensors), &spec), tilt_cpu(inputs(&tensors), &spec)].map(|t| rounded(&t));
+        let rows =
+            [project_cpu(inputs(&tensors), &spec), depth_slope_cpu(inputs(&tensors), &spec)].map(|t| rounded(&t));
         let yardstick = PerturbedReference::new(&rows, |rows| vec![outline_cpu(&rows[0], &rows[1], &rasterize)]);
         // Near the end of those that have one, a row may have one or not; the slack that tells them apart is no rounding.
         let jumps = |i: usize| {
@@ -151,8 +152,8 @@ fn outlines_agree_with_the_twin() {
         let classes: Vec<_> = classes.iter().enumerate().map(|(i, class)| class.filter(|_| !jumps(i))).collect();
         assert!(classes.iter().flatten().count() > 1_000, "too many jump");
         for (form, gpu) in gpus() {
-            let [projected, tilts] = rows.each_ref().map(|values| Buffer::from_slice(&gpu, &to_f32(values)));
-            let found = launch_outline(&gpu, &projected, &tilts, &rasterize).read(&gpu);
+            let [projected, depth_slopes] = rows.each_ref().map(|values| Buffer::from_slice(&gpu, &to_f32(values)));
+            let found = launch_outline(&gpu, &projected, &depth_slopes, &rasterize).read(&gpu);
             yardstick.check(&format!("outlines, {form}, alpha_min {alpha_min}"), 0, &found, &classes);
         }
     }
