@@ -225,8 +225,8 @@ impl RenderOptions {
         self.projection != Projection::Affine || self.order != Order::Centre
     }
 
-    /// Whether how far a Gaussian reaches is that of its outline, not of its ellipse.
-    pub(crate) fn reaches_by_outline(&self) -> bool {
+    /// Whether how far a Gaussian reaches is that of its bounds, not of its ellipse.
+    pub(crate) fn extends_by_bounds(&self) -> bool {
         self.projection == Projection::Exact
     }
 

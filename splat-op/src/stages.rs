@@ -183,8 +183,8 @@ pub fn intersect(projected: &Projected, options: &RenderOptions) -> Result<Inter
     let intersections = IntersectionCell::default();
     let spec = RasterizeSpec { intrinsics: projected.intrinsics, options: *options };
     let mut packed = projected.packed.clone().detach().into_dispatch();
-    if let Some(depth_slope) = projected.depth_slope.clone().filter(|_| options.reaches_by_outline()) {
-        packed = <Dispatch as RaysBackend>::outline(packed, depth_slope.detach().into_dispatch(), spec);
+    if let Some(depth_slope) = projected.depth_slope.clone().filter(|_| options.extends_by_bounds()) {
+        packed = <Dispatch as RaysBackend>::bounds(packed, depth_slope.detach().into_dispatch(), spec);
     }
     let counts = <Dispatch as SplatBackend>::intersect(packed, spec, intersections.clone());
     Ok(Intersections { counts: Tensor::from_dispatch(counts), cell: intersections })

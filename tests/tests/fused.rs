@@ -63,7 +63,7 @@ fn every_stage_executes_kernels_and_no_twin() {
     let intersections = intersect(&projected, &along_rays).expect("a valid scene");
     let pairs: i64 = intersections.counts.clone().into_data().iter::<i64>().sum();
     assert!(pairs > 0);
-    launched("depth slope and its outlines");
+    launched("depth slope and its bounds");
     let extras = Extras { background: Some(background), ..Extras::default() };
     let colours = Tensor::from_data(colours.into_data(), &device);
     let picture = rasterize(&projected, &colours, &intersections, &extras, &along_rays).expect("a valid scene");

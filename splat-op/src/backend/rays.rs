@@ -11,7 +11,7 @@ use super::fusion;
 use super::host::{HostBackend, by_type};
 use super::tensors::{GeometryGrads, GeometryTensors, RayLayerGrads, RayLayerTensors};
 use crate::depth_slope::cpu::{depth_slope_backward_cpu, depth_slope_cpu};
-use crate::depth_slope::{DEPTH_SLOPE, outline_cpu};
+use crate::depth_slope::{DEPTH_SLOPE, bounds_cpu};
 use crate::intersect::cpu::intersect_cpu;
 use crate::intersect::{Cut, IntersectionCell, IntersectionLists};
 use crate::project::{COLUMNS, Geometry, ProjectSpec};
@@ -38,7 +38,7 @@ pub trait RaysBackend: Backend {
 
     /// See `depth_slope/`. Rows `[N, 7]` for `intersect`, from packed ellipses `[N, 7]` and depth slopes `[N, 3]`. Not differentiable.
     #[fusion(dtype = projected, shape = projected)]
-    fn outline(projected: FloatTensor<Self>, depth_slope: FloatTensor<Self>, spec: RasterizeSpec) -> FloatTensor<Self>;
+    fn bounds(projected: FloatTensor<Self>, depth_slope: FloatTensor<Self>, spec: RasterizeSpec) -> FloatTensor<Self>;
 
     /// See `rays/`. Returns planes as `rasterize` does; `intersection_counts` and `parts` as there.
     #[fusion(meta = fusion::rays)]
@@ -71,8 +71,8 @@ fn lists<'a, F: Real>(
 ) -> &'a IntersectionLists {
     intersection_lists_by(intersections, || {
         let rows = |packed: &[F]| intersect_cpu(packed, &spec.intrinsics, Cut::of(&spec.options));
-        match spec.options.reaches_by_outline() {
-            true => rows(&outline_cpu(inputs.projected, inputs.depth_slope, spec)),
+        match spec.options.extends_by_bounds() {
+            true => rows(&bounds_cpu(inputs.projected, inputs.depth_slope, spec)),
             false => rows(inputs.projected),
         }
     })
@@ -104,10 +104,10 @@ macro_rules! cpu_backend {
                 })
             }
 
-            fn outline(projected: FloatTensor<Self>, depth_slope: FloatTensor<Self>, spec: RasterizeSpec) -> FloatTensor<Self> {
+            fn bounds(projected: FloatTensor<Self>, depth_slope: FloatTensor<Self>, spec: RasterizeSpec) -> FloatTensor<Self> {
                 by_type!(projected, F => {
                     let like = projected.clone();
-                    let rows = outline_cpu::<F>(&Self::host(projected), &Self::host(depth_slope), &spec);
+                    let rows = bounds_cpu::<F>(&Self::host(projected), &Self::host(depth_slope), &spec);
                     let count = rows.len() / COLUMNS;
                     Self::from_host(rows, &[count, COLUMNS], &like)
                 })

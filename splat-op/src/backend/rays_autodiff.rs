@@ -55,8 +55,8 @@ impl<B: RaysBackend + SplatBackend, C: CheckpointStrategy> RaysBackend for Autod
         tracked(DepthSlopeBackward, [means, rotations, scales, cam_from_world], (inner, spec), output)
     }
 
-    fn outline(projected: FloatTensor<Self>, depth_slope: FloatTensor<Self>, spec: RasterizeSpec) -> FloatTensor<Self> {
-        FloatTensor::<Self>::new(B::outline(projected.into_primitive(), depth_slope.into_primitive(), spec))
+    fn bounds(projected: FloatTensor<Self>, depth_slope: FloatTensor<Self>, spec: RasterizeSpec) -> FloatTensor<Self> {
+        FloatTensor::<Self>::new(B::bounds(projected.into_primitive(), depth_slope.into_primitive(), spec))
     }
 
     fn rays(

@@ -9,7 +9,7 @@ use super::cube::{buffer, gradient, lists_by, on_device, planes_tensor, tensor};
 use super::rays::RaysBackend;
 use super::tensors::{GeometryGrads, GeometryTensors, RayLayerGrads, RayLayerTensors};
 use crate::depth_slope::DEPTH_SLOPE;
-use crate::depth_slope::launch::{launch_depth_slope, launch_depth_slope_backward, launch_outline};
+use crate::depth_slope::launch::{launch_bounds, launch_depth_slope, launch_depth_slope_backward};
 use crate::gpu::{Buffer, Gpu};
 use crate::intersect::launch::{DeviceIntersections, launch_intersect};
 use crate::intersect::{Cut, IntersectionCell};
@@ -27,8 +27,8 @@ fn lists<'a>(
 ) -> &'a DeviceIntersections {
     lists_by(cell, || {
         let rows = |packed: &Buffer<f32>| launch_intersect(gpu, packed, &spec.intrinsics, Cut::of(&spec.options));
-        match spec.options.reaches_by_outline() {
-            true => rows(&launch_outline(gpu, &inputs.projected, &inputs.depth_slope, spec)),
+        match spec.options.extends_by_bounds() {
+            true => rows(&launch_bounds(gpu, &inputs.projected, &inputs.depth_slope, spec)),
             false => rows(&inputs.projected),
         }
     })
@@ -52,9 +52,9 @@ impl RaysBackend for CubeBackend {
         found.zip(inputs.each_ref()).map(gradient)
     }
 
-    fn outline(projected: FloatTensor<Self>, depth_slope: FloatTensor<Self>, spec: RasterizeSpec) -> FloatTensor<Self> {
+    fn bounds(projected: FloatTensor<Self>, depth_slope: FloatTensor<Self>, spec: RasterizeSpec) -> FloatTensor<Self> {
         let gpu = Gpu::new(&projected.client);
-        let rows = launch_outline(&gpu, &buffer(projected.clone()), &buffer(depth_slope), &spec);
+        let rows = launch_bounds(&gpu, &buffer(projected.clone()), &buffer(depth_slope), &spec);
         tensor(rows, projected.shape(), DType::F32, &projected)
     }
 

@@ -1,4 +1,4 @@
-//! Kernels of `depth_slope`, forward, and of the outlines: one unit per Gaussian. What projects a Gaussian is that of `project`.
+//! Kernels of `depth_slope`, forward, and of the bounds: one unit per Gaussian. What projects a Gaussian is that of `project`.
 
 use cubecl::prelude::*;
 
@@ -99,7 +99,7 @@ fn everywhere(e: &PackedEllipse, width: f32, height: f32, reached: f32, alpha_mi
 
 /// The row of a Gaussian, and whether it has an end.
 #[cube]
-fn outline(
+fn bounding_ellipse(
     e: &PackedEllipse,
     depth_slope_u: f32,
     depth_slope_v: f32,
@@ -138,10 +138,10 @@ fn outline(
 
 /// `[N, 7]`.
 #[cube(launch_unchecked)]
-pub(super) fn outline_kernel(
+pub(super) fn bounds_kernel(
     projected: &[f32],
     depth_slopes: &[f32],
-    outlines: &mut [f32],
+    bounds: &mut [f32],
     width: f32,
     height: f32,
     alpha_min: f32,
@@ -153,14 +153,14 @@ pub(super) fn outline_kernel(
         if e.opacity > 0.0 && e.opacity >= alpha_min {
             let reached = alpha_min * comptime!((0.5 * REACH * REACH).exp() as f32);
             let (row, ends) =
-                outline(&e, depth_slopes[at], depth_slopes[at + 1], depth_slopes[at + 2], reached, alpha_min);
+                bounding_ellipse(&e, depth_slopes[at], depth_slopes[at + 1], depth_slopes[at + 2], reached, alpha_min);
             if ends {
-                row.store(outlines, ABSOLUTE_POS);
+                row.store(bounds, ABSOLUTE_POS);
             } else {
-                everywhere(&e, width, height, reached, alpha_min).store(outlines, ABSOLUTE_POS);
+                everywhere(&e, width, height, reached, alpha_min).store(bounds, ABSOLUTE_POS);
             }
         } else {
-            e.store(outlines, ABSOLUTE_POS);
+            e.store(bounds, ABSOLUTE_POS);
         }
     }
 }

@@ -1,8 +1,8 @@
 //! The kernels of `depth_slope` against the twin in f64.
 
 use super::cpu::{depth_slope_backward_cpu, depth_slope_cpu};
-use super::launch::{launch_depth_slope, launch_depth_slope_backward, launch_outline};
-use super::{DEPTH_SLOPE, outline_cpu};
+use super::launch::{launch_bounds, launch_depth_slope, launch_depth_slope_backward};
+use super::{DEPTH_SLOPE, bounds_cpu};
 use crate::camera::Intrinsics;
 use crate::gpu::{Buffer, Gpu};
 use crate::options::{Projection, RenderOptions};
@@ -135,7 +135,7 @@ fn only_what_is_needed() {
 }
 
 #[test]
-fn outlines_agree_with_the_twin() {
+fn bounds_agree_with_the_twin() {
     let (tensors, classes) = scene(11, 1_200);
     for alpha_min in [1.0 / 255.0, 1e-6, 0.0] {
         let mut spec = specs()[0];
@@ -143,7 +143,7 @@ fn outlines_agree_with_the_twin() {
         let rasterize = RasterizeSpec { intrinsics: CAMERA, options: spec.options };
         let rows =
             [project_cpu(inputs(&tensors), &spec), depth_slope_cpu(inputs(&tensors), &spec)].map(|t| rounded(&t));
-        let yardstick = PerturbedReference::new(&rows, |rows| vec![outline_cpu(&rows[0], &rows[1], &rasterize)]);
+        let yardstick = PerturbedReference::new(&rows, |rows| vec![bounds_cpu(&rows[0], &rows[1], &rasterize)]);
         // Near the end of those that have one, a row may have one or not; the slack that tells them apart is no rounding.
         let jumps = |i: usize| {
             let row = |values: &[f64]| values[COLUMNS * i..COLUMNS * (i + 1)].to_vec();
@@ -153,8 +153,8 @@ fn outlines_agree_with_the_twin() {
         assert!(classes.iter().flatten().count() > 1_000, "too many jump");
         for (form, gpu) in gpus() {
             let [projected, depth_slopes] = rows.each_ref().map(|values| Buffer::from_slice(&gpu, &to_f32(values)));
-            let found = launch_outline(&gpu, &projected, &depth_slopes, &rasterize).read(&gpu);
-            yardstick.check(&format!("outlines, {form}, alpha_min {alpha_min}"), 0, &found, &classes);
+            let found = launch_bounds(&gpu, &projected, &depth_slopes, &rasterize).read(&gpu);
+            yardstick.check(&format!("bounds, {form}, alpha_min {alpha_min}"), 0, &found, &classes);
         }
     }
 }

@@ -2,7 +2,7 @@
 
 use super::DEPTH_SLOPE;
 use super::backward::depth_slope_backward_kernel;
-use super::forward::{depth_slope_forward_kernel, outline_kernel};
+use super::forward::{bounds_kernel, depth_slope_forward_kernel};
 use crate::gpu::math::POSE;
 use crate::gpu::reduce::launch_column_sums;
 use crate::gpu::{Buffer, Gpu, UNITS, elementwise};
@@ -38,34 +38,34 @@ pub(crate) fn launch_depth_slope(gpu: &Gpu, inputs: &Geometry<Buffer<f32>>, spec
 }
 
 /// Rows for `intersect`, `[N, 7]`, from packed ellipses and their depth slopes.
-pub(crate) fn launch_outline(
+pub(crate) fn launch_bounds(
     gpu: &Gpu,
     projected: &Buffer<f32>,
     depth_slopes: &Buffer<f32>,
     spec: &RasterizeSpec,
 ) -> Buffer<f32> {
     let count = projected.len / COLUMNS;
-    let outlines = Buffer::new(gpu, count * COLUMNS);
+    let bounds = Buffer::new(gpu, count * COLUMNS);
     if count == 0 {
-        return outlines;
+        return bounds;
     }
     let (grid, dim) = elementwise(count);
     // SAFETY: every access is guarded by the number of Gaussians.
     unsafe {
-        outline_kernel::launch_unchecked(
+        bounds_kernel::launch_unchecked(
             &gpu.client,
             grid,
             dim,
             projected.arg(),
             depth_slopes.arg(),
-            outlines.arg(),
+            bounds.arg(),
             spec.intrinsics.width as f32,
             spec.intrinsics.height as f32,
             spec.options.alpha_min as f32,
             count as u32,
         );
     }
-    outlines
+    bounds
 }
 
 /// Gradients of the inputs from `grad`, `[N, 3]`; none of opacities and projected centres. Those of the pose are summed in a

@@ -28,7 +28,7 @@
 //! Beyond a thickness of `THICKNESS_MAX` the Gaussian is the same everywhere, and the thickness is held; a row that is not
 //! finite, of a Gaussian 1e30 times as long as it is far, is zero, which is the affine projection.
 //!
-//! # Outline
+//! # Bounds
 //!
 //! `u² + v² <= τ (s² + thickness² (u² + v²))`, `s = 1 − depth_slope·(u, v) > 0`, is where an alpha reaches `alpha_min`, with
 //! `τ = 2 ln(opacity / alpha_min)`. In polar coordinates that is `r <= c (1 − |depth_slope| r cos φ)`, `c² = τ / (1 − τ thickness²)`: a
@@ -41,11 +41,12 @@
 //! the factor of `project` gets the column `L t e / √(1 − e²)` and is scaled. The stage `intersect`, which reads a row's opacity for
 //! the reach alone, is given one for which that is `REACH`. Elsewhere a row covers the whole picture.
 //!
-//! Shapes: as `project` → `[N, 3]`; packed `[N, 7]` and those → outlines `[N, 7]`, not differentiable, for `intersect` alone. Rows of
+//! Shapes: as `project` → `[N, 3]`; packed `[N, 7]` and those → bounds `[N, 7]`, not differentiable, for `intersect` alone. Rows of
 //! what `project` culls mean nothing, and have no gradient.
 
 #[cfg(feature = "cube")]
 mod backward;
+mod bounds;
 pub(crate) mod cpu;
 #[cfg(feature = "cube")]
 mod forward;
@@ -53,11 +54,10 @@ mod forward;
 mod kernel_tests;
 #[cfg(feature = "cube")]
 pub(crate) mod launch;
-mod outline;
 #[cfg(test)]
 mod tests;
 
-pub(crate) use outline::outline_cpu;
+pub(crate) use bounds::bounds_cpu;
 
 /// Columns of the output.
 pub(crate) const DEPTH_SLOPE: usize = 3;
@@ -65,10 +65,10 @@ pub(crate) const DEPTH_SLOPE: usize = 3;
 /// From a camera that is a billionth of a standard deviation from a centre, the Gaussian is one to the last digit of an f64.
 pub(crate) const THICKNESS_MAX: f64 = 1e9;
 
-/// `√(u² + v²)` at which the alpha of an outline's row is `alpha_min`.
+/// `√(u² + v²)` at which the alpha of a bound's row is `alpha_min`.
 pub(crate) const REACH: f64 = 2.0;
 
-/// By how much an outline's `τ` is too large, relatively and absolutely: more than all rounding on the way.
+/// By how much a bound's `τ` is too large, relatively and absolutely: more than all rounding on the way.
 pub(crate) const SLACK: [f64; 2] = [1e-3, 1e-3];
 
 /// The least `1 − e²` and `1 − τ thickness²` of which rounding leaves enough.

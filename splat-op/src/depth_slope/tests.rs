@@ -1,9 +1,9 @@
-//! `depth_slope` against a factorisation of the covariance, central finite differences, and what its outlines have to hold.
+//! `depth_slope` against a factorisation of the covariance, central finite differences, and what its bounds have to hold.
 
 use glam::{DMat3, DQuat, DVec3};
 
 use super::cpu::{depth_slope_backward_cpu, depth_slope_cpu};
-use super::{DEPTH_SLOPE, REACH, THICKNESS_MAX, outline_cpu};
+use super::{DEPTH_SLOPE, REACH, THICKNESS_MAX, bounds_cpu};
 use crate::camera::Intrinsics;
 use crate::options::{Projection, RenderOptions};
 use crate::project::cpu::project_cpu;
@@ -140,8 +140,8 @@ fn extreme_sizes_stay_finite_in_f32() {
     }
 }
 
-/// Where a Gaussian shows, its outline is; and where there is an end to that, the outline is not much larger.
-fn check_outline<F: Real>(seed: u64) {
+/// Where a Gaussian shows, its bounds is; and where there is an end to that, the bounds is not much larger.
+fn check_bounds<F: Real>(seed: u64) {
     let mut random = Random::new(seed);
     let options = RenderOptions::standard().with_projection(Projection::Exact);
     let spec = RasterizeSpec { intrinsics: Intrinsics::centred(640, 480, 500.0), options };
@@ -159,7 +159,7 @@ fn check_outline<F: Real>(seed: u64) {
         let depth_slope = [random.between(-steep, steep), random.between(-steep, steep), random.between(0.0, 0.4)];
         let row: Vec<F> = e.to_row().map(F::of).to_vec();
         let found =
-            Ellipse::from_row(&outline_cpu(&row, &depth_slope.map(F::of), &spec)).to_row().map(|value| value.f64());
+            Ellipse::from_row(&bounds_cpu(&row, &depth_slope.map(F::of), &spec)).to_row().map(|value| value.f64());
         let found = Ellipse::from_row(&found);
         let all = found.sigma_u >= 1000.0;
         bounded += usize::from(!all);
@@ -198,9 +198,9 @@ fn check_outline<F: Real>(seed: u64) {
 }
 
 #[test]
-fn outlines_hold_what_shows_and_little_more() {
-    check_outline::<f64>(1);
-    check_outline::<f32>(2);
+fn bounds_hold_what_shows_and_little_more() {
+    check_bounds::<f64>(1);
+    check_bounds::<f32>(2);
 }
 
 #[test]
@@ -208,5 +208,5 @@ fn what_is_culled_or_too_faint_keeps_its_row() {
     let options = RenderOptions::standard().with_projection(Projection::Exact);
     let spec = RasterizeSpec { intrinsics: CAMERA, options };
     let rows = [[0.0, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0], [5.0, 6.0, 2.0, 0.1, 1.5, 3.0, 0.003]].concat();
-    assert_eq!(outline_cpu(&rows, &[0.1; 6], &spec), rows);
+    assert_eq!(bounds_cpu(&rows, &[0.1; 6], &spec), rows);
 }

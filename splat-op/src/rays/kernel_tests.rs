@@ -5,8 +5,8 @@ use super::cpu::{rays_backward_cpu, rays_cpu};
 use super::launch::{launch_rays, launch_rays_backward_by};
 use super::pixel::{RayGaussianCpu, Rules, look};
 use crate::camera::Intrinsics;
-use crate::depth_slope::launch::launch_outline;
-use crate::depth_slope::{DEPTH_SLOPE, outline_cpu};
+use crate::depth_slope::launch::launch_bounds;
+use crate::depth_slope::{DEPTH_SLOPE, bounds_cpu};
 use crate::gpu::{Buffer, Gpu};
 use crate::intersect::IntersectionLists;
 use crate::intersect::cpu::intersect_cpu;
@@ -77,9 +77,9 @@ impl StageInputs {
 
     fn lists(&self) -> IntersectionLists {
         let (camera, options) = (&self.spec.intrinsics, &self.spec.options);
-        match options.reaches_by_outline() {
+        match options.extends_by_bounds() {
             true => intersect_cpu(
-                &outline_cpu(&self.inputs[0], &self.inputs[1], &self.spec),
+                &bounds_cpu(&self.inputs[0], &self.inputs[1], &self.spec),
                 camera,
                 options.alpha_min.into(),
             ),
@@ -138,8 +138,8 @@ impl StageInputs {
             mean2d_abs: Buffer::new(gpu, 0),
         };
         let (camera, options) = (&self.spec.intrinsics, &self.spec.options);
-        let rows = match options.reaches_by_outline() {
-            true => launch_outline(gpu, &inputs.projected, &inputs.depth_slope, &self.spec),
+        let rows = match options.extends_by_bounds() {
+            true => launch_bounds(gpu, &inputs.projected, &inputs.depth_slope, &self.spec),
             false => inputs.projected.clone(),
         };
         let lists = launch_intersect(gpu, &rows, camera, options.alpha_min.into());

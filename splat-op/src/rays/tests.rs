@@ -3,7 +3,7 @@
 use super::RayLayers;
 use super::cpu::{rays_backward_cpu, rays_cpu};
 use crate::camera::Intrinsics;
-use crate::depth_slope::{DEPTH_SLOPE, outline_cpu};
+use crate::depth_slope::{DEPTH_SLOPE, bounds_cpu};
 use crate::intersect::IntersectionLists;
 use crate::intersect::cpu::intersect_cpu;
 use crate::options::{Order, Projection, RenderOptions};
@@ -59,7 +59,7 @@ impl StageInputs {
         let (camera, alpha_min) = (&self.spec.intrinsics, self.spec.options.alpha_min);
         match self.spec.options.projection {
             Projection::Exact => {
-                intersect_cpu(&outline_cpu(&self.inputs[0], &self.inputs[1], &self.spec), camera, alpha_min.into())
+                intersect_cpu(&bounds_cpu(&self.inputs[0], &self.inputs[1], &self.spec), camera, alpha_min.into())
             }
             Projection::Affine => intersect_cpu(&self.inputs[0], camera, alpha_min.into()),
         }
@@ -149,7 +149,7 @@ fn planes_by_definition(scene: &StageInputs) -> Vec<f64> {
     })
 }
 
-/// Listed by outline or ellipse, so that an intersection that they lose shows.
+/// Listed by bounds or ellipse, so that an intersection that they lose shows.
 #[test]
 fn planes_are_those_of_the_definition() {
     for (seed, size) in [(37, 21), (16, 16), (1, 1), (1, 50), (90, 60)].into_iter().enumerate() {

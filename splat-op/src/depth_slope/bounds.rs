@@ -1,4 +1,4 @@
-//! The CPU twin of the outlines.
+//! The CPU twin of the bounds.
 
 use rayon::prelude::*;
 
@@ -13,18 +13,18 @@ use crate::real::Real;
 const CHUNK: usize = 1024;
 
 /// `[N, 7]` rows for `intersect`, from packed ellipses `[N, 7]` and their depth slopes `[N, 3]`. What is culled stays culled.
-pub(crate) fn outline_cpu<F: Real>(packed: &[F], depth_slopes: &[F], spec: &RasterizeSpec) -> Vec<F> {
-    let mut outlines = vec![F::ZERO; packed.len()];
-    let rows = (outlines.par_chunks_mut(COLUMNS), packed.par_chunks(COLUMNS), depth_slopes.par_chunks(DEPTH_SLOPE));
+pub(crate) fn bounds_cpu<F: Real>(packed: &[F], depth_slopes: &[F], spec: &RasterizeSpec) -> Vec<F> {
+    let mut bounds = vec![F::ZERO; packed.len()];
+    let rows = (bounds.par_chunks_mut(COLUMNS), packed.par_chunks(COLUMNS), depth_slopes.par_chunks(DEPTH_SLOPE));
     rows.into_par_iter().with_min_len(CHUNK).for_each(|(out, row, depth_slope)| {
         out.copy_from_slice(
-            &outline(&Ellipse::from_row(row), [depth_slope[0], depth_slope[1], depth_slope[2]], spec).to_row(),
+            &bounding_ellipse(&Ellipse::from_row(row), [depth_slope[0], depth_slope[1], depth_slope[2]], spec).to_row(),
         );
     });
-    outlines
+    bounds
 }
 
-fn outline<F: Real>(
+fn bounding_ellipse<F: Real>(
     e: &Ellipse<F>,
     [depth_slope_u, depth_slope_v, thickness]: [F; DEPTH_SLOPE],
     spec: &RasterizeSpec,
