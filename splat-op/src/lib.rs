@@ -126,7 +126,7 @@ pub mod rasterize;
 // In place of the last, for pixels that look along their rays.
 pub mod depth_slope;
 
-pub mod rays;
+pub mod rasterize_rays;
 
 pub mod photometric;
 

@@ -220,7 +220,7 @@ impl RenderOptions {
         Self { coefficients, ..self }
     }
 
-    /// Whether pixels look along their rays, in `depth_slope` and `rays`, which take the place of `rasterize`.
+    /// Whether pixels look along their rays, in `depth_slope` and `rasterize_rays`, which take the place of `rasterize`.
     pub(crate) fn along_rays(&self) -> bool {
         self.projection != Projection::Affine || self.order != Order::Centre
     }

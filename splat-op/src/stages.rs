@@ -3,7 +3,7 @@
 use burn::backend::Dispatch;
 use burn::tensor::{Int, Tensor};
 
-use crate::backend::rays::RaysBackend;
+use crate::backend::rasterize_rays::RasterizeRaysBackend;
 use crate::backend::stages::SplatBackend;
 use crate::backend::tensors::GeometryTensors;
 use crate::camera::{Camera, CameraModel, Intrinsics};
@@ -14,7 +14,7 @@ use crate::limits::{Need, check_fits};
 use crate::options::{Projection, RenderOptions};
 use crate::project::{COLUMNS, Geometry, ProjectSpec};
 use crate::rasterize::{Layers, PartsCell, RasterizeSpec};
-use crate::rays::RayLayers;
+use crate::rasterize_rays::RayLayers;
 use crate::splats::{Colour, Extras, Splats, sh_need};
 
 /// The screen-space ellipses of a view, by name; see `project/` for the factor. To change them, take them with
@@ -150,7 +150,7 @@ pub fn project(
     let spec = ProjectSpec { intrinsics: camera.intrinsics, options: options.of_project() };
     let inputs = geometry(splats, camera, probe);
     let depth_slope = options.along_rays().then(|| {
-        let depth_slope = Tensor::from_dispatch(<Dispatch as RaysBackend>::depth_slope(inputs.clone(), spec));
+        let depth_slope = Tensor::from_dispatch(<Dispatch as RasterizeRaysBackend>::depth_slope(inputs.clone(), spec));
         // For the affine projection it decides an order, which has no gradient.
         if options.projection == Projection::Exact { depth_slope } else { depth_slope.detach() }
     });
@@ -184,7 +184,7 @@ pub fn intersect(projected: &Projected, options: &RenderOptions) -> Result<Inter
     let spec = RasterizeSpec { intrinsics: projected.intrinsics, options: *options };
     let mut packed = projected.packed.clone().detach().into_dispatch();
     if let Some(depth_slope) = projected.depth_slope.clone().filter(|_| options.extends_by_bounds()) {
-        packed = <Dispatch as RaysBackend>::bounds(packed, depth_slope.detach().into_dispatch(), spec);
+        packed = <Dispatch as RasterizeRaysBackend>::bounds(packed, depth_slope.detach().into_dispatch(), spec);
     }
     let counts = <Dispatch as SplatBackend>::intersect(packed, spec, intersections.clone());
     Ok(Intersections { counts: Tensor::from_dispatch(counts), cell: intersections })
@@ -233,7 +233,7 @@ pub fn rasterize(
         Some(depth_slope) => {
             let depth_slope = depth_slope.clone().into();
             let inputs = RayLayers { projected: packed, depth_slope, features, background, mean2d_abs };
-            <Dispatch as RaysBackend>::rays(inputs, counts, spec, intersections, parts.clone())
+            <Dispatch as RasterizeRaysBackend>::rasterize_rays(inputs, counts, spec, intersections, parts.clone())
         }
     };
     Ok(picture(&Tensor::from_dispatch(planes), channels, options.depth, &parts))

@@ -67,10 +67,10 @@ fn every_stage_executes_kernels_and_no_twin() {
     let extras = Extras { background: Some(background), ..Extras::default() };
     let colours = Tensor::from_data(colours.into_data(), &device);
     let picture = rasterize(&projected, &colours, &intersections, &extras, &along_rays).expect("a valid scene");
-    launched_after(host(picture.colour.clone()), || launched("rays"));
+    launched_after(host(picture.colour.clone()), || launched("rasterize_rays"));
     let loss = picture.colour.sum().backward();
     launched_after(host(splats.means.grad(&loss).expect("tracked")), || {
-        launched("the backward passes of rays and depth slope")
+        launched("the backward passes of rasterize_rays and depth slope")
     });
     // The counter of twin calls works.
     let SceneTensors { splats, camera, .. } = scene.tensors(&burn::tensor::Device::flex(), DType::F32);

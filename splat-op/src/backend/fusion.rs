@@ -8,7 +8,7 @@ use crate::depth_slope::DEPTH_SLOPE;
 use crate::intersect::{IntersectionCell, tile_grid};
 use crate::project::{COLUMNS, Geometry, ProjectSpec};
 use crate::rasterize::{Layers, PartsCell, RasterizeSpec, TraceCell};
-use crate::rays::RayLayers;
+use crate::rasterize_rays::RayLayers;
 use crate::sh::Shading;
 
 /// A tensor of the float type of `like`.
@@ -96,7 +96,7 @@ pub(super) fn depth_slope(inputs: &Geometry<InputTensorMetadata>, _: &ProjectSpe
     float([inputs.opacities.0.shape[0], DEPTH_SLOPE], &inputs.means.0)
 }
 
-pub(super) fn rays(
+pub(super) fn rasterize_rays(
     inputs: &RayLayers<InputTensorMetadata>,
     _: &TensorSpec,
     spec: &RasterizeSpec,
@@ -106,7 +106,7 @@ pub(super) fn rays(
     planes(&inputs.background, spec)
 }
 
-pub(super) fn rays_backward(
+pub(super) fn rasterize_rays_backward(
     inputs: &RayLayers<InputTensorMetadata>,
     _: &TensorSpec,
     _: &TensorSpec,

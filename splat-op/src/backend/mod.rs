@@ -18,10 +18,10 @@ pub(crate) mod custom_grad;
 mod fusion;
 mod host;
 pub(crate) mod photometric;
-pub(crate) mod rays;
-mod rays_autodiff;
+pub(crate) mod rasterize_rays;
+mod rasterize_rays_autodiff;
 #[cfg(feature = "cube")]
-mod rays_cube;
+mod rasterize_rays_cube;
 pub(crate) mod stages;
 pub(crate) mod tensors;
 
@@ -30,7 +30,7 @@ pub use activate::ActivateBackend;
 pub use adam::{AdamBackend, AdamInputs, AdamState, Held};
 pub use custom_grad::CustomGradBackend;
 pub use photometric::{Photometric, PhotometricBackend};
-pub use rays::RaysBackend;
+pub use rasterize_rays::RasterizeRaysBackend;
 pub use stages::SplatBackend;
 pub use tensors::{
     ComparedTensors, GeometryGrads, GeometryTensors, InputTensor, LayerGrads, LayerTensors, OptionalTensor, RawTensors,
@@ -42,5 +42,5 @@ pub use crate::intersect::IntersectionCell;
 pub use crate::photometric::taps::Compared;
 pub use crate::project::{Geometry, ProjectSpec};
 pub use crate::rasterize::{Layers, PartsCell, RasterizeSpec, TraceCell};
-pub use crate::rays::RayLayers;
+pub use crate::rasterize_rays::RayLayers;
 pub use crate::sh::Shading;

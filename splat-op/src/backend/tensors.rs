@@ -12,7 +12,7 @@ use crate::activate::rule::Raw;
 use crate::photometric::taps::Compared;
 use crate::project::Geometry;
 use crate::rasterize::Layers;
-use crate::rays::RayLayers;
+use crate::rasterize_rays::RayLayers;
 use crate::sh::Shading;
 
 /// A tensor of a record of inputs.
@@ -83,7 +83,7 @@ pub type ShadingGrads<B> = Shading<OptionalTensor<B>>;
 pub type LayerTensors<B> = Layers<InputTensor<B>>;
 /// Their gradients.
 pub type LayerGrads<B> = Layers<OptionalTensor<B>>;
-/// Inputs of `rays`.
+/// Inputs of `rasterize_rays`.
 pub type RayLayerTensors<B> = RayLayers<InputTensor<B>>;
 /// Their gradients.
 pub type RayLayerGrads<B> = RayLayers<OptionalTensor<B>>;

@@ -22,7 +22,7 @@
 //!
 //! `depth_slope` is by how much the Gaussian's depth changes with the whitened `(u, v)` of `project`, and `thickness` its standard
 //! deviation in depth where `u, v` are known, all relative to the centre's depth: `1/thickness` is the camera's distance in
-//! standard deviations. The derivation is ours; what `rays` makes of it is that of a maximum along a ray (Keselman and Hebert
+//! standard deviations. The derivation is ours; what `rasterize_rays` makes of it is that of a maximum along a ray (Keselman and Hebert
 //! 2022; Radl et al. 2024, StopThePop).
 //!
 //! Beyond a thickness of `THICKNESS_MAX` the Gaussian is the same everywhere, and the thickness is held; a row that is not

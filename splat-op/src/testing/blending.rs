@@ -1,4 +1,4 @@
-//! What the tests of `rasterize` and of `rays` share: blending by its definition.
+//! What the tests of `rasterize` and of `rasterize_rays` share: blending by its definition.
 
 use super::random::Random;
 use crate::options::RenderOptions;

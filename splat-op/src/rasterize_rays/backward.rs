@@ -1,4 +1,4 @@
-//! The kernels of `rays`, backwards. No float is added to by two units, so the same bits come out in every run.
+//! The kernels of `rasterize_rays`, backwards. No float is added to by two units, so the same bits come out in every run.
 //!
 //! 1. *Walk*, a cube per tile, a unit per pixel: front to back as the forward pass, leaving at each layer the transmittance
 //!    before it and which layer was the one before; then back along these links, replacing them by `h = α ∂L/∂α` and by the
@@ -24,7 +24,7 @@ pub(super) const fn row_len(channels: usize, absolute: bool) -> usize {
 
 /// Fills the table, as bits, and `left`, `[H W]`, with the transmittances behind all layers.
 #[cube(launch_unchecked)]
-pub(super) fn rays_walk_kernel(
+pub(super) fn rasterize_rays_walk_kernel(
     projected: &[f32],
     depth_slopes: &[f32],
     features: &[f32],
@@ -140,7 +140,7 @@ fn tile_of_place(tile_start: &[u32], view: &RayFrame, place: u32) -> u32 {
 
 /// Writes the rows, `[H, row]`, of the intersections of some tiles.
 #[cube(launch_unchecked)]
-pub(super) fn rays_sums_kernel(
+pub(super) fn rasterize_rays_sums_kernel(
     projected: &[f32],
     depth_slopes: &[f32],
     grad: &[f32],
@@ -245,7 +245,7 @@ fn column_sum(rows: &[f32], first: u32, end: u32, columns: usize, column: usize)
 /// From rows to gradients, as the twin has them. Gaussians without intersections are left as they are: the gradients must hold zeros
 /// before.
 #[cube(launch_unchecked)]
-pub(super) fn rays_gather_kernel(
+pub(super) fn rasterize_rays_gather_kernel(
     projected: &[f32],
     order: &[u32],
     first_intersection: &[u32],
@@ -306,7 +306,7 @@ pub(super) fn rays_gather_kernel(
 
 /// `sums[channel] = Σ grad left`, a cube per channel, in a fixed order.
 #[cube(launch_unchecked)]
-pub(super) fn rays_background_kernel(
+pub(super) fn rasterize_rays_background_kernel(
     grad: &[f32],
     left: &[f32],
     sums: &mut [f32],

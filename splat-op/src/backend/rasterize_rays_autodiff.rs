@@ -1,4 +1,4 @@
-//! The backward nodes of `depth_slope` and `rays`.
+//! The backward nodes of `depth_slope` and `rasterize_rays`.
 
 use burn::backend::Autodiff;
 use burn::backend::autodiff::checkpoint::base::Checkpointer;
@@ -8,18 +8,18 @@ use burn::backend::autodiff::ops::{Backward, Ops};
 use burn::backend::tensor::{FloatTensor, IntTensor};
 
 use super::autodiff::{differentiate, planes_grad, tracked};
-use super::rays::RaysBackend;
+use super::rasterize_rays::RasterizeRaysBackend;
 use super::stages::SplatBackend;
 use super::tensors::{GeometryGrads, GeometryTensors, InputTensor, OptionalTensor, RayLayerGrads, RayLayerTensors};
 use crate::intersect::IntersectionCell;
 use crate::project::{Geometry, ProjectSpec};
 use crate::rasterize::{PartsCell, RasterizeSpec};
-use crate::rays::RayLayers;
+use crate::rasterize_rays::RayLayers;
 
 #[derive(Debug)]
 struct DepthSlopeBackward;
 
-impl<B: RaysBackend> Backward<B, 4> for DepthSlopeBackward {
+impl<B: RasterizeRaysBackend> Backward<B, 4> for DepthSlopeBackward {
     type State = (GeometryTensors<B>, ProjectSpec);
 
     fn backward(self, ops: Ops<Self::State, 4>, grads: &mut Gradients, _: &mut Checkpointer) {
@@ -33,21 +33,22 @@ impl<B: RaysBackend> Backward<B, 4> for DepthSlopeBackward {
 }
 
 #[derive(Debug)]
-struct RaysBackward;
+struct RasterizeRaysBackward;
 
-impl<B: RaysBackend + SplatBackend> Backward<B, 5> for RaysBackward {
+impl<B: RasterizeRaysBackend + SplatBackend> Backward<B, 5> for RasterizeRaysBackward {
     type State = (RayLayerTensors<B>, FloatTensor<B>, RasterizeSpec, IntersectionCell, PartsCell);
 
     fn backward(self, ops: Ops<Self::State, 5>, grads: &mut Gradients, _: &mut Checkpointer) {
         differentiate::<B, _, _>(ops, grads, |(inputs, planes, spec, intersections, parts), mask| {
             // The planes are seen through their parts alone, whose nodes come before this one.
             let grad = planes_grad::<B>(&parts, &planes, None);
-            B::rays_backward(inputs, planes, grad, spec, RayLayers::from_array(mask), intersections).into_array()
+            B::rasterize_rays_backward(inputs, planes, grad, spec, RayLayers::from_array(mask), intersections)
+                .into_array()
         });
     }
 }
 
-impl<B: RaysBackend + SplatBackend, C: CheckpointStrategy> RaysBackend for Autodiff<B, C> {
+impl<B: RasterizeRaysBackend + SplatBackend, C: CheckpointStrategy> RasterizeRaysBackend for Autodiff<B, C> {
     fn depth_slope(inputs: GeometryTensors<Self>, spec: ProjectSpec) -> FloatTensor<Self> {
         let inner = inputs.each_ref().map(InputTensor::inner);
         let output = B::depth_slope(inner.clone(), spec);
@@ -59,7 +60,7 @@ impl<B: RaysBackend + SplatBackend, C: CheckpointStrategy> RaysBackend for Autod
         FloatTensor::<Self>::new(B::bounds(projected.into_primitive(), depth_slope.into_primitive(), spec))
     }
 
-    fn rays(
+    fn rasterize_rays(
         inputs: RayLayerTensors<Self>,
         intersection_counts: IntTensor<Self>,
         spec: RasterizeSpec,
@@ -67,9 +68,9 @@ impl<B: RaysBackend + SplatBackend, C: CheckpointStrategy> RaysBackend for Autod
         parts: PartsCell,
     ) -> FloatTensor<Self> {
         let inner = inputs.each_ref().map(InputTensor::inner);
-        let output = B::rays(inner.clone(), intersection_counts, spec, intersections.clone(), parts.clone());
+        let output = B::rasterize_rays(inner.clone(), intersection_counts, spec, intersections.clone(), parts.clone());
         let state = (inner, output.clone(), spec, intersections, parts);
-        tracked(RaysBackward, inputs.each_ref().into_array(), state, output)
+        tracked(RasterizeRaysBackward, inputs.each_ref().into_array(), state, output)
     }
 
     // Backward passes are not differentiable themselves: called on this backend they see constants.
@@ -84,7 +85,7 @@ impl<B: RaysBackend + SplatBackend, C: CheckpointStrategy> RaysBackend for Autod
         B::depth_slope_backward(inputs, grad.into_primitive(), spec, mask).map(OptionalTensor::constant)
     }
 
-    fn rays_backward(
+    fn rasterize_rays_backward(
         inputs: RayLayerTensors<Self>,
         planes: FloatTensor<Self>,
         grad: FloatTensor<Self>,
@@ -94,6 +95,6 @@ impl<B: RaysBackend + SplatBackend, C: CheckpointStrategy> RaysBackend for Autod
     ) -> RayLayerGrads<Self> {
         let inputs = inputs.each_ref().map(InputTensor::inner);
         let (planes, grad) = (planes.into_primitive(), grad.into_primitive());
-        B::rays_backward(inputs, planes, grad, spec, mask, intersections).map(OptionalTensor::constant)
+        B::rasterize_rays_backward(inputs, planes, grad, spec, mask, intersections).map(OptionalTensor::constant)
     }
 }

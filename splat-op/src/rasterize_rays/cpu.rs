@@ -1,4 +1,4 @@
-//! The CPU twin of `rays`: both passes, parallel over tiles. Each intersection's gradient has a place of its own; a Gaussian's are added
+//! The CPU twin of `rasterize_rays`: both passes, parallel over tiles. Each intersection's gradient has a place of its own; a Gaussian's are added
 //! in a fixed order, so the number of threads never changes a result.
 
 use rayon::prelude::*;
@@ -68,7 +68,7 @@ impl<'a, F: Real> PreparedRayView<'a, F> {
 }
 
 /// Planes `[C + 1 (+ 1), H, W]`.
-pub(crate) fn rays_cpu<F: Real>(
+pub(crate) fn rasterize_rays_cpu<F: Real>(
     inputs: RayLayers<&[F]>,
     spec: &RasterizeSpec,
     intersections: &IntersectionLists,
@@ -107,7 +107,7 @@ pub(crate) fn rays_cpu<F: Real>(
 }
 
 /// Gradients of the inputs from `grad`, that of the planes.
-pub(crate) fn rays_backward_cpu<F: Real>(
+pub(crate) fn rasterize_rays_backward_cpu<F: Real>(
     inputs: RayLayers<&[F]>,
     grad: &[F],
     spec: &RasterizeSpec,

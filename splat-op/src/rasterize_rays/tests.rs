@@ -1,7 +1,7 @@
-//! `rays` against a sum written out pixel by pixel and against central finite differences.
+//! `rasterize_rays` against a sum written out pixel by pixel and against central finite differences.
 
 use super::RayLayers;
-use super::cpu::{rays_backward_cpu, rays_cpu};
+use super::cpu::{rasterize_rays_backward_cpu, rasterize_rays_cpu};
 use crate::camera::Intrinsics;
 use crate::depth_slope::{DEPTH_SLOPE, bounds_cpu};
 use crate::intersect::IntersectionLists;
@@ -66,11 +66,11 @@ impl StageInputs {
     }
 
     fn planes(&self) -> Vec<f64> {
-        rays_cpu(inputs(&self.inputs), &self.spec, &self.lists())
+        rasterize_rays_cpu(inputs(&self.inputs), &self.spec, &self.lists())
     }
 
     fn backward(&self, grad: &[f64], needs: RayLayers<bool>) -> RayLayers<Vec<f64>> {
-        rays_backward_cpu(inputs(&self.inputs), grad, &self.spec, &self.lists(), needs)
+        rasterize_rays_backward_cpu(inputs(&self.inputs), grad, &self.spec, &self.lists(), needs)
     }
 
     fn channels(&self) -> usize {

@@ -1,4 +1,4 @@
-//! The order of the launches of `depth_slope` and `rays` on Burn's GPU backend.
+//! The order of the launches of `depth_slope` and `rasterize_rays` on Burn's GPU backend.
 
 use burn::backend::TensorMetadata;
 use burn::backend::tensor::{FloatTensor, IntTensor};
@@ -6,7 +6,7 @@ use burn::tensor::DType;
 use burn_cubecl::CubeBackend;
 
 use super::cube::{buffer, gradient, lists_by, on_device, planes_tensor, tensor};
-use super::rays::RaysBackend;
+use super::rasterize_rays::RasterizeRaysBackend;
 use super::tensors::{GeometryGrads, GeometryTensors, RayLayerGrads, RayLayerTensors};
 use crate::depth_slope::DEPTH_SLOPE;
 use crate::depth_slope::launch::{launch_bounds, launch_depth_slope, launch_depth_slope_backward};
@@ -15,8 +15,8 @@ use crate::intersect::launch::{DeviceIntersections, launch_intersect};
 use crate::intersect::{Cut, IntersectionCell};
 use crate::project::{Geometry, ProjectSpec};
 use crate::rasterize::{PartsCell, RasterizeSpec};
-use crate::rays::RayLayers;
-use crate::rays::launch::{launch_rays, launch_rays_backward};
+use crate::rasterize_rays::RayLayers;
+use crate::rasterize_rays::launch::{launch_rasterize_rays, launch_rasterize_rays_backward};
 
 /// The lists in the cell, computed now if nobody has yet.
 fn lists<'a>(
@@ -34,7 +34,7 @@ fn lists<'a>(
     })
 }
 
-impl RaysBackend for CubeBackend {
+impl RasterizeRaysBackend for CubeBackend {
     fn depth_slope(inputs: GeometryTensors<Self>, spec: ProjectSpec) -> FloatTensor<Self> {
         let like = &inputs.means.0;
         let depth_slopes = launch_depth_slope(&Gpu::new(&like.client), &inputs.each_ref().map(on_device), &spec);
@@ -58,7 +58,7 @@ impl RaysBackend for CubeBackend {
         tensor(rows, projected.shape(), DType::F32, &projected)
     }
 
-    fn rays(
+    fn rasterize_rays(
         inputs: RayLayerTensors<Self>,
         _: IntTensor<Self>,
         spec: RasterizeSpec,
@@ -67,11 +67,11 @@ impl RaysBackend for CubeBackend {
     ) -> FloatTensor<Self> {
         let gpu = Gpu::new(&inputs.projected.0.client);
         let on_device = inputs.each_ref().map(on_device);
-        let planes = launch_rays(&gpu, &on_device, lists(&gpu, &intersections, &on_device, &spec), &spec);
+        let planes = launch_rasterize_rays(&gpu, &on_device, lists(&gpu, &intersections, &on_device, &spec), &spec);
         planes_tensor(planes, &spec, &inputs.background)
     }
 
-    fn rays_backward(
+    fn rasterize_rays_backward(
         inputs: RayLayerTensors<Self>,
         _: FloatTensor<Self>,
         grad: FloatTensor<Self>,
@@ -82,7 +82,7 @@ impl RaysBackend for CubeBackend {
         let gpu = Gpu::new(&grad.client);
         let on_device = inputs.each_ref().map(on_device);
         let lists = lists(&gpu, &intersections, &on_device, &spec);
-        let found = launch_rays_backward(&gpu, &on_device, &buffer(grad), lists, &spec, mask);
+        let found = launch_rasterize_rays_backward(&gpu, &on_device, &buffer(grad), lists, &spec, mask);
         found.zip(inputs.each_ref()).map(gradient)
     }
 }

@@ -1,10 +1,13 @@
-//! Launches of `rays`.
+//! Launches of `rasterize_rays`.
 
 use cubecl::prelude::CubeDim;
 
 use super::RayLayers;
-use super::backward::{rays_background_kernel, rays_gather_kernel, rays_sums_kernel, rays_walk_kernel, row_len};
-use super::forward::rays_forward_kernel;
+use super::backward::{
+    rasterize_rays_background_kernel, rasterize_rays_gather_kernel, rasterize_rays_sums_kernel,
+    rasterize_rays_walk_kernel, row_len,
+};
+use super::forward::rasterize_rays_forward_kernel;
 use super::layer::RayFrameLaunch;
 use crate::depth_slope::DEPTH_SLOPE;
 use crate::gpu::{Buffer, Gpu, UNITS, cubes, elementwise};
@@ -47,7 +50,7 @@ fn tiles(spec: &RasterizeSpec) -> usize {
 }
 
 /// Planes `[C + 1 (+ 1), H, W]`.
-pub(crate) fn launch_rays(
+pub(crate) fn launch_rasterize_rays(
     gpu: &Gpu,
     inputs: &RayLayers<Buffer<f32>>,
     lists: &DeviceIntersections,
@@ -58,7 +61,7 @@ pub(crate) fn launch_rays(
     let tiles = tiles(spec);
     // SAFETY: places, intersections and Gaussians come from the lists, which hold none out of range; pixels are guarded.
     unsafe {
-        rays_forward_kernel::launch_unchecked(
+        rasterize_rays_forward_kernel::launch_unchecked(
             &gpu.client,
             cubes(tiles),
             CubeDim::new_1d(TILE_PIXELS as u32),
@@ -93,7 +96,7 @@ fn runs(counts: &[i32], room: usize) -> (Vec<(usize, usize)>, usize) {
 }
 
 /// Gradients of the inputs from `grad`, that of the planes. Waits for the device once, to learn how long the lists are.
-pub(crate) fn launch_rays_backward(
+pub(crate) fn launch_rasterize_rays_backward(
     gpu: &Gpu,
     inputs: &RayLayers<Buffer<f32>>,
     grad: &Buffer<f32>,
@@ -101,11 +104,11 @@ pub(crate) fn launch_rays_backward(
     spec: &RasterizeSpec,
     needs: RayLayers<bool>,
 ) -> RayLayers<Option<Buffer<f32>>> {
-    launch_rays_backward_by(gpu, inputs, grad, (lists, TABLE), spec, needs)
+    launch_rasterize_rays_backward_by(gpu, inputs, grad, (lists, TABLE), spec, needs)
 }
 
 /// The same with a table for that many places.
-pub(super) fn launch_rays_backward_by(
+pub(super) fn launch_rasterize_rays_backward_by(
     gpu: &Gpu,
     inputs: &RayLayers<Buffer<f32>>,
     grad: &Buffer<f32>,
@@ -132,7 +135,7 @@ pub(super) fn launch_rays_backward_by(
         let places = counts[first..end].iter().sum::<i32>() as usize;
         // SAFETY: as in the forward pass; the table holds all places of a run, and the rows all intersections.
         unsafe {
-            rays_walk_kernel::launch_unchecked(
+            rasterize_rays_walk_kernel::launch_unchecked(
                 &gpu.client,
                 cubes(end - first),
                 CubeDim::new_1d(TILE_PIXELS as u32),
@@ -155,7 +158,7 @@ pub(super) fn launch_rays_backward_by(
         let (grid, dim) = elementwise(places);
         // SAFETY: as above.
         unsafe {
-            rays_sums_kernel::launch_unchecked(
+            rasterize_rays_sums_kernel::launch_unchecked(
                 &gpu.client,
                 grid,
                 dim,
@@ -177,7 +180,7 @@ pub(super) fn launch_rays_backward_by(
         let sums = Buffer::new(gpu, features);
         // SAFETY: every access is guarded by the lengths given.
         unsafe {
-            rays_background_kernel::launch_unchecked(
+            rasterize_rays_background_kernel::launch_unchecked(
                 &gpu.client,
                 cubes(features),
                 CubeDim::new_1d(UNITS as u32),
@@ -202,7 +205,7 @@ pub(super) fn launch_rays_backward_by(
     let (grid, dim) = elementwise(lists.visible);
     // SAFETY: ranks stay below the number of visible Gaussians; intersections below theirs.
     unsafe {
-        rays_gather_kernel::launch_unchecked(
+        rasterize_rays_gather_kernel::launch_unchecked(
             &gpu.client,
             grid,
             dim,

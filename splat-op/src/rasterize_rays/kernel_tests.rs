@@ -1,8 +1,8 @@
-//! Kernels of `rays` against the CPU twin in f64, within what f32 can hold.
+//! Kernels of `rasterize_rays` against the CPU twin in f64, within what f32 can hold.
 
 use super::RayLayers;
-use super::cpu::{rays_backward_cpu, rays_cpu};
-use super::launch::{launch_rays, launch_rays_backward_by};
+use super::cpu::{rasterize_rays_backward_cpu, rasterize_rays_cpu};
+use super::launch::{launch_rasterize_rays, launch_rasterize_rays_backward_by};
 use super::pixel::{RayGaussianCpu, Rules, look};
 use crate::camera::Intrinsics;
 use crate::depth_slope::launch::launch_bounds;
@@ -88,11 +88,11 @@ impl StageInputs {
     }
 
     fn planes(&self) -> Vec<f64> {
-        rays_cpu(self.view(), &self.spec, &self.lists())
+        rasterize_rays_cpu(self.view(), &self.spec, &self.lists())
     }
 
     fn backward(&self, grad: &[f64]) -> RayLayers<Vec<f64>> {
-        rays_backward_cpu(self.view(), grad, &self.spec, &self.lists(), ALL)
+        rasterize_rays_backward_cpu(self.view(), grad, &self.spec, &self.lists(), ALL)
     }
 
     /// Pixels whose result jumps when a threshold moves, or layers change places, by what rounding moves them.
@@ -156,8 +156,8 @@ impl StageInputs {
     ) -> (Vec<f32>, RayLayers<Option<Buffer<f32>>>) {
         let (inputs, lists) = self.device(gpu);
         let grad = Buffer::from_slice(gpu, &to_f32(grad));
-        let planes = launch_rays(gpu, &inputs, &lists, &self.spec).read(gpu);
-        (planes, launch_rays_backward_by(gpu, &inputs, &grad, (&lists, room), &self.spec, needs))
+        let planes = launch_rasterize_rays(gpu, &inputs, &lists, &self.spec).read(gpu);
+        (planes, launch_rasterize_rays_backward_by(gpu, &inputs, &grad, (&lists, room), &self.spec, needs))
     }
 
     fn check(&self) {

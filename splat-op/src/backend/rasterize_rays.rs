@@ -1,4 +1,4 @@
-//! `depth_slope` and `rays` on Burn's CPU backends.
+//! `depth_slope` and `rasterize_rays` on Burn's CPU backends.
 
 #![allow(deprecated, reason = "burn-ndarray is deprecated in favour of burn-flex; this project supports both")]
 
@@ -16,13 +16,13 @@ use crate::intersect::cpu::intersect_cpu;
 use crate::intersect::{Cut, IntersectionCell, IntersectionLists};
 use crate::project::{COLUMNS, Geometry, ProjectSpec};
 use crate::rasterize::{PartsCell, RasterizeSpec};
-use crate::rays::RayLayers;
-use crate::rays::cpu::{rays_backward_cpu, rays_cpu};
+use crate::rasterize_rays::RayLayers;
+use crate::rasterize_rays::cpu::{rasterize_rays_backward_cpu, rasterize_rays_cpu};
 use crate::real::Real;
 
 /// The stages of renders whose pixels look along their rays.
 #[backend_extension(Cube: cfg(feature = "cube"), Flex, NdArray, Autodiff, Fusion: cfg(feature = "fusion"))]
-pub trait RaysBackend: Backend {
+pub trait RasterizeRaysBackend: Backend {
     /// See `depth_slope/`. Returns `[N, 3]`.
     #[fusion(meta = fusion::depth_slope)]
     fn depth_slope(#[extension_type] inputs: GeometryTensors<Self>, spec: ProjectSpec) -> FloatTensor<Self>;
@@ -40,9 +40,9 @@ pub trait RaysBackend: Backend {
     #[fusion(dtype = projected, shape = projected)]
     fn bounds(projected: FloatTensor<Self>, depth_slope: FloatTensor<Self>, spec: RasterizeSpec) -> FloatTensor<Self>;
 
-    /// See `rays/`. Returns planes as `rasterize` does; `intersection_counts` and `parts` as there.
-    #[fusion(meta = fusion::rays)]
-    fn rays(
+    /// See `rasterize_rays/`. Returns planes as `rasterize` does; `intersection_counts` and `parts` as there.
+    #[fusion(meta = fusion::rasterize_rays)]
+    fn rasterize_rays(
         #[extension_type] inputs: RayLayerTensors<Self>,
         intersection_counts: IntTensor<Self>,
         spec: RasterizeSpec,
@@ -50,10 +50,10 @@ pub trait RaysBackend: Backend {
         parts: PartsCell,
     ) -> FloatTensor<Self>;
 
-    /// The gradients of `rays` that `mask` asks for, from that of all its planes. `planes` is what `rays` returned, and orders the
+    /// The gradients of `rasterize_rays` that `mask` asks for, from that of all its planes. `planes` is what `rasterize_rays` returned, and orders the
     /// two; not read.
-    #[fusion(meta = fusion::rays_backward)]
-    fn rays_backward(
+    #[fusion(meta = fusion::rasterize_rays_backward)]
+    fn rasterize_rays_backward(
         #[extension_type] inputs: RayLayerTensors<Self>,
         planes: FloatTensor<Self>,
         grad: FloatTensor<Self>,
@@ -80,7 +80,7 @@ fn lists<'a, F: Real>(
 
 macro_rules! cpu_backend {
     ($backend:ty) => {
-        impl RaysBackend for $backend {
+        impl RasterizeRaysBackend for $backend {
             fn depth_slope(inputs: GeometryTensors<Self>, spec: ProjectSpec) -> FloatTensor<Self> {
                 by_type!(inputs.means.0, F => {
                     let read = inputs.each_ref().map(host::<Self, F>);
@@ -113,7 +113,7 @@ macro_rules! cpu_backend {
                 })
             }
 
-            fn rays(
+            fn rasterize_rays(
                 inputs: RayLayerTensors<Self>,
                 _: IntTensor<Self>,
                 spec: RasterizeSpec,
@@ -123,12 +123,12 @@ macro_rules! cpu_backend {
                 by_type!(inputs.projected.0, F => {
                     let read = inputs.each_ref().map(host::<Self, F>);
                     let slices = read.each_ref().map(|host| &host[..]);
-                    let planes = rays_cpu(slices, &spec, lists(&intersections, slices, &spec));
+                    let planes = rasterize_rays_cpu(slices, &spec, lists(&intersections, slices, &spec));
                     planes_tensor(planes, &spec, &inputs.background)
                 })
             }
 
-            fn rays_backward(
+            fn rasterize_rays_backward(
                 inputs: RayLayerTensors<Self>,
                 _: FloatTensor<Self>,
                 grad: FloatTensor<Self>,
@@ -140,7 +140,7 @@ macro_rules! cpu_backend {
                     let read = inputs.each_ref().map(host::<Self, F>);
                     let slices = read.each_ref().map(|host| &host[..]);
                     let lists = lists(&intersections, slices, &spec);
-                    let found = rays_backward_cpu(slices, &Self::host(grad), &spec, lists, mask);
+                    let found = rasterize_rays_backward_cpu(slices, &Self::host(grad), &spec, lists, mask);
                     found.zip(mask).zip(inputs.each_ref()).map(gradient)
                 })
             }

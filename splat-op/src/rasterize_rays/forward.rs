@@ -1,4 +1,4 @@
-//! The kernel of `rays`, forwards: a cube per tile, a unit per pixel. Plain rather than fast: every unit reads what it needs of
+//! The kernel of `rasterize_rays`, forwards: a cube per tile, a unit per pixel. Plain rather than fast: every unit reads what it needs of
 //! the Gaussians itself, and sums in the picture.
 //!
 //! In a pixel's own order its layers are found [`CHUNK`] at a time: those next behind the last, by going
@@ -11,7 +11,7 @@ use crate::intersect::TILE_PIXELS;
 
 /// Planes `[C + 1 (+ 1), H, W]`.
 #[cube(launch_unchecked)]
-pub(super) fn rays_forward_kernel(
+pub(super) fn rasterize_rays_forward_kernel(
     projected: &[f32],
     depth_slopes: &[f32],
     features: &[f32],
