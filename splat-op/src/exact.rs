@@ -105,7 +105,7 @@ impl<'a> ExactEllipse<'a> {
         let Some(solid) = &self.solid else { return plain };
         let mut seen = plain;
         let met = match options.projection {
-            Projection::Exact => {
+            Projection::RayMax => {
                 let met = solid.meet(ray::direction(camera, centre_px));
                 // Greatest behind the camera: not seen.
                 seen.alpha = if met.at > 0.0 { self.opacity * met.value } else { 0.0 };
@@ -114,7 +114,7 @@ impl<'a> ExactEllipse<'a> {
             }
             Projection::Affine => self.depth * solid.meet(d.extend(1.0)).at,
         };
-        if options.order == Order::PerPixel {
+        if options.order == Order::PerPixelSort {
             seen.key = met;
         }
         seen
@@ -155,7 +155,7 @@ fn project<'a>(
     // The Jacobian of a perspective camera is taken no further outside the picture than the margin; that of a fisheye is exact,
     // and so is the exact projection.
     let [[low_x, high_x], [low_y, high_y]] = camera.slope_limits(options.jacobian_margin);
-    let held = match camera.model.is_fisheye() || options.projection == Projection::Exact {
+    let held = match camera.model.is_fisheye() || options.projection == Projection::RayMax {
         true => mean_cam,
         false => DVec3::new((x / z).clamp(low_x, high_x) * z, (y / z).clamp(low_y, high_y) * z, z),
     };
@@ -170,7 +170,7 @@ fn project<'a>(
         1.0
     };
     let solid = options.along_rays().then(|| match options.projection {
-        Projection::Exact => Solid::in_camera(mean_cam, covariance_cam, camera, options.blur),
+        Projection::RayMax => Solid::in_camera(mean_cam, covariance_cam, camera, options.blur),
         Projection::Affine => Solid::on_screen(mean_cam, covariance_cam, [j0, j1], options.blur),
     });
     Some(ExactEllipse {

@@ -60,7 +60,7 @@ pub enum Projection {
     Affine,
     /// The maximum of the Gaussian along the pixel's ray, exactly; see [`crate::rays`]. For pinholes. Knows no
     /// [`RenderOptions::jacobian_margin`].
-    Exact,
+    RayMax,
 }
 
 /// What is sorted by depth.
@@ -70,10 +70,10 @@ pub enum Order {
     /// All Gaussians once, by the camera z of their centres. Two of them change places in all pixels at the same moment as a
     /// camera turns or moves, which shows as popping.
     #[default]
-    Centre,
+    CentreDepth,
     /// The contributions to each pixel, by the camera z of each Gaussian's maximum along the pixel's ray (Radl et al. 2024,
     /// StopThePop), equal ones by index. For pinholes.
-    PerPixel,
+    PerPixelSort,
 }
 
 /// How GPUs add the gradients of one Gaussian's intersections in many tiles.
@@ -110,7 +110,7 @@ impl RenderOptions {
             jacobian_margin: 0.3,
             antialias: false,
             projection: Projection::Affine,
-            order: Order::Centre,
+            order: Order::CentreDepth,
             alpha_min: 1.0 / 255.0,
             alpha_max: 0.99,
             transmittance_min: 1e-4,
@@ -222,12 +222,12 @@ impl RenderOptions {
 
     /// Whether pixels look along their rays, in `depth_slope` and `rasterize_rays`, which take the place of `rasterize`.
     pub(crate) fn along_rays(&self) -> bool {
-        self.projection != Projection::Affine || self.order != Order::Centre
+        self.projection != Projection::Affine || self.order != Order::CentreDepth
     }
 
     /// Whether how far a Gaussian reaches is that of its bounds, not of its ellipse.
     pub(crate) fn extends_by_bounds(&self) -> bool {
-        self.projection == Projection::Exact
+        self.projection == Projection::RayMax
     }
 
     /// As `project` takes them. The exact projection is right however far outside the picture a centre lies, so nothing is held
@@ -235,7 +235,7 @@ impl RenderOptions {
     pub(crate) fn of_project(&self) -> Self {
         match self.projection {
             Projection::Affine => *self,
-            Projection::Exact => Self { jacobian_margin: 1e20, ..*self },
+            Projection::RayMax => Self { jacobian_margin: 1e20, ..*self },
         }
     }
 
@@ -312,8 +312,8 @@ mod tests {
             .with_jacobian_margin(0.4)
             .with_antialias(true)
             .with_sh_degree(Some(1))
-            .with_projection(Projection::Exact)
-            .with_order(Order::PerPixel)
+            .with_projection(Projection::RayMax)
+            .with_order(Order::PerPixelSort)
             .with_alpha_min(0.01)
             .with_alpha_max(0.9)
             .with_transmittance_min(0.02)
@@ -328,8 +328,8 @@ mod tests {
             jacobian_margin: 0.4,
             antialias: true,
             sh_degree: Some(1),
-            projection: Projection::Exact,
-            order: Order::PerPixel,
+            projection: Projection::RayMax,
+            order: Order::PerPixelSort,
             alpha_min: 0.01,
             alpha_max: 0.9,
             transmittance_min: 0.02,

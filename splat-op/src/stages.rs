@@ -103,7 +103,7 @@ impl Ellipses {
     /// Packs the fields for [`intersect`] and [`rasterize`], for the camera of `intrinsics`.
     ///
     /// How a Gaussian leans in depth is not among the fields: what is packed can be rendered with
-    /// [`Projection::Affine`](crate::Projection) and [`Order::Centre`](crate::Order) alone.
+    /// [`Projection::Affine`](crate::Projection) and [`Order::CentreDepth`](crate::Order) alone.
     ///
     /// # Errors
     /// If a field has another number of rows, type or device than `mean2d`.
@@ -152,7 +152,7 @@ pub fn project(
     let depth_slope = options.along_rays().then(|| {
         let depth_slope = Tensor::from_dispatch(<Dispatch as RasterizeRaysBackend>::depth_slope(inputs.clone(), spec));
         // For the affine projection it decides an order, which has no gradient.
-        if options.projection == Projection::Exact { depth_slope } else { depth_slope.detach() }
+        if options.projection == Projection::RayMax { depth_slope } else { depth_slope.detach() }
     });
     let packed = <Dispatch as SplatBackend>::project(inputs, spec);
     Ok(Projected { packed: Tensor::from_dispatch(packed), depth_slope, intrinsics: camera.intrinsics })
@@ -266,7 +266,7 @@ fn check_geometry(splats: &Splats, camera: &Camera, options: &RenderOptions) -> 
         let (found, expected) = (
             format!("{:?}", camera.intrinsics.model),
             "a pinhole, whose pixels see straight rays of \
-            one origin: undistort the photographs, or choose `Projection::Affine` and `Order::Centre`",
+            one origin: undistort the photographs, or choose `Projection::Affine` and `Order::CentreDepth`",
         );
         return Err(SplatError::Value { field: "camera model", found, expected });
     }
@@ -280,7 +280,7 @@ fn check_rays(projected: &Projected, options: &RenderOptions) -> Result<(), Spla
         (true, false) => Err(SplatError::Value {
             field: "projection and order",
             found,
-            expected: "Affine with Centre for ellipses that were packed from fields, or projected with these options",
+            expected: "Affine with CentreDepth for ellipses that were packed from fields, or projected with these options",
         }),
         (false, true) => Err(SplatError::Value {
             field: "projection and order",

@@ -196,7 +196,7 @@ fn coefficients_of_half_precision_have_gradients_in_a_step_that_trains_all() {
     let poses = [[true; 9], [true, true, true, true, true, false, true, true, true]];
     for place in with_halves() {
         for tracked in poses {
-            for options in [OPTIONS, OPTIONS.with_order(Order::PerPixel)] {
+            for options in [OPTIONS, OPTIONS.with_order(Order::PerPixelSort)] {
                 let at = (place.1.clone(), place.2);
                 let what = format!("{} {:?}, {tracked:?}, {:?}", place.0, place.2, options.order);
                 let half = options.with_coefficients(Storage::Half);

@@ -67,9 +67,9 @@ fn the_cpu_operation_agrees_with_the_exact_renderer() {
 fn rays_agree_with_the_exact_renderer() {
     let wide = Intrinsics { fx: 9.0, fy: 11.0, ..CAMERA };
     let choices = [
-        (Projection::Exact, Order::Centre),
-        (Projection::Affine, Order::PerPixel),
-        (Projection::Exact, Order::PerPixel),
+        (Projection::RayMax, Order::CentreDepth),
+        (Projection::Affine, Order::PerPixelSort),
+        (Projection::RayMax, Order::PerPixelSort),
     ];
     for (seed, camera) in [(1, CAMERA), (2, wide), (3, CAMERA), (4, wide)] {
         let mut random = Random::new(seed);

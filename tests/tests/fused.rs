@@ -57,7 +57,7 @@ fn every_stage_executes_kernels_and_no_twin() {
     let loss = picture.colour.sum().backward();
     launched_after(host(colours.grad(&loss).expect("tracked")), || launched("the backward pass of rasterize"));
 
-    let along_rays = options.with_projection(Projection::Exact).with_order(Order::PerPixel);
+    let along_rays = options.with_projection(Projection::RayMax).with_order(Order::PerPixelSort);
     let SceneTensors { splats, camera, background, .. } = leaves();
     let projected = project(&splats, &camera, &Extras::default(), &along_rays).expect("a valid scene");
     let intersections = intersect(&projected, &along_rays).expect("a valid scene");

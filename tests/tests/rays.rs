@@ -14,8 +14,11 @@ use splat_tests::{cpu_devices, devices};
 
 const CAMERA: Intrinsics = Intrinsics { fx: 33.0, fy: 37.0, cx: 19.0, cy: 14.5, ..Intrinsics::centred(41, 27, 33.0) };
 
-const CHOICES: [(Projection, Order); 3] =
-    [(Projection::Exact, Order::Centre), (Projection::Affine, Order::PerPixel), (Projection::Exact, Order::PerPixel)];
+const CHOICES: [(Projection, Order); 3] = [
+    (Projection::RayMax, Order::CentreDepth),
+    (Projection::Affine, Order::PerPixelSort),
+    (Projection::RayMax, Order::PerPixelSort),
+];
 
 fn picture(scene: &Scene, options: &RenderOptions) -> Vec<f64> {
     let SceneTensors { splats, camera, .. } = scene.tensors(&Device::flex(), DType::F64);
@@ -34,7 +37,7 @@ fn difference(size: f64) -> f64 {
     scene.scales.iter_mut().for_each(|scale| *scale *= size);
     scene.pose = vec![1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0];
     let options = RenderOptions { alpha_min: 0.0, transmittance_min: 0.0, ..RenderOptions::standard() };
-    largest_difference(&picture(&scene, &options.with_projection(Projection::Exact)), &picture(&scene, &options))
+    largest_difference(&picture(&scene, &options.with_projection(Projection::RayMax)), &picture(&scene, &options))
 }
 
 #[test]
@@ -105,7 +108,7 @@ fn turning(order: Order) -> (f64, f64) {
 
 #[test]
 fn the_order_of_each_pixel_does_not_pop() {
-    let (centre, pixel) = (turning(Order::Centre), turning(Order::PerPixel));
+    let (centre, pixel) = (turning(Order::CentreDepth), turning(Order::PerPixelSort));
     println!("by centres {centre:?}, by pixel {pixel:?}");
     assert!(centre.0 > 0.2 && centre.1 > 0.2, "by centres: {centre:?}");
     assert!(pixel.0 < 0.05 && pixel.1 == 0.0, "by pixel: {pixel:?}");
@@ -127,7 +130,7 @@ fn a_wide_angle_shows_what_is_there() {
         let options = options.with_projection(projection);
         host(render_view(&splats, &camera, &Extras::default(), &options).expect("a valid scene").alpha)
     };
-    let (exact, affine) = (alpha(Projection::Exact), alpha(Projection::Affine));
+    let (exact, affine) = (alpha(Projection::RayMax), alpha(Projection::Affine));
     // A ball with σ = 0.3: the largest value along a ray follows from the ray's distance from the centre.
     let centre = DVec3::new(2.4, 0.0, 1.5);
     let expected: Vec<f64> = (0..48 * 64)
@@ -147,7 +150,7 @@ fn every_gradient_reaches_its_input() {
         let scene = Scene::random(&mut Random::new(8), 40, 1, CAMERA);
         let SceneTensors { splats, sh, camera, background } = scene.tensors(&device.autodiff(), DType::F64);
         let extras = Extras { background: Some(background.clone()), ..Extras::default() };
-        let options = RenderOptions::standard().with_projection(Projection::Exact).with_order(Order::PerPixel);
+        let options = RenderOptions::standard().with_projection(Projection::RayMax).with_order(Order::PerPixelSort);
         let out = render(&splats, std::slice::from_ref(&camera), &extras, &options).expect("a valid scene");
         // The loss uses the picture alone, so that alpha and depth have no gradient.
         let gradients = (out.colour.clone() * out.colour).sum().backward();
@@ -181,7 +184,7 @@ fn gradients_in_f32_are_those_in_f64() {
     for (name, device) in devices() {
         for choice in CHOICES {
             let options = smooth.with_projection(choice.0).with_order(choice.1).with_depth(true).with_antialias(true);
-            let scene = if choice.1 == Order::Centre { &scene } else { &apart };
+            let scene = if choice.1 == Order::CentreDepth { &scene } else { &apart };
             // Alpha and depth are part of the loss, and every probe is tracked.
             judge(&format!("{name}, {choice:?}"), scene, &device, |scene, place| {
                 let gradients = gradients_of(scene, 2, [true; 9], &options, place);
@@ -196,7 +199,7 @@ fn gradients_in_f32_are_those_in_f64() {
 #[test]
 fn the_slope_of_a_render_is_that_of_its_gradient() {
     let options = RenderOptions { alpha_min: 0.0, transmittance_min: 0.0, alpha_max: 1.0, ..RenderOptions::standard() };
-    let options = options.with_projection(Projection::Exact).with_depth(true).with_antialias(true);
+    let options = options.with_projection(Projection::RayMax).with_depth(true).with_antialias(true);
     let scene = Scene::random(&mut Random::new(9), 30, 0, CAMERA);
     let mut random = Random::new(10);
     let parts = [&scene.means, &scene.quats, &scene.scales, &scene.opacities, &scene.pose];

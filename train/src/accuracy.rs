@@ -41,7 +41,7 @@ pub enum ProjectionArg {
     #[default]
     Affine,
     /// Largest value along the pixel's ray; about ten times as slow
-    Exact,
+    RayMax,
 }
 
 /// [`Order`] on the command line.
@@ -49,9 +49,9 @@ pub enum ProjectionArg {
 pub enum OrderArg {
     /// One global sort by the depths of the splats' centres
     #[default]
-    Centre,
+    CentreDepth,
     /// Sort for each pixel, so that nothing pops as the camera turns; about twenty times as slow
-    PerPixel,
+    PerPixelSort,
 }
 
 impl ModelArgs {
@@ -64,11 +64,11 @@ impl ModelArgs {
     fn dials(&self) -> Setting {
         let projection = match self.projection {
             ProjectionArg::Affine => Projection::Affine,
-            ProjectionArg::Exact => Projection::Exact,
+            ProjectionArg::RayMax => Projection::RayMax,
         };
         let order = match self.order {
-            OrderArg::Centre => Order::Centre,
-            OrderArg::PerPixel => Order::PerPixel,
+            OrderArg::CentreDepth => Order::CentreDepth,
+            OrderArg::PerPixelSort => Order::PerPixelSort,
         };
         let standard = RenderOptions::standard();
         Setting::between(&standard, &standard.with_projection(projection).with_order(order))

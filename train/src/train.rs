@@ -215,7 +215,8 @@ mod tests {
     fn what_a_checkpoint_keeps_of_the_options_is_all_of_them() {
         let arguments =
             ["c", "--out", "o", "--device", "gpu:1", "--effects=auto,-masks", "--background", "0.1,0.2,0.3"];
-        let more = ["--projection", "exact", "--target-error", "40.1", "--opacity-weight", "0.1", "--eval-during", "9"];
+        let more =
+            ["--projection", "ray-max", "--target-error", "40.1", "--opacity-weight", "0.1", "--eval-during", "9"];
         let cli = Cli::try_parse_from(["splat", "train"].iter().chain(&arguments).chain(&more)).unwrap();
         let Command::Train(args) = cli.command else { panic!("asked for train") };
         let text = serde_json::to_string(&args).unwrap();
@@ -244,12 +245,12 @@ mod tests {
     #[test]
     fn a_model_choice_and_a_preset_are_dials_of_one_run() {
         let dials = |arguments: &[&str]| config(arguments).unwrap().dials.to_string();
-        assert_eq!(dials(&["--projection", "affine", "--order", "centre"]), "nothing turned");
-        assert_eq!(dials(&["--projection", "exact"]), "projection exact");
-        let both = ["--order", "per-pixel", "--accuracy", "fast"];
-        assert_eq!(dials(&both), "alpha_min 4/255, order per-pixel, transmittance_min 1e-3");
+        assert_eq!(dials(&["--projection", "affine", "--order", "centre-depth"]), "nothing turned");
+        assert_eq!(dials(&["--projection", "ray-max"]), "projection ray-max");
+        let both = ["--order", "per-pixel-sort", "--accuracy", "fast"];
+        assert_eq!(dials(&both), "alpha_min 4/255, order per-pixel-sort, transmittance_min 1e-3");
         let options = config(&both).unwrap().render_options(1.0);
-        assert_eq!((options.order, options.alpha_min), (splat_op::Order::PerPixel, 4.0 / 255.0));
+        assert_eq!((options.order, options.alpha_min), (splat_op::Order::PerPixelSort, 4.0 / 255.0));
     }
 
     #[test]

@@ -181,7 +181,7 @@ pub const DIALS: &[Dial] = &[
         gpu_only: false,
         pinhole_only: true,
         values: &[
-            choice("exact", |o| o.with_projection(Projection::Exact)),
+            choice("ray-max", |o| o.with_projection(Projection::RayMax)),
             choice("affine", |o| o.with_projection(Projection::Affine)),
         ],
         exact: |o| o,
@@ -194,8 +194,8 @@ pub const DIALS: &[Dial] = &[
         gpu_only: false,
         pinhole_only: true,
         values: &[
-            choice("per-pixel", |o| o.with_order(Order::PerPixel)),
-            choice("centre", |o| o.with_order(Order::Centre)),
+            choice("per-pixel-sort", |o| o.with_order(Order::PerPixelSort)),
+            choice("centre-depth", |o| o.with_order(Order::CentreDepth)),
         ],
         exact: |o| o,
     },

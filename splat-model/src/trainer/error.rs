@@ -46,7 +46,7 @@ pub enum TrainError {
     },
     /// Per-ray rasterization through a lens.
     #[error(
-        "photograph `{photo}` was taken through a lens ({model:?}), and `--projection exact` and `--order per-pixel` are for \
+        "photograph `{photo}` was taken through a lens ({model:?}), and `--projection ray-max` and `--order per-pixel-sort` are for \
          pinholes, whose pixels see straight rays of one origin: undistort the photographs, or leave out both"
     )]
     Lens {

@@ -11,7 +11,7 @@ impl TrainConfig {
     /// # Errors
     /// If effects on ellipses are combined with a render that has no ellipses.
     pub fn check(&self) -> Result<(), TrainError> {
-        let rays = self.along_rays().then_some("`--projection exact` and `--order per-pixel`");
+        let rays = self.along_rays().then_some("`--projection ray-max` and `--order per-pixel-sort`");
         let optics = self.optics.any().then_some("motion blur, rolling shutters and defocus");
         match (rays, optics) {
             (Some(rays), Some(optics)) => Err(TrainError::Ellipses { rays, optics }),
@@ -22,7 +22,7 @@ impl TrainConfig {
     /// Whether pixels are rendered along their rays.
     fn along_rays(&self) -> bool {
         let options = self.dials.apply(RenderOptions::standard());
-        options.projection != Projection::Affine || options.order != Order::Centre
+        options.projection != Projection::Affine || options.order != Order::CentreDepth
     }
 
     /// [`Self::check`], and whether the run can use the photographs.
@@ -57,7 +57,7 @@ mod tests {
 
     #[test]
     fn rays_go_neither_with_lenses_nor_with_what_changes_ellipses() {
-        let rays = TrainConfig { dials: dials("order", "per-pixel"), ..TrainConfig::default() };
+        let rays = TrainConfig { dials: dials("order", "per-pixel-sort"), ..TrainConfig::default() };
         let mut lens = photos();
         lens[2].intrinsics.model = CameraModel::OpenCv;
         TrainConfig::default().check_with(&lens).unwrap();

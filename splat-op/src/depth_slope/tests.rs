@@ -75,7 +75,7 @@ fn covariance(scene: &StageInputs, i: usize, blur: f64) -> DMat3 {
 #[test]
 fn it_is_the_last_row_of_the_factor() {
     for blur in [0.3, 0.0] {
-        let (scene, spec) = (StageInputs::random(1, 200), spec(Projection::Exact, blur));
+        let (scene, spec) = (StageInputs::random(1, 200), spec(Projection::RayMax, blur));
         let packed = project_cpu(inputs(&scene.0), &spec);
         for (i, (row, depth_slope)) in
             packed.chunks_exact(COLUMNS).zip(scene.depth_slopes(&spec).chunks_exact(DEPTH_SLOPE)).enumerate()
@@ -100,7 +100,7 @@ fn it_is_the_last_row_of_the_factor() {
 #[test]
 fn every_gradient_agrees_with_finite_differences() {
     for (seed, projection, blur) in
-        [(1, Projection::Exact, 0.3), (2, Projection::Exact, 0.0), (3, Projection::Affine, 0.3)]
+        [(1, Projection::RayMax, 0.3), (2, Projection::RayMax, 0.0), (3, Projection::Affine, 0.3)]
     {
         let (scene, spec) = (StageInputs::random(seed, 30), spec(projection, blur));
         let grad = Random::new(seed + 100).fill(30 * DEPTH_SLOPE, -1.0, 1.0);
@@ -128,7 +128,7 @@ fn extreme_sizes_stay_finite_in_f32() {
     scene.0[0][3] = f64::NAN;
     let single = scene.0.each_ref().map(|values| values.iter().map(|v| *v as f32).collect::<Vec<f32>>());
     for blur in [0.3, 0.0] {
-        let spec = spec(Projection::Exact, blur);
+        let spec = spec(Projection::RayMax, blur);
         let depth_slopes = depth_slope_cpu(inputs(&single), &spec);
         assert!(depth_slopes.iter().all(|value| value.is_finite()), "{depth_slopes:?}");
         assert!(depth_slopes[2] == 0.0 && depth_slopes[5] == 0.0, "behind the camera, and nowhere");
@@ -143,7 +143,7 @@ fn extreme_sizes_stay_finite_in_f32() {
 /// Where a Gaussian shows, its bounds is; and where there is an end to that, the bounds is not much larger.
 fn check_bounds<F: Real>(seed: u64) {
     let mut random = Random::new(seed);
-    let options = RenderOptions::standard().with_projection(Projection::Exact);
+    let options = RenderOptions::standard().with_projection(Projection::RayMax);
     let spec = RasterizeSpec { intrinsics: Intrinsics::centred(640, 480, 500.0), options };
     let mut bounded = 0;
     for _ in 0..2000 {
@@ -205,7 +205,7 @@ fn bounds_hold_what_shows_and_little_more() {
 
 #[test]
 fn what_is_culled_or_too_faint_keeps_its_row() {
-    let options = RenderOptions::standard().with_projection(Projection::Exact);
+    let options = RenderOptions::standard().with_projection(Projection::RayMax);
     let spec = RasterizeSpec { intrinsics: CAMERA, options };
     let rows = [[0.0, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0], [5.0, 6.0, 2.0, 0.1, 1.5, 3.0, 0.003]].concat();
     assert_eq!(bounds_cpu(&rows, &[0.1; 6], &spec), rows);

@@ -22,8 +22,11 @@ use crate::testing::random::Random;
 const ALL: RayLayers<bool> =
     RayLayers { projected: true, depth_slope: true, features: true, background: true, mean2d_abs: true };
 
-const CHOICES: [(Projection, Order); 3] =
-    [(Projection::Exact, Order::Centre), (Projection::Affine, Order::PerPixel), (Projection::Exact, Order::PerPixel)];
+const CHOICES: [(Projection, Order); 3] = [
+    (Projection::RayMax, Order::CentreDepth),
+    (Projection::Affine, Order::PerPixelSort),
+    (Projection::RayMax, Order::PerPixelSort),
+];
 
 /// Relative distance of two keys below which rounding may exchange them.
 const NEAR: f64 = 2e-5;
@@ -111,7 +114,7 @@ impl StageInputs {
                 }
             }
         }
-        if self.spec.options.order == Order::PerPixel {
+        if self.spec.options.order == Order::PerPixelSort {
             let rows = self.inputs[0].chunks_exact(COLUMNS).zip(self.inputs[1].chunks_exact(DEPTH_SLOPE));
             let rules = Rules { transmittance_min: -1.0, ..Rules::new(&self.spec.options) };
             let footprints: Vec<RayGaussianCpu<f64>> =
@@ -235,7 +238,7 @@ fn hundreds_of_layers() {
 #[test]
 fn the_same_bits_in_every_run_and_for_any_table() {
     let Some(gpu) = gpu() else { return };
-    let options = RenderOptions::standard().with_projection(Projection::Exact).with_order(Order::PerPixel);
+    let options = RenderOptions::standard().with_projection(Projection::RayMax).with_order(Order::PerPixelSort);
     let scene = StageInputs::random(400, [70, 50], 3, [0.02, 1.0], options.with_depth(true));
     let grad = Random::new(4).fill(5 * 70 * 50, -1.0, 1.0);
     let bits = |room: usize| {
@@ -251,7 +254,7 @@ fn the_same_bits_in_every_run_and_for_any_table() {
 #[test]
 fn only_what_is_needed_and_nothing_to_draw() {
     let Some(gpu) = gpu() else { return };
-    let options = RenderOptions::standard().with_projection(Projection::Exact);
+    let options = RenderOptions::standard().with_projection(Projection::RayMax);
     let scene = StageInputs::random(100, [40, 33], 3, [0.02, 1.0], options);
     let grad = Random::new(4).fill(4 * 40 * 33, -1.0, 1.0);
     let read = |scene: &StageInputs, needs: RayLayers<bool>| {

@@ -39,8 +39,8 @@ fn view(spec: &RasterizeSpec, features: usize, (first, end): (usize, usize)) -> 
         options.alpha_max as f32,
         // A threshold of zero leaves out nothing, not even what is behind an alpha of one.
         if least > 0.0 { least as f32 } else { -1.0 },
-        options.projection == Projection::Exact,
-        options.order == Order::PerPixel,
+        options.projection == Projection::RayMax,
+        options.order == Order::PerPixelSort,
         options.depth,
     )
 }

@@ -49,8 +49,8 @@ impl<F: Real> Rules<F> {
         // A threshold of zero leaves out nothing, not even what is behind an alpha of one.
         let least = if options.transmittance_min > 0.0 { options.transmittance_min } else { -1.0 };
         Self {
-            exact: options.projection == Projection::Exact,
-            per_pixel: options.order == Order::PerPixel,
+            exact: options.projection == Projection::RayMax,
+            per_pixel: options.order == Order::PerPixelSort,
             alpha_min: F::of(options.alpha_min),
             alpha_max: F::of(options.alpha_max),
             transmittance_min: F::of(least),

@@ -18,10 +18,10 @@ const ALL: RayLayers<bool> =
     RayLayers { projected: true, depth_slope: true, features: true, background: true, mean2d_abs: true };
 
 const CHOICES: [(Projection, Order); 4] = [
-    (Projection::Exact, Order::Centre),
-    (Projection::Affine, Order::PerPixel),
-    (Projection::Exact, Order::PerPixel),
-    (Projection::Affine, Order::Centre),
+    (Projection::RayMax, Order::CentreDepth),
+    (Projection::Affine, Order::PerPixelSort),
+    (Projection::RayMax, Order::PerPixelSort),
+    (Projection::Affine, Order::CentreDepth),
 ];
 
 /// Packed ellipses, depth slopes, features, background.
@@ -58,7 +58,7 @@ impl StageInputs {
     fn lists(&self) -> IntersectionLists {
         let (camera, alpha_min) = (&self.spec.intrinsics, self.spec.options.alpha_min);
         match self.spec.options.projection {
-            Projection::Exact => {
+            Projection::RayMax => {
                 intersect_cpu(&bounds_cpu(&self.inputs[0], &self.inputs[1], &self.spec), camera, alpha_min.into())
             }
             Projection::Affine => intersect_cpu(&self.inputs[0], camera, alpha_min.into()),
@@ -100,18 +100,18 @@ impl StageInputs {
         let nearest: f64 = offset(lambda).iter().map(|w| w * w).sum();
         match options.projection {
             Projection::Affine => [e.opacity * (-0.5 * (u * u + v * v)).exp(), e.depth, lambda * e.depth],
-            Projection::Exact if lambda > 0.0 => {
+            Projection::RayMax if lambda > 0.0 => {
                 [e.opacity * (-0.5 * nearest).exp(), lambda * e.depth, lambda * e.depth]
             }
-            Projection::Exact => [0.0, 0.0, 0.0],
+            Projection::RayMax => [0.0, 0.0, 0.0],
         }
     }
 
     /// Gaussians front to back.
     fn order(&self, pixel: usize) -> Vec<usize> {
         let key = |i: usize| match self.spec.options.order {
-            Order::Centre => self.inputs[0][i * COLUMNS + 5],
-            Order::PerPixel => self.seen(pixel, i)[2],
+            Order::CentreDepth => self.inputs[0][i * COLUMNS + 5],
+            Order::PerPixelSort => self.seen(pixel, i)[2],
         };
         let keys: Vec<f64> = (0..self.inputs[0].len() / COLUMNS).map(key).collect();
         let mut order: Vec<usize> = (0..keys.len()).collect();
@@ -186,7 +186,7 @@ fn nearest(scene: &StageInputs, value: f64) -> f64 {
         let seen: Vec<[f64; 3]> = (0..count).map(|i| scene.seen(pixel, i)).collect();
         for (i, a) in seen.iter().enumerate() {
             nearest = nearest.min((a[0] - value).abs());
-            if scene.spec.options.order == Order::PerPixel {
+            if scene.spec.options.order == Order::PerPixelSort {
                 let pairs = seen[..i].iter().filter(|b| a[0] * b[0] > 1e-11);
                 nearest = pairs.map(|b| (a[2] - b[2]).abs() / a[2].abs().max(b[2].abs())).fold(nearest, f64::min);
             }
@@ -207,7 +207,7 @@ fn every_gradient_agrees_with_finite_differences() {
             let first = 1000 * channels as u64;
             let scene = (first..first + 900).map(scene).find(|scene| nearest(scene, 0.8) > 1e-3);
             let scene = scene.expect("one scene in some hundreds is clear of both");
-            if order == Order::PerPixel {
+            if order == Order::PerPixelSort {
                 let orders: std::collections::BTreeSet<_> = (0..scene.pixels()).map(|p| scene.order(p)).collect();
                 assert!(orders.len() > 3, "pixels see different orders");
             }
@@ -221,7 +221,7 @@ fn every_gradient_agrees_with_finite_differences() {
             scene.check(&what, 1);
             // A camera inside some of them.
             scene.inputs[1].iter_mut().skip(2).step_by(2 * DEPTH_SLOPE).for_each(|thickness| *thickness *= 6.0);
-            if order == Order::Centre && nearest(&scene, 0.8) > 1e-3 {
+            if order == Order::CentreDepth && nearest(&scene, 0.8) > 1e-3 {
                 scene.check(&format!("{what}, thick"), 1);
             }
         }
@@ -230,7 +230,7 @@ fn every_gradient_agrees_with_finite_differences() {
 
 #[test]
 fn gradients_hold_where_pixels_finish_and_small_alphas_are_cut() {
-    for (projection, order) in CHOICES.into_iter().filter(|(_, order)| *order == Order::Centre) {
+    for (projection, order) in CHOICES.into_iter().filter(|(_, order)| *order == Order::CentreDepth) {
         let options = RenderOptions { transmittance_min: 1e-2, alpha_min: 1e-2, ..RenderOptions::standard() };
         let options = options.with_depth(true).with_projection(projection).with_order(order);
         let scene = StageInputs::random(61, 160, (9, 7), 3, ([0.2, 0.9], 0.2, 0.1), options);
@@ -264,7 +264,7 @@ fn absolute_gradients_are_the_sum_over_pixels_of_absolute_values() {
 
 #[test]
 fn each_gradient_is_the_same_alone() {
-    let options = RenderOptions::standard().with_projection(Projection::Exact).with_order(Order::PerPixel);
+    let options = RenderOptions::standard().with_projection(Projection::RayMax).with_order(Order::PerPixelSort);
     let scene = StageInputs::random(80, 120, (20, 13), 3, ([0.05, 0.9], 0.3, 0.2), options.with_depth(true));
     let grad = scene.random_grad(81);
     let list = |g: RayLayers<Vec<f64>>| [g.projected, g.depth_slope, g.features, g.background, g.mean2d_abs];
@@ -281,7 +281,7 @@ fn each_gradient_is_the_same_alone() {
 
 #[test]
 fn the_number_of_threads_changes_no_bit() {
-    let options = RenderOptions::standard().with_projection(Projection::Exact).with_order(Order::PerPixel);
+    let options = RenderOptions::standard().with_projection(Projection::RayMax).with_order(Order::PerPixelSort);
     let scene = StageInputs::random(95, 1500, (90, 70), 3, ([0.0, 1.0], 0.2, 0.1), options.with_depth(true));
     let grad = scene.random_grad(96);
     let with = |threads: usize| {

@@ -352,7 +352,7 @@ fn kept(scene: &HardScene) -> Vec<bool> {
 
 /// Whether the options ask for per-ray rasterization, which the textbook does not cover.
 fn along_rays(options: &RenderOptions) -> bool {
-    options.projection != Projection::Affine || options.order != Order::Centre
+    options.projection != Projection::Affine || options.order != Order::CentreDepth
 }
 
 /// Largest condition number of a 3D covariance, where a centre's depth counts as an axis if it is the shortest length. Cameras

@@ -159,11 +159,11 @@ mod tests {
 
     #[test]
     fn a_scene_along_rays_stays_one() {
-        let choice = Setting::new([("projection", "exact")]).unwrap();
+        let choice = Setting::new([("projection", "ray-max")]).unwrap();
         let base = TrainConfig { dials: choice, ..TrainConfig::default() };
         for way in WAYS {
             let config = way.of(&base);
-            assert_eq!(config.dials.apply(RenderOptions::standard()).projection, Projection::Exact, "{}", way.name);
+            assert_eq!(config.dials.apply(RenderOptions::standard()).projection, Projection::RayMax, "{}", way.name);
             config.check().unwrap();
         }
     }

@@ -155,7 +155,7 @@ fn a_frontier_of_something_else_is_refused() {
         &mut with(&DEMO, &scene, &["--antialias"]),
         &["pareto.json", "nothing turned", "antialias on", "--antialias"],
     );
-    refuse(&mut with(&DEMO, &scene, &["--projection", "exact"]), &["projection exact"]);
+    refuse(&mut with(&DEMO, &scene, &["--projection", "ray-max"]), &["projection ray-max"]);
     let capture = fresh("another-capture");
     let size = ["--views", "8", "--width", "65", "--height", "48"];
     succeed(splat(&["demo", "--out"]).arg(&capture).args(size));

@@ -59,9 +59,9 @@ const APART: &str = "a pixel's whitened position and the depth slope are rounded
                      small difference of the two where a splat is many times larger than its distance";
 
 pub fn cases() -> Vec<HardCase> {
-    let exact = SMOOTH.with_projection(Projection::Exact);
-    let sorted = SMOOTH.with_order(Order::PerPixel);
-    let both = exact.with_order(Order::PerPixel);
+    let exact = SMOOTH.with_projection(Projection::RayMax);
+    let sorted = SMOOTH.with_order(Order::PerPixelSort);
+    let both = exact.with_order(Order::PerPixelSort);
     let others = || [needles::cases(), sizes::cases(), near::cases()].into_iter().flatten();
     let again = |names: &'static [&str], what: &str, options: RenderOptions| -> Vec<HardCase> {
         let chosen = others().filter(|case| names.contains(&case.name.as_str()));
