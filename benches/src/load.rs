@@ -51,7 +51,7 @@ impl Load {
                 sigma_v: sigma_v[i],
                 depth: depth[i],
                 opacity: opacity[i],
-                reach: (2.0 * (opacity[i] / options.alpha_min).ln()).sqrt(),
+                extent: (2.0 * (opacity[i] / options.alpha_min).ln()).sqrt(),
             })
             .filter(|ellipse| ellipse.meets(width as f64, height as f64))
             .collect();
@@ -112,13 +112,13 @@ struct ProjectedEllipse {
     depth: f64,
     opacity: f64,
     /// Extent in standard deviations.
-    reach: f64,
+    extent: f64,
 }
 
 impl ProjectedEllipse {
     fn meets(&self, width: f64, height: f64) -> bool {
-        let half_x = self.reach * self.sigma_u;
-        let half_y = self.reach * (self.shear * self.sigma_u).hypot(self.sigma_v);
+        let half_x = self.extent * self.sigma_u;
+        let half_y = self.extent * (self.shear * self.sigma_u).hypot(self.sigma_v);
         self.x + half_x > 0.0 && self.x - half_x < width && self.y + half_y > 0.0 && self.y - half_y < height
     }
 }
@@ -128,7 +128,7 @@ fn layers(visible: &[ProjectedEllipse], x: f64, y: f64, options: &RenderOptions)
     let (mut count, mut transmittance) = (0, 1.0);
     for ellipse in visible {
         let u = (x - ellipse.x) / ellipse.sigma_u;
-        if u.abs() > ellipse.reach {
+        if u.abs() > ellipse.extent {
             continue;
         }
         let v = (y - ellipse.y - ellipse.shear * (x - ellipse.x)) / ellipse.sigma_v;

@@ -131,7 +131,7 @@ impl Ellipses {
 ///
 /// A Gaussian with a value that is not finite, with a zero quaternion, or with its centre at or before `options.near`, is
 /// culled: its opacity and depth are zero and so are its gradients. So is one whose centre lies beyond the reach of the camera's
-/// lens ([`Intrinsics::reach`]). `near` is a depth for every camera: a fisheye sees nothing 90° from its axis or farther.
+/// lens ([`Intrinsics::max_radius`]). `near` is a depth for every camera: a fisheye sees nothing 90° from its axis or farther.
 ///
 /// Of `extras`, `mean2d_probe` alone is read.
 ///

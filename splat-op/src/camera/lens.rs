@@ -10,7 +10,7 @@
 //! ```
 //!
 //! holds, the symmetric part is positive definite, and a map of which that is true all over a disc takes no two of its points
-//! to the same place (its displacement along the line between them is positive). The [reach](Intrinsics::reach) of a lens is
+//! to the same place (its displacement along the line between them is positive). The [reach](Intrinsics::max_radius) of a lens is
 //! the radius of the largest such disc; it is a root of a polynomial. What lies at or beyond it is not drawn.
 
 use std::f64::consts::FRAC_PI_2;
@@ -57,7 +57,7 @@ impl LensCoefficients {
     }
 
     /// The radius up to which the map is one to one; infinite if it is so as far as [`FAR`].
-    fn reach(&self) -> f64 {
+    fn max_radius(&self) -> f64 {
         let norm = |v: [f64; 2]| DVec2::from_array(v).length();
         let slack = [0.0, 6.0 * norm(self.tangential) + 2.0 * norm(self.prism)];
         // Everything times the square of the denominator `D`, as polynomials of the radius.
@@ -71,10 +71,10 @@ impl LensCoefficients {
         first(&d).min(first(&across)).min(first(&along))
     }
 
-    /// The radius whose image `r g` is `target`, or `reach` if that is beyond it. Newton's steps within a bracket, which `r g`
+    /// The radius whose image `r g` is `target`, or `max_radius` if that is beyond it. Newton's steps within a bracket, which `r g`
     /// being monotonic keeps valid.
-    fn radius(&self, target: f64, reach: f64) -> f64 {
-        let (mut low, mut high) = (0.0, reach.min(FAR));
+    fn radius(&self, target: f64, max_radius: f64) -> f64 {
+        let (mut low, mut high) = (0.0, max_radius.min(FAR));
         let image = |r: f64| r * self.radial(r * r)[0];
         if !(image(high) > target) {
             return high;
@@ -100,12 +100,12 @@ impl LensCoefficients {
 
     /// The `s` within reach whose image is `d`, or one on its rim if there is none. The radial part is inverted exactly and the
     /// decentring part, which within reach is the weaker, by iteration.
-    fn inverse(&self, d: DVec2, reach: f64) -> DVec2 {
+    fn inverse(&self, d: DVec2, max_radius: f64) -> DVec2 {
         let mut s = DVec2::ZERO;
         for _ in 0..100 {
             let target = d - self.decentred(s);
             let length = target.length();
-            let next = if length > 0.0 { target * (self.radius(length, reach) / length) } else { DVec2::ZERO };
+            let next = if length > 0.0 { target * (self.radius(length, max_radius) / length) } else { DVec2::ZERO };
             let step = next.distance(s);
             s = next;
             if step <= 1e-14 * s.length() {
@@ -121,12 +121,12 @@ impl LensCoefficients {
 pub struct Projector {
     camera: Intrinsics,
     lens: LensCoefficients,
-    reach: f64,
+    max_radius: f64,
 }
 
 impl Projector {
     /// Where a point of the camera's frame lies on the picture or beside it, px; `None` if it is not in front of the camera, or
-    /// beyond what the lens can see (see [`Intrinsics::reach`]). The equations are [`CameraModel`]'s.
+    /// beyond what the lens can see (see [`Intrinsics::max_radius`]). The equations are [`CameraModel`]'s.
     pub fn px_from_cam(&self, point: DVec3) -> Option<DVec2> {
         let (camera, across) = (&self.camera, point.truncate());
         let s = match camera.model.is_fisheye() {
@@ -137,7 +137,7 @@ impl Projector {
             }
             false => across / point.z,
         };
-        let seen = point.z > 0.0 && s.length() < self.reach;
+        let seen = point.z > 0.0 && s.length() < self.max_radius;
         let d = self.lens.map(s);
         seen.then(|| DVec2::new(camera.fx * d.x + camera.cx, camera.fy * d.y + camera.cy))
     }
@@ -151,9 +151,9 @@ impl Projector {
             return d.extend(1.0);
         }
         if !model.is_fisheye() {
-            return self.lens.inverse(d, self.reach).extend(1.0);
+            return self.lens.inverse(d, self.max_radius).extend(1.0);
         }
-        let s = self.lens.inverse(d, self.reach.min(FRAC_PI_2));
+        let s = self.lens.inverse(d, self.max_radius.min(FRAC_PI_2));
         let angle = s.length();
         if angle > 0.0 { (s * (angle.sin() / angle)).extend(angle.cos()) } else { DVec3::Z }
     }
@@ -178,8 +178,8 @@ impl Intrinsics {
 
     /// The slope, or for a fisheye the angle in radians, from which on the lens shows nothing: up to there no two directions
     /// meet on the picture. Infinite if that is so up to a slope of a million, as for a pinhole.
-    pub fn reach(&self) -> f64 {
-        self.coefficients().reach()
+    pub fn max_radius(&self) -> f64 {
+        self.coefficients().max_radius()
     }
 
     /// Slopes `[low, high]` along x and y at which the Jacobian is held: the picture's extent and `margin` times half of it on
@@ -194,12 +194,12 @@ impl Intrinsics {
             return [limits(self.width, self.fx, self.cx), limits(self.height, self.fy, self.cy)];
         }
         let (lens, size) = (self.coefficients(), DVec2::new(self.width as f64, self.height as f64));
-        let reach = lens.reach();
+        let max_radius = lens.max_radius();
         let (mut low, mut high) = (DVec2::ZERO, DVec2::ZERO);
         for i in 0..=BORDER_POINTS {
             let along = i as f64 / BORDER_POINTS as f64;
             for share in [(along, 0.0), (along, 1.0), (0.0, along), (1.0, along)] {
-                let s = lens.inverse(self.focal_from_px(size * DVec2::from(share)), reach);
+                let s = lens.inverse(self.focal_from_px(size * DVec2::from(share)), max_radius);
                 (low, high) = (low.min(s), high.max(s));
             }
         }
@@ -215,7 +215,7 @@ impl Intrinsics {
 
     /// The camera with what its lens can see, found once: for projecting many points, or looking along many pixels.
     pub fn projector(&self) -> Projector {
-        Projector { camera: *self, lens: self.coefficients(), reach: self.reach() }
+        Projector { camera: *self, lens: self.coefficients(), max_radius: self.max_radius() }
     }
 
     /// [`Projector::px_from_cam`], for a few points.

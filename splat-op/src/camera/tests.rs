@@ -49,7 +49,7 @@ fn positions_that_no_direction_leads_to_are_survived() {
         for (model, mut distortion) in strong([a, b, c, d, b, a, d, c]) {
             distortion[model.coefficients()..].fill(0.0);
             let camera = camera((model, distortion));
-            assert!(camera.check().is_ok() && camera.reach() > 0.0);
+            assert!(camera.check().is_ok() && camera.max_radius() > 0.0);
             for px in [DVec2::ZERO, DVec2::new(205.0, 148.0), DVec2::new(400.0, 20.0)] {
                 assert!(camera.cam_from_px(px).is_finite(), "{camera:?}");
             }
@@ -63,21 +63,21 @@ fn positions_that_no_direction_leads_to_are_survived() {
 /// Within reach no two directions meet, and the radial derivative vanishes there if nothing is decentred.
 #[test]
 fn the_reach_is_where_a_lens_turns_round() {
-    let radial = |k1: f64, k2: f64| camera((CameraModel::OpenCv, [k1, k2, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])).reach();
+    let radial = |k1: f64, k2: f64| camera((CameraModel::OpenCv, [k1, k2, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])).max_radius();
     // 1 + 3 k1 w + 5 k2 w² = 0
     assert!((radial(-1.0 / 3.0, 0.0) - 1.0).abs() < 1e-15);
     assert!((radial(0.1, -0.2) - ((0.3 + 4.09_f64.sqrt()) / 2.0).sqrt()).abs() < 1e-15);
     assert_eq!([radial(0.0, 0.0), radial(0.3, 0.2), radial(-0.12, 0.03)], [f64::INFINITY; 3]);
     // What is decentred takes some of it.
-    let fox = camera(FOX).reach();
+    let fox = camera(FOX).max_radius();
     assert!(fox < radial(FOX.1[0], FOX.1[1]) && fox > 1.33, "{fox}");
     // A denominator of zero: 1 − w/4.
     let mut distortion = [0.0; 8];
     distortion[5] = -0.25;
-    assert!((camera((CameraModel::FullOpenCv, distortion)).reach() - 2.0).abs() < 1e-12);
+    assert!((camera((CameraModel::FullOpenCv, distortion)).max_radius() - 2.0).abs() < 1e-12);
     // θ (1 − θ²/3)
     distortion = [-1.0 / 3.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0];
-    assert!((camera((CameraModel::Fisheye, distortion)).reach() - 1.0).abs() < 1e-15);
+    assert!((camera((CameraModel::Fisheye, distortion)).max_radius() - 1.0).abs() < 1e-15);
 }
 
 #[test]
@@ -86,10 +86,10 @@ fn two_directions_within_reach_never_meet() {
     let decentred = (CameraModel::OpenCv, [-0.2, 0.02, 0.05, -0.08, 0.0, 0.0, 0.0, 0.0]);
     for lens in lenses().into_iter().chain([decentred]) {
         let camera = camera(lens);
-        let reach = camera.reach().min(if lens.0.is_fisheye() { 1.5 } else { 4.0 });
+        let max_radius = camera.max_radius().min(if lens.0.is_fisheye() { 1.5 } else { 4.0 });
         let mut place = || loop {
-            let s = DVec2::new(random.between(-reach, reach), random.between(-reach, reach));
-            if s.length() < reach {
+            let s = DVec2::new(random.between(-max_radius, max_radius), random.between(-max_radius, max_radius));
+            if s.length() < max_radius {
                 let point = if lens.0.is_fisheye() { s * (s.length().tan() / s.length()) } else { s };
                 return (s, camera.px_from_cam(point.extend(1.0)).unwrap());
             }

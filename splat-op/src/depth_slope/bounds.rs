@@ -2,8 +2,8 @@
 
 use rayon::prelude::*;
 
-use super::{DEPTH_SLOPE, LEAST, REACH, SLACK};
-use crate::intersect::reach::whitened_limit;
+use super::{DEPTH_SLOPE, EXTENT, LEAST, SLACK};
+use crate::intersect::extent::whitened_limit;
 use crate::linalg::norm;
 use crate::project::{COLUMNS, Ellipse};
 use crate::rasterize::RasterizeSpec;
@@ -34,7 +34,7 @@ fn bounding_ellipse<F: Real>(
         return *e;
     }
     let camera = &spec.intrinsics;
-    let reached = alpha_min * F::of((0.5 * REACH * REACH).exp());
+    let reached = alpha_min * F::of((0.5 * EXTENT * EXTENT).exp());
     let [width, height] = [camera.width, camera.height].map(|px| F::of(px as f64));
     let everywhere = Ellipse {
         mean_px: [width * F::of(0.5), height * F::of(0.5)],
@@ -62,7 +62,7 @@ fn bounding_ellipse<F: Real>(
     // From the focus to the middle, and the column, both in units of whitened coordinates.
     let shift = [depth_slope_u, depth_slope_v].map(|depth_slope| -(along * depth_slope) * (c / rest));
     let [g_u, g_v] = [depth_slope_u, depth_slope_v].map(|depth_slope| along * depth_slope / rest.sqrt());
-    let scale = c / (rest.sqrt() * F::of(REACH));
+    let scale = c / (rest.sqrt() * F::of(EXTENT));
     let wide = F::ONE + g_u * g_u;
     let row = Ellipse {
         mean_px: [

@@ -2,7 +2,7 @@
 
 use cubecl::prelude::*;
 
-use super::{DEPTH_SLOPE, LEAST, REACH, SLACK, THICKNESS_MAX};
+use super::{DEPTH_SLOPE, EXTENT, LEAST, SLACK, THICKNESS_MAX};
 use crate::gpu::math::{Pose, Vec3, finite};
 use crate::project::forward::{Gaussian, PackedEllipse, ProjectCamera, ProjectionTerms, project_one};
 
@@ -121,7 +121,7 @@ fn bounding_ellipse(
     let root = rest.sqrt();
     let (shift_u, shift_v) = (-(c * depth_slope_u) * (c / rest), -(c * depth_slope_v) * (c / rest));
     let (g_u, g_v) = (c * depth_slope_u / root, c * depth_slope_v / root);
-    let scale = c / (root * comptime!(REACH as f32));
+    let scale = c / (root * comptime!(EXTENT as f32));
     let wide = 1.0 + g_u * g_u;
     let row = PackedEllipse {
         x: e.x + e.sigma_u * shift_u,
@@ -151,7 +151,7 @@ pub(super) fn bounds_kernel(
         let e = PackedEllipse::load(projected, ABSOLUTE_POS);
         let at = ABSOLUTE_POS * comptime!(DEPTH_SLOPE);
         if e.opacity > 0.0 && e.opacity >= alpha_min {
-            let reached = alpha_min * comptime!((0.5 * REACH * REACH).exp() as f32);
+            let reached = alpha_min * comptime!((0.5 * EXTENT * EXTENT).exp() as f32);
             let (row, ends) =
                 bounding_ellipse(&e, depth_slopes[at], depth_slopes[at + 1], depth_slopes[at + 2], reached, alpha_min);
             if ends {

@@ -39,7 +39,7 @@
 //! ```
 //!
 //! the factor of `project` gets the column `L t e / √(1 − e²)` and is scaled. The stage `intersect`, which reads a row's opacity for
-//! the reach alone, is given one for which that is `REACH`. Elsewhere a row covers the whole picture.
+//! the reach alone, is given one for which that is `EXTENT`. Elsewhere a row covers the whole picture.
 //!
 //! Shapes: as `project` → `[N, 3]`; packed `[N, 7]` and those → bounds `[N, 7]`, not differentiable, for `intersect` alone. Rows of
 //! what `project` culls mean nothing, and have no gradient.
@@ -66,7 +66,7 @@ pub(crate) const DEPTH_SLOPE: usize = 3;
 pub(crate) const THICKNESS_MAX: f64 = 1e9;
 
 /// `√(u² + v²)` at which the alpha of a bound's row is `alpha_min`.
-pub(crate) const REACH: f64 = 2.0;
+pub(crate) const EXTENT: f64 = 2.0;
 
 /// By how much a bound's `τ` is too large, relatively and absolutely: more than all rounding on the way.
 pub(crate) const SLACK: [f64; 2] = [1e-3, 1e-3];

@@ -3,7 +3,7 @@
 use glam::{DMat3, DQuat, DVec3};
 
 use super::cpu::{depth_slope_backward_cpu, depth_slope_cpu};
-use super::{DEPTH_SLOPE, REACH, THICKNESS_MAX, bounds_cpu};
+use super::{DEPTH_SLOPE, EXTENT, THICKNESS_MAX, bounds_cpu};
 use crate::camera::Intrinsics;
 use crate::options::{Projection, RenderOptions};
 use crate::project::cpu::project_cpu;
@@ -178,11 +178,11 @@ fn check_bounds<F: Real>(seed: u64) {
                 }
                 let px = [e.mean_px[0] + e.sigma_u * u, e.mean_px[1] + e.sigma_u * e.shear * u + e.sigma_v * v];
                 let [x, y] = [px[0] - found.mean_px[0], px[1] - found.mean_px[1]];
-                let reach = (x / found.sigma_u).hypot((y - found.shear * x) / found.sigma_v) / REACH;
-                farthest = farthest.max(reach);
+                let extent = (x / found.sigma_u).hypot((y - found.shear * x) / found.sigma_v) / EXTENT;
+                farthest = farthest.max(extent);
                 // One that shows without end covers the picture and no more.
                 let beyond = !(0.0..=640.0).contains(&px[0]) || !(0.0..=480.0).contains(&px[1]);
-                held &= reach <= 1.0 || (all && beyond);
+                held &= extent <= 1.0 || (all && beyond);
             }
         }
         assert!(held, "{e:?}, depth slope {depth_slope:?} shows beyond {found:?}: {farthest}");

@@ -69,7 +69,7 @@ pub(super) fn seen(camera: &Intrinsics, point: DVec3) -> Option<[Dual; 2]> {
         let theta = r.atan();
         (u, v) = (u * theta / r, v * theta / r);
     }
-    if u.value.hypot(v.value) >= camera.reach() {
+    if u.value.hypot(v.value) >= camera.max_radius() {
         return None;
     }
     let (r2, c, one, two) = (u * u + v * v, camera.distortion.map(number), number(1.0), number(2.0));

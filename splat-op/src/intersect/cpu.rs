@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
 
-use super::reach::{ReachRules, ReachScratch};
+use super::extent::{ExtentRules, ExtentScratch};
 use super::{Cut, IntersectionLists, tile_grid};
 use crate::camera::Intrinsics;
 use crate::dials::Culling;
@@ -73,10 +73,10 @@ pub(crate) fn needed_intersections<F: Real>(packed: &[F], camera: &Intrinsics, a
 
 /// The intersections of all Gaussians, chunk by chunk.
 fn find<F: Real>(packed: &[F], camera: &Intrinsics, cut: Cut) -> Vec<ChunkIntersections<F>> {
-    let reach = ReachRules::new(camera, cut);
+    let extent = ExtentRules::new(camera, cut);
     let chunks = packed.par_chunks(CHUNK * COLUMNS).enumerate();
-    let found = chunks.map_init(ReachScratch::default, |scratch, (chunk, rows)| {
-        ChunkIntersections::new((chunk * CHUNK) as u32, rows, &reach, scratch)
+    let found = chunks.map_init(ExtentScratch::default, |scratch, (chunk, rows)| {
+        ChunkIntersections::new((chunk * CHUNK) as u32, rows, &extent, scratch)
     });
     found.collect()
 }
@@ -96,7 +96,7 @@ struct ChunkIntersections<F: Real> {
 
 impl<F: Real> ChunkIntersections<F> {
     /// The intersections of the Gaussians from `first` on, with these ellipses.
-    fn new(first: u32, rows: &[F], reach: &ReachRules<F>, scratch: &mut ReachScratch<F>) -> Self {
+    fn new(first: u32, rows: &[F], extent: &ExtentRules<F>, scratch: &mut ExtentScratch<F>) -> Self {
         let count = rows.len() / COLUMNS;
         let mut found = Self {
             gaussians: Vec::with_capacity(count),
@@ -105,7 +105,7 @@ impl<F: Real> ChunkIntersections<F> {
             tiles: Vec::with_capacity(4 * count),
         };
         for (first, rows) in (first..).step_by(BLOCK).zip(rows.chunks(BLOCK * COLUMNS)) {
-            let counts = dispatch!(Level::new(), simd => reach.emit(simd, rows, scratch, &mut found.tiles));
+            let counts = dispatch!(Level::new(), simd => extent.emit(simd, rows, scratch, &mut found.tiles));
             for ((gaussian, row), count) in (first..).zip(rows.chunks_exact(COLUMNS)).zip(counts) {
                 if count > 0 {
                     found.gaussians.push(gaussian);

@@ -108,7 +108,7 @@ impl TileCoverage {
 /// A packed ellipse and how far it reaches.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
-struct EllipseReach {
+struct EllipseExtent {
     x: f32,
     y: f32,
     sigma_u: f32,
@@ -119,7 +119,7 @@ struct EllipseReach {
 }
 
 #[cube]
-impl EllipseReach {
+impl EllipseExtent {
     /// Whether the ellipse reaches the rectangle of pixel centres from `first` to before `end` px along each axis: the
     /// least `u² + v²` over it lies at the centre, or on a side that faces the centre, where it is the minimum of a
     /// parabola.
@@ -143,8 +143,8 @@ impl EllipseReach {
             }
             // `dy − shear dx` loses digits when both terms are large; `rasterize` may then see a smaller value than this.
             let farthest = max(left.abs(), right.abs()) * self.shear.abs() + max(top.abs(), bottom.abs());
-            let reach = self.limit.sqrt() + 1e-6 * farthest / self.sigma_v;
-            reached = !(least > reach * reach);
+            let extent = self.limit.sqrt() + 1e-6 * farthest / self.sigma_v;
+            reached = !(least > extent * extent);
         }
         reached
     }
@@ -214,7 +214,7 @@ pub(super) fn cover_kernel(
                 // A relative margin for the logarithm, an absolute one for the exponential.
                 limit = 2.0 * (shown / frame.alpha_min).ln() * 1.00001 + 1e-4;
             }
-            let reach = EllipseReach {
+            let extent = EllipseExtent {
                 x: projected[at],
                 y: projected[at + 1],
                 sigma_u: projected[at + 2],
@@ -222,19 +222,19 @@ pub(super) fn cover_kernel(
                 sigma_v: projected[at + 4],
                 limit,
             };
-            let across = reach.shear * reach.sigma_u;
+            let across = extent.shear * extent.sigma_u;
             let radius = limit.sqrt();
-            let vertical = Vec3::new(reach.sigma_v, across, 0.0).length();
-            let horizontal = if comptime!(square) { reach.long_axis() } else { reach.sigma_u };
+            let vertical = Vec3::new(extent.sigma_v, across, 0.0).length();
+            let horizontal = if comptime!(square) { extent.long_axis() } else { extent.sigma_u };
             let vertical = if comptime!(square) { horizontal } else { vertical };
-            let (x, end_x) = tile_range(reach.x, radius * horizontal, frame.width, culling);
-            let (y, end_y) = tile_range(reach.y, radius * vertical, frame.height, culling);
+            let (x, end_x) = tile_range(extent.x, radius * horizontal, frame.width, culling);
+            let (y, end_y) = tile_range(extent.y, radius * vertical, frame.height, culling);
             if end_x > x && end_y > y {
                 cover.x = x;
                 cover.y = y;
                 cover.width = end_x - x;
                 cover.height = end_y - y;
-                let (low, high) = covered_cells(&cover, &reach, &frame, culling);
+                let (low, high) = covered_cells(&cover, &extent, &frame, culling);
                 cover.low = low;
                 cover.high = high;
                 if (low | high) != 0 {
@@ -254,7 +254,7 @@ pub(super) fn cover_kernel(
 #[cube]
 fn covered_cells(
     cover: &TileCoverage,
-    reach: &EllipseReach,
+    extent: &EllipseExtent,
     frame: &TileFrame,
     #[comptime] culling: Culling,
 ) -> (u32, u32) {
@@ -270,7 +270,7 @@ fn covered_cells(
             let end_x = (cover.x + min(x + cell_width, cover.width)) * comptime!(TILE as u32);
             let end_y = (cover.y + min(y + cell_height, cover.height)) * comptime!(TILE as u32);
             let met = if comptime!(culling == Culling::Ellipse) {
-                reach.meets(first_x, min(end_x, frame.width), first_y, min(end_y, frame.height))
+                extent.meets(first_x, min(end_x, frame.width), first_y, min(end_y, frame.height))
             } else {
                 true.runtime()
             };

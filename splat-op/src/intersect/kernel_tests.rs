@@ -97,8 +97,8 @@ fn by_tile(lists: &IntersectionLists) -> Vec<&[u32]> {
 /// Whether a Gaussian's box of tiles is so large that its intersections are listed by cells of several tiles.
 fn coarse(row: &[f32], alpha_min: f64) -> bool {
     let ellipse = Ellipse::from_row(row);
-    let limit = super::reach::whitened_limit(ellipse.opacity, alpha_min as f32);
-    super::reach::half_extent(&ellipse, limit).iter().any(|half| 2.0 * half > (TILE * 6) as f32)
+    let limit = super::extent::whitened_limit(ellipse.opacity, alpha_min as f32);
+    super::extent::half_extent(&ellipse, limit).iter().any(|half| 2.0 * half > (TILE * 6) as f32)
 }
 
 fn check_lists(count: usize, size: [usize; 2], alpha_min: f64) {

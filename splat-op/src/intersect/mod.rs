@@ -10,13 +10,13 @@
 //! The lists live in a cell beside the tensors, because their length depends on the data. See `IntersectionCell`.
 
 pub(crate) mod cpu;
+pub(crate) mod extent;
 #[cfg(feature = "cube")]
 pub(crate) mod forward;
 #[cfg(all(test, feature = "cube"))]
 mod kernel_tests;
 #[cfg(feature = "cube")]
 pub(crate) mod launch;
-pub(crate) mod reach;
 #[cfg(feature = "cube")]
 mod scan;
 #[cfg(feature = "cube")]

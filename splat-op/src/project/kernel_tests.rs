@@ -204,8 +204,8 @@ fn margins(tensors: &[Vec<f64>], view: &TestCamera) -> Vec<Vec<f64>> {
         let along = |row: usize| (0..3).map(|k| p[4 * row + k] * m[k]).sum::<f64>() + p[4 * row + 3];
         let (x, y, z) = (along(0), along(1), along(2));
         let slope = (x / z).hypot(y / z);
-        let (fisheye, reach) = (view.model.is_fisheye(), spec.intrinsics.reach());
-        near.extend([z / view.options.near - 1.0, if fisheye { slope.atan() } else { slope } / reach - 1.0]);
+        let (fisheye, max_radius) = (view.model.is_fisheye(), spec.intrinsics.max_radius());
+        near.extend([z / view.options.near - 1.0, if fisheye { slope.atan() } else { slope } / max_radius - 1.0]);
         let slopes = if fisheye { [f64::NAN; 4] } else { [x / z, x / z, y / z, y / z] };
         rest.extend(slopes.iter().zip(limits).map(|(slope, limit)| (slope - limit) / (1.0 + limit.abs())));
         rest.push(if view.options.antialias { areas[i] / blurred[i] / COMPENSATION_MIN - 1.0 } else { f64::NAN });

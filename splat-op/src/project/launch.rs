@@ -36,8 +36,8 @@ fn distortion(camera: &Intrinsics) -> Option<DistortionLaunch> {
     let [d1, d2, d3] = found.denominator.map(|d| d as f32);
     let [tangential, prism] = [found.tangential, found.prism].map(|[x, y]| Vec2Launch::new(x as f32, y as f32));
     // Shader compilers may assume that infinity does not occur.
-    let reach_squared = (camera.reach().powi(2) as f32).min(f32::MAX);
-    Some(DistortionLaunch::new(k1, k2, k3, k4, d1, d2, d3, tangential, prism, reach_squared, camera.model))
+    let max_radius_squared = (camera.max_radius().powi(2) as f32).min(f32::MAX);
+    Some(DistortionLaunch::new(k1, k2, k3, k4, d1, d2, d3, tangential, prism, max_radius_squared, camera.model))
 }
 
 /// Packed ellipses, `[N, 7]`.

@@ -23,7 +23,7 @@ pub(super) struct DistortionSimd<L> {
     tangential: [L; 2],
     prism: [L; 2],
     /// What lies as far out as this or farther is culled; squared.
-    reach_squared: L,
+    max_radius_squared: L,
 }
 
 impl<F: Real> DistortionSimd<F> {
@@ -36,7 +36,7 @@ impl<F: Real> DistortionSimd<F> {
             denominator: found.denominator.map(F::of),
             tangential: found.tangential.map(F::of),
             prism: found.prism.map(F::of),
-            reach_squared: F::of(camera.reach().powi(2)).min_of(F::MAX),
+            max_radius_squared: F::of(camera.max_radius().powi(2)).min_of(F::MAX),
         })
     }
 
@@ -49,7 +49,7 @@ impl<F: Real> DistortionSimd<F> {
             denominator: self.denominator.map(lanes),
             tangential: self.tangential.map(lanes),
             prism: self.prism.map(lanes),
-            reach_squared: lanes(self.reach_squared),
+            max_radius_squared: lanes(self.max_radius_squared),
         }
     }
 }
@@ -201,7 +201,7 @@ impl<S: Simd, F: Real> LensProjectionSimd<S, F> {
         };
         Self {
             first,
-            within: (s[0] * s[0] + s[1] * s[1]).simd_lt(distortion.reach_squared),
+            within: (s[0] * s[0] + s[1] * s[1]).simd_lt(distortion.max_radius_squared),
             centre: distortion.at::<S, F>(s),
             held: distortion.at::<S, F>(slope),
             base,

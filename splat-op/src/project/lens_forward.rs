@@ -23,7 +23,7 @@ pub(crate) struct Distortion {
     pub tangential: Vec2,
     pub prism: Vec2,
     /// What lies as far out as this or farther is culled; squared.
-    pub reach_squared: f32,
+    pub max_radius_squared: f32,
     #[cube(comptime)]
     pub model: CameraModel,
 }
@@ -184,7 +184,7 @@ fn perspective(mean_cam: Vec3, rows: Mat3, lens: &ProjectCamera, distortion: &Di
     let s = Vec2::new(within(ratio.x, lens.x.low, lens.x.high), within(ratio.y, lens.y.low, lens.y.high));
     let (free_x, free_y) = (s.x == ratio.x, s.y == ratio.y);
     LensProjection {
-        within: ratio.dot(ratio) < distortion.reach_squared,
+        within: ratio.dot(ratio) < distortion.max_radius_squared,
         centre: distortion.at(ratio),
         held: distortion.at(s),
         base_x: rows.x.minus(rows.z.times(s.x)).times(inverse_depth),
@@ -214,7 +214,7 @@ fn fisheye(mean_cam: Vec3, rows: Mat3, distortion: &Distortion) -> LensProjectio
     let s = p.times(alpha);
     let at = distortion.at(s);
     LensProjection {
-        within: s.dot(s) < distortion.reach_squared,
+        within: s.dot(s) < distortion.max_radius_squared,
         centre: at,
         held: at,
         base_x: rows.x.times(alpha).plus(lean.times(p.x)).times(inverse_length),

@@ -3,7 +3,7 @@
 use fearless_simd::prelude::*;
 
 use crate::intersect::TILE;
-use crate::intersect::reach::{half_extent, widened_limit};
+use crate::intersect::extent::{half_extent, widened_limit};
 use crate::project::Ellipse;
 use crate::real::{LANES, Real};
 
@@ -29,7 +29,7 @@ pub(super) struct Footprint<F> {
     pub shear: F,
     pub opacity: F,
     /// Where `u² + v²` is larger, the alpha is below `alpha_min` for certain, or no number.
-    pub reach: F,
+    pub extent: F,
     /// Half the bounding box, px.
     pub half: [F; 2],
 }
@@ -43,7 +43,7 @@ impl<F: Real> Footprint<F> {
             inverse_v: F::of(WHITEN) / ellipse.sigma_v,
             shear: ellipse.shear,
             opacity: ellipse.opacity,
-            reach: (limit * F::of(WHITEN * WHITEN)).min_of(F::EXP2_MAX),
+            extent: (limit * F::of(WHITEN * WHITEN)).min_of(F::EXP2_MAX),
             half: half_extent(ellipse, limit),
         }
     }
@@ -91,7 +91,7 @@ pub(super) struct FootprintSimd<S: Simd, F: Real> {
     pub inverse_v: F::Lanes<S>,
     shear: F::Lanes<S>,
     pub opacity: F::Lanes<S>,
-    pub reach: F::Lanes<S>,
+    pub extent: F::Lanes<S>,
 }
 
 impl<S: Simd, F: Real> FootprintSimd<S, F> {
@@ -107,7 +107,7 @@ impl<S: Simd, F: Real> FootprintSimd<S, F> {
             inverse_v: lanes(footprint.inverse_v),
             shear: lanes(footprint.shear),
             opacity: lanes(footprint.opacity),
-            reach: lanes(footprint.reach),
+            extent: lanes(footprint.extent),
         }
     }
 

@@ -157,7 +157,7 @@ impl<S: Simd, F: Real, const LIBRARY: bool> Thresholds<S, F, LIBRARY> {
         for (i, before) in before.iter().enumerate() {
             let v = splat.v(column, self.row(row + i));
             q[i] = v.mul_add(v, column.square);
-            near[i] = q[i].simd_le(splat.reach) & before[0].simd_ge(self.zero);
+            near[i] = q[i].simd_le(splat.extent) & before[0].simd_ge(self.zero);
         }
         if !any(near).any_true() {
             return None;

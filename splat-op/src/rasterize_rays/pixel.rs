@@ -2,7 +2,7 @@
 
 use super::{D_MIN, SUMS, WHITENED_MAX};
 use crate::depth_slope::DEPTH_SLOPE;
-use crate::intersect::reach::widened_limit;
+use crate::intersect::extent::widened_limit;
 use crate::options::{Order, Projection};
 use crate::project::Ellipse;
 use crate::real::Real;

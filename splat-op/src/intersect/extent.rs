@@ -27,15 +27,15 @@ pub(crate) fn widened_limit<F: Real>(opacity: F, alpha_min: F) -> F {
 /// Half the width and height of the box around `u² + v² <= limit`, px.
 #[inline(always)]
 pub(crate) fn half_extent<F: Real>(ellipse: &Ellipse<F>, limit: F) -> [F; 2] {
-    let reach = limit.sqrt();
+    let extent = limit.sqrt();
     let across = ellipse.shear * ellipse.sigma_u;
     let vertical = crate::linalg::norm([ellipse.sigma_v, across, F::ZERO]);
-    [reach * ellipse.sigma_u, reach * vertical]
+    [extent * ellipse.sigma_u, extent * vertical]
 }
 
 /// What decides how far a Gaussian reaches.
 #[derive(Clone, Copy)]
-pub(super) struct ReachRules<F> {
+pub(super) struct ExtentRules<F> {
     grid: [usize; 2],
     /// Of the picture, px.
     size: [F; 2],
@@ -43,7 +43,7 @@ pub(super) struct ReachRules<F> {
     culling: Culling,
 }
 
-impl<F: Real> ReachRules<F> {
+impl<F: Real> ExtentRules<F> {
     pub fn new(camera: &Intrinsics, cut: Cut) -> Self {
         Self {
             grid: tile_grid(camera.width, camera.height),
@@ -60,7 +60,7 @@ impl<F: Real> ReachRules<F> {
         &self,
         simd: S,
         rows: &[F],
-        scratch: &mut ReachScratch<F>,
+        scratch: &mut ExtentScratch<F>,
         tiles: &mut Vec<u32>,
     ) -> [u32; BLOCK] {
         let count = rows.len() / COLUMNS;
@@ -103,14 +103,14 @@ impl<F: Real> ReachRules<F> {
 }
 
 /// Buffers that one thread reuses.
-pub(super) struct ReachScratch<F> {
+pub(super) struct ExtentScratch<F> {
     ellipses: Columns<F, COLUMNS>,
     limits: [F; BLOCK],
     /// For each row of tiles: the first tile and the one behind the last.
     spans: Vec<[[F; LANES]; 2]>,
 }
 
-impl<F: Real> Default for ReachScratch<F> {
+impl<F: Real> Default for ExtentScratch<F> {
     fn default() -> Self {
         Self { ellipses: Columns::new(), limits: [F::ZERO; BLOCK], spans: Vec::new() }
     }
@@ -141,14 +141,14 @@ struct Eight<S: Simd, F: Real> {
 
 impl<S: Simd, F: Real> Eight<S, F> {
     #[inline(always)]
-    fn read(simd: S, reach: &ReachRules<F>, scratch: &ReachScratch<F>, first: usize) -> Self {
+    fn read(simd: S, extent: &ExtentRules<F>, scratch: &ExtentScratch<F>, first: usize) -> Self {
         let lanes = |value: F| F::Lanes::<S>::splat(simd, value);
         let column = |column| scratch.ellipses.lanes(simd, column, first);
         let [x, y, sigma_u, shear, sigma_v, depth, opacity] =
             [column(0), column(1), column(2), column(3), column(4), column(5), column(6)];
         let largest = lanes(F::MAX);
         let mut shows =
-            depth.simd_gt(lanes(F::ZERO)) & opacity.simd_gt(lanes(F::ZERO)) & opacity.simd_ge(lanes(reach.alpha_min));
+            depth.simd_gt(lanes(F::ZERO)) & opacity.simd_gt(lanes(F::ZERO)) & opacity.simd_ge(lanes(extent.alpha_min));
         for value in [x, y, sigma_u, shear, sigma_v, depth, opacity] {
             shows &= value.abs().simd_le(largest);
         }
@@ -167,7 +167,7 @@ impl<S: Simd, F: Real> Eight<S, F> {
         let margin = |mean: F::Lanes<S>, half: F::Lanes<S>| {
             (mean.abs() + half) * lanes(F::of(8.0) * F::EPSILON) + lanes(F::of(1e-3))
         };
-        let (half_width, half_height) = match reach.culling {
+        let (half_width, half_height) = match extent.culling {
             Culling::Ellipse | Culling::OpacityBox => (r * sigma_u, r * vertical),
             Culling::BoundingBox => {
                 let long = long_axis([sigma_u, across, sigma_v]);
@@ -175,7 +175,7 @@ impl<S: Simd, F: Real> Eight<S, F> {
             }
         };
         let half = half_height + slip;
-        let (top, end) = tiles((y - half, y + half), margin(y, half), reach.size[1]);
+        let (top, end) = tiles((y - half, y + half), margin(y, half), extent.size[1]);
         Self {
             mean: [x, y],
             sigma_u,
@@ -192,17 +192,17 @@ impl<S: Simd, F: Real> Eight<S, F> {
 
     /// On every row of tiles of the box: its first tile and the one behind the last.
     #[inline(always)]
-    fn columns(&self, reach: &ReachRules<F>) -> (F::Lanes<S>, F::Lanes<S>) {
+    fn columns(&self, extent: &ExtentRules<F>) -> (F::Lanes<S>, F::Lanes<S>) {
         let x = self.mean[0];
-        tiles((x - self.half_width, x + self.half_width), self.margin, reach.size[0])
+        tiles((x - self.half_width, x + self.half_width), self.margin, extent.size[0])
     }
 
     /// On the row of tiles this many behind each one's first: the first tile and the one behind the last.
     #[inline(always)]
-    fn span(&self, reach: &ReachRules<F>, row: F) -> (F::Lanes<S>, F::Lanes<S>) {
+    fn span(&self, extent: &ExtentRules<F>, row: F) -> (F::Lanes<S>, F::Lanes<S>) {
         let lanes = |value: F| F::Lanes::<S>::splat(self.r.token(), value);
         let first = (self.rows.0 + row) * F::of(TILE as f64);
-        let last = (first + F::of((TILE - 1) as f64)).min(lanes(reach.size[1] - F::ONE));
+        let last = (first + F::of((TILE - 1) as f64)).min(lanes(extent.size[1] - F::ONE));
         let edge = |pixel: F::Lanes<S>, slip| (pixel + F::of(0.5) - self.mean[1] + slip) * self.inverse;
         let (top, bottom) = (edge(first, -self.slip), edge(last, self.slip));
         let chord = |tip: F::Lanes<S>| {
@@ -214,7 +214,7 @@ impl<S: Simd, F: Real> Eight<S, F> {
         let (low, high) = (chord(-tip), chord(tip));
         let low = self.mean[0] + self.sigma_u * (low.0 - low.1);
         let high = self.mean[0] + self.sigma_u * (high.0 + high.1);
-        tiles((low, high), self.margin, reach.size[0])
+        tiles((low, high), self.margin, extent.size[0])
     }
 }
 
