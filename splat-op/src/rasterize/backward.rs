@@ -11,7 +11,7 @@
 
 use cubecl::prelude::*;
 
-use super::layer::{BUCKET, KernelShape, LayerEllipse, Limits, colour, first_slot, layer};
+use super::layer::{BUCKET, KernelShape, LayerEllipse, Limits, colour, first_bucket, layer};
 use crate::gpu::reduce::cube_sum;
 use crate::intersect::forward::TileFrame;
 use crate::intersect::{TILE, TILE_PIXELS};
@@ -36,9 +36,9 @@ pub(super) fn plane_of(channel: usize, #[comptime] shape: KernelShape) -> usize 
     plane
 }
 
-/// Writes `ρ` behind each bucket, `[slot][pixel]`, and the tile's share of the background's gradient, `[tile][feature]`.
+/// Writes `ρ` behind each bucket, `[bucket_index][pixel]`, and the tile's share of the background's gradient, `[tile][feature]`.
 #[cube(launch_unchecked)]
-pub(super) fn rasterize_behind_kernel(
+pub(super) fn rasterize_suffix_kernel(
     projected: &[f32],
     features: &[f32],
     background: &[f32],
@@ -47,9 +47,9 @@ pub(super) fn rasterize_behind_kernel(
     intersection_of_place: &[u32],
     gaussian_of_intersection: &[u32],
     kept: &[f32],
-    behind: &[f32],
-    passed: &[u32],
-    rho_behind: &mut [f32],
+    final_transmittance: &[f32],
+    bucket_count: &[u32],
+    suffix_rho: &mut [f32],
     grad_background: &mut [f32],
     frame: TileFrame,
     limits: Limits,
@@ -74,7 +74,7 @@ pub(super) fn rasterize_behind_kernel(
         let pixel = (row * frame.width + column) as usize;
         let first = tile_start[tile as usize];
         let places = tile_start[tile as usize + 1] - first;
-        let slot = first_slot(first, tile);
+        let bucket_index = first_bucket(first, tile);
 
         let mut own = Array::<f32>::new(channels);
         let mut grad_alpha = 0.0f32;
@@ -94,7 +94,7 @@ pub(super) fn rasterize_behind_kernel(
             rho += own[channel] * background[channel];
         }
         if comptime!(with_background) {
-            let last = behind[tile as usize * comptime!(TILE_PIXELS) + unit as usize];
+            let last = final_transmittance[tile as usize * comptime!(TILE_PIXELS) + unit as usize];
             for channel in 0..comptime!(shape.features) {
                 let sum = cube_sum(own[channel] * last, &mut shared, planes);
                 if unit == 0 {
@@ -103,11 +103,11 @@ pub(super) fn rasterize_behind_kernel(
             }
         }
 
-        let buckets = passed[tile as usize];
+        let buckets = bucket_count[tile as usize];
         for step in 0..buckets {
             let bucket = buckets - 1 - step;
-            let at = (slot + bucket) as usize * comptime!(numbers * TILE_PIXELS) + unit as usize;
-            rho_behind[(slot + bucket) as usize * comptime!(TILE_PIXELS) + unit as usize] = rho;
+            let at = (bucket_index + bucket) as usize * comptime!(numbers * TILE_PIXELS) + unit as usize;
+            suffix_rho[(bucket_index + bucket) as usize * comptime!(TILE_PIXELS) + unit as usize] = rho;
             if kept[at] >= 0.0 {
                 let through = kept[at + comptime!(TILE_PIXELS)];
                 // Alpha is one more channel, of colour one: its sum is what the bucket does not let through.
@@ -150,14 +150,14 @@ pub(super) fn rasterize_behind_kernel(
     }
 }
 
-/// The tile whose buckets hold `slot`: the last one that begins at or before it.
+/// The tile whose buckets hold `bucket_index`: the last one that begins at or before it.
 #[cube]
-pub(super) fn tile_of_slot(tile_start: &[u32], tiles: u32, slot: u32) -> u32 {
+pub(super) fn tile_of_bucket(tile_start: &[u32], tiles: u32, bucket_index: u32) -> u32 {
     let mut low = 0u32;
     let mut high = tiles;
     while high - low > 1 {
         let middle = low + (high - low) / 2;
-        if first_slot(tile_start[middle as usize], middle) <= slot {
+        if first_bucket(tile_start[middle as usize], middle) <= bucket_index {
             low = middle;
         } else {
             high = middle;

@@ -5,8 +5,8 @@
 
 use cubecl::prelude::*;
 
-use super::backward::{MOMENTS, plane_of, row_len, tile_of_slot};
-use super::layer::{BUCKET, FOOTPRINT, KernelShape, LayerEllipse, Limits, colour, first_slot, layer};
+use super::backward::{MOMENTS, plane_of, row_len, tile_of_bucket};
+use super::layer::{BUCKET, FOOTPRINT, KernelShape, LayerEllipse, Limits, colour, first_bucket, layer};
 use crate::gpu::atomic::FloatCell;
 use crate::intersect::forward::TileFrame;
 use crate::intersect::{TILE, TILE_PIXELS};
@@ -23,13 +23,13 @@ pub(super) fn rasterize_channels_kernel<A: FloatCell>(
     intersection_of_place: &[u32],
     gaussian_of_intersection: &[u32],
     kept: &[f32],
-    passed: &[u32],
-    rho_behind: &[f32],
+    bucket_count: &[u32],
+    suffix_rho: &[f32],
     rows: &mut [f32],
     sums: &[A],
     frame: TileFrame,
     limits: Limits,
-    slots: u32,
+    max_buckets: u32,
     #[comptime] shape: KernelShape,
     #[comptime] absolute: bool,
     #[comptime] add: bool,
@@ -45,14 +45,14 @@ pub(super) fn rasterize_channels_kernel<A: FloatCell>(
     let mut alphas = Shared::<[f32]>::new_slice(comptime!(BUCKET * stride));
     let mut weights = Shared::<[f32]>::new_slice(comptime!(BUCKET * stride));
 
-    let slot = CUBE_POS as u32;
+    let bucket_index = CUBE_POS as u32;
     let unit = UNIT_POS;
     let tiles = frame.tiles_x * frame.tiles_y;
-    if slot < slots {
-        let tile = tile_of_slot(tile_start, tiles, slot);
+    if bucket_index < max_buckets {
+        let tile = tile_of_bucket(tile_start, tiles, bucket_index);
         let first = tile_start[tile as usize];
         let places = tile_start[tile as usize + 1] - first;
-        let bucket = slot - first_slot(first, tile);
+        let bucket = bucket_index - first_bucket(first, tile);
         let place = bucket * comptime!(BUCKET as u32);
         if place < places {
             let count = min(places - place, comptime!(BUCKET as u32));
@@ -68,7 +68,7 @@ pub(super) fn rasterize_channels_kernel<A: FloatCell>(
             for column in 0..columns {
                 row[column] = 0.0f32;
             }
-            if bucket < passed[tile as usize] {
+            if bucket < bucket_count[tile as usize] {
                 if unit < count {
                     LayerEllipse::of(projected, gaussian as usize).store(&mut footprints, unit as usize);
                 }
@@ -76,7 +76,7 @@ pub(super) fn rasterize_channels_kernel<A: FloatCell>(
                 let origin_x = tile % frame.tiles_x * comptime!(TILE as u32);
                 let origin_y = tile / frame.tiles_x * comptime!(TILE as u32);
                 let plane = (frame.width * frame.height) as usize;
-                let at = slot as usize * comptime!(numbers * TILE_PIXELS);
+                let at = bucket_index as usize * comptime!(numbers * TILE_PIXELS);
 
                 for block in 0..comptime!((TILE_PIXELS / units) as u32) {
                     // The units are pixels.
@@ -110,7 +110,7 @@ pub(super) fn rasterize_channels_kernel<A: FloatCell>(
                     if comptime!(shape.grad_alpha) && inside {
                         grad_alpha = grad[comptime!(shape.features) * plane + in_picture];
                     }
-                    let mut rho = rho_behind[slot as usize * comptime!(TILE_PIXELS) + pixel as usize];
+                    let mut rho = suffix_rho[bucket_index as usize * comptime!(TILE_PIXELS) + pixel as usize];
                     for step in 0..count {
                         let i = (count - 1 - step) as usize;
                         let alpha = alphas[i * stride + unit as usize];

@@ -8,7 +8,8 @@
 use cubecl::prelude::*;
 
 use super::layer::{
-    BUCKET, FOOTPRINT, KernelShape, LayerEllipse, Limits, behind_bucket, colour, first_slot, layer, strip_origin,
+    BUCKET, FOOTPRINT, KernelShape, LayerEllipse, Limits, colour, first_bucket, layer, strip_origin,
+    transmittance_after_bucket,
 };
 use crate::intersect::forward::TileFrame;
 use crate::intersect::{TILE, TILE_PIXELS};
@@ -16,7 +17,7 @@ use crate::intersect::{TILE, TILE_PIXELS};
 /// Places that a cube loads at once, a whole number of buckets.
 const BATCH: usize = 64;
 
-/// Planes `[C + 1 (+ 1), H, W]`; and, if a trace is kept, the kept numbers `[slot][number][pixel]`, the transmittance
+/// Planes `[C + 1 (+ 1), H, W]`; and, if a trace is kept, the kept numbers `[bucket_index][number][pixel]`, the transmittance
 /// behind all layers `[tile][pixel]`, and how many buckets of each tile were passed.
 ///
 /// A finished pixel has its transmittance negated, and one outside the picture is finished from the start.
@@ -30,8 +31,8 @@ pub(super) fn rasterize_forward_kernel(
     gaussian_of_intersection: &[u32],
     planes: &mut [f32],
     kept: &mut [f32],
-    behind: &mut [f32],
-    passed: &mut [u32],
+    final_transmittance: &mut [f32],
+    bucket_count: &mut [u32],
     frame: TileFrame,
     limits: Limits,
     #[comptime] shape: KernelShape,
@@ -56,7 +57,7 @@ pub(super) fn rasterize_forward_kernel(
         let own_row = f32::cast_from(row);
         let first = tile_start[tile as usize];
         let places = tile_start[tile as usize + 1] - first;
-        let slot = first_slot(first, tile);
+        let bucket_index = first_bucket(first, tile);
 
         let mut transmittance = Array::<f32>::new(pixels);
         let mut through = Array::<f32>::new(pixels);
@@ -154,7 +155,7 @@ pub(super) fn rasterize_forward_kernel(
                             }
                         }
                     }
-                    let at = (slot + (place + bucket) / comptime!(BUCKET as u32)) as usize
+                    let at = (bucket_index + (place + bucket) / comptime!(BUCKET as u32)) as usize
                         * comptime!(shape.kept() * TILE_PIXELS)
                         + in_tile;
                     #[unroll]
@@ -179,7 +180,7 @@ pub(super) fn rasterize_forward_kernel(
                                 before.abs() * own[comptime!(p * channels) + channel];
                         }
                         // A pixel that finished in this bucket becomes negative here; one that had finished stays.
-                        transmittance[p] = behind_bucket(before, through[p], stopped[p]);
+                        transmittance[p] = transmittance_after_bucket(before, through[p], stopped[p]);
                     }
                     bucket += comptime!(BUCKET as u32);
                 }
@@ -191,10 +192,11 @@ pub(super) fn rasterize_forward_kernel(
         if comptime!(keep) {
             #[unroll]
             for p in 0..pixels {
-                behind[tile as usize * comptime!(TILE_PIXELS) + in_tile + comptime!(p * TILE)] = transmittance[p].abs();
+                final_transmittance[tile as usize * comptime!(TILE_PIXELS) + in_tile + comptime!(p * TILE)] =
+                    transmittance[p].abs();
             }
             if UNIT_POS == 0 {
-                passed[tile as usize] = (place + comptime!(BUCKET as u32 - 1)) / comptime!(BUCKET as u32);
+                bucket_count[tile as usize] = (place + comptime!(BUCKET as u32 - 1)) / comptime!(BUCKET as u32);
             }
         }
         let plane = (frame.width * frame.height) as usize;

@@ -2,7 +2,7 @@
 
 use cubecl::prelude::*;
 
-use super::backward::{rasterize_behind_kernel, rasterize_gather_kernel, row_len};
+use super::backward::{rasterize_gather_kernel, rasterize_suffix_kernel, row_len};
 use super::channels::rasterize_channels_kernel;
 use super::forward::rasterize_forward_kernel;
 use super::layer::{BUCKET, KernelShape, LimitsLaunch};
@@ -39,12 +39,12 @@ impl Layers<Buffer<f32>> {
 /// What the forward pass keeps for the backward pass.
 #[derive(Clone, Debug)]
 pub(crate) struct DeviceTrace {
-    /// `[slots, kept, 256]`: numbers per bucket and pixel, see [`KernelShape::kept`].
+    /// `[max_buckets, kept, 256]`: numbers per bucket and pixel, see [`KernelShape::kept`].
     kept: Buffer<f32>,
     /// `[tiles, 256]`: the transmittance behind all layers.
-    behind: Buffer<f32>,
+    final_transmittance: Buffer<f32>,
     /// `[tiles]`: buckets passed before every pixel was finished.
-    passed: Buffer<u32>,
+    bucket_count: Buffer<u32>,
 }
 
 /// Pixels of a unit forwards for few channels; see `forward.rs`. For many there is one.
@@ -53,8 +53,8 @@ const FORWARD_STRIP: usize = 4;
 /// Pixels of a unit in the kernel of layers for few channels; see `strips.rs`.
 const STRIP: usize = 8;
 
-/// Slots of all tiles' buckets; see `first_slot`.
-fn slots(lists: &DeviceIntersections, tiles: usize) -> usize {
+/// Slots of all tiles' buckets; see `first_bucket`.
+fn max_buckets(lists: &DeviceIntersections, tiles: usize) -> usize {
     lists.intersections / BUCKET + tiles
 }
 
@@ -87,12 +87,12 @@ pub(crate) fn launch_rasterize(
     let tiles = tiles_x * tiles_y;
     let planes = Buffer::new(gpu, spec.planes(shape.features) * camera.width * camera.height);
     let kept_len = |len: usize| if keep { len } else { 0 };
-    let kept = kept_len(slots(lists, tiles) * shape.kept() * TILE_PIXELS);
+    let kept = kept_len(max_buckets(lists, tiles) * shape.kept() * TILE_PIXELS);
     assert_fits(gpu, "the trace of the backward pass", kept);
     let trace = DeviceTrace {
         kept: Buffer::with_headroom(gpu, kept),
-        behind: Buffer::new(gpu, kept_len(tiles * TILE_PIXELS)),
-        passed: Buffer::new(gpu, kept_len(tiles)),
+        final_transmittance: Buffer::new(gpu, kept_len(tiles * TILE_PIXELS)),
+        bucket_count: Buffer::new(gpu, kept_len(tiles)),
     };
     let pixels = if shape.few() { FORWARD_STRIP } else { 1 };
     // SAFETY: places, intersections and Gaussians come from the lists, which hold none out of range; pixels are guarded.
@@ -109,8 +109,8 @@ pub(crate) fn launch_rasterize(
             lists.gaussian_of_intersection.arg(),
             planes.arg(),
             trace.kept.arg(),
-            trace.behind.arg(),
-            trace.passed.arg(),
+            trace.final_transmittance.arg(),
+            trace.bucket_count.arg(),
             frame(camera, spec.options.alpha_min),
             limits(spec),
             shape,
@@ -138,12 +138,12 @@ pub(crate) fn launch_rasterize_backward(
     let shape = KernelShape { grad_alpha: !alone, ..shape };
     let [tiles_x, tiles_y] = tile_grid(camera.width, camera.height);
     let tiles = tiles_x * tiles_y;
-    let slots = slots(lists, tiles);
-    let rho_behind: Buffer<f32> = Buffer::with_headroom(gpu, slots * TILE_PIXELS);
+    let max_buckets = max_buckets(lists, tiles);
+    let suffix_rho: Buffer<f32> = Buffer::with_headroom(gpu, max_buckets * TILE_PIXELS);
     let background = Buffer::new(gpu, if needs.background { tiles * shape.features } else { 0 });
     // SAFETY: as in the forward pass; slots are those that the forward pass wrote.
     unsafe {
-        rasterize_behind_kernel::launch_unchecked(
+        rasterize_suffix_kernel::launch_unchecked(
             &gpu.client,
             cubes(tiles),
             CubeDim::new_1d(UNITS as u32),
@@ -155,9 +155,9 @@ pub(crate) fn launch_rasterize_backward(
             lists.intersection_of_place.arg(),
             lists.gaussian_of_intersection.arg(),
             trace.kept.arg(),
-            trace.behind.arg(),
-            trace.passed.arg(),
-            rho_behind.arg(),
+            trace.final_transmittance.arg(),
+            trace.bucket_count.arg(),
+            suffix_rho.arg(),
             background.arg(),
             frame(camera, spec.options.alpha_min),
             limits(spec),
@@ -191,7 +191,7 @@ pub(crate) fn launch_rasterize_backward(
             unsafe {
                 $kernel(
                     &gpu.client,
-                    cubes(slots),
+                    cubes(max_buckets),
                     CubeDim::new_1d($units as u32),
                     inputs.projected.arg(),
                     inputs.features.arg(),
@@ -200,13 +200,13 @@ pub(crate) fn launch_rasterize_backward(
                     lists.intersection_of_place.arg(),
                     lists.gaussian_of_intersection.arg(),
                     trace.kept.arg(),
-                    trace.passed.arg(),
-                    rho_behind.arg(),
+                    trace.bucket_count.arg(),
+                    suffix_rho.arg(),
                     written.arg(),
                     added.arg(),
                     frame(camera, spec.options.alpha_min),
                     limits(spec),
-                    slots as u32,
+                    max_buckets as u32,
                     shape,
                     needs.mean2d_abs,
                     !ordered,

@@ -181,7 +181,7 @@ pub(super) fn restore(checkpoint: f32) -> (f32, f32) {
 /// The transmittance behind a bucket from that before it and what the bucket lets through and stops. Negative if either of
 /// the former two is: the pixel was finished before the bucket or within.
 #[cube]
-pub(super) fn behind_bucket(before: f32, through: f32, stopped: f32) -> f32 {
+pub(super) fn transmittance_after_bucket(before: f32, through: f32, stopped: f32) -> f32 {
     let left = select(stopped < 0.5, fma(-stopped, before, before), before * through.abs());
     select(before >= 0.0, select(through >= 0.0, left, -left), before)
 }
@@ -189,7 +189,7 @@ pub(super) fn behind_bucket(before: f32, through: f32, stopped: f32) -> f32 {
 /// The first slot of a tile's buckets: a slot per started bucket, so that no two tiles share one and no list of slots
 /// is needed.
 #[cube]
-pub(super) fn first_slot(first_place: u32, tile: u32) -> u32 {
+pub(super) fn first_bucket(first_place: u32, tile: u32) -> u32 {
     first_place / comptime!(BUCKET as u32) + tile
 }
 

@@ -60,9 +60,9 @@ impl UnitPixels {
     pub fn load(
         &mut self,
         kept: &[f32],
-        rho_behind: &[f32],
+        suffix_rho: &[f32],
         grad: &[f32],
-        slot: u32,
+        bucket_index: u32,
         tile: u32,
         column: u32,
         row: u32,
@@ -72,8 +72,8 @@ impl UnitPixels {
     ) {
         let channels = comptime!(shape.channels());
         let in_tile = (row * comptime!(TILE as u32) + column) as usize + comptime!(p * TILE);
-        self.before[p] = kept[slot as usize * comptime!(shape.kept() * TILE_PIXELS) + in_tile];
-        self.rho[p] = rho_behind[slot as usize * comptime!(TILE_PIXELS) + in_tile];
+        self.before[p] = kept[bucket_index as usize * comptime!(shape.kept() * TILE_PIXELS) + in_tile];
+        self.rho[p] = suffix_rho[bucket_index as usize * comptime!(TILE_PIXELS) + in_tile];
         self.grad_alpha[p] = 0.0f32;
         #[unroll]
         for channel in 0..channels {

@@ -9,8 +9,8 @@
 
 use cubecl::prelude::*;
 
-use super::backward::{row_len, tile_of_slot};
-use super::layer::{BUCKET, FOOTPRINT, KernelShape, LayerEllipse, Limits, colour, first_slot, strip_origin};
+use super::backward::{row_len, tile_of_bucket};
+use super::layer::{BUCKET, FOOTPRINT, KernelShape, LayerEllipse, Limits, colour, first_bucket, strip_origin};
 use super::pixels::{STEP, UnitPixels};
 use crate::gpu::atomic::FloatCell;
 use crate::intersect::TILE_PIXELS;
@@ -28,13 +28,13 @@ pub(super) fn rasterize_strips_kernel<A: FloatCell>(
     intersection_of_place: &[u32],
     gaussian_of_intersection: &[u32],
     kept: &[f32],
-    passed: &[u32],
-    rho_behind: &[f32],
+    bucket_count: &[u32],
+    suffix_rho: &[f32],
     rows: &mut [f32],
     sums: &[A],
     frame: TileFrame,
     limits: Limits,
-    slots: u32,
+    max_buckets: u32,
     #[comptime] shape: KernelShape,
     #[comptime] absolute: bool,
     #[comptime] add: bool,
@@ -48,12 +48,12 @@ pub(super) fn rasterize_strips_kernel<A: FloatCell>(
     let mut intersections = Shared::<[u32]>::new_slice(comptime!(BUCKET));
     let mut partial = Shared::<[f32]>::new_slice(comptime!(STEP * columns * (units + 1)));
 
-    let slot = CUBE_POS as u32;
-    if slot < slots {
-        let tile = tile_of_slot(tile_start, frame.tiles_x * frame.tiles_y, slot);
+    let bucket_index = CUBE_POS as u32;
+    if bucket_index < max_buckets {
+        let tile = tile_of_bucket(tile_start, frame.tiles_x * frame.tiles_y, bucket_index);
         let first = tile_start[tile as usize];
         let places = tile_start[tile as usize + 1] - first;
-        let bucket = slot - first_slot(first, tile);
+        let bucket = bucket_index - first_bucket(first, tile);
         let place = bucket * comptime!(BUCKET as u32);
         if place < places {
             let count = min(places - place, comptime!(BUCKET as u32));
@@ -80,7 +80,7 @@ pub(super) fn rasterize_strips_kernel<A: FloatCell>(
             }
             sync_cube();
 
-            if bucket >= passed[tile as usize] {
+            if bucket >= bucket_count[tile as usize] {
                 if comptime!(!add) {
                     let mut i = UNIT_POS;
                     while i < count * comptime!(columns as u32) {
@@ -94,7 +94,7 @@ pub(super) fn rasterize_strips_kernel<A: FloatCell>(
                 let mut at = UnitPixels::new(tile, column, row, frame, shape, pixels);
                 #[unroll]
                 for p in 0..pixels {
-                    at.load(kept, rho_behind, grad, slot, tile, column, row, frame, shape, p);
+                    at.load(kept, suffix_rho, grad, bucket_index, tile, column, row, frame, shape, p);
                 }
 
                 // Forwards: what the layers before each step let through, and stop.
