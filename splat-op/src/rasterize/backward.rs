@@ -3,7 +3,7 @@
 //! 1. *Behind*, a cube per tile, a unit per pixel: what is seen behind each bucket, as far as the gradient cares,
 //!    `ρ = g·R`, from the last bucket to the first: `ρ = g·(sums of the bucket) + (share it lets through) ρ`.
 //! 2. *Layers*, a cube per bucket, all buckets of all tiles at once, however long a tile's list is: the sums of each intersection over
-//!    the tile's pixels, a row per intersection. In `strips.rs` for few channels and `channels.rs` for many.
+//!    the tile's pixels, a row per intersection. In `backward_few_channels.rs` for few channels and `backward_many_channels.rs` for many.
 //! 3. *Gather*, a unit per Gaussian: the rows become gradients of the ellipse and the features.
 //!
 //! Rows are either added into one per Gaussian, in whatever order the device comes to them, or kept one per intersection and added

@@ -3,10 +3,10 @@
 use cubecl::prelude::*;
 
 use super::backward::{rasterize_gather_kernel, rasterize_suffix_kernel, row_len};
-use super::channels::rasterize_channels_kernel;
+use super::backward_few_channels::rasterize_backward_few_channels_kernel;
+use super::backward_many_channels::rasterize_backward_many_channels_kernel;
 use super::forward::rasterize_forward_kernel;
 use super::layer::{BUCKET, KernelShape, LimitsLaunch};
-use super::strips::rasterize_strips_kernel;
 use super::{Layers, RasterizeSpec};
 use crate::dials::Exponential;
 use crate::gpu::reduce::launch_column_sums;
@@ -50,7 +50,7 @@ pub(crate) struct DeviceTrace {
 /// Pixels of a unit forwards for few channels; see `forward.rs`. For many there is one.
 const FORWARD_STRIP: usize = 4;
 
-/// Pixels of a unit in the kernel of layers for few channels; see `strips.rs`.
+/// Pixels of a unit in the kernel of layers for few channels; see `backward_few_channels.rs`.
 const STRIP: usize = 8;
 
 /// Slots of all tiles' buckets; see `first_bucket`.
@@ -217,13 +217,21 @@ pub(crate) fn launch_rasterize_backward(
     }
     let few = TILE_PIXELS / STRIP;
     match (shape.few(), gpu.float_atomics) {
-        (true, true) => launch!(rasterize_strips_kernel::launch_unchecked::<Atomic<f32>>, few, STRIP),
-        (true, false) => launch!(rasterize_strips_kernel::launch_unchecked::<Atomic<u32>>, few, STRIP),
+        (true, true) => launch!(rasterize_backward_few_channels_kernel::launch_unchecked::<Atomic<f32>>, few, STRIP),
+        (true, false) => launch!(rasterize_backward_few_channels_kernel::launch_unchecked::<Atomic<u32>>, few, STRIP),
         (false, true) => {
-            launch!(rasterize_channels_kernel::launch_unchecked::<Atomic<f32>>, CHANNEL_UNITS, CHANNEL_UNITS)
+            launch!(
+                rasterize_backward_many_channels_kernel::launch_unchecked::<Atomic<f32>>,
+                CHANNEL_UNITS,
+                CHANNEL_UNITS
+            )
         }
         (false, false) => {
-            launch!(rasterize_channels_kernel::launch_unchecked::<Atomic<u32>>, CHANNEL_UNITS, CHANNEL_UNITS)
+            launch!(
+                rasterize_backward_many_channels_kernel::launch_unchecked::<Atomic<u32>>,
+                CHANNEL_UNITS,
+                CHANNEL_UNITS
+            )
         }
     }
     let zeros = |needed: bool, columns: usize| Buffer::zeros(gpu, if needed { inputs.count() * columns } else { 0 });

@@ -14,7 +14,9 @@
 #[cfg(feature = "cube")]
 mod backward;
 #[cfg(feature = "cube")]
-mod channels;
+mod backward_few_channels;
+#[cfg(feature = "cube")]
+mod backward_many_channels;
 pub(crate) mod cpu;
 #[cfg(all(test, feature = "cube"))]
 mod dial_kernel_tests;
@@ -34,8 +36,6 @@ mod pixels;
 #[cfg(feature = "cube")]
 mod power;
 mod prepared;
-#[cfg(feature = "cube")]
-mod strips;
 #[cfg(test)]
 mod tests;
 mod tile;

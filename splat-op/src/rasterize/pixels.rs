@@ -1,4 +1,4 @@
-//! The layers of a bucket at the pixels of a unit, backwards, as `strips.rs` goes through them once it has a Gaussian's numbers at
+//! The layers of a bucket at the pixels of a unit, backwards, as `backward_few_channels.rs` goes through them once it has a Gaussian's numbers at
 //! hand. For few channels; all of it lies in registers.
 
 #![allow(clippy::too_many_arguments, reason = "functions of a kernel take what it was launched with")]

@@ -5,7 +5,7 @@
 //! pass through the whole bucket, which leaves `T` before each four, and from the four once more: twice the exponentials,
 //! but neither a division by `1 − α` nor a store per pixel and place. Sums over a unit's pixels stay in registers; only the
 //! units' sums meet, in shared memory, once per four places. A tree of pairs of Gaussians and pixels the other way round
-//! (`channels.rs`) passes eleven numbers through shared memory for each pair, this one three for each eighth.
+//! (`backward_many_channels.rs`) passes eleven numbers through shared memory for each pair, this one three for each eighth.
 
 use cubecl::prelude::*;
 
@@ -20,7 +20,7 @@ use crate::intersect::forward::TileFrame;
 ///
 /// `rows` is `[H, row]` and every intersection's row is written, or, with `add`, one row per Gaussian that is added to in `sums`.
 #[cube(launch_unchecked)]
-pub(super) fn rasterize_strips_kernel<A: FloatCell>(
+pub(super) fn rasterize_backward_few_channels_kernel<A: FloatCell>(
     projected: &[f32],
     features: &[f32],
     grad: &[f32],

@@ -15,7 +15,7 @@ use crate::intersect::{TILE, TILE_PIXELS};
 ///
 /// `rows` is `[H, row]` and every intersection's row is written, or, with `add`, one row per Gaussian that is added to.
 #[cube(launch_unchecked)]
-pub(super) fn rasterize_channels_kernel<A: FloatCell>(
+pub(super) fn rasterize_backward_many_channels_kernel<A: FloatCell>(
     projected: &[f32],
     features: &[f32],
     grad: &[f32],
