@@ -144,7 +144,7 @@ mod render;
 mod splats;
 mod stages;
 #[doc(hidden)]
-pub mod witness;
+pub mod test_hooks;
 
 #[cfg(feature = "cube")]
 pub use abilities::Abilities;

@@ -53,7 +53,7 @@ pub fn gpu() -> Option<Device> {
         let wish = std::env::var("SPLAT_GPU").unwrap_or_default();
         let (line, device) = admit(&wish, find).unwrap_or_else(|failure| panic!("{failure}"));
         announce(&line);
-        splat_op::witness::poison(true);
+        splat_op::test_hooks::poison(true);
         device
     })
     .clone()

@@ -3,7 +3,7 @@
 
 use burn::tensor::{DType, Tensor};
 use splat_op::{
-    Extras, Intrinsics, Order, Projection, RenderOptions, evaluate_sh, intersect, project, rasterize, witness,
+    Extras, Intrinsics, Order, Projection, RenderOptions, evaluate_sh, intersect, project, rasterize, test_hooks,
 };
 use splat_tests::gpu;
 use splat_tests::random::Random;
@@ -12,7 +12,7 @@ use splat_tests::scene::{Scene, SceneTensors, host};
 #[test]
 fn every_stage_executes_kernels_and_no_twin() {
     let Some(device) = gpu() else { return };
-    let name = witness::backend_name(&device);
+    let name = test_hooks::backend_name(&device);
     assert_eq!(name.contains("fusion"), cfg!(feature = "fusion"), "{name}");
     assert!(name.contains("wgpu") || name.contains("cuda") || name.contains("hip"), "{name}");
 
@@ -22,11 +22,11 @@ fn every_stage_executes_kernels_and_no_twin() {
     let leaves = || scene.tensors(&device, DType::F32);
     let SceneTensors { splats, camera, .. } = leaves();
     let options = RenderOptions::standard();
-    let mut before = witness::dispatches();
+    let mut before = test_hooks::dispatches();
     let mut launched = |stage: &str| {
-        let after = witness::dispatches();
+        let after = test_hooks::dispatches();
         assert!(after > before, "{stage} launched nothing");
-        assert_eq!(witness::twin_calls(), 0, "{stage} ran on the CPU");
+        assert_eq!(test_hooks::twin_calls(), 0, "{stage} ran on the CPU");
         before = after;
     };
 
@@ -75,7 +75,7 @@ fn every_stage_executes_kernels_and_no_twin() {
     // The counter of twin calls works.
     let SceneTensors { splats, camera, .. } = scene.tensors(&burn::tensor::Device::flex(), DType::F32);
     project(&splats, &camera, &Extras::default(), &options).expect("a valid scene");
-    assert_eq!(witness::twin_calls(), 1);
+    assert_eq!(test_hooks::twin_calls(), 1);
 }
 
 /// Runs `check` after results were read, because fused operations run only then.

@@ -4,7 +4,7 @@ use burn::tensor::{DType, Device, Tensor, TensorData};
 use splat_model::optim::{Adam, Moments, Rates};
 use splat_op::{
     Accumulation, Camera, Colour, Extras, Intrinsics, RenderOptions, SplatError, Splats, intersect, project, render,
-    witness,
+    test_hooks,
 };
 use splat_tests::data::announce;
 use splat_tests::gpu;
@@ -224,7 +224,7 @@ fn f64_and_tensors_elsewhere_are_refused() {
 
 /// Returns the size of a device's largest buffer if a test can exceed it. Otherwise prints why not.
 fn small_limit(device: &Device) -> Option<usize> {
-    let limit = witness::buffer_limit(device).expect("a GPU") as usize;
+    let limit = test_hooks::buffer_limit(device).expect("a GPU") as usize;
     if limit > 1 << 28 {
         announce(&format!("SKIPPED: a buffer of this adapter holds {limit} bytes, too many to exceed in a test"));
         return None;
@@ -249,7 +249,7 @@ fn repeated(count: usize, device: &Device) -> (Splats, Camera) {
 #[test]
 fn inputs_and_pictures_beyond_the_largest_buffer_are_refused() {
     let Some(device) = gpu() else { return };
-    let limit = witness::buffer_limit(&device).expect("a GPU");
+    let limit = test_hooks::buffer_limit(&device).expect("a GPU");
     let refused = |splats: &Splats, cameras: &[Camera], names: &str, hint: &str| {
         let error = render(splats, cameras, &Extras::default(), &RenderOptions::standard()).expect_err(names);
         let SplatError::TooLarge { what, needed_bytes, limit_bytes, .. } = &error else { panic!("{error}") };

@@ -4,7 +4,7 @@
 use std::collections::BTreeMap;
 
 use burn::tensor::Device;
-use splat_op::witness;
+use splat_op::test_hooks;
 use splat_tests::data::announce;
 use splat_tests::places;
 use splat_tests::slope::slope_trainer;
@@ -38,9 +38,9 @@ fn a_training_step_launches_and_allocates_no_more_than_it_did() {
         step();
     }
     let mut last = 0.0;
-    let bytes_before = witness::allocated_bytes();
-    let counts = witness::launches(|| (0..STEPS).for_each(|_| last = step()));
-    let bytes = (witness::allocated_bytes() - bytes_before) as f64 / STEPS as f64;
+    let bytes_before = test_hooks::allocated_bytes();
+    let counts = test_hooks::launches(|| (0..STEPS).for_each(|_| last = step()));
+    let bytes = (test_hooks::allocated_bytes() - bytes_before) as f64 / STEPS as f64;
     assert!(last < first, "the loss went from {first} to {last}: this is not training");
     let per_step: BTreeMap<&str, f64> =
         counts.iter().map(|(name, count)| (*name, *count as f64 / STEPS as f64)).collect();

@@ -7,7 +7,7 @@ use splat_model::density::AdaptiveConfig;
 use splat_model::effects::background::Background;
 use splat_model::evaluate::evaluate;
 use splat_model::trainer::{TrainConfig, Trainer};
-use splat_op::witness;
+use splat_op::test_hooks;
 use splat_tests::data::{announce, optional_data};
 use splat_tests::gpu;
 
@@ -78,7 +78,7 @@ fn train(capture: &Capture, device: &Device) -> TrainingOutcome {
 fn training_on_the_gpu_is_training_on_the_cpu() {
     let (Some(device), Some(folder)) = (gpu(), optional_data("fox_small")) else { return };
     // Poisoned buffers are for tests of the kernels and would only take time here.
-    witness::poison(false);
+    test_hooks::poison(false);
     let capture = Capture::load(&folder).expect("a readable capture");
     let on_cpu = train_all(&capture, "the CPU", &Device::flex());
     let on_gpu = train_all(&capture, "the GPU", &device);

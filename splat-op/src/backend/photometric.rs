@@ -16,7 +16,7 @@ use crate::photometric::cpu::{PlaneSize, photometric_cpu, window_cpu};
 #[cfg(feature = "fusion")]
 use crate::photometric::taps::Compared;
 use crate::real::Real;
-use crate::witness::count_twin_call;
+use crate::test_hooks::count_twin_call;
 
 /// The loss and its derivative.
 #[derive(Clone, Debug, ExtensionType)]

@@ -9,7 +9,7 @@ use cubecl::server::Handle;
 
 use super::{Gpu, elementwise};
 use crate::limits::Need;
-use crate::witness::count_allocation;
+use crate::test_hooks::count_allocation;
 
 static POISON: AtomicBool = AtomicBool::new(false);
 

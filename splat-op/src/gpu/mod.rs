@@ -15,7 +15,7 @@ use cubecl::prelude::{CubeCount, CubeDim};
 pub(crate) use buffer::poison;
 pub(crate) use buffer::{Buffer, launch_scale};
 
-use crate::witness::count_dispatch;
+use crate::test_hooks::count_dispatch;
 
 /// Units of a cube where a kernel has no reason to choose another number.
 pub(crate) const UNITS: usize = 256;
