@@ -135,12 +135,11 @@ pub mod adam;
 pub mod backend;
 #[cfg(feature = "cube")]
 mod gpu;
-mod lanes;
 mod limits;
 mod linalg;
-mod real;
 mod record;
 mod render;
+mod simd;
 mod splats;
 mod stages;
 #[doc(hidden)]

@@ -2,7 +2,7 @@
 
 use std::ops::{Add, Mul, Neg, Sub};
 
-use crate::real::Real;
+use crate::simd::real::Real;
 
 /// What vectors are made of.
 pub(crate) trait Entry:

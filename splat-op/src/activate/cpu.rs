@@ -5,8 +5,8 @@ use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
 
 use super::rule::{LARGEST, LARGEST_LOG_SCALE, Raw};
-use crate::lanes::{BLOCK, map_lanes};
-use crate::real::Real;
+use crate::simd::lanes::{BLOCK, map_lanes};
+use crate::simd::real::Real;
 
 /// Gaussians per task.
 const CHUNK: usize = 1024;

@@ -18,9 +18,9 @@ use crate::project::cpu::{project_backward_cpu, project_cpu};
 use crate::project::{COLUMNS, Geometry, ProjectSpec};
 use crate::rasterize::cpu::{Trace, rasterize_backward_cpu, rasterize_cpu};
 use crate::rasterize::{Layers, PartsCell, RasterizeSpec, TraceCell};
-use crate::real::Real;
 use crate::sh::Shading;
 use crate::sh::cpu::{ShCpuInputs, Visible, sh_backward_cpu, sh_cpu};
+use crate::simd::real::Real;
 
 /// The elements of an input.
 pub(super) fn host<B: HostBackend, F: Real>(input: &InputTensor<B>) -> Host<F> {

@@ -11,8 +11,8 @@ use burn_flex::FlexTensor;
 use burn_ndarray::NdArrayTensor;
 use bytemuck::Pod;
 
-use crate::real::Real;
 use crate::sh::cpu::ShCoefficients;
+use crate::simd::real::Real;
 
 /// A backend whose tensors lie in this program's memory.
 pub(crate) trait HostBackend: Backend {

@@ -15,7 +15,7 @@ use super::tensors::{InputTensorMetadata, OptionalTensorMetadata};
 use crate::photometric::cpu::{PlaneSize, photometric_cpu, window_cpu};
 #[cfg(feature = "fusion")]
 use crate::photometric::taps::Compared;
-use crate::real::Real;
+use crate::simd::real::Real;
 use crate::test_hooks::count_twin_call;
 
 /// The loss and its derivative.

@@ -18,7 +18,7 @@ use crate::project::{COLUMNS, Geometry, ProjectSpec};
 use crate::rasterize::{PartsCell, RasterizeSpec};
 use crate::rasterize_rays::RayLayers;
 use crate::rasterize_rays::cpu::{rasterize_rays_backward_cpu, rasterize_rays_cpu};
-use crate::real::Real;
+use crate::simd::real::Real;
 
 /// The stages of renders whose pixels look along their rays.
 #[backend_extension(Cube: cfg(feature = "cube"), Flex, NdArray, Autodiff, Fusion: cfg(feature = "fusion"))]

@@ -7,7 +7,7 @@ use crate::intersect::extent::whitened_limit;
 use crate::linalg::norm;
 use crate::project::{COLUMNS, Ellipse};
 use crate::rasterize::RasterizeSpec;
-use crate::real::Real;
+use crate::simd::real::Real;
 
 /// Gaussians per task.
 const CHUNK: usize = 1024;

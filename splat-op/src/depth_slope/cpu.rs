@@ -5,7 +5,7 @@ use rayon::prelude::*;
 use super::{DEPTH_SLOPE, THICKNESS_MAX};
 use crate::linalg::{Mat3, add, cross, dot, hadamard, matmul, matvec, norm, scale, sub, transpose, transposed_matvec};
 use crate::project::{Geometry, ProjectSpec};
-use crate::real::Real;
+use crate::simd::real::Real;
 
 /// Gaussians per task. The pose's gradient adds one partial sum per chunk in order.
 const CHUNK: usize = 1024;

@@ -9,7 +9,7 @@ use crate::options::{Projection, RenderOptions};
 use crate::project::cpu::project_cpu;
 use crate::project::{COLUMNS, Ellipse, Geometry, ProjectSpec};
 use crate::rasterize::RasterizeSpec;
-use crate::real::Real;
+use crate::simd::real::Real;
 use crate::testing::finite::{check_gradient, inner_product};
 use crate::testing::random::Random;
 

@@ -10,9 +10,9 @@ use super::extent::{ExtentRules, ExtentScratch};
 use super::{Cut, IntersectionLists, tile_grid};
 use crate::camera::Intrinsics;
 use crate::dials::Culling;
-use crate::lanes::BLOCK;
 use crate::project::{COLUMNS, Ellipse};
-use crate::real::Real;
+use crate::simd::lanes::BLOCK;
+use crate::simd::real::Real;
 
 /// Gaussians per task that looks for intersections.
 const CHUNK: usize = 2048;

@@ -7,9 +7,9 @@ use fearless_simd::prelude::*;
 use super::{Cut, TILE, tile_grid};
 use crate::camera::Intrinsics;
 use crate::dials::Culling;
-use crate::lanes::{BLOCK, Columns};
 use crate::project::{COLUMNS, Ellipse};
-use crate::real::{LANES, Real};
+use crate::simd::lanes::{BLOCK, Columns};
+use crate::simd::real::{LANES, Real};
 
 /// The largest `u² + v²` at which a Gaussian's alpha reaches `alpha_min`; negative if none does.
 #[inline(always)]

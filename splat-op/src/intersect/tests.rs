@@ -5,7 +5,7 @@ use super::{Cut, IntersectionLists, TILE, tile_grid};
 use crate::camera::Intrinsics;
 use crate::dials::Culling;
 use crate::project::{COLUMNS, Ellipse};
-use crate::real::Real;
+use crate::simd::real::Real;
 use crate::testing::random::Random;
 
 /// Sizes that are multiples of a tile, are not, and have a single pixel along one side or both.

@@ -9,7 +9,7 @@ use fearless_simd::{Level, dispatch, prelude::*};
 use rayon::prelude::*;
 
 use super::taps::{C1, C2, Compared, TAPS, half_window};
-use crate::real::{LANES, Real};
+use crate::simd::real::{LANES, Real};
 
 /// Taps on one side of the middle.
 const HALF: usize = TAPS / 2;

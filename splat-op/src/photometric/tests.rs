@@ -2,7 +2,7 @@
 
 use super::cpu::{PlaneSize, photometric_cpu, window_cpu};
 use super::taps::Compared;
-use crate::real::Real;
+use crate::simd::real::Real;
 use crate::testing::ceiling::{PerturbedReference, rounded, to_f32};
 use crate::testing::random::Random;
 

@@ -4,10 +4,10 @@ use fearless_simd::prelude::*;
 use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
 
-use super::eight::{GaussiansSimd, ProjectCameraSimd, ProjectionTermsSimd};
+use super::simd::{GaussiansSimd, ProjectCameraSimd, ProjectionTermsSimd};
 use super::{COLUMNS, Ellipse, Geometry, ProjectSpec};
-use crate::lanes::{BLOCK, Columns};
-use crate::real::{LANES, Real};
+use crate::simd::lanes::{BLOCK, Columns};
+use crate::simd::real::{LANES, Real};
 
 /// Gaussians per task. Sums over all Gaussians add one partial sum per chunk in order, so the number of threads never
 /// changes a result.

@@ -22,7 +22,6 @@
 #[cfg(feature = "cube")]
 pub(crate) mod backward;
 pub(crate) mod cpu;
-mod eight;
 #[cfg(feature = "cube")]
 pub(crate) mod forward;
 #[cfg(all(test, feature = "cube"))]
@@ -32,9 +31,10 @@ pub(crate) mod launch;
 mod lens;
 #[cfg(feature = "cube")]
 mod lens_backward;
-mod lens_eight;
 #[cfg(feature = "cube")]
 mod lens_forward;
+mod lens_simd;
+mod simd;
 #[cfg(test)]
 mod tests;
 

@@ -11,7 +11,7 @@ use super::tile_backward::{MOMENTS, TileGrad, TileScratch, rasterize_tile_backwa
 use super::{Layers, RasterizeSpec};
 use crate::intersect::{IntersectionLists, TILE, TILE_PIXELS};
 use crate::project::{COLUMNS, Ellipse};
-use crate::real::Real;
+use crate::simd::real::Real;
 
 /// Gaussians per task.
 const CHUNK: usize = 1024;

@@ -8,7 +8,7 @@ use crate::intersect::Cut;
 use crate::intersect::cpu::intersect_cpu;
 use crate::options::RenderOptions;
 use crate::project::Ellipse;
-use crate::real::Real;
+use crate::simd::real::Real;
 use crate::testing::random::Random;
 
 const ALL: Layers<bool> = Layers { projected: true, features: true, background: true, mean2d_abs: true };

@@ -5,7 +5,7 @@ use fearless_simd::prelude::*;
 use crate::intersect::TILE;
 use crate::intersect::extent::{half_extent, widened_limit};
 use crate::project::Ellipse;
-use crate::real::{LANES, Real};
+use crate::simd::real::{LANES, Real};
 
 /// Vectors along a row of a tile.
 pub(super) const ROW_VECTORS: usize = TILE / LANES;

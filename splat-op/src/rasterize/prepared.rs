@@ -11,7 +11,7 @@ use crate::dials::{Culling, Exponential};
 use crate::intersect::cpu::needed_intersections;
 use crate::intersect::{IntersectionLists, TILE, tile_grid};
 use crate::project::{COLUMNS, Ellipse};
-use crate::real::Real;
+use crate::simd::real::Real;
 
 /// Gaussians per task.
 const CHUNK: usize = 1024;

@@ -7,7 +7,7 @@ use crate::intersect::cpu::intersect_cpu;
 use crate::intersect::{Cut, IntersectionLists};
 use crate::options::RenderOptions;
 use crate::project::{COLUMNS, Ellipse};
-use crate::real::Real;
+use crate::simd::real::Real;
 use crate::testing::blending::{PixelLayer, assert_close, blended, small_ellipse, smooth};
 use crate::testing::finite::{check_gradient, inner_product};
 use crate::testing::random::Random;

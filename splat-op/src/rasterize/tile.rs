@@ -5,7 +5,7 @@ use fearless_simd::prelude::*;
 
 use super::footprint::{Column, Footprint, FootprintSimd, ROW_VECTORS, ROWS};
 use crate::intersect::{TILE, TILE_PIXELS};
-use crate::real::{EXP2_CONSTANTS, LANES, Real};
+use crate::simd::real::{EXP2_CONSTANTS, LANES, Real};
 
 /// The transmittance of a tile is kept each time this many Gaussians have been passed.
 pub(super) const CHECKPOINT_EVERY: usize = 64;

@@ -9,7 +9,7 @@ use fearless_simd::prelude::*;
 use super::footprint::{Column, Footprint, FootprintSimd, ROW_VECTORS, ROWS, TileWindow};
 use super::tile::{CHECKPOINT_EVERY, Near, Plane, Thresholds, TileView, Transmittances, centres, colour_lanes, eight};
 use crate::intersect::{TILE, TILE_PIXELS};
-use crate::real::{LANES, Real};
+use crate::simd::real::{LANES, Real};
 
 /// Numbers per intersection that do not depend on the channels: the sums of `h, h u, h v, h u², h u v, h v²` with
 /// `h = α ∂L/∂α` where alpha is not at its limit.

@@ -9,7 +9,7 @@ use crate::depth_slope::DEPTH_SLOPE;
 use crate::intersect::{IntersectionLists, TILE, tile_grid};
 use crate::project::{COLUMNS, Ellipse};
 use crate::rasterize::RasterizeSpec;
-use crate::real::Real;
+use crate::simd::real::Real;
 
 /// A view, prepared for its pixels.
 struct PreparedRayView<'a, F> {

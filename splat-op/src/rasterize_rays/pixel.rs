@@ -5,7 +5,7 @@ use crate::depth_slope::DEPTH_SLOPE;
 use crate::intersect::extent::widened_limit;
 use crate::options::{Order, Projection};
 use crate::project::Ellipse;
-use crate::real::Real;
+use crate::simd::real::Real;
 
 /// A Gaussian as pixels see it.
 #[derive(Clone, Copy, Default)]

@@ -1,7 +1,7 @@
 //! Real spherical harmonics to degree 4 as polynomials of a unit direction, and their gradient.
 
 use super::SH_COEFFICIENTS_MAX;
-use crate::real::Real;
+use crate::simd::real::Real;
 
 // Normalisations, named by degree and by position within it; the signs are those of the original code.
 const Y0: f64 = 0.282_094_791_773_878_14;

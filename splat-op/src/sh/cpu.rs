@@ -7,7 +7,7 @@ use super::basis::{basis, basis_backward};
 use super::{SH_COEFFICIENTS_MAX, Shading, degree_of, reach_sigmas};
 use crate::linalg::{Mat3, add, cross, dot, matvec, norm, scale, sub, transpose, transposed_matvec};
 use crate::project::{COLUMNS, Ellipse, ProjectSpec};
-use crate::real::Real;
+use crate::simd::real::Real;
 
 /// Gaussians per task; also the unit of the ordered sum of the pose's gradient.
 const CHUNK: usize = 1024;

@@ -2,7 +2,7 @@
 
 use fearless_simd::prelude::*;
 
-use crate::real::{LANES, Real};
+use crate::simd::real::{LANES, Real};
 
 /// Rows that are turned at a time: enough that what is written has arrived when lanes read it, few enough to stay in the
 /// nearest cache.

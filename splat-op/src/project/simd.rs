@@ -3,10 +3,10 @@
 
 use fearless_simd::prelude::*;
 
-use super::lens_eight::{DistortionSimd, LensProjectionGrad, LensProjectionSimd};
+use super::lens_simd::{DistortionSimd, LensProjectionGrad, LensProjectionSimd};
 use super::{COMPENSATION_MIN, Ellipse, ProjectSpec};
 use crate::linalg::{Mat3, add, cross, dot, hadamard, matmul, matvec, scale, sub, transposed_matvec};
-use crate::real::Real;
+use crate::simd::real::Real;
 
 /// The camera, as numbers or with one copy in each lane.
 pub(super) struct ProjectCameraSimd<L> {

@@ -3,11 +3,11 @@
 use burn::tensor::DType;
 use fearless_simd::prelude::*;
 
-use super::eight::norm;
 use super::lens::{HALF_ANGLE_F32, HALF_ANGLE_F64};
+use super::simd::norm;
 use crate::camera::{CameraModel, Intrinsics};
 use crate::linalg::{Mat3, add, dot, scale, sub};
-use crate::real::Real;
+use crate::simd::real::Real;
 
 type MaskOf<S, F> = <<F as Real>::Lanes<S> as SimdBase<S>>::Mask;
 type Lanes<S, F> = <F as Real>::Lanes<S>;
