@@ -39,8 +39,8 @@ pub mod background;
 pub mod convert;
 pub mod demo;
 pub mod devices;
+pub mod effects_bench;
 pub mod eval;
-pub mod gains;
 pub mod hard_cases;
 pub mod inspect;
 pub mod manual;
@@ -86,7 +86,7 @@ pub fn run(command: &Command) -> Result<()> {
         Command::View(args) => view::run(args),
         Command::Convert(args) => convert::run(args),
         Command::Inspect(args) => inspect::run(args),
-        Command::Effects(args) => gains::run(args),
+        Command::Effects(args) => effects_bench::run(args),
         Command::HardCases(args) => hard_cases::run(args),
         Command::Pareto(args) => pareto::run(args),
         Command::Devices => devices::run(),

@@ -7,8 +7,8 @@ use splat_model::capture::{Capture, Split};
 
 use crate::convert::ConvertArgs;
 use crate::demo::DemoArgs;
+use crate::effects_bench::EffectsBenchArgs;
 use crate::eval::EvalArgs;
-use crate::gains::GainsArgs;
 use crate::hard_cases::HardCasesArgs;
 use crate::inspect::InspectArgs;
 use crate::manual::{CompletionsArgs, ManArgs};
@@ -55,7 +55,7 @@ pub enum Command {
     /// Write the demo capture: a small ray-traced scene as a COLMAP folder
     Demo(DemoArgs),
     /// Measure the gain and the cost of each effect on demo captures, and write the page
-    Effects(GainsArgs),
+    Effects(EffectsBenchArgs),
     /// Run the battery of hard cases and write the table of results
     HardCases(HardCasesArgs),
     /// Measure the time and the error of every accuracy dial on a scene, and plot the Pareto frontier

@@ -1,6 +1,6 @@
 //! The written page: measured figures between two marks. The text around the marks stays unchanged.
 
-use super::{EffectCase, Gain, RunSize};
+use super::{EffectCase, EffectGain, RunSize};
 
 /// Mark before the measured figures.
 const BEGIN: &str = "<!-- measured by `splat effects`: begin -->";
@@ -32,7 +32,7 @@ impl Around {
 }
 
 /// The table, with one line per case.
-pub(super) fn table(gains: &[(&EffectCase, Gain)]) -> String {
+pub(super) fn table(gains: &[(&EffectCase, EffectGain)]) -> String {
     let mut text = String::from(
         "| demo | `auto` switches on | evidence | without, dB | with, dB | gain, dB | cost: ms a step, MiB | training, s |\n\
          |---|---|---|---|---|---|---|---|\n",

@@ -220,7 +220,7 @@ pub(super) const CASES: &[EffectCase] = &[
 
 /// The results of a case.
 #[derive(Clone, Debug)]
-pub struct Gain {
+pub struct EffectGain {
     /// Effects that the plan switched on.
     pub planned: Vec<EffectKind>,
     /// Whether the plan found view-dependent colours.
@@ -240,7 +240,7 @@ impl EffectCase {
     ///
     /// # Errors
     /// If a file cannot be written or a run fails.
-    pub fn measure(&self, scale: &RunSize, work: &Path) -> Result<Gain> {
+    pub fn measure(&self, scale: &RunSize, work: &Path) -> Result<EffectGain> {
         let folder = work.join(self.name);
         let (width, views) = (scale.width, self.views.unwrap_or(scale.views));
         let options = DemoOptions { width, height: 3 * width / 4, views, ..DemoOptions::default() };
@@ -262,7 +262,14 @@ impl EffectCase {
             cost = measured.map(|cost| [cost.ms_per_step, cost.mib]);
             score_db[i] = self.evaluate(capture, &out, eval)?;
         }
-        Ok(Gain { planned: plan.effects(), harmonics: plan.sh_degree().is_none(), evidence, score_db, seconds, cost })
+        Ok(EffectGain {
+            planned: plan.effects(),
+            harmonics: plan.sh_degree().is_none(),
+            evidence,
+            score_db,
+            seconds,
+            cost,
+        })
     }
 
     fn train(&self, capture: &Path, out: &Path, options: &[&str], scale: &RunSize) -> Result<Metrics> {
@@ -292,7 +299,7 @@ impl EffectCase {
     }
 
     /// A description of the first failed expectation. Gains are checked only if `gains` is set.
-    pub fn complaint(&self, gain: &Gain, gains: bool) -> Option<String> {
+    pub fn complaint(&self, gain: &EffectGain, gains: bool) -> Option<String> {
         let names = |effects: &[EffectKind]| effects.iter().map(|effect| effect.name()).collect::<Vec<_>>().join(", ");
         if gain.planned != self.expected {
             let (found, expected) = (names(&gain.planned), names(self.expected));

@@ -10,7 +10,7 @@ use std::path::PathBuf;
 use anyhow::{Context, Result, bail};
 
 use self::case::CASES;
-pub use self::case::{EffectCase, Gain, RunSize};
+pub use self::case::{EffectCase, EffectGain, RunSize};
 use crate::output::OutputFolder;
 use crate::progress;
 
@@ -19,7 +19,7 @@ pub const PAGE: &str = "EFFECTS.md";
 
 /// Options of `splat effects`.
 #[derive(Clone, Debug, clap::Args)]
-pub struct GainsArgs {
+pub struct EffectsBenchArgs {
     /// Folder for EFFECTS.md; in an existing file, only the figures are replaced
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
@@ -41,7 +41,7 @@ pub fn cases() -> &'static [EffectCase] {
 /// # Errors
 /// If a case does not exist, a run fails, or the page cannot be read or written. If an effect was missed, found where it is
 /// absent, or gains less than required, the page is written and the error lists the cases.
-pub fn run(args: &GainsArgs) -> Result<()> {
+pub fn run(args: &EffectsBenchArgs) -> Result<()> {
     for name in &args.case {
         if !CASES.iter().any(|case| case.name == name) {
             let names: Vec<&str> = CASES.iter().map(|case| case.name).collect();
