@@ -128,7 +128,7 @@ pub mod depth_slope;
 
 pub mod rasterize_rays;
 
-pub mod photometric;
+pub mod loss;
 
 pub mod adam;
 

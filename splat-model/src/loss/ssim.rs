@@ -18,7 +18,7 @@
 
 use burn::tensor::{Tensor, TensorData, module::conv2d, ops::ConvOptions};
 
-use splat_op::photometric::{C1, C2, SIGMA_PX, TAPS, contiguous, window};
+use splat_op::loss::{C1, C2, SIGMA_PX, TAPS, contiguous, window};
 
 /// The separable window, as weights of a depthwise convolution.
 #[derive(Clone, Debug)]
@@ -84,7 +84,7 @@ impl Truth {
     /// The loss `(1 − λ) L1 + λ (1 − SSIM)` of a picture `[1, C, H, W]` without autodiff and, if requested, its derivative.
     pub(super) fn loss(&self, x: &Tensor<4>, lambda: f64, with_derivative: bool) -> (Tensor<1>, Option<Tensor<4>>) {
         let photograph = [&self.planes, &self.mean, &self.variance];
-        let (shares, gradient) = splat_op::photometric::photometric(x, photograph, lambda, with_derivative);
+        let (shares, gradient) = splat_op::loss::photometric(x, photograph, lambda, with_derivative);
         (shares.sum(), gradient)
     }
 

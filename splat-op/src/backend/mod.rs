@@ -17,7 +17,7 @@ pub(crate) mod custom_grad;
 #[cfg(feature = "fusion")]
 mod fusion;
 mod host;
-pub(crate) mod photometric;
+pub(crate) mod loss;
 pub(crate) mod rasterize_rays;
 mod rasterize_rays_autodiff;
 #[cfg(feature = "cube")]
@@ -39,7 +39,7 @@ pub use tensors::{
 
 pub use crate::activate::rule::Raw;
 pub use crate::intersect::IntersectionCell;
-pub use crate::photometric::taps::Compared;
+pub use crate::loss::taps::Compared;
 pub use crate::project::{Geometry, ProjectSpec};
 pub use crate::rasterize::{Layers, PartsCell, RasterizeSpec, TraceCell};
 pub use crate::rasterize_rays::RayLayers;

@@ -12,9 +12,9 @@ use super::host::HostBackend;
 use super::tensors::{ComparedTensors, OptionalTensor};
 #[cfg(feature = "fusion")]
 use super::tensors::{InputTensorMetadata, OptionalTensorMetadata};
-use crate::photometric::cpu::{PlaneSize, photometric_cpu, window_cpu};
+use crate::loss::cpu::{PlaneSize, photometric_cpu, window_cpu};
 #[cfg(feature = "fusion")]
-use crate::photometric::taps::Compared;
+use crate::loss::taps::Compared;
 use crate::simd::real::Real;
 use crate::test_hooks::count_twin_call;
 
@@ -29,7 +29,7 @@ pub struct Photometric<B: Backend> {
     pub gradient: OptionalTensor<B>,
 }
 
-/// The photometric loss and the filter it is made of, on backends without autodiff; see `photometric/`.
+/// The photometric loss and the filter it is made of, on backends without autodiff; see `loss/`.
 #[backend_extension(Cube: cfg(feature = "cube"), Flex, NdArray, Fusion: cfg(feature = "fusion"))]
 pub trait PhotometricBackend: Backend {
     /// `(1 − λ) |x − y| + λ (1 − S)`, divided by the number of values, and its derivative.
@@ -135,7 +135,7 @@ mod gpu {
     use super::*;
     use crate::backend::cube::{buffer, on_device, tensor};
     use crate::gpu::Gpu;
-    use crate::photometric::launch::{launch_photometric, launch_window};
+    use crate::loss::launch::{launch_photometric, launch_window};
 
     impl PhotometricBackend for CubeBackend {
         fn photometric(inputs: ComparedTensors<Self>, lambda: f64, with_gradient: bool) -> Photometric<Self> {

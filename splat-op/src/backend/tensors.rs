@@ -9,7 +9,7 @@ use burn::backend::{
 use burn::tensor::Tensor;
 
 use crate::activate::rule::Raw;
-use crate::photometric::taps::Compared;
+use crate::loss::taps::Compared;
 use crate::project::Geometry;
 use crate::rasterize::Layers;
 use crate::rasterize_rays::RayLayers;
