@@ -19,7 +19,7 @@ pub enum Culling {
     Ellipse,
 }
 
-/// How `rasterize` computes `exp` in f32. In f64 it is always the library's: that is the yardstick.
+/// How `rasterize` computes `exp` in f32. In f64 it is always the library's: that is the reference.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Default)]
 #[non_exhaustive]
 pub enum Exponential {

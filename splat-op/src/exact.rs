@@ -1,4 +1,4 @@
-//! The yardstick: a render in float64 without cut-off, tiles, or any other approximation, to be believed by reading.
+//! The reference: a render in float64 without cut-off, tiles, or any other approximation, to be believed by reading.
 //!
 //! It follows the model choices of [`RenderOptions`] (`blur`, `near`, `jacobian_margin`, `antialias`, `projection`, `order`)
 //! and ignores its numerical dials. It shares no arithmetic with the stages but a camera's limits (how far a lens sees, the slopes at which

@@ -2,7 +2,7 @@
 //!
 //! [`render`] takes [`Splats`] and [`Camera`]s and gives pictures; [`project`](fn@project), [`evaluate_sh`](fn@evaluate_sh),
 //! [`intersect`](fn@intersect) and [`rasterize`](fn@rasterize) are its stages, for those who put code of their own between them. Each module
-//! of a stage states its equations, their sources, shapes and units. [`exact`] is the yardstick.
+//! of a stage states its equations, their sources, shapes and units. [`exact`] is the reference.
 //!
 //! ```
 //! use burn::tensor::{Device, Tensor};

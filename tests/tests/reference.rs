@@ -36,11 +36,11 @@ fn reference_vectors_in_f64() {
 #[test]
 fn reference_vectors_in_f32() {
     for vector in read_vectors() {
-        let yardstick = RoundedReference::new(&vector, &Device::flex());
+        let reference = RoundedReference::new(&vector, &Device::flex());
         for (device_name, device) in devices() {
             let ReferenceVector { scene, options, .. } = &vector;
-            let found = evaluate(scene, &yardstick.weights, options, &device, DType::F32);
-            let findings = yardstick.compare(&vector, &found);
+            let found = evaluate(scene, &reference.weights, options, &device, DType::F32);
+            let findings = reference.compare(&vector, &found);
             report(&vector.name, device_name, "f32", &findings);
             assert_all(&findings);
         }

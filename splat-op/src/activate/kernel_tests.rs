@@ -68,7 +68,7 @@ fn activations_and_slopes_agree_with_the_twin() {
             let slopes = opacity_slopes_cpu(&moved[0], &opacities);
             vec![opacities, slopes]
         });
-        // The twin is the yardstick; the closure above repeats it so that logits can move.
+        // The twin is the reference; the closure above repeats it so that logits can move.
         assert_eq!(logits.expected[0], plain);
         let scales = PerturbedReference::new(&[rounded(&tensors[2])], |moved| vec![scales_cpu(&moved[0])]);
         let at_limit: Vec<Option<u8>> =

@@ -54,13 +54,13 @@ fn a_step_is_that_of_the_equations() {
         for (form, gpu) in gpus() {
             let sound = Buffer::from_slice(&gpu, &[0_u32; VERDICT]);
             let guards = [("without a verdict", None), ("with one", Some(&sound))];
-            for ((guard, verdict), (band, yardstick)) in
+            for ((guard, verdict), (band, reference)) in
                 guards.iter().flat_map(|g| yardsticks.iter().map(move |y| (g, y)))
             {
                 let (state, grad) = on_device(&gpu, &tensors);
                 launch_adam(&gpu, &state, &grad, *verdict, &FACTORS, *band);
                 for (i, found) in read(&gpu, &state).iter().enumerate() {
-                    yardstick.check(
+                    reference.check(
                         &format!("{count}, {form}, {guard}, {band:?}: {i}"),
                         i,
                         found,

@@ -143,18 +143,18 @@ fn bounds_agree_with_the_twin() {
         let rasterize = RasterizeSpec { intrinsics: CAMERA, options: spec.options };
         let rows =
             [project_cpu(inputs(&tensors), &spec), depth_slope_cpu(inputs(&tensors), &spec)].map(|t| rounded(&t));
-        let yardstick = PerturbedReference::new(&rows, |rows| vec![bounds_cpu(&rows[0], &rows[1], &rasterize)]);
+        let reference = PerturbedReference::new(&rows, |rows| vec![bounds_cpu(&rows[0], &rows[1], &rasterize)]);
         // Near the end of those that have one, a row may have one or not; the slack that tells them apart is no rounding.
         let jumps = |i: usize| {
             let row = |values: &[f64]| values[COLUMNS * i..COLUMNS * (i + 1)].to_vec();
-            row(&yardstick.spread[0]).iter().any(|spread| *spread > 1.0)
+            row(&reference.spread[0]).iter().any(|spread| *spread > 1.0)
         };
         let classes: Vec<_> = classes.iter().enumerate().map(|(i, class)| class.filter(|_| !jumps(i))).collect();
         assert!(classes.iter().flatten().count() > 1_000, "too many jump");
         for (form, gpu) in gpus() {
             let [projected, depth_slopes] = rows.each_ref().map(|values| Buffer::from_slice(&gpu, &to_f32(values)));
             let found = launch_bounds(&gpu, &projected, &depth_slopes, &rasterize).read(&gpu);
-            yardstick.check(&format!("bounds, {form}, alpha_min {alpha_min}"), 0, &found, &classes);
+            reference.check(&format!("bounds, {form}, alpha_min {alpha_min}"), 0, &found, &classes);
         }
     }
 }

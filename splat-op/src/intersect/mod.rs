@@ -53,7 +53,7 @@ impl Cut {
     }
 }
 
-/// Tests and the yardstick cut by the ellipse.
+/// Tests and the reference cut by the ellipse.
 #[cfg(test)]
 impl From<f64> for Cut {
     fn from(alpha_min: f64) -> Self {

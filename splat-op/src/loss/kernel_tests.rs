@@ -11,10 +11,10 @@ use crate::testing::gpu::gpus;
 fn window_is_the_double_sum() {
     for (size, planes) in [([1, 1], 1), ([3, 40], 2), ([33, 17], 3), ([101, 64], 1)] {
         let inputs = pictures(size, planes);
-        let yardstick = PerturbedReference::new(&inputs[..1], |inputs| vec![window(&inputs[0], size)]);
+        let reference = PerturbedReference::new(&inputs[..1], |inputs| vec![window(&inputs[0], size)]);
         for (form, gpu) in gpus() {
             let found = launch_window(&gpu, &Buffer::from_slice(&gpu, &to_f32(&inputs[0])), size).read(&gpu);
-            yardstick.check(&format!("{size:?}, {form}"), 0, &found, &vec![Some(0); found.len()]);
+            reference.check(&format!("{size:?}, {form}"), 0, &found, &vec![Some(0); found.len()]);
         }
     }
 }
@@ -25,7 +25,7 @@ fn loss_and_derivative_agree_with_the_definition() {
         [([1, 1], 1, 0.2), ([37, 21], 3, 0.2), ([16, 33], 2, 1.0), ([20, 12], 3, 0.0), ([6, 150], 1, 0.2)]
     {
         let inputs = pictures(size, planes);
-        let yardstick = PerturbedReference::new(&inputs, |inputs| vec![shares(inputs, size, lambda)]);
+        let reference = PerturbedReference::new(&inputs, |inputs| vec![shares(inputs, size, lambda)]);
         // The derivative of the sum by differences of the definition.
         let total = |x: &[f64]| {
             let moved = [x.to_vec(), inputs[1].clone(), inputs[2].clone(), inputs[3].clone()];
@@ -38,7 +38,7 @@ fn loss_and_derivative_agree_with_the_definition() {
             let plain = launch_photometric(&gpu, &device, size, lambda, false);
             let found = found.read(&gpu);
             assert!(plain.1.is_none() && plain.0.read(&gpu) == found, "asking for the derivative changes the loss");
-            yardstick.check(&format!("{size:?}, {form}: shares"), 0, &found, &vec![Some(0); found.len()]);
+            reference.check(&format!("{size:?}, {form}: shares"), 0, &found, &vec![Some(0); found.len()]);
             let gradient = gradient.expect("asked for").read(&gpu);
             let largest = gradient.iter().fold(0.0_f32, |m, g| m.max(g.abs()));
             assert_eq!(gradient.len(), inputs[0].len());

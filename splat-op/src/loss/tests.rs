@@ -74,9 +74,9 @@ fn window_is_the_double_sum() {
             for (i, (found, expected)) in found.iter().zip(&expected).enumerate() {
                 assert!((found - expected).abs() <= 1e-14, "{size:?}, {i}: {found} instead of {expected}");
             }
-            let yardstick = PerturbedReference::new(&[x], |inputs| vec![window(&inputs[0], size)]);
+            let reference = PerturbedReference::new(&[x], |inputs| vec![window(&inputs[0], size)]);
             let narrow = window_cpu(&to_f32(&pictures(size, planes)[0]), PlaneSize { width, height });
-            yardstick.check(&format!("{size:?}"), 0, &narrow, &vec![Some(0); narrow.len()]);
+            reference.check(&format!("{size:?}"), 0, &narrow, &vec![Some(0); narrow.len()]);
         }
     }
 }

@@ -225,32 +225,32 @@ fn read(gpu: &Gpu, g: &Geometry<Option<Buffer<f32>>>) -> [Option<Vec<f32>>; 6] {
 fn check_forward(what: &str, scene: &StageInputs, view: &TestCamera) -> f64 {
     let classes = scene.classes(view, false);
     let forward = |tensors: &[Vec<f64>]| vec![project_cpu(inputs(tensors), &view.spec(&tensors[LENS]))];
-    let yardstick = PerturbedReference::new(&scene.tensors, forward);
+    let reference = PerturbedReference::new(&scene.tensors, forward);
     let mut worst = 0.0_f64;
     for (form, gpu) in gpus() {
         let found = launch_project(&gpu, &scene.upload(&gpu).0, &view.spec(&view.lens)).read(&gpu);
-        worst = worst.max(yardstick.check(&format!("projected, {what}, {form}"), 0, &found, &classes));
+        worst = worst.max(reference.check(&format!("projected, {what}, {form}"), 0, &found, &classes));
     }
     worst
 }
 
 /// A scene whose Gaussians in the band have no gradient, its classes, and what the twin makes of it.
-fn backward_yardstick(mut scene: StageInputs, view: &TestCamera) -> (StageInputs, Vec<Option<u8>>, PerturbedReference) {
+fn backward_reference(mut scene: StageInputs, view: &TestCamera) -> (StageInputs, Vec<Option<u8>>, PerturbedReference) {
     let classes = scene.classes(view, true);
     for (i, _) in classes.iter().enumerate().filter(|(_, class)| class.is_none()) {
         scene.tensors[GRAD][COLUMNS * i..COLUMNS * (i + 1)].fill(0.0);
     }
-    let yardstick = PerturbedReference::new(&scene.tensors, |tensors| {
+    let reference = PerturbedReference::new(&scene.tensors, |tensors| {
         let mut spec = view.spec(&tensors[LENS]);
         // Without blur the compensation is one, and its gradient zero; the twin finds the latter as a difference.
         spec.options.antialias &= spec.options.blur > 0.0;
         list(project_backward_cpu(inputs(tensors), &tensors[GRAD], &spec, ALL))
     });
-    (scene, classes, yardstick)
+    (scene, classes, reference)
 }
 
 fn check_backward(what: &str, scene: StageInputs, view: &TestCamera, needs: &[Geometry<bool>]) -> f64 {
-    let (scene, classes, yardstick) = backward_yardstick(scene, view);
+    let (scene, classes, reference) = backward_reference(scene, view);
     let mut worst = 0.0_f64;
     for (form, gpu) in gpus() {
         let (inputs, grad) = scene.upload(&gpu);
@@ -264,8 +264,8 @@ fn check_backward(what: &str, scene: StageInputs, view: &TestCamera, needs: &[Ge
                 let Some(found) = found else { continue };
                 let share = match i {
                     // One class and one column: the floor is relative to the largest entry.
-                    POSE => yardstick.check(&what, i, &found, &[Some(ORDINARY); 12]),
-                    _ => yardstick.check_gradient(&what, i, &found, &classes, &[CULLED, ORDINARY]),
+                    POSE => reference.check(&what, i, &found, &[Some(ORDINARY); 12]),
+                    _ => reference.check_gradient(&what, i, &found, &classes, &[CULLED, ORDINARY]),
                 };
                 worst = worst.max(share);
             }
@@ -322,17 +322,17 @@ fn the_twin_in_f32_agrees_with_itself_in_f64_for_every_lens() {
         let scene = StageInputs::random(300 + i as u64, 1_500, &view, false);
         let classes = scene.classes(&view, false);
         let spec = |tensors: &[Vec<f64>]| view.spec(&tensors[LENS]);
-        let yardstick =
+        let reference =
             PerturbedReference::new(&scene.tensors, |tensors| vec![project_cpu(inputs(tensors), &spec(tensors))]);
         let in_f32 = |scene: &StageInputs| scene.tensors.iter().map(|tensor| to_f32(tensor)).collect::<Vec<_>>();
         let found = project_cpu(inputs(&in_f32(&scene)), &spec(&scene.tensors));
-        let forward = yardstick.check(&format!("{lens:?} in f32"), 0, &found, &classes);
+        let forward = reference.check(&format!("{lens:?} in f32"), 0, &found, &classes);
 
-        let (scene, classes, yardstick) = backward_yardstick(scene, &view);
+        let (scene, classes, reference) = backward_reference(scene, &view);
         let tensors = in_f32(&scene);
         let found = project_backward_cpu(inputs(&tensors), &tensors[GRAD], &spec(&scene.tensors), ALL);
         let what = format!("gradient of means, {lens:?} in f32");
-        let backward = yardstick.check_gradient(&what, 0, &found.means, &classes, &[CULLED, ORDINARY]);
+        let backward = reference.check_gradient(&what, 0, &found.means, &classes, &[CULLED, ORDINARY]);
         println!("{lens:?}: {forward:.3}, {backward:.3}");
     }
 }

@@ -131,6 +131,6 @@ fn exponentials_differ_by_rounding_alone() {
         }
         let double = |exponential| scene.outcome::<f64>(options.with_exponential(exponential)).1;
         let (a, b) = (double(Exponential::Polynomial), double(Exponential::Library));
-        assert!(a.iter().zip(&b).all(|(a, b)| bits(a) == bits(b)), "f64 is the yardstick");
+        assert!(a.iter().zip(&b).all(|(a, b)| bits(a) == bits(b)), "f64 is the reference");
     }
 }

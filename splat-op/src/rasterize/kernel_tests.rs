@@ -129,7 +129,7 @@ impl StageInputs {
         let grad = mask(rounded(&Random::new(3).fill(planes * band.len(), -1.0, 1.0)));
         let inputs = [scene.projected.clone(), scene.features.clone(), scene.background.clone(), grad.clone()];
         // The gradient of a pixel in the band is zero, so the others' prove as much as they can.
-        let yardstick = PerturbedReference::new(&inputs, |inputs| {
+        let reference = PerturbedReference::new(&inputs, |inputs| {
             let scene = scene.with(inputs);
             let g = scene.backward(&inputs[3]);
             vec![mask(scene.planes()), g.projected, g.features, g.background, g.mean2d_abs]
@@ -144,12 +144,12 @@ impl StageInputs {
                 let (planes, grads) = scene.on(&gpu, &grad, ALL);
                 assert!(planes.iter().all(|v| v.is_finite()), "{}", name("a pixel nobody wrote"));
                 let planes: Vec<f32> = planes.iter().enumerate().map(|(i, &v)| outside(i, v.into()) as f32).collect();
-                yardstick.check(&name("planes"), 0, &planes, &classes(planes.len()));
+                reference.check(&name("planes"), 0, &planes, &classes(planes.len()));
                 let found = [grads.projected, grads.features, grads.background, grads.mean2d_abs];
                 for (which, (found, rows)) in found.into_iter().zip([count, count, channels, count]).enumerate() {
                     let name = name(["projected", "features", "background", "mean2d_abs"][which]);
                     let found = found.expect("asked for").read(&gpu);
-                    yardstick.check_gradient(&name, which + 1, &found, &classes(rows), &[]);
+                    reference.check_gradient(&name, which + 1, &found, &classes(rows), &[]);
                 }
             }
         }

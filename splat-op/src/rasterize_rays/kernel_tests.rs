@@ -175,7 +175,7 @@ impl StageInputs {
         let inputs: Vec<Vec<f64>> = self.inputs.iter().cloned().chain([grad.clone()]).collect();
         // The gradient of a pixel in the band is zero, so the others' prove as much as they can. The expected layers are those of
         // the inputs as they are, which one ulp in every input may exchange too.
-        let yardstick = PerturbedReference::new(&inputs, |inputs| {
+        let reference = PerturbedReference::new(&inputs, |inputs| {
             let scene = self.with(inputs);
             let g = scene.backward(&inputs[4]);
             vec![mask(scene.planes()), g.projected, g.depth_slope, g.features, g.background, g.mean2d_abs]
@@ -186,12 +186,12 @@ impl StageInputs {
             let (planes, grads) = self.on(&gpu, &grad, ALL, 100);
             assert!(planes.iter().all(|v| v.is_finite()), "{}", name("a pixel nobody wrote"));
             let planes: Vec<f32> = planes.iter().enumerate().map(|(i, &v)| outside(i, v.into()) as f32).collect();
-            yardstick.check(&name("planes"), 0, &planes, &classes(planes.len()));
+            reference.check(&name("planes"), 0, &planes, &classes(planes.len()));
             let found = [grads.projected, grads.depth_slope, grads.features, grads.background, grads.mean2d_abs];
             for (which, (found, rows)) in found.into_iter().zip([count, count, count, channels, count]).enumerate() {
                 let name = name(["projected", "depth_slope", "features", "background", "mean2d_abs"][which]);
                 let found = found.expect("asked for").read(&gpu);
-                yardstick.check_gradient(&name, which + 1, &found, &classes(rows), &[]);
+                reference.check_gradient(&name, which + 1, &found, &classes(rows), &[]);
             }
         }
     }

@@ -115,14 +115,14 @@ fn read(gpu: &Gpu, g: &Shading<Option<Buffer<f32>>>) -> [Option<Vec<f32>>; 3] {
 }
 
 fn check_forward(what: &str, scene: &StageInputs) -> f64 {
-    let yardstick =
+    let reference =
         PerturbedReference::new(&scene.tensors, |tensors| vec![sh_cpu(inputs(tensors, scene.degree), None)]);
-    let clamped = yardstick.expected[0].iter().filter(|colour| **colour == 0.0).count();
+    let clamped = reference.expected[0].iter().filter(|colour| **colour == 0.0).count();
     assert!(scene.kinds.len() < 100 || clamped > 5, "{what}: only {clamped} channels are clamped");
     let mut worst = 0.0_f64;
     for (form, gpu) in gpus() {
         let found = launch_sh(&gpu, &scene.upload(&gpu).0, None, coefficients_of(scene.degree)).read(&gpu);
-        worst = worst.max(yardstick.check(&format!("colours, {what}, {form}"), 0, &found, &scene.classes()));
+        worst = worst.max(reference.check(&format!("colours, {what}, {form}"), 0, &found, &scene.classes()));
     }
     worst
 }
@@ -131,7 +131,7 @@ fn check_backward(what: &str, mut scene: StageInputs, needs: &[Shading<bool>]) -
     scene.mask_band();
     // A Gaussian that is not finite has no gradient, and is compared.
     let classes: Vec<_> = scene.kinds.iter().copied().map(Some).collect();
-    let yardstick = PerturbedReference::new(&scene.tensors, |tensors| {
+    let reference = PerturbedReference::new(&scene.tensors, |tensors| {
         list(sh_backward_cpu(inputs(tensors, scene.degree), None, &tensors[GRAD], ALL))
     });
     let mut worst = 0.0_f64;
@@ -146,8 +146,8 @@ fn check_backward(what: &str, mut scene: StageInputs, needs: &[Shading<bool>]) -
                 let Some(found) = found else { continue };
                 let share = match i {
                     // One class and one column: the floor is relative to the largest entry.
-                    POSE => yardstick.check(&what, i, &found, &[Some(ORDINARY); 12]),
-                    _ => yardstick.check_gradient(&what, i, &found, &classes, &[ORDINARY, FAR]),
+                    POSE => reference.check(&what, i, &found, &[Some(ORDINARY); 12]),
+                    _ => reference.check_gradient(&what, i, &found, &classes, &[ORDINARY, FAR]),
                 };
                 worst = worst.max(share);
             }

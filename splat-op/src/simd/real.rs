@@ -209,7 +209,7 @@ impl Real for f64 {
     const EXP2_MAX: Self = 1022.0;
     const EXP2: [f64; EXP2_CONSTANTS] = [0.0; EXP2_CONSTANTS];
 
-    // The f64 path is the yardstick: the library's function, lane by lane.
+    // The f64 path is the reference: the library's function, lane by lane.
     #[inline(always)]
     fn exp2_lanes<S: Simd>(q: f64x8<S>, _: &[f64x8<S>; EXP2_CONSTANTS]) -> f64x8<S> {
         Self::exp2_library(q)

@@ -77,13 +77,13 @@ pub fn judge(case: &HardCase, places: &[TestDevice]) -> CaseResult {
         CaseKind::Scenes(scenes) => {
             row.places = places.iter().map(|&place| (place.clone(), CaseOutcome::default())).collect();
             for scene in scenes {
-                let yardstick = CaseReference::new(scene);
-                row.condition = row.condition.max(yardstick.condition);
-                row.remarks.extend(yardstick.remarks.iter().map(|remark| format!("{}: {remark}", scene.label)));
+                let reference = CaseReference::new(scene);
+                row.condition = row.condition.max(reference.condition);
+                row.remarks.extend(reference.remarks.iter().map(|remark| format!("{}: {remark}", scene.label)));
                 for (place, outcome) in &mut row.places {
-                    *outcome = std::mem::take(outcome).and(yardstick.judge(place, case.limit(place.processor)));
+                    *outcome = std::mem::take(outcome).and(reference.judge(place, case.limit(place.processor)));
                 }
-                if let Some(outcome) = yardstick.textbook() {
+                if let Some(outcome) = reference.textbook() {
                     row.textbook = Some(row.textbook.take().unwrap_or_default().and(outcome));
                 }
             }
@@ -142,9 +142,9 @@ impl CaseReference {
         }
         let condition =
             if scene.paint == Paint::Features(scene.channels()) { textbook::condition(&scene) } else { 1.0 };
-        let mut yardstick = Self { scene, weights, expected, spread, kept, condition, remarks: Vec::new() };
-        yardstick.check_itself(&plain);
-        yardstick
+        let mut reference = Self { scene, weights, expected, spread, kept, condition, remarks: Vec::new() };
+        reference.check_itself(&plain);
+        reference
     }
 
     /// Compares the reference with the CPU twin in f64, which shares no formula with it, and with the exact renderer where that

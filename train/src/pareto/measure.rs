@@ -8,9 +8,9 @@ use splat_model::accuracy::{DIALS, Dial, Frontier, Judge, Measured, Provenance, 
 use splat_op::RenderOptions;
 
 use super::dials::Candidate;
+use super::reference::{ReferenceRender, check_crops};
 use super::subject::{DeviceScene, GradientSums, MeasuredView, PARAMETERS, host};
 use super::time::FrameTimes;
-use super::yardstick::{ReferenceRender, check_crops};
 use crate::memory::peak_mib;
 use crate::progress;
 
@@ -68,7 +68,7 @@ pub struct BenchOutcome {
     /// Every measured value of every numerical dial.
     pub alone: Vec<Alone>,
     /// Largest difference between the reference renderer and the exact renderer on crops.
-    pub yardstick: f64,
+    pub reference: f64,
     pub rounds: usize,
 }
 
@@ -83,7 +83,7 @@ impl Bench<'_> {
         budget: Duration,
         score: impl Fn(&RenderOptions) -> Result<Option<(f64, f64)>>,
     ) -> Result<BenchOutcome> {
-        let yardstick = check_crops(&self.exact, &self.shots, &Dial::all_exact(self.base))?;
+        let reference = check_crops(&self.exact, &self.shots, &Dial::all_exact(self.base))?;
         let mut truths: Vec<(RenderOptions, ReferenceRender)> = Vec::new();
         let counter = progress::counter("checking settings", candidates.len());
         let mut checked = Vec::new();
@@ -104,7 +104,7 @@ impl Bench<'_> {
         let rows = checked.into_iter().zip(times).map(|(((accuracy, scores, memory_mib), candidate), times)| {
             SettingMeasurements { candidate, accuracy, scores, memory_mib, times }
         });
-        Ok(BenchOutcome { rows: rows.collect(), alone, yardstick, rounds })
+        Ok(BenchOutcome { rows: rows.collect(), alone, reference, rounds })
     }
 
     /// Returns the exact reference under the model choices of `options`; it is computed once for each.
@@ -310,8 +310,8 @@ mod tests {
     use splat_model::accuracy::STANDARD;
 
     use super::super::dials::candidates;
+    use super::super::reference::tests::{rows, shots};
     use super::super::time::ROUNDS_MIN;
-    use super::super::yardstick::tests::{rows, shots};
     use super::*;
 
     fn bench() -> Bench<'static> {

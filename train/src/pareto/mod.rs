@@ -5,11 +5,11 @@ mod dials;
 mod measure;
 mod page;
 pub mod plot;
+mod reference;
 mod subject;
 mod time;
 mod training;
 mod verdict;
-mod yardstick;
 
 use std::io::Write;
 use std::path::{Path, PathBuf};

@@ -61,7 +61,7 @@ pub fn page(
 
 fn intro(subject: &PageSubject, outcome: &BenchOutcome) -> String {
     let PageSubject { capture, scene, device, splats, views, size: (width, height), .. } = subject;
-    let (rounds, yardstick, names) = (outcome.rounds, outcome.yardstick, views.join(", "));
+    let (rounds, reference, names) = (outcome.rounds, outcome.reference, views.join(", "));
     let few = match rounds < FEW_ROUNDS {
         true => " **That is few**: before believing small differences, measure for longer (`--budget`).",
         false => "",
@@ -72,7 +72,7 @@ fn intro(subject: &PageSubject, outcome: &BenchOutcome) -> String {
          Written by `splat pareto`, which measured every setting {rounds} times, in turns.{few}\n\n\
          ![Time of a frame against error](pareto.svg)\n\n\
          Errors are against a render of the whole picture in float64 without any approximation, which in crops differed by at \
-         most {yardstick:.0e} from a renderer that visits every Gaussian in every pixel. *Error* is the PSNR of the pictures \
+         most {reference:.0e} from a renderer that visits every Gaussian in every pixel. *Error* is the PSNR of the pictures \
          against it, in dB, and *max* the largest error of a pixel's channel, of colours in 0..1. Gradients are those of L1 + \
          D-SSIM at the exact picture, of the parameter that fares worst. Times are medians with their quartiles, ms a frame; \
          settings whose quartiles overlap are *not told apart*, and not ranked. What is said of a dial goes by the errors that it \

@@ -216,8 +216,8 @@ pub fn host<const D: usize>(tensor: Tensor<D>) -> Vec<f64> {
 mod tests {
     use splat_model::accuracy::Dial;
 
-    use super::super::yardstick::ReferenceRender;
-    use super::super::yardstick::tests::{rows, shots};
+    use super::super::reference::ReferenceRender;
+    use super::super::reference::tests::{rows, shots};
     use super::*;
 
     #[test]

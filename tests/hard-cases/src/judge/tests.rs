@@ -3,7 +3,7 @@
 use super::*;
 use crate::scene::Splat;
 
-fn yardstick() -> CaseReference {
+fn reference() -> CaseReference {
     let hard = Splat::at([20.3, 18.6], 3.0, 2.0);
     let neighbour = Splat::at([50.2, 8.4], 2.0, 1.0).colour(&[0.3, 0.9, 0.6]);
     CaseReference::new(&HardScene::new("plain", &[hard]).with_neighbour(&neighbour))
@@ -14,30 +14,30 @@ fn place() -> TestDevice {
 }
 
 /// Judges the reference with one change to a gradient or a picture.
-fn changed(yardstick: &CaseReference, change: impl Fn(&mut Outputs, &Outputs)) -> CaseOutcome {
-    let mut found = yardstick.expected.clone();
-    change(&mut found, &yardstick.spread);
-    yardstick.compare(&found, 1.0)
+fn changed(reference: &CaseReference, change: impl Fn(&mut Outputs, &Outputs)) -> CaseOutcome {
+    let mut found = reference.expected.clone();
+    change(&mut found, &reference.spread);
+    reference.compare(&found, 1.0)
 }
 
 #[test]
 fn the_truth_passes_and_is_not_off() {
-    let yardstick = yardstick();
-    assert_eq!(yardstick.remarks, Vec::<String>::new());
-    let outcome = changed(&yardstick, |_, _| {});
+    let reference = reference();
+    assert_eq!(reference.remarks, Vec::<String>::new());
+    let outcome = changed(&reference, |_, _| {});
     assert!(outcome.passed(), "{:?}", outcome.failures);
     assert_eq!(outcome.forward, Some(MeasuredDeviation::default()));
     assert_eq!(outcome.gradient, Some(MeasuredDeviation::default()));
-    let outcome = yardstick.judge(&place(), 1.0);
+    let outcome = reference.judge(&place(), 1.0);
     assert!(outcome.passed(), "{:?}", outcome.failures);
 }
 
 #[test]
 fn what_is_not_finite_fails() {
-    let yardstick = yardstick();
+    let reference = reference();
     for value in [f64::NAN, f64::INFINITY] {
-        let picture = changed(&yardstick, |found, _| found.pictures[1].values[700] = value);
-        let gradient = changed(&yardstick, |found, _| found.gradients[6].values[3] = value);
+        let picture = changed(&reference, |found, _| found.pictures[1].values[700] = value);
+        let gradient = changed(&reference, |found, _| found.gradients[6].values[3] = value);
         assert!(!picture.passed() && !gradient.passed());
         assert!(gradient.failures.iter().any(|failure| failure.contains("pose is not finite")));
     }
@@ -45,11 +45,11 @@ fn what_is_not_finite_fails() {
 
 #[test]
 fn twice_the_ceiling_fails_and_half_of_it_passes() {
-    let yardstick = yardstick();
+    let reference = reference();
     // The hard Gaussian's smallest element and the background's largest, so that no other error hides either.
     for (tensor, element) in [(0, 0), (1, 1), (2, 2), (3, 0), (5, 1), (6, 7), (7, 1)] {
         for (share, passes) in [(0.5, true), (2.0, false)] {
-            let outcome = changed(&yardstick, |found, spread| {
+            let outcome = changed(&reference, |found, spread| {
                 let spread = 16.0 * spread.gradients[tensor].values[element];
                 found.gradients[tensor].values[element] += share * spread.max(1e-30);
                 // The part of the ceiling that the floor adds.
@@ -65,13 +65,13 @@ fn twice_the_ceiling_fails_and_half_of_it_passes() {
 
 #[test]
 fn a_row_that_is_off_fails_though_its_elements_are_below_the_ceiling() {
-    let mut yardstick = yardstick();
+    let mut reference = reference();
     // A spread as if the last digits of the inputs had much effect, but less than the tolerance of a row.
-    let expected = yardstick.expected.gradients[0].values.clone();
-    let spread = &mut yardstick.spread.gradients[0].values;
+    let expected = reference.expected.gradients[0].values.clone();
+    let spread = &mut reference.spread.gradients[0].values;
     spread.iter_mut().zip(&expected).for_each(|(spread, expected)| *spread = 5e-4 * expected.abs());
     let off =
-        |share: f64| changed(&yardstick, |found, _| found.gradients[0].values.iter_mut().for_each(|v| *v *= share));
+        |share: f64| changed(&reference, |found, _| found.gradients[0].values.iter_mut().for_each(|v| *v *= share));
     assert!(off(1.0 + 5e-4).passed());
     let outcome = off(1.0 + 2e-3);
     assert!(outcome.gradient.is_some_and(|score| score.used < 1.0));
@@ -80,17 +80,17 @@ fn a_row_that_is_off_fails_though_its_elements_are_below_the_ceiling() {
 
 #[test]
 fn a_neighbour_that_changes_fails() {
-    let yardstick = yardstick();
+    let reference = reference();
     let place = place();
-    let found = evaluate(&yardstick.scene, &yardstick.weights, &place.device, DType::F32);
-    assert!(yardstick.judge_neighbours(&found, &place).passed());
+    let found = evaluate(&reference.scene, &reference.weights, &place.device, DType::F32);
+    assert!(reference.judge_neighbours(&found, &place).passed());
     let one_ulp = |value: &mut f64| *value = f64::from((*value as f32).next_up());
     let mut other = found.clone();
     one_ulp(&mut other.gradients[2].values[4]);
-    assert!(!yardstick.judge_neighbours(&other, &place).passed(), "a gradient");
+    assert!(!reference.judge_neighbours(&other, &place).passed(), "a gradient");
     let mut other = found.clone();
     one_ulp(&mut other.pictures[0].values[3 * (8 * 60 + 50)]);
-    assert!(!yardstick.judge_neighbours(&other, &place).passed(), "a pixel");
+    assert!(!reference.judge_neighbours(&other, &place).passed(), "a pixel");
     // A neighbour that the hard Gaussian covers proves nothing.
     let covered = HardScene::new("covered", &[Splat::at([20.0, 18.0], 3.0, 2.0)]).with_neighbour(&Splat::at(
         [22.0, 18.0],

@@ -178,7 +178,7 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn the_yardstick_is_the_exact_renderer() {
+    fn the_reference_is_the_exact_renderer() {
         let place = DeviceScene::in_f64(&rows(80), &shots(), [0.1, 0.2, 0.3]).unwrap();
         let options = Dial::all_exact(RenderOptions::standard());
         let found = check_crops(&place, &shots(), &options).unwrap();
@@ -186,7 +186,7 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn a_yardstick_that_approximates_is_refused() {
+    fn a_reference_that_approximates_is_refused() {
         let place = DeviceScene::in_f64(&rows(80), &shots(), [0.0; 3]).unwrap();
         let exact = Dial::all_exact(RenderOptions::standard());
         for (options, what) in [
