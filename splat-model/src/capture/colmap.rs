@@ -143,14 +143,14 @@ fn assemble(
 /// The observations of all points, in the order of the points. `images` are in the order of the views.
 fn tracks(images: &[ImageRecord], points: &[PointRecord]) -> Tracks {
     let by_id: HashMap<u32, usize> = images.iter().enumerate().map(|(view, image)| (image.id, view)).collect();
-    let sight = |element: &TrackElement| {
+    let observation = |element: &TrackElement| {
         let view = *by_id.get(&element.image_id)?;
         let at_px = *images[view].keypoints.get(element.keypoint as usize)?;
         Some(Observation { view, at_px })
     };
     let mut tracks = Tracks::default();
     for point in points {
-        tracks.push(point.track.iter().map(sight), point.error_px);
+        tracks.push(point.track.iter().map(observation), point.error_px);
     }
     tracks
 }

@@ -24,10 +24,10 @@ pub struct Tracks {
 
 impl Tracks {
     /// Adds the next point: its observations, `None` for each dangling one, and the file's reprojection error, px.
-    pub(crate) fn push(&mut self, sights: impl IntoIterator<Item = Option<Observation>>, stated_error_px: f64) {
-        for sight in sights {
-            match sight.filter(|sight| sight.at_px.iter().all(|px| px.is_finite())) {
-                Some(sight) => self.observations.push(sight),
+    pub(crate) fn push(&mut self, observations: impl IntoIterator<Item = Option<Observation>>, stated_error_px: f64) {
+        for observation in observations {
+            match observation.filter(|observation| observation.at_px.iter().all(|px| px.is_finite())) {
+                Some(observation) => self.observations.push(observation),
                 None => self.dangling += 1,
             }
         }
@@ -65,13 +65,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn each_point_has_its_own_sights() {
-        let sight = |view, x| Some(Observation { view, at_px: [x, 2.0] });
+    fn each_point_has_its_own_observations() {
+        let observation = |view, x| Some(Observation { view, at_px: [x, 2.0] });
         let mut tracks = Tracks::default();
-        tracks.push([sight(0, 1.0), None, sight(3, 4.0)], 0.5);
+        tracks.push([observation(0, 1.0), None, observation(3, 4.0)], 0.5);
         tracks.push([], -1.0);
-        tracks.push([sight(1, f32::NAN), sight(2, 9.0)], f64::NAN);
-        let views = |point| tracks.of(point).iter().map(|sight| sight.view).collect::<Vec<_>>();
+        tracks.push([observation(1, f32::NAN), observation(2, 9.0)], f64::NAN);
+        let views = |point| tracks.of(point).iter().map(|observation| observation.view).collect::<Vec<_>>();
         assert_eq!([views(0), views(1), views(2), views(3)], [vec![0, 3], vec![], vec![2], vec![]]);
         assert_eq!((tracks.observations(), tracks.dangling()), (3, 2));
         assert_eq!([0, 1, 2, 3].map(|point| tracks.stated_error_px(point)), [Some(0.5), None, None, None]);

@@ -61,12 +61,12 @@ pub fn from_tracks(capture: &Capture, views: &[usize]) -> Vec<Vec<DepthSample>> 
     let mut samples = vec![Vec::new(); views.len()];
     for (point, position) in capture.points.positions.iter().enumerate() {
         let world = Vec3::from_array(*position).as_dvec3();
-        for sight in capture.tracks.of(point) {
-            let (view, Some(place)) = (&capture.views[sight.view], place[sight.view]) else { continue };
+        for observation in capture.tracks.of(point) {
+            let (view, Some(place)) = (&capture.views[observation.view], place[observation.view]) else { continue };
             let cam = view.cam_from_world.transform_point3(world);
             let size = Vec2::new(view.intrinsics.width as f32, view.intrinsics.height as f32);
-            let found = Vec2::from_array(sight.at_px);
-            let miss = projectors[sight.view].px_from_cam(cam).map(|px| px.distance(found.as_dvec2()));
+            let found = Vec2::from_array(observation.at_px);
+            let miss = projectors[observation.view].px_from_cam(cam).map(|px| px.distance(found.as_dvec2()));
             let inside = found.cmpge(Vec2::ZERO).all() && found.cmplt(size).all();
             if inside && miss.is_some_and(|miss| miss <= LARGEST_MISS * f64::from(size.max_element())) {
                 samples[place].push(DepthSample { at: (found / size).to_array(), depth: cam.z as f32 });
@@ -308,8 +308,8 @@ mod tests {
         let samples = from_tracks(&capture, &[1, 3]);
         assert_eq!(samples.len(), 2);
         assert!(samples.iter().all(|list| list.len() > 50), "{} and {}", samples[0].len(), samples[1].len());
-        let sights = (0..capture.points.positions.len()).flat_map(|point| capture.tracks.of(point));
-        assert_eq!(samples[1].len(), sights.filter(|sight| sight.view == 3).count());
+        let observations = (0..capture.points.positions.len()).flat_map(|point| capture.tracks.of(point));
+        assert_eq!(samples[1].len(), observations.filter(|observation| observation.view == 3).count());
         // Unprojecting a sample by its depth returns to a point.
         let view = &capture.views[3];
         for sample in samples[1].iter().take(20) {

@@ -272,7 +272,7 @@ fn depth(survey: &Survey) -> Decision {
         None => format!("{} photographs, no depth maps", survey.views),
         Some(folder) => format!("{} photographs and depth maps in {folder:?}", survey.views),
     };
-    let cost = Cost { ms_per_step: 5.0, mib: survey.sights_compared as f64 * 8.0 / MIB };
+    let cost = Cost { ms_per_step: 5.0, mib: survey.observations_compared as f64 * 8.0 / MIB };
     decide(EffectKind::DepthSupervision, few || survey.files.depth_maps.is_some(), evidence, rule, Some(cost))
 }
 
@@ -306,12 +306,12 @@ pub fn source(survey: &Survey) -> String {
         ObservationSource::None => "no sparse points: photographs cannot be compared".into(),
         ObservationSource::Tracks => format!(
             "{} points compared through {} observations of the reconstruction's tracks",
-            survey.points_compared, survey.sights_compared
+            survey.points_compared, survey.observations_compared
         ),
         ObservationSource::Projection => format!(
-            "no tracks: {} points projected into the photographs, {} sights that nothing seems to hide; some are wrong, which \
+            "no tracks: {} points projected into the photographs, {} observations that nothing seems to hide; some are wrong, which \
              medians bear",
-            survey.points_compared, survey.sights_compared
+            survey.points_compared, survey.observations_compared
         ),
     }
 }

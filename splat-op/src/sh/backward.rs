@@ -96,8 +96,8 @@ fn colour_backward(
 ) -> Vec3 {
     let degree = comptime!(harmonics.degree);
     let coefficients = comptime!(harmonics.coefficients());
-    let sight = CameraPosition::of(pose).sight(mean);
-    let y = basis(sight.direction, degree);
+    let view_direction = CameraPosition::of(pose).view_direction(mean);
+    let y = basis(view_direction.direction, degree);
     let colour = linear_colour(sh, gaussian, &y, harmonics);
     let g = Vec3::new(
         select(colour.x > 0.0, grad.x, 0.0),
@@ -111,10 +111,10 @@ fn colour_backward(
             g.times(y[k]).store(out, 3 * (gaussian * coefficients + k));
         }
     }
-    let mut of_sight = Vec3::new(0.0, 0.0, 0.0);
+    let mut of_view_direction = Vec3::new(0.0, 0.0, 0.0);
     if comptime!(through_direction) {
-        let d = sight.direction;
-        if sight.distance > 0.0 {
+        let d = view_direction.direction;
+        if view_direction.distance > 0.0 {
             let mut weights = Sequence::<f32>::new();
             #[unroll]
             for k in 0..coefficients {
@@ -122,10 +122,10 @@ fn colour_backward(
                 weights.push(g.dot(c) * comptime!(NORMS[k]));
             }
             let grad = polynomials_backward(d, &weights, degree);
-            of_sight = grad.minus(d.times(d.dot(grad))).times(1.0 / sight.distance);
+            of_view_direction = grad.minus(d.times(d.dot(grad))).times(1.0 / view_direction.distance);
         }
     }
-    of_sight
+    of_view_direction
 }
 
 /// Stores a gradient of zero for a Gaussian's harmonics, if one is asked for.
@@ -141,7 +141,7 @@ fn no_harmonics(gaussian: usize, grad_sh: &mut ComptimeOption<Box<[f32]>>, #[com
     }
 }
 
-/// `sight_rows` takes the sum over each cube of the gradients of the vectors from camera to centre.
+/// `view_direction_rows` takes the sum over each cube of the gradients of the vectors from camera to centre.
 #[cube(launch_unchecked)]
 pub(super) fn sh_backward_kernel(
     sh: &[f32],
@@ -151,15 +151,15 @@ pub(super) fn sh_backward_kernel(
     grad: &[f32],
     mut grad_sh: ComptimeOption<Box<[f32]>>,
     mut grad_means: ComptimeOption<Box<[f32]>>,
-    mut sight_rows: ComptimeOption<Box<[f32]>>,
+    mut view_direction_rows: ComptimeOption<Box<[f32]>>,
     frame: Frame,
     count: u32,
     #[comptime] harmonics: Harmonics,
     #[comptime] planes: bool,
 ) {
-    let through_direction = comptime!(harmonics.degree > 0 && (grad_means.is_some() || sight_rows.is_some()));
+    let through_direction = comptime!(harmonics.degree > 0 && (grad_means.is_some() || view_direction_rows.is_some()));
     let gaussian = ABSOLUTE_POS;
-    let mut of_sight = Vec3::new(0.0, 0.0, 0.0);
+    let mut of_view_direction = Vec3::new(0.0, 0.0, 0.0);
     if gaussian < count as usize {
         let g = Vec3::load(grad, 3 * gaussian);
         // Also what keeps a Gaussian that is not seen, whatever it holds, out of every sum.
@@ -170,23 +170,23 @@ pub(super) fn sh_backward_kernel(
         }
         if visible {
             let (mean, pose) = (Vec3::load(means, 3 * gaussian), Pose::load(cam_from_world));
-            of_sight = colour_backward(sh, gaussian, mean, pose, g, &mut grad_sh, harmonics, through_direction);
+            of_view_direction = colour_backward(sh, gaussian, mean, pose, g, &mut grad_sh, harmonics, through_direction);
         } else {
             no_harmonics(gaussian, &mut grad_sh, comptime!(harmonics.degree));
         }
         #[comptime]
         if let ComptimeOption::Some(out) = &mut grad_means {
-            of_sight.store(out, 3 * gaussian);
+            of_view_direction.store(out, 3 * gaussian);
         }
     }
     #[comptime]
-    if let ComptimeOption::Some(rows) = &mut sight_rows {
+    if let ComptimeOption::Some(rows) = &mut view_direction_rows {
         let mut shared = Shared::<[f32]>::new_slice(comptime!(UNITS));
         // A dispatch may hold more cubes than there are rows.
         if CUBE_POS * comptime!(UNITS) < count as usize {
-            let x = cube_sum(of_sight.x, &mut shared, planes);
-            let y = cube_sum(of_sight.y, &mut shared, planes);
-            let z = cube_sum(of_sight.z, &mut shared, planes);
+            let x = cube_sum(of_view_direction.x, &mut shared, planes);
+            let y = cube_sum(of_view_direction.y, &mut shared, planes);
+            let z = cube_sum(of_view_direction.z, &mut shared, planes);
             if UNIT_POS == 0 {
                 Vec3::new(x, y, z).store(rows, 3 * CUBE_POS);
             }

@@ -34,7 +34,7 @@ impl CameraPosition {
     }
 
     /// Straight ahead for a centre on the camera itself.
-    pub fn sight(&self, mean: Vec3) -> ViewDirection {
+    pub fn view_direction(&self, mean: Vec3) -> ViewDirection {
         let to_mean = mean.minus(self.position);
         let distance = to_mean.length();
         let inverse = 1.0 / distance;
@@ -184,8 +184,8 @@ pub(super) fn may_show(ellipses: &[f32], gaussian: usize, frame: &Frame) -> bool
 /// The colour of a Gaussian.
 #[cube]
 fn colour_of(sh: &[f32], gaussian: usize, mean: Vec3, pose: Pose, #[comptime] harmonics: Harmonics) -> Vec3 {
-    let sight = CameraPosition::of(pose).sight(mean);
-    let colour = linear_colour(sh, gaussian, &basis(sight.direction, comptime!(harmonics.degree)), harmonics);
+    let view_direction = CameraPosition::of(pose).view_direction(mean);
+    let colour = linear_colour(sh, gaussian, &basis(view_direction.direction, comptime!(harmonics.degree)), harmonics);
     // Not `max`, which may turn a NaN into a colour.
     Vec3::new(
         select(colour.x < 0.0, 0.0, colour.x),

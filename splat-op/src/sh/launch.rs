@@ -104,7 +104,7 @@ pub(crate) fn launch_sh_backward(
     };
     // A colour of degree zero does not depend on where the camera is.
     let through_pose = needs.cam_from_world && harmonics.degree > 0 && count > 0;
-    let sight_rows = Buffer::if_needed(gpu, through_pose, count.div_ceil(UNITS) * 3);
+    let view_direction_rows = Buffer::if_needed(gpu, through_pose, count.div_ceil(UNITS) * 3);
     if count > 0 && (needs.sh || needs.means || through_pose) {
         let output = |buffer: &Option<Buffer<f32>>| buffer.as_ref().map(Buffer::arg).into();
         let (grid, dim) = elementwise(count);
@@ -121,7 +121,7 @@ pub(crate) fn launch_sh_backward(
                 grad.arg(),
                 output(&grads.sh),
                 output(&grads.means),
-                output(&sight_rows),
+                output(&view_direction_rows),
                 frame(visible),
                 count as u32,
                 harmonics,
@@ -129,7 +129,7 @@ pub(crate) fn launch_sh_backward(
             );
         }
     }
-    grads.cam_from_world = needs.cam_from_world.then(|| match sight_rows {
+    grads.cam_from_world = needs.cam_from_world.then(|| match view_direction_rows {
         Some(rows) => launch_pose_backward(gpu, &launch_column_sums(gpu, &rows, 3), &inputs.cam_from_world),
         None => Buffer::from_slice(gpu, &[0.0; POSE]),
     });

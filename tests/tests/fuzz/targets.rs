@@ -233,9 +233,11 @@ impl Colmap {
             () if !names => Err("names are not sorted, or not unique".into()),
             () if !(poses && points && capture.origin.is_finite()) => Err("a pose or point is not finite".into()),
             () if !inside => Err("a picture lies outside of the capture".into()),
-            () if !(0..capture.points.positions.len())
-                .flat_map(|point| capture.tracks.of(point))
-                .all(|sight| sight.view < capture.views.len() && sight.at_px.iter().all(|px| px.is_finite())) =>
+            () if !(0..capture.points.positions.len()).flat_map(|point| capture.tracks.of(point)).all(
+                |observation| {
+                    observation.view < capture.views.len() && observation.at_px.iter().all(|px| px.is_finite())
+                },
+            ) =>
             {
                 Err("a track leads nowhere".into())
             }
@@ -331,7 +333,9 @@ impl FuzzTarget for Colmap {
                 let (views, points) = (bucket(capture.views.len()), bucket(capture.points.positions.len()));
                 let (found, lost) = (bucket(capture.tracks.observations()), bucket(capture.tracks.dangling()));
                 let far = capture.origin != DVec3::ZERO;
-                Ok(format!("accepted: 2^{views} views, 2^{points} points, sights 2^{found} and 2^{lost}, origin {far}"))
+                Ok(format!(
+                    "accepted: 2^{views} views, 2^{points} points, observations 2^{found} and 2^{lost}, origin {far}"
+                ))
             }
             Err(error) => {
                 let message = error.to_string();

@@ -162,7 +162,7 @@ fn assert_drawn(seen: &PageResult) {
     let side = |name: &str| seen.state["box"][name].as_f64().unwrap().max(0.0) as u32;
     let (left, top) = (side("left"), side("top"));
     let (right, bottom) = (side("right").min(WINDOW.0), side("bottom").min(seen.picture.height()));
-    assert!(right > left + 200 && bottom > top + 100, "the picture is out of sight: {}", seen.state);
+    assert!(right > left + 200 && bottom > top + 100, "the picture is out of observation: {}", seen.state);
     let pixels = (top + 40..bottom - 40).flat_map(|y| (left..right).map(move |x| (x, y)));
     let colours: std::collections::HashSet<[u8; 3]> = pixels.map(|(x, y)| seen.picture.get_pixel(x, y).0).collect();
     assert!(colours.len() > 500, "the picture is blank: {} colours", colours.len());

@@ -106,9 +106,9 @@ fn keypoints(views: usize, points: &PointCloud, tracks: &Tracks) -> (Vec<Vec<Key
     let mut keypoints: Vec<Vec<Keypoint>> = vec![Vec::new(); views];
     let track = |point: usize| {
         let mut elements = Vec::new();
-        for sight in tracks.of(point).iter().filter(|sight| sight.view < views) {
-            elements.push([sight.view, keypoints[sight.view].len()]);
-            keypoints[sight.view].push((sight.at_px, point));
+        for observation in tracks.of(point).iter().filter(|observation| observation.view < views) {
+            elements.push([observation.view, keypoints[observation.view].len()]);
+            keypoints[observation.view].push((observation.at_px, point));
         }
         elements
     };

@@ -35,14 +35,14 @@ pub(super) fn sample(scene: &LitScene, shots: &[Shot], options: &DemoOptions) ->
         if shot.transparent && scene.scene.is_surroundings(&point) {
             continue;
         }
-        let sight = |(view, shot): (usize, &Shot)| {
-            let at_px = sight(scene, shot, point.position_world)?.as_vec2().to_array();
+        let observation = |(view, shot): (usize, &Shot)| {
+            let at_px = observation(scene, shot, point.position_world)?.as_vec2().to_array();
             Some(Observation { view, at_px })
         };
-        let sights: Vec<Observation> = shots.iter().enumerate().filter_map(sight).collect();
-        if sights.len() >= 2 {
+        let observations: Vec<Observation> = shots.iter().enumerate().filter_map(observation).collect();
+        if observations.len() >= 2 {
             // The error is unmeasured.
-            tracks.push(sights.into_iter().map(Some), -1.0);
+            tracks.push(observations.into_iter().map(Some), -1.0);
             cloud.positions.push(point.position_world.as_vec3().to_array());
             cloud.colours.push(to_bytes(display(scene.matte(&point))));
         }
@@ -51,7 +51,7 @@ pub(super) fn sample(scene: &LitScene, shots: &[Shot], options: &DemoOptions) ->
 }
 
 /// The position at which a photograph shows a surface point, px, if it lies within the picture and nothing occludes it.
-pub(super) fn sight(scene: &LitScene, shot: &Shot, point_world: glam::DVec3) -> Option<DVec2> {
+pub(super) fn observation(scene: &LitScene, shot: &Shot, point_world: glam::DVec3) -> Option<DVec2> {
     let (at_px, camera) = shot.project(point_world)?;
     let distance = camera.centre_world.distance(point_world);
     let first = scene.scene.hit(&sharp_ray(shot, at_px))?;

@@ -14,7 +14,7 @@ use super::camera::{CENTRE_WORLD, DemoCamera, cameras};
 use super::geometry::Ray;
 use super::light::{LitScene, display};
 use super::picture::render;
-use super::points::{sample, sight};
+use super::points::{observation, sample};
 use super::scene::{DemoScene, ObjectKind};
 use super::shot::{Shot, shots};
 use super::*;
@@ -156,7 +156,7 @@ fn matte_light_does_not_depend_on_the_view() {
         let point = scene.scene.hit(&ray).unwrap();
         let here = display(scene.along(&ray));
         for other in &cameras[1..] {
-            if let Some(at_px) = sight(&scene, &Shot::plain(*other), point.position_world) {
+            if let Some(at_px) = observation(&scene, &Shot::plain(*other), point.position_world) {
                 let there = display(scene.along(&other.ray_through(at_px)));
                 assert!((here - there).abs().max_element() <= 0.5 / 255.0, "{point:?}: {here} {there}");
                 compared += 1;

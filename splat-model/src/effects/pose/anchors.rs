@@ -41,11 +41,11 @@ pub fn from_tracks(capture: &Capture, views: &[usize]) -> Vec<Anchors> {
     let mut anchors = vec![Anchors::default(); views.len()];
     for (point, position) in capture.points.positions.iter().enumerate() {
         let world = Vec3::from_array(*position).as_dvec3();
-        for sight in capture.tracks.of(point) {
-            let Some(place) = place[sight.view] else { continue };
-            let at_px = Vec2::from_array(sight.at_px).as_dvec2();
+        for observation in capture.tracks.of(point) {
+            let Some(place) = place[observation.view] else { continue };
+            let at_px = Vec2::from_array(observation.at_px).as_dvec2();
             anchors[place].points.push(world);
-            anchors[place].directions.push(capture.views[sight.view].intrinsics.cam_from_px(at_px).normalize());
+            anchors[place].directions.push(capture.views[observation.view].intrinsics.cam_from_px(at_px).normalize());
         }
     }
     anchors

@@ -3,7 +3,7 @@
 use glam::{DVec3, Vec3};
 use serde::Serialize;
 
-use super::sights::PointObservations;
+use super::observations::PointObservations;
 use super::{Capture, quantile};
 use crate::optim::scene_extent;
 
@@ -25,8 +25,8 @@ impl DepthEvidence {
     pub const FAR_EXTENTS: f64 = 10.0;
 }
 
-pub(super) fn evidence(capture: &Capture, sights: &PointObservations) -> Option<DepthEvidence> {
-    let mut depths: Vec<f64> = sights.points.iter().flatten().map(|sight| sight.depth).collect();
+pub(super) fn evidence(capture: &Capture, observations: &PointObservations) -> Option<DepthEvidence> {
+    let mut depths: Vec<f64> = observations.points.iter().flatten().map(|observation| observation.depth).collect();
     let centres: Vec<DVec3> = capture.views.iter().map(|view| view.cam_from_world.inverse().translation).collect();
     let middle = centres.iter().sum::<DVec3>() / centres.len().max(1) as f64;
     let far = DepthEvidence::FAR_EXTENTS * scene_extent(&centres);
@@ -35,6 +35,6 @@ pub(super) fn evidence(capture: &Capture, sights: &PointObservations) -> Option<
         nearest: quantile(&mut depths, 0.01)?,
         median: quantile(&mut depths, 0.5)?,
         furthest: quantile(&mut depths, 0.99)?,
-        far_share: sights.indices.iter().filter(is_far).count() as f64 / sights.indices.len().max(1) as f64,
+        far_share: observations.indices.iter().filter(is_far).count() as f64 / observations.indices.len().max(1) as f64,
     })
 }

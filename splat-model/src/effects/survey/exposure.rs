@@ -6,7 +6,7 @@
 
 use serde::Serialize;
 
-use super::sights::PointObservations;
+use super::observations::PointObservations;
 use super::{Capture, deviation, quantile};
 
 /// Range of usable values. Values outside are clipped or mostly noise.
@@ -64,29 +64,30 @@ impl Fit {
     }
 }
 
-pub(super) fn fit(sights: &PointObservations, views: usize) -> Fit {
+pub(super) fn fit(observations: &PointObservations, views: usize) -> Fit {
     let mut fit = Fit { views: vec![None; views], counts: vec![0; views] };
     let usable = |value: &f32| USABLE.contains(value);
-    for sight in sights.points.iter().flatten() {
-        fit.counts[sight.view] += usize::from(sight.sample.is_some_and(|sample| sample.mean.iter().all(usable)));
+    for observation in observations.points.iter().flatten() {
+        fit.counts[observation.view] +=
+            usize::from(observation.sample.is_some_and(|sample| sample.mean.iter().all(usable)));
     }
     for channel in 0..3 {
         let mut of_view = vec![0.0; views];
-        let mut of_point = vec![None; sights.points.len()];
+        let mut of_point = vec![None; observations.points.len()];
         for _ in 0..ROUNDS {
-            for (point, seen) in of_point.iter_mut().zip(&sights.points) {
-                let left = seen.iter().filter_map(|sight| {
-                    let value = sight.sample.map(|sample| sample.mean[channel]).filter(usable)?;
-                    Some(f64::from(value).ln() - of_view[sight.view])
+            for (point, seen) in of_point.iter_mut().zip(&observations.points) {
+                let left = seen.iter().filter_map(|observation| {
+                    let value = observation.sample.map(|sample| sample.mean[channel]).filter(usable)?;
+                    Some(f64::from(value).ln() - of_view[observation.view])
                 });
                 *point = quantile(&mut left.collect::<Vec<_>>(), 0.5);
             }
             let mut left = vec![Vec::new(); views];
-            for (point, seen) in of_point.iter().zip(&sights.points) {
+            for (point, seen) in of_point.iter().zip(&observations.points) {
                 let Some(point) = point else { continue };
-                for sight in seen {
-                    let value = sight.sample.map(|sample| sample.mean[channel]).filter(usable);
-                    left[sight.view].extend(value.map(|value| f64::from(value).ln() - point));
+                for observation in seen {
+                    let value = observation.sample.map(|sample| sample.mean[channel]).filter(usable);
+                    left[observation.view].extend(value.map(|value| f64::from(value).ln() - point));
                 }
             }
             let medians = left.iter_mut().map(|left| quantile(left, 0.5).unwrap_or(0.0));

@@ -11,7 +11,7 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use super::exposure::USABLE;
-use super::sights::PointObservations;
+use super::observations::PointObservations;
 use super::{Capture, ViewDependenceEvidence, quantile};
 use crate::effects::pose::anchors::solve;
 
@@ -22,7 +22,7 @@ const ROUNDS: usize = 8;
 const FEWEST_POINTS: usize = 40;
 
 /// Smallest number of photographs of a point. With fewer, a point explains itself.
-const FEWEST_SIGHTS: usize = 3;
+const FEWEST_OBSERVATIONS: usize = 3;
 
 /// Residuals between the photographs' colours and the mapped colours of the points: the median of their absolute values
 /// over all channels, in display-referred values of 0 to 1.
@@ -42,10 +42,10 @@ struct ChannelObservation {
     value: f64,
 }
 
-pub(super) fn evidence(capture: &Capture, sights: &PointObservations) -> Option<GradingEvidence> {
-    let points = sights.points.len();
+pub(super) fn evidence(capture: &Capture, observations: &PointObservations) -> Option<GradingEvidence> {
+    let points = observations.points.len();
     let of_channel = |channel: usize| {
-        let views = seen(capture, sights, channel);
+        let views = seen(capture, observations, channel);
         let maps = left(&views, points, |colour, _| [1.0, colour]);
         let places = left(&views, points, |colour, [x, y]| [1.0, colour, x, y, colour * x, colour * y]);
         [maps, places]
@@ -59,21 +59,21 @@ pub(super) fn evidence(capture: &Capture, sights: &PointObservations) -> Option<
 }
 
 /// Observations by photograph, without photographs that have too few points.
-fn seen(capture: &Capture, sights: &PointObservations, channel: usize) -> Vec<Vec<ChannelObservation>> {
+fn seen(capture: &Capture, observations: &PointObservations, channel: usize) -> Vec<Vec<ChannelObservation>> {
     let mut views: Vec<Vec<ChannelObservation>> = capture.views.iter().map(|_| Vec::new()).collect();
-    for (point, all) in sights.points.iter().enumerate() {
-        let usable = all.iter().filter_map(|sight| {
-            let value = sight.sample.map(|sample| sample.mean[channel]).filter(|value| USABLE.contains(value))?;
-            Some((sight, f64::from(value)))
+    for (point, all) in observations.points.iter().enumerate() {
+        let usable = all.iter().filter_map(|observation| {
+            let value = observation.sample.map(|sample| sample.mean[channel]).filter(|value| USABLE.contains(value))?;
+            Some((observation, f64::from(value)))
         });
-        if usable.clone().count() < FEWEST_SIGHTS {
+        if usable.clone().count() < FEWEST_OBSERVATIONS {
             continue;
         }
-        for (sight, value) in usable {
-            let camera = &capture.views[sight.view].intrinsics;
+        for (observation, value) in usable {
+            let camera = &capture.views[observation.view].intrinsics;
             let share = |at_px: f64, side: usize| 2.0 * at_px / side as f64 - 1.0;
-            let place = [share(sight.at_px[0], camera.width), share(sight.at_px[1], camera.height)];
-            views[sight.view].push(ChannelObservation { point, place, value });
+            let place = [share(observation.at_px[0], camera.width), share(observation.at_px[1], camera.height)];
+            views[observation.view].push(ChannelObservation { point, place, value });
         }
     }
     views.retain(|seen| seen.len() >= FEWEST_POINTS);

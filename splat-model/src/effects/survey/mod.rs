@@ -11,10 +11,10 @@ mod files;
 mod footprint;
 mod grading;
 mod lens;
+mod observations;
 mod pictures;
 mod pose;
 mod shutter;
-mod sights;
 mod view_dependence;
 
 #[cfg(test)]
@@ -31,9 +31,9 @@ pub use self::files::{FileEvidence, depth_folder};
 pub use self::footprint::FootprintEvidence;
 pub use self::grading::GradingEvidence;
 pub use self::lens::LensEvidence;
+pub use self::observations::ObservationSource;
 pub use self::pose::{PoseEvidence, PoseSource};
 pub use self::shutter::ShutterEvidence;
-pub use self::sights::ObservationSource;
 pub use self::view_dependence::ViewDependenceEvidence;
 
 /// The evidence of a capture before training. A value is `None` if the capture does not determine it.
@@ -53,7 +53,7 @@ pub struct Survey {
     /// Number of compared points.
     pub points_compared: usize,
     /// Number of observations of the compared points in photographs.
-    pub sights_compared: usize,
+    pub observations_compared: usize,
     /// Lens distortion.
     pub lens: LensEvidence,
     /// Brightness and white balance.
@@ -99,25 +99,25 @@ impl Survey {
         let pixels: usize = views.iter().map(size).sum();
         let every = pixels.div_ceil(Self::MOST_PIXELS).max(1);
         let surveyed: Vec<usize> = views.iter().copied().step_by(every).collect();
-        let mut sights = sights::PointObservations::of(capture, &surveyed);
-        let glances = pictures::look(capture, &surveyed, &mut sights)?;
-        let fit = exposure::fit(&sights, capture.views.len());
+        let mut observations = observations::PointObservations::of(capture, &surveyed);
+        let glances = pictures::look(capture, &surveyed, &mut observations)?;
+        let fit = exposure::fit(&observations, capture.views.len());
         Ok(Self {
             views: capture.views.len(),
             views_surveyed: surveyed.len(),
             pixels_per_view: pixels as f64 / views.len().max(1) as f64,
             points: capture.points.positions.len(),
-            source: sights.source,
-            points_compared: sights.points.len(),
-            sights_compared: sights.points.iter().map(Vec::len).sum(),
+            source: observations.source,
+            points_compared: observations.points.len(),
+            observations_compared: observations.points.iter().map(Vec::len).sum(),
             lens: lens::evidence(capture),
             exposure: exposure::evidence(capture, &fit),
-            grading: grading::evidence(capture, &sights),
-            view_dependence: view_dependence::evidence(&sights, &fit),
-            footprint: footprint::evidence(&sights),
+            grading: grading::evidence(capture, &observations),
+            view_dependence: view_dependence::evidence(&observations, &fit),
+            footprint: footprint::evidence(&observations),
             pose: pose::evidence(capture),
             shutter: shutter::evidence(capture),
-            depth: depth::evidence(capture, &sights),
+            depth: depth::evidence(capture, &observations),
             blur: blur::evidence(capture, &glances),
             files: files::evidence(capture, views, &glances),
         })

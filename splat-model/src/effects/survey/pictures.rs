@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use super::sights::{ColourSample, PointObservations};
+use super::observations::{ColourSample, PointObservations};
 use crate::capture::image::load;
 use crate::capture::{Capture, CaptureError, Photo};
 use crate::effects::masks;
@@ -23,12 +23,12 @@ pub(super) struct Glance {
 pub(super) fn look(
     capture: &Capture,
     surveyed: &[usize],
-    sights: &mut PointObservations,
+    observations: &mut PointObservations,
 ) -> Result<Vec<Glance>, CaptureError> {
     let mut places: Vec<Vec<(usize, usize)>> = vec![Vec::new(); capture.views.len()];
-    for (point, seen) in sights.points.iter().enumerate() {
-        for (i, sight) in seen.iter().enumerate() {
-            places[sight.view].push((point, i));
+    for (point, seen) in observations.points.iter().enumerate() {
+        for (i, observation) in seen.iter().enumerate() {
+            places[observation.view].push((point, i));
         }
     }
     let found = masks::find(capture);
@@ -36,7 +36,7 @@ pub(super) fn look(
         let mut photo = load(&capture.views[view], None)?;
         // An unusable mask is no evidence here. It is an error in training.
         photo.mask = found[view].as_ref().and_then(|file| masks::load(file, &photo.intrinsics).ok());
-        let sample = |&(point, i): &(usize, usize)| sample(&photo, sights.points[point][i].at_px);
+        let sample = |&(point, i): &(usize, usize)| sample(&photo, observations.points[point][i].at_px);
         let samples: Vec<Option<ColourSample>> = places[view].iter().map(sample).collect();
         let glance = Glance {
             view,
@@ -51,7 +51,7 @@ pub(super) fn look(
     let mut glances = Vec::with_capacity(surveyed.len());
     for (&view, (glance, samples)) in surveyed.iter().zip(seen) {
         for (&(point, i), sample) in places[view].iter().zip(samples) {
-            sights.points[point][i].sample = sample;
+            observations.points[point][i].sample = sample;
         }
         glances.push(glance);
     }

@@ -33,10 +33,10 @@ pub(super) fn evidence(capture: &Capture) -> Option<PoseEvidence> {
     let cameras = &cameras;
     let measured = (0..count).flat_map(|point| {
         let world = Vec3::from_array(capture.points.positions[point]).as_dvec3();
-        capture.tracks.of(point).iter().filter_map(move |sight| {
-            let cam = capture.views.get(sight.view)?.cam_from_world.transform_point3(world);
-            let found = Vec2::from_array(sight.at_px).as_dvec2();
-            Some(cameras[sight.view].px_from_cam(cam)?.distance(found))
+        capture.tracks.of(point).iter().filter_map(move |observation| {
+            let cam = capture.views.get(observation.view)?.cam_from_world.transform_point3(world);
+            let found = Vec2::from_array(observation.at_px).as_dvec2();
+            Some(cameras[observation.view].px_from_cam(cam)?.distance(found))
         })
     });
     let mut errors: Vec<f64> = measured.filter(|error| error.is_finite()).collect();

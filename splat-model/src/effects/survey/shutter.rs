@@ -38,48 +38,50 @@ pub(super) fn evidence(capture: &Capture) -> Option<ShutterEvidence> {
     let mut views: Vec<Vec<ShutterObservation>> = capture.views.iter().map(|_| Vec::new()).collect();
     for (point, position) in capture.points.positions.iter().enumerate() {
         let world = Vec3::from_array(*position).as_dvec3();
-        for sight in capture.tracks.of(point) {
-            let Some(view) = capture.views.get(sight.view) else { continue };
-            let found = view.intrinsics.cam_from_px(Vec2::from_array(sight.at_px).as_dvec2()).normalize_or_zero();
+        for observation in capture.tracks.of(point) {
+            let Some(view) = capture.views.get(observation.view) else { continue };
+            let found = view.intrinsics.cam_from_px(Vec2::from_array(observation.at_px).as_dvec2()).normalize_or_zero();
             let cam = view.cam_from_world.transform_point3(world);
-            let row = f64::from(sight.at_px[1]) / view.intrinsics.height as f64 - 0.5;
+            let row = f64::from(observation.at_px[1]) / view.intrinsics.height as f64 - 0.5;
             let seen = ShutterObservation { columns: columns(cam), miss: found - cam.normalize_or_zero(), row };
             if seen.miss.is_finite() && seen.columns.iter().all(|column| column.is_finite()) {
-                views[sight.view].push(seen);
+                views[observation.view].push(seen);
             }
         }
     }
-    views.retain(|sights| sights.len() >= FEWEST);
-    let sums = views.par_iter().map(|sights| {
-        let given: f64 = sights.iter().map(|sight| sight.miss.length()).sum();
-        [given, left(sights, |_| 1.0), left(sights, |sight| sight.row)]
+    views.retain(|observations| observations.len() >= FEWEST);
+    let sums = views.par_iter().map(|observations| {
+        let given: f64 = observations.iter().map(|observation| observation.miss.length()).sum();
+        [given, left(observations, |_| 1.0), left(observations, |observation| observation.row)]
     });
     let [given, poses, rows] = sums.reduce(|| [0.0; 3], |a, b| std::array::from_fn(|i| a[i] + b[i]));
     (given > 0.0).then(|| ShutterEvidence { left_by_poses: poses / given, left_by_rows: rows / given })
 }
 
 /// Sum of the residuals after the best-fitting twist, multiplied by `share` of each observation.
-fn left(sights: &[ShutterObservation], share: impl Fn(&ShutterObservation) -> f64) -> f64 {
+fn left(observations: &[ShutterObservation], share: impl Fn(&ShutterObservation) -> f64) -> f64 {
     let mut twist = [0.0; 6];
-    let rest = |sight: &ShutterObservation, twist: &[f64; 6]| {
-        let moved: DVec3 = sight.columns.iter().zip(twist).map(|(column, by)| *column * *by).sum();
-        sight.miss - moved * share(sight)
+    let rest = |observation: &ShutterObservation, twist: &[f64; 6]| {
+        let moved: DVec3 = observation.columns.iter().zip(twist).map(|(column, by)| *column * *by).sum();
+        observation.miss - moved * share(observation)
     };
     for _ in 0..ROUNDS {
         let (mut gram, mut moment) = ([[0.0; 6]; 6], [0.0; 6]);
-        for sight in sights {
-            let weight = share(sight) / (rest(sight, &twist).length_squared() + ROBUST_RAD * ROBUST_RAD).sqrt();
+        for observation in observations {
+            let weight =
+                share(observation) / (rest(observation, &twist).length_squared() + ROBUST_RAD * ROBUST_RAD).sqrt();
             for row in 0..6 {
                 for column in 0..6 {
-                    gram[row][column] += weight * share(sight) * sight.columns[row].dot(sight.columns[column]);
+                    gram[row][column] +=
+                        weight * share(observation) * observation.columns[row].dot(observation.columns[column]);
                 }
-                moment[row] += weight * sight.columns[row].dot(sight.miss);
+                moment[row] += weight * observation.columns[row].dot(observation.miss);
             }
         }
         let Some(found) = solve(gram, moment) else { break };
         twist = found;
     }
-    sights.iter().map(|sight| rest(sight, &twist).length()).sum()
+    observations.iter().map(|observation| rest(observation, &twist).length()).sum()
 }
 
 #[cfg(test)]
@@ -105,8 +107,8 @@ mod tests {
     /// Checks both models to rounding: directions that a camera with a known twist would observe.
     #[test]
     fn what_each_explains_is_nothing_but_rounding() {
-        let sights = |twist: [f64; 6], rolls: bool| {
-            let sight = |i: usize| {
+        let observations = |twist: [f64; 6], rolls: bool| {
+            let observation = |i: usize| {
                 let wave = |rate: f64| (rate * (i as f64 + 1.0)).sin();
                 let columns = columns(DVec3::new(1.5 * wave(1.3), 1.2 * wave(2.1), 4.0 + wave(0.7)));
                 let row = 0.5 * wave(1.7);
@@ -117,20 +119,21 @@ mod tests {
                     row,
                 }
             };
-            (0..60).map(sight).collect::<Vec<ShutterObservation>>()
+            (0..60).map(observation).collect::<Vec<ShutterObservation>>()
         };
         let twist = [0.02, -0.01, 0.015, 0.03, 0.02, -0.05];
         for rolls in [false, true] {
-            let mut sights = sights(twist, rolls);
-            let given: f64 = sights.iter().map(|sight| sight.miss.length()).sum();
-            let [poses, rows] = [left(&sights, |_| 1.0), left(&sights, |sight| sight.row)];
+            let mut observations = observations(twist, rolls);
+            let given: f64 = observations.iter().map(|observation| observation.miss.length()).sum();
+            let [poses, rows] = [left(&observations, |_| 1.0), left(&observations, |observation| observation.row)];
             let (right, other) = if rolls { (rows, poses) } else { (poses, rows) };
             assert!(right < 1e-9 * given && other > 0.3 * given, "{right} and {other} of {given}");
             // One of ten observations is wrong, which plain least squares would follow.
-            for sight in sights.iter_mut().step_by(10) {
-                sight.miss += DVec3::new(0.5, -0.3, 0.0);
+            for observation in observations.iter_mut().step_by(10) {
+                observation.miss += DVec3::new(0.5, -0.3, 0.0);
             }
-            let left = if rolls { left(&sights, |sight| sight.row) } else { left(&sights, |_| 1.0) };
+            let left =
+                if rolls { left(&observations, |observation| observation.row) } else { left(&observations, |_| 1.0) };
             let nonsense = 6.0 * DVec3::new(0.5, -0.3, 0.0).length();
             assert!((left / nonsense - 1.0).abs() < 0.05, "{left} of {nonsense}");
         }
@@ -148,7 +151,7 @@ mod tests {
         assert!(evidence(&Capture::load(folder.path()).unwrap()).is_none());
         demo::write(folder.path(), &DemoOptions { points: 100, poses: true, ..small }).unwrap();
         let mut capture = Capture::load(folder.path()).unwrap();
-        let seen = |point: &usize| capture.tracks.of(*point).iter().any(|sight| sight.view == 1);
+        let seen = |point: &usize| capture.tracks.of(*point).iter().any(|observation| observation.view == 1);
         let point = (0..100).find(seen).unwrap();
         capture.points.positions[point] = capture.views[1].cam_from_world.inverse().translation.as_vec3().to_array();
         let found = evidence(&capture).unwrap();

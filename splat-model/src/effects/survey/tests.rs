@@ -88,24 +88,28 @@ fn a_grid_stands_in_for_exposures_where_it_is_called_for() {
 }
 
 /// One point with these colours in the photographs, whose exposures add these logarithms.
-fn seen(colours: &[f32], exposures: &[f64], spread: f32) -> (sights::PointObservations, exposure::Fit) {
-    let sight = |(view, &colour): (usize, &f32)| sights::PointObservation {
+fn seen(colours: &[f32], exposures: &[f64], spread: f32) -> (observations::PointObservations, exposure::Fit) {
+    let observation = |(view, &colour): (usize, &f32)| observations::PointObservation {
         view,
         at_px: [9.0; 2],
         depth: 1.0,
         footprint: 1.0,
-        sample: Some(sights::ColourSample { mean: [colour; 3], low: [colour - spread; 3], high: [colour + spread; 3] }),
+        sample: Some(observations::ColourSample {
+            mean: [colour; 3],
+            low: [colour - spread; 3],
+            high: [colour + spread; 3],
+        }),
     };
-    let points = vec![colours.iter().enumerate().map(sight).collect()];
-    let sights = sights::PointObservations { source: ObservationSource::Tracks, points, indices: vec![0] };
-    (sights, exposure::Fit::known(exposures.iter().map(|&exposure| Some([exposure; 3])).collect()))
+    let points = vec![colours.iter().enumerate().map(observation).collect()];
+    let observations = observations::PointObservations { source: ObservationSource::Tracks, points, indices: vec![0] };
+    (observations, exposure::Fit::known(exposures.iter().map(|&exposure| Some([exposure; 3])).collect()))
 }
 
 #[test]
 fn colours_that_change_with_the_view_are_told_from_exposure_and_neighbours() {
     let stray = |colours: &[f32], exposures: &[f64], spread| {
-        let (sights, fit) = seen(colours, exposures, spread);
-        view_dependence::evidence(&sights, &fit).map(|found| (found.median, found.visible_share))
+        let (observations, fit) = seen(colours, exposures, spread);
+        view_dependence::evidence(&observations, &fit).map(|found| (found.median, found.visible_share))
     };
     let none = [0.0; 9];
     assert_eq!(stray(&[0.4; 9], &none, 0.0).map(|found| found.1), Some(0.0));
@@ -178,8 +182,8 @@ fn keypoints_far_outside_are_passed_over() {
     let mut tracks = crate::capture::Tracks::default();
     for point in 0..60 {
         let at_px = [f32::MAX, -f32::MAX, 1e19, -0.5][point % 4];
-        let sights = (0..4).map(|view| Some(crate::capture::Observation { view, at_px: [at_px, 30.0] }));
-        tracks.push(sights, 0.5);
+        let observations = (0..4).map(|view| Some(crate::capture::Observation { view, at_px: [at_px, 30.0] }));
+        tracks.push(observations, 0.5);
     }
     capture.tracks = tracks;
     let survey = Survey::of(&capture).unwrap();

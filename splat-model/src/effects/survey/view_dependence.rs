@@ -3,15 +3,15 @@
 use serde::Serialize;
 
 use super::exposure::Fit;
+use super::observations::{ColourSample, PointObservation, PointObservations};
 use super::quantile;
-use super::sights::{ColourSample, PointObservation, PointObservations};
 
 /// Smallest number of comparable photographs of a point. With fewer, the outliers could be fewer than three, which an
 /// occluder could cause.
-const FEWEST_SIGHTS: usize = 9;
+const FEWEST_OBSERVATIONS: usize = 9;
 
 /// The quantile over a point's photographs.
-const MOST_SIGHTS: f64 = 2.0 / 3.0;
+const MOST_OBSERVATIONS: f64 = 2.0 / 3.0;
 
 /// Largest usable value. Brighter values are close to clipping, where exposure does not scale them.
 const BRIGHTEST: f32 = 250.0 / 255.0;
@@ -39,14 +39,15 @@ impl ViewDependenceEvidence {
 /// A sample, and its photograph's offset to the logarithm of a colour.
 type ExposedSample = (ColourSample, [f64; 3]);
 
-pub(super) fn evidence(sights: &PointObservations, fit: &Fit) -> Option<ViewDependenceEvidence> {
-    let stray = |sights: &Vec<PointObservation>| -> Option<f64> {
-        let seen = sights.iter().filter_map(|sight| Some((sight.sample?, fit.views[sight.view]?)));
+pub(super) fn evidence(observations: &PointObservations, fit: &Fit) -> Option<ViewDependenceEvidence> {
+    let stray = |observations: &Vec<PointObservation>| -> Option<f64> {
+        let seen =
+            observations.iter().filter_map(|observation| Some((observation.sample?, fit.views[observation.view]?)));
         let seen: Vec<ExposedSample> = seen.collect();
-        (seen.len() >= FEWEST_SIGHTS)
+        (seen.len() >= FEWEST_OBSERVATIONS)
             .then(|| (0..3).filter_map(|channel| strays_by(&seen, channel)).reduce(f64::max))?
     };
-    let mut strays: Vec<f64> = sights.points.iter().filter_map(stray).collect();
+    let mut strays: Vec<f64> = observations.points.iter().filter_map(stray).collect();
     let visible = strays.iter().filter(|&&stray| stray > ViewDependenceEvidence::VISIBLE).count();
     Some(ViewDependenceEvidence {
         median: quantile(&mut strays, 0.5)?,
@@ -60,7 +61,7 @@ pub(super) fn evidence(sights: &PointObservations, fit: &Fit) -> Option<ViewDepe
 fn strays_by(seen: &[ExposedSample], channel: usize) -> Option<f64> {
     let unexposed = |(sample, exposure): &ExposedSample| f64::from(sample.mean[channel]) * (-exposure[channel]).exp();
     let seen: Vec<&ExposedSample> = seen.iter().filter(|(sample, _)| sample.high[channel] < BRIGHTEST).collect();
-    if seen.len() < FEWEST_SIGHTS {
+    if seen.len() < FEWEST_OBSERVATIONS {
         return None;
     }
     let middle = quantile(&mut seen.iter().map(|&seen| unexposed(seen)).collect::<Vec<_>>(), 0.5)?;
@@ -68,5 +69,5 @@ fn strays_by(seen: &[ExposedSample], channel: usize) -> Option<f64> {
         let expected = middle * exposure[channel].exp();
         (expected - expected.clamp(sample.low[channel].into(), sample.high[channel].into())).abs()
     };
-    quantile(&mut seen.iter().map(|&seen| beyond(seen)).collect::<Vec<_>>(), MOST_SIGHTS)
+    quantile(&mut seen.iter().map(|&seen| beyond(seen)).collect::<Vec<_>>(), MOST_OBSERVATIONS)
 }

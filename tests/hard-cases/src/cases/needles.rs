@@ -84,7 +84,7 @@ fn beside_a_neighbour((octant, (label, quat)): (usize, (String, [f64; 4]))) -> H
     HardScene::new(label, &[needle(quat, SHORT_PX, SHORT_PX * 1e4, false)]).with_neighbour(&neighbour)
 }
 
-/// Rotations about the line of sight, into each octant of the picture and off its axes.
+/// Rotations about the line of observation, into each octant of the picture and off its axes.
 fn in_plane() -> Vec<(String, [f64; 4])> {
     let turn = |octant: usize| {
         let degrees = degrees(octant);

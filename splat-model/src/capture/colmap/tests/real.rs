@@ -38,13 +38,13 @@ fn fox_small() {
     let (mut sum_px, mut stated_px) = (0.0, 0.0);
     for (point, position) in capture.points.positions.iter().enumerate() {
         let position = glam::Vec3::from_array(*position).as_dvec3();
-        let sights = capture.tracks.of(point);
-        for sight in sights {
-            let cam = capture.views[sight.view].cam_from_world.transform_point3(position);
+        let observations = capture.tracks.of(point);
+        for observation in observations {
+            let cam = capture.views[observation.view].cam_from_world.transform_point3(position);
             let [x, y] = [camera.fx * cam.x / cam.z + camera.cx, camera.fy * cam.y / cam.z + camera.cy];
-            sum_px += (x - f64::from(sight.at_px[0])).hypot(y - f64::from(sight.at_px[1]));
+            sum_px += (x - f64::from(observation.at_px[0])).hypot(y - f64::from(observation.at_px[1]));
         }
-        stated_px += sights.len() as f64 * f64::from(capture.tracks.stated_error_px(point).unwrap());
+        stated_px += observations.len() as f64 * f64::from(capture.tracks.stated_error_px(point).unwrap());
     }
     let count = capture.tracks.observations() as f64;
     // docs/CAPTURES.md says 0.23 px, the mean over points; long tracks, which count more here, err a little more.

@@ -55,10 +55,10 @@ fn coefficients_that_a_model_has_not_are_not_dropped_in_silence() {
 #[test]
 fn tracks_read_as_they_were_written() {
     let written = small_capture();
-    let sight = |view, x| Some(Observation { view, at_px: [x, 2.5] });
+    let observation = |view, x| Some(Observation { view, at_px: [x, 2.5] });
     let mut tracks = Tracks::default();
-    tracks.push([sight(1, 0.5), sight(0, 7.25)], 0.75);
-    tracks.push([sight(1, 3.0)], -1.0);
+    tracks.push([observation(1, 0.5), observation(0, 7.25)], 0.75);
+    tracks.push([observation(1, 3.0)], -1.0);
     let folder = tempfile::tempdir().unwrap();
     write_binary_with_tracks(folder.path(), &written.views, &written.points, &tracks).unwrap();
     let read = load(folder.path()).unwrap();

@@ -140,16 +140,17 @@ fn tracks_lead_to_what_the_pictures_show() {
         let (cloud, tracks) = sample(&scene, &shots, &options);
         let mut seen = 0;
         for (point, colour) in cloud.colours.iter().enumerate() {
-            for sight in tracks.of(point) {
-                let ray = shots[sight.view].ray(glam::Vec2::from(sight.at_px).as_dvec2(), ExposurePoint::default());
+            for observation in tracks.of(point) {
+                let ray = shots[observation.view]
+                    .ray(glam::Vec2::from(observation.at_px).as_dvec2(), ExposurePoint::default());
                 let shown = super::super::picture::to_bytes(display(scene.along(&ray)));
                 let apart = (0..3).map(|i| shown[i].abs_diff(colour[i])).max().unwrap();
                 // Rounded to f32, a position beside an edge may lie on it.
                 seen += usize::from(apart <= 2);
             }
         }
-        let sights: usize = (0..cloud.positions.len()).map(|point| tracks.of(point).len()).sum();
-        assert!(sights > 400 && seen * 100 >= sights * 99, "{seen} of {sights}: {options:?}");
+        let observations: usize = (0..cloud.positions.len()).map(|point| tracks.of(point).len()).sum();
+        assert!(observations > 400 && seen * 100 >= observations * 99, "{seen} of {observations}: {options:?}");
     }
 }
 
@@ -189,11 +190,13 @@ fn no_track_leads_to_what_covers_the_scene() {
     let options = DemoOptions { masks: true, views: 10, points: 400, ..SMALL };
     let (scene, shots) = (scene(&options), shots(&options));
     let (cloud, tracks) = sample(&scene, &shots, &options);
-    let sights = (0..cloud.positions.len()).flat_map(|point| tracks.of(point));
-    assert!(sights.clone().count() > 1000);
-    for sight in sights {
-        let at_px = glam::Vec2::from(sight.at_px).as_dvec2();
-        assert!(shots[sight.view].discs.iter().all(|disc| disc.middle_px.distance(at_px) > disc.radius_px - 1e-4));
+    let observations = (0..cloud.positions.len()).flat_map(|point| tracks.of(point));
+    assert!(observations.clone().count() > 1000);
+    for observation in observations {
+        let at_px = glam::Vec2::from(observation.at_px).as_dvec2();
+        assert!(
+            shots[observation.view].discs.iter().all(|disc| disc.middle_px.distance(at_px) > disc.radius_px - 1e-4)
+        );
     }
 }
 

@@ -37,7 +37,7 @@ fn gloss_depends_on_the_view() {
             if scene.scene.objects[point.object].kind != ObjectKind::Glossy {
                 continue;
             }
-            if let Some(at_px) = sight(&scene, &Shot::plain(*other), point.position_world) {
+            if let Some(at_px) = observation(&scene, &Shot::plain(*other), point.position_world) {
                 let there = display(scene.along(&other.ray_through(at_px)));
                 largest = largest.max((display(scene.along(&ray)) - there).length());
             }
@@ -84,7 +84,7 @@ fn lacquer_shines_towards_the_mirrored_sun() {
         let here = sheen(&ray);
         assert!((here - DVec3::splat(here.x)).length() < 1e-9 && (-1e-9..0.61).contains(&here.x), "{here}");
         for other in &cameras {
-            if let Some(at_px) = sight(&glossy, &Shot::plain(*other), point.position_world) {
+            if let Some(at_px) = observation(&glossy, &Shot::plain(*other), point.position_world) {
                 largest = largest.max((here - sheen(&other.ray_through(at_px))).x);
             }
         }

@@ -6,7 +6,7 @@ use super::*;
 use crate::capture::demo::{self, DemoOptions};
 
 /// Points in front of a camera, with noise on the directions, and the camera's pose.
-fn sights(count: usize, noise: f64) -> (Anchors, DAffine3) {
+fn observations(count: usize, noise: f64) -> (Anchors, DAffine3) {
     let pose = DAffine3::from_rotation_translation(DQuat::from_rotation_y(0.7), DVec3::new(0.3, -0.2, 2.0));
     let spread = |i: usize, by: f64| (by * i as f64).sin();
     let mut anchors = Anchors::default();
@@ -25,17 +25,17 @@ fn wrong(pose: &DAffine3) -> DAffine3 {
 
 #[test]
 fn a_camera_is_put_where_its_points_say() {
-    let (anchors, pose) = sights(40, 0.0);
+    let (anchors, pose) = observations(40, 0.0);
     assert!(anchors.resected(&wrong(&pose)).abs_diff_eq(pose, 1e-9));
     // A fifth of the directions is wrong.
-    let (mut anchors, pose) = sights(100, 1e-4);
+    let (mut anchors, pose) = observations(100, 1e-4);
     for i in (0..100).step_by(5) {
         anchors.directions[i] = (anchors.directions[i] + DVec3::new(0.2, 0.1, 0.0)).normalize();
     }
     let found = anchors.resected(&wrong(&pose));
     assert!(found.abs_diff_eq(pose, 3e-3), "{found:?} instead of {pose:?}");
     // Too few points.
-    let (few, pose) = sights(FEWEST - 1, 0.0);
+    let (few, pose) = observations(FEWEST - 1, 0.0);
     assert_eq!(few.resected(&wrong(&pose)), wrong(&pose));
     assert!(few.on_device(&Device::flex()).is_none());
 }
@@ -55,7 +55,7 @@ fn columns_are_the_derivative_of_directions() {
 #[test]
 fn the_pull_is_an_angle_and_vanishes_at_the_right_pose() {
     let device = Device::flex();
-    let (anchors, pose) = sights(40, 0.0);
+    let (anchors, pose) = observations(40, 0.0);
     let on_device = anchors.on_device(&device).unwrap();
     let penalty = |pose: &DAffine3| {
         let rows: Vec<f32> = (0..3)
@@ -85,7 +85,8 @@ fn tracks_are_those_of_the_photographs_asked_for() {
     let anchors = from_tracks(&capture, &views);
     assert_eq!(anchors.len(), 2);
     for (anchors, view) in anchors.iter().zip(views) {
-        let of_view = |point: usize| capture.tracks.of(point).iter().filter(|sight| sight.view == view).count();
+        let of_view =
+            |point: usize| capture.tracks.of(point).iter().filter(|observation| observation.view == view).count();
         assert_eq!(anchors.points.len(), (0..200).map(of_view).sum::<usize>());
         assert!(anchors.points.len() > 30 && anchors.directions.len() == anchors.points.len());
         for (point, direction) in anchors.points.iter().zip(&anchors.directions) {
@@ -98,7 +99,7 @@ fn tracks_are_those_of_the_photographs_asked_for() {
 /// A point at the camera's centre has no direction and changes nothing.
 #[test]
 fn a_point_at_the_camera_is_passed_over() {
-    let (anchors, _) = sights(40, 0.0);
+    let (anchors, _) = observations(40, 0.0);
     let mut with = anchors.clone();
     with.points.push(DVec3::ZERO);
     with.directions.push(DVec3::Z);

@@ -10,7 +10,7 @@ use crate::capture::{Capture, View};
 const MOST_POINTS: usize = 6_000;
 
 /// Smallest number of photographs of a point. With fewer, a median over them means little.
-const FEWEST_SIGHTS: usize = 3;
+const FEWEST_OBSERVATIONS: usize = 3;
 
 /// Cells along the longer side of a picture, for the occlusion test without tracks.
 const CELLS: usize = 24;
@@ -74,7 +74,10 @@ impl PointObservations {
             ObservationSource::Tracks => tracked(capture, surveyed),
             ObservationSource::Projection => projected(capture, surveyed),
         };
-        let mut chosen = candidates.into_iter().filter(|(_, sights)| sights.len() >= FEWEST_SIGHTS).collect::<Vec<_>>();
+        let mut chosen = candidates
+            .into_iter()
+            .filter(|(_, observations)| observations.len() >= FEWEST_OBSERVATIONS)
+            .collect::<Vec<_>>();
         let every = chosen.len().div_ceil(MOST_POINTS).max(1);
         chosen = chosen.into_iter().step_by(every).collect();
         let (indices, points) = chosen.into_iter().unzip();
@@ -89,15 +92,16 @@ fn position(capture: &Capture, point: usize) -> DVec3 {
 fn tracked(capture: &Capture, surveyed: &[usize]) -> Vec<(usize, Vec<PointObservation>)> {
     let of_point = |point: usize| {
         let world = position(capture, point);
-        let sights = capture.tracks.of(point).iter().filter(|sight| surveyed.binary_search(&sight.view).is_ok());
-        let sight = |at: &crate::capture::Observation| {
+        let observations =
+            capture.tracks.of(point).iter().filter(|observation| surveyed.binary_search(&observation.view).is_ok());
+        let observation = |at: &crate::capture::Observation| {
             let depth = capture.views[at.view].cam_from_world.transform_point3(world).z;
             let footprint = focal_px(&capture.views[at.view]) / depth;
-            let sight =
+            let observation =
                 PointObservation { view: at.view, at_px: at.at_px.map(f64::from), depth, footprint, sample: None };
-            (depth > 0.0).then_some(sight)
+            (depth > 0.0).then_some(observation)
         };
-        (point, sights.filter_map(sight).collect())
+        (point, observations.filter_map(observation).collect())
     };
     (0..capture.points.positions.len()).map(of_point).collect()
 }
@@ -120,7 +124,7 @@ fn projected(capture: &Capture, surveyed: &[usize]) -> Vec<(usize, Vec<PointObse
             let [column, row] = cell(*at_px);
             nearest[row][column] = nearest[row][column].min(*depth);
         }
-        for (point, sights) in &mut found {
+        for (point, observations) in &mut found {
             let Some((at_px, depth)) = shown[*point] else { continue };
             let [column, row] = cell(at_px);
             let rows = &nearest[row.saturating_sub(1)..(row + 2).min(CELLS + 1)];
@@ -128,7 +132,7 @@ fn projected(capture: &Capture, surveyed: &[usize]) -> Vec<(usize, Vec<PointObse
             let first = around.copied().fold(f64::INFINITY, f64::min);
             if depth * (1.0 - HIDDEN_BEHIND) <= first {
                 let footprint = focal_px(view) / depth;
-                sights.push(PointObservation { view: index, at_px, depth, footprint, sample: None });
+                observations.push(PointObservation { view: index, at_px, depth, footprint, sample: None });
             }
         }
     }
