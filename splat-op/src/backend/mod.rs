@@ -29,7 +29,7 @@ pub use activate::ActivateBackend;
 #[cfg(feature = "cube")]
 pub use adam::{AdamBackend, AdamInputs, AdamState, Held};
 pub use custom_grad::CustomGradBackend;
-pub use photometric::{Photometric, PhotometricBackend};
+pub use loss::{Photometric, PhotometricBackend};
 pub use rasterize_rays::RasterizeRaysBackend;
 pub use stages::SplatBackend;
 pub use tensors::{

@@ -29,7 +29,7 @@ use burn::tensor::{DType, Tensor};
 use taps::Compared;
 pub use taps::{C1, C2, SIGMA_PX, TAPS};
 
-use crate::backend::photometric::PhotometricBackend;
+use crate::backend::loss::PhotometricBackend;
 use crate::limits::is_gpu;
 
 /// The loss of `image` against a photograph, `[.., H, W]` f32, or f64 on CPUs, without autodiff: numbers whose sum it is, and

@@ -170,7 +170,8 @@ pub(super) fn sh_backward_kernel(
         }
         if visible {
             let (mean, pose) = (Vec3::load(means, 3 * gaussian), Pose::load(cam_from_world));
-            of_view_direction = colour_backward(sh, gaussian, mean, pose, g, &mut grad_sh, harmonics, through_direction);
+            of_view_direction =
+                colour_backward(sh, gaussian, mean, pose, g, &mut grad_sh, harmonics, through_direction);
         } else {
             no_harmonics(gaussian, &mut grad_sh, comptime!(harmonics.degree));
         }
