@@ -1,11 +1,11 @@
-//! The kernels of `rasterize_rays`, backwards. No float is added to by two units, so the same bits come out in every run.
+//! Backward kernels of `rasterize_rays`. No float is accumulated by two units, so every run gives the same bits.
 //!
-//! 1. *Walk*, a cube per tile, a unit per pixel: front to back as the forward pass, leaving at each layer the transmittance
-//!    before it and which layer was the one before; then back along these links, replacing them by `h = α ∂L/∂α` and by the
-//!    weight `α T`. These two lie in a table `[places, 256, 2]` of all layers and pixels of some tiles; for many tiles there are
-//!    several launches, so that it does not grow with the picture.
-//! 2. *Sums*, a unit per place of these tiles: its row, the sums over the tile's pixels.
-//! 3. *Gather*, a unit per Gaussian: its rows, in the order of its intersections, become gradients.
+//! 1. *Walk*: a cube per tile, a unit per pixel. A unit goes front to back as in the forward pass and stores, at each layer, the
+//!    transmittance before it and a link to the previous layer. It then follows these links back and replaces them by
+//!    `h = α ∂L/∂α` and by the weight `α T`. Both numbers lie in a table `[places, 256, 2]` of all layers and pixels of a run of
+//!    tiles; many tiles take several launches, so that the table does not grow with the picture.
+//! 2. *Sums*: a unit per place of these tiles computes a row, the sums over the tile's pixels.
+//! 3. *Gather*: a unit per Gaussian adds its rows in the order of its intersections and turns them into gradients.
 
 use cubecl::prelude::*;
 
@@ -17,12 +17,12 @@ use crate::gpu::reduce::cube_sum;
 use crate::intersect::TILE_PIXELS;
 use crate::project::COLUMNS;
 
-/// Numbers of a row: the sums, one for each channel, and the two absolute ones.
+/// Number of columns of a row: the sums, one per channel, and two for the absolute gradient.
 pub(super) const fn row_len(channels: usize, absolute: bool) -> usize {
     SUMS + channels + if absolute { 2 } else { 0 }
 }
 
-/// Fills the table, as bits, and `left`, `[H W]`, with the transmittances behind all layers.
+/// Fills the table with bits of floats, and `left`, `[H W]`, with the transmittances behind all layers.
 #[cube(launch_unchecked)]
 pub(super) fn rasterize_rays_walk_kernel(
     projected: &[f32],
@@ -45,7 +45,7 @@ pub(super) fn rasterize_rays_walk_kernel(
         let channels = view.features as usize;
         let first = tile_start[tile as usize];
         let places = tile_start[tile as usize + 1] - first;
-        // Where this unit's two numbers of the tile's first place lie.
+        // Index of this unit's two numbers at the tile's first place.
         let own =
             (first - tile_start[view.first_tile as usize]) as usize * comptime!(2 * TILE_PIXELS) + 2 * unit as usize;
         for place in 0..places {
@@ -55,7 +55,7 @@ pub(super) fn rasterize_rays_walk_kernel(
         }
         if pixel.inside {
             let mut transmittance = 1.0f32;
-            // One more than the place of the last layer; zero where there is none.
+            // The place of the last layer plus one; zero for no layer.
             let mut link = 0u32;
             let mut walk = Walk::new();
             let mut open = true;
@@ -89,7 +89,7 @@ pub(super) fn rasterize_rays_walk_kernel(
             }
             left[pixel.index] = transmittance;
 
-            // What is seen behind, as far as the gradient cares: g·R.
+            // Contribution of everything behind the layer, as the gradient weighs it: g·R.
             let mut behind = 0.0f32;
             for channel in 0..channels {
                 behind += grad[channel * plane + pixel.index] * background[channel];
@@ -108,7 +108,7 @@ pub(super) fn rasterize_rays_walk_kernel(
                     gaussian_of_intersection[intersection_of_place[(first + place) as usize] as usize] as usize;
                 let footprint = RayGaussian::load(projected, depth_slopes, gaussian);
                 let layer = footprint.at(pixel.x, pixel.y, &view);
-                // Alpha is one more channel, of colour one.
+                // Alpha acts as one more channel of colour one.
                 let mut here = grad_alpha + grad_depth * footprint.depth_of(&layer, &view);
                 for channel in 0..channels {
                     here += grad[channel * plane + pixel.index] * features[gaussian * channels + channel];
@@ -122,7 +122,7 @@ pub(super) fn rasterize_rays_walk_kernel(
     }
 }
 
-/// The tile whose list holds a place: the last one that begins at or before it.
+/// Returns the tile whose list holds `place`: the last tile whose list begins at or before it.
 #[cube]
 fn tile_of_place(tile_start: &[u32], view: &RayFrame, place: u32) -> u32 {
     let mut low = view.first_tile;
@@ -138,7 +138,7 @@ fn tile_of_place(tile_start: &[u32], view: &RayFrame, place: u32) -> u32 {
     low
 }
 
-/// Writes the rows, `[H, row]`, of the intersections of some tiles.
+/// Writes the rows `[H, row]` of the intersections of a run of tiles.
 #[cube(launch_unchecked)]
 pub(super) fn rasterize_rays_sums_kernel(
     projected: &[f32],
@@ -186,7 +186,7 @@ pub(super) fn rasterize_rays_sums_kernel(
                     let (exponent, lambda, phi) = (layer.exponent, layer.lambda, layer.phi);
                     let of_lambda = seen * footprint.depth;
                     let kappa = 2.0 * exponent * phi - lambda * lambda;
-                    // By how much E and λ change along (u, v), and along the depth slope.
+                    // Gradients of E and λ along (u, v), and along the depth slope.
                     let radial = -(h * lambda * lambda + of_lambda * 2.0 * lambda * phi);
                     let across = -(h * 2.0 * exponent * lambda + of_lambda * kappa);
                     p = radial * u + across * footprint.depth_slope_u;
@@ -232,7 +232,7 @@ pub(super) fn rasterize_rays_sums_kernel(
     }
 }
 
-/// Sums of one column of a Gaussian's rows.
+/// Sums one column of a Gaussian's rows.
 #[cube]
 fn column_sum(rows: &[f32], first: u32, end: u32, columns: usize, column: usize) -> f32 {
     let mut sum = 0.0f32;
@@ -242,7 +242,7 @@ fn column_sum(rows: &[f32], first: u32, end: u32, columns: usize, column: usize)
     sum
 }
 
-/// From rows to gradients, as the twin has them. Gaussians without intersections are left as they are: the gradients must hold zeros
+/// Turns rows into gradients, as the CPU twin does. Gaussians without intersections are skipped, so the gradients must hold zeros
 /// before.
 #[cube(launch_unchecked)]
 pub(super) fn rasterize_rays_gather_kernel(

@@ -1,5 +1,5 @@
-//! The CPU twin of `rasterize_rays`: both passes, parallel over tiles. Each intersection's gradient has a place of its own; a Gaussian's are added
-//! in a fixed order, so the number of threads never changes a result.
+//! The CPU twin of `rasterize_rays`: both passes, parallel over tiles. The gradient of each intersection has its own place,
+//! and the gradients of a Gaussian are added in a fixed order, so the number of threads never changes a result.
 
 use rayon::prelude::*;
 
@@ -11,14 +11,14 @@ use crate::project::{COLUMNS, Ellipse};
 use crate::rasterize::RasterizeSpec;
 use crate::simd::real::Real;
 
-/// A view, prepared for its pixels.
+/// A view with its Gaussians prepared for evaluation at pixels.
 struct PreparedRayView<'a, F> {
     inputs: RayLayers<&'a [F]>,
     footprints: Vec<RayGaussianCpu<F>>,
     rules: Rules<F>,
     intersections: &'a IntersectionLists,
     size: [usize; 2],
-    /// Features.
+    /// Number of features.
     channels: usize,
     depth: bool,
 }
@@ -67,7 +67,7 @@ impl<'a, F: Real> PreparedRayView<'a, F> {
     }
 }
 
-/// Planes `[C + 1 (+ 1), H, W]`.
+/// Returns the planes `[C + 1 (+ 1), H, W]`.
 pub(crate) fn rasterize_rays_cpu<F: Real>(
     inputs: RayLayers<&[F]>,
     spec: &RasterizeSpec,
@@ -106,7 +106,7 @@ pub(crate) fn rasterize_rays_cpu<F: Real>(
     planes
 }
 
-/// Gradients of the inputs from `grad`, that of the planes.
+/// Returns the gradients of the inputs from `grad`, the gradient of the planes.
 pub(crate) fn rasterize_rays_backward_cpu<F: Real>(
     inputs: RayLayers<&[F]>,
     grad: &[F],
@@ -154,12 +154,12 @@ fn tile_backward<F: Real>(
         let grad_alpha = grad[channels * pixels + pixel];
         let grad_depth = if view.depth { grad[(channels + 1) * pixels + pixel] } else { F::ZERO };
         let along = |feature: &[F]| own.iter().zip(feature).map(|(g, c)| *g * *c).sum::<F>();
-        // What is seen behind, as far as the gradient cares: g·R.
+        // Contribution of everything behind the layer, as the gradient weighs it: g·R.
         let mut behind = along(view.inputs.background);
         for layer in layers.iter().rev() {
             let footprint = &view.footprints[layer.gaussian as usize];
             let depth = layer.depth(footprint, &view.rules);
-            // Alpha is one more channel, of colour one.
+            // Alpha acts as one more channel of colour one.
             let here = along(view.feature(layer.gaussian)) + grad_alpha + grad_depth * depth;
             let found = layer.backward(footprint, &view.rules, layer.before * (here - behind), grad_depth);
             behind = layer.alpha * here + (F::ONE - layer.alpha) * behind;
@@ -173,8 +173,8 @@ fn tile_backward<F: Real>(
     background
 }
 
-/// Adds each Gaussian's rows in order and turns the sums into gradients. Not in parallel: there is little to do beside the
-/// pixels' work.
+/// Adds each Gaussian's rows in order and turns the sums into gradients. Not parallel: the cost is small compared with the cost of
+/// the pixels.
 fn gather<F: Real>(view: &PreparedRayView<F>, rows: &[F], columns: usize, needs: RayLayers<bool>) -> RayLayers<Vec<F>> {
     let (count, channels, intersections) = (view.footprints.len(), view.channels, view.intersections);
     let zeros = |needed: bool, columns: usize| vec![F::ZERO; if needed { count * columns } else { 0 }];

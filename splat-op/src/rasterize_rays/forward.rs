@@ -1,15 +1,15 @@
-//! The kernel of `rasterize_rays`, forwards: a cube per tile, a unit per pixel. Plain rather than fast: every unit reads what it needs of
-//! the Gaussians itself, and sums in the picture.
+//! Forward kernel of `rasterize_rays`: a cube per tile, a unit per pixel. The kernel is simple rather than fast: every unit reads
+//! the Gaussians itself and sums into the output planes.
 //!
-//! In a pixel's own order its layers are found [`CHUNK`] at a time: those next behind the last, by going
-//! through the tile's list once. That takes no memory, and is exact however long the list is.
+//! With the per-pixel sort, a unit finds the layers of its pixel [`CHUNK`] at a time: each pass through the tile's list finds the
+//! layers next behind the last one. This takes no memory and is exact for a list of any length.
 
 use cubecl::prelude::*;
 
 use super::layer::{CHUNK, RayFrame, RayGaussian, RayPixel, Walk};
 use crate::intersect::TILE_PIXELS;
 
-/// Planes `[C + 1 (+ 1), H, W]`.
+/// Writes the planes `[C + 1 (+ 1), H, W]`.
 #[cube(launch_unchecked)]
 pub(super) fn rasterize_rays_forward_kernel(
     projected: &[f32],

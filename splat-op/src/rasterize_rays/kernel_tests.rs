@@ -1,4 +1,4 @@
-//! Kernels of `rasterize_rays` against the CPU twin in f64, within what f32 can hold.
+//! Compares the kernels of `rasterize_rays` with the CPU twin in f64, within f32 precision.
 
 use super::RayLayers;
 use super::cpu::{rasterize_rays_backward_cpu, rasterize_rays_cpu};
@@ -28,10 +28,10 @@ const CHOICES: [(Projection, Order); 3] = [
     (Projection::RayMax, Order::PerPixelSort),
 ];
 
-/// Relative distance of two keys below which rounding may exchange them.
+/// Relative distance of two keys below which rounding may swap them.
 const NEAR: f64 = 2e-5;
 
-/// Projected, depth slopes, features, background.
+/// Projected ellipses, depth slopes, features, background.
 #[derive(Clone)]
 struct StageInputs {
     name: String,
@@ -98,7 +98,7 @@ impl StageInputs {
         rasterize_rays_backward_cpu(self.view(), grad, &self.spec, &self.lists(), ALL)
     }
 
-    /// Pixels whose result jumps when a threshold moves, or layers change places, by what rounding moves them.
+    /// Marks the pixels whose result jumps when rounding moves a threshold or swaps layers.
     fn band(&self) -> Vec<bool> {
         let width = self.spec.intrinsics.width;
         let mut band = vec![false; width * self.spec.intrinsics.height];
@@ -149,7 +149,7 @@ impl StageInputs {
         (inputs, lists)
     }
 
-    /// Planes and gradients on the device, with a table for `room` places.
+    /// Returns planes and gradients computed on the device, with a table of `room` places.
     fn on(
         &self,
         gpu: &Gpu,
@@ -173,8 +173,8 @@ impl StageInputs {
         let planes = self.spec.planes(channels);
         let grad = mask(rounded(&Random::new(3).fill(planes * band.len(), -1.0, 1.0)));
         let inputs: Vec<Vec<f64>> = self.inputs.iter().cloned().chain([grad.clone()]).collect();
-        // The gradient of a pixel in the band is zero, so the others' prove as much as they can. The expected layers are those of
-        // the inputs as they are, which one ulp in every input may exchange too.
+        // The gradient of a pixel in the band is set to zero, so that the other pixels are compared in full. The expected
+        // layers are those of the unperturbed inputs; one ulp in every input may swap layers too.
         let reference = PerturbedReference::new(&inputs, |inputs| {
             let scene = self.with(inputs);
             let g = scene.backward(&inputs[4]);
@@ -218,13 +218,13 @@ fn any_number_of_channels_and_other_thresholds() {
     }
 }
 
-/// More layers than a unit looks for at once, many times.
+/// Renders many times more layers than a unit finds in one pass.
 #[test]
 fn hundreds_of_layers() {
     for (projection, order) in CHOICES {
         let options = RenderOptions::standard().with_projection(projection).with_order(order);
         StageInputs::random(600, [20, 17], 3, [0.9, 1.0], options.with_depth(true)).check();
-        // Faint, so that no pixel is finished early; far apart in depth, so that few are near to changing places.
+        // Faint, so that no pixel ends early; far apart in depth, so that few layers are close to swapping.
         let mut scene = StageInputs::random(300, [20, 17], 3, [0.006, 0.02], options.with_depth(true));
         for (i, row) in scene.inputs[0].chunks_exact_mut(COLUMNS).enumerate().filter(|(_, row)| row[5] > 0.0) {
             row[5] = f64::from(1.05_f64.powi((171 * i % 300) as i32) as f32);

@@ -18,13 +18,13 @@ use crate::options::{Order, Projection};
 use crate::project::COLUMNS;
 use crate::rasterize::RasterizeSpec;
 
-/// Places of the table of layers and pixels, unless one tile has more: 64 MiB.
+/// Number of places in the table of layers and pixels, unless one tile has more: 64 MiB.
 const TABLE: usize = 32_768;
 
-/// What makes a render keep less for its backward pass.
+/// Hint for a render whose backward pass needs too much memory.
 const FEWER_INTERSECTIONS: &str = "train on smaller pictures, raise `alpha_min`, or use fewer Gaussians";
 
-/// The view as an argument of kernels over the tiles from `first` to before `end`.
+/// The view as a kernel argument, for the tiles `first..end`.
 fn view(spec: &RasterizeSpec, features: usize, (first, end): (usize, usize)) -> RayFrameLaunch {
     let (camera, options) = (&spec.intrinsics, &spec.options);
     let least = options.transmittance_min;
@@ -37,7 +37,7 @@ fn view(spec: &RasterizeSpec, features: usize, (first, end): (usize, usize)) -> 
         features as u32,
         options.alpha_min as f32,
         options.alpha_max as f32,
-        // A threshold of zero leaves out nothing, not even what is behind an alpha of one.
+        // A threshold of zero omits nothing, not even layers behind an alpha of one.
         if least > 0.0 { least as f32 } else { -1.0 },
         options.projection == Projection::RayMax,
         options.order == Order::PerPixelSort,
@@ -49,7 +49,7 @@ fn tiles(spec: &RasterizeSpec) -> usize {
     tile_grid(spec.intrinsics.width, spec.intrinsics.height).iter().product()
 }
 
-/// Planes `[C + 1 (+ 1), H, W]`.
+/// Launches the forward pass and returns the planes `[C + 1 (+ 1), H, W]`.
 pub(crate) fn launch_rasterize_rays(
     gpu: &Gpu,
     inputs: &RayLayers<Buffer<f32>>,
@@ -59,7 +59,7 @@ pub(crate) fn launch_rasterize_rays(
     let features = inputs.background.len;
     let planes = Buffer::new(gpu, spec.planes(features) * spec.intrinsics.width * spec.intrinsics.height);
     let tiles = tiles(spec);
-    // SAFETY: places, intersections and Gaussians come from the lists, which hold none out of range; pixels are guarded.
+    // SAFETY: places, intersections and Gaussians come from the lists, whose entries are in range; pixels are guarded.
     unsafe {
         rasterize_rays_forward_kernel::launch_unchecked(
             &gpu.client,
@@ -79,8 +79,8 @@ pub(crate) fn launch_rasterize_rays(
     planes
 }
 
-/// Runs of whole tiles, from the first one to before the end, each of as many as `room` places hold or of a single tile; and
-/// the places of the longest run.
+/// Splits the tiles into runs `first..end` of whole tiles. The lists of a run have at most `room` places together, unless the run
+/// is a single tile. Also returns the number of places of the longest run.
 fn runs(counts: &[i32], room: usize) -> (Vec<(usize, usize)>, usize) {
     let (mut runs, mut longest, mut first, mut places) = (Vec::new(), 0, 0, 0);
     for (tile, &count) in counts.iter().enumerate() {
@@ -95,7 +95,8 @@ fn runs(counts: &[i32], room: usize) -> (Vec<(usize, usize)>, usize) {
     (runs, longest)
 }
 
-/// Gradients of the inputs from `grad`, that of the planes. Waits for the device once, to learn how long the lists are.
+/// Returns the gradients of the inputs from `grad`, the gradient of the planes. Waits for the device once, to read the lengths of
+/// the lists.
 pub(crate) fn launch_rasterize_rays_backward(
     gpu: &Gpu,
     inputs: &RayLayers<Buffer<f32>>,
@@ -107,7 +108,7 @@ pub(crate) fn launch_rasterize_rays_backward(
     launch_rasterize_rays_backward_by(gpu, inputs, grad, (lists, TABLE), spec, needs)
 }
 
-/// The same with a table for that many places.
+/// [`launch_rasterize_rays_backward`] with a table of at most `room` places.
 pub(super) fn launch_rasterize_rays_backward_by(
     gpu: &Gpu,
     inputs: &RayLayers<Buffer<f32>>,
@@ -133,7 +134,7 @@ pub(super) fn launch_rasterize_rays_backward_by(
     let of_intersections = needs.projected || needs.depth_slope || needs.features || needs.mean2d_abs;
     for &(first, end) in &runs {
         let places = counts[first..end].iter().sum::<i32>() as usize;
-        // SAFETY: as in the forward pass; the table holds all places of a run, and the rows all intersections.
+        // SAFETY: as in the forward pass; the table holds all places of a run, and `rows` all intersections.
         unsafe {
             rasterize_rays_walk_kernel::launch_unchecked(
                 &gpu.client,
@@ -203,7 +204,7 @@ pub(super) fn launch_rasterize_rays_backward_by(
     let feature_rows = zeros(needs.features, features);
     let absolute = zeros(needs.mean2d_abs, 2);
     let (grid, dim) = elementwise(lists.visible);
-    // SAFETY: ranks stay below the number of visible Gaussians; intersections below theirs.
+    // SAFETY: ranks stay below the number of visible Gaussians, and intersections below the number of intersections.
     unsafe {
         rasterize_rays_gather_kernel::launch_unchecked(
             &gpu.client,

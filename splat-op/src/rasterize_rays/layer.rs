@@ -1,5 +1,5 @@
-//! A Gaussian at a pixel, and a pixel's next layers: what the kernels of both passes share, so that the backward pass sees
-//! what the forward pass saw.
+//! A Gaussian at a pixel, and the next layers of a pixel. The kernels of both passes share this code, so that both see the same
+//! layers.
 
 #![allow(clippy::too_many_arguments, reason = "functions of a kernel take what it was launched with")]
 
@@ -11,23 +11,23 @@ use crate::gpu::math::within;
 use crate::intersect::TILE;
 use crate::project::COLUMNS;
 
-/// Layers that a unit looks for at once, and sorts in its registers. It goes through the tile's list once for so many.
+/// Number of layers that a unit finds in one pass through the tile's list and sorts in its registers.
 pub(super) const CHUNK: usize = 16;
 
-/// The picture, the tiles of a launch, and the rules.
+/// Image size, tiles of a launch, and render options.
 #[derive(CubeType, CubeLaunch, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub(super) struct RayFrame {
     pub width: u32,
     pub height: u32,
     pub tiles_x: u32,
-    /// The tiles from this one to before the end.
+    /// The launch covers the tiles `first_tile..end_tile`.
     pub first_tile: u32,
     pub end_tile: u32,
     pub features: u32,
     pub alpha_min: f32,
     pub alpha_max: f32,
-    /// Below zero for none.
+    /// A value below zero disables the threshold.
     pub transmittance_min: f32,
     #[cube(comptime)]
     pub exact: bool,
@@ -37,14 +37,14 @@ pub(super) struct RayFrame {
     pub depth: bool,
 }
 
-/// One pixel of a tile, a unit's own.
+/// One pixel of a tile, assigned to one unit.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub(super) struct RayPixel {
-    /// Its centre, px.
+    /// Centre of the pixel, px.
     pub x: f32,
     pub y: f32,
-    /// Whether it is in the picture, and which one of it.
+    /// Whether the pixel is in the picture, and its index there.
     pub inside: bool,
     pub index: usize,
 }
@@ -63,7 +63,7 @@ impl RayPixel {
     }
 }
 
-/// A Gaussian as pixels see it: its row and its depth slope.
+/// A Gaussian as pixels evaluate it: its packed ellipse and its depth slope.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub(super) struct RayGaussian {
@@ -79,7 +79,7 @@ pub(super) struct RayGaussian {
     pub thickness: f32,
 }
 
-/// A Gaussian at a pixel; the names are those of the contract. An alpha of zero where it is not seen.
+/// A Gaussian evaluated at a pixel, with the names of the module's documentation. Alpha is zero where the Gaussian is not visible.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub(super) struct RayLayer {
@@ -88,7 +88,7 @@ pub(super) struct RayLayer {
     pub exponent: f32,
     pub lambda: f32,
     pub phi: f32,
-    /// `λ z`.
+    /// Sort key `λ z`.
     pub key: f32,
     pub alpha: f32,
     /// Whether alpha is below its limit.
@@ -147,7 +147,7 @@ impl RayGaussian {
         }
     }
 
-    /// The depth a layer is seen at, scene units.
+    /// Returns the depth of a layer, scene units.
     pub fn depth_of(&self, layer: &RayLayer, view: &RayFrame) -> f32 {
         let mut depth = self.depth;
         if comptime!(view.exact) {
@@ -157,17 +157,17 @@ impl RayGaussian {
     }
 }
 
-/// A pixel's way through its layers, front to back, some at a time.
+/// Iterates over the layers of a pixel front to back, some at a time.
 #[derive(CubeType)]
 pub(super) struct Walk {
-    /// Of the layers at hand, front to back.
+    /// Sort keys of the current layers, front to back.
     keys: Array<f32>,
     gaussians: Array<u32>,
-    /// In the tile's list.
+    /// Places in the tile's list.
     pub places: Array<u32>,
     pub alphas: Array<f32>,
-    /// Where it has come to: whether it has begun, the Gaussian of the last layer, the next place of the list; and that layer's
-    /// key.
+    /// Progress: whether the walk has begun, the Gaussian of the last layer, and the next place of the list. `last_key` is the key
+    /// of the last layer.
     come_to: Array<u32>,
     last_key: Array<f32>,
 }
@@ -204,13 +204,13 @@ impl Walk {
         self.alphas[at as usize] = alpha;
     }
 
-    /// The Gaussian of layer `i` of those at hand.
+    /// Returns the Gaussian of the current layer `i`.
     pub fn gaussian(&self, i: u32) -> u32 {
         self.gaussians[i as usize]
     }
 
-    /// Goes on to the next layers of a list of `places` places from `first` on, and returns how many there are: fewer than
-    /// [`CHUNK`] if they are the last.
+    /// Finds the next layers in a list of `places` places that begins at `first`. Returns their number,
+    /// which is less than [`CHUNK`] at the end.
     pub fn advance(
         &mut self,
         projected: &[f32],
@@ -223,7 +223,7 @@ impl Walk {
         view: &RayFrame,
     ) -> u32 {
         let mut count = 0u32;
-        // By the pixel's own order the next ones may lie anywhere in the list.
+        // With the per-pixel sort, the next layers may lie anywhere in the list.
         let mut place = 0u32;
         if comptime!(!view.per_pixel) {
             place = self.come_to[2];
@@ -259,7 +259,7 @@ impl Walk {
         count
     }
 
-    /// Sorts a layer in among `count` of them, of which the last goes if there is no room. Returns how many there are then.
+    /// Inserts a layer into `count` sorted layers and returns the new number. If there is no room, the last layer is dropped.
     fn insert(&mut self, count: u32, key: f32, gaussian: u32, place: u32, alpha: f32) -> u32 {
         let full = count == comptime!(CHUNK as u32);
         let mut room = true;

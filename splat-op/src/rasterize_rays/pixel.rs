@@ -1,4 +1,4 @@
-//! One pixel as the CPU twin sees it: what it sees of a Gaussian, its layers front to back, and their gradients.
+//! One pixel in the CPU twin: the evaluation of a Gaussian, the layers front to back, and their gradients.
 
 use super::{D_MIN, SUMS, WHITENED_MAX};
 use crate::depth_slope::DEPTH_SLOPE;
@@ -7,20 +7,20 @@ use crate::options::{Order, Projection};
 use crate::project::Ellipse;
 use crate::simd::real::Real;
 
-/// A Gaussian as pixels see it.
+/// A Gaussian as pixels evaluate it.
 #[derive(Clone, Copy, Default)]
 pub(super) struct RayGaussianCpu<F> {
     pub ellipse: Ellipse<F>,
-    /// Zero for the affine projection, but for the order.
+    /// With the affine projection, used for the order only.
     pub depth_slope: [F; DEPTH_SLOPE],
     inverse_u: F,
     inverse_v: F,
-    /// The exponent from which on its alpha is below `alpha_min` for certain.
+    /// Exponent above which alpha is certainly below `alpha_min`.
     limit: F,
 }
 
 impl<F: Real> RayGaussianCpu<F> {
-    /// Of its rows.
+    /// Reads a packed ellipse and its depth slope.
     pub fn new(row: &[F], depth_slope: &[F], rules: &Rules<F>) -> Self {
         let ellipse = Ellipse::from_row(row);
         Self {
@@ -33,20 +33,20 @@ impl<F: Real> RayGaussianCpu<F> {
     }
 }
 
-/// Choices and thresholds of the render.
+/// Render options that affect pixels.
 #[derive(Clone, Copy)]
 pub(super) struct Rules<F> {
     pub exact: bool,
     pub per_pixel: bool,
     pub alpha_min: F,
     pub alpha_max: F,
-    /// Below zero for none.
+    /// A value below zero disables the threshold.
     pub transmittance_min: F,
 }
 
 impl<F: Real> Rules<F> {
     pub fn new(options: &crate::RenderOptions) -> Self {
-        // A threshold of zero leaves out nothing, not even what is behind an alpha of one.
+        // A threshold of zero omits nothing, not even layers behind an alpha of one.
         let least = if options.transmittance_min > 0.0 { options.transmittance_min } else { -1.0 };
         Self {
             exact: options.projection == Projection::RayMax,
@@ -58,10 +58,10 @@ impl<F: Real> Rules<F> {
     }
 }
 
-/// A Gaussian at a pixel; the names are those of the contract.
+/// A Gaussian evaluated at a pixel, with the names of the module's documentation.
 #[derive(Clone, Copy)]
 pub(super) struct RayLayerCpu<F> {
-    /// In the tile's list.
+    /// Place in the tile's list.
     pub place: usize,
     pub gaussian: u32,
     u: F,
@@ -69,17 +69,17 @@ pub(super) struct RayLayerCpu<F> {
     exponent: F,
     lambda: F,
     phi: F,
-    /// `λ z`.
+    /// Sort key `λ z`.
     pub key: F,
     pub alpha: F,
     /// Whether alpha is below its limit.
     free: bool,
-    /// The transmittance before it.
+    /// Transmittance before the layer.
     pub before: F,
 }
 
 impl<F: Real> RayLayerCpu<F> {
-    /// What the pixel with its centre at `at` px sees of a Gaussian; `None` if that is nothing.
+    /// Evaluates a Gaussian at the pixel with its centre at `at`, px. Returns `None` if the Gaussian does not contribute.
     #[inline(always)]
     fn new(
         footprint: &RayGaussianCpu<F>,
@@ -97,7 +97,7 @@ impl<F: Real> RayLayerCpu<F> {
         let thick = thickness * thickness;
         let d = s * s + thick * square;
         let half = F::of(0.5) * square;
-        // Most Gaussians of a tile do not show in a pixel; this is told without a division.
+        // Most Gaussians of a tile do not contribute to a given pixel; this test rejects them without a division.
         if half > footprint.limit * if rules.exact { d } else { F::ONE } {
             return None;
         }
@@ -110,7 +110,7 @@ impl<F: Real> RayLayerCpu<F> {
         };
         let whole = e.opacity * (-exponent).exp();
         let alpha = whole.min_of(rules.alpha_max);
-        // A comparison that fails where the exponent is not a number; and an alpha of zero changes nothing.
+        // The comparison is false for a NaN, and an alpha of zero contributes nothing.
         let shows = alpha >= rules.alpha_min && alpha > F::ZERO;
         shows.then(|| Self {
             place,
@@ -127,14 +127,14 @@ impl<F: Real> RayLayerCpu<F> {
         })
     }
 
-    /// The depth it is seen at, scene units.
+    /// Depth of the layer, scene units.
     #[inline(always)]
     pub fn depth(&self, footprint: &RayGaussianCpu<F>, rules: &Rules<F>) -> F {
         if rules.exact { self.key } else { footprint.ellipse.depth }
     }
 }
 
-/// Fills `layers` with what a pixel sees, front to back, and returns the transmittance behind it all.
+/// Fills `layers` with the contributions to a pixel, front to back, and returns the transmittance behind them.
 #[inline(always)]
 pub(super) fn look<F: Real>(
     footprints: &[RayGaussianCpu<F>],
@@ -145,7 +145,7 @@ pub(super) fn look<F: Real>(
 ) -> F {
     layers.clear();
     let mut transmittance = F::ONE;
-    // Passes a layer, unless that would end the pixel.
+    // Applies a layer to the transmittance, unless the layer ends the pixel.
     let pass = |transmittance: &mut F, layer: &mut RayLayerCpu<F>| {
         let behind = *transmittance - layer.alpha * *transmittance;
         layer.before = *transmittance;
@@ -176,18 +176,18 @@ pub(super) fn look<F: Real>(
     transmittance
 }
 
-/// What a pixel's gradient says of one layer.
+/// Gradient of one layer from one pixel.
 pub(super) struct LayerGrad<F> {
     /// See [`SUMS`].
     pub sums: [F; SUMS],
-    /// `α T`, with which the gradient of each channel is that of its feature.
+    /// `α T`, the factor from the gradient of a channel to the gradient of its feature.
     pub weight: F,
-    /// At the projected centre, per px.
+    /// Gradient of the projected centre, per px.
     pub mean2d: [F; 2],
 }
 
 impl<F: Real> RayLayerCpu<F> {
-    /// From `∂L/∂α` and the gradient of the depth plane.
+    /// Computes the gradient from `∂L/∂α` and the gradient of the depth plane.
     #[inline(always)]
     pub fn backward(
         &self,
@@ -205,7 +205,7 @@ impl<F: Real> RayLayerCpu<F> {
         let (p, q, mut sums) = if rules.exact {
             let of_lambda = seen * e.depth;
             let kappa = two * exponent * phi - lambda * lambda;
-            // By how much E and λ change along (u, v), and along the depth slope.
+            // Gradients of E and λ along (u, v), and along the depth slope.
             let radial = -(h * lambda * lambda + of_lambda * two * lambda * phi);
             let across = -(h * two * exponent * lambda + of_lambda * kappa);
             let (p, q) = (radial * u + across * depth_slope_u, radial * v + across * depth_slope_v);

@@ -1,4 +1,4 @@
-//! `rasterize_rays` against a sum written out pixel by pixel and against central finite differences.
+//! Compares `rasterize_rays` with a sum written out pixel by pixel and with central finite differences.
 
 use super::RayLayers;
 use super::cpu::{rasterize_rays_backward_cpu, rasterize_rays_cpu};
@@ -32,7 +32,7 @@ struct StageInputs {
 }
 
 impl StageInputs {
-    /// `opacity` is the range that opacities are drawn from, `steep` and `thick` the largest depth slope and thickness.
+    /// `opacity` is the range of the opacities; `steep` and `thick` are the largest depth slope and thickness.
     fn random(
         seed: u64,
         count: usize,
@@ -85,14 +85,14 @@ impl StageInputs {
         Random::new(seed).fill(self.spec.planes(self.channels()) * self.pixels(), -1.0, 1.0)
     }
 
-    /// What pixel `pixel` sees of Gaussian `i`: alpha before its limit, the depth it is seen at, and where it is greatest.
+    /// Gaussian `i` at `pixel`: alpha before its limit, the depth of the layer, and the camera z of its maximum along the ray.
     fn seen(&self, pixel: usize, i: usize) -> [f64; 3] {
         let (width, options) = (self.spec.intrinsics.width, &self.spec.options);
         let e = Ellipse::from_row(&self.inputs[0][i * COLUMNS..]);
         let t = &self.inputs[1][i * DEPTH_SLOPE..];
         let (dx, dy) = ((pixel % width) as f64 + 0.5 - e.mean_px[0], (pixel / width) as f64 + 0.5 - e.mean_px[1]);
         let (u, v) = (dx / e.sigma_u, (dy - e.shear * dx) / e.sigma_v);
-        // The point λ of the ray, in the three whitened coordinates, and where it is nearest to the centre.
+        // Offset of the point λ of the ray from the centre, in the three whitened coordinates.
         let offset = |lambda: f64| [lambda * u, lambda * v, (lambda - 1.0 - lambda * (t[0] * u + t[1] * v)) / t[2]];
         let (at_0, at_1) = (offset(0.0), offset(1.0));
         let along: Vec<f64> = (0..3).map(|k| at_1[k] - at_0[k]).collect();
@@ -107,7 +107,7 @@ impl StageInputs {
         }
     }
 
-    /// Gaussians front to back.
+    /// Indices of the Gaussians, front to back.
     fn order(&self, pixel: usize) -> Vec<usize> {
         let key = |i: usize| match self.spec.options.order {
             Order::CentreDepth => self.inputs[0][i * COLUMNS + 5],
@@ -137,7 +137,7 @@ fn inputs<F>([projected, depth_slope, features, background]: &[Vec<F>; 4]) -> Ra
     RayLayers { projected, depth_slope, features, background, mean2d_abs: &[] }
 }
 
-/// The definition, pixel by pixel.
+/// Planes by the definition, pixel by pixel.
 fn planes_by_definition(scene: &StageInputs) -> Vec<f64> {
     let [_, _, features, background] = &scene.inputs;
     blended(&scene.spec, features, background, |pixel| {
@@ -149,7 +149,7 @@ fn planes_by_definition(scene: &StageInputs) -> Vec<f64> {
     })
 }
 
-/// Listed by bounds or ellipse, so that an intersection that they lose shows.
+/// The lists come from bounds or ellipses, so that a lost intersection shows.
 #[test]
 fn planes_are_those_of_the_definition() {
     for (seed, size) in [(37, 21), (16, 16), (1, 1), (1, 50), (90, 60)].into_iter().enumerate() {
@@ -178,7 +178,7 @@ fn without_a_depth_slope_it_is_rasterize() {
     }
 }
 
-/// How close any alpha comes to `value` before its limit, and any two that matter to changing places, relatively.
+/// Smallest distance of any alpha before its limit from `value`, and smallest relative distance of two keys that could swap.
 fn nearest(scene: &StageInputs, value: f64) -> f64 {
     let count = scene.inputs[0].len() / COLUMNS;
     let mut nearest = f64::MAX;
@@ -202,8 +202,8 @@ fn every_gradient_agrees_with_finite_differences() {
             let options = smooth(0.8).with_depth(depth).with_projection(projection).with_order(order);
             let range = ([0.4, 1.0], 0.4, 0.12);
             let scene = |seed| StageInputs::random(seed, 8, (14, 10), channels, range, options);
-            // There is no derivative where an alpha meets its limit or layers change places: take a scene in which no step
-            // gets there.
+            // The derivative does not exist where an alpha meets its limit or layers swap, so the scene is one
+            // in which no finite-difference step gets there.
             let first = 1000 * channels as u64;
             let scene = (first..first + 900).map(scene).find(|scene| nearest(scene, 0.8) > 1e-3);
             let scene = scene.expect("one scene in some hundreds is clear of both");
@@ -214,12 +214,12 @@ fn every_gradient_agrees_with_finite_differences() {
             let what = format!("{channels} channels, depth {depth}, {projection:?}, {order:?}");
             let mut scene = scene;
             if projection == Projection::Affine {
-                // The depth slope has no gradient; and so finite differences find none.
+                // The depth slope has no gradient, and finite differences agree.
                 let g = scene.backward(&scene.random_grad(77), ALL);
                 assert!(g.depth_slope.iter().all(|g| *g == 0.0), "{what}");
             }
             scene.check(&what, 1);
-            // A camera inside some of them.
+            // The camera is inside some of the Gaussians.
             scene.inputs[1].iter_mut().skip(2).step_by(2 * DEPTH_SLOPE).for_each(|thickness| *thickness *= 6.0);
             if order == Order::CentreDepth && nearest(&scene, 0.8) > 1e-3 {
                 scene.check(&format!("{what}, thick"), 1);
