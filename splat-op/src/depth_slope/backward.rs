@@ -1,8 +1,9 @@
-//! Kernel of `depth_slope`, backward: one unit per Gaussian, which projects it again and goes the same way back. Outputs that nobody
-//! asked for are not arguments.
+//! Backward kernel of `depth_slope`: one unit per Gaussian projects it again and differentiates the result. Gradients that are not
+//! needed are not kernel arguments.
 //!
-//! `p`, `a` and `b` together have the length one and `sigma_v` as their common denominator, `n` and `bᵤ` have `sigma_u`: a
-//! gradient of numerators over their own length is that of the quotients without its part along them, over the length.
+//! `p`, `a` and `b` together have length one and the common denominator `sigma_v`; `n` and `bᵤ` have the denominator `sigma_u`.
+//! For numerators divided by their own length, the gradient is the gradient of the quotients without its component along them, divided
+//! by the length.
 
 use cubecl::prelude::*;
 
@@ -25,7 +26,7 @@ fn factor_backward(
     let (n, m1, mz, a, p) = (f.n, f.y.m, l.mz, l.a, l.p);
     let e = a.cross(mz);
     let length = mz.length();
-    // The four parts of the thickness over the thickness; none is longer than one.
+    // Four parts of the thickness, each divided by the thickness; each has at most length one.
     let free = l.free && l.thickness > 0.0;
     let grad_thickness = select(free, grad_thickness, 0.0);
     let inverse = select(free, 1.0 / select(free, l.thickness, 1.0), 0.0);
@@ -83,7 +84,7 @@ pub(super) fn depth_slope_backward_kernel(
     if gaussian < count as usize {
         let at = gaussian * comptime!(DEPTH_SLOPE);
         let (grad_u, grad_v, grad_thickness) = (grad[at], grad[at + 1], grad[at + 2]);
-        // Most Gaussians of a large scene are out of view, and their gradient is exactly zero. By its bits, so that NaN counts.
+        // Most Gaussians of a large scene are out of view, with a gradient of exactly zero. The test is by bits, so that NaN counts.
         let any = u32::reinterpret(grad_u) | u32::reinterpret(grad_v) | u32::reinterpret(grad_thickness);
         if (any & 0x7fff_ffff) != 0 {
             let pose = Pose::load(cam_from_world);
@@ -104,7 +105,7 @@ pub(super) fn depth_slope_backward_kernel(
                     opacity: zero,
                 };
                 let mut seen = seen_backward(&f, &lens, (grad_m0.by_axis(g.scale), grad_m1.by_axis(g.scale)), &none);
-                // The last row over z.
+                // Gradient of the last row, which is divided by z.
                 let grad_j = grad_mz.by_axis(g.scale);
                 let inverse_z = 1.0 / f.depth;
                 seen.turned.z = seen.turned.z.plus(grad_j.times(inverse_z));

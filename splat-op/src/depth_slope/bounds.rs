@@ -12,7 +12,7 @@ use crate::simd::real::Real;
 /// Gaussians per task.
 const CHUNK: usize = 1024;
 
-/// `[N, 7]` rows for `intersect`, from packed ellipses `[N, 7]` and their depth slopes `[N, 3]`. What is culled stays culled.
+/// Returns rows `[N, 7]` for `intersect`, from packed ellipses `[N, 7]` and depth slopes `[N, 3]`. Culled Gaussians stay culled.
 pub(crate) fn bounds_cpu<F: Real>(packed: &[F], depth_slopes: &[F], spec: &RasterizeSpec) -> Vec<F> {
     let mut bounds = vec![F::ZERO; packed.len()];
     let rows = (bounds.par_chunks_mut(COLUMNS), packed.par_chunks(COLUMNS), depth_slopes.par_chunks(DEPTH_SLOPE));
@@ -59,7 +59,7 @@ fn bounding_ellipse<F: Real>(
         return everywhere;
     }
     let along = if length > F::ZERO { eccentricity / length } else { F::ZERO };
-    // From the focus to the middle, and the column, both in units of whitened coordinates.
+    // Offset from the focus to the middle, and the additional column, both in whitened coordinates.
     let shift = [depth_slope_u, depth_slope_v].map(|depth_slope| -(along * depth_slope) * (c / rest));
     let [g_u, g_v] = [depth_slope_u, depth_slope_v].map(|depth_slope| along * depth_slope / rest.sqrt());
     let scale = c / (rest.sqrt() * F::of(EXTENT));

@@ -7,10 +7,10 @@ use crate::linalg::{Mat3, add, cross, dot, hadamard, matmul, matvec, norm, scale
 use crate::project::{Geometry, ProjectSpec};
 use crate::simd::real::Real;
 
-/// Gaussians per task. The pose's gradient adds one partial sum per chunk in order.
+/// Number of Gaussians per task. The pose's gradient adds one partial sum per chunk, in order.
 const CHUNK: usize = 1024;
 
-/// The camera.
+/// Camera and render options, in the form that the stage uses.
 struct DepthSlopeCamera<F> {
     rotation: Mat3<F>,
     translation: [F; 3],
@@ -37,7 +37,7 @@ impl<F: Real> DepthSlopeCamera<F> {
     }
 }
 
-/// What the forward pass computes on its way; the names are those of the contract.
+/// Intermediate results of the forward pass, with the names of the module's documentation.
 struct DepthSlopeTermsCpu<F> {
     mean_cam: [F; 3],
     ratio: [F; 2],
@@ -46,9 +46,9 @@ struct DepthSlopeTermsCpu<F> {
     quaternion: [F; 4],
     quaternion_length: F,
     world_from_gaussian: Mat3<F>,
-    /// The last row of `W R`.
+    /// Last row of `W R`.
     last: [F; 3],
-    /// Rows of `J W R` and the last one over z; the same times the scales.
+    /// `j`: the rows of `J W R`, and the last row of `W R` over z; `m`: the rows of `j` times the scales.
     j: Mat3<F>,
     m: Mat3<F>,
     sigma_u: F,
@@ -58,14 +58,14 @@ struct DepthSlopeTermsCpu<F> {
     p: [F; 3],
     a: [F; 3],
     b: F,
-    /// `m1 / sigma_u`
+    /// `m1 / sigma_u`.
     along: [F; 3],
     depth_slope: [F; DEPTH_SLOPE],
     thickness_free: bool,
 }
 
 impl<F: Real> DepthSlopeTermsCpu<F> {
-    /// `None` for a Gaussian without a depth slope.
+    /// Returns `None` for a Gaussian without a depth slope.
     fn new(lens: &DepthSlopeCamera<F>, inputs: &Geometry<&[F]>, i: usize) -> Option<Self> {
         let three = |values: &[F]| [values[3 * i], values[3 * i + 1], values[3 * i + 2]];
         let (mean, scales) = (three(inputs.means), three(inputs.scales));
@@ -126,13 +126,13 @@ impl<F: Real> DepthSlopeTermsCpu<F> {
         })
     }
 
-    /// Gradients of the rows of `m` from that of the depth slope.
+    /// Returns the gradients of the rows of `m` from the gradient of the depth slope.
     fn factor_backward(&self, [grad_u, grad_v, grad_thickness]: [F; DEPTH_SLOPE]) -> Mat3<F> {
         let Self { n, b_u, p, a, b, along, .. } = *self;
         let (m1, mz) = (self.m[1], self.m[2]);
         let c = cross(n, mz);
         let (e, length) = (cross(a, mz), norm(mz));
-        // The four parts of the thickness over the thickness; none is longer than one.
+        // Four parts of the thickness, each divided by the thickness; each has at most length one.
         let free = self.thickness_free && self.depth_slope[2] > F::ZERO;
         let (grad_thickness, inverse) =
             if free { (grad_thickness, F::ONE / self.depth_slope[2]) } else { (F::ZERO, F::ZERO) };
@@ -150,13 +150,13 @@ impl<F: Real> DepthSlopeTermsCpu<F> {
         let grad_b = grad_thickness * (dot(along_c, c) + rest * b_u * length);
         let grad_b_u = grad_v * dot(a, mz) + grad_thickness * rest * b * length;
 
-        // p, a and b have the length one together, and sigma_v as their common denominator.
+        // p, a and b together have length one and the common denominator sigma_v.
         let radial = dot(grad_p, p) + dot(grad_a, a) + grad_b * b;
         let inverse_v = F::ONE / self.sigma_v;
         let grad_across = scale(sub(grad_p, scale(p, radial)), inverse_v);
         let grad_along = scale(sub(grad_a, scale(a, radial)), b);
         let grad_n = add(grad_n, cross(m1, grad_across));
-        // And so have n and bᵤ, of sigma_u.
+        // n and bᵤ have the common denominator sigma_u.
         let radial = dot(grad_n, n) + grad_b_u * b_u + dot(grad_along, along);
         let inverse_u = F::ONE / self.sigma_u;
         let grad_m0 = scale(sub(grad_n, scale(n, radial)), inverse_u);
@@ -165,7 +165,7 @@ impl<F: Real> DepthSlopeTermsCpu<F> {
     }
 }
 
-/// `[N, 3]` depth slopes and thicknesses.
+/// Returns the depth slopes and thicknesses, `[N, 3]`.
 pub(crate) fn depth_slope_cpu<F: Real>(inputs: Geometry<&[F]>, spec: &ProjectSpec) -> Vec<F> {
     let lens = DepthSlopeCamera::new(inputs.cam_from_world, spec);
     let mut depth_slopes = vec![F::ZERO; inputs.opacities.len() * DEPTH_SLOPE];
@@ -177,12 +177,12 @@ pub(crate) fn depth_slope_cpu<F: Real>(inputs: Geometry<&[F]>, spec: &ProjectSpe
     depth_slopes
 }
 
-/// One Gaussian's gradients.
+/// Gradients of one Gaussian.
 struct DepthSlopeGaussianGrads<F> {
     mean: [F; 3],
     rotation: [F; 4],
     scale: [F; 3],
-    /// Its share of the pose's.
+    /// The Gaussian's contribution to the gradient of the pose.
     pose: [F; 12],
 }
 
@@ -203,7 +203,7 @@ fn backward_one<F: Real>(
     let grad_scale = add(add(by_row(0), by_row(1)), by_row(2));
     let grad_j = grad_m.map(|row| hadamard(row, scales));
 
-    // As for the rows of `project`, and the last one over z.
+    // The rows are differentiated as in `project`; the last one is divided by z.
     let inverse_z = F::ONE / leaning.mean_cam[2];
     let mut rows = [[F::ZERO; 3], [F::ZERO; 3], scale(grad_j[2], inverse_z)];
     let mut centre = [F::ZERO, F::ZERO, -dot(grad_j[2], leaning.j[2]) * inverse_z];
@@ -232,7 +232,7 @@ fn backward_one<F: Real>(
     })
 }
 
-/// Gradients of the inputs from `grad`, `[N, 3]`. Opacities and projected centres have none.
+/// Returns the gradients of the inputs from `grad`, `[N, 3]`. Opacities and projected centres have no gradient.
 pub(crate) fn depth_slope_backward_cpu<F: Real>(
     inputs: Geometry<&[F]>,
     grad: &[F],
@@ -279,7 +279,7 @@ pub(crate) fn depth_slope_backward_cpu<F: Real>(
     grads
 }
 
-/// The rotation matrix of a unit quaternion wxyz.
+/// Returns the rotation matrix of a unit quaternion wxyz.
 fn rotation_of<F: Real>([w, x, y, z]: [F; 4]) -> Mat3<F> {
     let twice = |value: F| value + value;
     [
@@ -289,8 +289,8 @@ fn rotation_of<F: Real>([w, x, y, z]: [F; 4]) -> Mat3<F> {
     ]
 }
 
-/// The gradient of a quaternion of any length from that of the matrix of its unit; held at the float's range where the length
-/// is too short.
+/// Returns the gradient of a quaternion of any length from the gradient of the matrix of its unit quaternion. The result is
+/// clamped to the float's range where the length is too short.
 fn quaternion_backward<F: Real>([w, x, y, z]: [F; 4], length: F, g: &Mat3<F>) -> [F; 4] {
     let two = F::of(2.0);
     let (ax, ay, az) = (g[2][1] - g[1][2], g[0][2] - g[2][0], g[1][0] - g[0][1]);

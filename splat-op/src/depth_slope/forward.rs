@@ -1,4 +1,4 @@
-//! Kernels of `depth_slope`, forward, and of the bounds: one unit per Gaussian. What projects a Gaussian is that of `project`.
+//! Forward kernels of `depth_slope` and of the bounds: one unit per Gaussian. The code of `project` projects the Gaussians.
 
 use cubecl::prelude::*;
 
@@ -6,13 +6,13 @@ use super::{DEPTH_SLOPE, EXTENT, LEAST, SLACK, THICKNESS_MAX};
 use crate::gpu::math::{Pose, Vec3, finite};
 use crate::project::forward::{Gaussian, PackedEllipse, ProjectCamera, ProjectionTerms, project_one};
 
-/// What the forward pass computes on its way and the backward pass needs again. The names are those of the contract.
+/// Intermediate results of the forward pass that the backward pass needs again, with the names of the module's documentation.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub(super) struct DepthSlopeTerms {
-    /// Without it the Gaussian has no depth slope: it is culled, or too long.
+    /// False if the Gaussian has no depth slope, because it is culled or too long.
     pub sound: bool,
-    /// The last row of `W R` over z, and the same times the scales.
+    /// `j`: the last row of `W R` over z; `mz`: `j` times the scales.
     pub j: Vec3,
     pub mz: Vec3,
     pub c: Vec3,
@@ -23,7 +23,7 @@ pub(super) struct DepthSlopeTerms {
     pub depth_slope_u: f32,
     pub depth_slope_v: f32,
     pub thickness: f32,
-    /// Whether the thickness is not held.
+    /// Whether the thickness is not clamped.
     pub free: bool,
 }
 
@@ -60,7 +60,7 @@ pub(super) fn lean(projection: &ProjectionTerms, gaussian: &Gaussian, lens: &Pro
     }
 }
 
-/// `[N, 3]`.
+/// Writes the depth slopes, `[N, 3]`.
 #[cube(launch_unchecked)]
 pub(super) fn depth_slope_forward_kernel(
     means: &[f32],
@@ -83,7 +83,7 @@ pub(super) fn depth_slope_forward_kernel(
     }
 }
 
-/// A row that covers the whole picture.
+/// Returns a row that covers the whole picture.
 #[cube]
 fn everywhere(e: &PackedEllipse, width: f32, height: f32, reached: f32, alpha_min: f32) -> PackedEllipse {
     PackedEllipse {
@@ -97,7 +97,7 @@ fn everywhere(e: &PackedEllipse, width: f32, height: f32, reached: f32, alpha_mi
     }
 }
 
-/// The row of a Gaussian, and whether it has an end.
+/// Returns the row of a Gaussian, and whether its region is bounded.
 #[cube]
 fn bounding_ellipse(
     e: &PackedEllipse,
@@ -113,7 +113,7 @@ fn bounding_ellipse(
     let across = thickness * tau.sqrt();
     let thin = 1.0 - across * across;
     let c = (tau / max(thin, least)).sqrt();
-    // The eccentricity over the depth slope is `c`.
+    // The eccentricity is `c` times the length of the depth slope.
     let eccentricity = c * Vec3::new(depth_slope_u, depth_slope_v, 0.0).length();
     let rest = (1.0 - eccentricity) * (1.0 + eccentricity);
     let ends = alpha_min > 0.0 && thin > least && rest > least;
@@ -136,7 +136,7 @@ fn bounding_ellipse(
     (row, ends && known)
 }
 
-/// `[N, 7]`.
+/// Writes the bounds, `[N, 7]`.
 #[cube(launch_unchecked)]
 pub(super) fn bounds_kernel(
     projected: &[f32],

@@ -1,4 +1,4 @@
-//! The kernels of `depth_slope` against the twin in f64.
+//! Compares the kernels of `depth_slope` with the CPU twin in f64.
 
 use super::cpu::{depth_slope_backward_cpu, depth_slope_cpu};
 use super::launch::{launch_bounds, launch_depth_slope, launch_depth_slope_backward};
@@ -18,7 +18,7 @@ const ALL: Geometry<bool> =
 
 const CAMERA: Intrinsics = Intrinsics { fx: 61.0, fy: 43.0, cx: 41.5, cy: 13.25, ..Intrinsics::centred(64, 48, 61.0) };
 
-// Classes of Gaussians. The first two are well-conditioned.
+// Classes of Gaussians. The first two are well conditioned.
 const CULLED: u8 = 0;
 const ORDINARY: u8 = 1;
 const NEEDLE: u8 = 2;
@@ -28,7 +28,7 @@ const TINY: u8 = 5;
 
 const GRAD: usize = 5;
 
-/// Means, rotations, scales, opacities, pose, gradient, in f32 precision, and the class of each Gaussian.
+/// Returns means, rotations, scales, opacities, pose and gradient in f32 precision, and the class of each Gaussian.
 fn scene(seed: u64, count: usize) -> (Vec<Vec<f64>>, Vec<Option<u8>>) {
     let mut random = Random::new(seed);
     let mut tensors = vec![Vec::new(); 4];
@@ -46,7 +46,7 @@ fn scene(seed: u64, count: usize) -> (Vec<Vec<f64>>, Vec<Option<u8>>) {
             _ => {}
         }
         let slopes = [random.between(-2.0, 2.0), random.between(-2.0, 2.0)];
-        // The pose moves little, and turns not at all what lies on the camera's axis.
+        // The pose moves points little, and does not rotate points on the camera's axis.
         tensors[0].extend([slopes[0] * z, slopes[1] * z, z]);
         tensors[1].extend((0..4).map(|_| random.between(-1.5, 1.5)));
         tensors[2].extend(scale);
@@ -144,7 +144,8 @@ fn bounds_agree_with_the_twin() {
         let rows =
             [project_cpu(inputs(&tensors), &spec), depth_slope_cpu(inputs(&tensors), &spec)].map(|t| rounded(&t));
         let reference = PerturbedReference::new(&rows, |rows| vec![bounds_cpu(&rows[0], &rows[1], &rasterize)]);
-        // Near the end of those that have one, a row may have one or not; the slack that tells them apart is no rounding.
+        // At the limit between bounded and unbounded regions a row may fall on either side; the slack of that limit is no
+        // rounding error.
         let jumps = |i: usize| {
             let row = |values: &[f64]| values[COLUMNS * i..COLUMNS * (i + 1)].to_vec();
             row(&reference.spread[0]).iter().any(|spread| *spread > 1.0)

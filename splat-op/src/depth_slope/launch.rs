@@ -10,7 +10,7 @@ use crate::project::launch::lens;
 use crate::project::{COLUMNS, Geometry, ProjectSpec};
 use crate::rasterize::RasterizeSpec;
 
-/// `[N, 3]`.
+/// Launches the forward pass and returns the depth slopes, `[N, 3]`.
 pub(crate) fn launch_depth_slope(gpu: &Gpu, inputs: &Geometry<Buffer<f32>>, spec: &ProjectSpec) -> Buffer<f32> {
     let count = inputs.opacities.len;
     let depth_slopes = Buffer::new(gpu, count * DEPTH_SLOPE);
@@ -37,7 +37,7 @@ pub(crate) fn launch_depth_slope(gpu: &Gpu, inputs: &Geometry<Buffer<f32>>, spec
     depth_slopes
 }
 
-/// Rows for `intersect`, `[N, 7]`, from packed ellipses and their depth slopes.
+/// Launches the bounds and returns rows for `intersect`, `[N, 7]`, from packed ellipses and their depth slopes.
 pub(crate) fn launch_bounds(
     gpu: &Gpu,
     projected: &Buffer<f32>,
@@ -68,8 +68,8 @@ pub(crate) fn launch_bounds(
     bounds
 }
 
-/// Gradients of the inputs from `grad`, `[N, 3]`; none of opacities and projected centres. Those of the pose are summed in a
-/// fixed order.
+/// Returns the gradients of the inputs from `grad`, `[N, 3]`. Opacities and projected centres have no gradient. The gradient
+/// of the pose is summed in a fixed order.
 pub(crate) fn launch_depth_slope_backward(
     gpu: &Gpu,
     inputs: &Geometry<Buffer<f32>>,

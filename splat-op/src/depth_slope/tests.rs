@@ -1,4 +1,4 @@
-//! `depth_slope` against a factorisation of the covariance, central finite differences, and what its bounds have to hold.
+//! Compares `depth_slope` with a factorisation of the covariance and with central finite differences, and checks the bounds.
 
 use glam::{DMat3, DQuat, DVec3};
 
@@ -28,7 +28,7 @@ fn spec(projection: Projection, blur: f64) -> ProjectSpec {
 struct StageInputs([Vec<f64>; 5]);
 
 impl StageInputs {
-    /// Gaussians in view and far beside it, small and large beside their distance, thin as needles and flat.
+    /// Gaussians in view and far beside it, small and large relative to their distance, thin as needles, and flat.
     fn random(seed: u64, count: usize) -> Self {
         let mut random = Random::new(seed);
         let (mut means, mut scales) = (Vec::new(), Vec::new());
@@ -58,7 +58,7 @@ fn inputs<F>([means, rotations, scales, opacities, cam_from_world]: &[Vec<F>; 5]
     Geometry { means, rotations, scales, opacities, cam_from_world, mean2d: &[] }
 }
 
-/// The covariance of the contract, formed as it stands there.
+/// The covariance of the module's documentation, formed literally.
 fn covariance(scene: &StageInputs, i: usize, blur: f64) -> DMat3 {
     let [means, rotations, scales, _, p] = &scene.0;
     let pose = DMat3::from_cols_array(&[p[0], p[4], p[8], p[1], p[5], p[9], p[2], p[6], p[10]]);
@@ -86,7 +86,7 @@ fn it_is_the_last_row_of_the_factor() {
             let w = DVec3::new(0.0, 0.0, depth_slope[2]);
             let factor = DMat3::from_cols(u, v, w);
             let (found, expected) = (factor * factor.transpose(), covariance(&scene, i, blur));
-            // Depths are thousands of times smaller than pixels: each entry by the size of its row and column.
+            // Depths are thousands of times smaller than pixels: each entry is compared relative to its row and column.
             for (row, column) in (0..3).flat_map(|row| (0..3).map(move |column| (row, column))) {
                 let at = |m: &DMat3, row: usize, column: usize| m.col(column)[row];
                 let size = (at(&expected, row, row) * at(&expected, column, column)).sqrt();
@@ -140,7 +140,7 @@ fn extreme_sizes_stay_finite_in_f32() {
     }
 }
 
-/// Where a Gaussian shows, its bounds is; and where there is an end to that, the bounds is not much larger.
+/// Checks that the bounds contain the visible region of a Gaussian and, where that region is bounded, are not much larger.
 fn check_bounds<F: Real>(seed: u64) {
     let mut random = Random::new(seed);
     let options = RenderOptions::standard().with_projection(Projection::RayMax);
@@ -167,7 +167,7 @@ fn check_bounds<F: Real>(seed: u64) {
         let (mut farthest, mut held) = (0.0_f64, true);
         for turn in 0..64 {
             let (sin, cos) = (turn as f64 * std::f64::consts::TAU / 64.0).sin_cos();
-            // Outwards as far as it shows.
+            // Walks outwards along a ray as far as the Gaussian is visible.
             for step in 0..330 {
                 let r = 0.02 * 1.03_f64.powi(step);
                 let (u, v) = (r * cos, r * sin);
@@ -180,14 +180,14 @@ fn check_bounds<F: Real>(seed: u64) {
                 let [x, y] = [px[0] - found.mean_px[0], px[1] - found.mean_px[1]];
                 let extent = (x / found.sigma_u).hypot((y - found.shear * x) / found.sigma_v) / EXTENT;
                 farthest = farthest.max(extent);
-                // One that shows without end covers the picture and no more.
+                // A row for an unbounded region covers the picture and no more.
                 let beyond = !(0.0..=640.0).contains(&px[0]) || !(0.0..=480.0).contains(&px[1]);
                 held &= extent <= 1.0 || (all && beyond);
             }
         }
         assert!(held, "{e:?}, depth slope {depth_slope:?} shows beyond {found:?}: {farthest}");
-        // It touches what it holds, to the step of the walk and the slack, which tells where a Gaussian hardly shows at all or
-        // almost everywhere.
+        // The bounds touch the visible region, up to the step of the walk and the slack, which matters where a Gaussian is hardly
+        // visible or visible almost everywhere.
         let telling = e.opacity < 0.05 || found.sigma_u > 10.0 * e.sigma_u;
         assert!(
             all || telling || farthest > 0.93,
