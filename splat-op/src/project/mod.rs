@@ -105,6 +105,8 @@ record! {
 /// The plain numbers the stage depends on.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ProjectSpec {
+    /// Camera intrinsics.
     pub intrinsics: Intrinsics,
+    /// Render options.
     pub options: RenderOptions,
 }

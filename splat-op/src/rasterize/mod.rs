@@ -67,7 +67,9 @@ record! {
 /// The plain numbers the stage depends on.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RasterizeSpec {
+    /// Camera intrinsics.
     pub intrinsics: Intrinsics,
+    /// Render options.
     pub options: RenderOptions,
 }
 
