@@ -1,4 +1,4 @@
-//! `activate` on Burn's backends, with its backward nodes, and the search for numbers that are not finite.
+//! `activate` on Burn's backends, with its backward nodes, and the check for values that are not finite.
 
 #![allow(deprecated, reason = "burn-ndarray is deprecated in favour of burn-flex; this project supports both")]
 
@@ -23,22 +23,22 @@ use crate::activate::cpu::{all_finite_cpu, opacities_cpu, opacity_slopes_cpu, sc
 #[cfg(feature = "fusion")]
 use crate::activate::rule::Raw;
 
-/// Activation of parameters, see `activate/`.
+/// Activation of the parameters; see `activate/`.
 #[backend_extension(Cube: cfg(feature = "cube"), Flex, NdArray, Autodiff, Fusion: cfg(feature = "fusion"))]
 pub trait ActivateBackend: Backend {
-    /// Standard deviations, of the shape of `log_scales`, `[N, 3]`.
+    /// Returns the standard deviations from `log_scales`, both `[N, 3]`.
     #[fusion(dtype = log_scales, shape = log_scales)]
     fn scales(log_scales: FloatTensor<Self>) -> FloatTensor<Self>;
 
-    /// Opacities, `[N]`. Differentiable in the logits.
+    /// Returns the opacities, `[N]`. Differentiable in the logits.
     #[fusion(meta = opacities)]
     fn opacities(#[extension_type] inputs: RawTensors<Self>) -> FloatTensor<Self>;
 
-    /// Derivatives of the opacities with respect to their logits, `[N]`. Not differentiable.
+    /// Returns the derivatives of the opacities with respect to their logits, `[N]`. Not differentiable.
     #[fusion(dtype = logit_opacities, shape = logit_opacities)]
     fn opacity_slopes(logit_opacities: FloatTensor<Self>, opacities: FloatTensor<Self>) -> FloatTensor<Self>;
 
-    /// `[1]`: 1 if any value is not finite, else 0. Not differentiable.
+    /// Returns 1 if any value is not finite, else 0; `[1]`. Not differentiable.
     #[fusion(dtype = burn::tensor::DType::I32, shape = burn::tensor::Shape::from([1]))]
     fn non_finite(values: FloatTensor<Self>) -> IntTensor<Self>;
 }
@@ -128,7 +128,7 @@ mod gpu {
 struct ScalesBackward;
 
 impl<B: ActivateBackend> Backward<B, 1> for ScalesBackward {
-    /// The output, which is the derivative too, and zero where the input was unusable.
+    /// The output. It equals the derivative, and is zero where the input was unusable.
     type State = FloatTensor<B>;
 
     fn backward(self, ops: Ops<Self::State, 1>, grads: &mut Gradients, _: &mut Checkpointer) {

@@ -11,29 +11,29 @@ use crate::adam::launch::{DeviceState, launch_adam, launch_watch};
 use crate::adam::rule::{Factors, VERDICT};
 use crate::gpu::{Buffer, Gpu};
 
-/// What may hold a step back.
+/// Condition under which a step is skipped.
 #[derive(Clone, Debug, ExtensionType)]
 #[extension_type(fusion: cfg(feature = "fusion"))]
 pub enum Held<B: Backend> {
-    /// Nothing.
+    /// The step is never skipped.
     Never,
-    /// A verdict, `[2]`.
+    /// The step is skipped if this verdict, `[2]`, names a step.
     By(IntTensor<B>),
 }
 
-/// A parameter, its gradient and its moments, of one shape.
+/// A parameter, its gradient and its moments, all of one shape.
 #[derive(Clone, Debug, ExtensionType)]
 #[extension_type(fusion: cfg(feature = "fusion"))]
 pub struct AdamInputs<B: Backend> {
     /// The parameter.
     pub param: FloatTensor<B>,
-    /// Its gradient.
+    /// Gradient of the parameter.
     pub grad: FloatTensor<B>,
-    /// `Σ β₁ᵏ g`
+    /// First moment, `Σ β₁ᵏ g`.
     pub m: FloatTensor<B>,
-    /// `Σ β₂ᵏ g²`
+    /// Second moment, `Σ β₂ᵏ g²`.
     pub v: FloatTensor<B>,
-    /// What may hold the step back.
+    /// Condition under which the step is skipped.
     #[extension_type]
     pub held: Held<B>,
 }
@@ -44,20 +44,20 @@ pub struct AdamInputs<B: Backend> {
 pub struct AdamState<B: Backend> {
     /// The parameter.
     pub param: FloatTensor<B>,
-    /// `Σ β₁ᵏ g`
+    /// First moment, `Σ β₁ᵏ g`.
     pub m: FloatTensor<B>,
-    /// `Σ β₂ᵏ g²`
+    /// Second moment, `Σ β₂ᵏ g²`.
     pub v: FloatTensor<B>,
 }
 
-/// Adam's step and the verdict that holds it back, on GPU backends alone; see `adam/`.
+/// Adam's step and the verdict that makes it skip, on GPU backends only; see `adam/`.
 #[backend_extension(Cube, Fusion: cfg(feature = "fusion"))]
 pub trait AdamBackend: Backend {
-    /// One step.
+    /// Performs one step.
     #[fusion(meta = adam_meta)]
     fn adam(#[extension_type] inputs: AdamInputs<Self>, factors: Factors) -> AdamState<Self>;
 
-    /// The verdict, `[2]`, after a look at `values`.
+    /// Returns the verdict, `[2]`, after a check of `values`.
     #[fusion(dtype = DType::I32, shape = Shape::from([VERDICT]))]
     fn watch(values: FloatTensor<Self>, verdict: IntTensor<Self>, at_step: u32, bit: u32) -> IntTensor<Self>;
 }
@@ -67,7 +67,7 @@ fn adam_meta(inputs: &AdamInputsMetadata, _: &Factors) -> AdamStateMetadata {
     AdamStateMetadata { param: inputs.param.clone(), m: inputs.m.clone(), v: inputs.v.clone() }
 }
 
-/// A verdict as the kernels see it: step and bits are not negative.
+/// Returns a verdict in the type that the kernels use: step and bits are not negative.
 fn verdict_buffer(verdict: &CubeTensor) -> Buffer<u32> {
     debug_assert!(verdict.dtype == DType::I32 && verdict.shape().num_elements() == VERDICT);
     Buffer::from_handle(verdict.handle.clone(), VERDICT)

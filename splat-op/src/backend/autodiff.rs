@@ -1,4 +1,4 @@
-//! The backward nodes of the stages. Each stage is one node; a backward pass computes what is tracked.
+//! Backward nodes of the stages. Each stage is one node; a backward pass computes only the gradients of tracked inputs.
 
 use std::ops::Range;
 use std::sync::PoisonError;
@@ -20,7 +20,7 @@ use crate::project::{Geometry, ProjectSpec};
 use crate::rasterize::{Layers, PartsCell, RasterizeSpec, TraceCell};
 use crate::sh::Shading;
 
-/// The output of a stage, with `kind` as its backward node if any of its inputs is tracked.
+/// Returns the output of a stage, with `kind` as its backward node if any input is tracked.
 pub(super) fn tracked<B: Backend, C: CheckpointStrategy, K: Backward<B, N>, const N: usize>(
     kind: K,
     inputs: [&InputTensor<Autodiff<B, C>>; N],
@@ -33,7 +33,7 @@ pub(super) fn tracked<B: Backend, C: CheckpointStrategy, K: Backward<B, N>, cons
     }
 }
 
-/// Runs a backward pass for the inputs that want a gradient, and hands each what was found for it.
+/// Runs a backward pass for the inputs that need a gradient, and registers the gradient of each.
 pub(super) fn differentiate<B: Backend, S, const N: usize>(
     ops: Ops<S, N>,
     grads: &mut Gradients,
@@ -75,7 +75,7 @@ impl<B: SplatBackend> Backward<B, 3> for ShBackward {
     }
 }
 
-/// Hands a part's gradient to the node of the planes it is taken from, beside the graph.
+/// Passes the gradient of a part to the node of its planes, outside the graph.
 #[derive(Debug)]
 struct PartBackward;
 
@@ -89,8 +89,8 @@ impl<B: SplatBackend> Backward<B, 1> for PartBackward {
     }
 }
 
-/// The gradient of the planes from those of the parts that have one: the part's own if that is all of the first `alone`
-/// planes, else all planes with zeros where no part is.
+/// Returns the gradient of the planes from the gradients of their parts. If only one part has a gradient and it covers the first
+/// `alone` planes, the result is that gradient; otherwise it has all planes, with zeros where no part has a gradient.
 pub(super) fn planes_grad<B: SplatBackend>(
     parts: &PartsCell,
     planes: &FloatTensor<B>,
@@ -137,7 +137,7 @@ impl<B: SplatBackend> Backward<B, 4> for RasterizeBackward {
     fn backward(self, ops: Ops<Self::State, 4>, grads: &mut Gradients, _: &mut Checkpointer) {
         differentiate::<B, _, _>(ops, grads, |(inputs, planes, spec, intersections, trace, parts), mask| {
             let alone = (!spec.options.depth).then(|| inputs.background.0.shape().num_elements());
-            // The planes are seen through their parts alone, whose nodes come before this one.
+            // The planes are used only through their parts, whose nodes run before this one.
             let grad = planes_grad::<B>(&parts, &planes, alone);
             B::rasterize_backward(inputs, planes, grad, spec, Layers::from_array(mask), intersections, trace)
                 .into_array()
@@ -157,7 +157,7 @@ impl<B: SplatBackend, C: CheckpointStrategy> SplatBackend for Autodiff<B, C> {
         visible: OptionalTensor<Self>,
         spec: ProjectSpec,
     ) -> FloatTensor<Self> {
-        // Who is visible changes at borders alone: it has no gradient.
+        // The set of visible Gaussians is piecewise constant, so `visible` has no gradient.
         let (inner, visible) = (inputs.each_ref().map(InputTensor::inner), visible.inner());
         let output = B::evaluate_sh(inner.clone(), visible.clone(), spec);
         tracked(ShBackward, inputs.each_ref().into_array(), (inner, visible, spec), output)
@@ -181,7 +181,7 @@ impl<B: SplatBackend, C: CheckpointStrategy> SplatBackend for Autodiff<B, C> {
     ) -> FloatTensor<Self> {
         let inner = inputs.each_ref().map(InputTensor::inner);
         let nodes = inputs.into_array().map(|input| input.0.node());
-        // What a backward pass would need is kept where there can be one alone.
+        // The trace is kept only where a backward pass is possible.
         match RasterizeBackward.prepare::<C>(nodes).compute_bound().stateful() {
             OpsKind::Tracked(prep) => {
                 let trace = TraceCell::default();
@@ -205,7 +205,7 @@ impl<B: SplatBackend, C: CheckpointStrategy> SplatBackend for Autodiff<B, C> {
         }
     }
 
-    // Backward passes are not differentiable themselves: called on this backend they see constants.
+    // Backward passes are not themselves differentiable: on this backend they take constants.
 
     fn project_backward(
         inputs: GeometryTensors<Self>,

@@ -22,12 +22,12 @@ use crate::sh::Shading;
 use crate::sh::cpu::{ShCpuInputs, Visible, sh_backward_cpu, sh_cpu};
 use crate::simd::real::Real;
 
-/// The elements of an input.
+/// Reads the elements of an input.
 pub(super) fn host<B: HostBackend, F: Real>(input: &InputTensor<B>) -> Host<F> {
     B::host(input.0.clone())
 }
 
-/// What a twin found for an input, as a tensor of the input's shape and the float type of the elements, if it was asked for.
+/// Returns the gradient of an input as a tensor of its shape and of the float type of the elements, if it was asked for.
 pub(super) fn gradient<B: HostBackend, F: Real>(
     ((elements, asked), input): ((Vec<F>, bool), &InputTensor<B>),
 ) -> OptionalTensor<B> {
@@ -37,12 +37,12 @@ pub(super) fn gradient<B: HostBackend, F: Real>(
     }
 }
 
-/// The coefficients of the harmonics, and everything else that colours are computed from.
+/// Inputs of the spherical-harmonics (SH) stage: the coefficients, and everything else that colours depend on.
 struct ShHost<F: Real> {
     sh: HostCoefficients<F>,
     means: Host<F>,
     cam_from_world: Host<F>,
-    /// Packed ellipses, if they say who is visible.
+    /// Packed ellipses, if only visible Gaussians need colours.
     ellipses: Option<Host<F>>,
     coefficients: usize,
 }
@@ -68,7 +68,7 @@ impl<F: Real> ShHost<F> {
     }
 }
 
-/// The lists in the cell, computed now if nobody has yet.
+/// Returns the lists in the cell, computing them if it is empty.
 fn intersection_lists<'a, F: Real>(
     cell: &'a IntersectionCell,
     projected: &[F],
@@ -77,7 +77,7 @@ fn intersection_lists<'a, F: Real>(
     intersection_lists_by(cell, || intersect_cpu(projected, &spec.intrinsics, Cut::of(&spec.options)))
 }
 
-/// The lists in the cell, or those that `compute` makes.
+/// Returns the lists in the cell, filling it by `compute` if it is empty.
 pub(super) fn intersection_lists_by(
     cell: &IntersectionCell,
     compute: impl FnOnce() -> IntersectionLists,
@@ -91,7 +91,7 @@ pub(super) fn intersection_lists_by(
     }
 }
 
-/// Planes as a tensor, of which `channels` are features.
+/// Returns planes as a tensor. The number of feature channels is the length of `background`.
 pub(super) fn planes_tensor<B: HostBackend, F: Real>(
     planes: Vec<F>,
     spec: &RasterizeSpec,
@@ -101,7 +101,7 @@ pub(super) fn planes_tensor<B: HostBackend, F: Real>(
     B::from_host(planes, &[count, spec.intrinsics.height, spec.intrinsics.width], &background.0)
 }
 
-/// The gradient of all planes, where it may be that of the first `channels` alone.
+/// Returns the gradient of all planes. `grad` may cover only the first `channels` planes; the others get zeros.
 fn all_planes<B: Backend>(grad: FloatTensor<B>, spec: &RasterizeSpec, channels: usize) -> FloatTensor<B> {
     let [given, height, width] = grad.shape().dims();
     match spec.planes(channels) - given {
@@ -189,7 +189,7 @@ macro_rules! cpu_backend {
                     let lists = intersection_lists(&intersections, slices.projected, &spec);
                     let (planes, kept) = rasterize_cpu(slices, &spec, lists, trace.is_some());
                     if let (Some(cell), Some(kept)) = (trace, kept) {
-                        // A cell that is filled already holds the same trace.
+                        // A cell that is already filled holds the same trace.
                         let _ = cell.0.set(Box::new(kept));
                     }
                     planes_tensor(planes, &spec, &inputs.background)

@@ -1,4 +1,4 @@
-//! The order of the launches on Burn's GPU backend, for every CubeCL runtime.
+//! Order of the kernel launches on Burn's GPU backend, for every CubeCL runtime.
 
 use burn::backend::TensorMetadata;
 use burn::backend::ops::FloatTensorOps;
@@ -22,7 +22,7 @@ use crate::rasterize::{Layers, PartsCell, RasterizeSpec, TraceCell};
 use crate::sh::Shading;
 use crate::sh::launch::{DeviceShCoefficients, ShDeviceInputs, launch_sh, launch_sh_backward};
 
-/// A tensor's elements, row-major.
+/// Returns a tensor's elements, row-major.
 pub(crate) fn buffer(tensor: CubeTensor) -> Buffer<f32> {
     debug_assert_eq!(tensor.dtype, DType::F32, "the public functions check it");
     let tensor = into_contiguous(tensor);
@@ -30,7 +30,7 @@ pub(crate) fn buffer(tensor: CubeTensor) -> Buffer<f32> {
     Buffer::from_handle(tensor.handle, len)
 }
 
-/// Coefficients of spherical harmonics, row-major: those of half precision in words of two.
+/// Returns coefficients of spherical harmonics, row-major; in half precision, two to a word.
 fn coefficients(tensor: CubeTensor) -> DeviceShCoefficients {
     if tensor.dtype != DType::F16 {
         return buffer(tensor).into();
@@ -40,19 +40,19 @@ fn coefficients(tensor: CubeTensor) -> DeviceShCoefficients {
     DeviceShCoefficients::halves(Buffer::from_handle(tensor.handle, len.div_ceil(2)), len)
 }
 
-/// Elements as a tensor, on the device of `like`.
+/// Returns a buffer as a tensor on the device of `like`.
 pub(crate) fn tensor<T>(buffer: Buffer<T>, shape: impl Into<Shape>, dtype: DType, like: &CubeTensor) -> CubeTensor {
     let (client, device) = (like.client.clone(), like.device.clone());
     CubeTensor::new_contiguous(client, device, shape.into(), buffer.handle, dtype)
 }
 
-/// The tensor itself if nobody else holds its memory, else a copy.
+/// Returns the tensor itself if nothing else holds its memory, else a copy.
 pub(crate) fn owned(tensor: CubeTensor) -> CubeTensor {
     let tensor = into_contiguous(tensor);
     if tensor.can_mut() { tensor } else { tensor.copy() }
 }
 
-/// `values` times `factor`, `[1]`; tensor code would read both with all their dimensions.
+/// Returns `values` times `factor`, `[1]`. Generic tensor code would read both through all their dimensions.
 pub(crate) fn scaled(values: CubeTensor, factor: CubeTensor) -> CubeTensor {
     if values.dtype != DType::F32 {
         return CubeBackend::float_mul(
@@ -65,12 +65,12 @@ pub(crate) fn scaled(values: CubeTensor, factor: CubeTensor) -> CubeTensor {
     values
 }
 
-/// The elements of an input.
+/// Reads the elements of an input.
 pub(super) fn on_device(input: &InputTensor<CubeBackend>) -> Buffer<f32> {
     buffer(input.0.clone())
 }
 
-/// What kernels found for an input, as a tensor of its shape, if it was asked for.
+/// Returns the gradient of an input as a tensor of its shape, if it was asked for.
 pub(super) fn gradient(
     (found, input): (Option<Buffer<f32>>, &InputTensor<CubeBackend>),
 ) -> OptionalTensor<CubeBackend> {
@@ -85,7 +85,7 @@ fn shading_on_device(inputs: &ShadingTensors<CubeBackend>) -> ShDeviceInputs {
     }
 }
 
-/// The lists in the cell, computed now if nobody has yet.
+/// Returns the lists in the cell, computing them if it is empty.
 fn lists<'a>(
     gpu: &Gpu,
     cell: &'a IntersectionCell,
@@ -95,7 +95,7 @@ fn lists<'a>(
     lists_by(cell, || launch_intersect(gpu, projected, &spec.intrinsics, Cut::of(&spec.options)))
 }
 
-/// The lists in the cell, or those that `compute` makes.
+/// Returns the lists in the cell, filling it by `compute` if it is empty.
 pub(super) fn lists_by(cell: &IntersectionCell, compute: impl FnOnce() -> DeviceIntersections) -> &DeviceIntersections {
     match cell.0.get_or_init(|| StoredIntersections::Device(Box::new(compute()))) {
         StoredIntersections::Device(lists) => lists,
@@ -105,7 +105,7 @@ pub(super) fn lists_by(cell: &IntersectionCell, compute: impl FnOnce() -> Device
     }
 }
 
-/// Planes as a tensor.
+/// Returns planes as a tensor.
 pub(super) fn planes_tensor(
     planes: Buffer<f32>,
     spec: &RasterizeSpec,
@@ -185,7 +185,7 @@ impl SplatBackend for CubeBackend {
         let lists = lists(&gpu, &intersections, &on_device.projected, &spec);
         let (planes, kept) = launch_rasterize(&gpu, &on_device, lists, &spec, trace.is_some());
         if let (Some(cell), Some(kept)) = (trace, kept) {
-            // A cell that is filled already holds the same trace.
+            // A cell that is already filled holds the same trace.
             let _ = cell.0.set(Box::new(kept));
         }
         planes_tensor(planes, &spec, &inputs.background)

@@ -1,4 +1,4 @@
-//! A value with a derivative that is known already.
+//! A value whose derivative is already known.
 
 #![allow(deprecated, reason = "burn-ndarray is deprecated in favour of burn-flex; this project supports both")]
 
@@ -10,10 +10,10 @@ use burn::backend::tensor::FloatTensor;
 use burn::backend::{Autodiff, Backend, Dispatch, TensorMetadata, backend_extension};
 use burn::tensor::{Shape, Tensor};
 
-/// Hands a value on, with a derivative beside it for autodiff.
+/// Attaches a known derivative to a value.
 #[backend_extension(Cube: cfg(feature = "cube"), Flex, NdArray, Autodiff, Fusion: cfg(feature = "fusion"))]
 pub trait CustomGradBackend: Backend {
-    /// Returns `value`, `[1]`, whose derivative with respect to `variable` is `gradient`, of the shape of `variable`.
+    /// Returns `value`, `[1]`. Its derivative with respect to `variable` is `gradient`, which has the shape of `variable`.
     #[fusion(dtype = value, shape = value)]
     fn with_gradient(
         variable: FloatTensor<Self>,
@@ -21,7 +21,7 @@ pub trait CustomGradBackend: Backend {
         gradient: FloatTensor<Self>,
     ) -> FloatTensor<Self>;
 
-    /// `values` times `factor`, `[1]`. Not differentiable.
+    /// Returns `values` times `factor`, `[1]`. Not differentiable.
     #[fusion(dtype = values, shape = values)]
     fn scaled(values: FloatTensor<Self>, factor: FloatTensor<Self>) -> FloatTensor<Self>;
 }
@@ -86,8 +86,8 @@ impl<B: CustomGradBackend, C: CheckpointStrategy> CustomGradBackend for Autodiff
     }
 }
 
-/// `value`, `[1]`, with `gradient` as its derivative with respect to `variable`, whose shape it has. For losses whose
-/// derivative is cheaper in closed form than as a graph of small operations. `value` and `gradient` are constants.
+/// Returns `value`, `[1]`, with `gradient` as its derivative with respect to `variable`. `gradient` has the shape of `variable`.
+/// For losses whose derivative is cheaper in closed form than as a graph of small operations. `value` and `gradient` are constants.
 ///
 /// # Panics
 /// If the shapes of `variable` and `gradient` differ.

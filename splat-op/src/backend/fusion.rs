@@ -1,4 +1,4 @@
-//! What each operation will return, said before it runs: Burn's fusion asks when it registers the operation.
+//! Output shapes and types of the operations: Burn's fusion asks for them when it registers an operation, before it runs.
 
 use burn::backend::fusion::custom::TensorSpec;
 use burn::tensor::{DType, Shape};
@@ -11,12 +11,12 @@ use crate::rasterize::{Layers, PartsCell, RasterizeSpec, TraceCell};
 use crate::rasterize_rays::RayLayers;
 use crate::sh::Shading;
 
-/// A tensor of the float type of `like`.
+/// Returns the specification of a tensor with the float type of `like`.
 fn float<const D: usize>(shape: [usize; D], like: &TensorSpec) -> TensorSpec {
     TensorSpec::new(Shape::from(shape), like.dtype)
 }
 
-/// The gradient of an input, of its shape and of the float type of `like`, if it is asked for.
+/// Returns the specification of an input's gradient, with the input's shape and the float type of `like`, if it is asked for.
 fn grad(input: &InputTensorMetadata, asked: bool, like: &TensorSpec) -> OptionalTensorMetadata {
     match asked {
         true => OptionalTensorMetadata::Present(TensorSpec::new(input.0.shape.clone(), like.dtype)),

@@ -1,4 +1,4 @@
-//! Reading tensors of Burn's two CPU backends as slices, without a copy where they are contiguous.
+//! Access to tensors of Burn's two CPU backends as slices, without a copy where they are contiguous.
 
 #![allow(deprecated, reason = "burn-ndarray is deprecated in favour of burn-flex; this project supports both")]
 
@@ -14,15 +14,15 @@ use bytemuck::Pod;
 use crate::sh::cpu::ShCoefficients;
 use crate::simd::real::Real;
 
-/// A backend whose tensors lie in this program's memory.
+/// A backend whose tensors lie in host memory.
 pub(crate) trait HostBackend: Backend {
-    /// The elements of a tensor, row-major. The tensor must hold `F`.
+    /// Reads the elements of a tensor, row-major. The tensor must hold `F`.
     fn host<F: Real>(tensor: FloatTensor<Self>) -> Host<F>;
 
-    /// The elements of a tensor of half precision, row-major.
+    /// Reads the elements of a half-precision tensor, row-major.
     fn host_halves(tensor: FloatTensor<Self>) -> Host<f16>;
 
-    /// Coefficients, of half precision or of `F`.
+    /// Reads coefficients of half precision or of type `F`.
     fn host_coefficients<F: Real>(tensor: FloatTensor<Self>) -> HostCoefficients<F> {
         match tensor.dtype() {
             DType::F16 => HostCoefficients::Half(Self::host_halves(tensor)),
@@ -30,20 +30,20 @@ pub(crate) trait HostBackend: Backend {
         }
     }
 
-    /// A tensor of the given elements, row-major, on the device of `like`.
+    /// Makes a tensor from elements, row-major, on the device of `like`.
     fn from_host<F: Real>(elements: Vec<F>, shape: &[usize], like: &FloatTensor<Self>) -> FloatTensor<Self> {
         Self::float_from_data(TensorData::new(elements, shape.to_vec()), &like.device())
     }
 }
 
-/// A tensor's elements.
+/// Elements of a tensor.
 pub(crate) enum Host<F> {
     Flex(FlexTensor),
     NdArray(NdArrayTensor),
     Copied(Vec<F>),
 }
 
-/// Coefficients of spherical harmonics as a tensor stores them.
+/// Coefficients of spherical harmonics, in the precision of their tensor.
 pub(crate) enum HostCoefficients<F> {
     Full(Host<F>),
     Half(Host<f16>),
@@ -69,9 +69,9 @@ impl<F: Element + Pod> Deref for Host<F> {
     }
 }
 
-/// The elements of a tensor of any type.
+/// Returns the elements of a tensor of any type.
 fn flex<T>(tensor: FlexTensor) -> Host<T> {
-    // A slice of a tensor without elements may begin beyond its end.
+    // The slice of a tensor without elements may start beyond its end.
     if tensor.shape().num_elements() == 0 {
         return Host::Copied(Vec::new());
     }
@@ -107,7 +107,7 @@ impl HostBackend for NdArray {
     }
 }
 
-/// The elements of a tensor that holds `F` contiguously, row-major.
+/// Returns the elements of a tensor that holds `F` contiguously, row-major.
 fn elements<F: Pod>(tensor: &NdArrayTensor) -> Option<&[F]> {
     match tensor {
         NdArrayTensor::F32(storage) => storage.view().to_slice().and_then(|s| bytemuck::try_cast_slice(s).ok()),
@@ -120,7 +120,7 @@ fn check_type<F: Real>(dtype: DType) {
     assert_eq!(dtype, F::DTYPE, "all tensors of a stage share one float type; the public functions check it");
 }
 
-/// Runs a twin: `$body` with `$float` standing for the float type of `$tensor`.
+/// Runs a CPU twin: evaluates `$body` with `$float` as the float type of `$tensor`.
 macro_rules! by_type {
     ($tensor:expr, $float:ident => $body:expr) => {{
         $crate::test_hooks::count_twin_call();

@@ -1,5 +1,5 @@
-//! The photometric loss as an extension of Burn's backends. It comes with its derivative, so no backward node is needed: whoever
-//! calls attaches the derivative.
+//! The photometric loss as an extension of Burn's backends. Its derivative is computed with it, so no backward node is needed: the
+//! caller attaches the derivative.
 
 #![allow(deprecated, reason = "burn-ndarray is deprecated in favour of burn-flex; this project supports both")]
 
@@ -22,17 +22,17 @@ use crate::test_hooks::count_twin_call;
 #[derive(Clone, Debug, ExtensionType)]
 #[extension_type(fusion: cfg(feature = "fusion"))]
 pub struct Photometric<B: Backend> {
-    /// Numbers whose sum is the loss, of the rank of the picture: one on a CPU, one for each value on a GPU.
+    /// Values whose sum is the loss, of the rank of the picture: a single value on a CPU, one per value of the picture on a GPU.
     pub shares: FloatTensor<B>,
     /// The derivative of the loss with respect to the picture, if asked for.
     #[extension_type]
     pub gradient: OptionalTensor<B>,
 }
 
-/// The photometric loss and the filter it is made of, on backends without autodiff; see `loss/`.
+/// The photometric loss and its window filter, on backends without autodiff; see `loss/`.
 #[backend_extension(Cube: cfg(feature = "cube"), Flex, NdArray, Fusion: cfg(feature = "fusion"))]
 pub trait PhotometricBackend: Backend {
-    /// `(1 − λ) |x − y| + λ (1 − S)`, divided by the number of values, and its derivative.
+    /// Returns `(1 − λ) |x − y| + λ (1 − S)`, divided by the number of values, and its derivative.
     #[fusion(meta = photometric_meta)]
     fn photometric(
         #[extension_type] inputs: ComparedTensors<Self>,
@@ -40,11 +40,11 @@ pub trait PhotometricBackend: Backend {
         with_gradient: bool,
     ) -> Photometric<Self>;
 
-    /// `Kx`, of any number of planes.
+    /// Returns the filtered planes `Kx`, for any number of planes.
     #[fusion(dtype = planes, shape = planes)]
     fn window(planes: FloatTensor<Self>) -> FloatTensor<Self>;
 
-    /// The same values in contiguous memory.
+    /// Returns the same values in contiguous memory.
     #[fusion(dtype = planes, shape = planes)]
     fn contiguous(planes: FloatTensor<Self>) -> FloatTensor<Self>;
 }
@@ -58,7 +58,7 @@ fn photometric_meta(inputs: &Compared<InputTensorMetadata>, _: &f64, with_gradie
     PhotometricMetadata { shares: inputs.image.0.clone(), gradient }
 }
 
-/// Width and height: the last two dimensions, the other way round.
+/// Returns width and height, which are the last two dimensions in reverse order.
 fn picture_size(shape: &Shape) -> [usize; 2] {
     let rank = shape.num_dims();
     [shape[rank - 1], shape[rank - 2]]

@@ -1,10 +1,11 @@
-//! Where the stages meet Burn: its CPU and GPU backends, its fusion and its autodiff. Kernels and twins know none of them.
+//! Implementations of the stages on Burn's CPU and GPU backends, with fusion and autodiff. Kernels and twins know none of
+//! them.
 //!
-//! A trait for each group of operations says what a backend implements; no method has a default body, so a backend that lacks one
-//! does not compile. `cpu.rs` implements the stages for [`Flex`](burn::backend::Flex) and [`NdArray`](burn::backend::NdArray),
-//! `cube.rs` for every CubeCL runtime, `autodiff.rs` holds their backward nodes, and `fusion.rs` says what each will return. Users
-//! call the functions of this crate, which take tensors and check them; the methods here take backend primitives of the
-//! documented shapes and one float type.
+//! There is a trait for each group of operations that a backend implements. No method has a default body, so a backend that lacks
+//! one does not compile. `cpu.rs` implements the stages for [`Flex`](burn::backend::Flex) and
+//! [`NdArray`](burn::backend::NdArray), and `cube.rs` for every CubeCL runtime; `autodiff.rs` holds their backward nodes, and
+//! `fusion.rs` states the output shapes and types. Users call the functions of this crate, which take tensors and check them; the
+//! methods here take backend primitives of the documented shapes and one float type.
 
 pub(crate) mod activate;
 #[cfg(feature = "cube")]

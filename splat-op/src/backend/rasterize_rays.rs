@@ -20,14 +20,15 @@ use crate::rasterize_rays::RayLayers;
 use crate::rasterize_rays::cpu::{rasterize_rays_backward_cpu, rasterize_rays_cpu};
 use crate::simd::real::Real;
 
-/// The stages of renders whose pixels look along their rays.
+/// The stages of per-ray rasterization.
 #[backend_extension(Cube: cfg(feature = "cube"), Flex, NdArray, Autodiff, Fusion: cfg(feature = "fusion"))]
 pub trait RasterizeRaysBackend: Backend {
-    /// See `depth_slope/`. Returns `[N, 3]`.
+    /// Ray-space depth slopes; see `depth_slope/`. Returns `[N, 3]`.
     #[fusion(meta = fusion::depth_slope)]
     fn depth_slope(#[extension_type] inputs: GeometryTensors<Self>, spec: ProjectSpec) -> FloatTensor<Self>;
 
-    /// The gradients of `depth_slope` that `mask` asks for, from that of its output. Opacities and projected centres have none to ask for.
+    /// Returns the gradients of `depth_slope` that `mask` selects, from the gradient of its output. Opacities and projected
+    /// centres have no gradient.
     #[fusion(meta = fusion::project_backward)]
     fn depth_slope_backward(
         #[extension_type] inputs: GeometryTensors<Self>,
@@ -36,11 +37,12 @@ pub trait RasterizeRaysBackend: Backend {
         mask: Geometry<bool>,
     ) -> GeometryGrads<Self>;
 
-    /// See `depth_slope/`. Rows `[N, 7]` for `intersect`, from packed ellipses `[N, 7]` and depth slopes `[N, 3]`. Not differentiable.
+    /// Returns bounds as rows `[N, 7]` for `intersect`, from packed ellipses `[N, 7]` and depth slopes `[N, 3]`; see `depth_slope/`.
+    /// Not differentiable.
     #[fusion(dtype = projected, shape = projected)]
     fn bounds(projected: FloatTensor<Self>, depth_slope: FloatTensor<Self>, spec: RasterizeSpec) -> FloatTensor<Self>;
 
-    /// See `rasterize_rays/`. Returns planes as `rasterize` does; `intersection_counts` and `parts` as there.
+    /// Rasterizes along rays; see `rasterize_rays/`. Returns planes; they, `intersection_counts` and `parts` are as in `rasterize`.
     #[fusion(meta = fusion::rasterize_rays)]
     fn rasterize_rays(
         #[extension_type] inputs: RayLayerTensors<Self>,
@@ -50,8 +52,8 @@ pub trait RasterizeRaysBackend: Backend {
         parts: PartsCell,
     ) -> FloatTensor<Self>;
 
-    /// The gradients of `rasterize_rays` that `mask` asks for, from that of all its planes. `planes` is what `rasterize_rays` returned, and orders the
-    /// two; not read.
+    /// Returns the gradients of `rasterize_rays` that `mask` selects, from the gradient of all its planes. `planes` is the output
+    /// of `rasterize_rays`; it makes this operation run after that one and is not read.
     #[fusion(meta = fusion::rasterize_rays_backward)]
     fn rasterize_rays_backward(
         #[extension_type] inputs: RayLayerTensors<Self>,
@@ -63,7 +65,7 @@ pub trait RasterizeRaysBackend: Backend {
     ) -> RayLayerGrads<Self>;
 }
 
-/// The lists in the cell, computed now if nobody has yet.
+/// Returns the lists in the cell, computing them if it is empty.
 fn lists<'a, F: Real>(
     intersections: &'a IntersectionCell,
     inputs: RayLayers<&[F]>,

@@ -1,4 +1,4 @@
-//! The backward nodes of `depth_slope` and `rasterize_rays`.
+//! Backward nodes of `depth_slope` and `rasterize_rays`.
 
 use burn::backend::Autodiff;
 use burn::backend::autodiff::checkpoint::base::Checkpointer;
@@ -40,7 +40,7 @@ impl<B: RasterizeRaysBackend + SplatBackend> Backward<B, 5> for RasterizeRaysBac
 
     fn backward(self, ops: Ops<Self::State, 5>, grads: &mut Gradients, _: &mut Checkpointer) {
         differentiate::<B, _, _>(ops, grads, |(inputs, planes, spec, intersections, parts), mask| {
-            // The planes are seen through their parts alone, whose nodes come before this one.
+            // The planes are used only through their parts, whose nodes run before this one.
             let grad = planes_grad::<B>(&parts, &planes, None);
             B::rasterize_rays_backward(inputs, planes, grad, spec, RayLayers::from_array(mask), intersections)
                 .into_array()
@@ -73,7 +73,7 @@ impl<B: RasterizeRaysBackend + SplatBackend, C: CheckpointStrategy> RasterizeRay
         tracked(RasterizeRaysBackward, inputs.each_ref().into_array(), state, output)
     }
 
-    // Backward passes are not differentiable themselves: called on this backend they see constants.
+    // Backward passes are not themselves differentiable: on this backend they take constants.
 
     fn depth_slope_backward(
         inputs: GeometryTensors<Self>,

@@ -1,4 +1,4 @@
-//! The order of the launches of `depth_slope` and `rasterize_rays` on Burn's GPU backend.
+//! Order of the kernel launches of `depth_slope` and `rasterize_rays` on Burn's GPU backend.
 
 use burn::backend::TensorMetadata;
 use burn::backend::tensor::{FloatTensor, IntTensor};
@@ -18,7 +18,7 @@ use crate::rasterize::{PartsCell, RasterizeSpec};
 use crate::rasterize_rays::RayLayers;
 use crate::rasterize_rays::launch::{launch_rasterize_rays, launch_rasterize_rays_backward};
 
-/// The lists in the cell, computed now if nobody has yet.
+/// Returns the lists in the cell, computing them if it is empty.
 fn lists<'a>(
     gpu: &Gpu,
     cell: &'a IntersectionCell,

@@ -15,17 +15,17 @@ use crate::project::{Geometry, ProjectSpec};
 use crate::rasterize::{Layers, PartsCell, RasterizeSpec, TraceCell};
 use crate::sh::Shading;
 
-/// Gaussian splatting on a Burn backend: four stages, and the backward pass of the three that have one.
+/// Gaussian splatting on a Burn backend: four stages, and the backward passes of the three differentiable ones.
 ///
 /// With Burn's fusion, an operation on the GPU is registered first and runs later, on the device's own thread; the functions named
-/// in `#[fusion]` say what it will return.
+/// in `#[fusion]` return the shape and type of its output.
 #[backend_extension(Cube: cfg(feature = "cube"), Flex, NdArray, Autodiff, Fusion: cfg(feature = "fusion"))]
 pub trait SplatBackend: Backend {
-    /// See `project/`. Returns `[N, 7]`.
+    /// Projects Gaussians; see `project/`. Returns `[N, 7]`.
     #[fusion(meta = fusion::project)]
     fn project(#[extension_type] inputs: GeometryTensors<Self>, spec: ProjectSpec) -> FloatTensor<Self>;
 
-    /// The gradients of `project` that `mask` asks for, from that of its output.
+    /// Returns the gradients of `project` that `mask` selects, from the gradient of its output.
     #[fusion(meta = fusion::project_backward)]
     fn project_backward(
         #[extension_type] inputs: GeometryTensors<Self>,
@@ -34,7 +34,8 @@ pub trait SplatBackend: Backend {
         mask: Geometry<bool>,
     ) -> GeometryGrads<Self>;
 
-    /// See `sh/`. Returns `[N, 3]`. `visible` is what `project` returned, for colours of what shows in the picture of `spec` alone.
+    /// Evaluates colours; see `sh/`. Returns `[N, 3]`. With `visible`, the output of `project`, only Gaussians that are visible in
+    /// the picture of `spec` get colours.
     #[fusion(meta = fusion::evaluate_sh)]
     fn evaluate_sh(
         #[extension_type] inputs: ShadingTensors<Self>,
@@ -42,7 +43,7 @@ pub trait SplatBackend: Backend {
         spec: ProjectSpec,
     ) -> FloatTensor<Self>;
 
-    /// The gradients of `evaluate_sh` that `mask` asks for, from that of its output.
+    /// Returns the gradients of `evaluate_sh` that `mask` selects, from the gradient of its output.
     #[fusion(meta = fusion::sh_backward)]
     fn sh_backward(
         #[extension_type] inputs: ShadingTensors<Self>,
@@ -52,13 +53,13 @@ pub trait SplatBackend: Backend {
         mask: Shading<bool>,
     ) -> ShadingGrads<Self>;
 
-    /// See `intersect/`. Fills `intersections` and returns the number of intersections per tile, `[tiles along y, tiles along x]`.
+    /// Fills `intersections` and returns the number of intersections per tile, `[tiles along y, tiles along x]`; see `intersect/`.
     #[fusion(meta = fusion::intersect)]
     fn intersect(projected: FloatTensor<Self>, spec: RasterizeSpec, intersections: IntersectionCell)
     -> IntTensor<Self>;
 
-    /// See `rasterize/`. Returns `[C + 1 (+ 1), H, W]` and fills `trace` if it is to be kept. `intersection_counts` is what `intersect`
-    /// returned, and orders the two; gradients come through [`Self::part`] alone.
+    /// Rasterizes; see `rasterize/`. Returns planes `[C + 1 (+ 1), H, W]`, and fills `trace` if there is one. `intersection_counts`
+    /// is the output of `intersect` and makes this operation run after it. Gradients pass through [`Self::part`] only.
     #[fusion(meta = fusion::rasterize)]
     fn rasterize(
         #[extension_type] inputs: LayerTensors<Self>,
@@ -69,13 +70,14 @@ pub trait SplatBackend: Backend {
         parts: PartsCell,
     ) -> FloatTensor<Self>;
 
-    /// Planes `from` to before `to` of what `rasterize` returned, which was given the same `parts`. The first ones are a view
-    /// where the backend knows views. Differentiable: without a copy if the part is all that has a gradient.
+    /// Returns the planes `from..to` of an output of `rasterize`, which was given the same `parts`. The first planes are a view
+    /// where the backend supports views. Differentiable; the gradient is not copied if only this part has one.
     #[fusion(meta = fusion::part)]
     fn part(planes: FloatTensor<Self>, from: usize, to: usize, parts: PartsCell) -> FloatTensor<Self>;
 
-    /// The gradients of `rasterize` that `mask` asks for, from that of its output, or, where depth is not rendered and alpha has no
-    /// gradient, of its first `C` planes. `planes` is what `rasterize` returned, and orders the two; not read.
+    /// Returns the gradients of `rasterize` that `mask` selects, from the gradient of its output or, where depth is not rendered
+    /// and alpha has no gradient, of its first `C` planes. `planes` is the output of `rasterize`; it makes this operation run after
+    /// that one and is not read.
     #[fusion(meta = fusion::rasterize_backward)]
     fn rasterize_backward(
         #[extension_type] inputs: LayerTensors<Self>,

@@ -1,4 +1,4 @@
-//! Records of tensors as they cross to a backend and back.
+//! Records of tensors that are passed to a backend and back.
 
 use burn::backend::autodiff::checkpoint::strategy::CheckpointStrategy;
 use burn::backend::tensor::FloatTensor;
@@ -15,7 +15,7 @@ use crate::rasterize::Layers;
 use crate::rasterize_rays::RayLayers;
 use crate::sh::Shading;
 
-/// A tensor of a record of inputs.
+/// A tensor in a record of inputs.
 #[derive(Clone, Debug, ExtensionType)]
 #[extension_type(fusion: cfg(feature = "fusion"))]
 pub struct InputTensor<B: Backend>(pub FloatTensor<B>);
@@ -27,24 +27,24 @@ impl<const D: usize> From<Tensor<D>> for InputTensor<Dispatch> {
 }
 
 impl<B: Backend, C: CheckpointStrategy> InputTensor<Autodiff<B, C>> {
-    /// Without autodiff.
+    /// Returns the tensor without autodiff.
     pub(super) fn inner(&self) -> InputTensor<B> {
         InputTensor(self.0.primitive().clone())
     }
 }
 
-/// A gradient that was asked for, or not; as an input, a tensor that there is, or not.
+/// A gradient that may not have been asked for, or an optional input tensor.
 #[derive(Clone, Debug, ExtensionType)]
 #[extension_type(fusion: cfg(feature = "fusion"))]
 pub enum OptionalTensor<B: Backend> {
-    /// There is none.
+    /// No tensor.
     Absent,
-    /// There is one.
+    /// A tensor.
     Present(FloatTensor<B>),
 }
 
 impl<B: Backend> OptionalTensor<B> {
-    /// What is in it.
+    /// Returns the tensor, if there is one.
     pub(crate) fn into_option(self) -> Option<FloatTensor<B>> {
         match self {
             Self::Absent => None,
@@ -60,12 +60,12 @@ impl<B: Backend> From<Option<FloatTensor<B>>> for OptionalTensor<B> {
 }
 
 impl<B: Backend, C: CheckpointStrategy> OptionalTensor<Autodiff<B, C>> {
-    /// Without autodiff.
+    /// Returns the tensor without autodiff.
     pub(super) fn inner(self) -> OptionalTensor<B> {
         self.into_option().map(|tensor| tensor.into_primitive()).into()
     }
 
-    /// As a constant of the autodiff backend.
+    /// Returns the tensor as a constant of the autodiff backend.
     pub(super) fn constant(inner: OptionalTensor<B>) -> Self {
         inner.into_option().map(FloatTensor::<Autodiff<B, C>>::new).into()
     }
@@ -73,26 +73,26 @@ impl<B: Backend, C: CheckpointStrategy> OptionalTensor<Autodiff<B, C>> {
 
 /// Inputs of `project` and `depth_slope`.
 pub type GeometryTensors<B> = Geometry<InputTensor<B>>;
-/// Their gradients.
+/// Gradients of the inputs of `project` and `depth_slope`.
 pub type GeometryGrads<B> = Geometry<OptionalTensor<B>>;
 /// Inputs of `evaluate_sh`.
 pub type ShadingTensors<B> = Shading<InputTensor<B>>;
-/// Their gradients.
+/// Gradients of the inputs of `evaluate_sh`.
 pub type ShadingGrads<B> = Shading<OptionalTensor<B>>;
 /// Inputs of `rasterize`.
 pub type LayerTensors<B> = Layers<InputTensor<B>>;
-/// Their gradients.
+/// Gradients of the inputs of `rasterize`.
 pub type LayerGrads<B> = Layers<OptionalTensor<B>>;
 /// Inputs of `rasterize_rays`.
 pub type RayLayerTensors<B> = RayLayers<InputTensor<B>>;
-/// Their gradients.
+/// Gradients of the inputs of `rasterize_rays`.
 pub type RayLayerGrads<B> = RayLayers<OptionalTensor<B>>;
 /// Inputs of `photometric`.
 pub type ComparedTensors<B> = Compared<InputTensor<B>>;
 /// Inputs of `opacities`.
 pub type RawTensors<B> = Raw<InputTensor<B>>;
 
-/// Lets a record cross whose fields do: what Burn's derive writes for a struct over a backend, for a record over any field.
+/// Implements Burn's extension type for a record of extension types: Burn's derive does so only for a struct over a backend.
 macro_rules! crosses {
     ($($record:ident),*) => {$(
         impl<B: Backend, T: ExtensionType<B>> ExtensionType<B> for $record<T> {
@@ -139,7 +139,7 @@ mod fused {
 
     type Handles<B> = HandleContainer<<<B as FusionBackend>::FusionRuntime as FusionRuntime>::FusionHandle>;
 
-    /// The same for operations that Burn's fusion runs later.
+    /// Implements the same for operations that Burn's fusion runs later.
     macro_rules! crosses_later {
         ($($record:ident),*) => {$(
             impl<B: FusionBackend, T: FusionValueAdapter<B>> FusionValueAdapter<B> for $record<T> {
