@@ -1,4 +1,4 @@
-//! Adding floats into a buffer from many cubes at once.
+//! Atomic addition of floats into a buffer from many cubes.
 
 use cubecl::prelude::*;
 
@@ -15,9 +15,9 @@ impl FloatCell for Atomic<f32> {
     }
 }
 
-/// For devices without float atomics. The cell is emptied, what was in it comes along, and the sum is put back; what
-/// somebody else put there meanwhile is added in the next turn. Unlike a weak compare-and-swap, which may fail without
-/// saying so in WGSL, an exchange loses nothing.
+/// For devices without float atomics. A turn exchanges the cell's value for zero, adds that value to its own, and exchanges the
+/// sum back into the cell; a value that another unit stored meanwhile is added in the next turn. Unlike a weak
+/// compare-and-swap, which may fail in WGSL without reporting it, an exchange loses nothing.
 #[cube]
 impl FloatCell for Atomic<u32> {
     fn add(cell: &Self, value: f32) {

@@ -13,16 +13,16 @@ use crate::test_hooks::count_allocation;
 
 static POISON: AtomicBool = AtomicBool::new(false);
 
-/// From now on, fill every new buffer of the kernels with the bits of NaN, so that a slot nobody wrote shows. For tests:
-/// it costs a copy per buffer.
+/// Sets whether every new buffer of the kernels is filled with the bits of NaN, so that an unwritten slot shows. For tests: it
+/// costs a copy per buffer.
 pub fn poison(on: bool) {
     POISON.store(on, Ordering::Relaxed);
 }
 
-/// The bits of a quiet NaN; as an index, one beyond every buffer.
+/// The bits of a quiet NaN. As an index, the value lies beyond every buffer.
 const NAN_BITS: u32 = 0x7fc0_dead;
 
-/// `len` elements on the device.
+/// A buffer of `len` elements on the device.
 #[derive(Debug)]
 pub(crate) struct Buffer<T> {
     pub handle: Handle,
@@ -41,7 +41,7 @@ impl<T> Buffer<T> {
         Self { handle, len, element: PhantomData }
     }
 
-    /// As an argument of a kernel.
+    /// Returns the buffer as a kernel argument.
     pub fn arg(&self) -> BufferArg {
         // SAFETY: a buffer is made with at least this many elements.
         unsafe { BufferArg::from_raw_parts(self.handle.clone(), self.len) }
@@ -49,13 +49,13 @@ impl<T> Buffer<T> {
 }
 
 impl<T: Pod> Buffer<T> {
-    /// Elements with nothing written to them yet.
+    /// Allocates a buffer without writing to it.
     pub fn new(gpu: &Gpu, len: usize) -> Self {
         Self::with_room(gpu, len, (len * size_of::<T>()).div_ceil(4))
     }
 
-    /// As [`Buffer::new`] for a length that depends on the data: the memory is rounded up to an eighth of the next power
-    /// of two, so that a length that grows a little finds the same memory again.
+    /// [`Buffer::new`] for a length that depends on the data. The memory is rounded up to a multiple of an eighth of the next
+    /// power of two, so that a slightly larger length finds the same memory again.
     pub fn with_headroom(gpu: &Gpu, len: usize) -> Self {
         let words = (len * size_of::<T>()).div_ceil(4);
         let roomy = words.next_multiple_of((words.next_power_of_two() / 8).max(1));
@@ -63,9 +63,10 @@ impl<T: Pod> Buffer<T> {
     }
 
     fn with_room(gpu: &Gpu, len: usize, words: usize) -> Self {
-        // A device binds no empty buffer.
+        // Devices cannot bind an empty buffer.
         let words = words.max(1);
-        // What is known beforehand is checked where it enters, and large buffers name themselves; this is for all others.
+        // Sizes known beforehand are checked at the public functions, and large buffers are checked by name; this check covers
+        // all others.
         let need = Need {
             what: "a buffer of the kernels",
             bytes: 4 * words as u64,
@@ -80,7 +81,7 @@ impl<T: Pod> Buffer<T> {
         Self::from_handle(handle, len)
     }
 
-    /// As [`Self::new`], for an output that may not be asked for.
+    /// Returns a new buffer if the output is needed.
     pub fn if_needed(gpu: &Gpu, needed: bool, len: usize) -> Option<Self> {
         needed.then(|| Self::new(gpu, len))
     }
@@ -92,7 +93,7 @@ impl<T: Pod> Buffer<T> {
         }
     }
 
-    /// Elements of zero bits.
+    /// Returns a buffer of zero bits.
     pub fn zeros(gpu: &Gpu, len: usize) -> Self {
         let buffer = Self::new(gpu, len);
         launch_clear(gpu, &Buffer::from_handle(buffer.handle.clone(), len * size_of::<T>() / 4));
@@ -128,7 +129,7 @@ fn scale_kernel(values: &mut [f32], factor: &[f32], len: u32) {
     }
 }
 
-/// Multiplies values by one number, in place.
+/// Multiplies values by a number, in place.
 pub(crate) fn launch_scale(gpu: &Gpu, values: &Buffer<f32>, factor: &Buffer<f32>) {
     if values.len > 0 {
         let (grid, dim) = elementwise(values.len);

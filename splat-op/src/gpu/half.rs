@@ -1,28 +1,28 @@
 //! Half-precision floats in buffers of words, two to a word.
 //!
-//! By integer arithmetic, for few devices compute in half precision or even load it, and all have integers. The words travel in
-//! buffers of f32, of which they are the bits, so that a kernel's arguments are the same however numbers are stored.
+//! The conversion uses integer arithmetic: few devices compute in half precision or even load it, and all devices have integers.
+//! The words are stored in buffers of f32, as the bits of floats, so that the kernel arguments do not depend on the storage type.
 
 use cubecl::prelude::*;
 
 use super::math::Vec3;
 
-/// The bits of what the bias of an exponent in f32 has over that in half precision.
+/// Difference between the exponent biases of f32 and half precision, as bits of an f32.
 const BIAS: u32 = 112 << 23;
 
-/// The float of the bits of a half-precision one; an infinity becomes a NaN.
+/// Converts the bits of a half-precision float to a float. Infinities become NaN.
 #[cube]
 fn from_half(bits: u32) -> f32 {
     let sign = (bits & 0x8000) << 16;
     let size = bits & 0x7fff;
     let normal = (size << 13) + BIAS;
-    // A subnormal one is an integer of steps; its bits, shifted, would be a subnormal f32, which devices may take for zero.
+    // A subnormal is an integer number of steps. Its shifted bits would be a subnormal f32, which devices may flush to zero.
     let small = u32::reinterpret(f32::cast_from(size) * 5.960_464_5e-8);
     let found = select(size >= 0x0400, normal, small);
     f32::reinterpret(sign | select(size >= 0x7c00, 0x7fc0_0000u32, found))
 }
 
-/// Numbers `at` to `at + 2` of those that lie packed in the words, the first in the lower half of its word.
+/// Reads the numbers `at` to `at + 2` of packed words; the first number of a word is in its lower half.
 #[cube]
 pub(crate) fn load_three_halves(words: &[f32], at: usize) -> Vec3 {
     let (first, second) = (u32::reinterpret(words[at / 2]), u32::reinterpret(words[at / 2 + 1]));
@@ -54,7 +54,7 @@ mod tests {
             .chunks_exact(2)
             .map(|two| f32::from_bits(u32::from(two[0].to_bits()) | u32::from(two[1].to_bits()) << 16))
             .collect();
-        // From every place, even and odd, that two more follow and whose last word is there.
+        // The test reads at every offset, even and odd, that is followed by two more numbers and whose last word exists.
         let count = halves.len() - 3;
         for (form, gpu) in gpus() {
             let threes = Buffer::<f32>::new(&gpu, 3 * count);

@@ -1,8 +1,8 @@
-//! Vectors, matrices, rotations and tests of floats inside kernels.
+//! Vectors, matrices, rotations and float tests for kernels.
 
 use cubecl::prelude::*;
 
-/// Two numbers along the axes of a picture.
+/// A vector in picture axes.
 #[derive(CubeType, CubeTypeMut, CubeLaunch, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub(crate) struct Vec2 {
@@ -29,7 +29,7 @@ impl Vec2 {
     }
 }
 
-/// Three numbers along the axes of a frame.
+/// A vector in the axes of a frame.
 #[derive(CubeType, CubeTypeMut, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub(crate) struct Vec3 {
@@ -82,12 +82,12 @@ impl Vec3 {
         }
     }
 
-    /// The largest of the absolute components.
+    /// The largest absolute component.
     pub fn largest(&self) -> f32 {
         max(max(self.x.abs(), self.y.abs()), self.z.abs())
     }
 
-    /// The length, scaled so that no square overflows or vanishes.
+    /// The length. Scaling keeps squares from overflowing or vanishing.
     pub fn length(&self) -> f32 {
         let (down, up) = powers_of_two(self.largest());
         let scaled = self.times(down);
@@ -95,15 +95,15 @@ impl Vec3 {
     }
 }
 
-/// A power of two that takes a number of this size to between 1 and 4, or leaves it below 1 if it is subnormal, and its
-/// inverse. Multiplying by either is exact, which dividing by the size would not be: WebGPU allows 2.5 ulp.
+/// Returns a power of two that scales a number of this size to between 1 and 4, or leaves it below 1 if it is subnormal, and the
+/// inverse of that power. Multiplication by either is exact; division by the size would not be, as WebGPU allows 2.5 ulp.
 #[cube]
 pub(crate) fn powers_of_two(size: f32) -> (f32, f32) {
     let exponent = min(max((u32::reinterpret(size) >> 23) & 255, 1), 253);
     (f32::reinterpret((254 - exponent) << 23), f32::reinterpret(exponent << 23))
 }
 
-/// A matrix by its rows.
+/// A matrix, stored by rows.
 #[derive(CubeType, CubeTypeMut, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub(crate) struct Mat3 {
@@ -138,10 +138,10 @@ impl Mat3 {
     }
 }
 
-/// Numbers of a pose.
+/// Number of entries of a pose.
 pub(crate) const POSE: usize = 12;
 
-/// A camera's pose, `[3, 4]`: a matrix, which need not be a rotation, and a translation. Also the gradient of one.
+/// A camera's pose, `[3, 4]`: a matrix, which need not be a rotation, and a translation. Also used for the gradient of a pose.
 #[derive(CubeType, CubeTypeMut, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub(crate) struct Pose {
@@ -158,13 +158,13 @@ impl Pose {
         }
     }
 
-    /// A point of the world in the camera's frame.
+    /// Transforms a point from the world frame to the camera frame.
     pub fn apply(&self, point: Vec3) -> Vec3 {
         self.matrix.apply(point).plus(self.translation)
     }
 }
 
-/// A rotation, wxyz.
+/// A rotation as a quaternion wxyz.
 #[derive(CubeType, CubeTypeMut, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub(crate) struct Quaternion {
@@ -195,8 +195,8 @@ impl Quaternion {
         self.w * other.w + self.x * other.x + self.y * other.y + self.z * other.z
     }
 
-    /// The quaternion of length one, and the length of this one, scaled so that no square overflows or vanishes. Means
-    /// nothing if the length is not positive.
+    /// Returns the unit quaternion and the length of this one. Scaling keeps squares from overflowing or vanishing. The result is
+    /// meaningless if the length is not positive.
     pub fn unit(&self) -> (Quaternion, f32) {
         let (down, up) = powers_of_two(max(self.w.abs(), Vec3::new(self.x, self.y, self.z).largest()));
         let scaled = self.times(down);
@@ -204,7 +204,7 @@ impl Quaternion {
         (scaled.times(1.0 / length), length * up)
     }
 
-    /// The rotation matrix of a unit quaternion.
+    /// Returns the rotation matrix of a unit quaternion.
     pub fn matrix(&self) -> Mat3 {
         let (w, x, y, z) = (self.w, self.x, self.y, self.z);
         Mat3 {
@@ -214,9 +214,9 @@ impl Quaternion {
         }
     }
 
-    /// The gradient of a quaternion whose unit is this one, from that of its rotation matrix: through [`Self::matrix`],
-    /// then through `q / |q|`, which leaves only what is normal to the unit. Where the length is so short that the gradient
-    /// is beyond the range of f32, it is held at its end.
+    /// For a unit quaternion, returns the gradient of the quaternion of length `length` that it was normalised from, given the
+    /// gradient of the rotation matrix. The gradient passes through [`Self::matrix`], then through `q / |q|`, which keeps only
+    /// the component normal to the unit quaternion. It is clamped to the range of f32 where the length is too short.
     pub fn backward(&self, length: f32, grad: Mat3) -> Quaternion {
         let (w, x, y, z) = (self.w, self.x, self.y, self.z);
         let odd = Vec3::new(grad.z.y - grad.y.z, grad.x.z - grad.z.x, grad.y.x - grad.x.y);
@@ -247,13 +247,13 @@ impl Quaternion {
     }
 }
 
-/// Whether a float is neither infinite nor NaN, from its bits: shader compilers may assume that NaN does not occur.
+/// Whether a float is neither infinite nor NaN, tested by its bits because shader compilers may assume that NaN does not occur.
 #[cube]
 pub(crate) fn finite(value: f32) -> bool {
     (u32::reinterpret(value) & 0x7f80_0000) != 0x7f80_0000
 }
 
-/// `value` held between two limits.
+/// Clamps `value` between two limits.
 #[cube]
 pub(crate) fn within(value: f32, low: f32, high: f32) -> f32 {
     min(max(value, low), high)

@@ -1,5 +1,5 @@
-//! What the launches of the kernels share: the device's abilities, its buffers, the size of a dispatch, and the small
-//! mathematics of the kernels. The CPU twins use none of it, so that a fault here shows against them.
+//! Shared code of the kernel launches: device features, buffers, dispatch sizes, and the mathematics of the kernels. The CPU
+//! twins use none of it, so that an error here shows as a difference from them.
 
 pub(crate) mod atomic;
 mod buffer;
@@ -17,25 +17,26 @@ pub(crate) use buffer::{Buffer, launch_scale};
 
 use crate::test_hooks::count_dispatch;
 
-/// Units of a cube where a kernel has no reason to choose another number.
+/// Default number of units of a cube.
 pub(crate) const UNITS: usize = 256;
 
 /// Cubes along the first axis of a dispatch; WebGPU guarantees 65,535.
 const CUBES_X: usize = 32_768;
 
-/// A device as the launches see it. Tests switch its abilities off to run the paths of lesser devices.
+/// The features of a device that the launches use. Tests switch features off to run the paths of devices without them.
 #[derive(Clone)]
 pub(crate) struct Gpu {
     pub client: Client,
-    /// Whether the units of a plane can sum among themselves; else they go through shared memory.
+    /// Whether plane (subgroup) sums are supported; otherwise sums go through shared memory.
     pub planes: bool,
-    /// Whether floats can be added atomically; else by compare-and-swap on their bits.
+    /// Whether atomic addition of floats is supported; otherwise additions exchange the bits of floats.
     pub float_atomics: bool,
-    /// Bytes of the largest buffer.
+    /// Size of the largest buffer, bytes.
     pub buffer_limit: u64,
 }
 
-/// Kernels number elements by u32, whatever a device can hold.
+/// Largest buffer that kernels can index, bytes: they index elements of four bytes by u32, even if a device supports larger
+/// buffers.
 const INDEX_LIMIT: u64 = 4 * (1 << 32);
 
 impl Gpu {
@@ -51,8 +52,8 @@ impl Gpu {
     }
 }
 
-/// A dispatch of at least `cubes` cubes, within the limits of every device. Kernels number their cubes by `CUBE_POS` and
-/// leave those beyond.
+/// Returns a dispatch of at least `cubes` cubes, within the limits of every device. Kernels number their cubes by `CUBE_POS` and
+/// skip the surplus cubes.
 pub(crate) fn cubes(cubes: usize) -> CubeCount {
     count_dispatch();
     let cubes = cubes.max(1);
@@ -62,7 +63,7 @@ pub(crate) fn cubes(cubes: usize) -> CubeCount {
     }
 }
 
-/// A dispatch with at least one unit per element.
+/// Returns a dispatch with at least one unit per element.
 pub(crate) fn elementwise(elements: usize) -> (CubeCount, CubeDim) {
     (cubes(elements.div_ceil(UNITS)), CubeDim::new_1d(UNITS as u32))
 }

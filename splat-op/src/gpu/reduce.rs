@@ -4,11 +4,11 @@ use cubecl::prelude::*;
 
 use super::{Buffer, Gpu, UNITS, cubes};
 
-/// Units whose partial sums one unit adds up in the path through shared memory.
+/// Number of units whose partial sums one unit adds, on the path through shared memory.
 const GROUP: usize = 16;
 
-/// The sum of the values of the units before this one, and of all units, in a cube of [`UNITS`] units. `shared` holds
-/// `UNITS + 1` numbers. Saturates instead of wrapping, so that a total too large for u32 shows as its maximum.
+/// Returns the sum of the values of all previous units and the sum over all units, in a cube of [`UNITS`] units. `shared` holds
+/// `UNITS + 1` numbers. The sums saturate instead of wrapping, so that a total too large for u32 shows as its maximum.
 #[cube]
 pub(crate) fn cube_exclusive_sum(value: u32, shared: &mut Shared<[u32]>, #[comptime] planes: bool) -> (u32, u32) {
     let unit = UNIT_POS as usize;
@@ -36,7 +36,8 @@ pub(crate) fn cube_exclusive_sum(value: u32, shared: &mut Shared<[u32]>, #[compt
     } else {
         shared[unit] = value;
         sync_cube();
-        // Each of the first units turns a group into its prefix sums; the sum of the group goes to its place.
+        // Each of the first units turns a group into its prefix sums; the sum of the group is then stored under the index of
+        // the group.
         let mut group_total = 0u32;
         if unit < comptime!(UNITS / GROUP) {
             for i in 0..comptime!(GROUP) {
@@ -70,14 +71,14 @@ pub(crate) fn cube_exclusive_sum(value: u32, shared: &mut Shared<[u32]>, #[compt
     (before, total)
 }
 
-/// `a + b`, or the largest u32 where that is less.
+/// Returns `a + b`, limited to the largest u32.
 #[cube]
 pub(crate) fn saturating(a: u32, b: u32) -> u32 {
     a + min(b, 4_294_967_295u32 - a)
 }
 
-/// The sum of the values of all units, the same in every one and in every run, in a cube of [`UNITS`] units. `shared`
-/// holds [`UNITS`] numbers.
+/// Returns the sum of the values of all units in a cube of [`UNITS`] units. The result is the same in every unit and in every
+/// run. `shared` holds [`UNITS`] numbers.
 #[cube]
 pub(crate) fn cube_sum(value: f32, shared: &mut Shared<[f32]>, #[comptime] planes: bool) -> f32 {
     let unit = UNIT_POS as usize;
@@ -113,7 +114,7 @@ pub(crate) fn cube_sum(value: f32, shared: &mut Shared<[f32]>, #[comptime] plane
     total
 }
 
-/// `sums[column] = Σ rows[row][column]`, a cube per column, in a fixed order.
+/// Computes `sums[column] = Σ rows[row][column]`, a cube per column, in a fixed order.
 #[cube(launch_unchecked)]
 fn column_sums_kernel(rows: &[f32], sums: &mut [f32], count: u32, columns: u32, #[comptime] planes: bool) {
     let mut shared = Shared::<[f32]>::new_slice(comptime!(UNITS));
@@ -131,7 +132,7 @@ fn column_sums_kernel(rows: &[f32], sums: &mut [f32], count: u32, columns: u32, 
     }
 }
 
-/// Sums of the columns of `rows`, `[count, columns]`.
+/// Returns the sums of the columns of `rows`, `[count, columns]`.
 pub(crate) fn launch_column_sums(gpu: &Gpu, rows: &Buffer<f32>, columns: usize) -> Buffer<f32> {
     let sums = Buffer::new(gpu, columns);
     // SAFETY: every access is guarded by the lengths given.
