@@ -1,4 +1,4 @@
-//! The kernels: a unit per number.
+//! The kernels of Adam's step and of the check for finite values.
 
 use cubecl::prelude::*;
 
@@ -12,14 +12,14 @@ pub(super) struct StepFactors {
     pub beta1: f32,
     pub beta2: f32,
     pub rate: f32,
-    /// Of numbers in the band.
+    /// Rate of the numbers in the band.
     pub rate_of_first: f32,
     pub floor: f32,
     pub largest: f32,
 }
 
-/// One step in place, unless the verdict names a step. A band is a compile-time value: there is one per degree of the
-/// spherical harmonics, and a division by a constant is a product.
+/// Performs one step in place, unless the verdict names a step. The band is a compile-time value: there is one per degree of the
+/// spherical harmonics, and a division by a constant compiles to a multiplication.
 #[cube(launch_unchecked)]
 pub(super) fn adam_kernel(
     param: &mut [f32],
@@ -39,7 +39,7 @@ pub(super) fn adam_kernel(
     }
     if runs {
         let given = grad[at];
-        // Comparisons, which let NaN through, and no `min` and `max`, which may not.
+        // Comparisons let NaN through; `min` and `max` may not.
         let below = select(given > factors.largest, factors.largest, given);
         let gradient = select(given < -factors.largest, -factors.largest, below);
         let first = m[at] * factors.beta1 + gradient;
@@ -55,8 +55,8 @@ pub(super) fn adam_kernel(
     }
 }
 
-/// Enters a step in the verdict if any of this unit's values, `stride` apart, is not finite and no earlier step is entered.
-/// A device with a sound step never writes.
+/// Writes the step to the verdict if any of this unit's values, `stride` apart, is not finite and no earlier step is entered.
+/// Units with finite values never write.
 #[cube(launch_unchecked)]
 pub(super) fn watch_kernel(values: &[f32], verdict: &[Atomic<u32>], count: u32, stride: u32, at_step: u32, mask: u32) {
     let mut at = ABSOLUTE_POS;
@@ -68,7 +68,7 @@ pub(super) fn watch_kernel(values: &[f32], verdict: &[Atomic<u32>], count: u32, 
     if !sound {
         let entered = verdict[0].load();
         if entered == 0 || entered == at_step {
-            // Every unit that comes here in this step writes the same, and none of a later step does.
+            // Every unit that gets here in this step writes the same values, and no unit of a later step gets here.
             verdict[0].fetch_max(at_step);
             verdict[1].fetch_or(mask);
         }

@@ -1,4 +1,4 @@
-//! The step against its equations in f64, and the verdict against its rules.
+//! Compares the step with its equations in f64, and the verdict with its rules.
 
 use super::launch::{DeviceState, launch_adam, launch_watch};
 use super::{Band, Factors, Rates, VERDICT};
@@ -10,7 +10,7 @@ use crate::testing::random::Random;
 const RATES: Rates = Rates { first: 0.06, others: 3e-3 };
 const FACTORS: Factors = Factors { beta1: 0.9, beta2: 0.999, rate: RATES, floor: 1e-15, largest: 1e17 };
 
-/// Parameter, gradient and moments after some steps, in f32 precision; every seventh row has no history and no gradient.
+/// Parameter, gradient and moments after some steps, in f32 precision; every seventh row has zero moments and gradient.
 fn tensors(count: usize) -> Vec<Vec<f64>> {
     let mut random = Random::new(count as u64);
     let mut all: Vec<Vec<f64>> =
@@ -21,7 +21,7 @@ fn tensors(count: usize) -> Vec<Vec<f64>> {
     all.iter().map(|tensor| rounded(tensor)).collect()
 }
 
-/// The equations: parameter and moments.
+/// Returns the parameter and moments by the equations.
 fn step(inputs: &[Vec<f64>], band: Option<Band>) -> Vec<Vec<f64>> {
     let rows = 0..inputs[0].len();
     let gradient = |i: usize| inputs[1][i].clamp(-FACTORS.largest, FACTORS.largest);

@@ -1,13 +1,14 @@
-//! Launches of Adam's step and of the look at what it is to be made of.
+//! Launches of Adam's step and of the check for finite values.
 
 use super::forward::{StepFactorsLaunch, adam_kernel, watch_kernel};
 use super::rule::{Band, Factors};
 use crate::gpu::{Buffer, Gpu, elementwise};
 
-/// Units that look for values that are not finite: enough to occupy a large card, few enough that each has several.
+/// Number of units that check for values that are not finite: enough to occupy a large card, few enough that each has several
+/// values.
 const SEEKERS: usize = 65_536;
 
-/// A parameter with its moments on the device, of one length.
+/// A parameter and its moments on the device, all of one length.
 #[derive(Clone)]
 pub(crate) struct DeviceState {
     pub param: Buffer<f32>,
@@ -15,7 +16,7 @@ pub(crate) struct DeviceState {
     pub v: Buffer<f32>,
 }
 
-/// One step, in place, with the first of the rates within `band`; nothing where `verdict`, `[2]`, names a step.
+/// Performs one step in place. `band` has the first of the two rates. Nothing changes where `verdict`, `[2]`, names a step.
 pub(crate) fn launch_adam(
     gpu: &Gpu,
     state: &DeviceState,
@@ -31,7 +32,7 @@ pub(crate) fn launch_adam(
     let guarded = verdict.is_some();
     let unused = Buffer::new(gpu, 0);
     let (grid, dim) = elementwise(count);
-    // SAFETY: every access is guarded by the length given, which all have.
+    // SAFETY: every access is guarded by the length given, which all buffers share.
     unsafe {
         adam_kernel::launch_unchecked(
             &gpu.client,
@@ -64,7 +65,7 @@ pub(crate) fn launch_watch(gpu: &Gpu, values: &Buffer<f32>, verdict: &Buffer<u32
     }
     let seekers = values.len.min(SEEKERS);
     let (grid, dim) = elementwise(seekers);
-    // The units of the last cube count too, or they would look at what others have looked at.
+    // The stride includes all units of the last cube; otherwise they would check values of other units.
     let stride = seekers.next_multiple_of(dim.num_elems() as usize);
     // SAFETY: every access is guarded by the length given; a verdict has two numbers.
     unsafe {

@@ -1,22 +1,21 @@
-//! Adam's step in one pass over memory, on GPUs, and the verdict that holds it back.
+//! Adam's step in one pass over memory, on GPUs, and the verdict that makes it skip.
 //!
-//! The optimiser is tensor code like any other, and elsewhere it stays that. On a GPU that code is a handful of passes per
-//! parameter, and choosing between the old and the new values of parameters and moments makes it several more; here a unit
-//! reads each number once and writes it once, in place.
+//! Elsewhere the optimiser is tensor code. On a GPU that code takes several passes per parameter, and choosing between the old
+//! and new values of parameters and moments adds more. Here a unit reads each number once and writes it once, in place.
 //!
-//! With `g` the gradient held within ± `largest` (NaN is passed on), one step is
+//! With `g` the gradient clamped to ± `largest` (NaN is passed on), one step is
 //!
 //! `m ← β₁ m + g`, `v ← β₂ v + g²`, `θ ← θ − rate · m / (√v + floor)`:
 //!
-//! Kingma and Ba 2015, algorithm 1, with `m` and `v` divided by `1 − β₁` and `1 − β₂`, and bias corrections and learning rate
-//! gathered in `rate` and `floor`. The rate may differ between the first row of a parameter's second dimension and the others
+//! Kingma and Ba 2015, algorithm 1, with `m` and `v` divided by `1 − β₁` and `1 − β₂`. `rate` and `floor` include the bias
+//! corrections and the learning rate. The rate may differ between index 0 of a parameter's second dimension and all other indices
 //! ([`Rates`]), so that all coefficients of the spherical harmonics are one parameter.
 //!
-//! A **verdict** is two numbers, `[2]`: the first step at which something was not finite (0: none), and which of the watched
-//! tensors it was, a bit each. [`watch`] enters what it finds unless an earlier step is entered already; [`step`] changes
-//! nothing where a step is entered. Both stay on the device, so that nobody waits for it.
+//! A **verdict** is two numbers, `[2]`: the first step at which a value was not finite (0: none), and the watched tensors in
+//! which it was found, one bit each. [`watch`] enters its result unless an earlier step is entered; [`step`] changes nothing if
+//! a step is entered. The verdict stays on the device, so that the host never waits for it.
 //!
-//! Shapes: parameter, gradient and moments have one shape, any; f32.
+//! Shapes: parameter, gradient and moments share one shape, of any rank; f32.
 
 #[cfg(feature = "cube")]
 mod forward;
@@ -34,22 +33,22 @@ pub use rule::{Band, Factors, Rates, VERDICT};
 #[cfg(feature = "cube")]
 use crate::backend::adam::{AdamBackend, AdamInputs, AdamState, Held};
 
-/// A parameter with its moments.
+/// A parameter and its moments.
 #[derive(Clone, Debug)]
 pub struct Stepped<const D: usize> {
     /// The parameter.
     pub param: Tensor<D>,
-    /// `Σ β₁ᵏ g`
+    /// First moment, `Σ β₁ᵏ g`.
     pub m: Tensor<D>,
-    /// `Σ β₂ᵏ g²`
+    /// Second moment, `Σ β₂ᵏ g²`.
     pub v: Tensor<D>,
 }
 
-/// One step of Adam on `from`, all without autodiff. With `verdict`, nothing changes where a step is entered in it. Memory is
-/// reused where nobody else holds it: hand `from` over.
+/// Performs one step of Adam on `from`; all tensors are without autodiff. If a step is entered in `verdict`, nothing changes.
+/// Pass `from` by its only handle: memory that nothing else holds is reused.
 ///
 /// # Errors
-/// Gives `from` back on devices that have no such operation: compute it with tensor code there.
+/// Returns `from` on devices without this operation; use tensor code there.
 #[cfg_attr(not(feature = "cube"), expect(unused_variables, reason = "no GPU runtime is compiled in"))]
 #[expect(clippy::result_large_err, reason = "the error is the argument, handed back")]
 pub fn step<const D: usize>(
@@ -74,11 +73,11 @@ pub fn step<const D: usize>(
     Err(from)
 }
 
-/// `verdict` after a look at `values`, which are f32 or f64: if one is not finite, `at_step` (from 1) is entered with bit
+/// Returns `verdict` after a check of `values`, f32 or f64. If a value is not finite, `at_step` (from 1) is entered with bit
 /// `bit`, unless an earlier step is entered.
 ///
 /// # Errors
-/// Gives `verdict` back on devices that have no such operation: compute it with tensor code there.
+/// Returns `verdict` on devices without this operation; use tensor code there.
 #[cfg_attr(not(feature = "cube"), expect(unused_variables, reason = "no GPU runtime is compiled in"))]
 #[expect(clippy::result_large_err, reason = "the error is the argument, handed back")]
 pub fn watch<const D: usize>(
@@ -95,7 +94,7 @@ pub fn watch<const D: usize>(
     Err(verdict)
 }
 
-/// Whether the operations take this tensor.
+/// Whether the operations support this tensor.
 #[cfg(feature = "cube")]
 fn taken<const D: usize>(tensor: &Tensor<D>) -> bool {
     use burn::backend::DispatchDevice;

@@ -1,32 +1,32 @@
-//! The scalars of a step, and where which rate holds.
+//! The scalars of a step, and the band in which the first rate applies.
 
-/// Numbers of a verdict.
+/// Number of values of a verdict.
 pub const VERDICT: usize = 2;
 
-/// The rates of a parameter `[N, K, …]`.
+/// Learning rates of a parameter `[N, K, …]`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rates {
-    /// Of what has index 0 in the second dimension.
+    /// Rate of index 0 of the second dimension.
     pub first: f64,
-    /// Of all else, and of parameters of one dimension.
+    /// Rate of all other indices, and of parameters of one dimension.
     pub others: f64,
 }
 
 impl From<f64> for Rates {
-    /// One rate for all.
+    /// Uses one rate for all indices.
     fn from(rate: f64) -> Self {
         Self { first: rate, others: rate }
     }
 }
 
 impl Rates {
-    /// Both times `factor`.
+    /// Multiplies both rates by `factor`.
     pub fn times(self, factor: f64) -> Self {
         Self { first: self.first * factor, others: self.others * factor }
     }
 
-    /// Where the first rate holds in a parameter of the shape `dims`: what has index 0 in its second dimension. `None` if
-    /// there is one rate for all.
+    /// Returns the band in which the first rate applies, index 0 of the second dimension, in a parameter of shape `dims`.
+    /// `None` if there is only one rate.
     pub fn band(&self, dims: &[usize]) -> Option<Band> {
         let width = dims.get(2..).unwrap_or_default().iter().product::<usize>();
         let period = dims.get(1).map_or(0, |rows| rows * width);
@@ -37,23 +37,23 @@ impl Rates {
 /// The first `width` of every `period` numbers, row-major. Neither is 0.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Band {
-    /// Numbers from one band to the next.
+    /// Distance between the starts of two bands, in numbers.
     pub period: usize,
-    /// Numbers of one band.
+    /// Length of a band, in numbers.
     pub width: usize,
 }
 
 /// The scalars of one step; see [`adam`](crate::adam).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Factors {
-    /// Share of the first moment that is kept.
+    /// Decay β₁ of the first moment.
     pub beta1: f64,
-    /// Share of the second moment that is kept.
+    /// Decay β₂ of the second moment.
     pub beta2: f64,
-    /// The learning rates with both bias corrections.
+    /// Learning rates, including both bias corrections.
     pub rate: Rates,
-    /// Added to the root of the second moment, above 0.
+    /// Term added to the square root of the second moment, above 0.
     pub floor: f64,
-    /// The largest absolute value of a gradient that is computed with.
+    /// Largest absolute value to which gradients are clamped.
     pub largest: f64,
 }
