@@ -1,24 +1,24 @@
-//! Rows of a few numbers, as tensors hold them, turned into columns, as SIMD lanes read them, and back.
+//! Transposition of rows of a few numbers, as in tensors, into columns, as SIMD lanes read them, and back.
 
 use fearless_simd::prelude::*;
 
 use crate::simd::real::{LANES, Real};
 
-/// Rows that are turned at a time: enough that what is written has arrived when lanes read it, few enough to stay in the
-/// nearest cache.
+/// Number of rows transposed at a time: enough that stores have completed when lanes read them, few enough to stay in the nearest
+/// cache.
 pub(crate) const BLOCK: usize = 64;
 
-/// Up to [`BLOCK`] rows of `C` numbers, column by column.
+/// Up to [`BLOCK`] rows of `C` numbers, stored by columns.
 pub(crate) struct Columns<F, const C: usize>([[F; BLOCK]; C]);
 
 impl<F: Real, const C: usize> Columns<F, C> {
-    /// Zeros.
+    /// Returns columns of zeros.
     #[inline(always)]
     pub fn new() -> Self {
         Self([[F::ZERO; BLOCK]; C])
     }
 
-    /// Takes over up to [`BLOCK`] rows. What lies behind them stays as it was.
+    /// Reads up to [`BLOCK`] rows. Rows beyond those read keep their values.
     #[inline(always)]
     pub fn read(&mut self, rows: &[F]) {
         for (i, row) in (0..BLOCK).zip(rows.as_chunks::<C>().0) {
@@ -28,7 +28,7 @@ impl<F: Real, const C: usize> Columns<F, C> {
         }
     }
 
-    /// The reverse of [`Self::read`].
+    /// Writes the rows back; the inverse of [`Self::read`].
     #[inline(always)]
     pub fn write(&self, rows: &mut [F]) {
         for (i, row) in (0..BLOCK).zip(rows.as_chunks_mut::<C>().0) {
@@ -38,7 +38,7 @@ impl<F: Real, const C: usize> Columns<F, C> {
         }
     }
 
-    /// All rows of one column.
+    /// Returns all rows of one column.
     #[inline(always)]
     pub fn column(&self, column: usize) -> &[F; BLOCK] {
         &self.0[column]
@@ -49,7 +49,8 @@ impl<F: Real, const C: usize> Columns<F, C> {
         F::Lanes::<S>::from_slice(simd, &self.0[column][first..first + LANES])
     }
 
-    /// [`LANES`] rows of all columns. A loop: closures given to `map` may be left out of line, without the vectors' registers.
+    /// Returns [`LANES`] rows of all columns. A loop, because closures passed to `map` may not be inlined and then lack the
+    /// vector registers.
     #[inline(always)]
     pub fn all_lanes<S: Simd>(&self, simd: S, first: usize) -> [F::Lanes<S>; C] {
         let mut all = [F::Lanes::<S>::splat(simd, F::ZERO); C];
@@ -65,7 +66,7 @@ impl<F: Real, const C: usize> Columns<F, C> {
     }
 }
 
-/// Fills `out` with what `f` makes of the values at the same places, [`LANES`] at a time.
+/// Fills `out` with the result of `f` on the values at the same positions, [`LANES`] at a time.
 #[inline(always)]
 pub(crate) fn map_lanes<S: Simd, F: Real, const N: usize>(
     simd: S,

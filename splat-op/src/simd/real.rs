@@ -1,4 +1,4 @@
-//! The two float types of the CPU twins, with their SIMD lanes.
+//! The two float types of the CPU twins, with their SIMD vectors.
 
 use std::fmt::Debug;
 use std::iter::Sum;
@@ -8,7 +8,7 @@ use burn::tensor::{DType, f16};
 use fearless_simd::{f32x8, f64x8, prelude::*, u32x8};
 use half::slice::HalfFloatSliceExt;
 
-/// Lanes per vector, for both float types, so that a tile splits the same way for both.
+/// Number of lanes per vector, the same for both float types, so that a tile splits the same way for both.
 pub(crate) const LANES: usize = 8;
 
 pub(crate) const EXP2_CONSTANTS: usize = 8;
@@ -35,18 +35,18 @@ pub(crate) trait Real:
     + bytemuck::Pod
     + 'static
 {
-    /// Eight values.
+    /// A vector of eight values.
     type Lanes<S: Simd>: SimdFloat<S, Element = Self>;
-    /// An unsigned integer that sorts as this float does, for non-negative values.
+    /// An unsigned integer that sorts like this float, for non-negative values.
     type SortKey: Ord + Copy + Send + Sync;
     const DTYPE: DType;
     const ZERO: Self;
     const ONE: Self;
     /// The largest finite value.
     const MAX: Self;
-    /// The step from one to the next value.
+    /// The distance from one to the next larger value.
     const EPSILON: Self;
-    /// The nearest value to a constant or option.
+    /// Rounds a constant or option to the nearest value.
     fn of(value: f64) -> Self;
     fn f64(self) -> f64;
     fn sqrt(self) -> Self;
@@ -55,21 +55,22 @@ pub(crate) trait Real:
     fn abs(self) -> Self;
     fn finite(self) -> bool;
     fn sort_key(self) -> Self::SortKey;
-    /// A stable sort.
+    /// Sorts by key, stably.
     fn sort_by_key(rows: &mut [(Self::SortKey, u32)]);
-    /// The integer part of a value between 0 and 2³¹; quick, unlike a conversion to `usize`.
+    /// Returns the integer part of a value between 0 and 2³¹, faster than a conversion to `usize`.
     fn index(self) -> usize;
-    /// The largest `q` for which [`Self::exp2_lanes`] is meant: `2^−q` is not subnormal.
+    /// The largest `q` that [`Self::exp2_lanes`] supports: `2^−q` is not subnormal.
     const EXP2_MAX: Self;
     /// The constants of [`Self::exp2_lanes`].
     const EXP2: [Self; EXP2_CONSTANTS];
-    /// `2^−q` for `0 <= q <= EXP2_MAX`, within 2 ulp; anything elsewhere. The constants are [`Self::EXP2`], one copy in each lane.
+    /// Returns `2^−q` for `0 <= q <= EXP2_MAX`, within 2 ulp; arbitrary elsewhere. `constants` are [`Self::EXP2`], one copy in
+    /// each lane.
     fn exp2_lanes<S: Simd>(q: Self::Lanes<S>, constants: &[Self::Lanes<S>; EXP2_CONSTANTS]) -> Self::Lanes<S>;
-    /// `2^−q` by the standard library, within an ulp, whatever `q` is.
+    /// Returns `2^−q` by the standard library, within an ulp, for any `q`.
     fn exp2_library<S: Simd>(q: Self::Lanes<S>) -> Self::Lanes<S>;
-    /// Half-precision floats as they are, into as many values.
+    /// Converts half-precision floats to values without loss.
     fn widen(halves: &[f16], into: &mut [Self]);
-    /// `eˣ` within 1 ulp; zero or infinite beyond what the float type holds, anything for what is no number.
+    /// Returns `eˣ` within 1 ulp: zero or infinite beyond the range of the float type, arbitrary for NaN.
     fn exp_lanes<S: Simd>(x: Self::Lanes<S>) -> Self::Lanes<S>;
 
     fn max_of(self, other: Self) -> Self {
@@ -78,7 +79,7 @@ pub(crate) trait Real:
     fn min_of(self, other: Self) -> Self {
         if other < self { other } else { self }
     }
-    /// `self` held between `low` and `high`.
+    /// Clamps `self` between `low` and `high`.
     fn within(self, low: Self, high: Self) -> Self {
         self.max_of(low).min_of(high)
     }
@@ -144,9 +145,9 @@ impl Real for f32 {
 
     const EXP2_MAX: Self = 126.0;
 
-    /// First what rounds to an integer when it is added and leaves it in the low bits, `1.5 · 2²³`, with the bias of an exponent, 127,
-    /// added. Then the polynomial of degree 6 for `2^−s`, `|s| <= 1/2`, of least relative error, 2e-9 (Remez's exchange), a
-    /// thirtieth of an ulp.
+    /// First `1.5 · 2²³`, whose addition rounds to an integer and leaves it in the low bits, plus 127, the bias of an exponent.
+    /// Then the polynomial of degree 6 for `2^−s`, `|s| <= 1/2`, of least relative error, 2e-9 (Remez's exchange), a thirtieth
+    /// of an ulp.
     const EXP2: [f32; EXP2_CONSTANTS] = [
         12_583_039.0,
         1.534_581_2e-4,
@@ -178,7 +179,8 @@ impl Real for f32 {
 
     #[inline(always)]
     fn exp_lanes<S: Simd>(x: f32x8<S>) -> f32x8<S> {
-        // x = n ln 2 + s with an integer n and |s| <= (ln 2) / 2, as above; ln 2 in two parts, of which the first has few digits.
+        // x = n ln 2 + s with an integer n and |s| <= (ln 2) / 2, as above; ln 2 is split in two parts, the first with few
+        // digits.
         const ROUND: f32 = 12_582_912.0;
         const LN_2: [f32; 2] = [0.693_359_4, -2.121_944_4e-4];
         let simd = x.token();
@@ -187,12 +189,12 @@ impl Real for f32 {
         let shifted = x.mul_add(lanes(std::f32::consts::LOG2_E), lanes(ROUND));
         let n = shifted - ROUND;
         let s = n.mul_add(lanes(-LN_2[1]), n.mul_add(lanes(-LN_2[0]), x));
-        // Taylor's series to degree 7; what it leaves out is a tenth of an ulp at most.
+        // Taylor series to degree 7; the truncation error is at most a tenth of an ulp.
         let mut p = lanes(1.0 / 5040.0);
         for factorial in [720.0, 120.0, 24.0, 6.0, 2.0, 1.0, 1.0] {
             p = p.mul_add(s, lanes(1.0 / factorial));
         }
-        // 2ⁿ in two factors, for n goes beyond the exponents of a float on both sides.
+        // 2ⁿ is split in two factors, because n exceeds the exponents of a float on both sides.
         let half = (n * 0.5).floor();
         let power = |n: f32x8<S>| {
             let exponent: u32x8<S> = ((n + ROUND).to_bits() << 23) + (127 << 23);
@@ -209,7 +211,7 @@ impl Real for f64 {
     const EXP2_MAX: Self = 1022.0;
     const EXP2: [f64; EXP2_CONSTANTS] = [0.0; EXP2_CONSTANTS];
 
-    // The f64 path is the reference: the library's function, lane by lane.
+    // The f64 path is the reference: the library function, lane by lane.
     #[inline(always)]
     fn exp2_lanes<S: Simd>(q: f64x8<S>, _: &[f64x8<S>; EXP2_CONSTANTS]) -> f64x8<S> {
         Self::exp2_library(q)
@@ -256,7 +258,7 @@ mod tests {
         for i in 0..=400_000 {
             let x = -87.0 + i as f32 * (175.0 / 400_000.0);
             let (got, want) = (f64::from(exp(x)), f64::from(x).exp());
-            // An ulp of this value, not of one.
+            // One ulp of this value, not of 1.
             let ulp = f64::from(f32::EPSILON) * want.log2().floor().exp2();
             worst = worst.max((got - want).abs() / ulp);
         }
@@ -264,7 +266,7 @@ mod tests {
         assert_eq!([0.0, -0.0, -200.0, f32::NEG_INFINITY, 200.0, f32::INFINITY].map(exp), {
             [1.0, 1.0, 0.0, 0.0, f32::INFINITY, f32::INFINITY]
         });
-        // Subnormal values lose digits, not their size.
+        // Subnormal values lose digits, but not their magnitude.
         assert!((exp(-95.0) / (-95.0_f32).exp() - 1.0).abs() < 1e-3);
     }
 }
