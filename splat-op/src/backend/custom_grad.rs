@@ -87,7 +87,8 @@ impl<B: CustomGradBackend, C: CheckpointStrategy> CustomGradBackend for Autodiff
 }
 
 /// Returns `value`, `[1]`, with `gradient` as its derivative with respect to `variable`. `gradient` has the shape of `variable`.
-/// For losses whose derivative is cheaper in closed form than as a graph of small operations. `value` and `gradient` are constants.
+/// For losses whose derivative is cheaper in closed form than as a graph of small operations. `value` and `gradient` are
+/// constants.
 ///
 /// # Panics
 /// If the shapes of `variable` and `gradient` differ.

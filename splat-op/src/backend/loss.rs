@@ -1,5 +1,5 @@
-//! The photometric loss as an extension of Burn's backends. Its derivative is computed with it, so no backward node is needed: the
-//! caller attaches the derivative.
+//! The photometric loss as an extension of Burn's backends. Its derivative is computed with it, so no backward node is needed:
+//! the caller attaches the derivative.
 
 #![allow(deprecated, reason = "burn-ndarray is deprecated in favour of burn-flex; this project supports both")]
 

@@ -37,12 +37,13 @@ pub trait RasterizeRaysBackend: Backend {
         mask: Geometry<bool>,
     ) -> GeometryGrads<Self>;
 
-    /// Returns bounds as rows `[N, 7]` for `intersect`, from packed ellipses `[N, 7]` and depth slopes `[N, 3]`; see `depth_slope/`.
-    /// Not differentiable.
+    /// Returns bounds as rows `[N, 7]` for `intersect`, from packed ellipses `[N, 7]` and depth slopes `[N, 3]`; see
+    /// `depth_slope/`. Not differentiable.
     #[fusion(dtype = projected, shape = projected)]
     fn bounds(projected: FloatTensor<Self>, depth_slope: FloatTensor<Self>, spec: RasterizeSpec) -> FloatTensor<Self>;
 
-    /// Rasterizes along rays; see `rasterize_rays/`. Returns planes; they, `intersection_counts` and `parts` are as in `rasterize`.
+    /// Rasterizes along rays; see `rasterize_rays/`. Returns planes; they, `intersection_counts` and `parts` are as in
+    /// `rasterize`.
     #[fusion(meta = fusion::rasterize_rays)]
     fn rasterize_rays(
         #[extension_type] inputs: RayLayerTensors<Self>,

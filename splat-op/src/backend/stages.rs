@@ -34,8 +34,8 @@ pub trait SplatBackend: Backend {
         mask: Geometry<bool>,
     ) -> GeometryGrads<Self>;
 
-    /// Evaluates colours; see `sh/`. Returns `[N, 3]`. With `visible`, the output of `project`, only Gaussians that are visible in
-    /// the picture of `spec` get colours.
+    /// Evaluates colours; see `sh/`. Returns `[N, 3]`. With `visible`, the output of `project`, only Gaussians that are visible
+    /// in the picture of `spec` get colours.
     #[fusion(meta = fusion::evaluate_sh)]
     fn evaluate_sh(
         #[extension_type] inputs: ShadingTensors<Self>,
@@ -53,13 +53,15 @@ pub trait SplatBackend: Backend {
         mask: Shading<bool>,
     ) -> ShadingGrads<Self>;
 
-    /// Fills `intersections` and returns the number of intersections per tile, `[tiles along y, tiles along x]`; see `intersect/`.
+    /// Fills `intersections` and returns the number of intersections per tile, `[tiles along y, tiles along x]`; see
+    /// `intersect/`.
     #[fusion(meta = fusion::intersect)]
     fn intersect(projected: FloatTensor<Self>, spec: RasterizeSpec, intersections: IntersectionCell)
     -> IntTensor<Self>;
 
-    /// Rasterizes; see `rasterize/`. Returns planes `[C + 1 (+ 1), H, W]`, and fills `trace` if there is one. `intersection_counts`
-    /// is the output of `intersect` and makes this operation run after it. Gradients pass through [`Self::part`] only.
+    /// Rasterizes; see `rasterize/`. Returns planes `[C + 1 (+ 1), H, W]`, and fills `trace` if there is one.
+    /// `intersection_counts` is the output of `intersect` and makes this operation run after it. Gradients pass through
+    /// [`Self::part`] only.
     #[fusion(meta = fusion::rasterize)]
     fn rasterize(
         #[extension_type] inputs: LayerTensors<Self>,
@@ -76,8 +78,8 @@ pub trait SplatBackend: Backend {
     fn part(planes: FloatTensor<Self>, from: usize, to: usize, parts: PartsCell) -> FloatTensor<Self>;
 
     /// Returns the gradients of `rasterize` that `mask` selects, from the gradient of its output or, where depth is not rendered
-    /// and alpha has no gradient, of its first `C` planes. `planes` is the output of `rasterize`; it makes this operation run after
-    /// that one and is not read.
+    /// and alpha has no gradient, of its first `C` planes. `planes` is the output of `rasterize`; it makes this operation run
+    /// after that one and is not read.
     #[fusion(meta = fusion::rasterize_backward)]
     fn rasterize_backward(
         #[extension_type] inputs: LayerTensors<Self>,

@@ -1,9 +1,9 @@
-//! Backward kernel of `depth_slope`: one unit per Gaussian projects it again and differentiates the result. Gradients that are not
-//! needed are not kernel arguments.
+//! Backward kernel of `depth_slope`: one unit per Gaussian projects it again and differentiates the result. Gradients that are
+//! not needed are not kernel arguments.
 //!
 //! `p`, `a` and `b` together have length one and the common denominator `sigma_v`; `n` and `bᵤ` have the denominator `sigma_u`.
-//! For numerators divided by their own length, the gradient is the gradient of the quotients without its component along them, divided
-//! by the length.
+//! For numerators divided by their own length, the gradient is the gradient of the quotients without its component along them,
+//! divided by the length.
 
 use cubecl::prelude::*;
 
@@ -84,7 +84,8 @@ pub(super) fn depth_slope_backward_kernel(
     if gaussian < count as usize {
         let at = gaussian * comptime!(DEPTH_SLOPE);
         let (grad_u, grad_v, grad_thickness) = (grad[at], grad[at + 1], grad[at + 2]);
-        // Most Gaussians of a large scene are out of view, with a gradient of exactly zero. The test is by bits, so that NaN counts.
+        // Most Gaussians of a large scene are out of view, with a gradient of exactly zero. The test is by bits, so that NaN
+        // counts.
         let any = u32::reinterpret(grad_u) | u32::reinterpret(grad_v) | u32::reinterpret(grad_thickness);
         if (any & 0x7fff_ffff) != 0 {
             let pose = Pose::load(cam_from_world);

@@ -1,9 +1,9 @@
 //! Ray-space depth slopes: 3D Gaussians → slope and thickness of each in depth, for per-ray rasterization. Differentiable.
 //!
-//! The stage works in the coordinates (px from the centre, px from the centre, depth relative to the centre's depth), a linear map
-//! of the camera frame with the camera at `(0, 0, −1)`. In these coordinates the pinhole's ray through the pixel at the offset `d`
-//! is `λ(d, 1)` from the camera, where `λ` is the camera z divided by the camera z of the centre. A Gaussian with the image-plane
-//! blur has the covariance
+//! The stage works in the coordinates (px from the centre, px from the centre, depth relative to the centre's depth), a linear
+//! map of the camera frame with the camera at `(0, 0, −1)`. In these coordinates the pinhole's ray through the pixel at the
+//! offset `d` is `λ(d, 1)` from the camera, where `λ` is the camera z divided by the camera z of the centre. A Gaussian with
+//! the image-plane blur has the covariance
 //!
 //! ```text
 //! C = | m0 √ε 0 | | m0 √ε 0 |ᵀ        m0, m1: rows of J W R diag(s), px      mz = (last row of W R diag(s)) / z
@@ -21,10 +21,10 @@
 //! thickness = |(mz·p, b c, a × mz, b bᵤ mz)|                  = √det C / (sigma_u sigma_v): all 3×3 minors of M, squared
 //! ```
 //!
-//! `depth_slope` is the change of the Gaussian's depth per unit of the whitened `(u, v)` of `project`. `thickness` is the standard
-//! deviation of its depth at known `u, v`. Both are relative to the centre's depth, so `1/thickness` is the distance to the camera
-//! in standard deviations. The derivation is ours; the maximum along a ray, for which `rasterize_rays` uses it, is due to Keselman
-//! and Hebert 2022 and Radl et al. 2024 (StopThePop).
+//! `depth_slope` is the change of the Gaussian's depth per unit of the whitened `(u, v)` of `project`. `thickness` is the
+//! standard deviation of its depth at known `u, v`. Both are relative to the centre's depth, so `1/thickness` is the distance
+//! to the camera in standard deviations. The derivation is ours; the maximum along a ray, for which `rasterize_rays` uses it,
+//! is due to Keselman and Hebert 2022 and Radl et al. 2024 (StopThePop).
 //!
 //! Beyond a thickness of `THICKNESS_MAX` the Gaussian has the same value everywhere, and the thickness is clamped. A row that is
 //! not finite, or whose Gaussian is over 1e30 times as long as it is far, is set to zero, which is the affine projection.
@@ -40,8 +40,8 @@
 //! half-axes   c / (1 − e²) along t,  c / √(1 − e²) across        middle   −t e c / (1 − e²)
 //! ```
 //!
-//! the factor of `project` gains the column `L t e / √(1 − e²)` and is scaled. `intersect` reads the opacity of a row only for the
-//! extent, so the row gets the opacity for which the extent is `EXTENT`. Elsewhere a row covers the whole picture.
+//! the factor of `project` gains the column `L t e / √(1 − e²)` and is scaled. `intersect` reads the opacity of a row only for
+//! the extent, so the row gets the opacity for which the extent is `EXTENT`. Elsewhere a row covers the whole picture.
 //!
 //! Shapes: inputs as in `project` → `[N, 3]`; packed ellipses `[N, 7]` and depth slopes `[N, 3]` → bounds `[N, 7]`, not
 //! differentiable, for `intersect` only. Rows of Gaussians that `project` culls are undefined and have no gradient.

@@ -173,8 +173,8 @@ fn tile_backward<F: Real>(
     background
 }
 
-/// Adds each Gaussian's rows in order and turns the sums into gradients. Not parallel: the cost is small compared with the cost of
-/// the pixels.
+/// Adds each Gaussian's rows in order and turns the sums into gradients. Not parallel: the cost is small compared with the cost
+/// of the pixels.
 fn gather<F: Real>(view: &PreparedRayView<F>, rows: &[F], columns: usize, needs: RayLayers<bool>) -> RayLayers<Vec<F>> {
     let (count, channels, intersections) = (view.footprints.len(), view.channels, view.intersections);
     let zeros = |needed: bool, columns: usize| vec![F::ZERO; if needed { count * columns } else { 0 }];

@@ -79,7 +79,8 @@ pub(super) struct RayGaussian {
     pub thickness: f32,
 }
 
-/// A Gaussian evaluated at a pixel, with the names of the module's documentation. Alpha is zero where the Gaussian is not visible.
+/// A Gaussian evaluated at a pixel, with the names of the module's documentation. Alpha is zero where the Gaussian is not
+/// visible.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub(super) struct RayLayer {
@@ -166,8 +167,8 @@ pub(super) struct Walk {
     /// Places in the tile's list.
     pub places: Array<u32>,
     pub alphas: Array<f32>,
-    /// Progress: whether the walk has begun, the Gaussian of the last layer, and the next place of the list. `last_key` is the key
-    /// of the last layer.
+    /// Progress: whether the walk has begun, the Gaussian of the last layer, and the next place of the list. `last_key` is the
+    /// key of the last layer.
     come_to: Array<u32>,
     last_key: Array<f32>,
 }

@@ -17,9 +17,9 @@
 //! distance. (Where the affine Jacobian is clamped, the `λ` that orders the layers uses the clamped Jacobian too.)
 //!
 //! The alphas, thresholds, sums and the gradient back to front are as in `rasterize`, over the same lists. The order is the order
-//! of the lists (camera z of the centres, then the index) or a per-pixel sort by `λ z`, then by the index. Only this order decides
-//! which contributions lie behind a `transmittance_min`. The depth plane is `Σ wᵢ zᵢ` for the affine projection and `Σ wᵢ λᵢ zᵢ`
-//! for `RayMax`.
+//! of the lists (camera z of the centres, then the index) or a per-pixel sort by `λ z`, then by the index. Only this order
+//! decides which contributions lie behind a `transmittance_min`. The depth plane is `Σ wᵢ zᵢ` for the affine projection and
+//! `Σ wᵢ λᵢ zᵢ` for `RayMax`.
 //!
 //! # Gradient
 //!
