@@ -58,7 +58,7 @@ pub enum Projection {
     /// beside its distance.
     #[default]
     Affine,
-    /// The maximum of the Gaussian along the pixel's ray, exactly; see [`crate::rays`]. For pinholes. Knows no
+    /// The maximum of the Gaussian along the pixel's ray, exactly; see [`crate::rasterize_rays`]. For pinholes. Knows no
     /// [`RenderOptions::jacobian_margin`].
     RayMax,
 }

@@ -122,7 +122,7 @@ mod tests {
     #[test]
     fn choices_are_said_and_dials_are_not() {
         let options = RenderOptions::fast().with_antialias(true).with_projection(Projection::RayMax).with_near(0.2);
-        assert_eq!(Provenance::choices(&options).to_string(), "antialias on, projection exact");
+        assert_eq!(Provenance::choices(&options).to_string(), "antialias on, projection ray-max");
         assert!(Provenance::choices(&RenderOptions::exact()).is_empty());
     }
 }

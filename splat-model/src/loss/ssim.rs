@@ -14,7 +14,7 @@
 //! [`ssim_map`] and [`ssim`] define the metric in plain tensor code. The window is two depthwise convolutions, the fastest of
 //! the formulations tried on Burn Flex (banded matrix products, blocked or whole; shifted slices). The autodiff gradient of
 //! such a convolution is far slower than the convolution, so [`d_ssim`] and the loss are one operation, see
-//! [`splat_op::photometric`].
+//! [`splat_op::loss`].
 
 use burn::tensor::{Tensor, TensorData, module::conv2d, ops::ConvOptions};
 
