@@ -1,5 +1,5 @@
-//! The CPU twin of `intersect`: the tiles of each Gaussian, a sort of the Gaussians by depth, then a stable counting sort of their
-//! intersections by tile.
+//! CPU twin of `intersect`. It finds the tiles of each Gaussian, sorts the Gaussians by depth, then sorts their
+//! intersections by tile with a stable counting sort.
 
 use std::sync::atomic::{AtomicU32, Ordering};
 
@@ -14,10 +14,11 @@ use crate::project::{COLUMNS, Ellipse};
 use crate::simd::lanes::BLOCK;
 use crate::simd::real::Real;
 
-/// Gaussians per task that looks for intersections.
+/// Number of Gaussians per task that finds intersections.
 const CHUNK: usize = 2048;
 
-/// Tasks that sort intersections by tile. Each counts all tiles, so few are better; no result depends on their number.
+/// Number of tasks that sort intersections by tile. Each counts all tiles, so few are better; no result depends on
+/// their number.
 const SORTERS: usize = 16;
 
 /// Computes the lists of a view from its `[N, 7]` packed ellipses.
@@ -63,7 +64,7 @@ pub(crate) fn intersect_cpu<F: Real>(packed: &[F], camera: &Intrinsics, cut: Cut
     }
 }
 
-/// How many Gaussians each tile lists by [`Culling::Ellipse`], whatever else lists are made by.
+/// Returns the number of Gaussians that each tile lists under [`Culling::Ellipse`], whatever culling makes the lists.
 pub(crate) fn needed_intersections<F: Real>(packed: &[F], camera: &Intrinsics, alpha_min: f64) -> Vec<u32> {
     let found = find(packed, camera, Cut { alpha_min, culling: Culling::Ellipse });
     let mut counts = vec![0; tile_grid(camera.width, camera.height).iter().product()];
@@ -71,7 +72,7 @@ pub(crate) fn needed_intersections<F: Real>(packed: &[F], camera: &Intrinsics, a
     counts
 }
 
-/// The intersections of all Gaussians, chunk by chunk.
+/// Finds the intersections of all Gaussians, chunk by chunk.
 fn find<F: Real>(packed: &[F], camera: &Intrinsics, cut: Cut) -> Vec<ChunkIntersections<F>> {
     let extent = ExtentRules::new(camera, cut);
     let chunks = packed.par_chunks(CHUNK * COLUMNS).enumerate();
@@ -81,21 +82,21 @@ fn find<F: Real>(packed: &[F], camera: &Intrinsics, cut: Cut) -> Vec<ChunkInters
     found.collect()
 }
 
-/// The intersections of consecutive Gaussians, in the order in which they are found. Counting and writing both read this one result,
-/// so they cannot disagree.
+/// Intersections of consecutive Gaussians, in the order in which they are found. Counting and writing both read this
+/// one result, so they cannot disagree.
 struct ChunkIntersections<F: Real> {
     /// The Gaussians that have intersections.
     gaussians: Vec<u32>,
-    /// Their depths, as they sort.
+    /// Sort keys of their depths.
     depths: Vec<F::SortKey>,
-    /// Intersections of each.
+    /// Number of intersections of each.
     counts: Vec<u32>,
     /// Tile of each intersection.
     tiles: Vec<u32>,
 }
 
 impl<F: Real> ChunkIntersections<F> {
-    /// The intersections of the Gaussians from `first` on, with these ellipses.
+    /// Finds the intersections of the Gaussians from `first` on, whose packed ellipses are `rows`.
     fn new(first: u32, rows: &[F], extent: &ExtentRules<F>, scratch: &mut ExtentScratch<F>) -> Self {
         let count = rows.len() / COLUMNS;
         let mut found = Self {
@@ -118,7 +119,7 @@ impl<F: Real> ChunkIntersections<F> {
     }
 }
 
-/// Consecutive Gaussians in the order of their depths.
+/// Consecutive Gaussians in depth order.
 struct Sorter {
     gaussians: Vec<SortedGaussian>,
     /// Tile of each of their intersections.
@@ -127,13 +128,14 @@ struct Sorter {
 
 struct SortedGaussian {
     id: u32,
-    /// Where its intersections were found.
+    /// Index of its first intersection in the order in which they were found.
     first: u32,
     intersections: u32,
 }
 
 impl Sorter {
-    /// Fetches what lies all over memory: first what is of one length, so that many fetches are under way at a time.
+    /// Collects the Gaussians and their tiles, which are scattered in memory: first the entries of fixed size, so that
+    /// many fetches are under way at a time.
     fn new(order: impl Iterator<Item = usize>, visible: &[u32], visible_start: &[u32], tiles: &[u32]) -> Self {
         let sorted = |place: usize| {
             let first = visible_start[place];
@@ -149,7 +151,8 @@ impl Sorter {
         Self { gaussians, tiles: own }
     }
 
-    /// Writes each intersection's Gaussian to the next place of its tile, and the place to where the intersection was found.
+    /// Writes each intersection's Gaussian to the next place of its tile, and that place to the intersection's entry in
+    /// the order in which they were found.
     fn write(&self, mut cursor: Vec<u32>, gaussian: &[AtomicU32], place_of_intersection: &[AtomicU32]) {
         let mut tiles = self.tiles.iter();
         for sorted in &self.gaussians {
@@ -163,7 +166,8 @@ impl Sorter {
     }
 }
 
-/// Where each tile's intersections begin, and for each sorter where its first intersection in each tile goes.
+/// Returns the index of each tile's first intersection, and for each sorter the place of its first intersection in each
+/// tile.
 fn offsets(sorters: &[Sorter], tiles: usize) -> (Vec<usize>, Vec<Vec<u32>>) {
     let mut cursors: Vec<Vec<u32>> = sorters
         .par_iter()

@@ -1,4 +1,4 @@
-//! Which tiles a Gaussian reaches, for eight Gaussians at a time.
+//! Tiles that a Gaussian reaches, for eight Gaussians at a time.
 
 use std::ops::Range;
 
@@ -11,20 +11,20 @@ use crate::project::{COLUMNS, Ellipse};
 use crate::simd::lanes::{BLOCK, Columns};
 use crate::simd::real::{LANES, Real};
 
-/// The largest `u² + v²` at which a Gaussian's alpha reaches `alpha_min`; negative if none does.
+/// Returns the largest `u² + v²` at which a Gaussian's alpha reaches `alpha_min`; negative if there is none.
 #[inline(always)]
 pub(crate) fn whitened_limit<F: Real>(opacity: F, alpha_min: F) -> F {
     if alpha_min > F::ZERO { F::of(2.0) * (opacity / alpha_min).ln() } else { F::MAX }
 }
 
-/// The same, widened so that no rounding of `rasterize` shows a Gaussian beyond it: a relative margin for the logarithm, an
-/// absolute one for the exponential.
+/// Returns the [`whitened_limit`], widened so that no rounding of `rasterize` shows a Gaussian beyond it: a relative
+/// margin for the logarithm, an absolute one for the exponential.
 #[inline(always)]
 pub(crate) fn widened_limit<F: Real>(opacity: F, alpha_min: F) -> F {
     whitened_limit(opacity, alpha_min) * F::of(1.0 + 1e-5) + F::of(1e-4)
 }
 
-/// Half the width and height of the box around `u² + v² <= limit`, px.
+/// Returns half the width and height of the box around `u² + v² <= limit`, px.
 #[inline(always)]
 pub(crate) fn half_extent<F: Real>(ellipse: &Ellipse<F>, limit: F) -> [F; 2] {
     let extent = limit.sqrt();
@@ -33,11 +33,11 @@ pub(crate) fn half_extent<F: Real>(ellipse: &Ellipse<F>, limit: F) -> [F; 2] {
     [extent * ellipse.sigma_u, extent * vertical]
 }
 
-/// What decides how far a Gaussian reaches.
+/// Parameters of a Gaussian's extent.
 #[derive(Clone, Copy)]
 pub(super) struct ExtentRules<F> {
     grid: [usize; 2],
-    /// Of the picture, px.
+    /// Size of the picture, px.
     size: [F; 2],
     alpha_min: F,
     culling: Culling,
@@ -53,8 +53,8 @@ impl<F: Real> ExtentRules<F> {
         }
     }
 
-    /// Adds to `tiles` those of each of up to [`BLOCK`] Gaussians in turn: the tiles whose rectangle of pixel centres its
-    /// ellipse, or box, meets. Returns how many each has.
+    /// Appends to `tiles` the tiles of up to [`BLOCK`] Gaussians, one Gaussian after another: the tiles whose rectangle
+    /// of pixel centres its ellipse, or box, meets. Returns each Gaussian's number of tiles.
     #[inline(always)]
     pub fn emit<S: Simd>(
         &self,
@@ -66,7 +66,7 @@ impl<F: Real> ExtentRules<F> {
         let count = rows.len() / COLUMNS;
         scratch.ellipses.read(rows);
         let opacities = scratch.ellipses.column(6);
-        // No smaller than its own: a Gaussian may be more than opaque.
+        // The opacity may exceed one, so the square takes the larger of the two.
         let least = if self.culling == Culling::BoundingBox { F::ONE } else { F::ZERO };
         for (limit, opacity) in scratch.limits.iter_mut().zip(opacities).take(count) {
             *limit = widened_limit(opacity.max_of(least), self.alpha_min);
@@ -106,7 +106,7 @@ impl<F: Real> ExtentRules<F> {
 pub(super) struct ExtentScratch<F> {
     ellipses: Columns<F, COLUMNS>,
     limits: [F; BLOCK],
-    /// For each row of tiles: the first tile and the one behind the last.
+    /// For each row of tiles: the first tile and the tile after the last.
     spans: Vec<[[F; LANES]; 2]>,
 }
 
@@ -118,9 +118,10 @@ impl<F: Real> Default for ExtentScratch<F> {
 
 /// Eight Gaussians.
 ///
-/// The part of the ellipse `u² + v² <= r²` on a row of tiles spans an interval of `x`. With `V` its standard deviation along
-/// `y` and `c = dy / V`, the ends of its chord at `dy` are `sigma_u (c k ± h √(r² − c²))`, where `k = shear sigma_u / V` and
-/// `h = sigma_v / V`. The farthest lie at `c = ± r k`, or, where the row does not hold that, at its nearer edge.
+/// The part of the ellipse `u² + v² <= r²` on a row of tiles spans an interval of `x`. With `V` its standard deviation
+/// along `y` and `c = dy / V`, the ends of its chord at `dy` are `sigma_u (c k ± h √(r² − c²))`, where
+/// `k = shear sigma_u / V` and `h = sigma_v / V`. The farthest ends lie at `c = ± r k`, or, if that is outside the row,
+/// at the row's nearer edge.
 struct Eight<S: Simd, F: Real> {
     mean: [F::Lanes<S>; 2],
     sigma_u: F::Lanes<S>,
@@ -131,11 +132,11 @@ struct Eight<S: Simd, F: Real> {
     h: F::Lanes<S>,
     /// `1 / V`
     inverse: F::Lanes<S>,
-    /// How much higher or lower than it is a pixel may look to `rasterize`.
+    /// Bound of the rounding error of a pixel's position along y in `rasterize`, px.
     slip: F::Lanes<S>,
-    /// What ends along `x` are widened by for their rounding.
+    /// Margin, px, by which ends along `x` are widened for their rounding.
     margin: F::Lanes<S>,
-    /// The first row of tiles and the one behind the last; equal for a Gaussian that cannot show.
+    /// The first row of tiles and the row after the last; equal for a Gaussian that cannot show.
     rows: (F::Lanes<S>, F::Lanes<S>),
 }
 
@@ -159,10 +160,11 @@ impl<S: Simd, F: Real> Eight<S, F> {
         let (a, b) = (sigma_v / larger, across / larger);
         let unit = a.mul_add(a, b * b).sqrt();
         let (h, k, vertical) = (a / unit, b / unit, larger * unit);
-        // Where no alpha is too small the limit has no end, but nothing shows where a float can no longer hold the square.
+        // If `alpha_min` is zero the limit is unbounded, but nothing shows where a float can no longer hold the square.
         let limit = F::Lanes::<S>::from_slice(simd, &scratch.limits[first..first + LANES]);
         let r = limit.min(lanes(F::MAX.sqrt())).sqrt();
-        // `dy − shear dx` loses digits when both terms are large: neither is beyond `(|across| + sigma_v) r` where it shows.
+        // `dy − shear dx` loses digits when both terms are large: where it shows, neither exceeds
+        // `(|across| + sigma_v) r`.
         let slip = (across.abs() + sigma_v) * r * lanes(F::of(16.0) * F::EPSILON);
         let margin = |mean: F::Lanes<S>, half: F::Lanes<S>| {
             (mean.abs() + half) * lanes(F::of(8.0) * F::EPSILON) + lanes(F::of(1e-3))
@@ -190,14 +192,14 @@ impl<S: Simd, F: Real> Eight<S, F> {
         }
     }
 
-    /// On every row of tiles of the box: its first tile and the one behind the last.
+    /// Returns the first tile of the box and the tile after its last, the same on every row of tiles.
     #[inline(always)]
     fn columns(&self, extent: &ExtentRules<F>) -> (F::Lanes<S>, F::Lanes<S>) {
         let x = self.mean[0];
         tiles((x - self.half_width, x + self.half_width), self.margin, extent.size[0])
     }
 
-    /// On the row of tiles this many behind each one's first: the first tile and the one behind the last.
+    /// Returns the first tile, and the tile after the last, on the row of tiles `row` rows after each Gaussian's first.
     #[inline(always)]
     fn span(&self, extent: &ExtentRules<F>, row: F) -> (F::Lanes<S>, F::Lanes<S>) {
         let lanes = |value: F| F::Lanes::<S>::splat(self.r.token(), value);
@@ -218,8 +220,8 @@ impl<S: Simd, F: Real> Eight<S, F> {
     }
 }
 
-/// The standard deviation along the long axis: the larger singular value of `[[a, 0], [x, c]]`, the covariance's root. The two have
-/// the sum `√((a + c)² + x²)` and the difference `√((a − c)² + x²)`.
+/// Returns the standard deviation along the long axis: the larger singular value of `[[a, 0], [x, c]]`, the
+/// covariance's root. The two singular values have the sum `√((a + c)² + x²)` and the difference `√((a − c)² + x²)`.
 #[inline(always)]
 fn long_axis<S: Simd, L: SimdFloat<S, Element = F>, F: Real<Lanes<S> = L>>([a, x, c]: [L; 3]) -> L {
     let lanes = |value: f64| L::splat(a.token(), F::of(value));
@@ -233,8 +235,8 @@ fn long_axis<S: Simd, L: SimdFloat<S, Element = F>, F: Real<Lanes<S> = L>>([a, x
     length(a + c) + length(a - c)
 }
 
-/// The first tile and the one behind the last of those whose pixel centres, from the first to the last, meet an interval, px,
-/// that is widened by a margin. `pixels` are the picture's.
+/// Returns the first tile, and the tile after the last, whose range of pixel centres meets an interval, px, widened by
+/// a margin. `pixels` is the picture's size along the axis.
 #[inline(always)]
 fn tiles<S: Simd, L: SimdFloat<S, Element = F>, F: Real<Lanes<S> = L>>(
     (low, high): (L, L),
@@ -243,11 +245,11 @@ fn tiles<S: Simd, L: SimdFloat<S, Element = F>, F: Real<Lanes<S> = L>>(
 ) -> (L, L) {
     let lanes = |value: F| L::splat(margin.token(), value);
     let (zero, pixels, tile) = (lanes(F::ZERO), lanes(pixels), F::of(1.0 / TILE as f64));
-    // Pixel `i` has its centre at `i + 0.5`. Written so that what is not a number widens the interval.
+    // Pixel `i` has its centre at `i + 0.5`. The comparisons are written so that NaN widens the interval.
     let low = low - margin - F::of(0.5);
     let low = low.simd_gt(zero).select(low, zero).ceil();
     let high = high + margin + F::of(0.5);
     let high = high.simd_lt(pixels).select(high, pixels).max(zero).floor();
-    // The last tile may reach beyond the picture; what begins there begins behind all tiles.
+    // The last tile may reach beyond the picture; an interval that begins there begins after all tiles.
     (low.simd_lt(pixels).select((low * tile).floor(), pixels), (high * tile).ceil())
 }

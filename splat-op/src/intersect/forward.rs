@@ -1,9 +1,11 @@
-//! Kernels of `intersect`: what each Gaussian covers, its intersections in depth order, and where each tile's intersections begin.
+//! Kernels of `intersect`: the tiles that each Gaussian covers, its intersections in depth order, and each tile's first
+//! intersection.
 //!
-//! What a Gaussian covers is decided once, by floats, and stored as integers: its box of tiles, cut into at most 8 × 8
-//! cells, with one bit per cell. Counting the intersections and writing them both read these integers, so they cannot disagree.
-//! The cell of a box of up to 8 × 8 tiles is one tile; in a larger box a cell is several, and its intersections are those of all
-//! its tiles: some that cannot contribute are listed, none that can is lost.
+//! The coverage of a Gaussian is decided once, in floats, and stored as integers: its box of tiles, divided into at
+//! most 8 × 8 cells, with one bit per cell. Counting the intersections and writing them both read these integers, so
+//! they cannot disagree. In a box of up to 8 × 8 tiles a cell is one tile. In a larger box a cell is several tiles, and
+//! its intersections are those of all its tiles: some that cannot contribute are listed, none that can contribute is
+//! lost.
 
 use cubecl::prelude::*;
 
@@ -11,13 +13,13 @@ use super::TILE;
 use crate::dials::Culling;
 use crate::gpu::math::{Vec3, finite, within};
 
-/// Numbers of a [`TileCoverage`].
+/// Number of words of a stored [`TileCoverage`].
 pub(super) const COVER: usize = 4;
 
-/// Cells along each side of a cover.
+/// Number of cells along each side of a coverage.
 const CELLS: u32 = 8;
 
-/// What `intersect` and `rasterize` need to know of the picture.
+/// Size of the picture in pixels and tiles, and `alpha_min`, for the kernels of `intersect` and `rasterize`.
 #[derive(CubeType, CubeLaunch, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub(crate) struct TileFrame {
@@ -28,17 +30,17 @@ pub(crate) struct TileFrame {
     pub alpha_min: f32,
 }
 
-/// The tiles that a Gaussian is listed in.
+/// Tiles that list a Gaussian.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 struct TileCoverage {
-    /// The first tile of the box.
+    /// First tile of the box.
     x: u32,
     y: u32,
-    /// Tiles of the box along x and y; zero for none.
+    /// Number of tiles of the box along x and y; zero for none.
     width: u32,
     height: u32,
-    /// One bit per cell, row by row: four rows each.
+    /// One bit per cell, row by row; each word holds four rows.
     low: u32,
     high: u32,
 }
@@ -65,7 +67,7 @@ impl TileCoverage {
         covers[at + 3] = self.high;
     }
 
-    /// Tiles along each side of a cell.
+    /// Width of a cell in tiles.
     fn cell_width(&self) -> u32 {
         (self.width + comptime!(CELLS - 1)) / comptime!(CELLS)
     }
@@ -105,7 +107,7 @@ impl TileCoverage {
     }
 }
 
-/// A packed ellipse and how far it reaches.
+/// A packed ellipse and its extent.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 struct EllipseExtent {
@@ -120,9 +122,9 @@ struct EllipseExtent {
 
 #[cube]
 impl EllipseExtent {
-    /// Whether the ellipse reaches the rectangle of pixel centres from `first` to before `end` px along each axis: the
-    /// least `u² + v²` over it lies at the centre, or on a side that faces the centre, where it is the minimum of a
-    /// parabola.
+    /// Whether the ellipse reaches the rectangle of pixel centres from `first` up to, but not including, `end` px along
+    /// each axis. The least `u² + v²` over the rectangle lies at the centre, or on a side that faces the centre, where
+    /// it is the minimum of a parabola.
     fn meets(&self, first_x: u32, end_x: u32, first_y: u32, end_y: u32) -> bool {
         let left = f32::cast_from(first_x) + 0.5 - self.x;
         let right = f32::cast_from(end_x) - 0.5 - self.x;
@@ -155,8 +157,9 @@ impl EllipseExtent {
         u * u + v * v
     }
 
-    /// The standard deviation along the long axis: the larger singular value of `[[sigma_u, 0], [across, sigma_v]]`. The two have
-    /// the sum `√((sigma_u + sigma_v)² + across²)` and the difference `√((sigma_u − sigma_v)² + across²)`.
+    /// Returns the standard deviation along the long axis: the larger singular value of
+    /// `[[sigma_u, 0], [across, sigma_v]]`. The two singular values have the sum `√((sigma_u + sigma_v)² + across²)`
+    /// and the difference `√((sigma_u − sigma_v)² + across²)`.
     fn long_axis(&self) -> f32 {
         // Halves, so that nothing overflows before the end.
         let (u, v, across) = (0.5 * self.sigma_u, 0.5 * self.sigma_v, 0.5 * self.shear * self.sigma_u);
@@ -164,8 +167,9 @@ impl EllipseExtent {
     }
 }
 
-/// The first tile and the tile after the last along an axis that hold a pixel centre within `half` of `mean`, or before an
-/// ellipse's tiles are tested less than a pixel further up; the same twice for none.
+/// Returns the first tile, and the tile after the last, along an axis that hold a pixel centre within `half` px of
+/// `mean`; the same tile twice if there is none. For [`Culling::Ellipse`], whose tiles are tested afterwards, the range
+/// may begin less than a pixel earlier.
 #[cube]
 fn tile_range(mean: f32, half: f32, pixels: u32, #[comptime] culling: Culling) -> (u32, u32) {
     // The margin covers the rounding of centre and extent.
@@ -183,7 +187,7 @@ fn tile_range(mean: f32, half: f32, pixels: u32, #[comptime] culling: Culling) -
     (first, end)
 }
 
-/// Stores each Gaussian's cover, its depth as a key (the largest where it covers nothing) and its own index.
+/// Stores each Gaussian's coverage, its depth as a key (the largest key if it covers nothing) and its index.
 #[cube(launch_unchecked)]
 pub(super) fn cover_kernel(
     projected: &[f32],
@@ -209,7 +213,7 @@ pub(super) fn cover_kernel(
         if usable {
             let mut limit = f32::max_value();
             if frame.alpha_min > 0.0 {
-                // The square is as if the Gaussian were opaque; one may be more than that.
+                // The square encloses an opaque Gaussian; an opacity may exceed one.
                 let shown = if comptime!(square) { max(opacity, 1.0) } else { opacity };
                 // A relative margin for the logarithm, an absolute one for the exponential.
                 limit = 2.0 * (shown / frame.alpha_min).ln() * 1.00001 + 1e-4;
@@ -250,7 +254,7 @@ pub(super) fn cover_kernel(
     }
 }
 
-/// The bits of the cells that the ellipse reaches, or of all of the box.
+/// Returns the bits of the cells that the ellipse reaches, or of all cells of the box if the culling is by a box.
 #[cube]
 fn covered_cells(
     cover: &TileCoverage,
@@ -290,7 +294,7 @@ fn covered_cells(
     (low, high)
 }
 
-/// Number of intersections of each Gaussian in depth order, and how many Gaussians have any.
+/// Counts the intersections of each Gaussian in depth order, and the Gaussians that have any.
 #[cube(launch_unchecked)]
 pub(super) fn count_kernel(
     keys: &[u32],
@@ -308,7 +312,7 @@ pub(super) fn count_kernel(
             intersections = TileCoverage::load(covers, order[rank] as usize).count();
         }
         counts[rank] = intersections;
-        // Those without intersections come last, so exactly one unit sees the border.
+        // Gaussians without intersections come last, so exactly one unit sees the border.
         let mut next_shown = false;
         if rank + 1 < count as usize {
             next_shown = keys[rank + 1] != 0xffff_ffff;
@@ -322,7 +326,7 @@ pub(super) fn count_kernel(
     }
 }
 
-/// Writes the intersections of each Gaussian: the tile and the Gaussian of each, and its own number.
+/// Writes the tile, the Gaussian and the number of each intersection, Gaussian by Gaussian.
 #[cube(launch_unchecked)]
 pub(super) fn emit_kernel(
     order: &[u32],
@@ -352,7 +356,8 @@ pub(super) fn emit_kernel(
     }
 }
 
-/// Where each tile's intersections begin in the sorted list, with one place more for the end, and how many each has.
+/// Writes the index of each tile's first intersection in the sorted list, with one more entry for the end, and each
+/// tile's number of intersections.
 #[cube(launch_unchecked)]
 pub(super) fn ranges_kernel(
     sorted_tiles: &[u32],
@@ -371,7 +376,7 @@ pub(super) fn ranges_kernel(
     }
 }
 
-/// The first place whose tile is at least `intersect`.
+/// Returns the first place whose tile is at least `tile`.
 #[cube]
 fn lower_bound(sorted_tiles: &[u32], intersections: u32, tile: u32) -> u32 {
     let mut low = 0u32;

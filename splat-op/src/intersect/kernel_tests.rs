@@ -1,4 +1,4 @@
-//! Scan and sort of the device against the standard library's, exactly; tile lists against the CPU twin's.
+//! Tests of the device's scan and sort against the standard library, exactly, and of its lists against the CPU twin.
 
 use super::cpu::intersect_cpu;
 use super::launch::launch_intersect;
@@ -13,7 +13,7 @@ use crate::testing::ellipses::ellipses;
 use crate::testing::gpu::gpus;
 use crate::testing::random::Random;
 
-/// Around the sizes of a unit, a block, the blocks that one cube takes, and two levels of blocks.
+/// Lengths around the sizes of a unit, a block, the blocks that one cube takes, and two levels of blocks.
 const LENGTHS: [usize; 12] = [0, 1, 7, 255, 256, 2_047, 2_048, 2_049, 16_384, 16_385, 100_003, 4_200_001];
 
 fn random(len: usize, seed: u64, below: f64) -> Vec<u32> {
@@ -109,9 +109,9 @@ fn check_lists_by(count: usize, [width, height]: [usize; 2], cut: Cut) {
     let alpha_min = cut.alpha_min;
     let camera = Intrinsics::centred(width, height, 30.0);
     let projected: Vec<f32> = ellipses(count as u64, count, &camera, [0.003, 1.0]).iter().map(|&v| v as f32).collect();
-    // What the device lists lies between what a larger and a smaller threshold list: the twin widens an ellipse by a thousandth of a
-    // pixel, and the device's margin for the rounding of sheared needles grows with their distance from the tile.
-    // A box on the device is wider by a hundredth of a pixel.
+    // The device's lists lie between those of a larger and of a smaller threshold: the twin widens an ellipse by a
+    // thousandth of a pixel, and the device's margin for the rounding of sheared needles grows with their distance from
+    // the tile. A box on the device is wider by a hundredth of a pixel.
     let lower = if cut.culling == Culling::Ellipse { 0.999 } else { 0.8 };
     let [least, most] =
         [1.03, lower].map(|scale| intersect_cpu(&projected, &camera, Cut { alpha_min: alpha_min * scale, ..cut }));

@@ -1,4 +1,4 @@
-//! Launches of `intersect`, and the lists they leave on the device.
+//! Launches of `intersect`, and the lists that they leave on the device.
 
 use super::forward::{COVER, TileFrameLaunch, count_kernel, cover_kernel, emit_kernel, ranges_kernel};
 use super::scan::launch_scan;
@@ -8,13 +8,13 @@ use crate::camera::Intrinsics;
 use crate::gpu::{Buffer, Gpu, elementwise};
 use crate::limits::Need;
 
-/// The lists of one view on the device. Intersections are numbered Gaussian by Gaussian in depth order; a place is where an intersection
-/// lies once they are sorted by tile.
+/// Lists of one view on the device. Intersections are numbered Gaussian by Gaussian in depth order; a place is the
+/// position of an intersection after the sort by tile.
 #[derive(Clone, Debug)]
 pub(crate) struct DeviceIntersections {
-    /// `[tiles]`: intersections of each tile.
+    /// `[tiles]`: number of intersections of each tile.
     pub counts: Buffer<i32>,
-    /// `[tiles + 1]`: where each tile's places begin; tiles run along x, then y.
+    /// `[tiles + 1]`: each tile's first place; tiles run along x, then y.
     pub tile_start: Buffer<u32>,
     /// `[H]`: the intersection of each place.
     pub intersection_of_place: Buffer<u32>,
@@ -24,24 +24,24 @@ pub(crate) struct DeviceIntersections {
     pub order: Buffer<u32>,
     /// `[N]`: the first intersection of each Gaussian of `order`.
     pub first_intersection: Buffer<u32>,
-    /// Gaussians that have intersections.
+    /// Number of Gaussians that have intersections.
     pub visible: usize,
-    /// Intersections.
+    /// Number of intersections.
     pub intersections: usize,
 }
 
-/// What to change when there are too many intersections.
+/// Hint in error messages: how to get fewer intersections.
 const FEWER_INTERSECTIONS: &str =
     "raise `alpha_min`, render a smaller picture, or use fewer Gaussians that cover most of it (smaller `scales`)";
 
-/// As an argument of a kernel.
+/// Returns the kernels' argument for the picture of `camera`.
 pub(crate) fn frame(camera: &Intrinsics, alpha_min: f64) -> TileFrameLaunch {
     let [tiles_x, tiles_y] = tile_grid(camera.width, camera.height);
     TileFrameLaunch::new(camera.width as u32, camera.height as u32, tiles_x as u32, tiles_y as u32, alpha_min as f32)
 }
 
-/// Lists the intersections of `projected`, `[count, 7]`, and counts them by tile. Waits for the device once, to learn how many intersections
-/// there are.
+/// Lists the intersections of `projected`, `[count, 7]`, and counts them by tile. Waits for the device once, to learn
+/// the number of intersections.
 pub(crate) fn launch_intersect(
     gpu: &Gpu,
     projected: &Buffer<f32>,
@@ -90,7 +90,7 @@ pub(crate) fn launch_intersect(
     let read = gpu.client.read(vec![visible.handle.clone(), intersections.handle.clone()]);
     let read = read.unwrap_or_else(|error| panic!("{error}"));
     let [visible, intersections] = [0, 1].map(|i| bytemuck::pod_read_unaligned::<u32>(&read[i][..4]) as usize);
-    // The sum stops at the largest u32, which then no longer says how many there are.
+    // The sum saturates at the largest u32, which then is not their number.
     assert!(
         intersections < u32::MAX as usize,
         "2^32 or more intersections of {visible} Gaussians in {tiles} tiles: {FEWER_INTERSECTIONS}"

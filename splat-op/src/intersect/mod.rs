@@ -1,11 +1,12 @@
-//! Ellipses → for each 16 × 16 tile of the picture, the Gaussians that can show in it, front to back.
+//! Intersects Gaussians with tiles: ellipses → for each 16 × 16 tile of the picture, the Gaussians that can show in it,
+//! front to back.
 //!
-//! Not differentiable, and it changes no result: which Gaussian contributes to which pixel is decided in `rasterize`, and
-//! these lists only leave out pairs that cannot contribute. A Gaussian reaches as far as its alpha stays at or above
-//! `alpha_min`: within the ellipse `u² + v² <= 2 ln(opacity / alpha_min)`. A tile lists it if the rectangle of the tile's pixel
-//! centres meets that ellipse, with a margin for the rounding of `rasterize`: the twin computes the interval that the ellipse
-//! spans on each row of tiles, the kernel tests each tile of the bounding box. By request it is a box around the ellipse
-//! instead, see [`Culling`].
+//! The stage is not differentiable and changes no result: `rasterize` decides which Gaussian contributes to which
+//! pixel, and these lists only leave out pairs that cannot contribute. A Gaussian extends as far as its alpha is at
+//! least `alpha_min`: the ellipse `u² + v² <= 2 ln(opacity / alpha_min)`. A tile lists it if the rectangle of the
+//! tile's pixel centres meets that ellipse, with a margin for the rounding of `rasterize`. The CPU twin computes the
+//! interval that the ellipse spans on each row of tiles; the kernel tests each tile of the bounding box. Other choices
+//! of [`Culling`] take a box around the ellipse instead.
 //!
 //! The lists live in a cell beside the tensors, because their length depends on the data. See `IntersectionCell`.
 
@@ -32,7 +33,7 @@ use crate::options::RenderOptions;
 /// Pixels along each side of a tile.
 pub const TILE: usize = 16;
 
-/// Pixels of a tile.
+/// Number of pixels in a tile.
 pub(crate) const TILE_PIXELS: usize = TILE * TILE;
 
 /// Number of tiles along x and y that cover a picture.
@@ -40,7 +41,7 @@ pub(crate) fn tile_grid(width: usize, height: usize) -> [usize; 2] {
     [width.div_ceil(TILE), height.div_ceil(TILE)]
 }
 
-/// What decides which tiles list a Gaussian.
+/// Parameters that decide which tiles list a Gaussian.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Cut {
     pub alpha_min: f64,
@@ -53,7 +54,7 @@ impl Cut {
     }
 }
 
-/// Tests and the reference cut by the ellipse.
+/// Tests and the reference renderer cull by the ellipse.
 #[cfg(test)]
 impl From<f64> for Cut {
     fn from(alpha_min: f64) -> Self {
@@ -61,22 +62,22 @@ impl From<f64> for Cut {
     }
 }
 
-/// The lists of one view. An intersection is a pair of a tile and a Gaussian.
+/// Lists of intersections of one view. An intersection is a pair of a tile and a Gaussian.
 #[derive(Debug, Default)]
 pub(crate) struct IntersectionLists {
-    /// `[tiles + 1]`: where each tile's intersections begin; tiles run along x, then y.
+    /// `[tiles + 1]`: index of each tile's first intersection; tiles run along x, then y.
     pub tile_start: Vec<usize>,
     /// `[H]`: the Gaussian of each intersection; tile by tile, within a tile front to back.
     pub gaussian: Vec<u32>,
     /// `[V]`: the Gaussians that have intersections, by index.
     pub visible: Vec<u32>,
-    /// `[V + 1]`: where each visible Gaussian's intersections begin in `intersection_of_visible`.
+    /// `[V + 1]`: index of each visible Gaussian's first entry in `intersection_of_visible`.
     pub visible_start: Vec<u32>,
     /// `[H]`: places in `gaussian` of each visible Gaussian's intersections. Sums over a Gaussian's intersections run in this order.
     pub intersection_of_visible: Vec<u32>,
 }
 
-/// The lists of one view, where its stages run.
+/// Lists of one view, on the host or on the device where the view's stages run.
 #[derive(Debug)]
 pub(crate) enum StoredIntersections {
     Host(IntersectionLists),

@@ -5,13 +5,13 @@ use cubecl::prelude::*;
 use crate::gpu::reduce::{cube_exclusive_sum, saturating};
 use crate::gpu::{Buffer, Gpu, UNITS, cubes};
 
-/// Consecutive elements of a unit.
+/// Number of consecutive elements of a unit.
 const PER_UNIT: usize = 8;
 
-/// Elements of a cube.
+/// Number of elements of a cube.
 const BLOCK: usize = UNITS * PER_UNIT;
 
-/// Up to this many blocks, one cube goes through them all: a second dispatch would take longer.
+/// Largest number of blocks that one cube scans in turn: a second dispatch would take longer.
 const SERIAL_BLOCKS: usize = 8;
 
 /// Each cube scans one block, or the only cube scans `blocks` of them in turn, and writes its total.
@@ -60,7 +60,7 @@ fn scan_blocks_kernel(
     }
 }
 
-/// Adds what precedes each block to its elements.
+/// Adds the sum of the preceding blocks to the elements of each block.
 #[cube(launch_unchecked)]
 fn add_offsets_kernel(values: &mut [u32], offsets: &[u32], len: u32) {
     if ABSOLUTE_POS < len as usize {

@@ -10,14 +10,15 @@ use super::scan::launch_scan;
 use crate::gpu::reduce::cube_exclusive_sum;
 use crate::gpu::{Buffer, Gpu, UNITS, cubes};
 
-/// Bits of a digit: 16 counters for each of 256 units fill 16 KiB of shared memory, the least that devices have.
+/// Number of bits of a digit: 16 counters for each of 256 units fill 16 KiB of shared memory, the least that devices
+/// offer.
 const BITS: u32 = 4;
 const DIGITS: usize = 1 << BITS;
 
-/// Consecutive keys of a unit.
+/// Number of consecutive keys of a unit.
 const PER_UNIT: usize = 16;
 
-/// Keys of a cube.
+/// Number of keys of a cube.
 const BLOCK: usize = UNITS * PER_UNIT;
 
 /// Counts each unit's keys by digit into `counters`, `[digit][unit]`.
@@ -37,14 +38,14 @@ fn count_digits(keys: &[u32], counters: &mut Shared<[u32]>, len: u32, shift: u32
     }
 }
 
-/// `counts[digit][block]`: keys of each block by digit.
+/// Writes `counts[digit][block]`, the number of keys of each block by digit.
 #[cube(launch_unchecked)]
 fn histogram_kernel(keys: &[u32], counts: &mut [u32], len: u32, blocks: u32, shift: u32) {
     let mut counters = Shared::<[u32]>::new_slice(comptime!(DIGITS * UNITS));
     if CUBE_POS < blocks as usize {
         count_digits(keys, &mut counters, len, shift);
         sync_cube();
-        // Sixteen units add up the counters of a digit, then one of them their sums.
+        // Sixteen units add up the counters of a digit, then one of them adds up their sums.
         let unit = UNIT_POS as usize;
         let mut sum = 0u32;
         for i in 0..comptime!(DIGITS) {
@@ -63,7 +64,7 @@ fn histogram_kernel(keys: &[u32], counts: &mut [u32], len: u32, blocks: u32, shi
     }
 }
 
-/// Writes each key and its value where `starts[digit][block]` and its rank within the block say.
+/// Writes each key and its value to the place given by `starts[digit][block]` and the key's rank within the block.
 #[cube(launch_unchecked)]
 fn scatter_kernel(
     keys: &[u32],
@@ -82,7 +83,7 @@ fn scatter_kernel(
         count_digits(keys, &mut counters, len, shift);
         sync_cube();
         let unit = UNIT_POS as usize;
-        // Exclusive scan of all counters: each unit takes as many consecutive ones as there are digits.
+        // Exclusive scan of all counters: each unit takes as many consecutive counters as there are digits.
         let mut sum = 0u32;
         for i in 0..comptime!(DIGITS) {
             let here = counters[unit * comptime!(DIGITS) + i];
@@ -94,7 +95,7 @@ fn scatter_kernel(
             counters[unit * comptime!(DIGITS) + i] += before;
         }
         sync_cube();
-        // From ranks in the block to places in the result.
+        // Offsets from ranks in the block to places in the result.
         if unit < comptime!(DIGITS) {
             shared[unit] = starts[unit * blocks as usize + CUBE_POS] - counters[unit * comptime!(UNITS)];
         }
@@ -115,7 +116,7 @@ fn scatter_kernel(
     }
 }
 
-/// Keys with values, one each.
+/// Keys, each with a value.
 #[derive(Clone, Debug)]
 pub(crate) struct Pairs {
     pub keys: Buffer<u32>,

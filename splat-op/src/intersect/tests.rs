@@ -1,4 +1,4 @@
-//! `intersect` against brute force: nothing that shows is missing, and the lists are what they say they are.
+//! Tests of `intersect` against brute force: no Gaussian that shows is missing, and the lists are as documented.
 
 use super::cpu::{intersect_cpu, needed_intersections};
 use super::{Cut, IntersectionLists, TILE, tile_grid};
@@ -8,10 +8,10 @@ use crate::project::{COLUMNS, Ellipse};
 use crate::simd::real::Real;
 use crate::testing::random::Random;
 
-/// Sizes that are multiples of a tile, are not, and have a single pixel along one side or both.
+/// Sizes that are multiples of a tile, sizes that are not, and sizes of a single pixel along one side or both.
 const SIZES: [(usize, usize); 7] = [(64, 48), (75, 33), (1, 1), (1, 50), (50, 1), (16, 16), (17, 15)];
 
-/// From the one that lists most to the one that lists least.
+/// Cullings from the one that lists most to the one that lists least.
 const CULLINGS: [Culling; 3] = [Culling::BoundingBox, Culling::OpacityBox, Culling::Ellipse];
 
 /// Ellipses in and around a picture: round, thin as needles along any direction, and with depths that repeat.
@@ -26,7 +26,7 @@ fn ellipses<F: Real>(random: &mut Random, count: usize, (width, height): (usize,
         let sigma_v = if needle { 0.55 } else { random.between(0.55, 6.0) };
         // Few distinct values, so that ties occur.
         let depth = random.between(1.0, 20.0).floor();
-        // Some that hardly show, or not at all.
+        // Some Gaussians hardly show, or not at all.
         let opacity = if i % 7 == 0 { 0.01 * opacity } else { opacity };
         let ellipse = Ellipse { mean_px: mean, sigma_u, shear, sigma_v, depth, opacity };
         packed.extend(ellipse.to_row().map(F::of));
@@ -75,8 +75,8 @@ fn assert_nothing_is_missing<F: Real>(seed: u64) {
                     }
                 }
             }
-            // The test of a tile is exact for the rectangle of its pixel centres, so what is listed beyond need passes
-            // between them. (A picture within one tile keeps all that its bounding box meets.)
+            // The test of a tile is exact for the rectangle of its pixel centres, so Gaussians listed beyond need pass
+            // between the centres. (A picture within one tile keeps all that its bounding box meets.)
             if tiles_x * tiles_y > 4 && culling == Culling::Ellipse {
                 let total = lists.gaussian.len();
                 assert!(total <= needed + needed / 5 + 20, "{size:?}: {total} intersections where {needed} would do");
@@ -169,7 +169,7 @@ fn the_number_of_threads_changes_no_list() {
     assert_eq!(with(1), with(2));
 }
 
-/// What each [`Culling`] lists of ellipses in a picture of 150 × 120 px.
+/// Returns, for each [`Culling`], whether each tile of a picture of 150 × 120 px lists each Gaussian.
 fn lists_by_culling<F: Real>(packed: &[F], alpha_min: f64) -> [Vec<Vec<bool>>; 3] {
     let [tiles_x, tiles_y] = tile_grid(150, 120);
     CULLINGS.map(|culling| {
@@ -225,7 +225,7 @@ fn a_box_is_as_long_as_its_needle_or_as_the_long_axis_of_an_opaque_one() {
     // An opacity of a half reaches √(2 ln(0.5 / 0.45)) = 0.459 deviations, 12.98 px: pixels from 62 to 87 and from 47 to 72.
     assert_eq!(rectangle(0.45, Culling::OpacityBox), ([3..6, 2..5], 9));
     assert!(rectangle(0.45, Culling::Ellipse).1 < 9, "the corners beside a needle are empty");
-    // An opaque one √(2 ln(1 / 0.45)) = 1.264, along the needle 50.6 px: from 24 to 125, from 9 to 110.
+    // An opaque one reaches √(2 ln(1 / 0.45)) = 1.264, along the needle 50.6 px: from 24 to 125, from 9 to 110.
     assert_eq!(rectangle(0.45, Culling::BoundingBox), ([1..8, 0..7], 49));
 }
 

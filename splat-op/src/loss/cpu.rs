@@ -1,7 +1,7 @@
-//! The CPU twin: two sweeps down the pictures, parallel over bands of rows. A sweep filters each row along its length once,
-//! keeps the last eleven such rows and filters down those, so that a map is never read twice from memory. What the first sweep
-//! leaves for the second stays with the band, in the processor's caches; the rows that the window reaches beyond the band are
-//! computed by both of its neighbours.
+//! CPU twin of the loss: two sweeps down the pictures, parallel over bands of rows. A sweep filters each row along its
+//! length once, keeps the last eleven filtered rows and filters down those, so that a map is never read twice from
+//! memory. The results that the first sweep leaves for the second stay with the band, in the processor's caches. Both
+//! neighbouring bands compute the rows that the window reaches beyond a band.
 
 use std::ops::Range;
 
@@ -11,13 +11,13 @@ use rayon::prelude::*;
 use super::taps::{C1, C2, Compared, TAPS, half_window};
 use crate::simd::real::{LANES, Real};
 
-/// Taps on one side of the middle.
+/// Number of taps on one side of the middle.
 const HALF: usize = TAPS / 2;
 
-/// Rows per task. The first sweep goes over five rows more above and below, and filters ten.
+/// Number of rows per task. The first sweep goes over five rows more above and below, and filters ten.
 const BAND: usize = 96;
 
-/// The size of a plane.
+/// Size of a plane, px.
 #[derive(Clone, Copy)]
 pub(crate) struct PlaneSize {
     pub width: usize,
@@ -29,13 +29,13 @@ impl PlaneSize {
         self.width * self.height
     }
 
-    /// Where a row of a plane begins.
+    /// Returns the index of the first value of a row of a plane.
     fn row(self, plane: usize, row: usize) -> usize {
         (plane * self.height + row) * self.width
     }
 }
 
-/// The loss and, if asked for, its derivative with respect to the picture.
+/// Returns the loss and, if `with_gradient` is set, its gradient with respect to the picture.
 pub(crate) fn photometric_cpu<F: Real>(
     inputs: Compared<&[F]>,
     size: PlaneSize,
@@ -71,7 +71,7 @@ pub(crate) fn photometric_cpu<F: Real>(
     (loss, with_gradient.then_some(gradient))
 }
 
-/// `Kx` of planes of one size.
+/// Returns `Kx` of planes of one size.
 pub(crate) fn window_cpu<F: Real>(planes: &[F], size: PlaneSize) -> Vec<F> {
     let mut out = vec![F::ZERO; planes.len()];
     if planes.is_empty() {
@@ -96,13 +96,13 @@ struct RowBand {
 }
 
 impl RowBand {
-    /// Its rows and so many more above and below, as far as there are any.
+    /// Returns the band's rows and up to `more` rows above and below, within a plane of `height` rows.
     fn reached(&self, more: usize, height: usize) -> Range<usize> {
         self.rows.start.saturating_sub(more)..height.min(self.rows.end + more)
     }
 }
 
-/// Each band with its part of what is to be written, `columns` values per row, or with nothing.
+/// Pairs each band with its part of `out`, `columns` values per row; the part is empty unless `wanted`.
 fn split<'a, F>(
     bands: &'a [RowBand],
     mut out: &'a mut [F],
@@ -116,7 +116,7 @@ fn split<'a, F>(
     bands.iter().map(part).collect()
 }
 
-/// What all tasks share.
+/// Arguments that all tasks share.
 struct LossTask<'a, F> {
     inputs: Compared<&'a [F]>,
     size: PlaneSize,
@@ -126,9 +126,9 @@ struct LossTask<'a, F> {
 }
 
 impl<F: Real> LossTask<'_, F> {
-    /// The first sweep: the sum of `(1 − λ) |x − y| + λ (1 − S)` over a band. Into `maps`, unless it is empty, go the
-    /// derivatives of `−λ S`, divided by the number of values, with respect to `Kx`, to `Kx²` (twice) and to `Kxy`, row by row
-    /// of `rows`, which may be more than the band's.
+    /// First sweep. Returns the sum of `(1 − λ) |x − y| + λ (1 − S)` over a band. Writes to `maps`, unless it is empty,
+    /// the derivatives of `−λ S`, divided by the number of values, with respect to `Kx`, `Kx²` (twice) and `Kxy`, row
+    /// by row of `rows`, which may be more than the band's.
     #[inline(always)]
     fn index<S: Simd>(&self, simd: S, band: &RowBand, rows: &Range<usize>, maps: &mut [F]) -> f64 {
         let Self { inputs, size, .. } = *self;
@@ -182,7 +182,7 @@ impl<F: Real> LossTask<'_, F> {
                 if !maps.is_empty() {
                     let scaled = inverse * scale;
                     let d_xy = scaled * a1;
-                    // The index, scaled, divided by B1 and by B2.
+                    // The scaled index, divided by B1 and by B2.
                     let scaled_index = d_xy * a2;
                     let (over_b1, over_b2) = (scaled_index * (inverse * b2), scaled_index * (inverse * b1));
                     let d_mean = (a2 - a1) * scaled * mean_y - (over_b1 - over_b2) * mean_x;
@@ -198,8 +198,8 @@ impl<F: Real> LossTask<'_, F> {
         sum
     }
 
-    /// The second sweep: `K ∂Kx + 2 x K ∂Kx² + y K ∂Kxy` and the derivative of `|x − y|` over a band, from the maps of the
-    /// first, whose rows begin with the one of this number.
+    /// Second sweep. Computes `K ∂Kx + 2 x K ∂Kx² + y K ∂Kxy` and the derivative of `|x − y|` over a band from the maps
+    /// of the first sweep, which begin with row `first`.
     #[inline(always)]
     fn gradient<S: Simd>(&self, simd: S, band: &RowBand, (maps, first): (&[F], usize), out: &mut [F]) {
         let Self { inputs, size, .. } = *self;
@@ -221,7 +221,7 @@ impl<F: Real> LossTask<'_, F> {
                 let rest = size.row(band.plane, row) + column..size.row(band.plane, row + 1);
                 let (x, y) = (load(simd, &inputs.image[rest.clone()]), load(simd, &inputs.truth[rest]));
                 let difference = x - y;
-                // Zero at zero, and what is not a number stays that.
+                // Zero at zero; NaN stays NaN.
                 let otherwise = difference * zero;
                 let sign = difference.simd_gt(zero).select(up, difference.simd_lt(zero).select(down, otherwise));
                 let gradient = square.mul_add(x, mean) + cross.mul_add(y, sign);
@@ -235,9 +235,9 @@ impl<F: Real> LossTask<'_, F> {
 struct Sweep<F, const N: usize> {
     /// A row of each map with [`HALF`] zeros before it and zeros behind it.
     padded: [Vec<F>; N],
-    /// By map, for each vector of columns: the last [`TAPS`] rows, filtered along their length. Row `r` is in slot `r % TAPS`
-    /// and again [`TAPS`] behind it, so that the rows that the window reaches always lie next to each other: one check of
-    /// bounds for all of them.
+    /// By map, for each vector of columns: the last [`TAPS`] rows, filtered along their length. Row `r` is in slot
+    /// `r % TAPS` and again [`TAPS`] slots later, so that the rows that the window reaches are always adjacent: one
+    /// bounds check serves all of them.
     slots: [Vec<[[F; LANES]; 2 * TAPS]>; N],
     width: usize,
 }
@@ -252,8 +252,8 @@ impl<F: Real, const N: usize> Sweep<F, N> {
         }
     }
 
-    /// Filters rows `rows` of maps of `height` rows. `fill` writes a row of each map; `each` gets `row`, `column` and the
-    /// filtered maps at that pixel and the seven that follow it, of which those beyond the width mean nothing.
+    /// Filters rows `rows` of maps of `height` rows. `fill` writes a row of each map. `each` receives `row`, `column`
+    /// and the filtered maps at that pixel and the seven pixels after it; values beyond the width mean nothing.
     #[inline(always)]
     fn run<S: Simd>(
         &mut self,
@@ -306,7 +306,7 @@ impl<F: Real, const N: usize> Sweep<F, N> {
     }
 }
 
-/// The window on eleven vectors of values; it is the same on both sides of its middle.
+/// Returns the window on eleven vectors of values; it is symmetric about its middle.
 #[inline(always)]
 fn filtered<'a, S: Simd, F: Real>(
     simd: S,
@@ -322,7 +322,7 @@ fn filtered<'a, S: Simd, F: Real>(
     sum
 }
 
-/// The next eight values of a row, with zeros behind its end.
+/// Loads the next eight values of a row, with zeros beyond its end.
 #[inline(always)]
 fn load<S: Simd, F: Real>(simd: S, row: &[F]) -> F::Lanes<S> {
     match row.first_chunk::<LANES>() {
@@ -331,7 +331,7 @@ fn load<S: Simd, F: Real>(simd: S, row: &[F]) -> F::Lanes<S> {
     }
 }
 
-/// Writes as many of eight values as there is room for.
+/// Writes as many of the eight values as `row` has room for.
 #[inline(always)]
 fn store<S: Simd, F: Real, L: SimdFloat<S, Element = F>>(values: L, row: &mut [F]) {
     match row.first_chunk_mut::<LANES>() {

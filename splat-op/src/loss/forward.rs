@@ -1,13 +1,14 @@
-//! The four passes of the loss, and the plain window. A unit holds a strip of values along the axis of its pass.
+//! Kernels of the four passes of the loss and of the plain window. A unit holds a strip of values along the axis of its
+//! pass.
 
 use cubecl::prelude::*;
 
 use super::taps::{C1, C2, TAPS};
 
-/// Taps on one side of the middle.
+/// Number of taps on one side of the middle.
 pub(super) const HALF: usize = TAPS / 2;
 
-/// Half the window, from the middle outwards.
+/// Half of the window's taps, from the middle outwards.
 #[derive(CubeType, CubeLaunch, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub(super) struct HalfWindow {
@@ -28,7 +29,7 @@ pub(super) struct Planes {
     pub count: u32,
 }
 
-/// What weighs the terms.
+/// Weights of the loss's terms.
 #[derive(CubeType, CubeLaunch, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub(super) struct TermWeights {
@@ -40,21 +41,21 @@ pub(super) struct TermWeights {
     pub share: f32,
 }
 
-/// A unit's strip.
+/// Strip of values of a unit.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 struct UnitStrip {
-    /// Where its line begins, and from value to value along it.
+    /// Index of the first value of its line, and step from value to value along the line.
     base: usize,
     stride: usize,
-    /// Its first value on the line, and values on the line.
+    /// Position of its first value on the line, and number of values on the line.
     first: u32,
     len: u32,
-    /// Whether there is such a strip.
+    /// Whether the unit has a strip.
     exists: bool,
 }
 
-/// The strip of this unit: down a column, or along a row.
+/// Returns the strip of this unit: down a column if `vertical`, else along a row.
 #[cube]
 fn own_strip(planes: Planes, #[comptime] vertical: bool, #[comptime] strip: usize) -> UnitStrip {
     let unit = ABSOLUTE_POS as u32;
@@ -80,7 +81,7 @@ fn own_strip(planes: Planes, #[comptime] vertical: bool, #[comptime] strip: usiz
 
 #[cube]
 impl UnitStrip {
-    /// The strip's values with those that the window reaches on both sides; zero outside the picture.
+    /// Loads the strip's values and those that the window reaches on both sides; zero outside the picture.
     fn load(&self, from: &[f32], offset: usize, #[comptime] strip: usize) -> Array<f32> {
         let mut values = Array::<f32>::new(comptime!(strip + 2 * HALF));
         #[unroll]
@@ -94,7 +95,7 @@ impl UnitStrip {
         values
     }
 
-    /// Where the strip's value `i` lies.
+    /// Returns the index of the strip's value `i`.
     fn at(&self, #[comptime] i: usize) -> usize {
         self.base + (self.first + comptime!(i as u32)) as usize * self.stride
     }
@@ -106,7 +107,7 @@ impl UnitStrip {
 
 #[cube]
 impl HalfWindow {
-    /// The window on the value `i` of a strip.
+    /// Returns the window applied at value `i` of a strip.
     pub fn on(&self, values: &Array<f32>, #[comptime] i: usize) -> f32 {
         let m = comptime!(i + HALF);
         self.t0 * values[m]
@@ -118,7 +119,7 @@ impl HalfWindow {
     }
 }
 
-/// One direction of the window.
+/// Applies the window along one axis.
 #[cube(launch_unchecked)]
 pub(super) fn window_kernel(
     from: &[f32],
@@ -140,7 +141,7 @@ pub(super) fn window_kernel(
     }
 }
 
-/// Down the columns of `x`, `x²` and `x y`: `[3, C, H, W]`.
+/// Applies the window down the columns of `x`, `x²` and `x y`. Writes `moments`, `[3, C, H, W]`.
 #[cube(launch_unchecked)]
 pub(super) fn moments_kernel(
     image: &[f32],
@@ -186,8 +187,8 @@ pub(super) struct Similarity {
 
 #[cube]
 impl Similarity {
-    /// From the window on the picture, its square and its product with the photograph, and the photograph's mean and
-    /// `σy² + C2`. `share` is `1/N`.
+    /// Computes the index from the window on the picture, on its square and on its product with the photograph, and
+    /// from the photograph's mean and `σy² + C2`. `share` is `1/N`.
     pub fn of(mean_x: f32, xx: f32, xy: f32, mean_y: f32, variance_y: f32, share: f32) -> Similarity {
         let square = mean_x * mean_x;
         let cross = mean_x * mean_y;
@@ -204,8 +205,8 @@ impl Similarity {
     }
 }
 
-/// Along the rows of the three moments; then each value's share of the loss, and, if asked for, the derivatives of
-/// `2 S/N` with respect to `μx`, `Kx²` (twice) and `Kxy`, `[3, C, H, W]`.
+/// Applies the window along the rows of the three moments. Writes each value's share of the loss and, if
+/// `with_gradient` is set, the derivatives of `2 S/N` with respect to `μx`, `Kx²` (twice) and `Kxy`, `[3, C, H, W]`.
 #[cube(launch_unchecked)]
 pub(super) fn index_kernel(
     image: &[f32],
@@ -245,7 +246,8 @@ pub(super) fn index_kernel(
     }
 }
 
-/// Along the rows of the three derivatives, whose columns are filtered: the derivative of the loss.
+/// Applies the window along the rows of the three derivatives, whose columns are already filtered. Writes the gradient
+/// of the loss.
 #[cube(launch_unchecked)]
 pub(super) fn gradient_kernel(
     image: &[f32],

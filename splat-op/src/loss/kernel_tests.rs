@@ -1,4 +1,4 @@
-//! The window and the loss on GPUs against sums written out in f64.
+//! Tests of the window and the loss on GPUs against sums written out in f64.
 
 use super::launch::{launch_photometric, launch_window};
 use super::taps::Compared;
@@ -26,7 +26,7 @@ fn loss_and_derivative_agree_with_the_definition() {
     {
         let inputs = pictures(size, planes);
         let reference = PerturbedReference::new(&inputs, |inputs| vec![shares(inputs, size, lambda)]);
-        // The derivative of the sum by differences of the definition.
+        // Derivative of the sum by finite differences of the definition.
         let total = |x: &[f64]| {
             let moved = [x.to_vec(), inputs[1].clone(), inputs[2].clone(), inputs[3].clone()];
             shares(&moved, size, lambda).iter().sum::<f64>()

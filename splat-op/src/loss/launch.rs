@@ -6,10 +6,10 @@ use super::forward::{
 use super::taps::{Compared, half_window};
 use crate::gpu::{Buffer, Gpu, elementwise};
 
-/// Values of a unit down a column.
+/// Number of values of a unit down a column.
 const DOWN: usize = 8;
 
-/// Values of a unit along a row. Neighbouring units read a row together, so each takes one value of it.
+/// Number of values of a unit along a row. Neighbouring units read a row together, so each takes one value of it.
 const ALONG: usize = 1;
 
 fn window() -> HalfWindowLaunch {
@@ -17,12 +17,12 @@ fn window() -> HalfWindowLaunch {
     HalfWindowLaunch::new(t0, t1, t2, t3, t4, t5)
 }
 
-/// Units that a pass over `values` in lines of `len` takes.
+/// Returns the number of units for a pass over `values` values in lines of `len`, with `strip` values per unit.
 fn units(values: usize, len: usize, strip: usize) -> usize {
     values / len * len.div_ceil(strip)
 }
 
-/// `Kx` of planes of the given width and height.
+/// Returns `Kx` of planes of the given width and height.
 pub(crate) fn launch_window(gpu: &Gpu, planes: &Buffer<f32>, [width, height]: [usize; 2]) -> Buffer<f32> {
     let (down, along) = (Buffer::new(gpu, planes.len), Buffer::new(gpu, planes.len));
     launch_direction(gpu, planes, &down, [width, height], true);
@@ -30,7 +30,7 @@ pub(crate) fn launch_window(gpu: &Gpu, planes: &Buffer<f32>, [width, height]: [u
     along
 }
 
-/// One direction of the window.
+/// Applies the window along one axis.
 fn launch_direction(gpu: &Gpu, from: &Buffer<f32>, to: &Buffer<f32>, [width, height]: [usize; 2], vertical: bool) {
     let (len, strip) = if vertical { (height, DOWN) } else { (width, ALONG) };
     let (grid, dim) = elementwise(units(from.len, len, strip));
@@ -51,7 +51,7 @@ fn launch_direction(gpu: &Gpu, from: &Buffer<f32>, to: &Buffer<f32>, [width, hei
     }
 }
 
-/// The shares of the loss, and its derivative if asked for, each `[C, H, W]`.
+/// Returns the shares of the loss and, if `with_gradient` is set, its gradient, each `[C, H, W]`.
 pub(crate) fn launch_photometric(
     gpu: &Gpu,
     inputs: &Compared<Buffer<f32>>,
@@ -68,7 +68,7 @@ pub(crate) fn launch_photometric(
     (shares, gradient)
 }
 
-/// One loss.
+/// Arguments of one evaluation of the loss.
 struct LossLaunch<'a> {
     gpu: &'a Gpu,
     inputs: &'a Compared<Buffer<f32>>,
@@ -87,7 +87,7 @@ impl LossLaunch<'_> {
         TermWeightsLaunch::new(((1.0 - self.lambda) * share) as f32, self.lambda as f32, share as f32)
     }
 
-    /// Writes the shares and, if `gradient` is wanted, the derivatives of the index and that of the loss.
+    /// Writes the shares and, if `gradient` is given, the derivatives of the index and the gradient of the loss.
     fn launch(&self, shares: &Buffer<f32>, derivatives: &Buffer<f32>, gradient: Option<&Buffer<f32>>) {
         let Self { gpu, inputs, size: [width, height], .. } = *self;
         let values = inputs.image.len;

@@ -1,9 +1,9 @@
-//! L1 and structural dissimilarity of a picture against a photograph, with the derivative.
+//! L1 loss and structural dissimilarity of a picture against a photograph, with the gradient.
 //!
-//! The loss of 3D Gaussian splatting can be written as tensor code like any other, and `splat-model` has it as such. But that
-//! code is twelve convolutions and forty passes over the picture, with autodiff's on top, most of a training step (on a
-//! software driver 1.7 of 2.0 s). This operation computes the same in two sweeps on a CPU and four passes on a GPU: the
-//! window is separable, and whoever has a strip of pixels in registers can filter it, multiply it and differentiate it at once.
+//! `splat-model` has the loss of 3D Gaussian splatting as tensor code. That code is twelve convolutions and forty
+//! passes over the picture, with those of autodiff on top, and takes most of a training step (on a software driver 1.7
+//! of 2.0 s). This operation computes the same loss in two sweeps on a CPU and four passes on a GPU: the window is
+//! separable, and a strip of pixels in registers can be filtered, multiplied and differentiated at once.
 //!
 //! With `K` the window (11 × 11 taps, σ = 1.5 px, zero outside), the index of Wang et al. 2004, eq. 13, is
 //! `S = A1 A2 / (B1 B2)`, `A1 = 2 μx μy + C1`, `A2 = 2 σxy + C2`, `B1 = μx² + μy² + C1`, `B2 = σx² + σy² + C2`, where
@@ -11,7 +11,7 @@
 //! `∂S/∂x = K ∂μx + 2 x K ∂Kx² + y K ∂Kxy`, `∂Kxy = 2 A1/(B1 B2)`, `∂Kx² = −S/B2`,
 //! `∂μx = 2 μy (A2 − A1)/(B1 B2) + 2 μx S (1/B2 − 1/B1)`.
 //!
-//! Shapes: everything is `[.., H, W]`, of at least two dimensions, values 0 to 1.
+//! Shapes: all tensors are `[.., H, W]`, of at least two dimensions, with values 0 to 1.
 
 pub(crate) mod cpu;
 #[cfg(feature = "cube")]
@@ -32,14 +32,12 @@ pub use taps::{C1, C2, SIGMA_PX, TAPS};
 use crate::backend::loss::PhotometricBackend;
 use crate::limits::is_gpu;
 
-/// The loss of `image` against a photograph, `[.., H, W]` f32, or f64 on CPUs, without autodiff: numbers whose sum it is, and
-/// its derivative if asked for.
+/// Computes the loss of `image` against a photograph, `[.., H, W]` f32, or f64 on CPUs, without autodiff. Returns
+/// numbers whose sum is the loss and, if `with_gradient` is set, the gradient of the loss.
 ///
-/// The photograph is given by itself, its mean `μy` and its variance `σy² + C2`, all of the shape of the picture; `lambda`
+/// `photograph` is the photograph, its mean `μy` and its variance `σy² + C2`, all of the shape of the picture; `lambda`
 /// weighs the dissimilarity.
 ///
-/// # Panics
-/// If the shapes differ, or the float type is another.
 pub fn photometric<const D: usize>(
     image: &Tensor<D>,
     photograph: [&Tensor<D>; 3],
@@ -48,8 +46,8 @@ pub fn photometric<const D: usize>(
 ) -> (Tensor<D>, Option<Tensor<D>>) {
     for tensor in [image, photograph[0], photograph[1], photograph[2]] {
         check(tensor);
-        assert_eq!(tensor.dims(), image.dims(), "a picture and its photograph have one shape");
-        assert_eq!(tensor.dtype(), image.dtype(), "a picture and its photograph have one float type");
+        assert_eq!(tensor.dims(), image.dims(), "a picture and its photograph must have the same shape");
+        assert_eq!(tensor.dtype(), image.dtype(), "a picture and its photograph must have the same float type");
     }
     let [truth, mean, variance] = photograph.map(|planes| planes.clone().into());
     let inputs = Compared { image: image.clone().into(), truth, mean, variance };
@@ -57,28 +55,24 @@ pub fn photometric<const D: usize>(
     (Tensor::from_dispatch(found.shares), found.gradient.into_option().map(Tensor::from_dispatch))
 }
 
-/// `Kx` of planes `[.., H, W]` f32, or f64 on CPUs, without autodiff.
+/// Returns `Kx` of planes `[.., H, W]` f32, or f64 on CPUs, without autodiff.
 ///
-/// # Panics
-/// If the float type is another.
 pub fn window<const D: usize>(planes: &Tensor<D>) -> Tensor<D> {
     check(planes);
     Tensor::from_dispatch(<Dispatch as PhotometricBackend>::window(planes.clone().into_dispatch()))
 }
 
 fn check<const D: usize>(tensor: &Tensor<D>) {
-    assert!(D >= 2, "a picture has rows and columns, found {D} dimension");
+    assert!(D >= 2, "a picture must have rows and columns, found {D} dimension");
     let dtype = tensor.dtype();
     assert!(
         dtype == DType::F32 || dtype == DType::F64 && !is_gpu(&tensor.device()),
-        "pictures are f32, or f64 on a CPU; found {dtype:?}"
+        "pictures must be f32, or f64 on a CPU; found {dtype:?}"
     );
 }
 
-/// The same planes, one after the other in memory: what is read at every step should not be put in order at every step.
+/// Returns the planes contiguous in memory. Planes that every step reads need not be rearranged at every step.
 ///
-/// # Panics
-/// If the float type is another than those of [`window`].
 pub fn contiguous<const D: usize>(planes: &Tensor<D>) -> Tensor<D> {
     check(planes);
     Tensor::from_dispatch(<Dispatch as PhotometricBackend>::contiguous(planes.clone().into_dispatch()))

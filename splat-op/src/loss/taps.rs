@@ -1,8 +1,8 @@
-//! What is compared, the window, and the constants of the index.
+//! Inputs of the loss, its window, and the constants of the index.
 
 use crate::record::record;
 
-/// Taps of the window along each axis.
+/// Number of taps of the window along each axis.
 pub const TAPS: usize = 11;
 /// Standard deviation of the window, px.
 pub const SIGMA_PX: f64 = 1.5;
@@ -11,7 +11,7 @@ pub const C1: f64 = 1e-4;
 /// `(0.03 L)²`: keeps the ratio of variances defined where both are flat.
 pub const C2: f64 = 9e-4;
 
-/// Half the window, from the middle outwards; the whole sums to one.
+/// Returns half of the window's taps, from the middle outwards. The whole window sums to one.
 pub(super) fn half_window() -> [f64; TAPS / 2 + 1] {
     let weight = |i: usize| (-(i as f64).powi(2) / (2.0 * SIGMA_PX * SIGMA_PX)).exp();
     let sum: f64 = weight(0) + 2.0 * (1..=TAPS / 2).map(weight).sum::<f64>();
@@ -19,7 +19,8 @@ pub(super) fn half_window() -> [f64; TAPS / 2 + 1] {
 }
 
 record! {
-    /// A picture and the photograph it is compared with, with what the loss needs of that. Each `[.., H, W]`.
+    /// A picture, the photograph that it is compared with, and the photograph's mean and variance. Each is
+    /// `[.., H, W]`.
     pub struct Compared {
         /// The picture.
         image,

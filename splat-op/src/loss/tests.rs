@@ -1,4 +1,4 @@
-//! The CPU twin against sums written out in f64.
+//! Tests of the CPU twin against sums written out in f64.
 
 use super::cpu::{PlaneSize, photometric_cpu, window_cpu};
 use super::taps::Compared;
@@ -122,7 +122,7 @@ fn loss_and_derivative_agree_with_the_definition() {
     }
 }
 
-/// Bands are cut by the size of the picture alone, and their sums added in order.
+/// The bands depend on the size of the picture alone, and their sums are added in order.
 #[test]
 fn threads_change_no_bit() {
     let size = [53, 97];

@@ -1,13 +1,16 @@
-//! The kernels of `rasterize`, backwards, that surround the one over the layers. None divides by what a layer lets through.
+//! Backward kernels of `rasterize` before and after the kernel over the layers. None divides by the share that a layer
+//! lets through.
 //!
-//! 1. *Behind*, a cube per tile, a unit per pixel: what is seen behind each bucket, as far as the gradient cares,
-//!    `ρ = g·R`, from the last bucket to the first: `ρ = g·(sums of the bucket) + (share it lets through) ρ`.
-//! 2. *Layers*, a cube per bucket, all buckets of all tiles at once, however long a tile's list is: the sums of each intersection over
-//!    the tile's pixels, a row per intersection. In `backward_few_channels.rs` for few channels and `backward_many_channels.rs` for many.
-//! 3. *Gather*, a unit per Gaussian: the rows become gradients of the ellipse and the features.
+//! 1. *Suffix*, a cube per tile, a unit per pixel: computes `ρ = g·R` behind each bucket, the part of the colour behind
+//!    it that the gradient depends on, from the last bucket to the first:
+//!    `ρ = g·(sums of the bucket) + (share it lets through) ρ`.
+//! 2. *Layers*, a cube per bucket, all buckets of all tiles at once, however long a tile's list is: computes the sums
+//!    of each intersection over the tile's pixels, a row per intersection. It lies in `backward_few_channels.rs` for
+//!    few channels and in `backward_many_channels.rs` for many.
+//! 3. *Gather*, a unit per Gaussian: turns the rows into gradients of the ellipse and the features.
 //!
-//! Rows are either added into one per Gaussian, in whatever order the device comes to them, or kept one per intersection and added
-//! in the order of the intersections, which gives the same bits in every run.
+//! Rows are either added to one row per Gaussian, in whatever order the device takes them, or kept one per intersection
+//! and added in the order of the intersections, which gives the same bits in every run.
 
 use cubecl::prelude::*;
 
@@ -17,16 +20,16 @@ use crate::intersect::forward::TileFrame;
 use crate::intersect::{TILE, TILE_PIXELS};
 use crate::project::COLUMNS;
 
-/// Sums of `h, h u, h v, h u², h u v, h v²` with `h = α ∂L/∂α` where alpha is not at its limit; the channels follow, then
-/// the two sums of absolute values if they are wanted.
+/// Number of moments: the sums of `h, h u, h v, h u², h u v, h v²` with `h = α ∂L/∂α` where alpha is not at its limit.
+/// In a row the channels follow, then the two sums of absolute values if they are wanted.
 pub(super) const MOMENTS: usize = 6;
 
-/// Numbers of a row.
+/// Number of values in a row.
 pub(super) const fn row_len(shape: KernelShape, absolute: bool) -> usize {
     MOMENTS + shape.channels() + if absolute { 2 } else { 0 }
 }
 
-/// The plane of the picture that holds channel `channel`: alpha lies before depth.
+/// Returns the plane of the picture that holds channel `channel`: alpha lies before depth.
 #[cube]
 pub(super) fn plane_of(channel: usize, #[comptime] shape: KernelShape) -> usize {
     let mut plane = channel;
@@ -110,7 +113,7 @@ pub(super) fn rasterize_suffix_kernel(
             suffix_rho[(bucket_index + bucket) as usize * comptime!(TILE_PIXELS) + unit as usize] = rho;
             if kept[at] >= 0.0 {
                 let through = kept[at + comptime!(TILE_PIXELS)];
-                // Alpha is one more channel, of colour one: its sum is what the bucket does not let through.
+                // Alpha is one more channel, of colour one: its sum is the share that the bucket does not let through.
                 let mut seen = grad_alpha * (1.0 - through);
                 if comptime!(few) {
                     #[unroll]
@@ -150,7 +153,7 @@ pub(super) fn rasterize_suffix_kernel(
     }
 }
 
-/// The tile whose buckets hold `bucket_index`: the last one that begins at or before it.
+/// Returns the tile whose buckets hold `bucket_index`: the last one that begins at or before it.
 #[cube]
 pub(super) fn tile_of_bucket(tile_start: &[u32], tiles: u32, bucket_index: u32) -> u32 {
     let mut low = 0u32;
@@ -166,10 +169,11 @@ pub(super) fn tile_of_bucket(tile_start: &[u32], tiles: u32, bucket_index: u32) 
     low
 }
 
-/// From rows to gradients. With `e = −(u² + v²)/2`: `∂e/∂sigma_u = u²/sigma_u`, `∂e/∂sigma_v = v²/sigma_v`,
-/// `∂e/∂shear = u v sigma_u/sigma_v`, `∂e/∂mean = (u/sigma_u − v shear/sigma_v, v/sigma_v)`; and `∂α/∂opacity = α/opacity`.
+/// Turns rows into gradients. With `e = −(u² + v²)/2`: `∂e/∂sigma_u = u²/sigma_u`, `∂e/∂sigma_v = v²/sigma_v`,
+/// `∂e/∂shear = u v sigma_u/sigma_v`, `∂e/∂mean = (u/sigma_u − v shear/sigma_v, v/sigma_v)`; and
+/// `∂α/∂opacity = α/opacity`.
 ///
-/// Gaussians without intersections are left as they are: the gradients must hold zeros before.
+/// Gradients of Gaussians without intersections are not written: the buffers must hold zeros.
 #[cube(launch_unchecked)]
 pub(super) fn rasterize_gather_kernel(
     projected: &[f32],

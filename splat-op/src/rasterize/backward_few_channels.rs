@@ -1,11 +1,12 @@
-//! The layers of a bucket, backwards, for few channels: a unit per strip of pixels, a column and some rows
-//! of a tile, whose numbers stay in registers.
+//! Backward kernel over the layers of a bucket, for few channels. A unit has a strip of pixels, some rows of one column
+//! of a tile, whose values stay in registers.
 //!
-//! A cube takes a bucket four places at a time, from the last to the first. `α` and `T` of the four come from a forward
-//! pass through the whole bucket, which leaves `T` before each four, and from the four once more: twice the exponentials,
-//! but neither a division by `1 − α` nor a store per pixel and place. Sums over a unit's pixels stay in registers; only the
-//! units' sums meet, in shared memory, once per four places. A tree of pairs of Gaussians and pixels the other way round
-//! (`backward_many_channels.rs`) passes eleven numbers through shared memory for each pair, this one three for each eighth.
+//! A cube takes a bucket four places at a time, from the last to the first. A forward pass through the whole bucket
+//! stores `T` before each four places; a second pass over the four gives their `α` and `T`. The exponentials are
+//! computed twice, but there is neither a division by `1 − α` nor a store per pixel and place. Sums over a unit's
+//! pixels stay in registers; only the sums of the units meet, in shared memory, once per four places. The transposed
+//! scheme of `backward_many_channels.rs` passes eleven numbers through shared memory for each pair of a Gaussian and a
+//! pixel, this one three for every eighth pair.
 
 use cubecl::prelude::*;
 
@@ -16,9 +17,10 @@ use crate::gpu::atomic::FloatCell;
 use crate::intersect::TILE_PIXELS;
 use crate::intersect::forward::TileFrame;
 
-/// Rows of the intersections of each bucket.
+/// Computes the rows of each bucket's intersections.
 ///
-/// `rows` is `[H, row]` and every intersection's row is written, or, with `add`, one row per Gaussian that is added to in `sums`.
+/// Without `add`, every intersection's row is written to `rows`, `[H, row]`. With `add`, rows are added to `sums`, one
+/// row per Gaussian.
 #[cube(launch_unchecked)]
 pub(super) fn rasterize_backward_few_channels_kernel<A: FloatCell>(
     projected: &[f32],
@@ -72,7 +74,8 @@ pub(super) fn rasterize_backward_few_channels_kernel<A: FloatCell>(
                 intersections[i as usize] = if comptime!(add) { gaussian } else { intersection };
                 #[unroll]
                 for channel in 0..channels {
-                    // Beside the last intersection there is nothing; the colour of some Gaussian, times zero, may still be NaN.
+                    // Colours beyond the last intersection are zero: the colour of another Gaussian, times zero, may be
+                    // NaN.
                     let value = colour(projected, features, gaussian as usize, channel, shape);
                     colours[i as usize * channels + channel] = select(i < count, value, 0.0f32);
                 }
@@ -97,7 +100,7 @@ pub(super) fn rasterize_backward_few_channels_kernel<A: FloatCell>(
                     at.load(kept, suffix_rho, grad, bucket_index, tile, column, row, frame, shape, p);
                 }
 
-                // Forwards: what the layers before each step let through, and stop.
+                // Forwards: the shares that the layers before each step let through and stop.
                 let mut checkpoints = Array::<f32>::new(comptime!(BUCKET / STEP * pixels));
                 for step in 0..steps {
                     let base = step as usize * pixels;
@@ -105,7 +108,7 @@ pub(super) fn rasterize_backward_few_channels_kernel<A: FloatCell>(
                     for p in 0..pixels {
                         checkpoints[base + p] = at.checkpoint(p);
                     }
-                    // Nothing comes after the last.
+                    // No step follows the last.
                     let end = select(step + 1 < steps, (step + 1) * comptime!(STEP as u32), 0u32);
                     for i in step * comptime!(STEP as u32)..end {
                         let footprint = LayerEllipse::load(&footprints, i as usize);

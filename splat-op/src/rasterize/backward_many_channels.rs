@@ -1,7 +1,8 @@
-//! The layers of a bucket, backwards, for many channels: a cube takes a block of pixels after the other. First its units
-//! are pixels: forwards through the bucket for `α` and `T`, then backwards for `∂L/∂α`; both go to shared memory. Then its
-//! units are Gaussians and read the same numbers the other way round, each adding up its own row over the pixels. So a
-//! row's sums need neither atomics nor shuffles, however many channels it has.
+//! Backward kernel over the layers of a bucket, for many channels. A cube takes one block of pixels after another.
+//! First its units are pixels: they go forwards through the bucket for `α` and `T`, then backwards for `∂L/∂α`, and
+//! store both in shared memory. Then its units are Gaussians: they read the same values transposed, and each adds up
+//! its own row over the pixels. A row's sums therefore need neither atomics nor shuffles, whatever the number of
+//! channels.
 
 use cubecl::prelude::*;
 
@@ -11,9 +12,11 @@ use crate::gpu::atomic::FloatCell;
 use crate::intersect::forward::TileFrame;
 use crate::intersect::{TILE, TILE_PIXELS};
 
-/// Rows of the intersections of each bucket; `units`, a multiple of 32, is the cube's size and the pixels of a block.
+/// Computes the rows of each bucket's intersections. `units`, a multiple of 32, is the number of units of a cube and
+/// the number of pixels in a block.
 ///
-/// `rows` is `[H, row]` and every intersection's row is written, or, with `add`, one row per Gaussian that is added to.
+/// Without `add`, every intersection's row is written to `rows`, `[H, row]`. With `add`, rows are added to `sums`, one
+/// row per Gaussian.
 #[cube(launch_unchecked)]
 pub(super) fn rasterize_backward_many_channels_kernel<A: FloatCell>(
     projected: &[f32],
@@ -38,7 +41,7 @@ pub(super) fn rasterize_backward_many_channels_kernel<A: FloatCell>(
     let channels = comptime!(shape.channels());
     let numbers = comptime!(shape.kept());
     let columns = comptime!(row_len(shape, absolute));
-    // One more than a block's pixels, so that neither direction of reading meets a bank twice.
+    // One more than the pixels of a block, so that neither direction of reading has bank conflicts.
     let stride = comptime!(units + 1);
     let parts = comptime!(units / BUCKET);
     let mut footprints = Shared::<[f32]>::new_slice(comptime!(BUCKET * FOOTPRINT));
@@ -125,7 +128,7 @@ pub(super) fn rasterize_backward_many_channels_kernel<A: FloatCell>(
                             }
                             let ahead = along - rho;
                             rho += alpha * ahead;
-                            // From here on the place of an alpha holds `h`, and that of none a weight of zero.
+                            // From here on `alphas` holds `h`, and a pixel without an alpha has a weight of zero.
                             let mut h = 0.0f32;
                             if alpha < limits.alpha_max {
                                 h = weights[i * stride + unit as usize] * ahead;
@@ -177,7 +180,7 @@ pub(super) fn rasterize_backward_many_channels_kernel<A: FloatCell>(
                     sync_cube();
                 }
 
-                // The parts of a row.
+                // Adds up the parts of each row.
                 if comptime!(parts > 1) {
                     for column in 0..columns {
                         alphas[unit as usize] = row[column];

@@ -1,5 +1,5 @@
-//! The CPU twin of `rasterize`: both passes, parallel over tiles. Each intersection's gradient has a place of its own; a Gaussian's
-//! are added in a fixed order, so the number of threads never changes a result.
+//! CPU twin of `rasterize`: both passes, parallel over tiles. The gradient of each intersection is stored separately,
+//! and those of a Gaussian are added in a fixed order, so the number of threads never changes a result.
 
 use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
@@ -13,10 +13,10 @@ use crate::intersect::{IntersectionLists, TILE, TILE_PIXELS};
 use crate::project::{COLUMNS, Ellipse};
 use crate::simd::real::Real;
 
-/// Gaussians per task.
+/// Number of Gaussians per task.
 const CHUNK: usize = 1024;
 
-/// What the forward pass keeps for the backward pass, tile by tile.
+/// Values that the forward pass keeps for the backward pass, tile by tile.
 pub(crate) struct Trace<F>(Vec<TileTrace<F>>);
 
 struct TileTrace<F> {
@@ -24,8 +24,9 @@ struct TileTrace<F> {
     checkpoints: Vec<F>,
 }
 
-/// Runs `$body` with the SIMD level of this processor as `$simd` and the number of channels as the constant `$c` where a
-/// special version exists, else zero; `$long` is the constant of [`is_long`], and `$library` whether `exp` is the library's.
+/// Runs `$body` with the SIMD level of this processor as `$simd` and the number of channels as the constant `$c`, or
+/// zero if no specialised version exists. `$long` is the constant of [`is_long`], and `$library` says whether `exp` is
+/// the standard library's function.
 #[rustfmt::skip] // rustfmt indents the inner macro further at every run
 macro_rules! specialised {
     ($prepared:expr, $tile:expr, $simd:ident, $c:ident, $long:ident, $library:ident => $body:expr) => {{
@@ -50,7 +51,7 @@ macro_rules! specialised {
     }};
 }
 
-/// Planes `[C + 1 (+ 1), H, W]`, and the trace if it is to be kept.
+/// Runs the forward pass. Returns the planes `[C + 1 (+ 1), H, W]`, and the trace if `keep` is set.
 pub(crate) fn rasterize_cpu<F: Real>(
     inputs: Layers<&[F]>,
     spec: &RasterizeSpec,
@@ -62,7 +63,7 @@ pub(crate) fn rasterize_cpu<F: Real>(
     let plane_count = prepared.channels + 1;
     let [width, height] = prepared.size;
     let mut planes = vec![F::ZERO; spec.planes(inputs.background.len()) * width * height];
-    // A row of tiles has its rows in every plane.
+    // Each row of tiles has its rows in every plane.
     let mut strips: Vec<Vec<&mut [F]>> = (0..prepared.grid[1]).map(|_| Vec::with_capacity(plane_count)).collect();
     for plane in planes.chunks_mut(width * height) {
         strips.iter_mut().zip(plane.chunks_mut(TILE * width)).for_each(|(strip, rows)| strip.push(rows));
@@ -121,7 +122,8 @@ fn compose<F: Real>(by_tile: &[F], background: &[F], prepared: &Prepared<F>, str
     }
 }
 
-/// Gradients of the inputs from `grad`, that of the planes. Without a trace the forward pass runs again.
+/// Returns the gradients of the inputs from `grad`, the gradient of the planes. Without a trace the forward pass runs
+/// again.
 pub(crate) fn rasterize_backward_cpu<F: Real>(
     inputs: Layers<&[F]>,
     grad: &[F],
@@ -165,7 +167,7 @@ pub(crate) fn rasterize_backward_cpu<F: Real>(
     grads
 }
 
-/// One thread's buffers.
+/// Buffers of one thread.
 #[derive(Default)]
 struct Buffers<F: Real> {
     planes: Vec<F>,
@@ -199,7 +201,8 @@ fn tile_sums<F: Real>(
     planes.iter().take(features).map(through).collect()
 }
 
-/// The gradient of a tile's own planes (sums and alpha) and of what lies behind all layers, from that of the picture's.
+/// Computes the gradient of a tile's own planes (sums and alpha), and `g · background` behind all layers, from the
+/// gradient of the picture's planes.
 fn tile_gradient<F: Real>(
     prepared: &Prepared<F>,
     view: &TileView<F>,
@@ -232,7 +235,7 @@ fn tile_gradient<F: Real>(
     }
 }
 
-/// Adds each Gaussian's intersections in order and turns the sums into gradients of its ellipse and features.
+/// Adds the sums of each Gaussian's intersections in order and turns them into gradients of its ellipse and features.
 fn gather<F: Real>(
     inputs: &Layers<&[F]>,
     prepared: &Prepared<F>,
@@ -297,7 +300,7 @@ fn gather<F: Real>(
     grads
 }
 
-/// Columns of the sums of a picture of three channels.
+/// Number of columns of the sums for three channels.
 const RGB_COLUMNS: usize = MOMENTS + 3;
 
 /// Adds rows of `intersection_sums` to `sum`.
@@ -310,7 +313,8 @@ fn add_rows<F: Real>(intersection_sums: &[F], rows: &[u32], sum: &mut [F]) {
     }
 }
 
-/// [`add_rows`] where their length is known at compile time: the fewer instructions a row takes, the more are fetched at a time.
+/// [`add_rows`] for a length known at compile time: the fewer instructions a row takes, the more rows are fetched at a
+/// time.
 #[inline(always)]
 fn add_rows_of<F: Real, const COLUMNS: usize>(intersection_sums: &[F], rows: &[u32], sum: &mut [F]) {
     let table = intersection_sums.as_chunks::<COLUMNS>().0;
@@ -321,11 +325,11 @@ fn add_rows_of<F: Real, const COLUMNS: usize>(intersection_sums: &[F], rows: &[u
     sum.copy_from_slice(&total);
 }
 
-/// From the sums of `h, h u, h v, h u², h u v, h v²` to the gradient of the ellipse. With `e = −(u² + v²)/2`:
+/// Turns the sums of `h, h u, h v, h u², h u v, h v²` into the gradient of the ellipse. With `e = −(u² + v²)/2`:
 /// `∂e/∂sigma_u = u²/sigma_u`, `∂e/∂sigma_v = v²/sigma_v`, `∂e/∂shear = u v sigma_u/sigma_v`,
 /// `∂e/∂mean = (u/sigma_u − v shear/sigma_v, v/sigma_v)`; and `∂α/∂opacity = α/opacity`.
 fn ellipse_gradient<F: Real>(e: &Ellipse<F>, moments: &[F], grad_depth: F) -> Ellipse<F> {
-    // By how often `u` and `v`, which are scaled, are factors.
+    // `u` and `v` are scaled; a sum has them once or twice as factors.
     let (once, twice) = (F::of(UNWHITEN), F::of(UNWHITEN * UNWHITEN));
     let (h, hu, hv) = (moments[0], moments[1] * once, moments[2] * once);
     let [huu, huv, hvv] = [3, 4, 5].map(|i| moments[i] * twice);

@@ -1,5 +1,5 @@
-//! What numerical dials change on GPUs, and what they must not. Run with `--ignored`; each dial is a kernel of its own, and a
-//! driver in software takes half a minute to compile one.
+//! Tests of what numerical dials change on GPUs and what they must not change. Run them with `--ignored`: each dial is
+//! a kernel of its own, and a software driver takes half a minute to compile one.
 
 use super::RasterizeSpec;
 use super::kernel_tests::{ALL, StageInputs};
@@ -13,7 +13,8 @@ use crate::options::{Accumulation, RenderOptions};
 use crate::testing::gpu::gpus;
 use crate::testing::random::Random;
 
-/// Planes, then the gradients of ellipses, features, background, and absolute values, added in order.
+/// Returns the planes and the gradients of ellipses, features, background and absolute values, with ordered
+/// accumulation.
 fn outcome(scene: &StageInputs, gpu: &Gpu, options: RenderOptions) -> [Vec<f32>; 5] {
     let spec = RasterizeSpec { options: options.with_accumulation(Accumulation::Ordered), ..scene.spec };
     let (camera, inputs) = (&spec.intrinsics, scene.device(gpu));
@@ -27,7 +28,7 @@ fn outcome(scene: &StageInputs, gpu: &Gpu, options: RenderOptions) -> [Vec<f32>;
     [planes.read(gpu), read(grads.projected), read(grads.features), read(grads.background), read(grads.mean2d_abs)]
 }
 
-/// As [`gpus`], without the form that only adds in another way: here all add in order.
+/// [`gpus`] without the form that differs only in how it adds: here all forms add in order.
 fn forms() -> impl Iterator<Item = (&'static str, Gpu)> {
     gpus().into_iter().filter(|(form, _)| *form != "without float atomics")
 }
@@ -36,7 +37,7 @@ fn same_bits(a: &[Vec<f32>; 5], b: &[Vec<f32>; 5]) -> bool {
     a.iter().zip(b).all(|(a, b)| bytemuck::cast_slice::<f32, u32>(a) == bytemuck::cast_slice::<f32, u32>(b))
 }
 
-/// The largest difference of each, in shares of the largest number.
+/// Returns the largest difference of each pair, relative to its largest value.
 fn differences(a: &[Vec<f32>; 5], b: &[Vec<f32>; 5]) -> [f32; 5] {
     std::array::from_fn(|i| {
         let largest = b[i].iter().fold(0.0_f32, |most, v| most.max(v.abs()));
@@ -52,8 +53,8 @@ fn longest(scene: &StageInputs, gpu: &Gpu, culling: Culling) -> i32 {
 
 const BOXES: [Culling; 2] = [Culling::OpacityBox, Culling::BoundingBox];
 
-/// Channels, and whether depth is one more: one of each kind of kernel, an odd number of features. All tests share them, for each
-/// other takes a driver in software half a minute to compile.
+/// Numbers of channels, and whether depth is rendered: one of each kind of kernel, with an odd number of features. All
+/// tests share them, since a software driver takes half a minute to compile each further kernel.
 const SHAPES: [(usize, bool); 2] = [(3, false), (5, true)];
 
 #[test]
@@ -80,7 +81,7 @@ fn culling_changes_no_bit_where_a_bucket_holds_each_list() {
 #[ignore = "long: minutes of compiling on a software driver; `tests/tests/dials.rs` holds what users see"]
 fn culling_of_long_lists_changes_rounding_alone() {
     for (channels, depth) in SHAPES {
-        // Without a threshold of the transmittance, beside which a pixel may end one layer sooner.
+        // No threshold of the transmittance: near one a pixel may finish one layer sooner.
         let options = RenderOptions { transmittance_min: 0.0, ..RenderOptions::standard().with_depth(depth) };
         let scene = StageInputs::random(3_000, [100, 70], channels, [0.02, 0.6], options);
         for (form, gpu) in forms() {
@@ -100,7 +101,7 @@ fn culling_of_long_lists_changes_rounding_alone() {
 #[ignore = "long: minutes of compiling on a software driver; `tests/tests/dials.rs` holds what users see"]
 fn a_polynomial_differs_from_the_device_by_rounding() {
     for (channels, depth) in SHAPES {
-        // Nearly without cuts, beside which a pair may show or not.
+        // Nearly without cuts: near a cut a pair may or may not show.
         let options = RenderOptions::exact().with_depth(depth);
         let scene = StageInputs::random(300, [50, 35], channels, [0.05, 0.9], options);
         for (form, gpu) in forms() {

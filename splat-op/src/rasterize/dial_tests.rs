@@ -1,4 +1,4 @@
-//! What numerical dials change on CPUs, and what they must not.
+//! Tests of what numerical dials change on CPUs and what they must not change.
 
 use super::cpu::{rasterize_backward_cpu, rasterize_cpu};
 use super::{Layers, RasterizeSpec};
@@ -13,9 +13,9 @@ use crate::testing::random::Random;
 
 const ALL: Layers<bool> = Layers { projected: true, features: true, background: true, mean2d_abs: true };
 
-const NAMES: [&str; 5] = ["planes", "gradient of ellipses", "of features", "of the background", "absolute"];
+const NAMES: [&str; 5] = ["planes", "ellipse gradient", "feature gradient", "background gradient", "absolute gradient"];
 
-/// Needles in a picture of 64 × 56 px, of which the tiles that they do not reach are in their boxes.
+/// Needles in a picture of 64 × 56 px. Their boxes contain tiles that the needles do not reach.
 struct Needles {
     packed: Vec<f64>,
     features: Vec<f64>,
@@ -42,7 +42,7 @@ impl Needles {
         Self { packed, features, channels }
     }
 
-    /// The longest list of a tile, then planes and gradients as [`NAMES`] says.
+    /// Returns the length of the longest list of a tile, then planes and gradients in the order of [`NAMES`].
     fn outcome<F: Real>(&self, options: RenderOptions) -> (usize, [Vec<F>; 5]) {
         let real = |values: &[f64]| values.iter().map(|v| F::of(*v)).collect::<Vec<F>>();
         let spec = RasterizeSpec { intrinsics: Intrinsics::centred(64, 56, 30.0), options };
@@ -62,7 +62,7 @@ fn bits<F: Real>(values: &[F]) -> &[u8] {
     bytemuck::cast_slice(values)
 }
 
-/// Returns the longest list by ellipses and by squares.
+/// Returns the lengths of the longest list by ellipses and by squares.
 fn assert_culling_changes_no_bit<F: Real>(scene: &Needles, options: RenderOptions) -> [usize; 2] {
     let (shortest, expected) = scene.outcome::<F>(options);
     assert!(expected.iter().all(|values| values.iter().any(|v| *v != F::ZERO)), "a scene that proves nothing");
@@ -89,7 +89,8 @@ fn culling_changes_no_bit_of_short_lists() {
 
 const FAINT: RenderOptions = RenderOptions { alpha_min: 1e-4, ..RenderOptions::standard() };
 
-/// Sums over more than 512 Gaussians, 64 if they may be faint, are sums of sums: not counted by what is listed in vain.
+/// Sums over more than 512 Gaussians, 64 if they may be faint, are sums of partial sums. Gaussians listed in vain must
+/// not count.
 #[test]
 fn culling_changes_no_bit_of_sums_of_sums() {
     for (count, options) in [(1_700, FAINT), (2_600, RenderOptions::standard())] {
@@ -99,7 +100,8 @@ fn culling_changes_no_bit_of_sums_of_sums() {
     }
 }
 
-/// Lists of more than 2,048 Gaussians, 256 if they may be faint, take another arithmetic: not for what is listed in vain.
+/// Lists of more than 2,048 Gaussians, 256 if they may be faint, use other arithmetic. Gaussians listed in vain must
+/// not count.
 #[test]
 fn culling_changes_no_bit_where_only_boxes_make_a_list_long() {
     for (count, options, long) in [(290, FAINT, 256), (3_600, RenderOptions::standard(), 2_048)] {
@@ -116,7 +118,7 @@ fn largest_difference<F: Real>(found: &[F], expected: &[F]) -> f64 {
 
 #[test]
 fn exponentials_differ_by_rounding_alone() {
-    // Channels of each special version, and lists long enough for sums of sums.
+    // Numbers of channels of each specialised version, and lists long enough for sums of partial sums.
     for (channels, count, opacity) in [(1, 300, 0.9), (3, 300, 0.9), (4, 300, 0.9), (6, 300, 0.9), (3, 500, 0.01)] {
         let scene = Needles::new(5, count, [0.005, opacity], channels);
         let options = RenderOptions { transmittance_min: 0.0, alpha_min: 1e-4, ..RenderOptions::standard() };

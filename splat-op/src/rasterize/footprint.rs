@@ -1,4 +1,4 @@
-//! A Gaussian as the CPU twin's loops over a tile's pixels see it: where it reaches, and its whitened coordinates there.
+//! Footprint of a Gaussian in the CPU twin's loops over a tile's pixels: its extent and its whitened coordinates.
 
 use fearless_simd::prelude::*;
 
@@ -7,30 +7,30 @@ use crate::intersect::extent::{half_extent, widened_limit};
 use crate::project::Ellipse;
 use crate::simd::real::{LANES, Real};
 
-/// Vectors along a row of a tile.
+/// Number of SIMD vectors along a row of a tile.
 pub(super) const ROW_VECTORS: usize = TILE / LANES;
 
-/// Rows of vectors that are worked on together, so that one's arithmetic fills the time that the other waits for its own.
+/// Number of rows of vectors that are processed together, so that the arithmetic of one fills the latency of the other.
 pub(super) const ROWS: usize = 2;
 
 /// `√(log₂e / 2)`. In whitened coordinates scaled by it, a Gaussian is `2^−(u² + v²)`.
 const WHITEN: f64 = 0.849_321_800_288_019_1;
 
-/// What takes the scale out of a sum again, once for each scaled factor of its terms.
+/// Inverse of [`WHITEN`]. It takes the scale out of a sum again, once for each scaled factor of its terms.
 pub(super) const UNWHITEN: f64 = 1.0 / WHITEN;
 
-/// An ellipse as `rasterize` reads it, in what its pixels' loop multiplies by.
+/// An ellipse in the form that the loop over pixels multiplies by.
 #[derive(Clone, Copy, Default)]
 pub(super) struct Footprint<F> {
     pub mean_px: [F; 2],
-    /// Scaled by [`WHITEN`], as `inverse_v`.
+    /// Scaled by [`WHITEN`], like `inverse_v`.
     pub inverse_u: F,
     pub inverse_v: F,
     pub shear: F,
     pub opacity: F,
-    /// Where `u² + v²` is larger, the alpha is below `alpha_min` for certain, or no number.
+    /// Largest `u² + v²`: beyond it the alpha is certainly below `alpha_min`, or not a number.
     pub extent: F,
-    /// Half the bounding box, px.
+    /// Half the width and height of the bounding box, px.
     pub half: [F; 2],
 }
 
@@ -48,7 +48,8 @@ impl<F: Real> Footprint<F> {
         }
     }
 
-    /// The rows and the vectors along a row of the tile at `origin` px that the bounding box meets, whole [`ROWS`].
+    /// Returns the rows, and the vectors along a row, of the tile at `origin` px that the bounding box meets. The range
+    /// of rows is extended to multiples of [`ROWS`].
     #[inline(always)]
     pub fn window(&self, origin: [F; 2]) -> TileWindow {
         // Pixel `i` has its centre at `origin + i + 0.5`; the margin covers rounding.
@@ -71,7 +72,7 @@ impl<F: Real> Footprint<F> {
     }
 }
 
-/// Part of a tile.
+/// Rectangle within a tile, in rows and vectors.
 #[derive(Clone, Copy)]
 pub(super) struct TileWindow {
     pub first_row: usize,
@@ -85,7 +86,7 @@ pub(super) struct TileWindow {
 pub(super) struct FootprintSimd<S: Simd, F: Real> {
     pub footprint: Footprint<F>,
     mean_x: F::Lanes<S>,
-    /// From the tile's first row to the mean, px.
+    /// Offset along y of the centres of the tile's first row from the mean, px.
     rise: F::Lanes<S>,
     pub inverse_u: F::Lanes<S>,
     pub inverse_v: F::Lanes<S>,
@@ -95,7 +96,7 @@ pub(super) struct FootprintSimd<S: Simd, F: Real> {
 }
 
 impl<S: Simd, F: Real> FootprintSimd<S, F> {
-    /// A Gaussian as the tile sees it whose upper border is at `top` px.
+    /// Constants of a Gaussian for the tile whose upper border is at `top` px.
     #[inline(always)]
     pub fn new(simd: S, footprint: Footprint<F>, top: F) -> Self {
         let lanes = |value| F::Lanes::<S>::splat(simd, value);
@@ -111,7 +112,7 @@ impl<S: Simd, F: Real> FootprintSimd<S, F> {
         }
     }
 
-    /// What the pixels with centres `x`, px, have in common on all rows.
+    /// Returns the values that the pixels with centres `x`, px, share on all rows.
     #[inline(always)]
     pub fn column(&self, x: F::Lanes<S>) -> Column<S, F> {
         let dx = x - self.mean_x;
@@ -119,15 +120,15 @@ impl<S: Simd, F: Real> FootprintSimd<S, F> {
         Column { dx, u, square: u * u }
     }
 
-    /// `v`, scaled by [`WHITEN`], of the pixels of a column on the row of the tile with this number.
+    /// Returns `v`, scaled by [`WHITEN`], of the pixels of `column` on row `row` of the tile.
     #[inline(always)]
     pub fn v(&self, column: &Column<S, F>, row: F::Lanes<S>) -> F::Lanes<S> {
-        // Added up before it is scaled, so that it is exactly zero where the mean lies.
+        // The sum comes before the scaling, so that `v` is exactly zero at the mean.
         (-self.shear).mul_add(column.dx, self.rise + row) * self.inverse_v
     }
 }
 
-/// Eight pixels along a row as a Gaussian sees them, whichever the row.
+/// Values of a Gaussian at eight pixels along x that are the same on every row.
 #[derive(Clone, Copy)]
 pub(super) struct Column<S: Simd, F: Real> {
     /// Scaled by [`WHITEN`].

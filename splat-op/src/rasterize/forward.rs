@@ -1,9 +1,9 @@
-//! The kernel of `rasterize`, forwards: a cube per tile, a unit per strip of pixels, some rows of a column, whose numbers stay in
-//! registers. A graphics card has units to fill, and hides behind them what reading takes.
+//! Forward kernel of `rasterize`: a cube per tile, a unit per strip of pixels. A strip is some rows of one column, and
+//! its values stay in registers. A GPU has units to fill, and hides the latency of reads behind them.
 //!
-//! A tile's places are passed in buckets. Within a bucket a pixel's sums and transmittance are relative to those
-//! before it; at its end they are added in. What the backward pass needs of a bucket is then a few numbers per pixel that
-//! do not depend on any other bucket, and it can work on all buckets at once.
+//! The places of a tile are passed in buckets. Within a bucket a pixel's sums and transmittance are relative to those
+//! before it; at the end of the bucket they are added in. The backward pass then needs only a few values per pixel of a
+//! bucket, which do not depend on any other bucket, so it can process all buckets at once.
 
 use cubecl::prelude::*;
 
@@ -14,13 +14,14 @@ use super::layer::{
 use crate::intersect::forward::TileFrame;
 use crate::intersect::{TILE, TILE_PIXELS};
 
-/// Places that a cube loads at once, a whole number of buckets.
+/// Number of places that a cube loads at once, a whole number of buckets.
 const BATCH: usize = 64;
 
-/// Planes `[C + 1 (+ 1), H, W]`; and, if a trace is kept, the kept numbers `[bucket_index][number][pixel]`, the transmittance
-/// behind all layers `[tile][pixel]`, and how many buckets of each tile were passed.
+/// Writes the planes `[C + 1 (+ 1), H, W]`. If a trace is kept, it also writes the kept values
+/// `[bucket_index][value][pixel]`, the transmittance behind all layers `[tile][pixel]`, and the number of buckets
+/// passed in each tile.
 ///
-/// A finished pixel has its transmittance negated, and one outside the picture is finished from the start.
+/// The transmittance of a finished pixel is negated. A pixel outside the picture is finished from the start.
 #[cube(launch_unchecked)]
 pub(super) fn rasterize_forward_kernel(
     projected: &[f32],
@@ -77,7 +78,7 @@ pub(super) fn rasterize_forward_kernel(
         let mut place = 0u32;
         let mut running = true;
         while running && place < places {
-            // The next batch, unless nobody wants it.
+            // Loads the next batch; the loop ends if no pixel is open.
             let mut open = false;
             #[unroll]
             for p in 0..pixels {
@@ -179,7 +180,8 @@ pub(super) fn rasterize_forward_kernel(
                             sums[comptime!(p * channels) + channel] +=
                                 before.abs() * own[comptime!(p * channels) + channel];
                         }
-                        // A pixel that finished in this bucket becomes negative here; one that had finished stays.
+                        // A pixel that finished in this bucket becomes negative here; one that finished earlier stays
+                        // negative.
                         transmittance[p] = transmittance_after_bucket(before, through[p], stopped[p]);
                     }
                     bucket += comptime!(BUCKET as u32);

@@ -1,4 +1,4 @@
-//! Kernels of `rasterize` against the CPU twin in f64, within what f32 can hold.
+//! Tests of the kernels of `rasterize` against the CPU twin in f64, within the rounding of f32.
 
 use super::cpu::{rasterize_backward_cpu, rasterize_cpu};
 use super::launch::{launch_rasterize, launch_rasterize_backward};
@@ -47,7 +47,7 @@ impl StageInputs {
         }
     }
 
-    /// As the f32 path sees the thresholds.
+    /// Rounds the thresholds to f32, as the f32 path sees them.
     fn rounded(mut self) -> Self {
         let options = &mut self.spec.options;
         for threshold in [&mut options.alpha_min, &mut options.alpha_max, &mut options.transmittance_min] {
@@ -70,13 +70,14 @@ impl StageInputs {
         rasterize_backward_cpu(self.inputs(), grad, &self.spec, (&lists, None), ALL)
     }
 
-    /// The scene of other inputs: projected, features, background.
+    /// Returns the scene with other inputs: projected, features, background.
     fn with(&self, inputs: &[Vec<f64>]) -> Self {
         let [projected, features, background] = [0, 1, 2].map(|i| inputs[i].clone());
         Self { projected, features, background, ..self.clone() }
     }
 
-    /// Pixels whose result jumps when a threshold moves by what rounding moves an alpha or a transmittance.
+    /// Returns the pixels whose result jumps when a threshold moves by as much as rounding moves an alpha or a
+    /// transmittance.
     fn band(&self) -> Vec<bool> {
         let pixels = self.spec.intrinsics.width * self.spec.intrinsics.height;
         let plain = self.planes();
@@ -105,7 +106,7 @@ impl StageInputs {
         }
     }
 
-    /// Planes and gradients on the device.
+    /// Returns planes and gradients computed on the device.
     fn on(&self, gpu: &Gpu, grad: &[f64], needs: Layers<bool>) -> (Vec<f32>, Layers<Option<Buffer<f32>>>) {
         let inputs = self.device(gpu);
         let lists = launch_intersect(gpu, &inputs.projected, &self.spec.intrinsics, Cut::of(&self.spec.options));
@@ -128,7 +129,7 @@ impl StageInputs {
         let planes = scene.spec.planes(scene.background.len());
         let grad = mask(rounded(&Random::new(3).fill(planes * band.len(), -1.0, 1.0)));
         let inputs = [scene.projected.clone(), scene.features.clone(), scene.background.clone(), grad.clone()];
-        // The gradient of a pixel in the band is zero, so the others' prove as much as they can.
+        // The gradient is zero at pixels in the band, so those of the other pixels prove as much as they can.
         let reference = PerturbedReference::new(&inputs, |inputs| {
             let scene = scene.with(inputs);
             let g = scene.backward(&inputs[3]);
@@ -142,7 +143,7 @@ impl StageInputs {
                 let mut scene = scene.clone();
                 scene.spec.options.accumulation = accumulation;
                 let (planes, grads) = scene.on(&gpu, &grad, ALL);
-                assert!(planes.iter().all(|v| v.is_finite()), "{}", name("a pixel nobody wrote"));
+                assert!(planes.iter().all(|v| v.is_finite()), "{}", name("a pixel was not written"));
                 let planes: Vec<f32> = planes.iter().enumerate().map(|(i, &v)| outside(i, v.into()) as f32).collect();
                 reference.check(&name("planes"), 0, &planes, &classes(planes.len()));
                 let found = [grads.projected, grads.features, grads.background, grads.mean2d_abs];
@@ -173,7 +174,7 @@ fn any_number_of_channels() {
 
 #[test]
 fn hundreds_of_layers() {
-    // Faint, so that no pixel is finished early; and opaque, so that all are.
+    // Faint Gaussians, so that no pixel finishes early; then opaque ones, so that all do.
     StageInputs::random(3_000, [40, 24], 3, [0.004, 0.01], RenderOptions::standard()).check();
     StageInputs::random(3_000, [40, 24], 3, [0.9, 1.0], RenderOptions::standard()).check();
 }
@@ -182,7 +183,7 @@ fn hundreds_of_layers() {
 fn other_thresholds() {
     StageInputs::random(400, [61, 40], 3, [0.02, 1.0], RenderOptions::exact()).check();
     StageInputs::random(400, [61, 40], 3, [0.02, 1.0], RenderOptions::fast().with_depth(true)).check();
-    // Opaque layers let nothing through, and nothing may be divided by that.
+    // Opaque layers let nothing through, and nothing may be divided by the share let through.
     let opaque = RenderOptions { alpha_max: 1.0, ..RenderOptions::exact() };
     StageInputs::random(400, [61, 40], 3, [1.0, 1.0], opaque).check();
 }

@@ -17,8 +17,8 @@ use crate::limits::Need;
 use crate::options::Accumulation;
 use crate::project::COLUMNS;
 
-/// Units of a cube of the kernel for many channels, and pixels of its blocks: what two arrays of 32 numbers per unit leave of 32 KiB
-/// of shared memory.
+/// Number of units of a cube in the kernel for many channels, and of pixels in its blocks. Two arrays of 32 numbers per
+/// unit leave room for no more in 32 KiB of shared memory.
 const CHANNEL_UNITS: usize = 64;
 
 impl Layers<Buffer<f32>> {
@@ -36,44 +36,44 @@ impl Layers<Buffer<f32>> {
     }
 }
 
-/// What the forward pass keeps for the backward pass.
+/// Values that the forward pass keeps for the backward pass.
 #[derive(Clone, Debug)]
 pub(crate) struct DeviceTrace {
-    /// `[max_buckets, kept, 256]`: numbers per bucket and pixel, see [`KernelShape::kept`].
+    /// `[max_buckets, kept, 256]`: values per bucket and pixel; see [`KernelShape::kept`].
     kept: Buffer<f32>,
     /// `[tiles, 256]`: the transmittance behind all layers.
     final_transmittance: Buffer<f32>,
-    /// `[tiles]`: buckets passed before every pixel was finished.
+    /// `[tiles]`: number of buckets passed before every pixel was finished.
     bucket_count: Buffer<u32>,
 }
 
-/// Pixels of a unit forwards for few channels; see `forward.rs`. For many there is one.
+/// Number of pixels of a unit in the forward kernel for few channels; see `forward.rs`. For many channels it is one.
 const FORWARD_STRIP: usize = 4;
 
-/// Pixels of a unit in the kernel of layers for few channels; see `backward_few_channels.rs`.
+/// Number of pixels of a unit in the backward kernel for few channels; see `backward_few_channels.rs`.
 const STRIP: usize = 8;
 
-/// Slots of all tiles' buckets; see `first_bucket`.
+/// Number of slots for the buckets of all tiles; see `first_bucket`.
 fn max_buckets(lists: &DeviceIntersections, tiles: usize) -> usize {
     lists.intersections / BUCKET + tiles
 }
 
 fn limits(spec: &RasterizeSpec) -> LimitsLaunch {
     let least = spec.options.transmittance_min;
-    // A threshold of zero leaves out nothing, not even what is behind an alpha of one.
+    // A threshold of zero leaves out nothing, not even layers behind an alpha of one.
     LimitsLaunch::new(spec.options.alpha_max as f32, if least > 0.0 { least as f32 } else { -1.0 })
 }
 
-/// What makes a render keep less for its backward pass.
+/// Hint in error messages: how to make a render keep less for its backward pass.
 const FEWER_BUCKETS: &str =
     "train on smaller pictures, raise `alpha_min`, or render parts of the picture with several cameras";
 
-/// Refuses a buffer of `len` floats that the device cannot hold. How long it is, only the intersections tell.
+/// Panics if the device cannot hold a buffer of `len` floats. Only the intersections determine the length.
 fn assert_fits(gpu: &Gpu, what: &'static str, len: usize) {
     Need { what, bytes: 4 * len as u64, hint: FEWER_BUCKETS }.assert_fits(gpu.buffer_limit);
 }
 
-/// Planes `[C + 1 (+ 1), H, W]`, and the trace if it is to be kept.
+/// Runs the forward pass. Returns the planes `[C + 1 (+ 1), H, W]`, and the trace if `keep` is set.
 pub(crate) fn launch_rasterize(
     gpu: &Gpu,
     inputs: &Layers<Buffer<f32>>,
@@ -121,7 +121,8 @@ pub(crate) fn launch_rasterize(
     (planes, keep.then_some(trace))
 }
 
-/// Gradients of the inputs from `grad`, that of the planes; of the features alone where nothing else has one.
+/// Returns the gradients of the inputs from `grad`, the gradient of the planes; of the feature planes alone if no other
+/// plane has a gradient.
 pub(crate) fn launch_rasterize_backward(
     gpu: &Gpu,
     inputs: &Layers<Buffer<f32>>,

@@ -1,5 +1,5 @@
-//! A layer at a pixel, and how places and pixels are dealt out: what the kernels of both passes share, so that the backward
-//! pass sees what the forward pass saw.
+//! Functions that the kernels of both passes share, so that the backward pass sees the values of the forward pass: the
+//! arithmetic of a layer at a pixel, and the assignment of places and pixels to units.
 
 use cubecl::prelude::*;
 
@@ -7,35 +7,35 @@ use super::power::power;
 use crate::intersect::TILE;
 use crate::project::COLUMNS;
 
-/// Places of a bucket.
+/// Number of places in a bucket.
 pub(super) const BUCKET: usize = 32;
 
-/// Channels up to which colours go through shared memory and sums through registers, and the trace keeps the sums of each
-/// bucket; above, all three would not fit.
+/// Largest number of channels for which colours go through shared memory, sums go through registers, and the trace
+/// keeps the sums of each bucket. With more channels, all three would not fit.
 pub(super) const FEW: usize = 4;
 
-/// Numbers of a [`LayerEllipse`].
+/// Number of values in a [`LayerEllipse`].
 pub(super) const FOOTPRINT: usize = 6;
 
-/// Thresholds of the render besides the frame's.
+/// Thresholds of the render that `TileFrame` does not hold.
 #[derive(CubeType, CubeLaunch, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub(crate) struct Limits {
     pub alpha_max: f32,
-    /// Below zero for none.
+    /// Negative for no threshold.
     pub transmittance_min: f32,
 }
 
-/// What a kernel of this stage is compiled for.
+/// Compile-time parameters of the stage's kernels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(crate) struct KernelShape {
-    /// Features.
+    /// Number of features.
     pub features: usize,
-    /// Whether depth is accumulated, as a further channel.
+    /// Whether depth is accumulated as one more channel.
     pub depth: bool,
-    /// Whether the picture's alpha has a gradient. Where it has none, its plane is missing in the planes' gradient.
+    /// Whether the picture's alpha has a gradient. If not, the gradient of the planes lacks the plane of alpha.
     pub grad_alpha: bool,
-    /// Whether `exp` is a polynomial, or the device's own.
+    /// Whether `exp` is a polynomial rather than the device's function.
     pub polynomial: bool,
 }
 
@@ -48,21 +48,22 @@ impl KernelShape {
         self.channels() <= FEW
     }
 
-    /// Numbers per pixel and bucket that the forward pass keeps: the transmittance before the bucket (negative where the
-    /// pixel was finished), the share that the bucket lets through, and its sums if there are few channels.
+    /// Number of values that the forward pass keeps per pixel and bucket: the transmittance before the bucket (negative
+    /// where the pixel was finished), the share that the bucket lets through, and the bucket's sums if there are few
+    /// channels.
     pub const fn kept(&self) -> usize {
         2 + if self.few() { self.channels() } else { 0 }
     }
 }
 
-/// Column and row in the tile of the first pixel of a unit, whose pixels are a strip: `rows` of a column. They share `u` and what is
-/// read of a Gaussian.
+/// Returns the column and row, within the tile, of a unit's first pixel. A unit's pixels are a strip: `rows` pixels of
+/// one column, which share `u` and the values read of a Gaussian.
 #[cube]
 pub(super) fn strip_origin(unit: u32, #[comptime] rows: usize) -> (u32, u32) {
     (unit % comptime!(TILE as u32), unit / comptime!(TILE as u32) * comptime!(rows as u32))
 }
 
-/// An ellipse as the pixels' loop reads it.
+/// An ellipse in the form that the loop over pixels reads.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub(super) struct LayerEllipse {
@@ -76,7 +77,7 @@ pub(super) struct LayerEllipse {
 
 #[cube]
 impl LayerEllipse {
-    /// Of a row of the packed ellipses.
+    /// Reads the ellipse from row `gaussian` of the packed ellipses.
     pub fn of(projected: &[f32], gaussian: usize) -> LayerEllipse {
         let at = gaussian * comptime!(COLUMNS);
         LayerEllipse {
@@ -89,7 +90,7 @@ impl LayerEllipse {
         }
     }
 
-    /// One that shows in no pixel.
+    /// An ellipse that shows in no pixel.
     pub fn nowhere() -> LayerEllipse {
         LayerEllipse { x: 0.0, y: 0.0, inverse_u: 0.0, inverse_v: 0.0, shear: 0.0, opacity: 0.0 }
     }
@@ -116,22 +117,24 @@ impl LayerEllipse {
         }
     }
 
-    /// `u` in the column at `x` px, and how far its pixel in the tile's first row, at `top` px, lies below the ellipse's axis
-    /// there, px: in a row further down, by so much more. Times `inverse_v` that is `v`. Small numbers are added to a
-    /// distance, never to a coordinate, whose digits are coarser; and as every kernel counts from the tile's first row,
-    /// whatever its units' pixels are, all round alike.
+    /// Returns `u` in the column at `x` px, and the distance, px, by which the column's pixel in the tile's first row,
+    /// at `top` px, lies below the ellipse's axis. For a lower row, its number is added to the distance. The distance
+    /// times `inverse_v` is `v`.
+    ///
+    /// The row number is added to a distance, never to a coordinate, whose digits are coarser. Every kernel counts from
+    /// the tile's first row, whatever pixels its units have, so all round alike.
     pub fn along_column(&self, x: f32, top: f32) -> (f32, f32) {
         let dx = x - self.x;
         (dx * self.inverse_u, (top - self.y) - self.shear * dx)
     }
 
-    /// `u, v` of the pixel in the column at `x` px, `row` rows below the tile's first one at `top` px.
+    /// Returns `u, v` of the pixel in the column at `x` px, `row` rows below the tile's first row at `top` px.
     pub fn whiten(&self, x: f32, top: f32, row: f32) -> (f32, f32) {
         let (u, below) = self.along_column(x, top);
         (u, (below + row) * self.inverse_v)
     }
 
-    /// The alpha at whitened coordinates; zero where it does not show.
+    /// Returns the alpha at whitened coordinates; zero where it is below `alpha_min`.
     pub fn alpha(&self, u: f32, v: f32, alpha_min: f32, alpha_max: f32, #[comptime] shape: KernelShape) -> f32 {
         let exponent = -(0.5 * (u * u + v * v));
         let share =
@@ -141,15 +144,15 @@ impl LayerEllipse {
     }
 }
 
-/// Passes a layer at a pixel: its alpha, zero if it does not contribute, and what the bucket's layers so far let through,
-/// negative where the pixel is finished, and stop.
+/// Passes a layer at a pixel. Returns its alpha (zero if it does not contribute), and the shares that the bucket's
+/// layers so far let through (negative where the pixel is finished) and stop.
 ///
-/// While little is stopped, what is let through is the rest of one: what has been stopped is a sum whose roundings are as
-/// small as it is, where the product of many factors next to one takes a rounding of one from each.
+/// While little is stopped, the share let through is one minus the share stopped. The share stopped is a sum whose
+/// roundings are as small as itself, whereas a product of many factors near one takes a rounding of one from each.
 #[cube]
 pub(super) fn layer(alpha: f32, through: f32, stopped: f32, before: f32, transmittance_min: f32) -> (f32, f32, f32) {
     let stops = fma(alpha, through, stopped);
-    // Not times `1 − α`, which is rounded, for all layers of one faint alpha the same way.
+    // Not a product with `1 − α`, whose rounding is the same for all layers of one faint alpha.
     let next = select(stops < 0.5, 1.0 - stops, fma(-alpha, through, through));
     let shows = alpha > 0.0 && through >= 0.0;
     let finishes = shows && before * next <= transmittance_min;
@@ -161,16 +164,16 @@ pub(super) fn layer(alpha: f32, through: f32, stopped: f32, before: f32, transmi
     )
 }
 
-/// What [`layer`] goes on from, in one number: what is stopped while that is little, else what is let through, negated; two
-/// where the pixel is finished.
+/// Encodes the state of [`layer`] in one number: the share stopped while that is little, else the negated share let
+/// through; two where the pixel is finished.
 #[cube]
 pub(super) fn checkpoint(through: f32, stopped: f32) -> f32 {
-    // A zero has to keep its sign in comparisons.
+    // A zero would lose its sign in comparisons.
     let open = select(stopped < 0.5, stopped, -max(through, f32::MIN_POSITIVE));
     select(through >= 0.0, open, 2.0)
 }
 
-/// What is let through and stopped at a checkpoint.
+/// Decodes a checkpoint into the shares let through and stopped.
 #[cube]
 pub(super) fn restore(checkpoint: f32) -> (f32, f32) {
     let faint = checkpoint >= 0.0;
@@ -178,22 +181,23 @@ pub(super) fn restore(checkpoint: f32) -> (f32, f32) {
     (select(checkpoint >= 1.0, -1.0f32, through), select(faint, checkpoint, 1.0))
 }
 
-/// The transmittance behind a bucket from that before it and what the bucket lets through and stops. Negative if either of
-/// the former two is: the pixel was finished before the bucket or within.
+/// Returns the transmittance behind a bucket from the transmittance before it and the shares that the bucket lets
+/// through and stops. The result is negative if `before` or `through` is: the pixel was finished before the bucket or
+/// within it.
 #[cube]
 pub(super) fn transmittance_after_bucket(before: f32, through: f32, stopped: f32) -> f32 {
     let left = select(stopped < 0.5, fma(-stopped, before, before), before * through.abs());
     select(before >= 0.0, select(through >= 0.0, left, -left), before)
 }
 
-/// The first slot of a tile's buckets: a slot per started bucket, so that no two tiles share one and no list of slots
-/// is needed.
+/// Returns the first slot of a tile's buckets. Each started bucket has a slot, so no two tiles share one and no list of
+/// slots is needed.
 #[cube]
 pub(super) fn first_bucket(first_place: u32, tile: u32) -> u32 {
     first_place / comptime!(BUCKET as u32) + tile
 }
 
-/// Channel `channel` of a Gaussian, the depth after the features.
+/// Returns channel `channel` of a Gaussian; depth follows the features.
 #[cube]
 pub(super) fn colour(
     projected: &[f32],

@@ -1,15 +1,15 @@
-//! Tile lists + features → picture. Differentiable.
+//! Rasterizes Gaussians: intersections + features → picture. Differentiable.
 //!
-//! Front to back, with `gᵢ = exp(−(u² + v²)/2)` and `αᵢ = min(alpha_max, opacityᵢ gᵢ)` (skipped below `alpha_min`):
-//! `C = Σ wᵢ cᵢ + T background`, `wᵢ = αᵢ Tᵢ`, `Tᵢ = Πⱼ₍ⱼ₌₁‥ᵢ₋₁₎ (1 − αⱼ)` (Kerbl et al. 2023, eq. 3). The Gaussian that would
-//! bring `T` to `transmittance_min` or below is left out, and so is all behind it.
-//!
+//! Layers are composited front to back, with `gᵢ = exp(−(u² + v²)/2)` and `αᵢ = min(alpha_max, opacityᵢ gᵢ)` (skipped
+//! below `alpha_min`): `C = Σ wᵢ cᵢ + T background`, `wᵢ = αᵢ Tᵢ`, `Tᵢ = Πⱼ₍ⱼ₌₁‥ᵢ₋₁₎ (1 − αⱼ)` (equation 3 of Kerbl et
+//! al. 2023). The Gaussian that would bring `T` to `transmittance_min` or below is left out, and so are all Gaussians
+//! behind it.
 //! The backward pass goes back to front: `∂C/∂αᵢ = Tᵢ (cᵢ − Rᵢ₊₁)`, `Rᵢ = αᵢ cᵢ + (1 − αᵢ) Rᵢ₊₁`, `Rₙ₊₁ = background`.
-//! `Tᵢ` is computed forwards again from checkpoints; nothing is ever divided by `1 − α` and no prefix is taken from a
-//! total, both of which lose all digits under many layers.
+//! `Tᵢ` is recomputed front to back from checkpoints. Nothing is divided by `1 − α`, and no prefix sum is subtracted
+//! from a total: both lose all digits under many layers.
 //!
 //! Shapes: packed ellipses `[N, 7]`, features `[N, C]`, background `[C]` → planes `[C + 1 (+ 1), H, W]`: features,
-//! alpha `1 − T`, and, if asked for, depth `Σ wᵢ zᵢ`.
+//! alpha `1 − T`, and, if requested, depth `Σ wᵢ zᵢ`.
 
 #[cfg(feature = "cube")]
 mod backward;
@@ -50,21 +50,21 @@ use crate::options::RenderOptions;
 use crate::record::record;
 
 record! {
-    /// What is blended.
+    /// Inputs of the rasterizer.
     pub struct Layers {
-        /// `[N, 7]`, packed by `project`.
+        /// `[N, 7]`: ellipses, packed by `project`.
         projected,
-        /// `[N, C]`.
+        /// `[N, C]`: features of each Gaussian.
         features,
-        /// `[C]`.
+        /// `[C]`: background of each feature.
         background,
-        /// The probe of AbsGrad (Ye et al. 2024): `[N, 2]`, or `[0, 2]` for none, and not read. Its gradient is `Σ |∂L/∂mean2d|`, the
-        /// absolute value taken pixel by pixel, per px.
+        /// Probe of AbsGrad (Ye et al. 2024): `[N, 2]`, or `[0, 2]` for none. Its values are not read. Its gradient is
+        /// `Σ |∂L/∂mean2d|`, a sum of absolute values over the pixels, per px.
         mean2d_abs,
     }
 }
 
-/// The plain numbers the stage depends on.
+/// Camera intrinsics and options of the stage.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RasterizeSpec {
     /// Camera intrinsics.
@@ -74,22 +74,22 @@ pub struct RasterizeSpec {
 }
 
 impl RasterizeSpec {
-    /// Planes of the output for `features` channels.
+    /// Number of output planes for `features` channels.
     pub(crate) fn planes(&self, features: usize) -> usize {
         features + 1 + usize::from(self.options.depth)
     }
 }
 
-/// Transmittances that the forward pass keeps for the backward pass. A cache: a backward pass that finds it empty
-/// computes them again.
+/// Cache of the transmittances that the forward pass keeps for the backward pass. A backward pass that finds it empty
+/// recomputes them.
 #[derive(Clone, Default)]
 pub struct TraceCell(pub(crate) Arc<OnceLock<Box<dyn Any + Send + Sync>>>);
 
-/// A gradient of some planes.
+/// Gradient of a range of planes.
 pub(crate) type PartGrad = (Range<usize>, Box<dyn Any + Send>);
 
-/// Gradients of parts of a render's planes, on their way from the parts' backward nodes to that of the stage. (Through the
-/// graph each would travel as large as all planes, filled up with zeros.)
+/// Gradients of ranges of a render's planes, passed from the backward nodes of the ranges to the backward node of the
+/// stage. (Through the autodiff graph each gradient would have the size of all planes, padded with zeros.)
 #[derive(Clone, Default)]
 pub struct PartsCell(pub(crate) Arc<Mutex<Vec<PartGrad>>>);
 

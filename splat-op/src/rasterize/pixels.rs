@@ -1,5 +1,5 @@
-//! The layers of a bucket at the pixels of a unit, backwards, as `backward_few_channels.rs` goes through them once it has a Gaussian's numbers at
-//! hand. For few channels; all of it lies in registers.
+//! Backward pass over the layers of a bucket at the pixels of one unit, for few channels. `backward_few_channels.rs`
+//! calls it once the values of a Gaussian are loaded. All of its state lies in registers.
 
 #![allow(clippy::too_many_arguments, reason = "functions of a kernel take what it was launched with")]
 
@@ -10,31 +10,31 @@ use super::layer::{KernelShape, LayerEllipse, Limits, checkpoint, layer, restore
 use crate::intersect::forward::TileFrame;
 use crate::intersect::{TILE, TILE_PIXELS};
 
-/// Places that are worked on at once. Their alphas and weights lie in registers.
+/// Number of places that are processed together. Their alphas and weights lie in registers.
 pub(super) const STEP: usize = 4;
 
-/// What does not change from layer to layer at a unit's pixels, and how far a pass has come.
+/// State of a unit's pixels: the values that are the same for every layer, and the progress of a pass.
 #[derive(CubeType)]
 pub(super) struct UnitPixels {
-    /// Centre of the column and of the tile's first row, px, and the rows from there to the strip's first.
+    /// Centre of the column and of the tile's first row, px, and the row of the strip's first pixel within the tile.
     x: f32,
     top: f32,
     row: f32,
     /// The transmittance before the bucket, negative where the pixel was finished.
     before: Array<f32>,
-    /// `ρ` behind the layer that was passed last.
+    /// `ρ` behind the last layer passed.
     rho: Array<f32>,
     grad_alpha: Array<f32>,
     /// `[pixel][channel]`.
     gradients: Array<f32>,
-    /// As [`layer`] takes them.
+    /// Shares let through and stopped: arguments of [`layer`].
     through: Array<f32>,
     stopped: Array<f32>,
 }
 
 #[cube]
 impl UnitPixels {
-    /// The strip that begins `column` and `row` pixels into a tile. [`Self::load`] fills each.
+    /// Allocates the strip that begins at `column` and `row` of a tile. [`Self::load`] fills each pixel.
     pub fn new(
         tile: u32,
         column: u32,
@@ -56,7 +56,7 @@ impl UnitPixels {
         }
     }
 
-    /// Reads pixel `p`, and goes to the bucket's front.
+    /// Reads pixel `p` and sets it to the state before the bucket's first layer.
     pub fn load(
         &mut self,
         kept: &[f32],
@@ -96,19 +96,20 @@ impl UnitPixels {
         self.stopped[p] = 0.0f32;
     }
 
-    /// Where the forward pass is at pixel `p`, in one number.
+    /// Returns the state of the forward pass at pixel `p` as one number.
     pub fn checkpoint(&self, #[comptime] p: usize) -> f32 {
         checkpoint(self.through[p], self.stopped[p])
     }
 
-    /// Puts pixel `p` back to a checkpoint.
+    /// Resets pixel `p` to a checkpoint.
     pub fn restore(&mut self, from: f32, #[comptime] p: usize) {
         let (through, stopped) = restore(from);
         self.through[p] = through;
         self.stopped[p] = stopped;
     }
 
-    /// Passes a Gaussian forwards at pixel `p`: its alpha, zero if it does not contribute, and its weight `α T`.
+    /// Passes a Gaussian forwards at pixel `p`. Returns its alpha, zero if it does not contribute, and its weight
+    /// `α T`.
     pub fn pass(
         &mut self,
         footprint: LayerEllipse,
@@ -127,7 +128,7 @@ impl UnitPixels {
         (alpha, weight)
     }
 
-    /// Passes a Gaussian backwards, place `k` of its step, and adds its sums over the pixels to `row`.
+    /// Passes the Gaussian at place `k` of its step backwards and adds its sums over the pixels to `row`.
     pub fn add_sums(
         &mut self,
         footprint: LayerEllipse,

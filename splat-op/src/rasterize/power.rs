@@ -1,11 +1,12 @@
-//! `2^−q` by a polynomial, for kernels that do not leave it to the device: see [`crate::Exponential`].
+//! `2^−q` by a polynomial, for kernels that do not use the device's `exp`; see [`crate::Exponential`].
 
 use cubecl::prelude::*;
 
-/// The coefficients of `eᵗ`, from that of `t⁷` down. For `|t| <= (ln 2)/2` what Taylor's series leaves out is a tenth of an ulp at most.
+/// Coefficients of `eᵗ`, from `t⁷` down. For `|t| <= (ln 2)/2` the truncation of Taylor's series costs at most a tenth
+/// of an ulp.
 const SERIES: [f32; 8] = [1.0 / 5040.0, 1.0 / 720.0, 1.0 / 120.0, 1.0 / 24.0, 1.0 / 6.0, 0.5, 1.0, 1.0];
 
-/// The largest `q`: beyond, `2^−q` is subnormal, and many devices know no such numbers.
+/// The largest `q`: beyond it `2^−q` is subnormal, and many devices do not support subnormal numbers.
 const LARGEST: f32 = 126.0;
 
 /// `2^−q` for `q >= 0`, within 2 ulp; zero above 126.

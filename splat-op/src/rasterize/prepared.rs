@@ -1,4 +1,4 @@
-//! What the CPU twin makes of its inputs before it goes through the tiles.
+//! Preparation of the CPU twin's inputs before its loops over the tiles.
 
 use std::borrow::Cow;
 
@@ -13,23 +13,24 @@ use crate::intersect::{IntersectionLists, TILE, tile_grid};
 use crate::project::{COLUMNS, Ellipse};
 use crate::simd::real::Real;
 
-/// Gaussians per task.
+/// Number of Gaussians per task.
 const CHUNK: usize = 1024;
 
-/// Inputs prepared for the tiles' loops.
+/// Inputs in the form that the loops over the tiles read.
 pub(super) struct Prepared<'a, F: Real> {
     pub footprints: Vec<Footprint<F>>,
-    /// Features, with the depth as a further channel if the render accumulates it.
+    /// Features, followed by depth as one more channel if the render accumulates it.
     pub colours: Cow<'a, [F]>,
     pub channels: usize,
     pub grid: [usize; 2],
     pub size: [usize; 2],
     pub intersections: &'a IntersectionLists,
     pub thresholds: [F; 3],
-    /// How many Gaussians each tile would list by [`Culling::Ellipse`], where it is another that made the lists and tells them
-    /// apart by [`is_long`]: which arithmetic a tile takes must not depend on what it lists in vain.
+    /// Number of Gaussians that each tile would list under [`Culling::Ellipse`]. Present if another culling made the
+    /// lists and [`is_long`] may tell them apart: the arithmetic of a tile must not depend on the Gaussians that it
+    /// lists in vain.
     needed: Option<Vec<u32>>,
-    /// Whether `exp` is the library's.
+    /// Whether `exp` is the standard library's function.
     pub library: bool,
 }
 
@@ -67,7 +68,7 @@ impl<'a, F: Real> Prepared<'a, F> {
         }
     }
 
-    /// See [`fn@is_long`].
+    /// Whether the tile's list is long; see [`fn@is_long`].
     pub fn is_long(&self, tile: usize) -> bool {
         let listed = self.intersections.tile_start[tile + 1] - self.intersections.tile_start[tile];
         is_long(self.needed.as_ref().map_or(listed, |needed| needed[tile] as usize), self.thresholds[0])

@@ -1,4 +1,4 @@
-//! `rasterize` against a sum written out pixel by pixel and against central finite differences.
+//! Tests of `rasterize` against a sum written out pixel by pixel and against central finite differences.
 
 use super::cpu::{rasterize_backward_cpu, rasterize_cpu};
 use super::{Layers, RasterizeSpec};
@@ -14,7 +14,7 @@ use crate::testing::random::Random;
 
 const ALL: Layers<bool> = Layers { projected: true, features: true, background: true, mean2d_abs: true };
 
-/// Packed ellipses, features, background.
+/// Inputs of the stage: packed ellipses, features, background.
 #[derive(Clone)]
 struct StageInputs {
     inputs: [Vec<f64>; 3],
@@ -22,7 +22,7 @@ struct StageInputs {
 }
 
 impl StageInputs {
-    /// `opacity` is the range that opacities are drawn from.
+    /// Draws a random scene. `opacity` is the range of the opacities.
     fn random(
         seed: u64,
         count: usize,
@@ -69,7 +69,7 @@ impl StageInputs {
         Random::new(seed).fill(self.spec.planes(self.channels()) * self.pixels(), -1.0, 1.0)
     }
 
-    /// What a pixel sees of an ellipse, before the limit.
+    /// Returns the alpha of an ellipse at a pixel, before the limit.
     fn alpha(&self, pixel: usize, e: &Ellipse<f64>) -> f64 {
         let width = self.spec.intrinsics.width;
         let (dx, dy) = ((pixel % width) as f64 + 0.5 - e.mean_px[0], (pixel / width) as f64 + 0.5 - e.mean_px[1]);
@@ -95,7 +95,7 @@ fn inputs<F>([projected, features, background]: &[Vec<F>; 3]) -> Layers<&'_ [F]>
     Layers { projected, features, background, mean2d_abs: &[] }
 }
 
-/// The definition, pixel by pixel.
+/// Computes the planes by the definition, pixel by pixel.
 fn planes_by_definition(scene: &StageInputs) -> Vec<f64> {
     let [packed, features, background] = &scene.inputs;
     let ellipses: Vec<Ellipse<f64>> = packed.chunks_exact(COLUMNS).map(Ellipse::from_row).collect();
@@ -122,7 +122,7 @@ fn planes_are_those_of_the_definition() {
     }
 }
 
-/// How close any alpha comes to `value` before the clamp.
+/// Returns the smallest distance of any alpha, before the clamp, from `value`.
 fn nearest_alpha(scene: &StageInputs, value: f64) -> f64 {
     let pairs =
         scene.inputs[0].chunks_exact(COLUMNS).flat_map(|row| (0..scene.pixels()).map(move |pixel| (row, pixel)));
@@ -132,12 +132,13 @@ fn nearest_alpha(scene: &StageInputs, value: f64) -> f64 {
 
 #[test]
 fn every_gradient_agrees_with_finite_differences() {
-    // Each number of channels that has a loop of its own, with and without depth as a further one.
+    // Each number of channels that has a loop of its own, with and without depth as one more channel.
     for channels in [1, 3, 4, 7] {
         for depth in [false, true] {
             let options = smooth(0.8).with_depth(depth);
             let scene = |seed| StageInputs::random(seed, 14, (20, 13), channels, [0.4, 1.0], options);
-            // There is no derivative where an alpha meets its limit: take a scene in which no step gets there.
+            // There is no derivative where an alpha meets its limit, so the test takes a scene in which no step gets
+            // there.
             let first = 1000 * channels as u64 + 500 * u64::from(depth);
             let scene = (first..first + 500).map(scene).find(|scene| nearest_alpha(scene, 0.8) > 1e-3);
             let scene = scene.expect("one scene in some tens is clear of the limit");
@@ -159,11 +160,11 @@ fn gradients_hold_over_several_checkpoints() {
 
 #[test]
 fn gradients_hold_on_long_lists() {
-    // Enough faint Gaussians over every pixel that the tile is blended with compensation, in any number of channels.
+    // Enough faint Gaussians over every pixel that the tile is rasterized with compensation, in any number of channels.
     for channels in [3, 5] {
         let mut scene = StageInputs::random(51, 400, (12, 9), channels, [0.002, 0.03], smooth(0.99).with_depth(true));
         for (i, row) in scene.inputs[0].chunks_exact_mut(COLUMNS).enumerate().filter(|(_, row)| row[5] > 0.0) {
-            // Farther apart than they are moved, in no order.
+            // Depths farther apart than finite differences move them, in no order.
             row[5] = 1.01_f64.powi((171 * i % 400) as i32);
         }
         scene.check(&format!("{channels} channels"), 41);
@@ -222,7 +223,7 @@ fn each_gradient_is_the_same_alone_and_without_a_trace() {
 
 #[test]
 fn many_layers_behind_an_opaque_one_keep_their_digits() {
-    // Where 1 − alpha is 1e-9, dividing by it, or taking a prefix from a total, would leave noise.
+    // Where 1 − alpha is 1e-9, dividing by it, or subtracting a prefix sum from a total, would leave noise.
     let mut scene = StageInputs::random(90, 200, (6, 5), 3, [0.3, 1.0], smooth(1.0 - 1e-9));
     let wall = Ellipse { mean_px: [2.5, 2.5], sigma_u: 4.0, shear: 0.1, sigma_v: 3.0, depth: 4.0, opacity: 1.0 };
     scene.inputs[0][..COLUMNS].copy_from_slice(&wall.to_row());

@@ -1,5 +1,5 @@
-//! One tile of the picture, forwards: the arithmetic of a layer, shared by both passes of the CPU twin so that the
-//! backward pass sees the very bits of the forward pass.
+//! Forward pass of the CPU twin over one tile, and the arithmetic of a layer. Both passes share that arithmetic, so
+//! that the backward pass sees the very bits of the forward pass.
 
 use fearless_simd::prelude::*;
 
@@ -7,26 +7,28 @@ use super::footprint::{Column, Footprint, FootprintSimd, ROW_VECTORS, ROWS};
 use crate::intersect::{TILE, TILE_PIXELS};
 use crate::simd::real::{EXP2_CONSTANTS, LANES, Real};
 
-/// The transmittance of a tile is kept each time this many Gaussians have been passed.
+/// Number of Gaussians between two checkpoints of a tile's transmittances.
 pub(super) const CHECKPOINT_EVERY: usize = 64;
 
-/// Sums over more Gaussians than this are sums of such sums: one by one in f32, the last of 10,000 faint layers would be
-/// too small to change the sum. Only those count that reach a pixel: what a tile lists in vain must change no bit.
+/// Number of Gaussians in a partial sum. A longer sum is a sum of partial sums: added one by one in f32, the last of
+/// 10,000 faint layers would be too small to change it. Only Gaussians that reach a pixel count: a Gaussian that a tile
+/// lists in vain must change no bit.
 const SUM_LENGTH: usize = 8 * CHECKPOINT_EVERY;
 
-/// Whether a list of intersections is blended with [`Transmittances::lost`] and shorter sums. That takes a fifth longer. Where it is
-/// not, roundings do not add up to what an f32 picture can show: lists are short enough, or if they are not very short, no
-/// layer is so faint that it alone would change no digit. Nothing but rounding depends on it.
+/// Whether a list of intersections is rasterized with [`Transmittances::lost`] and shorter partial sums, which takes a
+/// fifth longer. Otherwise roundings do not add up to a difference that an f32 picture can show: the list is short
+/// enough, and if it is not very short, no layer is so faint that it alone would change no digit. Only rounding depends
+/// on this choice.
 pub(super) fn is_long<F: Real>(intersections: usize, alpha_min: F) -> bool {
     const LONG: usize = 2048;
     const LONG_FOR_FAINT: usize = 256;
     intersections > if alpha_min >= F::of(1e-3) { LONG } else { LONG_FOR_FAINT }
 }
 
-/// The transmittances of a tile's pixels, in two parts: `lost` is what rounding took from `kept`, less than half an ulp of it.
-/// Without it the roundings of many layers add up.
+/// Transmittances of a tile's pixels, in two parts: `lost` is what rounding took from `kept`, less than half an ulp of
+/// it. Without `lost` the roundings of many layers add up.
 ///
-/// Functions with the parameter `LONG`, see [`is_long`], leave it zero where that is false.
+/// Functions with the parameter `LONG` (see [`is_long`]) leave `lost` zero if it is false.
 #[derive(Clone, Copy)]
 pub(super) struct Transmittances<F> {
     /// Negated where a pixel is finished.
@@ -39,7 +41,7 @@ impl<F: Real> Transmittances<F> {
         Self { kept, lost: [F::ZERO; TILE_PIXELS] }
     }
 
-    /// Appends what [`Self::resume`] needs.
+    /// Appends the values that [`Self::resume`] reads.
     pub fn keep<const LONG: bool>(&self, checkpoints: &mut Vec<F>) {
         checkpoints.extend_from_slice(&self.kept);
         if LONG {
@@ -47,7 +49,7 @@ impl<F: Real> Transmittances<F> {
         }
     }
 
-    /// As they were at a checkpoint, by its number.
+    /// Returns the transmittances at the checkpoint with this number.
     pub fn resume<const LONG: bool>(checkpoints: &[F], number: usize) -> Self {
         let parts = if LONG { 2 } else { 1 };
         let part = |part: usize| {
@@ -57,7 +59,7 @@ impl<F: Real> Transmittances<F> {
         Self { kept: part(0), lost: if LONG { part(1) } else { [F::ZERO; TILE_PIXELS] } }
     }
 
-    /// Both parts of eight pixels, from the one with this number on, on each of [`ROWS`] rows.
+    /// Loads both parts of eight pixels, from pixel `first` on, on each of [`ROWS`] rows.
     #[inline(always)]
     pub fn load<S: Simd, const LONG: bool>(&self, simd: S, first: usize) -> [[F::Lanes<S>; 2]; ROWS] {
         let mut rows = [[F::Lanes::<S>::splat(simd, F::ZERO); 2]; ROWS];
@@ -81,10 +83,11 @@ impl<F: Real> Transmittances<F> {
     }
 }
 
-/// One number for each of a tile's pixels.
+/// One value for each pixel of a tile.
 pub(super) type Plane<F> = [F; TILE_PIXELS];
 
-/// Eight pixels of a plane, from the one with this number on, which is a multiple of eight. Written so that it takes no check.
+/// Returns eight pixels of a plane from pixel `first` on, a multiple of eight. The form of the expression avoids a
+/// bounds check.
 #[inline(always)]
 pub(super) fn eight<F>(plane: &Plane<F>, first: usize) -> &[F; LANES] {
     &plane.as_chunks::<LANES>().0[first % TILE_PIXELS / LANES]
@@ -97,7 +100,7 @@ fn eight_mut<F>(plane: &mut Plane<F>, first: usize) -> &mut [F; LANES] {
 
 /// Thresholds of the render, one copy in each lane.
 ///
-/// `LIBRARY` says whether `exp` is the library's, see [`crate::Exponential`].
+/// `LIBRARY` says whether `exp` is the standard library's function; see [`crate::Exponential`].
 #[derive(Clone, Copy)]
 pub(super) struct Thresholds<S: Simd, F: Real, const LIBRARY: bool> {
     alpha_min: F::Lanes<S>,
@@ -113,7 +116,7 @@ impl<S: Simd, F: Real, const LIBRARY: bool> Thresholds<S, F, LIBRARY> {
     #[inline(always)]
     pub fn new(simd: S, alpha_min: F, alpha_max: F, transmittance_min: F) -> Self {
         let lanes = |value| F::Lanes::<S>::splat(simd, value);
-        // A threshold of zero leaves out nothing, not even what is behind an alpha of one.
+        // A threshold of zero leaves out nothing, not even layers behind an alpha of one.
         let never = if transmittance_min > F::ZERO { transmittance_min } else { -F::ONE };
         let mut rows = [lanes(F::ZERO); TILE];
         for (number, row) in rows.iter_mut().enumerate() {
@@ -129,20 +132,21 @@ impl<S: Simd, F: Real, const LIBRARY: bool> Thresholds<S, F, LIBRARY> {
             transmittance_min: lanes(never),
             zero: lanes(F::ZERO),
             rows,
-            // Kept in memory, from where each takes part in an instruction; the compiler would make it anew each time.
+            // The constants stay in memory, where instructions read them as operands; the compiler would rebuild them
+            // each time.
             exp2: std::hint::black_box(exp2),
         }
     }
 
-    /// The number of a row of a tile.
+    /// Number of a row of a tile, one copy in each lane.
     #[inline(always)]
     pub fn row(&self, row: usize) -> F::Lanes<S> {
         self.rows[row % TILE]
     }
 
-    /// Passes one Gaussian over the eight pixels of a column on [`ROWS`] rows, from this one on:
-    /// their alphas (zero where it does not show) and their transmittances behind it. A pixel that is finished has its
-    /// transmittance negated; `None` if the Gaussian reaches none of them.
+    /// Passes one Gaussian over the eight pixels of a column on [`ROWS`] rows, from `row` on. Returns their alphas
+    /// (zero where it does not show) and their transmittances behind it, negated where a pixel is finished; `None` if
+    /// the Gaussian reaches none of the pixels.
     #[inline(always)]
     pub fn layers<const LONG: bool>(
         &self,
@@ -175,7 +179,7 @@ impl<S: Simd, F: Real, const LIBRARY: bool> Thresholds<S, F, LIBRARY> {
             finishes[row] = shows & behind[row][0].simd_le(self.transmittance_min);
         }
         let mut finished = 0;
-        // Happens once to a pixel at most.
+        // A pixel finishes at most once.
         if any(finishes).any_true() {
             for row in 0..ROWS {
                 finished += finishes[row].to_bitmask().count_ones() as usize;
@@ -188,7 +192,7 @@ impl<S: Simd, F: Real, const LIBRARY: bool> Thresholds<S, F, LIBRARY> {
     }
 }
 
-/// Where any of the masks is set.
+/// Returns the union of the masks.
 #[inline(always)]
 fn any<M: Copy + std::ops::BitOr<Output = M>>(masks: [M; ROWS]) -> M {
     let mut all = masks[0];
@@ -198,7 +202,8 @@ fn any<M: Copy + std::ops::BitOr<Output = M>>(masks: [M; ROWS]) -> M {
     all
 }
 
-/// `T (1 − α)`, in two parts. `1 − α` would be rounded before it is used, for all layers of one faint alpha the same way.
+/// `T (1 − α)`, in two parts. `1 − α` is not computed: its rounding would be the same for all layers of one faint
+/// alpha.
 #[inline(always)]
 fn pass<S: Simd, F: Real, const LONG: bool>(
     alpha: F::Lanes<S>,
@@ -207,33 +212,33 @@ fn pass<S: Simd, F: Real, const LONG: bool>(
     if !LONG {
         return [(-alpha).mul_add(transmittance, transmittance), lost];
     }
-    // (T + lost)(1 − α) as Kahan (1965) adds.
+    // (T + lost)(1 − α) by the compensated addition of Kahan (1965).
     let change = (-alpha).mul_add(transmittance, (-alpha).mul_add(lost, lost));
     let behind = transmittance + change;
     [behind, change - (behind - transmittance)]
 }
 
-/// What a Gaussian did to eight pixels on each of [`ROWS`] rows.
+/// Result of passing a Gaussian over eight pixels on each of [`ROWS`] rows.
 pub(super) struct Layers<S: Simd, F: Real> {
     pub alpha: [F::Lanes<S>; ROWS],
-    /// Both parts of the transmittances behind it.
+    /// Both parts of the transmittances behind the Gaussian.
     pub behind: [[F::Lanes<S>; 2]; ROWS],
-    /// Pixels that are finished from now on.
+    /// Number of pixels that the Gaussian finishes.
     pub finished: usize,
 }
 
-/// Where a tile lies, and which Gaussians it sees.
+/// Position of a tile and the Gaussians that it lists.
 #[derive(Clone, Copy)]
 pub(super) struct TileView<'a, F> {
-    /// Its first pixel.
+    /// First pixel of the tile.
     pub origin: [usize; 2],
-    /// Pixels of it inside the picture along x and y.
+    /// Number of the tile's pixels inside the picture along x and y.
     pub size: [usize; 2],
-    /// Gaussians of its intersections, front to back.
+    /// Gaussians of the tile's intersections, front to back.
     pub gaussians: &'a [u32],
-    /// By Gaussian.
+    /// Footprint of each Gaussian.
     pub footprints: &'a [Footprint<F>],
-    /// `[N, channels]`, by Gaussian.
+    /// `[N, channels]`: colours of each Gaussian.
     pub colours: &'a [F],
     pub channels: usize,
 }
@@ -250,7 +255,7 @@ impl<F: Real> TileView<'_, F> {
         &self.colours[first..first + self.channels]
     }
 
-    /// One inside the picture, finished outside it.
+    /// Initial transmittances: one inside the picture, finished outside it.
     #[inline(always)]
     pub fn open_transmittance(&self) -> [F; TILE_PIXELS] {
         let mut transmittance = [-F::ONE; TILE_PIXELS];
@@ -261,10 +266,10 @@ impl<F: Real> TileView<'_, F> {
     }
 }
 
-/// Gaussians of a tile, side by side. They lie all over memory; fetched together, one wait serves them all.
+/// Gaussians of a tile, copied side by side. They are scattered in memory; fetched together, their latencies overlap.
 pub(super) struct Near<F, const C: usize> {
     pub footprints: [Footprint<F>; CHECKPOINT_EVERY],
-    /// Where the number of channels is known at compile time.
+    /// Colours, if the number of channels is known at compile time.
     pub colours: [[F; C]; CHECKPOINT_EVERY],
 }
 
@@ -276,7 +281,7 @@ impl<F: Real, const C: usize> Default for Near<F, C> {
 }
 
 impl<F: Real, const C: usize> Near<F, C> {
-    /// Fetches the first [`CHECKPOINT_EVERY`] of them.
+    /// Copies the first [`CHECKPOINT_EVERY`] of `gaussians`.
     #[inline(always)]
     pub fn gather(&mut self, view: &TileView<F>, gaussians: &[u32]) {
         for ((footprint, colour), &gaussian) in self.footprints.iter_mut().zip(&mut self.colours).zip(gaussians) {
@@ -306,7 +311,7 @@ pub(super) fn colour_lanes<S: Simd, F: Real, const C: usize>(simd: S, colour: &[
     lanes
 }
 
-/// Adds to totals, each with what rounding took from it (Kahan 1965), and leaves zeros.
+/// Adds `sums` to `totals`, each with what rounding took from it (Kahan 1965), and sets `sums` to zero.
 fn move_into<F: Real>(sums: &mut [F], totals: &mut [[F; 2]]) {
     for ([total, lost], sum) in totals.iter_mut().zip(sums) {
         let (change, before) = (*sum + *lost, *total);
@@ -316,11 +321,11 @@ fn move_into<F: Real>(sums: &mut [F], totals: &mut [[F; 2]]) {
     }
 }
 
-/// Blends a tile: `planes` gets `[channels + 1, 256]`, the sums `Σ w c` and the transmittance (positive). Returns how
-/// many Gaussians were passed before all pixels were finished; `checkpoints`, if given, gets the transmittances before
-/// each [`CHECKPOINT_EVERY`]th Gaussian but the first.
+/// Rasterizes a tile. Writes the sums `Σ w c` and the transmittance (positive) to `planes`, `[channels + 1, 256]`.
+/// Returns the number of Gaussians passed before all pixels were finished. `checkpoints`, if given, receives the
+/// transmittances before each [`CHECKPOINT_EVERY`]th Gaussian but the first.
 ///
-/// `C` is the number of channels where it is known at compile time, else zero.
+/// `C` is the number of channels if it is known at compile time, else zero.
 #[inline(always)]
 pub(super) fn rasterize_tile<S: Simd, F: Real, const C: usize, const LONG: bool, const LIBRARY: bool>(
     simd: S,

@@ -1,5 +1,5 @@
-//! One tile of the picture, backwards: chunk by chunk from the last, each chunk first forwards again from its
-//! checkpoint, then back to front.
+//! Backward pass of the CPU twin over one tile. It takes chunks of Gaussians from the last to the first. Each chunk
+//! runs forwards again from its checkpoint, then back to front.
 //!
 //! The gradient of the picture's planes at a pixel, `g`, is the same for every layer, so the recursion needs one number
 //! per pixel instead of one per plane: `ρᵢ = g·Rᵢ = αᵢ (g·cᵢ) + (1 − αᵢ) ρᵢ₊₁`, and `∂L/∂αᵢ = Tᵢ (g·cᵢ − ρᵢ₊₁)`.
@@ -11,38 +11,38 @@ use super::tile::{CHECKPOINT_EVERY, Near, Plane, Thresholds, TileView, Transmitt
 use crate::intersect::{TILE, TILE_PIXELS};
 use crate::simd::real::{LANES, Real};
 
-/// Numbers per intersection that do not depend on the channels: the sums of `h, h u, h v, h u², h u v, h v²` with
-/// `h = α ∂L/∂α` where alpha is not at its limit.
+/// Number of values per intersection that do not depend on the channels: the sums of `h, h u, h v, h u², h u v, h v²`
+/// with `h = α ∂L/∂α` where alpha is not at its limit.
 pub(super) const MOMENTS: usize = 6;
 
-/// What the backward pass of a tile reads besides its [`TileView`].
+/// Inputs of a tile's backward pass besides its [`TileView`].
 pub(super) struct TileGrad<'a, F> {
     /// `[channels + 1, 256]`: gradients of the sums `Σ w c` and of alpha; zero outside the picture.
     pub planes: &'a [Plane<F>],
-    /// `[256]`: `g · background`, the recursion's start.
+    /// `[256]`: `g · background`, the start of the recursion.
     pub behind: &'a [F],
-    /// What [`Transmittances::keep`] kept before each [`CHECKPOINT_EVERY`]th Gaussian but the first.
+    /// Values that [`Transmittances::keep`] stored before each [`CHECKPOINT_EVERY`]th Gaussian but the first.
     pub checkpoints: &'a [F],
-    /// Gaussians that the forward pass passed.
+    /// Number of Gaussians that the forward pass passed.
     pub passed: usize,
     /// Whether the sums of absolute values are wanted.
     pub absolute: bool,
 }
 
-/// Blocks of a tile: a vector of pixels on each of [`ROWS`] rows.
+/// Number of blocks in a tile. A block is a vector of pixels on each of [`ROWS`] rows.
 const TILE_BLOCKS: usize = TILE_PIXELS / (ROWS * LANES);
 
-/// A Gaussian on a block: transmittances before it and alphas, row by row. The last pass over a Gaussian replaces the first by
-/// its weights.
+/// Transmittances before a Gaussian and its alphas on a block, row by row. The last pass over the Gaussian replaces the
+/// transmittances by its weights.
 type BlockAlphas<F> = [[F; 2 * LANES]; ROWS];
 
 /// Buffers that one thread reuses from tile to tile, sized for a chunk whose Gaussians show in every pixel.
 pub(super) struct TileScratch<F> {
-    /// For each block that a Gaussian of the chunk shows in.
+    /// One entry for each pair of a Gaussian of the chunk and a block that it shows in.
     layers: Vec<BlockAlphas<F>>,
-    /// Where in the tile each of them lies.
+    /// Position in the tile of each entry's block.
     places: Vec<u16>,
-    /// Where each Gaussian of the chunk begins in the two.
+    /// First entry of each Gaussian of the chunk in `layers` and `places`.
     starts: [usize; CHECKPOINT_EVERY + 1],
 }
 
@@ -56,8 +56,8 @@ impl<F: Real> Default for TileScratch<F> {
     }
 }
 
-/// Fills `intersections`, `[passed, MOMENTS + channels (+ 2)]`, with each intersection's sums over the tile, and returns with
-/// `transmittance` as it is behind all layers (negated where finished).
+/// Fills `intersections`, `[passed, MOMENTS + channels (+ 2)]`, with each intersection's sums over the tile. Sets
+/// `transmittance_behind` to the transmittances behind all layers (negated where finished).
 #[inline(always)]
 pub(super) fn rasterize_tile_backward<S: Simd, F: Real, const C: usize, const LONG: bool, const LIBRARY: bool>(
     simd: S,
@@ -69,7 +69,7 @@ pub(super) fn rasterize_tile_backward<S: Simd, F: Real, const C: usize, const LO
 ) {
     let channels = if C == 0 { view.channels } else { C };
     let columns = MOMENTS + channels + if grad.absolute { 2 } else { 0 };
-    // In two parts, as transmittances are.
+    // `ρ` has two parts, like the transmittances.
     let mut rho = Transmittances::new([F::ZERO; TILE_PIXELS]);
     rho.kept.copy_from_slice(grad.behind);
     let chunks = grad.passed.div_ceil(CHECKPOINT_EVERY);
@@ -103,7 +103,7 @@ pub(super) fn rasterize_tile_backward<S: Simd, F: Real, const C: usize, const LO
     }
 }
 
-/// The forward pass over one chunk, remembering what it met.
+/// Runs the forward pass over one chunk and stores the layers that it meets.
 #[inline(always)]
 fn forwards<S: Simd, F: Real, const LONG: bool, const LIBRARY: bool>(
     simd: S,
@@ -140,7 +140,8 @@ fn forwards<S: Simd, F: Real, const LONG: bool, const LIBRARY: bool>(
     scratch.starts[near.len()] = met;
 }
 
-/// One Gaussian, back to front: its sums over the pixels it shows in, and `rho` stepped in front of it.
+/// Passes one Gaussian back to front: writes its sums over the pixels that it shows in to `row`, and updates `rho` to
+/// its value in front of the Gaussian.
 #[inline(always)]
 fn backwards<S: Simd, F: Real, const C: usize, const LONG: bool, const LIBRARY: bool>(
     grad: &TileGrad<F>,
