@@ -55,8 +55,8 @@ pub struct RenderOptions {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Default)]
 #[non_exhaustive]
 pub enum Projection {
-    /// Value of the ellipse that results from linearising the projection at the Gaussian's centre (EWA splatting, Zwicker et al.
-    /// 2001). Accurate if the Gaussian is small compared with its distance.
+    /// Value of the ellipse that results from linearising the projection at the Gaussian's centre (EWA splatting, Zwicker et
+    /// al. 2001). Accurate if the Gaussian is small compared with its distance.
     #[default]
     Affine,
     /// Exact maximum of the Gaussian along the pixel's ray; see [`crate::rasterize_rays`]. For pinhole cameras only. It ignores

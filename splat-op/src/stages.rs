@@ -31,9 +31,9 @@ pub struct Ellipses {
     pub shear: Tensor<1>,
     /// `[N]`: standard deviation along y at fixed x, px.
     pub sigma_v: Tensor<1>,
-    /// `[N]`: camera z of the centres, scene units; zero where culled.
+    /// `[N]`: camera z of the centres, scene units; zero for culled Gaussians.
     pub depth: Tensor<1>,
-    /// `[N]`: opacities, compensated if the render is anti-aliased; zero where culled.
+    /// `[N]`: opacities, compensated if the render is anti-aliased; zero for culled Gaussians.
     pub opacity: Tensor<1>,
 }
 

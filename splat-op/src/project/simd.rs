@@ -357,7 +357,7 @@ impl<S: Simd, F: Real> ProjectionTermsSimd<S, F> {
     }
 
     /// Gradient of a quaternion of any length from that of its rotation matrix: through [`rotation_of`], then through the
-    /// normalisation `q / |q|`, which leaves only what is normal to the unit quaternion. If the length is so short that the
+    /// normalisation `q / |q|`, which leaves only the component normal to the unit quaternion. If the length is so short that the
     /// gradient exceeds the float's range, the gradient is clamped to that range.
     #[inline(always)]
     fn quaternion_backward(&self, g: &Mat3<F::Lanes<S>>) -> [F::Lanes<S>; 4] {
