@@ -1,4 +1,4 @@
-//! One Gaussian, one picture, one gradient.
+//! Renders one Gaussian, and prints its picture and the gradient of its centre.
 use burn::tensor::{Device, Tensor};
 use glam::{DAffine3, DVec3};
 use splat_op::{Camera, Colour, Extras, Intrinsics, RenderOptions, Splats, render};

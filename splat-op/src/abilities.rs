@@ -1,31 +1,31 @@
-//! What the kernels find on a GPU, for programs that tell their users.
+//! Features of a GPU that the kernels use, for programs that report them to their users.
 
 use burn::backend::DispatchDevice;
 use burn::tensor::Device;
 
 use crate::gpu::Gpu;
 
-/// What a device can do of that which the kernels use where it is there, and do without where it is not.
+/// Optional features of a device. The kernels use each one if the device supports it and a fallback if it does not.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Abilities {
-    /// Units of a plane (subgroup, warp) can compute together; else they go through shared memory.
+    /// Whether plane (subgroup, warp) operations are supported. The fallback is shared memory.
     pub planes: bool,
-    /// f32 can be added atomically; else by exchanging its bits.
+    /// Whether atomic addition of f32 is supported. The fallback exchanges the bits atomically.
     pub float_atomics: bool,
 }
 
 impl Abilities {
-    /// Those of a GPU, which is opened for it if it was not yet; `None` for a CPU device.
+    /// Returns the features of a GPU, which is opened if necessary; `None` for a CPU device.
     ///
     /// # Panics
-    /// If the driver does not open the device.
+    /// If the driver cannot open the device.
     pub fn of(device: &Device) -> Option<Self> {
         gpu(device).map(|Gpu { planes, float_atomics, .. }| Self { planes, float_atomics })
     }
 }
 
-/// As the launches see a device, which is opened for it if it was not yet; `None` for a CPU device.
+/// Returns the launches' handle of a GPU, which is opened if necessary; `None` for a CPU device.
 pub(crate) fn gpu(device: &Device) -> Option<Gpu> {
     match device.clone().inner().as_dispatch() {
         DispatchDevice::Cube(device) => Some(Gpu::new(&device.client())),

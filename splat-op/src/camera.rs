@@ -1,7 +1,7 @@
-//! Cameras: frames and pixel conventions.
+//! Cameras: intrinsics, lens models, poses, and the conventions of frames and pixels.
 //!
 //! Axes are OpenCV's: +x right, +y down, +z forward. Pixel centres lie at +0.5, so the first pixel of a row covers
-//! `0..1`. Index maps read target-from-source: `mean_cam = cam_from_world * mean_world`.
+//! `0..1`. Names of maps read target-from-source: `mean_cam = cam_from_world * mean_world`.
 
 mod lens;
 #[cfg(test)]
@@ -14,15 +14,16 @@ use crate::error::SplatError;
 
 pub use self::lens::Projector;
 
-/// The widest or tallest picture that is accepted, px.
+/// Largest width or height of a picture that is accepted, px.
 pub const MAX_SIDE_PX: usize = 32_768;
 
-/// The largest coefficient of a lens that is accepted; products of two still fit an f32, and real ones are far below.
+/// Largest absolute value of a distortion coefficient that is accepted. Products of two still fit an f32, and coefficients of
+/// real lenses are far smaller.
 pub const MAX_COEFFICIENT: f64 = 1e9;
 
-/// How a point in the camera's frame meets the image plane.
+/// The projection of a point in the camera's frame onto the image plane.
 ///
-/// A model maps the point to a position `d` in units of the focal length, and the picture's is `fx dₓ + cx, fy d_y + cy`. With
+/// A model maps the point to a position `d` in units of the focal length; its pixel position is `fx dₓ + cx, fy d_y + cy`. With
 /// the slopes `s = (x/z, y/z)` or, for the fisheye models, the angles `s = (x, y) θ/ρ` with `ρ = √(x² + y²)` and
 /// `θ = atan2(ρ, z)`, and with `w = |s|²`, it is
 ///
@@ -30,7 +31,7 @@ pub const MAX_COEFFICIENT: f64 = 1e9;
 /// d = s g(w) + 2 (P·s) s + (P + S) w        P = (p2, p1), S = (sx1, sy1)
 /// ```
 ///
-/// These are COLMAP's models (`src/colmap/sensor/models.h`), those of OpenCV under other names. A coefficient that a model lacks
+/// The models are COLMAP's (`src/colmap/sensor/models.h`) and, under other names, OpenCV's. A coefficient that a model lacks
 /// is zero: with `k2 = p1 = p2 = 0`, `OpenCv` is COLMAP's `SIMPLE_RADIAL`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Default)]
 #[non_exhaustive]
@@ -38,12 +39,13 @@ pub enum CameraModel {
     /// `d = s`: straight lines stay straight.
     #[default]
     Pinhole,
-    /// COLMAP's `OPENCV`, and with zeros `SIMPLE_RADIAL` and `RADIAL`: `k1, k2, p1, p2`, `g = 1 + k1 w + k2 w²`.
+    /// COLMAP's `OPENCV`; with zero coefficients also `SIMPLE_RADIAL` and `RADIAL`: `k1, k2, p1, p2`, `g = 1 + k1 w + k2 w²`.
     OpenCv,
     /// COLMAP's `FULL_OPENCV`: `k1, k2, p1, p2, k3, k4, k5, k6`,
     /// `g = (1 + k1 w + k2 w² + k3 w³) / (1 + k4 w + k5 w² + k6 w³)`.
     FullOpenCv,
-    /// Equidistant, COLMAP's `OPENCV_FISHEYE`, and with zeros `FISHEYE`, `SIMPLE_RADIAL_FISHEYE` and `RADIAL_FISHEYE`:
+    /// Equidistant fisheye, COLMAP's `OPENCV_FISHEYE`; with zero coefficients also `FISHEYE`, `SIMPLE_RADIAL_FISHEYE` and
+    /// `RADIAL_FISHEYE`:
     /// `k1, k2, k3, k4`, `g = 1 + k1 w + k2 w² + k3 w³ + k4 w⁴`.
     Fisheye,
     /// COLMAP's `THIN_PRISM_FISHEYE`: `k1, k2, p1, p2, k3, k4, sx1, sy1`, `g` as for `Fisheye`.
@@ -51,7 +53,7 @@ pub enum CameraModel {
 }
 
 impl CameraModel {
-    /// How many of [`Intrinsics::distortion`] it takes.
+    /// Returns the number of [`Intrinsics::distortion`] coefficients that the model uses.
     pub const fn coefficients(self) -> usize {
         match self {
             Self::Pinhole => 0,
@@ -60,16 +62,16 @@ impl CameraModel {
         }
     }
 
-    /// Whether it maps angles, not slopes.
+    /// Returns whether the model maps angles instead of slopes.
     pub const fn is_fisheye(self) -> bool {
         matches!(self, Self::Fisheye | Self::ThinPrismFisheye)
     }
 }
 
-/// Size of the picture and the projection onto it.
+/// Intrinsic parameters of a camera: the size of its picture and the projection onto it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Intrinsics {
-    /// The projection.
+    /// Camera model.
     pub model: CameraModel,
     /// Width of the picture, px.
     pub width: usize,
@@ -83,12 +85,13 @@ pub struct Intrinsics {
     pub cx: f64,
     /// Principal point, px from the upper border.
     pub cy: f64,
-    /// The model's coefficients in the order of its documentation, then zeros.
+    /// Distortion coefficients in the order that [`CameraModel`] documents, then zeros.
     pub distortion: [f64; 8],
 }
 
 impl Intrinsics {
-    /// A pinhole camera with square pixels and its principal point in the middle of the picture.
+    /// Returns a pinhole camera with square pixels and its principal point at the centre of the picture. `focal_px` is the focal
+    /// length, px.
     pub const fn centred(width: usize, height: usize, focal_px: f64) -> Self {
         Self {
             model: CameraModel::Pinhole,
@@ -102,15 +105,15 @@ impl Intrinsics {
         }
     }
 
-    /// The same camera photographing `width` × `height` pixels: focal lengths and principal point scale with each axis.
-    /// The coefficients of the lens know no pixels and stay.
+    /// Returns the intrinsics of the same camera for a picture of `width` × `height` px. Focal lengths and principal point scale
+    /// with each axis. Distortion coefficients do not depend on the pixel size and stay.
     pub fn resized(&self, width: usize, height: usize) -> Self {
         let (x, y) = (width as f64 / self.width as f64, height as f64 / self.height as f64);
         Self { width, height, fx: self.fx * x, fy: self.fy * y, cx: self.cx * x, cy: self.cy * y, ..*self }
     }
 
-    /// Refuses sizes of zero or above [`MAX_SIDE_PX`], focal lengths that are not positive and finite, and coefficients above
-    /// [`MAX_COEFFICIENT`] or beyond those of the model.
+    /// Refuses sizes of zero or above [`MAX_SIDE_PX`], focal lengths that are not positive and finite, coefficients above
+    /// [`MAX_COEFFICIENT`], and non-zero coefficients that the model does not use.
     pub(crate) fn check(&self) -> Result<(), SplatError> {
         let side = |field, px: usize| match px {
             1..=MAX_SIDE_PX => Ok(()),
@@ -137,17 +140,18 @@ impl Intrinsics {
     }
 }
 
-/// A camera in the world. The pose is a tensor, so that it can be trained.
+/// A camera in the world: intrinsics and pose. The pose is a tensor, so that it can be optimised.
 #[derive(Clone, Debug)]
 pub struct Camera {
-    /// Size and projection.
+    /// Size of the picture and projection.
     pub intrinsics: Intrinsics,
-    /// `[3, 4]`: the rotation and translation that take world coordinates to the camera's.
+    /// `[3, 4]`: rotation and translation from the world frame to the camera's frame, `mean_cam = R * mean_world + t`; the
+    /// translation is in scene units.
     pub cam_from_world: Tensor<2>,
 }
 
 impl Camera {
-    /// A camera at a fixed pose, in the device's default float type.
+    /// Creates a camera at a fixed pose, with a tensor of the device's default float type.
     pub fn new(intrinsics: Intrinsics, cam_from_world: &DAffine3, device: &Device) -> Self {
         let (m, t) = (cam_from_world.matrix3, cam_from_world.translation);
         let rows: Vec<f64> = (0..3).flat_map(|i| [m.x_axis[i], m.y_axis[i], m.z_axis[i], t[i]]).collect();

@@ -1,4 +1,4 @@
-//! Checks of tensors where they enter, once: shape, float type, device.
+//! Checks of input tensors: shape, float type and device.
 
 use burn::tensor::{DType, Device, Tensor, TensorCreationOptions};
 
@@ -12,7 +12,7 @@ pub(crate) struct Reference {
 }
 
 impl Reference {
-    /// Those of `tensor`, whose type must be one that some backend computes in.
+    /// Takes the float type and device of `tensor`. The type must be supported by the device.
     pub fn new<const D: usize>(tensor: &Tensor<D>) -> Result<Self, SplatError> {
         let dtype = tensor.dtype();
         let device = tensor.device();
@@ -26,7 +26,7 @@ impl Reference {
         }
     }
 
-    /// For tensors made to go with the given ones.
+    /// Options that create a tensor with this type on this device.
     pub fn options(&self) -> TensorCreationOptions {
         (&self.device, self.dtype).into()
     }
@@ -42,7 +42,7 @@ impl Reference {
         self.check_of(name, tensor, shape, expected, false)
     }
 
-    /// The same for a tensor that may also be of half precision.
+    /// Compares a tensor as [`Self::check`] does, and also accepts half precision.
     pub fn check_or_half<const D: usize>(
         &self,
         name: &'static str,
@@ -79,13 +79,12 @@ impl Reference {
         self.check_device(name, &tensor.device())
     }
 
-    /// Refuses what does not fit into the device's buffers.
+    /// Refuses needs that do not fit into the device's buffers.
     pub fn check_fits(&self, needs: &[Need]) -> Result<(), SplatError> {
         check_fits(&self.device, needs)
     }
 
-    /// Compares a device with the reference. Whether gradients are tracked is a matter of its own: a constant may meet a
-    /// tracked tensor.
+    /// Compares a device with the reference, regardless of gradient tracking: constants and tracked tensors may be mixed.
     pub fn check_device(&self, name: &'static str, device: &Device) -> Result<(), SplatError> {
         let (found, expected) = (device.clone().without_autodiff(), self.device.clone().without_autodiff());
         if found != expected {

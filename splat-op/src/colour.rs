@@ -1,4 +1,4 @@
-//! From what Gaussians look like to what each shows a camera.
+//! Colours of Gaussians as a camera sees them.
 
 use burn::backend::Dispatch;
 use burn::tensor::Tensor;
@@ -13,16 +13,20 @@ use crate::sh::{Shading, sh_degree};
 use crate::splats::{Colour, Splats, sh_need, up_to_degree};
 use crate::stages::Projected;
 
-/// Colours `[N, 3]` of Gaussians seen from a camera, from spherical harmonics `[N, (degree+1)², 3]`.
+/// Evaluates spherical harmonics for the directions from a camera to Gaussians.
+///
+/// Takes coefficients `[N, (degree+1)², 3]`, degree 0 to 4, and centres `means` `[N, 3]`, world frame, scene units. Returns colours
+/// `[N, 3]`, at least 0. Differentiable in the coefficients, the centres and the pose. Equations and sources: [`crate::sh`].
 ///
 /// # Errors
 /// If a tensor's shape, type or device does not fit.
 pub fn evaluate_sh(sh: &Tensor<3>, means: &Tensor<2>, camera: &Camera) -> Result<Tensor<2>, SplatError> {
-    // Without ellipses to decide who is visible the options are not read.
+    // The options are read only to decide visibility, which needs ellipses.
     sh_visible(sh, means, camera, (None, &RenderOptions::standard()))
 }
 
-/// The same for Gaussians that can show in the picture that `visible` was projected for, if it is given, and zero for all others.
+/// Evaluates spherical harmonics as [`evaluate_sh`]. If `visible` is given, only Gaussians that can show in its picture get a
+/// colour; the colours of all others are zero.
 fn sh_visible(
     sh: &Tensor<3>,
     means: &Tensor<2>,
@@ -49,8 +53,9 @@ fn sh_visible(
     Ok(Tensor::from_dispatch(<Dispatch as SplatBackend>::evaluate_sh(inputs, visible.into(), spec)))
 }
 
-/// What each Gaussian shows a camera, `[N, C]`, whatever its colour is made of: [`evaluate_sh`](fn@evaluate_sh) for harmonics, and features as
-/// they are.
+/// Returns the colour or features `[N, C]` of each Gaussian as a camera sees it.
+///
+/// Spherical harmonics go through [`evaluate_sh`](fn@evaluate_sh); features are returned unchanged.
 ///
 /// # Errors
 /// If a tensor's shape, type or device does not fit.
@@ -58,7 +63,8 @@ pub fn colours(splats: &Splats, camera: &Camera) -> Result<Tensor<2>, SplatError
     colours_up_to(splats, camera, None)
 }
 
-/// The same without harmonics above a degree; `None` for all there are.
+/// Returns the colour or features `[N, C]` of each Gaussian as [`colours`] does, without harmonics above `degree`. `None` uses
+/// all degrees.
 ///
 /// # Errors
 /// As [`colours`].
@@ -69,11 +75,12 @@ pub fn colours_up_to(splats: &Splats, camera: &Camera, degree: Option<usize>) ->
     }
 }
 
-/// What each Gaussian shows in one picture, `[N, C]`: as [`colours`], without harmonics above `options.sh_degree`, and zero for
-/// Gaussians whose ellipses in `projected` cannot show, whose harmonics are not read. `sh/` says which those are.
+/// Returns the colour or features `[N, C]` of each Gaussian for one picture.
 ///
-/// The zeros are constants: no gradient flows through them. A render whose pixels look along their rays needs the colours of
-/// all, and gets them.
+/// The values are those of [`colours`] without harmonics above `options.sh_degree`. A Gaussian whose ellipse in `projected` cannot
+/// show in the picture gets a colour of zero, and its harmonics are not read; [`crate::sh`] defines which Gaussians these are.
+/// The zeros are constants: no gradient flows through them. Per-ray rasterization needs the colours of all Gaussians, so none is
+/// skipped for it. Features are returned unchanged.
 ///
 /// # Errors
 /// As [`colours`]; if `projected` has another number of Gaussians.
@@ -84,7 +91,7 @@ pub fn visible_colours(
     options: &RenderOptions,
 ) -> Result<Tensor<2>, SplatError> {
     match &splats.colour {
-        // Rays may meet Gaussians whose ellipses miss the picture.
+        // A ray may hit a Gaussian whose ellipse lies outside the picture.
         Colour::SphericalHarmonics(sh) => {
             let visible = (!options.along_rays()).then_some(projected);
             sh_visible(&up_to_degree(sh, options.sh_degree), &splats.means, camera, (visible, options))

@@ -1,12 +1,12 @@
-//! What can go wrong at the boundary of the operation.
+//! Errors at the boundary of the operation.
 
 use thiserror::Error;
 
-/// An input that the operation refuses, named so that it can be mended.
+/// An invalid input of the operation. The message names the input and what to change.
 #[derive(Debug, Clone, PartialEq, Error)]
 #[non_exhaustive]
 pub enum SplatError {
-    /// A tensor has another shape than its argument documents.
+    /// The shape of a tensor differs from the one that its argument documents.
     #[error("`{name}` has shape {found:?}, expected {expected}: {hint}")]
     Shape {
         /// The argument.
@@ -18,8 +18,8 @@ pub enum SplatError {
         /// What to change.
         hint: String,
     },
-    /// A tensor's element type differs from that of the means, or is none that its device computes in: f32, and f64 on
-    /// CPUs.
+    /// The element type of a tensor differs from that of the means, or its device does not support it. Supported are f32, and f64
+    /// on CPUs.
     #[error("`{name}` holds {found}, expected {expected}: cast it with `Tensor::cast`")]
     DType {
         /// The argument.
@@ -29,7 +29,7 @@ pub enum SplatError {
         /// The element type of the means.
         expected: String,
     },
-    /// A tensor lives on another device than the means.
+    /// A tensor is on another device than the means.
     #[error("`{name}` is on device {found}, expected {expected}: move it with `Tensor::to_device`")]
     Device {
         /// The argument.
@@ -39,28 +39,28 @@ pub enum SplatError {
         /// The device of the means.
         expected: String,
     },
-    /// Something does not fit into one buffer of the GPU.
+    /// An argument or result does not fit into one buffer of the GPU.
     #[error(
         "`{what}` needs {needed_bytes} bytes in one buffer, and the largest of this device holds {limit_bytes} bytes: {hint}"
     )]
     TooLarge {
-        /// What lies in the buffer: an argument or a result.
+        /// The argument or result.
         what: &'static str,
-        /// Its size.
+        /// Its size, bytes.
         needed_bytes: u64,
-        /// The size of the device's largest buffer.
+        /// The size of the device's largest buffer, bytes.
         limit_bytes: u64,
         /// What to change.
         hint: &'static str,
     },
-    /// A camera or option outside its range.
+    /// A field of a camera or of the options is out of range.
     #[error("`{field}` is {found}, expected {expected}")]
     Value {
         /// The field.
         field: &'static str,
         /// Its value.
         found: String,
-        /// The range.
+        /// The accepted values.
         expected: &'static str,
     },
 }

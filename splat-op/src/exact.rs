@@ -1,9 +1,10 @@
-//! The reference: a render in float64 without cut-off, tiles, or any other approximation, to be believed by reading.
+//! Reference renderer: float64, without cut-offs, tiles or any other approximation, and simple enough to verify by reading.
 //!
 //! It follows the model choices of [`RenderOptions`] (`blur`, `near`, `jacobian_margin`, `antialias`, `projection`, `order`)
-//! and ignores its numerical dials. It shares no arithmetic with the stages but a camera's limits (how far a lens sees, the slopes at which
-//! the Jacobian is held): covariances are formed and inverted as the papers write them, which in float64 costs digits only
-//! for Gaussians some 1e6 times longer than wide. Every pixel visits every Gaussian, so it is for proofs, not pictures.
+//! and ignores its numerical dials. It shares no arithmetic with the stages except a camera's limits (the domain of a lens and the
+//! slopes at which the Jacobian is clamped). Covariances are formed and inverted as the papers write them, which in float64 loses
+//! digits only for Gaussians some 1e6 times longer than wide. Every pixel visits every Gaussian, so it is for tests, not for
+//! pictures.
 
 mod lens;
 mod ray;
@@ -18,63 +19,66 @@ use crate::project::COMPENSATION_MIN;
 /// One Gaussian with activated parameters.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ExactGaussian {
-    /// Centre, world frame.
+    /// Centre, world frame, scene units.
     pub mean: DVec3,
     /// Quaternion wxyz, world-from-Gaussian, of any non-zero length.
     pub rotation: [f64; 4],
-    /// Standard deviations along the rotated axes.
+    /// Standard deviations along the rotated axes, scene units.
     pub scale: DVec3,
-    /// 0 to 1.
+    /// Opacity, 0 to 1.
     pub opacity: f64,
-    /// Colour or features, as blended.
+    /// Colour or features, blended unchanged.
     pub features: Vec<f64>,
 }
 
-/// Where the camera stands: `mean_cam = rotation * mean_world + translation`.
+/// Pose of the camera: `mean_cam = rotation * mean_world + translation`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ExactPose {
-    /// Camera-from-world.
+    /// Rotation, camera-from-world.
     pub rotation: DMat3,
-    /// Camera-from-world.
+    /// Translation, camera-from-world, scene units.
     pub translation: DVec3,
 }
 
-/// What one pixel sees.
+/// One pixel of the reference render.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ExactPixel {
-    /// `Σ wᵢ cᵢ + T background`.
+    /// Blended features, `Σ wᵢ cᵢ + T background`.
     pub features: Vec<f64>,
-    /// `1 − T`.
+    /// Alpha, `1 − T` with the transmittance `T` behind the last Gaussian.
     pub alpha: f64,
-    /// `Σ wᵢ zᵢ`.
+    /// Depth `Σ wᵢ zᵢ`, scene units, not divided by alpha.
     pub depth: f64,
 }
 
-/// A Gaussian on the picture.
+/// A projected Gaussian.
 struct ExactEllipse<'a> {
     mean_px: DVec2,
     /// Inverse of the 2D covariance, px⁻².
     conic: DMat2,
     depth: f64,
     opacity: f64,
-    /// What a ray meets, if the render looks along them.
+    /// The Gaussian in space, for per-ray rasterization.
     solid: Option<Solid>,
     features: &'a [f64],
 }
 
-/// What a pixel sees of a Gaussian.
+/// Contribution of a Gaussian to a pixel.
 struct Contribution<'a> {
     alpha: f64,
     depth: f64,
-    /// By which it is sorted.
+    /// Sort key: a depth.
     key: f64,
     features: &'a [f64],
 }
 
-/// All pixels of a picture, row by row.
+/// Renders a picture with the reference renderer and returns its pixels row by row.
+///
+/// `background` has as many channels as the features of each Gaussian. Equations: Zwicker et al. 2001, eq. 26 to 31, and Kerbl et
+/// al. 2023, eq. 5, for the projection; the maximum along the ray for [`Projection::RayMax`].
 ///
 /// # Panics
-/// If `options` choose another projection or order than the plain ones for a camera that is no pinhole.
+/// If the camera is not a pinhole and `options` do not choose [`Projection::Affine`] with [`Order::CentreDepth`].
 pub fn render_exact(
     gaussians: &[ExactGaussian],
     pose: &ExactPose,
@@ -82,14 +86,14 @@ pub fn render_exact(
     background: &[f64],
     options: &RenderOptions,
 ) -> Vec<ExactPixel> {
-    assert!(!options.along_rays() || camera.model == CameraModel::Pinhole, "rays are those of a pinhole");
+    assert!(!options.along_rays() || camera.model == CameraModel::Pinhole, "a render along rays needs a pinhole");
     let ellipses: Vec<ExactEllipse> = gaussians.iter().filter_map(|g| project(g, pose, camera, options)).collect();
     let centres = (0..camera.height).flat_map(|y| (0..camera.width).map(move |x| (x, y)));
     let see = |(x, y)| {
         let centre_px = DVec2::new(x as f64 + 0.5, y as f64 + 0.5);
         let mut seen: Vec<Contribution> =
             ellipses.iter().map(|ellipse| ellipse.seen(centre_px, camera, options)).collect();
-        // Stable: Gaussians at one depth keep their order.
+        // The sort is stable: Gaussians at equal depths keep their order.
         seen.sort_by(|a, b| a.key.total_cmp(&b.key));
         pixel(&seen, background)
     };
@@ -107,7 +111,7 @@ impl<'a> ExactEllipse<'a> {
         let met = match options.projection {
             Projection::RayMax => {
                 let met = solid.meet(ray::direction(camera, centre_px));
-                // Greatest behind the camera: not seen.
+                // A maximum behind the camera is not visible.
                 seen.alpha = if met.at > 0.0 { self.opacity * met.value } else { 0.0 };
                 seen.depth = met.at;
                 met.at
@@ -152,8 +156,8 @@ fn project<'a>(
     let covariance_world = axes * axes.transpose();
     let covariance_cam = pose.rotation * covariance_world * pose.rotation.transpose();
 
-    // The Jacobian of a perspective camera is taken no further outside the picture than the margin; that of a fisheye is exact,
-    // and so is the exact projection.
+    // The Jacobian of a perspective camera is evaluated at most the margin outside the picture. A fisheye's Jacobian and `RayMax`
+    // are exact, so they are not clamped.
     let [[low_x, high_x], [low_y, high_y]] = camera.slope_limits(options.jacobian_margin);
     let held = match camera.model.is_fisheye() || options.projection == Projection::RayMax {
         true => mean_cam,

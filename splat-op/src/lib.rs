@@ -1,8 +1,8 @@
 //! Differentiable Gaussian splatting as custom operations of the Burn framework.
 //!
-//! [`render`] takes [`Splats`] and [`Camera`]s and gives pictures; [`project`](fn@project), [`evaluate_sh`](fn@evaluate_sh),
-//! [`intersect`](fn@intersect) and [`rasterize`](fn@rasterize) are its stages, for those who put code of their own between them. Each module
-//! of a stage states its equations, their sources, shapes and units. [`exact`] is the reference.
+//! [`render`] renders [`Splats`] as [`Camera`]s see them. Its stages are public functions: [`project`](fn@project),
+//! [`evaluate_sh`](fn@evaluate_sh), [`intersect`](fn@intersect) and [`rasterize`](fn@rasterize). Tensor code may run between
+//! them. The module of each stage states its equations, their sources, shapes and units. [`exact`] is the reference renderer.
 //!
 //! ```
 //! use burn::tensor::{Device, Tensor};
@@ -27,8 +27,8 @@
 //!
 //! # Between the stages
 //!
-//! Each stage is a function, and what is between them are tensors. Here a model of one number per Gaussian decides what is
-//! visible, and learns through the render. Ellipses are changed before `intersect` makes lists of them:
+//! Each stage takes and returns tensors. In this example a model of one number per Gaussian scales the opacities and receives
+//! gradients through the render. It changes the ellipses before `intersect` lists them:
 //!
 //! ```
 //! use burn::tensor::{Device, Tensor};
@@ -61,7 +61,7 @@
 //!
 //! # Learn from a picture
 //!
-//! A Gaussian finds its place by gradient descent. Any optimiser of Burn does as well; `splat-model` has the usual one.
+//! Gradient descent moves a Gaussian to its place. Any optimiser of Burn works; `splat-model` has the usual one.
 //!
 //! ```
 //! use burn::tensor::{Device, Tensor};
@@ -77,7 +77,7 @@
 //!         opacities: Tensor::from_floats([0.9], &device),
 //!         colour: Colour::Features(Tensor::from_floats([[1.0, 0.5, 0.1]], &device)),
 //!     };
-//!     // Constants may meet a tracked tensor.
+//!     // Constants and tracked tensors may be mixed.
 //!     Ok(render_view(&splats, &camera, &Extras::default(), &RenderOptions::standard())?.colour)
 //! };
 //! let photograph = picture_of(Tensor::from_floats([[0.2, 0.0, 2.0]], &device))?;
@@ -96,7 +96,7 @@
 //! # Ok::<(), SplatError>(())
 //! ```
 //!
-//! `docs/IN_YOUR_MODEL.md` says which inputs have gradients, what runs where, and what does not fit.
+//! `docs/IN_YOUR_MODEL.md` lists the inputs that have gradients, the device that each stage runs on, and the limits.
 
 #![cfg_attr(docsrs, feature(doc_cfg))]
 #![warn(missing_docs)]
@@ -111,7 +111,7 @@ pub mod error;
 pub mod exact;
 pub mod options;
 
-// From parameters as an optimiser holds them to what the stages take.
+// Maps the unconstrained parameters of an optimiser to the inputs of the stages.
 pub mod activate;
 
 // The stages, in the order in which data flows; the blank lines keep rustfmt from sorting them.
@@ -123,7 +123,7 @@ pub mod intersect;
 
 pub mod rasterize;
 
-// In place of the last, for pixels that look along their rays.
+// Both replace `rasterize` for per-ray rasterization.
 pub mod depth_slope;
 
 pub mod rasterize_rays;
@@ -158,7 +158,7 @@ pub use options::{Accumulation, MAX_UNCULLED_INTERSECTIONS, Order, Projection, R
 pub use render::{render, render_view};
 pub use splats::{Colour, Extras, Splats};
 pub use stages::{Ellipses, Intersections, Projected, Rendered, intersect, project, rasterize};
-// What stands in signatures: a caller needs no versions of its own.
+// Re-exports of the crates in public signatures, so that callers use the same versions.
 pub use {burn, glam};
 
 #[cfg(test)]

@@ -1,4 +1,4 @@
-//! What fits into a device's buffers: the sizes that are known before anything runs, and the message for all others.
+//! Limits of a device's buffers: checks before a stage runs if the size is known by then, and a panic message otherwise.
 
 use burn::tensor::Device;
 
@@ -6,20 +6,20 @@ use crate::error::SplatError;
 
 /// A buffer that a call needs.
 pub(crate) struct Need {
-    /// What lies in it.
+    /// The argument or result that the buffer holds.
     pub what: &'static str,
     pub bytes: u64,
-    /// What to change so that it becomes smaller.
+    /// What to change so that the buffer becomes smaller.
     pub hint: &'static str,
 }
 
 impl Need {
-    /// Of f32 values.
+    /// A buffer of f32 values.
     pub fn floats<const D: usize>(what: &'static str, shape: [usize; D], hint: &'static str) -> Self {
         Self::numbers(what, shape, size_of::<f32>(), hint)
     }
 
-    /// Of values of so many bytes.
+    /// A buffer of values of `each` bytes.
     pub fn numbers<const D: usize>(what: &'static str, shape: [usize; D], each: usize, hint: &'static str) -> Self {
         // Saturating: a size beyond u64 fits nowhere either.
         let elements = shape.iter().fold(1_u64, |product, size| product.saturating_mul(*size as u64));
@@ -34,8 +34,8 @@ impl Need {
         }
     }
 
-    /// For sizes that depend on the data and are found deep within an operation, which cannot return an error: Burn hands
-    /// the panic to whoever reads the result.
+    /// Panics if the buffer does not fit. For sizes that depend on the data and are only known inside an operation, which cannot
+    /// return an error: Burn passes the panic on to the reader of the result.
     #[cfg(feature = "cube")]
     pub fn assert_fits(&self, limit_bytes: u64) {
         if let Err(error) = self.check(limit_bytes) {
@@ -44,7 +44,7 @@ impl Need {
     }
 }
 
-/// Refuses a call that needs more than a GPU's largest buffer. On CPUs everything fits, until memory runs out.
+/// Refuses a call that needs more than a GPU's largest buffer. CPUs have no limit but their memory.
 pub(crate) fn check_fits(device: &Device, needs: &[Need]) -> Result<(), SplatError> {
     match buffer_limit(device) {
         Some(limit) => needs.iter().try_for_each(|need| need.check(limit)),
@@ -52,12 +52,12 @@ pub(crate) fn check_fits(device: &Device, needs: &[Need]) -> Result<(), SplatErr
     }
 }
 
-/// Whether a device is a GPU: its results have to be waited for.
+/// Returns whether a device is a GPU, which computes asynchronously.
 pub fn is_gpu(device: &Device) -> bool {
     buffer_limit(device).is_some()
 }
 
-/// The bytes of a GPU's largest buffer; `None` for a CPU device.
+/// Size of a GPU's largest buffer, bytes; `None` for a CPU device.
 #[cfg(feature = "cube")]
 pub(crate) fn buffer_limit(device: &Device) -> Option<u64> {
     crate::abilities::gpu(device).map(|gpu| gpu.buffer_limit)

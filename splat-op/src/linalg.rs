@@ -1,10 +1,10 @@
-//! Small vectors and matrices for the CPU twins of `project` and `evaluate_sh`: of numbers, or of SIMD lanes of them.
+//! Small vectors and matrices of numbers or SIMD lanes, for the CPU twins of `project` and `evaluate_sh`.
 
 use std::ops::{Add, Mul, Neg, Sub};
 
 use crate::simd::real::Real;
 
-/// What vectors are made of.
+/// Element of a vector or matrix.
 pub(crate) trait Entry:
     Copy + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self> + Neg<Output = Self>
 {
@@ -12,7 +12,7 @@ pub(crate) trait Entry:
 
 impl<T: Copy + Add<Output = T> + Sub<Output = T> + Mul<Output = T> + Neg<Output = T>> Entry for T {}
 
-/// Row-major.
+/// 3 × 3 matrix, row-major.
 pub(crate) type Mat3<F> = [[F; 3]; 3];
 
 #[inline(always)]
@@ -45,11 +45,11 @@ pub(crate) fn cross<F: Entry>(a: [F; 3], b: [F; 3]) -> [F; 3] {
     [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
-/// Length of a vector, without overflow or underflow on the way.
+/// Length of a vector, without intermediate overflow or underflow.
 #[inline(always)]
 pub(crate) fn norm<F: Real>(v: [F; 3]) -> F {
     let squared = dot(v, v);
-    // Within these bounds no square has overflowed, and any that underflowed is too small to count.
+    // Within these bounds no square has overflowed, and squares that underflowed are negligible.
     if squared > F::of(1e-20) && squared < F::of(1e30) {
         return squared.sqrt();
     }

@@ -1,108 +1,114 @@
-//! What a render computes: model choices, numerical dials, and which outputs.
+//! Options of a render: model choices, numerical dials and outputs.
 
 use crate::dials::{Culling, Exponential, Storage};
 use crate::error::SplatError;
 
-/// Choices and dials of a render. Start from a preset and change fields.
+/// Options of a render. Start from a preset and change fields.
 ///
 /// *Model choices* define the function and are judged against photographs; *numerical dials* approximate that function
 /// and are judged against [`crate::exact`] under the same choices. The two are never mixed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RenderOptions {
-    /// Model: variance added to both axes of every 2D ellipse, px². Half a pixel wide, so that a splat far below a
-    /// pixel still covers one (Kerbl et al. 2023; EWA's low-pass filter).
+    /// Model: variance added to both axes of every 2D ellipse, px². The default is about half a pixel wide, so that a splat much
+    /// smaller than a pixel still covers one (Kerbl et al. 2023; EWA's low-pass filter).
     pub blur: f64,
-    /// Model: splats whose centre has camera z at or below this are left out, scene units.
+    /// Model: near plane, scene units. Splats whose centre has a camera z of at most this are culled.
     pub near: f64,
-    /// Model: the Jacobian of the projection is evaluated no further outside the picture than this share of half its
-    /// size, because the affine approximation degrades there. That of a fisheye is exact everywhere.
+    /// Model: margin around the picture, as a share of half its size, within which the Jacobian of the projection is evaluated. For
+    /// centres farther out it is evaluated at the margin, because the affine approximation degrades there. The Jacobian of a
+    /// fisheye is exact everywhere and is never clamped.
     pub jacobian_margin: f64,
-    /// Model: multiply each opacity by the ratio of the ellipse's area before and after `blur`, floor 0.005
+    /// Model: whether each opacity is multiplied by the ratio of the ellipse's area before and after `blur`, at least 0.005
     /// (Mip-Splatting, Yu et al. 2024, eq. 9).
     pub antialias: bool,
-    /// Model: coefficients of the spherical harmonics above this degree, 0 to 4, are left out of a render and get a gradient of
-    /// exactly zero. `None` uses all there are.
+    /// Model: highest degree of the spherical harmonics that is used, 0 to 4. Coefficients above it have a gradient of exactly
+    /// zero. `None` uses all degrees.
     pub sh_degree: Option<usize>,
-    /// Model: what a pixel sees of a Gaussian, an affine approximation of the projection or the projection itself.
+    /// Model: value of a Gaussian at a pixel, by an affine approximation of the projection or by its maximum along the pixel's ray.
     pub projection: Projection,
-    /// Model: what is sorted by depth, Gaussians for the whole picture or the contributions to each pixel.
+    /// Model: depth order, of the Gaussians for the whole picture or of the contributions to each pixel.
     pub order: Order,
-    /// Dial: contributions with alpha below this are skipped. Zero skips none, and lists every Gaussian in every tile: a render is
-    /// then refused above [`MAX_UNCULLED_INTERSECTIONS`] pairs of the two.
+    /// Dial: contributions with an alpha below this are skipped. Zero skips none and lists every Gaussian in every tile; a render
+    /// with more than [`MAX_UNCULLED_INTERSECTIONS`] pairs of a Gaussian and a tile is then refused.
     pub alpha_min: f64,
-    /// Dial: alpha is at most this, so that every layer lets some light through.
+    /// Dial: upper limit of the alpha of a contribution, so that every layer transmits some light.
     pub alpha_max: f64,
-    /// Dial: the splat that would bring a pixel's transmittance to this or below, and all behind it, are left out.
-    /// Zero leaves out none.
+    /// Dial: a pixel is finished before the splat that would bring its transmittance to this or below; that splat and all behind
+    /// it are skipped. Zero skips none.
     pub transmittance_min: f64,
-    /// Dial: how GPUs add the gradients of a Gaussian's intersections. CPU backends always add in order, and so do renders with another
-    /// `projection` or `order` than the plain ones.
+    /// Dial: how GPUs add the gradients of a Gaussian's intersections. CPU backends and per-ray rasterization (any `projection` or
+    /// `order` but the default) always add them in order.
     pub accumulation: Accumulation,
-    /// Dial: which tiles list a Gaussian. Changes time only.
+    /// Dial: which tiles list a Gaussian. It changes the time, not the result.
     pub culling: Culling,
-    /// Dial: how `exp` is computed in f32. Another `projection` or `order` than the plain one takes the library's.
+    /// Dial: how `exp` is computed in f32. Per-ray rasterization always uses the library's function.
     pub exponential: Exponential,
-    /// Dial: how coefficients of spherical harmonics are stored where colours are computed from them. Ones of half precision are taken
-    /// as they are; others are rounded in every render, at the cost of a pass over them, unless
-    /// [`Colour::stored`](crate::Colour::stored) has done so once.
+    /// Dial: storage of the spherical-harmonics coefficients from which colours are computed. With [`Storage::Half`], f32 and f64
+    /// coefficients are rounded in every render, at the cost of a pass over them; [`Colour::stored`](crate::Colour::stored) does so
+    /// once. Half-precision coefficients are used unchanged.
     pub coefficients: Storage,
-    /// Output: also accumulate depth, `Σ wᵢ zᵢ`.
+    /// Output: whether depth is accumulated too, `Σ wᵢ zᵢ`, scene units.
     pub depth: bool,
 }
 
-/// What a pixel sees of a Gaussian.
+/// The value of a Gaussian at a pixel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Default)]
 #[non_exhaustive]
 pub enum Projection {
-    /// Its projection linearised at its centre: an ellipse (EWA splatting, Zwicker et al. 2001). Good where a Gaussian is small
-    /// beside its distance.
+    /// Value of the ellipse that results from linearising the projection at the Gaussian's centre (EWA splatting, Zwicker et
+    /// al. 2001). Accurate if the Gaussian is small compared with its distance.
     #[default]
     Affine,
-    /// The maximum of the Gaussian along the pixel's ray, exactly; see [`crate::rasterize_rays`]. For pinholes. Knows no
+    /// Exact maximum of the Gaussian along the pixel's ray; see [`crate::rasterize_rays`]. For pinhole cameras only. It ignores
     /// [`RenderOptions::jacobian_margin`].
     RayMax,
 }
 
-/// What is sorted by depth.
+/// The depth order in which Gaussians are blended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Default)]
 #[non_exhaustive]
 pub enum Order {
-    /// All Gaussians once, by the camera z of their centres. Two of them change places in all pixels at the same moment as a
-    /// camera turns or moves, which shows as popping.
+    /// One order for the whole picture, by the camera z of the Gaussians' centres. As a camera turns or moves, two Gaussians change
+    /// places in all pixels at the same moment, which is visible as popping.
     #[default]
     CentreDepth,
-    /// The contributions to each pixel, by the camera z of each Gaussian's maximum along the pixel's ray (Radl et al. 2024,
-    /// StopThePop), equal ones by index. For pinholes.
+    /// One order per pixel, by the camera z of each Gaussian's maximum along the pixel's ray, then by index (Radl et al. 2024,
+    /// StopThePop). For pinhole cameras only.
     PerPixelSort,
 }
 
-/// How GPUs add the gradients of one Gaussian's intersections in many tiles.
+/// The way in which GPUs add the gradients of one Gaussian's intersections with many tiles.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub enum Accumulation {
-    /// By atomic additions, in whatever order the device comes to them: the last digits differ from run to run.
+    /// Atomic additions in the order in which the device executes them: the last digits differ from run to run.
     #[default]
     Atomic,
-    /// One row per intersection, added in the order of the intersections: the same bits in every run, for memory in proportion to the intersections.
+    /// One row per intersection, added in the order of the intersections. The bits are the same in every run; the memory is
+    /// proportional to the number of intersections.
     Ordered,
 }
 
-/// The largest degree of spherical harmonics.
+/// Highest degree of the spherical harmonics.
 const MAX_SH_DEGREE: usize = 4;
 
-/// The most pairs of a Gaussian and a tile that a render lists where `alpha_min` is zero: 2²⁶, 8,224 Gaussians in a picture of
-/// 1920 × 1080 px. A CPU keeps 16 bytes of each pair in its lists and 36 for the gradients of three channels: 3.3 GiB for so many.
+/// Largest number of pairs of a Gaussian and a tile that a render with an `alpha_min` of zero lists: 2²⁶, which is 8,224
+/// Gaussians in a picture of 1920 × 1080 px. A CPU stores 16 bytes per pair for its lists and 36 for the gradients of three
+/// channels, together 3.3 GiB at this number.
 pub const MAX_UNCULLED_INTERSECTIONS: usize = 1 << 26;
 
 impl RenderOptions {
-    /// The thresholds of the original implementation and of gsplat: 8-bit contributions below one level are skipped
-    /// (`alpha_min = 1/255`), every layer lets a hundredth through (`alpha_max = 0.99`), and what lies behind a transmittance of
-    /// `transmittance_min = 1e-4` is left out. All other dials stand where a render is quickest without being less exact than the
-    /// rounding of f32: atomic accumulation, [`Culling::Ellipse`], [`Exponential::Standard`], [`Storage::Full`].
+    /// Returns the default options, with the thresholds of the original implementation and of gsplat.
     ///
-    /// Error to expect: 50 dB against the exact render, 0.05 at the worst pixel, nearly all of it from `alpha_min`; gradients 14% off
-    /// in relative L2 (cosine 0.991), those of the scales most. (These figures and those of the other presets: `fox_colmap`, 19,437
-    /// Gaussians, 180 × 320 px, f32 on two CPU cores, in `docs/pareto/pareto.md`; `splat pareto` measures other scenes and devices.)
+    /// Contributions below one level of 8 bits are skipped (`alpha_min = 1/255`), every layer transmits at least a hundredth
+    /// (`alpha_max = 0.99`), and splats behind a transmittance of `transmittance_min = 1e-4` are skipped. All other dials have the
+    /// fastest values whose error is within the rounding of f32: atomic accumulation, [`Culling::Ellipse`],
+    /// [`Exponential::Standard`], [`Storage::Full`].
+    ///
+    /// Expected error: 50 dB against the reference render, 0.05 at the worst pixel, nearly all of it from `alpha_min`. Gradients are
+    /// 14% off in relative L2 (cosine 0.991), those of the scales most. (These figures and those of the other presets: `fox_colmap`,
+    /// 19,437 Gaussians, 180 × 320 px, f32 on two CPU cores, in `docs/pareto/pareto.md`; `splat pareto` measures other scenes and
+    /// devices.)
     pub const fn standard() -> Self {
         Self {
             blur: 0.3,
@@ -123,115 +129,119 @@ impl RenderOptions {
         }
     }
 
-    /// [`Self::standard`] with coarser cuts, for previews: `alpha_min` four times as large, so that a tile lists fewer Gaussians, and
-    /// `transmittance_min = 1e-3`, so that a pixel is finished after fewer. Nothing else changes. (At 1e-2 a layer with an alpha of
-    /// `alpha_max`, 0.99, would itself be left out: surfaces had holes.)
+    /// Returns options for previews: [`Self::standard`] with coarser thresholds.
     ///
-    /// Error to expect: 39 dB, 0.17 at the worst pixel; gradients 30% off (cosine 0.955). Saving over the standard: a sixth of a
-    /// render and a fifth of a backward pass, too little there to be told from noise. Runs of 500 steps took 12% less time and lost
-    /// 0.2 dB.
+    /// `alpha_min` is four times as large, so that a tile lists fewer Gaussians, and `transmittance_min` is 1e-3, so that a pixel is
+    /// finished after fewer. All other fields are equal. (At 1e-2 a layer with an alpha of `alpha_max`, 0.99, would itself be
+    /// skipped: surfaces had holes.)
+    ///
+    /// Expected error: 39 dB, 0.17 at the worst pixel; gradients 30% off (cosine 0.955). Time saved over the standard: a sixth of a
+    /// render and a fifth of a backward pass; the latter is within the noise. Runs of 500 steps took 12% less time and
+    /// lost 0.2 dB.
     pub const fn fast() -> Self {
         Self { alpha_min: 4.0 / 255.0, transmittance_min: 1e-3, ..Self::standard() }
     }
 
-    /// [`Self::standard`] with finer cuts: nothing that 8-bit or 16-bit pictures could show is left out. `alpha_min = 2⁻²⁶`, and no
-    /// pixel is ever finished (`transmittance_min = 0`). `alpha_max` stays, for it is part of what photographs were trained with;
-    /// so do the dials that are within rounding.
+    /// Returns options for accurate renders: [`Self::standard`] with finer thresholds.
     ///
-    /// Error to expect: 93 dB, 0.007 at the worst pixel; gradients 0.06% off. Cost over the standard: 2.4 times the time of a render
+    /// `alpha_min` is 2⁻²⁶ and no pixel is finished early (`transmittance_min = 0`), so that nothing is skipped that an 8-bit or
+    /// 16-bit picture could show. `alpha_max` is unchanged, because scenes were trained with it; so are the dials whose error is
+    /// within rounding.
+    ///
+    /// Expected error: 93 dB, 0.007 at the worst pixel; gradients 0.06% off. Cost over the standard: 2.4 times the time of a render
     /// and of a backward pass, and twice the memory.
     pub const fn exact() -> Self {
         // 2⁻²⁶: a thousand such contributions stay below half a level of a 16-bit picture.
         Self { alpha_min: 1.0 / 67_108_864.0, transmittance_min: 0.0, ..Self::standard() }
     }
 
-    /// With another blur, px².
+    /// Sets `blur`, px².
     pub const fn with_blur(self, blur: f64) -> Self {
         Self { blur, ..self }
     }
 
-    /// With another margin of the Jacobian, a share of half the picture's size.
+    /// Sets `jacobian_margin`, a share of half the picture's size.
     pub const fn with_jacobian_margin(self, jacobian_margin: f64) -> Self {
         Self { jacobian_margin, ..self }
     }
 
-    /// With another alpha below which contributions are skipped.
+    /// Sets `alpha_min`, below which contributions are skipped.
     pub const fn with_alpha_min(self, alpha_min: f64) -> Self {
         Self { alpha_min, ..self }
     }
 
-    /// With another largest alpha.
+    /// Sets `alpha_max`, the upper limit of alpha.
     pub const fn with_alpha_max(self, alpha_max: f64) -> Self {
         Self { alpha_max, ..self }
     }
 
-    /// With another transmittance at which a pixel is finished.
+    /// Sets `transmittance_min`, at which a pixel is finished.
     pub const fn with_transmittance_min(self, transmittance_min: f64) -> Self {
         Self { transmittance_min, ..self }
     }
 
-    /// With or without accumulated depth.
+    /// Sets whether depth is accumulated.
     pub const fn with_depth(self, depth: bool) -> Self {
         Self { depth, ..self }
     }
 
-    /// With another near plane, scene units.
+    /// Sets the near plane, scene units.
     pub const fn with_near(self, near: f64) -> Self {
         Self { near, ..self }
     }
 
-    /// With or without opacity compensation.
+    /// Sets whether opacities are compensated for the blur.
     pub const fn with_antialias(self, antialias: bool) -> Self {
         Self { antialias, ..self }
     }
 
-    /// With another projection.
+    /// Sets the projection.
     pub const fn with_projection(self, projection: Projection) -> Self {
         Self { projection, ..self }
     }
 
-    /// With another order.
+    /// Sets the depth order.
     pub const fn with_order(self, order: Order) -> Self {
         Self { order, ..self }
     }
 
-    /// With another way to add gradients on GPUs.
+    /// Sets how GPUs add gradients.
     pub const fn with_accumulation(self, accumulation: Accumulation) -> Self {
         Self { accumulation, ..self }
     }
 
-    /// With no spherical harmonics above this degree; `None` for all there are.
+    /// Sets the highest degree of the spherical harmonics that is used; `None` uses all.
     pub const fn with_sh_degree(self, sh_degree: Option<usize>) -> Self {
         Self { sh_degree, ..self }
     }
 
-    /// With another choice of the tiles that list a Gaussian.
+    /// Sets which tiles list a Gaussian.
     pub const fn with_culling(self, culling: Culling) -> Self {
         Self { culling, ..self }
     }
 
-    /// With another exponential.
+    /// Sets how `exp` is computed.
     pub const fn with_exponential(self, exponential: Exponential) -> Self {
         Self { exponential, ..self }
     }
 
-    /// With coefficients of spherical harmonics stored in another way.
+    /// Sets the storage of the spherical-harmonics coefficients.
     pub const fn with_coefficients(self, coefficients: Storage) -> Self {
         Self { coefficients, ..self }
     }
 
-    /// Whether pixels look along their rays, in `depth_slope` and `rasterize_rays`, which take the place of `rasterize`.
+    /// Whether the render uses per-ray rasterization: `depth_slope` and `rasterize_rays` instead of `rasterize`.
     pub(crate) fn along_rays(&self) -> bool {
         self.projection != Projection::Affine || self.order != Order::CentreDepth
     }
 
-    /// Whether how far a Gaussian reaches is that of its bounds, not of its ellipse.
+    /// Whether the extent of a Gaussian comes from its bounds instead of its ellipse.
     pub(crate) fn extends_by_bounds(&self) -> bool {
         self.projection == Projection::RayMax
     }
 
-    /// As `project` takes them. The exact projection is right however far outside the picture a centre lies, so nothing is held
-    /// there; a slope of 1e20 is one that no f32 render has.
+    /// Options for `project`. `RayMax` is exact however far outside the picture a centre lies, so the Jacobian is not clamped; no
+    /// f32 render has a slope of 1e20.
     pub(crate) fn of_project(&self) -> Self {
         match self.projection {
             Projection::Affine => *self,
@@ -251,7 +261,7 @@ impl RenderOptions {
         within("near", self.near, 0.0, 1e30, "a distance of at least 0")?;
         within("jacobian_margin", self.jacobian_margin, 0.0, 1e6, "a share of at least 0")?;
         if let Some(degree) = self.sh_degree.filter(|degree| *degree > MAX_SH_DEGREE) {
-            let expected = "a degree from 0 to 4, or `None` for all coefficients there are";
+            let expected = "a degree from 0 to 4, or `None` for all degrees";
             return Err(SplatError::Value { field: "sh_degree", found: degree.to_string(), expected });
         }
         within("alpha_min", self.alpha_min, 0.0, 1.0, "0 to 1")?;
@@ -259,7 +269,7 @@ impl RenderOptions {
         within("transmittance_min", self.transmittance_min, 0.0, 1.0, "0 to 1")
     }
 
-    /// Refuses to list every Gaussian in every tile where that is more than [`MAX_UNCULLED_INTERSECTIONS`].
+    /// Refuses to list every Gaussian in every tile if there are more than [`MAX_UNCULLED_INTERSECTIONS`] pairs.
     pub(crate) fn check_uncut(&self, gaussians: usize, tiles: usize) -> Result<(), SplatError> {
         let pairs = gaussians.saturating_mul(tiles);
         if self.alpha_min > 0.0 || pairs <= MAX_UNCULLED_INTERSECTIONS {

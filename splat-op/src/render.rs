@@ -1,4 +1,4 @@
-//! All stages in one call.
+//! Renders pictures: all stages in one call.
 
 use std::borrow::Cow;
 
@@ -13,12 +13,16 @@ use crate::options::RenderOptions;
 use crate::splats::{Extras, Splats};
 use crate::stages::{Rendered, check_render_fits, intersect, project, rasterize};
 
-/// Renders Gaussians as one or several cameras of one size see them: `project`, `evaluate_sh` of what
-/// can show, `intersect` and `rasterize`.
+/// Renders Gaussians as seen by one or several cameras with pictures of one size.
+///
+/// Returns `B` pictures, `[B, H, W, C]`, for `B` cameras. For each camera it runs [`project`], [`visible_colours`],
+/// [`intersect`] and [`rasterize`]. Differentiable in all tensors of `splats`, in the poses and in the background; gradients of
+/// shared inputs are summed over the cameras.
 ///
 /// # Errors
-/// If there is no camera, cameras differ in size, a tensor's shape, type or device does not fit, or a camera or option is
-/// out of range; if `options.projection` or `options.order` is not the plain one and a camera is no pinhole.
+/// If there is no camera, if the sizes of their pictures differ, if a tensor's shape, type or device does not fit, if a camera or
+/// option is out of range, or if a buffer would be larger than the device allows. If a camera is not a pinhole and `options` do
+/// not choose [`Projection::Affine`](crate::Projection) with [`Order::CentreDepth`](crate::Order).
 pub fn render(
     splats: &Splats,
     cameras: &[Camera],
@@ -31,7 +35,7 @@ pub fn render(
         return Err(SplatError::Value {
             field: "cameras",
             found: format!("pictures of {:?} and {:?} px", size(&cameras[0]), size(other)),
-            expected: "cameras of one size: render the others in a call of their own",
+            expected: "cameras of one size: render the others in a separate call",
         });
     }
     check_render_fits(splats, cameras.len(), &cameras[0].intrinsics, options)?;
@@ -45,8 +49,10 @@ pub fn render(
     })
 }
 
-/// Renders Gaussians as one camera sees them: [`render`] for those who have no use for a dimension of cameras, which takes a
-/// copy of the picture to remove again on some backends.
+/// Renders Gaussians as seen by one camera.
+///
+/// Returns one picture, `[H, W, C]`. It computes what [`render`] computes, without the dimension of the cameras; some backends
+/// copy the picture to remove that dimension again.
 ///
 /// # Errors
 /// As [`render`].
@@ -60,8 +66,8 @@ pub fn render_view(
     stages(&*as_stored(splats, options)?, camera, extras, options)
 }
 
-/// The Gaussians with coefficients as the options want them stored, for all cameras; of what the degree leaves out nothing is
-/// converted.
+/// Converts the coefficients to the storage that the options choose, once for all cameras. Coefficients above the options' degree
+/// are dropped first.
 fn as_stored<'a>(splats: &'a Splats, options: &RenderOptions) -> Result<Cow<'a, Splats>, SplatError> {
     Ok(match options.coefficients {
         Storage::Full => Cow::Borrowed(splats),
@@ -84,7 +90,7 @@ fn stages(
     rasterize(&projected, &features, &tiles, extras, options)
 }
 
-/// `[B, H, W, C]` from pictures `[H, W, C]`; a single picture is viewed, not copied.
+/// Stacks pictures `[H, W, C]` to `[B, H, W, C]`; a single picture is viewed, not copied.
 fn stack(pictures: impl Iterator<Item = Tensor<3>>) -> Tensor<4> {
     let mut all: Vec<Tensor<4>> = pictures.map(|picture| picture.unsqueeze_dim(0)).collect();
     match all.len() {

@@ -1,4 +1,4 @@
-//! What a render takes besides cameras and options: Gaussians, what they look like, and what is optional.
+//! Inputs of a render besides cameras and options: Gaussians, their colours, and optional inputs.
 
 use burn::tensor::{DType, Tensor};
 
@@ -16,14 +16,15 @@ pub struct Splats {
     pub rotations: Tensor<2>,
     /// `[N, 3]`: standard deviations along the rotated axes, scene units.
     pub scales: Tensor<2>,
-    /// `[N]`: opacities, 0 to 1. One of exactly 0 is not drawn, and gets no gradient to grow by.
+    /// `[N]`: opacities, 0 to 1. A Gaussian with an opacity of exactly 0 is not drawn and has no gradient.
     pub opacities: Tensor<1>,
     /// Colours or features.
     pub colour: Colour,
 }
 
 impl Splats {
-    /// The same with coefficients of spherical harmonics as `options` want them, once for many renders: see [`Colour::stored`].
+    /// Converts the spherical-harmonics coefficients to the storage that `options.coefficients` chooses, once for many renders;
+    /// see [`Colour::stored`].
     ///
     /// # Errors
     /// As [`Colour::stored`].
@@ -35,37 +36,39 @@ impl Splats {
 /// Optional inputs of a render.
 #[derive(Clone, Debug, Default)]
 pub struct Extras {
-    /// `[C]`: what is seen through the Gaussians; zero if absent.
+    /// `[C]`: background colour or features, seen through the Gaussians; zero if absent.
     pub background: Option<Tensor<1>>,
-    /// A tracked `[N, 2]` leaf whose gradient becomes `∂L/∂mean2d` at the projected centres, summed over the cameras,
-    /// per px. (Burn keeps no gradient of an inner tensor.) The densification threshold of the field, 2e-4, is per unit
-    /// of normalised device coordinates: multiply by `[width / 2, height / 2]` before comparing.
+    /// `[N, 2]`: tracked leaf tensor whose gradient becomes `∂L/∂mean2d` at the projected centres, per px, summed over the
+    /// cameras. (Burn keeps no gradients of intermediate tensors.) Its values are not read. The field's densification threshold,
+    /// 2e-4, is per unit of normalised device coordinates: multiply the gradient by `[width / 2, height / 2]` before comparing.
     pub mean2d_probe: Option<Tensor<2>>,
-    /// As `mean2d_probe`, but each pixel's contribution enters with its absolute value (AbsGrad, Ye et al. 2024).
+    /// `[N, 2]`: as `mean2d_probe`, with the absolute value of each pixel's contribution (AbsGrad, Ye et al. 2024).
     pub mean2d_abs_probe: Option<Tensor<2>>,
 }
 
-/// What each Gaussian looks like. Coefficients of spherical harmonics may be of half precision where everything else is f32 or
-/// f64, see [`Colour::stored`].
+/// Colours or features of Gaussians. Spherical-harmonics coefficients may be in half precision while all other tensors are f32 or
+/// f64; see [`Colour::stored`].
 #[derive(Clone, Debug)]
 #[non_exhaustive]
 pub enum Colour {
     /// Spherical-harmonics coefficients `[N, (degree+1)², 3]`, degree 0 to 4.
     SphericalHarmonics(Tensor<3>),
-    /// Any features `[N, C]`, blended as they are.
+    /// Features `[N, C]` of any number of channels, rasterized unchanged.
     Features(Tensor<2>),
 }
 
 impl Colour {
-    /// The same with coefficients of spherical harmonics stored in another way: once for a scene that is rendered many times,
-    /// where [`RenderOptions::coefficients`](crate::RenderOptions::coefficients) does it in every render. [`Storage::Half`] halves
-    /// the memory that they take, four fifths of a scene of degree 3, and what a GPU reads of it. [`Storage::Full`] changes nothing:
-    /// what was rounded off does not come back. Features, which are not harmonics, stay as they are.
+    /// Converts spherical-harmonics coefficients to another storage, once for a scene that is rendered many times;
+    /// [`RenderOptions::coefficients`](crate::RenderOptions::coefficients) converts them in every render.
     ///
-    /// Differentiable: gradients, at the rounded coefficients, are of the type of the unrounded ones.
+    /// [`Storage::Half`] halves the memory of the coefficients, which take four fifths of a scene of degree 3, and halves the
+    /// memory traffic that a GPU spends on them. [`Storage::Full`] changes nothing: lost digits do not come back. Features are
+    /// never converted.
+    ///
+    /// Differentiable: gradients are evaluated at the rounded coefficients and have the type of the unrounded ones.
     ///
     /// # Errors
-    /// If the device has no tensors of half precision, as `burn-ndarray` and GPUs without the shading language's `f16`.
+    /// If the device does not support half-precision tensors, such as `burn-ndarray` and GPUs without the shading language's `f16`.
     pub fn stored(&self, storage: Storage) -> Result<Self, SplatError> {
         Ok(match (storage, self) {
             (Storage::Full, _) | (_, Self::Features(_)) => self.clone(),
@@ -73,7 +76,7 @@ impl Colour {
         })
     }
 
-    /// The same without harmonics above a degree; `None` for all there are.
+    /// Drops the harmonics above a degree; `None` keeps all.
     pub(crate) fn up_to_degree(&self, degree: Option<usize>) -> Self {
         match self {
             Self::SphericalHarmonics(sh) => Self::SphericalHarmonics(up_to_degree(sh, degree)),
@@ -85,7 +88,7 @@ impl Colour {
 /// The largest half-precision float.
 const HALF_MAX: f32 = 65_504.0;
 
-/// Coefficients in half precision, the nearest ones, of at most [`HALF_MAX`].
+/// Rounds coefficients to the nearest half-precision values, clamped to ±[`HALF_MAX`].
 fn halved(sh: &Tensor<3>) -> Result<Tensor<3>, SplatError> {
     if sh.dtype() == DType::F16 {
         return Ok(sh.clone());
@@ -94,13 +97,13 @@ fn halved(sh: &Tensor<3>) -> Result<Tensor<3>, SplatError> {
         return Err(SplatError::Value {
             field: "coefficients",
             found: format!("Storage::Half for `sh` on {:?}", sh.device()),
-            expected: "Storage::Full, for this device has no tensors of half precision",
+            expected: "Storage::Full, because this device does not support half-precision tensors",
         });
     }
     Ok(sh.clone().clamp(-HALF_MAX, HALF_MAX).cast(DType::F16))
 }
 
-/// Checked coefficients without those above a degree; where there are none, as they are.
+/// Drops the coefficients above a degree. The number of coefficients must have been checked.
 pub(crate) fn up_to_degree(sh: &Tensor<3>, degree: Option<usize>) -> Tensor<3> {
     match degree.map(|degree| (degree + 1) * (degree + 1)) {
         Some(coefficients) if coefficients < sh.dims()[1] => sh.clone().narrow(1, 0, coefficients),

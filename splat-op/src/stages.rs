@@ -1,4 +1,4 @@
-//! The stages as users call them, one by one, with room for tensor code between them.
+//! The stages of a render as public functions. Tensor code may run between them.
 
 use burn::backend::Dispatch;
 use burn::tensor::{Int, Tensor};
@@ -17,65 +17,67 @@ use crate::rasterize::{Layers, PartsCell, RasterizeSpec};
 use crate::rasterize_rays::RayLayers;
 use crate::splats::{Colour, Extras, Splats, sh_need};
 
-/// The screen-space ellipses of a view, by name; see `project/` for the factor. To change them, take them with
-/// [`Projected::ellipses`], compute, and put them back with [`Ellipses::pack`].
+/// The screen-space ellipses of a view, one tensor per field.
+///
+/// `sigma_u`, `shear` and `sigma_v` are the triangular factor of the 2D covariance; [`crate::project`](mod@crate::project) derives
+/// it. To change ellipses, get them from [`Projected::ellipses`], compute, and pack them again with [`Ellipses::pack`].
 #[derive(Clone, Debug)]
 pub struct Ellipses {
     /// `[N, 2]`: projected centres, px.
     pub mean2d: Tensor<2>,
     /// `[N]`: standard deviation along x, px.
     pub sigma_u: Tensor<1>,
-    /// `[N]`: covariance of x and y over the variance of x.
+    /// `[N]`: covariance of x and y divided by the variance of x, px per px.
     pub shear: Tensor<1>,
     /// `[N]`: standard deviation along y at fixed x, px.
     pub sigma_v: Tensor<1>,
-    /// `[N]`: camera z of the centres, scene units; zero where culled.
+    /// `[N]`: camera z of the centres, scene units; zero for culled Gaussians.
     pub depth: Tensor<1>,
-    /// `[N]`: opacities, compensated if the render is anti-aliased; zero where culled.
+    /// `[N]`: opacities, compensated if the render is anti-aliased; zero for culled Gaussians.
     pub opacity: Tensor<1>,
 }
 
-/// What `project` returns for one camera.
+/// The projected Gaussians of one camera, as [`project`] returns them.
 #[derive(Clone, Debug)]
 pub struct Projected {
     packed: Tensor<2>,
-    /// `[N, 3]`, see `depth_slope/`, for a render whose pixels look along their rays.
+    /// `[N, 3]`: ray-space depth slopes, see `depth_slope/`; present for per-ray rasterization only.
     depth_slope: Option<Tensor<2>>,
     intrinsics: Intrinsics,
 }
 
-/// The tile lists of one view.
+/// The intersections of Gaussians and tiles of one view, as [`intersect`] returns them.
 #[derive(Clone, Debug)]
 pub struct Intersections {
-    /// `[tiles along y, tiles along x]`: Gaussians listed in each 16 × 16 tile.
+    /// `[tiles along y, tiles along x]`: number of Gaussians listed in each tile of 16 × 16 px.
     pub counts: Tensor<2, Int>,
     cell: IntersectionCell,
 }
 
-/// What cameras see: `Rendered<3>` is one picture, `[H, W, …]`, and `Rendered<4>` those of several cameras, `[B, H, W, …]`. All
-/// fields are differentiable.
+/// Rendered pictures: `Rendered<3>` holds the picture of one camera, `[H, W, …]`; `Rendered<4>` holds those of several cameras,
+/// `[B, H, W, …]`. All fields are differentiable.
 #[derive(Clone, Debug)]
 pub struct Rendered<const D: usize> {
     /// `[.., H, W, C]`: colours or features over the background.
     pub colour: Tensor<D>,
-    /// `[.., H, W, 1]`: `1 − T`, the share of the background that is hidden.
+    /// `[.., H, W, 1]`: alpha, `1 − T` with the transmittance `T` behind the last Gaussian.
     pub alpha: Tensor<D>,
-    /// `[.., H, W, 1]`: `Σ wᵢ zᵢ`, not normalised, if asked for.
+    /// `[.., H, W, 1]`: depth `Σ wᵢ zᵢ`, scene units, not divided by alpha; present if `options.depth` is set.
     pub depth: Option<Tensor<D>>,
 }
 
 impl Projected {
-    /// The packed ellipses, `[N, 7]`.
+    /// Returns the packed ellipses, `[N, 7]`.
     pub(crate) fn packed(&self) -> &Tensor<2> {
         &self.packed
     }
 
-    /// The size and projection of the camera that saw them.
+    /// Returns the intrinsics of the camera that the Gaussians were projected for.
     pub fn intrinsics(&self) -> &Intrinsics {
         &self.intrinsics
     }
 
-    /// The ellipses by name, ready for tensor code.
+    /// Returns the ellipses as named tensors. Differentiable.
     pub fn ellipses(&self) -> Ellipses {
         let column = |i: usize| self.packed.clone().slice([0..self.len(), i..i + 1]).squeeze_dim(1);
         Ellipses {
@@ -88,25 +90,25 @@ impl Projected {
         }
     }
 
-    /// Number of Gaussians, culled ones included.
+    /// Returns the number of Gaussians, including culled ones.
     pub fn len(&self) -> usize {
         self.packed.dims()[0]
     }
 
-    /// Whether there are none.
+    /// Returns whether there are no Gaussians.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 }
 
 impl Ellipses {
-    /// Packs the fields for [`intersect`] and [`rasterize`], for the camera of `intrinsics`.
+    /// Packs the fields for [`intersect`] and [`rasterize`], for a camera with `intrinsics`.
     ///
-    /// How a Gaussian leans in depth is not among the fields: what is packed can be rendered with
-    /// [`Projection::Affine`](crate::Projection) and [`Order::CentreDepth`](crate::Order) alone.
+    /// The fields do not contain ray-space depth slopes. Packed ellipses can therefore only be rendered with
+    /// [`Projection::Affine`](crate::Projection) and [`Order::CentreDepth`](crate::Order).
     ///
     /// # Errors
-    /// If a field has another number of rows, type or device than `mean2d`.
+    /// If a field differs from `mean2d` in its number of rows, type or device, or if `intrinsics` are out of range.
     pub fn pack(self, intrinsics: &Intrinsics) -> Result<Projected, SplatError> {
         intrinsics.check()?;
         let count = self.mean2d.dims()[0];
@@ -127,17 +129,19 @@ impl Ellipses {
     }
 }
 
-/// Projects Gaussians onto a camera's picture: EWA splatting (Zwicker et al. 2001), as Kerbl et al. 2023, section 4.
+/// Projects Gaussians onto a camera's picture: EWA splatting (Zwicker et al. 2001), as in Kerbl et al. 2023, section 4.
 ///
-/// A Gaussian with a value that is not finite, with a zero quaternion, or with its centre at or before `options.near`, is
-/// culled: its opacity and depth are zero and so are its gradients. So is one whose centre lies beyond the reach of the camera's
-/// lens ([`Intrinsics::max_radius`]). `near` is a depth for every camera: a fisheye sees nothing 90° from its axis or farther.
+/// Returns `N` ellipses, in px. Differentiable in the means, rotations, scales, opacities and the pose. Of `extras`, only
+/// `mean2d_probe` is read.
 ///
-/// Of `extras`, `mean2d_probe` alone is read.
+/// A Gaussian is culled if one of its values is not finite, if its quaternion is zero, if the camera z of its centre is at most
+/// `options.near`, or if its centre lies outside the domain of the camera's lens ([`Intrinsics::max_radius`]). The opacity, the
+/// depth and the gradients of a culled Gaussian are zero. `near` is a depth for every camera model, so a fisheye sees nothing at
+/// 90° or more from its axis.
 ///
 /// # Errors
-/// If a tensor's shape, type or device does not fit, or the camera or an option is out of range; if `options.projection` or
-/// `options.order` is not the plain one and the camera is no pinhole.
+/// If a tensor's shape, type or device does not fit, or if the camera or an option is out of range. If the camera is not a
+/// pinhole and `options` do not choose [`Projection::Affine`](crate::Projection) with [`Order::CentreDepth`](crate::Order).
 pub fn project(
     splats: &Splats,
     camera: &Camera,
@@ -151,7 +155,7 @@ pub fn project(
     let inputs = geometry(splats, camera, probe);
     let depth_slope = options.along_rays().then(|| {
         let depth_slope = Tensor::from_dispatch(<Dispatch as RasterizeRaysBackend>::depth_slope(inputs.clone(), spec));
-        // For the affine projection it decides an order, which has no gradient.
+        // With the affine projection the depth slope only decides the order, which has no gradient.
         if options.projection == Projection::RayMax { depth_slope } else { depth_slope.detach() }
     });
     let packed = <Dispatch as SplatBackend>::project(inputs, spec);
@@ -169,11 +173,11 @@ fn geometry(splats: &Splats, camera: &Camera, mean2d_probe: Tensor<2>) -> Geomet
     }
 }
 
-/// Lists, for each 16 × 16 tile of the picture, the Gaussians that can show in it, front to back.
+/// Lists the Gaussians that can show in each tile of 16 × 16 px, front to back. Not differentiable.
 ///
 /// # Errors
-/// If an option is out of range, `projected` was not made for `options.projection` and `options.order`, or `options.alpha_min`
-/// is zero and there are more than [`crate::MAX_UNCULLED_INTERSECTIONS`] pairs of a Gaussian and a tile.
+/// If an option is out of range, if `projected` was not made with `options.projection` and `options.order`, or if
+/// `options.alpha_min` is zero and there are more than [`crate::MAX_UNCULLED_INTERSECTIONS`] pairs of a Gaussian and a tile.
 pub fn intersect(projected: &Projected, options: &RenderOptions) -> Result<Intersections, SplatError> {
     options.check()?;
     let [tiles_x, tiles_y] = tile_grid(projected.intrinsics.width, projected.intrinsics.height);
@@ -190,13 +194,14 @@ pub fn intersect(projected: &Projected, options: &RenderOptions) -> Result<Inter
     Ok(Intersections { counts: Tensor::from_dispatch(counts), cell: intersections })
 }
 
-/// Blends features `[N, C]` along the tile lists, front to back, over `extras.background`.
+/// Rasterizes features `[N, C]`: blends the Gaussians of each tile front to back over `extras.background`.
 ///
-/// `intersections` must come from `projected` with the same options; only `extras.background` and `extras.mean2d_abs_probe` are
-/// read.
+/// Returns a picture `[H, W, C]`, its alpha and, if asked for, its depth. Differentiable in the ellipses, the features and the
+/// background. `intersections` must come from `projected` with the same options. Of `extras`, only `background` and
+/// `mean2d_abs_probe` are read. Equations and sources: [`crate::rasterize`](mod@crate::rasterize).
 ///
 /// # Errors
-/// If a tensor's shape, type or device does not fit, an option is out of range, or `projected` was not made for
+/// If a tensor's shape, type or device does not fit, if an option is out of range, or if `projected` was not made with
 /// `options.projection` and `options.order`.
 pub fn rasterize(
     projected: &Projected,
@@ -239,7 +244,7 @@ pub fn rasterize(
     Ok(picture(&Tensor::from_dispatch(planes), channels, options.depth, &parts))
 }
 
-/// Planes `[C + 1 (+ 1), H, W]` as named pictures.
+/// Splits planes `[C + 1 (+ 1), H, W]` into named pictures.
 fn picture(planes: &Tensor<3>, channels: usize, depth: bool, parts: &PartsCell) -> Rendered<3> {
     let part = |from: usize, to: usize| {
         let part = <Dispatch as SplatBackend>::part(planes.clone().into_dispatch(), from, to, parts.clone());
@@ -265,15 +270,15 @@ fn check_geometry(splats: &Splats, camera: &Camera, options: &RenderOptions) -> 
     if options.along_rays() && camera.intrinsics.model != CameraModel::Pinhole {
         let (found, expected) = (
             format!("{:?}", camera.intrinsics.model),
-            "a pinhole, whose pixels see straight rays of \
-            one origin: undistort the photographs, or choose `Projection::Affine` and `Order::CentreDepth`",
+            "a pinhole, whose pixels see along straight rays from \
+            one point: undistort the photographs, or choose `Projection::Affine` and `Order::CentreDepth`",
         );
         return Err(SplatError::Value { field: "camera model", found, expected });
     }
     Ok(reference)
 }
 
-/// Refuses ellipses that lack what a render along rays needs, or have it for one that does not look along them.
+/// Refuses ellipses without depth slopes for per-ray rasterization, and ellipses with depth slopes for plain rasterization.
 fn check_rays(projected: &Projected, options: &RenderOptions) -> Result<(), SplatError> {
     let found = format!("{:?} with {:?}", options.projection, options.order);
     match (options.along_rays(), projected.depth_slope.is_some()) {
@@ -291,7 +296,7 @@ fn check_rays(projected: &Projected, options: &RenderOptions) -> Result<(), Spla
     }
 }
 
-/// Checks at once what all stages of a render of `cameras` pictures need, before the first of them runs.
+/// Checks the buffer sizes of all stages of a render of `cameras` pictures before the first stage runs.
 pub(crate) fn check_render_fits(
     splats: &Splats,
     cameras: usize,

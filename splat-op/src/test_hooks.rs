@@ -1,4 +1,4 @@
-//! What tests may ask of the operation and users have no use for. No part of the public interface.
+//! Counters and switches for tests. Not part of the public interface.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -9,18 +9,17 @@ static DISPATCHES: AtomicU64 = AtomicU64::new(0);
 static TWIN_CALLS: AtomicU64 = AtomicU64::new(0);
 static ALLOCATED: AtomicU64 = AtomicU64::new(0);
 
-/// Kernels that this process has launched so far, on any GPU.
+/// Returns the number of kernels of this crate that this process has launched so far, on all GPUs.
 pub fn dispatches() -> u64 {
     DISPATCHES.load(Ordering::Relaxed)
 }
 
-/// Bytes of all buffers that the operations of this crate have asked GPUs for so far. Burn's own are not among them.
+/// Returns the bytes of all GPU buffers that the operations of this crate have allocated so far, without Burn's own.
 pub fn allocated_bytes() -> u64 {
     ALLOCATED.load(Ordering::Relaxed)
 }
 
-/// Runs `work`, which waits for its results, and counts all kernels that this process launches meanwhile, Burn's too, by
-/// their names.
+/// Runs `work` and returns the number of launches of each kernel by name, including Burn's. `work` must wait for its results.
 #[cfg(feature = "cube")]
 pub fn launches(work: impl FnOnce()) -> std::collections::BTreeMap<&'static str, usize> {
     use std::collections::BTreeMap;
@@ -45,22 +44,22 @@ pub fn launches(work: impl FnOnce()) -> std::collections::BTreeMap<&'static str,
     counts.clone()
 }
 
-/// Stages that this process has computed on the CPU so far, forward or backward.
+/// Returns the number of stages that this process has computed on the CPU so far, forward and backward.
 pub fn twin_calls() -> u64 {
     TWIN_CALLS.load(Ordering::Relaxed)
 }
 
-/// Burn's name of the backend that a device leads to, with what is wrapped around it.
+/// Returns Burn's name of a device's backend, including its wrappers.
 pub fn backend_name(device: &Device) -> String {
     Dispatch::name(device.as_dispatch())
 }
 
-/// The bytes of a GPU's largest buffer; `None` for a CPU device.
+/// Returns the size of a GPU's largest buffer, bytes; `None` for a CPU device.
 pub fn buffer_limit(device: &Device) -> Option<u64> {
     crate::limits::buffer_limit(device)
 }
 
-/// From now on, fill every new buffer of the kernels with the bits of NaN, so that a slot nobody wrote shows.
+/// Sets whether every new buffer of the kernels is filled with the bits of NaN, so that tests find slots that no kernel wrote.
 pub fn poison(on: bool) {
     #[cfg(feature = "cube")]
     crate::gpu::poison(on);

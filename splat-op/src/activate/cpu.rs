@@ -8,11 +8,11 @@ use super::rule::{LARGEST, LARGEST_LOG_SCALE, Raw};
 use crate::simd::lanes::{BLOCK, map_lanes};
 use crate::simd::real::Real;
 
-/// Gaussians per task.
+/// Number of Gaussians per task.
 const CHUNK: usize = 1024;
 
-/// Whether all values are finite and not too large to be squared. Without a branch, so that it is vectorised: it passes over
-/// every coefficient of a scene.
+/// Whether all values are finite and their squares are too. It has no branch, so that it is vectorised: it reads every
+/// coefficient of a scene.
 #[inline(always)]
 pub(crate) fn bounded<F: Real>(values: &[F]) -> bool {
     values.iter().fold(true, |all, value| all & (value.abs() <= F::of(LARGEST)))
@@ -23,7 +23,7 @@ fn usable_log_scale<F: Real>(log_scale: F) -> bool {
     log_scale.finite() & (log_scale <= F::of(LARGEST_LOG_SCALE))
 }
 
-/// Whether a Gaussian is usable but for its colour.
+/// Whether all parameters of a Gaussian except its colour are usable.
 #[inline(always)]
 pub(crate) fn usable_geometry<F: Real>(mean: &[F], rotation: &[F], log_scale: &[F], logit: F) -> bool {
     let turned = rotation.iter().any(|c| *c != F::ZERO) && rotation.iter().all(|c| c.finite());
@@ -79,7 +79,7 @@ fn opacities_chunk<S: Simd, F: Real>(simd: S, inputs: &Raw<&[F]>, first: usize, 
         let log_scales = rows_of(inputs.log_scales, first, count, 3);
         let logits = rows_of(inputs.logit_opacities, first, count, 1);
         let sh = rows_of(inputs.sh, first, count, coefficients);
-        // Almost always all are usable, which takes no look at each.
+        // Almost always all Gaussians are usable, and none needs a check of its own.
         let all = bounded(sh)
             & bounded(means)
             & log_scales.iter().fold(true, |all, value| all & usable_log_scale(*value))
@@ -98,7 +98,7 @@ fn opacities_chunk<S: Simd, F: Real>(simd: S, inputs: &Raw<&[F]>, first: usize, 
     }
 }
 
-/// `[N]`: derivatives of the opacities with respect to their logits; zero where an opacity is, masked or faded to nothing.
+/// `[N]` derivatives of the opacities with respect to their logits; zero for an opacity of zero, whether masked or underflowed.
 pub(crate) fn opacity_slopes_cpu<F: Real>(logit_opacities: &[F], opacities: &[F]) -> Vec<F> {
     let mut slopes = vec![F::ZERO; opacities.len()];
     let chunks = slopes.par_chunks_mut(CHUNK).zip(logit_opacities.par_chunks(CHUNK)).zip(opacities.par_chunks(CHUNK));
@@ -120,7 +120,7 @@ fn slopes_chunk<S: Simd, F: Real>(simd: S, inputs: [&[F]; 2], slopes: &mut [F]) 
 
 /// Whether all values are finite.
 pub(crate) fn all_finite_cpu<F: Real>(values: &[F]) -> bool {
-    // Large enough to hide the scheduling, small enough to share out evenly and to stop soon.
+    // Large enough to hide the cost of scheduling, small enough to balance the load and to stop early.
     const VALUES: usize = 16_384;
     values.par_chunks(VALUES).all(|chunk| chunk.iter().fold(true, |all, value| all & value.finite()))
 }

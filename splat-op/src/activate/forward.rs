@@ -1,16 +1,16 @@
-//! Kernels of `activate`: one unit per number, and per Gaussian where whole rows decide. What is not finite is known by its
-//! bits, because shader compilers may assume that NaN does not occur.
+//! Kernels of `activate`: one unit per number, or per Gaussian if the result depends on whole rows. Finiteness is tested by bits,
+//! because shader compilers may assume that NaN does not occur.
 
 use cubecl::prelude::*;
 
 use super::rule::{LARGEST, LARGEST_LOG_SCALE};
 use crate::gpu::math::finite;
 
-/// Below this an exponential is no f32 any more, not even a subnormal one.
+/// Exponent below which `exp` is less than the smallest subnormal f32.
 const SMALLEST_EXPONENT: f32 = -110.0;
 
-/// The bits of [`LARGEST`]. Those of the absolute values of floats sort as the values do, and above all finite ones come the
-/// infinity and NaN.
+/// Bits of [`LARGEST`]. The bits of absolute values of floats sort as the values do, with infinity and NaN above all finite
+/// values.
 const LARGEST_BITS: u32 = (LARGEST as f32).to_bits();
 
 #[cube]
@@ -28,7 +28,7 @@ pub(super) fn scales_kernel(log_scales: &[f32], scales: &mut [f32], count: u32) 
     if ABSOLUTE_POS < count as usize {
         let log_scale = log_scales[ABSOLUTE_POS];
         let usable = usable_log_scale(log_scale);
-        // What is unusable is replaced before it is computed with.
+        // Unusable values are replaced before the computation.
         let scale = max(select(usable, log_scale, 0.0), SMALLEST_EXPONENT).exp();
         scales[ABSOLUTE_POS] = select(usable, scale, 0.0);
     }
@@ -82,7 +82,7 @@ pub(super) fn opacity_slopes_kernel(logit_opacities: &[f32], opacities: &[f32], 
     }
 }
 
-/// Sets the flag if any of this unit's values, `stride` apart, is not finite. A device with a sound step never writes.
+/// Sets the flag if any of this unit's values, `stride` apart, is not finite. If all values are finite, no unit writes.
 #[cube(launch_unchecked)]
 pub(super) fn non_finite_kernel(values: &[f32], flag: &[Atomic<u32>], count: u32, stride: u32) {
     let mut at = ABSOLUTE_POS;

@@ -8,7 +8,7 @@ use crate::testing::ceiling::{PerturbedReference, rounded, to_f32};
 use crate::testing::gpu::{gpu, gpus};
 use crate::testing::random::Random;
 
-/// Means, rotations, logarithms of scales, logits, coefficients, in f32 precision.
+/// Means, rotations, logarithms of scales, logits and coefficients, in f32 precision.
 fn tensors(seed: u64, count: usize, coefficients: usize) -> Vec<Vec<f64>> {
     let mut random = Random::new(seed);
     let all = [
@@ -21,7 +21,7 @@ fn tensors(seed: u64, count: usize, coefficients: usize) -> Vec<Vec<f64>> {
     all.iter().map(|tensor| rounded(tensor)).collect()
 }
 
-/// Sets every slot of every kind of tensor in turn to every value that is a matter of the rule.
+/// Sets slots of each tensor in turn to each value that the rule distinguishes.
 fn poison(tensors: &mut [Vec<f64>]) {
     let values = [
         f64::NAN,
@@ -57,7 +57,7 @@ fn activations_and_slopes_agree_with_the_twin() {
     for (count, coefficients) in [(1, 1), (255, 4), (256, 16), (2_000, 16), (2_000, 25), (300, 0)] {
         let mut tensors = tensors(count as u64, count, coefficients);
         poison(&mut tensors);
-        // Each by itself: what an ulp does to an input that is at a limit is to mask it.
+        // Each tensor is perturbed separately, because an ulp would mask an input that is at a limit.
         let plain = opacities_cpu(inputs(&tensors));
         let masked: Vec<bool> = plain.iter().map(|opacity| *opacity == 0.0).collect();
         assert!(count < 100 || (masked.iter().any(|m| *m) && masked.iter().any(|m| !*m)));
@@ -106,7 +106,7 @@ fn activations_and_slopes_agree_with_the_twin() {
     }
 }
 
-/// Exponentials are compared with those of about their size.
+/// Class of an exponential by its size: each is compared with those of similar size.
 fn scale_class(log: f64) -> u8 {
     if log.is_finite() { (log.clamp(-100.0, 100.0) / 4.0 + 30.0) as u8 } else { 0 }
 }

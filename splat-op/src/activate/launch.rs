@@ -4,7 +4,8 @@ use super::forward::{non_finite_kernel, opacities_kernel, opacity_slopes_kernel,
 use super::rule::Raw;
 use crate::gpu::{Buffer, Gpu, elementwise};
 
-/// Units that look for values that are not finite: enough to occupy a large card, few enough that each has several.
+/// Number of units that search for values that are not finite: enough to occupy a large GPU, few enough that each has several
+/// values.
 const SEEKERS: usize = 65_536;
 
 /// `[N, 3]` standard deviations.
@@ -74,13 +75,13 @@ pub(crate) fn launch_opacity_slopes(gpu: &Gpu, logit_opacities: &Buffer<f32>, op
     slopes
 }
 
-/// One number: 1 if any value is not finite, else 0.
+/// `[1]`: 1 if any value is not finite, else 0.
 pub(crate) fn launch_non_finite(gpu: &Gpu, values: &Buffer<f32>) -> Buffer<u32> {
     let flag = Buffer::zeros(gpu, 1);
     if values.len > 0 {
         let seekers = values.len.min(SEEKERS);
         let (grid, dim) = elementwise(seekers);
-        // The units of the last cube count too, or they would look at what others have looked at.
+        // The surplus units of the last cube count too; otherwise they would repeat the work of others.
         let stride = seekers.next_multiple_of(dim.num_elems() as usize);
         // SAFETY: every access is guarded by the length given.
         unsafe {

@@ -1,23 +1,23 @@
-//! Unconstrained parameters → what [`crate::render`] takes, with unusable Gaussians masked before anything is computed
-//! from them. Differentiable. Beside it, for the other end of a step, a search for numbers that are not finite.
+//! Activations: unconstrained parameters → scales and opacities for [`crate::render`], with unusable Gaussians masked before
+//! anything is computed from them. Differentiable. [`non_finite`] searches for values that are not finite.
 //!
-//! `scale = exp(log_scale)`, `opacity = 1 / (1 + exp(−logit))` (Kerbl et al. 2023, section 5.1). Tensor code can do that;
-//! what it cannot do is keep a single poisoned Gaussian to itself. `exp` of an infinity is one, its derivative times a
-//! gradient of exactly zero is NaN, and a NaN among the colour coefficients is seen by nothing until it is in the picture.
+//! `scale = exp(log_scale)`, `opacity = 1 / (1 + exp(−logit))` (Kerbl et al. 2023, section 5.1). Tensor code can compute that, but
+//! it cannot isolate a Gaussian with invalid values: `exp` of an infinity is infinity, its derivative times a gradient of exactly
+//! zero is NaN, and a NaN among the colour coefficients goes unnoticed until it is in the picture.
 //!
 //! A Gaussian is **usable** if
 //!
 //! - every parameter is finite,
 //! - centre and colour coefficients are at most [`LARGEST`] in absolute value, so that their squares are finite too,
-//! - logarithms of standard deviations are at most [`LARGEST_LOG_SCALE`], so that their exponentials are,
+//! - logarithms of standard deviations are at most [`LARGEST_LOG_SCALE`], so that their exponentials are finite,
 //! - its quaternion is not zero (any other length is normalised).
 //!
-//! One that is not gets opacity 0: `intersect` then lists it nowhere, and it is as if it were not there. Its gradients are exactly
-//! zero, those through `exp` and the sigmoid included. An unusable logarithm of a standard deviation gives 0 for that
+//! An unusable Gaussian gets opacity 0: `intersect` then lists it nowhere, and it has no effect. Its gradients are exactly
+//! zero, including those through `exp` and the sigmoid. An unusable logarithm of a standard deviation gives 0 for that
 //! standard deviation.
 //!
-//! Derivatives: `d scale = scale · d log_scale`; `d opacity = e / (1 + e)² · d logit` with `e = exp(−|logit|)`, which keeps
-//! its digits where `opacity (1 − opacity)` has lost them.
+//! Derivatives: `d scale = scale · d log_scale`; `d opacity = e / (1 + e)² · d logit` with `e = exp(−|logit|)`, which stays accurate
+//! where `opacity (1 − opacity)` loses digits.
 //!
 //! Shapes: centres `[N, 3]`, quaternions `[N, 4]`, logarithms of standard deviations `[N, 3]`, logits `[N]`, coefficients
 //! `[N, K, 3]` → standard deviations `[N, 3]`, opacities `[N]`.
@@ -50,15 +50,17 @@ pub struct RawSplats {
     pub means: Tensor<2>,
     /// `[N, 4]`: quaternions wxyz, world-from-Gaussian.
     pub rotations: Tensor<2>,
-    /// `[N, 3]`: natural logarithms of the standard deviations along the rotated axes.
+    /// `[N, 3]`: natural logarithms of the standard deviations along the rotated axes, scene units.
     pub log_scales: Tensor<2>,
     /// `[N]`: logits of the opacities.
     pub logit_opacities: Tensor<1>,
-    /// `[N, K, 3]`: colour coefficients. Only whether they are usable matters here.
+    /// `[N, K, 3]`: colour coefficients. Here they are only checked for usability.
     pub sh: Tensor<3>,
 }
 
-/// Standard deviations `[N, 3]`, scene units, from their natural logarithms; 0 where one is unusable.
+/// Computes standard deviations `[N, 3]`, scene units, from their natural logarithms `[N, 3]`.
+///
+/// `scale = exp(log_scale)` (Kerbl et al. 2023, section 5.1); an unusable logarithm gives 0 with a gradient of 0. Differentiable.
 ///
 /// # Errors
 /// If the shape or the float type does not fit.
@@ -68,8 +70,10 @@ pub fn scales(log_scales: &Tensor<2>) -> Result<Tensor<2>, SplatError> {
     Ok(Tensor::from_dispatch(<Dispatch as ActivateBackend>::scales(log_scales.clone().into_dispatch())))
 }
 
-/// Opacities `[N]`, 0 to 1, from their logits; exactly 0 for a Gaussian that is unusable in any parameter. Differentiable in
-/// the logits.
+/// Computes opacities `[N]`, 0 to 1, from their logits `[N]`.
+///
+/// `opacity = 1 / (1 + exp(−logit))` (Kerbl et al. 2023, section 5.1); exactly 0 for a Gaussian with an unusable parameter.
+/// Differentiable in the logits.
 ///
 /// # Errors
 /// If a tensor's shape, type or device does not fit.
@@ -91,14 +95,15 @@ pub fn opacities(raw: &RawSplats) -> Result<Tensor<1>, SplatError> {
     Ok(Tensor::from_dispatch(<Dispatch as ActivateBackend>::opacities(inputs)))
 }
 
-/// `[1]`: 1 if any of `values` is not finite, else 0. Reading it waits for the device; computing with it does not. Its
-/// gradients are not followed.
+/// Searches for values that are not finite: returns `[1]`, 1 if any of `values` is not finite, else 0. Not differentiable.
+///
+/// Reading the result waits for the device; tensor code on it does not.
 pub fn non_finite<const D: usize>(values: &Tensor<D>) -> Tensor<1, Int> {
     Tensor::from_dispatch(<Dispatch as ActivateBackend>::non_finite(values.clone().inner().into_dispatch()))
 }
 
-/// Whether a Gaussian is usable, by its parameters on the host: the rule of [this module](self). `sh` are all its colour
-/// coefficients, in any order.
+/// Returns whether a Gaussian is usable by the rule of [this module](self), from its parameters on the host. `sh` holds all its
+/// colour coefficients, in any order.
 pub fn is_usable<'a>(
     mean: &[f32; 3],
     rotation: &[f32; 4],

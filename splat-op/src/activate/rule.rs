@@ -1,12 +1,12 @@
-//! What is usable, and what is looked at to know it.
+//! The rule for usable Gaussians and the parameters that it reads.
 
 use crate::record::record;
 
-/// The largest absolute value of a usable coordinate or colour coefficient: its square, and sums of many of those, are f32
-/// values. No scene that can be seen is that large.
+/// Largest absolute value of a usable coordinate or colour coefficient. Its square, and sums of many such squares, are finite in
+/// f32. No real scene is that large.
 pub const LARGEST: f64 = 1e18;
 
-/// The largest usable logarithm of a standard deviation: `exp(88)` is 1.7e38, half of the largest f32.
+/// Largest usable logarithm of a standard deviation: `exp(88)` is 1.7e38, half of the largest f32.
 pub const LARGEST_LOG_SCALE: f64 = 88.0;
 
 record! {

@@ -1,4 +1,4 @@
-//! The twin against the formulas, and the rule of what is usable.
+//! The twin against the formulas, and the rule for usable Gaussians.
 
 use burn::tensor::{DType, Device, Tensor, TensorData};
 
@@ -62,7 +62,7 @@ fn good() -> One {
     }
 }
 
-/// A way to set one slot.
+/// Function that sets one slot.
 type SetValue = (&'static str, fn(&mut One, f32));
 
 const SLOTS: [SetValue; 5] = [
@@ -73,7 +73,7 @@ const SLOTS: [SetValue; 5] = [
     ("sh", |one, value| one.sh[COLOURS - 1] = value),
 ];
 
-/// The opacity by the function on the host, by the twin in f32, and whether it has a slope.
+/// Usability by the function on the host, and the opacity and its slope by the twin in f32.
 fn judged(one: &One) -> (bool, f32, f32) {
     let usable = is_usable(&one.mean, &one.rotation, &one.log_scale, one.logit, [&one.sh[..5], &one.sh[5..]]);
     let opacity = opacities_cpu(Raw {
@@ -106,7 +106,7 @@ fn what_is_not_finite_masks_the_gaussian_whatever_the_slot() {
 
 #[test]
 fn what_f32_cannot_compute_with_masks_the_gaussian_too() {
-    // Whether a slot may hold the largest float, and its negative.
+    // Whether the largest float, and its negative, are usable in each slot.
     let may = [("mean", false, false), ("rotation", true, true), ("log_scale", false, true), ("logit", true, true)];
     for ((name, set), (expected, plus, minus)) in SLOTS.into_iter().zip(may.into_iter().chain([("sh", false, false)])) {
         assert_eq!(name, expected);
@@ -154,7 +154,7 @@ fn no_gradient_passes_a_masked_gaussian_even_where_one_is_not_finite() {
         let mut grads = loss.backward();
         let host = |tensor: Tensor<1>| tensor.into_data().convert::<f32>().try_into_vec::<f32>().unwrap();
         let logits = host(logits.grad_remove(&mut grads).unwrap());
-        // Masked by the logit, by the scale, by the colour.
+        // Gaussians masked by the logit, by the scale and by the colour.
         let slope = 1.0_f32.exp() / (1.0 + 1.0_f32.exp()).powi(2) * 4.0;
         assert!(logits[1] == 0.0 && logits[2] == 0.0 && logits[3] == 0.0, "{logits:?}");
         assert!((logits[4] - slope).abs() < 1e-6 && logits[0] > 0.9, "{logits:?}");

@@ -1,7 +1,7 @@
-//! The lens on the host, in f64: from the camera's frame to the picture and back, and how far a lens can see.
+//! Lenses on the host, in f64: projection, its inverse, and the domain of a lens.
 //!
-//! A polynomial that describes a lens well within its picture turns round somewhere outside, and what lies beyond is folded
-//! back into the picture. How far it can be trusted follows from the Jacobian of the planar map `s → d` of
+//! A polynomial that describes a lens well within its picture has a turning point somewhere outside, and folds points beyond it
+//! back into the picture. The radius up to which it is valid follows from the Jacobian of the planar map `s → d` of
 //! [`CameraModel`]. Its symmetric part has the eigenvalues `g` and `(r g)'`, `r = |s|`, of the radial part, to which the
 //! tangential part `2(P·s)I + 2sPᵀ + 2Psᵀ` adds at least `−6|P|r` and the prism's `Ssᵀ + sSᵀ` at least `−2|S|r`. As long as
 //!
@@ -9,9 +9,9 @@
 //! min(g, (r g)') > (6|P| + 2|S|) r
 //! ```
 //!
-//! holds, the symmetric part is positive definite, and a map of which that is true all over a disc takes no two of its points
-//! to the same place (its displacement along the line between them is positive). The [reach](Intrinsics::max_radius) of a lens is
-//! the radius of the largest such disc; it is a root of a polynomial. What lies at or beyond it is not drawn.
+//! holds, the symmetric part is positive definite. A map whose Jacobian has this property all over a disc is one to one there (the
+//! displacement of two points along the line between them is positive). The [radius of a lens's domain](Intrinsics::max_radius) is
+//! that of the largest such disc; it is a root of a polynomial. Points at or beyond it are not drawn.
 
 use std::f64::consts::FRAC_PI_2;
 
@@ -19,13 +19,13 @@ use glam::{DVec2, DVec3};
 
 use super::{CameraModel, Intrinsics};
 
-/// Slopes and angles beyond this are of no account: a slope of a million is a microradian from the image plane.
+/// Largest slope or angle that is considered: a slope of a million is a microradian from the image plane.
 const FAR: f64 = 1e6;
 
-/// Points on each border of a picture from which its extent in slopes is found.
+/// Number of points on each border of a picture from which its extent in slopes is computed.
 const BORDER_POINTS: usize = 8;
 
-/// The coefficients of the planar map by their names in the equations; zero where the model has none.
+/// Coefficients of the planar map under their names in the equations; zero if the model has none.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct LensCoefficients {
     /// `g = (1 + Σ radialᵢ wⁱ⁺¹) / (1 + Σ denominatorᵢ wⁱ⁺¹)`.
@@ -46,7 +46,7 @@ impl LensCoefficients {
         [g, (n_slope - g * d_slope) / d]
     }
 
-    /// `2 (P·s) s + (P + S) w`.
+    /// The tangential and prism part of the map, `2 (P·s) s + (P + S) w`.
     fn decentred(&self, s: DVec2) -> DVec2 {
         let (tangential, prism) = (DVec2::from_array(self.tangential), DVec2::from_array(self.prism));
         s * (2.0 * tangential.dot(s)) + (tangential + prism) * s.length_squared()
@@ -56,11 +56,11 @@ impl LensCoefficients {
         s * self.radial(s.length_squared())[0] + self.decentred(s)
     }
 
-    /// The radius up to which the map is one to one; infinite if it is so as far as [`FAR`].
+    /// Radius up to which the map is one to one; infinite if it is one to one up to [`FAR`].
     fn max_radius(&self) -> f64 {
         let norm = |v: [f64; 2]| DVec2::from_array(v).length();
         let slack = [0.0, 6.0 * norm(self.tangential) + 2.0 * norm(self.prism)];
-        // Everything times the square of the denominator `D`, as polynomials of the radius.
+        // All terms are multiplied by the square of the denominator `D`, as polynomials of the radius.
         let (n, d) = (even(&self.radial), even(&self.denominator));
         let allowed = times(&slack, &times(&d, &d));
         let across = minus(&times(&n, &d), &allowed);
@@ -71,8 +71,8 @@ impl LensCoefficients {
         first(&d).min(first(&across)).min(first(&along))
     }
 
-    /// The radius whose image `r g` is `target`, or `max_radius` if that is beyond it. Newton's steps within a bracket, which `r g`
-    /// being monotonic keeps valid.
+    /// Radius whose image `r g` is `target`, at most `max_radius`. Newton's method within a bracket, which stays valid because `r g`
+    /// is monotonic.
     fn radius(&self, target: f64, max_radius: f64) -> f64 {
         let (mut low, mut high) = (0.0, max_radius.min(FAR));
         let image = |r: f64| r * self.radial(r * r)[0];
@@ -98,8 +98,8 @@ impl LensCoefficients {
         r
     }
 
-    /// The `s` within reach whose image is `d`, or one on its rim if there is none. The radial part is inverted exactly and the
-    /// decentring part, which within reach is the weaker, by iteration.
+    /// The `s` within the domain whose image is `d`, or one on its rim if there is none. The radial part is inverted exactly; the
+    /// decentring part, which is the weaker one within the domain, by iteration.
     fn inverse(&self, d: DVec2, max_radius: f64) -> DVec2 {
         let mut s = DVec2::ZERO;
         for _ in 0..100 {
@@ -116,7 +116,7 @@ impl LensCoefficients {
     }
 }
 
-/// A camera ready to project points on the host and back, in f64; see [`Intrinsics::projector`].
+/// Projects points to pixels and pixels to rays on the host, in f64; see [`Intrinsics::projector`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Projector {
     camera: Intrinsics,
@@ -125,14 +125,16 @@ pub struct Projector {
 }
 
 impl Projector {
-    /// Where a point of the camera's frame lies on the picture or beside it, px; `None` if it is not in front of the camera, or
-    /// beyond what the lens can see (see [`Intrinsics::max_radius`]). The equations are [`CameraModel`]'s.
+    /// Projects a point of the camera's frame to a position on the image plane, px; it may lie outside the picture.
+    ///
+    /// Returns `None` if the point is not in front of the camera or is outside the lens's domain (see
+    /// [`Intrinsics::max_radius`]). The equations are [`CameraModel`]'s.
     pub fn px_from_cam(&self, point: DVec3) -> Option<DVec2> {
         let (camera, across) = (&self.camera, point.truncate());
         let s = match camera.model.is_fisheye() {
             true => {
                 let rho = across.length();
-                // On the axis, angles are slopes.
+                // On the axis angles equal slopes.
                 across * if rho > 0.0 { rho.atan2(point.z) / rho } else { 1.0 / point.z }
             }
             false => across / point.z,
@@ -142,8 +144,10 @@ impl Projector {
         seen.then(|| DVec2::new(camera.fx * d.x + camera.cx, camera.fy * d.y + camera.cy))
     }
 
-    /// The direction in the camera's frame that a position on the picture looks along: with z one, or, for a fisheye, whose
-    /// picture may reach to where z is zero, with length one. Where no direction leads there, the nearest that the lens sees.
+    /// Returns the direction, in the camera's frame, that projects to the position `px`, px.
+    ///
+    /// Its z is one. For a fisheye, whose picture may include directions with a z of zero, its length is one instead. If no
+    /// direction projects to `px`, it is the nearest one in the lens's domain.
     pub fn cam_from_px(&self, px: DVec2) -> DVec3 {
         let d = self.camera.focal_from_px(px);
         let model = self.camera.model;
@@ -176,15 +180,17 @@ impl Intrinsics {
         }
     }
 
-    /// The slope, or for a fisheye the angle in radians, from which on the lens shows nothing: up to there no two directions
-    /// meet on the picture. Infinite if that is so up to a slope of a million, as for a pinhole.
+    /// Returns the radius of the lens's domain: a slope, or for a fisheye an angle in radians.
+    ///
+    /// Below it no two directions project to the same position; the lens shows nothing from there on. It is infinite if
+    /// that holds up to a slope of a million, as for a pinhole.
     pub fn max_radius(&self) -> f64 {
         self.coefficients().max_radius()
     }
 
-    /// Slopes `[low, high]` along x and y at which the Jacobian is held: the picture's extent and `margin` times half of it on
-    /// either side. The extent of a lens's picture is that of its border in slopes, widened to the optical axis if need be, so
-    /// that holding a slope never takes it farther out.
+    /// Slopes `[low, high]` along x and y to which the Jacobian's slopes are clamped: the picture's extent and `margin` times half of
+    /// it on either side. A lens's picture has the extent of its border in slopes, widened to include the optical axis, so that
+    /// clamping never moves a slope outwards.
     pub(crate) fn slope_limits(&self, margin: f64) -> [[f64; 2]; 2] {
         if self.model == CameraModel::Pinhole {
             let limits = |size: usize, focal: f64, principal: f64| {
@@ -208,28 +214,28 @@ impl Intrinsics {
         [[low.x, high.x], [low.y, high.y]]
     }
 
-    /// A position on the picture in units of the focal length, from the principal point.
+    /// Position relative to the principal point, in units of the focal length.
     fn focal_from_px(&self, px: DVec2) -> DVec2 {
         DVec2::new((px.x - self.cx) / self.fx, (px.y - self.cy) / self.fy)
     }
 
-    /// The camera with what its lens can see, found once: for projecting many points, or looking along many pixels.
+    /// Returns a projector, which computes the lens's domain once for many points or pixels.
     pub fn projector(&self) -> Projector {
         Projector { camera: *self, lens: self.coefficients(), max_radius: self.max_radius() }
     }
 
-    /// [`Projector::px_from_cam`], for a few points.
+    /// Projects one point as [`Projector::px_from_cam`] does. For many points use [`Self::projector`].
     pub fn px_from_cam(&self, point: DVec3) -> Option<DVec2> {
         self.projector().px_from_cam(point)
     }
 
-    /// [`Projector::cam_from_px`], for a few positions.
+    /// Returns the direction of one position as [`Projector::cam_from_px`] does. For many positions use [`Self::projector`].
     pub fn cam_from_px(&self, px: DVec2) -> DVec3 {
         self.projector().cam_from_px(px)
     }
 }
 
-/// `1 + Σ coefficientsᵢ wⁱ⁺¹` and its derivative.
+/// Evaluates `1 + Σ coefficientsᵢ wⁱ⁺¹` and its derivative.
 fn with_slope(coefficients: &[f64], w: f64) -> [f64; 2] {
     let mut out = [0.0, 0.0];
     for &coefficient in coefficients.iter().rev().chain(&[1.0]) {
@@ -238,7 +244,7 @@ fn with_slope(coefficients: &[f64], w: f64) -> [f64; 2] {
     out
 }
 
-/// The same as a polynomial of the radius, constant first.
+/// Coefficients of `1 + Σ coefficientsᵢ r²⁽ⁱ⁺¹⁾` as a polynomial of the radius `r`, constant first.
 fn even(coefficients: &[f64]) -> Vec<f64> {
     [1.0].iter().chain(coefficients).flat_map(|&c| [c, 0.0]).collect()
 }
@@ -264,10 +270,10 @@ fn derivative(p: &[f64]) -> Vec<f64> {
     p.iter().enumerate().skip(1).map(|(i, c)| i as f64 * c).collect()
 }
 
-/// Where a polynomial changes its sign between zero and [`FAR`], in ascending order. Between two such places of its derivative
-/// it is monotonic, so that a change is there if its ends have different signs, and bisection finds it.
+/// Roots between zero and [`FAR`] at which a polynomial changes its sign, in ascending order. Between two such roots of its
+/// derivative the polynomial is monotonic, so it has a root there if the ends have different signs, and bisection finds it.
 pub(super) fn positive_roots(p: &[f64]) -> Vec<f64> {
-    // A factor of r has its root at zero, which is none between.
+    // The root of a factor of r is at zero, outside the open interval.
     let Some(lowest) = p.iter().position(|c| *c != 0.0) else { return Vec::new() };
     let Some(degree) = p.iter().rposition(|c| *c != 0.0).filter(|degree| *degree > lowest) else { return Vec::new() };
     let p = &p[lowest..=degree];

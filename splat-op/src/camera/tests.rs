@@ -1,4 +1,4 @@
-//! Lenses on the host: against COLMAP's formulas evaluated elsewhere, there and back, and how far they reach.
+//! Lenses on the host: values of COLMAP's formulas evaluated independently, round trips, and domains.
 
 use glam::{DVec2, DVec3};
 
@@ -39,7 +39,7 @@ fn a_position_on_the_picture_and_back() {
     assert_eq!(pinhole.cam_from_px(DVec2::new(505.0, -7.0)), DVec3::new(1.0, -0.5, 1.0));
 }
 
-/// Where no direction leads, the nearest that the lens sees, and never anything that is not finite.
+/// A position without a direction gets the nearest direction in the lens's domain, and never one that is not finite.
 #[test]
 fn positions_that_no_direction_leads_to_are_survived() {
     let strong =
@@ -60,7 +60,8 @@ fn positions_that_no_direction_leads_to_are_survived() {
     }
 }
 
-/// Within reach no two directions meet, and the radial derivative vanishes there if nothing is decentred.
+/// Within the domain no two directions project to one position. At its rim the radial derivative vanishes if the lens has no
+/// decentring.
 #[test]
 fn the_reach_is_where_a_lens_turns_round() {
     let radial = |k1: f64, k2: f64| camera((CameraModel::OpenCv, [k1, k2, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])).max_radius();
@@ -68,7 +69,7 @@ fn the_reach_is_where_a_lens_turns_round() {
     assert!((radial(-1.0 / 3.0, 0.0) - 1.0).abs() < 1e-15);
     assert!((radial(0.1, -0.2) - ((0.3 + 4.09_f64.sqrt()) / 2.0).sqrt()).abs() < 1e-15);
     assert_eq!([radial(0.0, 0.0), radial(0.3, 0.2), radial(-0.12, 0.03)], [f64::INFINITY; 3]);
-    // What is decentred takes some of it.
+    // Decentring makes the domain smaller.
     let fox = camera(FOX).max_radius();
     assert!(fox < radial(FOX.1[0], FOX.1[1]) && fox > 1.33, "{fox}");
     // A denominator of zero: 1 − w/4.
@@ -96,7 +97,7 @@ fn two_directions_within_reach_never_meet() {
         };
         for _ in 0..2_000 {
             let ((a, a_px), (b, b_px)) = (place(), place());
-            // The map is strongly monotonic there, which is more than one to one.
+            // The map is strongly monotonic there, which implies one to one.
             let displaced = (a_px - b_px) / DVec2::new(camera.fx, camera.fy);
             assert!(displaced.dot(a - b) > 0.0, "{lens:?}: {a} and {b}");
         }
@@ -139,7 +140,7 @@ fn another_size_keeps_the_lens() {
     assert!(small.abs_diff_eq(full / DVec2::new(2.0, 3.0), 1e-12));
 }
 
-/// By the formulas of COLMAP's `models.h` in 30 digits (mpmath), for [`lenses`] in order.
+/// Positions by the formulas of COLMAP's `models.h` in 30 digits (mpmath), for [`lenses`] in order.
 const PUBLISHED: [[f64; 2]; 6] = [
     [350.460_027_980_8, 35.167_703_514_88],
     [341.446_912, 42.197_843_2],

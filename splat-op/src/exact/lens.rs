@@ -1,5 +1,5 @@
-//! The camera models as COLMAP writes them, over dual numbers: a value and its derivatives with respect to x, y and z of the
-//! camera's frame, which every operation carries along (forward-mode differentiation). Nothing is simplified.
+//! Camera models as COLMAP writes them, over dual numbers (forward-mode differentiation): a value and its derivatives with respect
+//! to x, y and z of the camera's frame. The formulas are not simplified.
 
 use std::ops::{Add, Div, Mul, Sub};
 
@@ -7,7 +7,7 @@ use glam::DVec3;
 
 use crate::camera::{CameraModel, Intrinsics};
 
-/// A number and its gradient.
+/// Dual number: a value and its gradient with respect to `(x, y, z)`.
 #[derive(Clone, Copy, Debug)]
 pub struct Dual {
     pub value: f64,
@@ -58,12 +58,12 @@ impl Div for Dual {
     }
 }
 
-/// Where the lens shows a point of the camera's frame, px, and the Jacobian of that; `None` beyond what the lens sees.
+/// Projects a point of the camera's frame to its position, px, with the Jacobian; `None` outside the lens's domain.
 pub(super) fn seen(camera: &Intrinsics, point: DVec3) -> Option<[Dual; 2]> {
     let axis = |value, grad| Dual { value, grad };
     let [x, y, z] = [axis(point.x, DVec3::X), axis(point.y, DVec3::Y), axis(point.z, DVec3::Z)];
     let (mut u, mut v) = (x / z, y / z);
-    // On the axis angles are slopes, derivatives included, and the formula is 0/0.
+    // On the axis angles equal slopes, derivatives included, and the formula is 0/0.
     if camera.model.is_fisheye() && (point.x != 0.0 || point.y != 0.0) {
         let r = (u * u + v * v).sqrt();
         let theta = r.atan();

@@ -1,5 +1,5 @@
-//! Kernel of `project`, backward: one unit per Gaussian, which projects it again and goes the same way back. Outputs that
-//! nobody asked for are not arguments, and what only they need is not in the kernel.
+//! Kernel of `project`, backward: one unit per Gaussian, which projects it again and then differentiates. Outputs that are
+//! not asked for are not arguments, and the code that only they need is not compiled into the kernel.
 //!
 //! With `P = |p|`, `S = sigma_v`, `a = m1 / sigma_u` and the blur `ε`, the factor and the compensation have the differentials
 //!
@@ -7,8 +7,8 @@
 //! S dS = P dP + ε a·da        d(P / S) = (ε + ε |a|²) / S² · dP / S − P / S · ε a·da / S²
 //! ```
 //!
-//! of which the second is written without a difference of almost equal numbers: where the blur is small beside the
-//! Gaussian, the compensation is almost one whatever the Gaussian does, and where there is none, exactly.
+//! The second is written without a difference of almost equal numbers: if the blur is small compared with the Gaussian, the
+//! compensation is almost one for every Gaussian, and without blur it is exactly one.
 
 use cubecl::prelude::*;
 
@@ -18,7 +18,7 @@ use crate::gpu::UNITS;
 use crate::gpu::math::{Mat3, POSE, Pose, Quaternion, Vec3};
 use crate::gpu::reduce::cube_sum;
 
-/// Whether any number is not zero, by its bits, so that NaN counts.
+/// Whether any field is not zero, by its bits, so that NaN counts.
 #[cube]
 pub(crate) fn any(packed: &PackedEllipse) -> bool {
     let mean = u32::reinterpret(packed.x) | u32::reinterpret(packed.y);
@@ -31,7 +31,7 @@ pub(crate) fn any(packed: &PackedEllipse) -> bool {
 #[cube]
 fn factor_backward(f: &ProjectionTerms, lens: &ProjectCamera, opacity: f32, grad: &PackedEllipse) -> (Vec3, Vec3) {
     let inverse_v = 1.0 / f.sigma_v;
-    // Both are at most one, whatever the scales.
+    // Both factors are at most one for all scales.
     let blur = lens.blur_sigma * inverse_v;
     let blur_along = f.along.times(blur);
     let mut grad_p = f.p.times(grad.sigma_v * inverse_v);
@@ -40,7 +40,7 @@ fn factor_backward(f: &ProjectionTerms, lens: &ProjectCamera, opacity: f32, grad
         let grad_compensation = grad.opacity * opacity;
         if f.compensation_free {
             let weight = grad_compensation * inverse_v * (blur * blur + blur_along.dot(blur_along));
-            // Not one division by `P S`, which may be out of range.
+            // Two divisions instead of one by `P S`, which may be out of range.
             grad_p = grad_p.plus(f.p.times(1.0 / f.p_length).times(weight));
             along_weight -= blur * grad_compensation * f.compensation;
         }
@@ -62,14 +62,14 @@ pub(crate) struct SeenGrad {
     pub centre: Vec3,
 }
 
-/// Gradients of what an axis of the picture is computed from.
+/// Gradients of the inputs of one axis of the picture.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 struct JacobianRowGrad {
-    /// Of the camera x or y of the centre, and a share of that of its z.
+    /// Gradient of the centre's camera x or y, and this axis's share of the gradient of its z.
     across: f32,
     depth: f32,
-    /// Of the row of `W R`; that of the last row is less `slope` times this.
+    /// Gradient of the row of `W R`. The last row's gradient gets `−slope` times this.
     row: Vec3,
 }
 
@@ -89,7 +89,7 @@ fn row_backward(
     JacobianRowGrad { across, depth: -(grad_j.dot(row.j) * inverse) - across * row.ratio, row: grad_row }
 }
 
-/// From gradients of the rows of `J W R` and of the ellipse.
+/// Gradients of `W R` and of the centre from those of the rows of `J W R` and of the ellipse.
 #[cube]
 pub(crate) fn seen_backward(
     p: &ProjectionTerms,
@@ -112,7 +112,7 @@ pub(crate) fn seen_backward(
     }
 }
 
-/// Which gradients of a Gaussian are computed; those of the opacity and the projected centre always are.
+/// Gradients of a Gaussian that are computed; those of the opacity and the projected centre always are.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(crate) struct GeometryGradMask {
     pub means: bool,
@@ -121,7 +121,7 @@ pub(crate) struct GeometryGradMask {
     pub pose: bool,
 }
 
-/// Gradients of one Gaussian's parameters, of its projected centre, px, and its share of that of the pose.
+/// Gradients of one Gaussian's parameters and of its projected centre, per px, and its share of the pose's gradient.
 #[derive(CubeType, CubeTypeMut, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub(crate) struct GaussianGrad {
@@ -148,7 +148,7 @@ pub(crate) fn no_gradient() -> GaussianGrad {
     }
 }
 
-/// Gradients of a Gaussian from that of its row; none if it is culled.
+/// Gradients of a Gaussian from the gradient of its row; zero if it is culled.
 #[cube]
 pub(crate) fn gaussian_backward(
     g: &Gaussian,
@@ -220,7 +220,7 @@ pub(super) fn project_backward_kernel(
     let mut of = no_gradient();
     if gaussian < count as usize {
         let grad = PackedEllipse::load(grad, gaussian);
-        // Most Gaussians of a large scene are out of view, and their gradient is exactly zero.
+        // Most Gaussians of a large scene are out of view and have a gradient of exactly zero.
         if any(&grad) {
             let g = Gaussian::load(means, rotations, scales, opacities, gaussian);
             of = gaussian_backward(&g, &Pose::load(cam_from_world), &lens, &grad, wanted);
@@ -269,7 +269,7 @@ pub(super) fn project_backward_kernel(
     }
 }
 
-/// Writes the sum over the cube's units to its row.
+/// Writes the sum over the units of a cube to the cube's row.
 #[cube]
 pub(crate) fn store_sum(
     value: f32,

@@ -9,7 +9,7 @@ use super::{COLUMNS, Ellipse, Geometry, ProjectSpec};
 use crate::simd::lanes::{BLOCK, Columns};
 use crate::simd::real::{LANES, Real};
 
-/// Gaussians per task. Sums over all Gaussians add one partial sum per chunk in order, so the number of threads never
+/// Number of Gaussians per task. Sums over all Gaussians add one partial sum per chunk in order, so the number of threads never
 /// changes a result.
 const CHUNK: usize = 1024;
 
@@ -150,7 +150,7 @@ pub(crate) fn project_backward_cpu<F: Real>(
     grads
 }
 
-/// Where a chunk's gradients go; empty slices where they are not needed.
+/// Output slices for a chunk's gradients; empty for gradients that are not needed.
 struct Chunk<'a, F> {
     means: &'a mut [F],
     rotations: &'a mut [F],
@@ -175,8 +175,8 @@ impl<F: Real> Chunk<'_, F> {
     }
 }
 
-/// Fills the gradients of the Gaussians from `first` on, given those of their ellipses, and returns their share of the pose's,
-/// if that is needed.
+/// Computes the gradients of the Gaussians from `first` on from those of their ellipses. Returns their share of the pose's gradient
+/// if it is needed.
 #[inline(always)]
 fn backward_chunk<S: Simd, F: Real, const BENDS: bool>(
     simd: S,
@@ -191,12 +191,12 @@ fn backward_chunk<S: Simd, F: Real, const BENDS: bool>(
     let (mut parameters, mut found) = (Parameters::new(), Parameters::new());
     let (mut grads, mut mean2d) = (Columns::<F, COLUMNS>::new(), Columns::new());
     for (block, grad) in grad.chunks(BLOCK * COLUMNS).enumerate() {
-        // Most Gaussians of a large scene are out of view, and their gradient is exactly zero.
+        // Most Gaussians of a large scene are out of view and have a gradient of exactly zero.
         if grad.iter().all(|value| *value == F::ZERO) {
             continue;
         }
         let count = grad.len() / COLUMNS;
-        // What a longer block before it has left behind must not enter the pose's sum.
+        // Values of a previous, longer block must not enter the pose's sum.
         if count < BLOCK {
             grads = Columns::new();
         }
@@ -221,7 +221,7 @@ fn backward_chunk<S: Simd, F: Real, const BENDS: bool>(
     sums
 }
 
-/// One slice per chunk; empty slices where the gradient is not needed.
+/// Splits a gradient into one slice per chunk; the slices are empty if the gradient is not needed.
 fn split<F>(rows: &mut [F], columns: usize, chunks: usize) -> Vec<&mut [F]> {
     let mut parts: Vec<&mut [F]> = rows.chunks_mut(CHUNK * columns).collect();
     parts.resize_with(chunks, Default::default);

@@ -1,5 +1,5 @@
-//! Kernel of `project`, forward: one unit per Gaussian. The projection of one Gaussian is a function of its own, because
-//! the backward kernel computes it again rather than have it kept.
+//! Kernel of `project`, forward: one unit per Gaussian. The projection of one Gaussian is a separate function, because the
+//! backward kernel recomputes it instead of reading stored values.
 //!
 //! Shapes as in `project`: means `[N, 3]`, rotations `[N, 4]`, scales `[N, 3]`, opacities `[N]`, pose `[3, 4]` →
 //! `[N, 7]`.
@@ -16,22 +16,22 @@ use crate::gpu::math::{Mat3, Pose, Quaternion, Vec3, finite, within};
 pub(crate) struct CameraAxis {
     pub focal: f32,
     pub principal: f32,
-    /// `x/z` or `y/z` at which the Jacobian is held.
+    /// Limits to which `x/z` or `y/z` is clamped for the Jacobian.
     pub low: f32,
     pub high: f32,
 }
 
-/// What the kernels know of the camera and of the options.
+/// Camera and options as arguments of the kernels.
 #[derive(CubeType, CubeLaunch, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub(crate) struct ProjectCamera {
     pub x: CameraAxis,
     pub y: CameraAxis,
-    /// Camera z, scene units.
+    /// Near plane, camera z, scene units.
     pub near: f32,
-    /// The root of the blur, px.
+    /// Square root of the blur, px.
     pub blur_sigma: f32,
-    /// Not there for a pinhole.
+    /// Lens; absent for a pinhole.
     pub distortion: ComptimeOption<Distortion>,
     #[cube(comptime)]
     pub antialias: bool,
@@ -66,7 +66,7 @@ impl Gaussian {
     }
 }
 
-/// A row of the packed output, or of its gradient.
+/// Row of the packed output or of its gradient.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub(crate) struct PackedEllipse {
@@ -106,16 +106,16 @@ impl PackedEllipse {
     }
 }
 
-/// What an axis of the picture sees of a Gaussian.
+/// Projection of a Gaussian along one axis of the picture.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub(crate) struct JacobianRow {
-    /// `x/z` or `y/z`, the slope at which the Jacobian is taken, and whether that is free (not held at a limit). Where there is
-    /// a lens, `ratio` is what it makes of the centre, in units of the focal length.
+    /// `x/z` or `y/z`, the slope at which the Jacobian is evaluated, and whether that slope is free (not clamped). With a lens,
+    /// `ratio` is the distorted position of the centre in units of the focal length.
     pub ratio: f32,
     pub slope: f32,
     pub slope_free: bool,
-    /// Row of `J W R`, and the same times the scales.
+    /// Row of `J W R`, and that row times the scales.
     pub j: Vec3,
     pub m: Vec3,
 }
@@ -131,13 +131,12 @@ impl CameraAxis {
     }
 }
 
-/// What the forward pass computes on its way and the backward pass needs again. The names are those of the equations of
-/// `project`.
+/// Intermediate values of the forward pass that the backward pass needs. The names are those of the equations of
+/// [`project`](super).
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub(crate) struct ProjectionTerms {
-    /// Without it the rest means nothing: the Gaussian is not finite, has no rotation, or is not in front of the near
-    /// plane.
+    /// Whether the Gaussian is finite, has a rotation and is in front of the near plane. If not, all other fields are meaningless.
     pub visible: bool,
     pub depth: f32,
     pub quaternion: Quaternion,
@@ -147,7 +146,7 @@ pub(crate) struct ProjectionTerms {
     pub last: Vec3,
     pub x: JacobianRow,
     pub y: JacobianRow,
-    /// What a lens adds.
+    /// Terms of a lens.
     pub bent: ComptimeOption<LensProjection>,
     /// `m0 / sigma_u`, `m1 / sigma_u`, `n × m1` and its length.
     pub n: Vec3,
@@ -157,12 +156,12 @@ pub(crate) struct ProjectionTerms {
     pub sigma_u: f32,
     pub shear: f32,
     pub sigma_v: f32,
-    /// What the opacity is multiplied by, and whether that is free (not held at its floor, not one throughout).
+    /// Factor of the opacity, and whether it is free (not at its lower limit, and with anti-aliasing).
     pub compensation: f32,
     pub compensation_free: bool,
 }
 
-/// What both axes see, and what a lens adds, from the centre in the camera's frame and `W R`.
+/// Projections along both axes and the terms of a lens, from the centre in the camera's frame and `W R`.
 #[cube]
 fn seen_rows(
     mean_cam: Vec3,
@@ -185,7 +184,7 @@ fn seen_rows(
     }
 }
 
-/// Whether what would be drawn is also within a lens's reach.
+/// Whether a Gaussian that is otherwise `drawn` also lies within the lens's domain.
 #[cube]
 fn within_reach(drawn: bool, bent: ComptimeOption<LensProjection>) -> bool {
     #[comptime]
@@ -248,7 +247,7 @@ pub(crate) fn project_one(gaussian: &Gaussian, pose: &Pose, lens: &ProjectCamera
     }
 }
 
-/// The row of a Gaussian: of one that is culled all zero but `sigma_u = sigma_v = 1`.
+/// Row of a Gaussian; that of a culled one is zero except `sigma_u = sigma_v = 1`.
 #[cube]
 pub(crate) fn packed_of(gaussian: &Gaussian, p: &ProjectionTerms, lens: &ProjectCamera) -> PackedEllipse {
     PackedEllipse {

@@ -19,7 +19,7 @@ const ALL: Geometry<bool> =
     Geometry { means: true, rotations: true, scales: true, opacities: true, cam_from_world: true, mean2d: true };
 const NAMES: [&str; 6] = ["means", "rotations", "scales", "opacities", "pose", "mean2d"];
 
-// Classes of Gaussians. The first two are well-conditioned.
+// Classes of Gaussians. The Gaussians of the first two classes are well-conditioned.
 const CULLED: u8 = 0;
 const ORDINARY: u8 = 1;
 const NEEDLE: u8 = 2;
@@ -29,19 +29,20 @@ const TINY: u8 = 5;
 const SHORT_QUATERNION: u8 = 6;
 const LONG_QUATERNION: u8 = 7;
 
-/// A camera, its pose and the options.
+/// Camera, pose and options.
 struct TestCamera {
     pose: Vec<f64>,
-    /// Width, height.
+    /// Width and height, px.
     size: [usize; 2],
     model: CameraModel,
-    /// fx, fy, cx, cy, and the eight coefficients of the model.
+    /// fx, fy, cx and cy, px, and the eight coefficients of the model.
     lens: Vec<f64>,
     options: RenderOptions,
 }
 
 impl TestCamera {
-    /// Centred at the origin; turned, moved, and off centre; no rotation at all, its principal point outside.
+    /// Camera 0 is at the origin, with its principal point at the centre of the picture. Camera 1 is rotated and moved, and its
+    /// principal point is off centre. The matrix of camera 2 is not a rotation, and its principal point lies outside the picture.
     fn new(which: usize, blur: f64, antialias: bool) -> Self {
         let turn = DMat3::from_quat(DQuat::from_xyzw(0.4, -0.3, 0.2, 0.8).normalize());
         let (matrix, translation, lens, near) = match which {
@@ -73,14 +74,14 @@ impl TestCamera {
         ProjectSpec { intrinsics, options: self.options }
     }
 
-    /// The slopes at which the Jacobian is held: low and high along x, then y.
+    /// Limits to which the Jacobian's slopes are clamped: low and high along x, then along y.
     fn limits(&self, lens: &[f64]) -> [f64; 4] {
         let [[low_x, high_x], [low_y, high_y]] = self.spec(lens).intrinsics.slope_limits(self.options.jacobian_margin);
         [low_x, high_x, low_y, high_y]
     }
 }
 
-/// Means, rotations, scales, opacities, pose, lens, gradient, all in f32 precision; and the kind of each Gaussian.
+/// Means, rotations, scales, opacities, pose, lens and gradient, all in f32 precision, and the kind of each Gaussian.
 struct StageInputs {
     tensors: Vec<Vec<f64>>,
     kinds: Vec<u8>,
@@ -96,7 +97,7 @@ fn inputs<F>(tensors: &[Vec<F>]) -> Geometry<&'_ [F]> {
 }
 
 impl StageInputs {
-    /// Gaussians in view, beside it and behind it, bad ones, and others without a gradient; `wild` ones too.
+    /// Gaussians in view, outside it and behind the camera, with invalid values, and without a gradient; extreme ones too if `wild`.
     fn random(seed: u64, count: usize, view: &TestCamera, wild: bool) -> Self {
         let mut random = Random::new(seed);
         let p = &view.pose;
@@ -118,7 +119,7 @@ impl StageInputs {
                 (3, _) => z = -z,
                 (5, _) => scale = [(); 3].map(|()| random.between(1e-4, 4e-4)),
                 (7, _) => {
-                    // One number alone, or none.
+                    // Keeps at most one element of the gradient.
                     let row = grad[COLUMNS * i..COLUMNS * (i + 1)].iter_mut().enumerate();
                     row.filter(|(column, _)| *column != i / 16 % 8).for_each(|(_, grad)| *grad = 0.0);
                 }
@@ -168,8 +169,8 @@ impl StageInputs {
         (inputs, buffer(GRAD))
     }
 
-    /// The class of each Gaussian. In the band are those that rounding may cull or not, and for the backward pass those
-    /// that it may take across a limit of the Jacobian or the floor of the compensation.
+    /// Class of each Gaussian. The band contains Gaussians that are culled or not depending on rounding and, for the backward pass,
+    /// those that rounding may move across a limit of the Jacobian or the lower limit of the compensation.
     fn classes(&self, view: &TestCamera, backward: bool) -> Vec<Option<u8>> {
         let spec = view.spec(&view.lens);
         let margins = PerturbedReference::new(&self.tensors, |tensors| margins(tensors, view));
@@ -188,8 +189,9 @@ impl StageInputs {
     }
 }
 
-/// Relative distances from the thresholds: `[N, 2]` from the near plane and the lens's reach; `[N, 5]` from the limits of the Jacobian and from
-/// the floor of the compensation, which is the share of the ellipse's area that is there without the blur.
+/// Relative distances from the thresholds: `[N, 2]` from the near plane and the radius of the lens's domain; `[N, 5]` from the limits
+/// of the Jacobian and from the lower limit of the compensation, which is the ratio of the ellipse's area without blur to that with
+/// it.
 fn margins(tensors: &[Vec<f64>], view: &TestCamera) -> Vec<Vec<f64>> {
     let (p, limits) = (&tensors[POSE], view.limits(&tensors[LENS]));
     let mut spec = view.spec(&tensors[LENS]);
@@ -234,7 +236,7 @@ fn check_forward(what: &str, scene: &StageInputs, view: &TestCamera) -> f64 {
     worst
 }
 
-/// A scene whose Gaussians in the band have no gradient, its classes, and what the twin makes of it.
+/// A scene whose Gaussians in the band have no gradient, its classes, and the twin's results.
 fn backward_reference(mut scene: StageInputs, view: &TestCamera) -> (StageInputs, Vec<Option<u8>>, PerturbedReference) {
     let classes = scene.classes(view, true);
     for (i, _) in classes.iter().enumerate().filter(|(_, class)| class.is_none()) {
@@ -242,7 +244,7 @@ fn backward_reference(mut scene: StageInputs, view: &TestCamera) -> (StageInputs
     }
     let reference = PerturbedReference::new(&scene.tensors, |tensors| {
         let mut spec = view.spec(&tensors[LENS]);
-        // Without blur the compensation is one, and its gradient zero; the twin finds the latter as a difference.
+        // Without blur the compensation is one and its gradient zero, which the twin computes as a difference.
         spec.options.antialias &= spec.options.blur > 0.0;
         list(project_backward_cpu(inputs(tensors), &tensors[GRAD], &spec, ALL))
     });
@@ -274,7 +276,7 @@ fn check_backward(what: &str, scene: StageInputs, view: &TestCamera, needs: &[Ge
     worst
 }
 
-/// Views, blurs and anti-aliasing.
+/// Combinations of views, blurs and anti-aliasing.
 fn views() -> impl Iterator<Item = (String, TestCamera)> {
     (0..12).map(|i| {
         let (which, blur, antialias) = (i % 3, [0.3, 0.0][i / 3 % 2], i >= 6);
@@ -378,7 +380,7 @@ fn gradients_are_computed_where_asked_for() {
     check_backward("part", StageInputs::random(7, 300, &view, true), &view, &needs);
 }
 
-/// A dispatch along two axes holds more cubes than the Gaussians need; those write nothing.
+/// A dispatch along two axes has more cubes than the Gaussians need; the surplus cubes write nothing.
 #[test]
 fn surplus_cubes_write_nothing() {
     let (view, count) = (TestCamera::new(1, 0.3, true), 300);
@@ -411,7 +413,7 @@ fn surplus_cubes_write_nothing() {
                 gpu.planes,
             );
         }
-        // What nobody wrote is NaN in tests.
+        // In tests, slots that no kernel wrote are NaN.
         let written = |values: Vec<f32>| values.into_iter().map(|value| !value.is_nan()).collect::<Vec<_>>();
         let expected = |len: usize, first: usize| (0..len).map(|i| i < first).collect::<Vec<_>>();
         assert_eq!(written(rows.read(&gpu)), expected(6 * 12, 2 * 12));

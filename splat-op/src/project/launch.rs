@@ -9,7 +9,7 @@ use crate::gpu::math::{POSE, Vec2Launch};
 use crate::gpu::reduce::launch_column_sums;
 use crate::gpu::{Buffer, Gpu, UNITS, elementwise};
 
-/// The camera and the options as an argument of the kernels. Computed in f64 and rounded once.
+/// Camera and options as an argument of the kernels, computed in f64 and rounded once.
 pub(crate) fn lens(spec: &ProjectSpec) -> ProjectCameraLaunch {
     let (camera, options) = (&spec.intrinsics, &spec.options);
     let axis = |focal: f64, principal: f64, [low, high]: [f64; 2]| {
@@ -26,7 +26,7 @@ pub(crate) fn lens(spec: &ProjectSpec) -> ProjectCameraLaunch {
     )
 }
 
-/// `None` for a pinhole.
+/// Lens as an argument of the kernels; `None` for a pinhole.
 fn distortion(camera: &Intrinsics) -> Option<DistortionLaunch> {
     if camera.model == CameraModel::Pinhole {
         return None;
@@ -40,7 +40,7 @@ fn distortion(camera: &Intrinsics) -> Option<DistortionLaunch> {
     Some(DistortionLaunch::new(k1, k2, k3, k4, d1, d2, d3, tangential, prism, max_radius_squared, camera.model))
 }
 
-/// Packed ellipses, `[N, 7]`.
+/// Launches the forward kernel. Returns packed ellipses, `[N, 7]`.
 pub(crate) fn launch_project(gpu: &Gpu, inputs: &Geometry<Buffer<f32>>, spec: &ProjectSpec) -> Buffer<f32> {
     let count = inputs.opacities.len;
     let projected = Buffer::new(gpu, count * COLUMNS);
@@ -67,7 +67,8 @@ pub(crate) fn launch_project(gpu: &Gpu, inputs: &Geometry<Buffer<f32>>, spec: &P
     projected
 }
 
-/// Gradients of the inputs from `grad`, `[N, 7]`. Those of the pose are summed in a fixed order.
+/// Launches the backward kernel. Returns the gradients of the inputs from `grad`, `[N, 7]`. The pose's gradient is summed in a
+/// fixed order.
 pub(crate) fn launch_project_backward(
     gpu: &Gpu,
     inputs: &Geometry<Buffer<f32>>,

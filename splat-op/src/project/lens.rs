@@ -1,8 +1,8 @@
-//! The contract of lenses: what `project` computes where the camera is no pinhole. Kernels and twins follow it, each with
-//! arithmetic of its own; the models' equations are those of [`CameraModel`](crate::CameraModel).
+//! The contract of lenses: the equations of `project` for cameras that are not pinholes. Kernels and twins both follow it, each
+//! with its own arithmetic; the models' equations are those of [`CameraModel`](crate::CameraModel).
 //!
-//! A lens takes two steps. The first leads from the centre `(x, y, z)` in the camera's frame to slopes or angles `s`, and has
-//! rows `bₖ` of its Jacobian times `W R`, with the rows `rowₖ` and `last` of `W R`:
+//! A lens has two steps. The first maps the centre `(x, y, z)` in the camera's frame to slopes or angles `s`. The rows of its
+//! Jacobian times `W R` are `bₖ`, with the rows `rowₖ` and `last` of `W R`:
 //!
 //! ```text
 //! perspective   s = (x, y)/z     bₖ = (rowₖ − sₖ last) / z
@@ -16,11 +16,11 @@
 //! Σᵢⱼ Mᵢⱼ ∂Aᵢⱼ/∂s = 2g' (tr M s + M s + Mᵀs) + 4g'' (sᵀM s) s + 2 (tr M P + M P + Mᵀ(P + S))
 //! ```
 //!
-//! The rows of `J W R` are `jᵢ = fᵢ Σₖ Aᵢₖ bₖ`. As for a pinhole, the slopes at which a perspective lens's `A` and `b` are taken are
-//! held near the picture; the angles of a fisheye are not, whose Jacobian is exact everywhere.
+//! The rows of `J W R` are `jᵢ = fᵢ Σₖ Aᵢₖ bₖ`. As for a pinhole, the slopes at which a perspective lens's `A` and `b` are evaluated
+//! are clamped near the picture. The angles of a fisheye are not clamped, because its Jacobian is exact everywhere.
 //!
-//! For the angle `θ` from the axis, `α = θ/sin θ`, `β = (cos θ − α)/sin² θ` and, which the gradient takes,
-//! `δ = −(2 cos θ + 3β)/sin² θ`. They are smooth, but so written they are 0/0 on the axis and differences of almost equal numbers near
+//! For the angle `θ` from the axis, `α = θ/sin θ`, `β = (cos θ − α)/sin² θ` and, for the gradient,
+//! `δ = −(2 cos θ + 3β)/sin² θ`. They are smooth, but these forms are 0/0 on the axis and differences of almost equal numbers near
 //! it. With `v = tan²(θ/2) = |p|²/(1 + c)²`, at most one in front of the camera, and the smooth
 //! `h(v) = (atan(√v)/√v − 1 + v/3)/v²` they are
 //!
@@ -30,10 +30,10 @@
 //! δ = (1 + v)(25 + 9v − v² − v³ + 3 (1 + v)⁴ h)/16
 //! ```
 //!
-//! where nothing cancels and nothing is divided. `h` is a polynomial, fitted here.
+//! These forms contain no cancellation and no division. `h` is computed by a polynomial, fitted below.
 //!
-//! The gradient of the first step of a fisheye, for gradients `Gₖ`, those of `bₖ` over `R`, and `e` of `s`, with `Σ = Σₖ pₖ Gₖ`,
-//! `q = p·row`, `u = Σₖ Gₖ·rowₖ`, `m = Σ·q`, `l = Σ·last`:
+//! The gradient of the first step of a fisheye, given `Gₖ`, the gradients of `bₖ` over `R`, and `e`, the gradient of `s`, with
+//! `Σ = Σₖ pₖ Gₖ`, `q = p·row`, `u = Σₖ Gₖ·rowₖ`, `m = Σ·q`, `l = Σ·last`, is
 //!
 //! ```text
 //! grad rowₖ = α Gₖ + β pₖ Σ        grad last = −Σ
@@ -41,11 +41,11 @@
 //! grad c    = −u + 2 m + 2 c l − p·e
 //! ```
 //!
-//! of which those of `p` and `c` over `R` are those of `(x, y, z)`. `R` counts as a constant here: the rows are homogeneous of
-//! degree −1 in `(x, y, z)`, so they are those of `(p, c)` over `R` for any constant `R`, of which the length is the one that
-//! keeps all numbers near one.
+//! The gradients of `p` and `c` over `R` are those of `(x, y, z)`. `R` counts as a constant here: the rows are homogeneous of
+//! degree −1 in `(x, y, z)`, so they are those of `(p, c)` over `R` for any constant `R`. The length `|(x, y, z)|` is the
+//! constant that keeps all numbers near one.
 
-/// `h` for `0 <= v <= 1`, in f32: the highest power first, within 3.6e-10 (a fit at Chebyshev's points).
+/// Coefficients of `h` for `0 <= v <= 1`, in f32, highest power first: within 3.6e-10 (a fit at Chebyshev points).
 pub(super) const HALF_ANGLE_F32: [f64; 11] = [
     8.395_352_4e-4,
     -5.553_743_3e-3,
@@ -60,7 +60,7 @@ pub(super) const HALF_ANGLE_F32: [f64; 11] = [
     0.2,
 ];
 
-/// The same in f64, within 5e-18.
+/// Coefficients of `h` for `0 <= v <= 1`, in f64, highest power first: within 5e-18.
 pub(super) const HALF_ANGLE_F64: [f64; 21] = [
     1.112_771_540_375_668_2e-5,
     -1.286_735_171_570_008_6e-4,

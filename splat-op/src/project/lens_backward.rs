@@ -18,7 +18,7 @@ fn second(distortion: &Distortion, at: &PlanarMap, m: &Mat2) -> Vec2 {
     radial.plus(s.times(4.0 * at.bend * s.dot(by_s))).plus(decentred.times(2.0))
 }
 
-/// From gradients of the rows of `J W R` and of the ellipse.
+/// Gradients of `W R` and of the centre from those of the rows of `J W R` and of the ellipse.
 #[cube]
 pub(super) fn bent_backward(
     bent: &LensProjection,
@@ -40,7 +40,7 @@ pub(super) fn bent_backward(
     SeenGrad { turned: out.turned, centre: Vec3::new(out.centre.x, out.centre.y, out.centre.z + grad.depth) }
 }
 
-/// Through the first step, from gradients of `b₀, b₁`, of where the Jacobian is taken, and of the centre.
+/// Gradient of the first step, from those of `b₀, b₁`, of the position at which the Jacobian is evaluated, and of the centre.
 #[cube]
 fn first_backward(bent: &LensProjection, grad_base: (Vec3, Vec3), grad_held: Vec2, grad_centre: Vec2) -> SeenGrad {
     #[comptime]

@@ -11,7 +11,7 @@ use crate::gpu::math::{Mat3, Vec2, Vec3, within};
 #[derive(CubeType, CubeLaunch, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub(crate) struct Distortion {
-    /// Coefficients of `g`, and those of its denominator.
+    /// Coefficients of the numerator and of the denominator of `g`.
     pub k1: f32,
     pub k2: f32,
     pub k3: f32,
@@ -22,13 +22,13 @@ pub(crate) struct Distortion {
     /// `P` and `S` of the contract.
     pub tangential: Vec2,
     pub prism: Vec2,
-    /// What lies as far out as this or farther is culled; squared.
+    /// Square of the radius of the lens's domain; Gaussians at or beyond that radius are culled.
     pub max_radius_squared: f32,
     #[cube(comptime)]
     pub model: CameraModel,
 }
 
-/// A 2×2 matrix by its rows.
+/// 2 × 2 matrix by its rows.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub(crate) struct Mat2 {
@@ -58,7 +58,7 @@ struct Radial {
     bend: f32,
 }
 
-/// The planar map at a place.
+/// The planar map and its derivatives at one position.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub(crate) struct PlanarMap {
@@ -94,7 +94,7 @@ impl Distortion {
         let g = self.radial(w);
         let p = self.tangential;
         let twice = 2.0 * p.dot(s);
-        // 2 (g' s + P), of which each row of `A` has s times it, and 2 (P + S).
+        // `2 (g' s + P)`, which each row of `A` contains times `s`, and `2 (P + S)`.
         let inward = s.times(2.0 * g.slope).plus(p.times(2.0));
         let outward = p.plus(self.prism);
         let diagonal = g.value + twice;
@@ -112,7 +112,7 @@ impl Distortion {
     }
 }
 
-/// What the first step of a perspective lens leaves for the backward pass.
+/// Intermediate values of the first step of a perspective lens, for the backward pass.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub(crate) struct Perspective {
@@ -122,7 +122,7 @@ pub(crate) struct Perspective {
     pub inverse_depth: f32,
 }
 
-/// What that of a fisheye leaves, by the names of the contract.
+/// Intermediate values of the first step of a fisheye, for the backward pass, under the names of the contract.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub(crate) struct Fisheye {
@@ -137,13 +137,13 @@ pub(crate) struct Fisheye {
     pub inverse_length: f32,
 }
 
-/// What a lens makes of a centre, and what its gradient needs again.
+/// Projection of a centre through a lens, with the intermediate values that the gradient needs.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub(crate) struct LensProjection {
-    /// Not beyond the lens's reach.
+    /// Whether the centre lies within the lens's domain.
     pub within: bool,
-    /// The planar map at the centre, and where the Jacobian is taken.
+    /// The planar map at the centre, and at the position at which the Jacobian is evaluated.
     pub centre: PlanarMap,
     pub held: PlanarMap,
     /// `b₀, b₁`, and `W R`.
@@ -154,7 +154,7 @@ pub(crate) struct LensProjection {
     pub fisheye: ComptimeOption<Fisheye>,
 }
 
-/// What both axes of the picture see of a Gaussian, from its centre in the camera's frame and `W R`.
+/// Projections of a Gaussian along both axes of the picture, from its centre in the camera's frame and `W R`.
 #[cube]
 pub(super) fn bent_rows(
     mean_cam: Vec3,

@@ -1,4 +1,4 @@
-//! Lenses for eight Gaussians at a time, one in each SIMD lane: the arithmetic of the contract in `lens.rs`, both passes.
+//! Lenses for eight Gaussians at a time, one per SIMD lane: the arithmetic of the contract in `lens.rs`, both passes.
 
 use burn::tensor::DType;
 use fearless_simd::prelude::*;
@@ -13,7 +13,7 @@ type MaskOf<S, F> = <<F as Real>::Lanes<S> as SimdBase<S>>::Mask;
 type Lanes<S, F> = <F as Real>::Lanes<S>;
 type Vector<S, F> = [<F as Real>::Lanes<S>; 3];
 
-/// A lens's planar map, as numbers or with one copy in each lane.
+/// A lens's planar map, as numbers or broadcast to all lanes.
 #[derive(Clone, Copy)]
 pub(super) struct DistortionSimd<L> {
     model: CameraModel,
@@ -22,7 +22,7 @@ pub(super) struct DistortionSimd<L> {
     /// `P` and `S` of the contract.
     tangential: [L; 2],
     prism: [L; 2],
-    /// What lies as far out as this or farther is culled; squared.
+    /// Square of the radius of the lens's domain; Gaussians at or beyond that radius are culled.
     max_radius_squared: L,
 }
 
@@ -54,7 +54,7 @@ impl<F: Real> DistortionSimd<F> {
     }
 }
 
-/// The planar map at a place.
+/// The planar map and its derivatives at one position.
 struct PlanarMapSimd<L> {
     s: [L; 2],
     value: [L; 2],
@@ -132,14 +132,14 @@ impl<L: Copy> DistortionSimd<L> {
     }
 }
 
-/// The first step of a perspective lens.
+/// Intermediate values of the first step of a perspective lens.
 struct PerspectiveSimd<S: Simd, F: Real> {
     z: Lanes<S, F>,
     ratio: [Lanes<S, F>; 2],
     slope_free: [MaskOf<S, F>; 2],
 }
 
-/// That of a fisheye, in the contract's names.
+/// Intermediate values of the first step of a fisheye, under the names of the contract.
 struct FisheyeSimd<S: Simd, F: Real> {
     length: Lanes<S, F>,
     p: [Lanes<S, F>; 2],
@@ -158,12 +158,12 @@ enum FirstStep<S: Simd, F: Real> {
     Fisheye(FisheyeSimd<S, F>),
 }
 
-/// What a lens makes of eight centres, and what its gradient needs again.
+/// Projection of eight centres through a lens, with the intermediate values that the gradient needs.
 pub(super) struct LensProjectionSimd<S: Simd, F: Real> {
     first: FirstStep<S, F>,
-    /// Not beyond the lens's reach.
+    /// Whether each centre lies within the lens's domain.
     pub within: MaskOf<S, F>,
-    /// The planar map at the centre, and where the Jacobian is taken.
+    /// The planar map at the centre, and at the position at which the Jacobian is evaluated.
     centre: PlanarMapSimd<Lanes<S, F>>,
     held: PlanarMapSimd<Lanes<S, F>>,
     /// `b₀, b₁`
@@ -178,7 +178,7 @@ pub(super) struct LensProjectionGrad<L> {
 }
 
 impl<S: Simd, F: Real> LensProjectionSimd<S, F> {
-    /// From the centre, the rows of `W R`, and the slopes between which a perspective lens's Jacobian is held.
+    /// Projects through the lens, from the centre, the rows of `W R`, and the limits to which a perspective lens's slopes are clamped.
     #[inline(always)]
     pub fn new(
         distortion: &DistortionSimd<Lanes<S, F>>,
@@ -209,7 +209,7 @@ impl<S: Simd, F: Real> LensProjectionSimd<S, F> {
         }
     }
 
-    /// Where the centre is seen, in units of the focal length.
+    /// Distorted position of the centre, in units of the focal length.
     #[inline(always)]
     pub fn seen_at(&self) -> [Lanes<S, F>; 2] {
         self.centre.value
@@ -222,7 +222,7 @@ impl<S: Simd, F: Real> LensProjectionSimd<S, F> {
         [0, 1].map(|i| scale(add(scale(self.base[0], by[i][0]), scale(self.base[1], by[i][1])), focal[i]))
     }
 
-    /// From gradients of the rows of `J W R` and of where the centre is seen.
+    /// Gradients of the centre and of `W R` from those of the rows of `J W R` and of the distorted position.
     #[inline(always)]
     pub fn backward(
         &self,

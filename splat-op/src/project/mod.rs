@@ -1,9 +1,9 @@
-//! 3D Gaussians → screen-space ellipses. Differentiable.
+//! The projection stage: 3D Gaussians → screen-space ellipses. Differentiable.
 //!
 //! A Gaussian with centre `m`, rotation `R` and standard deviations `s` seen by a camera with rotation `W` has the 2D
 //! covariance `Σ = M Mᵀ + ε I` with `M = J W R diag(s)`, where `J` is the Jacobian of the projection at the centre
-//! (Zwicker et al. 2001, EWA splatting, eq. 26 to 31; Kerbl et al. 2023, eq. 5) and `ε` the blur. What leaves this stage
-//! is not `Σ` nor its inverse but its triangular factor, computed from the rows `m0, m1` of `M` by sums of squares only:
+//! (Zwicker et al. 2001, EWA splatting, eq. 26 to 31; Kerbl et al. 2023, eq. 5) and `ε` the blur. The stage returns neither
+//! `Σ` nor its inverse but its triangular factor, computed from the rows `m0, m1` of `M` by sums of squares only:
 //!
 //! ```text
 //! Σ = L Lᵀ,  L = | sigma_u          0       |     sigma_u² = |m0|² + ε
@@ -11,11 +11,11 @@
 //!                                                 sigma_v² = ε + |n × m1|² + ε |m1|² / sigma_u²,  n = m0 / sigma_u
 //! ```
 //!
-//! Solving `L (u, v)ᵀ = d` for a pixel's offset `d` whitens it: `u = dx / sigma_u`, `v = (dy − shear dx) / sigma_v`, and
-//! the Gaussian is `exp(−(u² + v²)/2)`. Nothing cancels however thin the Gaussian is. The factor holds standard
-//! deviations, not variances, so that it stays in range where their squares would overflow.
+//! Solving `L (u, v)ᵀ = d` whitens a pixel's offset `d`: `u = dx / sigma_u`, `v = (dy − shear dx) / sigma_v`, and
+//! the Gaussian is `exp(−(u² + v²)/2)`. No term cancels however thin the Gaussian is. The factor holds standard
+//! deviations instead of variances, so that it stays in range where their squares would overflow.
 //!
-//! What a lens that is no pinhole changes in `J` is in `lens.rs`.
+//! `lens.rs` has the `J` of lenses other than the pinhole.
 //!
 //! Shapes: means `[N, 3]`, rotations `[N, 4]`, scales `[N, 3]`, opacities `[N]`, pose `[3, 4]` → packed `[N, 7]`.
 
@@ -42,14 +42,14 @@ use crate::camera::Intrinsics;
 use crate::options::RenderOptions;
 use crate::record::record;
 
-/// Columns of the packed output.
+/// Number of columns of the packed output.
 pub(crate) const COLUMNS: usize = 7;
 
-/// The opacity compensation of a render with anti-aliasing is at least this. gsplat's floor; with it a splat far below
-/// a pixel keeps a trace and a gradient path to grow by.
+/// Lower limit of the opacity compensation of an anti-aliased render, as in gsplat. It leaves a splat much smaller than a pixel
+/// visible enough to have a gradient by which it can grow.
 pub(crate) const COMPENSATION_MIN: f64 = 0.005;
 
-/// One row of the packed output. A culled Gaussian has all fields zero but `sigma_u = sigma_v = 1`.
+/// One row of the packed output. All fields of a culled Gaussian are zero except `sigma_u = sigma_v = 1`.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct Ellipse<F> {
     /// Centre, px.
@@ -84,25 +84,25 @@ impl<F: Copy> Ellipse<F> {
 }
 
 record! {
-    /// The geometry of Gaussians and the pose of the camera that sees them.
+    /// Inputs of the stage: the geometry of Gaussians and the pose of a camera.
     pub struct Geometry {
-        /// `[N, 3]`, world frame.
+        /// `[N, 3]`: centres, world frame, scene units.
         means,
-        /// `[N, 4]`, quaternions wxyz of any non-zero length.
+        /// `[N, 4]`: quaternions wxyz, world-from-Gaussian, of any non-zero length.
         rotations,
-        /// `[N, 3]`, standard deviations, scene units.
+        /// `[N, 3]`: standard deviations, scene units.
         scales,
-        /// `[N]`, 0 to 1.
+        /// `[N]`: opacities, 0 to 1.
         opacities,
-        /// `[3, 4]`; in the gradient every entry is taken as free.
+        /// `[3, 4]`: pose; every entry is a free variable of the gradient.
         cam_from_world,
-        /// The probe at the projected centres: `[N, 2]`, or `[0, 2]` for none, and not read. Its gradient is that of the centres,
-        /// per px.
+        /// `[N, 2]`, or `[0, 2]` for none: probe at the projected centres. Its values are not read; its gradient is that of the
+        /// centres, per px.
         mean2d,
     }
 }
 
-/// The plain numbers the stage depends on.
+/// Parameters of the stage that are not tensors.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ProjectSpec {
     /// Camera intrinsics.

@@ -1,5 +1,5 @@
-//! The projection of eight Gaussians at a time and its gradient, one in each SIMD lane. What a lane computes that is culled is
-//! of no account, and is left out where it would be kept.
+//! The projection of eight Gaussians at a time and its gradient, one per SIMD lane. Values in the lanes of culled Gaussians are
+//! meaningless and are masked before they are stored.
 
 use fearless_simd::prelude::*;
 
@@ -8,13 +8,13 @@ use super::{COMPENSATION_MIN, Ellipse, ProjectSpec};
 use crate::linalg::{Mat3, add, cross, dot, hadamard, matmul, matvec, scale, sub, transposed_matvec};
 use crate::simd::real::Real;
 
-/// The camera, as numbers or with one copy in each lane.
+/// The camera, as numbers or broadcast to all lanes.
 pub(super) struct ProjectCameraSimd<L> {
     rotation: Mat3<L>,
     translation: [L; 3],
     focal: [L; 2],
     principal: [L; 2],
-    /// `x/z` and `y/z` at which the Jacobian is held.
+    /// Limits to which `x/z` and `y/z` are clamped for the Jacobian.
     low: [L; 2],
     high: [L; 2],
     pub near: L,
@@ -27,7 +27,7 @@ pub(super) struct ProjectCameraSimd<L> {
 }
 
 impl<F: Real> ProjectCameraSimd<F> {
-    /// Whether it is no pinhole.
+    /// Whether the camera is not a pinhole.
     pub fn bends(&self) -> bool {
         self.distortion.is_some()
     }
@@ -95,14 +95,14 @@ impl<L: Copy> GaussiansSimd<L> {
 type MaskOf<S, F> = <<F as Real>::Lanes<S> as SimdBase<S>>::Mask;
 type Vector<S, F> = [<F as Real>::Lanes<S>; 3];
 
-/// What the forward pass computes on its way and the backward pass needs again.
+/// Intermediate values of the forward pass that the backward pass needs.
 pub(super) struct ProjectionTermsSimd<S: Simd, F: Real> {
     simd: S,
-    /// Not culled: finite, with a rotation, and in front of the near plane.
+    /// Whether each Gaussian is visible: finite, with a rotation, and in front of the near plane.
     seen: MaskOf<S, F>,
     mean_cam: Vector<S, F>,
-    /// `x/z, y/z`, or what a lens makes of them; the slopes at which the Jacobian is taken; whether each is free (not held at a
-    /// limit).
+    /// `x/z, y/z`, or their distorted values with a lens; the slopes at which the Jacobian is evaluated; whether each slope is free
+    /// (not clamped).
     ratio: [F::Lanes<S>; 2],
     slope: [F::Lanes<S>; 2],
     slope_free: [MaskOf<S, F>; 2],
@@ -110,7 +110,7 @@ pub(super) struct ProjectionTermsSimd<S: Simd, F: Real> {
     quaternion_length: F::Lanes<S>,
     world_from_gaussian: Mat3<F::Lanes<S>>,
     cam_from_gaussian: Mat3<F::Lanes<S>>,
-    /// `j0, j1`: rows of `J W R`; `m0, m1`: the same times the scales.
+    /// `j0, j1`: rows of `J W R`; `m0, m1`: those rows times the scales.
     j: [Vector<S, F>; 2],
     m: [Vector<S, F>; 2],
     /// `n = m0 / sigma_u`, `along = m1 / sigma_u`, `p = n × m1`.
@@ -120,15 +120,15 @@ pub(super) struct ProjectionTermsSimd<S: Simd, F: Real> {
     sigma_u: F::Lanes<S>,
     shear: F::Lanes<S>,
     sigma_v: F::Lanes<S>,
-    /// What the opacity is multiplied by, and whether it is free (not held at its floor); one throughout without anti-aliasing.
+    /// Factor of the opacity, and whether it is free (not at its lower limit). Without anti-aliasing the factor is one.
     compensation: F::Lanes<S>,
     compensation_free: MaskOf<S, F>,
-    /// What a lens adds; `None` for a pinhole, in code that was compiled for pinholes alone.
+    /// Terms of a lens; `None` in the code that is compiled for pinholes.
     bent: Option<LensProjectionSimd<S, F>>,
 }
 
 impl<S: Simd, F: Real> ProjectionTermsSimd<S, F> {
-    /// `BENDS` as the lens does, so that a pinhole's code knows nothing of lenses.
+    /// Projects eight Gaussians. `BENDS` must equal `lens.bends()`; it keeps lenses out of the code for pinholes.
     #[inline(always)]
     pub fn new<const BENDS: bool>(
         simd: S,
@@ -242,8 +242,8 @@ impl<S: Simd, F: Real> ProjectionTermsSimd<S, F> {
         let mut grad_along = scale(self.n, grad.shear);
         if lens.antialias {
             // With P = |p| and S = sigma_v, whose square is ε + P² + ε |along|²:
-            // d(P/S) = (ε + ε |along|²)/S² dP/S − P/S ε along·d along / S². Without blur nothing is left, and it is exactly
-            // zero: no difference of almost equal numbers.
+            // d(P/S) = (ε + ε |along|²)/S² dP/S − P/S ε along·d along / S². Without blur every term is exactly zero; there is
+            // no difference of almost equal numbers.
             let norm = |v| norm::<S, F>(self.simd, v);
             let one = self.lanes(F::ONE);
             let grad_compensation = grad.opacity * opacity;
@@ -294,7 +294,8 @@ impl<S: Simd, F: Real> ProjectionTermsSimd<S, F> {
         out
     }
 
-    /// Gradients from that of the ellipse; zero where that is zero. Adds those of the pose, row by row, to `pose`.
+    /// Gradients of the Gaussians from those of their ellipses; zero if those are zero. Adds the pose's gradient, row by row, to
+    /// `pose`.
     #[inline(always)]
     pub fn backward(
         &self,
@@ -356,8 +357,8 @@ impl<S: Simd, F: Real> ProjectionTermsSimd<S, F> {
     }
 
     /// Gradient of a quaternion of any length from that of its rotation matrix: through [`rotation_of`], then through the
-    /// normalisation `q / |q|`, which leaves only what is normal to the unit quaternion. Where the length is so short that the
-    /// gradient is beyond the float's range, it is held at its end.
+    /// normalisation `q / |q|`, which leaves only the component normal to the unit quaternion. If the length is so short that the
+    /// gradient exceeds the float's range, the gradient is clamped to that range.
     #[inline(always)]
     fn quaternion_backward(&self, g: &Mat3<F::Lanes<S>>) -> [F::Lanes<S>; 4] {
         let [w, x, y, z] = self.quaternion;
@@ -375,7 +376,7 @@ impl<S: Simd, F: Real> ProjectionTermsSimd<S, F> {
         let (low, high) = (self.lanes(-F::MAX), self.lanes(F::MAX));
         let mut out = grad_unit;
         for (out, unit) in out.iter_mut().zip(self.quaternion) {
-            // Written so that what is not a number stays none, and is found.
+            // Comparisons in this form keep NaN, so that it is found later.
             let value = (*out - unit * radial) / self.quaternion_length;
             let value = value.simd_lt(low).select(low, value);
             *out = value.simd_gt(high).select(high, value);
@@ -387,16 +388,16 @@ impl<S: Simd, F: Real> ProjectionTermsSimd<S, F> {
 /// Gradients of eight Gaussians.
 pub(super) struct GradientsSimd<L> {
     pub parameters: GaussiansSimd<L>,
-    /// At the projected centres, per px.
+    /// Gradients of the projected centres, per px.
     pub mean2d: [L; 2],
 }
 
-/// Length of vectors, without overflow or underflow on the way.
+/// Length of vectors, without intermediate overflow or underflow.
 #[inline(always)]
 pub(super) fn norm<S: Simd, F: Real>(simd: S, v: Vector<S, F>) -> F::Lanes<S> {
     let lanes = |value: f64| F::Lanes::<S>::splat(simd, F::of(value));
     let squared = dot(v, v);
-    // Within these bounds no square has overflowed, and any that underflowed is too small to count.
+    // Within these bounds no square has overflowed, and squares that underflowed are negligible.
     let in_range = squared.simd_gt(lanes(1e-20)) & squared.simd_lt(lanes(1e30));
     let plain = squared.sqrt();
     if in_range.all_true() {
@@ -408,8 +409,8 @@ pub(super) fn norm<S: Simd, F: Real>(simd: S, v: Vector<S, F>) -> F::Lanes<S> {
     in_range.select(plain, scaled)
 }
 
-/// Quaternions of length one and the lengths of those given; no numbers for length zero. Scaled first, so that no length that
-/// the float type can hold overflows or vanishes.
+/// Normalised quaternions and the lengths of the given ones; NaN for a length of zero. The components are scaled first, so that no
+/// length that the float type can represent overflows or underflows.
 #[inline(always)]
 fn unit_quaternion<S: Simd, F: Real>(simd: S, q: [F::Lanes<S>; 4]) -> ([F::Lanes<S>; 4], F::Lanes<S>) {
     let largest = q[0].abs().max(q[1].abs()).max(q[2].abs().max(q[3].abs()));
@@ -421,7 +422,7 @@ fn unit_quaternion<S: Simd, F: Real>(simd: S, q: [F::Lanes<S>; 4]) -> ([F::Lanes
     (scaled.map(|c| c / length), whole)
 }
 
-/// The rotation matrix of unit quaternions wxyz.
+/// Rotation matrices of unit quaternions wxyz.
 #[inline(always)]
 fn rotation_of<L: crate::linalg::Entry>(one: L, [w, x, y, z]: [L; 4]) -> Mat3<L> {
     let twice = |value: L| value + value;

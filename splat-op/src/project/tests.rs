@@ -1,4 +1,4 @@
-//! `project` against central finite differences, and what it culls.
+//! `project`: central finite differences, and culling.
 
 use super::cpu::{project_backward_cpu, project_cpu};
 use super::{COLUMNS, COMPENSATION_MIN, Geometry, ProjectSpec};
@@ -21,12 +21,12 @@ fn with_lens(spec: ProjectSpec, (model, distortion): (CameraModel, [f64; 8])) ->
     ProjectSpec { intrinsics: Intrinsics { model, distortion, ..spec.intrinsics }, ..spec }
 }
 
-/// Inputs on the host, in the order of the stage: means, rotations, scales, opacities, pose.
+/// Inputs on the host, in the order of the stage: means, rotations, scales, opacities and pose.
 #[derive(Clone)]
 struct StageInputs([Vec<f64>; 5]);
 
 impl StageInputs {
-    /// Gaussians in view, beyond each of the four limits of the Jacobian, thin as needles, and far below a pixel.
+    /// Gaussians in view, beyond each of the four limits of the Jacobian, thin as needles, and much smaller than a pixel.
     fn random(seed: u64, count: usize) -> Self {
         let mut random = Random::new(seed);
         let mut means = Vec::new();
@@ -89,7 +89,7 @@ fn every_gradient_agrees_with_finite_differences() {
         let grad = Random::new(seed + 100).fill(20 * COLUMNS, -1.0, 1.0);
         let g = check_every_gradient(&format!("antialias {antialias}"), &scene, &spec, &grad);
         let centres: Vec<f64> = grad.chunks_exact(COLUMNS).flat_map(|row| [row[0], row[1]]).collect();
-        assert_eq!(g.mean2d, centres, "the probe hears the gradient at the projected centres");
+        assert_eq!(g.mean2d, centres, "the probe gets the gradient at the projected centres");
     }
 }
 
@@ -104,7 +104,7 @@ fn every_gradient_through_every_lens_agrees_with_finite_differences() {
     }
 }
 
-/// On the axis, within rounding of it, near it, and almost across it.
+/// Gaussians on the axis, within rounding of it, near it, and almost at 90° from it.
 #[test]
 fn a_fisheye_is_smooth_on_its_axis_and_to_its_rim() {
     let mut scene = StageInputs::random(30, 8);
@@ -145,7 +145,7 @@ fn a_lens_without_coefficients_is_a_pinhole() {
     }
 }
 
-/// The lens of `fox_distorted` turns round at a slope of 1.34: without a limit, what lies far outside its view would be
+/// The lens of `fox_distorted` has a turning point at a slope of 1.34: without a limit, points far outside its view would be
 /// folded back onto the picture.
 #[test]
 fn what_lies_beyond_the_reach_of_a_lens_is_not_folded_into_the_picture() {
@@ -179,7 +179,7 @@ fn each_gradient_is_the_same_alone_and_nothing_else_is_computed() {
 fn the_factor_is_that_of_the_covariance() {
     let spec = spec(false);
     let mut scene = StageInputs::random(7, 1);
-    // Straight ahead, axes along the camera's, pose the identity: variances are those of the axes, magnified.
+    // On the optical axis, with axes along the camera's and an identity pose, the variances are those of the axes, magnified.
     let pose = vec![1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0];
     scene.0 = [vec![0.0, 0.0, 4.0], vec![2.0, 0.0, 0.0, 0.0], vec![0.4, 0.2, 9.0], vec![0.5], pose];
     let row = scene.project(&spec);
@@ -195,10 +195,10 @@ fn the_factor_is_that_of_the_covariance() {
 fn compensation_holds_its_floor() {
     let (scene, spec) = (StageInputs::random(8, 20), spec(true));
     let row = &scene.project(&spec)[4 * COLUMNS..5 * COLUMNS];
-    assert_eq!(row[6], scene.0[3][4] * COMPENSATION_MIN, "Gaussian 4 is far below a pixel");
+    assert_eq!(row[6], scene.0[3][4] * COMPENSATION_MIN, "Gaussian 4 is much smaller than a pixel");
 }
 
-/// Bad rows: what is wrong with Gaussian `i`, which is the `i`th here.
+/// Makes the first Gaussians invalid, each in a different way, and returns their number.
 fn spoil<F: Real>([means, rotations, scales, opacities, _]: &mut [Vec<F>; 5], not_finite: F) -> usize {
     means[0] = not_finite;
     rotations[4] = not_finite;
@@ -240,7 +240,7 @@ fn extreme_scales_stay_finite_in_f32() {
     let spec = spec(true);
     for log_scale in [-50.0_f64, -20.0, 20.0, 50.0] {
         let mut wild = scene.0.each_ref().map(|values| values.iter().map(|v| *v as f32).collect::<Vec<f32>>());
-        // One axis alone, then all three.
+        // Extreme along one axis, then along all three.
         wild[2].iter_mut().step_by(6).for_each(|scale| *scale = log_scale.exp() as f32);
         wild[2][..9].fill(log_scale.exp() as f32);
         wild[1].iter_mut().for_each(|component| *component *= 1e-20);

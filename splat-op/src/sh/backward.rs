@@ -1,7 +1,7 @@
-//! Kernels of `evaluate_sh`, backward: one unit per Gaussian, and one unit for the pose. Outputs that nobody asked for are not
-//! arguments, and what only they need is not in the kernel.
+//! Kernels of `evaluate_sh`, backward: one unit per Gaussian, and one unit for the pose. Outputs that are not asked for are not
+//! arguments, and the code that only they need is not compiled into the kernel.
 //!
-//! A channel that the clamp holds at zero has no gradient. With `r` the vector from camera to centre and `d = r / |r|`,
+//! A channel that is clamped to zero has no gradient. With `r` the vector from camera to centre and `d = r / |r|`,
 //! `∂r = (g − d (d·g)) / |r|` for `g = Σₖ (grad·cₖ) ∇Yₖ(d)`; the centre gets `∂r` and the camera's position the negative
 //! sum of all. With the position `e = −A⁻¹ t` and its gradient `g`: `∂t = −A⁻ᵀ g`, `∂A = ∂t eᵀ`.
 
@@ -13,8 +13,8 @@ use crate::gpu::UNITS;
 use crate::gpu::math::{Pose, Vec3};
 use crate::gpu::reduce::cube_sum;
 
-/// `Σₖ wₖ ∇pₖ(d)` for the polynomials `pₖ` of [`basis`], each term beside the others of its degree. Only the part normal
-/// to `d` has a meaning on the sphere.
+/// `Σₖ wₖ ∇pₖ(d)` for the polynomials `pₖ` of [`basis`], grouped by degree. Only the component normal to `d` is meaningful on the
+/// sphere.
 #[cube]
 fn polynomials_backward(d: Vec3, w: &Sequence<f32>, #[comptime] degree: usize) -> Vec3 {
     let (x, y, z) = (d.x, d.y, d.z);
@@ -74,15 +74,15 @@ fn polynomials_backward(d: Vec3, w: &Sequence<f32>, #[comptime] degree: usize) -
     grad
 }
 
-/// Whether any channel has a gradient, by its bits: NaN has.
+/// Whether any channel has a non-zero gradient, by its bits: NaN counts.
 #[cube]
 fn any_colour(grad: Vec3) -> bool {
     let bits = u32::reinterpret(grad.x) | u32::reinterpret(grad.y) | u32::reinterpret(grad.z);
     (bits & 0x7fff_ffff) != 0
 }
 
-/// Stores the gradient of a Gaussian's harmonics, if that is asked for, and returns that of the vector from the camera to its
-/// centre, or zero unless `through_direction`.
+/// Stores the gradient of a Gaussian's harmonics, if it is asked for. Returns the gradient of the vector from the camera to the
+/// Gaussian's centre if `through_direction` is set, and zero otherwise.
 #[cube]
 fn colour_backward(
     sh: &[f32],
@@ -141,7 +141,7 @@ fn no_harmonics(gaussian: usize, grad_sh: &mut ComptimeOption<Box<[f32]>>, #[com
     }
 }
 
-/// `view_direction_rows` takes the sum over each cube of the gradients of the vectors from camera to centre.
+/// `view_direction_rows` receives, per cube, the sum of the gradients of the vectors from the camera to the centres.
 #[cube(launch_unchecked)]
 pub(super) fn sh_backward_kernel(
     sh: &[f32],
@@ -162,7 +162,7 @@ pub(super) fn sh_backward_kernel(
     let mut of_view_direction = Vec3::new(0.0, 0.0, 0.0);
     if gaussian < count as usize {
         let g = Vec3::load(grad, 3 * gaussian);
-        // Also what keeps a Gaussian that is not seen, whatever it holds, out of every sum.
+        // Also keeps the values of a Gaussian that is not visible, NaN included, out of every sum.
         let mut visible = any_colour(g);
         #[comptime]
         if let ComptimeOption::Some(ellipses) = ellipses {
@@ -195,12 +195,12 @@ pub(super) fn sh_backward_kernel(
     }
 }
 
-/// The gradient of the pose from the sum of the gradients of the vectors from camera to centre, by one unit.
+/// Gradient of the pose from the sum of the gradients of the vectors from the camera to the centres, by one unit.
 #[cube(launch_unchecked)]
 pub(super) fn pose_backward_kernel(grad_sights: &[f32], cam_from_world: &[f32], grad_pose: &mut [f32]) {
     if ABSOLUTE_POS == 0 {
         let eye = CameraPosition::of(Pose::load(cam_from_world));
-        // The position's gradient is the negative of that of the sights.
+        // The gradient of the position is the negative sum of those of the view directions.
         let grad_t = eye.world_from_cam.apply_transposed(Vec3::load(grad_sights, 0));
         eye.position.times(grad_t.x).store(grad_pose, 0);
         eye.position.times(grad_t.y).store(grad_pose, 4);

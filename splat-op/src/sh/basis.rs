@@ -3,7 +3,7 @@
 use super::SH_COEFFICIENTS_MAX;
 use crate::simd::real::Real;
 
-// Normalisations, named by degree and by position within it; the signs are those of the original code.
+// Normalisations, named by degree and by position within the degree, with the signs of the original code.
 const Y0: f64 = 0.282_094_791_773_878_14;
 const Y1: f64 = 0.488_602_511_902_919_9;
 const Y2: [f64; 5] = [
@@ -80,7 +80,7 @@ pub(super) fn basis<F: Real>([x, y, z]: [F; 3], degree: usize) -> [F; SH_COEFFIC
     out
 }
 
-/// `Σₖ gₖ ∇Yₖ(d)`: the gradient of the polynomials, of which only the part normal to `d` has a meaning on the sphere.
+/// `Σₖ gₖ ∇Yₖ(d)`: the gradient of the polynomials. Only its component normal to `d` is meaningful on the sphere.
 #[inline(always)]
 pub(super) fn basis_backward<F: Real>([x, y, z]: [F; 3], degree: usize, g: &[F; SH_COEFFICIENTS_MAX]) -> [F; 3] {
     let c = F::of;

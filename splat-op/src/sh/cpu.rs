@@ -9,7 +9,7 @@ use crate::linalg::{Mat3, add, cross, dot, matvec, norm, scale, sub, transpose, 
 use crate::project::{COLUMNS, Ellipse, ProjectSpec};
 use crate::simd::real::Real;
 
-/// Gaussians per task; also the unit of the ordered sum of the pose's gradient.
+/// Number of Gaussians per task, and per partial sum of the pose's gradient, whose sum is ordered.
 const CHUNK: usize = 1024;
 
 /// Borrowed inputs, row-major.
@@ -18,11 +18,11 @@ pub(crate) struct ShCpuInputs<'a, F> {
     pub sh: ShCoefficients<'a, F>,
     pub means: &'a [F],
     pub cam_from_world: &'a [F],
-    /// Coefficients per channel.
+    /// Number of coefficients per channel.
     pub coefficients: usize,
 }
 
-/// Coefficients as they are stored.
+/// Coefficients in their storage type.
 #[derive(Clone, Copy)]
 pub(crate) enum ShCoefficients<'a, F> {
     Full(&'a [F]),
@@ -35,11 +35,11 @@ impl<'a, F> From<&'a [F]> for ShCoefficients<'a, F> {
     }
 }
 
-/// The numbers of a Gaussian, of all channels, at the highest degree.
+/// Room for the coefficients of one Gaussian, all channels, at the highest degree.
 type ShRow<F> = [F; 3 * SH_COEFFICIENTS_MAX];
 
 impl<F: Real> ShCoefficients<'_, F> {
-    /// How many there are.
+    /// Number of values.
     pub fn len(&self) -> usize {
         match self {
             Self::Full(values) => values.len(),
@@ -47,7 +47,7 @@ impl<F: Real> ShCoefficients<'_, F> {
         }
     }
 
-    /// Those of Gaussian `i`, `row` numbers, in `room` unless they lie somewhere as they are.
+    /// Returns the `row` coefficients of Gaussian `i`. Half-precision ones are converted into `room`.
     #[inline(always)]
     fn row<'a>(&'a self, i: usize, row: usize, room: &'a mut ShRow<F>) -> &'a [F] {
         match self {
@@ -60,8 +60,8 @@ impl<F: Real> ShCoefficients<'_, F> {
     }
 }
 
-/// Where the camera is in the world: the point that the pose takes to zero, `−A⁻¹ t`. The general inverse, so that the
-/// answer holds for any invertible `A` and every entry of the pose is a free variable.
+/// Position of the camera in the world frame: the point that the pose maps to zero, `−A⁻¹ t`. It uses the general inverse, so that
+/// it holds for any invertible `A` and every entry of the pose is a free variable.
 struct CameraPositionCpu<F> {
     /// `A⁻¹`.
     world_from_cam: Mat3<F>,
@@ -78,7 +78,7 @@ impl<F: Real> CameraPositionCpu<F> {
         Self { world_from_cam, position }
     }
 
-    /// Gradient of the pose from that of the position: `∂t = −A⁻ᵀ g`, `∂A = ∂t positionᵀ`.
+    /// Gradient of the pose from the gradient `g` of the position: `∂t = −A⁻ᵀ g`, `∂A = ∂t positionᵀ`.
     fn backward(&self, grad_position: [F; 3]) -> Vec<F> {
         let grad_t = scale(transposed_matvec(&self.world_from_cam, grad_position), -F::ONE);
         let mut pose = Vec::with_capacity(12);
@@ -89,7 +89,7 @@ impl<F: Real> CameraPositionCpu<F> {
         pose
     }
 
-    /// Unit direction to a centre and its distance; straight ahead for a centre on the camera itself.
+    /// Unit direction from the camera to a centre, and the distance, scene units; +z for a centre at the camera's position.
     #[inline(always)]
     fn direction(&self, mean: &[F]) -> ([F; 3], F) {
         let to_mean = sub([mean[0], mean[1], mean[2]], self.position);
@@ -102,7 +102,7 @@ impl<F: Real> CameraPositionCpu<F> {
     }
 }
 
-/// The colour before the clamp.
+/// Colour before the clamp.
 #[inline(always)]
 fn linear_colour<F: Real>(y: &[F; SH_COEFFICIENTS_MAX], sh: &[F]) -> [F; 3] {
     let mut colour = [F::of(0.5); 3];
@@ -112,12 +112,12 @@ fn linear_colour<F: Real>(y: &[F; SH_COEFFICIENTS_MAX], sh: &[F]) -> [F; 3] {
     colour
 }
 
-/// Which Gaussians can show in a picture; see [`super`].
+/// Visibility of Gaussians in a picture; see [`super`].
 pub(crate) struct Visible<'a, F> {
-    /// `[N, 7]`, packed.
+    /// `[N, 7]` packed ellipses.
     ellipses: &'a [F],
     sigmas: F,
-    /// Of the picture, px.
+    /// Width and height of the picture, px.
     size: [F; 2],
 }
 
@@ -139,7 +139,7 @@ impl<'a, F: Real> Visible<'a, F> {
     }
 }
 
-/// `[N, 3]` colours of the Gaussians that are visible, all unless it is said which, and zero for the others.
+/// `[N, 3]` colours of the visible Gaussians, zero for the others. Without a visibility all Gaussians are visible.
 pub(crate) fn sh_cpu<F: Real>(inputs: ShCpuInputs<F>, visible: Option<&Visible<F>>) -> Vec<F> {
     let eye = CameraPositionCpu::new(inputs.cam_from_world);
     let row = 3 * inputs.coefficients;
@@ -192,7 +192,7 @@ pub(crate) fn sh_backward_cpu<F: Real>(
             for local in 0..CHUNK.min(count - chunk * CHUNK) {
                 let i = chunk * CHUNK + local;
                 let g = [grad[3 * i], grad[3 * i + 1], grad[3 * i + 2]];
-                // Also what keeps a Gaussian that is not seen, whatever it holds, out of every sum.
+                // Also keeps the values of a Gaussian that is not visible, NaN included, out of every sum.
                 if g == [F::ZERO; 3] || visible.is_some_and(|visible| !visible.has(i)) {
                     continue;
                 }
@@ -223,7 +223,7 @@ pub(crate) fn sh_backward_cpu<F: Real>(
     grads
 }
 
-/// Gradient of the vector from camera to centre: through the basis, then through the normalisation.
+/// Gradient of the vector from the camera to a centre: through the basis, then through the normalisation.
 #[inline(always)]
 fn direction_backward<F: Real>(direction: [F; 3], distance: F, degree: usize, sh: &[F], g: [F; 3]) -> [F; 3] {
     let mut grad_basis = [F::ZERO; SH_COEFFICIENTS_MAX];

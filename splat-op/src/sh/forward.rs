@@ -1,6 +1,5 @@
-//! Kernel of `evaluate_sh`, forward: one unit per Gaussian; and what the backward kernel shares with it: the camera's centre, the
-//! direction from it, and the spherical harmonics. Their degree and how their coefficients are stored is fixed when a kernel is
-//! compiled.
+//! Kernel of `evaluate_sh`, forward: one unit per Gaussian. The backward kernel shares the camera's position, the direction from it
+//! and the spherical harmonics. Their degree and the storage of their coefficients are compile-time constants of a kernel.
 //!
 //! Shapes as in `evaluate_sh`: coefficients `[N, (degree+1)², 3]`, means `[N, 3]`, pose `[3, 4]` → `[N, 3]`.
 
@@ -12,7 +11,7 @@ use crate::gpu::half::load_three_halves;
 use crate::gpu::math::{Mat3, Pose, Vec3};
 use crate::project::forward::PackedEllipse;
 
-/// Where the camera is in the world: the point that the pose takes to zero, `−A⁻¹ t`, by the general inverse.
+/// Position of the camera in the world frame: the point that the pose maps to zero, `−A⁻¹ t`, by the general inverse.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub(super) struct CameraPosition {
@@ -33,7 +32,7 @@ impl CameraPosition {
         CameraPosition { world_from_cam, position: world_from_cam.apply(pose.translation).times(-1.0) }
     }
 
-    /// Straight ahead for a centre on the camera itself.
+    /// Direction to a centre; +z for a centre at the camera's position.
     pub fn view_direction(&self, mean: Vec3) -> ViewDirection {
         let to_mean = mean.minus(self.position);
         let distance = to_mean.length();
@@ -56,7 +55,7 @@ pub(super) struct ViewDirection {
     pub distance: f32,
 }
 
-/// What the polynomials below are multiplied by, with the signs of the original code.
+/// Factors of the polynomials below, with the signs of the original code.
 pub(super) const NORMS: [f32; SH_COEFFICIENTS_MAX] = [
     0.282_094_79,
     -0.488_602_51,
@@ -85,7 +84,7 @@ pub(super) const NORMS: [f32; SH_COEFFICIENTS_MAX] = [
     0.625_835_7,
 ];
 
-/// `Yₖ(d)` for every `k` of the degree.
+/// `Yₖ(d)` for every `k < (degree+1)²`.
 #[cube]
 pub(super) fn basis(d: Vec3, #[comptime] degree: usize) -> Sequence<f32> {
     let (x, y, z) = (d.x, d.y, d.z);
@@ -141,7 +140,7 @@ pub(super) fn coefficient(sh: &[f32], gaussian: usize, k: usize, #[comptime] har
     if comptime!(harmonics.storage == Storage::Half) { load_three_halves(sh, at) } else { Vec3::load(sh, at) }
 }
 
-/// The colour before the clamp.
+/// Colour before the clamp.
 #[cube]
 pub(super) fn linear_colour(
     sh: &[f32],
@@ -158,19 +157,19 @@ pub(super) fn linear_colour(
     colour
 }
 
-/// The picture in which Gaussians may show.
+/// The picture, for the test of visibility.
 #[derive(CubeType, CubeLaunch, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub(super) struct Frame {
-    /// Standard deviations out to which an opacity of 1 may show.
+    /// Extent of a Gaussian with an opacity of 1, in standard deviations.
     pub sigmas: f32,
-    /// Px.
+    /// Width, px.
     pub width: f32,
-    /// Px.
+    /// Height, px.
     pub height: f32,
 }
 
-/// Whether a Gaussian may show in the picture, by its packed ellipse; see [`super`].
+/// Whether a Gaussian can show in the picture, by its packed ellipse; see [`super`].
 #[cube]
 pub(super) fn may_show(ellipses: &[f32], gaussian: usize, frame: &Frame) -> bool {
     let ellipse = PackedEllipse::load(ellipses, gaussian);
@@ -181,12 +180,12 @@ pub(super) fn may_show(ellipses: &[f32], gaussian: usize, frame: &Frame) -> bool
     ellipse.opacity > 1.0 || (ellipse.opacity > 0.0 && beside && level)
 }
 
-/// The colour of a Gaussian.
+/// Colour of a Gaussian.
 #[cube]
 fn colour_of(sh: &[f32], gaussian: usize, mean: Vec3, pose: Pose, #[comptime] harmonics: Harmonics) -> Vec3 {
     let view_direction = CameraPosition::of(pose).view_direction(mean);
     let colour = linear_colour(sh, gaussian, &basis(view_direction.direction, comptime!(harmonics.degree)), harmonics);
-    // Not `max`, which may turn a NaN into a colour.
+    // A comparison instead of `max`, which may turn NaN into a colour.
     Vec3::new(
         select(colour.x < 0.0, 0.0, colour.x),
         select(colour.y < 0.0, 0.0, colour.y),

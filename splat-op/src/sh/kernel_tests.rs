@@ -18,7 +18,7 @@ const ORDINARY: u8 = 0;
 const FAR: u8 = 1;
 const CLOSE: u8 = 2;
 
-/// Coefficients, means, pose, gradient, all in f32 precision; and the kind of each Gaussian.
+/// Coefficients, means, pose and gradient, all in f32 precision, and the kind of each Gaussian.
 struct StageInputs {
     tensors: Vec<Vec<f64>>,
     kinds: Vec<u8>,
@@ -34,13 +34,13 @@ fn inputs(tensors: &[Vec<f64>], degree: usize) -> ShCpuInputs<'_, f64> {
 }
 
 impl StageInputs {
-    /// Gaussians around the camera, far from it and close to it, some without a gradient and some of these not finite. A
-    /// turned camera away from the origin, or no rotation at all.
+    /// Gaussians around the camera, far from it and close to it. Some have no gradient, and some of these are not finite. The
+    /// camera is rotated and away from the origin; if `bent`, its matrix is not a rotation.
     fn random(seed: u64, count: usize, degree: usize, bent: bool) -> Self {
         let mut random = Random::new(seed);
         let row = 3 * coefficients_of(degree);
         let mut sh = random.fill(row * count, -0.4, 0.4);
-        // The constant terms reach beyond the 0.5, so that some channels are clamped at every degree.
+        // The constant terms may exceed the 0.5, so that some channels are clamped at every degree.
         sh.chunks_exact_mut(row).for_each(|sh| sh[..3].iter_mut().for_each(|c| *c *= 8.0));
         let mut grad = random.fill(3 * count, -1.0, 1.0);
         let pose = match bent {
@@ -77,7 +77,7 @@ impl StageInputs {
         (ShDeviceInputs { sh: buffer(0).into(), means: buffer(1), cam_from_world: buffer(POSE) }, buffer(GRAD))
     }
 
-    /// The class of each Gaussian; none for one that is not finite.
+    /// Class of each Gaussian; `None` for one that is not finite.
     fn classes(&self) -> Vec<Option<u8>> {
         let (means, row) = (&self.tensors[1], 3 * coefficients_of(self.degree));
         let finite = |i: usize| {
@@ -87,10 +87,10 @@ impl StageInputs {
         self.kinds.iter().enumerate().map(|(i, kind)| finite(i).then_some(*kind)).collect()
     }
 
-    /// Takes the gradient from the channels that rounding may hold at zero or not.
+    /// Sets the gradient to zero in channels that are clamped or not depending on rounding.
     fn mask_band(&mut self) {
         let lifted = |tensors: &[Vec<f64>]| {
-            // So much that no channel is held, in the coefficient whose function is a constant.
+            // Large enough that no channel is clamped; added to the coefficient of the constant function.
             let (lift, constant) = (100.0, 0.282_094_791_773_878_14);
             let mut tensors = tensors.to_vec();
             let row = 3 * coefficients_of(self.degree);
@@ -129,7 +129,7 @@ fn check_forward(what: &str, scene: &StageInputs) -> f64 {
 
 fn check_backward(what: &str, mut scene: StageInputs, needs: &[Shading<bool>]) -> f64 {
     scene.mask_band();
-    // A Gaussian that is not finite has no gradient, and is compared.
+    // Gaussians that are not finite have no gradient and are compared too.
     let classes: Vec<_> = scene.kinds.iter().copied().map(Some).collect();
     let reference = PerturbedReference::new(&scene.tensors, |tensors| {
         list(sh_backward_cpu(inputs(tensors, scene.degree), None, &tensors[GRAD], ALL))

@@ -11,7 +11,7 @@ use crate::gpu::reduce::launch_column_sums;
 use crate::gpu::{Buffer, Gpu, UNITS, elementwise};
 use crate::project::ProjectSpec;
 
-/// Inputs on the device, row-major.
+/// Inputs of `evaluate_sh` on the device, row-major.
 #[derive(Clone, Debug)]
 pub(crate) struct ShDeviceInputs {
     /// `[N, (degree+1)², 3]`.
@@ -25,9 +25,9 @@ pub(crate) struct ShDeviceInputs {
 /// Coefficients on the device, row-major.
 #[derive(Clone, Debug)]
 pub(crate) struct DeviceShCoefficients {
-    /// The numbers, or words of two.
+    /// f32 values, or words of two half-precision values.
     pub values: Buffer<f32>,
-    /// How many there are.
+    /// Number of coefficients.
     pub len: usize,
     pub storage: Storage,
 }
@@ -39,28 +39,28 @@ impl From<Buffer<f32>> for DeviceShCoefficients {
 }
 
 impl DeviceShCoefficients {
-    /// Half-precision numbers from the words that they lie in.
+    /// Half-precision coefficients, from words that hold two each.
     pub fn halves(values: Buffer<f32>, len: usize) -> Self {
         Self { values, len, storage: Storage::Half }
     }
 
-    /// What a kernel for `coefficients` of them per channel is compiled for.
+    /// Compile-time constants of a kernel for this number of coefficients per channel.
     pub fn harmonics(&self, coefficients: usize) -> Harmonics {
         Harmonics { degree: degree_of(coefficients), storage: self.storage }
     }
 }
 
-/// Which Gaussians are shaded: those whose packed ellipses, `[N, 7]`, can show in a picture.
+/// Gaussians whose colours are computed: those whose packed ellipses, `[N, 7]`, can show in a picture.
 pub(crate) type Visible<'a> = Option<(&'a Buffer<f32>, &'a ProjectSpec)>;
 
-/// Not read without ellipses.
+/// The picture for the test of visibility; its values are not read without ellipses.
 fn frame(visible: Visible) -> FrameLaunch {
     let size = |spec: &ProjectSpec| [spec.intrinsics.width as f32, spec.intrinsics.height as f32];
     let [width, height] = visible.map_or([0.0; 2], |(_, spec)| size(spec));
     FrameLaunch::new(visible.map_or(0.0, |(_, spec)| reach_sigmas(spec.options.alpha_min) as f32), width, height)
 }
 
-/// Colours, `[N, 3]`, from `coefficients` per channel; zero for what is not visible.
+/// Launches the forward kernel. Returns colours `[N, 3]` from `coefficients` per channel; zero for Gaussians that are not visible.
 pub(crate) fn launch_sh(gpu: &Gpu, inputs: &ShDeviceInputs, visible: Visible, coefficients: usize) -> Buffer<f32> {
     let count = inputs.means.len / 3;
     let colours = Buffer::new(gpu, 3 * count);
@@ -87,7 +87,8 @@ pub(crate) fn launch_sh(gpu: &Gpu, inputs: &ShDeviceInputs, visible: Visible, co
     colours
 }
 
-/// Gradients of the inputs from `grad`, `[N, 3]`. Those of the pose are summed in a fixed order.
+/// Launches the backward kernels. Returns the gradients of the inputs from `grad`, `[N, 3]`. The pose's gradient is summed in a
+/// fixed order.
 pub(crate) fn launch_sh_backward(
     gpu: &Gpu,
     inputs: &ShDeviceInputs,
@@ -102,7 +103,7 @@ pub(crate) fn launch_sh_backward(
         means: Buffer::if_needed(gpu, needs.means, inputs.means.len),
         cam_from_world: None,
     };
-    // A colour of degree zero does not depend on where the camera is.
+    // A colour of degree zero does not depend on the camera's position.
     let through_pose = needs.cam_from_world && harmonics.degree > 0 && count > 0;
     let view_direction_rows = Buffer::if_needed(gpu, through_pose, count.div_ceil(UNITS) * 3);
     if count > 0 && (needs.sh || needs.means || through_pose) {
@@ -136,10 +137,10 @@ pub(crate) fn launch_sh_backward(
     grads
 }
 
-/// `[3, 4]` from `grad_sights`, `[3]`.
+/// Gradient of the pose, `[3, 4]`, from `grad_sights`, `[3]`, the sum of the gradients of the view directions.
 fn launch_pose_backward(gpu: &Gpu, grad_sights: &Buffer<f32>, cam_from_world: &Buffer<f32>) -> Buffer<f32> {
     let grad_pose = Buffer::new(gpu, POSE);
-    // SAFETY: the kernel reads and writes as many numbers as these buffers hold.
+    // SAFETY: the kernel reads and writes exactly the lengths of these buffers.
     unsafe {
         pose_backward_kernel::launch_unchecked(
             &gpu.client,

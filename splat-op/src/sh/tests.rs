@@ -1,4 +1,4 @@
-//! `evaluate_sh` against central finite differences, against published values of the basis, and where it clamps.
+//! `evaluate_sh`: central finite differences, published values of the basis, and the clamp.
 
 use super::cpu::{ShCoefficients, ShCpuInputs, sh_backward_cpu, sh_cpu};
 use super::{Shading, sh_degree};
@@ -8,7 +8,7 @@ use crate::testing::random::Random;
 const ALL: Shading<bool> = Shading { sh: true, means: true, cam_from_world: true };
 const COUNT: usize = 16;
 
-/// Coefficients, means, pose.
+/// Coefficients, means and pose.
 #[derive(Clone)]
 struct StageInputs([Vec<f64>; 3], usize);
 
@@ -17,7 +17,7 @@ impl StageInputs {
         let mut random = Random::new(seed);
         let coefficients = (degree + 1) * (degree + 1);
         let mut sh = random.fill(3 * COUNT * coefficients, -1.0, 1.0);
-        // A constant term that outweighs the 0.5: at every degree some channels are clamped.
+        // The constant term may exceed the 0.5, so that some channels are clamped at every degree.
         sh.iter_mut().step_by(3 * coefficients).step_by(3).for_each(|c| *c = -6.0);
         let means = random.fill(3 * COUNT, -3.0, 3.0);
         // Not quite a rotation: every entry of the pose is a free variable.
@@ -70,8 +70,8 @@ fn each_gradient_is_the_same_alone_and_nothing_else_is_computed() {
     }
 }
 
-/// Real spherical harmonics are orthonormal: `∫ Yᵢ Yⱼ = δᵢⱼ`. Wrong constants, a wrong polynomial or a repeated function
-/// all break it. Their signs and order are those of the reference vectors.
+/// Real spherical harmonics are orthonormal: `∫ Yᵢ Yⱼ = δᵢⱼ`. Wrong constants, a wrong polynomial and a repeated function all
+/// violate this. The reference vectors fix signs and order.
 #[test]
 fn the_basis_is_orthonormal() {
     // Gauss-Legendre in z and equal steps in angle integrate polynomials of degree 8 exactly.

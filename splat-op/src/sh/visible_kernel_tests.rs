@@ -1,4 +1,4 @@
-//! The kernels' mask of what is visible against shading all, and against the twin's.
+//! Visibility in the kernels against colours of all Gaussians, and against the twin.
 
 use super::Shading;
 use super::cpu::{Visible, sh_cpu};
@@ -10,7 +10,7 @@ use crate::project::{COLUMNS, ProjectSpec};
 use crate::testing::ceiling::to_f32;
 use crate::testing::gpu::gpus;
 
-/// The inputs, the packed ellipses, and the gradient of the colours.
+/// Inputs, packed ellipses and gradient of the colours.
 fn upload(scene: &StageInputs, spec: &ProjectSpec, gpu: &Gpu) -> (ShDeviceInputs, Buffer<f32>, Buffer<f32>) {
     let buffer = |values: &[f64]| Buffer::from_slice(gpu, &to_f32(values));
     let inputs = ShDeviceInputs {
@@ -21,7 +21,7 @@ fn upload(scene: &StageInputs, spec: &ProjectSpec, gpu: &Gpu) -> (ShDeviceInputs
     (inputs, buffer(&project_cpu(scene.geometry(), spec)), buffer(scene.grad()))
 }
 
-/// One compiler may contract what another does not.
+/// Tolerance, because compilers differ in which multiplications and additions they contract.
 fn close(found: f32, expected: f32, scale: f32) -> bool {
     (found - expected).abs() <= 1e-5 * (expected.abs() + scale)
 }
@@ -48,7 +48,7 @@ fn colours_are_those_of_all_or_zero_where_nothing_can_show() {
             let skipped = check_colours(&to_f32(&packed), &colours, &spec, same);
             let twin_zero = |i: usize| by_twin[3 * i..3 * i + 3] == [0.0; 3];
             let twin = (0..count).filter(|i| twin_zero(*i) && packed[COLUMNS * i + 5] > 0.0 && !same(*i)).count();
-            // Rounding may move one across the border of its box.
+            // Rounding may move a Gaussian across the border of its box.
             assert!(skipped.abs_diff(twin) <= 2, "{count} Gaussians, {form}: {skipped} left out, by the twin {twin}");
         }
     }

@@ -1,4 +1,4 @@
-//! The mask of what is visible: against shading all, and against the lists of `intersect`.
+//! Visibility against colours of all Gaussians, and against the lists of `intersect`.
 
 use super::cpu::{ShCoefficients, ShCpuInputs, Visible, sh_backward_cpu, sh_cpu};
 use super::{Shading, reach_sigmas};
@@ -10,7 +10,7 @@ use crate::project::{COLUMNS, Geometry, ProjectSpec};
 use crate::simd::real::Real;
 use crate::testing::random::Random;
 
-/// Harmonics per channel, of degree 2.
+/// Number of coefficients per channel, degree 2.
 pub(super) const COEFFICIENTS: usize = 9;
 
 pub(super) fn spec(alpha_min: f64) -> ProjectSpec {
@@ -18,12 +18,12 @@ pub(super) fn spec(alpha_min: f64) -> ProjectSpec {
     ProjectSpec { intrinsics, options: RenderOptions { alpha_min, ..RenderOptions::standard() } }
 }
 
-/// Means, rotations, scales, opacities, harmonics, pose, gradient of the colours.
+/// Means, rotations, scales, opacities, harmonics, pose and gradient of the colours.
 pub(super) struct StageInputs(pub Vec<Vec<f64>>);
 
 impl StageInputs {
-    /// Gaussians in view, across each border, far beside the picture, and behind the camera; some thin, some turned along a
-    /// diagonal, some too faint to show, some of an opacity above one, one in seven without a gradient.
+    /// Gaussians in view, across each border, far outside the picture, and behind the camera. Some are thin, some lie along a
+    /// diagonal, some are too faint to show, some have an opacity above one, and one in seven has no gradient.
     pub fn random(seed: u64, count: usize) -> Self {
         let mut random = Random::new(seed);
         let mut means = Vec::new();
@@ -40,7 +40,7 @@ impl StageInputs {
         colours.chunks_mut(3).step_by(7).for_each(|row| row.fill(0.0));
         let rotations = random.fill(4 * count, -1.0, 1.0);
         let sh = random.fill(3 * COEFFICIENTS * count, -0.6, 0.6);
-        // From the camera's frame to the world, by the inverse of a rotation.
+        // From the camera's frame to the world frame, by the transposed rotation.
         let world = means.chunks_exact(3).flat_map(|m| {
             let along = [0, 1, 2].map(|row| m[row] - pose[4 * row + 3]);
             [0, 1, 2].map(|axis| (0..3).map(|row| pose[4 * row + axis] * along[row]).sum::<f64>())
@@ -63,15 +63,15 @@ impl StageInputs {
     }
 }
 
-/// Asserts that colours are those of `expected` or zero, and of `expected` where a Gaussian is in a list; returns how many of
-/// those in front of the camera were left out.
+/// Asserts that each colour is that of `expected` or zero, and that of `expected` if the Gaussian is in a list. Returns the number
+/// of Gaussians in front of the camera that were skipped.
 pub(super) fn check_colours<F: Real>(
     packed: &[F],
     found: &[F],
     spec: &ProjectSpec,
     same: impl Fn(usize) -> bool,
 ) -> usize {
-    // Without a smallest alpha every Gaussian is in every list, though most of them add exactly nothing.
+    // With an `alpha_min` of zero every Gaussian is in every list, although most contribute exactly zero.
     let lists = intersect_cpu(packed, &spec.intrinsics, spec.options.alpha_min.max(1e-37).into());
     let mut skipped = 0;
     for (i, row) in packed.chunks_exact(COLUMNS).enumerate() {
@@ -101,7 +101,7 @@ fn colours_are_those_of_all_or_zero_where_nothing_can_show() {
 fn without_a_smallest_alpha_only_what_rounds_to_nothing_is_left_out() {
     assert!((-0.5 * reach_sigmas(0.0).powi(2)).exp() == 0.0);
     assert!(reach_sigmas(1e-300) < reach_sigmas(0.0));
-    // What `intersect` lists of a Gaussian whose opacity is the smallest alpha.
+    // The tiles in which `intersect` lists a Gaussian whose opacity equals `alpha_min`.
     assert!(reach_sigmas(1.0) > 1e-4_f64.sqrt() && reach_sigmas(2.0) == reach_sigmas(1.0));
 }
 

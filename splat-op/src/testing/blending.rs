@@ -1,20 +1,20 @@
-//! What the tests of `rasterize` and of `rasterize_rays` share: blending by its definition.
+//! Blending by its definition, shared by the tests of `rasterize` and of `rasterize_rays`.
 
 use super::random::Random;
 use crate::options::RenderOptions;
 use crate::project::Ellipse;
 use crate::rasterize::RasterizeSpec;
 
-/// What a pixel sees of a Gaussian.
+/// Contribution of a Gaussian to a pixel.
 pub struct PixelLayer {
     pub gaussian: usize,
-    /// Before its limit.
+    /// Alpha before its upper limit.
     pub alpha: f64,
-    /// Scene units.
+    /// Depth, scene units.
     pub depth: f64,
 }
 
-/// The planes of features `[N, C]` over a background `[C]`. `layers` are those of a pixel, front to back.
+/// Planes of features `[N, C]` over a background `[C]`. `layers` returns those of a pixel, front to back.
 pub fn blended(
     spec: &RasterizeSpec,
     features: &[f64],
@@ -51,7 +51,7 @@ pub fn blended(
     planes
 }
 
-/// In or around a picture of a few tiles.
+/// Ellipses in and around a picture of a few tiles.
 pub fn small_ellipse(
     random: &mut Random,
     [width, height]: [usize; 2],
@@ -68,7 +68,8 @@ pub fn small_ellipse(
     }
 }
 
-/// No cuts: the derivative exists everywhere but where an alpha meets `alpha_max` and where two layers change places.
+/// Options without thresholds: the derivative exists everywhere except where an alpha equals `alpha_max` and where two layers
+/// change places.
 pub fn smooth(alpha_max: f64) -> RenderOptions {
     RenderOptions { alpha_min: 0.0, transmittance_min: 0.0, alpha_max, ..RenderOptions::standard() }
 }

@@ -1,29 +1,29 @@
-//! Kernels against their twins: how far an f32 result may be from the f64 one.
+//! Kernels against their twins: the largest accepted difference of an f32 result from the f64 one.
 //!
-//! The unit is what one f32 ulp in every input does to the f64 result. An element may be off by 16 such units and by 1e-6
-//! of the largest element of its column in its class: classes keep the values of extreme rows from excusing the others.
-//! Subnormal numbers count as zero, which they are on some devices.
+//! The unit is the change of the f64 result for a change of one f32 ulp in every input. An element may be off by 16 such units plus
+//! 1e-6 of the largest element of its column in its class. Classes keep extreme rows from loosening the limit of the others.
+//! Subnormal numbers count as zero, because some devices flush them.
 
 use super::random::Random;
 
-/// Multiples of what an ulp in every input does.
+/// Accepted multiple of the change for an ulp in every input.
 const ULP_FACTOR: f64 = 16.0;
-/// Added to that, relative to the largest element of the column and class; and the width of a band, relatively.
+/// Addend of the limit, relative to the largest element of the column and class; also the relative width of a band.
 const FLOOR: f64 = 1e-6;
-/// Relative error of a gradient's row, the share of rows that may exceed it, and the length relative to the longest
-/// below which a row is not judged by it.
+/// Accepted relative error of a gradient's row, the share of rows that may exceed it, and the length, relative to the longest row,
+/// below which a row is exempt from it.
 const ROW_TOLERANCE: f64 = 1e-3;
 const ROW_EXCEPTIONS: f64 = 1e-3;
 const ROW_FLOOR: f64 = 1e-4;
-/// Random directions in which the inputs are moved.
+/// Number of random perturbations of the inputs.
 const DRAWS: u64 = 6;
-/// Below this an f32, or a product on the way to it, may have become zero.
+/// Magnitude below which an f32, or an intermediate product, may have been flushed to zero.
 const SMALLEST: f64 = 1e-36;
 
-/// The class of each row; `None` for a row in the boundary band, which is not compared.
+/// Class of each row; `None` for a row in the boundary band, which is not compared.
 pub type Classes = [Option<u8>];
 
-/// The nearest f32 values.
+/// Nearest f32 values.
 pub fn rounded(values: &[f64]) -> Vec<f64> {
     values.iter().map(|value| f64::from(*value as f32)).collect()
 }
@@ -32,7 +32,7 @@ pub fn to_f32(values: &[f64]) -> Vec<f32> {
     values.iter().map(|value| *value as f32).collect()
 }
 
-/// Each value one f32 ulp up or down. What is zero or not finite stays: that it is so is a statement, not a measurement.
+/// Moves each value one f32 ulp up or down. Zeros and values that are not finite stay: they are exact statements, not measurements.
 fn moved(values: &[f64], random: &mut Random) -> Vec<f64> {
     let mut step = |value: f64| match value as f32 {
         exact if exact == 0.0 || !exact.is_finite() => value,
@@ -42,14 +42,14 @@ fn moved(values: &[f64], random: &mut Random) -> Vec<f64> {
     values.iter().map(|value| step(*value)).collect()
 }
 
-/// Tensors in f64 and the largest change of each element over several draws.
+/// Results in f64 and the largest change of each element over several random perturbations.
 pub struct PerturbedReference {
     pub expected: Vec<Vec<f64>>,
     pub spread: Vec<Vec<f64>>,
 }
 
 impl PerturbedReference {
-    /// `inputs` are rounded already.
+    /// `inputs` must be rounded to f32 already.
     pub fn new(inputs: &[Vec<f64>], evaluate: impl Fn(&[Vec<f64>]) -> Vec<Vec<f64>>) -> Self {
         let expected = evaluate(inputs);
         let mut spread: Vec<Vec<f64>> = expected.iter().map(|tensor| vec![0.0; tensor.len()]).collect();
@@ -64,13 +64,13 @@ impl PerturbedReference {
         Self { expected, spread }
     }
 
-    /// Whether each element, a relative distance from a threshold, is within rounding of it.
+    /// Whether each element, a relative distance from a threshold, lies within rounding of the threshold.
     pub fn near_zero(&self, tensor: usize) -> Vec<bool> {
         let elements = self.expected[tensor].iter().zip(&self.spread[tensor]);
         elements.map(|(value, spread)| value.abs() <= ULP_FACTOR * spread + FLOOR).collect()
     }
 
-    /// Asserts the ceiling, and returns the largest share of it that an element uses.
+    /// Asserts the ceiling and returns the largest share of it that an element uses.
     pub fn check(&self, what: &str, tensor: usize, found: &[f32], classes: &Classes) -> f64 {
         let (expected, spread) = (&self.expected[tensor], &self.spread[tensor]);
         assert_eq!(found.len(), expected.len(), "{what}");
@@ -104,9 +104,9 @@ impl PerturbedReference {
         worst
     }
 
-    /// As [`Self::check`], for a gradient: its rows are also judged as vectors, and those that are zero must be the same.
-    /// A row that one ulp in the inputs moves by more than the tolerance is judged by the ceiling alone; the share of
-    /// such rows in `ordinary` classes is bounded.
+    /// Asserts the ceiling of a gradient as [`Self::check`] does. Its rows are also compared as vectors, and zero rows must be the
+    /// same. A row that one ulp in the inputs moves by more than the tolerance is subject to the ceiling alone; the share of such
+    /// rows in `ordinary` classes is bounded.
     pub fn check_gradient(&self, what: &str, tensor: usize, found: &[f32], classes: &Classes, ordinary: &[u8]) -> f64 {
         let worst = self.check(what, tensor, found, classes);
         let (expected, spread) = (&self.expected[tensor], &self.spread[tensor]);
@@ -120,7 +120,7 @@ impl PerturbedReference {
             let size = length(&mut expected.iter().copied());
             let error = length(&mut found.iter().zip(expected).map(|(found, expected)| f64::from(*found) - expected));
             let uncertainty = length(&mut spread.iter().copied());
-            // Zero by decision, not by cancellation: it stays zero whatever the inputs do.
+            // Zero by a decision, not by cancellation: it stays zero under all perturbations.
             let none = size == 0.0 && uncertainty == 0.0;
             let zero = found.iter().all(|value| *value == 0.0);
             let same = if none { zero } else { !zero || size <= ULP_FACTOR * uncertainty + SMALLEST };

@@ -1,14 +1,14 @@
-//! Random packed ellipses, as `intersect` and `rasterize` take them, without a camera in front.
+//! Random packed ellipses for `intersect` and `rasterize`, without a projection.
 
 use super::random::Random;
 use crate::camera::Intrinsics;
 use crate::project::Ellipse;
 
-/// `[count, 7]` in and around a picture: round and thin ones, from below a pixel to most of the picture, a tenth of them
-/// culled. The values are f32's.
+/// `[count, 7]` ellipses in and around a picture, round and thin, from below a pixel to most of the picture; a tenth are culled.
+/// The values are exact in f32.
 pub fn ellipses(seed: u64, count: usize, camera: &Intrinsics, opacity: [f64; 2]) -> Vec<f64> {
     let (width, height) = (camera.width as f64, camera.height as f64);
-    // Many are small, so that there are about as many layers however many there are.
+    // Sizes shrink with the count, so that the number of layers hardly depends on it.
     let largest = (0.4 * width.max(height)).min(4.0 * width.max(height) / (count as f64).sqrt()).max(1.5);
     let mut random = Random::new(seed);
     let size = |random: &mut Random| 0.55 * (largest / 0.55_f64).powf(random.between(0.0, 1.0));

@@ -1,9 +1,9 @@
 //! Central finite differences.
 
-/// Compares a gradient with differences of `loss` around `at`, in every `stride`th element.
+/// Compares every `stride`th element of a gradient with finite differences of `loss` around `at`.
 ///
-/// Five points, so that the error is of fourth order: with a step of 1e-4 both the remainder and the rounding of the
-/// quotient stay near 1e-11 for a loss of order one.
+/// The five-point formula has an error of fourth order. With a step of 1e-4 its remainder and the rounding of the quotient both
+/// stay near 1e-11 for a loss of order one.
 pub fn check_gradient(name: &str, at: &[f64], gradient: &[f64], stride: usize, loss: impl Fn(&[f64]) -> f64) {
     const STEP: f64 = 1e-4;
     const TOLERANCE: f64 = 2e-8;

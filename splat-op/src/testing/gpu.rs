@@ -1,4 +1,4 @@
-//! The device that the tests of the kernels run on. The crate `splat-tests` follows the same rules.
+//! The device of the kernels' tests. The crate `splat-tests` follows the same rules.
 
 use std::io::Write;
 use std::sync::OnceLock;
@@ -10,8 +10,9 @@ use burn::tensor::{Device, DeviceType};
 
 use crate::gpu::{Gpu, poison};
 
-/// The best GPU, a software driver if there is nothing better, and its lesser forms: without plane operations, without float
-/// atomics. Empty if there is none or `SPLAT_GPU=skip`, which is said; with `SPLAT_GPU=require` that is a failure.
+/// The best GPU (a software driver if there is no other) with all its features, without plane operations, and without float
+/// atomics. If there is no GPU or `SPLAT_GPU=skip` is set, the result is empty and a line says so. With `SPLAT_GPU=require` a
+/// missing GPU is a failure.
 pub fn gpus() -> Vec<(&'static str, Gpu)> {
     static GPU: OnceLock<Option<Gpu>> = OnceLock::new();
     let Some(gpu) = GPU.get_or_init(find).clone() else { return Vec::new() };
@@ -25,7 +26,7 @@ pub fn gpus() -> Vec<(&'static str, Gpu)> {
     gpus
 }
 
-/// As [`gpus`], only as it is.
+/// The first of [`gpus`], with all its features.
 pub fn gpu() -> Option<Gpu> {
     gpus().into_iter().next().map(|(_, gpu)| gpu)
 }
@@ -38,7 +39,7 @@ fn find() -> Option<Gpu> {
             return None;
         }
         "" | "require" => {}
-        other => panic!("SPLAT_GPU={other} means nothing: set it to `require` or `skip`, or not at all"),
+        other => panic!("SPLAT_GPU={other} is not supported: set it to `require` or `skip`, or leave it unset"),
     }
     poison(true);
     let Some(device) = best() else {
@@ -51,13 +52,13 @@ fn find() -> Option<Gpu> {
     Some(Gpu::new(&client))
 }
 
-/// Past the test harness, which swallows what passing tests print.
+/// Writes to stderr directly, because the test harness captures the output of passing tests.
 fn say(line: &str) {
-    // A test must not fail because nobody reads its log.
+    // A closed stderr must not fail a test.
     let _ = writeln!(std::io::stderr(), "{line}");
 }
 
-/// The adapter that is most of a graphics card, of the runtimes built in.
+/// The best adapter of the runtimes that are compiled in, graphics cards first.
 fn best() -> Option<CubeDevice> {
     let runtimes = [
         #[cfg(feature = "wgpu")]
@@ -79,7 +80,7 @@ fn best() -> Option<CubeDevice> {
     adapters.min_by_key(rank)
 }
 
-/// Graphics cards first, a driver in software last.
+/// Sort key of adapters: graphics cards first, software drivers last.
 fn rank(device: &CubeDevice) -> u8 {
     match device {
         #[cfg(feature = "wgpu")]
@@ -90,7 +91,7 @@ fn rank(device: &CubeDevice) -> u8 {
             WgpuDeviceKind::Cpu => 4,
             _ => 3,
         },
-        // Makers' runtimes list nothing but cards.
+        // CUDA's and ROCm's runtimes list graphics cards only.
         _ => 0,
     }
 }

@@ -1,12 +1,12 @@
-//! Lenses to test with.
+//! Lenses for tests.
 
 use crate::camera::CameraModel;
 
-/// That of the capture `fox_distorted`, which turns round not far outside its picture.
+/// Lens of the capture `fox_distorted`, whose polynomial has a turning point not far outside its picture.
 pub const FOX: (CameraModel, [f64; 8]) =
     (CameraModel::OpenCv, [0.056_265, -0.079_533, -0.000_75, -0.000_204, 0.0, 0.0, 0.0, 0.0]);
 
-/// One or two of each model, with all coefficients and not too strong.
+/// One or two moderate lenses of each model, with all coefficients non-zero.
 pub fn lenses() -> Vec<(CameraModel, [f64; 8])> {
     vec![
         FOX,

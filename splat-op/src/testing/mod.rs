@@ -1,4 +1,4 @@
-//! What the unit tests of the stages share.
+//! Helpers shared by the unit tests of the stages.
 
 pub mod blending;
 #[cfg(feature = "cube")]
