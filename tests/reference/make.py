@@ -85,7 +85,7 @@ KINDS = {
     "needles": Kind(25, 48, Params(56, 40, 1, **SMOOTH), 1.0, (4.0, 16.0), outside=0.2, needle=1000.0, shows=("margin",)),
     "opaque": Kind(6, 160, Params(56, 40, 1), 1.1, (1.5, 5.0), (0.97, 1.0), 0.1, shows=("saturated", "stopped")),
     "antialias": Kind(7, 200, Params(48, 40, 1, antialias=True), 1.0, (0.1, 4.0), shows=("cut", "behind")),
-    "tiny_antialias": Kind(8, 160, Params(40, 40, 1, antialias=True, **SMOOTH), 1.0, (1e-4, 0.2), shows=("floor",)),
+    "tiny_antialias": Kind(8, 160, Params(40, 40, 1, antialias=True, **SMOOTH), 1.0, (5e-3, 0.6), shows=("floor",)),
 }
 
 
