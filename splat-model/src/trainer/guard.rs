@@ -84,7 +84,7 @@ impl Guard {
         Ok(Some(look.verdict))
     }
 
-    /// Reads the verdict if `now` is set, or if it has not been read for [`READ_EVERY`] steps.
+    /// Reads the verdict if `now` is set, or if it has not been read for `READ_EVERY` steps.
     ///
     /// # Errors
     /// The first step with a non-finite value.
