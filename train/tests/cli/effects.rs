@@ -169,7 +169,7 @@ fn effects_are_measured_on_captures_that_show_them() {
     refuse(splat(&["effects", "--case", "fog", "--out", text(out.path())]).arg("--quick"), &["\"fog\"", "masks"]);
     std::fs::write(out.path().join("EFFECTS.md"), "Mine.").unwrap();
     let again = ["effects", "--quick", "--case", "masks", "--out", text(out.path())];
-    refuse(&mut splat(&again), &["EFFECTS.md", "no place"]);
+    refuse(&mut splat(&again), &["EFFECTS.md", "no marks"]);
 }
 
 /// Text around the figures of the documentation stays when they are measured again.

@@ -219,7 +219,7 @@ fn an_adapter_that_is_not_there() {
 #[test]
 fn a_command_line_that_cannot_be_understood_ends_with_2() {
     for arguments in [
-        &["train", "capture"][..],
+        &["eval", "capture"][..],
         &["train", "--steps", "many"],
         &["train", "--device", "abacus"],
         &["train", "--max-splats", "0"],
