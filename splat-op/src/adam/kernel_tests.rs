@@ -49,13 +49,13 @@ fn a_step_is_that_of_the_equations() {
     for count in [1, 255, 256, 5_000] {
         let tensors = tensors(count);
         let band = Some(Band { period: 12, width: 3 });
-        let yardsticks =
+        let references =
             [None, band].map(|band| (band, PerturbedReference::new(&tensors, |inputs| step(inputs, band))));
         for (form, gpu) in gpus() {
             let sound = Buffer::from_slice(&gpu, &[0_u32; VERDICT]);
             let guards = [("without a verdict", None), ("with one", Some(&sound))];
             for ((guard, verdict), (band, reference)) in
-                guards.iter().flat_map(|g| yardsticks.iter().map(move |y| (g, y)))
+                guards.iter().flat_map(|g| references.iter().map(move |y| (g, y)))
             {
                 let (state, grad) = on_device(&gpu, &tensors);
                 launch_adam(&gpu, &state, &grad, *verdict, &FACTORS, *band);

@@ -45,7 +45,7 @@ pub struct DemoOptions {
     /// places in other colours each time; `masks/<name>` is black there and up to [`DemoOptions::MASK_MARGIN_PX`] around them.
     pub masks: bool,
     /// The ground and the sky are transparent in the photographs, which have straight alpha; no sparse point lies there. Objects
-    /// and platform are lit as ever.
+    /// and platform keep their lighting.
     pub alpha: bool,
     /// A third of the photographs is taken from [`DemoOptions::ZOOM_NEAR`] of the usual distance to what they look at, and a
     /// third from [`DemoOptions::ZOOM_FAR`] times as far, with the same focal length. Of three held-out photographs in
