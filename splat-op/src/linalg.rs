@@ -63,8 +63,8 @@ pub(crate) fn norm<F: Real>(v: [F; 3]) -> F {
 
 #[inline(always)]
 pub(crate) fn matmul<F: Entry>(a: &Mat3<F>, b: &Mat3<F>) -> Mat3<F> {
-    let row = |r: [F; 3]| add(add(scale(b[0], r[0]), scale(b[1], r[1])), scale(b[2], r[2]));
-    [row(a[0]), row(a[1]), row(a[2])]
+    // No closure: the compiler may leave one out of line, without the vector instructions of its caller.
+    [transposed_matvec(b, a[0]), transposed_matvec(b, a[1]), transposed_matvec(b, a[2])]
 }
 
 /// `a v`.

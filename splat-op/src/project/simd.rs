@@ -244,12 +244,11 @@ impl<S: Simd, F: Real> ProjectionTermsSimd<S, F> {
             // With P = |p| and S = sigma_v, whose square is ε + P² + ε |along|²:
             // d(P/S) = (ε + ε |along|²)/S² dP/S − P/S ε along·d along / S². Without blur every term is exactly zero; there is
             // no difference of almost equal numbers.
-            let norm = |v| norm::<S, F>(self.simd, v);
-            let one = self.lanes(F::ONE);
+            let (simd, one) = (self.simd, self.lanes(F::ONE));
             let grad_compensation = grad.opacity * opacity;
             let blurred = lens.blur_sigma / self.sigma_v;
-            let lost = blurred * norm([one, norm(self.along), zero]);
-            let unit = scale(self.p, one / norm(self.p));
+            let lost = blurred * norm::<S, F>(simd, [one, norm::<S, F>(simd, self.along), zero]);
+            let unit = scale(self.p, one / norm::<S, F>(simd, self.p));
             let through_p = scale(unit, grad_compensation * lost * lost / self.sigma_v);
             let through_along = scale(self.along, grad_compensation * self.compensation * blurred * blurred);
             for axis in 0..3 {
