@@ -5,7 +5,7 @@ use std::time::Instant;
 use burn::tensor::Tensor;
 use splat_op::Rendered;
 
-use super::differentiate::Differentiated;
+use super::differentiate::Batch;
 use super::{TrainError, Trainer};
 use crate::effects::plan::Cost;
 use crate::effects::{Effect, EffectKind};
@@ -63,7 +63,7 @@ impl Trainer {
     /// Time until the loss and the gradients are computed, ms.
     fn time_step(&mut self) -> Result<f64, TrainError> {
         let start = Instant::now();
-        let Differentiated { loss, gradients, .. } = self.differentiate(VIEW)?;
+        let Batch { loss, gradients, .. } = self.differentiate(VIEW)?;
         // Both are read, because the device computes asynchronously.
         let _ = loss.into_data();
         let _ = gradients.means.map(|means| means.sum().into_data());
