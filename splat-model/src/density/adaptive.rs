@@ -71,9 +71,7 @@ impl AdaptiveConfig {
     pub fn absgrad() -> Self {
         Self { absolute: true, grad_threshold: 8e-4, ..Self::default() }
     }
-}
 
-impl AdaptiveConfig {
     /// Densification and pruning by the agreement of several views.
     pub fn consistent() -> Self {
         Self { consistency: Some(ConsistencyConfig::default()), ..Self::default() }
@@ -257,9 +255,7 @@ impl Strategy for Adaptive {
             to.put("seen_count", count.clone());
         }
         if let Some(agreement) = &self.agreement {
-            let mut part = State::default();
-            agreement.save(&mut part);
-            to.put_part("agreement", part);
+            to.put_part("agreement", agreement.save());
         }
         Ok(())
     }
@@ -273,9 +269,7 @@ impl Strategy for Adaptive {
         }
         self.agreement = None;
         if from.has("agreement") {
-            let mut part = from.take_part("agreement");
-            self.agreement = Some(Agreement::load(&mut part, device)?);
-            part.finish()?;
+            self.agreement = Some(from.load_part("agreement", |part| Agreement::load(part, device))?);
         }
         Ok(())
     }

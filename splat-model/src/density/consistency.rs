@@ -70,20 +70,17 @@ impl Agreement {
         Agreed { wrong_px, most_px: values_of(self.most) }
     }
 
-    pub fn save(&self, to: &mut State) {
-        to.put("wrong", self.wrong.clone());
-        to.put("most", self.most.clone());
-        to.put("views", self.views.clone());
+    pub fn save(&self) -> State {
+        let mut state = State::default();
+        let entries = [("wrong", &self.wrong), ("most", &self.most), ("views", &self.views)];
+        entries.into_iter().for_each(|(name, values)| state.put(name, values.clone()));
+        state
     }
 
     pub fn load(from: &mut State, device: &Device) -> Result<Self, StateError> {
         let wrong: Tensor<1> = from.take("wrong", device)?;
-        let shape = wrong.dims();
-        Ok(Self {
-            wrong,
-            most: from.take_shaped("most", shape, device)?,
-            views: from.take_shaped("views", shape, device)?,
-        })
+        let mut like = |name: &str| from.take_shaped(name, wrong.dims(), device);
+        Ok(Self { most: like("most")?, views: like("views")?, wrong })
     }
 }
 

@@ -163,9 +163,7 @@ impl Gradients {
             sh: gaussians.sh.val().grad_remove(grads),
         }
     }
-}
 
-impl Gradients {
     /// The sum of both. `None` counts as zero.
     pub fn plus(self, other: Self) -> Self {
         fn sum<const D: usize>(a: Option<Tensor<D>>, b: Option<Tensor<D>>) -> Option<Tensor<D>> {

@@ -141,7 +141,7 @@ fn series(squared: Tensor<1>) -> [Tensor<2>; 3] {
 }
 
 /// `[3, 3]`: the matrix of the cross product with `v`, `[3]`.
-fn cross_matrix(v: &Tensor<1>) -> Tensor<2> {
+pub(super) fn cross_matrix(v: &Tensor<1>) -> Tensor<2> {
     // Row-major: the component of `v` in each entry, and its sign.
     const PLACES: [[f64; 3]; 9] = [
         [0.0, 0.0, 0.0],

@@ -217,22 +217,13 @@ impl Effect for Optics {
 
     fn save(&self, to: &mut State) -> Result<(), StateError> {
         let parts = [("exposures", &self.exposures), ("readouts", &self.readouts), ("lenses", &self.lenses)];
-        for (name, learned) in parts {
-            let mut part = State::default();
-            Learned::save_all(learned, &mut part)?;
-            to.put_part(name, part);
-        }
-        Ok(())
+        parts.into_iter().try_for_each(|(name, all)| to.save_part(name, |part| Learned::save_all(all, part)))
     }
 
     fn load(&mut self, from: &mut State, _: &Device) -> Result<(), StateError> {
         let Self { exposures, readouts, lenses, .. } = self;
-        for (name, learned) in [("exposures", exposures), ("readouts", readouts), ("lenses", lenses)] {
-            let mut part = from.take_part(name);
-            Learned::load_all(learned, &mut part)?;
-            part.finish()?;
-        }
-        Ok(())
+        let parts = [("exposures", exposures), ("readouts", readouts), ("lenses", lenses)];
+        parts.into_iter().try_for_each(|(name, all)| from.load_part(name, |part| Learned::load_all(all, part)))
     }
 }
 

@@ -11,12 +11,7 @@ impl TrainConfig {
     /// # Errors
     /// If effects on ellipses are combined with a render that has no ellipses.
     pub fn check(&self) -> Result<(), TrainError> {
-        let rays = self.along_rays().then_some("`--projection ray-max` and `--order per-pixel-sort`");
-        let optics = self.optics.any().then_some("motion blur, rolling shutters and defocus");
-        match (rays, optics) {
-            (Some(rays), Some(optics)) => Err(TrainError::Ellipses { rays, optics }),
-            _ => Ok(()),
-        }
+        if self.along_rays() && self.optics.any() { Err(TrainError::Ellipses) } else { Ok(()) }
     }
 
     /// Whether pixels are rendered along their rays.

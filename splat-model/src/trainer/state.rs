@@ -49,11 +49,8 @@ impl Trainer {
         state.tell("queue", &self.queue)?;
         state.tell("random", &RandomState::of(&self.rng))?;
         state.put_part("scene", self.scene.save());
-        let [mut density, mut effects] = [State::default(), State::default()];
-        self.density.save(&mut density)?;
-        self.effects.save(&mut effects)?;
-        state.put_part("density", density);
-        state.put_part("effects", effects);
+        state.save_part("density", |part| self.density.save(part))?;
+        state.save_part("effects", |part| self.effects.save(part))?;
         Ok(state)
     }
 
@@ -84,14 +81,10 @@ impl Trainer {
             return Err(TrainError::OtherRun { what: "a photograph in the queue".into(), found, expected });
         }
         let random: RandomState = state.told("random")?;
-        let [mut scene, mut density, mut effects] = ["scene", "density", "effects"].map(|name| state.take_part(name));
+        self.scene = state.load_part("scene", |part| Trained::load(part, &self.device.clone().autodiff()))?;
+        state.load_part("density", |part| self.density.load(part, &self.device))?;
+        state.load_part("effects", |part| self.effects.load(part, &self.device))?;
         state.finish()?;
-        self.scene = Trained::load(&mut scene, &self.device.clone().autodiff())?;
-        scene.finish()?;
-        self.density.load(&mut density, &self.device)?;
-        density.finish()?;
-        self.effects.load(&mut effects, &self.device)?;
-        effects.finish()?;
         (self.queue, self.rng, self.step) = (queue, random.resumed(), step);
         self.turn(&dials);
         Ok(())

@@ -27,7 +27,7 @@ impl Trained {
     /// If a value is missing, or if parameters and moments are inconsistent.
     pub fn load(from: &mut State, device: &Device) -> Result<Self, StateError> {
         let (means, of_means) = take::<2>(from, "means", device, |shape| *shape == [shape[0], 3])?;
-        let count = means.dims()[0];
+        let count = means.val().dims()[0];
         let (rotations, of_rotations) = take::<2>(from, "rotations", device, |shape| *shape == [count, 4])?;
         let (log_scales, of_log_scales) = take::<2>(from, "log_scales", device, |shape| *shape == [count, 3])?;
         let (logit_opacities, of_opacities) = take::<1>(from, "logit_opacities", device, |shape| *shape == [count])?;
@@ -37,15 +37,8 @@ impl Trained {
             rows == count && (1..=largest).contains(&side) && side * side == coefficients && channels == 3
         };
         let (sh, of_sh) = take::<3>(from, "sh", device, is_sh)?;
-        let tracked = |values| parameter(on(device, values));
         Ok(Self {
-            gaussians: Gaussians {
-                means: tracked(means),
-                rotations: tracked(rotations),
-                log_scales: tracked(log_scales),
-                logit_opacities: parameter(on(device, logit_opacities)),
-                sh: parameter(on(device, sh)),
-            },
+            gaussians: Gaussians { means, rotations, log_scales, logit_opacities, sh },
             moments: GaussianMoments {
                 means: of_means,
                 rotations: of_rotations,
@@ -65,21 +58,20 @@ fn put<const D: usize>(to: &mut State, name: &str, param: &Param<Tensor<D>>, mom
     to.put_part(name, part);
 }
 
-/// A parameter's values and moments, not tracked. Returns an error if `fits` rejects the shape.
+/// A parameter on `device`, and its moments. Returns an error if `fits` rejects the shape.
 fn take<const D: usize>(
     from: &mut State,
     name: &str,
     device: &Device,
     fits: impl Fn(&[usize; D]) -> bool,
-) -> Result<(Tensor<D>, Moments<D>), StateError> {
-    let device = device.clone().inner();
-    let mut part = from.take_part(name);
-    let values = part.take::<D>("values", &device)?;
-    let shape = values.dims();
-    if !fits(&shape) {
-        return Err(StateError::Fit { name: name.to_owned(), found: shape.to_vec() });
-    }
-    let moments = Moments::load(&mut part, shape, &device)?;
-    part.finish()?;
-    Ok((values, moments))
+) -> Result<(Param<Tensor<D>>, Moments<D>), StateError> {
+    let plain = device.clone().inner();
+    from.load_part(name, |part| {
+        let values = part.take::<D>("values", &plain)?;
+        let shape = values.dims();
+        if !fits(&shape) {
+            return Err(StateError::Fit { name: name.to_owned(), found: shape.to_vec() });
+        }
+        Ok((parameter(on(device, values)), Moments::load(part, shape, &plain)?))
+    })
 }
