@@ -7,7 +7,6 @@ mod covered;
 mod differentiate;
 mod effects;
 mod error;
-mod fit;
 mod guard;
 mod resolution;
 mod state;

@@ -78,7 +78,7 @@ impl Trainer {
         let alpha = Tensor::from_inner(Tensor::ones([height, width, 1], &truth.device()));
         let image = Tensor::from_inner(truth * 0.9).require_grad();
         let start = Instant::now();
-        let loss = self.compare(&prepared, Rendered { colour: image.clone(), alpha, depth: None })?.loss;
+        let (loss, _) = self.compare(&prepared, Rendered { colour: image.clone(), alpha, depth: None })?;
         let gradient = image.grad(&loss.backward());
         let _ = loss.into_data();
         let _ = gradient.map(|gradient| gradient.sum().into_data());

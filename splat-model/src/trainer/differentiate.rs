@@ -25,14 +25,6 @@ pub(super) struct PreparedStep {
     signals: Signals,
 }
 
-/// The result of a comparison.
-pub(super) struct Compared {
-    /// `[1]`, tracked.
-    pub loss: Tensor<1>,
-    /// See [`Signals::covered`].
-    covered: Option<Tensor<2>>,
-}
-
 /// The results of the backward passes of a batch.
 pub(super) struct Batch {
     /// `[1]`: the mean loss.
@@ -77,8 +69,8 @@ impl Trainer {
     pub(super) fn differentiate(&mut self, view: usize) -> Result<Batch, TrainError> {
         let prepared = self.prepare(view)?;
         let picture = self.render(&prepared)?;
-        let compared = self.compare(&prepared, picture)?;
-        self.go_back(prepared, compared)
+        let (loss, covered) = self.compare(&prepared, picture)?;
+        self.go_back(prepared, loss, covered)
     }
 
     /// Prepares a view: Gaussians, camera and background after the effects, and the photograph.
@@ -111,8 +103,12 @@ impl Trainer {
         Ok(mean_of(inputs.iter().map(render).collect::<Result<_, _>>()?))
     }
 
-    /// Computes the loss of a picture, with all penalties.
-    pub(super) fn compare(&mut self, prepared: &PreparedStep, picture: Rendered<3>) -> Result<Compared, TrainError> {
+    /// Computes the loss of a picture with all penalties, `[1]`, tracked, and [`Observed::covered`] if it is requested.
+    pub(super) fn compare(
+        &mut self,
+        prepared: &PreparedStep,
+        picture: Rendered<3>,
+    ) -> Result<(Tensor<1>, Option<Tensor<2>>), TrainError> {
         let PreparedStep { at, input, truth, excluded, signals } = prepared;
         let cleared = |picture: Tensor<3>| match excluded {
             Some(excluded) => masks::cleared(picture, excluded),
@@ -140,13 +136,17 @@ impl Trainer {
         if self.checks {
             check_loss(&loss).map_err(|wrong| self.wrong(at.view, wrong))?;
         }
-        Ok(Compared { loss, covered })
+        Ok((loss, covered))
     }
 
     /// Computes the gradients of the scene, of the probes and of the effects.
-    fn go_back(&mut self, prepared: PreparedStep, compared: Compared) -> Result<Batch, TrainError> {
+    fn go_back(
+        &mut self,
+        prepared: PreparedStep,
+        loss: Tensor<1>,
+        covered: Option<Tensor<2>>,
+    ) -> Result<Batch, TrainError> {
         let PreparedStep { at, input: RenderInput { splats, camera, extras, .. }, signals, .. } = prepared;
-        let Compared { loss, covered } = compared;
         drop(splats);
         let mut left = loss.backward();
         if signals != Signals::default() {

@@ -64,23 +64,14 @@ pub(super) struct PointObservations {
 impl PointObservations {
     /// Collects the observations in the photographs `surveyed`, indices in ascending order.
     pub fn of(capture: &Capture, surveyed: &[usize]) -> Self {
-        let source = match () {
-            () if capture.points.positions.is_empty() => ObservationSource::None,
-            () if capture.tracks.observations() > 0 => ObservationSource::Tracks,
-            () => ObservationSource::Projection,
+        let (source, mut found) = match () {
+            () if capture.points.positions.is_empty() => (ObservationSource::None, Vec::new()),
+            () if capture.tracks.observations() > 0 => (ObservationSource::Tracks, tracked(capture, surveyed)),
+            () => (ObservationSource::Projection, projected(capture, surveyed)),
         };
-        let candidates: Vec<(usize, Vec<PointObservation>)> = match source {
-            ObservationSource::None => Vec::new(),
-            ObservationSource::Tracks => tracked(capture, surveyed),
-            ObservationSource::Projection => projected(capture, surveyed),
-        };
-        let mut chosen = candidates
-            .into_iter()
-            .filter(|(_, observations)| observations.len() >= FEWEST_OBSERVATIONS)
-            .collect::<Vec<_>>();
-        let every = chosen.len().div_ceil(MOST_POINTS).max(1);
-        chosen = chosen.into_iter().step_by(every).collect();
-        let (indices, points) = chosen.into_iter().unzip();
+        found.retain(|(_, observations)| observations.len() >= FEWEST_OBSERVATIONS);
+        let every = found.len().div_ceil(MOST_POINTS).max(1);
+        let (indices, points) = found.into_iter().step_by(every).unzip();
         Self { source, points, indices }
     }
 }
