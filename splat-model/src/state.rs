@@ -137,8 +137,7 @@ impl State {
     /// Whether there is an array, a fact or a part of that name.
     pub fn has(&self, name: &str) -> bool {
         let below = format!("{name}/");
-        let is_it = |key: &&String| *key == name || key.starts_with(&below);
-        self.arrays.keys().any(|key| is_it(&key)) || self.facts.keys().any(|key| is_it(&key))
+        self.arrays.keys().chain(self.facts.keys()).any(|key| key == name || key.starts_with(&below))
     }
 
     /// Size of all arrays, bytes.
@@ -202,10 +201,8 @@ impl State {
 /// Removes the entries below `name` and returns them without that prefix.
 fn split_off<T>(entries: &mut BTreeMap<String, T>, name: &str) -> BTreeMap<String, T> {
     let below = format!("{name}/");
-    let (part, others) = std::mem::take(entries).into_iter().partition(|(key, _)| key.starts_with(&below));
-    *entries = others;
-    let part: BTreeMap<String, T> = part;
-    part.into_iter().map(|(key, value)| (key[below.len()..].to_owned(), value)).collect()
+    let part = entries.extract_if(.., |key, _| key.starts_with(&below));
+    part.map(|(key, value)| (key[below.len()..].to_owned(), value)).collect()
 }
 
 #[cfg(test)]

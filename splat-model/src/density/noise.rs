@@ -40,10 +40,8 @@ impl Noise {
     }
 
     pub fn save(&self, to: &mut State) -> Result<(), StateError> {
-        match &self.stock {
-            Some(stock) => to.tell("noise", &(self.seed, stock.dims()[0])),
-            None => Ok(()),
-        }
+        let Some(stock) = &self.stock else { return Ok(()) };
+        to.tell("noise", &(self.seed, stock.dims()[0]))
     }
 
     /// The stock is drawn again from its seed.

@@ -1,4 +1,4 @@
-//! A scene in training, and edits of its rows: the only place that changes the rows of parameters and of their Adam moments.
+//! A scene in training, and edits of its rows: the only place that changes rows of parameters and of their moments.
 
 use burn::module::Param;
 use burn::tensor::{Device, Int, Tensor, TensorData};

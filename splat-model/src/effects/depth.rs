@@ -137,12 +137,11 @@ pub struct Depths {
 
 impl Depths {
     /// The known depths, one list for each photograph.
-    pub fn new(config: DepthConfig, samples: Vec<Vec<DepthSample>>, device: &Device) -> Self {
+    pub fn new(config: DepthConfig, mut samples: Vec<Vec<DepthSample>>, device: &Device) -> Self {
         let usable = |sample: &DepthSample| {
             sample.depth > 0.0 && sample.depth.is_finite() && sample.at.iter().all(|at| (0.0..1.0).contains(at))
         };
-        let samples: Vec<Vec<DepthSample>> =
-            samples.into_iter().map(|list| list.into_iter().filter(usable).collect()).collect();
+        samples.iter_mut().for_each(|list| list.retain(usable));
         let on_device = samples.iter().map(|_| None).collect();
         Self { config, samples, on_device, device: device.clone() }
     }

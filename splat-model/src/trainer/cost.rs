@@ -51,13 +51,11 @@ impl Trainer {
 
     /// Memory that an effect keeps between steps, bytes. `None` if it is off or not part of a step.
     fn bytes_of(&self, effect: EffectKind) -> Option<usize> {
-        match effect {
-            EffectKind::Masks => self.views.masked_bytes(),
-            _ => {
-                let bytes = self.effects.named(effect.in_stack()).map(Effect::bytes);
-                bytes.or((effect == EffectKind::Antialias && self.options.antialias).then_some(0))
-            }
+        if effect == EffectKind::Masks {
+            return self.views.masked_bytes();
         }
+        let bytes = self.effects.named(effect.in_stack()).map(Effect::bytes);
+        bytes.or((effect == EffectKind::Antialias && self.options.antialias).then_some(0))
     }
 
     /// Time until the loss and the gradients are computed, ms.

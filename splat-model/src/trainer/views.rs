@@ -194,7 +194,8 @@ impl Views {
         // Photographs over a fixed background are packed only where not all of them fit prepared.
         let packs = drawn.is_none() && self.packs && self.prepared_bytes() > self.cache;
         let background = drawn.unwrap_or(self.background);
-        let picture = match self.packed(view, packs || drawn.is_some())? {
+        let packed = if packs || drawn.is_some() { self.packed(view)? } else { None };
+        let picture = match packed {
             Some(packed) => packed.rgb_over(background),
             None if packs => PackedPhoto::new(&*self.pixels(view)?, &self.device).rgb_over(background),
             None => self.pixels(view)?.rgb_over(background, &self.device),
@@ -210,9 +211,9 @@ impl Views {
     }
 
     /// The photograph in four bytes per pixel, if it is cached in that form or can be from now on.
-    fn packed(&mut self, view: usize, wanted: bool) -> Result<Option<PackedPhoto>, CaptureError> {
+    fn packed(&mut self, view: usize) -> Result<Option<PackedPhoto>, CaptureError> {
         let Intrinsics { width, height, .. } = self.views[view].camera.intrinsics;
-        let is_new = self.packs && wanted && self.views[view].packed.is_none();
+        let is_new = self.packs && self.views[view].packed.is_none();
         if is_new && self.reserve(PackedPhoto::PIXEL * width * height) {
             self.views[view].packed = Some(PackedPhoto::new(&*self.pixels(view)?, &self.device));
         }
@@ -251,24 +252,6 @@ fn at_size(photo: Arc<Photo>, divisor: usize) -> Arc<Photo> {
     match reduced_size(&photo.intrinsics, divisor) {
         Some([width, height]) => Arc::new(photo.resized(width, height)),
         None => photo,
-    }
-}
-
-#[cfg(test)]
-impl Views {
-    /// Number of prepared photographs in the cache.
-    pub fn kept(&self) -> usize {
-        self.views.iter().filter(|view| view.truth.is_some()).count()
-    }
-
-    /// Number of packed photographs in the cache.
-    fn kept_packed(&self) -> usize {
-        self.views.iter().filter(|view| view.packed.is_some()).count()
-    }
-
-    /// Sets the remaining size of the cache, bytes.
-    pub fn leave_room(&mut self, bytes: usize) {
-        self.cache_left = bytes;
     }
 }
 
