@@ -5,28 +5,22 @@ use std::io::{self, Read};
 use std::path::Path;
 
 use serde::de::DeserializeOwned;
-use thiserror::Error;
 
-/// A file without the expected value.
-#[derive(Debug, Error)]
-pub(crate) enum JsonFault {
-    /// The file cannot be read.
-    #[error("{0}")]
-    Read(io::Error),
-    /// The file holds something else; a description of it.
-    #[error("{0}")]
-    Content(String),
-}
-
-/// Reads the value in a file of at most `largest` bytes.
-pub(crate) fn read<T: DeserializeOwned>(path: &Path, largest: u64) -> Result<T, JsonFault> {
+/// Reads the value in a file of at most `largest` bytes. `unread` makes the error of a file that cannot be read, and `content`
+/// that of a file that holds something else.
+pub(crate) fn read<T: DeserializeOwned, E>(
+    path: &Path,
+    largest: u64,
+    unread: impl Fn(io::Error) -> E,
+    content: impl Fn(String) -> E,
+) -> Result<T, E> {
     let mut text = Vec::new();
     let read = File::open(path).and_then(|file| file.take(largest + 1).read_to_end(&mut text));
-    read.map_err(JsonFault::Read)?;
+    read.map_err(unread)?;
     if text.len() as u64 > largest {
-        return Err(JsonFault::Content(format!("more than {largest} bytes")));
+        return Err(content(format!("more than {largest} bytes")));
     }
-    serde_json::from_slice(&text).map_err(|error| JsonFault::Content(error.to_string()))
+    serde_json::from_slice(&text).map_err(|error| content(error.to_string()))
 }
 
 #[cfg(test)]
@@ -38,11 +32,11 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("numbers.json");
         std::fs::write(&path, "[1, 2]").unwrap();
-        assert_eq!(read::<Vec<u32>>(&path, 6).unwrap(), [1, 2]);
-        assert!(
-            matches!(read::<Vec<u32>>(&path, 5), Err(JsonFault::Content(what)) if what.contains("more than 5 bytes"))
-        );
-        assert!(matches!(read::<String>(&path, 6), Err(JsonFault::Content(what)) if what.contains("invalid type")));
-        assert!(matches!(read::<String>(&folder.path().join("none"), 6), Err(JsonFault::Read(_))));
+        let file = |largest| read::<Vec<u32>, _>(&path, largest, |_| "unread".to_owned(), |what| what);
+        assert_eq!(file(6).unwrap(), [1, 2]);
+        assert!(file(5).unwrap_err().contains("more than 5 bytes"));
+        let text = |path: &Path| read::<String, _>(path, 6, |_| "unread".to_owned(), |what| what).unwrap_err();
+        assert!(text(&path).contains("invalid type"));
+        assert_eq!(text(&folder.path().join("none")), "unread");
     }
 }

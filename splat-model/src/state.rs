@@ -20,13 +20,13 @@ use crate::gaussians::values_of;
 #[non_exhaustive]
 pub enum StateError {
     /// The entry is missing.
-    #[error("there is no `{name}`, which this version requires; start the run anew")]
+    #[error("there is no `{name}`, which this version requires; start a new run")]
     Missing {
         /// Name of the entry.
         name: String,
     },
     /// An array does not have the expected shape.
-    #[error("`{name}` has the shape {found:?}, expected {expected:?}; start the run anew")]
+    #[error("`{name}` has the shape {found:?}, expected {expected:?}; start a new run")]
     Shape {
         /// Name of the entry.
         name: String,
@@ -36,7 +36,7 @@ pub enum StateError {
         expected: Vec<usize>,
     },
     /// Arrays do not fit together.
-    #[error("`{name}` has the shape {found:?}, which does not match the other arrays; start the run anew")]
+    #[error("`{name}` has the shape {found:?}, which does not match the other arrays; start a new run")]
     Fit {
         /// Name of the entry.
         name: String,
@@ -44,7 +44,7 @@ pub enum StateError {
         found: Vec<usize>,
     },
     /// A fact has another type, or cannot be represented as JSON.
-    #[error("`{name}` does not have the form that this version requires: {source}; start the run anew")]
+    #[error("`{name}` does not have the form that this version requires: {source}; start a new run")]
     Fact {
         /// Name of the entry.
         name: String,
@@ -52,7 +52,7 @@ pub enum StateError {
         source: serde_json::Error,
     },
     /// An entry was not taken.
-    #[error("`{name}` is unknown to this version; continue with the version that wrote it, or start the run anew")]
+    #[error("`{name}` is unknown to this version; continue with the version that wrote it, or start a new run")]
     Unknown {
         /// Name of the entry.
         name: String,
@@ -137,8 +137,7 @@ impl State {
     /// Whether there is an array, a fact or a part of that name.
     pub fn has(&self, name: &str) -> bool {
         let below = format!("{name}/");
-        let is_it = |key: &&String| *key == name || key.starts_with(&below);
-        self.arrays.keys().any(|key| is_it(&key)) || self.facts.keys().any(|key| is_it(&key))
+        self.arrays.keys().chain(self.facts.keys()).any(|key| key == name || key.starts_with(&below))
     }
 
     /// Size of all arrays, bytes.
@@ -150,6 +149,26 @@ impl State {
     pub fn put_part(&mut self, name: &str, part: Self) {
         self.arrays.extend(part.arrays.into_iter().map(|(key, array)| (format!("{name}/{key}"), array)));
         self.facts.extend(part.facts.into_iter().map(|(key, fact)| (format!("{name}/{key}"), fact)));
+    }
+
+    /// Saves below a name what `save` puts into a part.
+    pub(crate) fn save_part<E>(&mut self, name: &str, save: impl FnOnce(&mut Self) -> Result<(), E>) -> Result<(), E> {
+        let mut part = Self::default();
+        save(&mut part)?;
+        self.put_part(name, part);
+        Ok(())
+    }
+
+    /// What `load` takes out of the part of that name, which must be every entry.
+    pub(crate) fn load_part<T>(
+        &mut self,
+        name: &str,
+        load: impl FnOnce(&mut Self) -> Result<T, StateError>,
+    ) -> Result<T, StateError> {
+        let mut part = self.take_part(name);
+        let loaded = load(&mut part)?;
+        part.finish()?;
+        Ok(loaded)
     }
 
     /// Removes and returns all entries below that name, under their names within the part.
@@ -182,10 +201,8 @@ impl State {
 /// Removes the entries below `name` and returns them without that prefix.
 fn split_off<T>(entries: &mut BTreeMap<String, T>, name: &str) -> BTreeMap<String, T> {
     let below = format!("{name}/");
-    let (part, others) = std::mem::take(entries).into_iter().partition(|(key, _)| key.starts_with(&below));
-    *entries = others;
-    let part: BTreeMap<String, T> = part;
-    part.into_iter().map(|(key, value)| (key[below.len()..].to_owned(), value)).collect()
+    let part = entries.extract_if(.., |key, _| key.starts_with(&below));
+    part.map(|(key, value)| (key[below.len()..].to_owned(), value)).collect()
 }
 
 #[cfg(test)]

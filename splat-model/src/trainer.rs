@@ -1,6 +1,5 @@
 //! Training of a scene from photographs. The caller drives it step by step, and so can observe, stop or extend it.
 
-mod batch;
 mod checked;
 mod config;
 mod cost;
@@ -8,7 +7,6 @@ mod covered;
 mod differentiate;
 mod effects;
 mod error;
-mod fit;
 mod guard;
 mod resolution;
 mod state;
@@ -33,10 +31,10 @@ use crate::init;
 use crate::loss::{Truth, photometric};
 use crate::optim::{Adam, Decay, scene_extent, sh_degree_at};
 
-use self::batch::Batch;
 pub use self::checked::Stage;
-use self::checked::{Stopped, Wrong, check_parameters};
+use self::checked::{Wrong, check_parameters};
 pub use self::config::TrainConfig;
+use self::differentiate::Batch;
 pub use self::error::TrainError;
 pub use self::guard::{Fault, Guard};
 pub use self::resolution::Resolution;
@@ -290,13 +288,6 @@ impl Trainer {
 
     fn wrong(&self, view: usize, Wrong { stage, detail }: Wrong) -> TrainError {
         TrainError::Check { step: self.step, view: self.views.name(view).to_owned(), stage, detail }
-    }
-
-    fn stopped(&self, view: usize, stopped: Stopped) -> TrainError {
-        match stopped {
-            Stopped::Op(error) => error.into(),
-            Stopped::Wrong(wrong) => self.wrong(view, wrong),
-        }
     }
 
     /// The next view: every photograph once per epoch, in random order.

@@ -47,10 +47,6 @@ pub struct Dial {
     pub exact: fn(RenderOptions) -> RenderOptions,
 }
 
-/// `alpha_min` of the exact render. A hundred thousand contributions below it change a picture by less than the precision of
-/// f32.
-const ALPHA_OF_THE_EXACT: f64 = 1e-12;
-
 const fn value(name: &'static str, rms_bound: f64, set: fn(RenderOptions) -> RenderOptions) -> DialValue {
     DialValue { name, set, rms_bound }
 }
@@ -58,6 +54,17 @@ const fn value(name: &'static str, rms_bound: f64, set: fn(RenderOptions) -> Ren
 /// A value of a model choice.
 const fn choice(name: &'static str, set: fn(RenderOptions) -> RenderOptions) -> DialValue {
     value(name, 0.0, set)
+}
+
+/// A numerical dial of all devices and cameras. Its first value approximates nothing.
+const fn numerical(name: &'static str, what: &'static str, values: &'static [DialValue]) -> Dial {
+    let (judge, exact) = (Judge::Exact, values[0].set);
+    Dial { name, what, judge, same_picture: false, gpu_only: false, pinhole_only: false, values, exact }
+}
+
+/// A model choice of all devices and cameras.
+const fn model(name: &'static str, what: &'static str, values: &'static [DialValue]) -> Dial {
+    Dial { judge: Judge::Photographs, exact: |o| o, ..numerical(name, what, values) }
 }
 
 /// Root mean square error that f32 itself may cause, with every dial at its most accurate value.
@@ -71,187 +78,139 @@ pub(super) const ROUNDING_RMS: f64 = 1e-3;
 /// and pixels of opaque surfaces are. `alpha_max` lets `1 − alpha_max` of the light behind a layer through.
 pub const DIALS: &[Dial] = &[
     Dial {
-        name: "alpha_min",
-        what: "contributions with a smaller alpha are skipped",
-        judge: Judge::Exact,
-        same_picture: false,
-        gpu_only: false,
-        pinhole_only: false,
-        values: &[
-            value("2^-26", 1e-4, |o| RenderOptions { alpha_min: RenderOptions::exact().alpha_min, ..o }),
-            value("1/4096", 0.003, |o| RenderOptions { alpha_min: 1.0 / 4096.0, ..o }),
-            value("1/1024", 0.01, |o| RenderOptions { alpha_min: 1.0 / 1024.0, ..o }),
-            value("1/255", 0.04, |o| RenderOptions { alpha_min: 1.0 / 255.0, ..o }),
-            value("2/255", 0.08, |o| RenderOptions { alpha_min: 2.0 / 255.0, ..o }),
-            value("4/255", 0.16, |o| RenderOptions { alpha_min: 4.0 / 255.0, ..o }),
-            value("8/255", 0.32, |o| RenderOptions { alpha_min: 8.0 / 255.0, ..o }),
-        ],
-        exact: |o| RenderOptions { alpha_min: ALPHA_OF_THE_EXACT, ..o },
+        // A hundred thousand contributions below this value change a picture by less than the precision of f32.
+        exact: |o| RenderOptions { alpha_min: 1e-12, ..o },
+        ..numerical(
+            "alpha_min",
+            "contributions with a smaller alpha are skipped",
+            &[
+                value("2^-26", 1e-4, |o| RenderOptions { alpha_min: RenderOptions::exact().alpha_min, ..o }),
+                value("1/4096", 0.003, |o| RenderOptions { alpha_min: 1.0 / 4096.0, ..o }),
+                value("1/1024", 0.01, |o| RenderOptions { alpha_min: 1.0 / 1024.0, ..o }),
+                value("1/255", 0.04, |o| RenderOptions { alpha_min: 1.0 / 255.0, ..o }),
+                value("2/255", 0.08, |o| RenderOptions { alpha_min: 2.0 / 255.0, ..o }),
+                value("4/255", 0.16, |o| RenderOptions { alpha_min: 4.0 / 255.0, ..o }),
+                value("8/255", 0.32, |o| RenderOptions { alpha_min: 8.0 / 255.0, ..o }),
+            ],
+        )
     },
-    Dial {
-        name: "transmittance_min",
-        what: "compositing stops before the layer that would lower the transmittance below this value",
-        judge: Judge::Exact,
-        same_picture: false,
-        gpu_only: false,
-        pinhole_only: false,
-        values: &[
+    numerical(
+        "transmittance_min",
+        "compositing stops before the layer that would lower the transmittance below this value",
+        &[
             value("0", 0.0, |o| RenderOptions { transmittance_min: 0.0, ..o }),
             value("1e-5", 1e-3, |o| RenderOptions { transmittance_min: 1e-5, ..o }),
             value("1e-4", 0.01, |o| RenderOptions { transmittance_min: 1e-4, ..o }),
             value("1e-3", 0.1, |o| RenderOptions { transmittance_min: 1e-3, ..o }),
             value("1e-2", 0.5, |o| RenderOptions { transmittance_min: 1e-2, ..o }),
         ],
-        exact: |o| RenderOptions { transmittance_min: 0.0, ..o },
-    },
-    Dial {
-        name: "alpha_max",
-        what: "upper limit of the alpha of a contribution",
-        judge: Judge::Exact,
-        same_picture: false,
-        gpu_only: false,
-        pinhole_only: false,
-        values: &[
+    ),
+    numerical(
+        "alpha_max",
+        "upper limit of the alpha of a contribution",
+        &[
             // Together with a transmittance threshold, this value drops opaque layers, hence the bound.
             value("1", 0.5, |o| RenderOptions { alpha_max: 1.0, ..o }),
             value("0.999", 0.1, |o| RenderOptions { alpha_max: 0.999, ..o }),
             value("0.99", 0.02, |o| RenderOptions { alpha_max: 0.99, ..o }),
         ],
-        exact: |o| RenderOptions { alpha_max: 1.0, ..o },
-    },
+    ),
     Dial {
-        name: "accumulation",
-        what: "how the gradients of a Gaussian's intersections are summed",
-        judge: Judge::Exact,
         same_picture: true,
         gpu_only: true,
-        pinhole_only: false,
-        values: &[
-            value("ordered", 0.0, |o| o.with_accumulation(Accumulation::Ordered)),
-            value("atomic", 0.0, |o| o.with_accumulation(Accumulation::Atomic)),
-        ],
-        exact: |o| o.with_accumulation(Accumulation::Ordered),
+        ..numerical(
+            "accumulation",
+            "how the gradients of a Gaussian's intersections are summed",
+            &[
+                value("ordered", 0.0, |o| o.with_accumulation(Accumulation::Ordered)),
+                value("atomic", 0.0, |o| o.with_accumulation(Accumulation::Atomic)),
+            ],
+        )
     },
     Dial {
-        name: "culling",
-        what: "which tiles a Gaussian is assigned to",
-        judge: Judge::Exact,
         same_picture: true,
-        gpu_only: false,
-        pinhole_only: false,
-        values: &[
-            value("ellipse", 0.0, |o| o.with_culling(Culling::Ellipse)),
-            value("opacity-box", 0.0, |o| o.with_culling(Culling::OpacityBox)),
-            value("bounding-box", 0.0, |o| o.with_culling(Culling::BoundingBox)),
-        ],
-        exact: |o| o.with_culling(Culling::Ellipse),
+        ..numerical(
+            "culling",
+            "which tiles a Gaussian is assigned to",
+            &[
+                value("ellipse", 0.0, |o| o.with_culling(Culling::Ellipse)),
+                value("opacity-box", 0.0, |o| o.with_culling(Culling::OpacityBox)),
+                value("bounding-box", 0.0, |o| o.with_culling(Culling::BoundingBox)),
+            ],
+        )
     },
-    Dial {
-        name: "exponential",
-        what: "how exp is computed",
-        judge: Judge::Exact,
-        same_picture: false,
-        gpu_only: false,
-        pinhole_only: false,
-        values: &[
+    numerical(
+        "exponential",
+        "how exp is computed",
+        &[
             value("library", 0.0, |o| o.with_exponential(Exponential::Library)),
             value("polynomial", 0.0, |o| o.with_exponential(Exponential::Polynomial)),
             value("standard", 0.0, |o| o.with_exponential(Exponential::Standard)),
         ],
-        exact: |o| o.with_exponential(Exponential::Library),
-    },
-    Dial {
-        name: "coefficients",
-        what: "how spherical-harmonics coefficients are stored when colours are computed from them",
-        judge: Judge::Exact,
-        same_picture: false,
-        gpu_only: false,
-        pinhole_only: false,
-        values: &[
+    ),
+    numerical(
+        "coefficients",
+        "how spherical-harmonics coefficients are stored when colours are computed from them",
+        &[
             value("full", 0.0, |o| o.with_coefficients(Storage::Full)),
             value("half", 2e-3, |o| o.with_coefficients(Storage::Half)),
         ],
-        exact: |o| o.with_coefficients(Storage::Full),
-    },
+    ),
     Dial {
-        name: "projection",
-        what: "how a Gaussian contributes to a pixel: by its projected ellipse, or by its maximum along the ray",
-        judge: Judge::Photographs,
-        same_picture: false,
-        gpu_only: false,
         pinhole_only: true,
-        values: &[
-            choice("ray-max", |o| o.with_projection(Projection::RayMax)),
-            choice("affine", |o| o.with_projection(Projection::Affine)),
-        ],
-        exact: |o| o,
+        ..model(
+            "projection",
+            "how a Gaussian contributes to a pixel: by its projected ellipse, or by its maximum along the ray",
+            &[
+                choice("ray-max", |o| o.with_projection(Projection::RayMax)),
+                choice("affine", |o| o.with_projection(Projection::Affine)),
+            ],
+        )
     },
     Dial {
-        name: "order",
-        what: "unit of the depth sort: whole Gaussians, or the contributions to each pixel",
-        judge: Judge::Photographs,
-        same_picture: false,
-        gpu_only: false,
         pinhole_only: true,
-        values: &[
-            choice("per-pixel-sort", |o| o.with_order(Order::PerPixelSort)),
-            choice("centre-depth", |o| o.with_order(Order::CentreDepth)),
-        ],
-        exact: |o| o,
+        ..model(
+            "order",
+            "unit of the depth sort: whole Gaussians, or the contributions to each pixel",
+            &[
+                choice("per-pixel-sort", |o| o.with_order(Order::PerPixelSort)),
+                choice("centre-depth", |o| o.with_order(Order::CentreDepth)),
+            ],
+        )
     },
-    Dial {
-        name: "sh_degree",
-        what: "spherical harmonics above this degree are left out",
-        judge: Judge::Photographs,
-        same_picture: false,
-        gpu_only: false,
-        pinhole_only: false,
-        values: &[
+    model(
+        "sh_degree",
+        "spherical harmonics above this degree are left out",
+        &[
             choice("all", |o| o.with_sh_degree(None)),
             choice("2", |o| o.with_sh_degree(Some(2))),
             choice("1", |o| o.with_sh_degree(Some(1))),
             choice("0", |o| o.with_sh_degree(Some(0))),
         ],
-        exact: |o| o,
-    },
-    Dial {
-        name: "blur",
-        what: "variance added to every ellipse, px²",
-        judge: Judge::Photographs,
-        same_picture: false,
-        gpu_only: false,
-        pinhole_only: false,
-        values: &[
+    ),
+    model(
+        "blur",
+        "variance added to every ellipse, px²",
+        &[
             choice("0.1", |o| RenderOptions { blur: 0.1, ..o }),
             choice("0.3", |o| RenderOptions { blur: 0.3, ..o }),
             choice("0.5", |o| RenderOptions { blur: 0.5, ..o }),
         ],
-        exact: |o| o,
-    },
-    Dial {
-        name: "antialias",
-        what: "opacities are compensated for the blur",
-        judge: Judge::Photographs,
-        same_picture: false,
-        gpu_only: false,
-        pinhole_only: false,
-        values: &[choice("on", |o| o.with_antialias(true)), choice("off", |o| o.with_antialias(false))],
-        exact: |o| o,
-    },
-    Dial {
-        name: "jacobian_margin",
-        what: "distance outside the picture up to which the projection's Jacobian is taken, as a share of half the picture's size",
-        judge: Judge::Photographs,
-        same_picture: false,
-        gpu_only: false,
-        pinhole_only: false,
-        values: &[
+    ),
+    model(
+        "antialias",
+        "opacities are compensated for the blur",
+        &[choice("on", |o| o.with_antialias(true)), choice("off", |o| o.with_antialias(false))],
+    ),
+    model(
+        "jacobian_margin",
+        "distance outside the picture up to which the projection's Jacobian is taken, as a share of half the picture's size",
+        &[
             choice("0.15", |o| RenderOptions { jacobian_margin: 0.15, ..o }),
             choice("0.3", |o| RenderOptions { jacobian_margin: 0.3, ..o }),
             choice("1", |o| RenderOptions { jacobian_margin: 1.0, ..o }),
         ],
-        exact: |o| o,
-    },
+    ),
 ];
 
 impl Dial {

@@ -8,7 +8,7 @@ use thiserror::Error;
 use super::frontier::Spread;
 use super::provenance::Provenance;
 use super::setting::Setting;
-use crate::json::{self, JsonFault};
+use crate::json;
 
 /// Name of the setting that changes no dial.
 pub const STANDARD: &str = "standard";
@@ -92,10 +92,8 @@ impl Frontier {
     /// If the file cannot be read or holds something else.
     pub fn read(path: &Path) -> Result<Self, FrontierError> {
         let content = |reason| FrontierError::Content { path: path.to_owned(), reason };
-        let found: Self = json::read(path, LARGEST_FILE).map_err(|fault| match fault {
-            JsonFault::Read(source) => FrontierError::Read { path: path.to_owned(), source },
-            JsonFault::Content(reason) => content(reason),
-        })?;
+        let unread = |source| FrontierError::Read { path: path.to_owned(), source };
+        let found: Self = json::read(path, LARGEST_FILE, unread, content)?;
         match found.settings.as_slice() {
             [] => Err(content("no setting was measured".into())),
             settings if !settings.iter().all(Measured::is_finite) => Err(content("a number is not finite".into())),

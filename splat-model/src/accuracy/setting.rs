@@ -96,12 +96,8 @@ impl Setting {
 
     /// The part of the setting whose dials are judged against `judge`.
     pub fn of(&self, judge: Judge) -> Self {
-        Self(
-            self.values()
-                .filter(|(dial, _)| dial.judge == judge)
-                .map(|(dial, value)| (dial.name, value.name))
-                .collect(),
-        )
+        let of = self.values().filter(|(dial, _)| dial.judge == judge);
+        Self(of.map(|(dial, value)| (dial.name, value.name)).collect())
     }
 
     /// The reference that the setting is judged against: photographs as soon as it holds a model choice.
@@ -113,12 +109,10 @@ impl Setting {
 
 impl Display for Setting {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self.is_empty() {
-            true => f.write_str("nothing turned"),
-            false => {
-                f.write_str(&self.0.iter().map(|(dial, to)| format!("{dial} {to}")).collect::<Vec<_>>().join(", "))
-            }
+        if self.is_empty() {
+            return f.write_str("nothing turned");
         }
+        f.write_str(&self.0.iter().map(|(dial, to)| format!("{dial} {to}")).collect::<Vec<_>>().join(", "))
     }
 }
 

@@ -71,9 +71,7 @@ impl AdaptiveConfig {
     pub fn absgrad() -> Self {
         Self { absolute: true, grad_threshold: 8e-4, ..Self::default() }
     }
-}
 
-impl AdaptiveConfig {
     /// Densification and pruning by the agreement of several views.
     pub fn consistent() -> Self {
         Self { consistency: Some(ConsistencyConfig::default()), ..Self::default() }
@@ -121,11 +119,12 @@ impl Adaptive {
         let rows = scene.gaussians.to_rows();
         let gradients = self.mean_gradients(rows.len());
         let keep_largest = self.config.reset_every == 0 || step <= self.config.reset_every;
-        let agreed = self.config.consistency.zip(self.agreement.take().map(Agreement::read));
-        let hardly_shows = |i| agreed.as_ref().is_some_and(|(config, agreed)| agreed.hardly_shows(i, config));
+        let agreement = self.config.consistency.zip(self.agreement.take());
+        let agreed = agreement.map(|(config, agreement)| agreement.read(&config));
+        let hardly_shows = |i: usize| agreed.as_ref().is_some_and(|agreed| agreed[i].hardly_shows);
         let doomed: Vec<bool> =
             (0..rows.len()).map(|i| self.is_doomed(&rows, i, keep_largest) || hardly_shows(i)).collect();
-        let (chosen, threshold) = self.choose(&gradients, &doomed, agreed.as_ref());
+        let (chosen, threshold) = self.choose(&gradients, &doomed, agreed.as_deref());
         let split_above = (self.config.split_scale * self.extent) as f32;
 
         let mut report = RefineReport { threshold, ..Default::default() };
@@ -167,13 +166,8 @@ impl Adaptive {
     }
 
     /// Selects the rows to copy or split, in order, and returns the threshold of the selection.
-    fn choose(
-        &self,
-        gradients: &[f32],
-        doomed: &[bool],
-        agreed: Option<&(ConsistencyConfig, Agreed)>,
-    ) -> (Vec<usize>, f64) {
-        let is_wrong = |i: usize| agreed.is_none_or(|(config, agreed)| agreed.is_wrong(i, config));
+    fn choose(&self, gradients: &[f32], doomed: &[bool], agreed: Option<&[Agreed]>) -> (Vec<usize>, f64) {
+        let is_wrong = |i: usize| agreed.is_none_or(|agreed| agreed[i].is_wrong);
         let wanted = |i: &usize| !doomed[*i] && f64::from(gradients[*i]) > self.config.grad_threshold && is_wrong(*i);
         let mut chosen: Vec<usize> = (0..gradients.len()).filter(wanted).collect();
         let surviving = doomed.iter().filter(|&&gone| !gone).count();
@@ -257,9 +251,7 @@ impl Strategy for Adaptive {
             to.put("seen_count", count.clone());
         }
         if let Some(agreement) = &self.agreement {
-            let mut part = State::default();
-            agreement.save(&mut part);
-            to.put_part("agreement", part);
+            to.put_part("agreement", agreement.save());
         }
         Ok(())
     }
@@ -273,9 +265,7 @@ impl Strategy for Adaptive {
         }
         self.agreement = None;
         if from.has("agreement") {
-            let mut part = from.take_part("agreement");
-            self.agreement = Some(Agreement::load(&mut part, device)?);
-            part.finish()?;
+            self.agreement = Some(from.load_part("agreement", |part| Agreement::load(part, device))?);
         }
         Ok(())
     }

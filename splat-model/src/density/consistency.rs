@@ -45,10 +45,12 @@ pub(super) struct Agreement {
     views: Tensor<1>,
 }
 
-/// The statistics on the host.
+/// What the views say about a Gaussian.
 pub(super) struct Agreed {
-    wrong_px: Vec<f32>,
-    most_px: Vec<f32>,
+    /// Whether it covers enough pixels with a large error.
+    pub is_wrong: bool,
+    /// Whether it is hardly visible. False for one that no view shows.
+    pub hardly_shows: bool,
 }
 
 impl Agreement {
@@ -65,36 +67,25 @@ impl Agreement {
         }
     }
 
-    pub fn read(self) -> Agreed {
+    pub fn read(self, config: &ConsistencyConfig) -> Vec<Agreed> {
         let wrong_px = values_of(self.wrong / self.views.clamp_min(1.0));
-        Agreed { wrong_px, most_px: values_of(self.most) }
+        let agreed = |(wrong_px, most_px): (f32, f32)| Agreed {
+            is_wrong: wrong_px >= config.wrong_px,
+            hardly_shows: most_px > 0.0 && most_px < config.shown_px,
+        };
+        wrong_px.into_iter().zip(values_of(self.most)).map(agreed).collect()
     }
 
-    pub fn save(&self, to: &mut State) {
-        to.put("wrong", self.wrong.clone());
-        to.put("most", self.most.clone());
-        to.put("views", self.views.clone());
+    pub fn save(&self) -> State {
+        let mut state = State::default();
+        let entries = [("wrong", &self.wrong), ("most", &self.most), ("views", &self.views)];
+        entries.into_iter().for_each(|(name, values)| state.put(name, values.clone()));
+        state
     }
 
     pub fn load(from: &mut State, device: &Device) -> Result<Self, StateError> {
         let wrong: Tensor<1> = from.take("wrong", device)?;
-        let shape = wrong.dims();
-        Ok(Self {
-            wrong,
-            most: from.take_shaped("most", shape, device)?,
-            views: from.take_shaped("views", shape, device)?,
-        })
-    }
-}
-
-impl Agreed {
-    /// Whether Gaussian `i` covers enough pixels with a large error.
-    pub fn is_wrong(&self, i: usize, config: &ConsistencyConfig) -> bool {
-        self.wrong_px[i] >= config.wrong_px
-    }
-
-    /// Whether Gaussian `i` is hardly visible. False for one that no view shows.
-    pub fn hardly_shows(&self, i: usize, config: &ConsistencyConfig) -> bool {
-        self.most_px[i] > 0.0 && self.most_px[i] < config.shown_px
+        let mut like = |name: &str| from.take_shaped(name, wrong.dims(), device);
+        Ok(Self { most: like("most")?, views: like("views")?, wrong })
     }
 }

@@ -26,14 +26,12 @@ pub(super) struct Noise {
 impl Noise {
     /// `[count, 3]`: standard normal deviates for a step. A new stock is drawn if there is none for this number of rows.
     pub fn draw(&mut self, count: usize, rng: &mut dyn Rng, device: &Device) -> Tensor<2> {
-        let fits = self.stock.as_ref().is_some_and(|stock| stock.dims()[0] == 2 * count);
-        if !fits {
+        let kept = self.stock.take().filter(|stock| stock.dims()[0] == 2 * count);
+        let stock = kept.unwrap_or_else(|| {
             self.seed = rng.next_u64();
-            self.stock = Some(normal(self.seed, 2 * count, device));
-        }
-        let first = rng.random_range(0..=count);
-        let stock = self.stock.clone().unwrap_or_else(|| Tensor::zeros([2 * count, 3], device));
-        stock.narrow(0, first, count)
+            normal(self.seed, 2 * count, device)
+        });
+        self.stock.insert(stock).clone().narrow(0, rng.random_range(0..=count), count)
     }
 
     /// Discards the stock, so that the next step draws a new one.
@@ -42,10 +40,8 @@ impl Noise {
     }
 
     pub fn save(&self, to: &mut State) -> Result<(), StateError> {
-        match &self.stock {
-            Some(stock) => to.tell("noise", &(self.seed, stock.dims()[0])),
-            None => Ok(()),
-        }
+        let Some(stock) = &self.stock else { return Ok(()) };
+        to.tell("noise", &(self.seed, stock.dims()[0]))
     }
 
     /// The stock is drawn again from its seed.

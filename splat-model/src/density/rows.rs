@@ -1,12 +1,11 @@
-//! Edits of rows: the only place that changes the rows of parameters and of their Adam moments.
-
-mod state;
+//! A scene in training, and edits of its rows: the only place that changes rows of parameters and of their moments.
 
 use burn::module::Param;
 use burn::tensor::{Device, Int, Tensor, TensorData};
 
 use crate::gaussians::{GaussianRows, Gaussians, RowsError, parameter};
 use crate::optim::{Adam, LearningRates, Moments, Rates};
+use crate::state::{State, StateError};
 
 /// Adam moments of all parameters of a scene.
 #[derive(Clone, Debug)]
@@ -126,6 +125,48 @@ impl Trained {
         update(&mut g.logit_opacities, gradients.logit_opacities, opacities, &mut m.logit_opacities, adam);
         update(&mut g.sh, gradients.sh, Rates { first: sh_dc, others: sh_rest }, &mut m.sh, adam);
     }
+
+    /// Saves parameters and moments.
+    pub fn save(&self) -> State {
+        let (g, m) = (&self.gaussians, &self.moments);
+        let mut state = State::default();
+        put_parameter(&mut state, "means", &g.means, &m.means);
+        put_parameter(&mut state, "rotations", &g.rotations, &m.rotations);
+        put_parameter(&mut state, "log_scales", &g.log_scales, &m.log_scales);
+        put_parameter(&mut state, "logit_opacities", &g.logit_opacities, &m.logit_opacities);
+        put_parameter(&mut state, "sh", &g.sh, &m.sh);
+        state
+    }
+
+    /// Restores a scene. It can be trained if `device` is an autodiff device.
+    ///
+    /// # Errors
+    /// If a value is missing, or if parameters and moments are inconsistent.
+    pub fn load(from: &mut State, device: &Device) -> Result<Self, StateError> {
+        let (means, of_means) = take_parameter::<2>(from, "means", device, |shape| *shape == [shape[0], 3])?;
+        let count = means.val().dims()[0];
+        let (rotations, of_rotations) = take_parameter::<2>(from, "rotations", device, |shape| *shape == [count, 4])?;
+        let (log_scales, of_log_scales) =
+            take_parameter::<2>(from, "log_scales", device, |shape| *shape == [count, 3])?;
+        let (logit_opacities, of_opacities) =
+            take_parameter::<1>(from, "logit_opacities", device, |shape| *shape == [count])?;
+        let is_sh = |&[rows, coefficients, channels]: &[usize; 3]| {
+            let largest = splat_op::sh::SH_DEGREE_MAX + 1;
+            let side = coefficients.isqrt();
+            rows == count && (1..=largest).contains(&side) && side * side == coefficients && channels == 3
+        };
+        let (sh, of_sh) = take_parameter::<3>(from, "sh", device, is_sh)?;
+        Ok(Self {
+            gaussians: Gaussians { means, rotations, log_scales, logit_opacities, sh },
+            moments: GaussianMoments {
+                means: of_means,
+                rotations: of_rotations,
+                log_scales: of_log_scales,
+                logit_opacities: of_opacities,
+                sh: of_sh,
+            },
+        })
+    }
 }
 
 /// Learning rates of one step.
@@ -163,9 +204,7 @@ impl Gradients {
             sh: gaussians.sh.val().grad_remove(grads),
         }
     }
-}
 
-impl Gradients {
     /// The sum of both. `None` counts as zero.
     pub fn plus(self, other: Self) -> Self {
         fn sum<const D: usize>(a: Option<Tensor<D>>, b: Option<Tensor<D>>) -> Option<Tensor<D>> {
@@ -247,6 +286,32 @@ fn edit_rows<const D: usize>(
     moments.m = edited(moments.m.clone(), &without_history);
     moments.v = edited(moments.v.clone(), &without_history);
     replace(param, values);
+}
+
+fn put_parameter<const D: usize>(to: &mut State, name: &str, param: &Param<Tensor<D>>, moments: &Moments<D>) {
+    let values = param.val();
+    let mut part = State::default();
+    part.put("values", if values.is_autodiff() { values.inner() } else { values });
+    moments.save(&mut part);
+    to.put_part(name, part);
+}
+
+/// A parameter on `device`, and its moments. Returns an error if `fits` rejects the shape.
+fn take_parameter<const D: usize>(
+    from: &mut State,
+    name: &str,
+    device: &Device,
+    fits: impl Fn(&[usize; D]) -> bool,
+) -> Result<(Param<Tensor<D>>, Moments<D>), StateError> {
+    let plain = device.clone().inner();
+    from.load_part(name, |part| {
+        let values = part.take::<D>("values", &plain)?;
+        let shape = values.dims();
+        if !fits(&shape) {
+            return Err(StateError::Fit { name: name.to_owned(), found: shape.to_vec() });
+        }
+        Ok((parameter(on(device, values)), Moments::load(part, shape, &plain)?))
+    })
 }
 
 #[cfg(test)]

@@ -28,7 +28,7 @@ use thiserror::Error;
 use super::learned::{EffectContext, Falling, Learned};
 use super::{Effect, EffectKind, RenderInput, saved_bytes};
 use crate::gaussians::{Gaussians, values_of};
-use crate::json::{self, JsonFault};
+use crate::json;
 use crate::state::{State, StateError};
 
 /// The kind of background of a run.
@@ -102,10 +102,8 @@ impl Background {
     /// If the file cannot be read or is not a background.
     pub fn read(path: &Path) -> Result<Self, BackgroundError> {
         let content = |reason| BackgroundError::Content { path: path.to_owned(), reason };
-        let found: Self = json::read(path, LARGEST_FILE).map_err(|fault| match fault {
-            JsonFault::Read(source) => BackgroundError::Read { path: path.to_owned(), source },
-            JsonFault::Content(reason) => content(reason),
-        })?;
+        let unread = |source| BackgroundError::Read { path: path.to_owned(), source };
+        let found: Self = json::read(path, LARGEST_FILE, unread, content)?;
         match &found {
             Self::Environment(coefficients) if sh_degree(coefficients.len()).is_none() => {
                 Err(content(format!("{} coefficients", coefficients.len())))

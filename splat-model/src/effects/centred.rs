@@ -59,18 +59,12 @@ impl<const D: usize> Centred<D> {
     }
 
     /// Saves all parameters and the number of steps since the last reset.
-    ///
-    /// # Errors
-    /// None expected.
     pub fn save(&self, to: &mut State) -> Result<(), StateError> {
         Learned::save_all(&self.all, to)?;
         to.tell("since_centred", &self.since_centred)
     }
 
     /// Restores the state of the same number of photographs.
-    ///
-    /// # Errors
-    /// If a value is missing or has another shape.
     pub fn load(&mut self, from: &mut State) -> Result<(), StateError> {
         Learned::load_all(&mut self.all, from)?;
         self.since_centred = from.told("since_centred")?;

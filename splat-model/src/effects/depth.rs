@@ -10,16 +10,18 @@
 //! scene units) than without supervision (0.46). With the full derivative they are nearer (less than 0.28). It is
 //! `(zᵢ − D/α)/α` for each weight: Gaussians that are too far fade, and nearer ones gain.
 
+use std::io;
 use std::path::Path;
 
 use burn::tensor::{Device, Int, Tensor, TensorData};
-use glam::{Vec2, Vec3};
+use glam::Vec2;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use splat_op::Rendered;
 
 use super::learned::{EffectContext, Falling};
 use super::masks::by_name;
+use super::survey::by_view;
 use super::{Effect, EffectKind, RenderInput};
 use crate::capture::{Capture, CaptureError};
 use crate::gaussians::Gaussians;
@@ -55,25 +57,16 @@ const LARGEST_MISS: f64 = 0.004;
 
 /// The depths of the sparse points in the photographs `views`, by their tracks.
 pub fn from_tracks(capture: &Capture, views: &[usize]) -> Vec<Vec<DepthSample>> {
-    let mut place = vec![None; capture.views.len()];
-    views.iter().enumerate().for_each(|(at, &view)| place[view] = Some(at));
     let projectors: Vec<_> = capture.views.iter().map(|view| view.intrinsics.projector()).collect();
-    let mut samples = vec![Vec::new(); views.len()];
-    for (point, position) in capture.points.positions.iter().enumerate() {
-        let world = Vec3::from_array(*position).as_dvec3();
-        for observation in capture.tracks.of(point) {
-            let (view, Some(place)) = (&capture.views[observation.view], place[observation.view]) else { continue };
-            let cam = view.cam_from_world.transform_point3(world);
-            let size = Vec2::new(view.intrinsics.width as f32, view.intrinsics.height as f32);
-            let found = Vec2::from_array(observation.at_px);
-            let miss = projectors[observation.view].px_from_cam(cam).map(|px| px.distance(found.as_dvec2()));
-            let inside = found.cmpge(Vec2::ZERO).all() && found.cmplt(size).all();
-            if inside && miss.is_some_and(|miss| miss <= LARGEST_MISS * f64::from(size.max_element())) {
-                samples[place].push(DepthSample { at: (found / size).to_array(), depth: cam.z as f32 });
-            }
-        }
-    }
-    samples
+    by_view(capture, views.iter().copied(), |view, world, observation| {
+        let cam = view.cam_from_world.transform_point3(world);
+        let size = Vec2::new(view.intrinsics.width as f32, view.intrinsics.height as f32);
+        let found = Vec2::from_array(observation.at_px);
+        let miss_px = projectors[observation.view].px_from_cam(cam)?.distance(found.as_dvec2());
+        let inside = found.cmpge(Vec2::ZERO).all() && found.cmplt(size).all();
+        (inside && miss_px <= LARGEST_MISS * f64::from(size.max_element()))
+            .then(|| DepthSample { at: (found / size).to_array(), depth: cam.z as f32 })
+    })
 }
 
 /// The contents of `depth.json`.
@@ -94,7 +87,8 @@ pub fn from_maps(capture: &Capture, folder: &str, views: &[usize]) -> Result<Vec
     let folder = capture.folder.join(folder);
     let file = folder.join("depth.json");
     let wrong = |file: &Path, reason: String| CaptureError::Depth { file: file.to_owned(), reason };
-    let DepthScale { scale } = json::read(&file, LARGEST_TEXT).map_err(|fault| wrong(&file, fault.to_string()))?;
+    let unread = |error: io::Error| wrong(&file, error.to_string());
+    let DepthScale { scale } = json::read(&file, LARGEST_TEXT, unread, |reason| wrong(&file, reason))?;
     if !(scale > 0.0 && scale.is_finite()) {
         return Err(wrong(&file, format!("`scale` is {scale}, expected a number above 0")));
     }
@@ -143,12 +137,11 @@ pub struct Depths {
 
 impl Depths {
     /// The known depths, one list for each photograph.
-    pub fn new(config: DepthConfig, samples: Vec<Vec<DepthSample>>, device: &Device) -> Self {
+    pub fn new(config: DepthConfig, mut samples: Vec<Vec<DepthSample>>, device: &Device) -> Self {
         let usable = |sample: &DepthSample| {
             sample.depth > 0.0 && sample.depth.is_finite() && sample.at.iter().all(|at| (0.0..1.0).contains(at))
         };
-        let samples: Vec<Vec<DepthSample>> =
-            samples.into_iter().map(|list| list.into_iter().filter(usable).collect()).collect();
+        samples.iter_mut().for_each(|list| list.retain(usable));
         let on_device = samples.iter().map(|_| None).collect();
         Self { config, samples, on_device, device: device.clone() }
     }
@@ -316,7 +309,7 @@ mod tests {
             let px = glam::DVec2::new(f64::from(sample.at[0]) * 64.0, f64::from(sample.at[1]) * 48.0);
             let cam = view.intrinsics.cam_from_px(px) * f64::from(sample.depth);
             let world = view.cam_from_world.inverse().transform_point3(cam);
-            let distance = |position: &[f32; 3]| Vec3::from_array(*position).as_dvec3().distance(world);
+            let distance = |position: &[f32; 3]| glam::Vec3::from_array(*position).as_dvec3().distance(world);
             let nearest = capture.points.positions.iter().map(distance).fold(f64::INFINITY, f64::min);
             assert!(nearest < 1e-3, "{nearest}");
         }

@@ -136,12 +136,11 @@ pub fn apply(image: Tensor<3>, grid: Tensor<4>) -> Tensor<3> {
     let luma = Tensor::<1>::from_floats(LUMA, &plain).reshape([1, channels, 1]);
     let luma = if colours.is_autodiff() { Tensor::from_inner(luma) } else { luma };
     let luma = (colours.clone() * luma).sum_dim(1).clamp(0.0, 1.0) * (LEVELS - 1) as f32;
-    let mut map: Option<Tensor<3>> = None;
-    for level in 0..LEVELS {
+    let part = |level: usize| {
         let share = ((luma.clone() - level as f32).abs().neg() + 1.0).clamp_min(0.0);
-        let part = maps.clone().narrow(2, level, 1).reshape([height, MAP, width]) * share;
-        map = Some(map.map_or(part.clone(), |map| map + part));
-    }
+        maps.clone().narrow(2, level, 1).reshape([height, MAP, width]) * share
+    };
+    let map = (0..LEVELS).map(part).reduce(|a, b| a + b);
     let map = map.expect("there are levels").reshape([height, channels, channels + 1, width]);
     let linear = map.clone().narrow(2, 0, channels) * colours.unsqueeze_dim::<4>(1);
     let shown = linear.sum_dim(2) + map.narrow(2, channels, 1);

@@ -77,8 +77,10 @@ impl<const D: usize> Learned<D> {
             self.leaf = Tensor::from_inner(self.value.clone()).require_grad();
             self.moved = false;
         }
-        let leaf = self.leaf.clone();
-        self.unit.clone().map_or_else(|| leaf.clone(), |unit| leaf.clone() * Tensor::from_inner(unit))
+        match &self.unit {
+            None => self.leaf.clone(),
+            Some(unit) => self.leaf.clone() * Tensor::from_inner(unit.clone()),
+        }
     }
 
     /// The value without autodiff.
@@ -152,9 +154,7 @@ impl<const D: usize> Learned<D> {
     /// As [`Self::save`].
     pub fn save_all(all: &[Self], to: &mut State) -> Result<(), StateError> {
         for (view, one) in all.iter().enumerate() {
-            let mut part = State::default();
-            one.save(&mut part)?;
-            to.put_part(&view.to_string(), part);
+            to.save_part(&view.to_string(), |part| one.save(part))?;
         }
         Ok(())
     }
@@ -165,8 +165,7 @@ impl<const D: usize> Learned<D> {
     /// As [`Self::load`].
     pub fn load_all(all: &mut [Self], from: &mut State) -> Result<(), StateError> {
         for (view, one) in all.iter_mut().enumerate() {
-            let mut part = from.take_part(&view.to_string());
-            one.load(&mut part)?;
+            from.load_part(&view.to_string(), |part| one.load(part))?;
         }
         Ok(())
     }

@@ -141,22 +141,15 @@ fn series(squared: Tensor<1>) -> [Tensor<2>; 3] {
 }
 
 /// `[3, 3]`: the matrix of the cross product with `v`, `[3]`.
-fn cross_matrix(v: &Tensor<1>) -> Tensor<2> {
-    // Row-major: the component of `v` in each entry, and its sign.
-    const PLACES: [[f64; 3]; 9] = [
-        [0.0, 0.0, 0.0],
-        [0.0, 0.0, -1.0],
-        [0.0, 1.0, 0.0],
-        [0.0, 0.0, 1.0],
-        [0.0, 0.0, 0.0],
-        [-1.0, 0.0, 0.0],
-        [0.0, -1.0, 0.0],
-        [1.0, 0.0, 0.0],
-        [0.0, 0.0, 0.0],
+pub(super) fn cross_matrix(v: &Tensor<1>) -> Tensor<2> {
+    // The signs with which each component of `v` enters the matrix, row-major.
+    const PLACES: [[f64; 9]; 3] = [
+        [0.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 1.0, 0.0],
+        [0.0, 0.0, 1.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0],
+        [0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0],
     ];
-    let places = TensorData::new(PLACES.concat(), [9, 3]);
-    let places = Tensor::<2>::from_data(places, (&v.device(), v.dtype()));
-    places.matmul(v.clone().unsqueeze_dim(1)).reshape([3, 3])
+    let places = Tensor::<2>::from_data(TensorData::from(PLACES), (&v.device(), v.dtype()));
+    v.clone().unsqueeze::<2>().matmul(places).reshape([3, 3])
 }
 
 #[cfg(test)]

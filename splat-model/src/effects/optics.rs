@@ -123,16 +123,39 @@ impl Optics {
         })
     }
 
-    /// The parameters for a render of `view` through a position of the aperture.
-    fn sample(&mut self, view: usize, place: [f32; 2]) -> Sample {
+    /// The change of the ellipses in a render of `view` through a position of the aperture. It fails for a camera with a lens.
+    fn edit(
+        &mut self,
+        view: usize,
+        place: [f32; 2],
+        (camera, options): (Intrinsics, RenderOptions),
+    ) -> impl Fn(Ellipses) -> Result<Ellipses, ScreenError> + use<> {
         let extent = self.extent;
+        // Logarithm of the aperture's radius, scene units, and the inverse of the distance in focus, `[1]` each.
         let lens = self.lenses.get_mut(view).map(|lens| {
             let lens = lens.tracked();
             let log_aperture = lens.clone().narrow(1, 0, 1).reshape([1]) + extent.ln();
             (log_aperture, lens.narrow(1, 1, 1).reshape([1]) / extent)
         });
-        let twist = |all: &mut [Learned<2>]| all.get_mut(view).map(|learned| twist(learned, extent));
-        Sample { place, lens, exposure: twist(&mut self.exposures), readout: twist(&mut self.readouts) }
+        let exposure = self.exposures.get_mut(view).map(|exposure| twist(exposure, extent));
+        let readout = self.readouts.get_mut(view).map(|readout| twist(readout, extent));
+        move |mut ellipses| {
+            if let Some((log_aperture, inverse_focus)) = &lens {
+                let radii = defocus::confusion(&ellipses, &camera, log_aperture, inverse_focus)?;
+                let place = Tensor::<2>::from_floats([place], &radii.device());
+                ellipses.mean2d = ellipses.mean2d + radii.clone() * place;
+                ellipses = defocus::blurred(ellipses, radii / (PLACES as f64).sqrt());
+            }
+            if let Some(exposure) = &exposure {
+                let velocity = motion::velocity(&ellipses, &camera, exposure, &options)?;
+                ellipses = motion::blurred(ellipses, velocity);
+            }
+            if let Some(readout) = &readout {
+                let velocity = motion::velocity(&ellipses, &camera, readout, &options)?;
+                ellipses = motion::rolled(ellipses, velocity, camera.height);
+            }
+            Ok(ellipses)
+        }
     }
 }
 
@@ -141,41 +164,6 @@ fn twist(learned: &mut Learned<2>, extent: f64) -> Tensor<1> {
     let rows = learned.tracked();
     let moved = rows.clone().narrow(0, 1, 1) * extent;
     Tensor::cat(vec![rows.narrow(0, 0, 1), moved], 0).reshape([6])
-}
-
-/// The parameters of one of the averaged renders of a photograph.
-struct Sample {
-    place: [f32; 2],
-    /// Logarithm of the aperture's radius, scene units, and the inverse of the distance in focus, `[1]` each.
-    lens: Option<(Tensor<1>, Tensor<1>)>,
-    exposure: Option<Tensor<1>>,
-    readout: Option<Tensor<1>>,
-}
-
-impl Sample {
-    /// Applies the effects to the ellipses. Returns an error for a camera with a lens.
-    fn changed(
-        &self,
-        mut ellipses: Ellipses,
-        camera: &Intrinsics,
-        options: &RenderOptions,
-    ) -> Result<Ellipses, ScreenError> {
-        if let Some((log_aperture, inverse_focus)) = &self.lens {
-            let radii = defocus::confusion(&ellipses, camera, log_aperture, inverse_focus)?;
-            let place = Tensor::<2>::from_floats([self.place], &radii.device());
-            ellipses.mean2d = ellipses.mean2d + radii.clone() * place;
-            ellipses = defocus::blurred(ellipses, radii / (PLACES as f64).sqrt());
-        }
-        if let Some(exposure) = &self.exposure {
-            let velocity = motion::velocity(&ellipses, camera, exposure, options)?;
-            ellipses = motion::blurred(ellipses, velocity);
-        }
-        if let Some(readout) = &self.readout {
-            let velocity = motion::velocity(&ellipses, camera, readout, options)?;
-            ellipses = motion::rolled(ellipses, velocity, camera.height);
-        }
-        Ok(ellipses)
-    }
 }
 
 impl Effect for Optics {
@@ -188,11 +176,9 @@ impl Effect for Optics {
         if camera.model == CameraModel::Pinhole {
             let places = if self.lenses.is_empty() { 1 } else { PLACES };
             let through = |i: usize| {
-                let sample = self.sample(at.view, place(i));
+                let edit = self.edit(at.view, place(i), (camera, options));
                 let mut input = input.clone();
-                input.edit(move |ellipses| {
-                    sample.changed(ellipses, &camera, &options).expect("the camera is a pinhole, as was asked above")
-                });
+                input.edit(move |ellipses| edit(ellipses).expect("the camera is a pinhole, as was asked above"));
                 input
             };
             return (0..places).map(through).collect();
@@ -217,22 +203,13 @@ impl Effect for Optics {
 
     fn save(&self, to: &mut State) -> Result<(), StateError> {
         let parts = [("exposures", &self.exposures), ("readouts", &self.readouts), ("lenses", &self.lenses)];
-        for (name, learned) in parts {
-            let mut part = State::default();
-            Learned::save_all(learned, &mut part)?;
-            to.put_part(name, part);
-        }
-        Ok(())
+        parts.into_iter().try_for_each(|(name, all)| to.save_part(name, |part| Learned::save_all(all, part)))
     }
 
     fn load(&mut self, from: &mut State, _: &Device) -> Result<(), StateError> {
         let Self { exposures, readouts, lenses, .. } = self;
-        for (name, learned) in [("exposures", exposures), ("readouts", readouts), ("lenses", lenses)] {
-            let mut part = from.take_part(name);
-            Learned::load_all(learned, &mut part)?;
-            part.finish()?;
-        }
-        Ok(())
+        let parts = [("exposures", exposures), ("readouts", readouts), ("lenses", lenses)];
+        parts.into_iter().try_for_each(|(name, all)| from.load_part(name, |part| Learned::load_all(all, part)))
     }
 }
 

@@ -8,7 +8,7 @@ use serde::Serialize;
 
 pub use self::colour::{BRIGHTNESS_STOPS, GRADED, PLACES_LEAVE, VIEW_DEPENDENT_SHARE, WHITE_BALANCE_STOPS};
 use super::EffectKind;
-use super::survey::{ObservationSource, ShutterEvidence, Survey};
+use super::survey::{DepthEvidence, ObservationSource, PoseSource, ShutterEvidence, Survey};
 
 /// Threshold of the ratio between the largest and the smallest size of a point, exceeded by a twentieth of the points.
 pub const FOOTPRINT_RATIO: f64 = 8.0;
@@ -133,22 +133,24 @@ fn decide(effect: EffectKind, on: bool, evidence: String, rule: String, cost: Op
     Decision { name: effect.name(), effect: Some(effect), verdict, evidence, rule, predicted: cost }
 }
 
+/// The verdict and the words of `judge` on what was found, or that it is not known.
+fn known<T>(found: &Option<T>, missing: &str, judge: impl FnOnce(&T) -> (bool, String)) -> (bool, String) {
+    found.as_ref().map_or_else(|| (false, format!("not known: {missing}")), judge)
+}
+
 fn percent(share: f64) -> String {
     format!("{:.1}%", 100.0 * share)
 }
 
 fn antialias(survey: &Survey) -> Decision {
     let rule = format!("on if the sizes of a twentieth of the points differ by a factor above {FOOTPRINT_RATIO}");
-    let (on, evidence) = match &survey.footprint {
-        None => (false, "not known: no point is visible in several photographs".into()),
-        Some(found) => (
-            found.largest_ratio > FOOTPRINT_RATIO,
-            format!(
-                "the sizes of a point differ by a factor of {:.1} (median), for a twentieth by {:.1} or more",
-                found.median_ratio, found.largest_ratio
-            ),
-        ),
-    };
+    let (on, evidence) = known(&survey.footprint, "no point is visible in several photographs", |found| {
+        let evidence = format!(
+            "the sizes of a point differ by a factor of {:.1} (median), for a twentieth by {:.1} or more",
+            found.median_ratio, found.largest_ratio
+        );
+        (found.largest_ratio > FOOTPRINT_RATIO, evidence)
+    });
     decide(EffectKind::Antialias, on, evidence, rule, None)
 }
 
@@ -208,35 +210,28 @@ fn rolling_shutter(survey: &Survey) -> Decision {
          less than other poses do",
         percent(ROWS_LEAVE)
     );
-    let evidence = match &survey.shutter {
-        None => "not known: no tracks".into(),
-        Some(found) => format!(
-            "camera motion during readout would leave {} of the reprojection error, other poses {}",
-            percent(found.left_by_rows),
-            percent(found.left_by_poses)
-        ),
-    };
+    let (on, evidence) = known(&survey.shutter, "no tracks", |found| {
+        let [rows, poses] = [found.left_by_rows, found.left_by_poses].map(percent);
+        let evidence =
+            format!("camera motion during readout would leave {rows} of the reprojection error, other poses {poses}");
+        (rows_explain(survey), evidence)
+    });
     let cost = Cost { ms_per_step: OPTICS_MS, mib: survey.views as f64 * 3.0 * 6.0 * 4.0 / MIB };
-    decide(EffectKind::RollingShutter, rows_explain(survey), evidence, rule, Some(cost))
+    decide(EffectKind::RollingShutter, on, evidence, rule, Some(cost))
 }
 
 fn pose(survey: &Survey) -> Decision {
     let rule = format!("on if the mean reprojection error exceeds {POSE_PX} px and no rolling shutter causes it");
-    let (on, evidence) = match &survey.pose {
-        None => (false, "not known: no reprojection error".into()),
-        Some(pose) => {
-            let evidence = format!(
-                "mean reprojection error {:.2} px, a twentieth of the errors above {:.2} px ({})",
-                pose.mean_px,
-                pose.largest_px,
-                match pose.source {
-                    super::survey::PoseSource::Tracks => "measured on the tracks",
-                    super::survey::PoseSource::Stated => "as the reconstruction states",
-                }
-            );
-            (pose.mean_px > POSE_PX && !rows_explain(survey), evidence)
-        }
-    };
+    let (on, evidence) = known(&survey.pose, "no reprojection error", |pose| {
+        let source = match pose.source {
+            PoseSource::Tracks => "measured on the tracks",
+            PoseSource::Stated => "as the reconstruction states",
+        };
+        let (mean, largest) = (pose.mean_px, pose.largest_px);
+        let evidence =
+            format!("mean reprojection error {mean:.2} px, a twentieth of the errors above {largest:.2} px ({source})");
+        (mean > POSE_PX && !rows_explain(survey), evidence)
+    });
     // Projection and shading in two passes, the gradient of the pose, and some forty operations on twelve numbers.
     let cost = Cost { ms_per_step: 5.0, mib: survey.views as f64 * 3.0 * 6.0 * 4.0 / MIB };
     decide(EffectKind::PoseRefinement, on, evidence, rule, Some(cost))
@@ -247,20 +242,16 @@ fn environment(survey: &Survey) -> Decision {
         "on if more than {} of the points are that far away and no photograph has transparent parts",
         percent(FAR_SHARE)
     );
-    let (on, evidence) = match &survey.depth {
-        None => (false, "not known: no points".into()),
-        Some(depth) => {
-            let evidence = format!(
-                "depths from {:.2} to {:.2} (median {:.2}) scene units; {} of the points lie beyond {} extents of the cameras",
-                depth.nearest,
-                depth.furthest,
-                depth.median,
-                percent(depth.far_share),
-                super::survey::DepthEvidence::FAR_EXTENTS
-            );
-            (depth.far_share > FAR_SHARE && survey.files.with_alpha == 0, evidence)
-        }
-    };
+    let (on, evidence) = known(&survey.depth, "no points", |depth| {
+        let DepthEvidence { nearest, median, furthest, far_share } = depth;
+        let evidence = format!(
+            "depths from {nearest:.2} to {furthest:.2} (median {median:.2}) scene units; {} of the points lie beyond {} extents \
+             of the cameras",
+            percent(*far_share),
+            DepthEvidence::FAR_EXTENTS
+        );
+        (*far_share > FAR_SHARE && survey.files.with_alpha == 0, evidence)
+    });
     let cost = Cost { ms_per_step: ENVIRONMENT_MS_PER_MEGAPIXEL * survey.pixels_per_view / 1e6, mib: 0.0 };
     decide(EffectKind::Environment, on, evidence, rule, Some(cost))
 }

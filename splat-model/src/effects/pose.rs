@@ -26,6 +26,7 @@ use splat_op::Rendered;
 
 use self::anchors::{Anchors, DeviceAnchors, rotation};
 use super::learned::{EffectContext, Learned};
+use super::motion::cross_matrix;
 use super::{Effect, EffectKind, RenderInput, saved_bytes};
 use crate::gaussians::{Gaussians, values_of};
 use crate::state::{State, StateError};
@@ -59,8 +60,6 @@ pub struct Poses {
     corrections: Vec<Learned<2>>,
     /// The tracks that hold each camera. `None` without tracks.
     anchors: Vec<Option<DeviceAnchors>>,
-    /// `[3, 9]`: maps `h` to `K`, row-major.
-    cross: Tensor<2>,
     /// `[3, 3]`
     identity: Tensor<2>,
 }
@@ -73,16 +72,8 @@ impl Poses {
         let reach = Tensor::<2>::from_floats(reach, device);
         let correction = |_| Learned::reaching(Tensor::zeros([2, 3], device), reach.clone());
         let corrections = (0..views).map(correction).collect();
-        let cross = Tensor::from_floats(
-            [
-                [0.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 1.0, 0.0],
-                [0.0, 0.0, 1.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0],
-                [0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0],
-            ],
-            device,
-        );
         let anchors = (0..views).map(|_| None).collect();
-        Self { config, extent, corrections, anchors, cross, identity: Tensor::eye(3, device) }
+        Self { config, extent, corrections, anchors, identity: Tensor::eye(3, device) }
     }
 
     /// Moves the cameras from their `given` poses to the poses that the tracks imply, and holds them there. Both lists are
@@ -106,7 +97,7 @@ impl Poses {
     pub fn apply(&mut self, cam_from_world: Tensor<2>, view: usize) -> Tensor<2> {
         let correction = self.corrections[view].tracked();
         let half = correction.clone().narrow(0, 0, 1) * 0.5;
-        let cross = half.clone().matmul(Tensor::from_inner(self.cross.clone())).reshape([3, 3]);
+        let cross = cross_matrix(&half.clone().reshape([3]));
         let factor = (half.square().sum_dim(1) + 1.0).recip() * 2.0;
         let rotation =
             (cross.clone() + cross.clone().matmul(cross)) * factor + Tensor::from_inner(self.identity.clone());

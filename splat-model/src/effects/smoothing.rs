@@ -12,7 +12,7 @@
 //!
 //! The filter is part of the render. A file holds Gaussians that are already convolved, as other viewers expect.
 
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::{Device, Tensor};
 use glam::{DAffine3, DVec3, Vec3};
 use rayon::prelude::*;
 use splat_op::{Intrinsics, Projector, Splats};
@@ -99,7 +99,7 @@ impl Smoothing {
         let device = means.device();
         let rows = values_of(means);
         let widths = self.ln_widths(rows.as_chunks::<3>().0);
-        self.ln_widths = Some(column(widths, &device));
+        self.ln_widths = Some(Tensor::<1>::from_floats(widths.as_slice(), &device).unsqueeze_dim(1));
         self.found_at = step;
     }
 
@@ -158,11 +158,6 @@ impl Effect for Smoothing {
             *logit = logit_of_share(f64::from(*logit), ln_share) as f32;
         }
     }
-}
-
-fn column(values: Vec<f32>, device: &Device) -> Tensor<2> {
-    let count = values.len();
-    Tensor::from_data(TensorData::new(values, [count, 1]), device)
 }
 
 /// Logarithms of the new standard deviations, `[N, 3]`, and of the factor of the opacity, `[N]`.

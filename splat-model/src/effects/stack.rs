@@ -89,21 +89,11 @@ impl Effect for EffectStack {
     }
 
     fn save(&self, to: &mut State) -> Result<(), StateError> {
-        for effect in &self.0 {
-            let mut part = State::default();
-            effect.save(&mut part)?;
-            to.put_part(effect.name(), part);
-        }
-        Ok(())
+        self.0.iter().try_for_each(|effect| to.save_part(effect.name(), |part| effect.save(part)))
     }
 
     fn load(&mut self, from: &mut State, device: &Device) -> Result<(), StateError> {
-        for effect in &mut self.0 {
-            let mut part = from.take_part(effect.name());
-            effect.load(&mut part, device)?;
-            part.finish()?;
-        }
-        Ok(())
+        self.0.iter_mut().try_for_each(|effect| from.load_part(effect.name(), |part| effect.load(part, device)))
     }
 
     fn bake(&self, rows: &mut GaussianRows) {

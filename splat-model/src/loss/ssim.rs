@@ -20,37 +20,21 @@ use burn::tensor::{Tensor, TensorData, module::conv2d, ops::ConvOptions};
 
 use splat_op::loss::{C1, C2, SIGMA_PX, TAPS, contiguous, window};
 
-/// The separable window, as weights of a depthwise convolution.
-#[derive(Clone, Debug)]
-struct SsimWindow {
-    /// `[C, 1, 11, 1]`
-    vertical: Tensor<4>,
-    /// `[C, 1, 1, 11]`
-    horizontal: Tensor<4>,
-}
-
-impl SsimWindow {
-    /// The window for pictures of the channels, type and device of `like`, `[1, C, H, W]`.
-    fn new(like: &Tensor<4>) -> Self {
-        let channels = like.dims()[1];
-        let centre = (TAPS / 2) as f64;
-        let taps: Vec<f64> =
-            (0..TAPS).map(|i| (-(i as f64 - centre).powi(2) / (2.0 * SIGMA_PX * SIGMA_PX)).exp()).collect();
-        let sum: f64 = taps.iter().sum();
-        let weights: Vec<f64> = (0..channels).flat_map(|_| taps.iter().map(|tap| tap / sum)).collect();
-        let options = (&like.device().inner(), like.dtype());
-        let vertical = Tensor::<4>::from_data(TensorData::new(weights, [channels, 1, TAPS, 1]), options);
-        let horizontal = vertical.clone().swap_dims(2, 3);
-        Self { vertical, horizontal }
-    }
-
-    /// `Kx`, of the shape of `x`.
-    fn apply(&self, x: Tensor<4>) -> Tensor<4> {
-        let channels = x.dims()[1];
+/// The separable window `K` for pictures of the channels, type and device of `like`, `[1, C, H, W]`.
+fn separable_window(like: &Tensor<4>) -> impl Fn(Tensor<4>) -> Tensor<4> + use<> {
+    let channels = like.dims()[1];
+    let centre = (TAPS / 2) as f64;
+    let taps: Vec<f64> =
+        (0..TAPS).map(|i| (-(i as f64 - centre).powi(2) / (2.0 * SIGMA_PX * SIGMA_PX)).exp()).collect();
+    let sum: f64 = taps.iter().sum();
+    let weights: Vec<f64> = (0..channels).flat_map(|_| taps.iter().map(|tap| tap / sum)).collect();
+    let options = (&like.device().inner(), like.dtype());
+    let vertical = Tensor::<4>::from_data(TensorData::new(weights, [channels, 1, TAPS, 1]), options);
+    let horizontal = vertical.clone().swap_dims(2, 3);
+    move |x| {
         let along = |padding| ConvOptions::new([1, 1], padding, [1, 1], channels);
-        let half = TAPS / 2;
-        let x = conv2d(x, self.vertical.clone(), None, along([half, 0]));
-        conv2d(x, self.horizontal.clone(), None, along([0, half]))
+        let x = conv2d(x, vertical.clone(), None, along([TAPS / 2, 0]));
+        conv2d(x, horizontal.clone(), None, along([0, TAPS / 2]))
     }
 }
 
@@ -105,13 +89,12 @@ pub fn d_ssim(image: Tensor<3>, truth: &Truth) -> Tensor<1> {
 /// Plain differentiable tensor code in both arguments, for new losses. [`d_ssim`] is many times faster for the mean.
 pub fn ssim_map(image: Tensor<3>, truth: Tensor<3>) -> Tensor<3> {
     let (x, y) = (planes(image), planes(truth));
-    let window = SsimWindow::new(&x);
-    let (mean_x, mean_y) = (window.apply(x.clone()), window.apply(y.clone()));
+    let window = separable_window(&x);
+    let (mean_x, mean_y) = (window(x.clone()), window(y.clone()));
     let (square_x, square_y) = (mean_x.clone().square(), mean_y.clone().square());
     let cross = mean_x * mean_y;
-    let variance =
-        window.apply(x.clone().square()) + window.apply(y.clone().square()) - square_x.clone() - square_y.clone();
-    let covariance = window.apply(x * y) - cross.clone();
+    let variance = window(x.clone().square()) + window(y.clone().square()) - square_x.clone() - square_y.clone();
+    let covariance = window(x * y) - cross.clone();
     let index = (cross * 2.0 + C1) * (covariance * 2.0 + C2) / ((square_x + square_y + C1) * (variance + C2));
     index.squeeze_dim::<3>(0).permute([1, 2, 0])
 }

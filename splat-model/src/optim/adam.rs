@@ -3,7 +3,7 @@
 use burn::tensor::{DType, Device, Int, Tensor, TensorData};
 use rayon::prelude::*;
 pub use splat_op::adam::Rates;
-use splat_op::adam::{Band, Stepped};
+use splat_op::adam::{Band, Factors, Stepped};
 
 use crate::state::{State, StateError};
 
@@ -63,15 +63,6 @@ impl Default for Adam {
     }
 }
 
-/// The scalars of one step, combined so that tensors are traversed as few times as possible.
-struct StepScalars {
-    beta1: f64,
-    beta2: f64,
-    /// Rates of `m / (√v + floor)`.
-    rate: Rates,
-    floor: f64,
-}
-
 impl Adam {
     /// Returns the constants for steps of `views` photographs each, whose gradients are averaged. `βᵛ` forgets as much per
     /// photograph as `β` does. Gradients have `√views` times less noise, so `ε / √views` has the same weight. With learning
@@ -113,7 +104,7 @@ impl Adam {
         moments: &mut Moments<D>,
         t: usize,
     ) -> Tensor<D> {
-        self.factors(lr.into(), t).step_in_tensors(param, grad, moments)
+        step_in_tensors(&self.factors(lr.into(), t), param, grad, moments)
     }
 
     /// Computes [`Self::step`], but changes nothing if the verdict, `[2]`, holds a step (see [`splat_op::adam`]).
@@ -129,13 +120,18 @@ impl Adam {
         assert_eq!(param.shape(), moments.m.shape(), "moments have the shape of their parameter");
         let factors = self.factors(lr.into(), t);
         // On a GPU, one operation does the whole step.
-        let param = match factors.step_on_gpu(param, &grad, moments, verdict) {
-            Ok(param) => return param,
-            Err(param) => param,
-        };
+        let empty = || Tensor::empty([0; D], &param.device());
+        let [m, v] = [&mut moments.m, &mut moments.v].map(|sum| std::mem::replace(sum, empty()));
+        let stepped = splat_op::adam::step(Stepped { param, m, v }, &grad, verdict, factors);
+        let is_done = stepped.is_ok();
+        let (Ok(Stepped { param, m, v }) | Err(Stepped { param, m, v })) = stepped;
+        *moments = Moments { m, v };
+        if is_done {
+            return param;
+        }
         if let Some(verdict) = verdict {
             let (old, history) = (param.clone(), moments.clone());
-            let new = factors.step_in_tensors(param, grad, moments);
+            let new = step_in_tensors(&factors, param, grad, moments);
             let held = verdict.clone().narrow(0, 0, 1).not_equal_elem(0).reshape([1; D]).expand(old.shape());
             moments.m.inplace(|m| m.mask_where(held.clone(), history.m));
             moments.v.inplace(|v| v.mask_where(held.clone(), history.v));
@@ -144,137 +140,106 @@ impl Adam {
         // Flex works in host memory and hands it over without a copy. One fused pass over it on all cores takes a third
         // of the time of the tensor operations, which are eleven passes on one core.
         if param.device() == Device::flex() && param.dtype() == DType::F32 {
-            factors.step_in_host_memory(param, grad, moments)
+            step_in_host_memory(&factors, param, grad, moments)
         } else {
-            factors.step_in_tensors(param, grad, moments)
+            step_in_tensors(&factors, param, grad, moments)
         }
     }
 
-    fn factors(&self, lr: Rates, t: usize) -> StepScalars {
+    /// The scalars of one step, combined so that tensors are traversed as few times as possible.
+    fn factors(&self, lr: Rates, t: usize) -> Factors {
         // √v̂ = c √v and m̂ = b m; both factors move out of the tensors: lr m̂ / (√v̂ + ε) = (lr b/c) m / (√v + ε/c).
         let t = t as f64;
         let b = (1.0 - self.beta1) / (1.0 - self.beta1.powf(t));
         let c = ((1.0 - self.beta2) / (1.0 - self.beta2.powf(t))).sqrt();
-        StepScalars { beta1: self.beta1, beta2: self.beta2, rate: lr.times(b / c), floor: self.eps / c }
+        let (rate, floor) = (lr.times(b / c), self.eps / c);
+        Factors { beta1: self.beta1, beta2: self.beta2, rate, floor, largest: LARGEST_GRADIENT }
     }
 }
 
-impl StepScalars {
-    /// Computes the step in one pass on a GPU. The error is the parameter, where the operation is not supported.
-    #[expect(clippy::result_large_err, reason = "the error is the argument, handed back")]
-    fn step_on_gpu<const D: usize>(
-        &self,
-        param: Tensor<D>,
-        grad: &Tensor<D>,
-        moments: &mut Moments<D>,
-        verdict: Option<&Tensor<1, Int>>,
-    ) -> Result<Tensor<D>, Tensor<D>> {
-        let nothing = || Tensor::empty([0; D], &param.device());
-        let m = std::mem::replace(&mut moments.m, nothing());
-        let v = std::mem::replace(&mut moments.v, nothing());
-        let factors = splat_op::adam::Factors {
-            beta1: self.beta1,
-            beta2: self.beta2,
-            rate: self.rate,
-            floor: self.floor,
-            largest: LARGEST_GRADIENT,
-        };
-        match splat_op::adam::step(Stepped { param, m, v }, grad, verdict, factors) {
-            Ok(Stepped { param, m, v }) => {
-                *moments = Moments { m, v };
-                Ok(param)
-            }
-            Err(Stepped { param, m, v }) => {
-                *moments = Moments { m, v };
-                Err(param)
-            }
-        }
-    }
+fn step_in_tensors<const D: usize>(
+    factors: &Factors,
+    param: Tensor<D>,
+    grad: Tensor<D>,
+    moments: &mut Moments<D>,
+) -> Tensor<D> {
+    let grad = grad.clamp(-LARGEST_GRADIENT, LARGEST_GRADIENT);
+    moments.m.inplace(|m| m * factors.beta1 + grad.clone());
+    moments.v.inplace(|v| v * factors.beta2 + grad.square());
+    let root = moments.v.clone().sqrt() + factors.floor;
+    let ratio = moments.m.clone() / root;
+    param - rated(factors.rate, ratio)
+}
 
-    fn step_in_tensors<const D: usize>(
-        &self,
-        param: Tensor<D>,
-        grad: Tensor<D>,
-        moments: &mut Moments<D>,
-    ) -> Tensor<D> {
-        let grad = grad.clamp(-LARGEST_GRADIENT, LARGEST_GRADIENT);
-        moments.m.inplace(|m| m * self.beta1 + grad.clone());
-        moments.v.inplace(|v| v * self.beta2 + grad.square());
-        let root = moments.v.clone().sqrt() + self.floor;
-        let ratio = moments.m.clone() / root;
-        param - self.rated(ratio)
+/// Multiplies each number by its rate.
+fn rated<const D: usize>(rate: Rates, ratio: Tensor<D>) -> Tensor<D> {
+    let dims = ratio.dims();
+    match rate.band(&dims) {
+        None => return ratio * rate.others,
+        Some(Band { period, width }) if period == width => return ratio * rate.first,
+        Some(_) => {}
     }
+    let first = ratio.clone().narrow(1, 0, 1) * rate.first;
+    let others = ratio.narrow(1, 1, dims[1] - 1) * rate.others;
+    Tensor::cat(vec![first, others], 1)
+}
 
-    /// Multiplies each number by its rate.
-    fn rated<const D: usize>(&self, ratio: Tensor<D>) -> Tensor<D> {
-        let dims = ratio.dims();
-        match self.rate.band(&dims) {
-            None => return ratio * self.rate.others,
-            Some(Band { period, width }) if period == width => return ratio * self.rate.first,
-            Some(_) => {}
-        }
-        let first = ratio.clone().narrow(1, 0, 1) * self.rate.first;
-        let others = ratio.narrow(1, 1, dims[1] - 1) * self.rate.others;
-        Tensor::cat(vec![first, others], 1)
-    }
-
-    /// Computes the step for f32 on a device whose tensors are in host memory.
-    fn step_in_host_memory<const D: usize>(
-        &self,
-        param: Tensor<D>,
-        grad: Tensor<D>,
-        moments: &mut Moments<D>,
-    ) -> Tensor<D> {
-        let options = (&param.device(), DType::F32);
-        let band = self.rate.band(&param.dims());
-        let (mut param, grad) = (param.into_data(), grad.into_data());
-        let Moments { m, v } = moments;
-        m.inplace(|m| {
-            let mut m = m.into_data();
-            v.inplace(|v| {
-                let mut v = v.into_data();
-                self.step_slices(values_mut(&mut param), values(&grad), values_mut(&mut m), values_mut(&mut v), band);
-                Tensor::from_data(v, options)
-            });
-            Tensor::from_data(m, options)
+/// Computes the step for f32 on a device whose tensors are in host memory.
+fn step_in_host_memory<const D: usize>(
+    factors: &Factors,
+    param: Tensor<D>,
+    grad: Tensor<D>,
+    moments: &mut Moments<D>,
+) -> Tensor<D> {
+    let options = (&param.device(), DType::F32);
+    let band = factors.rate.band(&param.dims());
+    let (mut param, grad) = (param.into_data(), grad.into_data());
+    let Moments { m, v } = moments;
+    m.inplace(|m| {
+        let mut m = m.into_data();
+        v.inplace(|v| {
+            let mut v = v.into_data();
+            step_slices(factors, values_mut(&mut param), values(&grad), values_mut(&mut m), values_mut(&mut v), band);
+            Tensor::from_data(v, options)
         });
-        Tensor::from_data(param, options)
-    }
+        Tensor::from_data(m, options)
+    });
+    Tensor::from_data(param, options)
+}
 
-    fn step_slices(&self, param: &mut [f32], grad: &[f32], m: &mut [f32], v: &mut [f32], band: Option<Band>) {
-        // 64 KiB of each array: large enough to hide the scheduling, small enough to balance the load.
-        const CHUNK: usize = 16_384;
-        let rates = self.pattern(band);
-        let chunk = CHUNK.next_multiple_of(rates.len());
-        let moments = m.par_chunks_mut(chunk).zip(v.par_chunks_mut(chunk));
-        param.par_chunks_mut(chunk).zip(grad.par_chunks(chunk)).zip(moments).for_each(|((param, grad), (m, v))| {
-            let moments = m.chunks_mut(rates.len()).zip(v.chunks_mut(rates.len()));
-            let numbers = param.chunks_mut(rates.len()).zip(grad.chunks(rates.len())).zip(moments);
-            for ((param, grad), (m, v)) in numbers {
-                self.step_chunk(param, grad, m, v, &rates);
-            }
-        });
-    }
-
-    /// The repeating pattern of the rates of a parameter's numbers, in whole periods and whole vectors.
-    fn pattern(&self, band: Option<Band>) -> Vec<f32> {
-        const LANES: usize = 16;
-        let Band { period, width } = band.unwrap_or(Band { period: 64, width: 0 });
-        let of = |at: usize| if at % period < width { self.rate.first } else { self.rate.others };
-        (0..LANES * period).map(|at| of(at) as f32).collect()
-    }
-
-    fn step_chunk(&self, param: &mut [f32], grad: &[f32], m: &mut [f32], v: &mut [f32], rates: &[f32]) {
-        // A constant bound, because a clamp between variables checks their order per element and is not vectorised.
-        const LARGEST: f32 = LARGEST_GRADIENT as f32;
-        let (beta1, beta2) = (self.beta1 as f32, self.beta2 as f32);
-        let floor = self.floor as f32;
-        for ((((param, grad), m), v), rate) in param.iter_mut().zip(grad).zip(m).zip(v).zip(rates) {
-            let grad = grad.clamp(-LARGEST, LARGEST);
-            *m = *m * beta1 + grad;
-            *v = *v * beta2 + grad * grad;
-            *param -= *m / (v.sqrt() + floor) * *rate;
+fn step_slices(factors: &Factors, param: &mut [f32], grad: &[f32], m: &mut [f32], v: &mut [f32], band: Option<Band>) {
+    // 64 KiB of each array: large enough to hide the scheduling, small enough to balance the load.
+    const CHUNK: usize = 16_384;
+    let rates = pattern(factors.rate, band);
+    let chunk = CHUNK.next_multiple_of(rates.len());
+    let moments = m.par_chunks_mut(chunk).zip(v.par_chunks_mut(chunk));
+    param.par_chunks_mut(chunk).zip(grad.par_chunks(chunk)).zip(moments).for_each(|((param, grad), (m, v))| {
+        let moments = m.chunks_mut(rates.len()).zip(v.chunks_mut(rates.len()));
+        let numbers = param.chunks_mut(rates.len()).zip(grad.chunks(rates.len())).zip(moments);
+        for ((param, grad), (m, v)) in numbers {
+            step_chunk(factors, param, grad, m, v, &rates);
         }
+    });
+}
+
+/// The repeating pattern of the rates of a parameter's numbers, in whole periods and whole vectors.
+fn pattern(rate: Rates, band: Option<Band>) -> Vec<f32> {
+    const LANES: usize = 16;
+    let Band { period, width } = band.unwrap_or(Band { period: 64, width: 0 });
+    let of = |at: usize| if at % period < width { rate.first } else { rate.others };
+    (0..LANES * period).map(|at| of(at) as f32).collect()
+}
+
+fn step_chunk(factors: &Factors, param: &mut [f32], grad: &[f32], m: &mut [f32], v: &mut [f32], rates: &[f32]) {
+    // A constant bound, because a clamp between variables checks their order per element and is not vectorised.
+    const LARGEST: f32 = LARGEST_GRADIENT as f32;
+    let (beta1, beta2) = (factors.beta1 as f32, factors.beta2 as f32);
+    let floor = factors.floor as f32;
+    for ((((param, grad), m), v), rate) in param.iter_mut().zip(grad).zip(m).zip(v).zip(rates) {
+        let grad = grad.clamp(-LARGEST, LARGEST);
+        *m = *m * beta1 + grad;
+        *v = *v * beta2 + grad * grad;
+        *param -= *m / (v.sqrt() + floor) * *rate;
     }
 }
 

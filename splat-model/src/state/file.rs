@@ -83,12 +83,13 @@ impl State {
     /// # Errors
     /// If the file cannot be written. An existing file then stays unchanged.
     pub fn write(&self, path: &Path) -> Result<(), FileError> {
-        let temporary = temporary(path);
-        let written = self.write_to(&temporary).and_then(|()| {
-            fs::rename(&temporary, path)?;
-            sync_folder(path);
-            Ok(())
-        });
+        // One temporary name for all states of a folder, so that the next process overwrites what a killed one left.
+        let temporary = path.with_file_name(".state.tmp");
+        let written = self.write_to(&temporary).and_then(|()| fs::rename(&temporary, path));
+        // Writes the folder's entry to the disk, so that the new name survives a power loss. Some systems do not support it.
+        if let (Ok(()), Some(Ok(folder))) = (&written, path.parent().map(File::open)) {
+            let _ = folder.sync_all();
+        }
         written.map_err(|source| {
             // Best effort: the first error is the one to report.
             let _ = fs::remove_file(&temporary);
@@ -161,18 +162,6 @@ impl State {
             add(text.as_bytes());
         }
         hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
-    }
-}
-
-/// One temporary name for all states of a folder, so that the next process overwrites what a killed one left.
-fn temporary(path: &Path) -> PathBuf {
-    path.with_file_name(".state.tmp")
-}
-
-/// Writes the folder's entry to the disk, so that the new name survives a power loss. Some systems do not support it.
-fn sync_folder(path: &Path) {
-    if let Some(folder) = path.parent().and_then(|folder| File::open(folder).ok()) {
-        let _ = folder.sync_all();
     }
 }
 

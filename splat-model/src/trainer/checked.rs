@@ -3,8 +3,9 @@
 use std::fmt;
 
 use burn::tensor::Tensor;
-use splat_op::{Intersections, Projected, Rendered, SplatError, colours, intersect, rasterize};
+use splat_op::{Intersections, Projected, Rendered, colours, intersect, rasterize};
 
+use super::TrainError;
 use crate::density::rows::Gradients;
 use crate::effects::RenderInput;
 use crate::gaussians::{GaussianRows, values_of};
@@ -30,15 +31,7 @@ pub enum Stage {
 
 impl fmt::Display for Stage {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        out.write_str(match self {
-            Self::Project => "project",
-            Self::Sh => "sh",
-            Self::Intersect => "intersect",
-            Self::Rasterize => "rasterize",
-            Self::Loss => "loss",
-            Self::Gradients => "gradients",
-            Self::Parameters => "parameters",
-        })
+        out.write_str(&format!("{self:?}").to_lowercase())
     }
 }
 
@@ -49,37 +42,19 @@ pub(super) struct Wrong {
     pub detail: String,
 }
 
-/// The reason why a checked step stopped.
-#[derive(Debug)]
-pub(super) enum Stopped {
-    /// The render operation rejected its inputs.
-    Op(SplatError),
-    /// A stage produced an invalid output.
-    Wrong(Wrong),
-}
-
-impl From<SplatError> for Stopped {
-    fn from(error: SplatError) -> Self {
-        Self::Op(error)
-    }
-}
-
-impl From<Wrong> for Stopped {
-    fn from(wrong: Wrong) -> Self {
-        Self::Wrong(wrong)
-    }
-}
-
 /// [`RenderInput::render`] stage by stage, with a check of each output before the next stage runs.
-pub(super) fn render_checked(input: &RenderInput) -> Result<Rendered<3>, Stopped> {
+pub(super) fn render_checked(
+    input: &RenderInput,
+    error: impl Fn(Wrong) -> TrainError,
+) -> Result<Rendered<3>, TrainError> {
     let projected = input.project()?;
-    let opacities = check_projected(&projected)?;
+    let opacities = check_projected(&projected).map_err(&error)?;
     let features = colours(&input.splats, &input.camera)?;
-    check_colours(&features, &opacities)?;
+    check_colours(&features, &opacities).map_err(&error)?;
     let intersections = intersect(&projected, &input.options)?;
-    check_intersections(&intersections, projected.len())?;
+    check_intersections(&intersections, projected.len()).map_err(&error)?;
     let picture = rasterize(&projected, &features, &intersections, &input.extras, &input.options)?;
-    check_picture(&picture)?;
+    check_picture(&picture).map_err(&error)?;
     Ok(picture)
 }
 
@@ -116,13 +91,9 @@ fn check_colours(colours: &Tensor<2>, opacities: &[f32]) -> Result<(), Wrong> {
 fn check_intersections(intersections: &Intersections, splats: usize) -> Result<(), Wrong> {
     let counts = host(intersections.counts.clone().float());
     let wrong = counts.iter().position(|count| !(*count >= 0.0 && *count <= splats as f32));
-    match wrong {
-        None => Ok(()),
-        Some(at) => {
-            let detail = format!("tile {at} lists {} Gaussians, expected 0 to {splats}", counts[at]);
-            Err(Wrong { stage: Stage::Intersect, detail })
-        }
-    }
+    let Some(at) = wrong else { return Ok(()) };
+    let detail = format!("tile {at} lists {} Gaussians, expected 0 to {splats}", counts[at]);
+    Err(Wrong { stage: Stage::Intersect, detail })
 }
 
 fn check_picture(picture: &Rendered<3>) -> Result<(), Wrong> {

@@ -5,7 +5,7 @@ use std::time::Instant;
 use burn::tensor::Tensor;
 use splat_op::Rendered;
 
-use super::differentiate::Differentiated;
+use super::differentiate::Batch;
 use super::{TrainError, Trainer};
 use crate::effects::plan::Cost;
 use crate::effects::{Effect, EffectKind};
@@ -51,19 +51,17 @@ impl Trainer {
 
     /// Memory that an effect keeps between steps, bytes. `None` if it is off or not part of a step.
     fn bytes_of(&self, effect: EffectKind) -> Option<usize> {
-        match effect {
-            EffectKind::Masks => self.views.masked_bytes(),
-            _ => {
-                let bytes = self.effects.named(effect.in_stack()).map(Effect::bytes);
-                bytes.or((effect == EffectKind::Antialias && self.options.antialias).then_some(0))
-            }
+        if effect == EffectKind::Masks {
+            return self.views.masked_bytes();
         }
+        let bytes = self.effects.named(effect.in_stack()).map(Effect::bytes);
+        bytes.or((effect == EffectKind::Antialias && self.options.antialias).then_some(0))
     }
 
     /// Time until the loss and the gradients are computed, ms.
     fn time_step(&mut self) -> Result<f64, TrainError> {
         let start = Instant::now();
-        let Differentiated { loss, gradients, .. } = self.differentiate(VIEW)?;
+        let Batch { loss, gradients, .. } = self.differentiate(VIEW)?;
         // Both are read, because the device computes asynchronously.
         let _ = loss.into_data();
         let _ = gradients.means.map(|means| means.sum().into_data());
@@ -78,7 +76,7 @@ impl Trainer {
         let alpha = Tensor::from_inner(Tensor::ones([height, width, 1], &truth.device()));
         let image = Tensor::from_inner(truth * 0.9).require_grad();
         let start = Instant::now();
-        let loss = self.compare(&prepared, Rendered { colour: image.clone(), alpha, depth: None })?.loss;
+        let (loss, _) = self.compare(&prepared, Rendered { colour: image.clone(), alpha, depth: None })?;
         let gradient = image.grad(&loss.backward());
         let _ = loss.into_data();
         let _ = gradient.map(|gradient| gradient.sum().into_data());

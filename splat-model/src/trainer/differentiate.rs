@@ -1,6 +1,10 @@
-//! The loss of a view and its gradients.
+//! The losses of a step's views and their gradients, which are averaged.
+//!
+//! Learning rates and Adam's constants change with the number of views (see [`crate::optim::Adam::for_batch`]). The number
+//! of steps and all schedules in steps are the user's choice. Parameters of effects, most of which belong to one
+//! photograph, take a separate step for each view.
 
-use burn::tensor::{Bool, Gradients as Remaining, Tensor};
+use burn::tensor::{Bool, Gradients as Remaining, Int, Tensor};
 use splat_op::{Extras, Rendered};
 
 use super::checked::{check_gradients, check_loss, render_checked};
@@ -21,31 +25,52 @@ pub(super) struct PreparedStep {
     signals: Signals,
 }
 
-/// The result of a comparison.
-pub(super) struct Compared {
-    /// `[1]`, tracked.
+/// The results of the backward passes of a batch.
+pub(super) struct Batch {
+    /// `[1]`: the mean loss.
     pub loss: Tensor<1>,
-    /// See [`Signals::covered`].
-    covered: Option<Tensor<2>>,
-}
-
-/// The results of the backward pass.
-pub(super) struct Differentiated {
-    /// `[1]`
-    pub loss: Tensor<1>,
-    /// Gradients of the scene.
+    /// The mean gradients of the scene.
     pub gradients: Gradients,
-    /// Gradients of the effects' parameters.
-    pub of_effects: Remaining,
+    /// Views, each with the gradients of its effects' parameters.
+    pub views: Vec<(usize, Remaining)>,
+    /// See [`super::Guard::look`].
+    pub held: Option<Tensor<1, Int>>,
 }
 
 impl Trainer {
-    /// Computes the loss of a view and its gradients, and passes the requested signals to density control.
-    pub(super) fn differentiate(&mut self, view: usize) -> Result<Differentiated, TrainError> {
+    /// Differentiates the views of a step. The guard checks them one by one.
+    pub(super) fn differentiate_batch(&mut self) -> Result<Batch, TrainError> {
+        let mut batch = self.differentiate_next()?;
+        for _ in 1..self.config.batch {
+            let next = self.differentiate_next()?;
+            batch.loss = batch.loss + next.loss;
+            batch.gradients = batch.gradients.plus(next.gradients);
+            batch.views.extend(next.views);
+            batch.held = next.held;
+        }
+        if self.config.batch > 1 {
+            let share = 1.0 / self.config.batch as f64;
+            batch.loss = batch.loss * share;
+            batch.gradients = batch.gradients.times(share);
+        }
+        Ok(batch)
+    }
+
+    fn differentiate_next(&mut self) -> Result<Batch, TrainError> {
+        let view = self.next_view();
+        let mut one = self.differentiate(view)?;
+        let verdict = self.guard.look(self.step, view, &one.loss, &one.gradients);
+        one.held = verdict.map_err(|fault| self.non_finite(fault))?;
+        Ok(one)
+    }
+
+    /// Computes the loss of a view and its gradients, and passes the requested signals to density control. The guard does not
+    /// check them yet.
+    pub(super) fn differentiate(&mut self, view: usize) -> Result<Batch, TrainError> {
         let prepared = self.prepare(view)?;
         let picture = self.render(&prepared)?;
-        let compared = self.compare(&prepared, picture)?;
-        self.go_back(prepared, compared)
+        let (loss, covered) = self.compare(&prepared, picture)?;
+        self.go_back(prepared, loss, covered)
     }
 
     /// Prepares a view: Gaussians, camera and background after the effects, and the photograph.
@@ -72,14 +97,18 @@ impl Trainer {
     fn render(&mut self, prepared: &PreparedStep) -> Result<Rendered<3>, TrainError> {
         let inputs = self.effects.samples(prepared.input.clone(), prepared.at);
         let render = |input: &RenderInput| match self.checks {
-            true => render_checked(input).map_err(|stopped| self.stopped(prepared.at.view, stopped)),
+            true => render_checked(input, |wrong| self.wrong(prepared.at.view, wrong)),
             false => Ok(input.render()?),
         };
         Ok(mean_of(inputs.iter().map(render).collect::<Result<_, _>>()?))
     }
 
-    /// Computes the loss of a picture, with all penalties.
-    pub(super) fn compare(&mut self, prepared: &PreparedStep, picture: Rendered<3>) -> Result<Compared, TrainError> {
+    /// Computes the loss of a picture with all penalties, `[1]`, tracked, and [`Observed::covered`] if it is requested.
+    pub(super) fn compare(
+        &mut self,
+        prepared: &PreparedStep,
+        picture: Rendered<3>,
+    ) -> Result<(Tensor<1>, Option<Tensor<2>>), TrainError> {
         let PreparedStep { at, input, truth, excluded, signals } = prepared;
         let cleared = |picture: Tensor<3>| match excluded {
             Some(excluded) => masks::cleared(picture, excluded),
@@ -107,13 +136,17 @@ impl Trainer {
         if self.checks {
             check_loss(&loss).map_err(|wrong| self.wrong(at.view, wrong))?;
         }
-        Ok(Compared { loss, covered })
+        Ok((loss, covered))
     }
 
     /// Computes the gradients of the scene, of the probes and of the effects.
-    fn go_back(&mut self, prepared: PreparedStep, compared: Compared) -> Result<Differentiated, TrainError> {
+    fn go_back(
+        &mut self,
+        prepared: PreparedStep,
+        loss: Tensor<1>,
+        covered: Option<Tensor<2>>,
+    ) -> Result<Batch, TrainError> {
         let PreparedStep { at, input: RenderInput { splats, camera, extras, .. }, signals, .. } = prepared;
-        let Compared { loss, covered } = compared;
         drop(splats);
         let mut left = loss.backward();
         if signals != Signals::default() {
@@ -126,6 +159,6 @@ impl Trainer {
         if self.checks {
             check_gradients(&gradients).map_err(|wrong| self.wrong(at.view, wrong))?;
         }
-        Ok(Differentiated { loss: loss.inner(), gradients, of_effects: left })
+        Ok(Batch { loss: loss.inner(), gradients, views: vec![(at.view, left)], held: None })
     }
 }

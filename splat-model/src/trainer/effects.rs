@@ -99,7 +99,7 @@ impl Trainer {
     /// Adds the observed directions of the sparse points in each photograph, in the order of the photographs. Pose
     /// refinement starts from them and is held by them.
     pub fn with_anchors(mut self, anchors: &[Anchors]) -> Self {
-        let given: Vec<DAffine3> = (0..self.views.len()).map(|view| *self.views.camera_of(view).1).collect();
+        let given: Vec<DAffine3> = (0..self.views.len()).map(|view| *self.views.pose(view)).collect();
         if let Some(poses) = self.effects.get_mut::<Poses>() {
             poses.anchor(anchors, &given, &self.device);
         }
@@ -121,10 +121,7 @@ impl Trainer {
     /// Names and refined poses of the photographs. `None` if poses are not refined.
     pub fn refined_poses(&self) -> Option<Vec<(String, DAffine3)>> {
         let poses = self.effects.get::<Poses>()?;
-        let refined = |view: usize| {
-            let (_, given) = self.views.camera_of(view);
-            (self.views.name(view).to_owned(), poses.corrected(given, view))
-        };
+        let refined = |view: usize| (self.views.name(view).to_owned(), poses.corrected(self.views.pose(view), view));
         Some((0..self.views.len()).map(refined).collect())
     }
 }

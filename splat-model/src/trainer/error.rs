@@ -36,14 +36,10 @@ pub enum TrainError {
     Resolution(Resolution),
     /// Effects on ellipses with a render that has none.
     #[error(
-        "{optics} change ellipses on the screen, which {rays} do not compute: leave out one of them (`--effects=-NAME`)"
+        "motion blur, rolling shutters and defocus change ellipses on the screen, which `--projection ray-max` and \
+         `--order per-pixel-sort` do not compute: leave out one of them (`--effects=-NAME`)"
     )]
-    Ellipses {
-        /// The render options without ellipses.
-        rays: &'static str,
-        /// The effects.
-        optics: &'static str,
-    },
+    Ellipses,
     /// Per-ray rasterization through a lens.
     #[error(
         "photograph `{photo}` was taken through a lens ({model:?}), and `--projection ray-max` and `--order per-pixel-sort` are for \

@@ -59,29 +59,23 @@ impl Guard {
         gradients: &Gradients,
     ) -> Result<Option<Tensor<1, Int>>, Fault> {
         let Gradients { means, rotations, log_scales, logit_opacities, sh } = gradients;
-        if !self.waits {
-            let flags = [
-                Some(non_finite(loss)),
-                means.as_ref().map(non_finite),
-                rotations.as_ref().map(non_finite),
-                log_scales.as_ref().map(non_finite),
-                logit_opacities.as_ref().map(non_finite),
-                sh.as_ref().map(non_finite),
-            ];
-            let bad = flags.map(|flag| flag.is_some_and(|flag| flag.into_scalar::<i32>() != 0));
-            return if bad.contains(&true) { Err(Fault { step, view, what: in_words(bad) }) } else { Ok(None) };
-        }
         let none = || Tensor::zeros([VERDICT], (&loss.device().inner(), DType::I32));
-        let mut look = Look { verdict: self.verdict.take().unwrap_or_else(none), step };
+        let verdict = self.waits.then(|| self.verdict.take().unwrap_or_else(none));
+        let mut look = Look { verdict, bad: [false; WATCHED.len()], step };
         look.at(0, Some(loss));
         look.at(1, means.as_ref());
         look.at(2, rotations.as_ref());
         look.at(3, log_scales.as_ref());
         look.at(4, logit_opacities.as_ref());
         look.at(5, sh.as_ref());
-        self.verdict = Some(look.verdict.clone());
-        self.unread.push((step, view));
-        Ok(Some(look.verdict))
+        if look.bad.contains(&true) {
+            return Err(Fault { step, view, what: in_words(look.bad) });
+        }
+        if self.waits {
+            self.verdict = look.verdict.clone();
+            self.unread.push((step, view));
+        }
+        Ok(look.verdict)
     }
 
     /// Reads the verdict if `now` is set, or if it has not been read for `READ_EVERY` steps.
@@ -106,20 +100,25 @@ impl Guard {
     }
 }
 
-/// A verdict that is being computed.
+/// The check of a step: the device's verdict, or without one which of [`WATCHED`] are not finite.
 struct Look {
-    verdict: Tensor<1, Int>,
+    verdict: Option<Tensor<1, Int>>,
+    bad: [bool; WATCHED.len()],
     step: usize,
 }
 
 impl Look {
     /// Checks value number `i` of [`WATCHED`].
-    fn at<const D: usize>(&mut self, i: u32, values: Option<&Tensor<D>>) {
+    fn at<const D: usize>(&mut self, i: usize, values: Option<&Tensor<D>>) {
         let Some(values) = values else { return };
+        let Some(verdict) = &mut self.verdict else {
+            self.bad[i] = non_finite(values).into_scalar::<i32>() != 0;
+            return;
+        };
         let step = self.step as i32;
-        self.verdict.inplace(|verdict| {
+        verdict.inplace(|verdict| {
             // Devices without the kernel use tensor code.
-            watch(values, verdict, step as u32, i).unwrap_or_else(|verdict| {
+            watch(values, verdict, step as u32, i as u32).unwrap_or_else(|verdict| {
                 let first = verdict.clone().narrow(0, 0, 1);
                 let open = first.clone().equal_elem(0).int() + first.clone().equal_elem(step).int();
                 let bad = non_finite(&values.clone().inner()) * open;

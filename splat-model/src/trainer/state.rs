@@ -49,11 +49,8 @@ impl Trainer {
         state.tell("queue", &self.queue)?;
         state.tell("random", &RandomState::of(&self.rng))?;
         state.put_part("scene", self.scene.save());
-        let [mut density, mut effects] = [State::default(), State::default()];
-        self.density.save(&mut density)?;
-        self.effects.save(&mut effects)?;
-        state.put_part("density", density);
-        state.put_part("effects", effects);
+        state.save_part("density", |part| self.density.save(part))?;
+        state.save_part("effects", |part| self.effects.save(part))?;
         Ok(state)
     }
 
@@ -64,9 +61,7 @@ impl Trainer {
     pub fn resume(&mut self, mut state: State) -> Result<(), TrainError> {
         let config: TrainConfig = state.told("config")?;
         let dials = config.dials.clone();
-        if let Some((what, found, expected)) = difference(&config, &self.config)? {
-            return Err(TrainError::OtherRun { what, found, expected });
-        }
+        check_same(&config, &self.config)?;
         let photographs: Vec<(String, [usize; 2])> = state.told("photographs")?;
         let own = self.photographs();
         if let Some(i) = (0..photographs.len().max(own.len())).find(|&i| photographs.get(i) != own.get(i)) {
@@ -84,14 +79,10 @@ impl Trainer {
             return Err(TrainError::OtherRun { what: "a photograph in the queue".into(), found, expected });
         }
         let random: RandomState = state.told("random")?;
-        let [mut scene, mut density, mut effects] = ["scene", "density", "effects"].map(|name| state.take_part(name));
+        self.scene = state.load_part("scene", |part| Trained::load(part, &self.device.clone().autodiff()))?;
+        state.load_part("density", |part| self.density.load(part, &self.device))?;
+        state.load_part("effects", |part| self.effects.load(part, &self.device))?;
         state.finish()?;
-        self.scene = Trained::load(&mut scene, &self.device.clone().autodiff())?;
-        scene.finish()?;
-        self.density.load(&mut density, &self.device)?;
-        density.finish()?;
-        self.effects.load(&mut effects, &self.device)?;
-        effects.finish()?;
         (self.queue, self.rng, self.step) = (queue, random.resumed(), step);
         self.turn(&dials);
         Ok(())
@@ -103,20 +94,19 @@ impl Trainer {
     }
 }
 
-/// The first option that differs, with its value in the saved run and in this one. Dials may differ, because they may
+/// Returns an error for the first option that differs between the saved run and this one. Dials may differ, because they may
 /// change during a run.
-fn difference(kept: &TrainConfig, own: &TrainConfig) -> Result<Option<(String, String, String)>, StateError> {
+fn check_same(kept: &TrainConfig, own: &TrainConfig) -> Result<(), TrainError> {
     let fields = |config: &TrainConfig| {
         let config = TrainConfig { dials: Setting::default(), ..config.clone() };
         serde_json::to_value(config).map_err(|source| StateError::Fact { name: "config".into(), source })
     };
     let (kept, own) = (fields(kept)?, fields(own)?);
-    let (Value::Object(kept), Value::Object(own)) = (kept, own) else { return Ok(None) };
+    let (Value::Object(kept), Value::Object(own)) = (kept, own) else { return Ok(()) };
     let differing = kept.iter().find(|(name, value)| own.get(*name) != Some(value));
-    Ok(differing.map(|(name, value)| {
-        let found = own.get(name).map(Value::to_string).unwrap_or_default();
-        (format!("the option `{name}`"), found, value.to_string())
-    }))
+    let Some((name, expected)) = differing else { return Ok(()) };
+    let (what, found) = (format!("the option `{name}`"), own.get(name).map(Value::to_string).unwrap_or_default());
+    Err(TrainError::OtherRun { what, found, expected: expected.to_string() })
 }
 
 #[cfg(test)]

@@ -20,11 +20,7 @@ pub(super) const SMALLEST_SIDE: usize = 32;
 /// A training photograph.
 struct TrainingView {
     photograph: Photograph,
-    /// Width and height of the reduced picture at the run's current size. `None` at full size.
-    reduced: Option<[usize; 2]>,
-    /// The divisor for which `reduced` and the fields below are computed.
-    divisor: usize,
-    intrinsics: Intrinsics,
+    /// The camera at the run's current size, and its given pose.
     camera: Camera,
     /// Decoded pixels: permanent if the photograph is kept, otherwise for one step.
     photo: Option<Arc<Photo>>,
@@ -60,9 +56,6 @@ const PREPARED: usize = 3 * size_of::<f32>();
 impl Views {
     pub fn new(photographs: Vec<Photograph>, background: [f32; 3], cache_mib: usize, device: &Device) -> Self {
         let view = |photograph: Photograph| TrainingView {
-            reduced: None,
-            divisor: 1,
-            intrinsics: photograph.intrinsics,
             camera: Camera::new(photograph.intrinsics, &photograph.cam_from_world, device),
             photo: None,
             truth: None,
@@ -99,10 +92,9 @@ impl Views {
         [camera.width, camera.height]
     }
 
-    /// The camera of a view at its last prepared size, and its given pose.
-    pub fn camera_of(&self, view: usize) -> (&Intrinsics, &DAffine3) {
-        let view = &self.views[view];
-        (&view.intrinsics, &view.photograph.cam_from_world)
+    /// The given pose of a view.
+    pub fn pose(&self, view: usize) -> &DAffine3 {
+        &self.views[view].photograph.cam_from_world
     }
 
     /// Sets the divisor of the sides.
@@ -110,9 +102,11 @@ impl Views {
         if divisor == self.divisor {
             return;
         }
-        self.divisor = divisor;
-        self.cache_left = self.cache;
+        (self.divisor, self.cache_left) = (divisor, self.cache);
         for view in &mut self.views {
+            let full = view.photograph.intrinsics;
+            let reduced = reduced_size(&full, divisor);
+            view.camera.intrinsics = reduced.map_or(full, |[width, height]| full.resized(width, height));
             (view.photo, view.truth, view.packed, view.excluded) = (None, None, None, None);
         }
     }
@@ -161,7 +155,7 @@ impl Views {
         Ok(photo)
     }
 
-    /// `[1, H, W]`: the excluded pixels of a view at its last prepared size. `None` if no pixel is excluded. Cached.
+    /// `[1, H, W]`: the excluded pixels of a view. `None` if no pixel is excluded. Cached.
     ///
     /// # Errors
     /// If the photograph must be decoded again and cannot be.
@@ -178,23 +172,10 @@ impl Views {
         let excluded: Vec<bool> = mask.iter().map(|counts| !counts).collect();
         let bytes = excluded.len() * if self.packs { size_of::<u32>() } else { 1 };
         let excluded = Tensor::from_data(TensorData::new(excluded, size), &self.device);
-        if bytes <= self.cache_left {
-            self.cache_left -= bytes;
+        if self.reserve(bytes) {
             self.views[view].excluded = Some(excluded.clone());
         }
         Ok(Some(excluded))
-    }
-
-    /// Sets a view to the run's current size.
-    fn resize(&mut self, view: usize) {
-        let view = &mut self.views[view];
-        if view.divisor != self.divisor {
-            view.divisor = self.divisor;
-            let full = view.photograph.intrinsics;
-            view.reduced = reduced_size(&full, self.divisor);
-            view.intrinsics = view.reduced.map_or(full, |[width, height]| full.resized(width, height));
-            view.camera = Camera::new(view.intrinsics, &view.photograph.cam_from_world, &self.device);
-        }
     }
 
     /// A view's camera and its photograph, which is black where its mask excludes pixels. The photograph is cached while
@@ -204,52 +185,43 @@ impl Views {
     /// # Errors
     /// If the photograph must be decoded again and cannot be.
     pub fn prepare(&mut self, view: usize, drawn: Option<[f32; 3]>) -> Result<(Camera, Truth), CaptureError> {
-        let packs = self.packs && self.prepared_bytes() > self.cache;
-        self.resize(view);
-        let excluded = self.excluded(view)?;
-        let clear = |picture: Tensor<3>| match &excluded {
-            Some(excluded) => masks::cleared(picture, excluded),
-            None => picture,
-        };
         let of = &self.views[view];
-        let (camera, values) = (of.camera.clone(), 3 * of.intrinsics.width * of.intrinsics.height);
-        let packed_bytes = values / 3 * PackedPhoto::PIXEL;
-        if let Some(background) = drawn.filter(|_| of.photograph.has_alpha) {
-            let truth = match self.packed(view, self.packs, packed_bytes)? {
-                Some(packed) => packed.rgb_over(background),
-                None => self.pixels(view)?.rgb_over(background, &self.device),
-            };
-            return Ok((camera, Truth::new(clear(truth))));
-        }
-        if let Some(truth) = &of.truth {
+        let (camera, drawn) = (of.camera.clone(), drawn.filter(|_| of.photograph.has_alpha));
+        if let (None, Some(truth)) = (drawn, &of.truth) {
             return Ok((camera, truth.clone()));
         }
-        if packs {
-            let packed = match self.packed(view, true, packed_bytes)? {
-                Some(packed) => packed,
-                None => PackedPhoto::new(&*self.pixels(view)?, &self.device),
-            };
-            return Ok((camera, Truth::new(clear(packed.rgb_over(self.background)))));
+        let excluded = self.excluded(view)?;
+        // Photographs over a fixed background are packed only where not all of them fit prepared.
+        let packs = drawn.is_none() && self.packs && self.prepared_bytes() > self.cache;
+        let background = drawn.unwrap_or(self.background);
+        let packed = if packs || drawn.is_some() { self.packed(view)? } else { None };
+        let picture = match packed {
+            Some(packed) => packed.rgb_over(background),
+            None if packs => PackedPhoto::new(&*self.pixels(view)?, &self.device).rgb_over(background),
+            None => self.pixels(view)?.rgb_over(background, &self.device),
+        };
+        let truth = Truth::new(match &excluded {
+            Some(excluded) => masks::cleared(picture, excluded),
+            None => picture,
+        });
+        if drawn.is_none() && !packs && self.reserve(prepared_bytes(&camera)) {
+            self.views[view].truth = Some(truth.clone());
         }
-        let prepared = Truth::new(clear(self.pixels(view)?.rgb_over(self.background, &self.device)));
-        if self.fits(PREPARED * values) {
-            self.views[view].truth = Some(prepared.clone());
-        }
-        Ok((camera, prepared))
+        Ok((camera, truth))
     }
 
     /// The photograph in four bytes per pixel, if it is cached in that form or can be from now on.
-    fn packed(&mut self, view: usize, wanted: bool, bytes: usize) -> Result<Option<PackedPhoto>, CaptureError> {
-        if self.views[view].packed.is_none() && wanted && bytes <= self.cache_left {
-            let packed = PackedPhoto::new(&*self.pixels(view)?, &self.device);
-            self.cache_left -= bytes;
-            self.views[view].packed = Some(packed);
+    fn packed(&mut self, view: usize) -> Result<Option<PackedPhoto>, CaptureError> {
+        let Intrinsics { width, height, .. } = self.views[view].camera.intrinsics;
+        let is_new = self.packs && self.views[view].packed.is_none();
+        if is_new && self.reserve(PackedPhoto::PIXEL * width * height) {
+            self.views[view].packed = Some(PackedPhoto::new(&*self.pixels(view)?, &self.device));
         }
         Ok(self.views[view].packed.clone())
     }
 
     /// Whether `bytes` more fit into the cache. Reserves them if so.
-    fn fits(&mut self, bytes: usize) -> bool {
+    fn reserve(&mut self, bytes: usize) -> bool {
         let fits = bytes <= self.cache_left;
         self.cache_left -= if fits { bytes } else { 0 };
         fits
@@ -257,12 +229,13 @@ impl Views {
 
     /// Size of all prepared photographs at the run's current size, bytes.
     fn prepared_bytes(&self) -> usize {
-        let pixels = |camera: &Intrinsics| {
-            let [width, height] = reduced_size(camera, self.divisor).unwrap_or([camera.width, camera.height]);
-            width * height
-        };
-        self.views.iter().map(|view| 3 * PREPARED * pixels(&view.photograph.intrinsics)).sum()
+        self.views.iter().map(|view| prepared_bytes(&view.camera)).sum()
     }
+}
+
+/// Size of the prepared photograph of a camera, bytes.
+fn prepared_bytes(camera: &Camera) -> usize {
+    3 * PREPARED * camera.intrinsics.width * camera.intrinsics.height
 }
 
 /// Width and height of a picture with divided sides, down to the smallest side. `None` at full size.
@@ -279,24 +252,6 @@ fn at_size(photo: Arc<Photo>, divisor: usize) -> Arc<Photo> {
     match reduced_size(&photo.intrinsics, divisor) {
         Some([width, height]) => Arc::new(photo.resized(width, height)),
         None => photo,
-    }
-}
-
-#[cfg(test)]
-impl Views {
-    /// Number of prepared photographs in the cache.
-    pub fn kept(&self) -> usize {
-        self.views.iter().filter(|view| view.truth.is_some()).count()
-    }
-
-    /// Number of packed photographs in the cache.
-    fn kept_packed(&self) -> usize {
-        self.views.iter().filter(|view| view.packed.is_some()).count()
-    }
-
-    /// Sets the remaining size of the cache, bytes.
-    pub fn leave_room(&mut self, bytes: usize) {
-        self.cache_left = bytes;
     }
 }
 

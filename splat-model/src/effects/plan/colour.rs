@@ -2,7 +2,7 @@
 
 use super::super::EffectKind;
 use super::super::survey::{GradingEvidence, Survey, ViewDependenceEvidence};
-use super::{Cost, Decision, EffectVerdict, MIB, VIEW_DEPENDENCE, decide, percent};
+use super::{Cost, Decision, EffectVerdict, MIB, VIEW_DEPENDENCE, decide, known, percent};
 
 /// Threshold of the brightness differences between photographs, stops of stored values (deviation). Surfaces also look
 /// brighter from some sides than from others, so a smaller difference may belong to the scene.
@@ -26,6 +26,9 @@ pub const VIEW_DEPENDENT_SHARE: f64 = 0.005;
 
 /// Smallest number of points for a decision on shares of half a percent.
 const FEWEST_COMPARED: usize = 500;
+
+/// The reason for a missing comparison of colours.
+const FEW_POINTS: &str = "too few points are visible in several photographs";
 
 /// Time per step and megapixel, ms, as measured (see `docs/EFFECTS.md`).
 const EXPOSURE_MS_PER_MEGAPIXEL: f64 = 40.0;
@@ -59,18 +62,14 @@ pub(super) fn exposure(survey: &Survey) -> Decision {
         "on if brightness differs by more than {BRIGHTNESS_STOPS} stops or white balance by more than {WHITE_BALANCE_STOPS}, \
          unless `bilateral-grid` is on"
     );
-    let (on, evidence) = match &survey.exposure {
-        None => (false, "not known: too few points are visible in several photographs".into()),
-        Some(found) => {
-            let on = found.brightness_spread_stops > BRIGHTNESS_STOPS
-                || found.white_balance_spread_stops > WHITE_BALANCE_STOPS;
-            let evidence = format!(
-                "photographs differ by {:.3} stops of stored values in brightness, {:.3} in white balance (deviation)",
-                found.brightness_spread_stops, found.white_balance_spread_stops
-            );
-            (on, evidence)
-        }
-    };
+    let (on, evidence) = known(&survey.exposure, FEW_POINTS, |found| {
+        let (brightness, white_balance) = (found.brightness_spread_stops, found.white_balance_spread_stops);
+        let evidence = format!(
+            "photographs differ by {brightness:.3} stops of stored values in brightness, {white_balance:.3} in white balance \
+             (deviation)"
+        );
+        (brightness > BRIGHTNESS_STOPS || white_balance > WHITE_BALANCE_STOPS, evidence)
+    });
     // Parameters, two moments and a gradient of twelve numbers for each photograph.
     let mib = survey.views as f64 * 4.0 * 12.0 * 4.0 / MIB;
     let cost = Cost { ms_per_step: EXPOSURE_MS_PER_MEGAPIXEL * survey.pixels_per_view / 1e6, mib };
@@ -87,15 +86,15 @@ fn is_graded(survey: &Survey) -> bool {
 
 /// Decides on bilateral grids, which are the stronger form of exposures and replace them.
 pub(super) fn bilateral_grid(survey: &Survey) -> Decision {
-    let evidence = match &survey.grading {
-        None => "not known: too few points are visible in several photographs".into(),
-        Some(found) => format!(
+    let (on, evidence) = known(&survey.grading, FEW_POINTS, |found| {
+        let evidence = format!(
             "one colour map for each photograph leaves a median difference of {:.4} (of 1), maps that vary within the \
              photograph {} of that",
             found.left_by_maps,
             percent(found.left_by_places / found.left_by_maps.max(f64::MIN_POSITIVE))
-        ),
-    };
+        );
+        (is_graded(survey), evidence)
+    });
     let rule = format!(
         "on if one map for each photograph leaves more than {GRADED}, and maps that vary within the photograph less than \
          {} of that",
@@ -105,5 +104,5 @@ pub(super) fn bilateral_grid(survey: &Survey) -> Decision {
     // Parameters and two moments of 12 x 8 x 16 x 16 numbers for each photograph.
     let mib = survey.views as f64 * 3.0 * 24_576.0 * 4.0 / MIB;
     let cost = Cost { ms_per_step: GRID_MS_PER_MEGAPIXEL * megapixels, mib };
-    decide(EffectKind::BilateralGrid, is_graded(survey), evidence, rule, Some(cost))
+    decide(EffectKind::BilateralGrid, on, evidence, rule, Some(cost))
 }

@@ -6,9 +6,10 @@
 //! that it works for every lens and image size.
 
 use burn::tensor::{Device, Tensor, TensorData};
-use glam::{DAffine3, DMat3, DVec3, Vec2, Vec3};
+use glam::{DAffine3, DMat3, DVec3, Vec2};
 
 use crate::capture::Capture;
+use crate::effects::survey::by_view;
 
 /// Scale of the robust loss, rad: errors well below it count by their square, larger errors linearly. About a pixel.
 pub(in crate::effects) const ROBUST_RAD: f64 = 2e-3;
@@ -36,19 +37,14 @@ pub(super) struct DeviceAnchors {
 
 /// Collects the anchors of the photographs `views` of a capture.
 pub fn from_tracks(capture: &Capture, views: &[usize]) -> Vec<Anchors> {
-    let mut place = vec![None; capture.views.len()];
-    views.iter().enumerate().for_each(|(at, &view)| place[view] = Some(at));
-    let mut anchors = vec![Anchors::default(); views.len()];
-    for (point, position) in capture.points.positions.iter().enumerate() {
-        let world = Vec3::from_array(*position).as_dvec3();
-        for observation in capture.tracks.of(point) {
-            let Some(place) = place[observation.view] else { continue };
-            let at_px = Vec2::from_array(observation.at_px).as_dvec2();
-            anchors[place].points.push(world);
-            anchors[place].directions.push(capture.views[observation.view].intrinsics.cam_from_px(at_px).normalize());
-        }
-    }
-    anchors
+    let lists = by_view(capture, views.iter().copied(), |view, world, observation| {
+        Some((world, view.intrinsics.cam_from_px(Vec2::from_array(observation.at_px).as_dvec2()).normalize()))
+    });
+    lists
+        .into_iter()
+        .map(|list| list.into_iter().unzip())
+        .map(|(points, directions)| Anchors { points, directions })
+        .collect()
 }
 
 impl Anchors {

@@ -33,7 +33,7 @@ fn variances_add_and_the_integral_stays() {
     let device = Device::flex();
     let log_scales = [[-3.0_f32, -1.0, 0.5], [-60.0, -2.0, 80.0], [-9.0, -9.0, -9.0]];
     let ln_widths = [-1.5_f32, -2.0, -30.0];
-    let widths = column(ln_widths.to_vec(), &device);
+    let widths = Tensor::<1>::from_floats(ln_widths.as_slice(), &device).unsqueeze_dim::<2>(1);
     let (found, share) = convolved(Tensor::from_floats(log_scales, &device), widths);
     let (found, share) = (values_of(found), values_of(share));
     for (i, scales) in log_scales.iter().enumerate() {
@@ -57,7 +57,7 @@ fn variances_add_and_the_integral_stays() {
 fn tiny_gaussians_keep_their_share() {
     let device = Device::flex();
     let tiny = 1e-12_f32.ln();
-    let widths = column(vec![tiny], &device);
+    let widths = Tensor::<2>::from_floats([[tiny]], &device);
     let scales = Tensor::<2>::full([1, 3], tiny, &device.clone().autodiff()).require_grad();
     let (_, share) = convolved(scales.clone(), Tensor::from_inner(widths));
     assert!((share.clone().exp().inner().into_scalar::<f32>() - 0.5_f32.powf(1.5)).abs() < 1e-5);

@@ -53,15 +53,8 @@ pub struct ExposureEvidence {
 pub(super) struct Fit {
     /// Offsets by view. `None` for views with too few points.
     pub views: Vec<Option<[f64; 3]>>,
-    counts: Vec<usize>,
-}
-
-#[cfg(test)]
-impl Fit {
-    /// A fit with known offsets, for tests.
-    pub fn known(views: Vec<Option<[f64; 3]>>) -> Self {
-        Self { counts: vec![FEWEST_POINTS; views.len()], views }
-    }
+    /// Numbers of compared points by view.
+    pub counts: Vec<usize>,
 }
 
 pub(super) fn fit(observations: &PointObservations, views: usize) -> Fit {

@@ -4,7 +4,7 @@ use glam::{DVec3, Vec3};
 use serde::Serialize;
 use splat_op::Projector;
 
-use crate::capture::{Capture, View};
+use crate::capture::{Capture, Observation, View};
 
 /// Largest number of compared points. More points do not change medians.
 const MOST_POINTS: usize = 6_000;
@@ -64,25 +64,39 @@ pub(super) struct PointObservations {
 impl PointObservations {
     /// Collects the observations in the photographs `surveyed`, indices in ascending order.
     pub fn of(capture: &Capture, surveyed: &[usize]) -> Self {
-        let source = match () {
-            () if capture.points.positions.is_empty() => ObservationSource::None,
-            () if capture.tracks.observations() > 0 => ObservationSource::Tracks,
-            () => ObservationSource::Projection,
+        let (source, mut found) = match () {
+            () if capture.points.positions.is_empty() => (ObservationSource::None, Vec::new()),
+            () if capture.tracks.observations() > 0 => (ObservationSource::Tracks, tracked(capture, surveyed)),
+            () => (ObservationSource::Projection, projected(capture, surveyed)),
         };
-        let candidates: Vec<(usize, Vec<PointObservation>)> = match source {
-            ObservationSource::None => Vec::new(),
-            ObservationSource::Tracks => tracked(capture, surveyed),
-            ObservationSource::Projection => projected(capture, surveyed),
-        };
-        let mut chosen = candidates
-            .into_iter()
-            .filter(|(_, observations)| observations.len() >= FEWEST_OBSERVATIONS)
-            .collect::<Vec<_>>();
-        let every = chosen.len().div_ceil(MOST_POINTS).max(1);
-        chosen = chosen.into_iter().step_by(every).collect();
-        let (indices, points) = chosen.into_iter().unzip();
+        found.retain(|(_, observations)| observations.len() >= FEWEST_OBSERVATIONS);
+        let every = found.len().div_ceil(MOST_POINTS).max(1);
+        let (indices, points) = found.into_iter().step_by(every).unzip();
         Self { source, points, indices }
     }
+}
+
+/// What `found` makes of the observations of points, world frame, in the tracks of a capture: a list for each of `views`.
+pub(in crate::effects) fn by_view<T>(
+    capture: &Capture,
+    views: impl IntoIterator<Item = usize>,
+    found: impl Fn(&View, DVec3, &Observation) -> Option<T>,
+) -> Vec<Vec<T>> {
+    let mut place = vec![None; capture.views.len()];
+    let mut lists = Vec::new();
+    for view in views {
+        place[view] = Some(lists.len());
+        lists.push(Vec::new());
+    }
+    for point in 0..capture.points.positions.len() {
+        let world = position(capture, point);
+        for observation in capture.tracks.of(point) {
+            if let Some(&Some(at)) = place.get(observation.view) {
+                lists[at].extend(found(&capture.views[observation.view], world, observation));
+            }
+        }
+    }
+    lists
 }
 
 fn position(capture: &Capture, point: usize) -> DVec3 {
@@ -94,7 +108,7 @@ fn tracked(capture: &Capture, surveyed: &[usize]) -> Vec<(usize, Vec<PointObserv
         let world = position(capture, point);
         let observations =
             capture.tracks.of(point).iter().filter(|observation| surveyed.binary_search(&observation.view).is_ok());
-        let observation = |at: &crate::capture::Observation| {
+        let observation = |at: &Observation| {
             let depth = capture.views[at.view].cam_from_world.transform_point3(world).z;
             let footprint = focal_px(&capture.views[at.view]) / depth;
             let observation =

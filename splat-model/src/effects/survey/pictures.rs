@@ -36,24 +36,20 @@ pub(super) fn look(
         let mut photo = load(&capture.views[view], None)?;
         // An unusable mask is no evidence here. It is an error in training.
         photo.mask = found[view].as_ref().and_then(|file| masks::load(file, &photo.intrinsics).ok());
-        let sample = |&(point, i): &(usize, usize)| sample(&photo, observations.points[point][i].at_px);
-        let samples: Vec<Option<ColourSample>> = places[view].iter().map(sample).collect();
+        let sample = |&(point, i): &(usize, usize)| (point, i, sample(&photo, observations.points[point][i].at_px));
+        let samples: Vec<(usize, usize, Option<ColourSample>)> = places[view].iter().map(sample).collect();
         let glance = Glance {
             view,
             sharpness: super::blur::sharpness(&photo),
-            transparent: transparent(&photo),
+            transparent: photo.alpha.as_deref().map_or(0.0, transparent),
             masked: photo.mask.as_deref().map(masks::excluded_share),
         };
         Ok((glance, samples))
     };
-    let seen: Vec<(Glance, Vec<Option<ColourSample>>)> =
-        surveyed.par_iter().map(one).collect::<Result<_, CaptureError>>()?;
-    let mut glances = Vec::with_capacity(surveyed.len());
-    for (&view, (glance, samples)) in surveyed.iter().zip(seen) {
-        for (&(point, i), sample) in places[view].iter().zip(samples) {
-            observations.points[point][i].sample = sample;
-        }
-        glances.push(glance);
+    let seen: Vec<(Glance, Vec<_>)> = surveyed.par_iter().map(one).collect::<Result<_, CaptureError>>()?;
+    let (glances, samples): (Vec<Glance>, Vec<Vec<_>>) = seen.into_iter().unzip();
+    for (point, i, sample) in samples.into_iter().flatten() {
+        observations.points[point][i].sample = sample;
     }
     Ok(glances)
 }
@@ -88,7 +84,6 @@ fn sample(photo: &Photo, at_px: [f64; 2]) -> Option<ColourSample> {
     Some(sample)
 }
 
-fn transparent(photo: &Photo) -> f64 {
-    let Some(alpha) = &photo.alpha else { return 0.0 };
+fn transparent(alpha: &[u8]) -> f64 {
     alpha.iter().filter(|&&alpha| alpha != u8::MAX).count() as f64 / alpha.len().max(1) as f64
 }

@@ -5,11 +5,11 @@
 //! are twists of the camera, six numbers for each photograph, and linear in their effect on directions. Each model is
 //! fitted to the tracks by least squares with robust weights, and their residuals are compared.
 
-use glam::{DVec3, Vec2, Vec3};
+use glam::{DVec3, Vec2};
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::Capture;
+use super::{Capture, by_view};
 use crate::effects::pose::anchors::{FEWEST, ROBUST_RAD, columns, solve};
 
 /// Iterations of the robust weights.
@@ -35,20 +35,13 @@ struct ShutterObservation {
 }
 
 pub(super) fn evidence(capture: &Capture) -> Option<ShutterEvidence> {
-    let mut views: Vec<Vec<ShutterObservation>> = capture.views.iter().map(|_| Vec::new()).collect();
-    for (point, position) in capture.points.positions.iter().enumerate() {
-        let world = Vec3::from_array(*position).as_dvec3();
-        for observation in capture.tracks.of(point) {
-            let Some(view) = capture.views.get(observation.view) else { continue };
-            let found = view.intrinsics.cam_from_px(Vec2::from_array(observation.at_px).as_dvec2()).normalize_or_zero();
-            let cam = view.cam_from_world.transform_point3(world);
-            let row = f64::from(observation.at_px[1]) / view.intrinsics.height as f64 - 0.5;
-            let seen = ShutterObservation { columns: columns(cam), miss: found - cam.normalize_or_zero(), row };
-            if seen.miss.is_finite() && seen.columns.iter().all(|column| column.is_finite()) {
-                views[observation.view].push(seen);
-            }
-        }
-    }
+    let mut views = by_view(capture, 0..capture.views.len(), |view, world, observation| {
+        let found = view.intrinsics.cam_from_px(Vec2::from_array(observation.at_px).as_dvec2()).normalize_or_zero();
+        let cam = view.cam_from_world.transform_point3(world);
+        let row = f64::from(observation.at_px[1]) / view.intrinsics.height as f64 - 0.5;
+        let seen = ShutterObservation { columns: columns(cam), miss: found - cam.normalize_or_zero(), row };
+        (seen.miss.is_finite() && seen.columns.iter().all(|column| column.is_finite())).then_some(seen)
+    });
     views.retain(|observations| observations.len() >= FEWEST);
     let sums = views.par_iter().map(|observations| {
         let given: f64 = observations.iter().map(|observation| observation.miss.length()).sum();

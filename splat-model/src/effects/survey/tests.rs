@@ -102,7 +102,8 @@ fn seen(colours: &[f32], exposures: &[f64], spread: f32) -> (observations::Point
     };
     let points = vec![colours.iter().enumerate().map(observation).collect()];
     let observations = observations::PointObservations { source: ObservationSource::Tracks, points, indices: vec![0] };
-    (observations, exposure::Fit::known(exposures.iter().map(|&exposure| Some([exposure; 3])).collect()))
+    let views: Vec<_> = exposures.iter().map(|&exposure| Some([exposure; 3])).collect();
+    (observations, exposure::Fit { counts: vec![20; views.len()], views })
 }
 
 #[test]

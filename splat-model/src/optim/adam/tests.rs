@@ -69,13 +69,13 @@ fn host_memory_and_tensors_agree() {
         let start = tensor(&random(), &device, DType::F32);
         let mut moments = [Moments::new(&start), Moments::new(&start)];
         let mut params = [start.clone(), start];
-        let factors = StepScalars { beta1: 0.9, beta2: 0.999, rate, floor: 1e-8 };
+        let factors = Factors { beta1: 0.9, beta2: 0.999, rate, floor: 1e-8, largest: LARGEST_GRADIENT };
         for _ in 0..3 {
             let grad = tensor(&random(), &device, DType::F32);
             let [host, tensors] = params;
             params = [
-                factors.step_in_host_memory(host, grad.clone(), &mut moments[0]),
-                factors.step_in_tensors(tensors, grad, &mut moments[1]),
+                step_in_host_memory(&factors, host, grad.clone(), &mut moments[0]),
+                step_in_tensors(&factors, tensors, grad, &mut moments[1]),
             ];
         }
         let [host_memory, tensors] = params.map(host);

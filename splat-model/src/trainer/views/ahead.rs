@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
-use std::sync::mpsc::{Receiver, Sender, channel};
+use std::sync::mpsc::{Receiver, channel};
 
 use super::at_size;
 use crate::capture::{CaptureError, Photo, Photograph};
@@ -14,40 +14,23 @@ pub const MOST: usize = 8;
 /// A photograph at a size of the run, or why there is none.
 type Decoded = Result<Arc<Photo>, CaptureError>;
 
-/// Index of a photograph, and the divisor of its sides.
-type Key = (usize, usize);
-
-/// Photographs whose decoding has begun.
-pub struct Ahead {
-    /// The result. `None` while decoding.
-    begun: BTreeMap<Key, Option<Decoded>>,
-    sender: Sender<(Key, Decoded)>,
-    receiver: Receiver<(Key, Decoded)>,
-}
-
-impl Default for Ahead {
-    fn default() -> Self {
-        let (sender, receiver) = channel();
-        Self { begun: BTreeMap::new(), sender, receiver }
-    }
-}
+/// Photographs whose decoding has begun, by their index and the divisor of their sides.
+#[derive(Default)]
+pub struct Ahead(BTreeMap<(usize, usize), Receiver<Decoded>>);
 
 impl Ahead {
-    /// Begins to decode a photograph, unless that is under way.
+    /// Begins to decode a photograph, unless that is under way. Photographs of another size are no longer needed.
     pub fn begin(&mut self, view: usize, photograph: &Photograph, divisor: usize) {
-        while let Ok(arrived) = self.receiver.try_recv() {
-            self.arrive(arrived);
-        }
-        // Finished photographs of another size are discarded. Unfinished ones keep their place until they arrive.
-        self.begun.retain(|(_, of), found| *of == divisor || found.is_none());
-        if self.begun.len() >= MOST || self.begun.contains_key(&(view, divisor)) {
+        self.0.retain(|(_, of), _| *of == divisor);
+        if self.0.len() >= MOST || self.0.contains_key(&(view, divisor)) {
             return;
         }
-        self.begun.insert((view, divisor), None);
-        let (photograph, sender) = (photograph.clone(), self.sender.clone());
+        let (sender, receiver) = channel();
+        self.0.insert((view, divisor), receiver);
+        let photograph = photograph.clone();
         rayon::spawn(move || {
             // The receiver may be gone.
-            let _ = sender.send(((view, divisor), decoded(&photograph, divisor)));
+            let _ = sender.send(decoded(&photograph, divisor));
         });
     }
 
@@ -56,20 +39,8 @@ impl Ahead {
     /// # Errors
     /// If it cannot be decoded.
     pub fn take(&mut self, view: usize, photograph: &Photograph, divisor: usize) -> Decoded {
-        while let Some(found) = self.begun.remove(&(view, divisor)) {
-            if let Some(found) = found {
-                return found;
-            }
-            self.begun.insert((view, divisor), None);
-            // Receiving cannot fail while this struct holds a sender.
-            let Ok(arrived) = self.receiver.recv() else { break };
-            self.arrive(arrived);
-        }
-        decoded(photograph, divisor)
-    }
-
-    fn arrive(&mut self, (key, found): (Key, Decoded)) {
-        self.begun.insert(key, Some(found));
+        let begun = self.0.remove(&(view, divisor)).and_then(|receiver| receiver.recv().ok());
+        begun.unwrap_or_else(|| decoded(photograph, divisor))
     }
 }
 
@@ -88,18 +59,13 @@ mod tests {
         let photographs: Vec<Photograph> = photos.into_iter().map(Photograph::from).collect();
         let mut ahead = Ahead::default();
         (0..MOST).for_each(|view| ahead.begin(view, &photographs[view], 1));
-        // All have arrived, and none is taken.
-        while ahead.begun.values().any(Option::is_none) {
-            let arrived = ahead.receiver.recv().unwrap();
-            ahead.arrive(arrived);
-        }
         ahead.begin(MOST, &photographs[MOST], 1);
-        assert!(!ahead.begun.contains_key(&(MOST, 1)), "more than {MOST} at a time");
+        assert!(!ahead.0.contains_key(&(MOST, 1)), "more than {MOST} at a time");
         (0..MOST).for_each(|view| ahead.begin(view, &photographs[view], 2));
-        assert!(ahead.begun.keys().eq((0..MOST).map(|view| (view, 2)).collect::<Vec<_>>().iter()));
+        assert!(ahead.0.keys().eq((0..MOST).map(|view| (view, 2)).collect::<Vec<_>>().iter()));
         for view in 0..MOST {
             ahead.take(view, &photographs[view], 2).unwrap();
         }
-        assert!(ahead.begun.is_empty());
+        assert!(ahead.0.is_empty());
     }
 }

@@ -5,6 +5,23 @@ use super::*;
 use crate::gaussians::values_of;
 use crate::trainer::testing::{HEIGHT, WIDTH, photos};
 
+impl Views {
+    /// Number of prepared photographs in the cache.
+    pub fn kept(&self) -> usize {
+        self.views.iter().filter(|view| view.truth.is_some()).count()
+    }
+
+    /// Number of packed photographs in the cache.
+    fn kept_packed(&self) -> usize {
+        self.views.iter().filter(|view| view.packed.is_some()).count()
+    }
+
+    /// Sets the remaining size of the cache, bytes.
+    pub fn leave_room(&mut self, bytes: usize) {
+        self.cache_left = bytes;
+    }
+}
+
 fn photographs(photos: Vec<Photo>) -> Vec<Photograph> {
     photos.into_iter().map(Photograph::from).collect()
 }
