@@ -63,6 +63,15 @@ pub(crate) fn cubes(cubes: usize) -> CubeCount {
     }
 }
 
+/// Returns the dispatch of a search through `values` values, and the distance between the values of a unit. The units
+/// are enough to occupy a large GPU, and few enough that each has several values.
+pub(crate) fn search(values: usize) -> (CubeCount, CubeDim, u32) {
+    let units = values.min(65_536);
+    let (grid, dim) = elementwise(units);
+    // The surplus units of the last cube count too; otherwise they would repeat the work of others.
+    (grid, dim, units.next_multiple_of(UNITS) as u32)
+}
+
 /// Returns a dispatch with at least one unit per element.
 pub(crate) fn elementwise(elements: usize) -> (CubeCount, CubeDim) {
     (cubes(elements.div_ceil(UNITS)), CubeDim::new_1d(UNITS as u32))

@@ -52,7 +52,7 @@ pub(crate) fn photometric_cpu<F: Real>(
         .collect();
     let job = LossTask { inputs, size, lambda: F::of(lambda), share: F::of(1.0 / inputs.image.len() as f64) };
     let mut gradient = vec![F::ZERO; if with_gradient { inputs.image.len() } else { 0 }];
-    let sums: Vec<f64> = split(&bands, &mut gradient, size.width, with_gradient)
+    let sums: Vec<f64> = split(&bands, &mut gradient, if with_gradient { size.width } else { 0 })
         .into_par_iter()
         .map_init(Vec::new, |maps, (band, gradient)| {
             dispatch!(Level::new(), simd => {
@@ -102,16 +102,10 @@ impl RowBand {
     }
 }
 
-/// Pairs each band with its part of `out`, `columns` values per row; the part is empty unless `wanted`.
-fn split<'a, F>(
-    bands: &'a [RowBand],
-    mut out: &'a mut [F],
-    columns: usize,
-    wanted: bool,
-) -> Vec<(&'a RowBand, &'a mut [F])> {
+/// Pairs each band with its part of `out`, `columns` values per row.
+fn split<'a, F>(bands: &'a [RowBand], mut out: &'a mut [F], columns: usize) -> Vec<(&'a RowBand, &'a mut [F])> {
     let part = |band: &'a RowBand| {
-        let len = if wanted { band.rows.len() * columns } else { 0 };
-        (band, out.split_off_mut(..len).expect("as many rows as the bands have"))
+        (band, out.split_off_mut(..band.rows.len() * columns).expect("as many rows as the bands have"))
     };
     bands.iter().map(part).collect()
 }
