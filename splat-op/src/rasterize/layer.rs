@@ -212,23 +212,6 @@ pub(super) fn layer(alpha: f32, through: f32, stopped: f32, before: f32, transmi
     )
 }
 
-/// Encodes the state of [`layer`] in one number: the share stopped while that is little, else the negated share let
-/// through; two where the pixel is finished.
-#[cube]
-pub(super) fn checkpoint(through: f32, stopped: f32) -> f32 {
-    // A zero would lose its sign in comparisons.
-    let open = select(stopped < 0.5, stopped, -max(through, f32::MIN_POSITIVE));
-    select(through >= 0.0, open, 2.0)
-}
-
-/// Decodes a checkpoint into the shares let through and stopped.
-#[cube]
-pub(super) fn restore(checkpoint: f32) -> (f32, f32) {
-    let faint = checkpoint >= 0.0;
-    let through = select(faint, 1.0 - checkpoint, -checkpoint);
-    (select(checkpoint >= 1.0, -1.0f32, through), select(faint, checkpoint, 1.0))
-}
-
 /// Returns the transmittance behind a bucket from the transmittance before it and the shares that the bucket lets
 /// through and stops. The result is negative if `before` or `through` is: the pixel was finished before the bucket or
 /// within it.

@@ -6,7 +6,7 @@
 use cubecl::prelude::*;
 
 use super::backward::{MOMENTS, plane_of};
-use super::layer::{KernelShape, LayerEllipse, RasterFrame, checkpoint, layer, restore};
+use super::layer::{KernelShape, LayerEllipse, RasterFrame, layer};
 use crate::intersect::{TILE, TILE_PIXELS};
 
 /// Number of places that are processed together. Their alphas and weights lie in registers.
@@ -92,16 +92,21 @@ impl UnitPixels {
         self.stopped[p] = 0.0f32;
     }
 
-    /// Returns the state of the forward pass at pixel `p` as one number.
+    /// Returns the state of the forward pass at pixel `p` as one number: the share stopped while that is little, else the
+    /// negated share let through; two where the pixel is finished.
     pub fn checkpoint(&self, #[comptime] p: usize) -> f32 {
-        checkpoint(self.through[p], self.stopped[p])
+        let (through, stopped) = (self.through[p], self.stopped[p]);
+        // A zero would lose its sign in comparisons.
+        let open = select(stopped < 0.5, stopped, -max(through, f32::MIN_POSITIVE));
+        select(through >= 0.0, open, 2.0)
     }
 
     /// Resets pixel `p` to a checkpoint.
-    pub fn restore(&mut self, from: f32, #[comptime] p: usize) {
-        let (through, stopped) = restore(from);
-        self.through[p] = through;
-        self.stopped[p] = stopped;
+    pub fn restore(&mut self, checkpoint: f32, #[comptime] p: usize) {
+        let faint = checkpoint >= 0.0;
+        let through = select(faint, 1.0 - checkpoint, -checkpoint);
+        self.through[p] = select(checkpoint >= 1.0, -1.0f32, through);
+        self.stopped[p] = select(faint, checkpoint, 1.0);
     }
 
     /// Passes a Gaussian forwards at pixel `p`. Returns its alpha, zero if it does not contribute, and its weight
