@@ -12,8 +12,7 @@ use cubecl::features::{AtomicUsage, Plane};
 use cubecl::ir::{ElemType, FloatKind, Type};
 use cubecl::prelude::{CubeCount, CubeDim};
 
-pub(crate) use buffer::poison;
-pub(crate) use buffer::{Buffer, launch_scale};
+pub(crate) use buffer::{Buffer, launch_scale, poison};
 
 use crate::test_hooks::count_dispatch;
 

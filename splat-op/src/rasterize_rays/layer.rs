@@ -1,8 +1,6 @@
 //! A Gaussian at a pixel, and the next layers of a pixel. The kernels of both passes share this code, so that both see the same
 //! layers.
 
-#![allow(clippy::too_many_arguments, reason = "functions of a kernel take what it was launched with")]
-
 use cubecl::prelude::*;
 
 use super::{D_MIN, WHITENED_MAX};
