@@ -15,7 +15,7 @@ use crate::project::{COLUMNS, Ellipse};
 use crate::simd::real::Real;
 
 /// Number of Gaussians per task.
-const CHUNK: usize = 1024;
+pub(super) const CHUNK: usize = 1024;
 
 /// Values that the forward pass keeps for the backward pass, tile by tile.
 pub(crate) struct Trace<F>(Vec<TileTrace<F>>);
