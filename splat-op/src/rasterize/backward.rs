@@ -168,7 +168,7 @@ pub(crate) fn tile_of(lists: &TileLists, first: u32, end: u32, index: u32, #[com
 /// `∂e/∂shear = u v sigma_u/sigma_v`, `∂e/∂mean = (u/sigma_u − v shear/sigma_v, v/sigma_v)`; and
 /// `∂α/∂opacity = α/opacity`.
 ///
-/// A row has the moments, the channels, with rays the three gradients of the depth slope, and in the last two columns the
+/// A row has the moments, the channels, with rays the gradient of the depth slope, and in the last two columns the
 /// sums of absolute values, if they are wanted. Gradients of Gaussians without intersections are not written: the
 /// buffers must hold zeros.
 #[cube(launch_unchecked)]
@@ -185,6 +185,7 @@ pub(super) fn rasterize_gather_kernel(
     intersections: u32,
     #[comptime] shape: KernelShape,
     #[comptime] columns: usize,
+    #[comptime] slopes: usize,
     #[comptime] per_intersection: bool,
 ) {
     let few = comptime!(shape.few());
@@ -246,8 +247,8 @@ pub(super) fn rasterize_gather_kernel(
         #[comptime]
         if let ComptimeOption::Some(out) = &mut grad_depth_slopes {
             #[unroll]
-            for k in 0..3usize {
-                out[3 * gaussian + k] = row[comptime!(MOMENTS + shape.channels() + k)];
+            for k in 0..slopes {
+                out[gaussian * slopes + k] = row[comptime!(MOMENTS + shape.channels() + k)];
             }
         }
     }

@@ -145,7 +145,7 @@ pub(crate) fn rasterize_backward_cpu<F: Real>(
         tile_sums(&prepared, inputs.background, grad, &trace.0[tile], (tile, sums, needs.mean2d_abs), buffers)
     });
     let sums = RowSums { rows: &rows, columns, channels: prepared.channels, unscale: UNWHITEN };
-    let (grads, _) = gather(inputs.projected, features, intersections, &sums, (needs, false));
+    let (grads, _) = gather(inputs.projected, features, intersections, &sums, (needs, 0));
     Layers { background: if needs.background { background } else { Vec::new() }, ..grads }
 }
 
@@ -249,13 +249,13 @@ pub(crate) struct RowSums<'a, F> {
 }
 
 /// Adds the sums of each Gaussian's intersections in order and turns them into gradients of its ellipse and `features`
-/// features, and of its depth slope.
+/// features, and of its depth slope of `slopes` numbers, zero for none.
 pub(crate) fn gather<F: Real>(
     ellipses: &[F],
     features: usize,
     intersections: &IntersectionLists,
     sums: &RowSums<F>,
-    (needs, depth_slope): (Layers<bool>, bool),
+    (needs, slopes): (Layers<bool>, usize),
 ) -> (Layers<Vec<F>>, Vec<F>) {
     let RowSums { rows, columns, channels, unscale } = *sums;
     let (count, lists) = (ellipses.len() / COLUMNS, intersections);
@@ -266,12 +266,12 @@ pub(crate) fn gather<F: Real>(
         background: Vec::new(),
         mean2d_abs: zeros(needs.mean2d_abs, 2),
     };
-    let mut slopes = zeros(depth_slope, 3);
+    let mut grad_slopes = zeros(true, slopes);
     let parts = (
         chunks(&mut grads.projected, COLUMNS, count),
         chunks(&mut grads.features, features, count),
         chunks(&mut grads.mean2d_abs, 2, count),
-        chunks(&mut slopes, 3, count),
+        chunks(&mut grad_slopes, slopes, count),
     );
     parts.into_par_iter().enumerate().for_each(|(chunk, (projected, feature, absolute, slope))| {
         let mut sum = vec![F::ZERO; columns];
@@ -296,8 +296,8 @@ pub(crate) fn gather<F: Real>(
             if needs.features {
                 feature[i * features..(i + 1) * features].copy_from_slice(&colours[..features]);
             }
-            if depth_slope {
-                slope[3 * i..3 * i + 3].copy_from_slice(&colours[channels..channels + 3]);
+            if slopes > 0 {
+                slope[i * slopes..(i + 1) * slopes].copy_from_slice(&colours[channels..channels + slopes]);
             }
             if needs.mean2d_abs {
                 // Two factors are scaled: a whitened coordinate and an inverse.
@@ -307,12 +307,12 @@ pub(crate) fn gather<F: Real>(
             }
         }
     });
-    (grads, slopes)
+    (grads, grad_slopes)
 }
 
 /// Splits a gradient by chunks of Gaussians; a gradient that is not wanted has empty parts.
 fn chunks<F>(grad: &mut [F], columns: usize, count: usize) -> Vec<&mut [F]> {
-    let mut parts: Vec<&mut [F]> = grad.chunks_mut(CHUNK * columns).collect();
+    let mut parts: Vec<&mut [F]> = grad.chunks_mut(CHUNK * columns.max(1)).collect();
     parts.resize_with(count.div_ceil(CHUNK), Default::default);
     parts
 }

@@ -184,19 +184,19 @@ pub(crate) fn launch_rasterize_backward(
         (false, true) => launch!(rasterize_backward_many_channels_kernel::launch_unchecked::<Atomic<f32>>, MANY_UNITS),
         (false, false) => launch!(rasterize_backward_many_channels_kernel::launch_unchecked::<Atomic<u32>>, MANY_UNITS),
     }
-    let (found, _) = launch_gather(gpu, &inputs.projected, lists, (&rows, columns, ordered), shape, (needs, false));
+    let (found, _) = launch_gather(gpu, &inputs.projected, lists, (&rows, columns, ordered), shape, (needs, 0));
     Layers { background, ..found }
 }
 
 /// Turns rows of `columns` sums, one per intersection if `ordered` is set, else one per Gaussian, into the gradients of
-/// the inputs but the background, and of the depth slopes.
+/// the inputs but the background, and of depth slopes of `slopes` numbers, zero for none.
 pub(crate) fn launch_gather(
     gpu: &Gpu,
     projected: &Buffer<f32>,
     lists: &DeviceIntersections,
     (rows, columns, ordered): (&Buffer<f32>, usize, bool),
     shape: KernelShape,
-    (needs, depth_slopes): (Layers<bool>, bool),
+    (needs, slopes): (Layers<bool>, usize),
 ) -> (Layers<Option<Buffer<f32>>>, Option<Buffer<f32>>) {
     let zeros = |needed: bool, columns: usize| needed.then(|| Buffer::zeros(gpu, projected.len / COLUMNS * columns));
     let grads = Layers {
@@ -205,7 +205,7 @@ pub(crate) fn launch_gather(
         background: None,
         mean2d_abs: zeros(needs.mean2d_abs, 2),
     };
-    let grad_depth_slopes = zeros(depth_slopes, 3);
+    let grad_depth_slopes = zeros(slopes > 0, slopes);
     let output = |buffer: &Option<Buffer<f32>>| buffer.as_ref().map(Buffer::arg).into();
     let (grid, dim) = elementwise(lists.visible);
     // SAFETY: ranks stay below the number of visible Gaussians; intersections below theirs.
@@ -226,6 +226,7 @@ pub(crate) fn launch_gather(
             lists.intersections as u32,
             shape,
             columns,
+            slopes,
             ordered,
         );
     }

@@ -117,7 +117,8 @@ pub(crate) fn rasterize_rays_backward_cpu<F: Real>(
     let sums = RowSums { rows: &rows, columns, channels, unscale: 1.0 };
     let RayLayers { projected, depth_slope, features, mean2d_abs, .. } = needs;
     let needed = Layers { projected, features, background: false, mean2d_abs };
-    let (grads, depth_slope) = gather(inputs.projected, view.channels, intersections, &sums, (needed, depth_slope));
+    let slopes = if depth_slope { DEPTH_SLOPE } else { 0 };
+    let (grads, depth_slope) = gather(inputs.projected, view.channels, intersections, &sums, (needed, slopes));
     let Layers { projected, features, mean2d_abs, .. } = grads;
     RayLayers {
         projected,

@@ -6,6 +6,7 @@ use super::RayLayers;
 use super::backward::{rasterize_rays_sums_kernel, rasterize_rays_walk_kernel, row_len};
 use super::forward::rasterize_rays_forward_kernel;
 use super::layer::{RayFrameLaunch, RayInputsLaunch};
+use crate::depth_slope::DEPTH_SLOPE;
 use crate::gpu::reduce::launch_sums;
 use crate::gpu::{Buffer, Gpu, cubes, elementwise};
 use crate::intersect::TILE_PIXELS;
@@ -140,8 +141,9 @@ pub(crate) fn launch_rasterize_rays_backward(
     }
     let RayLayers { projected, depth_slope, features, mean2d_abs, .. } = needs;
     let needs = Layers { projected, features, background: false, mean2d_abs };
+    let slopes = if depth_slope { DEPTH_SLOPE } else { 0 };
     let (grads, depth_slope) =
-        launch_gather(gpu, &inputs.projected, lists, (&rows, columns, true), shape, (needs, depth_slope));
+        launch_gather(gpu, &inputs.projected, lists, (&rows, columns, true), shape, (needs, slopes));
     let Layers { projected, features, mean2d_abs, .. } = grads;
     RayLayers { projected, depth_slope, features, background, mean2d_abs }
 }
