@@ -4,7 +4,7 @@
 use cubecl::prelude::*;
 
 use super::rule::{LARGEST, LARGEST_LOG_SCALE};
-use crate::gpu::math::finite;
+use crate::gpu::math::{finite, own_values_finite};
 
 /// Exponent below which `exp` is less than the smallest subnormal f32.
 const SMALLEST_EXPONENT: f32 = -110.0;
@@ -85,13 +85,7 @@ pub(super) fn opacity_slopes_kernel(logit_opacities: &[f32], opacities: &[f32], 
 /// Sets the flag if any of this unit's values, `stride` apart, is not finite. If all values are finite, no unit writes.
 #[cube(launch_unchecked)]
 pub(super) fn non_finite_kernel(values: &[f32], flag: &[Atomic<u32>], count: u32, stride: u32) {
-    let mut at = ABSOLUTE_POS;
-    let mut sound = true;
-    while at < count as usize {
-        sound = sound && finite(values[at]);
-        at += stride as usize;
-    }
-    if !sound {
+    if !own_values_finite(values, count, stride) {
         flag[0].fetch_or(1u32);
     }
 }

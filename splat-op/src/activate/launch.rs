@@ -2,28 +2,16 @@
 
 use super::forward::{non_finite_kernel, opacities_kernel, opacity_slopes_kernel, scales_kernel};
 use super::rule::Raw;
-use crate::gpu::{Buffer, Gpu, elementwise};
-
-/// Number of units that search for values that are not finite: enough to occupy a large GPU, few enough that each has several
-/// values.
-const SEEKERS: usize = 65_536;
+use crate::gpu::{Buffer, Gpu, elementwise, search};
 
 /// `[N, 3]` standard deviations.
 pub(crate) fn launch_scales(gpu: &Gpu, log_scales: &Buffer<f32>) -> Buffer<f32> {
-    let scales = Buffer::new(gpu, log_scales.len);
-    if log_scales.len > 0 {
-        let (grid, dim) = elementwise(log_scales.len);
+    let (count, scales) = (log_scales.len, Buffer::new(gpu, log_scales.len));
+    if count > 0 {
+        let (grid, dim) = elementwise(count);
+        let (from, to) = (log_scales.arg(), scales.arg());
         // SAFETY: every access is guarded by the length given.
-        unsafe {
-            scales_kernel::launch_unchecked(
-                &gpu.client,
-                grid,
-                dim,
-                log_scales.arg(),
-                scales.arg(),
-                log_scales.len as u32,
-            );
-        }
+        unsafe { scales_kernel::launch_unchecked(&gpu.client, grid, dim, from, to, count as u32) };
     }
     scales
 }
@@ -56,20 +44,13 @@ pub(crate) fn launch_opacities(gpu: &Gpu, inputs: &Raw<Buffer<f32>>) -> Buffer<f
 
 /// `[N]` derivatives of the opacities with respect to their logits.
 pub(crate) fn launch_opacity_slopes(gpu: &Gpu, logit_opacities: &Buffer<f32>, opacities: &Buffer<f32>) -> Buffer<f32> {
-    let slopes = Buffer::new(gpu, opacities.len);
-    if opacities.len > 0 {
-        let (grid, dim) = elementwise(opacities.len);
+    let (count, slopes) = (opacities.len, Buffer::new(gpu, opacities.len));
+    if count > 0 {
+        let (grid, dim) = elementwise(count);
+        let (logits, opacities, out) = (logit_opacities.arg(), opacities.arg(), slopes.arg());
         // SAFETY: every access is guarded by the length given.
         unsafe {
-            opacity_slopes_kernel::launch_unchecked(
-                &gpu.client,
-                grid,
-                dim,
-                logit_opacities.arg(),
-                opacities.arg(),
-                slopes.arg(),
-                opacities.len as u32,
-            );
+            opacity_slopes_kernel::launch_unchecked(&gpu.client, grid, dim, logits, opacities, out, count as u32);
         }
     }
     slopes
@@ -79,21 +60,11 @@ pub(crate) fn launch_opacity_slopes(gpu: &Gpu, logit_opacities: &Buffer<f32>, op
 pub(crate) fn launch_non_finite(gpu: &Gpu, values: &Buffer<f32>) -> Buffer<u32> {
     let flag = Buffer::zeros(gpu, 1);
     if values.len > 0 {
-        let seekers = values.len.min(SEEKERS);
-        let (grid, dim) = elementwise(seekers);
-        // The surplus units of the last cube count too; otherwise they would repeat the work of others.
-        let stride = seekers.next_multiple_of(dim.num_elems() as usize);
+        let (grid, dim, stride) = search(values.len);
+        let count = values.len as u32;
         // SAFETY: every access is guarded by the length given.
         unsafe {
-            non_finite_kernel::launch_unchecked(
-                &gpu.client,
-                grid,
-                dim,
-                values.arg(),
-                flag.arg(),
-                values.len as u32,
-                stride as u32,
-            );
+            non_finite_kernel::launch_unchecked(&gpu.client, grid, dim, values.arg(), flag.arg(), count, stride);
         }
     }
     flag

@@ -3,7 +3,7 @@
 use cubecl::prelude::*;
 
 use super::rule::Band;
-use crate::gpu::math::finite;
+use crate::gpu::math::own_values_finite;
 
 /// The scalars of one step.
 #[derive(CubeType, CubeLaunch, Clone, Copy)]
@@ -26,15 +26,15 @@ pub(super) fn adam_kernel(
     m: &mut [f32],
     v: &mut [f32],
     grad: &[f32],
-    verdict: &[u32],
+    verdict: ComptimeOption<Box<[u32]>>,
     factors: StepFactors,
     count: u32,
-    #[comptime] guarded: bool,
     #[comptime] band: Option<Band>,
 ) {
     let at = ABSOLUTE_POS;
     let mut runs = at < count as usize;
-    if comptime!(guarded) {
+    #[comptime]
+    if let ComptimeOption::Some(verdict) = &verdict {
         runs = runs && verdict[0] == 0;
     }
     if runs {
@@ -59,13 +59,7 @@ pub(super) fn adam_kernel(
 /// Units with finite values never write.
 #[cube(launch_unchecked)]
 pub(super) fn watch_kernel(values: &[f32], verdict: &[Atomic<u32>], count: u32, stride: u32, at_step: u32, mask: u32) {
-    let mut at = ABSOLUTE_POS;
-    let mut sound = true;
-    while at < count as usize {
-        sound = sound && finite(values[at]);
-        at += stride as usize;
-    }
-    if !sound {
+    if !own_values_finite(values, count, stride) {
         let entered = verdict[0].load();
         if entered == 0 || entered == at_step {
             // Every unit that gets here in this step writes the same values, and no unit of a later step gets here.

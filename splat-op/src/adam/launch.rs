@@ -2,11 +2,7 @@
 
 use super::forward::{StepFactorsLaunch, adam_kernel, watch_kernel};
 use super::rule::{Band, Factors};
-use crate::gpu::{Buffer, Gpu, elementwise};
-
-/// Number of units that check for values that are not finite: enough to occupy a large card, few enough that each has several
-/// values.
-const SEEKERS: usize = 65_536;
+use crate::gpu::{Buffer, Gpu, elementwise, search};
 
 /// A parameter and its moments on the device, all of one length.
 #[derive(Clone)]
@@ -29,8 +25,6 @@ pub(crate) fn launch_adam(
     if count == 0 {
         return;
     }
-    let guarded = verdict.is_some();
-    let unused = Buffer::new(gpu, 0);
     let (grid, dim) = elementwise(count);
     // SAFETY: every access is guarded by the length given, which all buffers share.
     unsafe {
@@ -42,7 +36,7 @@ pub(crate) fn launch_adam(
             state.m.arg(),
             state.v.arg(),
             grad.arg(),
-            verdict.unwrap_or(&unused).arg(),
+            verdict.map(Buffer::arg).into(),
             StepFactorsLaunch::new(
                 factors.beta1 as f32,
                 factors.beta2 as f32,
@@ -52,7 +46,6 @@ pub(crate) fn launch_adam(
                 factors.largest as f32,
             ),
             count as u32,
-            guarded,
             band,
         );
     }
@@ -63,22 +56,10 @@ pub(crate) fn launch_watch(gpu: &Gpu, values: &Buffer<f32>, verdict: &Buffer<u32
     if values.len == 0 {
         return;
     }
-    let seekers = values.len.min(SEEKERS);
-    let (grid, dim) = elementwise(seekers);
-    // The stride includes all units of the last cube; otherwise they would check values of other units.
-    let stride = seekers.next_multiple_of(dim.num_elems() as usize);
+    let (grid, dim, stride) = search(values.len);
+    let (count, mask, values, verdict) = (values.len as u32, 1 << bit, values.arg(), verdict.arg());
     // SAFETY: every access is guarded by the length given; a verdict has two numbers.
     unsafe {
-        watch_kernel::launch_unchecked(
-            &gpu.client,
-            grid,
-            dim,
-            values.arg(),
-            verdict.arg(),
-            values.len as u32,
-            stride as u32,
-            at_step,
-            1 << bit,
-        );
+        watch_kernel::launch_unchecked(&gpu.client, grid, dim, values, verdict, count, stride, at_step, mask);
     }
 }

@@ -16,7 +16,7 @@ use crate::intersect::{Cut, IntersectionCell};
 use crate::project::{Geometry, ProjectSpec};
 use crate::rasterize::{PartsCell, RasterizeSpec};
 use crate::rasterize_rays::RayLayers;
-use crate::rasterize_rays::launch::{launch_rasterize_rays, launch_rasterize_rays_backward};
+use crate::rasterize_rays::launch::{TABLE, launch_rasterize_rays, launch_rasterize_rays_backward};
 
 /// Returns the lists in the cell, computing them if it is empty.
 fn lists<'a>(
@@ -82,7 +82,7 @@ impl RasterizeRaysBackend for CubeBackend {
         let gpu = Gpu::new(&grad.client);
         let on_device = inputs.each_ref().map(on_device);
         let lists = lists(&gpu, &intersections, &on_device, &spec);
-        let found = launch_rasterize_rays_backward(&gpu, &on_device, &buffer(grad), lists, &spec, mask);
+        let found = launch_rasterize_rays_backward(&gpu, &on_device, &buffer(grad), (lists, TABLE), &spec, mask);
         found.zip(inputs.each_ref()).map(gradient)
     }
 }

@@ -96,7 +96,10 @@ impl<T: Pod> Buffer<T> {
     /// Returns a buffer of zero bits.
     pub fn zeros(gpu: &Gpu, len: usize) -> Self {
         let buffer = Self::new(gpu, len);
-        launch_clear(gpu, &Buffer::from_handle(buffer.handle.clone(), len * size_of::<T>() / 4));
+        let words = Buffer::<u32>::from_handle(buffer.handle.clone(), len * size_of::<T>() / 4);
+        let (grid, dim) = elementwise(words.len);
+        // SAFETY: every access is guarded by the length given.
+        unsafe { clear_kernel::launch_unchecked(&gpu.client, grid, dim, words.arg(), words.len as u32) };
         buffer
     }
 
@@ -113,12 +116,6 @@ fn clear_kernel(words: &mut [u32], len: u32) {
     if ABSOLUTE_POS < len as usize {
         words[ABSOLUTE_POS] = 0u32;
     }
-}
-
-fn launch_clear(gpu: &Gpu, words: &Buffer<u32>) {
-    let (grid, dim) = elementwise(words.len);
-    // SAFETY: every access is guarded by the length given.
-    unsafe { clear_kernel::launch_unchecked(&gpu.client, grid, dim, words.arg(), words.len as u32) };
 }
 
 #[cube(launch_unchecked)]

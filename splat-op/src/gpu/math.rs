@@ -253,6 +253,18 @@ pub(crate) fn finite(value: f32) -> bool {
     (u32::reinterpret(value) & 0x7f80_0000) != 0x7f80_0000
 }
 
+/// Whether this unit's values, `stride` apart, are all finite.
+#[cube]
+pub(crate) fn own_values_finite(values: &[f32], count: u32, stride: u32) -> bool {
+    let mut at = ABSOLUTE_POS;
+    let mut sound = true;
+    while at < count as usize {
+        sound = sound && finite(values[at]);
+        at += stride as usize;
+    }
+    sound
+}
+
 /// Clamps `value` between two limits.
 #[cube]
 pub(crate) fn within(value: f32, low: f32, high: f32) -> f32 {

@@ -12,8 +12,7 @@ use cubecl::features::{AtomicUsage, Plane};
 use cubecl::ir::{ElemType, FloatKind, Type};
 use cubecl::prelude::{CubeCount, CubeDim};
 
-pub(crate) use buffer::poison;
-pub(crate) use buffer::{Buffer, launch_scale};
+pub(crate) use buffer::{Buffer, launch_scale, poison};
 
 use crate::test_hooks::count_dispatch;
 
@@ -61,6 +60,15 @@ pub(crate) fn cubes(cubes: usize) -> CubeCount {
         true => CubeCount::Static(cubes as u32, 1, 1),
         false => CubeCount::Static(CUBES_X as u32, cubes.div_ceil(CUBES_X) as u32, 1),
     }
+}
+
+/// Returns the dispatch of a search through `values` values, and the distance between the values of a unit. The units
+/// are enough to occupy a large GPU, and few enough that each has several values.
+pub(crate) fn search(values: usize) -> (CubeCount, CubeDim, u32) {
+    let units = values.min(65_536);
+    let (grid, dim) = elementwise(units);
+    // The surplus units of the last cube count too; otherwise they would repeat the work of others.
+    (grid, dim, units.next_multiple_of(UNITS) as u32)
 }
 
 /// Returns a dispatch with at least one unit per element.

@@ -114,15 +114,29 @@ pub(crate) fn cube_sum(value: f32, shared: &mut Shared<[f32]>, #[comptime] plane
     total
 }
 
-/// Computes `sums[column] = Σ rows[row][column]`, a cube per column, in a fixed order.
+/// Computes `sums[column] = Σ values[row][column]`, or `Σ weights[row] values[column][row]` if there are weights; a cube
+/// per column, in a fixed order.
 #[cube(launch_unchecked)]
-fn column_sums_kernel(rows: &[f32], sums: &mut [f32], count: u32, columns: u32, #[comptime] planes: bool) {
+fn column_sums_kernel(
+    values: &[f32],
+    weights: ComptimeOption<Box<[f32]>>,
+    sums: &mut [f32],
+    rows: u32,
+    columns: u32,
+    #[comptime] planes: bool,
+) {
     let mut shared = Shared::<[f32]>::new_slice(comptime!(UNITS));
     if CUBE_POS < columns as usize {
         let mut own = 0.0f32;
         let mut row = UNIT_POS;
-        while row < count {
-            own += rows[row as usize * columns as usize + CUBE_POS];
+        while row < rows {
+            #[comptime]
+            match &weights {
+                ComptimeOption::Some(weights) => {
+                    own += values[CUBE_POS * rows as usize + row as usize] * weights[row as usize];
+                }
+                ComptimeOption::None => own += values[row as usize * columns as usize + CUBE_POS],
+            }
             row += comptime!(UNITS as u32);
         }
         let total = cube_sum(own, &mut shared, planes);
@@ -134,6 +148,16 @@ fn column_sums_kernel(rows: &[f32], sums: &mut [f32], count: u32, columns: u32, 
 
 /// Returns the sums of the columns of `rows`, `[count, columns]`.
 pub(crate) fn launch_column_sums(gpu: &Gpu, rows: &Buffer<f32>, columns: usize) -> Buffer<f32> {
+    launch_sums(gpu, rows, None, [rows.len / columns, columns])
+}
+
+/// Returns the sums of the columns of `values`, `[rows, columns]`, or their weighted sums if `values` is `[columns, rows]`.
+pub(crate) fn launch_sums(
+    gpu: &Gpu,
+    values: &Buffer<f32>,
+    weights: Option<&Buffer<f32>>,
+    [rows, columns]: [usize; 2],
+) -> Buffer<f32> {
     let sums = Buffer::new(gpu, columns);
     // SAFETY: every access is guarded by the lengths given.
     unsafe {
@@ -141,9 +165,10 @@ pub(crate) fn launch_column_sums(gpu: &Gpu, rows: &Buffer<f32>, columns: usize) 
             &gpu.client,
             cubes(columns),
             CubeDim::new_1d(UNITS as u32),
-            rows.arg(),
+            values.arg(),
+            weights.map(Buffer::arg).into(),
             sums.arg(),
-            (rows.len / columns) as u32,
+            rows as u32,
             columns as u32,
             gpu.planes,
         );

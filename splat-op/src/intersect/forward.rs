@@ -12,6 +12,8 @@ use cubecl::prelude::*;
 use super::TILE;
 use crate::dials::Culling;
 use crate::gpu::math::{Vec3, finite, within};
+use crate::project::COLUMNS;
+use crate::project::forward::PackedEllipse;
 
 /// Number of words of a stored [`TileCoverage`].
 pub(super) const COVER: usize = 4;
@@ -19,15 +21,28 @@ pub(super) const COVER: usize = 4;
 /// Number of cells along each side of a coverage.
 const CELLS: u32 = 8;
 
-/// Size of the picture in pixels and tiles, and `alpha_min`, for the kernels of `intersect` and `rasterize`.
-#[derive(CubeType, CubeLaunch, Clone, Copy)]
-#[expand(derive(Clone, Copy))]
-pub(crate) struct TileFrame {
-    pub width: u32,
-    pub height: u32,
-    pub tiles_x: u32,
-    pub tiles_y: u32,
-    pub alpha_min: f32,
+/// The lists of a view, for the kernels that read them; see `DeviceIntersections`.
+#[derive(CubeType, CubeLaunch)]
+pub(crate) struct TileLists {
+    tile_start: Box<[u32]>,
+    intersection_of_place: Box<[u32]>,
+    pub gaussian_of_intersection: Box<[u32]>,
+}
+
+#[cube]
+impl TileLists {
+    /// Returns the first place of a tile; of the tile after the last, the number of places.
+    pub fn start(&self, tile: u32) -> u32 {
+        self.tile_start[tile as usize]
+    }
+
+    pub fn intersection(&self, place: u32) -> u32 {
+        self.intersection_of_place[place as usize]
+    }
+
+    pub fn gaussian(&self, place: u32) -> u32 {
+        self.gaussian_of_intersection[self.intersection(place) as usize]
+    }
 }
 
 /// Tiles that list a Gaussian.
@@ -111,11 +126,7 @@ impl TileCoverage {
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 struct EllipseExtent {
-    x: f32,
-    y: f32,
-    sigma_u: f32,
-    shear: f32,
-    sigma_v: f32,
+    ellipse: PackedEllipse,
     /// The largest `u² + v²` that can show.
     limit: f32,
 }
@@ -126,34 +137,35 @@ impl EllipseExtent {
     /// each axis. The least `u² + v²` over the rectangle lies at the centre, or on a side that faces the centre, where
     /// it is the minimum of a parabola.
     fn meets(&self, first_x: u32, end_x: u32, first_y: u32, end_y: u32) -> bool {
-        let left = f32::cast_from(first_x) + 0.5 - self.x;
-        let right = f32::cast_from(end_x) - 0.5 - self.x;
-        let top = f32::cast_from(first_y) + 0.5 - self.y;
-        let bottom = f32::cast_from(end_y) - 0.5 - self.y;
+        let e = self.ellipse;
+        let left = f32::cast_from(first_x) + 0.5 - e.x;
+        let right = f32::cast_from(end_x) - 0.5 - e.x;
+        let top = f32::cast_from(first_y) + 0.5 - e.y;
+        let bottom = f32::cast_from(end_y) - 0.5 - e.y;
         let near_x = within(0.0, left, right);
         let near_y = within(0.0, top, bottom);
         let mut reached = true;
         if near_x != 0.0 || near_y != 0.0 {
             let mut least = f32::max_value();
             if near_x != 0.0 {
-                least = min(least, self.whitened(near_x, within(self.shear * near_x, top, bottom)));
+                least = min(least, self.whitened(near_x, within(e.shear * near_x, top, bottom)));
             }
             if near_y != 0.0 {
-                let across = self.shear * self.sigma_u;
-                let slope = across * self.sigma_u / (across * across + self.sigma_v * self.sigma_v);
+                let across = e.shear * e.sigma_u;
+                let slope = across * e.sigma_u / (across * across + e.sigma_v * e.sigma_v);
                 least = min(least, self.whitened(within(slope * near_y, left, right), near_y));
             }
             // `dy − shear dx` loses digits when both terms are large; `rasterize` may then see a smaller value than this.
-            let farthest = max(left.abs(), right.abs()) * self.shear.abs() + max(top.abs(), bottom.abs());
-            let extent = self.limit.sqrt() + 1e-6 * farthest / self.sigma_v;
+            let farthest = max(left.abs(), right.abs()) * e.shear.abs() + max(top.abs(), bottom.abs());
+            let extent = self.limit.sqrt() + 1e-6 * farthest / e.sigma_v;
             reached = !(least > extent * extent);
         }
         reached
     }
 
     fn whitened(&self, dx: f32, dy: f32) -> f32 {
-        let u = dx / self.sigma_u;
-        let v = (dy - self.shear * dx) / self.sigma_v;
+        let u = dx / self.ellipse.sigma_u;
+        let v = (dy - self.ellipse.shear * dx) / self.ellipse.sigma_v;
         u * u + v * v
     }
 
@@ -162,7 +174,8 @@ impl EllipseExtent {
     /// and the difference `√((sigma_u − sigma_v)² + across²)`.
     fn long_axis(&self) -> f32 {
         // Halves, so that nothing overflows before the end.
-        let (u, v, across) = (0.5 * self.sigma_u, 0.5 * self.sigma_v, 0.5 * self.shear * self.sigma_u);
+        let e = self.ellipse;
+        let (u, v, across) = (0.5 * e.sigma_u, 0.5 * e.sigma_v, 0.5 * e.shear * e.sigma_u);
         Vec3::new(u + v, across, 0.0).length() + Vec3::new(u - v, across, 0.0).length()
     }
 }
@@ -194,55 +207,49 @@ pub(super) fn cover_kernel(
     covers: &mut [u32],
     keys: &mut [u32],
     indices: &mut [u32],
-    frame: TileFrame,
+    width: u32,
+    height: u32,
+    alpha_min: f32,
     count: u32,
     #[comptime] culling: Culling,
 ) {
     let gaussian = ABSOLUTE_POS;
     if gaussian < count as usize {
         let square = comptime!(culling == Culling::BoundingBox);
-        let at = gaussian * comptime!(crate::project::COLUMNS);
-        let (depth, opacity) = (projected[at + 5], projected[at + 6]);
+        let at = gaussian * comptime!(COLUMNS);
+        let e = PackedEllipse::load(projected, gaussian);
         let mut cover = TileCoverage { x: 0, y: 0, width: 0, height: 0, low: 0, high: 0 };
-        let mut usable = depth > 0.0 && opacity > 0.0 && opacity >= frame.alpha_min;
+        let mut usable = e.depth > 0.0 && e.opacity > 0.0 && e.opacity >= alpha_min;
         #[unroll]
-        for column in 0..comptime!(crate::project::COLUMNS) {
+        for column in 0..comptime!(COLUMNS) {
             usable = usable && finite(projected[at + column]);
         }
         let mut key = 0xffff_ffffu32;
         if usable {
             let mut limit = f32::max_value();
-            if frame.alpha_min > 0.0 {
+            if alpha_min > 0.0 {
                 // The square encloses an opaque Gaussian; an opacity may exceed one.
-                let shown = if comptime!(square) { max(opacity, 1.0) } else { opacity };
+                let shown = if comptime!(square) { max(e.opacity, 1.0) } else { e.opacity };
                 // A relative margin for the logarithm, an absolute one for the exponential.
-                limit = 2.0 * (shown / frame.alpha_min).ln() * 1.00001 + 1e-4;
+                limit = 2.0 * (shown / alpha_min).ln() * 1.00001 + 1e-4;
             }
-            let extent = EllipseExtent {
-                x: projected[at],
-                y: projected[at + 1],
-                sigma_u: projected[at + 2],
-                shear: projected[at + 3],
-                sigma_v: projected[at + 4],
-                limit,
-            };
-            let across = extent.shear * extent.sigma_u;
+            let extent = EllipseExtent { ellipse: e, limit };
             let radius = limit.sqrt();
-            let vertical = Vec3::new(extent.sigma_v, across, 0.0).length();
-            let horizontal = if comptime!(square) { extent.long_axis() } else { extent.sigma_u };
+            let vertical = Vec3::new(e.sigma_v, e.shear * e.sigma_u, 0.0).length();
+            let horizontal = if comptime!(square) { extent.long_axis() } else { e.sigma_u };
             let vertical = if comptime!(square) { horizontal } else { vertical };
-            let (x, end_x) = tile_range(extent.x, radius * horizontal, frame.width, culling);
-            let (y, end_y) = tile_range(extent.y, radius * vertical, frame.height, culling);
+            let (x, end_x) = tile_range(e.x, radius * horizontal, width, culling);
+            let (y, end_y) = tile_range(e.y, radius * vertical, height, culling);
             if end_x > x && end_y > y {
                 cover.x = x;
                 cover.y = y;
                 cover.width = end_x - x;
                 cover.height = end_y - y;
-                let (low, high) = covered_cells(&cover, &extent, &frame, culling);
+                let (low, high) = covered_cells(&cover, &extent, width, height, culling);
                 cover.low = low;
                 cover.high = high;
                 if (low | high) != 0 {
-                    key = u32::reinterpret(depth);
+                    key = u32::reinterpret(e.depth);
                 } else {
                     cover.width = 0;
                 }
@@ -259,7 +266,8 @@ pub(super) fn cover_kernel(
 fn covered_cells(
     cover: &TileCoverage,
     extent: &EllipseExtent,
-    frame: &TileFrame,
+    width: u32,
+    height: u32,
     #[comptime] culling: Culling,
 ) -> (u32, u32) {
     let mut low = 0u32;
@@ -274,7 +282,7 @@ fn covered_cells(
             let end_x = (cover.x + min(x + cell_width, cover.width)) * comptime!(TILE as u32);
             let end_y = (cover.y + min(y + cell_height, cover.height)) * comptime!(TILE as u32);
             let met = if comptime!(culling == Culling::Ellipse) {
-                extent.meets(first_x, min(end_x, frame.width), first_y, min(end_y, frame.height))
+                extent.meets(first_x, min(end_x, width), first_y, min(end_y, height))
             } else {
                 true.runtime()
             };

@@ -1,6 +1,6 @@
 //! Launches of `intersect`, and the lists that they leave on the device.
 
-use super::forward::{COVER, TileFrameLaunch, count_kernel, cover_kernel, emit_kernel, ranges_kernel};
+use super::forward::{COVER, TileListsLaunch, count_kernel, cover_kernel, emit_kernel, ranges_kernel};
 use super::scan::launch_scan;
 use super::sort::{Pairs, launch_sort};
 use super::{Cut, tile_grid};
@@ -34,10 +34,12 @@ pub(crate) struct DeviceIntersections {
 const FEWER_INTERSECTIONS: &str =
     "raise `alpha_min`, render a smaller picture, or use fewer Gaussians that cover most of it (smaller `scales`)";
 
-/// Returns the kernels' argument for the picture of `camera`.
-pub(crate) fn frame(camera: &Intrinsics, alpha_min: f64) -> TileFrameLaunch {
-    let [tiles_x, tiles_y] = tile_grid(camera.width, camera.height);
-    TileFrameLaunch::new(camera.width as u32, camera.height as u32, tiles_x as u32, tiles_y as u32, alpha_min as f32)
+impl DeviceIntersections {
+    /// Returns the lists by tile as a kernel argument.
+    pub fn arg(&self) -> TileListsLaunch {
+        let places = self.intersection_of_place.arg();
+        TileListsLaunch::new(self.tile_start.arg(), places, self.gaussian_of_intersection.arg())
+    }
 }
 
 /// Lists the intersections of `projected`, `[count, 7]`, and counts them by tile. Waits for the device once, to learn
@@ -64,7 +66,9 @@ pub(crate) fn launch_intersect(
             covers.arg(),
             pairs.keys.arg(),
             pairs.values.arg(),
-            frame(camera, cut.alpha_min),
+            camera.width as u32,
+            camera.height as u32,
+            cut.alpha_min as f32,
             count as u32,
             cut.culling,
         );

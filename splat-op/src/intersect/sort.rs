@@ -123,7 +123,8 @@ pub(crate) struct Pairs {
     pub values: Buffer<u32>,
 }
 
-/// Sorts by the lowest `bits` bits of the keys; equal keys keep their order. The given buffers are used as scratch.
+/// Sorts by the lowest `bits` bits of the keys, [`BITS`] bits at a time; equal keys keep their order. The given buffers
+/// are used as scratch.
 pub(crate) fn launch_sort(gpu: &Gpu, pairs: Pairs, bits: u32) -> Pairs {
     let len = pairs.keys.len;
     if len <= 1 || bits == 0 {
@@ -131,46 +132,31 @@ pub(crate) fn launch_sort(gpu: &Gpu, pairs: Pairs, bits: u32) -> Pairs {
     }
     let mut from = pairs;
     let mut to = Pairs { keys: Buffer::with_headroom(gpu, len), values: Buffer::with_headroom(gpu, len) };
+    let (client, blocks, dim) = (&gpu.client, len.div_ceil(BLOCK), CubeDim::new_1d(UNITS as u32));
+    let (keys, count) = (len as u32, blocks as u32);
     for shift in (0..bits).step_by(BITS as usize) {
-        launch_pass(gpu, &from, &to, shift);
+        let starts = Buffer::new(gpu, DIGITS * blocks);
+        let (from_keys, digits) = (from.keys.arg(), starts.arg());
+        // SAFETY: every access is guarded by the lengths given; ranks stay below `len` because they are a permutation.
+        unsafe {
+            histogram_kernel::launch_unchecked(client, cubes(blocks), dim, from_keys, digits, keys, count, shift);
+            launch_scan(gpu, &starts);
+            scatter_kernel::launch_unchecked(
+                client,
+                cubes(blocks),
+                dim,
+                from.keys.arg(),
+                from.values.arg(),
+                starts.arg(),
+                to.keys.arg(),
+                to.values.arg(),
+                keys,
+                count,
+                shift,
+                gpu.planes,
+            );
+        }
         std::mem::swap(&mut from, &mut to);
     }
     from
-}
-
-/// One pass: sorts `from` by [`BITS`] bits from `shift` on into `to`.
-fn launch_pass(gpu: &Gpu, from: &Pairs, to: &Pairs, shift: u32) {
-    let len = from.keys.len;
-    let blocks = len.div_ceil(BLOCK);
-    let dim = CubeDim::new_1d(UNITS as u32);
-    let counts = Buffer::new(gpu, DIGITS * blocks);
-    // SAFETY: every access is guarded by the lengths given; ranks stay below `len` because they are a permutation.
-    unsafe {
-        let (keys, starts) = (from.keys.arg(), counts.arg());
-        histogram_kernel::launch_unchecked(
-            &gpu.client,
-            cubes(blocks),
-            dim,
-            keys,
-            starts,
-            len as u32,
-            blocks as u32,
-            shift,
-        );
-        launch_scan(gpu, &counts);
-        scatter_kernel::launch_unchecked(
-            &gpu.client,
-            cubes(blocks),
-            dim,
-            from.keys.arg(),
-            from.values.arg(),
-            counts.arg(),
-            to.keys.arg(),
-            to.values.arg(),
-            len as u32,
-            blocks as u32,
-            shift,
-            gpu.planes,
-        );
-    }
 }

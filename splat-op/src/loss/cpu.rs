@@ -46,23 +46,29 @@ pub(crate) fn photometric_cpu<F: Real>(
         return (F::ZERO, with_gradient.then(Vec::new));
     }
     let planes = inputs.image.len() / size.pixels();
-    let bands: Vec<RowBand> = (0..planes)
+    let bands = (0..planes)
         .flat_map(|plane| (0..size.height).step_by(BAND).map(move |first| (plane, first)))
-        .map(|(plane, first)| RowBand { plane, rows: first..size.height.min(first + BAND) })
-        .collect();
+        .map(|(plane, first)| RowBand { plane, rows: first..size.height.min(first + BAND) });
     let job = LossTask { inputs, size, lambda: F::of(lambda), share: F::of(1.0 / inputs.image.len() as f64) };
     let mut gradient = vec![F::ZERO; if with_gradient { inputs.image.len() } else { 0 }];
-    let sums: Vec<f64> = split(&bands, &mut gradient, size.width, with_gradient)
+    let mut rest = gradient.as_mut_slice();
+    let part = |band: RowBand| {
+        let len = if with_gradient { band.rows.len() * size.width } else { 0 };
+        (band, rest.split_off_mut(..len).expect("as many rows as the bands have"))
+    };
+    let parts: Vec<(RowBand, &mut [F])> = bands.map(part).collect();
+    let sums: Vec<f64> = parts
         .into_par_iter()
         .map_init(Vec::new, |maps, (band, gradient)| {
             dispatch!(Level::new(), simd => {
                 if !with_gradient {
-                    return job.index(simd, band, &band.rows, &mut []);
+                    return job.index(simd, &band, &band.rows, &mut []);
                 }
-                let reached = band.reached(HALF, size.height);
+                // The rows that the window reaches.
+                let reached = band.rows.start.saturating_sub(HALF)..size.height.min(band.rows.end + HALF);
                 maps.resize(3 * size.width * reached.len(), F::ZERO);
-                let sum = job.index(simd, band, &reached, maps);
-                job.gradient(simd, band, (maps, reached.start), gradient);
+                let sum = job.index(simd, &band, &reached, maps);
+                job.gradient(simd, &band, (maps, reached.start), gradient);
                 sum
             })
         })
@@ -93,27 +99,6 @@ pub(crate) fn window_cpu<F: Real>(planes: &[F], size: PlaneSize) -> Vec<F> {
 struct RowBand {
     plane: usize,
     rows: Range<usize>,
-}
-
-impl RowBand {
-    /// Returns the band's rows and up to `more` rows above and below, within a plane of `height` rows.
-    fn reached(&self, more: usize, height: usize) -> Range<usize> {
-        self.rows.start.saturating_sub(more)..height.min(self.rows.end + more)
-    }
-}
-
-/// Pairs each band with its part of `out`, `columns` values per row; the part is empty unless `wanted`.
-fn split<'a, F>(
-    bands: &'a [RowBand],
-    mut out: &'a mut [F],
-    columns: usize,
-    wanted: bool,
-) -> Vec<(&'a RowBand, &'a mut [F])> {
-    let part = |band: &'a RowBand| {
-        let len = if wanted { band.rows.len() * columns } else { 0 };
-        (band, out.split_off_mut(..len).expect("as many rows as the bands have"))
-    };
-    bands.iter().map(part).collect()
 }
 
 /// Arguments that all tasks share.

@@ -3,21 +3,14 @@
 
 use cubecl::prelude::*;
 
-use super::taps::{C1, C2, TAPS};
+use super::taps::{C1, C2, TAPS, half_window};
 
 /// Number of taps on one side of the middle.
 pub(super) const HALF: usize = TAPS / 2;
 
-/// Half of the window's taps, from the middle outwards.
-#[derive(CubeType, CubeLaunch, Clone, Copy)]
-#[expand(derive(Clone, Copy))]
-pub(super) struct HalfWindow {
-    pub t0: f32,
-    pub t1: f32,
-    pub t2: f32,
-    pub t3: f32,
-    pub t4: f32,
-    pub t5: f32,
+/// Returns the number of values of a unit. Neighbouring units read a row together, so each takes one value of it.
+pub(super) const fn strip_of(vertical: bool) -> usize {
+    if vertical { 8 } else { 1 }
 }
 
 /// Width and height of the planes, and their number.
@@ -57,7 +50,8 @@ struct UnitStrip {
 
 /// Returns the strip of this unit: down a column if `vertical`, else along a row.
 #[cube]
-fn own_strip(planes: Planes, #[comptime] vertical: bool, #[comptime] strip: usize) -> UnitStrip {
+fn own_strip(planes: Planes, #[comptime] vertical: bool) -> UnitStrip {
+    let strip = comptime!(strip_of(vertical));
     let unit = ABSOLUTE_POS as u32;
     let mut len = planes.width;
     if comptime!(vertical) {
@@ -105,37 +99,29 @@ impl UnitStrip {
     }
 }
 
+/// Returns the window applied at value `i` of a strip.
 #[cube]
-impl HalfWindow {
-    /// Returns the window applied at value `i` of a strip.
-    pub fn on(&self, values: &Array<f32>, #[comptime] i: usize) -> f32 {
-        let m = comptime!(i + HALF);
-        self.t0 * values[m]
-            + self.t1 * (values[comptime!(m - 1)] + values[comptime!(m + 1)])
-            + self.t2 * (values[comptime!(m - 2)] + values[comptime!(m + 2)])
-            + self.t3 * (values[comptime!(m - 3)] + values[comptime!(m + 3)])
-            + self.t4 * (values[comptime!(m - 4)] + values[comptime!(m + 4)])
-            + self.t5 * (values[comptime!(m - 5)] + values[comptime!(m + 5)])
+fn windowed(values: &Array<f32>, #[comptime] i: usize) -> f32 {
+    let taps = comptime!(half_window().map(|tap| tap as f32));
+    let middle = comptime!(i + HALF);
+    let mut sum = values[middle] * comptime!(taps[0]);
+    #[unroll]
+    for d in 1..comptime!(HALF + 1) {
+        sum += comptime!(taps[d]) * (values[comptime!(middle - d)] + values[comptime!(middle + d)]);
     }
+    sum
 }
 
 /// Applies the window along one axis.
 #[cube(launch_unchecked)]
-pub(super) fn window_kernel(
-    from: &[f32],
-    to: &mut [f32],
-    window: HalfWindow,
-    planes: Planes,
-    #[comptime] vertical: bool,
-    #[comptime] strip: usize,
-) {
-    let own = own_strip(planes, vertical, strip);
+pub(super) fn window_kernel(from: &[f32], to: &mut [f32], planes: Planes, #[comptime] vertical: bool) {
+    let (own, strip) = (own_strip(planes, vertical), comptime!(strip_of(vertical)));
     if own.exists {
         let values = own.load(from, 0usize, strip);
         #[unroll]
         for i in 0..strip {
             if own.holds(i) {
-                to[own.at(i)] = window.on(&values, i);
+                to[own.at(i)] = windowed(&values, i);
             }
         }
     }
@@ -143,15 +129,8 @@ pub(super) fn window_kernel(
 
 /// Applies the window down the columns of `x`, `x²` and `x y`. Writes `moments`, `[3, C, H, W]`.
 #[cube(launch_unchecked)]
-pub(super) fn moments_kernel(
-    image: &[f32],
-    truth: &[f32],
-    moments: &mut [f32],
-    window: HalfWindow,
-    planes: Planes,
-    #[comptime] strip: usize,
-) {
-    let own = own_strip(planes, true, strip);
+pub(super) fn moments_kernel(image: &[f32], truth: &[f32], moments: &mut [f32], planes: Planes) {
+    let (own, strip) = (own_strip(planes, true), comptime!(strip_of(true)));
     if own.exists {
         let map = (planes.width * planes.height * planes.count) as usize;
         let x = own.load(image, 0usize, strip);
@@ -167,9 +146,9 @@ pub(super) fn moments_kernel(
         for i in 0..strip {
             if own.holds(i) {
                 let at = own.at(i);
-                moments[at] = window.on(&x, i);
-                moments[map + at] = window.on(&xx, i);
-                moments[2 * map + at] = window.on(&xy, i);
+                moments[at] = windowed(&x, i);
+                moments[map + at] = windowed(&xx, i);
+                moments[2 * map + at] = windowed(&xy, i);
             }
         }
     }
@@ -205,8 +184,8 @@ impl Similarity {
     }
 }
 
-/// Applies the window along the rows of the three moments. Writes each value's share of the loss and, if
-/// `with_gradient` is set, the derivatives of `2 S/N` with respect to `μx`, `Kx²` (twice) and `Kxy`, `[3, C, H, W]`.
+/// Applies the window along the rows of the three moments. Writes each value's share of the loss and, if they are
+/// asked for, the derivatives of `2 S/N` with respect to `μx`, `Kx²` (twice) and `Kxy`, `[3, C, H, W]`.
 #[cube(launch_unchecked)]
 pub(super) fn index_kernel(
     image: &[f32],
@@ -215,14 +194,11 @@ pub(super) fn index_kernel(
     variance_y: &[f32],
     moments: &[f32],
     shares: &mut [f32],
-    derivatives: &mut [f32],
-    window: HalfWindow,
+    mut derivatives: ComptimeOption<Box<[f32]>>,
     planes: Planes,
     weights: TermWeights,
-    #[comptime] with_gradient: bool,
-    #[comptime] strip: usize,
 ) {
-    let own = own_strip(planes, false, strip);
+    let (own, strip) = (own_strip(planes, false), comptime!(strip_of(false)));
     if own.exists {
         let map = (planes.width * planes.height * planes.count) as usize;
         let m = own.load(moments, 0usize, strip);
@@ -232,14 +208,15 @@ pub(super) fn index_kernel(
         for i in 0..strip {
             if own.holds(i) {
                 let at = own.at(i);
-                let (mean_x, xx, xy) = (window.on(&m, i), window.on(&mm, i), window.on(&mt, i));
+                let (mean_x, xx, xy) = (windowed(&m, i), windowed(&mm, i), windowed(&mt, i));
                 let found = Similarity::of(mean_x, xx, xy, mean_y[at], variance_y[at], weights.share);
                 let apart = (image[at] - truth[at]).abs();
                 shares[at] = weights.absolute * apart + weights.lambda * (weights.share - 0.5 * found.index);
-                if comptime!(with_gradient) {
-                    derivatives[at] = found.d_mean;
-                    derivatives[map + at] = found.twice_d_xx;
-                    derivatives[2 * map + at] = found.d_xy;
+                #[comptime]
+                if let ComptimeOption::Some(out) = &mut derivatives {
+                    out[at] = found.d_mean;
+                    out[map + at] = found.twice_d_xx;
+                    out[2 * map + at] = found.d_xy;
                 }
             }
         }
@@ -254,12 +231,10 @@ pub(super) fn gradient_kernel(
     truth: &[f32],
     derivatives: &[f32],
     gradient: &mut [f32],
-    window: HalfWindow,
     planes: Planes,
     weights: TermWeights,
-    #[comptime] strip: usize,
 ) {
-    let own = own_strip(planes, false, strip);
+    let (own, strip) = (own_strip(planes, false), comptime!(strip_of(false)));
     if own.exists {
         let map = (planes.width * planes.height * planes.count) as usize;
         let d_mean = own.load(derivatives, 0usize, strip);
@@ -270,7 +245,7 @@ pub(super) fn gradient_kernel(
             if own.holds(i) {
                 let at = own.at(i);
                 let (x, y) = (image[at], truth[at]);
-                let similar = window.on(&d_mean, i) + window.on(&d_xx, i) * x + window.on(&d_xy, i) * y;
+                let similar = windowed(&d_mean, i) + windowed(&d_xx, i) * x + windowed(&d_xy, i) * y;
                 // The subgradient of the absolute value is zero where the two are equal.
                 let side = select(x > y, weights.absolute, select(x < y, -weights.absolute, 0.0));
                 gradient[at] = side - weights.lambda * similar;

@@ -37,7 +37,6 @@ use crate::limits::is_gpu;
 ///
 /// `photograph` is the photograph, its mean `μy` and its variance `σy² + C2`, all of the shape of the picture; `lambda`
 /// weighs the dissimilarity.
-///
 pub fn photometric<const D: usize>(
     image: &Tensor<D>,
     photograph: [&Tensor<D>; 3],
@@ -56,7 +55,6 @@ pub fn photometric<const D: usize>(
 }
 
 /// Returns `Kx` of planes `[.., H, W]` f32, or f64 on CPUs, without autodiff.
-///
 pub fn window<const D: usize>(planes: &Tensor<D>) -> Tensor<D> {
     check(planes);
     Tensor::from_dispatch(<Dispatch as PhotometricBackend>::window(planes.clone().into_dispatch()))
@@ -72,7 +70,6 @@ fn check<const D: usize>(tensor: &Tensor<D>) {
 }
 
 /// Returns the planes contiguous in memory. Planes that every step reads need not be rearranged at every step.
-///
 pub fn contiguous<const D: usize>(planes: &Tensor<D>) -> Tensor<D> {
     check(planes);
     Tensor::from_dispatch(<Dispatch as PhotometricBackend>::contiguous(planes.clone().into_dispatch()))

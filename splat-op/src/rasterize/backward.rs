@@ -14,18 +14,20 @@
 
 use cubecl::prelude::*;
 
-use super::layer::{BUCKET, KernelShape, LayerEllipse, Limits, colour, first_bucket, layer};
+use super::layer::{
+    BUCKET, KernelShape, LayerEllipse, RasterFrame, TilePixel, colour, first_bucket, layer, tile_origin,
+};
 use crate::gpu::reduce::cube_sum;
-use crate::intersect::forward::TileFrame;
-use crate::intersect::{TILE, TILE_PIXELS};
+use crate::intersect::TILE_PIXELS;
+use crate::intersect::forward::TileLists;
 use crate::project::COLUMNS;
 
 /// Number of moments: the sums of `h, h u, h v, h u², h u v, h v²` with `h = α ∂L/∂α` where alpha is not at its limit.
 /// In a row the channels follow, then the two sums of absolute values if they are wanted.
-pub(super) const MOMENTS: usize = 6;
+pub(crate) const MOMENTS: usize = 6;
 
 /// Number of values in a row.
-pub(super) const fn row_len(shape: KernelShape, absolute: bool) -> usize {
+pub(crate) const fn row_len(shape: KernelShape, absolute: bool) -> usize {
     MOMENTS + shape.channels() + if absolute { 2 } else { 0 }
 }
 
@@ -46,18 +48,14 @@ pub(super) fn rasterize_suffix_kernel(
     features: &[f32],
     background: &[f32],
     grad: &[f32],
-    tile_start: &[u32],
-    intersection_of_place: &[u32],
-    gaussian_of_intersection: &[u32],
+    lists: TileLists,
     kept: &[f32],
     final_transmittance: &[f32],
     bucket_count: &[u32],
     suffix_rho: &mut [f32],
-    grad_background: &mut [f32],
-    frame: TileFrame,
-    limits: Limits,
+    mut grad_background: ComptimeOption<Box<[f32]>>,
+    frame: RasterFrame,
     #[comptime] shape: KernelShape,
-    #[comptime] with_background: bool,
     #[comptime] planes: bool,
 ) {
     let channels = comptime!(shape.channels());
@@ -67,16 +65,10 @@ pub(super) fn rasterize_suffix_kernel(
     let unit = UNIT_POS;
     let mut shared = Shared::<[f32]>::new_slice(comptime!(TILE_PIXELS));
     if tile < frame.tiles_x * frame.tiles_y {
-        let column = tile % frame.tiles_x * comptime!(TILE as u32) + unit % comptime!(TILE as u32);
-        let row = tile / frame.tiles_x * comptime!(TILE as u32) + unit / comptime!(TILE as u32);
-        let x = f32::cast_from(column) + 0.5;
-        let own_row = unit / comptime!(TILE as u32);
-        let top = f32::cast_from(row - own_row) + 0.5;
-        let inside = column < frame.width && row < frame.height;
+        let pixel = TilePixel::of(tile_origin(tile, &frame), unit, &frame);
         let plane = (frame.width * frame.height) as usize;
-        let pixel = (row * frame.width + column) as usize;
-        let first = tile_start[tile as usize];
-        let places = tile_start[tile as usize + 1] - first;
+        let first = lists.start(tile);
+        let places = lists.start(tile + 1) - first;
         let bucket_index = first_bucket(first, tile);
 
         let mut own = Array::<f32>::new(channels);
@@ -85,23 +77,24 @@ pub(super) fn rasterize_suffix_kernel(
         #[unroll(few)]
         for channel in 0..channels {
             own[channel] = 0.0f32;
-            if inside {
-                own[channel] = grad[plane_of(channel, shape) * plane + pixel];
+            if pixel.inside {
+                own[channel] = grad[plane_of(channel, shape) * plane + pixel.index];
             }
         }
-        if comptime!(shape.grad_alpha) && inside {
-            grad_alpha = grad[comptime!(shape.features) * plane + pixel];
+        if comptime!(shape.grad_alpha) && pixel.inside {
+            grad_alpha = grad[comptime!(shape.features) * plane + pixel.index];
         }
         #[unroll(few)]
         for channel in 0..comptime!(shape.features) {
             rho += own[channel] * background[channel];
         }
-        if comptime!(with_background) {
+        #[comptime]
+        if let ComptimeOption::Some(out) = &mut grad_background {
             let last = final_transmittance[tile as usize * comptime!(TILE_PIXELS) + unit as usize];
             for channel in 0..comptime!(shape.features) {
                 let sum = cube_sum(own[channel] * last, &mut shared, planes);
                 if unit == 0 {
-                    grad_background[tile as usize * comptime!(shape.features) + channel] = sum;
+                    out[tile as usize * comptime!(shape.features) + channel] = sum;
                 }
             }
         }
@@ -128,12 +121,11 @@ pub(super) fn rasterize_suffix_kernel(
                     let mut place = bucket * comptime!(BUCKET as u32);
                     let mut open = true;
                     while place < end && open {
-                        let gaussian =
-                            gaussian_of_intersection[intersection_of_place[(first + place) as usize] as usize] as usize;
+                        let gaussian = lists.gaussian(first + place) as usize;
                         let footprint = LayerEllipse::of(projected, gaussian);
-                        let (u, v) = footprint.whiten(x, top, f32::cast_from(own_row));
-                        let alpha = footprint.alpha(u, v, frame.alpha_min, limits.alpha_max, shape);
-                        let (alpha, next, stops) = layer(alpha, relative, stopped, kept[at], limits.transmittance_min);
+                        let (u, v) = footprint.whiten(pixel.x, pixel.top, pixel.row);
+                        let alpha = footprint.alpha(u, v, &frame, shape);
+                        let (alpha, next, stops) = layer(alpha, relative, stopped, kept[at], frame.transmittance_min);
                         if alpha > 0.0 {
                             let mut along = grad_alpha;
                             for channel in 0..channels {
@@ -153,14 +145,17 @@ pub(super) fn rasterize_suffix_kernel(
     }
 }
 
-/// Returns the tile whose buckets hold `bucket_index`: the last one that begins at or before it.
+/// Returns the last of the tiles `first..end` that begins at or before `index`: the tile whose list holds a place, or,
+/// if `buckets` is set, whose buckets hold a slot.
 #[cube]
-pub(super) fn tile_of_bucket(tile_start: &[u32], tiles: u32, bucket_index: u32) -> u32 {
-    let mut low = 0u32;
-    let mut high = tiles;
+pub(crate) fn tile_of(lists: &TileLists, first: u32, end: u32, index: u32, #[comptime] buckets: bool) -> u32 {
+    let mut low = first;
+    let mut high = end;
     while high - low > 1 {
         let middle = low + (high - low) / 2;
-        if first_bucket(tile_start[middle as usize], middle) <= bucket_index {
+        let start = lists.start(middle);
+        let start = if comptime!(buckets) { first_bucket(start, middle) } else { start };
+        if start <= index {
             low = middle;
         } else {
             high = middle;
@@ -173,25 +168,26 @@ pub(super) fn tile_of_bucket(tile_start: &[u32], tiles: u32, bucket_index: u32) 
 /// `∂e/∂shear = u v sigma_u/sigma_v`, `∂e/∂mean = (u/sigma_u − v shear/sigma_v, v/sigma_v)`; and
 /// `∂α/∂opacity = α/opacity`.
 ///
-/// Gradients of Gaussians without intersections are not written: the buffers must hold zeros.
+/// A row has the moments, the channels, with rays the gradient of the depth slope, and in the last two columns the
+/// sums of absolute values, if they are wanted. Gradients of Gaussians without intersections are not written: the
+/// buffers must hold zeros.
 #[cube(launch_unchecked)]
 pub(super) fn rasterize_gather_kernel(
     projected: &[f32],
     order: &[u32],
     first_intersection: &[u32],
     rows: &[f32],
-    grad_projected: &mut [f32],
-    grad_features: &mut [f32],
-    grad_absolute: &mut [f32],
+    mut grad_projected: ComptimeOption<Box<[f32]>>,
+    mut grad_features: ComptimeOption<Box<[f32]>>,
+    mut grad_absolute: ComptimeOption<Box<[f32]>>,
+    mut grad_depth_slopes: ComptimeOption<Box<[f32]>>,
     visible: u32,
     intersections: u32,
     #[comptime] shape: KernelShape,
-    #[comptime] absolute: bool,
+    #[comptime] columns: usize,
+    #[comptime] slopes: usize,
     #[comptime] per_intersection: bool,
-    #[comptime] wanted: (bool, bool),
 ) {
-    let channels = comptime!(shape.channels());
-    let columns = comptime!(row_len(shape, absolute));
     let few = comptime!(shape.few());
     let rank = ABSOLUTE_POS;
     if rank < visible as usize {
@@ -220,30 +216,40 @@ pub(super) fn rasterize_gather_kernel(
             }
         }
         let at = gaussian * comptime!(COLUMNS);
-        if comptime!(wanted.0) {
+        #[comptime]
+        if let ComptimeOption::Some(out) = &mut grad_projected {
             let sigma_u = projected[at + 2];
             let shear = projected[at + 3];
             let sigma_v = projected[at + 4];
             let per_v = row[2] / sigma_v;
-            grad_projected[at] = row[1] / sigma_u - shear * per_v;
-            grad_projected[at + 1] = per_v;
-            grad_projected[at + 2] = row[3] / sigma_u;
-            grad_projected[at + 3] = row[4] * (sigma_u / sigma_v);
-            grad_projected[at + 4] = row[5] / sigma_v;
+            out[at] = row[1] / sigma_u - shear * per_v;
+            out[at + 1] = per_v;
+            out[at + 2] = row[3] / sigma_u;
+            out[at + 3] = row[4] * (sigma_u / sigma_v);
+            out[at + 4] = row[5] / sigma_v;
             if comptime!(shape.depth) {
-                grad_projected[at + 5] = row[comptime!(MOMENTS + shape.features)];
+                out[at + 5] = row[comptime!(MOMENTS + shape.features)];
             }
-            grad_projected[at + 6] = row[0] / projected[at + 6];
+            out[at + 6] = row[0] / projected[at + 6];
         }
-        if comptime!(wanted.1) {
+        #[comptime]
+        if let ComptimeOption::Some(out) = &mut grad_features {
             #[unroll(few)]
             for channel in 0..comptime!(shape.features) {
-                grad_features[gaussian * comptime!(shape.features) + channel] = row[comptime!(MOMENTS) + channel];
+                out[gaussian * comptime!(shape.features) + channel] = row[comptime!(MOMENTS) + channel];
             }
         }
-        if comptime!(absolute) {
-            grad_absolute[2 * gaussian] = row[comptime!(MOMENTS + channels)];
-            grad_absolute[2 * gaussian + 1] = row[comptime!(MOMENTS + channels + 1)];
+        #[comptime]
+        if let ComptimeOption::Some(out) = &mut grad_absolute {
+            out[2 * gaussian] = row[comptime!(columns - 2)];
+            out[2 * gaussian + 1] = row[comptime!(columns - 1)];
+        }
+        #[comptime]
+        if let ComptimeOption::Some(out) = &mut grad_depth_slopes {
+            #[unroll]
+            for k in 0..slopes {
+                out[gaussian * slopes + k] = row[comptime!(MOMENTS + shape.channels() + k)];
+            }
         }
     }
 }

@@ -10,12 +10,15 @@
 
 use cubecl::prelude::*;
 
-use super::backward::{row_len, tile_of_bucket};
-use super::layer::{BUCKET, FOOTPRINT, KernelShape, LayerEllipse, Limits, colour, first_bucket, strip_origin};
-use super::pixels::{STEP, UnitPixels};
+use super::backward::{row_len, tile_of};
+use super::layer::{BUCKET, FOOTPRINT, KernelShape, LayerEllipse, RasterFrame, colour, first_bucket, strip_origin};
+use super::pixels::{STEP, STRIP, UnitPixels};
 use crate::gpu::atomic::FloatCell;
 use crate::intersect::TILE_PIXELS;
-use crate::intersect::forward::TileFrame;
+use crate::intersect::forward::TileLists;
+
+/// Number of units of a cube.
+pub(super) const FEW_UNITS: usize = TILE_PIXELS / STRIP;
 
 /// Computes the rows of each bucket's intersections.
 ///
@@ -26,25 +29,22 @@ pub(super) fn rasterize_backward_few_channels_kernel<A: FloatCell>(
     projected: &[f32],
     features: &[f32],
     grad: &[f32],
-    tile_start: &[u32],
-    intersection_of_place: &[u32],
-    gaussian_of_intersection: &[u32],
+    lists: TileLists,
     kept: &[f32],
     bucket_count: &[u32],
     suffix_rho: &[f32],
     rows: &mut [f32],
     sums: &[A],
-    frame: TileFrame,
-    limits: Limits,
+    frame: RasterFrame,
     max_buckets: u32,
     #[comptime] shape: KernelShape,
     #[comptime] absolute: bool,
     #[comptime] add: bool,
-    #[comptime] pixels: usize,
 ) {
     let channels = comptime!(shape.channels());
     let columns = comptime!(row_len(shape, absolute));
-    let units = comptime!(TILE_PIXELS / pixels);
+    let pixels = comptime!(STRIP);
+    let units = comptime!(FEW_UNITS);
     let mut footprints = Shared::<[f32]>::new_slice(comptime!(BUCKET * FOOTPRINT));
     let mut colours = Shared::<[f32]>::new_slice(comptime!(BUCKET * channels));
     let mut intersections = Shared::<[u32]>::new_slice(comptime!(BUCKET));
@@ -52,9 +52,9 @@ pub(super) fn rasterize_backward_few_channels_kernel<A: FloatCell>(
 
     let bucket_index = CUBE_POS as u32;
     if bucket_index < max_buckets {
-        let tile = tile_of_bucket(tile_start, frame.tiles_x * frame.tiles_y, bucket_index);
-        let first = tile_start[tile as usize];
-        let places = tile_start[tile as usize + 1] - first;
+        let tile = tile_of(&lists, 0, frame.tiles_x * frame.tiles_y, bucket_index, true);
+        let first = lists.start(tile);
+        let places = lists.start(tile + 1) - first;
         let bucket = bucket_index - first_bucket(first, tile);
         let place = bucket * comptime!(BUCKET as u32);
         if place < places {
@@ -65,8 +65,8 @@ pub(super) fn rasterize_backward_few_channels_kernel<A: FloatCell>(
                 let mut intersection = 0u32;
                 let mut gaussian = 0u32;
                 if i < count {
-                    intersection = intersection_of_place[(first + place + i) as usize];
-                    gaussian = gaussian_of_intersection[intersection as usize];
+                    intersection = lists.intersection(first + place + i);
+                    gaussian = lists.gaussian_of_intersection[intersection as usize];
                     LayerEllipse::of(projected, gaussian as usize).store(&mut footprints, i as usize);
                 } else {
                     LayerEllipse::nowhere().store(&mut footprints, i as usize);
@@ -94,7 +94,7 @@ pub(super) fn rasterize_backward_few_channels_kernel<A: FloatCell>(
                 }
             } else {
                 let (column, row) = strip_origin(UNIT_POS, pixels);
-                let mut at = UnitPixels::new(tile, column, row, frame, shape, pixels);
+                let mut at = UnitPixels::new(tile, column, row, frame, shape);
                 #[unroll]
                 for p in 0..pixels {
                     at.load(kept, suffix_rho, grad, bucket_index, tile, column, row, frame, shape, p);
@@ -114,7 +114,7 @@ pub(super) fn rasterize_backward_few_channels_kernel<A: FloatCell>(
                         let footprint = LayerEllipse::load(&footprints, i as usize);
                         #[unroll]
                         for p in 0..pixels {
-                            at.pass(footprint, frame.alpha_min, limits, shape, p);
+                            at.pass(footprint, &frame, shape, p);
                         }
                     }
                 }
@@ -135,7 +135,7 @@ pub(super) fn rasterize_backward_few_channels_kernel<A: FloatCell>(
                         let footprint = LayerEllipse::load(&footprints, start as usize + k);
                         #[unroll]
                         for p in 0..pixels {
-                            let (alpha, weight) = at.pass(footprint, frame.alpha_min, limits, shape, p);
+                            let (alpha, weight) = at.pass(footprint, &frame, shape, p);
                             alphas[comptime!(k * pixels + p)] = alpha;
                             weights[comptime!(k * pixels + p)] = weight;
                         }
@@ -159,10 +159,9 @@ pub(super) fn rasterize_backward_few_channels_kernel<A: FloatCell>(
                             &alphas,
                             &weights,
                             &mut own,
-                            limits.alpha_max,
+                            frame.alpha_max,
                             shape,
                             absolute,
-                            pixels,
                             k,
                         );
                         #[unroll]

@@ -6,14 +6,19 @@
 
 use cubecl::prelude::*;
 
-use super::backward::{MOMENTS, plane_of, row_len, tile_of_bucket};
-use super::layer::{BUCKET, FOOTPRINT, KernelShape, LayerEllipse, Limits, colour, first_bucket, layer};
+use super::backward::{MOMENTS, plane_of, row_len, tile_of};
+use super::layer::{
+    BUCKET, FOOTPRINT, KernelShape, LayerEllipse, RasterFrame, TilePixel, colour, first_bucket, layer, tile_origin,
+};
 use crate::gpu::atomic::FloatCell;
-use crate::intersect::forward::TileFrame;
-use crate::intersect::{TILE, TILE_PIXELS};
+use crate::intersect::TILE_PIXELS;
+use crate::intersect::forward::TileLists;
 
-/// Computes the rows of each bucket's intersections. `units`, a multiple of 32, is the number of units of a cube and
-/// the number of pixels in a block.
+/// Number of units of a cube and of pixels in a block, a multiple of 32. Two arrays of 32 numbers per unit leave room for
+/// no more in 32 KiB of shared memory.
+pub(super) const MANY_UNITS: usize = 64;
+
+/// Computes the rows of each bucket's intersections.
 ///
 /// Without `add`, every intersection's row is written to `rows`, `[H, row]`. With `add`, rows are added to `sums`, one
 /// row per Gaussian.
@@ -22,39 +27,34 @@ pub(super) fn rasterize_backward_many_channels_kernel<A: FloatCell>(
     projected: &[f32],
     features: &[f32],
     grad: &[f32],
-    tile_start: &[u32],
-    intersection_of_place: &[u32],
-    gaussian_of_intersection: &[u32],
+    lists: TileLists,
     kept: &[f32],
     bucket_count: &[u32],
     suffix_rho: &[f32],
     rows: &mut [f32],
     sums: &[A],
-    frame: TileFrame,
-    limits: Limits,
+    frame: RasterFrame,
     max_buckets: u32,
     #[comptime] shape: KernelShape,
     #[comptime] absolute: bool,
     #[comptime] add: bool,
-    #[comptime] units: usize,
 ) {
+    let units = comptime!(MANY_UNITS);
     let channels = comptime!(shape.channels());
     let numbers = comptime!(shape.kept());
     let columns = comptime!(row_len(shape, absolute));
     // One more than the pixels of a block, so that neither direction of reading has bank conflicts.
     let stride = comptime!(units + 1);
-    let parts = comptime!(units / BUCKET);
     let mut footprints = Shared::<[f32]>::new_slice(comptime!(BUCKET * FOOTPRINT));
     let mut alphas = Shared::<[f32]>::new_slice(comptime!(BUCKET * stride));
     let mut weights = Shared::<[f32]>::new_slice(comptime!(BUCKET * stride));
 
     let bucket_index = CUBE_POS as u32;
     let unit = UNIT_POS;
-    let tiles = frame.tiles_x * frame.tiles_y;
     if bucket_index < max_buckets {
-        let tile = tile_of_bucket(tile_start, tiles, bucket_index);
-        let first = tile_start[tile as usize];
-        let places = tile_start[tile as usize + 1] - first;
+        let tile = tile_of(&lists, 0, frame.tiles_x * frame.tiles_y, bucket_index, true);
+        let first = lists.start(tile);
+        let places = lists.start(tile + 1) - first;
         let bucket = bucket_index - first_bucket(first, tile);
         let place = bucket * comptime!(BUCKET as u32);
         if place < places {
@@ -64,8 +64,8 @@ pub(super) fn rasterize_backward_many_channels_kernel<A: FloatCell>(
             let mut intersection = 0u32;
             let mut gaussian = 0u32;
             if lane < count {
-                intersection = intersection_of_place[(first + place + lane) as usize];
-                gaussian = gaussian_of_intersection[intersection as usize];
+                intersection = lists.intersection(first + place + lane);
+                gaussian = lists.gaussian_of_intersection[intersection as usize];
             }
             let mut row = Array::<f32>::new(columns);
             for column in 0..columns {
@@ -76,32 +76,25 @@ pub(super) fn rasterize_backward_many_channels_kernel<A: FloatCell>(
                     LayerEllipse::of(projected, gaussian as usize).store(&mut footprints, unit as usize);
                 }
                 sync_cube();
-                let origin_x = tile % frame.tiles_x * comptime!(TILE as u32);
-                let origin_y = tile / frame.tiles_x * comptime!(TILE as u32);
+                let origin = tile_origin(tile, &frame);
                 let plane = (frame.width * frame.height) as usize;
                 let at = bucket_index as usize * comptime!(numbers * TILE_PIXELS);
 
                 for block in 0..comptime!((TILE_PIXELS / units) as u32) {
                     // The units are pixels.
-                    let pixel = block * comptime!(units as u32) + unit;
-                    let column = origin_x + pixel % comptime!(TILE as u32);
-                    let line = origin_y + pixel / comptime!(TILE as u32);
-                    let x = f32::cast_from(column) + 0.5;
-                    let own_row = pixel / comptime!(TILE as u32);
-                    let top = f32::cast_from(origin_y) + 0.5;
-                    let inside = column < frame.width && line < frame.height;
-                    let in_picture = (line * frame.width + column) as usize;
-                    let before = kept[at + pixel as usize];
+                    let in_tile = block * comptime!(units as u32) + unit;
+                    let pixel = TilePixel::of(origin, in_tile, &frame);
+                    let before = kept[at + in_tile as usize];
                     let mut through = select(before >= 0.0, 1.0f32, -1.0f32);
                     let mut stopped = 0.0f32;
                     for i in 0..count {
                         let mut alpha = 0.0f32;
                         if through >= 0.0 {
                             let footprint = LayerEllipse::load(&footprints, i as usize);
-                            let (u, v) = footprint.whiten(x, top, f32::cast_from(own_row));
-                            let value = footprint.alpha(u, v, frame.alpha_min, limits.alpha_max, shape);
+                            let (u, v) = footprint.whiten(pixel.x, pixel.top, pixel.row);
+                            let value = footprint.alpha(u, v, &frame, shape);
                             let (contributes, next, stops) =
-                                layer(value, through, stopped, before, limits.transmittance_min);
+                                layer(value, through, stopped, before, frame.transmittance_min);
                             alpha = contributes;
                             weights[i as usize * stride + unit as usize] = alpha * (before * through);
                             through = next;
@@ -110,27 +103,25 @@ pub(super) fn rasterize_backward_many_channels_kernel<A: FloatCell>(
                         alphas[i as usize * stride + unit as usize] = alpha;
                     }
                     let mut grad_alpha = 0.0f32;
-                    if comptime!(shape.grad_alpha) && inside {
-                        grad_alpha = grad[comptime!(shape.features) * plane + in_picture];
+                    if comptime!(shape.grad_alpha) && pixel.inside {
+                        grad_alpha = grad[comptime!(shape.features) * plane + pixel.index];
                     }
-                    let mut rho = suffix_rho[bucket_index as usize * comptime!(TILE_PIXELS) + pixel as usize];
+                    let mut rho = suffix_rho[bucket_index as usize * comptime!(TILE_PIXELS) + in_tile as usize];
                     for step in 0..count {
                         let i = (count - 1 - step) as usize;
                         let alpha = alphas[i * stride + unit as usize];
                         if alpha > 0.0 {
                             let mut along = grad_alpha;
-                            let there = gaussian_of_intersection
-                                [intersection_of_place[(first + place) as usize + i] as usize]
-                                as usize;
+                            let there = lists.gaussian(first + place + i as u32) as usize;
                             for channel in 0..channels {
-                                along += grad[plane_of(channel, shape) * plane + in_picture]
+                                along += grad[plane_of(channel, shape) * plane + pixel.index]
                                     * colour(projected, features, there, channel, shape);
                             }
                             let ahead = along - rho;
                             rho += alpha * ahead;
                             // From here on `alphas` holds `h`, and a pixel without an alpha has a weight of zero.
                             let mut h = 0.0f32;
-                            if alpha < limits.alpha_max {
+                            if alpha < frame.alpha_max {
                                 h = weights[i * stride + unit as usize] * ahead;
                             }
                             alphas[i * stride + unit as usize] = h;
@@ -149,13 +140,8 @@ pub(super) fn rasterize_backward_many_channels_kernel<A: FloatCell>(
                             let index = lane as usize * stride + other as usize;
                             let weight = weights[index];
                             if weight != 0.0 {
-                                let pixel = block * comptime!(units as u32) + other;
-                                let column = origin_x + pixel % comptime!(TILE as u32);
-                                let own_row = pixel / comptime!(TILE as u32);
-                                let line = origin_y + own_row;
-                                let x = f32::cast_from(column) + 0.5;
-                                let top = f32::cast_from(origin_y) + 0.5;
-                                let (u, v) = footprint.whiten(x, top, f32::cast_from(own_row));
+                                let pixel = TilePixel::of(origin, block * comptime!(units as u32) + other, &frame);
+                                let (u, v) = footprint.whiten(pixel.x, pixel.top, pixel.row);
                                 let h = alphas[index];
                                 let hu = h * u;
                                 let hv = h * v;
@@ -165,10 +151,9 @@ pub(super) fn rasterize_backward_many_channels_kernel<A: FloatCell>(
                                 row[3] += hu * u;
                                 row[4] += hu * v;
                                 row[5] += hv * v;
-                                let in_picture = (line * frame.width + column) as usize;
                                 for channel in 0..channels {
                                     row[comptime!(MOMENTS) + channel] +=
-                                        weight * grad[plane_of(channel, shape) * plane + in_picture];
+                                        weight * grad[plane_of(channel, shape) * plane + pixel.index];
                                 }
                                 if comptime!(absolute) {
                                     row[comptime!(MOMENTS + channels)] += (hu * footprint.inverse_u - hv * slope).abs();
@@ -181,17 +166,15 @@ pub(super) fn rasterize_backward_many_channels_kernel<A: FloatCell>(
                 }
 
                 // Adds up the parts of each row.
-                if comptime!(parts > 1) {
-                    for column in 0..columns {
-                        alphas[unit as usize] = row[column];
-                        sync_cube();
-                        if part == 0 {
-                            for other in 1..comptime!(parts as u32) {
-                                row[column] += alphas[(other * comptime!(BUCKET as u32) + lane) as usize];
-                            }
+                for column in 0..columns {
+                    alphas[unit as usize] = row[column];
+                    sync_cube();
+                    if part == 0 {
+                        for other in 1..comptime!((MANY_UNITS / BUCKET) as u32) {
+                            row[column] += alphas[(other * comptime!(BUCKET as u32) + lane) as usize];
                         }
-                        sync_cube();
                     }
+                    sync_cube();
                 }
             }
             if part == 0 && lane < count {

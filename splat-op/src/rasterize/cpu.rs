@@ -7,14 +7,15 @@ use rayon::prelude::*;
 use super::footprint::UNWHITEN;
 use super::prepared::Prepared;
 use super::tile::{Plane, Thresholds, TileView, rasterize_tile};
-use super::tile_backward::{MOMENTS, TileGrad, TileScratch, rasterize_tile_backward};
+pub(crate) use super::tile_backward::MOMENTS;
+use super::tile_backward::{TileGrad, TileScratch, rasterize_tile_backward};
 use super::{Layers, RasterizeSpec};
 use crate::intersect::{IntersectionLists, TILE, TILE_PIXELS};
 use crate::project::{COLUMNS, Ellipse};
 use crate::simd::real::Real;
 
 /// Number of Gaussians per task.
-const CHUNK: usize = 1024;
+pub(super) const CHUNK: usize = 1024;
 
 /// Values that the forward pass keeps for the backward pass, tile by tile.
 pub(crate) struct Trace<F>(Vec<TileTrace<F>>);
@@ -59,7 +60,6 @@ pub(crate) fn rasterize_cpu<F: Real>(
     keep: bool,
 ) -> (Vec<F>, Option<Trace<F>>) {
     let prepared = Prepared::new(inputs, spec, intersections);
-    let [alpha_min, alpha_max, transmittance_min] = prepared.thresholds;
     let plane_count = prepared.channels + 1;
     let [width, height] = prepared.size;
     let mut planes = vec![F::ZERO; spec.planes(inputs.background.len()) * width * height];
@@ -79,8 +79,7 @@ pub(crate) fn rasterize_cpu<F: Real>(
                 let view = prepared.view(tile);
                 let mut checkpoints = Vec::new();
                 let passed = specialised!(prepared, tile, simd, C, IS_LONG, LIBRARY => {
-                    let thresholds =
-                        Thresholds::<_, F, LIBRARY>::new(simd, alpha_min, alpha_max, transmittance_min);
+                    let thresholds = Thresholds::<_, F, LIBRARY>::new(simd, prepared.thresholds);
                     rasterize_tile::<_, F, C, IS_LONG, LIBRARY>(simd, &view, &thresholds, planes, keep.then_some(&mut checkpoints))
                 });
                 TileTrace { passed, checkpoints }
@@ -141,30 +140,35 @@ pub(crate) fn rasterize_backward_cpu<F: Real>(
     };
     let prepared = Prepared::new(inputs, spec, intersections);
     let columns = MOMENTS + prepared.channels + if needs.mean2d_abs { 2 } else { 0 };
-    let mut intersection_sums = vec![F::ZERO; intersections.gaussian.len() * columns];
-    let tasks: Vec<(usize, &mut [F])> = {
-        let mut rest = intersection_sums.as_mut_slice();
-        let ends = intersections.tile_start.windows(2).map(|w| w[1] - w[0]);
-        ends.enumerate()
-            .map(|(tile, count)| {
-                (tile, rest.split_off_mut(..count * columns).expect("as many intersections as their lists"))
-            })
-            .collect()
-    };
-    let background: Vec<Vec<F>> = tasks
-        .into_par_iter()
-        .map_init(Buffers::default, |buffers, (tile, sums)| {
-            tile_sums(&prepared, inputs.background, grad, &trace.0[tile], (tile, sums, needs.mean2d_abs), buffers)
-        })
-        .collect();
-    let mut grads = gather(&inputs, &prepared, &intersection_sums, columns, needs);
-    if needs.background {
-        grads.background = vec![F::ZERO; inputs.background.len()];
-        for part in background {
-            grads.background.iter_mut().zip(part).for_each(|(sum, value)| *sum += value);
-        }
+    let features = inputs.background.len();
+    let (rows, background) = tile_rows(intersections, [columns, features], Buffers::default, |buffers, tile, sums| {
+        tile_sums(&prepared, inputs.background, grad, &trace.0[tile], (tile, sums, needs.mean2d_abs), buffers)
+    });
+    let sums = RowSums { rows: &rows, columns, channels: prepared.channels, unscale: UNWHITEN };
+    let (grads, _) = gather(inputs.projected, features, intersections, &sums, (needs, 0));
+    Layers { background: if needs.background { background } else { Vec::new() }, ..grads }
+}
+
+/// Runs `tile` on each tile's rows, `columns` values per intersection, in parallel. Returns all rows, and the sums of
+/// the `features` values that `tile` returns.
+pub(crate) fn tile_rows<F: Real, B>(
+    intersections: &IntersectionLists,
+    [columns, features]: [usize; 2],
+    buffers: impl Fn() -> B + Send + Sync,
+    tile: impl Fn(&mut B, usize, &mut [F]) -> Vec<F> + Send + Sync,
+) -> (Vec<F>, Vec<F>) {
+    let mut rows = vec![F::ZERO; intersections.gaussian.len() * columns];
+    let mut rest = rows.as_mut_slice();
+    let counts = intersections.tile_start.windows(2).map(|ends| ends[1] - ends[0]);
+    let of_tile = |count: usize| rest.split_off_mut(..count * columns).expect("as many intersections as their lists");
+    let tasks: Vec<&mut [F]> = counts.map(of_tile).collect();
+    let tasks = tasks.into_par_iter().enumerate();
+    let parts: Vec<Vec<F>> = tasks.map_init(buffers, |buffers, (index, rows)| tile(buffers, index, rows)).collect();
+    let mut sums = vec![F::ZERO; features];
+    for part in parts {
+        sums.iter_mut().zip(part).for_each(|(sum, value)| *sum += value);
     }
-    grads
+    (rows, sums)
 }
 
 /// Buffers of one thread.
@@ -190,10 +194,9 @@ fn tile_sums<F: Real>(
     let Buffers { planes, behind, scratch } = buffers;
     let planes = planes.as_chunks().0;
     let tile_grad = TileGrad { planes, behind, checkpoints: &trace.checkpoints, passed: trace.passed, absolute };
-    let [alpha_min, alpha_max, transmittance_min] = prepared.thresholds;
     let mut transmittance = [F::ZERO; TILE_PIXELS];
     specialised!(prepared, tile, simd, C, IS_LONG, LIBRARY => {
-        let thresholds = Thresholds::<_, F, LIBRARY>::new(simd, alpha_min, alpha_max, transmittance_min);
+        let thresholds = Thresholds::<_, F, LIBRARY>::new(simd, prepared.thresholds);
         let out = (sums, &mut transmittance);
         rasterize_tile_backward::<_, F, C, IS_LONG, LIBRARY>(simd, &view, &tile_grad, &thresholds, out, scratch);
     });
@@ -235,69 +238,83 @@ fn tile_gradient<F: Real>(
     }
 }
 
-/// Adds the sums of each Gaussian's intersections in order and turns them into gradients of its ellipse and features.
-fn gather<F: Real>(
-    inputs: &Layers<&[F]>,
-    prepared: &Prepared<F>,
-    intersection_sums: &[F],
-    columns: usize,
-    needs: Layers<bool>,
-) -> Layers<Vec<F>> {
-    let (count, features) = (prepared.footprints.len(), inputs.background.len());
-    let rows = |needed: bool, columns: usize| vec![F::ZERO; if needed { count * columns } else { 0 }];
+/// Sums over each tile, a row per intersection: the moments, the channels (depth is the last), the gradient of the depth
+/// slope if there is one, and in the last two columns the sums of absolute values if they are wanted.
+pub(crate) struct RowSums<'a, F> {
+    pub rows: &'a [F],
+    pub columns: usize,
+    pub channels: usize,
+    /// The inverse of the factor in `u` and `v`.
+    pub unscale: f64,
+}
+
+/// Adds the sums of each Gaussian's intersections in order and turns them into gradients of its ellipse and `features`
+/// features, and of its depth slope of `slopes` numbers, zero for none.
+pub(crate) fn gather<F: Real>(
+    ellipses: &[F],
+    features: usize,
+    intersections: &IntersectionLists,
+    sums: &RowSums<F>,
+    (needs, slopes): (Layers<bool>, usize),
+) -> (Layers<Vec<F>>, Vec<F>) {
+    let RowSums { rows, columns, channels, unscale } = *sums;
+    let (count, lists) = (ellipses.len() / COLUMNS, intersections);
+    let zeros = |needed: bool, columns: usize| vec![F::ZERO; if needed { count * columns } else { 0 }];
     let mut grads = Layers {
-        projected: rows(needs.projected, COLUMNS),
-        features: rows(needs.features, features),
+        projected: zeros(needs.projected, COLUMNS),
+        features: zeros(needs.features, features),
         background: Vec::new(),
-        mean2d_abs: rows(needs.mean2d_abs, 2),
+        mean2d_abs: zeros(needs.mean2d_abs, 2),
     };
-    let intersections = prepared.intersections;
-    let chunks = count.div_ceil(CHUNK);
-    let mut projected: Vec<&mut [F]> = grads.projected.chunks_mut(CHUNK * COLUMNS).collect();
-    let mut feature_rows: Vec<&mut [F]> = grads.features.chunks_mut(CHUNK * features).collect();
-    let mut absolute: Vec<&mut [F]> = grads.mean2d_abs.chunks_mut(CHUNK * 2).collect();
-    projected.resize_with(chunks, Default::default);
-    feature_rows.resize_with(chunks, Default::default);
-    absolute.resize_with(chunks, Default::default);
-    (projected, feature_rows, absolute).into_par_iter().enumerate().for_each(
-        |(chunk, (projected, feature, absolute))| {
-            let mut sum = vec![F::ZERO; columns];
-            let first = chunk * CHUNK;
-            let place =
-                |gaussian: usize| intersections.visible.partition_point(|&visible| (visible as usize) < gaussian);
-            for place in place(first)..place(first + CHUNK) {
-                let i = intersections.visible[place] as usize - first;
-                let range =
-                    intersections.visible_start[place] as usize..intersections.visible_start[place + 1] as usize;
-                sum.fill(F::ZERO);
-                match columns {
-                    RGB_COLUMNS => add_rows_of::<F, RGB_COLUMNS>(
-                        intersection_sums,
-                        &intersections.intersection_of_visible[range],
-                        &mut sum,
-                    ),
-                    _ => add_rows(intersection_sums, &intersections.intersection_of_visible[range], &mut sum),
-                }
-                let (moments, colours) = sum.split_at(MOMENTS);
-                if needs.projected {
-                    let row = &inputs.projected[(first + i) * COLUMNS..];
-                    let depth = if prepared.channels > features { colours[features] } else { F::ZERO };
-                    let grad = ellipse_gradient(&Ellipse::from_row(row), moments, depth);
-                    projected[i * COLUMNS..(i + 1) * COLUMNS].copy_from_slice(&grad.to_row());
-                }
-                if needs.features {
-                    feature[i * features..(i + 1) * features].copy_from_slice(&colours[..features]);
-                }
-                if needs.mean2d_abs {
-                    // Two factors are scaled: a whitened coordinate and an inverse.
-                    let unscaled = F::of(UNWHITEN * UNWHITEN);
-                    let sums = absolute[2 * i..2 * i + 2].iter_mut().zip(&colours[prepared.channels..]);
-                    sums.for_each(|(out, sum)| *out = *sum * unscaled);
-                }
-            }
-        },
+    let mut grad_slopes = zeros(true, slopes);
+    let parts = (
+        chunks(&mut grads.projected, COLUMNS, count),
+        chunks(&mut grads.features, features, count),
+        chunks(&mut grads.mean2d_abs, 2, count),
+        chunks(&mut grad_slopes, slopes, count),
     );
-    grads
+    parts.into_par_iter().enumerate().for_each(|(chunk, (projected, feature, absolute, slope))| {
+        let mut sum = vec![F::ZERO; columns];
+        let first = chunk * CHUNK;
+        let place = |gaussian: usize| lists.visible.partition_point(|&visible| (visible as usize) < gaussian);
+        for place in place(first)..place(first + CHUNK) {
+            let i = lists.visible[place] as usize - first;
+            let range = lists.visible_start[place] as usize..lists.visible_start[place + 1] as usize;
+            let own = &lists.intersection_of_visible[range];
+            sum.fill(F::ZERO);
+            match columns {
+                RGB_COLUMNS => add_rows_of::<F, RGB_COLUMNS>(rows, own, &mut sum),
+                _ => add_rows(rows, own, &mut sum),
+            }
+            let (moments, colours) = sum.split_at(MOMENTS);
+            if needs.projected {
+                let ellipse = Ellipse::from_row(&ellipses[(first + i) * COLUMNS..]);
+                let depth = if channels > features { colours[features] } else { F::ZERO };
+                let grad = ellipse_gradient(&ellipse, moments, depth, unscale);
+                projected[i * COLUMNS..(i + 1) * COLUMNS].copy_from_slice(&grad.to_row());
+            }
+            if needs.features {
+                feature[i * features..(i + 1) * features].copy_from_slice(&colours[..features]);
+            }
+            if slopes > 0 {
+                slope[i * slopes..(i + 1) * slopes].copy_from_slice(&colours[channels..channels + slopes]);
+            }
+            if needs.mean2d_abs {
+                // Two factors are scaled: a whitened coordinate and an inverse.
+                let unscaled = F::of(unscale * unscale);
+                let sums = absolute[2 * i..2 * i + 2].iter_mut().zip(&sum[columns - 2..]);
+                sums.for_each(|(out, sum)| *out = *sum * unscaled);
+            }
+        }
+    });
+    (grads, grad_slopes)
+}
+
+/// Splits a gradient by chunks of Gaussians; a gradient that is not wanted has empty parts.
+fn chunks<F>(grad: &mut [F], columns: usize, count: usize) -> Vec<&mut [F]> {
+    let mut parts: Vec<&mut [F]> = grad.chunks_mut(CHUNK * columns.max(1)).collect();
+    parts.resize_with(count.div_ceil(CHUNK), Default::default);
+    parts
 }
 
 /// Number of columns of the sums for three channels.
@@ -328,9 +345,9 @@ fn add_rows_of<F: Real, const COLUMNS: usize>(intersection_sums: &[F], rows: &[u
 /// Turns the sums of `h, h u, h v, h u², h u v, h v²` into the gradient of the ellipse. With `e = −(u² + v²)/2`:
 /// `∂e/∂sigma_u = u²/sigma_u`, `∂e/∂sigma_v = v²/sigma_v`, `∂e/∂shear = u v sigma_u/sigma_v`,
 /// `∂e/∂mean = (u/sigma_u − v shear/sigma_v, v/sigma_v)`; and `∂α/∂opacity = α/opacity`.
-fn ellipse_gradient<F: Real>(e: &Ellipse<F>, moments: &[F], grad_depth: F) -> Ellipse<F> {
+fn ellipse_gradient<F: Real>(e: &Ellipse<F>, moments: &[F], grad_depth: F, unscale: f64) -> Ellipse<F> {
     // `u` and `v` are scaled; a sum has them once or twice as factors.
-    let (once, twice) = (F::of(UNWHITEN), F::of(UNWHITEN * UNWHITEN));
+    let (once, twice) = (F::of(unscale), F::of(unscale * unscale));
     let (h, hu, hv) = (moments[0], moments[1] * once, moments[2] * once);
     let [huu, huv, hvv] = [3, 4, 5].map(|i| moments[i] * twice);
     let per_v = hv / e.sigma_v;

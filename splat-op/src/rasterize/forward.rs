@@ -8,10 +8,10 @@
 use cubecl::prelude::*;
 
 use super::layer::{
-    BUCKET, FOOTPRINT, KernelShape, LayerEllipse, Limits, colour, first_bucket, layer, strip_origin,
+    BUCKET, FOOTPRINT, KernelShape, LayerEllipse, RasterFrame, colour, first_bucket, layer, strip_origin,
     transmittance_after_bucket,
 };
-use crate::intersect::forward::TileFrame;
+use crate::intersect::forward::TileLists;
 use crate::intersect::{TILE, TILE_PIXELS};
 
 /// Number of places that a cube loads at once, a whole number of buckets.
@@ -27,15 +27,12 @@ pub(super) fn rasterize_forward_kernel(
     projected: &[f32],
     features: &[f32],
     background: &[f32],
-    tile_start: &[u32],
-    intersection_of_place: &[u32],
-    gaussian_of_intersection: &[u32],
+    lists: TileLists,
     planes: &mut [f32],
     kept: &mut [f32],
     final_transmittance: &mut [f32],
     bucket_count: &mut [u32],
-    frame: TileFrame,
-    limits: Limits,
+    frame: RasterFrame,
     #[comptime] shape: KernelShape,
     #[comptime] keep: bool,
     #[comptime] pixels: usize,
@@ -56,8 +53,8 @@ pub(super) fn rasterize_forward_kernel(
         let x = f32::cast_from(first_column) + 0.5;
         let top = f32::cast_from(first_row - row) + 0.5;
         let own_row = f32::cast_from(row);
-        let first = tile_start[tile as usize];
-        let places = tile_start[tile as usize + 1] - first;
+        let first = lists.start(tile);
+        let places = lists.start(tile + 1) - first;
         let bucket_index = first_bucket(first, tile);
 
         let mut transmittance = Array::<f32>::new(pixels);
@@ -94,7 +91,7 @@ pub(super) fn rasterize_forward_kernel(
             let count = min(places - place, comptime!(BATCH as u32));
             let mut i = UNIT_POS;
             while i < count {
-                let gaussian = gaussian_of_intersection[intersection_of_place[(first + place + i) as usize] as usize];
+                let gaussian = lists.gaussian(first + place + i);
                 LayerEllipse::of(projected, gaussian as usize).store(&mut footprints, i as usize);
                 gaussians[i as usize] = gaussian;
                 if comptime!(few) {
@@ -134,10 +131,10 @@ pub(super) fn rasterize_forward_kernel(
                         for p in 0..pixels {
                             let (u, below) = footprint.along_column(x, top);
                             let v = (below + (own_row + comptime!(p as f32))) * footprint.inverse_v;
-                            let alpha = footprint.alpha(u, v, frame.alpha_min, limits.alpha_max, shape);
+                            let alpha = footprint.alpha(u, v, &frame, shape);
                             let before = through[p];
                             let (alpha, next, stops) =
-                                layer(alpha, before, stopped[p], transmittance[p], limits.transmittance_min);
+                                layer(alpha, before, stopped[p], transmittance[p], frame.transmittance_min);
                             through[p] = next;
                             stopped[p] = stops;
                             if comptime!(few) {

@@ -3,38 +3,18 @@
 use cubecl::prelude::*;
 
 use super::backward::{rasterize_gather_kernel, rasterize_suffix_kernel, row_len};
-use super::backward_few_channels::rasterize_backward_few_channels_kernel;
-use super::backward_many_channels::rasterize_backward_many_channels_kernel;
+use super::backward_few_channels::{FEW_UNITS, rasterize_backward_few_channels_kernel};
+use super::backward_many_channels::{MANY_UNITS, rasterize_backward_many_channels_kernel};
 use super::forward::rasterize_forward_kernel;
-use super::layer::{BUCKET, KernelShape, LimitsLaunch};
+use super::layer::{BUCKET, KernelShape, RasterFrameLaunch};
 use super::{Layers, RasterizeSpec};
-use crate::dials::Exponential;
 use crate::gpu::reduce::launch_column_sums;
 use crate::gpu::{Buffer, Gpu, UNITS, cubes, elementwise};
-use crate::intersect::launch::{DeviceIntersections, frame};
+use crate::intersect::launch::DeviceIntersections;
 use crate::intersect::{TILE_PIXELS, tile_grid};
 use crate::limits::Need;
 use crate::options::Accumulation;
 use crate::project::COLUMNS;
-
-/// Number of units of a cube in the kernel for many channels, and of pixels in its blocks. Two arrays of 32 numbers per
-/// unit leave room for no more in 32 KiB of shared memory.
-const CHANNEL_UNITS: usize = 64;
-
-impl Layers<Buffer<f32>> {
-    fn shape(&self, spec: &RasterizeSpec) -> KernelShape {
-        KernelShape {
-            features: self.background.len,
-            depth: spec.options.depth,
-            grad_alpha: true,
-            polynomial: spec.options.exponential == Exponential::Polynomial,
-        }
-    }
-
-    fn count(&self) -> usize {
-        self.projected.len / COLUMNS
-    }
-}
 
 /// Values that the forward pass keeps for the backward pass.
 #[derive(Clone, Debug)]
@@ -50,18 +30,19 @@ pub(crate) struct DeviceTrace {
 /// Number of pixels of a unit in the forward kernel for few channels; see `forward.rs`. For many channels it is one.
 const FORWARD_STRIP: usize = 4;
 
-/// Number of pixels of a unit in the backward kernel for few channels; see `backward_few_channels.rs`.
-const STRIP: usize = 8;
-
 /// Number of slots for the buckets of all tiles; see `first_bucket`.
-fn max_buckets(lists: &DeviceIntersections, tiles: usize) -> usize {
-    lists.intersections / BUCKET + tiles
+fn max_buckets(lists: &DeviceIntersections) -> usize {
+    lists.intersections / BUCKET + lists.counts.len
 }
 
-fn limits(spec: &RasterizeSpec) -> LimitsLaunch {
-    let least = spec.options.transmittance_min;
+/// Returns the picture and the thresholds as a kernel argument.
+pub(crate) fn frame(spec: &RasterizeSpec) -> RasterFrameLaunch {
+    let (camera, options) = (&spec.intrinsics, &spec.options);
+    let [tiles_x, tiles_y] = tile_grid(camera.width, camera.height).map(|tiles| tiles as u32);
+    let (width, height) = (camera.width as u32, camera.height as u32);
     // A threshold of zero leaves out nothing, not even layers behind an alpha of one.
-    LimitsLaunch::new(spec.options.alpha_max as f32, if least > 0.0 { least as f32 } else { -1.0 })
+    let least = if options.transmittance_min > 0.0 { options.transmittance_min as f32 } else { -1.0 };
+    RasterFrameLaunch::new(width, height, tiles_x, tiles_y, options.alpha_min as f32, options.alpha_max as f32, least)
 }
 
 /// Hint in error messages: how to make a render keep less for its backward pass.
@@ -81,13 +62,10 @@ pub(crate) fn launch_rasterize(
     spec: &RasterizeSpec,
     keep: bool,
 ) -> (Buffer<f32>, Option<DeviceTrace>) {
-    let camera = &spec.intrinsics;
-    let shape = inputs.shape(spec);
-    let [tiles_x, tiles_y] = tile_grid(camera.width, camera.height);
-    let tiles = tiles_x * tiles_y;
-    let planes = Buffer::new(gpu, spec.planes(shape.features) * camera.width * camera.height);
+    let (shape, tiles) = (KernelShape::of(inputs.background.len, &spec.options), lists.counts.len);
+    let planes = Buffer::new(gpu, spec.planes(shape.features) * spec.intrinsics.width * spec.intrinsics.height);
     let kept_len = |len: usize| if keep { len } else { 0 };
-    let kept = kept_len(max_buckets(lists, tiles) * shape.kept() * TILE_PIXELS);
+    let kept = kept_len(max_buckets(lists) * shape.kept() * TILE_PIXELS);
     assert_fits(gpu, "the trace of the backward pass", kept);
     let trace = DeviceTrace {
         kept: Buffer::with_headroom(gpu, kept),
@@ -104,15 +82,12 @@ pub(crate) fn launch_rasterize(
             inputs.projected.arg(),
             inputs.features.arg(),
             inputs.background.arg(),
-            lists.tile_start.arg(),
-            lists.intersection_of_place.arg(),
-            lists.gaussian_of_intersection.arg(),
+            lists.arg(),
             planes.arg(),
             trace.kept.arg(),
             trace.final_transmittance.arg(),
             trace.bucket_count.arg(),
-            frame(camera, spec.options.alpha_min),
-            limits(spec),
+            frame(spec),
             shape,
             keep,
             pixels,
@@ -133,15 +108,13 @@ pub(crate) fn launch_rasterize_backward(
     needs: Layers<bool>,
 ) -> Layers<Option<Buffer<f32>>> {
     let camera = &spec.intrinsics;
-    let shape = inputs.shape(spec);
+    let shape = KernelShape::of(inputs.background.len, &spec.options);
     let alone = grad.len == shape.features * camera.width * camera.height;
     debug_assert!(!(alone && shape.depth), "where depth is rendered, the gradient has all planes");
     let shape = KernelShape { grad_alpha: !alone, ..shape };
-    let [tiles_x, tiles_y] = tile_grid(camera.width, camera.height);
-    let tiles = tiles_x * tiles_y;
-    let max_buckets = max_buckets(lists, tiles);
+    let (tiles, max_buckets) = (lists.counts.len, max_buckets(lists));
     let suffix_rho: Buffer<f32> = Buffer::with_headroom(gpu, max_buckets * TILE_PIXELS);
-    let background = Buffer::new(gpu, if needs.background { tiles * shape.features } else { 0 });
+    let background = Buffer::if_needed(gpu, needs.background, tiles * shape.features);
     // SAFETY: as in the forward pass; slots are those that the forward pass wrote.
     unsafe {
         rasterize_suffix_kernel::launch_unchecked(
@@ -152,27 +125,20 @@ pub(crate) fn launch_rasterize_backward(
             inputs.features.arg(),
             inputs.background.arg(),
             grad.arg(),
-            lists.tile_start.arg(),
-            lists.intersection_of_place.arg(),
-            lists.gaussian_of_intersection.arg(),
+            lists.arg(),
             trace.kept.arg(),
             trace.final_transmittance.arg(),
             trace.bucket_count.arg(),
             suffix_rho.arg(),
-            background.arg(),
-            frame(camera, spec.options.alpha_min),
-            limits(spec),
+            background.as_ref().map(Buffer::arg).into(),
+            frame(spec),
             shape,
-            needs.background,
             gpu.planes,
         );
     }
-    let mut grads = Layers {
-        background: needs.background.then(|| launch_column_sums(gpu, &background, shape.features)),
-        ..Layers::default()
-    };
+    let background = background.map(|rows| launch_column_sums(gpu, &rows, shape.features));
     if !(needs.projected || needs.features || needs.mean2d_abs) {
-        return grads;
+        return Layers { background, ..Layers::default() };
     }
 
     let columns = row_len(shape, needs.mean2d_abs);
@@ -182,12 +148,12 @@ pub(crate) fn launch_rasterize_backward(
             assert_fits(gpu, "the rows of ordered gradients", lists.intersections * columns);
             Buffer::with_headroom(gpu, lists.intersections * columns)
         }
-        false => Buffer::zeros(gpu, inputs.count() * columns),
+        false => Buffer::zeros(gpu, inputs.projected.len / COLUMNS * columns),
     };
     let unused: Buffer<f32> = Buffer::new(gpu, 0);
     let (written, added) = if ordered { (&rows, &unused) } else { (&unused, &rows) };
     macro_rules! launch {
-        ($kernel:path, $units:expr, $own:expr) => {
+        ($kernel:path, $units:expr) => {
             // SAFETY: as in the forward pass; a row belongs to an intersection or a Gaussian of the lists.
             unsafe {
                 $kernel(
@@ -197,48 +163,50 @@ pub(crate) fn launch_rasterize_backward(
                     inputs.projected.arg(),
                     inputs.features.arg(),
                     grad.arg(),
-                    lists.tile_start.arg(),
-                    lists.intersection_of_place.arg(),
-                    lists.gaussian_of_intersection.arg(),
+                    lists.arg(),
                     trace.kept.arg(),
                     trace.bucket_count.arg(),
                     suffix_rho.arg(),
                     written.arg(),
                     added.arg(),
-                    frame(camera, spec.options.alpha_min),
-                    limits(spec),
+                    frame(spec),
                     max_buckets as u32,
                     shape,
                     needs.mean2d_abs,
                     !ordered,
-                    $own,
                 )
             }
         };
     }
-    let few = TILE_PIXELS / STRIP;
     match (shape.few(), gpu.float_atomics) {
-        (true, true) => launch!(rasterize_backward_few_channels_kernel::launch_unchecked::<Atomic<f32>>, few, STRIP),
-        (true, false) => launch!(rasterize_backward_few_channels_kernel::launch_unchecked::<Atomic<u32>>, few, STRIP),
-        (false, true) => {
-            launch!(
-                rasterize_backward_many_channels_kernel::launch_unchecked::<Atomic<f32>>,
-                CHANNEL_UNITS,
-                CHANNEL_UNITS
-            )
-        }
-        (false, false) => {
-            launch!(
-                rasterize_backward_many_channels_kernel::launch_unchecked::<Atomic<u32>>,
-                CHANNEL_UNITS,
-                CHANNEL_UNITS
-            )
-        }
+        (true, true) => launch!(rasterize_backward_few_channels_kernel::launch_unchecked::<Atomic<f32>>, FEW_UNITS),
+        (true, false) => launch!(rasterize_backward_few_channels_kernel::launch_unchecked::<Atomic<u32>>, FEW_UNITS),
+        (false, true) => launch!(rasterize_backward_many_channels_kernel::launch_unchecked::<Atomic<f32>>, MANY_UNITS),
+        (false, false) => launch!(rasterize_backward_many_channels_kernel::launch_unchecked::<Atomic<u32>>, MANY_UNITS),
     }
-    let zeros = |needed: bool, columns: usize| Buffer::zeros(gpu, if needed { inputs.count() * columns } else { 0 });
-    let projected = zeros(needs.projected, COLUMNS);
-    let features = zeros(needs.features, shape.features);
-    let absolute = zeros(needs.mean2d_abs, 2);
+    let (found, _) = launch_gather(gpu, &inputs.projected, lists, (&rows, columns, ordered), shape, (needs, 0));
+    Layers { background, ..found }
+}
+
+/// Turns rows of `columns` sums, one per intersection if `ordered` is set, else one per Gaussian, into the gradients of
+/// the inputs but the background, and of depth slopes of `slopes` numbers, zero for none.
+pub(crate) fn launch_gather(
+    gpu: &Gpu,
+    projected: &Buffer<f32>,
+    lists: &DeviceIntersections,
+    (rows, columns, ordered): (&Buffer<f32>, usize, bool),
+    shape: KernelShape,
+    (needs, slopes): (Layers<bool>, usize),
+) -> (Layers<Option<Buffer<f32>>>, Option<Buffer<f32>>) {
+    let zeros = |needed: bool, columns: usize| needed.then(|| Buffer::zeros(gpu, projected.len / COLUMNS * columns));
+    let grads = Layers {
+        projected: zeros(needs.projected, COLUMNS),
+        features: zeros(needs.features, shape.features),
+        background: None,
+        mean2d_abs: zeros(needs.mean2d_abs, 2),
+    };
+    let grad_depth_slopes = zeros(slopes > 0, slopes);
+    let output = |buffer: &Option<Buffer<f32>>| buffer.as_ref().map(Buffer::arg).into();
     let (grid, dim) = elementwise(lists.visible);
     // SAFETY: ranks stay below the number of visible Gaussians; intersections below theirs.
     unsafe {
@@ -246,23 +214,21 @@ pub(crate) fn launch_rasterize_backward(
             &gpu.client,
             grid,
             dim,
-            inputs.projected.arg(),
+            projected.arg(),
             lists.order.arg(),
             lists.first_intersection.arg(),
             rows.arg(),
-            projected.arg(),
-            features.arg(),
-            absolute.arg(),
+            output(&grads.projected),
+            output(&grads.features),
+            output(&grads.mean2d_abs),
+            output(&grad_depth_slopes),
             lists.visible as u32,
             lists.intersections as u32,
             shape,
-            needs.mean2d_abs,
+            columns,
+            slopes,
             ordered,
-            (needs.projected, needs.features),
         );
     }
-    grads.projected = needs.projected.then_some(projected);
-    grads.features = needs.features.then_some(features);
-    grads.mean2d_abs = needs.mean2d_abs.then_some(absolute);
-    grads
+    (grads, grad_depth_slopes)
 }

@@ -4,7 +4,9 @@
 use cubecl::prelude::*;
 
 use super::power::power;
+use crate::dials::Exponential;
 use crate::intersect::TILE;
+use crate::options::RenderOptions;
 use crate::project::COLUMNS;
 
 /// Number of places in a bucket.
@@ -17,13 +19,54 @@ pub(super) const FEW: usize = 4;
 /// Number of values in a [`LayerEllipse`].
 pub(super) const FOOTPRINT: usize = 6;
 
-/// Thresholds of the render that `TileFrame` does not hold.
+/// Size of the picture in pixels and tiles, and thresholds of the render.
 #[derive(CubeType, CubeLaunch, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
-pub(crate) struct Limits {
+pub(crate) struct RasterFrame {
+    pub width: u32,
+    pub height: u32,
+    pub tiles_x: u32,
+    pub tiles_y: u32,
+    pub alpha_min: f32,
     pub alpha_max: f32,
     /// Negative for no threshold.
     pub transmittance_min: f32,
+}
+
+/// A pixel of a tile.
+#[derive(CubeType, Clone, Copy)]
+#[expand(derive(Clone, Copy))]
+pub(crate) struct TilePixel {
+    /// Centre of its column and of the tile's first row, px, and its row within the tile.
+    pub x: f32,
+    pub top: f32,
+    pub row: f32,
+    /// Whether it is in the picture, and its index there.
+    pub inside: bool,
+    pub index: usize,
+}
+
+/// Returns the column and row of a tile's first pixel.
+#[cube]
+pub(crate) fn tile_origin(tile: u32, frame: &RasterFrame) -> (u32, u32) {
+    (tile % frame.tiles_x * comptime!(TILE as u32), tile / frame.tiles_x * comptime!(TILE as u32))
+}
+
+#[cube]
+impl TilePixel {
+    /// Returns pixel `in_tile`, counted row by row, of the tile at `origin`.
+    pub fn of(origin: (u32, u32), in_tile: u32, frame: &RasterFrame) -> TilePixel {
+        let (first_column, first_row) = origin;
+        let column = first_column + in_tile % comptime!(TILE as u32);
+        let row = in_tile / comptime!(TILE as u32);
+        TilePixel {
+            x: f32::cast_from(column) + 0.5,
+            top: f32::cast_from(first_row) + 0.5,
+            row: f32::cast_from(row),
+            inside: column < frame.width && first_row + row < frame.height,
+            index: ((first_row + row) * frame.width + column) as usize,
+        }
+    }
 }
 
 /// Compile-time parameters of the stage's kernels.
@@ -40,6 +83,11 @@ pub(crate) struct KernelShape {
 }
 
 impl KernelShape {
+    pub fn of(features: usize, options: &RenderOptions) -> Self {
+        let polynomial = options.exponential == Exponential::Polynomial;
+        Self { features, depth: options.depth, grad_alpha: true, polynomial }
+    }
+
     pub const fn channels(&self) -> usize {
         self.features + self.depth as usize
     }
@@ -135,12 +183,12 @@ impl LayerEllipse {
     }
 
     /// Returns the alpha at whitened coordinates; zero where it is below `alpha_min`.
-    pub fn alpha(&self, u: f32, v: f32, alpha_min: f32, alpha_max: f32, #[comptime] shape: KernelShape) -> f32 {
+    pub fn alpha(&self, u: f32, v: f32, frame: &RasterFrame, #[comptime] shape: KernelShape) -> f32 {
         let exponent = -(0.5 * (u * u + v * v));
         let share =
             if comptime!(shape.polynomial) { power(-exponent * core::f32::consts::LOG2_E) } else { exponent.exp() };
-        let value = min(self.opacity * share, alpha_max);
-        select(value >= alpha_min, value, 0.0)
+        let value = min(self.opacity * share, frame.alpha_max);
+        select(value >= frame.alpha_min, value, 0.0)
     }
 }
 
@@ -162,23 +210,6 @@ pub(super) fn layer(alpha: f32, through: f32, stopped: f32, before: f32, transmi
         select(contributes, next, select(finishes, -through, through)),
         select(contributes, stops, stopped),
     )
-}
-
-/// Encodes the state of [`layer`] in one number: the share stopped while that is little, else the negated share let
-/// through; two where the pixel is finished.
-#[cube]
-pub(super) fn checkpoint(through: f32, stopped: f32) -> f32 {
-    // A zero would lose its sign in comparisons.
-    let open = select(stopped < 0.5, stopped, -max(through, f32::MIN_POSITIVE));
-    select(through >= 0.0, open, 2.0)
-}
-
-/// Decodes a checkpoint into the shares let through and stopped.
-#[cube]
-pub(super) fn restore(checkpoint: f32) -> (f32, f32) {
-    let faint = checkpoint >= 0.0;
-    let through = select(faint, 1.0 - checkpoint, -checkpoint);
-    (select(checkpoint >= 1.0, -1.0f32, through), select(faint, checkpoint, 1.0))
 }
 
 /// Returns the transmittance behind a bucket from the transmittance before it and the shares that the bucket lets

@@ -12,7 +12,7 @@
 //! alpha `1 − T`, and, if requested, depth `Σ wᵢ zᵢ`.
 
 #[cfg(feature = "cube")]
-mod backward;
+pub(crate) mod backward;
 #[cfg(feature = "cube")]
 mod backward_few_channels;
 #[cfg(feature = "cube")]
@@ -30,7 +30,7 @@ mod kernel_tests;
 #[cfg(feature = "cube")]
 pub(crate) mod launch;
 #[cfg(feature = "cube")]
-mod layer;
+pub(crate) mod layer;
 #[cfg(feature = "cube")]
 mod pixels;
 #[cfg(feature = "cube")]
@@ -82,7 +82,7 @@ impl RasterizeSpec {
 
 /// Cache of the transmittances that the forward pass keeps for the backward pass. A backward pass that finds it empty
 /// recomputes them.
-#[derive(Clone, Default)]
+#[derive(Clone, Debug, Default)]
 pub struct TraceCell(pub(crate) Arc<OnceLock<Box<dyn Any + Send + Sync>>>);
 
 /// Gradient of a range of planes.
@@ -90,17 +90,5 @@ pub(crate) type PartGrad = (Range<usize>, Box<dyn Any + Send>);
 
 /// Gradients of ranges of a render's planes, passed from the backward nodes of the ranges to the backward node of the
 /// stage. (Through the autodiff graph each gradient would have the size of all planes, padded with zeros.)
-#[derive(Clone, Default)]
+#[derive(Clone, Debug, Default)]
 pub struct PartsCell(pub(crate) Arc<Mutex<Vec<PartGrad>>>);
-
-impl std::fmt::Debug for PartsCell {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("PartsCell").finish_non_exhaustive()
-    }
-}
-
-impl std::fmt::Debug for TraceCell {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("TraceCell").field("filled", &self.0.get().is_some()).finish()
-    }
-}

@@ -6,12 +6,14 @@
 use cubecl::prelude::*;
 
 use super::backward::{MOMENTS, plane_of};
-use super::layer::{KernelShape, LayerEllipse, Limits, checkpoint, layer, restore};
-use crate::intersect::forward::TileFrame;
+use super::layer::{KernelShape, LayerEllipse, RasterFrame, layer};
 use crate::intersect::{TILE, TILE_PIXELS};
 
 /// Number of places that are processed together. Their alphas and weights lie in registers.
 pub(super) const STEP: usize = 4;
+
+/// Number of pixels of a unit.
+pub(super) const STRIP: usize = 8;
 
 /// State of a unit's pixels: the values that are the same for every layer, and the progress of a pass.
 #[derive(CubeType)]
@@ -35,14 +37,8 @@ pub(super) struct UnitPixels {
 #[cube]
 impl UnitPixels {
     /// Allocates the strip that begins at `column` and `row` of a tile. [`Self::load`] fills each pixel.
-    pub fn new(
-        tile: u32,
-        column: u32,
-        row: u32,
-        frame: TileFrame,
-        #[comptime] shape: KernelShape,
-        #[comptime] pixels: usize,
-    ) -> UnitPixels {
+    pub fn new(tile: u32, column: u32, row: u32, frame: RasterFrame, #[comptime] shape: KernelShape) -> UnitPixels {
+        let pixels = comptime!(STRIP);
         UnitPixels {
             x: f32::cast_from(tile % frame.tiles_x * comptime!(TILE as u32) + column) + 0.5,
             top: f32::cast_from(tile / frame.tiles_x * comptime!(TILE as u32)) + 0.5,
@@ -66,7 +62,7 @@ impl UnitPixels {
         tile: u32,
         column: u32,
         row: u32,
-        frame: TileFrame,
+        frame: RasterFrame,
         #[comptime] shape: KernelShape,
         #[comptime] p: usize,
     ) {
@@ -96,16 +92,21 @@ impl UnitPixels {
         self.stopped[p] = 0.0f32;
     }
 
-    /// Returns the state of the forward pass at pixel `p` as one number.
+    /// Returns the state of the forward pass at pixel `p` as one number: the share stopped while that is little, else the
+    /// negated share let through; two where the pixel is finished.
     pub fn checkpoint(&self, #[comptime] p: usize) -> f32 {
-        checkpoint(self.through[p], self.stopped[p])
+        let (through, stopped) = (self.through[p], self.stopped[p]);
+        // A zero would lose its sign in comparisons.
+        let open = select(stopped < 0.5, stopped, -max(through, f32::MIN_POSITIVE));
+        select(through >= 0.0, open, 2.0)
     }
 
     /// Resets pixel `p` to a checkpoint.
-    pub fn restore(&mut self, from: f32, #[comptime] p: usize) {
-        let (through, stopped) = restore(from);
-        self.through[p] = through;
-        self.stopped[p] = stopped;
+    pub fn restore(&mut self, checkpoint: f32, #[comptime] p: usize) {
+        let faint = checkpoint >= 0.0;
+        let through = select(faint, 1.0 - checkpoint, -checkpoint);
+        self.through[p] = select(checkpoint >= 1.0, -1.0f32, through);
+        self.stopped[p] = select(faint, checkpoint, 1.0);
     }
 
     /// Passes a Gaussian forwards at pixel `p`. Returns its alpha, zero if it does not contribute, and its weight
@@ -113,15 +114,14 @@ impl UnitPixels {
     pub fn pass(
         &mut self,
         footprint: LayerEllipse,
-        alpha_min: f32,
-        limits: Limits,
+        frame: &RasterFrame,
         #[comptime] shape: KernelShape,
         #[comptime] p: usize,
     ) -> (f32, f32) {
         let (u, v) = footprint.whiten(self.x, self.top, self.row + comptime!(p as f32));
-        let alpha = footprint.alpha(u, v, alpha_min, limits.alpha_max, shape);
+        let alpha = footprint.alpha(u, v, frame, shape);
         let (alpha, through, stopped) =
-            layer(alpha, self.through[p], self.stopped[p], self.before[p], limits.transmittance_min);
+            layer(alpha, self.through[p], self.stopped[p], self.before[p], frame.transmittance_min);
         let weight = alpha * (self.before[p] * self.through[p]);
         self.through[p] = through;
         self.stopped[p] = stopped;
@@ -139,9 +139,9 @@ impl UnitPixels {
         alpha_max: f32,
         #[comptime] shape: KernelShape,
         #[comptime] absolute: bool,
-        #[comptime] pixels: usize,
         #[comptime] k: usize,
     ) {
+        let pixels = comptime!(STRIP);
         let channels = comptime!(shape.channels());
         let slope = footprint.inverse_v * footprint.shear;
         let (u, below) = footprint.along_column(self.x, self.top);

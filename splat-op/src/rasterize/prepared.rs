@@ -4,6 +4,7 @@ use std::borrow::Cow;
 
 use rayon::prelude::*;
 
+use super::cpu::CHUNK;
 use super::footprint::Footprint;
 use super::tile::{TileView, is_long};
 use super::{Layers, RasterizeSpec};
@@ -12,9 +13,6 @@ use crate::intersect::cpu::needed_intersections;
 use crate::intersect::{IntersectionLists, TILE, tile_grid};
 use crate::project::{COLUMNS, Ellipse};
 use crate::simd::real::Real;
-
-/// Number of Gaussians per task.
-const CHUNK: usize = 1024;
 
 /// Inputs in the form that the loops over the tiles read.
 pub(super) struct Prepared<'a, F: Real> {

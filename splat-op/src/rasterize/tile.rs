@@ -114,7 +114,7 @@ pub(super) struct Thresholds<S: Simd, F: Real, const LIBRARY: bool> {
 
 impl<S: Simd, F: Real, const LIBRARY: bool> Thresholds<S, F, LIBRARY> {
     #[inline(always)]
-    pub fn new(simd: S, alpha_min: F, alpha_max: F, transmittance_min: F) -> Self {
+    pub fn new(simd: S, [alpha_min, alpha_max, transmittance_min]: [F; 3]) -> Self {
         let lanes = |value| F::Lanes::<S>::splat(simd, value);
         // A threshold of zero leaves out nothing, not even layers behind an alpha of one.
         let never = if transmittance_min > F::ZERO { transmittance_min } else { -F::ONE };

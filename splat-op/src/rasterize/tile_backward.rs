@@ -13,7 +13,7 @@ use crate::simd::real::{LANES, Real};
 
 /// Number of values per intersection that do not depend on the channels: the sums of `h, h u, h v, h u², h u v, h v²`
 /// with `h = α ∂L/∂α` where alpha is not at its limit.
-pub(super) const MOMENTS: usize = 6;
+pub(crate) const MOMENTS: usize = 6;
 
 /// Inputs of a tile's backward pass besides its [`TileView`].
 pub(super) struct TileGrad<'a, F> {

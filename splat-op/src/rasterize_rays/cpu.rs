@@ -3,12 +3,13 @@
 
 use rayon::prelude::*;
 
+use super::RayLayers;
 use super::pixel::{RayGaussianCpu, RayLayerCpu, Rules, look};
-use super::{RayLayers, SUMS};
 use crate::depth_slope::DEPTH_SLOPE;
 use crate::intersect::{IntersectionLists, TILE, tile_grid};
-use crate::project::{COLUMNS, Ellipse};
-use crate::rasterize::RasterizeSpec;
+use crate::project::COLUMNS;
+use crate::rasterize::cpu::{MOMENTS, RowSums, gather, tile_rows};
+use crate::rasterize::{Layers, RasterizeSpec};
 use crate::simd::real::Real;
 
 /// A view with its Gaussians prepared for evaluation at pixels.
@@ -38,10 +39,6 @@ impl<'a, F: Real> PreparedRayView<'a, F> {
         }
     }
 
-    fn tiles(&self) -> usize {
-        self.intersections.tile_start.len() - 1
-    }
-
     fn gaussians(&self, tile: usize) -> &'a [u32] {
         &self.intersections.gaussian[self.intersections.tile_start[tile]..self.intersections.tile_start[tile + 1]]
     }
@@ -61,10 +58,6 @@ impl<'a, F: Real> PreparedRayView<'a, F> {
     fn feature(&self, gaussian: u32) -> &'a [F] {
         &self.inputs.features[gaussian as usize * self.channels..][..self.channels]
     }
-
-    fn planes(&self) -> usize {
-        self.channels + 1 + usize::from(self.depth)
-    }
 }
 
 /// Returns the planes `[C + 1 (+ 1), H, W]`.
@@ -74,7 +67,7 @@ pub(crate) fn rasterize_rays_cpu<F: Real>(
     intersections: &IntersectionLists,
 ) -> Vec<F> {
     let view = PreparedRayView::new(inputs, spec, intersections);
-    let (count, pixels) = (view.planes(), view.size[0] * view.size[1]);
+    let (count, pixels) = (spec.planes(view.channels), view.size[0] * view.size[1]);
     let of_tile = |layers: &mut Vec<RayLayerCpu<F>>, tile: usize| -> Vec<F> {
         let mut values = Vec::new();
         for pixel in view.pixels(tile) {
@@ -96,7 +89,8 @@ pub(crate) fn rasterize_rays_cpu<F: Real>(
         }
         values
     };
-    let by_tile: Vec<Vec<F>> = (0..view.tiles()).into_par_iter().map_init(Vec::new, of_tile).collect();
+    let tiles = 0..intersections.tile_start.len() - 1;
+    let by_tile: Vec<Vec<F>> = tiles.into_par_iter().map_init(Vec::new, of_tile).collect();
     let mut planes = vec![F::ZERO; count * pixels];
     for (tile, values) in by_tile.iter().enumerate() {
         for (pixel, values) in view.pixels(tile).zip(values.chunks_exact(count)) {
@@ -115,26 +109,24 @@ pub(crate) fn rasterize_rays_backward_cpu<F: Real>(
     needs: RayLayers<bool>,
 ) -> RayLayers<Vec<F>> {
     let view = PreparedRayView::new(inputs, spec, intersections);
-    let columns = SUMS + view.channels + if needs.mean2d_abs { 2 } else { 0 };
-    let mut rows = vec![F::ZERO; intersections.gaussian.len() * columns];
-    let tasks: Vec<&mut [F]> = {
-        let mut rest = rows.as_mut_slice();
-        let ends = intersections.tile_start.windows(2).map(|w| w[1] - w[0]);
-        ends.map(|count| rest.split_off_mut(..count * columns).expect("as many intersections as their lists")).collect()
-    };
-    let background: Vec<Vec<F>> = tasks
-        .into_par_iter()
-        .enumerate()
-        .map_init(Vec::new, |layers, (tile, rows)| tile_backward(&view, grad, tile, (rows, columns), layers))
-        .collect();
-    let mut grads = gather(&view, &rows, columns, needs);
-    if needs.background {
-        grads.background = vec![F::ZERO; view.channels];
-        for part in background {
-            grads.background.iter_mut().zip(part).for_each(|(sum, value)| *sum += value);
-        }
+    let channels = view.channels + usize::from(view.depth);
+    let columns = MOMENTS + channels + DEPTH_SLOPE + if needs.mean2d_abs { 2 } else { 0 };
+    let (rows, background) = tile_rows(intersections, [columns, view.channels], Vec::new, |layers, tile, rows| {
+        tile_backward(&view, grad, tile, (rows, columns), layers)
+    });
+    let sums = RowSums { rows: &rows, columns, channels, unscale: 1.0 };
+    let RayLayers { projected, depth_slope, features, mean2d_abs, .. } = needs;
+    let needed = Layers { projected, features, background: false, mean2d_abs };
+    let slopes = if depth_slope { DEPTH_SLOPE } else { 0 };
+    let (grads, depth_slope) = gather(inputs.projected, view.channels, intersections, &sums, (needed, slopes));
+    let Layers { projected, features, mean2d_abs, .. } = grads;
+    RayLayers {
+        projected,
+        depth_slope,
+        features,
+        background: if needs.background { background } else { Vec::new() },
+        mean2d_abs,
     }
-    grads
 }
 
 /// Adds to a tile's rows, one per intersection, and returns its share of the background's gradient.
@@ -164,58 +156,15 @@ fn tile_backward<F: Real>(
             let found = layer.backward(footprint, &view.rules, layer.before * (here - behind), grad_depth);
             behind = layer.alpha * here + (F::ONE - layer.alpha) * behind;
             let row = &mut rows[layer.place * columns..(layer.place + 1) * columns];
-            row.iter_mut().zip(found.sums).for_each(|(sum, value)| *sum += value);
-            row[SUMS..].iter_mut().zip(&own).for_each(|(sum, g)| *sum += found.weight * *g);
-            row[SUMS + channels..].iter_mut().zip(found.mean2d).for_each(|(sum, value)| *sum += value.abs());
+            row.iter_mut().zip(found.moments).for_each(|(sum, value)| *sum += value);
+            row[MOMENTS..].iter_mut().zip(&own).for_each(|(sum, g)| *sum += found.weight * *g);
+            if view.depth {
+                row[MOMENTS + channels] += found.depth;
+            }
+            let rest = &mut row[MOMENTS + channels + usize::from(view.depth)..];
+            rest.iter_mut().zip(found.rest).for_each(|(sum, value)| *sum += value);
         }
         background.iter_mut().zip(&own).for_each(|(sum, g)| *sum += *g * left);
     }
     background
-}
-
-/// Adds each Gaussian's rows in order and turns the sums into gradients. Not parallel: the cost is small compared with the cost
-/// of the pixels.
-fn gather<F: Real>(view: &PreparedRayView<F>, rows: &[F], columns: usize, needs: RayLayers<bool>) -> RayLayers<Vec<F>> {
-    let (count, channels, intersections) = (view.footprints.len(), view.channels, view.intersections);
-    let zeros = |needed: bool, columns: usize| vec![F::ZERO; if needed { count * columns } else { 0 }];
-    let mut grads = RayLayers {
-        projected: zeros(needs.projected, COLUMNS),
-        depth_slope: zeros(needs.depth_slope, DEPTH_SLOPE),
-        features: zeros(needs.features, channels),
-        background: Vec::new(),
-        mean2d_abs: zeros(needs.mean2d_abs, 2),
-    };
-    let mut sums = vec![F::ZERO; columns];
-    for (visible, &gaussian) in intersections.visible.iter().enumerate() {
-        sums.fill(F::ZERO);
-        let range = intersections.visible_start[visible] as usize..intersections.visible_start[visible + 1] as usize;
-        for &intersection in &intersections.intersection_of_visible[range] {
-            let row = &rows[intersection as usize * columns..(intersection as usize + 1) * columns];
-            sums.iter_mut().zip(row).for_each(|(sum, value)| *sum += *value);
-        }
-        let (i, e) = (gaussian as usize, &view.footprints[gaussian as usize].ellipse);
-        if needs.projected {
-            let [h, p, q, pu, qu, qv] = [0, 1, 2, 3, 4, 5].map(|column| sums[column]);
-            let per_v = q / e.sigma_v;
-            let grad = Ellipse {
-                mean_px: [e.shear * per_v - p / e.sigma_u, -per_v],
-                sigma_u: -(pu / e.sigma_u),
-                shear: -(qu * (e.sigma_u / e.sigma_v)),
-                sigma_v: -(qv / e.sigma_v),
-                depth: sums[9],
-                opacity: h / e.opacity,
-            };
-            grads.projected[i * COLUMNS..(i + 1) * COLUMNS].copy_from_slice(&grad.to_row());
-        }
-        if needs.depth_slope {
-            grads.depth_slope[i * DEPTH_SLOPE..(i + 1) * DEPTH_SLOPE].copy_from_slice(&sums[6..6 + DEPTH_SLOPE]);
-        }
-        if needs.features {
-            grads.features[i * channels..(i + 1) * channels].copy_from_slice(&sums[SUMS..SUMS + channels]);
-        }
-        if needs.mean2d_abs {
-            grads.mean2d_abs[2 * i..2 * i + 2].copy_from_slice(&sums[SUMS + channels..]);
-        }
-    }
-    grads
 }

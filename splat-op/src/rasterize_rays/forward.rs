@@ -6,29 +6,21 @@
 
 use cubecl::prelude::*;
 
-use super::layer::{CHUNK, RayFrame, RayGaussian, RayPixel, Walk};
+use super::layer::{CHUNK, RayFrame, RayGaussian, RayInputs, Walk};
 use crate::intersect::TILE_PIXELS;
+use crate::rasterize::layer::{TilePixel, tile_origin};
 
 /// Writes the planes `[C + 1 (+ 1), H, W]`.
 #[cube(launch_unchecked)]
-pub(super) fn rasterize_rays_forward_kernel(
-    projected: &[f32],
-    depth_slopes: &[f32],
-    features: &[f32],
-    background: &[f32],
-    tile_start: &[u32],
-    intersection_of_place: &[u32],
-    gaussian_of_intersection: &[u32],
-    planes: &mut [f32],
-    view: RayFrame,
-) {
+pub(super) fn rasterize_rays_forward_kernel(inputs: RayInputs, planes: &mut [f32], view: RayFrame) {
     let tile = CUBE_POS as u32;
-    let pixel = RayPixel::of(tile, UNIT_POS % comptime!(TILE_PIXELS as u32), &view);
+    let origin = tile_origin(tile, &view.frame);
+    let pixel = TilePixel::of(origin, UNIT_POS % comptime!(TILE_PIXELS as u32), &view.frame);
     if tile < view.end_tile && pixel.inside {
-        let plane = (view.width * view.height) as usize;
-        let channels = view.features as usize;
-        let first = tile_start[tile as usize];
-        let places = tile_start[tile as usize + 1] - first;
+        let plane = (view.frame.width * view.frame.height) as usize;
+        let channels = comptime!(view.shape.features);
+        let first = inputs.lists.start(tile);
+        let places = inputs.lists.start(tile + 1) - first;
         for channel in 0..channels {
             planes[channel * plane + pixel.index] = 0.0f32;
         }
@@ -37,30 +29,22 @@ pub(super) fn rasterize_rays_forward_kernel(
         let mut walk = Walk::new();
         let mut open = true;
         while open {
-            let count = walk.advance(
-                projected,
-                depth_slopes,
-                intersection_of_place,
-                gaussian_of_intersection,
-                first,
-                places,
-                &pixel,
-                &view,
-            );
+            let count = walk.advance(&inputs, first, places, &pixel, &view);
             for i in 0..count {
                 if open {
                     let alpha = walk.alphas[i as usize];
                     let behind = fma(-alpha, transmittance, transmittance);
-                    open = behind > view.transmittance_min;
+                    open = behind > view.frame.transmittance_min;
                     if open {
-                        let gaussian = walk.gaussian(i) as usize;
+                        let gaussian = walk.gaussians[i as usize] as usize;
                         let weight = alpha * transmittance;
                         for channel in 0..channels {
-                            planes[channel * plane + pixel.index] += weight * features[gaussian * channels + channel];
+                            planes[channel * plane + pixel.index] +=
+                                weight * inputs.features[gaussian * channels + channel];
                         }
-                        if comptime!(view.depth) {
-                            let footprint = RayGaussian::load(projected, depth_slopes, gaussian);
-                            let layer = footprint.at(pixel.x, pixel.y, &view);
+                        if comptime!(view.shape.depth) {
+                            let footprint = RayGaussian::load(&inputs, gaussian);
+                            let layer = footprint.at(&pixel, &view);
                             depth += weight * footprint.depth_of(&layer, &view);
                         }
                         transmittance = behind;
@@ -70,10 +54,10 @@ pub(super) fn rasterize_rays_forward_kernel(
             open = open && count == comptime!(CHUNK as u32);
         }
         for channel in 0..channels {
-            planes[channel * plane + pixel.index] += transmittance * background[channel];
+            planes[channel * plane + pixel.index] += transmittance * inputs.background[channel];
         }
         planes[channels * plane + pixel.index] = 1.0 - transmittance;
-        if comptime!(view.depth) {
+        if comptime!(view.shape.depth) {
             planes[(channels + 1) * plane + pixel.index] = depth;
         }
     }

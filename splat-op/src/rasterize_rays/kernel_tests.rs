@@ -2,7 +2,7 @@
 
 use super::RayLayers;
 use super::cpu::{rasterize_rays_backward_cpu, rasterize_rays_cpu};
-use super::launch::{launch_rasterize_rays, launch_rasterize_rays_backward_by};
+use super::launch::{launch_rasterize_rays, launch_rasterize_rays_backward};
 use super::pixel::{RayGaussianCpu, Rules, look};
 use crate::camera::Intrinsics;
 use crate::depth_slope::launch::launch_bounds;
@@ -160,7 +160,7 @@ impl StageInputs {
         let (inputs, lists) = self.device(gpu);
         let grad = Buffer::from_slice(gpu, &to_f32(grad));
         let planes = launch_rasterize_rays(gpu, &inputs, &lists, &self.spec).read(gpu);
-        (planes, launch_rasterize_rays_backward_by(gpu, &inputs, &grad, (&lists, room), &self.spec, needs))
+        (planes, launch_rasterize_rays_backward(gpu, &inputs, &grad, (&lists, room), &self.spec, needs))
     }
 
     fn check(&self) {

@@ -3,50 +3,38 @@
 use cubecl::prelude::CubeDim;
 
 use super::RayLayers;
-use super::backward::{
-    rasterize_rays_background_kernel, rasterize_rays_gather_kernel, rasterize_rays_sums_kernel,
-    rasterize_rays_walk_kernel, row_len,
-};
+use super::backward::{rasterize_rays_sums_kernel, rasterize_rays_walk_kernel, row_len};
 use super::forward::rasterize_rays_forward_kernel;
-use super::layer::RayFrameLaunch;
+use super::layer::{RayFrameLaunch, RayInputsLaunch};
 use crate::depth_slope::DEPTH_SLOPE;
-use crate::gpu::{Buffer, Gpu, UNITS, cubes, elementwise};
+use crate::gpu::reduce::launch_sums;
+use crate::gpu::{Buffer, Gpu, cubes, elementwise};
+use crate::intersect::TILE_PIXELS;
 use crate::intersect::launch::DeviceIntersections;
-use crate::intersect::{TILE_PIXELS, tile_grid};
 use crate::limits::Need;
 use crate::options::{Order, Projection};
-use crate::project::COLUMNS;
-use crate::rasterize::RasterizeSpec;
+use crate::rasterize::launch::{frame, launch_gather};
+use crate::rasterize::layer::KernelShape;
+use crate::rasterize::{Layers, RasterizeSpec};
 
 /// Number of places in the table of layers and pixels, unless one tile has more: 64 MiB.
-const TABLE: usize = 32_768;
+pub(crate) const TABLE: usize = 32_768;
 
 /// Hint for a render whose backward pass needs too much memory.
 const FEWER_INTERSECTIONS: &str = "train on smaller pictures, raise `alpha_min`, or use fewer Gaussians";
 
-/// The view as a kernel argument, for the tiles `first..end`.
-fn view(spec: &RasterizeSpec, features: usize, (first, end): (usize, usize)) -> RayFrameLaunch {
-    let (camera, options) = (&spec.intrinsics, &spec.options);
-    let least = options.transmittance_min;
-    RayFrameLaunch::new(
-        camera.width as u32,
-        camera.height as u32,
-        tile_grid(camera.width, camera.height)[0] as u32,
-        first as u32,
-        end as u32,
-        features as u32,
-        options.alpha_min as f32,
-        options.alpha_max as f32,
-        // A threshold of zero omits nothing, not even layers behind an alpha of one.
-        if least > 0.0 { least as f32 } else { -1.0 },
-        options.projection == Projection::RayMax,
-        options.order == Order::PerPixelSort,
-        options.depth,
-    )
+impl RayLayers<Buffer<f32>> {
+    fn arg(&self, lists: &DeviceIntersections) -> RayInputsLaunch {
+        let [projected, depth_slope, features, background, _] = self.each_ref().into_array().map(Buffer::arg);
+        RayInputsLaunch::new(projected, depth_slope, features, background, lists.arg())
+    }
 }
 
-fn tiles(spec: &RasterizeSpec) -> usize {
-    tile_grid(spec.intrinsics.width, spec.intrinsics.height).iter().product()
+/// The view as a kernel argument, for the tiles `first..end`.
+fn view(spec: &RasterizeSpec, shape: KernelShape, (first, end): (usize, usize)) -> RayFrameLaunch {
+    let (ray_max, per_pixel) = (Projection::RayMax, Order::PerPixelSort);
+    let (exact, per_pixel) = (spec.options.projection == ray_max, spec.options.order == per_pixel);
+    RayFrameLaunch::new(frame(spec), first as u32, end as u32, exact, per_pixel, shape)
 }
 
 /// Launches the forward pass and returns the planes `[C + 1 (+ 1), H, W]`.
@@ -56,24 +44,17 @@ pub(crate) fn launch_rasterize_rays(
     lists: &DeviceIntersections,
     spec: &RasterizeSpec,
 ) -> Buffer<f32> {
-    let features = inputs.background.len;
-    let planes = Buffer::new(gpu, spec.planes(features) * spec.intrinsics.width * spec.intrinsics.height);
-    let tiles = tiles(spec);
+    let (shape, tiles) = (KernelShape::of(inputs.background.len, &spec.options), lists.counts.len);
+    let planes = Buffer::new(gpu, spec.planes(shape.features) * spec.intrinsics.width * spec.intrinsics.height);
     // SAFETY: places, intersections and Gaussians come from the lists, whose entries are in range; pixels are guarded.
     unsafe {
         rasterize_rays_forward_kernel::launch_unchecked(
             &gpu.client,
             cubes(tiles),
             CubeDim::new_1d(TILE_PIXELS as u32),
-            inputs.projected.arg(),
-            inputs.depth_slope.arg(),
-            inputs.features.arg(),
-            inputs.background.arg(),
-            lists.tile_start.arg(),
-            lists.intersection_of_place.arg(),
-            lists.gaussian_of_intersection.arg(),
+            inputs.arg(lists),
             planes.arg(),
-            view(spec, features, (0, tiles)),
+            view(spec, shape, (0, tiles)),
         );
     }
     planes
@@ -95,21 +76,9 @@ fn runs(counts: &[i32], room: usize) -> (Vec<(usize, usize)>, usize) {
     (runs, longest)
 }
 
-/// Returns the gradients of the inputs from `grad`, the gradient of the planes. Waits for the device once, to read the lengths of
-/// the lists.
+/// Returns the gradients of the inputs from `grad`, the gradient of the planes, with a table of at most `room` places. Waits for
+/// the device once, to read the lengths of the lists.
 pub(crate) fn launch_rasterize_rays_backward(
-    gpu: &Gpu,
-    inputs: &RayLayers<Buffer<f32>>,
-    grad: &Buffer<f32>,
-    lists: &DeviceIntersections,
-    spec: &RasterizeSpec,
-    needs: RayLayers<bool>,
-) -> RayLayers<Option<Buffer<f32>>> {
-    launch_rasterize_rays_backward_by(gpu, inputs, grad, (lists, TABLE), spec, needs)
-}
-
-/// [`launch_rasterize_rays_backward`] with a table of at most `room` places.
-pub(super) fn launch_rasterize_rays_backward_by(
     gpu: &Gpu,
     inputs: &RayLayers<Buffer<f32>>,
     grad: &Buffer<f32>,
@@ -117,12 +86,12 @@ pub(super) fn launch_rasterize_rays_backward_by(
     spec: &RasterizeSpec,
     needs: RayLayers<bool>,
 ) -> RayLayers<Option<Buffer<f32>>> {
-    let (camera, features, count) = (&spec.intrinsics, inputs.background.len, inputs.projected.len / COLUMNS);
-    let pixels = camera.width * camera.height;
+    let (shape, pixels) =
+        (KernelShape::of(inputs.background.len, &spec.options), spec.intrinsics.width * spec.intrinsics.height);
     let read = gpu.client.read_one(lists.counts.handle.clone()).unwrap_or_else(|error| panic!("{error}"));
-    let counts: Vec<i32> = bytemuck::pod_collect_to_vec(&read[..4 * tiles(spec)]);
+    let counts: Vec<i32> = bytemuck::pod_collect_to_vec(&read[..4 * lists.counts.len]);
     let (runs, longest) = runs(&counts, room.min(gpu.buffer_limit as usize / (8 * TILE_PIXELS)));
-    let columns = row_len(features, needs.mean2d_abs);
+    let columns = row_len(shape, needs.mean2d_abs);
     let fits = |what, len: usize| {
         Need { what, bytes: 4 * len as u64, hint: FEWER_INTERSECTIONS }.assert_fits(gpu.buffer_limit)
     };
@@ -140,17 +109,11 @@ pub(super) fn launch_rasterize_rays_backward_by(
                 &gpu.client,
                 cubes(end - first),
                 CubeDim::new_1d(TILE_PIXELS as u32),
-                inputs.projected.arg(),
-                inputs.depth_slope.arg(),
-                inputs.features.arg(),
-                inputs.background.arg(),
+                inputs.arg(lists),
                 grad.arg(),
-                lists.tile_start.arg(),
-                lists.intersection_of_place.arg(),
-                lists.gaussian_of_intersection.arg(),
                 table.arg(),
                 left.arg(),
-                view(spec, features, (first, end)),
+                view(spec, shape, (first, end)),
             );
         }
         if places == 0 || !of_intersections {
@@ -163,73 +126,26 @@ pub(super) fn launch_rasterize_rays_backward_by(
                 &gpu.client,
                 grid,
                 dim,
-                inputs.projected.arg(),
-                inputs.depth_slope.arg(),
+                inputs.arg(lists),
                 grad.arg(),
-                lists.tile_start.arg(),
-                lists.intersection_of_place.arg(),
-                lists.gaussian_of_intersection.arg(),
                 table.arg(),
                 rows.arg(),
-                view(spec, features, (first, end)),
+                view(spec, shape, (first, end)),
                 needs.mean2d_abs,
             );
         }
     }
-    let mut grads = RayLayers::default();
-    if needs.background {
-        let sums = Buffer::new(gpu, features);
-        // SAFETY: every access is guarded by the lengths given.
-        unsafe {
-            rasterize_rays_background_kernel::launch_unchecked(
-                &gpu.client,
-                cubes(features),
-                CubeDim::new_1d(UNITS as u32),
-                grad.arg(),
-                left.arg(),
-                sums.arg(),
-                pixels as u32,
-                features as u32,
-                gpu.planes,
-            );
-        }
-        grads.background = Some(sums);
-    }
+    let background = needs.background.then(|| launch_sums(gpu, grad, Some(&left), [pixels, shape.features]));
     if !of_intersections {
-        return grads;
+        return RayLayers { background, ..RayLayers::default() };
     }
-    let zeros = |needed: bool, columns: usize| Buffer::zeros(gpu, if needed { count * columns } else { 0 });
-    let projected = zeros(needs.projected, COLUMNS);
-    let depth_slope = zeros(needs.depth_slope, DEPTH_SLOPE);
-    let feature_rows = zeros(needs.features, features);
-    let absolute = zeros(needs.mean2d_abs, 2);
-    let (grid, dim) = elementwise(lists.visible);
-    // SAFETY: ranks stay below the number of visible Gaussians, and intersections below the number of intersections.
-    unsafe {
-        rasterize_rays_gather_kernel::launch_unchecked(
-            &gpu.client,
-            grid,
-            dim,
-            inputs.projected.arg(),
-            lists.order.arg(),
-            lists.first_intersection.arg(),
-            rows.arg(),
-            projected.arg(),
-            depth_slope.arg(),
-            feature_rows.arg(),
-            absolute.arg(),
-            lists.visible as u32,
-            lists.intersections as u32,
-            features as u32,
-            (needs.projected, needs.depth_slope, needs.features),
-            needs.mean2d_abs,
-        );
-    }
-    grads.projected = needs.projected.then_some(projected);
-    grads.depth_slope = needs.depth_slope.then_some(depth_slope);
-    grads.features = needs.features.then_some(feature_rows);
-    grads.mean2d_abs = needs.mean2d_abs.then_some(absolute);
-    grads
+    let RayLayers { projected, depth_slope, features, mean2d_abs, .. } = needs;
+    let needs = Layers { projected, features, background: false, mean2d_abs };
+    let slopes = if depth_slope { DEPTH_SLOPE } else { 0 };
+    let (grads, depth_slope) =
+        launch_gather(gpu, &inputs.projected, lists, (&rows, columns, true), shape, (needs, slopes));
+    let Layers { projected, features, mean2d_abs, .. } = grads;
+    RayLayers { projected, depth_slope, features, background, mean2d_abs }
 }
 
 #[cfg(test)]

@@ -1,79 +1,49 @@
 //! A Gaussian at a pixel, and the next layers of a pixel. The kernels of both passes share this code, so that both see the same
 //! layers.
 
-#![allow(clippy::too_many_arguments, reason = "functions of a kernel take what it was launched with")]
-
 use cubecl::prelude::*;
 
 use super::{D_MIN, WHITENED_MAX};
 use crate::depth_slope::DEPTH_SLOPE;
 use crate::gpu::math::within;
-use crate::intersect::TILE;
-use crate::project::COLUMNS;
+use crate::intersect::forward::TileLists;
+use crate::project::forward::PackedEllipse;
+use crate::rasterize::layer::{KernelShape, RasterFrame, TilePixel};
 
 /// Number of layers that a unit finds in one pass through the tile's list and sorts in its registers.
 pub(super) const CHUNK: usize = 16;
+
+/// The buffers that a launch reads.
+#[derive(CubeType, CubeLaunch)]
+pub(super) struct RayInputs {
+    pub projected: Box<[f32]>,
+    pub depth_slopes: Box<[f32]>,
+    pub features: Box<[f32]>,
+    pub background: Box<[f32]>,
+    pub lists: TileLists,
+}
 
 /// Image size, tiles of a launch, and render options.
 #[derive(CubeType, CubeLaunch, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub(super) struct RayFrame {
-    pub width: u32,
-    pub height: u32,
-    pub tiles_x: u32,
+    pub frame: RasterFrame,
     /// The launch covers the tiles `first_tile..end_tile`.
     pub first_tile: u32,
     pub end_tile: u32,
-    pub features: u32,
-    pub alpha_min: f32,
-    pub alpha_max: f32,
-    /// A value below zero disables the threshold.
-    pub transmittance_min: f32,
     #[cube(comptime)]
     pub exact: bool,
     #[cube(comptime)]
     pub per_pixel: bool,
     #[cube(comptime)]
-    pub depth: bool,
-}
-
-/// One pixel of a tile, assigned to one unit.
-#[derive(CubeType, Clone, Copy)]
-#[expand(derive(Clone, Copy))]
-pub(super) struct RayPixel {
-    /// Centre of the pixel, px.
-    pub x: f32,
-    pub y: f32,
-    /// Whether the pixel is in the picture, and its index there.
-    pub inside: bool,
-    pub index: usize,
-}
-
-#[cube]
-impl RayPixel {
-    pub fn of(tile: u32, unit: u32, view: &RayFrame) -> RayPixel {
-        let column = tile % view.tiles_x * comptime!(TILE as u32) + unit % comptime!(TILE as u32);
-        let row = tile / view.tiles_x * comptime!(TILE as u32) + unit / comptime!(TILE as u32);
-        RayPixel {
-            x: f32::cast_from(column) + 0.5,
-            y: f32::cast_from(row) + 0.5,
-            inside: column < view.width && row < view.height,
-            index: (row * view.width + column) as usize,
-        }
-    }
+    pub shape: KernelShape,
 }
 
 /// A Gaussian as pixels evaluate it: its packed ellipse and its depth slope.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub(super) struct RayGaussian {
-    pub x: f32,
-    pub y: f32,
-    pub sigma_u: f32,
-    pub shear: f32,
-    pub sigma_v: f32,
-    pub depth: f32,
-    pub opacity: f32,
+    pub ellipse: PackedEllipse,
     pub depth_slope_u: f32,
     pub depth_slope_v: f32,
     pub thickness: f32,
@@ -98,29 +68,23 @@ pub(super) struct RayLayer {
 
 #[cube]
 impl RayGaussian {
-    pub fn load(projected: &[f32], depth_slopes: &[f32], gaussian: usize) -> RayGaussian {
-        let at = gaussian * comptime!(COLUMNS);
-        let depth_slope = gaussian * comptime!(DEPTH_SLOPE);
+    pub fn load(inputs: &RayInputs, gaussian: usize) -> RayGaussian {
+        let at = gaussian * comptime!(DEPTH_SLOPE);
         RayGaussian {
-            x: projected[at],
-            y: projected[at + 1],
-            sigma_u: projected[at + 2],
-            shear: projected[at + 3],
-            sigma_v: projected[at + 4],
-            depth: projected[at + 5],
-            opacity: projected[at + 6],
-            depth_slope_u: depth_slopes[depth_slope],
-            depth_slope_v: depth_slopes[depth_slope + 1],
-            thickness: depth_slopes[depth_slope + 2],
+            ellipse: PackedEllipse::load(&inputs.projected, gaussian),
+            depth_slope_u: inputs.depth_slopes[at],
+            depth_slope_v: inputs.depth_slopes[at + 1],
+            thickness: inputs.depth_slopes[at + 2],
         }
     }
 
-    pub fn at(&self, x: f32, y: f32, view: &RayFrame) -> RayLayer {
+    pub fn at(&self, pixel: &TilePixel, view: &RayFrame) -> RayLayer {
         let widest = comptime!(WHITENED_MAX as f32);
         let farthest = comptime!((WHITENED_MAX * WHITENED_MAX) as f32);
-        let (dx, dy) = (x - self.x, y - self.y);
-        let u = within(dx / self.sigma_u, -widest, widest);
-        let v = within((dy - self.shear * dx) / self.sigma_v, -widest, widest);
+        let e = self.ellipse;
+        let (dx, dy) = (pixel.x - e.x, (pixel.top + pixel.row) - e.y);
+        let u = within(dx / e.sigma_u, -widest, widest);
+        let v = within((dy - e.shear * dx) / e.sigma_v, -widest, widest);
         let square = u * u + v * v;
         let s = within(1.0 - (self.depth_slope_u * u + self.depth_slope_v * v), -farthest, farthest);
         let thick = self.thickness * self.thickness;
@@ -134,23 +98,23 @@ impl RayGaussian {
             exponent *= inverse;
             seen = s > 0.0 && sound;
         }
-        let whole = self.opacity * (-exponent).exp();
-        let alpha = min(whole, view.alpha_max);
+        let whole = e.opacity * (-exponent).exp();
+        let alpha = min(whole, view.frame.alpha_max);
         RayLayer {
             u,
             v,
             exponent,
             lambda,
             phi: thick * inverse,
-            key: lambda * self.depth,
-            alpha: select(seen && alpha >= view.alpha_min, alpha, 0.0),
-            free: whole < view.alpha_max,
+            key: lambda * e.depth,
+            alpha: select(seen && alpha >= view.frame.alpha_min, alpha, 0.0),
+            free: whole < view.frame.alpha_max,
         }
     }
 
     /// Returns the depth of a layer, scene units.
     pub fn depth_of(&self, layer: &RayLayer, view: &RayFrame) -> f32 {
-        let mut depth = self.depth;
+        let mut depth = self.ellipse.depth;
         if comptime!(view.exact) {
             depth = layer.key;
         }
@@ -163,7 +127,7 @@ impl RayGaussian {
 pub(super) struct Walk {
     /// Sort keys of the current layers, front to back.
     keys: Array<f32>,
-    gaussians: Array<u32>,
+    pub gaussians: Array<u32>,
     /// Places in the tile's list.
     pub places: Array<u32>,
     pub alphas: Array<f32>,
@@ -205,24 +169,9 @@ impl Walk {
         self.alphas[at as usize] = alpha;
     }
 
-    /// Returns the Gaussian of the current layer `i`.
-    pub fn gaussian(&self, i: u32) -> u32 {
-        self.gaussians[i as usize]
-    }
-
     /// Finds the next layers in a list of `places` places that begins at `first`. Returns their number,
     /// which is less than [`CHUNK`] at the end.
-    pub fn advance(
-        &mut self,
-        projected: &[f32],
-        depth_slopes: &[f32],
-        intersection_of_place: &[u32],
-        gaussian_of_intersection: &[u32],
-        first: u32,
-        places: u32,
-        pixel: &RayPixel,
-        view: &RayFrame,
-    ) -> u32 {
+    pub fn advance(&mut self, inputs: &RayInputs, first: u32, places: u32, pixel: &TilePixel, view: &RayFrame) -> u32 {
         let mut count = 0u32;
         // With the per-pixel sort, the next layers may lie anywhere in the list.
         let mut place = 0u32;
@@ -231,8 +180,8 @@ impl Walk {
         }
         let mut going = place < places;
         while going {
-            let gaussian = gaussian_of_intersection[intersection_of_place[(first + place) as usize] as usize];
-            let layer = RayGaussian::load(projected, depth_slopes, gaussian as usize).at(pixel.x, pixel.y, view);
+            let gaussian = inputs.lists.gaussian(first + place);
+            let layer = RayGaussian::load(inputs, gaussian as usize).at(pixel, view);
             if layer.alpha > 0.0 {
                 if comptime!(view.per_pixel) {
                     let begun = self.come_to[0] != 0;

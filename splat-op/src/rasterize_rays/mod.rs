@@ -62,11 +62,6 @@ pub(crate) const WHITENED_MAX: f64 = 1e9;
 /// Largest `D` that counts as zero: the ray lies in the plane of a flat Gaussian, `1/D` is unusable, and `λ` is set to zero.
 pub(crate) const D_MIN: f64 = 1e-30;
 
-/// Number of sums of an intersection over a tile's pixels, besides one per channel: `h = α ∂L/∂α` where alpha is below its limit
-/// (1); the gradients `p, q` of `u` and `v`, then `p u, q u, q v` (5); the gradients of the depth slopes and the thickness (3);
-/// the gradient of the depth (1).
-pub(crate) const SUMS: usize = 10;
-
 record! {
     /// Inputs of the per-ray rasterization.
     pub struct RayLayers {

@@ -1,6 +1,6 @@
 //! One pixel in the CPU twin: the evaluation of a Gaussian, the layers front to back, and their gradients.
 
-use super::{D_MIN, SUMS, WHITENED_MAX};
+use super::{D_MIN, WHITENED_MAX};
 use crate::depth_slope::DEPTH_SLOPE;
 use crate::intersect::extent::widened_limit;
 use crate::options::{Order, Projection};
@@ -178,12 +178,15 @@ pub(super) fn look<F: Real>(
 
 /// Gradient of one layer from one pixel.
 pub(super) struct LayerGrad<F> {
-    /// See [`SUMS`].
-    pub sums: [F; SUMS],
+    /// `h = α ∂L/∂α` where alpha is below its limit, the negative gradients `p, q` of `u` and `v`, and `p u, q u, q v`: the
+    /// moments of `rasterize`.
+    pub moments: [F; 6],
     /// `α T`, the factor from the gradient of a channel to the gradient of its feature.
     pub weight: F,
-    /// Gradient of the projected centre, per px.
-    pub mean2d: [F; 2],
+    /// Gradient of the depth.
+    pub depth: F,
+    /// Gradients of the depth slopes and the thickness, then the absolute gradient of the projected centre, per px.
+    pub rest: [F; DEPTH_SLOPE + 2],
 }
 
 impl<F: Real> RayLayerCpu<F> {
@@ -202,24 +205,20 @@ impl<F: Real> RayLayerCpu<F> {
         let weight = self.alpha * self.before;
         let h = if self.free { self.alpha * grad_alpha } else { F::ZERO };
         let seen = weight * grad_depth;
-        let (p, q, mut sums) = if rules.exact {
+        let (mut p, mut q, mut depth, mut of_slope) = (h * u, h * v, seen, [F::ZERO; DEPTH_SLOPE]);
+        if rules.exact {
             let of_lambda = seen * e.depth;
             let kappa = two * exponent * phi - lambda * lambda;
-            // Gradients of E and λ along (u, v), and along the depth slope.
-            let radial = -(h * lambda * lambda + of_lambda * two * lambda * phi);
-            let across = -(h * two * exponent * lambda + of_lambda * kappa);
-            let (p, q) = (radial * u + across * depth_slope_u, radial * v + across * depth_slope_v);
+            // Negative gradients of E and λ along (u, v), and along the depth slope.
+            let radial = h * lambda * lambda + of_lambda * two * lambda * phi;
+            let across = h * two * exponent * lambda + of_lambda * kappa;
+            (p, q) = (radial * u + across * depth_slope_u, radial * v + across * depth_slope_v);
             let of_thickness = four * exponent * thickness * (h * exponent - of_lambda * lambda);
-            let mut sums = [F::ZERO; SUMS];
-            sums[6..].copy_from_slice(&[across * u, across * v, of_thickness, seen * lambda]);
-            (p, q, sums)
-        } else {
-            let mut sums = [F::ZERO; SUMS];
-            sums[9] = seen;
-            (-(h * u), -(h * v), sums)
-        };
-        sums[..6].copy_from_slice(&[h, p, q, p * u, q * u, q * v]);
+            (depth, of_slope) = (seen * lambda, [-(across * u), -(across * v), of_thickness]);
+        }
         let per_v = q / e.sigma_v;
-        LayerGrad { sums, weight, mean2d: [e.shear * per_v - p / e.sigma_u, -per_v] }
+        let [of_u, of_v, of_thickness] = of_slope;
+        let rest = [of_u, of_v, of_thickness, (e.shear * per_v - p / e.sigma_u).abs(), per_v.abs()];
+        LayerGrad { moments: [h, p, q, p * u, q * u, q * v], weight, depth, rest }
     }
 }
