@@ -15,6 +15,7 @@ use rayon::prelude::*;
 use splat_op::Intrinsics;
 use splat_op::camera::MAX_SIDE_PX;
 
+use super::read::{regular_size, unreadable};
 use super::{CaptureError, View};
 use crate::effects::masks;
 
@@ -212,24 +213,15 @@ fn limits(camera: &Intrinsics) -> Limits {
 }
 
 fn open(file: &Path) -> Result<File, CaptureError> {
-    let fail = |reason: io::Error| match reason.kind() {
+    regular_size(file).and_then(|_| File::open(file)).map_err(|reason| match reason.kind() {
         io::ErrorKind::NotFound => CaptureError::Missing {
             what: "picture",
             looked_for: vec![file.to_owned()],
             fix: "Put the photographs that the reconstruction was made from where it lists them: below `images/`, or for \
                   `transforms.json` below its folder",
         },
-        _ => CaptureError::Read {
-            file: file.to_owned(),
-            reason,
-            fix: "Check that it is an ordinary file which you may read",
-        },
-    };
-    // Checked before opening, because opening a pipe waits for a writer.
-    if !std::fs::metadata(file).map_err(fail)?.is_file() {
-        return Err(fail(io::Error::new(io::ErrorKind::InvalidInput, "not a regular file")));
-    }
-    File::open(file).map_err(fail)
+        _ => unreadable(file, reason),
+    })
 }
 
 /// The picture with its alpha channel, if that is not opaque everywhere.
