@@ -67,14 +67,6 @@ pub enum DemoError {
         /// The system's reason.
         source: io::Error,
     },
-    /// A picture could not be stored.
-    #[error("{path}: could not write the picture: {source}; is the folder writable and the disk not full?", path = path.display())]
-    Picture {
-        /// The file.
-        path: PathBuf,
-        /// The reason.
-        source: image::ImageError,
-    },
     /// The COLMAP model could not be stored.
     #[error(transparent)]
     Model(#[from] CaptureError),
@@ -116,11 +108,11 @@ pub fn write(folder: &Path, options: &DemoOptions) -> Result<(), DemoError> {
     }
     if options.depth {
         create(&depths)?;
-        store(&depths.join(DEPTH_SCALE), &depth::json())?;
+        store(&depths.join(DEPTH_SCALE), &format!("{{\"scale\": {:?}}}\n", DemoOptions::DEPTH_SCALE))?;
     }
     shots.par_iter().zip(&views).enumerate().try_for_each(|(i, (shot, view))| {
         let saved = |path: &Path, saved: image::ImageResult<()>| {
-            saved.map_err(|source| DemoError::Picture { path: path.to_owned(), source })
+            saved.map_err(|error| DemoError::Io { path: path.to_owned(), source: io::Error::other(error) })
         };
         saved(&view.image_path, picture::render(&scene, shot).save(&view.image_path))?;
         if options.masks && !DemoOptions::held_out(i) {

@@ -98,9 +98,9 @@ impl Lpips {
         let mut channels = 3;
         for (tap, slice) in net.slices().into_iter().enumerate() {
             for layer in slice {
-                let NetworkLayer::Conv { number, channels: out, window } = *layer else { continue };
+                let NetworkLayer { convolution: Some((number, out)), side, .. } = *layer else { continue };
                 let name = |what| format!("net.slice{}.{number}.{what}", tap + 1);
-                let weight = source.tensor(&name("weight"), [out, channels, window.side, window.side], false)?;
+                let weight = source.tensor(&name("weight"), [out, channels, side, side], false)?;
                 convolutions.push(Convolution { weight, bias: source.tensor(&name("bias"), [out], false)? });
                 channels = out;
             }
