@@ -186,7 +186,7 @@ fn rotation(place: &Place, cam_from_world: &DAffine3) -> Result<DQuat, CaptureEr
     }
 }
 
-/// A temporary file being written.
+/// The bytes of a file.
 struct Bytes(Vec<u8>);
 
 impl Bytes {

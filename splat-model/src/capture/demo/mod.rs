@@ -143,15 +143,16 @@ pub const PARTS: [&str; 5] = [IMAGES, MASKS, DEPTHS, TRUTH, "sparse"];
 
 /// The files beside the model that [`write()`] writes for `options`, relative to the capture's folder.
 pub fn files(options: &DemoOptions) -> Vec<PathBuf> {
-    let below =
-        |folder: &'static str, views: Vec<usize>| views.into_iter().map(move |view| Path::new(folder).join(name(view)));
-    let all = || (0..options.views).collect();
-    let mut files: Vec<PathBuf> = below(IMAGES, all()).collect();
+    let below = |folder: &'static str, spared: bool| {
+        let views = (0..options.views).filter(move |&view| !(spared && DemoOptions::held_out(view)));
+        views.map(move |view| Path::new(folder).join(name(view)))
+    };
+    let mut files: Vec<PathBuf> = below(IMAGES, false).collect();
     if options.masks {
-        files.extend(below(MASKS, (0..options.views).filter(|&view| !DemoOptions::held_out(view)).collect()));
+        files.extend(below(MASKS, true));
     }
     if options.depth {
-        files.extend(below(DEPTHS, all()));
+        files.extend(below(DEPTHS, false));
         files.push(Path::new(DEPTHS).join(DEPTH_SCALE));
     }
     files.extend(options.has_truth().then(|| TRUTH.into()));
