@@ -29,11 +29,11 @@ pub struct GaussianRows {
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 #[error("`{field}` holds {found} numbers, expected {expected} for {count} Gaussians of degree {sh_degree}")]
 pub struct RowsError {
-    field: &'static str,
-    found: usize,
-    expected: usize,
-    count: usize,
-    sh_degree: usize,
+    pub(crate) field: &'static str,
+    pub(crate) found: usize,
+    pub(crate) expected: usize,
+    pub(crate) count: usize,
+    pub(crate) sh_degree: usize,
 }
 
 impl GaussianRows {

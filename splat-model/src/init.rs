@@ -126,21 +126,18 @@ fn common_focus(cameras: &[(Intrinsics, DAffine3)]) -> Option<DVec3> {
 
 /// Returns the points in Morton order, so that neighbours are next to each other (see [`morton_order`]).
 pub fn ordered(points: &PointCloud) -> PointCloud {
-    let order = morton_order(&points.positions);
-    let rows = || order.iter().map(|&row| row as usize);
-    PointCloud {
-        positions: rows().map(|row| points.positions[row]).collect(),
-        colours: rows().map(|row| points.colours[row]).collect(),
-    }
+    picked(points, morton_order(&points.positions).iter().map(|&row| row as usize))
 }
 
 /// Returns the whole cloud, or every `k`th of its points if it holds more than `most`.
 pub fn thinned(points: &PointCloud, most: usize) -> PointCloud {
-    let stride = points.positions.len().div_ceil(most.max(1)).max(1);
-    PointCloud {
-        positions: points.positions.iter().copied().step_by(stride).collect(),
-        colours: points.colours.iter().copied().step_by(stride).collect(),
-    }
+    let count = points.positions.len();
+    picked(points, (0..count).step_by(count.div_ceil(most.max(1)).max(1)))
+}
+
+fn picked(points: &PointCloud, rows: impl Iterator<Item = usize>) -> PointCloud {
+    let (positions, colours) = rows.map(|row| (points.positions[row], points.colours[row])).unzip();
+    PointCloud { positions, colours }
 }
 
 #[cfg(test)]

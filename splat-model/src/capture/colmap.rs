@@ -14,24 +14,22 @@ mod write;
 mod tests;
 
 use std::collections::{HashMap, HashSet};
-use std::fs;
-use std::io;
 use std::path::Path;
 
 use glam::{DAffine3, DVec3};
 use splat_op::Intrinsics;
 
-use self::check::{ColmapEntry, EntryPosition};
-pub(super) use self::check::{MAX_MAGNITUDE, quoted};
-use self::files::{Files, FoundModel, find};
-use super::{Capture, CaptureError, Observation, PointCloud, Tracks, View, origin};
+pub(super) use self::files::is_there;
+use self::files::{Files, find};
+use super::read::{Place, PlaceInFile, quoted, read};
+use super::{Capture, CaptureError, Observation, Tracks, View};
 
 pub use write::{write_binary, write_binary_with_tracks};
 
 /// One line of `cameras`.
 #[derive(Clone, Debug, PartialEq)]
 struct CameraRecord {
-    at: EntryPosition,
+    at: PlaceInFile,
     id: u32,
     intrinsics: Intrinsics,
 }
@@ -39,7 +37,7 @@ struct CameraRecord {
 /// One entry of `images`.
 #[derive(Clone, Debug, PartialEq)]
 struct ImageRecord {
-    at: EntryPosition,
+    at: PlaceInFile,
     id: u32,
     camera_id: u32,
     name: String,
@@ -66,14 +64,9 @@ struct TrackElement {
     keypoint: u32,
 }
 
-/// Whether the folder holds a model; its points may be missing.
-pub(super) fn is_there(folder: &Path) -> bool {
-    files::is_there(folder)
-}
-
 /// See [`Capture::load`].
 pub(super) fn load(folder: &Path) -> Result<Capture, CaptureError> {
-    let FoundModel { files, remark } = find(folder)?;
+    let (files, remark) = find(folder)?;
     let cameras = parse(&files.cameras, binary::cameras, text::cameras)?;
     let images = parse(&files.images, binary::images, text::images)?;
     let points = match files.points.exists() {
@@ -91,19 +84,6 @@ fn parse<T>(file: &Path, binary: Parser<T>, text: Parser<T>) -> Result<Vec<T>, C
     parser(file, &read(file)?)
 }
 
-/// Reads a whole file. Only regular files are read, because a pipe would never end.
-fn read(file: &Path) -> Result<Vec<u8>, CaptureError> {
-    let fail = |reason| CaptureError::Read {
-        file: file.to_owned(),
-        reason,
-        fix: "Check that it is an ordinary file which you may read",
-    };
-    if !fs::metadata(file).map_err(fail)?.is_file() {
-        return Err(fail(io::Error::new(io::ErrorKind::InvalidInput, "not a regular file")));
-    }
-    fs::read(file).map_err(fail)
-}
-
 fn assemble(
     folder: &Path,
     files: &Files,
@@ -116,7 +96,7 @@ fn assemble(
     let mut images = images;
     images.sort_by(|a, b| a.name.cmp(&b.name));
     let tracks = tracks(&images, points);
-    let mut views = images
+    let views = images
         .into_iter()
         .map(|image| {
             let intrinsics = *cameras.get(&image.camera_id).ok_or_else(|| no_camera(files, &image, cameras.len()))?;
@@ -127,17 +107,8 @@ fn assemble(
     if views.is_empty() {
         return Err(CaptureError::NoViews { file: files.images.clone() });
     }
-    let poses: Vec<DAffine3> = views.iter().map(|view| view.cam_from_world).collect();
-    let origin = origin::choose(&poses);
-    for view in &mut views {
-        view.cam_from_world = origin::moved(&view.cam_from_world, origin);
-    }
-    let points = PointCloud {
-        positions: points.iter().map(|point| (point.position - origin).as_vec3().to_array()).collect(),
-        colours: points.iter().map(|point| point.colour).collect(),
-    };
-    let (split, masks, remarks) = Default::default();
-    Ok(Capture { folder: folder.to_owned(), views, points, tracks, origin, split, masks, remarks })
+    let (positions, colours): (Vec<_>, _) = points.iter().map(|point| (point.position, point.colour)).unzip();
+    Ok(Capture { tracks, ..Capture::near_zero(folder, views, &positions, colours) })
 }
 
 /// The observations of all points, in the order of the points. `images` are in the order of the views.
@@ -157,14 +128,10 @@ fn tracks(images: &[ImageRecord], points: &[PointRecord]) -> Tracks {
 
 fn by_id(file: &Path, cameras: Vec<CameraRecord>) -> Result<HashMap<u32, Intrinsics>, CaptureError> {
     let mut map = HashMap::with_capacity(cameras.len());
-    for camera in cameras {
-        if map.insert(camera.id, camera.intrinsics).is_some() {
-            let place = ColmapEntry { file, kind: "camera", at: camera.at };
-            return Err(place.refuse(
-                "CAMERA_ID",
-                format!("{} again", camera.id),
-                "a number of its own for each camera",
-            ));
+    for CameraRecord { at, id, intrinsics } in cameras {
+        if map.insert(id, intrinsics).is_some() {
+            let place = Place::new(file, at);
+            return Err(place.refuse("CAMERA_ID", format!("{id} again"), "a number of its own for each camera"));
         }
     }
     Ok(map)
@@ -172,24 +139,21 @@ fn by_id(file: &Path, cameras: Vec<CameraRecord>) -> Result<HashMap<u32, Intrins
 
 fn check_unique(file: &Path, images: &[ImageRecord]) -> Result<(), CaptureError> {
     let (mut ids, mut names) = (HashSet::new(), HashSet::new());
-    for image in images {
-        let place = ColmapEntry { file, kind: "image", at: image.at };
-        if !ids.insert(image.id) {
-            return Err(place.refuse("IMAGE_ID", format!("{} again", image.id), "a number of its own for each image"));
+    for ImageRecord { at, id, name, .. } in images {
+        let place = Place::new(file, *at);
+        if !ids.insert(id) {
+            return Err(place.refuse("IMAGE_ID", format!("{id} again"), "a number of its own for each image"));
         }
-        if !names.insert(&image.name) {
-            return Err(place.refuse(
-                "NAME",
-                format!("{} again", quoted(&image.name)),
-                "a name of its own for each image",
-            ));
+        if !names.insert(name) {
+            let found = format!("{} again", quoted(name));
+            return Err(place.refuse("NAME", found, "a name of its own for each image"));
         }
     }
     Ok(())
 }
 
 fn no_camera(files: &Files, image: &ImageRecord, cameras: usize) -> CaptureError {
-    let place = ColmapEntry { file: &files.images, kind: "image", at: image.at };
+    let place = Place::new(&files.images, image.at);
     let found = format!("{} (of image {})", image.camera_id, quoted(&image.name));
     place.refuse("CAMERA_ID", found, format!("one of the {cameras} cameras in {}", files.cameras.display()))
 }

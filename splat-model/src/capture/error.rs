@@ -73,57 +73,13 @@ pub enum CaptureError {
         /// Its model, by COLMAP's name where there is one.
         model: String,
     },
-    /// A count in a binary file is larger than the file could hold.
-    #[error(
-        "{}: the number of {what} is {count}, which takes at least {needed} bytes, but only {left} bytes follow. The file \
-         is cut short or damaged: copy or export it again",
-        .file.display()
-    )]
-    Count {
+    /// The counts of a binary file and its bytes contradict each other.
+    #[error("{}: {detail}", .file.display())]
+    Damaged {
         /// The file.
         file: PathBuf,
-        /// What is counted.
-        what: String,
-        /// The count that the file states.
-        count: u64,
-        /// Least number of bytes of that many entries; a hostile count may exceed 64 bits.
-        needed: u128,
-        /// Bytes between the count and the end of the file.
-        left: usize,
-    },
-    /// A binary file ends inside an entry.
-    #[error(
-        "{}: {place}: the file ends in `{field}`, which takes {needed} bytes where {left} are left. It is cut short: copy \
-         or export it again",
-        .file.display()
-    )]
-    Truncated {
-        /// The file.
-        file: PathBuf,
-        /// The entry.
-        place: String,
-        /// The field.
-        field: &'static str,
-        /// Bytes that the field takes at least.
-        needed: usize,
-        /// Bytes that are left.
-        left: usize,
-    },
-    /// A binary file goes on after its last entry.
-    #[error(
-        "{}: {left} bytes follow the last of {count} {what}, expected none. The file is damaged or of a newer format: \
-         export it again, for instance with `colmap model_converter`",
-        .file.display()
-    )]
-    Trailing {
-        /// The file.
-        file: PathBuf,
-        /// What is counted.
-        what: &'static str,
-        /// The count that the file states.
-        count: usize,
-        /// Bytes that are left over.
-        left: usize,
+        /// What was found, what was expected and what to do.
+        detail: String,
     },
     /// The reconstruction lists no photographs.
     #[error("{} lists no images, expected at least one. Run the reconstruction again, or choose another of its models", .file.display())]

@@ -9,12 +9,14 @@ use burn::tensor::{Device, FloatDType, Tensor, TensorData};
 use glam::DAffine3;
 use image::imageops::{self, FilterType};
 use image::{
-    ColorType, DynamicImage, ImageBuffer, ImageDecoder, ImageReader, Limits, Pixel, RgbImage, Rgba32FImage, RgbaImage,
+    ColorType, DynamicImage, ImageBuffer, ImageDecoder, ImageError, ImageReader, Limits, Pixel, RgbImage, Rgba32FImage,
+    RgbaImage,
 };
 use rayon::prelude::*;
 use splat_op::Intrinsics;
 use splat_op::camera::MAX_SIDE_PX;
 
+use super::read::{regular_size, unreadable};
 use super::{CaptureError, View};
 use crate::effects::masks;
 
@@ -68,7 +70,11 @@ impl Photo {
 
     /// The photograph resized to `width` × `height` px (Lanczos, a = 3), with its camera scaled to match.
     pub fn resized(&self, width: usize, height: usize) -> Self {
-        let size = [self.intrinsics.width, self.intrinsics.height].map(|side| side as u32);
+        self.clone().into_resized(width, height)
+    }
+
+    fn into_resized(self, width: usize, height: usize) -> Self {
+        let size = [self.intrinsics.width, self.intrinsics.height];
         let (to_width, to_height) = (width as u32, height as u32);
         let (rgb, alpha) = match &self.alpha {
             Some(alpha) => {
@@ -78,18 +84,13 @@ impl Photo {
                 (rgb, Some(alpha))
             }
             None => {
-                let rgb: RgbImage = picture(size, self.rgb.clone());
+                let rgb: RgbImage = picture(size, self.rgb);
                 (imageops::resize(&rgb, to_width, to_height, FilterType::Lanczos3).into_raw(), None)
             }
         };
-        Self {
-            name: self.name.clone(),
-            intrinsics: self.intrinsics.resized(width, height),
-            cam_from_world: self.cam_from_world,
-            rgb,
-            alpha,
-            mask: self.mask.as_ref().map(|mask| masks::resized(mask, size.map(|side| side as usize), [width, height])),
-        }
+        let intrinsics = self.intrinsics.resized(width, height);
+        let mask = self.mask.map(|mask| masks::resized(&mask, size, [width, height]));
+        Self { intrinsics, rgb, alpha, mask, ..self }
     }
 }
 
@@ -100,8 +101,8 @@ pub(super) fn over(rgb: Tensor<3>, alpha: Option<Tensor<3>>, background: [f32; 3
     rgb * alpha.clone() + background * (alpha.neg() + 1.0)
 }
 
-fn picture<P: Pixel<Subpixel = u8>>([width, height]: [u32; 2], bytes: Vec<u8>) -> ImageBuffer<P, Vec<u8>> {
-    ImageBuffer::from_raw(width, height, bytes).expect("a photograph has as many bytes as its size says")
+fn picture<P: Pixel<Subpixel = u8>>([width, height]: [usize; 2], bytes: Vec<u8>) -> ImageBuffer<P, Vec<u8>> {
+    ImageBuffer::from_raw(width as u32, height as u32, bytes).expect("a photograph has as many bytes as its size says")
 }
 
 /// Colours and opacities.
@@ -121,27 +122,20 @@ fn split_alpha(picture: RgbaImage) -> (Vec<u8>, Vec<u8>) {
 /// camera.
 pub fn load(view: &View, max_side: Option<u32>) -> Result<Photo, CaptureError> {
     let picture = decode(&view.image_path, &view.intrinsics)?;
-    let [width, height] = size_within([picture.width(), picture.height()], max_side);
+    let size = [picture.width(), picture.height()];
     let (rgb, alpha) = match with_alpha(&picture) {
         Some(rgba) => {
-            let (rgb, alpha) = split_alpha(resize_with_alpha(rgba, width, height));
+            let (rgb, alpha) = split_alpha(rgba);
             (rgb, Some(alpha))
         }
-        None => {
-            let rgb = picture.into_rgb8();
-            let unchanged = rgb.dimensions() == (width, height);
-            let rgb = if unchanged { rgb } else { imageops::resize(&rgb, width, height, FilterType::Lanczos3) };
-            (rgb.into_raw(), None)
-        }
+        None => (picture.into_rgb8().into_raw(), None),
     };
-    Ok(Photo {
-        name: view.name.clone(),
-        intrinsics: view.intrinsics.resized(width as usize, height as usize),
-        cam_from_world: view.cam_from_world,
-        rgb,
-        alpha,
-        mask: None,
-    })
+    let View { ref name, intrinsics, cam_from_world, .. } = *view;
+    let photo = Photo { name: name.clone(), intrinsics, cam_from_world, rgb, alpha, mask: None };
+    match size_within(size, max_side) {
+        unchanged if unchanged == size => Ok(photo),
+        [width, height] => Ok(photo.into_resized(width as usize, height as usize)),
+    }
 }
 
 /// Calls [`load`] for each of `views` on all threads; results are in the views' order. `progress` receives the number done, from any thread.
@@ -167,34 +161,40 @@ pub fn load_all<'a>(
 /// The size of the file is compared with the camera's before any pixel is decoded, so that a picture allocates no more
 /// than its camera implies.
 pub(crate) fn decode(file: &Path, camera: &Intrinsics) -> Result<DynamicImage, CaptureError> {
-    let fail = |reason: &dyn std::fmt::Display| {
-        let reason = reason.to_string();
-        CaptureError::Picture { file: file.to_owned(), reason }
-    };
-    let reader = ImageReader::new(BufReader::new(open(file)?));
-    let mut reader = reader.with_guessed_format().map_err(|error| fail(&error))?;
+    let fail = |error: ImageError| undecodable(file, error.to_string());
+    let mut reader = reader(file)?;
     reader.limits(limits(camera));
-    let decoder = reader.into_decoder().map_err(|error| fail(&error))?;
+    let decoder = reader.into_decoder().map_err(fail)?;
     let (width, height) = decoder.dimensions();
     let (found, expected) = ([width as usize, height as usize], [camera.width, camera.height]);
     if found != expected {
         return Err(CaptureError::PictureSize { file: file.to_owned(), found, expected });
     }
     if matches!(decoder.color_type(), ColorType::Rgb32F | ColorType::Rgba32F) {
-        return Err(fail(&"it holds linear light as floating-point numbers, not display-referred colours"));
+        let reason = "it holds linear light as floating-point numbers, not display-referred colours";
+        return Err(undecodable(file, reason.into()));
     }
-    DynamicImage::from_decoder(decoder).map_err(|error| fail(&error))
+    DynamicImage::from_decoder(decoder).map_err(fail)
+}
+
+fn reader(file: &Path) -> Result<ImageReader<BufReader<File>>, CaptureError> {
+    let reader = ImageReader::new(BufReader::new(open(file)?));
+    reader.with_guessed_format().map_err(|error| undecodable(file, error.to_string()))
+}
+
+fn undecodable(file: &Path, reason: String) -> CaptureError {
+    CaptureError::Picture { file: file.to_owned(), reason }
 }
 
 /// Width and height of a picture, px, from its header.
 pub(crate) fn size(file: &Path) -> Result<[usize; 2], CaptureError> {
-    let fail = |reason: String| CaptureError::Picture { file: file.to_owned(), reason };
-    let reader = ImageReader::new(BufReader::new(open(file)?));
-    let reader = reader.with_guessed_format().map_err(|error| fail(error.to_string()))?;
-    let (width, height) = reader.into_dimensions().map_err(|error| fail(error.to_string()))?;
+    let (width, height) = reader(file)?.into_dimensions().map_err(|error| undecodable(file, error.to_string()))?;
     match [width, height].map(|side| side as usize) {
         size if size.iter().all(|&side| (1..=MAX_SIDE_PX).contains(&side)) => Ok(size),
-        _ => Err(fail(format!("it is {width} × {height} px, and the most is {MAX_SIDE_PX} along a side"))),
+        _ => {
+            let reason = format!("it is {width} × {height} px, and the most is {MAX_SIDE_PX} along a side");
+            Err(undecodable(file, reason))
+        }
     }
 }
 
@@ -212,24 +212,15 @@ fn limits(camera: &Intrinsics) -> Limits {
 }
 
 fn open(file: &Path) -> Result<File, CaptureError> {
-    let fail = |reason: io::Error| match reason.kind() {
+    regular_size(file).and_then(|_| File::open(file)).map_err(|reason| match reason.kind() {
         io::ErrorKind::NotFound => CaptureError::Missing {
             what: "picture",
             looked_for: vec![file.to_owned()],
             fix: "Put the photographs that the reconstruction was made from where it lists them: below `images/`, or for \
                   `transforms.json` below its folder",
         },
-        _ => CaptureError::Read {
-            file: file.to_owned(),
-            reason,
-            fix: "Check that it is an ordinary file which you may read",
-        },
-    };
-    // Checked before opening, because opening a pipe waits for a writer.
-    if !std::fs::metadata(file).map_err(fail)?.is_file() {
-        return Err(fail(io::Error::new(io::ErrorKind::InvalidInput, "not a regular file")));
-    }
-    File::open(file).map_err(fail)
+        _ => unreadable(file, reason),
+    })
 }
 
 /// The picture with its alpha channel, if that is not opaque everywhere.

@@ -8,6 +8,7 @@ mod error;
 mod origin;
 pub(crate) mod packed;
 mod photograph;
+mod read;
 mod split;
 mod tracks;
 mod transforms;
@@ -75,6 +76,19 @@ impl Capture {
             true => transforms::load(folder),
             false => colmap::load(folder),
         }
+    }
+
+    /// A capture of views and points of the files' world, moved next to zero where it lies far away.
+    fn near_zero(folder: &Path, mut views: Vec<View>, positions: &[DVec3], colours: Vec<[u8; 3]>) -> Self {
+        let poses: Vec<DAffine3> = views.iter().map(|view| view.cam_from_world).collect();
+        let origin = origin::choose(&poses);
+        for view in &mut views {
+            view.cam_from_world = origin::moved(&view.cam_from_world, origin);
+        }
+        let positions = positions.iter().map(|&position| (position - origin).as_vec3().to_array()).collect();
+        let points = PointCloud { positions, colours };
+        let (tracks, split, masks, remarks) = Default::default();
+        Self { folder: folder.to_owned(), views, points, tracks, origin, split, masks, remarks }
     }
 }
 

@@ -18,17 +18,13 @@ mod json;
 mod tests;
 
 use std::collections::{BTreeSet, HashMap};
-use std::fmt;
-use std::fs;
 use std::io;
 use std::path::{Component, Path, PathBuf};
 
-use glam::DAffine3;
-
 use self::camera::Lenses;
-use self::json::{Field, File, TransformsFrame};
-use super::colmap::quoted;
-use super::{Capture, CaptureError, PointCloud, Split, View, origin};
+use self::json::{Fields, Value};
+use super::read::{Place, PlaceInFile, quoted, read, regular_size, unreadable};
+use super::{Capture, CaptureError, Split, View};
 use crate::ply;
 
 /// NeRF-synthetic's file of training frames.
@@ -47,59 +43,30 @@ const MAX_PATH_BYTES: usize = 400;
 /// Appended to a `file_path` without an extension, in this order.
 const EXTENSIONS: [&str; 3] = ["png", "jpg", "jpeg"];
 
-const CORRECT: &str = "Correct the file, or export it again";
-
-/// An entry of a file, as errors name it.
-#[derive(Clone, Copy, Debug)]
-struct TransformsEntry<'a> {
-    file: &'a Path,
-    /// The frame's index, from 0, and its `file_path`; none for fields beside `frames`.
-    frame: Option<(usize, &'a str)>,
-}
-
-impl fmt::Display for TransformsEntry<'_> {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self.frame {
-            Some((index, "")) => write!(out, "frame {index}"),
-            Some((index, path)) => write!(out, "frame {index} ({})", quoted(path)),
-            None => out.write_str("the file as a whole"),
-        }
-    }
-}
-
-impl TransformsEntry<'_> {
-    fn refuse(&self, field: &'static str, found: impl fmt::Display, expected: impl fmt::Display) -> CaptureError {
-        self.refuse_with(field, found, expected, CORRECT)
-    }
-
-    fn refuse_with(
-        &self,
-        field: &'static str,
-        found: impl fmt::Display,
-        expected: impl fmt::Display,
-        fix: &'static str,
-    ) -> CaptureError {
-        let (found, expected) = (found.to_string().into(), expected.to_string().into());
-        CaptureError::Entry { file: self.file.to_owned(), place: self.to_string(), field, found, expected, fix }
-    }
-
-    /// The value of an optional field.
+impl Place<'_> {
+    /// The value of an optional field; `null` counts as absent.
     fn optional<'a, T>(
         &self,
+        fields: &'a Fields,
         field: &'static str,
-        value: &'a Field<T>,
+        typed: impl FnOnce(&'a Value) -> Result<T, String>,
         expected: &str,
-    ) -> Result<Option<&'a T>, CaptureError> {
-        match value {
-            Field::Absent => Ok(None),
-            Field::Is(value) => Ok(Some(value)),
-            Field::Wrong(found) => Err(self.refuse(field, found, expected)),
+    ) -> Result<Option<T>, CaptureError> {
+        match fields.get(field) {
+            Value::Null => Ok(None),
+            value => typed(value).map(Some).map_err(|found| self.refuse(field, found, expected)),
         }
     }
 
     /// The value of a required field.
-    fn required<'a, T>(&self, field: &'static str, value: &'a Field<T>, expected: &str) -> Result<&'a T, CaptureError> {
-        self.optional(field, value, expected)?.ok_or_else(|| self.refuse(field, "missing", expected))
+    fn required<'a, T>(
+        &self,
+        fields: &'a Fields,
+        field: &'static str,
+        typed: impl FnOnce(&'a Value) -> Result<T, String>,
+        expected: &str,
+    ) -> Result<T, CaptureError> {
+        self.optional(fields, field, typed, expected)?.ok_or_else(|| self.refuse(field, "missing", expected))
     }
 
     /// A path relative to the file's folder, without `.`. It must stay below that folder.
@@ -146,16 +113,13 @@ pub(super) fn load(folder: &Path) -> Result<Capture, CaptureError> {
         }
     } else {
         let file = folder.join(SINGLE);
-        let (_, lists) = reading.add(&file)?;
-        reading.split(&file, lists)?
+        let (_, fields) = reading.add(&file)?;
+        reading.split(&file, &fields)?
     };
     reading.finish(split)
 }
 
 /// The lists of file names that nerfstudio knows: for training, validation and testing.
-type SplitLists = [Field<Vec<String>>; 3];
-
-/// The JSON fields of those lists.
 const LISTS: [&str; 3] = ["train_filenames", "val_filenames", "test_filenames"];
 
 /// The capture as read so far.
@@ -169,53 +133,49 @@ struct Reading<'a> {
 }
 
 impl Reading<'_> {
-    /// Reads a file and adds its frames. Returns the number of views so far and the file's lists.
-    fn add(&mut self, path: &Path) -> Result<(usize, SplitLists), CaptureError> {
-        let whole = TransformsEntry { file: path, frame: None };
-        let File { frames, lenses, points, lists } = json::parse(path, &read(path)?)?;
-        whole.required("frames", &frames, "a list of frames")?;
-        let Field::Is(frames) = frames else { return Err(CaptureError::NoViews { file: path.to_owned() }) };
+    /// Reads a file and adds its frames. Returns the number of views so far and the file's fields.
+    fn add(&mut self, file: &Path) -> Result<(usize, Fields), CaptureError> {
+        let bytes = regular_size(file).map_err(|reason| unreadable(file, reason))?;
+        if bytes > MAX_BYTES {
+            let reason = format!("it has {bytes} bytes, expected at most {MAX_BYTES}");
+            return Err(unreadable(file, io::Error::new(io::ErrorKind::FileTooLarge, reason)));
+        }
+        let fields = json::parse(file, &read(file)?)?;
+        let whole = Place::new(file, PlaceInFile::Whole);
+        let frames = whole.required(&fields, "frames", Value::list, "a list of frames")?;
         if frames.is_empty() {
-            return Err(CaptureError::NoViews { file: path.to_owned() });
+            return Err(CaptureError::NoViews { file: file.to_owned() });
         }
-        for (index, frame) in frames.into_iter().enumerate() {
-            self.add_frame(path, index, &frame, &lenses)?;
+        for (index, frame) in frames.iter().enumerate() {
+            self.add_frame(file, index, frame, &fields)?;
         }
-        if let Some(points) = whole.optional("ply_file_path", &points, "the path of a PLY file")? {
+        if let Some(points) = whole.optional(&fields, "ply_file_path", Value::text, "the path of a PLY file")? {
             self.points = Some(self.folder.join(whole.path("ply_file_path", points)?));
         }
-        Ok((self.views.len(), lists))
+        Ok((self.views.len(), fields))
     }
 
-    fn add_frame(
-        &mut self,
-        file: &Path,
-        index: usize,
-        frame: &TransformsFrame,
-        of_file: &json::LensFields,
-    ) -> Result<(), CaptureError> {
-        let place = TransformsEntry { file, frame: Some((index, "")) };
-        let stated = place.required("file_path", &frame.path, "the path of a picture")?;
-        let place = TransformsEntry { file, frame: Some((index, stated)) };
-        let matrix = place.required("transform_matrix", &frame.matrix, json::MATRIX)?;
+    fn add_frame(&mut self, file: &Path, index: usize, frame: &Value, of_file: &Fields) -> Result<(), CaptureError> {
+        const PICTURE: &str = "the path of a picture";
+        let place = Place::new(file, PlaceInFile::Frame(index));
+        let frame = frame.fields().map_err(|found| place.refuse("frames", found, "a frame, which is an object"))?;
+        let stated = place.required(frame, "file_path", Value::text, PICTURE)?;
+        let place = place.of_path(stated);
+        let matrix = place.required(frame, "transform_matrix", Value::matrix, json::MATRIX)?;
         let cam_from_world = camera::pose(&place, matrix)?;
         let stated = place.path("file_path", stated)?;
         let name = self.picture(&stated)?;
         let image_path = self.folder.join(&name);
-        let intrinsics = Lenses { place, frame: frame.lens.as_deref(), file: of_file }.intrinsics(&image_path)?;
-        let mask = match place.optional("mask_path", &frame.mask, "the path of a picture")? {
-            Some(path) => Some(self.folder.join(place.path("mask_path", path)?)),
-            None => None,
-        };
+        let intrinsics = Lenses { place, frame, file: of_file }.intrinsics(&image_path)?;
+        let mask = place.optional(frame, "mask_path", Value::text, PICTURE)?;
+        let mask = mask.map(|path| place.path("mask_path", path)).transpose()?;
         let view = self.views.len();
         if self.named.insert(name.clone(), view).is_some() {
-            return Err(place.refuse(
-                "file_path",
-                format!("{} again", quoted(&name)),
-                "a picture of its own for each frame",
-            ));
+            let found = format!("{} again", quoted(&name));
+            return Err(place.refuse("file_path", found, "a picture of its own for each frame"));
         }
         self.named.entry(stated).or_insert(view);
+        let mask = mask.map(|path| self.folder.join(path));
         self.views.push((View { name, image_path, intrinsics, cam_from_world }, mask));
         Ok(())
     }
@@ -238,37 +198,30 @@ impl Reading<'_> {
 
     /// The split given by the lists, if there are any. Validation views replace missing test views. Views
     /// in no list are for training if there is no training list, and held out if that is the only list.
-    fn split(&self, file: &Path, lists: SplitLists) -> Result<Option<Split>, CaptureError> {
-        let place = TransformsEntry { file, frame: None };
-        let mut listed: [Option<BTreeSet<usize>>; 3] = [None, None, None];
-        for ((field, list), views) in LISTS.into_iter().zip(&lists).zip(&mut listed) {
-            let Some(list) = place.optional(field, list, "a list of paths")? else { continue };
-            let view = |path: &String| {
-                let named = place.path(field, path)?;
+    fn split(&self, file: &Path, fields: &Fields) -> Result<Option<Split>, CaptureError> {
+        let place = Place::new(file, PlaceInFile::Whole);
+        let listed = |field| -> Result<Option<BTreeSet<usize>>, CaptureError> {
+            let Some(list) = place.optional(fields, field, Value::texts, "a list of paths")? else { return Ok(None) };
+            let view = |path: &str| {
                 let unknown = || place.refuse(field, quoted(path), "the `file_path` of a frame");
-                self.named.get(&named).copied().ok_or_else(unknown)
+                self.named.get(&place.path(field, path)?).copied().ok_or_else(unknown)
             };
-            *views = Some(list.iter().map(view).collect::<Result<_, _>>()?);
-        }
-        let [train, val, test] = listed;
-        if train.is_none() && val.is_none() && test.is_none() {
+            list.into_iter().map(view).collect::<Result<_, _>>().map(Some)
+        };
+        let [train, val, test] = [listed(LISTS[0])?, listed(LISTS[1])?, listed(LISTS[2])?];
+        if [&train, &val, &test].into_iter().all(Option::is_none) {
             return Ok(None);
         }
-        let filled = |set: &Option<BTreeSet<usize>>| set.as_ref().is_some_and(|set| !set.is_empty());
-        let all = || (0..self.views.len()).collect::<BTreeSet<usize>>();
-        let none = BTreeSet::new();
-        let others = |of: [&Option<BTreeSet<usize>>; 2]| {
-            all()
-                .into_iter()
-                .filter(|view| !of.iter().any(|set| set.as_ref().unwrap_or(&none).contains(view)))
-                .collect()
+        let unlisted = |lists: [&Option<BTreeSet<usize>>; 2]| -> BTreeSet<usize> {
+            let listed = |view: &usize| lists.into_iter().flatten().any(|list| list.contains(view));
+            (0..self.views.len()).filter(|view| !listed(view)).collect()
         };
-        let held_out = match (filled(&test), val.is_none() && test.is_none()) {
-            (true, _) => test.clone().unwrap_or_default(),
-            (false, false) => val.clone().unwrap_or_default(),
-            (false, true) => others([&train, &None]),
+        let held_out = match (&val, &test) {
+            (None, None) => unlisted([&train, &None]),
+            (_, Some(test)) if !test.is_empty() => test.clone(),
+            _ => val.clone().unwrap_or_default(),
         };
-        let train = train.unwrap_or_else(|| others([&val, &test]));
+        let train = train.unwrap_or_else(|| unlisted([&val, &test]));
         if let Some(&both) = train.intersection(&held_out).next() {
             let found = format!("{}, which is held out too", quoted(&self.views[both].0.name));
             return Err(place.refuse(LISTS[0], found, "names that are in no other list"));
@@ -278,67 +231,22 @@ impl Reading<'_> {
 
     /// The capture, its views in order of name.
     fn finish(self, split: Option<Split>) -> Result<Capture, CaptureError> {
-        let Self { folder, mut views, points, .. } = self;
-        let (positions, colours) = match points {
+        let (positions, colours) = match &self.points {
             Some(file) => {
-                check_regular(&file)?;
-                ply::read_points(&file).map_err(CaptureError::Points)?
+                regular_size(file).map_err(|reason| unreadable(file, reason))?;
+                ply::read_points(file).map_err(CaptureError::Points)?
             }
             None => Default::default(),
         };
-        let mut order: Vec<usize> = (0..views.len()).collect();
-        order.sort_by(|&a, &b| views[a].0.name.cmp(&views[b].0.name));
+        let mut views: Vec<_> = self.views.into_iter().enumerate().collect();
+        views.sort_by(|(_, (a, _)), (_, (b, _))| a.name.cmp(&b.name));
         let mut ranks = vec![0; views.len()];
-        order.iter().enumerate().for_each(|(rank, &view)| ranks[view] = rank);
-        let split = split.map(|mut split| {
-            for list in [&mut split.train, &mut split.test] {
-                list.iter_mut().for_each(|view| *view = ranks[*view]);
-                list.sort_unstable();
-            }
-            split
-        });
-        views.sort_by(|a, b| a.0.name.cmp(&b.0.name));
-        let (mut views, masks): (Vec<View>, Vec<Option<PathBuf>>) = views.into_iter().unzip();
-        let poses: Vec<DAffine3> = views.iter().map(|view| view.cam_from_world).collect();
-        let origin = origin::choose(&poses);
-        for view in &mut views {
-            view.cam_from_world = origin::moved(&view.cam_from_world, origin);
-        }
-        let positions = positions.iter().map(|&position| (position - origin).as_vec3().to_array()).collect();
-        let points = PointCloud { positions, colours };
-        Ok(Capture {
-            folder: folder.to_owned(),
-            views,
-            points,
-            tracks: Default::default(),
-            origin,
-            split,
-            masks,
-            remarks: Vec::new(),
-        })
+        views.iter().enumerate().for_each(|(rank, (view, _))| ranks[*view] = rank);
+        let ranked = |list: Vec<usize>| -> Vec<usize> {
+            list.into_iter().map(|view| ranks[view]).collect::<BTreeSet<_>>().into_iter().collect()
+        };
+        let split = split.map(|Split { train, test }| Split { train: ranked(train), test: ranked(test) });
+        let (views, masks) = views.into_iter().map(|(_, view)| view).unzip();
+        Ok(Capture { split, masks, ..Capture::near_zero(self.folder, views, &positions, colours) })
     }
-}
-
-/// The size of a regular file in bytes. A pipe would never end.
-fn check_regular(file: &Path) -> Result<u64, CaptureError> {
-    let fail = |reason| cannot_read(file, reason);
-    let metadata = fs::metadata(file).map_err(fail)?;
-    match metadata.is_file() {
-        true => Ok(metadata.len()),
-        false => Err(fail(io::Error::new(io::ErrorKind::InvalidInput, "not a regular file"))),
-    }
-}
-
-fn cannot_read(file: &Path, reason: io::Error) -> CaptureError {
-    CaptureError::Read { file: file.to_owned(), reason, fix: "Check that it is an ordinary file which you may read" }
-}
-
-fn read(file: &Path) -> Result<Vec<u8>, CaptureError> {
-    let bytes = check_regular(file)?;
-    if bytes > MAX_BYTES {
-        let reason =
-            io::Error::new(io::ErrorKind::FileTooLarge, format!("it has {bytes} bytes, expected at most {MAX_BYTES}"));
-        return Err(cannot_read(file, reason));
-    }
-    fs::read(file).map_err(|reason| cannot_read(file, reason))
 }

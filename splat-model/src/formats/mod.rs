@@ -206,13 +206,11 @@ impl FormatError {
 /// # Errors
 /// If the file cannot be opened or is not a scene.
 pub fn detect(path: &Path) -> Result<Format, FormatError> {
-    match first_bytes(path)? {
-        First::Spz => Ok(Format::Spz),
-        First::Ply => {
-            let (_, header) = ply::PlyReader::open(path)?;
-            Ok(if compressed::is_compressed(&header) { Format::CompressedPly } else { Format::Ply })
-        }
+    if begins_as_spz(path)? {
+        return Ok(Format::Spz);
     }
+    let (_, header) = ply::PlyReader::open(path)?;
+    Ok(if compressed::is_compressed(&header) { Format::CompressedPly } else { Format::Ply })
 }
 
 /// Reads a scene of any format.
@@ -223,17 +221,15 @@ pub fn detect(path: &Path) -> Result<Format, FormatError> {
 /// A [`FormatError`] for every file that is not a complete scene of one of the formats. Memory is bounded by a multiple of the
 /// file's size, whatever the header claims: a small multiple for PLY, and the limit of its compression (1,032) for SPZ.
 pub fn read(path: &Path) -> Result<(SceneFile, Format), FormatError> {
-    match first_bytes(path)? {
-        First::Spz => Ok((spz::read(path)?, Format::Spz)),
-        First::Ply => {
-            let (input, header) = ply::PlyReader::open(path)?;
-            let (format, (rows, origin)) = match compressed::is_compressed(&header) {
-                true => (Format::CompressedPly, compressed::read(path, input, &header)?),
-                false => (Format::Ply, ply::read_from(input, &header)?),
-            };
-            Ok((SceneFile { rows, origin, antialiased: false }, format))
-        }
+    if begins_as_spz(path)? {
+        return Ok((spz::read(path)?, Format::Spz));
     }
+    let (input, header) = ply::PlyReader::open(path)?;
+    let (format, (rows, origin)) = match compressed::is_compressed(&header) {
+        true => (Format::CompressedPly, compressed::read(path, input, &header)?),
+        false => (Format::Ply, ply::read_from(input, &header)?),
+    };
+    Ok((SceneFile { rows, origin, antialiased: false }, format))
 }
 
 /// Writes the part of a scene that the format can hold ([`fit`]).
@@ -276,28 +272,20 @@ pub fn fit(rows: &GaussianRows, format: Format) -> Cow<'_, GaussianRows> {
     Cow::Owned(fitted)
 }
 
-/// The kind of file that the first bytes indicate.
-enum First {
-    Ply,
-    Spz,
-}
-
-fn first_bytes(path: &Path) -> Result<First, FormatError> {
+/// Whether a file begins like SPZ; if not, it begins like PLY.
+fn begins_as_spz(path: &Path) -> Result<bool, FormatError> {
     let mut first = Vec::new();
     File::open(path)
         .map_err(FormatError::io(path, "open the scene (is the path right?)"))?
         .take(16)
         .read_to_end(&mut first)
         .map_err(FormatError::io(path, "read the scene (is the path right?)"))?;
-    if spz::is_spz(&first) {
-        return Ok(First::Spz);
-    }
-    let line = first.split(|byte| *byte == b'\n').next().unwrap_or_default();
-    match line.trim_ascii() {
-        b"ply" => Ok(First::Ply),
-        other => {
-            let found = String::from_utf8_lossy(other).escape_debug().to_string();
+    let line = first.split(|byte| *byte == b'\n').next().unwrap_or_default().trim_ascii();
+    match spz::is_spz(&first) {
+        false if line != b"ply" => {
+            let found = String::from_utf8_lossy(line).escape_debug().to_string();
             Err(FormatError::Unknown { path: path.to_path_buf(), found })
         }
+        is_spz => Ok(is_spz),
     }
 }

@@ -27,7 +27,8 @@ pub use write::{write, write_to};
 
 // The compressed layout, which is PLY too, uses these.
 pub(crate) use read::{PlyReader, brief, origin, read_from, require, vertex};
-pub(crate) use write::{check, origin_comment};
+pub(crate) use row::{degree_of_rest, rest_names};
+pub(crate) use write::{check, element, file_header};
 
 /// The element that holds the Gaussians.
 pub(crate) const VERTEX: &str = "vertex";
@@ -65,100 +66,21 @@ pub enum PlyError {
         /// What was found and what was expected.
         detail: String,
     },
-    /// There is no element `vertex`.
-    #[error("{path}: no element `vertex`, found {found}; export a scene as a Gaussian splatting PLY", path = path.display())]
-    MissingVertex {
+    /// The header declares no Gaussians or points in a layout that is read, or its origin is not three finite numbers.
+    #[error("{path}: {detail}", path = path.display())]
+    Layout {
         /// The file.
         path: PathBuf,
-        /// The elements of the file.
-        found: String,
-    },
-    /// `vertex` lacks a property that a Gaussian or a point needs.
-    #[error(
-        "{path}: element `vertex` has no property `{property}`, found {found}; \
-         export a scene in the original 3D Gaussian splatting layout, and points with `x`, `y` and `z`",
-        path = path.display()
-    )]
-    MissingProperty {
-        /// The file.
-        path: PathBuf,
-        /// The property.
-        property: String,
-        /// The properties of the element.
-        found: String,
-    },
-    /// A property of `vertex` is a list.
-    #[error("{path}: property `{property}` of `vertex` is a list, expected one number per row; remove it or export it as scalars", path = path.display())]
-    ListProperty {
-        /// The file.
-        path: PathBuf,
-        /// The property.
-        property: String,
-    },
-    /// The number of `f_rest_*` fits no degree of the spherical harmonics.
-    #[error(
-        "{path}: {found} properties `f_rest_*`, expected 0, 9, 24, 45 or 72 (degree 0 to 4); \
-         export all coefficients of the scene or none",
-        path = path.display()
-    )]
-    RestCount {
-        /// The file.
-        path: PathBuf,
-        /// Number of these properties.
-        found: usize,
-    },
-    /// The header claims more rows than the file can hold.
-    #[error(
-        "{path}: the header claims {rows} rows of `{element}`, at least {needed} bytes of data, but {found} bytes \
-         follow the header; the file is truncated or its header wrong: copy or export it again",
-        path = path.display()
-    )]
-    TooManyRows {
-        /// The file.
-        path: PathBuf,
-        /// The element.
-        element: String,
-        /// Number of rows that the header claims.
-        rows: usize,
-        /// Minimum number of bytes of all rows up to and including this element.
-        needed: u64,
-        /// Number of bytes after the header.
-        found: u64,
-    },
-    /// The file ends before its last row.
-    #[error(
-        "{path}: the file ends in row {row} of `{element}`, expected {rows} rows; it is truncated: copy or export it again",
-        path = path.display()
-    )]
-    Truncated {
-        /// The file.
-        path: PathBuf,
-        /// The element.
-        element: String,
-        /// First incomplete row, from 0.
-        row: usize,
-        /// Number of rows that the header claims.
-        rows: usize,
-    },
-    /// A row does not match the header.
-    #[error("{path}: row {row} of `{element}`: {detail}; correct that row or export the scene again", path = path.display())]
-    Row {
-        /// The file.
-        path: PathBuf,
-        /// The element.
-        element: String,
-        /// The row, from 0.
-        row: usize,
-        /// What was found and what was expected.
+        /// What was found, what was expected and what to do.
         detail: String,
     },
-    /// The comment with the origin does not hold three finite numbers.
-    #[error("{path}: comment `splat origin {found}`, expected three finite numbers; correct or remove that line", path = path.display())]
-    Origin {
+    /// The rows do not match the header: too few bytes for them, or a row with other values.
+    #[error("{path}: {detail}", path = path.display())]
+    Data {
         /// The file.
         path: PathBuf,
-        /// What follows the words `splat origin`.
-        found: String,
+        /// What was found, what was expected and what to do.
+        detail: String,
     },
     /// The rows to be written do not fit together.
     #[error("{path}: not written: `{field}` is {found}, expected {expected}; make all fields describe the same Gaussians", path = path.display())]

@@ -3,56 +3,19 @@
 use std::path::Path;
 
 use glam::DVec3;
-use ply_rs_bw::ply::{Property, PropertyAccess, PropertyAccessResult};
+use ply_rs_bw::ply::{PropertyType, ScalarType};
 
-use super::read::{PlyReader, require, vertex};
+use super::read::{PlyReader, require, value_error, vertex};
 use super::{PlyError, VERTEX};
 
 /// Largest valid coordinate; its square still fits an f32. Larger values indicate damage.
 const MAX_COORDINATE: f64 = 1e15;
 
 /// Channel value of a point without a colour.
-const GREY: f64 = 127.0;
+const GREY: u8 = 127;
 
 const COORDINATES: [&str; 3] = ["x", "y", "z"];
 const CHANNELS: [&str; 3] = ["red", "green", "blue"];
-
-/// One point.
-struct PlyPoint {
-    position: [f64; 3],
-    /// 0 to 255.
-    colour: [f64; 3],
-}
-
-impl PropertyAccess for PlyPoint {
-    fn new() -> Self {
-        Self { position: [0.0; 3], colour: [GREY; 3] }
-    }
-
-    fn set_property(&mut self, name: &str, property: Property) -> PropertyAccessResult {
-        // Floating-point colours range from 0 to 1, all others from 0 to 255.
-        let (value, full) = match property {
-            Property::Char(value) => (value.into(), 255.0),
-            Property::UChar(value) => (value.into(), 255.0),
-            Property::Short(value) => (value.into(), 255.0),
-            Property::UShort(value) => (value.into(), 255.0),
-            Property::Int(value) => (value.into(), 255.0),
-            Property::UInt(value) => (value.into(), 255.0),
-            Property::Float(value) => (value.into(), 1.0),
-            Property::Double(value) => (value, 1.0),
-            _ => return PropertyAccessResult::UnsupportedType,
-        };
-        let index = |names: [&str; 3]| names.iter().position(|&known| known == name);
-        if let Some(axis) = index(COORDINATES) {
-            self.position[axis] = value;
-        } else if let Some(channel) = index(CHANNELS) {
-            self.colour[channel] = value * (255.0 / full);
-        } else {
-            return PropertyAccessResult::Ignored;
-        }
-        PropertyAccessResult::Set
-    }
-}
 
 /// Reads points: positions, and display-referred colours from 0 to 255.
 ///
@@ -67,17 +30,29 @@ pub fn read_points(path: &Path) -> Result<(Vec<DVec3>, Vec<[u8; 3]>), PlyError> 
     let (mut input, header) = PlyReader::open(path)?;
     let vertex = vertex(path, &header)?;
     require(path, vertex, &COORDINATES)?;
+    // Floating-point colours range from 0 to 1, all others from 0 to 255.
+    let scales = CHANNELS.map(|name| {
+        Some(match vertex.properties.get(name)?.data_type {
+            PropertyType::Scalar(ScalarType::Float | ScalarType::Double) => 255.0,
+            _ => 1.0,
+        })
+    });
+    let coloured = CHANNELS.into_iter().zip(scales).filter_map(|(name, scale)| scale.map(|_| name));
+    let names: Vec<&str> = COORDINATES.into_iter().chain(coloured).collect();
     input.begin(&header)?;
     let (mut positions, mut colours) = (Vec::with_capacity(vertex.count), Vec::with_capacity(vertex.count));
-    input.each_row(vertex, header.encoding, |row, point: PlyPoint| {
-        if let Some(axis) = point.position.iter().position(|value| !(value.abs() <= MAX_COORDINATE)) {
-            let (name, value) = (COORDINATES[axis], point.position[axis]);
+    input.each_row(vertex, header.encoding, &names, |row, values| {
+        let (position, channels) = values.split_at(3);
+        if let Some(axis) = position.iter().position(|value| !(value.abs() <= MAX_COORDINATE)) {
+            let (name, value) = (COORDINATES[axis], position[axis]);
             let detail = format!("`{name}` is {value:e}, expected a finite number of at most 1e15");
-            return Err(PlyError::Row { path: path.to_path_buf(), element: VERTEX.into(), row, detail });
+            return Err(value_error(path, VERTEX, row, &detail));
         }
-        positions.push(DVec3::from_array(point.position));
+        positions.push(DVec3::from_slice(position));
+        let mut channels = channels.iter();
         // The cast clamps to 0..255 and converts NaN to 0.
-        colours.push(point.colour.map(|channel| channel.round() as u8));
+        let mut level = |scale: f64| channels.next().map(|value| (value * scale).round() as u8);
+        colours.push(scales.map(|scale| scale.and_then(&mut level).unwrap_or(GREY)));
         Ok(())
     })?;
     Ok((positions, colours))

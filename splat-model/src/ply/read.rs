@@ -6,9 +6,12 @@ use std::path::Path;
 
 use glam::DVec3;
 use ply_rs_bw::parser::{ParseError, Parser, Reader};
-use ply_rs_bw::ply::{ElementDef, Encoding, Header, PropertyAccess, PropertyType, ScalarType};
+use ply_rs_bw::ply::{
+    DefaultElement, ElementDef, Encoding, Header, Property, PropertyAccess, PropertyAccessResult, PropertyType,
+    ScalarType,
+};
 
-use super::row::{PlyRow, REQUIRED, Skipped, degree_of_rest};
+use super::row::{REQUIRED, degree_of_rest, push_row, rest_names, rest_per_channel};
 use super::{ORIGIN_COMMENT, PlyError, VERTEX};
 use crate::gaussians::GaussianRows;
 
@@ -33,18 +36,56 @@ pub(crate) fn read_from(mut input: PlyReader, header: &Header) -> Result<(Gaussi
     let path = input.path;
     let origin = origin(path, header)?;
     let vertex = vertex(path, header)?;
-    let degree = check_properties(path, vertex)?;
+    let (degree, properties) = check_properties(path, vertex)?;
     input.begin(header)?;
     let mut rows = empty_rows(vertex.count, degree);
-    input.each_row(vertex, header.encoding, |_, row: PlyRow| {
-        row.push_to(&mut rows);
+    input.each_row(vertex, header.encoding, &properties, |_, values| {
+        push_row(&mut rows, values);
         Ok(())
     })?;
     Ok((rows, origin))
 }
 
-pub(crate) fn io_error(path: &Path, action: &'static str, source: io::Error) -> PlyError {
+fn io_error(path: &Path, action: &'static str, source: io::Error) -> PlyError {
     PlyError::Io { path: path.to_path_buf(), action, source }
+}
+
+fn layout_error(path: &Path, detail: String) -> PlyError {
+    PlyError::Layout { path: path.to_path_buf(), detail }
+}
+
+/// The values of a row, in the order of the header. An f64 holds every number of the format exactly.
+struct RowValues(Vec<f64>);
+
+impl PropertyAccess for RowValues {
+    fn new() -> Self {
+        // Room for a Gaussian of degree 3.
+        Self(Vec::with_capacity(64))
+    }
+
+    fn set_property(&mut self, _: &str, property: Property) -> PropertyAccessResult {
+        self.0.push(match property {
+            Property::Char(value) => value.into(),
+            Property::UChar(value) => value.into(),
+            Property::Short(value) => value.into(),
+            Property::UShort(value) => value.into(),
+            Property::Int(value) => value.into(),
+            Property::UInt(value) => value.into(),
+            Property::Float(value) => value.into(),
+            Property::Double(value) => value,
+            _ => return PropertyAccessResult::UnsupportedType,
+        });
+        PropertyAccessResult::Set
+    }
+}
+
+/// The row of an element that is skipped.
+struct Skipped;
+
+impl PropertyAccess for Skipped {
+    fn new() -> Self {
+        Self
+    }
 }
 
 /// A file whose header has been read.
@@ -87,13 +128,13 @@ impl<'a> PlyReader<'a> {
             // The last line of an ASCII file may lack a line break.
             let slack = u64::from(header.encoding == Encoding::Ascii);
             if needed > self.payload_bytes.saturating_add(slack) {
-                return Err(PlyError::TooManyRows {
-                    path: self.path.to_path_buf(),
-                    element: brief(&element.name),
-                    rows: element.count,
-                    needed,
-                    found: self.payload_bytes,
-                });
+                return Err(self.data_error(format!(
+                    "the header claims {} rows of `{}`, at least {needed} bytes of data, but {} bytes follow the header; \
+                     the file is truncated or its header wrong: copy or export it again",
+                    element.count,
+                    brief(&element.name),
+                    self.payload_bytes
+                )));
             }
             if element.name == last {
                 break;
@@ -143,27 +184,34 @@ impl<'a> PlyReader<'a> {
         skipped.map(drop).map_err(|error| self.row_error(element, row, &error))
     }
 
-    /// Reads the rows of an element without lists, and passes each to `take` with its number, from 0.
-    pub fn each_row<R: PropertyAccess>(
+    /// Reads the rows of an element without lists, and passes the number of each row, from 0, and its values of `properties`
+    /// to `take`.
+    pub fn each_row(
         &mut self,
-        vertex: &ElementDef,
+        element: &ElementDef,
         encoding: Encoding,
-        mut take: impl FnMut(usize, R) -> Result<(), PlyError>,
+        properties: &[impl AsRef<str>],
+        mut take: impl FnMut(usize, &[f64]) -> Result<(), PlyError>,
     ) -> Result<(), PlyError> {
-        let parser = Parser::<R>::new();
-        let mut bytes = vec![0; usize::try_from(least_row_bytes(vertex, Encoding::BinaryLittleEndian)).unwrap_or(0)];
+        let parser = Parser::<RowValues>::new();
+        let columns: Vec<usize> =
+            properties.iter().filter_map(|name| element.properties.get_index_of(name.as_ref())).collect();
+        let mut bytes = vec![0; usize::try_from(least_row_bytes(element, Encoding::BinaryLittleEndian)).unwrap_or(0)];
         let mut line = String::new();
-        for i in 0..vertex.count {
+        let mut values = vec![0.0; columns.len()];
+        for i in 0..element.count {
             let row = match encoding {
-                Encoding::Ascii => self.ascii_row(&parser, vertex, &mut line),
+                Encoding::Ascii => self.ascii_row(&parser, element, &mut line),
                 Encoding::BinaryBigEndian => {
-                    self.fill(&mut bytes).and_then(|()| parser.read_big_endian_element(&mut &bytes[..], vertex))
+                    self.fill(&mut bytes).and_then(|()| parser.read_big_endian_element(&mut &bytes[..], element))
                 }
                 Encoding::BinaryLittleEndian => {
-                    self.fill(&mut bytes).and_then(|()| parser.read_little_endian_element(&mut &bytes[..], vertex))
+                    self.fill(&mut bytes).and_then(|()| parser.read_little_endian_element(&mut &bytes[..], element))
                 }
             };
-            take(i, row.map_err(|error| self.row_error(vertex, i, &error))?)?;
+            let RowValues(row) = row.map_err(|error| self.row_error(element, i, &error))?;
+            values.iter_mut().zip(&columns).for_each(|(value, &column)| *value = row[column]);
+            take(i, &values)?;
         }
         Ok(())
     }
@@ -172,35 +220,48 @@ impl<'a> PlyReader<'a> {
         Ok(self.reader.read_exact(row)?)
     }
 
-    fn ascii_row<R: PropertyAccess>(
+    fn ascii_row(
         &mut self,
-        parser: &Parser<R>,
-        vertex: &ElementDef,
+        parser: &Parser<RowValues>,
+        element: &ElementDef,
         line: &mut String,
-    ) -> Result<R, ParseError> {
+    ) -> Result<RowValues, ParseError> {
         line.clear();
         if self.reader.read_line(line)? == 0 {
             return Err(io::Error::from(ErrorKind::UnexpectedEof).into());
         }
         // The parser would accept surplus numbers.
-        let (found, expected) = (line.split_ascii_whitespace().count(), vertex.properties.len());
+        let (found, expected) = (line.split_ascii_whitespace().count(), element.properties.len());
         if found != expected {
             let detail = format!("the line holds {found} values, expected {expected}");
             return Err(io::Error::new(ErrorKind::InvalidData, detail).into());
         }
-        parser.read_ascii_element(line, vertex)
+        parser.read_ascii_element(line, element)
     }
 
     fn row_error(&self, element: &ElementDef, row: usize, error: &ParseError) -> PlyError {
-        let (path, name) = (self.path.to_path_buf(), brief(&element.name));
+        let name = brief(&element.name);
         match error.kind() {
-            ErrorKind::UnexpectedEof => PlyError::Truncated { path, element: name, row, rows: element.count },
+            ErrorKind::UnexpectedEof => self.data_error(format!(
+                "the file ends in row {row} of `{name}`, expected {} rows; it is truncated: copy or export it again",
+                element.count
+            )),
             ErrorKind::InvalidInput | ErrorKind::InvalidData => {
-                PlyError::Row { path, element: name, row, detail: brief(&error.to_string()) }
+                value_error(self.path, &name, row, &brief(&error.to_string()))
             }
             kind => io_error(self.path, "read the rows", io::Error::new(kind, error.to_string())),
         }
     }
+
+    fn data_error(&self, detail: String) -> PlyError {
+        PlyError::Data { path: self.path.to_path_buf(), detail }
+    }
+}
+
+/// The error for a row with a value that it cannot have.
+pub(super) fn value_error(path: &Path, element: &str, row: usize, detail: &str) -> PlyError {
+    let detail = format!("row {row} of `{element}`: {detail}; correct that row or export the scene again");
+    PlyError::Data { path: path.to_path_buf(), detail }
 }
 
 /// Shortens a message of the parser to one line without control characters, because the parser quotes whole lines, whatever
@@ -229,7 +290,7 @@ fn parse_header(path: &Path, text: &[u8]) -> Result<Header, PlyError> {
     let broken = |detail: String| PlyError::Header { path: path.to_path_buf(), detail };
     // Comments may be in any encoding, and everything else is ascii.
     let text = String::from_utf8_lossy(text);
-    let header = Parser::<PlyRow>::new()
+    let header = Parser::<DefaultElement>::new()
         .read_header(&mut Reader::new(text.as_bytes()))
         .map_err(|error| broken(header_detail(&error.to_string())))?;
     // The parser keeps the last of two equal names, so every row would be misread.
@@ -251,15 +312,21 @@ pub(crate) fn origin(path: &Path, header: &Header) -> Result<DVec3, PlyError> {
         text.split_whitespace().map(|word| word.parse().ok().filter(|x: &f64| x.is_finite())).collect();
     match numbers.as_deref() {
         Some(&[x, y, z]) => Ok(DVec3::new(x, y, z)),
-        _ => Err(PlyError::Origin { path: path.to_path_buf(), found: brief(text) }),
+        _ => Err(layout_error(
+            path,
+            format!(
+                "comment `{ORIGIN_COMMENT}{}`, expected three finite numbers; correct or remove that line",
+                brief(text)
+            ),
+        )),
     }
 }
 
 pub(crate) fn vertex<'a>(path: &Path, header: &'a Header) -> Result<&'a ElementDef, PlyError> {
-    header
-        .elements
-        .get(VERTEX)
-        .ok_or_else(|| PlyError::MissingVertex { path: path.to_path_buf(), found: quoted(header.elements.keys()) })
+    header.elements.get(VERTEX).ok_or_else(|| {
+        let found = quoted(header.elements.keys());
+        layout_error(path, format!("no element `vertex`, found {found}; export a scene as a Gaussian splatting PLY"))
+    })
 }
 
 /// The first few names, for an error message.
@@ -274,32 +341,45 @@ fn quoted<'a>(names: impl Iterator<Item = &'a String>) -> String {
 
 /// Refuses lists, and vertices that lack one of these properties.
 pub(crate) fn require(path: &Path, vertex: &ElementDef, properties: &[&str]) -> Result<(), PlyError> {
-    let path_buf = || path.to_path_buf();
     if let Some(list) = vertex.properties.values().find(|p| matches!(p.data_type, PropertyType::List(..))) {
-        return Err(PlyError::ListProperty { path: path_buf(), property: brief(&list.name) });
+        let detail = format!(
+            "property `{}` of `vertex` is a list, expected one number per row; remove it or export it as scalars",
+            brief(&list.name)
+        );
+        return Err(layout_error(path, detail));
     }
     match properties.iter().find(|&&name| !vertex.properties.contains_key(name)) {
-        Some(&property) => {
-            let found = quoted(vertex.properties.keys());
-            Err(PlyError::MissingProperty { path: path_buf(), property: property.into(), found })
-        }
+        Some(property) => Err(missing_property(path, property, vertex.properties.keys())),
         None => Ok(()),
     }
 }
 
-/// Checks that the properties describe a Gaussian, and returns the degree of its spherical harmonics.
-fn check_properties(path: &Path, vertex: &ElementDef) -> Result<usize, PlyError> {
-    let path_buf = || path.to_path_buf();
+fn missing_property<'a>(path: &Path, property: &str, found: impl Iterator<Item = &'a String>) -> PlyError {
+    let detail = format!(
+        "element `vertex` has no property `{property}`, found {}; export a scene in the original 3D Gaussian splatting \
+         layout, and points with `x`, `y` and `z`",
+        quoted(found)
+    );
+    layout_error(path, detail)
+}
+
+/// Checks that the properties describe a Gaussian, and returns the degree of its spherical harmonics and the names of all
+/// properties that [`push_row`] takes.
+fn check_properties(path: &Path, vertex: &ElementDef) -> Result<(usize, Vec<String>), PlyError> {
     require(path, vertex, &REQUIRED)?;
-    let rest = vertex.properties.keys().filter(|name| name.starts_with("f_rest_")).count();
-    let numbered = (0..rest).map(|i| format!("f_rest_{i}"));
-    let degree = degree_of_rest(rest).ok_or_else(|| PlyError::RestCount { path: path_buf(), found: rest })?;
-    match numbered.into_iter().find(|name| !vertex.properties.contains_key(name)) {
-        Some(property) => {
-            let found = quoted(vertex.properties.keys().filter(|name| name.starts_with("f_rest_")));
-            Err(PlyError::MissingProperty { path: path_buf(), property, found })
-        }
-        None => Ok(degree),
+    let rest = || vertex.properties.keys().filter(|name| name.starts_with("f_rest_"));
+    let count = rest().count();
+    let degree = degree_of_rest(count).ok_or_else(|| {
+        let detail = format!(
+            "{count} properties `f_rest_*`, expected 0, 9, 24, 45 or 72 (degree 0 to 4); export all coefficients of the \
+             scene or none"
+        );
+        layout_error(path, detail)
+    })?;
+    let names: Vec<String> = REQUIRED.iter().map(|name| name.to_string()).chain(rest_names(count)).collect();
+    match names.iter().find(|name| !vertex.properties.contains_key(*name)) {
+        Some(property) => Err(missing_property(path, property, rest())),
+        None => Ok((degree, names)),
     }
 }
 
@@ -331,7 +411,7 @@ fn empty_rows(count: usize, sh_degree: usize) -> GaussianRows {
         log_scales: Vec::with_capacity(count),
         logit_opacities: Vec::with_capacity(count),
         sh_dc: Vec::with_capacity(count),
-        sh_rest: Vec::with_capacity(3 * super::row::rest_per_channel(sh_degree) * count),
+        sh_rest: Vec::with_capacity(3 * rest_per_channel(sh_degree) * count),
         sh_degree,
     }
 }

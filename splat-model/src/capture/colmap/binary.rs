@@ -5,10 +5,10 @@
 
 use std::path::Path;
 
-use super::check::{ColmapEntry, EntryPosition, quoted};
 use super::model::ColmapCameraModel;
 use super::{CameraRecord, ImageRecord, PointRecord, TrackElement};
 use crate::capture::CaptureError;
+use crate::capture::read::{Place, PlaceInFile, quoted};
 
 /// Bytes of the smallest camera: id, model, width, height, three parameters.
 const CAMERA_BYTES: usize = 4 + 4 + 8 + 8 + 3 * 8;
@@ -23,11 +23,10 @@ const TRACK_BYTES: usize = 4 + 4;
 
 /// The entries of `cameras.bin`.
 pub(super) fn cameras(file: &Path, bytes: &[u8]) -> Result<Vec<CameraRecord>, CaptureError> {
-    let mut input = BinaryReader::new(file, "camera", bytes);
-    let count = input.count("cameras", CAMERA_BYTES)?;
-    input.entries(count, "cameras", |input| {
+    BinaryReader { file, kind: "camera", entry: 0, rest: bytes }.entries(CAMERA_BYTES, |input| {
         let id = u32::from_le_bytes(input.take("CAMERA_ID")?);
-        let model = input.place().model_by_number(i32::from_le_bytes(input.take("MODEL")?))?;
+        let model = ColmapCameraModel::name(i32::from_le_bytes(input.take("MODEL")?));
+        let model = input.place().model_by_name(&model)?;
         let size_px = [u64::from_le_bytes(input.take("WIDTH")?), u64::from_le_bytes(input.take("HEIGHT")?)];
         let parameters = &mut [0.0; ColmapCameraModel::MOST_PARAMETERS][..model.parameters()];
         for parameter in parameters.iter_mut() {
@@ -40,9 +39,7 @@ pub(super) fn cameras(file: &Path, bytes: &[u8]) -> Result<Vec<CameraRecord>, Ca
 
 /// The entries of `images.bin`.
 pub(super) fn images(file: &Path, bytes: &[u8]) -> Result<Vec<ImageRecord>, CaptureError> {
-    let mut input = BinaryReader::new(file, "image", bytes);
-    let count = input.count("images", IMAGE_BYTES)?;
-    input.entries(count, "images", |input| {
+    BinaryReader { file, kind: "image", entry: 0, rest: bytes }.entries(IMAGE_BYTES, |input| {
         let id = u32::from_le_bytes(input.take("IMAGE_ID")?);
         let quaternion = input.numbers("QW QX QY QZ")?;
         let translation = input.numbers("TX TY TZ")?;
@@ -61,12 +58,10 @@ pub(super) fn images(file: &Path, bytes: &[u8]) -> Result<Vec<ImageRecord>, Capt
 
 /// The entries of `points3D.bin`.
 pub(super) fn points(file: &Path, bytes: &[u8]) -> Result<Vec<PointRecord>, CaptureError> {
-    let mut input = BinaryReader::new(file, "point", bytes);
-    let count = input.count("points", POINT_BYTES)?;
-    input.entries(count, "points", |input| {
+    BinaryReader { file, kind: "point", entry: 0, rest: bytes }.entries(POINT_BYTES, |input| {
         input.take::<8>("POINT3D_ID")?;
         let xyz = input.numbers("X Y Z")?;
-        let position = input.place().position(xyz)?;
+        let position = input.place().vector(["X", "Y", "Z"], xyz)?;
         let colour = input.take("R G B")?;
         let [error_px] = input.numbers("ERROR")?;
         let track = input.list("TRACK", TRACK_BYTES, |input| {
@@ -86,22 +81,19 @@ struct BinaryReader<'a> {
 }
 
 impl<'a> BinaryReader<'a> {
-    fn new(file: &'a Path, kind: &'static str, bytes: &'a [u8]) -> Self {
-        Self { file, kind, entry: 0, rest: bytes }
+    fn place(&self) -> Place<'a> {
+        Place::new(self.file, PlaceInFile::Entry(self.kind, self.entry))
     }
 
-    fn place(&self) -> ColmapEntry<'a> {
-        ColmapEntry { file: self.file, kind: self.kind, at: EntryPosition::Entry(self.entry) }
-    }
-
-    /// Reads `count` entries, which must fill the file. Left-over bytes mean that the count and the
-    /// entries disagree, so the entries may have been misread.
+    /// Reads a count and that many entries of at least `each` bytes, which must fill the file. Left-over bytes mean that the
+    /// count and the entries disagree, so the entries may have been misread.
     fn entries<T>(
         &mut self,
-        count: usize,
-        what: &'static str,
+        each: usize,
         mut read: impl FnMut(&mut Self) -> Result<T, CaptureError>,
     ) -> Result<Vec<T>, CaptureError> {
+        let what = format!("{}s", self.kind);
+        let count = self.count(&what, each)?;
         let mut entries = Vec::with_capacity(count);
         for entry in 1..=count {
             self.entry = entry;
@@ -109,7 +101,10 @@ impl<'a> BinaryReader<'a> {
         }
         match self.rest.len() {
             0 => Ok(entries),
-            left => Err(CaptureError::Trailing { file: self.file.to_owned(), what, count, left }),
+            left => Err(self.damaged(format!(
+                "{left} bytes follow the last of {count} {what}, expected none. The file is damaged or of a newer format: \
+                 export it again, for instance with `colmap model_converter`"
+            ))),
         }
     }
 
@@ -135,10 +130,10 @@ impl<'a> BinaryReader<'a> {
         let (needed, left) = (u128::from(count) * each as u128, self.rest.len());
         match usize::try_from(count) {
             Ok(count) if needed <= left as u128 => Ok(count),
-            _ => {
-                let (file, what) = (self.file.to_owned(), what.to_owned());
-                Err(CaptureError::Count { file, what, count, needed, left })
-            }
+            _ => Err(self.damaged(format!(
+                "the number of {what} is {count}, which takes at least {needed} bytes, but only {left} bytes follow. The file \
+                 is cut short or damaged: copy or export it again"
+            ))),
         }
     }
 
@@ -166,8 +161,15 @@ impl<'a> BinaryReader<'a> {
     }
 
     fn truncated(&self, field: &'static str, needed: usize) -> CaptureError {
-        let (file, left) = (self.file.to_owned(), self.rest.len());
         let place = if self.entry == 0 { "header".to_owned() } else { self.place().to_string() };
-        CaptureError::Truncated { file, place, field, needed, left }
+        self.damaged(format!(
+            "{place}: the file ends in `{field}`, which takes {needed} bytes where {} are left. It is cut short: copy or \
+             export it again",
+            self.rest.len()
+        ))
+    }
+
+    fn damaged(&self, detail: String) -> CaptureError {
+        CaptureError::Damaged { file: self.file.to_owned(), detail }
     }
 }

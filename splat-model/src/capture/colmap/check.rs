@@ -1,6 +1,5 @@
-//! Checks shared by both encodings of a model, and how errors name a place in a file.
+//! Checks shared by both encodings of a model.
 
-use std::fmt;
 use std::path::{Component, Path};
 
 use glam::{DAffine3, DQuat, DVec3};
@@ -9,84 +8,21 @@ use splat_op::camera::{MAX_COEFFICIENT, MAX_SIDE_PX};
 
 use super::model::ColmapCameraModel;
 use crate::capture::CaptureError;
+use crate::capture::read::{MAX_MAGNITUDE, Place, quoted};
 
-/// Positions and lens parameters beyond this count as damage. The square of this limit still fits an f32, and no survey needs more.
-pub(in crate::capture) const MAX_MAGNITUDE: f64 = 1e15;
-
-const EXPORT_AGAIN: &str = "The file is damaged or the reconstruction failed: export it again, for instance with \
-                            `colmap model_converter`";
-
-/// A name as messages quote it: escaped, and truncated to a line.
-pub(in crate::capture) fn quoted(name: &str) -> String {
-    const MAX_CHARS: usize = 100;
-    match name.char_indices().nth(MAX_CHARS) {
-        None => format!("{name:?}"),
-        Some((cut, _)) => format!("{:?}… of {} bytes", &name[..cut], name.len()),
-    }
-}
-
-/// The position of an entry in a file, counted from one.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) enum EntryPosition {
-    Entry(usize),
-    Line(usize),
-}
-
-/// An entry of a file, as errors name it.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct ColmapEntry<'a> {
-    pub file: &'a Path,
-    /// "camera", "image" or "point".
-    pub kind: &'static str,
-    pub at: EntryPosition,
-}
-
-impl fmt::Display for ColmapEntry<'_> {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self.at {
-            EntryPosition::Entry(index) => write!(out, "{} entry {index}", self.kind),
-            EntryPosition::Line(line) => write!(out, "{} on line {line}", self.kind),
-        }
-    }
-}
-
-impl ColmapEntry<'_> {
-    /// The error for a field with an invalid value.
-    pub fn refuse(&self, field: &'static str, found: impl fmt::Display, expected: impl Into<String>) -> CaptureError {
-        self.refuse_with(field, found, expected, EXPORT_AGAIN)
-    }
-
-    /// As [`Self::refuse`], where exporting the file again would not help.
-    pub fn refuse_with(
-        &self,
-        field: &'static str,
-        found: impl fmt::Display,
-        expected: impl Into<String>,
-        fix: &'static str,
-    ) -> CaptureError {
-        let (found, expected) = (found.to_string().into(), expected.into().into());
-        CaptureError::Entry { file: self.file.to_owned(), place: self.to_string(), field, found, expected, fix }
-    }
-
-    pub fn model_by_number(&self, number: i32) -> Result<ColmapCameraModel, CaptureError> {
-        match ColmapCameraModel::name(number) {
-            Some(name) => self.model_by_name(name),
-            None => self.model_by_name(&format!("number {number}")),
-        }
-    }
-
-    pub fn model_by_name(&self, name: &str) -> Result<ColmapCameraModel, CaptureError> {
+impl Place<'_> {
+    pub(super) fn model_by_name(&self, name: &str) -> Result<ColmapCameraModel, CaptureError> {
         ColmapCameraModel::by_name(name).ok_or_else(|| self.unsupported(name))
     }
 
     /// The error for a camera model that cannot be read or written.
-    pub fn unsupported(&self, model: &str) -> CaptureError {
+    pub(super) fn unsupported(&self, model: &str) -> CaptureError {
         let model = quoted(model).trim_matches('"').to_owned();
         CaptureError::Model { file: self.file.to_owned(), place: self.to_string(), model }
     }
 
     /// Checks and converts a camera; `parameters` are in the model's order.
-    pub fn intrinsics(
+    pub(super) fn intrinsics(
         &self,
         model: ColmapCameraModel,
         size_px: [u64; 2],
@@ -128,15 +64,13 @@ impl ColmapEntry<'_> {
     }
 
     /// The pose of an image. The quaternion, wxyz, may have any non-zero length.
-    pub fn pose(&self, quaternion: [f64; 4], translation: [f64; 3]) -> Result<DAffine3, CaptureError> {
+    pub(super) fn pose(&self, quaternion: [f64; 4], translation: [f64; 3]) -> Result<DAffine3, CaptureError> {
         for (field, value) in ["QW", "QX", "QY", "QZ"].into_iter().zip(quaternion) {
             if !value.is_finite() {
                 return Err(self.refuse(field, value, "a finite number"));
             }
         }
-        for (field, value) in ["TX", "TY", "TZ"].into_iter().zip(translation) {
-            self.check_magnitude(field, value, "a finite number of at most 1e15")?;
-        }
+        let translation = self.vector(["TX", "TY", "TZ"], translation)?;
         // Dividing by the largest component first keeps the squares from overflowing or underflowing.
         let largest = quaternion.iter().fold(0.0, |most: f64, value| most.max(value.abs()));
         if largest == 0.0 {
@@ -144,11 +78,12 @@ impl ColmapEntry<'_> {
         }
         let [w, x, y, z] = quaternion.map(|value| value / largest);
         let rotation = DQuat::from_xyzw(x, y, z, w).normalize();
-        Ok(DAffine3::from_rotation_translation(rotation, DVec3::from_array(translation)))
+        Ok(DAffine3::from_rotation_translation(rotation, translation))
     }
 
-    pub fn position(&self, xyz: [f64; 3]) -> Result<DVec3, CaptureError> {
-        for (field, value) in ["X", "Y", "Z"].into_iter().zip(xyz) {
+    /// A position or translation.
+    pub(super) fn vector(&self, fields: [&'static str; 3], xyz: [f64; 3]) -> Result<DVec3, CaptureError> {
+        for (field, value) in fields.into_iter().zip(xyz) {
             self.check_magnitude(field, value, "a finite number of at most 1e15")?;
         }
         Ok(DVec3::from_array(xyz))
@@ -159,7 +94,7 @@ impl ColmapEntry<'_> {
     }
 
     /// The name of a picture. It becomes part of a path, so it must stay below the folder of pictures.
-    pub fn name(&self, name: &str) -> Result<String, CaptureError> {
+    pub(super) fn name(&self, name: &str) -> Result<String, CaptureError> {
         let inside = |part| matches!(part, Component::Normal(_) | Component::CurDir);
         let plain = !name.is_empty() && !name.contains('\0') && Path::new(name).components().all(inside);
         if plain {

@@ -9,49 +9,38 @@ use super::{CaptureError, binary, parse, text};
 const SPARSE: &str = "sparse";
 
 /// The paths of a model's files, each binary or text by its extension.
+#[derive(Clone)]
 pub(super) struct Files {
     pub cameras: PathBuf,
     pub images: PathBuf,
-    /// The points file; it need not exist.
+    /// The file of points, which need not exist.
     pub points: PathBuf,
 }
 
 impl Files {
-    pub(super) fn binary(model: &Path) -> Self {
-        Self {
-            cameras: model.join("cameras.bin"),
-            images: model.join("images.bin"),
-            points: model.join("points3D.bin"),
-        }
+    /// The files of one encoding, "bin" or "txt".
+    pub(super) fn encoded(model: &Path, extension: &str) -> Self {
+        let [cameras, images, points] =
+            ["cameras", "images", "points3D"].map(|name| model.join(name).with_extension(extension));
+        Self { cameras, images, points }
     }
 
-    fn text(model: &Path) -> Self {
-        Self {
-            cameras: model.join("cameras.txt"),
-            images: model.join("images.txt"),
-            points: model.join("points3D.txt"),
-        }
+    fn are_complete(&self) -> bool {
+        self.cameras.exists() && self.images.exists()
     }
-}
-
-/// The chosen model.
-pub(super) struct FoundModel {
-    pub files: Files,
-    /// A note for the user about the choice.
-    pub remark: Option<String>,
 }
 
 /// Whether the folder holds a model; its points may be missing.
-pub(super) fn is_there(folder: &Path) -> bool {
+pub(in crate::capture) fn is_there(folder: &Path) -> bool {
     candidates(folder).iter().any(|model| of_model(model).is_ok())
 }
 
-/// The folder's model. COLMAP leaves several, `sparse/0`, `sparse/1` and so on, where it could not register all photographs together; the choice
+/// The folder's model, and a note for the user about the choice. COLMAP leaves several, `sparse/0`, `sparse/1` and so on, where it could not register all photographs together; the choice
 /// is the first of those with the most photographs.
 ///
 /// # Errors
 /// If there is none, or the photographs of one of several cannot be counted.
-pub(super) fn find(folder: &Path) -> Result<FoundModel, CaptureError> {
+pub(super) fn find(folder: &Path) -> Result<(Files, Option<String>), CaptureError> {
     let models = candidates(folder);
     let complete: Vec<(&PathBuf, Files)> =
         models.iter().filter_map(|model| Some((model, of_model(model).ok()?))).collect();
@@ -59,7 +48,7 @@ pub(super) fn find(folder: &Path) -> Result<FoundModel, CaptureError> {
         // The error names the model that should exist.
         let usual = || models.first().cloned().unwrap_or_else(|| folder.join(SPARSE));
         let only = complete.into_iter().next().map(|(_, files)| Ok(files));
-        return Ok(FoundModel { files: only.unwrap_or_else(|| of_model(&usual()))?, remark: None });
+        return Ok((only.unwrap_or_else(|| of_model(&usual()))?, None));
     };
     let mut counted = Vec::with_capacity(complete.len());
     for (model, files) in complete {
@@ -78,7 +67,7 @@ pub(super) fn find(folder: &Path) -> Result<FoundModel, CaptureError> {
         others.collect::<Vec<_>>().join(", ")
     );
     let (_, _, files) = counted.swap_remove(0);
-    Ok(FoundModel { files, remark: Some(remark) })
+    Ok((files, Some(remark)))
 }
 
 /// Candidate folders: the numbered ones in `sparse/`, in order, or else `sparse/` itself.
@@ -100,14 +89,12 @@ fn candidates(folder: &Path) -> Vec<PathBuf> {
 /// The model's files, binary before text. Cameras and images must be of one encoding, because a stale file of the other
 /// may lie beside them; points refer to nothing and are taken as they come.
 fn of_model(model: &Path) -> Result<Files, CaptureError> {
-    let (binary, text) = (Files::binary(model), Files::text(model));
-    if binary.cameras.exists() && binary.images.exists() {
-        let points = if binary.points.exists() { binary.points } else { text.points };
-        return Ok(Files { points, ..binary });
-    }
-    if text.cameras.exists() && text.images.exists() {
-        let points = if text.points.exists() { text.points } else { binary.points };
-        return Ok(Files { points, ..text });
+    let [binary, text] = ["bin", "txt"].map(|extension| Files::encoded(model, extension));
+    for (files, other) in [(&binary, &text), (&text, &binary)] {
+        if files.are_complete() {
+            let points = if files.points.exists() { &files.points } else { &other.points };
+            return Ok(Files { points: points.clone(), ..files.clone() });
+        }
     }
     let no_cameras = !binary.cameras.exists() && !text.cameras.exists();
     let no_images = !binary.images.exists() && !text.images.exists();

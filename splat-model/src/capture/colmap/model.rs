@@ -47,13 +47,13 @@ impl ColmapCameraModel {
         self.focals + 2 + self.coefficients
     }
 
-    /// COLMAP's name for a model id, if there is one.
-    pub fn name(number: i32) -> Option<&'static str> {
-        let (name, _) = MODELS.get(usize::try_from(number).ok()?)?;
-        Some(name)
+    /// COLMAP's name for a model id, or the id itself where there is none.
+    pub fn name(number: i32) -> String {
+        let known = usize::try_from(number).ok().and_then(|number| MODELS.get(number));
+        known.map_or_else(|| format!("number {number}"), |(name, _)| name.to_string())
     }
 
-    /// The model with a COLMAP id; `None` if it is not supported.
+    /// The model with a COLMAP name; `None` if it is not supported.
     pub fn by_name(name: &str) -> Option<Self> {
         MODELS.iter().find(|(known, _)| *known == name)?.1
     }

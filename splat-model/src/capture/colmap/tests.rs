@@ -5,9 +5,12 @@ mod real;
 mod text_files;
 mod writing;
 
+use std::fs;
+
 use glam::DVec3;
 
 use super::*;
+use crate::capture::PointCloud;
 use crate::capture::testing::assert_says;
 
 /// A camera as `cameras.bin` holds it: 64 bytes for PINHOLE.

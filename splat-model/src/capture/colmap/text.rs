@@ -3,9 +3,9 @@
 use std::path::Path;
 use std::str::FromStr;
 
-use super::check::{ColmapEntry, EntryPosition, quoted};
 use super::{CameraRecord, ImageRecord, PointRecord, TrackElement};
 use crate::capture::CaptureError;
+use crate::capture::read::{Place, PlaceInFile, quoted};
 
 /// The entries of `cameras.txt`.
 pub(super) fn cameras(file: &Path, bytes: &[u8]) -> Result<Vec<CameraRecord>, CaptureError> {
@@ -52,7 +52,7 @@ pub(super) fn points(file: &Path, bytes: &[u8]) -> Result<Vec<PointRecord>, Capt
         .map(|mut line| {
             line.parse::<u64>("POINT3D_ID", "a whole number")?;
             let xyz = line.numbers(["X", "Y", "Z"])?;
-            let position = line.place.position(xyz)?;
+            let position = line.place.vector(["X", "Y", "Z"], xyz)?;
             let mut colour = [0; 3];
             for (channel, field) in colour.iter_mut().zip(["R", "G", "B"]) {
                 *channel = line.parse(field, "a whole number from 0 to 255")?;
@@ -99,24 +99,17 @@ fn lines<'a>(
     kind: &'static str,
     bytes: &'a [u8],
 ) -> Result<impl Iterator<Item = TextLine<'a>>, CaptureError> {
+    let place = move |line| Place::new(file, PlaceInFile::Line(kind, line));
     let text = str::from_utf8(bytes).map_err(|error| {
         let line = 1 + bytes[..error.valid_up_to()].iter().filter(|&&byte| byte == b'\n').count();
-        ColmapEntry { file, kind, at: EntryPosition::Line(line) }.refuse(
-            "text",
-            "a byte that is not UTF-8",
-            "UTF-8 text",
-        )
+        place(line).refuse("text", "a byte that is not UTF-8", "UTF-8 text")
     })?;
-    let numbered = text.lines().enumerate();
-    Ok(numbered.map(move |(i, line)| TextLine {
-        place: ColmapEntry { file, kind, at: EntryPosition::Line(i + 1) },
-        rest: line.trim(),
-    }))
+    Ok(text.lines().zip(1..).map(move |(text, line)| TextLine { place: place(line), rest: text.trim() }))
 }
 
 /// The unread part of a line.
 struct TextLine<'a> {
-    place: ColmapEntry<'a>,
+    place: Place<'a>,
     rest: &'a str,
 }
 

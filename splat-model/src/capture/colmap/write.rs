@@ -1,15 +1,17 @@
 //! Writing a model in the binary encoding.
 
 use std::fs;
+use std::io::Write;
 use std::path::Path;
 
 use glam::{DAffine3, DMat3, DQuat};
 use splat_op::Intrinsics;
 
-use super::check::{ColmapEntry, EntryPosition};
 use super::model::ColmapCameraModel;
 use super::{Files, assemble, binary};
+use crate::capture::read::{Place, PlaceInFile};
 use crate::capture::{CaptureError, PointCloud, Tracks, View};
+use crate::replace::{Refused, replace};
 
 /// The largest accepted deviation of a pose from rigid: well above f64 rounding, well below what a picture shows.
 const RIGID_WITHIN: f64 = 1e-6;
@@ -46,7 +48,7 @@ pub fn write_binary_with_tracks(
         return Err(CaptureError::Cloud { positions, colours });
     }
     let model = folder.join("sparse").join("0");
-    let files = Files::binary(&model);
+    let files = Files::encoded(&model, "bin");
     let cameras = distinct(views);
     let camera_bytes = camera_bytes(&files.cameras, &cameras)?;
     let (keypoints, elements) = keypoints(views.len(), points, tracks);
@@ -61,9 +63,11 @@ pub fn write_binary_with_tracks(
         &binary::points(&files.points, &point_bytes)?,
     )?;
     fs::create_dir_all(&model).map_err(|reason| CaptureError::Write { file: model, reason })?;
-    replace(&files.cameras, &camera_bytes)?;
-    replace(&files.images, &image_bytes)?;
-    replace(&files.points, &point_bytes)
+    for (file, bytes) in [(files.cameras, camera_bytes), (files.images, image_bytes), (files.points, point_bytes)] {
+        replace(&file, |out| out.write_all(&bytes))
+            .map_err(|Refused { source: reason, .. }| CaptureError::Write { file, reason })?;
+    }
+    Ok(())
 }
 
 /// Each of the views' intrinsics once, in order of first use.
@@ -80,7 +84,7 @@ fn distinct(views: &[View]) -> Vec<Intrinsics> {
 fn camera_bytes(file: &Path, cameras: &[Intrinsics]) -> Result<Vec<u8>, CaptureError> {
     let mut out = Bytes::counted(cameras.len());
     for (i, camera) in cameras.iter().enumerate() {
-        let place = ColmapEntry { file, kind: "camera", at: EntryPosition::Entry(i + 1) };
+        let place = Place::new(file, PlaceInFile::Entry("camera", i + 1));
         let (number, model) =
             ColmapCameraModel::full(camera.model).ok_or_else(|| place.unsupported(&format!("{:?}", camera.model)))?;
         out.add(number_of(i).to_le_bytes());
@@ -124,7 +128,7 @@ fn image_bytes(
 ) -> Result<Vec<u8>, CaptureError> {
     let mut out = Bytes::counted(views.len());
     for (i, view) in views.iter().enumerate() {
-        let place = ColmapEntry { file, kind: "image", at: EntryPosition::Entry(i + 1) };
+        let place = Place::new(file, PlaceInFile::Entry("image", i + 1));
         let name = place.name(&view.name)?;
         let rotation = rotation(&place, &view.cam_from_world)?;
         out.add(number_of(i).to_le_bytes());
@@ -168,7 +172,7 @@ fn number_of(index: usize) -> u32 {
     (index as u32).wrapping_add(1)
 }
 
-fn rotation(place: &ColmapEntry, cam_from_world: &DAffine3) -> Result<DQuat, CaptureError> {
+fn rotation(place: &Place, cam_from_world: &DAffine3) -> Result<DQuat, CaptureError> {
     let matrix = cam_from_world.matrix3;
     let rigid = (matrix * matrix.transpose()).abs_diff_eq(DMat3::IDENTITY, RIGID_WITHIN) && matrix.determinant() > 0.0;
     match rigid {
@@ -182,18 +186,7 @@ fn rotation(place: &ColmapEntry, cam_from_world: &DAffine3) -> Result<DQuat, Cap
     }
 }
 
-/// Writes beside `file`, then renames. A concurrent reader sees the old file or the new one, never a part.
-fn replace(file: &Path, bytes: &[u8]) -> Result<(), CaptureError> {
-    let temporary = file.with_extension(format!("tmp-{}", std::process::id()));
-    let written = fs::write(&temporary, bytes).and_then(|()| fs::rename(&temporary, file));
-    written.map_err(|reason| {
-        // Removes the temporary file, which may fill the disk; the first failure is the one to report.
-        drop(fs::remove_file(&temporary));
-        CaptureError::Write { file: file.to_owned(), reason }
-    })
-}
-
-/// A temporary file being written.
+/// The bytes of a file.
 struct Bytes(Vec<u8>);
 
 impl Bytes {

@@ -72,12 +72,7 @@ impl DemoCamera {
 
     /// The direction in the camera's frame that projects to a position in the picture, px; not of unit length.
     pub fn direction_cam(&self, at_px: DVec2) -> DVec3 {
-        let Intrinsics { model, fx, fy, cx, cy, .. } = self.intrinsics;
-        // A fast path: most photographs use a pinhole, and this runs for every sample of every pixel.
-        match model {
-            CameraModel::Pinhole => DVec3::new((at_px.x - cx) / fx, (at_px.y - cy) / fy, 1.0),
-            _ => self.projector.cam_from_px(at_px),
-        }
+        self.projector.cam_from_px(at_px)
     }
 
     /// The ray through a position in the picture, px; world frame.

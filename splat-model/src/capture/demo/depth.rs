@@ -8,37 +8,25 @@ use super::DemoOptions;
 use super::light::LitScene;
 use super::shot::{ExposurePoint, Shot};
 
-/// A depth map as stored.
-pub(super) type DepthMap = ImageBuffer<Luma<u16>, Vec<u16>>;
-
 /// Depth along the camera's axis at the middle of each pixel and of its exposure, in levels of [`DemoOptions::DEPTH_SCALE`];
 /// zero where the photograph is transparent or the depth exceeds 16 bits.
-pub(super) fn render(scene: &LitScene, shot: &Shot) -> DepthMap {
+pub(super) fn render(scene: &LitScene, shot: &Shot) -> ImageBuffer<Luma<u16>, Vec<u16>> {
     let (width, height) = (shot.camera.intrinsics.width, shot.camera.intrinsics.height);
     let mut levels = vec![0; width * height];
     levels.par_chunks_exact_mut(width).enumerate().for_each(|(y, row)| {
         for (x, level) in row.iter_mut().enumerate() {
-            *level = level_of(depth(scene, shot, DVec2::new(x as f64, y as f64) + 0.5));
+            let depth = depth(scene, shot, DVec2::new(x as f64, y as f64) + 0.5).unwrap_or(0.0);
+            let steps = (depth / DemoOptions::DEPTH_SCALE).round();
+            *level = if steps > 0.0 && steps <= f64::from(u16::MAX) { steps as u16 } else { 0 };
         }
     });
     ImageBuffer::from_raw(width as u32, height as u32, levels).expect("a level for each pixel")
 }
 
 /// Depth along the axis, scene units; none where the ray meets nothing.
-pub(super) fn depth(scene: &LitScene, shot: &Shot, at_px: DVec2) -> Option<f64> {
+fn depth(scene: &LitScene, shot: &Shot, at_px: DVec2) -> Option<f64> {
     let point = scene.scene.hit(&shot.ray(at_px, ExposurePoint::default()))?;
     let hidden = shot.transparent && scene.scene.is_surroundings(&point);
     let camera = shot.camera_at(at_px.y, ExposurePoint::default());
     (!hidden).then(|| camera.cam_from_world.transform_point3(point.position_world).z)
-}
-
-fn level_of(depth: Option<f64>) -> u16 {
-    let level = depth.map_or(0.0, |depth| (depth / DemoOptions::DEPTH_SCALE).round());
-    // The value is a whole number within range.
-    if level > 0.0 && level <= f64::from(u16::MAX) { level as u16 } else { 0 }
-}
-
-/// The text of `depth/depth.json`.
-pub(super) fn json() -> String {
-    format!("{{\"scale\": {:?}}}\n", DemoOptions::DEPTH_SCALE)
 }

@@ -67,14 +67,6 @@ pub enum DemoError {
         /// The system's reason.
         source: io::Error,
     },
-    /// A picture could not be stored.
-    #[error("{path}: could not write the picture: {source}; is the folder writable and the disk not full?", path = path.display())]
-    Picture {
-        /// The file.
-        path: PathBuf,
-        /// The reason.
-        source: image::ImageError,
-    },
     /// The COLMAP model could not be stored.
     #[error(transparent)]
     Model(#[from] CaptureError),
@@ -116,11 +108,11 @@ pub fn write(folder: &Path, options: &DemoOptions) -> Result<(), DemoError> {
     }
     if options.depth {
         create(&depths)?;
-        store(&depths.join(DEPTH_SCALE), &depth::json())?;
+        store(&depths.join(DEPTH_SCALE), &format!("{{\"scale\": {:?}}}\n", DemoOptions::DEPTH_SCALE))?;
     }
     shots.par_iter().zip(&views).enumerate().try_for_each(|(i, (shot, view))| {
         let saved = |path: &Path, saved: image::ImageResult<()>| {
-            saved.map_err(|source| DemoError::Picture { path: path.to_owned(), source })
+            saved.map_err(|error| DemoError::Io { path: path.to_owned(), source: io::Error::other(error) })
         };
         saved(&view.image_path, picture::render(&scene, shot).save(&view.image_path))?;
         if options.masks && !DemoOptions::held_out(i) {
@@ -151,15 +143,16 @@ pub const PARTS: [&str; 5] = [IMAGES, MASKS, DEPTHS, TRUTH, "sparse"];
 
 /// The files beside the model that [`write()`] writes for `options`, relative to the capture's folder.
 pub fn files(options: &DemoOptions) -> Vec<PathBuf> {
-    let below =
-        |folder: &'static str, views: Vec<usize>| views.into_iter().map(move |view| Path::new(folder).join(name(view)));
-    let all = || (0..options.views).collect();
-    let mut files: Vec<PathBuf> = below(IMAGES, all()).collect();
+    let below = |folder: &'static str, spared: bool| {
+        let views = (0..options.views).filter(move |&view| !(spared && DemoOptions::held_out(view)));
+        views.map(move |view| Path::new(folder).join(name(view)))
+    };
+    let mut files: Vec<PathBuf> = below(IMAGES, false).collect();
     if options.masks {
-        files.extend(below(MASKS, (0..options.views).filter(|&view| !DemoOptions::held_out(view)).collect()));
+        files.extend(below(MASKS, true));
     }
     if options.depth {
-        files.extend(below(DEPTHS, all()));
+        files.extend(below(DEPTHS, false));
         files.push(Path::new(DEPTHS).join(DEPTH_SCALE));
     }
     files.extend(options.has_truth().then(|| TRUTH.into()));

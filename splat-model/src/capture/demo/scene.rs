@@ -147,8 +147,7 @@ impl DemoScene {
         // Platform and ground come first: they end most rays, which shortens the search. The sky comes last.
         let [platform, ground, sky] = surroundings(options);
         let mut objects = vec![platform, ground];
-        objects.extend(large_things());
-        objects.extend(small_things());
+        objects.extend(things());
         if options.glossy {
             objects
                 .iter_mut()
@@ -171,69 +170,38 @@ fn about_z(angle_deg: f64) -> DQuat {
     DQuat::from_rotation_z(angle_deg.to_radians())
 }
 
-fn large_things() -> Vec<SceneObject> {
-    let cream = srgb(0xf3e6cf);
+/// What lies on the platform but for the mirror: large things, then small ones.
+fn things() -> Vec<SceneObject> {
+    let sphere = |radius| Shape::Sphere { radius };
+    let cuboid = |x, y, z| Shape::Cuboid { half: DVec3::new(x, y, z) };
+    let torus = |major, minor| Shape::Torus { major, minor };
+    let checks = |side, colours: [u32; 2]| Texture::Checks { side, colours: colours.map(srgb) };
+    let dots = |colours: [u32; 2]| Texture::Dots { colours: colours.map(srgb) };
+    let post = Shape::Cylinder { radius: 0.2, half_height: 0.55 };
+    let helix = Texture::Helix { stripes: 2.0, turns_per_unit: 1.6, colours: [0x2c7d5b, 0xf3e6cf].map(srgb) };
+    let twist = Texture::Twist { major: 0.36, stripes: 6.0, colours: [0x148a94, 0xe9f0dd].map(srgb) };
     let upright = about_z(-14.0) * DQuat::from_rotation_x(90_f64.to_radians());
-    vec![
-        SceneObject::new(Shape::Sphere { radius: 0.56 }, Texture::Planet, [0.1, 0.28, 0.56], about_z(70.0)),
-        SceneObject::new(
-            Shape::Torus { major: 1.3, minor: 0.13 },
-            Texture::Rainbow { segments: 24.0 },
-            [0.1, 0.28, 0.0],
-            upright,
-        ),
-        SceneObject::new(
-            Shape::Cuboid { half: DVec3::new(0.34, 0.34, 0.3) },
-            Texture::Checks { side: 0.17, colours: [srgb(0xc23b32), cream] },
-            [-0.85, -0.78, 0.3],
-            about_z(28.0),
-        ),
-        SceneObject::new(
-            Shape::Cylinder { radius: 0.2, half_height: 0.55 },
-            Texture::Helix { stripes: 2.0, turns_per_unit: 1.6, colours: [srgb(0x2c7d5b), cream] },
-            [0.98, -0.72, 0.55],
-            DQuat::IDENTITY,
-        ),
-        SceneObject::new(
-            Shape::Sphere { radius: 0.36 },
-            Texture::Dots { colours: [srgb(0xe8792b), srgb(0xfdf1dc)] },
-            [0.86, 1.18, 0.36],
-            DQuat::from_rotation_y(0.5),
-        ),
-    ]
-}
-
-fn small_things() -> Vec<SceneObject> {
     let marble = |radius: f64, colours: [u32; 2], x: f64, y: f64| {
         let texture = Texture::Marble { scale: 0.9 / radius, colours: colours.map(srgb) };
-        SceneObject::new(Shape::Sphere { radius }, texture, [x, y, radius], about_z(200.0 * x + 90.0 * y))
+        (sphere(radius), texture, [x, y, radius], about_z(200.0 * x + 90.0 * y))
     };
-    vec![
-        SceneObject::new(
-            Shape::Sphere { radius: 0.23 },
-            Texture::Dots { colours: [srgb(0xf2c231), srgb(0x2a3d77)] },
-            [-0.88, -0.8, 0.83],
-            DQuat::from_rotation_x(0.7),
-        ),
-        SceneObject::new(
-            Shape::Torus { major: 0.36, minor: 0.13 },
-            Texture::Twist { major: 0.36, stripes: 6.0, colours: [srgb(0x148a94), srgb(0xe9f0dd)] },
-            [0.12, -1.2, 0.13],
-            DQuat::IDENTITY,
-        ),
-        SceneObject::new(
-            Shape::Cuboid { half: DVec3::new(0.3, 0.2, 0.09) },
-            Texture::Checks { side: 0.12, colours: [srgb(0x2f4f9e), srgb(0xa9c3ea)] },
-            [-1.52, 0.3, 0.09],
-            about_z(-65.0),
-        ),
+    let things = [
+        (sphere(0.56), Texture::Planet, [0.1, 0.28, 0.56], about_z(70.0)),
+        (torus(1.3, 0.13), Texture::Rainbow { segments: 24.0 }, [0.1, 0.28, 0.0], upright),
+        (cuboid(0.34, 0.34, 0.3), checks(0.17, [0xc23b32, 0xf3e6cf]), [-0.85, -0.78, 0.3], about_z(28.0)),
+        (post, helix, [0.98, -0.72, 0.55], DQuat::IDENTITY),
+        (sphere(0.36), dots([0xe8792b, 0xfdf1dc]), [0.86, 1.18, 0.36], DQuat::from_rotation_y(0.5)),
+        (sphere(0.23), dots([0xf2c231, 0x2a3d77]), [-0.88, -0.8, 0.83], DQuat::from_rotation_x(0.7)),
+        (torus(0.36, 0.13), twist, [0.12, -1.2, 0.13], DQuat::IDENTITY),
+        (cuboid(0.3, 0.2, 0.09), checks(0.12, [0x2f4f9e, 0xa9c3ea]), [-1.52, 0.3, 0.09], about_z(-65.0)),
         marble(0.19, [0xb83a8c, 0xf0c4dd], 0.12, -1.2),
         marble(0.15, [0x4d9b3c, 0xd6edb6], -0.2, -0.55),
         marble(0.13, [0xd94f2a, 0xf7d08a], 0.55, -0.3),
         marble(0.14, [0x3a49a8, 0xc4d4f4], 1.55, 0.4),
         marble(0.12, [0xd8a520, 0xfff0c0], 0.1, 1.5),
         marble(0.12, [0x2a9aa8, 0xd9f4f0], -1.3, -0.2),
-    ]
+    ];
+    things.map(|(shape, texture, centre, rotation)| SceneObject::new(shape, texture, centre, rotation)).into()
 }
 
 /// Radius of the ground and of the sky on its edge, scene units.

@@ -40,14 +40,6 @@ impl Motion {
     fn is_none(&self) -> bool {
         *self == Self::default()
     }
-
-    fn times(self, share: f64) -> Self {
-        Self { linear_cam: share * self.linear_cam, angular_cam: share * self.angular_cam }
-    }
-
-    fn plus(self, other: Self) -> Self {
-        Self { linear_cam: self.linear_cam + other.linear_cam, angular_cam: self.angular_cam + other.angular_cam }
-    }
 }
 
 /// A thin lens's aperture.
@@ -111,7 +103,8 @@ impl Shot {
     /// The camera at the time at which the row at a position, px, is exposed.
     pub fn camera_at(&self, row_px: f64, moment: ExposurePoint) -> DemoCamera {
         let read_out = row_px / self.camera.intrinsics.height as f64 - 0.5;
-        let Motion { linear_cam, angular_cam } = self.motion.times(moment.time).plus(self.readout.times(read_out));
+        let along = |of: fn(&Motion) -> DVec3| moment.time * of(&self.motion) + read_out * of(&self.readout);
+        let (linear_cam, angular_cam) = (along(|motion| motion.linear_cam), along(|motion| motion.angular_cam));
         let turned = DMat3::from_quat(DQuat::from_scaled_axis(angular_cam));
         self.camera.moved(self.camera.centre_world + self.camera.world_from_cam() * linear_cam, turned)
     }

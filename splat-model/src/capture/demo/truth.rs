@@ -1,7 +1,5 @@
 //! `truth.json`: how each photograph was taken, which the model and the photographs do not say.
 
-use std::fmt::Write;
-
 use glam::{DQuat, DVec3};
 
 use super::View;
@@ -9,25 +7,22 @@ use super::shot::{Motion, Shot};
 
 /// The text of `truth.json`, see [`super::write`].
 pub(super) fn json(views: &[View], shots: &[Shot]) -> String {
-    let mut out = String::from("{\n  \"photographs\": [");
-    for (i, (view, shot)) in views.iter().zip(shots).enumerate() {
-        let separator = if i > 0 { "," } else { "" };
+    let photograph = |(view, shot): (&View, &Shot)| {
         let DQuat { x, y, z, w } = DQuat::from_mat3(&shot.camera.cam_from_world.matrix3);
         let translation = list(shot.camera.cam_from_world.translation);
         let (exposure, readout) = (motion(&shot.motion), motion(&shot.readout));
         let aperture = shot.aperture.map_or("null".into(), |aperture| {
             format!("{{\"radius\": {:?}, \"focus_depth\": {:?}}}", aperture.radius, aperture.focus_depth)
         });
-        // Names are four digits and an extension: nothing to escape. Writing to a string cannot fail.
-        let _ = write!(
-            out,
-            "{separator}\n    {{\"name\": \"{}\", \"rotation_wxyz\": [{w:?}, {x:?}, {y:?}, {z:?}], \
+        // Names are four digits and an extension: nothing to escape.
+        format!(
+            "\n    {{\"name\": \"{}\", \"rotation_wxyz\": [{w:?}, {x:?}, {y:?}, {z:?}], \
              \"translation\": {translation}, \"exposure\": {exposure}, \"readout\": {readout}, \"aperture\": {aperture}}}",
             view.name
-        );
-    }
-    out.push_str("\n  ]\n}\n");
-    out
+        )
+    };
+    let photographs: Vec<String> = views.iter().zip(shots).map(photograph).collect();
+    format!("{{\n  \"photographs\": [{}\n  ]\n}}\n", photographs.join(","))
 }
 
 fn motion(motion: &Motion) -> String {

@@ -7,9 +7,8 @@ use glam::{DAffine3, DMat3, DVec3};
 use splat_op::camera::{MAX_COEFFICIENT, MAX_SIDE_PX};
 use splat_op::{CameraModel, Intrinsics};
 
-use super::TransformsEntry;
-use super::json::{self, Matrix};
-use crate::capture::colmap::MAX_MAGNITUDE;
+use super::json::{self, Fields, Value};
+use crate::capture::read::{MAX_MAGNITUDE, Place, quoted};
 use crate::capture::{CaptureError, image};
 
 /// How far `RᵀR` may be from the identity. Exporters that round to three digits stay below; a scale or a shear is far above.
@@ -29,8 +28,7 @@ const FIELD_MATRIX: &str = "transform_matrix";
 /// ```
 ///
 /// `R` is first replaced by the nearest rotation, because files are rounded.
-pub(super) fn pose(place: &TransformsEntry, matrix: &Matrix) -> Result<DAffine3, CaptureError> {
-    let [x, y, z, last] = *matrix;
+pub(super) fn pose(place: &Place, [x, y, z, last]: [[f64; 4]; 4]) -> Result<DAffine3, CaptureError> {
     let shown = |row: [f64; 4]| row.map(|value| value.to_string()).join(" ");
     if last != [0.0, 0.0, 0.0, 1.0] {
         return Err(place.refuse(FIELD_MATRIX, format!("a matrix with {} as its last row", shown(last)), json::MATRIX));
@@ -64,12 +62,12 @@ fn nearest_rotation(matrix: DMat3) -> DMat3 {
 
 /// The lens fields of a frame: the frame's own, then the file's.
 pub(super) struct Lenses<'a> {
-    pub place: TransformsEntry<'a>,
-    pub frame: Option<&'a json::LensFields>,
-    pub file: &'a json::LensFields,
+    pub place: Place<'a>,
+    pub frame: &'a Fields,
+    pub file: &'a Fields,
 }
 
-impl Lenses<'_> {
+impl<'a> Lenses<'a> {
     /// Size and projection. A missing size comes from the picture's header.
     pub fn intrinsics(&self, picture: &Path) -> Result<Intrinsics, CaptureError> {
         let (width, height) = match (self.side("w")?, self.side("h")?) {
@@ -84,11 +82,8 @@ impl Lenses<'_> {
                 (Some(fx), Some(fy)) => [fx, fy],
                 (Some(f), None) | (None, Some(f)) => [f, f],
                 (None, None) => {
-                    return Err(self.place.refuse(
-                        "fl_x",
-                        "missing",
-                        "a focal length in px, or an angle `camera_angle_x`",
-                    ));
+                    let expected = "a focal length in px, or an angle `camera_angle_x`";
+                    return Err(self.place.refuse("fl_x", "missing", expected));
                 }
             };
         let centre = |field, side: usize| match self.number(field)? {
@@ -103,12 +98,14 @@ impl Lenses<'_> {
 
     /// The field's value from the frame, or else from the file.
     fn number(&self, field: &'static str) -> Result<Option<f64>, CaptureError> {
-        for lens in self.frame.into_iter().chain([self.file]) {
-            if let Some(&number) = self.place.optional(field, lens.number(field), "a number")? {
-                return Ok(Some(number));
-            }
+        match self.number_in(self.frame, field)? {
+            None => self.number_in(self.file, field),
+            number => Ok(number),
         }
-        Ok(None)
+    }
+
+    fn number_in(&self, fields: &Fields, field: &'static str) -> Result<Option<f64>, CaptureError> {
+        self.place.optional(fields, field, Value::number, "a number")
     }
 
     fn side(&self, field: &'static str) -> Result<Option<usize>, CaptureError> {
@@ -121,17 +118,16 @@ impl Lenses<'_> {
     /// A focal length in px, or from the field of view over `side` px, `f = side / (2 tan(angle/2))`. The length takes precedence over
     /// the angle, and the frame over the file.
     fn focal(&self, length: &'static str, angle: &'static str, side: usize) -> Result<Option<f64>, CaptureError> {
-        let place = &self.place;
-        for lens in self.frame.into_iter().chain([self.file]) {
-            if let Some(&focal) = place.optional(length, lens.number(length), "a number")? {
+        for fields in [self.frame, self.file] {
+            if let Some(focal) = self.number_in(fields, length)? {
                 let right = focal > 0.0 && focal <= MAX_MAGNITUDE;
-                let refuse = || place.refuse(length, focal, "a positive focal length in px");
+                let refuse = || self.place.refuse(length, focal, "a positive focal length in px");
                 return right.then_some(Some(focal)).ok_or_else(refuse);
             }
-            if let Some(&radians) = place.optional(angle, lens.number(angle), "a number")? {
+            if let Some(radians) = self.number_in(fields, angle)? {
                 let focal = side as f64 / (2.0 * (0.5 * radians).tan());
                 let right = radians > 0.0 && radians < PI && focal > 0.0 && focal <= MAX_MAGNITUDE;
-                let refuse = || place.refuse(angle, radians, "an angle in radians, above 0 and below pi");
+                let refuse = || self.place.refuse(angle, radians, "an angle in radians, above 0 and below pi");
                 return right.then_some(Some(focal)).ok_or_else(refuse);
             }
         }
@@ -177,24 +173,25 @@ impl Lenses<'_> {
         Ok((model, all))
     }
 
-    /// Parses the name of a supported model.
-    fn model(&self) -> Result<&str, CaptureError> {
-        for lens in self.frame.into_iter().chain([self.file]) {
-            if let Some(name) = self.place.optional("camera_model", &lens.model, "the name of a camera model")? {
-                let known =
-                    PERSPECTIVE.contains(&name.as_str()) || ["OPENCV_FISHEYE", "FULL_OPENCV"].contains(&name.as_str());
+    /// The name of a supported model.
+    fn model(&self) -> Result<&'a str, CaptureError> {
+        for fields in [self.frame, self.file] {
+            if let Some(name) =
+                self.place.optional(fields, "camera_model", Value::text, "the name of a camera model")?
+            {
+                let known = PERSPECTIVE.contains(&name) || ["OPENCV_FISHEYE", "FULL_OPENCV"].contains(&name);
                 let refuse = || {
                     self.place.refuse_with(
                         "camera_model",
-                        crate::capture::colmap::quoted(name),
+                        quoted(name),
                         "PINHOLE, SIMPLE_PINHOLE, SIMPLE_RADIAL, RADIAL, OPENCV, FULL_OPENCV or OPENCV_FISHEYE",
                         "Export the capture again with one of these, or with photographs that are undistorted",
                     )
                 };
-                return known.then_some(name.as_str()).ok_or_else(refuse);
+                return known.then_some(name).ok_or_else(refuse);
             }
             // instant-ngp's flag for a fisheye.
-            if let Some(&fisheye) = self.place.optional("is_fisheye", &lens.fisheye, "true or false")? {
+            if let Some(fisheye) = self.place.optional(fields, "is_fisheye", Value::truth, "true or false")? {
                 return Ok(if fisheye { "OPENCV_FISHEYE" } else { "OPENCV" });
             }
         }

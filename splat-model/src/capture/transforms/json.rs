@@ -1,75 +1,28 @@
-//! The files as written: the value of each field, valid or not.
+//! The files as written: the value of each known field, valid or not.
 //!
-//! Values are stored while they are read, because a tree of the whole file would take up to a hundred times its
+//! Other fields are skipped while they are read, because a tree of the whole file would take up to a hundred times its
 //! size. A value of the wrong type is kept as such, so that the error can name its frame.
 
 use std::fmt;
-use std::marker::PhantomData;
 use std::path::Path;
 
-use serde::de::{Deserialize, Deserializer, IgnoredAny, MapAccess, SeqAccess, Visitor};
+use serde::de::{DeserializeSeed, Deserializer, IgnoredAny, MapAccess, SeqAccess, Visitor};
 
-use super::CORRECT;
+use super::LISTS;
 use crate::capture::CaptureError;
-use crate::capture::colmap::quoted;
+use crate::capture::read::quoted;
 
 /// The expected form of a `transform_matrix`.
 pub(super) const MATRIX: &str = "3 or 4 rows of 4 finite numbers, the fourth 0 0 0 1";
 
-/// A field's value; `null` counts as absent.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub(super) enum Field<T> {
-    #[default]
-    Absent,
-    Is(T),
-    /// A value of another type, as messages show it.
-    Wrong(Box<str>),
-}
-
-impl<T> Field<T> {
-    fn is_right(&self) -> bool {
-        matches!(self, Self::Is(_))
-    }
-}
-
-/// A file.
-#[derive(Debug, Default)]
-pub(super) struct File {
-    /// The frames up to the first without a path or a matrix, which are required.
-    pub frames: Field<Vec<TransformsFrame>>,
-    pub lenses: LensFields,
-    /// `ply_file_path`
-    pub points: Field<String>,
-    pub lists: super::SplitLists,
-}
-
-/// One of `frames`.
-#[derive(Debug, Default)]
-pub(super) struct TransformsFrame {
-    /// `file_path`
-    pub path: Field<String>,
-    /// `transform_matrix`
-    pub matrix: Field<Matrix>,
-    /// `mask_path`
-    pub mask: Field<String>,
-    /// None if the frame has no lens fields.
-    pub lens: Option<Box<LensFields>>,
-}
-
-/// Four rows; a missing last row is 0 0 0 1.
-pub(super) type Matrix = [MatrixRow; 4];
-type MatrixRow = [f64; 4];
-
-/// The numbers that describe a lens.
-const NUMBERS: [&str; 16] = [
+/// The fields that describe a lens, of a file or of a frame.
+const LENS: [&str; 16] = [
     "fl_x",
     "fl_y",
     "cx",
     "cy",
     "w",
     "h",
-    "camera_angle_x",
-    "camera_angle_y",
     "k1",
     "k2",
     "p1",
@@ -78,57 +31,112 @@ const NUMBERS: [&str; 16] = [
     "k4",
     "k5",
     "k6",
+    "is_fisheye",
+    "camera_model",
 ];
+/// The other fields.
+const OTHERS: [&str; 7] =
+    ["camera_angle_x", "camera_angle_y", "frames", "ply_file_path", "file_path", "transform_matrix", "mask_path"];
 
-/// The lens fields of a file or a frame.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub(super) struct LensFields {
-    numbers: [Field<f64>; NUMBERS.len()],
-    /// `camera_model`
-    pub model: Field<String>,
-    /// `is_fisheye`
-    pub fisheye: Field<bool>,
+/// A value. Each method gives the value as one type, or what was found instead, as messages show it.
+#[derive(Debug)]
+pub(super) enum Value {
+    Null,
+    Truth(bool),
+    Number(f64),
+    Text(String),
+    List(Vec<Value>),
+    /// The known fields of a file or a frame; nothing of other objects.
+    Object(Fields),
 }
 
-impl LensFields {
-    /// One of the numbers, by its field.
-    pub fn number(&self, field: &str) -> &Field<f64> {
-        let slot = NUMBERS.iter().position(|&known| known == field);
-        slot.map_or(&Field::Absent, |slot| &self.numbers[slot])
+/// The known fields of an object, by name.
+#[derive(Debug, Default)]
+pub(super) struct Fields(Vec<(&'static str, Value)>);
+
+impl Fields {
+    /// The value of a field; `null` where there is none.
+    pub fn get(&self, name: &str) -> &Value {
+        // The last of two equal names counts, as in other readers of JSON.
+        self.0.iter().rfind(|(known, _)| *known == name).map_or(&Value::Null, |(_, value)| value)
+    }
+}
+
+impl Value {
+    pub fn truth(&self) -> Result<bool, String> {
+        if let Self::Truth(truth) = self { Ok(*truth) } else { Err(self.shown()) }
     }
 
-    fn knows(field: &str) -> bool {
-        NUMBERS.contains(&field) || ["camera_model", "is_fisheye"].contains(&field)
+    pub fn number(&self) -> Result<f64, String> {
+        if let Self::Number(number) = self { Ok(*number) } else { Err(self.shown()) }
     }
 
-    /// Stores the value of a known field.
-    fn take<'de, A: MapAccess<'de>>(&mut self, field: &str, map: &mut A) -> Result<(), A::Error> {
-        match NUMBERS.iter().position(|&known| known == field) {
-            Some(slot) => self.numbers[slot] = map.next_value()?,
-            None if field == "camera_model" => self.model = map.next_value()?,
-            None => self.fisheye = map.next_value()?,
+    pub fn text(&self) -> Result<&str, String> {
+        if let Self::Text(text) = self { Ok(text) } else { Err(self.shown()) }
+    }
+
+    pub fn list(&self) -> Result<&[Self], String> {
+        if let Self::List(list) = self { Ok(list) } else { Err(self.shown()) }
+    }
+
+    pub fn fields(&self) -> Result<&Fields, String> {
+        if let Self::Object(fields) = self { Ok(fields) } else { Err(self.shown()) }
+    }
+
+    pub fn texts(&self) -> Result<Vec<&str>, String> {
+        let texts = self.list()?.iter().map(|value| value.text().map_err(|found| format!("a list with {found}")));
+        texts.collect()
+    }
+
+    /// Four rows; a missing last row is 0 0 0 1.
+    pub fn matrix(&self) -> Result<[[f64; 4]; 4], String> {
+        let mut rows = self.list()?.iter().map(Self::row).collect::<Result<Vec<_>, _>>()?;
+        if rows.len() == 3 {
+            rows.push([0.0, 0.0, 0.0, 1.0]);
         }
-        Ok(())
+        rows.try_into().map_err(|rows: Vec<_>| format!("{} rows", rows.len()))
+    }
+
+    fn row(&self) -> Result<[f64; 4], String> {
+        let numbers = self.list()?.iter().map(Self::number).collect::<Result<Vec<_>, _>>()?;
+        numbers.try_into().map_err(|numbers: Vec<_>| format!("{} numbers", numbers.len()))
+    }
+
+    fn shown(&self) -> String {
+        match self {
+            Self::Null => "null".into(),
+            Self::Truth(truth) => truth.to_string(),
+            Self::Number(number) => number.to_string(),
+            Self::Text(text) => quoted(text),
+            Self::List(_) => "a list".into(),
+            Self::Object(_) => "an object".into(),
+        }
     }
 }
 
 /// Reads a file.
-pub(super) fn parse(file: &Path, bytes: &[u8]) -> Result<File, CaptureError> {
+pub(super) fn parse(file: &Path, bytes: &[u8]) -> Result<Fields, CaptureError> {
     // Some editors begin files with a byte order mark.
     let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
-    serde_json::from_slice(bytes).map_err(|error| {
-        let (line, column) = (error.line(), error.column());
-        let reason = error.to_string();
-        let reason = reason.split(" at line ").next().unwrap_or_default();
-        CaptureError::Entry {
-            file: file.to_owned(),
-            place: format!("line {line}, column {column}"),
-            field: "text",
-            found: excerpt(bytes, line, column).into(),
-            expected: format!("JSON, with numbers that are finite ({})", quoted(reason)).into(),
-            fix: CORRECT,
+    let mut input = serde_json::Deserializer::from_slice(bytes);
+    let read = Expected::File.deserialize(&mut input).and_then(|value| input.end().map(|()| value));
+    match read {
+        Ok(Value::Object(fields)) => Ok(fields),
+        Ok(_) => Ok(Fields::default()),
+        Err(error) => {
+            let (line, column) = (error.line(), error.column());
+            let reason = error.to_string();
+            let reason = reason.split(" at line ").next().unwrap_or_default();
+            Err(CaptureError::Entry {
+                file: file.to_owned(),
+                place: format!("line {line}, column {column}"),
+                field: "text",
+                found: excerpt(bytes, line, column).into(),
+                expected: format!("JSON, with numbers that are finite ({})", quoted(reason)).into(),
+                fix: "Correct the file, or export it again",
+            })
         }
-    })
+    }
 }
 
 /// The text from an error's position up to the next separator.
@@ -145,229 +153,72 @@ fn excerpt(bytes: &[u8], line: usize, column: usize) -> String {
     }
 }
 
-/// A value of a field, built from JSON.
-trait JsonValue: Sized {
-    fn from_number(_: f64) -> Option<Self> {
-        None
-    }
-    fn from_text(_: &str) -> Option<Self> {
-        None
-    }
-    fn from_truth(_: bool) -> Option<Self> {
-        None
-    }
-    fn from_list<'de, A: SeqAccess<'de>>(list: A) -> Result<Field<Self>, A::Error> {
-        drain(list)?;
-        Ok(Field::Wrong("a list".into()))
-    }
+/// What is expected at a place. A file and its frames have to be objects; any other value is kept as it is.
+#[derive(Clone, Copy)]
+enum Expected {
+    File,
+    Frames,
+    Frame,
+    Anything,
 }
 
-fn drain<'de, A: SeqAccess<'de>>(mut list: A) -> Result<usize, A::Error> {
-    let mut count = 0;
-    while list.next_element::<IgnoredAny>()?.is_some() {
-        count += 1;
-    }
-    Ok(count)
-}
+impl<'de> DeserializeSeed<'de> for Expected {
+    type Value = Value;
 
-impl JsonValue for f64 {
-    fn from_number(number: f64) -> Option<Self> {
-        Some(number)
-    }
-}
-
-impl JsonValue for bool {
-    fn from_truth(truth: bool) -> Option<Self> {
-        Some(truth)
-    }
-}
-
-impl JsonValue for String {
-    fn from_text(text: &str) -> Option<Self> {
-        Some(text.to_owned())
-    }
-}
-
-impl JsonValue for Vec<String> {
-    fn from_list<'de, A: SeqAccess<'de>>(mut list: A) -> Result<Field<Self>, A::Error> {
-        let mut texts = Vec::new();
-        while let Some(text) = list.next_element::<Field<String>>()? {
-            match text {
-                Field::Is(text) => texts.push(text),
-                Field::Absent => return drain(list).map(|_| Field::Wrong("a list with null".into())),
-                Field::Wrong(found) => {
-                    return drain(list).map(|_| Field::Wrong(format!("a list with {found}").into()));
-                }
-            }
+    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<Value, D::Error> {
+        match self {
+            Self::File | Self::Frame => deserializer.deserialize_map(self),
+            Self::Frames | Self::Anything => deserializer.deserialize_any(self),
         }
-        Ok(Field::Is(texts))
     }
 }
 
-impl JsonValue for MatrixRow {
-    fn from_list<'de, A: SeqAccess<'de>>(list: A) -> Result<Field<Self>, A::Error> {
-        fixed(list, "numbers", 4, [0.0; 4])
-    }
-}
-
-impl JsonValue for Matrix {
-    fn from_list<'de, A: SeqAccess<'de>>(list: A) -> Result<Field<Self>, A::Error> {
-        fixed(list, "rows", 3, [[0.0; 4], [0.0; 4], [0.0; 4], [0.0, 0.0, 0.0, 1.0]])
-    }
-}
-
-/// Reads a list of `least` to `N` values over those of `values`.
-fn fixed<'de, T: JsonValue, A: SeqAccess<'de>, const N: usize>(
-    mut list: A,
-    what: &str,
-    least: usize,
-    mut values: [T; N],
-) -> Result<Field<[T; N]>, A::Error>
-where
-    [T; N]: JsonValue,
-{
-    let (mut count, mut wrong) = (0, None);
-    while let Some(value) = list.next_element::<Field<T>>()? {
-        match (value, values.get_mut(count)) {
-            (Field::Is(value), Some(slot)) => *slot = value,
-            (Field::Is(_), None) => {}
-            (Field::Absent, _) => wrong = wrong.or(Some("null".into())),
-            (Field::Wrong(found), _) => wrong = wrong.or(Some(found)),
-        }
-        count += 1;
-    }
-    Ok(match wrong {
-        Some(found) => Field::Wrong(found),
-        None if count < least || count > N => Field::Wrong(format!("{count} {what}").into()),
-        None => Field::Is(values),
-    })
-}
-
-impl JsonValue for Vec<TransformsFrame> {
-    fn from_list<'de, A: SeqAccess<'de>>(mut list: A) -> Result<Field<Self>, A::Error> {
-        let mut frames = Vec::new();
-        while let Some(frame) = list.next_element::<TransformsFrame>()? {
-            let right = frame.path.is_right() && frame.matrix.is_right();
-            frames.push(frame);
-            if !right {
-                drain(list)?;
-                break;
-            }
-        }
-        Ok(Field::Is(frames))
-    }
-}
-
-impl<'de, T: JsonValue> Deserialize<'de> for Field<T> {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        deserializer.deserialize_any(OfValue(PhantomData))
-    }
-}
-
-struct OfValue<T>(PhantomData<T>);
-
-/// The value, or what was found instead.
-fn field<T>(value: Option<T>, found: impl fmt::Display) -> Field<T> {
-    value.map_or_else(|| Field::Wrong(found.to_string().into()), Field::Is)
-}
-
-impl<'de, T: JsonValue> Visitor<'de> for OfValue<T> {
-    type Value = Field<T>;
+impl<'de> Visitor<'de> for Expected {
+    type Value = Value;
 
     fn expecting(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        out.write_str("a value")
+        out.write_str(match self {
+            Self::File => "an object with `frames`",
+            Self::Frame => "a frame, which is an object",
+            Self::Frames | Self::Anything => "a value",
+        })
     }
-    fn visit_unit<E>(self) -> Result<Field<T>, E> {
-        Ok(Field::Absent)
+    fn visit_unit<E>(self) -> Result<Value, E> {
+        Ok(Value::Null)
     }
-    fn visit_bool<E>(self, truth: bool) -> Result<Field<T>, E> {
-        Ok(field(T::from_truth(truth), truth))
+    fn visit_bool<E>(self, truth: bool) -> Result<Value, E> {
+        Ok(Value::Truth(truth))
     }
-    fn visit_f64<E>(self, number: f64) -> Result<Field<T>, E> {
-        Ok(field(T::from_number(number), number))
+    fn visit_f64<E>(self, number: f64) -> Result<Value, E> {
+        Ok(Value::Number(number))
     }
-    fn visit_i64<E>(self, number: i64) -> Result<Field<T>, E> {
-        Ok(field(T::from_number(number as f64), number))
+    fn visit_i64<E>(self, number: i64) -> Result<Value, E> {
+        Ok(Value::Number(number as f64))
     }
-    fn visit_u64<E>(self, number: u64) -> Result<Field<T>, E> {
-        Ok(field(T::from_number(number as f64), number))
+    fn visit_u64<E>(self, number: u64) -> Result<Value, E> {
+        Ok(Value::Number(number as f64))
     }
-    fn visit_str<E>(self, text: &str) -> Result<Field<T>, E> {
-        Ok(field(T::from_text(text), quoted(text)))
+    fn visit_str<E>(self, text: &str) -> Result<Value, E> {
+        Ok(Value::Text(text.to_owned()))
     }
-    fn visit_seq<A: SeqAccess<'de>>(self, list: A) -> Result<Field<T>, A::Error> {
-        T::from_list(list)
-    }
-    fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Field<T>, A::Error> {
-        while map.next_entry::<IgnoredAny, IgnoredAny>()?.is_some() {}
-        Ok(Field::Wrong("an object".into()))
-    }
-}
-
-/// An object whose fields are taken one by one.
-trait JsonObject: Default {
-    const WHAT: &str;
-    /// Stores the value of any field.
-    fn take<'de, A: MapAccess<'de>>(&mut self, field: &str, map: &mut A) -> Result<(), A::Error>;
-}
-
-impl JsonObject for File {
-    const WHAT: &str = "an object with `frames`";
-
-    fn take<'de, A: MapAccess<'de>>(&mut self, field: &str, map: &mut A) -> Result<(), A::Error> {
-        match field {
-            "frames" => self.frames = map.next_value()?,
-            "ply_file_path" => self.points = map.next_value()?,
-            _ if LensFields::knows(field) => self.lenses.take(field, map)?,
-            _ => match super::LISTS.iter().position(|&known| known == field) {
-                Some(list) => self.lists[list] = map.next_value()?,
-                None => drop(map.next_value::<IgnoredAny>()?),
-            },
+    fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> Result<Value, A::Error> {
+        let each = if let Self::Frames = self { Self::Frame } else { Self::Anything };
+        let mut values = Vec::new();
+        while let Some(value) = list.next_element_seed(each)? {
+            values.push(value);
         }
-        Ok(())
+        Ok(Value::List(values))
     }
-}
-
-impl JsonObject for TransformsFrame {
-    const WHAT: &str = "a frame, which is an object";
-
-    fn take<'de, A: MapAccess<'de>>(&mut self, field: &str, map: &mut A) -> Result<(), A::Error> {
-        match field {
-            "file_path" => self.path = map.next_value()?,
-            "transform_matrix" => self.matrix = map.next_value()?,
-            "mask_path" => self.mask = map.next_value()?,
-            _ if LensFields::knows(field) => self.lens.get_or_insert_default().take(field, map)?,
-            _ => drop(map.next_value::<IgnoredAny>()?),
+    fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Value, A::Error> {
+        let mut fields = Fields::default();
+        while let Some(name) = map.next_key::<String>()? {
+            let known = LENS.iter().chain(&OTHERS).chain(&LISTS).find(|known| **known == name);
+            match (self, known) {
+                (Self::File, Some(&name @ "frames")) => fields.0.push((name, map.next_value_seed(Self::Frames)?)),
+                (Self::File | Self::Frame, Some(&name)) => fields.0.push((name, map.next_value_seed(Self::Anything)?)),
+                _ => drop(map.next_value::<IgnoredAny>()?),
+            }
         }
-        Ok(())
-    }
-}
-
-struct OfObject<T>(PhantomData<T>);
-
-impl<'de, T: JsonObject> Visitor<'de> for OfObject<T> {
-    type Value = T;
-
-    fn expecting(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        out.write_str(T::WHAT)
-    }
-    fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<T, A::Error> {
-        let mut object = T::default();
-        while let Some(field) = map.next_key::<String>()? {
-            object.take(&field, &mut map)?;
-        }
-        Ok(object)
-    }
-}
-
-impl<'de> Deserialize<'de> for File {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        deserializer.deserialize_map(OfObject(PhantomData))
-    }
-}
-
-impl<'de> Deserialize<'de> for TransformsFrame {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        deserializer.deserialize_map(OfObject(PhantomData))
+        Ok(Value::Object(fields))
     }
 }

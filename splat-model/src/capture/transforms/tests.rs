@@ -3,6 +3,8 @@
 mod lenses;
 mod refused;
 
+use std::fs;
+
 use glam::{DMat3, DVec2, DVec3};
 use splat_op::CameraModel;
 

@@ -2,7 +2,7 @@
 
 use std::f64::consts::{FRAC_1_SQRT_2, SQRT_2};
 
-use super::row::{Levels, Ranges, Words};
+use super::row::Ranges;
 use crate::formats::{DC, opacity, quaternion};
 use crate::gaussians::GaussianRows;
 
@@ -92,23 +92,22 @@ impl Ranges {
     }
 
     /// Packs row `i` of a scene; its values lie within these ranges.
-    pub fn pack(&self, rows: &GaussianRows, i: usize) -> Words {
+    pub fn pack(&self, rows: &GaussianRows, i: usize) -> [u32; 4] {
         let (largest, three) = quaternion::smallest_three(rows.rotations[i]);
         let rotation =
             three.iter().fold(largest as u32, |word, value| word << 10 | level(value * FRAC_1_SQRT_2 + 0.5, 10));
         let rgb = colour(&rows.sh_dc[i]);
         let colours = (0..3).fold(0, |word, channel| word << 8 | level(self.share(COLOUR, channel, rgb[channel]), 8));
-        Words([
+        [
             self.pack_axes(POSITION, &rows.means[i]),
             rotation,
             self.pack_axes(SCALE, &rows.log_scales[i]),
             colours << 8 | u32::from(opacity::level(rows.logit_opacities[i])),
-        ])
+        ]
     }
 
     /// Appends a Gaussian without its higher coefficients.
-    pub fn unpack_to(&self, words: &Words, rows: &mut GaussianRows) {
-        let Words([position, rotation, scale, colours]) = *words;
+    pub fn unpack_to(&self, &[position, rotation, scale, colours]: &[u32; 4], rows: &mut GaussianRows) {
         rows.means.push(self.unpack_axes(POSITION, position));
         let three = [20, 10, 0].map(|shift| (share(rotation, shift, 10) - 0.5) * SQRT_2);
         rows.rotations.push(quaternion::from_smallest_three((rotation >> 30) as usize, three));
@@ -121,28 +120,23 @@ impl Ranges {
     }
 }
 
-impl Levels {
-    /// Quantises the higher coefficients of a row, channels innermost.
-    pub fn of(rest: &[f32]) -> Self {
-        let mut levels = [0; _];
-        let per_channel = rest.len() / 3;
-        for (i, &value) in rest.iter().enumerate() {
-            // Casts of floats clamp.
-            levels[i % 3 * per_channel + i / 3] = ((f64::from(value) / 8.0 + 0.5) * STEPS).floor() as u8;
-        }
-        Self(levels)
-    }
+/// Quantises the higher coefficients of a row: channels innermost before, coefficients innermost after.
+pub(super) fn pack_rest(rest: &[f32]) -> impl Iterator<Item = u8> {
+    let channels = (0..3).flat_map(move |channel| rest.iter().skip(channel).step_by(3));
+    // Casts of floats clamp.
+    channels.map(|&value| ((f64::from(value) / 8.0 + 0.5) * STEPS).floor() as u8)
+}
 
-    /// The `per_channel` coefficients of each channel, channels innermost. A level stands for the middle of its step, the first
-    /// and the last level for the ends of the range.
-    pub fn values(&self, per_channel: usize) -> impl Iterator<Item = f32> {
-        (0..3 * per_channel).map(move |i| {
-            let share = match self.0[i % 3 * per_channel + i / 3] {
-                0 => 0.0,
-                u8::MAX => 1.0,
-                level => (f64::from(level) + 0.5) / STEPS,
-            };
-            (8.0 * (share - 0.5)) as f32
-        })
-    }
+/// The inverse of [`pack_rest`], from levels 0 to 255. A level stands for the middle of its step, the first and the last level
+/// for the ends of the range.
+pub(super) fn unpack_rest(levels: &[f64]) -> impl Iterator<Item = f32> {
+    let coefficients = (0..levels.len() / 3).flat_map(|i| levels.iter().skip(i).step_by(levels.len() / 3));
+    coefficients.map(|&level| {
+        let share = match level {
+            0.0 => 0.0,
+            255.0 => 1.0,
+            _ => (level + 0.5) / STEPS,
+        };
+        (8.0 * (share - 0.5)) as f32
+    })
 }

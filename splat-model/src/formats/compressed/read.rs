@@ -5,38 +5,41 @@ use std::path::Path;
 use glam::DVec3;
 use ply_rs_bw::ply::{ElementDef, Header, PropertyType, ScalarType};
 
-use super::row::{CHUNKS, HARMONICS, Levels, PACKED, RANGES, Ranges, Words};
+use super::pack::unpack_rest;
+use super::row::{CHUNKS, HARMONICS, PACKED, RANGES, Ranges};
 use super::{CHUNK, DEGREE_MAX};
 use crate::formats::{Format, FormatError};
 use crate::gaussians::GaussianRows;
-use crate::ply::{PlyReader, VERTEX, brief, origin, require, vertex};
+use crate::ply::{PlyReader, VERTEX, brief, degree_of_rest, origin, require, rest_names, vertex};
 
 /// Reads the rows, and the origin that their positions are relative to, of a file whose header has been read.
 pub fn read(path: &Path, mut input: PlyReader, header: &Header) -> Result<(GaussianRows, DVec3), FormatError> {
     let origin = origin(path, header)?;
     let vertex = vertex(path, header)?;
     let harmonics = header.elements.get(HARMONICS);
-    let sh_degree = check(path, header, vertex, harmonics)?;
+    let (ranges, sh_degree) = check(path, header, vertex, harmonics)?;
     let is_ours = |element: &&ElementDef| [CHUNKS, VERTEX, HARMONICS].contains(&element.name.as_str());
     let last = header.elements.values().rfind(is_ours).map_or(VERTEX, |element| &element.name);
     input.check_size(header, last)?;
 
-    let mut chunks: Vec<Ranges> = Vec::new();
-    let mut words: Vec<Words> = Vec::new();
-    let per_channel = (sh_degree + 1) * (sh_degree + 1) - 1;
+    let (mut chunks, mut words) = (Vec::new(), Vec::new());
     let mut rows = GaussianRows { sh_degree, ..GaussianRows::default() };
+    let rest: Vec<String> = rest_names(rows.rest_per_row()).collect();
     for element in header.elements.values() {
         match element.name.as_str() {
-            CHUNKS => input.each_row(element, header.encoding, |_, chunk| {
-                chunks.push(chunk);
+            CHUNKS => input.each_row(element, header.encoding, &RANGES[..ranges], |_, values| {
+                // Colours without ranges range from 0 to 1.
+                let mut chunk = std::array::from_fn(|i| if i < 15 { 0.0 } else { 1.0 });
+                chunk.iter_mut().zip(values).for_each(|(range, &value)| *range = value as f32);
+                chunks.push(Ranges(chunk));
                 Ok(())
             })?,
-            VERTEX => input.each_row(element, header.encoding, |_, row| {
-                words.push(row);
+            VERTEX => input.each_row(element, header.encoding, &PACKED, |_, values| {
+                words.push([0, 1, 2, 3].map(|i| values[i] as u32));
                 Ok(())
             })?,
-            HARMONICS => input.each_row(element, header.encoding, |_, levels: Levels| {
-                rows.sh_rest.extend(levels.values(per_channel));
+            HARMONICS => input.each_row(element, header.encoding, &rest, |_, levels| {
+                rows.sh_rest.extend(unpack_rest(levels));
                 Ok(())
             })?,
             _ => input.skip(element, header)?,
@@ -51,13 +54,14 @@ pub fn read(path: &Path, mut input: PlyReader, header: &Header) -> Result<(Gauss
     Ok((rows, origin))
 }
 
-/// Refuses files that do not describe Gaussians, and returns the degree of the spherical harmonics.
+/// Refuses files that do not describe Gaussians, and returns the number of ranges of a chunk and the degree of the spherical
+/// harmonics.
 fn check(
     path: &Path,
     header: &Header,
     vertex: &ElementDef,
     harmonics: Option<&ElementDef>,
-) -> Result<usize, FormatError> {
+) -> Result<(usize, usize), FormatError> {
     let broken = |detail: String| FormatError::broken(path, Format::CompressedPly, detail);
     let chunks = header
         .elements
@@ -75,7 +79,7 @@ fn check(
             chunks.count, vertex.count
         )));
     }
-    let Some(harmonics) = harmonics else { return Ok(0) };
+    let Some(harmonics) = harmonics else { return Ok((ranges, 0)) };
     require(path, harmonics, &[])?;
     of_type(harmonics, |name| name.starts_with("f_rest_"), &ScalarType::UChar, "uchar").map_err(broken)?;
     if harmonics.count != vertex.count {
@@ -84,14 +88,12 @@ fn check(
         return Err(broken(detail));
     }
     let found = harmonics.properties.keys().filter(|name| name.starts_with("f_rest_")).count();
-    let degree = (0..=DEGREE_MAX).find(|degree| 3 * ((degree + 1) * (degree + 1) - 1) == found);
-    let degree = degree.ok_or_else(|| {
+    let degree = degree_of_rest(found).filter(|&degree| degree <= DEGREE_MAX).ok_or_else(|| {
         broken(format!("{found} properties `f_rest_*` of `{HARMONICS}`, expected 9, 24 or 45 (degree 1 to 3)"))
     })?;
-    let missing = (0..found).map(|i| format!("f_rest_{i}")).find(|name| !harmonics.properties.contains_key(name));
-    match missing {
+    match rest_names(found).find(|name| !harmonics.properties.contains_key(name)) {
         Some(name) => Err(broken(format!("`{HARMONICS}` has {found} properties `f_rest_*`, but no `{name}`"))),
-        None => Ok(degree),
+        None => Ok((ranges, degree)),
     }
 }
 

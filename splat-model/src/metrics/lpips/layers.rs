@@ -8,30 +8,16 @@ use std::ops::Range;
 /// Number of taps, and so of slices, of either network.
 pub const TAPS: usize = 5;
 
-/// A layer of a network. Every convolution is followed by a ReLU.
+/// A layer of a network: a square window in pixels of the previous layer, and what is done with it.
 #[derive(Clone, Copy, Debug)]
-pub enum NetworkLayer {
-    /// Convolution to `channels` channels, with a bias.
-    Conv { number: usize, channels: usize, window: SlidingWindow },
-    /// Maximum over the window, which does not extend beyond the border.
-    Pool { window: SlidingWindow },
-}
-
-/// A square window, in pixels of the previous layer.
-#[derive(Clone, Copy, Debug)]
-pub struct SlidingWindow {
+pub struct NetworkLayer {
+    /// The number and the channels of a convolution, which has a bias and is followed by a ReLU. None for the maximum over the
+    /// window, which does not extend beyond the border.
+    pub convolution: Option<(usize, usize)>,
     pub side: usize,
     pub stride: usize,
     /// Zeros around the picture.
     pub padding: usize,
-}
-
-impl NetworkLayer {
-    pub fn window(self) -> SlidingWindow {
-        match self {
-            Self::Conv { window, .. } | Self::Pool { window } => window,
-        }
-    }
 }
 
 /// The network whose features are compared.
@@ -47,11 +33,11 @@ pub enum Net {
 pub type Slice = &'static [NetworkLayer];
 
 const fn conv(number: usize, channels: usize, side: usize, stride: usize, padding: usize) -> NetworkLayer {
-    NetworkLayer::Conv { number, channels, window: SlidingWindow { side, stride, padding } }
+    NetworkLayer { convolution: Some((number, channels)), side, stride, padding }
 }
 
 const fn pool(side: usize, stride: usize) -> NetworkLayer {
-    NetworkLayer::Pool { window: SlidingWindow { side, stride, padding: 0 } }
+    NetworkLayer { convolution: None, side, stride, padding: 0 }
 }
 
 const ALEX: [Slice; TAPS] = [
@@ -97,7 +83,7 @@ impl Net {
         let mut length = side;
         let mut features = [0; TAPS];
         for (slice, features) in self.slices().into_iter().zip(&mut features) {
-            for SlidingWindow { side, stride, padding } in slice.iter().map(|layer| layer.window()) {
+            for &NetworkLayer { side, stride, padding, .. } in slice {
                 length = (length + 2 * padding).checked_sub(side)? / stride + 1;
             }
             *features = length;
@@ -109,7 +95,7 @@ impl Net {
     pub fn views(self) -> [ReceptiveField; TAPS] {
         let mut view = ReceptiveField { stride: 1, before: 0, after: 0 };
         self.slices().map(|slice| {
-            for SlidingWindow { side, stride, padding } in slice.iter().map(|layer| layer.window()) {
+            for &NetworkLayer { side, stride, padding, .. } in slice {
                 view.before += view.stride * padding;
                 view.after += view.stride * (side - 1 - padding);
                 view.stride *= stride;

@@ -24,7 +24,7 @@ use burn::tensor::{DType, Device, Tensor};
 use thiserror::Error;
 
 pub use self::layers::Net;
-use self::layers::{NetworkLayer, SidePart, SlidingWindow, TAPS, parts};
+use self::layers::{NetworkLayer, SidePart, TAPS, parts};
 pub use self::weights::WeightsError;
 
 /// Added to the length of a feature vector, as in the package's `normalize_tensor`.
@@ -156,13 +156,14 @@ impl Lpips {
         let mut convolutions = self.convolutions.iter();
         let mut sums = Vec::with_capacity(TAPS);
         for ((slice, view), linear) in self.net.slices().into_iter().zip(self.net.views()).zip(&self.linear) {
-            for layer in slice {
-                [a, b] = match *layer {
-                    NetworkLayer::Pool { window } => [a, b].map(|features| pooled(features, window)),
-                    NetworkLayer::Conv { window, .. } => {
-                        let convolution = convolutions.next().expect("read for every layer of the table");
-                        [a, b].map(|features| convolution.over(features, window))
-                    }
+            for &NetworkLayer { convolution, side, stride, padding } in slice {
+                [a, b] = if convolution.is_some() {
+                    let Convolution { weight, bias } = convolutions.next().expect("read for every layer of the table");
+                    let options = || ConvOptions::new([stride; 2], [padding; 2], [1; 2], 1);
+                    [a, b].map(|features| relu(conv2d(features, weight.clone(), Some(bias.clone()), options())))
+                } else {
+                    let options = || MaxPoolOptions::new([side; 2]).with_stride([stride; 2]);
+                    [a, b].map(|features| max_pool2d(features, options()))
                 };
             }
             let [_, channels, height, width] = a.dims();
@@ -196,17 +197,6 @@ impl Lpips {
         let colour = |of: [f32; 3]| Tensor::<1>::from_floats(of, &self.device).reshape([1, 3, 1, 1]);
         (picture - colour(SHIFT)) / colour(SCALE)
     }
-}
-
-impl Convolution {
-    fn over(&self, features: Tensor<4>, SlidingWindow { stride, padding, .. }: SlidingWindow) -> Tensor<4> {
-        let options = ConvOptions::new([stride; 2], [padding; 2], [1; 2], 1);
-        relu(conv2d(features, self.weight.clone(), Some(self.bias.clone()), options))
-    }
-}
-
-fn pooled(features: Tensor<4>, SlidingWindow { side, stride, .. }: SlidingWindow) -> Tensor<4> {
-    max_pool2d(features, MaxPoolOptions::new([side; 2]).with_stride([stride; 2]))
 }
 
 /// Normalises rows of features to unit length; rows of zeros stay zero. The features are rows because Burn 0.22.1 fuses the sum

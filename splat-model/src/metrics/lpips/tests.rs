@@ -25,7 +25,7 @@ pub(crate) fn tensors(net: Net) -> NamedTensors {
     let mut channels = 3;
     for (tap, slice) in net.slices().into_iter().enumerate() {
         for layer in slice {
-            let NetworkLayer::Conv { number, channels: out, window: SlidingWindow { side, .. } } = *layer else {
+            let NetworkLayer { convolution: Some((number, out)), side, .. } = *layer else {
                 continue;
             };
             let bound = (6.0 / (channels * side * side) as f32).sqrt();

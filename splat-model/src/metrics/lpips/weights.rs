@@ -5,7 +5,6 @@ use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
 use burn::tensor::{Device, Tensor, TensorData};
-use safetensors::tensor::TensorView;
 use safetensors::{Dtype, SafeTensors};
 use splat_op::is_gpu;
 use thiserror::Error;
@@ -92,20 +91,28 @@ impl Lpips {
         let tensors = SafeTensors::deserialize(&bytes).map_err(|error| format(error.to_string()))?;
         let net = network(&tensors).map_err(|found| WeightsError::Network { path: path.to_owned(), found })?;
         let device = device.clone().inner();
-        let source = WeightsFile { path, tensors: &tensors, net, device: &device };
+        let read = |name: &str, shape: &[usize], is_weight| {
+            let values = values(&tensors, name, shape, is_weight);
+            values.map(|values| TensorData::new(values, shape)).map_err(|(found, expected)| {
+                let (path, name) = (path.to_owned(), name.to_owned());
+                WeightsError::Tensor { path, name, net, found, expected }
+            })
+        };
         let mut convolutions = Vec::new();
         let mut linear = Vec::new();
         let mut channels = 3;
         for (tap, slice) in net.slices().into_iter().enumerate() {
             for layer in slice {
-                let NetworkLayer::Conv { number, channels: out, window } = *layer else { continue };
+                let NetworkLayer { convolution: Some((number, out)), side, .. } = *layer else { continue };
                 let name = |what| format!("net.slice{}.{number}.{what}", tap + 1);
-                let weight = source.tensor(&name("weight"), [out, channels, window.side, window.side], false)?;
-                convolutions.push(Convolution { weight, bias: source.tensor(&name("bias"), [out], false)? });
+                let weight = read(&name("weight"), &[out, channels, side, side], false)?;
+                let bias = read(&name("bias"), &[out], false)?;
+                let (weight, bias) = (Tensor::from_data(weight, &device), Tensor::from_data(bias, &device));
+                convolutions.push(Convolution { weight, bias });
                 channels = out;
             }
-            let weights = source.tensor(&format!("lin{tap}.model.1.weight"), [1, channels, 1, 1], true)?;
-            linear.push(weights.reshape([1, channels]));
+            let weights = read(&format!("lin{tap}.model.1.weight"), &[1, channels, 1, 1], true)?;
+            linear.push(Tensor::<4>::from_data(weights, &device).reshape([1, channels]));
         }
         let most = if is_gpu(&device) { MOST_ON_GPU } else { MOST_ON_CPU };
         Ok(Self { net, input, convolutions, linear, device, most })
@@ -137,43 +144,20 @@ fn printable(name: &str) -> String {
     name.chars().take(60).map(|letter| if letter.is_control() { char::REPLACEMENT_CHARACTER } else { letter }).collect()
 }
 
-struct WeightsFile<'a> {
-    path: &'a Path,
-    tensors: &'a SafeTensors<'a>,
-    net: Net,
-    device: &'a Device,
-}
-
-impl WeightsFile<'_> {
-    /// Reads a tensor of the network and checks its type and shape, and that its values are finite and, if `is_weight`, not
-    /// negative.
-    fn tensor<const D: usize>(
-        &self,
-        name: &str,
-        shape: [usize; D],
-        is_weight: bool,
-    ) -> Result<Tensor<D>, WeightsError> {
-        let wrong = |found: String, expected: String| {
-            let (path, name) = (self.path.to_owned(), name.to_owned());
-            WeightsError::Tensor { path, name, net: self.net, found, expected }
-        };
-        let shaped = format!("F32 of the shape {shape:?}");
-        let Ok(view) = self.tensors.tensor(name) else { return Err(wrong("is missing".into(), shaped)) };
-        if view.dtype() != Dtype::F32 || view.shape() != shape {
-            return Err(wrong(format!("is {} of the shape {:?}", view.dtype(), view.shape()), shaped));
-        }
-        let values = values(&view);
-        if let Some(at) = values.iter().position(|value| !value.is_finite()) {
-            return Err(wrong(format!("holds {} as value {at}", values[at]), "finite numbers".into()));
-        }
-        if is_weight && let Some(at) = values.iter().position(|value| *value < 0.0) {
-            let expected = "no negative numbers, as in version 0.1 of LPIPS".into();
-            return Err(wrong(format!("holds {} as value {at}", values[at]), expected));
-        }
-        Ok(Tensor::from_data(TensorData::new(values, shape), self.device))
+/// The values of a tensor, or what was found and what was expected. They have to be finite and, if `is_weight`, not negative.
+fn values(tensors: &SafeTensors, name: &str, shape: &[usize], is_weight: bool) -> Result<Vec<f32>, (String, String)> {
+    let shaped = format!("F32 of the shape {shape:?}");
+    let Ok(view) = tensors.tensor(name) else { return Err(("is missing".into(), shaped)) };
+    if view.dtype() != Dtype::F32 || view.shape() != shape {
+        return Err((format!("is {} of the shape {:?}", view.dtype(), view.shape()), shaped));
     }
-}
-
-fn values(view: &TensorView) -> Vec<f32> {
-    view.data().as_chunks::<4>().0.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect()
+    let values: Vec<f32> = view.data().as_chunks::<4>().0.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect();
+    let holds = |at: usize| format!("holds {} as value {at}", values[at]);
+    if let Some(at) = values.iter().position(|value| !value.is_finite()) {
+        return Err((holds(at), "finite numbers".into()));
+    }
+    if is_weight && let Some(at) = values.iter().position(|value| *value < 0.0) {
+        return Err((holds(at), "no negative numbers, as in version 0.1 of LPIPS".into()));
+    }
+    Ok(values)
 }
