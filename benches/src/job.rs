@@ -180,9 +180,6 @@ impl Job {
     }
 
     /// Asserts that the device's picture equals the CPU's, except at pixels near a threshold.
-    ///
-    /// # Errors
-    /// If the op refuses the scene.
     pub fn verify_picture(&self, device: &Device) -> Result<(), SplatError> {
         let picture = |device: &Device| -> Result<Vec<f64>, SplatError> {
             let (splats, camera) = (self.gaussians(device).splats(), self.camera(device));
@@ -199,9 +196,6 @@ impl Job {
     }
 
     /// Checks whether the scene fits the device, with tensor views of one row that take no memory.
-    ///
-    /// # Errors
-    /// If a buffer does not fit.
     pub fn check_fits(&self, device: &Device) -> Result<(), SplatError> {
         let count = self.rows.len();
         let row = |columns| Tensor::<2>::ones([1, columns], device).expand([count, columns]);

@@ -17,13 +17,10 @@ use splat_op::{Camera, Colour, Extras, SplatError, Splats, evaluate_sh, render_v
 
 use crate::job::{Job, OPTIONS};
 use crate::limit::PassKind;
-use crate::measure::{Pass, PassResult, Prepare, TimedPart};
+use crate::measure::{Pass, PassResult, Prepare, TimedPart, stateful};
 use crate::step::{SOUND, Step, density, rates};
 
 /// Returns all passes, in the order of a training step, then the step.
-///
-/// # Errors
-/// If the op refuses the scene.
 pub fn passes(job: &Job, device: &Device) -> Result<Vec<Pass>, Box<dyn Error>> {
     let camera = job.camera(device);
     let stages = Rc::new(Stages::new(job, device)?);
@@ -49,9 +46,6 @@ pub fn passes(job: &Job, device: &Device) -> Result<Vec<Pass>, Box<dyn Error>> {
 }
 
 /// Returns the whole step alone.
-///
-/// # Errors
-/// If the op refuses the scene.
 pub fn whole_step(job: &Job, device: &Device) -> Pass {
     Pass { kind: PassKind::Step, prepare: step(job, Truth::new(job.photograph(device)), device) }
 }
@@ -164,11 +158,7 @@ fn adam(job: &Job, device: &Device) -> Prepare {
 
 fn step(job: &Job, truth: Truth, device: &Device) -> Prepare {
     let gaussians = job.gaussians(&device.clone().autodiff());
-    let step = Rc::new(RefCell::new(Step::new(gaussians, job.camera(device), truth)));
-    Box::new(move || {
-        let step = step.clone();
-        Ok(Box::new(move || Ok(Box::new(step.borrow_mut().run()?) as PassResult)))
-    })
+    stateful(Step::new(gaussians, job.camera(device), truth), Step::run)
 }
 
 /// Prepares the timing of a function.
@@ -189,12 +179,14 @@ fn backward<const D: usize>(grad: Tensor<D>, run: impl Fn() -> Tensor<D> + 'stat
     })
 }
 
-/// Returns the values as a leaf that Burn tracks.
-fn leaf<const D: usize>(values: &Tensor<D>) -> Tensor<D> {
-    Tensor::from_inner(values.clone()).require_grad()
+/// Returns the values without their history, as a leaf that Burn tracks.
+pub(crate) fn leaf<const D: usize>(values: &Tensor<D>) -> Tensor<D> {
+    let values = if values.device().is_autodiff() { values.clone().inner() } else { values.clone() };
+    Tensor::from_inner(values).require_grad()
 }
 
-fn leaves(splats: &Splats) -> Splats {
+/// Returns the parameters as leaves that Burn tracks.
+pub fn leaves(splats: &Splats) -> Splats {
     Splats {
         means: leaf(&splats.means),
         rotations: leaf(&splats.rotations),

@@ -141,15 +141,17 @@ impl EffectsArg {
 /// The effects of a run, under `effects` in `metrics.json`.
 #[derive(Clone, Debug, Serialize)]
 pub struct Chosen {
-    asked: String,
-    on: Vec<EffectKind>,
+    /// The value of `--effects`, as written.
+    pub asked: String,
+    /// The effects that are on.
+    pub on: Vec<EffectKind>,
     /// The plan; null where nothing was left to decide.
     plan: Option<Plan>,
     /// The survey that the plan is based on.
     #[serde(skip)]
     survey: Option<Survey>,
     /// Measured cost of the effects of a step, by name.
-    measured: BTreeMap<&'static str, Cost>,
+    pub measured: BTreeMap<&'static str, Cost>,
 }
 
 impl Chosen {
@@ -204,24 +206,9 @@ impl Chosen {
         Ok(trainer.with_depths(samples))
     }
 
-    /// The value of `--effects`, as written.
-    pub fn asked(&self) -> &str {
-        &self.asked
-    }
-
-    /// The effects that are on.
-    pub fn on(&self) -> &[EffectKind] {
-        &self.on
-    }
-
     /// Survey and plan that decided on the effects; `None` where nothing was left to decide.
     pub fn grounds(&self) -> Option<(&Survey, &Plan)> {
         self.survey.as_ref().zip(self.plan.as_ref())
-    }
-
-    /// Measured cost of an effect, by its name in reports.
-    pub fn measured_cost(&self, name: &str) -> Option<Cost> {
-        self.measured.get(name).copied()
     }
 
     /// Measures the cost of the effects, at the end of a run.

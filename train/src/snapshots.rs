@@ -24,6 +24,7 @@ use splat_model::evaluate::{Comparison, Scores};
 use splat_model::gaussians::GaussianRows;
 use splat_model::ply;
 
+use crate::input::selected;
 use crate::output::OutputFolder;
 use crate::report::history::History;
 use crate::report::pictures::level;
@@ -200,19 +201,7 @@ impl Taken<'_> {
 /// one colour each.
 fn some_of(rows: &GaussianRows) -> GaussianRows {
     let every = rows.len().div_ceil(MOST_SPLATS).max(1);
-    let kept: Vec<usize> = (0..rows.len()).step_by(every).filter(|&i| rows.is_usable(i)).collect();
-    fn of<T: Copy>(kept: &[usize], values: &[T]) -> Vec<T> {
-        kept.iter().map(|&i| values[i]).collect()
-    }
-    GaussianRows {
-        means: of(&kept, &rows.means),
-        rotations: of(&kept, &rows.rotations),
-        log_scales: of(&kept, &rows.log_scales),
-        logit_opacities: of(&kept, &rows.logit_opacities),
-        sh_dc: of(&kept, &rows.sh_dc),
-        sh_rest: Vec::new(),
-        sh_degree: 0,
-    }
+    selected(rows, (0..rows.len()).step_by(every).filter(|&i| rows.is_usable(i)), 0)
 }
 
 /// Removes the snapshots in a folder: the files that they name, then their folders if empty. All other files stay.

@@ -237,9 +237,6 @@ pub struct EffectGain {
 
 impl EffectCase {
     /// Creates the capture in `work`, surveys it, trains twice and measures.
-    ///
-    /// # Errors
-    /// If a file cannot be written or a run fails.
     pub fn measure(&self, scale: &RunSize, work: &Path) -> Result<EffectGain> {
         let folder = work.join(self.name);
         let (width, views) = (scale.width, self.views.unwrap_or(scale.views));
@@ -258,7 +255,7 @@ impl EffectCase {
             let out = work.join(format!("{}-{name}", self.name));
             let metrics = self.train(capture, &out, options, scale)?;
             seconds[i] = metrics.seconds.train.unwrap_or_default();
-            let measured = metrics.effects.as_ref().and_then(|chosen| chosen.measured_cost(self.name));
+            let measured = metrics.effects.as_ref().and_then(|chosen| chosen.measured.get(self.name).copied());
             cost = measured.map(|cost| [cost.ms_per_step, cost.mib]);
             score_db[i] = self.evaluate(capture, &out, eval)?;
         }

@@ -111,7 +111,7 @@ impl RunLog {
         progress::line(&LogLine::Evaluation(score));
         // A failed snapshot does not end the run: a disk that is full now may have room later.
         let kept = kept.unwrap_or(Ok(())).and_then(|()| match snapshots {
-            Some(snapshots) => snapshots.keep_history(self.recorder.history()),
+            Some(snapshots) => snapshots.keep_history(&self.recorder.history),
             None => Ok(()),
         });
         if let Err(error) = kept {
@@ -127,12 +127,12 @@ impl RunLog {
 
     /// History of the run so far.
     pub fn history(&self) -> &History {
-        self.recorder.history()
+        &self.recorder.history
     }
 
     /// Ends the log after the last step.
     pub fn finish(self) -> History {
         self.bar.finish();
-        self.recorder.into_history()
+        self.recorder.history
     }
 }

@@ -84,9 +84,6 @@ impl Checkpoints {
     }
 
     /// Clears the folder for a new run. Checkpoints of an unfinished run are moved aside.
-    ///
-    /// # Errors
-    /// If they cannot be moved.
     pub fn begin(&self) -> Result<()> {
         let Some((step, _)) = steps_in(&self.folder).pop() else { return Ok(()) };
         let before = self.folder.with_file_name(BEFORE);

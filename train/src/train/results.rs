@@ -15,9 +15,6 @@ use crate::output::OutputFolder;
 use crate::report::{BACKGROUND, POSES, SCENE};
 
 /// Writes what was learned beside the scene, and removes such files of an earlier run.
-///
-/// # Errors
-/// If a file cannot be written.
 pub fn write_learnt(trainer: &Trainer, config: &TrainConfig, capture: &Capture, out: &OutputFolder) -> Result<()> {
     let is_learnt = matches!(config.backdrop, Backdrop::Learned | Backdrop::Environment { .. });
     let background = is_learnt.then(|| trainer.background().to_json()).transpose()?;

@@ -46,9 +46,6 @@ static HEARD: OnceLock<Heard> = OnceLock::new();
 
 impl Stop {
     /// Registers the handlers and begins to listen.
-    ///
-    /// # Errors
-    /// If the system refuses a handler.
     pub fn listen() -> io::Result<Self> {
         let heard = match HEARD.get() {
             Some(heard) => heard,
