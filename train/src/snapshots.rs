@@ -16,7 +16,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
-use glam::DVec3;
+use glam::{DAffine3, DVec3};
 use image::{ImageFormat, RgbImage};
 use serde::{Deserialize, Serialize};
 use splat_model::capture::{Capture, Photograph};
@@ -72,8 +72,7 @@ impl Described {
     /// Describes a run on a capture's photographs.
     pub fn new(steps: usize, capture: &Capture, train: &[Photograph], test: &[Photograph]) -> Self {
         let view = |photo: &Photograph, is_test: bool| {
-            let (camera, pose) = (photo.intrinsics, photo.cam_from_world);
-            let row = |i: usize| [pose.x_axis[i], pose.y_axis[i], pose.z_axis[i], pose.translation[i]];
+            let camera = photo.intrinsics;
             SnapshotView {
                 name: photo.name.clone(),
                 is_test,
@@ -84,13 +83,18 @@ impl Described {
                 fy: camera.fy,
                 cx: camera.cx,
                 cy: camera.cy,
-                cam_from_world: [row(0), row(1), row(2)],
+                cam_from_world: matrix_rows(&photo.cam_from_world),
             }
         };
         let train = train.iter().map(|photo| view(photo, false));
         let views = train.chain(test.iter().map(|photo| view(photo, true))).collect();
         Self { steps, origin: capture.origin.to_array(), views }
     }
+}
+
+/// Returns the rows of a transform, `[3, 4]`.
+pub fn matrix_rows(pose: &DAffine3) -> [[f64; 4]; 3] {
+    [0, 1, 2].map(|i| [pose.x_axis[i], pose.y_axis[i], pose.z_axis[i], pose.translation[i]])
 }
 
 /// Content of `snapshot.json`.
