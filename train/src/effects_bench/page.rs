@@ -30,7 +30,7 @@ pub(super) fn table(gains: &[(&EffectCase, EffectGain)]) -> String {
         let names = if names.is_empty() { "nothing".into() } else { names.join(", ") };
         let [without, with] = gain.score_db;
         let flags = if case.demo_flags.is_empty() { "plain".into() } else { format!("`{}`", case.demo_flags) };
-        let cost = gain.cost.map_or("–".into(), |[ms, mib]| format!("{ms:.1}, {mib:.2}"));
+        let cost = gain.cost.map_or("–".into(), |cost| format!("{:.1}, {:.2}", cost.ms_per_step, cost.mib));
         let [before, after] = gain.seconds;
         text.push_str(&format!(
             "| {flags} | {names} | {} | {without:.2} | {with:.2} | {:+.2} | {cost} | {before:.0}, {after:.0} |\n",

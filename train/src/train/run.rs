@@ -129,7 +129,7 @@ fn to_the_end(mut args: TrainArgs, kept: Option<SavedRun>, change: impl FnOnce(T
     let load = seconds_since(start);
 
     // All errors in the capture have been found by now: a run that does not begin leaves no files.
-    let checkpoints = Checkpoints::open(out.path(), args.checkpoint_every)?;
+    let checkpoints = Checkpoints::open(out.path())?;
     out.sweep(&[VIEWS]);
     let snapshots = described.map(|described| Snapshots::open(&out, &described, kept.is_none())).transpose()?;
     let so_far = match kept {

@@ -87,7 +87,8 @@ impl Steps<'_> {
             if self.args.eval_during.is_some_and(|every| trainer.steps_done().is_multiple_of(every)) {
                 log.evaluate(trainer, (self.test, self.device.0), self.lpips, self.snapshots)?;
             }
-            if self.checkpoints.due_after(trainer.steps_done()) {
+            // At least one step is done, and no such number is a multiple of 0.
+            if trainer.steps_done().is_multiple_of(self.args.checkpoint_every) {
                 let so_far =
                     SoFar { seconds: log.recorder.seconds(), dials_chosen, history: log.recorder.history.clone() };
                 self.checkpoints.try_write(trainer, self.args, &so_far);
