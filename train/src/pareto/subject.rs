@@ -98,12 +98,11 @@ impl DeviceScene {
         let background = f32.extras.background.map(|background| background.cast(DType::F64));
         Ok(Self {
             splats: gaussians.untracked().splats(),
-            halved: OnceCell::new(),
             gaussians,
             cameras: f32.cameras.into_iter().map(camera).collect(),
             extras: Extras { background, ..Extras::default() },
-            device: f32.device,
             dtype: DType::F64,
+            ..f32
         })
     }
 
