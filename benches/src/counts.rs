@@ -33,10 +33,9 @@ impl Count {
 /// A count that differs from the record.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Difference {
-    /// A count more than 5% above the record.
-    Grown { pass: String, what: &'static str, before: u64, now: u64 },
-    /// A count more than 5% below the record: not a failure, but a gain that the test protects only after it is recorded.
-    Shrunk { pass: String, what: &'static str, before: u64, now: u64 },
+    /// A count more than 5% above or below the record. Less is not a failure, but a gain that the test protects only after
+    /// it is recorded.
+    Changed { pass: String, what: &'static str, before: u64, now: u64 },
     /// A pass without a record.
     New { pass: String },
     /// A record without a pass.
@@ -46,14 +45,14 @@ pub enum Difference {
 impl Difference {
     /// Whether the difference fails the comparison.
     pub fn fails(&self) -> bool {
-        !matches!(self, Self::Shrunk { .. })
+        !matches!(self, Self::Changed { before, now, .. } if now < before)
     }
 }
 
 impl Display for Difference {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Grown { pass, what, before, now } | Self::Shrunk { pass, what, before, now } => {
+            Self::Changed { pass, what, before, now } => {
                 let change = 100.0 * (*now as f64 / (*before).max(1) as f64 - 1.0);
                 write!(f, "{pass}: {change:+.1}% {what}, {now} after {before}")
             }
@@ -74,10 +73,8 @@ pub fn compare(recorded: &[Count], found: &[Count]) -> Vec<Difference> {
         };
         for ((before, what, slack), (now, _, _)) in record.numbers().into_iter().zip(count.numbers()) {
             let apart = (before as f64 * TOLERANCE).max(slack as f64);
-            if now as f64 > before as f64 + apart {
-                differences.push(Difference::Grown { pass: pass(), what, before, now });
-            } else if (now as f64) < before as f64 - apart {
-                differences.push(Difference::Shrunk { pass: pass(), what, before, now });
+            if (now as f64 - before as f64).abs() > apart {
+                differences.push(Difference::Changed { pass: pass(), what, before, now });
             }
         }
     }

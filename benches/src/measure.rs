@@ -1,7 +1,9 @@
 //! Measures times, including the wait for the device, and prints them as a table.
 
 use std::any::Any;
+use std::cell::RefCell;
 use std::error::Error;
+use std::rc::Rc;
 use std::time::{Duration, Instant};
 
 use burn::tensor::{Device, Tensor};
@@ -16,6 +18,18 @@ pub type TimedPart = Box<dyn FnOnce() -> Result<PassResult, Box<dyn Error>>>;
 
 /// Prepares a run, untimed, and returns the timed part.
 pub type Prepare = Box<dyn FnMut() -> Result<TimedPart, Box<dyn Error>>>;
+
+/// Prepares runs of a function that changes its state from run to run.
+pub fn stateful<S: 'static, T: 'static, E: Error + 'static>(
+    state: S,
+    run: impl Fn(&mut S) -> Result<T, E> + Copy + 'static,
+) -> Prepare {
+    let state = Rc::new(RefCell::new(state));
+    Box::new(move || {
+        let state = state.clone();
+        Ok(Box::new(move || Ok(Box::new(run(&mut state.borrow_mut())?) as PassResult)))
+    })
+}
 
 /// A pass to time, a line of the table.
 pub struct Pass {
@@ -41,9 +55,6 @@ const WARM_UP: usize = 2;
 
 /// Runs all passes in turns until the budget, which includes preparations, is spent, each at least once after the warm-up.
 /// The turns spread other load of the machine evenly over the passes.
-///
-/// # Errors
-/// Errors of the timed passes.
 pub fn time<'a>(
     all: impl IntoIterator<Item = &'a mut Prepare>,
     device: &Device,
@@ -110,9 +121,6 @@ fn processor_time() -> f64 {
 
 /// Times all passes in turns, prints a line for each and returns the times. `base` holds the medians of the device that
 /// the times are compared with.
-///
-/// # Errors
-/// Errors of the passes.
 pub fn table(
     passes: &mut [Pass],
     (device, machine): (&Device, &Machine),
@@ -143,9 +151,6 @@ pub fn table(
 }
 
 /// Measures the bytes per second, read and written, of adding a number to 64 MiB on a device.
-///
-/// # Errors
-/// Errors of the device.
 pub fn copy_bandwidth(device: &Device) -> Result<f64, Box<dyn Error>> {
     const ELEMENTS: usize = 16 << 20;
     let source = Tensor::<1>::ones([ELEMENTS], device);

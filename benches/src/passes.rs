@@ -17,28 +17,33 @@ use splat_op::{Camera, Colour, Extras, SplatError, Splats, evaluate_sh, render_v
 
 use crate::job::{Job, OPTIONS};
 use crate::limit::PassKind;
-use crate::measure::{Pass, PassResult, Prepare, TimedPart};
+use crate::measure::{Pass, PassResult, Prepare, TimedPart, stateful};
 use crate::step::{SOUND, Step, density, rates};
 
 /// Returns all passes, in the order of a training step, then the step.
-///
-/// # Errors
-/// If the op refuses the scene.
 pub fn passes(job: &Job, device: &Device) -> Result<Vec<Pass>, Box<dyn Error>> {
-    let camera = job.camera(device);
     let stages = Rc::new(Stages::new(job, device)?);
     let truth = Truth::new(job.photograph(device));
+    let gaussians = job.gaussians(device);
     let prepare: [(PassKind, Prepare); 15] = [
-        (PassKind::Activate, activate(job, device)),
-        (PassKind::Project, project_forward(&stages, &camera)),
-        (PassKind::Sh, sh_forward(&stages, &camera)),
-        (PassKind::Intersect, intersect(&stages)),
-        (PassKind::Rasterize, rasterize_forward(&stages)),
-        (PassKind::Loss, loss(stages.image(job, &camera)?, truth.clone())),
-        (PassKind::LossBackward, loss_backward(stages.image(job, &camera)?, truth.clone())),
-        (PassKind::RasterizeBackward, rasterize_backward(&stages)),
-        (PassKind::ShBackward, sh_backward(&stages, &camera)),
-        (PassKind::ProjectBackward, project_backward(&stages, &camera)),
+        (PassKind::Activate, forward(move || Ok(gaussians.splats()))),
+        (PassKind::Project, stages.forward(|of| Ok(of.project(&of.splats)))),
+        (PassKind::Sh, stages.forward(|of| of.colours(&of.splats))),
+        (PassKind::Intersect, stages.forward(|of| Ok(intersection_lists(&of.packed, of.spec)))),
+        (PassKind::Rasterize, stages.forward(|of| Ok(of.rasterize(of.packed.clone(), of.colours.clone())))),
+        (PassKind::Loss, loss(stages.image()?, truth.clone())),
+        (PassKind::LossBackward, loss_backward(stages.image()?, truth.clone())),
+        (
+            PassKind::RasterizeBackward,
+            stages.backward(stages.rasterize(stages.packed.clone(), stages.colours.clone()), |of| {
+                of.rasterize(leaf(&of.packed), leaf(&of.colours))
+            }),
+        ),
+        (
+            PassKind::ShBackward,
+            stages.backward(stages.colours.clone(), |of| of.colours(&leaves(&of.splats)).expect("as forwards")),
+        ),
+        (PassKind::ProjectBackward, stages.backward(stages.packed.clone(), |of| of.project(&leaves(&of.splats)))),
         (PassKind::ActivateBackward, activate_backward(job, device)),
         (PassKind::Observe, observe(job, device)),
         (PassKind::Guard, guard(job, device)),
@@ -49,36 +54,8 @@ pub fn passes(job: &Job, device: &Device) -> Result<Vec<Pass>, Box<dyn Error>> {
 }
 
 /// Returns the whole step alone.
-///
-/// # Errors
-/// If the op refuses the scene.
 pub fn whole_step(job: &Job, device: &Device) -> Pass {
     Pass { kind: PassKind::Step, prepare: step(job, Truth::new(job.photograph(device)), device) }
-}
-
-fn activate(job: &Job, device: &Device) -> Prepare {
-    let gaussians = job.gaussians(device);
-    forward(move || Ok(gaussians.splats()))
-}
-
-fn project_forward(stages: &Rc<Stages>, camera: &Camera) -> Prepare {
-    let (stages, camera) = (stages.clone(), camera.clone());
-    forward(move || Ok(project_packed(&stages.splats, &camera, no_probe(&stages.splats))))
-}
-
-fn sh_forward(stages: &Rc<Stages>, camera: &Camera) -> Prepare {
-    let (stages, camera) = (stages.clone(), camera.clone());
-    forward(move || evaluate_sh(&harmonics(&stages.splats), &stages.splats.means, &camera))
-}
-
-fn intersect(stages: &Rc<Stages>) -> Prepare {
-    let stages = stages.clone();
-    forward(move || Ok(intersection_lists(&stages.packed, stages.spec)))
-}
-
-fn rasterize_forward(stages: &Rc<Stages>) -> Prepare {
-    let stages = stages.clone();
-    forward(move || Ok(stages.rasterize(stages.packed.clone(), stages.colours.clone())))
 }
 
 fn loss(image: Tensor<3>, truth: Truth) -> Prepare {
@@ -89,27 +66,6 @@ fn loss_backward(image: Tensor<3>, truth: Truth) -> Prepare {
     Box::new(move || {
         let loss = photometric(leaf(&image), &truth, DEFAULT_LAMBDA);
         Ok(Box::new(move || Ok(Box::new(loss.backward()) as PassResult)) as TimedPart)
-    })
-}
-
-fn rasterize_backward(stages: &Rc<Stages>) -> Prepare {
-    let (stages, grad) = (stages.clone(), stages.rasterize(stages.packed.clone(), stages.colours.clone()));
-    backward(grad, move || stages.rasterize(leaf(&stages.packed), leaf(&stages.colours)))
-}
-
-fn sh_backward(stages: &Rc<Stages>, camera: &Camera) -> Prepare {
-    let (stages, camera, grad) = (stages.clone(), camera.clone(), stages.colours.clone());
-    backward(grad, move || {
-        let splats = leaves(&stages.splats);
-        evaluate_sh(&harmonics(&splats), &splats.means, &camera).expect("as forwards")
-    })
-}
-
-fn project_backward(stages: &Rc<Stages>, camera: &Camera) -> Prepare {
-    let (stages, camera, grad) = (stages.clone(), camera.clone(), stages.packed.clone());
-    backward(grad, move || {
-        let splats = leaves(&stages.splats);
-        project_packed(&splats, &camera, no_probe(&splats))
     })
 }
 
@@ -164,11 +120,7 @@ fn adam(job: &Job, device: &Device) -> Prepare {
 
 fn step(job: &Job, truth: Truth, device: &Device) -> Prepare {
     let gaussians = job.gaussians(&device.clone().autodiff());
-    let step = Rc::new(RefCell::new(Step::new(gaussians, job.camera(device), truth)));
-    Box::new(move || {
-        let step = step.clone();
-        Ok(Box::new(move || Ok(Box::new(step.borrow_mut().run()?) as PassResult)))
-    })
+    stateful(Step::new(gaussians, job.camera(device), truth), Step::run)
 }
 
 /// Prepares the timing of a function.
@@ -189,12 +141,14 @@ fn backward<const D: usize>(grad: Tensor<D>, run: impl Fn() -> Tensor<D> + 'stat
     })
 }
 
-/// Returns the values as a leaf that Burn tracks.
-fn leaf<const D: usize>(values: &Tensor<D>) -> Tensor<D> {
-    Tensor::from_inner(values.clone()).require_grad()
+/// Returns the values without their history, as a leaf that Burn tracks.
+pub(crate) fn leaf<const D: usize>(values: &Tensor<D>) -> Tensor<D> {
+    let values = if values.device().is_autodiff() { values.clone().inner() } else { values.clone() };
+    Tensor::from_inner(values).require_grad()
 }
 
-fn leaves(splats: &Splats) -> Splats {
+/// Returns the parameters as leaves that Burn tracks.
+pub fn leaves(splats: &Splats) -> Splats {
     Splats {
         means: leaf(&splats.means),
         rotations: leaf(&splats.rotations),
@@ -258,6 +212,7 @@ pub(crate) fn intersection_lists(packed: &Tensor<2>, spec: RasterizeSpec) -> (Te
 /// Inputs of the stages on a device, without autodiff.
 struct Stages {
     splats: Splats,
+    camera: Camera,
     packed: Tensor<2>,
     colours: Tensor<2>,
     counts: Tensor<2, Int>,
@@ -272,7 +227,31 @@ impl Stages {
         let colours = evaluate_sh(&harmonics(&splats), &splats.means, &camera)?;
         let spec = RasterizeSpec { intrinsics: job.intrinsics, options: OPTIONS };
         let (counts, intersections) = intersection_lists(&packed, spec);
-        Ok(Self { splats, packed, colours, counts, intersections, spec })
+        Ok(Self { splats, camera, packed, colours, counts, intersections, spec })
+    }
+
+    /// Prepares the timing of a function of the stages.
+    fn forward<T: 'static>(self: &Rc<Self>, run: impl Fn(&Self) -> Result<T, SplatError> + 'static) -> Prepare {
+        let stages = self.clone();
+        forward(move || run(&stages))
+    }
+
+    /// Prepares the timing of a function's [`backward`] pass.
+    fn backward<const D: usize>(
+        self: &Rc<Self>,
+        grad: Tensor<D>,
+        run: impl Fn(&Self) -> Tensor<D> + 'static,
+    ) -> Prepare {
+        let stages = self.clone();
+        backward(grad, move || run(&stages))
+    }
+
+    fn project(&self, splats: &Splats) -> Tensor<2> {
+        project_packed(splats, &self.camera, no_probe(splats))
+    }
+
+    fn colours(&self, splats: &Splats) -> Result<Tensor<2>, SplatError> {
+        evaluate_sh(&harmonics(splats), &splats.means, &self.camera)
     }
 
     fn rasterize(&self, projected: Tensor<2>, features: Tensor<2>) -> Tensor<3> {
@@ -280,9 +259,8 @@ impl Stages {
     }
 
     /// Renders `[H, W, 3]`, as `render_view` passes it to a loss.
-    fn image(&self, job: &Job, camera: &Camera) -> Result<Tensor<3>, SplatError> {
-        assert_eq!(job.rows.len(), self.packed.dims()[0]);
-        Ok(render_view(&self.splats, camera, &Extras::default(), &OPTIONS)?.colour)
+    fn image(&self) -> Result<Tensor<3>, SplatError> {
+        Ok(render_view(&self.splats, &self.camera, &Extras::default(), &OPTIONS)?.colour)
     }
 }
 

@@ -10,11 +10,11 @@ use splat_model::loss::{DEFAULT_LAMBDA, Truth, photometric};
 use splat_model::optim::Adam;
 use splat_model::trainer::Guard;
 use splat_op::rasterize::RasterizeSpec;
-use splat_op::{Camera, Colour, SplatError, Splats, evaluate_sh, with_gradient};
+use splat_op::{Camera, SplatError, evaluate_sh, with_gradient};
 
 use crate::job::OPTIONS;
 use crate::limit::PassKind;
-use crate::passes::{harmonics, intersection_lists, project_packed, rasterize_planes};
+use crate::passes::{harmonics, intersection_lists, leaf, leaves, project_packed, rasterize_planes};
 use crate::step::{SOUND, density, rates};
 
 /// Performs the step of [`crate::step::Step`] with one graph per pass, so that the backward pass can also be timed pass by pass.
@@ -65,22 +65,13 @@ impl Pieces {
     }
 
     /// Takes a step.
-    ///
-    /// # Errors
-    /// If the op refuses the scene.
     pub fn run(&mut self) -> Result<TimedStep, SplatError> {
         self.step += 1;
         let mut watch = StopWatch { last: Instant::now(), seconds: [0.0; _] };
         let splats = self.scene.gaussians.splats();
         watch.lap(PassKind::Activate);
 
-        let cut = Splats {
-            means: leaf(&splats.means),
-            rotations: leaf(&splats.rotations),
-            scales: leaf(&splats.scales),
-            opacities: leaf(&splats.opacities),
-            colour: Colour::SphericalHarmonics(leaf(&harmonics(&splats))),
-        };
+        let cut = leaves(&splats);
         let device = cut.means.device();
         let probe = Tensor::<2>::zeros([self.scene.gaussians.len(), 2], &device).require_grad();
         watch.skip();
@@ -151,12 +142,6 @@ impl Pieces {
         watch.lap(PassKind::Adam);
         Ok(TimedStep { loss, seconds: watch.seconds })
     }
-}
-
-/// Returns the values without their history, as a leaf that Burn tracks.
-fn leaf<const D: usize>(values: &Tensor<D>) -> Tensor<D> {
-    let values = if values.device().is_autodiff() { values.clone().inner() } else { values.clone() };
-    Tensor::from_inner(values).require_grad()
 }
 
 #[cfg(test)]

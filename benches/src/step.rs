@@ -35,9 +35,6 @@ impl Step {
     }
 
     /// Takes a step and returns the loss, `[1]`.
-    ///
-    /// # Errors
-    /// If the op refuses the scene.
     pub fn run(&mut self) -> Result<Tensor<1>, SplatError> {
         self.step += 1;
         let splats = self.scene.gaussians.splats();

@@ -6,9 +6,8 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, ensure};
 use clap::{ValueEnum, value_parser};
 use splat_model::formats::{self, Deviation, Format, QuantisationError, SceneFile};
-use splat_model::gaussians::GaussianRows;
 
-use crate::progress;
+use crate::{input, progress};
 
 /// Range of SPZ's standard deviations, in words: their logarithms are stored in 8 bits.
 const SPZ_SCALES: &str =
@@ -77,7 +76,7 @@ pub fn run(args: &ConvertArgs) -> Result<()> {
     let of_degree = scene.rows.sh_degree;
     scene.rows.check()?;
     if let Some(degree) = args.sh_degree.map(usize::from).filter(|degree| *degree < of_degree) {
-        scene.rows = with_degree(&scene.rows, degree);
+        scene.rows = input::selected(&scene.rows, 0..scene.rows.len(), degree);
     }
     scene.antialiased |= args.antialias;
     if let Some(folder) = args.out.parent() {
@@ -98,13 +97,6 @@ pub fn run(args: &ConvertArgs) -> Result<()> {
     }
     progress::say(&if lost.is_empty() { "nothing is lost".into() } else { format!("lost:\n  {}", lost.join("\n  ")) });
     Ok(())
-}
-
-/// Returns the rows with the coefficients of a lower degree.
-fn with_degree(rows: &GaussianRows, sh_degree: usize) -> GaussianRows {
-    let mut lower = GaussianRows { sh_degree, ..GaussianRows::default() };
-    (0..rows.len()).for_each(|row| lower.push(rows, row));
-    lower
 }
 
 /// Describes a file in one line.

@@ -166,35 +166,9 @@ fn put_in_place(folder: &Path, temporary: &Path, mark: &Value) -> Result<()> {
 
 /// The mark of a demo capture with these options: everything that its content depends on.
 fn mark(options: &DemoOptions) -> Value {
-    // An exhaustive pattern, so that no option is forgotten.
-    let DemoOptions {
-        width,
-        height,
-        views,
-        points,
-        glossy,
-        exposure,
-        graded,
-        lens,
-        fisheye,
-        masks,
-        alpha,
-        zoom,
-        poses,
-        far,
-        motion,
-        rolling,
-        defocus,
-        depth,
-        seed,
-    } = *options;
-    let version = env!("CARGO_PKG_VERSION");
-    json!({
-        "splat demo": version, "width": width, "height": height, "views": views, "points": points, "glossy": glossy,
-        "exposure": exposure, "graded": graded, "lens": lens, "fisheye": fisheye, "masks": masks, "alpha": alpha, "zoom": zoom,
-        "poses": poses, "far": far, "motion": motion, "rolling": rolling, "defocus": defocus, "depth": depth,
-        "seed": seed,
-    })
+    let mut mark = json!(options);
+    mark["splat demo"] = env!("CARGO_PKG_VERSION").into();
+    mark
 }
 
 /// Reads the mark of the demo capture in `folder`. `None` also for a file that is not JSON, which is not ours.

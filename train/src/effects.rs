@@ -21,20 +21,12 @@ use splat_model::trainer::{TrainConfig, TrainError, Trainer};
 use crate::background::{ENVIRONMENT_DEGREE, TrainBackground};
 use crate::progress;
 
-/// Set of effects that adjustments start from.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Base {
-    /// The effects that the capture calls for.
-    Auto,
-    /// No effect.
-    None,
-}
-
 /// The value of `--effects`: `auto`, `none`, a list of effects, or `+name` and `-name`, which adjust the base given
 /// first, by default `auto`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct EffectsArg {
-    base: Base,
+    /// Whether adjustments start from the effects that the capture calls for, instead of none.
+    auto: bool,
     /// Effects switched on or off, in order; the last entry for an effect counts.
     adjustments: Vec<(EffectKind, bool)>,
     text: String,
@@ -42,7 +34,7 @@ pub struct EffectsArg {
 
 impl Default for EffectsArg {
     fn default() -> Self {
-        Self { base: Base::Auto, adjustments: Vec::new(), text: "auto".into() }
+        Self { auto: true, adjustments: Vec::new(), text: "auto".into() }
     }
 }
 
@@ -57,14 +49,7 @@ impl FromStr for EffectsArg {
 
     fn from_str(text: &str) -> Result<Self, String> {
         let mut words = text.split(',').map(str::trim).peekable();
-        let base = match words.peek() {
-            Some(&"auto") => Some(Base::Auto),
-            Some(&"none") => Some(Base::None),
-            _ => None,
-        };
-        if base.is_some() {
-            words.next();
-        }
+        let base = words.next_if(|word| ["auto", "none"].contains(word));
         let (mut adjustments, mut listed) = (Vec::new(), false);
         for word in words {
             let (name, on) = match word.strip_prefix('+') {
@@ -74,11 +59,11 @@ impl FromStr for EffectsArg {
             listed |= name.len() == word.len();
             adjustments.push((name.parse()?, on));
         }
-        if listed && base == Some(Base::Auto) {
+        if listed && base == Some("auto") {
             return Err("`auto` is adjusted with `+name` and `-name`; a list of names stands alone".into());
         }
-        let base = base.unwrap_or(if listed { Base::None } else { Base::Auto });
-        Ok(Self { base, adjustments, text: text.into() })
+        let auto = base.map_or(!listed, |base| base == "auto");
+        Ok(Self { auto, adjustments, text: text.into() })
     }
 }
 
@@ -87,7 +72,7 @@ impl EffectsArg {
     fn of(&self, called_for: &[EffectKind]) -> Vec<EffectKind> {
         let on = |effect: &EffectKind| {
             let adjusted = self.adjustments.iter().rev().find(|(name, _)| name == effect);
-            adjusted.map_or(self.base == Base::Auto && called_for.contains(effect), |(_, on)| *on)
+            adjusted.map_or(self.auto && called_for.contains(effect), |(_, on)| *on)
         };
         EffectKind::ALL.into_iter().filter(on).collect()
     }
@@ -104,10 +89,7 @@ impl EffectsArg {
             "`--antialias` and `--effects={}` contradict each other: leave out one of them",
             self.text
         );
-        let survey = match self.base {
-            Base::Auto => Some(Survey::of_views(capture, train)?),
-            Base::None => None,
-        };
+        let survey = self.auto.then(|| Survey::of_views(capture, train)).transpose()?;
         let plan = survey.as_ref().map(Plan::from);
         let mut on = self.of(&plan.as_ref().map_or(Vec::new(), Plan::effects));
         if antialias && !on.contains(&EffectKind::Antialias) {
@@ -141,15 +123,17 @@ impl EffectsArg {
 /// The effects of a run, under `effects` in `metrics.json`.
 #[derive(Clone, Debug, Serialize)]
 pub struct Chosen {
-    asked: String,
-    on: Vec<EffectKind>,
+    /// The value of `--effects`, as written.
+    pub asked: String,
+    /// The effects that are on.
+    pub on: Vec<EffectKind>,
     /// The plan; null where nothing was left to decide.
     plan: Option<Plan>,
     /// The survey that the plan is based on.
     #[serde(skip)]
     survey: Option<Survey>,
     /// Measured cost of the effects of a step, by name.
-    measured: BTreeMap<&'static str, Cost>,
+    pub measured: BTreeMap<&'static str, Cost>,
 }
 
 impl Chosen {
@@ -204,24 +188,9 @@ impl Chosen {
         Ok(trainer.with_depths(samples))
     }
 
-    /// The value of `--effects`, as written.
-    pub fn asked(&self) -> &str {
-        &self.asked
-    }
-
-    /// The effects that are on.
-    pub fn on(&self) -> &[EffectKind] {
-        &self.on
-    }
-
     /// Survey and plan that decided on the effects; `None` where nothing was left to decide.
     pub fn grounds(&self) -> Option<(&Survey, &Plan)> {
         self.survey.as_ref().zip(self.plan.as_ref())
-    }
-
-    /// Measured cost of an effect, by its name in reports.
-    pub fn measured_cost(&self, name: &str) -> Option<Cost> {
-        self.measured.get(name).copied()
     }
 
     /// Measures the cost of the effects, at the end of a run.

@@ -10,12 +10,13 @@ use serde::Serialize;
 use splat_model::accuracy::{Setting, Workload};
 use splat_model::capture::{Photo, Photograph};
 use splat_model::formats;
+use splat_model::gaussians::Gaussians;
 use splat_op::Intrinsics;
 
 use crate::accuracy::{AccuracyArgs, ModelArgs};
 use crate::background::ShownBackground;
 use crate::device::{self, DeviceName};
-use crate::input::{self, LoadedScene};
+use crate::input;
 use crate::lpips::LpipsArgs;
 use crate::options::PhotoArgs;
 use crate::output::OutputFolder;
@@ -113,7 +114,8 @@ pub fn run(args: &EvalArgs) -> Result<Metrics> {
     let accuracy = accuracy.on((&capture, Some(&rows), MeasuredView::pixels(&shots)), &base, Workload::Render)?;
     let scene_name = scene_name(&args.scene)?;
     let out = OutputFolder::prepare(&args.out, &[&scene_name, METRICS], &[VIEWS])?;
-    let LoadedScene { splats, unusable } = LoadedScene::new(&rows, &device)?;
+    let splats = Gaussians::from_rows(&rows, &device)?.splats();
+    let culled_non_finite = rows.unusable();
     let load = seconds_since(start);
 
     let dials = accuracy.setting((&rows, shots), &base, (&device, &device_name), Workload::Render)?;
@@ -138,7 +140,7 @@ pub fn run(args: &EvalArgs) -> Result<Metrics> {
     let metrics = Metrics {
         test: Some(scores),
         splats: splats.means.dims()[0],
-        culled_non_finite: unusable,
+        culled_non_finite,
         steps: None,
         seconds: Seconds { load, train: None, eval },
         peak_rss_mib: peak_rss_mib(),

@@ -5,14 +5,12 @@ use std::path::Path;
 use std::sync::Arc;
 
 use anyhow::{Context, Result, ensure};
-use burn::tensor::Device;
 use splat_model::capture::image::{load, load_all};
 use splat_model::capture::{Capture, CaptureError, Photo, Photograph};
 use splat_model::effects::masks;
 use splat_model::formats;
-use splat_model::gaussians::{GaussianRows, Gaussians};
+use splat_model::gaussians::GaussianRows;
 use splat_model::optim::scene_extent;
-use splat_op::Splats;
 
 use crate::progress;
 
@@ -135,37 +133,11 @@ fn made_opaque(photo: Photo, opaque: bool) -> Photo {
     Photo { alpha, ..photo }
 }
 
-/// A scene on a device.
-pub struct LoadedScene {
-    /// The splats, without autodiff; Gaussians that cannot be rendered are masked.
-    pub splats: Splats,
-    /// Number of Gaussians that cannot be rendered.
-    pub unusable: usize,
-}
-
-impl LoadedScene {
-    /// Builds a scene from its rows.
-    ///
-    /// # Errors
-    /// If the rows do not fit together.
-    pub fn new(rows: &GaussianRows, device: &Device) -> Result<Self> {
-        Ok(Self { splats: Gaussians::from_rows(rows, device)?.splats(), unusable: rows.unusable() })
-    }
-}
-
-/// Reads a scene, without autodiff, with positions relative to the origin of `capture`. Prints a note if some of its
-/// Gaussians cannot be rendered.
+/// Reads the rows of a scene, with positions relative to the origin of `capture`. Prints a note if some of its Gaussians
+/// cannot be rendered.
 ///
 /// # Errors
 /// If the file is missing, is not a scene, or holds no Gaussian.
-pub fn scene(path: &Path, capture: &Capture, device: &Device) -> Result<LoadedScene> {
-    LoadedScene::new(&rows(path, capture)?, device)
-}
-
-/// Reads the rows of a scene, under the conditions of [`scene`].
-///
-/// # Errors
-/// The errors of [`scene`].
 pub fn rows(path: &Path, capture: &Capture) -> Result<GaussianRows> {
     let (scene, _) = formats::read(path).context("cannot read the scene that `--scene` names")?;
     let formats::SceneFile { mut rows, origin, antialiased } = scene;
@@ -174,6 +146,13 @@ pub fn rows(path: &Path, capture: &Capture) -> Result<GaussianRows> {
     progress::note_unusable(path, rows.unusable(), rows.len());
     note_antialiased(path, antialiased);
     Ok(rows)
+}
+
+/// Returns some rows of a scene, with spherical harmonics up to `sh_degree`.
+pub fn selected(rows: &GaussianRows, which: impl IntoIterator<Item = usize>, sh_degree: usize) -> GaussianRows {
+    let mut found = GaussianRows { sh_degree, ..GaussianRows::default() };
+    which.into_iter().for_each(|row| found.push(rows, row));
+    found
 }
 
 /// Prints a note if a scene's file marks it as trained with antialiasing.

@@ -11,12 +11,12 @@ use image::{ImageFormat, RgbImage, Rgba32FImage};
 use splat_model::accuracy::Workload;
 use splat_model::capture::{Capture, View};
 use splat_model::effects::background::Background;
+use splat_model::gaussians::Gaussians;
 use splat_op::{Camera, Extras, RenderOptions, Splats};
 
 use crate::accuracy::{AccuracyArgs, ModelArgs};
 use crate::background::ShownBackground;
 use crate::device::{self, DeviceName};
-use crate::input::LoadedScene;
 use crate::output::OutputFolder;
 use crate::pareto::MeasuredView;
 use crate::report::pictures::{self, level};
@@ -95,7 +95,7 @@ pub fn run(args: &RenderArgs) -> Result<Vec<PathBuf>> {
     let capture = input::capture(&args.capture)?;
     let views = chosen(&capture, &args.view)?;
     let rows = input::rows(&args.scene, &capture)?;
-    let splats = LoadedScene::new(&rows, &device)?.splats;
+    let splats = Gaussians::from_rows(&rows, &device)?.splats();
     let base = args.model.config().render_options(input::extent(&capture));
     let shots: Vec<MeasuredView> =
         views.iter().map(|view| MeasuredView::unseen(&view.intrinsics, &view.cam_from_world)).collect();

@@ -16,7 +16,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
-use glam::DVec3;
+use glam::{DAffine3, DVec3};
 use image::{ImageFormat, RgbImage};
 use serde::{Deserialize, Serialize};
 use splat_model::capture::{Capture, Photograph};
@@ -24,6 +24,7 @@ use splat_model::evaluate::{Comparison, Scores};
 use splat_model::gaussians::GaussianRows;
 use splat_model::ply;
 
+use crate::input::selected;
 use crate::output::OutputFolder;
 use crate::report::history::History;
 use crate::report::pictures::level;
@@ -71,8 +72,7 @@ impl Described {
     /// Describes a run on a capture's photographs.
     pub fn new(steps: usize, capture: &Capture, train: &[Photograph], test: &[Photograph]) -> Self {
         let view = |photo: &Photograph, is_test: bool| {
-            let (camera, pose) = (photo.intrinsics, photo.cam_from_world);
-            let row = |i: usize| [pose.x_axis[i], pose.y_axis[i], pose.z_axis[i], pose.translation[i]];
+            let camera = photo.intrinsics;
             SnapshotView {
                 name: photo.name.clone(),
                 is_test,
@@ -83,13 +83,18 @@ impl Described {
                 fy: camera.fy,
                 cx: camera.cx,
                 cy: camera.cy,
-                cam_from_world: [row(0), row(1), row(2)],
+                cam_from_world: matrix_rows(&photo.cam_from_world),
             }
         };
         let train = train.iter().map(|photo| view(photo, false));
         let views = train.chain(test.iter().map(|photo| view(photo, true))).collect();
         Self { steps, origin: capture.origin.to_array(), views }
     }
+}
+
+/// Returns the rows of a transform, `[3, 4]`.
+pub fn matrix_rows(pose: &DAffine3) -> [[f64; 4]; 3] {
+    [0, 1, 2].map(|i| [pose.x_axis[i], pose.y_axis[i], pose.z_axis[i], pose.translation[i]])
 }
 
 /// Content of `snapshot.json`.
@@ -200,19 +205,7 @@ impl Taken<'_> {
 /// one colour each.
 fn some_of(rows: &GaussianRows) -> GaussianRows {
     let every = rows.len().div_ceil(MOST_SPLATS).max(1);
-    let kept: Vec<usize> = (0..rows.len()).step_by(every).filter(|&i| rows.is_usable(i)).collect();
-    fn of<T: Copy>(kept: &[usize], values: &[T]) -> Vec<T> {
-        kept.iter().map(|&i| values[i]).collect()
-    }
-    GaussianRows {
-        means: of(&kept, &rows.means),
-        rotations: of(&kept, &rows.rotations),
-        log_scales: of(&kept, &rows.log_scales),
-        logit_opacities: of(&kept, &rows.logit_opacities),
-        sh_dc: of(&kept, &rows.sh_dc),
-        sh_rest: Vec::new(),
-        sh_degree: 0,
-    }
+    selected(rows, (0..rows.len()).step_by(every).filter(|&i| rows.is_usable(i)), 0)
 }
 
 /// Removes the snapshots in a folder: the files that they name, then their folders if empty. All other files stay.

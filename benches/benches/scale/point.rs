@@ -9,12 +9,14 @@ use burn::tensor::{DType, Device, Tensor};
 use glam::DAffine3;
 use splat_benches::allocations::{allocated, held};
 use splat_benches::job::OPTIONS;
-use splat_benches::measure::{PassResult, Prepare, RunTimes, time};
+use splat_benches::measure::{PassResult, Prepare, RunTimes, stateful, time};
+use splat_benches::passes::leaves;
 use splat_benches::step::Step;
 use splat_benches::{SyntheticView, values};
 use splat_model::gaussians::Gaussians;
 use splat_model::loss::Truth;
-use splat_op::{Camera, Colour, Extras, intersect, project, render, with_gradient};
+use splat_model::trainer::Trainer;
+use splat_op::{Camera, Extras, intersect, project, render, with_gradient};
 
 /// Kind of work that is timed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -96,7 +98,7 @@ pub fn run(point: &ScalePoint) -> Result<(), Box<dyn Error>> {
     let mut prepare = match (point.work, point.views) {
         (ScaleWork::Render, _) => render_and_backward(&point.view),
         (ScaleWork::Step, 1) => step(&point.view),
-        (ScaleWork::Step, views) => trainer_step(&point.view, views),
+        (ScaleWork::Step, views) => stateful(point.view.trainer(views), Trainer::step),
     };
     let set_up = held() - empty;
     forget_peak();
@@ -117,14 +119,7 @@ fn intersections(view: &SyntheticView) -> usize {
 
 fn render_and_backward(view: &SyntheticView) -> Prepare {
     let device = Device::flex();
-    let mut scene = view.scene(&device.clone().autodiff(), DType::F32);
-    scene.means = scene.means.require_grad();
-    scene.rotations = scene.rotations.require_grad();
-    scene.scales = scene.scales.require_grad();
-    scene.opacities = scene.opacities.require_grad();
-    if let Colour::SphericalHarmonics(sh) = scene.colour {
-        scene.colour = Colour::SphericalHarmonics(sh.require_grad());
-    }
+    let scene = leaves(&view.scene(&device, DType::F32));
     let camera = view.camera(&device, DType::F32);
     let grad = Tensor::<4>::ones([1, view.height, view.width, 3], &device) / (view.height * view.width) as f64;
     let scene = std::rc::Rc::new(scene);
@@ -144,19 +139,7 @@ fn step(view: &SyntheticView) -> Prepare {
     let gaussians = Gaussians::from_rows(&view.rows(), &device.clone().autodiff()).expect("rows of one scene");
     let camera = Camera::new(view.camera(&device, DType::F32).intrinsics, &DAffine3::IDENTITY, &device);
     let truth = Truth::new(Tensor::<3>::ones([view.height, view.width, 3], &device) * 0.5);
-    let step = std::rc::Rc::new(std::cell::RefCell::new(Step::new(gaussians, camera, truth)));
-    Box::new(move || {
-        let step = step.clone();
-        Ok(Box::new(move || Ok(Box::new(step.borrow_mut().run()?) as PassResult)))
-    })
-}
-
-fn trainer_step(view: &SyntheticView, views: usize) -> Prepare {
-    let trainer = std::rc::Rc::new(std::cell::RefCell::new(view.trainer(views)));
-    Box::new(move || {
-        let trainer = trainer.clone();
-        Ok(Box::new(move || Ok(Box::new(trainer.borrow_mut().step()?) as PassResult)))
-    })
+    stateful(Step::new(gaussians, camera, truth), Step::run)
 }
 
 /// Resets the system's peak of the resident memory. On systems without a reset, the peak covers the whole process.

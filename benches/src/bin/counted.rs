@@ -15,8 +15,9 @@ use fearless_simd::Level;
 use splat_benches::allocations::{Allocated, CountingAllocator, allocated};
 use splat_benches::job::{Job, JobSize};
 use splat_benches::limit::PassKind;
-use splat_benches::measure::{Pass, PassResult, Prepare, TimedPart};
+use splat_benches::measure::{Pass, PassResult, TimedPart, stateful};
 use splat_benches::passes::passes;
+use splat_model::trainer::Trainer;
 
 // The system allocator, because mimalloc returns memory depending on time.
 #[global_allocator]
@@ -37,7 +38,8 @@ fn main() -> Result<(), Box<dyn Error>> {
     let job = Job::new(JobSize::Tiny)?;
     let mut passes = passes(&job, &Device::flex())?;
     passes.retain(|pass| pass.kind != PassKind::Step);
-    passes.push(Pass { kind: PassKind::Step, prepare: trainer_step(&job) });
+    let view = job.size.view().expect("the scene is a synthetic one");
+    passes.push(Pass { kind: PassKind::Step, prepare: stateful(view.trainer(1), Trainer::step) });
     for Pass { kind, prepare } in passes.iter_mut().filter(|pass| wants(pass.kind)) {
         for _ in 0..WARM_UP {
             prepare()?()?;
@@ -48,16 +50,6 @@ fn main() -> Result<(), Box<dyn Error>> {
         println!("{}\t{total}\t{peak}", kind.name());
     }
     Ok(())
-}
-
-/// Prepares a step of a trainer itself.
-fn trainer_step(job: &Job) -> Prepare {
-    let view = job.size.view().expect("the scene is a synthetic one");
-    let trainer = std::rc::Rc::new(std::cell::RefCell::new(view.trainer(1)));
-    Box::new(move || {
-        let trainer = trainer.clone();
-        Ok(Box::new(move || Ok(Box::new(trainer.borrow_mut().step()?) as PassResult)))
-    })
 }
 
 /// Runs the counted part. Callgrind finds the function by its name.

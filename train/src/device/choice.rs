@@ -30,13 +30,8 @@ impl AdapterKind {
 
 impl Display for AdapterKind {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::Discrete => "discrete",
-            Self::Integrated => "integrated",
-            Self::Virtual => "virtual",
-            Self::Unknown => "unknown",
-            Self::Software => "software",
-        })
+        // In the order of the variants.
+        f.write_str(["discrete", "integrated", "virtual", "unknown", "software"][*self as usize])
     }
 }
 

@@ -43,15 +43,20 @@ impl Runtime {
     /// All runtimes, whether this build has them or not.
     pub const ALL: [Self; 5] = [Self::Wgpu, Self::Vulkan, Self::Metal, Self::Cuda, Self::Rocm];
 
+    /// The cargo feature that builds it in, and whether the program was built with it.
+    fn built_by(self) -> (&'static str, bool) {
+        match self {
+            Self::Wgpu => ("wgpu", cfg!(feature = "wgpu")),
+            Self::Vulkan => ("vulkan", cfg!(feature = "vulkan")),
+            Self::Metal => ("metal", cfg!(feature = "metal")),
+            Self::Cuda => ("cuda", cfg!(feature = "cuda")),
+            Self::Rocm => ("rocm", cfg!(feature = "rocm")),
+        }
+    }
+
     /// Whether the program was built with it.
     pub fn is_built(self) -> bool {
-        match self {
-            Self::Wgpu => cfg!(feature = "wgpu"),
-            Self::Vulkan => cfg!(feature = "vulkan"),
-            Self::Metal => cfg!(feature = "metal"),
-            Self::Cuda => cfg!(feature = "cuda"),
-            Self::Rocm => cfg!(feature = "rocm"),
-        }
+        self.built_by().1
     }
 
     /// The runtimes that the program was built with.
@@ -61,13 +66,7 @@ impl Runtime {
 
     /// The cargo feature that builds it in.
     pub fn feature(self) -> &'static str {
-        match self {
-            Self::Wgpu => "wgpu",
-            Self::Vulkan => "vulkan",
-            Self::Metal => "metal",
-            Self::Cuda => "cuda",
-            Self::Rocm => "rocm",
-        }
+        self.built_by().0
     }
 
     /// Prefix of its adapters on the command line, before the index.
@@ -94,10 +93,7 @@ impl FromStr for DeviceName {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let (name, index) = match text.split_once(':') {
-            Some((name, index)) => (name, Some(index)),
-            None => (text, None),
-        };
+        let (name, index) = text.split_once(':').map_or((text, None), |(name, index)| (name, Some(index)));
         let whole = match name {
             "auto" => Some(Self::Auto),
             "cpu" => Some(Self::Cpu),
@@ -106,10 +102,12 @@ impl FromStr for DeviceName {
             "gpu" if index.is_none() && !Runtime::built().is_empty() => Some(Self::Gpu),
             _ => None,
         };
-        match (whole, index) {
-            (Some(device), None) => return Ok(device),
-            (Some(_), Some(_)) => return Err(format!("only adapters have numbers: pass `{name}`")),
-            (None, _) => {}
+        if let Some(device) = whole {
+            return if index.is_none() {
+                Ok(device)
+            } else {
+                Err(format!("only adapters have numbers: pass `{name}`"))
+            };
         }
         let Some(runtime) = Runtime::ALL.into_iter().find(|runtime| runtime.prefix() == name) else {
             return Err(format!("there is no such device: pass {}", names()));
@@ -134,17 +132,12 @@ pub fn help() -> String {
 
 /// The values that this build accepts, as a list in a sentence.
 fn names() -> String {
-    let mut names: Vec<&str> = vec!["auto", "cpu", "flex", "ndarray"];
+    let mut names = ["auto", "cpu", "flex", "ndarray"].map(String::from).to_vec();
     let built = Runtime::built();
-    if !built.is_empty() {
-        names.push("gpu");
-    }
+    names.extend((!built.is_empty()).then(|| "gpu".into()));
     names.extend(built.iter().map(|runtime| match runtime {
-        Runtime::Wgpu => "gpu:N",
-        Runtime::Vulkan => "vulkan[:N]",
-        Runtime::Metal => "metal[:N]",
-        Runtime::Cuda => "cuda[:N]",
-        Runtime::Rocm => "rocm[:N]",
+        Runtime::Wgpu => "gpu:N".into(),
+        runtime => format!("{}[:N]", runtime.prefix()),
     }));
     let last = names.pop().unwrap_or_default();
     format!("{} or {last}", names.join(", "))

@@ -6,6 +6,7 @@ use anyhow::{Context, Result, bail};
 use clap::Parser;
 use splat_model::capture::demo::DemoOptions;
 use splat_model::capture::{Capture, write_binary_with_tracks};
+use splat_model::effects::plan::Cost;
 use splat_model::effects::{EffectKind, Plan, Survey};
 use splat_op::{CameraModel, Intrinsics};
 
@@ -32,15 +33,6 @@ impl RunSize {
     pub const QUICK: Self = Self { width: 96, views: 24, steps: 300 };
 }
 
-/// The compared score.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum ScoreKind {
-    /// PSNR.
-    Plain,
-    /// PSNR after colour correction, because no training photograph determines the exposure of a test photograph.
-    Corrected,
-}
-
 /// A case about one effect.
 #[derive(Clone, Copy, Debug)]
 pub struct EffectCase {
@@ -65,8 +57,9 @@ pub struct EffectCase {
     pub eval: &'static [&'static str],
     /// See [`Self::eval`].
     pub eval_with: &'static [&'static str],
-    /// The compared score.
-    pub score: ScoreKind,
+    /// Whether the compared PSNR is that after colour correction, because no training photograph determines the exposure
+    /// of a test photograph.
+    pub corrected: bool,
     /// Whether the cameras of the run without the effect are declared as pinholes.
     pub strip_lens: bool,
     /// Smallest required gain at full size, dB: the measured gain minus the variation between runs.
@@ -86,7 +79,7 @@ const PLAIN: EffectCase = EffectCase {
     with: &["--effects", "auto"],
     eval: &[],
     eval_with: &[],
-    score: ScoreKind::Plain,
+    corrected: false,
     strip_lens: false,
     least_gain_db: 0.9,
     views: None,
@@ -100,7 +93,7 @@ pub(super) const CASES: &[EffectCase] = &[
         demo: |options| DemoOptions { exposure: true, ..options },
         demo_flags: "--exposure",
         expected: &[EffectKind::Exposure],
-        score: ScoreKind::Corrected,
+        corrected: true,
         harmonics: None,
         ..PLAIN
     },
@@ -109,7 +102,7 @@ pub(super) const CASES: &[EffectCase] = &[
         demo: |options| DemoOptions { graded: true, ..options },
         demo_flags: "--graded",
         expected: &[EffectKind::BilateralGrid],
-        score: ScoreKind::Corrected,
+        corrected: true,
         harmonics: None,
         ..PLAIN
     },
@@ -232,14 +225,11 @@ pub struct EffectGain {
     /// Training times, s.
     pub seconds: [f64; 2],
     /// Cost of the effect in a step, ms and MiB, from `metrics.json` of the run with it.
-    pub cost: Option<[f64; 2]>,
+    pub cost: Option<Cost>,
 }
 
 impl EffectCase {
     /// Creates the capture in `work`, surveys it, trains twice and measures.
-    ///
-    /// # Errors
-    /// If a file cannot be written or a run fails.
     pub fn measure(&self, scale: &RunSize, work: &Path) -> Result<EffectGain> {
         let folder = work.join(self.name);
         let (width, views) = (scale.width, self.views.unwrap_or(scale.views));
@@ -258,8 +248,7 @@ impl EffectCase {
             let out = work.join(format!("{}-{name}", self.name));
             let metrics = self.train(capture, &out, options, scale)?;
             seconds[i] = metrics.seconds.train.unwrap_or_default();
-            let measured = metrics.effects.as_ref().and_then(|chosen| chosen.measured_cost(self.name));
-            cost = measured.map(|cost| [cost.ms_per_step, cost.mib]);
+            cost = metrics.effects.as_ref().and_then(|chosen| chosen.measured.get(self.name).copied());
             score_db[i] = self.evaluate(capture, &out, eval)?;
         }
         Ok(EffectGain {
@@ -292,10 +281,7 @@ impl EffectCase {
         }
         let Command::Eval(args) = Cli::try_parse_from(arguments)?.command else { bail!("`eval` is another command") };
         let test = eval::run(&args)?.test.context("photographs were held out")?;
-        Ok(match self.score {
-            ScoreKind::Plain => test.psnr,
-            ScoreKind::Corrected => test.psnr_corrected,
-        })
+        Ok(if self.corrected { test.psnr_corrected } else { test.psnr })
     }
 
     /// A description of the first failed expectation. Gains are checked only if `gains` is set.

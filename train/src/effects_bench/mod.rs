@@ -9,8 +9,7 @@ use std::path::PathBuf;
 
 use anyhow::{Context, Result, bail};
 
-use self::case::CASES;
-pub use self::case::{EffectCase, EffectGain, RunSize};
+use self::case::{CASES, EffectCase, EffectGain, RunSize};
 use crate::output::OutputFolder;
 use crate::progress;
 
@@ -31,11 +30,6 @@ pub struct EffectsBenchArgs {
     pub quick: bool,
 }
 
-/// All cases.
-pub fn cases() -> &'static [EffectCase] {
-    CASES
-}
-
 /// Measures the cases, prints the table and writes the page.
 ///
 /// # Errors
@@ -50,13 +44,13 @@ pub fn run(args: &EffectsBenchArgs) -> Result<()> {
     }
     let out = OutputFolder::prepare(&args.out, &[PAGE], &[])?;
     let path = out.join(PAGE);
-    let around = match fs::read_to_string(&path) {
-        Ok(page) => page::Around::of(&page).with_context(|| {
-            format!("{} has no marks for the measured figures: move it away, or choose another `--out`", path.display())
-        })?,
-        Err(error) if error.kind() == ErrorKind::NotFound => page::Around::new(),
-        Err(error) => return Err(error).with_context(|| format!("cannot read {}", path.display())),
+    let earlier = match fs::read_to_string(&path) {
+        Err(error) if error.kind() == ErrorKind::NotFound => None,
+        read => Some(read.with_context(|| format!("cannot read {}", path.display()))?),
     };
+    let around = earlier.as_deref().map_or(Some(page::NEW), page::around).with_context(|| {
+        format!("{} has no marks for the measured figures: move it away, or choose another `--out`", path.display())
+    })?;
     let work = tempfile::tempdir().context("cannot create a temporary folder for the captures")?;
     let scale = if args.quick { RunSize::QUICK } else { RunSize::FULL };
     let chosen = |case: &&EffectCase| args.case.is_empty() || args.case.iter().any(|name| name == case.name);
@@ -67,7 +61,7 @@ pub fn run(args: &EffectsBenchArgs) -> Result<()> {
     }
     let table = page::table(&gains);
     progress::say(&table);
-    let text = page::page(&around, &table, &scale);
+    let text = page::page(around, &table, &scale);
     out.write(PAGE, |file| Ok(file.write_all(text.as_bytes())?))?;
     let wrong: Vec<String> = gains.iter().filter_map(|(case, gain)| case.complaint(gain, !args.quick)).collect();
     match wrong.is_empty() {

@@ -8,27 +8,14 @@ const BEGIN: &str = "<!-- measured by `splat effects`: begin -->";
 /// Mark after the measured figures.
 const END: &str = "<!-- measured by `splat effects`: end -->";
 
-/// The text around the marks of a page.
-pub(super) struct Around {
-    before: String,
-    after: String,
-}
+/// The text before and after the marks of a new page.
+pub(super) const NEW: (&str, &str) =
+    ("# Effects\n\nWhat each effect gains on a demo capture that shows it and nothing else.\n\n", "\n");
 
-impl Around {
-    /// The text of a new page.
-    pub fn new() -> Self {
-        Self {
-            before: "# Effects\n\nWhat each effect gains on a demo capture that shows it and nothing else.\n\n".into(),
-            after: "\n".into(),
-        }
-    }
-
-    /// The text of an existing page. `None` if the page has no marks.
-    pub fn of(page: &str) -> Option<Self> {
-        let (before, rest) = page.split_once(BEGIN)?;
-        let (_, after) = rest.split_once(END)?;
-        Some(Self { before: before.into(), after: after.into() })
-    }
+/// Returns the text before and after the marks of an existing page. `None` if the page has no marks.
+pub(super) fn around(page: &str) -> Option<(&str, &str)> {
+    let (before, rest) = page.split_once(BEGIN)?;
+    Some((before, rest.split_once(END)?.1))
 }
 
 /// The table, with one line per case.
@@ -43,7 +30,7 @@ pub(super) fn table(gains: &[(&EffectCase, EffectGain)]) -> String {
         let names = if names.is_empty() { "nothing".into() } else { names.join(", ") };
         let [without, with] = gain.score_db;
         let flags = if case.demo_flags.is_empty() { "plain".into() } else { format!("`{}`", case.demo_flags) };
-        let cost = gain.cost.map_or("–".into(), |[ms, mib]| format!("{ms:.1}, {mib:.2}"));
+        let cost = gain.cost.map_or("–".into(), |cost| format!("{:.1}, {:.2}", cost.ms_per_step, cost.mib));
         let [before, after] = gain.seconds;
         text.push_str(&format!(
             "| {flags} | {names} | {} | {without:.2} | {with:.2} | {:+.2} | {cost} | {before:.0}, {after:.0} |\n",
@@ -55,7 +42,7 @@ pub(super) fn table(gains: &[(&EffectCase, EffectGain)]) -> String {
 }
 
 /// The complete page.
-pub(super) fn page(Around { before, after }: &Around, table: &str, scale: &RunSize) -> String {
+pub(super) fn page((before, after): (&str, &str), table: &str, scale: &RunSize) -> String {
     let RunSize { width, views, steps } = *scale;
     let size = format!("{views} photographs of {width} × {} px, {steps} steps.", 3 * width / 4);
     format!("{before}{BEGIN}\n\n{size}\n\n{}\n\n{END}{after}", table.trim_end())
@@ -67,12 +54,12 @@ mod tests {
 
     #[test]
     fn text_stays_and_what_was_measured_is_replaced() {
-        let first = page(&Around::new(), "| old |\n", &RunSize::QUICK);
+        let first = page(NEW, "| old |\n", &RunSize::QUICK);
         let edited = format!("Mine.\n\n{first}\n## More\n");
-        let second = page(&Around::of(&edited).unwrap(), "| new |\n", &RunSize::FULL);
+        let second = page(around(&edited).unwrap(), "| new |\n", &RunSize::FULL);
         assert!(second.starts_with("Mine.\n\n# Effects") && second.ends_with("\n## More\n"), "{second}");
         assert!(second.contains("1500 steps.\n\n| new |\n\n<!--") && !second.contains("old"), "{second}");
-        assert_eq!(page(&Around::of(&second).unwrap(), "| new |", &RunSize::FULL), second);
-        assert!(Around::of(&second.replace(END, "")).is_none());
+        assert_eq!(page(around(&second).unwrap(), "| new |", &RunSize::FULL), second);
+        assert!(around(&second.replace(END, "")).is_none());
     }
 }

@@ -6,36 +6,13 @@ use super::dials::Role;
 use super::measure::SettingMeasurements;
 
 /// Names of the columns.
-const HEADER: [&str; 23] = [
-    "name",
-    "role",
-    "judged_by",
-    "turned",
-    "error_db",
-    "rms_error",
-    "max_error",
-    "psnr_db",
-    "ssim",
-    "gradient_error",
-    "gradient_error_of",
-    "gradient_cosine",
-    "forward_ms_lower",
-    "forward_ms",
-    "forward_ms_upper",
-    "backward_ms_lower",
-    "backward_ms",
-    "backward_ms_upper",
-    "step_ms_lower",
-    "step_ms",
-    "step_ms_upper",
-    "memory_mib",
-    "on_frontier",
-];
+const HEADER: &str = "name,role,judged_by,turned,error_db,rms_error,max_error,psnr_db,ssim,gradient_error,\
+    gradient_error_of,gradient_cosine,forward_ms_lower,forward_ms,forward_ms_upper,backward_ms_lower,backward_ms,\
+    backward_ms_upper,step_ms_lower,step_ms,step_ms_upper,memory_mib,on_frontier\r\n";
 
 /// Returns the file's text. `members` are the rows on the frontier of renders.
 pub fn text(rows: &[SettingMeasurements], members: &[usize]) -> String {
-    let mut text = HEADER.join(",");
-    text.push_str("\r\n");
+    let mut text = HEADER.to_owned();
     for (i, row) in rows.iter().enumerate() {
         text.push_str(&line(row, members.contains(&i)));
         text.push_str("\r\n");

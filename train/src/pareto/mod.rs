@@ -18,7 +18,7 @@ use std::time::Duration;
 use anyhow::{Result, ensure};
 use burn::tensor::Device;
 use clap::builder::RangedU64ValueParser;
-use splat_model::accuracy::{ChosenSetting, FrontierPoint, Provenance, Target, Workload, decibels, frontier};
+use splat_model::accuracy::{ChosenSetting, FrontierPoint, Provenance, Spread, Target, Workload, decibels, frontier};
 use splat_model::capture::{Capture, Photo, Split};
 use splat_model::evaluate::evaluate;
 use splat_model::gaussians::GaussianRows;
@@ -26,10 +26,11 @@ use splat_model::trainer::TrainConfig;
 use splat_op::{CameraModel, RenderOptions};
 
 use self::dials::{Role, candidates};
-use self::measure::{Bench, BenchOutcome, SettingMeasurements};
+use self::measure::{Bench, BenchOutcome, MeasuredError, SettingMeasurements};
 use self::plot::{Chart, Dot, Mark};
 pub use self::subject::MeasuredView;
 use self::subject::{DeviceScene, off_the_clamp};
+use self::time::FrameTimes;
 use self::training::{Runs, TrainingResult};
 use crate::accuracy::ModelArgs;
 use crate::background::ShownBackground;
@@ -214,17 +215,13 @@ fn train(
 
 /// Rows on the frontier of renders, and rows on the frontier of training steps.
 fn members(outcome: &BenchOutcome) -> [Vec<usize>; 2] {
-    let of = |point: fn(&SettingMeasurements) -> Option<FrontierPoint>| {
+    let of = |error: fn(&MeasuredError) -> f64, time: fn(&FrameTimes) -> Spread| {
         // Model choices are not on it: they have no error to be placed by.
-        let none = |row: &SettingMeasurements| FrontierPoint { quality_db: f64::NAN, time: row.times.forward };
-        frontier(&outcome.rows.iter().map(|row| point(row).unwrap_or(none(row))).collect::<Vec<_>>())
+        let quality_db = |row: &SettingMeasurements| row.accuracy.as_ref().map_or(f64::NAN, |a| decibels(error(a)));
+        let point = |row| FrontierPoint { quality_db: quality_db(row), time: time(&row.times) };
+        frontier(&outcome.rows.iter().map(point).collect::<Vec<_>>())
     };
-    let render = of(|row| Some(FrontierPoint { quality_db: row.error_db()?, time: row.times.forward }));
-    let step = of(|row| {
-        let quality_db = decibels(row.accuracy.as_ref()?.gradient_error);
-        Some(FrontierPoint { quality_db, time: row.times.step })
-    });
-    [render, step]
+    [of(|accuracy| accuracy.rms, |times| times.forward), of(|accuracy| accuracy.gradient_error, |times| times.step)]
 }
 
 fn write(

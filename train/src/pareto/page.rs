@@ -75,8 +75,8 @@ fn intro(subject: &PageSubject, outcome: &BenchOutcome) -> String {
          most {reference:.0e} from a renderer that visits every Gaussian in every pixel. *Error* is the PSNR of the pictures \
          against it, in dB, and *max* the largest error of a pixel's channel, of colours in 0..1. Gradients are those of L1 + \
          D-SSIM at the exact picture, of the parameter that fares worst. Times are medians with their quartiles, ms a frame; \
-         settings whose quartiles overlap are *not told apart*, and not ranked. What is said of a dial goes by the errors that it \
-         makes alone. Memory is the most that a render with its \
+         settings whose quartiles overlap are *not told apart*, and not ranked. The verdict on a dial uses the \
+         errors of that dial alone. Memory is the most that a render with its \
          backward pass holds.\n",
         views.len()
     )
@@ -94,7 +94,7 @@ fn taken(subject: &PageSubject, outcome: &BenchOutcome, members: [&[usize]; 2]) 
             .filter_map(|((_, _, what), found)| Some(format!("{what}, {}", found.as_ref()?.sentence())));
         _ = write!(text, "- `{}`: {}.", dial.name, said.collect::<Vec<_>>().join("; "));
         if found.iter().flatten().all(DialVerdict::is_dominated) {
-            text.push_str(" **Dominated here**: nothing speaks for a coarser value.");
+            text.push_str(" **Dominated here**: no coarser value saves time.");
         }
         text.push('\n');
     }
@@ -207,7 +207,7 @@ fn training(trained: &[TrainingResult]) -> String {
     let Some(standard) = trained.first() else { return String::new() };
     let mut text = String::from(
         "\n## Training dials\n\n![Seconds of training against PSNR](pareto_train.svg)\n\nShort runs, with three seeds each, scored on \
-         the test photographs with the standard render. Where quartiles overlap, nothing is said of who is better.\n\n\
+         the test photographs with the standard render. Where quartiles overlap, the two ways are not ranked.\n\n\
          | way | options | PSNR, dB | to the standard | training, s | to the standard | splats |\n|---|---|---|---|---|---|---|\n",
     );
     for run in trained {

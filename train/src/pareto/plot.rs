@@ -181,21 +181,20 @@ fn short(value: f64) -> String {
 /// all points to the border.
 fn around_times(dots: &[Dot]) -> std::ops::Range<f64> {
     let (low, high) = limits(dots.iter().map(|dot| dot.x[1]));
-    let (low, high) = if low <= high { (low, high) } else { (0.0, 0.0) };
     let room = 0.08 * (high - low).max(0.1 * high).max(1e-3);
     (low - room).max(0.0)..high + 2.0 * room
 }
 
 fn around_errors(dots: &[Dot]) -> std::ops::Range<f64> {
     let (low, high) = limits(dots.iter().map(|dot| dot.y));
-    let (low, high) = if low <= high { (low, high) } else { (0.0, 0.0) };
     let room = 0.06 * (high - low).max(1.0);
     low - room..high + room
 }
 
+/// Smallest and largest of the finite values; zeros if there are none.
 fn limits(values: impl Iterator<Item = f64>) -> (f64, f64) {
-    let finite = values.filter(|value| value.is_finite());
-    finite.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), value| (low.min(value), high.max(value)))
+    let ends = values.filter(|value| value.is_finite()).map(|value| (value, value));
+    ends.reduce(|(low, high), (value, _)| (low.min(value), high.max(value))).unwrap_or_default()
 }
 
 #[cfg(test)]

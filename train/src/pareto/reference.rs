@@ -22,9 +22,6 @@ pub struct ReferenceRender {
 impl ReferenceRender {
     /// Renders and differentiates every view of `place`, which must be in f64. Each numerical dial of `options` should
     /// have the value that approximates nothing. `done` is called after each view.
-    ///
-    /// # Errors
-    /// If the operation refuses the scene.
     pub fn new(
         place: &DeviceScene,
         shots: &[MeasuredView],

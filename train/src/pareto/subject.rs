@@ -64,9 +64,6 @@ pub type GradientSums = [Vec<f64>; 5];
 
 impl DeviceScene {
     /// Prepares a scene as in training: f32 on any device.
-    ///
-    /// # Errors
-    /// If the rows do not fit together.
     pub fn new(rows: &GaussianRows, shots: &[MeasuredView], background: [f32; 3], device: &Device) -> Result<Self> {
         let gaussians = Gaussians::from_rows(rows, &device.clone().autodiff())?;
         let camera = |shot: &MeasuredView| Camera::new(shot.intrinsics, &shot.cam_from_world, device);
@@ -84,9 +81,6 @@ impl DeviceScene {
 
     /// Prepares the same values, poses included, in f64 on the CPU. Rounding in f32 arithmetic is an error; rounding of
     /// its input is not.
-    ///
-    /// # Errors
-    /// If the rows do not fit together.
     pub fn in_f64(rows: &GaussianRows, shots: &[MeasuredView], background: [f32; 3]) -> Result<Self> {
         let f32 = Self::new(rows, shots, background, &Device::flex())?;
         let plain = f32.gaussians.untracked();
@@ -104,19 +98,15 @@ impl DeviceScene {
         let background = f32.extras.background.map(|background| background.cast(DType::F64));
         Ok(Self {
             splats: gaussians.untracked().splats(),
-            halved: OnceCell::new(),
             gaussians,
             cameras: f32.cameras.into_iter().map(camera).collect(),
             extras: Extras { background, ..Extras::default() },
-            device: f32.device,
             dtype: DType::F64,
+            ..f32
         })
     }
 
     /// Renders a view, not tracked.
-    ///
-    /// # Errors
-    /// If the operation refuses the scene.
     pub fn render(&self, view: usize, options: &RenderOptions) -> Result<Rendered<3>> {
         // Converted once, as by every user who renders a scene many times.
         let splats = match options.coefficients {
@@ -133,9 +123,6 @@ impl DeviceScene {
     }
 
     /// Renders a view, tracked, ready for [`Self::backward`].
-    ///
-    /// # Errors
-    /// If the operation refuses the scene.
     pub fn tracked(&self, view: usize, options: &RenderOptions) -> Result<Rendered<3>> {
         Ok(render_view(&self.gaussians.splats(), &self.cameras[view], &self.extras, options)?)
     }

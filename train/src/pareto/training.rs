@@ -89,9 +89,6 @@ pub struct Runs<'a> {
 
 impl Runs<'_> {
     /// Trains every variant, in turns.
-    ///
-    /// # Errors
-    /// If a run fails.
     pub fn all(&self) -> Result<Vec<TrainingResult>> {
         let counter = progress::counter("training", RUNS as usize * WAYS.len());
         let mut found = vec![(Vec::new(), Vec::new(), 0); WAYS.len()];

@@ -81,7 +81,9 @@ impl DialVerdict {
     pub fn sentence(&self) -> String {
         let percent = |share: &f64| format!("{:.0}%", 100.0 * share);
         match self {
-            Self::NoDifference => "makes no difference: neither error nor time is told apart".into(),
+            Self::NoDifference => {
+                "makes no difference: all values are equally accurate, and their times overlap".into()
+            }
             Self::Free { value, than, saved } => {
                 format!("free: {value} saves {} over {than} and is as accurate", percent(saved))
             }

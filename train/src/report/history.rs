@@ -58,7 +58,8 @@ fn finite_or_nan<'a, D: serde::Deserializer<'a>>(input: D) -> Result<f64, D::Err
 /// Records the [`History`] of a run in progress.
 #[derive(Debug)]
 pub struct Recorder {
-    history: History,
+    /// The history so far, without the losses since the last point.
+    pub history: History,
     /// Steps between points.
     every: usize,
     steps: usize,
@@ -86,11 +87,6 @@ impl Recorder {
     /// Training time so far, s to the millisecond.
     pub fn seconds(&self) -> f64 {
         ((self.earlier + self.started.elapsed()).as_secs_f64() * 1e3).round() / 1e3
-    }
-
-    /// The history so far, without the losses since the last point.
-    pub fn history(&self) -> &History {
-        &self.history
     }
 
     /// Whether a point is due after this step.
@@ -121,11 +117,6 @@ impl Recorder {
         self.history.scores.push(score);
         score
     }
-
-    /// Returns the whole history, at the end.
-    pub fn into_history(self) -> History {
-        self.history
-    }
 }
 
 #[cfg(test)]
@@ -138,14 +129,14 @@ mod tests {
 
     fn run(steps: usize, history: History, until: usize) -> History {
         let mut recorder = Recorder::new(steps, history, 0.0);
-        let done = recorder.history().points.last().map_or(0, |point| point.step);
+        let done = recorder.history.points.last().map_or(0, |point| point.step);
         for step in done + 1..=until {
             recorder.add((step as f64, 1));
             if recorder.is_due(step) {
                 recorder.keep(step, 10 * step);
             }
         }
-        recorder.into_history()
+        recorder.history
     }
 
     #[test]

@@ -33,20 +33,9 @@ pub enum LogLine<'a> {
     Done { out: String, metrics: &'a Metrics },
 }
 
-/// Subject of an evaluation during a run, and where its results are saved.
-#[derive(Clone, Copy)]
-pub struct EvaluationSetup<'a> {
-    pub test: &'a [Photograph],
-    pub device: &'a Device,
-    /// LPIPS, if it is measured.
-    pub lpips: Option<&'a Lpips>,
-    /// Snapshots of renders and scene, if they are saved.
-    pub snapshots: Option<&'a Snapshots<'a>>,
-}
-
 /// The log of a run.
 pub struct RunLog {
-    recorder: Recorder,
+    pub recorder: Recorder,
     bar: StepProgress,
     /// `[1]`: sum of the losses that were not read yet, and their number. Kept on the device, because each read would
     /// wait.
@@ -85,8 +74,13 @@ impl RunLog {
     ///
     /// # Errors
     /// If a view cannot be rendered.
-    pub fn evaluate(&mut self, trainer: &Trainer, evaluation: EvaluationSetup) -> Result<()> {
-        let EvaluationSetup { test, device, lpips, snapshots } = evaluation;
+    pub fn evaluate(
+        &mut self,
+        trainer: &Trainer,
+        (test, device): (&[Photograph], &Device),
+        lpips: Option<&Lpips>,
+        snapshots: Option<&Snapshots>,
+    ) -> Result<()> {
         let start = Instant::now();
         // The rows include the effect of smoothing, the parameters do not.
         let rows = trainer.rows();
@@ -111,7 +105,7 @@ impl RunLog {
         progress::line(&LogLine::Evaluation(score));
         // A failed snapshot does not end the run: a disk that is full now may have room later.
         let kept = kept.unwrap_or(Ok(())).and_then(|()| match snapshots {
-            Some(snapshots) => snapshots.keep_history(self.recorder.history()),
+            Some(snapshots) => snapshots.keep_history(&self.recorder.history),
             None => Ok(()),
         });
         if let Err(error) = kept {
@@ -120,19 +114,9 @@ impl RunLog {
         Ok(())
     }
 
-    /// Training time so far, s; evaluations do not count.
-    pub fn seconds(&self) -> f64 {
-        self.recorder.seconds()
-    }
-
-    /// History of the run so far.
-    pub fn history(&self) -> &History {
-        self.recorder.history()
-    }
-
     /// Ends the log after the last step.
     pub fn finish(self) -> History {
         self.bar.finish();
-        self.recorder.into_history()
+        self.recorder.history
     }
 }

@@ -1,17 +1,13 @@
 //! `metrics.json`.
 
-use std::io::Write;
 use std::path::Path;
 use std::time::Instant;
 
-use anyhow::Result;
 use serde::Serialize;
 use serde_json::Value;
 use splat_model::evaluate::Scores;
 
-use super::METRICS;
 use crate::effects::Chosen;
-use crate::output::OutputFolder;
 
 /// Results of a run and its options. Keys are added over time, and never renamed.
 #[derive(Clone, Debug, Serialize)]
@@ -50,19 +46,6 @@ pub struct Seconds {
     pub train: Option<f64>,
     /// The test views, including their pictures.
     pub eval: f64,
-}
-
-impl Metrics {
-    /// Writes `metrics.json`.
-    ///
-    /// # Errors
-    /// If it cannot be written.
-    pub fn write(&self, out: &OutputFolder) -> Result<()> {
-        out.write(METRICS, |file| {
-            serde_json::to_writer_pretty(&mut *file, self)?;
-            Ok(file.write_all(b"\n")?)
-        })
-    }
 }
 
 /// Seconds since `start`, to the millisecond.

@@ -8,6 +8,7 @@ pub mod metrics;
 pub mod page;
 pub mod pictures;
 
+use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use anyhow::Result;
@@ -77,7 +78,10 @@ pub fn finish(metrics: &Metrics, out: &OutputFolder) -> Result<()> {
             let _ = std::fs::remove_file(out.join(VIEWS).join(name));
         }
     }
-    metrics.write(out)
+    out.write(METRICS, |file| {
+        serde_json::to_writer_pretty(&mut *file, metrics)?;
+        Ok(file.write_all(b"\n")?)
+    })
 }
 
 /// Prints the scores and the location of all files; `scene` is the name of the scene's file.

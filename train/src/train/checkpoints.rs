@@ -54,7 +54,6 @@ pub struct SoFar {
 /// Checkpoints of a run in progress.
 pub struct Checkpoints {
     folder: PathBuf,
-    every: usize,
     /// Held as long as the run lasts.
     _lock: File,
     /// Whether the last checkpoint could not be written.
@@ -62,12 +61,11 @@ pub struct Checkpoints {
 }
 
 impl Checkpoints {
-    /// Opens the checkpoints of a run that writes to `out`. One is due after every `every` steps; with 0, only on
-    /// request.
+    /// Opens the checkpoints of a run that writes to `out`.
     ///
     /// # Errors
     /// If the folder cannot be made, or another process trains there.
-    pub fn open(out: &Path, every: usize) -> Result<Self> {
+    pub fn open(out: &Path) -> Result<Self> {
         let folder = out.join(FOLDER);
         let cannot = || format!("cannot write to {}: fix its permissions, or choose another `--out`", folder.display());
         fs::create_dir_all(&folder).with_context(cannot)?;
@@ -80,13 +78,10 @@ impl Checkpoints {
             // Some file systems have no locks.
             Ok(()) | Err(TryLockError::Error(_)) => {}
         }
-        Ok(Self { folder, every, _lock: lock, failing: false })
+        Ok(Self { folder, _lock: lock, failing: false })
     }
 
     /// Clears the folder for a new run. Checkpoints of an unfinished run are moved aside.
-    ///
-    /// # Errors
-    /// If they cannot be moved.
     pub fn begin(&self) -> Result<()> {
         let Some((step, _)) = steps_in(&self.folder).pop() else { return Ok(()) };
         let before = self.folder.with_file_name(BEFORE);
@@ -106,11 +101,6 @@ impl Checkpoints {
             fs::remove_dir_all(&self.folder).with_context(cannot)?;
         }
         fs::create_dir_all(&self.folder).with_context(cannot)
-    }
-
-    /// Whether a checkpoint is due after `step`.
-    pub fn due_after(&self, step: usize) -> bool {
-        self.every > 0 && step.is_multiple_of(self.every)
     }
 
     /// Writes a checkpoint, and removes all that are older than its predecessor.

@@ -13,11 +13,9 @@ use splat_model::trainer::{TrainConfig, TrainError, Trainer};
 
 use crate::output::OutputFolder;
 use crate::report::{BACKGROUND, POSES, SCENE};
+use crate::snapshots::matrix_rows;
 
 /// Writes what was learned beside the scene, and removes such files of an earlier run.
-///
-/// # Errors
-/// If a file cannot be written.
 pub fn write_learnt(trainer: &Trainer, config: &TrainConfig, capture: &Capture, out: &OutputFolder) -> Result<()> {
     let is_learnt = matches!(config.backdrop, Backdrop::Learned | Backdrop::Environment { .. });
     let background = is_learnt.then(|| trainer.background().to_json()).transpose()?;
@@ -36,11 +34,7 @@ pub fn write_learnt(trainer: &Trainer, config: &TrainConfig, capture: &Capture, 
 /// the capture's file.
 fn poses_json(poses: &[(String, DAffine3)], capture: &Capture) -> serde_json::Result<String> {
     let local_from_world = DAffine3::from_translation(-capture.origin);
-    let rows = |pose: &DAffine3| {
-        let pose = *pose * local_from_world;
-        let row = |i: usize| [pose.x_axis[i], pose.y_axis[i], pose.z_axis[i], pose.translation[i]];
-        [row(0), row(1), row(2)]
-    };
+    let rows = |pose: &DAffine3| matrix_rows(&(*pose * local_from_world));
     let by_name: BTreeMap<&str, [[f64; 4]; 3]> = poses.iter().map(|(name, pose)| (name.as_str(), rows(pose))).collect();
     serde_json::to_string_pretty(&by_name)
 }

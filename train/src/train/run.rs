@@ -19,7 +19,7 @@ use splat_model::trainer::{TrainConfig, Trainer};
 use super::budget::{self, MemoryEstimate};
 use super::checkpoints::{self, Checkpoints, SavedRun, SoFar};
 use super::results::write_learnt;
-use super::steps::{Done, PendingChoice, Steps};
+use super::steps::{Done, Steps};
 use super::{OUT, ResumeArgs, TrainArgs};
 use crate::accuracy::RequestedAccuracy;
 use crate::effects::Chosen;
@@ -129,7 +129,7 @@ fn to_the_end(mut args: TrainArgs, kept: Option<SavedRun>, change: impl FnOnce(T
     let load = seconds_since(start);
 
     // All errors in the capture have been found by now: a run that does not begin leaves no files.
-    let checkpoints = Checkpoints::open(out.path(), args.checkpoint_every)?;
+    let checkpoints = Checkpoints::open(out.path())?;
     out.sweep(&[VIEWS]);
     let snapshots = described.map(|described| Snapshots::open(&out, &described, kept.is_none())).transpose()?;
     let so_far = match kept {
@@ -152,7 +152,7 @@ fn to_the_end(mut args: TrainArgs, kept: Option<SavedRun>, change: impl FnOnce(T
         device: &device_name,
         version: env!("CARGO_PKG_VERSION"),
     });
-    let choice = accuracy.filter(|_| !so_far.dials_chosen).map(|accuracy| PendingChoice { accuracy, shots });
+    let choice = accuracy.filter(|_| !so_far.dials_chosen).map(|accuracy| (accuracy, shots));
     let steps = Steps {
         args: &args,
         capture: &capture,

@@ -17,17 +17,14 @@ use crate::output::OutputFolder;
 use crate::pareto::MeasuredView;
 use crate::progress;
 use crate::report::history::History;
-use crate::report::log::{EvaluationSetup, RunLog};
+use crate::report::log::RunLog;
 use crate::snapshots::Snapshots;
 
 /// With an accuracy target, settings are measured after one part in this many of the steps.
 const MEASURED_AFTER: usize = 10;
 
 /// A choice of dials that is still to be made, by measuring them on these views.
-pub struct PendingChoice<'a> {
-    pub accuracy: RequestedAccuracy,
-    pub shots: Vec<MeasuredView<'a>>,
-}
+pub type PendingChoice<'a> = (RequestedAccuracy, Vec<MeasuredView<'a>>);
 
 /// Inputs of the steps.
 pub struct Steps<'a> {
@@ -68,12 +65,12 @@ impl Steps<'_> {
         let mut log = RunLog::new(steps, so_far.history, so_far.seconds);
         while !trainer.is_done() {
             if let Some(signal) = stop.asked() {
-                let so_far = SoFar { seconds: log.seconds(), dials_chosen, history: log.finish() };
+                let so_far = SoFar { seconds: log.recorder.seconds(), dials_chosen, history: log.finish() };
                 return Err(self.interrupted(trainer, &so_far, signal));
             }
             // Before this, the scene does not resemble the final one.
             if trainer.steps_done() >= steps / MEASURED_AFTER
-                && let Some(PendingChoice { accuracy, shots }) = choice.take()
+                && let Some((accuracy, shots)) = choice.take()
             {
                 let (rows, base) = (trainer.rows(), trainer.render_options());
                 let dials = accuracy.setting((&rows, shots), &base, self.device, Workload::Train)?;
@@ -88,15 +85,16 @@ impl Steps<'_> {
                 }
             }
             if self.args.eval_during.is_some_and(|every| trainer.steps_done().is_multiple_of(every)) {
-                let (device, lpips, snapshots) = (self.device.0, self.lpips, self.snapshots);
-                log.evaluate(trainer, EvaluationSetup { test: self.test, device, lpips, snapshots })?;
+                log.evaluate(trainer, (self.test, self.device.0), self.lpips, self.snapshots)?;
             }
-            if self.checkpoints.due_after(trainer.steps_done()) {
-                let so_far = SoFar { seconds: log.seconds(), dials_chosen, history: log.history().clone() };
+            // At least one step is done, and no such number is a multiple of 0.
+            if trainer.steps_done().is_multiple_of(self.args.checkpoint_every) {
+                let so_far =
+                    SoFar { seconds: log.recorder.seconds(), dials_chosen, history: log.recorder.history.clone() };
                 self.checkpoints.try_write(trainer, self.args, &so_far);
             }
         }
-        let (seconds, history) = (log.seconds(), log.finish());
+        let (seconds, history) = (log.recorder.seconds(), log.finish());
         if let Some(Err(error)) = self.snapshots.map(|snapshots| snapshots.keep_history(&history)) {
             progress::note(&format!("the last curves of the snapshots were not saved: {error:#}"));
         }

@@ -46,15 +46,17 @@ static HEARD: OnceLock<Heard> = OnceLock::new();
 
 impl Stop {
     /// Registers the handlers and begins to listen.
-    ///
-    /// # Errors
-    /// If the system refuses a handler.
     pub fn listen() -> io::Result<Self> {
         let heard = match HEARD.get() {
             Some(heard) => heard,
             None => {
                 let heard = Heard::default();
-                heard.register()?;
+                for signal in [SIGINT, SIGTERM] {
+                    // The order matters: the second signal must find the flag that the first one sets.
+                    flag::register_conditional_shutdown(signal, 128 + signal, Arc::clone(&heard.at_once))?;
+                    flag::register(signal, Arc::clone(&heard.at_once))?;
+                    flag::register_usize(signal, Arc::clone(&heard.signal), signal as usize)?;
+                }
                 HEARD.get_or_init(|| heard)
             }
         };
@@ -66,18 +68,6 @@ impl Stop {
     /// Returns the signal that asked to stop, if there was one.
     pub fn asked(&self) -> Option<u8> {
         u8::try_from(self.0.signal.load(Ordering::Relaxed)).ok().filter(|signal| *signal != 0)
-    }
-}
-
-impl Heard {
-    fn register(&self) -> io::Result<()> {
-        for signal in [SIGINT, SIGTERM] {
-            // The order matters: the second signal must find the flag that the first one sets.
-            flag::register_conditional_shutdown(signal, 128 + signal, Arc::clone(&self.at_once))?;
-            flag::register(signal, Arc::clone(&self.at_once))?;
-            flag::register_usize(signal, Arc::clone(&self.signal), signal as usize)?;
-        }
-        Ok(())
     }
 }
 

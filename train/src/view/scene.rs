@@ -7,6 +7,8 @@ use splat_model::capture::Photograph;
 use splat_model::gaussians::GaussianRows;
 use splat_model::ply;
 
+use crate::input::selected;
+
 /// Highest degree of the spherical harmonics that the viewer's library reads.
 const DEGREE_MAX: usize = 3;
 
@@ -53,7 +55,7 @@ impl ShownScene {
         let sh_degree = (0..=rows.sh_degree.min(DEGREE_MAX)).rev().find(fits).unwrap_or(0);
         let kept = largest(rows, usable.clone(), most_bytes / bytes_per_row(sh_degree));
         let mut ply = Vec::new();
-        ply::write_to(&mut ply, &some_of(rows, &kept, sh_degree), DVec3::ZERO)?;
+        ply::write_to(&mut ply, &selected(rows, kept.iter().copied(), sh_degree), DVec3::ZERO)?;
         Ok(Self { ply, splats: kept.len(), of: usable.len(), sh_degree, of_sh_degree: rows.sh_degree, extent })
     }
 
@@ -94,20 +96,6 @@ fn largest(rows: &GaussianRows, mut of: Vec<usize>, most: usize) -> Vec<usize> {
     of.truncate(most);
     of.sort_unstable();
     of
-}
-
-/// Returns some rows, with spherical harmonics up to `sh_degree`.
-fn some_of(rows: &GaussianRows, kept: &[usize], sh_degree: usize) -> GaussianRows {
-    let (all, rest) = (rows.rest_per_row(), 3 * ((sh_degree + 1) * (sh_degree + 1) - 1));
-    GaussianRows {
-        means: kept.iter().map(|&i| rows.means[i]).collect(),
-        rotations: kept.iter().map(|&i| rows.rotations[i]).collect(),
-        log_scales: kept.iter().map(|&i| rows.log_scales[i]).collect(),
-        logit_opacities: kept.iter().map(|&i| rows.logit_opacities[i]).collect(),
-        sh_dc: kept.iter().map(|&i| rows.sh_dc[i]).collect(),
-        sh_rest: kept.iter().flat_map(|&i| &rows.sh_rest[all * i..][..rest]).copied().collect(),
-        sh_degree,
-    }
 }
 
 impl Extent {

@@ -2,6 +2,7 @@
 
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
+use serde::Serialize;
 
 use super::DemoError;
 
@@ -15,7 +16,7 @@ use super::DemoError;
 /// measures a scene's quality.
 ///
 /// With `poses`, `motion`, `rolling` or `defocus`, a file `truth.json` says what was done to each photograph; see [`super::write`].
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub struct DemoOptions {
     /// Width of the pictures, 16 to 4096 px.
     pub width: usize,

@@ -96,14 +96,14 @@ pub fn views(scores: Option<&Scores>, comparisons: &Comparisons) -> String {
 /// The survey of the capture, the decisions on effects, and their measured cost.
 pub fn effects(chosen: Option<&Chosen>) -> String {
     let Some(chosen) = chosen else { return String::new() };
-    let names: Vec<&str> = chosen.on().iter().map(|effect| effect.name()).collect();
+    let names: Vec<&str> = chosen.on.iter().map(|effect| effect.name()).collect();
     let on = if names.is_empty() { "none".into() } else { names.join(", ") };
     let mut text = format!(
         "<section>\n<h2>Survey and effects</h2>\n<p>Effects: {on} (<code>--effects {}</code>).</p>\n",
-        escape(chosen.asked())
+        escape(&chosen.asked)
     );
     let costs = names.iter().filter_map(|name| {
-        let cost = chosen.measured_cost(name)?;
+        let cost = chosen.measured.get(name)?;
         Some(vec![(*name).to_owned(), format!("{:.2}", cost.ms_per_step), format!("{:.2}", cost.mib)])
     });
     let costs: Vec<Vec<String>> = costs.collect();
@@ -126,9 +126,6 @@ pub fn times(seconds: &Seconds) -> String {
 }
 
 /// All options.
-///
-/// # Errors
-/// If they cannot be written as JSON.
 pub fn options(metrics: &Metrics) -> serde_json::Result<String> {
     let text = serde_json::to_string_pretty(&metrics.options)?;
     let seed = metrics.seed.map(|seed| format!("Seed {seed}. ")).unwrap_or_default();
