@@ -8,14 +8,16 @@ use burn::backend::{Backend, backend_extension};
 #[cfg(feature = "fusion")]
 use super::fusion;
 use super::tensors::{
-    GeometryGrads, GeometryTensors, LayerGrads, LayerTensors, OptionalTensor, ShadingGrads, ShadingTensors,
+    GeometryGrads, GeometryTensors, LayerGrads, LayerTensors, OptionalTensor, RayLayerGrads, RayLayerTensors,
+    ShadingGrads, ShadingTensors,
 };
 use crate::intersect::IntersectionCell;
 use crate::project::{Geometry, ProjectSpec};
 use crate::rasterize::{Layers, PartsCell, RasterizeSpec, TraceCell};
+use crate::rasterize_rays::RayLayers;
 use crate::sh::Shading;
 
-/// Gaussian splatting on a Burn backend: four stages, and the backward passes of the three differentiable ones.
+/// Gaussian splatting on a Burn backend: the stages, and the backward passes of the differentiable ones.
 ///
 /// With Burn's fusion, an operation on the GPU is registered first and runs later, on the device's own thread; the functions named
 /// in `#[fusion]` return the shape and type of its output.
@@ -90,4 +92,46 @@ pub trait SplatBackend: Backend {
         intersections: IntersectionCell,
         trace: TraceCell,
     ) -> LayerGrads<Self>;
+
+    /// Ray-space depth slopes; see `depth_slope/`. Returns `[N, 3]`.
+    #[fusion(meta = fusion::depth_slope)]
+    fn depth_slope(#[extension_type] inputs: GeometryTensors<Self>, spec: ProjectSpec) -> FloatTensor<Self>;
+
+    /// Returns the gradients of `depth_slope` that `mask` selects, from the gradient of its output. Opacities and projected
+    /// centres have no gradient.
+    #[fusion(meta = fusion::project_backward)]
+    fn depth_slope_backward(
+        #[extension_type] inputs: GeometryTensors<Self>,
+        grad: FloatTensor<Self>,
+        spec: ProjectSpec,
+        mask: Geometry<bool>,
+    ) -> GeometryGrads<Self>;
+
+    /// Returns bounds as rows `[N, 7]` for `intersect`, from packed ellipses `[N, 7]` and depth slopes `[N, 3]`; see
+    /// `depth_slope/`. Not differentiable.
+    #[fusion(dtype = projected, shape = projected)]
+    fn bounds(projected: FloatTensor<Self>, depth_slope: FloatTensor<Self>, spec: RasterizeSpec) -> FloatTensor<Self>;
+
+    /// Rasterizes along rays; see `rasterize_rays/`. Returns planes; they, `intersection_counts` and `parts` are as in
+    /// `rasterize`.
+    #[fusion(meta = fusion::rasterize_rays)]
+    fn rasterize_rays(
+        #[extension_type] inputs: RayLayerTensors<Self>,
+        intersection_counts: IntTensor<Self>,
+        spec: RasterizeSpec,
+        intersections: IntersectionCell,
+        parts: PartsCell,
+    ) -> FloatTensor<Self>;
+
+    /// Returns the gradients of `rasterize_rays` that `mask` selects, from the gradient of all its planes. `planes` is the output
+    /// of `rasterize_rays`; it makes this operation run after that one and is not read.
+    #[fusion(meta = fusion::rasterize_rays_backward)]
+    fn rasterize_rays_backward(
+        #[extension_type] inputs: RayLayerTensors<Self>,
+        planes: FloatTensor<Self>,
+        grad: FloatTensor<Self>,
+        spec: RasterizeSpec,
+        mask: RayLayers<bool>,
+        intersections: IntersectionCell,
+    ) -> RayLayerGrads<Self>;
 }
