@@ -3,8 +3,6 @@
 #![allow(deprecated, reason = "burn-ndarray is deprecated in favour of burn-flex; this project supports both")]
 
 use burn::backend::autodiff::checkpoint::strategy::CheckpointStrategy;
-#[cfg(feature = "fusion")]
-use burn::backend::fusion::custom::TensorSpec;
 use burn::backend::ops::IntTensorOps;
 use burn::backend::tensor::{FloatTensor, IntTensor};
 use burn::backend::{Autodiff, Backend, Flex, NdArray, TensorMetadata, backend_extension};
@@ -13,12 +11,8 @@ use burn::tensor::TensorData;
 use super::autodiff::tracked;
 use super::cpu::host;
 use super::host::{HostBackend, by_type};
-#[cfg(feature = "fusion")]
-use super::tensors::InputTensorMetadata;
 use super::tensors::{InputTensor, RawTensors};
 use crate::activate::cpu::{all_finite_cpu, opacities_cpu, opacity_slopes_cpu, scales_cpu};
-#[cfg(feature = "fusion")]
-use crate::activate::rule::Raw;
 
 /// Activation of the parameters; see `activate/`.
 #[backend_extension(Cube: cfg(feature = "cube"), Flex, NdArray, Autodiff, Fusion: cfg(feature = "fusion"))]
@@ -28,7 +22,7 @@ pub trait ActivateBackend: Backend {
     fn scales(log_scales: FloatTensor<Self>) -> FloatTensor<Self>;
 
     /// Returns the opacities, `[N]`. Differentiable in the logits.
-    #[fusion(meta = opacities)]
+    #[fusion(meta = |inputs| inputs.logit_opacities.0.clone())]
     fn opacities(#[extension_type] inputs: RawTensors<Self>) -> FloatTensor<Self>;
 
     /// Returns the derivatives of the opacities with respect to their logits, `[N]`. Not differentiable.
@@ -38,11 +32,6 @@ pub trait ActivateBackend: Backend {
     /// Returns 1 if any value is not finite, else 0; `[1]`. Not differentiable.
     #[fusion(dtype = burn::tensor::DType::I32, shape = burn::tensor::Shape::from([1]))]
     fn non_finite(values: FloatTensor<Self>) -> IntTensor<Self>;
-}
-
-#[cfg(feature = "fusion")]
-fn opacities(inputs: &Raw<InputTensorMetadata>) -> TensorSpec {
-    inputs.logit_opacities.0.clone()
 }
 
 macro_rules! cpu_backend {
