@@ -6,9 +6,11 @@ use crate::error::SplatError;
 use crate::limits::{Need, buffer_limit, check_fits};
 
 /// The float type and device that all tensors of a call must share.
+#[derive(Clone)]
 pub(crate) struct Reference {
     dtype: DType,
     device: Device,
+    or_half: bool,
 }
 
 impl Reference {
@@ -21,7 +23,7 @@ impl Reference {
                 let expected = "F32, the float type of GPUs (move tensors to a CPU device for F64)".into();
                 Err(SplatError::DType { name: "means", found: "F64".into(), expected })
             }
-            DType::F32 | DType::F64 => Ok(Self { dtype, device }),
+            DType::F32 | DType::F64 => Ok(Self { dtype, device, or_half: false }),
             _ => Err(SplatError::DType { name: "means", found: format!("{dtype:?}"), expected: "F32 or F64".into() }),
         }
     }
@@ -31,6 +33,11 @@ impl Reference {
         (&self.device, self.dtype).into()
     }
 
+    /// The same, but [`Self::check`] also accepts half precision.
+    pub fn or_half(&self) -> Self {
+        Self { or_half: true, ..self.clone() }
+    }
+
     /// Compares a tensor with the reference and with `shape`, in which `None` is free.
     pub fn check<const D: usize>(
         &self,
@@ -38,28 +45,6 @@ impl Reference {
         tensor: &Tensor<D>,
         shape: [Option<usize>; D],
         expected: &'static str,
-    ) -> Result<(), SplatError> {
-        self.check_of(name, tensor, shape, expected, false)
-    }
-
-    /// Compares a tensor as [`Self::check`] does, and also accepts half precision.
-    pub fn check_or_half<const D: usize>(
-        &self,
-        name: &'static str,
-        tensor: &Tensor<D>,
-        shape: [Option<usize>; D],
-        expected: &'static str,
-    ) -> Result<(), SplatError> {
-        self.check_of(name, tensor, shape, expected, true)
-    }
-
-    fn check_of<const D: usize>(
-        &self,
-        name: &'static str,
-        tensor: &Tensor<D>,
-        shape: [Option<usize>; D],
-        expected: &'static str,
-        or_half: bool,
     ) -> Result<(), SplatError> {
         let dims = tensor.dims();
         if let Some(axis) = (0..D).find(|&axis| shape[axis].is_some_and(|size| size != dims[axis])) {
@@ -72,8 +57,8 @@ impl Reference {
             });
         }
         let dtype = tensor.dtype();
-        if dtype != self.dtype && !(or_half && dtype == DType::F16) {
-            let (found, or_half) = (format!("{dtype:?}"), if or_half { " or F16" } else { "" });
+        if dtype != self.dtype && !(self.or_half && dtype == DType::F16) {
+            let (found, or_half) = (format!("{dtype:?}"), if self.or_half { " or F16" } else { "" });
             return Err(SplatError::DType { name, found, expected: format!("{:?}{or_half}", self.dtype) });
         }
         self.check_device(name, &tensor.device())

@@ -83,3 +83,14 @@ pub(crate) fn transposed_matvec<F: Entry>(a: &Mat3<F>, v: [F; 3]) -> [F; 3] {
 pub(crate) fn transpose<F: Entry>(a: &Mat3<F>) -> Mat3<F> {
     [[a[0][0], a[1][0], a[2][0]], [a[0][1], a[1][1], a[2][1]], [a[0][2], a[1][2], a[2][2]]]
 }
+
+/// Rotation matrix of a unit quaternion wxyz.
+#[inline(always)]
+pub(crate) fn rotation_of<L: Entry>(one: L, [w, x, y, z]: [L; 4]) -> Mat3<L> {
+    let twice = |value: L| value + value;
+    [
+        [one - twice(y * y + z * z), twice(x * y - w * z), twice(x * z + w * y)],
+        [twice(x * y + w * z), one - twice(x * x + z * z), twice(y * z - w * x)],
+        [twice(x * z - w * y), twice(y * z + w * x), one - twice(x * x + y * y)],
+    ]
+}

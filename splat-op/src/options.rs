@@ -155,81 +155,6 @@ impl RenderOptions {
         Self { alpha_min: 1.0 / 67_108_864.0, transmittance_min: 0.0, ..Self::standard() }
     }
 
-    /// Sets `blur`, px².
-    pub const fn with_blur(self, blur: f64) -> Self {
-        Self { blur, ..self }
-    }
-
-    /// Sets `jacobian_margin`, a share of half the picture's size.
-    pub const fn with_jacobian_margin(self, jacobian_margin: f64) -> Self {
-        Self { jacobian_margin, ..self }
-    }
-
-    /// Sets `alpha_min`, below which contributions are skipped.
-    pub const fn with_alpha_min(self, alpha_min: f64) -> Self {
-        Self { alpha_min, ..self }
-    }
-
-    /// Sets `alpha_max`, the upper limit of alpha.
-    pub const fn with_alpha_max(self, alpha_max: f64) -> Self {
-        Self { alpha_max, ..self }
-    }
-
-    /// Sets `transmittance_min`, at which a pixel is finished.
-    pub const fn with_transmittance_min(self, transmittance_min: f64) -> Self {
-        Self { transmittance_min, ..self }
-    }
-
-    /// Sets whether depth is accumulated.
-    pub const fn with_depth(self, depth: bool) -> Self {
-        Self { depth, ..self }
-    }
-
-    /// Sets the near plane, scene units.
-    pub const fn with_near(self, near: f64) -> Self {
-        Self { near, ..self }
-    }
-
-    /// Sets whether opacities are compensated for the blur.
-    pub const fn with_antialias(self, antialias: bool) -> Self {
-        Self { antialias, ..self }
-    }
-
-    /// Sets the projection.
-    pub const fn with_projection(self, projection: Projection) -> Self {
-        Self { projection, ..self }
-    }
-
-    /// Sets the depth order.
-    pub const fn with_order(self, order: Order) -> Self {
-        Self { order, ..self }
-    }
-
-    /// Sets how GPUs add gradients.
-    pub const fn with_accumulation(self, accumulation: Accumulation) -> Self {
-        Self { accumulation, ..self }
-    }
-
-    /// Sets the highest degree of the spherical harmonics that is used; `None` uses all.
-    pub const fn with_sh_degree(self, sh_degree: Option<usize>) -> Self {
-        Self { sh_degree, ..self }
-    }
-
-    /// Sets which tiles list a Gaussian.
-    pub const fn with_culling(self, culling: Culling) -> Self {
-        Self { culling, ..self }
-    }
-
-    /// Sets how `exp` is computed.
-    pub const fn with_exponential(self, exponential: Exponential) -> Self {
-        Self { exponential, ..self }
-    }
-
-    /// Sets the storage of the spherical-harmonics coefficients.
-    pub const fn with_coefficients(self, coefficients: Storage) -> Self {
-        Self { coefficients, ..self }
-    }
-
     /// Whether the render uses per-ray rasterization: `depth_slope` and `rasterize_rays` instead of `rasterize`.
     pub(crate) fn along_rays(&self) -> bool {
         self.projection != Projection::Affine || self.order != Order::CentreDepth
@@ -282,6 +207,51 @@ impl RenderOptions {
                        pairs: use fewer Gaussians or render a smaller picture",
         })
     }
+}
+
+/// Declares the builders of [`RenderOptions`], each of which sets one field.
+macro_rules! builders {
+    ($($(#[$doc:meta])* $builder:ident($field:ident: $type:ty);)*) => {
+        impl RenderOptions {$(
+            $(#[$doc])*
+            pub const fn $builder(self, $field: $type) -> Self {
+                Self { $field, ..self }
+            }
+        )*}
+    };
+}
+
+builders! {
+    /// Sets `blur`, px².
+    with_blur(blur: f64);
+    /// Sets `jacobian_margin`, a share of half the picture's size.
+    with_jacobian_margin(jacobian_margin: f64);
+    /// Sets `alpha_min`, below which contributions are skipped.
+    with_alpha_min(alpha_min: f64);
+    /// Sets `alpha_max`, the upper limit of alpha.
+    with_alpha_max(alpha_max: f64);
+    /// Sets `transmittance_min`, at which a pixel is finished.
+    with_transmittance_min(transmittance_min: f64);
+    /// Sets whether depth is accumulated.
+    with_depth(depth: bool);
+    /// Sets the near plane, scene units.
+    with_near(near: f64);
+    /// Sets whether opacities are compensated for the blur.
+    with_antialias(antialias: bool);
+    /// Sets the projection.
+    with_projection(projection: Projection);
+    /// Sets the depth order.
+    with_order(order: Order);
+    /// Sets how GPUs add gradients.
+    with_accumulation(accumulation: Accumulation);
+    /// Sets the highest degree of the spherical harmonics that is used; `None` uses all.
+    with_sh_degree(sh_degree: Option<usize>);
+    /// Sets which tiles list a Gaussian.
+    with_culling(culling: Culling);
+    /// Sets how `exp` is computed.
+    with_exponential(exponential: Exponential);
+    /// Sets the storage of the spherical-harmonics coefficients.
+    with_coefficients(coefficients: Storage);
 }
 
 impl Default for RenderOptions {

@@ -23,6 +23,11 @@ macro_rules! record {
                 $name { $($field: &self.$field,)* }
             }
 
+            /// Returns mutable references to the fields.
+            pub fn each_mut(&mut self) -> $name<&mut T> {
+                $name { $($field: &mut self.$field,)* }
+            }
+
             /// Pairs each field with the same field of another record.
             pub fn zip<U>(self, other: $name<U>) -> $name<(T, U)> {
                 $name { $($field: (self.$field, other.$field),)* }

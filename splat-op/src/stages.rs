@@ -3,7 +3,6 @@
 use burn::backend::Dispatch;
 use burn::tensor::{Int, Tensor};
 
-use crate::backend::rasterize_rays::RasterizeRaysBackend;
 use crate::backend::stages::SplatBackend;
 use crate::backend::tensors::GeometryTensors;
 use crate::camera::{Camera, CameraModel, Intrinsics};
@@ -154,7 +153,7 @@ pub fn project(
     let spec = ProjectSpec { intrinsics: camera.intrinsics, options: options.of_project() };
     let inputs = geometry(splats, camera, probe);
     let depth_slope = options.along_rays().then(|| {
-        let depth_slope = Tensor::from_dispatch(<Dispatch as RasterizeRaysBackend>::depth_slope(inputs.clone(), spec));
+        let depth_slope = Tensor::from_dispatch(<Dispatch as SplatBackend>::depth_slope(inputs.clone(), spec));
         // With the affine projection the depth slope only decides the order, which has no gradient.
         if options.projection == Projection::RayMax { depth_slope } else { depth_slope.detach() }
     });
@@ -188,7 +187,7 @@ pub fn intersect(projected: &Projected, options: &RenderOptions) -> Result<Inter
     let spec = RasterizeSpec { intrinsics: projected.intrinsics, options: *options };
     let mut packed = projected.packed.clone().detach().into_dispatch();
     if let Some(depth_slope) = projected.depth_slope.clone().filter(|_| options.extends_by_bounds()) {
-        packed = <Dispatch as RasterizeRaysBackend>::bounds(packed, depth_slope.detach().into_dispatch(), spec);
+        packed = <Dispatch as SplatBackend>::bounds(packed, depth_slope.detach().into_dispatch(), spec);
     }
     let counts = <Dispatch as SplatBackend>::intersect(packed, spec, intersections.clone());
     Ok(Intersections { counts: Tensor::from_dispatch(counts), cell: intersections })
@@ -238,7 +237,7 @@ pub fn rasterize(
         Some(depth_slope) => {
             let depth_slope = depth_slope.clone().into();
             let inputs = RayLayers { projected: packed, depth_slope, features, background, mean2d_abs };
-            <Dispatch as RasterizeRaysBackend>::rasterize_rays(inputs, counts, spec, intersections, parts.clone())
+            <Dispatch as SplatBackend>::rasterize_rays(inputs, counts, spec, intersections, parts.clone())
         }
     };
     Ok(picture(&Tensor::from_dispatch(planes), channels, options.depth, &parts))

@@ -2,12 +2,7 @@
 
 #![allow(deprecated, reason = "burn-ndarray is deprecated in favour of burn-flex; this project supports both")]
 
-use burn::backend::autodiff::checkpoint::base::Checkpointer;
 use burn::backend::autodiff::checkpoint::strategy::CheckpointStrategy;
-use burn::backend::autodiff::grads::Gradients;
-use burn::backend::autodiff::ops::{Backward, Ops, OpsKind};
-#[cfg(feature = "fusion")]
-use burn::backend::fusion::custom::TensorSpec;
 use burn::backend::ops::IntTensorOps;
 use burn::backend::tensor::{FloatTensor, IntTensor};
 use burn::backend::{Autodiff, Backend, Flex, NdArray, TensorMetadata, backend_extension};
@@ -16,12 +11,8 @@ use burn::tensor::TensorData;
 use super::autodiff::tracked;
 use super::cpu::host;
 use super::host::{HostBackend, by_type};
-#[cfg(feature = "fusion")]
-use super::tensors::InputTensorMetadata;
 use super::tensors::{InputTensor, RawTensors};
 use crate::activate::cpu::{all_finite_cpu, opacities_cpu, opacity_slopes_cpu, scales_cpu};
-#[cfg(feature = "fusion")]
-use crate::activate::rule::Raw;
 
 /// Activation of the parameters; see `activate/`.
 #[backend_extension(Cube: cfg(feature = "cube"), Flex, NdArray, Autodiff, Fusion: cfg(feature = "fusion"))]
@@ -31,7 +22,7 @@ pub trait ActivateBackend: Backend {
     fn scales(log_scales: FloatTensor<Self>) -> FloatTensor<Self>;
 
     /// Returns the opacities, `[N]`. Differentiable in the logits.
-    #[fusion(meta = opacities)]
+    #[fusion(meta = |inputs| inputs.logit_opacities.0.clone())]
     fn opacities(#[extension_type] inputs: RawTensors<Self>) -> FloatTensor<Self>;
 
     /// Returns the derivatives of the opacities with respect to their logits, `[N]`. Not differentiable.
@@ -41,11 +32,6 @@ pub trait ActivateBackend: Backend {
     /// Returns 1 if any value is not finite, else 0; `[1]`. Not differentiable.
     #[fusion(dtype = burn::tensor::DType::I32, shape = burn::tensor::Shape::from([1]))]
     fn non_finite(values: FloatTensor<Self>) -> IntTensor<Self>;
-}
-
-#[cfg(feature = "fusion")]
-fn opacities(inputs: &Raw<InputTensorMetadata>) -> TensorSpec {
-    inputs.logit_opacities.0.clone()
 }
 
 macro_rules! cpu_backend {
@@ -124,54 +110,22 @@ mod gpu {
     }
 }
 
-#[derive(Debug)]
-struct ScalesBackward;
-
-impl<B: ActivateBackend> Backward<B, 1> for ScalesBackward {
-    /// The output. It equals the derivative, and is zero where the input was unusable.
-    type State = FloatTensor<B>;
-
-    fn backward(self, ops: Ops<Self::State, 1>, grads: &mut Gradients, _: &mut Checkpointer) {
-        let grad = grads.consume::<B>(&ops.node);
-        if let [Some(parent)] = ops.parents {
-            grads.register::<B>(parent.id, B::float_mul(ops.state, grad));
-        }
-    }
-}
-
-#[derive(Debug)]
-struct OpacitiesBackward;
-
-impl<B: ActivateBackend> Backward<B, 1> for OpacitiesBackward {
-    /// The logits and the output.
-    type State = (FloatTensor<B>, FloatTensor<B>);
-
-    fn backward(self, ops: Ops<Self::State, 1>, grads: &mut Gradients, _: &mut Checkpointer) {
-        let grad = grads.consume::<B>(&ops.node);
-        if let [Some(parent)] = ops.parents {
-            let (logit_opacities, opacities) = ops.state;
-            let slopes = B::opacity_slopes(logit_opacities, opacities);
-            grads.register::<B>(parent.id, B::float_mul(slopes, grad));
-        }
-    }
-}
-
 impl<B: ActivateBackend, C: CheckpointStrategy> ActivateBackend for Autodiff<B, C> {
     fn scales(log_scales: FloatTensor<Self>) -> FloatTensor<Self> {
-        let node = log_scales.node();
-        let output = B::scales(log_scales.into_primitive());
-        match ScalesBackward.prepare::<C>([node]).compute_bound().stateful() {
-            OpsKind::Tracked(prep) => prep.finish(output.clone(), output),
-            OpsKind::UnTracked(prep) => prep.finish(output),
-        }
+        let output = B::scales(log_scales.primitive().clone());
+        // The output equals the derivative, and is zero where the input was unusable.
+        let slopes = output.clone();
+        tracked::<B, C, _, _>([&log_scales], output, move |grad, _| [Some(B::float_mul(slopes, grad)).into()])
     }
 
     fn opacities(inputs: RawTensors<Self>) -> FloatTensor<Self> {
         let inner = inputs.each_ref().map(InputTensor::inner);
         let logit_opacities = inner.logit_opacities.0.clone();
         let output = B::opacities(inner);
-        let state = (logit_opacities, output.clone());
-        tracked(OpacitiesBackward, [&inputs.logit_opacities], state, output)
+        let opacities = output.clone();
+        tracked::<B, C, _, _>([&inputs.logit_opacities.0], output, move |grad, _| {
+            [Some(B::float_mul(B::opacity_slopes(logit_opacities, opacities), grad)).into()]
+        })
     }
 
     fn opacity_slopes(logit_opacities: FloatTensor<Self>, opacities: FloatTensor<Self>) -> FloatTensor<Self> {

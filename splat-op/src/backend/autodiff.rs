@@ -1,5 +1,7 @@
 //! Backward nodes of the stages. Each stage is one node; a backward pass computes only the gradients of tracked inputs.
 
+use std::fmt::{self, Debug, Formatter};
+use std::marker::PhantomData;
 use std::ops::Range;
 use std::sync::PoisonError;
 
@@ -13,28 +15,74 @@ use burn::tensor::Shape;
 
 use super::stages::SplatBackend;
 use super::tensors::{
-    GeometryGrads, GeometryTensors, InputTensor, LayerGrads, LayerTensors, OptionalTensor, ShadingGrads, ShadingTensors,
+    GeometryGrads, GeometryTensors, InputTensor, LayerGrads, LayerTensors, OptionalTensor, RayLayerGrads,
+    RayLayerTensors, ShadingGrads, ShadingTensors,
 };
 use crate::intersect::IntersectionCell;
 use crate::project::{Geometry, ProjectSpec};
 use crate::rasterize::{Layers, PartsCell, RasterizeSpec, TraceCell};
+use crate::rasterize_rays::RayLayers;
 use crate::sh::Shading;
 
-/// Returns the output of a stage, with `kind` as its backward node if any input is tracked.
-pub(super) fn tracked<B: Backend, C: CheckpointStrategy, K: Backward<B, N>, const N: usize>(
+/// The backward pass of an operation whose gradient arrives through its output: a function from that gradient and a mask of the
+/// inputs that need one to their gradients.
+#[derive(Clone)]
+struct Pass<F>(F);
+
+impl<F> Debug for Pass<F> {
+    fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
+        f.write_str("Pass")
+    }
+}
+
+/// The backward node of a [`Pass`].
+struct Node<F>(PhantomData<fn() -> F>);
+
+impl<F> Debug for Node<F> {
+    fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
+        f.write_str("Node")
+    }
+}
+
+impl<B: Backend, F, const N: usize> Backward<B, N> for Node<F>
+where
+    F: FnOnce(FloatTensor<B>, [bool; N]) -> [OptionalTensor<B>; N] + Clone + Send + 'static,
+{
+    type State = Pass<F>;
+
+    fn backward(self, ops: Ops<Self::State, N>, grads: &mut Gradients, _: &mut Checkpointer) {
+        let grad = grads.consume::<B>(&ops.node);
+        differentiate::<B, _, _>(ops, grads, |Pass(pass), mask| pass(grad, mask));
+    }
+}
+
+/// Returns the output of an operation, with `pass` as its backward pass if any input is tracked.
+pub(super) fn tracked<B: Backend, C: CheckpointStrategy, F, const N: usize>(
+    inputs: [&FloatTensor<Autodiff<B, C>>; N],
+    output: FloatTensor<B>,
+    pass: F,
+) -> FloatTensor<Autodiff<B, C>>
+where
+    F: FnOnce(FloatTensor<B>, [bool; N]) -> [OptionalTensor<B>; N] + Clone + Send + 'static,
+{
+    tracked_by::<B, C, _, _>(Node::<F>(PhantomData), inputs, Pass(pass), output)
+}
+
+/// Returns the output of an operation, with `kind` as its backward node if any input is tracked.
+fn tracked_by<B: Backend, C: CheckpointStrategy, K: Backward<B, N>, const N: usize>(
     kind: K,
-    inputs: [&InputTensor<Autodiff<B, C>>; N],
+    inputs: [&FloatTensor<Autodiff<B, C>>; N],
     state: K::State,
     output: FloatTensor<B>,
 ) -> FloatTensor<Autodiff<B, C>> {
-    match kind.prepare::<C>(inputs.map(|input| input.0.node())).compute_bound().stateful() {
+    match kind.prepare::<C>(inputs.map(|input| input.node())).compute_bound().stateful() {
         OpsKind::Tracked(prep) => prep.finish(state, output),
         OpsKind::UnTracked(prep) => prep.finish(output),
     }
 }
 
 /// Runs a backward pass for the inputs that need a gradient, and registers the gradient of each.
-pub(super) fn differentiate<B: Backend, S, const N: usize>(
+fn differentiate<B: Backend, S, const N: usize>(
     ops: Ops<S, N>,
     grads: &mut Gradients,
     backward: impl FnOnce(S, [bool; N]) -> [OptionalTensor<B>; N],
@@ -47,55 +95,9 @@ pub(super) fn differentiate<B: Backend, S, const N: usize>(
     }
 }
 
-#[derive(Debug)]
-struct ProjectBackward;
-
-impl<B: SplatBackend> Backward<B, 6> for ProjectBackward {
-    type State = (GeometryTensors<B>, ProjectSpec);
-
-    fn backward(self, ops: Ops<Self::State, 6>, grads: &mut Gradients, _: &mut Checkpointer) {
-        let grad = grads.consume::<B>(&ops.node);
-        differentiate::<B, _, _>(ops, grads, |(inputs, spec), mask| {
-            B::project_backward(inputs, grad, spec, Geometry::from_array(mask)).into_array()
-        });
-    }
-}
-
-#[derive(Debug)]
-struct ShBackward;
-
-impl<B: SplatBackend> Backward<B, 3> for ShBackward {
-    type State = (ShadingTensors<B>, OptionalTensor<B>, ProjectSpec);
-
-    fn backward(self, ops: Ops<Self::State, 3>, grads: &mut Gradients, _: &mut Checkpointer) {
-        let grad = grads.consume::<B>(&ops.node);
-        differentiate::<B, _, _>(ops, grads, |(inputs, visible, spec), mask| {
-            B::sh_backward(inputs, visible, grad, spec, Shading::from_array(mask)).into_array()
-        });
-    }
-}
-
-/// Passes the gradient of a part to the node of its planes, outside the graph.
-#[derive(Debug)]
-struct PartBackward;
-
-impl<B: SplatBackend> Backward<B, 1> for PartBackward {
-    type State = (Range<usize>, PartsCell);
-
-    fn backward(self, ops: Ops<Self::State, 1>, grads: &mut Gradients, _: &mut Checkpointer) {
-        let grad = grads.consume::<B>(&ops.node);
-        let (range, parts) = ops.state;
-        parts.0.lock().unwrap_or_else(PoisonError::into_inner).push((range, Box::new(grad)));
-    }
-}
-
 /// Returns the gradient of the planes from the gradients of their parts. If only one part has a gradient and it covers the first
 /// `alone` planes, the result is that gradient; otherwise it has all planes, with zeros where no part has a gradient.
-pub(super) fn planes_grad<B: SplatBackend>(
-    parts: &PartsCell,
-    planes: &FloatTensor<B>,
-    alone: Option<usize>,
-) -> FloatTensor<B> {
+fn planes_grad<B: SplatBackend>(parts: &PartsCell, planes: &FloatTensor<B>, alone: Option<usize>) -> FloatTensor<B> {
     let mut found: Vec<(Range<usize>, FloatTensor<B>)> = Vec::new();
     for (range, grad) in parts.0.lock().unwrap_or_else(PoisonError::into_inner).drain(..) {
         let grad = grad.downcast::<FloatTensor<B>>().expect("parts are of the planes' backend");
@@ -145,11 +147,29 @@ impl<B: SplatBackend> Backward<B, 4> for RasterizeBackward {
     }
 }
 
+#[derive(Debug)]
+struct RasterizeRaysBackward;
+
+impl<B: SplatBackend> Backward<B, 5> for RasterizeRaysBackward {
+    type State = (RayLayerTensors<B>, FloatTensor<B>, RasterizeSpec, IntersectionCell, PartsCell);
+
+    fn backward(self, ops: Ops<Self::State, 5>, grads: &mut Gradients, _: &mut Checkpointer) {
+        differentiate::<B, _, _>(ops, grads, |(inputs, planes, spec, intersections, parts), mask| {
+            // The planes are used only through their parts, whose nodes run before this one.
+            let grad = planes_grad::<B>(&parts, &planes, None);
+            B::rasterize_rays_backward(inputs, planes, grad, spec, RayLayers::from_array(mask), intersections)
+                .into_array()
+        });
+    }
+}
+
 impl<B: SplatBackend, C: CheckpointStrategy> SplatBackend for Autodiff<B, C> {
     fn project(inputs: GeometryTensors<Self>, spec: ProjectSpec) -> FloatTensor<Self> {
         let inner = inputs.each_ref().map(InputTensor::inner);
         let output = B::project(inner.clone(), spec);
-        tracked(ProjectBackward, inputs.each_ref().into_array(), (inner, spec), output)
+        tracked::<B, C, _, _>(inputs.each_ref().map(|input| &input.0).into_array(), output, move |grad, mask| {
+            B::project_backward(inner, grad, spec, Geometry::from_array(mask)).into_array()
+        })
     }
 
     fn evaluate_sh(
@@ -160,7 +180,9 @@ impl<B: SplatBackend, C: CheckpointStrategy> SplatBackend for Autodiff<B, C> {
         // The set of visible Gaussians is piecewise constant, so `visible` has no gradient.
         let (inner, visible) = (inputs.each_ref().map(InputTensor::inner), visible.inner());
         let output = B::evaluate_sh(inner.clone(), visible.clone(), spec);
-        tracked(ShBackward, inputs.each_ref().into_array(), (inner, visible, spec), output)
+        tracked::<B, C, _, _>(inputs.each_ref().map(|input| &input.0).into_array(), output, move |grad, mask| {
+            B::sh_backward(inner, visible, grad, spec, Shading::from_array(mask)).into_array()
+        })
     }
 
     fn intersect(
@@ -197,12 +219,46 @@ impl<B: SplatBackend, C: CheckpointStrategy> SplatBackend for Autodiff<B, C> {
     }
 
     fn part(planes: FloatTensor<Self>, from: usize, to: usize, parts: PartsCell) -> FloatTensor<Self> {
-        let node = planes.node();
-        let output = B::part(planes.into_primitive(), from, to, parts.clone());
-        match PartBackward.prepare::<C>([node]).compute_bound().stateful() {
-            OpsKind::Tracked(prep) => prep.finish((from..to, parts), output),
-            OpsKind::UnTracked(prep) => prep.finish(output),
-        }
+        let output = B::part(planes.primitive().clone(), from, to, parts.clone());
+        // The gradient goes to the node of the planes outside the graph.
+        tracked::<B, C, _, _>([&planes], output, move |grad, _| {
+            parts.0.lock().unwrap_or_else(PoisonError::into_inner).push((from..to, Box::new(grad)));
+            [OptionalTensor::Absent]
+        })
+    }
+
+    fn depth_slope(inputs: GeometryTensors<Self>, spec: ProjectSpec) -> FloatTensor<Self> {
+        let inner = inputs.each_ref().map(InputTensor::inner);
+        let output = B::depth_slope(inner.clone(), spec);
+        let Geometry { means, rotations, scales, cam_from_world, .. } = inputs.each_ref().map(|input| &input.0);
+        let tracked_inputs = [means, rotations, scales, cam_from_world];
+        tracked::<B, C, _, _>(tracked_inputs, output, move |grad, [means, rotations, scales, cam_from_world]| {
+            let mask = Geometry { means, rotations, scales, cam_from_world, ..Geometry::default() };
+            let found = B::depth_slope_backward(inner, grad, spec, mask);
+            [found.means, found.rotations, found.scales, found.cam_from_world]
+        })
+    }
+
+    fn bounds(projected: FloatTensor<Self>, depth_slope: FloatTensor<Self>, spec: RasterizeSpec) -> FloatTensor<Self> {
+        FloatTensor::<Self>::new(B::bounds(projected.into_primitive(), depth_slope.into_primitive(), spec))
+    }
+
+    fn rasterize_rays(
+        inputs: RayLayerTensors<Self>,
+        intersection_counts: IntTensor<Self>,
+        spec: RasterizeSpec,
+        intersections: IntersectionCell,
+        parts: PartsCell,
+    ) -> FloatTensor<Self> {
+        let inner = inputs.each_ref().map(InputTensor::inner);
+        let output = B::rasterize_rays(inner.clone(), intersection_counts, spec, intersections.clone(), parts.clone());
+        let state = (inner, output.clone(), spec, intersections, parts);
+        tracked_by::<B, C, _, _>(
+            RasterizeRaysBackward,
+            inputs.each_ref().map(|input| &input.0).into_array(),
+            state,
+            output,
+        )
     }
 
     // Backward passes are not themselves differentiable: on this backend they take constants.
@@ -240,5 +296,28 @@ impl<B: SplatBackend, C: CheckpointStrategy> SplatBackend for Autodiff<B, C> {
         let inputs = inputs.each_ref().map(InputTensor::inner);
         let (planes, grad) = (planes.into_primitive(), grad.into_primitive());
         B::rasterize_backward(inputs, planes, grad, spec, mask, intersections, trace).map(OptionalTensor::constant)
+    }
+
+    fn depth_slope_backward(
+        inputs: GeometryTensors<Self>,
+        grad: FloatTensor<Self>,
+        spec: ProjectSpec,
+        mask: Geometry<bool>,
+    ) -> GeometryGrads<Self> {
+        let inputs = inputs.each_ref().map(InputTensor::inner);
+        B::depth_slope_backward(inputs, grad.into_primitive(), spec, mask).map(OptionalTensor::constant)
+    }
+
+    fn rasterize_rays_backward(
+        inputs: RayLayerTensors<Self>,
+        planes: FloatTensor<Self>,
+        grad: FloatTensor<Self>,
+        spec: RasterizeSpec,
+        mask: RayLayers<bool>,
+        intersections: IntersectionCell,
+    ) -> RayLayerGrads<Self> {
+        let inputs = inputs.each_ref().map(InputTensor::inner);
+        let (planes, grad) = (planes.into_primitive(), grad.into_primitive());
+        B::rasterize_rays_backward(inputs, planes, grad, spec, mask, intersections).map(OptionalTensor::constant)
     }
 }

@@ -10,14 +10,19 @@ use burn::tensor::{Shape, Slice, TensorData};
 use super::host::{Host, HostBackend, HostCoefficients, by_type};
 use super::stages::SplatBackend;
 use super::tensors::{
-    GeometryGrads, GeometryTensors, InputTensor, LayerGrads, LayerTensors, OptionalTensor, ShadingGrads, ShadingTensors,
+    GeometryGrads, GeometryTensors, InputTensor, LayerGrads, LayerTensors, OptionalTensor, RayLayerGrads,
+    RayLayerTensors, ShadingGrads, ShadingTensors,
 };
+use crate::depth_slope::cpu::{depth_slope_backward_cpu, depth_slope_cpu};
+use crate::depth_slope::{DEPTH_SLOPE, bounds_cpu};
 use crate::intersect::cpu::intersect_cpu;
 use crate::intersect::{Cut, IntersectionCell, IntersectionLists, StoredIntersections, tile_grid};
 use crate::project::cpu::{project_backward_cpu, project_cpu};
 use crate::project::{COLUMNS, Geometry, ProjectSpec};
 use crate::rasterize::cpu::{Trace, rasterize_backward_cpu, rasterize_cpu};
 use crate::rasterize::{Layers, PartsCell, RasterizeSpec, TraceCell};
+use crate::rasterize_rays::RayLayers;
+use crate::rasterize_rays::cpu::{rasterize_rays_backward_cpu, rasterize_rays_cpu};
 use crate::sh::Shading;
 use crate::sh::cpu::{ShCpuInputs, Visible, sh_backward_cpu, sh_cpu};
 use crate::simd::real::Real;
@@ -28,7 +33,7 @@ pub(super) fn host<B: HostBackend, F: Real>(input: &InputTensor<B>) -> Host<F> {
 }
 
 /// Returns the gradient of an input as a tensor of its shape and of the float type of the elements, if it was asked for.
-pub(super) fn gradient<B: HostBackend, F: Real>(
+fn gradient<B: HostBackend, F: Real>(
     ((elements, asked), input): ((Vec<F>, bool), &InputTensor<B>),
 ) -> OptionalTensor<B> {
     match asked {
@@ -78,10 +83,7 @@ fn intersection_lists<'a, F: Real>(
 }
 
 /// Returns the lists in the cell, filling it by `compute` if it is empty.
-pub(super) fn intersection_lists_by(
-    cell: &IntersectionCell,
-    compute: impl FnOnce() -> IntersectionLists,
-) -> &IntersectionLists {
+fn intersection_lists_by(cell: &IntersectionCell, compute: impl FnOnce() -> IntersectionLists) -> &IntersectionLists {
     match cell.0.get_or_init(|| StoredIntersections::Host(compute())) {
         StoredIntersections::Host(lists) => lists,
         #[cfg(feature = "cube")]
@@ -92,7 +94,7 @@ pub(super) fn intersection_lists_by(
 }
 
 /// Returns planes as a tensor. The number of feature channels is the length of `background`.
-pub(super) fn planes_tensor<B: HostBackend, F: Real>(
+fn planes_tensor<B: HostBackend, F: Real>(
     planes: Vec<F>,
     spec: &RasterizeSpec,
     background: &InputTensor<B>,
@@ -112,6 +114,21 @@ fn all_planes<B: Backend>(grad: FloatTensor<B>, spec: &RasterizeSpec, channels: 
             B::float_cat(vec![grad, zeros], 0)
         }
     }
+}
+
+/// Returns the lists of a render along rays, computing them if the cell is empty.
+fn ray_lists<'a, F: Real>(
+    intersections: &'a IntersectionCell,
+    inputs: RayLayers<&[F]>,
+    spec: &RasterizeSpec,
+) -> &'a IntersectionLists {
+    intersection_lists_by(intersections, || {
+        let rows = |packed: &[F]| intersect_cpu(packed, &spec.intrinsics, Cut::of(&spec.options));
+        match spec.options.extends_by_bounds() {
+            true => rows(&bounds_cpu(inputs.projected, inputs.depth_slope, spec)),
+            false => rows(inputs.projected),
+        }
+    })
 }
 
 macro_rules! cpu_backend {
@@ -217,6 +234,70 @@ macro_rules! cpu_backend {
                     let lists = intersection_lists(&intersections, slices.projected, &spec);
                     let kept = trace.0.get().and_then(|kept| kept.downcast_ref::<Trace<F>>());
                     let found = rasterize_backward_cpu(slices, &Self::host(grad), &spec, (lists, kept), mask);
+                    found.zip(mask).zip(inputs.each_ref()).map(gradient)
+                })
+            }
+
+            fn depth_slope(inputs: GeometryTensors<Self>, spec: ProjectSpec) -> FloatTensor<Self> {
+                by_type!(inputs.means.0, F => {
+                    let read = inputs.each_ref().map(host::<Self, F>);
+                    let depth_slopes = depth_slope_cpu(read.each_ref().map(|host| &host[..]), &spec);
+                    let count = depth_slopes.len() / DEPTH_SLOPE;
+                    Self::from_host(depth_slopes, &[count, DEPTH_SLOPE], &inputs.means.0)
+                })
+            }
+
+            fn depth_slope_backward(
+                inputs: GeometryTensors<Self>,
+                grad: FloatTensor<Self>,
+                spec: ProjectSpec,
+                mask: Geometry<bool>,
+            ) -> GeometryGrads<Self> {
+                by_type!(inputs.means.0, F => {
+                    let read = inputs.each_ref().map(host::<Self, F>);
+                    let slices = read.each_ref().map(|host| &host[..]);
+                    let found = depth_slope_backward_cpu(slices, &Self::host(grad), &spec, mask);
+                    found.zip(mask).zip(inputs.each_ref()).map(gradient)
+                })
+            }
+
+            fn bounds(projected: FloatTensor<Self>, depth_slope: FloatTensor<Self>, spec: RasterizeSpec) -> FloatTensor<Self> {
+                by_type!(projected, F => {
+                    let like = projected.clone();
+                    let rows = bounds_cpu::<F>(&Self::host(projected), &Self::host(depth_slope), &spec);
+                    let count = rows.len() / COLUMNS;
+                    Self::from_host(rows, &[count, COLUMNS], &like)
+                })
+            }
+
+            fn rasterize_rays(
+                inputs: RayLayerTensors<Self>,
+                _: IntTensor<Self>,
+                spec: RasterizeSpec,
+                intersections: IntersectionCell,
+                _: PartsCell,
+            ) -> FloatTensor<Self> {
+                by_type!(inputs.projected.0, F => {
+                    let read = inputs.each_ref().map(host::<Self, F>);
+                    let slices = read.each_ref().map(|host| &host[..]);
+                    let planes = rasterize_rays_cpu(slices, &spec, ray_lists(&intersections, slices, &spec));
+                    planes_tensor(planes, &spec, &inputs.background)
+                })
+            }
+
+            fn rasterize_rays_backward(
+                inputs: RayLayerTensors<Self>,
+                _: FloatTensor<Self>,
+                grad: FloatTensor<Self>,
+                spec: RasterizeSpec,
+                mask: RayLayers<bool>,
+                intersections: IntersectionCell,
+            ) -> RayLayerGrads<Self> {
+                by_type!(inputs.projected.0, F => {
+                    let read = inputs.each_ref().map(host::<Self, F>);
+                    let slices = read.each_ref().map(|host| &host[..]);
+                    let lists = ray_lists(&intersections, slices, &spec);
+                    let found = rasterize_rays_backward_cpu(slices, &Self::host(grad), &spec, lists, mask);
                     found.zip(mask).zip(inputs.each_ref()).map(gradient)
                 })
             }

@@ -10,8 +10,11 @@ use burn_cubecl::tensor::CubeTensor;
 
 use super::stages::SplatBackend;
 use super::tensors::{
-    GeometryGrads, GeometryTensors, InputTensor, LayerGrads, LayerTensors, OptionalTensor, ShadingGrads, ShadingTensors,
+    GeometryGrads, GeometryTensors, InputTensor, LayerGrads, LayerTensors, OptionalTensor, RayLayerGrads,
+    RayLayerTensors, ShadingGrads, ShadingTensors,
 };
+use crate::depth_slope::DEPTH_SLOPE;
+use crate::depth_slope::launch::{launch_bounds, launch_depth_slope, launch_depth_slope_backward};
 use crate::gpu::{Buffer, Gpu, launch_scale};
 use crate::intersect::launch::{DeviceIntersections, launch_intersect};
 use crate::intersect::{Cut, IntersectionCell, StoredIntersections, tile_grid};
@@ -19,6 +22,8 @@ use crate::project::launch::{launch_project, launch_project_backward};
 use crate::project::{COLUMNS, Geometry, ProjectSpec};
 use crate::rasterize::launch::{DeviceTrace, launch_rasterize, launch_rasterize_backward};
 use crate::rasterize::{Layers, PartsCell, RasterizeSpec, TraceCell};
+use crate::rasterize_rays::RayLayers;
+use crate::rasterize_rays::launch::{TABLE, launch_rasterize_rays, launch_rasterize_rays_backward};
 use crate::sh::Shading;
 use crate::sh::launch::{DeviceShCoefficients, ShDeviceInputs, launch_sh, launch_sh_backward};
 
@@ -71,9 +76,7 @@ pub(super) fn on_device(input: &InputTensor<CubeBackend>) -> Buffer<f32> {
 }
 
 /// Returns the gradient of an input as a tensor of its shape, if it was asked for.
-pub(super) fn gradient(
-    (found, input): (Option<Buffer<f32>>, &InputTensor<CubeBackend>),
-) -> OptionalTensor<CubeBackend> {
+fn gradient((found, input): (Option<Buffer<f32>>, &InputTensor<CubeBackend>)) -> OptionalTensor<CubeBackend> {
     found.map(|found| tensor(found, input.0.shape(), DType::F32, &input.0)).into()
 }
 
@@ -96,7 +99,7 @@ fn lists<'a>(
 }
 
 /// Returns the lists in the cell, filling it by `compute` if it is empty.
-pub(super) fn lists_by(cell: &IntersectionCell, compute: impl FnOnce() -> DeviceIntersections) -> &DeviceIntersections {
+fn lists_by(cell: &IntersectionCell, compute: impl FnOnce() -> DeviceIntersections) -> &DeviceIntersections {
     match cell.0.get_or_init(|| StoredIntersections::Device(Box::new(compute()))) {
         StoredIntersections::Device(lists) => lists,
         StoredIntersections::Host(_) => {
@@ -106,13 +109,25 @@ pub(super) fn lists_by(cell: &IntersectionCell, compute: impl FnOnce() -> Device
 }
 
 /// Returns planes as a tensor.
-pub(super) fn planes_tensor(
-    planes: Buffer<f32>,
-    spec: &RasterizeSpec,
-    background: &InputTensor<CubeBackend>,
-) -> CubeTensor {
+fn planes_tensor(planes: Buffer<f32>, spec: &RasterizeSpec, background: &InputTensor<CubeBackend>) -> CubeTensor {
     let shape = [spec.planes(background.0.shape()[0]), spec.intrinsics.height, spec.intrinsics.width];
     tensor(planes, shape, DType::F32, &background.0)
+}
+
+/// Returns the lists of a render along rays, computing them if the cell is empty.
+fn ray_lists<'a>(
+    gpu: &Gpu,
+    cell: &'a IntersectionCell,
+    inputs: &RayLayers<Buffer<f32>>,
+    spec: &RasterizeSpec,
+) -> &'a DeviceIntersections {
+    lists_by(cell, || {
+        let rows = |packed: &Buffer<f32>| launch_intersect(gpu, packed, &spec.intrinsics, Cut::of(&spec.options));
+        match spec.options.extends_by_bounds() {
+            true => rows(&launch_bounds(gpu, &inputs.projected, &inputs.depth_slope, spec)),
+            false => rows(&inputs.projected),
+        }
+    })
 }
 
 impl SplatBackend for CubeBackend {
@@ -220,6 +235,57 @@ impl SplatBackend for CubeBackend {
             launch_rasterize(&gpu, &on_device, lists, &spec, true).1.expect("a trace was asked for")
         });
         let found = launch_rasterize_backward(&gpu, &on_device, &buffer(grad), lists, &kept, &spec, mask);
+        found.zip(inputs.each_ref()).map(gradient)
+    }
+
+    fn depth_slope(inputs: GeometryTensors<Self>, spec: ProjectSpec) -> FloatTensor<Self> {
+        let like = &inputs.means.0;
+        let depth_slopes = launch_depth_slope(&Gpu::new(&like.client), &inputs.each_ref().map(on_device), &spec);
+        tensor(depth_slopes, [like.shape()[0], DEPTH_SLOPE], DType::F32, like)
+    }
+
+    fn depth_slope_backward(
+        inputs: GeometryTensors<Self>,
+        grad: FloatTensor<Self>,
+        spec: ProjectSpec,
+        mask: Geometry<bool>,
+    ) -> GeometryGrads<Self> {
+        let gpu = Gpu::new(&grad.client);
+        let found = launch_depth_slope_backward(&gpu, &inputs.each_ref().map(on_device), &buffer(grad), &spec, mask);
+        found.zip(inputs.each_ref()).map(gradient)
+    }
+
+    fn bounds(projected: FloatTensor<Self>, depth_slope: FloatTensor<Self>, spec: RasterizeSpec) -> FloatTensor<Self> {
+        let gpu = Gpu::new(&projected.client);
+        let rows = launch_bounds(&gpu, &buffer(projected.clone()), &buffer(depth_slope), &spec);
+        tensor(rows, projected.shape(), DType::F32, &projected)
+    }
+
+    fn rasterize_rays(
+        inputs: RayLayerTensors<Self>,
+        _: IntTensor<Self>,
+        spec: RasterizeSpec,
+        intersections: IntersectionCell,
+        _: PartsCell,
+    ) -> FloatTensor<Self> {
+        let gpu = Gpu::new(&inputs.projected.0.client);
+        let on_device = inputs.each_ref().map(on_device);
+        let planes = launch_rasterize_rays(&gpu, &on_device, ray_lists(&gpu, &intersections, &on_device, &spec), &spec);
+        planes_tensor(planes, &spec, &inputs.background)
+    }
+
+    fn rasterize_rays_backward(
+        inputs: RayLayerTensors<Self>,
+        _: FloatTensor<Self>,
+        grad: FloatTensor<Self>,
+        spec: RasterizeSpec,
+        mask: RayLayers<bool>,
+        intersections: IntersectionCell,
+    ) -> RayLayerGrads<Self> {
+        let gpu = Gpu::new(&grad.client);
+        let on_device = inputs.each_ref().map(on_device);
+        let lists = ray_lists(&gpu, &intersections, &on_device, &spec);
+        let found = launch_rasterize_rays_backward(&gpu, &on_device, &buffer(grad), (lists, TABLE), &spec, mask);
         found.zip(inputs.each_ref()).map(gradient)
     }
 }

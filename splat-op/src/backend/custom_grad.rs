@@ -2,13 +2,12 @@
 
 #![allow(deprecated, reason = "burn-ndarray is deprecated in favour of burn-flex; this project supports both")]
 
-use burn::backend::autodiff::checkpoint::base::Checkpointer;
 use burn::backend::autodiff::checkpoint::strategy::CheckpointStrategy;
-use burn::backend::autodiff::grads::Gradients;
-use burn::backend::autodiff::ops::{Backward, Ops, OpsKind};
 use burn::backend::tensor::FloatTensor;
 use burn::backend::{Autodiff, Backend, Dispatch, TensorMetadata, backend_extension};
 use burn::tensor::{Shape, Tensor};
+
+use super::autodiff::tracked;
 
 /// Attaches a known derivative to a value.
 #[backend_extension(Cube: cfg(feature = "cube"), Flex, NdArray, Autodiff, Fusion: cfg(feature = "fusion"))]
@@ -54,20 +53,6 @@ without_autodiff!(burn::backend::NdArray, scaled_in_tensors::<Self>);
 #[cfg(feature = "cube")]
 without_autodiff!(burn_cubecl::CubeBackend, super::cube::scaled);
 
-#[derive(Debug)]
-struct CustomGradBackward;
-
-impl<B: CustomGradBackend> Backward<B, 1> for CustomGradBackward {
-    type State = FloatTensor<B>;
-
-    fn backward(self, ops: Ops<Self::State, 1>, grads: &mut Gradients, _: &mut Checkpointer) {
-        let grad = grads.consume::<B>(&ops.node);
-        if let [Some(parent)] = ops.parents {
-            grads.register::<B>(parent.id, B::scaled(ops.state, grad));
-        }
-    }
-}
-
 impl<B: CustomGradBackend, C: CheckpointStrategy> CustomGradBackend for Autodiff<B, C> {
     fn with_gradient(
         variable: FloatTensor<Self>,
@@ -75,10 +60,7 @@ impl<B: CustomGradBackend, C: CheckpointStrategy> CustomGradBackend for Autodiff
         gradient: FloatTensor<Self>,
     ) -> FloatTensor<Self> {
         let (value, gradient) = (value.into_primitive(), gradient.into_primitive());
-        match CustomGradBackward.prepare::<C>([variable.node()]).compute_bound().stateful() {
-            OpsKind::Tracked(prep) => prep.finish(gradient, value),
-            OpsKind::UnTracked(prep) => prep.finish(value),
-        }
+        tracked::<B, C, _, _>([&variable], value, move |grad, _| [Some(B::scaled(gradient, grad)).into()])
     }
 
     fn scaled(values: FloatTensor<Self>, factor: FloatTensor<Self>) -> FloatTensor<Self> {

@@ -19,10 +19,6 @@ pub(crate) mod custom_grad;
 mod fusion;
 mod host;
 pub(crate) mod loss;
-pub(crate) mod rasterize_rays;
-mod rasterize_rays_autodiff;
-#[cfg(feature = "cube")]
-mod rasterize_rays_cube;
 pub(crate) mod stages;
 pub(crate) mod tensors;
 
@@ -31,7 +27,6 @@ pub use activate::ActivateBackend;
 pub use adam::{AdamBackend, AdamInputs, AdamState, Held};
 pub use custom_grad::CustomGradBackend;
 pub use loss::{Photometric, PhotometricBackend};
-pub use rasterize_rays::RasterizeRaysBackend;
 pub use stages::SplatBackend;
 pub use tensors::{
     ComparedTensors, GeometryGrads, GeometryTensors, InputTensor, LayerGrads, LayerTensors, OptionalTensor, RawTensors,

@@ -8,25 +8,31 @@ use burn::backend::{Backend, backend_extension};
 #[cfg(feature = "fusion")]
 use super::fusion;
 use super::tensors::{
-    GeometryGrads, GeometryTensors, LayerGrads, LayerTensors, OptionalTensor, ShadingGrads, ShadingTensors,
+    GeometryGrads, GeometryTensors, LayerGrads, LayerTensors, OptionalTensor, RayLayerGrads, RayLayerTensors,
+    ShadingGrads, ShadingTensors,
 };
+#[cfg(feature = "fusion")]
+use crate::depth_slope::DEPTH_SLOPE;
 use crate::intersect::IntersectionCell;
+#[cfg(feature = "fusion")]
+use crate::project::COLUMNS;
 use crate::project::{Geometry, ProjectSpec};
 use crate::rasterize::{Layers, PartsCell, RasterizeSpec, TraceCell};
+use crate::rasterize_rays::RayLayers;
 use crate::sh::Shading;
 
-/// Gaussian splatting on a Burn backend: four stages, and the backward passes of the three differentiable ones.
+/// Gaussian splatting on a Burn backend: the stages, and the backward passes of the differentiable ones.
 ///
-/// With Burn's fusion, an operation on the GPU is registered first and runs later, on the device's own thread; the functions named
-/// in `#[fusion]` return the shape and type of its output.
+/// With Burn's fusion, an operation on the GPU is registered first and runs later, on the device's own thread; `#[fusion]`
+/// states the shape and type of its output.
 #[backend_extension(Cube: cfg(feature = "cube"), Flex, NdArray, Autodiff, Fusion: cfg(feature = "fusion"))]
 pub trait SplatBackend: Backend {
     /// Projects Gaussians; see `project/`. Returns `[N, 7]`.
-    #[fusion(meta = fusion::project)]
+    #[fusion(meta = |inputs, _| fusion::float([inputs.opacities.0.shape[0], COLUMNS], &inputs.means.0))]
     fn project(#[extension_type] inputs: GeometryTensors<Self>, spec: ProjectSpec) -> FloatTensor<Self>;
 
     /// Returns the gradients of `project` that `mask` selects, from the gradient of its output.
-    #[fusion(meta = fusion::project_backward)]
+    #[fusion(meta = |inputs, _, _, mask| inputs.each_ref().zip(*mask).map(fusion::grad(&inputs.means.0)))]
     fn project_backward(
         #[extension_type] inputs: GeometryTensors<Self>,
         grad: FloatTensor<Self>,
@@ -36,7 +42,7 @@ pub trait SplatBackend: Backend {
 
     /// Evaluates colours; see `sh/`. Returns `[N, 3]`. With `visible`, the output of `project`, only Gaussians that are visible
     /// in the picture of `spec` get colours.
-    #[fusion(meta = fusion::evaluate_sh)]
+    #[fusion(meta = |inputs, _, _| inputs.means.0.clone())]
     fn evaluate_sh(
         #[extension_type] inputs: ShadingTensors<Self>,
         #[extension_type] visible: OptionalTensor<Self>,
@@ -44,7 +50,7 @@ pub trait SplatBackend: Backend {
     ) -> FloatTensor<Self>;
 
     /// Returns the gradients of `evaluate_sh` that `mask` selects, from the gradient of its output.
-    #[fusion(meta = fusion::sh_backward)]
+    #[fusion(meta = |inputs, _, _, _, mask| inputs.each_ref().zip(*mask).map(fusion::grad(&inputs.means.0)))]
     fn sh_backward(
         #[extension_type] inputs: ShadingTensors<Self>,
         #[extension_type] visible: OptionalTensor<Self>,
@@ -55,14 +61,14 @@ pub trait SplatBackend: Backend {
 
     /// Fills `intersections` and returns the number of intersections per tile, `[tiles along y, tiles along x]`; see
     /// `intersect/`.
-    #[fusion(meta = fusion::intersect)]
+    #[fusion(meta = |_, spec, _| fusion::tile_counts(spec))]
     fn intersect(projected: FloatTensor<Self>, spec: RasterizeSpec, intersections: IntersectionCell)
     -> IntTensor<Self>;
 
     /// Rasterizes; see `rasterize/`. Returns planes `[C + 1 (+ 1), H, W]`, and fills `trace` if there is one.
     /// `intersection_counts` is the output of `intersect` and makes this operation run after it. Gradients pass through
     /// [`Self::part`] only.
-    #[fusion(meta = fusion::rasterize)]
+    #[fusion(meta = |inputs, _, spec, _, _, _| fusion::planes(&inputs.background, spec))]
     fn rasterize(
         #[extension_type] inputs: LayerTensors<Self>,
         intersection_counts: IntTensor<Self>,
@@ -74,13 +80,13 @@ pub trait SplatBackend: Backend {
 
     /// Returns the planes `from..to` of an output of `rasterize`, which was given the same `parts`. The first planes are a view
     /// where the backend supports views. Differentiable; the gradient is not copied if only this part has one.
-    #[fusion(meta = fusion::part)]
+    #[fusion(meta = |planes, from, to, _| fusion::float([to - from, planes.shape[1], planes.shape[2]], planes))]
     fn part(planes: FloatTensor<Self>, from: usize, to: usize, parts: PartsCell) -> FloatTensor<Self>;
 
     /// Returns the gradients of `rasterize` that `mask` selects, from the gradient of its output or, where depth is not rendered
     /// and alpha has no gradient, of its first `C` planes. `planes` is the output of `rasterize`; it makes this operation run
     /// after that one and is not read.
-    #[fusion(meta = fusion::rasterize_backward)]
+    #[fusion(meta = |inputs, _, _, _, mask, _, _| inputs.each_ref().zip(*mask).map(fusion::grad(&inputs.projected.0)))]
     fn rasterize_backward(
         #[extension_type] inputs: LayerTensors<Self>,
         planes: FloatTensor<Self>,
@@ -90,4 +96,46 @@ pub trait SplatBackend: Backend {
         intersections: IntersectionCell,
         trace: TraceCell,
     ) -> LayerGrads<Self>;
+
+    /// Ray-space depth slopes; see `depth_slope/`. Returns `[N, 3]`.
+    #[fusion(meta = |inputs, _| fusion::float([inputs.opacities.0.shape[0], DEPTH_SLOPE], &inputs.means.0))]
+    fn depth_slope(#[extension_type] inputs: GeometryTensors<Self>, spec: ProjectSpec) -> FloatTensor<Self>;
+
+    /// Returns the gradients of `depth_slope` that `mask` selects, from the gradient of its output. Opacities and projected
+    /// centres have no gradient.
+    #[fusion(meta = |inputs, _, _, mask| inputs.each_ref().zip(*mask).map(fusion::grad(&inputs.means.0)))]
+    fn depth_slope_backward(
+        #[extension_type] inputs: GeometryTensors<Self>,
+        grad: FloatTensor<Self>,
+        spec: ProjectSpec,
+        mask: Geometry<bool>,
+    ) -> GeometryGrads<Self>;
+
+    /// Returns bounds as rows `[N, 7]` for `intersect`, from packed ellipses `[N, 7]` and depth slopes `[N, 3]`; see
+    /// `depth_slope/`. Not differentiable.
+    #[fusion(dtype = projected, shape = projected)]
+    fn bounds(projected: FloatTensor<Self>, depth_slope: FloatTensor<Self>, spec: RasterizeSpec) -> FloatTensor<Self>;
+
+    /// Rasterizes along rays; see `rasterize_rays/`. Returns planes; they, `intersection_counts` and `parts` are as in
+    /// `rasterize`.
+    #[fusion(meta = |inputs, _, spec, _, _| fusion::planes(&inputs.background, spec))]
+    fn rasterize_rays(
+        #[extension_type] inputs: RayLayerTensors<Self>,
+        intersection_counts: IntTensor<Self>,
+        spec: RasterizeSpec,
+        intersections: IntersectionCell,
+        parts: PartsCell,
+    ) -> FloatTensor<Self>;
+
+    /// Returns the gradients of `rasterize_rays` that `mask` selects, from the gradient of all its planes. `planes` is the output
+    /// of `rasterize_rays`; it makes this operation run after that one and is not read.
+    #[fusion(meta = |inputs, _, _, _, mask, _| inputs.each_ref().zip(*mask).map(fusion::grad(&inputs.projected.0)))]
+    fn rasterize_rays_backward(
+        #[extension_type] inputs: RayLayerTensors<Self>,
+        planes: FloatTensor<Self>,
+        grad: FloatTensor<Self>,
+        spec: RasterizeSpec,
+        mask: RayLayers<bool>,
+        intersections: IntersectionCell,
+    ) -> RayLayerGrads<Self>;
 }

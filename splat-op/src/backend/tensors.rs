@@ -132,7 +132,7 @@ crosses!(Geometry, Shading, Layers, RayLayers, Raw, Compared);
 
 #[cfg(feature = "fusion")]
 mod fused {
-    use burn::backend::fusion::custom::{FusionValueAdapter, HandleContainer, TensorId, TensorIr};
+    use burn::backend::fusion::custom::{ExtensionMetadata, FusionValueAdapter, HandleContainer, TensorId, TensorIr};
     use burn::backend::fusion::{ExecutionError, FusionBackend, FusionRuntime, FusionTensor};
 
     use super::*;
@@ -142,6 +142,12 @@ mod fused {
     /// Implements the same for operations that Burn's fusion runs later.
     macro_rules! crosses_later {
         ($($record:ident),*) => {$(
+            impl<T: ExtensionMetadata> ExtensionMetadata for $record<T> {
+                type Metadata = $record<T::Metadata>;
+                type Input = $record<T::Input>;
+                type Output = $record<T::Output>;
+            }
+
             impl<B: FusionBackend, T: FusionValueAdapter<B>> FusionValueAdapter<B> for $record<T> {
                 type Metadata = $record<T::Metadata>;
                 type Input = $record<T::Input>;

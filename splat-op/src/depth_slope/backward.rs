@@ -9,9 +9,8 @@ use cubecl::prelude::*;
 
 use super::DEPTH_SLOPE;
 use super::forward::{DepthSlopeTerms, lean};
-use crate::gpu::UNITS;
-use crate::gpu::math::{POSE, Pose, Vec3};
-use crate::project::backward::{GeometryGradMask, no_gradient, seen_backward, store_sum};
+use crate::gpu::math::{Pose, Vec3};
+use crate::project::backward::{GeometryGradMask, no_gradient, seen_backward, store_pose};
 use crate::project::forward::{Gaussian, PackedEllipse, ProjectCamera, ProjectionTerms, project_one};
 
 /// Gradients of `m0`, `m1` and `mz`.
@@ -142,24 +141,6 @@ pub(super) fn depth_slope_backward_kernel(
     }
     #[comptime]
     if let ComptimeOption::Some(rows) = pose_rows {
-        let mut shared = Shared::<[f32]>::new_slice(comptime!(UNITS));
-        // A dispatch may hold more cubes than there are rows.
-        if CUBE_POS * comptime!(UNITS) < count as usize {
-            let (m, t) = (of.pose.matrix, of.pose.translation);
-            store_sum(m.x.x, rows, 0, &mut shared, planes);
-            store_sum(m.x.y, rows, 1, &mut shared, planes);
-            store_sum(m.x.z, rows, 2, &mut shared, planes);
-            store_sum(t.x, rows, 3, &mut shared, planes);
-            store_sum(m.y.x, rows, 4, &mut shared, planes);
-            store_sum(m.y.y, rows, 5, &mut shared, planes);
-            store_sum(m.y.z, rows, 6, &mut shared, planes);
-            store_sum(t.y, rows, 7, &mut shared, planes);
-            store_sum(m.z.x, rows, 8, &mut shared, planes);
-            store_sum(m.z.y, rows, 9, &mut shared, planes);
-            store_sum(m.z.z, rows, 10, &mut shared, planes);
-            store_sum(t.z, rows, 11, &mut shared, planes);
-        }
+        store_pose(&of.pose, rows, count, planes);
     }
 }
-
-const _: () = assert!(POSE == 12, "the columns of the pose's rows");

@@ -3,39 +3,16 @@
 use rayon::prelude::*;
 
 use super::{DEPTH_SLOPE, THICKNESS_MAX};
-use crate::linalg::{Mat3, add, cross, dot, hadamard, matmul, matvec, norm, scale, sub, transpose, transposed_matvec};
+use crate::linalg::{
+    Mat3, add, cross, dot, hadamard, matmul, matvec, norm, rotation_of, scale, sub, transpose, transposed_matvec,
+};
+use crate::project::cpu::zero_grads;
+use crate::project::simd::ProjectCameraSimd;
 use crate::project::{Geometry, ProjectSpec};
 use crate::simd::real::Real;
 
 /// Number of Gaussians per task. The pose's gradient adds one partial sum per chunk, in order.
 const CHUNK: usize = 1024;
-
-/// Camera and render options, in the form that the stage uses.
-struct DepthSlopeCamera<F> {
-    rotation: Mat3<F>,
-    translation: [F; 3],
-    focal: [F; 2],
-    low: [F; 2],
-    high: [F; 2],
-    blur_sigma: F,
-    near: F,
-}
-
-impl<F: Real> DepthSlopeCamera<F> {
-    fn new(p: &[F], spec: &ProjectSpec) -> Self {
-        let camera = &spec.intrinsics;
-        let limits = camera.slope_limits(spec.options.jacobian_margin);
-        Self {
-            rotation: [[p[0], p[1], p[2]], [p[4], p[5], p[6]], [p[8], p[9], p[10]]],
-            translation: [p[3], p[7], p[11]],
-            focal: [F::of(camera.fx), F::of(camera.fy)],
-            low: limits.map(|[low, _]| F::of(low)),
-            high: limits.map(|[_, high]| F::of(high)),
-            blur_sigma: F::of(spec.options.blur).sqrt(),
-            near: F::of(spec.options.near),
-        }
-    }
-}
 
 /// Intermediate results of the forward pass, with the names of the module's documentation.
 struct DepthSlopeTermsCpu<F> {
@@ -66,7 +43,7 @@ struct DepthSlopeTermsCpu<F> {
 
 impl<F: Real> DepthSlopeTermsCpu<F> {
     /// Returns `None` for a Gaussian without a depth slope.
-    fn new(lens: &DepthSlopeCamera<F>, inputs: &Geometry<&[F]>, i: usize) -> Option<Self> {
+    fn new(lens: &ProjectCameraSimd<F>, inputs: &Geometry<&[F]>, i: usize) -> Option<Self> {
         let three = |values: &[F]| [values[3 * i], values[3 * i + 1], values[3 * i + 2]];
         let (mean, scales) = (three(inputs.means), three(inputs.scales));
         let rotation: [F; 4] = std::array::from_fn(|k| inputs.rotations[4 * i + k]);
@@ -79,7 +56,7 @@ impl<F: Real> DepthSlopeTermsCpu<F> {
         let unit = rotation.map(|c| c / largest);
         let length = unit.iter().map(|c| *c * *c).sum::<F>().sqrt();
         let quaternion = unit.map(|c| c / length);
-        let world_from_gaussian = rotation_of(quaternion);
+        let world_from_gaussian = rotation_of(F::ONE, quaternion);
         let cam_from_gaussian = matmul(&lens.rotation, &world_from_gaussian);
         let last = cam_from_gaussian[2];
 
@@ -167,7 +144,7 @@ impl<F: Real> DepthSlopeTermsCpu<F> {
 
 /// Returns the depth slopes and thicknesses, `[N, 3]`.
 pub(crate) fn depth_slope_cpu<F: Real>(inputs: Geometry<&[F]>, spec: &ProjectSpec) -> Vec<F> {
-    let lens = DepthSlopeCamera::new(inputs.cam_from_world, spec);
+    let lens = ProjectCameraSimd::new(inputs.cam_from_world, spec);
     let mut depth_slopes = vec![F::ZERO; inputs.opacities.len() * DEPTH_SLOPE];
     depth_slopes.par_chunks_mut(DEPTH_SLOPE).with_min_len(CHUNK).enumerate().for_each(|(i, row)| {
         if let Some(leaning) = DepthSlopeTermsCpu::new(&lens, &inputs, i) {
@@ -187,7 +164,7 @@ struct DepthSlopeGaussianGrads<F> {
 }
 
 fn backward_one<F: Real>(
-    lens: &DepthSlopeCamera<F>,
+    lens: &ProjectCameraSimd<F>,
     inputs: &Geometry<&[F]>,
     i: usize,
     grad: [F; DEPTH_SLOPE],
@@ -239,17 +216,8 @@ pub(crate) fn depth_slope_backward_cpu<F: Real>(
     spec: &ProjectSpec,
     needs: Geometry<bool>,
 ) -> Geometry<Vec<F>> {
-    let lens = DepthSlopeCamera::new(inputs.cam_from_world, spec);
-    let count = inputs.opacities.len();
-    let rows = |needed: bool, columns: usize| vec![F::ZERO; if needed { count * columns } else { 0 }];
-    let mut grads = Geometry {
-        means: rows(needs.means, 3),
-        rotations: rows(needs.rotations, 4),
-        scales: rows(needs.scales, 3),
-        opacities: rows(needs.opacities, 1),
-        cam_from_world: rows(needs.cam_from_world, 0),
-        mean2d: rows(needs.mean2d, 2),
-    };
+    let lens = ProjectCameraSimd::new(inputs.cam_from_world, spec);
+    let mut grads = zero_grads(inputs.opacities.len(), needs);
     let found: Vec<Option<DepthSlopeGaussianGrads<F>>> = grad
         .par_chunks(DEPTH_SLOPE)
         .with_min_len(CHUNK)
@@ -277,16 +245,6 @@ pub(crate) fn depth_slope_backward_cpu<F: Real>(
         grads.cam_from_world = pose.to_vec();
     }
     grads
-}
-
-/// Returns the rotation matrix of a unit quaternion wxyz.
-fn rotation_of<F: Real>([w, x, y, z]: [F; 4]) -> Mat3<F> {
-    let twice = |value: F| value + value;
-    [
-        [F::ONE - twice(y * y + z * z), twice(x * y - w * z), twice(x * z + w * y)],
-        [twice(x * y + w * z), F::ONE - twice(x * x + z * z), twice(y * z - w * x)],
-        [twice(x * z - w * y), twice(y * z + w * x), F::ONE - twice(x * x + y * y)],
-    ]
 }
 
 /// Returns the gradient of a quaternion of any length from the gradient of the matrix of its unit quaternion. The result is

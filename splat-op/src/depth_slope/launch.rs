@@ -3,10 +3,8 @@
 use super::DEPTH_SLOPE;
 use super::backward::depth_slope_backward_kernel;
 use super::forward::{bounds_kernel, depth_slope_forward_kernel};
-use crate::gpu::math::POSE;
-use crate::gpu::reduce::launch_column_sums;
-use crate::gpu::{Buffer, Gpu, UNITS, elementwise};
-use crate::project::launch::lens;
+use crate::gpu::{Buffer, Gpu, elementwise};
+use crate::project::launch::{geometry_grads, lens};
 use crate::project::{COLUMNS, Geometry, ProjectSpec};
 use crate::rasterize::RasterizeSpec;
 
@@ -68,8 +66,7 @@ pub(crate) fn launch_bounds(
     bounds
 }
 
-/// Returns the gradients of the inputs from `grad`, `[N, 3]`. Opacities and projected centres have no gradient. The gradient
-/// of the pose is summed in a fixed order.
+/// Returns the gradients of the inputs from `grad`, `[N, 3]`. Opacities and projected centres have no gradient.
 pub(crate) fn launch_depth_slope_backward(
     gpu: &Gpu,
     inputs: &Geometry<Buffer<f32>>,
@@ -78,46 +75,29 @@ pub(crate) fn launch_depth_slope_backward(
     needs: Geometry<bool>,
 ) -> Geometry<Option<Buffer<f32>>> {
     let count = inputs.opacities.len;
-    let rows = |needed, columns| Buffer::if_needed(gpu, needed, count * columns);
-    let mut grads = Geometry {
-        means: rows(needs.means, 3),
-        rotations: rows(needs.rotations, 4),
-        scales: rows(needs.scales, 3),
-        opacities: None,
-        cam_from_world: None,
-        mean2d: None,
-    };
-    if count == 0 {
-        grads.cam_from_world = needs.cam_from_world.then(|| Buffer::from_slice(gpu, &[0.0; POSE]));
-        return grads;
-    }
-    if !(needs.means || needs.rotations || needs.scales || needs.cam_from_world) {
-        return grads;
-    }
-    let pose_rows = Buffer::if_needed(gpu, needs.cam_from_world, count.div_ceil(UNITS) * POSE);
-    let output = |buffer: &Option<Buffer<f32>>| buffer.as_ref().map(Buffer::arg).into();
-    let (grid, dim) = elementwise(count);
-    // SAFETY: every access is guarded by the number of Gaussians.
-    unsafe {
-        depth_slope_backward_kernel::launch_unchecked(
-            &gpu.client,
-            grid,
-            dim,
-            inputs.means.arg(),
-            inputs.rotations.arg(),
-            inputs.scales.arg(),
-            inputs.opacities.arg(),
-            inputs.cam_from_world.arg(),
-            grad.arg(),
-            output(&grads.means),
-            output(&grads.rotations),
-            output(&grads.scales),
-            output(&pose_rows),
-            lens(spec),
-            count as u32,
-            gpu.planes,
-        );
-    }
-    grads.cam_from_world = pose_rows.map(|rows| launch_column_sums(gpu, &rows, POSE));
-    grads
+    geometry_grads(gpu, count, Geometry { opacities: false, mean2d: false, ..needs }, |grads| {
+        let output = |buffer: &Option<Buffer<f32>>| buffer.as_ref().map(Buffer::arg).into();
+        let (grid, dim) = elementwise(count);
+        // SAFETY: every access is guarded by the number of Gaussians.
+        unsafe {
+            depth_slope_backward_kernel::launch_unchecked(
+                &gpu.client,
+                grid,
+                dim,
+                inputs.means.arg(),
+                inputs.rotations.arg(),
+                inputs.scales.arg(),
+                inputs.opacities.arg(),
+                inputs.cam_from_world.arg(),
+                grad.arg(),
+                output(&grads.means),
+                output(&grads.rotations),
+                output(&grads.scales),
+                output(&grads.cam_from_world),
+                lens(spec),
+                count as u32,
+                gpu.planes,
+            );
+        }
+    })
 }

@@ -14,6 +14,7 @@ use cubecl::prelude::*;
 
 use super::forward::{CameraAxis, Gaussian, JacobianRow, PackedEllipse, ProjectCamera, ProjectionTerms, project_one};
 use super::lens_backward::bent_backward;
+use super::lens_forward::SeenGrad;
 use crate::gpu::UNITS;
 use crate::gpu::math::{Mat3, POSE, Pose, Quaternion, Vec3};
 use crate::gpu::reduce::cube_sum;
@@ -52,14 +53,6 @@ fn factor_backward(f: &ProjectionTerms, lens: &ProjectCamera, opacity: f32, grad
     let grad_m0 = grad_n.times(inverse_u).plus(f.n.times(grad_sigma_u));
     let grad_m1 = grad_p.cross(f.n).plus(grad_along.times(inverse_u));
     (grad_m0, grad_m1)
-}
-
-/// Gradients of `W R` and of the centre in the camera's frame.
-#[derive(CubeType, Clone, Copy)]
-#[expand(derive(Clone, Copy))]
-pub(crate) struct SeenGrad {
-    pub turned: Mat3,
-    pub centre: Vec3,
 }
 
 /// Gradients of the inputs of one axis of the picture.
@@ -249,37 +242,39 @@ pub(super) fn project_backward_kernel(
     }
     #[comptime]
     if let ComptimeOption::Some(rows) = pose_rows {
-        let mut shared = Shared::<[f32]>::new_slice(comptime!(UNITS));
-        // A dispatch may hold more cubes than there are rows.
-        if CUBE_POS * comptime!(UNITS) < count as usize {
-            let (m, t) = (of.pose.matrix, of.pose.translation);
-            store_sum(m.x.x, rows, 0, &mut shared, planes);
-            store_sum(m.x.y, rows, 1, &mut shared, planes);
-            store_sum(m.x.z, rows, 2, &mut shared, planes);
-            store_sum(t.x, rows, 3, &mut shared, planes);
-            store_sum(m.y.x, rows, 4, &mut shared, planes);
-            store_sum(m.y.y, rows, 5, &mut shared, planes);
-            store_sum(m.y.z, rows, 6, &mut shared, planes);
-            store_sum(t.y, rows, 7, &mut shared, planes);
-            store_sum(m.z.x, rows, 8, &mut shared, planes);
-            store_sum(m.z.y, rows, 9, &mut shared, planes);
-            store_sum(m.z.z, rows, 10, &mut shared, planes);
-            store_sum(t.z, rows, 11, &mut shared, planes);
-        }
+        store_pose(&of.pose, rows, count, planes);
+    }
+}
+
+/// Writes the sum of the pose's gradients over the units of a cube to the cube's row.
+#[cube]
+pub(crate) fn store_pose(pose: &Pose, rows: &mut [f32], count: u32, #[comptime] planes: bool) {
+    let mut shared = Shared::<[f32]>::new_slice(comptime!(UNITS));
+    // A dispatch may hold more cubes than there are rows.
+    if CUBE_POS * comptime!(UNITS) < count as usize {
+        let (m, t) = (pose.matrix, pose.translation);
+        store_sum(m.x.x, rows, 0, &mut shared, planes);
+        store_sum(m.x.y, rows, 1, &mut shared, planes);
+        store_sum(m.x.z, rows, 2, &mut shared, planes);
+        store_sum(t.x, rows, 3, &mut shared, planes);
+        store_sum(m.y.x, rows, 4, &mut shared, planes);
+        store_sum(m.y.y, rows, 5, &mut shared, planes);
+        store_sum(m.y.z, rows, 6, &mut shared, planes);
+        store_sum(t.y, rows, 7, &mut shared, planes);
+        store_sum(m.z.x, rows, 8, &mut shared, planes);
+        store_sum(m.z.y, rows, 9, &mut shared, planes);
+        store_sum(m.z.z, rows, 10, &mut shared, planes);
+        store_sum(t.z, rows, 11, &mut shared, planes);
     }
 }
 
 /// Writes the sum over the units of a cube to the cube's row.
 #[cube]
-pub(crate) fn store_sum(
-    value: f32,
-    rows: &mut [f32],
-    column: usize,
-    shared: &mut Shared<[f32]>,
-    #[comptime] planes: bool,
-) {
+fn store_sum(value: f32, rows: &mut [f32], column: usize, shared: &mut Shared<[f32]>, #[comptime] planes: bool) {
     let sum = cube_sum(value, shared, planes);
     if UNIT_POS == 0 {
         rows[CUBE_POS * comptime!(POSE) + column] = sum;
     }
 }
+
+const _: () = assert!(POSE == 12, "the columns of the pose's rows");

@@ -5,7 +5,7 @@ use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
 
 use super::simd::{GaussiansSimd, ProjectCameraSimd, ProjectionTermsSimd};
-use super::{COLUMNS, Ellipse, Geometry, ProjectSpec};
+use super::{COLUMNS, Ellipse, Geometry, ProjectSpec, WIDTHS};
 use crate::simd::lanes::{BLOCK, Columns};
 use crate::simd::real::{LANES, Real};
 
@@ -94,6 +94,11 @@ fn project_chunk<S: Simd, F: Real, const BENDS: bool>(
     }
 }
 
+/// Gradients of zero for `count` Gaussians; those not needed, and that of the pose, are empty.
+pub(crate) fn zero_grads<F: Real>(count: usize, needs: Geometry<bool>) -> Geometry<Vec<F>> {
+    needs.zip(WIDTHS).map(|(needed, width)| vec![F::ZERO; if needed { count * width } else { 0 }])
+}
+
 /// Gradients of the inputs from `grad`, the `[N, 7]` gradient of the packed ellipses.
 pub(crate) fn project_backward_cpu<F: Real>(
     inputs: Geometry<&[F]>,
@@ -103,43 +108,27 @@ pub(crate) fn project_backward_cpu<F: Real>(
 ) -> Geometry<Vec<F>> {
     let lens = ProjectCameraSimd::new(inputs.cam_from_world, spec);
     let count = inputs.opacities.len();
-    let rows = |needed: bool, columns: usize| vec![F::ZERO; if needed { count * columns } else { 0 }];
-    let mut grads = Geometry {
-        means: rows(needs.means, 3),
-        rotations: rows(needs.rotations, 4),
-        scales: rows(needs.scales, 3),
-        opacities: rows(needs.opacities, 1),
-        cam_from_world: Vec::new(),
-        mean2d: rows(needs.mean2d, 2),
-    };
-    let chunks = count.div_ceil(CHUNK);
-    let pose: Vec<[F; 12]> = {
-        let tasks = (
-            split(&mut grads.means, 3, chunks),
-            split(&mut grads.rotations, 4, chunks),
-            split(&mut grads.scales, 3, chunks),
-            split(&mut grads.opacities, 1, chunks),
-            split(&mut grads.mean2d, 2, chunks),
-        );
-        tasks
-            .into_par_iter()
-            .enumerate()
-            .map(|(chunk, (means, rotations, scales, opacities, mean2d))| {
-                let first = chunk * CHUNK;
-                let grad = &grad[first * COLUMNS..count.min(first + CHUNK) * COLUMNS];
-                let mut out = Chunk { means, rotations, scales, opacities, mean2d };
-                let (part, pose) = ((first, grad), needs.cam_from_world);
-                match lens.bends() {
-                    true => dispatch!(Level::new(), simd => {
-                        backward_chunk::<_, F, true>(simd, &inputs, &lens, part, pose, &mut out)
-                    }),
-                    false => dispatch!(Level::new(), simd => {
-                        backward_chunk::<_, F, false>(simd, &inputs, &lens, part, pose, &mut out)
-                    }),
-                }
-            })
-            .collect()
-    };
+    let mut grads = zero_grads(count, needs);
+    let mut rows = grads.each_mut().zip(WIDTHS).map(|(rows, width)| rows.chunks_mut((CHUNK * width).max(1)));
+    let chunks = (0..count.div_ceil(CHUNK)).map(|_| rows.each_mut().map(|rows| rows.next().unwrap_or_default()));
+    let chunks: Vec<Geometry<&mut [F]>> = chunks.collect();
+    let pose: Vec<[F; 12]> = chunks
+        .into_par_iter()
+        .enumerate()
+        .map(|(chunk, mut out)| {
+            let first = chunk * CHUNK;
+            let grad = &grad[first * COLUMNS..count.min(first + CHUNK) * COLUMNS];
+            let (part, pose) = ((first, grad), needs.cam_from_world);
+            match lens.bends() {
+                true => dispatch!(Level::new(), simd => {
+                    backward_chunk::<_, F, true>(simd, &inputs, &lens, part, pose, &mut out)
+                }),
+                false => dispatch!(Level::new(), simd => {
+                    backward_chunk::<_, F, false>(simd, &inputs, &lens, part, pose, &mut out)
+                }),
+            }
+        })
+        .collect();
     if needs.cam_from_world {
         let mut total = [F::ZERO; 12];
         for part in pose {
@@ -150,29 +139,23 @@ pub(crate) fn project_backward_cpu<F: Real>(
     grads
 }
 
-/// Output slices for a chunk's gradients; empty for gradients that are not needed.
-struct Chunk<'a, F> {
-    means: &'a mut [F],
-    rotations: &'a mut [F],
-    scales: &'a mut [F],
-    opacities: &'a mut [F],
-    mean2d: &'a mut [F],
-}
-
-impl<F: Real> Chunk<'_, F> {
-    /// Writes the gradients of a block of Gaussians.
-    #[inline(always)]
-    fn write(&mut self, found: &Parameters<F>, mean2d: &Columns<F, 2>, (first, count): (usize, usize)) {
-        fn part<F>(rows: &mut [F], columns: usize, (first, count): (usize, usize)) -> &mut [F] {
-            if rows.is_empty() { rows } else { &mut rows[columns * first..columns * (first + count)] }
-        }
-        let range = (first, count);
-        found.means.write(part(self.means, 3, range));
-        found.rotations.write(part(self.rotations, 4, range));
-        found.scales.write(part(self.scales, 3, range));
-        found.opacities.write(part(self.opacities, 1, range));
-        mean2d.write(part(self.mean2d, 2, range));
-    }
+/// Writes the gradients of `count` Gaussians from `first` on to a chunk's gradients, which are empty where they are not needed.
+#[inline(always)]
+fn write<F: Real>(
+    out: &mut Geometry<&mut [F]>,
+    found: &Parameters<F>,
+    mean2d: &Columns<F, 2>,
+    (first, count): (usize, usize),
+) {
+    let parts = out.each_mut().zip(WIDTHS).map(|(rows, width)| match rows.is_empty() {
+        true => &mut rows[..],
+        false => &mut rows[width * first..width * (first + count)],
+    });
+    found.means.write(parts.means);
+    found.rotations.write(parts.rotations);
+    found.scales.write(parts.scales);
+    found.opacities.write(parts.opacities);
+    mean2d.write(parts.mean2d);
 }
 
 /// Computes the gradients of the Gaussians from `first` on from those of their ellipses. Returns their share of the pose's gradient
@@ -184,7 +167,7 @@ fn backward_chunk<S: Simd, F: Real, const BENDS: bool>(
     lens: &ProjectCameraSimd<F>,
     (first, grad): (usize, &[F]),
     needs_pose: bool,
-    out: &mut Chunk<F>,
+    out: &mut Geometry<&mut [F]>,
 ) -> [F; 12] {
     let lens = lens.lanes(simd);
     let mut pose = [F::Lanes::<S>::splat(simd, F::ZERO); 12];
@@ -212,18 +195,11 @@ fn backward_chunk<S: Simd, F: Real, const BENDS: bool>(
                 mean2d.store(axis, at, value);
             }
         }
-        out.write(&found, &mean2d, (block * BLOCK, count));
+        write(out, &found, &mean2d, (block * BLOCK, count));
     }
     let mut sums = [F::ZERO; 12];
     for (sum, lanes) in sums.iter_mut().zip(pose) {
         *sum = lanes.reduce_sum();
     }
     sums
-}
-
-/// Splits a gradient into one slice per chunk; the slices are empty if the gradient is not needed.
-fn split<F>(rows: &mut [F], columns: usize, chunks: usize) -> Vec<&mut [F]> {
-    let mut parts: Vec<&mut [F]> = rows.chunks_mut(CHUNK * columns).collect();
-    parts.resize_with(chunks, Default::default);
-    parts
 }

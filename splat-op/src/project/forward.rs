@@ -186,7 +186,7 @@ fn seen_rows(
 
 /// Whether a Gaussian that is otherwise `drawn` also lies within the lens's domain.
 #[cube]
-fn within_reach(drawn: bool, bent: ComptimeOption<LensProjection>) -> bool {
+fn within_domain(drawn: bool, bent: ComptimeOption<LensProjection>) -> bool {
     #[comptime]
     match bent {
         ComptimeOption::Some(bent) => drawn && bent.within,
@@ -215,7 +215,7 @@ pub(crate) fn project_one(gaussian: &Gaussian, pose: &Pose, lens: &ProjectCamera
     let in_front = depth > lens.near && depth > 0.0 && finite(depth) && finite(x.ratio) && finite(y.ratio);
     let wide = sigma_u > 0.0 && finite(sigma_u) && sigma_v > 0.0 && finite(sigma_v) && finite(shear);
     let drawn = gaussian.finite() && in_front && quaternion_length > 0.0 && wide;
-    let visible = within_reach(drawn, bent);
+    let visible = within_domain(drawn, bent);
 
     let mut compensation = 1.0f32;
     let mut compensation_free = false;

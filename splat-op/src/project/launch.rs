@@ -3,7 +3,7 @@
 use super::backward::project_backward_kernel;
 use super::forward::{CameraAxisLaunch, ProjectCameraLaunch, project_forward_kernel};
 use super::lens_forward::DistortionLaunch;
-use super::{COLUMNS, Geometry, ProjectSpec};
+use super::{COLUMNS, Geometry, ProjectSpec, WIDTHS};
 use crate::camera::{CameraModel, Intrinsics};
 use crate::gpu::math::{POSE, Vec2Launch};
 use crate::gpu::reduce::launch_column_sums;
@@ -67,8 +67,27 @@ pub(crate) fn launch_project(gpu: &Gpu, inputs: &Geometry<Buffer<f32>>, spec: &P
     projected
 }
 
-/// Launches the backward kernel. Returns the gradients of the inputs from `grad`, `[N, 7]`. The pose's gradient is summed in a
-/// fixed order.
+/// Returns the gradients that `needs` selects. `launch` runs a backward kernel over `count` Gaussians, more than none, that writes
+/// them. It finds one row per cube as the gradient of the pose; these rows are then summed in a fixed order.
+pub(crate) fn geometry_grads(
+    gpu: &Gpu,
+    count: usize,
+    needs: Geometry<bool>,
+    launch: impl FnOnce(&Geometry<Option<Buffer<f32>>>),
+) -> Geometry<Option<Buffer<f32>>> {
+    let of_rows = Geometry { cam_from_world: false, ..needs };
+    let mut grads = of_rows.zip(WIDTHS).map(|(needed, width)| Buffer::if_needed(gpu, needed, count * width));
+    if count == 0 {
+        grads.cam_from_world = needs.cam_from_world.then(|| Buffer::from_slice(gpu, &[0.0; POSE]));
+    } else if needs.into_array().contains(&true) {
+        grads.cam_from_world = Buffer::if_needed(gpu, needs.cam_from_world, count.div_ceil(UNITS) * POSE);
+        launch(&grads);
+        grads.cam_from_world = grads.cam_from_world.map(|rows| launch_column_sums(gpu, &rows, POSE));
+    }
+    grads
+}
+
+/// Returns the gradients of the inputs from `grad`, `[N, 7]`.
 pub(crate) fn launch_project_backward(
     gpu: &Gpu,
     inputs: &Geometry<Buffer<f32>>,
@@ -77,49 +96,31 @@ pub(crate) fn launch_project_backward(
     needs: Geometry<bool>,
 ) -> Geometry<Option<Buffer<f32>>> {
     let count = inputs.opacities.len;
-    let rows = |needed, columns| Buffer::if_needed(gpu, needed, count * columns);
-    let mut grads = Geometry {
-        means: rows(needs.means, 3),
-        rotations: rows(needs.rotations, 4),
-        scales: rows(needs.scales, 3),
-        opacities: rows(needs.opacities, 1),
-        cam_from_world: None,
-        mean2d: rows(needs.mean2d, 2),
-    };
-    if count == 0 {
-        grads.cam_from_world = needs.cam_from_world.then(|| Buffer::from_slice(gpu, &[0.0; POSE]));
-        return grads;
-    }
-    let Geometry { means, rotations, scales, opacities, cam_from_world, mean2d } = needs;
-    if !(means || rotations || scales || opacities || cam_from_world || mean2d) {
-        return grads;
-    }
-    let pose_rows = Buffer::if_needed(gpu, needs.cam_from_world, count.div_ceil(UNITS) * POSE);
-    let output = |buffer: &Option<Buffer<f32>>| buffer.as_ref().map(Buffer::arg).into();
-    let (grid, dim) = elementwise(count);
-    // SAFETY: every access is guarded by the number of Gaussians.
-    unsafe {
-        project_backward_kernel::launch_unchecked(
-            &gpu.client,
-            grid,
-            dim,
-            inputs.means.arg(),
-            inputs.rotations.arg(),
-            inputs.scales.arg(),
-            inputs.opacities.arg(),
-            inputs.cam_from_world.arg(),
-            grad.arg(),
-            output(&grads.means),
-            output(&grads.rotations),
-            output(&grads.scales),
-            output(&grads.opacities),
-            output(&grads.mean2d),
-            output(&pose_rows),
-            lens(spec),
-            count as u32,
-            gpu.planes,
-        );
-    }
-    grads.cam_from_world = pose_rows.map(|rows| launch_column_sums(gpu, &rows, POSE));
-    grads
+    geometry_grads(gpu, count, needs, |grads| {
+        let output = |buffer: &Option<Buffer<f32>>| buffer.as_ref().map(Buffer::arg).into();
+        let (grid, dim) = elementwise(count);
+        // SAFETY: every access is guarded by the number of Gaussians.
+        unsafe {
+            project_backward_kernel::launch_unchecked(
+                &gpu.client,
+                grid,
+                dim,
+                inputs.means.arg(),
+                inputs.rotations.arg(),
+                inputs.scales.arg(),
+                inputs.opacities.arg(),
+                inputs.cam_from_world.arg(),
+                grad.arg(),
+                output(&grads.means),
+                output(&grads.rotations),
+                output(&grads.scales),
+                output(&grads.opacities),
+                output(&grads.mean2d),
+                output(&grads.cam_from_world),
+                lens(spec),
+                count as u32,
+                gpu.planes,
+            );
+        }
+    })
 }

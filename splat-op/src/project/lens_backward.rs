@@ -2,9 +2,8 @@
 
 use cubecl::prelude::*;
 
-use super::backward::SeenGrad;
 use super::forward::{PackedEllipse, ProjectCamera};
-use super::lens_forward::{Distortion, Fisheye, LensProjection, Mat2, Perspective, PlanarMap};
+use super::lens_forward::{Distortion, Fisheye, LensProjection, Mat2, Perspective, PlanarMap, SeenGrad};
 use crate::gpu::math::{Mat3, Vec2, Vec3};
 
 /// The second derivative of the planar map, contracted with a matrix.

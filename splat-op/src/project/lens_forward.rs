@@ -154,6 +154,14 @@ pub(crate) struct LensProjection {
     pub fisheye: ComptimeOption<Fisheye>,
 }
 
+/// Gradients of `W R` and of the centre in the camera's frame.
+#[derive(CubeType, Clone, Copy)]
+#[expand(derive(Clone, Copy))]
+pub(crate) struct SeenGrad {
+    pub turned: Mat3,
+    pub centre: Vec3,
+}
+
 /// Projections of a Gaussian along both axes of the picture, from its centre in the camera's frame and `W R`.
 #[cube]
 pub(super) fn bent_rows(

@@ -34,7 +34,7 @@ mod lens_backward;
 #[cfg(feature = "cube")]
 mod lens_forward;
 mod lens_simd;
-mod simd;
+pub(crate) mod simd;
 #[cfg(test)]
 mod tests;
 
@@ -101,6 +101,10 @@ record! {
         mean2d,
     }
 }
+
+/// Columns of the gradients with a row per Gaussian; the pose has none.
+pub(crate) const WIDTHS: Geometry<usize> =
+    Geometry { means: 3, rotations: 4, scales: 3, opacities: 1, cam_from_world: 0, mean2d: 2 };
 
 /// Parameters of the stage that are not tensors.
 #[derive(Clone, Copy, Debug, PartialEq)]

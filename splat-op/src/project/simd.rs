@@ -5,22 +5,22 @@ use fearless_simd::prelude::*;
 
 use super::lens_simd::{DistortionSimd, LensProjectionGrad, LensProjectionSimd};
 use super::{COMPENSATION_MIN, Ellipse, ProjectSpec};
-use crate::linalg::{Mat3, add, cross, dot, hadamard, matmul, matvec, scale, sub, transposed_matvec};
+use crate::linalg::{Mat3, add, cross, dot, hadamard, matmul, matvec, rotation_of, scale, sub, transposed_matvec};
 use crate::simd::real::Real;
 
 /// The camera, as numbers or broadcast to all lanes.
-pub(super) struct ProjectCameraSimd<L> {
-    rotation: Mat3<L>,
-    translation: [L; 3],
-    focal: [L; 2],
+pub(crate) struct ProjectCameraSimd<L> {
+    pub rotation: Mat3<L>,
+    pub translation: [L; 3],
+    pub focal: [L; 2],
     principal: [L; 2],
     /// Limits to which `x/z` and `y/z` are clamped for the Jacobian.
-    low: [L; 2],
-    high: [L; 2],
+    pub low: [L; 2],
+    pub high: [L; 2],
     pub near: L,
     blur: L,
     /// `√blur`
-    blur_sigma: L,
+    pub blur_sigma: L,
     antialias: bool,
     /// `None` for a pinhole.
     distortion: Option<DistortionSimd<L>>,
@@ -419,15 +419,4 @@ fn unit_quaternion<S: Simd, F: Real>(simd: S, q: [F::Lanes<S>; 4]) -> ([F::Lanes
     let zero = F::Lanes::<S>::splat(simd, F::ZERO);
     let whole = largest.simd_gt(zero).select(length * largest, zero);
     (scaled.map(|c| c / length), whole)
-}
-
-/// Rotation matrices of unit quaternions wxyz.
-#[inline(always)]
-fn rotation_of<L: crate::linalg::Entry>(one: L, [w, x, y, z]: [L; 4]) -> Mat3<L> {
-    let twice = |value: L| value + value;
-    [
-        [one - twice(y * y + z * z), twice(x * y - w * z), twice(x * z + w * y)],
-        [twice(x * y + w * z), one - twice(x * x + z * z), twice(y * z - w * x)],
-        [twice(x * z - w * y), twice(y * z + w * x), one - twice(x * x + y * y)],
-    ]
 }

@@ -4,7 +4,7 @@ use burn::tensor::f16;
 use rayon::prelude::*;
 
 use super::basis::{basis, basis_backward};
-use super::{SH_COEFFICIENTS_MAX, Shading, degree_of, reach_sigmas};
+use super::{SH_COEFFICIENTS_MAX, Shading, degree_of, extent_sigmas};
 use crate::linalg::{Mat3, add, cross, dot, matvec, norm, scale, sub, transpose, transposed_matvec};
 use crate::project::{COLUMNS, Ellipse, ProjectSpec};
 use crate::simd::real::Real;
@@ -124,7 +124,7 @@ pub(crate) struct Visible<'a, F> {
 impl<'a, F: Real> Visible<'a, F> {
     pub fn new(ellipses: &'a [F], spec: &ProjectSpec) -> Self {
         let size = [spec.intrinsics.width, spec.intrinsics.height].map(|px| F::of(px as f64));
-        Self { ellipses, sigmas: F::of(reach_sigmas(spec.options.alpha_min)), size }
+        Self { ellipses, sigmas: F::of(extent_sigmas(spec.options.alpha_min)), size }
     }
 
     #[inline(always)]

@@ -4,7 +4,7 @@ use cubecl::prelude::{CubeCount, CubeDim};
 
 use super::backward::{pose_backward_kernel, sh_backward_kernel};
 use super::forward::{FrameLaunch, sh_forward_kernel};
-use super::{Harmonics, Shading, degree_of, reach_sigmas};
+use super::{Harmonics, Shading, degree_of, extent_sigmas};
 use crate::dials::Storage;
 use crate::gpu::math::POSE;
 use crate::gpu::reduce::launch_column_sums;
@@ -57,7 +57,7 @@ pub(crate) type Visible<'a> = Option<(&'a Buffer<f32>, &'a ProjectSpec)>;
 fn frame(visible: Visible) -> FrameLaunch {
     let size = |spec: &ProjectSpec| [spec.intrinsics.width as f32, spec.intrinsics.height as f32];
     let [width, height] = visible.map_or([0.0; 2], |(_, spec)| size(spec));
-    FrameLaunch::new(visible.map_or(0.0, |(_, spec)| reach_sigmas(spec.options.alpha_min) as f32), width, height)
+    FrameLaunch::new(visible.map_or(0.0, |(_, spec)| extent_sigmas(spec.options.alpha_min) as f32), width, height)
 }
 
 /// Launches the forward kernel. Returns colours `[N, 3]` from `coefficients` per channel; zero for Gaussians that are not visible.

@@ -16,7 +16,7 @@
 //! alpha of a Gaussian with an opacity of 1 falls to `alpha_min`. A pixel is within the box if
 //!
 //! ```text
-//! |x − centre| <= REACH_MARGIN · k · (sigma_u,  sigma_v + |shear| sigma_u) + 1 px,   k² = 2 ln(1 / alpha_min) + 0.001
+//! |x − centre| <= EXTENT_MARGIN · k · (sigma_u,  sigma_v + |shear| sigma_u) + 1 px,   k² = 2 ln(1 / alpha_min) + 0.001
 //! ```
 //!
 //! This box is wider than the extent that `intersect` uses, so that no picture changes. A Gaussian with an opacity above one, which
@@ -96,16 +96,16 @@ impl Harmonics {
 
 /// Factor by which the box of visibility is wider than in exact arithmetic, and the addend to the square of the extent.
 /// `intersect` widens its own square by 1e-5 and adds 1e-4.
-const REACH_MARGIN: f64 = 1.01;
-const REACH_SLACK: f64 = 1e-3;
+const EXTENT_MARGIN: f64 = 1.01;
+const EXTENT_SLACK: f64 = 1e-3;
 
 /// Upper limit of the extent in standard deviations: beyond it `exp(−k²/2)` is zero in f32 and f64, whatever `alpha_min` is.
 const SIGMAS_MAX: f64 = 64.0;
 
 /// Extent of a Gaussian with an opacity of 1, in standard deviations.
-fn reach_sigmas(alpha_min: f64) -> f64 {
-    let sigmas = if alpha_min > 0.0 { (REACH_SLACK - 2.0 * alpha_min.min(1.0).ln()).sqrt() } else { SIGMAS_MAX };
-    REACH_MARGIN * sigmas.min(SIGMAS_MAX)
+fn extent_sigmas(alpha_min: f64) -> f64 {
+    let sigmas = if alpha_min > 0.0 { (EXTENT_SLACK - 2.0 * alpha_min.min(1.0).ln()).sqrt() } else { SIGMAS_MAX };
+    EXTENT_MARGIN * sigmas.min(SIGMAS_MAX)
 }
 
 record! {

@@ -1,7 +1,7 @@
 //! Visibility against colours of all Gaussians, and against the lists of `intersect`.
 
 use super::cpu::{ShCoefficients, ShCpuInputs, Visible, sh_backward_cpu, sh_cpu};
-use super::{Shading, reach_sigmas};
+use super::{Shading, extent_sigmas};
 use crate::camera::Intrinsics;
 use crate::intersect::cpu::intersect_cpu;
 use crate::options::RenderOptions;
@@ -99,10 +99,10 @@ fn colours_are_those_of_all_or_zero_where_nothing_can_show() {
 
 #[test]
 fn without_a_smallest_alpha_only_what_rounds_to_nothing_is_left_out() {
-    assert!((-0.5 * reach_sigmas(0.0).powi(2)).exp() == 0.0);
-    assert!(reach_sigmas(1e-300) < reach_sigmas(0.0));
+    assert!((-0.5 * extent_sigmas(0.0).powi(2)).exp() == 0.0);
+    assert!(extent_sigmas(1e-300) < extent_sigmas(0.0));
     // The tiles in which `intersect` lists a Gaussian whose opacity equals `alpha_min`.
-    assert!(reach_sigmas(1.0) > 1e-4_f64.sqrt() && reach_sigmas(2.0) == reach_sigmas(1.0));
+    assert!(extent_sigmas(1.0) > 1e-4_f64.sqrt() && extent_sigmas(2.0) == extent_sigmas(1.0));
 }
 
 #[test]

@@ -1,6 +1,5 @@
 //! The two float types of the CPU twins, with their SIMD vectors.
 
-use std::fmt::Debug;
 use std::iter::Sum;
 use std::ops::{Add, AddAssign, Div, Mul, MulAssign, Neg, Sub, SubAssign};
 
@@ -16,12 +15,7 @@ pub(crate) const EXP2_CONSTANTS: usize = 8;
 /// f32 or f64.
 pub(crate) trait Real:
     SimdFloatElement
-    + Copy
-    + Debug
-    + Default
     + PartialOrd
-    + Send
-    + Sync
     + Sum
     + Add<Output = Self>
     + Sub<Output = Self>
@@ -33,7 +27,6 @@ pub(crate) trait Real:
     + MulAssign
     + burn::tensor::Element
     + bytemuck::Pod
-    + 'static
 {
     /// A vector of eight values.
     type Lanes<S: Simd>: SimdFloat<S, Element = Self>;
@@ -85,6 +78,16 @@ pub(crate) trait Real:
     }
 }
 
+/// Functions of the same name in the standard library.
+macro_rules! inherent {
+    ($float:ty: $($name:ident),*) => {$(
+        #[inline(always)]
+        fn $name(self) -> Self {
+            <$float>::$name(self)
+        }
+    )*};
+}
+
 macro_rules! scalar_functions {
     ($float:ty, $bits:ty, $dtype:expr, $widen:ident) => {
         type SortKey = $bits;
@@ -101,22 +104,7 @@ macro_rules! scalar_functions {
         fn f64(self) -> f64 {
             self.into()
         }
-        #[inline(always)]
-        fn sqrt(self) -> Self {
-            <$float>::sqrt(self)
-        }
-        #[inline(always)]
-        fn ln(self) -> Self {
-            <$float>::ln(self)
-        }
-        #[inline(always)]
-        fn exp(self) -> Self {
-            <$float>::exp(self)
-        }
-        #[inline(always)]
-        fn abs(self) -> Self {
-            <$float>::abs(self)
-        }
+        inherent!($float: sqrt, ln, exp, abs);
         #[inline(always)]
         fn finite(self) -> bool {
             self.is_finite()
