@@ -1,5 +1,6 @@
 //! Adam (Kingma and Ba 2015, algorithm 1) on one parameter tensor at a time.
 
+use burn::backend::Flex;
 use burn::tensor::{DType, Device, Int, Tensor, TensorData};
 use rayon::prelude::*;
 pub use splat_op::adam::Rates;
@@ -193,18 +194,24 @@ fn step_in_host_memory<const D: usize>(
 ) -> Tensor<D> {
     let options = (&param.device(), DType::F32);
     let band = factors.rate.band(&param.dims());
-    let (mut param, grad) = (param.into_data(), grad.into_data());
+    let (mut param, grad) = (host_data(param), host_data(grad));
     let Moments { m, v } = moments;
     m.inplace(|m| {
-        let mut m = m.into_data();
+        let mut m = host_data(m);
         v.inplace(|v| {
-            let mut v = v.into_data();
+            let mut v = host_data(v);
             step_slices(factors, values_mut(&mut param), values(&grad), values_mut(&mut m), values_mut(&mut v), band);
             Tensor::from_data(v, options)
         });
         Tensor::from_data(m, options)
     });
     Tensor::from_data(param, options)
+}
+
+/// Returns the elements of a tensor on Flex. `Tensor::into_data` would move a future that has room for those of all backends,
+/// which costs more than a step of a small parameter.
+fn host_data<const D: usize>(tensor: Tensor<D>) -> TensorData {
+    tensor.try_into_primitive::<Flex>().expect("the caller checked the device, and that nothing is tracked").into_data()
 }
 
 fn step_slices(factors: &Factors, param: &mut [f32], grad: &[f32], m: &mut [f32], v: &mut [f32], band: Option<Band>) {
