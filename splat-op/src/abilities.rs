@@ -1,11 +1,16 @@
-//! Features of a GPU that the kernels use, for programs that report them to their users.
+//! Features and limits of a device.
 
+#[cfg(feature = "cube")]
 use burn::backend::DispatchDevice;
 use burn::tensor::Device;
 
+use crate::error::SplatError;
+#[cfg(feature = "cube")]
 use crate::gpu::Gpu;
+use crate::limits::Need;
 
 /// Optional features of a device. The kernels use each one if the device supports it and a fallback if it does not.
+#[cfg(feature = "cube")]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Abilities {
@@ -15,6 +20,7 @@ pub struct Abilities {
     pub float_atomics: bool,
 }
 
+#[cfg(feature = "cube")]
 impl Abilities {
     /// Returns the features of a GPU, which is opened if necessary; `None` for a CPU device.
     ///
@@ -26,11 +32,36 @@ impl Abilities {
 }
 
 /// Returns the launches' handle of a GPU, which is opened if necessary; `None` for a CPU device.
-pub(crate) fn gpu(device: &Device) -> Option<Gpu> {
+#[cfg(feature = "cube")]
+fn gpu(device: &Device) -> Option<Gpu> {
     match device.clone().inner().as_dispatch() {
         DispatchDevice::Cube(device) => Some(Gpu::new(&device.client())),
         _ => None,
     }
+}
+
+/// Refuses a call that needs more than a GPU's largest buffer. CPUs have no limit but their memory.
+pub(crate) fn check_fits(device: &Device, needs: &[Need]) -> Result<(), SplatError> {
+    match buffer_limit(device) {
+        Some(limit) => needs.iter().try_for_each(|need| need.check(limit)),
+        None => Ok(()),
+    }
+}
+
+/// Returns whether a device is a GPU, which computes asynchronously.
+pub fn is_gpu(device: &Device) -> bool {
+    buffer_limit(device).is_some()
+}
+
+/// Size of a GPU's largest buffer, bytes; `None` for a CPU device.
+#[cfg(feature = "cube")]
+pub fn buffer_limit(device: &Device) -> Option<u64> {
+    gpu(device).map(|gpu| gpu.buffer_limit)
+}
+
+#[cfg(not(feature = "cube"))]
+pub fn buffer_limit(_: &Device) -> Option<u64> {
+    None
 }
 
 #[cfg(test)]
@@ -38,8 +69,15 @@ mod tests {
     use super::*;
 
     #[test]
+    #[cfg(feature = "cube")]
     fn a_cpu_device_has_none() {
         assert_eq!(Abilities::of(&Device::flex()), None);
         assert_eq!(Abilities::of(&Device::flex().autodiff()), None);
+    }
+
+    #[test]
+    fn everything_fits_a_cpu() {
+        let need = Need::floats("sh", [usize::MAX, 25, 3], "");
+        assert_eq!(check_fits(&Device::flex().autodiff(), &[need]), Ok(()));
     }
 }

@@ -2,8 +2,9 @@
 
 use burn::tensor::{DType, Device, Tensor, TensorCreationOptions};
 
+use crate::abilities::{buffer_limit, check_fits};
 use crate::error::SplatError;
-use crate::limits::{Need, buffer_limit, check_fits};
+use crate::limits::Need;
 
 /// The float type and device that all tensors of a call must share.
 #[derive(Clone)]

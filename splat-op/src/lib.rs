@@ -101,11 +101,11 @@
 #![cfg_attr(docsrs, feature(doc_cfg))]
 #![warn(missing_docs)]
 
-#[cfg(feature = "cube")]
 mod abilities;
 pub mod camera;
 mod check;
 mod colour;
+mod counters;
 mod dials;
 pub mod error;
 pub mod exact;
@@ -147,13 +147,13 @@ pub mod test_hooks;
 
 #[cfg(feature = "cube")]
 pub use abilities::Abilities;
+pub use abilities::is_gpu;
 pub use activate::RawSplats;
 pub use backend::custom_grad::with_gradient;
 pub use camera::{Camera, CameraModel, Intrinsics, Projector};
 pub use colour::{colours, colours_up_to, evaluate_sh, visible_colours};
 pub use dials::{Culling, Exponential, Storage};
 pub use error::SplatError;
-pub use limits::is_gpu;
 pub use options::{Accumulation, MAX_UNCULLED_INTERSECTIONS, Order, Projection, RenderOptions};
 pub use render::{render, render_view};
 pub use splats::{Colour, Extras, Splats};

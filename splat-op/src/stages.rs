@@ -3,13 +3,14 @@
 use burn::backend::Dispatch;
 use burn::tensor::{Int, Tensor};
 
+use crate::abilities::check_fits;
 use crate::backend::stages::SplatBackend;
 use crate::backend::tensors::GeometryTensors;
 use crate::camera::{Camera, CameraModel, Intrinsics};
 use crate::check::{Reference, check_positive};
 use crate::error::SplatError;
 use crate::intersect::{IntersectionCell, tile_grid};
-use crate::limits::{Need, check_fits};
+use crate::limits::Need;
 use crate::options::{Projection, RenderOptions};
 use crate::project::{COLUMNS, Geometry, ProjectSpec};
 use crate::rasterize::{Layers, PartsCell, RasterizeSpec};

@@ -18,7 +18,7 @@ pub(crate) mod testing;
 
 use std::path::{Path, PathBuf};
 
-use glam::{DAffine3, DVec3};
+use glam::{DAffine3, DVec3, Vec3};
 use splat_op::Intrinsics;
 
 pub use colmap::{write_binary, write_binary_with_tracks};
@@ -89,6 +89,33 @@ impl Capture {
         let points = PointCloud { positions, colours };
         let (tracks, split, masks, remarks) = Default::default();
         Self { folder: folder.to_owned(), views, points, tracks, origin, split, masks, remarks }
+    }
+
+    /// The position of a sparse point, world frame.
+    pub(crate) fn position(&self, point: usize) -> DVec3 {
+        Vec3::from_array(self.points.positions[point]).as_dvec3()
+    }
+
+    /// What `found` makes of each observation of a point (world frame) in the tracks: a list for each of `views`.
+    pub(crate) fn by_view<T>(
+        &self,
+        views: impl IntoIterator<Item = usize>,
+        found: impl Fn(&View, DVec3, &Observation) -> Option<T>,
+    ) -> Vec<Vec<T>> {
+        let mut place = vec![None; self.views.len()];
+        let mut lists = Vec::new();
+        for view in views {
+            place[view] = Some(lists.len());
+            lists.push(Vec::new());
+        }
+        for point in 0..self.points.positions.len() {
+            for observation in self.tracks.of(point) {
+                if let Some(&Some(at)) = place.get(observation.view) {
+                    lists[at].extend(found(&self.views[observation.view], self.position(point), observation));
+                }
+            }
+        }
+        lists
     }
 }
 

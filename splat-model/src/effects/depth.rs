@@ -21,7 +21,6 @@ use splat_op::Rendered;
 
 use super::learned::{EffectContext, Falling};
 use super::masks::by_name;
-use super::survey::by_view;
 use super::{Effect, EffectKind, RenderInput};
 use crate::capture::{Capture, CaptureError};
 use crate::gaussians::Gaussians;
@@ -58,7 +57,7 @@ const LARGEST_MISS: f64 = 0.004;
 /// The depths of the sparse points in the photographs `views`, by their tracks.
 pub fn from_tracks(capture: &Capture, views: &[usize]) -> Vec<Vec<DepthSample>> {
     let projectors: Vec<_> = capture.views.iter().map(|view| view.intrinsics.projector()).collect();
-    by_view(capture, views.iter().copied(), |view, world, observation| {
+    capture.by_view(views.iter().copied(), |view, world, observation| {
         let cam = view.cam_from_world.transform_point3(world);
         let size = Vec2::new(view.intrinsics.width as f32, view.intrinsics.height as f32);
         let found = Vec2::from_array(observation.at_px);

@@ -27,15 +27,15 @@ use crate::sh::Shading;
 /// The backward pass of an operation whose gradient arrives through its output: a function from that gradient and a mask of the
 /// inputs that need one to their gradients.
 #[derive(Clone)]
-struct Pass<F>(F);
+struct BackwardPass<F>(F);
 
-impl<F> Debug for Pass<F> {
+impl<F> Debug for BackwardPass<F> {
     fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
-        f.write_str("Pass")
+        f.write_str("BackwardPass")
     }
 }
 
-/// The backward node of a [`Pass`].
+/// The backward node of a [`BackwardPass`].
 struct Node<F>(PhantomData<fn() -> F>);
 
 impl<F> Debug for Node<F> {
@@ -48,11 +48,11 @@ impl<B: Backend, F, const N: usize> Backward<B, N> for Node<F>
 where
     F: FnOnce(FloatTensor<B>, [bool; N]) -> [OptionalTensor<B>; N] + Clone + Send + 'static,
 {
-    type State = Pass<F>;
+    type State = BackwardPass<F>;
 
     fn backward(self, ops: Ops<Self::State, N>, grads: &mut Gradients, _: &mut Checkpointer) {
         let grad = grads.consume::<B>(&ops.node);
-        differentiate::<B, _, _>(ops, grads, |Pass(pass), mask| pass(grad, mask));
+        differentiate::<B, _, _>(ops, grads, |BackwardPass(pass), mask| pass(grad, mask));
     }
 }
 
@@ -65,7 +65,7 @@ pub(super) fn tracked<B: Backend, C: CheckpointStrategy, F, const N: usize>(
 where
     F: FnOnce(FloatTensor<B>, [bool; N]) -> [OptionalTensor<B>; N] + Clone + Send + 'static,
 {
-    tracked_by::<B, C, _, _>(Node::<F>(PhantomData), inputs, Pass(pass), output)
+    tracked_by::<B, C, _, _>(Node::<F>(PhantomData), inputs, BackwardPass(pass), output)
 }
 
 /// Returns the output of an operation, with `kind` as its backward node if any input is tracked.

@@ -123,7 +123,7 @@ fn check_type<F: Real>(dtype: DType) {
 /// Runs a CPU twin: evaluates `$body` with `$float` as the float type of `$tensor`.
 macro_rules! by_type {
     ($tensor:expr, $float:ident => $body:expr) => {{
-        $crate::test_hooks::count_twin_call();
+        $crate::counters::count_twin_call();
         match $tensor.dtype() {
             ::burn::tensor::DType::F64 => {
                 type $float = f64;

@@ -12,11 +12,11 @@ use super::host::HostBackend;
 use super::tensors::{ComparedTensors, OptionalTensor};
 #[cfg(feature = "fusion")]
 use super::tensors::{InputTensorMetadata, OptionalTensorMetadata};
+use crate::counters::count_twin_call;
 use crate::loss::cpu::{PlaneSize, photometric_cpu, window_cpu};
 #[cfg(feature = "fusion")]
 use crate::loss::taps::Compared;
 use crate::simd::real::Real;
-use crate::test_hooks::count_twin_call;
 
 /// The loss and its derivative.
 #[derive(Clone, Debug, ExtensionType)]

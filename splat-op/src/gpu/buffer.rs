@@ -8,8 +8,8 @@ use cubecl::prelude::*;
 use cubecl::server::Handle;
 
 use super::{Gpu, elementwise};
+use crate::counters::count_allocation;
 use crate::limits::Need;
-use crate::test_hooks::count_allocation;
 
 static POISON: AtomicBool = AtomicBool::new(false);
 

@@ -12,9 +12,10 @@ use cubecl::features::{AtomicUsage, Plane};
 use cubecl::ir::{ElemType, FloatKind, Type};
 use cubecl::prelude::{CubeCount, CubeDim};
 
-pub(crate) use buffer::{Buffer, launch_scale, poison};
+pub use buffer::poison;
+pub(crate) use buffer::{Buffer, launch_scale};
 
-use crate::test_hooks::count_dispatch;
+use crate::counters::count_dispatch;
 
 /// Default number of units of a cube.
 pub(crate) const UNITS: usize = 256;

@@ -29,8 +29,8 @@ use burn::tensor::{DType, Tensor};
 use taps::Compared;
 pub use taps::{C1, C2, SIGMA_PX, TAPS};
 
+use crate::abilities::is_gpu;
 use crate::backend::loss::PhotometricBackend;
-use crate::limits::is_gpu;
 
 /// Computes the loss of `image` against a photograph, `[.., H, W]` f32, or f64 on CPUs, without autodiff. Returns
 /// numbers whose sum is the loss and, if `with_gradient` is set, the gradient of the loss.

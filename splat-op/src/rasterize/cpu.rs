@@ -21,7 +21,7 @@ pub(super) const CHUNK: usize = 1024;
 pub(crate) struct Trace<F>(Vec<TileTrace<F>>);
 
 struct TileTrace<F> {
-    passed: usize,
+    layer_count: usize,
     checkpoints: Vec<F>,
 }
 
@@ -78,11 +78,11 @@ pub(crate) fn rasterize_cpu<F: Real>(
                 let tile = y * columns + x;
                 let view = prepared.view(tile);
                 let mut checkpoints = Vec::new();
-                let passed = specialised!(prepared, tile, simd, C, IS_LONG, LIBRARY => {
+                let layer_count = specialised!(prepared, tile, simd, C, IS_LONG, LIBRARY => {
                     let thresholds = Thresholds::<_, F, LIBRARY>::new(simd, prepared.thresholds);
                     rasterize_tile::<_, F, C, IS_LONG, LIBRARY>(simd, &view, &thresholds, planes, keep.then_some(&mut checkpoints))
                 });
-                TileTrace { passed, checkpoints }
+                TileTrace { layer_count, checkpoints }
             })
             .collect();
         compose(&by_tile, inputs.background, &prepared, &mut strip);
@@ -175,7 +175,7 @@ pub(crate) fn tile_rows<F: Real, B>(
 #[derive(Default)]
 struct Buffers<F: Real> {
     planes: Vec<F>,
-    behind: Vec<F>,
+    background_rho: Vec<F>,
     scratch: TileScratch<F>,
 }
 
@@ -191,9 +191,10 @@ fn tile_sums<F: Real>(
     let view = prepared.view(tile);
     let features = background.len();
     tile_gradient(prepared, &view, background, grad, buffers);
-    let Buffers { planes, behind, scratch } = buffers;
+    let Buffers { planes, background_rho, scratch } = buffers;
     let planes = planes.as_chunks().0;
-    let tile_grad = TileGrad { planes, behind, checkpoints: &trace.checkpoints, passed: trace.passed, absolute };
+    let tile_grad =
+        TileGrad { planes, background_rho, checkpoints: &trace.checkpoints, layer_count: trace.layer_count, absolute };
     let mut transmittance = [F::ZERO; TILE_PIXELS];
     specialised!(prepared, tile, simd, C, IS_LONG, LIBRARY => {
         let thresholds = Thresholds::<_, F, LIBRARY>::new(simd, prepared.thresholds);
@@ -216,8 +217,8 @@ fn tile_gradient<F: Real>(
     let ([width, height], features) = (prepared.size, background.len());
     buffers.planes.clear();
     buffers.planes.resize((prepared.channels + 1) * TILE_PIXELS, F::ZERO);
-    buffers.behind.clear();
-    buffers.behind.resize(TILE_PIXELS, F::ZERO);
+    buffers.background_rho.clear();
+    buffers.background_rho.resize(TILE_PIXELS, F::ZERO);
     for plane in 0..=prepared.channels {
         // In the picture alpha precedes depth; in the tile it is last.
         let source = match plane {
@@ -231,8 +232,8 @@ fn tile_gradient<F: Real>(
             let at = plane * TILE_PIXELS + row * TILE;
             buffers.planes[at..at + view.size[0]].copy_from_slice(values);
             if plane < features {
-                let behind = &mut buffers.behind[row * TILE..];
-                behind.iter_mut().zip(values).for_each(|(sum, &g)| *sum += g * background[plane]);
+                let background_rho = &mut buffers.background_rho[row * TILE..];
+                background_rho.iter_mut().zip(values).for_each(|(sum, &g)| *sum += g * background[plane]);
             }
         }
     }

@@ -154,7 +154,7 @@ impl<S: Simd, F: Real, const LIBRARY: bool> Thresholds<S, F, LIBRARY> {
         column: &Column<S, F>,
         row: usize,
         before: &[[F::Lanes<S>; 2]; ROWS],
-    ) -> Option<Layers<S, F>> {
+    ) -> Option<LayerSimd<S, F>> {
         let mut q = [self.zero; ROWS];
         let mut alpha = q;
         let mut near = [self.zero.simd_lt(self.zero); ROWS];
@@ -170,13 +170,13 @@ impl<S: Simd, F: Real, const LIBRARY: bool> Thresholds<S, F, LIBRARY> {
             let power = if LIBRARY { F::exp2_library(q[row]) } else { F::exp2_lanes(q[row], &self.exp2) };
             alpha[row] = (splat.opacity * power).min(self.alpha_max);
         }
-        let mut behind = *before;
+        let mut after = *before;
         let mut finishes = near;
         for row in 0..ROWS {
             let shows = near[row] & alpha[row].simd_ge(self.alpha_min);
             alpha[row] = shows.select(alpha[row], self.zero);
-            behind[row] = pass::<S, F, LONG>(alpha[row], before[row]);
-            finishes[row] = shows & behind[row][0].simd_le(self.transmittance_min);
+            after[row] = pass::<S, F, LONG>(alpha[row], before[row]);
+            finishes[row] = shows & after[row][0].simd_le(self.transmittance_min);
         }
         let mut finished = 0;
         // A pixel finishes at most once.
@@ -185,10 +185,10 @@ impl<S: Simd, F: Real, const LIBRARY: bool> Thresholds<S, F, LIBRARY> {
                 finished += finishes[row].to_bitmask().count_ones() as usize;
                 alpha[row] = finishes[row].select(self.zero, alpha[row]);
                 let [kept, lost] = pass::<S, F, LONG>(alpha[row], before[row]);
-                behind[row] = [finishes[row].select(-kept, kept), lost];
+                after[row] = [finishes[row].select(-kept, kept), lost];
             }
         }
-        Some(Layers { alpha, behind, finished })
+        Some(LayerSimd { alpha, transmittance: after, finished })
     }
 }
 
@@ -214,15 +214,15 @@ fn pass<S: Simd, F: Real, const LONG: bool>(
     }
     // (T + lost)(1 − α) by the compensated addition of Kahan (1965).
     let change = (-alpha).mul_add(transmittance, (-alpha).mul_add(lost, lost));
-    let behind = transmittance + change;
-    [behind, change - (behind - transmittance)]
+    let after = transmittance + change;
+    [after, change - (after - transmittance)]
 }
 
 /// Result of passing a Gaussian over eight pixels on each of [`ROWS`] rows.
-pub(super) struct Layers<S: Simd, F: Real> {
+pub(super) struct LayerSimd<S: Simd, F: Real> {
     pub alpha: [F::Lanes<S>; ROWS],
-    /// Both parts of the transmittances behind the Gaussian.
-    pub behind: [[F::Lanes<S>; 2]; ROWS],
+    /// Both parts of the transmittances after the Gaussian.
+    pub transmittance: [[F::Lanes<S>; 2]; ROWS],
     /// Number of pixels that the Gaussian finishes.
     pub finished: usize,
 }
@@ -339,10 +339,10 @@ pub(super) fn rasterize_tile<S: Simd, F: Real, const C: usize, const LONG: bool,
     let x = centres::<S, F>(simd, corner[0]);
     let mut transmittance = Transmittances::new(view.open_transmittance());
     let mut open = view.size[0] * view.size[1];
-    let (sums, behind) = planes.as_chunks_mut::<TILE_PIXELS>().0.split_at_mut(channels);
+    let (sums, final_transmittance) = planes.as_chunks_mut::<TILE_PIXELS>().0.split_at_mut(channels);
     sums.as_flattened_mut().fill(F::ZERO);
     let mut finished_sums = Vec::new();
-    let mut passed = view.gaussians.len();
+    let mut layer_count = view.gaussians.len();
     let mut near = Near::<F, C>::default();
     let mut summed = 0;
     for (i, &gaussian) in view.gaussians.iter().enumerate() {
@@ -371,7 +371,7 @@ pub(super) fn rasterize_tile<S: Simd, F: Real, const C: usize, const LONG: bool,
                     continue;
                 };
                 reaches = 1;
-                transmittance.store::<S, LONG>(&layers.behind, first);
+                transmittance.store::<S, LONG>(&layers.transmittance, first);
                 for row in 0..ROWS {
                     let weight = layers.alpha[row] * before[row][0];
                     for (channel, sum) in sums.iter_mut().enumerate() {
@@ -386,7 +386,7 @@ pub(super) fn rasterize_tile<S: Simd, F: Real, const C: usize, const LONG: bool,
         }
         summed += reaches;
         if open == 0 {
-            passed = i + 1;
+            layer_count = i + 1;
             break;
         }
     }
@@ -395,6 +395,6 @@ pub(super) fn rasterize_tile<S: Simd, F: Real, const C: usize, const LONG: bool,
         move_into(sums, &mut finished_sums);
         sums.iter_mut().zip(&finished_sums).for_each(|(sum, [total, _])| *sum = *total);
     }
-    behind[0] = transmittance.kept.map(F::abs);
-    passed
+    final_transmittance[0] = transmittance.kept.map(F::abs);
+    layer_count
 }

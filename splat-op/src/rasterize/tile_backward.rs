@@ -20,11 +20,11 @@ pub(super) struct TileGrad<'a, F> {
     /// `[channels + 1, 256]`: gradients of the sums `Σ w c` and of alpha; zero outside the picture.
     pub planes: &'a [Plane<F>],
     /// `[256]`: `g · background`, the start of the recursion.
-    pub behind: &'a [F],
+    pub background_rho: &'a [F],
     /// Values that [`Transmittances::keep`] stored before each [`CHECKPOINT_EVERY`]th Gaussian but the first.
     pub checkpoints: &'a [F],
-    /// Number of Gaussians that the forward pass passed.
-    pub passed: usize,
+    /// Number of Gaussians that the forward pass evaluated before all pixels were finished.
+    pub layer_count: usize,
     /// Whether the sums of absolute values are wanted.
     pub absolute: bool,
 }
@@ -56,28 +56,28 @@ impl<F: Real> Default for TileScratch<F> {
     }
 }
 
-/// Fills `intersections`, `[passed, MOMENTS + channels (+ 2)]`, with each intersection's sums over the tile. Sets
-/// `transmittance_behind` to the transmittances behind all layers (negated where finished).
+/// Fills `intersections`, `[layer_count, MOMENTS + channels (+ 2)]`, with each intersection's sums over the tile. Sets
+/// `final_transmittance` to the transmittances behind all layers (negated where finished).
 #[inline(always)]
 pub(super) fn rasterize_tile_backward<S: Simd, F: Real, const C: usize, const LONG: bool, const LIBRARY: bool>(
     simd: S,
     view: &TileView<F>,
     grad: &TileGrad<F>,
     thresholds: &Thresholds<S, F, LIBRARY>,
-    (intersections, transmittance_behind): (&mut [F], &mut [F; TILE_PIXELS]),
+    (intersections, final_transmittance): (&mut [F], &mut [F; TILE_PIXELS]),
     scratch: &mut TileScratch<F>,
 ) {
     let channels = if C == 0 { view.channels } else { C };
     let columns = MOMENTS + channels + if grad.absolute { 2 } else { 0 };
     // `ρ` has two parts, like the transmittances.
     let mut rho = Transmittances::new([F::ZERO; TILE_PIXELS]);
-    rho.kept.copy_from_slice(grad.behind);
-    let chunks = grad.passed.div_ceil(CHECKPOINT_EVERY);
+    rho.kept.copy_from_slice(grad.background_rho);
+    let chunks = grad.layer_count.div_ceil(CHECKPOINT_EVERY);
     let x = centres::<S, F>(simd, view.corner()[0]);
-    *transmittance_behind = view.open_transmittance();
+    *final_transmittance = view.open_transmittance();
     for chunk in (0..chunks).rev() {
         let first = chunk * CHECKPOINT_EVERY;
-        let gaussians = &view.gaussians[first..grad.passed.min(first + CHECKPOINT_EVERY)];
+        let gaussians = &view.gaussians[first..grad.layer_count.min(first + CHECKPOINT_EVERY)];
         let mut transmittance = match chunk {
             0 => Transmittances::new(view.open_transmittance()),
             _ => Transmittances::resume::<LONG>(grad.checkpoints, chunk - 1),
@@ -87,7 +87,7 @@ pub(super) fn rasterize_tile_backward<S: Simd, F: Real, const C: usize, const LO
         let footprints = &near.footprints[..gaussians.len()];
         forwards::<S, F, LONG, LIBRARY>(simd, view.corner(), footprints, thresholds, &mut transmittance, scratch);
         if chunk + 1 == chunks {
-            *transmittance_behind = transmittance.kept;
+            *final_transmittance = transmittance.kept;
         }
         for (i, &gaussian) in gaussians.iter().enumerate().rev() {
             let layers = scratch.starts[i]..scratch.starts[i + 1];

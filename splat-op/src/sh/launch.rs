@@ -51,17 +51,22 @@ impl DeviceShCoefficients {
 }
 
 /// Gaussians whose colours are computed: those whose packed ellipses, `[N, 7]`, can show in a picture.
-pub(crate) type Visible<'a> = Option<(&'a Buffer<f32>, &'a ProjectSpec)>;
+pub(crate) type DeviceVisible<'a> = Option<(&'a Buffer<f32>, &'a ProjectSpec)>;
 
 /// The picture for the test of visibility; its values are not read without ellipses.
-fn frame(visible: Visible) -> FrameLaunch {
+fn frame(visible: DeviceVisible) -> FrameLaunch {
     let size = |spec: &ProjectSpec| [spec.intrinsics.width as f32, spec.intrinsics.height as f32];
     let [width, height] = visible.map_or([0.0; 2], |(_, spec)| size(spec));
     FrameLaunch::new(visible.map_or(0.0, |(_, spec)| extent_sigmas(spec.options.alpha_min) as f32), width, height)
 }
 
 /// Launches the forward kernel. Returns colours `[N, 3]` from `coefficients` per channel; zero for Gaussians that are not visible.
-pub(crate) fn launch_sh(gpu: &Gpu, inputs: &ShDeviceInputs, visible: Visible, coefficients: usize) -> Buffer<f32> {
+pub(crate) fn launch_sh(
+    gpu: &Gpu,
+    inputs: &ShDeviceInputs,
+    visible: DeviceVisible,
+    coefficients: usize,
+) -> Buffer<f32> {
     let count = inputs.means.len / 3;
     let colours = Buffer::new(gpu, 3 * count);
     if count == 0 {
@@ -92,7 +97,7 @@ pub(crate) fn launch_sh(gpu: &Gpu, inputs: &ShDeviceInputs, visible: Visible, co
 pub(crate) fn launch_sh_backward(
     gpu: &Gpu,
     inputs: &ShDeviceInputs,
-    visible: Visible,
+    visible: DeviceVisible,
     coefficients: usize,
     grad: &Buffer<f32>,
     needs: Shading<bool>,

@@ -9,7 +9,6 @@ use burn::tensor::{Device, Tensor, TensorData};
 use glam::{DAffine3, DMat3, DVec3, Vec2};
 
 use crate::capture::Capture;
-use crate::effects::survey::by_view;
 
 /// Scale of the robust loss, rad: errors well below it count by their square, larger errors linearly. About a pixel.
 pub(in crate::effects) const ROBUST_RAD: f64 = 2e-3;
@@ -37,7 +36,7 @@ pub(super) struct DeviceAnchors {
 
 /// Collects the anchors of the photographs `views` of a capture.
 pub fn from_tracks(capture: &Capture, views: &[usize]) -> Vec<Anchors> {
-    let lists = by_view(capture, views.iter().copied(), |view, world, observation| {
+    let lists = capture.by_view(views.iter().copied(), |view, world, observation| {
         Some((world, view.intrinsics.cam_from_px(Vec2::from_array(observation.at_px).as_dvec2()).normalize()))
     });
     lists

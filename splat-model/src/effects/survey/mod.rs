@@ -32,7 +32,6 @@ pub use self::footprint::FootprintEvidence;
 pub use self::grading::GradingEvidence;
 pub use self::lens::LensEvidence;
 pub use self::observations::ObservationSource;
-pub(super) use self::observations::by_view;
 pub use self::pose::{PoseEvidence, PoseSource};
 pub use self::shutter::ShutterEvidence;
 pub use self::view_dependence::ViewDependenceEvidence;

@@ -1,6 +1,6 @@
 //! Observations of points in several photographs.
 
-use glam::{DVec3, Vec3};
+use glam::DVec3;
 use serde::Serialize;
 use splat_op::Projector;
 
@@ -76,36 +76,9 @@ impl PointObservations {
     }
 }
 
-/// What `found` makes of the observations of points, world frame, in the tracks of a capture: a list for each of `views`.
-pub(in crate::effects) fn by_view<T>(
-    capture: &Capture,
-    views: impl IntoIterator<Item = usize>,
-    found: impl Fn(&View, DVec3, &Observation) -> Option<T>,
-) -> Vec<Vec<T>> {
-    let mut place = vec![None; capture.views.len()];
-    let mut lists = Vec::new();
-    for view in views {
-        place[view] = Some(lists.len());
-        lists.push(Vec::new());
-    }
-    for point in 0..capture.points.positions.len() {
-        let world = position(capture, point);
-        for observation in capture.tracks.of(point) {
-            if let Some(&Some(at)) = place.get(observation.view) {
-                lists[at].extend(found(&capture.views[observation.view], world, observation));
-            }
-        }
-    }
-    lists
-}
-
-fn position(capture: &Capture, point: usize) -> DVec3 {
-    Vec3::from_array(capture.points.positions[point]).as_dvec3()
-}
-
 fn tracked(capture: &Capture, surveyed: &[usize]) -> Vec<(usize, Vec<PointObservation>)> {
     let of_point = |point: usize| {
-        let world = position(capture, point);
+        let world = capture.position(point);
         let observations =
             capture.tracks.of(point).iter().filter(|observation| surveyed.binary_search(&observation.view).is_ok());
         let observation = |at: &Observation| {
@@ -133,7 +106,7 @@ fn projected(capture: &Capture, surveyed: &[usize]) -> Vec<(usize, Vec<PointObse
         let mut nearest = vec![[f64::INFINITY; CELLS + 1]; CELLS + 1];
         let projector = view.intrinsics.projector();
         let shown: Vec<Option<([f64; 2], f64)>> =
-            (0..count).map(|point| project(view, &projector, position(capture, point))).collect();
+            (0..count).map(|point| project(view, &projector, capture.position(point))).collect();
         for (at_px, depth) in shown.iter().flatten() {
             let [column, row] = cell(*at_px);
             nearest[row][column] = nearest[row][column].min(*depth);

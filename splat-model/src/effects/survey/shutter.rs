@@ -9,7 +9,7 @@ use glam::{DVec3, Vec2};
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::{Capture, by_view};
+use super::Capture;
 use crate::effects::pose::anchors::{FEWEST, ROBUST_RAD, columns, solve};
 
 /// Iterations of the robust weights.
@@ -35,7 +35,7 @@ struct ShutterObservation {
 }
 
 pub(super) fn evidence(capture: &Capture) -> Option<ShutterEvidence> {
-    let mut views = by_view(capture, 0..capture.views.len(), |view, world, observation| {
+    let mut views = capture.by_view(0..capture.views.len(), |view, world, observation| {
         let found = view.intrinsics.cam_from_px(Vec2::from_array(observation.at_px).as_dvec2()).normalize_or_zero();
         let cam = view.cam_from_world.transform_point3(world);
         let row = f64::from(observation.at_px[1]) / view.intrinsics.height as f64 - 0.5;
