@@ -127,7 +127,7 @@ fn forwards<S: Simd, F: Real, const LONG: bool, const LIBRARY: bool>(
                 let Some(layers) = thresholds.layers::<LONG>(&splat, &column, row, &before) else {
                     continue;
                 };
-                transmittance.store::<S, LONG>(&layers.behind, first);
+                transmittance.store::<S, LONG>(&layers.transmittance, first);
                 for (row, kept) in scratch.layers[met].iter_mut().enumerate() {
                     before[row][0].store_slice(&mut kept[..LANES]);
                     layers.alpha[row].store_slice(&mut kept[LANES..]);
