@@ -1,6 +1,7 @@
 //! CPU twin of `rasterize`: both passes, parallel over tiles. The gradient of each intersection is stored separately,
 //! and those of a Gaussian are added in a fixed order, so the number of threads never changes a result.
 
+use burn::tensor::DType;
 use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
 
@@ -39,17 +40,22 @@ macro_rules! specialised {
                 dispatch!(Level::new(), $simd => $body)
             }};
         }
+        // Versions in f64, which serves as a reference, would take as long to compile as those in f32.
         match ($prepared.channels, $prepared.is_long($tile), $prepared.library) {
-            (1, false, false) => with!(1, false, false),
-            (3, false, false) => with!(3, false, false),
-            (4, false, false) => with!(4, false, false),
+            (1, false, false) if const { is_f32::<F>() } => with!(1, false, false),
+            (3, false, false) if const { is_f32::<F>() } => with!(3, false, false),
+            (4, false, false) if const { is_f32::<F>() } => with!(4, false, false),
             (_, false, false) => with!(0, false, false),
             (_, true, false) => with!(0, true, false),
-            (3, false, true) => with!(3, false, true),
+            (3, false, true) if const { is_f32::<F>() } => with!(3, false, true),
             (_, false, true) => with!(0, false, true),
             (_, true, true) => with!(0, true, true),
         }
     }};
+}
+
+const fn is_f32<F: Real>() -> bool {
+    matches!(F::DTYPE, DType::F32)
 }
 
 /// Runs the forward pass. Returns the planes `[C + 1 (+ 1), H, W]`, and the trace if `keep` is set.
