@@ -61,21 +61,24 @@ impl Guard {
         let Gradients { means, rotations, log_scales, logit_opacities, sh } = gradients;
         let none = || Tensor::zeros([VERDICT], (&loss.device().inner(), DType::I32));
         let verdict = self.waits.then(|| self.verdict.take().unwrap_or_else(none));
-        let mut look = Look { verdict, bad: [false; WATCHED.len()], step };
+        let mut look = Look { verdict, flags: Vec::new(), step };
         look.at(0, Some(loss));
         look.at(1, means.as_ref());
         look.at(2, rotations.as_ref());
         look.at(3, log_scales.as_ref());
         look.at(4, logit_opacities.as_ref());
         look.at(5, sh.as_ref());
-        if look.bad.contains(&true) {
-            return Err(Fault { step, view, what: in_words(look.bad) });
-        }
         if self.waits {
             self.verdict = look.verdict.clone();
             self.unread.push((step, view));
+            return Ok(look.verdict);
         }
-        Ok(look.verdict)
+        let (watched, flags): (Vec<usize>, Vec<Tensor<1, Int>>) = look.flags.into_iter().unzip();
+        // One reading for all: each costs more than the check of a small parameter.
+        let flags: Vec<i32> = Tensor::cat(flags, 0).into_data().iter().collect();
+        let bad =
+            std::array::from_fn(|i| watched.iter().zip(&flags).any(|(&watched, &flag)| watched == i && flag != 0));
+        if bad.contains(&true) { Err(Fault { step, view, what: in_words(bad) }) } else { Ok(None) }
     }
 
     /// Reads the verdict if `now` is set, or if it has not been read for `READ_EVERY` steps.
@@ -100,10 +103,10 @@ impl Guard {
     }
 }
 
-/// The check of a step: the device's verdict, or without one which of [`WATCHED`] are not finite.
+/// The check of a step: the device's verdict, or without one a flag for each checked value, with its place in [`WATCHED`].
 struct Look {
     verdict: Option<Tensor<1, Int>>,
-    bad: [bool; WATCHED.len()],
+    flags: Vec<(usize, Tensor<1, Int>)>,
     step: usize,
 }
 
@@ -112,7 +115,7 @@ impl Look {
     fn at<const D: usize>(&mut self, i: usize, values: Option<&Tensor<D>>) {
         let Some(values) = values else { return };
         let Some(verdict) = &mut self.verdict else {
-            self.bad[i] = non_finite(values).into_scalar::<i32>() != 0;
+            self.flags.push((i, non_finite(values)));
             return;
         };
         let step = self.step as i32;
