@@ -54,13 +54,11 @@ pub fn is_gpu(device: &Device) -> bool {
 }
 
 /// Size of a GPU's largest buffer, bytes; `None` for a CPU device.
-#[cfg(feature = "cube")]
+#[cfg_attr(not(feature = "cube"), expect(unused_variables, reason = "no GPU runtime is compiled in"))]
 pub fn buffer_limit(device: &Device) -> Option<u64> {
-    gpu(device).map(|gpu| gpu.buffer_limit)
-}
-
-#[cfg(not(feature = "cube"))]
-pub fn buffer_limit(_: &Device) -> Option<u64> {
+    #[cfg(feature = "cube")]
+    return gpu(device).map(|gpu| gpu.buffer_limit);
+    #[cfg(not(feature = "cube"))]
     None
 }
 

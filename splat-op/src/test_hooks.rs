@@ -1,5 +1,7 @@
 //! Counters and switches for tests. Not part of the public interface.
 
+use std::collections::BTreeMap;
+
 use burn::backend::{Backend, Dispatch};
 use burn::tensor::Device;
 
@@ -8,10 +10,16 @@ pub use crate::counters::{allocated_bytes, dispatches, twin_calls};
 #[cfg(feature = "cube")]
 pub use crate::gpu::poison;
 
+/// Runs `work`. There are no kernels to count.
+#[cfg(not(feature = "cube"))]
+pub fn launches(work: impl FnOnce()) -> BTreeMap<&'static str, usize> {
+    work();
+    BTreeMap::new()
+}
+
 /// Runs `work` and returns the number of launches of each kernel by name, including Burn's. `work` must wait for its results.
 #[cfg(feature = "cube")]
-pub fn launches(work: impl FnOnce()) -> std::collections::BTreeMap<&'static str, usize> {
-    use std::collections::BTreeMap;
+pub fn launches(work: impl FnOnce()) -> BTreeMap<&'static str, usize> {
     use std::sync::{Arc, Mutex, PoisonError};
 
     use cubecl::logging::{LaunchObservation, LaunchObserver};

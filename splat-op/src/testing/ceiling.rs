@@ -4,6 +4,8 @@
 //! 1e-6 of the largest element of its column in its class. Classes keep extreme rows from loosening the limit of the others.
 //! Subnormal numbers count as zero, because some devices flush them.
 
+#![cfg_attr(not(feature = "cube"), allow(dead_code, reason = "the tests of kernels use the rest"))]
+
 use super::random::Random;
 
 /// Accepted multiple of the change for an ulp in every input.

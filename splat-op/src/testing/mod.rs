@@ -1,7 +1,6 @@
 //! Helpers shared by the unit tests of the stages.
 
 pub mod blending;
-#[cfg(feature = "cube")]
 pub mod ceiling;
 #[cfg(feature = "cube")]
 pub mod ellipses;
