@@ -7,6 +7,8 @@ pub(crate) mod half;
 pub(crate) mod math;
 pub(crate) mod reduce;
 
+use std::sync::LazyLock;
+
 use cubecl::client::Client;
 use cubecl::features::{AtomicUsage, Plane};
 use cubecl::ir::{ElemType, FloatKind, Type};
@@ -44,12 +46,20 @@ impl Gpu {
         let properties = client.properties();
         let float = Type::atomic(Type::from(ElemType::Float(FloatKind::F32)));
         Self {
-            planes: properties.features.plane.contains(Plane::Ops),
+            planes: properties.features.plane.contains(Plane::Ops) || planes_forced(),
             float_atomics: properties.atomic_type_usage(float).contains(AtomicUsage::Add),
             buffer_limit: properties.memory.max_page_size.min(INDEX_LIMIT),
             client: client.clone(),
         }
     }
+}
+
+/// Whether `SPLAT_PLANES=force` is set: CubeCL withholds the plane operations of software drivers, which serve to test the kernels
+/// that use them.
+fn planes_forced() -> bool {
+    static FORCED: LazyLock<bool> =
+        LazyLock::new(|| std::env::var_os("SPLAT_PLANES").is_some_and(|value| value == "force"));
+    *FORCED
 }
 
 /// Returns a dispatch of at least `cubes` cubes, within the limits of every device. Kernels number their cubes by `CUBE_POS` and

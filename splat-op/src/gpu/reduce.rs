@@ -16,13 +16,15 @@ pub(crate) fn cube_exclusive_sum(value: u32, shared: &mut Shared<[u32]>, #[compt
     if comptime!(planes) {
         let plane = UNIT_POS / PLANE_DIM;
         let count = (PLANE_DIM + comptime!(UNITS as u32 - 1)) / PLANE_DIM;
-        let inclusive = plane_inclusive_sum(value);
+        // Sums of halves of the values stay far below 2^32, where sums of the values would wrap.
+        let (high, low) = (before >> 16, before & 0xffff);
+        let (high_sum, low_sum) = (plane_inclusive_sum(high), plane_inclusive_sum(low));
         // The last unit of a plane holds its total.
         if UNIT_POS_PLANE == PLANE_DIM - 1 {
-            shared[plane as usize] = inclusive;
+            shared[plane as usize] = joined(high_sum, low_sum);
         }
         sync_cube();
-        before = inclusive - before;
+        before = joined(high_sum - high, low_sum - low);
         let mut total = 0u32;
         for other in 0..count {
             if other == plane {
@@ -69,6 +71,13 @@ pub(crate) fn cube_exclusive_sum(value: u32, shared: &mut Shared<[u32]>, #[compt
     let total = shared[comptime!(UNITS)];
     sync_cube();
     (before, total)
+}
+
+/// Returns `2^16 high + low`, limited to the largest u32.
+#[cube]
+fn joined(high: u32, low: u32) -> u32 {
+    let high = high + (low >> 16);
+    select(high > 0xffff, 4_294_967_295u32, (high << 16) | (low & 0xffff))
 }
 
 /// Returns `a + b`, limited to the largest u32.
