@@ -1,25 +1,21 @@
-//! Times each pass of a training step, and the whole step, on devices named at run time. A scene outside the specified load,
-//! or a picture that differs from the CPU's, is not timed.
-//!
-//! `cargo bench --workspace --bench gpu -- flex gpu fox_small` takes any names of `splat devices` and any of `small`,
-//! `fox_small`, `fox_colmap`, `medium` and `large`. The default is flex and the GPU with `fox_small`, `medium` and `large`. All
-//! devices are compared with the first.
+//! Times each pass of a training step, and the whole step, on devices side by side.
 
 use std::error::Error;
+use std::fs;
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::PathBuf;
 use std::time::Duration;
 
 use burn::tensor::Device;
+use serde::{Deserialize, Serialize};
 use splat_benches::Load;
 use splat_benches::job::{Job, JobSize};
 use splat_benches::limit::Machine;
-use splat_benches::measure::{copy_bandwidth, table};
+use splat_benches::limit::PassKind;
+use splat_benches::measure::{RunTimes, copy_bandwidth, table};
 use splat_benches::passes::passes;
 use splat_op::is_gpu;
 use splat_train::device::DeviceName;
-
-#[global_allocator]
-static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
 /// Time budget for all passes of one size on one device. Only a driver in software uses all of it.
 const BUDGET: Duration = Duration::from_secs(60);
@@ -32,12 +28,30 @@ struct Opened {
     machine: Machine,
 }
 
-fn main() -> Result<(), Box<dyn Error>> {
-    let (mut names, mut sizes) = (Vec::<DeviceName>::new(), Vec::<JobSize>::new());
-    // Cargo passes `--bench`.
-    for word in std::env::args().skip(1).filter(|word| word != "--bench") {
+/// A pass on a device, as `--json` writes it.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct TimedPass {
+    pub scene: String,
+    pub device: String,
+    pub pass: String,
+    pub median_ms: f64,
+    pub runs: usize,
+    /// Time of the least necessary work at the measured rates; for a GPU, of its bytes at the bandwidth of a copy.
+    pub limit_ms: f64,
+}
+
+/// Times the scenes and devices that `words` name. `--json FILE` writes the times too.
+///
+/// # Errors
+/// If a word names neither a scene nor a device, or a scene cannot be loaded. A device that does not open and a scene that does not
+/// fit a device are skipped.
+pub fn run(words: impl IntoIterator<Item = String>) -> Result<(), Box<dyn Error>> {
+    let (mut names, mut sizes, mut json) = (Vec::<DeviceName>::new(), Vec::<JobSize>::new(), None);
+    let mut words = words.into_iter();
+    while let Some(word) = words.next() {
         match word.parse() {
             Ok(size) => sizes.push(size),
+            Err(()) if word == "--json" => json = Some(PathBuf::from(words.next().ok_or("`--json` needs a file")?)),
             Err(()) => names.push(word.parse()?),
         }
     }
@@ -54,8 +68,13 @@ fn main() -> Result<(), Box<dyn Error>> {
             Err(error) => println!("{name} is skipped: {error}"),
         }
     }
+    let mut all = Vec::new();
     for size in sizes {
-        run(size, &devices)?;
+        all.extend(one_size(size, &devices)?);
+        // After each scene: a driver may end the process in the next.
+        if let Some(file) = &json {
+            fs::write(file, serde_json::to_string_pretty(&all)?)?;
+        }
     }
     Ok(())
 }
@@ -71,30 +90,40 @@ fn open(name: DeviceName) -> Result<Opened, Box<dyn Error>> {
 }
 
 /// Verifies and then times one size on all devices.
-fn run(size: JobSize, devices: &[Opened]) -> Result<(), Box<dyn Error>> {
+fn one_size(size: JobSize, devices: &[Opened]) -> Result<Vec<TimedPass>, Box<dyn Error>> {
     let job = Job::new(size)?;
     let load = job.verify_load();
     let (width, height) = (job.intrinsics.width, job.intrinsics.height);
     println!("\n{size}, {width} × {height}: {load}");
     // Medians of the first device, the base of the comparison.
-    let mut base = Vec::new();
+    let (mut base, mut all) = (Vec::new(), Vec::new());
     for opened in devices {
         println!("\n {size} on {}", opened.name);
         // A buffer whose size depends on the data can fail deep within an operation. Burn then passes the panic to the caller
         // that waits for the device.
         let found = catch_unwind(AssertUnwindSafe(|| timed(&job, &load, opened, &base)));
-        let medians = found.unwrap_or_else(|panic| Err(message(panic.as_ref()).into()));
-        match medians {
-            Ok(medians) if base.is_empty() => base = medians,
-            Ok(_) => {}
+        match found.unwrap_or_else(|panic| Err(message(panic.as_ref()).into())) {
+            Ok(times) => {
+                if base.is_empty() {
+                    base = times.iter().map(|(_, times)| times.median_s).collect();
+                }
+                all.extend(times.into_iter().map(|(kind, times)| TimedPass {
+                    scene: size.to_string(),
+                    device: opened.name.clone(),
+                    pass: kind.name().into(),
+                    median_ms: 1e3 * times.median_s,
+                    runs: times.runs,
+                    limit_ms: 1e3 * job.sizes(&load).limit(kind, &opened.machine),
+                }));
+            }
             Err(error) => println!("  does not fit, skipped: {error}"),
         }
     }
-    Ok(())
+    Ok(all)
 }
 
-/// Times all passes, prints a line for each and returns the medians.
-fn timed(job: &Job, load: &Load, opened: &Opened, base: &[f64]) -> Result<Vec<f64>, Box<dyn Error>> {
+/// Times all passes, prints a line for each and returns the times.
+fn timed(job: &Job, load: &Load, opened: &Opened, base: &[f64]) -> Result<Vec<(PassKind, RunTimes)>, Box<dyn Error>> {
     let Opened { device, machine, .. } = opened;
     job.check_fits(device)?;
     if job.size == JobSize::FoxSmall {
@@ -102,7 +131,7 @@ fn timed(job: &Job, load: &Load, opened: &Opened, base: &[f64]) -> Result<Vec<f6
     }
     let mut passes = passes(job, device)?;
     let times = table(&mut passes, (device, machine), &job.sizes(load), BUDGET, base)?;
-    Ok(times.into_iter().map(|times| times.median_s).collect())
+    Ok(passes.iter().map(|pass| pass.kind).zip(times).collect())
 }
 
 /// Returns the message of a panic.

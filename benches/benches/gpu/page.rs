@@ -1,0 +1,140 @@
+//! Writes the page of a graphics card, `card.md`, and the same figures as `card.json`.
+
+use std::error::Error;
+use std::fmt::Write;
+use std::fs;
+
+use serde::Serialize;
+use serde_json::Value;
+
+use crate::card::{Files, Options, Outcome, PartResult};
+use crate::compare::TimedPass;
+
+/// Lines of a part's output that the page shows: the last ones.
+const LINES: usize = 60;
+
+/// Content of `card.json`.
+#[derive(Serialize)]
+struct Record<'a> {
+    commit: &'a str,
+    parts: &'a [PartResult],
+    times: &'a [TimedPass],
+    /// `metrics.json` of the two training runs.
+    gpu: Option<Value>,
+    cpu: Option<Value>,
+}
+
+/// Writes the page of the parts that have run.
+///
+/// # Errors
+/// If a file cannot be written, or a part wrote a file that is not JSON.
+pub fn write(options: &Options, parts: &[PartResult], files: &Files) -> Result<(), Box<dyn Error>> {
+    let times: Vec<TimedPass> = files.times.as_deref().map(serde_json::from_str).transpose()?.unwrap_or_default();
+    let json = |text: &Option<String>| text.as_deref().map(serde_json::from_str).transpose();
+    let [gpu, cpu] = [json(&files.metrics[0])?, json(&files.metrics[1])?];
+    let record = Record { commit: &options.commit, parts, times: &times, gpu, cpu };
+    let page = markdown(&record, files.frontier.as_deref());
+    fs::write(options.out.join("card.json"), serde_json::to_string_pretty(&record)?)?;
+    fs::write(options.out.join("card.md"), page)?;
+    Ok(())
+}
+
+/// Formats how a part ended.
+pub fn outcome(outcome: &Outcome) -> String {
+    match outcome {
+        Outcome::Passed => "passed".into(),
+        Outcome::Failed(status) => format!("**failed**, {status}"),
+        Outcome::Stopped(seconds) => format!("**stopped** after {seconds} s"),
+        Outcome::Skipped(why) => format!("skipped: {why}"),
+    }
+}
+
+fn markdown(record: &Record, frontier: Option<&str>) -> String {
+    let mut page = format!("# A graphics card\n\nWritten by `benches/card.sh` from commit {}.\n\n", record.commit);
+    page += "| part | result | seconds |\n|---|---|---|\n";
+    for part in record.parts {
+        row(&mut page, &[part.title.clone(), outcome(&part.outcome), format!("{:.1}", part.seconds)]);
+    }
+    page += &passes(record.times);
+    page += &training(record);
+    if let Some(frontier) = frontier {
+        let _ = write!(page, "\n## The frontier of time and error\n\n{}\n", demoted(frontier));
+    }
+    page += "\n## Output of the parts\n";
+    for part in record.parts {
+        let lines: Vec<&str> = part.output.lines().collect();
+        let last = lines[lines.len().saturating_sub(LINES)..].join("\n");
+        // Four backticks, because an output may contain three.
+        let _ = write!(page, "\n### {}\n\n`{}`\n\n````text\n{last}\n````\n", part.title, part.command);
+    }
+    page
+}
+
+/// Returns a table for each scene: the time of each pass on each device, and the share of the copy bandwidth that its least bytes
+/// would be.
+fn passes(times: &[TimedPass]) -> String {
+    let mut text = String::new();
+    for scene in unique(times.iter().map(|pass| &pass.scene)) {
+        let of_scene: Vec<&TimedPass> = times.iter().filter(|pass| &pass.scene == scene).collect();
+        let devices = unique(of_scene.iter().map(|pass| &pass.device));
+        let _ =
+            write!(text, "\n## Passes of `{scene}`\n\nMedians in ms; in parentheses the least necessary bytes at the ");
+        text += "bandwidth of a copy, as a share of the time.\n\n";
+        let head = ["pass".into()].into_iter().chain(devices.iter().map(|device| device.to_string()));
+        let head: Vec<String> = head.collect();
+        row(&mut text, &head);
+        row(&mut text, &vec!["---".into(); head.len()]);
+        for pass in unique(of_scene.iter().map(|timed| &timed.pass)) {
+            let cell = |device: &&String| {
+                let found = of_scene.iter().find(|timed| &timed.pass == pass && &&timed.device == device);
+                found.map_or("-".into(), |timed| {
+                    format!("{:.3} ({:.0}%)", timed.median_ms, 100.0 * timed.limit_ms / timed.median_ms)
+                })
+            };
+            let cells: Vec<String> = [pass.clone()].into_iter().chain(devices.iter().map(cell)).collect();
+            row(&mut text, &cells);
+        }
+    }
+    text
+}
+
+/// Returns the table of the two training runs.
+fn training(record: &Record) -> String {
+    let mut text = String::new();
+    for (device, metrics) in [("GPU", &record.gpu), ("CPU", &record.cpu)] {
+        let Some(metrics) = metrics else { continue };
+        if text.is_empty() {
+            text +=
+                "\n## Training on the demo capture\n\n| device | PSNR, dB | Gaussians | seconds |\n|---|---|---|---|\n";
+        }
+        let number = |keys: &[&str], digits| {
+            let found = keys.iter().try_fold(metrics, |value, key| value.get(key)).and_then(Value::as_f64);
+            found.map_or("-".into(), |found| format!("{found:.digits$}"))
+        };
+        let cells =
+            [device.into(), number(&["test", "psnr"], 2), number(&["splats"], 0), number(&["seconds", "train"], 1)];
+        row(&mut text, &cells);
+    }
+    text
+}
+
+fn row(text: &mut String, cells: &[String]) {
+    let _ = writeln!(text, "| {} |", cells.join(" | "));
+}
+
+/// Returns each value once, in the order of first appearance.
+fn unique<'a>(values: impl Iterator<Item = &'a String>) -> Vec<&'a String> {
+    let mut found = Vec::new();
+    for value in values {
+        if !found.contains(&value) {
+            found.push(value);
+        }
+    }
+    found
+}
+
+/// Makes the headings of a page those of its section.
+fn demoted(page: &str) -> String {
+    let lines = page.lines().map(|line| if line.starts_with('#') { format!("##{line}") } else { line.to_owned() });
+    lines.collect::<Vec<_>>().join("\n")
+}
