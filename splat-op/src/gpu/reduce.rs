@@ -29,7 +29,7 @@ pub(crate) fn cube_exclusive_sum(value: u32, shared: &mut Shared<[u32]>) -> (u32
         before += select(i < unit % comptime!(GROUP), here, 0);
         of_group += here;
     }
-    if unit % comptime!(GROUP) == 0 {
+    if unit == group * comptime!(GROUP) {
         shared[comptime!(UNITS) + group] = of_group;
     }
     sync_cube();
@@ -52,7 +52,7 @@ pub(crate) fn cube_sum(value: f32, shared: &mut Shared<[f32]>, #[comptime] plane
     let mut total = 0.0f32;
     if comptime!(planes) {
         let sum = plane_sum(value);
-        // The number that the device gives the plane: planes need not hold units in the order of `UNIT_POS`.
+        // The number that the device gives the plane: planes are full, but need not hold units in the order of `UNIT_POS`.
         if UNIT_POS_PLANE == 0 {
             shared[PLANE_POS as usize] = sum;
         }

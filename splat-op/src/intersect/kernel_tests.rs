@@ -146,8 +146,7 @@ fn lists_take_seventeen_launches_and_the_two_sorts_twelve_of_them() {
         let observation = LaunchObservation::new(launches.clone());
         launch_intersect(&gpu, &projected, &camera, (1.0 / 255.0).into());
         drop(observation);
-        let launches = launches.1.lock().expect("no other thread panics").clone();
-        launches
+        launches.1.lock().expect("no other thread panics").clone()
     };
     let found = launches(30_000);
     println!("{found:?}");

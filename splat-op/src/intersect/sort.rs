@@ -41,6 +41,12 @@ const LANES: usize = 32;
 /// Number of groups of [`LANES`] units.
 const GROUPS: usize = UNITS / LANES;
 
+/// The same shared memory holds a word for each group and digit, and the keys of a tile.
+const _: () = assert!(GROUPS * DIGITS == TILE);
+
+/// Shared memory of `scatter_kernel`: the words, the counters, the distances, the sums and the bound. Devices offer 16 KiB.
+const _: () = assert!(4 * (TILE + GROUPS * DIGITS / 2 + DIGITS + SUM_ROOM + 1) <= 16 << 10);
+
 /// Number of tiles until the counters of a byte are added up. Units of the same lane share counters.
 const TILES_PER_COUNT: usize = 3;
 const _: () = assert!(TILES_PER_COUNT * PER_UNIT * GROUPS < 256);
