@@ -37,9 +37,10 @@ pub(crate) struct Gpu {
     pub buffer_limit: u64,
 }
 
-/// Largest buffer that kernels can index, bytes: they index elements of four bytes by u32, even if a device supports larger
-/// buffers.
-const INDEX_LIMIT: u64 = 4 * (1 << 32);
+/// Largest buffer that kernels can index, bytes: they number elements of four bytes by u32, even if a device supports larger
+/// buffers. The number of elements must fit, and so must the next number of a unit that goes past the last element; no unit goes
+/// further than the units of a row of cubes.
+const INDEX_LIMIT: u64 = 4 * ((1 << 32) - (CUBES_X * UNITS) as u64);
 
 impl Gpu {
     pub fn new(client: &Client) -> Self {
@@ -85,4 +86,21 @@ pub(crate) fn search(values: usize) -> (CubeCount, CubeDim, u32) {
 /// Returns a dispatch with at least one unit per element.
 pub(crate) fn elementwise(elements: usize) -> (CubeCount, CubeDim) {
     (cubes(elements.div_ceil(UNITS)), CubeDim::new_1d(UNITS as u32))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_of_units_and_elements_fit_into_u32() {
+        let largest = (INDEX_LIMIT / 4) as usize;
+        for elements in [largest, largest - 1, largest - CUBES_X * UNITS + 1] {
+            let (CubeCount::Static(x, y, z), _) = elementwise(elements) else { panic!("a static count") };
+            let units = [x, y, z].iter().try_fold(UNITS as u32, |units, count| units.checked_mul(*count));
+            assert!(units.is_some_and(|units| units as usize >= elements), "{units:?} units for {elements} elements");
+        }
+        let (_, _, stride) = search(largest);
+        assert!((largest as u32).checked_add(stride).is_some());
+    }
 }

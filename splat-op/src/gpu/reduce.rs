@@ -4,86 +4,44 @@ use cubecl::prelude::*;
 
 use super::{Buffer, Gpu, UNITS, cubes};
 
-/// Number of units whose partial sums one unit adds, on the path through shared memory.
+/// Number of neighbouring units whose values are added first.
 const GROUP: usize = 16;
 
-/// Returns the sum of the values of all previous units and the sum over all units, in a cube of [`UNITS`] units. `shared` holds
-/// `UNITS + 1` numbers. The sums saturate instead of wrapping, so that a total too large for u32 shows as its maximum.
+/// Numbers of shared memory that [`cube_exclusive_sum`] needs.
+pub(crate) const SUM_ROOM: usize = UNITS + UNITS / GROUP;
+
+/// Returns the sum of the values of all previous units, in the order of `UNIT_POS`, and the sum over all units, in a cube of
+/// [`UNITS`] units. The sums must fit into u32. `shared` holds [`SUM_ROOM`] numbers.
+///
+/// There is no form with plane operations: devices promise no order of units in planes, and planes save nothing. A unit reads
+/// the 16 values of its group and the 16 sums of groups, which neighbouring units read at the same time, between three barriers.
 #[cube]
-pub(crate) fn cube_exclusive_sum(value: u32, shared: &mut Shared<[u32]>, #[comptime] planes: bool) -> (u32, u32) {
+pub(crate) fn cube_exclusive_sum(value: u32, shared: &mut Shared<[u32]>) -> (u32, u32) {
     let unit = UNIT_POS as usize;
-    let mut before = value;
-    if comptime!(planes) {
-        let plane = UNIT_POS / PLANE_DIM;
-        let count = (PLANE_DIM + comptime!(UNITS as u32 - 1)) / PLANE_DIM;
-        // Sums of halves of the values stay far below 2^32, where sums of the values would wrap.
-        let (high, low) = (before >> 16, before & 0xffff);
-        let (high_sum, low_sum) = (plane_inclusive_sum(high), plane_inclusive_sum(low));
-        // The last unit of a plane holds its total.
-        if UNIT_POS_PLANE == PLANE_DIM - 1 {
-            shared[plane as usize] = joined(high_sum, low_sum);
-        }
-        sync_cube();
-        before = joined(high_sum - high, low_sum - low);
-        let mut total = 0u32;
-        for other in 0..count {
-            if other == plane {
-                before = saturating(before, total);
-            }
-            total = saturating(total, shared[other as usize]);
-        }
-        if unit == 0 {
-            shared[comptime!(UNITS)] = total;
-        }
-    } else {
-        shared[unit] = value;
-        sync_cube();
-        // Each of the first units turns a group into its prefix sums; the sum of the group is then stored under the index of
-        // the group.
-        let mut group_total = 0u32;
-        if unit < comptime!(UNITS / GROUP) {
-            for i in 0..comptime!(GROUP) {
-                let here = shared[unit * comptime!(GROUP) + i];
-                shared[unit * comptime!(GROUP) + i] = group_total;
-                group_total = saturating(group_total, here);
-            }
-        }
-        sync_cube();
-        before = shared[unit];
-        sync_cube();
-        if unit < comptime!(UNITS / GROUP) {
-            shared[unit] = group_total;
-        }
-        sync_cube();
-        if unit == 0 {
-            let mut total = 0u32;
-            for i in 0..comptime!(UNITS / GROUP) {
-                let here = shared[i];
-                shared[i] = total;
-                total = saturating(total, here);
-            }
-            shared[comptime!(UNITS)] = total;
-        }
-        sync_cube();
-        before = saturating(before, shared[unit / comptime!(GROUP)]);
+    let group = unit / comptime!(GROUP);
+    shared[unit] = value;
+    sync_cube();
+    let mut before = 0u32;
+    let mut of_group = 0u32;
+    #[unroll]
+    for i in 0..comptime!(GROUP) {
+        let here = shared[group * comptime!(GROUP) + i];
+        before += select(i < unit % comptime!(GROUP), here, 0);
+        of_group += here;
+    }
+    if unit == group * comptime!(GROUP) {
+        shared[comptime!(UNITS) + group] = of_group;
     }
     sync_cube();
-    let total = shared[comptime!(UNITS)];
+    let mut total = 0u32;
+    #[unroll]
+    for other in 0..comptime!(UNITS / GROUP) {
+        let here = shared[comptime!(UNITS) + other];
+        before += select(other < group, here, 0);
+        total += here;
+    }
     sync_cube();
     (before, total)
-}
-
-/// Returns `2^16 high + low`, limited to the largest u32.
-#[cube]
-fn joined(high: u32, low: u32) -> u32 {
-    let high = high + (low >> 16);
-    select(high > 0xffff, 4_294_967_295u32, (high << 16) | (low & 0xffff))
-}
-
-/// Returns `a + b`, limited to the largest u32.
-#[cube]
-pub(crate) fn saturating(a: u32, b: u32) -> u32 {
-    a + min(b, 4_294_967_295u32 - a)
 }
 
 /// Returns the sum of the values of all units in a cube of [`UNITS`] units. The result is the same in every unit and in every
@@ -94,8 +52,9 @@ pub(crate) fn cube_sum(value: f32, shared: &mut Shared<[f32]>, #[comptime] plane
     let mut total = 0.0f32;
     if comptime!(planes) {
         let sum = plane_sum(value);
+        // The number that the device gives the plane: planes are full, but need not hold units in the order of `UNIT_POS`.
         if UNIT_POS_PLANE == 0 {
-            shared[(UNIT_POS / PLANE_DIM) as usize] = sum;
+            shared[PLANE_POS as usize] = sum;
         }
         sync_cube();
         for plane in 0..(PLANE_DIM + comptime!(UNITS as u32 - 1)) / PLANE_DIM {

@@ -1,5 +1,4 @@
-//! Kernels of `intersect`: the tiles that each Gaussian covers, its intersections in depth order, and each tile's first
-//! intersection.
+//! The tiles that each Gaussian covers, and its depth as a sort key.
 //!
 //! The coverage of a Gaussian is decided once, in floats, and stored as integers: its box of tiles, divided into at
 //! most 8 × 8 cells, with one bit per cell. Counting the intersections and writing them both read these integers, so
@@ -10,6 +9,7 @@
 use cubecl::prelude::*;
 
 use super::TILE;
+use super::sort::HIDDEN;
 use crate::dials::Culling;
 use crate::gpu::math::{Vec3, finite, within};
 use crate::project::COLUMNS;
@@ -48,7 +48,7 @@ impl TileLists {
 /// Tiles that list a Gaussian.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
-struct TileCoverage {
+pub(super) struct TileCoverage {
     /// First tile of the box.
     x: u32,
     y: u32,
@@ -62,7 +62,7 @@ struct TileCoverage {
 
 #[cube]
 impl TileCoverage {
-    fn load(covers: &[u32], gaussian: usize) -> TileCoverage {
+    pub fn load(covers: &[u32], gaussian: usize) -> TileCoverage {
         let at = gaussian * comptime!(COVER);
         TileCoverage {
             x: covers[at] & 0xffff,
@@ -91,35 +91,82 @@ impl TileCoverage {
         (self.height + comptime!(CELLS - 1)) / comptime!(CELLS)
     }
 
-    /// Whether the cell that holds the box's tile `x, y` is covered.
-    fn holds(&self, x: u32, y: u32) -> bool {
-        let bit = y / self.cell_height() * comptime!(CELLS) + x / self.cell_width();
-        let mut word = self.low;
-        if bit >= 32 {
-            word = self.high;
-        }
-        ((word >> (bit & 31)) & 1) != 0
+    /// Whether each cell is one tile.
+    fn fine(&self) -> bool {
+        self.width <= comptime!(CELLS) && self.height <= comptime!(CELLS)
     }
 
-    fn count(&self) -> u32 {
-        let mut count = 0u32;
-        if self.width > 0 {
-            let (cell_width, cell_height) = (self.cell_width(), self.cell_height());
-            let mut y = 0u32;
-            while y < self.height {
-                let rows = min(cell_height, self.height - y);
-                let mut x = 0u32;
-                while x < self.width {
-                    if self.holds(x, y) {
-                        count += rows * min(cell_width, self.width - x);
-                    }
-                    x += cell_width;
-                }
-                y += cell_height;
+    /// Returns the bits of a row of cells.
+    fn row(&self, row: u32) -> u32 {
+        (select(row < 4, self.low, self.high) >> (8 * (row & 3))) & 0xff
+    }
+
+    /// Number of rows of tiles in a row of cells.
+    fn tile_rows(&self, row: u32) -> u32 {
+        let first = min(row * self.cell_height(), self.height);
+        min(self.cell_height(), self.height - first)
+    }
+
+    /// Number of covered tiles in each row of tiles of a row of cells. Only the last cell may reach beyond the box.
+    fn tiles_across(&self, row: u32) -> u32 {
+        let bits = self.row(row);
+        let cell_width = self.cell_width();
+        let end = (32 - bits.leading_zeros()) * cell_width;
+        bits.count_ones() * cell_width - (max(end, self.width) - self.width)
+    }
+
+    pub fn count(&self) -> u32 {
+        let mut count = self.low.count_ones() + self.high.count_ones();
+        if !self.fine() {
+            count = 0;
+            for row in 0..comptime!(CELLS) {
+                count += self.tile_rows(row) * self.tiles_across(row);
             }
         }
         count
     }
+
+    /// Returns the picture's tile that is the covered tile `index`, below [`TileCoverage::count`]: row by row.
+    pub fn tile(&self, index: u32) -> (u32, u32) {
+        let in_low = self.low.count_ones();
+        let bit = if index < in_low { nth_bit(self.low, index) } else { 32 + nth_bit(self.high, index - in_low) };
+        let mut x = bit % comptime!(CELLS);
+        let mut y = bit / comptime!(CELLS);
+        if !self.fine() {
+            let mut left = index;
+            let mut row = 0u32;
+            let mut here = self.tile_rows(0u32) * self.tiles_across(0u32);
+            while left >= here && row < comptime!(CELLS - 1) {
+                left -= here;
+                row += 1;
+                here = self.tile_rows(row) * self.tiles_across(row);
+            }
+            let (across, cell_width) = (max(self.tiles_across(row), 1), self.cell_width());
+            let in_row = left % across;
+            x = nth_bit(self.row(row), in_row / cell_width) * cell_width + in_row % cell_width;
+            y = row * self.cell_height() + left / across;
+        }
+        (self.x + x, self.y + y)
+    }
+}
+
+/// Returns the position of the set bit with `n` set bits below it.
+#[cube]
+fn nth_bit(bits: u32, n: u32) -> u32 {
+    let mut rest = bits;
+    let mut left = n;
+    let mut at = 0u32;
+    #[unroll]
+    for step in 0..5u32 {
+        let half = comptime!(16 >> step);
+        let low = (rest & comptime!((1u32 << half) - 1)).count_ones();
+        if left >= low {
+            left -= low;
+            rest >>= half;
+            at += half;
+        }
+    }
+    at
 }
 
 /// A packed ellipse and its extent.
@@ -200,13 +247,12 @@ fn tile_range(mean: f32, half: f32, pixels: u32, #[comptime] culling: Culling) -
     (first, end)
 }
 
-/// Stores each Gaussian's coverage, its depth as a key (the largest key if it covers nothing) and its index.
+/// Stores each Gaussian's coverage, and its depth as a key: positive floats are ordered as their bits are.
 #[cube(launch_unchecked)]
 pub(super) fn cover_kernel(
     projected: &[f32],
     covers: &mut [u32],
     keys: &mut [u32],
-    indices: &mut [u32],
     width: u32,
     height: u32,
     alpha_min: f32,
@@ -224,7 +270,7 @@ pub(super) fn cover_kernel(
         for column in 0..comptime!(COLUMNS) {
             usable = usable && finite(projected[at + column]);
         }
-        let mut key = 0xffff_ffffu32;
+        let mut key = HIDDEN.runtime();
         if usable {
             let mut limit = f32::max_value();
             if alpha_min > 0.0 {
@@ -257,7 +303,6 @@ pub(super) fn cover_kernel(
         }
         cover.store(covers, gaussian);
         keys[gaussian] = key;
-        indices[gaussian] = gaussian as u32;
     }
 }
 
@@ -273,8 +318,10 @@ fn covered_cells(
     let mut low = 0u32;
     let mut high = 0u32;
     let (cell_width, cell_height) = (cover.cell_width(), cover.cell_height());
+    let mut bits_of_row = 0u32;
     let mut y = 0u32;
     while y < cover.height {
+        let mut bit = bits_of_row;
         let mut x = 0u32;
         while x < cover.width {
             let first_x = (cover.x + x) * comptime!(TILE as u32);
@@ -287,7 +334,6 @@ fn covered_cells(
                 true.runtime()
             };
             if met {
-                let bit = y / cell_height * comptime!(CELLS) + x / cell_width;
                 let mask = 1u32 << (bit & 31);
                 if bit < 32 {
                     low |= mask;
@@ -295,107 +341,11 @@ fn covered_cells(
                     high |= mask;
                 }
             }
+            bit += 1;
             x += cell_width;
         }
+        bits_of_row += comptime!(CELLS);
         y += cell_height;
     }
     (low, high)
-}
-
-/// Counts the intersections of each Gaussian in depth order, and the Gaussians that have any.
-#[cube(launch_unchecked)]
-pub(super) fn count_kernel(
-    keys: &[u32],
-    order: &[u32],
-    covers: &[u32],
-    counts: &mut [u32],
-    visible: &mut [u32],
-    count: u32,
-) {
-    let rank = ABSOLUTE_POS;
-    if rank < count as usize {
-        let shown = keys[rank] != 0xffff_ffff;
-        let mut intersections = 0u32;
-        if shown {
-            intersections = TileCoverage::load(covers, order[rank] as usize).count();
-        }
-        counts[rank] = intersections;
-        // Gaussians without intersections come last, so exactly one unit sees the border.
-        let mut next_shown = false;
-        if rank + 1 < count as usize {
-            next_shown = keys[rank + 1] != 0xffff_ffff;
-        }
-        if shown && !next_shown {
-            visible[0] = rank as u32 + 1;
-        }
-        if rank == 0 && !shown {
-            visible[0] = 0;
-        }
-    }
-}
-
-/// Writes the tile, the Gaussian and the number of each intersection, Gaussian by Gaussian.
-#[cube(launch_unchecked)]
-pub(super) fn emit_kernel(
-    order: &[u32],
-    covers: &[u32],
-    starts: &[u32],
-    tiles: &mut [u32],
-    gaussians: &mut [u32],
-    numbers: &mut [u32],
-    visible: u32,
-    tiles_x: u32,
-) {
-    let rank = ABSOLUTE_POS;
-    if rank < visible as usize {
-        let gaussian = order[rank];
-        let cover = TileCoverage::load(covers, gaussian as usize);
-        let mut intersection = starts[rank];
-        for y in 0..cover.height {
-            for x in 0..cover.width {
-                if cover.holds(x, y) {
-                    tiles[intersection as usize] = (cover.y + y) * tiles_x + cover.x + x;
-                    gaussians[intersection as usize] = gaussian;
-                    numbers[intersection as usize] = intersection;
-                    intersection += 1;
-                }
-            }
-        }
-    }
-}
-
-/// Writes the index of each tile's first intersection in the sorted list, with one more entry for the end, and each
-/// tile's number of intersections.
-#[cube(launch_unchecked)]
-pub(super) fn ranges_kernel(
-    sorted_tiles: &[u32],
-    starts: &mut [u32],
-    counts: &mut [i32],
-    intersections: u32,
-    tiles: u32,
-) {
-    let tile = ABSOLUTE_POS as u32;
-    if tile <= tiles {
-        let start = lower_bound(sorted_tiles, intersections, tile);
-        starts[tile as usize] = start;
-        if tile < tiles {
-            counts[tile as usize] = i32::cast_from(lower_bound(sorted_tiles, intersections, tile + 1) - start);
-        }
-    }
-}
-
-/// Returns the first place whose tile is at least `tile`.
-#[cube]
-fn lower_bound(sorted_tiles: &[u32], intersections: u32, tile: u32) -> u32 {
-    let mut low = 0u32;
-    let mut high = intersections;
-    while low < high {
-        let middle = low + (high - low) / 2;
-        if sorted_tiles[middle as usize] < tile {
-            low = middle + 1;
-        } else {
-            high = middle;
-        }
-    }
-    low
 }

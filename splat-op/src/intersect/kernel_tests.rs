@@ -1,92 +1,233 @@
-//! Tests of the device's scan and sort against the standard library, exactly, and of its lists against the CPU twin.
+//! Tests of the device's sums and sort against the standard library, exactly, and of its lists against the CPU twin. The
+//! kernels take no optional feature of a device, so they are tested in one form.
+
+use std::collections::BTreeMap;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::{Arc, Mutex};
+use std::thread::{self, ThreadId};
+
+use cubecl::logging::{LaunchObservation, LaunchObserver};
+use cubecl::prelude::*;
 
 use super::cpu::intersect_cpu;
+use super::forward::TileCoverage;
 use super::launch::launch_intersect;
-use super::scan::launch_scan;
-use super::sort::{Pairs, launch_sort};
+use super::sort::{HIDDEN, launch_sort};
 use super::{Cut, IntersectionLists, TILE, tile_grid};
 use crate::camera::Intrinsics;
 use crate::dials::Culling;
-use crate::gpu::Buffer;
+use crate::gpu::reduce::{SUM_ROOM, cube_exclusive_sum};
+use crate::gpu::{Buffer, Gpu, UNITS, cubes, elementwise};
 use crate::project::{COLUMNS, Ellipse};
 use crate::testing::ellipses::ellipses;
-use crate::testing::gpu::gpus;
+use crate::testing::gpu::gpu;
 use crate::testing::random::Random;
 
-/// Lengths around the sizes of a unit, a block, the blocks that one cube takes, and two levels of blocks.
-const LENGTHS: [usize; 12] = [0, 1, 7, 255, 256, 2_047, 2_048, 2_049, 16_384, 16_385, 100_003, 4_200_001];
+/// Lengths around the sizes of a word, a cube and a tile of keys, and one of many chunks.
+const LENGTHS: [usize; 15] = [0, 1, 2, 31, 32, 33, 255, 256, 257, 2_047, 2_048, 2_049, 4_097, 65_537, 100_003];
+
+/// Lengths around those from which a chunk has two tiles of keys, and more tiles than are counted at a time.
+const LONG: [usize; 6] = [524_287, 524_288, 524_289, 1_572_863, 1_572_864, 1_572_865];
 
 fn random(len: usize, seed: u64, below: f64) -> Vec<u32> {
     Random::new(seed).fill(len, 0.0, below).into_iter().map(|x| x as u32).collect()
 }
 
-fn check_scan(values: &[u32]) {
-    for (form, gpu) in gpus() {
-        let buffer = Buffer::from_slice(&gpu, values);
-        let total = launch_scan(&gpu, &buffer).read(&gpu);
-        let mut sum = 0_u32;
-        let mut expected = Vec::with_capacity(values.len());
+#[cube(launch_unchecked)]
+fn sums_kernel(values: &[u32], sums: &mut [u32], totals: &mut [u32]) {
+    let mut shared = Shared::<[u32]>::new_slice(comptime!(SUM_ROOM));
+    // Twice, so that the second sum reuses the shared memory of the first.
+    let (before, _) = cube_exclusive_sum(values[ABSOLUTE_POS], &mut shared);
+    let (again, total) = cube_exclusive_sum(before + values[ABSOLUTE_POS], &mut shared);
+    sums[ABSOLUTE_POS] = again;
+    totals[ABSOLUTE_POS] = total;
+}
+
+#[test]
+fn sums_of_a_cube_are_exact_in_the_order_of_units() {
+    let Some(gpu) = gpu() else { return };
+    let values = random(7 * UNITS, 2, 60_000.0);
+    let [sums, totals] = [(); 2].map(|()| Buffer::<u32>::new(&gpu, values.len()));
+    // SAFETY: there is a value for each unit.
+    unsafe {
+        let (given, dim) = (Buffer::from_slice(&gpu, &values), CubeDim::new_1d(UNITS as u32));
+        sums_kernel::launch_unchecked(&gpu.client, cubes(7), dim, given.arg(), sums.arg(), totals.arg());
+    }
+    let (mut expected, mut expected_totals) = (Vec::new(), Vec::new());
+    for values in values.chunks(UNITS) {
+        let (mut sum, mut sum_of_sums) = (0, 0);
         for value in values {
-            expected.push(sum);
-            sum = sum.saturating_add(*value);
+            expected.push(sum_of_sums);
+            sum += value;
+            sum_of_sums += sum;
         }
-        assert!(buffer.read(&gpu) == expected, "{} values, {form}", values.len());
-        assert_eq!(total[0], sum, "{} values, {form}", values.len());
+        expected_totals.extend([sum_of_sums; UNITS]);
     }
+    assert!(sums.read(&gpu) == expected && totals.read(&gpu) == expected_totals);
 }
 
-#[test]
-fn scan_is_exact() {
-    for len in LENGTHS {
-        check_scan(&random(len, 1 + len as u64, 50.0));
-        check_scan(&vec![1; len]);
-    }
-}
-
-#[test]
-fn scan_saturates() {
-    check_scan(&random(100_003, 3, 1e6));
-}
-
-fn check_sort(keys: &[u32], bits: u32) {
-    for (form, gpu) in gpus() {
-        let values: Vec<u32> = (0..keys.len() as u32).collect();
-        let pairs = Pairs { keys: Buffer::from_slice(&gpu, keys), values: Buffer::from_slice(&gpu, &values) };
-        let sorted = launch_sort(&gpu, pairs, bits);
-        let mask = if bits == 32 { u32::MAX } else { (1 << bits) - 1 };
-        let mut expected = values;
-        expected.sort_by_key(|&i| keys[i as usize] & mask);
-        assert!(
-            sorted.values.read(&gpu) == expected,
-            "{} keys of {bits} bits, {form}: not the stable order",
-            keys.len()
-        );
-        let expected: Vec<u32> = expected.iter().map(|&i| keys[i as usize]).collect();
-        assert!(sorted.keys.read(&gpu) == expected, "{} keys of {bits} bits, {form}", keys.len());
-    }
+fn check_sort(gpu: &Gpu, keys: &[u32], bits: u32, what: &str) {
+    let name = format!("{} keys of {bits} bits, {what}", keys.len());
+    let sorted = launch_sort(gpu, Buffer::from_slice(gpu, keys), bits);
+    let mut expected: Vec<u32> = (0..keys.len() as u32).filter(|&i| keys[i as usize] != HIDDEN).collect();
+    expected.sort_by_key(|&i| keys[i as usize]);
+    assert_eq!(sorted.kept.read(gpu), [expected.len() as u32], "{name}");
+    assert!(sorted.indices.read(gpu)[..expected.len()] == expected, "{name}: not the stable order");
+    let expected: Vec<u32> = expected.iter().map(|&i| keys[i as usize]).collect();
+    assert!(sorted.keys.read(gpu)[..expected.len()] == expected, "{name}: other keys");
 }
 
 fn check_sorts(len: usize) {
-    check_sort(&random(len, len as u64, 4_294_967_296.0), 32);
-    check_sort(&random(len, len as u64, 8_192.0), 13);
-    check_sort(&vec![77; len], 32);
-    check_sort(&vec![u32::MAX; len], 32);
-    check_sort(&(0..len as u32).rev().collect::<Vec<_>>(), 32);
+    let Some(gpu) = gpu() else { return };
+    let all = random(len, len as u64, 4_294_967_295.0);
+    check_sort(&gpu, &all, 32, "random");
+    let small: Vec<u32> = all.iter().map(|key| key >> 19).collect();
+    check_sort(&gpu, &small, 13, "random");
+    check_sort(&gpu, &all.iter().map(|key| key >> 24).collect::<Vec<_>>(), 8, "random");
+    let few: Vec<u32> = all.iter().map(|key| key % 3 * 0x0110_1001).collect();
+    check_sort(&gpu, &few, 32, "three distinct");
+    check_sort(&gpu, &vec![77; len], 32, "equal");
+    check_sort(&gpu, &(0..len as u32).collect::<Vec<_>>(), 32, "sorted");
+    check_sort(&gpu, &(0..len as u32).rev().collect::<Vec<_>>(), 32, "reversed");
+    let hide = |key: &u32, share: u32| if key % 64 < share { HIDDEN } else { *key };
+    for share in [1, 50] {
+        check_sort(&gpu, &all.iter().map(|key| hide(key, share)).collect::<Vec<_>>(), 32, "some hidden");
+    }
+    check_sort(&gpu, &vec![HIDDEN; len], 32, "all hidden");
 }
 
 #[test]
 fn sort_is_exact_and_stable() {
-    for len in &LENGTHS[..11] {
-        check_sorts(*len);
+    for len in LENGTHS {
+        check_sorts(len);
     }
 }
 
 #[test]
+fn long_chunks_are_sorted() {
+    let Some(gpu) = gpu() else { return };
+    for len in LONG {
+        check_sort(&gpu, &random(len, len as u64, 256.0), 8, "random");
+    }
+    let all = random(3_000_000, 4, 4_294_967_295.0);
+    check_sort(&gpu, &all, 32, "random");
+    // All keys have the same digit, so each counter counts as many as it can.
+    check_sort(&gpu, &vec![77; all.len()], 8, "equal");
+    let hidden: Vec<u32> = all.iter().map(|key| if key % 4 == 0 { *key } else { HIDDEN }).collect();
+    check_sort(&gpu, &hidden, 32, "some hidden");
+}
+
+#[test]
 #[ignore = "long: minutes on a software driver"]
-fn sort_and_scan_of_ten_million_keys() {
+fn ten_million_keys_are_sorted() {
     check_sorts(10_000_019);
-    check_scan(&random(10_000_019, 5, 100.0));
-    check_scan(&vec![u32::MAX; 10_000_019]);
+}
+
+/// Counts the launches of one thread by kernel.
+struct Launches(ThreadId, Mutex<BTreeMap<String, usize>>);
+
+impl LaunchObserver for Launches {
+    fn launched(&self, kernel: &'static str) {
+        if thread::current().id() == self.0 {
+            let name = kernel.split('<').next().and_then(|path| path.rsplit("::").next()).unwrap_or(kernel);
+            *self.1.lock().expect("no other thread panics").entry(name.to_owned()).or_default() += 1;
+        }
+    }
+}
+
+#[test]
+fn lists_take_seventeen_launches_and_the_two_sorts_twelve_of_them() {
+    let Some(gpu) = gpu() else { return };
+    let camera = Intrinsics::centred(1_920, 1_080, 1_000.0);
+    let launches = |count| {
+        let projected: Vec<f32> = ellipses(4, count, &camera, [0.003, 1.0]).iter().map(|&v| v as f32).collect();
+        let projected = Buffer::from_slice(&gpu, &projected);
+        let launches = Arc::new(Launches(thread::current().id(), Mutex::default()));
+        let observation = LaunchObservation::new(launches.clone());
+        launch_intersect(&gpu, &projected, &camera, (1.0 / 255.0).into());
+        drop(observation);
+        launches.1.lock().expect("no other thread panics").clone()
+    };
+    let found = launches(30_000);
+    println!("{found:?}");
+    let sorts = found.get("CountDigitsKernel").unwrap_or(&0) + found.get("ScatterKernel").unwrap_or(&0);
+    assert_eq!((sorts, found.values().sum()), (12, 17), "{found:?}");
+    assert_eq!(launches(3), found, "the number of launches depends on the number of Gaussians");
+}
+
+#[test]
+fn more_intersections_than_a_list_holds_are_refused() {
+    let Some(gpu) = gpu() else { return };
+    // Gaussians that cover all 2,048 × 2,048 tiles. Of 1,024 of them the number of intersections is 2^32, of 1,025 more.
+    let camera = Intrinsics::centred(32_768, 32_768, 30.0);
+    let row = Ellipse { mean_px: [16e3, 16e3], sigma_u: 1e6, shear: 0.0, sigma_v: 1e6, depth: 1.0, opacity: 1.0_f32 };
+    for (count, bytes) in [(1_024, 1_u64 << 34), (1_025, (1 << 34) + (1 << 24))] {
+        let projected = Buffer::from_slice(&gpu, &row.to_row().repeat(count));
+        let lists = || launch_intersect(&gpu, &projected, &camera, (1.0 / 255.0).into());
+        let message = catch_unwind(AssertUnwindSafe(lists)).expect_err("too many");
+        let message = message.downcast_ref::<String>().expect("a message");
+        for part in ["the list of intersections", &bytes.to_string(), "raise `alpha_min`"] {
+            assert!(message.contains(part), "{part}: {message}");
+        }
+    }
+}
+
+#[cube(launch_unchecked)]
+fn tiles_kernel(covers: &[u32], starts: &[u32], counts: &mut [u32], xs: &mut [u32], ys: &mut [u32], len: u32) {
+    if ABSOLUTE_POS < len as usize {
+        let cover = TileCoverage::load(covers, ABSOLUTE_POS);
+        counts[ABSOLUTE_POS] = cover.count();
+        let start = starts[ABSOLUTE_POS];
+        for index in 0..starts[ABSOLUTE_POS + 1] - start {
+            let (x, y) = cover.tile(index);
+            xs[(start + index) as usize] = x;
+            ys[(start + index) as usize] = y;
+        }
+    }
+}
+
+#[test]
+fn a_coverage_counts_and_names_the_tiles_of_its_cells() {
+    let Some(gpu) = gpu() else { return };
+    let mut random = Random::new(6);
+    let (mut covers, mut starts, mut tiles) = (Vec::new(), vec![0], Vec::new());
+    for i in 0..600 {
+        // Half of the boxes have a tile to a cell.
+        let side = if i % 2 == 0 { 8.99 } else { 75.0 };
+        let [width, height] = [(); 2].map(|()| random.between(1.0, side) as u32);
+        let [x, y] = [(); 2].map(|()| random.between(0.0, 4_000.0) as u32);
+        let share = random.between(0.0, 1.2);
+        let cells: Vec<bool> = (0..64).map(|_| random.between(0.0, 1.0) < share).collect();
+        // A cell is the smallest number of tiles that divides a side into at most eight.
+        let of_cell = [width, height].map(|side| (1..).find(|cell| cell * 8 >= side).expect("a size"));
+        let [low, high] = [0, 32].map(|from| {
+            let inside = |bit: u32| (bit % 8) * of_cell[0] < width && (bit / 8) * of_cell[1] < height;
+            (0..32)
+                .filter(|&bit| cells[(from + bit) as usize] && inside(from + bit))
+                .fold(0_u32, |word, bit| word | 1 << bit)
+        });
+        covers.extend([x | y << 16, width | height << 16, low, high]);
+        for (dy, dx) in (0..height).flat_map(|dy| (0..width).map(move |dx| (dy, dx))) {
+            if cells[(dy / of_cell[1] * 8 + dx / of_cell[0]) as usize] {
+                tiles.push((x + dx, y + dy));
+            }
+        }
+        starts.push(tiles.len() as u32);
+    }
+    let len = starts.len() - 1;
+    let [xs, ys] = [(); 2].map(|()| Buffer::<u32>::new(&gpu, tiles.len()));
+    let counts = Buffer::<u32>::new(&gpu, len);
+    let ((grid, dim), given) = (elementwise(len), [&covers, &starts].map(|values| Buffer::from_slice(&gpu, values)));
+    let (client, [covers, starts_given]) = (&gpu.client, given);
+    // SAFETY: the lengths given guard every access; a coverage has as many tiles as its starts say, whatever it counts.
+    unsafe {
+        let given = (covers.arg(), starts_given.arg());
+        let len = len as u32;
+        tiles_kernel::launch_unchecked(client, grid, dim, given.0, given.1, counts.arg(), xs.arg(), ys.arg(), len);
+    }
+    assert_eq!(counts.read(&gpu), starts.windows(2).map(|w| w[1] - w[0]).collect::<Vec<_>>());
+    let found: Vec<(u32, u32)> = xs.read(&gpu).into_iter().zip(ys.read(&gpu)).collect();
+    assert!(found == tiles);
 }
 
 /// Gaussians of each tile, front to back.
@@ -116,8 +257,8 @@ fn check_lists_by(count: usize, [width, height]: [usize; 2], cut: Cut) {
     let [least, most] =
         [1.03, lower].map(|scale| intersect_cpu(&projected, &camera, Cut { alpha_min: alpha_min * scale, ..cut }));
     let tiles = tile_grid(width, height).iter().product::<usize>();
-    for (form, gpu) in gpus() {
-        let name = format!("{count} splats, {width} × {height}, {cut:?}, {form}");
+    if let Some(gpu) = gpu() {
+        let name = format!("{count} splats, {width} × {height}, {cut:?}");
         let lists = launch_intersect(&gpu, &Buffer::from_slice(&gpu, &projected), &camera, cut);
         let start = lists.tile_start.read(&gpu);
         let (intersection_of_place, gaussian_of_intersection) =
@@ -162,7 +303,8 @@ fn check_lists_by(count: usize, [width, height]: [usize; 2], cut: Cut) {
 
 #[test]
 fn lists_agree_with_the_twin() {
-    for count in [0, 1, 10, 3_000, 100_000] {
+    // Of the largest number each counting cube has more Gaussians than units.
+    for count in [0, 1, 10, 3_000, 450_000] {
         check_lists(count, [331, 203], 1.0 / 255.0);
     }
     check_lists(500, [1, 1], 1.0 / 255.0);
@@ -192,12 +334,12 @@ fn boxes_agree_with_the_twin() {
 fn each_culling_lists_fewer_than_the_coarser_one() {
     let camera = Intrinsics::centred(331, 203, 30.0);
     let projected: Vec<f32> = ellipses(8, 2_000, &camera, [0.003, 1.0]).iter().map(|&v| v as f32).collect();
-    for (form, gpu) in gpus() {
+    if let Some(gpu) = gpu() {
         let projected = Buffer::from_slice(&gpu, &projected);
         let by = |culling| launch_intersect(&gpu, &projected, &camera, Cut { alpha_min: 1.0 / 255.0, culling });
         let [square, opacity, ellipse] =
             [Culling::BoundingBox, Culling::OpacityBox, Culling::Ellipse].map(|culling| by(culling).intersections);
-        println!("{form}: {square} intersections by BoundingBox, {opacity} by OpacityBox, {ellipse} by Ellipse");
-        assert!(10 * square > 11 * opacity && 10 * opacity > 11 * ellipse, "{form}: {square}, {opacity}, {ellipse}");
+        println!("{square} intersections by BoundingBox, {opacity} by OpacityBox, {ellipse} by Ellipse");
+        assert!(10 * square > 11 * opacity && 10 * opacity > 11 * ellipse, "{square}, {opacity}, {ellipse}");
     }
 }

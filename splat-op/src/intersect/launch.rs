@@ -1,11 +1,13 @@
 //! Launches of `intersect`, and the lists that they leave on the device.
 
-use super::forward::{COVER, TileListsLaunch, count_kernel, cover_kernel, emit_kernel, ranges_kernel};
-use super::scan::launch_scan;
-use super::sort::{Pairs, launch_sort};
+use cubecl::prelude::CubeDim;
+
+use super::emit::{BLOCK, count_kernel, emit_kernel, number_kernel, ranges_kernel};
+use super::forward::{COVER, TileListsLaunch, cover_kernel};
+use super::sort::launch_sort;
 use super::{Cut, tile_grid};
 use crate::camera::Intrinsics;
-use crate::gpu::{Buffer, Gpu, elementwise};
+use crate::gpu::{Buffer, Gpu, UNITS, cubes, elementwise};
 use crate::limits::Need;
 
 /// Lists of one view on the device. Intersections are numbered Gaussian by Gaussian in depth order; a place is the
@@ -20,7 +22,7 @@ pub(crate) struct DeviceIntersections {
     pub intersection_of_place: Buffer<u32>,
     /// `[H]`: the Gaussian of each intersection.
     pub gaussian_of_intersection: Buffer<u32>,
-    /// `[N]`: Gaussians by depth, then by index; those without intersections last.
+    /// `[N]`: the `visible` Gaussians that have intersections, by depth, then by index. The rest is not written.
     pub order: Buffer<u32>,
     /// `[N]`: the first intersection of each Gaussian of `order`.
     pub first_intersection: Buffer<u32>,
@@ -29,6 +31,9 @@ pub(crate) struct DeviceIntersections {
     /// Number of intersections.
     pub intersections: usize,
 }
+
+/// Largest number of cubes that count intersections. Each adds up the sums of those before it.
+const COUNTERS: usize = 1024;
 
 /// Hint in error messages: how to get fewer intersections.
 const FEWER_INTERSECTIONS: &str =
@@ -53,19 +58,17 @@ pub(crate) fn launch_intersect(
     let count = projected.len / crate::project::COLUMNS;
     let [tiles_x, tiles_y] = tile_grid(camera.width, camera.height);
     let tiles = tiles_x * tiles_y;
-    let covers: Buffer<u32> = Buffer::new(gpu, count * COVER);
-    let pairs = Pairs { keys: Buffer::new(gpu, count), values: Buffer::new(gpu, count) };
-    let (grid, dim) = elementwise(count);
+    let (covers, depths) = (Buffer::<u32>::new(gpu, count * COVER), Buffer::<u32>::new(gpu, count));
+    let (client, (grid, dim)) = (&gpu.client, elementwise(count));
     // SAFETY: every access is guarded by the lengths given.
     unsafe {
         cover_kernel::launch_unchecked(
-            &gpu.client,
-            grid.clone(),
+            client,
+            grid,
             dim,
             projected.arg(),
             covers.arg(),
-            pairs.keys.arg(),
-            pairs.values.arg(),
+            depths.arg(),
             camera.width as u32,
             camera.height as u32,
             cut.alpha_min as f32,
@@ -73,56 +76,59 @@ pub(crate) fn launch_intersect(
             cut.culling,
         );
     }
-    let by_depth = launch_sort(gpu, pairs, u32::BITS);
-    let first_intersection = Buffer::new(gpu, count);
-    let visible = Buffer::<u32>::from_slice(gpu, &[0]);
-    // SAFETY: every access is guarded by the lengths given.
+    let by_depth = launch_sort(gpu, depths, u32::BITS);
+    let chunks = count.div_ceil(UNITS).clamp(1, COUNTERS);
+    let (first_intersection, sums) = (Buffer::<u32>::new(gpu, count), Buffer::<u32>::new(gpu, 2 * chunks));
+    let dim = CubeDim::new_1d(UNITS as u32);
+    // SAFETY: every access is guarded by the number of visible Gaussians.
     unsafe {
         count_kernel::launch_unchecked(
-            &gpu.client,
-            grid,
+            client,
+            cubes(chunks),
             dim,
-            by_depth.keys.arg(),
-            by_depth.values.arg(),
+            by_depth.indices.arg(),
             covers.arg(),
+            by_depth.kept.arg(),
             first_intersection.arg(),
-            visible.arg(),
-            count as u32,
+            sums.arg(),
+            chunks as u32,
         );
     }
-    let intersections = launch_scan(gpu, &first_intersection);
-    let read = gpu.client.read(vec![visible.handle.clone(), intersections.handle.clone()]);
+    let read = client.read(vec![by_depth.kept.handle.clone(), sums.handle.clone()]);
     let read = read.unwrap_or_else(|error| panic!("{error}"));
-    let [visible, intersections] = [0, 1].map(|i| bytemuck::pod_read_unaligned::<u32>(&read[i][..4]) as usize);
-    // The sum saturates at the largest u32, which then is not their number.
-    assert!(
-        intersections < u32::MAX as usize,
-        "2^32 or more intersections of {visible} Gaussians in {tiles} tiles: {FEWER_INTERSECTIONS}"
-    );
-    let list = Need { what: "the list of intersections", bytes: 4 * intersections as u64, hint: FEWER_INTERSECTIONS };
+    let visible = bytemuck::pod_read_unaligned::<u32>(&read[0][..4]);
+    let sums_read: Vec<[u32; 2]> = bytemuck::pod_collect_to_vec(&read[1][..8 * chunks]);
+    let intersections: u64 = sums_read.iter().map(|&[low, high]| u64::from(low) + (u64::from(high) << 16)).sum();
+    let list = Need { what: "the list of intersections", bytes: 4 * intersections, hint: FEWER_INTERSECTIONS };
     list.assert_fits(gpu.buffer_limit);
+    // The limit is below 2^32 elements.
+    let intersections = intersections as usize;
 
-    let by_tile =
-        Pairs { keys: Buffer::with_headroom(gpu, intersections), values: Buffer::with_headroom(gpu, intersections) };
-    let gaussian_of_intersection = Buffer::with_headroom(gpu, intersections);
-    let (grid, dim) = elementwise(visible);
-    // SAFETY: the scan that sized the lists gives each Gaussian the places that the same covers count.
+    let blocks = intersections.div_ceil(BLOCK);
+    let rank_of_block = Buffer::<u32>::with_headroom(gpu, blocks);
+    let (tile_of_intersection, gaussian_of_intersection) =
+        (Buffer::with_headroom(gpu, intersections), Buffer::with_headroom(gpu, intersections));
+    // SAFETY: the sums that sized the lists give each Gaussian the places that the same covers count.
     unsafe {
+        let (starts, ranks) = (first_intersection.arg(), rank_of_block.arg());
+        number_kernel::launch_unchecked(client, cubes(chunks), dim, starts, sums.arg(), ranks, visible, chunks as u32);
         emit_kernel::launch_unchecked(
-            &gpu.client,
-            grid,
+            client,
+            cubes(blocks),
             dim,
-            by_depth.values.arg(),
+            by_depth.indices.arg(),
             covers.arg(),
             first_intersection.arg(),
-            by_tile.keys.arg(),
+            rank_of_block.arg(),
+            tile_of_intersection.arg(),
             gaussian_of_intersection.arg(),
-            by_tile.values.arg(),
-            visible as u32,
+            visible,
+            intersections as u32,
+            blocks as u32,
             tiles_x as u32,
         );
     }
-    let by_tile = launch_sort(gpu, by_tile, usize::BITS - (tiles - 1).leading_zeros());
+    let by_tile = launch_sort(gpu, tile_of_intersection, usize::BITS - (tiles - 1).leading_zeros());
     let (tile_start, counts) = (Buffer::new(gpu, tiles + 1), Buffer::new(gpu, tiles));
     let (grid, dim) = elementwise(tiles + 1);
     // SAFETY: every access is guarded by the lengths given.
@@ -141,11 +147,11 @@ pub(crate) fn launch_intersect(
     DeviceIntersections {
         counts,
         tile_start,
-        intersection_of_place: by_tile.values,
+        intersection_of_place: by_tile.indices,
         gaussian_of_intersection,
-        order: by_depth.values,
+        order: by_depth.indices,
         first_intersection,
-        visible,
+        visible: visible as usize,
         intersections,
     }
 }

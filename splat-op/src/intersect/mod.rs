@@ -11,6 +11,8 @@
 //! The lists live in a cell beside the tensors, because their length depends on the data. See `IntersectionCell`.
 
 pub(crate) mod cpu;
+#[cfg(feature = "cube")]
+mod emit;
 pub(crate) mod extent;
 #[cfg(feature = "cube")]
 pub(crate) mod forward;
@@ -18,8 +20,6 @@ pub(crate) mod forward;
 mod kernel_tests;
 #[cfg(feature = "cube")]
 pub(crate) mod launch;
-#[cfg(feature = "cube")]
-mod scan;
 #[cfg(feature = "cube")]
 pub(crate) mod sort;
 #[cfg(test)]

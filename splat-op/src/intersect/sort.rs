@@ -1,162 +1,362 @@
-//! A stable radix sort of u32 keys with u32 values on the device: least significant digit first, four bits at a time.
+//! A stable radix sort of u32 keys on the device: least significant digit first, eight bits and two launches a pass.
 //!
-//! A pass counts the digits of each block of keys, scans the counts (digit by digit, within a digit block by block) and
-//! lets each block write its keys to their places. Within a block each unit holds consecutive keys and has a counter of
-//! its own for each digit, so that the scan of the counters gives every key a place without a race, in order.
+//! At most [`CHUNKS`] cubes share the keys; each has a chunk of consecutive keys. The first launch counts the digits of
+//! each chunk. In the second launch each cube adds up this table to learn where its keys of each digit belong, and moves
+//! its keys tile by tile, in order.
+//!
+//! The rank of a key among the equal digits of its tile comes from bits in shared memory: of 32 neighbouring keys, each
+//! sets its bit in the word of its digit, and counts the bits below. The keys of a tile are ordered in shared memory before
+//! they are written, so most writes are runs.
+//!
+//! There is no second form with ballots. It would replace an atomic and two barriers by eight ballots, about the same work,
+//! and needs counters per digit and plane, which exceed shared memory for planes of 16 units or less. CUB has both forms
+//! (`WARP_MATCH_ANY`, `WARP_MATCH_ATOMIC_OR`) and calls the one with bits the faster one where few neighbours are equal.
+//! Here they are: after a pass over the low digits neighbours differ, but for the last digit of the depths.
 
 use cubecl::prelude::*;
 
-use super::scan::launch_scan;
-use crate::gpu::reduce::cube_exclusive_sum;
+use crate::gpu::reduce::{SUM_ROOM, cube_exclusive_sum};
 use crate::gpu::{Buffer, Gpu, UNITS, cubes};
 
-/// Number of bits of a digit: 16 counters for each of 256 units fill 16 KiB of shared memory, the least that devices
-/// offer.
-const BITS: u32 = 4;
+/// Key of what the sort leaves out.
+pub(crate) const HIDDEN: u32 = u32::MAX;
+
+/// Number of bits of a digit. A cube has a unit for each digit.
+const BITS: u32 = 8;
 const DIGITS: usize = 1 << BITS;
+const _: () = assert!(DIGITS == UNITS);
 
-/// Number of consecutive keys of a unit.
-const PER_UNIT: usize = 16;
+/// Largest number of chunks: each cube reads the digits of all chunks.
+const CHUNKS: usize = 256;
 
-/// Number of keys of a cube.
-const BLOCK: usize = UNITS * PER_UNIT;
+/// Number of keys of a unit in a tile.
+const PER_UNIT: usize = 8;
 
-/// Counts each unit's keys by digit into `counters`, `[digit][unit]`.
+/// Number of keys that a cube moves at a time.
+const TILE: usize = UNITS * PER_UNIT;
+
+/// Number of neighbouring keys whose ranks come from one word: the bits of a word.
+const LANES: usize = 32;
+
+/// Number of groups of [`LANES`] units.
+const GROUPS: usize = UNITS / LANES;
+
+/// The same shared memory holds a word for each group and digit, and the keys of a tile.
+const _: () = assert!(GROUPS * DIGITS == TILE);
+
+/// Shared memory of `scatter_kernel`: the words, the counters, the distances, the sums and the bound. Devices offer 16 KiB.
+const _: () = assert!(4 * (TILE + GROUPS * DIGITS / 2 + DIGITS + SUM_ROOM + 1) <= 16 << 10);
+
+/// Number of tiles until the counters of a byte are added up. Units of the same lane share counters.
+const TILES_PER_COUNT: usize = 3;
+const _: () = assert!(TILES_PER_COUNT * PER_UNIT * GROUPS < 256);
+
+/// What a pass reads beside the keys if it is not the first. In the first pass the values are the indices of the keys.
+#[derive(CubeType, CubeLaunch)]
+struct Previous {
+    values: Box<[u32]>,
+    /// Number of keys that are not hidden.
+    kept: Box<[u32]>,
+}
+
+/// Returns the first key of this cube's chunk and the key after its last. Chunks begin at multiples of 32.
 #[cube]
-fn count_digits(keys: &[u32], counters: &mut Shared<[u32]>, len: u32, shift: u32) {
-    let unit = UNIT_POS as usize;
-    #[unroll]
-    for digit in 0..comptime!(DIGITS) {
-        counters[digit * comptime!(UNITS) + unit] = 0u32;
-    }
-    let at = CUBE_POS * comptime!(BLOCK) + unit * comptime!(PER_UNIT);
-    for i in 0..comptime!(PER_UNIT) {
-        if at + i < len as usize {
-            let digit = ((keys[at + i] >> shift) & comptime!(DIGITS as u32 - 1)) as usize;
-            counters[digit * comptime!(UNITS) + unit] += 1u32;
+fn chunk(previous: &ComptimeOption<Previous>, len: u32, chunks: u32) -> (u32, u32) {
+    let mut len = len;
+    #[comptime]
+    if let ComptimeOption::Some(previous) = previous {
+        // WebGPU takes barriers in a loop only if the loop's bound is known to be the same in all units.
+        let mut bound = Shared::<[u32]>::new_slice(1usize);
+        if UNIT_POS == 0 {
+            bound[0] = previous.kept[0];
         }
+        len = workgroup_uniform_load(&bound[0]);
     }
+    let each = len.div_ceil(chunks).div_ceil(32) * 32;
+    let first = min(CUBE_POS as u32 * each, len);
+    (first, min(first + each, len))
 }
 
-/// Writes `counts[digit][block]`, the number of keys of each block by digit.
+#[cube]
+fn digit_of(key: u32, shift: u32) -> u32 {
+    (key >> shift) & comptime!(DIGITS as u32 - 1)
+}
+
+/// Reads the 16-bit counter `digit` of a row of packed counters.
+#[cube]
+fn counter(counters: &Shared<[Atomic<u32>]>, row: u32, digit: u32) -> u32 {
+    (counters[(row + digit / 2) as usize].load() >> (16 * (digit & 1))) & 0xffff
+}
+
+/// Writes `table[chunk][digit]`, the number of keys of each chunk by digit. A counter is a byte. Each of 32 lanes has
+/// counters of its own, all in one bank of shared memory.
 #[cube(launch_unchecked)]
-fn histogram_kernel(keys: &[u32], counts: &mut [u32], len: u32, blocks: u32, shift: u32) {
-    let mut counters = Shared::<[u32]>::new_slice(comptime!(DIGITS * UNITS));
-    if CUBE_POS < blocks as usize {
-        count_digits(keys, &mut counters, len, shift);
-        sync_cube();
-        // Sixteen units add up the counters of a digit, then one of them adds up their sums.
-        let unit = UNIT_POS as usize;
-        let mut sum = 0u32;
-        for i in 0..comptime!(DIGITS) {
-            sum += counters[unit * comptime!(DIGITS) + i];
+fn count_digits_kernel(
+    keys: &[u32],
+    previous: ComptimeOption<Previous>,
+    table: &mut [u32],
+    len: u32,
+    chunks: u32,
+    shift: u32,
+) {
+    let counters = Shared::<[Atomic<u32>]>::new_slice(comptime!(DIGITS / 4 * LANES));
+    let unit = UNIT_POS;
+    let lane = unit % comptime!(LANES as u32);
+    let (first, end) = chunk(&previous, len, chunks);
+    let mut total = 0u32;
+    let mut from = first;
+    while from < end {
+        #[unroll]
+        for i in 0..comptime!(DIGITS / 4 * LANES / UNITS) {
+            counters[UNIT_POS as usize + i * comptime!(UNITS)].store(0u32);
         }
         sync_cube();
-        counters[unit] = sum;
-        sync_cube();
-        if unit < comptime!(DIGITS) {
-            let mut total = 0u32;
-            for i in 0..comptime!(UNITS / DIGITS) {
-                total += counters[unit * comptime!(UNITS / DIGITS) + i];
+        for tile in 0..comptime!(TILES_PER_COUNT as u32) {
+            let at = from + tile * comptime!(TILE as u32) + unit;
+            let mut own = Array::<u32>::new(comptime!(PER_UNIT));
+            #[unroll]
+            for i in 0..comptime!(PER_UNIT) {
+                let at = at + comptime!((i * UNITS) as u32);
+                own[i] = HIDDEN;
+                if at < end {
+                    own[i] = keys[at as usize];
+                }
             }
-            counts[unit * blocks as usize + CUBE_POS] = total;
+            #[unroll]
+            for i in 0..comptime!(PER_UNIT) {
+                if own[i] != HIDDEN {
+                    let digit = digit_of(own[i], shift);
+                    let word = digit / 4 * comptime!(LANES as u32) + lane;
+                    counters[word as usize].fetch_add(1u32 << (8 * (digit % 4)));
+                }
+            }
         }
+        sync_cube();
+        // Neighbouring units begin in neighbouring banks.
+        for i in 0..comptime!(LANES as u32) {
+            let word = unit / 4 * comptime!(LANES as u32) + (unit + i) % comptime!(LANES as u32);
+            total += (counters[word as usize].load() >> (8 * (unit % 4))) & 0xff;
+        }
+        sync_cube();
+        from += comptime!((TILES_PER_COUNT * TILE) as u32);
     }
+    table[CUBE_POS * comptime!(DIGITS) + UNIT_POS as usize] = total;
 }
 
-/// Writes each key and its value to the place given by `starts[digit][block]` and the key's rank within the block.
+/// Writes the keys that are not hidden, and their values, in the order of a digit, and the number of them.
 #[cube(launch_unchecked)]
 fn scatter_kernel(
     keys: &[u32],
-    values: &[u32],
-    starts: &[u32],
+    previous: ComptimeOption<Previous>,
+    table: &[u32],
     sorted_keys: &mut [u32],
     sorted_values: &mut [u32],
+    kept: &mut [u32],
     len: u32,
-    blocks: u32,
+    chunks: u32,
     shift: u32,
-    #[comptime] planes: bool,
 ) {
-    let mut counters = Shared::<[u32]>::new_slice(comptime!(DIGITS * UNITS));
-    let mut shared = Shared::<[u32]>::new_slice(comptime!(UNITS + 1));
-    if CUBE_POS < blocks as usize {
-        count_digits(keys, &mut counters, len, shift);
-        sync_cube();
-        let unit = UNIT_POS as usize;
-        // Exclusive scan of all counters: each unit takes as many consecutive counters as there are digits.
-        let mut sum = 0u32;
-        for i in 0..comptime!(DIGITS) {
-            let here = counters[unit * comptime!(DIGITS) + i];
-            counters[unit * comptime!(DIGITS) + i] = sum;
-            sum += here;
-        }
-        let (before, _) = cube_exclusive_sum(sum, &mut shared, planes);
-        for i in 0..comptime!(DIGITS) {
-            counters[unit * comptime!(DIGITS) + i] += before;
-        }
-        sync_cube();
-        // Offsets from ranks in the block to places in the result.
-        if unit < comptime!(DIGITS) {
-            shared[unit] = starts[unit * blocks as usize + CUBE_POS] - counters[unit * comptime!(UNITS)];
-        }
-        sync_cube();
-        let at = CUBE_POS * comptime!(BLOCK) + unit * comptime!(PER_UNIT);
+    // A word for each group and digit while keys are ranked; afterwards the keys, then the values, in order.
+    let words = Shared::<[Atomic<u32>]>::new_slice(comptime!(TILE));
+    // Two counters to a word, for each group and digit: its keys so far; then its first rank in the tile.
+    let counters = Shared::<[Atomic<u32>]>::new_slice(comptime!(GROUPS * DIGITS / 2));
+    // For each digit the distance from the ranks of its keys in the tile to their places; it may wrap.
+    let mut distances = Shared::<[u32]>::new_slice(comptime!(DIGITS));
+    let mut sums = Shared::<[u32]>::new_slice(comptime!(SUM_ROOM));
+    let unit = UNIT_POS;
+    let lane = unit % comptime!(LANES as u32);
+    let group = unit / comptime!(LANES as u32);
+    let (word_row, counter_row) = (group * comptime!(DIGITS as u32), group * comptime!(DIGITS as u32 / 2));
+
+    // The unit's digit: its keys in all chunks and in the chunks before this one.
+    let mut of_digit = 0u32;
+    let mut before = 0u32;
+    let own_chunk = CUBE_POS as u32;
+    for chunk in 0..chunks {
+        let here = table[chunk as usize * comptime!(DIGITS) + UNIT_POS as usize];
+        of_digit += here;
+        before += select(chunk < own_chunk, here, 0);
+    }
+    let (smaller, total) = cube_exclusive_sum(of_digit, &mut sums);
+    if own_chunk == 0 && unit == 0 {
+        kept[0] = total;
+    }
+    distances[UNIT_POS as usize] = smaller + before;
+    sync_cube();
+    // The units of the first half have two digits each.
+    let pair = 2 * (UNIT_POS as usize % comptime!(DIGITS / 2));
+    let (mut place_low, mut place_high) = (distances[pair], distances[pair + 1]);
+
+    let (first, end) = chunk(&previous, len, chunks);
+    let mut from = first;
+    while from < end {
+        let at = from + group * comptime!((LANES * PER_UNIT) as u32) + lane;
+        let mut own = Array::<u32>::new(comptime!(PER_UNIT));
+        let mut value = Array::<u32>::new(comptime!(PER_UNIT));
+        let mut rank = Array::<u32>::new(comptime!(PER_UNIT));
+        #[unroll]
         for i in 0..comptime!(PER_UNIT) {
-            if at + i < len as usize {
-                let key = keys[at + i];
-                let digit = ((key >> shift) & comptime!(DIGITS as u32 - 1)) as usize;
-                let rank = counters[digit * comptime!(UNITS) + unit];
-                counters[digit * comptime!(UNITS) + unit] = rank + 1u32;
-                // The difference may have wrapped; the sum is right again.
-                let place = (shared[digit] + rank) as usize;
-                sorted_keys[place] = key;
-                sorted_values[place] = values[at + i];
+            let at = at + comptime!((i * LANES) as u32);
+            own[i] = HIDDEN;
+            value[i] = at;
+            if at < end {
+                own[i] = keys[at as usize];
+                #[comptime]
+                if let ComptimeOption::Some(previous) = &previous {
+                    value[i] = previous.values[at as usize];
+                }
+            }
+            words[UNIT_POS as usize + i * comptime!(UNITS)].store(0u32);
+        }
+        #[unroll]
+        for i in 0..comptime!(GROUPS * DIGITS / 2 / UNITS) {
+            counters[UNIT_POS as usize + i * comptime!(UNITS)].store(0u32);
+        }
+        sync_cube();
+
+        // Ranks among the keys of the same group and digit.
+        #[unroll]
+        for i in 0..comptime!(PER_UNIT) {
+            let shown = own[i] != HIDDEN;
+            let digit = digit_of(own[i], shift);
+            let word = (word_row + digit) as usize;
+            let bit = 1u32 << lane;
+            if shown {
+                words[word].fetch_add(bit);
+            }
+            sync_cube();
+            let mut same = 0u32;
+            if shown {
+                same = words[word].load();
+                rank[i] = counter(&counters, counter_row, digit) + (same & (bit - 1)).count_ones();
+            }
+            sync_cube();
+            // The last of the equal keys counts them all and takes their bits away. The next keys may set theirs meanwhile.
+            if shown && (same >> lane) == 1 {
+                words[word].fetch_sub(same);
+                counters[(counter_row + digit / 2) as usize].fetch_add(same.count_ones() << (16 * (digit & 1)));
             }
         }
+        sync_cube();
+
+        // First rank of each digit and group in the tile, for two digits at once.
+        let mut both = 0u32;
+        if unit < comptime!(DIGITS as u32 / 2) {
+            #[unroll]
+            for group in 0..comptime!(GROUPS) {
+                both += counters[group * comptime!(DIGITS / 2) + UNIT_POS as usize].load();
+            }
+        }
+        let (low, high) = (both & 0xffff, both >> 16);
+        let (start, in_tile) = cube_exclusive_sum(low + high, &mut sums);
+        if unit < comptime!(DIGITS as u32 / 2) {
+            let mut ranks = start | ((start + low) << 16);
+            #[unroll]
+            for group in 0..comptime!(GROUPS) {
+                let cell = group * comptime!(DIGITS / 2) + UNIT_POS as usize;
+                let here = counters[cell].load();
+                counters[cell].store(ranks);
+                ranks += here;
+            }
+            distances[pair] = place_low - start;
+            distances[pair + 1] = place_high - (start + low);
+            place_low += low;
+            place_high += high;
+        }
+        sync_cube();
+
+        #[unroll]
+        for i in 0..comptime!(PER_UNIT) {
+            if own[i] != HIDDEN {
+                rank[i] += counter(&counters, counter_row, digit_of(own[i], shift));
+                words[rank[i] as usize].store(own[i]);
+            }
+        }
+        sync_cube();
+        let mut place = Array::<u32>::new(comptime!(PER_UNIT));
+        #[unroll]
+        for i in 0..comptime!(PER_UNIT) {
+            let in_order = unit + comptime!((i * UNITS) as u32);
+            place[i] = 0u32;
+            if in_order < in_tile {
+                let key = words[in_order as usize].load();
+                place[i] = distances[digit_of(key, shift) as usize] + in_order;
+                sorted_keys[place[i] as usize] = key;
+            }
+        }
+        sync_cube();
+        #[unroll]
+        for i in 0..comptime!(PER_UNIT) {
+            if own[i] != HIDDEN {
+                words[rank[i] as usize].store(value[i]);
+            }
+        }
+        sync_cube();
+        #[unroll]
+        for i in 0..comptime!(PER_UNIT) {
+            let in_order = unit + comptime!((i * UNITS) as u32);
+            if in_order < in_tile {
+                sorted_values[place[i] as usize] = words[in_order as usize].load();
+            }
+        }
+        sync_cube();
+        from += comptime!(TILE as u32);
     }
 }
 
-/// Keys, each with a value.
+/// Keys in ascending order without the hidden ones.
 #[derive(Clone, Debug)]
-pub(crate) struct Pairs {
+pub(crate) struct Sorted {
+    /// Room for all keys; only the first `kept` are written.
     pub keys: Buffer<u32>,
-    pub values: Buffer<u32>,
+    /// Index of each of these keys in the given order.
+    pub indices: Buffer<u32>,
+    /// `[1]`: number of keys that are not hidden.
+    pub kept: Buffer<u32>,
 }
 
-/// Sorts by the lowest `bits` bits of the keys, [`BITS`] bits at a time; equal keys keep their order. The given buffers
-/// are used as scratch.
-pub(crate) fn launch_sort(gpu: &Gpu, pairs: Pairs, bits: u32) -> Pairs {
-    let len = pairs.keys.len;
-    if len <= 1 || bits == 0 {
-        return pairs;
-    }
-    let mut from = pairs;
-    let mut to = Pairs { keys: Buffer::with_headroom(gpu, len), values: Buffer::with_headroom(gpu, len) };
-    let (client, blocks, dim) = (&gpu.client, len.div_ceil(BLOCK), CubeDim::new_1d(UNITS as u32));
-    let (keys, count) = (len as u32, blocks as u32);
-    for shift in (0..bits).step_by(BITS as usize) {
-        let starts = Buffer::new(gpu, DIGITS * blocks);
-        let (from_keys, digits) = (from.keys.arg(), starts.arg());
-        // SAFETY: every access is guarded by the lengths given; ranks stay below `len` because they are a permutation.
+/// Sorts keys below `2^bits`, leaving out those that are [`HIDDEN`]; equal keys keep their order. The given buffer is used
+/// as scratch.
+pub(crate) fn launch_sort(gpu: &Gpu, keys: Buffer<u32>, bits: u32) -> Sorted {
+    let len = keys.len;
+    let chunks = len.div_ceil(TILE).clamp(1, CHUNKS);
+    let table = Buffer::<u32>::new(gpu, chunks * DIGITS);
+    let room = || Buffer::with_headroom(gpu, len);
+    let mut from = keys;
+    let mut previous: Option<(Buffer<u32>, Buffer<u32>)> = None;
+    // Two buffers in turn take the keys, and two the values.
+    let (mut to, mut spare_values) = (room(), None);
+    for shift in (0..bits.max(1)).step_by(BITS as usize) {
+        let read = || {
+            let previous = previous.as_ref();
+            previous.map(|(values, kept)| PreviousLaunch::new(values.arg(), kept.arg())).into()
+        };
+        let (values, kept) = (spare_values.take().unwrap_or_else(room), Buffer::new(gpu, 1));
+        let (client, dim) = (&gpu.client, CubeDim::new_1d(UNITS as u32));
+        let (len, count) = (len as u32, chunks as u32);
+        // SAFETY: reads are guarded by the length of a chunk; places stay below `len` because the table counts every key
+        // that is moved once.
         unsafe {
-            histogram_kernel::launch_unchecked(client, cubes(blocks), dim, from_keys, digits, keys, count, shift);
-            launch_scan(gpu, &starts);
+            let (keys, digits) = (from.arg(), table.arg());
+            count_digits_kernel::launch_unchecked(client, cubes(chunks), dim, keys, read(), digits, len, count, shift);
             scatter_kernel::launch_unchecked(
                 client,
-                cubes(blocks),
+                cubes(chunks),
                 dim,
-                from.keys.arg(),
-                from.values.arg(),
-                starts.arg(),
-                to.keys.arg(),
-                to.values.arg(),
-                keys,
+                from.arg(),
+                read(),
+                table.arg(),
+                to.arg(),
+                values.arg(),
+                kept.arg(),
+                len,
                 count,
                 shift,
-                gpu.planes,
             );
         }
         std::mem::swap(&mut from, &mut to);
+        spare_values = previous.replace((values, kept)).map(|(values, _)| values);
     }
-    from
+    let (indices, kept) = previous.expect("there is at least one pass");
+    Sorted { keys: from, indices, kept }
 }

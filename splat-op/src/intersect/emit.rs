@@ -1,0 +1,193 @@
+//! Kernels of `intersect` from the Gaussians in depth order to each tile's first intersection: counting, numbering and
+//! writing the intersections.
+
+use cubecl::prelude::*;
+
+use super::forward::TileCoverage;
+use crate::gpu::UNITS;
+use crate::gpu::reduce::{SUM_ROOM, cube_exclusive_sum};
+
+/// Number of intersections that a cube writes.
+pub(super) const BLOCK: usize = 4 * UNITS;
+
+/// Bits of a word.
+const BITS: usize = 32;
+
+/// Returns the ranks of this cube: the first, and the one after the last.
+#[cube]
+fn ranks(visible: u32, chunks: u32) -> (u32, u32) {
+    let each = visible.div_ceil(chunks);
+    let first = min(CUBE_POS as u32 * each, visible);
+    (first, min(first + each, visible))
+}
+
+/// Counts the intersections of each Gaussian in depth order, and of each cube's Gaussians together. A cube's sum is two
+/// numbers, `2^16 high + low`, so that it cannot wrap.
+#[cube(launch_unchecked)]
+pub(super) fn count_kernel(
+    order: &[u32],
+    covers: &[u32],
+    visible: &[u32],
+    counts: &mut [u32],
+    sums: &mut [u32],
+    chunks: u32,
+) {
+    let mut shared = Shared::<[u32]>::new_slice(comptime!(SUM_ROOM));
+    let (first, end) = ranks(visible[0], chunks);
+    let mut own = 0u32;
+    let mut rank = first + UNIT_POS;
+    while rank < end {
+        let count = TileCoverage::load(covers, order[rank as usize] as usize).count();
+        counts[rank as usize] = count;
+        // At most the largest u32, which no list holds.
+        own += min(count, 0xffff_ffff - own);
+        rank += comptime!(UNITS as u32);
+    }
+    let (_, low) = cube_exclusive_sum(own & 0xffff, &mut shared);
+    let (_, high) = cube_exclusive_sum(own >> 16, &mut shared);
+    if UNIT_POS == 0 {
+        sums[2 * CUBE_POS] = low;
+        sums[2 * CUBE_POS + 1] = high;
+    }
+}
+
+/// Replaces the counts by the number of each Gaussian's first intersection, and writes the rank that has the first
+/// intersection of each block. The total fits into u32.
+#[cube(launch_unchecked)]
+pub(super) fn number_kernel(counts: &mut [u32], sums: &[u32], rank_of_block: &mut [u32], visible: u32, chunks: u32) {
+    let mut shared = Shared::<[u32]>::new_slice(comptime!(SUM_ROOM));
+    let mut earlier = 0u32;
+    let mut other = UNIT_POS as usize;
+    while other < CUBE_POS {
+        earlier += sums[2 * other] + (sums[2 * other + 1] << 16);
+        other += comptime!(UNITS);
+    }
+    let (_, mut carried) = cube_exclusive_sum(earlier, &mut shared);
+    let (first, end) = ranks(visible, chunks);
+    let mut from = first;
+    while from < end {
+        let rank = from + UNIT_POS;
+        let mut count = 0u32;
+        if rank < end {
+            count = counts[rank as usize];
+        }
+        let (before, total) = cube_exclusive_sum(count, &mut shared);
+        if rank < end {
+            let start = carried + before;
+            counts[rank as usize] = start;
+            let mut block = start.div_ceil(comptime!(BLOCK as u32));
+            while block * comptime!(BLOCK as u32) < start + count {
+                rank_of_block[block as usize] = rank;
+                block += 1;
+            }
+        }
+        carried += total;
+        from += comptime!(UNITS as u32);
+    }
+}
+
+/// Writes the tile and the Gaussian of each intersection; a unit writes some intersections of a block, whichever Gaussians
+/// have them.
+#[cube(launch_unchecked)]
+pub(super) fn emit_kernel(
+    order: &[u32],
+    covers: &[u32],
+    first_intersection: &[u32],
+    rank_of_block: &[u32],
+    tiles: &mut [u32],
+    gaussians: &mut [u32],
+    visible: u32,
+    intersections: u32,
+    blocks: u32,
+    tiles_x: u32,
+) {
+    // A bit for each intersection of the block: whether it is the first of its Gaussian.
+    let firsts = Shared::<[Atomic<u32>]>::new_slice(comptime!(BLOCK / BITS));
+    // Number of bits in the words before each.
+    let mut earlier = Shared::<[u32]>::new_slice(comptime!(BLOCK / BITS));
+    // A dispatch may hold more cubes than there are blocks.
+    if CUBE_POS < blocks as usize {
+        let unit = UNIT_POS as usize;
+        if unit < comptime!(BLOCK / BITS) {
+            firsts[unit].store(0u32);
+        }
+        sync_cube();
+        let first = CUBE_POS as u32 * comptime!(BLOCK as u32);
+        let end = min(first + comptime!(BLOCK as u32), intersections);
+        let rank_of_first = rank_of_block[CUBE_POS];
+        let mut rank = rank_of_first + 1 + UNIT_POS;
+        let mut within = true;
+        while within {
+            within = rank < visible;
+            if within {
+                let start = first_intersection[rank as usize];
+                within = start < end;
+                if within {
+                    let at = start - first;
+                    firsts[(at / comptime!(BITS as u32)) as usize].fetch_or(1u32 << (at % comptime!(BITS as u32)));
+                }
+            }
+            rank += comptime!(UNITS as u32);
+        }
+        sync_cube();
+        if unit < comptime!(BLOCK / BITS) {
+            let mut count = 0u32;
+            for word in 0..unit {
+                count += firsts[word].load().count_ones();
+            }
+            earlier[unit] = count;
+        }
+        sync_cube();
+        #[unroll]
+        for i in 0..comptime!(BLOCK / UNITS) {
+            let at = UNIT_POS + comptime!((i * UNITS) as u32);
+            let intersection = first + at;
+            if intersection < end {
+                let word = (at / comptime!(BITS as u32)) as usize;
+                let up_to_here = firsts[word].load() & (0xffff_ffffu32 >> (31 - at % comptime!(BITS as u32)));
+                let rank = (rank_of_first + earlier[word] + up_to_here.count_ones()) as usize;
+                let gaussian = order[rank];
+                let cover = TileCoverage::load(covers, gaussian as usize);
+                let (x, y) = cover.tile(intersection - first_intersection[rank]);
+                tiles[intersection as usize] = y * tiles_x + x;
+                gaussians[intersection as usize] = gaussian;
+            }
+        }
+    }
+}
+
+/// Writes the index of each tile's first intersection in the sorted list, with one more entry for the end, and each
+/// tile's number of intersections.
+#[cube(launch_unchecked)]
+pub(super) fn ranges_kernel(
+    sorted_tiles: &[u32],
+    starts: &mut [u32],
+    counts: &mut [i32],
+    intersections: u32,
+    tiles: u32,
+) {
+    let tile = ABSOLUTE_POS as u32;
+    if tile <= tiles {
+        let start = lower_bound(sorted_tiles, intersections, tile);
+        starts[tile as usize] = start;
+        if tile < tiles {
+            counts[tile as usize] = i32::cast_from(lower_bound(sorted_tiles, intersections, tile + 1) - start);
+        }
+    }
+}
+
+/// Returns the first place whose tile is at least `tile`.
+#[cube]
+fn lower_bound(sorted_tiles: &[u32], intersections: u32, tile: u32) -> u32 {
+    let mut low = 0u32;
+    let mut high = intersections;
+    while low < high {
+        let middle = low + (high - low) / 2;
+        if sorted_tiles[middle as usize] < tile {
+            low = middle + 1;
+        } else {
+            high = middle;
+        }
+    }
+    low
+}
