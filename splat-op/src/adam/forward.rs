@@ -86,7 +86,8 @@ pub(super) fn adam_kernel(
         }
         #[comptime]
         if let ComptimeOption::Some(third) = &mut third {
-            if !done && at < third.count {
+            let due = !done && at < third.count;
+            if due {
                 step(third, at as usize);
             }
         }

@@ -114,7 +114,9 @@ fn a_verdict_holds_a_step_back() {
 #[test]
 fn steps_together_are_the_steps_alone() {
     let (counts, band) = ([300, 1, 4_001], Some(Band { period: 12, width: 3 }));
-    let tensors = counts.map(tensors);
+    let mut tensors = counts.map(tensors);
+    // The borders of the parameters move too.
+    tensors.iter_mut().for_each(|tensors| tensors[1][0] = 0.01);
     for (form, gpu) in gpus() {
         let steps = || [0, 1, 2].map(|i| on_device(&gpu, &tensors[i], if i == 1 { None } else { band }));
         let alone = steps();

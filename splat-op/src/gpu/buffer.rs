@@ -165,7 +165,8 @@ fn clear_kernel(
 fn clear_own(words: &mut ComptimeOption<Box<[u32]>>, len: u32) {
     #[comptime]
     if let ComptimeOption::Some(words) = words {
-        if ABSOLUTE_POS < len as usize {
+        let exists = ABSOLUTE_POS < len as usize;
+        if exists {
             words[ABSOLUTE_POS] = 0u32;
         }
     }
