@@ -134,15 +134,21 @@ impl Trained {
     ) {
         let LearningRates { scales, rotations, sh_dc, sh_rest, opacities, .. } = rates.rates;
         let sh_rates = Rates { first: sh_dc, others: sh_rest };
-        let gradients = match gradients.complete() {
+        let gradients = match gradients {
             // One operation takes all steps.
-            Ok(gradients) if steps_scenes(&self.gaussians.means.val().inner()) => {
+            Gradients {
+                means: Some(means),
+                rotations: Some(of_rotations),
+                log_scales: Some(log_scales),
+                logit_opacities: Some(logit_opacities),
+                sh: Some(sh),
+            } if steps_scenes(&means) => {
+                let grads = RawSplats { means, rotations: of_rotations, log_scales, logit_opacities, sh };
                 let rates = [rates.means.into(), rotations.into(), scales.into(), opacities.into(), sh_rates];
                 let factors = Raw::from_array(rates.map(|rate| adam.factors(rate, step)));
-                return self.step_at_once(gradients, factors, verdict);
+                return self.step_at_once(grads, factors, verdict);
             }
-            Ok(gradients) => gradients.into(),
-            Err(gradients) => gradients,
+            gradients => gradients,
         };
         let (g, m) = (&mut self.gaussians, &mut self.moments);
         let adam = (adam, step, verdict);
@@ -278,23 +284,6 @@ impl Gradients {
         }
     }
 
-    /// All gradients.
-    ///
-    /// # Errors
-    /// The same gradients, if one is missing.
-    fn complete(self) -> Result<RawSplats, Self> {
-        match self {
-            Self {
-                means: Some(means),
-                rotations: Some(rotations),
-                log_scales: Some(log_scales),
-                logit_opacities: Some(logit_opacities),
-                sh: Some(sh),
-            } => Ok(RawSplats { means, rotations, log_scales, logit_opacities, sh }),
-            missing => Err(missing),
-        }
-    }
-
     /// The sum of both. `None` counts as zero.
     pub fn plus(self, other: Self) -> Self {
         fn sum<const D: usize>(a: Option<Tensor<D>>, b: Option<Tensor<D>>) -> Option<Tensor<D>> {
@@ -320,19 +309,6 @@ impl Gradients {
             log_scales: self.log_scales.map(|grad| grad * factor),
             logit_opacities: self.logit_opacities.map(|grad| grad * factor),
             sh: self.sh.map(|grad| grad * factor),
-        }
-    }
-}
-
-impl From<RawSplats> for Gradients {
-    fn from(all: RawSplats) -> Self {
-        let RawSplats { means, rotations, log_scales, logit_opacities, sh } = all;
-        Self {
-            means: Some(means),
-            rotations: Some(rotations),
-            log_scales: Some(log_scales),
-            logit_opacities: Some(logit_opacities),
-            sh: Some(sh),
         }
     }
 }
