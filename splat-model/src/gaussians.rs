@@ -1,7 +1,7 @@
 //! The scene: Gaussians with unconstrained parameters, as a Burn module.
 
 use burn::module::{Module, Param};
-use burn::tensor::{Device, Tensor, TensorData, activation};
+use burn::tensor::{Device, Int, Tensor, TensorData, activation};
 use rayon::prelude::*;
 use splat_op::{Colour, RawSplats, Splats, activate};
 use thiserror::Error;
@@ -194,25 +194,37 @@ impl Gaussians {
     /// `[N]`: opacities, 0 to 1; exactly 0, without gradients, for Gaussians that are unusable in any parameter (see
     /// [`splat_op::activate`]), so that they do not affect other Gaussians.
     pub fn opacities(&self) -> Tensor<1> {
-        let raw = RawSplats {
+        let raw = self.raw();
+        // As in `scales`.
+        activate::opacities(&raw).unwrap_or_else(|_| activation::sigmoid(raw.logit_opacities))
+    }
+
+    fn raw(&self) -> RawSplats {
+        RawSplats {
             means: self.means.val(),
             rotations: self.rotations.val(),
             log_scales: self.log_scales.val(),
             logit_opacities: self.logit_opacities.val(),
             sh: self.sh.val(),
-        };
-        // As in `scales`.
-        activate::opacities(&raw).unwrap_or_else(|_| activation::sigmoid(raw.logit_opacities))
+        }
     }
 
     /// The Gaussians with activated parameters, tracked like the parameters. Unusable Gaussians are masked, see
     /// [`Self::opacities`].
     pub fn splats(&self) -> Splats {
+        self.splats_with(None)
+    }
+
+    /// [`Self::splats`], with the mark that the last step left, `[1]`, if the coefficients are its result; see [`splat_op::adam`].
+    pub(crate) fn splats_with(&self, mark: Option<&Tensor<1, Int>>) -> Splats {
+        // As in `scales`.
+        let activated = activate::activated(&self.raw(), mark);
+        let (scales, opacities) = activated.unwrap_or_else(|_| (self.scales(), self.opacities()));
         Splats {
             means: self.means.val(),
             rotations: self.rotations.val(),
-            scales: self.scales(),
-            opacities: self.opacities(),
+            scales,
+            opacities,
             colour: Colour::SphericalHarmonics(self.sh.val()),
         }
     }

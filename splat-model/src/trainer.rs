@@ -259,6 +259,9 @@ impl Trainer {
         self.guard.read(read).map_err(|fault| self.non_finite(fault))?;
         let at = StrategyContext { step, steps, extent: self.extent, means_rate: rates.means, verdict: held.as_ref() };
         let refined = self.density.act(&mut self.scene, &at, &mut self.rng)?;
+        if read {
+            self.scene.forget_mark();
+        }
         if refined.is_some() {
             self.effects.forget_rows();
         }

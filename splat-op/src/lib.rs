@@ -132,6 +132,8 @@ pub mod loss;
 
 pub mod adam;
 
+pub mod tally;
+
 pub mod backend;
 #[cfg(feature = "cube")]
 mod gpu;

@@ -6,7 +6,7 @@ use burn::backend::{Backend, Dispatch};
 use burn::tensor::Device;
 
 pub use crate::abilities::buffer_limit;
-pub use crate::counters::{allocated_bytes, dispatches, twin_calls};
+pub use crate::counters::{allocated_bytes, bound_bytes, dispatches, twin_calls};
 #[cfg(feature = "cube")]
 pub use crate::gpu::poison;
 

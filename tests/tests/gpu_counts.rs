@@ -39,13 +39,16 @@ fn a_training_step_launches_and_allocates_no_more_than_it_did() {
     }
     let mut last = 0.0;
     let bytes_before = test_hooks::allocated_bytes();
+    let bound_before = test_hooks::bound_bytes();
     let counts = test_hooks::launches(|| (0..STEPS).for_each(|_| last = step()));
     let bytes = (test_hooks::allocated_bytes() - bytes_before) as f64 / STEPS as f64;
+    let bound = (test_hooks::bound_bytes() - bound_before) as f64 / STEPS as f64;
     assert!(last < first, "the loss went from {first} to {last}: this is not training");
     let per_step: BTreeMap<&str, f64> =
         counts.iter().map(|(name, count)| (*name, *count as f64 / STEPS as f64)).collect();
     let launches: f64 = per_step.values().sum();
     println!("{launches} launches and {bytes} bytes a step: {per_step:#?}");
+    println!("{bound} bytes of buffers bound to the operations' kernels a step");
     for (what, found, committed) in [("launches", launches, LAUNCHES), ("bytes", bytes, BYTES)] {
         assert!(found <= GROWTH * committed, "{found} {what} a step instead of {committed}: {per_step:#?}");
         assert!(found >= committed / GROWTH, "{found} {what} a step instead of {committed}: commit the new figure");

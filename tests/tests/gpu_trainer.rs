@@ -163,3 +163,32 @@ fn a_seed_decides_every_strategy_bit_for_bit() {
         assert_ne!(rows, run(2), "{density:?}");
     }
 }
+
+/// Coefficients that a step makes unusable mask their Gaussians from the next step on, as on a CPU, which looks at all of them in every
+/// step.
+#[test]
+fn coefficients_that_a_step_spoils_are_masked_in_the_next() {
+    let Some(device) = gpu() else { return };
+    let losses = |device: &Device| {
+        let mut config = TrainConfig { steps: 4, sh_every: 1, ..TrainConfig::default() };
+        config.learning_rates.sh_dc = 1e25;
+        let photo = Photo {
+            name: "plain".into(),
+            intrinsics: Intrinsics::centred(40, 36, 40.0),
+            cam_from_world: DAffine3::from_translation(DVec3::new(0.0, 0.0, 3.0)),
+            rgb: [200, 60, 20].repeat(40 * 36),
+            alpha: None,
+            mask: None,
+        };
+        let positions: Vec<[f32; 3]> =
+            (0..64).map(|i| [(i % 8) as f32 / 4.0 - 1.0, (i / 8) as f32 / 4.0 - 1.0, 0.0]).collect();
+        let points = PointCloud { colours: vec![[128; 3]; positions.len()], positions };
+        let mut run = Trainer::new(vec![photo], &points, config, device).expect("a photograph and steps");
+        (0..4).map(|_| run.step().expect("a sound run").loss.into_scalar::<f32>()).collect::<Vec<_>>()
+    };
+    let (found, expected) = (losses(&device), losses(&Device::flex()));
+    assert!(expected[2] == expected[3], "no coefficient was spoilt, as the pictures differ: {expected:?}");
+    for (found, expected) in found.iter().zip(&expected) {
+        assert!((found - expected).abs() <= 1e-4 * expected, "{found} instead of {expected}");
+    }
+}

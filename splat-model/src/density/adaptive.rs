@@ -6,6 +6,7 @@ use glam::{DQuat, Vec3};
 use rand::Rng;
 use rand_distr::{Distribution, StandardNormal};
 use serde::{Deserialize, Serialize};
+use splat_op::tally::{self, Tally};
 
 use super::consistency::{Agreed, Agreement, ConsistencyConfig};
 use super::order::morton_order;
@@ -91,7 +92,7 @@ pub struct Adaptive {
     extent: f64,
     steps: usize,
     /// `[N]`: sums of gradient norms, and numbers of steps with a gradient. `None` right after an edit of rows.
-    seen: Option<(Tensor<1>, Tensor<1>)>,
+    seen: Option<Tally>,
     /// Statistics of the views that were evaluated since the last edit.
     agreement: Option<Agreement>,
 }
@@ -152,7 +153,7 @@ impl Adaptive {
     /// Mean gradient of each Gaussian over the steps in which it was visible.
     fn mean_gradients(&mut self, count: usize) -> Vec<f32> {
         match self.seen.take() {
-            Some((sum, seen)) => values_of(sum / seen.clamp_min(1.0)),
+            Some(Tally { sums, counts }) => values_of(sums / counts.clamp_min(1.0)),
             None => vec![0.0; count],
         }
     }
@@ -208,16 +209,10 @@ impl Strategy for Adaptive {
             self.agreement = Some(Agreement::with(self.agreement.take(), covered));
         }
         let Some(grad_mean2d) = seen.gradient.or(seen.abs_gradient) else { return };
-        let device = grad_mean2d.device();
         // Half the picture size: normalised device coordinates run from -1 to 1.
-        let per_ndc = Tensor::<1>::from_floats([seen.size.0 as f32 / 2.0, seen.size.1 as f32 / 2.0], &device);
-        let squared = (grad_mean2d * per_ndc.unsqueeze()).square().sum_dim(1).squeeze_dim::<1>(1);
-        let length = squared.sqrt();
-        let shown = length.clone().greater_elem(0.0).float();
-        self.seen = Some(match self.seen.take() {
-            Some((sum, count)) => (sum + length, count + shown),
-            None => (length, shown),
-        });
+        let per_ndc = [seen.size.0 as f32 / 2.0, seen.size.1 as f32 / 2.0];
+        let added = tally::add(self.seen.take(), &grad_mean2d, per_ndc);
+        self.seen = Some(added.unwrap_or_else(|tally| tallied(tally, grad_mean2d, per_ndc)));
     }
 
     fn acts_at(&self, step: usize) -> bool {
@@ -246,9 +241,9 @@ impl Strategy for Adaptive {
     }
 
     fn save(&self, to: &mut State) -> Result<(), StateError> {
-        if let Some((sum, count)) = &self.seen {
-            to.put("gradient_sum", sum.clone());
-            to.put("seen_count", count.clone());
+        if let Some(Tally { sums, counts }) = &self.seen {
+            to.put("gradient_sum", sums.clone());
+            to.put("seen_count", counts.clone());
         }
         if let Some(agreement) = &self.agreement {
             to.put_part("agreement", agreement.save());
@@ -259,15 +254,27 @@ impl Strategy for Adaptive {
     fn load(&mut self, from: &mut State, device: &Device) -> Result<(), StateError> {
         self.seen = None;
         if from.has("gradient_sum") {
-            let sum: Tensor<1> = from.take("gradient_sum", device)?;
-            let count = from.take_shaped("seen_count", sum.dims(), device)?;
-            self.seen = Some((sum, count));
+            let sums: Tensor<1> = from.take("gradient_sum", device)?;
+            let counts = from.take_shaped("seen_count", sums.dims(), device)?;
+            self.seen = Some(Tally { sums, counts });
         }
         self.agreement = None;
         if from.has("agreement") {
             self.agreement = Some(from.load_part("agreement", |part| Agreement::load(part, device))?);
         }
         Ok(())
+    }
+}
+
+/// [`tally::add`] in tensor code.
+fn tallied(tally: Option<Tally>, grad: Tensor<2>, per_axis: [f32; 2]) -> Tally {
+    let per_axis = Tensor::<1>::from_floats(per_axis, &grad.device());
+    let squared = (grad * per_axis.unsqueeze()).square().sum_dim(1).squeeze_dim::<1>(1);
+    let norms = squared.sqrt();
+    let shown = norms.clone().greater_elem(0.0).float();
+    match tally {
+        Some(Tally { sums, counts }) => Tally { sums: sums + norms, counts: counts + shown },
+        None => Tally { sums: norms, counts: shown },
     }
 }
 

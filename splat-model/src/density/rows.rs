@@ -1,7 +1,9 @@
 //! A scene in training, and edits of its rows: the only place that changes rows of parameters and of their moments.
 
-use burn::module::Param;
-use burn::tensor::{Device, Int, Tensor, TensorData};
+use burn::module::{Param, ParamId};
+use burn::tensor::{DType, Device, Int, Tensor, TensorData};
+use splat_op::adam::{Factors, Raw, SceneStep, SteppedScene, step_scene, steps_scenes};
+use splat_op::{RawSplats, Splats};
 
 use crate::gaussians::{GaussianRows, Gaussians, RowsError, parameter};
 use crate::optim::{Adam, LearningRates, Moments, Rates};
@@ -36,6 +38,8 @@ pub struct Trained {
     /// The parameters.
     pub gaussians: Gaussians,
     pub(crate) moments: GaussianMoments,
+    /// The mark of the last step on a GPU (see [`splat_op::adam`]), and the coefficients that it holds for.
+    mark: Option<(ParamId, Tensor<1, Int>)>,
 }
 
 /// One edit of all rows. Kept rows come before added rows.
@@ -51,7 +55,19 @@ impl Trained {
     /// A scene with zero moments.
     pub fn new(gaussians: Gaussians) -> Self {
         let moments = GaussianMoments::new(&gaussians);
-        Self { gaussians, moments }
+        Self { gaussians, moments, mark: None }
+    }
+
+    /// The Gaussians with activated parameters, see [`Gaussians::splats`].
+    pub(crate) fn splats(&self) -> Splats {
+        // Whatever replaces coefficients gives them another identity.
+        let mark = self.mark.as_ref().filter(|(id, _)| *id == self.gaussians.sh.id);
+        self.gaussians.splats_with(mark.map(|(_, mark)| mark))
+    }
+
+    /// Has all coefficients looked at again, after code that may have changed them.
+    pub(crate) fn forget_mark(&mut self) {
+        self.mark = None;
     }
 
     /// Keeps, reorders and adds rows.
@@ -116,14 +132,76 @@ impl Trained {
         step: usize,
         verdict: Option<&Tensor<1, Int>>,
     ) {
-        let (g, m) = (&mut self.gaussians, &mut self.moments);
         let LearningRates { scales, rotations, sh_dc, sh_rest, opacities, .. } = rates.rates;
+        let sh_rates = Rates { first: sh_dc, others: sh_rest };
+        let gradients = match gradients {
+            // One operation takes all steps.
+            Gradients {
+                means: Some(means),
+                rotations: Some(of_rotations),
+                log_scales: Some(log_scales),
+                logit_opacities: Some(logit_opacities),
+                sh: Some(sh),
+            } if steps_scenes(&means) => {
+                let grads = RawSplats { means, rotations: of_rotations, log_scales, logit_opacities, sh };
+                let rates = [rates.means.into(), rotations.into(), scales.into(), opacities.into(), sh_rates];
+                let factors = Raw::from_array(rates.map(|rate| adam.factors(rate, step)));
+                return self.step_at_once(grads, factors, verdict);
+            }
+            gradients => gradients,
+        };
+        let (g, m) = (&mut self.gaussians, &mut self.moments);
         let adam = (adam, step, verdict);
         update(&mut g.means, gradients.means, rates.means, &mut m.means, adam);
         update(&mut g.rotations, gradients.rotations, rotations, &mut m.rotations, adam);
         update(&mut g.log_scales, gradients.log_scales, scales, &mut m.log_scales, adam);
         update(&mut g.logit_opacities, gradients.logit_opacities, opacities, &mut m.logit_opacities, adam);
-        update(&mut g.sh, gradients.sh, Rates { first: sh_dc, others: sh_rest }, &mut m.sh, adam);
+        update(&mut g.sh, gradients.sh, sh_rates, &mut m.sh, adam);
+    }
+
+    /// Takes one Adam step on all parameters by [`step_scene`].
+    fn step_at_once(&mut self, grads: RawSplats, factors: Raw<Factors>, verdict: Option<&Tensor<1, Int>>) {
+        let (g, m) = (&mut self.gaussians, &mut self.moments);
+        let device = g.means.val().device();
+        let coefficients = g.sh.id;
+        let params = RawSplats {
+            means: take(&mut g.means),
+            rotations: take(&mut g.rotations),
+            log_scales: take(&mut g.log_scales),
+            logit_opacities: take(&mut g.logit_opacities),
+            sh: take(&mut g.sh),
+        };
+        let (means, rotations, log_scales) = (m.means.take(), m.rotations.take(), m.log_scales.take());
+        let (logit_opacities, sh) = (m.logit_opacities.take(), m.sh.take());
+        let of_m = RawSplats {
+            means: means.m,
+            rotations: rotations.m,
+            log_scales: log_scales.m,
+            logit_opacities: logit_opacities.m,
+            sh: sh.m,
+        };
+        let of_v = RawSplats {
+            means: means.v,
+            rotations: rotations.v,
+            log_scales: log_scales.v,
+            logit_opacities: logit_opacities.v,
+            sh: sh.v,
+        };
+        let mark = self.mark.take().filter(|(id, _)| *id == coefficients).map(|(_, mark)| mark);
+        let mark = mark.unwrap_or_else(|| Tensor::zeros([1], (&device.clone().inner(), DType::I32)));
+        let from = SceneStep { params, grads, m: of_m, v: of_v };
+        let SteppedScene { params, m: of_m, v: of_v, mark } = step_scene(from, verdict, mark, factors);
+        g.means = parameter(on(&device, params.means));
+        g.rotations = parameter(on(&device, params.rotations));
+        g.log_scales = parameter(on(&device, params.log_scales));
+        g.logit_opacities = parameter(on(&device, params.logit_opacities));
+        g.sh = parameter(on(&device, params.sh));
+        m.means = Moments { m: of_m.means, v: of_v.means };
+        m.rotations = Moments { m: of_m.rotations, v: of_v.rotations };
+        m.log_scales = Moments { m: of_m.log_scales, v: of_v.log_scales };
+        m.logit_opacities = Moments { m: of_m.logit_opacities, v: of_v.logit_opacities };
+        m.sh = Moments { m: of_m.sh, v: of_v.sh };
+        self.mark = Some((g.sh.id, mark));
     }
 
     /// Saves parameters and moments.
@@ -165,6 +243,7 @@ impl Trained {
                 logit_opacities: of_opacities,
                 sh: of_sh,
             },
+            mark: None,
         })
     }
 }

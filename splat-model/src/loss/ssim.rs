@@ -68,8 +68,7 @@ impl Truth {
     /// The loss `(1 − λ) L1 + λ (1 − SSIM)` of a picture `[1, C, H, W]` without autodiff and, if requested, its derivative.
     pub(super) fn loss(&self, x: &Tensor<4>, lambda: f64, with_derivative: bool) -> (Tensor<1>, Option<Tensor<4>>) {
         let photograph = [&self.planes, &self.mean, &self.variance];
-        let (shares, gradient) = splat_op::loss::photometric(x, photograph, lambda, with_derivative);
-        (shares.sum(), gradient)
+        splat_op::loss::photometric(x, photograph, lambda, with_derivative)
     }
 
     /// The photograph, `[H, W, C]`.

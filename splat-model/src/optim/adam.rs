@@ -31,6 +31,12 @@ impl<const D: usize> Moments<D> {
         Self { v: m.zeros_like(), m }
     }
 
+    /// Moves the sums out, so that no other reference exists.
+    pub(crate) fn take(&mut self) -> Self {
+        let empty = Tensor::empty([0; D], &self.m.device());
+        std::mem::replace(self, Self { m: empty.clone(), v: empty })
+    }
+
     /// Saves both sums.
     pub fn save(&self, to: &mut State) {
         to.put("m", self.m.clone());
@@ -121,8 +127,7 @@ impl Adam {
         assert_eq!(param.shape(), moments.m.shape(), "moments have the shape of their parameter");
         let factors = self.factors(lr.into(), t);
         // On a GPU, one operation does the whole step.
-        let empty = || Tensor::empty([0; D], &param.device());
-        let [m, v] = [&mut moments.m, &mut moments.v].map(|sum| std::mem::replace(sum, empty()));
+        let Moments { m, v } = moments.take();
         let stepped = splat_op::adam::step(Stepped { param, m, v }, &grad, verdict, factors);
         let is_done = stepped.is_ok();
         let (Ok(Stepped { param, m, v }) | Err(Stepped { param, m, v })) = stepped;
@@ -148,7 +153,7 @@ impl Adam {
     }
 
     /// The scalars of one step, combined so that tensors are traversed as few times as possible.
-    fn factors(&self, lr: Rates, t: usize) -> Factors {
+    pub(crate) fn factors(&self, lr: Rates, t: usize) -> Factors {
         // √v̂ = c √v and m̂ = b m; both factors move out of the tensors: lr m̂ / (√v̂ + ε) = (lr b/c) m / (√v + ε/c).
         let t = t as f64;
         let b = (1.0 - self.beta1) / (1.0 - self.beta1.powf(t));

@@ -76,10 +76,11 @@ impl Trainer {
     /// Prepares a view: Gaussians, camera and background after the effects, and the photograph.
     pub(super) fn prepare(&mut self, view: usize) -> Result<PreparedStep, TrainError> {
         let at = EffectContext { view, step: self.step, steps: self.config.steps, verdict: None };
-        let splats = self.scene.gaussians.splats();
+        let splats = self.scene.splats();
         let tracked = splats.means.device();
         let signals = self.density.listens_at(self.step);
-        let probe = |wanted: bool| wanted.then(|| Tensor::zeros([splats.means.dims()[0], 2], &tracked).require_grad());
+        // The values of a probe are not read.
+        let probe = |wanted: bool| wanted.then(|| Tensor::empty([splats.means.dims()[0], 2], &tracked).require_grad());
         let drawn = self.effects.draw(&mut self.rng);
         let extras = Extras {
             background: Some(Tensor::from_floats(drawn.unwrap_or(self.config.background), &self.device)),

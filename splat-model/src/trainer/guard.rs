@@ -7,7 +7,7 @@
 
 use burn::tensor::{DType, Device, Int, Tensor};
 use splat_op::activate::non_finite;
-use splat_op::adam::{VERDICT, watch};
+use splat_op::adam::{SceneGradients, VERDICT, watch};
 
 use crate::density::rows::Gradients;
 
@@ -58,22 +58,16 @@ impl Guard {
         loss: &Tensor<1>,
         gradients: &Gradients,
     ) -> Result<Option<Tensor<1, Int>>, Fault> {
-        let Gradients { means, rotations, log_scales, logit_opacities, sh } = gradients;
-        let none = || Tensor::zeros([VERDICT], (&loss.device().inner(), DType::I32));
-        let verdict = self.waits.then(|| self.verdict.take().unwrap_or_else(none));
-        let mut look = Look { verdict, flags: Vec::new(), step };
-        look.at(0, Some(loss));
-        look.at(1, means.as_ref());
-        look.at(2, rotations.as_ref());
-        look.at(3, log_scales.as_ref());
-        look.at(4, logit_opacities.as_ref());
-        look.at(5, sh.as_ref());
         if self.waits {
-            self.verdict = look.verdict.clone();
+            let none = || Tensor::zeros([VERDICT], (&loss.device().inner(), DType::I32));
+            let verdict = self.verdict.take().unwrap_or_else(none);
+            let verdict = watch(loss, gradients.watched(), verdict, step as u32)
+                .unwrap_or_else(|verdict| entered(verdict, flags(loss, gradients), step));
+            self.verdict = Some(verdict.clone());
             self.unread.push((step, view));
-            return Ok(look.verdict);
+            return Ok(Some(verdict));
         }
-        let (watched, flags): (Vec<usize>, Vec<Tensor<1, Int>>) = look.flags.into_iter().unzip();
+        let (watched, flags): (Vec<usize>, Vec<Tensor<1, Int>>) = flags(loss, gradients).into_iter().unzip();
         // One reading for all: each costs more than the check of a small parameter.
         let flags: Vec<i32> = Tensor::cat(flags, 0).into_data().iter().collect();
         let bad =
@@ -103,33 +97,43 @@ impl Guard {
     }
 }
 
-/// The check of a step: the device's verdict, or without one a flag for each checked value, with its place in [`WATCHED`].
-struct Look {
-    verdict: Option<Tensor<1, Int>>,
-    flags: Vec<(usize, Tensor<1, Int>)>,
-    step: usize,
+impl Gradients {
+    fn watched(&self) -> SceneGradients<'_> {
+        let Self { means, rotations, log_scales, logit_opacities, sh } = self;
+        SceneGradients {
+            means: means.as_ref(),
+            rotations: rotations.as_ref(),
+            log_scales: log_scales.as_ref(),
+            logit_opacities: logit_opacities.as_ref(),
+            sh: sh.as_ref(),
+        }
+    }
 }
 
-impl Look {
-    /// Checks value number `i` of [`WATCHED`].
-    fn at<const D: usize>(&mut self, i: usize, values: Option<&Tensor<D>>) {
-        let Some(values) = values else { return };
-        let Some(verdict) = &mut self.verdict else {
-            self.flags.push((i, non_finite(values)));
-            return;
-        };
-        let step = self.step as i32;
-        verdict.inplace(|verdict| {
-            // Devices without the kernel use tensor code.
-            watch(values, verdict, step as u32, i as u32).unwrap_or_else(|verdict| {
-                let first = verdict.clone().narrow(0, 0, 1);
-                let open = first.clone().equal_elem(0).int() + first.clone().equal_elem(step).int();
-                let bad = non_finite(&values.clone().inner()) * open;
-                let entered = first.clone() + bad.clone() * (first.neg() + step);
-                Tensor::cat(vec![entered, verdict.narrow(0, 1, 1) + bad * (1 << i)], 0)
-            })
-        });
-    }
+/// A flag, `[1]`, for each value that there is, with its place in [`WATCHED`].
+fn flags(loss: &Tensor<1>, gradients: &Gradients) -> Vec<(usize, Tensor<1, Int>)> {
+    let SceneGradients { means, rotations, log_scales, logit_opacities, sh } = gradients.watched();
+    let all = [
+        Some(non_finite(loss)),
+        means.map(non_finite),
+        rotations.map(non_finite),
+        log_scales.map(non_finite),
+        logit_opacities.map(non_finite),
+        sh.map(non_finite),
+    ];
+    all.into_iter().enumerate().filter_map(|(place, flag)| Some((place, flag?))).collect()
+}
+
+/// The verdict after a step, in tensor code, for devices without the kernel.
+fn entered(verdict: Tensor<1, Int>, flags: Vec<(usize, Tensor<1, Int>)>, step: usize) -> Tensor<1, Int> {
+    let step = step as i32;
+    flags.into_iter().fold(verdict, |verdict, (place, flag)| {
+        let first = verdict.clone().narrow(0, 0, 1);
+        let open = first.clone().equal_elem(0).int() + first.clone().equal_elem(step).int();
+        let bad = flag * open;
+        let entered = first.clone() + bad.clone() * (first.neg() + step);
+        Tensor::cat(vec![entered, verdict.narrow(0, 1, 1) + bad * (1 << place)], 0)
+    })
 }
 
 /// Names the loss if it is not finite, because its gradients follow from it. Lists the gradients otherwise.

@@ -13,8 +13,9 @@ const SMALLEST_EXPONENT: f32 = -110.0;
 /// values.
 const LARGEST_BITS: u32 = (LARGEST as f32).to_bits();
 
+/// Whether a coordinate or colour coefficient is usable.
 #[cube]
-fn bounded(value: f32) -> bool {
+pub(crate) fn bounded(value: f32) -> bool {
     (u32::reinterpret(value) & 0x7fff_ffff) <= comptime!(LARGEST_BITS)
 }
 
@@ -23,24 +24,33 @@ fn usable_log_scale(log_scale: f32) -> bool {
     finite(log_scale) && log_scale <= comptime!(LARGEST_LOG_SCALE as f32)
 }
 
+/// Returns the standard deviation of a logarithm; zero if the logarithm is not usable.
+#[cube]
+fn scale_of(log_scale: f32, usable: bool) -> f32 {
+    // Unusable values are replaced before the computation.
+    let scale = max(select(usable, log_scale, 0.0), SMALLEST_EXPONENT).exp();
+    select(usable, scale, 0.0)
+}
+
 #[cube(launch_unchecked)]
 pub(super) fn scales_kernel(log_scales: &[f32], scales: &mut [f32], count: u32) {
     if ABSOLUTE_POS < count as usize {
         let log_scale = log_scales[ABSOLUTE_POS];
-        let usable = usable_log_scale(log_scale);
-        // Unusable values are replaced before the computation.
-        let scale = max(select(usable, log_scale, 0.0), SMALLEST_EXPONENT).exp();
-        scales[ABSOLUTE_POS] = select(usable, scale, 0.0);
+        scales[ABSOLUTE_POS] = scale_of(log_scale, usable_log_scale(log_scale));
     }
 }
 
+/// Computes standard deviations and opacities. The coefficients, most of a Gaussian's data, are read only where the mark, `[1]`,
+/// does not say that all of them are usable.
 #[cube(launch_unchecked)]
-pub(super) fn opacities_kernel(
+pub(super) fn activate_kernel(
     means: &[f32],
-    rotations: &[f32],
+    rotations: &[Vector<f32, Const<4>>],
     log_scales: &[f32],
     logit_opacities: &[f32],
     sh: &[f32],
+    mark: ComptimeOption<Box<[u32]>>,
+    scales: &mut [f32],
     opacities: &mut [f32],
     count: u32,
     sh_row: u32,
@@ -51,19 +61,30 @@ pub(super) fn opacities_kernel(
         let mut usable = finite(logit);
         #[unroll]
         for axis in 0..3 {
-            usable = usable && bounded(means[3 * gaussian + axis]) && usable_log_scale(log_scales[3 * gaussian + axis]);
+            let log_scale = log_scales[3 * gaussian + axis];
+            let usable_scale = usable_log_scale(log_scale);
+            usable = usable && bounded(means[3 * gaussian + axis]) && usable_scale;
+            scales[3 * gaussian + axis] = scale_of(log_scale, usable_scale);
         }
+        let rotation = rotations[gaussian];
         let mut turned = 0u32;
         #[unroll]
-        for component in 0..4 {
-            let value = rotations[4 * gaussian + component];
+        for component in 0..4usize {
+            let value = rotation.extract(component);
             usable = usable && finite(value);
             turned |= u32::reinterpret(value);
         }
         usable = usable && (turned & 0x7fff_ffff) != 0;
-        let row = sh_row as usize;
-        for k in 0..row {
-            usable = usable && bounded(sh[row * gaussian + k]);
+        let mut unread = true;
+        #[comptime]
+        if let ComptimeOption::Some(mark) = mark {
+            unread = mark[0] != 0;
+        }
+        if unread {
+            let row = sh_row as usize;
+            for k in 0..row {
+                usable = usable && bounded(sh[row * gaussian + k]);
+            }
         }
         let x = select(usable, logit, 0.0);
         let e = max(-x.abs(), SMALLEST_EXPONENT).exp();
@@ -72,13 +93,20 @@ pub(super) fn opacities_kernel(
     }
 }
 
+/// Writes the gradients of the logits: the derivatives of the opacities, times `grad`.
 #[cube(launch_unchecked)]
-pub(super) fn opacity_slopes_kernel(logit_opacities: &[f32], opacities: &[f32], slopes: &mut [f32], count: u32) {
+pub(super) fn opacities_backward_kernel(
+    logit_opacities: &[f32],
+    opacities: &[f32],
+    grad: &[f32],
+    grad_logits: &mut [f32],
+    count: u32,
+) {
     if ABSOLUTE_POS < count as usize {
         let shown = opacities[ABSOLUTE_POS] > 0.0;
         let e = max(-select(shown, logit_opacities[ABSOLUTE_POS], 0.0).abs(), SMALLEST_EXPONENT).exp();
         let sum = 1.0 + e;
-        slopes[ABSOLUTE_POS] = select(shown, e / (sum * sum), 0.0);
+        grad_logits[ABSOLUTE_POS] = select(shown, e / (sum * sum), 0.0) * grad[ABSOLUTE_POS];
     }
 }
 

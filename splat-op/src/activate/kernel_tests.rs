@@ -1,7 +1,7 @@
 //! The kernels of `activate` against the twin in f64.
 
 use super::cpu::{opacities_cpu, opacity_slopes_cpu, scales_cpu};
-use super::launch::{launch_non_finite, launch_opacities, launch_opacity_slopes, launch_scales};
+use super::launch::{launch_activate, launch_non_finite, launch_opacities_backward, launch_scales};
 use super::rule::Raw;
 use crate::gpu::Buffer;
 use crate::testing::ceiling::{PerturbedReference, rounded, to_f32};
@@ -86,8 +86,9 @@ fn activations_and_slopes_agree_with_the_twin() {
                 logit_opacities: buffer(3),
                 sh: buffer(4),
             };
-            let opacities = launch_opacities(&gpu, &device);
-            let slopes = launch_opacity_slopes(&gpu, &device.logit_opacities, &opacities).read(&gpu);
+            let (together, opacities) = launch_activate(&gpu, &device, None);
+            let ones = Buffer::from_slice(&gpu, &vec![1.0; count]);
+            let slopes = launch_opacities_backward(&gpu, &device.logit_opacities, &opacities, &ones).read(&gpu);
             let opacities = opacities.read(&gpu);
             for (i, (opacity, masked)) in opacities.iter().zip(&masked).enumerate() {
                 assert_eq!(opacity.to_bits() == 0, *masked, "{what}: Gaussian {i} is {opacity}");
@@ -95,6 +96,7 @@ fn activations_and_slopes_agree_with_the_twin() {
             logits.check(&what, 0, &opacities, &one);
             logits.check(&what, 1, &slopes, &by_size);
             let found = launch_scales(&gpu, &device.log_scales).read(&gpu);
+            assert!(together.read(&gpu) == found, "{what}: scales computed with the opacities differ");
             scales.check(&what, 0, &found, &at_limit);
             for (found, expected) in found.iter().zip(&scales.expected[0]) {
                 assert!(
@@ -128,12 +130,52 @@ fn a_number_that_is_not_finite_is_found_wherever_it_is() {
 }
 
 #[test]
+fn a_mark_of_zero_keeps_the_coefficients_unread() {
+    let count = 300;
+    let mut tensors = tensors(1, count, 4);
+    tensors[4][12 * 7 + 5] = f64::NAN;
+    for (form, gpu) in gpus() {
+        let buffer = |i: usize| Buffer::from_slice(&gpu, &to_f32(&tensors[i]));
+        let device = Raw {
+            means: buffer(0),
+            rotations: buffer(1),
+            log_scales: buffer(2),
+            logit_opacities: buffer(3),
+            sh: buffer(4),
+        };
+        let opacity = |mark: Option<u32>| {
+            let mark = mark.map(|mark| Buffer::from_slice(&gpu, &[mark]));
+            launch_activate(&gpu, &device, mark.as_ref()).1.read(&gpu)[7]
+        };
+        assert!(opacity(Some(0)) > 0.0, "{form}: the coefficients were read");
+        assert_eq!([opacity(Some(1)), opacity(None)], [0.0; 2], "{form}: an unusable coefficient was not found");
+    }
+}
+
+#[test]
+fn the_gradient_of_a_logit_is_the_slope_times_the_gradient() {
+    let (logits, opacities) = ([0.0_f32, 2.0, -3.0, f32::NAN, 1.0], [0.5_f32, 0.88, 0.047, 0.0, 0.0]);
+    let grad = [2.0_f32, -1.0, f32::NAN, f32::INFINITY, 3.0];
+    let slope = |x: f64| x.exp() / (1.0 + x.exp()).powi(2);
+    for (form, gpu) in gpus() {
+        let [logits, opacities, grad] = [logits, opacities, grad].map(|values| Buffer::from_slice(&gpu, &values));
+        let found = launch_opacities_backward(&gpu, &logits, &opacities, &grad).read(&gpu);
+        for (found, expected) in found.iter().zip([2.0 * slope(0.0), -slope(2.0)]) {
+            assert!((f64::from(*found) - expected).abs() <= 1e-6, "{form}: {found} instead of {expected}");
+        }
+        // A gradient that is not finite passes, for the guard to see.
+        assert!(found[2].is_nan() && found[3].is_nan() && found[4] == 0.0, "{form}: {found:?}");
+    }
+}
+
+#[test]
 fn nothing_is_activated() {
     let Some(gpu) = gpu() else { return };
     let empty = || Buffer::from_slice(&gpu, &[] as &[f32]);
     let device = Raw { means: empty(), rotations: empty(), log_scales: empty(), logit_opacities: empty(), sh: empty() };
-    assert!(launch_opacities(&gpu, &device).read(&gpu).is_empty());
-    assert!(launch_opacity_slopes(&gpu, &empty(), &empty()).read(&gpu).is_empty());
+    let (scales, opacities) = launch_activate(&gpu, &device, None);
+    assert!(scales.read(&gpu).is_empty() && opacities.read(&gpu).is_empty());
+    assert!(launch_opacities_backward(&gpu, &empty(), &empty(), &empty()).read(&gpu).is_empty());
     assert!(launch_scales(&gpu, &empty()).read(&gpu).is_empty());
     assert_eq!(launch_non_finite(&gpu, &empty()).read(&gpu), [0]);
 }

@@ -1,6 +1,6 @@
 //! Launches of `activate`.
 
-use super::forward::{non_finite_kernel, opacities_kernel, opacity_slopes_kernel, scales_kernel};
+use super::forward::{activate_kernel, non_finite_kernel, opacities_backward_kernel, scales_kernel};
 use super::rule::Raw;
 use crate::gpu::{Buffer, Gpu, elementwise, search};
 
@@ -16,44 +16,64 @@ pub(crate) fn launch_scales(gpu: &Gpu, log_scales: &Buffer<f32>) -> Buffer<f32> 
     scales
 }
 
-/// `[N]` opacities.
-pub(crate) fn launch_opacities(gpu: &Gpu, inputs: &Raw<Buffer<f32>>) -> Buffer<f32> {
+/// `[N, 3]` standard deviations and `[N]` opacities. `mark`, `[1]`, is zero if all coefficients are known to be usable.
+pub(crate) fn launch_activate(
+    gpu: &Gpu,
+    inputs: &Raw<Buffer<f32>>,
+    mark: Option<&Buffer<u32>>,
+) -> (Buffer<f32>, Buffer<f32>) {
     let count = inputs.logit_opacities.len;
-    let opacities = Buffer::new(gpu, count);
+    let (scales, opacities) = (Buffer::new(gpu, 3 * count), Buffer::new(gpu, count));
     if count > 0 {
         let (grid, dim) = elementwise(count);
         // SAFETY: every access is guarded by the number of Gaussians.
         unsafe {
-            opacities_kernel::launch_unchecked(
+            activate_kernel::launch_unchecked(
                 &gpu.client,
                 grid,
                 dim,
                 inputs.means.arg(),
-                inputs.rotations.arg(),
+                inputs.rotations.vectors(4),
                 inputs.log_scales.arg(),
                 inputs.logit_opacities.arg(),
                 inputs.sh.arg(),
+                mark.map(Buffer::arg).into(),
+                scales.arg(),
                 opacities.arg(),
                 count as u32,
                 (inputs.sh.len / count) as u32,
             );
         }
     }
-    opacities
+    (scales, opacities)
 }
 
-/// `[N]` derivatives of the opacities with respect to their logits.
-pub(crate) fn launch_opacity_slopes(gpu: &Gpu, logit_opacities: &Buffer<f32>, opacities: &Buffer<f32>) -> Buffer<f32> {
-    let (count, slopes) = (opacities.len, Buffer::new(gpu, opacities.len));
+/// `[N]` gradients of the logits from `grad`, those of the opacities.
+pub(crate) fn launch_opacities_backward(
+    gpu: &Gpu,
+    logit_opacities: &Buffer<f32>,
+    opacities: &Buffer<f32>,
+    grad: &Buffer<f32>,
+) -> Buffer<f32> {
+    let (count, found) = (opacities.len, Buffer::new(gpu, opacities.len));
     if count > 0 {
         let (grid, dim) = elementwise(count);
-        let (logits, opacities, out) = (logit_opacities.arg(), opacities.arg(), slopes.arg());
+        let (logits, opacities, grad, out) = (logit_opacities.arg(), opacities.arg(), grad.arg(), found.arg());
         // SAFETY: every access is guarded by the length given.
         unsafe {
-            opacity_slopes_kernel::launch_unchecked(&gpu.client, grid, dim, logits, opacities, out, count as u32);
+            opacities_backward_kernel::launch_unchecked(
+                &gpu.client,
+                grid,
+                dim,
+                logits,
+                opacities,
+                grad,
+                out,
+                count as u32,
+            );
         }
     }
-    slopes
+    found
 }
 
 /// `[1]`: 1 if any value is not finite, else 0.

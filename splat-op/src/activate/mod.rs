@@ -24,7 +24,7 @@
 
 pub(crate) mod cpu;
 #[cfg(feature = "cube")]
-mod forward;
+pub(crate) mod forward;
 #[cfg(all(test, feature = "cube"))]
 mod kernel_tests;
 #[cfg(feature = "cube")]
@@ -78,6 +78,15 @@ pub fn scales(log_scales: &Tensor<2>) -> Result<Tensor<2>, SplatError> {
 /// # Errors
 /// If a tensor's shape, type or device does not fit.
 pub fn opacities(raw: &RawSplats) -> Result<Tensor<1>, SplatError> {
+    Ok(activated(raw, None)?.1)
+}
+
+/// Computes [`scales`] and [`opacities`] together. `mark`, `[1]`, may come from [`crate::adam::step_scene`]: if it is zero, all
+/// coefficients are known to be usable, and a GPU does not read them.
+///
+/// # Errors
+/// If a tensor's shape, type or device does not fit.
+pub fn activated(raw: &RawSplats, mark: Option<&Tensor<1, Int>>) -> Result<(Tensor<2>, Tensor<1>), SplatError> {
     let reference = Reference::new(&raw.means)?;
     let count = raw.means.dims()[0];
     reference.check("means", &raw.means, [None, Some(3)], "[N, 3]")?;
@@ -92,7 +101,8 @@ pub fn opacities(raw: &RawSplats) -> Result<Tensor<1>, SplatError> {
         logit_opacities: raw.logit_opacities.clone().into(),
         sh: raw.sh.clone().into(),
     };
-    Ok(Tensor::from_dispatch(<Dispatch as ActivateBackend>::opacities(inputs)))
+    let found = <Dispatch as ActivateBackend>::activated(inputs, mark.into());
+    Ok((Tensor::from_dispatch(found.scales), Tensor::from_dispatch(found.opacities)))
 }
 
 /// Searches for values that are not finite: returns `[1]`, 1 if any of `values` is not finite, else 0. Not differentiable.

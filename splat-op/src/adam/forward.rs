@@ -3,7 +3,8 @@
 use cubecl::prelude::*;
 
 use super::rule::Band;
-use crate::gpu::math::own_values_finite;
+use crate::activate::forward::bounded;
+use crate::gpu::math::{clamped, own_values_finite};
 
 /// The scalars of one step.
 #[derive(CubeType, CubeLaunch, Clone, Copy)]
@@ -18,53 +19,136 @@ pub(super) struct StepFactors {
     pub largest: f32,
 }
 
-/// Performs one step in place, unless the verdict names a step. The band is a compile-time value: there is one per degree of the
-/// spherical harmonics, and a division by a constant compiles to a multiplication.
-#[cube(launch_unchecked)]
-pub(super) fn adam_kernel(
-    param: &mut [f32],
-    m: &mut [f32],
-    v: &mut [f32],
-    grad: &[f32],
-    verdict: ComptimeOption<Box<[u32]>>,
+/// One parameter of a launch. The band is a compile-time value: there is one per degree of the spherical harmonics, and a division
+/// by a constant compiles to a multiplication.
+#[derive(CubeType, CubeLaunch)]
+pub(super) struct Moving {
+    param: Box<[f32]>,
+    m: Box<[f32]>,
+    v: Box<[f32]>,
+    grad: Box<[f32]>,
     factors: StepFactors,
     count: u32,
-    #[comptime] band: Option<Band>,
+    #[cube(comptime)]
+    band: Option<Band>,
+}
+
+/// Performs the step of one number in place and returns the number.
+#[cube]
+fn step(of: &mut Moving, at: usize) -> f32 {
+    let factors = of.factors;
+    let gradient = clamped(of.grad[at], factors.largest);
+    let first = of.m[at] * factors.beta1 + gradient;
+    let second = of.v[at] * factors.beta2 + gradient * gradient;
+    of.m[at] = first;
+    of.v[at] = second;
+    let mut rate = factors.rate;
+    if comptime!(of.band.is_some()) {
+        let (period, width) = comptime!(of.band.map_or((1, 0), |band| (band.period as u32, band.width as u32)));
+        rate = select(at as u32 % period < width, factors.rate_of_first, factors.rate);
+    }
+    let moved = of.param[at] - first / (second.sqrt() + factors.floor) * rate;
+    of.param[at] = moved;
+    moved
+}
+
+/// Performs one step of up to three parameters, whose numbers follow one another, unless the verdict names a step. If `marks` is set,
+/// sets the mark if a number of the second parameter is not usable afterwards, or if nobody looked.
+#[cube(launch_unchecked)]
+pub(super) fn adam_kernel(
+    mut first: Moving,
+    mut second: ComptimeOption<Moving>,
+    mut third: ComptimeOption<Moving>,
+    verdict: ComptimeOption<Box<[u32]>>,
+    mark: &[Atomic<u32>],
+    #[comptime] marks: bool,
 ) {
-    let at = ABSOLUTE_POS;
-    let mut runs = at < count as usize;
+    let mut runs = true;
     #[comptime]
     if let ComptimeOption::Some(verdict) = &verdict {
-        runs = runs && verdict[0] == 0;
+        runs = verdict[0] == 0;
     }
     if runs {
-        let given = grad[at];
-        // Comparisons let NaN through; `min` and `max` may not.
-        let below = select(given > factors.largest, factors.largest, given);
-        let gradient = select(given < -factors.largest, -factors.largest, below);
-        let first = m[at] * factors.beta1 + gradient;
-        let second = v[at] * factors.beta2 + gradient * gradient;
-        m[at] = first;
-        v[at] = second;
-        let mut rate = factors.rate;
-        if comptime!(band.is_some()) {
-            let (period, width) = comptime!(band.map_or((1, 0), |band| (band.period as u32, band.width as u32)));
-            rate = select(at as u32 % period < width, factors.rate_of_first, factors.rate);
+        let mut at = ABSOLUTE_POS as u32;
+        let mut usable = true;
+        let mut done = at < first.count;
+        if done {
+            step(&mut first, at as usize);
         }
-        param[at] -= first / (second.sqrt() + factors.floor) * rate;
+        at -= select(done, 0u32, first.count);
+        #[comptime]
+        if let ComptimeOption::Some(second) = &mut second {
+            if !done && at < second.count {
+                usable = bounded(step(second, at as usize));
+                done = true;
+            }
+            at -= select(done, 0u32, second.count);
+        }
+        #[comptime]
+        if let ComptimeOption::Some(third) = &mut third {
+            let due = !done && at < third.count;
+            if due {
+                step(third, at as usize);
+            }
+        }
+        if comptime!(marks) && !usable {
+            mark[0].fetch_or(1u32);
+        }
+    } else if comptime!(marks) && ABSOLUTE_POS == 0 {
+        mark[0].fetch_or(1u32);
     }
+}
+
+/// A bit if any of this unit's values, `stride` apart, is not finite, else zero.
+#[cube]
+fn bit_if_wrong(values: &ComptimeOption<Box<[f32]>>, count: u32, stride: u32, #[comptime] bit: u32) -> u32 {
+    let mut sound = true;
+    #[comptime]
+    if let ComptimeOption::Some(values) = values {
+        sound = own_values_finite(values, count, stride);
+    }
+    select(sound, 0u32, comptime!(1u32 << bit))
+}
+
+/// Numbers of values.
+#[derive(CubeType, CubeLaunch, Clone, Copy)]
+#[expand(derive(Clone, Copy))]
+pub(super) struct WatchedCounts {
+    pub loss: u32,
+    pub means: u32,
+    pub rotations: u32,
+    pub log_scales: u32,
+    pub logit_opacities: u32,
+    pub sh: u32,
 }
 
 /// Writes the step to the verdict if any of this unit's values, `stride` apart, is not finite and no earlier step is entered.
 /// Units with finite values never write.
 #[cube(launch_unchecked)]
-pub(super) fn watch_kernel(values: &[f32], verdict: &[Atomic<u32>], count: u32, stride: u32, at_step: u32, mask: u32) {
-    if !own_values_finite(values, count, stride) {
+pub(super) fn watch_kernel(
+    loss: ComptimeOption<Box<[f32]>>,
+    means: ComptimeOption<Box<[f32]>>,
+    rotations: ComptimeOption<Box<[f32]>>,
+    log_scales: ComptimeOption<Box<[f32]>>,
+    logit_opacities: ComptimeOption<Box<[f32]>>,
+    sh: ComptimeOption<Box<[f32]>>,
+    verdict: &[Atomic<u32>],
+    counts: WatchedCounts,
+    stride: u32,
+    at_step: u32,
+) {
+    let mut wrong = bit_if_wrong(&loss, counts.loss, stride, 0u32);
+    wrong |= bit_if_wrong(&means, counts.means, stride, 1u32);
+    wrong |= bit_if_wrong(&rotations, counts.rotations, stride, 2u32);
+    wrong |= bit_if_wrong(&log_scales, counts.log_scales, stride, 3u32);
+    wrong |= bit_if_wrong(&logit_opacities, counts.logit_opacities, stride, 4u32);
+    wrong |= bit_if_wrong(&sh, counts.sh, stride, 5u32);
+    if wrong != 0 {
         let entered = verdict[0].load();
         if entered == 0 || entered == at_step {
-            // Every unit that gets here in this step writes the same values, and no unit of a later step gets here.
+            // Every unit that gets here in this step writes the same step, and no unit of a later step gets here.
             verdict[0].fetch_max(at_step);
-            verdict[1].fetch_or(mask);
+            verdict[1].fetch_or(wrong);
         }
     }
 }

@@ -1,7 +1,8 @@
 //! Compares the step with its equations in f64, and the verdict with its rules.
 
-use super::launch::{DeviceState, launch_adam, launch_watch};
+use super::launch::{DeviceState, DeviceStep, launch_adam, launch_watch};
 use super::{Band, Factors, Rates, VERDICT};
+use crate::activate::rule::Raw;
 use crate::gpu::{Buffer, Gpu};
 use crate::testing::ceiling::{PerturbedReference, rounded, to_f32};
 use crate::testing::gpu::gpus;
@@ -35,13 +36,13 @@ fn step(inputs: &[Vec<f64>], band: Option<Band>) -> Vec<Vec<f64>> {
     vec![param, m, v]
 }
 
-fn on_device(gpu: &Gpu, tensors: &[Vec<f64>]) -> (DeviceState, Buffer<f32>) {
+fn on_device(gpu: &Gpu, tensors: &[Vec<f64>], band: Option<Band>) -> DeviceStep {
     let [param, grad, m, v] = [0, 1, 2, 3].map(|i| Buffer::from_slice(gpu, &to_f32(&tensors[i])));
-    (DeviceState { param, m, v }, grad)
+    DeviceStep { state: DeviceState { param, m, v }, grad, factors: FACTORS, band }
 }
 
-fn read(gpu: &Gpu, state: &DeviceState) -> [Vec<f32>; 3] {
-    [&state.param, &state.m, &state.v].map(|buffer| buffer.read(gpu))
+fn read(gpu: &Gpu, step: &DeviceStep) -> [Vec<f32>; 3] {
+    [&step.state.param, &step.state.m, &step.state.v].map(|buffer| buffer.read(gpu))
 }
 
 #[test]
@@ -57,8 +58,8 @@ fn a_step_is_that_of_the_equations() {
             for ((guard, verdict), (band, reference)) in
                 guards.iter().flat_map(|g| references.iter().map(move |y| (g, y)))
             {
-                let (state, grad) = on_device(&gpu, &tensors);
-                launch_adam(&gpu, &state, &grad, *verdict, &FACTORS, *band);
+                let state = on_device(&gpu, &tensors, *band);
+                launch_adam(&gpu, &[&state], *verdict, None);
                 for (i, found) in read(&gpu, &state).iter().enumerate() {
                     reference.check(
                         &format!("{count}, {form}, {guard}, {band:?}: {i}"),
@@ -81,8 +82,8 @@ fn gradients_are_held_within_the_largest_and_nan_is_passed_on() {
     }
     let expected = step(&tensors, None);
     for (form, gpu) in gpus() {
-        let (state, grad) = on_device(&gpu, &tensors);
-        launch_adam(&gpu, &state, &grad, None, &FACTORS, None);
+        let state = on_device(&gpu, &tensors, None);
+        launch_adam(&gpu, &[&state], None, None);
         for (tensor, found) in read(&gpu, &state).iter().enumerate() {
             for row in 0..4 {
                 let (found, expected) = (f64::from(found[row]), expected[tensor][row]);
@@ -100,36 +101,92 @@ fn gradients_are_held_within_the_largest_and_nan_is_passed_on() {
 fn a_verdict_holds_a_step_back() {
     let tensors = tensors(300);
     for (form, gpu) in gpus() {
-        let (state, grad) = on_device(&gpu, &tensors);
+        let state = on_device(&gpu, &tensors, None);
         let before = read(&gpu, &state);
         let verdict = Buffer::from_slice(&gpu, &[7_u32, 1]);
-        launch_adam(&gpu, &state, &grad, Some(&verdict), &FACTORS, None);
+        let mark = Buffer::from_slice(&gpu, &[0_u32]);
+        launch_adam(&gpu, &[&state, &state], Some(&verdict), Some(&mark));
         assert!(read(&gpu, &state) == before, "{form}: a step that was to be held back changed something");
+        assert_eq!(mark.read(&gpu), [1], "{form}: nobody looked at the coefficients");
+    }
+}
+
+#[test]
+fn steps_together_are_the_steps_alone() {
+    let (counts, band) = ([300, 1, 4_001], Some(Band { period: 12, width: 3 }));
+    let mut tensors = counts.map(tensors);
+    // The borders of the parameters move too.
+    tensors.iter_mut().for_each(|tensors| tensors[1][0] = 0.01);
+    for (form, gpu) in gpus() {
+        let steps = || [0, 1, 2].map(|i| on_device(&gpu, &tensors[i], if i == 1 { None } else { band }));
+        let alone = steps();
+        alone.iter().for_each(|step| launch_adam(&gpu, &[step], None, None));
+        for together in 2..=3 {
+            let steps = steps();
+            let refs: Vec<&DeviceStep> = steps[..together].iter().collect();
+            launch_adam(&gpu, &refs, None, None);
+            for (i, (step, alone)) in refs.iter().zip(&alone).enumerate() {
+                assert!(read(&gpu, step) == read(&gpu, alone), "{form}: parameter {i} of {together}");
+            }
+        }
+    }
+}
+
+#[test]
+fn the_mark_is_set_by_an_unusable_number_of_the_second_parameter() {
+    let (plain, count) = (tensors(300), 700);
+    for (form, gpu) in gpus() {
+        let marked = |first: f64, second: f64, at: usize| {
+            let mut tensors = [plain.clone(), tensors(count)];
+            tensors[0][0][5] = first;
+            tensors[1][0][at] = second;
+            let [one, two] = tensors.map(|tensors| on_device(&gpu, &tensors, None));
+            let mark = Buffer::from_slice(&gpu, &[0_u32]);
+            launch_adam(&gpu, &[&one, &two], None, Some(&mark));
+            mark.read(&gpu)[0]
+        };
+        assert_eq!(marked(1.0, 1.0, 0), 0, "{form}");
+        assert_eq!(marked(f64::NAN, 1e18, 0), 0, "{form}");
+        for (at, bad) in [(0, f64::NAN), (count - 1, f64::INFINITY), (300, f64::NEG_INFINITY), (255, -2e18)] {
+            assert_eq!(marked(1.0, bad, at), 1, "{form}: {bad} at {at}");
+        }
     }
 }
 
 #[test]
 fn a_verdict_names_the_first_step_and_all_that_was_wrong_in_it() {
-    for count in [1, 256, 70_000] {
+    for count in [1, 256, 70_000, 1_200_001] {
         let sound = vec![1.5_f32; count];
         let bad = |value: f32, at: usize| {
             let mut values = sound.clone();
             values[at] = value;
             values
         };
+        // The step, the place of the values among those that are looked at, the values, and the verdict.
         let looks = [
             (1, 0, sound.clone(), [0, 0]),
             (2, 3, bad(f32::MAX, 0), [0, 0]),
             (2, 1, bad(f32::NAN, count - 1), [2, 0b10]),
             (2, 2, sound.clone(), [2, 0b10]),
             (2, 4, bad(f32::NEG_INFINITY, count / 2), [2, 0b1_0010]),
-            (3, 0, bad(f32::INFINITY, 0), [2, 0b1_0010]),
+            (2, 5, bad(f32::INFINITY, count / 3), [2, 0b11_0010]),
+            (3, 0, bad(f32::INFINITY, 0), [2, 0b11_0010]),
         ];
         for (form, gpu) in gpus() {
             let verdict = Buffer::from_slice(&gpu, &[0_u32; VERDICT]);
-            for (at_step, bit, values, expected) in &looks {
-                launch_watch(&gpu, &Buffer::from_slice(&gpu, values), &verdict, *at_step, *bit);
-                assert_eq!(verdict.read(&gpu), expected, "{count}, {form}, step {at_step}, bit {bit}");
+            let one = Buffer::from_slice(&gpu, &[1.5_f32]);
+            for (at_step, place, values, expected) in &looks {
+                let values = Buffer::from_slice(&gpu, values);
+                let loss = if *place == 0 { &values } else { &one };
+                let gradients = std::array::from_fn(|i| match i + 1 {
+                    here if here == *place => Some(values.clone()),
+                    // An absent gradient, and an empty one.
+                    2 => None,
+                    3 => Some(Buffer::new(&gpu, 0)),
+                    _ => Some(one.clone()),
+                });
+                launch_watch(&gpu, loss, &Raw::from_array(gradients), &verdict, *at_step);
+                assert_eq!(verdict.read(&gpu), expected, "{count}, {form}, step {at_step}, place {place}");
             }
         }
     }

@@ -1,7 +1,10 @@
 //! Launches of Adam's step and of the check for finite values.
 
-use super::forward::{StepFactorsLaunch, adam_kernel, watch_kernel};
+use cubecl::prelude::ComptimeOptionArgs;
+
+use super::forward::{MovingLaunch, StepFactorsLaunch, WatchedCountsLaunch, adam_kernel, watch_kernel};
 use super::rule::{Band, Factors};
+use crate::activate::rule::Raw;
 use crate::gpu::{Buffer, Gpu, elementwise, search};
 
 /// A parameter and its moments on the device, all of one length.
@@ -12,54 +15,95 @@ pub(crate) struct DeviceState {
     pub v: Buffer<f32>,
 }
 
-/// Performs one step in place. `band` has the first of the two rates. Nothing changes where `verdict`, `[2]`, names a step.
-pub(crate) fn launch_adam(
-    gpu: &Gpu,
-    state: &DeviceState,
-    grad: &Buffer<f32>,
-    verdict: Option<&Buffer<u32>>,
-    factors: &Factors,
-    band: Option<Band>,
-) {
-    let count = state.param.len;
+/// The step of one parameter: its state, which changes in place, its gradient, and its factors. `band` has the first of the two rates.
+#[derive(Clone)]
+pub(crate) struct DeviceStep {
+    pub state: DeviceState,
+    pub grad: Buffer<f32>,
+    pub factors: Factors,
+    pub band: Option<Band>,
+}
+
+impl DeviceStep {
+    fn arg(&self) -> MovingLaunch {
+        let Self { state, grad, factors, band } = self;
+        let factors = StepFactorsLaunch::new(
+            factors.beta1 as f32,
+            factors.beta2 as f32,
+            factors.rate.others as f32,
+            factors.rate.first as f32,
+            factors.floor as f32,
+            factors.largest as f32,
+        );
+        let (param, m, v) = (state.param.arg(), state.m.arg(), state.v.arg());
+        MovingLaunch::new(param, m, v, grad.arg(), factors, grad.len as u32, *band)
+    }
+}
+
+/// Performs the steps of one to three parameters in place. Nothing changes where `verdict`, `[2]`, names a step. Sets `mark`, `[1]`, if
+/// a number of the second parameter is not usable afterwards, or if the verdict holds the steps back.
+pub(crate) fn launch_adam(gpu: &Gpu, steps: &[&DeviceStep], verdict: Option<&Buffer<u32>>, mark: Option<&Buffer<u32>>) {
+    let (first, others) = steps.split_first().expect("at least one parameter");
+    let count: usize = steps.iter().map(|step| step.grad.len).sum();
     if count == 0 {
         return;
     }
+    let other = |i: usize| match others.get(i) {
+        Some(step) => ComptimeOptionArgs::Some(step.arg()),
+        None => ComptimeOptionArgs::None,
+    };
+    let (unused, marks) = (Buffer::new(gpu, 0), mark.is_some());
     let (grid, dim) = elementwise(count);
-    // SAFETY: every access is guarded by the length given, which all buffers share.
+    // SAFETY: every access is guarded by the lengths given, which the buffers of a parameter share.
     unsafe {
         adam_kernel::launch_unchecked(
             &gpu.client,
             grid,
             dim,
-            state.param.arg(),
-            state.m.arg(),
-            state.v.arg(),
-            grad.arg(),
+            first.arg(),
+            other(0),
+            other(1),
             verdict.map(Buffer::arg).into(),
-            StepFactorsLaunch::new(
-                factors.beta1 as f32,
-                factors.beta2 as f32,
-                factors.rate.others as f32,
-                factors.rate.first as f32,
-                factors.floor as f32,
-                factors.largest as f32,
-            ),
-            count as u32,
-            band,
+            mark.unwrap_or(&unused).arg(),
+            marks,
         );
     }
 }
 
-/// Enters `at_step` and `bit` in `verdict`, `[2]`, if a value is not finite and no earlier step is entered.
-pub(crate) fn launch_watch(gpu: &Gpu, values: &Buffer<f32>, verdict: &Buffer<u32>, at_step: u32, bit: u32) {
-    if values.len == 0 {
-        return;
-    }
-    let (grid, dim, stride) = search(values.len);
-    let (count, mask, values, verdict) = (values.len as u32, 1 << bit, values.arg(), verdict.arg());
-    // SAFETY: every access is guarded by the length given; a verdict has two numbers.
+/// Enters `at_step` in `verdict`, `[2]`, with a bit for the loss and for each gradient that has a value that is not finite, in this
+/// order, if no earlier step is entered.
+pub(crate) fn launch_watch(
+    gpu: &Gpu,
+    loss: &Buffer<f32>,
+    gradients: &Raw<Option<Buffer<f32>>>,
+    verdict: &Buffer<u32>,
+    at_step: u32,
+) {
+    let Raw { means, rotations, log_scales, logit_opacities, sh } =
+        gradients.each_ref().map(|found| found.as_ref().filter(|found| found.len > 0));
+    let loss = Some(loss).filter(|loss| loss.len > 0);
+    let all = [loss, means, rotations, log_scales, logit_opacities, sh];
+    let [of_loss, of_means, of_rotations, of_log_scales, of_logit_opacities, of_sh] =
+        all.map(|values| values.map_or(0, |values| values.len as u32));
+    let (grid, dim, stride) = search(all.iter().flatten().map(|values| values.len).max().unwrap_or(0));
+    let counts = WatchedCountsLaunch::new(of_loss, of_means, of_rotations, of_log_scales, of_logit_opacities, of_sh);
+    let [loss, means, rotations, log_scales, logit_opacities, sh] = all.map(|values| values.map(Buffer::arg).into());
+    // SAFETY: every access is guarded by the lengths given; a verdict has two numbers.
     unsafe {
-        watch_kernel::launch_unchecked(&gpu.client, grid, dim, values, verdict, count, stride, at_step, mask);
+        watch_kernel::launch_unchecked(
+            &gpu.client,
+            grid,
+            dim,
+            loss,
+            means,
+            rotations,
+            log_scales,
+            logit_opacities,
+            sh,
+            verdict.arg(),
+            counts,
+            stride,
+            at_step,
+        );
     }
 }

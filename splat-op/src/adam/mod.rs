@@ -15,6 +15,9 @@
 //! which it was found, one bit each. [`watch`] enters its result unless an earlier step is entered; [`step`] changes nothing if
 //! a step is entered. The verdict stays on the device, so that the host never waits for it.
 //!
+//! A **mark** is one number, `[1]`, zero as long as every colour coefficient that a step of a scene has written is usable (see
+//! [`crate::activate`]). The next activation then need not read the coefficients, most of a scene's data, to find that out.
+//!
 //! Shapes: parameter, gradient and moments share one shape, of any rank; f32.
 
 #[cfg(feature = "cube")]
@@ -27,11 +30,17 @@ pub(crate) mod rule;
 
 #[cfg(feature = "cube")]
 use burn::backend::Dispatch;
+#[cfg(feature = "cube")]
+use burn::backend::tensor::FloatTensor;
 use burn::tensor::{Int, Tensor};
 pub use rule::{Band, Factors, Rates, VERDICT};
 
+use crate::activate::RawSplats;
+pub use crate::activate::rule::Raw;
 #[cfg(feature = "cube")]
-use crate::backend::adam::{AdamBackend, AdamInputs, AdamState, Held};
+use crate::backend::adam::{AdamBackend, AdamInputs, AdamState};
+#[cfg(feature = "cube")]
+use crate::backend::tensors::OptionalTensor;
 
 /// A parameter and its moments.
 #[derive(Clone, Debug)]
@@ -64,34 +73,152 @@ pub fn step<const D: usize>(
             grad: grad.clone().into_dispatch(),
             m: from.m.into_dispatch(),
             v: from.v.into_dispatch(),
-            held: verdict.map_or(Held::Never, |verdict| Held::By(verdict.clone().into_dispatch())),
         };
-        let AdamState { param, m, v } = <Dispatch as AdamBackend>::adam(inputs, factors);
+        let AdamState { param, m, v } = <Dispatch as AdamBackend>::adam(inputs, verdict.into(), factors);
         let [param, m, v] = [param, m, v].map(Tensor::from_dispatch);
         return Ok(Stepped { param, m, v });
     }
     Err(from)
 }
 
-/// Returns `verdict` after a check of `values`, f32 or f64. If a value is not finite, `at_step` (from 1) is entered with bit
-/// `bit`, unless an earlier step is entered.
+/// The parameters of a scene with their moments and their gradients, each set as in [`RawSplats`].
+#[derive(Clone, Debug)]
+pub struct SceneStep {
+    /// The parameters.
+    pub params: RawSplats,
+    /// Their gradients.
+    pub grads: RawSplats,
+    /// First moments, `Σ β₁ᵏ g`.
+    pub m: RawSplats,
+    /// Second moments, `Σ β₂ᵏ g²`.
+    pub v: RawSplats,
+}
+
+/// The parameters of a scene and their moments after a step.
+#[derive(Clone, Debug)]
+pub struct SteppedScene {
+    /// The parameters.
+    pub params: RawSplats,
+    /// First moments, `Σ β₁ᵏ g`.
+    pub m: RawSplats,
+    /// Second moments, `Σ β₂ᵏ g²`.
+    pub v: RawSplats,
+    /// `[1]`: zero if all colour coefficients are usable, for [`crate::activate::activated`].
+    pub mark: Tensor<1, Int>,
+}
+
+/// Performs [`step`] for all parameters of a scene in two launches. `mark`, `[1]`, is a zero before the first step and comes from the
+/// step before afterwards; it is set once a coefficient is not usable.
+///
+/// Shapes and ownership as in [`step`].
+///
+/// # Panics
+/// If [`steps_scenes`] is false.
+#[cfg_attr(not(feature = "cube"), expect(unused_variables, reason = "no GPU runtime is compiled in"))]
+pub fn step_scene(
+    from: SceneStep,
+    verdict: Option<&Tensor<1, Int>>,
+    mark: Tensor<1, Int>,
+    factors: Raw<Factors>,
+) -> SteppedScene {
+    #[cfg(feature = "cube")]
+    {
+        let SceneStep { params, grads, m, v } = from;
+        let all = primitives(params).zip(primitives(grads)).zip(primitives(m).zip(primitives(v)));
+        let inputs = all.map(|((param, grad), (m, v))| AdamInputs { param, grad, m, v });
+        let found = <Dispatch as AdamBackend>::adam_scene(inputs, verdict.into(), mark.into_dispatch(), factors);
+        let (mut params, mut m, mut v) = (Vec::new(), Vec::new(), Vec::new());
+        found.states.map(|state| {
+            params.push(state.param);
+            m.push(state.m);
+            v.push(state.v);
+        });
+        let [params, m, v] = [params, m, v].map(splats);
+        SteppedScene { params, m, v, mark: Tensor::from_dispatch(found.mark) }
+    }
+    #[cfg(not(feature = "cube"))]
+    unreachable!("`steps_scenes` is false")
+}
+
+/// Whether [`step_scene`] and [`watch`] support scenes with these centres.
+#[cfg_attr(not(feature = "cube"), expect(unused_variables, reason = "no GPU runtime is compiled in"))]
+pub fn steps_scenes(means: &Tensor<2>) -> bool {
+    #[cfg(feature = "cube")]
+    return taken(means);
+    #[cfg(not(feature = "cube"))]
+    false
+}
+
+/// The gradients of a scene's parameters that [`watch`] looks at.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct SceneGradients<'a> {
+    /// `[N, 3]`.
+    pub means: Option<&'a Tensor<2>>,
+    /// `[N, 4]`.
+    pub rotations: Option<&'a Tensor<2>>,
+    /// `[N, 3]`.
+    pub log_scales: Option<&'a Tensor<2>>,
+    /// `[N]`.
+    pub logit_opacities: Option<&'a Tensor<1>>,
+    /// `[N, K, 3]`.
+    pub sh: Option<&'a Tensor<3>>,
+}
+
+/// Returns `verdict` after a check of a loss and the gradients of a scene, in one launch. If a value is not finite, `at_step` (from 1) is
+/// entered, unless an earlier step is entered, with bit 0 for the loss and bits 1 to 5 for the gradients in the order of their fields.
 ///
 /// # Errors
 /// Returns `verdict` on devices without this operation; use tensor code there.
 #[cfg_attr(not(feature = "cube"), expect(unused_variables, reason = "no GPU runtime is compiled in"))]
 #[expect(clippy::result_large_err, reason = "the error is the argument, handed back")]
-pub fn watch<const D: usize>(
-    values: &Tensor<D>,
+pub fn watch(
+    loss: &Tensor<1>,
+    gradients: SceneGradients,
     verdict: Tensor<1, Int>,
     at_step: u32,
-    bit: u32,
 ) -> Result<Tensor<1, Int>, Tensor<1, Int>> {
     #[cfg(feature = "cube")]
-    if taken(values) {
-        let (values, verdict) = (values.clone().into_dispatch(), verdict.into_dispatch());
-        return Ok(Tensor::from_dispatch(<Dispatch as AdamBackend>::watch(values, verdict, at_step, bit)));
+    if taken(loss) {
+        fn optional<const D: usize>(gradient: Option<&Tensor<D>>) -> OptionalTensor<Dispatch> {
+            gradient.map(|gradient| gradient.clone().into_dispatch()).into()
+        }
+        let SceneGradients { means, rotations, log_scales, logit_opacities, sh } = gradients;
+        let gradients = Raw {
+            means: optional(means),
+            rotations: optional(rotations),
+            log_scales: optional(log_scales),
+            logit_opacities: optional(logit_opacities),
+            sh: optional(sh),
+        };
+        let (loss, verdict) = (loss.clone().into_dispatch(), verdict.into_dispatch());
+        return Ok(Tensor::from_dispatch(<Dispatch as AdamBackend>::watch(loss, gradients, verdict, at_step)));
     }
     Err(verdict)
+}
+
+#[cfg(feature = "cube")]
+fn primitives(tensors: RawSplats) -> Raw<FloatTensor<Dispatch>> {
+    let RawSplats { means, rotations, log_scales, logit_opacities, sh } = tensors;
+    Raw {
+        means: means.into_dispatch(),
+        rotations: rotations.into_dispatch(),
+        log_scales: log_scales.into_dispatch(),
+        logit_opacities: logit_opacities.into_dispatch(),
+        sh: sh.into_dispatch(),
+    }
+}
+
+#[cfg(feature = "cube")]
+fn splats(tensors: Vec<FloatTensor<Dispatch>>) -> RawSplats {
+    let tensors: [_; 5] = tensors.try_into().expect("one for each parameter");
+    let Raw { means, rotations, log_scales, logit_opacities, sh } = Raw::from_array(tensors);
+    RawSplats {
+        means: Tensor::from_dispatch(means),
+        rotations: Tensor::from_dispatch(rotations),
+        log_scales: Tensor::from_dispatch(log_scales),
+        logit_opacities: Tensor::from_dispatch(logit_opacities),
+        sh: Tensor::from_dispatch(sh),
+    }
 }
 
 /// Whether the operations support this tensor.

@@ -3,16 +3,30 @@
 #![allow(deprecated, reason = "burn-ndarray is deprecated in favour of burn-flex; this project supports both")]
 
 use burn::backend::autodiff::checkpoint::strategy::CheckpointStrategy;
-use burn::backend::ops::IntTensorOps;
+use burn::backend::ops::{FloatTensorOps, IntTensorOps};
 use burn::backend::tensor::{FloatTensor, IntTensor};
-use burn::backend::{Autodiff, Backend, Flex, NdArray, TensorMetadata, backend_extension};
+use burn::backend::{Autodiff, Backend, ExtensionType, Flex, NdArray, TensorMetadata, backend_extension};
 use burn::tensor::TensorData;
 
 use super::autodiff::tracked;
 use super::cpu::host;
 use super::host::{HostBackend, by_type};
-use super::tensors::{InputTensor, RawTensors};
+use super::tensors::{InputTensor, OptionalIntTensor, RawTensors};
+#[cfg(feature = "fusion")]
+use super::tensors::{InputTensorMetadata, OptionalIntTensorMetadata};
 use crate::activate::cpu::{all_finite_cpu, opacities_cpu, opacity_slopes_cpu, scales_cpu};
+#[cfg(feature = "fusion")]
+use crate::activate::rule::Raw;
+
+/// Activated parameters.
+#[derive(Clone, Debug, ExtensionType)]
+#[extension_type(fusion: cfg(feature = "fusion"))]
+pub struct Activated<B: Backend> {
+    /// `[N, 3]`: standard deviations.
+    pub scales: FloatTensor<B>,
+    /// `[N]`: opacities.
+    pub opacities: FloatTensor<B>,
+}
 
 /// Activation of the parameters; see `activate/`.
 #[backend_extension(Cube: cfg(feature = "cube"), Flex, NdArray, Autodiff, Fusion: cfg(feature = "fusion"))]
@@ -21,17 +35,30 @@ pub trait ActivateBackend: Backend {
     #[fusion(dtype = log_scales, shape = log_scales)]
     fn scales(log_scales: FloatTensor<Self>) -> FloatTensor<Self>;
 
-    /// Returns the opacities, `[N]`. Differentiable in the logits.
-    #[fusion(meta = |inputs| inputs.logit_opacities.0.clone())]
-    fn opacities(#[extension_type] inputs: RawTensors<Self>) -> FloatTensor<Self>;
+    /// Returns the standard deviations and the opacities. Differentiable in the logarithms and in the logits. A GPU does not read
+    /// the coefficients if `mark`, `[1]`, is zero: all of them are then known to be usable.
+    #[fusion(meta = activated_meta)]
+    fn activated(
+        #[extension_type] inputs: RawTensors<Self>,
+        #[extension_type] mark: OptionalIntTensor<Self>,
+    ) -> Activated<Self>;
 
-    /// Returns the derivatives of the opacities with respect to their logits, `[N]`. Not differentiable.
+    /// Returns the gradients of the logits, `[N]`, from `grad`, those of the opacities. Not differentiable.
     #[fusion(dtype = logit_opacities, shape = logit_opacities)]
-    fn opacity_slopes(logit_opacities: FloatTensor<Self>, opacities: FloatTensor<Self>) -> FloatTensor<Self>;
+    fn opacities_backward(
+        logit_opacities: FloatTensor<Self>,
+        opacities: FloatTensor<Self>,
+        grad: FloatTensor<Self>,
+    ) -> FloatTensor<Self>;
 
     /// Returns 1 if any value is not finite, else 0; `[1]`. Not differentiable.
     #[fusion(dtype = burn::tensor::DType::I32, shape = burn::tensor::Shape::from([1]))]
     fn non_finite(values: FloatTensor<Self>) -> IntTensor<Self>;
+}
+
+#[cfg(feature = "fusion")]
+fn activated_meta(inputs: &Raw<InputTensorMetadata>, _: &OptionalIntTensorMetadata) -> ActivatedMetadata {
+    ActivatedMetadata { scales: inputs.log_scales.0.clone(), opacities: inputs.logit_opacities.0.clone() }
 }
 
 macro_rules! cpu_backend {
@@ -44,21 +71,28 @@ macro_rules! cpu_backend {
                 })
             }
 
-            fn opacities(inputs: RawTensors<Self>) -> FloatTensor<Self> {
+            fn activated(inputs: RawTensors<Self>, _: OptionalIntTensor<Self>) -> Activated<Self> {
+                let scales = Self::scales(inputs.log_scales.0.clone());
                 let like = &inputs.logit_opacities.0;
-                by_type!(like, F => {
+                let opacities = by_type!(like, F => {
                     let read = inputs.each_ref().map(host::<Self, F>);
                     let opacities = opacities_cpu(read.each_ref().map(|host| &host[..]));
                     Self::from_host(opacities, &like.shape(), like)
-                })
+                });
+                Activated { scales, opacities }
             }
 
-            fn opacity_slopes(logit_opacities: FloatTensor<Self>, opacities: FloatTensor<Self>) -> FloatTensor<Self> {
-                by_type!(opacities, F => {
+            fn opacities_backward(
+                logit_opacities: FloatTensor<Self>,
+                opacities: FloatTensor<Self>,
+                grad: FloatTensor<Self>,
+            ) -> FloatTensor<Self> {
+                let slopes = by_type!(opacities, F => {
                     let like = logit_opacities.clone();
                     let slopes = opacity_slopes_cpu::<F>(&Self::host(logit_opacities), &Self::host(opacities));
                     Self::from_host(slopes, &like.shape(), &like)
-                })
+                });
+                Self::float_mul(slopes, grad)
             }
 
             fn non_finite(values: FloatTensor<Self>) -> IntTensor<Self> {
@@ -79,9 +113,9 @@ mod gpu {
     use burn_cubecl::CubeBackend;
 
     use super::*;
-    use crate::activate::launch::{launch_non_finite, launch_opacities, launch_opacity_slopes, launch_scales};
+    use crate::activate::launch::{launch_activate, launch_non_finite, launch_opacities_backward, launch_scales};
     use crate::backend::cube::{buffer, on_device, tensor};
-    use crate::gpu::Gpu;
+    use crate::gpu::{Buffer, Gpu};
 
     impl ActivateBackend for CubeBackend {
         fn scales(log_scales: FloatTensor<Self>) -> FloatTensor<Self> {
@@ -90,17 +124,26 @@ mod gpu {
             tensor(scales, log_scales.shape(), DType::F32, &log_scales)
         }
 
-        fn opacities(inputs: RawTensors<Self>) -> FloatTensor<Self> {
-            let like = &inputs.logit_opacities.0;
-            let opacities = launch_opacities(&Gpu::new(&like.client), &inputs.each_ref().map(on_device));
-            tensor(opacities, like.shape(), DType::F32, like)
+        fn activated(inputs: RawTensors<Self>, mark: OptionalIntTensor<Self>) -> Activated<Self> {
+            let (logs, logits) = (&inputs.log_scales.0, &inputs.logit_opacities.0);
+            let mark = mark.into_option().map(|mark| Buffer::from_handle(mark.handle, 1));
+            let on_device = inputs.each_ref().map(on_device);
+            let (scales, opacities) = launch_activate(&Gpu::new(&logits.client), &on_device, mark.as_ref());
+            Activated {
+                scales: tensor(scales, logs.shape(), DType::F32, logs),
+                opacities: tensor(opacities, logits.shape(), DType::F32, logits),
+            }
         }
 
-        fn opacity_slopes(logit_opacities: FloatTensor<Self>, opacities: FloatTensor<Self>) -> FloatTensor<Self> {
+        fn opacities_backward(
+            logit_opacities: FloatTensor<Self>,
+            opacities: FloatTensor<Self>,
+            grad: FloatTensor<Self>,
+        ) -> FloatTensor<Self> {
             let like = logit_opacities.clone();
             let gpu = Gpu::new(&like.client);
-            let slopes = launch_opacity_slopes(&gpu, &buffer(logit_opacities), &buffer(opacities));
-            tensor(slopes, like.shape(), DType::F32, &like)
+            let found = launch_opacities_backward(&gpu, &buffer(logit_opacities), &buffer(opacities), &buffer(grad));
+            tensor(found, like.shape(), DType::F32, &like)
         }
 
         fn non_finite(values: FloatTensor<Self>) -> IntTensor<Self> {
@@ -113,26 +156,47 @@ mod gpu {
 impl<B: ActivateBackend, C: CheckpointStrategy> ActivateBackend for Autodiff<B, C> {
     fn scales(log_scales: FloatTensor<Self>) -> FloatTensor<Self> {
         let output = B::scales(log_scales.primitive().clone());
-        // The output equals the derivative, and is zero where the input was unusable.
-        let slopes = output.clone();
-        tracked::<B, C, _, _>([&log_scales], output, move |grad, _| [Some(B::float_mul(slopes, grad)).into()])
+        tracked_scales::<B, C>(&log_scales, output)
     }
 
-    fn opacities(inputs: RawTensors<Self>) -> FloatTensor<Self> {
+    fn activated(inputs: RawTensors<Self>, mark: OptionalIntTensor<Self>) -> Activated<Self> {
         let inner = inputs.each_ref().map(InputTensor::inner);
         let logit_opacities = inner.logit_opacities.0.clone();
-        let output = B::opacities(inner);
+        let mark = match mark {
+            OptionalIntTensor::Absent => OptionalIntTensor::Absent,
+            OptionalIntTensor::Present(mark) => OptionalIntTensor::Present(mark),
+        };
+        let Activated { scales, opacities: output } = B::activated(inner, mark);
         let opacities = output.clone();
-        tracked::<B, C, _, _>([&inputs.logit_opacities.0], output, move |grad, _| {
-            [Some(B::float_mul(B::opacity_slopes(logit_opacities, opacities), grad)).into()]
-        })
+        Activated {
+            scales: tracked_scales::<B, C>(&inputs.log_scales.0, scales),
+            opacities: tracked::<B, C, _, _>([&inputs.logit_opacities.0], output, move |grad, _| {
+                [Some(B::opacities_backward(logit_opacities, opacities, grad)).into()]
+            }),
+        }
     }
 
-    fn opacity_slopes(logit_opacities: FloatTensor<Self>, opacities: FloatTensor<Self>) -> FloatTensor<Self> {
-        FloatTensor::<Self>::new(B::opacity_slopes(logit_opacities.into_primitive(), opacities.into_primitive()))
+    fn opacities_backward(
+        logit_opacities: FloatTensor<Self>,
+        opacities: FloatTensor<Self>,
+        grad: FloatTensor<Self>,
+    ) -> FloatTensor<Self> {
+        let [logit_opacities, opacities, grad] =
+            [logit_opacities, opacities, grad].map(FloatTensor::<Self>::into_primitive);
+        FloatTensor::<Self>::new(B::opacities_backward(logit_opacities, opacities, grad))
     }
 
     fn non_finite(values: FloatTensor<Self>) -> IntTensor<Self> {
         B::non_finite(values.into_primitive())
     }
+}
+
+/// Returns standard deviations as a function of their logarithms.
+fn tracked_scales<B: ActivateBackend, C: CheckpointStrategy>(
+    log_scales: &FloatTensor<Autodiff<B, C>>,
+    scales: FloatTensor<B>,
+) -> FloatTensor<Autodiff<B, C>> {
+    // The scales equal the derivatives, and are zero where the logarithm was unusable.
+    let slopes = scales.clone();
+    tracked::<B, C, _, _>([log_scales], scales, move |grad, _| [Some(B::float_mul(slopes, grad)).into()])
 }

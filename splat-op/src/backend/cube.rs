@@ -35,7 +35,7 @@ pub(crate) fn buffer(tensor: CubeTensor) -> Buffer<f32> {
     Buffer::from_handle(tensor.handle, len)
 }
 
-/// Returns coefficients of spherical harmonics, row-major; in half precision, two to a word.
+/// Returns coefficients of spherical harmonics, row-major.
 fn coefficients(tensor: CubeTensor) -> DeviceShCoefficients {
     if tensor.dtype != DType::F16 {
         return buffer(tensor).into();

@@ -8,6 +8,8 @@ use burn::backend::{Backend, ExtensionType, Flex, NdArray, TensorMetadata, backe
 use burn::tensor::{DType, Shape};
 
 use super::cpu::host;
+#[cfg(feature = "fusion")]
+use super::fusion::float;
 use super::host::HostBackend;
 use super::tensors::{ComparedTensors, OptionalTensor};
 #[cfg(feature = "fusion")]
@@ -22,8 +24,8 @@ use crate::simd::real::Real;
 #[derive(Clone, Debug, ExtensionType)]
 #[extension_type(fusion: cfg(feature = "fusion"))]
 pub struct Photometric<B: Backend> {
-    /// Values whose sum is the loss, of the rank of the picture: a single value on a CPU, one per value of the picture on a GPU.
-    pub shares: FloatTensor<B>,
+    /// `[1]`: the loss.
+    pub loss: FloatTensor<B>,
     /// The derivative of the loss with respect to the picture, if asked for.
     #[extension_type]
     pub gradient: OptionalTensor<B>,
@@ -55,7 +57,7 @@ fn photometric_meta(inputs: &Compared<InputTensorMetadata>, _: &f64, with_gradie
         true => OptionalTensorMetadata::Present(inputs.image.0.clone()),
         false => OptionalTensorMetadata::Absent,
     };
-    PhotometricMetadata { shares: inputs.image.0.clone(), gradient }
+    PhotometricMetadata { loss: float([1], &inputs.image.0), gradient }
 }
 
 /// Returns width and height, which are the last two dimensions in reverse order.
@@ -80,7 +82,7 @@ fn photometric_host<B: HostBackend, F: Real>(
     let (shape, slices) = (like.shape(), read.each_ref().map(|host| &host[..]));
     let (loss, gradient) = photometric_cpu(slices, plane_size(&shape), lambda, with_gradient);
     Photometric {
-        shares: B::from_host(vec![loss], &vec![1; shape.num_dims()], like),
+        loss: B::from_host(vec![loss], &[1], like),
         gradient: gradient.map(|gradient| B::from_host(gradient, &shape, like)).into(),
     }
 }
@@ -142,9 +144,9 @@ mod gpu {
             let like = &inputs.image.0;
             let (gpu, size) = (Gpu::new(&like.client), picture_size(&like.shape()));
             let on_device = inputs.each_ref().map(on_device);
-            let (shares, gradient) = launch_photometric(&gpu, &on_device, size, lambda, with_gradient);
-            let picture = |found| tensor(found, like.shape(), DType::F32, like);
-            Photometric { shares: picture(shares), gradient: gradient.map(picture).into() }
+            let (loss, gradient) = launch_photometric(&gpu, &on_device, size, lambda, with_gradient);
+            let gradient = gradient.map(|found| tensor(found, like.shape(), DType::F32, like));
+            Photometric { loss: tensor(loss, [1], DType::F32, like), gradient: gradient.into() }
         }
 
         fn window(planes: FloatTensor<Self>) -> FloatTensor<Self> {

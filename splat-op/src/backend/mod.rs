@@ -20,17 +20,21 @@ mod fusion;
 mod host;
 pub(crate) mod loss;
 pub(crate) mod stages;
+#[cfg(feature = "cube")]
+pub(crate) mod tally;
 pub(crate) mod tensors;
 
-pub use activate::ActivateBackend;
+pub use activate::{ActivateBackend, Activated};
 #[cfg(feature = "cube")]
-pub use adam::{AdamBackend, AdamInputs, AdamState, Held};
+pub use adam::{AdamBackend, AdamInputs, AdamState, SceneGradientTensors, SceneInputs, SceneState, SceneStates};
 pub use custom_grad::CustomGradBackend;
 pub use loss::{Photometric, PhotometricBackend};
 pub use stages::SplatBackend;
+#[cfg(feature = "cube")]
+pub use tally::{TalliedTensors, TallyBackend, TallyTensors};
 pub use tensors::{
-    ComparedTensors, GeometryGrads, GeometryTensors, InputTensor, LayerGrads, LayerTensors, OptionalTensor, RawTensors,
-    RayLayerGrads, RayLayerTensors, ShadingGrads, ShadingTensors,
+    ComparedTensors, GeometryGrads, GeometryTensors, InputTensor, LayerGrads, LayerTensors, OptionalIntTensor,
+    OptionalTensor, RawTensors, RayLayerGrads, RayLayerTensors, ShadingGrads, ShadingTensors,
 };
 
 pub use crate::activate::rule::Raw;

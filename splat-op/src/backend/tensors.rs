@@ -1,12 +1,12 @@
 //! Records of tensors that are passed to a backend and back.
 
 use burn::backend::autodiff::checkpoint::strategy::CheckpointStrategy;
-use burn::backend::tensor::FloatTensor;
+use burn::backend::tensor::{FloatTensor, IntTensor};
 use burn::backend::{
     Autodiff, Backend, BackendTensor, Dispatch, DispatchAutodiffContext, DispatchTensor, DispatchTensorKind,
     ExtensionType,
 };
-use burn::tensor::Tensor;
+use burn::tensor::{Int, Tensor};
 
 use crate::activate::rule::Raw;
 use crate::loss::taps::Compared;
@@ -71,6 +71,33 @@ impl<B: Backend, C: CheckpointStrategy> OptionalTensor<Autodiff<B, C>> {
     }
 }
 
+/// An optional input tensor of integers.
+#[derive(Clone, Debug, ExtensionType)]
+#[extension_type(fusion: cfg(feature = "fusion"))]
+pub enum OptionalIntTensor<B: Backend> {
+    /// No tensor.
+    Absent,
+    /// A tensor.
+    Present(IntTensor<B>),
+}
+
+impl<B: Backend> OptionalIntTensor<B> {
+    /// Returns the tensor, if there is one.
+    #[cfg(feature = "cube")]
+    pub(crate) fn into_option(self) -> Option<IntTensor<B>> {
+        match self {
+            Self::Absent => None,
+            Self::Present(tensor) => Some(tensor),
+        }
+    }
+}
+
+impl From<Option<&Tensor<1, Int>>> for OptionalIntTensor<Dispatch> {
+    fn from(tensor: Option<&Tensor<1, Int>>) -> Self {
+        tensor.map_or(Self::Absent, |tensor| Self::Present(tensor.clone().into_dispatch()))
+    }
+}
+
 /// Inputs of `project` and `depth_slope`.
 pub type GeometryTensors<B> = Geometry<InputTensor<B>>;
 /// Gradients of the inputs of `project` and `depth_slope`.
@@ -89,7 +116,7 @@ pub type RayLayerTensors<B> = RayLayers<InputTensor<B>>;
 pub type RayLayerGrads<B> = RayLayers<OptionalTensor<B>>;
 /// Inputs of `photometric`.
 pub type ComparedTensors<B> = Compared<InputTensor<B>>;
-/// Inputs of `opacities`.
+/// Inputs of `activated`.
 pub type RawTensors<B> = Raw<InputTensor<B>>;
 
 /// Implements Burn's extension type for a record of extension types: Burn's derive does so only for a struct over a backend.

@@ -59,13 +59,13 @@ fn factor_backward(
 #[cube(launch_unchecked)]
 pub(super) fn depth_slope_backward_kernel(
     means: &[f32],
-    rotations: &[f32],
+    rotations: &[Vector<f32, Const<4>>],
     scales: &[f32],
     opacities: &[f32],
     cam_from_world: &[f32],
     grad: &[f32],
     grad_means: ComptimeOption<&mut [f32]>,
-    grad_rotations: ComptimeOption<&mut [f32]>,
+    grad_rotations: ComptimeOption<&mut [Vector<f32, Const<4>>]>,
     grad_scales: ComptimeOption<&mut [f32]>,
     pose_rows: ComptimeOption<&mut [f32]>,
     lens: ProjectCamera,
@@ -132,7 +132,7 @@ pub(super) fn depth_slope_backward_kernel(
         }
         #[comptime]
         if let ComptimeOption::Some(out) = grad_rotations {
-            of.rotation.store(out, 4 * gaussian);
+            of.rotation.store(out, gaussian);
         }
         #[comptime]
         if let ComptimeOption::Some(out) = grad_scales {

@@ -64,7 +64,7 @@ pub(super) fn lean(projection: &ProjectionTerms, gaussian: &Gaussian, lens: &Pro
 #[cube(launch_unchecked)]
 pub(super) fn depth_slope_forward_kernel(
     means: &[f32],
-    rotations: &[f32],
+    rotations: &[Vector<f32, Const<4>>],
     scales: &[f32],
     opacities: &[f32],
     cam_from_world: &[f32],
@@ -116,7 +116,7 @@ fn bounding_ellipse(
     // The eccentricity is `c` times the length of the depth slope.
     let eccentricity = c * Vec3::new(depth_slope_u, depth_slope_v, 0.0).length();
     let rest = (1.0 - eccentricity) * (1.0 + eccentricity);
-    let ends = alpha_min > 0.0 && thin > least && rest > least;
+    let ends = alpha_min > 0.0 && thin > least && rest > least && finite(thin) && finite(rest);
     let rest = max(rest, least);
     let root = rest.sqrt();
     let (shift_u, shift_v) = (-(c * depth_slope_u) * (c / rest), -(c * depth_slope_v) * (c / rest));
@@ -150,7 +150,7 @@ pub(super) fn bounds_kernel(
     if ABSOLUTE_POS < count as usize {
         let e = PackedEllipse::load(projected, ABSOLUTE_POS);
         let at = ABSOLUTE_POS * comptime!(DEPTH_SLOPE);
-        if e.opacity > 0.0 && e.opacity >= alpha_min {
+        if finite(e.opacity) && e.opacity > 0.0 && e.opacity >= alpha_min {
             let reached = alpha_min * comptime!((0.5 * EXTENT * EXTENT).exp() as f32);
             let (row, ends) =
                 bounding_ellipse(&e, depth_slopes[at], depth_slopes[at + 1], depth_slopes[at + 2], reached, alpha_min);

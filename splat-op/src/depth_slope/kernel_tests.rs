@@ -159,3 +159,21 @@ fn bounds_agree_with_the_twin() {
         }
     }
 }
+
+/// `intersect` leaves out a row that is not finite; a bound would hide that.
+#[test]
+fn an_opacity_that_is_not_finite_gets_no_bound() {
+    let spec = RasterizeSpec { intrinsics: CAMERA, options: specs()[0].options };
+    let row = |opacity: f32| [30.0, 20.0, 3.0, 0.1, 2.0, 4.0, opacity];
+    let rows = [row(f32::NAN), row(f32::INFINITY), row(0.5)].concat();
+    for (form, gpu) in gpus() {
+        let projected = Buffer::from_slice(&gpu, &rows);
+        let depth_slopes = Buffer::from_slice(&gpu, &[0.1_f32, -0.1, 0.05].repeat(3));
+        let found = launch_bounds(&gpu, &projected, &depth_slopes, &spec).read(&gpu);
+        assert!(found[6].is_nan() && found[13] == f32::INFINITY, "{form}: {found:?}");
+        assert!(
+            found[..6] == rows[..6] && found[7..13] == rows[7..13] && found[14..] != rows[14..],
+            "{form}: {found:?}"
+        );
+    }
+}

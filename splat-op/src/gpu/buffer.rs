@@ -8,7 +8,7 @@ use cubecl::prelude::*;
 use cubecl::server::Handle;
 
 use super::{Gpu, elementwise};
-use crate::counters::count_allocation;
+use crate::counters::{count_allocation, count_binding};
 use crate::limits::Need;
 
 static POISON: AtomicBool = AtomicBool::new(false);
@@ -43,8 +43,15 @@ impl<T> Buffer<T> {
 
     /// Returns the buffer as a kernel argument.
     pub fn arg(&self) -> BufferArg {
+        self.vectors(1)
+    }
+
+    /// Returns the buffer as a kernel argument of whole vectors of `size` elements.
+    pub fn vectors(&self, size: usize) -> BufferArg {
+        count_binding((self.len * size_of::<T>()) as u64);
+        debug_assert!(self.len.is_multiple_of(size), "{} elements are no vectors of {size}", self.len);
         // SAFETY: a buffer is made with at least this many elements.
-        unsafe { BufferArg::from_raw_parts(self.handle.clone(), self.len) }
+        unsafe { BufferArg::from_raw_parts(self.handle.clone(), self.len / size) }
     }
 }
 
@@ -95,12 +102,37 @@ impl<T: Pod> Buffer<T> {
 
     /// Returns a buffer of zero bits.
     pub fn zeros(gpu: &Gpu, len: usize) -> Self {
-        let buffer = Self::new(gpu, len);
-        let words = Buffer::<u32>::from_handle(buffer.handle.clone(), len * size_of::<T>() / 4);
-        let (grid, dim) = elementwise(words.len);
-        // SAFETY: every access is guarded by the length given.
-        unsafe { clear_kernel::launch_unchecked(&gpu.client, grid, dim, words.arg(), words.len as u32) };
+        let [Some(buffer), ..] = Self::zeros_of(gpu, [Some(len), None, None, None]) else { unreachable!("asked for") };
         buffer
+    }
+
+    /// Returns buffers of zero bits of the given lengths, cleared by one launch. Elements have four bytes.
+    pub fn zeros_of(gpu: &Gpu, lens: [Option<usize>; 4]) -> [Option<Self>; 4] {
+        const { assert!(size_of::<T>() == 4) };
+        let buffers = lens.map(|len| len.map(|len| Self::new(gpu, len)));
+        let longest = buffers.iter().flatten().map(|buffer| buffer.len).max().unwrap_or(0);
+        if longest > 0 {
+            let output = |i: usize| buffers[i].as_ref().map(Buffer::arg).into();
+            let [a, b, c, d] = lens.map(|len| len.unwrap_or(0) as u32);
+            let (grid, dim) = elementwise(longest);
+            // SAFETY: every access is guarded by the lengths given.
+            unsafe {
+                clear_kernel::launch_unchecked(
+                    &gpu.client,
+                    grid,
+                    dim,
+                    output(0),
+                    output(1),
+                    output(2),
+                    output(3),
+                    a,
+                    b,
+                    c,
+                    d,
+                );
+            }
+        }
+        buffers
     }
 
     /// Waits for the device and copies the elements back.
@@ -112,9 +144,31 @@ impl<T: Pod> Buffer<T> {
 }
 
 #[cube(launch_unchecked)]
-fn clear_kernel(words: &mut [u32], len: u32) {
-    if ABSOLUTE_POS < len as usize {
-        words[ABSOLUTE_POS] = 0u32;
+fn clear_kernel(
+    mut first: ComptimeOption<Box<[u32]>>,
+    mut second: ComptimeOption<Box<[u32]>>,
+    mut third: ComptimeOption<Box<[u32]>>,
+    mut fourth: ComptimeOption<Box<[u32]>>,
+    first_len: u32,
+    second_len: u32,
+    third_len: u32,
+    fourth_len: u32,
+) {
+    clear_own(&mut first, first_len);
+    clear_own(&mut second, second_len);
+    clear_own(&mut third, third_len);
+    clear_own(&mut fourth, fourth_len);
+}
+
+/// Clears this unit's word, if there is a buffer and it has that word.
+#[cube]
+fn clear_own(words: &mut ComptimeOption<Box<[u32]>>, len: u32) {
+    #[comptime]
+    if let ComptimeOption::Some(words) = words {
+        let exists = ABSOLUTE_POS < len as usize;
+        if exists {
+            words[ABSOLUTE_POS] = 0u32;
+        }
     }
 }
 

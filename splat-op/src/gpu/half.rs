@@ -1,7 +1,8 @@
 //! Half-precision floats in buffers of words, two to a word.
 //!
 //! The conversion uses integer arithmetic: few devices compute in half precision or even load it, and all devices have integers.
-//! The words are stored in buffers of f32, as the bits of floats, so that the kernel arguments do not depend on the storage type.
+//! The words are integers in buffers and registers too. As floats, two halves are often a subnormal number, which a device may
+//! turn into zero wherever it loads or moves it.
 
 use cubecl::prelude::*;
 
@@ -22,10 +23,16 @@ fn from_half(bits: u32) -> f32 {
     f32::reinterpret(sign | select(size >= 0x7c00, 0x7fc0_0000u32, found))
 }
 
-/// Reads the numbers `at` to `at + 2` of packed words; the first number of a word is in its lower half.
+/// Returns the two numbers of a word; the first is in its lower half.
 #[cube]
-pub(crate) fn load_three_halves(words: &[f32], at: usize) -> Vec3 {
-    let (first, second) = (u32::reinterpret(words[at / 2]), u32::reinterpret(words[at / 2 + 1]));
+pub(crate) fn halves_of(word: u32) -> (f32, f32) {
+    (from_half(word & 0xffff), from_half(word >> 16))
+}
+
+/// Reads the numbers `at` to `at + 2` of packed words, one word at a time.
+#[cube]
+pub(crate) fn load_three_halves<N: Size>(words: &[Vector<u32, N>], at: usize) -> Vec3 {
+    let (first, second) = (words[at / 2].extract(0usize), words[at / 2 + 1].extract(0usize));
     let odd = at % 2 == 1;
     let (low, high) = (first & 0xffff, first >> 16);
     let (next, last) = (second & 0xffff, second >> 16);
@@ -41,19 +48,59 @@ mod tests {
     use crate::testing::gpu::gpus;
 
     #[cube(launch_unchecked)]
-    fn threes_kernel(words: &[f32], threes: &mut [f32], count: u32) {
+    fn threes_kernel<N: Size>(words: &[Vector<u32, N>], threes: &mut [f32], count: u32) {
         if ABSOLUTE_POS < count as usize {
             load_three_halves(words, ABSOLUTE_POS).store(threes, 3 * ABSOLUTE_POS);
         }
     }
 
+    #[cube(launch_unchecked)]
+    fn pairs_kernel(words: &[u32], pairs: &mut [f32], count: u32) {
+        if ABSOLUTE_POS < count as usize {
+            let (low, high) = halves_of(words[ABSOLUTE_POS]);
+            pairs[2 * ABSOLUTE_POS] = low;
+            pairs[2 * ABSOLUTE_POS + 1] = high;
+        }
+    }
+
+    fn assert_widened(what: &str, found: &[f32], halves: &[f16]) {
+        for (found, half) in found.iter().zip(halves) {
+            let same = match half.is_finite() {
+                true => found.to_bits() == half.to_f32().to_bits(),
+                false => found.is_nan(),
+            };
+            assert!(same, "{what}: {half} becomes {found:e}");
+        }
+    }
+
+    /// Every half beside a zero: as the bits of floats, a quarter of these words are subnormal.
+    #[test]
+    fn words_that_would_be_subnormal_floats_survive() {
+        let numbers = (0..=u16::MAX).flat_map(|bits| [[bits, 0], [0, bits & 0x807f]].concat());
+        let halves: Vec<f16> = numbers.map(f16::from_bits).collect();
+        let words: Vec<u32> = halves.chunks_exact(2).map(word).collect();
+        let subnormal = |word: &&u32| f32::from_bits(**word).is_subnormal();
+        assert!(words.iter().filter(subnormal).count() > words.len() / 4);
+        for (form, gpu) in gpus() {
+            let pairs = Buffer::<f32>::new(&gpu, halves.len());
+            let (grid, dim) = elementwise(words.len());
+            let given = Buffer::from_slice(&gpu, &words);
+            // SAFETY: every access is guarded by the count.
+            unsafe {
+                pairs_kernel::launch_unchecked(&gpu.client, grid, dim, given.arg(), pairs.arg(), words.len() as u32);
+            }
+            assert_widened(form, &pairs.read(&gpu), &halves);
+        }
+    }
+
+    fn word(two: &[f16]) -> u32 {
+        u32::from(two[0].to_bits()) | u32::from(two[1].to_bits()) << 16
+    }
+
     #[test]
     fn all_half_precision_floats_are_widened_bit_by_bit() {
         let halves: Vec<f16> = (0..=u16::MAX).map(f16::from_bits).collect();
-        let words: Vec<f32> = halves
-            .chunks_exact(2)
-            .map(|two| f32::from_bits(u32::from(two[0].to_bits()) | u32::from(two[1].to_bits()) << 16))
-            .collect();
+        let words: Vec<u32> = halves.chunks_exact(2).map(word).collect();
         // The test reads at every offset, even and odd, that is followed by two more numbers and whose last word exists.
         let count = halves.len() - 3;
         for (form, gpu) in gpus() {
@@ -65,19 +112,14 @@ mod tests {
                     &gpu.client,
                     grid,
                     dim,
+                    1,
                     Buffer::from_slice(&gpu, &words).arg(),
                     threes.arg(),
                     count as u32,
                 );
             }
             for (at, three) in threes.read(&gpu).chunks_exact(3).enumerate() {
-                for (found, half) in three.iter().zip(&halves[at..]) {
-                    let same = match half.is_finite() {
-                        true => found.to_bits() == half.to_f32().to_bits(),
-                        false => found.is_nan(),
-                    };
-                    assert!(same, "{form}: {half} at {at} becomes {found:e}");
-                }
+                assert_widened(form, three, &halves[at..]);
             }
         }
     }

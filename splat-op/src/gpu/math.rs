@@ -1,4 +1,8 @@
 //! Vectors, matrices, rotations and float tests for kernels.
+//!
+//! NaN and infinity are decided on bits ([`finite`], [`positive`], [`clamped`]). Compilers of shaders may assume that neither
+//! occurs: they then fold comparisons, and `min` and `max` may return either argument. A comparison may decide only where its
+//! operands are known to be finite, or where the bits decide as well.
 
 use cubecl::prelude::*;
 
@@ -138,6 +142,9 @@ impl Mat3 {
     }
 }
 
+/// Number of values that a unit of a search loads together.
+pub(crate) const AT_ONCE: usize = 4;
+
 /// Number of entries of a pose.
 pub(crate) const POSE: usize = 12;
 
@@ -176,15 +183,19 @@ pub(crate) struct Quaternion {
 
 #[cube]
 impl Quaternion {
-    pub fn load(from: &[f32], at: usize) -> Quaternion {
-        Quaternion { w: from[at], x: from[at + 1], y: from[at + 2], z: from[at + 3] }
+    /// Loads row `row` of `[N, 4]`.
+    pub fn load(from: &[Vector<f32, Const<4>>], row: usize) -> Quaternion {
+        let all = from[row];
+        Quaternion { w: all.extract(0usize), x: all.extract(1usize), y: all.extract(2usize), z: all.extract(3usize) }
     }
 
-    pub fn store(&self, to: &mut [f32], at: usize) {
-        to[at] = self.w;
-        to[at + 1] = self.x;
-        to[at + 2] = self.y;
-        to[at + 3] = self.z;
+    pub fn store(&self, to: &mut [Vector<f32, Const<4>>], row: usize) {
+        let mut all = Vector::<f32, Const<4>>::empty();
+        all.insert(0usize, self.w);
+        all.insert(1usize, self.x);
+        all.insert(2usize, self.y);
+        all.insert(3usize, self.z);
+        to[row] = all;
     }
 
     pub fn times(&self, factor: f32) -> Quaternion {
@@ -216,7 +227,7 @@ impl Quaternion {
 
     /// For a unit quaternion, returns the gradient of the quaternion of length `length` that it was normalised from, given the
     /// gradient of the rotation matrix. The gradient passes through [`Self::matrix`], then through `q / |q|`, which keeps only
-    /// the component normal to the unit quaternion. It is clamped to the range of f32 where the length is too short.
+    /// the component normal to the unit quaternion. It is clamped to the range of f32 where the length is too short; NaN stays NaN.
     pub fn backward(&self, length: f32, grad: Mat3) -> Quaternion {
         let (w, x, y, z) = (self.w, self.x, self.y, self.z);
         let odd = Vec3::new(grad.z.y - grad.y.z, grad.x.z - grad.z.x, grad.y.x - grad.x.y);
@@ -239,30 +250,61 @@ impl Quaternion {
         let (short, limit) = (length * down, f32::max_value() * min(up, 1.0));
         let per_up = normal.times(2.0 / short);
         Quaternion {
-            w: within(per_up.w, -limit, limit) * down,
-            x: within(per_up.x, -limit, limit) * down,
-            y: within(per_up.y, -limit, limit) * down,
-            z: within(per_up.z, -limit, limit) * down,
+            w: clamped(per_up.w, limit) * down,
+            x: clamped(per_up.x, limit) * down,
+            y: clamped(per_up.y, limit) * down,
+            z: clamped(per_up.z, limit) * down,
         }
     }
 }
 
-/// Whether a float is neither infinite nor NaN, tested by its bits because shader compilers may assume that NaN does not occur.
+/// Bits of the exponent, all set in infinities and NaN alone.
+const EXPONENT: u32 = 0x7f80_0000;
+
+/// Whether a float is neither infinite nor NaN.
 #[cube]
 pub(crate) fn finite(value: f32) -> bool {
-    (u32::reinterpret(value) & 0x7f80_0000) != 0x7f80_0000
+    (u32::reinterpret(value) & comptime!(EXPONENT)) != comptime!(EXPONENT)
 }
 
-/// Whether this unit's values, `stride` apart, are all finite.
+/// Whether a float is greater than zero, infinity included. NaN is not.
+#[cube]
+pub(crate) fn positive(value: f32) -> bool {
+    let bits = u32::reinterpret(value);
+    bits != 0 && bits <= comptime!(EXPONENT)
+}
+
+/// Whether a float is less than zero, infinity included. NaN is not.
+#[cube]
+pub(crate) fn negative(value: f32) -> bool {
+    positive(f32::reinterpret(u32::reinterpret(value) ^ 0x8000_0000))
+}
+
+/// Clamps a float to ± `limit`, which is finite and not negative. NaN stays as it is.
+#[cube]
+pub(crate) fn clamped(value: f32, limit: f32) -> f32 {
+    let (bits, most) = (u32::reinterpret(value), u32::reinterpret(limit));
+    let size = bits & 0x7fff_ffff;
+    f32::reinterpret(select(size > most && size <= comptime!(EXPONENT), (bits & 0x8000_0000) | most, bits))
+}
+
+/// Whether this unit's values, `stride` apart, are all finite. The values of a turn are loaded before any is looked at, so that
+/// the unit waits for all of them together.
 #[cube]
 pub(crate) fn own_values_finite(values: &[f32], count: u32, stride: u32) -> bool {
-    let mut at = ABSOLUTE_POS;
-    let mut sound = true;
-    while at < count as usize {
-        sound = sound && finite(values[at]);
-        at += stride as usize;
+    let mut at = ABSOLUTE_POS as u32;
+    let mut worst = 0u32;
+    while at < count {
+        // Beyond the end a unit reads a value of its own once more.
+        let mut place = at;
+        #[unroll]
+        for _turn in 0..comptime!(AT_ONCE) {
+            worst = max(worst, u32::reinterpret(values[place as usize]) & comptime!(EXPONENT));
+            place = select(count - place > stride, place + stride, place);
+        }
+        at = select(count - at > stride * comptime!(AT_ONCE as u32), at + stride * comptime!(AT_ONCE as u32), count);
     }
-    sound
+    worst != comptime!(EXPONENT)
 }
 
 /// Clamps `value` between two limits.

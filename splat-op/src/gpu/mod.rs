@@ -74,10 +74,14 @@ pub(crate) fn cubes(cubes: usize) -> CubeCount {
     }
 }
 
+/// Largest number of units of a search. A large GPU holds 270,000 units at once, and needs about that many loads of some words each
+/// under way to saturate its memory.
+const SEARCH_UNITS: usize = 1 << 18;
+
 /// Returns the dispatch of a search through `values` values, and the distance between the values of a unit. The units
-/// are enough to occupy a large GPU, and few enough that each has several values.
+/// are enough to occupy a large GPU, and few enough that each loads several values at once.
 pub(crate) fn search(values: usize) -> (CubeCount, CubeDim, u32) {
-    let units = values.min(65_536);
+    let units = values.div_ceil(math::AT_ONCE).min(SEARCH_UNITS);
     let (grid, dim) = elementwise(units);
     // The surplus units of the last cube count too; otherwise they would repeat the work of others.
     (grid, dim, units.next_multiple_of(UNITS) as u32)

@@ -4,6 +4,8 @@
 use cubecl::prelude::*;
 
 use super::taps::{C1, C2, TAPS, half_window};
+use crate::gpu::UNITS;
+use crate::gpu::reduce::cube_sum;
 
 /// Number of taps on one side of the middle.
 pub(super) const HALF: usize = TAPS / 2;
@@ -184,7 +186,7 @@ impl Similarity {
     }
 }
 
-/// Applies the window along the rows of the three moments. Writes each value's share of the loss and, if they are
+/// Applies the window along the rows of the three moments. Writes each cube's share of the loss, `[cubes]`, and, if they are
 /// asked for, the derivatives of `2 S/N` with respect to `μx`, `Kx²` (twice) and `Kxy`, `[3, C, H, W]`.
 #[cube(launch_unchecked)]
 pub(super) fn index_kernel(
@@ -197,8 +199,12 @@ pub(super) fn index_kernel(
     mut derivatives: ComptimeOption<Box<[f32]>>,
     planes: Planes,
     weights: TermWeights,
+    cubes: u32,
+    #[comptime] plane_sums: bool,
 ) {
+    let mut shared = Shared::<[f32]>::new_slice(comptime!(UNITS));
     let (own, strip) = (own_strip(planes, false), comptime!(strip_of(false)));
+    let mut share = 0.0f32;
     if own.exists {
         let map = (planes.width * planes.height * planes.count) as usize;
         let m = own.load(moments, 0usize, strip);
@@ -211,7 +217,7 @@ pub(super) fn index_kernel(
                 let (mean_x, xx, xy) = (windowed(&m, i), windowed(&mm, i), windowed(&mt, i));
                 let found = Similarity::of(mean_x, xx, xy, mean_y[at], variance_y[at], weights.share);
                 let apart = (image[at] - truth[at]).abs();
-                shares[at] = weights.absolute * apart + weights.lambda * (weights.share - 0.5 * found.index);
+                share += weights.absolute * apart + weights.lambda * (weights.share - 0.5 * found.index);
                 #[comptime]
                 if let ComptimeOption::Some(out) = &mut derivatives {
                     out[at] = found.d_mean;
@@ -220,6 +226,35 @@ pub(super) fn index_kernel(
                 }
             }
         }
+    }
+    if CUBE_POS < cubes as usize {
+        let total = cube_sum(share, &mut shared, plane_sums);
+        if UNIT_POS == 0 {
+            shares[CUBE_POS] = total;
+        }
+    }
+}
+
+/// Number of shares that a unit loads together.
+const AT_ONCE: usize = 8;
+
+/// Writes the sum of the cubes' shares, by one cube.
+#[cube(launch_unchecked)]
+pub(super) fn total_kernel(shares: &[f32], total: &mut [f32], cubes: u32, #[comptime] plane_sums: bool) {
+    let mut shared = Shared::<[f32]>::new_slice(comptime!(UNITS));
+    let mut own = 0.0f32;
+    let mut first = UNIT_POS;
+    while first < cubes {
+        #[unroll]
+        for i in 0..comptime!(AT_ONCE) {
+            let cube = first + comptime!((i * UNITS) as u32);
+            own += select(cube < cubes, shares[min(cube, cubes - 1) as usize], 0.0);
+        }
+        first += comptime!((AT_ONCE * UNITS) as u32);
+    }
+    let sum = cube_sum(own, &mut shared, plane_sums);
+    if UNIT_POS == 0 {
+        total[0] = sum;
     }
 }
 

@@ -3,10 +3,11 @@
 use cubecl::prelude::{CubeCount, CubeDim};
 
 use super::forward::{
-    PlanesLaunch, TermWeightsLaunch, gradient_kernel, index_kernel, moments_kernel, strip_of, window_kernel,
+    PlanesLaunch, TermWeightsLaunch, gradient_kernel, index_kernel, moments_kernel, strip_of, total_kernel,
+    window_kernel,
 };
 use super::taps::Compared;
-use crate::gpu::{Buffer, Gpu, elementwise};
+use crate::gpu::{Buffer, Gpu, UNITS, elementwise};
 
 /// Returns the dispatch and the planes of a pass over `values` values.
 fn pass(values: usize, [width, height]: [usize; 2], vertical: bool) -> (CubeCount, CubeDim, PlanesLaunch) {
@@ -30,7 +31,7 @@ fn launch_direction(gpu: &Gpu, from: &Buffer<f32>, to: &Buffer<f32>, size: [usiz
     unsafe { window_kernel::launch_unchecked(&gpu.client, grid, dim, from.arg(), to.arg(), planes, vertical) };
 }
 
-/// Returns the shares of the loss and, if `with_gradient` is set, its gradient, each `[C, H, W]`.
+/// Returns the loss, `[1]`, and, if `with_gradient` is set, its gradient, `[C, H, W]`.
 pub(crate) fn launch_photometric(
     gpu: &Gpu,
     inputs: &Compared<Buffer<f32>>,
@@ -42,7 +43,8 @@ pub(crate) fn launch_photometric(
     let share = 1.0 / values as f64;
     let weights = || TermWeightsLaunch::new(((1.0 - lambda) * share) as f32, lambda as f32, share as f32);
     let [image, truth, mean, variance] = inputs.each_ref().into_array();
-    let shares = Buffer::new(gpu, values);
+    let cubes = values.div_ceil(UNITS * strip_of(false));
+    let (shares, total) = (Buffer::<f32>::new(gpu, cubes), Buffer::new(gpu, 1));
     let derivatives = Buffer::if_needed(gpu, with_gradient, 3 * values);
     let gradient = Buffer::if_needed(gpu, with_gradient, values);
     let moments: Buffer<f32> = Buffer::new(gpu, 3 * values);
@@ -64,7 +66,11 @@ pub(crate) fn launch_photometric(
             derivatives.as_ref().map(Buffer::arg).into(),
             planes,
             weights(),
+            cubes as u32,
+            gpu.planes,
         );
+        let (one, dim) = elementwise(1);
+        total_kernel::launch_unchecked(client, one, dim, shares.arg(), total.arg(), cubes as u32, gpu.planes);
     }
     if let (Some(derivatives), Some(gradient)) = (&derivatives, &gradient) {
         // The moments are not read again: their memory takes the derivatives' filtered columns.
@@ -76,5 +82,5 @@ pub(crate) fn launch_photometric(
             gradient_kernel::launch_unchecked(client, grid, dim, image, truth, derivatives, gradient, planes, weights())
         };
     }
-    (shares, gradient)
+    (total, gradient)
 }

@@ -33,7 +33,7 @@ use crate::abilities::is_gpu;
 use crate::backend::loss::PhotometricBackend;
 
 /// Computes the loss of `image` against a photograph, `[.., H, W]` f32, or f64 on CPUs, without autodiff. Returns
-/// numbers whose sum is the loss and, if `with_gradient` is set, the gradient of the loss.
+/// the loss and, if `with_gradient` is set, its gradient.
 ///
 /// `photograph` is the photograph, its mean `μy` and its variance `σy² + C2`, all of the shape of the picture; `lambda`
 /// weighs the dissimilarity.
@@ -42,7 +42,7 @@ pub fn photometric<const D: usize>(
     photograph: [&Tensor<D>; 3],
     lambda: f64,
     with_gradient: bool,
-) -> (Tensor<D>, Option<Tensor<D>>) {
+) -> (Tensor<1>, Option<Tensor<D>>) {
     for tensor in [image, photograph[0], photograph[1], photograph[2]] {
         check(tensor);
         assert_eq!(tensor.dims(), image.dims(), "a picture and its photograph must have the same shape");
@@ -51,7 +51,7 @@ pub fn photometric<const D: usize>(
     let [truth, mean, variance] = photograph.map(|planes| planes.clone().into());
     let inputs = Compared { image: image.clone().into(), truth, mean, variance };
     let found = <Dispatch as PhotometricBackend>::photometric(inputs, lambda, with_gradient);
-    (Tensor::from_dispatch(found.shares), found.gradient.into_option().map(Tensor::from_dispatch))
+    (Tensor::from_dispatch(found.loss), found.gradient.into_option().map(Tensor::from_dispatch))
 }
 
 /// Returns `Kx` of planes `[.., H, W]` f32, or f64 on CPUs, without autodiff.

@@ -188,13 +188,13 @@ pub(crate) fn gaussian_backward(
 #[cube(launch_unchecked)]
 pub(super) fn project_backward_kernel(
     means: &[f32],
-    rotations: &[f32],
+    rotations: &[Vector<f32, Const<4>>],
     scales: &[f32],
     opacities: &[f32],
     cam_from_world: &[f32],
     grad: &[f32],
     grad_means: ComptimeOption<&mut [f32]>,
-    grad_rotations: ComptimeOption<&mut [f32]>,
+    grad_rotations: ComptimeOption<&mut [Vector<f32, Const<4>>]>,
     grad_scales: ComptimeOption<&mut [f32]>,
     grad_opacities: ComptimeOption<&mut [f32]>,
     grad_mean2d: ComptimeOption<&mut [f32]>,
@@ -224,7 +224,7 @@ pub(super) fn project_backward_kernel(
         }
         #[comptime]
         if let ComptimeOption::Some(out) = grad_rotations {
-            of.rotation.store(out, 4 * gaussian);
+            of.rotation.store(out, gaussian);
         }
         #[comptime]
         if let ComptimeOption::Some(out) = grad_scales {

@@ -49,10 +49,16 @@ pub(crate) struct Gaussian {
 
 #[cube]
 impl Gaussian {
-    pub fn load(means: &[f32], rotations: &[f32], scales: &[f32], opacities: &[f32], gaussian: usize) -> Gaussian {
+    pub fn load(
+        means: &[f32],
+        rotations: &[Vector<f32, Const<4>>],
+        scales: &[f32],
+        opacities: &[f32],
+        gaussian: usize,
+    ) -> Gaussian {
         Gaussian {
             mean: Vec3::load(means, 3 * gaussian),
-            rotation: Quaternion::load(rotations, 4 * gaussian),
+            rotation: Quaternion::load(rotations, gaussian),
             scale: Vec3::load(scales, 3 * gaussian),
             opacity: opacities[gaussian],
         }
@@ -264,7 +270,7 @@ pub(crate) fn packed_of(gaussian: &Gaussian, p: &ProjectionTerms, lens: &Project
 #[cube(launch_unchecked)]
 pub(super) fn project_forward_kernel(
     means: &[f32],
-    rotations: &[f32],
+    rotations: &[Vector<f32, Const<4>>],
     scales: &[f32],
     opacities: &[f32],
     cam_from_world: &[f32],

@@ -397,13 +397,13 @@ fn surplus_cubes_write_nothing() {
                 CubeCount::Static(3, 2, 1),
                 CubeDim::new_1d(UNITS as u32),
                 inputs.means.arg(),
-                inputs.rotations.arg(),
+                inputs.rotations.vectors(4),
                 inputs.scales.arg(),
                 inputs.opacities.arg(),
                 inputs.cam_from_world.arg(),
                 grad.arg(),
                 nothing(),
-                nothing(),
+                ComptimeOptionArgs::None,
                 nothing(),
                 ComptimeOptionArgs::Some(opacities.arg()),
                 nothing(),
@@ -430,5 +430,24 @@ fn a_second_run_gives_the_same_bits() {
         let (inputs, grad) = scene.upload(&gpu);
         let run = || read(&gpu, &launch_project_backward(&gpu, &inputs, &grad, &view.spec(&view.lens), ALL)).map(bits);
         assert!(run() == run());
+    }
+}
+
+/// A gradient that is NaN must reach every parameter, for the guard to see.
+#[test]
+fn nan_passes_the_limit_of_a_quaternions_gradient() {
+    let view = TestCamera::new(1, 0.3, false);
+    let mut scene = StageInputs::random(5, 100, &view, false);
+    let spec = view.spec(&view.lens);
+    let seen = project_cpu(inputs(&scene.tensors), &spec);
+    let row = seen.chunks_exact(COLUMNS).position(|row| row[5] > 0.0).expect("some are in view");
+    scene.tensors[GRAD][COLUMNS * row..COLUMNS * (row + 1)].fill(f64::NAN);
+    for (form, gpu) in gpus() {
+        let (inputs, grad) = scene.upload(&gpu);
+        let found = read(&gpu, &launch_project_backward(&gpu, &inputs, &grad, &spec, ALL));
+        let rotations = found[1].as_ref().expect("asked for");
+        assert!(rotations[4 * row..4 * (row + 1)].iter().all(|value| value.is_nan()), "{form}: {rotations:?}");
+        let others = rotations[..4 * row].iter().chain(&rotations[4 * (row + 1)..]);
+        assert!(others.into_iter().all(|value| value.is_finite()), "{form}");
     }
 }

@@ -198,14 +198,15 @@ pub(crate) fn launch_gather(
     shape: KernelShape,
     (needs, slopes): (Layers<bool>, usize),
 ) -> (Layers<Option<Buffer<f32>>>, Option<Buffer<f32>>) {
-    let zeros = |needed: bool, columns: usize| needed.then(|| Buffer::zeros(gpu, projected.len / COLUMNS * columns));
-    let grads = Layers {
-        projected: zeros(needs.projected, COLUMNS),
-        features: zeros(needs.features, shape.features),
-        background: None,
-        mean2d_abs: zeros(needs.mean2d_abs, 2),
-    };
-    let grad_depth_slopes = zeros(slopes > 0, slopes);
+    let len = |needed: bool, columns: usize| needed.then_some(projected.len / COLUMNS * columns);
+    let lens = [
+        len(needs.projected, COLUMNS),
+        len(needs.features, shape.features),
+        len(needs.mean2d_abs, 2),
+        len(slopes > 0, slopes),
+    ];
+    let [of_projected, features, mean2d_abs, grad_depth_slopes] = Buffer::zeros_of(gpu, lens);
+    let grads = Layers { projected: of_projected, features, background: None, mean2d_abs };
     let output = |buffer: &Option<Buffer<f32>>| buffer.as_ref().map(Buffer::arg).into();
     let (grid, dim) = elementwise(lists.visible);
     // SAFETY: ranks stay below the number of visible Gaussians; intersections below theirs.

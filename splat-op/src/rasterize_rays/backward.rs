@@ -1,8 +1,8 @@
 //! Backward kernels of `rasterize_rays`. No float is accumulated by two units, so every run gives the same bits.
 //!
 //! 1. *Walk*: a cube per tile, a unit per pixel. A unit goes front to back as in the forward pass and stores, at each layer, the
-//!    transmittance before it and a link to the previous layer. It then follows these links back and replaces them by
-//!    `h = α ∂L/∂α` and by the weight `α T`. Both numbers lie in a table `[places, 256, 2]` of all layers and pixels of a run of
+//!    transmittance before it and a link to the previous layer. It then follows these links back, as many as it stored, and
+//!    replaces them by `h = α ∂L/∂α` and by the weight `α T`. Both numbers lie in a table `[places, 256, 2]` of all layers and pixels of a run of
 //!    tiles; many tiles take several launches, so that the table does not grow with the picture.
 //! 2. *Sums*: a unit per place of these tiles computes a row, the sums over the tile's pixels.
 //!
@@ -23,6 +23,13 @@ pub(super) const fn row_len(shape: KernelShape, absolute: bool) -> usize {
 
 /// Number of sums of an intersection over a tile's pixels, besides one per channel.
 const SUMS: usize = MOMENTS + DEPTH_SLOPE + 3;
+
+/// Returns the link to the next layer in front, a place plus one, from the link that the table holds; zero ends the way. `layers` is
+/// the number of layers in front. It bounds the way, whatever the table holds, and a link beyond the list ends it.
+#[cube]
+fn link_before(held: u32, layers: u32, places: u32) -> u32 {
+    select(layers > 0 && held <= places, held, 0u32)
+}
 
 /// Fills the table with bits of floats, and `left`, `[H W]`, with the transmittances behind all layers.
 #[cube(launch_unchecked)]
@@ -51,8 +58,9 @@ pub(super) fn rasterize_rays_walk_kernel(
         }
         if pixel.inside {
             let mut transmittance = 1.0f32;
-            // The place of the last layer plus one; zero for no layer.
+            // The place of the last layer plus one; zero for no layer. Number of layers.
             let mut link = 0u32;
+            let mut layers = 0u32;
             let mut walk = Walk::new();
             let mut open = true;
             while open {
@@ -68,6 +76,7 @@ pub(super) fn rasterize_rays_walk_kernel(
                             table[at] = u32::reinterpret(transmittance);
                             table[at + 1] = link;
                             link = place + 1;
+                            layers += 1u32;
                             transmittance = behind;
                         }
                     }
@@ -90,7 +99,8 @@ pub(super) fn rasterize_rays_walk_kernel(
                 let place = link - 1;
                 let at = own + place as usize * comptime!(2 * TILE_PIXELS);
                 let before = f32::reinterpret(table[at]);
-                link = table[at + 1];
+                layers -= 1u32;
+                link = link_before(table[at + 1], layers, places);
                 let gaussian = inputs.lists.gaussian(first + place) as usize;
                 let footprint = RayGaussian::load(&inputs, gaussian);
                 let layer = footprint.at(&pixel, &view);
@@ -198,6 +208,64 @@ pub(super) fn rasterize_rays_sums_kernel(
         #[unroll]
         for k in 0..comptime!(columns - rest) {
             rows[at + rest + k] = sums[comptime!(MOMENTS + k)];
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gpu::Buffer;
+    use crate::testing::gpu::gpus;
+
+    const PLACES: u32 = 5;
+
+    /// Steps after which the test gives up.
+    const PATIENCE: u32 = 1_000;
+
+    /// Follows the links of a table of one unit from `last`, as the walk does, and counts the layers.
+    #[cube(launch_unchecked)]
+    fn follow_kernel(table: &[u32], steps: &mut [u32], last: u32, layers: u32) {
+        let mut link = last;
+        let mut left = layers;
+        let mut count = 0u32;
+        while link > 0 && count < comptime!(PATIENCE) {
+            left -= 1u32;
+            link = link_before(table[(2 * link - 1) as usize], left, comptime!(PLACES));
+            count += 1u32;
+        }
+        steps[0] = count;
+    }
+
+    #[test]
+    fn no_table_makes_the_way_back_endless() {
+        // The links of five places, the link to the last layer, the number of layers, and the number of steps.
+        let tables = [
+            ([0, 1, 2, 3, 4], 5, 5, 5),
+            ([3, 0, 5, 0, 2], 1, 4, 4),
+            ([2, 1, 0, 0, 0], 1, 3, 3),
+            ([1, 0, 0, 0, 0], 1, 1, 1),
+            ([u32::MAX, 0, 0, 0, 0], 1, 5, 1),
+            ([6, 0, 0, 0, 0], 1, 5, 1),
+        ];
+        for (form, gpu) in gpus() {
+            for (links, last, layers, expected) in tables {
+                let table = Buffer::from_slice(&gpu, &links.map(|link| [0, link]).concat());
+                let steps = Buffer::<u32>::new(&gpu, 1);
+                // SAFETY: links within the table are read, and one number is written.
+                unsafe {
+                    follow_kernel::launch_unchecked(
+                        &gpu.client,
+                        CubeCount::Static(1, 1, 1),
+                        CubeDim::new_1d(1),
+                        table.arg(),
+                        steps.arg(),
+                        last,
+                        layers,
+                    );
+                }
+                assert_eq!(steps.read(&gpu), [expected], "{form}: {links:?} from {last}, {layers} layers");
+            }
         }
     }
 }

@@ -283,3 +283,35 @@ fn only_what_is_needed_and_nothing_to_draw() {
         assert!(zeros.into_iter().all(|v| v == 0.0));
     }
 }
+
+/// Gaussians that are listed and then have values that are not finite are as invisible as those of opacity zero.
+#[test]
+fn what_is_not_finite_shows_in_no_pixel() {
+    for (projection, order) in CHOICES {
+        let options = RenderOptions::standard().with_projection(projection).with_order(order);
+        let scene = StageInputs::random(60, [40, 33], 3, [0.3, 1.0], options.with_depth(true));
+        let grad = Random::new(4).fill(5 * 40 * 33, -1.0, 1.0);
+        for (form, gpu) in gpus() {
+            let (inputs, lists) = scene.device(&gpu);
+            let grad = Buffer::from_slice(&gpu, &to_f32(&grad));
+            let with = |column: usize, value: f32| {
+                let mut rows = inputs.projected.read(&gpu);
+                rows.chunks_exact_mut(COLUMNS).step_by(3).for_each(|row| row[column] = value);
+                let inputs = RayLayers { projected: Buffer::from_slice(&gpu, &rows), ..inputs.clone() };
+                let planes = launch_rasterize_rays(&gpu, &inputs, &lists, &scene.spec).read(&gpu);
+                let found = launch_rasterize_rays_backward(&gpu, &inputs, &grad, (&lists, 1 << 20), &scene.spec, ALL);
+                (planes, found.features.expect("asked for").read(&gpu))
+            };
+            let expected = with(6, 0.0);
+            // The key matters to the per-pixel sort alone.
+            let by_key = (order == Order::PerPixelSort).then_some((5, f32::NAN));
+            let cases = [(6, f32::NAN), (6, f32::INFINITY), (3, f32::NAN), (0, f32::NAN)].into_iter().chain(by_key);
+            for (column, value) in cases {
+                assert!(
+                    with(column, value) == expected,
+                    "{projection:?}, {order:?}, {form}: {value} in column {column}"
+                );
+            }
+        }
+    }
+}

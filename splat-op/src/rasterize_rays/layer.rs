@@ -5,7 +5,7 @@ use cubecl::prelude::*;
 
 use super::{D_MIN, WHITENED_MAX};
 use crate::depth_slope::DEPTH_SLOPE;
-use crate::gpu::math::within;
+use crate::gpu::math::{finite, within};
 use crate::intersect::forward::TileLists;
 use crate::project::forward::PackedEllipse;
 use crate::rasterize::layer::{KernelShape, RasterFrame, TilePixel};
@@ -50,7 +50,7 @@ pub(super) struct RayGaussian {
 }
 
 /// A Gaussian evaluated at a pixel, with the names of the module's documentation. Alpha is zero where the Gaussian is not
-/// visible.
+/// visible, or has no alpha or sort key that is a number.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub(super) struct RayLayer {
@@ -100,14 +100,17 @@ impl RayGaussian {
         }
         let whole = e.opacity * (-exponent).exp();
         let alpha = min(whole, view.frame.alpha_max);
+        let key = lambda * e.depth;
+        // `min` and comparisons may let NaN pass, and a NaN among the keys has no place in their order.
+        let known = finite(whole) && finite(key);
         RayLayer {
             u,
             v,
             exponent,
             lambda,
             phi: thick * inverse,
-            key: lambda * e.depth,
-            alpha: select(seen && alpha >= view.frame.alpha_min, alpha, 0.0),
+            key,
+            alpha: select(known && seen && alpha >= view.frame.alpha_min, alpha, 0.0),
             free: whole < view.frame.alpha_max,
         }
     }
@@ -131,8 +134,8 @@ pub(super) struct Walk {
     /// Places in the tile's list.
     pub places: Array<u32>,
     pub alphas: Array<f32>,
-    /// Progress: whether the walk has begun, the Gaussian of the last layer, and the next place of the list. `last_key` is the
-    /// key of the last layer.
+    /// Progress: whether the walk has begun, the Gaussian of the last layer, and the next place of the list, or with the per-pixel
+    /// sort the number of layers found. `last_key` is the key of the last layer.
     come_to: Array<u32>,
     last_key: Array<f32>,
 }
@@ -169,8 +172,9 @@ impl Walk {
         self.alphas[at as usize] = alpha;
     }
 
-    /// Finds the next layers in a list of `places` places that begins at `first`. Returns their number,
-    /// which is less than [`CHUNK`] at the end.
+    /// Finds the next layers in a list of `places` places that begins at `first`. Returns their number, which is less than
+    /// [`CHUNK`] at the end. No list and no keys make the walk endless: it ends at the last place or, with the per-pixel sort, when
+    /// it has found as many layers as there are places.
     pub fn advance(&mut self, inputs: &RayInputs, first: u32, places: u32, pixel: &TilePixel, view: &RayFrame) -> u32 {
         let mut count = 0u32;
         // With the per-pixel sort, the next layers may lie anywhere in the list.
@@ -178,7 +182,7 @@ impl Walk {
         if comptime!(!view.per_pixel) {
             place = self.come_to[2];
         }
-        let mut going = place < places;
+        let mut going = self.come_to[2] < places;
         while going {
             let gaussian = inputs.lists.gaussian(first + place);
             let layer = RayGaussian::load(inputs, gaussian as usize).at(pixel, view);
@@ -205,7 +209,11 @@ impl Walk {
             self.come_to[1] = self.gaussians[(count - 1) as usize];
             self.last_key[0] = self.keys[(count - 1) as usize];
         }
-        self.come_to[2] = place;
+        if comptime!(view.per_pixel) {
+            self.come_to[2] += count;
+        } else {
+            self.come_to[2] = place;
+        }
         count
     }
 

@@ -7,10 +7,10 @@
 
 use cubecl::prelude::*;
 
-use super::forward::{CameraPosition, Frame, NORMS, basis, coefficient, linear_colour, may_show};
-use super::{Harmonics, coefficients_of};
+use super::Harmonics;
+use super::forward::{CameraPosition, Frame, NORMS, basis, coefficient, linear_colour, load_row, may_show};
 use crate::gpu::UNITS;
-use crate::gpu::math::{Pose, Vec3};
+use crate::gpu::math::{Pose, Vec3, positive};
 use crate::gpu::reduce::cube_sum;
 
 /// `Σₖ wₖ ∇pₖ(d)` for the polynomials `pₖ` of [`basis`], grouped by degree. Only the component normal to `d` is meaningful on the
@@ -84,13 +84,13 @@ fn any_colour(grad: Vec3) -> bool {
 /// Stores the gradient of a Gaussian's harmonics, if it is asked for. Returns the gradient of the vector from the camera to the
 /// Gaussian's centre if `through_direction` is set, and zero otherwise.
 #[cube]
-fn colour_backward(
-    sh: &[f32],
+fn colour_backward<W: Size, G: Size>(
+    sh: &[Vector<u32, W>],
     gaussian: usize,
     mean: Vec3,
     pose: Pose,
     grad: Vec3,
-    grad_sh: &mut ComptimeOption<Box<[f32]>>,
+    grad_sh: &mut ComptimeOption<Box<[Vector<f32, G>]>>,
     #[comptime] harmonics: Harmonics,
     #[comptime] through_direction: bool,
 ) -> Vec3 {
@@ -98,28 +98,32 @@ fn colour_backward(
     let coefficients = comptime!(harmonics.coefficients());
     let view_direction = CameraPosition::of(pose).view_direction(mean);
     let y = basis(view_direction.direction, degree);
-    let colour = linear_colour(sh, gaussian, &y, harmonics);
+    let row = load_row(sh, gaussian, harmonics);
+    let colour = linear_colour(&row, &y, harmonics);
     let g = Vec3::new(
-        select(colour.x > 0.0, grad.x, 0.0),
-        select(colour.y > 0.0, grad.y, 0.0),
-        select(colour.z > 0.0, grad.z, 0.0),
+        select(positive(colour.x), grad.x, 0.0),
+        select(positive(colour.y), grad.y, 0.0),
+        select(positive(colour.z), grad.z, 0.0),
     );
     #[comptime]
     if let ComptimeOption::Some(out) = grad_sh {
+        let mut values = Sequence::<f32>::new();
         #[unroll]
         for k in 0..coefficients {
-            g.times(y[k]).store(out, 3 * (gaussian * coefficients + k));
+            values.push(g.x * y[k]);
+            values.push(g.y * y[k]);
+            values.push(g.z * y[k]);
         }
+        store_row(out, gaussian, &values, harmonics);
     }
     let mut of_view_direction = Vec3::new(0.0, 0.0, 0.0);
     if comptime!(through_direction) {
         let d = view_direction.direction;
-        if view_direction.distance > 0.0 {
+        if positive(view_direction.distance) {
             let mut weights = Sequence::<f32>::new();
             #[unroll]
             for k in 0..coefficients {
-                let c = coefficient(sh, gaussian, k, harmonics);
-                weights.push(g.dot(c) * comptime!(NORMS[k]));
+                weights.push(g.dot(coefficient(&row, k)) * comptime!(NORMS[k]));
             }
             let grad = polynomials_backward(d, &weights, degree);
             of_view_direction = grad.minus(d.times(d.dot(grad))).times(1.0 / view_direction.distance);
@@ -128,28 +132,53 @@ fn colour_backward(
     of_view_direction
 }
 
+/// Stores the gradient of a Gaussian's harmonics, `values`.
+#[cube]
+fn store_row<G: Size>(
+    out: &mut [Vector<f32, G>],
+    gaussian: usize,
+    values: &Sequence<f32>,
+    #[comptime] harmonics: Harmonics,
+) {
+    let width = comptime!(harmonics.store_width());
+    let vectors = comptime!(harmonics.row() / width);
+    #[unroll]
+    for at in 0..vectors {
+        let mut vector = Vector::<f32, G>::empty();
+        #[unroll]
+        for i in 0..width {
+            vector.insert(i, values[comptime!(at * width + i)]);
+        }
+        out[gaussian * vectors + at] = vector;
+    }
+}
+
 /// Stores a gradient of zero for a Gaussian's harmonics, if one is asked for.
 #[cube]
-fn no_harmonics(gaussian: usize, grad_sh: &mut ComptimeOption<Box<[f32]>>, #[comptime] degree: usize) {
-    let values = comptime!(3 * coefficients_of(degree));
+fn no_harmonics<G: Size>(
+    gaussian: usize,
+    grad_sh: &mut ComptimeOption<Box<[Vector<f32, G>]>>,
+    #[comptime] harmonics: Harmonics,
+) {
+    let vectors = comptime!(harmonics.row() / harmonics.store_width());
     #[comptime]
     if let ComptimeOption::Some(out) = grad_sh {
         #[unroll]
-        for i in 0..values {
-            out[gaussian * values + i] = 0.0;
+        for at in 0..vectors {
+            out[gaussian * vectors + at] = Vector::new(0.0f32);
         }
     }
 }
 
 /// `view_direction_rows` receives, per cube, the sum of the gradients of the vectors from the camera to the centres.
 #[cube(launch_unchecked)]
-pub(super) fn sh_backward_kernel(
-    sh: &[f32],
+pub(super) fn sh_backward_kernel<W: Size, G: Size>(
+    sh: &[Vector<u32, W>],
     means: &[f32],
     cam_from_world: &[f32],
     ellipses: ComptimeOption<Box<[f32]>>,
     grad: &[f32],
-    mut grad_sh: ComptimeOption<Box<[f32]>>,
+    mut grad_sh: ComptimeOption<Box<[Vector<f32, G>]>>,
     mut grad_means: ComptimeOption<Box<[f32]>>,
     mut view_direction_rows: ComptimeOption<Box<[f32]>>,
     frame: Frame,
@@ -173,7 +202,7 @@ pub(super) fn sh_backward_kernel(
             of_view_direction =
                 colour_backward(sh, gaussian, mean, pose, g, &mut grad_sh, harmonics, through_direction);
         } else {
-            no_harmonics(gaussian, &mut grad_sh, comptime!(harmonics.degree));
+            no_harmonics(gaussian, &mut grad_sh, harmonics);
         }
         #[comptime]
         if let ComptimeOption::Some(out) = &mut grad_means {

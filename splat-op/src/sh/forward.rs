@@ -7,8 +7,8 @@ use cubecl::prelude::*;
 
 use super::{Harmonics, SH_COEFFICIENTS_MAX, coefficients_of};
 use crate::dials::Storage;
-use crate::gpu::half::load_three_halves;
-use crate::gpu::math::{Mat3, Pose, Vec3};
+use crate::gpu::half::{halves_of, load_three_halves};
+use crate::gpu::math::{Mat3, Pose, Vec3, negative, positive};
 use crate::project::forward::PackedEllipse;
 
 /// Position of the camera in the world frame: the point that the pose maps to zero, `−A⁻¹ t`, by the general inverse.
@@ -37,7 +37,7 @@ impl CameraPosition {
         let to_mean = mean.minus(self.position);
         let distance = to_mean.length();
         let inverse = 1.0 / distance;
-        let apart = distance > 0.0;
+        let apart = positive(distance);
         let direction = Vec3::new(
             select(apart, to_mean.x * inverse, 0.0),
             select(apart, to_mean.y * inverse, 0.0),
@@ -133,26 +133,57 @@ pub(super) fn basis(d: Vec3, #[comptime] degree: usize) -> Sequence<f32> {
     out
 }
 
-/// Coefficient `k` of a Gaussian, one number per channel.
+/// Coefficients of a Gaussian, in registers: three channels of each.
 #[cube]
-pub(super) fn coefficient(sh: &[f32], gaussian: usize, k: usize, #[comptime] harmonics: Harmonics) -> Vec3 {
-    let at = 3 * (gaussian * comptime!(harmonics.coefficients()) + k);
-    if comptime!(harmonics.storage == Storage::Half) { load_three_halves(sh, at) } else { Vec3::load(sh, at) }
+pub(super) fn load_row<W: Size>(
+    sh: &[Vector<u32, W>],
+    gaussian: usize,
+    #[comptime] harmonics: Harmonics,
+) -> Sequence<f32> {
+    let mut row = Sequence::<f32>::new();
+    if comptime!(harmonics.words().is_some()) {
+        let width = comptime!(harmonics.load_width());
+        let vectors = comptime!(harmonics.words().unwrap_or(0) / width);
+        #[unroll]
+        for at in 0..vectors {
+            let words = sh[gaussian * vectors + at];
+            #[unroll]
+            for i in 0..width {
+                let word = words.extract(i);
+                if comptime!(harmonics.storage == Storage::Half) {
+                    let (low, high) = halves_of(word);
+                    row.push(low);
+                    row.push(high);
+                } else {
+                    row.push(f32::reinterpret(word));
+                }
+            }
+        }
+    } else {
+        #[unroll]
+        for k in 0..comptime!(harmonics.coefficients()) {
+            let c = load_three_halves(sh, 3 * (gaussian * comptime!(harmonics.coefficients()) + k));
+            row.push(c.x);
+            row.push(c.y);
+            row.push(c.z);
+        }
+    }
+    row
+}
+
+/// Coefficient `k` of a row, one number per channel.
+#[cube]
+pub(super) fn coefficient(row: &Sequence<f32>, #[comptime] k: usize) -> Vec3 {
+    Vec3::new(row[comptime!(3 * k)], row[comptime!(3 * k + 1)], row[comptime!(3 * k + 2)])
 }
 
 /// Colour before the clamp.
 #[cube]
-pub(super) fn linear_colour(
-    sh: &[f32],
-    gaussian: usize,
-    basis: &Sequence<f32>,
-    #[comptime] harmonics: Harmonics,
-) -> Vec3 {
+pub(super) fn linear_colour(row: &Sequence<f32>, basis: &Sequence<f32>, #[comptime] harmonics: Harmonics) -> Vec3 {
     let mut colour = Vec3::new(0.5, 0.5, 0.5);
     #[unroll]
     for k in 0..comptime!(harmonics.coefficients()) {
-        let c = coefficient(sh, gaussian, k, harmonics);
-        colour = colour.plus(c.times(basis[k]));
+        colour = colour.plus(coefficient(row, k).times(basis[k]));
     }
     colour
 }
@@ -182,20 +213,27 @@ pub(super) fn may_show(ellipses: &[f32], gaussian: usize, frame: &Frame) -> bool
 
 /// Colour of a Gaussian.
 #[cube]
-fn colour_of(sh: &[f32], gaussian: usize, mean: Vec3, pose: Pose, #[comptime] harmonics: Harmonics) -> Vec3 {
+fn colour_of<W: Size>(
+    sh: &[Vector<u32, W>],
+    gaussian: usize,
+    mean: Vec3,
+    pose: Pose,
+    #[comptime] harmonics: Harmonics,
+) -> Vec3 {
+    let row = load_row(sh, gaussian, harmonics);
     let view_direction = CameraPosition::of(pose).view_direction(mean);
-    let colour = linear_colour(sh, gaussian, &basis(view_direction.direction, comptime!(harmonics.degree)), harmonics);
-    // A comparison instead of `max`, which may turn NaN into a colour.
+    let colour = linear_colour(&row, &basis(view_direction.direction, comptime!(harmonics.degree)), harmonics);
+    // Neither `max` nor a comparison, which may turn NaN into a colour.
     Vec3::new(
-        select(colour.x < 0.0, 0.0, colour.x),
-        select(colour.y < 0.0, 0.0, colour.y),
-        select(colour.z < 0.0, 0.0, colour.z),
+        select(negative(colour.x), 0.0, colour.x),
+        select(negative(colour.y), 0.0, colour.y),
+        select(negative(colour.z), 0.0, colour.z),
     )
 }
 
 #[cube(launch_unchecked)]
-pub(super) fn sh_forward_kernel(
-    sh: &[f32],
+pub(super) fn sh_forward_kernel<W: Size>(
+    sh: &[Vector<u32, W>],
     means: &[f32],
     cam_from_world: &[f32],
     ellipses: ComptimeOption<Box<[f32]>>,

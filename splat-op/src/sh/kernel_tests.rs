@@ -1,9 +1,10 @@
 //! The kernels of `evaluate_sh` against the twin in f64.
 
+use burn::tensor::f16;
 use glam::{DMat3, DVec3};
 
 use super::cpu::{ShCoefficients, ShCpuInputs, sh_backward_cpu, sh_cpu};
-use super::launch::{ShDeviceInputs, launch_sh, launch_sh_backward};
+use super::launch::{DeviceShCoefficients, ShDeviceInputs, launch_sh, launch_sh_backward};
 use super::{Shading, coefficients_of};
 use crate::gpu::{Buffer, Gpu};
 use crate::testing::ceiling::{PerturbedReference, rounded, to_f32};
@@ -244,5 +245,79 @@ fn a_second_run_gives_the_same_bits() {
         let (inputs, grad) = scene.upload(&gpu);
         let run = || read(&gpu, &launch_sh_backward(&gpu, &inputs, None, 16, &grad, ALL)).map(bits);
         assert!(run() == run());
+    }
+}
+
+#[test]
+fn what_is_not_finite_is_told_by_bits() {
+    let mut scene = StageInputs::random(3, 4, 0, false);
+    let sh = [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, 1.0, -9.0, -f64::NAN, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0];
+    scene.tensors[0] = sh.to_vec();
+    scene.tensors[GRAD] = vec![1.0; 12];
+    for (form, gpu) in gpus() {
+        let (inputs, grad) = scene.upload(&gpu);
+        let colours = launch_sh(&gpu, &inputs, None, 1).read(&gpu);
+        let grads = read(&gpu, &launch_sh_backward(&gpu, &inputs, None, 1, &grad, ALL));
+        let grads = grads[0].as_ref().expect("asked for");
+        for (i, c) in sh.iter().enumerate().take(6) {
+            let (found, expected) = (colours[i], (0.5 + 0.282_094_79 * c) as f32);
+            let same = match expected.is_nan() {
+                true => found.is_nan(),
+                false => found == expected.max(0.0) || (found - expected).abs() < 1e-6,
+            };
+            assert!(same, "{form}: the colour of {c} is {found}");
+            assert_eq!(grads[i] != 0.0, expected > 0.0, "{form}: the gradient of {c} is {}", grads[i]);
+        }
+    }
+}
+
+#[test]
+fn a_centre_that_is_nowhere_spoils_no_sum() {
+    let mut scene = StageInputs::random(4, 300, 2, false);
+    scene.tensors[0].iter_mut().filter(|c| !c.is_finite()).for_each(|c| *c = 0.1);
+    scene.tensors[1].iter_mut().filter(|c| !c.is_finite()).for_each(|c| *c = 0.1);
+    scene.tensors[1][3 * 7] = f64::NAN;
+    scene.tensors[GRAD].fill(1.0);
+    for (form, gpu) in gpus() {
+        let (inputs, grad) = scene.upload(&gpu);
+        let found = read(&gpu, &launch_sh_backward(&gpu, &inputs, None, 9, &grad, ALL));
+        for (name, found) in NAMES.iter().zip(&found).skip(1) {
+            let found = found.as_ref().expect("asked for");
+            assert!(found.iter().all(|value| value.is_finite()), "{form}: the gradient of {name}");
+        }
+    }
+}
+
+/// Rows of halves are loaded word by word at degree 1, begin in the middle of a word at degree 2, and are vectors at degree 3.
+#[test]
+fn halves_give_the_colours_and_gradients_of_the_numbers_that_they_hold() {
+    for degree in 1..=3 {
+        let (count, coefficients) = (301, coefficients_of(degree));
+        let mut scene = StageInputs::random(20 + degree as u64, count, degree, false);
+        let halves: Vec<f16> = to_f32(&scene.tensors[0]).into_iter().map(f16::from_f32).collect();
+        scene.tensors[0] = halves.iter().map(|half| half.to_f64()).collect();
+        let mut bits: Vec<u16> = halves.iter().map(|half| half.to_bits()).collect();
+        bits.resize(bits.len().next_multiple_of(2), 0);
+        let words: Vec<u32> = bits.chunks_exact(2).map(|two| u32::from(two[0]) | u32::from(two[1]) << 16).collect();
+        for (form, gpu) in gpus() {
+            let (full, grad) = scene.upload(&gpu);
+            let sh = DeviceShCoefficients::halves(Buffer::from_slice(&gpu, &words), halves.len());
+            let half = ShDeviceInputs { sh, ..full.clone() };
+            let run = |inputs: &ShDeviceInputs| {
+                let found = launch_sh_backward(&gpu, inputs, None, coefficients, &grad, ALL);
+                let [sh, means, pose] = read(&gpu, &found).map(|found| found.expect("asked for"));
+                [launch_sh(&gpu, inputs, None, coefficients).read(&gpu), sh, means, pose]
+            };
+            for (i, (found, expected)) in run(&half).iter().zip(run(&full)).enumerate() {
+                assert_eq!(found.len(), expected.len());
+                let scale =
+                    expected.iter().filter(|value| value.is_finite()).fold(0.0_f32, |most, v| most.max(v.abs()));
+                for (found, expected) in found.iter().zip(expected) {
+                    // Infinity is no half that is widened: it becomes NaN.
+                    let same = !expected.is_finite() || (found - expected).abs() <= 1e-6 * scale;
+                    assert!(same, "degree {degree}, {form}, output {i}: {found} instead of {expected}");
+                }
+            }
+        }
     }
 }

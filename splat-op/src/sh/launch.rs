@@ -25,8 +25,8 @@ pub(crate) struct ShDeviceInputs {
 /// Coefficients on the device, row-major.
 #[derive(Clone, Debug)]
 pub(crate) struct DeviceShCoefficients {
-    /// f32 values, or words of two half-precision values.
-    pub values: Buffer<f32>,
+    /// The bits of f32 values, or words of two half-precision values.
+    pub words: Buffer<u32>,
     /// Number of coefficients.
     pub len: usize,
     pub storage: Storage,
@@ -34,14 +34,14 @@ pub(crate) struct DeviceShCoefficients {
 
 impl From<Buffer<f32>> for DeviceShCoefficients {
     fn from(values: Buffer<f32>) -> Self {
-        Self { len: values.len, values, storage: Storage::Full }
+        Self { len: values.len, words: Buffer::from_handle(values.handle, values.len), storage: Storage::Full }
     }
 }
 
 impl DeviceShCoefficients {
     /// Half-precision coefficients, from words that hold two each.
-    pub fn halves(values: Buffer<f32>, len: usize) -> Self {
-        Self { values, len, storage: Storage::Half }
+    pub fn halves(words: Buffer<u32>, len: usize) -> Self {
+        Self { words, len, storage: Storage::Half }
     }
 
     /// Compile-time constants of a kernel for this number of coefficients per channel.
@@ -73,20 +73,23 @@ pub(crate) fn launch_sh(
         return colours;
     }
     let (grid, dim) = elementwise(count);
+    let harmonics = inputs.sh.harmonics(coefficients);
+    let width = harmonics.load_width();
     // SAFETY: every access is guarded by the number of Gaussians.
     unsafe {
         sh_forward_kernel::launch_unchecked(
             &gpu.client,
             grid,
             dim,
-            inputs.sh.values.arg(),
+            width,
+            inputs.sh.words.vectors(width),
             inputs.means.arg(),
             inputs.cam_from_world.arg(),
             visible.map(|(ellipses, _)| ellipses.arg()).into(),
             colours.arg(),
             frame(visible),
             count as u32,
-            inputs.sh.harmonics(coefficients),
+            harmonics,
         );
     }
     colours
@@ -113,6 +116,7 @@ pub(crate) fn launch_sh_backward(
     let view_direction_rows = Buffer::if_needed(gpu, through_pose, count.div_ceil(UNITS) * 3);
     if count > 0 && (needs.sh || needs.means || through_pose) {
         let output = |buffer: &Option<Buffer<f32>>| buffer.as_ref().map(Buffer::arg).into();
+        let (width, grad_width) = (harmonics.load_width(), harmonics.store_width());
         let (grid, dim) = elementwise(count);
         // SAFETY: every access is guarded by the number of Gaussians.
         unsafe {
@@ -120,12 +124,14 @@ pub(crate) fn launch_sh_backward(
                 &gpu.client,
                 grid,
                 dim,
-                inputs.sh.values.arg(),
+                width,
+                grad_width,
+                inputs.sh.words.vectors(width),
                 inputs.means.arg(),
                 inputs.cam_from_world.arg(),
                 visible.map(|(ellipses, _)| ellipses.arg()).into(),
                 grad.arg(),
-                output(&grads.sh),
+                grads.sh.as_ref().map(|grads| grads.vectors(grad_width)).into(),
                 output(&grads.means),
                 output(&view_direction_rows),
                 frame(visible),

@@ -92,6 +92,39 @@ impl Harmonics {
     pub const fn coefficients(self) -> usize {
         coefficients_of(self.degree)
     }
+
+    /// Number of coefficients of a Gaussian.
+    pub const fn row(self) -> usize {
+        3 * self.coefficients()
+    }
+
+    /// Number of words of a Gaussian's coefficients, if they begin and end with words. Rows of an odd number of halves do not.
+    pub const fn words(self) -> Option<usize> {
+        match self.storage {
+            Storage::Full => Some(self.row()),
+            Storage::Half if self.row().is_multiple_of(2) => Some(self.row() / 2),
+            Storage::Half => None,
+        }
+    }
+
+    /// Number of words that a load takes.
+    pub const fn load_width(self) -> usize {
+        match self.words() {
+            Some(words) => vector_width(words),
+            None => 1,
+        }
+    }
+
+    /// Number of gradients that a store takes.
+    pub const fn store_width(self) -> usize {
+        vector_width(self.row())
+    }
+}
+
+/// Length of the vectors that a row of numbers is loaded or stored by: rows of vectors of four are aligned to 16 bytes.
+#[cfg(feature = "cube")]
+const fn vector_width(row: usize) -> usize {
+    if row.is_multiple_of(4) { 4 } else { 1 }
 }
 
 /// Factor by which the box of visibility is wider than in exact arithmetic, and the addend to the square of the extent.
