@@ -288,6 +288,12 @@ pub(crate) fn clamped(value: f32, limit: f32) -> f32 {
     f32::reinterpret(select(size > most && size <= comptime!(EXPONENT), (bits & 0x8000_0000) | most, bits))
 }
 
+/// Whether a float is NaN.
+#[cube]
+pub(crate) fn undefined(value: f32) -> bool {
+    (u32::reinterpret(value) & 0x7fff_ffff) > 0x7f80_0000
+}
+
 /// Whether this unit's values, `stride` apart, are all finite. The values of a turn are loaded before any is looked at, so that
 /// the unit waits for all of them together.
 #[cube]

@@ -11,7 +11,7 @@ use cubecl::prelude::*;
 use super::TILE;
 use super::sort::HIDDEN;
 use crate::dials::Culling;
-use crate::gpu::math::{Vec3, finite, within};
+use crate::gpu::math::{Vec3, finite, undefined, within};
 use crate::project::COLUMNS;
 use crate::project::forward::PackedEllipse;
 
@@ -193,19 +193,22 @@ impl EllipseExtent {
         let near_y = within(0.0, top, bottom);
         let mut reached = true;
         if near_x != 0.0 || near_y != 0.0 {
-            let mut least = f32::max_value();
+            let mut by_side = f32::max_value();
+            let mut by_top = f32::max_value();
             if near_x != 0.0 {
-                least = min(least, self.whitened(near_x, within(e.shear * near_x, top, bottom)));
+                by_side = self.whitened(near_x, within(e.shear * near_x, top, bottom));
             }
             if near_y != 0.0 {
                 let across = e.shear * e.sigma_u;
                 let slope = across * e.sigma_u / (across * across + e.sigma_v * e.sigma_v);
-                least = min(least, self.whitened(within(slope * near_y, left, right), near_y));
+                by_top = self.whitened(within(slope * near_y, left, right), near_y);
             }
             // `dy − shear dx` loses digits when both terms are large; `rasterize` may then see a smaller value than this.
             let farthest = max(left.abs(), right.abs()) * e.shear.abs() + max(top.abs(), bottom.abs());
             let extent = self.limit.sqrt() + 1e-6 * farthest / e.sigma_v;
-            reached = !(least > extent * extent);
+            // NaN says nothing, and `min` may return the other of its arguments.
+            let known = !(undefined(by_side) || undefined(by_top));
+            reached = !(known && min(by_side, by_top) > extent * extent);
         }
         reached
     }
