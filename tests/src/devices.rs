@@ -63,7 +63,8 @@ pub fn gpu() -> Option<Device> {
 fn find() -> Result<(String, Device), String> {
     let found = adapter()?;
     let facts = open(&found).map_err(|error| error.to_string())?;
-    Ok((facts.to_string(), found.device))
+    let planes = if facts.planes { "with planes" } else { "without planes" };
+    Ok((format!("{facts}, {planes}"), found.device))
 }
 
 fn adapter() -> Result<AdapterDevice, String> {

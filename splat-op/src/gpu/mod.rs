@@ -57,9 +57,15 @@ impl Gpu {
 
 /// Whether `SPLAT_PLANES=force` is set: CubeCL withholds the plane operations of software drivers, which serve to test the kernels
 /// that use them.
+///
+/// # Panics
+/// If the variable has another value.
 fn planes_forced() -> bool {
-    static FORCED: LazyLock<bool> =
-        LazyLock::new(|| std::env::var_os("SPLAT_PLANES").is_some_and(|value| value == "force"));
+    static FORCED: LazyLock<bool> = LazyLock::new(|| match std::env::var_os("SPLAT_PLANES") {
+        None => false,
+        Some(value) if value == "force" => true,
+        Some(other) => panic!("SPLAT_PLANES={} is not supported: set it to `force`, or unset it", other.display()),
+    });
     *FORCED
 }
 

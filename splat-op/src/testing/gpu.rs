@@ -10,9 +10,9 @@ use burn::tensor::{Device, DeviceType};
 
 use crate::gpu::{Gpu, poison};
 
-/// The best GPU (a software driver if there is no other) with all its features, without plane operations, and without float
-/// atomics. If there is no GPU or `SPLAT_GPU=skip` is set, the result is empty and a line says so. With `SPLAT_GPU=require` a
-/// missing GPU is a failure.
+/// The best GPU (a software driver if there is no other) with all its features, without plane operations, without float atomics,
+/// and without both. `SPLAT_PLANES=force` gives a software driver plane operations. If there is no GPU or `SPLAT_GPU=skip` is set,
+/// the result is empty and a line says so. With `SPLAT_GPU=require` a missing GPU is a failure.
 pub fn gpus() -> Vec<(&'static str, Gpu)> {
     static GPU: OnceLock<Option<Gpu>> = OnceLock::new();
     let Some(gpu) = GPU.get_or_init(find).clone() else { return Vec::new() };
@@ -21,7 +21,10 @@ pub fn gpus() -> Vec<(&'static str, Gpu)> {
         gpus.push(("without planes", Gpu { planes: false, ..gpu.clone() }));
     }
     if gpu.float_atomics {
-        gpus.push(("without float atomics", Gpu { float_atomics: false, ..gpu }));
+        gpus.push(("without float atomics", Gpu { float_atomics: false, ..gpu.clone() }));
+    }
+    if gpu.planes && gpu.float_atomics {
+        gpus.push(("without planes and float atomics", Gpu { planes: false, float_atomics: false, ..gpu }));
     }
     gpus
 }
@@ -48,8 +51,16 @@ fn find() -> Option<Gpu> {
         return None;
     };
     let client = device.client();
-    say(&format!("the kernels' tests run on {} through {}", client.properties().identity.name, client.name()));
-    Some(Gpu::new(&client))
+    let gpu = Gpu::new(&client);
+    let has = |feature: bool| if feature { "with" } else { "without" };
+    say(&format!(
+        "the kernels' tests run on {} through {}, {} planes, {} float atomics",
+        client.properties().identity.name,
+        client.name(),
+        has(gpu.planes),
+        has(gpu.float_atomics)
+    ));
+    Some(gpu)
 }
 
 /// Writes to stderr directly, because the test harness captures the output of passing tests.

@@ -1,0 +1,48 @@
+//! The kernels in the source of the crate `splat-op`.
+
+use std::collections::BTreeSet;
+use std::path::Path;
+use std::{fs, io};
+
+const SOURCE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../splat-op/src");
+
+/// Returns the names of all kernels' functions, except those inside tests.
+pub fn kernels() -> io::Result<BTreeSet<String>> {
+    let mut found = BTreeSet::new();
+    visit(Path::new(SOURCE), &mut found)?;
+    Ok(found)
+}
+
+fn visit(folder: &Path, found: &mut BTreeSet<String>) -> io::Result<()> {
+    for entry in fs::read_dir(folder)? {
+        let path = entry?.path();
+        if path.is_dir() {
+            visit(&path, found)?;
+        } else if path.extension().is_some_and(|extension| extension == "rs") {
+            found.extend(kernels_of(&fs::read_to_string(path)?).map(str::to_owned));
+        }
+    }
+    Ok(())
+}
+
+fn kernels_of(text: &str) -> impl Iterator<Item = &str> {
+    let library = text.split("\n#[cfg(test)]\nmod ").next().unwrap_or_default();
+    library.split("#[cube(launch").skip(1).filter_map(|kernel| {
+        let function = kernel.split_once("fn ")?.1;
+        function.split(|c: char| !c.is_alphanumeric() && c != '_').next()
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn kernels_are_found_by_their_attribute() -> io::Result<()> {
+        let text = "#[cube(launch_unchecked)]\npub fn a_kernel<F: Float>(x: F) {}\n#[cube]\nfn b() {}\n\
+                    #[cfg(test)]\nmod tests {\n#[cube(launch_unchecked)]\nfn c_kernel() {}\n}";
+        assert_eq!(kernels_of(text).collect::<Vec<_>>(), ["a_kernel"]);
+        assert!(kernels()?.len() > 20);
+        Ok(())
+    }
+}
