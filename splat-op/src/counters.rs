@@ -1,10 +1,13 @@
 //! Counts of launches, allocations and CPU stages of this process, for tests.
 
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+#[cfg(feature = "cube")]
+use std::sync::atomic::AtomicBool;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 static DISPATCHES: AtomicU64 = AtomicU64::new(0);
 static TWIN_CALLS: AtomicU64 = AtomicU64::new(0);
 static ALLOCATED: AtomicU64 = AtomicU64::new(0);
+#[cfg(feature = "cube")]
 static COUNT_PAIRS: AtomicBool = AtomicBool::new(false);
 
 /// Returns the number of kernels of this crate that this process has launched so far, on all GPUs.

@@ -98,7 +98,8 @@ pub(crate) fn launch_rasterize_backward(
     let shape = KernelShape::of(inputs.background.len, &spec.options);
     let alone = grad.len == shape.features * camera.width * camera.height;
     debug_assert!(!(alone && shape.depth), "where depth is rendered, the gradient has all planes");
-    let shape = KernelShape { grad_alpha: !alone, ..shape };
+    // Only what lies behind the segments depends on the gradient of alpha.
+    let suffix_shape = KernelShape { grad_alpha: !alone, ..shape };
     let background = Buffer::if_needed(gpu, needs.background, lists.counts.len * shape.features);
     let rows_needed = needs.projected || needs.features || needs.mean2d_abs;
     let columns = row_len(shape, needs.mean2d_abs);
@@ -136,7 +137,7 @@ pub(crate) fn launch_rasterize_backward(
                 background.as_ref().map(Buffer::arg).into(),
                 frame(spec),
                 run.slots.arg(),
-                shape,
+                suffix_shape,
                 gpu.planes,
             );
         }
