@@ -12,13 +12,17 @@ use splat_model::gaussians::Gaussians;
 use splat_model::loss::{DEFAULT_LAMBDA, Truth, photometric};
 use splat_model::optim::Adam;
 use splat_model::trainer::Guard;
-use splat_op::backend::{Geometry, IntersectionCell, Layers, PartsCell, ProjectSpec, RasterizeSpec, SplatBackend};
+use splat_op::backend::{
+    Geometry, IntersectionCell, Layers, PartsCell, ProjectSpec, RasterizeSpec, SplatBackend, TraceCell,
+};
+use splat_op::test_hooks::{self, PairCounts};
 use splat_op::{Camera, Colour, Extras, SplatError, Splats, evaluate_sh, render_view, with_gradient};
 
 use crate::job::{Job, OPTIONS};
 use crate::limit::PassKind;
 use crate::measure::{Pass, PassResult, Prepare, TimedPart, stateful};
 use crate::step::{SOUND, Step, density, rates};
+use crate::values;
 
 /// Returns all passes, in the order of a training step, then the step.
 pub fn passes(job: &Job, device: &Device) -> Result<Vec<Pass>, Box<dyn Error>> {
@@ -188,6 +192,16 @@ pub(crate) fn rasterize_planes(
     (counts, intersections): (&Tensor<2, Int>, &IntersectionCell),
     spec: RasterizeSpec,
 ) -> Tensor<3> {
+    traced_planes([projected, features], (counts, intersections), spec, None)
+}
+
+/// [`rasterize_planes`], which also fills `trace` if there is one.
+fn traced_planes(
+    [projected, features]: [Tensor<2>; 2],
+    (counts, intersections): (&Tensor<2, Int>, &IntersectionCell),
+    spec: RasterizeSpec,
+    trace: Option<TraceCell>,
+) -> Tensor<3> {
     let device = projected.device();
     let inputs = Layers {
         background: Tensor::<1>::zeros([3], &device).into(),
@@ -198,8 +212,20 @@ pub(crate) fn rasterize_planes(
     let counts = counts.clone().into_dispatch();
     let parts = PartsCell::default();
     let planes =
-        <Dispatch as SplatBackend>::rasterize(inputs, counts, spec, intersections.clone(), None, parts.clone());
+        <Dispatch as SplatBackend>::rasterize(inputs, counts, spec, intersections.clone(), trace, parts.clone());
     Tensor::from_dispatch(<Dispatch as SplatBackend>::part(planes, 0, 4, parts))
+}
+
+/// Counts the pairs of a pixel and a Gaussian that a GPU evaluates; `None` for a CPU.
+pub fn pair_counts(job: &Job, device: &Device) -> Result<Option<PairCounts>, SplatError> {
+    let (stages, trace) = (Stages::new(job, device)?, TraceCell::default());
+    let inputs = [stages.packed.clone(), stages.colours.clone()];
+    test_hooks::count_pairs(true);
+    let planes = traced_planes(inputs, (&stages.counts, &stages.intersections), stages.spec, Some(trace.clone()));
+    // Waits until the stages have run.
+    values(planes);
+    test_hooks::count_pairs(false);
+    Ok(test_hooks::pair_counts(device, &trace))
 }
 
 /// Returns the lists of packed ellipses, and the number of Gaussians of each tile.

@@ -33,7 +33,7 @@ impl Abilities {
 
 /// Returns the launches' handle of a GPU, which is opened if necessary; `None` for a CPU device.
 #[cfg(feature = "cube")]
-fn gpu(device: &Device) -> Option<Gpu> {
+pub(crate) fn gpu(device: &Device) -> Option<Gpu> {
     match device.clone().inner().as_dispatch() {
         DispatchDevice::Cube(device) => Some(Gpu::new(&device.client())),
         _ => None,

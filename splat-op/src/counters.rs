@@ -1,11 +1,15 @@
 //! Counts of launches, allocations and CPU stages of this process, for tests.
 
+#[cfg(feature = "cube")]
+use std::sync::atomic::AtomicBool;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 static DISPATCHES: AtomicU64 = AtomicU64::new(0);
 static TWIN_CALLS: AtomicU64 = AtomicU64::new(0);
 static ALLOCATED: AtomicU64 = AtomicU64::new(0);
 static BOUND: AtomicU64 = AtomicU64::new(0);
+#[cfg(feature = "cube")]
+static COUNT_PAIRS: AtomicBool = AtomicBool::new(false);
 
 /// Returns the number of kernels of this crate that this process has launched so far, on all GPUs.
 pub fn dispatches() -> u64 {
@@ -45,4 +49,28 @@ pub(crate) fn count_binding(bytes: u64) {
 
 pub(crate) fn count_twin_call() {
     TWIN_CALLS.fetch_add(1, Ordering::Relaxed);
+}
+
+/// Numbers of pairs of a pixel and a Gaussian in a view. A pair that a block evaluates counts once for each of its 32 pixels,
+/// finished or not, because they share its time on a card.
+#[cfg(feature = "cube")]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct PairCounts {
+    /// Pairs evaluated by the forward pass.
+    pub evaluated_forwards: u64,
+    /// Pairs whose gradient the backward pass evaluates.
+    pub evaluated_backwards: u64,
+    /// Pairs that contribute to the picture.
+    pub contributing: u64,
+}
+
+/// Sets whether renders that keep a trace count pairs of a pixel and a Gaussian on GPUs.
+#[cfg(feature = "cube")]
+pub fn count_pairs(on: bool) {
+    COUNT_PAIRS.store(on, Ordering::Relaxed);
+}
+
+#[cfg(feature = "cube")]
+pub(crate) fn pairs_are_counted() -> bool {
+    COUNT_PAIRS.load(Ordering::Relaxed)
 }

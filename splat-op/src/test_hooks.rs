@@ -6,9 +6,18 @@ use burn::backend::{Backend, Dispatch};
 use burn::tensor::Device;
 
 pub use crate::abilities::buffer_limit;
+#[cfg(feature = "cube")]
+pub use crate::counters::{PairCounts, count_pairs};
 pub use crate::counters::{allocated_bytes, bound_bytes, dispatches, twin_calls};
 #[cfg(feature = "cube")]
 pub use crate::gpu::poison;
+
+/// Returns the numbers of pairs of a view on a GPU, from the trace of a render under [`count_pairs`]. Waits for the device.
+#[cfg(feature = "cube")]
+pub fn pair_counts(device: &Device, trace: &crate::backend::TraceCell) -> Option<PairCounts> {
+    let trace = trace.0.get()?.downcast_ref::<crate::rasterize::trace::DeviceTrace>()?;
+    trace.pair_counts(&crate::abilities::gpu(device)?)
+}
 
 /// Runs `work`. There are no kernels to count.
 #[cfg(not(feature = "cube"))]

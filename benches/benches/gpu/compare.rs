@@ -13,7 +13,7 @@ use splat_benches::job::{Job, JobSize};
 use splat_benches::limit::Machine;
 use splat_benches::limit::PassKind;
 use splat_benches::measure::{RunTimes, copy_bandwidth, table};
-use splat_benches::passes::passes;
+use splat_benches::passes::{pair_counts, passes};
 use splat_op::is_gpu;
 use splat_train::device::DeviceName;
 
@@ -128,6 +128,15 @@ fn timed(job: &Job, load: &Load, opened: &Opened, base: &[f64]) -> Result<Vec<(P
     job.check_fits(device)?;
     if job.size == JobSize::FoxSmall {
         job.verify_picture(device)?;
+    }
+    if let Some(counts) = pair_counts(job, device)? {
+        let each = |pairs: u64| pairs as f64 / counts.contributing as f64;
+        println!(
+            "  pairs of a pixel and a Gaussian: {:.1} million contribute; evaluated for each: {:.2} forwards, {:.2} backwards",
+            counts.contributing as f64 / 1e6,
+            each(counts.evaluated_forwards),
+            each(counts.evaluated_backwards)
+        );
     }
     let mut passes = passes(job, device)?;
     let times = table(&mut passes, (device, machine), &job.sizes(load), BUDGET, base)?;

@@ -1,25 +1,33 @@
-//! Forward kernel of `rasterize`: a cube per tile, a unit per strip of pixels. A strip is some rows of one column, and
-//! its values stay in registers. A GPU has units to fill, and hides the latency of reads behind them.
+//! Forward kernel of `rasterize`: a cube per tile, a unit per pixel.
 //!
-//! The places of a tile are passed in buckets. Within a bucket a pixel's sums and transmittance are relative to those
-//! before it; at the end of the bucket they are added in. The backward pass then needs only a few values per pixel of a
-//! bucket, which do not depend on any other bucket, so it can process all buckets at once.
+//! The places of a tile are passed in segments of four buckets. Two units load each Gaussian of a segment and find the
+//! blocks of pixels that its ellipse meets. These are bits of a word per bucket and block. The units of a block then go
+//! through the bits of their word alone, so a block evaluates no Gaussian that passes by it, in the order of the places.
 
 use cubecl::prelude::*;
 
+use super::blocks::{BLOCK, BLOCKS, HALF, blocks_met, pixel_of};
 use super::layer::{
-    BUCKET, FOOTPRINT, KernelShape, LayerEllipse, RasterFrame, colour, first_bucket, layer, strip_origin,
-    transmittance_after_bucket,
+    BUCKET, BUCKETS, FOOTPRINT, KernelShape, LayerEllipse, RasterFrame, SEGMENT, TilePixel, colour, first_slot, layer,
+    tile_origin, transmittance_after_bucket,
 };
+use super::trace::TileRun;
 use crate::intersect::forward::TileLists;
 use crate::intersect::{TILE, TILE_PIXELS};
 
-/// Number of places that a cube loads at once, a whole number of buckets.
-const BATCH: usize = 64;
+/// Number of words of a segment.
+pub(super) const WORDS: usize = BUCKETS * BLOCKS;
 
-/// Writes the planes `[C + 1 (+ 1), H, W]`. If a trace is kept, it also writes the kept values
-/// `[bucket_index][value][pixel]`, the transmittance behind all layers `[tile][pixel]`, and the number of buckets
-/// passed in each tile.
+/// Numbers that are counted for each unit: pairs of a pixel and a Gaussian evaluated forwards, those that the backward
+/// pass evaluates, and pairs that contribute.
+pub(super) const PAIR_COUNTS: usize = 3;
+
+/// Writes the planes `[C + 1 (+ 1), H, W]`. If a trace is kept, it also writes
+/// - the kept values `[slot][value][unit]`,
+/// - words `[slot][bucket][block]` of the places that some pixel of the block needs,
+/// - the tile of each slot,
+/// - the transmittance behind all layers `[tile][unit]`,
+/// - the number of segments passed in each tile.
 ///
 /// The transmittance of a finished pixel is negated. A pixel outside the picture is finished from the start.
 #[cube(launch_unchecked)]
@@ -30,191 +38,217 @@ pub(super) fn rasterize_forward_kernel(
     lists: TileLists,
     planes: &mut [f32],
     kept: &mut [f32],
+    kept_words: &mut [u32],
+    tile_of_slot: &mut [u32],
     final_transmittance: &mut [f32],
-    bucket_count: &mut [u32],
+    segment_count: &mut [u32],
+    mut pairs: ComptimeOption<Box<[u32]>>,
     frame: RasterFrame,
+    run: TileRun,
     #[comptime] shape: KernelShape,
     #[comptime] keep: bool,
-    #[comptime] pixels: usize,
+    #[comptime] count_pairs: bool,
 ) {
     let channels = comptime!(shape.channels());
     let few = comptime!(shape.few());
-    let tile = CUBE_POS as u32;
-    let mut footprints = Shared::<[f32]>::new_slice(comptime!(BATCH * FOOTPRINT));
-    let mut colours = Shared::<[f32]>::new_slice(comptime!(if few { BATCH * channels } else { 1 }));
-    let mut gaussians = Shared::<[u32]>::new_slice(comptime!(BATCH));
+    let tile = run.first_tile + CUBE_POS as u32;
+    let mut ellipses = Shared::<[f32]>::new_slice(comptime!(SEGMENT * FOOTPRINT));
+    let mut colours = Shared::<[f32]>::new_slice(comptime!(if few { SEGMENT * channels } else { 1 }));
+    let mut gaussians = Shared::<[u32]>::new_slice(comptime!(if few { 1 } else { SEGMENT }));
+    // Places whose ellipse meets the block, places that some pixel of the block needs, and evaluations of a block's
+    // slowest pixel.
+    let met = Shared::<[Atomic<u32>]>::new_slice(comptime!(WORDS));
+    let needed = Shared::<[Atomic<u32>]>::new_slice(comptime!(WORDS));
+    let slowest = Shared::<[Atomic<u32>]>::new_slice(comptime!(if count_pairs { WORDS } else { 1 }));
     let mut anybody = Shared::<[u32]>::new_slice(1usize);
 
-    if tile < frame.tiles_x * frame.tiles_y {
-        let (column, row) = strip_origin(UNIT_POS, pixels);
-        let first_column = tile % frame.tiles_x * comptime!(TILE as u32) + column;
-        let first_row = tile / frame.tiles_x * comptime!(TILE as u32) + row;
-        let in_tile = (row * comptime!(TILE as u32) + column) as usize;
-        let x = f32::cast_from(first_column) + 0.5;
-        let top = f32::cast_from(first_row - row) + 0.5;
-        let own_row = f32::cast_from(row);
+    if tile < run.end_tile {
+        let unit = UNIT_POS;
+        let block = unit / comptime!(BLOCK as u32);
+        let pixel = TilePixel::of(tile_origin(tile, &frame), pixel_of(unit), &frame);
+        let left = f32::cast_from(tile % frame.tiles_x * comptime!(TILE as u32)) + 0.5;
         let first = lists.start(tile);
-        let places = lists.start(tile + 1) - first;
-        let bucket_index = first_bucket(first, tile);
-
-        let mut transmittance = Array::<f32>::new(pixels);
-        let mut through = Array::<f32>::new(pixels);
-        let mut stopped = Array::<f32>::new(pixels);
-        let mut sums = Array::<f32>::new(comptime!(pixels * channels));
-        let mut own = Array::<f32>::new(comptime!(pixels * channels));
-        #[unroll]
-        for p in 0..pixels {
-            let inside = first_column < frame.width && first_row + comptime!(p as u32) < frame.height;
-            transmittance[p] = select(inside, 1.0f32, -1.0f32);
-            #[unroll(few)]
-            for channel in 0..channels {
-                sums[comptime!(p * channels) + channel] = 0.0f32;
+        let end = lists.start(tile + 1);
+        let places = end - first;
+        let slot = first_slot(first, tile) - run.first_slot;
+        if comptime!(keep) {
+            let slots = first_slot(end, tile + 1) - run.first_slot - slot;
+            let mut i = unit;
+            while i < slots {
+                tile_of_slot[(slot + i) as usize] = tile;
+                i += comptime!(TILE_PIXELS as u32);
             }
         }
 
-        let mut place = 0u32;
-        let mut running = true;
-        while running && place < places {
-            // Loads the next batch; the loop ends if no pixel is open.
-            let mut open = false;
-            #[unroll]
-            for p in 0..pixels {
-                open = open || transmittance[p] >= 0.0;
+        let mut transmittance = select(pixel.inside, 1.0f32, -1.0f32);
+        let mut sums = Array::<f32>::new(channels);
+        let mut own = Array::<f32>::new(channels);
+        #[unroll(few)]
+        for channel in 0..channels {
+            sums[channel] = 0.0f32;
+        }
+        let mut evaluated = 0u32;
+        let mut kept_pairs = 0u32;
+        let mut contributing = 0u32;
+        if unit < comptime!(WORDS as u32) {
+            met[unit as usize].store(0u32);
+            needed[unit as usize].store(0u32);
+            if comptime!(count_pairs) {
+                slowest[unit as usize].store(0u32);
             }
-            if UNIT_POS == 0 {
-                anybody[0] = 0u32;
-            }
-            sync_cube();
-            if open {
-                anybody[0] = 1u32;
-            }
-            let count = min(places - place, comptime!(BATCH as u32));
-            let mut i = UNIT_POS;
-            while i < count {
-                let gaussian = lists.gaussian(first + place + i);
-                LayerEllipse::of(projected, gaussian as usize).store(&mut footprints, i as usize);
-                gaussians[i as usize] = gaussian;
-                if comptime!(few) {
+        }
+        sync_cube();
+
+        let mut segment = 0u32;
+        let mut running = places > 0;
+        while running {
+            // Two units load a Gaussian, and each tests a half of the tile.
+            let i = unit % comptime!(SEGMENT as u32);
+            let half = unit / comptime!(SEGMENT as u32);
+            let place = segment * comptime!(SEGMENT as u32) + i;
+            if place < places {
+                let gaussian = lists.gaussian(first + place);
+                let ellipse = LayerEllipse::of(projected, gaussian as usize, pixel.top);
+                if half == 0 {
+                    ellipse.store(&mut ellipses, i as usize);
+                    if comptime!(!few) {
+                        gaussians[i as usize] = gaussian;
+                    }
+                } else if comptime!(few) {
                     #[unroll]
                     for channel in 0..channels {
                         colours[i as usize * channels + channel] =
                             colour(projected, features, gaussian as usize, channel, shape);
                     }
                 }
-                i += comptime!((TILE_PIXELS / pixels) as u32);
+                let bits = blocks_met(ellipse, left, half, &frame);
+                let word = i / comptime!(BUCKET as u32) * comptime!(BLOCKS as u32) + half * comptime!(HALF as u32);
+                let bit = 1u32 << (i % comptime!(BUCKET as u32));
+                #[unroll]
+                for k in 0..comptime!(HALF) {
+                    if (bits & comptime!(1u32 << k)) != 0 {
+                        met[word as usize + k].fetch_or(bit);
+                    }
+                }
+            }
+            if unit == 0 {
+                anybody[0] = 0u32;
             }
             sync_cube();
-            running = anybody[0] != 0;
-            if running {
-                let mut bucket = 0u32;
-                while bucket < count {
-                    #[unroll]
-                    for p in 0..pixels {
-                        through[p] = select(transmittance[p] >= 0.0, 1.0f32, -1.0f32);
-                        stopped[p] = 0.0f32;
-                        #[unroll(few)]
-                        for channel in 0..channels {
-                            own[comptime!(p * channels) + channel] = 0.0f32;
-                        }
-                    }
-                    let end = select(open, min(bucket + comptime!(BUCKET as u32), count), bucket);
-                    for i in bucket..end {
-                        let footprint = LayerEllipse::load(&footprints, i as usize);
-                        let mut colour_here = Array::<f32>::new(comptime!(if few { channels } else { 1 }));
-                        if comptime!(few) {
-                            #[unroll]
-                            for channel in 0..channels {
-                                colour_here[channel] = colours[i as usize * channels + channel];
-                            }
-                        }
-                        #[unroll]
-                        for p in 0..pixels {
-                            let (u, below) = footprint.along_column(x, top);
-                            let v = (below + (own_row + comptime!(p as f32))) * footprint.inverse_v;
-                            let alpha = footprint.alpha(u, v, &frame, shape);
-                            let before = through[p];
-                            let (alpha, next, stops) =
-                                layer(alpha, before, stopped[p], transmittance[p], frame.transmittance_min);
-                            through[p] = next;
-                            stopped[p] = stops;
-                            if comptime!(few) {
-                                let weight = alpha * before;
-                                #[unroll]
-                                for channel in 0..channels {
-                                    own[comptime!(p * channels) + channel] += weight * colour_here[channel];
-                                }
-                            } else if alpha > 0.0 {
-                                let weight = alpha * before;
-                                let gaussian = gaussians[i as usize] as usize;
-                                for channel in 0..channels {
-                                    own[comptime!(p * channels) + channel] +=
-                                        weight * colour(projected, features, gaussian, channel, shape);
-                                }
-                            }
-                        }
-                    }
-                    let at = (bucket_index + (place + bucket) / comptime!(BUCKET as u32)) as usize
-                        * comptime!(shape.kept() * TILE_PIXELS)
-                        + in_tile;
-                    #[unroll]
-                    for p in 0..pixels {
-                        let before = transmittance[p];
-                        let share = through[p].abs();
-                        if comptime!(keep) {
-                            let at = at + comptime!(p * TILE);
-                            kept[at] = before;
-                            kept[at + comptime!(TILE_PIXELS)] = share;
-                            if comptime!(few) {
-                                #[unroll]
-                                for channel in 0..channels {
-                                    kept[at + (channel + 2) * comptime!(TILE_PIXELS)] =
-                                        own[comptime!(p * channels) + channel];
-                                }
-                            }
-                        }
-                        #[unroll(few)]
-                        for channel in 0..channels {
-                            sums[comptime!(p * channels) + channel] +=
-                                before.abs() * own[comptime!(p * channels) + channel];
-                        }
-                        // A pixel that finished in this bucket becomes negative here; one that finished earlier stays
-                        // negative.
-                        transmittance[p] = transmittance_after_bucket(before, through[p], stopped[p]);
-                    }
-                    bucket += comptime!(BUCKET as u32);
-                }
-                place += count;
+
+            let at = (slot + segment) as usize * comptime!(shape.kept() * TILE_PIXELS) + unit as usize;
+            if comptime!(keep) {
+                kept[at] = transmittance;
             }
+            #[unroll(few)]
+            for channel in 0..channels {
+                own[channel] = 0.0f32;
+            }
+            for bucket in 0..comptime!(BUCKETS as u32) {
+                let at_word = (bucket * comptime!(BLOCKS as u32) + block) as usize;
+                let before = transmittance;
+                let mut word = 0u32;
+                if before >= 0.0 {
+                    word = met[at_word].load();
+                }
+                let mut through = 1.0f32;
+                let mut stopped = 0.0f32;
+                let mut shown = 0u32;
+                let mut passed = 0u32;
+                while word != 0 {
+                    let i = word.trailing_zeros();
+                    word &= word - 1;
+                    passed += 1;
+                    let place = (bucket * comptime!(BUCKET as u32) + i) as usize;
+                    let value = LayerEllipse::load(&ellipses, place).alpha(pixel.x, pixel.row, &frame, shape);
+                    let (alpha, next, stops) = layer(value, through, stopped, before, frame.transmittance_min);
+                    let weight = alpha * (before * through);
+                    through = next;
+                    stopped = stops;
+                    // A layer that finishes a pixel is needed too.
+                    shown |= select(value > 0.0, 1u32 << i, 0u32);
+                    if through < 0.0 {
+                        word = 0u32;
+                    }
+                    if comptime!(few) {
+                        #[unroll]
+                        for channel in 0..channels {
+                            own[channel] += weight * colours[place * channels + channel];
+                        }
+                    } else if alpha > 0.0 {
+                        let gaussian = gaussians[place] as usize;
+                        for channel in 0..channels {
+                            own[channel] += weight * colour(projected, features, gaussian, channel, shape);
+                        }
+                    }
+                    if comptime!(count_pairs) {
+                        contributing += select(alpha > 0.0, 1u32, 0u32);
+                    }
+                }
+                // A pixel that finishes in this bucket becomes negative here; one that finished earlier stays negative.
+                transmittance = transmittance_after_bucket(before, through, stopped);
+                if comptime!(keep) && shown != 0 {
+                    needed[at_word].fetch_or(shown);
+                }
+                if comptime!(count_pairs) {
+                    slowest[at_word].fetch_max(passed);
+                }
+            }
+            #[unroll(few)]
+            for channel in 0..channels {
+                sums[channel] += own[channel];
+                if comptime!(keep && few) {
+                    kept[at + (channel + 1) * comptime!(TILE_PIXELS)] = own[channel];
+                }
+            }
+            if transmittance >= 0.0 {
+                anybody[0] = 1u32;
+            }
+            sync_cube();
+
+            if unit < comptime!(WORDS as u32) {
+                if comptime!(keep) {
+                    let places = needed[unit as usize].load();
+                    kept_words[((slot + segment) * comptime!(WORDS as u32) + unit) as usize] = places;
+                    if comptime!(count_pairs) {
+                        kept_pairs += comptime!(BLOCK as u32) * places.count_ones();
+                    }
+                }
+                if comptime!(count_pairs) {
+                    evaluated += comptime!(BLOCK as u32) * slowest[unit as usize].load();
+                    slowest[unit as usize].store(0u32);
+                }
+                met[unit as usize].store(0u32);
+                needed[unit as usize].store(0u32);
+            }
+            segment += 1;
+            running = anybody[0] != 0 && segment * comptime!(SEGMENT as u32) < places;
             sync_cube();
         }
 
         if comptime!(keep) {
-            #[unroll]
-            for p in 0..pixels {
-                final_transmittance[tile as usize * comptime!(TILE_PIXELS) + in_tile + comptime!(p * TILE)] =
-                    transmittance[p].abs();
-            }
-            if UNIT_POS == 0 {
-                bucket_count[tile as usize] = (place + comptime!(BUCKET as u32 - 1)) / comptime!(BUCKET as u32);
+            final_transmittance[tile as usize * comptime!(TILE_PIXELS) + unit as usize] = transmittance.abs();
+            if unit == 0 {
+                segment_count[tile as usize] = segment;
             }
         }
-        let plane = (frame.width * frame.height) as usize;
-        #[unroll]
-        for p in 0..pixels {
-            let row = first_row + comptime!(p as u32);
-            if first_column < frame.width && row < frame.height {
-                let pixel = (row * frame.width + first_column) as usize;
-                let left = transmittance[p].abs();
-                #[unroll(few)]
-                for channel in 0..comptime!(shape.features) {
-                    planes[channel * plane + pixel] =
-                        sums[comptime!(p * channels) + channel] + left * background[channel];
-                }
-                planes[comptime!(shape.features) * plane + pixel] = 1.0 - left;
-                if comptime!(shape.depth) {
-                    planes[comptime!(shape.features + 1) * plane + pixel] =
-                        sums[comptime!(p * channels + shape.features)];
-                }
+        #[comptime]
+        if let ComptimeOption::Some(pairs) = &mut pairs {
+            let at = (tile as usize * comptime!(TILE_PIXELS) + unit as usize) * comptime!(PAIR_COUNTS);
+            pairs[at] = evaluated;
+            pairs[at + 1] = kept_pairs;
+            pairs[at + 2] = contributing;
+        }
+        if pixel.inside {
+            let plane = (frame.width * frame.height) as usize;
+            let left = transmittance.abs();
+            #[unroll(few)]
+            for channel in 0..comptime!(shape.features) {
+                planes[channel * plane + pixel.index] = sums[channel] + left * background[channel];
+            }
+            planes[comptime!(shape.features) * plane + pixel.index] = 1.0 - left;
+            if comptime!(shape.depth) {
+                planes[comptime!(shape.features + 1) * plane + pixel.index] = sums[comptime!(shape.features)];
             }
         }
     }

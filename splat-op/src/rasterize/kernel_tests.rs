@@ -270,3 +270,45 @@ fn ordered_sums_are_the_same_in_every_run() {
         }
     }
 }
+
+#[test]
+fn a_trace_in_several_runs_of_tiles_changes_nothing() {
+    let Some(gpu) = gpu() else { return };
+    let options = RenderOptions::standard().with_accumulation(Accumulation::Ordered);
+    for channels in [3, 5] {
+        let mut scene = StageInputs::random(1_700, [150, 100], channels, [0.006, 0.02], options);
+        // Large ellipses, so that every tile has a long list.
+        for row in scene.projected.chunks_exact_mut(COLUMNS) {
+            row[2] *= 60.0;
+            row[4] *= 60.0;
+        }
+        let (spec, inputs) = (&scene.spec, scene.device(&gpu));
+        let grad = Random::new(4).fill((channels + 1) * 150 * 100, -1.0, 1.0);
+        let grad = Buffer::from_slice(&gpu, &grad.iter().map(|&v| v as f32).collect::<Vec<_>>());
+        let lists = launch_intersect(&gpu, &inputs.projected, &spec.intrinsics, Cut::of(&spec.options));
+        let outcome = |limit: u64, spec: &RasterizeSpec| {
+            let limited = Gpu { buffer_limit: limit, ..gpu.clone() };
+            let (planes, trace) = launch_rasterize(&limited, &inputs, &lists, spec, true);
+            let trace = trace.expect("asked for");
+            let rows = if spec.options.accumulation == Accumulation::Ordered { &gpu } else { &limited };
+            let grads = launch_rasterize_backward(rows, &inputs, &grad, &lists, &trace, spec, ALL);
+            let grads = [grads.projected, grads.features, grads.background, grads.mean2d_abs];
+            (trace.runs(), planes.read(&gpu), grads.map(|grad| grad.expect("asked for").read(&gpu)))
+        };
+        let (runs, planes, grads) = outcome(gpu.buffer_limit, spec);
+        assert_eq!(runs, 1);
+        let limit = 4 * (channels as u64 + 2) * 150 * 100;
+        let (runs, split_planes, split_grads) = outcome(limit, spec);
+        assert!(runs > 1, "{channels} channels: one run proves nothing");
+        assert!(split_planes == planes && split_grads == grads, "{channels} channels, {runs} runs");
+        // Atomic sums differ in their order; all buffers keep to the limit.
+        let atomic = RasterizeSpec { options: options.with_accumulation(Accumulation::Atomic), ..*spec };
+        let (_, split_planes, split_grads) = outcome(limit, &atomic);
+        assert!(split_planes == planes, "{channels} channels");
+        for (found, expected) in split_grads.iter().zip(&grads) {
+            let largest = expected.iter().fold(0.0_f32, |most, v| most.max(v.abs()));
+            let close = found.iter().zip(expected).all(|(a, b)| (a - b).abs() <= 1e-5 * largest);
+            assert!(close, "{channels} channels: a gradient differs");
+        }
+    }
+}

@@ -2,56 +2,35 @@
 
 use cubecl::prelude::*;
 
-use super::backward::{rasterize_gather_kernel, rasterize_suffix_kernel, row_len};
-use super::backward_few_channels::{FEW_UNITS, rasterize_backward_few_channels_kernel};
-use super::backward_many_channels::{MANY_UNITS, rasterize_backward_many_channels_kernel};
-use super::forward::rasterize_forward_kernel;
-use super::layer::{BUCKET, KernelShape, RasterFrameLaunch};
+use super::backward::{LANES, rasterize_backward_kernel, row_len};
+use super::forward::{PAIR_COUNTS, rasterize_forward_kernel};
+use super::gather::rasterize_gather_kernel;
+use super::layer::{KernelShape, RasterFrameLaunch};
+use super::suffix::rasterize_suffix_kernel;
+use super::trace::{DeviceTrace, FEWER_PLACES, TraceRun, runs_of};
 use super::{Layers, RasterizeSpec};
+use crate::counters::pairs_are_counted;
 use crate::gpu::reduce::launch_column_sums;
-use crate::gpu::{Buffer, Gpu, UNITS, cubes, elementwise};
+use crate::gpu::{Buffer, Gpu, cubes, elementwise};
 use crate::intersect::launch::DeviceIntersections;
 use crate::intersect::{TILE_PIXELS, tile_grid};
 use crate::limits::Need;
 use crate::options::Accumulation;
 use crate::project::COLUMNS;
 
-/// Values that the forward pass keeps for the backward pass.
-#[derive(Clone, Debug)]
-pub(crate) struct DeviceTrace {
-    /// `[max_buckets, kept, 256]`: values per bucket and pixel; see [`KernelShape::kept`].
-    kept: Buffer<f32>,
-    /// `[tiles, 256]`: the transmittance behind all layers.
-    final_transmittance: Buffer<f32>,
-    /// `[tiles]`: number of buckets passed before every pixel was finished.
-    bucket_count: Buffer<u32>,
-}
-
-/// Number of pixels of a unit in the forward kernel for few channels; see `forward.rs`. For many channels it is one.
-const FORWARD_STRIP: usize = 4;
-
-/// Number of slots for the buckets of all tiles; see `first_bucket`.
-fn max_buckets(lists: &DeviceIntersections) -> usize {
-    lists.intersections / BUCKET + lists.counts.len
-}
+/// Natural logarithm below that of the least positive f32, half of which rounds to zero.
+const LOG_SMALLEST: f32 = -104.0;
 
 /// Returns the picture and the thresholds as a kernel argument.
 pub(crate) fn frame(spec: &RasterizeSpec) -> RasterFrameLaunch {
     let (camera, options) = (&spec.intrinsics, &spec.options);
-    let [tiles_x, tiles_y] = tile_grid(camera.width, camera.height).map(|tiles| tiles as u32);
-    let (width, height) = (camera.width as u32, camera.height as u32);
+    let [tiles_x, _] = tile_grid(camera.width, camera.height);
+    let [width, height, tiles_x] = [camera.width, camera.height, tiles_x].map(|size| size as u32);
     // A threshold of zero leaves out nothing, not even layers behind an alpha of one.
     let least = if options.transmittance_min > 0.0 { options.transmittance_min as f32 } else { -1.0 };
-    RasterFrameLaunch::new(width, height, tiles_x, tiles_y, options.alpha_min as f32, options.alpha_max as f32, least)
-}
-
-/// Hint in error messages: how to make a render keep less for its backward pass.
-const FEWER_BUCKETS: &str =
-    "train on smaller pictures, raise `alpha_min`, or render parts of the picture with several cameras";
-
-/// Panics if the device cannot hold a buffer of `len` floats. Only the intersections determine the length.
-fn assert_fits(gpu: &Gpu, what: &'static str, len: usize) {
-    Need { what, bytes: 4 * len as u64, hint: FEWER_BUCKETS }.assert_fits(gpu.buffer_limit);
+    let alpha_min = options.alpha_min as f32;
+    let log_least = if alpha_min >= f32::MIN_POSITIVE { alpha_min.ln() } else { LOG_SMALLEST };
+    RasterFrameLaunch::new(width, height, tiles_x, alpha_min, options.alpha_max as f32, least, log_least)
 }
 
 /// Runs the forward pass. Returns the planes `[C + 1 (+ 1), H, W]`, and the trace if `keep` is set.
@@ -64,34 +43,42 @@ pub(crate) fn launch_rasterize(
 ) -> (Buffer<f32>, Option<DeviceTrace>) {
     let (shape, tiles) = (KernelShape::of(inputs.background.len, &spec.options), lists.counts.len);
     let planes = Buffer::new(gpu, spec.planes(shape.features) * spec.intrinsics.width * spec.intrinsics.height);
-    let kept_len = |len: usize| if keep { len } else { 0 };
-    let kept = kept_len(max_buckets(lists) * shape.kept() * TILE_PIXELS);
-    assert_fits(gpu, "the trace of the backward pass", kept);
-    let trace = DeviceTrace {
-        kept: Buffer::with_headroom(gpu, kept),
-        final_transmittance: Buffer::new(gpu, kept_len(tiles * TILE_PIXELS)),
-        bucket_count: Buffer::new(gpu, kept_len(tiles)),
+    let kept_tiles = if keep { tiles } else { 0 };
+    let count_pairs = keep && pairs_are_counted();
+    let mut trace = DeviceTrace {
+        runs: Vec::new(),
+        final_transmittance: Buffer::new(gpu, kept_tiles * TILE_PIXELS),
+        segment_count: Buffer::new(gpu, kept_tiles),
+        pairs: Buffer::if_needed(gpu, count_pairs, tiles * TILE_PIXELS * PAIR_COUNTS),
     };
-    let pixels = if shape.few() { FORWARD_STRIP } else { 1 };
-    // SAFETY: places, intersections and Gaussians come from the lists, which hold none out of range; pixels are guarded.
-    unsafe {
-        rasterize_forward_kernel::launch_unchecked(
-            &gpu.client,
-            cubes(tiles),
-            CubeDim::new_1d((TILE_PIXELS / pixels) as u32),
-            inputs.projected.arg(),
-            inputs.features.arg(),
-            inputs.background.arg(),
-            lists.arg(),
-            planes.arg(),
-            trace.kept.arg(),
-            trace.final_transmittance.arg(),
-            trace.bucket_count.arg(),
-            frame(spec),
-            shape,
-            keep,
-            pixels,
-        );
+    for slots in runs_of(gpu, lists, shape, keep) {
+        let run = TraceRun::new(gpu, slots, shape, keep);
+        // SAFETY: places, intersections and Gaussians come from the lists, which hold none out of range; pixels are
+        // guarded; a run has the slots of all its tiles.
+        unsafe {
+            rasterize_forward_kernel::launch_unchecked(
+                &gpu.client,
+                cubes(run.slots.tiles.len()),
+                CubeDim::new_1d(TILE_PIXELS as u32),
+                inputs.projected.arg(),
+                inputs.features.arg(),
+                inputs.background.arg(),
+                lists.arg(),
+                planes.arg(),
+                run.kept.arg(),
+                run.words.arg(),
+                run.tile_of_slot.arg(),
+                trace.final_transmittance.arg(),
+                trace.segment_count.arg(),
+                trace.pairs.as_ref().map(Buffer::arg).into(),
+                frame(spec),
+                run.slots.arg(),
+                shape,
+                keep,
+                count_pairs,
+            );
+        }
+        trace.runs.push(run);
     }
     (planes, keep.then_some(trace))
 }
@@ -111,78 +98,89 @@ pub(crate) fn launch_rasterize_backward(
     let shape = KernelShape::of(inputs.background.len, &spec.options);
     let alone = grad.len == shape.features * camera.width * camera.height;
     debug_assert!(!(alone && shape.depth), "where depth is rendered, the gradient has all planes");
-    let shape = KernelShape { grad_alpha: !alone, ..shape };
-    let (tiles, max_buckets) = (lists.counts.len, max_buckets(lists));
-    let suffix_rho: Buffer<f32> = Buffer::with_headroom(gpu, max_buckets * TILE_PIXELS);
-    let background = Buffer::if_needed(gpu, needs.background, tiles * shape.features);
-    // SAFETY: as in the forward pass; slots are those that the forward pass wrote.
-    unsafe {
-        rasterize_suffix_kernel::launch_unchecked(
-            &gpu.client,
-            cubes(tiles),
-            CubeDim::new_1d(UNITS as u32),
-            inputs.projected.arg(),
-            inputs.features.arg(),
-            inputs.background.arg(),
-            grad.arg(),
-            lists.arg(),
-            trace.kept.arg(),
-            trace.final_transmittance.arg(),
-            trace.bucket_count.arg(),
-            suffix_rho.arg(),
-            background.as_ref().map(Buffer::arg).into(),
-            frame(spec),
-            shape,
-            gpu.planes,
-        );
-    }
-    let background = background.map(|rows| launch_column_sums(gpu, &rows, shape.features));
-    if !(needs.projected || needs.features || needs.mean2d_abs) {
-        return Layers { background, ..Layers::default() };
-    }
-
+    // Only what lies behind the segments depends on the gradient of alpha.
+    let suffix_shape = KernelShape { grad_alpha: !alone, ..shape };
+    let background = Buffer::if_needed(gpu, needs.background, lists.counts.len * shape.features);
+    let rows_needed = needs.projected || needs.features || needs.mean2d_abs;
     let columns = row_len(shape, needs.mean2d_abs);
     let ordered = spec.options.accumulation == Accumulation::Ordered;
-    let rows = match ordered {
-        true => {
-            assert_fits(gpu, "the rows of ordered gradients", lists.intersections * columns);
+    let rows: Buffer<f32> = match (rows_needed, ordered) {
+        (false, _) => Buffer::new(gpu, 0),
+        (true, true) => {
+            let (what, bytes) = ("the rows of ordered gradients", 4 * (lists.intersections * columns) as u64);
+            Need { what, bytes, hint: FEWER_PLACES }.assert_fits(gpu.buffer_limit);
             Buffer::with_headroom(gpu, lists.intersections * columns)
         }
-        false => Buffer::zeros(gpu, inputs.projected.len / COLUMNS * columns),
+        (true, false) => Buffer::zeros(gpu, inputs.projected.len / COLUMNS * columns),
     };
     let unused: Buffer<f32> = Buffer::new(gpu, 0);
     let (written, added) = if ordered { (&rows, &unused) } else { (&unused, &rows) };
-    macro_rules! launch {
-        ($kernel:path, $units:expr) => {
-            // SAFETY: as in the forward pass; a row belongs to an intersection or a Gaussian of the lists.
-            unsafe {
-                $kernel(
-                    &gpu.client,
-                    cubes(max_buckets),
-                    CubeDim::new_1d($units as u32),
-                    inputs.projected.arg(),
-                    inputs.features.arg(),
-                    grad.arg(),
-                    lists.arg(),
-                    trace.kept.arg(),
-                    trace.bucket_count.arg(),
-                    suffix_rho.arg(),
-                    written.arg(),
-                    added.arg(),
-                    frame(spec),
-                    max_buckets as u32,
-                    shape,
-                    needs.mean2d_abs,
-                    !ordered,
-                )
-            }
-        };
+    for run in &trace.runs {
+        let slots = run.slots.slots.len();
+        let suffix_rho: Buffer<f32> = Buffer::with_headroom(gpu, slots * TILE_PIXELS);
+        // SAFETY: as in the forward pass; slots are those that the forward pass wrote.
+        unsafe {
+            rasterize_suffix_kernel::launch_unchecked(
+                &gpu.client,
+                cubes(run.slots.tiles.len()),
+                CubeDim::new_1d(TILE_PIXELS as u32),
+                inputs.projected.arg(),
+                inputs.features.arg(),
+                inputs.background.arg(),
+                grad.arg(),
+                lists.arg(),
+                run.kept.arg(),
+                run.words.arg(),
+                trace.final_transmittance.arg(),
+                trace.segment_count.arg(),
+                suffix_rho.arg(),
+                background.as_ref().map(Buffer::arg).into(),
+                frame(spec),
+                run.slots.arg(),
+                suffix_shape,
+                gpu.planes,
+            );
+        }
+        if !rows_needed {
+            continue;
+        }
+        macro_rules! launch {
+            ($cell:ty) => {
+                // SAFETY: as above; a row belongs to an intersection or a Gaussian of the lists.
+                unsafe {
+                    rasterize_backward_kernel::launch_unchecked::<$cell>(
+                        &gpu.client,
+                        cubes(slots),
+                        CubeDim::new_1d(LANES as u32),
+                        inputs.projected.arg(),
+                        inputs.features.arg(),
+                        grad.arg(),
+                        lists.arg(),
+                        run.kept.arg(),
+                        run.words.arg(),
+                        run.tile_of_slot.arg(),
+                        trace.segment_count.arg(),
+                        suffix_rho.arg(),
+                        written.arg(),
+                        added.arg(),
+                        frame(spec),
+                        run.slots.arg(),
+                        slots as u32,
+                        shape,
+                        needs.mean2d_abs,
+                        !ordered,
+                    )
+                }
+            };
+        }
+        match gpu.float_atomics {
+            true => launch!(Atomic<f32>),
+            false => launch!(Atomic<u32>),
+        }
     }
-    match (shape.few(), gpu.float_atomics) {
-        (true, true) => launch!(rasterize_backward_few_channels_kernel::launch_unchecked::<Atomic<f32>>, FEW_UNITS),
-        (true, false) => launch!(rasterize_backward_few_channels_kernel::launch_unchecked::<Atomic<u32>>, FEW_UNITS),
-        (false, true) => launch!(rasterize_backward_many_channels_kernel::launch_unchecked::<Atomic<f32>>, MANY_UNITS),
-        (false, false) => launch!(rasterize_backward_many_channels_kernel::launch_unchecked::<Atomic<u32>>, MANY_UNITS),
+    let background = background.map(|rows| launch_column_sums(gpu, &rows, shape.features));
+    if !rows_needed {
+        return Layers { background, ..Layers::default() };
     }
     let (found, _) = launch_gather(gpu, &inputs.projected, lists, (&rows, columns, ordered), shape, (needs, 0));
     Layers { background, ..found }

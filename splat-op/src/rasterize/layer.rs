@@ -1,5 +1,5 @@
 //! Functions that the kernels of both passes share, so that the backward pass sees the values of the forward pass: the
-//! arithmetic of a layer at a pixel, and the assignment of places and pixels to units.
+//! arithmetic of a layer at a pixel, and the numbering of buckets and segments.
 
 use cubecl::prelude::*;
 
@@ -9,28 +9,40 @@ use crate::intersect::TILE;
 use crate::options::RenderOptions;
 use crate::project::COLUMNS;
 
-/// Number of places in a bucket.
+/// Number of places in a bucket. Within a bucket the transmittance of a pixel is relative to that before it, and one
+/// word says which places a block of pixels evaluates.
 pub(super) const BUCKET: usize = 32;
 
+/// Number of buckets in a segment.
+pub(super) const BUCKETS: usize = 4;
+
+/// Number of places in a segment. The trace keeps a few values per pixel of a segment, which do not depend on any other
+/// segment, so the backward pass can process all segments at once.
+pub(super) const SEGMENT: usize = BUCKETS * BUCKET;
+
 /// Largest number of channels for which colours go through shared memory, sums go through registers, and the trace
-/// keeps the sums of each bucket. With more channels, all three would not fit.
+/// keeps the sums of each segment. With more channels, all three would not fit.
 pub(super) const FEW: usize = 4;
 
 /// Number of values in a [`LayerEllipse`].
 pub(super) const FOOTPRINT: usize = 6;
 
-/// Size of the picture in pixels and tiles, and thresholds of the render.
+/// `log₂e / 2`
+const HALF_LOG2_E: f32 = 0.5 * core::f32::consts::LOG2_E;
+
+/// Size of the picture in pixels, its tiles along x, and thresholds of the render.
 #[derive(CubeType, CubeLaunch, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub(crate) struct RasterFrame {
     pub width: u32,
     pub height: u32,
     pub tiles_x: u32,
-    pub tiles_y: u32,
     pub alpha_min: f32,
     pub alpha_max: f32,
     /// Negative for no threshold.
     pub transmittance_min: f32,
+    /// Natural logarithm of `alpha_min`, or of the least positive f32 if that is larger.
+    pub log_least: f32,
 }
 
 /// A pixel of a tile.
@@ -96,27 +108,20 @@ impl KernelShape {
         self.channels() <= FEW
     }
 
-    /// Number of values that the forward pass keeps per pixel and bucket: the transmittance before the bucket (negative
-    /// where the pixel was finished), the share that the bucket lets through, and the bucket's sums if there are few
-    /// channels.
+    /// Number of values that the forward pass keeps per pixel and segment: the transmittance before the segment
+    /// (negative where the pixel was finished), and the sums of the segment if there are few channels.
     pub const fn kept(&self) -> usize {
-        2 + if self.few() { self.channels() } else { 0 }
+        1 + if self.few() { self.channels() } else { 0 }
     }
 }
 
-/// Returns the column and row, within the tile, of a unit's first pixel. A unit's pixels are a strip: `rows` pixels of
-/// one column, which share `u` and the values read of a Gaussian.
-#[cube]
-pub(super) fn strip_origin(unit: u32, #[comptime] rows: usize) -> (u32, u32) {
-    (unit % comptime!(TILE as u32), unit / comptime!(TILE as u32) * comptime!(rows as u32))
-}
-
-/// An ellipse in the form that the loop over pixels reads.
+/// An ellipse in the form that the loop over a tile's pixels reads.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub(super) struct LayerEllipse {
     pub x: f32,
-    pub y: f32,
+    /// Distance, px, by which the centres of the tile's first row lie below the ellipse's centre.
+    pub rise: f32,
     pub inverse_u: f32,
     pub inverse_v: f32,
     pub shear: f32,
@@ -125,12 +130,13 @@ pub(super) struct LayerEllipse {
 
 #[cube]
 impl LayerEllipse {
-    /// Reads the ellipse from row `gaussian` of the packed ellipses.
-    pub fn of(projected: &[f32], gaussian: usize) -> LayerEllipse {
+    /// Reads the ellipse from row `gaussian` of the packed ellipses, for the tile whose first row has its centres at
+    /// `top` px.
+    pub fn of(projected: &[f32], gaussian: usize, top: f32) -> LayerEllipse {
         let at = gaussian * comptime!(COLUMNS);
         LayerEllipse {
             x: projected[at],
-            y: projected[at + 1],
+            rise: top - projected[at + 1],
             inverse_u: 1.0 / projected[at + 2],
             inverse_v: 1.0 / projected[at + 4],
             shear: projected[at + 3],
@@ -138,15 +144,10 @@ impl LayerEllipse {
         }
     }
 
-    /// An ellipse that shows in no pixel.
-    pub fn nowhere() -> LayerEllipse {
-        LayerEllipse { x: 0.0, y: 0.0, inverse_u: 0.0, inverse_v: 0.0, shear: 0.0, opacity: 0.0 }
-    }
-
     pub fn store(&self, to: &mut Shared<[f32]>, index: usize) {
         let at = index * comptime!(FOOTPRINT);
         to[at] = self.x;
-        to[at + 1] = self.y;
+        to[at + 1] = self.rise;
         to[at + 2] = self.inverse_u;
         to[at + 3] = self.inverse_v;
         to[at + 4] = self.shear;
@@ -157,7 +158,7 @@ impl LayerEllipse {
         let at = index * comptime!(FOOTPRINT);
         LayerEllipse {
             x: from[at],
-            y: from[at + 1],
+            rise: from[at + 1],
             inverse_u: from[at + 2],
             inverse_v: from[at + 3],
             shear: from[at + 4],
@@ -165,28 +166,26 @@ impl LayerEllipse {
         }
     }
 
-    /// Returns `u` in the column at `x` px, and the distance, px, by which the column's pixel in the tile's first row,
-    /// at `top` px, lies below the ellipse's axis. For a lower row, its number is added to the distance. The distance
-    /// times `inverse_v` is `v`.
+    /// Returns `u` in the column at `x` px, and the distance, px, by which the column's pixel in the tile's first row
+    /// lies below the ellipse's axis. For a lower row, its number is added to the distance. The distance times
+    /// `inverse_v` is `v`.
     ///
-    /// The row number is added to a distance, never to a coordinate, whose digits are coarser. Every kernel counts from
-    /// the tile's first row, whatever pixels its units have, so all round alike.
-    pub fn along_column(&self, x: f32, top: f32) -> (f32, f32) {
+    /// The row number is added to a distance, never to a coordinate, whose digits are coarser.
+    pub fn along_column(&self, x: f32) -> (f32, f32) {
         let dx = x - self.x;
-        (dx * self.inverse_u, (top - self.y) - self.shear * dx)
+        (dx * self.inverse_u, fma(-self.shear, dx, self.rise))
     }
 
-    /// Returns `u, v` of the pixel in the column at `x` px, `row` rows below the tile's first row at `top` px.
-    pub fn whiten(&self, x: f32, top: f32, row: f32) -> (f32, f32) {
-        let (u, below) = self.along_column(x, top);
-        (u, (below + row) * self.inverse_v)
-    }
-
-    /// Returns the alpha at whitened coordinates; zero where it is below `alpha_min`.
-    pub fn alpha(&self, u: f32, v: f32, frame: &RasterFrame, #[comptime] shape: KernelShape) -> f32 {
-        let exponent = -(0.5 * (u * u + v * v));
-        let share =
-            if comptime!(shape.polynomial) { power(-exponent * core::f32::consts::LOG2_E) } else { exponent.exp() };
+    /// Returns the alpha at the pixel in the column at `x` px, `row` rows below the tile's first; zero where it is below
+    /// `alpha_min`.
+    ///
+    /// Every kernel takes its alphas from here. Products that are added are written as `fma`, so that no compiler can
+    /// choose whether to round them, and all kernels see the same bits.
+    pub fn alpha(&self, x: f32, row: f32, frame: &RasterFrame, #[comptime] shape: KernelShape) -> f32 {
+        let (u, below) = self.along_column(x);
+        let v = (below + row) * self.inverse_v;
+        let square = fma(u, u, v * v);
+        let share = if comptime!(shape.polynomial) { power(square * HALF_LOG2_E) } else { (square * -0.5f32).exp() };
         let value = min(self.opacity * share, frame.alpha_max);
         select(value >= frame.alpha_min, value, 0.0)
     }
@@ -221,11 +220,11 @@ pub(super) fn transmittance_after_bucket(before: f32, through: f32, stopped: f32
     select(before >= 0.0, select(through >= 0.0, left, -left), before)
 }
 
-/// Returns the first slot of a tile's buckets. Each started bucket has a slot, so no two tiles share one and no list of
-/// slots is needed.
+/// Returns the first slot of a tile's segments. Each started segment has a slot, so no two tiles share one and no list
+/// of slots is needed.
 #[cube]
-pub(super) fn first_bucket(first_place: u32, tile: u32) -> u32 {
-    first_place / comptime!(BUCKET as u32) + tile
+pub(super) fn first_slot(first_place: u32, tile: u32) -> u32 {
+    first_place / comptime!(SEGMENT as u32) + tile
 }
 
 /// Returns channel `channel` of a Gaussian; depth follows the features.

@@ -11,12 +11,12 @@
 //! Shapes: packed ellipses `[N, 7]`, features `[N, C]`, background `[C]` → planes `[C + 1 (+ 1), H, W]`: features,
 //! alpha `1 − T`, and, if requested, depth `Σ wᵢ zᵢ`.
 
+#[cfg(all(test, feature = "cube"))]
+mod alpha_tests;
 #[cfg(feature = "cube")]
 pub(crate) mod backward;
 #[cfg(feature = "cube")]
-mod backward_few_channels;
-#[cfg(feature = "cube")]
-mod backward_many_channels;
+mod blocks;
 pub(crate) mod cpu;
 #[cfg(all(test, feature = "cube"))]
 mod dial_kernel_tests;
@@ -25,6 +25,8 @@ mod dial_tests;
 mod footprint;
 #[cfg(feature = "cube")]
 mod forward;
+#[cfg(feature = "cube")]
+mod gather;
 #[cfg(all(test, feature = "cube"))]
 mod kernel_tests;
 #[cfg(feature = "cube")]
@@ -32,14 +34,16 @@ pub(crate) mod launch;
 #[cfg(feature = "cube")]
 pub(crate) mod layer;
 #[cfg(feature = "cube")]
-mod pixels;
-#[cfg(feature = "cube")]
 mod power;
 mod prepared;
+#[cfg(feature = "cube")]
+mod suffix;
 #[cfg(test)]
 mod tests;
 mod tile;
 mod tile_backward;
+#[cfg(feature = "cube")]
+pub(crate) mod trace;
 
 use std::any::Any;
 use std::ops::Range;

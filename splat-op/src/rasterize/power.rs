@@ -19,7 +19,7 @@ pub(super) fn power(q: f32) -> f32 {
     let mut sum = f32::new(SERIES[0]);
     #[unroll]
     for i in 1..8usize {
-        sum = sum * t + comptime!(SERIES[i]);
+        sum = fma(sum, t, f32::new(SERIES[i]));
     }
     let scale = f32::reinterpret((127u32 - u32::cast_from(n)) << 23);
     select(q <= LARGEST, sum * scale, 0.0)

@@ -13,7 +13,8 @@ use cubecl::prelude::*;
 use super::layer::{CHUNK, RayFrame, RayGaussian, RayInputs, Walk};
 use crate::depth_slope::DEPTH_SLOPE;
 use crate::intersect::TILE_PIXELS;
-use crate::rasterize::backward::{self, MOMENTS, tile_of};
+use crate::intersect::forward::TileLists;
+use crate::rasterize::backward::{self, MOMENTS};
 use crate::rasterize::layer::{KernelShape, TilePixel, tile_origin};
 
 /// Number of columns of a row: those of `rasterize` and the gradient of the depth slope.
@@ -118,6 +119,22 @@ pub(super) fn rasterize_rays_walk_kernel(
     }
 }
 
+/// Returns the last of the tiles `first..end` whose list begins at or before `place`: the tile whose list holds it.
+#[cube]
+fn tile_of(lists: &TileLists, first: u32, end: u32, place: u32) -> u32 {
+    let mut low = first;
+    let mut high = end;
+    while high - low > 1 {
+        let middle = low + (high - low) / 2;
+        if lists.start(middle) <= place {
+            low = middle;
+        } else {
+            high = middle;
+        }
+    }
+    low
+}
+
 /// Writes the rows `[H, row]` of the intersections of a run of tiles.
 #[cube(launch_unchecked)]
 pub(super) fn rasterize_rays_sums_kernel(
@@ -130,7 +147,7 @@ pub(super) fn rasterize_rays_sums_kernel(
 ) {
     let place = inputs.lists.start(view.first_tile) + ABSOLUTE_POS as u32;
     if place < inputs.lists.start(view.end_tile) {
-        let tile = tile_of(&inputs.lists, view.first_tile, view.end_tile, place, false);
+        let tile = tile_of(&inputs.lists, view.first_tile, view.end_tile, place);
         let origin = tile_origin(tile, &view.frame);
         let intersection = inputs.lists.intersection(place);
         let footprint = RayGaussian::load(&inputs, inputs.lists.gaussian(place) as usize);

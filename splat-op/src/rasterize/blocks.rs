@@ -1,0 +1,225 @@
+//! Blocks of a tile: 8 × 4 pixels each, the pixels of 32 consecutive units. A block evaluates only the Gaussians whose
+//! ellipse meets it.
+
+use cubecl::prelude::*;
+
+use super::layer::{LayerEllipse, RasterFrame};
+use crate::gpu::math::{finite, within};
+use crate::intersect::TILE;
+
+/// Width and height of a block, px.
+pub(super) const WIDTH: usize = 8;
+pub(super) const HEIGHT: usize = 4;
+
+/// Number of pixels in a block, one unit each.
+pub(super) const BLOCK: usize = WIDTH * HEIGHT;
+
+/// Number of blocks side by side in a tile.
+const ACROSS: usize = TILE / WIDTH;
+
+/// Number of blocks in a tile.
+pub(super) const BLOCKS: usize = ACROSS * (TILE / HEIGHT);
+
+/// Number of blocks in a half of a tile, the upper or the lower.
+pub(super) const HALF: usize = BLOCKS / 2;
+
+/// Bound of the rounding error of a coordinate, relative to the largest coordinate in its formula: 16 roundings of f32.
+const SLIP: f32 = 1e-6;
+
+/// Returns the index within the tile, counted row by row, of the pixel of unit `unit`.
+#[cube]
+pub(super) fn pixel_of(unit: u32) -> u32 {
+    let block = unit / comptime!(BLOCK as u32);
+    let lane = unit % comptime!(BLOCK as u32);
+    let column = block % comptime!(ACROSS as u32) * comptime!(WIDTH as u32) + lane % comptime!(WIDTH as u32);
+    let row = block / comptime!(ACROSS as u32) * comptime!(HEIGHT as u32) + lane / comptime!(WIDTH as u32);
+    row * comptime!(TILE as u32) + column
+}
+
+/// Returns the blocks in half `half` of a tile whose pixel centres the ellipse `alpha >= alpha_min` meets, one bit each.
+/// `left` is the centre of the tile's first column, px. No pixel that would see an alpha is left out.
+///
+/// The least `u² + v²` over a rectangle lies on a side that faces the ellipse's centre, or is zero if it holds the
+/// centre. On a side it is the minimum of a parabola. Both sides nearest to the centre are tried, whether they face it
+/// or not: a point of the rectangle has no less than the least.
+#[cube]
+pub(super) fn blocks_met(ellipse: LayerEllipse, left: f32, half: u32, frame: &RasterFrame) -> u32 {
+    let last = comptime!((TILE - 1) as f32);
+    let dx = left - ellipse.x;
+    let dy = ellipse.rise;
+    let farthest_x = max(dx.abs(), (dx + last).abs());
+    let farthest_y = fma(farthest_x, ellipse.shear.abs(), max(dy.abs(), (dy + last).abs()));
+    // A relative margin for the logarithm, an absolute one for the exponential.
+    let limit = fma(max(ellipse.opacity.ln() - frame.log_least, 0.0), 2.00002f32, 1e-4f32);
+    let slip = fma(farthest_x, ellipse.inverse_u, farthest_y * ellipse.inverse_v) * SLIP;
+    let extent = limit.sqrt() + slip;
+    let bound = extent * extent;
+    // The minimum on a horizontal side at `dy` lies at `slope dy`. With `p = shear sigma_u / sigma_v` the slope is
+    // `p / (1 + p²)` times `sigma_u / sigma_v`; both parts of the fraction are divided by the larger of 1 and `p`.
+    let ratio = ellipse.inverse_v / ellipse.inverse_u;
+    let p = ellipse.shear * ratio;
+    let scale = 1.0 / max(p.abs(), 1.0);
+    let scaled = p * scale;
+    let slope = ratio * scale * scaled / fma(scale, scale, scaled * scaled);
+    let sound =
+        finite(slope) && finite(p) && finite(farthest_y) && finite(ellipse.inverse_u) && finite(ellipse.inverse_v);
+
+    let mut met = 0u32;
+    #[unroll]
+    for block in 0..comptime!(HALF) {
+        let low_x = dx + comptime!((block % ACROSS * WIDTH) as f32);
+        let high_x = low_x + comptime!((WIDTH - 1) as f32);
+        let row = half * comptime!((TILE / 2) as u32) + comptime!((block / ACROSS * HEIGHT) as u32);
+        let low_y = dy + f32::cast_from(row);
+        let high_y = low_y + comptime!((HEIGHT - 1) as f32);
+        let near_x = within(0.0, low_x, high_x);
+        let near_y = within(0.0, low_y, high_y);
+        let beside = whitened(&ellipse, near_x, within(ellipse.shear * near_x, low_y, high_y));
+        let above = whitened(&ellipse, within(slope * near_y, low_x, high_x), near_y);
+        if !sound || beside <= bound || above <= bound {
+            met |= comptime!(1u32 << block);
+        }
+    }
+    met
+}
+
+/// Returns `u² + v²` at an offset from the ellipse's centre, px.
+#[cube]
+fn whitened(ellipse: &LayerEllipse, dx: f32, dy: f32) -> f32 {
+    let u = dx * ellipse.inverse_u;
+    let v = fma(-ellipse.shear, dx, dy) * ellipse.inverse_v;
+    fma(u, u, v * v)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::layer::{KernelShape, RasterFrame, TilePixel, tile_origin};
+    use super::*;
+    use crate::camera::Intrinsics;
+    use crate::gpu::{Buffer, cubes};
+    use crate::intersect::TILE_PIXELS;
+    use crate::options::RenderOptions;
+    use crate::project::{COLUMNS, Ellipse};
+    use crate::rasterize::RasterizeSpec;
+    use crate::rasterize::launch::frame;
+    use crate::testing::gpu::gpu;
+    use crate::testing::random::Random;
+    use cubecl::prelude::CubeDim;
+
+    /// For each ellipse, at the tile of its number, writes whether each pixel sees an alpha and whether its block is met.
+    #[cube(launch_unchecked)]
+    fn pixels_kernel(
+        projected: &[f32],
+        tiles: &[u32],
+        sees: &mut [u32],
+        frame: RasterFrame,
+        count: u32,
+        #[comptime] shape: KernelShape,
+    ) {
+        if CUBE_POS < count as usize {
+            let tile = tiles[CUBE_POS];
+            let pixel = TilePixel::of(tile_origin(tile, &frame), pixel_of(UNIT_POS), &frame);
+            let left = f32::cast_from(tile % frame.tiles_x * comptime!(TILE as u32)) + 0.5;
+            let ellipse = LayerEllipse::of(projected, CUBE_POS, pixel.top);
+            let block = UNIT_POS / comptime!(BLOCK as u32);
+            let half = block / comptime!(HALF as u32);
+            let met = (blocks_met(ellipse, left, half, &frame) >> (block % comptime!(HALF as u32))) & 1;
+            let alpha = ellipse.alpha(pixel.x, pixel.row, &frame, shape);
+            sees[CUBE_POS * comptime!(TILE_PIXELS) + UNIT_POS as usize] = met * 2 + select(alpha > 0.0, 1u32, 0u32);
+        }
+    }
+
+    const SIZE: usize = 4096;
+
+    /// Ellipses near the tile at `corner` px: of ordinary size, or of any size, shape and distance.
+    fn ellipse(random: &mut Random, corner: [f64; 2], ordinary: bool, opacity: [f64; 2]) -> Ellipse<f64> {
+        let mut logarithmic = |low: f64, high: f64| low * (high / low).powf(random.between(0.0, 1.0));
+        let (sigma_u, sigma_v) = match ordinary {
+            true => (logarithmic(0.55, 20.0), logarithmic(0.55, 20.0)),
+            false => (logarithmic(1e-3, 1e6), logarithmic(1e-3, 1e5)),
+        };
+        let (steepest, away) = match ordinary {
+            true => (2.0, logarithmic(0.1, 3.0) * sigma_u),
+            false => (logarithmic(1e-3, 1e4), logarithmic(1e-3, 8.0) * sigma_u),
+        };
+        let opacity = logarithmic(opacity[0], opacity[1]);
+        let shear = random.between(-steepest, steepest);
+        // The axis of long ellipses passes through or near the tile.
+        let along = if random.between(0.0, 1.0) < 0.5 { away } else { -away };
+        let across = random.between(-4.0, 4.0) * sigma_v;
+        let place = [0, 1].map(|axis| corner[axis] + random.between(-2.0, 18.0));
+        Ellipse {
+            mean_px: [place[0] - along, place[1] - shear * along - across],
+            sigma_u,
+            shear,
+            sigma_v,
+            depth: 1.0,
+            opacity,
+        }
+    }
+
+    /// Returns the numbers of pixels that see an alpha, of those whose block is not met, of blocks with such pixels and of
+    /// blocks met.
+    fn counts(random: &mut Random, options: RenderOptions, ordinary: bool, opacity: [f64; 2]) -> Option<[usize; 4]> {
+        const COUNT: usize = 5_000;
+        let gpu = gpu()?;
+        let across = SIZE / TILE;
+        let tiles: Vec<u32> = (0..COUNT).map(|i| (i * 7919 % (across * across)) as u32).collect();
+        let rows = tiles.iter().flat_map(|&tile| {
+            let corner = [tile as usize % across, tile as usize / across].map(|tile| (tile * TILE) as f64);
+            ellipse(random, corner, ordinary, opacity).to_row()
+        });
+        let rows: Vec<f32> = rows.map(|v| v as f32).collect();
+        assert_eq!(rows.len(), COUNT * COLUMNS);
+        let spec = RasterizeSpec { intrinsics: Intrinsics::centred(SIZE, SIZE, 1000.0), options };
+        let sees = Buffer::<u32>::new(&gpu, COUNT * TILE_PIXELS);
+        // SAFETY: every access is guarded by the count.
+        unsafe {
+            pixels_kernel::launch_unchecked(
+                &gpu.client,
+                cubes(COUNT),
+                CubeDim::new_1d(TILE_PIXELS as u32),
+                Buffer::from_slice(&gpu, &rows).arg(),
+                Buffer::from_slice(&gpu, &tiles).arg(),
+                sees.arg(),
+                frame(&spec),
+                COUNT as u32,
+                KernelShape::of(3, &options),
+            );
+        }
+        let sees = sees.read(&gpu);
+        let blocks = || sees.chunks_exact(BLOCK);
+        assert!(blocks().all(|block| block.iter().all(|pixel| pixel / 2 == block[0] / 2)), "one answer a block");
+        Some([
+            sees.iter().filter(|pixel| *pixel % 2 == 1).count(),
+            sees.iter().filter(|pixel| **pixel == 1).count(),
+            blocks().filter(|block| block.iter().any(|pixel| pixel % 2 == 1)).count(),
+            blocks().filter(|block| block[0] / 2 == 1).count(),
+        ])
+    }
+
+    #[test]
+    fn no_pixel_that_sees_an_alpha_is_left_out() {
+        let mut random = Random::new(31);
+        for alpha_min in [1.0 / 255.0, 0.5, 1.0 / 67_108_864.0, 0.0] {
+            for exponential in [crate::Exponential::Library, crate::Exponential::Polynomial] {
+                let options = RenderOptions { alpha_min, ..RenderOptions::standard() }.with_exponential(exponential);
+                for (ordinary, opacity) in [(true, [0.004, 1.0]), (false, [0.004, 1.0]), (false, [0.5, 1e6])] {
+                    let opacity = opacity.map(|opacity: f64| opacity.max(alpha_min));
+                    let Some([seen, lost, needed, met]) = counts(&mut random, options, ordinary, opacity) else {
+                        return;
+                    };
+                    let what = format!("alpha_min {alpha_min}, {exponential:?}, ordinary {ordinary}, {opacity:?}");
+                    println!("{what}: {seen} pixels see an alpha, {needed} blocks needed, {met} met");
+                    assert!(seen > 2_500, "{what}: {seen} pixels prove nothing");
+                    assert_eq!(lost, 0, "{what}: {lost} of {seen}");
+                    // Thin ellipses may pass between the centres of a block's pixels.
+                    assert!(
+                        !ordinary || met as f64 <= 1.2 * needed as f64,
+                        "{what}: {met} blocks met, {needed} needed"
+                    );
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,97 @@
+//! Last kernel of the backward pass: rows of sums to gradients. `rasterize_rays` shares it.
+
+use cubecl::prelude::*;
+
+use super::backward::MOMENTS;
+use super::layer::KernelShape;
+use crate::project::COLUMNS;
+
+/// Turns rows into gradients. With `e = −(u² + v²)/2`: `∂e/∂sigma_u = u²/sigma_u`, `∂e/∂sigma_v = v²/sigma_v`,
+/// `∂e/∂shear = u v sigma_u/sigma_v`, `∂e/∂mean = (u/sigma_u − v shear/sigma_v, v/sigma_v)`; and
+/// `∂α/∂opacity = α/opacity`.
+///
+/// A row has the moments, the channels, with rays the gradient of the depth slope, and in the last two columns the
+/// sums of absolute values, if they are wanted. Gradients of Gaussians without intersections are not written: the
+/// buffers must hold zeros.
+#[cube(launch_unchecked)]
+pub(super) fn rasterize_gather_kernel(
+    projected: &[f32],
+    order: &[u32],
+    first_intersection: &[u32],
+    rows: &[f32],
+    mut grad_projected: ComptimeOption<Box<[f32]>>,
+    mut grad_features: ComptimeOption<Box<[f32]>>,
+    mut grad_absolute: ComptimeOption<Box<[f32]>>,
+    mut grad_depth_slopes: ComptimeOption<Box<[f32]>>,
+    visible: u32,
+    intersections: u32,
+    #[comptime] shape: KernelShape,
+    #[comptime] columns: usize,
+    #[comptime] slopes: usize,
+    #[comptime] per_intersection: bool,
+) {
+    let few = comptime!(shape.few());
+    let rank = ABSOLUTE_POS;
+    if rank < visible as usize {
+        let gaussian = order[rank] as usize;
+        let mut row = Array::<f32>::new(columns);
+        if comptime!(per_intersection) {
+            let first = first_intersection[rank];
+            let mut end = intersections;
+            if rank + 1 < visible as usize {
+                end = first_intersection[rank + 1];
+            }
+            #[unroll(few)]
+            for column in 0..columns {
+                row[column] = 0.0f32;
+            }
+            for intersection in first..end {
+                #[unroll(few)]
+                for column in 0..columns {
+                    row[column] += rows[intersection as usize * columns + column];
+                }
+            }
+        } else {
+            #[unroll(few)]
+            for column in 0..columns {
+                row[column] = rows[gaussian * columns + column];
+            }
+        }
+        let at = gaussian * comptime!(COLUMNS);
+        #[comptime]
+        if let ComptimeOption::Some(out) = &mut grad_projected {
+            let sigma_u = projected[at + 2];
+            let shear = projected[at + 3];
+            let sigma_v = projected[at + 4];
+            let per_v = row[2] / sigma_v;
+            out[at] = row[1] / sigma_u - shear * per_v;
+            out[at + 1] = per_v;
+            out[at + 2] = row[3] / sigma_u;
+            out[at + 3] = row[4] * (sigma_u / sigma_v);
+            out[at + 4] = row[5] / sigma_v;
+            if comptime!(shape.depth) {
+                out[at + 5] = row[comptime!(MOMENTS + shape.features)];
+            }
+            out[at + 6] = row[0] / projected[at + 6];
+        }
+        #[comptime]
+        if let ComptimeOption::Some(out) = &mut grad_features {
+            #[unroll(few)]
+            for channel in 0..comptime!(shape.features) {
+                out[gaussian * comptime!(shape.features) + channel] = row[comptime!(MOMENTS) + channel];
+            }
+        }
+        #[comptime]
+        if let ComptimeOption::Some(out) = &mut grad_absolute {
+            out[2 * gaussian] = row[comptime!(columns - 2)];
+            out[2 * gaussian + 1] = row[comptime!(columns - 1)];
+        }
+        #[comptime]
+        if let ComptimeOption::Some(out) = &mut grad_depth_slopes {
+            #[unroll]
+            for k in 0..slopes {
+                out[gaussian * slopes + k] = row[comptime!(MOMENTS + shape.channels() + k)];
+            }
+        }
+    }
+}

@@ -1,0 +1,148 @@
+//! The trace: what the forward pass keeps for the backward pass, in one or more runs of tiles. One run suffices unless
+//! its buffers would exceed the device's largest.
+
+use std::ops::Range;
+
+use cubecl::prelude::*;
+
+use super::forward::{PAIR_COUNTS, WORDS};
+use super::layer::{KernelShape, SEGMENT};
+use crate::counters::PairCounts;
+use crate::gpu::{Buffer, Gpu};
+use crate::intersect::TILE_PIXELS;
+use crate::intersect::launch::DeviceIntersections;
+use crate::limits::Need;
+
+/// The tiles of a launch.
+#[derive(CubeType, CubeLaunch, Clone, Copy)]
+#[expand(derive(Clone, Copy))]
+pub(super) struct TileRun {
+    pub first_tile: u32,
+    pub end_tile: u32,
+    /// Slot of the first tile's first segment if all tiles had one run; slots of a run are counted from it.
+    pub first_slot: u32,
+}
+
+/// Values that the forward pass keeps.
+#[derive(Clone, Debug)]
+pub(crate) struct DeviceTrace {
+    pub(super) runs: Vec<TraceRun>,
+    /// `[tiles, 256]`: the transmittance behind all layers.
+    pub(super) final_transmittance: Buffer<f32>,
+    /// `[tiles]`: number of segments passed before every pixel was finished.
+    pub(super) segment_count: Buffer<u32>,
+    /// `[tiles, 256, 3]`: numbers of pairs, if they are counted.
+    pub(super) pairs: Option<Buffer<u32>>,
+}
+
+#[cfg(test)]
+impl DeviceTrace {
+    /// Number of runs.
+    pub fn runs(&self) -> usize {
+        self.runs.len()
+    }
+}
+
+/// Values of a run of tiles. Pixels are counted by unit, block by block.
+#[derive(Clone, Debug)]
+pub(super) struct TraceRun {
+    pub slots: RunSlots,
+    /// `[slots, kept, 256]`: values per segment and pixel; see [`KernelShape::kept`].
+    pub kept: Buffer<f32>,
+    /// `[slots, 4, 8]`: for each bucket and block, the places that some pixel of the block needs, one bit each.
+    pub words: Buffer<u32>,
+    /// `[slots]`: the tile of each slot.
+    pub tile_of_slot: Buffer<u32>,
+}
+
+/// Tiles of a run and the slots of their segments.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct RunSlots {
+    pub tiles: Range<usize>,
+    pub slots: Range<usize>,
+}
+
+impl RunSlots {
+    pub fn arg(&self) -> TileRunLaunch {
+        TileRunLaunch::new(self.tiles.start as u32, self.tiles.end as u32, self.slots.start as u32)
+    }
+}
+
+/// Hint in error messages: how to make a render keep less for its backward pass.
+pub(super) const FEWER_PLACES: &str =
+    "train on smaller pictures, raise `alpha_min`, or render parts of the picture with several cameras";
+
+impl TraceRun {
+    /// Allocates the buffers of a run, or empty ones if nothing is kept.
+    pub fn new(gpu: &Gpu, slots: RunSlots, shape: KernelShape, keep: bool) -> Self {
+        let count = if keep { slots.slots.len() } else { 0 };
+        let kept = count * shape.kept() * TILE_PIXELS;
+        Need { what: "the trace of a tile for the backward pass", bytes: 4 * kept as u64, hint: FEWER_PLACES }
+            .assert_fits(gpu.buffer_limit);
+        Self {
+            kept: Buffer::with_headroom(gpu, kept),
+            words: Buffer::with_headroom(gpu, count * WORDS),
+            tile_of_slot: Buffer::with_headroom(gpu, count),
+            slots,
+        }
+    }
+}
+
+impl DeviceTrace {
+    /// Returns the numbers of pairs, if they were counted. Waits for the device.
+    pub fn pair_counts(&self, gpu: &Gpu) -> Option<PairCounts> {
+        let mut sums = [0; PAIR_COUNTS];
+        for counts in read(gpu, self.pairs.as_ref()?).as_chunks::<PAIR_COUNTS>().0 {
+            sums.iter_mut().zip(counts).for_each(|(sum, count)| *sum += u64::from(*count));
+        }
+        let [evaluated_forwards, evaluated_backwards, contributing] = sums;
+        Some(PairCounts { evaluated_forwards, evaluated_backwards, contributing })
+    }
+}
+
+/// Copies a buffer to the host.
+fn read(gpu: &Gpu, buffer: &Buffer<u32>) -> Vec<u32> {
+    let read = gpu.client.read_one(buffer.handle.clone()).unwrap_or_else(|error| panic!("{error}"));
+    bytemuck::pod_collect_to_vec(&read[..4 * buffer.len])
+}
+
+/// Returns the runs of a trace. Waits for the device if one run does not fit its largest buffer.
+pub(super) fn runs_of(gpu: &Gpu, lists: &DeviceIntersections, shape: KernelShape, keep: bool) -> Vec<RunSlots> {
+    let tiles = lists.counts.len;
+    let slots = lists.intersections / SEGMENT + tiles;
+    let room = (gpu.buffer_limit / (4 * (shape.kept() * TILE_PIXELS) as u64)) as usize;
+    if !keep || slots <= room {
+        return vec![RunSlots { tiles: 0..tiles, slots: 0..slots }];
+    }
+    split(&read(gpu, &lists.tile_start), room)
+}
+
+/// Splits tiles that begin at the places `starts` into runs of at most `room` slots, unless a run is a single tile.
+fn split(starts: &[u32], room: usize) -> Vec<RunSlots> {
+    let first_slot = |tile: usize| starts[tile] as usize / SEGMENT + tile;
+    let (mut runs, mut first) = (Vec::new(), 0);
+    for end in 1..starts.len() {
+        let last = end + 1 == starts.len();
+        if last || first_slot(end + 1) - first_slot(first) > room {
+            runs.push(RunSlots { tiles: first..end, slots: first_slot(first)..first_slot(end) });
+            first = end;
+        }
+    }
+    runs
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn runs_hold_whole_tiles_and_all_slots() {
+        // Tiles of 3, 1, 1 and 2 started segments; a slot may stay empty between two tiles.
+        let starts = [0, 300, 300, 428, 600];
+        let run = |tiles, slots| RunSlots { tiles, slots };
+        assert_eq!(split(&starts, 100), [run(0..4, 0..8)]);
+        assert_eq!(split(&starts, 4), [run(0..2, 0..4), run(2..4, 4..8)]);
+        assert_eq!(split(&starts, 1), [run(0..1, 0..3), run(1..2, 3..4), run(2..3, 4..6), run(3..4, 6..8)]);
+        assert_eq!(split(&[0, 0], 1), [run(0..1, 0..1)]);
+    }
+}
