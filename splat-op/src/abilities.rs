@@ -14,8 +14,6 @@ use crate::limits::Need;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Abilities {
-    /// Whether plane (subgroup, warp) operations are supported. The fallback is shared memory.
-    pub planes: bool,
     /// Whether atomic addition of f32 is supported. The fallback exchanges the bits atomically.
     pub float_atomics: bool,
 }
@@ -27,7 +25,7 @@ impl Abilities {
     /// # Panics
     /// If the driver cannot open the device.
     pub fn of(device: &Device) -> Option<Self> {
-        gpu(device).map(|Gpu { planes, float_atomics, .. }| Self { planes, float_atomics })
+        gpu(device).map(|Gpu { float_atomics, .. }| Self { float_atomics })
     }
 }
 

@@ -4,7 +4,7 @@ use std::sync::OnceLock;
 
 use burn::tensor::Device;
 use splat_hard_cases::{Processor, TestDevice};
-use splat_train::device::{AdapterDevice, AdapterKind, DeviceName, open};
+use splat_train::device::{AdapterDevice, AdapterKind, DeviceName, Runtime, open};
 
 use crate::data::announce;
 
@@ -42,7 +42,7 @@ pub fn ndarray() -> Device {
 
 /// Returns the best adapter that the runtimes of this build find, a driver in software if there is nothing better. The
 /// variable `SPLAT_GPU` controls the result: `skip` returns `None`, `require` panics if there is no adapter, and unset
-/// returns `None` if there is no adapter. The first call prints the adapter or the reason for skipping, and from then on
+/// returns `None` if there is no adapter. `SPLAT_RUNTIME` names the only runtime that is asked. The first call prints the adapter or the reason for skipping, and from then on
 /// the kernels' buffers begin as NaN.
 ///
 /// # Panics
@@ -63,12 +63,19 @@ pub fn gpu() -> Option<Device> {
 fn find() -> Result<(String, Device), String> {
     let found = adapter()?;
     let facts = open(&found).map_err(|error| error.to_string())?;
-    let planes = if facts.planes { "with planes" } else { "without planes" };
-    Ok((format!("{facts}, {planes}"), found.device))
+    Ok((facts.to_string(), found.device))
 }
 
 fn adapter() -> Result<AdapterDevice, String> {
-    Ok(DeviceName::Gpu.find().map_err(|error| error.to_string())?.0.expect("`gpu` is never the CPU"))
+    let name = match std::env::var("SPLAT_RUNTIME") {
+        Err(_) => DeviceName::Gpu,
+        Ok(wish) => {
+            let runtime = Runtime::built().into_iter().find(|runtime| runtime.feature() == wish);
+            let runtime = runtime.ok_or_else(|| format!("SPLAT_RUNTIME={wish} is no runtime of this build"))?;
+            DeviceName::Adapter(runtime, None)
+        }
+    };
+    Ok(name.find().map_err(|error| error.to_string())?.0.expect("a GPU's name is never the CPU"))
 }
 
 /// Applies the rules of `SPLAT_GPU`: returns the line to print and the device, or the failure.

@@ -9,8 +9,7 @@ use crate::device::{self, Adapter, AdapterDevice, DeviceName, Runtime, choose};
 use crate::progress;
 
 /// Head of the table. The first column is the value of `--device`.
-const COLUMNS: [&str; 7] =
-    ["--device", "adapter", "kind", "runtime", "largest buffer", "f32 atomics", "plane operations"];
+const COLUMNS: [&str; 6] = ["--device", "adapter", "kind", "runtime", "largest buffer", "f32 atomics"];
 
 type TableRow = [String; COLUMNS.len()];
 
@@ -38,20 +37,19 @@ fn cpu(name: DeviceName) -> TableRow {
     let threads = thread::available_parallelism().map_or(1, NonZero::get);
     let adapter = format!("the CPU, {threads} {}", if threads == 1 { "thread" } else { "threads" });
     let runtime = format!("Burn's {name} backend");
-    [name.to_string(), adapter, "processor".into(), runtime, "-".into(), "-".into(), "-".into()]
+    [name.to_string(), adapter, "processor".into(), runtime, "-".into(), "-".into()]
 }
 
 fn adapter(found: &AdapterDevice) -> TableRow {
     let (name, kind) = (found.adapter.name().to_string(), found.adapter.kind.to_string());
     match device::open(found) {
         Ok(facts) => {
-            let yes_or_no = |yes| if yes { "yes" } else { "no" }.to_owned();
-            let (atomics, planes) = (yes_or_no(facts.float_atomics), yes_or_no(facts.planes));
-            [name, facts.name, kind, facts.runtime, bytes(facts.buffer_limit), atomics, planes]
+            let atomics = if facts.float_atomics { "yes" } else { "no" }.to_owned();
+            [name, facts.name, kind, facts.runtime, bytes(facts.buffer_limit), atomics]
         }
         Err(error) => {
             let dash = || "-".to_owned();
-            [name, error.to_string(), kind, found.adapter.runtime.feature().into(), dash(), dash(), dash()]
+            [name, error.to_string(), kind, found.adapter.runtime.feature().into(), dash(), dash()]
         }
     }
 }
@@ -128,12 +126,12 @@ mod tests {
     fn columns_are_aligned() {
         let row = |name: &str, adapter: &str| {
             let mut row: TableRow = Default::default();
-            (row[0], row[1], row[6]) = (name.into(), adapter.into(), "no".into());
+            (row[0], row[1], row[5]) = (name.into(), adapter.into(), "no".into());
             row
         };
         let lines = table(&[row("flex", "é"), row("a long name", "")]);
         assert_eq!(lines.len(), 3);
-        let start = lines[0].find("plane").expect("the last column");
+        let start = lines[0].find("f32 atomics").expect("the last column");
         assert!(lines[0].starts_with("--device     adapter  kind"), "{}", lines[0]);
         for line in &lines[1..] {
             assert_eq!(line.chars().skip(start).collect::<String>(), "no", "{line}");

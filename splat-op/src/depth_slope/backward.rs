@@ -70,7 +70,6 @@ pub(super) fn depth_slope_backward_kernel(
     pose_rows: ComptimeOption<&mut [f32]>,
     lens: ProjectCamera,
     count: u32,
-    #[comptime] planes: bool,
 ) {
     let wanted = comptime!(GeometryGradMask {
         means: grad_means.is_some(),
@@ -141,6 +140,6 @@ pub(super) fn depth_slope_backward_kernel(
     }
     #[comptime]
     if let ComptimeOption::Some(rows) = pose_rows {
-        store_pose(&of.pose, rows, count, planes);
+        store_pose(&of.pose, rows, count);
     }
 }

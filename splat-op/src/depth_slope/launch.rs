@@ -96,7 +96,6 @@ pub(crate) fn launch_depth_slope_backward(
                 output(&grads.cam_from_world),
                 lens(spec),
                 count as u32,
-                gpu.planes,
             );
         }
     })

@@ -86,6 +86,12 @@ impl Vec3 {
         }
     }
 
+    /// Whether no component is infinite or NaN.
+    pub fn is_finite(&self) -> bool {
+        let (x, y, z) = (u32::reinterpret(self.x), u32::reinterpret(self.y), u32::reinterpret(self.z));
+        max(max(x & comptime!(EXPONENT), y & comptime!(EXPONENT)), z & comptime!(EXPONENT)) != comptime!(EXPONENT)
+    }
+
     /// The largest absolute component.
     pub fn largest(&self) -> f32 {
         max(max(self.x.abs(), self.y.abs()), self.z.abs())

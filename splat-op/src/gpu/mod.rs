@@ -7,10 +7,8 @@ pub(crate) mod half;
 pub(crate) mod math;
 pub(crate) mod reduce;
 
-use std::sync::LazyLock;
-
 use cubecl::client::Client;
-use cubecl::features::{AtomicUsage, Plane};
+use cubecl::features::AtomicUsage;
 use cubecl::ir::{ElemType, FloatKind, Type};
 use cubecl::prelude::{CubeCount, CubeDim};
 
@@ -29,8 +27,6 @@ const CUBES_X: usize = 32_768;
 #[derive(Clone)]
 pub(crate) struct Gpu {
     pub client: Client,
-    /// Whether plane (subgroup) sums are supported; otherwise sums go through shared memory.
-    pub planes: bool,
     /// Whether atomic addition of floats is supported; otherwise additions exchange the bits of floats.
     pub float_atomics: bool,
     /// Size of the largest buffer, bytes.
@@ -47,26 +43,11 @@ impl Gpu {
         let properties = client.properties();
         let float = Type::atomic(Type::from(ElemType::Float(FloatKind::F32)));
         Self {
-            planes: properties.features.plane.contains(Plane::Ops) || planes_forced(),
             float_atomics: properties.atomic_type_usage(float).contains(AtomicUsage::Add),
             buffer_limit: properties.memory.max_page_size.min(INDEX_LIMIT),
             client: client.clone(),
         }
     }
-}
-
-/// Whether `SPLAT_PLANES=force` is set: CubeCL withholds the plane operations of software drivers, which serve to test the kernels
-/// that use them.
-///
-/// # Panics
-/// If the variable has another value.
-fn planes_forced() -> bool {
-    static FORCED: LazyLock<bool> = LazyLock::new(|| match std::env::var_os("SPLAT_PLANES") {
-        None => false,
-        Some(value) if value == "force" => true,
-        Some(other) => panic!("SPLAT_PLANES={} is not supported: set it to `force`, or unset it", other.display()),
-    });
-    *FORCED
 }
 
 /// Returns a dispatch of at least `cubes` cubes, within the limits of every device. Kernels number their cubes by `CUBE_POS` and

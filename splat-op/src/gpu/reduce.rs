@@ -1,4 +1,7 @@
 //! Sums over the units of a cube.
+//!
+//! They go through shared memory. Plane (subgroup) operations would save two barriers of a cube in kernels that have other work,
+//! promise no order of units, and be a second form of every kernel.
 
 use cubecl::prelude::*;
 
@@ -13,8 +16,8 @@ pub(crate) const SUM_ROOM: usize = UNITS + UNITS / GROUP;
 /// Returns the sum of the values of all previous units, in the order of `UNIT_POS`, and the sum over all units, in a cube of
 /// [`UNITS`] units. The sums must fit into u32. `shared` holds [`SUM_ROOM`] numbers.
 ///
-/// There is no form with plane operations: devices promise no order of units in planes, and planes save nothing. A unit reads
-/// the 16 values of its group and the 16 sums of groups, which neighbouring units read at the same time, between three barriers.
+/// A unit reads the 16 values of its group and the 16 sums of groups, which neighbouring units read at the same time, between
+/// three barriers.
 #[cube]
 pub(crate) fn cube_exclusive_sum(value: u32, shared: &mut Shared<[u32]>) -> (u32, u32) {
     let unit = UNIT_POS as usize;
@@ -44,39 +47,27 @@ pub(crate) fn cube_exclusive_sum(value: u32, shared: &mut Shared<[u32]>) -> (u32
     (before, total)
 }
 
-/// Returns the sum of the values of all units in a cube of [`UNITS`] units. The result is the same in every unit and in every
-/// run. `shared` holds [`UNITS`] numbers.
+/// Returns the sum of the values of all units in a cube of [`UNITS`] units. The result is the same in every unit, in every run
+/// and on every device. `shared` holds [`UNITS`] numbers.
 #[cube]
-pub(crate) fn cube_sum(value: f32, shared: &mut Shared<[f32]>, #[comptime] planes: bool) -> f32 {
+pub(crate) fn cube_sum(value: f32, shared: &mut Shared<[f32]>) -> f32 {
     let unit = UNIT_POS as usize;
+    shared[unit] = value;
+    sync_cube();
+    let mut group_total = 0.0f32;
+    if unit < comptime!(UNITS / GROUP) {
+        for i in 0..comptime!(GROUP) {
+            group_total += shared[unit * comptime!(GROUP) + i];
+        }
+    }
+    sync_cube();
+    if unit < comptime!(UNITS / GROUP) {
+        shared[unit] = group_total;
+    }
+    sync_cube();
     let mut total = 0.0f32;
-    if comptime!(planes) {
-        let sum = plane_sum(value);
-        // The number that the device gives the plane: planes are full, but need not hold units in the order of `UNIT_POS`.
-        if UNIT_POS_PLANE == 0 {
-            shared[PLANE_POS as usize] = sum;
-        }
-        sync_cube();
-        for plane in 0..(PLANE_DIM + comptime!(UNITS as u32 - 1)) / PLANE_DIM {
-            total += shared[plane as usize];
-        }
-    } else {
-        shared[unit] = value;
-        sync_cube();
-        let mut group_total = 0.0f32;
-        if unit < comptime!(UNITS / GROUP) {
-            for i in 0..comptime!(GROUP) {
-                group_total += shared[unit * comptime!(GROUP) + i];
-            }
-        }
-        sync_cube();
-        if unit < comptime!(UNITS / GROUP) {
-            shared[unit] = group_total;
-        }
-        sync_cube();
-        for i in 0..comptime!(UNITS / GROUP) {
-            total += shared[i];
-        }
+    for i in 0..comptime!(UNITS / GROUP) {
+        total += shared[i];
     }
     sync_cube();
     total
@@ -85,14 +76,7 @@ pub(crate) fn cube_sum(value: f32, shared: &mut Shared<[f32]>, #[comptime] plane
 /// Computes `sums[column] = Σ values[row][column]`, or `Σ weights[row] values[column][row]` if there are weights; a cube
 /// per column, in a fixed order.
 #[cube(launch_unchecked)]
-fn column_sums_kernel(
-    values: &[f32],
-    weights: ComptimeOption<Box<[f32]>>,
-    sums: &mut [f32],
-    rows: u32,
-    columns: u32,
-    #[comptime] planes: bool,
-) {
+fn column_sums_kernel(values: &[f32], weights: ComptimeOption<Box<[f32]>>, sums: &mut [f32], rows: u32, columns: u32) {
     let mut shared = Shared::<[f32]>::new_slice(comptime!(UNITS));
     if CUBE_POS < columns as usize {
         let mut own = 0.0f32;
@@ -107,7 +91,7 @@ fn column_sums_kernel(
             }
             row += comptime!(UNITS as u32);
         }
-        let total = cube_sum(own, &mut shared, planes);
+        let total = cube_sum(own, &mut shared);
         if UNIT_POS == 0 {
             sums[CUBE_POS] = total;
         }
@@ -138,7 +122,6 @@ pub(crate) fn launch_sums(
             sums.arg(),
             rows as u32,
             columns as u32,
-            gpu.planes,
         );
     }
     sums

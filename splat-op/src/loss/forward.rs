@@ -200,7 +200,6 @@ pub(super) fn index_kernel(
     planes: Planes,
     weights: TermWeights,
     cubes: u32,
-    #[comptime] plane_sums: bool,
 ) {
     let mut shared = Shared::<[f32]>::new_slice(comptime!(UNITS));
     let (own, strip) = (own_strip(planes, false), comptime!(strip_of(false)));
@@ -228,7 +227,7 @@ pub(super) fn index_kernel(
         }
     }
     if CUBE_POS < cubes as usize {
-        let total = cube_sum(share, &mut shared, plane_sums);
+        let total = cube_sum(share, &mut shared);
         if UNIT_POS == 0 {
             shares[CUBE_POS] = total;
         }
@@ -240,7 +239,7 @@ const AT_ONCE: usize = 8;
 
 /// Writes the sum of the cubes' shares, by one cube.
 #[cube(launch_unchecked)]
-pub(super) fn total_kernel(shares: &[f32], total: &mut [f32], cubes: u32, #[comptime] plane_sums: bool) {
+pub(super) fn total_kernel(shares: &[f32], total: &mut [f32], cubes: u32) {
     let mut shared = Shared::<[f32]>::new_slice(comptime!(UNITS));
     let mut own = 0.0f32;
     let mut first = UNIT_POS;
@@ -252,7 +251,7 @@ pub(super) fn total_kernel(shares: &[f32], total: &mut [f32], cubes: u32, #[comp
         }
         first += comptime!((AT_ONCE * UNITS) as u32);
     }
-    let sum = cube_sum(own, &mut shared, plane_sums);
+    let sum = cube_sum(own, &mut shared);
     if UNIT_POS == 0 {
         total[0] = sum;
     }

@@ -67,10 +67,9 @@ pub(crate) fn launch_photometric(
             planes,
             weights(),
             cubes as u32,
-            gpu.planes,
         );
         let (one, dim) = elementwise(1);
-        total_kernel::launch_unchecked(client, one, dim, shares.arg(), total.arg(), cubes as u32, gpu.planes);
+        total_kernel::launch_unchecked(client, one, dim, shares.arg(), total.arg(), cubes as u32);
     }
     if let (Some(derivatives), Some(gradient)) = (&derivatives, &gradient) {
         // The moments are not read again: their memory takes the derivatives' filtered columns.

@@ -201,7 +201,6 @@ pub(super) fn project_backward_kernel(
     pose_rows: ComptimeOption<&mut [f32]>,
     lens: ProjectCamera,
     count: u32,
-    #[comptime] planes: bool,
 ) {
     let wanted = comptime!(GeometryGradMask {
         means: grad_means.is_some(),
@@ -242,36 +241,36 @@ pub(super) fn project_backward_kernel(
     }
     #[comptime]
     if let ComptimeOption::Some(rows) = pose_rows {
-        store_pose(&of.pose, rows, count, planes);
+        store_pose(&of.pose, rows, count);
     }
 }
 
 /// Writes the sum of the pose's gradients over the units of a cube to the cube's row.
 #[cube]
-pub(crate) fn store_pose(pose: &Pose, rows: &mut [f32], count: u32, #[comptime] planes: bool) {
+pub(crate) fn store_pose(pose: &Pose, rows: &mut [f32], count: u32) {
     let mut shared = Shared::<[f32]>::new_slice(comptime!(UNITS));
     // A dispatch may hold more cubes than there are rows.
     if CUBE_POS * comptime!(UNITS) < count as usize {
         let (m, t) = (pose.matrix, pose.translation);
-        store_sum(m.x.x, rows, 0, &mut shared, planes);
-        store_sum(m.x.y, rows, 1, &mut shared, planes);
-        store_sum(m.x.z, rows, 2, &mut shared, planes);
-        store_sum(t.x, rows, 3, &mut shared, planes);
-        store_sum(m.y.x, rows, 4, &mut shared, planes);
-        store_sum(m.y.y, rows, 5, &mut shared, planes);
-        store_sum(m.y.z, rows, 6, &mut shared, planes);
-        store_sum(t.y, rows, 7, &mut shared, planes);
-        store_sum(m.z.x, rows, 8, &mut shared, planes);
-        store_sum(m.z.y, rows, 9, &mut shared, planes);
-        store_sum(m.z.z, rows, 10, &mut shared, planes);
-        store_sum(t.z, rows, 11, &mut shared, planes);
+        store_sum(m.x.x, rows, 0, &mut shared);
+        store_sum(m.x.y, rows, 1, &mut shared);
+        store_sum(m.x.z, rows, 2, &mut shared);
+        store_sum(t.x, rows, 3, &mut shared);
+        store_sum(m.y.x, rows, 4, &mut shared);
+        store_sum(m.y.y, rows, 5, &mut shared);
+        store_sum(m.y.z, rows, 6, &mut shared);
+        store_sum(t.y, rows, 7, &mut shared);
+        store_sum(m.z.x, rows, 8, &mut shared);
+        store_sum(m.z.y, rows, 9, &mut shared);
+        store_sum(m.z.z, rows, 10, &mut shared);
+        store_sum(t.z, rows, 11, &mut shared);
     }
 }
 
 /// Writes the sum over the units of a cube to the cube's row.
 #[cube]
-fn store_sum(value: f32, rows: &mut [f32], column: usize, shared: &mut Shared<[f32]>, #[comptime] planes: bool) {
-    let sum = cube_sum(value, shared, planes);
+fn store_sum(value: f32, rows: &mut [f32], column: usize, shared: &mut Shared<[f32]>) {
+    let sum = cube_sum(value, shared);
     if UNIT_POS == 0 {
         rows[CUBE_POS * comptime!(POSE) + column] = sum;
     }

@@ -119,7 +119,6 @@ pub(crate) fn launch_project_backward(
                 output(&grads.cam_from_world),
                 lens(spec),
                 count as u32,
-                gpu.planes,
             );
         }
     })

@@ -100,6 +100,8 @@ pub(super) fn rasterize_backward_kernel<A: FloatCell>(
         let start = segment * comptime!(SEGMENT as u32);
         // The last slot of a tile may have no places.
         let passed = start < places && segment < segment_count[tile as usize];
+        // DirectX wants a barrier between such readings and a branch with barriers.
+        sync_cube();
         if start < places && !passed && comptime!(!add) {
             // All pixels were finished before.
             let mut place = start + lane;
@@ -245,43 +247,44 @@ pub(super) fn rasterize_backward_kernel<A: FloatCell>(
                             }
                         }
                         rho[unit as usize] = behind;
-                        sync_cube();
+                    }
+                    // Outside the branch: DirectX refuses barriers in branches on what was read.
+                    sync_cube();
 
-                        // The units are places.
-                        if ((word >> lane) & 1) != 0 {
-                            let ellipse = LayerEllipse::load(&ellipses, lane as usize);
-                            let corner = TilePixel::of(origin, pixel_of(block * comptime!(BLOCK as u32)), &frame);
-                            let at = lane as usize * comptime!(STRIDE);
-                            add_moments(&mut row, &alphas, at, ellipse, corner, shape, absolute);
-                            if comptime!(few) {
-                                #[unroll]
-                                for channel in 0..channels {
-                                    let mut sum = 0.0f32;
-                                    for other in 0..comptime!(BLOCK) {
-                                        sum += weights[at + other] * gradients[channel * comptime!(BLOCK) + other];
-                                    }
-                                    row[comptime!(MOMENTS) + channel] += sum;
+                    // The units are places.
+                    if ((word >> lane) & 1) != 0 {
+                        let ellipse = LayerEllipse::load(&ellipses, lane as usize);
+                        let corner = TilePixel::of(origin, pixel_of(block * comptime!(BLOCK as u32)), &frame);
+                        let at = lane as usize * comptime!(STRIDE);
+                        add_moments(&mut row, &alphas, at, ellipse, corner, shape, absolute);
+                        if comptime!(few) {
+                            #[unroll]
+                            for channel in 0..channels {
+                                let mut sum = 0.0f32;
+                                for other in 0..comptime!(BLOCK) {
+                                    sum += weights[at + other] * gradients[channel * comptime!(BLOCK) + other];
                                 }
-                            } else {
-                                for channel in 0..channels {
-                                    let first = plane_of(channel, shape) * plane + corner.index;
-                                    let mut sum = 0.0f32;
-                                    for step in 0..comptime!(HEIGHT) {
-                                        #[unroll]
-                                        for column in 0..comptime!(WIDTH) {
-                                            let weight = weights[at + step * comptime!(WIDTH) + column];
-                                            // A pixel outside the picture has no weight.
-                                            if weight > 0.0 {
-                                                sum += weight * grad[first + step * frame.width as usize + column];
-                                            }
+                                row[comptime!(MOMENTS) + channel] += sum;
+                            }
+                        } else {
+                            for channel in 0..channels {
+                                let first = plane_of(channel, shape) * plane + corner.index;
+                                let mut sum = 0.0f32;
+                                for step in 0..comptime!(HEIGHT) {
+                                    #[unroll]
+                                    for column in 0..comptime!(WIDTH) {
+                                        let weight = weights[at + step * comptime!(WIDTH) + column];
+                                        // A pixel outside the picture has no weight.
+                                        if weight > 0.0 {
+                                            sum += weight * grad[first + step * frame.width as usize + column];
                                         }
                                     }
-                                    row[comptime!(MOMENTS) + channel] += sum;
                                 }
+                                row[comptime!(MOMENTS) + channel] += sum;
                             }
                         }
-                        sync_cube();
                     }
+                    sync_cube();
                 }
 
                 if comptime!(few) {

@@ -10,7 +10,7 @@ use crate::intersect::cpu::intersect_cpu;
 use crate::intersect::launch::launch_intersect;
 use crate::options::{Accumulation, RenderOptions};
 use crate::project::COLUMNS;
-use crate::testing::ceiling::{PerturbedReference, rounded};
+use crate::testing::ceiling::{PerturbedReference, rounded, to_f32};
 use crate::testing::ellipses::ellipses;
 use crate::testing::gpu::{gpu, gpus};
 use crate::testing::random::Random;
@@ -309,6 +309,44 @@ fn a_trace_in_several_runs_of_tiles_changes_nothing() {
             let largest = expected.iter().fold(0.0_f32, |most, v| most.max(v.abs()));
             let close = found.iter().zip(expected).all(|(a, b)| (a - b).abs() <= 1e-5 * largest);
             assert!(close, "{channels} channels: a gradient differs");
+        }
+    }
+}
+
+/// The CPU twin decides the same: the distance is undefined or infinite, and no such distance is near enough to show.
+#[test]
+fn an_ellipse_without_a_defined_alpha_does_not_show() {
+    for channels in [3, 5] {
+        let options = RenderOptions::standard().with_depth(true).with_accumulation(Accumulation::Ordered);
+        let scene = StageInputs::random(60, [40, 33], channels, [0.3, 1.0], options);
+        let planes = scene.spec.planes(channels);
+        let grad = to_f32(&Random::new(4).fill(planes * 40 * 33, -1.0, 1.0));
+        for (form, gpu) in gpus() {
+            let sound = scene.device(&gpu);
+            let cut = Cut::of(&scene.spec.options);
+            let lists = launch_intersect(&gpu, &sound.projected, &scene.spec.intrinsics, cut);
+            let grad = Buffer::from_slice(&gpu, &grad);
+            let with = |numbers: &[(usize, f32)]| {
+                let mut rows = sound.projected.read(&gpu);
+                for row in rows.chunks_exact_mut(COLUMNS).step_by(3) {
+                    numbers.iter().for_each(|&(column, value)| row[column] = value);
+                }
+                let inputs = Layers { projected: Buffer::from_slice(&gpu, &rows), ..sound.clone() };
+                let (planes, trace) = launch_rasterize(&gpu, &inputs, &lists, &scene.spec, true);
+                let trace = trace.expect("asked for");
+                let found = launch_rasterize_backward(&gpu, &inputs, &grad, &lists, &trace, &scene.spec, ALL);
+                (planes.read(&gpu), found.features.expect("asked for").read(&gpu))
+            };
+            let expected = with(&[(6, 0.0)]);
+            let (nan, infinity) = (f32::NAN, f32::INFINITY);
+            let one = [(0, nan), (1, infinity), (2, 0.0), (2, nan), (3, nan), (4, 0.0), (6, nan), (6, infinity)];
+            // Times the shear, a distance overflows, and no reciprocal brings it back.
+            let sheared = [(3, f32::MAX), (4, infinity)];
+            for numbers in one.iter().map(std::slice::from_ref).chain([&sheared[..]]) {
+                let (planes, features) = with(numbers);
+                assert!(planes == expected.0, "{form}, {channels} channels: {numbers:?} shows");
+                assert!(features == expected.1, "{form}, {channels} channels: {numbers:?} changes gradients");
+            }
         }
     }
 }

@@ -138,7 +138,6 @@ pub(crate) fn launch_rasterize_backward(
                 frame(spec),
                 run.slots.arg(),
                 suffix_shape,
-                gpu.planes,
             );
         }
         if !rows_needed {

@@ -5,6 +5,7 @@ use cubecl::prelude::*;
 
 use super::power::power;
 use crate::dials::Exponential;
+use crate::gpu::math::Vec3;
 use crate::intersect::TILE;
 use crate::options::RenderOptions;
 use crate::project::COLUMNS;
@@ -26,6 +27,9 @@ pub(super) const FEW: usize = 4;
 
 /// Number of values in a [`LayerEllipse`].
 pub(super) const FOOTPRINT: usize = 6;
+
+/// The least normal f32. Devices may take smaller numbers for zero.
+const SMALLEST: f32 = f32::MIN_POSITIVE;
 
 /// `log₂e / 2`
 const HALF_LOG2_E: f32 = 0.5 * core::f32::consts::LOG2_E;
@@ -131,16 +135,26 @@ pub(super) struct LayerEllipse {
 #[cube]
 impl LayerEllipse {
     /// Reads the ellipse from row `gaussian` of the packed ellipses, for the tile whose first row has its centres at
-    /// `top` px.
+    /// `top` px. An ellipse with an undefined or infinite number, or whose reciprocal of `sigma_v` vanishes, becomes one
+    /// that does not show. All others have a defined alpha everywhere.
     pub fn of(projected: &[f32], gaussian: usize, top: f32) -> LayerEllipse {
         let at = gaussian * comptime!(COLUMNS);
+        let x = projected[at];
+        let rise = top - projected[at + 1];
+        let inverse_u = 1.0 / projected[at + 2];
+        let inverse_v = 1.0 / projected[at + 4];
+        let shear = projected[at + 3];
+        let opacity = projected[at + 6];
+        let known = Vec3::new(x, rise, shear).is_finite()
+            && Vec3::new(inverse_u, inverse_v, opacity).is_finite()
+            && inverse_v >= SMALLEST;
         LayerEllipse {
-            x: projected[at],
-            rise: top - projected[at + 1],
-            inverse_u: 1.0 / projected[at + 2],
-            inverse_v: 1.0 / projected[at + 4],
-            shear: projected[at + 3],
-            opacity: projected[at + 6],
+            x: select(known, x, 0.0),
+            rise: select(known, rise, 0.0),
+            inverse_u: select(known, inverse_u, 0.0),
+            inverse_v: select(known, inverse_v, 0.0),
+            shear: select(known, shear, 0.0),
+            opacity: select(known, opacity, 0.0),
         }
     }
 

@@ -48,7 +48,6 @@ pub(super) fn rasterize_suffix_kernel(
     frame: RasterFrame,
     run: TileRun,
     #[comptime] shape: KernelShape,
-    #[comptime] planes: bool,
 ) {
     let channels = comptime!(shape.channels());
     let few = comptime!(shape.few());
@@ -85,7 +84,7 @@ pub(super) fn rasterize_suffix_kernel(
         #[comptime]
         if let ComptimeOption::Some(out) = &mut grad_background {
             for channel in 0..comptime!(shape.features) {
-                let sum = cube_sum(own[channel] * behind, &mut shared, planes);
+                let sum = cube_sum(own[channel] * behind, &mut shared);
                 if unit == 0 {
                     out[tile as usize * comptime!(shape.features) + channel] = sum;
                 }
@@ -94,6 +93,8 @@ pub(super) fn rasterize_suffix_kernel(
 
         let mut sum = farthest * behind;
         let segments = segment_count[tile as usize];
+        // DirectX wants a barrier between such a reading and a loop with barriers.
+        sync_cube();
         for step in 0..segments {
             let segment = segments - 1 - step;
             let at_pixel = (slot + segment) as usize * comptime!(TILE_PIXELS) + unit as usize;

@@ -184,7 +184,6 @@ pub(super) fn sh_backward_kernel<W: Size, G: Size>(
     frame: Frame,
     count: u32,
     #[comptime] harmonics: Harmonics,
-    #[comptime] planes: bool,
 ) {
     let through_direction = comptime!(harmonics.degree > 0 && (grad_means.is_some() || view_direction_rows.is_some()));
     let gaussian = ABSOLUTE_POS;
@@ -214,9 +213,9 @@ pub(super) fn sh_backward_kernel<W: Size, G: Size>(
         let mut shared = Shared::<[f32]>::new_slice(comptime!(UNITS));
         // A dispatch may hold more cubes than there are rows.
         if CUBE_POS * comptime!(UNITS) < count as usize {
-            let x = cube_sum(of_view_direction.x, &mut shared, planes);
-            let y = cube_sum(of_view_direction.y, &mut shared, planes);
-            let z = cube_sum(of_view_direction.z, &mut shared, planes);
+            let x = cube_sum(of_view_direction.x, &mut shared);
+            let y = cube_sum(of_view_direction.y, &mut shared);
+            let z = cube_sum(of_view_direction.z, &mut shared);
             if UNIT_POS == 0 {
                 Vec3::new(x, y, z).store(rows, 3 * CUBE_POS);
             }

@@ -137,7 +137,6 @@ pub(crate) fn launch_sh_backward(
                 frame(visible),
                 count as u32,
                 harmonics,
-                gpu.planes,
             );
         }
     }

@@ -75,7 +75,6 @@ pub fn open(found: &AdapterDevice) -> Result<Facts> {
         runtime: interface.map_or(language.to_owned(), |interface| format!("{interface}, {language}")),
         buffer_limit: client.properties().memory.max_page_size,
         float_atomics: abilities.float_atomics,
-        planes: abilities.planes,
     })
 }
 

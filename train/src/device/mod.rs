@@ -56,8 +56,6 @@ pub struct Facts {
     pub buffer_limit: u64,
     /// Whether atomic additions of f32 are supported.
     pub float_atomics: bool,
-    /// Whether operations across the units of a plane (subgroup, warp) are supported.
-    pub planes: bool,
 }
 
 impl Display for Facts {
