@@ -7,6 +7,7 @@ use std::rc::Rc;
 use std::time::{Duration, Instant};
 
 use burn::tensor::{Device, Tensor};
+use splat_op::test_hooks::{self, dispatches};
 
 use crate::limit::{Machine, PassKind, Sizes};
 
@@ -45,6 +46,9 @@ pub struct RunTimes {
     /// Share of the processors' time that this program used during timed runs, at most 1. NaN if the system does not report
     /// it, and unreliable below a tenth of a second, because the system counts hundredths of a second.
     pub busy: f64,
+    /// Kernels of this project that one run launched, and the bytes of all buffers that they were given; 0 on a CPU.
+    pub launches: u64,
+    pub bound_bytes: u64,
 }
 
 /// Largest number of runs. More runs would not change a median noticeably.
@@ -82,18 +86,22 @@ struct TimedRun {
     elapsed_s: f64,
     /// Processor time over all processors.
     used_s: f64,
+    launches: u64,
+    bound_bytes: u64,
 }
 
 fn run(prepare: &mut Prepare, device: &Device) -> Result<TimedRun, Box<dyn Error>> {
     let timed = prepare()?;
     device.sync()?;
+    let (launches, bound_bytes) = (dispatches(), test_hooks::bound_bytes());
     let before = processor_time();
     let start = Instant::now();
     let kept = timed()?;
     device.sync()?;
     let (elapsed_s, used_s) = (start.elapsed().as_secs_f64(), processor_time() - before);
     drop(kept);
-    Ok(TimedRun { elapsed_s, used_s })
+    let (launches, bound_bytes) = (dispatches() - launches, test_hooks::bound_bytes() - bound_bytes);
+    Ok(TimedRun { elapsed_s, used_s, launches, bound_bytes })
 }
 
 fn summary(runs: &[TimedRun]) -> RunTimes {
@@ -101,7 +109,9 @@ fn summary(runs: &[TimedRun]) -> RunTimes {
     let there = seconds.iter().sum::<f64>() * rayon::current_num_threads() as f64;
     seconds.sort_by(f64::total_cmp);
     let used: f64 = runs.iter().map(|run| run.used_s).sum();
-    RunTimes { median_s: seconds[seconds.len() / 2], runs: seconds.len(), busy: used / there }
+    let (launches, bound_bytes) = runs.last().map_or((0, 0), |run| (run.launches, run.bound_bytes));
+    let (median_s, runs) = (seconds[seconds.len() / 2], seconds.len());
+    RunTimes { median_s, runs, busy: used / there, launches, bound_bytes }
 }
 
 /// Returns the processor time of this program so far, on all threads, in seconds with a resolution of hundredths; NaN without
@@ -130,14 +140,23 @@ pub fn table(
 ) -> Result<Vec<RunTimes>, Box<dyn Error>> {
     let all = time(passes.iter_mut().map(|pass| &mut pass.prepare), device, budget)?;
     println!(
-        "  {:<21}{:>10}{:>6}{:>10}{:>9}{:>11}{:>11}{:>9}",
-        "pass", "median ms", "runs", "limit ms", "× limit", "least MiB", "least Mop", "× first"
+        "  {:<21}{:>10}{:>6}{:>10}{:>9}{:>11}{:>11}{:>10}{:>11}{:>9}",
+        "pass",
+        "median ms",
+        "runs",
+        "limit ms",
+        "× limit",
+        "least MiB",
+        "least Mop",
+        "launches",
+        "bound MiB",
+        "× first"
     );
     for (i, (pass, times)) in passes.iter().zip(&all).enumerate() {
         let (work, limit) = (sizes.work(pass.kind), sizes.limit(pass.kind, machine));
         let ratio = base.get(i).map_or("-".into(), |first| format!("{:.2}", times.median_s / first));
         println!(
-            "  {:<21}{:>10.2}{:>6}{:>10.3}{:>9.1}{:>11.1}{:>11.1}{ratio:>9}",
+            "  {:<21}{:>10.2}{:>6}{:>10.3}{:>9.1}{:>11.1}{:>11.1}{:>10}{:>11.1}{ratio:>9}",
             pass.kind.name(),
             1e3 * times.median_s,
             times.runs,
@@ -145,6 +164,8 @@ pub fn table(
             times.median_s / limit,
             work.bytes / f64::from(1 << 20),
             work.operations / 1e6,
+            times.launches,
+            times.bound_bytes as f64 / f64::from(1 << 20),
         );
     }
     Ok(all)

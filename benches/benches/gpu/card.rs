@@ -170,15 +170,22 @@ fn parts(options: &Options, folders: &Folders) -> Result<Vec<Part>, Box<dyn Erro
         ];
         splat(&format!("training on the demo capture, --device {device}"), &arguments, limit)
     };
-    let compare = runtimes.iter().map(|runtime| runtime.prefix()).chain(options.scenes.iter().map(String::as_str));
+    // `gpu` alone would be the best adapter of any runtime, and that of SPIR-V is preferred.
+    let devices = runtimes.iter().map(|runtime| if *runtime == Runtime::Wgpu { "gpu:0" } else { runtime.prefix() });
+    let compare = devices.chain(options.scenes.iter().map(String::as_str));
     let compare: Vec<&str> = compare.chain(["--json", &folders.times]).collect();
 
     let mut parts = vec![splat("devices", &["devices"], 30)];
-    parts.extend(runtimes.iter().map(|runtime| {
-        let title = format!("kernels against their CPU twins, runtime {}", runtime.feature());
-        test(title, "kernels", &["kernel_tests"], 90).with("SPLAT_RUNTIME", runtime.feature())
-    }));
-    parts.push(test("reference vectors".into(), "reference_test", &[], 60));
+    let on_runtimes = [
+        ("kernels against their CPU twins", "kernels", vec!["kernel_tests"], 90),
+        ("reference vectors", "reference_test", vec![], 30),
+    ];
+    for (title, name, arguments, limit) in on_runtimes {
+        parts.extend(runtimes.iter().map(|runtime| {
+            let title = format!("{title}, runtime {}", runtime.feature());
+            test(title, name, &arguments, limit).with("SPLAT_RUNTIME", runtime.feature())
+        }));
+    }
     parts.push(Part::new("times of all passes", &own, &compare, 240));
     let demo = ["demo", "--out", &folders.demo, "--width", &side, "--height", &height];
     parts.push(splat("the demo capture", &demo, 30));

@@ -77,9 +77,12 @@ fn passes(times: &[TimedPass]) -> String {
     for scene in unique(times.iter().map(|pass| &pass.scene)) {
         let of_scene: Vec<&TimedPass> = times.iter().filter(|pass| &pass.scene == scene).collect();
         let devices = unique(of_scene.iter().map(|pass| &pass.device));
-        let _ =
-            write!(text, "\n## Passes of `{scene}`\n\nMedians in ms; in parentheses the least necessary bytes at the ");
-        text += "bandwidth of a copy, as a share of the time.\n\n";
+        let _ = write!(
+            text,
+            "\n## Passes of `{scene}`\n\nMedians in ms; in parentheses the least necessary bytes at the bandwidth of a copy, as a share \
+             of the time. On a GPU the kernels launched, the MiB of all buffers that they are given, and the pairs of a pixel and a \
+             Gaussian that are evaluated for each that contributes.\n\n"
+        );
         let head = ["pass".into()].into_iter().chain(devices.iter().map(|device| device.to_string()));
         let head: Vec<String> = head.collect();
         row(&mut text, &head);
@@ -88,7 +91,16 @@ fn passes(times: &[TimedPass]) -> String {
             let cell = |device: &&String| {
                 let found = of_scene.iter().find(|timed| &timed.pass == pass && &&timed.device == device);
                 found.map_or("-".into(), |timed| {
-                    format!("{:.3} ({:.0}%)", timed.median_ms, 100.0 * timed.limit_ms / timed.median_ms)
+                    let share = 100.0 * timed.limit_ms / timed.median_ms;
+                    let mut cell = format!("{:.3} ({share:.0}%)", timed.median_ms);
+                    if timed.launches > 0 {
+                        let bound = timed.bound_bytes as f64 / f64::from(1 << 20);
+                        let _ = write!(cell, "; {} launches, {bound:.1} MiB", timed.launches);
+                    }
+                    if let Some(pairs) = timed.pairs {
+                        let _ = write!(cell, ", {pairs:.2} pairs");
+                    }
+                    cell
                 })
             };
             let cells: Vec<String> = [pass.clone()].into_iter().chain(devices.iter().map(cell)).collect();

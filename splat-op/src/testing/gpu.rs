@@ -10,21 +10,15 @@ use burn::tensor::{Device, DeviceType};
 
 use crate::gpu::{Gpu, poison};
 
-/// The best GPU (a software driver if there is no other) with all its features, without plane operations, without float atomics,
-/// and without both. `SPLAT_PLANES=force` gives a software driver plane operations. If there is no GPU or `SPLAT_GPU=skip` is set,
-/// the result is empty and a line says so. With `SPLAT_GPU=require` a missing GPU is a failure.
+/// The best GPU (a software driver if there is no other) as it is and without float atomics. If there is no GPU or
+/// `SPLAT_GPU=skip` is set, the result is empty and a line says so. With `SPLAT_GPU=require` a missing GPU is a failure.
+/// `SPLAT_RUNTIME` names the only runtime that is asked, by its feature.
 pub fn gpus() -> Vec<(&'static str, Gpu)> {
     static GPU: OnceLock<Option<Gpu>> = OnceLock::new();
     let Some(gpu) = GPU.get_or_init(find).clone() else { return Vec::new() };
     let mut gpus = vec![("as it is", gpu.clone())];
-    if gpu.planes {
-        gpus.push(("without planes", Gpu { planes: false, ..gpu.clone() }));
-    }
     if gpu.float_atomics {
-        gpus.push(("without float atomics", Gpu { float_atomics: false, ..gpu.clone() }));
-    }
-    if gpu.planes && gpu.float_atomics {
-        gpus.push(("without planes and float atomics", Gpu { planes: false, float_atomics: false, ..gpu }));
+        gpus.push(("without float atomics", Gpu { float_atomics: false, ..gpu }));
     }
     gpus
 }
@@ -52,13 +46,11 @@ fn find() -> Option<Gpu> {
     };
     let client = device.client();
     let gpu = Gpu::new(&client);
-    let has = |feature: bool| if feature { "with" } else { "without" };
     say(&format!(
-        "the kernels' tests run on {} through {}, {} planes, {} float atomics",
+        "the kernels' tests run on {} through {}, {} float atomics",
         client.properties().identity.name,
         client.name(),
-        has(gpu.planes),
-        has(gpu.float_atomics)
+        if gpu.float_atomics { "with" } else { "without" }
     ));
     Some(gpu)
 }
@@ -73,17 +65,19 @@ fn say(line: &str) {
 fn best() -> Option<CubeDevice> {
     let runtimes = [
         #[cfg(feature = "wgpu")]
-        DeviceType::Wgpu,
+        ("wgpu", DeviceType::Wgpu),
         #[cfg(feature = "vulkan")]
-        DeviceType::Vulkan,
+        ("vulkan", DeviceType::Vulkan),
         #[cfg(feature = "metal")]
-        DeviceType::Metal,
+        ("metal", DeviceType::Metal),
         #[cfg(feature = "cuda")]
-        DeviceType::Cuda,
+        ("cuda", DeviceType::Cuda),
         #[cfg(feature = "rocm")]
-        DeviceType::Rocm,
+        ("rocm", DeviceType::Rocm),
     ];
-    let devices = runtimes.into_iter().flat_map(|runtime| Device::enumerate(runtime).into_vec());
+    let only = std::env::var("SPLAT_RUNTIME").ok();
+    let asked = runtimes.into_iter().filter(|(feature, _)| only.as_deref().is_none_or(|only| only == *feature));
+    let devices = asked.flat_map(|(_, runtime)| Device::enumerate(runtime).into_vec());
     let adapters = devices.filter_map(|device| match device.as_dispatch() {
         DispatchDevice::Cube(device) => Some(device.clone()),
         _ => None,
