@@ -28,7 +28,7 @@ pub enum Outcome {
 }
 
 /// All features that kernels use where they exist.
-const ALL: Capabilities = Capabilities::SUBGROUP.union(Capabilities::SHADER_FLOAT32_ATOMIC);
+const ALL: Capabilities = Capabilities::SHADER_FLOAT32_ATOMIC;
 
 /// DirectX 12 with its older compiler (FXC) and with its newer one (DXC), Metal before and since float atomics.
 pub const TARGETS: [Target; 4] = [
@@ -40,9 +40,9 @@ pub const TARGETS: [Target; 4] = [
     Target {
         name: "HLSL, shader model 6.0",
         language: Language::Hlsl(hlsl::ShaderModel::V6_0),
-        features: Capabilities::SUBGROUP,
+        features: Capabilities::empty(),
     },
-    Target { name: "MSL 2.4", language: Language::Msl((2, 4)), features: Capabilities::SUBGROUP },
+    Target { name: "MSL 2.4", language: Language::Msl((2, 4)), features: Capabilities::empty() },
     Target { name: "MSL 3.0", language: Language::Msl((3, 0)), features: ALL },
 ];
 
