@@ -85,7 +85,9 @@ pub enum Accumulation {
     #[default]
     Atomic,
     /// One row per intersection, added in the order of the intersections. The bits are the same in every run; the memory is
-    /// proportional to the number of intersections.
+    /// proportional to the number of intersections. Where the device's largest buffer does not hold all rows (in wgpu 2³¹ − 1
+    /// bytes, 59 million rows of three channels), Gaussians are split by depth into parts with buffers of their own. Every part
+    /// adds a launch for which lists outside it are skipped, and the device waits once for the host to find the parts.
     Ordered,
 }
 

@@ -136,7 +136,6 @@ impl<T: Pod> Buffer<T> {
     }
 
     /// Waits for the device and copies the elements back.
-    #[cfg(test)]
     pub fn read(&self, gpu: &Gpu) -> Vec<T> {
         let bytes = gpu.client.read_one(self.handle.clone()).unwrap_or_else(|error| panic!("{error}"));
         bytemuck::pod_collect_to_vec(&bytes[..self.len * size_of::<T>()])

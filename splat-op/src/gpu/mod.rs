@@ -7,6 +7,8 @@ pub(crate) mod half;
 pub(crate) mod math;
 pub(crate) mod reduce;
 
+use std::ops::Range;
+
 use cubecl::client::Client;
 use cubecl::features::AtomicUsage;
 use cubecl::ir::{ElemType, FloatKind, Type};
@@ -79,9 +81,33 @@ pub(crate) fn elementwise(elements: usize) -> (CubeCount, CubeDim) {
     (cubes(elements.div_ceil(UNITS)), CubeDim::new_1d(UNITS as u32))
 }
 
+/// Splits the indices `0..count` into ranges that need at most `room`, unless a range is a single index. The indices below `i`
+/// need `before(i)` together. There is at least one range.
+pub(crate) fn split(count: usize, room: usize, before: impl Fn(usize) -> usize) -> Vec<Range<usize>> {
+    let (mut ranges, mut first) = (Vec::new(), 0);
+    for end in 1..count {
+        if before(end + 1) - before(first) > room {
+            ranges.push(first..end);
+            first = end;
+        }
+    }
+    ranges.push(first..count);
+    ranges
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn ranges_need_no_more_than_the_room() {
+        let ranges = |needs: &[usize], room| split(needs.len(), room, |end| needs[..end].iter().sum());
+        assert_eq!(ranges(&[3, 4, 0, 9, 1, 1], 7), [0..3, 3..4, 4..6]);
+        assert_eq!(ranges(&[20, 20], 7), [0..1, 1..2]);
+        assert_eq!(ranges(&[0, 0], 0), [0..2]);
+        assert_eq!(ranges(&[5], 7), [0..1]);
+        assert_eq!(ranges(&[], 7), [0..0]);
+    }
 
     #[test]
     fn numbers_of_units_and_elements_fit_into_u32() {

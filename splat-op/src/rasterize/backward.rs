@@ -50,8 +50,8 @@ pub(crate) const fn row_len(shape: KernelShape, absolute: bool) -> usize {
 /// they read the tables transposed, and each adds up its own row over the pixels. So a pair's exponential is computed
 /// once for its gradient and at most once for its transmittance, and sums need neither atomics nor shuffles.
 ///
-/// Without `add`, every intersection's row is written to `rows`, `[H, row]`. With `add`, rows are added to `sums`, one
-/// row per Gaussian.
+/// Without `add`, the rows of the intersections `first_row..end_row` are written to `rows`, and segments without any of
+/// them are skipped. With `add`, rows are added to `sums`, one row per Gaussian.
 #[cube(launch_unchecked)]
 pub(super) fn rasterize_backward_kernel<A: FloatCell>(
     projected: &[f32],
@@ -68,6 +68,8 @@ pub(super) fn rasterize_backward_kernel<A: FloatCell>(
     frame: RasterFrame,
     run: TileRun,
     slots: u32,
+    first_row: u32,
+    end_row: u32,
     #[comptime] shape: KernelShape,
     #[comptime] absolute: bool,
     #[comptime] add: bool,
@@ -99,16 +101,27 @@ pub(super) fn rasterize_backward_kernel<A: FloatCell>(
         let segment = slot - (first_slot(first, tile) - run.first_slot);
         let start = segment * comptime!(SEGMENT as u32);
         // The last slot of a tile may have no places.
-        let passed = start < places && segment < segment_count[tile as usize];
+        let mut wanted = start < places;
+        if comptime!(!add) {
+            if wanted {
+                // Intersections ascend along a tile's list.
+                let begin = first + start;
+                let last = begin + min(places - start, comptime!(SEGMENT as u32)) - 1;
+                wanted = lists.intersection(begin) < end_row && lists.intersection(last) >= first_row;
+            }
+        }
+        let passed = wanted && segment < segment_count[tile as usize];
         // DirectX wants a barrier between such readings and a branch with barriers.
         sync_cube();
-        if start < places && !passed && comptime!(!add) {
+        if wanted && !passed && comptime!(!add) {
             // All pixels were finished before.
             let mut place = start + lane;
             while place < min(places, start + comptime!(SEGMENT as u32)) {
-                let row = lists.intersection(first + place) as usize * columns;
-                for column in 0..columns {
-                    rows[row + column] = 0.0f32;
+                let target = lists.intersection(first + place) - first_row;
+                if target < end_row - first_row {
+                    for column in 0..columns {
+                        rows[target as usize * columns + column] = 0.0f32;
+                    }
                 }
                 place += comptime!(LANES as u32);
             }
@@ -117,8 +130,8 @@ pub(super) fn rasterize_backward_kernel<A: FloatCell>(
             let count = min(places - start, comptime!(SEGMENT as u32));
             let buckets = (count + comptime!(BUCKET as u32 - 1)) / comptime!(BUCKET as u32);
             let origin = tile_origin(tile, &frame);
-            let (_, first_row) = origin;
-            let top = f32::cast_from(first_row) + 0.5;
+            let (_, pixel_row) = origin;
+            let top = f32::cast_from(pixel_row) + 0.5;
             let plane = (frame.width * frame.height) as usize;
             words[lane as usize] = kept_words[(slot * comptime!(WORDS as u32) + lane) as usize];
             for block in 0..comptime!(BLOCKS as u32) {
@@ -169,7 +182,7 @@ pub(super) fn rasterize_backward_kernel<A: FloatCell>(
                     let intersection = lists.intersection(first + bucket_start + lane);
                     let gaussian = lists.gaussian_of_intersection[intersection as usize];
                     LayerEllipse::of(projected, gaussian as usize, top).store(&mut ellipses, lane as usize);
-                    targets[lane as usize] = if comptime!(add) { gaussian } else { intersection };
+                    targets[lane as usize] = if comptime!(add) { gaussian } else { intersection - first_row };
                     if comptime!(few) {
                         #[unroll]
                         for channel in 0..channels {
@@ -299,25 +312,27 @@ pub(super) fn rasterize_backward_kernel<A: FloatCell>(
                         let place = i / comptime!(columns as u32);
                         let column = i % comptime!(columns as u32);
                         let sum = alphas[(place * comptime!(STRIDE as u32) + column) as usize];
-                        let cell = targets[place as usize] as usize * columns + column as usize;
+                        let target = targets[place as usize];
+                        let cell = target as usize * columns + column as usize;
                         if comptime!(add) {
                             if sum != 0.0 {
                                 A::add(&sums[cell], sum);
                             }
-                        } else {
+                        } else if target < end_row - first_row {
                             rows[cell] = sum;
                         }
                         i += comptime!(LANES as u32);
                     }
                 } else if lane < here {
-                    let target = targets[lane as usize] as usize * columns;
+                    let target = targets[lane as usize];
                     for column in 0..columns {
+                        let cell = target as usize * columns + column;
                         if comptime!(add) {
                             if row[column] != 0.0 {
-                                A::add(&sums[target + column], row[column]);
+                                A::add(&sums[cell], row[column]);
                             }
-                        } else {
-                            rows[target + column] = row[column];
+                        } else if target < end_row - first_row {
+                            rows[cell] = row[column];
                         }
                     }
                 }

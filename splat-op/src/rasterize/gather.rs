@@ -10,6 +10,9 @@ use crate::project::COLUMNS;
 /// `∂e/∂shear = u v sigma_u/sigma_v`, `∂e/∂mean = (u/sigma_u − v shear/sigma_v, v/sigma_v)`; and
 /// `∂α/∂opacity = α/opacity`.
 ///
+/// The Gaussians have the ranks `first_rank..end_rank` in `order`. With `per_intersection`, `rows` holds the rows of their
+/// intersections, `first_row..end_row`; otherwise it holds a row for each Gaussian of the scene.
+///
 /// A row has the moments, the channels, with rays the gradient of the depth slope, and in the last two columns the
 /// sums of absolute values, if they are wanted. Gradients of Gaussians without intersections are not written: the
 /// buffers must hold zeros.
@@ -23,32 +26,34 @@ pub(super) fn rasterize_gather_kernel(
     mut grad_features: ComptimeOption<Box<[f32]>>,
     mut grad_absolute: ComptimeOption<Box<[f32]>>,
     mut grad_depth_slopes: ComptimeOption<Box<[f32]>>,
-    visible: u32,
-    intersections: u32,
+    first_rank: u32,
+    end_rank: u32,
+    first_row: u32,
+    end_row: u32,
     #[comptime] shape: KernelShape,
     #[comptime] columns: usize,
     #[comptime] slopes: usize,
     #[comptime] per_intersection: bool,
 ) {
     let few = comptime!(shape.few());
-    let rank = ABSOLUTE_POS;
-    if rank < visible as usize {
+    let rank = first_rank as usize + ABSOLUTE_POS;
+    if rank < end_rank as usize {
         let gaussian = order[rank] as usize;
         let mut row = Array::<f32>::new(columns);
         if comptime!(per_intersection) {
             let first = first_intersection[rank];
-            let mut end = intersections;
-            if rank + 1 < visible as usize {
+            let mut end = end_row;
+            if rank + 1 < end_rank as usize {
                 end = first_intersection[rank + 1];
             }
             #[unroll(few)]
             for column in 0..columns {
                 row[column] = 0.0f32;
             }
-            for intersection in first..end {
+            for row_index in first - first_row..end - first_row {
                 #[unroll(few)]
                 for column in 0..columns {
-                    row[column] += rows[intersection as usize * columns + column];
+                    row[column] += rows[row_index as usize * columns + column];
                 }
             }
         } else {

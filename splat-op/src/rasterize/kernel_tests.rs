@@ -1,7 +1,10 @@
 //! Tests of the kernels of `rasterize` against the CPU twin in f64, within the rounding of f32.
 
+use super::backward::row_len;
 use super::cpu::{rasterize_backward_cpu, rasterize_cpu};
 use super::launch::{launch_rasterize, launch_rasterize_backward};
+use super::layer::KernelShape;
+use super::rows::Rows;
 use super::{Layers, RasterizeSpec};
 use crate::camera::Intrinsics;
 use crate::gpu::{Buffer, Gpu};
@@ -272,7 +275,7 @@ fn ordered_sums_are_the_same_in_every_run() {
 }
 
 #[test]
-fn a_trace_in_several_runs_of_tiles_changes_nothing() {
+fn buffers_in_several_parts_change_nothing() {
     let Some(gpu) = gpu() else { return };
     let options = RenderOptions::standard().with_accumulation(Accumulation::Ordered);
     for channels in [3, 5] {
@@ -290,17 +293,19 @@ fn a_trace_in_several_runs_of_tiles_changes_nothing() {
             let limited = Gpu { buffer_limit: limit, ..gpu.clone() };
             let (planes, trace) = launch_rasterize(&limited, &inputs, &lists, spec, true);
             let trace = trace.expect("asked for");
-            let rows = if spec.options.accumulation == Accumulation::Ordered { &gpu } else { &limited };
-            let grads = launch_rasterize_backward(rows, &inputs, &grad, &lists, &trace, spec, ALL);
+            let grads = launch_rasterize_backward(&limited, &inputs, &grad, &lists, &trace, spec, ALL);
             let grads = [grads.projected, grads.features, grads.background, grads.mean2d_abs];
-            (trace.runs(), planes.read(&gpu), grads.map(|grad| grad.expect("asked for").read(&gpu)))
+            let parts =
+                Rows::of_intersections(&limited, &lists, row_len(KernelShape::of(channels, &spec.options), true));
+            let grads = grads.map(|grad| grad.expect("asked for").read(&gpu));
+            ([trace.runs(), parts.len()], planes.read(&gpu), grads)
         };
-        let (runs, planes, grads) = outcome(gpu.buffer_limit, spec);
-        assert_eq!(runs, 1);
+        let (parts, planes, grads) = outcome(gpu.buffer_limit, spec);
+        assert_eq!(parts, [1, 1]);
         let limit = 4 * (channels as u64 + 2) * 150 * 100;
-        let (runs, split_planes, split_grads) = outcome(limit, spec);
-        assert!(runs > 1, "{channels} channels: one run proves nothing");
-        assert!(split_planes == planes && split_grads == grads, "{channels} channels, {runs} runs");
+        let (parts, split_planes, split_grads) = outcome(limit, spec);
+        assert!(parts[0] > 1 && parts[1] > 2, "{channels} channels: {parts:?} parts prove little");
+        assert!(split_planes == planes && split_grads == grads, "{channels} channels, {parts:?} parts");
         // Atomic sums differ in their order; all buffers keep to the limit.
         let atomic = RasterizeSpec { options: options.with_accumulation(Accumulation::Atomic), ..*spec };
         let (_, split_planes, split_grads) = outcome(limit, &atomic);

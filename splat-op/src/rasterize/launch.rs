@@ -6,15 +6,15 @@ use super::backward::{LANES, rasterize_backward_kernel, row_len};
 use super::forward::{PAIR_COUNTS, rasterize_forward_kernel};
 use super::gather::rasterize_gather_kernel;
 use super::layer::{KernelShape, RasterFrameLaunch};
+use super::rows::Rows;
 use super::suffix::rasterize_suffix_kernel;
-use super::trace::{DeviceTrace, FEWER_PLACES, TraceRun, runs_of};
+use super::trace::{DeviceTrace, TraceRun, runs_of};
 use super::{Layers, RasterizeSpec};
 use crate::counters::pairs_are_counted;
 use crate::gpu::reduce::launch_column_sums;
 use crate::gpu::{Buffer, Gpu, cubes, elementwise};
 use crate::intersect::launch::DeviceIntersections;
 use crate::intersect::{TILE_PIXELS, tile_grid};
-use crate::limits::Need;
 use crate::options::Accumulation;
 use crate::project::COLUMNS;
 
@@ -104,17 +104,14 @@ pub(crate) fn launch_rasterize_backward(
     let rows_needed = needs.projected || needs.features || needs.mean2d_abs;
     let columns = row_len(shape, needs.mean2d_abs);
     let ordered = spec.options.accumulation == Accumulation::Ordered;
-    let rows: Buffer<f32> = match (rows_needed, ordered) {
-        (false, _) => Buffer::new(gpu, 0),
-        (true, true) => {
-            let (what, bytes) = ("the rows of ordered gradients", 4 * (lists.intersections * columns) as u64);
-            Need { what, bytes, hint: FEWER_PLACES }.assert_fits(gpu.buffer_limit);
-            Buffer::with_headroom(gpu, lists.intersections * columns)
+    let rows = match (rows_needed, ordered) {
+        (false, _) => Vec::new(),
+        (true, true) => Rows::of_intersections(gpu, lists, columns),
+        (true, false) => {
+            vec![Rows::of_gaussians(lists, Buffer::zeros(gpu, inputs.projected.len / COLUMNS * columns))]
         }
-        (true, false) => Buffer::zeros(gpu, inputs.projected.len / COLUMNS * columns),
     };
     let unused: Buffer<f32> = Buffer::new(gpu, 0);
-    let (written, added) = if ordered { (&rows, &unused) } else { (&unused, &rows) };
     for run in &trace.runs {
         let slots = run.slots.slots.len();
         let suffix_rho: Buffer<f32> = Buffer::with_headroom(gpu, slots * TILE_PIXELS);
@@ -140,41 +137,43 @@ pub(crate) fn launch_rasterize_backward(
                 suffix_shape,
             );
         }
-        if !rows_needed {
-            continue;
-        }
-        macro_rules! launch {
-            ($cell:ty) => {
-                // SAFETY: as above; a row belongs to an intersection or a Gaussian of the lists.
-                unsafe {
-                    rasterize_backward_kernel::launch_unchecked::<$cell>(
-                        &gpu.client,
-                        cubes(slots),
-                        CubeDim::new_1d(LANES as u32),
-                        inputs.projected.arg(),
-                        inputs.features.arg(),
-                        grad.arg(),
-                        lists.arg(),
-                        run.kept.arg(),
-                        run.words.arg(),
-                        run.tile_of_slot.arg(),
-                        trace.segment_count.arg(),
-                        suffix_rho.arg(),
-                        written.arg(),
-                        added.arg(),
-                        frame(spec),
-                        run.slots.arg(),
-                        slots as u32,
-                        shape,
-                        needs.mean2d_abs,
-                        !ordered,
-                    )
-                }
-            };
-        }
-        match gpu.float_atomics {
-            true => launch!(Atomic<f32>),
-            false => launch!(Atomic<u32>),
+        for Rows { intersections, sums, .. } in &rows {
+            let (written, added) = if ordered { (sums, &unused) } else { (&unused, sums) };
+            macro_rules! launch {
+                ($cell:ty) => {
+                    // SAFETY: as above; a row belongs to an intersection or a Gaussian of the lists.
+                    unsafe {
+                        rasterize_backward_kernel::launch_unchecked::<$cell>(
+                            &gpu.client,
+                            cubes(slots),
+                            CubeDim::new_1d(LANES as u32),
+                            inputs.projected.arg(),
+                            inputs.features.arg(),
+                            grad.arg(),
+                            lists.arg(),
+                            run.kept.arg(),
+                            run.words.arg(),
+                            run.tile_of_slot.arg(),
+                            trace.segment_count.arg(),
+                            suffix_rho.arg(),
+                            written.arg(),
+                            added.arg(),
+                            frame(spec),
+                            run.slots.arg(),
+                            slots as u32,
+                            intersections.start as u32,
+                            intersections.end as u32,
+                            shape,
+                            needs.mean2d_abs,
+                            !ordered,
+                        )
+                    }
+                };
+            }
+            match gpu.float_atomics {
+                true => launch!(Atomic<f32>),
+                false => launch!(Atomic<u32>),
+            }
         }
     }
     let background = background.map(|rows| launch_column_sums(gpu, &rows, shape.features));
@@ -186,12 +185,12 @@ pub(crate) fn launch_rasterize_backward(
 }
 
 /// Turns rows of `columns` sums, one per intersection if `ordered` is set, else one per Gaussian, into the gradients of
-/// the inputs but the background, and of depth slopes of `slopes` numbers, zero for none.
+/// the inputs but the background, and of depth slopes of `slopes` numbers, zero for none. A launch per part of the rows.
 pub(crate) fn launch_gather(
     gpu: &Gpu,
     projected: &Buffer<f32>,
     lists: &DeviceIntersections,
-    (rows, columns, ordered): (&Buffer<f32>, usize, bool),
+    (rows, columns, ordered): (&[Rows], usize, bool),
     shape: KernelShape,
     (needs, slopes): (Layers<bool>, usize),
 ) -> (Layers<Option<Buffer<f32>>>, Option<Buffer<f32>>) {
@@ -205,28 +204,32 @@ pub(crate) fn launch_gather(
     let [of_projected, features, mean2d_abs, grad_depth_slopes] = Buffer::zeros_of(gpu, lens);
     let grads = Layers { projected: of_projected, features, background: None, mean2d_abs };
     let output = |buffer: &Option<Buffer<f32>>| buffer.as_ref().map(Buffer::arg).into();
-    let (grid, dim) = elementwise(lists.visible);
-    // SAFETY: ranks stay below the number of visible Gaussians; intersections below theirs.
-    unsafe {
-        rasterize_gather_kernel::launch_unchecked(
-            &gpu.client,
-            grid,
-            dim,
-            projected.arg(),
-            lists.order.arg(),
-            lists.first_intersection.arg(),
-            rows.arg(),
-            output(&grads.projected),
-            output(&grads.features),
-            output(&grads.mean2d_abs),
-            output(&grad_depth_slopes),
-            lists.visible as u32,
-            lists.intersections as u32,
-            shape,
-            columns,
-            slopes,
-            ordered,
-        );
+    for Rows { ranks, intersections, sums } in rows {
+        let (grid, dim) = elementwise(ranks.len());
+        // SAFETY: ranks stay below the number of visible Gaussians; the rows hold the intersections of these ranks.
+        unsafe {
+            rasterize_gather_kernel::launch_unchecked(
+                &gpu.client,
+                grid,
+                dim,
+                projected.arg(),
+                lists.order.arg(),
+                lists.first_intersection.arg(),
+                sums.arg(),
+                output(&grads.projected),
+                output(&grads.features),
+                output(&grads.mean2d_abs),
+                output(&grad_depth_slopes),
+                ranks.start as u32,
+                ranks.end as u32,
+                intersections.start as u32,
+                intersections.end as u32,
+                shape,
+                columns,
+                slopes,
+                ordered,
+            );
+        }
     }
     (grads, grad_depth_slopes)
 }

@@ -37,6 +37,8 @@ pub(crate) mod layer;
 mod power;
 mod prepared;
 #[cfg(feature = "cube")]
+pub(crate) mod rows;
+#[cfg(feature = "cube")]
 mod suffix;
 #[cfg(test)]
 mod tests;

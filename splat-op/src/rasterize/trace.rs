@@ -8,7 +8,7 @@ use cubecl::prelude::*;
 use super::forward::{PAIR_COUNTS, WORDS};
 use super::layer::{KernelShape, SEGMENT};
 use crate::counters::PairCounts;
-use crate::gpu::{Buffer, Gpu};
+use crate::gpu::{Buffer, Gpu, split};
 use crate::intersect::TILE_PIXELS;
 use crate::intersect::launch::DeviceIntersections;
 use crate::limits::Need;
@@ -92,18 +92,12 @@ impl DeviceTrace {
     /// Returns the numbers of pairs, if they were counted. Waits for the device.
     pub fn pair_counts(&self, gpu: &Gpu) -> Option<PairCounts> {
         let mut sums = [0; PAIR_COUNTS];
-        for counts in read(gpu, self.pairs.as_ref()?).as_chunks::<PAIR_COUNTS>().0 {
+        for counts in self.pairs.as_ref()?.read(gpu).as_chunks::<PAIR_COUNTS>().0 {
             sums.iter_mut().zip(counts).for_each(|(sum, count)| *sum += u64::from(*count));
         }
         let [evaluated_forwards, evaluated_backwards, contributing] = sums;
         Some(PairCounts { evaluated_forwards, evaluated_backwards, contributing })
     }
-}
-
-/// Copies a buffer to the host.
-fn read(gpu: &Gpu, buffer: &Buffer<u32>) -> Vec<u32> {
-    let read = gpu.client.read_one(buffer.handle.clone()).unwrap_or_else(|error| panic!("{error}"));
-    bytemuck::pod_collect_to_vec(&read[..4 * buffer.len])
 }
 
 /// Returns the runs of a trace. Waits for the device if one run does not fit its largest buffer.
@@ -114,21 +108,14 @@ pub(super) fn runs_of(gpu: &Gpu, lists: &DeviceIntersections, shape: KernelShape
     if !keep || slots <= room {
         return vec![RunSlots { tiles: 0..tiles, slots: 0..slots }];
     }
-    split(&read(gpu, &lists.tile_start), room)
+    runs_from(&lists.tile_start.read(gpu), room)
 }
 
 /// Splits tiles that begin at the places `starts` into runs of at most `room` slots, unless a run is a single tile.
-fn split(starts: &[u32], room: usize) -> Vec<RunSlots> {
+fn runs_from(starts: &[u32], room: usize) -> Vec<RunSlots> {
     let first_slot = |tile: usize| starts[tile] as usize / SEGMENT + tile;
-    let (mut runs, mut first) = (Vec::new(), 0);
-    for end in 1..starts.len() {
-        let last = end + 1 == starts.len();
-        if last || first_slot(end + 1) - first_slot(first) > room {
-            runs.push(RunSlots { tiles: first..end, slots: first_slot(first)..first_slot(end) });
-            first = end;
-        }
-    }
-    runs
+    let slots = |tiles: Range<usize>| RunSlots { slots: first_slot(tiles.start)..first_slot(tiles.end), tiles };
+    split(starts.len() - 1, room, first_slot).into_iter().map(slots).collect()
 }
 
 #[cfg(test)]
@@ -140,9 +127,9 @@ mod tests {
         // Tiles of 3, 1, 1 and 2 started segments; a slot may stay empty between two tiles.
         let starts = [0, 300, 300, 428, 600];
         let run = |tiles, slots| RunSlots { tiles, slots };
-        assert_eq!(split(&starts, 100), [run(0..4, 0..8)]);
-        assert_eq!(split(&starts, 4), [run(0..2, 0..4), run(2..4, 4..8)]);
-        assert_eq!(split(&starts, 1), [run(0..1, 0..3), run(1..2, 3..4), run(2..3, 4..6), run(3..4, 6..8)]);
-        assert_eq!(split(&[0, 0], 1), [run(0..1, 0..1)]);
+        assert_eq!(runs_from(&starts, 100), [run(0..4, 0..8)]);
+        assert_eq!(runs_from(&starts, 4), [run(0..2, 0..4), run(2..4, 4..8)]);
+        assert_eq!(runs_from(&starts, 1), [run(0..1, 0..3), run(1..2, 3..4), run(2..3, 4..6), run(3..4, 6..8)]);
+        assert_eq!(runs_from(&[0, 0], 1), [run(0..1, 0..1)]);
     }
 }

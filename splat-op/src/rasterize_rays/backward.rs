@@ -135,21 +135,26 @@ fn tile_of(lists: &TileLists, first: u32, end: u32, place: u32) -> u32 {
     low
 }
 
-/// Writes the rows `[H, row]` of the intersections of a run of tiles.
+/// Writes the rows of those of the intersections `first_row..end_row` that a run of tiles has.
 #[cube(launch_unchecked)]
 pub(super) fn rasterize_rays_sums_kernel(
     inputs: RayInputs,
     grad: &[f32],
     table: &[u32],
     rows: &mut [f32],
+    first_row: u32,
+    end_row: u32,
     view: RayFrame,
     #[comptime] absolute: bool,
 ) {
     let place = inputs.lists.start(view.first_tile) + ABSOLUTE_POS as u32;
+    let mut row = end_row;
     if place < inputs.lists.start(view.end_tile) {
+        row = inputs.lists.intersection(place) - first_row;
+    }
+    if row < end_row - first_row {
         let tile = tile_of(&inputs.lists, view.first_tile, view.end_tile, place);
         let origin = tile_origin(tile, &view.frame);
-        let intersection = inputs.lists.intersection(place);
         let footprint = RayGaussian::load(&inputs, inputs.lists.gaussian(place) as usize);
         let plane = (view.frame.width * view.frame.height) as usize;
         let features = comptime!(view.shape.features);
@@ -203,7 +208,7 @@ pub(super) fn rasterize_rays_sums_kernel(
                 }
             }
         }
-        let at = intersection as usize * columns;
+        let at = row as usize * columns;
         #[unroll]
         for column in 0..comptime!(MOMENTS) {
             rows[at + column] = sums[column];

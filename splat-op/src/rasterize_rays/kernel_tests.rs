@@ -1,6 +1,7 @@
 //! Compares the kernels of `rasterize_rays` with the CPU twin in f64, within f32 precision.
 
 use super::RayLayers;
+use super::backward::row_len;
 use super::cpu::{rasterize_rays_backward_cpu, rasterize_rays_cpu};
 use super::launch::{launch_rasterize_rays, launch_rasterize_rays_backward};
 use super::pixel::{RayGaussianCpu, Rules, look};
@@ -8,12 +9,14 @@ use crate::camera::Intrinsics;
 use crate::depth_slope::launch::launch_bounds;
 use crate::depth_slope::{DEPTH_SLOPE, bounds_cpu};
 use crate::gpu::{Buffer, Gpu};
-use crate::intersect::IntersectionLists;
 use crate::intersect::cpu::intersect_cpu;
 use crate::intersect::launch::{DeviceIntersections, launch_intersect};
+use crate::intersect::{IntersectionLists, TILE_PIXELS};
 use crate::options::{Order, Projection, RenderOptions};
 use crate::project::COLUMNS;
 use crate::rasterize::RasterizeSpec;
+use crate::rasterize::layer::KernelShape;
+use crate::rasterize::rows::Rows;
 use crate::testing::ceiling::{PerturbedReference, rounded, to_f32};
 use crate::testing::ellipses::ellipses;
 use crate::testing::gpu::{gpu, gpus};
@@ -249,6 +252,25 @@ fn the_same_bits_in_every_run_and_for_any_table() {
     let first = bits(1 << 20);
     assert!(first.1.iter().all(|g| g.iter().any(|value| *value != 0.0)));
     assert!(bits(1 << 20) == first && bits(50) == first && bits(1) == first);
+}
+
+#[test]
+fn rows_in_several_buffers_change_nothing() {
+    let Some(gpu) = gpu() else { return };
+    let options = RenderOptions::standard().with_projection(Projection::RayMax);
+    let scene = StageInputs::random(3_000, [160, 130], 1, [0.02, 1.0], options);
+    let grad = Random::new(4).fill(2 * 160 * 130, -1.0, 1.0);
+    let lists = scene.device(&gpu).1;
+    // Room for the planes, and for the table of the tile with the longest list.
+    let longest = lists.counts.read(&gpu).into_iter().max().expect("there are tiles");
+    let limited = Gpu { buffer_limit: (8 * 160 * 130).max(8 * TILE_PIXELS as u64 * longest as u64), ..gpu.clone() };
+    let parts = Rows::of_intersections(&limited, &lists, row_len(KernelShape::of(1, &scene.spec.options), true)).len();
+    assert!(parts > 1, "{} intersections in one part", lists.intersections);
+    let [one, several] = [&gpu, &limited].map(|gpu| {
+        let g = scene.on(gpu, &grad, ALL, 1 << 20).1;
+        [g.projected, g.depth_slope, g.features, g.background, g.mean2d_abs].map(|b| b.expect("asked for").read(gpu))
+    });
+    assert!(one == several, "{parts} parts");
 }
 
 #[test]

@@ -1,5 +1,7 @@
 //! Launches of `rasterize_rays`.
 
+use std::ops::Range;
+
 use cubecl::prelude::CubeDim;
 
 use super::RayLayers;
@@ -8,13 +10,14 @@ use super::forward::rasterize_rays_forward_kernel;
 use super::layer::{RayFrameLaunch, RayInputsLaunch};
 use crate::depth_slope::DEPTH_SLOPE;
 use crate::gpu::reduce::launch_sums;
-use crate::gpu::{Buffer, Gpu, cubes, elementwise};
+use crate::gpu::{Buffer, Gpu, cubes, elementwise, split};
 use crate::intersect::TILE_PIXELS;
 use crate::intersect::launch::DeviceIntersections;
 use crate::limits::Need;
 use crate::options::{Order, Projection};
 use crate::rasterize::launch::{frame, launch_gather};
 use crate::rasterize::layer::KernelShape;
+use crate::rasterize::rows::Rows;
 use crate::rasterize::{Layers, RasterizeSpec};
 
 /// Number of places in the table of layers and pixels, unless one tile has more: 64 MiB.
@@ -60,22 +63,6 @@ pub(crate) fn launch_rasterize_rays(
     planes
 }
 
-/// Splits the tiles into runs `first..end` of whole tiles. The lists of a run have at most `room` places together, unless the run
-/// is a single tile. Also returns the number of places of the longest run.
-fn runs(counts: &[i32], room: usize) -> (Vec<(usize, usize)>, usize) {
-    let (mut runs, mut longest, mut first, mut places) = (Vec::new(), 0, 0, 0);
-    for (tile, &count) in counts.iter().enumerate() {
-        if places + count as usize > room && places > 0 {
-            runs.push((first, tile));
-            (first, places) = (tile, 0);
-        }
-        places += count as usize;
-        longest = longest.max(places);
-    }
-    runs.push((first, counts.len()));
-    (runs, longest)
-}
-
 /// Returns the gradients of the inputs from `grad`, the gradient of the planes, with a table of at most `room` places. Waits for
 /// the device once, to read the lengths of the lists.
 pub(crate) fn launch_rasterize_rays_backward(
@@ -88,51 +75,54 @@ pub(crate) fn launch_rasterize_rays_backward(
 ) -> RayLayers<Option<Buffer<f32>>> {
     let (shape, pixels) =
         (KernelShape::of(inputs.background.len, &spec.options), spec.intrinsics.width * spec.intrinsics.height);
-    let read = gpu.client.read_one(lists.counts.handle.clone()).unwrap_or_else(|error| panic!("{error}"));
-    let counts: Vec<i32> = bytemuck::pod_collect_to_vec(&read[..4 * lists.counts.len]);
-    let (runs, longest) = runs(&counts, room.min(gpu.buffer_limit as usize / (8 * TILE_PIXELS)));
+    let starts = lists.tile_start.read(gpu);
+    let start = |tile: usize| starts[tile] as usize;
+    let runs = split(lists.counts.len, room.min(gpu.buffer_limit as usize / (8 * TILE_PIXELS)), start);
+    let places = |run: &Range<usize>| start(run.end) - start(run.start);
+    let table_len = runs.iter().map(places).max().unwrap_or(0) * 2 * TILE_PIXELS;
+    Need { what: "the layers of a tile's pixels", bytes: 4 * table_len as u64, hint: FEWER_INTERSECTIONS }
+        .assert_fits(gpu.buffer_limit);
+    let table: Buffer<u32> = Buffer::with_headroom(gpu, table_len);
     let columns = row_len(shape, needs.mean2d_abs);
-    let fits = |what, len: usize| {
-        Need { what, bytes: 4 * len as u64, hint: FEWER_INTERSECTIONS }.assert_fits(gpu.buffer_limit)
-    };
-    fits("the layers of a tile's pixels", longest * 2 * TILE_PIXELS);
-    fits("the rows of gradients", lists.intersections * columns);
-    let table: Buffer<u32> = Buffer::with_headroom(gpu, longest * 2 * TILE_PIXELS);
-    let rows: Buffer<f32> = Buffer::with_headroom(gpu, lists.intersections * columns);
     let left: Buffer<f32> = Buffer::new(gpu, pixels);
     let of_intersections = needs.projected || needs.depth_slope || needs.features || needs.mean2d_abs;
-    for &(first, end) in &runs {
-        let places = counts[first..end].iter().sum::<i32>() as usize;
-        // SAFETY: as in the forward pass; the table holds all places of a run, and `rows` all intersections.
+    let rows = match of_intersections {
+        true => Rows::of_intersections(gpu, lists, columns),
+        false => Vec::new(),
+    };
+    for run in runs {
+        let view = || view(spec, shape, (run.start, run.end));
+        // SAFETY: as in the forward pass; the table holds all places of a run.
         unsafe {
             rasterize_rays_walk_kernel::launch_unchecked(
                 &gpu.client,
-                cubes(end - first),
+                cubes(run.len()),
                 CubeDim::new_1d(TILE_PIXELS as u32),
                 inputs.arg(lists),
                 grad.arg(),
                 table.arg(),
                 left.arg(),
-                view(spec, shape, (first, end)),
+                view(),
             );
         }
-        if places == 0 || !of_intersections {
-            continue;
-        }
-        let (grid, dim) = elementwise(places);
-        // SAFETY: as above.
-        unsafe {
-            rasterize_rays_sums_kernel::launch_unchecked(
-                &gpu.client,
-                grid,
-                dim,
-                inputs.arg(lists),
-                grad.arg(),
-                table.arg(),
-                rows.arg(),
-                view(spec, shape, (first, end)),
-                needs.mean2d_abs,
-            );
+        for part in rows.iter().filter(|_| places(&run) > 0) {
+            let (grid, dim) = elementwise(places(&run));
+            // SAFETY: as above; rows are guarded.
+            unsafe {
+                rasterize_rays_sums_kernel::launch_unchecked(
+                    &gpu.client,
+                    grid,
+                    dim,
+                    inputs.arg(lists),
+                    grad.arg(),
+                    table.arg(),
+                    part.sums.arg(),
+                    part.intersections.start as u32,
+                    part.intersections.end as u32,
+                    view(),
+                    needs.mean2d_abs,
+                );
+            }
         }
     }
     let background = needs.background.then(|| launch_sums(gpu, grad, Some(&left), [pixels, shape.features]));
@@ -146,16 +136,4 @@ pub(crate) fn launch_rasterize_rays_backward(
         launch_gather(gpu, &inputs.projected, lists, (&rows, columns, true), shape, (needs, slopes));
     let Layers { projected, features, mean2d_abs, .. } = grads;
     RayLayers { projected, depth_slope, features, background, mean2d_abs }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::runs;
-
-    #[test]
-    fn runs_hold_whole_tiles() {
-        assert_eq!(runs(&[3, 4, 0, 9, 1, 1], 7), (vec![(0, 3), (3, 4), (4, 6)], 9));
-        assert_eq!(runs(&[0, 0], 7), (vec![(0, 2)], 0));
-        assert_eq!(runs(&[20, 20], 7), (vec![(0, 1), (1, 2)], 20));
-    }
 }
