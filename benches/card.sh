@@ -14,7 +14,7 @@ build() {
   local folder="$1" messages
   messages="$(mktemp)"
   # One build with both compilers of kernels: WGSL for `gpu`, SPIR-V for `vulkan`.
-  local options=(--locked --release --workspace --features splat-benches/vulkan,splat-op/vulkan --no-run --message-format=json)
+  local options=(--locked --release -p splat-op -p splat-tests -p splat-benches --features splat-benches/vulkan,splat-tests/vulkan --no-run --message-format=json)
   cargo test "${options[@]}" --bench gpu --test reference >"$messages"
   executable gpu <"$messages" | xargs -I{} cp {} "$folder/gpu"
   executable reference <"$messages" | xargs -I{} cp {} "$folder/reference_test"
