@@ -18,6 +18,7 @@ use cubecl::prelude::{CubeCount, CubeDim};
 pub use buffer::poison;
 pub(crate) use buffer::{Buffer, launch_scale};
 
+use crate::abilities::lowered_limit;
 use crate::counters::count_dispatch;
 
 /// Default number of units of a cube.
@@ -50,7 +51,7 @@ impl Gpu {
         Self {
             planes: properties.features.plane.contains(Plane::Ops) || planes_forced(),
             float_atomics: properties.atomic_type_usage(float).contains(AtomicUsage::Add),
-            buffer_limit: properties.memory.max_page_size.min(INDEX_LIMIT),
+            buffer_limit: properties.memory.max_page_size.min(INDEX_LIMIT).min(lowered_limit()),
             client: client.clone(),
         }
     }
