@@ -299,5 +299,6 @@ fn gradients(gaussians: &Gaussians) -> Gradients {
         log_scales: Some(gaussians.log_scales.val() * SHARE),
         logit_opacities: Some(gaussians.logit_opacities.val() * SHARE),
         sh: Some(gaussians.sh.val() * SHARE),
+        sh_more: Vec::new(),
     }
 }

@@ -1,9 +1,11 @@
 //! The scene: Gaussians with unconstrained parameters, as a Burn module.
 
+use std::ops::Range;
+
 use burn::module::{Module, Param};
 use burn::tensor::{Device, Int, Tensor, TensorData, activation};
 use rayon::prelude::*;
-use splat_op::{Colour, RawSplats, Splats, activate};
+use splat_op::{Colour, RawSplats, Splats, activate, largest_tensor};
 use thiserror::Error;
 
 /// The rows of a scene on the host, as in scene files. Row `i` of every field belongs to Gaussian `i`.
@@ -130,12 +132,29 @@ pub struct Gaussians {
     pub logit_opacities: Param<Tensor<1>>,
     /// `[N, (degree+1)², 3]`: coefficients of the spherical harmonics, degree 0 first. Coefficients of a degree that is not yet
     /// in use are not stored, because their gradients, moments and values would all be zero.
+    ///
+    /// If a tensor with the rows of all Gaussians were larger than [`splat_op::largest_tensor`] (on wgpu above 11 million
+    /// Gaussians of degree 3), this one has the first rows.
     pub sh: Param<Tensor<3>>,
+    /// The rows after those of `sh`, block by block; none as long as one tensor suffices.
+    pub sh_more: Vec<Param<Tensor<3>>>,
 }
 
 /// A parameter, tracked on an autodiff device and plain elsewhere.
 pub(crate) fn parameter<const D: usize>(values: Tensor<D>) -> Param<Tensor<D>> {
     Param::from_tensor(values)
+}
+
+/// Divides the rows of `coefficients` f32 coefficients for three channels into blocks that a device can hold; at least one.
+pub(crate) fn sh_blocks(count: usize, coefficients: usize, device: &Device) -> Vec<Range<usize>> {
+    let room = largest_tensor(device) / (size_of::<f32>() * 3 * coefficients) as u64;
+    let rows = usize::try_from(room).unwrap_or(usize::MAX).max(1);
+    (0..count.max(1)).step_by(rows).map(|first| first..first.saturating_add(rows).min(count)).collect()
+}
+
+/// Joins tensors of consecutive rows.
+pub(crate) fn joined<const D: usize>(mut blocks: Vec<Tensor<D>>) -> Tensor<D> {
+    if blocks.len() == 1 { blocks.swap_remove(0) } else { Tensor::cat(blocks, 0) }
 }
 
 impl Gaussians {
@@ -146,12 +165,19 @@ impl Gaussians {
     pub fn from_rows(rows: &GaussianRows, device: &Device) -> Result<Self, RowsError> {
         rows.check()?;
         let (count, coefficients) = (rows.len(), rows.rest_per_row() / 3 + 1);
+        let values = rows.sh();
+        let block = |rows: Range<usize>| {
+            let values = &values[3 * coefficients * rows.start..3 * coefficients * rows.end];
+            parameter(tensor(values, [rows.len(), coefficients, 3], device))
+        };
+        let mut blocks = sh_blocks(count, coefficients, device).into_iter();
         Ok(Self {
             means: parameter(tensor(rows.means.as_flattened(), [count, 3], device)),
             rotations: parameter(tensor(rows.rotations.as_flattened(), [count, 4], device)),
             log_scales: parameter(tensor(rows.log_scales.as_flattened(), [count, 3], device)),
             logit_opacities: parameter(tensor(&rows.logit_opacities, [count], device)),
-            sh: parameter(tensor(&rows.sh(), [count, coefficients, 3], device)),
+            sh: block(blocks.next().unwrap_or(0..count)),
+            sh_more: blocks.map(block).collect(),
         })
     }
 
@@ -165,8 +191,13 @@ impl Gaussians {
             sh_degree: self.sh_degree(),
             ..GaussianRows::default()
         };
-        rows.set_sh(&values_of(self.sh.val()));
+        self.sh_params().for_each(|block| rows.set_sh(&values_of(block.val())));
         rows
+    }
+
+    /// All blocks of coefficients.
+    pub fn sh_params(&self) -> impl Iterator<Item = &Param<Tensor<3>>> {
+        std::iter::once(&self.sh).chain(&self.sh_more)
     }
 
     /// Number of Gaussians.
@@ -194,19 +225,36 @@ impl Gaussians {
     /// `[N]`: opacities, 0 to 1; exactly 0, without gradients, for Gaussians that are unusable in any parameter (see
     /// [`splat_op::activate`]), so that they do not affect other Gaussians.
     pub fn opacities(&self) -> Tensor<1> {
-        let raw = self.raw();
+        let opacities: Result<_, _> = self.raw().iter().map(activate::opacities).collect();
         // As in `scales`.
-        activate::opacities(&raw).unwrap_or_else(|_| activation::sigmoid(raw.logit_opacities))
+        opacities.map(joined).unwrap_or_else(|_| activation::sigmoid(self.logit_opacities.val()))
     }
 
-    fn raw(&self) -> RawSplats {
-        RawSplats {
-            means: self.means.val(),
-            rotations: self.rotations.val(),
-            log_scales: self.log_scales.val(),
-            logit_opacities: self.logit_opacities.val(),
-            sh: self.sh.val(),
+    /// The parameters of the Gaussians of each block of coefficients.
+    fn raw(&self) -> Vec<RawSplats> {
+        /// The rows of a block, if there are several blocks and enough rows.
+        fn of<const D: usize>(param: &Param<Tensor<D>>, rows: &Range<usize>, several: bool) -> Tensor<D> {
+            let all = param.val();
+            if several && !rows.is_empty() && rows.end <= all.dims()[0] {
+                all.narrow(0, rows.start, rows.len())
+            } else {
+                all
+            }
         }
+        let (several, mut first) = (!self.sh_more.is_empty(), 0);
+        let block = |sh: &Param<Tensor<3>>| {
+            let sh = sh.val();
+            let rows = first..first + sh.dims()[0];
+            first = rows.end;
+            RawSplats {
+                means: of(&self.means, &rows, several),
+                rotations: of(&self.rotations, &rows, several),
+                log_scales: of(&self.log_scales, &rows, several),
+                logit_opacities: of(&self.logit_opacities, &rows, several),
+                sh,
+            }
+        };
+        self.sh_params().map(block).collect()
     }
 
     /// The Gaussians with activated parameters, tracked like the parameters. Unusable Gaussians are masked, see
@@ -215,23 +263,28 @@ impl Gaussians {
         self.splats_with(None)
     }
 
-    /// [`Self::splats`], with the mark that the last step left, `[1]`, if the coefficients are its result; see [`splat_op::adam`].
+    /// [`Self::splats`], with the mark that the last step left, `[1]`, if the coefficients in `sh` are its result; see
+    /// [`splat_op::adam`].
     pub(crate) fn splats_with(&self, mark: Option<&Tensor<1, Int>>) -> Splats {
+        let raw = self.raw();
+        let blocks = raw.iter().enumerate().map(|(block, raw)| activate::activated(raw, mark.filter(|_| block == 0)));
+        let activated: Result<(Vec<_>, Vec<_>), _> = blocks.collect();
         // As in `scales`.
-        let activated = activate::activated(&self.raw(), mark);
-        let (scales, opacities) = activated.unwrap_or_else(|_| (self.scales(), self.opacities()));
-        Splats {
-            means: self.means.val(),
-            rotations: self.rotations.val(),
-            scales,
-            opacities,
-            colour: Colour::SphericalHarmonics(self.sh.val()),
-        }
+        let (scales, opacities) = activated
+            .map(|(scales, opacities)| (joined(scales), joined(opacities)))
+            .unwrap_or_else(|_| (self.scales(), self.opacities()));
+        let colour = match self.sh_more.is_empty() {
+            true => Colour::SphericalHarmonics(self.sh.val()),
+            false => Colour::SphericalHarmonicsBlocks(self.sh_params().map(Param::val).collect()),
+        };
+        Splats { means: self.means.val(), rotations: self.rotations.val(), scales, opacities, colour }
     }
 
     /// The scene without autodiff, for evaluation, where a tracked forward pass would store its state needlessly.
     pub fn untracked(&self) -> Self {
-        let plain = |param: &Param<Tensor<2>>| Param::from_tensor(param.val().inner());
+        fn plain<const D: usize>(param: &Param<Tensor<D>>) -> Param<Tensor<D>> {
+            Param::from_tensor(param.val().inner())
+        }
         if !self.means.val().device().is_autodiff() {
             return self.clone();
         }
@@ -239,8 +292,9 @@ impl Gaussians {
             means: plain(&self.means),
             rotations: plain(&self.rotations),
             log_scales: plain(&self.log_scales),
-            logit_opacities: Param::from_tensor(self.logit_opacities.val().inner()),
-            sh: Param::from_tensor(self.sh.val().inner()),
+            logit_opacities: plain(&self.logit_opacities),
+            sh: plain(&self.sh),
+            sh_more: self.sh_more.iter().map(plain).collect(),
         }
     }
 }

@@ -4,6 +4,8 @@
 use burn::backend::DispatchDevice;
 use burn::tensor::Device;
 
+use std::sync::atomic::{AtomicU64, Ordering};
+
 use crate::error::SplatError;
 #[cfg(feature = "cube")]
 use crate::gpu::Gpu;
@@ -49,6 +51,25 @@ pub(crate) fn check_fits(device: &Device, needs: &[Need]) -> Result<(), SplatErr
 /// Returns whether a device is a GPU, which computes asynchronously.
 pub fn is_gpu(device: &Device) -> bool {
     buffer_limit(device).is_some()
+}
+
+/// Bound of the size of buffers and tensors, for tests.
+static LARGEST: AtomicU64 = AtomicU64::new(u64::MAX);
+
+/// Lowers the size of every device's largest buffer and tensor to `bytes`. For tests of steps that exceed a real device's.
+pub fn lower_limit(bytes: u64) {
+    LARGEST.store(bytes, Ordering::Relaxed);
+}
+
+/// The bound that [`lower_limit`] sets.
+pub(crate) fn lowered_limit() -> u64 {
+    LARGEST.load(Ordering::Relaxed)
+}
+
+/// Returns the size of the largest tensor that kernels can use on a device, bytes: that of a GPU's largest buffer. CPUs have no
+/// limit but their memory.
+pub fn largest_tensor(device: &Device) -> u64 {
+    buffer_limit(device).unwrap_or_else(lowered_limit)
 }
 
 /// Size of a GPU's largest buffer, bytes; `None` for a CPU device.

@@ -4,7 +4,7 @@ use burn::backend::Dispatch;
 use burn::tensor::Tensor;
 
 use crate::backend::stages::SplatBackend;
-use crate::camera::Camera;
+use crate::camera::{Camera, Intrinsics};
 use crate::check::Reference;
 use crate::error::SplatError;
 use crate::options::RenderOptions;
@@ -25,13 +25,49 @@ pub fn evaluate_sh(sh: &Tensor<3>, means: &Tensor<2>, camera: &Camera) -> Result
     sh_visible(sh, means, camera, (None, &RenderOptions::standard()))
 }
 
-/// Evaluates spherical harmonics as [`evaluate_sh`]. If `visible` is given, only Gaussians that can show in its picture get a
-/// colour; the colours of all others are zero.
+/// Evaluates spherical harmonics up to a degree, given in blocks of consecutive Gaussians, block by block as [`sh_visible`].
+fn blocks_visible(
+    (blocks, degree): (&[Tensor<3>], Option<usize>),
+    means: &Tensor<2>,
+    camera: &Camera,
+    (visible, options): (Option<&Projected>, &RenderOptions),
+) -> Result<Tensor<2>, SplatError> {
+    let visible = visible.map(|visible| (visible.packed().clone(), *visible.intrinsics()));
+    if let [sh] = blocks {
+        return sh_visible(&up_to_degree(sh, degree), means, camera, (visible, options));
+    }
+    let counts: Vec<usize> = blocks.iter().map(|sh| sh.dims()[0]).collect();
+    let count = means.dims()[0];
+    if blocks.is_empty() || counts.iter().sum::<usize>() != count {
+        let (expected, hint) = ("blocks with N rows together", format!("there are {count} Gaussians"));
+        return Err(SplatError::Shape { name: "sh", found: counts, expected, hint });
+    }
+    if let Some((packed, _)) = &visible {
+        Reference::new(means)?.check("projected", packed, [Some(count), Some(COLUMNS)], "[N, 7]")?;
+    }
+    let mut first = 0;
+    // Burn narrows no tensor to no rows.
+    let colours = blocks.iter().zip(counts).filter(|(_, rows)| *rows > 0).map(|(sh, rows)| {
+        let of_block = |all: Tensor<2>| all.narrow(0, first, rows);
+        let visible = visible.clone().map(|(packed, intrinsics)| (of_block(packed), intrinsics));
+        let colours = sh_visible(&up_to_degree(sh, degree), &of_block(means.clone()), camera, (visible, options));
+        first += rows;
+        colours
+    });
+    let colours: Vec<_> = colours.collect::<Result<_, _>>()?;
+    match colours.is_empty() {
+        true => Ok(Tensor::zeros([0, 3], (&means.device(), means.dtype()))),
+        false => Ok(Tensor::cat(colours, 0)),
+    }
+}
+
+/// Evaluates spherical harmonics as [`evaluate_sh`]. If `visible` is given, packed ellipses of a picture, only Gaussians that
+/// can show in it get a colour; the colours of all others are zero.
 fn sh_visible(
     sh: &Tensor<3>,
     means: &Tensor<2>,
     camera: &Camera,
-    (visible, options): (Option<&Projected>, &RenderOptions),
+    (visible, options): (Option<(Tensor<2>, Intrinsics)>, &RenderOptions),
 ) -> Result<Tensor<2>, SplatError> {
     let reference = Reference::new(means)?;
     let count = means.dims()[0];
@@ -39,16 +75,16 @@ fn sh_visible(
     reference.check("cam_from_world", &camera.cam_from_world, [Some(3), Some(4)], "[3, 4]")?;
     check_sh(&reference, sh, count)?;
     reference.check_fits(&[sh_need(sh)])?;
-    if let Some(visible) = visible {
-        reference.check("projected", visible.packed(), [Some(count), Some(COLUMNS)], "[N, 7]")?;
+    if let Some((visible, _)) = &visible {
+        reference.check("projected", visible, [Some(count), Some(COLUMNS)], "[N, 7]")?;
     }
     let inputs = Shading {
         sh: sh.clone().into(),
         means: means.clone().into(),
         cam_from_world: camera.cam_from_world.clone().into(),
     };
-    let intrinsics = visible.map_or(camera.intrinsics, |visible| *visible.intrinsics());
-    let visible = visible.map(|visible| visible.packed().clone().into_dispatch());
+    let intrinsics = visible.as_ref().map_or(camera.intrinsics, |(_, intrinsics)| *intrinsics);
+    let visible = visible.map(|(visible, _)| visible.into_dispatch());
     let spec = ProjectSpec { intrinsics, options: *options };
     Ok(Tensor::from_dispatch(<Dispatch as SplatBackend>::evaluate_sh(inputs, visible.into(), spec)))
 }
@@ -70,8 +106,11 @@ pub fn colours(splats: &Splats, camera: &Camera) -> Result<Tensor<2>, SplatError
 /// As [`colours`].
 pub fn colours_up_to(splats: &Splats, camera: &Camera, degree: Option<usize>) -> Result<Tensor<2>, SplatError> {
     match &splats.colour {
-        Colour::SphericalHarmonics(sh) => evaluate_sh(&up_to_degree(sh, degree), &splats.means, camera),
         Colour::Features(features) => Ok(features.clone()),
+        harmonics => {
+            let seen = (None, &RenderOptions::standard());
+            blocks_visible((harmonics.blocks(), degree), &splats.means, camera, seen)
+        }
     }
 }
 
@@ -91,12 +130,13 @@ pub fn visible_colours(
     options: &RenderOptions,
 ) -> Result<Tensor<2>, SplatError> {
     match &splats.colour {
-        // A ray may hit a Gaussian whose ellipse lies outside the picture.
-        Colour::SphericalHarmonics(sh) => {
-            let visible = (!options.along_rays()).then_some(projected);
-            sh_visible(&up_to_degree(sh, options.sh_degree), &splats.means, camera, (visible, options))
-        }
         Colour::Features(features) => Ok(features.clone()),
+        harmonics => {
+            // A ray may hit a Gaussian whose ellipse lies outside the picture.
+            let visible = (!options.along_rays()).then_some(projected);
+            let blocks = (harmonics.blocks(), options.sh_degree);
+            blocks_visible(blocks, &splats.means, camera, (visible, options))
+        }
     }
 }
 

@@ -149,7 +149,7 @@ pub mod test_hooks;
 
 #[cfg(feature = "cube")]
 pub use abilities::Abilities;
-pub use abilities::is_gpu;
+pub use abilities::{is_gpu, largest_tensor};
 pub use activate::RawSplats;
 pub use backend::custom_grad::with_gradient;
 pub use camera::{Camera, CameraModel, Intrinsics, Projector};

@@ -53,6 +53,9 @@ pub struct Extras {
 pub enum Colour {
     /// Spherical-harmonics coefficients `[N, (degree+1)², 3]`, degree 0 to 4.
     SphericalHarmonics(Tensor<3>),
+    /// The same in several tensors, each with the coefficients `[n, (degree+1)², 3]` of the next `n` Gaussians: for scenes with
+    /// more coefficients than a GPU's [largest buffer](crate::largest_tensor) holds.
+    SphericalHarmonicsBlocks(Vec<Tensor<3>>),
     /// Features `[N, C]` of any number of channels, rasterized unchanged.
     Features(Tensor<2>),
 }
@@ -73,6 +76,9 @@ impl Colour {
         Ok(match (storage, self) {
             (Storage::Full, _) | (_, Self::Features(_)) => self.clone(),
             (Storage::Half, Self::SphericalHarmonics(sh)) => Self::SphericalHarmonics(halved(sh)?),
+            (Storage::Half, Self::SphericalHarmonicsBlocks(blocks)) => {
+                Self::SphericalHarmonicsBlocks(blocks.iter().map(halved).collect::<Result<_, _>>()?)
+            }
         })
     }
 
@@ -80,7 +86,19 @@ impl Colour {
     pub(crate) fn up_to_degree(&self, degree: Option<usize>) -> Self {
         match self {
             Self::SphericalHarmonics(sh) => Self::SphericalHarmonics(up_to_degree(sh, degree)),
+            Self::SphericalHarmonicsBlocks(blocks) => {
+                Self::SphericalHarmonicsBlocks(blocks.iter().map(|sh| up_to_degree(sh, degree)).collect())
+            }
             Self::Features(features) => Self::Features(features.clone()),
+        }
+    }
+
+    /// The tensors of coefficients; none for features.
+    pub(crate) fn blocks(&self) -> &[Tensor<3>] {
+        match self {
+            Self::SphericalHarmonics(sh) => std::slice::from_ref(sh),
+            Self::SphericalHarmonicsBlocks(blocks) => blocks,
+            Self::Features(_) => &[],
         }
     }
 }
@@ -116,6 +134,6 @@ pub(crate) fn sh_need(sh: &Tensor<3>) -> Need {
         "sh",
         sh.dims(),
         sh.dtype().size(),
-        "use fewer Gaussians or a lower degree of the spherical harmonics",
+        "use fewer Gaussians or a lower degree of the spherical harmonics, or several tensors (`Colour::SphericalHarmonicsBlocks`)",
     )
 }

@@ -304,14 +304,15 @@ pub(crate) fn check_render_fits(
     options: &RenderOptions,
 ) -> Result<(), SplatError> {
     let count = splats.means.dims()[0];
-    let (colour, channels) = match &splats.colour {
-        Colour::SphericalHarmonics(sh) => (Some(sh_need(sh)), 3),
-        Colour::Features(features) => (None, features.dims()[1]),
-    };
+    let channels = if let Colour::Features(features) = &splats.colour { features.dims()[1] } else { 3 };
     let shape = [cameras, channels, intrinsics.height, intrinsics.width];
     let pictures = Need::floats("the pictures of all cameras", shape, "render fewer cameras in one call");
     let needs = rasterize_needs([count, channels], intrinsics, options);
-    let all: Vec<Need> = needs.into_iter().chain(colour).chain([packed_need(count), pictures]).collect();
+    let all: Vec<Need> = needs
+        .into_iter()
+        .chain(splats.colour.blocks().iter().map(sh_need))
+        .chain([packed_need(count), pictures])
+        .collect();
     check_fits(&splats.means.device(), &all)
 }
 

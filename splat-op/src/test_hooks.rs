@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use burn::backend::{Backend, Dispatch};
 use burn::tensor::Device;
 
-pub use crate::abilities::buffer_limit;
+pub use crate::abilities::{buffer_limit, lower_limit};
 #[cfg(feature = "cube")]
 pub use crate::counters::{PairCounts, count_pairs};
 pub use crate::counters::{allocated_bytes, bound_bytes, dispatches, twin_calls};

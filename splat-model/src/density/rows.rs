@@ -1,10 +1,15 @@
 //! A scene in training, and edits of its rows: the only place that changes rows of parameters and of their moments.
 
+mod gradients;
+mod harmonics;
+
 use burn::module::{Param, ParamId};
 use burn::tensor::{DType, Device, Int, Tensor, TensorData};
 use splat_op::adam::{Factors, Raw, SceneStep, SteppedScene, step_scene, steps_scenes};
 use splat_op::{RawSplats, Splats};
 
+pub use self::gradients::Gradients;
+use self::harmonics::{first_and_more, put_harmonics, take_harmonics};
 use crate::gaussians::{GaussianRows, Gaussians, RowsError, parameter};
 use crate::optim::{Adam, LearningRates, Moments, Rates};
 use crate::state::{State, StateError};
@@ -17,6 +22,7 @@ pub struct GaussianMoments {
     pub(crate) log_scales: Moments<2>,
     pub(crate) logit_opacities: Moments<1>,
     pub(crate) sh: Moments<3>,
+    pub(crate) sh_more: Vec<Moments<3>>,
 }
 
 impl GaussianMoments {
@@ -28,7 +34,12 @@ impl GaussianMoments {
             log_scales: Moments::new(&gaussians.log_scales.val()),
             logit_opacities: Moments::new(&gaussians.logit_opacities.val()),
             sh: Moments::new(&gaussians.sh.val()),
+            sh_more: gaussians.sh_more.iter().map(|block| Moments::new(&block.val())).collect(),
         }
+    }
+
+    fn sh_blocks(&self) -> impl Iterator<Item = &Moments<3>> {
+        std::iter::once(&self.sh).chain(&self.sh_more)
     }
 }
 
@@ -86,7 +97,7 @@ impl Trained {
         edit_rows(&mut g.rotations, &mut m.rotations, &keep, &added.rotations);
         edit_rows(&mut g.log_scales, &mut m.log_scales, &keep, &added.log_scales);
         edit_rows(&mut g.logit_opacities, &mut m.logit_opacities, &keep, &added.logit_opacities);
-        edit_rows(&mut g.sh, &mut m.sh, &keep, &added.sh);
+        self.edit_sh(&edit.keep, &keep, &added);
         Ok(())
     }
 
@@ -106,27 +117,11 @@ impl Trained {
         replace(&mut self.gaussians.log_scales, log_scales);
     }
 
-    /// Extends the spherical harmonics to `degree`. New coefficients and their moments are zero, as if they had been there
-    /// from the start with zero gradients.
-    pub fn grow_sh(&mut self, degree: usize) {
-        let wanted = (degree + 1) * (degree + 1);
-        let values = self.gaussians.sh.val().inner();
-        let [count, have, channels] = values.dims();
-        if wanted <= have {
-            return;
-        }
-        let zeros = Tensor::zeros([count, wanted - have, channels], (&values.device(), values.dtype()));
-        let grown = |old: Tensor<3>| Tensor::cat(vec![old, zeros.clone()], 1);
-        self.moments.sh.m.inplace(grown);
-        self.moments.sh.v.inplace(grown);
-        replace(&mut self.gaussians.sh, grown(values));
-    }
-
     /// Takes one Adam step on every parameter that has a gradient. `step` counts from 1. With a verdict, `[2]` (see
     /// [`splat_op::adam`]), the device leaves everything unchanged if a step is recorded in it.
     pub fn step(
         &mut self,
-        gradients: Gradients,
+        mut gradients: Gradients,
         adam: &Adam,
         rates: &StepRates,
         step: usize,
@@ -134,6 +129,10 @@ impl Trained {
     ) {
         let LearningRates { scales, rotations, sh_dc, sh_rest, opacities, .. } = rates.rates;
         let sh_rates = Rates { first: sh_dc, others: sh_rest };
+        let more = self.gaussians.sh_more.iter_mut().zip(&mut self.moments.sh_more);
+        for ((block, moments), gradient) in more.zip(gradients.sh_more.drain(..)) {
+            update(block, gradient, sh_rates, moments, (adam, step, verdict));
+        }
         let gradients = match gradients {
             // One operation takes all steps.
             Gradients {
@@ -142,6 +141,7 @@ impl Trained {
                 log_scales: Some(log_scales),
                 logit_opacities: Some(logit_opacities),
                 sh: Some(sh),
+                ..
             } if steps_scenes(&means) => {
                 let grads = RawSplats { means, rotations: of_rotations, log_scales, logit_opacities, sh };
                 let rates = [rates.means.into(), rotations.into(), scales.into(), opacities.into(), sh_rates];
@@ -212,7 +212,7 @@ impl Trained {
         put_parameter(&mut state, "rotations", &g.rotations, &m.rotations);
         put_parameter(&mut state, "log_scales", &g.log_scales, &m.log_scales);
         put_parameter(&mut state, "logit_opacities", &g.logit_opacities, &m.logit_opacities);
-        put_parameter(&mut state, "sh", &g.sh, &m.sh);
+        put_harmonics(&mut state, g, m);
         state
     }
 
@@ -233,15 +233,17 @@ impl Trained {
             let side = coefficients.isqrt();
             rows == count && (1..=largest).contains(&side) && side * side == coefficients && channels == 3
         };
-        let (sh, of_sh) = take_parameter::<3>(from, "sh", device, is_sh)?;
+        let (sh, of_sh) = take_harmonics(from, device, is_sh)?;
+        let ((sh, sh_more), (of_sh, of_sh_more)) = (first_and_more(sh), first_and_more(of_sh));
         Ok(Self {
-            gaussians: Gaussians { means, rotations, log_scales, logit_opacities, sh },
+            gaussians: Gaussians { means, rotations, log_scales, logit_opacities, sh, sh_more },
             moments: GaussianMoments {
                 means: of_means,
                 rotations: of_rotations,
                 log_scales: of_log_scales,
                 logit_opacities: of_opacities,
                 sh: of_sh,
+                sh_more: of_sh_more,
             },
             mark: None,
         })
@@ -255,62 +257,6 @@ pub struct StepRates {
     pub rates: LearningRates,
     /// Rate of the centres, scene units.
     pub means: f64,
-}
-
-/// Gradients of a scene's parameters, without autodiff. `None` where the loss does not depend on a parameter.
-#[derive(Debug, Default)]
-pub struct Gradients {
-    /// `[N, 3]`, centres.
-    pub means: Option<Tensor<2>>,
-    /// `[N, 4]`, quaternions.
-    pub rotations: Option<Tensor<2>>,
-    /// `[N, 3]`, logarithms of the standard deviations.
-    pub log_scales: Option<Tensor<2>>,
-    /// `[N]`, logits of the opacities.
-    pub logit_opacities: Option<Tensor<1>>,
-    /// `[N, (degree + 1)², 3]`, coefficients of the spherical harmonics.
-    pub sh: Option<Tensor<3>>,
-}
-
-impl Gradients {
-    /// Removes the gradients of a scene's parameters from the gradients of a loss.
-    pub fn take(gaussians: &Gaussians, grads: &mut burn::tensor::Gradients) -> Self {
-        Self {
-            means: gaussians.means.val().grad_remove(grads),
-            rotations: gaussians.rotations.val().grad_remove(grads),
-            log_scales: gaussians.log_scales.val().grad_remove(grads),
-            logit_opacities: gaussians.logit_opacities.val().grad_remove(grads),
-            sh: gaussians.sh.val().grad_remove(grads),
-        }
-    }
-
-    /// The sum of both. `None` counts as zero.
-    pub fn plus(self, other: Self) -> Self {
-        fn sum<const D: usize>(a: Option<Tensor<D>>, b: Option<Tensor<D>>) -> Option<Tensor<D>> {
-            match (a, b) {
-                (Some(a), Some(b)) => Some(a + b),
-                (a, b) => a.or(b),
-            }
-        }
-        Self {
-            means: sum(self.means, other.means),
-            rotations: sum(self.rotations, other.rotations),
-            log_scales: sum(self.log_scales, other.log_scales),
-            logit_opacities: sum(self.logit_opacities, other.logit_opacities),
-            sh: sum(self.sh, other.sh),
-        }
-    }
-
-    /// The gradients multiplied by a factor.
-    pub fn times(self, factor: f64) -> Self {
-        Self {
-            means: self.means.map(|grad| grad * factor),
-            rotations: self.rotations.map(|grad| grad * factor),
-            log_scales: self.log_scales.map(|grad| grad * factor),
-            logit_opacities: self.logit_opacities.map(|grad| grad * factor),
-            sh: self.sh.map(|grad| grad * factor),
-        }
-    }
 }
 
 /// `values` on the device of a parameter, tracked if that is an autodiff device.
@@ -367,10 +313,13 @@ fn edit_rows<const D: usize>(
     replace(param, values);
 }
 
+fn untracked<const D: usize>(values: Tensor<D>) -> Tensor<D> {
+    if values.is_autodiff() { values.inner() } else { values }
+}
+
 fn put_parameter<const D: usize>(to: &mut State, name: &str, param: &Param<Tensor<D>>, moments: &Moments<D>) {
-    let values = param.val();
     let mut part = State::default();
-    part.put("values", if values.is_autodiff() { values.inner() } else { values });
+    part.put("values", untracked(param.val()));
     moments.save(&mut part);
     to.put_part(name, part);
 }

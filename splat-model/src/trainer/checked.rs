@@ -109,17 +109,20 @@ pub(super) fn check_loss(loss: &Tensor<1>) -> Result<(), Wrong> {
 }
 
 pub(super) fn check_gradients(gradients: &Gradients) -> Result<(), Wrong> {
-    fn one<const D: usize>(field: &str, gradient: &Option<Tensor<D>>) -> Result<(), Wrong> {
-        let Some(gradient) = gradient else { return Ok(()) };
-        let columns = gradient.dims()[1..].iter().product();
-        let values = host(gradient.clone());
+    fn one<'a, const D: usize>(
+        field: &str,
+        blocks: impl IntoIterator<Item = &'a Tensor<D>> + Clone,
+    ) -> Result<(), Wrong> {
+        let Some(first) = blocks.clone().into_iter().next() else { return Ok(()) };
+        let columns = first.dims()[1..].iter().product();
+        let values: Vec<f32> = blocks.into_iter().flat_map(|block| host(block.clone())).collect();
         look(Stage::Gradients, field, (&values, columns, "Gaussian"), "a finite number", f32::is_finite)
     }
     one("means", &gradients.means)?;
     one("rotations", &gradients.rotations)?;
     one("log_scales", &gradients.log_scales)?;
     one("logit_opacities", &gradients.logit_opacities)?;
-    one("sh", &gradients.sh)
+    one("sh", gradients.sh.iter().chain(gradients.sh_more.iter().flatten()))
 }
 
 /// Checks that no Gaussian became unusable. `before` and `after` are the same Gaussians.

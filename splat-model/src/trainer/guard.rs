@@ -61,7 +61,9 @@ impl Guard {
         if self.waits {
             let none = || Tensor::zeros([VERDICT], (&loss.device().inner(), DType::I32));
             let verdict = self.verdict.take().unwrap_or_else(none);
-            let verdict = watch(loss, gradients.watched(), verdict, step as u32)
+            let mut watched = std::iter::once(gradients.watched()).chain(gradients.watched_more());
+            let verdict = watched
+                .try_fold(verdict, |verdict, watched| watch(loss, watched, verdict, step as u32))
                 .unwrap_or_else(|verdict| entered(verdict, flags(loss, gradients), step));
             self.verdict = Some(verdict.clone());
             self.unread.push((step, view));
@@ -99,7 +101,7 @@ impl Guard {
 
 impl Gradients {
     fn watched(&self) -> SceneGradients<'_> {
-        let Self { means, rotations, log_scales, logit_opacities, sh } = self;
+        let Self { means, rotations, log_scales, logit_opacities, sh, .. } = self;
         SceneGradients {
             means: means.as_ref(),
             rotations: rotations.as_ref(),
@@ -108,18 +110,24 @@ impl Gradients {
             sh: sh.as_ref(),
         }
     }
+
+    /// The further blocks of coefficients, one by one.
+    fn watched_more(&self) -> impl Iterator<Item = SceneGradients<'_>> {
+        self.sh_more.iter().flatten().map(|block| SceneGradients { sh: Some(block), ..SceneGradients::default() })
+    }
 }
 
 /// A flag, `[1]`, for each value that there is, with its place in [`WATCHED`].
 fn flags(loss: &Tensor<1>, gradients: &Gradients) -> Vec<(usize, Tensor<1, Int>)> {
     let SceneGradients { means, rotations, log_scales, logit_opacities, sh } = gradients.watched();
+    let blocks = sh.into_iter().chain(gradients.watched_more().filter_map(|watched| watched.sh));
     let all = [
         Some(non_finite(loss)),
         means.map(non_finite),
         rotations.map(non_finite),
         log_scales.map(non_finite),
         logit_opacities.map(non_finite),
-        sh.map(non_finite),
+        blocks.map(non_finite).reduce(Tensor::max_pair),
     ];
     all.into_iter().enumerate().filter_map(|(place, flag)| Some((place, flag?))).collect()
 }

@@ -17,6 +17,7 @@ use cubecl::prelude::{CubeCount, CubeDim};
 pub use buffer::poison;
 pub(crate) use buffer::{Buffer, launch_scale};
 
+use crate::abilities::lowered_limit;
 use crate::counters::count_dispatch;
 
 /// Default number of units of a cube.
@@ -46,7 +47,7 @@ impl Gpu {
         let float = Type::atomic(Type::from(ElemType::Float(FloatKind::F32)));
         Self {
             float_atomics: properties.atomic_type_usage(float).contains(AtomicUsage::Add),
-            buffer_limit: properties.memory.max_page_size.min(INDEX_LIMIT),
+            buffer_limit: properties.memory.max_page_size.min(INDEX_LIMIT).min(lowered_limit()),
             client: client.clone(),
         }
     }

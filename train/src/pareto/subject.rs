@@ -93,6 +93,7 @@ impl DeviceScene {
             log_scales: wide(&plain.log_scales),
             logit_opacities: wide(&plain.logit_opacities),
             sh: wide(&plain.sh),
+            sh_more: plain.sh_more.iter().map(wide).collect(),
         };
         let camera = |camera: Camera| Camera { cam_from_world: camera.cam_from_world.cast(DType::F64), ..camera };
         let background = f32.extras.background.map(|background| background.cast(DType::F64));
@@ -141,7 +142,10 @@ impl DeviceScene {
             of.rotations.val().grad(gradients).map(host),
             of.log_scales.val().grad(gradients).map(host),
             of.logit_opacities.val().grad(gradients).map(host),
-            of.sh.val().grad(gradients).map(host),
+            of.sh_params()
+                .map(|block| block.val().grad(gradients).map(host))
+                .collect::<Option<Vec<_>>>()
+                .map(|blocks| blocks.concat()),
         ];
         for (sum, found) in sums.iter_mut().zip(all) {
             let found = found.unwrap_or_default();

@@ -30,6 +30,7 @@ fn random_gradients(of: &Gaussians) -> Gradients {
         log_scales: noise(&of.log_scales),
         logit_opacities: noise(&of.logit_opacities),
         sh: noise(&of.sh),
+        sh_more: of.sh_more.iter().map(noise).collect(),
     }
 }
 
@@ -152,6 +153,7 @@ fn harmonics_that_come_later_are_as_if_they_had_always_been_there() {
                 log_scales: gradients.log_scales.clone(),
                 logit_opacities: gradients.logit_opacities.clone(),
                 sh: gradients.sh.clone().map(|sh| sh.narrow(1, 0, (degree + 1) * (degree + 1))),
+                sh_more: Vec::new(),
             };
             step(&mut grown, own, i);
             step(&mut full, gradients, i);

@@ -158,3 +158,20 @@ fn checks_change_no_bit_of_a_sound_run() {
     });
     assert_eq!(plain, checked);
 }
+
+#[test]
+fn further_blocks_of_coefficients_are_looked_at_too() {
+    let blocks = |values: [f32; 2]| {
+        let block = |value: f32| Some(Tensor::full([2, 1, 3], value, &Device::flex()));
+        Gradients { sh: block(1.0), sh_more: values.map(block).to_vec(), ..Gradients::default() }
+    };
+    let expected = |step| Fault { step, view: 3, what: "the gradient of `sh`".into() };
+    for (step, values) in [[f32::NAN, 1.0], [1.0, f32::INFINITY], [f32::NAN, f32::NAN]].into_iter().enumerate() {
+        let step = step + 1;
+        let fault = Guard::new(&Device::flex()).look(step, 3, &number(0.5), &blocks(values)).expect_err("not finite");
+        assert_eq!(fault, expected(step));
+        let mut guard = waiting();
+        guard.look(step, 3, &number(0.5), &blocks(values)).unwrap();
+        assert_eq!(guard.read(true).expect_err("not finite"), expected(step));
+    }
+}

@@ -255,6 +255,7 @@ fn step(scene: &mut Trained, ids: &[usize], step: usize, device: &Device) {
         log_scales: Some(tensor(&all(2, 3), [count, 3], device, DType::F32)),
         logit_opacities: Some(tensor(&all(3, 1), [count], device, DType::F32)),
         sh: Some(tensor(&all(4, 3), [count, 1, 3], device, DType::F32)),
+        sh_more: Vec::new(),
     };
     let rates = StepRates { rates: LearningRates::default(), means: 0.01 };
     scene.step(gradients, &Adam::default(), &rates, step, None);
