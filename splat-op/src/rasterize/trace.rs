@@ -7,7 +7,7 @@ use cubecl::prelude::*;
 
 use super::forward::{PAIR_COUNTS, WORDS};
 use super::layer::{KernelShape, SEGMENT};
-use crate::counters::PairCounts;
+use crate::counters::{PairCounts, count_idle_wait};
 use crate::gpu::{Buffer, Gpu};
 use crate::intersect::TILE_PIXELS;
 use crate::intersect::launch::DeviceIntersections;
@@ -102,6 +102,7 @@ impl DeviceTrace {
 
 /// Copies a buffer to the host.
 fn read(gpu: &Gpu, buffer: &Buffer<u32>) -> Vec<u32> {
+    count_idle_wait();
     let read = gpu.client.read_one(buffer.handle.clone()).unwrap_or_else(|error| panic!("{error}"));
     bytemuck::pod_collect_to_vec(&read[..4 * buffer.len])
 }

@@ -6,6 +6,7 @@ use super::RayLayers;
 use super::backward::{rasterize_rays_sums_kernel, rasterize_rays_walk_kernel, row_len};
 use super::forward::rasterize_rays_forward_kernel;
 use super::layer::{RayFrameLaunch, RayInputsLaunch};
+use crate::counters::count_idle_wait;
 use crate::depth_slope::DEPTH_SLOPE;
 use crate::gpu::reduce::launch_sums;
 use crate::gpu::{Buffer, Gpu, cubes, elementwise};
@@ -88,6 +89,7 @@ pub(crate) fn launch_rasterize_rays_backward(
 ) -> RayLayers<Option<Buffer<f32>>> {
     let (shape, pixels) =
         (KernelShape::of(inputs.background.len, &spec.options), spec.intrinsics.width * spec.intrinsics.height);
+    count_idle_wait();
     let read = gpu.client.read_one(lists.counts.handle.clone()).unwrap_or_else(|error| panic!("{error}"));
     let counts: Vec<i32> = bytemuck::pod_collect_to_vec(&read[..4 * lists.counts.len]);
     let (runs, longest) = runs(&counts, room.min(gpu.buffer_limit as usize / (8 * TILE_PIXELS)));
