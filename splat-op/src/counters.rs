@@ -1,4 +1,4 @@
-//! Counts of launches, allocations and CPU stages of this process, for tests.
+//! Counts of launches, allocations, waits and CPU stages of this process, for tests.
 
 #[cfg(feature = "cube")]
 use std::sync::atomic::AtomicBool;
@@ -8,6 +8,10 @@ static DISPATCHES: AtomicU64 = AtomicU64::new(0);
 static TWIN_CALLS: AtomicU64 = AtomicU64::new(0);
 static ALLOCATED: AtomicU64 = AtomicU64::new(0);
 static BOUND: AtomicU64 = AtomicU64::new(0);
+static IDLE_WAITS: AtomicU64 = AtomicU64::new(0);
+static REPEATED_LISTS: AtomicU64 = AtomicU64::new(0);
+#[cfg(feature = "cube")]
+static CAPACITY: AtomicU64 = AtomicU64::new(u64::MAX);
 #[cfg(feature = "cube")]
 static COUNT_PAIRS: AtomicBool = AtomicBool::new(false);
 
@@ -25,6 +29,17 @@ pub fn allocated_bytes() -> u64 {
 /// what the kernels would move if each read or wrote all of its buffers once.
 pub fn bound_bytes() -> u64 {
     BOUND.load(Ordering::Relaxed)
+}
+
+/// Returns the number of times that an operation of this crate has waited for a GPU that it had given nothing to do after what
+/// it waited for.
+pub fn idle_waits() -> u64 {
+    IDLE_WAITS.load(Ordering::Relaxed)
+}
+
+/// Returns the number of views whose lists were written twice, because they were longer than expected.
+pub fn repeated_lists() -> u64 {
+    REPEATED_LISTS.load(Ordering::Relaxed)
 }
 
 /// Returns the number of stages that this process has computed on the CPU so far, forward and backward.
@@ -45,6 +60,27 @@ pub(crate) fn count_allocation(bytes: u64) {
 #[cfg(feature = "cube")]
 pub(crate) fn count_binding(bytes: u64) {
     BOUND.fetch_add(bytes, Ordering::Relaxed);
+}
+
+#[cfg(feature = "cube")]
+pub(crate) fn count_idle_wait() {
+    IDLE_WAITS.fetch_add(1, Ordering::Relaxed);
+}
+
+#[cfg(feature = "cube")]
+pub(crate) fn count_repeated_lists() {
+    REPEATED_LISTS.fetch_add(1, Ordering::Relaxed);
+}
+
+/// Sets how many intersections every view is expected to have, zero for an unknown number. With `None`, recent views tell.
+#[cfg(feature = "cube")]
+pub fn expect_intersections(capacity: Option<u64>) {
+    CAPACITY.store(capacity.unwrap_or(u64::MAX), Ordering::Relaxed);
+}
+
+#[cfg(feature = "cube")]
+pub(crate) fn forced_capacity() -> Option<u64> {
+    Some(CAPACITY.load(Ordering::Relaxed)).filter(|capacity| *capacity < u64::MAX)
 }
 
 pub(crate) fn count_twin_call() {

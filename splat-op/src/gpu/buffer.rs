@@ -8,7 +8,7 @@ use cubecl::prelude::*;
 use cubecl::server::Handle;
 
 use super::{Gpu, elementwise};
-use crate::counters::{count_allocation, count_binding};
+use crate::counters::{count_allocation, count_binding, count_idle_wait};
 use crate::limits::Need;
 
 static POISON: AtomicBool = AtomicBool::new(false);
@@ -17,6 +17,12 @@ static POISON: AtomicBool = AtomicBool::new(false);
 /// costs a copy per buffer.
 pub fn poison(on: bool) {
     POISON.store(on, Ordering::Relaxed);
+}
+
+/// Rounds a length up to a multiple of an eighth of the next power of two, so that a slightly larger length finds the same
+/// memory again.
+pub(crate) fn roomy(len: usize) -> usize {
+    len.next_multiple_of((len.next_power_of_two() / 8).max(1))
 }
 
 /// The bits of a quiet NaN. As an index, the value lies beyond every buffer.
@@ -61,12 +67,10 @@ impl<T: Pod> Buffer<T> {
         Self::with_room(gpu, len, (len * size_of::<T>()).div_ceil(4))
     }
 
-    /// [`Buffer::new`] for a length that depends on the data. The memory is rounded up to a multiple of an eighth of the next
-    /// power of two, so that a slightly larger length finds the same memory again.
+    /// [`Buffer::new`] for a length that depends on the data, with [`roomy`] memory.
     pub fn with_headroom(gpu: &Gpu, len: usize) -> Self {
         let words = (len * size_of::<T>()).div_ceil(4);
-        let roomy = words.next_multiple_of((words.next_power_of_two() / 8).max(1));
-        Self::with_room(gpu, len, roomy.min((gpu.buffer_limit / 4) as usize).max(words))
+        Self::with_room(gpu, len, roomy(words).min((gpu.buffer_limit / 4) as usize).max(words))
     }
 
     fn with_room(gpu: &Gpu, len: usize, words: usize) -> Self {
@@ -137,6 +141,7 @@ impl<T: Pod> Buffer<T> {
 
     /// Waits for the device and copies the elements back.
     pub fn read(&self, gpu: &Gpu) -> Vec<T> {
+        count_idle_wait();
         let bytes = gpu.client.read_one(self.handle.clone()).unwrap_or_else(|error| panic!("{error}"));
         bytemuck::pod_collect_to_vec(&bytes[..self.len * size_of::<T>()])
     }

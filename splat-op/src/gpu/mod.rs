@@ -15,7 +15,7 @@ use cubecl::ir::{ElemType, FloatKind, Type};
 use cubecl::prelude::{CubeCount, CubeDim};
 
 pub use buffer::poison;
-pub(crate) use buffer::{Buffer, launch_scale};
+pub(crate) use buffer::{Buffer, launch_scale, roomy};
 
 use crate::abilities::lowered_limit;
 use crate::counters::count_dispatch;

@@ -4,6 +4,7 @@
 use cubecl::prelude::*;
 
 use super::forward::TileCoverage;
+use super::sort::uniform;
 use crate::gpu::UNITS;
 use crate::gpu::reduce::{SUM_ROOM, cube_exclusive_sum};
 
@@ -51,18 +52,53 @@ pub(super) fn count_kernel(
     }
 }
 
-/// Replaces the counts by the number of each Gaussian's first intersection, and writes the rank that has the first
-/// intersection of each block. The total fits into u32.
+/// Largest number of an intersection: a multiple of a block, above every length of a list.
+const MOST: u32 = 0u32.wrapping_sub(BLOCK as u32);
+
+/// Returns the sum of two numbers of at most [`MOST`], or [`MOST`] if it is larger.
+#[cube]
+fn plus(one: u32, other: u32) -> u32 {
+    one + min(other, comptime!(MOST) - one)
+}
+
+/// Returns `2^16 high + low`, or [`MOST`] if it is larger.
+#[cube]
+fn joined(low: u32, high: u32) -> u32 {
+    let high = high + (low >> 16);
+    let sum = (high << 16) | (low & 0xffff);
+    select(high > 0xffff, comptime!(MOST), min(sum, comptime!(MOST)))
+}
+
+/// Writes the number of each Gaussian's first intersection, and the rank that has the first intersection of each block
+/// below `capacity`. Numbers above [`MOST`] become [`MOST`]. The sizes are the number of intersections to list, at most
+/// `capacity`, and the number of visible Gaussians.
 #[cube(launch_unchecked)]
-pub(super) fn number_kernel(counts: &mut [u32], sums: &[u32], rank_of_block: &mut [u32], visible: u32, chunks: u32) {
+pub(super) fn number_kernel(
+    counts: &[u32],
+    sums: &[u32],
+    visible: &[u32],
+    first_intersection: &mut [u32],
+    rank_of_block: &mut [u32],
+    sizes: &mut [u32],
+    chunks: u32,
+    capacity: u32,
+) {
     let mut shared = Shared::<[u32]>::new_slice(comptime!(SUM_ROOM));
-    let mut earlier = 0u32;
+    let blocks = capacity.div_ceil(comptime!(BLOCK as u32));
+    let mut low = 0u32;
+    let mut high = 0u32;
     let mut other = UNIT_POS as usize;
     while other < CUBE_POS {
-        earlier += sums[2 * other] + (sums[2 * other + 1] << 16);
+        // Halves, of which a thousand cannot wrap.
+        let earlier = joined(sums[2 * other], sums[2 * other + 1]);
+        low += earlier & 0xffff;
+        high += earlier >> 16;
         other += comptime!(UNITS);
     }
-    let (_, mut carried) = cube_exclusive_sum(earlier, &mut shared);
+    let (_, low) = cube_exclusive_sum(low, &mut shared);
+    let (_, high) = cube_exclusive_sum(high, &mut shared);
+    let mut carried = joined(low, high);
+    let visible = uniform(visible);
     let (first, end) = ranks(visible, chunks);
     let mut from = first;
     while from < end {
@@ -73,16 +109,21 @@ pub(super) fn number_kernel(counts: &mut [u32], sums: &[u32], rank_of_block: &mu
         }
         let (before, total) = cube_exclusive_sum(count, &mut shared);
         if rank < end {
-            let start = carried + before;
-            counts[rank as usize] = start;
+            let start = plus(carried, before);
+            first_intersection[rank as usize] = start;
+            let next = plus(start, count);
             let mut block = start.div_ceil(comptime!(BLOCK as u32));
-            while block * comptime!(BLOCK as u32) < start + count {
+            while block < blocks && block * comptime!(BLOCK as u32) < next {
                 rank_of_block[block as usize] = rank;
                 block += 1;
             }
         }
-        carried += total;
+        carried = plus(carried, total);
         from += comptime!(UNITS as u32);
+    }
+    if CUBE_POS as u32 == chunks - 1 && UNIT_POS == 0 {
+        sizes[0] = min(carried, capacity);
+        sizes[1] = visible;
     }
 }
 
@@ -94,10 +135,9 @@ pub(super) fn emit_kernel(
     covers: &[u32],
     first_intersection: &[u32],
     rank_of_block: &[u32],
+    sizes: &[u32],
     tiles: &mut [u32],
     gaussians: &mut [u32],
-    visible: u32,
-    intersections: u32,
     blocks: u32,
     tiles_x: u32,
 ) {
@@ -113,8 +153,13 @@ pub(super) fn emit_kernel(
         }
         sync_cube();
         let first = CUBE_POS as u32 * comptime!(BLOCK as u32);
-        let end = min(first + comptime!(BLOCK as u32), intersections);
-        let rank_of_first = rank_of_block[CUBE_POS];
+        let (listed, visible) = (sizes[0], sizes[1]);
+        let end = min(first + comptime!(BLOCK as u32), listed);
+        // A block behind the list belongs to no rank.
+        let mut rank_of_first = visible;
+        if first < listed {
+            rank_of_first = rank_of_block[CUBE_POS];
+        }
         let mut rank = rank_of_first + 1 + UNIT_POS;
         let mut within = true;
         while within {
@@ -159,14 +204,9 @@ pub(super) fn emit_kernel(
 /// Writes the index of each tile's first intersection in the sorted list, with one more entry for the end, and each
 /// tile's number of intersections.
 #[cube(launch_unchecked)]
-pub(super) fn ranges_kernel(
-    sorted_tiles: &[u32],
-    starts: &mut [u32],
-    counts: &mut [i32],
-    intersections: u32,
-    tiles: u32,
-) {
+pub(super) fn ranges_kernel(sorted_tiles: &[u32], sizes: &[u32], starts: &mut [u32], counts: &mut [i32], tiles: u32) {
     let tile = ABSOLUTE_POS as u32;
+    let intersections = sizes[0];
     if tile <= tiles {
         let start = lower_bound(sorted_tiles, intersections, tile);
         starts[tile as usize] = start;

@@ -10,9 +10,10 @@ use cubecl::logging::{LaunchObservation, LaunchObserver};
 use cubecl::prelude::*;
 
 use super::cpu::intersect_cpu;
+use super::emit::BLOCK;
 use super::forward::TileCoverage;
-use super::launch::launch_intersect;
-use super::sort::{HIDDEN, launch_sort};
+use super::launch::{Counted, DeviceIntersections, Room, launch_intersect, launch_intersect_within};
+use super::sort::{HIDDEN, Sorted, launch_sort};
 use super::{Cut, IntersectionLists, TILE, tile_grid};
 use crate::camera::Intrinsics;
 use crate::dials::Culling;
@@ -68,7 +69,16 @@ fn sums_of_a_cube_are_exact_in_the_order_of_units() {
 
 fn check_sort(gpu: &Gpu, keys: &[u32], bits: u32, what: &str) {
     let name = format!("{} keys of {bits} bits, {what}", keys.len());
-    let sorted = launch_sort(gpu, Buffer::from_slice(gpu, keys), bits);
+    let sorted = launch_sort(gpu, Buffer::from_slice(gpu, keys), None, bits);
+    check_sorted(gpu, &sorted, keys, &name);
+    // So many keys that the chunks of the shorter list differ from those of the whole.
+    let count = keys.len() * 5 / 8;
+    let given = Buffer::from_slice(gpu, &[count as u32, 7]);
+    let sorted = launch_sort(gpu, Buffer::from_slice(gpu, keys), Some(given), bits);
+    check_sorted(gpu, &sorted, &keys[..count], &format!("{name}, the first {count}"));
+}
+
+fn check_sorted(gpu: &Gpu, sorted: &Sorted, keys: &[u32], name: &str) {
     let mut expected: Vec<u32> = (0..keys.len() as u32).filter(|&i| keys[i as usize] != HIDDEN).collect();
     expected.sort_by_key(|&i| keys[i as usize]);
     assert_eq!(sorted.kept.read(gpu), [expected.len() as u32], "{name}");
@@ -139,20 +149,21 @@ impl LaunchObserver for Launches {
 fn lists_take_seventeen_launches_and_the_two_sorts_twelve_of_them() {
     let Some(gpu) = gpu() else { return };
     let camera = Intrinsics::centred(1_920, 1_080, 1_000.0);
-    let launches = |count| {
+    let launches = |count, capacity| {
         let projected: Vec<f32> = ellipses(4, count, &camera, [0.003, 1.0]).iter().map(|&v| v as f32).collect();
         let projected = Buffer::from_slice(&gpu, &projected);
         let launches = Arc::new(Launches(thread::current().id(), Mutex::default()));
         let observation = LaunchObservation::new(launches.clone());
-        launch_intersect(&gpu, &projected, &camera, (1.0 / 255.0).into());
+        launch_intersect_within(&gpu, &projected, &camera, (1.0 / 255.0).into(), capacity);
         drop(observation);
         launches.1.lock().expect("no other thread panics").clone()
     };
-    let found = launches(30_000);
+    let found = launches(30_000, None);
     println!("{found:?}");
     let sorts = found.get("CountDigitsKernel").unwrap_or(&0) + found.get("ScatterKernel").unwrap_or(&0);
     assert_eq!((sorts, found.values().sum()), (12, 17), "{found:?}");
-    assert_eq!(launches(3), found, "the number of launches depends on the number of Gaussians");
+    assert_eq!(launches(3, None), found, "the number of launches depends on the number of Gaussians");
+    assert_eq!(launches(3, Some(40_000)), found, "lists of an expected length take other launches");
 }
 
 #[test]
@@ -163,12 +174,98 @@ fn more_intersections_than_a_list_holds_are_refused() {
     let row = Ellipse { mean_px: [16e3, 16e3], sigma_u: 1e6, shear: 0.0, sigma_v: 1e6, depth: 1.0, opacity: 1.0_f32 };
     for (count, bytes) in [(1_024, 1_u64 << 34), (1_025, (1 << 34) + (1 << 24))] {
         let projected = Buffer::from_slice(&gpu, &row.to_row().repeat(count));
-        let lists = || launch_intersect(&gpu, &projected, &camera, (1.0 / 255.0).into());
-        let message = catch_unwind(AssertUnwindSafe(lists)).expect_err("too many");
-        let message = message.downcast_ref::<String>().expect("a message");
-        for part in ["the list of intersections", &bytes.to_string(), "raise `alpha_min`"] {
-            assert!(message.contains(part), "{part}: {message}");
+        for capacity in [None, Some(5_000)] {
+            let lists = || launch_intersect_within(&gpu, &projected, &camera, (1.0 / 255.0).into(), capacity);
+            let message = catch_unwind(AssertUnwindSafe(lists)).expect_err("too many");
+            let message = message.downcast_ref::<String>().expect("a message");
+            for part in ["the list of intersections", &bytes.to_string(), "raise `alpha_min`"] {
+                assert!(message.contains(part), "{part}: {message}");
+            }
         }
+    }
+}
+
+/// Everything that the lists of a view say.
+fn all_of(gpu: &Gpu, lists: &DeviceIntersections) -> (Vec<i32>, [Vec<u32>; 5]) {
+    let mut of_gaussians = [&lists.order, &lists.first_intersection].map(|list| list.read(gpu));
+    of_gaussians.iter_mut().for_each(|list| list.truncate(lists.visible));
+    let [order, first] = of_gaussians;
+    let [start, places, gaussians] =
+        [&lists.tile_start, &lists.intersection_of_place, &lists.gaussian_of_intersection].map(|list| list.read(gpu));
+    (lists.counts.read(gpu), [order, first, start, places, gaussians])
+}
+
+#[test]
+fn lists_do_not_depend_on_the_expected_length() {
+    let Some(gpu) = gpu() else { return };
+    let camera = Intrinsics::centred(331, 203, 30.0);
+    for count in [0, 1, 20_000] {
+        let projected: Vec<f32> = ellipses(9, count, &camera, [0.003, 1.0]).iter().map(|&v| v as f32).collect();
+        let projected = Buffer::from_slice(&gpu, &projected);
+        let lists = |capacity| launch_intersect_within(&gpu, &projected, &camera, (1.0 / 255.0).into(), capacity);
+        let read = lists(None);
+        let needed = read.intersections as u64;
+        let read = all_of(&gpu, &read);
+        for capacity in [1, needed / 2, needed.saturating_sub(1), needed, needed + 1, 2 * needed, 5 * needed + 5_000] {
+            let found = lists(Some(capacity));
+            assert_eq!(found.intersections as u64, needed, "{count} Gaussians, {capacity} expected");
+            assert!(
+                all_of(&gpu, &found) == read,
+                "{count} Gaussians: lists of {needed} differ if {capacity} are expected"
+            );
+        }
+        // What lies behind the list is not sorted, not even if it could be a tile.
+        let capacity = needed as usize + 3_000;
+        let room = Room { tiles: Buffer::zeros(&gpu, capacity), ..Room::new(&gpu, capacity) };
+        let found = Counted::launch(&gpu, &projected, &camera, (1.0 / 255.0).into()).lists(&gpu, room);
+        assert!(found.tile_start.read(&gpu) == read.1[2], "{count} Gaussians: the end of the room is sorted");
+    }
+}
+
+/// A word that no kernel of the lists writes.
+const GUARD: u32 = 0xfeed_beef;
+
+/// Checks what is written into room for `capacity` intersections, and that nothing is written behind it.
+fn check_room(gpu: &Gpu, counted: &Counted, capacity: usize, all: Option<&[u32]>) {
+    let guarded = |len: usize| Buffer::from_slice(gpu, &vec![GUARD; len + 300]);
+    let blocks = capacity.div_ceil(BLOCK);
+    let room =
+        Room { capacity, rank_of_block: guarded(blocks), tiles: guarded(capacity), gaussians: guarded(capacity) };
+    let [_, sizes] = counted.emit(gpu, &room);
+    let listed = sizes.read(gpu)[0] as usize;
+    assert_eq!(listed, all.map_or(capacity, |all| capacity.min(all.len())), "room for {capacity}");
+    for (name, list, len) in [
+        ("ranks", &room.rank_of_block, listed.div_ceil(BLOCK)),
+        ("tiles", &room.tiles, listed),
+        ("Gaussians", &room.gaussians, listed),
+    ] {
+        let words = list.read(gpu);
+        assert!(words[..len].iter().all(|word| *word != GUARD), "room for {capacity}: {name} are missing");
+        assert!(words[len..].iter().all(|word| *word == GUARD), "room for {capacity}: {name} behind {len} are written");
+    }
+    if let Some(all) = all {
+        assert!(room.gaussians.read(gpu)[..listed] == all[..listed], "room for {capacity}: other Gaussians");
+    }
+}
+
+#[test]
+fn nothing_is_written_behind_the_expected_length() {
+    let Some(gpu) = gpu() else { return };
+    let (camera, cut) = (Intrinsics::centred(331, 203, 30.0), Cut::from(1.0 / 255.0));
+    let projected: Vec<f32> = ellipses(9, 3_000, &camera, [0.003, 1.0]).iter().map(|&v| v as f32).collect();
+    let projected = Buffer::from_slice(&gpu, &projected);
+    let all = launch_intersect_within(&gpu, &projected, &camera, cut, None).gaussian_of_intersection.read(&gpu);
+    let counted = Counted::launch(&gpu, &projected, &camera, cut);
+    let needed = all.len();
+    for capacity in [1, 255, BLOCK, BLOCK + 1, needed / 2, needed - 1, needed, needed + 1, needed + 3 * BLOCK] {
+        check_room(&gpu, &counted, capacity, Some(&all));
+    }
+    // Numbers of intersections around 2^32, and of 3,000 Gaussians that cover all 2,048 × 2,048 tiles.
+    let camera = Intrinsics::centred(32_768, 32_768, 30.0);
+    let row = Ellipse { mean_px: [16e3, 16e3], sigma_u: 1e6, shear: 0.0, sigma_v: 1e6, depth: 1.0, opacity: 1.0_f32 };
+    for count in [1_023, 1_024, 1_025, 3_000] {
+        let projected = Buffer::from_slice(&gpu, &row.to_row().repeat(count));
+        check_room(&gpu, &Counted::launch(&gpu, &projected, &camera, cut), 5_000, None);
     }
 }
 

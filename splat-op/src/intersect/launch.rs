@@ -3,10 +3,12 @@
 use cubecl::prelude::CubeDim;
 
 use super::emit::{BLOCK, count_kernel, emit_kernel, number_kernel, ranges_kernel};
+use super::expected::{expected, remember};
 use super::forward::{COVER, TileListsLaunch, cover_kernel};
-use super::sort::launch_sort;
+use super::sort::{Sorted, launch_sort};
 use super::{Cut, tile_grid};
 use crate::camera::Intrinsics;
+use crate::counters::{count_idle_wait, count_repeated_lists, forced_capacity};
 use crate::gpu::{Buffer, Gpu, UNITS, cubes, elementwise};
 use crate::limits::Need;
 
@@ -47,111 +49,205 @@ impl DeviceIntersections {
     }
 }
 
-/// Lists the intersections of `projected`, `[count, 7]`, and counts them by tile. Waits for the device once, to learn
-/// the number of intersections.
+/// Lists the intersections of `projected`, `[count, 7]`, and counts them by tile.
+///
+/// The host learns the number of intersections from the device. If recent views tell how many to expect, the lists are
+/// written with room for so many while the host waits, so that the device has work. They are written once more if there
+/// are more.
 pub(crate) fn launch_intersect(
     gpu: &Gpu,
     projected: &Buffer<f32>,
     camera: &Intrinsics,
     cut: Cut,
 ) -> DeviceIntersections {
-    let count = projected.len / crate::project::COLUMNS;
-    let [tiles_x, tiles_y] = tile_grid(camera.width, camera.height);
-    let tiles = tiles_x * tiles_y;
-    let (covers, depths) = (Buffer::<u32>::new(gpu, count * COVER), Buffer::<u32>::new(gpu, count));
-    let (client, (grid, dim)) = (&gpu.client, elementwise(count));
-    // SAFETY: every access is guarded by the lengths given.
-    unsafe {
-        cover_kernel::launch_unchecked(
-            client,
-            grid,
-            dim,
-            projected.arg(),
-            covers.arg(),
-            depths.arg(),
-            camera.width as u32,
-            camera.height as u32,
-            cut.alpha_min as f32,
-            count as u32,
-            cut.culling,
-        );
+    let (tiles, count) = (tile_grid(camera.width, camera.height), projected.len / crate::project::COLUMNS);
+    let capacity = forced_capacity().or_else(|| expected(tiles, count)).filter(|capacity| *capacity > 0);
+    let lists = launch_intersect_within(gpu, projected, camera, cut, capacity);
+    remember(tiles, count, lists.intersections as u64);
+    lists
+}
+
+/// [`launch_intersect`] with room for `capacity` intersections at first.
+pub(super) fn launch_intersect_within(
+    gpu: &Gpu,
+    projected: &Buffer<f32>,
+    camera: &Intrinsics,
+    cut: Cut,
+    capacity: Option<u64>,
+) -> DeviceIntersections {
+    let counted = Counted::launch(gpu, projected, camera, cut);
+    let sizes = gpu.client.read_async(vec![counted.by_depth.kept.handle.clone(), counted.sums.handle.clone()]);
+    let capacity = capacity.map(|capacity| capacity.min(gpu.buffer_limit / 4) as usize);
+    let early = capacity.map(|capacity| counted.lists(gpu, Room::new(gpu, capacity)));
+    match early {
+        // Some drivers collect launches until they are told to begin; they report faults when something is read.
+        Some(_) => drop(gpu.client.flush()),
+        None => count_idle_wait(),
     }
-    let by_depth = launch_sort(gpu, depths, u32::BITS);
-    let chunks = count.div_ceil(UNITS).clamp(1, COUNTERS);
-    let (first_intersection, sums) = (Buffer::<u32>::new(gpu, count), Buffer::<u32>::new(gpu, 2 * chunks));
-    let dim = CubeDim::new_1d(UNITS as u32);
-    // SAFETY: every access is guarded by the number of visible Gaussians.
-    unsafe {
-        count_kernel::launch_unchecked(
-            client,
-            cubes(chunks),
-            dim,
-            by_depth.indices.arg(),
-            covers.arg(),
-            by_depth.kept.arg(),
-            first_intersection.arg(),
-            sums.arg(),
-            chunks as u32,
-        );
-    }
-    let read = client.read(vec![by_depth.kept.handle.clone(), sums.handle.clone()]);
-    let read = read.unwrap_or_else(|error| panic!("{error}"));
-    let visible = bytemuck::pod_read_unaligned::<u32>(&read[0][..4]);
-    let sums_read: Vec<[u32; 2]> = bytemuck::pod_collect_to_vec(&read[1][..8 * chunks]);
-    let intersections: u64 = sums_read.iter().map(|&[low, high]| u64::from(low) + (u64::from(high) << 16)).sum();
+    let read = cubecl::future::block_on(sizes).unwrap_or_else(|error| panic!("{error}"));
+    let visible = bytemuck::pod_read_unaligned::<u32>(&read[0][..4]) as usize;
+    let sums: Vec<[u32; 2]> = bytemuck::pod_collect_to_vec(&read[1][..8 * counted.chunks]);
+    let intersections: u64 = sums.iter().map(|&[low, high]| u64::from(low) + (u64::from(high) << 16)).sum();
     let list = Need { what: "the list of intersections", bytes: 4 * intersections, hint: FEWER_INTERSECTIONS };
     list.assert_fits(gpu.buffer_limit);
     // The limit is below 2^32 elements.
     let intersections = intersections as usize;
-
-    let blocks = intersections.div_ceil(BLOCK);
-    let rank_of_block = Buffer::<u32>::with_headroom(gpu, blocks);
-    let (tile_of_intersection, gaussian_of_intersection) =
-        (Buffer::with_headroom(gpu, intersections), Buffer::with_headroom(gpu, intersections));
-    // SAFETY: the sums that sized the lists give each Gaussian the places that the same covers count.
-    unsafe {
-        let (starts, ranks) = (first_intersection.arg(), rank_of_block.arg());
-        number_kernel::launch_unchecked(client, cubes(chunks), dim, starts, sums.arg(), ranks, visible, chunks as u32);
-        emit_kernel::launch_unchecked(
-            client,
-            cubes(blocks),
-            dim,
-            by_depth.indices.arg(),
-            covers.arg(),
-            first_intersection.arg(),
-            rank_of_block.arg(),
-            tile_of_intersection.arg(),
-            gaussian_of_intersection.arg(),
-            visible,
-            intersections as u32,
-            blocks as u32,
-            tiles_x as u32,
-        );
-    }
-    let by_tile = launch_sort(gpu, tile_of_intersection, usize::BITS - (tiles - 1).leading_zeros());
-    let (tile_start, counts) = (Buffer::new(gpu, tiles + 1), Buffer::new(gpu, tiles));
-    let (grid, dim) = elementwise(tiles + 1);
-    // SAFETY: every access is guarded by the lengths given.
-    unsafe {
-        ranges_kernel::launch_unchecked(
-            &gpu.client,
-            grid,
-            dim,
-            by_tile.keys.arg(),
-            tile_start.arg(),
-            counts.arg(),
-            intersections as u32,
-            tiles as u32,
-        );
-    }
+    let lists = early.filter(|lists| intersections <= lists.capacity).unwrap_or_else(|| {
+        if capacity.is_some() {
+            count_repeated_lists();
+        }
+        counted.lists(gpu, Room::new(gpu, intersections))
+    });
+    let listed = |list: Buffer<u32>| Buffer::from_handle(list.handle, intersections);
     DeviceIntersections {
-        counts,
-        tile_start,
-        intersection_of_place: by_tile.indices,
-        gaussian_of_intersection,
-        order: by_depth.indices,
-        first_intersection,
-        visible: visible as usize,
+        counts: lists.counts,
+        tile_start: lists.tile_start,
+        intersection_of_place: listed(lists.by_tile.indices),
+        gaussian_of_intersection: listed(lists.gaussian_of_intersection),
+        order: counted.by_depth.indices,
+        first_intersection: lists.first_intersection,
+        visible,
         intersections,
+    }
+}
+
+/// The Gaussians of a view in depth order, and their numbers of intersections.
+pub(super) struct Counted {
+    covers: Buffer<u32>,
+    by_depth: Sorted,
+    counts: Buffer<u32>,
+    /// `[chunks, 2]`: sums over the Gaussians of each cube.
+    sums: Buffer<u32>,
+    chunks: usize,
+    tiles: [usize; 2],
+}
+
+/// Buffers of the intersections in the order of the Gaussians, for `capacity` of them.
+pub(super) struct Room {
+    pub capacity: usize,
+    pub rank_of_block: Buffer<u32>,
+    pub tiles: Buffer<u32>,
+    pub gaussians: Buffer<u32>,
+}
+
+/// Lists for at most `capacity` intersections.
+pub(super) struct Lists {
+    capacity: usize,
+    counts: Buffer<i32>,
+    pub tile_start: Buffer<u32>,
+    by_tile: Sorted,
+    gaussian_of_intersection: Buffer<u32>,
+    first_intersection: Buffer<u32>,
+}
+
+impl Room {
+    pub fn new(gpu: &Gpu, capacity: usize) -> Self {
+        let [tiles, gaussians] = [(); 2].map(|()| Buffer::with_headroom(gpu, capacity));
+        Self { capacity, rank_of_block: Buffer::with_headroom(gpu, capacity.div_ceil(BLOCK)), tiles, gaussians }
+    }
+}
+
+impl Counted {
+    pub fn launch(gpu: &Gpu, projected: &Buffer<f32>, camera: &Intrinsics, cut: Cut) -> Self {
+        let count = projected.len / crate::project::COLUMNS;
+        let (covers, depths) = (Buffer::<u32>::new(gpu, count * COVER), Buffer::<u32>::new(gpu, count));
+        let (client, (grid, dim)) = (&gpu.client, elementwise(count));
+        // SAFETY: every access is guarded by the lengths given.
+        unsafe {
+            cover_kernel::launch_unchecked(
+                client,
+                grid,
+                dim,
+                projected.arg(),
+                covers.arg(),
+                depths.arg(),
+                camera.width as u32,
+                camera.height as u32,
+                cut.alpha_min as f32,
+                count as u32,
+                cut.culling,
+            );
+        }
+        let by_depth = launch_sort(gpu, depths, None, u32::BITS);
+        let chunks = count.div_ceil(UNITS).clamp(1, COUNTERS);
+        let (counts, sums) = (Buffer::<u32>::new(gpu, count), Buffer::<u32>::new(gpu, 2 * chunks));
+        // SAFETY: every access is guarded by the number of visible Gaussians.
+        unsafe {
+            count_kernel::launch_unchecked(
+                client,
+                cubes(chunks),
+                CubeDim::new_1d(UNITS as u32),
+                by_depth.indices.arg(),
+                covers.arg(),
+                by_depth.kept.arg(),
+                counts.arg(),
+                sums.arg(),
+                chunks as u32,
+            );
+        }
+        Self { covers, by_depth, counts, sums, chunks, tiles: tile_grid(camera.width, camera.height) }
+    }
+
+    /// Writes the tile and the Gaussian of each intersection that `room` holds. Returns the number of the first
+    /// intersection of each Gaussian, and the sizes: the number of intersections that are written, and of Gaussians.
+    pub fn emit(&self, gpu: &Gpu, room: &Room) -> [Buffer<u32>; 2] {
+        let Self { covers, by_depth, counts, sums, .. } = self;
+        let (first_intersection, sizes) = (Buffer::<u32>::new(gpu, counts.len), Buffer::<u32>::new(gpu, 2));
+        let (client, dim, blocks) = (&gpu.client, CubeDim::new_1d(UNITS as u32), room.capacity.div_ceil(BLOCK));
+        // SAFETY: ranks are guarded by the number of visible Gaussians, blocks and intersections by the capacity.
+        unsafe {
+            number_kernel::launch_unchecked(
+                client,
+                cubes(self.chunks),
+                dim,
+                counts.arg(),
+                sums.arg(),
+                by_depth.kept.arg(),
+                first_intersection.arg(),
+                room.rank_of_block.arg(),
+                sizes.arg(),
+                self.chunks as u32,
+                room.capacity as u32,
+            );
+            emit_kernel::launch_unchecked(
+                client,
+                cubes(blocks),
+                dim,
+                by_depth.indices.arg(),
+                covers.arg(),
+                first_intersection.arg(),
+                room.rank_of_block.arg(),
+                sizes.arg(),
+                room.tiles.arg(),
+                room.gaussians.arg(),
+                blocks as u32,
+                self.tiles[0] as u32,
+            );
+        }
+        [first_intersection, sizes]
+    }
+
+    /// Writes the lists, of the first intersections alone if `room` does not hold all.
+    pub fn lists(&self, gpu: &Gpu, room: Room) -> Lists {
+        let [first_intersection, sizes] = self.emit(gpu, &room);
+        let tiles = self.tiles[0] * self.tiles[1];
+        let by_tile = launch_sort(gpu, room.tiles, Some(sizes.clone()), usize::BITS - (tiles - 1).leading_zeros());
+        let (tile_start, counts) = (Buffer::new(gpu, tiles + 1), Buffer::new(gpu, tiles));
+        let (grid, dim) = elementwise(tiles + 1);
+        // SAFETY: every access is guarded by the number of tiles and by that of the sorted intersections.
+        unsafe {
+            ranges_kernel::launch_unchecked(
+                &gpu.client,
+                grid,
+                dim,
+                by_tile.keys.arg(),
+                sizes.arg(),
+                tile_start.arg(),
+                counts.arg(),
+                tiles as u32,
+            );
+        }
+        let (capacity, gaussian_of_intersection) = (room.capacity, room.gaussians);
+        Lists { capacity, counts, tile_start, by_tile, gaussian_of_intersection, first_intersection }
     }
 }

@@ -13,6 +13,8 @@
 pub(crate) mod cpu;
 #[cfg(feature = "cube")]
 mod emit;
+#[cfg(feature = "cube")]
+mod expected;
 pub(crate) mod extent;
 #[cfg(feature = "cube")]
 pub(crate) mod forward;

@@ -51,26 +51,25 @@ const _: () = assert!(4 * (TILE + GROUPS * DIGITS / 2 + DIGITS + SUM_ROOM + 1) <
 const TILES_PER_COUNT: usize = 3;
 const _: () = assert!(TILES_PER_COUNT * PER_UNIT * GROUPS < 256);
 
-/// What a pass reads beside the keys if it is not the first. In the first pass the values are the indices of the keys.
-#[derive(CubeType, CubeLaunch)]
-struct Previous {
-    values: Box<[u32]>,
-    /// Number of keys that are not hidden.
-    kept: Box<[u32]>,
+/// Returns the first of the values. WebGPU takes barriers in a loop only if the loop's bound is known to be the same in all
+/// units.
+#[cube]
+pub(super) fn uniform(values: &[u32]) -> u32 {
+    let mut value = Shared::<[u32]>::new_slice(1usize);
+    if UNIT_POS == 0 {
+        value[0] = values[0];
+    }
+    workgroup_uniform_load(&value[0])
 }
 
-/// Returns the first key of this cube's chunk and the key after its last. Chunks begin at multiples of 32.
+/// Returns the first key of this cube's chunk and the key after its last, of `count` keys if it is given, else of `len`. Chunks
+/// begin at multiples of 32.
 #[cube]
-fn chunk(previous: &ComptimeOption<Previous>, len: u32, chunks: u32) -> (u32, u32) {
+fn chunk(count: &ComptimeOption<Box<[u32]>>, len: u32, chunks: u32) -> (u32, u32) {
     let mut len = len;
     #[comptime]
-    if let ComptimeOption::Some(previous) = previous {
-        // WebGPU takes barriers in a loop only if the loop's bound is known to be the same in all units.
-        let mut bound = Shared::<[u32]>::new_slice(1usize);
-        if UNIT_POS == 0 {
-            bound[0] = previous.kept[0];
-        }
-        len = workgroup_uniform_load(&bound[0]);
+    if let ComptimeOption::Some(count) = count {
+        len = uniform(count);
     }
     let each = len.div_ceil(chunks).div_ceil(32) * 32;
     let first = min(CUBE_POS as u32 * each, len);
@@ -93,7 +92,7 @@ fn counter(counters: &Shared<[Atomic<u32>]>, row: u32, digit: u32) -> u32 {
 #[cube(launch_unchecked)]
 fn count_digits_kernel(
     keys: &[u32],
-    previous: ComptimeOption<Previous>,
+    count: ComptimeOption<Box<[u32]>>,
     table: &mut [u32],
     len: u32,
     chunks: u32,
@@ -102,7 +101,7 @@ fn count_digits_kernel(
     let counters = Shared::<[Atomic<u32>]>::new_slice(comptime!(DIGITS / 4 * LANES));
     let unit = UNIT_POS;
     let lane = unit % comptime!(LANES as u32);
-    let (first, end) = chunk(&previous, len, chunks);
+    let (first, end) = chunk(&count, len, chunks);
     let mut total = 0u32;
     let mut from = first;
     while from < end {
@@ -143,11 +142,13 @@ fn count_digits_kernel(
     table[CUBE_POS * comptime!(DIGITS) + UNIT_POS as usize] = total;
 }
 
-/// Writes the keys that are not hidden, and their values, in the order of a digit, and the number of them.
+/// Writes the keys that are not hidden, and their values, in the order of a digit, and the number of them. Without values,
+/// they are the indices of the keys.
 #[cube(launch_unchecked)]
 fn scatter_kernel(
     keys: &[u32],
-    previous: ComptimeOption<Previous>,
+    values: ComptimeOption<Box<[u32]>>,
+    count: ComptimeOption<Box<[u32]>>,
     table: &[u32],
     sorted_keys: &mut [u32],
     sorted_values: &mut [u32],
@@ -187,7 +188,7 @@ fn scatter_kernel(
     let pair = 2 * (UNIT_POS as usize % comptime!(DIGITS / 2));
     let (mut place_low, mut place_high) = (distances[pair], distances[pair + 1]);
 
-    let (first, end) = chunk(&previous, len, chunks);
+    let (first, end) = chunk(&count, len, chunks);
     let mut from = first;
     while from < end {
         let at = from + group * comptime!((LANES * PER_UNIT) as u32) + lane;
@@ -202,8 +203,8 @@ fn scatter_kernel(
             if at < end {
                 own[i] = keys[at as usize];
                 #[comptime]
-                if let ComptimeOption::Some(previous) = &previous {
-                    value[i] = previous.values[at as usize];
+                if let ComptimeOption::Some(values) = &values {
+                    value[i] = values[at as usize];
                 }
             }
             words[UNIT_POS as usize + i * comptime!(UNITS)].store(0u32);
@@ -315,48 +316,55 @@ pub(crate) struct Sorted {
     pub kept: Buffer<u32>,
 }
 
-/// Sorts keys below `2^bits`, leaving out those that are [`HIDDEN`]; equal keys keep their order. The given buffer is used
-/// as scratch.
-pub(crate) fn launch_sort(gpu: &Gpu, keys: Buffer<u32>, bits: u32) -> Sorted {
+/// Sorts keys below `2^bits`, leaving out those that are [`HIDDEN`]; equal keys keep their order. With `count`, `[1]` or
+/// longer, only so many of the first keys exist. The buffer of the keys is used as scratch.
+pub(crate) fn launch_sort(gpu: &Gpu, keys: Buffer<u32>, count: Option<Buffer<u32>>, bits: u32) -> Sorted {
     let len = keys.len;
     let chunks = len.div_ceil(TILE).clamp(1, CHUNKS);
     let table = Buffer::<u32>::new(gpu, chunks * DIGITS);
     let room = || Buffer::with_headroom(gpu, len);
-    let mut from = keys;
-    let mut previous: Option<(Buffer<u32>, Buffer<u32>)> = None;
+    let (mut from, mut count) = (keys, count);
     // Two buffers in turn take the keys, and two the values.
-    let (mut to, mut spare_values) = (room(), None);
+    let (mut to, mut values, mut spare_values) = (room(), None, None);
     for shift in (0..bits.max(1)).step_by(BITS as usize) {
-        let read = || {
-            let previous = previous.as_ref();
-            previous.map(|(values, kept)| PreviousLaunch::new(values.arg(), kept.arg())).into()
-        };
-        let (values, kept) = (spare_values.take().unwrap_or_else(room), Buffer::new(gpu, 1));
+        let optional = |buffer: &Option<Buffer<u32>>| buffer.as_ref().map(Buffer::arg).into();
+        let (moved, kept) = (spare_values.take().unwrap_or_else(room), Buffer::new(gpu, 1));
         let (client, dim) = (&gpu.client, CubeDim::new_1d(UNITS as u32));
-        let (len, count) = (len as u32, chunks as u32);
+        let (most, chunk_count) = (len as u32, chunks as u32);
         // SAFETY: reads are guarded by the length of a chunk; places stay below `len` because the table counts every key
         // that is moved once.
         unsafe {
-            let (keys, digits) = (from.arg(), table.arg());
-            count_digits_kernel::launch_unchecked(client, cubes(chunks), dim, keys, read(), digits, len, count, shift);
+            count_digits_kernel::launch_unchecked(
+                client,
+                cubes(chunks),
+                dim,
+                from.arg(),
+                optional(&count),
+                table.arg(),
+                most,
+                chunk_count,
+                shift,
+            );
             scatter_kernel::launch_unchecked(
                 client,
                 cubes(chunks),
                 dim,
                 from.arg(),
-                read(),
+                optional(&values),
+                optional(&count),
                 table.arg(),
                 to.arg(),
-                values.arg(),
+                moved.arg(),
                 kept.arg(),
-                len,
-                count,
+                most,
+                chunk_count,
                 shift,
             );
         }
         std::mem::swap(&mut from, &mut to);
-        spare_values = previous.replace((values, kept)).map(|(values, _)| values);
+        spare_values = values.replace(moved);
+        count = Some(kept);
     }
-    let (indices, kept) = previous.expect("there is at least one pass");
+    let (indices, kept) = values.zip(count).expect("there is at least one pass");
     Sorted { keys: from, indices, kept }
 }
