@@ -10,7 +10,6 @@ static ALLOCATED: AtomicU64 = AtomicU64::new(0);
 static BOUND: AtomicU64 = AtomicU64::new(0);
 static IDLE_WAITS: AtomicU64 = AtomicU64::new(0);
 static REPEATED_LISTS: AtomicU64 = AtomicU64::new(0);
-#[cfg(feature = "cube")]
 static CAPACITY: AtomicU64 = AtomicU64::new(u64::MAX);
 #[cfg(feature = "cube")]
 static COUNT_PAIRS: AtomicBool = AtomicBool::new(false);
@@ -73,7 +72,6 @@ pub(crate) fn count_repeated_lists() {
 }
 
 /// Sets how many intersections every view is expected to have, zero for an unknown number. With `None`, recent views tell.
-#[cfg(feature = "cube")]
 pub fn expect_intersections(capacity: Option<u64>) {
     CAPACITY.store(capacity.unwrap_or(u64::MAX), Ordering::Relaxed);
 }

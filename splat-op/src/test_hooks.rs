@@ -7,8 +7,10 @@ use burn::tensor::Device;
 
 pub use crate::abilities::{buffer_limit, lower_limit};
 #[cfg(feature = "cube")]
-pub use crate::counters::{PairCounts, count_pairs, expect_intersections};
-pub use crate::counters::{allocated_bytes, bound_bytes, dispatches, idle_waits, repeated_lists, twin_calls};
+pub use crate::counters::{PairCounts, count_pairs};
+pub use crate::counters::{
+    allocated_bytes, bound_bytes, dispatches, expect_intersections, idle_waits, repeated_lists, twin_calls,
+};
 #[cfg(feature = "cube")]
 pub use crate::gpu::poison;
 
