@@ -1,10 +1,10 @@
 //! Features and limits of a device.
 
+use std::sync::atomic::{AtomicU64, Ordering};
+
 #[cfg(feature = "cube")]
 use burn::backend::DispatchDevice;
 use burn::tensor::Device;
-
-use std::sync::atomic::{AtomicU64, Ordering};
 
 use crate::error::SplatError;
 #[cfg(feature = "cube")]

@@ -147,7 +147,6 @@ type Measured = (Vec<(PassKind, RunTimes)>, Option<PairCounts>);
 /// Times all passes, prints a line for each and returns the times.
 fn timed(job: &Job, load: &Load, opened: &Opened, base: &[f64]) -> Result<Measured, Box<dyn Error>> {
     let Opened { device, machine, .. } = opened;
-    job.check_fits(device)?;
     if job.size == JobSize::FoxSmall {
         job.verify_picture(device)?;
     }
@@ -161,6 +160,8 @@ fn timed(job: &Job, load: &Load, opened: &Opened, base: &[f64]) -> Result<Measur
             each(PassKind::RasterizeBackward)
         );
     }
+    // The counts need a render alone, which takes coefficients in several tensors.
+    job.check_fits(device)?;
     let mut passes = passes(job, device)?;
     let times = table(&mut passes, (device, machine), &job.sizes(load), BUDGET, base)?;
     Ok((passes.iter().map(|pass| pass.kind).zip(times).collect(), counts))
