@@ -103,9 +103,9 @@ pub(super) fn rasterize_backward_kernel<A: FloatCell>(
         // The last slot of a tile may have no places.
         let mut wanted = start < places;
         if comptime!(!add) {
+            // Intersections ascend along a tile's list.
+            let begin = first + start;
             if wanted {
-                // Intersections ascend along a tile's list.
-                let begin = first + start;
                 let last = begin + min(places - start, comptime!(SEGMENT as u32)) - 1;
                 wanted = lists.intersection(begin) < end_row && lists.intersection(last) >= first_row;
             }
