@@ -16,7 +16,7 @@ use splat_op::backend::{
     Geometry, IntersectionCell, Layers, PartsCell, ProjectSpec, RasterizeSpec, SplatBackend, TraceCell,
 };
 use splat_op::test_hooks::{self, PairCounts};
-use splat_op::{Camera, Colour, Extras, SplatError, Splats, evaluate_sh, render_view, with_gradient};
+use splat_op::{Camera, Colour, Extras, SplatError, Splats, render_view, with_gradient};
 
 use crate::job::{Job, OPTIONS};
 use crate::limit::PassKind;
@@ -250,7 +250,7 @@ impl Stages {
     fn new(job: &Job, device: &Device) -> Result<Self, SplatError> {
         let (splats, camera) = (job.gaussians(device).splats(), job.camera(device));
         let packed = project_packed(&splats, &camera, no_probe(&splats));
-        let colours = evaluate_sh(&harmonics(&splats), &splats.means, &camera)?;
+        let colours = splat_op::colours(&splats, &camera)?;
         let spec = RasterizeSpec { intrinsics: job.intrinsics, options: OPTIONS };
         let (counts, intersections) = intersection_lists(&packed, spec);
         Ok(Self { splats, camera, packed, colours, counts, intersections, spec })
@@ -277,7 +277,7 @@ impl Stages {
     }
 
     fn colours(&self, splats: &Splats) -> Result<Tensor<2>, SplatError> {
-        evaluate_sh(&harmonics(splats), &splats.means, &self.camera)
+        splat_op::colours(splats, &self.camera)
     }
 
     fn rasterize(&self, projected: Tensor<2>, features: Tensor<2>) -> Tensor<3> {

@@ -51,6 +51,9 @@ pub fn outcome(outcome: &Outcome) -> String {
 
 fn markdown(record: &Record, frontier: Option<&str>) -> String {
     let mut page = format!("# A graphics card\n\nWritten by `benches/card.sh` from commit {}.\n\n", record.commit);
+    if record.times.iter().any(|pass| pass.device.contains("software")) {
+        page += "**The device is a driver in software.** It shows that the kernels run, not how fast a card is.\n\n";
+    }
     page += "| part | result | seconds |\n|---|---|---|\n";
     for part in record.parts {
         row(&mut page, &[part.title.clone(), outcome(&part.outcome), format!("{:.1}", part.seconds)]);
@@ -145,8 +148,9 @@ fn unique<'a>(values: impl Iterator<Item = &'a String>) -> Vec<&'a String> {
     found
 }
 
-/// Makes the headings of a page those of its section.
+/// Makes the headings of a page those of its section, and leaves out its picture, a file of its own.
 fn demoted(page: &str) -> String {
-    let lines = page.lines().map(|line| if line.starts_with('#') { format!("##{line}") } else { line.to_owned() });
+    let lines = page.lines().filter(|line| !line.starts_with("!["));
+    let lines = lines.map(|line| if line.starts_with('#') { format!("##{line}") } else { line.to_owned() });
     lines.collect::<Vec<_>>().join("\n")
 }
