@@ -1,8 +1,8 @@
 // A Vulkan layer that offers VK_KHR_workgroup_memory_explicit_layout on drivers without it.
 //
 // CubeCL 0.11 writes shared memory into SPIR-V in two forms. Cards have the extension and take the valid form. Without it CubeCL
-// writes a pointer to a pointer (docs/DEVICES.md, "SPIR-V"), which crashes Mesa's driver in software. That driver reads the valid form
-// too, so this layer is all that it lacks. `.ci/run spirv` compiles and uses it.
+// writes a pointer to a pointer (docs/DEVICES.md, "SPIR-V"), which crashes Mesa's drivers in software. Mesa 25's driver reads the
+// valid form, so the extension's name is all that it lacks. `.ci/run spirv` compiles and uses this layer.
 #include <stdlib.h>
 #include <string.h>
 #include <vulkan/vk_layer.h>

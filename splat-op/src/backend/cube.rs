@@ -204,8 +204,8 @@ impl SplatBackend for CubeBackend {
             // A cell that is already filled holds the same trace.
             let _ = cell.0.set(Box::new(kept));
         }
-        // The device had only the lists to write since the host waited for their length, and some drivers collect launches
-        // until they are told to begin; they report faults when something is read.
+        // Some drivers collect launches until they are told to begin, and the device may have nothing else to do by now. Faults
+        // are reported when something is read.
         let _ = gpu.client.flush();
         planes_tensor(planes, &spec, &inputs.background)
     }
