@@ -245,7 +245,8 @@ impl Trainer {
 
         let Batch { loss, gradients, views, held } = self.differentiate_batch()?;
         let first = views[0].0;
-        let rates = StepRates { rates: self.config.step_rates(), means: self.means_decay.at(step) };
+        let others = self.config.step_rates().after(step as f64 / steps as f64);
+        let rates = StepRates { rates: others, means: self.means_decay.at(step) };
         if self.checks {
             self.checked_update(first, gradients, &rates)?;
         } else {

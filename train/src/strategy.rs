@@ -1,14 +1,18 @@
-//! `--strategy`: density strategies, which add, move and remove splats.
+//! `--strategy`, density strategies, which add, move and remove splats, and `--rates`, learning rates.
 
 use clap::ValueEnum;
 use serde::{Deserialize, Serialize};
 use splat_model::density::{AdaptiveConfig, DensityConfig, McmcConfig};
+use splat_model::optim::LearningRates;
 
-/// Density strategies by name, each with its published settings.
+/// Density strategies by name. All but `gradual` have their published settings.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
 pub enum StrategyName {
-    /// Clone and split splats with large gradients, and remove faint ones (Kerbl et al. 2023)
+    /// From early on, split a tenth of the splats at a time, those with the largest gradients, in two halves across their
+    /// longest axis (after Improved-GS, Deng et al. 2025), and remove faint ones
     #[default]
+    Gradual,
+    /// Clone and split splats with large gradients, and remove faint ones (Kerbl et al. 2023)
     Adaptive,
     /// Like adaptive, but with absolute gradients, which find splats that blur fine detail (AbsGS, Ye et al. 2024)
     Absgrad,
@@ -21,13 +25,39 @@ pub enum StrategyName {
 }
 
 impl StrategyName {
-    /// Returns its settings.
-    pub fn config(self) -> DensityConfig {
+    /// Returns its settings for a run of `steps`.
+    pub fn config(self, steps: usize) -> DensityConfig {
         match self {
+            Self::Gradual => AdaptiveConfig::gradual(steps).into(),
             Self::Adaptive => AdaptiveConfig::default().into(),
             Self::Absgrad => AdaptiveConfig::absgrad().into(),
             Self::Consistent => AdaptiveConfig::consistent().into(),
             Self::Mcmc => McmcConfig::default().into(),
         }
+    }
+}
+
+/// Learning rates by name.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
+pub enum RatesName {
+    /// Rates for a run of this length: the published ones in a run of 30,000 steps, higher at the start of a shorter one
+    #[default]
+    ForLength,
+    /// The published rates, which are made for 30,000 steps (Kerbl et al. 2023)
+    Published,
+}
+
+impl RatesName {
+    /// Returns the rates for a run of `steps`.
+    pub fn rates(self, steps: usize) -> LearningRates {
+        match self {
+            Self::ForLength => LearningRates::for_steps(steps),
+            Self::Published => LearningRates::default(),
+        }
+    }
+
+    /// The rates of runs before there was a choice.
+    pub fn published() -> Self {
+        Self::Published
     }
 }

@@ -12,6 +12,7 @@ use std::path::PathBuf;
 use anyhow::Result;
 use clap::builder::RangedU64ValueParser;
 use serde::{Deserialize, Serialize};
+use splat_model::optim::sh_every_for;
 use splat_model::trainer::{Resolution, TrainConfig, TrainError};
 
 pub use self::run::{resume, run, run_with};
@@ -23,7 +24,7 @@ use crate::effects::EffectsArg;
 use crate::lpips::LpipsArgs;
 use crate::options::PhotoArgs;
 use crate::progress::VoiceArgs;
-use crate::strategy::StrategyName;
+use crate::strategy::{RatesName, StrategyName};
 
 /// Default number of steps on the demo capture, chosen so that the whole run takes under 3 minutes on 2 CPU cores.
 pub const DEMO_STEPS: usize = 1500;
@@ -72,6 +73,10 @@ pub struct TrainArgs {
     /// Density strategy: how splats are added, moved and removed
     #[arg(long, value_name = "NAME", value_enum, default_value_t)]
     pub strategy: StrategyName,
+    /// Learning rates
+    #[arg(long, value_name = "NAME", value_enum, default_value_t)]
+    #[serde(default = "RatesName::published")]
+    pub rates: RatesName,
     /// Photographs per step. Learning rates grow with the square root of their number; divide `--steps` by it to use
     /// each photograph as often
     #[arg(long, value_name = "N", default_value_t = TrainConfig::default().batch, value_parser = RangedU64ValueParser::<usize>::new().range(1..))]
@@ -87,8 +92,11 @@ pub struct TrainArgs {
     ))]
     pub sh_degree: Option<usize>,
     /// Steps between increases of the degree, which begins at 0; 0 uses all degrees from the start
-    #[arg(long, value_name = "N", default_value_t = TrainConfig::default().sh_every)]
-    pub sh_every: usize,
+    #[arg(long, value_name = "N", help = format!(
+        "Steps between increases of the degree, which begins at 0; 0 uses all degrees from the start [default: {}, or an \
+         eighth of a shorter run]", TrainConfig::default().sh_every
+    ))]
+    pub sh_every: Option<usize>,
     /// Model choices.
     #[command(flatten)]
     pub model: ModelArgs,
@@ -167,7 +175,6 @@ impl TrainArgs {
     pub fn config(&self) -> Result<TrainConfig, TrainError> {
         let mut config = TrainConfig { seed: self.seed, ..self.model.config() };
         config.opacity_weight = self.opacity_weight;
-        config.density = self.strategy.config().with_max_splats(self.max_splats);
         config.batch = self.batch;
         config.resolution = Resolution { coarsest_divisor: self.coarsest, full_from: self.full_from };
         if self.capture.is_none() {
@@ -175,7 +182,9 @@ impl TrainArgs {
         }
         config.steps = self.steps.unwrap_or(config.steps);
         config.sh_degree = self.sh_degree.unwrap_or(config.sh_degree);
-        config.sh_every = self.sh_every;
+        config.sh_every = self.sh_every.unwrap_or(sh_every_for(config.steps));
+        config.density = self.strategy.config(config.steps).with_max_splats(self.max_splats);
+        config.learning_rates = self.rates.rates(config.steps);
         config.dials = config.dials.and(&self.accuracy.accuracy.setting());
         if let Some(mb) = self.cache_mb {
             config.cache_mib = config.cache_mib.min(mb.saturating_mul(1_000_000) >> 20);
@@ -208,7 +217,11 @@ mod tests {
 
     #[test]
     fn without_options_a_capture_trains_as_the_library_does() {
-        assert_eq!(config(&["capture", "--out", "out"]).unwrap(), TrainConfig::default());
+        let of = |steps: &str| config(&["capture", "--out", "out", "--steps", steps]).unwrap();
+        assert_eq!(config(&["capture", "--out", "out"]).unwrap(), TrainConfig::for_steps(30_000));
+        assert_eq!(of("2000"), TrainConfig::for_steps(2_000));
+        let original = ["capture", "--strategy", "adaptive", "--rates", "published", "--sh-every", "1000"];
+        assert_eq!(config(&original).unwrap(), TrainConfig::default());
     }
 
     #[test]

@@ -1,13 +1,15 @@
 //! Adaptive density control (Kerbl et al. 2023, section 5.2) with later additions of the field: a hard cap, a limit on
-//! needles, and a threshold that rises at the cap.
+//! needles, a threshold that rises at the cap, halves across the longest axis, and growth by small shares.
+
+mod division;
 
 use burn::tensor::{Device, Tensor};
-use glam::{DQuat, Vec3};
 use rand::Rng;
-use rand_distr::{Distribution, StandardNormal};
 use serde::{Deserialize, Serialize};
 use splat_op::tally::{self, Tally};
 
+pub use self::division::Division;
+use self::division::{push_halves, push_parts};
 use super::consistency::{Agreed, Agreement, ConsistencyConfig};
 use super::order::morton_order;
 use super::rows::{RowEdit, Trained};
@@ -43,6 +45,12 @@ pub struct AdaptiveConfig {
     pub reset_every: usize,
     /// Largest number of Gaussians. At the cap only those with the largest gradients are copied or split.
     pub max_splats: usize,
+    /// How one Gaussian becomes two: as in the original.
+    pub division: Division,
+    /// Largest share of the Gaussians that are copied or split in one refinement, those with the largest gradients. The rows up
+    /// to `max_splats` are then divided evenly among the refinements to come. Without a share, which is the default, all are
+    /// chosen that exceed the threshold, up to the cap.
+    pub growth: Option<f64>,
     /// Largest ratio of a Gaussian's largest standard deviation to its middle one: 30. Needles far longer than wide show as
     /// streaks in views outside the training set. (Not in the original.)
     pub max_elongation: f64,
@@ -62,6 +70,8 @@ impl Default for AdaptiveConfig {
             prune_scale: 0.1,
             reset_every: 3_000,
             max_splats: 1_000_000,
+            division: Division::CloneOrSplit,
+            growth: None,
             max_elongation: 30.0,
         }
     }
@@ -73,14 +83,25 @@ impl AdaptiveConfig {
         Self { absolute: true, grad_threshold: 8e-4, ..Self::default() }
     }
 
+    /// Growth by small shares from early on, for a run of `steps`: every chosen Gaussian becomes two halves, which hardly change
+    /// the picture.
+    pub fn gradual(steps: usize) -> Self {
+        let every = (steps / 40).clamp(50, 100);
+        Self {
+            every,
+            from: 100,
+            grad_threshold: 3e-4,
+            division: Division::LongAxis,
+            growth: Some(0.1),
+            ..Self::default()
+        }
+    }
+
     /// Densification and pruning by the agreement of several views.
     pub fn consistent() -> Self {
         Self { consistency: Some(ConsistencyConfig::default()), ..Self::default() }
     }
 }
-
-/// Factor by which the parts of a split Gaussian are smaller (Kerbl et al. 2023, section 5.2).
-const SPLIT_SHRINK: f32 = 1.6;
 
 /// Opacity after a reset, as in the original.
 const RESET_OPACITY: f64 = 0.01;
@@ -125,7 +146,7 @@ impl Adaptive {
         let hardly_shows = |i: usize| agreed.as_ref().is_some_and(|agreed| agreed[i].hardly_shows);
         let doomed: Vec<bool> =
             (0..rows.len()).map(|i| self.is_doomed(&rows, i, keep_largest) || hardly_shows(i)).collect();
-        let (chosen, threshold) = self.choose(&gradients, &doomed, agreed.as_deref());
+        let (chosen, threshold) = self.choose(&gradients, (&doomed, step), agreed.as_deref());
         let split_above = (self.config.split_scale * self.extent) as f32;
 
         let mut report = RefineReport { threshold, ..Default::default() };
@@ -133,13 +154,18 @@ impl Adaptive {
         edit.add.sh_degree = rows.sh_degree;
         let mut replaced = doomed.clone();
         for &i in &chosen {
-            if largest_scale(&rows, i) > split_above {
-                replaced[i] = true;
-                report.split += 1;
-                (0..2).for_each(|_| push_split(&mut edit.add, &rows, i, rng));
-            } else {
+            let halves = self.config.division == Division::LongAxis;
+            if !halves && largest_scale(&rows, i) <= split_above {
                 report.cloned += 1;
                 edit.add.push(&rows, i);
+                continue;
+            }
+            replaced[i] = true;
+            report.split += 1;
+            if halves {
+                push_halves(&mut edit.add, &rows, i);
+            } else {
+                push_parts(&mut edit.add, &rows, i, rng);
             }
         }
         edit.keep = morton_order(&rows.means).into_iter().filter(|&row| !replaced[row as usize]).collect();
@@ -167,13 +193,17 @@ impl Adaptive {
     }
 
     /// Selects the rows to copy or split, in order, and returns the threshold of the selection.
-    fn choose(&self, gradients: &[f32], doomed: &[bool], agreed: Option<&[Agreed]>) -> (Vec<usize>, f64) {
+    fn choose(
+        &self,
+        gradients: &[f32],
+        (doomed, step): (&[bool], usize),
+        agreed: Option<&[Agreed]>,
+    ) -> (Vec<usize>, f64) {
         let is_wrong = |i: usize| agreed.is_none_or(|agreed| agreed[i].is_wrong);
         let wanted = |i: &usize| !doomed[*i] && f64::from(gradients[*i]) > self.config.grad_threshold && is_wrong(*i);
         let mut chosen: Vec<usize> = (0..gradients.len()).filter(wanted).collect();
         let surviving = doomed.iter().filter(|&&gone| !gone).count();
-        // Copying and splitting add one row each.
-        let room = self.config.max_splats.saturating_sub(surviving);
+        let room = self.room(surviving, step);
         if chosen.len() <= room {
             return (chosen, self.config.grad_threshold);
         }
@@ -182,6 +212,16 @@ impl Adaptive {
         chosen.truncate(room);
         chosen.sort_unstable();
         (chosen, threshold)
+    }
+
+    /// Number of rows that the refinement at `step` may add to `count`. Copying and splitting add one row each.
+    fn room(&self, count: usize, step: usize) -> usize {
+        let room = self.config.max_splats.saturating_sub(count);
+        let Some(growth) = self.config.growth else { return room };
+        let every = self.config.every.max(1);
+        let end = (self.config.until_share * self.steps as f64).ceil() as usize;
+        let refinements = (end.saturating_sub(1) / every + 1).saturating_sub(step / every).max(1);
+        room.div_ceil(refinements).min((growth * count as f64).ceil() as usize)
     }
 
     /// Limits each Gaussian's largest standard deviation to `max_elongation` times its middle one.
@@ -280,20 +320,6 @@ fn tallied(tally: Option<Tally>, grad: Tensor<2>, per_axis: [f32; 2]) -> Tally {
 
 fn largest_scale(rows: &GaussianRows, i: usize) -> f32 {
     rows.log_scales[i].iter().fold(f32::NEG_INFINITY, |largest, log| largest.max(*log)).exp()
-}
-
-/// Appends a smaller copy of row `i` at a position drawn from the Gaussian's own distribution.
-fn push_split(to: &mut GaussianRows, from: &GaussianRows, i: usize, rng: &mut dyn Rng) {
-    to.push(from, i);
-    // In f64, because quaternions may have any length, whose square may overflow or underflow in f32.
-    let [w, x, y, z] = from.rotations[i].map(f64::from);
-    let world_from_gaussian = DQuat::from_xyzw(x, y, z, w).normalize().as_quat();
-    let scale = Vec3::from(from.log_scales[i]).exp();
-    let drawn: [f32; 3] = std::array::from_fn(|_| StandardNormal.sample(rng));
-    let offset = world_from_gaussian * (scale * Vec3::from(drawn));
-    let last = to.means.len() - 1;
-    to.means[last] = (Vec3::from(from.means[i]) + offset).to_array();
-    to.log_scales[last] = from.log_scales[i].map(|log| log - SPLIT_SHRINK.ln());
 }
 
 #[cfg(test)]

@@ -11,7 +11,7 @@ mod order;
 pub mod rows;
 mod strategy;
 
-pub use adaptive::{Adaptive, AdaptiveConfig};
+pub use adaptive::{Adaptive, AdaptiveConfig, Division};
 pub use config::DensityConfig;
 pub use consistency::ConsistencyConfig;
 pub use mcmc::{Mcmc, McmcConfig};

@@ -4,4 +4,4 @@ pub mod adam;
 pub mod schedule;
 
 pub use adam::{Adam, Moments, Rates};
-pub use schedule::{Decay, LearningRates, near_plane, scene_extent, sh_degree_at};
+pub use schedule::{Decay, LearningRates, near_plane, scene_extent, sh_degree_at, sh_every_for};

@@ -6,7 +6,7 @@ use splat_op::{CameraModel, Order, Projection, RenderOptions};
 use super::{Resolution, TrainError};
 use crate::accuracy::Setting;
 use crate::capture::Photograph;
-use crate::density::DensityConfig;
+use crate::density::{AdaptiveConfig, DensityConfig};
 use crate::effects::background::Backdrop;
 use crate::effects::depth::DepthConfig;
 use crate::effects::exposure::ExposureConfig;
@@ -15,9 +15,9 @@ use crate::effects::optics::OpticsConfig;
 use crate::effects::pose::PoseConfig;
 use crate::loss::DEFAULT_LAMBDA;
 use crate::optim::schedule::STEPS_PER_SH_DEGREE;
-use crate::optim::{LearningRates, near_plane};
+use crate::optim::{LearningRates, near_plane, sh_every_for};
 
-/// All options of a run. Defaults are those of the original implementation.
+/// All options of a run. Defaults are those of the original implementation; [`Self::for_steps`] gives those of `splat train`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct TrainConfig {
@@ -109,6 +109,18 @@ impl Default for TrainConfig {
 }
 
 impl TrainConfig {
+    /// The options with which `splat train` runs for `steps`: learning rates, degrees and growth are those for a run of this
+    /// length, instead of the original's.
+    pub fn for_steps(steps: usize) -> Self {
+        Self {
+            steps,
+            sh_every: sh_every_for(steps),
+            learning_rates: LearningRates::for_steps(steps),
+            density: AdaptiveConfig::gradual(steps).into(),
+            ..Self::default()
+        }
+    }
+
     /// The learning rates, adapted to the batch size.
     pub(super) fn step_rates(&self) -> LearningRates {
         self.learning_rates.for_batch(self.batch)

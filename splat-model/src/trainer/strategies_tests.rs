@@ -5,13 +5,13 @@ use splat_op::{Extras, render_view};
 use super::testing::{photos, points};
 use super::*;
 use crate::density::rows::RowEdit;
-use crate::density::{AdaptiveConfig, ConsistencyConfig, DensityConfig, McmcConfig, Observed, Signals};
+use crate::density::{AdaptiveConfig, ConsistencyConfig, DensityConfig, Division, McmcConfig, Observed, Signals};
 use crate::gaussians::{GaussianRows, values_of};
 use crate::optim::LearningRates;
 use crate::state::{State, StateError};
 
 /// Each strategy with a schedule for runs of a few dozen steps.
-fn strategies() -> [DensityConfig; 4] {
+fn strategies() -> [DensityConfig; 5] {
     // A cap, so that the order of the gradients matters.
     let adaptive = AdaptiveConfig { every: 5, from: 5, grad_threshold: 1e-5, max_splats: 45, ..Default::default() };
     let mcmc = McmcConfig {
@@ -31,6 +31,7 @@ fn strategies() -> [DensityConfig; 4] {
         adaptive.into(),
         AdaptiveConfig { absolute: true, ..adaptive }.into(),
         AdaptiveConfig { consistency, ..adaptive }.into(),
+        AdaptiveConfig { division: Division::LongAxis, growth: Some(0.2), ..adaptive }.into(),
         mcmc.into(),
     ]
 }

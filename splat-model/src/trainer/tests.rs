@@ -3,7 +3,7 @@ use std::rc::Rc;
 
 use super::testing::{HEIGHT, WIDTH, photos, points};
 use super::*;
-use crate::density::AdaptiveConfig;
+use crate::density::{AdaptiveConfig, Division};
 use crate::effects::background::Backdrop;
 use crate::gaussians::{GaussianRows, values_of};
 use crate::optim::LearningRates;
@@ -28,6 +28,8 @@ const EVENTFUL: AdaptiveConfig = AdaptiveConfig {
     prune_scale: 0.1,
     reset_every: 14,
     max_splats: 60,
+    division: Division::CloneOrSplit,
+    growth: None,
     max_elongation: 30.0,
 };
 

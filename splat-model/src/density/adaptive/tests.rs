@@ -328,3 +328,90 @@ fn views_have_to_agree() {
         assert_eq!(row(&after, now), row(&rows, was), "row {now}");
     }
 }
+
+/// Halves of small and large Gaussians alike, along the axis that is longest, whatever the rotation.
+#[test]
+fn halves_lie_along_the_longest_axis() {
+    let mut rows = round(&[(SMALL, 0.5), (LARGE, 0.5), (SMALL, 0.5)]);
+    // A quarter turn about z maps the Gaussian's x axis to y. The length of quaternions does not matter.
+    rows.rotations = vec![[2.0, 0.0, 0.0, 2.0]; 3];
+    let scales = [[0.04_f32, 0.01, 0.02], [0.01, 0.02, 0.03], [0.01; 3]];
+    rows.log_scales = scales.map(|scale| scale.map(f32::ln)).to_vec();
+    let config = AdaptiveConfig { division: Division::LongAxis, ..AdaptiveConfig::default() };
+    let (report, after) = refine(config, &rows, &[1.0, 1.0, 0.0], 500);
+    assert_eq!(report, Some(RefineReport { split: 2, threshold: 2e-4, ..RefineReport::default() }));
+    assert_eq!((after.len(), row(&after, 0)), (5, row(&rows, 2)));
+    let along = [[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+    for (half, (whole, axis, side)) in [(0, 0, -1.0), (0, 0, 1.0), (1, 2, -1.0), (1, 2, 1.0)].into_iter().enumerate() {
+        let half = half + 1;
+        for k in 0..3 {
+            let expected = rows.means[whole][k] + side * 0.6 * scales[whole][axis] * along[whole][k];
+            assert!((after.means[half][k] - expected).abs() < 1e-6, "half {half}: {:?}", after.means[half]);
+            let shrunk = if k == axis { 0.6 } else { 1.0 };
+            let ratio = (after.log_scales[half][k] - rows.log_scales[whole][k]).exp();
+            assert!((ratio - shrunk).abs() < 1e-6, "half {half}, axis {k}: {ratio}");
+        }
+        assert!((crate::gaussians::sigmoid(after.logit_opacities[half]) - 0.4).abs() < 1e-6);
+        assert_eq!(after.rotations[half], rows.rotations[whole]);
+        assert_eq!(after.sh_dc[half], rows.sh_dc[whole]);
+    }
+}
+
+/// The root of the mean square difference of alpha along the axis, relative to the whole's, by sums over a fine grid.
+#[test]
+fn two_halves_show_nearly_what_the_whole_showed() {
+    for (opacity, largest) in [(0.1, 0.11), (0.5, 0.125), (0.9, 0.14), (0.99, 0.15)] {
+        let mut rows = round(&[(0.5, opacity)]);
+        rows.rotations = vec![[1.0, 0.0, 0.0, 0.0]];
+        rows.log_scales = vec![[0.5_f32.ln(), -9.0, -9.0]];
+        let config = AdaptiveConfig { division: Division::LongAxis, max_elongation: 1e9, ..AdaptiveConfig::default() };
+        let after = refine(config, &rows, &[1.0], 500).1;
+        let alpha = |rows: &GaussianRows, i: usize, x: f64| {
+            let (mean, sigma) = (f64::from(rows.means[i][0]), f64::from(rows.log_scales[i][0]).exp());
+            crate::gaussians::sigmoid(rows.logit_opacities[i]) * (-0.5 * ((x - mean) / sigma).powi(2)).exp()
+        };
+        let (mut difference, mut whole) = (0.0, 0.0);
+        for x in (-4_000..4_000).map(|i| f64::from(i) * 1e-3) {
+            let both = 1.0 - (1.0 - alpha(&after, 0, x)) * (1.0 - alpha(&after, 1, x));
+            difference += (both - alpha(&rows, 0, x)).powi(2);
+            whole += alpha(&rows, 0, x).powi(2);
+        }
+        let found: f64 = (difference / whole).sqrt();
+        assert!(found < largest, "opacity {opacity}: {found}");
+    }
+}
+
+#[test]
+fn growth_takes_a_share_and_meets_the_cap_at_the_last_refinement() {
+    let count = 200;
+    let rows = round(&vec![(SMALL, 0.5); count]);
+    let lengths: Vec<f32> = (0..count).map(|i| 1.0 + i as f32).collect();
+    let config = |max_splats| AdaptiveConfig {
+        division: Division::LongAxis,
+        growth: Some(0.1),
+        max_splats,
+        ..AdaptiveConfig::default()
+    };
+    // The last refinement of a run of 30,000 steps is at 14,900.
+    for (max_splats, step, added) in [
+        (1_000_000, 500, 20),
+        (1_000_000, 14_900, 20),
+        (200, 500, 0),
+        (210, 14_900, 10),
+        (210, 14_800, 5),
+        (190, 500, 0),
+    ] {
+        let (report, after) = refine(config(max_splats), &rows, &lengths, step);
+        assert_eq!((report.unwrap().split, after.len()), (added, count + added), "{max_splats}, {step}");
+    }
+    let threshold = refine(config(1_000_000), &rows, &lengths, 500).0.unwrap().threshold;
+    assert_eq!(threshold, 180.0);
+}
+
+#[test]
+fn gradual_growth_fits_the_length_of_a_run() {
+    assert_eq!(
+        [500, 2_000, 3_000, 7_000, 30_000].map(|steps| AdaptiveConfig::gradual(steps).every),
+        [50, 50, 75, 100, 100]
+    );
+}

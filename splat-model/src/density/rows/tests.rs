@@ -12,6 +12,7 @@ const RATES: LearningRates = LearningRates {
     sh_dc: 0.03,
     sh_rest: 0.04,
     opacities: 0.05,
+    others_final_share: 1.0,
 };
 
 fn scene(rows: &GaussianRows, device: &Device) -> Trained {
