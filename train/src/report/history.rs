@@ -32,7 +32,7 @@ pub struct HistoryPoint {
     pub splats: usize,
 }
 
-/// Scores on a few held-out views during a run.
+/// Scores on a few held-out views during a run, taken before density control of the same step.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct HistoryScore {
     /// Number of steps done.

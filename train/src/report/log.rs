@@ -27,7 +27,7 @@ pub enum LogLine<'a> {
     Start { steps: usize, train_views: usize, test_views: usize, splats: usize, device: &'a str, version: &'a str },
     /// Written evenly over the steps, at most 251 times.
     Progress(HistoryPoint),
-    /// Written after every `--eval-during` steps.
+    /// Written after every `--eval-during` steps, before density control of the same step.
     Evaluation(HistoryScore),
     /// Written at the end.
     Done { out: String, metrics: &'a Metrics },
