@@ -230,6 +230,22 @@ impl Trainer {
         self.step >= self.config.steps
     }
 
+    /// Mean number of pixels of the photographs at full size.
+    pub fn mean_pixels(&self) -> f64 {
+        let pixels = |view| self.views.full_size(view).iter().product::<usize>() as f64;
+        (0..self.views.len()).map(pixels).sum::<f64>() / self.views.len() as f64
+    }
+
+    /// Whether density control may change the number of Gaussians at `step` ([`Strategy::acts_at`]).
+    pub fn refines_at(&self, step: usize) -> bool {
+        self.density.acts_at(step)
+    }
+
+    /// The numbers of Gaussians to expect in the rest of the run ([`Strategy::outlook`]). Waits for the device.
+    pub fn outlook(&self) -> Option<Vec<(usize, usize)>> {
+        self.density.outlook(&self.scene, self.step)
+    }
+
     /// Renders the views of a step, compares them with their photographs, and takes an optimiser step on every parameter.
     /// Density control follows.
     ///

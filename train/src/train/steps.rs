@@ -62,7 +62,7 @@ impl Steps<'_> {
         if trainer.steps_done() == 0 && self.args.checkpoint_every > 0 {
             self.checkpoints.write(trainer, self.args, &so_far)?;
         }
-        let mut log = RunLog::new(steps, so_far.history, so_far.seconds);
+        let mut log = RunLog::new(trainer, so_far.history, so_far.seconds);
         while !trainer.is_done() {
             if let Some(signal) = stop.asked() {
                 let so_far = SoFar { seconds: log.recorder.seconds(), dials_chosen, history: log.finish() };
@@ -84,7 +84,7 @@ impl Steps<'_> {
                 }
             });
             match step {
-                Ok(report) => log.step(&report),
+                Ok(report) => log.step(&report, trainer),
                 Err(error) => {
                     log.finish();
                     return Err(keep_scene(error, trainer, self.capture, self.out));
