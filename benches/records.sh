@@ -56,7 +56,9 @@ train() {
   if [ -n "${LPIPS:-}" ]; then options+=(--lpips "$LPIPS"); fi
   if compgen -G "$out/checkpoints/step-*" >/dev/null; then "$splat" resume "$out" & else "$splat" train "${options[@]}" & fi
   local child=$!
-  trap 'kill -TERM "$child" 2>/dev/null' INT TERM
+  trap 'kill -TERM "$child" 2>/dev/null' TERM
+  # Ctrl-C reaches the program without help, and a second signal would end it before its checkpoint.
+  trap : INT
   # A trapped signal ends the first `wait` before the program has saved its checkpoint.
   local status=0
   wait "$child" || status=$?
