@@ -230,6 +230,22 @@ impl Trainer {
         self.step >= self.config.steps
     }
 
+    /// Mean number of pixels of the photographs at full size.
+    pub fn mean_pixels(&self) -> f64 {
+        let pixels = |view| self.views.full_size(view).iter().product::<usize>() as f64;
+        (0..self.views.len()).map(pixels).sum::<f64>() / self.views.len() as f64
+    }
+
+    /// Whether density control may change the number of Gaussians at `step` ([`Strategy::acts_at`]).
+    pub fn refines_at(&self, step: usize) -> bool {
+        self.density.acts_at(step)
+    }
+
+    /// The numbers of Gaussians to expect in the rest of the run ([`Strategy::outlook`]). Waits for the device.
+    pub fn outlook(&self) -> Option<Vec<(usize, usize)>> {
+        self.density.outlook(&self.scene, self.step)
+    }
+
     /// Renders the views of a step, compares them with their photographs, and takes an optimiser step on every parameter.
     /// Density control follows.
     ///
@@ -238,6 +254,16 @@ impl Trainer {
     /// state before that step, and the run is over. On a GPU, which is not waited for, the error may come up to fifty steps
     /// later. The scene keeps its state before the failed step all the same.
     pub fn step(&mut self) -> Result<StepReport, TrainError> {
+        self.step_and_look(|_| {})
+    }
+
+    /// [`Self::step`], in which `look` is called once, with the scene as it was trained: before density control in steps of
+    /// [`Strategy::acts_at`], and at the end of other steps. Rows that density control adds or moves have not been trained
+    /// yet, so a scene scores lower right after a refinement.
+    ///
+    /// # Errors
+    /// Errors of [`Self::step`]. `look` may not have been called then.
+    pub fn step_and_look(&mut self, mut look: impl FnMut(&Self)) -> Result<StepReport, TrainError> {
         self.step += 1;
         let (step, steps) = (self.step, self.config.steps);
         self.views.reduce(self.config.resolution.divisor_at(step, steps));
@@ -256,8 +282,12 @@ impl Trainer {
             self.effects.step(&mut of_effects, EffectContext { view, step, steps, verdict: held.as_ref() });
         }
         // Refinement reads the scene and acts on it, so the verdict on earlier steps must be known.
-        let read = self.density.acts_at(step) || self.is_done();
+        let refines = self.density.acts_at(step);
+        let read = refines || self.is_done();
         self.guard.read(read).map_err(|fault| self.non_finite(fault))?;
+        if refines {
+            look(self);
+        }
         let at = StrategyContext { step, steps, extent: self.extent, means_rate: rates.means, verdict: held.as_ref() };
         let refined = self.density.act(&mut self.scene, &at, &mut self.rng)?;
         if read {
@@ -265,6 +295,9 @@ impl Trainer {
         }
         if refined.is_some() {
             self.effects.forget_rows();
+        }
+        if !refines {
+            look(self);
         }
         let (view, splats) = (self.views.name(first).to_owned(), self.scene.gaussians.len());
         Ok(StepReport { step, loss, view, splats, refined })

@@ -1,6 +1,8 @@
 //! Progress of a run: for people on standard error, as a bar on a terminal and as plain lines elsewhere; for programs
 //! on standard output.
 
+mod forecast;
+
 use std::io::{IsTerminal, Write};
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -8,16 +10,16 @@ use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
+use splat_model::trainer::Trainer;
+
+use self::forecast::{Forecast, Observed};
+use crate::report::history::History;
 
 /// Interval between plain lines, long enough that the log of an hour stays readable.
 const BETWEEN_LINES: Duration = Duration::from_secs(5);
 
 /// Interval between updates of the bar.
 const BETWEEN_FRAMES: Duration = Duration::from_millis(200);
-
-/// Weight of the newest step in the running mean of the time per step. A scene grows while it trains, so the mean over
-/// the whole run would predict too early an end.
-const NEWEST_WEIGHT: f64 = 0.02;
 
 /// Options for the amount of output.
 #[derive(Clone, Copy, Debug, Default, clap::Args)]
@@ -108,42 +110,35 @@ pub struct StepProgress {
     steps: usize,
     bar: Option<ProgressBar>,
     shown: Instant,
-    stepped: Instant,
-    /// Number of steps in this process; a resumed run begins at a later step.
-    counted: usize,
-    /// Running mean of the time per step, s.
-    step_s: f64,
+    forecast: Forecast,
     /// Sum and number of the losses since they were last shown.
     losses: (f64, usize),
 }
 
 impl StepProgress {
-    /// Begins the progress of a run of `steps` steps, some of which may be done.
-    pub fn new(steps: usize) -> Self {
+    /// Begins the progress of a run. `history` holds its steps so far.
+    pub fn new(trainer: &Trainer, history: &History) -> Self {
+        let steps = trainer.config().steps;
         let shows = !is_quiet() && std::io::stderr().is_terminal();
         let bar = shows.then(|| ProgressBar::new(steps as u64));
         if let Some(bar) = &bar {
             bar.set_style(style("[{bar:32}] {msg}"));
         }
-        let now = Instant::now();
-        Self { steps, bar, shown: now, stepped: now, counted: 0, step_s: 0.0, losses: (0.0, 0) }
+        let refinements = (1..=steps).filter(|&step| trainer.refines_at(step)).collect();
+        let splats = history.points.first().map_or(trainer.gaussians().len(), |point| point.splats);
+        let mut forecast = Forecast::new(trainer.config().clone(), refinements, (splats, trainer.mean_pixels()));
+        for point in &history.points {
+            forecast.observe(Observed { step: point.step, splats: point.splats, seconds: point.seconds });
+        }
+        Self { steps, bar, shown: Instant::now(), forecast, losses: (0.0, 0) }
     }
 
-    /// Counts a step; steps are numbered from 1. Returns whether it is time to [show](Self::show) progress.
-    pub fn tick(&mut self, step: usize) -> bool {
-        let now = Instant::now();
-        let latest_s = (now - self.stepped).as_secs_f64();
-        (self.stepped, self.counted) = (now, self.counted + 1);
-        // The plain mean at first, so that a slow first step does not dominate the start.
-        let weight = NEWEST_WEIGHT.max(1.0 / self.counted as f64);
-        self.step_s += weight * (latest_s - self.step_s);
+    /// Counts a step; steps are numbered from 1. `seconds` is the training time so far. Returns whether it is time to
+    /// [show](Self::show) progress.
+    pub fn tick(&mut self, step: usize, splats: usize, seconds: f64) -> bool {
+        self.forecast.observe(Observed { step, splats, seconds });
         let pause = if self.bar.is_some() { BETWEEN_FRAMES } else { BETWEEN_LINES };
-        !is_quiet() && (now - self.shown >= pause || step >= self.steps)
-    }
-
-    /// Restarts the clock after other work, whose time belongs to no step.
-    pub fn resume(&mut self) {
-        self.stepped = Instant::now();
+        !is_quiet() && (self.shown.elapsed() >= pause || step >= self.steps)
     }
 
     /// Adds the sum and the number of the losses since the last call.
@@ -152,11 +147,13 @@ impl StepProgress {
         self.losses.1 += count;
     }
 
-    /// Shows the state of the run.
-    pub fn show(&mut self, step: usize, splats: usize) {
+    /// Shows the state of the run after a step.
+    pub fn show(&mut self, step: usize, trainer: &Trainer) {
         self.shown = Instant::now();
         let (sum, count) = std::mem::take(&mut self.losses);
-        let line = progress_line(step, self.steps, sum / count as f64, splats, self.step_s);
+        self.forecast.expect(trainer.outlook());
+        let (rate, left) = (1.0 / self.forecast.mean_s(), self.forecast.left_s());
+        let line = progress_line((step, self.steps), sum / count as f64, trainer.gaussians().len(), (rate, left));
         match &self.bar {
             None => note(&line),
             Some(bar) => {
@@ -174,9 +171,9 @@ impl StepProgress {
     }
 }
 
-fn progress_line(step: usize, steps: usize, loss: f64, splats: usize, step_s: f64) -> String {
-    let rate = if step_s > 0.0 { format!("{:.1}", 1.0 / step_s) } else { "-".into() };
-    let left = clock(step_s * (steps.saturating_sub(step)) as f64);
+fn progress_line((step, steps): (usize, usize), loss: f64, splats: usize, (rate, left): (f64, f64)) -> String {
+    let rate = if rate.is_finite() { format!("{rate:.1}") } else { "-".into() };
+    let left = clock(left);
     format!("step {step}/{steps}  loss {loss:.4}  {splats} splats  {rate} steps/s  {left} left")
 }
 
@@ -195,7 +192,9 @@ mod tests {
     #[test]
     fn a_line_says_all() {
         let expected = "step 240/2000  loss 0.0412  12345 splats  8.0 steps/s  3:40 left";
-        assert_eq!(progress_line(240, 2000, 0.04123, 12_345, 0.125), expected);
+        assert_eq!(progress_line((240, 2000), 0.04123, 12_345, (8.0, 220.0)), expected);
+        let first = "step 1/2  loss 0.0412  1 splats  - steps/s  0:00 left";
+        assert_eq!(progress_line((1, 2), 0.04123, 1, (f64::INFINITY, 0.0)), first);
     }
 
     #[test]

@@ -123,8 +123,8 @@ pub struct TrainArgs {
     #[arg(long, value_name = "LIST", default_value_t, allow_hyphen_values = true)]
     #[serde(with = "crate::as_text")]
     pub effects: EffectsArg,
-    /// Score the scene on a few held-out views every N steps, for the curve in report.html and for --json [default:
-    /// off]
+    /// Score the scene on a few held-out views every N steps, before the refinement of the same step, for the curve in
+    /// report.html and for --json [default: off]
     #[arg(long, value_name = "N", value_parser = RangedU64ValueParser::<usize>::new().range(1..))]
     pub eval_during: Option<usize>,
     /// With `--eval-during`: save the scene and the renders of each evaluation in the folder snapshots of the output

@@ -12,6 +12,7 @@ pub use self::division::Division;
 use self::division::{push_halves, push_parts};
 use super::consistency::{Agreed, Agreement, ConsistencyConfig};
 use super::order::morton_order;
+use super::outlook;
 use super::rows::{RowEdit, Trained};
 use super::strategy::{Observed, RefineReport, Signals, Strategy, StrategyContext};
 use crate::gaussians::{self, GaussianRows, RowsError, values_of};
@@ -131,6 +132,23 @@ impl Adaptive {
 
     fn densifies_at(&self, step: usize) -> bool {
         step >= self.config.from && step.is_multiple_of(self.config.every.max(1))
+    }
+
+    fn refines_at(&self, step: usize) -> bool {
+        self.is_time_at(step) && self.densifies_at(step)
+    }
+
+    /// Growth of a refinement by the statistics so far, as a share of the Gaussians, where those below `fading` times the
+    /// opacity of pruning are removed. `None` before the first statistics, and without Gaussians.
+    fn growth_now(&self, scene: &Trained, fading: f64) -> Option<f64> {
+        let Tally { sums, counts } = self.seen.as_ref().filter(|_| !scene.gaussians.is_empty())?;
+        let opacity = fading * self.config.prune_opacity;
+        let logits = scene.gaussians.logit_opacities.val().inner();
+        let fading = logits.lower_elem((opacity / (1.0 - opacity)).ln());
+        let chosen =
+            sums.clone().greater(counts.clone() * self.config.grad_threshold).bool_and(fading.clone().bool_not());
+        let added = (chosen.int() - fading.int()).float().mean();
+        Some(added.into_scalar::<f64>()).filter(|growth| growth.is_finite())
     }
 
     fn resets_at(&self, step: usize) -> bool {
@@ -278,6 +296,27 @@ impl Strategy for Adaptive {
             scene.reset_opacities(logits);
         }
         Ok(report)
+    }
+
+    fn outlook(&self, scene: &Trained, step: usize) -> Option<Vec<(usize, usize)>> {
+        let (config, count) = (&self.config, scene.gaussians.len());
+        let refined = (1..=step).filter(|&step| self.refines_at(step)).count();
+        // Right after a refinement, the statistics are of a few views, whose largest gradients are not averaged yet.
+        if refined > 0 && step % config.every < config.every / 2 {
+            return None;
+        }
+        let growth = self.growth_now(scene, if refined == 0 { outlook::FADING } else { 1.0 })?;
+        let later = (step + 1..=self.steps).filter(|&step| self.refines_at(step));
+        Some(match config.growth {
+            None => outlook::expected(later, refined, count, growth, config.max_splats),
+            Some(largest) => outlook::expected_by_shares(
+                &later.collect::<Vec<_>>(),
+                refined,
+                count,
+                growth.min(largest),
+                config.max_splats,
+            ),
+        })
     }
 
     fn save(&self, to: &mut State) -> Result<(), StateError> {

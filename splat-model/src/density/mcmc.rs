@@ -96,9 +96,8 @@ impl Mcmc {
         let living = opacities.iter().filter(|opacity| **opacity > 0.0).count();
         // Without living Gaussians there is nothing to share.
         let Ok(by_opacity) = WeightedIndex::new(&opacities) else { return Ok(None) };
-        let grown = (rows.len() as f64 * self.config.growth) as usize;
         // The cap ends growth and removes no living Gaussian.
-        let wanted = grown.min(self.config.max_splats).max(living);
+        let wanted = self.grown(rows.len()).max(living);
         let mut drawn = vec![0_usize; rows.len()];
         (living..wanted).for_each(|_| drawn[by_opacity.sample(rng)] += 1);
 
@@ -119,6 +118,11 @@ impl Mcmc {
         scene.edit(&edit)?;
         let (cloned, pruned) = (wanted - living, rows.len() - living);
         Ok(Some(RefineReport { cloned, pruned, ..RefineReport::default() }))
+    }
+
+    /// Number of Gaussians to reach from `count` in a refinement.
+    fn grown(&self, count: usize) -> usize {
+        ((count as f64 * self.config.growth) as usize).min(self.config.max_splats)
     }
 
     /// The opacity of a living Gaussian. 0 for a dead or unusable one.
@@ -203,6 +207,19 @@ impl Strategy for Mcmc {
             self.wander(scene, at, rng);
         }
         Ok(report)
+    }
+
+    fn outlook(&self, scene: &Trained, step: usize) -> Option<Vec<(usize, usize)>> {
+        let mut count = scene.gaussians.len();
+        let later = (step + 1..=self.steps).filter(|&step| self.acts_at(step));
+        Some(
+            later
+                .map(|step| {
+                    count = self.grown(count).max(count);
+                    (step, count)
+                })
+                .collect(),
+        )
     }
 
     fn save(&self, to: &mut State) -> Result<(), StateError> {

@@ -8,6 +8,7 @@ mod consistency;
 mod mcmc;
 mod noise;
 mod order;
+mod outlook;
 pub mod rows;
 mod strategy;
 

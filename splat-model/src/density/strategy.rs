@@ -103,6 +103,13 @@ pub trait Strategy {
         rng: &mut dyn Rng,
     ) -> Result<Option<RefineReport>, RowsError>;
 
+    /// The numbers of Gaussians to expect after later refinements, each with its step, in step order, as far as they can be
+    /// told after `step`. For the time that a run has left; training does not depend on it. `None` if the strategy cannot
+    /// tell. The growth so far is then expected to go on.
+    fn outlook(&self, _scene: &Trained, _step: usize) -> Option<Vec<(usize, usize)>> {
+        None
+    }
+
     /// Saves the strategy's state.
     ///
     /// # Errors

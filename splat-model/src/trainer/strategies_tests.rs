@@ -74,6 +74,28 @@ fn every_strategy_is_decided_by_its_seed_bit_for_bit() {
 }
 
 #[test]
+fn an_outlook_tells_the_next_refinement_and_changes_nothing() {
+    for density in strategies() {
+        let (_, _, rows) = run(trainer(config(density)));
+        let mut asked = trainer(config(density));
+        let mut compared = 0;
+        while !asked.is_done() {
+            let outlook = asked.outlook();
+            let report = asked.step().unwrap();
+            let (Some(outlook), Some(_)) = (outlook, report.refined) else { continue };
+            assert_eq!(outlook[0].0, report.step, "{density:?}");
+            // How many views agree is known only with the refinement.
+            let agrees = matches!(density, DensityConfig::Adaptive(AdaptiveConfig { consistency: Some(_), .. }));
+            let expected = outlook[0].1;
+            assert!(agrees || expected.abs_diff(report.splats) <= 2, "{density:?}: {expected} for {}", report.splats);
+            compared += 1;
+        }
+        assert!(compared > 1, "{density:?}");
+        assert_eq!(asked.gaussians().to_rows(), rows, "{density:?}");
+    }
+}
+
+#[test]
 fn the_number_of_threads_changes_nothing() {
     for density in strategies() {
         let on = |threads| {

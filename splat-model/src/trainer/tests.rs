@@ -3,7 +3,7 @@ use std::rc::Rc;
 
 use super::testing::{HEIGHT, WIDTH, photos, points};
 use super::*;
-use crate::density::{AdaptiveConfig, Division};
+use crate::density::{AdaptiveConfig, Division, McmcConfig};
 use crate::effects::background::Backdrop;
 use crate::gaussians::{GaussianRows, values_of};
 use crate::optim::LearningRates;
@@ -251,4 +251,34 @@ fn a_weight_on_opacity_fades_gaussians() {
     };
     let (without, with) = (mean_logit(0.0), mean_logit(1.0));
     assert!(with < without - 0.2, "mean logit {with} with the weight, {without} without");
+}
+
+#[test]
+fn who_looks_into_a_step_sees_what_it_trained() {
+    let (mut alone, mut seen) = (trainer(eventful()), trainer(eventful()));
+    let mut refined = Vec::new();
+    while !seen.is_done() {
+        let mut looks = Vec::new();
+        let before = seen.gaussians().len();
+        let report =
+            seen.step_and_look(|trainer| looks.push((trainer.steps_done(), trainer.gaussians().len()))).unwrap();
+        // Density control comes after the look.
+        assert_eq!(looks, [(report.step, before)]);
+        refined.extend(report.refined.map(|_| report.step));
+        alone.step().unwrap();
+    }
+    assert_eq!(refined, [5, 10, 15, 20]);
+    assert_eq!(seen.gaussians().to_rows(), alone.gaussians().to_rows());
+}
+
+#[test]
+fn the_look_of_a_step_without_refinement_is_the_scene_after_it() {
+    // The noise of MCMC follows every optimiser step.
+    let density = McmcConfig { every: 5, from: 5, ..McmcConfig::default() };
+    let mut trainer = trainer(TrainConfig { density: density.into(), ..config(4) });
+    while !trainer.is_done() {
+        let mut seen = None;
+        trainer.step_and_look(|trainer| seen = Some(trainer.gaussians().to_rows())).unwrap();
+        assert_eq!(seen.unwrap(), trainer.gaussians().to_rows());
+    }
 }

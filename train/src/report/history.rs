@@ -32,7 +32,7 @@ pub struct HistoryPoint {
     pub splats: usize,
 }
 
-/// Scores on a few held-out views during a run.
+/// Scores on a few held-out views during a run, taken before density control of the same step.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct HistoryScore {
     /// Number of steps done.
@@ -84,9 +84,14 @@ impl Recorder {
         }
     }
 
+    /// Training time so far, s.
+    pub fn elapsed_s(&self) -> f64 {
+        (self.earlier + self.started.elapsed()).as_secs_f64()
+    }
+
     /// Training time so far, s to the millisecond.
     pub fn seconds(&self) -> f64 {
-        ((self.earlier + self.started.elapsed()).as_secs_f64() * 1e3).round() / 1e3
+        (self.elapsed_s() * 1e3).round() / 1e3
     }
 
     /// Whether a point is due after this step.

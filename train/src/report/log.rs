@@ -27,7 +27,7 @@ pub enum LogLine<'a> {
     Start { steps: usize, train_views: usize, test_views: usize, splats: usize, device: &'a str, version: &'a str },
     /// Written evenly over the steps, at most 251 times.
     Progress(HistoryPoint),
-    /// Written after every `--eval-during` steps.
+    /// Written after every `--eval-during` steps, before density control of the same step.
     Evaluation(HistoryScore),
     /// Written at the end.
     Done { out: String, metrics: &'a Metrics },
@@ -43,18 +43,20 @@ pub struct RunLog {
 }
 
 impl RunLog {
-    /// Begins the log before the next of `steps` steps. `history` holds the earlier ones, which took `seconds`.
-    pub fn new(steps: usize, history: History, seconds: f64) -> Self {
-        Self { recorder: Recorder::new(steps, history, seconds), bar: StepProgress::new(steps), losses: None }
+    /// Begins the log before the next step of a run. `history` holds the earlier ones, which took `seconds`.
+    pub fn new(trainer: &Trainer, history: History, seconds: f64) -> Self {
+        let bar = StepProgress::new(trainer, &history);
+        Self { recorder: Recorder::new(trainer.config().steps, history, seconds), bar, losses: None }
     }
 
-    /// Logs a step.
-    pub fn step(&mut self, report: &StepReport) {
+    /// Logs a step that the trainer has just done.
+    pub fn step(&mut self, report: &StepReport, trainer: &Trainer) {
         self.losses = Some(match self.losses.take() {
             Some((sum, count)) => (sum + report.loss.clone(), count + 1),
             None => (report.loss.clone(), 1),
         });
-        let (shows, keeps) = (self.bar.tick(report.step), self.recorder.is_due(report.step));
+        let shows = self.bar.tick(report.step, report.splats, self.recorder.elapsed_s());
+        let keeps = self.recorder.is_due(report.step);
         if !(shows || keeps) {
             return;
         }
@@ -62,7 +64,7 @@ impl RunLog {
         self.bar.add(losses);
         self.recorder.add(losses);
         if shows {
-            self.bar.show(report.step, report.splats);
+            self.bar.show(report.step, trainer);
         }
         if keeps {
             let point = self.recorder.keep(report.step, report.splats);
@@ -96,7 +98,6 @@ impl RunLog {
         })?;
         let kept = taken.map(|taken| taken.keep(&rows, &scores));
         let score = self.recorder.keep_score(trainer.steps_done(), &scores, start.elapsed());
-        self.bar.resume();
         let perceived = score.lpips.map(|lpips| format!(", {lpips:.4} LPIPS")).unwrap_or_default();
         progress::note(&format!(
             "step {}: {:.2} dB PSNR, {:.4} SSIM{perceived} on {} test views",

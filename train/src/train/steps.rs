@@ -62,7 +62,7 @@ impl Steps<'_> {
         if trainer.steps_done() == 0 && self.args.checkpoint_every > 0 {
             self.checkpoints.write(trainer, self.args, &so_far)?;
         }
-        let mut log = RunLog::new(steps, so_far.history, so_far.seconds);
+        let mut log = RunLog::new(trainer, so_far.history, so_far.seconds);
         while !trainer.is_done() {
             if let Some(signal) = stop.asked() {
                 let so_far = SoFar { seconds: log.recorder.seconds(), dials_chosen, history: log.finish() };
@@ -77,16 +77,20 @@ impl Steps<'_> {
                 trainer.turn(&dials);
                 dials_chosen = true;
             }
-            match trainer.step() {
-                Ok(report) => log.step(&report),
+            let mut evaluated = Ok(());
+            let step = trainer.step_and_look(|trainer| {
+                if self.args.eval_during.is_some_and(|every| trainer.steps_done().is_multiple_of(every)) {
+                    evaluated = log.evaluate(trainer, (self.test, self.device.0), self.lpips, self.snapshots);
+                }
+            });
+            match step {
+                Ok(report) => log.step(&report, trainer),
                 Err(error) => {
                     log.finish();
                     return Err(keep_scene(error, trainer, self.capture, self.out));
                 }
             }
-            if self.args.eval_during.is_some_and(|every| trainer.steps_done().is_multiple_of(every)) {
-                log.evaluate(trainer, (self.test, self.device.0), self.lpips, self.snapshots)?;
-            }
+            evaluated?;
             // At least one step is done, and no such number is a multiple of 0.
             if trainer.steps_done().is_multiple_of(self.args.checkpoint_every) {
                 let so_far =

@@ -13,6 +13,7 @@ mod origin;
 mod pareto;
 mod resume;
 mod run;
+mod scores;
 mod view;
 mod voice;
 

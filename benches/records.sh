@@ -1,0 +1,138 @@
+#!/usr/bin/env bash
+# Trains every capture of a folder with every strategy of `splat train`, one run after the other, and writes the table of
+# docs/RECORDS.md. A row of docs/records.tsv is a run that is done and is skipped; remove it to repeat the run. An
+# interrupted run continues from its last checkpoint.
+#
+#   benches/records.sh [DATA]     all runs, on the captures in DATA or else SPLAT_DATA_DIR (docs/CAPTURES.md)
+#   benches/records.sh table      the table alone
+#
+# Variables: CAPTURES, STRATEGIES and STEPS (lists; all, all, and 2000 7000 30000), SIDE (largest side of the photographs in
+# long runs, px; 400), LPIPS (weights), SPLAT (the program; built if not named), WORK (folder of the runs; out/records),
+# RECORDS and PAGE (the two files that are written).
+set -euo pipefail
+cd "$(dirname "$0")/.."
+records="${RECORDS:-docs/records.tsv}"
+page="${PAGE:-docs/RECORDS.md}"
+work="${WORK:-out/records}"
+fields=(capture steps strategy side psnr ssim lpips splats seconds peak_mib device commit date)
+
+# Prints the first number of a key in metrics.json, or `-`. Each key has a line of its own, indented by its depth, 1 or 2.
+number() {
+  local value
+  value="$(sed -n "s/^ \{$((2 * $2))\}\"$3\": \([-0-9.e]*\),\{0,1\}\$/\1/p" "$1" | head -1)"
+  echo "${value:--}"
+}
+
+# Prints the strategies of the program, one on a line.
+strategies() {
+  "$splat" train --help | awk '/^ +--strategy /{found=1; next} found && /^ +--/{exit} found && $1 == "-" {sub(":", "", $2); print $2}'
+}
+
+# Prints the largest side of the photographs, px, or `-` for their own size. Small photographs have it at any length.
+side() {
+  case "$1:$2" in
+  fox_small:* | lego_alpha:* | *:2000) echo - ;;
+  *) echo "${SIDE:-400}" ;;
+  esac
+}
+
+is_done() { [ -f "$records" ] && awk -F'\t' -v key="$1" '$1 "\t" $2 "\t" $3 "\t" $4 == key {found=1} END {exit !found}' "$records"; }
+
+# Appends the row of a finished run.
+record() {
+  local from="$2/metrics.json"
+  if [ ! -f "$records" ]; then (IFS=$'\t'; echo "${fields[*]}") >"$records"; fi
+  local row=("$1" "$(number "$from" 2 psnr)" "$(number "$from" 2 ssim)" "$(number "$from" 2 lpips)" "$(number "$from" 1 splats)")
+  row+=("$(number "$from" 2 train)" "$(number "$from" 1 peak_rss_mib)" "$(sed -n 's/^  "device": "\(.*\)",$/\1/p' "$from")")
+  row+=("$(git rev-parse --short HEAD)" "$(date +%F)")
+  (IFS=$'\t'; echo "${row[*]}") >>"$records"
+}
+
+# Trains, or continues what was interrupted. A signal to this script reaches the program, which saves a checkpoint.
+train() {
+  local capture="$1" steps="$2" strategy="$3" side="$4" out="$5"
+  local options=("$capture" --steps "$steps" --strategy "$strategy" --out "$out")
+  if [ "$side" != - ]; then options+=(--max-side "$side"); fi
+  if [ -n "${LPIPS:-}" ]; then options+=(--lpips "$LPIPS"); fi
+  if compgen -G "$out/checkpoints/step-*" >/dev/null; then "$splat" resume "$out" & else "$splat" train "${options[@]}" & fi
+  local child=$!
+  trap 'kill -TERM "$child" 2>/dev/null' TERM
+  # Ctrl-C reaches the program without help, and a second signal would end it before its checkpoint.
+  trap : INT
+  # A trapped signal ends the first `wait` before the program has saved its checkpoint.
+  local status=0
+  wait "$child" || status=$?
+  if kill -0 "$child" 2>/dev/null; then wait "$child" || status=$?; fi
+  trap - INT TERM
+  return "$status"
+}
+
+# Writes the rows between the markers of the page.
+table() {
+  if [ ! -f "$records" ]; then
+    echo "$records is missing: run benches/records.sh first" >&2
+    exit 1
+  fi
+  local rows
+  rows="$(mktemp)"
+  {
+    echo "| capture | steps | largest side, px | strategy | PSNR, dB | SSIM | LPIPS | Gaussians | training, s | peak memory, MiB | device | commit, date |"
+    echo "|---|---|---|---|---|---|---|---|---|---|---|---|"
+    tail -n +2 "$records" | sort -t$'\t' -k1,1 -k2,2n -k4,4 -k5,5nr | awk -F'\t' '
+      function at(value, format) { return value == "-" ? "" : sprintf(format, value) }
+      {
+        splats = $8
+        while (match(splats, /[0-9][0-9][0-9][0-9]($|,)/)) splats = substr(splats, 1, RSTART) "," substr(splats, RSTART + 1)
+        printf "| `%s` | %s | %s | `%s` | %s | %s | %s | %s | %s | %s | %s | %s, %s |\n", $1, $2, $4 == "-" ? "own" : $4, $3,
+          at($5, "%.2f"), at($6, "%.3f"), at($7, "%.3f"), splats, at($9, "%.0f"), at($10, "%.0f"), $11, $12, $13
+      }'
+  } >"$rows"
+  awk -v rows="$rows" '
+    /^<!-- records -->$/ { print; print ""; while ((getline line < rows) > 0) print line; print ""; skips = 1 }
+    /^<!-- end of records -->$/ { skips = 0 }
+    !skips || /^<!-- end of records -->$/ { if ($0 != "<!-- records -->") print }
+  ' "$page" >"$rows.page"
+  cat "$rows.page" >"$page"
+  rm "$rows" "$rows.page"
+}
+
+if [ "${1:-}" = table ]; then
+  table
+  exit
+fi
+data="${1:-${SPLAT_DATA_DIR:-}}"
+if [ ! -d "$data" ]; then
+  echo "no folder of captures: benches/records.sh DATA, or set SPLAT_DATA_DIR" >&2
+  exit 2
+fi
+splat="${SPLAT:-}"
+if [ -z "$splat" ]; then
+  # Without `-p`, so that Burn is compiled once for this and the tests.
+  cargo build --locked --release
+  splat="${CARGO_TARGET_DIR:-target}/release/splat"
+fi
+mkdir -p "$work"
+failed=0
+for steps in ${STEPS:-2000 7000 30000}; do
+  for folder in "$data"/*/; do
+    capture="$(basename "$folder")"
+    if [ ! -d "$folder/images" ] && ! compgen -G "$folder/transforms*.json" >/dev/null; then continue; fi
+    if [[ -n "${CAPTURES:-}" && " $CAPTURES " != *" $capture "* ]]; then continue; fi
+    for strategy in ${STRATEGIES:-$(strategies)}; do
+      side="$(side "$capture" "$steps")"
+      key="$capture"$'\t'"$steps"$'\t'"$strategy"$'\t'"$side"
+      if is_done "$key"; then continue; fi
+      out="$work/$capture-$steps-$strategy-$side"
+      echo "records: $capture, $steps steps, $strategy, side $side" >&2
+      status=0
+      if [ ! -f "$out/metrics.json" ]; then train "$folder" "$steps" "$strategy" "$side" "$out" || status=$?; fi
+      case "$status" in
+      0) record "$key" "$out" && table ;;
+      # Ended by Ctrl-C, SIGKILL or SIGTERM: the same command continues.
+      130 | 137 | 143) exit "$status" ;;
+      *) failed=1 ;;
+      esac
+    done
+  done
+done
+exit "$failed"

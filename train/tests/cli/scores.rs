@@ -1,0 +1,86 @@
+//! Scores during a run.
+
+use std::fs;
+use std::path::Path;
+
+use clap::Parser;
+use rand::Rng;
+use serde_json::Value;
+use splat_model::density::rows::{RowEdit, Trained};
+use splat_model::density::{RefineReport, Strategy, StrategyContext};
+use splat_model::gaussians::RowsError;
+use splat_train::options::{Cli, Command};
+use splat_train::train;
+
+use crate::run::{DEMO, TRAIN, end, refuse, splat, succeed};
+use crate::{json, text};
+
+#[test]
+fn scores_during_a_run_change_nothing_about_it() {
+    let scene = |more: &[&str]| {
+        let folder = tempfile::tempdir().unwrap();
+        succeed(splat(&TRAIN).arg(DEMO.as_path()).args(["--quiet", "--out", text(folder.path())]).args(more));
+        fs::read(folder.path().join("scene.ply")).unwrap()
+    };
+    assert!(scene(&[]) == scene(&["--eval-during", "5"]), "another scene");
+}
+
+#[test]
+fn scores_during_a_run_need_test_views() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = ["--eval-during", "5", "--eval-every", "0", "--out", text(folder.path())];
+    refuse(splat(&TRAIN).arg(DEMO.as_path()).args(run), &["--eval-during", "--eval-every"]);
+    assert_eq!(end(splat(&TRAIN).arg(DEMO.as_path()).args(["--eval-during", "0", "--out", "out"])).code, Some(2));
+}
+
+/// Removes every second Gaussian at a step, or never.
+struct Halve {
+    at: Option<usize>,
+}
+
+impl Strategy for Halve {
+    fn acts_at(&self, step: usize) -> bool {
+        self.at == Some(step)
+    }
+
+    fn act(
+        &mut self,
+        scene: &mut Trained,
+        at: &StrategyContext,
+        _: &mut dyn Rng,
+    ) -> Result<Option<RefineReport>, RowsError> {
+        if !self.acts_at(at.step) {
+            return Ok(None);
+        }
+        let count = scene.gaussians.len();
+        let keep: Vec<u32> = (0..count as u32).step_by(2).collect();
+        let pruned = count - keep.len();
+        scene.edit(&RowEdit { keep, ..RowEdit::default() })?;
+        Ok(Some(RefineReport { pruned, ..RefineReport::default() }))
+    }
+}
+
+/// Trains within this process and returns the steps, scores and sizes of the scene after 4, 8, 12 and 16 steps.
+fn scores_with(strategy: Halve, out: &Path) -> Vec<[Value; 3]> {
+    let run = ["--eval-during", "4", "--snapshots", "--device", "cpu", "--out", text(out)];
+    let arguments = [&["splat"], &TRAIN[..], &[text(&DEMO)], &run].concat();
+    let Command::Train(args) = Cli::try_parse_from(arguments).unwrap().command else { panic!("asked for train") };
+    train::run_with(&args, |trainer| trainer.with_strategy(strategy).unwrap()).unwrap();
+    let history = json(&out.join("snapshots/history.json"));
+    let folder = |step: &Value| out.join(format!("snapshots/{:06}", step.as_u64().unwrap()));
+    let splats = |step: &Value| json(&folder(step).join("snapshot.json"))["splats"].clone();
+    let scores = history["scores"].as_array().unwrap().iter();
+    scores.map(|score| [score["step"].clone(), score["psnr"].clone(), splats(&score["step"])]).collect()
+}
+
+#[test]
+fn a_score_shows_the_scene_before_the_refinement_of_its_step() {
+    let folder = tempfile::tempdir().unwrap();
+    let plain = scores_with(Halve { at: None }, &folder.path().join("plain"));
+    let halved = scores_with(Halve { at: Some(8) }, &folder.path().join("halved"));
+    assert_eq!(plain.iter().map(|score| &score[0]).collect::<Vec<_>>(), [4, 8, 12, 16]);
+    assert_eq!(halved[..2], plain[..2]);
+    // The refinement is not skipped.
+    let count = |score: &[Value; 3]| score[2].as_u64().unwrap();
+    assert_eq!(count(&halved[2]), count(&plain[2]).div_ceil(2));
+}
