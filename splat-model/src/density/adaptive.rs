@@ -261,7 +261,7 @@ impl Strategy for Adaptive {
     fn outlook(&self, scene: &Trained, step: usize) -> Option<Vec<(usize, usize)>> {
         let refined = (1..=step).filter(|&step| self.refines_at(step)).count();
         // Right after a refinement, the statistics are of a few views, whose largest gradients are not averaged yet.
-        if refined > 0 && step % self.config.every < self.config.every / 2 {
+        if refined > 0 && step % self.config.every.max(1) < self.config.every / 2 {
             return None;
         }
         let growth = self.growth_now(scene, if refined == 0 { outlook::FADING } else { 1.0 })?;
