@@ -302,7 +302,7 @@ impl Strategy for Adaptive {
         let (config, count) = (&self.config, scene.gaussians.len());
         let refined = (1..=step).filter(|&step| self.refines_at(step)).count();
         // Right after a refinement, the statistics are of a few views, whose largest gradients are not averaged yet.
-        if refined > 0 && step % config.every < config.every / 2 {
+        if refined > 0 && step % config.every.max(1) < config.every / 2 {
             return None;
         }
         let growth = self.growth_now(scene, if refined == 0 { outlook::FADING } else { 1.0 })?;

@@ -67,8 +67,8 @@ pub struct Forecast {
     means: [f64; 3],
     /// Sums over the steps for the fit of the share: `p²`, `p n`, `n²`, `p t`, and `n t`, with times relative to the mean.
     sums: [f64; 5],
-    /// Step and number of Gaussians when the strategy had its outlook, and the outlook.
-    outlook: Option<((usize, f64), Vec<(usize, usize)>)>,
+    /// Number of Gaussians when the strategy had its outlook, and the outlook.
+    outlook: Option<(f64, Vec<(usize, usize)>)>,
     /// Growth by the refinements so far, with decreasing weights: what came, what was expected, and the sum of the weights.
     growth: [f64; 3],
 }
@@ -121,7 +121,7 @@ impl Forecast {
     /// Takes in the strategy's outlook after the last observed step, if it has one.
     pub fn expect(&mut self, outlook: Option<Vec<(usize, usize)>>) {
         if let Some(outlook) = outlook {
-            self.outlook = Some(((self.last.step, self.last.splats as f64), outlook));
+            self.outlook = Some((self.last.splats as f64, outlook));
         }
     }
 
@@ -160,7 +160,7 @@ impl Forecast {
 
     /// The number of Gaussians that the strategy expected after a step.
     fn expected_at(&self, step: usize) -> f64 {
-        let Some(((_, splats), outlook)) = &self.outlook else { return 0.0 };
+        let Some((splats, outlook)) = &self.outlook else { return 0.0 };
         outlook.iter().take_while(|(at, _)| *at <= step).last().map_or(*splats, |(_, number)| *number as f64)
     }
 
