@@ -2,7 +2,7 @@
 
 use clap::ValueEnum;
 use serde::{Deserialize, Serialize};
-use splat_model::density::{AdaptiveConfig, DensityConfig, McmcConfig};
+use splat_model::density::{AdaptiveConfig, DensityConfig, GRADUAL_OPACITY_WEIGHT, McmcConfig};
 use splat_model::optim::LearningRates;
 
 /// Density strategies by name. All but `gradual` have their published settings.
@@ -34,6 +34,11 @@ impl StrategyName {
             Self::Consistent => AdaptiveConfig::consistent().into(),
             Self::Mcmc => McmcConfig::default().into(),
         }
+    }
+
+    /// Returns the weight of the mean opacity in the loss that belongs to it. MCMC adds its own.
+    pub fn opacity_weight(self) -> f64 {
+        if self == Self::Gradual { GRADUAL_OPACITY_WEIGHT } else { 0.0 }
     }
 }
 

@@ -100,9 +100,9 @@ pub struct TrainArgs {
     /// Model choices.
     #[command(flatten)]
     pub model: ModelArgs,
-    /// Weight of the mean opacity in the loss, against floaters; 0.01 is typical
-    #[arg(long, value_name = "W", default_value_t = TrainConfig::default().opacity_weight)]
-    pub opacity_weight: f64,
+    /// Weight of the mean opacity in the loss, against floaters [default: 0.01 with the strategy `gradual`, else 0]
+    #[arg(long, value_name = "W")]
+    pub opacity_weight: Option<f64>,
     /// Begin with photographs downsized by this factor: 1, 2, 4, 8 or 16
     #[arg(long, value_name = "N", default_value_t = TrainConfig::default().resolution.coarsest_divisor)]
     pub coarsest: usize,
@@ -174,7 +174,7 @@ impl TrainArgs {
     /// written.
     pub fn config(&self) -> Result<TrainConfig, TrainError> {
         let mut config = TrainConfig { seed: self.seed, ..self.model.config() };
-        config.opacity_weight = self.opacity_weight;
+        config.opacity_weight = self.opacity_weight.unwrap_or(self.strategy.opacity_weight());
         config.batch = self.batch;
         config.resolution = Resolution { coarsest_divisor: self.coarsest, full_from: self.full_from };
         if self.capture.is_none() {
@@ -220,6 +220,7 @@ mod tests {
         let of = |steps: &str| config(&["capture", "--out", "out", "--steps", steps]).unwrap();
         assert_eq!(config(&["capture", "--out", "out"]).unwrap(), TrainConfig::for_steps(30_000));
         assert_eq!(of("2000"), TrainConfig::for_steps(2_000));
+        assert_eq!(config(&["capture", "--opacity-weight", "0"]).unwrap().opacity_weight, 0.0);
         let original = ["capture", "--strategy", "adaptive", "--rates", "published", "--sh-every", "1000"];
         assert_eq!(config(&original).unwrap(), TrainConfig::default());
     }

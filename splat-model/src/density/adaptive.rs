@@ -85,13 +85,15 @@ impl AdaptiveConfig {
     }
 
     /// Growth by small shares from early on, for a run of `steps`: every chosen Gaussian becomes two halves, which hardly change
-    /// the picture.
+    /// the picture. Opacities are not reset. Instead, a weight on the mean opacity in the loss ([`GRADUAL_OPACITY_WEIGHT`]) lets
+    /// Gaussians fade that no photograph needs. Without it, a capture without points may end behind one that is opaque.
     pub fn gradual(steps: usize) -> Self {
         let every = (steps / 40).clamp(50, 100);
         Self {
             every,
             from: 100,
             grad_threshold: 3e-4,
+            reset_every: 0,
             division: Division::LongAxis,
             growth: Some(0.1),
             ..Self::default()
@@ -106,6 +108,9 @@ impl AdaptiveConfig {
 
 /// Opacity after a reset, as in the original.
 const RESET_OPACITY: f64 = 0.01;
+
+/// The weight of the mean opacity in the loss for [`AdaptiveConfig::gradual`], that of MCMC (Kheradmand et al. 2024).
+pub const GRADUAL_OPACITY_WEIGHT: f64 = 0.01;
 
 /// The strategy with its statistics since the last refinement.
 #[derive(Debug)]

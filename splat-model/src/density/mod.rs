@@ -12,7 +12,7 @@ mod outlook;
 pub mod rows;
 mod strategy;
 
-pub use adaptive::{Adaptive, AdaptiveConfig, Division};
+pub use adaptive::{Adaptive, AdaptiveConfig, Division, GRADUAL_OPACITY_WEIGHT};
 pub use config::DensityConfig;
 pub use consistency::ConsistencyConfig;
 pub use mcmc::{Mcmc, McmcConfig};

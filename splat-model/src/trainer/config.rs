@@ -6,7 +6,7 @@ use splat_op::{CameraModel, Order, Projection, RenderOptions};
 use super::{Resolution, TrainError};
 use crate::accuracy::Setting;
 use crate::capture::Photograph;
-use crate::density::{AdaptiveConfig, DensityConfig};
+use crate::density::{AdaptiveConfig, DensityConfig, GRADUAL_OPACITY_WEIGHT};
 use crate::effects::background::Backdrop;
 use crate::effects::depth::DepthConfig;
 use crate::effects::exposure::ExposureConfig;
@@ -62,7 +62,7 @@ pub struct TrainConfig {
     pub optics: OpticsConfig,
     /// Options of depth supervision (see [`Trainer::with_depths`](super::Trainer::with_depths)): off.
     pub depth: Option<DepthConfig>,
-    /// Weight of the mean opacity in the loss: 0 for none, 0.01 in MCMC (Kheradmand et al. 2024). Gaussians that no
+    /// Weight of the mean opacity in the loss: 0 for none, 0.01 in MCMC (Kheradmand et al. 2024), which adds its own. Gaussians that no
     /// photograph needs, mainly floaters in front of the background, then fade and are pruned.
     pub opacity_weight: f64,
     /// Memory for prepared photographs, MiB: 512. On a CPU, photographs beyond it are prepared again at each use. On a GPU
@@ -109,14 +109,15 @@ impl Default for TrainConfig {
 }
 
 impl TrainConfig {
-    /// The options with which `splat train` runs for `steps`: learning rates, degrees and growth are those for a run of this
-    /// length, instead of the original's.
+    /// The options with which `splat train` runs for `steps`: learning rates, degrees, growth and the weight on opacity are
+    /// those for a run of this length, instead of the original's.
     pub fn for_steps(steps: usize) -> Self {
         Self {
             steps,
             sh_every: sh_every_for(steps),
             learning_rates: LearningRates::for_steps(steps),
             density: AdaptiveConfig::gradual(steps).into(),
+            opacity_weight: GRADUAL_OPACITY_WEIGHT,
             ..Self::default()
         }
     }
