@@ -77,7 +77,7 @@ impl LearningRates {
     /// The rates for a run of `steps`. With `f = √(30,000 / steps)`, from 1 to 3, all rates begin `f` times as large as the
     /// published ones, so that a short run covers more of the way. The centres' rate falls to its published share; all others,
     /// which are constant in the original, fall to `1 / f` of the published rates. A run of 30,000 steps or more has the
-    /// published rates. [Density strategies](../../../docs/STRATEGIES.md) gives what this gains.
+    /// published rates. `docs/STRATEGIES.md` gives what this gains.
     pub fn for_steps(steps: usize) -> Self {
         let factor = (PUBLISHED_STEPS as f64 / steps.max(1) as f64).sqrt().clamp(1.0, LARGEST_FACTOR);
         Self { others_final_share: factor.powi(-2), ..Self::default().times(factor) }
