@@ -11,7 +11,7 @@ use splat_model::capture::demo::DemoOptions;
 use splat_model::density::rows::Trained;
 use splat_model::density::{AdaptiveConfig, DensityConfig, Observed, RefineReport, Signals, Strategy, StrategyContext};
 use splat_model::gaussians::RowsError;
-use splat_model::loss::{Truth, photometric};
+use splat_model::loss::{DEFAULT_LAMBDA, Truth, photometric};
 use splat_model::optim::scene_extent;
 use splat_model::trainer::{TrainConfig, Trainer};
 use splat_op::{Camera, Extras, RenderOptions, render_view};
@@ -45,7 +45,7 @@ impl Observing {
             let camera = Camera::new(photo.intrinsics, &photo.cam_from_world, &device);
             let rendered = render_view(&splats, &camera, &Extras::default(), &RenderOptions::standard());
             let image = rendered.expect("a sound scene").colour;
-            f64::from(photometric(image, &Truth::new(truth), 0.2).into_scalar::<f32>())
+            f64::from(photometric(image, &Truth::new(truth), DEFAULT_LAMBDA).into_scalar::<f32>())
         };
         self.photos.iter().map(loss).sum::<f64>() / self.photos.len() as f64
     }

@@ -1,4 +1,4 @@
-//! `--strategy`, density strategies, which add, move and remove splats, and `--rates`, learning rates.
+//! `--strategy` chooses a density strategy, which adds, moves and removes splats. `--rates` chooses learning rates.
 
 use clap::ValueEnum;
 use serde::{Deserialize, Serialize};
@@ -61,7 +61,7 @@ impl RatesName {
         }
     }
 
-    /// The rates of runs before there was a choice.
+    /// The rates of a checkpoint that names none, which was written before there was a choice.
     pub fn published() -> Self {
         Self::Published
     }

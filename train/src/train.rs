@@ -236,6 +236,10 @@ mod tests {
         let text = serde_json::to_string(&args).unwrap();
         let read: TrainArgs = serde_json::from_str(&text).unwrap();
         assert_eq!(format!("{read:?}"), format!("{args:?}"));
+        // A checkpoint from before `--rates` existed.
+        let mut older: serde_json::Value = serde_json::from_str(&text).unwrap();
+        older.as_object_mut().unwrap().remove("rates").unwrap();
+        assert_eq!(serde_json::from_value::<TrainArgs>(older).unwrap().rates, RatesName::Published);
     }
 
     #[test]

@@ -48,9 +48,9 @@ pub struct AdaptiveConfig {
     pub max_splats: usize,
     /// How one Gaussian becomes two: as in the original.
     pub division: Division,
-    /// Largest share of the Gaussians that are copied or split in one refinement, those with the largest gradients. The rows up
-    /// to `max_splats` are then divided evenly among the refinements to come. Without a share, which is the default, all are
-    /// chosen that exceed the threshold, up to the cap.
+    /// Largest share of the Gaussians that one refinement copies or splits: none. Those with the largest gradients are chosen.
+    /// With a share, the rows that are left up to `max_splats` are divided evenly among the refinements to come. Without one,
+    /// a refinement may reach the cap at once.
     pub growth: Option<f64>,
     /// Largest ratio of a Gaussian's largest standard deviation to its middle one: 30. Needles far longer than wide show as
     /// streaks in views outside the training set. (Not in the original.)
@@ -169,7 +169,7 @@ impl Adaptive {
         let hardly_shows = |i: usize| agreed.as_ref().is_some_and(|agreed| agreed[i].hardly_shows);
         let doomed: Vec<bool> =
             (0..rows.len()).map(|i| self.is_doomed(&rows, i, keep_largest) || hardly_shows(i)).collect();
-        let (chosen, threshold) = self.choose(&gradients, (&doomed, step), agreed.as_deref());
+        let (chosen, threshold) = self.choose(&gradients, &doomed, agreed.as_deref(), step);
         let split_above = (self.config.split_scale * self.extent) as f32;
 
         let mut report = RefineReport { threshold, ..Default::default() };
@@ -216,12 +216,7 @@ impl Adaptive {
     }
 
     /// Selects the rows to copy or split, in order, and returns the threshold of the selection.
-    fn choose(
-        &self,
-        gradients: &[f32],
-        (doomed, step): (&[bool], usize),
-        agreed: Option<&[Agreed]>,
-    ) -> (Vec<usize>, f64) {
+    fn choose(&self, gradients: &[f32], doomed: &[bool], agreed: Option<&[Agreed]>, step: usize) -> (Vec<usize>, f64) {
         let is_wrong = |i: usize| agreed.is_none_or(|agreed| agreed[i].is_wrong);
         let wanted = |i: &usize| !doomed[*i] && f64::from(gradients[*i]) > self.config.grad_threshold && is_wrong(*i);
         let mut chosen: Vec<usize> = (0..gradients.len()).filter(wanted).collect();

@@ -109,16 +109,21 @@ impl Default for TrainConfig {
 }
 
 impl TrainConfig {
-    /// The options with which `splat train` runs for `steps`: learning rates, degrees, growth and the weight on opacity are
-    /// those for a run of this length, instead of the original's.
+    /// The options with which `splat train` runs for `steps`.
     pub fn for_steps(steps: usize) -> Self {
+        Self::default().with_steps(steps)
+    }
+
+    /// The same options for a run of `steps`. Learning rates, the schedule of degrees, density control and the weight on opacity
+    /// are replaced by those for this length.
+    pub fn with_steps(self, steps: usize) -> Self {
         Self {
             steps,
             sh_every: sh_every_for(steps),
             learning_rates: LearningRates::for_steps(steps),
             density: AdaptiveConfig::gradual(steps).into(),
             opacity_weight: GRADUAL_OPACITY_WEIGHT,
-            ..Self::default()
+            ..self
         }
     }
 

@@ -208,7 +208,7 @@ fn train(
     device: &Device,
 ) -> Result<Vec<TrainingResult>> {
     let photos = input::photographs(capture, split.require_train()?, args.photos.max_side, args.masks)?;
-    let config = TrainConfig { steps: args.train_steps, ..args.model.config() };
+    let config = args.model.config().with_steps(args.train_steps);
     let extent = input::extent(capture);
     Runs { train: &photos, test, points: &capture.points, extent, config, device }.all()
 }

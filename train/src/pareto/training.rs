@@ -35,14 +35,17 @@ impl Way {
 /// The variants. The others are compared with the first.
 pub const WAYS: &[Way] = &[
     Way { name: "standard", flags: "", change: |_| () },
-    Way { name: "half the steps", flags: "--steps {N/2}", change: |config| config.steps = (config.steps / 2).max(1) },
-    Way { name: "twice the steps", flags: "--steps {2N}", change: |config| config.steps *= 2 },
+    Way { name: "half the steps", flags: "--steps {N/2}", change: |config| rescale(config, (config.steps / 2).max(1)) },
+    Way { name: "twice the steps", flags: "--steps {2N}", change: |config| rescale(config, 2 * config.steps) },
     Way { name: "halves first", flags: "--coarsest 2", change: |config| config.resolution = coarse(2) },
     Way { name: "quarters first", flags: "--coarsest 4", change: |config| config.resolution = coarse(4) },
     Way {
         name: "twice the steps, quarters first",
         flags: "--steps {2N} --coarsest 4",
-        change: |config| (config.steps, config.resolution) = (2 * config.steps, coarse(4)),
+        change: |config| {
+            rescale(config, 2 * config.steps);
+            config.resolution = coarse(4);
+        },
     },
     Way { name: "all harmonics at once", flags: "--sh-every 0", change: |config| config.sh_every = 0 },
     Way {
@@ -56,6 +59,11 @@ pub const WAYS: &[Way] = &[
 ];
 
 /// Applies a preset and keeps the model choices.
+/// Changes the number of steps, and what `splat train` makes depend on it.
+fn rescale(config: &mut TrainConfig, steps: usize) {
+    *config = std::mem::take(config).with_steps(steps);
+}
+
 fn preset(config: &mut TrainConfig, preset: Preset) {
     config.dials = std::mem::take(&mut config.dials).and(&preset.setting());
 }
