@@ -22,7 +22,6 @@ use splat_model::accuracy::{ChosenSetting, FrontierPoint, Provenance, Spread, Ta
 use splat_model::capture::{Capture, Photo, Split};
 use splat_model::evaluate::evaluate;
 use splat_model::gaussians::GaussianRows;
-use splat_model::trainer::TrainConfig;
 use splat_op::{CameraModel, RenderOptions};
 
 use self::dials::{Role, candidates};
