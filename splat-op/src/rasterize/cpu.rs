@@ -5,9 +5,9 @@ use burn::tensor::DType;
 use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
 
-use super::footprint::UNWHITEN;
+use super::footprint::{Footprint, UNWHITEN, WIDTH};
 use super::prepared::Prepared;
-use super::tile::{Plane, Thresholds, TileView, rasterize_tile};
+use super::tile::{Plane, Thresholds, TileView, in_block_order, rasterize_tile};
 pub(crate) use super::tile_backward::MOMENTS;
 use super::tile_backward::{TileGrad, TileScratch, rasterize_tile_backward};
 use super::{Layers, RasterizeSpec};
@@ -18,8 +18,11 @@ use crate::simd::real::Real;
 /// Number of Gaussians per task.
 pub(super) const CHUNK: usize = 1024;
 
-/// Values that the forward pass keeps for the backward pass, tile by tile.
-pub(crate) struct Trace<F>(Vec<TileTrace<F>>);
+/// Values that the forward pass keeps for the backward pass.
+pub(crate) struct Trace<F> {
+    footprints: Vec<Footprint<F>>,
+    tiles: Vec<TileTrace<F>>,
+}
 
 struct TileTrace<F> {
     layer_count: usize,
@@ -65,7 +68,7 @@ pub(crate) fn rasterize_cpu<F: Real>(
     intersections: &IntersectionLists,
     keep: bool,
 ) -> (Vec<F>, Option<Trace<F>>) {
-    let prepared = Prepared::new(inputs, spec, intersections);
+    let prepared = Prepared::new(inputs, spec, intersections, None);
     let plane_count = prepared.channels + 1;
     let [width, height] = prepared.size;
     let mut planes = vec![F::ZERO; spec.planes(inputs.background.len()) * width * height];
@@ -95,7 +98,8 @@ pub(crate) fn rasterize_cpu<F: Real>(
         traces
     };
     let traces: Vec<Vec<TileTrace<F>>> = strips.into_par_iter().enumerate().map(rasterize_strip).collect();
-    (planes, keep.then(|| Trace(traces.into_iter().flatten().collect())))
+    let footprints = prepared.footprints.into_owned();
+    (planes, keep.then(|| Trace { footprints, tiles: traces.into_iter().flatten().collect() }))
 }
 
 /// Composes the sums and transmittances of a row of tiles over the background into its part of each plane.
@@ -144,11 +148,11 @@ pub(crate) fn rasterize_backward_cpu<F: Real>(
             &rebuilt
         }
     };
-    let prepared = Prepared::new(inputs, spec, intersections);
+    let prepared = Prepared::new(inputs, spec, intersections, Some(&trace.footprints));
     let columns = MOMENTS + prepared.channels + if needs.mean2d_abs { 2 } else { 0 };
     let features = inputs.background.len();
     let (rows, background) = tile_rows(intersections, [columns, features], Buffers::default, |buffers, tile, sums| {
-        tile_sums(&prepared, inputs.background, grad, &trace.0[tile], (tile, sums, needs.mean2d_abs), buffers)
+        tile_sums(&prepared, inputs.background, grad, &trace.tiles[tile], (tile, sums, needs), buffers)
     });
     let sums = RowSums { rows: &rows, columns, channels: prepared.channels, unscale: UNWHITEN };
     let (grads, _) = gather(inputs.projected, features, intersections, &sums, (needs, 0));
@@ -156,7 +160,7 @@ pub(crate) fn rasterize_backward_cpu<F: Real>(
 }
 
 /// Runs `tile` on each tile's rows, `columns` values per intersection, in parallel. Returns all rows, and the sums of
-/// the `features` values that `tile` returns.
+/// the `features` values, or none, that `tile` returns.
 pub(crate) fn tile_rows<F: Real, B>(
     intersections: &IntersectionLists,
     [columns, features]: [usize; 2],
@@ -185,13 +189,13 @@ struct Buffers<F: Real> {
     scratch: TileScratch<F>,
 }
 
-/// Fills one tile's sums per intersection and returns its share of the background's gradient.
+/// Fills one tile's sums per intersection and returns its share of the background's gradient if it is needed.
 fn tile_sums<F: Real>(
     prepared: &Prepared<F>,
     background: &[F],
     grad: &[F],
     trace: &TileTrace<F>,
-    (tile, sums, absolute): (usize, &mut [F], bool),
+    (tile, sums, needs): (usize, &mut [F], Layers<bool>),
     buffers: &mut Buffers<F>,
 ) -> Vec<F> {
     let view = prepared.view(tile);
@@ -199,8 +203,13 @@ fn tile_sums<F: Real>(
     tile_gradient(prepared, &view, background, grad, buffers);
     let Buffers { planes, background_rho, scratch } = buffers;
     let planes = planes.as_chunks().0;
-    let tile_grad =
-        TileGrad { planes, background_rho, checkpoints: &trace.checkpoints, layer_count: trace.layer_count, absolute };
+    let tile_grad = TileGrad {
+        planes,
+        background_rho,
+        checkpoints: &trace.checkpoints,
+        layer_count: trace.layer_count,
+        absolute: needs.mean2d_abs,
+    };
     let mut transmittance = [F::ZERO; TILE_PIXELS];
     specialised!(prepared, tile, simd, C, IS_LONG, LIBRARY => {
         let thresholds = Thresholds::<_, F, LIBRARY>::new(simd, prepared.thresholds);
@@ -208,7 +217,7 @@ fn tile_sums<F: Real>(
         rasterize_tile_backward::<_, F, C, IS_LONG, LIBRARY>(simd, &view, &tile_grad, &thresholds, out, scratch);
     });
     let through = |plane: &Plane<F>| plane.iter().zip(transmittance).map(|(&g, t)| g * t.abs()).sum();
-    planes.iter().take(features).map(through).collect()
+    planes.iter().take(if needs.background { features } else { 0 }).map(through).collect()
 }
 
 /// Computes the gradient of a tile's own planes (sums and alpha), and `g · background` behind all layers, from the
@@ -235,11 +244,15 @@ fn tile_gradient<F: Real>(
         for row in 0..view.size[1] {
             let first = (source * height + view.origin[1] + row) * width + view.origin[0];
             let values = &grad[first..first + view.size[0]];
-            let at = plane * TILE_PIXELS + row * TILE;
-            buffers.planes[at..at + view.size[0]].copy_from_slice(values);
-            if plane < features {
-                let background_rho = &mut buffers.background_rho[row * TILE..];
-                background_rho.iter_mut().zip(values).for_each(|(sum, &g)| *sum += g * background[plane]);
+            for (half, values) in values.chunks(WIDTH).enumerate() {
+                let mut eight = [F::ZERO; WIDTH];
+                eight.iter_mut().zip(values).for_each(|(to, &from)| *to = from);
+                let place = in_block_order(row * (TILE / WIDTH) + half);
+                buffers.planes[plane * TILE_PIXELS..].as_chunks_mut().0[place] = eight;
+                if plane < features {
+                    let background_rho = &mut buffers.background_rho.as_chunks_mut::<WIDTH>().0[place];
+                    background_rho.iter_mut().zip(eight).for_each(|(sum, g)| *sum += g * background[plane]);
+                }
             }
         }
     }

@@ -5,13 +5,16 @@ use fearless_simd::prelude::*;
 use crate::intersect::TILE;
 use crate::intersect::extent::{half_extent, widened_limit};
 use crate::project::Ellipse;
-use crate::simd::real::{LANES, Real};
+use crate::simd::real::Real;
 
-/// Number of SIMD vectors along a row of a tile.
-pub(super) const ROW_VECTORS: usize = TILE / LANES;
+/// Number of pixels along a row of a block.
+pub(super) const WIDTH: usize = 8;
 
-/// Number of rows of vectors that are processed together, so that the arithmetic of one fills the latency of the other.
+/// Number of rows of a block. The widest SIMD vectors hold a block's 16 pixels; narrower ones hold a part of it.
 pub(super) const ROWS: usize = 2;
+
+/// Number of blocks along a row of a tile.
+const COLUMNS: usize = TILE / WIDTH;
 
 /// `√(log₂e / 2)`. In whitened coordinates scaled by it, a Gaussian is `2^−(u² + v²)`.
 const WHITEN: f64 = 0.849_321_800_288_019_1;
@@ -48,7 +51,7 @@ impl<F: Real> Footprint<F> {
         }
     }
 
-    /// Returns the rows, and the vectors along a row, of the tile at `origin` px that the bounding box meets. The range
+    /// Returns the rows, and the columns of blocks, of the tile at `origin` px that the bounding box meets. The range
     /// of rows is extended to multiples of [`ROWS`].
     #[inline(always)]
     pub fn window(&self, origin: [F; 2]) -> TileWindow {
@@ -66,40 +69,40 @@ impl<F: Real> Footprint<F> {
         TileWindow {
             first_row: first_row - first_row % ROWS,
             end_row: end_row.next_multiple_of(ROWS),
-            first_vector: first_pixel / LANES,
-            end_vector: end_pixel.div_ceil(LANES).min(ROW_VECTORS),
+            first_column: first_pixel / WIDTH,
+            end_column: end_pixel.div_ceil(WIDTH).min(COLUMNS),
         }
     }
 }
 
-/// Rectangle within a tile, in rows and vectors.
+/// Rectangle within a tile, in rows and columns of blocks.
 #[derive(Clone, Copy)]
 pub(super) struct TileWindow {
     pub first_row: usize,
     pub end_row: usize,
-    pub first_vector: usize,
-    pub end_vector: usize,
+    pub first_column: usize,
+    pub end_column: usize,
 }
 
 /// A Gaussian's constants, one copy in each lane.
 #[derive(Clone, Copy)]
 pub(super) struct FootprintSimd<S: Simd, F: Real> {
     pub footprint: Footprint<F>,
-    mean_x: F::Lanes<S>,
+    mean_x: F::Native<S>,
     /// Offset along y of the centres of the tile's first row from the mean, px.
-    rise: F::Lanes<S>,
-    pub inverse_u: F::Lanes<S>,
-    pub inverse_v: F::Lanes<S>,
-    shear: F::Lanes<S>,
-    pub opacity: F::Lanes<S>,
-    pub extent: F::Lanes<S>,
+    rise: F::Native<S>,
+    pub inverse_u: F::Native<S>,
+    pub inverse_v: F::Native<S>,
+    shear: F::Native<S>,
+    pub opacity: F::Native<S>,
+    pub extent: F::Native<S>,
 }
 
 impl<S: Simd, F: Real> FootprintSimd<S, F> {
     /// Constants of a Gaussian for the tile whose upper border is at `top` px.
     #[inline(always)]
     pub fn new(simd: S, footprint: Footprint<F>, top: F) -> Self {
-        let lanes = |value| F::Lanes::<S>::splat(simd, value);
+        let lanes = |value| F::Native::<S>::splat(simd, value);
         Self {
             footprint,
             mean_x: lanes(footprint.mean_px[0]),
@@ -112,28 +115,28 @@ impl<S: Simd, F: Real> FootprintSimd<S, F> {
         }
     }
 
-    /// Returns the values that the pixels with centres `x`, px, share on all rows.
+    /// Returns the values of the pixels with centres `x`, px, that do not depend on their rows.
     #[inline(always)]
-    pub fn column(&self, x: F::Lanes<S>) -> Column<S, F> {
+    pub fn column(&self, x: F::Native<S>) -> Column<S, F> {
         let dx = x - self.mean_x;
         let u = dx * self.inverse_u;
         Column { dx, u, square: u * u }
     }
 
-    /// Returns `v`, scaled by [`WHITEN`], of the pixels of `column` on row `row` of the tile.
+    /// Returns `v`, scaled by [`WHITEN`], of the pixels of `column` on the rows `row` of the tile.
     #[inline(always)]
-    pub fn v(&self, column: &Column<S, F>, row: F::Lanes<S>) -> F::Lanes<S> {
+    pub fn v(&self, column: &Column<S, F>, row: F::Native<S>) -> F::Native<S> {
         // The sum comes before the scaling, so that `v` is exactly zero at the mean.
         (-self.shear).mul_add(column.dx, self.rise + row) * self.inverse_v
     }
 }
 
-/// Values of a Gaussian at eight pixels along x that are the same on every row.
+/// Values of a Gaussian at a vector of pixels that do not depend on their rows.
 #[derive(Clone, Copy)]
 pub(super) struct Column<S: Simd, F: Real> {
     /// Scaled by [`WHITEN`].
-    pub u: F::Lanes<S>,
+    pub u: F::Native<S>,
     /// `u²`
-    pub square: F::Lanes<S>,
-    dx: F::Lanes<S>,
+    pub square: F::Native<S>,
+    dx: F::Native<S>,
 }

@@ -16,7 +16,7 @@ use crate::simd::real::Real;
 
 /// Inputs in the form that the loops over the tiles read.
 pub(super) struct Prepared<'a, F: Real> {
-    pub footprints: Vec<Footprint<F>>,
+    pub footprints: Cow<'a, [Footprint<F>]>,
     /// Features, followed by depth as one more channel if the render accumulates it.
     pub colours: Cow<'a, [F]>,
     pub channels: usize,
@@ -33,7 +33,13 @@ pub(super) struct Prepared<'a, F: Real> {
 }
 
 impl<'a, F: Real> Prepared<'a, F> {
-    pub fn new(inputs: Layers<&'a [F]>, spec: &RasterizeSpec, intersections: &'a IntersectionLists) -> Self {
+    /// `footprints` are those of an earlier pass over the same inputs.
+    pub fn new(
+        inputs: Layers<&'a [F]>,
+        spec: &RasterizeSpec,
+        intersections: &'a IntersectionLists,
+        footprints: Option<&'a [Footprint<F>]>,
+    ) -> Self {
         let options = &spec.options;
         let alpha_min = F::of(options.alpha_min);
         let footprint = |row: &[F]| {
@@ -54,7 +60,10 @@ impl<'a, F: Real> Prepared<'a, F> {
         let listed = intersections.tile_start.windows(2).map(|ends| ends[1] - ends[0]);
         let apart = options.culling != Culling::Ellipse && listed.max().is_some_and(|most| is_long(most, alpha_min));
         Self {
-            footprints: inputs.projected.par_chunks_exact(COLUMNS).with_min_len(CHUNK).map(footprint).collect(),
+            footprints: footprints.map_or_else(
+                || inputs.projected.par_chunks_exact(COLUMNS).with_min_len(CHUNK).map(footprint).collect(),
+                Cow::Borrowed,
+            ),
             colours,
             channels: features + usize::from(options.depth),
             grid: tile_grid(spec.intrinsics.width, spec.intrinsics.height),

@@ -1,11 +1,18 @@
 //! Forward pass of the CPU twin over one tile, and the arithmetic of a layer. Both passes share that arithmetic, so
 //! that the backward pass sees the very bits of the forward pass.
 
+use fearless_simd::SimdFloatElement;
 use fearless_simd::prelude::*;
 
-use super::footprint::{Column, Footprint, FootprintSimd, ROW_VECTORS, ROWS};
+use super::footprint::{Column, Footprint, FootprintSimd, ROWS, WIDTH};
 use crate::intersect::{TILE, TILE_PIXELS};
-use crate::simd::real::{EXP2_CONSTANTS, LANES, Real};
+use crate::simd::real::{EXP2_CONSTANTS, Real};
+
+/// Number of pixels in a block of a tile.
+pub(super) const BLOCK: usize = WIDTH * ROWS;
+
+/// Number of pixels in a row of blocks.
+pub(super) const BLOCK_ROW: usize = ROWS * TILE;
 
 /// Number of Gaussians between two checkpoints of a tile's transmittances.
 pub(super) const CHECKPOINT_EVERY: usize = 64;
@@ -59,68 +66,90 @@ impl<F: Real> Transmittances<F> {
         Self { kept: part(0), lost: if LONG { part(1) } else { [F::ZERO; TILE_PIXELS] } }
     }
 
-    /// Loads both parts of eight pixels, from pixel `first` on, on each of [`ROWS`] rows.
+    /// Loads both parts of a vector of pixels.
     #[inline(always)]
-    pub fn load<S: Simd, const LONG: bool>(&self, simd: S, first: usize) -> [[F::Lanes<S>; 2]; ROWS] {
-        let mut rows = [[F::Lanes::<S>::splat(simd, F::ZERO); 2]; ROWS];
-        for (row, [kept, lost]) in rows.iter_mut().enumerate() {
-            *kept = F::Lanes::<S>::from_slice(simd, eight(&self.kept, first + row * TILE));
-            if LONG {
-                *lost = F::Lanes::<S>::from_slice(simd, eight(&self.lost, first + row * TILE));
-            }
-        }
-        rows
+    pub fn load<S: Simd, const LONG: bool>(&self, simd: S, place: usize) -> [F::Native<S>; 2] {
+        let lost = if LONG { lanes(simd, &self.lost, place) } else { F::Native::<S>::splat(simd, F::ZERO) };
+        [lanes(simd, &self.kept, place), lost]
     }
 
     #[inline(always)]
-    pub fn store<S: Simd, const LONG: bool>(&mut self, rows: &[[F::Lanes<S>; 2]; ROWS], first: usize) {
-        for (row, [kept, lost]) in rows.iter().enumerate() {
-            kept.store_slice(eight_mut(&mut self.kept, first + row * TILE));
-            if LONG {
-                lost.store_slice(eight_mut(&mut self.lost, first + row * TILE));
-            }
+    pub fn store<S: Simd, const LONG: bool>(&mut self, [kept, lost]: [F::Native<S>; 2], place: usize) {
+        store(kept, &mut self.kept, place);
+        if LONG {
+            store(lost, &mut self.lost, place);
         }
     }
 }
 
-/// One value for each pixel of a tile.
+/// One value for each pixel of a tile: block by block, within a block row by row. The blocks run along x, then y.
 pub(super) type Plane<F> = [F; TILE_PIXELS];
 
-/// Returns eight pixels of a plane from pixel `first` on, a multiple of eight. The form of the expression avoids a
-/// bounds check.
+/// Brings values in the order of a tile's rows into the order of its blocks.
 #[inline(always)]
-pub(super) fn eight<F>(plane: &Plane<F>, first: usize) -> &[F; LANES] {
-    &plane.as_chunks::<LANES>().0[first % TILE_PIXELS / LANES]
+fn in_blocks<F: Real>(rows: &Plane<F>) -> Plane<F> {
+    let mut plane = [F::ZERO; TILE_PIXELS];
+    for (eight, values) in rows.as_chunks::<WIDTH>().0.iter().enumerate() {
+        plane.as_chunks_mut::<WIDTH>().0[in_block_order(eight)] = *values;
+    }
+    plane
+}
+
+/// The inverse of [`in_blocks`].
+#[inline(always)]
+fn in_rows<F: Real>(plane: &Plane<F>) -> Plane<F> {
+    let mut rows = [F::ZERO; TILE_PIXELS];
+    for (eight, values) in rows.as_chunks_mut::<WIDTH>().0.iter_mut().enumerate() {
+        *values = plane.as_chunks::<WIDTH>().0[in_block_order(eight)];
+    }
+    rows
+}
+
+/// Returns the place, in the order of blocks, of the eight pixels at place `eight` in the order of rows.
+pub(super) const fn in_block_order(eight: usize) -> usize {
+    let (row, column) = (eight / (TILE / WIDTH), eight % (TILE / WIDTH));
+    (row / ROWS * (TILE / WIDTH) + column) * ROWS + row % ROWS
+}
+
+/// Number of lanes of a vector of pixels.
+#[inline(always)]
+pub(super) const fn len<S: Simd, F: Real>() -> usize {
+    <F::Native<S> as SimdBase<S>>::LEN
+}
+
+/// Returns a vector of pixels from `place` on, a multiple of its length.
+#[inline(always)]
+pub(super) fn lanes<S: Simd, F: Real>(simd: S, plane: &[F], place: usize) -> F::Native<S> {
+    F::Native::<S>::from_slice(simd, &plane[place..place + len::<S, F>()])
 }
 
 #[inline(always)]
-fn eight_mut<F>(plane: &mut Plane<F>, first: usize) -> &mut [F; LANES] {
-    &mut plane.as_chunks_mut::<LANES>().0[first % TILE_PIXELS / LANES]
+pub(super) fn store<S: Simd, L: SimdFloat<S>>(lanes: L, plane: &mut [L::Element], place: usize) {
+    lanes.store_slice(&mut plane[place..place + L::LEN]);
 }
 
 /// Thresholds of the render, one copy in each lane.
 ///
 /// `LIBRARY` says whether `exp` is the standard library's function; see [`crate::Exponential`].
-#[derive(Clone, Copy)]
 pub(super) struct Thresholds<S: Simd, F: Real, const LIBRARY: bool> {
-    alpha_min: F::Lanes<S>,
-    pub alpha_max: F::Lanes<S>,
-    transmittance_min: F::Lanes<S>,
-    zero: F::Lanes<S>,
-    /// The numbers of a tile's rows.
-    rows: [F::Lanes<S>; TILE],
-    exp2: [F::Lanes<S>; EXP2_CONSTANTS],
+    alpha_min: F::Native<S>,
+    pub alpha_max: F::Native<S>,
+    transmittance_min: F::Native<S>,
+    zero: F::Native<S>,
+    /// The row of each pixel of a tile.
+    rows: Plane<F>,
+    exp2: [F::Native<S>; EXP2_CONSTANTS],
 }
 
 impl<S: Simd, F: Real, const LIBRARY: bool> Thresholds<S, F, LIBRARY> {
     #[inline(always)]
     pub fn new(simd: S, [alpha_min, alpha_max, transmittance_min]: [F; 3]) -> Self {
-        let lanes = |value| F::Lanes::<S>::splat(simd, value);
+        let lanes = |value| F::Native::<S>::splat(simd, value);
         // A threshold of zero leaves out nothing, not even layers behind an alpha of one.
         let never = if transmittance_min > F::ZERO { transmittance_min } else { -F::ONE };
-        let mut rows = [lanes(F::ZERO); TILE];
-        for (number, row) in rows.iter_mut().enumerate() {
-            *row = lanes(F::of(number as f64));
+        let mut rows = [F::ZERO; TILE_PIXELS];
+        for (number, row) in rows.as_chunks_mut::<TILE>().0.iter_mut().enumerate() {
+            *row = [F::of(number as f64); TILE];
         }
         let mut exp2 = [lanes(F::ZERO); EXP2_CONSTANTS];
         for (constant, value) in exp2.iter_mut().zip(F::EXP2) {
@@ -131,84 +160,64 @@ impl<S: Simd, F: Real, const LIBRARY: bool> Thresholds<S, F, LIBRARY> {
             alpha_max: lanes(alpha_max),
             transmittance_min: lanes(never),
             zero: lanes(F::ZERO),
-            rows,
+            rows: in_blocks(&rows),
             // The constants stay in memory, where instructions read them as operands; the compiler would rebuild them
             // each time.
             exp2: std::hint::black_box(exp2),
         }
     }
 
-    /// Number of a row of a tile, one copy in each lane.
+    /// Returns the mask of no pixel.
     #[inline(always)]
-    pub fn row(&self, row: usize) -> F::Lanes<S> {
-        self.rows[row % TILE]
+    pub fn none(&self) -> Mask<S, F> {
+        self.zero.simd_lt(self.zero)
     }
 
-    /// Passes one Gaussian over the eight pixels of a column on [`ROWS`] rows, from `row` on. Returns their alphas
-    /// (zero where it does not show) and their transmittances behind it, negated where a pixel is finished; `None` if
-    /// the Gaussian reaches none of the pixels.
+    /// Rows of a vector of pixels.
     #[inline(always)]
-    pub fn layers<const LONG: bool>(
+    pub fn rows(&self, place: usize) -> F::Native<S> {
+        lanes(self.zero.token(), &self.rows, place)
+    }
+
+    /// Passes one Gaussian over the vector of pixels of a column at `place`. Returns their alphas (zero where it does not
+    /// show) and their transmittances behind it, negated where a pixel is finished.
+    #[inline(always)]
+    pub fn layer<const LONG: bool>(
         &self,
         splat: &FootprintSimd<S, F>,
         column: &Column<S, F>,
-        row: usize,
-        before: &[[F::Lanes<S>; 2]; ROWS],
-    ) -> Option<LayerSimd<S, F>> {
-        let mut q = [self.zero; ROWS];
-        let mut alpha = q;
-        let mut near = [self.zero.simd_lt(self.zero); ROWS];
-        for (i, before) in before.iter().enumerate() {
-            let v = splat.v(column, self.row(row + i));
-            q[i] = v.mul_add(v, column.square);
-            near[i] = q[i].simd_le(splat.extent) & before[0].simd_ge(self.zero);
-        }
-        if !any(near).any_true() {
-            return None;
-        }
-        for row in 0..ROWS {
-            let power = if LIBRARY { F::exp2_library(q[row]) } else { F::exp2_lanes(q[row], &self.exp2) };
-            alpha[row] = (splat.opacity * power).min(self.alpha_max);
-        }
-        let mut after = *before;
-        let mut finishes = near;
-        for row in 0..ROWS {
-            let shows = near[row] & alpha[row].simd_ge(self.alpha_min);
-            alpha[row] = shows.select(alpha[row], self.zero);
-            after[row] = pass::<S, F, LONG>(alpha[row], before[row]);
-            finishes[row] = shows & after[row][0].simd_le(self.transmittance_min);
-        }
+        place: usize,
+        before: [F::Native<S>; 2],
+    ) -> LayerSimd<S, F> {
+        let v = splat.v(column, self.rows(place));
+        let q = v.mul_add(v, column.square);
+        let near = q.simd_le(splat.extent) & before[0].simd_ge(self.zero);
+        // A branch on whether the Gaussian reaches any of the pixels would be mispredicted too often.
+        let power = if LIBRARY { F::exp2_library(q) } else { F::exp2_lanes(q, &self.exp2) };
+        let value = (splat.opacity * power).min(self.alpha_max);
+        let shows = near & value.simd_ge(self.alpha_min);
+        let mut alpha = shows.select(value, self.zero);
+        let mut after = pass::<S, F, LONG>(alpha, before);
+        let finishes = shows & after[0].simd_le(self.transmittance_min);
         let mut finished = 0;
         // A pixel finishes at most once.
-        if any(finishes).any_true() {
-            for row in 0..ROWS {
-                finished += finishes[row].to_bitmask().count_ones() as usize;
-                alpha[row] = finishes[row].select(self.zero, alpha[row]);
-                let [kept, lost] = pass::<S, F, LONG>(alpha[row], before[row]);
-                after[row] = [finishes[row].select(-kept, kept), lost];
-            }
+        if finishes.any_true() {
+            finished = finishes.to_bitmask().count_ones() as usize;
+            alpha = finishes.select(self.zero, alpha);
+            let [kept, lost] = pass::<S, F, LONG>(alpha, before);
+            after = [finishes.select(-kept, kept), lost];
         }
-        Some(LayerSimd { alpha, transmittance: after, finished })
+        LayerSimd { alpha, transmittance: after, near, finished }
     }
-}
-
-/// Returns the union of the masks.
-#[inline(always)]
-fn any<M: Copy + std::ops::BitOr<Output = M>>(masks: [M; ROWS]) -> M {
-    let mut all = masks[0];
-    for mask in masks.into_iter().skip(1) {
-        all = all | mask;
-    }
-    all
 }
 
 /// `T (1 − α)`, in two parts. `1 − α` is not computed: its rounding would be the same for all layers of one faint
 /// alpha.
 #[inline(always)]
 fn pass<S: Simd, F: Real, const LONG: bool>(
-    alpha: F::Lanes<S>,
-    [transmittance, lost]: [F::Lanes<S>; 2],
-) -> [F::Lanes<S>; 2] {
+    alpha: F::Native<S>,
+    [transmittance, lost]: [F::Native<S>; 2],
+) -> [F::Native<S>; 2] {
     if !LONG {
         return [(-alpha).mul_add(transmittance, transmittance), lost];
     }
@@ -218,11 +227,16 @@ fn pass<S: Simd, F: Real, const LONG: bool>(
     [after, change - (after - transmittance)]
 }
 
-/// Result of passing a Gaussian over eight pixels on each of [`ROWS`] rows.
+/// A bit for each pixel of a vector.
+type Mask<S, F> = <<F as SimdFloatElement>::Native<S> as SimdBase<S>>::Mask;
+
+/// Result of passing a Gaussian over a vector of pixels.
 pub(super) struct LayerSimd<S: Simd, F: Real> {
-    pub alpha: [F::Lanes<S>; ROWS],
+    pub alpha: F::Native<S>,
     /// Both parts of the transmittances after the Gaussian.
-    pub transmittance: [[F::Lanes<S>; 2]; ROWS],
+    pub transmittance: [F::Native<S>; 2],
+    /// The pixels that the Gaussian reaches; its other alphas are zero.
+    pub near: Mask<S, F>,
     /// Number of pixels that the Gaussian finishes.
     pub finished: usize,
 }
@@ -262,7 +276,7 @@ impl<F: Real> TileView<'_, F> {
         for row in transmittance.chunks_exact_mut(TILE).take(self.size[1]) {
             row[..self.size[0]].fill(F::ONE);
         }
-        transmittance
+        in_blocks(&transmittance)
     }
 }
 
@@ -293,20 +307,18 @@ impl<F: Real, const C: usize> Near<F, C> {
     }
 }
 
-/// Pixel centres of a row of a tile, px.
+/// Centres along x, px, of the pixels of a row of blocks.
 #[inline(always)]
-pub(super) fn centres<S: Simd, F: Real>(simd: S, left: F) -> [F::Lanes<S>; ROW_VECTORS] {
-    std::array::from_fn(|vector| {
-        F::Lanes::<S>::from_fn(simd, |lane| left + F::of((vector * LANES + lane) as f64 + 0.5))
-    })
+pub(super) fn centres<F: Real>(left: F) -> [F; BLOCK_ROW] {
+    std::array::from_fn(|place| left + F::of((place / BLOCK * WIDTH + place % WIDTH) as f64 + 0.5))
 }
 
 /// A Gaussian's channels, one copy in each lane, where their number is known at compile time.
 #[inline(always)]
-pub(super) fn colour_lanes<S: Simd, F: Real, const C: usize>(simd: S, colour: &[F]) -> [F::Lanes<S>; C] {
-    let mut lanes = [F::Lanes::<S>::splat(simd, F::ZERO); C];
+pub(super) fn colour_lanes<S: Simd, F: Real, const C: usize>(simd: S, colour: &[F]) -> [F::Native<S>; C] {
+    let mut lanes = [F::Native::<S>::splat(simd, F::ZERO); C];
     for (lanes, &value) in lanes.iter_mut().zip(colour) {
-        *lanes = F::Lanes::<S>::splat(simd, value);
+        *lanes = F::Native::<S>::splat(simd, value);
     }
     lanes
 }
@@ -336,7 +348,7 @@ pub(super) fn rasterize_tile<S: Simd, F: Real, const C: usize, const LONG: bool,
 ) -> usize {
     let channels = if C == 0 { view.channels } else { C };
     let corner = view.corner();
-    let x = centres::<S, F>(simd, corner[0]);
+    let x = centres(corner[0]);
     let mut transmittance = Transmittances::new(view.open_transmittance());
     let mut open = view.size[0] * view.size[1];
     let (sums, final_transmittance) = planes.as_chunks_mut::<TILE_PIXELS>().0.split_at_mut(channels);
@@ -357,34 +369,29 @@ pub(super) fn rasterize_tile<S: Simd, F: Real, const C: usize, const LONG: bool,
             move_into(sums.as_flattened_mut(), &mut finished_sums);
             summed = 0;
         }
-        let mut reaches = 0;
         let splat = FootprintSimd::new(simd, near.footprints[i % CHECKPOINT_EVERY], corner[1]);
         let colour = if C == 0 { view.colour(gaussian) } else { &near.colours[i % CHECKPOINT_EVERY] };
         let colour_lanes = colour_lanes::<S, F, C>(simd, colour);
+        let mut reaches = thresholds.none();
         let window = splat.footprint.window(corner);
-        for vector in window.first_vector..window.end_vector {
-            let column = splat.column(x[vector]);
+        for part in (window.first_column * BLOCK..window.end_column * BLOCK).step_by(len::<S, F>()) {
+            let column = splat.column(lanes(simd, &x, part));
             for row in (window.first_row..window.end_row).step_by(ROWS) {
-                let first = row * TILE + vector * LANES;
-                let before = transmittance.load::<S, LONG>(simd, first);
-                let Some(layers) = thresholds.layers::<LONG>(&splat, &column, row, &before) else {
-                    continue;
-                };
-                reaches = 1;
-                transmittance.store::<S, LONG>(&layers.transmittance, first);
-                for row in 0..ROWS {
-                    let weight = layers.alpha[row] * before[row][0];
-                    for (channel, sum) in sums.iter_mut().enumerate() {
-                        let sum = eight_mut(sum, first + row * TILE);
-                        let colour =
-                            if C == 0 { F::Lanes::<S>::splat(simd, colour[channel]) } else { colour_lanes[channel] };
-                        weight.mul_add(colour, F::Lanes::<S>::from_slice(simd, sum)).store_slice(sum);
-                    }
+                let place = row * TILE + part;
+                let before = transmittance.load::<S, LONG>(simd, place);
+                let layer = thresholds.layer::<LONG>(&splat, &column, place, before);
+                reaches = reaches | layer.near;
+                transmittance.store::<S, LONG>(layer.transmittance, place);
+                let weight = layer.alpha * before[0];
+                for (channel, sum) in sums.iter_mut().enumerate() {
+                    let colour =
+                        if C == 0 { F::Native::<S>::splat(simd, colour[channel]) } else { colour_lanes[channel] };
+                    store(weight.mul_add(colour, lanes(simd, sum, place)), sum, place);
                 }
-                open -= layers.finished;
+                open -= layer.finished;
             }
         }
-        summed += reaches;
+        summed += usize::from(reaches.any_true());
         if open == 0 {
             layer_count = i + 1;
             break;
@@ -396,5 +403,8 @@ pub(super) fn rasterize_tile<S: Simd, F: Real, const C: usize, const LONG: bool,
         sums.iter_mut().zip(&finished_sums).for_each(|(sum, [total, _])| *sum = *total);
     }
     final_transmittance[0] = transmittance.kept.map(F::abs);
+    for plane in planes.as_chunks_mut::<TILE_PIXELS>().0 {
+        *plane = in_rows(plane);
+    }
     layer_count
 }

@@ -6,10 +6,13 @@
 
 use fearless_simd::prelude::*;
 
-use super::footprint::{Column, Footprint, FootprintSimd, ROW_VECTORS, ROWS, TileWindow};
-use super::tile::{CHECKPOINT_EVERY, Near, Plane, Thresholds, TileView, Transmittances, centres, colour_lanes, eight};
+use super::footprint::{Footprint, FootprintSimd, ROWS, TileWindow};
+use super::tile::{
+    BLOCK, BLOCK_ROW, CHECKPOINT_EVERY, Near, Plane, Thresholds, TileView, Transmittances, centres, colour_lanes,
+    lanes, len, store,
+};
 use crate::intersect::{TILE, TILE_PIXELS};
-use crate::simd::real::{LANES, Real};
+use crate::simd::real::Real;
 
 /// Number of values per intersection that do not depend on the channels: the sums of `h, h u, h v, h u², h u v, h v²`
 /// with `h = α ∂L/∂α` where alpha is not at its limit.
@@ -29,28 +32,26 @@ pub(super) struct TileGrad<'a, F> {
     pub absolute: bool,
 }
 
-/// Number of blocks in a tile. A block is a vector of pixels on each of [`ROWS`] rows.
-const TILE_BLOCKS: usize = TILE_PIXELS / (ROWS * LANES);
-
-/// Transmittances before a Gaussian and its alphas on a block, row by row. The last pass over the Gaussian replaces the
-/// transmittances by its weights.
-type BlockAlphas<F> = [[F; 2 * LANES]; ROWS];
-
 /// Buffers that one thread reuses from tile to tile, sized for a chunk whose Gaussians show in every pixel.
 pub(super) struct TileScratch<F> {
-    /// One entry for each pair of a Gaussian of the chunk and a block that it shows in.
-    layers: Vec<BlockAlphas<F>>,
-    /// Position in the tile of each entry's block.
+    /// Transmittances before a Gaussian, then its alphas, for each pair of a Gaussian of the chunk and a vector of pixels that
+    /// it reaches. The last pass over the Gaussian replaces the transmittances by its weights.
+    layers: Vec<F>,
+    /// Place in the tile of each pair's pixels.
     places: Vec<u16>,
-    /// First entry of each Gaussian of the chunk in `layers` and `places`.
+    /// First pair of each Gaussian of the chunk.
     starts: [usize; CHECKPOINT_EVERY + 1],
 }
 
+/// The least number of lanes of a vector.
+const LEAST: usize = 2;
+
 impl<F: Real> Default for TileScratch<F> {
     fn default() -> Self {
+        // One more, because a pair is written before it is known to count.
         Self {
-            layers: vec![[[F::ZERO; 2 * LANES]; ROWS]; CHECKPOINT_EVERY * TILE_BLOCKS],
-            places: vec![0; CHECKPOINT_EVERY * TILE_BLOCKS],
+            layers: vec![F::ZERO; 2 * (CHECKPOINT_EVERY * TILE_PIXELS + BLOCK)],
+            places: vec![0; CHECKPOINT_EVERY * TILE_PIXELS / LEAST + 1],
             starts: [0; CHECKPOINT_EVERY + 1],
         }
     }
@@ -73,7 +74,7 @@ pub(super) fn rasterize_tile_backward<S: Simd, F: Real, const C: usize, const LO
     let mut rho = Transmittances::new([F::ZERO; TILE_PIXELS]);
     rho.kept.copy_from_slice(grad.background_rho);
     let chunks = grad.layer_count.div_ceil(CHECKPOINT_EVERY);
-    let x = centres::<S, F>(simd, view.corner()[0]);
+    let x = centres(view.corner()[0]);
     *final_transmittance = view.open_transmittance();
     for chunk in (0..chunks).rev() {
         let first = chunk * CHECKPOINT_EVERY;
@@ -95,7 +96,8 @@ pub(super) fn rasterize_tile_backward<S: Simd, F: Real, const C: usize, const LO
                 continue;
             }
             let row = &mut intersections[(first + i) * columns..(first + i + 1) * columns];
-            let layers = (&mut scratch.layers[layers.clone()], &scratch.places[layers]);
+            let pair = 2 * len::<S, F>();
+            let layers = (&mut scratch.layers[layers.start * pair..layers.end * pair], &scratch.places[layers]);
             let splat = FootprintSimd::new(simd, footprints[i], view.corner()[1]);
             let colour = if C == 0 { view.colour(gaussian) } else { &near.colours[i] };
             backwards::<S, F, C, LONG, LIBRARY>(grad, (&splat, colour, thresholds), &x, layers, (&mut rho, row));
@@ -114,26 +116,22 @@ fn forwards<S: Simd, F: Real, const LONG: bool, const LIBRARY: bool>(
     scratch: &mut TileScratch<F>,
 ) {
     let mut met = 0;
-    let x = centres::<S, F>(simd, corner[0]);
+    let x = centres(corner[0]);
     for (i, &footprint) in near.iter().enumerate() {
         scratch.starts[i] = met;
         let splat = FootprintSimd::new(simd, footprint, corner[1]);
-        let TileWindow { first_row, end_row, first_vector, end_vector } = splat.footprint.window(corner);
-        for vector in first_vector..end_vector {
-            let column = splat.column(x[vector]);
+        let TileWindow { first_row, end_row, first_column, end_column } = splat.footprint.window(corner);
+        for part in (first_column * BLOCK..end_column * BLOCK).step_by(len::<S, F>()) {
+            let column = splat.column(lanes(simd, &x, part));
             for row in (first_row..end_row).step_by(ROWS) {
-                let first = row * TILE + vector * LANES;
-                let before = transmittance.load::<S, LONG>(simd, first);
-                let Some(layers) = thresholds.layers::<LONG>(&splat, &column, row, &before) else {
-                    continue;
-                };
-                transmittance.store::<S, LONG>(&layers.transmittance, first);
-                for (row, kept) in scratch.layers[met].iter_mut().enumerate() {
-                    before[row][0].store_slice(&mut kept[..LANES]);
-                    layers.alpha[row].store_slice(&mut kept[LANES..]);
-                }
-                scratch.places[met] = first as u16;
-                met += 1;
+                let place = row * TILE + part;
+                let before = transmittance.load::<S, LONG>(simd, place);
+                let layer = thresholds.layer::<LONG>(&splat, &column, place, before);
+                transmittance.store::<S, LONG>(layer.transmittance, place);
+                store(before[0], &mut scratch.layers, met * 2 * len::<S, F>());
+                store(layer.alpha, &mut scratch.layers, (met * 2 + 1) * len::<S, F>());
+                scratch.places[met] = place as u16;
+                met += usize::from(layer.near.any_true());
             }
         }
     }
@@ -146,69 +144,59 @@ fn forwards<S: Simd, F: Real, const LONG: bool, const LIBRARY: bool>(
 fn backwards<S: Simd, F: Real, const C: usize, const LONG: bool, const LIBRARY: bool>(
     grad: &TileGrad<F>,
     (splat, colour, thresholds): (&FootprintSimd<S, F>, &[F], &Thresholds<S, F, LIBRARY>),
-    x: &[F::Lanes<S>; ROW_VECTORS],
-    (blocks, places): (&mut [BlockAlphas<F>], &[u16]),
+    x: &[F; BLOCK_ROW],
+    (layers, places): (&mut [F], &[u16]),
     (rho, row): (&mut Transmittances<F>, &mut [F]),
 ) {
     let alpha_max = thresholds.alpha_max;
     let simd = alpha_max.token();
     let channels = if C == 0 { colour.len() } else { C };
-    let zero = F::Lanes::<S>::splat(simd, F::ZERO);
+    let zero = F::Native::<S>::splat(simd, F::ZERO);
     let planes = &grad.planes[..=channels];
-    let plane = |channel: usize, first: usize| F::Lanes::<S>::from_slice(simd, eight(&planes[channel], first));
+    let plane = |channel: usize, place: usize| lanes::<S, F>(simd, &planes[channel], place);
     let mut moments = [zero; MOMENTS];
     let mut absolute = [zero; 2];
     let mut features = [zero; C];
     let colour_lanes = colour_lanes::<S, F, C>(simd, colour);
     let slope = splat.inverse_v * splat.footprint.shear;
-    let mut columns = [splat.column(x[0]); ROW_VECTORS];
-    for (column, &x) in columns.iter_mut().zip(x) {
-        *column = splat.column(x);
-    }
-    for (block, &place) in blocks.iter_mut().zip(places) {
+    for (layer, &place) in layers.chunks_exact_mut(2 * len::<S, F>()).zip(places) {
         let place = place as usize;
-        let column: &Column<S, F> = &columns[place % TILE / LANES];
-        let behind = rho.load::<S, LONG>(simd, place);
-        let mut rho_here = behind;
-        for row in 0..ROWS {
-            let first = place + row * TILE;
-            let [behind, lost] = behind[row];
-            let before = F::Lanes::<S>::from_slice(simd, &block[row][..LANES]);
-            let alpha = F::Lanes::<S>::from_slice(simd, &block[row][LANES..]);
-            let mut along = plane(channels, first);
-            for channel in 0..channels {
-                let colour = if C == 0 { F::Lanes::<S>::splat(simd, colour[channel]) } else { colour_lanes[channel] };
-                along = plane(channel, first).mul_add(colour, along);
-            }
-            let weight = alpha * before;
-            let ahead = along - behind;
-            let change = if LONG { alpha.mul_add(ahead, (-alpha).mul_add(lost, lost)) } else { alpha * ahead };
-            let stepped = if LONG { behind + change } else { alpha.mul_add(ahead, behind) };
-            rho_here[row] = [stepped, change - (stepped - behind)];
-            let free = alpha.simd_lt(alpha_max);
-            let h = free.select(weight * ahead, zero);
+        let [behind, lost] = rho.load::<S, LONG>(simd, place);
+        let before = lanes::<S, F>(simd, layer, 0);
+        let alpha = lanes::<S, F>(simd, layer, len::<S, F>());
+        let mut along = plane(channels, place);
+        for channel in 0..channels {
+            let colour = if C == 0 { F::Native::<S>::splat(simd, colour[channel]) } else { colour_lanes[channel] };
+            along = plane(channel, place).mul_add(colour, along);
+        }
+        let weight = alpha * before;
+        let ahead = along - behind;
+        let change = if LONG { alpha.mul_add(ahead, (-alpha).mul_add(lost, lost)) } else { alpha * ahead };
+        let stepped = if LONG { behind + change } else { alpha.mul_add(ahead, behind) };
+        rho.store::<S, LONG>([stepped, change - (stepped - behind)], place);
+        let free = alpha.simd_lt(alpha_max);
+        let h = free.select(weight * ahead, zero);
 
-            let (u, v) = (column.u, splat.v(column, thresholds.row(place / TILE + row)));
-            let (hu, hv) = (h * u, h * v);
-            moments[0] += h;
-            moments[1] += hu;
-            moments[2] += hv;
-            moments[3] = hu.mul_add(u, moments[3]);
-            moments[4] = hu.mul_add(v, moments[4]);
-            moments[5] = hv.mul_add(v, moments[5]);
-            if grad.absolute {
-                absolute[0] += (hu * splat.inverse_u - hv * slope).abs();
-                absolute[1] += (hv * splat.inverse_v).abs();
-            }
-            if C == 0 {
-                weight.store_slice(&mut block[row][..LANES]);
-            } else {
-                for channel in 0..C {
-                    features[channel] = plane(channel, first).mul_add(weight, features[channel]);
-                }
+        let column = splat.column(lanes(simd, x, place % BLOCK_ROW));
+        let (u, v) = (column.u, splat.v(&column, thresholds.rows(place)));
+        let (hu, hv) = (h * u, h * v);
+        moments[0] += h;
+        moments[1] += hu;
+        moments[2] += hv;
+        moments[3] = hu.mul_add(u, moments[3]);
+        moments[4] = hu.mul_add(v, moments[4]);
+        moments[5] = hv.mul_add(v, moments[5]);
+        if grad.absolute {
+            absolute[0] += (hu * splat.inverse_u - hv * slope).abs();
+            absolute[1] += (hv * splat.inverse_v).abs();
+        }
+        if C == 0 {
+            store(weight, layer, 0);
+        } else {
+            for channel in 0..C {
+                features[channel] = plane(channel, place).mul_add(weight, features[channel]);
             }
         }
-        rho.store::<S, LONG>(&rho_here, place);
     }
     for (out, sum) in row.iter_mut().zip(moments) {
         *out = sum.reduce_sum();
@@ -216,11 +204,8 @@ fn backwards<S: Simd, F: Real, const C: usize, const LONG: bool, const LIBRARY: 
     for channel in 0..channels {
         let sum = if C == 0 {
             let mut sum = zero;
-            for (block, &place) in blocks.iter().zip(places) {
-                for (row, layer) in block.iter().enumerate() {
-                    let weight = F::Lanes::<S>::from_slice(simd, &layer[..LANES]);
-                    sum = plane(channel, place as usize + row * TILE).mul_add(weight, sum);
-                }
+            for (layer, &place) in layers.chunks_exact(2 * len::<S, F>()).zip(places) {
+                sum = plane(channel, place as usize).mul_add(lanes::<S, F>(simd, layer, 0), sum);
             }
             sum
         } else {

@@ -7,7 +7,7 @@ use burn::tensor::{DType, f16};
 use fearless_simd::{f32x8, f64x8, prelude::*, u32x8};
 use half::slice::HalfFloatSliceExt;
 
-/// Number of lanes per vector, the same for both float types, so that a tile splits the same way for both.
+/// Number of lanes of [`Real::Lanes`], the same for both float types.
 pub(crate) const LANES: usize = 8;
 
 pub(crate) const EXP2_CONSTANTS: usize = 8;
@@ -58,9 +58,9 @@ pub(crate) trait Real:
     const EXP2: [Self; EXP2_CONSTANTS];
     /// Returns `2^−q` for `0 <= q <= EXP2_MAX`, within 2 ulp; arbitrary elsewhere. `constants` are [`Self::EXP2`], one copy in
     /// each lane.
-    fn exp2_lanes<S: Simd>(q: Self::Lanes<S>, constants: &[Self::Lanes<S>; EXP2_CONSTANTS]) -> Self::Lanes<S>;
+    fn exp2_lanes<S: Simd, L: SimdFloat<S, Element = Self>>(q: L, constants: &[L; EXP2_CONSTANTS]) -> L;
     /// Returns `2^−q` by the standard library, within an ulp, for any `q`.
-    fn exp2_library<S: Simd>(q: Self::Lanes<S>) -> Self::Lanes<S>;
+    fn exp2_library<S: Simd, L: SimdFloat<S, Element = Self>>(q: L) -> L;
     /// Converts half-precision floats to values without loss.
     fn widen(halves: &[f16], into: &mut [Self]);
     /// Returns `eˣ` within 1 ulp: zero or infinite beyond the range of the float type, arbitrary for NaN.
@@ -148,7 +148,7 @@ impl Real for f32 {
     ];
 
     #[inline(always)]
-    fn exp2_lanes<S: Simd>(q: f32x8<S>, constants: &[f32x8<S>; EXP2_CONSTANTS]) -> f32x8<S> {
+    fn exp2_lanes<S: Simd, L: SimdFloat<S, Element = f32>>(q: L, constants: &[L; EXP2_CONSTANTS]) -> L {
         // q = n + s with an integer n and |s| <= 1/2.
         let shifted = constants[0] - q;
         let s = q + (shifted - constants[0]);
@@ -156,13 +156,12 @@ impl Real for f32 {
         for c in &constants[2..] {
             p = p.mul_add(s, *c);
         }
-        let exponent: u32x8<S> = shifted.to_bits() << 23;
-        p * f32x8::from_bits(exponent)
+        p * L::from_bits(shifted.to_bits() << 23)
     }
 
     #[inline(always)]
-    fn exp2_library<S: Simd>(q: f32x8<S>) -> f32x8<S> {
-        f32x8::from_fn(q.token(), |lane| (-q[lane]).exp2())
+    fn exp2_library<S: Simd, L: SimdFloat<S, Element = f32>>(q: L) -> L {
+        L::from_fn(q.token(), |lane| (-q[lane]).exp2())
     }
 
     #[inline(always)]
@@ -201,13 +200,13 @@ impl Real for f64 {
 
     // The f64 path is the reference: the library function, lane by lane.
     #[inline(always)]
-    fn exp2_lanes<S: Simd>(q: f64x8<S>, _: &[f64x8<S>; EXP2_CONSTANTS]) -> f64x8<S> {
+    fn exp2_lanes<S: Simd, L: SimdFloat<S, Element = f64>>(q: L, _: &[L; EXP2_CONSTANTS]) -> L {
         Self::exp2_library(q)
     }
 
     #[inline(always)]
-    fn exp2_library<S: Simd>(q: f64x8<S>) -> f64x8<S> {
-        f64x8::from_fn(q.token(), |lane| (-q[lane]).exp2())
+    fn exp2_library<S: Simd, L: SimdFloat<S, Element = f64>>(q: L) -> L {
+        L::from_fn(q.token(), |lane| (-q[lane]).exp2())
     }
 
     #[inline(always)]
