@@ -7,7 +7,7 @@ use rayon::prelude::*;
 
 use super::footprint::{Footprint, UNWHITEN, WIDTH};
 use super::prepared::Prepared;
-use super::tile::{Plane, Thresholds, TileView, in_block_order, rasterize_tile};
+use super::tile::{Plane, Thresholds, TileTrace, TileView, in_block_order, rasterize_tile};
 pub(crate) use super::tile_backward::MOMENTS;
 use super::tile_backward::{TileGrad, TileScratch, rasterize_tile_backward};
 use super::{Layers, RasterizeSpec};
@@ -22,11 +22,6 @@ pub(super) const CHUNK: usize = 1024;
 pub(crate) struct Trace<F> {
     footprints: Vec<Footprint<F>>,
     tiles: Vec<TileTrace<F>>,
-}
-
-struct TileTrace<F> {
-    layer_count: usize,
-    checkpoints: Vec<F>,
 }
 
 /// Runs `$body` with the SIMD level of this processor as `$simd` and the number of channels as the constant `$c`, or
@@ -86,12 +81,12 @@ pub(crate) fn rasterize_cpu<F: Real>(
             .map(|(x, planes)| {
                 let tile = y * columns + x;
                 let view = prepared.view(tile);
-                let mut checkpoints = Vec::new();
-                let layer_count = specialised!(prepared, tile, simd, C, IS_LONG, LIBRARY => {
+                let mut trace = TileTrace::default();
+                specialised!(prepared, tile, simd, C, IS_LONG, LIBRARY => {
                     let thresholds = Thresholds::<_, F, LIBRARY>::new(simd, prepared.thresholds);
-                    rasterize_tile::<_, F, C, IS_LONG, LIBRARY>(simd, &view, &thresholds, planes, keep.then_some(&mut checkpoints))
+                    rasterize_tile::<_, F, C, IS_LONG, LIBRARY>(simd, &view, &thresholds, planes, keep.then_some(&mut trace));
                 });
-                TileTrace { layer_count, checkpoints }
+                trace
             })
             .collect();
         compose(&by_tile, inputs.background, &prepared, &mut strip);
@@ -203,13 +198,7 @@ fn tile_sums<F: Real>(
     tile_gradient(prepared, &view, background, grad, buffers);
     let Buffers { planes, background_rho, scratch } = buffers;
     let planes = planes.as_chunks().0;
-    let tile_grad = TileGrad {
-        planes,
-        background_rho,
-        checkpoints: &trace.checkpoints,
-        layer_count: trace.layer_count,
-        absolute: needs.mean2d_abs,
-    };
+    let tile_grad = TileGrad { planes, background_rho, trace, absolute: needs.mean2d_abs };
     let mut transmittance = [F::ZERO; TILE_PIXELS];
     specialised!(prepared, tile, simd, C, IS_LONG, LIBRARY => {
         let thresholds = Thresholds::<_, F, LIBRARY>::new(simd, prepared.thresholds);

@@ -88,21 +88,21 @@ pub(super) struct TileWindow {
 #[derive(Clone, Copy)]
 pub(super) struct FootprintSimd<S: Simd, F: Real> {
     pub footprint: Footprint<F>,
-    mean_x: F::Native<S>,
+    mean_x: F::Block<S>,
     /// Offset along y of the centres of the tile's first row from the mean, px.
-    rise: F::Native<S>,
-    pub inverse_u: F::Native<S>,
-    pub inverse_v: F::Native<S>,
-    shear: F::Native<S>,
-    pub opacity: F::Native<S>,
-    pub extent: F::Native<S>,
+    rise: F::Block<S>,
+    pub inverse_u: F::Block<S>,
+    pub inverse_v: F::Block<S>,
+    shear: F::Block<S>,
+    pub opacity: F::Block<S>,
+    pub extent: F::Block<S>,
 }
 
 impl<S: Simd, F: Real> FootprintSimd<S, F> {
     /// Constants of a Gaussian for the tile whose upper border is at `top` px.
     #[inline(always)]
     pub fn new(simd: S, footprint: Footprint<F>, top: F) -> Self {
-        let lanes = |value| F::Native::<S>::splat(simd, value);
+        let lanes = |value| F::Block::<S>::splat(simd, value);
         Self {
             footprint,
             mean_x: lanes(footprint.mean_px[0]),
@@ -117,7 +117,7 @@ impl<S: Simd, F: Real> FootprintSimd<S, F> {
 
     /// Returns the values of the pixels with centres `x`, px, that do not depend on their rows.
     #[inline(always)]
-    pub fn column(&self, x: F::Native<S>) -> Column<S, F> {
+    pub fn column(&self, x: F::Block<S>) -> Column<S, F> {
         let dx = x - self.mean_x;
         let u = dx * self.inverse_u;
         Column { dx, u, square: u * u }
@@ -125,7 +125,7 @@ impl<S: Simd, F: Real> FootprintSimd<S, F> {
 
     /// Returns `v`, scaled by [`WHITEN`], of the pixels of `column` on the rows `row` of the tile.
     #[inline(always)]
-    pub fn v(&self, column: &Column<S, F>, row: F::Native<S>) -> F::Native<S> {
+    pub fn v(&self, column: &Column<S, F>, row: F::Block<S>) -> F::Block<S> {
         // The sum comes before the scaling, so that `v` is exactly zero at the mean.
         (-self.shear).mul_add(column.dx, self.rise + row) * self.inverse_v
     }
@@ -135,8 +135,8 @@ impl<S: Simd, F: Real> FootprintSimd<S, F> {
 #[derive(Clone, Copy)]
 pub(super) struct Column<S: Simd, F: Real> {
     /// Scaled by [`WHITEN`].
-    pub u: F::Native<S>,
+    pub u: F::Block<S>,
     /// `u²`
-    pub square: F::Native<S>,
-    dx: F::Native<S>,
+    pub square: F::Block<S>,
+    dx: F::Block<S>,
 }

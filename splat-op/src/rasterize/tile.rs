@@ -1,7 +1,6 @@
 //! Forward pass of the CPU twin over one tile, and the arithmetic of a layer. Both passes share that arithmetic, so
 //! that the backward pass sees the very bits of the forward pass.
 
-use fearless_simd::SimdFloatElement;
 use fearless_simd::prelude::*;
 
 use super::footprint::{Column, Footprint, FootprintSimd, ROWS, WIDTH};
@@ -68,13 +67,13 @@ impl<F: Real> Transmittances<F> {
 
     /// Loads both parts of a vector of pixels.
     #[inline(always)]
-    pub fn load<S: Simd, const LONG: bool>(&self, simd: S, place: usize) -> [F::Native<S>; 2] {
-        let lost = if LONG { lanes(simd, &self.lost, place) } else { F::Native::<S>::splat(simd, F::ZERO) };
+    pub fn load<S: Simd, const LONG: bool>(&self, simd: S, place: usize) -> [F::Block<S>; 2] {
+        let lost = if LONG { lanes(simd, &self.lost, place) } else { F::Block::<S>::splat(simd, F::ZERO) };
         [lanes(simd, &self.kept, place), lost]
     }
 
     #[inline(always)]
-    pub fn store<S: Simd, const LONG: bool>(&mut self, [kept, lost]: [F::Native<S>; 2], place: usize) {
+    pub fn store<S: Simd, const LONG: bool>(&mut self, [kept, lost]: [F::Block<S>; 2], place: usize) {
         store(kept, &mut self.kept, place);
         if LONG {
             store(lost, &mut self.lost, place);
@@ -114,13 +113,13 @@ pub(super) const fn in_block_order(eight: usize) -> usize {
 /// Number of lanes of a vector of pixels.
 #[inline(always)]
 pub(super) const fn len<S: Simd, F: Real>() -> usize {
-    <F::Native<S> as SimdBase<S>>::LEN
+    <F::Block<S> as SimdBase<S>>::LEN
 }
 
 /// Returns a vector of pixels from `place` on, a multiple of its length.
 #[inline(always)]
-pub(super) fn lanes<S: Simd, F: Real>(simd: S, plane: &[F], place: usize) -> F::Native<S> {
-    F::Native::<S>::from_slice(simd, &plane[place..place + len::<S, F>()])
+pub(super) fn lanes<S: Simd, F: Real>(simd: S, plane: &[F], place: usize) -> F::Block<S> {
+    F::Block::<S>::from_slice(simd, &plane[place..place + len::<S, F>()])
 }
 
 #[inline(always)]
@@ -132,19 +131,19 @@ pub(super) fn store<S: Simd, L: SimdFloat<S>>(lanes: L, plane: &mut [L::Element]
 ///
 /// `LIBRARY` says whether `exp` is the standard library's function; see [`crate::Exponential`].
 pub(super) struct Thresholds<S: Simd, F: Real, const LIBRARY: bool> {
-    alpha_min: F::Native<S>,
-    pub alpha_max: F::Native<S>,
-    transmittance_min: F::Native<S>,
-    zero: F::Native<S>,
+    alpha_min: F::Block<S>,
+    pub alpha_max: F::Block<S>,
+    transmittance_min: F::Block<S>,
+    zero: F::Block<S>,
     /// The row of each pixel of a tile.
     rows: Plane<F>,
-    exp2: [F::Native<S>; EXP2_CONSTANTS],
+    exp2: [F::Block<S>; EXP2_CONSTANTS],
 }
 
 impl<S: Simd, F: Real, const LIBRARY: bool> Thresholds<S, F, LIBRARY> {
     #[inline(always)]
     pub fn new(simd: S, [alpha_min, alpha_max, transmittance_min]: [F; 3]) -> Self {
-        let lanes = |value| F::Native::<S>::splat(simd, value);
+        let lanes = |value| F::Block::<S>::splat(simd, value);
         // A threshold of zero leaves out nothing, not even layers behind an alpha of one.
         let never = if transmittance_min > F::ZERO { transmittance_min } else { -F::ONE };
         let mut rows = [F::ZERO; TILE_PIXELS];
@@ -167,15 +166,9 @@ impl<S: Simd, F: Real, const LIBRARY: bool> Thresholds<S, F, LIBRARY> {
         }
     }
 
-    /// Returns the mask of no pixel.
-    #[inline(always)]
-    pub fn none(&self) -> Mask<S, F> {
-        self.zero.simd_lt(self.zero)
-    }
-
     /// Rows of a vector of pixels.
     #[inline(always)]
-    pub fn rows(&self, place: usize) -> F::Native<S> {
+    pub fn rows(&self, place: usize) -> F::Block<S> {
         lanes(self.zero.token(), &self.rows, place)
     }
 
@@ -187,7 +180,7 @@ impl<S: Simd, F: Real, const LIBRARY: bool> Thresholds<S, F, LIBRARY> {
         splat: &FootprintSimd<S, F>,
         column: &Column<S, F>,
         place: usize,
-        before: [F::Native<S>; 2],
+        before: [F::Block<S>; 2],
     ) -> LayerSimd<S, F> {
         let v = splat.v(column, self.rows(place));
         let q = v.mul_add(v, column.square);
@@ -215,9 +208,9 @@ impl<S: Simd, F: Real, const LIBRARY: bool> Thresholds<S, F, LIBRARY> {
 /// alpha.
 #[inline(always)]
 fn pass<S: Simd, F: Real, const LONG: bool>(
-    alpha: F::Native<S>,
-    [transmittance, lost]: [F::Native<S>; 2],
-) -> [F::Native<S>; 2] {
+    alpha: F::Block<S>,
+    [transmittance, lost]: [F::Block<S>; 2],
+) -> [F::Block<S>; 2] {
     if !LONG {
         return [(-alpha).mul_add(transmittance, transmittance), lost];
     }
@@ -228,13 +221,13 @@ fn pass<S: Simd, F: Real, const LONG: bool>(
 }
 
 /// A bit for each pixel of a vector.
-type Mask<S, F> = <<F as SimdFloatElement>::Native<S> as SimdBase<S>>::Mask;
+type Mask<S, F> = <<F as Real>::Block<S> as SimdBase<S>>::Mask;
 
 /// Result of passing a Gaussian over a vector of pixels.
 pub(super) struct LayerSimd<S: Simd, F: Real> {
-    pub alpha: F::Native<S>,
+    pub alpha: F::Block<S>,
     /// Both parts of the transmittances after the Gaussian.
-    pub transmittance: [F::Native<S>; 2],
+    pub transmittance: [F::Block<S>; 2],
     /// The pixels that the Gaussian reaches; its other alphas are zero.
     pub near: Mask<S, F>,
     /// Number of pixels that the Gaussian finishes.
@@ -315,10 +308,10 @@ pub(super) fn centres<F: Real>(left: F) -> [F; BLOCK_ROW] {
 
 /// A Gaussian's channels, one copy in each lane, where their number is known at compile time.
 #[inline(always)]
-pub(super) fn colour_lanes<S: Simd, F: Real, const C: usize>(simd: S, colour: &[F]) -> [F::Native<S>; C] {
-    let mut lanes = [F::Native::<S>::splat(simd, F::ZERO); C];
+pub(super) fn colour_lanes<S: Simd, F: Real, const C: usize>(simd: S, colour: &[F]) -> [F::Block<S>; C] {
+    let mut lanes = [F::Block::<S>::splat(simd, F::ZERO); C];
     for (lanes, &value) in lanes.iter_mut().zip(colour) {
-        *lanes = F::Native::<S>::splat(simd, value);
+        *lanes = F::Block::<S>::splat(simd, value);
     }
     lanes
 }
@@ -333,9 +326,18 @@ fn move_into<F: Real>(sums: &mut [F], totals: &mut [[F; 2]]) {
     }
 }
 
+/// What the forward pass over a tile keeps for its backward pass.
+#[derive(Default)]
+pub(super) struct TileTrace<F> {
+    /// The blocks that each Gaussian reaches, a bit for each, front to back. It has as many entries as the forward pass
+    /// evaluated Gaussians before all pixels were finished.
+    pub reached: Vec<u16>,
+    /// Transmittances before each [`CHECKPOINT_EVERY`]th Gaussian but the first, by [`Transmittances::keep`].
+    pub checkpoints: Vec<F>,
+}
+
 /// Rasterizes a tile. Writes the sums `Σ w c` and the transmittance (positive) to `planes`, `[channels + 1, 256]`.
-/// Returns the number of Gaussians passed before all pixels were finished. `checkpoints`, if given, receives the
-/// transmittances before each [`CHECKPOINT_EVERY`]th Gaussian but the first.
+/// Fills `trace`, if given.
 ///
 /// `C` is the number of channels if it is known at compile time, else zero.
 #[inline(always)]
@@ -344,8 +346,8 @@ pub(super) fn rasterize_tile<S: Simd, F: Real, const C: usize, const LONG: bool,
     view: &TileView<F>,
     thresholds: &Thresholds<S, F, LIBRARY>,
     planes: &mut [F],
-    mut checkpoints: Option<&mut Vec<F>>,
-) -> usize {
+    mut trace: Option<&mut TileTrace<F>>,
+) {
     let channels = if C == 0 { view.channels } else { C };
     let corner = view.corner();
     let x = centres(corner[0]);
@@ -354,14 +356,13 @@ pub(super) fn rasterize_tile<S: Simd, F: Real, const C: usize, const LONG: bool,
     let (sums, final_transmittance) = planes.as_chunks_mut::<TILE_PIXELS>().0.split_at_mut(channels);
     sums.as_flattened_mut().fill(F::ZERO);
     let mut finished_sums = Vec::new();
-    let mut layer_count = view.gaussians.len();
     let mut near = Near::<F, C>::default();
     let mut summed = 0;
     for (i, &gaussian) in view.gaussians.iter().enumerate() {
         if i % CHECKPOINT_EVERY == 0 {
             near.gather(view, &view.gaussians[i..]);
-            if let Some(checkpoints) = checkpoints.as_deref_mut().filter(|_| i > 0) {
-                transmittance.keep::<LONG>(checkpoints);
+            if let Some(trace) = trace.as_deref_mut().filter(|_| i > 0) {
+                transmittance.keep::<LONG>(&mut trace.checkpoints);
             }
         }
         if summed == if LONG { CHECKPOINT_EVERY } else { SUM_LENGTH } {
@@ -372,7 +373,7 @@ pub(super) fn rasterize_tile<S: Simd, F: Real, const C: usize, const LONG: bool,
         let splat = FootprintSimd::new(simd, near.footprints[i % CHECKPOINT_EVERY], corner[1]);
         let colour = if C == 0 { view.colour(gaussian) } else { &near.colours[i % CHECKPOINT_EVERY] };
         let colour_lanes = colour_lanes::<S, F, C>(simd, colour);
-        let mut reaches = thresholds.none();
+        let mut reached = 0;
         let window = splat.footprint.window(corner);
         for part in (window.first_column * BLOCK..window.end_column * BLOCK).step_by(len::<S, F>()) {
             let column = splat.column(lanes(simd, &x, part));
@@ -380,20 +381,22 @@ pub(super) fn rasterize_tile<S: Simd, F: Real, const C: usize, const LONG: bool,
                 let place = row * TILE + part;
                 let before = transmittance.load::<S, LONG>(simd, place);
                 let layer = thresholds.layer::<LONG>(&splat, &column, place, before);
-                reaches = reaches | layer.near;
+                reached |= if layer.near.any_true() { 1 << (place / BLOCK) } else { 0 };
                 transmittance.store::<S, LONG>(layer.transmittance, place);
                 let weight = layer.alpha * before[0];
                 for (channel, sum) in sums.iter_mut().enumerate() {
                     let colour =
-                        if C == 0 { F::Native::<S>::splat(simd, colour[channel]) } else { colour_lanes[channel] };
+                        if C == 0 { F::Block::<S>::splat(simd, colour[channel]) } else { colour_lanes[channel] };
                     store(weight.mul_add(colour, lanes(simd, sum, place)), sum, place);
                 }
                 open -= layer.finished;
             }
         }
-        summed += usize::from(reaches.any_true());
+        summed += usize::from(reached != 0);
+        if let Some(trace) = trace.as_deref_mut() {
+            trace.reached.push(reached);
+        }
         if open == 0 {
-            layer_count = i + 1;
             break;
         }
     }
@@ -406,5 +409,4 @@ pub(super) fn rasterize_tile<S: Simd, F: Real, const C: usize, const LONG: bool,
     for plane in planes.as_chunks_mut::<TILE_PIXELS>().0 {
         *plane = in_rows(plane);
     }
-    layer_count
 }

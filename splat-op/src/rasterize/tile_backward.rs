@@ -6,12 +6,12 @@
 
 use fearless_simd::prelude::*;
 
-use super::footprint::{Footprint, FootprintSimd, ROWS, TileWindow};
+use super::footprint::{Footprint, FootprintSimd};
 use super::tile::{
-    BLOCK, BLOCK_ROW, CHECKPOINT_EVERY, Near, Plane, Thresholds, TileView, Transmittances, centres, colour_lanes,
-    lanes, len, store,
+    BLOCK, BLOCK_ROW, CHECKPOINT_EVERY, Near, Plane, Thresholds, TileTrace, TileView, Transmittances, centres,
+    colour_lanes, lanes, len, store,
 };
-use crate::intersect::{TILE, TILE_PIXELS};
+use crate::intersect::TILE_PIXELS;
 use crate::simd::real::Real;
 
 /// Number of values per intersection that do not depend on the channels: the sums of `h, h u, h v, h u², h u v, h v²`
@@ -24,10 +24,7 @@ pub(super) struct TileGrad<'a, F> {
     pub planes: &'a [Plane<F>],
     /// `[256]`: `g · background`, the start of the recursion.
     pub background_rho: &'a [F],
-    /// Values that [`Transmittances::keep`] stored before each [`CHECKPOINT_EVERY`]th Gaussian but the first.
-    pub checkpoints: &'a [F],
-    /// Number of Gaussians that the forward pass evaluated before all pixels were finished.
-    pub layer_count: usize,
+    pub trace: &'a TileTrace<F>,
     /// Whether the sums of absolute values are wanted.
     pub absolute: bool,
 }
@@ -43,21 +40,20 @@ pub(super) struct TileScratch<F> {
     starts: [usize; CHECKPOINT_EVERY + 1],
 }
 
-/// The least number of lanes of a vector.
-const LEAST: usize = 2;
+/// The least number of lanes of a vector, that of f64.
+const LEAST: usize = 8;
+
+/// The blocks of a tile's first column, a bit for each.
+const FIRST_COLUMN: u16 = 0x5555;
 
 impl<F: Real> Default for TileScratch<F> {
     fn default() -> Self {
-        // One more, because a pair is written before it is known to count.
-        Self {
-            layers: vec![F::ZERO; 2 * (CHECKPOINT_EVERY * TILE_PIXELS + BLOCK)],
-            places: vec![0; CHECKPOINT_EVERY * TILE_PIXELS / LEAST + 1],
-            starts: [0; CHECKPOINT_EVERY + 1],
-        }
+        const VALUES: usize = CHECKPOINT_EVERY * TILE_PIXELS;
+        Self { layers: vec![F::ZERO; 2 * VALUES], places: vec![0; VALUES / LEAST], starts: [0; CHECKPOINT_EVERY + 1] }
     }
 }
 
-/// Fills `intersections`, `[layer_count, MOMENTS + channels (+ 2)]`, with each intersection's sums over the tile. Sets
+/// Fills `intersections`, `[layers, MOMENTS + channels (+ 2)]`, with each intersection's sums over the tile. Sets
 /// `final_transmittance` to the transmittances behind all layers (negated where finished).
 #[inline(always)]
 pub(super) fn rasterize_tile_backward<S: Simd, F: Real, const C: usize, const LONG: bool, const LIBRARY: bool>(
@@ -73,20 +69,27 @@ pub(super) fn rasterize_tile_backward<S: Simd, F: Real, const C: usize, const LO
     // `ρ` has two parts, like the transmittances.
     let mut rho = Transmittances::new([F::ZERO; TILE_PIXELS]);
     rho.kept.copy_from_slice(grad.background_rho);
-    let chunks = grad.layer_count.div_ceil(CHECKPOINT_EVERY);
+    let TileTrace { reached, checkpoints } = grad.trace;
+    let chunks = reached.len().div_ceil(CHECKPOINT_EVERY);
     let x = centres(view.corner()[0]);
     *final_transmittance = view.open_transmittance();
     for chunk in (0..chunks).rev() {
         let first = chunk * CHECKPOINT_EVERY;
-        let gaussians = &view.gaussians[first..grad.layer_count.min(first + CHECKPOINT_EVERY)];
+        let reached = &reached[first..reached.len().min(first + CHECKPOINT_EVERY)];
+        let gaussians = &view.gaussians[first..first + reached.len()];
         let mut transmittance = match chunk {
             0 => Transmittances::new(view.open_transmittance()),
-            _ => Transmittances::resume::<LONG>(grad.checkpoints, chunk - 1),
+            _ => Transmittances::resume::<LONG>(checkpoints, chunk - 1),
         };
         let mut near = Near::<F, C>::default();
         near.gather(view, gaussians);
-        let footprints = &near.footprints[..gaussians.len()];
-        forwards::<S, F, LONG, LIBRARY>(simd, view.corner(), footprints, thresholds, &mut transmittance, scratch);
+        forwards::<S, F, LONG, LIBRARY>(
+            thresholds,
+            view.corner(),
+            (&near.footprints, reached),
+            &mut transmittance,
+            scratch,
+        );
         if chunk + 1 == chunks {
             *final_transmittance = transmittance.kept;
         }
@@ -98,44 +101,51 @@ pub(super) fn rasterize_tile_backward<S: Simd, F: Real, const C: usize, const LO
             let row = &mut intersections[(first + i) * columns..(first + i + 1) * columns];
             let pair = 2 * len::<S, F>();
             let layers = (&mut scratch.layers[layers.start * pair..layers.end * pair], &scratch.places[layers]);
-            let splat = FootprintSimd::new(simd, footprints[i], view.corner()[1]);
+            let splat = FootprintSimd::new(simd, near.footprints[i], view.corner()[1]);
             let colour = if C == 0 { view.colour(gaussian) } else { &near.colours[i] };
             backwards::<S, F, C, LONG, LIBRARY>(grad, (&splat, colour, thresholds), &x, layers, (&mut rho, row));
         }
     }
 }
 
-/// Runs the forward pass over one chunk and stores the layers that it meets.
+/// Runs the forward pass over one chunk, in the blocks that each Gaussian is known to reach, and stores the layers.
 #[inline(always)]
 fn forwards<S: Simd, F: Real, const LONG: bool, const LIBRARY: bool>(
-    simd: S,
-    corner: [F; 2],
-    near: &[Footprint<F>],
     thresholds: &Thresholds<S, F, LIBRARY>,
+    corner: [F; 2],
+    (near, reached): (&[Footprint<F>], &[u16]),
     transmittance: &mut Transmittances<F>,
     scratch: &mut TileScratch<F>,
 ) {
+    let simd = thresholds.alpha_max.token();
     let mut met = 0;
     let x = centres(corner[0]);
-    for (i, &footprint) in near.iter().enumerate() {
+    for (i, (&footprint, &reached)) in near.iter().zip(reached).enumerate() {
         scratch.starts[i] = met;
         let splat = FootprintSimd::new(simd, footprint, corner[1]);
-        let TileWindow { first_row, end_row, first_column, end_column } = splat.footprint.window(corner);
-        for part in (first_column * BLOCK..end_column * BLOCK).step_by(len::<S, F>()) {
-            let column = splat.column(lanes(simd, &x, part));
-            for row in (first_row..end_row).step_by(ROWS) {
-                let place = row * TILE + part;
-                let before = transmittance.load::<S, LONG>(simd, place);
-                let layer = thresholds.layer::<LONG>(&splat, &column, place, before);
-                transmittance.store::<S, LONG>(layer.transmittance, place);
-                store(before[0], &mut scratch.layers, met * 2 * len::<S, F>());
-                store(layer.alpha, &mut scratch.layers, (met * 2 + 1) * len::<S, F>());
-                scratch.places[met] = place as u16;
-                met += usize::from(layer.near.any_true());
+        for first in (0..BLOCK_ROW).step_by(BLOCK) {
+            let in_column = reached & FIRST_COLUMN << (first / BLOCK);
+            if in_column == 0 {
+                continue;
+            }
+            for part in (0..BLOCK).step_by(len::<S, F>()) {
+                let column = splat.column(lanes(simd, &x, first + part));
+                let mut blocks = in_column;
+                while blocks != 0 {
+                    let place = blocks.trailing_zeros() as usize * BLOCK + part;
+                    blocks &= blocks - 1;
+                    let before = transmittance.load::<S, LONG>(simd, place);
+                    let layer = thresholds.layer::<LONG>(&splat, &column, place, before);
+                    transmittance.store::<S, LONG>(layer.transmittance, place);
+                    store(before[0], &mut scratch.layers, met * 2 * len::<S, F>());
+                    store(layer.alpha, &mut scratch.layers, (met * 2 + 1) * len::<S, F>());
+                    scratch.places[met] = place as u16;
+                    met += 1;
+                }
             }
         }
     }
-    scratch.starts[near.len()] = met;
+    scratch.starts[reached.len()] = met;
 }
 
 /// Passes one Gaussian back to front: writes its sums over the pixels that it shows in to `row`, and updates `rho` to
@@ -151,7 +161,7 @@ fn backwards<S: Simd, F: Real, const C: usize, const LONG: bool, const LIBRARY: 
     let alpha_max = thresholds.alpha_max;
     let simd = alpha_max.token();
     let channels = if C == 0 { colour.len() } else { C };
-    let zero = F::Native::<S>::splat(simd, F::ZERO);
+    let zero = F::Block::<S>::splat(simd, F::ZERO);
     let planes = &grad.planes[..=channels];
     let plane = |channel: usize, place: usize| lanes::<S, F>(simd, &planes[channel], place);
     let mut moments = [zero; MOMENTS];
@@ -166,7 +176,7 @@ fn backwards<S: Simd, F: Real, const C: usize, const LONG: bool, const LIBRARY: 
         let alpha = lanes::<S, F>(simd, layer, len::<S, F>());
         let mut along = plane(channels, place);
         for channel in 0..channels {
-            let colour = if C == 0 { F::Native::<S>::splat(simd, colour[channel]) } else { colour_lanes[channel] };
+            let colour = if C == 0 { F::Block::<S>::splat(simd, colour[channel]) } else { colour_lanes[channel] };
             along = plane(channel, place).mul_add(colour, along);
         }
         let weight = alpha * before;

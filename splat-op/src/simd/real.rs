@@ -4,7 +4,7 @@ use std::iter::Sum;
 use std::ops::{Add, AddAssign, Div, Mul, MulAssign, Neg, Sub, SubAssign};
 
 use burn::tensor::{DType, f16};
-use fearless_simd::{f32x8, f64x8, prelude::*, u32x8};
+use fearless_simd::{f32x8, f32x16, f64x8, prelude::*, u32x8};
 use half::slice::HalfFloatSliceExt;
 
 /// Number of lanes of [`Real::Lanes`], the same for both float types.
@@ -30,6 +30,8 @@ pub(crate) trait Real:
 {
     /// A vector of eight values.
     type Lanes<S: Simd>: SimdFloat<S, Element = Self>;
+    /// A vector of 64 bytes, the widest: narrower processors take it in parts, so that sums over its lanes are the same on all.
+    type Block<S: Simd>: SimdFloat<S, Element = Self>;
     /// An unsigned integer that sorts like this float, for non-negative values.
     type SortKey: Ord + Copy + Send + Sync;
     const DTYPE: DType;
@@ -129,6 +131,7 @@ macro_rules! scalar_functions {
 
 impl Real for f32 {
     type Lanes<S: Simd> = f32x8<S>;
+    type Block<S: Simd> = f32x16<S>;
     scalar_functions!(f32, u32, DType::F32, convert_to_f32_slice);
 
     const EXP2_MAX: Self = 126.0;
@@ -193,6 +196,7 @@ impl Real for f32 {
 
 impl Real for f64 {
     type Lanes<S: Simd> = f64x8<S>;
+    type Block<S: Simd> = f64x8<S>;
     scalar_functions!(f64, u64, DType::F64, convert_to_f64_slice);
 
     const EXP2_MAX: Self = 1022.0;
