@@ -6,15 +6,15 @@
 #   benches/records.sh [DATA]     all runs, on the captures in DATA or else SPLAT_DATA_DIR (docs/CAPTURES.md)
 #   benches/records.sh table      the table alone
 #
-# Variables: CAPTURES, STRATEGIES and STEPS (lists; all, all, and 2000 7000 30000), SIDE (largest side of the photographs in
-# long runs, px; 400), LPIPS (weights), SPLAT (the program; built if not named), WORK (folder of the runs; out/records),
+# Variables: CAPTURES, STRATEGIES and STEPS (lists; all, all, and 2000 7000 30000), SIDE and SPLATS (largest side of the
+# photographs, px, and largest number of Gaussians in long runs; 400 and 120000), LPIPS (weights), SPLAT (the program; built if not named), WORK (folder of the runs; out/records),
 # RECORDS and PAGE (the two files that are written).
 set -euo pipefail
 cd "$(dirname "$0")/.."
 records="${RECORDS:-docs/records.tsv}"
 page="${PAGE:-docs/RECORDS.md}"
 work="${WORK:-out/records}"
-fields=(capture steps strategy side psnr ssim lpips splats seconds peak_mib device commit date)
+fields=(capture steps strategy side cap psnr ssim lpips splats seconds peak_mib device commit date)
 
 # Prints the first number of a key in metrics.json, or `-`. Each key has a line of its own, indented by its depth, 1 or 2.
 number() {
@@ -36,7 +36,10 @@ side() {
   esac
 }
 
-is_done() { [ -f "$records" ] && awk -F'\t' -v key="$1" '$1 "\t" $2 "\t" $3 "\t" $4 == key {found=1} END {exit !found}' "$records"; }
+# Prints the largest number of Gaussians, or `-` for the program's own limit. Without one, long runs would differ most in it.
+cap() { if [ "$1" = 2000 ]; then echo -; else echo "${SPLATS:-120000}"; fi; }
+
+is_done() { [ -f "$records" ] && awk -F'\t' -v key="$1" '$1 "\t" $2 "\t" $3 "\t" $4 "\t" $5 == key {found=1} END {exit !found}' "$records"; }
 
 # Appends the row of a finished run.
 record() {
@@ -50,9 +53,10 @@ record() {
 
 # Trains, or continues what was interrupted. A signal to this script reaches the program, which saves a checkpoint.
 train() {
-  local capture="$1" steps="$2" strategy="$3" side="$4" out="$5"
+  local capture="$1" steps="$2" strategy="$3" side="$4" cap="$5" out="$6"
   local options=("$capture" --steps "$steps" --strategy "$strategy" --out "$out")
   if [ "$side" != - ]; then options+=(--max-side "$side"); fi
+  if [ "$cap" != - ]; then options+=(--max-splats "$cap"); fi
   if [ -n "${LPIPS:-}" ]; then options+=(--lpips "$LPIPS"); fi
   if compgen -G "$out/checkpoints/step-*" >/dev/null; then "$splat" resume "$out" & else "$splat" train "${options[@]}" & fi
   local child=$!
@@ -76,15 +80,18 @@ table() {
   local rows
   rows="$(mktemp)"
   {
-    echo "| capture | steps | largest side, px | strategy | PSNR, dB | SSIM | LPIPS | Gaussians | training, s | peak memory, MiB | device | commit, date |"
-    echo "|---|---|---|---|---|---|---|---|---|---|---|---|"
-    tail -n +2 "$records" | sort -t$'\t' -k1,1 -k2,2n -k4,4 -k5,5nr | awk -F'\t' '
+    echo "| capture | steps | largest side, px | at most Gaussians | strategy | PSNR, dB | SSIM | LPIPS | Gaussians | training, s | peak memory, MiB | device | commit, date |"
+    echo "|---|---|---|---|---|---|---|---|---|---|---|---|---|"
+    tail -n +2 "$records" | sort -t$'\t' -k1,1 -k2,2n -k4,5 -k6,6nr | awk -F'\t' '
       function at(value, format) { return value == "-" ? "" : sprintf(format, value) }
+      function grouped(count) {
+        while (match(count, /[0-9][0-9][0-9][0-9]($|,)/)) count = substr(count, 1, RSTART) "," substr(count, RSTART + 1)
+        return count
+      }
       {
-        splats = $8
-        while (match(splats, /[0-9][0-9][0-9][0-9]($|,)/)) splats = substr(splats, 1, RSTART) "," substr(splats, RSTART + 1)
-        printf "| `%s` | %s | %s | `%s` | %s | %s | %s | %s | %s | %s | %s | %s, %s |\n", $1, $2, $4 == "-" ? "own" : $4, $3,
-          at($5, "%.2f"), at($6, "%.3f"), at($7, "%.3f"), splats, at($9, "%.0f"), at($10, "%.0f"), $11, $12, $13
+        printf "| `%s` | %s | %s | %s | `%s` | %s | %s | %s | %s | %s | %s | %s | %s, %s |\n", $1, grouped($2),
+          $4 == "-" ? "own" : $4, $5 == "-" ? "" : grouped($5), $3, at($6, "%.2f"), at($7, "%.3f"), at($8, "%.3f"),
+          grouped($9), at($10, "%.0f"), at($11, "%.0f"), $12, $13, $14
       }'
   } >"$rows"
   awk -v rows="$rows" '
@@ -120,12 +127,13 @@ for steps in ${STEPS:-2000 7000 30000}; do
     if [[ -n "${CAPTURES:-}" && " $CAPTURES " != *" $capture "* ]]; then continue; fi
     for strategy in ${STRATEGIES:-$(strategies)}; do
       side="$(side "$capture" "$steps")"
-      key="$capture"$'\t'"$steps"$'\t'"$strategy"$'\t'"$side"
+      cap="$(cap "$steps")"
+      key="$capture"$'\t'"$steps"$'\t'"$strategy"$'\t'"$side"$'\t'"$cap"
       if is_done "$key"; then continue; fi
-      out="$work/$capture-$steps-$strategy-$side"
-      echo "records: $capture, $steps steps, $strategy, side $side" >&2
+      out="$work/$capture-$steps-$strategy-$side-$cap"
+      echo "records: $capture, $steps steps, $strategy, side $side, at most $cap Gaussians" >&2
       status=0
-      if [ ! -f "$out/metrics.json" ]; then train "$folder" "$steps" "$strategy" "$side" "$out" || status=$?; fi
+      if [ ! -f "$out/metrics.json" ]; then train "$folder" "$steps" "$strategy" "$side" "$cap" "$out" || status=$?; fi
       case "$status" in
       0) record "$key" "$out" && table ;;
       # Ended by Ctrl-C, SIGKILL or SIGTERM: the same command continues.

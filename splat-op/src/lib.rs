@@ -130,6 +130,8 @@ pub mod rasterize_rays;
 
 pub mod loss;
 
+pub mod bilateral;
+
 pub mod adam;
 
 pub mod tally;

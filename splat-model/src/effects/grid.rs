@@ -8,13 +8,12 @@
 //! with weight 10 as in the authors' code. A grid is the stronger form of an [exposure](super::exposure), which is the same
 //! map everywhere. As for exposures, the mean of all grids is reset to the identity.
 //!
-//! Interpolation is separable: two products with matrices of two non-zero entries per column, then a sum over the levels
-//! with hat functions as weights. There is no gather, and no scatter in the backward pass. It takes 96 numbers per pixel,
-//! 400 MB per megapixel, and the same again for gradients.
+//! [`splat_op::bilateral`] applies a grid.
 
-use burn::tensor::{Device, Gradients, Tensor, TensorData};
+use burn::tensor::{Device, Gradients, Tensor};
 use serde::{Deserialize, Serialize};
 use splat_op::Rendered;
+use splat_op::bilateral::{self, MAP};
 
 use super::centred::Centred;
 use super::learned::{EffectContext, Falling};
@@ -26,12 +25,6 @@ const SIDE: usize = 16;
 
 /// Levels of brightness.
 const LEVELS: usize = 8;
-
-/// Entries of a colour map.
-const MAP: usize = 12;
-
-/// Luma weights of RGB, Rec. 601, as in the paper.
-const LUMA: [f32; 3] = [0.299, 0.587, 0.114];
 
 /// Options of bilateral grids.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -78,7 +71,7 @@ impl Effect for Grids {
     }
 
     fn image(&mut self, image: Tensor<3>, _: &RenderInput, _: &Rendered<3>, at: EffectContext) -> Tensor<3> {
-        apply(image, self.grids.tracked(at.view))
+        apply(&image, &self.grids.tracked(at.view))
     }
 
     fn penalty(&mut self, _: &RenderInput, _: &Rendered<3>, at: EffectContext) -> Option<Tensor<1>> {
@@ -107,44 +100,9 @@ fn roughness(grid: Tensor<4>) -> Tensor<1> {
     along(1, LEVELS) + along(2, SIDE) + along(3, SIDE)
 }
 
-/// `[SIDE, pixels]`: the interpolation weight of each grid position for each pixel along a side. The ends of the grid are
-/// at the ends of the picture.
-fn hats(pixels: usize, device: &Device) -> Tensor<2> {
-    let mut values = vec![0.0_f32; SIDE * pixels];
-    for pixel in 0..pixels {
-        let at = (pixel as f64 + 0.5) / pixels as f64 * (SIDE - 1) as f64;
-        let below = (at as usize).min(SIDE - 2);
-        let share = (at - below as f64) as f32;
-        values[below * pixels + pixel] = 1.0 - share;
-        values[(below + 1) * pixels + pixel] = share;
-    }
-    Tensor::from_data(TensorData::new(values, [SIDE, pixels]), device)
-}
-
 /// Maps every pixel of `image`, `[H, W, 3]`, by `grid`, `[12, 8, 16, 16]`. Differentiable in both.
-pub fn apply(image: Tensor<3>, grid: Tensor<4>) -> Tensor<3> {
-    let [height, width, channels] = image.dims();
-    let plain = image.device().inner();
-    let constant = |values: Tensor<2>| if grid.is_autodiff() { Tensor::from_inner(values) } else { values };
-    let (across, down) = (constant(hats(width, &plain)), constant(hats(height, &plain)));
-    // Columns: [12·8·16, 16] × [16, W]. Rows: [H, 16] × [16, 12·8·W].
-    let columns = grid.clone().reshape([MAP * LEVELS * SIDE, SIDE]).matmul(across).reshape([MAP * LEVELS, SIDE, width]);
-    let columns = columns.permute([1, 0, 2]).reshape([SIDE, MAP * LEVELS * width]);
-    let maps = down.transpose().matmul(columns).reshape([height, MAP, LEVELS, width]);
-    // [H, 3, W]: rows of planes, in the layout of the maps.
-    let colours = image.permute([0, 2, 1]);
-    let luma = Tensor::<1>::from_floats(LUMA, &plain).reshape([1, channels, 1]);
-    let luma = if colours.is_autodiff() { Tensor::from_inner(luma) } else { luma };
-    let luma = (colours.clone() * luma).sum_dim(1).clamp(0.0, 1.0) * (LEVELS - 1) as f32;
-    let part = |level: usize| {
-        let share = ((luma.clone() - level as f32).abs().neg() + 1.0).clamp_min(0.0);
-        maps.clone().narrow(2, level, 1).reshape([height, MAP, width]) * share
-    };
-    let map = (0..LEVELS).map(part).reduce(|a, b| a + b);
-    let map = map.expect("there are levels").reshape([height, channels, channels + 1, width]);
-    let linear = map.clone().narrow(2, 0, channels) * colours.unsqueeze_dim::<4>(1);
-    let shown = linear.sum_dim(2) + map.narrow(2, channels, 1);
-    shown.reshape([height, channels, width]).permute([0, 2, 1])
+pub fn apply(image: &Tensor<3>, grid: &Tensor<4>) -> Tensor<3> {
+    bilateral::slice(image, grid).expect("a render and a grid of this effect, on one device")
 }
 
 #[cfg(test)]

@@ -77,7 +77,9 @@ pub(super) fn on_device(input: &InputTensor<CubeBackend>) -> Buffer<f32> {
 }
 
 /// Returns the gradient of an input as a tensor of its shape, if it was asked for.
-fn gradient((found, input): (Option<Buffer<f32>>, &InputTensor<CubeBackend>)) -> OptionalTensor<CubeBackend> {
+pub(super) fn gradient(
+    (found, input): (Option<Buffer<f32>>, &InputTensor<CubeBackend>),
+) -> OptionalTensor<CubeBackend> {
     found.map(|found| tensor(found, input.0.shape(), DType::F32, &input.0)).into()
 }
 

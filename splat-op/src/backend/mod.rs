@@ -11,6 +11,7 @@ pub(crate) mod activate;
 #[cfg(feature = "cube")]
 pub(crate) mod adam;
 mod autodiff;
+pub(crate) mod bilateral;
 mod cpu;
 #[cfg(feature = "cube")]
 mod cube;
@@ -27,6 +28,7 @@ pub(crate) mod tensors;
 pub use activate::{ActivateBackend, Activated};
 #[cfg(feature = "cube")]
 pub use adam::{AdamBackend, AdamInputs, AdamState, SceneGradientTensors, SceneInputs, SceneState, SceneStates};
+pub use bilateral::BilateralBackend;
 pub use custom_grad::CustomGradBackend;
 pub use loss::{Photometric, PhotometricBackend};
 pub use stages::SplatBackend;
@@ -34,10 +36,11 @@ pub use stages::SplatBackend;
 pub use tally::{TalliedTensors, TallyBackend, TallyTensors};
 pub use tensors::{
     ComparedTensors, GeometryGrads, GeometryTensors, InputTensor, LayerGrads, LayerTensors, OptionalIntTensor,
-    OptionalTensor, RawTensors, RayLayerGrads, RayLayerTensors, ShadingGrads, ShadingTensors,
+    OptionalTensor, RawTensors, RayLayerGrads, RayLayerTensors, ShadingGrads, ShadingTensors, SliceGrads, SliceTensors,
 };
 
 pub use crate::activate::rule::Raw;
+pub use crate::bilateral::Sliced;
 pub use crate::intersect::IntersectionCell;
 pub use crate::loss::taps::Compared;
 pub use crate::project::{Geometry, ProjectSpec};

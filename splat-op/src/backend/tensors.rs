@@ -9,6 +9,7 @@ use burn::backend::{
 use burn::tensor::{Int, Tensor};
 
 use crate::activate::rule::Raw;
+use crate::bilateral::Sliced;
 use crate::loss::taps::Compared;
 use crate::project::Geometry;
 use crate::rasterize::Layers;
@@ -116,6 +117,10 @@ pub type RayLayerTensors<B> = RayLayers<InputTensor<B>>;
 pub type RayLayerGrads<B> = RayLayers<OptionalTensor<B>>;
 /// Inputs of `photometric`.
 pub type ComparedTensors<B> = Compared<InputTensor<B>>;
+/// Inputs of `bilateral_slice`.
+pub type SliceTensors<B> = Sliced<InputTensor<B>>;
+/// Gradients of the inputs of `bilateral_slice`.
+pub type SliceGrads<B> = Sliced<OptionalTensor<B>>;
 /// Inputs of `activated`.
 pub type RawTensors<B> = Raw<InputTensor<B>>;
 
@@ -155,7 +160,7 @@ macro_rules! crosses {
     )*};
 }
 
-crosses!(Geometry, Shading, Layers, RayLayers, Raw, Compared);
+crosses!(Geometry, Shading, Layers, RayLayers, Raw, Compared, Sliced);
 
 #[cfg(feature = "fusion")]
 mod fused {
@@ -238,5 +243,5 @@ mod fused {
         )*};
     }
 
-    crosses_later!(Geometry, Shading, Layers, RayLayers, Raw, Compared);
+    crosses_later!(Geometry, Shading, Layers, RayLayers, Raw, Compared, Sliced);
 }

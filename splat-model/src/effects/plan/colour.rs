@@ -32,7 +32,7 @@ const FEW_POINTS: &str = "too few points are visible in several photographs";
 
 /// Time per step and megapixel, ms, as measured (see `docs/EFFECTS.md`).
 const EXPOSURE_MS_PER_MEGAPIXEL: f64 = 40.0;
-const GRID_MS_PER_MEGAPIXEL: f64 = 2500.0;
+const GRID_MS_PER_MEGAPIXEL: f64 = 60.0;
 
 /// Decides on the degree of the spherical harmonics instead of an effect. Missing harmonics cost more than idle ones, so
 /// the threshold is close above the share that scenes without view-dependent colour show (`docs/EFFECTS.md`).

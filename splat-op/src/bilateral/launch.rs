@@ -1,0 +1,52 @@
+//! Launches of the slice.
+
+use cubecl::prelude::CubeDim;
+
+use super::kernels::{SizesLaunch, grid_backward_kernel, image_backward_kernel, slice_kernel};
+use super::{SliceSize, Sliced};
+use crate::gpu::{Buffer, Gpu, UNITS, cubes, elementwise};
+
+fn sizes(size: SliceSize) -> SizesLaunch {
+    let SliceSize { width, height, levels, rows, columns } = size;
+    SizesLaunch::new(width as u32, height as u32, levels as u32, rows as u32, columns as u32)
+}
+
+/// Returns the mapped picture, `[3, H, W]`.
+pub(crate) fn launch_slice(gpu: &Gpu, inputs: &Sliced<Buffer<f32>>, size: SliceSize) -> Buffer<f32> {
+    let out = Buffer::new(gpu, inputs.image.len);
+    let (grid, dim) = elementwise(out.len / 3);
+    let (image, maps) = (inputs.image.arg(), inputs.grid.arg());
+    // SAFETY: units beyond the last pixel do nothing, and a pixel's corners are limited to the grid.
+    unsafe { slice_kernel::launch_unchecked(&gpu.client, grid, dim, image, maps, out.arg(), sizes(size)) };
+    out
+}
+
+/// Returns the gradients that are needed from `grad`, that of the mapped picture.
+pub(crate) fn launch_slice_backward(
+    gpu: &Gpu,
+    inputs: &Sliced<Buffer<f32>>,
+    grad: &Buffer<f32>,
+    size: SliceSize,
+    needs: Sliced<bool>,
+) -> Sliced<Option<Buffer<f32>>> {
+    let found = Sliced {
+        image: Buffer::if_needed(gpu, needs.image, inputs.image.len),
+        grid: Buffer::if_needed(gpu, needs.grid, inputs.grid.len),
+    };
+    let client = &gpu.client;
+    if let Some(out) = &found.image {
+        let (grid, dim) = elementwise(out.len / 3);
+        let (image, maps, grad) = (inputs.image.arg(), inputs.grid.arg(), grad.arg());
+        // SAFETY: as in `launch_slice`.
+        unsafe {
+            image_backward_kernel::launch_unchecked(client, grid, dim, image, maps, grad, out.arg(), sizes(size))
+        };
+    }
+    if let Some(out) = &found.grid {
+        let places = cubes(size.levels * size.rows * size.columns);
+        let (dim, image, grad) = (CubeDim::new_1d(UNITS as u32), inputs.image.arg(), grad.arg());
+        // SAFETY: cubes beyond the last place do nothing, and the pixels of a place are limited to the picture.
+        unsafe { grid_backward_kernel::launch_unchecked(client, places, dim, image, grad, out.arg(), sizes(size)) };
+    }
+    found
+}
