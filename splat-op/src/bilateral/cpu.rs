@@ -219,11 +219,11 @@ pub(crate) fn slice_backward_cpu<F: Real>(
         let mut sums = vec![[F::ZERO; WIDE]; 2 * len];
         let (mut row, mut row_sums) = (vec![[F::ZERO; WIDE]; len], vec![[F::ZERO; WIDE]; len]);
         for (y, down, of_image) in band {
-            let pixels = (planes(inputs.image, size, y), planes(grad, size, y), &across[..]);
+            let pixels = (planes(inputs.image, size, y), planes(grad, size, y));
             dispatch!(Level::new(), simd => {
                 maps.row(simd, down, &mut row);
                 row_sums.fill([F::ZERO; WIDE]);
-                row_backward(simd, (&row, &mut row_sums), size.levels, pixels, of_image);
+                row_backward(simd, (&row, &mut row_sums), size.levels, &across, pixels, of_image);
                 let (upper, lower) = sums.split_at_mut(len);
                 let shares = [F::ONE - down.share, down.share].map(|share| splat(simd, share));
                 for ((sum, upper), lower) in row_sums.iter().zip(upper).zip(lower) {
@@ -250,13 +250,14 @@ pub(crate) fn slice_backward_cpu<F: Real>(
 }
 
 /// Adds the gradients of a row of pixels to those of its maps, and writes that of its colours to `of_image` if it is needed.
-/// `pixels` are their colours, the gradients of the mapped colours, and their places.
+/// `across` are the places of the pixels; the pair holds the planes of the row and of the mapped row's gradient.
 #[inline(always)]
 fn row_backward<S: Simd, F: Real>(
     simd: S,
     (row, sums): (&[Map<F>], &mut [Map<F>]),
     levels: usize,
-    ([r, g, b], grads, across): ([&[F]; 3], [&[F]; 3], &[Between<F>]),
+    across: &[Between<F>],
+    ([r, g, b], grads): ([&[F]; 3], [&[F]; 3]),
     mut of_image: Option<[&mut [F]; 3]>,
 ) {
     for (x, &column) in across.iter().enumerate() {
