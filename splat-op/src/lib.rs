@@ -132,6 +132,8 @@ pub mod loss;
 
 pub mod bilateral;
 
+pub mod environment;
+
 pub mod adam;
 
 pub mod tally;

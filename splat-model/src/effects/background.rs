@@ -7,8 +7,7 @@
 //! - **A learned colour** is one parameter of three numbers, composited by the kernel.
 //! - **An environment** is light from infinitely far away: `0.5 + Σₖ Yₖ(d) cₖ` with `d` the viewing direction of a pixel
 //!   and `Yₖ` the real spherical harmonics of [`mod@splat_op::sh`]. It models skies, which have no parallax and would
-//!   otherwise need Gaussians at some distance. It is multiplied by the visible share of the background and added to the
-//!   render over black.
+//!   otherwise need Gaussians at some distance. [`splat_op::environment`] composites the render over it.
 //!
 //! Directions use the photographs' given poses, also while poses are refined.
 
@@ -22,7 +21,7 @@ use rand::{Rng, RngExt};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use splat_op::sh::{harmonics, sh_degree};
-use splat_op::{Intrinsics, Rendered};
+use splat_op::{Intrinsics, Rendered, environment};
 use thiserror::Error;
 
 use super::learned::{EffectContext, Falling, Learned};
@@ -152,35 +151,33 @@ impl Background {
         let (device, count) = (image.device(), coefficients.len());
         let degree = sh_degree(count).unwrap_or(0);
         let coefficients = TensorData::new(coefficients.as_flattened().to_vec(), [count, 3]);
-        let basis = basis(camera, cam_from_world, degree, &device);
-        over(image, alpha, sky(basis, Tensor::from_data(coefficients, &device)))
+        let harmonics = harmonics_of(camera, cam_from_world, degree, &device);
+        over(&image, &alpha, &harmonics, &Tensor::from_data(coefficients, &device))
     }
 }
 
-/// `[H W, (degree+1)²]`: the values of the harmonics in the viewing directions of a camera's pixels.
-fn basis(camera: &Intrinsics, cam_from_world: &DAffine3, degree: usize, device: &Device) -> Tensor<2> {
+/// `[(degree+1)², H, W]`: the values of the harmonics in the viewing directions of a camera's pixels.
+fn harmonics_of(camera: &Intrinsics, cam_from_world: &DAffine3, degree: usize, device: &Device) -> Tensor<3> {
     let (width, height, count) = (camera.width, camera.height, (degree + 1) * (degree + 1));
     let world_from_cam = cam_from_world.matrix3.transpose();
-    let mut values = vec![0.0_f32; width * height * count];
-    values.par_chunks_mut(width * count).enumerate().for_each(|(y, row)| {
-        for (x, values) in row.chunks_exact_mut(count).enumerate() {
+    let row = |y: usize| {
+        let mut values = vec![0.0_f32; width * count];
+        for x in 0..width {
             let direction = camera.cam_from_px(DVec2::new(x as f64 + 0.5, y as f64 + 0.5)).normalize();
             let all = harmonics((world_from_cam * direction).to_array(), degree);
-            values.iter_mut().zip(all).for_each(|(value, harmonic)| *value = harmonic as f32);
+            all[..count].iter().enumerate().for_each(|(k, harmonic)| values[k * width + x] = *harmonic as f32);
         }
-    });
-    Tensor::from_data(TensorData::new(values, [width * height, count]), device)
+        values
+    };
+    let rows: Vec<Vec<f32>> = (0..height).into_par_iter().map(row).collect();
+    let plane = |k: usize| rows.iter().flat_map(move |row| &row[k * width..(k + 1) * width]).copied();
+    let values: Vec<f32> = (0..count).flat_map(plane).collect();
+    Tensor::from_data(TensorData::new(values, [count, height, width]), device)
 }
 
-/// `[H W, 3]`: the light of the environment.
-fn sky(basis: Tensor<2>, coefficients: Tensor<2>) -> Tensor<2> {
-    basis.matmul(coefficients) + 0.5
-}
-
-/// Adds the background `behind`, `[H W, 3]`, to a render over black.
-fn over(image: Tensor<3>, alpha: Tensor<3>, behind: Tensor<2>) -> Tensor<3> {
-    let size = image.dims();
-    image + behind.reshape(size) * (alpha.neg() + 1.0)
+/// See [`environment::over`].
+fn over(image: &Tensor<3>, alpha: &Tensor<3>, harmonics: &Tensor<3>, coefficients: &Tensor<2>) -> Tensor<3> {
+    environment::over(image, alpha, harmonics, coefficients).expect("a render of this camera, on one device")
 }
 
 /// A background with a random colour for each step.
@@ -243,8 +240,8 @@ pub struct Environment {
     degree: usize,
     /// Given poses of the photographs, `cam_from_world`.
     poses: Vec<DAffine3>,
-    /// `[H W, (degree+1)²]` by photograph, with the picture size for which it was computed.
-    cache: BTreeMap<usize, ([usize; 2], Tensor<2>)>,
+    /// `[(degree+1)², H, W]` by photograph, with the picture size for which it was computed.
+    cache: BTreeMap<usize, ([usize; 2], Tensor<3>)>,
     cached_bytes: usize,
 }
 
@@ -257,27 +254,27 @@ impl Environment {
 
     /// The render over black of a photograph's camera, composited over the environment.
     fn behind(&mut self, image: Tensor<3>, alpha: Tensor<3>, view: usize, camera: &Intrinsics) -> Tensor<3> {
-        let basis = self.basis_of(view, camera);
-        over(image, alpha, sky(Tensor::from_inner(basis), self.coefficients.tracked()))
+        let harmonics = Tensor::from_inner(self.harmonics_of(view, camera));
+        over(&image, &alpha, &harmonics, &self.coefficients.tracked())
     }
 
-    fn basis_of(&mut self, view: usize, camera: &Intrinsics) -> Tensor<2> {
+    fn harmonics_of(&mut self, view: usize, camera: &Intrinsics) -> Tensor<3> {
         let size = [camera.width, camera.height];
         let kept = self.cache.get(&view).filter(|(of, _)| *of == size);
-        if let Some((_, basis)) = kept {
-            return basis.clone();
+        if let Some((_, harmonics)) = kept {
+            return harmonics.clone();
         }
         let device = self.coefficients.value().device();
-        let basis = basis(camera, &self.poses[view], self.degree, &device);
-        let bytes = |basis: &Tensor<2>| basis.shape().num_elements() * size_of::<f32>();
+        let harmonics = harmonics_of(camera, &self.poses[view], self.degree, &device);
+        let bytes = |harmonics: &Tensor<3>| harmonics.shape().num_elements() * size_of::<f32>();
         if let Some((_, stale)) = self.cache.remove(&view) {
             self.cached_bytes -= bytes(&stale);
         }
-        if self.cached_bytes + bytes(&basis) <= CACHE_BYTES {
-            self.cached_bytes += bytes(&basis);
-            self.cache.insert(view, (size, basis.clone()));
+        if self.cached_bytes + bytes(&harmonics) <= CACHE_BYTES {
+            self.cached_bytes += bytes(&harmonics);
+            self.cache.insert(view, (size, harmonics.clone()));
         }
-        basis
+        harmonics
     }
 }
 

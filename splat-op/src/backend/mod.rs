@@ -16,6 +16,7 @@ mod cpu;
 #[cfg(feature = "cube")]
 mod cube;
 pub(crate) mod custom_grad;
+pub(crate) mod environment;
 #[cfg(feature = "fusion")]
 mod fusion;
 mod host;
@@ -30,17 +31,20 @@ pub use activate::{ActivateBackend, Activated};
 pub use adam::{AdamBackend, AdamInputs, AdamState, SceneGradientTensors, SceneInputs, SceneState, SceneStates};
 pub use bilateral::BilateralBackend;
 pub use custom_grad::CustomGradBackend;
+pub use environment::EnvironmentBackend;
 pub use loss::{Photometric, PhotometricBackend};
 pub use stages::SplatBackend;
 #[cfg(feature = "cube")]
 pub use tally::{TalliedTensors, TallyBackend, TallyTensors};
 pub use tensors::{
     ComparedTensors, GeometryGrads, GeometryTensors, InputTensor, LayerGrads, LayerTensors, OptionalIntTensor,
-    OptionalTensor, RawTensors, RayLayerGrads, RayLayerTensors, ShadingGrads, ShadingTensors, SliceGrads, SliceTensors,
+    OptionalTensor, RawTensors, RayLayerGrads, RayLayerTensors, ShadingGrads, ShadingTensors, SkyGrads, SkyTensors,
+    SliceGrads, SliceTensors,
 };
 
 pub use crate::activate::rule::Raw;
 pub use crate::bilateral::Sliced;
+pub use crate::environment::Sky;
 pub use crate::intersect::IntersectionCell;
 pub use crate::loss::taps::Compared;
 pub use crate::project::{Geometry, ProjectSpec};

@@ -10,6 +10,7 @@ use burn::tensor::{Int, Tensor};
 
 use crate::activate::rule::Raw;
 use crate::bilateral::Sliced;
+use crate::environment::Sky;
 use crate::loss::taps::Compared;
 use crate::project::Geometry;
 use crate::rasterize::Layers;
@@ -121,6 +122,10 @@ pub type ComparedTensors<B> = Compared<InputTensor<B>>;
 pub type SliceTensors<B> = Sliced<InputTensor<B>>;
 /// Gradients of the inputs of `bilateral_slice`.
 pub type SliceGrads<B> = Sliced<OptionalTensor<B>>;
+/// Inputs of `environment`.
+pub type SkyTensors<B> = Sky<InputTensor<B>>;
+/// Gradients of the inputs of `environment`.
+pub type SkyGrads<B> = Sky<OptionalTensor<B>>;
 /// Inputs of `activated`.
 pub type RawTensors<B> = Raw<InputTensor<B>>;
 
@@ -160,7 +165,7 @@ macro_rules! crosses {
     )*};
 }
 
-crosses!(Geometry, Shading, Layers, RayLayers, Raw, Compared, Sliced);
+crosses!(Geometry, Shading, Layers, RayLayers, Raw, Compared, Sliced, Sky);
 
 #[cfg(feature = "fusion")]
 mod fused {
@@ -243,5 +248,5 @@ mod fused {
         )*};
     }
 
-    crosses_later!(Geometry, Shading, Layers, RayLayers, Raw, Compared, Sliced);
+    crosses_later!(Geometry, Shading, Layers, RayLayers, Raw, Compared, Sliced, Sky);
 }

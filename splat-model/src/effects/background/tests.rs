@@ -155,7 +155,7 @@ fn what_does_not_fit_is_not_kept() {
     let mut environment = Environment::new(1, vec![pose; 3], &device);
     environment.cached_bytes = CACHE_BYTES - 9 * 7 * 4 * size_of::<f32>();
     for view in 0..3 {
-        environment.basis_of(view, &intrinsics);
+        environment.harmonics_of(view, &intrinsics);
     }
     assert_eq!((environment.cached_bytes, environment.cache.len()), (CACHE_BYTES, 1));
 }
