@@ -7,7 +7,8 @@
 #   benches/records.sh table      the table alone
 #
 # Variables: CAPTURES, STRATEGIES and STEPS (lists; all, all, and 2000 7000 30000), SIDE and SPLATS (largest side of the
-# photographs, px, and largest number of Gaussians in long runs; 400 and 120000), LPIPS (weights), SPLAT (the program; built if not named), WORK (folder of the runs; out/records),
+# photographs, px, and largest number of Gaussians in long runs; 400 and 120000), LPIPS (weights), SPLAT (the program; built
+# if not named), WORK (folder of the runs; out/records),
 # RECORDS and PAGE (the two files that are written).
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -36,7 +37,7 @@ side() {
   esac
 }
 
-# Prints the largest number of Gaussians, or `-` for the program's own limit. Without one, long runs would differ most in it.
+# Prints the largest number of Gaussians, or `-` for the program's own limit. Strategies are compared at equal numbers.
 cap() { if [ "$1" = 2000 ]; then echo -; else echo "${SPLATS:-120000}"; fi; }
 
 is_done() { [ -f "$records" ] && awk -F'\t' -v key="$1" '$1 "\t" $2 "\t" $3 "\t" $4 "\t" $5 == key {found=1} END {exit !found}' "$records"; }

@@ -37,7 +37,7 @@ pub const MAP: usize = 12;
 pub const LUMA: [f64; 3] = [0.299, 0.587, 0.114];
 
 record! {
-    /// Inputs of the slice.
+    /// Inputs of the slice, or their gradients.
     pub struct Sliced {
         /// `[3, H, W]`: the picture.
         image,

@@ -29,7 +29,7 @@ use crate::error::SplatError;
 use crate::record::record;
 
 record! {
-    /// Inputs of the composition.
+    /// Inputs of the composition, or their gradients.
     pub struct Sky {
         /// `[3, H, W]`: the render over black.
         image,
