@@ -128,11 +128,12 @@ pub mod depth_slope;
 
 pub mod rasterize_rays;
 
-pub mod loss;
-
+// What effects do to a render before the loss.
 pub mod bilateral;
 
 pub mod environment;
+
+pub mod loss;
 
 pub mod adam;
 

@@ -160,19 +160,16 @@ impl Background {
 fn harmonics_of(camera: &Intrinsics, cam_from_world: &DAffine3, degree: usize, device: &Device) -> Tensor<3> {
     let (width, height, count) = (camera.width, camera.height, (degree + 1) * (degree + 1));
     let world_from_cam = cam_from_world.matrix3.transpose();
-    let row = |y: usize| {
-        let mut values = vec![0.0_f32; width * count];
-        for x in 0..width {
+    let mut values = vec![0.0_f32; width * height * count];
+    values.par_chunks_mut(width * count).enumerate().for_each(|(y, row)| {
+        for (x, values) in row.chunks_exact_mut(count).enumerate() {
             let direction = camera.cam_from_px(DVec2::new(x as f64 + 0.5, y as f64 + 0.5)).normalize();
             let all = harmonics((world_from_cam * direction).to_array(), degree);
-            all[..count].iter().enumerate().for_each(|(k, harmonic)| values[k * width + x] = *harmonic as f32);
+            values.iter_mut().zip(all).for_each(|(value, harmonic)| *value = harmonic as f32);
         }
-        values
-    };
-    let rows: Vec<Vec<f32>> = (0..height).into_par_iter().map(row).collect();
-    let plane = |k: usize| rows.iter().flat_map(move |row| &row[k * width..(k + 1) * width]).copied();
-    let values: Vec<f32> = (0..count).flat_map(plane).collect();
-    Tensor::from_data(TensorData::new(values, [count, height, width]), device)
+    });
+    let by_pixel = Tensor::<2>::from_data(TensorData::new(values, [width * height, count]), device);
+    by_pixel.transpose().reshape([count, height, width])
 }
 
 /// See [`environment::over`].

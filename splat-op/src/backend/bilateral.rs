@@ -7,7 +7,7 @@ use burn::backend::tensor::FloatTensor;
 use burn::backend::{Autodiff, Backend, Flex, NdArray, TensorMetadata, backend_extension};
 
 use super::autodiff::tracked;
-use super::cpu::host;
+use super::cpu::{gradient, host};
 #[cfg(feature = "fusion")]
 use super::fusion::grad;
 use super::host::{HostBackend, by_type};
@@ -72,9 +72,7 @@ macro_rules! cpu_backend {
                     let read = inputs.each_ref().map(host::<Self, F>);
                     let slices = read.each_ref().map(|host| &host[..]);
                     let found = slice_backward_cpu(slices, &Self::host(grad.clone()), size, needs);
-                    found.zip(inputs.each_ref()).zip(needs).map(|((found, input), needed)| {
-                        needed.then(|| Self::from_host(found, &input.0.shape(), &input.0)).into()
-                    })
+                    found.zip(needs).zip(inputs.each_ref()).map(gradient)
                 })
             }
         }
@@ -90,7 +88,7 @@ mod gpu {
     use burn_cubecl::CubeBackend;
 
     use super::*;
-    use crate::backend::cube::{buffer, gradient, on_device, tensor};
+    use crate::backend::cube::{self, buffer, on_device, tensor};
     use crate::bilateral::launch::{launch_slice, launch_slice_backward};
     use crate::gpu::Gpu;
 
@@ -108,7 +106,7 @@ mod gpu {
         ) -> SliceGrads<Self> {
             let (gpu, size) = (Gpu::new(&grad.client), size::<Self>(&inputs));
             let found = launch_slice_backward(&gpu, &inputs.each_ref().map(on_device), &buffer(grad), size, needs);
-            found.zip(inputs.each_ref()).map(gradient)
+            found.zip(inputs.each_ref()).map(cube::gradient)
         }
     }
 }

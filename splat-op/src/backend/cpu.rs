@@ -33,7 +33,7 @@ pub(super) fn host<B: HostBackend, F: Real>(input: &InputTensor<B>) -> Host<F> {
 }
 
 /// Returns the gradient of an input as a tensor of its shape and of the float type of the elements, if it was asked for.
-fn gradient<B: HostBackend, F: Real>(
+pub(super) fn gradient<B: HostBackend, F: Real>(
     ((elements, asked), input): ((Vec<F>, bool), &InputTensor<B>),
 ) -> OptionalTensor<B> {
     match asked {

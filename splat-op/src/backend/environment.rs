@@ -7,7 +7,7 @@ use burn::backend::tensor::FloatTensor;
 use burn::backend::{Autodiff, Backend, Flex, NdArray, TensorMetadata, backend_extension};
 
 use super::autodiff::tracked;
-use super::cpu::host;
+use super::cpu::{gradient, host};
 #[cfg(feature = "fusion")]
 use super::fusion::grad as gradient_of;
 use super::host::{HostBackend, by_type};
@@ -74,9 +74,7 @@ macro_rules! cpu_backend {
                     let read = inputs.each_ref().map(host::<Self, F>);
                     let slices = read.each_ref().map(|host| &host[..]);
                     let found = environment_backward_cpu(slices, &Self::host(grad.clone()), needs);
-                    found.zip(inputs.each_ref()).zip(needs).map(|((found, input), needed)| {
-                        needed.then(|| Self::from_host(found, &input.0.shape(), &input.0)).into()
-                    })
+                    found.zip(needs).zip(inputs.each_ref()).map(gradient)
                 })
             }
         }
@@ -92,7 +90,7 @@ mod gpu {
     use burn_cubecl::CubeBackend;
 
     use super::*;
-    use crate::backend::cube::{buffer, gradient, on_device, tensor};
+    use crate::backend::cube::{self, buffer, on_device, tensor};
     use crate::environment::launch::{launch_alpha_backward, launch_coefficients_backward, launch_environment};
     use crate::gpu::Gpu;
 
@@ -111,7 +109,7 @@ mod gpu {
                 coefficients: needs.coefficients.then(|| launch_coefficients_backward(&gpu, &on_device, &grad)),
                 ..Sky::default()
             };
-            found.zip(inputs.each_ref()).map(gradient)
+            found.zip(inputs.each_ref()).map(cube::gradient)
         }
     }
 }
